@@ -1,0 +1,212 @@
+"""Serial ports that never block, never raise on a bad line, and come back after unplugging."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import math
+import os
+import select
+import termios
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+
+import serial
+
+READ_BYTES = 4096
+READS_MAX = 16
+"""A flood is read in portions, so that one port cannot hold up the others."""
+
+PTY_MAJORS = range(136, 144)
+
+_IFLAG, _CC = 0, 6
+_FAILURES = (OSError, ValueError, termios.error)  # termios.error is no OSError; pyserial lets it through
+
+
+@dataclass(slots=True)
+class PortCounters:
+    """What has passed through a port: bytes read, written, dropped for a full buffer; openings and losses."""
+
+    bytes_read: int = 0
+    bytes_written: int = 0
+    bytes_dropped: int = 0
+    opens: int = 0
+    losses: int = 0
+
+    def as_dict(self) -> dict[str, int]:
+        """Return every count by name."""
+        return asdict(self)
+
+
+class Port:
+    """One serial port, 8N1, opened exclusively and again whenever it has gone.
+
+    `error` says in one line why the port is not open and what to do, None while it is. Every call returns at
+    once, so all are safe inside the 100 Hz loop; opening takes a system call or ten.
+    """
+
+    def __init__(self, name: str, path: str, baud: int, retry_s: float = 0.5) -> None:
+        """`name` is for messages, `path` the device (links are followed), `baud` in bit/s.
+
+        While the port is shut, `poll_open` tries again every `retry_s` seconds. Nothing is opened yet.
+        """
+        self.name = name
+        self.path = path
+        self.error: str | None = f"{name}: {path} has not been opened yet"
+        self.counters = PortCounters()
+        self._baud = baud
+        self._retry_s = retry_s
+        self._t_retry = -math.inf
+        self._serial: serial.Serial | None = None
+        self._unsent = b""
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the port can be read and written."""
+        return self._serial is not None
+
+    def fileno(self) -> int:
+        """Return the file descriptor, for waiting on. Raises ValueError if the port is not open."""
+        if self._serial is None:
+            raise ValueError(f"{self.name}: port is not open")
+        return int(self._serial.fileno())
+
+    def poll_open(self, t: float) -> bool:
+        """Open the port if it is shut and a try is due at `t` (s, monotonic); return whether it is open."""
+        if self._serial is None and t >= self._t_retry:
+            self._t_retry = t + self._retry_s
+            try:
+                self._serial = _open(self.path, self._baud)
+            except _FAILURES as failure:
+                self.error = f"{self.name}: {explain(self.path, failure)}"
+            else:
+                self.error = None
+                self.counters.opens += 1
+        return self.is_open
+
+    def read(self) -> bytes:
+        """Return what has arrived, empty if nothing has. A port that has hung up is shut at once."""
+        chunks: list[bytes] = []
+        while self._serial is not None and len(chunks) < READS_MAX:
+            try:
+                chunk = os.read(self.fileno(), READ_BYTES)
+            except BlockingIOError:
+                break
+            except OSError as failure:
+                self._lose(failure)
+                break
+            if not chunk:  # VMIN is 1, so this is the end of file and not the end of the data
+                self._lose(None)
+                break
+            chunks.append(chunk)
+        data = b"".join(chunks)
+        self.counters.bytes_read += len(data)
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send `data` (whole lines), or drop and count it where the kernel's buffer is full.
+
+        If only a part fits, the rest goes out before the next data, so that lines stay whole.
+        """
+        rest = self._unsent
+        written = self._put(rest + data)
+        if written > len(rest):
+            self._unsent = (rest + data)[written:]
+        else:
+            self._unsent = rest[written:] if self.is_open else b""
+            self.counters.bytes_dropped += len(data)
+
+    def set_break(self, active: bool) -> None:
+        """Hold the line in break, or end it; without effect where the port cannot."""
+        if self._serial is not None:
+            with contextlib.suppress(*_FAILURES):
+                self._serial.break_condition = active
+
+    def close(self) -> None:
+        """Shut the port; the next `poll_open` opens it again."""
+        if self._serial is not None:
+            with contextlib.suppress(OSError):
+                self._serial.close()
+            self._serial = None
+            self._unsent = b""
+            self.error = f"{self.name}: {self.path} has been closed"
+
+    def _put(self, data: bytes) -> int:
+        if self._serial is None or not data:
+            return 0
+        try:
+            written = os.write(self.fileno(), data)
+        except BlockingIOError:
+            return 0
+        except OSError as failure:
+            self._lose(failure)
+            return 0
+        self.counters.bytes_written += written
+        return written
+
+    def _lose(self, failure: OSError | None) -> None:
+        with contextlib.suppress(*_FAILURES):
+            termios.tcflush(self.fileno(), termios.TCOFLUSH)  # else closing may wait for it to drain
+        self.close()
+        self.counters.losses += 1
+        cause = f" ({failure.strerror})" if failure is not None else ""
+        self.error = f"{self.name}: {self.path} was lost{cause}: check the plug; it is tried again by itself"
+
+
+def _open(path: str, baud: int) -> serial.Serial:
+    port = serial.Serial(path, baud, timeout=0, write_timeout=0, exclusive=True)
+    try:
+        fd = port.fileno()
+        attributes = termios.tcgetattr(fd)
+        attributes[_IFLAG] &= ~termios.BRKINT  # a break reads as NUL, it does not flush the queues
+        attributes[_CC][termios.VMIN] = 1  # so that reading nothing fails with EAGAIN and b"" means hang-up
+        attributes[_CC][termios.VTIME] = 0
+        termios.tcsetattr(fd, termios.TCSANOW, attributes)
+        if os.major(os.fstat(fd).st_rdev) not in PTY_MAJORS:
+            # The lock is advisory, this is not. A pseudo-terminal would keep it beyond our death, for as long
+            # as its other side is open.
+            fcntl.ioctl(fd, termios.TIOCEXCL)
+        with contextlib.suppress(*_FAILURES, NotImplementedError):
+            port.set_low_latency_mode(True)
+    except BaseException:
+        port.close()
+        raise
+    return port
+
+
+def explain(path: str, failure: Exception) -> str:
+    """Return one line on why `path` could not be opened and what to do about it."""
+    match getattr(failure, "errno", None):
+        case errno.ENOENT:
+            return f"no such port {path}: check the plug and the configured name"
+        case errno.EACCES | errno.EPERM:
+            return (
+                f"no permission to open {path}: add this user to the group that owns it, usually dialout "
+                "(sudo usermod -aG dialout $USER, then log in again)"
+            )
+        case errno.EBUSY | errno.EAGAIN:
+            return f"{path} is held by another process: end it (sudo fuser -v {path} names it)"
+        case errno.EIO | errno.ENXIO | errno.ENODEV:
+            return f"nothing is connected behind {path}: check the plug"
+        case _:
+            return f"{path} cannot be used as a serial port: {failure}"
+
+
+class PortWaiter:
+    """Waits on several ports at once."""
+
+    def __init__(self, ports: Sequence[Port], clock: Callable[[], float] = time.monotonic) -> None:
+        """`clock` gives the time (s) that deadlines are told in."""
+        self._ports = ports
+        self._clock = clock
+
+    def wait(self, t_deadline: float) -> list[Port]:
+        """Return the ports that can be read (or have hung up), or none once `t_deadline` (s) has come.
+
+        select() serves because its time-out has microseconds; poll() and epoll_wait() know milliseconds only.
+        """
+        open_ports = [port for port in self._ports if port.is_open]
+        readable, _, _ = select.select(open_ports, (), (), max(0.0, t_deadline - self._clock()))
+        return readable

@@ -1,0 +1,361 @@
+"""The VersaPad's serial protocol, both directions, and what a pad's packets mean.
+
+Wire format: docs of the project, "VersaPad over RS232". Six bytes, sent as long as the pad is touched:
+
+    0      1 1 L R T A 0 0     left, right, tap, in use
+    1, 2   x, low and high six bits of a 12-bit two's complement number
+    3, 4   y, likewise
+    5      pressure, 0 to 127
+
+Only a first byte has its top two bits set, so every header byte starts a packet, and one lost byte costs one
+packet at most. Everything here is pure and safe inside the 100 Hz loop.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Literal
+
+from palmd.devices.arrival import FirstByteClock, byte_time
+from palmd.events import Pad, PadLift, PadSample
+
+PACKET_BYTES = 6
+HEADER_MASK, HEADER = 0xC3, 0xC0
+LEFT, RIGHT, TAP, IN_USE = 0x20, 0x10, 0x08, 0x04
+BYTE_LIMITS = (0x100, 0x40, 0x40, 0x40, 0x40, 0x80)
+"""Each byte of a packet is below its limit; the first must be a header as well."""
+
+COUNT_MIN, COUNT_MAX = -2048, 2047
+PRESSURE_MAX = 127
+
+STALE_S = 0.032
+"""A packet still incomplete this long (and four byte times) after its last byte is taken for truncated.
+
+Four byte times alone would do on a plain RS232 port, but a USB adapter delivers every 16 ms and cuts packets
+anywhere. Headers resynchronise by themselves, so the limit only has to keep the head of one packet from being
+completed by the tail of a much later one; two adapter periods do that and lose no good packet.
+"""
+
+MARGIN_MM = 1.0
+"""How far beyond the pad's end a reading may lie, for the zero is never quite right."""
+
+SILENT_INTERVALS = 5
+"""A pad that says nothing for so many mean intervals between packets has been let go."""
+
+
+@dataclass(frozen=True, slots=True)
+class PressureFormat:
+    """Where a packet carries pressure: `(raw[byte] & mask) >> shift`, subtracted from full scale if `invert`.
+
+    Raises ValueError if no legal packet could carry such a field.
+    """
+
+    byte: int = 5
+    mask: int = 0x7F
+    shift: int = 0
+    invert: bool = False
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.byte < PACKET_BYTES:
+            raise ValueError(f"pressure byte must be 1 to {PACKET_BYTES - 1}, not {self.byte}")
+        if not 0 < self.mask < BYTE_LIMITS[self.byte]:
+            limit = BYTE_LIMITS[self.byte] - 1
+            raise ValueError(f"pressure mask of byte {self.byte} must be 1 to {limit}, not {self.mask}")
+        if self.shift < 0 or self.full_scale == 0:
+            raise ValueError(f"pressure shift {self.shift} leaves nothing of mask {self.mask:#04x}")
+
+    @property
+    def full_scale(self) -> int:
+        """The largest pressure this format can carry."""
+        return self.mask >> self.shift
+
+    def decode(self, raw: bytes) -> int:
+        """Return the pressure (0 to full scale) in the six bytes of a packet."""
+        value = (raw[self.byte] & self.mask) >> self.shift
+        return self.full_scale - value if self.invert else value
+
+    def encode(self, pressure: int) -> int:
+        """Return the bits that carry `pressure` (0 to full scale). Raises ValueError outside that range."""
+        if not 0 <= pressure <= self.full_scale:
+            raise ValueError(f"pressure must be 0 to {self.full_scale}, not {pressure}")
+        value = self.full_scale - pressure if self.invert else pressure
+        return (value << self.shift) & self.mask
+
+
+@dataclass(frozen=True, slots=True)
+class PadPacket:
+    """One packet as sent by the pad.
+
+    `t_first` is when its first byte arrived, `t_recv` when it was read whole (s, monotonic). `batched` says
+    that several packets came in that read, so that `t_first` rests on back-dating alone.
+    """
+
+    t_first: float
+    t_recv: float
+    x_counts: int
+    y_counts: int
+    pressure: int
+    in_use: bool
+    left: bool
+    right: bool
+    tap: bool
+    batched: bool
+
+
+@dataclass(slots=True)
+class PadCounters:
+    """What a pad's line has brought. `bytes == 6 * packets + bytes_discarded + bytes pending` at all times.
+
+    `bad_header`, `bad_data` and `truncated` count discarded bytes by cause: outside a packet; of a packet
+    spoilt by an illegal byte, that byte included; of a packet cut short by the next header, a gap or a reset.
+    `batches` counts reads with several packets, `out_of_range` packets that cannot be a place on the pad.
+    """
+
+    bytes: int = 0
+    packets: int = 0
+    bad_header: int = 0
+    bad_data: int = 0
+    truncated: int = 0
+    batches: int = 0
+    out_of_range: int = 0
+
+    @property
+    def bytes_discarded(self) -> int:
+        """All bytes that became part of no packet."""
+        return self.bad_header + self.bad_data + self.truncated
+
+    def as_dict(self) -> dict[str, int]:
+        """Return every count by name, `bytes_discarded` included."""
+        return {**asdict(self), "bytes_discarded": self.bytes_discarded}
+
+
+def is_header(byte: int) -> bool:
+    """Tell whether `byte` can only be the first of a packet."""
+    return byte & HEADER_MASK == HEADER
+
+
+class VersaPadDecoder:
+    """Turns a pad's bytes into packets; garbage is counted and nothing else."""
+
+    def __init__(self, baud: int, pressure: PressureFormat | None = None) -> None:
+        """`baud` in bit/s dates the bytes. Raises ValueError if it is not positive."""
+        self.counters = PadCounters()
+        self._pressure = pressure or PressureFormat()
+        self._byte_s = byte_time(baud)
+        self._stale_s = STALE_S + 4 * self._byte_s
+        self._clock = FirstByteClock(baud)
+        self._partial = bytearray()
+        self._t_last = 0.0
+
+    @property
+    def pending(self) -> int:
+        """How many bytes of an incomplete packet are in hand (0 to 5)."""
+        return len(self._partial)
+
+    def feed(self, data: bytes, t_recv: float) -> list[PadPacket]:
+        """Take the bytes read at `t_recv` (s, monotonic) and return the packets they complete."""
+        if not data:
+            return []
+        counters, partial, size = self.counters, self._partial, len(data)
+        counters.bytes += size
+        if partial:
+            if t_recv - (size - 1) * self._byte_s - self._t_last > self._stale_s:
+                self._truncate()
+            else:
+                self._clock.more(t_recv, len(partial) + size - 1)
+        self._t_last = t_recv
+
+        found: list[tuple[float, bytes]] = []
+        for position, byte in enumerate(data):
+            if is_header(byte):
+                self._truncate()
+                partial.append(byte)
+                self._clock.begin(t_recv, size - 1 - position)
+            elif not partial:
+                counters.bad_header += 1
+            elif byte >= BYTE_LIMITS[len(partial)]:
+                counters.bad_data += len(partial) + 1
+                partial.clear()
+            else:
+                partial.append(byte)
+                if len(partial) == PACKET_BYTES:
+                    found.append((self._clock.end(), bytes(partial)))
+                    partial.clear()
+
+        batched = len(found) > 1
+        counters.packets += len(found)
+        counters.batches += batched
+        return [self._packet(raw, t_first, t_recv, batched) for t_first, raw in found]
+
+    def reset(self) -> None:
+        """Discard the packet in hand, for the line has been interrupted."""
+        self._truncate()
+
+    def _truncate(self) -> None:
+        self.counters.truncated += len(self._partial)
+        self._partial.clear()
+
+    def _packet(self, raw: bytes, t_first: float, t_recv: float, batched: bool) -> PadPacket:
+        flags = raw[0]
+        return PadPacket(
+            t_first=t_first,
+            t_recv=t_recv,
+            x_counts=_signed(raw[1], raw[2]),
+            y_counts=_signed(raw[3], raw[4]),
+            pressure=self._pressure.decode(raw),
+            in_use=bool(flags & IN_USE),
+            left=bool(flags & LEFT),
+            right=bool(flags & RIGHT),
+            tap=bool(flags & TAP),
+            batched=batched,
+        )
+
+
+def _signed(low: int, high: int) -> int:
+    value = low | high << 6
+    return value - 0x1000 if value & 0x800 else value
+
+
+def encode_packet(
+    x_counts: int,
+    y_counts: int,
+    pressure: int,
+    *,
+    in_use: bool = True,
+    left: bool = False,
+    right: bool = False,
+    tap: bool = False,
+    pressure_format: PressureFormat | None = None,
+) -> bytes:
+    """Return the six bytes a pad sends for this reading, counts in -2048 to 2047.
+
+    Raises ValueError if a number does not fit its field.
+    """
+    for name, counts in (("x_counts", x_counts), ("y_counts", y_counts)):
+        if not COUNT_MIN <= counts <= COUNT_MAX:
+            raise ValueError(f"{name} must be {COUNT_MIN} to {COUNT_MAX}, not {counts}")
+    pressure_format = pressure_format or PressureFormat()
+    flags = HEADER | left * LEFT | right * RIGHT | tap * TAP | in_use * IN_USE
+    raw = bytearray((flags, x_counts & 0x3F, x_counts >> 6 & 0x3F, y_counts & 0x3F, y_counts >> 6 & 0x3F, 0))
+    field = pressure_format.encode(pressure)
+    raw[pressure_format.byte] = raw[pressure_format.byte] & ~pressure_format.mask | field
+    return bytes(raw)
+
+
+@dataclass(frozen=True, slots=True)
+class PadCalibration:
+    """How a pad's counts become a distance from the hinge: s = zero + sign · counts / counts_per_mm.
+
+    `length_mm` is the pad's active length; a reading below zero, or beyond it by more than `MARGIN_MM`,
+    cannot be a contact. `pressure_max` is the pressure format's full scale.
+    """
+
+    pad: Pad
+    zero_mm: float
+    counts_per_mm: float
+    newtons_per_count: float
+    axis: Literal["x", "y"] = "x"
+    sign: Literal[1, -1] = 1
+    length_mm: float = 55.5
+    pressure_max: int = PRESSURE_MAX
+
+    def sample(self, packet: PadPacket) -> PadSample | None:
+        """Return the contact that `packet` reports (s in m, force in N), or None if it is off the pad.
+
+        At full scale the pressure is only a lower bound, so the sample carries no force.
+        """
+        counts = packet.x_counts if self.axis == "x" else packet.y_counts
+        s_mm = self.zero_mm + self.sign * counts / self.counts_per_mm
+        if not 0.0 < s_mm <= self.length_mm + MARGIN_MM:
+            return None
+        force = packet.pressure * self.newtons_per_count if packet.pressure < self.pressure_max else None
+        return PadSample(packet.t_first, self.pad, s_mm * 1e-3, force)
+
+
+class TouchTracker:
+    """Tells when the object has left a pad: A = 0, or silence for five mean intervals between packets.
+
+    The mean is a running one, held between one packet time (the line cannot do better) and 2.5, so that a
+    mute pad is noticed within 100 ms at 9600 baud whatever came before.
+    """
+
+    GAIN = 1 / 16
+    START_PACKETS = 1.6
+    MAX_PACKETS = 2.5
+
+    def __init__(self, pad: Pad, baud: int) -> None:
+        """`baud` in bit/s bounds the mean interval. Raises ValueError if it is not positive."""
+        packet_s = PACKET_BYTES * byte_time(baud)
+        self._pad: Pad = pad
+        self._shortest_s = packet_s
+        self._longest_s = self.MAX_PACKETS * packet_s
+        self._mean_s = self.START_PACKETS * packet_s
+        self._t_first = 0.0
+        self._t_recv = 0.0
+        self.touching = False
+
+    @property
+    def mean_interval_s(self) -> float:
+        """The running mean of the time between packets."""
+        return self._mean_s
+
+    def packet(self, packet: PadPacket) -> PadLift | None:
+        """Take a packet, in the order received; return the lift-off it reports, if any."""
+        if not packet.in_use:
+            return self._lift(packet.t_first)
+        if self.touching:
+            mean_s = self._mean_s + self.GAIN * (packet.t_first - self._t_first - self._mean_s)
+            self._mean_s = min(max(mean_s, self._shortest_s), self._longest_s)
+        self.touching = True
+        self._t_first, self._t_recv = packet.t_first, packet.t_recv
+        return None
+
+    def poll(self, t: float) -> PadLift | None:
+        """Return the lift-off if the pad has been silent for too long at time `t` (s), else None."""
+        t_silent = self._t_recv + SILENT_INTERVALS * self._mean_s
+        return self._lift(t_silent) if t >= t_silent else None
+
+    def _lift(self, t: float) -> PadLift | None:
+        if not self.touching:
+            return None
+        self.touching = False
+        return PadLift(t, self._pad)
+
+
+class PadReceiver:
+    """One pad from bytes to events: decoder, calibration and lift-off in a row."""
+
+    def __init__(
+        self, calibration: PadCalibration, baud: int, pressure: PressureFormat | None = None
+    ) -> None:
+        """`baud` in bit/s. Raises ValueError if it is not positive."""
+        self.decoder = VersaPadDecoder(baud, pressure)
+        self.touch = TouchTracker(calibration.pad, baud)
+        self.latest: PadPacket | None = None
+        self._calibration = calibration
+
+    @property
+    def counters(self) -> PadCounters:
+        """What the line has brought so far."""
+        return self.decoder.counters
+
+    def feed(self, data: bytes, t_recv: float) -> list[PadSample | PadLift]:
+        """Take the bytes read at `t_recv` (s) and return the contacts and lift-offs they report."""
+        events: list[PadSample | PadLift] = []
+        for packet in self.decoder.feed(data, t_recv):
+            self.latest = packet
+            event = self.touch.packet(packet) or self._sample(packet)
+            if event is not None:
+                events.append(event)
+        return events
+
+    def poll(self, t: float) -> PadLift | None:
+        """Return the lift-off that silence tells of at time `t` (s), if any."""
+        return self.touch.poll(t)
+
+    def _sample(self, packet: PadPacket) -> PadSample | None:
+        if not packet.in_use:
+            return None
+        sample = self._calibration.sample(packet)
+        self.counters.out_of_range += sample is None
+        return sample

@@ -1,0 +1,138 @@
+"""What flows: measured events into an observer, estimates out of it.
+
+Everything here is an immutable value in SI units. Times are seconds on one monotonic clock (on a live rig)
+or the log's own clock (on a replay); no code below the rim ever asks what time it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+Pad = Literal[1, 2]
+HingeMode = Literal["arc", "fixed"]
+
+
+@dataclass(frozen=True, slots=True)
+class PadSample:
+    """One contact reading: the object touches palm `pad` at distance `s` (m, > 0) from the hinge.
+
+    `force` is the contact's normal force in N, None when the pad gives none.
+    """
+
+    t_sample: float
+    pad: Pad
+    s: float
+    force: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PadLift:
+    """The object has left palm `pad`: no reading is valid until the next `PadSample` of that pad."""
+
+    t_sample: float
+    pad: Pad
+
+
+@dataclass(frozen=True, slots=True)
+class PalmSample:
+    """The palms' angles as measured (rad), with the motion plan's rates (rad/s) and accelerations (rad/s²).
+
+    phi1 is measured from the world X axis to palm 1, phi2 from palm 1 to palm 2. Rates and accelerations are
+    None where no plan is known; the observer then estimates the rates from the angles alone.
+    """
+
+    t_sample: float
+    phi1: float
+    phi2: float
+    omega1: float | None = None
+    omega2: float | None = None
+    alpha1: float | None = None
+    alpha2: float | None = None
+
+
+Event = PadSample | PadLift | PalmSample
+
+
+@dataclass(frozen=True, slots=True)
+class PalmMotion:
+    """Palm angles (rad), rates (rad/s) and accelerations (rad/s²) at one instant of a motion."""
+
+    phi1: float
+    phi2: float
+    omega1: float = 0.0
+    omega2: float = 0.0
+    alpha1: float = 0.0
+    alpha2: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class RigDescription:
+    """What an observer must know of the rig: gravity, hinge, and how good the sensors are (SI units)."""
+
+    gravity: float = 9.81
+    hinge: HingeMode = "arc"
+    palm1_length: float = 0.12
+    base: tuple[float, float] = (0.12, 0.0)  # of palm 1's far end, where an arc hinge is fixed to the world
+    pad_length: float = 0.0555
+    pad_noise: float = 1e-4
+    pad_resolution: float = 1.27e-4
+    palm_angle_noise: float = 2e-4
+    force_scale_std: float = 0.05
+    force_resolution: float = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """An observer's answer for one instant `t`: the named state, what follows from it, and how far to trust it.
+
+    SI units; NaN means "no value". `sd` holds the one-sigma of each field it names, under the same names as
+    here. With `valid` True the named state, psi and their sd are finite.
+    """
+
+    t: float
+    valid: bool
+    observer: str
+    object_count: int
+    r1: float
+    r2: float
+    omega0: float
+    s1: float
+    s2: float
+    phi1: float
+    omega1: float
+    phi2: float
+    omega2: float
+    rho: float
+    psi: float
+    v1: float
+    v2: float
+    mu: float
+    mass: float
+    f1: float
+    f2: float
+    com_x: float
+    com_y: float
+    nis: float
+    observability: float
+    touched: float
+    sd: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeEstimate:
+    """The outline as a support function about the centre of mass: h and its one-sigma (m) on normals theta (rad).
+
+    theta is the outward normal's direction in the object frame, whose gauge is psi = 0 at the first fused
+    measurement; `touched` marks the normals that a palm has been in contact with.
+    """
+
+    t: float
+    theta: FloatArray
+    h: FloatArray
+    h_sd: FloatArray
+    touched: npt.NDArray[np.bool_]

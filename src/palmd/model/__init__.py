@@ -1,0 +1,1 @@
+"""Symbols, equations and generated C: the only room where CasADi's symbols live."""

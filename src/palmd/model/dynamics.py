@@ -1,0 +1,119 @@
+"""Rigid-body dynamics of the object between the palms, in a form that is nowhere singular.
+
+CMU-CS-01-107 eliminates the radii of curvature v1, v2 and gets (4.16), (4.17), which divide by the contacts'
+sliding rates. Keeping v1, v2 leaves three linear equations in f1, f2, α0 (THEORY section 4), solvable whenever
+the palms are not parallel; neither a force nor a torque sensor is needed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from palmd.model.contact import SX, Contact, normal, solve_from_normals, tangent
+
+
+@dataclass(frozen=True, slots=True)
+class Palms:
+    """Angles (rad), rates (rad/s) and accelerations (rad/s²) of the palms."""
+
+    phi1: SX
+    phi2: SX
+    omega1: SX
+    omega2: SX
+    alpha1: SX
+    alpha2: SX
+
+    @property
+    def phi12(self) -> SX:
+        """φ1 + φ2, the world angle of palm 2."""
+        return self.phi1 + self.phi2
+
+    @property
+    def omega12(self) -> SX:
+        """ω1 + ω2."""
+        return self.omega1 + self.omega2
+
+    @property
+    def alpha12(self) -> SX:
+        """α1 + α2."""
+        return self.alpha1 + self.alpha2
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """Radius of gyration ρ (m), friction coefficient μ, dither speed u_d (m/s), damping c (m²/s)."""
+
+    rho: SX
+    mu: SX
+    dither: SX
+    damping: SX
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Result of Newton–Euler: α0 (rad/s²) and the normal forces per unit mass f1, f2 (m/s²)."""
+
+    alpha0: SX
+    f1: SX
+    f2: SX
+
+
+def effective_gravity(palms: Palms, rig: SX) -> SX:
+    """Gravity as felt in the hinge's frame: (0, −g) − a_O, with O = B − L1 t1(φ1) (m/s²).
+
+    `rig` starts with (g, L1); L1 = 0 stands for a hinge that does not move.
+    """
+    t1, n1 = tangent(palms.phi1, 1), normal(palms.phi1, 1)
+    return ca.vertcat(0, -rig[0]) + rig[1] * (palms.alpha1 * n1 - palms.omega1**2 * t1)
+
+
+def newton_euler(palms: Palms, omega0: SX, one: Contact, two: Contact, body: Body, rig: SX) -> Motion:
+    """Solve the three linear equations of THEORY section 4 for α0, f1, f2.
+
+    Two of them say that the object keeps touching (n_i·a prescribed by the contact's motion), the third is
+    ρ²α0 = Σ f_i (x_i × F_i) − c ω0 with F_i = n_i − μ σ(u_i) t_i and σ(u) = u/√(u² + u_d²).
+    Valid while f1, f2 > 0.
+    """
+    c = solve_from_normals(palms.phi1, palms.phi2, one.r, two.r)
+    rates = (palms.omega1, palms.omega12)
+    accelerations = (palms.alpha1, palms.alpha12)
+    tangents = (tangent(palms.phi1, 1), tangent(palms.phi12, 2))
+    normals = (normal(palms.phi1, 1), normal(palms.phi12, 2))
+    contacts = (one, two)
+
+    # n_i·ċ = ṙ_i − ω_i e_i·c with e_i = dn_i/dφ_i = −t_i and ṙ_i = −d_i θ̇_i
+    along = [
+        -k.d * (w - omega0) + w * ca.dot(t, c) for k, w, t in zip(contacts, rates, tangents, strict=True)
+    ]
+    c_dot = solve_from_normals(palms.phi1, palms.phi2, *along)
+
+    g_eff = effective_gravity(palms, rig)
+    forces, needed, torques = [], [], []
+    for k, w, a, t, n in zip(contacts, rates, accelerations, tangents, normals, strict=True):
+        slip = ca.dot(t, c_dot) + omega0 * k.r
+        sigma = slip / ca.sqrt(slip**2 + body.dither**2)
+        forces.append(n - body.mu * sigma * t)
+        torques.append(-(k.r * body.mu * sigma + k.d))
+        # n_i·a without its α0 term, less what gravity already gives
+        needed.append(
+            (k.v - k.r) * (w - omega0) ** 2
+            - k.d * a
+            + 2 * w * ca.dot(t, c_dot)
+            + a * ca.dot(t, c)
+            + w**2 * k.r
+            - ca.dot(n, g_eff)
+        )
+
+    # [n_i·F_j − d_i x_j×F_j/ρ²] f = needed_i − d_i c ω0/ρ², after α0 is eliminated by the torque equation
+    rho2 = body.rho**2
+    m = [
+        [ca.dot(normals[i], forces[j]) - contacts[i].d * torques[j] / rho2 for j in range(2)] for i in range(2)
+    ]
+    b = [needed[i] - contacts[i].d * body.damping * omega0 / rho2 for i in range(2)]
+    det = m[0][0] * m[1][1] - m[0][1] * m[1][0]
+    f1 = (b[0] * m[1][1] - b[1] * m[0][1]) / det
+    f2 = (m[0][0] * b[1] - m[1][0] * b[0]) / det
+    alpha0 = (f1 * torques[0] + f2 * torques[1] - body.damping * omega0) / rho2
+    return Motion(alpha0, f1, f2)

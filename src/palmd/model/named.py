@@ -1,0 +1,43 @@
+"""The named state and what follows from it: the one list of outputs that every observer's kernels share."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from palmd.events import FloatArray, RigDescription
+from palmd.model.contact import SX, Contact, readings, solve_from_normals, tangent
+from palmd.model.dynamics import Body, Palms, newton_euler
+
+import numpy as np
+
+NAMED = (
+    "r1", "r2", "omega0", "s1", "s2", "phi1", "omega1", "phi2", "omega2", "rho",
+    "psi", "v1", "v2", "mu", "f1", "f2", "com_x", "com_y",
+)  # fmt: skip
+"""Names as in `events.Estimate`, SI; f1, f2 here are per unit mass (m/s²), COM in the world frame."""
+
+RIG_INPUTS = 4
+
+
+def rig_inputs(rig: RigDescription) -> FloatArray:
+    """What the kernels are told of the rig at run time: g, hinge arm (0 when the hinge is fixed), base x, y.
+
+    Inputs rather than constants, so that one compiled library serves every rig.
+    """
+    arm = rig.palm1_length if rig.hinge == "arc" else 0.0
+    base = rig.base if rig.hinge == "arc" else (0.0, 0.0)
+    return np.array([rig.gravity, arm, *base])
+
+
+def named_outputs(
+    palms: Palms, omega0: SX, psi: SX, one: Contact, two: Contact, body: Body, rig: SX
+) -> SX:
+    """Values of `NAMED`, in that order."""
+    s1, s2 = readings(palms.phi2, one, two)
+    motion = newton_euler(palms, omega0, one, two, body, rig)
+    hinge = rig[2:4] - rig[1] * tangent(palms.phi1, 1)
+    com = hinge + solve_from_normals(palms.phi1, palms.phi2, one.r, two.r)
+    return ca.vertcat(
+        one.r, two.r, omega0, s1, s2, palms.phi1, palms.omega1, palms.phi2, palms.omega2, body.rho,
+        psi, one.v, two.v, body.mu, motion.f1, motion.f2, com,
+    )  # fmt: skip

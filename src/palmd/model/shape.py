@@ -1,0 +1,82 @@
+"""The outline as a Fourier series: support function, its derivatives, and what is known of it beforehand.
+
+h(θ) = a0 + Σ_k a_k cos kθ + b_k sin kθ about the centre of mass, θ the direction of the outward normal in the
+object's frame. Then r = h, d = −h′, v = h + h″ (CMU-CS-01-107, section 3.1). The first harmonic is not gauge:
+it is where the centre of mass lies in the body, and gravity feels it.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.model.contact import SX, Contact
+
+HARMONICS = 7
+COEFFICIENTS = 2 * HARMONICS + 1
+
+
+def basis(theta: FloatArray) -> FloatArray:
+    """Values of (1, cos θ, sin θ, cos 2θ, …) on each of `theta`: shape (len(theta), COEFFICIENTS)."""
+    k = np.arange(1, HARMONICS + 1)
+    angles = np.multiply.outer(np.asarray(theta, dtype=np.float64), k)
+    rows = np.ones((angles.shape[0], COEFFICIENTS))
+    rows[:, 1::2], rows[:, 2::2] = np.cos(angles), np.sin(angles)
+    return rows
+
+
+def tangential_basis(theta: FloatArray) -> FloatArray:
+    """−d/dθ of `basis`: what maps coefficients to the tangential offset d = −h′."""
+    k = np.arange(1, HARMONICS + 1)
+    angles = np.multiply.outer(np.asarray(theta, dtype=np.float64), k)
+    rows = np.zeros((angles.shape[0], COEFFICIENTS))
+    rows[:, 1::2], rows[:, 2::2] = k * np.sin(angles), -k * np.cos(angles)
+    return rows
+
+
+def contact_rows(phi1: float, phi2: float) -> tuple[FloatArray, FloatArray]:
+    """(radii, readings): rows mapping coefficients to (r1, r2) and to (s1, s2), for an object at ψ = 0.
+
+    (3.13) and (3.14), linear in the outline.
+    """
+    theta = np.array([phi1 - np.pi / 2, phi1 + phi2 - 3 * np.pi / 2])
+    r, d = basis(theta), tangential_basis(theta)
+    lever = (r * np.cos(phi2) + r[::-1]) / np.sin(phi2)
+    return r, lever + np.array([[-1.0], [1.0]]) * d
+
+
+def curvature_rows() -> FloatArray:
+    """Rows mapping the coefficients of h to those of v = h + h″: harmonics 0, 2, 3, … (the first vanishes)."""
+    k = harmonic_of_coefficient()
+    return np.diag(1 - k**2)[k != 1]
+
+
+def harmonic_of_coefficient() -> FloatArray:
+    """k of each coefficient, in the order of `basis`: 0, 1, 1, 2, 2, …"""
+    return np.repeat(np.arange(HARMONICS + 1), 2)[1:].astype(np.float64)
+
+
+def prior_sd(mean_radius: float) -> FloatArray:
+    """One-sigma of each coefficient (m) before anything is felt; the mean radius itself is not covered here.
+
+    A smooth convex lump: an elongation of several percent, then falling like k^−1.7; v ≥ 0 follows nearly
+    always, since harmonic k enters v with k² − 1.
+    """
+    k = harmonic_of_coefficient()
+    sd = 0.045 * mean_radius * (2.0 / np.maximum(k, 1.0)) ** 1.7
+    sd[k == 1] = 0.03 * mean_radius
+    sd[0] = 0.0
+    return sd
+
+
+def contact_at(theta: SX, coefficients: SX) -> Contact:
+    """r, d, v of the outline where its outward normal is `theta`."""
+    r, d, v = coefficients[0], SX(0), coefficients[0]
+    for k in range(1, HARMONICS + 1):
+        a, b = coefficients[2 * k - 1], coefficients[2 * k]
+        even, odd = a * ca.cos(k * theta) + b * ca.sin(k * theta), a * ca.sin(k * theta) - b * ca.cos(k * theta)
+        r = r + even
+        d = d + k * odd
+        v = v + (1 - k**2) * even
+    return Contact(r, d, v)

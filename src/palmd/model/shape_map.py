@@ -1,0 +1,128 @@
+"""The shape-map observer's kernels: orientation, spin, body constants and the whole outline in one state.
+
+x = (ψ, ω0, ln ρ, μ, ln u_d, c, coefficients of h). Both contacts read the same function h at two normals, so every
+revisit sharpens it (THEORY section 5). Only ψ and ω0 move; s1, s2 are explicit functions of ψ, h, φ1, φ2.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import casadi as ca
+
+from palmd.model.compiled import Library, densified, load, mapped_over_bank
+from palmd.model.contact import SX, Contact, normal_directions, readings
+from palmd.model.dynamics import Body, Palms, newton_euler
+from palmd.model.named import RIG_INPUTS, named_outputs
+from palmd.model.shape import COEFFICIENTS, contact_at
+
+
+class Z(IntEnum):
+    """Index of each state; SI units, logarithms of SI units."""
+
+    PSI = 0
+    OMEGA0 = 1
+    LN_RHO = 2
+    MU = 3
+    LN_DITHER = 4
+    DAMPING = 5
+    SHAPE = 6
+
+
+N = Z.SHAPE + COEFFICIENTS
+PALM_INPUTS = 6  # φ1, φ2, ω1, ω2, α1, α2
+PREDICTION_INPUTS = 3 + PALM_INPUTS + RIG_INPUTS
+
+Q_OMEGA0 = 0.02**2  # (rad/s)²/s, what the model leaves out
+Q_PSI = 1e-4**2  # rad²/s
+
+
+def _contacts(x: SX, palms: Palms) -> tuple[Contact, Contact]:
+    theta1, theta2 = normal_directions(palms.phi1, palms.phi2, x[Z.PSI])
+    coefficients = x[Z.SHAPE :]
+    return contact_at(theta1, coefficients), contact_at(theta2, coefficients)
+
+
+def _body(x: SX) -> Body:
+    return Body(ca.exp(x[Z.LN_RHO]), x[Z.MU], ca.exp(x[Z.LN_DITHER]), x[Z.DAMPING])
+
+
+def palms_after(u: SX, jerk: SX, t: SX) -> Palms:
+    """The palms' motion `t` seconds after `u` = (φ1, φ2, ω1, ω2, α1, α2), at constant jerk (rad/s³)."""
+    phi = u[0:2] + t * u[2:4] + t**2 / 2 * u[4:6] + t**3 / 6 * jerk
+    omega = u[2:4] + t * u[4:6] + t**2 / 2 * jerk
+    alpha = u[4:6] + t * jerk
+    return Palms(phi[0], phi[1], omega[0], omega[1], alpha[0], alpha[1])
+
+
+def _spin(x: SX, u: SX, jerk: SX, dt: SX, rig: SX) -> tuple[SX, SX]:
+    """(ψ, ω0) after dt, by fourth-order Runge–Kutta."""
+
+    def f(psi: SX, omega0: SX, at: SX) -> tuple[SX, SX]:
+        state = ca.vertcat(psi, omega0, x[2:])
+        palms = palms_after(u, jerk, at)
+        one, two = _contacts(state, palms)
+        return omega0, newton_euler(palms, omega0, one, two, _body(x), rig).alpha0
+
+    psi, omega0 = x[Z.PSI], x[Z.OMEGA0]
+    p1, w1 = f(psi, omega0, SX(0))
+    p2, w2 = f(psi + dt / 2 * p1, omega0 + dt / 2 * w1, dt / 2)
+    p3, w3 = f(psi + dt / 2 * p2, omega0 + dt / 2 * w2, dt / 2)
+    p4, w4 = f(psi + dt * p3, omega0 + dt * w3, dt)
+    return psi + dt / 6 * (p1 + 2 * p2 + 2 * p3 + p4), omega0 + dt / 6 * (w1 + 2 * w2 + 2 * w3 + w4)
+
+
+def predict_function() -> ca.Function:
+    """(x, P, [dt, φ1, φ2, ω1, ω2, α1, α2, jerk1, jerk2, rig]) → (x, P) after dt."""
+    x, P, u = SX.sym("x", N), SX.sym("P", N, N), SX.sym("u", PREDICTION_INPUTS)
+    dt = u[0]
+    psi, omega0 = _spin(x, u[1:7], u[7:9], dt, u[9:])
+    moved = ca.vertcat(psi, omega0)
+    x_next = ca.vertcat(moved, x[2:])
+    J = ca.jacobian(moved, x)
+    # only two rows of the transition differ from the identity
+    top = J @ P
+    corner = top @ J.T + ca.diag(ca.vertcat(Q_PSI, Q_OMEGA0)) * dt
+    corner[1, 0] = corner[0, 1]
+    P_next = ca.blockcat([[corner, top[:, 2:]], [top[:, 2:].T, P[2:, 2:]]])
+    return ca.Function("predict", [x, P, u], [x_next, P_next], ["x", "P", "u"], ["x_next", "P_next"])
+
+
+def update_function(name: str, pad: int) -> ca.Function:
+    """(x, P, [value, variance, gate, φ1, φ2]) → (x, P, [log-likelihood, NIS]) for one reading of `pad`.
+
+    Joseph form; the variance of a reading beyond the gate is inflated until it sits on the gate.
+    """
+    x, P, z = SX.sym("x", N), SX.sym("P", N, N), SX.sym("z", 5)
+    value, variance, gate = z[0], z[1], z[2]
+    palms = Palms(z[3], z[4], SX(0), SX(0), SX(0), SX(0))
+    predicted = readings(palms.phi2, *_contacts(x, palms))[pad - 1]
+    h = ca.jacobian(predicted, x)
+    innovation = value - predicted
+    Ph = P @ h.T
+    spread = h @ Ph
+    nis = innovation**2 / (spread + variance)
+    S = ca.fmax(spread + variance, innovation**2 / gate)
+    k = Ph / S
+    cross = k @ Ph.T
+    P_next = P - cross - cross.T + (k @ k.T) * S
+    score = -0.5 * (ca.log(spread + variance) + ca.fmin(nis, 4 * gate))
+    outputs = [x + k * innovation, ca.triu2symm(ca.triu(P_next)), ca.vertcat(score, nis)]
+    return ca.Function(name, [x, P, z], outputs, ["x", "P", "z"], ["x_next", "P_next", "score"])
+
+
+def named_function() -> ca.Function:
+    """(x, [φ1 … α2, rig]) → values of `NAMED` and their Jacobian in x."""
+    x, u = SX.sym("x", N), SX.sym("u", PALM_INPUTS + RIG_INPUTS)
+    palms = palms_after(u[:PALM_INPUTS], SX.zeros(2), SX(0))
+    one, two = _contacts(x, palms)
+    y = named_outputs(palms, x[Z.OMEGA0], x[Z.PSI], one, two, _body(x), u[PALM_INPUTS:])
+    return ca.Function("named", [x, u], [y, ca.jacobian(y, x)], ["x", "u"], ["y", "J"])
+
+
+def library(size: int) -> Library:
+    """Kernels for a bank of `size` shape maps (predict, update_s1, update_s2), and for one: predict, named."""
+    predict = predict_function()
+    banked = [predict, update_function("update_s1", 1), update_function("update_s2", 2)]
+    single = [predict, named_function()]
+    return load("shape_map", [*(mapped_over_bank(f, size) for f in banked), *(densified(f) for f in single)])

@@ -1,0 +1,289 @@
+"""VersaPad packets worked by hand, resynchronisation, time stamps, calibration and lift-off."""
+
+from __future__ import annotations
+
+import pytest
+
+from palmd.devices.versapad import (
+    MARGIN_MM,
+    PadCalibration,
+    PadPacket,
+    PadReceiver,
+    PressureFormat,
+    TouchTracker,
+    VersaPadDecoder,
+    encode_packet,
+)
+from palmd.events import PadLift, PadSample
+
+BAUD = 9600
+BYTE_S = 10 / BAUD
+GOLDEN = bytes.fromhex("c4 3b 3f 07 00 64")
+"""In use; x = -5 = 0xFFB: low six bits 0x3B, high 0x3F; y = 7; pressure 100 = 0x64."""
+
+
+def packet(t: float, x_counts: int = 0, pressure: int = 50, in_use: bool = True) -> PadPacket:
+    return PadPacket(t, t, x_counts, 0, pressure, in_use, False, False, False, False)
+
+
+def calibration(**changes: object) -> PadCalibration:
+    values = {"pad": 1, "zero_mm": 28.0, "counts_per_mm": 7.874, "newtons_per_count": 0.02}
+    return PadCalibration(**{**values, **changes})  # type: ignore[arg-type]
+
+
+# Codec
+
+
+def test_golden_packet_decodes() -> None:
+    (got,) = VersaPadDecoder(BAUD).feed(GOLDEN, 2.0)
+    assert (got.x_counts, got.y_counts, got.pressure) == (-5, 7, 100)
+    assert (got.in_use, got.left, got.right, got.tap, got.batched) == (True, False, False, False, False)
+    assert got.t_recv == 2.0
+
+
+def test_golden_packet_encodes() -> None:
+    assert encode_packet(-5, 7, 100) == GOLDEN
+
+
+@pytest.mark.parametrize(
+    ("header", "flag"), [(0xE0, "left"), (0xD0, "right"), (0xC8, "tap"), (0xC4, "in_use"), (0xC0, None)]
+)
+def test_flags_are_where_the_contract_puts_them(header: int, flag: str | None) -> None:
+    (got,) = VersaPadDecoder(BAUD).feed(bytes([header, 0, 0, 0, 0, 0]), 0.0)
+    assert [name for name in ("left", "right", "tap", "in_use") if getattr(got, name)] == [flag] * bool(flag)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "counts"), [(0x3F, 0x1F, 2047), (0x00, 0x20, -2048), (0x3F, 0x3F, -1), (0x01, 0x00, 1)]
+)
+def test_twelve_bit_twos_complement(low: int, high: int, counts: int) -> None:
+    (got,) = VersaPadDecoder(BAUD).feed(bytes([0xC4, low, high, low, high, 0]), 0.0)
+    assert (got.x_counts, got.y_counts) == (counts, counts)
+    assert encode_packet(counts, counts, 0)[1:5] == bytes([low, high, low, high])
+
+
+def test_encoding_refuses_what_does_not_fit() -> None:
+    with pytest.raises(ValueError, match="x_counts"):
+        encode_packet(2048, 0, 0)
+    with pytest.raises(ValueError, match="y_counts"):
+        encode_packet(0, -2049, 0)
+    with pytest.raises(ValueError, match="pressure"):
+        encode_packet(0, 0, 128)
+
+
+def test_pressure_format_six_bits_shifted_and_inverted() -> None:
+    six = PressureFormat(byte=5, mask=0x7E, shift=1, invert=True)
+    raw = encode_packet(0, 0, 3, pressure_format=six)
+    assert raw[5] == (63 - 3) << 1
+    (got,) = VersaPadDecoder(BAUD, six).feed(raw, 0.0)
+    assert got.pressure == 3
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"byte": 0}, {"byte": 6}, {"mask": 0}, {"mask": 0x80}, {"shift": 7}, {"shift": -1}]
+)
+def test_impossible_pressure_formats_are_refused(wrong: dict[str, int]) -> None:
+    with pytest.raises(ValueError, match="pressure"):
+        PressureFormat(**wrong)  # type: ignore[arg-type]
+
+
+# Resynchronisation
+
+
+def test_header_in_mid_packet_starts_a_new_one() -> None:
+    decoder = VersaPadDecoder(BAUD)
+    assert len(decoder.feed(GOLDEN[:4] + GOLDEN, 0.0)) == 1
+    assert decoder.counters.truncated == 4
+    assert decoder.counters.bytes_discarded == 4
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "lost"),
+    [
+        ("c4 40", 2),
+        ("c4 3b 80", 3),
+        ("c4 3b 3f 07 00 80", 6),
+        ("c4 3b c1", 3),
+        ("c4 3b 3f 40", 4),
+        ("c4 3b 3f 07 40", 5),
+    ],
+)
+def test_illegal_byte_discards_the_packet_in_hand(spoilt: str, lost: int) -> None:
+    decoder = VersaPadDecoder(BAUD)
+    assert len(decoder.feed(bytes.fromhex(spoilt) + GOLDEN, 0.0)) == 1
+    assert decoder.counters.bad_data == lost
+    assert decoder.counters.bytes_discarded == lost
+
+
+def test_bytes_outside_a_packet_are_bad_headers() -> None:
+    decoder = VersaPadDecoder(BAUD)
+    assert len(decoder.feed(b"VP1234\r" + GOLDEN, 0.0)) == 1
+    assert decoder.counters.bad_header == 7
+
+
+def test_reset_discards_the_packet_in_hand() -> None:
+    decoder = VersaPadDecoder(BAUD)
+    decoder.feed(GOLDEN[:3], 0.0)
+    decoder.reset()
+    assert decoder.feed(GOLDEN[3:], 0.001) == []
+    assert decoder.counters.as_dict() == {
+        "bytes": 6,
+        "packets": 0,
+        "bad_header": 3,
+        "bad_data": 0,
+        "truncated": 3,
+        "batches": 0,
+        "out_of_range": 0,
+        "bytes_discarded": 6,
+    }
+
+
+def test_packet_cut_by_a_usb_adapter_survives() -> None:
+    decoder = VersaPadDecoder(BAUD)
+    decoder.feed(GOLDEN[:2], 0.0)
+    assert len(decoder.feed(GOLDEN[2:], 0.020)) == 1
+
+
+def test_tail_of_a_much_later_packet_completes_nothing() -> None:
+    decoder = VersaPadDecoder(BAUD)
+    decoder.feed(GOLDEN[:2], 0.0)
+    assert decoder.feed(GOLDEN[2:], 0.050) == []
+    assert (decoder.counters.truncated, decoder.counters.bad_header) == (2, 4)
+
+
+# Time stamps
+
+
+def test_first_byte_is_back_dated_within_a_read() -> None:
+    (got,) = VersaPadDecoder(BAUD).feed(GOLDEN, 1.0)
+    assert got.t_first == pytest.approx(1.0 - 5 * BYTE_S)
+
+
+def test_bytes_read_one_by_one_are_dated_by_the_first() -> None:
+    decoder = VersaPadDecoder(BAUD)
+    found = [p for i in range(6) for p in decoder.feed(GOLDEN[i : i + 1], 1.0 + 1.5 * i * BYTE_S)]
+    assert [p.t_first for p in found] == [1.0]
+
+
+def test_a_late_first_read_is_corrected_by_the_following_one() -> None:
+    decoder = VersaPadDecoder(BAUD)
+    decoder.feed(GOLDEN[:1], 1.0)
+    (got,) = decoder.feed(GOLDEN[1:], 1.0 + BYTE_S)  # five bytes within one byte time: the first was late
+    assert got.t_first == pytest.approx(1.0 - 4 * BYTE_S)
+
+
+def test_batch_is_flagged_and_back_dated_packet_by_packet() -> None:
+    decoder = VersaPadDecoder(BAUD)
+    first, second = decoder.feed(GOLDEN + GOLDEN, 1.0)
+    assert first.batched
+    assert second.batched
+    assert decoder.counters.batches == 1
+    assert second.t_first - first.t_first == pytest.approx(6 * BYTE_S)
+
+
+def test_tail_and_head_in_one_read_are_no_batch() -> None:
+    decoder = VersaPadDecoder(BAUD)
+    decoder.feed(GOLDEN[:3], 1.0)
+    (got,) = decoder.feed(GOLDEN[3:] + GOLDEN[:3], 1.006)
+    assert not got.batched
+
+
+def test_times_never_run_backwards() -> None:
+    decoder = VersaPadDecoder(BAUD)
+    times = [p.t_first for _ in range(3) for p in decoder.feed(GOLDEN * 3, 1.0)]
+    assert times == sorted(times)
+
+
+def test_baud_must_be_positive() -> None:
+    with pytest.raises(ValueError, match="baud"):
+        VersaPadDecoder(0)
+
+
+# Calibration
+
+
+def test_counts_become_metres_and_newtons() -> None:
+    got = calibration().sample(packet(1.0, x_counts=-100, pressure=50))
+    assert got is not None
+    assert got.s == pytest.approx(0.028 - 0.1 / 7.874)
+    assert got.force == pytest.approx(1.0)
+    assert (got.t_sample, got.pad) == (1.0, 1)
+
+
+def test_axis_and_sign() -> None:
+    reading = PadPacket(0.0, 0.0, 99, -100, 1, True, False, False, False, False)
+    got = calibration(axis="y", sign=-1).sample(reading)
+    assert got is not None
+    assert got.s == pytest.approx(0.028 + 0.1 / 7.874)
+
+
+def test_readings_off_the_pad_are_none() -> None:
+    scale = calibration(zero_mm=0.0, counts_per_mm=10.0, length_mm=50.0)
+    assert scale.sample(packet(0.0, x_counts=0)) is None
+    assert scale.sample(packet(0.0, x_counts=1)) is not None
+    assert scale.sample(packet(0.0, x_counts=round((50 + MARGIN_MM) * 10))) is not None
+    assert scale.sample(packet(0.0, x_counts=round((50 + MARGIN_MM) * 10) + 1)) is None
+
+
+def test_saturated_pressure_is_no_force() -> None:
+    got = calibration().sample(packet(0.0, pressure=127))
+    assert got is not None
+    assert got.force is None
+
+
+# Lift-off
+
+
+def test_flag_lifts_once() -> None:
+    touch = TouchTracker(1, BAUD)
+    assert touch.packet(packet(1.0)) is None
+    assert touch.touching
+    assert touch.packet(packet(1.01, in_use=False)) == PadLift(1.01, 1)
+    assert touch.packet(packet(1.02, in_use=False)) is None
+    assert not touch.touching
+
+
+def test_silence_of_five_mean_intervals_lifts_once() -> None:
+    touch = TouchTracker(2, BAUD)
+    for n in range(200):
+        touch.packet(packet(n * 0.012))
+    t_last = 199 * 0.012
+    assert touch.mean_interval_s == pytest.approx(0.012, rel=1e-3)
+    assert touch.poll(t_last + 0.0599) is None
+    lift = touch.poll(t_last + 0.0601)
+    assert lift is not None
+    assert lift.t_sample == pytest.approx(t_last + 0.060, abs=1e-4)
+    assert touch.poll(t_last + 1.0) is None
+
+
+def test_mean_interval_stays_within_what_the_line_can_do() -> None:
+    touch = TouchTracker(1, BAUD)
+    for n in range(100):
+        touch.packet(packet(n * 10.0))
+    assert touch.mean_interval_s == pytest.approx(2.5 * 6 * BYTE_S)
+    assert 5 * touch.mean_interval_s < 0.100
+    for _ in range(100):
+        touch.packet(packet(1000.0))
+    assert touch.mean_interval_s == pytest.approx(6 * BYTE_S)
+
+
+def test_untouched_pad_never_lifts() -> None:
+    assert TouchTracker(1, BAUD).poll(1e6) is None
+
+
+# The whole receiver
+
+
+def test_receiver_gives_samples_and_lift() -> None:
+    pad = PadReceiver(calibration(), BAUD)
+    events = pad.feed(encode_packet(0, 0, 10) + encode_packet(0, 0, 0, in_use=False), 1.0)
+    assert [type(event) for event in events] == [PadSample, PadLift]
+    assert pad.feed(encode_packet(0, 0, 0, in_use=False), 1.1) == []
+
+
+def test_receiver_counts_what_is_off_the_pad() -> None:
+    pad = PadReceiver(calibration(), BAUD)
+    assert pad.feed(encode_packet(2000, 0, 10), 1.0) == []
+    assert pad.counters.out_of_range == 1
+    assert pad.latest is not None
+    assert isinstance(pad.poll(2.0), PadLift)
