@@ -136,7 +136,12 @@ def _compile(name: str, functions: Sequence[ca.Function], compiler: str, cache: 
             generator.add(function)
         source = Path(generator.generate(f"{folder}/"))
         key = hashlib.sha256()
-        for part in (source.read_bytes(), version.encode(), " ".join(FLAGS).encode(), platform.machine().encode()):
+        for part in (
+            source.read_bytes(),
+            version.encode(),
+            " ".join(FLAGS).encode(),
+            platform.machine().encode(),
+        ):
             key.update(part + b"\0")
         target = cache / f"{name}-{key.hexdigest()[:24]}.so"
         if not target.exists():
@@ -153,9 +158,7 @@ def _check_against_vm(compiled: ca.Function, function: ca.Function) -> None:
     random = np.random.default_rng(0)
     for _ in range(CHECK_INPUTS):
         arguments = [random.uniform(0.2, 0.9, function.size_in(i)) for i in range(function.n_in())]
-        for index, (got, wanted) in enumerate(
-            zip(compiled.call(arguments), function.call(arguments), strict=True)
-        ):
+        for index, (got, wanted) in enumerate(zip(compiled.call(arguments), function.call(arguments), strict=True)):
             a, b = np.asarray(got), np.asarray(wanted)
             if not np.allclose(a, b, rtol=CHECK_TOLERANCE, atol=CHECK_TOLERANCE, equal_nan=True):
                 worst = float(np.nanmax(np.abs(a - b)))

@@ -1,7 +1,7 @@
 """Rigid-body dynamics of the object between the palms, in a form that is nowhere singular.
 
 CMU-CS-01-107 eliminates the radii of curvature v1, v2 and gets (4.16), (4.17), which divide by the contacts'
-sliding rates. Keeping v1, v2 leaves three linear equations in f1, f2, α0 (THEORY section 4), solvable whenever
+sliding rates. Keeping v1, v2 leaves three linear equations in f1, f2, α0 (docs/theory.md), solvable whenever
 the palms are not parallel; neither a force nor a torque sensor is needed.
 """
 
@@ -70,7 +70,7 @@ def effective_gravity(palms: Palms, rig: SX) -> SX:
 
 
 def newton_euler(palms: Palms, omega0: SX, one: Contact, two: Contact, body: Body, rig: SX) -> Motion:
-    """Solve the three linear equations of THEORY section 4 for α0, f1, f2.
+    """Solve the three linear equations of docs/theory.md for α0, f1, f2.
 
     Two of them say that the object keeps touching (n_i·a prescribed by the contact's motion), the third is
     ρ²α0 = Σ f_i (x_i × F_i) − c ω0 with F_i = n_i − μ σ(u_i) t_i and σ(u) = u/√(u² + u_d²).
@@ -84,9 +84,7 @@ def newton_euler(palms: Palms, omega0: SX, one: Contact, two: Contact, body: Bod
     contacts = (one, two)
 
     # n_i·ċ = ṙ_i − ω_i e_i·c with e_i = dn_i/dφ_i = −t_i and ṙ_i = −d_i θ̇_i
-    along = [
-        -k.d * (w - omega0) + w * ca.dot(t, c) for k, w, t in zip(contacts, rates, tangents, strict=True)
-    ]
+    along = [-k.d * (w - omega0) + w * ca.dot(t, c) for k, w, t in zip(contacts, rates, tangents, strict=True)]
     c_dot = solve_from_normals(palms.phi1, palms.phi2, *along)
 
     g_eff = effective_gravity(palms, rig)
@@ -108,9 +106,7 @@ def newton_euler(palms: Palms, omega0: SX, one: Contact, two: Contact, body: Bod
 
     # [n_i·F_j − d_i x_j×F_j/ρ²] f = needed_i − d_i c ω0/ρ², after α0 is eliminated by the torque equation
     rho2 = body.rho**2
-    m = [
-        [ca.dot(normals[i], forces[j]) - contacts[i].d * torques[j] / rho2 for j in range(2)] for i in range(2)
-    ]
+    m = [[ca.dot(normals[i], forces[j]) - contacts[i].d * torques[j] / rho2 for j in range(2)] for i in range(2)]
     b = [needed[i] - contacts[i].d * body.damping * omega0 / rho2 for i in range(2)]
     det = m[0][0] * m[1][1] - m[0][1] * m[1][0]
     f1 = (b[0] * m[1][1] - b[1] * m[0][1]) / det

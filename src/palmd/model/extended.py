@@ -1,10 +1,10 @@
 """The extended observer's kernels: one filter's prediction and updates, mapped over a whole bank.
 
-State (THEORY section 4): the project's named state (r1, r2, ω0, s1, s2, φ1, ω1, φ2, ω2, ρ) with the friction
-coefficient μ, the dither speed u_d, the damping c, the orientation ψ, and what gives the radii of curvature v1, v2 at the contacts: the
-Fourier coefficients of v(θ) = h + h″, one function read by both palms. Were v1, v2 free to wander instead, every
-return to a normal already felt would start from ignorance, and the filter is lost whenever the palms excite the
-object little. Readings are states, so every update is exactly linear; only the motion between them is not.
+State: the project's named state (r1, r2, ω0, s1, s2, φ1, ω1, φ2, ω2, ρ) with the friction coefficient μ, the dither
+speed u_d, the damping c, the orientation ψ, and what gives the radii of curvature v1, v2 at the contacts: the Fourier
+coefficients of v(θ) = h + h″, one function read by both palms. Were v1, v2 free to wander instead, every return to a
+normal already felt would start from ignorance, and the filter is lost whenever the palms excite the object little.
+Readings are states, so every update is exactly linear; only the motion between them is not.
 """
 
 from __future__ import annotations

@@ -49,7 +49,8 @@ def contact_rows(phi1: float, phi2: float) -> tuple[FloatArray, FloatArray]:
 def curvature_rows() -> FloatArray:
     """Rows mapping the coefficients of h to those of v = h + h″: harmonics 0, 2, 3, … (the first vanishes)."""
     k = harmonic_of_coefficient()
-    return np.diag(1 - k**2)[k != 1]
+    rows: FloatArray = np.diag(1 - k**2)[k != 1]
+    return rows
 
 
 def harmonic_of_coefficient() -> FloatArray:
@@ -75,7 +76,10 @@ def contact_at(theta: SX, coefficients: SX) -> Contact:
     r, d, v = coefficients[0], SX(0), coefficients[0]
     for k in range(1, HARMONICS + 1):
         a, b = coefficients[2 * k - 1], coefficients[2 * k]
-        even, odd = a * ca.cos(k * theta) + b * ca.sin(k * theta), a * ca.sin(k * theta) - b * ca.cos(k * theta)
+        even, odd = (
+            a * ca.cos(k * theta) + b * ca.sin(k * theta),
+            a * ca.sin(k * theta) - b * ca.cos(k * theta),
+        )
         r = r + even
         d = d + k * odd
         v = v + (1 - k**2) * even

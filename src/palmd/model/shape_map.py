@@ -1,7 +1,7 @@
 """The shape-map observer's kernels: orientation, spin, body constants and the whole outline in one state.
 
 x = (ψ, ω0, ln ρ, μ, ln u_d, c, coefficients of h). Both contacts read the same function h at two normals, so every
-revisit sharpens it (THEORY section 5). Only ψ and ω0 move; s1, s2 are explicit functions of ψ, h, φ1, φ2.
+revisit sharpens it. Only ψ and ω0 move; s1, s2 are explicit functions of ψ, h, φ1, φ2.
 """
 
 from __future__ import annotations

@@ -1,0 +1,403 @@
+"""Configuration and motion plans as strict, frozen models: units in every key, nothing unknown accepted.
+
+Reading files and saying where an error stands (file:line:col) is `palmd.yamlfile`'s job; these models only
+say what is allowed, in words that name the bound.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import ipaddress
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal
+from urllib.parse import urlsplit
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    FiniteFloat,
+    PlainValidator,
+    Tag,
+    ValidationInfo,
+    field_validator,
+)
+
+from palmd.events import RigDescription
+
+BAUDS = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)
+SEGMENT_KINDS = ("move", "rate", "hold_s", "sine", "explore")
+MAX_DURATION_S = 3600.0
+
+
+def _one_of(*allowed: int) -> AfterValidator:
+    """A whole number out of a short list (Literal would let `true` pass for 1)."""
+
+    def check(value: int) -> int:
+        if value not in allowed:
+            raise ValueError(f"must be one of {', '.join(map(str, allowed))}; got {value}")
+        return value
+
+    return AfterValidator(check)
+
+
+def _rising_within(low: float, high: float) -> Callable[[tuple[float, float]], tuple[float, float]]:
+    def check(pair: tuple[float, float]) -> tuple[float, float]:
+        if not low <= pair[0] < pair[1] <= high:
+            raise ValueError(
+                f"must be [low, high] with {low:g} ≤ low < high ≤ {high:g}; got [{pair[0]:g}, {pair[1]:g}]"
+            )
+        return pair
+
+    return check
+
+
+def _beside_the_file(value: object, info: ValidationInfo) -> Path:
+    """A path as text, relative to the folder of the file it stands in (validation context `folder`)."""
+    if not isinstance(value, str) or not value.strip():
+        raise ValueError("must be a path as text")
+    folder: Path = (info.context or {}).get("folder", Path())
+    return folder / Path(value).expanduser()
+
+
+def _bus_address(address: str) -> str:
+    """Loopback TCP or a local socket; anything wider needs keys."""
+    if address.startswith("ipc://") and len(address) > len("ipc://"):
+        return address
+    try:
+        parts = urlsplit(address)
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        host, port = None, None
+    if not address.startswith("tcp://") or not host or not port or parts.path:
+        raise ValueError(f"must be tcp://ADDRESS:PORT (port 1 to 65535) or ipc://PATH; got {address!r}")
+    if host != "localhost" and not _is_loopback(host):
+        raise ValueError(
+            f"{host} can be reached from other machines, which needs CURVE keys, and none are configured;"
+            " use tcp://127.0.0.1:PORT or ipc://PATH"
+        )
+    return address
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.IPv4Address(host).is_loopback
+    except ValueError:
+        return False
+
+
+Positive = Annotated[FiniteFloat, Field(gt=0)]
+Baud = Annotated[int, _one_of(*BAUDS)]
+PortPath = Annotated[str, Field(min_length=1)]
+Pair = Annotated[tuple[FiniteFloat, FiniteFloat], Field(strict=False)]  # a YAML list is not a tuple
+OpeningRange = Annotated[Pair, AfterValidator(_rising_within(1.0, 179.0))]
+AngleRange = Annotated[Pair, AfterValidator(_rising_within(0.0, 180.0))]
+FilePath = Annotated[Path, PlainValidator(_beside_the_file)]
+BusAddress = Annotated[str, AfterValidator(_bus_address)]
+
+
+class Strict(BaseModel):
+    """Base of every model here: unknown keys, wrong types and later changes are errors."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+
+
+# ---------------------------------------------------------------------------------------------- configuration
+
+
+class RigConfig(Strict):
+    """Gravity and the palms' linkage, in the world frame."""
+
+    gravity_m_s2: Annotated[FiniteFloat, Field(gt=0, le=30)] = 9.81
+    hinge: Literal["arc", "fixed"] = "arc"
+    base_mm: Pair = (120.0, 0.0)
+    palm1_length_mm: Annotated[FiniteFloat, Field(gt=0, le=2000)] = 120.0
+    palm2_length_mm: Annotated[FiniteFloat, Field(gt=0, le=2000)] = 120.0
+
+
+class PressureConfig(Strict):
+    """Where a pad's packet carries the pressure: (packet[byte] & mask) >> shift, inverted or not."""
+
+    byte: Annotated[int, Field(ge=0, le=5)] = 5
+    mask: Annotated[int, Field(ge=1, le=0xFF)] = 0x7F
+    shift: Annotated[int, Field(ge=0, le=7)] = 0
+    invert: bool = False
+
+
+class PadConfig(Strict):
+    """One touchpad: its port, and how counts become s = zero_mm + sign · counts / counts_per_mm."""
+
+    port: PortPath
+    baud: Baud = 9600
+    axis: Literal["x", "y"] = "x"
+    sign: Annotated[int, _one_of(1, -1)] = 1
+    zero_mm: Annotated[FiniteFloat, Field(ge=-1000, le=1000)] = 28.0
+    counts_per_mm: Annotated[FiniteFloat, Field(gt=0, le=1000)] = 7.874
+    newtons_per_count: Positive = 0.02
+    length_mm: Annotated[FiniteFloat, Field(gt=0, le=1000)] = 55.5
+    handshake: Literal["none", "break", "break_twice"] = "none"
+    pressure: PressureConfig = PressureConfig()
+
+
+class PadsConfig(Strict):
+    """Both touchpads."""
+
+    palm1: PadConfig
+    palm2: PadConfig
+
+    @field_validator("palm2")
+    @classmethod
+    def _own_port(cls, palm2: PadConfig, info: ValidationInfo) -> PadConfig:
+        palm1: PadConfig | None = info.data.get("palm1")
+        if palm1 is not None and palm1.port == palm2.port:
+            raise ValueError(f"port {palm2.port} is already that of palm1")
+        return palm2
+
+
+class ArmConfig(Strict):
+    """The robot arm's serial line, and where its base stands in the world frame."""
+
+    port: PortPath
+    baud: Baud = 38400
+    base_x_mm: FiniteFloat = -300.0
+    base_y_mm: FiniteFloat = 0.0
+    base_yaw_deg: Annotated[FiniteFloat, Field(ge=-360, le=360)] = 0.0
+
+
+class LimitsConfig(Strict):
+    """What the palms may do; the same rate and acceleration hold for each palm angle."""
+
+    phi1_deg: AngleRange = (6.0, 150.0)
+    phi2_deg: OpeningRange = (35.0, 155.0)
+    rate_deg_s: Annotated[FiniteFloat, Field(gt=0, le=2000)] = 120.0
+    acceleration_deg_s2: Annotated[FiniteFloat, Field(gt=0, le=50000)] = 900.0
+
+
+class LoopConfig(Strict):
+    """The control loop."""
+
+    rate_hz: Annotated[FiniteFloat, Field(ge=10, le=1000)] = 100.0
+
+
+class ObserverConfig(Strict):
+    """Which observer gives the published estimate."""
+
+    primary: Literal["shape", "extended", "quasistatic"] = "shape"
+
+
+class BusConfig(Strict):
+    """The ZeroMQ addresses, on this machine only."""
+
+    publish: BusAddress = "tcp://127.0.0.1:9872"
+    command: BusAddress = "tcp://127.0.0.1:9873"
+
+    @field_validator("command")
+    @classmethod
+    def _own_address(cls, command: str, info: ValidationInfo) -> str:
+        if command == info.data.get("publish"):
+            raise ValueError(f"{command} is already the publish address")
+        return command
+
+
+class RecordConfig(Strict):
+    """Where runs are recorded."""
+
+    directory: FilePath = Field(default="runs", validate_default=True)
+
+
+class Config(Strict):
+    """The whole of `palmd.yaml`; its paths are those of the file, joined to the file's folder."""
+
+    rig: RigConfig = RigConfig()
+    pads: PadsConfig
+    arm: ArmConfig
+    limits: LimitsConfig = LimitsConfig()
+    loop: LoopConfig = LoopConfig()
+    observer: ObserverConfig = ObserverConfig()
+    bus: BusConfig = BusConfig()
+    record: RecordConfig = Field(default_factory=dict, validate_default=True)  # its default needs the folder
+    plan: FilePath | None = None
+    autostart: bool = False
+
+    @field_validator("arm")
+    @classmethod
+    def _own_port(cls, arm: ArmConfig, info: ValidationInfo) -> ArmConfig:
+        pads: PadsConfig | None = info.data.get("pads")
+        if pads is not None and arm.port in (pads.palm1.port, pads.palm2.port):
+            raise ValueError(f"port {arm.port} is already that of a pad")
+        return arm
+
+
+def config_hash(config: Config) -> str:
+    """Sha256 (hex) of the effective configuration, defaults included, as canonical JSON."""
+    canonical = json.dumps(config.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(canonical.encode()).hexdigest()
+
+
+def rig_description(config: Config) -> RigDescription:
+    """What an observer must know of the configured rig (SI); where the pads differ, the worse one counts."""
+    pads = (config.pads.palm1, config.pads.palm2)
+    return RigDescription(
+        gravity=config.rig.gravity_m_s2,
+        hinge=config.rig.hinge,
+        palm1_length=config.rig.palm1_length_mm * 1e-3,
+        pad_length=min(pad.length_mm for pad in pads) * 1e-3,
+        pad_resolution=1e-3 / min(pad.counts_per_mm for pad in pads),
+        force_resolution=max(pad.newtons_per_count for pad in pads),
+    )
+
+
+# ------------------------------------------------------------------------------------------------------ plans
+
+
+def _repeat(value: object) -> int | Literal["forever"]:
+    if value == "forever":
+        return "forever"
+    if type(value) is int and 1 <= value <= 10_000:
+        return value
+    raise ValueError(f"must be a whole number from 1 to 10000, or forever; got {value!r}")
+
+
+def _for_both_palms(value: Any) -> Any:
+    return value if isinstance(value, list) else [value, value]
+
+
+Duration = Annotated[FiniteFloat, Field(gt=0, le=MAX_DURATION_S)]
+SwingFrequency = Annotated[FiniteFloat, Field(gt=0, le=5)]
+SwingFrequencies = Annotated[
+    tuple[SwingFrequency, SwingFrequency], Field(strict=False), BeforeValidator(_for_both_palms)
+]
+Repeat = Annotated[int | Literal["forever"], PlainValidator(_repeat)]
+
+
+class PalmAngles(Strict):
+    """Where palm angles shall go; an angle that is left out stays."""
+
+    phi1_deg: FiniteFloat | None = None
+    phi2_deg: FiniteFloat | None = None
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _written(cls, value: Any) -> Any:
+        if value is None:
+            raise ValueError("has no value: write one or leave the key out")
+        return value
+
+
+class PalmRates(Strict):
+    """Constant rates of the palm angles; zero where left out."""
+
+    phi1_deg_s: FiniteFloat = 0.0
+    phi2_deg_s: FiniteFloat = 0.0
+
+
+class PalmAmplitudes(Strict):
+    """Amplitudes about the pose where a sine starts; zero where left out, negative for opposite phase."""
+
+    phi1_deg: Annotated[FiniteFloat, Field(ge=-90, le=90)] = 0.0
+    phi2_deg: Annotated[FiniteFloat, Field(ge=-90, le=90)] = 0.0
+
+
+class MoveSpec(Strict):
+    """From rest to rest on a minimum-jerk path."""
+
+    move: PalmAngles
+    duration_s: Duration
+
+    @field_validator("move")
+    @classmethod
+    def _goes_somewhere(cls, move: PalmAngles) -> PalmAngles:
+        if move.phi1_deg is None and move.phi2_deg is None:
+            raise ValueError("needs phi1_deg, phi2_deg or both")
+        return move
+
+
+class RateSpec(Strict):
+    """Constant rates until one palm angle is reached, where the palms come to rest."""
+
+    rate: PalmRates
+    until: PalmAngles
+
+    @field_validator("rate")
+    @classmethod
+    def _turns(cls, rate: PalmRates) -> PalmRates:
+        if rate.phi1_deg_s == 0.0 and rate.phi2_deg_s == 0.0:
+            raise ValueError("needs a rate other than 0 for phi1_deg_s or phi2_deg_s")
+        return rate
+
+    @field_validator("until")
+    @classmethod
+    def _one_end(cls, until: PalmAngles) -> PalmAngles:
+        if (until.phi1_deg is None) == (until.phi2_deg is None):
+            raise ValueError("needs exactly one of phi1_deg, phi2_deg")
+        return until
+
+
+class HoldSpec(Strict):
+    """Stand still."""
+
+    hold_s: Duration
+
+
+class SineSpec(Strict):
+    """Swing about the pose where it starts, growing in and dying away."""
+
+    sine: PalmAmplitudes
+    frequency_hz: SwingFrequencies
+    duration_s: Duration
+
+
+class ExploreGoal(Strict):
+    """When an exploration has seen enough."""
+
+    coverage: Annotated[FiniteFloat, Field(gt=0, le=1)] = 0.95
+    time_limit_s: Duration = 60.0
+
+
+class ExploreSpec(Strict):
+    """Closed-loop motion that seeks the parts of the outline not touched yet."""
+
+    explore: ExploreGoal
+
+
+def _segment_kind(value: Any) -> str | None:
+    """The union's tag; in angle brackets so that it never looks like a key of the file."""
+    if isinstance(value, dict):
+        kinds = [kind for kind in SEGMENT_KINDS if kind in value]
+        return f"<{kinds[0]}>" if len(kinds) == 1 else None
+    return None
+
+
+SegmentSpec = Annotated[
+    Annotated[MoveSpec, Tag("<move>")]
+    | Annotated[RateSpec, Tag("<rate>")]
+    | Annotated[HoldSpec, Tag("<hold_s>")]
+    | Annotated[SineSpec, Tag("<sine>")]
+    | Annotated[ExploreSpec, Tag("<explore>")],
+    Discriminator(
+        _segment_kind,
+        custom_error_type="segment_kind",
+        custom_error_message=f"a segment needs exactly one of the keys {', '.join(SEGMENT_KINDS)}",
+    ),
+]
+
+
+class DitherSpec(Strict):
+    """A small vibration of both palm angles on top of the whole plan, to break friction."""
+
+    amplitude_deg: Annotated[FiniteFloat, Field(gt=0, le=5)]
+    frequency_hz: Annotated[FiniteFloat, Field(gt=0, le=20)]
+
+
+class PlanSpec(Strict):
+    """A motion plan as it stands in its file; `palmd.motion.plan` makes a trajectory of it."""
+
+    name: Annotated[str, Field(min_length=1, max_length=60)]
+    repeat: Repeat = 1
+    segments: Annotated[list[SegmentSpec], Field(min_length=1, max_length=200)]
+    dither: DitherSpec | None = None

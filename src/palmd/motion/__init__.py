@@ -1,0 +1,1 @@
+"""What the palms do next: the rig's kinematics, its limits, motion plans and their execution. Pure."""

@@ -1,0 +1,120 @@
+"""Plans out of their files, and what `palmd check` finds wrong in configurations and plans."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from palmd.config import Config, ExploreSpec, HoldSpec, LimitsConfig, PadConfig, PlanSpec
+from palmd.motion.limits import MotionLimits
+from palmd.motion.plan import PlanError, Trajectory, compile_plan
+from palmd.motion.segments import Angles
+from palmd.yamlfile import ConfigError, Document, parse, read_document
+
+DEFAULT_PAD_LENGTH_MM: float = PadConfig.model_fields["length_mm"].default
+
+
+def motion_limits(config: Config) -> MotionLimits:
+    """The limits that a configuration sets; the arm's workspace is known only when it has said hello."""
+    shortest_mm = min(config.pads.palm1.length_mm, config.pads.palm2.length_mm)
+    return MotionLimits.from_config(config.limits, pad_length=shortest_mm * 1e-3)
+
+
+def load_trajectory(path: Path, limits: MotionLimits, start: Angles | None = None) -> Trajectory:
+    """The plan in a file, within the limits; raises ConfigError with file:line:col for all that is wrong.
+
+    start: where the palms stand (rad), as for `compile_plan`.
+    """
+    document = read_document(path)
+    return _located(document, parse(document, PlanSpec), limits, start)
+
+
+def check_files(paths: Sequence[Path]) -> list[str]:
+    """Everything wrong with these configurations and plans, as `file:line:col: what`; empty when all is well.
+
+    A file with `segments` is a plan, checked within the limits of every configuration given beside it, else
+    the defaults. The plan that a configuration names is checked too where it exists. A plan that does not
+    begin with a move is taken to begin at HOME, and an exploration to stand still: only the rig knows better.
+    """
+    errors: list[str] = []
+    documents = _documents(paths, errors)
+    plans = [document for document in documents if _is_plan(document)]
+    configs = [document for document in documents if not _is_plan(document)]
+    limits = [] if configs else [_default_limits()]
+    for document in configs:
+        try:
+            config = parse(document, Config)
+        except ConfigError as error:
+            errors += error.errors
+            limits += _limits_of_faulty(document)
+        else:
+            limits.append(motion_limits(config))
+            plans += _documents(_plan_named(config, given=paths), errors)
+    for document in plans:
+        errors += _plan_errors(document, limits)
+    return errors
+
+
+def _documents(paths: Iterable[Path], errors: list[str]) -> list[Document]:
+    documents = []
+    for path in paths:
+        try:
+            documents.append(read_document(path))
+        except ConfigError as error:
+            errors += error.errors
+    return documents
+
+
+def _is_plan(document: Document) -> bool:
+    return isinstance(document.data, dict) and "segments" in document.data
+
+
+def _plan_named(config: Config, *, given: Sequence[Path]) -> list[Path]:
+    if config.plan is None or not config.plan.is_file():
+        return []
+    resolved = config.plan.resolve()
+    return [] if any(path.resolve() == resolved for path in given) else [config.plan]
+
+
+def _default_limits() -> MotionLimits:
+    return MotionLimits.from_config(LimitsConfig(), pad_length=DEFAULT_PAD_LENGTH_MM * 1e-3)
+
+
+def _limits_of_faulty(document: Document) -> list[MotionLimits]:
+    """The limits of a configuration that is wrong elsewhere, so that its plans are checked all the same."""
+    section = document.data.get("limits", {}) if isinstance(document.data, dict) else None
+    try:
+        limits = LimitsConfig.model_validate(section)
+    except ValidationError:
+        return []
+    return [MotionLimits.from_config(limits, pad_length=DEFAULT_PAD_LENGTH_MM * 1e-3)]
+
+
+def _plan_errors(document: Document, limits: Sequence[MotionLimits]) -> list[str]:
+    try:
+        spec = parse(document, PlanSpec)
+    except ConfigError as error:
+        return error.errors
+    still = [
+        HoldSpec(hold_s=segment.explore.time_limit_s) if isinstance(segment, ExploreSpec) else segment
+        for segment in spec.segments
+    ]
+    errors: dict[str, None] = {}
+    for each in limits:
+        try:
+            _located(document, spec.model_copy(update={"segments": still}), each, None)
+        except ConfigError as error:
+            errors |= dict.fromkeys(error.errors)
+    return list(errors)
+
+
+def _located(document: Document, spec: PlanSpec, limits: MotionLimits, start: Angles | None) -> Trajectory:
+    """The compiled plan; what is wrong with it is told with its place in the file."""
+    try:
+        return compile_plan(spec, limits, start)
+    except PlanError as error:
+        raise document.error(
+            [(document.place(loc), f"{'.'.join(map(str, loc))}: {text}") for loc, text in error.problems]
+        ) from None

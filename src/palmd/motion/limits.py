@@ -1,0 +1,203 @@
+"""What the palms may do: angles, rates, accelerations, the arm's workspace, contacts on the pads.
+
+A limit is a `Bound` on one quantity of a motion and says in words when it is left, so that the check of a
+plan, the last guard before a set-point and the message to the operator speak of the same numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from palmd.config import LimitsConfig
+from palmd.events import PalmMotion
+from palmd.motion.kinematics import RigGeometry
+
+PHI12_MAX = math.radians(172.0)  # two contacts need φ12 < 180°; here it must stay below this
+SMALL_RADIUS = 0.010  # an object no smaller than this shall find pad under it
+PAD_MARGIN = 0.002
+_DEGREES = math.degrees(1.0)
+_ROUNDING = 1e-9
+_BELOW = 3e-9  # "must stay below" as a bound that may be reached
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """The limits of one quantity (SI) and how to speak of it.
+
+    order: 0 for a pose, 1 for a rate, 2 for an acceleration. gain: the most that the quantity changes when
+    both palm angles (or their rates, or accelerations) change by one.
+    """
+
+    what: str
+    unit: str
+    scale: float
+    low: float
+    high: float
+    order: int = 0
+    gain: float = 1.0
+    low_words: str = "the limit is"
+    high_words: str = "the limit is"
+
+    def problem(self, lowest: float, highest: float) -> str | None:
+        """What is wrong when the quantity ranges from `lowest` to `highest`; None if nothing is."""
+        if self.order > 0:  # same limit both ways: only the size matters
+            lowest, highest = self.low, max(-lowest, highest)
+        if not highest <= self.high + _ROUNDING:
+            return self._words("reaches", highest, self.high_words, self.high)
+        if not lowest >= self.low - _ROUNDING:
+            return self._words("falls to", lowest, self.low_words, self.low)
+        return None
+
+    def _words(self, verb: str, value: float, limit_words: str, limit: float) -> str:
+        value, limit = value * self.scale, limit * self.scale
+        return f"{self.what} {verb} {value:.6g}{self.unit}, {limit_words} {limit:.6g}{self.unit}"
+
+
+@dataclass(frozen=True, slots=True)
+class Workspace:
+    """Where and how fast the arm can go, as it says in its hello (m, m/s, m/s², arm coordinates)."""
+
+    geometry: RigGeometry
+    x_min: float
+    x_max: float
+    y_min: float
+    y_max: float
+    speed: float
+    acceleration: float
+
+    def bounds(self) -> tuple[Bound, ...]:
+        """Of the values that `values` gives, in the same order."""
+        gain = self.geometry.palm1_length + 2.0 * self.geometry.palm2_length
+        return (
+            Bound("the arm's x", " mm", 1e3, self.x_min, self.x_max, 0, gain),
+            Bound("the arm's y", " mm", 1e3, self.y_min, self.y_max, 0, gain),
+            Bound("the arm's speed", " mm/s", 1e3, 0.0, self.speed, 1, gain),
+            Bound("the arm's acceleration", " mm/s²", 1e3, 0.0, self.acceleration, 2, gain),
+        )
+
+    def values(self, motion: PalmMotion) -> tuple[float, ...]:
+        """Position, speed and acceleration of the arm; raises PoseError at a singular pose."""
+        x, y, _ = self.geometry.arm_pose(motion.phi1, motion.phi2)
+        return (x, y, *self.geometry.tip_speed_acceleration(motion))
+
+
+@dataclass(frozen=True, slots=True)
+class MotionLimits:
+    """All limits of the palms' motion (rad, rad/s, rad/s², m); rate and acceleration hold for each angle.
+
+    pad_length: how far along a palm, from the hinge, a contact is felt. workspace: None while no arm has said
+    what it can do.
+    """
+
+    phi1: tuple[float, float]
+    phi2: tuple[float, float]
+    rate: float
+    acceleration: float
+    pad_length: float
+    workspace: Workspace | None = None
+    bounds: tuple[Bound, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        top = PHI12_MAX - _BELOW
+        bounds = [
+            Bound("phi1", "°", _DEGREES, *self.phi1),
+            self._opening_bound(),
+            Bound("phi1 + phi2", "°", _DEGREES, 0.0, top, gain=2.0, high_words="it must stay below"),
+        ]
+        for order, kind, unit, most in (
+            (1, "rate", "°/s", self.rate),
+            (2, "acceleration", "°/s²", self.acceleration),
+        ):
+            bounds += [Bound(f"the {kind} of phi{i}", unit, _DEGREES, -most, most, order) for i in (1, 2)]
+        if self.workspace is not None:
+            bounds += self.workspace.bounds()
+        object.__setattr__(self, "bounds", tuple(bounds))
+
+    @classmethod
+    def from_config(
+        cls, limits: LimitsConfig, *, pad_length: float, workspace: Workspace | None = None
+    ) -> MotionLimits:
+        """The configured limits in SI; pad_length in m."""
+        return cls(
+            phi1=(math.radians(limits.phi1_deg[0]), math.radians(limits.phi1_deg[1])),
+            phi2=(math.radians(limits.phi2_deg[0]), math.radians(limits.phi2_deg[1])),
+            rate=math.radians(limits.rate_deg_s),
+            acceleration=math.radians(limits.acceleration_deg_s2),
+            pad_length=pad_length,
+            workspace=workspace,
+        )
+
+    def _opening_bound(self) -> Bound:
+        """phi2's bound: a circle of radius r touches both palms at r/tan(φ2/2), which must be on the pads."""
+        pads_end = 2.0 * math.atan(SMALL_RADIUS / max(self.pad_length - PAD_MARGIN, PAD_MARGIN))
+        if pads_end <= self.phi2[0]:
+            return Bound("phi2", "°", _DEGREES, *self.phi2)
+        words = f"even an object of {SMALL_RADIUS * 1e3:g} mm radius leaves the pads below"
+        return Bound("phi2", "°", _DEGREES, pads_end, self.phi2[1], low_words=words)
+
+    def values(self, motion: PalmMotion) -> tuple[float, ...]:
+        """The quantities bounded by `bounds`, in that order; raises PoseError at a singular pose."""
+        arm = self.workspace.values(motion) if self.workspace else ()
+        return (
+            motion.phi1,
+            motion.phi2,
+            motion.phi1 + motion.phi2,
+            motion.omega1,
+            motion.omega2,
+            motion.alpha1,
+            motion.alpha2,
+            *arm,
+        )
+
+    def violations(self, phi1: float, phi2: float) -> list[str]:
+        """What is wrong with standing at these palm angles (rad), in words; empty when nothing is.
+
+        Raises PoseError at a singular pose when a workspace is known. Safe in the loop.
+        """
+        return [text for _, text in problems(self.bounds, ranges([self.values(PalmMotion(phi1, phi2))]))]
+
+    def contact_violations(self, s1: float, s2: float, margin: float = PAD_MARGIN) -> list[str]:
+        """What is wrong with contacts at s1, s2 (m from the hinge): nearer to a pad's end than `margin`."""
+        low, high = margin * 1e3, (self.pad_length - margin) * 1e3
+        return [
+            f"the contact on palm {palm} is at {s * 1e3:.1f} mm; the pad serves {low:.1f} to {high:.1f} mm"
+            for palm, s in ((1, s1), (2, s2))
+            if not margin <= s <= self.pad_length - margin
+        ]
+
+    def clamp_step(self, previous: PalmMotion, wanted: PalmMotion, dt: float) -> PalmMotion:
+        """The last guard before a set-point: `wanted`, inside the angle limits and one step of rate·dt.
+
+        previous: the set-point sent last; dt: time (s) that the step may take. Both angles of a step that is
+        too long shrink alike, so that the direction stays; non-finite wishes are answered by standing still.
+        From outside the limits the way back is taken at the rate limit. Safe in the loop.
+        """
+        if not (math.isfinite(wanted.phi1) and math.isfinite(wanted.phi2)):
+            return PalmMotion(previous.phi1, previous.phi2)
+        phi1 = min(max(wanted.phi1, self.phi1[0]), self.phi1[1])
+        phi2 = min(max(wanted.phi2, self.phi2[0]), self.phi2[1], PHI12_MAX - _BELOW - phi1)
+        step1, step2 = phi1 - previous.phi1, phi2 - previous.phi2
+        longest = max(abs(step1), abs(step2))
+        room = self.rate * dt
+        if phi1 == wanted.phi1 and phi2 == wanted.phi2 and longest <= room:
+            return wanted
+        share = 1.0 if longest <= room else room / longest
+        return PalmMotion(
+            previous.phi1 + share * step1,
+            previous.phi2 + share * step2,
+            share * step1 / dt if dt > 0.0 else 0.0,
+            share * step2 / dt if dt > 0.0 else 0.0,
+        )
+
+
+def ranges(values: Iterable[tuple[float, ...]]) -> list[tuple[float, float]]:
+    """Lowest and highest of each quantity over samples of them."""
+    return [(min(column), max(column)) for column in zip(*values, strict=True)]
+
+
+def problems(bounds: Iterable[Bound], extremes: Iterable[tuple[float, float]]) -> list[tuple[Bound, str]]:
+    """Which bounds the quantities' extremes leave, in words."""
+    found = ((bound, bound.problem(*pair)) for bound, pair in zip(bounds, extremes, strict=True))
+    return [(bound, text) for bound, text in found if text is not None]

@@ -1,0 +1,191 @@
+"""The pieces of a motion plan: each starts and ends at rest, with smooth rates and accelerations between.
+
+Every piece gives its pose and both time derivatives in closed form, in the time since it began, so that plan
+rates and accelerations can stand beside measured angles. All blends are the same quintic
+S(u) = 10u³ − 15u⁴ + 6u⁵, whose first two derivatives vanish at both ends: the minimum-jerk path
+(Flash & Hogan 1985).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+from palmd.events import PalmMotion
+
+PEAK_RATE = 15.0 / 8.0  # largest S′
+PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)  # largest |S″|
+_SAMPLES = 64  # of one blend or one period, when a piece is checked
+_SWING_SAMPLES = 6000  # at most, of a long sine; by then it has shown all it does
+
+Angles = tuple[float, float]
+
+
+class Segment(Protocol):
+    """One piece of motion, from rest to rest."""
+
+    @property
+    def duration(self) -> float:
+        """Length in time (s)."""
+
+    def at(self, t: float) -> PalmMotion:
+        """The motion t (s) after the beginning, 0 ≤ t ≤ duration. Safe in the loop."""
+
+    def sample_times(self) -> Iterator[float]:
+        """Times close enough together to see every extreme of the motion."""
+
+
+def blend(u: float) -> tuple[float, float, float]:
+    """S(u), S′(u), S″(u), going from 0 at u ≤ 0 to 1 at u ≥ 1."""
+    if u <= 0.0:
+        return 0.0, 0.0, 0.0
+    if u >= 1.0:
+        return 1.0, 0.0, 0.0
+    v = 1.0 - u
+    return (
+        u * u * u * (10.0 + u * (6.0 * u - 15.0)),
+        30.0 * u * u * v * v,
+        60.0 * u * v * (v - u),
+    )
+
+
+def _spread(begin: float, end: float, count: int) -> Iterator[float]:
+    return (begin + (end - begin) * i / count for i in range(count + 1))
+
+
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """Standing still."""
+
+    pose: Angles
+    duration: float
+
+    def at(self, t: float) -> PalmMotion:  # noqa: ARG002
+        """The pose, at rest."""
+        return PalmMotion(*self.pose)
+
+    def sample_times(self) -> Iterator[float]:
+        """One is enough."""
+        return iter((0.0,))
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """A minimum-jerk move, straight in the palm angles."""
+
+    start: Angles
+    end: Angles
+    duration: float
+
+    def at(self, t: float) -> PalmMotion:
+        """φ = start + (end − start)·S(t/T)."""
+        if t >= self.duration:
+            return PalmMotion(*self.end)
+        s, s_dot, s_ddot = blend(t / self.duration)
+        s_dot /= self.duration
+        s_ddot /= self.duration * self.duration
+        way1, way2 = self.end[0] - self.start[0], self.end[1] - self.start[1]
+        return PalmMotion(
+            self.start[0] + way1 * s,
+            self.start[1] + way2 * s,
+            way1 * s_dot,
+            way2 * s_dot,
+            way1 * s_ddot,
+            way2 * s_ddot,
+        )
+
+    def sample_times(self) -> Iterator[float]:
+        """Closer than the others: the shortest move that the limits allow is computed from these."""
+        return _spread(0.0, self.duration, 4 * _SAMPLES)
+
+
+@dataclass(frozen=True, slots=True)
+class ConstantRate:
+    """Constant rates, with speeding up from rest and slowing down to rest in `ramp` seconds each."""
+
+    start: Angles
+    rate: Angles
+    ramp: float
+    duration: float
+
+    def at(self, t: float) -> PalmMotion:
+        """φ = start + rate·g(t), where g′ rises as S(t/ramp) to 1 and falls likewise at the end."""
+        left = self.duration - t
+        if t < self.ramp:
+            u = t / self.ramp
+            speed, slope, _ = blend(u)
+            way = self.ramp * _blend_integral(u)
+            slope /= self.ramp
+        elif left < self.ramp:
+            u = max(left / self.ramp, 0.0)
+            speed, slope, _ = blend(u)
+            way = self.duration - self.ramp - self.ramp * _blend_integral(u)
+            slope /= -self.ramp
+        else:
+            speed, slope, way = 1.0, 0.0, t - 0.5 * self.ramp
+        rate1, rate2 = self.rate
+        return PalmMotion(
+            self.start[0] + rate1 * way,
+            self.start[1] + rate2 * way,
+            rate1 * speed,
+            rate2 * speed,
+            rate1 * slope,
+            rate2 * slope,
+        )
+
+    def sample_times(self) -> Iterator[float]:
+        """Both ramps and the way between."""
+        yield from _spread(0.0, self.ramp, _SAMPLES)
+        yield from _spread(self.ramp, self.duration - self.ramp, _SAMPLES)
+        yield from _spread(self.duration - self.ramp, self.duration, _SAMPLES)
+
+
+@dataclass(frozen=True, slots=True)
+class Sine:
+    """A swing about `centre`, growing in and dying away in `grow` seconds; an endless one only grows in."""
+
+    centre: Angles
+    amplitude: Angles
+    angular_frequency: Angles
+    grow: float
+    duration: float
+
+    def at(self, t: float) -> PalmMotion:
+        """φ_i = centre_i + e(t)·amplitude_i·sin(w_i t), e going as S(t/grow) up and at the end down."""
+        envelope, slope, curve = blend(t / self.grow)
+        if envelope == 1.0:
+            envelope, slope, curve = blend((self.duration - t) / self.grow)
+            slope = -slope
+        slope /= self.grow
+        curve /= self.grow * self.grow
+        w1, w2 = self.angular_frequency
+        sin1, cos1 = math.sin(w1 * t), math.cos(w1 * t)
+        sin2, cos2 = (sin1, cos1) if w1 == w2 else (math.sin(w2 * t), math.cos(w2 * t))
+        a1, a2 = self.amplitude
+        return PalmMotion(
+            self.centre[0] + a1 * envelope * sin1,
+            self.centre[1] + a2 * envelope * sin2,
+            a1 * (slope * sin1 + envelope * w1 * cos1),
+            a2 * (slope * sin2 + envelope * w2 * cos2),
+            a1 * ((curve - envelope * w1 * w1) * sin1 + 2.0 * slope * w1 * cos1),
+            a2 * ((curve - envelope * w2 * w2) * sin2 + 2.0 * slope * w2 * cos2),
+        )
+
+    def sample_times(self) -> Iterator[float]:
+        """Growing in, as much of the swing as tells something new, and dying away."""
+        step = min(math.tau / max(self.angular_frequency), 2.0 * self.grow) / _SAMPLES
+        growing = math.ceil(self.grow / step)
+        yield from _spread(0.0, self.grow, growing)
+        if math.isinf(self.duration):
+            yield from (self.grow + i * step for i in range(2 * _SAMPLES))
+            return
+        swinging = min(math.ceil((self.duration - 2.0 * self.grow) / step), _SWING_SAMPLES)
+        yield from (self.grow + i * step for i in range(swinging))
+        yield from _spread(self.duration - self.grow, self.duration, growing)
+
+
+def _blend_integral(u: float) -> float:
+    """∫S from 0 to u, for 0 ≤ u ≤ 1; 1/2 at u = 1."""
+    return u**4 * (2.5 - 3.0 * u + u * u)

@@ -1,0 +1,211 @@
+"""The two kinds of filter that a bank can hold, behind one interface: the named state, and the shape map."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import numpy as np
+
+from palmd.events import FloatArray, PadSample, PalmSample, RigDescription
+from palmd.model import extended, shape, shape_map
+from palmd.model.named import NAMED, RIG_INPUTS, rig_inputs
+from palmd.observer import prior
+from palmd.observer.bank import Bank, Belief
+from palmd.observer.palms import PLAN_RATE_SD, PalmTracker
+from palmd.observer.prior import BlindStart
+
+
+class Filters(Protocol):
+    """A bank and what it takes to feed it; all safe inside the loop but the construction (it may compile C)."""
+
+    name: str
+    bank: Bank
+
+    def start(self, start: BlindStart, palms: PalmTracker, t: float) -> None:
+        """Set every filter to its sample of the prior, at time `t`."""
+
+    def constants(self, start: BlindStart) -> Belief:
+        """What was believed of the object's constants at the start, for `Bank.fade`."""
+
+    def predict(self, t: float, dt: float, palms: PalmTracker) -> None:
+        """Move the bank from `t` to `t + dt`."""
+
+    def fuse_pad(self, sample: PadSample, variance: float, palms: PalmTracker) -> None:
+        """Fuse one contact reading."""
+
+    def fuse_palms(self, sample: PalmSample, angle_variance: float) -> None:
+        """Fuse one report of the palms."""
+
+    def named(self, member: int, t: float, dt: float, palms: PalmTracker) -> tuple[FloatArray, FloatArray]:
+        """Values of `NAMED` and their covariance for one filter, taken from `t` to `t + dt`."""
+
+    def outline(self, member: int) -> tuple[FloatArray, FloatArray]:
+        """Fourier coefficients of the support function (m) and their covariance for one filter."""
+
+
+SMALLEST_RADIUS = 1e-3  # m, below which a filter's mean radius is not taken at its word
+CONSISTENCY_SD = 1e-6  # m, to which r and s agree with the outline's coefficients at the start
+
+
+def _pad_update(pad: int) -> str:
+    return f"update_s{pad}"
+
+
+class ExtendedFilters:
+    """Filters on the project's named state (`model.extended`)."""
+
+    name = "extended"
+
+    def __init__(self, rig: RigDescription, size: int):
+        library = extended.library(size)
+        updates = {f"update_{state.name.lower()}": 3 for state in extended.MEASURED}
+        self.bank = Bank(library, size, extended.N, updates, extended.PREDICTION_INPUTS)
+        self._rig = rig_inputs(rig)
+        n, h = extended.N, shape.COEFFICIENTS
+        self._x, self._P = np.zeros(n), np.zeros((n, n))
+        self._x_next, self._P_next = np.zeros(n), np.zeros((n, n))
+        self._u, self._alpha = np.zeros(extended.PREDICTION_INPUTS), np.zeros(2 + RIG_INPUTS)
+        self._u[5:], self._alpha[2:] = self._rig, self._rig
+        self._y, self._J = np.zeros(len(NAMED)), np.zeros((n, len(NAMED)))
+        self._h, self._J_h = np.zeros(h), np.zeros((n, h))
+        self._predict = library.bind("predict", [self._x, self._P, self._u], [self._x_next, self._P_next])
+        self._named = library.bind("named", [self._x_next, self._alpha], [self._y, self._J])
+        self._outline = library.bind("outline", [self._x], [self._h, self._J_h])
+
+    def start(self, start: BlindStart, palms: PalmTracker, t: float) -> None:
+        X = extended.X
+        phi1, phi2, omega1, omega2 = palms.at(t)[:4]
+        # r and s at the contacts and v along the outline all follow from one belief about the coefficients
+        linear = np.zeros((extended.N, shape.COEFFICIENTS))
+        linear[[X.R1, X.R2]], linear[[X.S1, X.S2]] = shape.contact_rows(phi1, phi2)
+        linear[X.CURVATURE :] = shape.curvature_rows()
+        x, P = self.bank.x, self.bank.P
+        x[:] = start.coefficients @ linear.T
+        x[:, X.PHI1], x[:, X.PHI2], x[:, X.OMEGA1], x[:, X.OMEGA2] = phi1, phi2, omega1, omega2
+        x[:, X.OMEGA0], x[:, X.RHO], x[:, X.MU] = start.omega0, start.rho, start.mu
+        x[:, X.LN_DITHER], x[:, X.DAMPING] = start.ln_dither, start.damping
+        sd = np.zeros(extended.N)
+        angle_sd, rate_sd = palms.sd()
+        sd[[X.R1, X.R2, X.S1, X.S2]] = CONSISTENCY_SD
+        sd[[X.PHI1, X.PHI2]], sd[[X.OMEGA1, X.OMEGA2]] = angle_sd, rate_sd
+        sd[X.OMEGA0], sd[X.RHO], sd[X.MU] = start.own_omega0_sd, start.own_rho_sd, start.own_mu_sd
+        sd[X.LN_DITHER], sd[X.DAMPING] = start.own_ln_dither_sd, start.own_damping_sd
+        P[:] = (linear * start.own_shape_sd**2) @ linear.T + np.diag(sd**2)
+
+    def constants(self, start: BlindStart) -> Belief:
+        X = extended.X
+        mean, sd = np.zeros((self.bank.size, extended.N)), np.zeros(extended.N)
+        curvature = shape.curvature_rows()
+        mean[:, X.RHO] = prior.GYRATION * self.bank.x[:, X.CURVATURE]
+        mean[:, X.MU], mean[:, X.LN_DITHER] = prior.FRICTION, math.log(prior.DITHER)
+        mean[:, X.DAMPING], mean[:, X.CURVATURE] = prior.DAMPING, start.mean_radius
+        sd[X.RHO], sd[X.MU] = prior.GYRATION_SD * prior.GYRATION * start.mean_radius, prior.FRICTION_SD
+        sd[X.LN_DITHER], sd[X.DAMPING] = prior.LN_DITHER_SD, prior.DAMPING_SD
+        sd[X.CURVATURE :] = np.abs(curvature) @ start.shape_sd
+        return Belief(slice(X.RHO, extended.N), mean, sd)
+
+    def predict(self, t: float, dt: float, palms: PalmTracker) -> None:
+        self.bank.predict(dt, palms.at(t)[4:], palms.jerk, self._rig)
+
+    def fuse_pad(self, sample: PadSample, variance: float, palms: PalmTracker) -> None:
+        del palms  # the palms' angles are part of the state
+        self.bank.update(_pad_update(sample.pad), sample.s, variance)
+
+    def fuse_palms(self, sample: PalmSample, angle_variance: float) -> None:
+        self.bank.update("update_phi1", sample.phi1, angle_variance, scored=False)
+        self.bank.update("update_phi2", sample.phi2, angle_variance, scored=False)
+        if sample.omega1 is not None and sample.omega2 is not None:
+            self.bank.update("update_omega1", sample.omega1, PLAN_RATE_SD**2, scored=False)
+            self.bank.update("update_omega2", sample.omega2, PLAN_RATE_SD**2, scored=False)
+
+    def named(self, member: int, t: float, dt: float, palms: PalmTracker) -> tuple[FloatArray, FloatArray]:
+        self._x[:], self._P[:] = self.bank.x[member], self.bank.P[member]
+        self._u[0], self._u[1:3], self._u[3:5] = dt, palms.at(t)[4:], palms.jerk
+        self._predict()
+        self._alpha[:2] = palms.at(t + dt)[4:]
+        self._named()
+        return self._y.copy(), self._J.T @ self._P_next @ self._J
+
+    def outline(self, member: int) -> tuple[FloatArray, FloatArray]:
+        self._x[:] = self.bank.x[member]
+        self._outline()
+        return self._h.copy(), self._J_h.T @ self.bank.P[member] @ self._J_h
+
+
+class ShapeFilters:
+    """Filters on the whole outline (`model.shape_map`); the palms' angles are inputs."""
+
+    name = "shape"
+
+    def __init__(self, rig: RigDescription, size: int):
+        library = shape_map.library(size)
+        self.bank = Bank(library, size, shape_map.N, {"update_s1": 5, "update_s2": 5}, shape_map.PREDICTION_INPUTS)
+        self._rig = rig_inputs(rig)
+        n = shape_map.N
+        self._x, self._P = np.zeros(n), np.zeros((n, n))
+        self._x_next, self._P_next = np.zeros(n), np.zeros((n, n))
+        self._u = np.zeros(shape_map.PREDICTION_INPUTS)
+        self._u[9:] = self._rig
+        self._v = np.zeros(shape_map.PALM_INPUTS + RIG_INPUTS)
+        self._v[shape_map.PALM_INPUTS :] = self._rig
+        self._y, self._J = np.zeros(len(NAMED)), np.zeros((n, len(NAMED)))
+        self._predict = library.bind("predict", [self._x, self._P, self._u], [self._x_next, self._P_next])
+        self._named = library.bind("named", [self._x_next, self._v], [self._y, self._J])
+
+    def start(self, start: BlindStart, palms: PalmTracker, t: float) -> None:
+        del palms, t  # the palms are not part of the state
+        Z = shape_map.Z
+        x, P = self.bank.x, self.bank.P
+        x[:] = 0.0
+        x[:, Z.OMEGA0], x[:, Z.LN_RHO], x[:, Z.MU] = start.omega0, np.log(start.rho), start.mu
+        x[:, Z.LN_DITHER], x[:, Z.DAMPING] = start.ln_dither, start.damping
+        x[:, Z.SHAPE :] = start.coefficients
+        sd = np.zeros(shape_map.N)
+        sd[Z.OMEGA0], sd[Z.LN_RHO] = start.own_omega0_sd, start.own_rho_sd / start.rho.mean()
+        sd[Z.MU], sd[Z.LN_DITHER], sd[Z.DAMPING] = (
+            start.own_mu_sd,
+            start.own_ln_dither_sd,
+            start.own_damping_sd,
+        )
+        sd[Z.SHAPE :] = start.own_shape_sd
+        P[:] = np.diag(sd**2)
+
+    def constants(self, start: BlindStart) -> Belief:
+        Z = shape_map.Z
+        mean, sd = np.zeros((self.bank.size, shape_map.N)), np.zeros(shape_map.N)
+        ln_ratio = math.log(prior.GYRATION)
+        mean[:, Z.LN_RHO] = np.log(np.maximum(self.bank.x[:, Z.SHAPE], SMALLEST_RADIUS)) + ln_ratio
+        mean[:, Z.MU], mean[:, Z.LN_DITHER] = prior.FRICTION, math.log(prior.DITHER)
+        mean[:, Z.DAMPING], mean[:, Z.SHAPE] = prior.DAMPING, start.mean_radius
+        sd[Z.LN_RHO], sd[Z.MU] = prior.GYRATION_SD, prior.FRICTION_SD
+        sd[Z.LN_DITHER], sd[Z.DAMPING] = prior.LN_DITHER_SD, prior.DAMPING_SD
+        sd[Z.SHAPE :] = start.shape_sd
+        return Belief(slice(Z.LN_RHO, shape_map.N), mean, sd)
+
+    def predict(self, t: float, dt: float, palms: PalmTracker) -> None:
+        self.bank.predict(dt, palms.at(t), palms.jerk, self._rig)
+
+    def fuse_pad(self, sample: PadSample, variance: float, palms: PalmTracker) -> None:
+        phi1, phi2 = palms.at(sample.t_sample)[:2]
+        self.bank.update(_pad_update(sample.pad), sample.s, variance, phi1, phi2)
+
+    def fuse_palms(self, sample: PalmSample, angle_variance: float) -> None:
+        """Nothing to do: the tracker has it."""
+
+    def named(self, member: int, t: float, dt: float, palms: PalmTracker) -> tuple[FloatArray, FloatArray]:
+        self._x[:], self._P[:] = self.bank.x[member], self.bank.P[member]
+        self._u[0], self._u[1:7], self._u[7:9] = dt, palms.at(t), palms.jerk
+        self._predict()
+        self._v[: shape_map.PALM_INPUTS] = palms.at(t + dt)
+        self._named()
+        cov = self._J.T @ self._P_next @ self._J
+        angle_sd, rate_sd = palms.sd()
+        for name, sd in (("phi1", angle_sd), ("phi2", angle_sd), ("omega1", rate_sd), ("omega2", rate_sd)):
+            i = NAMED.index(name)
+            cov[i, i] += sd**2
+        return self._y.copy(), cov
+
+    def outline(self, member: int) -> tuple[FloatArray, FloatArray]:
+        at = shape_map.Z.SHAPE
+        return self.bank.x[member, at:].copy(), self.bank.P[member, at:, at:].copy()

@@ -1,0 +1,108 @@
+"""The palms' own motion between reports: angle, rate and acceleration at any time near the last report."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from palmd.events import FloatArray, PalmMotion, PalmSample
+
+JERK = 60.0  # rad/s³/√Hz, of palms whose plan is not told
+PLAN_RATE_SD = 2e-3  # rad/s, of the plan's rate as a description of the palms
+PLAN_ACCELERATION_SD = 2e-2  # rad/s²
+FIRST_RATE_SD, FIRST_ACCELERATION_SD = 0.5, 5.0
+
+
+class PalmTracker:
+    """A Kalman filter on (φ, ω, α) of each palm, with the plan's rates and accelerations where they are told.
+
+    Between reports the jerk is the one the plan showed last. Pure and safe inside the loop.
+    """
+
+    def __init__(self, angle_noise: float):
+        """`angle_noise` is the one-sigma of a measured palm angle (rad)."""
+        self._angle_variance = angle_noise**2
+        self._t: float | None = None
+        self._state = np.zeros((2, 3))  # palm × (φ, ω, α)
+        self._P = np.zeros((3, 3))  # the same for both palms: they are read and told together
+        self._plan: tuple[float, float, float] | None = None  # t, α1, α2
+        self.jerk = np.zeros(2)
+
+    @property
+    def known(self) -> bool:
+        """Whether a report has come."""
+        return self._t is not None
+
+    @property
+    def t(self) -> float:
+        """Time of the last report; -inf before the first."""
+        return -np.inf if self._t is None else self._t
+
+    def sd(self) -> tuple[float, float]:
+        """One-sigma of angle (rad) and rate (rad/s) at the last report."""
+        return float(np.sqrt(self._P[0, 0])), float(np.sqrt(self._P[1, 1]))
+
+    def feed(self, sample: PalmSample) -> None:
+        """Fuse one report; reports older than the last one are ignored."""
+        if self._t is None:
+            self._begin(sample)
+            return
+        dt = sample.t_sample - self._t
+        if dt < 0:
+            return
+        self._state = self._extrapolated(dt)
+        F = np.array([[1.0, dt, dt**2 / 2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
+        G = np.array([dt**2 / 2, dt, 1.0])
+        told = sample.alpha1 is not None
+        jerk = 1.0 if told else JERK
+        self._P = F @ self._P @ F.T + np.outer(G, G) * jerk**2 * dt + np.diag([0.0, 1e-8, 1e-8]) * dt
+        self._t = sample.t_sample
+        self._fuse(0, (sample.phi1, sample.phi2), self._angle_variance)
+        if sample.omega1 is not None and sample.omega2 is not None:
+            self._fuse(1, (sample.omega1, sample.omega2), PLAN_RATE_SD**2)
+        if sample.alpha1 is not None and sample.alpha2 is not None:
+            self._fuse(2, (sample.alpha1, sample.alpha2), PLAN_ACCELERATION_SD**2)
+            if self._plan is not None and sample.t_sample > self._plan[0]:
+                step = sample.t_sample - self._plan[0]
+                self.jerk[:] = (sample.alpha1 - self._plan[1]) / step, (sample.alpha2 - self._plan[2]) / step
+            self._plan = (sample.t_sample, sample.alpha1, sample.alpha2)
+        else:
+            self.jerk[:] = 0.0
+            self._plan = None
+
+    def at(self, t: float) -> FloatArray:
+        """(φ1, φ2, ω1, ω2, α1, α2) at `t`, seconds on the samples' clock."""
+        return self._extrapolated(t - self.t).T.ravel()
+
+    def motion(self, t: float) -> PalmMotion:
+        """The same as a value with names."""
+        return PalmMotion(*(float(v) for v in self.at(t)))
+
+    def _begin(self, sample: PalmSample) -> None:
+        self._t = sample.t_sample
+        self._state[:] = [
+            [sample.phi1, sample.omega1 or 0.0, sample.alpha1 or 0.0],
+            [sample.phi2, sample.omega2 or 0.0, sample.alpha2 or 0.0],
+        ]
+        rate_sd = FIRST_RATE_SD if sample.omega1 is None else PLAN_RATE_SD
+        acceleration_sd = FIRST_ACCELERATION_SD if sample.alpha1 is None else PLAN_ACCELERATION_SD
+        self._P[:] = np.diag([self._angle_variance, rate_sd**2, acceleration_sd**2])
+        if sample.alpha1 is not None and sample.alpha2 is not None:
+            self._plan = (sample.t_sample, sample.alpha1, sample.alpha2)
+
+    def _extrapolated(self, dt: float) -> FloatArray:
+        phi, omega, alpha = self._state[:, 0], self._state[:, 1], self._state[:, 2]
+        return np.stack(
+            [
+                phi + dt * omega + dt**2 / 2 * alpha + dt**3 / 6 * self.jerk,
+                omega + dt * alpha + dt**2 / 2 * self.jerk,
+                alpha + dt * self.jerk,
+            ],
+            axis=1,
+        )
+
+    def _fuse(self, state: int, values: tuple[float, float], variance: float) -> None:
+        spread = self._P[state, state] + variance
+        k = self._P[:, state] / spread
+        self._state += np.outer(np.asarray(values) - self._state[:, state], k)
+        row = self._P[state].copy()
+        self._P += np.outer(k, k) * spread - np.outer(k, row) - np.outer(row, k)

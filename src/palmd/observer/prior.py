@@ -1,0 +1,75 @@
+"""What is believed of an object before it has been felt: a smooth lump of unknown size, lying on two palms."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from palmd.events import FloatArray, PalmMotion
+from palmd.model import shape
+
+# Of the belief's variance, how much goes into where the filters start, the rest being each filter's own.
+SCATTER = 0.7
+OWN = 0.7
+
+RADIUS_SD = 0.10  # of the mean radius seen in the first two readings
+SPIN_AT_REST_SD, SPIN_MOVING_SD = 0.25, 1.5  # rad/s
+# A uniform convex body has ρ = 0.70…0.72 mean radii, a ring 1: most objects are near the first.
+GYRATION, GYRATION_SD = 0.707, 0.04
+FRICTION, FRICTION_SD = 0.10, 0.10
+DITHER, LN_DITHER_SD = 0.012, 0.35  # m/s
+DAMPING, DAMPING_SD = 2e-4, 3e-4  # m²/s
+
+
+@dataclass(frozen=True, slots=True)
+class BlindStart:
+    """Samples of the prior, one row a filter, and the one-sigma that each filter keeps about its own sample."""
+
+    mean_radius: float
+    shape_sd: FloatArray  # of the whole belief, per coefficient
+    coefficients: FloatArray
+    omega0: FloatArray
+    rho: FloatArray
+    mu: FloatArray
+    ln_dither: FloatArray
+    damping: FloatArray
+    own_shape_sd: FloatArray
+    own_omega0_sd: float
+    own_rho_sd: float
+    own_mu_sd: float
+    own_ln_dither_sd: float
+    own_damping_sd: float
+
+
+def blind_start(
+    s1: float, s2: float, palms: PalmMotion, size: int, at_rest: bool, random: np.random.Generator
+) -> BlindStart:
+    """Draw `size` starts about the circle that would give the readings s1, s2 (m).
+
+    For a circle of radius r both readings are r / tan(φ2/2), from (3.13) with d = 0. `at_rest` says that the
+    object has just been put down; otherwise it may be turning. Orientation is gauge: 0 at the start.
+    """
+    mean_radius = (s1 + s2) / 2 * math.tan(palms.phi2 / 2)
+    shape_sd = shape.prior_sd(mean_radius)
+    shape_sd[0] = RADIUS_SD * mean_radius
+    coefficients = SCATTER * shape_sd * random.standard_normal((size, shape.COEFFICIENTS))
+    coefficients[:, 0] += mean_radius
+    spin_sd = SPIN_AT_REST_SD if at_rest else SPIN_MOVING_SD
+    return BlindStart(
+        mean_radius=mean_radius,
+        shape_sd=shape_sd,
+        coefficients=coefficients,
+        omega0=SCATTER * spin_sd * random.standard_normal(size),
+        rho=GYRATION * coefficients[:, 0],
+        mu=np.abs(FRICTION + SCATTER * FRICTION_SD * random.standard_normal(size)),
+        ln_dither=np.full(size, math.log(DITHER)),
+        damping=np.abs(DAMPING + SCATTER * DAMPING_SD * random.standard_normal(size)),
+        own_shape_sd=OWN * shape_sd,
+        own_omega0_sd=OWN * spin_sd,
+        own_rho_sd=GYRATION_SD * GYRATION * mean_radius,
+        own_mu_sd=OWN * FRICTION_SD,
+        own_ln_dither_sd=LN_DITHER_SD,
+        own_damping_sd=OWN * DAMPING_SD,
+    )

@@ -1,0 +1,258 @@
+"""`palmd rig`: the emulated rig as a process, its ports on pseudo-terminals, in real time.
+
+Standard output gets one JSON line with the ports' paths and two ZeroMQ addresses, then nothing more. `truth`
+publishes what is really there (`rig/truth` at 100 Hz, `rig/object` at 1 Hz) in the daemon's own three frames;
+`control` takes `{id, cmd, args}` like the daemon's command socket:
+
+    status      counts for end-to-end checks
+    tricks      every mischief by name with its description
+    mischief    {name, port?, strength?, after_s?, for_s?}: on
+    calm        {name, port?}: off
+    new_object  a hand exchanges the object
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import gc
+import json
+import os
+import secrets
+import select
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import msgpack
+import numpy as np
+import zmq
+
+from palmd.config import Config
+from palmd.messages import stamp
+from palmd.rig.line import PtyLine
+from palmd.rig.mischief import PORTS, TRICKS, MischiefError, PortName, order, parse
+from palmd.rig.shapes import KINDS
+from palmd.rig.world import World, default_config
+from palmd.yamlfile import ConfigError, load_config
+
+PERIOD_S = 1e-3
+TRUTH_S, OBJECT_S, PARENT_S = 0.01, 1.0, 0.5
+_LATE_S = 2e-3
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments, for `palmd rig`."""
+    parser.add_argument("config", nargs="?", type=Path, metavar="CONFIG", help="palmd.yaml; default: as shipped")
+    parser.add_argument("--seed", type=int, help="which object, pads and noise; default: a random one, printed")
+    parser.add_argument("--kind", choices=KINDS, default="rig", help="what sort of object (default: %(default)s)")
+    parser.add_argument(
+        "--mischief",
+        action="append",
+        default=[],
+        metavar="NAME[@PORT][,strength=X][,after=S][,for=S]",
+        help=f"what goes wrong; may be given again; names: {', '.join(TRICKS)}",
+    )
+
+
+def run_rig(arguments: argparse.Namespace) -> int:
+    """Runs the rig until SIGTERM, SIGINT or the parent's end; returns the exit status, 1 for bad input."""
+    stop = StopRequest()
+    signal.signal(signal.SIGTERM, stop)
+    signal.signal(signal.SIGINT, stop)
+    seed = secrets.randbelow(2**31) if arguments.seed is None else arguments.seed
+    if seed < 0:
+        return _refuse(f"--seed must not be negative, got {seed}")
+    try:
+        config = load_config(arguments.config) if arguments.config else default_config()
+        t = time.monotonic()
+        world = World(config, seed, kind=arguments.kind, t=t)
+        for text in arguments.mischief:
+            world.mischief.add(parse(text, t))
+    except (ConfigError, ValueError) as error:
+        return _refuse(str(error))
+    folder = Path(tempfile.mkdtemp(prefix="palmd-rig-"))
+    try:
+        rig = RigProcess(config, world, folder, stop)
+        with contextlib.suppress(BrokenPipeError):
+            print(json.dumps(rig.addresses()), flush=True)
+        rig.run()
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    return 0
+
+
+def _refuse(text: str) -> int:
+    print(text, file=sys.stderr)
+    return 1
+
+
+class StopRequest:
+    """A signal handler that only remembers that it was called."""
+
+    def __init__(self) -> None:
+        self.made = False
+
+    def __call__(self, _signal: int, _frame: FrameType | None) -> None:
+        self.made = True
+
+
+class RigProcess:
+    """The world behind its ports and sockets. Ports are links in `folder`, as udev would name them."""
+
+    def __init__(self, config: Config, world: World, folder: Path, stop: StopRequest) -> None:
+        self.world = world
+        self.ticks = self.late_ticks = 0
+        self.latest_s = 0.0
+        self._stop = stop
+        self._parent = os.getppid()
+        self._seq = {"rig/truth": 0, "rig/object": 0}
+        noise = np.random.default_rng(world.seed)
+        bauds = (config.pads.palm1.baud, config.pads.palm2.baud, config.arm.baud)
+        self._lines: dict[PortName, PtyLine] = {
+            port: PtyLine(folder / port, baud, noise) for port, baud in zip(PORTS, bauds, strict=True)
+        }
+        self._poll = select.poll()
+        for line in self._lines.values():
+            self._move_plug(line)
+        self._context = zmq.Context()
+        self._truth = self._context.socket(zmq.PUB)
+        self._control = self._context.socket(zmq.ROUTER)
+        self._truth_address = _bind(self._truth)
+        self._control_address = _bind(self._control)
+
+    def addresses(self) -> dict[str, Any]:
+        """What the JSON line says."""
+        found: dict[str, Any] = {port: str(line.path) for port, line in self._lines.items()}
+        return found | {
+            "truth": self._truth_address,
+            "control": self._control_address,
+            "seed": self.world.seed,
+        }
+
+    def run(self) -> None:
+        """Lives in real time, each millisecond, on absolute deadlines, until asked to stop."""
+        gc.collect()
+        gc.freeze()
+        due = truth_due = object_due = parent_due = time.monotonic()
+        try:
+            while not self._stop.made:
+                t = time.monotonic()
+                self._note_lateness(t - due)
+                self._tick(t)
+                if t >= truth_due:
+                    truth_due += TRUTH_S * (1 + int((t - truth_due) / TRUTH_S))
+                    self._publish("rig/truth", self.world.truth())
+                    self._serve()
+                if t >= object_due:
+                    object_due = t + OBJECT_S
+                    self._publish("rig/object", self.world.object_truth())
+                if t >= parent_due:
+                    parent_due = t + PARENT_S
+                    self._stop.made |= os.getppid() != self._parent
+                due = max(due + PERIOD_S, t)
+                time.sleep(max(0.0, due - time.monotonic()))
+        finally:
+            for line in self._lines.values():
+                line.unplug()
+            self._context.destroy(linger=0)
+
+    def _tick(self, t: float) -> None:
+        """Hears the host, lives on to t (s), speaks."""
+        world = self.world
+        events = self._ready()
+        for port, line in self._lines.items():
+            if world.unplugged(port) == line.plugged:
+                self._move_plug(line)
+                continue
+            heard, flushed = line.read(events.get(line.fileno, 0))
+            if flushed:
+                world.opened(port)
+            if heard:
+                world.receive(port, heard)
+        for port, said in world.advance(t).items():
+            self._lines[port].write(said)
+
+    def _ready(self) -> dict[int, int]:
+        """What poll() says of each port that has something to say: one system call for all."""
+        return dict(self._poll.poll(0))
+
+    def _move_plug(self, line: PtyLine) -> None:
+        if line.plugged:
+            self._poll.unregister(line.fileno)
+            line.unplug()
+        else:
+            line.plug()
+            self._poll.register(line.fileno)
+
+    def _note_lateness(self, late_s: float) -> None:
+        self.ticks += 1
+        self.late_ticks += late_s > _LATE_S
+        self.latest_s = max(self.latest_s, late_s)
+
+    # -- sockets ------------------------------------------------------------------------------------------
+
+    def _publish(self, topic: str, fields: dict[str, Any]) -> None:
+        now = time.time()
+        stamped = stamp(fields, now, self.world.t, self._seq[topic])
+        self._seq[topic] += 1
+        frames = [topic.encode(), msgpack.packb(stamped), f"{now:.6f}".encode()]
+        with contextlib.suppress(zmq.Again):
+            self._truth.send_multipart(frames, zmq.NOBLOCK)
+
+    def _serve(self) -> None:
+        """Answers one command at most, so that a flood of them cannot stop the rig."""
+        try:
+            *envelope, request = self._control.recv_multipart(zmq.NOBLOCK)
+        except zmq.Again:
+            return
+        with contextlib.suppress(zmq.Again, zmq.ZMQError):
+            self._control.send_multipart([*envelope, msgpack.packb(self._answer(request))], zmq.NOBLOCK)
+
+    def _answer(self, request: bytes) -> dict[str, Any]:
+        identity = None
+        try:
+            message = msgpack.unpackb(request)
+            identity = message.get("id")
+            result = self._obey(message["cmd"], message.get("args") or {})
+        except MischiefError as error:
+            return {"id": identity, "ok": False, "error": str(error)}
+        except Exception as error:  # whatever a stranger sends, the rig goes on
+            return {"id": identity, "ok": False, "error": f"not a command: {type(error).__name__}: {error}"}
+        return {"id": identity, "ok": True, "result": result}
+
+    def _obey(self, command: str, args: dict[str, Any]) -> Any:
+        world, t = self.world, self.world.t
+        match command:
+            case "status":
+                return self._status()
+            case "tricks":
+                return {name: trick.description for name, trick in TRICKS.items()}
+            case "mischief":
+                world.mischief.add(order(t=t, **args))
+            case "calm":
+                world.mischief.cancel(args["name"], args.get("port"))
+            case "new_object":
+                world.new_object()
+            case _:
+                raise MischiefError(f"no command {command!r}; there are status, tricks, mischief, calm, new_object")
+        return None
+
+    def _status(self) -> dict[str, Any]:
+        lines = {
+            f"{port}_{what}": value
+            for port, line in self._lines.items()
+            for what, value in (("bytes_sent", line.bytes_sent), ("bytes_lost", line.bytes_lost))
+        }
+        pace = {"ticks": self.ticks, "late_ticks": self.late_ticks, "latest_ms": self.latest_s * 1e3}
+        return self.world.status() | lines | pace
+
+
+def _bind(socket: zmq.Socket[bytes]) -> str:
+    port = socket.bind_to_random_port("tcp://127.0.0.1")
+    return f"tcp://127.0.0.1:{port}"

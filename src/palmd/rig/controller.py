@@ -1,0 +1,291 @@
+"""The emulated controller: the V+ program at the far end of the arm link, as a pure state machine.
+
+Every 16 ms it consumes the latest set-point, guards it, and moves the commanded path there over the next
+cycle; all other commands are answered at once. It trusts nobody: steps, speed, acceleration and workspace are
+clamped or refused, silence makes it stand still and then give up, and what an operator must clear stays.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from palmd.devices.armlink import (
+    Ack,
+    ArmState,
+    Command,
+    Hello,
+    HelloReply,
+    LineReader,
+    LinkError,
+    Pose,
+    Query,
+    Refusal,
+    Reply,
+    Reset,
+    SetPoint,
+    Start,
+    Stop,
+    encode_reply,
+    parse_command,
+)
+from palmd.rig.arm import turn
+
+CYCLE_S = 0.016
+HOLD_AFTER_S = 0.048
+GIVE_UP_AFTER_S = 0.160
+RESUME_WITHIN_M = 5e-3
+RESUME_WITHIN_RAD = math.radians(3.0)
+_EMERGENCY = 4.0  # how much harder than planned an emergency stop brakes
+_JOG_M_S = 0.02
+_SLACK = 1e-9  # s: cycles and time-outs are multiples of each other
+
+LINK_LOST, OUTSIDE, STEP_TOO_LARGE, WRONG_STATE = -600, -610, -611, -620
+EMERGENCY_STOP, POWER_IS_OFF, MANUAL_MODE, BREAK_RECEIVED = -621, -622, -623, -504
+
+_FOLLOWS = (ArmState.TRACKING, ArmState.HOLD)
+_REFUSES_ALL = {
+    ArmState.ESTOP: EMERGENCY_STOP,
+    ArmState.POWER_OFF: POWER_IS_OFF,
+    ArmState.MANUAL: MANUAL_MODE,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ArmLimits:
+    """Workspace box (m, arm coordinates), greatest speed (m/s) and acceleration (m/s²)."""
+
+    x_min: float
+    x_max: float
+    y_min: float
+    y_max: float
+    v_max: float
+    a_max: float
+
+    def hello(self) -> HelloReply:
+        """The answer to `H`."""
+        return HelloReply(CYCLE_S, self.x_min, self.x_max, self.y_min, self.y_max, self.v_max, self.a_max)
+
+    def contain(self, pose: Pose) -> bool:
+        """Whether the position is inside the workspace."""
+        return self.x_min <= pose.x_m <= self.x_max and self.y_min <= pose.y_m <= self.y_max
+
+
+@dataclass(slots=True)
+class ControllerCounters:
+    """What has come down the link, for end-to-end checks."""
+
+    commands: int = 0
+    unparsable: int = 0
+    setpoints: int = 0
+    accepted: int = 0
+    superseded: int = 0
+    duplicates: int = 0
+    clamped: int = 0
+    braked: int = 0  # cycles in which the acceleration limit had to step in
+    refused: Counter[int] = field(default_factory=Counter)
+
+    def as_dict(self) -> dict[str, int]:
+        """Flat, refusals as `refused_<code>`."""
+        refused = {f"refused_{-code}": count for code, count in sorted(self.refused.items())}
+        plain = ("commands", "unparsable", "setpoints", "accepted", "superseded", "duplicates")
+        return {name: getattr(self, name) for name in (*plain, "clamped", "braked")} | refused
+
+
+class Controller:
+    """See the module. `feed` takes the line's bytes, `cycle` runs each 16 ms; both return what to answer."""
+
+    def __init__(self, limits: ArmLimits, start: Pose, baud: int, on_setpoint: Callable[[Pose, float], None]) -> None:
+        """At rest at `start` and ready; `on_setpoint` is told of every set-point heard and its time (s)."""
+        self.limits = limits
+        self.state = ArmState.READY
+        self.counters = ControllerCounters()
+        self.reader = LineReader(baud)
+        self.path = start  # where the commanded path stands at the end of this cycle
+        self._on_setpoint = on_setpoint
+        self._step = (0.0, 0.0)  # the commanded path's last step, m per cycle
+        self._target = start
+        self._pending: SetPoint | None = None
+        self._t_alive = 0.0  # last G or valid S: the longer watchdog
+        self._t_setpoint: float | None = None  # last valid S since G: the shorter one
+        self._stop_code: int | None = None  # what makes a deceleration end in FAULT
+        self._last_ss = 0
+        self._answered: tuple[str, int] | None = None
+        self._answer = b""
+        self._unasked = b""
+
+    # -- the line -----------------------------------------------------------------------------------------
+
+    def feed(self, data: bytes, t: float, actual: Pose) -> bytes:
+        """Takes bytes that arrived by t (s) with the arm at `actual`; returns the answers, whole lines."""
+        out = b""
+        for line in self.reader.feed(data, t):
+            try:
+                command = parse_command(line.body)
+            except LinkError:
+                self.counters.unparsable += 1
+                continue
+            self.counters.commands += 1
+            out += self._obey(command, t, actual)
+        return out
+
+    def _obey(self, command: Command, t: float, actual: Pose) -> bytes:
+        if isinstance(command, Hello):
+            self._answered, self._last_ss = None, 0
+            return encode_reply(self.limits.hello())
+        key = (type(command).__name__, command.ss)
+        if key == self._answered:
+            self.counters.duplicates += 1
+            return self._answer
+        self._last_ss = command.ss
+        if isinstance(command, SetPoint):
+            self.counters.setpoints += 1
+            self._on_setpoint(command.pose, t)
+            if self.state in _FOLLOWS:
+                self.counters.superseded += self._pending is not None
+                self._pending = command
+                return b""
+            return self._reply(key, self._refusal(command.ss, WRONG_STATE))
+        return self._reply(key, self._decide(command, t, actual))
+
+    def _decide(self, command: Start | Query | Stop | Reset, t: float, actual: Pose) -> Reply:
+        """The answer to a plain command, after doing it."""
+        state = self.state
+        match command:
+            case Start() if state is ArmState.READY:
+                self._begin(t, actual)
+            case Stop() if state in _FOLLOWS:
+                self._decelerate(None)
+            case Reset() if state is ArmState.FAULT:
+                self.state = ArmState.READY
+            case Query():
+                pass
+            case Stop() | Reset() if state is ArmState.READY:
+                pass
+            case Stop() if state is ArmState.DECELERATING:
+                pass
+            case _:
+                return self._refusal(command.ss, _REFUSES_ALL.get(state, WRONG_STATE))
+        return Ack(command.ss, self.state, actual)
+
+    def _reply(self, key: tuple[str, int], reply: Reply) -> bytes:
+        self._answered, self._answer = key, encode_reply(reply)
+        return self._answer
+
+    def _refusal(self, ss: int, code: int) -> Refusal:
+        self.counters.refused[code] += 1
+        return Refusal(ss, code)
+
+    # -- the cycle ----------------------------------------------------------------------------------------
+
+    def cycle(self, t: float, actual: Pose) -> bytes:
+        """One 16 ms cycle beginning at t (s) with the arm at `actual`; returns the answers."""
+        out = b""
+        if self._pending is not None:
+            setpoint, self._pending = self._pending, None
+            if self.state in _FOLLOWS:
+                reply = self._consume(setpoint, t, actual)
+                out += self._reply(("SetPoint", setpoint.ss), reply)
+        self._watch(t)
+        self._move()
+        if self.state is ArmState.DECELERATING and self._step == (0.0, 0.0):
+            self._come_to_rest()
+        out, self._unasked = out + self._unasked, b""
+        return out
+
+    def _consume(self, setpoint: SetPoint, t: float, actual: Pose) -> Reply:
+        pose = setpoint.pose
+        if not self.limits.contain(pose):
+            return self._refusal(setpoint.ss, OUTSIDE)
+        resumes = self.state is ArmState.HOLD or self._t_setpoint is None
+        far = _distance(pose, actual) > RESUME_WITHIN_M or abs(turn(pose.t_rad - actual.t_rad)) > RESUME_WITHIN_RAD
+        step, reach = _distance(pose, self.path), self.limits.v_max * CYCLE_S
+        if (resumes and far) or step > 3.0 * reach:
+            return self._refusal(setpoint.ss, STEP_TOO_LARGE)
+        self.counters.accepted += 1
+        self.counters.clamped += step > reach
+        self._target = pose
+        self._t_alive = self._t_setpoint = t
+        self.state = ArmState.TRACKING
+        return Ack(setpoint.ss, self.state, actual)
+
+    def _watch(self, t: float) -> None:
+        if self.state not in _FOLLOWS:
+            return
+        if t - self._t_alive >= GIVE_UP_AFTER_S - _SLACK:
+            self._decelerate(LINK_LOST)
+        elif self._t_setpoint is not None and t - self._t_setpoint >= HOLD_AFTER_S - _SLACK:
+            self.state = ArmState.HOLD
+
+    def _move(self) -> None:
+        """Moves the path one cycle on: towards the target where there is one, else to a stop."""
+        path, limits = self.path, self.limits
+        wanted = (0.0, 0.0)
+        if self.state is ArmState.TRACKING:
+            wanted = _towards(path, self._target, limits.v_max * CYCLE_S)
+        elif self.state is ArmState.MANUAL:
+            wanted = _towards(path, self._target, _JOG_M_S * CYCLE_S)
+        harder = _EMERGENCY if self.state is ArmState.ESTOP else 1.0
+        change = (wanted[0] - self._step[0], wanted[1] - self._step[1])
+        size, most = math.hypot(*change), harder * limits.a_max * CYCLE_S**2
+        if size > most:
+            self.counters.braked += self.state is ArmState.TRACKING
+            change = (change[0] * most / size, change[1] * most / size)
+            self._step = (self._step[0] + change[0], self._step[1] + change[1])
+        else:
+            self._step = wanted
+        angle = self._target.t_rad if self.state is ArmState.TRACKING else path.t_rad
+        self.path = Pose(path.x_m + self._step[0], path.y_m + self._step[1], angle)
+
+    def _begin(self, t: float, actual: Pose) -> None:
+        self.state = ArmState.TRACKING
+        self._target = self.path = actual
+        self._t_alive, self._t_setpoint, self._pending = t, None, None
+
+    def _decelerate(self, code: int | None) -> None:
+        self.state = ArmState.DECELERATING
+        self._stop_code, self._pending = code, None
+
+    def _come_to_rest(self) -> None:
+        code, self._stop_code = self._stop_code, None
+        self.state = ArmState.READY if code is None else ArmState.FAULT
+        if code is not None:
+            self._unasked += encode_reply(Refusal(self._last_ss, code))
+
+    # -- the operator, and the line's own troubles --------------------------------------------------------
+
+    def press_emergency_stop(self) -> None:
+        """Latches the e-stop: brakes hard, tells once."""
+        if self.state is not ArmState.ESTOP:
+            self.state, self._pending = ArmState.ESTOP, None
+            self._unasked += encode_reply(Refusal(self._last_ss, EMERGENCY_STOP))
+
+    def switch_power_off(self) -> None:
+        """Arm power goes; the brakes close."""
+        self.state, self._pending = ArmState.POWER_OFF, None
+
+    def switch_to_manual(self, jog_to: Pose) -> None:
+        """Manual mode; the operator jogs the arm slowly to `jog_to`."""
+        self.state, self._pending, self._target = ArmState.MANUAL, None, jog_to
+
+    def make_ready(self) -> None:
+        """The operator clears everything: plungers released, power on, automatic mode."""
+        self.state, self._pending, self._stop_code = ArmState.READY, None, None
+
+    def line_fault(self, code: int) -> None:
+        """A break, framing or overrun error on the line: a moving arm takes it for the loss of its link."""
+        if self.state in _FOLLOWS:
+            self._decelerate(code)
+
+
+def _distance(a: Pose, b: Pose) -> float:
+    return math.hypot(a.x_m - b.x_m, a.y_m - b.y_m)
+
+
+def _towards(start: Pose, target: Pose, most: float) -> tuple[float, float]:
+    """The step from start to target, at most `most` metres long."""
+    dx, dy = target.x_m - start.x_m, target.y_m - start.y_m
+    size = math.hypot(dx, dy)
+    return (dx, dy) if size <= most else (dx * most / size, dy * most / size)

@@ -1,0 +1,68 @@
+"""What the rig makes of the set-points it hears: limits checked at the far end of the wire. Pure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from palmd.config import LimitsConfig
+from palmd.devices.armlink import Pose
+from palmd.rig.arm import Linkage, turn
+from palmd.rig.controller import CYCLE_S
+
+_TOLERANCE = math.radians(0.05)  # micrometres on the wire are worth a thousandth of a degree or so
+_MOST_PHI12 = math.radians(172.0)
+_SEPARATE_S = 0.1  # set-points further apart belong to different motions
+
+
+@dataclass(slots=True)
+class SetpointJudge:
+    """Every set-point heard, valid or not, as palm angles: outside limits or not, and how fast they moved.
+
+    The rate is that between two set-points in a row, over the time between them but one cycle at least.
+    """
+
+    linkage: Linkage
+    limits: LimitsConfig
+    outside_limits: int = 0
+    largest_step_m: float = 0.0
+    largest_rate_rad_s: float = 0.0
+    largest_tool_error_rad: float = 0.0
+    _last: tuple[float, Pose, float, float] | None = None
+
+    def hear(self, pose: Pose, t: float) -> None:
+        """Takes a set-point heard at t (s)."""
+        angles = self.linkage.angles(pose.x_m, pose.y_m)
+        if angles is None:
+            self.outside_limits += 1
+            self._last = None
+            return
+        phi1, phi2 = angles
+        self.outside_limits += not (
+            _within(phi1, self.limits.phi1_deg)
+            and _within(phi2, self.limits.phi2_deg)
+            and phi1 + phi2 < _MOST_PHI12 + _TOLERANCE
+        )
+        tool_error = abs(turn(pose.t_rad - (phi1 + phi2 - self.linkage.yaw)))
+        self.largest_tool_error_rad = max(self.largest_tool_error_rad, tool_error)
+        if self._last is not None and t - self._last[0] < _SEPARATE_S:
+            t_last, before, phi1_before, phi2_before = self._last
+            span = max(CYCLE_S, t - t_last)
+            rate = max(abs(phi1 - phi1_before), abs(phi2 - phi2_before)) / span
+            step = math.hypot(pose.x_m - before.x_m, pose.y_m - before.y_m)
+            self.largest_rate_rad_s = max(self.largest_rate_rad_s, rate)
+            self.largest_step_m = max(self.largest_step_m, step)
+        self._last = (t, pose, phi1, phi2)
+
+    def as_dict(self) -> dict[str, float]:
+        """The findings, units in the names."""
+        return {
+            "setpoints_outside_limits": self.outside_limits,
+            "largest_step_mm": self.largest_step_m * 1e3,
+            "largest_rate_deg_s": math.degrees(self.largest_rate_rad_s),
+            "largest_tool_error_deg": math.degrees(self.largest_tool_error_rad),
+        }
+
+
+def _within(angle: float, range_deg: tuple[float, float]) -> bool:
+    return math.radians(range_deg[0]) - _TOLERANCE <= angle <= math.radians(range_deg[1]) + _TOLERANCE

@@ -1,0 +1,135 @@
+"""The emulated serial lines: pacing at line rate (pure), and the pseudo-terminals the host opens (I/O)."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import select
+import termios
+import tty
+from collections import deque
+from pathlib import Path
+
+import numpy as np
+
+READ_BYTES = 4096
+_OSPEED = 5
+_BAUD_OF = {getattr(termios, f"B{baud}"): baud for baud in (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)}
+_FLUSHED = 0x01  # TIOCPKT_FLUSHREAD: the host has flushed its input, as it does on opening
+
+
+class Wire:
+    """One direction of a line: a byte takes ten bit times, and waits for those before it. Pure."""
+
+    def __init__(self, baud: int) -> None:
+        self.byte_s = 10.0 / baud
+        self._bytes: deque[tuple[float, int]] = deque()
+        self._t_free = 0.0
+
+    def send(self, data: bytes, t: float) -> None:
+        """Hands over bytes at t (s); the first one has arrived one byte time later, if the line is free."""
+        t_done = max(t, self._t_free)
+        for byte in data:
+            t_done += self.byte_s
+            self._bytes.append((t_done, byte))
+        self._t_free = t_done
+
+    def take(self, t: float) -> bytes:
+        """The bytes that have arrived by t (s)."""
+        waiting = self._bytes
+        if not waiting or waiting[0][0] > t:
+            return b""
+        out = bytearray()
+        while waiting and waiting[0][0] <= t:
+            out.append(waiting.popleft()[1])
+        return bytes(out)
+
+
+class PtyLine:
+    """One pseudo-terminal under a steady name: a link that points to it as long as it is plugged in.
+
+    Never blocks. Bytes for a host that has not opened the port are lost, as on a real line; bytes exchanged
+    at another baud than the device's come out as noise.
+    """
+
+    def __init__(self, link: Path, baud: int, rng: np.random.Generator) -> None:
+        self.path = link
+        self.bytes_sent = 0
+        self.bytes_lost = 0
+        self._baud, self._rng = baud, rng
+        self._master: int | None = None
+        self._attached = False
+
+    @property
+    def plugged(self) -> bool:
+        """Whether the port exists at the moment."""
+        return self._master is not None
+
+    @property
+    def fileno(self) -> int:
+        """The descriptor to poll, −1 while the port does not exist."""
+        return -1 if self._master is None else self._master
+
+    def plug(self) -> None:
+        """Makes the port appear; does nothing if it is there."""
+        if self._master is not None:
+            return
+        master, slave = os.openpty()
+        tty.setraw(slave)
+        self._master = master
+        os.set_blocking(master, False)
+        _packet_mode(master)
+        with contextlib.suppress(FileNotFoundError):
+            self.path.unlink()
+        self.path.symlink_to(os.ttyname(slave))
+        os.close(slave)
+
+    def unplug(self) -> None:
+        """Makes the port vanish under the host's hands; does nothing if it is gone."""
+        if self._master is None:
+            return
+        with contextlib.suppress(FileNotFoundError):
+            self.path.unlink()
+        os.close(self._master)
+        self._master, self._attached = None, False
+
+    def read(self, events: int) -> tuple[bytes, bool]:
+        """What the host has written, and whether it has opened or flushed the port, given poll()'s events."""
+        self._attached = not events & select.POLLHUP
+        out, flushed = b"", False
+        while self._master is not None and events & (select.POLLIN | select.POLLPRI):
+            try:
+                packet = os.read(self._master, READ_BYTES)
+            except OSError:  # nothing more to read, or nobody at the other end any longer
+                break
+            if packet[0] == 0:
+                out += packet[1:]
+            else:
+                flushed = flushed or bool(packet[0] & _FLUSHED)
+        return self._as_heard(out), flushed
+
+    def write(self, data: bytes) -> None:
+        """Offers bytes to the host."""
+        if not data:
+            return
+        written = 0
+        if self._master is not None and self._attached:
+            with contextlib.suppress(OSError):
+                written = os.write(self._master, self._as_heard(data))
+        self.bytes_sent += written
+        self.bytes_lost += len(data) - written
+
+    def _as_heard(self, data: bytes) -> bytes:
+        if not data or self._master is None or self._host_baud() == self._baud:
+            return data
+        return bytes(self._rng.integers(0, 256, len(data), dtype=np.uint8))
+
+    def _host_baud(self) -> int | None:
+        assert self._master is not None
+        return _BAUD_OF.get(termios.tcgetattr(self._master)[_OSPEED])
+
+
+def _packet_mode(master: int) -> None:
+    """Asks for a status byte before each read's data, so that a flush by the host can be seen."""
+    fcntl.ioctl(master, termios.TIOCPKT, b"\x01\x00\x00\x00")

@@ -1,0 +1,459 @@
+"""The emulated object between two moving palms: Newton–Euler in the world with constraint forces. Pure.
+
+Written on purpose in another form than the observer's model: the state is the body's place and velocity in
+the world (x, y, ψ and their rates), the palms are moving lines through the hinge, and each contact is a
+unilateral constraint on the gap
+
+    γ(c, ψ, t) = n·(c − O) − h(θ),   θ = angle(−n) − ψ,
+
+whose second derivative, set to zero, gives the normal force. Friction opposes the slip of the body's
+material on the palm; on a vibrated palm it grows smoothly through zero slip. World frame: gravity along −Y,
+SI units; forces are per unit mass (m/s²) inside and in newtons in what is reported.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from palmd.events import HingeMode, PalmMotion
+from palmd.rig.shapes import Body, Kind
+
+PadPair = tuple[float, float]
+FrictionLaw = Literal["dither", "coulomb"]
+
+PAD_LENGTH = 0.0555  # m, from the hinge outwards
+_COULOMB_SLIP = 1e-3  # m/s: the hard law's linear part, as steep as a 0.5 ms step allows
+_DRIFT_RATE = 80.0  # 1/s: numerical drift of a closed gap is pulled back at this rate, critically damped
+_SOFT_BLOW = 0.02  # m/s: below it a blow closes both contacts, or they would chatter for ever
+_LOST_DISTANCE = 0.25  # m from the hinge: an object this far is on the floor
+
+
+@dataclass(frozen=True, slots=True)
+class Hinge:
+    """Where the palms meet: `fixed` at `base`, or on an arc of palm1_length (m) round `base` (world, m)."""
+
+    mode: HingeMode = "arc"
+    palm1_length: float = 0.12
+    base: tuple[float, float] = (0.12, 0.0)
+
+    def at(self, phi1: float) -> tuple[float, float]:
+        """The hinge O in the world (m); O = B − L1·t1(φ1) on the arc."""
+        if self.mode == "fixed":
+            return self.base
+        bx, by = self.base
+        return bx - self.palm1_length * math.cos(phi1), by - self.palm1_length * math.sin(phi1)
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """What the contact rubs against: mu (–), dither speed u_d (m/s), damping c (m²/s, per unit mass)."""
+
+    mu: float = 0.0
+    dither: float = 0.01
+    damping: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class PlantOptions:
+    """Where the emulated rig departs from what the observer takes for granted; the defaults depart nowhere.
+
+    friction_law: smoothed by dither, or hard `coulomb`. hinge_travels: false pins the hinge of an arc rig.
+    lag_s: the palms move this much later than the plan says. pad_bias_m: constant reading error of each pad.
+    pad_bow_m: reading error of each pad's middle against its ends, a half sine along the pad.
+    """
+
+    friction_law: FrictionLaw = "dither"
+    hinge_travels: bool = True
+    lag_s: float = 0.0
+    pad_bias_m: PadPair = (0.0, 0.0)
+    pad_bow_m: PadPair = (0.0, 0.0)
+
+    def pad_error_m(self, pad: int, s: float) -> float:
+        """Reading error (m) of pad 1 or 2 at distance s (m) from the hinge."""
+        return self.pad_bias_m[pad - 1] + self.pad_bow_m[pad - 1] * math.sin(math.pi * s / PAD_LENGTH)
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """One palm's contact: s (m) from the hinge, force (N), and whether the body touches there."""
+
+    touching: bool
+    s: float
+    force: float
+
+
+@dataclass(slots=True)
+class BodyState:
+    """Place and velocity of the COM (world, m, m/s) and the body's angle and rate (rad, rad/s)."""
+
+    x: float
+    y: float
+    psi: float
+    vx: float = 0.0
+    vy: float = 0.0
+    omega0: float = 0.0
+
+
+AS_ASSUMED = PlantOptions()
+"""The plant the observer has in mind."""
+
+
+class PalmFrame(NamedTuple):
+    """All the equations need of the palms at one instant; a tuple, as it is unpacked 8000 times a second.
+
+    Cosine and sine of both palms' directions (φ1, φ12), the directions of the body's outward normals at the
+    contacts, the palms' rates and accelerations, and the hinge's place, velocity and acceleration. SI, world.
+    """
+
+    c1: float
+    s1: float
+    c12: float
+    s12: float
+    out1: float
+    out2: float
+    w1: float
+    w12: float
+    al1: float
+    al12: float
+    ox: float
+    oy: float
+    vox: float
+    voy: float
+    aox: float
+    aoy: float
+
+
+_Rates = tuple[float, float, float, float, float]  # ax, ay, alpha0, f1, f2
+
+
+def random_surface(kind: Kind, rng: np.random.Generator) -> Surface:
+    """What bodies of the kind rub against: light damping alone for `nominal`, else friction with dither."""
+    if kind == "nominal":
+        return Surface(damping=float(rng.uniform(3.5e-4, 7.5e-4)))
+    return Surface(mu=float(rng.uniform(0.04, 0.25)), dither=float(rng.uniform(8e-3, 20e-3)))
+
+
+def palm_frame(hinge: Hinge, palms: PalmMotion) -> PalmFrame:
+    """Everything the equations need of the palms at one instant."""
+    phi1, w1, a1 = palms.phi1, palms.omega1, palms.alpha1
+    phi12 = phi1 + palms.phi2
+    c1, s1 = math.cos(phi1), math.sin(phi1)
+    ox, oy = hinge.base
+    vox = voy = aox = aoy = 0.0
+    if hinge.mode == "arc":
+        length = hinge.palm1_length
+        ox -= length * c1
+        oy -= length * s1
+        vox, voy = length * w1 * s1, -length * w1 * c1
+        aox, aoy = length * (a1 * s1 + w1 * w1 * c1), length * (w1 * w1 * s1 - a1 * c1)
+    return PalmFrame(
+        c1, s1, math.cos(phi12), math.sin(phi12), phi1 - 0.5 * math.pi, phi12 + 0.5 * math.pi,
+        w1, w1 + palms.omega2, a1, a1 + palms.alpha2, ox, oy, vox, voy, aox, aoy,
+    )  # fmt: skip
+
+
+class Plant:
+    """One body on the palms, advanced in steps of about half a millisecond by fourth-order Runge–Kutta.
+
+    The contact state changes between steps only: a pulling contact is let go, a closing gap is an inelastic
+    impact. A body whose contact leaves the palm's reach (0…`reach` m from the hinge) falls off and stays off
+    until `place` is called.
+    """
+
+    def __init__(
+        self,
+        body: Body,
+        hinge: Hinge,
+        surface: Surface,
+        *,
+        options: PlantOptions = AS_ASSUMED,
+        gravity: float = 9.81,
+        reach: PadPair = (PAD_LENGTH, PAD_LENGTH),
+    ) -> None:
+        self.body = body
+        self.hinge = hinge if options.hinge_travels else Hinge("fixed", hinge.palm1_length, hinge.base)
+        self.surface = surface
+        self.law = options.friction_law
+        self.gravity = gravity
+        self.reach = reach
+        self.fallen = True
+        self.state = BodyState(0.0, 0.0, 0.0)
+        self._on1 = self._on2 = False
+        self._frame = palm_frame(self.hinge, PalmMotion(0.8, 1.6))
+        self._rates: _Rates = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+    # -- placing and looking ------------------------------------------------------------------------------
+
+    def place(self, palms: PalmMotion, psi: float, omega0: float = 0.0) -> None:
+        """Puts the body on both palms at angle psi (rad), turning at omega0 (rad/s), both gaps closed."""
+        frame = self._frame = palm_frame(self.hinge, palms)
+        x, y = _seat(self.body, frame, psi)
+        state = self.state = BodyState(x, y, psi, 0.0, 0.0, omega0)
+        rate1, rate2 = self._gap_rates(frame, state)
+        state.vx, state.vy = _cross_solve(frame, -rate1, -rate2)
+        self._on1 = self._on2 = True
+        self.fallen = False
+        self._settle_contacts()
+
+    @property
+    def touching(self) -> tuple[bool, bool]:
+        """Whether the body touches palm 1, palm 2."""
+        return self._on1, self._on2
+
+    def contacts(self) -> tuple[Contact, Contact]:
+        """Both contacts as they are now; `touching` is false where there is a gap or the body has fallen."""
+        state, frame = self.state, self._frame
+        s1, s2 = _contact_distances(self.body, frame, state)
+        _, _, _, f1, f2 = self._rates
+        mass = self.body.mass
+        return Contact(self._on1, s1, mass * f1), Contact(self._on2, s2, mass * f2)
+
+    def radii(self) -> tuple[float, float]:
+        """r1 and r2 (m): the support function at both contact normals."""
+        at, psi = self.body.support.at, self.state.psi
+        return at(self._frame.out1 - psi)[0], at(self._frame.out2 - psi)[0]
+
+    def energy(self) -> float:
+        """Kinetic and potential energy per unit mass (m²/s²)."""
+        q = self.state
+        kinetic = 0.5 * (q.vx**2 + q.vy**2 + (self.body.rho * q.omega0) ** 2)
+        return kinetic + self.gravity * q.y
+
+    # -- going on -----------------------------------------------------------------------------------------
+
+    def take_away(self) -> None:
+        """Removes the body from the palms until it is placed again."""
+        self.fallen = True
+        self._on1 = self._on2 = False
+        self._rates = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def advance(self, middle: PalmMotion, end: PalmMotion, dt: float) -> None:
+        """One Runge–Kutta step of dt seconds; `middle` and `end` are the palms half-way and at its end."""
+        if self.fallen:
+            self._frame = palm_frame(self.hinge, end)
+            return
+        q = self.state
+        x, y, psi, vx, vy, w = q.x, q.y, q.psi, q.vx, q.vy, q.omega0
+        half, sixth = 0.5 * dt, dt / 6.0
+        mid, last = palm_frame(self.hinge, middle), palm_frame(self.hinge, end)
+        ax1, ay1, al1, _, _ = self._rates
+        vx2, vy2, w2 = vx + half * ax1, vy + half * ay1, w + half * al1
+        ax2, ay2, al2, _, _ = self._solve(mid, x + half * vx, y + half * vy, psi + half * w, vx2, vy2, w2)
+        vx3, vy3, w3 = vx + half * ax2, vy + half * ay2, w + half * al2
+        ax3, ay3, al3, _, _ = self._solve(mid, x + half * vx2, y + half * vy2, psi + half * w2, vx3, vy3, w3)
+        vx4, vy4, w4 = vx + dt * ax3, vy + dt * ay3, w + dt * al3
+        ax4, ay4, al4, _, _ = self._solve(last, x + dt * vx3, y + dt * vy3, psi + dt * w3, vx4, vy4, w4)
+        q.x = x + sixth * (vx + 2.0 * (vx2 + vx3) + vx4)
+        q.y = y + sixth * (vy + 2.0 * (vy2 + vy3) + vy4)
+        q.psi = psi + sixth * (w + 2.0 * (w2 + w3) + w4)
+        q.vx = vx + sixth * (ax1 + 2.0 * (ax2 + ax3) + ax4)
+        q.vy = vy + sixth * (ay1 + 2.0 * (ay2 + ay3) + ay4)
+        q.omega0 = w + sixth * (al1 + 2.0 * (al2 + al3) + al4)
+        self._frame = last
+        self._settle_contacts()
+
+    def _settle_contacts(self) -> None:
+        """Makes the contacts agree with gaps and forces, and leaves the accelerations for the next step."""
+        self._close_gaps()
+        rates = self._accelerations()
+        while (self._on1 and rates[3] < 0.0) or (self._on2 and rates[4] < 0.0):
+            if self._on1 and (rates[3] <= rates[4] or not self._on2):
+                self._on1 = False
+            else:
+                self._on2 = False
+            rates = self._accelerations()
+        self._rates = rates
+        self._drop_if_off_the_palms()
+
+    def _accelerations(self) -> _Rates:
+        q = self.state
+        return self._solve(self._frame, q.x, q.y, q.psi, q.vx, q.vy, q.omega0)
+
+    def _close_gaps(self) -> None:
+        """Turns each gap that has closed into a contact, with an inelastic impact."""
+        if self._on1 and self._on2:
+            return
+        q, frame = self.state, self._frame
+        gap1, gap2 = _gaps(self.body, frame, q)
+        hit1, hit2 = not self._on1 and gap1 < 0.0, not self._on2 and gap2 < 0.0
+        if not (hit1 or hit2):
+            return
+        self._on1, self._on2 = self._on1 or hit1, self._on2 or hit2
+        dx, dy = _cross_solve(frame, -gap1 if self._on1 else 0.0, -gap2 if self._on2 else 0.0)
+        q.x, q.y = q.x + dx, q.y + dy
+        self._impact()
+
+    def _impact(self) -> None:
+        """Frictionless impulses along the normals of the closed contacts that stop their approach."""
+        q, frame = self.state, self._frame
+        (n1x, n1y), (n2x, n2y) = _normals(frame)
+        _, d1, _ = self.body.support.at(frame.out1 - q.psi)
+        _, d2, _ = self.body.support.at(frame.out2 - q.psi)
+        j = 1.0 / self.body.rho**2
+        a11, a22 = 1.0 + d1 * d1 * j, 1.0 + d2 * d2 * j
+        a12 = n1x * n2x + n1y * n2y + d1 * d2 * j
+        rate1, rate2 = self._gap_rates(frame, q)
+        alone1, alone2 = max(-rate1 / a11, 0.0), max(-rate2 / a22, 0.0)
+        if not (self._on1 and self._on2):
+            p1, p2 = (alone1, 0.0) if self._on1 else (0.0, alone2)
+        else:
+            det = a11 * a22 - a12 * a12
+            p1, p2 = (a12 * rate2 - a22 * rate1) / det, (a12 * rate1 - a11 * rate2) / det
+            if min(p1, p2) < 0.0 and min(rate1, rate2) < -_SOFT_BLOW:
+                # one of the two would have to pull: it opens, the other takes the blow
+                p1, p2 = (alone1, 0.0) if p2 < p1 else (0.0, alone2)
+        q.vx += p1 * n1x + p2 * n2x
+        q.vy += p1 * n1y + p2 * n2y
+        q.omega0 += (p1 * d1 + p2 * d2) * j
+        rate1, rate2 = self._gap_rates(frame, q)
+        self._on1, self._on2 = self._on1 and rate1 <= 1e-9, self._on2 and rate2 <= 1e-9
+
+    def _gap_rates(self, frame: PalmFrame, q: BodyState) -> tuple[float, float]:
+        c1, s1, c12, s12, out1, out2, w1, w12, _, _, ox, oy, vox, voy, _, _ = frame
+        rx, ry, ux, uy = q.x - ox, q.y - oy, q.vx - vox, q.vy - voy
+        _, h1_slope, _ = self.body.support.at(out1 - q.psi)
+        _, h2_slope, _ = self.body.support.at(out2 - q.psi)
+        rate1 = c1 * uy - s1 * ux - w1 * (c1 * rx + s1 * ry) - h1_slope * (w1 - q.omega0)
+        rate2 = s12 * ux - c12 * uy + w12 * (c12 * rx + s12 * ry) - h2_slope * (w12 - q.omega0)
+        return rate1, rate2
+
+    def _drop_if_off_the_palms(self) -> None:
+        q, frame = self.state, self._frame
+        s1, s2 = _contact_distances(self.body, frame, q)
+        off1 = self._on1 and not 0.0 < s1 < self.reach[0]
+        off2 = self._on2 and not 0.0 < s2 < self.reach[1]
+        if off1 or off2 or math.hypot(q.x - frame.ox, q.y - frame.oy) > _LOST_DISTANCE:
+            self.take_away()
+
+    def _solve(self, frame: PalmFrame, x: float, y: float, psi: float, vx: float, vy: float, w: float) -> _Rates:
+        """Accelerations of the COM and of ψ, and both contact forces per unit mass, for the present contacts.
+
+        The gaps' second derivatives are linear in the forces, γ̈ = A·f + b, and are asked to be zero up to the
+        drift correction; friction enters A because it is proportional to the normal force.
+        """
+        c1, s1, c12, s12, out1, out2, w1, w12, al1, al12, ox, oy, vox, voy, aox, aoy = frame
+        g = self.gravity
+        rho2 = self.body.rho**2
+        surface = self.surface
+        damping = -surface.damping * w / rho2
+        on1, on2 = self._on1, self._on2
+        f1 = f2 = 0.0
+        rx, ry, ux, uy = x - ox, y - oy, vx - vox, vy - voy
+        gx, gy = -aox, -g - aoy
+        at = self.body.support.at
+        if on1:
+            h1, h1p, h1pp = at(out1 - psi)
+            along = c1 * rx + s1 * ry
+            normal = c1 * ry - s1 * rx
+            spin = w1 - w
+            rate = c1 * uy - s1 * ux - w1 * along - h1p * spin
+            b1 = (
+                c1 * gy - s1 * gx - 2.0 * w1 * (c1 * ux + s1 * uy) - al1 * along - w1 * w1 * normal
+                - h1pp * spin * spin - h1p * (al1 - damping)
+                + _DRIFT_RATE * (2.0 * rate + _DRIFT_RATE * (normal - h1))
+            )  # fmt: skip
+            # slip of the body's material along t1 relative to the palm's, at the contact x1 = −h·n1 + h′·t1
+            k1 = self._friction(c1 * ux + s1 * uy + w * h1 + w1 * (normal - h1))
+            f1x, f1y = -s1 - k1 * c1, c1 - k1 * s1
+            m1 = h1p - k1 * h1
+        if on2:
+            h2, h2p, h2pp = at(out2 - psi)
+            along = c12 * rx + s12 * ry
+            normal = s12 * rx - c12 * ry
+            spin = w12 - w
+            rate = s12 * ux - c12 * uy + w12 * along - h2p * spin
+            b2 = (
+                s12 * gx - c12 * gy + 2.0 * w12 * (c12 * ux + s12 * uy) + al12 * along - w12 * w12 * normal
+                - h2pp * spin * spin - h2p * (al12 - damping)
+                + _DRIFT_RATE * (2.0 * rate + _DRIFT_RATE * (normal - h2))
+            )  # fmt: skip
+            k2 = self._friction(-c12 * ux - s12 * uy + w * h2 + w12 * (normal - h2))
+            f2x, f2y = s12 + k2 * c12, -c12 + k2 * s12
+            m2 = h2p - k2 * h2
+        ax, ay, al = 0.0, -g, damping
+        if on1 and on2:
+            a11, a22 = 1.0 + h1p * m1 / rho2, 1.0 + h2p * m2 / rho2
+            a12 = c1 * f2y - s1 * f2x + h1p * m2 / rho2
+            a21 = s12 * f1x - c12 * f1y + h2p * m1 / rho2
+            det = a11 * a22 - a12 * a21
+            f1, f2 = (a12 * b2 - a22 * b1) / det, (a21 * b1 - a11 * b2) / det
+            return f1 * f1x + f2 * f2x, ay + f1 * f1y + f2 * f2y, al + (f1 * m1 + f2 * m2) / rho2, f1, f2
+        if on1:
+            f1 = -b1 / (1.0 + h1p * m1 / rho2)
+            ax, ay, al = f1 * f1x, ay + f1 * f1y, al + f1 * m1 / rho2
+        elif on2:
+            f2 = -b2 / (1.0 + h2p * m2 / rho2)
+            ax, ay, al = f2 * f2x, ay + f2 * f2y, al + f2 * m2 / rho2
+        return ax, ay, al, f1, f2
+
+    def _friction(self, slip: float) -> float:
+        """Tangential over normal force at a slip speed (m/s): µ·u/√(u²+u_d²), or hard Coulomb's µ·sign u."""
+        surface = self.surface
+        if surface.mu == 0.0:
+            return 0.0
+        if self.law == "coulomb":
+            return surface.mu * max(-1.0, min(1.0, slip / _COULOMB_SLIP))
+        return surface.mu * slip / math.sqrt(slip * slip + surface.dither * surface.dither)
+
+
+def _normals(frame: PalmFrame) -> tuple[tuple[float, float], tuple[float, float]]:
+    """The palms' normals into the space between them, n1 and n2."""
+    return (-frame.s1, frame.c1), (frame.s12, -frame.c12)
+
+
+def _cross_solve(frame: PalmFrame, a: float, b: float) -> tuple[float, float]:
+    """The vector p with n1·p = a and n2·p = b."""
+    c1, s1, c12, s12 = frame.c1, frame.s1, frame.c12, frame.s12
+    sin_phi2 = c1 * s12 - s1 * c12
+    return (a * c12 + b * c1) / sin_phi2, (a * s12 + b * s1) / sin_phi2
+
+
+def _seat(body: Body, frame: PalmFrame, psi: float) -> tuple[float, float]:
+    """Where the COM is when the body touches both palms at angle psi."""
+    x, y = _cross_solve(frame, body.support.at(frame.out1 - psi)[0], body.support.at(frame.out2 - psi)[0])
+    return frame.ox + x, frame.oy + y
+
+
+def _gaps(body: Body, frame: PalmFrame, q: BodyState) -> tuple[float, float]:
+    """Clearances under palm 1 and palm 2 (m), negative when overlapping."""
+    c1, s1, c12, s12, out1, out2 = frame[:6]
+    rx, ry = q.x - frame.ox, q.y - frame.oy
+    return (
+        c1 * ry - s1 * rx - body.support.at(out1 - q.psi)[0],
+        s12 * rx - c12 * ry - body.support.at(out2 - q.psi)[0],
+    )
+
+
+def _contact_distances(body: Body, frame: PalmFrame, q: BodyState) -> tuple[float, float]:
+    """Distance from the hinge, along each palm, of the body's point nearest to it (m)."""
+    c1, s1, c12, s12, out1, out2 = frame[:6]
+    rx, ry = q.x - frame.ox, q.y - frame.oy
+    return (
+        c1 * rx + s1 * ry + body.support.at(out1 - q.psi)[1],
+        c12 * rx + s12 * ry - body.support.at(out2 - q.psi)[1],
+    )
+
+
+def stable_poses(body: Body, palms: PalmMotion) -> list[float]:
+    """The angles ψ in [0, 2π) at which the COM is lowest among its neighbours (rad), lowest of all first."""
+    frame = palm_frame(Hinge("fixed"), palms)
+    count = 360
+    heights = [_seat(body, frame, math.tau * i / count)[1] for i in range(count)]
+    minima = [i for i in range(count) if heights[i - 1] > heights[i] <= heights[(i + 1) % count]]
+    minima.sort(key=heights.__getitem__)
+    return [_lowest(body, frame, math.tau * i / count, math.tau / count) for i in minima]
+
+
+def _lowest(body: Body, frame: PalmFrame, psi: float, width: float) -> float:
+    """The height's minimum within ±width of psi, where dy/dψ = −(h1′ sin φ12 + h2′ sin φ1)/sin φ2 is zero."""
+    s1, s12, out1, out2 = frame.s1, frame.s12, frame.out1, frame.out2
+    low, high = psi - width, psi + width
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        slope = -(body.support.at(out1 - middle)[1] * s12 + body.support.at(out2 - middle)[1] * s1)
+        low, high = (middle, high) if slope < 0.0 else (low, middle)
+    return (0.5 * (low + high)) % math.tau

@@ -1,0 +1,263 @@
+"""Event logs with their truth from the emulated plant, without wires: `simulate_log` and a small command.
+
+The logs have the form, the noise and the sampling of the project's event logs: palms that rock on one sine
+each, eased in over the first second, and four kinds of run:
+
+    nominal   no friction, light damping, released away from rest, samples each 10 ms
+    friction  friction with dither, started at rest, irregular samples in three bands
+    rig       as friction, and the hinge travels on an arc
+    odd       ellipses, strongly curved bodies, bodies whose mass is off-centre
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palmd.events import FloatArray, PalmMotion
+from palmd.rig.plant import (
+    AS_ASSUMED,
+    PAD_LENGTH,
+    Hinge,
+    Plant,
+    PlantOptions,
+    Surface,
+    random_surface,
+    stable_poses,
+)
+from palmd.rig.shapes import KINDS, Body, Kind, random_body
+
+Line = dict[str, Any]
+
+STEP_S = 5e-4
+_STEPS_PER_TRUTH = 20  # truth each 10 ms
+_ARM_PERIOD_S = 0.016
+_PAD_PERIOD_S = 0.010
+_PACKET_S = 0.00625  # one packet at 9600 baud: the three reporting bands are one, two and three of these
+_BAND_WEIGHTS = (0.55, 0.30, 0.15)
+_BAND_JITTER_S = 0.002
+_PAD_NOISE_M, _PAD_RESOLUTION_M = 1e-4, 1.27e-4
+_FORCE_SCALE_STD, _FORCE_RESOLUTION_N = 0.05, 0.02
+_PALM_NOISE_RAD = 2e-4
+_ANGLE_COLUMNS = ("phi1_rad", "phi2_rad")
+_COLUMNS = ("t", "psi_rad", "omega0_rad_s", "r1_m", "r2_m", "s1_m", "s2_m", *_ANGLE_COLUMNS, "f1_n", "f2_n")
+_PAD_MARGIN_M = 3e-3
+_MIN_FORCE = 0.1  # m/s²: below it the contact is as good as lost
+
+
+@dataclass(frozen=True, slots=True)
+class Rock:
+    """One palm's angle: mean + w(t)·amplitude·sin(2πft + phase), w easing in over the first second."""
+
+    mean: float
+    amplitude: float
+    frequency: float
+    phase: float
+
+    def at(self, t: float) -> tuple[float, float, float]:
+        """Angle, rate and acceleration (rad, rad/s, rad/s²) at t ≥ 0 (s); at rest before."""
+        u = min(max(t, 0.0), 1.0)
+        w = u**3 * (10.0 - 15.0 * u + 6.0 * u * u)
+        dw = 30.0 * u * u * (1.0 - u) ** 2
+        ddw = 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u)
+        k = math.tau * self.frequency
+        s, c = math.sin(k * t + self.phase), math.cos(k * t + self.phase)
+        a = self.amplitude
+        return (
+            self.mean + a * w * s,
+            a * (dw * s + w * k * c),
+            a * (ddw * s + 2.0 * dw * k * c - w * k * k * s),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Rocking:
+    """Both palms' motion."""
+
+    palm1: Rock
+    palm2: Rock
+
+    def at(self, t: float) -> PalmMotion:
+        """Angles, rates, accelerations of both palms at t (s)."""
+        phi1, omega1, alpha1 = self.palm1.at(t)
+        phi2, omega2, alpha2 = self.palm2.at(t)
+        return PalmMotion(phi1, phi2, omega1, omega2, alpha1, alpha2)
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """Everything one run is made of, drawn at random from a seed."""
+
+    kind: Kind
+    body: Body
+    hinge: Hinge
+    surface: Surface
+    rocking: Rocking
+
+
+def simulate_log(
+    kind: Kind,
+    seed: int,
+    duration_s: float = 10.0,
+    options: PlantOptions = AS_ASSUMED,
+) -> tuple[list[Line], Line]:
+    """A run of the kind as event-log lines (header first), and its truth; the same seed, the same run.
+
+    Scenes in which a contact would be lost, or come near a pad's end, are drawn again.
+    """
+    rng = np.random.default_rng([KINDS.index(kind), seed])
+    while True:
+        scene = _draw(kind, rng)
+        history = _run(scene, duration_s, options)
+        if history is not None:
+            return list(_log_lines(scene, history, options, rng)), _truth(scene, history)
+
+
+def _draw(kind: Kind, rng: np.random.Generator) -> Scene:
+    """A scene of the kind, its body turned so that ψ starts at 0."""
+    body = random_body(kind, rng)
+    rocking = Rocking(
+        Rock(*_uniform(rng, (0.68, 0.82), (0.35, 0.70), (0.16, 0.38), (-math.pi, math.pi))),
+        Rock(*_uniform(rng, (1.50, 1.82), (0.10, 0.28), (0.17, 0.42), (-math.pi, math.pi))),
+    )
+    surface = random_surface(kind, rng)
+    release = float(rng.choice((-1.0, 1.0)) * rng.uniform(0.12, 0.5)) if kind == "nominal" else 0.0
+    hinge = Hinge("fixed", base=(0.0, 0.0))
+    if kind == "rig":
+        length = float(rng.uniform(0.09, 0.15))
+        hinge = Hinge("arc", length, (length, 0.0))
+    poses = stable_poses(body, rocking.at(0.0))
+    psi = poses[int(rng.integers(len(poses)))] + release
+    return Scene(kind, body.turned(psi), hinge, surface, rocking)
+
+
+def _uniform(rng: np.random.Generator, *ranges: tuple[float, float]) -> list[float]:
+    return [float(rng.uniform(low, high)) for low, high in ranges]
+
+
+def _run(scene: Scene, duration_s: float, options: PlantOptions) -> FloatArray | None:
+    """Rows of `_COLUMNS` each 0.5 ms, None if contact was lost."""
+    plant = Plant(scene.body, scene.hinge, scene.surface, options=options)
+    lag, rocking = options.lag_s, scene.rocking
+    palms = rocking.at(-lag)
+    plant.place(palms, psi=0.0)
+    rows = []
+    low, high, least = _PAD_MARGIN_M, PAD_LENGTH - _PAD_MARGIN_M, _MIN_FORCE * scene.body.mass
+    for k in range(round(duration_s / STEP_S) + 1):
+        contact1, contact2 = plant.contacts()
+        if min(contact1.force, contact2.force) < least:
+            return None
+        if not (low < contact1.s < high and low < contact2.s < high):
+            return None
+        r1, r2 = plant.radii()
+        q = plant.state
+        angles, forces = (palms.phi1, palms.phi2), (contact1.force, contact2.force)
+        rows.append((k * STEP_S, q.psi, q.omega0, r1, r2, contact1.s, contact2.s, *angles, *forces))
+        middle = rocking.at((k + 0.5) * STEP_S - lag)
+        palms = rocking.at((k + 1) * STEP_S - lag)
+        plant.advance(middle, palms, STEP_S)
+    return np.array(rows)
+
+
+def _log_lines(scene: Scene, history: FloatArray, options: PlantOptions, rng: np.random.Generator) -> Iterator[Line]:
+    """The header, then palms and pads in time order with their noise and rounding."""
+    hinge: Line = {"mode": scene.hinge.mode}
+    if scene.hinge.mode == "arc":
+        hinge["palm1_length_m"] = scene.hinge.palm1_length
+    pad = {"length_m": PAD_LENGTH, "noise_m": _PAD_NOISE_M, "resolution_m": _PAD_RESOLUTION_M}
+    rig = {"gravity_m_s2": 9.81, "hinge": hinge, "pad": pad, "force_scale_std": _FORCE_SCALE_STD}
+    yield {"palmd_log": 1, "rig": rig}
+    duration = float(history[-1, 0])
+    events = list(_palm_lines(scene, history, rng))
+    for number in (1, 2):
+        times = _sample_times(scene.kind, duration, rng)
+        events += _pad_lines(number, times, history, options, rng)
+    yield from sorted(events, key=lambda line: float(line["t"]))
+
+
+def _palm_lines(scene: Scene, history: FloatArray, rng: np.random.Generator) -> Iterator[Line]:
+    """The arm's reports: measured angles, the plan's own rates and accelerations."""
+    for i in range(int(history[-1, 0] / _ARM_PERIOD_S)):
+        t = i * _ARM_PERIOD_S
+        plan = scene.rocking.at(t)
+        phi1, phi2 = (float(np.interp(t, history[:, 0], history[:, column])) for column in (7, 8))
+        noise = rng.normal(0.0, _PALM_NOISE_RAD, 2)
+        palms = {
+            "phi1_rad": round(phi1 + float(noise[0]), 7),
+            "phi2_rad": round(phi2 + float(noise[1]), 7),
+            "omega1_rad_s": round(plan.omega1, 7),
+            "omega2_rad_s": round(plan.omega2, 7),
+            "alpha1_rad_s2": round(plan.alpha1, 7),
+            "alpha2_rad_s2": round(plan.alpha2, 7),
+        }
+        yield {"t": round(t, 6), "palms": palms}
+
+
+def _sample_times(kind: Kind, duration: float, rng: np.random.Generator) -> FloatArray:
+    """When one pad reports: each 10 ms, or in three bands of mean 10 ms and s.d. 5 ms."""
+    t = float(rng.uniform(0.0, _PAD_PERIOD_S))
+    if kind in ("nominal", "odd"):
+        return np.arange(t, duration - 0.03, _PAD_PERIOD_S)
+    count = int(duration / 0.005)
+    bands = rng.choice((1.0, 2.0, 3.0), count, p=_BAND_WEIGHTS) * _PACKET_S
+    gaps = np.maximum(bands + rng.normal(0.0, _BAND_JITTER_S, count), 1e-4)
+    times = t + np.cumsum(gaps) - gaps[0]
+    return np.asarray(times[times < duration - 0.03])
+
+
+def _pad_lines(
+    pad: int, times: FloatArray, history: FloatArray, options: PlantOptions, rng: np.random.Generator
+) -> Iterator[Line]:
+    """One pad's readings with bias, bow, noise and rounding."""
+    s = np.interp(times, history[:, 0], history[:, 4 + pad])
+    force = np.interp(times, history[:, 0], history[:, 8 + pad])
+    s += np.array([options.pad_error_m(pad, float(true)) for true in s])
+    s = s + rng.normal(0.0, _PAD_NOISE_M, len(s))
+    force = force * (1.0 + rng.normal(0.0, _FORCE_SCALE_STD, len(s)))
+    s = np.round(s / _PAD_RESOLUTION_M) * _PAD_RESOLUTION_M
+    force = np.maximum(np.round(force / _FORCE_RESOLUTION_N) * _FORCE_RESOLUTION_N, 0.0)
+    for t, s_m, force_n in zip(times.tolist(), s.tolist(), force.tolist(), strict=True):
+        yield {"t": round(t, 6), "pad": pad, "s_m": round(s_m, 6), "force_n": round(force_n, 2)}
+
+
+def _truth(scene: Scene, history: FloatArray) -> Line:
+    """What was really there, in the fields of the reference truth files."""
+    theta: FloatArray = np.arange(360, dtype=np.float64) * (math.tau / 360)
+    columns = history[::_STEPS_PER_TRUTH].T.tolist()
+    return {
+        "kind": scene.kind,
+        "shape": scene.body.shape,
+        "rho_m": scene.body.rho,
+        "mass_kg": scene.body.mass,
+        "mu": scene.surface.mu,
+        "dither_m_s": scene.surface.dither if scene.surface.mu else None,
+        "damping_m2_s": scene.surface.damping,
+        "theta_rad": theta.tolist(),
+        "h_m": scene.body.support.sample(theta).tolist(),
+    } | dict(zip(_COLUMNS, columns, strict=True))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Writes one simulated log, and its truth beside it as `*.truth.json`."""
+    parser = argparse.ArgumentParser(prog="python -m palmd.rig.simulate", description=main.__doc__)
+    parser.add_argument("--kind", choices=KINDS, default="nominal")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("-o", "--output", type=Path, required=True, help="the log, *.jsonl")
+    options = parser.parse_args(arguments)
+    lines, truth = simulate_log(options.kind, options.seed, options.seconds)
+    options.output.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
+    options.output.with_suffix(".truth.json").write_text(json.dumps(truth), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

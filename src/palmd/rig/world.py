@@ -1,0 +1,361 @@
+"""The whole emulated rig in one pure object: body, palms, arm, controller, pads, lines and mischief.
+
+`advance(t)` gives the bytes that have come out of each port by t, `receive` takes the host's. Nothing here
+reads a clock or opens a port, so the same world runs behind pseudo-terminals in real time and, faster, in one
+process with the daemon's pure step. The same seed and the same bytes in give the same bytes out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from palmd.config import ArmConfig, Config, PadConfig, PadsConfig
+from palmd.devices.armlink import Pose
+from palmd.events import PalmMotion
+from palmd.rig.arm import Linkage, Servo, turn
+from palmd.rig.controller import BREAK_RECEIVED, CYCLE_S, ArmLimits, Controller
+from palmd.rig.judge import SetpointJudge
+from palmd.rig.line import Wire
+from palmd.rig.mischief import PADS, PORTS, Order, PortName, Switchboard
+from palmd.rig.pads import GOOD_PADS, PadEmulator, PadOptions, Press
+from palmd.rig.plant import AS_ASSUMED, Hinge, Plant, PlantOptions, random_surface, stable_poses
+from palmd.rig.shapes import Kind, random_body
+
+STEP_S = 5e-4
+_STEPS_PER_CYCLE = round(CYCLE_S / STEP_S)
+_HOME_DEG = (45.0, 90.0)
+_ENCODER_NOISE_M = 1.5e-5
+_WORKSPACE_MARGIN_M = 5e-3
+_ROOM = 1.2  # what the controller allows beyond what the palms' limits need
+_MOST_PHI12_DEG = 172.0
+_AWAY_S = 1.0  # how long a hand takes to put another object on the palms
+_PAD_END_M = 3e-3
+_FINGER_M = 0.045
+_JOG_DEG = 4.0
+_IDENTITY = b"VPEMU1\r"
+_IDENTITY_S = 0.5
+
+
+def default_config() -> Config:
+    """The contract's defaults, for a rig started without a configuration."""
+    pads = PadsConfig(palm1=PadConfig(port="pad1"), palm2=PadConfig(port="pad2"))
+    return Config(pads=pads, arm=ArmConfig(port="arm"))
+
+
+class World:
+    """See the module. Times are seconds on one clock of the caller's choice, never running backwards."""
+
+    def __init__(
+        self,
+        config: Config,
+        seed: int,
+        *,
+        kind: Kind = "rig",
+        options: PlantOptions = AS_ASSUMED,
+        pad_options: PadOptions = GOOD_PADS,
+        t: float = 0.0,
+    ) -> None:
+        """At rest at t (s), a random body of the kind in a stable pose; ValueError for a fixed hinge."""
+        self.config, self.seed, self.kind = config, seed, kind
+        self.mischief = Switchboard()
+        self.contact_losses = self.falls = self.objects = self.jams = 0
+        self._options = options
+        self._rng = np.random.default_rng(seed)
+        self._t_start, self._steps = t, 0
+        self._linkage = Linkage.from_config(config)
+        home = self._linkage.pose(*_home(config))
+        self._judge = SetpointJudge(self._linkage, config.limits)
+        self._controller = Controller(arm_limits(config), home, config.arm.baud, self._judge.hear)
+        lag = 0.016 + options.lag_s
+        self._servos = [Servo(r, lag) for r in (home.x_m, home.y_m, home.t_rad)]
+        self._next_cycle = int(self._rng.integers(_STEPS_PER_CYCLE))
+        self._palms = self._palms_at(t)
+        self._pad_configs: dict[PortName, PadConfig] = {"pad1": config.pads.palm1, "pad2": config.pads.palm2}
+        self._pads: dict[PortName, PadEmulator] = {
+            name: PadEmulator(pad, pad_options, self._pad_error(number), self._rng, t)
+            for number, (name, pad) in enumerate(self._pad_configs.items(), 1)
+        }
+        bauds: dict[PortName, int] = {name: pad.baud for name, pad in self._pad_configs.items()}
+        bauds["arm"] = config.arm.baud
+        self._out: dict[PortName, Wire] = {port: Wire(bauds[port]) for port in PORTS}
+        self._in = Wire(config.arm.baud)
+        self._next_delivery: dict[PortName, float] = dict.fromkeys(PORTS, -math.inf)
+        self._t_place: float | None = None
+        self._touching = (False, False)
+        self._draw_body()
+        self._put_on_palms()
+
+    # -- the outside --------------------------------------------------------------------------------------
+
+    @property
+    def t(self) -> float:
+        """The time the world stands at (s)."""
+        return self._t_start + self._steps * STEP_S
+
+    def advance(self, t: float) -> dict[PortName, bytes]:
+        """Lives on to t (s) and returns what has come out of each port on the way."""
+        for _ in range(int((t - self.t) / STEP_S + 1e-6)):
+            self._step()
+        return {port: self._delivered(port, t) for port in PORTS}
+
+    def receive(self, port: PortName, data: bytes) -> None:
+        """Takes what the host has just written to a port; a pad listens to nothing."""
+        if port == "arm":
+            self._in.send(self.mischief.spoil("arm", data, self._rng), self.t)
+
+    def opened(self, port: PortName) -> None:
+        """The host has opened a port. For a pad that starts with a handshake this stands for its breaks.
+
+        A pseudo-terminal cannot carry a break, so the identity is sent as long after the opening as it would
+        be after the break, once for each.
+        """
+        if port in self._pad_configs:
+            breaks = {"none": 0, "break": 1, "break_twice": 2}[self._pad_configs[port].handshake]
+            for number in range(breaks):
+                self._out[port].send(_IDENTITY, self.t + (number + 1) * _IDENTITY_S)
+
+    def unplugged(self, port: PortName) -> bool:
+        """Whether mischief has pulled the plug of the port."""
+        return self.mischief.strength("unplug", port) > 0.0
+
+    def new_object(self) -> None:
+        """A hand takes the object away and, a second later, puts another one on the palms."""
+        self.plant.take_away()
+        self._draw_body()
+        self._t_place = self.t + _AWAY_S
+
+    def truth(self) -> dict[str, Any]:
+        """What is really there at `t`, as `rig/truth` tells it."""
+        q, palms = self.plant.state, self._palms
+        contact1, contact2 = self.plant.contacts()
+        r1, r2 = self.plant.radii()
+        return {
+            "psi_rad": q.psi,
+            "omega0_rad_s": q.omega0,
+            "r1_m": r1,
+            "r2_m": r2,
+            "s1_m": contact1.s,
+            "s2_m": contact2.s,
+            "phi1_rad": palms.phi1,
+            "phi2_rad": palms.phi2,
+            "omega1_rad_s": palms.omega1,
+            "omega2_rad_s": palms.omega2,
+            "com_x_m": q.x,
+            "com_y_m": q.y,
+            "f1_n": contact1.force,
+            "f2_n": contact2.force,
+            "contact1": contact1.touching,
+            "contact2": contact2.touching,
+            "object": self.objects,
+            "arm_state": str(self._controller.state),
+        }
+
+    def object_truth(self) -> dict[str, Any]:
+        """The body itself, as `rig/object` tells it; h on the normals of a frame that turns by psi_rad."""
+        body, surface = self.plant.body, self.plant.surface
+        theta = np.arange(360, dtype=np.float64) * (math.tau / 360)
+        return {
+            "object": self.objects,
+            "kind": self.kind,
+            "shape": body.shape,
+            "theta_rad": theta.tolist(),
+            "h_m": body.support.sample(theta).tolist(),
+            "rho_m": body.rho,
+            "mass_kg": body.mass,
+            "mu": surface.mu,
+            "dither_m_s": surface.dither,
+            "damping_m2_s": surface.damping,
+        }
+
+    def status(self) -> dict[str, Any]:
+        """Counts for end-to-end checks."""
+        return {
+            "t_s": self.t - self._t_start,
+            "seed": self.seed,
+            "kind": self.kind,
+            "arm_state": str(self._controller.state),
+            "object": self.objects,
+            "on_palms": not self.plant.fallen,
+            "contact_losses": self.contact_losses,
+            "falls": self.falls,
+            "jams": self.jams,
+            "mischief": self.mischief.names(),
+            "pad1_packets": self._pads["pad1"].packets,
+            "pad2_packets": self._pads["pad2"].packets,
+            "crc_errors": self._controller.reader.counters.crc_errors,
+            **self._controller.counters.as_dict(),
+            **self._judge.as_dict(),
+        }
+
+    # -- one step -----------------------------------------------------------------------------------------
+
+    def _step(self) -> None:
+        """Half a millisecond of everything."""
+        t = self.t
+        middle, end = self._palms_at(t + 0.5 * STEP_S), self._palms_at(t + STEP_S)
+        was_on = not self.plant.fallen
+        self.plant.advance(middle, end, STEP_S)
+        self._palms = end
+        self._steps += 1
+        t = self.t
+        self._note_contacts(was_on)
+        for begun in self.mischief.update(t):
+            self._play(*begun)
+        if self._t_place is not None and t >= self._t_place:
+            self._put_on_palms()
+        arrived = self._in.take(t)
+        if arrived:
+            self._say("arm", self._controller.feed(arrived, t, self._actual_pose(t)), t)
+        if self._steps >= self._next_cycle:
+            self._arm_cycle(t)
+        for name, pad in self._pads.items():
+            if t >= pad.due:
+                self._say(name, pad.report(t, self._presses(name)), t)
+
+    def _arm_cycle(self, t: float) -> None:
+        """The controller's cycle; the servos then follow the path it lays for the next 16 ms."""
+        self._next_cycle += _STEPS_PER_CYCLE
+        self._say("arm", self._controller.cycle(t, self._actual_pose(t)), t)
+        path = self._controller.path
+        along_x, along_y, tool = self._servos
+        along_x.follow(t, (path.x_m - along_x.goal(t)) / CYCLE_S)
+        along_y.follow(t, (path.y_m - along_y.goal(t)) / CYCLE_S)
+        tool.follow(t, turn(path.t_rad - tool.goal(t)) / CYCLE_S)
+
+    def _say(self, port: PortName, data: bytes, t: float) -> None:
+        """Sends what was measured at t (s); the first byte, which only says what follows, arrives then."""
+        if data:
+            wire = self._out[port]
+            late = self.mischief.strength("late", port) - wire.byte_s
+            wire.send(self.mischief.spoil(port, data, self._rng), t + late)
+
+    def _delivered(self, port: PortName, t: float) -> bytes:
+        burst = self.mischief.strength("burst", port)
+        if burst > 0.0:
+            if t < self._next_delivery[port]:
+                return b""
+            self._next_delivery[port] = t + burst
+        return self._out[port].take(t)
+
+    def _actual_pose(self, t: float) -> Pose:
+        """The arm's pose as its encoders tell it."""
+        x, y, angle = (servo.at(t)[0] for servo in self._servos)
+        noise = self._rng.normal(0.0, _ENCODER_NOISE_M, 2)
+        return Pose(x + float(noise[0]), y + float(noise[1]), turn(angle))
+
+    def _palms_at(self, t: float) -> PalmMotion:
+        x, y = self._servos[0].at(t), self._servos[1].at(t)
+        palms = self._linkage.motion(x, y)
+        if palms is None:  # the linkage is at its stop: the palms stay where they were
+            self.jams += 1
+            return PalmMotion(self._palms.phi1, self._palms.phi2)
+        return palms
+
+    # -- the body and the hands that move it --------------------------------------------------------------
+
+    def _draw_body(self) -> None:
+        rig = self.config.rig
+        base = (rig.base_mm[0] * 1e-3, rig.base_mm[1] * 1e-3)
+        self.plant = Plant(
+            random_body(self.kind, self._rng),
+            Hinge("arc", rig.palm1_length_mm * 1e-3, base),
+            random_surface(self.kind, self._rng),
+            options=self._options,
+            gravity=rig.gravity_m_s2,
+            reach=self._reach(),
+        )
+        self.objects += 1
+
+    def _reach(self) -> tuple[float, float]:
+        pads = self.config.pads
+        return pads.palm1.length_mm * 1e-3, pads.palm2.length_mm * 1e-3
+
+    def _put_on_palms(self) -> None:
+        """Puts the body in one of its stable poses on the pads; where there is none, tries again later."""
+        poses = stable_poses(self.plant.body, self._palms)
+        for i in self._rng.permutation(len(poses)):
+            self.plant.place(self._palms, poses[i])
+            contacts = self.plant.contacts()
+            if all(
+                contact.touching and _PAD_END_M < contact.s < reach - _PAD_END_M
+                for contact, reach in zip(contacts, self._reach(), strict=True)
+            ):
+                self._t_place = None
+                self._touching = (True, True)
+                return
+        self.plant.take_away()
+        self._t_place = self.t + _AWAY_S
+
+    def _note_contacts(self, was_on: bool) -> None:
+        contact1, contact2 = self.plant.touching
+        self.contact_losses += (self._touching[0] and not contact1) + (self._touching[1] and not contact2)
+        self._touching = (contact1, contact2)
+        self.falls += was_on and self.plant.fallen
+
+    def _presses(self, name: PortName) -> list[Press]:
+        contact = self.plant.contacts()[PADS.index(name)]
+        presses = [Press(contact.s, contact.force)] if contact.touching else []
+        finger = self.mischief.strength("touch", name)
+        return [*presses, Press(_FINGER_M, finger)] if finger > 0.0 else presses
+
+    def _play(self, order: Order, begins: bool) -> None:
+        """Mischief that is an act rather than a state of the lines."""
+        controller = self._controller
+        match order.name, begins:
+            case "estop", True:
+                controller.press_emergency_stop()
+            case "power_off", True:
+                controller.switch_power_off()
+            case "manual", True:
+                phi1, phi2 = self._palms.phi1, self._palms.phi2
+                controller.switch_to_manual(self._linkage.pose(phi1 + math.radians(_JOG_DEG), phi2))
+            case (("estop" | "power_off" | "manual"), False):
+                controller.make_ready()
+            case "break", True:
+                controller.line_fault(BREAK_RECEIVED)
+            case "lift", True:
+                self.plant.take_away()
+                self._t_place = None
+            case "lift", False:
+                self._put_on_palms()
+            case "swap", True:
+                self.new_object()
+
+    def _pad_error(self, number: int) -> Callable[[float], float]:
+        return lambda s: self._options.pad_error_m(number, s)
+
+
+def arm_limits(config: Config) -> ArmLimits:
+    """What the controller allows: a box round every pose the palms' limits allow, and room above their rates.
+
+    E's speed is at most L1·ω1 + L2·(ω1 + ω2), its acceleration L1·(α + ω²) + L2·(2α + 4ω²).
+    """
+    linkage, limits = Linkage.from_config(config), config.limits
+    poses = [
+        linkage.pose(math.radians(phi1), math.radians(phi2))
+        for phi1 in np.linspace(*limits.phi1_deg, 40)
+        for phi2 in np.linspace(*limits.phi2_deg, 40)
+        if phi1 + phi2 < _MOST_PHI12_DEG
+    ]
+    xs, ys = [p.x_m for p in poses], [p.y_m for p in poses]
+    omega, alpha = math.radians(limits.rate_deg_s), math.radians(limits.acceleration_deg_s2)
+    l1, l2, margin = linkage.palm1_length, linkage.palm2_length, _WORKSPACE_MARGIN_M
+    return ArmLimits(
+        min(xs) - margin,
+        max(xs) + margin,
+        min(ys) - margin,
+        max(ys) + margin,
+        v_max=_ROOM * (l1 + 2.0 * l2) * omega,
+        a_max=_ROOM * (l1 * (alpha + omega**2) + l2 * (2.0 * alpha + 4.0 * omega**2)),
+    )
+
+
+def _home(config: Config) -> tuple[float, float]:
+    """Where the arm stands before anybody has commanded it (rad): as near to 45°, 90° as the limits allow."""
+    ranges = (config.limits.phi1_deg, config.limits.phi2_deg)
+    phi1, phi2 = (min(max(home, low), high) for home, (low, high) in zip(_HOME_DEG, ranges, strict=True))
+    return math.radians(phi1), math.radians(phi2)

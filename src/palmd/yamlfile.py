@@ -1,0 +1,394 @@
+"""Configurations and plans out of YAML files, every error at once and with its place: `file:line:col: what`.
+
+Only plain YAML is taken: one document, one meaning per key, no aliases, no merge keys, no tags, and no number
+whose notation means something else than it seems to (octal `010`, sexagesimal `1:30`).
+"""
+
+from __future__ import annotations
+
+import difflib
+import functools
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from palmd.config import Config, PlanSpec
+
+MAX_BYTES = 256_000  # a real one has a few; parsing a megabyte takes seconds
+MAX_DEPTH = 20
+MAX_ERRORS = 100
+
+Loc = tuple[str | int, ...]
+Model = TypeVar("Model", bound=BaseModel)
+
+
+class ConfigError(Exception):
+    """A file that cannot be used; `errors` holds one `file:line:col: what` for each thing wrong with it."""
+
+    def __init__(self, errors: list[str]) -> None:
+        super().__init__("\n".join(errors))
+        self.errors = errors
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Place:
+    """A position in a file, counted from one."""
+
+    line: int = 1
+    column: int = 1
+
+
+@dataclass(slots=True)
+class Document:
+    """A YAML file as plain data, with the place of every key and value (by its path from the top)."""
+
+    path: Path
+    data: Any = None
+    values: dict[Loc, Place] = field(default_factory=dict)
+    keys: dict[Loc, Place] = field(default_factory=dict)
+    texts: dict[Loc, str] = field(default_factory=dict)  # scalars as they are written
+    problems: list[tuple[Place, str]] = field(default_factory=list)
+
+    def place(self, loc: Loc) -> Place:
+        """Where the value at `loc` stands, or the innermost thing around it that stands in the file."""
+        while loc and loc not in self.values:
+            loc = loc[:-1]
+        return self.values.get(loc, Place())
+
+    def line(self, place: Place, text: str) -> str:
+        """One error line."""
+        return f"{self.path}:{place.line}:{place.column}: {text}"
+
+    def error(self, problems: list[tuple[Place, str]]) -> ConfigError:
+        """All problems in the order of the file."""
+        return ConfigError([self.line(place, text) for place, text in sorted(dict.fromkeys(problems))])
+
+
+def read_document(path: Path) -> Document:
+    """Read a YAML file as plain data; raises ConfigError when it is not readable as YAML at all.
+
+    What can be read but is not allowed (a key twice, an alias) is kept in `problems`, so that it is reported
+    together with what the models find.
+    """
+    document = Document(path)
+    text = _text(path)
+    try:
+        loader = _Loader(text)
+        node = loader.get_single_node()
+    except yaml.MarkedYAMLError as error:
+        raise document.error([_syntax_problem(text, error)]) from None
+    except yaml.reader.ReaderError as error:
+        place = _place_at(text, error.position)
+        raise document.error(
+            [(place, f"a character that text must not hold (code {error.character})")]
+        ) from None
+    if node is None:
+        raise document.error([(Place(), "the file is empty")])
+    document.data = _Reading(document).plain(node, ())
+    return document
+
+
+def parse(document: Document, model: type[Model]) -> Model:
+    """The document as a checked model; raises ConfigError with everything that is wrong with it."""
+    problems = list(document.problems)
+    try:
+        spec = model.model_validate(document.data, context={"folder": document.path.parent.absolute()})
+    except ValidationError as error:
+        details = error.errors()
+        problems += [_problem(document, model, detail) for detail in details[:MAX_ERRORS]]
+        if len(details) > MAX_ERRORS:
+            problems.append((Place(), f"{len(details) - MAX_ERRORS} more errors are not shown"))
+    if problems:
+        raise document.error(problems)
+    return spec
+
+
+def load_config(path: Path) -> Config:
+    """The configuration in a file; raises ConfigError."""
+    return parse(read_document(path), Config)
+
+
+def load_plan(path: Path) -> PlanSpec:
+    """The motion plan in a file, its form checked but not its motion; raises ConfigError."""
+    return parse(read_document(path), PlanSpec)
+
+
+# --------------------------------------------------------------------------------------------- bytes to nodes
+
+
+class _Refused(yaml.MarkedYAMLError):
+    """Valid YAML that is not taken here."""
+
+    def __init__(self, problem: str, event: yaml.Event) -> None:
+        super().__init__(problem=problem, problem_mark=event.start_mark)  # type: ignore[arg-type]  # C twin
+
+
+class _Loader(yaml.SafeLoader):
+    """PyYAML's own parser, refusing what lets a short file stand for a huge one."""
+
+    depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        event: yaml.Event = self.peek_event()  # type: ignore[no-untyped-call]
+        if isinstance(event, yaml.AliasEvent):
+            raise _Refused(f"aliases (*{event.anchor}) are not taken; write the values out", event)
+        if self.depth >= MAX_DEPTH:
+            raise _Refused("nested too deeply", event)
+        self.depth += 1
+        node: yaml.Node | None = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
+
+
+def _text(path: Path) -> str:
+    document = Document(path)
+    try:
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+    except IsADirectoryError:
+        raise document.error([(Place(), "this is a folder, not a file")]) from None
+    except FileNotFoundError:
+        raise document.error([(Place(), "no such file")]) from None
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise document.error([(Place(), f"cannot be read: {reason}")]) from None
+    if len(content) > MAX_BYTES:
+        size = f"larger than {MAX_BYTES // 1000} kB"
+        raise document.error([(Place(), f"{size}: this is not a configuration or a plan")])
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        place = _place_at(content[: error.start].decode("utf-8-sig", "replace"), error.start)
+        raise document.error([(place, "not UTF-8 text; save the file as UTF-8")]) from None
+
+
+def _place_at(text: str, position: int) -> Place:
+    before = text[:position]
+    return Place(before.count("\n") + 1, len(before) - (before.rfind("\n") + 1) + 1)
+
+
+def _place(mark: yaml.Mark | None) -> Place:
+    return Place() if mark is None else Place(mark.line + 1, mark.column + 1)
+
+
+def _syntax_problem(text: str, error: yaml.MarkedYAMLError) -> tuple[Place, str]:
+    place = _place(error.problem_mark or error.context_mark)
+    lines = text.split("\n")
+    line = lines[place.line - 1] if place.line <= len(lines) else ""
+    indent = line[: len(line) - len(line.lstrip())]
+    if "\t" in indent:
+        return Place(place.line, indent.index("\t") + 1), "a tab in the indentation: use spaces"
+    if isinstance(error, yaml.composer.ComposerError) and error.context:
+        return place, "a second document begins here; a file holds one"
+    if line[place.column - 1 : place.column] == "\t":
+        return place, "a tab: use spaces"
+    what = error.problem or "not understood"
+    if isinstance(error, _Refused):
+        return place, what
+    return place, f"not valid YAML: {what}" + (f" ({error.context})" if error.context else "")
+
+
+# ---------------------------------------------------------------------------------------- nodes to plain data
+
+
+class _Reading:
+    """Nodes to plain data, noting places and what is not allowed in the document."""
+
+    def __init__(self, document: Document) -> None:
+        self.document = document
+        self.scalars = yaml.constructor.SafeConstructor()
+
+    def plain(self, node: yaml.Node, loc: Loc) -> Any:
+        self.document.values[loc] = _place(node.start_mark)
+        if isinstance(node, yaml.MappingNode) and node.tag == "tag:yaml.org,2002:map":
+            return self._mapping(node, loc)
+        if isinstance(node, yaml.SequenceNode) and node.tag == "tag:yaml.org,2002:seq":
+            return [self.plain(child, (*loc, index)) for index, child in enumerate(node.value)]
+        if isinstance(node, yaml.ScalarNode):
+            return self._scalar(node, loc)
+        self._problem(node, f"tags ({node.tag}) are not taken")
+        return None
+
+    def _mapping(self, node: yaml.MappingNode, loc: Loc) -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        for key_node, value_node in node.value:
+            if not isinstance(key_node, yaml.ScalarNode):
+                self._problem(key_node, "a key must be a plain word")
+                continue
+            key = key_node.value
+            if key_node.tag == "tag:yaml.org,2002:merge":
+                self._problem(key_node, "merge keys (<<) are not taken; write the keys out")
+            elif key in found:
+                first = self.document.keys[(*loc, key)]
+                self._problem(
+                    key_node, f"{_dotted((*loc, key))}: this key stands already in line {first.line}"
+                )
+            else:
+                self.document.keys[(*loc, key)] = _place(key_node.start_mark)
+                found[key] = self.plain(value_node, (*loc, key))
+        return found
+
+    def _scalar(self, node: yaml.ScalarNode, loc: Loc) -> Any:
+        text: str = node.value
+        quoted = node.style is not None
+        self.document.texts[loc] = f'"{text}"' if quoted else text
+        kind = node.tag.removeprefix("tag:yaml.org,2002:")
+        try:
+            if kind == "null":
+                return None
+            if kind == "bool":
+                return self.scalars.construct_yaml_bool(node)
+            if kind == "int":
+                number = self.scalars.construct_yaml_int(node)
+                self._refuse_odd_notation(node, number)
+                return number
+            if kind == "float":
+                value = self.scalars.construct_yaml_float(node)
+                self._refuse_odd_notation(node, value)
+                return value
+            if kind in ("str", "timestamp", "value"):
+                return text
+        except (ValueError, KeyError, OverflowError):
+            self._problem(node, f"not a usable number: {_shortened(text)}")
+            return text
+        self._problem(node, f"tags ({node.tag}) are not taken")
+        return text
+
+    def _refuse_odd_notation(self, node: yaml.ScalarNode, number: float) -> None:
+        digits = node.value.lstrip("+-")
+        if ":" in digits:
+            self._problem(node, f"{node.value} counts in sixties in YAML; write {number:g} if that is meant")
+        elif isinstance(number, int) and len(digits) > 1 and digits[0] == "0" and digits[1] in "01234567_":
+            meant = digits.lstrip("0_") or "0"
+            self._problem(node, f"{node.value} is octal in YAML ({number}); write {meant} without the zero")
+
+    def _problem(self, node: yaml.Node, text: str) -> None:
+        self.document.problems.append((_place(node.start_mark), text))
+
+
+# ------------------------------------------------------------------------ what the models say, in plain words
+
+
+def _problem(document: Document, model: type[BaseModel], detail: ErrorDetails) -> tuple[Place, str]:
+    loc = tuple(part for part in detail["loc"] if not str(part).startswith("<"))  # the tags of segments
+    kind = detail["type"]
+    if kind == "missing":
+        around = loc[:-1]
+        if isinstance(loc[-1], int):
+            return document.place(around), f"{_dotted(around)}: must have 2 entries; got {loc[-1]}"
+        place = document.keys.get(around, document.place(around))
+        return place, f"{_dotted(loc)}: is missing"
+    if kind == "extra_forbidden":
+        return document.keys.get(
+            loc, document.place(loc)
+        ), f"{_dotted(loc)}: {_unknown_key(model, str(loc[-1]))}"
+    while loc not in document.values:  # a part that only the model knows, as in one number given for two
+        loc = loc[:-1]
+    place = document.values[loc]
+    text = _in_words(document, loc, detail)
+    return place, f"{_dotted(loc)}: {text}" if loc else text
+
+
+def _unknown_key(model: type[BaseModel], key: str) -> str:
+    near = difflib.get_close_matches(key, _known_keys(model), n=1)
+    return "unknown key" + (f"; is {near[0]} meant?" if near else "")
+
+
+@functools.cache
+def _known_keys(model: type[BaseModel]) -> list[str]:
+    return sorted(set(_property_names(model.model_json_schema())))
+
+
+def _property_names(schema: Any) -> Iterator[str]:
+    if isinstance(schema, dict):
+        if isinstance(schema.get("properties"), dict):
+            yield from schema["properties"]
+        for part in schema.values():
+            yield from _property_names(part)
+    elif isinstance(schema, list):
+        for part in schema:
+            yield from _property_names(part)
+
+
+_BOUNDS = {"greater_than": "gt", "greater_than_equal": "ge", "less_than": "lt", "less_than_equal": "le"}
+_BOUND_WORDS = {"gt": "more than", "ge": "at least", "lt": "less than", "le": "at most"}
+_EXPECTED = {
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "string_type": "text",
+    "bool_type": "true or false",
+    "list_type": "a list",
+    "tuple_type": "a list",
+    "model_type": "a block of keys and values",
+    "model_attributes_type": "a block of keys and values",
+}
+
+
+def _in_words(document: Document, loc: Loc, detail: ErrorDetails) -> str:
+    """Pydantic's finding for someone who knows the rig and not pydantic: what is allowed, what was found."""
+    kind, value, context = detail["type"], detail["input"], detail.get("ctx", {})
+    got = _got(document, loc, value)
+    if kind in ("value_error", "assertion_error"):
+        return str(context["error"])
+    if value is None:
+        return "has no value: write one or leave the key out" if loc else "the file holds no keys"
+    if kind in _EXPECTED:
+        return f"must be {_EXPECTED[kind]}; got {got}{_advice(kind, value, document.texts.get(loc, ''))}"
+    if kind == "finite_number":
+        return f"must be a finite number; got {got}"
+    if kind in _BOUNDS:
+        bound = _BOUNDS[kind]
+        return f"must be {_BOUND_WORDS[bound]} {context[bound]:g}; got {got}"
+    if kind == "literal_error":
+        return f"must be one of {context['expected'].replace(chr(39), '')}; got {got}"
+    if kind in ("too_short", "too_long"):
+        bound = "min_length" if kind == "too_short" else "max_length"
+        words = "at least" if kind == "too_short" else "at most"
+        return f"must have {words} {context[bound]} entries; got {context['actual_length'] or len(value)}"
+    if kind == "string_too_short":
+        return "must not be empty"
+    if kind == "string_too_long":
+        return f"must have at most {context['max_length']} characters; got {len(value)}"
+    return detail["msg"]
+
+
+def _got(document: Document, loc: Loc, value: Any) -> str:
+    if isinstance(value, dict):
+        return "a block of keys and values"
+    if isinstance(value, list):
+        return "a list"
+    written = _shortened(document.texts.get(loc, str(value)))
+    if isinstance(value, bool) and written.lower() not in ("true", "false"):
+        return f"{written}, which YAML reads as {str(value).lower()}"
+    return f"the text {written}" if isinstance(value, str) else written
+
+
+def _advice(kind: str, value: Any, written: str) -> str:
+    if kind == "string_type":
+        return f'; put it in quotes: "{_shortened(written)}"' if not isinstance(value, (dict, list)) else ""
+    if not isinstance(value, str) or kind not in ("float_type", "int_type"):
+        return ""
+    try:
+        number = float(value)
+    except ValueError:
+        return ""
+    if written.startswith('"'):
+        return "; leave out the quotes"
+    mantissa, _, exponent = value.lower().partition("e")
+    if not exponent:
+        return ""
+    return f"; write {number} or {float(mantissa)}e{int(exponent):+d}"
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= 40 else text[:37] + "…"
+
+
+def _dotted(loc: Loc) -> str:
+    return ".".join(map(str, loc))

@@ -1,0 +1,153 @@
+"""What the configuration's models allow, and what they make of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from palmd.config import Config, PlanSpec, config_hash, rig_description
+from palmd.yamlfile import load_config
+
+ROOT = Path(__file__).parents[2]
+PORTS: dict[str, Any] = {
+    "pads": {"palm1": {"port": "/dev/a"}, "palm2": {"port": "/dev/b"}},
+    "arm": {"port": "/dev/c"},
+}
+
+
+def config(folder: Path = Path("/etc/palmd"), **rest: Any) -> Config:
+    return Config.model_validate({**PORTS, **rest}, context={"folder": folder})
+
+
+def faults(**rest: Any) -> list[tuple[str, str]]:
+    with pytest.raises(ValidationError) as caught:
+        config(**rest)
+    return [(".".join(map(str, fault["loc"])), fault["msg"]) for fault in caught.value.errors()]
+
+
+def test_only_the_ports_have_no_default_and_the_defaults_are_the_shipped_rig() -> None:
+    shipped = load_config(ROOT / "config/palmd.yaml")
+    bare = config(ROOT / "config", plan="plans/rock.yaml")
+    ports = {"pads": shipped.pads, "arm": shipped.arm}
+    assert bare.model_copy(update=ports) == shipped
+    assert {name for name, _ in faults(pads={}, arm={})} == {"pads.palm1", "pads.palm2", "arm.port"}
+
+
+def test_paths_stand_beside_the_configuration() -> None:
+    made = config(Path("/etc/palmd"), record={"directory": "../runs"}, plan="/srv/plan.yaml")
+    assert made.record.directory == Path("/etc/palmd/../runs")
+    assert made.plan == Path("/srv/plan.yaml")
+    assert config(Path("/etc/palmd")).record.directory == Path("/etc/palmd/runs")
+    assert config(Path("/etc/palmd")).plan is None
+
+
+def test_models_are_frozen() -> None:
+    with pytest.raises(ValidationError):
+        config().rig.gravity_m_s2 = 1.0  # type: ignore[misc]
+
+
+@pytest.mark.parametrize(
+    "address",
+    ["tcp://127.0.0.1:9872", "tcp://127.8.9.1:1", "tcp://localhost:65535", "ipc:///run/palmd/publish"],
+)
+def test_addresses_on_this_machine_are_taken(address: str) -> None:
+    assert config(bus={"publish": address}).bus.publish == address
+
+
+@pytest.mark.parametrize(
+    ("address", "said"),
+    [
+        ("tcp://0.0.0.0:9872", "CURVE keys"),
+        ("tcp://*:9872", "CURVE keys"),
+        ("tcp://192.168.1.4:9872", "CURVE keys"),
+        ("tcp://127.0.0.1.example.org:9872", "CURVE keys"),
+        ("tcp://[::]:9872", "CURVE keys"),
+        ("tcp://127.0.0.1", "must be tcp://ADDRESS:PORT"),
+        ("tcp://127.0.0.1:0", "must be tcp://ADDRESS:PORT"),
+        ("tcp://127.0.0.1:70000", "must be tcp://ADDRESS:PORT"),
+        ("tcp://127.0.0.1:x", "must be tcp://ADDRESS:PORT"),
+        ("tcp://127.0.0.1:98/x", "must be tcp://ADDRESS:PORT"),
+        ("tcp://[::1:99", "must be tcp://ADDRESS:PORT"),
+        ("udp://127.0.0.1:9872", "must be tcp://ADDRESS:PORT"),
+        ("ipc://", "must be tcp://ADDRESS:PORT"),
+        ("", "must be tcp://ADDRESS:PORT"),
+    ],
+)
+def test_other_addresses_are_refused(address: str, said: str) -> None:
+    ((name, text),) = faults(bus={"command": address})
+    assert name == "bus.command"
+    assert said in text
+
+
+def test_things_that_must_differ() -> None:
+    same = "tcp://127.0.0.1:9"
+    assert faults(bus={"publish": same, "command": same})[0][0] == "bus.command"
+    palm1, palm2 = {"port": "/dev/a"}, {"port": "/dev/a"}
+    assert faults(pads={"palm1": palm1, "palm2": palm2})[0][0] == "pads.palm2"
+    assert faults(arm={"port": "/dev/b"})[0][0] == "arm"
+
+
+@pytest.mark.parametrize(
+    ("section", "name"),
+    [
+        ({"rig": {"gravity_m_s2": 0}}, "rig.gravity_m_s2"),
+        ({"rig": {"gravity_m_s2": "9.81"}}, "rig.gravity_m_s2"),
+        ({"rig": {"gravity_m_s2": True}}, "rig.gravity_m_s2"),
+        ({"rig": {"base_mm": [1.0, float("nan")]}}, "rig.base_mm.1"),
+        ({"rig": {"hinge": "Arc"}}, "rig.hinge"),
+        ({"limits": {"phi1_deg": [150, 6]}}, "limits.phi1_deg"),
+        ({"limits": {"phi1_deg": [6, 6]}}, "limits.phi1_deg"),
+        ({"limits": {"phi1_deg": [-1, 150]}}, "limits.phi1_deg"),
+        ({"limits": {"phi2_deg": [35, 180]}}, "limits.phi2_deg"),
+        ({"limits": {"rate_deg_s": float("inf")}}, "limits.rate_deg_s"),
+        ({"arm": {"port": "/dev/c", "baud": 38401}}, "arm.baud"),
+        ({"arm": {"port": ""}}, "arm.port"),
+        ({"loop": {"rate_hz": 5}}, "loop.rate_hz"),
+        ({"observer": {"primary": "best"}}, "observer.primary"),
+        ({"autostart": 1}, "autostart"),
+        ({"plan": 3}, "plan"),
+        ({"plans": "x"}, "plans"),
+    ],
+)
+def test_what_is_wrong_is_found_where_it_stands(section: dict[str, Any], name: str) -> None:
+    assert [fault[0] for fault in faults(**section)] == [name]
+
+
+def test_sign_is_not_true() -> None:
+    pads = {"palm1": {"port": "/dev/a", "sign": True}, "palm2": {"port": "/dev/b", "sign": -1}}
+    assert [name for name, _ in faults(pads=pads)] == ["pads.palm1.sign"]
+
+
+def test_hash_follows_the_effective_values_only() -> None:
+    assert config_hash(config()) == config_hash(config(rig={"gravity_m_s2": 9.81, "base_mm": [120, 0]}))
+    assert config_hash(config()) != config_hash(config(rig={"gravity_m_s2": 9.80}))
+    assert len(config_hash(config())) == 64
+
+
+def test_rig_description_takes_the_worse_of_the_pads() -> None:
+    pads = {
+        "palm1": {"port": "/dev/a", "length_mm": 50.0, "counts_per_mm": 4.0},
+        "palm2": {"port": "/dev/b", "newtons_per_count": 0.05},
+    }
+    rig = rig_description(config(pads=pads, rig={"hinge": "fixed", "palm1_length_mm": 110}))
+    assert (rig.hinge, rig.palm1_length, rig.pad_length) == ("fixed", 0.11, 0.05)
+    assert (rig.pad_resolution, rig.force_resolution) == (0.00025, 0.05)
+
+
+def test_plan_forms() -> None:
+    spec = PlanSpec.model_validate(
+        {
+            "name": "x",
+            "repeat": "forever",
+            "segments": [{"sine": {"phi1_deg": 5}, "frequency_hz": 1, "duration_s": 2}, {"explore": {}}],
+        }
+    )
+    assert spec.segments[0].frequency_hz == (1.0, 1.0)  # type: ignore[union-attr]
+    for repeat in (0, -1, 1.5, True, "often", None):
+        with pytest.raises(ValidationError):
+            PlanSpec.model_validate({"name": "x", "repeat": repeat, "segments": [{"hold_s": 1}]})
+    with pytest.raises(ValidationError):
+        PlanSpec.model_validate({"name": "x", "segments": []})

@@ -1,0 +1,108 @@
+"""The emulated lines: pacing, and pseudo-terminals with a baud rate, a plug, and nobody at the other end."""
+
+import os
+import select
+import termios
+import tty
+
+import numpy as np
+import pytest
+
+from palmd.rig.line import PtyLine, Wire
+
+
+def test_wire_paces_bytes_and_keeps_their_order():
+    wire = Wire(9600)
+    byte = 10 / 9600
+    wire.send(b"abc", 1.0)
+    wire.send(b"de", 1.001)
+    assert wire.take(1.0 + 0.9 * byte) == b""
+    assert wire.take(1.0 + 1.01 * byte) == b"a"
+    assert wire.take(1.0 + 4.01 * byte) == b"bcd"
+    assert wire.take(2.0) == b"e"
+    wire.send(b"f", 3.0)
+    assert wire.take(3.0 + 0.99 * byte) == b""
+    assert wire.take(3.0 + 1.01 * byte) == b"f"
+
+
+@pytest.fixture
+def line(tmp_path):
+    port = PtyLine(tmp_path / "pad1", 9600, np.random.default_rng(0))
+    port.plug()
+    yield port
+    port.unplug()
+
+
+def open_host(line, speed=termios.B9600):
+    fd = os.open(line.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    tty.setraw(fd)
+    attributes = termios.tcgetattr(fd)
+    attributes[4] = attributes[5] = speed
+    termios.tcsetattr(fd, termios.TCSANOW, attributes)
+    return fd
+
+
+def look(line):
+    poll = select.poll()
+    poll.register(line.fileno)
+    return line.read(dict(poll.poll(0)).get(line.fileno, 0))
+
+
+def test_bytes_go_both_ways(line):
+    host = open_host(line)
+    look(line)
+    line.write(bytes(range(256)))
+    assert os.read(host, 1000) == bytes(range(256))
+    os.write(host, b"\x00\x11\x13\n\r")
+    assert look(line) == (b"\x00\x11\x13\n\r", False)
+    os.close(host)
+
+
+def test_without_a_host_bytes_are_lost(line):
+    assert look(line) == (b"", False)
+    line.write(b"lost")
+    host = open_host(line)
+    look(line)
+    line.write(b"heard")
+    assert os.read(host, 100) == b"heard"
+    os.close(host)
+    look(line)
+    line.write(b"lost too")
+    assert (line.bytes_sent, line.bytes_lost) == (5, 12)
+
+
+def test_opening_with_a_flush_is_noticed(line):
+    host = open_host(line)
+    look(line)
+    termios.tcflush(host, termios.TCIFLUSH)
+    assert look(line) == (b"", True)
+    assert look(line) == (b"", False)
+    os.close(host)
+
+
+def test_another_baud_makes_noise_of_it(line):
+    host = open_host(line, termios.B19200)
+    look(line)
+    line.write(b"x" * 50)
+    assert os.read(host, 100) != b"x" * 50
+    os.write(host, b"y" * 50)
+    assert look(line)[0] != b"y" * 50
+    os.close(host)
+
+
+def test_unplugging_hangs_up_and_replugging_serves_again(line):
+    host = open_host(line)
+    line.unplug()
+    assert not line.plugged
+    assert not line.path.exists()
+    with pytest.raises(OSError, match="Input/output error"):
+        os.write(host, b"x")
+    assert os.read(host, 10) == b""
+    line.write(b"into the void")
+    line.plug()
+    again = open_host(line)
+    look(line)
+    line.write(b"back")
+    assert os.read(again, 10) == b"back"
+    os.close(host)
+    os.close(again)

@@ -1,0 +1,82 @@
+"""Each piece of motion: from rest to rest, where it should, with derivatives that belong together."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from palmd.events import PalmMotion
+from palmd.motion.segments import ConstantRate, Hold, Move, Segment, Sine, blend
+
+SEGMENTS: list[Segment] = [
+    Hold((0.7, 1.5), 2.0),
+    Move((0.7, 1.5), (1.0, 1.2), 1.3),
+    ConstantRate((0.7, 1.5), (0.5, -0.2), 0.1, 1.1),
+    ConstantRate((0.7, 1.5), (-0.5, 0.2), 0.4, 0.8),
+    Sine((0.7, 1.5), (0.3, -0.1), (2.5, 4.0), 1.0, 5.0),
+    Sine((0.7, 1.5), (0.3, 0.1), (30.0, 30.0), 0.5, 1.0),
+]
+
+
+def rest(motion: PalmMotion) -> tuple[float, float, float, float]:
+    return motion.omega1, motion.omega2, motion.alpha1, motion.alpha2
+
+
+@pytest.mark.parametrize("segment", SEGMENTS, ids=lambda s: type(s).__name__)
+def test_begins_and_ends_at_rest(segment: Segment) -> None:
+    assert rest(segment.at(0.0)) == pytest.approx((0, 0, 0, 0), abs=1e-9)
+    assert rest(segment.at(segment.duration)) == pytest.approx((0, 0, 0, 0), abs=1e-9)
+
+
+@pytest.mark.parametrize("segment", SEGMENTS, ids=lambda s: type(s).__name__)
+def test_rates_and_accelerations_are_the_slopes(segment: Segment) -> None:
+    h = 1e-5
+    for i in range(1, 200):
+        t = segment.duration * i / 200
+        a, b, c = segment.at(t - h), segment.at(t), segment.at(t + h)
+        assert (c.phi1 - a.phi1) / (2 * h) == pytest.approx(b.omega1, abs=1e-6)
+        assert (c.phi2 - a.phi2) / (2 * h) == pytest.approx(b.omega2, abs=1e-6)
+        assert (c.omega1 - a.omega1) / (2 * h) == pytest.approx(b.alpha1, abs=1e-3)
+        assert (c.omega2 - a.omega2) / (2 * h) == pytest.approx(b.alpha2, abs=1e-3)
+
+
+@pytest.mark.parametrize("segment", SEGMENTS, ids=lambda s: type(s).__name__)
+def test_samples_see_the_extremes(segment: Segment) -> None:
+    fine = [segment.at(segment.duration * i / 20000) for i in range(20001)]
+    seen = [segment.at(t) for t in segment.sample_times()]
+    for name in ("phi1", "phi2", "omega1", "omega2", "alpha1", "alpha2"):
+        true = [getattr(motion, name) for motion in fine]
+        some = [getattr(motion, name) for motion in seen]
+        tolerance = 0.003 * (max(true) - min(true)) + 1e-12
+        assert max(some) >= max(true) - tolerance
+        assert min(some) <= min(true) + tolerance
+
+
+def test_blend_is_the_minimum_jerk_quintic() -> None:
+    assert blend(0.5) == pytest.approx((0.5, 1.875, 0.0))
+    assert max(blend(i / 10000)[2] for i in range(10001)) == pytest.approx(10 / math.sqrt(3), rel=1e-6)
+    assert blend(-1.0) == (0.0, 0.0, 0.0)
+    assert blend(2.0) == (1.0, 0.0, 0.0)
+
+
+def test_constant_rate_is_constant_between_its_ramps_and_covers_its_way() -> None:
+    segment = ConstantRate((0.7, 1.5), (0.5, -0.2), 0.1, 1.1)
+    for t in (0.1, 0.5, 1.0):
+        motion = segment.at(t)
+        assert (motion.omega1, motion.omega2, motion.alpha1) == pytest.approx((0.5, -0.2, 0.0))
+    end = segment.at(1.1)
+    assert (end.phi1, end.phi2) == pytest.approx((0.7 + 0.5, 1.5 - 0.2))
+
+
+def test_sine_reaches_its_amplitude_and_dies_away_at_its_centre() -> None:
+    segment = Sine((0.7, 1.5), (0.3, -0.1), (2.5, 2.5), 1.0, 6.0)
+    peak = segment.at(2.5 * math.pi / 2.5)  # the second crest, sin = 1, well within the swing
+    assert (peak.phi1, peak.phi2) == pytest.approx((1.0, 1.4))
+    assert (segment.at(6.0).phi1, segment.at(6.0).phi2) == pytest.approx((0.7, 1.5))
+
+
+def test_endless_sine_never_dies_away() -> None:
+    segment = Sine((0.0, 0.0), (0.1, 0.1), (1.0, 1.0), 0.5, math.inf)
+    assert segment.at(math.pi * 1000.5).phi1 == pytest.approx(0.1)
+    assert len(list(segment.sample_times())) < 1000
