@@ -16,6 +16,7 @@ import casadi as ca
 from palmd.model.compiled import Library, densified, load, mapped_over_bank
 from palmd.model.contact import SX, Contact, normal_directions, offsets
 from palmd.model.dynamics import Body, Palms, newton_euler
+from palmd.model.integrate import exponential_step
 from palmd.model.named import RIG_INPUTS, named_outputs
 from palmd.model.shape import COEFFICIENTS, HARMONICS, contact_at
 
@@ -93,27 +94,17 @@ def drift(x: SX, alpha1: SX, alpha2: SX, rig: SX) -> SX:
     )  # in the order of X
 
 
-def _runge_kutta(x: SX, u: SX, rig: SX) -> SX:
-    """The moving states after dt, fourth order; u = (dt, α1, α2, jerk1, jerk2, …)."""
-    dt, alpha1, alpha2, jerk1, jerk2 = (u[i] for i in range(5))
-
-    def f(moving: SX, at: SX) -> SX:
-        state = ca.vertcat(moving, x[MOVING:])
-        return drift(state, alpha1 + jerk1 * at, alpha2 + jerk2 * at, rig)
-
-    start = x[:MOVING]
-    k1 = f(start, SX(0))
-    k2 = f(start + dt / 2 * k1, dt / 2)
-    k3 = f(start + dt / 2 * k2, dt / 2)
-    k4 = f(start + dt * k3, dt)
-    return start + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-
-
 def predict_function() -> ca.Function:
-    """(x, P, [dt, α1, α2, jerk1, jerk2, rig]) → (x, P) after dt: Runge–Kutta and its own Jacobian."""
+    """(x, P, [dt, α1, α2, jerk1, jerk2, rig]) → (x, P) after dt, with the step's own Jacobian."""
     x, P, u = SX.sym("x", N), SX.sym("P", N, N), SX.sym("u", PREDICTION_INPUTS)
-    moved = _runge_kutta(x, u, u[5:])
-    J = ca.jacobian(moved, x)
+    alpha, jerk, rig = u[1:3], u[3:5], u[5:]
+
+    def rates(moving: SX, t: SX) -> SX:
+        now = alpha + jerk * t
+        return drift(ca.vertcat(moving, x[MOVING:]), now[0], now[1], rig)
+
+    damping = ca.jacobian(drift(x, alpha[0], alpha[1], rig)[X.OMEGA0], x[X.OMEGA0])
+    moved, J = exponential_step(rates, x, u[0], list(X)[:MOVING], X.OMEGA0, damping)
     Q = SX.zeros(MOVING)
     Q[X.R1] = Q[X.R2] = Q[X.S1] = Q[X.S2] = Q_LENGTH
     Q[X.OMEGA0] = Q_OMEGA0

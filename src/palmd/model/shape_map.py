@@ -13,6 +13,7 @@ import casadi as ca
 from palmd.model.compiled import Library, densified, load, mapped_over_bank
 from palmd.model.contact import SX, Contact, normal_directions, readings
 from palmd.model.dynamics import Body, Palms, newton_euler
+from palmd.model.integrate import exponential_step
 from palmd.model.named import RIG_INPUTS, named_outputs
 from palmd.model.shape import COEFFICIENTS, contact_at
 
@@ -55,31 +56,23 @@ def palms_after(u: SX, jerk: SX, t: SX) -> Palms:
     return Palms(phi[0], phi[1], omega[0], omega[1], alpha[0], alpha[1])
 
 
-def _spin(x: SX, u: SX, jerk: SX, dt: SX, rig: SX) -> tuple[SX, SX]:
-    """(ψ, ω0) after dt, by fourth-order Runge–Kutta."""
-
-    def f(psi: SX, omega0: SX, at: SX) -> tuple[SX, SX]:
-        state = ca.vertcat(psi, omega0, x[2:])
-        palms = palms_after(u, jerk, at)
-        one, two = _contacts(state, palms)
-        return omega0, newton_euler(palms, omega0, one, two, _body(x), rig).alpha0
-
-    psi, omega0 = x[Z.PSI], x[Z.OMEGA0]
-    p1, w1 = f(psi, omega0, SX(0))
-    p2, w2 = f(psi + dt / 2 * p1, omega0 + dt / 2 * w1, dt / 2)
-    p3, w3 = f(psi + dt / 2 * p2, omega0 + dt / 2 * w2, dt / 2)
-    p4, w4 = f(psi + dt * p3, omega0 + dt * w3, dt)
-    return psi + dt / 6 * (p1 + 2 * p2 + 2 * p3 + p4), omega0 + dt / 6 * (w1 + 2 * w2 + 2 * w3 + w4)
+def _alpha0(x: SX, palms: Palms, rig: SX) -> SX:
+    one, two = _contacts(x, palms)
+    return newton_euler(palms, x[Z.OMEGA0], one, two, _body(x), rig).alpha0
 
 
 def predict_function() -> ca.Function:
     """(x, P, [dt, φ1, φ2, ω1, ω2, α1, α2, jerk1, jerk2, rig]) → (x, P) after dt."""
     x, P, u = SX.sym("x", N), SX.sym("P", N, N), SX.sym("u", PREDICTION_INPUTS)
-    dt = u[0]
-    psi, omega0 = _spin(x, u[1:7], u[7:9], dt, u[9:])
-    moved = ca.vertcat(psi, omega0)
+    dt, palms, jerk, rig = u[0], u[1:7], u[7:9], u[9:]
+
+    def rates(moving: SX, t: SX) -> SX:
+        state = ca.vertcat(moving, x[2:])
+        return ca.vertcat(moving[Z.OMEGA0], _alpha0(state, palms_after(palms, jerk, t), rig))
+
+    damping = ca.jacobian(_alpha0(x, palms_after(palms, jerk, SX(0)), rig), x[Z.OMEGA0])
+    moved, J = exponential_step(rates, x, dt, [Z.PSI, Z.OMEGA0], Z.OMEGA0, damping)
     x_next = ca.vertcat(moved, x[2:])
-    J = ca.jacobian(moved, x)
     # only two rows of the transition differ from the identity
     top = J @ P
     corner = top @ J.T + ca.diag(ca.vertcat(Q_PSI, Q_OMEGA0)) * dt

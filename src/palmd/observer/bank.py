@@ -109,7 +109,8 @@ class Bank:
         if scored:
             outcome = np.where(sound[:, None], self._outcome, 0.0)
             self.score += outcome[:, 0]
-            self.nis += (np.minimum(outcome[:, 1], 4 * GATE) - self.nis) / NIS_READINGS
+            # capped, so that a rare outlier does not pass for a wrong model
+            self.nis += (np.minimum(outcome[:, 1], GATE) - self.nis) / NIS_READINGS
 
     def fade(self, fraction: float, prior: Belief) -> None:
         """Forget `fraction` of what the readings have taught, but not the prior.

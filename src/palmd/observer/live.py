@@ -31,7 +31,7 @@ from palmd.observer.mass import MassEstimator
 from palmd.observer.palms import PalmTracker
 from palmd.observer.prior import blind_start
 
-LONGEST_STEP_S = 0.0101  # Runge–Kutta step; readings come every 10 ms
+LONGEST_STEP_S = 0.0051  # of one integration step: readings of one pad come every 10 ms
 SILENCE_S = 0.1  # a pad silent for longer does not vouch for a contact
 GONE_S = 0.4  # a pad silent for longer: the object has left the palms
 HISTORY = 24  # events that can be undone for a late one
@@ -47,6 +47,8 @@ NORMAL_BINS = 72
 CAUTION, CAUTION_S = 20.0, 0.3
 # … and all readings fade as a power of their age, so that the first do not bend the answer for ever.
 FADE, FADE_AGE_S, FADE_EVERY_S = 1.5, 0.2, 0.2
+# Readings that keep surprising the best filter make it forget faster.
+SURPRISING_NIS, FADE_BY_SURPRISE = 1.4, 20.0
 
 _R1, _R2, _F1, _F2 = (NAMED.index(name) for name in ("r1", "r2", "f1", "f2"))
 _PUBLISHED = tuple(name for name in NAMED if name not in ("f1", "f2"))
@@ -59,6 +61,7 @@ class _Fused:
     t: float
     event: PadSample | PalmSample
     t_before: float
+    t_faded: float
     before: Snapshot
 
 
@@ -202,7 +205,7 @@ class BankObserver:
         undone = self._fused[at:]
         if undone:
             self._bank.restore(undone[0].before)
-            self._t = undone[0].t_before
+            self._t, self._t_faded = undone[0].t_before, undone[0].t_faded
             del self._fused[at:]
             self._spare += [entry.before for entry in undone]
         for each in (event, *(entry.event for entry in undone)):
@@ -212,7 +215,7 @@ class BankObserver:
         before = self._spare.pop() if self._spare else None
         if len(self._fused) >= HISTORY:
             before = self._fused.pop(0).before
-        self._fused.append(_Fused(event.t_sample, event, self._t, self._bank.snapshot(before)))
+        self._fused.append(_Fused(event.t_sample, event, self._t, self._t_faded, self._bank.snapshot(before)))
         self._move_to(event.t_sample)
         self._forget_some()
         if isinstance(event, PadSample):
@@ -224,10 +227,13 @@ class BankObserver:
 
     def _forget_some(self) -> None:
         since = self._t - self._t_faded
-        if since >= FADE_EVERY_S:
-            age = self._t - self._t_start
-            self._bank.fade(FADE * since / (FADE_AGE_S + age), self._filters.constants(self._start))
-            self._t_faded = self._t
+        if since < FADE_EVERY_S:
+            return
+        age = self._t - self._t_start
+        surprise = max(0.0, self._bank.nis[self._bank.best()] - SURPRISING_NIS)
+        fraction = FADE * since / (FADE_AGE_S + age) * (1.0 + FADE_BY_SURPRISE * surprise)
+        self._bank.fade(min(fraction, 1.0), self._filters.constants(self._start))
+        self._t_faded = self._t
 
     def _move_to(self, t: float) -> None:
         gap = t - self._t
@@ -309,6 +315,7 @@ class BankObserver:
 
 
 def _finite(event: PadSample | PalmSample) -> bool:
+    values: tuple[float, ...]
     if isinstance(event, PadSample):
         values = (event.t_sample, event.s, event.force or 0.0)
     else:

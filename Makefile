@@ -1,0 +1,64 @@
+# Two commands do everything on a fresh machine: `make demo` and `make test`. `make help` lists the rest.
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+PIP    := $(BIN)/python -m pip --quiet --disable-pip-version-check
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint bench build setup dev lock wheelhouse clean
+
+help:  ## this list
+	@sed -n 's/^\([a-z]*\):.*##/make \1\t/p' $(MAKEFILE_LIST) | expand -t 18
+
+demo: build  ## an emulated rig, the daemon, an unknown object: live estimates until Ctrl-C
+	@$(BIN)/palmd demo $(DEMO_ARGS)
+
+test: dev lint  ## all tests, linters, types and import contracts
+	$(BIN)/python -m pytest -q -n 2 -m "not rig and not bench"
+	$(BIN)/python -m pytest -q -m rig
+
+lint: dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: dev  ## lateness, work and step times as p50/p99/p99.9/max (needs an idle machine)
+	$(BIN)/python -m pytest -q -s -m bench tests/bench
+
+build: setup  ## compile the observers' C once (seconds; skipped without a compiler)
+	@command -v cc >/dev/null || echo "no C compiler: observers run on CasADi's virtual machine; for speed: sudo apt-get install gcc libc6-dev"
+	@$(BIN)/palmd build
+
+setup: $(VENV)/.run-installed
+dev: $(VENV)/.dev-installed
+
+$(VENV)/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "palmd needs Python 3.11 or newer; $(PYTHON) is $$($(PYTHON) -V 2>&1). Debian 12: sudo apt-get install python3"; exit 1; }
+	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || \
+	  { echo "the venv module is missing: sudo apt-get install python3-venv"; exit 1; }
+	@echo "creating $(VENV)…"
+	@$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.run-installed: requirements.lock pyproject.toml | $(VENV)/bin/python
+	@echo "installing palmd (some 120 MB the first time)…"
+	@$(PIP) install --require-hashes -r requirements.lock
+	@$(PIP) install --no-deps --no-build-isolation -e .
+	@touch $@
+
+$(VENV)/.dev-installed: requirements-dev.lock $(VENV)/.run-installed
+	@echo "installing the test tools…"
+	@$(PIP) install --require-hashes -r requirements-dev.lock
+	@touch $@
+
+lock: $(VENV)/bin/python  ## renew both lock files (needs uv)
+	uv pip compile -q pyproject.toml --extra build --universal --python-version 3.11 --generate-hashes --no-header -o requirements.lock
+	uv pip compile -q pyproject.toml --extra build --extra dev --universal --python-version 3.11 --generate-hashes --no-header -o requirements-dev.lock
+
+wheelhouse: setup  ## everything needed to install on a machine without network, in wheelhouse/
+	$(PIP) download --require-hashes -r requirements.lock -d wheelhouse
+	$(PIP) wheel --no-deps --no-build-isolation -w wheelhouse .
+
+clean:  ## remove the environment and all caches
+	rm -rf $(VENV) build dist wheelhouse .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

@@ -1,0 +1,92 @@
+"""One fourth-order step that stays stable where dry friction is stiff.
+
+Friction hidden by dither acts on slow slip like a strong viscous brake: ω0 relaxes at rates up to about 1000 /s,
+and an explicit Runge–Kutta step of 4 ms would be unstable. The exponential method of Cox and Matthews (2002, ETDRK4)
+takes that one rate exactly and the rest as Runge–Kutta does; for a rate of zero it is Runge–Kutta.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import casadi as ca
+
+from palmd.model.contact import SX
+
+Rates = Callable[[SX, SX], SX]
+SMALL = 0.3  # |rate · step| below which the coefficients' series beats their closed form
+
+
+def exponential_step(rates: Rates, x: SX, dt: SX, moving: Sequence[int], stiff: int, rate: SX) -> tuple[SX, SX]:
+    """(the moving states after dt, their Jacobian in the whole state x).
+
+    `rates(y, t)` gives ẏ of the moving states, t seconds into the step; `stiff` is the position in them of the one
+    whose own rate ∂ẏ/∂y is about `rate` (1/s) at the start. That rate is a parameter of the method, not of the
+    model: the step is of fourth order for any value of it, so it is left out when the step is differentiated.
+    """
+    frozen = SX.sym("rate")
+    linear = SX(len(moving), 1)
+    linear[stiff] = frozen
+    y = ca.vertcat(*(x[i] for i in moving))
+
+    def rest(state: SX, t: SX) -> SX:
+        return rates(state, t) - linear * state
+
+    z = linear * dt
+    half, full = ca.exp(z / 2), ca.exp(z)
+    to_middle = dt / 2 * _elementwise(_phi1, z / 2)
+    n0 = rest(y, SX(0))
+    a = half * y + to_middle * n0
+    n1 = rest(a, dt / 2)
+    b = half * y + to_middle * n1
+    n2 = rest(b, dt / 2)
+    c = half * a + to_middle * (2 * n2 - n0)
+    n3 = rest(c, dt)
+    w0, w1, w2 = (dt * _elementwise(weight, z) for weight in (_weight_first, _weight_middle, _weight_last))
+    moved = full * y + w0 * n0 + 2 * w1 * (n1 + n2) + w2 * n3
+    result, jacobian = ca.substitute([moved, ca.jacobian(moved, x)], [frozen], [rate])
+    return result, jacobian
+
+
+def _elementwise(f: Callable[[SX], SX], z: SX) -> SX:
+    # most entries are structurally zero: there the weights are Runge–Kutta's plain numbers
+    return ca.vertcat(*(f(z[i]) if not z[i].is_zero() else f(SX(0)) for i in range(z.shape[0])))
+
+
+def _series_or(z: SX, coefficients: list[float], closed: Callable[[SX], SX]) -> SX:
+    if z.is_zero():
+        return SX(coefficients[0])
+    series = SX(0)
+    for coefficient in reversed(coefficients):
+        series = series * z + coefficient
+    small = ca.fabs(z) < SMALL
+    return ca.if_else(small, series, closed(ca.if_else(small, SX(1), z)))
+
+
+def _phi1(z: SX) -> SX:
+    """(eᶻ − 1)/z."""
+    return _series_or(z, [1, 1 / 2, 1 / 6, 1 / 24, 1 / 120, 1 / 720, 1 / 5040], lambda y: (ca.exp(y) - 1) / y)
+
+
+def _weight_first(z: SX) -> SX:
+    return _series_or(
+        z,
+        [1 / 6, 1 / 6, 3 / 40, 1 / 45, 5 / 1008, 1 / 1120, 7 / 51840, 1 / 56700],
+        lambda y: (-4 - y + ca.exp(y) * (4 - 3 * y + y**2)) / y**3,
+    )
+
+
+def _weight_middle(z: SX) -> SX:
+    return _series_or(
+        z,
+        [1 / 6, 1 / 12, 1 / 40, 1 / 180, 1 / 1008, 1 / 6720, 1 / 51840, 1 / 453600],
+        lambda y: (2 + y + ca.exp(y) * (y - 2)) / y**3,
+    )
+
+
+def _weight_last(z: SX) -> SX:
+    return _series_or(
+        z,
+        [1 / 6, 0, -1 / 120, -1 / 360, -1 / 1680, -1 / 10080, -1 / 72576, -1 / 604800],
+        lambda y: (-4 - 3 * y - y**2 + ca.exp(y) * (4 - y)) / y**3,
+    )

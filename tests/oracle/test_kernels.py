@@ -1,0 +1,233 @@
+"""The observers' kernels: Jacobians against differences, covariance algebra against the textbook, two models alike."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from palmd.model import extended, shape, shape_map
+from palmd.model.integrate import exponential_step
+from palmd.model.named import NAMED
+
+RIG = [9.81, 0.12, 0.12, 0.0]
+PALMS = [0.7, 1.5, 0.4, -0.3, 1.0, -2.0]
+JERK = [3.0, -4.0]
+
+
+def _coefficients(random: np.random.Generator) -> np.ndarray:
+    coefficients = random.standard_normal(shape.COEFFICIENTS) * shape.prior_sd(0.02) * 0.5
+    coefficients[0] = 0.02
+    return coefficients
+
+
+def _shape_state(random: np.random.Generator) -> np.ndarray:
+    Z = shape_map.Z
+    x = np.zeros(shape_map.N)
+    x[Z.PSI], x[Z.OMEGA0], x[Z.LN_RHO] = 0.2, 1.3, np.log(0.014)
+    x[Z.MU], x[Z.LN_DITHER], x[Z.DAMPING] = 0.15, np.log(0.012), 3e-4
+    x[Z.SHAPE :] = _coefficients(random)
+    return x
+
+
+def _extended_state(x: np.ndarray) -> np.ndarray:
+    """The same instant of the same body, in the named state's coordinates."""
+    X, Z = extended.X, shape_map.Z
+    coefficients = x[Z.SHAPE :]
+    y = np.zeros(extended.N)
+    phi1, phi2 = PALMS[:2]
+    y[[X.PHI1, X.PHI2, X.OMEGA1, X.OMEGA2]] = PALMS[:4]
+    # contact_rows is for ψ = 0: turn the palms instead of the body
+    radii, readings = shape.contact_rows(phi1 - x[Z.PSI], phi2)
+    y[[X.R1, X.R2]], y[[X.S1, X.S2]] = radii @ coefficients, readings @ coefficients
+    y[X.OMEGA0], y[X.PSI], y[X.RHO] = x[Z.OMEGA0], x[Z.PSI], np.exp(x[Z.LN_RHO])
+    y[X.MU], y[X.LN_DITHER], y[X.DAMPING] = x[Z.MU], x[Z.LN_DITHER], x[Z.DAMPING]
+    y[X.CURVATURE :] = shape.curvature_rows() @ coefficients
+    return y
+
+
+def _spd(n: int, random: np.random.Generator, scale: np.ndarray) -> np.ndarray:
+    root = random.standard_normal((n, n)) * 0.2 + np.eye(n)
+    return (root @ root.T) * np.outer(scale, scale)
+
+
+def _array(value: ca.DM) -> np.ndarray:
+    return np.asarray(ca.DM(value))
+
+
+def _differences(f, x: np.ndarray) -> np.ndarray:
+    columns = []
+    for i in range(len(x)):
+        step = 1e-6 * max(abs(x[i]), 1e-3)
+        up, down = x.copy(), x.copy()
+        up[i] += step
+        down[i] -= step
+        columns.append((f(up) - f(down)) / (2 * step))
+    return np.array(columns).T
+
+
+SHAPE_U = [0.002, *PALMS, *JERK, *RIG]
+EXTENDED_U = [0.002, *PALMS[4:], *JERK, *RIG]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_two_models_move_alike(seed: int) -> None:
+    """Named state and shape map are two coordinates for one motion: after a step they must still agree."""
+    x = _shape_state(np.random.default_rng(seed))
+    y = _extended_state(x)
+    P_x, P_y = np.zeros((shape_map.N,) * 2), np.zeros((extended.N,) * 2)
+    x_next = _array(shape_map.predict_function()(x, P_x, SHAPE_U)[0]).ravel()
+    y = _array(extended.predict_function()(y, P_y, EXTENDED_U)[0]).ravel()
+    Z, X = shape_map.Z, extended.X
+    assert y[X.OMEGA0] == pytest.approx(x_next[Z.OMEGA0], abs=2e-6)
+    assert y[X.PSI] == pytest.approx(x_next[Z.PSI], abs=1e-9)
+    palms_next = y[[X.PHI1, X.PHI2]]
+    radii, readings = shape.contact_rows(palms_next[0] - x_next[Z.PSI], palms_next[1])
+    assert y[[X.R1, X.R2]] == pytest.approx(radii @ x_next[Z.SHAPE :], abs=1e-9)
+    assert y[[X.S1, X.S2]] == pytest.approx(readings @ x_next[Z.SHAPE :], abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_named_values_agree_between_the_models(seed: int) -> None:
+    x = _shape_state(np.random.default_rng(seed))
+    one = _array(shape_map.named_function()(x, [*PALMS, *RIG])[0]).ravel()
+    two = _array(extended.named_function()(_extended_state(x), [*PALMS[4:], *RIG])[0]).ravel()
+    assert dict(zip(NAMED, one, strict=True)) == pytest.approx(dict(zip(NAMED, two, strict=True)), rel=1e-9, abs=1e-12)
+
+
+def test_prediction_integrates_the_drift() -> None:
+    """Against many small midpoint steps of the same model's own rates."""
+    x = _extended_state(_shape_state(np.random.default_rng(1)))
+    moved = _array(extended.predict_function()(x, np.zeros((extended.N,) * 2), EXTENDED_U)[0]).ravel()
+    n, dt = 400, EXTENDED_U[0]
+    s, a1, a2, g = ca.SX.sym("s", extended.N), ca.SX.sym("a"), ca.SX.sym("b"), ca.SX.sym("g", 4)
+    function = ca.Function("rates", [s, a1, a2, g], [extended.drift(s, a1, a2, g)])
+
+    def rates(state: np.ndarray, t: float) -> np.ndarray:
+        still = np.zeros(extended.N - extended.MOVING)
+        return np.append(_array(function(state, PALMS[4] + JERK[0] * t, PALMS[5] + JERK[1] * t, RIG)).ravel(), still)
+
+    y, h = x.copy(), dt / n
+    for i in range(n):
+        middle = y + h / 2 * rates(y, i * h)
+        y = y + h * rates(middle, (i + 0.5) * h)
+    assert moved == pytest.approx(y, abs=5e-5)  # of an ω0 that changes by 0.35 rad/s in this step
+
+
+@pytest.mark.parametrize("model", [extended, shape_map], ids=["extended", "shape_map"])
+def test_prediction_propagates_covariance_with_the_true_jacobian(model) -> None:
+    random = np.random.default_rng(5)
+    x = _shape_state(random)
+    u = SHAPE_U
+    if model is extended:
+        x, u = _extended_state(x), EXTENDED_U
+    scale = np.maximum(np.abs(x), 1e-3) * 1e-2
+    P = _spd(len(x), random, scale)
+    predict = model.predict_function()
+    F = _differences(lambda at: _array(predict(at, P, u)[0]).ravel(), x)
+    got = _array(predict(x, P, u)[1])
+    noise = got - F @ P @ F.T
+    assert np.abs(noise - np.diag(np.diag(noise))).max() < 1e-3 * np.outer(scale, scale).max()
+    assert (np.diag(noise) > -1e-3 * scale**2).all(), "process noise cannot be negative"
+    assert got == pytest.approx(got.T, abs=0)
+
+
+@pytest.mark.parametrize("model", [extended, shape_map], ids=["extended", "shape_map"])
+def test_an_update_is_the_textbooks(model) -> None:
+    """x + K y and (P⁻¹ + hᵀh/R)⁻¹ in information form, h by differences."""
+    random = np.random.default_rng(6)
+    x = _shape_state(random)
+    extra = PALMS[:2]
+    if model is extended:
+        x, extra = _extended_state(x), []
+    P = _spd(len(x), random, np.maximum(np.abs(x), 1e-3) * 1e-3)
+    R = 1.1e-8
+    update = (
+        extended.update_function("update_s1", extended.X.S1)
+        if model is extended
+        else shape_map.update_function("update_s1", 1)
+    )
+
+    def predicted(at: np.ndarray) -> np.ndarray:
+        if model is extended:
+            return at[[extended.X.S1]]
+        _, readings = shape.contact_rows(PALMS[0] - at[shape_map.Z.PSI], PALMS[1])
+        return readings[[0]] @ at[shape_map.Z.SHAPE :]
+
+    h = _differences(predicted, x)
+    value = float(predicted(x)[0] + 8e-5)
+    x_next, P_next, score = (_array(v) for v in update(x, P, [value, R, 16.0, *extra]))
+    S = float((h @ P @ h.T)[0, 0]) + R
+    assert x_next.ravel() == pytest.approx(x + (P @ h.T).ravel() / S * 8e-5, rel=1e-6, abs=1e-12)
+    wanted = P - P @ h.T @ h @ P / S
+    assert np.abs(P_next - wanted).max() < 1e-9 * np.abs(P).max()
+    assert (np.linalg.eigvalsh(P_next) > 0).all()
+    nis = (8e-5) ** 2 / S
+    assert score.ravel() == pytest.approx([-0.5 * (np.log(S) + nis), nis], rel=1e-6)
+
+
+@pytest.mark.parametrize("model", [extended, shape_map], ids=["extended", "shape_map"])
+def test_an_outlier_moves_the_state_no_more_than_a_reading_on_the_gate(model) -> None:
+    random = np.random.default_rng(7)
+    x, extra = _shape_state(random), PALMS[:2]
+    update = shape_map.update_function("update_s1", 1)
+    if model is extended:
+        x, extra, update = _extended_state(x), [], extended.update_function("update_s1", extended.X.S1)
+    P = _spd(len(x), random, np.maximum(np.abs(x), 1e-3) * 1e-3)
+    _, readings = shape.contact_rows(PALMS[0] - 0.2, PALMS[1])
+    at = readings[0] @ _shape_state(np.random.default_rng(7))[shape_map.Z.SHAPE :]
+    gate, R = 16.0, 1.1e-8
+    far = _array(update(x, P, [at + 5e-3, R, gate, *extra])[0]).ravel() - x
+    on_the_gate = _array(update(x, P, [at + 5e-3, R, 1e9, *extra])[0]).ravel() - x
+    assert np.linalg.norm(far) < 0.7 * np.linalg.norm(on_the_gate)
+    P_far = _array(update(x, P, [at + 0.5, R, gate, *extra])[1])
+    assert P_far == pytest.approx(P, rel=1e-3, abs=1e-3 * np.abs(P).max()), "a wild reading teaches nothing"
+
+
+def test_the_extended_outline_gives_back_the_coefficients() -> None:
+    x = _shape_state(np.random.default_rng(9))
+    h, J = (_array(v) for v in extended.outline_function()(_extended_state(x)))
+    assert h.ravel() == pytest.approx(x[shape_map.Z.SHAPE :], abs=1e-12)
+    assert J.shape == (shape.COEFFICIENTS, extended.N)
+
+
+def test_the_shape_basis_matches_its_derivatives() -> None:
+    theta, step = np.linspace(0, 6, 13), 1e-6
+    slope = (shape.basis(theta + step) - shape.basis(theta - step)) / (2 * step)
+    assert shape.tangential_basis(theta) == pytest.approx(-slope, abs=2e-6)
+    coefficients = _coefficients(np.random.default_rng(2))
+    k = shape.harmonic_of_coefficient()
+    v = shape.basis(theta) @ ((1 - k**2) * coefficients)
+    symbolic = [float(ca.DM(shape.contact_at(ca.SX(float(a)), ca.SX(coefficients)).v)) for a in theta]
+    assert v == pytest.approx(symbolic)
+
+
+@pytest.mark.parametrize("rate", [0.0, -0.2, -40.0, -2000.0])
+def test_the_step_is_exact_for_a_stiff_linear_rate(rate: float) -> None:
+    """ẏ = λ y + 1 has a closed solution; Runge–Kutta would explode at λ dt = −16."""
+    y, dt = ca.SX.sym("y"), 0.008
+    moved, jacobian = exponential_step(lambda s, t: rate * s + 1, y, ca.SX(dt), [0], 0, ca.SX(rate))
+    got, slope = (float(v) for v in ca.Function("f", [y], [moved, jacobian])(0.3))
+    grown = np.exp(rate * dt)
+    assert got == pytest.approx(0.3 * grown + (dt if rate == 0 else (grown - 1) / rate), rel=1e-9)
+    assert slope == pytest.approx(grown)
+
+
+def test_the_step_is_of_fourth_order() -> None:
+    y, h, t0 = ca.SX.sym("y", 2), ca.SX.sym("h"), ca.SX.sym("t")
+
+    def rates(s: ca.SX, t: ca.SX) -> ca.SX:
+        return ca.vertcat(s[1], -300 * ca.sin(s[0]) - 50 * s[1] + 20 * ca.cos(9 * (t0 + t)))
+
+    moved, _ = exponential_step(rates, y, h, [0, 1], 1, ca.SX(-50))
+    step = ca.Function("step", [y, h, t0], [moved])
+
+    def after(n: int) -> np.ndarray:
+        state = np.array([0.7, 1.0])
+        for i in range(n):
+            state = _array(step(state, 0.2 / n, i * 0.2 / n)).ravel()
+        return state
+
+    exact = after(2000)
+    errors = [np.abs(after(n) - exact).max() for n in (20, 40)]
+    assert errors[0] / errors[1] > 11, "halving the step must cut the error by 16 or more"
