@@ -84,9 +84,7 @@ def read_document(path: Path) -> Document:
         raise document.error([_syntax_problem(text, error)]) from None
     except yaml.reader.ReaderError as error:
         place = _place_at(text, error.position)
-        raise document.error(
-            [(place, f"a character that text must not hold (code {error.character})")]
-        ) from None
+        raise document.error([(place, f"a character that text must not hold (code {error.character})")]) from None
     if node is None:
         raise document.error([(Place(), "the file is empty")])
     document.data = _Reading(document).plain(node, ())
@@ -225,9 +223,7 @@ class _Reading:
                 self._problem(key_node, "merge keys (<<) are not taken; write the keys out")
             elif key in found:
                 first = self.document.keys[(*loc, key)]
-                self._problem(
-                    key_node, f"{_dotted((*loc, key))}: this key stands already in line {first.line}"
-                )
+                self._problem(key_node, f"{_dotted((*loc, key))}: this key stands already in line {first.line}")
             else:
                 self.document.keys[(*loc, key)] = _place(key_node.start_mark)
                 found[key] = self.plain(value_node, (*loc, key))
@@ -284,9 +280,7 @@ def _problem(document: Document, model: type[BaseModel], detail: ErrorDetails) -
         place = document.keys.get(around, document.place(around))
         return place, f"{_dotted(loc)}: is missing"
     if kind == "extra_forbidden":
-        return document.keys.get(
-            loc, document.place(loc)
-        ), f"{_dotted(loc)}: {_unknown_key(model, str(loc[-1]))}"
+        return document.keys.get(loc, document.place(loc)), f"{_dotted(loc)}: {_unknown_key(model, str(loc[-1]))}"
     while loc not in document.values:  # a part that only the model knows, as in one number given for two
         loc = loc[:-1]
     place = document.values[loc]

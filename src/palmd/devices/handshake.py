@@ -43,9 +43,7 @@ class Handshake:
         if match is not None:
             self._answered(match[0], t)
         elif t >= self._t_break + BREAK_S + ANSWER_S:
-            self._end(
-                f"no identity within {ANSWER_S:.0f} s of the break: pad mute, unplugged or at another baud"
-            )
+            self._end(f"no identity within {ANSWER_S:.0f} s of the break: pad mute, unplugged or at another baud")
         return not self.done and t < self._t_break + BREAK_S
 
     def _answered(self, identity: bytes, t: float) -> None:

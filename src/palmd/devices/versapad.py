@@ -325,9 +325,7 @@ class TouchTracker:
 class PadReceiver:
     """One pad from bytes to events: decoder, calibration and lift-off in a row."""
 
-    def __init__(
-        self, calibration: PadCalibration, baud: int, pressure: PressureFormat | None = None
-    ) -> None:
+    def __init__(self, calibration: PadCalibration, baud: int, pressure: PressureFormat | None = None) -> None:
         """`baud` in bit/s. Raises ValueError if it is not positive."""
         self.decoder = VersaPadDecoder(baud, pressure)
         self.touch = TouchTracker(calibration.pad, baud)

@@ -91,9 +91,13 @@ def densified(function: ca.Function) -> ca.Function:
     return ca.Function(function.name(), inputs, outputs, function.name_in(), function.name_out())
 
 
-def mapped_over_bank(function: ca.Function, size: int) -> ca.Function:
-    """`NAME_bank`: the function applied to `size` filters side by side, all with the same last input."""
-    return densified(function).map(f"{function.name()}_bank", "serial", size, [function.n_in() - 1], [])
+BLOCK = 8
+"""Filters that one call of a `NAME_block` kernel serves."""
+
+
+def mapped_over_block(function: ca.Function) -> ca.Function:
+    """`NAME_block`: the function applied to `BLOCK` filters side by side, all with the same last input."""
+    return densified(function).map(f"{function.name()}_block", "serial", BLOCK, [function.n_in() - 1], [])
 
 
 def load(name: str, functions: Sequence[ca.Function], cache: Path | None = None) -> Library:

@@ -13,7 +13,7 @@ from enum import IntEnum
 
 import casadi as ca
 
-from palmd.model.compiled import Library, densified, load, mapped_over_bank
+from palmd.model.compiled import Library, densified, load, mapped_over_block
 from palmd.model.contact import SX, Contact, normal_directions, offsets
 from palmd.model.dynamics import Body, Palms, newton_euler
 from palmd.model.integrate import exponential_step
@@ -148,6 +148,13 @@ def named_function() -> ca.Function:
     return ca.Function("named", [x, u], [y, ca.jacobian(y, x)], ["x", "u"], ["y", "J"])
 
 
+def values_function() -> ca.Function:
+    """(x, [α1, α2, rig]) → values of `NAMED` alone."""
+    named = named_function()
+    x, u = SX.sym("x", N), SX.sym("u", 2 + RIG_INPUTS)
+    return ca.Function("values", [x, u], [named(x, u)[0]], ["x", "u"], ["y"])
+
+
 def outline_function() -> ca.Function:
     """x → Fourier coefficients of h and their Jacobian in x.
 
@@ -172,9 +179,9 @@ def outline_function() -> ca.Function:
     return ca.Function("outline", [x], [h, ca.jacobian(h, x)], ["x"], ["h", "J"])
 
 
-def library(size: int) -> Library:
-    """Kernels for a bank of `size` filters (predict, update_*), and for one of them: predict, named, outline."""
+def library() -> Library:
+    """Kernels for blocks of filters (predict, update_*, values), and for one of them: predict, named, outline."""
     predict = predict_function()
-    banked = [predict, *(update_function(f"update_{s.name.lower()}", s) for s in MEASURED)]
+    blocks = [predict, *(update_function(f"update_{s.name.lower()}", s) for s in MEASURED), values_function()]
     single = [predict, named_function(), outline_function()]
-    return load("extended", [*(mapped_over_bank(f, size) for f in banked), *(densified(f) for f in single)])
+    return load("extended", [*(mapped_over_block(f) for f in blocks), *(densified(f) for f in single)])

@@ -10,7 +10,7 @@ from enum import IntEnum
 
 import casadi as ca
 
-from palmd.model.compiled import Library, densified, load, mapped_over_bank
+from palmd.model.compiled import Library, densified, load, mapped_over_block
 from palmd.model.contact import SX, Contact, normal_directions, readings
 from palmd.model.dynamics import Body, Palms, newton_euler
 from palmd.model.integrate import exponential_step
@@ -113,9 +113,16 @@ def named_function() -> ca.Function:
     return ca.Function("named", [x, u], [y, ca.jacobian(y, x)], ["x", "u"], ["y", "J"])
 
 
-def library(size: int) -> Library:
-    """Kernels for a bank of `size` shape maps (predict, update_s1, update_s2), and for one: predict, named."""
+def values_function() -> ca.Function:
+    """(x, [φ1 … α2, rig]) → values of `NAMED` alone."""
+    named = named_function()
+    x, u = SX.sym("x", N), SX.sym("u", PALM_INPUTS + RIG_INPUTS)
+    return ca.Function("values", [x, u], [named(x, u)[0]], ["x", "u"], ["y"])
+
+
+def library() -> Library:
+    """Kernels for blocks of shape maps (predict, update_s1, update_s2, values), and for one: predict, named."""
     predict = predict_function()
-    banked = [predict, update_function("update_s1", 1), update_function("update_s2", 2)]
+    blocks = [predict, update_function("update_s1", 1), update_function("update_s2", 2), values_function()]
     single = [predict, named_function()]
-    return load("shape_map", [*(mapped_over_bank(f, size) for f in banked), *(densified(f) for f in single)])
+    return load("shape_map", [*(mapped_over_block(f) for f in blocks), *(densified(f) for f in single)])

@@ -55,12 +55,7 @@ class Conductor:
     @property
     def held(self) -> bool:
         """Whether a plan is waiting for `resume`."""
-        return (
-            self._trajectory is not None
-            and not self._stopping
-            and self._wanted_speed == 0.0
-            and not self.done
-        )
+        return self._trajectory is not None and not self._stopping and self._wanted_speed == 0.0 and not self.done
 
     @property
     def done(self) -> bool:

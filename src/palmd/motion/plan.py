@@ -152,9 +152,7 @@ class Trajectory:
         if last.duration <= 0.0:
             return last, 0.0
         passes = (tau - before) // last.duration
-        if not math.isinf(
-            self.duration
-        ):  # at the very end: the end of the last pass, not the start of another
+        if not math.isinf(self.duration):  # at the very end: the end of the last pass, not the start of another
             passes = min(passes, round((self.duration - before) / last.duration) - 1)
         return last, tau - before - passes * last.duration
 
@@ -399,9 +397,7 @@ def _widened(extremes: Sequence[tuple[float, float]], more: Sequence[float]) -> 
     return [(low - each, high + each) for (low, high), each in zip(extremes, more, strict=True)]
 
 
-def _slowing(
-    bounds: Sequence[Bound], extremes: Sequence[tuple[float, float]], usable: Sequence[float]
-) -> float:
+def _slowing(bounds: Sequence[Bound], extremes: Sequence[tuple[float, float]], usable: Sequence[float]) -> float:
     """The factor on a move's duration that brings its rates and accelerations down to what is usable of them.
 
     The path stays the same, so rates go with 1/T and accelerations with 1/T².

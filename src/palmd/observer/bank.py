@@ -1,12 +1,13 @@
 """A bank of Kalman filters run side by side in generated C, scored by how well each foresaw the readings.
 
-One filter started blind is lost in a third of the starts whatever its tuning; of many started
-from samples of the prior some land in the right basin, and the readings tell which. The bank knows nothing of the
-model: it holds arrays, calls the kernels, keeps the scores.
+One filter started blind is lost in a third of the starts whatever its tuning; of many started from samples of the
+prior some land in the right basin, and the readings tell which. The bank knows nothing of the model: it holds
+arrays, calls the kernels, keeps the scores, and drops the hopeless.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -14,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray
-from palmd.model.compiled import Library
+from palmd.model.compiled import BLOCK, BoundCall, Library
 
 GATE = 16.0  # innovation² beyond which a reading is an outlier: 4 sigma
 SCORE_MEMORY_S = 30.0
@@ -42,101 +43,148 @@ class Belief:
 
 
 class Bank:
-    """`size` filters with `n` states each: mean `x` (size, n), covariance `P` (size, n, n), log-score, mean NIS.
+    """Filters with `n` states each: mean `x` (size, n), covariance `P` (size, n, n), log-score, mean NIS.
 
-    All methods are safe inside the loop: no allocation grows, nothing blocks, a filter that has become non-finite
-    is scored out of the race and never read.
+    `size` is a multiple of the kernels' block; it shrinks when `prune` drops hopeless filters and is back at its
+    full value after `refill`. All methods are safe inside the loop: nothing grows, nothing blocks, and a filter that
+    has become non-finite is out of the race and never read.
     """
 
-    def __init__(self, library: Library, size: int, n: int, updates: Mapping[str, int], prediction_inputs: int):
-        """Bind the kernels `predict` and those named in `updates` (name → length of their last input)."""
-        self.size, self.n = size, n
+    def __init__(self, library: Library, size: int, n: int, updates: Mapping[str, int], inputs: tuple[int, int, int]):
+        """Bind the kernels `predict`, `values` and those in `updates` (name → length of their last input).
+
+        `inputs` are the lengths of the last inputs of `predict` and `values`, and the number of values.
+        """
+        blocks = math.ceil(size / BLOCK)
+        self.full_size = blocks * BLOCK
+        self.n = n
         self.backend = library.backend
-        self.score = np.zeros(size)
-        self.nis = np.ones(size)
-        self._x = [np.zeros((size, n)) for _ in range(2)]
-        self._P = [np.zeros((size, n, n)) for _ in range(2)]
+        self._blocks = blocks
+        self._x = [np.zeros((self.full_size, n)) for _ in range(2)]
+        self._P = [np.zeros((self.full_size, n, n)) for _ in range(2)]
+        self._score, self._nis = np.zeros(self.full_size), np.ones(self.full_size)
         self._side = 0  # kernels write into the other side's arrays, which then become the current ones
-        self._outcome = np.zeros((size, 2))
-        self._u = np.zeros(prediction_inputs)
-        self._predict = [
-            library.bind("predict_bank", [self._x[a], self._P[a], self._u], [self._x[1 - a], self._P[1 - a]])
+        self._outcome = np.zeros((self.full_size, 2))
+        self._u, self._v = np.zeros(inputs[0]), np.zeros(inputs[1])
+        self._y = np.zeros((self.full_size, inputs[2]))
+        self._z = {name: np.zeros(length) for name, length in updates.items()}
+        in_blocks = [slice(i * BLOCK, (i + 1) * BLOCK) for i in range(blocks)]
+
+        def bound(name: str, last: FloatArray, outcome: bool) -> list[list[BoundCall]]:
+            def call(a: int, at: slice) -> BoundCall:
+                outputs = [self._x[1 - a][at], self._P[1 - a][at]]
+                return library.bind(
+                    f"{name}_block",
+                    [self._x[a][at], self._P[a][at], last],
+                    [*outputs, self._outcome[at]] if outcome else outputs,
+                )
+
+            return [[call(a, at) for at in in_blocks] for a in range(2)]
+
+        self._predict = bound("predict", self._u, outcome=False)
+        self._updates = {name: bound(name, z, outcome=True) for name, z in self._z.items()}
+        self._values = [
+            [library.bind("values_block", [self._x[a][at], self._v], [self._y[at]]) for at in in_blocks]
             for a in range(2)
         ]
-        self._z = {name: np.zeros(length) for name, length in updates.items()}
-        self._updates = {
-            name: [
-                library.bind(
-                    f"{name}_bank",
-                    [self._x[a], self._P[a], z],
-                    [self._x[1 - a], self._P[1 - a], self._outcome],
-                )
-                for a in range(2)
-            ]
-            for name, z in self._z.items()
-        }
+
+    @property
+    def size(self) -> int:
+        """How many filters are in the race."""
+        return self._blocks * BLOCK
+
+    @property
+    def blocks(self) -> int:
+        """How many blocks of filters are in the race."""
+        return self._blocks
 
     @property
     def x(self) -> FloatArray:
         """Current means, (size, n); writable, for starting filters."""
-        return self._x[self._side]
+        return self._x[self._side][: self.size]
 
     @property
     def P(self) -> FloatArray:
         """Current covariances, (size, n, n); writable, for starting filters."""
-        return self._P[self._side]
+        return self._P[self._side][: self.size]
 
-    def predict(self, dt: float, *inputs: FloatArray | float) -> None:
+    @property
+    def score(self) -> FloatArray:
+        """Log-likelihood of the readings so far, slowly forgetting, (size)."""
+        return self._score[: self.size]
+
+    @property
+    def nis(self) -> FloatArray:
+        """Running mean of the normalised innovation squared, (size)."""
+        return self._nis[: self.size]
+
+    def refill(self) -> None:
+        """All filters back into the race, with equal scores; their states are the caller's to set."""
+        self._blocks = self.full_size // BLOCK
+        self._score[:] = 0.0
+        self._nis[:] = 1.0
+
+    def predict(self, dt: float, *inputs: FloatArray) -> None:
         """Move every filter on by `dt` seconds under the same inputs."""
         self._u[0] = dt
-        at = 1
-        for value in inputs:
-            width = np.size(value)
-            self._u[at : at + width] = value
-            at += width
-        self._predict[self._side]()
+        self._u[1:] = np.concatenate(inputs)
+        self._call(self._predict)
         self._side = 1 - self._side
-        self.score *= np.exp(-dt / SCORE_MEMORY_S)
+        self.score[:] *= math.exp(-dt / SCORE_MEMORY_S)
 
     def update(self, name: str, value: float, variance: float, *inputs: float, scored: bool = True) -> None:
         """Fuse one scalar reading into every filter; `scored` says whether it counts in the race."""
         self._z[name][:] = (value, variance, GATE, *inputs)
-        self._updates[name][self._side]()
+        self._call(self._updates[name])
         self._side = 1 - self._side
-        sound = np.isfinite(self.x).all(axis=1) & np.isfinite(self._outcome[:, 0])
-        if not sound.all():
-            self._park(sound)
+        outcome = self._outcome[: self.size]
+        # a sum is finite only if all its terms are (or they cancel as infinities, which gives NaN)
+        if not math.isfinite(self.x.sum() + outcome.sum()):
+            self._park(np.isfinite(self.x.sum(axis=1) + outcome.sum(axis=1)))
         if scored:
-            outcome = np.where(sound[:, None], self._outcome, 0.0)
-            self.score += outcome[:, 0]
+            self.score[:] += outcome[:, 0]
             # capped, so that a rare outlier does not pass for a wrong model
-            self.nis += (np.minimum(outcome[:, 1], GATE) - self.nis) / NIS_READINGS
+            self.nis[:] += (np.minimum(outcome[:, 1], GATE) - self.nis) / NIS_READINGS
 
-    def fade(self, fraction: float, prior: Belief) -> None:
-        """Forget `fraction` of what the readings have taught, but not the prior.
+    def values(self, *inputs: FloatArray) -> FloatArray:
+        """The kernel `values` of every filter, (size, number of values); overwritten by the next call."""
+        self._v[:] = np.concatenate(inputs)
+        self._call(self._values)
+        return self._y[: self.size]
+
+    def fade(self, block: int, fraction: float, prior: Belief) -> None:
+        """Forget `fraction` of what the readings have taught the filters of one block, but not the prior.
 
         Readings fused about a poor first guess have bent the filters by more than their covariances admit;
         forgetting some of the past all along lets later, better linearised readings mend it. The covariance
         grows by 1 + fraction, and the constants are told their prior again with just the weight that this took
-        from it. Takes about a millisecond: for now and then, not for every event.
+        from it. Takes a tenth of a millisecond: for now and then, not for every event.
         """
-        x, P = self.x, self.P
+        members = slice(block * BLOCK, (block + 1) * BLOCK)
+        x, P, mean = self.x[members], self.P[members], prior.mean[members]
         P *= 1.0 + fraction
         for state in range(*prior.which.indices(self.n)):
             spread = P[:, state, state] + prior.sd[state] ** 2 / fraction
             gain = P[:, :, state] / spread[:, None]
-            x += gain * (prior.mean[:, state] - x[:, state])[:, None]
+            x += gain * (mean[:, state] - x[:, state])[:, None]
             # P − k k' S: symmetric by construction, and S > P[state, state] keeps it positive
             P -= gain[:, :, None] * (gain * spread[:, None])[:, None, :]
 
-    def _park(self, sound: npt.NDArray[np.bool_]) -> None:
-        """Take filters that have become non-finite out of the race, with a finite state so that no NaN spreads."""
-        if not sound.any():
-            self.x[:], self.P[:] = 0.0, np.eye(self.n)
-        else:
-            heir = int(np.argmax(np.where(sound, self.score, -np.inf)))
-            self.x[~sound], self.P[~sound] = self.x[heir], self.P[heir]
-        self.score[~sound] = LOST_SCORE
+    def prune(self, margin: float) -> npt.NDArray[np.intp] | None:
+        """Drop filters whose score is more than `margin` (nats) behind the best, block by block.
+
+        Returns the former index of each filter that stays, None if none went: earlier indices and snapshots are
+        void then.
+        """
+        hopeful = int(np.count_nonzero(self.score > self.score.max() - margin))
+        blocks = max(1, math.ceil(hopeful / BLOCK))
+        if blocks == self._blocks:
+            return None
+        order = np.argsort(-self.score, kind="stable")
+        for array in (self.x, self.P, self.score, self.nis):
+            array[:] = array[order]
+        self._blocks = blocks
+        return order[: self.size]
 
     def best(self) -> int:
         """Index of the most likely filter."""
@@ -152,12 +200,26 @@ class Bank:
 
     def snapshot(self, reuse: Snapshot | None = None) -> Snapshot:
         """A copy of the present, for `restore`; `reuse` names one whose memory may be written over."""
-        if reuse is None:
+        if reuse is None or reuse.score.size != self.size:
             return Snapshot(self.x.copy(), self.P.copy(), self.score.copy(), self.nis.copy())
         reuse.x[:], reuse.P[:], reuse.score[:], reuse.nis[:] = self.x, self.P, self.score, self.nis
         return reuse
 
     def restore(self, past: Snapshot) -> None:
-        """Go back to `past`."""
+        """Go back to `past`, taken since the last `prune` or `refill`."""
         self.x[:], self.P[:] = past.x, past.P
         self.score[:], self.nis[:] = past.score, past.nis
+
+    def _call(self, kernel: list[list[BoundCall]]) -> None:
+        for call in kernel[self._side][: self._blocks]:
+            call()
+
+    def _park(self, sound: npt.NDArray[np.bool_]) -> None:
+        """Take filters that have become non-finite out of the race, with a finite state so that no NaN spreads."""
+        if sound.any():
+            heir = int(np.argmax(np.where(sound, self.score, -np.inf)))
+            self.x[~sound], self.P[~sound] = self.x[heir], self.P[heir]
+        else:
+            self.x[:], self.P[:] = 0.0, np.eye(self.n)
+        self._outcome[: self.size][~sound] = 0.0
+        self.score[~sound] = LOST_SCORE

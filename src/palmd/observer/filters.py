@@ -40,6 +40,9 @@ class Filters(Protocol):
     def named(self, member: int, t: float, dt: float, palms: PalmTracker) -> tuple[FloatArray, FloatArray]:
         """Values of `NAMED` and their covariance for one filter, taken from `t` to `t + dt`."""
 
+    def all_named(self, t: float, palms: PalmTracker) -> FloatArray:
+        """Values of `NAMED` of every filter at `t`, (size, len(NAMED)); overwritten by the next call."""
+
     def outline(self, member: int) -> tuple[FloatArray, FloatArray]:
         """Fourier coefficients of the support function (m) and their covariance for one filter."""
 
@@ -58,9 +61,10 @@ class ExtendedFilters:
     name = "extended"
 
     def __init__(self, rig: RigDescription, size: int):
-        library = extended.library(size)
+        library = extended.library()
         updates = {f"update_{state.name.lower()}": 3 for state in extended.MEASURED}
-        self.bank = Bank(library, size, extended.N, updates, extended.PREDICTION_INPUTS)
+        inputs = (extended.PREDICTION_INPUTS, 2 + RIG_INPUTS, len(NAMED))
+        self.bank = Bank(library, size, extended.N, updates, inputs)
         self._rig = rig_inputs(rig)
         n, h = extended.N, shape.COEFFICIENTS
         self._x, self._P = np.zeros(n), np.zeros((n, n))
@@ -127,6 +131,9 @@ class ExtendedFilters:
         self._named()
         return self._y.copy(), self._J.T @ self._P_next @ self._J
 
+    def all_named(self, t: float, palms: PalmTracker) -> FloatArray:
+        return self.bank.values(palms.at(t)[4:], self._rig)
+
     def outline(self, member: int) -> tuple[FloatArray, FloatArray]:
         self._x[:] = self.bank.x[member]
         self._outline()
@@ -139,8 +146,9 @@ class ShapeFilters:
     name = "shape"
 
     def __init__(self, rig: RigDescription, size: int):
-        library = shape_map.library(size)
-        self.bank = Bank(library, size, shape_map.N, {"update_s1": 5, "update_s2": 5}, shape_map.PREDICTION_INPUTS)
+        library = shape_map.library()
+        inputs = (shape_map.PREDICTION_INPUTS, shape_map.PALM_INPUTS + RIG_INPUTS, len(NAMED))
+        self.bank = Bank(library, size, shape_map.N, {"update_s1": 5, "update_s2": 5}, inputs)
         self._rig = rig_inputs(rig)
         n = shape_map.N
         self._x, self._P = np.zeros(n), np.zeros((n, n))
@@ -205,6 +213,9 @@ class ShapeFilters:
             i = NAMED.index(name)
             cov[i, i] += sd**2
         return self._y.copy(), cov
+
+    def all_named(self, t: float, palms: PalmTracker) -> FloatArray:
+        return self.bank.values(palms.at(t), self._rig)
 
     def outline(self, member: int) -> tuple[FloatArray, FloatArray]:
         at = shape_map.Z.SHAPE

@@ -38,6 +38,7 @@ HISTORY = 24  # events that can be undone for a late one
 SETTLED_SD = 4e-4  # m, of r1 and r2
 AGREEMENT = 4e-4  # m, among plausible filters
 PLAUSIBLE = 12.0  # nats below the best
+HOPELESS = 60.0  # nats below the best, from which no filter comes back
 MIN_AGE_S = 0.4
 LOST_NIS = 3.0
 LOST_FOR_S = 0.4
@@ -61,7 +62,7 @@ class _Fused:
     t: float
     event: PadSample | PalmSample
     t_before: float
-    t_faded: float
+    t_faded: FloatArray
     before: Snapshot
 
 
@@ -79,6 +80,7 @@ class BankObserver:
         self._pad_variance = rig.pad_noise**2 + rig.pad_resolution**2 / 12
         self._palms = PalmTracker(rig.palm_angle_noise)
         self._last: dict[int, PadSample] = {}
+        self._lifted: set[int] = set()
         self._t = -math.inf  # up to which the bank has been moved
         self._running = False
         self._begin_fresh()
@@ -95,7 +97,7 @@ class BankObserver:
     def feed(self, event: Event) -> None:
         """Take one event. A late one is fused at its own time; one too late for that is counted and dropped."""
         if isinstance(event, PadLift):
-            self._last.pop(event.pad, None)
+            self._lifted.add(event.pad)
             return
         if not _finite(event):
             self.late_dropped += 1
@@ -106,6 +108,7 @@ class BankObserver:
             previous = self._last.get(event.pad)
             if previous is None or event.t_sample >= previous.t_sample:
                 self._last[event.pad] = event
+                self._lifted.discard(event.pad)
         if self._running:
             if event.t_sample - self._t > GONE_S:
                 self._stop()
@@ -116,20 +119,20 @@ class BankObserver:
 
     def estimate(self, t: float) -> Estimate:
         """The most likely filter's answer for time `t` ≥ the last event (s); never raises, NaN where unknown."""
-        if self._running and any(t - self._last_seen(pad) > GONE_S for pad in (1, 2)):
+        if self._running and (self._bank.lost() or any(t - self._last_seen(pad) > GONE_S for pad in (1, 2))):
             self._stop()
-        if not self._running or self._bank.lost():
+        if not self._running:
             return self._nothing(t)
         best = self._bank.best()
         dt = min(max(t - self._t, 0.0), LONGEST_STEP_S * 4)
         y, cov = self._filters.named(best, self._t, dt, self._palms)
-        spread = self._rivals_spread(best, y, dt)
+        spread = self._rivals_spread(best)
         sd = np.sqrt(np.maximum(np.diagonal(cov), 0.0) + spread**2)
         finite = bool(np.isfinite(y).all() and np.isfinite(sd).all())
         settled = finite and self._settled(t, best, sd, spread)
         self._watch_for_loss(t, best)
         if settled:
-            self._mark_touched(y)
+            self._mark_touched(best, y)
             self._weigh(y)
         return self._assemble(t, settled, best, y, sd)
 
@@ -140,7 +143,7 @@ class BankObserver:
         coefficients, cov = self._filters.outline(self._bank.best())
         theta = np.linspace(0.0, 2 * np.pi, 360, endpoint=False)
         rows = shape.basis(theta)
-        h_sd = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", rows, cov, rows), 0.0))
+        h_sd = np.sqrt(np.maximum(((rows @ cov) * rows).sum(axis=1), 0.0))
         touched = self._touched[(theta / (2 * np.pi) * NORMAL_BINS).astype(np.intp)]
         return ShapeEstimate(t, theta, rows @ coefficients, h_sd, touched)
 
@@ -151,7 +154,7 @@ class BankObserver:
         self._weighed: dict[int, float] = {}
         self._touched = np.zeros(NORMAL_BINS, dtype=np.bool_)
         self._last_normals: tuple[float, float] | None = None
-        self._last_best = -1
+        self._marked = -1
         self._fused: list[_Fused] = []
         self._spare: list[Snapshot] = []
         self._t_start = math.inf
@@ -166,11 +169,11 @@ class BankObserver:
         one, two = self._last[1], self._last[2]
         random = np.random.default_rng([self._seed, self.object_count])
         at_rest = self.object_count == 1
-        start = blind_start(one.s, two.s, self._palms.motion(t), self._bank.size, at_rest, random)
+        start = blind_start(one.s, two.s, self._palms.motion(t), self._bank.full_size, at_rest, random)
+        self._bank.refill()
         self._filters.start(start, self._palms, t)
-        self._start, self._t_faded = start, t
-        self._bank.score[:] = 0.0
-        self._bank.nis[:] = 1.0
+        self._start = start
+        self._t_faded = np.full(self._bank.blocks, t)
         self._t = self._t_start = t
         self._running = True
 
@@ -215,7 +218,7 @@ class BankObserver:
         before = self._spare.pop() if self._spare else None
         if len(self._fused) >= HISTORY:
             before = self._fused.pop(0).before
-        self._fused.append(_Fused(event.t_sample, event, self._t, self._t_faded, self._bank.snapshot(before)))
+        self._fused.append(_Fused(event.t_sample, event, self._t, self._t_faded.copy(), self._bank.snapshot(before)))
         self._move_to(event.t_sample)
         self._forget_some()
         if isinstance(event, PadSample):
@@ -226,14 +229,20 @@ class BankObserver:
             self._filters.fuse_palms(event, self._rig.palm_angle_noise**2)
 
     def _forget_some(self) -> None:
-        since = self._t - self._t_faded
+        block = int(self._t_faded[: self._bank.blocks].argmin())  # one at a time, so that no tick pays for all
+        since = self._t - self._t_faded[block]
         if since < FADE_EVERY_S:
             return
         age = self._t - self._t_start
         surprise = max(0.0, self._bank.nis[self._bank.best()] - SURPRISING_NIS)
         fraction = FADE * since / (FADE_AGE_S + age) * (1.0 + FADE_BY_SURPRISE * surprise)
-        self._bank.fade(min(fraction, 1.0), self._filters.constants(self._start))
-        self._t_faded = self._t
+        self._bank.fade(block, min(fraction, 1.0), self._filters.constants(self._start))
+        self._t_faded[block] = self._t
+        kept = self._bank.prune(HOPELESS) if age > MIN_AGE_S else None
+        if kept is not None:
+            self._fused.clear()  # what came before can no longer be undone
+            self._spare.clear()
+            self._marked = int(np.flatnonzero(kept == self._marked)[0]) if self._marked in kept else -1
 
     def _move_to(self, t: float) -> None:
         gap = t - self._t
@@ -245,29 +254,26 @@ class BankObserver:
 
     # ---- reading off
 
-    def _rivals_spread(self, best: int, y: FloatArray, dt: float) -> FloatArray:
+    def _rivals_spread(self, best: int) -> FloatArray:
         """One-sigma of the plausible rivals' answers about the best one's, weighted by likelihood."""
-        rivals = [i for i in self._bank.plausible(PLAUSIBLE) if i != best]
-        if not rivals:
+        rivals = self._bank.plausible(PLAUSIBLE)
+        if len(rivals) == 1:
             return np.zeros(len(NAMED))
+        answers = self._filters.all_named(self._t, self._palms)
         weights = np.exp(self._bank.score[rivals] - self._bank.score[best])
-        answers = np.array([self._filters.named(i, self._t, dt, self._palms)[0] for i in rivals])
-        spread: FloatArray = np.sqrt(weights @ (answers - y) ** 2 / (1.0 + weights.sum()))
+        spread: FloatArray = np.sqrt(weights @ (answers[rivals] - answers[best]) ** 2 / weights.sum())
         spread[NAMED.index("psi")] = 0.0  # each filter has its own gauge
         return spread
 
     def _settled(self, t: float, best: int, sd: FloatArray, spread: FloatArray) -> bool:
-        touching = all(t - self._last_seen(pad) < SILENCE_S for pad in (1, 2))
+        touching = not self._lifted and all(t - self._last_seen(pad) < SILENCE_S for pad in (1, 2))
         consistent = NIS_RANGE[0] < self._bank.nis[best] < NIS_RANGE[1]
         sharp = max(sd[_R1], sd[_R2]) < SETTLED_SD and max(spread[_R1], spread[_R2]) < AGREEMENT
         return touching and consistent and bool(sharp) and t - self._t_start > MIN_AGE_S
 
-    def _mark_touched(self, y: FloatArray) -> None:
-        best = self._bank.best()
-        if best != self._last_best:  # another gauge: what was touched before has another name now
-            self._touched[:] = False
-            self._last_normals = None
-            self._last_best = best
+    def _mark_touched(self, best: int, y: FloatArray) -> None:
+        if best != self._marked:
+            self._turn_marks(best)
         at = dict(zip(NAMED, y, strict=True))
         normals = (
             at["phi1"] - at["psi"] - math.pi / 2,
@@ -279,6 +285,17 @@ class BankObserver:
             for bin_ in range(math.floor(first / width), math.floor(last / width) + 1):
                 self._touched[bin_ % NORMAL_BINS] = True
         self._last_normals = normals
+
+    def _turn_marks(self, best: int) -> None:
+        """Another filter has taken the lead: what was touched before has other names in its gauge."""
+        if self._marked >= 0:
+            psi = self._filters.all_named(self._t, self._palms)[:, NAMED.index("psi")]
+            turn = psi[best] - psi[self._marked]
+            self._touched = np.roll(self._touched, -round(turn / (2 * math.pi) * NORMAL_BINS))
+        else:
+            self._touched[:] = False
+        self._last_normals = None
+        self._marked = best
 
     def _weigh(self, y: FloatArray) -> None:
         for pad, f in ((1, y[_F1]), (2, y[_F2])):

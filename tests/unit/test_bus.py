@@ -1,0 +1,162 @@
+"""The daemon's sockets, with real clients."""
+
+import time
+
+import msgpack
+import pytest
+import zmq
+
+from palmd.daemon.bus import COMMANDS_PER_TICK, Bus, BusError
+from palmd.daemon.commands import Reply
+from palmd.messages import INFO, STATE, info_fields, state_fields
+
+TIMEOUT_MS = 2000
+
+
+class Rig:
+    """A bus, and clients of it."""
+
+    def __init__(self, folder):
+        self.publish, self.command = f"ipc://{folder}/p", f"ipc://{folder}/c"
+        self.bus = Bus(self.publish, self.command)
+        self.context = zmq.Context()
+        self.clients = []
+
+    def client(self, kind, address):
+        socket = self.context.socket(kind)
+        socket.setsockopt(zmq.RCVTIMEO, TIMEOUT_MS)
+        socket.setsockopt(zmq.LINGER, 0)
+        socket.connect(address)
+        self.clients.append(socket)
+        return socket
+
+    def received(self, count=1):
+        """At least `count` requests, as they come."""
+        requests, t_end = [], time.monotonic() + TIMEOUT_MS / 1e3
+        while len(requests) < count and time.monotonic() < t_end:
+            requests += self.bus.receive()
+        return requests
+
+    def close(self):
+        self.context.destroy(linger=0)
+        self.bus.close()
+
+
+@pytest.fixture
+def rig(tmp_path):
+    rig = Rig(tmp_path)
+    yield rig
+    rig.close()
+
+
+def call(**message):
+    return msgpack.packb(message)
+
+
+def test_req_client_gets_its_answer(rig):
+    client = rig.client(zmq.REQ, rig.command)
+    client.send(call(id=1, cmd="status"))
+    (request,) = rig.received()
+    assert request.name == "status"
+    rig.bus.reply(Reply(request, None, {"state": "idle"}))
+    assert msgpack.unpackb(client.recv()) == {"id": 1, "ok": True, "result": {"state": "idle"}}
+
+
+def test_dealer_client_gets_its_answer_in_one_frame(rig):
+    client = rig.client(zmq.DEALER, rig.command)
+    client.send(call(id="x", cmd="arm"))
+    (request,) = rig.received()
+    rig.bus.reply(Reply(request, "arm refused: no"))
+    (frame,) = client.recv_multipart()
+    assert msgpack.unpackb(frame) == {"id": "x", "ok": False, "error": "arm refused: no"}
+
+
+@pytest.mark.parametrize(
+    "frames",
+    [[b""], [b"junk"], [b"", b"", b""], [call(cmd="arm"), b"more"], [b"", call(id=9, cmd="fly")]],
+)
+def test_malformed_is_answered_and_goes_no_further(rig, frames):
+    client = rig.client(zmq.DEALER, rig.command)
+    client.send_multipart(frames)
+    deadline = time.monotonic() + TIMEOUT_MS / 1e3
+    while rig.bus.counters.malformed == 0 and time.monotonic() < deadline:
+        assert rig.bus.receive() == []
+    *_, answer = client.recv_multipart()
+    fields = msgpack.unpackb(answer)
+    assert fields["ok"] is False
+    assert fields["error"]
+
+
+def test_a_flood_is_taken_in_portions(rig):
+    client = rig.client(zmq.DEALER, rig.command)
+    for i in range(20):
+        client.send(call(id=i, cmd="status"))
+    client.send(b"end")  # the socket keeps order: when this one is in, all are
+    time.sleep(0.1)
+    portions = [rig.bus.receive() for _ in range(6)]
+    assert [len(portion) for portion in portions] == [COMMANDS_PER_TICK] * 5 + [0]
+    assert [request.id for portion in portions for request in portion] == list(range(20))
+
+
+def test_reply_to_nobody_is_lost_and_nothing_else(rig):
+    client = rig.client(zmq.DEALER, rig.command)
+    client.send(call(id=1, cmd="status"))
+    (request,) = rig.received()
+    client.close()
+    rig.bus.reply(Reply(request, None, {}))
+
+
+def test_three_frames_as_plotjuggler_reads_them(rig):
+    client = rig.client(zmq.SUB, rig.publish)
+    client.subscribe(b"palm/")
+    frames = None
+    while frames is None:
+        rig.bus.publish(STATE, state_fields("idle", []), 12.5, 1.7e9)
+        if client.poll(20):
+            frames = client.recv_multipart()
+    topic, payload, stamp = frames
+    assert topic == b"palm/state"
+    assert float(stamp.decode("ascii")) == 1.7e9
+    fields = msgpack.unpackb(payload)
+    assert (fields["v"], fields["timestamp"], fields["mono_ns"]) == (1, 1.7e9, 12_500_000_000)
+
+
+def test_each_topic_counts_for_itself(rig):
+    client = rig.client(zmq.SUB, rig.publish)
+    client.subscribe(b"")
+    while not client.poll(20):
+        rig.bus.publish(INFO, info_fields("0", "h", "shape", 100.0), 0.0, 0.0)
+    for _ in range(3):
+        rig.bus.publish(STATE, state_fields("idle", []), 0.0, 0.0)
+    seen = []
+    while len(seen) < 3:
+        topic, payload, _ = client.recv_multipart()
+        if topic == b"palm/state":
+            seen.append(msgpack.unpackb(payload)["seq"])
+    assert seen == [0, 1, 2]
+
+
+def test_a_subscriber_that_does_not_listen_holds_nothing_up(rig):
+    client = rig.client(zmq.SUB, rig.publish)
+    client.subscribe(b"")
+    fields = {"state": "x" * 10_000, "faults": [], "severities": [], "hints": []}
+    begun = time.monotonic()
+    for _ in range(2000):
+        rig.bus.publish(STATE, dict(fields), 0.0, 0.0)
+    assert time.monotonic() - begun < 2.0
+
+
+@pytest.mark.parametrize("key", ["publish", "command"])
+def test_an_address_in_use_is_told_with_its_key(key):
+    context = zmq.Context()
+    socket = context.socket(zmq.REP)
+    taken = f"tcp://127.0.0.1:{socket.bind_to_random_port('tcp://127.0.0.1')}"
+    addresses = {"publish": "tcp://127.0.0.1:*", "command": "tcp://127.0.0.1:*", key: taken}
+    with pytest.raises(BusError, match=f"bus.{key}: {taken} is in use"):
+        Bus(**addresses)
+    context.destroy(linger=0)
+
+
+def test_an_impossible_address_is_told(tmp_path):
+    with pytest.raises(BusError, match=r"bus\.publish: ipc:///no/such/folder/x cannot be bound"):
+        Bus("ipc:///no/such/folder/x", f"ipc://{tmp_path}/c")

@@ -1,0 +1,73 @@
+"""The command parser."""
+
+import math
+
+import msgpack
+import pytest
+
+from palmd.daemon.commands import COMMANDS, REQUEST_BYTES_MAX, CommandError, Reply, Request, parse
+
+
+def packed(**message) -> bytes:
+    return msgpack.packb(message)
+
+
+@pytest.mark.parametrize("name", [name for name in COMMANDS if name != "plan"])
+def test_every_command_is_understood(name):
+    assert parse(packed(id=7, cmd=name), (b"x",)) == Request(name, {}, 7, (b"x",))
+
+
+def test_arguments_are_passed_on():
+    assert parse(packed(id="a", cmd="plan", args={"path": "p.yaml"})).args == {"path": "p.yaml"}
+    assert parse(packed(id="a", cmd="jog", args={"phi1_deg": -0.25})).args == {"phi1_deg": -0.25}
+    assert parse(packed(id=1, cmd="arm", args=None)).args == {}
+
+
+@pytest.mark.parametrize(
+    ("payload", "id", "complaint"),
+    [
+        (b"", None, "not a msgpack map"),
+        (b"\xc1", None, "not a msgpack map"),
+        (b"arm", None, "not a msgpack map"),
+        (b"\x07", None, "expected a map"),
+        (msgpack.packb([1, "arm"]), None, "a list"),
+        (msgpack.packb({1: 2}), None, "not a msgpack map"),
+        (packed(id=3), 3, "unknown command None"),
+        (packed(id=3, cmd="fly"), 3, "unknown command 'fly'; there are status, arm"),
+        (packed(id=3, cmd=["arm"]), 3, "unknown command a list"),
+        (packed(id=3, cmd="arm", force=True), 3, "unknown key 'force'"),
+        (packed(id=3, cmd="arm", args=[1]), 3, "args must be a map"),
+        (packed(id=3, cmd="arm", args={"now": 1}), 3, "unknown argument 'now'; it takes none"),
+        (packed(id=3, cmd="jog", args={"phi1_deg": "1"}), 3, "phi1_deg must be a finite number, got '1'"),
+        (packed(id=3, cmd="jog", args={"phi1_deg": True}), 3, "finite number"),
+        (packed(id=3, cmd="jog", args={"phi2_deg": math.nan}), 3, "finite number"),
+        (packed(id=3, cmd="jog", args={"phi2_deg": 0.6}), 3, "must be -0.5 to 0.5, got 0.6"),
+        (packed(id=3, cmd="plan"), 3, "path is missing"),
+        (packed(id=3, cmd="plan", args={"path": ""}), 3, "must be text"),
+        (packed(id=3, cmd="plan", args={"path": "a\0b"}), 3, "must be text"),
+        (packed(id=[1], cmd="fly"), None, "unknown command"),
+        (packed(id="x" * 300, cmd="fly"), None, "unknown command"),
+        (b"\x81\xa2id" * 40_000, None, "bytes at most"),
+        (b"\x91" * 60_000, None, "not a msgpack map"),
+    ],
+)
+def test_malformed(payload, id, complaint):
+    with pytest.raises(CommandError, match=complaint.replace("(", r"\(")) as caught:
+        parse(payload)
+    assert caught.value.id == id
+    assert len(str(caught.value)) < 300
+
+
+def test_a_large_request_is_refused_unread():
+    with pytest.raises(CommandError, match="65536 bytes at most"):
+        parse(bytes(REQUEST_BYTES_MAX + 1))
+
+
+def test_reply_has_only_what_it_needs():
+    request = Request("arm", id=5)
+    assert Reply(request, None, {"state": "tracking"}).fields() == {
+        "id": 5,
+        "ok": True,
+        "result": {"state": "tracking"},
+    }
+    assert Reply(request, "arm refused: no").fields() == {"id": 5, "ok": False, "error": "arm refused: no"}

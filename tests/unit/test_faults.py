@@ -1,0 +1,103 @@
+"""The fault table and its monitor."""
+
+import re
+
+import pytest
+
+from palmd.faults import FAULTS, TABLE, FaultMonitor, Severity
+
+
+def codes(monitor: FaultMonitor) -> list[str]:
+    return [fault.code for fault in monitor.active]
+
+
+def test_table_is_sound():
+    assert len(TABLE) == len(FAULTS)
+    for fault in FAULTS:
+        assert re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", fault.code)
+        assert fault.text
+        assert fault.hint
+        assert "\n" not in fault.text + fault.hint
+        assert fault.debounce_s >= 0.0
+
+
+def test_what_stays_is_not_said_to_clear_itself_and_the_other_way_round():
+    for fault in FAULTS:
+        assert (fault.latch == "no") == (fault.clears == "itself"), fault.code
+
+
+def test_every_stop_fault_stays_once_it_has_stopped_the_arm():
+    assert all(fault.latch != "no" for fault in FAULTS if fault.severity is Severity.STOP)
+
+
+def test_both_pads_have_the_same_faults():
+    one, two = (
+        {fault.code.removeprefix(pad) for fault in FAULTS if fault.code.startswith(pad)} for pad in ("pad1", "pad2")
+    )
+    assert one == two != set()
+
+
+def test_fault_stands_as_long_as_its_condition():
+    monitor = FaultMonitor()
+    assert monitor.update({"pad1-port"}, 0.0, armed=False)
+    assert codes(monitor) == ["pad1-port"]
+    assert monitor.update(set(), 0.1, armed=False)
+    assert codes(monitor) == []
+
+
+def test_debounce_asks_for_an_unbroken_condition():
+    monitor = FaultMonitor()
+    debounce = TABLE["pad1-lifted"].debounce_s
+    assert debounce > 0.02
+    monitor.update({"pad1-lifted"}, 0.0, armed=False)
+    monitor.update(set(), 0.02, armed=False)
+    monitor.update({"pad1-lifted"}, 0.03, armed=False)
+    monitor.update({"pad1-lifted"}, debounce + 0.01, armed=False)
+    assert codes(monitor) == []
+    monitor.update({"pad1-lifted"}, 0.03 + debounce, armed=False)
+    assert codes(monitor) == ["pad1-lifted"]
+
+
+@pytest.mark.parametrize(
+    ("code", "armed", "stays"),
+    [
+        ("pad1-port", True, False),
+        ("arm-power-off", False, False),
+        ("arm-power-off", True, True),
+        ("arm-estop", False, True),
+    ],
+)
+def test_latching(code, armed, stays):
+    monitor = FaultMonitor()
+    monitor.update({code}, 0.0, armed=armed)
+    monitor.update(set(), 1.0, armed=False)
+    assert codes(monitor) == ([code] if stays else [])
+
+
+def test_reset_lets_go_only_of_what_is_gone():
+    monitor = FaultMonitor()
+    monitor.update({"arm-estop", "tick-error"}, 0.0, armed=True)
+    monitor.update({"arm-estop"}, 0.1, armed=True)
+    assert monitor.latched(Severity.STOP)
+    assert monitor.reset()
+    assert codes(monitor) == ["arm-estop"]
+    monitor.update(set(), 0.2, armed=False)
+    assert codes(monitor) == ["arm-estop"]
+    assert monitor.reset()
+    assert codes(monitor) == []
+    assert not monitor.latched(Severity.STOP)
+
+
+def test_active_is_in_the_tables_order_and_the_same_object_while_nothing_changes():
+    monitor = FaultMonitor()
+    monitor.update({"vm-backend", "arm-estop", "pad2-port"}, 0.0, armed=False)
+    assert codes(monitor) == ["arm-estop", "pad2-port", "vm-backend"]
+    before = monitor.active
+    assert not monitor.update({"vm-backend", "arm-estop", "pad2-port"}, 0.1, armed=False)
+    assert monitor.active is before
+    assert [fault.code for fault in monitor.standing(Severity.HOLD)] == ["pad2-port"]
+
+
+def test_unknown_code_is_a_defect():
+    with pytest.raises(KeyError):
+        FaultMonitor().update({"no-such-fault"}, 0.0, armed=False)

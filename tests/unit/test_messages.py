@@ -1,0 +1,164 @@
+"""The published messages against the contract's list of fields."""
+
+import dataclasses
+import math
+
+import msgpack
+import numpy as np
+import pytest
+
+from palmd.events import Estimate, PalmMotion, ShapeEstimate
+from palmd.faults import TABLE
+from palmd.messages import (
+    CONTACT,
+    ESTIMATE,
+    INFO,
+    LOOP,
+    MOTION,
+    NAMED_STATE,
+    SHAPE,
+    STATE,
+    TOPICS,
+    PadView,
+    contact_fields,
+    estimate_fields,
+    info_fields,
+    motion_fields,
+    shape_fields,
+    sound,
+    stamp,
+    state_fields,
+    validate,
+)
+
+# As CONTRACTS section 4 has them, written out here a second time.
+CONTRACT = {
+    "palm/estimate": "valid observer object r1_m r2_m omega0_rad_s s1_m s2_m phi1_rad omega1_rad_s phi2_rad "
+    "omega2_rad_s rho_m psi_rad v1_m v2_m mu mass_kg f1_n f2_n com_x_m com_y_m sd nis observability touched",
+    "palm/shape": "theta_rad h_m h_sd_m touched",
+    "palm/contact": "s1_m s2_m pressure1 pressure2 age1_ms age2_ms arm_age_ms touch1 touch2 batch1 batch2",
+    "palm/motion": "phi1_cmd_rad phi2_cmd_rad phi1_rad phi2_rad plan segment progress arm_state",
+    "palm/state": "state faults severities hints",
+}
+SD_NAMES = (
+    "r1_m r2_m omega0_rad_s s1_m s2_m phi1_rad omega1_rad_s phi2_rad omega2_rad_s rho_m psi_rad v1_m v2_m mu "
+    "mass_kg f1_n f2_n com_x_m com_y_m"
+)
+UNCERTAIN = (
+    *NAMED_STATE, "v1", "v2", "mu", "mass", "f1", "f2", "com_x", "com_y",
+)  # fmt: skip
+
+
+def an_estimate(**changes) -> Estimate:
+    values = {name: 0.01 * (i + 1) for i, name in enumerate(UNCERTAIN)}
+    sd = dict.fromkeys(UNCERTAIN, 0.001)
+    extra = {"nis": 1.0, "observability": math.nan, "touched": 0.5}
+    estimate = Estimate(t=1.0, valid=True, observer="shape", object_count=2, sd=sd, **values, **extra)
+    return dataclasses.replace(estimate, **changes)
+
+
+def built():
+    shape = ShapeEstimate(1.0, np.zeros(180), np.ones(180), np.ones(180), np.arange(180) < 90)
+    loop = {
+        "ticks": 1,
+        "overruns": 0,
+        **{f"{a}_{b}_ms": 0.1 for a in ("lateness", "work") for b in ("p50", "p99", "max")},
+        "pad1_bytes_discarded": 3,
+        "arm_crc_errors": 0,
+        "bus_published": 1,
+        "lag_ms": 40.0,
+        "late_dropped": 0,
+        "rss_mb": 100.0,
+        "backend": "c",
+    }
+    return {
+        ESTIMATE: estimate_fields(an_estimate()),
+        SHAPE: shape_fields(shape),
+        CONTACT: contact_fields(PadView(0.02, 17, 0.004, True, False), PadView(), math.nan),
+        MOTION: motion_fields(PalmMotion(0.5, 1.5), None, "rock", 1, 0.25, "T"),
+        STATE: state_fields("hold", [TABLE["pad1-port"], TABLE["vm-backend"]]),
+        LOOP: loop,
+        INFO: info_fields("0.1.0", "abc", "shape", 100.0),
+    }
+
+
+def test_every_topic_is_built_as_its_table_says():
+    assert set(built()) == set(TOPICS)
+    for topic, fields in built().items():
+        assert validate(topic, stamp(fields, 1.7e9, 12.5, 7)) == []
+
+
+@pytest.mark.parametrize("topic", [t for t in TOPICS if t.name in CONTRACT], ids=lambda t: t.name)
+def test_fields_are_those_of_the_contract(topic):
+    assert set(built()[topic]) == set(CONTRACT[topic.name].split())
+
+
+def test_sd_is_named_like_the_fields_it_belongs_to():
+    fields = estimate_fields(an_estimate())
+    assert set(fields["sd"]) == set(SD_NAMES.split())
+    assert set(fields["sd"]) <= set(fields)
+
+
+def test_estimate_carries_the_values_under_their_names():
+    fields = estimate_fields(an_estimate(r1=0.021, mass=0.3, omega0=-2.0))
+    assert (fields["r1_m"], fields["mass_kg"], fields["omega0_rad_s"]) == (0.021, 0.3, -2.0)
+    assert fields["object"] == 2
+    assert fields["valid"] is True
+
+
+def test_numpy_truth_is_sent_as_a_boolean():
+    assert estimate_fields(an_estimate(valid=np.bool_(True)))["valid"] is True
+
+
+def test_stamp_is_exact_to_the_nanosecond():
+    fields = stamp({}, 1.7e9, 4066.152798716, 3)
+    assert fields == {"v": 1, "timestamp": 1.7e9, "mono_ns": 4066152798716, "seq": 3}
+
+
+def test_messages_survive_the_wire_with_string_keys_and_nan():
+    for fields in built().values():
+        back = msgpack.unpackb(msgpack.packb(fields))
+        assert set(back) == set(fields)
+        assert all(isinstance(key, str) for key in back)
+    contact = msgpack.unpackb(msgpack.packb(built()[CONTACT]))
+    assert math.isnan(contact["s2_m"])
+    assert math.isnan(contact["arm_age_ms"])
+    assert contact["age1_ms"] == pytest.approx(4.0)
+
+
+def test_state_lists_have_the_same_length():
+    fields = built()[STATE]
+    assert fields["faults"] == ["pad1-port", "vm-backend"]
+    assert fields["severities"] == ["hold", "note"]
+    assert fields["hints"] == [TABLE[code].hint for code in fields["faults"]]
+
+
+@pytest.mark.parametrize("name", NAMED_STATE)
+def test_estimate_is_unsound_without_any_of_the_named(name):
+    good = an_estimate()
+    assert sound(good)
+    assert not sound(dataclasses.replace(good, **{name: math.nan}))
+    assert not sound(dataclasses.replace(good, sd={**good.sd, name: math.inf}))
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"r1_m": None}, "r1_m must be number"),
+        ({"valid": 1}, "valid must be bool"),
+        ({"object": True}, "object must be number"),
+        ({"extra": 1.0}, "extra is not in the table"),
+        ({"sd": {"r1": 1.0}}, "sd must be sds"),
+    ],
+)
+def test_validate_finds_what_is_wrong(change, complaint):
+    fields = stamp(estimate_fields(an_estimate()), 0.0, 0.0, 0) | change
+    assert [complaint in error for error in validate(ESTIMATE, fields)] == [True]
+
+
+def test_validate_misses_what_is_missing():
+    fields = estimate_fields(an_estimate())
+    del fields["r2_m"]
+    errors = validate(ESTIMATE, fields)
+    assert any("r2_m is missing" in error for error in errors)
+    assert any("mono_ns is missing" in error for error in errors)
