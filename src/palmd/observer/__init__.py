@@ -11,11 +11,10 @@ from palmd.observer.live import BankObserver
 ObserverName = Literal["shape", "extended"]
 OBSERVERS: tuple[str, ...] = get_args(ObserverName)
 
-EXTENDED_BANK, SHAPE_BANK = 24, 48
+EXTENDED_BANK, SHAPE_BANK = 24, 40  # multiples of model.compiled.BLOCK
 
 
 def make(name: ObserverName, rig: RigDescription, seed: int = 0) -> BankObserver:
     """The observer called `name` for `rig`; takes seconds when its C has to be compiled first."""
-    if name == "extended":
-        return BankObserver(ExtendedFilters(rig, EXTENDED_BANK), rig, seed)
-    return BankObserver(ShapeFilters(rig, SHAPE_BANK), rig, seed)
+    filters = ExtendedFilters(rig, EXTENDED_BANK) if name == "extended" else ShapeFilters(rig, SHAPE_BANK)
+    return BankObserver(filters, rig, seed)

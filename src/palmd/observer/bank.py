@@ -18,7 +18,7 @@ from palmd.events import FloatArray
 from palmd.model.compiled import BLOCK, BoundCall, Library
 
 GATE = 16.0  # innovation² beyond which a reading is an outlier: 4 sigma
-SCORE_MEMORY_S = 30.0
+SCORE_MEMORY_S = 2.0  # longer, and early luck keeps a filter in the lead that has since gone wrong
 NIS_READINGS = 50.0  # readings over which each filter's mean NIS is taken
 LOST_SCORE = -1e12
 
@@ -139,8 +139,9 @@ class Bank:
         self._side = 1 - self._side
         outcome = self._outcome[: self.size]
         # a sum is finite only if all its terms are (or they cancel as infinities, which gives NaN)
-        if not math.isfinite(self.x.sum() + outcome.sum()):
-            self._park(np.isfinite(self.x.sum(axis=1) + outcome.sum(axis=1)))
+        with np.errstate(over="ignore", invalid="ignore"):
+            if not math.isfinite(self.x.sum() + outcome.sum()):
+                self._park(np.isfinite(self.x.sum(axis=1) + outcome.sum(axis=1)))
         if scored:
             self.score[:] += outcome[:, 0]
             # capped, so that a rare outlier does not pass for a wrong model
@@ -163,12 +164,13 @@ class Bank:
         members = slice(block * BLOCK, (block + 1) * BLOCK)
         x, P, mean = self.x[members], self.P[members], prior.mean[members]
         P *= 1.0 + fraction
-        for state in range(*prior.which.indices(self.n)):
-            spread = P[:, state, state] + prior.sd[state] ** 2 / fraction
-            gain = P[:, :, state] / spread[:, None]
-            x += gain * (mean[:, state] - x[:, state])[:, None]
-            # P − k k' S: symmetric by construction, and S > P[state, state] keeps it positive
-            P -= gain[:, :, None] * (gain * spread[:, None])[:, None, :]
+        with np.errstate(over="ignore", invalid="ignore"):  # a filter gone wild is parked at the next reading
+            for state in range(*prior.which.indices(self.n)):
+                spread = P[:, state, state] + prior.sd[state] ** 2 / fraction
+                gain = P[:, :, state] / spread[:, None]
+                x += gain * (mean[:, state] - x[:, state])[:, None]
+                # P − k k' S: symmetric by construction, and S > P[state, state] keeps it positive
+                P -= gain[:, :, None] * (gain * spread[:, None])[:, None, :]
 
     def prune(self, margin: float) -> npt.NDArray[np.intp] | None:
         """Drop filters whose score is more than `margin` (nats) behind the best, block by block.

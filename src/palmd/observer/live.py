@@ -38,7 +38,7 @@ HISTORY = 24  # events that can be undone for a late one
 SETTLED_SD = 4e-4  # m, of r1 and r2
 AGREEMENT = 4e-4  # m, among plausible filters
 PLAUSIBLE = 12.0  # nats below the best
-HOPELESS = 60.0  # nats below the best, from which no filter comes back
+HOPELESS, PRUNE_AGE_S = 100.0, 4.0  # nats below the best, from which no filter comes back once so old
 MIN_AGE_S = 0.4
 LOST_NIS = 3.0
 LOST_FOR_S = 0.4
@@ -238,7 +238,7 @@ class BankObserver:
         fraction = FADE * since / (FADE_AGE_S + age) * (1.0 + FADE_BY_SURPRISE * surprise)
         self._bank.fade(block, min(fraction, 1.0), self._filters.constants(self._start))
         self._t_faded[block] = self._t
-        kept = self._bank.prune(HOPELESS) if age > MIN_AGE_S else None
+        kept = self._bank.prune(HOPELESS) if age > PRUNE_AGE_S else None
         if kept is not None:
             self._fused.clear()  # what came before can no longer be undone
             self._spare.clear()
@@ -269,7 +269,7 @@ class BankObserver:
         touching = not self._lifted and all(t - self._last_seen(pad) < SILENCE_S for pad in (1, 2))
         consistent = NIS_RANGE[0] < self._bank.nis[best] < NIS_RANGE[1]
         sharp = max(sd[_R1], sd[_R2]) < SETTLED_SD and max(spread[_R1], spread[_R2]) < AGREEMENT
-        return touching and consistent and bool(sharp) and t - self._t_start > MIN_AGE_S
+        return bool(touching and consistent and sharp and t - self._t_start > MIN_AGE_S)
 
     def _mark_touched(self, best: int, y: FloatArray) -> None:
         if best != self._marked:
