@@ -21,6 +21,7 @@ class Filters(Protocol):
 
     name: str
     bank: Bank
+    fuses_palms: bool  # whether reports of the palms are readings; else the palms' motion is an input
 
     def start(self, start: BlindStart, palms: PalmTracker, t: float) -> None:
         """Set every filter to its sample of the prior, at time `t`."""
@@ -35,7 +36,7 @@ class Filters(Protocol):
         """Fuse one contact reading."""
 
     def fuse_palms(self, sample: PalmSample, angle_variance: float) -> None:
-        """Fuse one report of the palms."""
+        """Fuse one report of the palms; only where `fuses_palms`."""
 
     def named(self, member: int, t: float, dt: float, palms: PalmTracker) -> tuple[FloatArray, FloatArray]:
         """Values of `NAMED` and their covariance for one filter, taken from `t` to `t + dt`."""
@@ -59,6 +60,7 @@ class ExtendedFilters:
     """Filters on the project's named state (`model.extended`)."""
 
     name = "extended"
+    fuses_palms = True
 
     def __init__(self, rig: RigDescription, size: int):
         library = extended.library()
@@ -144,6 +146,7 @@ class ShapeFilters:
     """Filters on the whole outline (`model.shape_map`); the palms' angles are inputs."""
 
     name = "shape"
+    fuses_palms = False
 
     def __init__(self, rig: RigDescription, size: int):
         library = shape_map.library()
@@ -199,7 +202,7 @@ class ShapeFilters:
         self.bank.update(_pad_update(sample.pad), sample.s, variance, phi1, phi2)
 
     def fuse_palms(self, sample: PalmSample, angle_variance: float) -> None:
-        """Nothing to do: the tracker has it."""
+        raise NotImplementedError("the palms' motion is an input of the shape map")
 
     def named(self, member: int, t: float, dt: float, palms: PalmTracker) -> tuple[FloatArray, FloatArray]:
         self._x[:], self._P[:] = self.bank.x[member], self.bank.P[member]

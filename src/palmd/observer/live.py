@@ -112,7 +112,7 @@ class BankObserver:
         if self._running:
             if event.t_sample - self._t > GONE_S:
                 self._stop()
-            else:
+            elif isinstance(event, PadSample) or self._filters.fuses_palms:
                 self._fuse_in_order(event)
         if not self._running:
             self._try_to_start(event.t_sample)

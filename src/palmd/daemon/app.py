@@ -1,0 +1,154 @@
+"""`palmd run`: everything wired together."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import sys
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from pathlib import Path
+from types import FrameType
+from typing import Any, cast
+
+from palmd import __version__, observer
+from palmd.config import Config, config_hash, rig_description
+from palmd.daemon import realtime
+from palmd.daemon.bus import Bus, BusError
+from palmd.daemon.ends import EndName
+from palmd.daemon.journal import start_journal
+from palmd.daemon.loop import Loop
+from palmd.daemon.planner import Plan, read_plan
+from palmd.daemon.step import Core
+from palmd.daemon.systemd import Notifier
+from palmd.devices.port import Port
+from palmd.messages import info_fields
+from palmd.motion.check import motion_limits
+from palmd.motion.kinematics import PoseError, RigGeometry
+from palmd.observer.live import BankObserver
+from palmd.yamlfile import ConfigError, load_config
+
+log = logging.getLogger(__name__)
+
+OK, BAD_INPUT, RIG_FAILED = 0, 1, 3
+SUBSTITUTE = "shape"
+
+
+def run(config_path: Path) -> int:
+    """Run the daemon until SIGTERM or SIGINT; returns the exit status.
+
+    0: the arm stands. 1: the configuration or its plan is wrong, told on standard error. 3: an address is
+    taken, or the arm could not be brought to a stop that it confirmed.
+    """
+    with _Signals() as signals:
+        try:
+            return _start(config_path, signals)
+        except _InterruptedError:
+            return OK
+
+
+def _start(config_path: Path, signals: _Signals) -> int:
+    try:
+        config = load_config(config_path)
+        RigGeometry.from_config(config)
+        plan = None if config.plan is None else read_plan(config.plan, motion_limits(config), None)
+    except ConfigError as error:
+        print(error, file=sys.stderr)
+        return BAD_INPUT
+    except PoseError as error:
+        print(f"{config_path}: {error}", file=sys.stderr)
+        return BAD_INPUT
+    try:
+        bus = Bus(config.bus.publish, config.bus.command)
+    except BusError as error:
+        print(f"{config_path}: {error}", file=sys.stderr)
+        return RIG_FAILED
+    with ExitStack() as stack:
+        stack.callback(bus.close)
+        stack.callback(start_journal().close)
+        return _run(config, config_path.absolute().parent, plan, bus, signals, stack)
+
+
+def _run(config: Config, folder: Path, plan: Plan | None, bus: Bus, signals: _Signals, stack: ExitStack) -> int:
+    notifier = Notifier()
+    stack.callback(notifier.close)
+    notifier.status("building the observer")
+    estimator, notes = _observer(config)
+    missing = realtime.prepare()
+    for text in missing:
+        log.warning("%s", text)
+    if missing:
+        notes.append("no-realtime")
+    aside = ThreadPoolExecutor(1, "aside")
+    stack.callback(aside.shutdown, wait=False, cancel_futures=True)
+    ports = _ports(config)
+    for port in ports.values():
+        stack.callback(port.close)
+    loop = Loop(
+        Core(config, estimator, aside, plan, notes, folder),
+        ports,
+        bus,
+        notifier,
+        rate_hz=config.loop.rate_hz,
+        backend=estimator.backend,
+        info=info_fields(__version__, config_hash(config), estimator.name, config.loop.rate_hz),
+    )
+    realtime.freeze_collector()
+    signals.hand_over(loop.stop)
+    return OK if loop.run() else RIG_FAILED
+
+
+def _observer(config: Config) -> tuple[BankObserver, list[str]]:
+    """The configured observer, and the notes that come with it."""
+    notes = []
+    name: str = config.observer.primary
+    if name not in observer.OBSERVERS:
+        notes.append("observer-substituted")
+        name = SUBSTITUTE
+    estimator = observer.make(cast(observer.ObserverName, name), rig_description(config))
+    if estimator.backend == "vm":
+        notes.append("vm-backend")
+    return estimator, notes
+
+
+def _ports(config: Config) -> dict[EndName, Port]:
+    pads = config.pads
+    return {
+        "pad1": Port("pad1", pads.palm1.port, pads.palm1.baud),
+        "pad2": Port("pad2", pads.palm2.port, pads.palm2.baud),
+        "arm": Port("arm", config.arm.port, config.arm.baud),
+    }
+
+
+class _InterruptedError(BaseException):
+    """The end was asked for before anything had been started."""
+
+
+class _Signals:
+    """Lets SIGTERM and SIGINT ask for the end: of the loop once there is one, else of the start-up."""
+
+    def __init__(self) -> None:
+        self._asked = False
+        self._stop: Callable[[], None] | None = None
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> _Signals:
+        self._before = {number: signal.signal(number, self._ask) for number in (signal.SIGTERM, signal.SIGINT)}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def hand_over(self, stop: Callable[[], None]) -> None:
+        """From now on call `stop`; at once if the end has been asked for and foreign code hid it."""
+        self._stop = stop
+        if self._asked:
+            stop()
+
+    def _ask(self, _signal: int, _frame: FrameType | None) -> None:
+        self._asked = True
+        if self._stop is None:
+            raise _InterruptedError
+        self._stop()

@@ -1,0 +1,120 @@
+"""The daemon on ZeroMQ: a publisher and a command socket that never block the loop.
+
+Who does not listen in time loses messages, never the loop's time. All of `Bus` is safe in the loop.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import asdict, dataclass
+
+import msgpack
+import zmq
+
+from palmd.daemon.commands import CommandError, Reply, Request, parse, reply_fields
+from palmd.messages import Fields, Topic, stamp
+
+HIGH_WATER = 100
+COMMANDS_PER_TICK = 4
+MESSAGE_BYTES_MAX = 1 << 20  # ZeroMQ itself turns away a client that sends more
+
+
+class BusError(Exception):
+    """A socket that cannot be had; says which, why, and what to do."""
+
+
+@dataclass(slots=True)
+class BusCounters:
+    """What has passed on the bus since the start; `replies_lost` found nobody to take them."""
+
+    published: int = 0
+    commands: int = 0
+    malformed: int = 0
+    replies_lost: int = 0
+
+
+class Bus:
+    """Both sockets, bound from the beginning; raises BusError when an address cannot be had."""
+
+    def __init__(self, publish: str, command: str) -> None:
+        """`publish` and `command` are ZeroMQ addresses."""
+        self.counters = BusCounters()
+        self._seq: dict[str, int] = {}
+        self._context = zmq.Context()
+        try:
+            self._publisher = self._bound(zmq.PUB, publish, "bus.publish")
+            self._commands = self._bound(zmq.ROUTER, command, "bus.command")
+        except BusError:
+            self.close()
+            raise
+
+    def publish(self, topic: Topic, fields: Fields, t: float, timestamp: float) -> None:
+        """Send one message, or drop it; `t` is the tick's time, `timestamp` Unix time (s)."""
+        seq = self._seq.get(topic.name, 0)
+        self._seq[topic.name] = seq + 1
+        payload = msgpack.packb(stamp(fields, timestamp, t, seq))
+        with contextlib.suppress(zmq.Again):
+            self._publisher.send_multipart((topic.frame, payload, b"%.6f" % timestamp), zmq.NOBLOCK)
+            self.counters.published += 1
+
+    def receive(self) -> list[Request]:
+        """The valid commands that have come, a few at most; what is malformed is answered here."""
+        requests: list[Request] = []
+        for _ in range(COMMANDS_PER_TICK):
+            try:
+                frames = self._commands.recv_multipart(zmq.NOBLOCK)
+            except zmq.Again:
+                break
+            self.counters.commands += 1
+            route, payloads = _opened(frames)
+            try:
+                if len(payloads) != 1:
+                    raise CommandError(f"expected one frame with a map {{id, cmd, args}}, got {len(payloads)}")
+                requests.append(parse(payloads[0], route))
+            except CommandError as error:
+                self.counters.malformed += 1
+                self._send(route, reply_fields(error.id, str(error)))
+        return requests
+
+    def reply(self, reply: Reply) -> None:
+        """Answer a request; lost when the client has gone."""
+        if reply.request.route is not None:
+            self._send(reply.request.route, reply.fields())
+
+    def fields(self) -> dict[str, int]:
+        """The counters by the names of `palm/loop`."""
+        return {f"bus_{name}": count for name, count in asdict(self.counters).items()}
+
+    def close(self) -> None:
+        """Drop everything and let go of the addresses."""
+        self._context.destroy(linger=0)
+
+    def _bound(self, kind: int, address: str, key: str) -> zmq.Socket[bytes]:
+        socket = self._context.socket(kind)
+        socket.setsockopt(zmq.LINGER, 0)
+        socket.setsockopt(zmq.SNDHWM, HIGH_WATER)
+        socket.setsockopt(zmq.RCVHWM, HIGH_WATER)
+        socket.setsockopt(zmq.MAXMSGSIZE, MESSAGE_BYTES_MAX)
+        try:
+            socket.bind(address)
+        except zmq.ZMQError as error:
+            if error.errno == zmq.EADDRINUSE:
+                raise BusError(
+                    f"{key}: {address} is in use, perhaps by another palmd: end it, or configure another address"
+                ) from None
+            raise BusError(f"{key}: {address} cannot be bound: {error.strerror}") from None
+        return socket
+
+    def _send(self, route: tuple[bytes, ...], fields: Fields) -> None:
+        try:
+            self._commands.send_multipart((*route, msgpack.packb(fields)), zmq.NOBLOCK)
+        except zmq.ZMQError:
+            self.counters.replies_lost += 1
+
+
+def _opened(frames: list[bytes]) -> tuple[tuple[bytes, ...], list[bytes]]:
+    """The way back, and the rest: a REQ client puts an empty frame first, a DEALER need not."""
+    identity, *rest = frames
+    if len(rest) > 1 and rest[0] == b"":
+        return (identity, b""), rest[1:]
+    return (identity,), rest

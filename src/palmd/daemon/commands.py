@@ -1,0 +1,168 @@
+"""The command socket's language: one table of commands, and a parser that trusts nobody. Pure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import msgpack
+
+REQUEST_BYTES_MAX = 64 * 1024
+
+_SCALARS = (str, bytes, int, float, bool, type(None))
+_ID_LENGTH_MAX = 256
+
+
+@dataclass(frozen=True, slots=True)
+class Argument:
+    """One argument of a command; `low` and `high` bound a number."""
+
+    name: str
+    kind: Literal["number", "text"]
+    meaning: str
+    required: bool = False
+    low: float = -math.inf
+    high: float = math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class CommandSpec:
+    """One row of the table."""
+
+    does: str
+    arguments: tuple[Argument, ...] = ()
+
+
+JOG_STEP_MAX_DEG = 0.5
+
+COMMANDS: dict[str, CommandSpec] = {
+    "status": CommandSpec("tells state, faults and plan"),
+    "arm": CommandSpec("from ready: starts tracking and stands at the present pose"),
+    "start": CommandSpec("blends to the plan's start and runs it; goes on after a hold"),
+    "hold": CommandSpec("stops the motion along its path; tracking goes on"),
+    "stop": CommandSpec("planned stop, back to ready"),
+    "reset": CommandSpec("clears latched faults that are gone, and a faulted controller; never an e-stop"),
+    "plan": CommandSpec(
+        "loads another plan, validated first; not while moving",
+        (Argument("path", "text", "the plan's file; relative to the configuration's folder", required=True),),
+    ),
+    "jog": CommandSpec(
+        "turns the palms by small steps, for as long as the next one comes within 200 ms",
+        tuple(
+            Argument(f"phi{i}_deg", "number", f"step of phi{i}", low=-JOG_STEP_MAX_DEG, high=JOG_STEP_MAX_DEG)
+            for i in (1, 2)
+        ),
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A valid command. `route` leads back to who sent it and means nothing here; None for nobody."""
+
+    name: str
+    args: dict[str, Any] = field(default_factory=dict)
+    id: Any = None
+    route: tuple[bytes, ...] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """The answer to a request: a result, or what was wrong."""
+
+    request: Request
+    error: str | None = None
+    result: dict[str, Any] | None = None
+
+    def fields(self) -> dict[str, Any]:
+        """The map that goes out."""
+        return reply_fields(self.request.id, self.error, self.result)
+
+
+class CommandError(ValueError):
+    """A message that is no valid command; `id` is its identity where it could be read, else None."""
+
+    def __init__(self, text: str, id: Any = None) -> None:
+        super().__init__(text)
+        self.id = id
+
+
+def reply_fields(id: Any, error: str | None, result: dict[str, Any] | None = None) -> dict[str, Any]:
+    """`{id, ok, error?, result?}`."""
+    fields: dict[str, Any] = {"id": id, "ok": error is None}
+    if error is not None:
+        fields["error"] = error
+    if result is not None:
+        fields["result"] = result
+    return fields
+
+
+def parse(payload: bytes, route: tuple[bytes, ...] | None = None) -> Request:
+    """The request in a msgpack map `{id, cmd, args}`; raises CommandError for anything else."""
+    if len(payload) > REQUEST_BYTES_MAX:
+        raise CommandError(f"a command has {REQUEST_BYTES_MAX} bytes at most, not {len(payload)}")
+    try:
+        message = msgpack.unpackb(payload)
+    except Exception as error:  # msgpack raises half a dozen kinds for bytes that are not its own
+        raise CommandError(f"not a msgpack map {{id, cmd, args}}: {error or type(error).__name__}") from None
+    if not isinstance(message, dict):
+        raise CommandError(f"expected a map {{id, cmd, args}}, got {_named(message)}")
+    id = _identity(message.get("id"))
+    unknown = [key for key in message if key not in ("id", "cmd", "args")]
+    if unknown:
+        raise CommandError(f"unknown key {_shown(unknown[0])}; a command has id, cmd, args", id)
+    name = message.get("cmd")
+    if not isinstance(name, str) or name not in COMMANDS:
+        raise CommandError(f"unknown command {_shown(name)}; there are {', '.join(COMMANDS)}", id)
+    args = message.get("args")
+    return Request(name, _arguments(name, {} if args is None else args, id), id, route)
+
+
+def _identity(id: Any) -> Any:
+    """What may be echoed: a scalar that is not too long, else None."""
+    if not isinstance(id, _SCALARS) or (isinstance(id, str | bytes) and len(id) > _ID_LENGTH_MAX):
+        return None
+    return id
+
+
+def _arguments(command: str, args: Any, id: Any) -> dict[str, Any]:
+    if not isinstance(args, dict):
+        raise CommandError(f"{command}: args must be a map, got {_named(args)}", id)
+    known = {argument.name: argument for argument in COMMANDS[command].arguments}
+    for name, value in args.items():
+        argument = known.get(name)
+        if argument is None:
+            there = f"there are {', '.join(known)}" if known else "it takes none"
+            raise CommandError(f"{command}: unknown argument {_shown(name)}; {there}", id)
+        problem = _problem(argument, value)
+        if problem is not None:
+            raise CommandError(f"{command}: {name} {problem}", id)
+    missing = [name for name, argument in known.items() if argument.required and name not in args]
+    if missing:
+        raise CommandError(f"{command}: {missing[0]} is missing", id)
+    return args
+
+
+def _problem(argument: Argument, value: Any) -> str | None:
+    if argument.kind == "text":
+        if not isinstance(value, str) or not value or "\0" in value:
+            return f"must be text, got {_shown(value)}"
+    elif isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return f"must be a finite number, got {_shown(value)}"
+    elif not argument.low <= value <= argument.high:
+        return f"must be {argument.low:g} to {argument.high:g}, got {value:g}"
+    return None
+
+
+def _named(value: Any) -> str:
+    return {list: "a list", str: "text", bytes: "bytes", type(None): "nothing"}.get(
+        type(value), f"a {type(value).__name__}"
+    )
+
+
+def _shown(value: Any) -> str:
+    if not isinstance(value, _SCALARS):
+        return _named(value)
+    text = repr(value)
+    return text if len(text) <= 40 else text[:37] + "…"

@@ -1,0 +1,73 @@
+"""Jogging: small steps of the palm angles under a dead-man's handle. Pure, and safe in the loop."""
+
+from __future__ import annotations
+
+import math
+
+from palmd.events import PalmMotion
+from palmd.motion.limits import MotionLimits
+
+DEAD_MAN_S = 0.200
+RATE = math.radians(10.0)
+ACCELERATION = math.radians(100.0)
+LEAD = math.radians(2.0)
+"""How far the goal may run ahead of the palms."""
+
+
+class Jog:
+    """Moves gently towards a goal that each step shifts; without a step for 200 ms it brakes to a stand."""
+
+    def __init__(self, pose: PalmMotion, limits: MotionLimits, t: float) -> None:
+        """Begin at rest at `pose` at `t` (s)."""
+        self._limits = limits
+        self._q = [pose.phi1, pose.phi2]
+        self._v = [0.0, 0.0]
+        self._goal = [pose.phi1, pose.phi2]
+        self._t = t
+        self._t_alive = t
+        self._rate = min(RATE, limits.rate)
+        self._acceleration = min(ACCELERATION, limits.acceleration)
+
+    @property
+    def moving(self) -> bool:
+        """Whether the palms are under way."""
+        return self._v != [0.0, 0.0] or self._goal != self._q
+
+    @property
+    def motion(self) -> PalmMotion:
+        """Where the palms are meant to be, and how fast."""
+        return PalmMotion(*self._q, *self._v)
+
+    def step(self, step1: float, step2: float, t: float) -> list[str]:
+        """Shift the goal (rad) at `t` (s); returns what speaks against it, and then changes nothing."""
+        goal = [
+            min(max(goal + step, q - LEAD), q + LEAD)
+            for goal, step, q in zip(self._goal, (step1, step2), self._q, strict=True)
+        ]
+        problems = self._limits.violations(*goal)
+        if not problems:
+            self._goal = goal
+            self._t_alive = t
+        return problems
+
+    def advance(self, t: float) -> PalmMotion:
+        """The motion at `t` (s)."""
+        dt, self._t = min(max(t - self._t, 0.0), 0.02), max(t, self._t)
+        alive = t - self._t_alive <= DEAD_MAN_S
+        for i in range(2):
+            self._advance_one(i, dt, alive)
+        return self.motion
+
+    def _advance_one(self, i: int, dt: float, alive: bool) -> None:
+        most = self._acceleration * dt
+        away = self._goal[i] - self._q[i] if alive else 0.0
+        brakes_from = math.sqrt(self._acceleration * abs(away))  # half the braking rate: room for a cycle's delay
+        wanted = math.copysign(min(brakes_from, self._rate), away) if away else 0.0
+        self._v[i] += min(max(wanted - self._v[i], -most), most)
+        step = self._v[i] * dt
+        if alive and abs(away) <= max(abs(step), 1e-6) and abs(self._v[i]) <= 2.0 * most:
+            self._q[i], self._v[i] = self._goal[i], 0.0
+        else:
+            self._q[i] += step
+        if not alive and self._v[i] == 0.0:
+            self._goal[i] = self._q[i]

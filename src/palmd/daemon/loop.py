@@ -1,0 +1,254 @@
+"""The 100 Hz loop: one thread, one grid of deadlines, ports and sockets at its rim.
+
+Until the tick's deadline the loop waits on the ports, so bytes are dated when they arrive, and writes the
+arm's set-points when their own timer says so. A tick that comes late skips whole periods; it never makes up
+for them.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Callable, Mapping
+
+from palmd.daemon.bus import Bus
+from palmd.daemon.ends import EndName
+from palmd.daemon.lifecycle import State
+from palmd.daemon.realtime import rss_mb
+from palmd.daemon.statistics import LoopStatistics
+from palmd.daemon.step import Core
+from palmd.daemon.systemd import Notifier
+from palmd.devices.port import Port, PortWaiter
+from palmd.faults import Fault
+from palmd.messages import INFO, LOOP, Fields
+
+log = logging.getLogger(__name__)
+
+STOPPING_S = 1.5
+"""How long the end may wait for the arm to report that it stands."""
+
+SLOW_TOPIC_S = 1.0
+
+
+def next_deadline(deadline: float, now: float, period: float) -> tuple[float, int]:
+    """The first deadline of the grid after `now` (s), and how many between were missed."""
+    skipped = max(0, math.floor((now - deadline) / period))
+    return deadline + (skipped + 1) * period, skipped
+
+
+class Loop:
+    """Runs the core on real ports, sockets and clocks; see the module."""
+
+    def __init__(
+        self,
+        core: Core,
+        ports: Mapping[EndName, Port],
+        bus: Bus,
+        notifier: Notifier,
+        *,
+        rate_hz: float,
+        backend: str,
+        info: Fields,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """`info` is what `palm/info` says."""
+        self.statistics = LoopStatistics(rate_hz)
+        self._core = core
+        self._ports = dict(ports)
+        self._ends = {port: end for end, port in self._ports.items()}
+        self._arm_port = self._ports["arm"]
+        self._bus = bus
+        self._notifier = notifier
+        self._period = 1.0 / rate_hz
+        self._backend = backend
+        self._info = info
+        self._clock = clock
+        self._waiter = PortWaiter(list(self._ports.values()), clock)
+        self._known_open: set[EndName] = set()
+        self._in_break: set[EndName] = set()
+        self._stop_wanted = False
+        self._t_stop = math.inf
+        self._busy_s = 0.0  # spent on bytes since the last tick
+        self._failed = False
+        self._t_slow = -math.inf
+        self._told_ready = False
+        self._told_state: tuple[State, tuple[Fault, ...]] = (core.state, ())
+        self._told_errors: dict[EndName, str | None] = {}
+        self._parts: tuple[Callable[[float], None], ...] = (
+            self._open_ports,
+            self._observe,
+            self._obey,
+            core.decide,
+            self._answer,
+            self._publish,
+            self._publish_slowly,
+            self._tell,
+        )
+
+    def stop(self) -> None:
+        """Ask for a planned stop and the end of `run`; may be called from a signal handler."""
+        self._stop_wanted = True
+
+    def run(self) -> bool:
+        """Tick until asked to stop; returns whether the arm is known to stand in the end."""
+        self._open_ports(self._clock())
+        deadline = self._clock() + self._period
+        while not self._over():
+            self._attend(deadline)
+            begun = self._clock()
+            healthy = self._tick(begun)
+            ended = self._clock()
+            next_one, skipped = next_deadline(deadline, ended, self._period)
+            self.statistics.tick(begun - deadline, ended - begun + self._busy_s, skipped)
+            self._busy_s = 0.0
+            if skipped:
+                self._core.overran(ended)
+            elif healthy:
+                self._notifier.healthy(ended)
+            deadline = next_one
+        return self._core.at_rest
+
+    def _over(self) -> bool:
+        if not self._stop_wanted:
+            return False
+        now = self._clock()
+        if math.isinf(self._t_stop):
+            self._t_stop = now
+            self._notifier.stopping()
+            log.info("stopping")
+            self._core.close()
+            return False  # one more tick at least, for the stop to go out
+        return self._core.at_rest or now - self._t_stop > STOPPING_S
+
+    # ---- between ticks -----------------------------------------------------------------------------------
+
+    def _attend(self, deadline: float) -> None:
+        """Read and write as things come and fall due, until the deadline; then once more what is there."""
+        while True:
+            until = min(deadline, self._core.due())
+            readable = self._waiter.wait(until)
+            begun = self._clock()
+            for port in readable:
+                self._read(port)
+            self._write()
+            if begun >= deadline:
+                return
+            self._busy_s += self._clock() - begun
+
+    def _read(self, port: Port) -> None:
+        end = self._ends[port]
+        data = port.read()
+        t = self._clock()
+        if data:
+            try:
+                self._core.receive(end, data, t)
+            except Exception:
+                self._fail(t)
+        if not port.is_open:
+            self._lost(end, t)
+
+    def _write(self) -> None:
+        t = self._clock()
+        if t < self._core.due():
+            return
+        try:
+            data = self._core.transmit(t)
+        except Exception:
+            self._fail(t)
+            return
+        if data:
+            self._arm_port.write(data)
+            if not self._arm_port.is_open:
+                self._lost("arm", t)
+
+    # ---- the tick ----------------------------------------------------------------------------------------
+
+    def _tick(self, t: float) -> bool:
+        """One tick at `t` (s); returns whether it went well.
+
+        A part that raises does not keep the others from their work. Set-points may fall due between parts.
+        """
+        healthy = True
+        for part in self._parts:
+            try:
+                part(t)
+            except Exception:
+                self._fail(t)
+                healthy = False
+            self._write()
+        return healthy
+
+    def _observe(self, t: float) -> None:
+        self._core.observe(t, self._write)
+
+    def _obey(self, t: float) -> None:
+        for request in self._bus.receive():
+            self._core.handle(request, t)
+
+    def _answer(self, _t: float) -> None:
+        for reply in self._core.replies():
+            self._bus.reply(reply)
+
+    def _publish(self, t: float) -> None:
+        timestamp = time.time()
+        for topic, fields in self._core.report(t):
+            self._bus.publish(topic, fields, t, timestamp)
+
+    def _publish_slowly(self, t: float) -> None:
+        if t - self._t_slow >= SLOW_TOPIC_S - 0.5 * self._period:
+            self._t_slow = t
+            timestamp = time.time()
+            self._bus.publish(LOOP, self._loop_fields(), t, timestamp)
+            self._bus.publish(INFO, dict(self._info), t, timestamp)
+
+    def _fail(self, t: float) -> None:
+        if not self._failed:
+            self._failed = True
+            log.exception("unexpected error in the control loop; this is told once")
+        self._core.fail(t)
+
+    def _open_ports(self, t: float) -> None:
+        """Try the shut ports again, and let pads in their start-up have their breaks."""
+        for end, port in self._ports.items():
+            if end not in self._known_open and port.poll_open(t):
+                self._known_open.add(end)
+                self._core.opened(end, t)
+            if port.error != self._told_errors.get(end, ""):
+                self._told_errors[end] = port.error
+                log.warning("%s", port.error) if port.error else log.info("%s: %s is open", end, port.path)
+        for end, pad in self._core.pads.items():
+            if pad.in_break is not (end in self._in_break):
+                self._ports[end].set_break(pad.in_break)
+                self._in_break ^= {end}
+
+    def _lost(self, end: EndName, t: float) -> None:
+        self._known_open.discard(end)
+        self._in_break.discard(end)
+        self._core.lost(end, t)
+
+    def _loop_fields(self) -> Fields:
+        fields: Fields = self.statistics.fields() | self._core.counters() | self._bus.fields()
+        for end, port in self._ports.items():
+            fields |= {f"{end}_port_{what}": count for what, count in port.counters.as_dict().items()}
+        return fields | {"rss_mb": rss_mb(), "backend": self._backend}
+
+    def _tell(self, _t: float) -> None:
+        """Log what has changed, and tell the service manager."""
+        state, faults = self._core.state, self._core.faults.active
+        before, active = self._told_state
+        if state is before and faults is active:
+            return
+        self._told_state = (state, faults)
+        for fault in faults:
+            if fault not in active:
+                log.warning("fault %s (%s): %s: %s", fault.code, fault.severity, fault.text, fault.hint)
+        for fault in active:
+            if fault not in faults:
+                log.info("fault %s is over", fault.code)
+        if state is not before:
+            log.info("%s -> %s", before, state)
+        if state is not State.IDLE and not self._told_ready:
+            self._told_ready = True
+            self._notifier.ready()
+        self._notifier.status(f"{state}" + "".join(f", {fault.code}" for fault in faults))

@@ -1,0 +1,52 @@
+"""Plans for the daemon: read from a file, and compiled for the pose where the palms stand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from palmd.config import MoveSpec, PlanSpec
+from palmd.motion.check import load_trajectory
+from palmd.motion.limits import MotionLimits
+from palmd.motion.plan import PlanError, Trajectory, compile_plan
+from palmd.motion.segments import Angles
+from palmd.yamlfile import load_plan
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A plan and its trajectory within `limits`, for palms that stand at `start` (rad)."""
+
+    spec: PlanSpec
+    trajectory: Trajectory
+    limits: MotionLimits
+    start: Angles | None
+
+    @property
+    def name(self) -> str:
+        """The plan's own name."""
+        return self.spec.name
+
+    def serves(self, limits: MotionLimits, start: Angles) -> bool:
+        """Whether the trajectory is right for these limits and this start."""
+        return limits is self.limits and (start == self.start or _begins_anywhere(self.spec))
+
+    def compiled(self, limits: MotionLimits, start: Angles) -> Plan:
+        """The same plan for other limits or another start; raises PlanError. Takes tens of milliseconds."""
+        return Plan(self.spec, compile_plan(self.spec, limits, start), limits, start)
+
+
+def read_plan(path: Path, limits: MotionLimits, start: Angles | None) -> Plan:
+    """The plan in a file; raises ConfigError with file:line:col for all that is wrong. Not for the loop."""
+    spec = load_plan(path)
+    try:
+        trajectory = compile_plan(spec, limits, start)
+    except PlanError:
+        trajectory = load_trajectory(path, limits, start)  # raises the same with the places in the file
+    return Plan(spec, trajectory, limits, start)
+
+
+def _begins_anywhere(spec: PlanSpec) -> bool:
+    """Whether the plan begins by moving both palms, so that it does not matter where they stand."""
+    first = spec.segments[0]
+    return isinstance(first, MoveSpec) and None not in (first.move.phi1_deg, first.move.phi2_deg)

@@ -1,0 +1,55 @@
+"""How punctual the loop is, in constant memory."""
+
+from __future__ import annotations
+
+from array import array
+
+
+class Window:
+    """The last `size` values, with their median, 99th percentile and maximum."""
+
+    def __init__(self, size: int) -> None:
+        """Raises ValueError if `size` is not positive."""
+        if size <= 0:
+            raise ValueError(f"a window needs room for a value, not {size}")
+        self._values = array("d", bytes(8 * size))
+        self._count = 0
+
+    def add(self, value: float) -> None:
+        """Take one value; it drives out the oldest when the window is full."""
+        self._values[self._count % len(self._values)] = value
+        self._count += 1
+
+    def summary(self) -> tuple[float, float, float]:
+        """Median, 99th percentile (nearest rank) and maximum; zeros when empty."""
+        count = min(self._count, len(self._values))
+        if count == 0:
+            return (0.0, 0.0, 0.0)
+        ordered = sorted(self._values[:count])
+        return (ordered[(count - 1) // 2], ordered[-(-99 * count // 100) - 1], ordered[-1])
+
+
+class LoopStatistics:
+    """Ticks, skipped ticks, and how late and long those of the last second were."""
+
+    def __init__(self, rate_hz: float) -> None:
+        size = max(1, round(rate_hz))
+        self.ticks = 0
+        self.overruns = 0
+        self._lateness = Window(size)
+        self._work = Window(size)
+
+    def tick(self, lateness_s: float, work_s: float, skipped: int) -> None:
+        """Note one tick: how late it began, how long it took, how many it made the loop skip."""
+        self.ticks += 1
+        self.overruns += skipped
+        self._lateness.add(lateness_s)
+        self._work.add(work_s)
+
+    def fields(self) -> dict[str, float]:
+        """The statistics by the names of `palm/loop`."""
+        fields: dict[str, float] = {"ticks": self.ticks, "overruns": self.overruns}
+        for name, window in (("lateness", self._lateness), ("work", self._work)):
+            for part, value in zip(("p50", "p99", "max"), window.summary(), strict=True):
+                fields[f"{name}_{part}_ms"] = value * 1e3
+        return fields

@@ -1,0 +1,345 @@
+"""The daemon's pure heart: bytes, commands and times in; bytes, answers and messages out.
+
+`Core` never opens a port or a socket and never reads a clock, so the same steps run behind real wires and, in
+one process with the emulated plant, faster than real time. One tick is `observe`, `decide`, `report`, in this
+order; in between, `receive` takes bytes as they arrive and `transmit` gives the arm its set-points on its own
+timer.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import math
+from collections.abc import Callable, Iterable
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import Protocol
+
+from palmd.config import Config
+from palmd.daemon.commands import Reply, Request
+from palmd.daemon.ends import ArmEnd, EndName, PadEnd
+from palmd.daemon.lifecycle import COMMANDED, State
+from palmd.daemon.operate import Operator
+from palmd.daemon.planner import Plan
+from palmd.daemon.steering import Steering
+from palmd.daemon.watch import LOOK_S, ArmWatch, LoopWatch, PadWatch
+from palmd.devices.armlink import ArmState
+from palmd.events import Estimate, Event, ShapeEstimate
+from palmd.faults import FaultMonitor
+from palmd.messages import (
+    CONTACT,
+    ESTIMATE,
+    MOTION,
+    SHAPE,
+    STATE,
+    Fields,
+    Topic,
+    contact_fields,
+    estimate_fields,
+    motion_fields,
+    shape_fields,
+    sound,
+    state_fields,
+)
+from palmd.motion.check import motion_limits
+from palmd.motion.kinematics import RigGeometry
+
+log = logging.getLogger(__name__)
+
+SLOW_TOPIC_S = 0.1
+_EARLY_S = 1e-3  # ticks jitter; what is due within so much is due now
+
+OUTSIDE = math.radians(1.0)
+"""How far outside the limits the palms may be found while commanded."""
+
+OUT_OF_PLACE = (-610, -611)
+"""Refusals of a set-point for where it is."""
+
+
+def _nothing() -> None:
+    pass
+
+
+class Observer(Protocol):
+    """What the core asks of an observer (`palmd.observer.make`)."""
+
+    name: str
+    object_count: int
+    late_dropped: int
+
+    def feed(self, event: Event) -> None:
+        """Take one event."""
+
+    def estimate(self, t: float) -> Estimate:
+        """The answer for time `t` (s)."""
+
+    def shape(self, t: float) -> ShapeEstimate | None:
+        """The outline, None before anything is felt."""
+
+
+class Core:
+    """See the module. Times are seconds on one monotonic clock, never running backwards."""
+
+    def __init__(
+        self,
+        config: Config,
+        observer: Observer,
+        aside: Executor,
+        plan: Plan | None = None,
+        notes: Iterable[str] = (),
+        folder: Path = Path(),
+    ) -> None:
+        """`aside` compiles plans beside the loop, `notes` are codes of faults that stand throughout.
+
+        `folder` is where a relative path of a `plan` command begins. Raises PoseError for a fixed hinge.
+        """
+        geometry = RigGeometry.from_config(config)
+        self.pads: dict[EndName, PadEnd] = {
+            "pad1": PadEnd(1, config.pads.palm1),
+            "pad2": PadEnd(2, config.pads.palm2),
+        }
+        self.arm = ArmEnd(config, geometry)
+        self.steering = Steering(geometry, motion_limits(config))
+        self.faults = FaultMonitor()
+        self.operator = Operator(self.arm, self.steering, self.faults, aside, plan, folder, autostart=config.autostart)
+        self._observer = observer
+        self._estimate = unknown_estimate(-math.inf, observer)
+        self._shape: ShapeEstimate | None = None
+        self._observer_failed = False
+        self._events: list[Event] = []
+        self._notes = frozenset(notes)
+        self._passing: set[str] = set()  # conditions seen since the last decision
+        self._pad_watches = {name: PadWatch(name) for name in self.pads}
+        self._arm_watch = ArmWatch()
+        self._loop_watch = LoopWatch()
+        self._refusals = 0
+        self._t_look = self._t_state = self._t_shape = -math.inf
+        self._told: tuple[object, object] = (None, None)
+
+    @property
+    def state(self) -> State:
+        """What the daemon is doing."""
+        return self.operator.state
+
+    # ---- the lines ---------------------------------------------------------------------------------------
+
+    def opened(self, end: EndName, t: float) -> None:
+        """A port has been opened at `t` (s)."""
+        if end == "arm":
+            self.arm.opened()
+        else:
+            self.pads[end].opened(t)
+
+    def lost(self, end: EndName, t: float) -> None:
+        """A port has gone at `t` (s)."""
+        if end == "arm":
+            self.arm.lost()
+        else:
+            self._events += self.pads[end].lost(t)
+
+    def receive(self, end: EndName, data: bytes, t: float) -> None:
+        """Bytes have been read at `t` (s)."""
+        if end != "arm":
+            self._events += self.pads[end].feed(data, t)
+            return
+        self._events += self.arm.feed(data, t)
+        host, actual = self.arm.host, self.arm.actual
+        if host.counters.refusals != self._refusals:
+            self._refusals = host.counters.refusals
+            if host.tracking and host.last_error in OUT_OF_PLACE and host.pose and actual is not None:
+                self.steering.displaced(actual, host.pose.t_rad)
+
+    def due(self) -> float:
+        """When (s) `transmit` wants to be called next."""
+        return self.arm.host.due() if self.arm.is_open else math.inf
+
+    def transmit(self, t: float) -> bytes:
+        """What to write to the arm at `t` (s), empty if nothing is due."""
+        host, steering, actual = self.arm.host, self.steering, self.arm.actual
+        if not self.arm.is_open or t < host.due():
+            return b""
+        if not host.tracking or host.pose is None or actual is None:
+            return host.poll(t, None)
+        if steering.commanded is None:
+            steering.stand(actual, host.pose.t_rad, t)
+        if host.state is ArmState.HOLD:
+            steering.displaced(actual, host.pose.t_rad)
+        target = steering.target(t)
+        out = host.poll(t, target)
+        if target is not None and host.commanded is target:
+            self.arm.lag.sent(t, steering.sent(t))
+        return out
+
+    # ---- one tick ----------------------------------------------------------------------------------------
+
+    def observe(self, t: float, between: Callable[[], None] = _nothing) -> None:
+        """Give the observer what has arrived, in the order of the samples' own times; estimate for `t` (s).
+
+        This is the tick's longest part, so `between` is called between the observer's turns: a set-point may
+        have fallen due.
+        """
+        for pad in self.pads.values():
+            self._events += pad.poll(t)
+        events, self._events = self._events, []
+        events.sort(key=_sample_time)
+        try:
+            for event in events:
+                self._observer.feed(event)
+                between()
+            self._estimate = self._observer.estimate(t)
+            if t - self._t_shape >= SLOW_TOPIC_S - _EARLY_S:
+                between()
+                self._shape = self._observer.shape(t)
+                self._t_shape = t
+        except Exception:  # whatever is wrong with a model, the arm must be stopped in good order
+            if not self._observer_failed:
+                log.exception("the observer failed; this is told once")
+            self._observer_failed = True
+            self._passing.add("tick-error")
+            self._estimate = unknown_estimate(t, self._observer)
+        if self._estimate.valid and not sound(self._estimate):
+            self._passing.add("estimate-not-finite")
+            self._estimate = dataclasses.replace(self._estimate, valid=False)
+
+    def handle(self, request: Request, t: float) -> None:
+        """Do what a valid command asks at `t` (s), or refuse; the answer comes with `replies`."""
+        self.operator.handle(request, t)
+
+    def decide(self, t: float) -> None:
+        """Faults, state and motion at `t` (s)."""
+        under_way = self.steering.moving or self.steering.held
+        self.faults.update(self._conditions(t, under_way), t, armed=self.operator.armed)
+        self._passing.clear()
+        self.operator.settle(t, up=self._rig_up(t))
+
+    def report(self, t: float) -> list[tuple[Topic, Fields]]:
+        """What to publish at `t` (s)."""
+        arm, place = self.arm.host, self.steering.place
+        age = arm.age(t)
+        messages = [
+            (ESTIMATE, estimate_fields(self._estimate)),
+            (
+                CONTACT,
+                contact_fields(
+                    self.pads["pad1"].view(t),
+                    self.pads["pad2"].view(t),
+                    age if math.isfinite(age) else math.nan,
+                ),
+            ),
+            (
+                MOTION,
+                motion_fields(
+                    self.steering.commanded,
+                    self.arm.actual,
+                    self.operator.plan_name,
+                    -1 if place is None else place.segment,
+                    0.0 if place is None else place.progress,
+                    str(arm.state or ""),
+                ),
+            ),
+        ]
+        told = (self.state, self.faults.active)
+        if told != self._told or t - self._t_state >= SLOW_TOPIC_S - _EARLY_S:
+            self._told, self._t_state = told, t
+            messages.append((STATE, state_fields(str(self.state), self.faults.active)))
+        if self._shape is not None:
+            messages.append((SHAPE, shape_fields(self._shape)))
+            self._shape = None
+        return messages
+
+    def replies(self) -> list[Reply]:
+        """The answers that have come due since the last call."""
+        replies, self.operator.replies = self.operator.replies, []
+        return replies
+
+    def step(self, t: float, requests: Iterable[Request] = ()) -> list[tuple[Topic, Fields]]:
+        """A whole tick at once, for a rig without wires."""
+        self.observe(t)
+        for request in requests:
+            self.handle(request, t)
+        self.decide(t)
+        return self.report(t)
+
+    # ---- beside the ticks --------------------------------------------------------------------------------
+
+    def overran(self, t: float) -> None:
+        """The tick at `t` (s) came so late that others had to be skipped."""
+        self._loop_watch.overran(t)
+
+    def fail(self, t: float) -> None:
+        """The tick at `t` (s) raised something unexpected: make for standing still with as little as can be."""
+        self.faults.update({"tick-error"}, t, armed=True)
+        self.operator.fall()
+
+    def close(self) -> None:
+        """Make for a planned stop, and take no more commands that move."""
+        self.operator.close()
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the arm is known to stand: never commanded, or reported at rest since."""
+        return self.operator.at_rest
+
+    def counters(self) -> Fields:
+        """What has passed on the lines, by the names of `palm/loop`."""
+        counts: Fields = {}
+        for name, pad in self.pads.items():
+            counts |= {f"{name}_{what}": n for what, n in pad.receiver.counters.as_dict().items()}
+        counts |= {f"arm_{what}": n for what, n in self.arm.host.counters.as_dict().items()}
+        counts["arm_bad_poses"] = self.arm.bad_poses
+        counts["arm_guard_interventions"] = self.steering.interventions
+        counts["lag_ms"] = self.arm.lag.lag_s * 1e3
+        counts["late_dropped"] = self._observer.late_dropped
+        return counts
+
+    def _conditions(self, t: float, under_way: bool) -> set[str]:
+        """The codes of the fault table that hold at `t` (s)."""
+        look = t - self._t_look >= LOOK_S
+        if look:
+            self._t_look = t
+        commanded = self.state in COMMANDED
+        present = self._passing | self._notes
+        for name, watch in self._pad_watches.items():
+            present.update(watch.conditions(self.pads[name], under_way, look))
+        present.update(self._arm_watch.conditions(self.arm, t, commanded, look))
+        present.update(self._loop_watch.conditions(t, self._observer.late_dropped, look))
+        if commanded and (self.steering.violated or self._outside()):
+            present.add("limits-violated")
+        if self.operator.plan_refused:
+            present.add("plan-refused")
+        touching = all(pad.touching for pad in self.pads.values())
+        if self.steering.moving and touching and not self._estimate.valid:
+            present.add("estimate-lost")
+        return present
+
+    def _outside(self) -> bool:
+        actual = self.arm.actual
+        if actual is None:
+            return False
+        (low1, high1), (low2, high2) = self.steering.limits.phi1, self.steering.limits.phi2
+        return not (
+            low1 - OUTSIDE <= actual.phi1 <= high1 + OUTSIDE and low2 - OUTSIDE <= actual.phi2 <= high2 + OUTSIDE
+        )
+
+    def _rig_up(self, t: float) -> bool:
+        return (
+            self.arm.is_open
+            and all(pad.is_open for pad in self.pads.values())
+            and self.arm.host.linked(t)
+            and self.arm.actual is not None
+        )
+
+
+def _sample_time(event: Event) -> float:
+    return event.t_sample
+
+
+def unknown_estimate(t: float, observer: Observer) -> Estimate:
+    """An estimate that says nothing."""
+    values = {
+        field.name: math.nan
+        for field in dataclasses.fields(Estimate)
+        if field.name not in ("t", "valid", "observer", "object_count", "sd")
+    }
+    return Estimate(t=t, valid=False, observer=observer.name, object_count=observer.object_count, sd={}, **values)

@@ -1,0 +1,325 @@
+"""What may go wrong: one table of faults, and the monitor that says which of them stand.
+
+A fault is raised by its condition, which somebody else watches; here are only its name, how grave it is, how
+long the condition must hold, whether it stays when the condition has gone, and what the operator should do.
+The documentation's table is generated from `FAULTS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Set
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Literal
+
+
+class Severity(StrEnum):
+    """What a fault does, from mild to grave: say so; work on with less; hold the motion; stop the arm."""
+
+    NOTE = "note"
+    DEGRADE = "degrade"
+    HOLD = "hold"
+    STOP = "stop"
+
+
+Latch = Literal["no", "armed", "always"]
+"""Whether a fault stays after its cause has gone: never, if the arm was commanded when it came, always."""
+
+Clearer = Literal["itself", "reset", "operator"]
+"""Who may clear a fault: the end of its cause, the `reset` command, or a person at the machine."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One row of the table; `debounce_s` is how long the condition must have held without a break."""
+
+    code: str
+    severity: Severity
+    text: str
+    hint: str
+    debounce_s: float = 0.0
+    latch: Latch = "no"
+    clears: Clearer = "itself"
+
+
+def _pad(number: int) -> tuple[Fault, ...]:
+    pad = f"pad{number}"
+    return (
+        Fault(
+            f"{pad}-port",
+            Severity.HOLD,
+            f"the serial port of pad {number} is not open",
+            f"check the plug and pads.palm{number}.port in the configuration; it is tried again by itself, "
+            "then start goes on",
+        ),
+        Fault(
+            f"{pad}-silent",
+            Severity.HOLD,
+            f"pad {number} fell silent while the palms moved",
+            "see whether the object still lies on the palm and the pad's cable is in, then start goes on; "
+            "stop, arm and start to move without it",
+        ),
+        Fault(
+            f"{pad}-lifted",
+            Severity.HOLD,
+            f"the object left pad {number} while the palms moved",
+            "put the object back, then start goes on; stop, arm and start to move without it",
+            debounce_s=0.03,
+        ),
+        Fault(
+            f"{pad}-untouched",
+            Severity.NOTE,
+            f"nothing touches pad {number}",
+            "put the object on the palms; if it lies there, check the pad's cable, power and baud",
+            debounce_s=1.0,
+        ),
+        Fault(
+            f"{pad}-garbled",
+            Severity.DEGRADE,
+            f"more than a fifth of what pad {number} says is no packet",
+            "check its baud against the configuration, then cable and shield",
+        ),
+        Fault(
+            f"{pad}-out-of-range",
+            Severity.DEGRADE,
+            f"more than a fifth of pad {number}'s readings lie beyond its ends",
+            "check axis, sign, zero_mm and counts_per_mm in the configuration, and that the pads are not swapped",
+        ),
+        Fault(
+            f"{pad}-batched",
+            Severity.DEGRADE,
+            f"pad {number}'s packets arrive several at a time",
+            "set its USB adapter's latency timer to 1 ms (the udev rule palmd ships does)",
+        ),
+        Fault(
+            f"{pad}-handshake",
+            Severity.DEGRADE,
+            f"pad {number} did not answer its start-up with an identity",
+            "check the pad's power, cable and baud, or configure handshake: none",
+        ),
+    )
+
+
+FAULTS: tuple[Fault, ...] = (
+    Fault(
+        "tick-error",
+        Severity.STOP,
+        "an unexpected error in the control loop; the log has its traceback",
+        "read the log; reset, and restart palmd if it comes again",
+        latch="always",
+        clears="reset",
+    ),
+    Fault(
+        "estimate-not-finite",
+        Severity.STOP,
+        "the observer called an estimate valid that is not finite",
+        "take the object off and put it back; reset; keep the recording, this is a defect",
+        latch="always",
+        clears="reset",
+    ),
+    Fault(
+        "limits-violated",
+        Severity.STOP,
+        "the palms are outside their limits, or the motion wanted to leave them",
+        "see what moved the arm; bring it back inside with the pendant, then reset",
+        debounce_s=0.03,
+        latch="armed",
+        clears="reset",
+    ),
+    Fault(
+        "loop-overruns",
+        Severity.STOP,
+        "the control loop keeps missing its deadline",
+        "take load off this machine or give palmd real-time priority, then reset",
+        latch="armed",
+        clears="reset",
+    ),
+    Fault(
+        "arm-estop",
+        Severity.STOP,
+        "the arm's emergency stop is pressed",
+        "when it is safe, release it at the arm and bring the controller back to READY, then reset",
+        latch="always",
+        clears="operator",
+    ),
+    Fault(
+        "arm-fault",
+        Severity.STOP,
+        "the arm's controller has latched a fault",
+        "see the controller's code in status; remove the cause, then reset",
+        latch="armed",
+        clears="reset",
+    ),
+    Fault(
+        "arm-power-off",
+        Severity.STOP,
+        "arm power is off",
+        "enable power at the controller",
+        latch="armed",
+        clears="operator",
+    ),
+    Fault(
+        "arm-manual",
+        Severity.STOP,
+        "the controller is in manual mode",
+        "switch the controller to automatic",
+        latch="armed",
+        clears="operator",
+    ),
+    Fault(
+        "arm-uncalibrated",
+        Severity.STOP,
+        "the arm is not calibrated",
+        "calibrate the arm at the controller",
+        latch="armed",
+        clears="operator",
+    ),
+    Fault(
+        "arm-port",
+        Severity.STOP,
+        "the arm's serial port is not open",
+        "check the plug and arm.port in the configuration; it is tried again by itself",
+        latch="armed",
+        clears="reset",
+    ),
+    Fault(
+        "arm-link-lost",
+        Severity.STOP,
+        "the arm's controller has not answered for 250 ms, or has restarted",
+        "check cable, controller and its palmd program; reset when it answers again",
+        latch="armed",
+        clears="reset",
+    ),
+    Fault(
+        "arm-left-tracking",
+        Severity.STOP,
+        "the controller stopped following by itself",
+        "see who stopped the arm at the controller, then reset",
+        latch="armed",
+        clears="reset",
+    ),
+    Fault(
+        "arm-mute",
+        Severity.NOTE,
+        "the arm's controller does not answer hello",
+        "start the palmd program on the controller; check cable and arm.baud",
+        debounce_s=1.0,
+    ),
+    Fault(
+        "arm-late",
+        Severity.DEGRADE,
+        "the arm has not answered for 80 ms; the motion pauses until it does",
+        "if it comes often: check the cable, and the load of this machine and of the controller",
+    ),
+    Fault(
+        "arm-held",
+        Severity.DEGRADE,
+        "the controller got no set-point in time and stood still; the motion catches up gently",
+        "if it comes often: take load off this machine or give palmd real-time priority",
+    ),
+    Fault(
+        "arm-garbled",
+        Severity.DEGRADE,
+        "more than a twentieth of the lines from the arm are damaged",
+        "check arm.baud against the controller, then cable and shield",
+    ),
+    *_pad(1),
+    *_pad(2),
+    Fault(
+        "plan-refused",
+        Severity.NOTE,
+        "the plan cannot be run; the answer to start or plan says why",
+        "mend the plan, then load it with the plan command",
+    ),
+    Fault(
+        "estimate-lost",
+        Severity.DEGRADE,
+        "the palms move and both pads feel the object, but there is no valid estimate",
+        "give it some seconds of lively motion; else check the rig's lengths and the pads' calibration",
+        debounce_s=10.0,
+    ),
+    Fault(
+        "samples-too-late",
+        Severity.DEGRADE,
+        "samples arrive too late to be of use to the observer",
+        "check the latency timers of the USB adapters and the load of this machine",
+    ),
+    Fault(
+        "loop-overrun",
+        Severity.NOTE,
+        "the control loop missed a deadline within the last second",
+        "if it comes often: take load off this machine or give palmd real-time priority",
+    ),
+    Fault(
+        "observer-substituted",
+        Severity.NOTE,
+        "the configured observer is not in this version; the shape observer runs in its place",
+        "set observer.primary to shape or extended",
+    ),
+    Fault(
+        "vm-backend",
+        Severity.NOTE,
+        "the models run on CasADi's virtual machine, several times slower than compiled",
+        "install a C compiler (Debian: apt install gcc libc6-dev) and restart palmd",
+    ),
+    Fault(
+        "no-realtime",
+        Severity.NOTE,
+        "palmd runs without real-time priority or locked memory; the log says what is missing",
+        "run it as the systemd service, or allow this user rtprio and memlock",
+    ),
+)
+"""Every fault there is; where several stand they are told in this order."""
+
+TABLE: dict[str, Fault] = {fault.code: fault for fault in FAULTS}
+
+
+class FaultMonitor:
+    """Says which faults stand, given the conditions that hold. Pure, and safe in the loop.
+
+    `active` holds them in the table's order; it is the same object for as long as nothing changes.
+    """
+
+    def __init__(self) -> None:
+        self.active: tuple[Fault, ...] = ()
+        self._since: dict[str, float] = {}
+        self._latched: set[str] = set()
+        self._shown: set[str] = set()
+
+    def update(self, present: Set[str], t: float, *, armed: bool) -> bool:
+        """Take the codes whose condition holds at `t` (s); return whether `active` has changed.
+
+        `armed` says whether the arm is commanded, on which some rows' latching depends. Raises KeyError for a
+        code that is not in the table.
+        """
+        since = self._since
+        for code in [code for code in since if code not in present]:
+            del since[code]
+        standing = set()
+        for code in present:
+            row = TABLE[code]
+            if t - since.setdefault(code, t) >= row.debounce_s:
+                standing.add(code)
+                if row.latch == "always" or (armed and row.latch == "armed"):
+                    self._latched.add(code)
+        return self._show(standing | self._latched)
+
+    def reset(self) -> bool:
+        """Let go of every latched fault whose condition has gone; return whether `active` has changed."""
+        self._latched.intersection_update(self._since)
+        return self._show({code for code in self._shown if code in self._since} | self._latched)
+
+    def latched(self, severity: Severity) -> bool:
+        """Whether a fault of this severity stays until reset."""
+        return any(TABLE[code].severity is severity for code in self._latched)
+
+    def standing(self, severity: Severity) -> tuple[Fault, ...]:
+        """The active faults of one severity."""
+        return tuple(fault for fault in self.active if fault.severity is severity)
+
+    def _show(self, shown: set[str]) -> bool:
+        if shown == self._shown:
+            return False
+        self._shown = shown
+        self.active = tuple(fault for fault in FAULTS if fault.code in shown)
+        return True
