@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint bench build setup dev lock wheelhouse clean
+.PHONY: help demo test lint bench build docs setup dev lock wheelhouse clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z]*\):.*##/make \1\t/p' $(MAKEFILE_LIST) | expand -t 18
@@ -25,6 +25,9 @@ lint: dev
 
 bench: dev  ## lateness, work and step times as p50/p99/p99.9/max (needs an idle machine)
 	$(BIN)/python -m pytest -q -s -m bench tests/bench
+
+docs: dev  ## the pages that are generated from the code's tables
+	$(BIN)/python tools/make_docs.py
 
 build: setup  ## compile the observers' C once (seconds; skipped without a compiler)
 	@command -v cc >/dev/null || echo "no C compiler: observers run on CasADi's virtual machine; for speed: sudo apt-get install gcc libc6-dev"

@@ -1,0 +1,75 @@
+"""The `palmd` command: a table of commands, each a module of its own that is imported when it is called."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import logging
+import os
+import sys
+from collections.abc import Sequence
+
+from palmd import __version__
+from palmd.cli.errors import CliError
+from palmd.logformat import formatter
+
+COMMANDS = {
+    "demo": "emulated rig and daemon together: an unknown object, live estimates",
+    "run": "the daemon",
+    "rig": "the emulated rig alone, its ports on pseudo-terminals",
+    "ctl": "tell a running daemon what to do: status, arm, start, hold, stop, reset, plan, jog",
+    "top": "live status of a running daemon in this terminal",
+    "check": "find what is wrong with configurations and motion plans",
+    "estimate": "replay an event log through the daemon's observer",
+    "build": "compile the observers now; the first run does it otherwise",
+}
+"""Every command; its module in this package has `add_arguments(parser)` and `run(arguments) -> int`."""
+
+INTERRUPTED = 128 + 2
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit status: 0 success, 1 wrong input, 2 usage, 3 the rig failed.
+
+    Raises SystemExit for usage, help and version, as argparse does.
+    """
+    chosen = _parser().parse_args(argv)
+    module = importlib.import_module(f"palmd.cli.{chosen.command}")
+    parser = argparse.ArgumentParser(prog=f"palmd {chosen.command}", description=module.__doc__)
+    module.add_arguments(parser)
+    arguments = parser.parse_args(chosen.arguments)
+    _start_logging()
+    try:
+        status: int = module.run(arguments)
+        sys.stdout.flush()
+    except CliError as error:
+        print(error, file=sys.stderr)
+        return error.status
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except BrokenPipeError:  # whoever read our output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    return status
+
+
+def _start_logging() -> None:
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(formatter())
+    logging.basicConfig(level=logging.INFO, handlers=[handler])
+
+
+def _parser() -> argparse.ArgumentParser:
+    width = max(map(len, COMMANDS))
+    parser = argparse.ArgumentParser(
+        prog="palmd",
+        description="An unknown planar object on two touchpad palms, reconstructed live.",
+        epilog="commands:\n"
+        + "\n".join(f"  {name:{width}}  {text}" for name, text in COMMANDS.items())
+        + "\n\nexit status: 0 success, 1 the input is wrong, 2 usage, 3 the rig failed",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"palmd {__version__}")
+    parser.add_argument("command", metavar="COMMAND", choices=COMMANDS, help="one of the commands below")
+    parser.add_argument("arguments", metavar="…", nargs=argparse.REMAINDER, help="see: palmd COMMAND --help")
+    return parser

@@ -1,0 +1,102 @@
+"""Tells a running daemon what to do, and prints what it answers."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from palmd.cli.bus import COMMAND, Client
+from palmd.cli.errors import BAD_INPUT, CliError
+from palmd.daemon.commands import COMMANDS
+
+JOG_EVERY_S = 0.05  # well within the daemon's dead-man time
+JOG_STEP_DEG = 0.4  # 8°/s: the palms keep up
+JOG_ARRIVING_S = 0.5
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments: those of every command that the daemon knows."""
+    common = argparse.ArgumentParser(add_help=False)
+    common.add_argument("--address", default=COMMAND, help="the daemon's command socket (default: %(default)s)")
+    common.add_argument("--json", action="store_true", help="print the answer as it came")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for name, spec in COMMANDS.items():
+        chosen = commands.add_parser(name, parents=[common], help=spec.does, description=spec.does)
+        if name == "plan":
+            chosen.add_argument("path", type=Path, metavar="FILE", help="the plan (YAML)")
+        elif name == "jog":
+            for i in (1, 2):
+                chosen.add_argument(
+                    f"--phi{i}-deg", type=_angle, default=0.0, metavar="DEG", help=f"by how much to turn phi{i}"
+                )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Asks once, or for a jog until the palms have turned; CliError when refused or unanswered."""
+    with Client(arguments.address) as client:
+        if arguments.command == "jog":
+            reply = _jog(client, arguments.phi1_deg, arguments.phi2_deg)
+        elif arguments.command == "plan":
+            reply = client.ask("plan", {"path": str(arguments.path.absolute())})
+        else:
+            reply = client.ask(arguments.command)
+    if arguments.json:
+        print(json.dumps(reply))
+    elif reply["ok"]:
+        print(told(arguments.command, reply.get("result") or {}))
+    if reply["ok"]:
+        return 0
+    if arguments.json:
+        return BAD_INPUT
+    raise CliError(BAD_INPUT, str(reply.get("error")))
+
+
+def told(command: str, result: dict[str, Any]) -> str:
+    """A result in words."""
+    if command != "status":
+        return ", ".join(f"{name} {value}" for name, value in result.items())
+    plan = result["plan"] or "none"
+    if result["segment"] >= 0:
+        plan += f", segment {result['segment']} ({result['doing']}), {result['progress']:.0%}"
+    arm = (f"state {result['arm_state']}" if result["arm_state"] else "state unknown") + (
+        "" if result["arm_linked"] else ", does not answer"
+    )
+    lines = [f"state   {result['state']}", f"plan    {plan}", f"arm     {arm}"]
+    if result["arm_error"]:
+        lines.append(f"        {result['arm_error']}")
+    faults = zip(result["faults"], result["severities"], result["hints"], strict=True)
+    lines += [f"fault   {code} ({severity}): {hint}" for code, severity, hint in faults]
+    return "\n".join(lines)
+
+
+def _jog(client: Client, phi1_deg: float, phi2_deg: float) -> dict[str, Any]:
+    """Turns the palms by small steps, as a hand on the dead-man's handle would; letting go of it stops them."""
+    reply: dict[str, Any] = {}
+    for step1, step2 in jog_steps(phi1_deg, phi2_deg):
+        t_next = time.monotonic() + JOG_EVERY_S
+        reply = client.ask("jog", {"phi1_deg": step1, "phi2_deg": step2})
+        if not reply["ok"]:
+            break
+        time.sleep(max(0.0, t_next - time.monotonic()))
+    return reply
+
+
+def jog_steps(phi1_deg: float, phi2_deg: float) -> Iterator[tuple[float, float]]:
+    """Equal steps that add up to the two angles, and then empty ones for as long as the palms need to arrive."""
+    count = max(1, math.ceil(max(abs(phi1_deg), abs(phi2_deg)) / JOG_STEP_DEG))
+    for _ in range(count):
+        yield phi1_deg / count, phi2_deg / count
+    for _ in range(round(JOG_ARRIVING_S / JOG_EVERY_S)):
+        yield 0.0, 0.0
+
+
+def _angle(text: str) -> float:
+    angle = float(text)
+    if not abs(angle) <= 90.0:
+        raise argparse.ArgumentTypeError(f"must be -90 to 90, got {text}")
+    return angle

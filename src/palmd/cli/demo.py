@@ -1,0 +1,254 @@
+"""An emulated rig and the daemon together, in closed loop on an object that palmd knows nothing about.
+
+Progress goes to standard error, and in the end one line that compares the estimate with the rig's truth to
+standard output. Without --seconds it runs until Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import tempfile
+import time
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+import zmq
+
+from palmd.cli.bus import COMMAND, PUBLISH, Client, Subscriber
+from palmd.cli.comparison import Comparison
+from palmd.cli.errors import BAD_INPUT, RIG_FAILED, CliError
+from palmd.cli.panel import Panel
+from palmd.cli.processes import Child, StopRequest
+from palmd.cli.shipped import shipped
+from palmd.config import BusConfig, Config
+from palmd.rig.shapes import KINDS
+from palmd.yamlfile import ConfigError, load_config
+
+RIG_START_S = 30.0
+DAEMON_START_S = 240.0  # compiling the observers on a slow machine
+MOTION_START_S = 30.0
+BUILDING_AFTER_S = 3.0
+ANSWER_S = 5.0
+LOOK_S = 0.1
+PROGRESS_S = 1.0
+START_ATTEMPTS = 3
+PORTS = range(9872, 10872)  # below those that the system hands out itself
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    parser.add_argument("--seconds", type=_duration, default=math.inf, metavar="N", help="how long to run")
+    parser.add_argument("--no-browser", action="store_true", help="open no browser (this version has no page to show)")
+    parser.add_argument("--seed", type=int, help="which object and noise; default: a random one, printed")
+    parser.add_argument("--kind", choices=KINDS, default="rig", help="what sort of object (default: %(default)s)")
+    parser.add_argument("--config", type=Path, default=shipped("demo.yaml"), help="rig and plan; default: as shipped")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Runs to the end asked for and leaves nothing behind; 3 when no estimate ever settled.
+
+    Raises CliError when the rig or the daemon fail.
+    """
+    try:
+        config = load_config(arguments.config)
+    except ConfigError as error:
+        raise CliError(BAD_INPUT, str(error)) from None
+    seed = [] if arguments.seed is None else ["--seed", str(arguments.seed)]
+    with StopRequest() as stop, tempfile.TemporaryDirectory(prefix="palmd-demo-") as name, ExitStack() as stack:
+        folder = Path(name)
+        rig = _start_rig([str(arguments.config), "--kind", arguments.kind, *seed], folder, stop, stack)
+        daemon = rig and _start_daemon(config, rig, folder, stop, stack)
+        if not (rig and daemon):
+            return 0  # the end was asked for before anything began
+        comparison = Comparison(rig.told["seed"])
+        _introduce(rig.told["seed"], daemon.bus)
+        _operate(rig, daemon, comparison, stop, arguments.seconds)
+        _bring_to_rest(daemon, comparison)
+    print(comparison.summary())
+    return 0 if comparison.settled else RIG_FAILED
+
+
+@dataclass(frozen=True, slots=True)
+class _Rig:
+    """The rig's process, and its JSON line."""
+
+    child: Child
+    told: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class _Daemon:
+    """The daemon's process and the ways to talk with it; the subscriber hears the rig's truth too."""
+
+    child: Child
+    bus: BusConfig
+    subscriber: Subscriber
+    client: Client
+
+    def listen(self, comparison: Comparison, seconds: float) -> None:
+        """Let the comparison take what comes within so many seconds."""
+        for message in self.subscriber.until(time.monotonic() + seconds):
+            comparison.take(message)
+
+
+# -------------------------------------------------------------------------------------------------- starting
+
+
+def _start_rig(arguments: list[str], folder: Path, stop: StopRequest, stack: ExitStack) -> _Rig | None:
+    """None when the end was asked for meanwhile; raises CliError when there is no rig."""
+    child = Child(["rig", *arguments], folder)
+    stack.callback(child.stop)
+    t_end = time.monotonic() + RIG_START_S
+    line = child.first_line(lambda: stop.made or time.monotonic() > t_end)
+    if stop.made:
+        return None
+    if line is None:
+        raise _not_started(child)
+    return _Rig(child, json.loads(line))
+
+
+def _start_daemon(config: Config, rig: _Rig, folder: Path, stop: StopRequest, stack: ExitStack) -> _Daemon | None:
+    """None when the end was asked for meanwhile; raises CliError when there is no daemon."""
+    for _ in range(START_ATTEMPTS):  # another demo may take the addresses while this daemon starts
+        bus = free_addresses(config.bus)
+        path = folder / "palmd.yaml"
+        path.write_text(as_yaml(config, bus, rig.told), encoding="utf-8")
+        child = Child(["run", str(path)], folder)
+        stack.callback(child.stop)
+        subscriber = stack.enter_context(Subscriber(bus.publish, rig.told["truth"], topics=("palm/", "rig/")))
+        if _is_heard(child, subscriber, stop):
+            return _Daemon(child, bus, subscriber, stack.enter_context(Client(bus.command, ANSWER_S)))
+        if stop.made:
+            return None
+        if "is in use" not in child.said():
+            break
+    raise _not_started(child)
+
+
+def _is_heard(daemon: Child, subscriber: Subscriber, stop: StopRequest) -> bool:
+    t_begin = time.monotonic()
+    told = False
+    while daemon.status is None and not stop.made and time.monotonic() < t_begin + DAEMON_START_S:
+        for message in subscriber.until(time.monotonic() + LOOK_S):
+            if message.topic.startswith("palm/"):
+                return True
+        if not told and time.monotonic() > t_begin + BUILDING_AFTER_S:
+            told = True
+            _tell("building the observers once, some 20 s…")
+    return False
+
+
+def _not_started(child: Child) -> CliError:
+    """Its own words, and its status where the input was wrong."""
+    status = BAD_INPUT if child.status == BAD_INPUT else RIG_FAILED
+    return CliError(status, child.said() or f"palmd {child.name} did not start")
+
+
+# -------------------------------------------------------------------------------------------------- operating
+
+
+def _introduce(seed: int, bus: BusConfig) -> None:
+    at = "" if bus.publish == PUBLISH else f" --address {bus.publish}"
+    to = "" if bus.command == COMMAND else f" --address {bus.command}"
+    _tell(f"an object that palmd does not know (seed {seed}); look at it with:")
+    _tell(f"  palmd top{at}")
+    _tell(f"  PlotJuggler: ZeroMQ subscriber, MessagePack, {bus.publish}")
+    _tell(f"  palmd ctl status{to}")
+
+
+def _operate(rig: _Rig, daemon: _Daemon, comparison: Comparison, stop: StopRequest, seconds: float) -> None:
+    """Does what an operator does, for so many seconds of motion or until the end is asked for."""
+    panel = Panel()
+    t_begin = time.monotonic()
+    t_progress = -math.inf
+    while not stop.made:
+        daemon.listen(comparison, LOOK_S)
+        _check_alive(rig.child, daemon.child)
+        t = time.monotonic()
+        started = comparison.t_started
+        if started is None and t > t_begin + MOTION_START_S:
+            raise CliError(RIG_FAILED, f"the palms were not brought to move\n{daemon.child.said()}".strip())
+        if started is not None and t > started + seconds:
+            return
+        command = panel.decide(comparison.state, comparison.motion, t)
+        if command is not None and _is_done(daemon.client, command) and command == "start":
+            comparison.started(t)
+        if started is not None and t >= t_progress + PROGRESS_S:
+            t_progress = t
+            _tell(comparison.progress(t))
+
+
+def _is_done(client: Client, command: str) -> bool:
+    reply = client.ask(command)
+    if not reply["ok"]:
+        _tell(f"{command}: {reply.get('error')}")
+    elif command == "reset":
+        _tell("reset")
+    return bool(reply["ok"])
+
+
+def _check_alive(*children: Child) -> None:
+    for child in children:
+        if child.status is not None:
+            raise CliError(RIG_FAILED, f"{child.name} ended with status {child.status}\n{child.said()}".strip())
+
+
+def _bring_to_rest(daemon: _Daemon, comparison: Comparison) -> None:
+    """A planned stop, then the daemon's end before the rig's."""
+    with suppress(CliError):
+        daemon.client.ask("stop")
+    daemon.child.stop()
+    daemon.listen(comparison, LOOK_S)
+
+
+# ------------------------------------------------------------------------------------- addresses, configuration
+
+
+def free_addresses(wanted: BusConfig) -> BusConfig:
+    """The wanted addresses where nobody has them, else the next free ports of this machine."""
+    publish = _free(wanted.publish, taken="")
+    return wanted.model_copy(update={"publish": publish, "command": _free(wanted.command, taken=publish)})
+
+
+def _free(wanted: str, taken: str) -> str:
+    for address in (wanted, *(f"tcp://127.0.0.1:{port}" for port in PORTS)):
+        if address != taken and _is_free(address):
+            return address
+    raise CliError(RIG_FAILED, f"{wanted} is in use, and so are {PORTS[0]} to {PORTS[-1]}")
+
+
+def _is_free(address: str) -> bool:
+    with zmq.Context() as context, context.socket(zmq.PUB) as socket:
+        try:
+            socket.bind(address)
+        except zmq.ZMQError:
+            return False
+    return True
+
+
+def as_yaml(config: Config, bus: BusConfig, rig: dict[str, Any]) -> str:
+    """The configuration with the rig's ports and the addresses that are free."""
+    values = config.model_dump(mode="json") | {"bus": bus.model_dump(mode="json")}
+    values["pads"]["palm1"]["port"] = rig["pad1"]
+    values["pads"]["palm2"]["port"] = rig["pad2"]
+    values["arm"]["port"] = rig["arm"]
+    if values["plan"] is None:
+        del values["plan"]
+    return yaml.safe_dump(values, allow_unicode=True)
+
+
+def _tell(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def _duration(text: str) -> float:
+    seconds = float(text)
+    if not seconds > 0.0:
+        raise argparse.ArgumentTypeError(f"must be more than 0, got {text}")
+    return seconds

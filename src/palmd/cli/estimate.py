@@ -1,0 +1,78 @@
+"""Replays an event log causally through exactly the daemon's observer: one JSON line for each tick of 10 ms."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TextIO
+
+from palmd import observer
+from palmd.cli.errors import BAD_INPUT, CliError
+from palmd.cli.progress import Progress
+from palmd.record.eventlog import EventLog, LogError, read_log
+from palmd.record.replay import lines, replay, tick_count
+
+STDOUT = Path("-")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    parser.add_argument("log", type=Path, metavar="LOG", help="an event log (JSON lines)")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT.jsonl", help="- for standard output")
+    parser.add_argument(
+        "--observer",
+        type=_observer,
+        default=observer.OBSERVERS[0],
+        metavar="|".join(observer.OBSERVERS),
+        help="default: %(default)s",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Reads the whole log before it writes anything; CliError when the log cannot be used."""
+    try:
+        log = read_log(arguments.log)
+    except LogError as error:
+        raise CliError(BAD_INPUT, str(error)) from None
+    for note in log.notes:
+        print(note, file=sys.stderr)
+    with _opened(arguments.output, arguments.log) as stream:
+        _replay(log, arguments.observer, stream)
+    return 0
+
+
+def _replay(log: EventLog, name: observer.ObserverName, stream: TextIO) -> None:
+    with Progress(f"{name} observer", tick_count(log), "ticks") as progress:
+        for tick in replay(log, observer.make(name, log.rig)):
+            for line in lines(tick):
+                stream.write(json.dumps(line, allow_nan=False) + "\n")
+            progress.at(tick.number)
+
+
+@contextlib.contextmanager
+def _opened(path: Path, log: Path) -> Iterator[TextIO]:
+    if path == STDOUT:
+        yield sys.stdout
+        return
+    try:
+        if path.exists() and path.samefile(log):
+            raise CliError(BAD_INPUT, f"{path}: is the log itself; write to another file")
+        with path.open("w", encoding="utf-8") as stream:
+            yield stream
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise CliError(BAD_INPUT, f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+def _observer(name: str) -> str:
+    if name in observer.OBSERVERS:
+        return name
+    known = ", ".join(observer.OBSERVERS)
+    if name == "quasistatic":
+        raise argparse.ArgumentTypeError(f"quasistatic is not built yet; there are {known}")
+    raise argparse.ArgumentTypeError(f"there is no observer {name!r}; there are {known}")

@@ -1,0 +1,93 @@
+"""Other palmd commands as processes of this one, none of which outlives it."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+_C = ctypes.CDLL(None)
+_PR_SET_PDEATHSIG = 1
+_STOPPING_S = 5.0
+_LOOK_S = 0.02
+
+
+def _die_with_parent() -> None:
+    _C.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+class Child:
+    """One command, what it says and its temporary files kept in `folder`; a terminal's Ctrl-C does not reach it."""
+
+    def __init__(self, arguments: list[str], folder: Path) -> None:
+        """`arguments` begin with the command's name."""
+        self.name = arguments[0]
+        self._out, self._err = folder / f"{self.name}.out", folder / f"{self.name}.err"
+        with self._out.open("wb") as out, self._err.open("wb") as err:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "palmd", *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=err,
+                env=os.environ | {"TMPDIR": str(folder)},
+                process_group=0,
+                preexec_fn=_die_with_parent,
+            )
+
+    @property
+    def status(self) -> int | None:
+        """The exit status, None while it runs; negative for a signal."""
+        return self._process.poll()
+
+    def said(self) -> str:
+        """The last lines of its standard error, without log levels below a warning."""
+        lines = self._err.read_text(encoding="utf-8", errors="replace").splitlines()
+        return "\n".join([line for line in lines if not line.startswith(("INFO ", "DEBUG "))][-20:])
+
+    def first_line(self, give_up: Callable[[], bool]) -> str | None:
+        """The first line of its standard output, None if it ends without or `give_up` says so."""
+        while True:
+            ended = self.status is not None
+            line, end, _ = self._out.read_text(encoding="utf-8").partition("\n")
+            if end:
+                return line
+            if ended or give_up():
+                return None
+            time.sleep(_LOOK_S)
+
+    def stop(self) -> None:
+        """Ask it to end, and make it end if it does not."""
+        self._process.terminate()
+        try:
+            self._process.wait(_STOPPING_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+
+class StopRequest:
+    """While it is entered, SIGINT and SIGTERM only set `made`."""
+
+    def __init__(self) -> None:
+        self.made = False
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> Self:
+        self._before = {number: signal.signal(number, self._ask) for number in (signal.SIGINT, signal.SIGTERM)}
+        return self
+
+    def _ask(self, _signal: int, _frame: FrameType | None) -> None:
+        self.made = True
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)

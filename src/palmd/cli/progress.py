@@ -1,0 +1,45 @@
+"""A progress bar for work that takes a while, on a terminal only."""
+
+from __future__ import annotations
+
+import sys
+import time
+from types import TracebackType
+from typing import TextIO
+
+_QUIET_S = 1.0
+_EVERY_S = 0.1
+_WIDTH = 30
+
+
+class Progress:
+    """Shows nothing for the first second, and nothing at all where standard error is no terminal."""
+
+    def __init__(self, what: str, total: int, unit: str, stream: TextIO | None = None) -> None:
+        """`total` of `unit` are to be done."""
+        self._what, self._total, self._unit = what, total, unit
+        self._stream = stream or sys.stderr
+        self._shows = self._stream.isatty()
+        self._next = time.monotonic() + _QUIET_S
+        self._shown = False
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def at(self, done: int) -> None:
+        """So many are done; cheap when there is nothing to show."""
+        if not self._shows or time.monotonic() < self._next:
+            return
+        self._next = time.monotonic() + _EVERY_S
+        self._shown = True
+        filled = _WIDTH * done // self._total
+        bar = "█" * filled + "░" * (_WIDTH - filled)
+        self._stream.write(f"\r{self._what} {bar} {100 * done // self._total:3d} % of {self._total} {self._unit}")
+        self._stream.flush()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if self._shown:
+            self._stream.write("\r\x1b[K")
+            self._stream.flush()

@@ -1,0 +1,124 @@
+"""Live status of a running daemon: state, estimate, contacts, motion, faults with hints, punctuality.
+
+Ends with q or Ctrl-C. Where standard output is no terminal it prints a plain frame each second.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import select
+import shutil
+import signal
+import sys
+import termios
+import time
+import tty
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+from palmd.cli.board import Board, Row, frame
+from palmd.cli.bus import PUBLISH, TIMEOUT_S, Subscriber
+from palmd.cli.errors import RIG_FAILED, CliError
+
+REDRAW_S = 0.1
+PLAIN_S = 1.0
+ONCE_S = 1.2  # long enough for the topics of 1 Hz
+_ENTER, _LEAVE = "\x1b[?1049h\x1b[?25l", "\x1b[?25h\x1b[?1049l"
+_COLOURS = {"plain": "", "title": "1", "good": "32", "bad": "31;1", "warning": "33", "faint": "2"}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    parser.add_argument("--address", default=PUBLISH, help="where the daemon publishes (default: %(default)s)")
+    parser.add_argument("--once", action="store_true", help="print one frame and end")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Shows until asked to end; CliError when asked for one frame and nothing comes."""
+    board = Board(arguments.address)
+    with Subscriber(arguments.address, topics=("palm/",)) as subscriber:
+        if arguments.once:
+            _once(board, subscriber)
+        elif sys.stdout.isatty():
+            _live(board, subscriber)
+        else:
+            _plain(board, subscriber)
+    return 0
+
+
+def _once(board: Board, subscriber: Subscriber) -> None:
+    for message in subscriber.until(time.monotonic() + TIMEOUT_S):
+        board.take(message)
+        break
+    else:
+        raise CliError(RIG_FAILED, f"no data from {board.address}: is a palmd running there?")
+    _listen(board, subscriber, ONCE_S)
+    _print(board)
+
+
+def _plain(board: Board, subscriber: Subscriber) -> None:
+    while True:
+        _listen(board, subscriber, PLAIN_S)
+        _print(board)
+        print(flush=True)
+
+
+def _print(board: Board) -> None:
+    columns = shutil.get_terminal_size().columns if sys.stdout.isatty() else 1000
+    for row in frame(board, time.monotonic()):
+        print(row.text[:columns].rstrip())
+
+
+def _live(board: Board, subscriber: Subscriber) -> None:
+    keys = sys.stdin.fileno() if sys.stdin.isatty() else None
+    with _screen(keys):
+        while True:
+            _listen(board, subscriber, REDRAW_S)
+            size = shutil.get_terminal_size()
+            sys.stdout.write(painted(frame(board, time.monotonic()), size.columns, size.lines))
+            sys.stdout.flush()
+            if keys is not None and _pressed(keys) in (b"q", b"Q"):
+                return
+
+
+def _listen(board: Board, subscriber: Subscriber, seconds: float) -> None:
+    for message in subscriber.until(time.monotonic() + seconds):
+        board.take(message)
+
+
+def _pressed(keys: int) -> bytes:
+    ready, _, _ = select.select([keys], [], [], 0)
+    return os.read(keys, 1) if ready else b""
+
+
+@contextmanager
+def _screen(keys: int | None) -> Iterator[None]:
+    """The alternate screen with keys unbuffered; restored however it ends."""
+    before = None if keys is None else termios.tcgetattr(keys)
+    handler = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        if keys is not None:
+            tty.setcbreak(keys)
+        sys.stdout.write(_ENTER)
+        yield
+    except KeyboardInterrupt:
+        pass
+    finally:
+        signal.signal(signal.SIGTERM, handler)
+        sys.stdout.write(_LEAVE)
+        sys.stdout.flush()
+        if keys is not None and before is not None:
+            termios.tcsetattr(keys, termios.TCSADRAIN, before)
+
+
+def _interrupt(_signal: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+def painted(rows: list[Row], columns: int, lines: int) -> str:
+    """The rows for a terminal of this size, drawn over what was there; what does not fit is cut off."""
+    shown = rows[:lines]
+    drawn = [f"\x1b[{_COLOURS[row.style]}m{row.text[:columns]}\x1b[m\x1b[K" for row in shown]
+    return "\x1b[H" + "\n".join(drawn) + "\x1b[J"

@@ -1,0 +1,42 @@
+"""The table of symbols: what each name in the code stands for, its unit, and where it is defined.
+
+Numbers in brackets are equations of CMU-CS-01-107. The documentation's page is generated from this table.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Symbol:
+    """One quantity: its name in the code, how the paper writes it, SI unit, meaning, equation or section."""
+
+    name: str
+    glyph: str
+    unit: str
+    meaning: str
+    source: str
+
+
+SYMBOLS: tuple[Symbol, ...] = (
+    Symbol("phi1", "φ1", "rad", "from the world X axis to palm 1", "fig. 3.1"),
+    Symbol("phi2", "φ2", "rad", "from palm 1 to palm 2", "fig. 3.1"),
+    Symbol("phi12", "φ12", "rad", "φ1 + φ2, the world angle of palm 2; below 172° in practice", "3.1"),
+    Symbol("omega1, omega2", "ω1, ω2", "rad/s", "rates of φ1, φ2", "4.2"),
+    Symbol("alpha1, alpha2", "α1, α2", "rad/s²", "accelerations of φ1, φ2", "4.2"),
+    Symbol("s1, s2", "s1, s2", "m", "distance from the hinge to the contact on each palm, both positive", "(3.13), (3.14)"),
+    Symbol("psi", "ψ", "rad", "orientation of the object; 0 at the first fused reading", "3.1"),
+    Symbol("omega0, alpha0", "ω0, α0", "rad/s, rad/s²", "angular rate and acceleration of the object", "4.1"),
+    Symbol("theta1, theta2", "θ1, θ2", "rad", "outward normal at each contact, in the object's frame", "(3.1)"),
+    Symbol("h", "h(θ)", "m", "support function of the outline about the centre of mass", "3.1"),
+    Symbol("r1, r2", "r = h", "m", "radius function: distance of the centre of mass from each palm", "3.1"),
+    Symbol("d1, d2", "d = −h′", "m", "offset of the contact along the palm from the foot of the centre of mass", "3.1"),
+    Symbol("v1, v2", "v = h + h″", "m", "radius of curvature of the outline at each contact; ≥ 0 if convex", "3.1"),
+    Symbol("rho", "ρ", "m", "radius of gyration, √(I0/m)", "4.1"),
+    Symbol("f1, f2", "f1, f2", "m/s²", "normal force of each contact per unit mass; > 0 while it touches", "4.1"),
+    Symbol("mu", "μ", "–", "friction coefficient", "beyond the paper"),
+    Symbol("dither", "u_d", "m/s", "speed of the palm's vibration, below which it hides friction", "beyond the paper"),
+    Symbol("damping", "c", "m²/s", "viscous damping of the spin, per unit mass", "beyond the paper"),
+    Symbol("gravity", "g", "m/s²", "acceleration of gravity along −Y, positive; the paper's scalar g is its negative", "4.1"),
+)

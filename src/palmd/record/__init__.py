@@ -1,0 +1,1 @@
+"""Runs on disk: event logs, and their causal replay through the daemon's observer."""

@@ -1,0 +1,81 @@
+"""A run again through the observer, causally: what the daemon would have said, tick by tick. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from palmd.events import Estimate, Event, ShapeEstimate
+from palmd.messages import estimate_fields, shape_fields, stamp
+from palmd.record.eventlog import EventLog
+
+PERIOD_S = 0.01
+TICKS_PER_SHAPE = 100
+_SAME_TIME_S = 1e-9
+
+
+class Observer(Protocol):
+    """What a replay needs of an observer."""
+
+    def feed(self, event: Event) -> None:
+        """Take one event."""
+
+    def estimate(self, t: float) -> Estimate:
+        """The answer for time t (s)."""
+
+    def shape(self, t: float) -> ShapeEstimate | None:
+        """The outline, None before anything is felt."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """One tick of a replay; `shape` comes with every hundredth, where there is one."""
+
+    number: int
+    t: float
+    estimate: Estimate
+    shape: ShapeEstimate | None
+
+
+def tick_count(log: EventLog) -> int:
+    """How many ticks `replay` gives: from the first event's time to the first tick that has seen them all."""
+    span = max(event.t_sample for event in log.events) - log.events[0].t_sample
+    return max(1, math.ceil((span - _SAME_TIME_S) / PERIOD_S))
+
+
+def replay(log: EventLog, observer: Observer) -> Iterator[Tick]:
+    """The observer's answers at t0 + k·10 ms, each from events up to that time only, in the file's order."""
+    t0 = log.events[0].t_sample
+    waiting = iter(log.events)
+    event = next(waiting, None)
+    for number in range(1, tick_count(log) + 1):
+        t = t0 + number * PERIOD_S
+        while event is not None and event.t_sample <= t + _SAME_TIME_S:
+            observer.feed(event)
+            event = next(waiting, None)
+        estimate = observer.estimate(t)
+        yield Tick(number, t, estimate, None if number % TICKS_PER_SHAPE else observer.shape(t))
+
+
+def lines(tick: Tick) -> Iterator[dict[str, Any]]:
+    """The tick as JSON objects: the fields of palm/estimate, and of palm/shape where there is one.
+
+    `t` is the log's own time, and so are the stamps. NaN becomes None.
+    """
+    t = round(tick.t, 9)
+    fields = {name: _or_none(value) for name, value in estimate_fields(tick.estimate).items()}
+    yield {"t": t} | stamp(fields, t, t, tick.number)
+    if tick.shape is not None:
+        yield {"t": t, "shape": {name: _or_none(value) for name, value in shape_fields(tick.shape).items()}}
+
+
+def _or_none(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {name: _or_none(each) for name, each in value.items()}
+    if isinstance(value, list):
+        return [_or_none(each) for each in value]
+    return value

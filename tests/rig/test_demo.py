@@ -1,0 +1,148 @@
+"""`palmd demo` as a process: it ends well, badly or early, and leaves nothing behind."""
+
+import contextlib
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from pathlib import Path
+
+import pytest
+import zmq
+
+from palmd.cli.bus import COMMAND, PUBLISH
+
+pytestmark = pytest.mark.rig
+
+SUMMARY = re.compile(
+    r"palmd demo: seed 3, shape observer settled after \d+\.\d s, outline \d+ µm RMS \(\d+\.\d\d%\) on \d+% touched "
+    r"normals, r \d\.\d{3} mm, omega0 \d\.\d{3} rad/s, rho [+-]\d+\.\d%, mu \d\.\d\d \(true \d\.\d\d\), "
+    r"mass [+-]\d+\.\d%, ticks \d+, late > 2 ms \d+\.\d\d%, work p99 \d+\.\d ms\n"
+)
+
+
+class Demo:
+    """The command, marked so that every process of it can be found, with a folder of its own for what is temporary."""
+
+    def __init__(self, folder, *arguments):
+        self._mark, self._folder = f"PALMD_TEST={uuid.uuid4()}", folder
+        name, value = self._mark.split("=")
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "palmd", "demo", "--no-browser", *arguments],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            env=os.environ | {name: value, "TMPDIR": str(folder)},
+        )  # fmt: skip
+
+    def wait_for(self, text):
+        """Until a line of standard error holds the text."""
+        for line in self.process.stderr:
+            if text in line:
+                return
+        raise AssertionError(f"it ended without {text!r}")
+
+    def end(self):
+        """Status and output, once it has ended and left nothing behind."""
+        out, err = self.process.communicate(timeout=60)
+        assert "Traceback" not in err
+        assert self.processes() == {}
+        assert list(self._folder.iterdir()) == []
+        return self.process.returncode, out, err
+
+    def processes(self):
+        """Its processes that are alive: command line by number."""
+        found = {}
+        for entry in Path("/proc").iterdir():
+            with contextlib.suppress(OSError):
+                if entry.name.isdigit() and self._mark.encode() in (entry / "environ").read_bytes():
+                    found[int(entry.name)] = (entry / "cmdline").read_bytes().decode().split("\0")
+        return found
+
+    def child(self, command):
+        """The number of the process that runs this command."""
+        (number,) = [number for number, line in self.processes().items() if command in line]
+        return number
+
+
+@pytest.fixture
+def demo(tmp_path):
+    started = []
+
+    def start(*arguments):
+        started.append(Demo(tmp_path, *arguments))
+        return started[-1]
+
+    yield start
+    for each in started:
+        each.process.kill()
+        each.process.communicate()
+        for number in each.processes():
+            os.kill(number, signal.SIGKILL)
+
+
+@pytest.fixture
+def busy_defaults():
+    """The default addresses in other hands, if they are not already."""
+    with zmq.Context() as context, contextlib.ExitStack() as stack:
+        for address in (PUBLISH, COMMAND):
+            with contextlib.suppress(zmq.ZMQError):
+                stack.enter_context(context.socket(zmq.PUB)).bind(address)
+        yield
+
+
+@pytest.mark.usefixtures("busy_defaults")
+def test_it_runs_beside_busy_ports_and_ends_by_itself_with_a_summary(demo):
+    begun = time.monotonic()
+    running = demo("--seconds", "8", "--seed", "3")
+    status, out, err = running.end()
+    assert (status, bool(SUMMARY.fullmatch(out))) == (0, True), out + err
+    assert "palmd top --address tcp://127.0.0.1:" in err
+    assert " 7 s  tracking" in err
+    assert time.monotonic() - begun > 8.0
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_it_ends_when_it_is_asked_to(demo, number):
+    running = demo("--seed", "3")
+    running.wait_for("0 s  tracking")
+    running.process.send_signal(number)
+    status, out, _ = running.end()
+    assert status == 3
+    assert "shape observer never settled" in out
+
+
+@pytest.mark.parametrize("child", ["run", "rig"])
+def test_it_says_so_when_one_of_them_dies(demo, child):
+    running = demo("--seed", "3")
+    running.wait_for("0 s  tracking")
+    os.kill(running.child(child), signal.SIGKILL)
+    status, out, err = running.end()
+    assert (status, out) == (3, "")
+    assert f"{child} ended with status -9" in err
+
+
+def test_its_children_end_with_it(demo):
+    running = demo("--seed", "3")
+    running.wait_for("PlotJuggler")
+    assert len(running.processes()) == 3
+    running.process.kill()
+    running.process.wait()
+    deadline = time.monotonic() + 10.0
+    while running.processes():
+        assert time.monotonic() < deadline, running.processes()
+        time.sleep(0.05)
+
+
+def test_bad_input_is_passed_on_with_its_status(demo, tmp_path_factory):
+    config = tmp_path_factory.mktemp("config") / "bad.yaml"
+    config.write_text("pads: {}\n")
+    assert demo("--config", str(config)).end()[0] == 1
+    config.write_text("pads: {palm1: {port: a}, palm2: {port: b}}\narm: {port: c}\nplan: none.yaml\n")
+    status, _, err = demo("--config", str(config), "--seed", "1").end()
+    assert status == 1
+    assert "none.yaml" in err
+    status, _, err = demo("--seed", "-1").end()
+    assert (status, err) == (1, "--seed must not be negative, got -1\n")
+    assert demo("--seconds", "0").end()[0] == 2

@@ -1,0 +1,216 @@
+"""`palmd estimate`: causal replay, its lines, its output files, what it refuses."""
+
+import json
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from palmd import observer
+from palmd.cli import main
+from palmd.events import Estimate, PadSample, RigDescription, ShapeEstimate
+from palmd.messages import ESTIMATE, SHAPE, STAMP
+from palmd.record.eventlog import EventLog, read_log
+from palmd.record.replay import lines, replay, tick_count
+from palmd.rig.simulate import simulate_log
+
+SECONDS = 3.0
+
+
+def estimate_at(t, **changes):
+    values = dict.fromkeys(Estimate.__dataclass_fields__, 0.5)
+    values |= {"t": t, "valid": False, "observer": "spy", "object_count": 1, "sd": {"r1": math.nan}}
+    return Estimate(**values | changes)
+
+
+class Spy:
+    """An observer that only remembers what it was told before it was asked."""
+
+    def __init__(self):
+        self.fed = []
+        self.seen = []
+
+    def feed(self, event):
+        self.fed.append(event)
+
+    def estimate(self, t):
+        self.seen.append((t, len(self.fed)))
+        return estimate_at(t)
+
+    def shape(self, t):
+        theta = np.linspace(0.0, 6.0, 180)
+        return ShapeEstimate(t, theta, theta, theta, theta > 1.0)
+
+
+def run_of(*times):
+    return EventLog(RigDescription(), tuple(PadSample(t, 1, 0.02) for t in times))
+
+
+def test_each_tick_sees_the_events_up_to_its_time_and_no_others():
+    spy = Spy()
+    ticks = list(replay(run_of(5.0, 5.004, 5.01, 5.0101, 5.019, 5.035), spy))
+    assert spy.seen == [(pytest.approx(t), n) for t, n in ((5.01, 3), (5.02, 5), (5.03, 5), (5.04, 6))]
+    assert [tick.number for tick in ticks] == [1, 2, 3, 4]
+
+
+def test_a_late_event_is_fed_when_it_comes_not_when_it_was_true():
+    spy = Spy()
+    run = run_of(0.0, 0.012, 0.003, 0.02)
+    list(replay(run, spy))
+    assert [n for _, n in spy.seen] == [1, 4]
+    assert spy.fed == list(run.events)
+
+
+@pytest.mark.parametrize(("times", "count"), [((3.0,), 1), ((0.0, 0.01), 1), ((0.0, 0.0100001), 2), ((0.0, 0.32), 32)])
+def test_the_last_tick_has_seen_everything(times, count):
+    spy = Spy()
+    assert len(list(replay(run_of(*times), spy))) == count == tick_count(run_of(*times))
+    assert len(spy.fed) == len(times)
+
+
+def test_a_shape_comes_every_second():
+    ticks = list(replay(run_of(0.0, 2.5), Spy()))
+    assert [tick.t for tick in ticks if tick.shape is not None] == pytest.approx([1.0, 2.0])
+
+
+def test_lines_hold_the_fields_of_the_contract():
+    (tick,) = [tick for tick in replay(run_of(7.0, 8.0), Spy()) if tick.shape]
+    estimate, shape = lines(tick)
+    assert set(estimate) == {"t"} | {field.name for field in (*STAMP, *ESTIMATE.fields)}
+    assert estimate["t"] == estimate["timestamp"] == 8.0
+    assert (estimate["mono_ns"], estimate["seq"], estimate["object"]) == (8_000_000_000, 100, 1)
+    assert estimate["sd"] == {"r1_m": None}
+    assert set(shape) == {"t", "shape"}
+    assert set(shape["shape"]) == {field.name for field in SHAPE.fields}
+    assert len(shape["shape"]["touched"]) == 180
+    json.dumps([estimate, shape], allow_nan=False)
+
+
+def test_no_value_is_null():
+    run = run_of(0.0, 0.01)
+    spy = Spy()
+    spy.estimate = lambda t: estimate_at(t, r1=math.nan, nis=math.inf)
+    ((line,),) = (list(lines(tick)) for tick in replay(run, spy))
+    assert line["r1_m"] is None
+    assert line["nis"] is None
+    assert line["r2_m"] == 0.5
+
+
+# ---------------------------------------------------------------------------------------------- the command
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory):
+    path = tmp_path_factory.mktemp("logs") / "run.jsonl"
+    log, _ = simulate_log("nominal", 0, SECONDS)
+    path.write_text("".join(json.dumps(line) + "\n" for line in log))
+    return path
+
+
+def read(path):
+    told = [json.loads(line) for line in path.read_text().splitlines()]
+    return [line for line in told if "shape" not in line], [line for line in told if "shape" in line]
+
+
+def test_the_command_gives_exactly_the_daemons_observer(simulated, tmp_path):
+    log = simulated
+    out = tmp_path / "out.jsonl"
+    assert main(["estimate", str(log), "-o", str(out), "--observer", "extended"]) == 0
+    estimates, shapes = read(out)
+    run = read_log(log)
+    twin, waiting = observer.make("extended", run.rig), list(run.events)
+    for number, line in enumerate(estimates, 1):
+        t = number * 0.01
+        assert line["t"] == pytest.approx(t, abs=1e-9)
+        while waiting and waiting[0].t_sample <= t + 1e-9:
+            twin.feed(waiting.pop(0))
+        wanted = twin.estimate(t)
+        assert line["valid"] is bool(wanted.valid)
+        for name, value in (("r1_m", wanted.r1), ("omega0_rad_s", wanted.omega0), ("mass_kg", wanted.mass)):
+            assert line[name] == (value if math.isfinite(value) else None)
+    assert not waiting
+    assert len(shapes) == int(SECONDS - 0.04)
+    assert all(line["observer"] == "extended" for line in estimates)
+
+
+def test_truth_in_the_log_changes_nothing(simulated, tmp_path):
+    log = simulated
+    spoilt = []
+    for line in log.read_text().splitlines():
+        event = json.loads(line)
+        spoilt.append(line)
+        if "t" in event:
+            spoilt.append(json.dumps({"t": event["t"], "truth": {"r1_m": 0.5}, "pad": 1, "s_m": 0.05}))
+    with_truth = tmp_path / "truth.jsonl"
+    with_truth.write_text("\n".join(spoilt) + "\n")
+    outs = tmp_path / "a.jsonl", tmp_path / "b.jsonl"
+    for path, out in zip((log, with_truth), outs, strict=True):
+        assert main(["estimate", str(path), "-o", str(out), "--observer", "extended"]) == 0
+    assert outs[0].read_bytes() == outs[1].read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("keep", "blind"),
+    [
+        (lambda event: event.get("pad") != 2, (0.0, SECONDS)),
+        (lambda event: "palms" not in event, (0.0, SECONDS)),
+        (lambda event: "pad" not in event, (0.0, SECONDS)),
+        (lambda event: not 1.0 < event["t"] < 2.0, (1.15, 2.0)),
+    ],
+    ids=["one pad only", "no palms", "no pads", "a gap"],
+)
+def test_poor_logs_give_no_traceback_and_no_claim_without_ground(simulated, tmp_path, keep, blind):
+    header, *events = simulated.read_text().splitlines()
+    log, out = tmp_path / "poor.jsonl", tmp_path / "out.jsonl"
+    log.write_text("\n".join([header, *(line for line in events if keep(json.loads(line)))]) + "\n")
+    assert main(["estimate", str(log), "-o", str(out), "--observer", "extended"]) == 0
+    claims = [line["valid"] for line in read(out)[0] if blind[0] < line["t"] < blind[1]]
+    assert len(claims) > 50
+    assert not any(claims)
+
+
+def test_standard_output_and_notes(simulated, tmp_path, capsys):
+    log = tmp_path / "cut.jsonl"
+    log.write_bytes(simulated.read_bytes()[:20_000])
+    assert main(["estimate", str(log), "-o", "-", "--observer", "extended"]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out.splitlines()[0])["t"] == 0.01
+    assert "was cut off" in err
+
+
+def test_bad_input_is_one_clear_line(simulated, tmp_path, capsys):
+    bad = tmp_path / "bad.jsonl"
+    bad.write_text("{}\n")
+    out = tmp_path / "out.jsonl"
+    for arguments, told in (
+        ([str(tmp_path / "none.jsonl"), "-o", str(out)], "No such file"),
+        ([str(bad), "-o", str(out)], "bad.jsonl:1: the first line must be the header"),
+        ([str(simulated), "-o", str(tmp_path / "no" / "out.jsonl")], "cannot be written: No such file"),
+        ([str(simulated), "-o", str(simulated)], "is the log itself"),
+    ):
+        assert main(["estimate", *arguments]) == 1
+        err = capsys.readouterr().err
+        assert told in err
+        assert err.count("\n") == 1
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "told"), [("quasistatic", "not built yet"), ("magic", "there is no observer 'magic'")]
+)
+def test_observers_that_are_not_there_are_a_usage_error(name, told, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["estimate", "log", "-o", "-", "--observer", name])
+    assert caught.value.code == 2
+    assert told in capsys.readouterr().err
+
+
+def test_a_reader_that_goes_away_is_no_fault(simulated):
+    command = [sys.executable, "-m", "palmd", "estimate", str(simulated), "-o", "-", "--observer", "extended"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        process.stdout.readline()
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == 0

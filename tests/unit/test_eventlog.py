@@ -1,0 +1,237 @@
+"""Event logs: golden lines, what is forgiven, what is refused and how it is told, and writing them."""
+
+import contextlib
+import io
+import json
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from palmd.events import PadLift, PadSample, PalmSample, RigDescription
+from palmd.record.eventlog import LogError, read_log, write_log
+from palmd.rig.simulate import simulate_log
+
+HEADER = (
+    '{"palmd_log":1,"rig":{"gravity_m_s2":9.81,"hinge":{"mode":"arc","palm1_length_m":0.11},'
+    '"pad":{"length_m":0.0555,"noise_m":1e-4,"resolution_m":1.27e-4},"force_scale_std":0.05}}'
+)
+FIXED = HEADER.replace('"mode":"arc","palm1_length_m":0.11', '"mode":"fixed"')
+PAD = '{"t":0.0031,"pad":1,"s_m":0.0213,"force_n":0.31}'
+PALMS = (
+    '{"t":0.004,"palms":{"phi1_rad":0.7,"phi2_rad":1.6,"omega1_rad_s":0.1,"omega2_rad_s":-0.2,'
+    '"alpha1_rad_s2":3,"alpha2_rad_s2":-4.5}}'
+)
+
+
+@pytest.fixture
+def log(tmp_path):
+    """Writes lines (or bytes) to a file and returns its path."""
+    path = tmp_path / "run.jsonl"
+
+    def write(*lines):
+        data = lines[0] if isinstance(lines[0], bytes) else "".join(f"{line}\n" for line in lines).encode()
+        path.write_bytes(data)
+        return path
+
+    return write
+
+
+def refused(path):
+    with pytest.raises(LogError) as caught:
+        read_log(path)
+    text = str(caught.value)
+    assert "\n" not in text
+    return text
+
+
+def test_golden_lines(log):
+    run = read_log(log(HEADER, PAD, PALMS, '{"t":0.005,"pad":2,"s_m":0.02}'))
+    assert run.events == (
+        PadSample(0.0031, 1, 0.0213, 0.31),
+        PalmSample(0.004, 0.7, 1.6, 0.1, -0.2, 3.0, -4.5),
+        PadSample(0.005, 2, 0.02, None),
+    )
+    assert run.rig == RigDescription(
+        gravity=9.81, hinge="arc", palm1_length=0.11, base=(0.11, 0.0), pad_length=0.0555, pad_noise=1e-4,
+        pad_resolution=1.27e-4, palm_angle_noise=2e-4, force_scale_std=0.05, force_resolution=0.02,
+    )  # fmt: skip
+    assert run.notes == ()
+
+
+def test_what_a_header_may_add_and_leave_out(log):
+    header = json.loads(FIXED)
+    header["rig"] |= {"palm_angle_noise_rad": 1e-3, "force_resolution_n": 0.0, "palm2_length_m": 0.2, "colour": "red"}
+    rig = read_log(log(json.dumps(header), PAD)).rig
+    assert rig.hinge == "fixed"
+    assert (rig.palm_angle_noise, rig.force_resolution) == (1e-3, 0.0)
+
+
+def test_rates_and_forces_may_be_missing_or_null(log):
+    run = read_log(
+        log(
+            HEADER,
+            '{"t":0,"palms":{"phi1_rad":0.7,"phi2_rad":1.6,"omega1_rad_s":null}}',
+            '{"t":0,"pad":2,"s_m":0.02,"force_n":null}',
+        )
+    )
+    assert run.events == (PalmSample(0.0, 0.7, 1.6), PadSample(0.0, 2, 0.02))
+
+
+def test_truth_never_becomes_an_event_and_what_is_unknown_is_ignored(log):
+    run = read_log(
+        log(
+            HEADER,
+            '{"t":0.0,"truth":{"psi_rad":NaN,"pad":1}}',
+            '{"t":0.001,"pad":1,"s_m":0.02,"truth":{"s1_m":0.02}}',
+            '{"note":"a cat walked over the rig"}',
+            "",
+            '{"t":0.002,"pad":1,"s_m":0.03,"mood":[1,{}]}',
+        )
+    )
+    assert run.events == (PadSample(0.002, 1, 0.03),)
+    assert run.notes == (f"{log(HEADER, PAD)}: 1 lines of an unknown kind left out",)
+
+
+def test_readings_off_the_pad_are_left_out_as_they_are_on_the_wire(log):
+    run = read_log(log(HEADER, PAD, *(f'{{"t":0.01,"pad":1,"s_m":{s}}}' for s in (-0.001, 0, 1e-6, 0.0564, 0.0566))))
+    assert [event.s for event in run.events] == [0.0213, 1e-6, 0.0564]
+    assert "3 readings off the pad" in run.notes[0]
+
+
+@pytest.mark.parametrize("ending", ["\n", "\r\n"])
+def test_a_simulated_run_is_read_whole(log, ending):
+    lines, _ = simulate_log("rig", 0, 1.0)
+    run = read_log(log("".join(json.dumps(line) + ending for line in lines).encode()))
+    assert len(run.events) == len(lines) - 1
+    assert [event.t_sample for event in run.events] == [line["t"] for line in lines[1:]]
+    assert run.rig.palm1_length == lines[0]["rig"]["hinge"]["palm1_length_m"]
+
+
+def test_a_truncated_last_line_is_dropped_with_a_note_wherever_it_was_cut(log):
+    whole = f"{HEADER}\n{PAD}\n".encode()
+    last = '{"t":0.005,"pad":2,"s_m":0.02,"note":"é"}'.encode()
+    for cut in range(1, len(last)):
+        run = read_log(log(whole + last[:cut]))
+        assert len(run.events) == 1, last[:cut]
+        assert "run.jsonl:3: the last line was cut off" in run.notes[0]
+    assert len(read_log(log(whole + last)).events) == 2
+    assert len(read_log(log(whole + b"\0\0\0\0")).events) == 1
+    assert ":3: not JSON" in refused(log(whole + last[:9] + b"\n"))
+
+
+@pytest.mark.parametrize(
+    ("line", "what"),
+    [
+        ("{", "not JSON"),
+        ('{"t":0.1 "pad":1}', "not JSON"),
+        ("[1]", "must be an object {…}, got a list"),
+        ("17", "must be an object {…}, got 17"),
+        ("[" * 100_000, "not JSON"),
+        ('{"t":' + "9" * 5000 + ',"pad":1,"s_m":0.02}', "not JSON"),
+        ('{"t":1' + "0" * 400 + ',"pad":1,"s_m":0.02}', "t must be a finite number, got a number beyond reason"),
+        ('{"pad":1,"s_m":0.02}', "t is missing"),
+        ('{"t":"0.1","pad":1,"s_m":0.02}', 't must be a finite number, got "0.1"'),
+        ('{"t":true,"pad":1,"s_m":0.02}', "t must be a finite number, got true"),
+        ('{"t":NaN,"pad":1,"s_m":0.02}', "t must be a finite number, got NaN"),
+        ('{"t":0.1,"pad":3,"s_m":0.02}', "pad must be 1 or 2, got 3"),
+        ('{"t":0.1,"pad":true,"s_m":0.02}', "pad must be 1 or 2, got true"),
+        ('{"t":0.1,"pad":"1","s_m":0.02}', 'pad must be 1 or 2, got "1"'),
+        ('{"t":0.1,"pad":1}', "s_m is missing"),
+        ('{"t":0.1,"pad":1,"s_m":null}', "s_m must be a finite number, got null"),
+        ('{"t":0.1,"pad":1,"s_m":Infinity}', "s_m must be a finite number, got Infinity"),
+        ('{"t":0.1,"pad":1,"s_m":1e999}', "s_m must be a finite number, got Infinity"),
+        ('{"t":0.1,"pad":1,"s_m":21.3}', "s_m is 21.3, which is no place on a palm; it is in metres"),
+        ('{"t":0.1,"pad":1,"s_m":0.02,"force_n":"3"}', 'force_n must be a finite number, got "3"'),
+        ('{"t":0.1,"palms":[0.7,1.6]}', "palms must be an object {…}"),
+        ('{"t":0.1,"palms":{"phi1_rad":0.7}}', "phi2_rad is missing"),
+        ('{"t":0.1,"palms":{"phi1_rad":45,"phi2_rad":1.6}}', "phi1_rad is 45"),
+        ('{"t":0.1,"palms":{"phi1_rad":0.7,"phi2_rad":90}}', "phi2_rad is 90"),
+        ('{"t":0.1,"palms":{"phi1_rad":0.7,"phi2_rad":1.6,"alpha1_rad_s2":-Infinity}}', "alpha1_rad_s2 must be a fin"),
+        ('{"t":-1.1,"pad":1,"s_m":0.02}', "time runs backwards by 1.1031 s"),
+        ('{"t":1700000000,"pad":1,"s_m":0.02}', "time jumps by 1.7e+09 s"),
+        ('{"x":"' + "y" * (1 << 20) + '"}', "the line is longer than"),
+    ],
+)
+def test_a_bad_line_is_told_with_its_place(log, line, what):
+    assert f"run.jsonl:3: {what}" in refused(log(HEADER, PAD, line, PAD))
+
+
+@pytest.mark.parametrize(
+    ("header", "what"),
+    [
+        (PAD, "the first line must be the header"),
+        ("{}", "the first line must be the header"),
+        (HEADER.replace('"palmd_log":1', '"palmd_log":2'), "palmd_log is 2; this palmd reads version 1"),
+        (HEADER.replace('"palmd_log":1', '"palmd_log":true'), "palmd_log is true; this palmd reads version 1"),
+        ('{"palmd_log":1}', "rig is missing"),
+        (HEADER.replace('"gravity_m_s2":9.81,', ""), "gravity_m_s2 is missing"),
+        (HEADER.replace("9.81", "0"), "gravity_m_s2 must be more than 0, got 0"),
+        (HEADER.replace("9.81", "NaN"), "gravity_m_s2 must be a finite number, got NaN"),
+        (HEADER.replace('"arc"', '"bent"'), 'hinge.mode must be fixed or arc, got "bent"'),
+        (HEADER.replace(',"palm1_length_m":0.11', ""), "palm1_length_m is missing"),
+        (HEADER.replace('"noise_m":1e-4', '"noise_m":"small"'), 'noise_m must be a finite number, got "small"'),
+        (HEADER.replace("1.27e-4", "-1"), "resolution_m must be at least 0, got -1"),
+    ],
+)
+def test_a_bad_header_is_told(log, header, what):
+    assert f"run.jsonl:1: {what}" in refused(log(header, PAD))
+
+
+def test_files_that_are_no_log(log, tmp_path):
+    assert refused(tmp_path / "none.jsonl").endswith("none.jsonl: No such file or directory")
+    assert refused(tmp_path).endswith("Is a directory")
+    assert ":1: the file is empty" in refused(log(b""))
+    assert ":1: the file is empty" in refused(log(b"\n  \n"))
+    assert ":1: not text (UTF-8)" in refused(log(b"\x89MCAP0\r\n" + bytes(range(256))))
+    assert ":1: not JSON" in refused(log(HEADER[:50].encode()))
+    assert ":1: the log holds no events" in refused(log(HEADER))
+    assert ":2: the log holds no events" in refused(log(HEADER, '{"t":0,"truth":{}}'))
+
+
+def test_late_events_keep_the_order_of_the_file(log):
+    times = (0.0, 0.5, 0.02, 0.02, 0.6, -0.3)
+    run = read_log(log(HEADER, *(f'{{"t":{t},"pad":1,"s_m":0.02}}' for t in times)))
+    assert tuple(event.t_sample for event in run.events) == times
+    assert "backwards by 1.2 s" in refused(log(HEADER, *(f'{{"t":{t},"pad":1,"s_m":0.02}}' for t in (0, 1.5, 1, 0.3))))
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=150, deadline=None)
+@given(st.binary(max_size=300), st.integers(0, 200), st.integers(0, 50))
+def test_any_bytes_are_read_or_refused(tmp_path, noise, start, length):
+    data = f"{HEADER}\n{PAD}\n{PALMS}\n".encode()
+    path = tmp_path / "run.jsonl"
+    for spoilt in (noise, data[:start] + noise + data[start + length :]):
+        path.write_bytes(spoilt)
+        with contextlib.suppress(LogError):
+            assert all(math.isfinite(event.t_sample) for event in read_log(path).events)
+
+
+finite = st.floats(-1e3, 1e3)
+events = st.one_of(
+    st.builds(PadSample, st.floats(0, 1), st.sampled_from([1, 2]), st.floats(1e-4, 0.055), st.none() | finite),
+    st.builds(PalmSample, st.floats(0, 1), st.floats(0, 3), st.floats(0.1, 3), *(st.none() | finite for _ in range(4))),
+)
+rigs = st.builds(
+    RigDescription,
+    gravity=st.floats(0.1, 20),
+    hinge=st.sampled_from(["arc", "fixed"]),
+    palm_angle_noise=st.floats(1e-6, 1),
+    force_resolution=st.floats(0, 1),
+)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=50, deadline=None)
+@given(rigs, st.lists(events, min_size=1, max_size=20), st.floats(0.05, 0.5))
+def test_what_is_written_is_read_again(tmp_path, rig, run, length):
+    if rig.hinge == "arc":
+        rig = replace(rig, palm1_length=length, base=(length, 0.0))
+    stream = io.StringIO()
+    write_log(stream, rig, [*run, PadLift(1.0, 1)])
+    path = tmp_path / "run.jsonl"
+    path.write_text(stream.getvalue(), encoding="utf-8")
+    read = read_log(path)
+    assert read.rig == rig
+    assert read.events == tuple(run)
