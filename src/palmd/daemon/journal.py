@@ -8,6 +8,8 @@ import os
 import queue
 import threading
 
+from palmd.logformat import formatter
+
 LINES_WAITING_MAX = 1000
 LAST_WORDS_S = 0.5
 """How long the end may wait for lines to be written."""
@@ -19,7 +21,7 @@ class Journal(logging.Handler):
     def __init__(self, fd: int = 2) -> None:
         """`fd` is where the lines go: a write there may block, but only the thread."""
         super().__init__()
-        self.setFormatter(logging.Formatter("%(levelname)s %(message)s"))
+        self.setFormatter(formatter(fd))
         self._fd = fd
         self._lines: queue.Queue[str | None] = queue.Queue(LINES_WAITING_MAX)
         self._thread = threading.Thread(target=self._write, name="journal", daemon=True)
