@@ -85,9 +85,9 @@ def _check_array(what: str, array: FloatArray, size: int) -> None:
 
 
 def densified(function: ca.Function) -> ca.Function:
-    """The same function with dense inputs and outputs, so that plain arrays can hold them."""
+    """The same function with dense inputs and outputs, so that plain arrays can hold them; shared terms once."""
     inputs = [ca.SX.sym(function.name_in(i), *function.size_in(i)) for i in range(function.n_in())]
-    outputs = [ca.densify(out) for out in function.call(inputs)]
+    outputs = ca.cse([ca.densify(out) for out in function.call(inputs)])
     return ca.Function(function.name(), inputs, outputs, function.name_in(), function.name_out())
 
 

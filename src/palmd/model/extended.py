@@ -18,7 +18,7 @@ from palmd.model.contact import SX, Contact, normal_directions, offsets
 from palmd.model.dynamics import Body, Palms, newton_euler
 from palmd.model.integrate import exponential_step
 from palmd.model.named import RIG_INPUTS, named_outputs
-from palmd.model.shape import COEFFICIENTS, HARMONICS, contact_at
+from palmd.model.shape import COEFFICIENTS, HARMONICS, contact_at, harmonics
 
 
 class X(IntEnum):
@@ -55,8 +55,9 @@ Q_PALM_RATE = 0.02**2  # (rad/s)²/s, palms against their plan
 def _curvature_at(theta: SX, coefficients: SX) -> SX:
     """v(θ); the first harmonic of h, a shift of the origin, does not enter."""
     v = coefficients[0]
-    for k in range(2, HARMONICS + 1):
-        v = v + coefficients[2 * k - 3] * ca.cos(k * theta) + coefficients[2 * k - 2] * ca.sin(k * theta)
+    for k, cos, sin in harmonics(theta):
+        if k > 1:
+            v = v + coefficients[2 * k - 3] * cos + coefficients[2 * k - 2] * sin
     return v
 
 

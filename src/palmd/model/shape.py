@@ -7,6 +7,8 @@ it is where the centre of mass lies in the body, and gravity feels it.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import casadi as ca
 import numpy as np
 
@@ -71,15 +73,21 @@ def prior_sd(mean_radius: float) -> FloatArray:
     return sd
 
 
+def harmonics(theta: SX) -> Iterator[tuple[int, SX, SX]]:
+    """(k, cos kθ, sin kθ) for each harmonic, by the addition theorem: two calls of libm instead of fourteen."""
+    cos1, sin1 = ca.cos(theta), ca.sin(theta)
+    cos, sin = cos1, sin1
+    for k in range(1, HARMONICS + 1):
+        yield k, cos, sin
+        cos, sin = cos * cos1 - sin * sin1, sin * cos1 + cos * sin1
+
+
 def contact_at(theta: SX, coefficients: SX) -> Contact:
     """r, d, v of the outline where its outward normal is `theta`."""
     r, d, v = coefficients[0], SX(0), coefficients[0]
-    for k in range(1, HARMONICS + 1):
+    for k, cos, sin in harmonics(theta):
         a, b = coefficients[2 * k - 1], coefficients[2 * k]
-        even, odd = (
-            a * ca.cos(k * theta) + b * ca.sin(k * theta),
-            a * ca.sin(k * theta) - b * ca.cos(k * theta),
-        )
+        even, odd = a * cos + b * sin, a * sin - b * cos
         r = r + even
         d = d + k * odd
         v = v + (1 - k**2) * even
