@@ -23,22 +23,23 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def notation() -> str:
     rows = [(f"`{s.name}`", s.glyph, s.unit, s.meaning, s.source) for s in SYMBOLS]
-    return "# Notation\n\n" + table(("in the code", "in the paper", "unit", "meaning", "equation or section"), rows)
+    head = ("in the code", "in the paper", "unit", "meaning", "equation or section")
+    return "# Notation\n\n" + table(head, rows)
 
 
 def faults() -> str:
-    rows = [
-        (f"`{f.code}`", str(f.severity), f.text, f.hint, f"{f.debounce_s:g} s", f.latch, f.clears) for f in FAULTS
-    ]
+    rows = [(f"`{f.code}`", f.severity, f.text, f.hint, f"{f.debounce_s:g} s", f.latch, f.clears) for f in FAULTS]
     head = ("fault", "severity", "what", "what to do", "after", "latched", "cleared by")
     return (
-        "# Faults\n\n`note` is said, `degrade` means working on with less, `hold` stops the motion, `stop` stops the arm. "
+        "# Faults\n\n`note` is said, `degrade` means working on with less, `hold` stops the motion,\n`stop` stops the arm. "
         "*Latched* `armed` means: it stays if the arm was commanded when it came.\n\n" + table(head, rows)
     )
 
 
 def messages() -> str:
-    parts = ["# Messages\n\nThree frames: topic, msgpack map, ASCII Unix seconds. NaN means no value. Every map begins with\n\n"]
+    parts = [
+        "# Messages\n\nThree frames: topic, msgpack map, ASCII Unix seconds. NaN means no value.\nEvery map has\n\n"
+    ]
     head = ("field", "unit", "meaning")
     parts.append(table(head, [(f"`{f.name}`", f.unit, f.meaning) for f in STAMP]))
     for topic in TOPICS:
@@ -48,7 +49,9 @@ def messages() -> str:
 
 
 def states() -> str:
-    return f"# Lifecycle\n\nThe daemon's states and every transition there is.\n\n```mermaid\n{lifecycle.diagram()}```\n"
+    return (
+        f"# Lifecycle\n\nThe daemon's states and every transition there is.\n\n```mermaid\n{lifecycle.diagram()}```\n"
+    )
 
 
 def mischief() -> str:

@@ -85,9 +85,7 @@ def test_pad_packets_round_trip(
 
 
 @given(streams, st.data())
-def test_every_byte_of_a_pad_is_accounted_for_and_no_split_matters(
-    stream: bytes, data: st.DataObject
-) -> None:
+def test_every_byte_of_a_pad_is_accounted_for_and_no_split_matters(stream: bytes, data: st.DataObject) -> None:
     whole, split = VersaPadDecoder(BAUD), VersaPadDecoder(BAUD)
     expected = [content(packet) for packet in whole.feed(stream, 0.0)]
     got = []
@@ -204,9 +202,7 @@ def test_parsers_raise_their_own_error_only(body: str) -> None:
 
 
 @given(talk.map(b"".join), st.data())
-def test_every_byte_of_a_line_is_accounted_for_and_no_split_matters(
-    stream: bytes, data: st.DataObject
-) -> None:
+def test_every_byte_of_a_line_is_accounted_for_and_no_split_matters(stream: bytes, data: st.DataObject) -> None:
     whole, split = LineReader(BAUD), LineReader(BAUD)
     expected = [line.body for line in whole.feed(stream, 0.0)]
     times, got, t = [], [], 0.0

@@ -66,9 +66,7 @@ rate = st.one_of(
 piece = st.one_of(move.map(lambda m: [m]), hold.map(lambda h: [h]), sine.map(lambda s: [s]), rate)
 dither = st.one_of(
     st.none(),
-    st.builds(
-        lambda a, f: {"amplitude_deg": a, "frequency_hz": f}, st.floats(0.01, 0.1), st.floats(2.0, 11.0)
-    ),
+    st.builds(lambda a, f: {"amplitude_deg": a, "frequency_hz": f}, st.floats(0.01, 0.1), st.floats(2.0, 11.0)),
 )
 
 
@@ -94,9 +92,7 @@ def _pairs(motion: PalmMotion) -> tuple[tuple[float, float, float], ...]:
     return (motion.phi1, motion.omega1, motion.alpha1), (motion.phi2, motion.omega2, motion.alpha2)
 
 
-@settings(
-    max_examples=50, deadline=None, suppress_health_check=[HealthCheck.filter_too_much, HealthCheck.too_slow]
-)
+@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.filter_too_much, HealthCheck.too_slow])
 @given(trajectories(), st.randoms(use_true_random=False))
 def test_derivatives_belong_together_and_limits_hold_everywhere(trajectory: Trajectory, random: Any) -> None:
     """Rates and accelerations are the slopes of the angles; the oracle is central differences."""
@@ -107,9 +103,7 @@ def test_derivatives_belong_together_and_limits_hold_everywhere(trajectory: Traj
     for t in times:
         before, here, after = (trajectory.at(t + d) for d in (-h, 0.0, h))
         inside = h < t < trajectory.duration - h
-        for (a, va, _), (_, vb, ab), (c, vc, _) in zip(
-            _pairs(before), _pairs(here), _pairs(after), strict=True
-        ):
+        for (a, va, _), (_, vb, ab), (c, vc, _) in zip(_pairs(before), _pairs(here), _pairs(after), strict=True):
             assert abs(vb) <= LIMITS.rate * 1.003
             assert abs(ab) <= LIMITS.acceleration * 1.003
             if inside:
@@ -140,9 +134,7 @@ def _obey(conductor: Conductor, command: str, trajectory: Trajectory) -> None:
 
 
 @pytest.mark.parametrize("dt", [0.010, 0.016])
-@settings(
-    max_examples=50, deadline=None, suppress_health_check=[HealthCheck.filter_too_much, HealthCheck.too_slow]
-)
+@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.filter_too_much, HealthCheck.too_slow])
 @given(trajectories(), commands)
 def test_command_keeps_rate_and_acceleration_whatever_is_asked(
     dt: float, trajectory: Trajectory, commands: list[tuple[int, str]]
@@ -193,9 +185,7 @@ angle = st.floats(-4.0, 4.0) | st.sampled_from([math.nan, math.inf, -math.inf])
     st.lists(st.tuples(angle, angle), min_size=1, max_size=30),
     st.floats(0.0, 0.1),
 )
-def test_clamped_steps_never_leave_the_limits_or_exceed_the_rate(
-    wishes: list[tuple[float, float]], dt: float
-) -> None:
+def test_clamped_steps_never_leave_the_limits_or_exceed_the_rate(wishes: list[tuple[float, float]], dt: float) -> None:
     last = PalmMotion(*START)
     for wish in wishes:
         sent = LIMITS.clamp_step(last, PalmMotion(*wish), dt)

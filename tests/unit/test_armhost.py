@@ -265,9 +265,7 @@ def test_without_a_target_the_last_set_point_is_repeated(bench: Bench) -> None:
     assert bench.host.counters.setpoints > 10
 
 
-@pytest.mark.parametrize(
-    "target", [Pose(math.nan, 0, 0), Pose(0, math.inf, 0), Pose(5.0, 0, 0), Pose(0, 0, math.inf)]
-)
+@pytest.mark.parametrize("target", [Pose(math.nan, 0, 0), Pose(0, math.inf, 0), Pose(5.0, 0, 0), Pose(0, 0, math.inf)])
 def test_target_that_cannot_be_sent_is_counted_and_the_last_one_repeated(bench: Bench, target: Pose) -> None:
     bench.track()
     commanded = bench.host.commanded

@@ -217,9 +217,7 @@ def test_lower_case_crc_is_not_the_contracts() -> None:
     assert reader.counters.unframed == 1
 
 
-@pytest.mark.parametrize(
-    "noise", [b"\n", b"\r\n", b"*00\n", b"H\n", b"H*F\n", b"\x00H*FF\n", b"\xff\xfe*00\n"]
-)
+@pytest.mark.parametrize("noise", [b"\n", b"\r\n", b"*00\n", b"H\n", b"H*F\n", b"\x00H*FF\n", b"\xff\xfe*00\n"])
 def test_unframed_lines_are_counted(noise: bytes) -> None:
     reader = LineReader(BAUD)
     assert len(reader.feed(noise + LINE, 0.0)) == 1

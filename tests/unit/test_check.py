@@ -78,7 +78,5 @@ def test_load_trajectory_tells_the_place_and_refuses_to_explore(tmp_path: Path) 
     with pytest.raises(ConfigError) as caught:
         load_trajectory(plan, limits)
     assert [error.split(": ")[:2] for error in caught.value.errors] == [[f"{plan}:5:5", "segments.2"]]
-    shipped = load_trajectory(
-        ROOT / "config/plans/demo.yaml", motion_limits(load_config(ROOT / "config/demo.yaml"))
-    )
+    shipped = load_trajectory(ROOT / "config/plans/demo.yaml", motion_limits(load_config(ROOT / "config/demo.yaml")))
     assert shipped.name == "demo"

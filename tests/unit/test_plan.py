@@ -37,9 +37,7 @@ def degrees(trajectory: Trajectory, tau: float) -> tuple[float, float]:
 
 
 def test_a_first_move_is_left_to_the_approach_and_made_in_every_later_round() -> None:
-    trajectory = made(
-        HOME_MOVE, {"rate": {"phi1_deg_s": 20}, "until": {"phi1_deg": 55}}, {"hold_s": 1.0}, repeat=3
-    )
+    trajectory = made(HOME_MOVE, {"rate": {"phi1_deg_s": 20}, "until": {"phi1_deg": 55}}, {"hold_s": 1.0}, repeat=3)
     assert (trajectory.start, trajectory.lead_in) == (HOME, 2.0)
     # 20°/s: ramps of 1.875·20/450 s; 10° at 20°/s and one ramp make 0.5 s + 83.3 ms.
     rate_s = 10 / 20 + 1.875 * 20 / 450
@@ -78,9 +76,7 @@ def test_rounds_that_do_not_begin_with_a_move_go_on_from_where_they_ended() -> N
     (said,) = refused(*there_and_half_back, repeat="forever")
     assert said.startswith("repeat: a plan cannot repeat forever when every round ends elsewhere")
     # φ2 leaves its limit of 155° in the course of 80 rounds.
-    assert any(
-        "phi2 reaches" in said or "phi1 + phi2" in said for said in refused(*there_and_half_back, repeat=80)
-    )
+    assert any("phi2 reaches" in said or "phi1 + phi2" in said for said in refused(*there_and_half_back, repeat=80))
 
 
 def test_forever_is_endless_and_periodic() -> None:

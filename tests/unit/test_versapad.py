@@ -79,9 +79,7 @@ def test_pressure_format_six_bits_shifted_and_inverted() -> None:
     assert got.pressure == 3
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"byte": 0}, {"byte": 6}, {"mask": 0}, {"mask": 0x80}, {"shift": 7}, {"shift": -1}]
-)
+@pytest.mark.parametrize("wrong", [{"byte": 0}, {"byte": 6}, {"mask": 0}, {"mask": 0x80}, {"shift": 7}, {"shift": -1}])
 def test_impossible_pressure_formats_are_refused(wrong: dict[str, int]) -> None:
     with pytest.raises(ValueError, match="pressure"):
         PressureFormat(**wrong)  # type: ignore[arg-type]

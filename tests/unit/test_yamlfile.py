@@ -209,12 +209,8 @@ dither: {amplitude_deg: 0.1}
 
 
 @settings(max_examples=300, deadline=None)
-@given(
-    st.binary(max_size=300) | st.text(alphabet="ab:-[]{}#&*!|>'\"%@`,? \n\t1.e", max_size=120).map(str.encode)
-)
-def test_any_bytes_give_a_document_or_error_lines(
-    tmp_path_factory: pytest.TempPathFactory, content: bytes
-) -> None:
+@given(st.binary(max_size=300) | st.text(alphabet="ab:-[]{}#&*!|>'\"%@`,? \n\t1.e", max_size=120).map(str.encode))
+def test_any_bytes_give_a_document_or_error_lines(tmp_path_factory: pytest.TempPathFactory, content: bytes) -> None:
     path = tmp_path_factory.getbasetemp() / "any.yaml"
     path.write_bytes(content)
     errors = [f"{path}:1:1: none"]

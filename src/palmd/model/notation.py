@@ -25,7 +25,7 @@ SYMBOLS: tuple[Symbol, ...] = (
     Symbol("phi12", "φ12", "rad", "φ1 + φ2, the world angle of palm 2; below 172° in practice", "3.1"),
     Symbol("omega1, omega2", "ω1, ω2", "rad/s", "rates of φ1, φ2", "4.2"),
     Symbol("alpha1, alpha2", "α1, α2", "rad/s²", "accelerations of φ1, φ2", "4.2"),
-    Symbol("s1, s2", "s1, s2", "m", "distance from the hinge to the contact on each palm, both positive", "(3.13), (3.14)"),
+    Symbol("s1, s2", "s1, s2", "m", "distance from the hinge to each contact, both positive", "(3.13), (3.14)"),
     Symbol("psi", "ψ", "rad", "orientation of the object; 0 at the first fused reading", "3.1"),
     Symbol("omega0, alpha0", "ω0, α0", "rad/s, rad/s²", "angular rate and acceleration of the object", "4.1"),
     Symbol("theta1, theta2", "θ1, θ2", "rad", "outward normal at each contact, in the object's frame", "(3.1)"),
@@ -38,5 +38,5 @@ SYMBOLS: tuple[Symbol, ...] = (
     Symbol("mu", "μ", "–", "friction coefficient", "beyond the paper"),
     Symbol("dither", "u_d", "m/s", "speed of the palm's vibration, below which it hides friction", "beyond the paper"),
     Symbol("damping", "c", "m²/s", "viscous damping of the spin, per unit mass", "beyond the paper"),
-    Symbol("gravity", "g", "m/s²", "acceleration of gravity along −Y, positive; the paper's scalar g is its negative", "4.1"),
+    Symbol("gravity", "g", "m/s²", "gravity along −Y, positive; the paper's scalar g is its negative", "4.1"),
 )
