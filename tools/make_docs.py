@@ -31,7 +31,7 @@ def faults() -> str:
     rows = [(f"`{f.code}`", f.severity, f.text, f.hint, f"{f.debounce_s:g} s", f.latch, f.clears) for f in FAULTS]
     head = ("fault", "severity", "what", "what to do", "after", "latched", "cleared by")
     return (
-        "# Faults\n\n`note` is said, `degrade` means working on with less, `hold` stops the motion,\n`stop` stops the arm. "
+        "# Faults\n\n`note` is said, `degrade` is working on with less, `hold` stops motion,\n`stop` stops the arm. "
         "*Latched* `armed` means: it stays if the arm was commanded when it came.\n\n" + table(head, rows)
     )
 

@@ -128,6 +128,7 @@ class BankObserver:
         y, cov = self._filters.named(best, self._t, dt, self._palms)
         spread = self._rivals_spread(best)
         sd = np.sqrt(np.maximum(np.diagonal(cov), 0.0) + spread**2)
+        sd *= self._filters.optimism.factor(t - self._t_start)
         finite = bool(np.isfinite(y).all() and np.isfinite(sd).all())
         settled = finite and self._settled(t, best, sd, spread)
         self._watch_for_loss(t, best)

@@ -43,7 +43,7 @@ from palmd.yamlfile import ConfigError, load_config
 
 PERIOD_S = 1e-3
 TRUTH_S, OBJECT_S, PARENT_S = 0.01, 1.0, 0.5
-_LATE_S = 2e-3
+_LATE_S, _STALLED_S = 2e-3, 20e-3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -107,7 +107,7 @@ class RigProcess:
 
     def __init__(self, config: Config, world: World, folder: Path, stop: StopRequest) -> None:
         self.world = world
-        self.ticks = self.late_ticks = 0
+        self.ticks = self.late_ticks = self.stalls = 0
         self.latest_s = 0.0
         self._stop = stop
         self._parent = os.getppid()
@@ -193,6 +193,7 @@ class RigProcess:
     def _note_lateness(self, late_s: float) -> None:
         self.ticks += 1
         self.late_ticks += late_s > _LATE_S
+        self.stalls += late_s > _STALLED_S  # the daemon may rightly take it for silence
         self.latest_s = max(self.latest_s, late_s)
 
     # -- sockets ------------------------------------------------------------------------------------------
@@ -249,7 +250,12 @@ class RigProcess:
             for port, line in self._lines.items()
             for what, value in (("bytes_sent", line.bytes_sent), ("bytes_lost", line.bytes_lost))
         }
-        pace = {"ticks": self.ticks, "late_ticks": self.late_ticks, "latest_ms": self.latest_s * 1e3}
+        pace = {
+            "ticks": self.ticks,
+            "late_ticks": self.late_ticks,
+            "stalls": self.stalls,
+            "latest_ms": self.latest_s * 1e3,
+        }
         return self.world.status() | lines | pace
 
 

@@ -79,6 +79,8 @@ class ControllerCounters:
 
     commands: int = 0
     unparsable: int = 0
+    starts: int = 0
+    resets: int = 0
     setpoints: int = 0
     accepted: int = 0
     superseded: int = 0
@@ -90,7 +92,7 @@ class ControllerCounters:
     def as_dict(self) -> dict[str, int]:
         """Flat, refusals as `refused_<code>`."""
         refused = {f"refused_{-code}": count for code, count in sorted(self.refused.items())}
-        plain = ("commands", "unparsable", "setpoints", "accepted", "superseded", "duplicates")
+        plain = ("commands", "unparsable", "starts", "resets", "setpoints", "accepted", "superseded", "duplicates")
         return {name: getattr(self, name) for name in (*plain, "clamped", "braked")} | refused
 
 
@@ -128,6 +130,8 @@ class Controller:
                 self.counters.unparsable += 1
                 continue
             self.counters.commands += 1
+            self.counters.starts += isinstance(command, Start)
+            self.counters.resets += isinstance(command, Reset)
             out += self._obey(command, t, actual)
         return out
 
