@@ -246,6 +246,7 @@ def rig_description(config: Config) -> RigDescription:
         gravity=config.rig.gravity_m_s2,
         hinge=config.rig.hinge,
         palm1_length=config.rig.palm1_length_mm * 1e-3,
+        base=(config.rig.base_mm[0] * 1e-3, config.rig.base_mm[1] * 1e-3),
         pad_length=min(pad.length_mm for pad in pads) * 1e-3,
         pad_resolution=1e-3 / min(pad.counts_per_mm for pad in pads),
         force_resolution=max(pad.newtons_per_count for pad in pads),

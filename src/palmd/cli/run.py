@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 
 
@@ -13,6 +14,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Runs until SIGTERM or SIGINT, then brings the arm to a planned stop."""
+    # the loop's matrices are small: threads of the linear algebra library would only compete with it
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from palmd.daemon import app
 
     return app.run(arguments.config)

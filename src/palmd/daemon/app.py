@@ -75,6 +75,7 @@ def _run(config: Config, folder: Path, plan: Plan | None, bus: Bus, signals: _Si
     stack.callback(notifier.close)
     notifier.status("building the observer")
     estimator, notes = _observer(config)
+    estimator.warm_up()
     missing = realtime.prepare()
     for text in missing:
         log.warning("%s", text)

@@ -11,7 +11,7 @@ from palmd.observer.live import BankObserver
 ObserverName = Literal["shape", "extended"]
 OBSERVERS: tuple[str, ...] = get_args(ObserverName)
 
-EXTENDED_BANK, SHAPE_BANK = 24, 40  # multiples of model.compiled.BLOCK
+EXTENDED_BANK, SHAPE_BANK = 24, 32  # multiples of model.compiled.BLOCK
 
 
 def make(name: ObserverName, rig: RigDescription, seed: int = 0) -> BankObserver:

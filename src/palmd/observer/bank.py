@@ -200,17 +200,20 @@ class Bank:
         """Indices of the filters whose score is within `margin` (nats) of the best."""
         return np.flatnonzero(self.score > self.score.max() - margin)
 
-    def snapshot(self, reuse: Snapshot | None = None) -> Snapshot:
-        """A copy of the present, for `restore`; `reuse` names one whose memory may be written over."""
-        if reuse is None or reuse.score.size != self.size:
-            return Snapshot(self.x.copy(), self.P.copy(), self.score.copy(), self.nis.copy())
-        reuse.x[:], reuse.P[:], reuse.score[:], reuse.nis[:] = self.x, self.P, self.score, self.nis
-        return reuse
+    def blank(self) -> Snapshot:
+        """Memory for one snapshot, to be written over by `remember`."""
+        full = self.full_size
+        return Snapshot(np.ones((full, self.n)), np.ones((full, self.n, self.n)), np.ones(full), np.ones(full))
+
+    def remember(self, into: Snapshot) -> None:
+        """Copy the present into `into`, for `restore`."""
+        n = self.size
+        into.x[:n], into.P[:n], into.score[:n], into.nis[:n] = self.x, self.P, self.score, self.nis
 
     def restore(self, past: Snapshot) -> None:
-        """Go back to `past`, taken since the last `prune` or `refill`."""
-        self.x[:], self.P[:] = past.x, past.P
-        self.score[:], self.nis[:] = past.score, past.nis
+        """Go back to `past`, remembered since the last `prune` or `refill`."""
+        n = self.size
+        self.x[:], self.P[:], self.score[:], self.nis[:] = past.x[:n], past.P[:n], past.score[:n], past.nis[:n]
 
     def _call(self, kernel: list[list[BoundCall]]) -> None:
         for call in kernel[self._side][: self._blocks]:

@@ -35,8 +35,8 @@ LONGEST_STEP_S = 0.0051  # of one integration step: readings of one pad come eve
 SILENCE_S = 0.1  # a pad silent for longer does not vouch for a contact
 GONE_S = 0.4  # a pad silent for longer: the object has left the palms
 HISTORY = 24  # events that can be undone for a late one
-SETTLED_SD = 4e-4  # m, of r1 and r2
-AGREEMENT = 4e-4  # m, among plausible filters
+SETTLED_SD = 3e-4  # m, of r1 and r2
+AGREEMENT = 3e-4  # m, among plausible filters
 PLAUSIBLE = 12.0  # nats below the best
 HOPELESS, PRUNE_AGE_S = 100.0, 4.0  # nats below the best, from which no filter comes back once so old
 MIN_AGE_S = 0.4
@@ -51,6 +51,10 @@ FADE, FADE_AGE_S, FADE_EVERY_S = 1.5, 0.2, 0.2
 # Readings that keep surprising the best filter make it forget faster.
 SURPRISING_NIS, FADE_BY_SURPRISE = 1.4, 20.0
 
+DIRECTIONS = 180  # of the published outline
+_THETA = np.linspace(0.0, 2 * np.pi, DIRECTIONS, endpoint=False)
+_ROWS = shape.basis(_THETA)
+_BIN_OF_THETA = (_THETA / (2 * np.pi) * NORMAL_BINS).astype(np.intp)
 _R1, _R2, _F1, _F2 = (NAMED.index(name) for name in ("r1", "r2", "f1", "f2"))
 _PUBLISHED = tuple(name for name in NAMED if name not in ("f1", "f2"))
 
@@ -72,18 +76,38 @@ class BankObserver:
     def __init__(self, filters: Filters, rig: RigDescription, seed: int = 0):
         """Deterministic for given `seed`, events and times."""
         self.name = filters.name
-        self.object_count = 0
-        self.late_dropped = 0
         self._filters = filters
         self._rig = rig
         self._seed = seed
         self._pad_variance = rig.pad_noise**2 + rig.pad_resolution**2 / 12
-        self._palms = PalmTracker(rig.palm_angle_noise)
+        self._fused: list[_Fused] = []
+        self._spare = [self._bank.blank() for _ in range(HISTORY)]
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to the very beginning, as if nothing had been fed."""
+        self.object_count = 0
+        self.late_dropped = 0
+        self._palms = PalmTracker(self._rig.palm_angle_noise)
         self._last: dict[int, PadSample] = {}
         self._lifted: set[int] = set()
         self._t = -math.inf  # up to which the bank has been moved
         self._running = False
         self._begin_fresh()
+
+    def warm_up(self) -> None:
+        """Pay the costs of first calls (page faults, the linear algebra's work space) now; ends with a `reset`.
+
+        For before the loop begins: it takes some milliseconds.
+        """
+        for i in range(2 * HISTORY):
+            t = i * 0.01
+            self.feed(PalmSample(t, 0.8, 1.6, 0.0, 0.0, 0.0, 0.0))
+            self.feed(PadSample(t, 1, 0.02, 1.0))
+            self.feed(PadSample(t, 2, 0.02, 1.0))
+            self.estimate(t)
+            self.shape(t)
+        self.reset()
 
     @property
     def backend(self) -> str:
@@ -138,15 +162,13 @@ class BankObserver:
         return self._assemble(t, settled, best, y, sd)
 
     def shape(self, t: float) -> ShapeEstimate | None:
-        """The outline of the most likely filter on 360 normals, None before anything is felt."""
+        """The outline of the most likely filter on `DIRECTIONS` normals, None before anything is felt."""
         if not self._running or self._bank.lost():
             return None
         coefficients, cov = self._filters.outline(self._bank.best())
-        theta = np.linspace(0.0, 2 * np.pi, 360, endpoint=False)
-        rows = shape.basis(theta)
-        h_sd = np.sqrt(np.maximum(((rows @ cov) * rows).sum(axis=1), 0.0))
-        touched = self._touched[(theta / (2 * np.pi) * NORMAL_BINS).astype(np.intp)]
-        return ShapeEstimate(t, theta, rows @ coefficients, h_sd, touched)
+        h_sd = np.sqrt(np.maximum(((_ROWS @ cov) * _ROWS).sum(axis=1), 0.0))
+        h_sd *= self._filters.optimism.factor(t - self._t_start)
+        return ShapeEstimate(t, _THETA, _ROWS @ coefficients, h_sd, self._touched[_BIN_OF_THETA])
 
     # ---- starting and stopping
 
@@ -156,8 +178,7 @@ class BankObserver:
         self._touched = np.zeros(NORMAL_BINS, dtype=np.bool_)
         self._last_normals: tuple[float, float] | None = None
         self._marked = -1
-        self._fused: list[_Fused] = []
-        self._spare: list[Snapshot] = []
+        self._forget_history()
         self._t_start = math.inf
         self._t_unlikely: float | None = None
 
@@ -215,11 +236,15 @@ class BankObserver:
         for each in (event, *(entry.event for entry in undone)):
             self._fuse(each)
 
+    def _forget_history(self) -> None:
+        """What came before can no longer be undone."""
+        self._spare += [entry.before for entry in self._fused]
+        self._fused.clear()
+
     def _fuse(self, event: PadSample | PalmSample) -> None:
-        before = self._spare.pop() if self._spare else None
-        if len(self._fused) >= HISTORY:
-            before = self._fused.pop(0).before
-        self._fused.append(_Fused(event.t_sample, event, self._t, self._t_faded.copy(), self._bank.snapshot(before)))
+        before = self._spare.pop() if self._spare else self._fused.pop(0).before
+        self._bank.remember(before)
+        self._fused.append(_Fused(event.t_sample, event, self._t, self._t_faded.copy(), before))
         self._move_to(event.t_sample)
         self._forget_some()
         if isinstance(event, PadSample):
@@ -241,8 +266,7 @@ class BankObserver:
         self._t_faded[block] = self._t
         kept = self._bank.prune(HOPELESS) if age > PRUNE_AGE_S else None
         if kept is not None:
-            self._fused.clear()  # what came before can no longer be undone
-            self._spare.clear()
+            self._forget_history()
             self._marked = int(np.flatnonzero(kept == self._marked)[0]) if self._marked in kept else -1
 
     def _move_to(self, t: float) -> None:

@@ -1,0 +1,1 @@
+"""Offline work: the whole rig without wires, and studies of many runs."""

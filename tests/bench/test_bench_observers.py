@@ -1,0 +1,106 @@
+"""What a tick of each observer costs by the size of its bank, and one step of one filter in C."""
+
+import time
+
+import numpy as np
+import pytest
+from benchtable import PARTS, machine, percentiles, show
+
+from palmd.events import PadSample, PalmSample, RigDescription
+from palmd.model import compiled, extended, shape_map
+from palmd.observer import EXTENDED_BANK, OBSERVERS, SHAPE_BANK
+from palmd.observer.filters import ExtendedFilters, ShapeFilters
+from palmd.observer.live import BankObserver
+from palmd.rig.simulate import simulate_log
+
+pytestmark = [pytest.mark.bench, pytest.mark.timeout(300)]
+
+KIND, SEED, SECONDS = "rig", 101, 6.0
+PERIOD_S = 0.01
+TICKS_PER_SHAPE = 10
+SIZES = (8, 24, 40, 64)
+USED = {"shape": SHAPE_BANK, "extended": EXTENDED_BANK}
+FILTERS = {"shape": ShapeFilters, "extended": ExtendedFilters}
+MODELS = {"shape": shape_map, "extended": extended}
+CALLS, REPEATS = 200, 7
+
+
+def events_of(lines):
+    for line in lines:
+        if "pad" in line:
+            yield PadSample(line["t"], line["pad"], line["s_m"], line["force_n"])
+        elif "palms" in line:
+            yield PalmSample(line["t"], *line["palms"].values())
+
+
+@pytest.fixture(scope="module")
+def run():
+    header, *lines = simulate_log(KIND, SEED, SECONDS)[0]
+    return RigDescription(palm1_length=header["rig"]["hinge"]["palm1_length_m"]), list(events_of(lines))
+
+
+def tick_times(watcher, events):
+    """How long feed, estimate and, each tenth time, shape took in each tick (ms of processor time)."""
+    times, waiting = [], list(reversed(events))
+    for k in range(1, round(SECONDS / PERIOD_S)):
+        begun = time.thread_time()
+        while waiting and waiting[-1].t_sample <= k * PERIOD_S:
+            watcher.feed(waiting.pop())
+        watcher.estimate(k * PERIOD_S)
+        if k % TICKS_PER_SHAPE == 0:
+            watcher.shape(k * PERIOD_S)
+        times.append((time.thread_time() - begun) * 1e3)
+    return times
+
+
+def test_bench_tick_of_the_observers(run):
+    rig, events = run
+    rows = []
+    for name in OBSERVERS:
+        for size in SIZES:
+            watcher = BankObserver(FILTERS[name](rig, size), rig)
+            used = ", used" if size == USED[name] else ""
+            rows.append((f"{name}, bank of {size}{used}", *percentiles(tick_times(watcher, events))))
+    show(
+        f"feed and estimate in a tick of 10 ms, {KIND} log, seed {SEED}, {SECONDS:g} s (ms of processor time)",
+        PARTS,
+        rows,
+    )
+    print(f"  {machine()}")
+    assert all(row[1] < PERIOD_S * 1e3 for row in rows)
+
+
+def step_time(library, name):
+    """One call of a kernel for one filter (µs): the best of several means."""
+    function = library.functions[name]
+    rng = np.random.default_rng(SEED)
+    inputs = [rng.uniform(0.2, 0.9, function.numel_in(i)) for i in range(function.n_in())]
+    outputs = [np.zeros(function.numel_out(i)) for i in range(function.n_out())]
+    call = library.bind(name, inputs, outputs)
+    best = np.inf
+    for _ in range(REPEATS):
+        begun = time.perf_counter()
+        for _ in range(CALLS):
+            call()
+        best = min(best, (time.perf_counter() - begun) / CALLS)
+    return best * 1e6 / (compiled.BLOCK if name.endswith("_block") else 1)
+
+
+def test_bench_one_step_of_one_filter(monkeypatch):
+    rows = []
+    for name in OBSERVERS:
+        model = MODELS[name]
+        fast = model.library()
+        with monkeypatch.context() as patch:
+            patch.delenv("CC", raising=False)
+            patch.setattr(compiled.shutil, "which", lambda _: None)
+            slow = model.library()
+        assert slow.backend == "vm"
+        for kernel in ("predict", "update_s1"):
+            c, vm = (step_time(library, f"{kernel}_block") for library in (fast, slow))
+            rows.append((f"{name} ({model.N} states) {kernel}", c, vm, vm / c))
+    backend = "C" if fast.backend == "c" else "no compiler: virtual machine"
+    show(f"one step of one filter, in blocks of {compiled.BLOCK} (µs)", (backend, "virtual machine", "ratio"), rows)
+    print(f"  {machine()}")
+    if fast.backend == "c":
+        assert all(ratio > 1.5 for *_, ratio in rows)
