@@ -224,15 +224,14 @@ class BankObserver:
             self._fuse(event)
             return
         at = bisect_right([entry.t for entry in self._fused], event.t_sample)
-        if at == 0 and len(self._fused) >= HISTORY:
+        undone = self._fused[at:]
+        if not undone or event.t_sample < undone[0].t_before:
             self.late_dropped += 1
             return
-        undone = self._fused[at:]
-        if undone:
-            self._bank.restore(undone[0].before)
-            self._t, self._t_faded = undone[0].t_before, undone[0].t_faded
-            del self._fused[at:]
-            self._spare += [entry.before for entry in undone]
+        self._bank.restore(undone[0].before)
+        self._t, self._t_faded = undone[0].t_before, undone[0].t_faded
+        del self._fused[at:]
+        self._spare += [entry.before for entry in undone]
         for each in (event, *(entry.event for entry in undone)):
             self._fuse(each)
 
