@@ -53,9 +53,6 @@ _EARLY_S = 1e-3  # ticks jitter; what is due within so much is due now
 OUTSIDE = math.radians(1.0)
 """How far outside the limits the palms may be found while commanded."""
 
-OUT_OF_PLACE = (-610, -611)
-"""Refusals of a set-point for where it is."""
-
 
 def _nothing() -> None:
     pass
@@ -113,7 +110,6 @@ class Core:
         self._pad_watches = {name: PadWatch(name) for name in self.pads}
         self._arm_watch = ArmWatch()
         self._loop_watch = LoopWatch()
-        self._refusals = 0
         self._t_look = self._t_state = self._t_shape = -math.inf
         self._told: tuple[object, object] = (None, None)
 
@@ -144,11 +140,6 @@ class Core:
             self._events += self.pads[end].feed(data, t)
             return
         self._events += self.arm.feed(data, t)
-        host, actual = self.arm.host, self.arm.actual
-        if host.counters.refusals != self._refusals:
-            self._refusals = host.counters.refusals
-            if host.tracking and host.last_error in OUT_OF_PLACE and host.pose and actual is not None:
-                self.steering.displaced(actual, host.pose.t_rad)
 
     def due(self) -> float:
         """When (s) `transmit` wants to be called next."""

@@ -31,7 +31,7 @@ from palmd.observer.mass import MassEstimator
 from palmd.observer.palms import PalmTracker
 from palmd.observer.prior import blind_start
 
-LONGEST_STEP_S = 0.0051  # of one integration step: readings of one pad come every 10 ms
+LONGEST_STEP_S = 0.0061  # of one integration step: readings of one pad come every 10 ms
 SILENCE_S = 0.1  # a pad silent for longer does not vouch for a contact
 GONE_S = 0.4  # a pad silent for longer: the object has left the palms
 HISTORY = 24  # events that can be undone for a late one
@@ -47,7 +47,7 @@ NORMAL_BINS = 72
 # The first readings are fused about a blind guess: they weigh little at first, …
 CAUTION, CAUTION_S = 20.0, 0.3
 # … and all readings fade as a power of their age, so that the first do not bend the answer for ever.
-FADE, FADE_AGE_S, FADE_EVERY_S = 1.5, 0.2, 0.2
+FADE, FADE_AGE_S, FADE_EVERY_S, FADE_AT_LEAST_EVERY_S = 1.5, 0.2, 0.2, 0.5
 # Readings that keep surprising the best filter make it forget faster.
 SURPRISING_NIS, FADE_BY_SURPRISE = 1.4, 20.0
 
@@ -256,9 +256,9 @@ class BankObserver:
     def _forget_some(self) -> None:
         block = int(self._t_faded[: self._bank.blocks].argmin())  # one at a time, so that no tick pays for all
         since = self._t - self._t_faded[block]
-        if since < FADE_EVERY_S:
-            return
         age = self._t - self._t_start
+        if since < min(max(FADE_EVERY_S, age / 10), FADE_AT_LEAST_EVERY_S):
+            return
         surprise = max(0.0, self._bank.nis[self._bank.best()] - SURPRISING_NIS)
         fraction = FADE * since / (FADE_AGE_S + age) * (1.0 + FADE_BY_SURPRISE * surprise)
         self._bank.fade(block, min(fraction, 1.0), self._filters.constants(self._start))

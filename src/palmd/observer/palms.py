@@ -6,7 +6,7 @@ import numpy as np
 
 from palmd.events import FloatArray, PalmMotion, PalmSample
 
-JERK = 60.0  # rad/s³/√Hz, of palms whose plan is not told
+JERK = 200.0  # rad/s³/√Hz, of palms whose plan is not told: enough to follow a planned stop
 PLAN_RATE_SD = 2e-3  # rad/s, of the plan's rate as a description of the palms
 PLAN_ACCELERATION_SD = 2e-2  # rad/s²
 FIRST_RATE_SD, FIRST_ACCELERATION_SD = 0.5, 5.0

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from palmd.config import ArmConfig, Config, PadConfig, PadsConfig
-from palmd.devices.armlink import Pose
+from palmd.devices.armlink import ArmState, Pose
 from palmd.events import PalmMotion
 from palmd.rig.arm import Linkage, Servo, turn
 from palmd.rig.controller import BREAK_RECEIVED, CYCLE_S, ArmLimits, Controller
@@ -69,7 +69,7 @@ class World:
         self._linkage = Linkage.from_config(config)
         home = self._linkage.pose(*_home(config))
         self._judge = SetpointJudge(self._linkage, config.limits)
-        self._controller = Controller(arm_limits(config), home, config.arm.baud, self._judge.hear)
+        self._controller = Controller(arm_limits(config), home, config.arm.baud, self._hear_setpoint)
         lag = 0.016 + options.lag_s
         self._servos = [Servo(r, lag) for r in (home.x_m, home.y_m, home.t_rad)]
         self._next_cycle = int(self._rng.integers(_STEPS_PER_CYCLE))
@@ -246,6 +246,11 @@ class World:
         x, y, angle = (servo.at(t)[0] for servo in self._servos)
         noise = self._rng.normal(0.0, _ENCODER_NOISE_M, 2)
         return Pose(x + float(noise[0]), y + float(noise[1]), turn(angle))
+
+    def _hear_setpoint(self, pose: Pose, t: float) -> None:
+        x, y, angle = (servo.at(t)[0] for servo in self._servos)
+        holds = self._controller.state is ArmState.HOLD
+        self._judge.hear(pose, t, Pose(x, y, turn(angle)) if holds else None)
 
     def _palms_at(self, t: float) -> PalmMotion:
         x, y = self._servos[0].at(t), self._servos[1].at(t)
