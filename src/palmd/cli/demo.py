@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
         comparison = Comparison(rig.told["seed"])
         _introduce(rig.told["seed"], daemon.bus)
         _operate(rig, daemon, comparison, stop, arguments.seconds)
-        _bring_to_rest(daemon, comparison)
+        _bring_to_rest(daemon)
     print(comparison.summary())
     return 0 if comparison.settled else RIG_FAILED
 
@@ -199,12 +199,11 @@ def _check_alive(*children: Child) -> None:
             raise CliError(RIG_FAILED, f"{child.name} ended with status {child.status}\n{child.said()}".strip())
 
 
-def _bring_to_rest(daemon: _Daemon, comparison: Comparison) -> None:
-    """A planned stop, then the daemon's end before the rig's."""
+def _bring_to_rest(daemon: _Daemon) -> None:
+    """A planned stop, then the daemon's end before the rig's; what it estimates meanwhile is not compared."""
     with suppress(CliError):
         daemon.client.ask("stop")
     daemon.child.stop()
-    daemon.listen(comparison, LOOK_S)
 
 
 # ------------------------------------------------------------------------------------- addresses, configuration

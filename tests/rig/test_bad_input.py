@@ -1,0 +1,195 @@
+"""What people get wrong, tried by name: each is said in clear words, and none stops what still works."""
+
+import os
+import random
+import subprocess
+import sys
+
+import msgpack
+import pytest
+import serial
+from harness import PLAN, Bench
+
+pytestmark = pytest.mark.rig
+
+PORTS = "pads: {palm1: {port: /dev/none1}, palm2: {port: /dev/none2}}\narm: {port: /dev/none3}\n"
+BAD_FILES = {
+    "tabs": (PORTS + "limits:\n\trate_deg_s: 90\n", "4:1:"),
+    "empty": ("", "1:1:"),
+    "ten-megabytes": ("# all the same\n" * 700_000, "1:1:"),
+    "nan": (PORTS + "limits: {rate_deg_s: .nan}\n", "3:22:"),
+    "text-for-a-number": (PORTS + 'arm2: 1\nloop: {rate_hz: "100"}\n', "4:17:"),
+    "binary": ("\0\1\2", "1:1:"),
+    "plan-outside-limits": (PORTS + "plan: far.yaml\nlimits: {phi1_deg: [20, 70]}\n", "far.yaml:4:"),
+}
+FAR = PLAN.replace("phi1_deg: 45", "phi1_deg: 75")
+MESSAGES = 1000
+SWAPPED_TICKS = 800
+UNCHANGED = ("state", "plan", "segment", "progress", "moving", "arm_state")
+
+
+@pytest.fixture
+def start(tmp_path):
+    """Starts a bench whose daemon has been told something wrong."""
+    started = []
+
+    def begin(**changes):
+        started.append(Bench(tmp_path, **changes))
+        return started[-1]
+
+    yield begin
+    for each in started:
+        each.close()
+
+
+def palmd(*arguments):
+    return subprocess.run(
+        [sys.executable, "-P", "-m", "palmd", *map(str, arguments)],
+        capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("command", ["run", "check"])
+@pytest.mark.parametrize("name", BAD_FILES)
+def test_a_bad_file_is_told_with_its_place(tmp_path, command, name):
+    text, place = BAD_FILES[name]
+    config, plan = tmp_path / "palmd.yaml", tmp_path / "far.yaml"
+    config.write_text(text)
+    plan.write_text(FAR)
+    files = [config, plan] if command == "check" and name == "plan-outside-limits" else [config]
+    done = palmd(command, *files)
+    assert (done.returncode, done.stdout) == (1, "")
+    path = plan if place.startswith("far") else config
+    assert f"{path}:{place.removeprefix('far.yaml:')}" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert all(line.startswith(f"{path}:") for line in done.stderr.splitlines())
+    assert len(done.stderr) < 1000
+
+
+def test_a_missing_port_is_named_and_taken_when_it_comes(start, tmp_path):
+    port = tmp_path / "not-yet"
+    bench = start(pads={"palm1": {"port": str(port)}})
+    bench.until_faults("pad1-port")
+    bench.until(lambda _: bench.motion["arm_state"] == "R", "the arm, which is there")
+    bench.until(lambda heard: heard.latest["palm/contact"]["touch2"], "pad 2, which is there")
+    assert f"no such port {port}" in bench.daemon.said
+    assert bench.heard.state == "idle"
+    refused = bench.client.ask("arm")
+    assert "it must be ready" in refused["error"]
+    port.symlink_to(bench.ports["pad1"])
+    bench.until_gone("pad1-port")
+    bench.run_plan()
+
+
+def test_a_port_that_another_process_holds_is_named_and_taken_when_it_is_let_go(start):
+    bench = start()
+    bench.until_state("ready")
+    bench.daemon.end()
+    with serial.Serial(str(bench.ports["arm"]), 38400, exclusive=True):
+        bench.start_daemon()
+        bench.until_faults("arm-port")
+        bench.until(lambda heard: heard.latest["palm/contact"]["touch1"], "pad 1, which is free")
+        assert f"{bench.ports['arm']} is held by another process" in bench.daemon.said
+        assert bench.heard.state == "idle"
+    bench.ready()
+
+
+def test_a_wrong_baud_is_told_and_nothing_moves(start):
+    bench = start(pads={"palm1": {"baud": 19200}}, arm={"baud": 19200})
+    bench.until_faults("pad1-garbled", "pad1-untouched", "arm-mute")
+    bench.ticks(50)
+    assert bench.heard.state == "idle"
+    estimate = bench.heard.latest["palm/estimate"]
+    assert estimate["valid"] is False
+    hints = "".join(bench.heard.latest["palm/state"]["hints"])
+    assert "arm.baud" in hints
+    assert "check its baud" in hints
+    assert bench.status()["starts"] == 0
+    bench.judge()
+
+
+@pytest.mark.xfail(strict=True, reason="nothing looks for it yet: the estimate is called valid, thirty sigma off")
+def test_swapped_pads_are_told(start, tmp_path):
+    bench = start(pads={"palm1": {"port": str(tmp_path / "pad2")}, "palm2": {"port": str(tmp_path / "pad1")}})
+    bench.run_plan()
+    bench.until(lambda heard: heard.faults.keys() & {"pads-swapped"} or heard.ticks > SWAPPED_TICKS, "some seconds")
+    assert "pads-swapped" in bench.heard.faults
+    assert bench.heard.latest["palm/estimate"]["valid"] is False
+
+
+@pytest.mark.parametrize(("text", "what"), [(FAR, ":4:"), ("segments:\n\t- {}\n", ":2:1:"), ("", ":1:1:")])
+def test_a_bad_plan_is_refused_and_changes_nothing(bench, text, what):
+    path = bench.folder / "bad.yaml"
+    path.write_text(text)
+    bench.run_plan()
+    bench.client.do("hold")
+    bench.until_state("hold")
+    bench.at_rest()
+    before, stood = bench.client.do("status"), bench.truth()
+    refused = bench.client.ask("plan", path="bad.yaml")
+    assert refused["ok"] is False
+    assert f"{path}{what}" in refused["error"]
+    told = palmd("ctl", "plan", path, "--address", bench.command)
+    assert told.returncode == 1
+    assert f"{path}{what}" in told.stderr
+    after, stands = bench.client.do("status"), bench.truth()
+    assert [after[key] for key in UNCHANGED] == [before[key] for key in UNCHANGED]
+    assert max(abs(stands[phi] - stood[phi]) for phi in ("phi1_rad", "phi2_rad")) < 1e-3
+    bench.client.do("start")
+    bench.moving()
+    bench.judge()
+
+
+def strange_messages(count):
+    """Bytes of any kind, and commands with something wrong; never a good one."""
+    chance = random.Random(7)
+    wrong = [
+        {"id": 1, "cmd": "jog", "args": {"phi1_deg": float("nan")}},
+        {"id": 1, "cmd": "jog", "args": {"phi1_deg": 1e300}},
+        {"id": 1, "cmd": "jog", "args": {"phi1_deg": True}},
+        {"id": 1, "cmd": "start", "args": {"now": 1}},
+        {"id": 1, "cmd": "stop", "args": [1]},
+        {"id": 1, "cmd": "plan", "args": {"path": "a\0b"}},
+        {"id": 1, "cmd": ["stop"]},
+        {"id": [1], "cmd": "stopp"},
+        {"cmd": "reset", "extra": 1},
+        {1: 2},
+        [],
+        None,
+    ]
+    for number in range(count):
+        kind = number % 4
+        if kind == 0:
+            yield [os.urandom(chance.choice((0, 1, 7, 60, 2000)))]
+        elif kind == 1:
+            whole = msgpack.packb({"id": number, "cmd": "stop", "args": {}})
+            yield [whole[: chance.randrange(len(whole))]]
+        elif kind == 2:
+            yield [msgpack.packb(chance.choice(wrong))]
+        else:
+            yield [os.urandom(5) for _ in range(chance.randrange(2, 5))]
+
+
+def test_strangers_on_the_command_socket_change_nothing(bench):
+    bench.run_plan()
+    bench.forget()
+    before = bench.heard.latest["palm/loop"]
+    messages = list(strange_messages(MESSAGES))
+    for first in range(0, MESSAGES, 20):
+        batch = messages[first : first + 20]
+        for frames in batch:
+            bench.client.socket.send_multipart(frames)
+        for _ in batch:
+            reply = bench.client.reply()
+            assert reply["ok"] is False
+            assert 0 < len(reply["error"]) < 300
+        bench.listener.drain()
+    with_nobody_listening = bench.stranger.socket
+    for frames in messages:
+        with_nobody_listening.send_multipart(frames)
+    bench.until(lambda heard: heard.latest["palm/loop"]["bus_malformed"] == 2 * MESSAGES, "all of them read")
+    assert bench.client.do("status")["state"] == "tracking"
+    after = bench.heard.latest["palm/loop"]
+    assert after["overruns"] - before["overruns"] <= 0.05 * (after["ticks"] - before["ticks"])
+    bench.moving()
+    bench.judge()

@@ -1,0 +1,89 @@
+"""The bus as a program outside the project hears it: three frames, plain maps, no gaps, the promised rates."""
+
+import collections
+import re
+import time
+
+import msgpack
+import pytest
+
+from palmd.messages import TOPICS, validate
+
+pytestmark = pytest.mark.rig
+
+SECONDS = 3.0
+RATES_HZ = {  # far wider than promised, for a slow machine; never faster than promised
+    "palm/estimate": (50.0, 101.0),
+    "palm/contact": (50.0, 101.0),
+    "palm/motion": (50.0, 101.0),
+    "palm/shape": (4.0, 10.5),
+    "palm/state": (5.0, 20.0),
+    "palm/loop": (0.5, 1.2),
+    "palm/info": (0.5, 1.2),
+}
+STAMP = re.compile(rb"\d{10,}\.\d{3,}")
+PLOTTED_TEXT = 100  # PlotJuggler leaves out longer strings
+
+
+@pytest.fixture(scope="module")
+def wire(bench):
+    """Everything published in some seconds of a running plan, by topic: frames, and the map."""
+    bench.run_plan()
+    bench.listener.drain()
+    found = collections.defaultdict(list)
+    end = time.monotonic() + SECONDS
+    while time.monotonic() < end:
+        frames = bench.listener.frames(0.05)
+        if frames is not None:
+            found[frames[0].decode("ascii")].append((frames, msgpack.unpackb(frames[1], strict_map_key=True)))
+    return found
+
+
+def plain(value):
+    return isinstance(value, bool | int | float | str)
+
+
+def test_every_topic_comes_at_its_rate(wire):
+    assert wire.keys() == {topic.name for topic in TOPICS} == RATES_HZ.keys()
+    for topic, (low, high) in RATES_HZ.items():
+        times = [fields["mono_ns"] * 1e-9 for _, fields in wire[topic]]
+        assert low * SECONDS - 1.0 <= len(times) <= high * SECONDS + 2.0, topic
+        assert times == sorted(times)
+
+
+@pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
+def test_messages_are_what_the_contract_says(wire, topic):
+    numbers = []
+    for frames, fields in wire[topic.name]:
+        assert len(frames) == 3
+        assert STAMP.fullmatch(frames[2])
+        assert float(frames[2]) == pytest.approx(fields["timestamp"], abs=1e-5)
+        assert abs(fields["timestamp"] - time.time()) < 120.0
+        assert fields["v"] == 1
+        assert validate(topic, fields) == []
+        for name, value in fields.items():
+            if name == "sd":
+                assert all(isinstance(key, str) and isinstance(sd, float) for key, sd in value.items())
+            else:
+                assert plain(value) or (isinstance(value, list) and all(map(plain, value))), name
+            if isinstance(value, str):
+                assert len(value) < PLOTTED_TEXT, name
+        numbers.append(fields["seq"])
+    assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+
+
+def test_one_tick_tells_one_time(wire):
+    ticks = [{fields["mono_ns"] for _, fields in wire[f"palm/{topic}"]} for topic in ("estimate", "contact", "motion")]
+    assert len(ticks[0] & ticks[1] & ticks[2]) >= max(map(len, ticks)) - 2
+
+
+def test_what_is_told_of_the_object_fits_together(wire):
+    _, shape = wire["palm/shape"][-1]
+    lengths = {len(shape[name]) for name in ("theta_rad", "h_m", "h_sd_m", "touched")}
+    assert len(lengths) == 1
+    assert lengths.pop() >= 180
+    assert set(shape["touched"]) <= {0, 1}
+    _, state = wire["palm/state"][-1]
+    assert len(state["faults"]) == len(state["severities"]) == len(state["hints"])
+    _, estimate = wire["palm/estimate"][-1]
+    assert set(estimate["sd"]) <= {name for name, value in estimate.items() if isinstance(value, float)}
