@@ -232,6 +232,13 @@ FAULTS: tuple[Fault, ...] = (
         "mend the plan, then load it with the plan command",
     ),
     Fault(
+        "pads-swapped",
+        Severity.DEGRADE,
+        "the pressures move the wrong way between the pads as the palms turn: the pads are swapped",
+        "exchange pads.palm1.port and pads.palm2.port in the configuration, or the plugs; "
+        "until then no estimate is called valid",
+    ),
+    Fault(
         "estimate-lost",
         Severity.DEGRADE,
         "the palms move and both pads feel the object, but there is no valid estimate",

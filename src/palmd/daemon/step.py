@@ -23,9 +23,10 @@ from palmd.daemon.lifecycle import COMMANDED, State
 from palmd.daemon.operate import Operator
 from palmd.daemon.planner import Plan
 from palmd.daemon.steering import Steering
+from palmd.daemon.swap import SwapWatch
 from palmd.daemon.watch import LOOK_S, ArmWatch, LoopWatch, PadWatch
 from palmd.devices.armlink import ArmState
-from palmd.events import Estimate, Event, ShapeEstimate
+from palmd.events import Estimate, Event, PadSample, ShapeEstimate
 from palmd.faults import FaultMonitor
 from palmd.messages import (
     CONTACT,
@@ -110,6 +111,7 @@ class Core:
         self._pad_watches = {name: PadWatch(name) for name in self.pads}
         self._arm_watch = ArmWatch()
         self._loop_watch = LoopWatch()
+        self._swap = SwapWatch()
         self._t_look = self._t_state = self._t_shape = -math.inf
         self._told: tuple[object, object] = (None, None)
 
@@ -177,6 +179,8 @@ class Core:
         try:
             for event in events:
                 self._observer.feed(event)
+                if isinstance(event, PadSample):
+                    self._swap.feed(event)
                 between()
             self._estimate = self._observer.estimate(t)
             if t - self._t_shape >= SLOW_TOPIC_S - _EARLY_S:
@@ -189,6 +193,9 @@ class Core:
             self._observer_failed = True
             self._passing.add("tick-error")
             self._estimate = unknown_estimate(t, self._observer)
+        self._swap.look(t, self.arm.actual)
+        if self._estimate.valid and self._swap.swapped:
+            self._estimate = dataclasses.replace(self._estimate, valid=False)
         if self._estimate.valid and not sound(self._estimate):
             self._passing.add("estimate-not-finite")
             self._estimate = dataclasses.replace(self._estimate, valid=False)
@@ -297,6 +304,8 @@ class Core:
         present.update(self._loop_watch.conditions(t, self._observer.late_dropped, look))
         if commanded and (self.steering.violated or self._outside()):
             present.add("limits-violated")
+        if self._swap.swapped:
+            present.add("pads-swapped")
         if self.operator.plan_refused:
             present.add("plan-refused")
         touching = all(pad.touching for pad in self.pads.values())

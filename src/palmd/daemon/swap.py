@@ -1,0 +1,59 @@
+"""Are the pads swapped? The pressures tell, since statics fixes how the weight moves between the palms. Pure."""
+
+from __future__ import annotations
+
+import math
+
+from palmd.events import PadSample, PalmMotion
+
+MEMORY_S = 8.0
+ENOUGH_S = 3.0  # of both pads pressed, before anything is said
+SPREAD_LEAST = 0.1  # one-sigma of the expected log ratio: below it the palms have not moved enough to tell
+SLOPE_SWAPPED, SLOPE_RIGHT = -0.3, 0.3
+FRESH_S = 0.05
+
+
+class SwapWatch:
+    """Compares ln(F1/F2) as pressed with ln(f1/f2) = ln(sin φ12 / sin φ1), the contact forces at rest.
+
+    Gains of the pads shift the first by a constant, the object's shape and motion disturb it a little; neither turns
+    its sense. Right pads give a slope of about +1 of the one on the other, swapped pads about −1.
+    """
+
+    def __init__(self) -> None:
+        self.swapped = False
+        self._force: dict[int, tuple[float, float]] = {}
+        self._t = -math.inf
+        self._weight = self._x = self._y = self._xy = self._yy = 0.0
+
+    def feed(self, sample: PadSample) -> None:
+        """Take a reading; one without a force says nothing. Safe in the loop."""
+        if sample.force is not None and sample.force > 0.0:
+            self._force[sample.pad] = (sample.t_sample, sample.force)
+
+    def look(self, t: float, palms: PalmMotion | None) -> None:
+        """Judge anew at `t` (s), once a tick."""
+        dt, self._t = t - self._t, t
+        if palms is None or not 0.0 < dt < 1.0 or len(self._force) < 2:
+            return
+        (t1, force1), (t2, force2) = self._force[1], self._force[2]
+        phi12 = palms.phi1 + palms.phi2
+        if t - min(t1, t2) > FRESH_S or not (0.0 < palms.phi1 < math.pi and 0.0 < phi12 < math.pi):
+            return
+        x, y = math.log(force1 / force2), math.log(math.sin(phi12) / math.sin(palms.phi1))
+        # exponentially weighted means and products; the sums keep their scale, so that any number of ticks will do
+        fading = math.exp(-dt / MEMORY_S)
+        self._weight = self._weight * fading + dt
+        gain = dt / self._weight
+        dx, dy = x - self._x, y - self._y
+        self._x += gain * dx
+        self._y += gain * dy
+        self._xy += gain * ((1.0 - gain) * dx * dy - self._xy)
+        self._yy += gain * ((1.0 - gain) * dy * dy - self._yy)
+        if self._weight < ENOUGH_S or self._yy < SPREAD_LEAST**2:
+            return
+        slope = self._xy / self._yy
+        if slope < SLOPE_SWAPPED:
+            self.swapped = True
+        elif slope > SLOPE_RIGHT:
+            self.swapped = False
