@@ -27,6 +27,15 @@ def test_rate_is_over_the_time_between_but_one_cycle_at_least():
     assert judge((45, 90), (60, 90), dt=0.2)["largest_rate_deg_s"] == 0.0
 
 
+def test_an_arm_that_holds_may_be_gone_on_with_from_where_it_stands():
+    before, stands, far = (LINKAGE.pose(math.radians(phi1), 1.5) for phi1 in (50, 45, 40))
+    for standing, step_deg in ((None, 5), (stands, 0), (far, 5)):
+        found = SetpointJudge(LINKAGE, CONFIG.limits)
+        found.hear(before, 0.0)
+        found.hear(stands, 0.016, standing)
+        assert found.as_dict()["largest_rate_deg_s"] == pytest.approx(step_deg / 0.016)
+
+
 @pytest.mark.parametrize("angles", [(5, 90), (45, 34), (10, 156), (80, 93)])
 def test_outside_limits(angles):
     assert judge((45, 90), angles)["setpoints_outside_limits"] == 1
