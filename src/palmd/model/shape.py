@@ -19,20 +19,20 @@ HARMONICS = 7
 COEFFICIENTS = 2 * HARMONICS + 1
 
 
-def basis(theta: FloatArray) -> FloatArray:
-    """Values of (1, cos θ, sin θ, cos 2θ, …) on each of `theta`: shape (len(theta), COEFFICIENTS)."""
-    k = np.arange(1, HARMONICS + 1)
+def basis(theta: FloatArray, order: int = HARMONICS) -> FloatArray:
+    """Values of (1, cos θ, sin θ, cos 2θ, …) up to harmonic `order` on each of `theta`: (len(theta), 2·order + 1)."""
+    k = np.arange(1, order + 1)
     angles = np.multiply.outer(np.asarray(theta, dtype=np.float64), k)
-    rows = np.ones((angles.shape[0], COEFFICIENTS))
+    rows = np.ones((angles.shape[0], 2 * order + 1))
     rows[:, 1::2], rows[:, 2::2] = np.cos(angles), np.sin(angles)
     return rows
 
 
-def tangential_basis(theta: FloatArray) -> FloatArray:
+def tangential_basis(theta: FloatArray, order: int = HARMONICS) -> FloatArray:
     """−d/dθ of `basis`: what maps coefficients to the tangential offset d = −h′."""
-    k = np.arange(1, HARMONICS + 1)
+    k = np.arange(1, order + 1)
     angles = np.multiply.outer(np.asarray(theta, dtype=np.float64), k)
-    rows = np.zeros((angles.shape[0], COEFFICIENTS))
+    rows = np.zeros((angles.shape[0], 2 * order + 1))
     rows[:, 1::2], rows[:, 2::2] = k * np.sin(angles), -k * np.cos(angles)
     return rows
 
@@ -55,37 +55,37 @@ def curvature_rows() -> FloatArray:
     return rows
 
 
-def harmonic_of_coefficient() -> FloatArray:
+def harmonic_of_coefficient(order: int = HARMONICS) -> FloatArray:
     """k of each coefficient, in the order of `basis`: 0, 1, 1, 2, 2, …"""
-    return np.repeat(np.arange(HARMONICS + 1), 2)[1:].astype(np.float64)
+    return np.repeat(np.arange(order + 1), 2)[1:].astype(np.float64)
 
 
-def prior_sd(mean_radius: float) -> FloatArray:
+def prior_sd(mean_radius: float, order: int = HARMONICS) -> FloatArray:
     """One-sigma of each coefficient (m) before anything is felt; the mean radius itself is not covered here.
 
     A smooth convex lump: an elongation of several percent, then falling like k^−1.7; v ≥ 0 follows nearly
     always, since harmonic k enters v with k² − 1.
     """
-    k = harmonic_of_coefficient()
+    k = harmonic_of_coefficient(order)
     sd = 0.045 * mean_radius * (2.0 / np.maximum(k, 1.0)) ** 1.7
     sd[k == 1] = 0.03 * mean_radius
     sd[0] = 0.0
     return sd
 
 
-def harmonics(theta: SX) -> Iterator[tuple[int, SX, SX]]:
-    """(k, cos kθ, sin kθ) for each harmonic, by the addition theorem: two calls of libm instead of fourteen."""
+def harmonics(theta: SX, order: int = HARMONICS) -> Iterator[tuple[int, SX, SX]]:
+    """(k, cos kθ, sin kθ) for each harmonic, by the addition theorem: two calls of libm instead of 2·order."""
     cos1, sin1 = ca.cos(theta), ca.sin(theta)
     cos, sin = cos1, sin1
-    for k in range(1, HARMONICS + 1):
+    for k in range(1, order + 1):
         yield k, cos, sin
         cos, sin = cos * cos1 - sin * sin1, sin * cos1 + cos * sin1
 
 
 def contact_at(theta: SX, coefficients: SX) -> Contact:
-    """r, d, v of the outline where its outward normal is `theta`."""
+    """r, d, v of the outline where its outward normal is `theta`; any odd number of coefficients."""
     r, d, v = coefficients[0], SX(0), coefficients[0]
-    for k, cos, sin in harmonics(theta):
+    for k, cos, sin in harmonics(theta, (coefficients.shape[0] - 1) // 2):
         a, b = coefficients[2 * k - 1], coefficients[2 * k]
         even, odd = a * cos + b * sin, a * sin - b * cos
         r = r + even

@@ -1,0 +1,117 @@
+"""The smoother's kernels: one step of the motion, one contact reading, one force reading, each with its Jacobian.
+
+The trajectory is held by nodes x_k = (ψ, ω0), and everything that does not move is one vector of constants
+p = (ln ρ, μ, ln u_d, c, ln m, coefficients of h). Between two nodes ψ is the cubic that fits both, so a reading
+at any time depends on two neighbouring nodes and on p alone: the least-squares problem is block-tridiagonal
+with a border.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from functools import cache
+
+import casadi as ca
+
+from palmd.model.compiled import Library, densified, load
+from palmd.model.contact import SX, normal_directions, readings
+from palmd.model.dynamics import Body, Motion, Palms, newton_euler
+from palmd.model.integrate import exponential_step
+from palmd.model.named import RIG_INPUTS
+from palmd.model.shape import contact_at
+from palmd.model.shape_map import PALM_INPUTS, palms_after
+
+ORDER = 12  # harmonics of the outline: more than the live observer's, for ellipses and flat sides
+NODE = 2  # ψ, ω0
+
+
+class C(IntEnum):
+    """Index of each constant; SI units, logarithms of SI units."""
+
+    LN_RHO = 0
+    MU = 1
+    LN_DITHER = 2
+    DAMPING = 3
+    LN_MASS = 4
+    SHAPE = 5
+
+
+CONSTANTS = C.SHAPE + 2 * ORDER + 1
+STEP_INPUTS = 1 + PALM_INPUTS + 2 + RIG_INPUTS  # dt, palms, jerk, rig
+CONTACT_INPUTS = 3 + 2  # dt, time into the step, pad, φ1, φ2
+FORCE_INPUTS = 3 + PALM_INPUTS + RIG_INPUTS  # dt, time into the step, pad, palms, rig
+
+BATCH = 64
+"""Steps or readings that one call of a `NAME_batch` kernel serves, all with the same constants."""
+
+
+def _motion(psi: SX, omega0: SX, p: SX, palms: Palms, rig: SX) -> Motion:
+    theta1, theta2 = normal_directions(palms.phi1, palms.phi2, psi)
+    h = p[C.SHAPE :]
+    body = Body(ca.exp(p[C.LN_RHO]), p[C.MU], ca.exp(p[C.LN_DITHER]), p[C.DAMPING])
+    return newton_euler(palms, omega0, contact_at(theta1, h), contact_at(theta2, h), body, rig)
+
+
+def step_function() -> ca.Function:
+    """(x_k, p, [dt, φ1 … α2, jerk1, jerk2, rig]) → (x after dt, its Jacobian in (x_k, p))."""
+    x, p, u = SX.sym("x", NODE), SX.sym("p", CONSTANTS), SX.sym("u", STEP_INPUTS)
+    dt, palms, jerk, rig = u[0], u[1:7], u[7:9], u[9:]
+    y = ca.vertcat(x, p)
+
+    def rates(moving: SX, t: SX) -> SX:
+        return ca.vertcat(moving[1], _motion(moving[0], moving[1], p, palms_after(palms, jerk, t), rig).alpha0)
+
+    damping = ca.jacobian(_motion(x[0], x[1], p, palms_after(palms, jerk, SX(0)), rig).alpha0, x[1])
+    moved, J = exponential_step(rates, y, dt, [0, 1], 1, damping)
+    return ca.Function("step", [x, p, u], [moved, J], ["x", "p", "u"], ["x_next", "J"])
+
+
+def _between(a: SX, b: SX, dt: SX, t: SX) -> tuple[SX, SX]:
+    """(ψ, ω0) at `t` into a step of `dt` from node a to node b: cubic Hermite and its derivative."""
+    u = t / dt
+    psi = (
+        (1 + 2 * u) * (1 - u) ** 2 * a[0]
+        + u**2 * (3 - 2 * u) * b[0]
+        + dt * u * (1 - u) * ((1 - u) * a[1] - u * b[1])
+    )
+    omega0 = 6 * u * (1 - u) * (b[0] - a[0]) / dt + (1 - u) * (1 - 3 * u) * a[1] + u * (3 * u - 2) * b[1]
+    return psi, omega0
+
+
+def contact_function() -> ca.Function:
+    """(x_k, x_k+1, p, [dt, t, pad, φ1, φ2]) → (s of that pad, its gradient in (x_k, x_k+1, p))."""
+    a, b, p = SX.sym("a", NODE), SX.sym("b", NODE), SX.sym("p", CONSTANTS)
+    z = SX.sym("z", CONTACT_INPUTS)
+    psi, _ = _between(a, b, z[0], z[1])
+    theta1, theta2 = normal_directions(z[3], z[4], psi)
+    s1, s2 = readings(z[4], contact_at(theta1, p[C.SHAPE :]), contact_at(theta2, p[C.SHAPE :]))
+    s = ca.if_else(z[2] < 1.5, s1, s2)
+    J = ca.jacobian(s, ca.vertcat(a, b, p))
+    return ca.Function("contact", [a, b, p, z], [s, J], ["a", "b", "p", "z"], ["s", "J"])
+
+
+def force_function() -> ca.Function:
+    """(x_k, x_k+1, p, [dt, t, pad, φ1 … α2, rig]) → (force of that pad in N, its gradient in (x_k, x_k+1, p))."""
+    a, b, p = SX.sym("a", NODE), SX.sym("b", NODE), SX.sym("p", CONSTANTS)
+    z = SX.sym("z", FORCE_INPUTS)
+    psi, omega0 = _between(a, b, z[0], z[1])
+    palms = palms_after(z[3 : 3 + PALM_INPUTS], SX.zeros(2), SX(0))
+    motion = _motion(psi, omega0, p, palms, z[3 + PALM_INPUTS :])
+    force = ca.exp(p[C.LN_MASS]) * ca.if_else(z[2] < 1.5, motion.f1, motion.f2)
+    J = ca.jacobian(force, ca.vertcat(a, b, p))
+    return ca.Function("force", [a, b, p, z], [force, J], ["a", "b", "p", "z"], ["f", "J"])
+
+
+def _batched(function: ca.Function) -> ca.Function:
+    shared = [function.index_in("p")]
+    return densified(function).map(f"{function.name()}_batch", "serial", BATCH, shared, [])
+
+
+@cache
+def library() -> Library:
+    """Once for each process: the kernels step_batch, contact_batch, force_batch, and `advance`: one step without its Jacobian."""
+    step = step_function()
+    x, p, u = (ca.SX.sym(step.name_in(i), *step.size_in(i)) for i in range(step.n_in()))
+    advance = ca.Function("advance", [x, p, u], [step(x, p, u)[0]], ["x", "p", "u"], ["x_next"])
+    batches = [_batched(f) for f in (step, contact_function(), force_function())]
+    return load("smoothing", [*batches, densified(advance)])

@@ -1,0 +1,78 @@
+"""The smoother's answer averaged over the dither speed, along which the posterior is bent like a banana.
+
+Friction under dither is told well as μ/u_d, badly as μ and u_d apart, so a Gaussian about the likeliest point is too
+sure of both. Here ln u_d is stepped through instead, everything else is fitted at each step (there it is nearly
+Gaussian), and the steps are weighed by their marginal likelihood (Rue, Martino and Chopin 2009, INLA).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.model.compiled import Library
+from palmd.model.smoothing import CONSTANTS, NODE, C
+from palmd.observer.record import Record
+from palmd.observer.smoother import Fit, Guess, Posterior, Prior, Smoother
+
+PINNED_SD = 1e-4
+STEP_RANGE = (0.03, 0.35)  # of ln u_d
+MOST_STEPS = 7  # to each side
+NEGLIGIBLE_NATS = 4.0  # below the best step: e⁻⁴
+
+
+@dataclass(frozen=True, slots=True)
+class Marginal:
+    """Means of nodes and constants, and the covariance of (constants, last node)."""
+
+    mean: Guess
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    value: float
+    fit: Fit
+    posterior: Posterior
+    log_weight: float
+
+
+def marginalised(library: Library, record: Record, prior: Prior, fit: Fit) -> Marginal:
+    """Average about the minimum `fit` of `record`; raises LinAlgError where it is no minimum."""
+    middle = float(fit.guess.p[C.LN_DITHER])
+    sd = math.sqrt(Smoother(library, record, prior).posterior(fit).covariance[C.LN_DITHER, C.LN_DITHER])
+    stride = min(max(sd, STEP_RANGE[0]), STEP_RANGE[1])
+    steps = [_step(library, record, prior, fit, middle)]
+    for direction in (-1, 1):
+        last = steps[0]
+        for number in range(1, MOST_STEPS + 1):
+            last = _step(library, record, prior, last.fit, middle + direction * number * stride)
+            steps.append(last)
+            if last.log_weight < max(step.log_weight for step in steps) - NEGLIGIBLE_NATS:
+                break
+    weights = np.exp([step.log_weight - max(each.log_weight for each in steps) for step in steps])
+    weights /= weights.sum()
+    x = sum(weight * step.fit.guess.x for weight, step in zip(weights, steps, strict=True))
+    p = sum(weight * step.fit.guess.p for weight, step in zip(weights, steps, strict=True))
+    mean = np.concatenate([p, x[-1]])
+    covariance = np.zeros((CONSTANTS + NODE, CONSTANTS + NODE))
+    for weight, step in zip(weights, steps, strict=True):
+        miss = np.concatenate([step.fit.guess.p, step.fit.guess.x[-1]]) - mean
+        covariance += weight * (step.posterior.covariance + np.outer(miss, miss))
+    covariance[C.LN_DITHER, C.LN_DITHER] += stride**2 / 12
+    return Marginal(Guess(x, p), covariance)
+
+
+def _step(library: Library, record: Record, prior: Prior, start: Fit, value: float) -> _Step:
+    mean, sd = prior.mean.copy(), prior.sd.copy()
+    mean[C.LN_DITHER], sd[C.LN_DITHER] = value, PINNED_SD
+    p = start.guess.p.copy()
+    p[C.LN_DITHER] = value
+    smoother = Smoother(library, record, replace(prior, mean=mean, sd=sd))
+    fit = smoother.fit(Guess(start.guess.x, p), start.noise)
+    posterior = smoother.posterior(fit)
+    belief = (value - prior.mean[C.LN_DITHER]) / prior.sd[C.LN_DITHER]
+    return _Step(value, fit, posterior, posterior.evidence - belief**2 / 2)

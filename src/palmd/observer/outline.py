@@ -1,0 +1,68 @@
+"""From Fourier coefficients and their covariance to an outline with its error band. Pure."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from palmd.events import FloatArray
+from palmd.model import shape
+
+DIRECTIONS = 360
+
+
+@dataclass(frozen=True, slots=True)
+class Outline:
+    """Support function h and its one-sigma (m) on normals theta (rad); `touched`: a palm has been there."""
+
+    theta: FloatArray
+    h: FloatArray
+    h_sd: FloatArray
+    touched: npt.NDArray[np.bool_]
+
+
+def directions() -> FloatArray:
+    """The normals of every reconstructed outline: each degree, from 0."""
+    return np.arange(DIRECTIONS) * (math.tau / DIRECTIONS)
+
+
+def normal_angles(palms: FloatArray, psi: FloatArray) -> FloatArray:
+    """θ1, θ2 (3.1) for palms (n, ≥ 2) holding φ1, φ2 and orientations psi (n): (n, 2), not wrapped."""
+    first = palms[:, 0] - psi - math.pi / 2
+    return np.stack([first, first + palms[:, 1] - math.pi], axis=1)
+
+
+def outline_of(coefficients: FloatArray, covariance: FloatArray, normals: FloatArray) -> Outline:
+    """The outline on `directions`, touched where `normals` (n, 2) went, in order of time.
+
+    Orientation is gauge: the band is that of h after the rotation that fits the touched part best, so the error of
+    ψ(0) is no part of it: h(θ) − h′(θ)·ε, ε the rotation by least squares over touched normals.
+    """
+    theta = directions()
+    order = (len(coefficients) - 1) // 2
+    rows = shape.basis(theta, order)
+    touched = _marks(normals)
+    slope = -shape.tangential_basis(theta, order) @ coefficients
+    if touched.any():
+        turn = slope[touched] @ rows[touched] / max(float(slope[touched] @ slope[touched]), 1e-30)
+        free = rows - np.outer(slope, turn)
+    else:
+        free = rows
+    variance = ((free @ covariance) * free).sum(axis=1)
+    return Outline(theta, rows @ coefficients, np.sqrt(np.maximum(variance, 0.0)), touched)
+
+
+def _marks(normals: FloatArray) -> npt.NDArray[np.bool_]:
+    """Which directions the normals passed, each standing for the degree about it."""
+    touched = np.zeros(DIRECTIONS, dtype=np.bool_)
+    at = np.round(normals * (DIRECTIONS / math.tau)).astype(np.intp)
+    for column in at.T:
+        for first, last in itertools.pairwise(column):
+            low, high = sorted((first, last))
+            touched[np.arange(low, high + 1) % DIRECTIONS] = True
+        touched[column % DIRECTIONS] = True
+    return touched

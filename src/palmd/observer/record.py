@@ -1,0 +1,128 @@
+"""A stretch of readings laid out as arrays on a grid of nodes, ready for the smoother. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from palmd.events import FloatArray, PadSample, RigDescription
+from palmd.model.named import rig_inputs
+from palmd.model.smoothing import CONTACT_INPUTS, FORCE_INPUTS, STEP_INPUTS
+from palmd.observer.palm_path import PalmPath
+
+IntArray = npt.NDArray[np.intp]
+
+LEAST_FORCE_N = 0.05  # below it a pressure tells little more than that something touches
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """Nodes at times `t` (K + 1), the palms there, and each reading with the step it falls into.
+
+    `palms` (K + 1, 6): φ1, φ2, ω1, ω2, α1, α2. Readings are in order of time; `*_offset` is the time into the step.
+    """
+
+    t: FloatArray
+    palms: FloatArray
+    rig: FloatArray
+    contact_step: IntArray
+    contact_offset: FloatArray
+    contact_pad: FloatArray
+    contact_palms: FloatArray
+    contact_value: FloatArray
+    contact_variance: FloatArray
+    force_step: IntArray
+    force_offset: FloatArray
+    force_pad: FloatArray
+    force_palms: FloatArray
+    force_value: FloatArray
+    force_variance: FloatArray
+
+    @property
+    def dt(self) -> FloatArray:
+        """Length of each step (s)."""
+        return np.diff(self.t)
+
+    def until(self, t: float) -> Record:
+        """The part of the record up to `t`, at least one step."""
+        steps = max(int(np.searchsorted(self.t, t, side="right")) - 1, 1)
+        c, f = int(np.searchsorted(self.contact_step, steps)), int(np.searchsorted(self.force_step, steps))
+        return Record(
+            self.t[: steps + 1], self.palms[: steps + 1], self.rig,
+            self.contact_step[:c], self.contact_offset[:c], self.contact_pad[:c], self.contact_palms[:c],
+            self.contact_value[:c], self.contact_variance[:c],
+            self.force_step[:f], self.force_offset[:f], self.force_pad[:f], self.force_palms[:f],
+            self.force_value[:f], self.force_variance[:f],
+        )  # fmt: skip
+
+    def step_inputs(self, rows: int) -> FloatArray:
+        """Last input of the kernel `step` for each step, padded to `rows`."""
+        dt = self.dt
+        inputs = np.zeros((rows, STEP_INPUTS))
+        n = len(dt)
+        inputs[:n, 0] = dt
+        inputs[:n, 1:7] = self.palms[:-1]
+        inputs[:n, 7:9] = np.diff(self.palms[:, 4:], axis=0) / dt[:, None]
+        inputs[:n, 9:] = self.rig
+        inputs[n:] = inputs[0]
+        return inputs
+
+    def contact_inputs(self, rows: int) -> FloatArray:
+        """Last input of the kernel `contact` for each contact reading, padded to `rows`."""
+        inputs = np.ones((rows, CONTACT_INPUTS))
+        n = len(self.contact_step)
+        inputs[:n, 0], inputs[:n, 1] = self.dt[self.contact_step], self.contact_offset
+        inputs[:n, 2], inputs[:n, 3:] = self.contact_pad, self.contact_palms[:, :2]
+        return inputs
+
+    def force_inputs(self, rows: int) -> FloatArray:
+        """Last input of the kernel `force` for each force reading, padded to `rows`."""
+        inputs = np.ones((rows, FORCE_INPUTS))
+        n = len(self.force_step)
+        inputs[:n, 0], inputs[:n, 1], inputs[:n, 2] = self.dt[self.force_step], self.force_offset, self.force_pad
+        inputs[:n, 3:9], inputs[:n, 9:] = self.force_palms, self.rig
+        return inputs
+
+
+def lay_out(
+    pads: Sequence[PadSample],
+    path: PalmPath,
+    rig: RigDescription,
+    start: float,
+    end: float,
+    spacing: float,
+) -> Record:
+    """Nodes each `spacing` from `start` to `end`, and the readings in between, which must be in order of time."""
+    steps = max(1, round((end - start) / spacing))
+    t = np.linspace(start, end, steps + 1)
+    inside = [sample for sample in pads if start <= sample.t_sample <= end]
+    times = np.array([sample.t_sample for sample in inside])
+    pad = np.array([sample.pad for sample in inside], dtype=np.float64)
+    value = np.array([sample.s for sample in inside])
+    force = np.array([np.nan if sample.force is None else sample.force for sample in inside])
+    step = np.clip(np.searchsorted(t, times, side="right") - 1, 0, steps - 1)
+    offset = times - t[step]
+    palms = path.at(times) if len(times) else np.zeros((0, 6))
+    variance = np.full(len(times), rig.pad_noise**2 + rig.pad_resolution**2 / 12)
+    # the noise grows with the true force; neighbours in time tell it better than the reading itself
+    pressed = np.isfinite(force) & (force > LEAST_FORCE_N)
+    level = _running_median(force, pad)
+    force_variance = (rig.force_scale_std * level) ** 2 + rig.force_resolution**2 / 12
+    return Record(
+        t, path.at(t), rig_inputs(rig),
+        step, offset, pad, palms, value, variance,
+        step[pressed], offset[pressed], pad[pressed], palms[pressed], force[pressed], force_variance[pressed],
+    )  # fmt: skip
+
+
+def _running_median(force: FloatArray, pad: FloatArray, width: int = 15) -> FloatArray:
+    level = force.copy()
+    for number in (1.0, 2.0):
+        mine = np.flatnonzero((pad == number) & np.isfinite(force))
+        if len(mine):
+            padded = np.pad(force[mine], width // 2, mode="edge")
+            level[mine] = np.median(np.lib.stride_tricks.sliding_window_view(padded, width), axis=1)
+    return level

@@ -1,0 +1,82 @@
+"""The longest part of a record in which nothing is missing: both pads and the arm report all the time. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from palmd.events import Event, PadLift, PadSample, PalmSample
+
+PAD_GAP_S = 0.4  # a pad silent for longer: the object may have left the palm
+ARM_GAP_S = 0.3  # the palms' motion is not guessed across more
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Events in order of time, each once: between `start` and `end` (s) no gap is longer than the limits above."""
+
+    start: float
+    end: float
+    pads: tuple[PadSample, ...]
+    palms: tuple[PalmSample, ...]
+
+    def events(self) -> list[Event]:
+        """All of them in order of time, the arm's report first where times are equal."""
+        return sorted((*self.palms, *self.pads), key=lambda event: event.t_sample)
+
+
+def longest_stretch(events: Sequence[Event]) -> Stretch | None:
+    """The longest one, None if there is no time at all at which both pads and the arm report."""
+    ordered = sorted((event for event in events if _finite(event)), key=lambda event: event.t_sample)
+    best: Stretch | None = None
+    pads: list[PadSample] = []
+    palms: list[PalmSample] = []
+
+    def close() -> None:
+        nonlocal best
+        found = _trimmed(pads, palms)
+        if found is not None and (best is None or found.end - found.start > best.end - best.start):
+            best = found
+        pads.clear()
+        palms.clear()
+
+    last = {1: -math.inf, 2: -math.inf, "arm": -math.inf}
+    for event in ordered:
+        if isinstance(event, PadLift):
+            close()
+            continue
+        source = event.pad if isinstance(event, PadSample) else "arm"
+        if event.t_sample == last[source]:
+            continue  # the same reading twice, or two that contradict each other: the first counts
+        limits = {1: PAD_GAP_S, 2: PAD_GAP_S, "arm": ARM_GAP_S}
+        if any(event.t_sample - t > limits[key] for key, t in last.items() if t > -math.inf):
+            close()
+            last = dict.fromkeys(last, -math.inf)
+        last[source] = event.t_sample
+        if isinstance(event, PadSample):
+            pads.append(event)
+        else:
+            palms.append(event)
+    close()
+    return best
+
+
+def _trimmed(pads: list[PadSample], palms: list[PalmSample]) -> Stretch | None:
+    """What lies between the first time at which all three have reported and the last at which all still do."""
+    times = ([s.t_sample for s in pads if s.pad == 1], [s.t_sample for s in pads if s.pad == 2])
+    reports = [sample.t_sample for sample in palms]
+    if not (all(times) and reports):
+        return None
+    start = max(reports[0], min(times[0][0], times[1][0]))
+    end = min(max(times[0][-1], times[1][-1]), reports[-1] + ARM_GAP_S)
+    inside = tuple(sample for sample in pads if start <= sample.t_sample <= end)
+    return Stretch(start, end, inside, tuple(palms)) if inside and end > start else None
+
+
+def _finite(event: Event) -> bool:
+    if isinstance(event, PadSample):
+        return math.isfinite(event.t_sample) and math.isfinite(event.s)
+    if isinstance(event, PalmSample):
+        return all(map(math.isfinite, (event.t_sample, event.phi1, event.phi2)))
+    return math.isfinite(event.t_sample)
