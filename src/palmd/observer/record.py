@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -48,7 +49,10 @@ class Record:
 
     def until(self, t: float) -> Record:
         """The part of the record up to `t`, at least one step."""
-        steps = max(int(np.searchsorted(self.t, t, side="right")) - 1, 1)
+        return self.steps(max(int(np.searchsorted(self.t, t, side="right")) - 1, 1))
+
+    def steps(self, steps: int) -> Record:
+        """The first `steps` steps of the record."""
         c, f = int(np.searchsorted(self.contact_step, steps)), int(np.searchsorted(self.force_step, steps))
         return Record(
             self.t[: steps + 1], self.palms[: steps + 1], self.rig,
@@ -96,9 +100,9 @@ def lay_out(
     spacing: float,
 ) -> Record:
     """Nodes each `spacing` from `start` to `end`, and the readings in between, which must be in order of time."""
-    steps = max(1, round((end - start) / spacing))
-    t = np.linspace(start, end, steps + 1)
-    inside = [sample for sample in pads if start <= sample.t_sample <= end]
+    steps = max(1, math.floor((end - start) / spacing + 1e-9))
+    t: FloatArray = start + spacing * np.arange(steps + 1, dtype=np.float64)
+    inside = [sample for sample in pads if start <= sample.t_sample <= t[-1]]
     times = np.array([sample.t_sample for sample in inside])
     pad = np.array([sample.pad for sample in inside], dtype=np.float64)
     value = np.array([sample.s for sample in inside])
