@@ -188,6 +188,7 @@ class ObserverConfig(Strict):
     """Which observer gives the published estimate."""
 
     primary: Literal["shape", "extended", "quasistatic"] = "shape"
+    smoother: bool = True  # beside the loop, in a process of its own; for the shape map only
 
 
 class BusConfig(Strict):

@@ -246,6 +246,13 @@ FAULTS: tuple[Fault, ...] = (
         debounce_s=10.0,
     ),
     Fault(
+        "estimate-inconsistent",
+        Severity.DEGRADE,
+        "the readings miss what the model expects by more, or by less, than their noise explains",
+        "check zero_mm, counts_per_mm, the rig's lengths and its lag; is the object rigid, the hinge tight?",
+        debounce_s=2.0,
+    ),
+    Fault(
         "samples-too-late",
         Severity.DEGRADE,
         "samples arrive too late to be of use to the observer",

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from palmd.model import extended, shape, shape_map
+from palmd.model import extended, sensitivity, shape, shape_map
 from palmd.model.integrate import exponential_step
 from palmd.model.named import NAMED
 
@@ -235,3 +235,49 @@ def test_the_step_is_of_fourth_order() -> None:
     exact = after(2000)
     errors = [np.abs(after(n) - exact).max() for n in (20, 40)]
     assert errors[0] / errors[1] > 11, "halving the step must cut the error by 16 or more"
+
+
+def test_the_gathered_information_is_that_of_the_readings_about_the_beginning() -> None:
+    """Against differences: predicted readings of the moving shape map as functions of its state at the beginning."""
+    x0 = _shape_state(np.random.default_rng(3))
+    gather, predict = sensitivity.gather_function(), shape_map.predict_function()
+    dt, steps, w = 0.002, 4, (2.0, 3.0)
+    P0 = np.zeros((shape_map.N,) * 2)
+
+    def motion(k: int) -> list[float]:
+        t = k * dt
+        phi, omega, alpha = (np.array(PALMS[i : i + 2]) for i in (0, 2, 4))
+        return [*(phi + t * omega + t**2 / 2 * alpha), *(omega + t * alpha), *alpha]
+
+    def inputs(k: int) -> list[float]:
+        return [dt, *motion(k), 0.0, 0.0, *RIG]
+
+    def predicted(x: np.ndarray) -> np.ndarray:
+        told = []
+        for k in range(steps):
+            phi1, phi2 = motion(k)[:2]
+            told.append(shape.contact_rows(phi1 - x[shape_map.Z.PSI], phi2)[1] @ x[shape_map.Z.SHAPE :])
+            x = _array(predict(x, P0, inputs(k))[0]).ravel()
+        return np.concatenate(told)
+
+    rows = _differences(predicted, x0)
+    wanted = rows.T @ np.diag(w * steps) @ rows
+    x, T, G = x0, np.eye(2, shape_map.N), P0
+    for k in range(steps):
+        T, G = gather(x, T, G, [*inputs(k), *w])
+        x = _array(predict(x, P0, inputs(k))[0]).ravel()
+    scale = np.sqrt(np.diag(wanted))
+    assert np.abs(_array(G) - wanted).max() < 2e-4 * np.outer(scale, scale).max()
+    assert np.abs(_array(G) - wanted)[:6, :6] == pytest.approx(0.0, abs=5e-4 * np.outer(scale, scale)[:6, :6].max())
+
+
+def test_the_aim_is_the_gradient_of_radii_and_readings() -> None:
+    x = _shape_state(np.random.default_rng(4))
+
+    def z(at: np.ndarray) -> np.ndarray:
+        radii, readings = shape.contact_rows(PALMS[0] - at[shape_map.Z.PSI], PALMS[1])
+        return np.concatenate([radii, readings]) @ at[shape_map.Z.SHAPE :]
+
+    J = _array(sensitivity.aim_function()(x, PALMS[:2]))
+    assert J.shape == (sensitivity.AIMED_AT, shape_map.N)
+    assert pytest.approx(_differences(z, x), abs=1e-8) == J

@@ -10,8 +10,12 @@ import pytest
 
 from palmd import observer
 from palmd.events import Estimate, Event, PadLift, PadSample, PalmSample, RigDescription
-from palmd.model import compiled
+from palmd.model import compiled, shape_map
+from palmd.model import shape as modelled
+from palmd.observer.filters import ExtendedFilters, ShapeFilters
 from palmd.observer.live import BankObserver
+from palmd.observer.palms import PalmTracker
+from palmd.observer.prior import blind_start
 from palmd.rig.simulate import simulate_log
 
 
@@ -187,21 +191,201 @@ def test_outliers_do_not_throw_it(nominal: tuple) -> None:
     assert np.sqrt(np.mean(_errors(late, truth, "r1_m") ** 2)) < 1.5e-4
 
 
-def test_a_lifted_object_ends_the_estimate_and_the_next_one_counts_up(nominal: tuple) -> None:
-    rig, events, _ = nominal
-    watcher = observer.make("shape", rig)
-    first = _replay(watcher, events)
-    t = events[-1].t_sample
+def _put_back(watcher: BankObserver, first: list[Event], second: list[Event]) -> tuple[list[Estimate], float]:
+    """Run `first`, lift the object, and two seconds later go on with `second`; what is told then, and its delay."""
+    _replay(watcher, first)
+    t = first[-1].t_sample
     watcher.feed(PadLift(t, 1))
     watcher.feed(PadLift(t, 2))
     assert not watcher.estimate(t + 0.01).valid
     assert not watcher.estimate(t + 1.0).valid
-    again = [replace(e, t_sample=e.t_sample + t + 2.0) for e in events]
-    second = _replay(watcher, again, t + 2.0)
-    assert first[-1].object_count == 1
-    assert second[-1].object_count == 2
-    assert second[-1].valid
-    assert second[-1].r1 == pytest.approx(first[-1].r1, abs=1e-4)
+    delay = t + 2.0 - second[0].t_sample
+    again = [replace(e, t_sample=e.t_sample + delay) for e in second]
+    return _replay(watcher, again, t + 2.0), delay
+
+
+def _settled_after(estimates: list[Estimate]) -> float:
+    return next(e.t for e in estimates if e.valid) - estimates[0].t
+
+
+def test_the_same_object_put_back_otherwise_is_known_again(nominal: tuple) -> None:
+    """Two stretches of one run: when the second begins the object has turned and the palms have gone on."""
+    rig, events, truth = nominal
+    first, second = ([e for e in events if low < e.t_sample < high] for low, high in ((0.0, 3.5), (3.5, 6.0)))
+    psi = np.interp([0.0, 3.5], truth["t"], truth["psi_rad"])
+    assert abs(psi[1] - psi[0]) > 0.1
+    watcher = observer.make("shape", rig)
+    known, delay = _put_back(watcher, first, second)
+    mass, touched = watcher._mass, known[-1].touched
+    valid = [e for e in known if e.valid]
+    assert {e.object_count for e in valid} == {1}
+    shifted = [replace(e, t=e.t - delay) for e in valid]
+    assert np.sqrt(np.mean(_errors(shifted, truth, "r1_m") ** 2)) < 1.5e-4
+    # ψ goes on in the gauge of the map: still the turn since the very first reading
+    turn = _errors(shifted, truth, "psi_rad") + psi[0]
+    assert np.abs(turn).max() < 0.1
+    assert valid[0].mass == pytest.approx(truth["mass_kg"], rel=0.02)
+    assert mass.sd < 0.01 * mass.value
+    assert touched > 0.15
+    blind = _replay(observer.make("shape", rig), second, 3.5)
+    assert _settled_after(known) < 0.7 * _settled_after(blind)
+
+
+@pytest.mark.parametrize("other", [108, 104])
+def test_another_object_counts_up_and_is_found(nominal: tuple, other: int) -> None:
+    rig, events, _ = nominal
+    _, second, truth = _run("nominal", other, 6.0)
+    watcher = observer.make("shape", rig)
+    found, delay = _put_back(watcher, events, second)
+    valid = [e for e in found if e.valid]
+    assert {e.object_count for e in valid} == {2}
+    assert valid[-1] is found[-1]
+    late = [replace(e, t=e.t - delay) for e in valid if e.t - delay > 4.5]
+    assert np.sqrt(np.mean(_errors(late, truth, "r1_m") ** 2)) < 1e-4
+    assert late[-1].mass == pytest.approx(truth["mass_kg"], rel=0.03)
+
+
+def test_the_count_never_changes_to_and_fro(nominal: tuple) -> None:
+    """Same, other, same: counts never fall, and no estimate is valid before it is decided."""
+    rig, events, _ = nominal
+    _, other, _ = _run("nominal", 108, 4.0)
+    watcher = observer.make("shape", rig)
+    told = _replay(watcher, events[:1000])
+    last, expected = events[999], []
+    for stretch in (events[1000:], other, other):
+        told += _put_back(watcher, [last], stretch)[0]
+        last = replace(stretch[-1], t_sample=told[-1].t)
+        assert told[-1].valid
+        expected.append(told[-1].object_count)
+    counts = [e.object_count for e in told]
+    assert counts == sorted(counts)
+    assert expected == [1, 2, 2]
+
+
+def test_the_extended_observer_counts_right_however_it_recognises(nominal: tuple) -> None:
+    rig, events, truth = nominal
+    watcher = observer.make("extended", rig)
+    first, second = ([e for e in events if low < e.t_sample < high] for low, high in ((0.0, 2.0), (2.0, 6.0)))
+    estimates, delay = _put_back(watcher, first, second)
+    assert len({e.object_count for e in estimates if e.valid}) == 1
+    assert estimates[-1].valid
+    assert abs(_errors([replace(estimates[-1], t=estimates[-1].t - delay)], truth, "r1_m")[0]) < 2e-4
+
+
+def test_a_known_object_that_is_lost_is_forgotten(nominal: tuple) -> None:
+    rig, events, _ = nominal
+    watcher = observer.make("shape", rig)
+    _replay(watcher, events[:800])
+    again, delay = _put_back(watcher, [events[799]], events[800:1100])
+    assert again[-1].valid
+    random = np.random.default_rng(5)
+    for event in (replace(e, t_sample=e.t_sample + delay) for e in events[1100:]):
+        spoilt = replace(event, s=0.02 + 0.01 * random.uniform(-1, 1)) if isinstance(event, PadSample) else event
+        watcher.feed(spoilt)
+        watcher.estimate(event.t_sample)
+        if not watcher._running:
+            break
+    assert not watcher._running
+    assert watcher._memory.recall() is None
+
+
+def test_a_bank_too_small_to_share_always_begins_blind(nominal: tuple) -> None:
+    rig, events, _ = nominal
+    watcher = BankObserver(ShapeFilters(rig, 8), rig)
+    _replay(watcher, events[:1000])
+    _put_back(watcher, [events[999]], events[1000:1300])
+    assert not watcher._experience.any()
+
+
+@pytest.mark.parametrize("kind", [ShapeFilters, ExtendedFilters])
+def test_the_filters_curvature_is_that_of_their_outline(kind: type) -> None:
+    filters = kind(RigDescription(hinge="fixed"), 8)
+    palms = PalmTracker(2e-4)
+    palms.feed(PalmSample(0.0, 0.8, 1.6, 0.0, 0.0, 0.0, 0.0))
+    start = blind_start(0.02, 0.021, palms.motion(0.0), 8, True, np.random.default_rng(1))
+    filters.start(start, palms, 0.0)
+    theta, step = np.linspace(0, 2 * np.pi, 72, endpoint=False), 1e-4
+    for member in range(8):
+        coefficients, _ = filters.outline(member)
+        h, up, down = (modelled.basis(theta + by) @ coefficients for by in (0.0, step, -step))
+        v = h + (up - 2 * h + down) / step**2
+        assert filters.curvature @ filters.bank.x[member] == pytest.approx(v, abs=1e-6)
+
+
+def test_a_hollow_outline_is_bent_to_the_mean_of_what_is_convex() -> None:
+    """Against sampling: of the states believed in, those with v ≥ 0 at the lowest normal."""
+    filters = ShapeFilters(RigDescription(), 8)
+    palms = PalmTracker(2e-4)
+    palms.feed(PalmSample(0.0, 0.8, 1.6, 0.0, 0.0, 0.0, 0.0))
+    filters.start(blind_start(0.02, 0.021, palms.motion(0.0), 8, True, np.random.default_rng(1)), palms, 0.0)
+    bank, rows = filters.bank, filters.curvature
+    bank.x[:, shape_map.Z.SHAPE + 5 :] = 0.0
+    assert bank.lift(0, rows), "nothing hollow, nothing done"
+    bank.x[2, shape_map.Z.SHAPE + 13] += 8e-4  # of the seventh harmonic: enters v 48-fold
+    x, P, others = bank.x[2].copy(), bank.P[2].copy(), bank.x[3].copy()
+    v = rows @ x
+    lowest = int(v.argmin())
+    assert v[lowest] < -5e-3
+    believed = np.random.default_rng(2).multivariate_normal(x, P, 200_000)
+    convex = believed[believed @ rows[lowest] >= 0.0]
+    assert not bank.lift(0, rows)
+    assert bank.x[2] == pytest.approx(convex.mean(axis=0), abs=0.1 * np.sqrt(np.diag(P)).max())
+    sd = np.sqrt(np.diag(P))
+    assert (np.abs(bank.x[2] - convex.mean(axis=0)) <= 0.1 * sd).all()
+    assert (np.abs(bank.P[2] - np.cov(convex.T)) <= 0.1 * np.outer(sd, sd)).all()
+    assert (bank.x[3] == others).all()
+    for _ in range(72):
+        if bank.lift(0, rows):
+            break
+    assert (rows @ bank.x[2]).min() >= 0.0
+    assert np.linalg.eigvalsh(bank.P[2]).min() > -1e-15
+
+
+@pytest.mark.parametrize("depth", [0.5, 10.0, 30.0])
+def test_even_a_sure_belief_in_a_hollow_is_lifted(depth: float) -> None:
+    filters = ShapeFilters(RigDescription(), 8)
+    bank, rows = filters.bank, filters.curvature
+    bank.P[:] = np.eye(shape_map.N) * 1e-12
+    bank.x[:, shape_map.Z.SHAPE] = 0.02
+    sd = float(np.sqrt(rows[0] @ bank.P[0] @ rows[0]))
+    bank.x[0, shape_map.Z.SHAPE] = -depth * sd
+    bank.lift(0, rows)
+    assert 0.0 <= rows[0] @ bank.x[0] < sd
+    assert np.linalg.eigvalsh(bank.P[0]).min() > -1e-25
+
+
+def test_no_valid_outline_is_hollow() -> None:
+    """A run whose unfelt side came out hollow, by 2.9 mm, before the filters were told that no side is."""
+    rig, events, _ = _run("odd", 111, 10.0)
+    watcher = observer.make("shape", rig)
+    valid = 0
+    tick = 0.01
+    for event in events:
+        while tick < event.t_sample:
+            if watcher.estimate(tick).valid:
+                valid += 1
+                shape = watcher.shape(tick)
+                spectrum = np.fft.rfft(shape.h)
+                v = np.fft.irfft(spectrum * (1 - np.arange(len(spectrum)) ** 2.0), len(shape.h))
+                assert v.min() > -2e-4, "between the 72 normals looked at"
+            tick += 0.01
+        watcher.feed(event)
+    assert valid > 100
+
+
+def test_a_map_that_leads_astray_is_forgotten(nominal: tuple) -> None:
+    """The readings of the known object stop making sense: the start after next is blind again."""
+    rig, events, _ = nominal
+    watcher = observer.make("shape", rig)
+    _replay(watcher, events[:1000])
+    assert watcher._memory.recall() is not None
+    random = np.random.default_rng(5)
+    nonsense = [
+        replace(e, s=0.02 + 0.01 * random.uniform(-1, 1)) if isinstance(e, PadSample) else e for e in events[1000:]
+    ]
+    estimates = _replay(watcher, nonsense, events[1000].t_sample)
+    assert watcher._memory.recall() is None
+    assert not estimates[-1].valid
 
 
 def test_a_short_lift_is_bridged_without_starting_again(nominal: tuple) -> None:
@@ -220,7 +404,68 @@ def test_a_gap_in_the_readings_starts_it_again(nominal: tuple) -> None:
     gap = [e for e in events if not 2.0 < e.t_sample < 3.0]
     estimates = _replay(observer.make("shape", rig), gap)
     assert not any(e.valid for e in estimates if 2.2 < e.t < 2.99)
-    assert estimates[-1].object_count == 2
+    assert all(math.isnan(e.r1) for e in estimates if 2.5 < e.t < 2.99)
+    assert estimates[-1].object_count == 1
+    assert estimates[-1].valid
+
+
+def _without_palms(events: list[Event], since: float, until: float) -> list[Event]:
+    return [e for e in events if not (isinstance(e, PalmSample) and since < e.t_sample < until)]
+
+
+@pytest.mark.parametrize("name", observer.OBSERVERS)
+def test_it_goes_on_after_a_short_gap_in_the_palms_reports(nominal: tuple, name: str) -> None:
+    """Unknown palms are no reason to take the object for lost."""
+    rig, events, truth = nominal
+    watcher = observer.make(name, rig)
+    estimates = _replay(watcher, _without_palms(events, 3.0, 3.3))
+    assert any(e.valid for e in estimates if 2.8 < e.t < 3.0)
+    assert not any(e.valid for e in estimates if 3.16 < e.t < 3.3)
+    assert estimates[-1].object_count == 1
+    late = [e for e in estimates if e.t > 5.3]
+    assert all(e.valid for e in late)
+    assert np.sqrt(np.mean(_errors(late, truth, "r1_m") ** 2)) < 1.5e-4
+    assert watcher.late_dropped == 0
+
+
+def test_it_neither_starts_nor_fuses_while_the_palms_are_unknown(nominal: tuple) -> None:
+    rig, events, _ = nominal
+    watcher = observer.make("shape", rig)
+    first_report = next(e for e in events if isinstance(e, PalmSample))
+    pads = [e for e in events if isinstance(e, PadSample)]
+    estimates = _replay(watcher, [first_report, *(e for e in pads if e.t_sample > 0.2)])
+    assert watcher.object_count == 0
+    assert all(math.isnan(e.r1) for e in estimates)
+    assert math.isnan(estimates[-1].phi1), "palms last heard of seconds ago are not told either"
+
+    with_pads, without = observer.make("shape", rig), observer.make("shape", rig)
+    gap = _without_palms(events, 3.0, 3.3)
+    _replay(with_pads, gap)
+    _replay(without, [e for e in gap if not 3.15 < e.t_sample < 3.28])
+    assert with_pads.estimate(6.0) == without.estimate(6.0)
+
+
+def test_palms_unknown_for_long_end_the_estimate(nominal: tuple) -> None:
+    rig, events, _ = nominal
+    estimates = _replay(observer.make("shape", rig), _without_palms(events, 2.0, 3.0))
+    assert not any(e.valid for e in estimates if 2.16 < e.t < 3.0)
+    assert all(math.isnan(e.r1) for e in estimates if 2.45 < e.t < 2.99)
+    assert estimates[-1].valid
+
+
+@pytest.mark.parametrize("name", observer.OBSERVERS)
+def test_one_silent_pad_leaves_an_estimate_from_the_other(nominal: tuple, name: str) -> None:
+    rig, events, truth = nominal
+    one_pad = [e for e in events if not (isinstance(e, PadSample) and e.pad == 1 and 3.0 < e.t_sample < 3.35)]
+    estimates = _replay(observer.make(name, rig), one_pad)
+    before = [e for e in estimates if 2.8 < e.t < 3.0]
+    alone = [e for e in estimates if 3.15 < e.t < 3.35]
+    assert all(e.valid for e in before)
+    assert not any(e.valid for e in alone)
+    with_both = next(e for e in _replay(observer.make(name, rig), events) if e.t == alone[-1].t)
+    assert alone[-1].sd["s1"] > 1.15 * with_both.sd["s1"]
+    assert np.abs(_errors(alone, truth, "r1_m")).max() < 4 * alone[-1].sd["r1"] < 1e-3
+    assert estimates[-1].object_count == 1
     assert estimates[-1].valid
 
 

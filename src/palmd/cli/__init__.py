@@ -21,6 +21,8 @@ COMMANDS = {
     "top": "live status of a running daemon in this terminal",
     "check": "find what is wrong with configurations and motion plans",
     "estimate": "replay an event log through the daemon's observer",
+    "reconstruct": "outline and motion from a whole event log at once, offline",
+    "bench": "studies of many runs: montecarlo, peers",
     "build": "compile the observers now; the first run does it otherwise",
 }
 """Every command; its module in this package has `add_arguments(parser)` and `run(arguments) -> int`."""

@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _replay(log: EventLog, name: observer.ObserverName, stream: TextIO) -> None:
     with Progress(f"{name} observer", tick_count(log), "ticks") as progress:
-        for tick in replay(log, observer.make(name, log.rig)):
+        for tick in replay(log, observer.make(name, log.rig, smoothing=observer.Simulated(log.rig))):
             for line in lines(tick):
                 stream.write(json.dumps(line, allow_nan=False) + "\n")
             progress.at(tick.number)

@@ -20,19 +20,19 @@ from palmd.daemon.ends import EndName
 from palmd.daemon.journal import start_journal
 from palmd.daemon.loop import Loop
 from palmd.daemon.planner import Plan, read_plan
+from palmd.daemon.smoothing import SmootherProcess
 from palmd.daemon.step import Core
 from palmd.daemon.systemd import Notifier
 from palmd.devices.port import Port
-from palmd.messages import info_fields
+from palmd.messages import Fields, info_fields
 from palmd.motion.check import motion_limits
 from palmd.motion.kinematics import PoseError, RigGeometry
-from palmd.observer.live import BankObserver
 from palmd.yamlfile import ConfigError, load_config
 
 log = logging.getLogger(__name__)
 
 OK, BAD_INPUT, RIG_FAILED = 0, 1, 3
-SUBSTITUTE = "shape"
+SUBSTITUTE: observer.ObserverName = "shape"
 
 
 def run(config_path: Path) -> int:
@@ -74,7 +74,11 @@ def _run(config: Config, folder: Path, plan: Plan | None, bus: Bus, signals: _Si
     notifier = Notifier()
     stack.callback(notifier.close)
     notifier.status("building the observer")
-    estimator, notes = _observer(config)
+    name, notes = _observer_name(config)
+    smoother = _smoother(config, name, stack)
+    estimator = observer.make(name, rig_description(config), smoothing=smoother)
+    if estimator.backend == "vm":
+        notes.append("vm-backend")
     estimator.warm_up()
     missing = realtime.prepare()
     for text in missing:
@@ -94,23 +98,38 @@ def _run(config: Config, folder: Path, plan: Plan | None, bus: Bus, signals: _Si
         rate_hz=config.loop.rate_hz,
         backend=estimator.backend,
         info=info_fields(__version__, config_hash(config), estimator.name, config.loop.rate_hz),
+        counters=lambda: _smoother_counters(smoother, estimator),
     )
     realtime.freeze_collector()
     signals.hand_over(loop.stop)
     return OK if loop.run() else RIG_FAILED
 
 
-def _observer(config: Config) -> tuple[BankObserver, list[str]]:
-    """The configured observer, and the notes that come with it."""
-    notes = []
-    name: str = config.observer.primary
-    if name not in observer.OBSERVERS:
-        notes.append("observer-substituted")
-        name = SUBSTITUTE
-    estimator = observer.make(cast(observer.ObserverName, name), rig_description(config))
-    if estimator.backend == "vm":
-        notes.append("vm-backend")
-    return estimator, notes
+def _observer_name(config: Config) -> tuple[observer.ObserverName, list[str]]:
+    """The observer that the configuration gets, and the notes that come with it."""
+    if config.observer.primary in observer.OBSERVERS:
+        return cast(observer.ObserverName, config.observer.primary), []
+    return SUBSTITUTE, ["observer-substituted"]
+
+
+def _smoother(config: Config, name: observer.ObserverName, stack: ExitStack) -> SmootherProcess | None:
+    if name != "shape" or not config.observer.smoother:
+        return None
+    try:
+        smoother = SmootherProcess(rig_description(config))
+    except OSError as error:
+        log.warning("no smoother beside the loop: %s", error)
+        return None
+    stack.callback(smoother.close)
+    return smoother
+
+
+def _smoother_counters(smoother: SmootherProcess | None, estimator: object) -> Fields:
+    return {
+        "smoother_improvements": estimator.improvements if isinstance(estimator, observer.ImprovedObserver) else 0,
+        "smoother_starts": smoother.starts if smoother else 0,
+        "smoother_dropped": smoother.dropped if smoother else 0,
+    }
 
 
 def _ports(config: Config) -> dict[EndName, Port]:

@@ -50,9 +50,10 @@ class Loop:
         rate_hz: float,
         backend: str,
         info: Fields,
+        counters: Callable[[], Fields] = dict,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """`info` is what `palm/info` says."""
+        """`info` is what `palm/info` says, `counters` gives what `palm/loop` says beyond the loop's own."""
         self.statistics = LoopStatistics(rate_hz)
         self._core = core
         self._ports = dict(ports)
@@ -63,6 +64,7 @@ class Loop:
         self._period = 1.0 / rate_hz
         self._backend = backend
         self._info = info
+        self._counters = counters
         self._clock = clock
         self._waiter = PortWaiter(list(self._ports.values()), clock)
         self._known_open: set[EndName] = set()
@@ -228,7 +230,7 @@ class Loop:
         self._core.lost(end, t)
 
     def _loop_fields(self) -> Fields:
-        fields: Fields = self.statistics.fields() | self._core.counters() | self._bus.fields()
+        fields: Fields = self.statistics.fields() | self._core.counters() | self._bus.fields() | self._counters()
         for end, port in self._ports.items():
             fields |= {f"{end}_port_{what}": count for what, count in port.counters.as_dict().items()}
         return fields | {"rss_mb": rss_mb(), "backend": self._backend}

@@ -24,7 +24,7 @@ from palmd.daemon.operate import Operator
 from palmd.daemon.planner import Plan
 from palmd.daemon.steering import Steering
 from palmd.daemon.swap import SwapWatch
-from palmd.daemon.watch import LOOK_S, ArmWatch, LoopWatch, PadWatch
+from palmd.daemon.watch import LOOK_S, ArmWatch, LoopWatch, NisWatch, PadWatch
 from palmd.devices.armlink import ArmState
 from palmd.events import Estimate, Event, PadSample, ShapeEstimate
 from palmd.faults import FaultMonitor
@@ -62,9 +62,17 @@ def _nothing() -> None:
 class Observer(Protocol):
     """What the core asks of an observer (`palmd.observer.make`)."""
 
-    name: str
-    object_count: int
-    late_dropped: int
+    @property
+    def name(self) -> str:
+        """As in estimates."""
+
+    @property
+    def object_count(self) -> int:
+        """Counts up when a new object is begun."""
+
+    @property
+    def late_dropped(self) -> int:
+        """Events that could not be fused."""
 
     def feed(self, event: Event) -> None:
         """Take one event."""
@@ -111,6 +119,7 @@ class Core:
         self._pad_watches = {name: PadWatch(name) for name in self.pads}
         self._arm_watch = ArmWatch()
         self._loop_watch = LoopWatch()
+        self._nis_watch = NisWatch()
         self._swap = SwapWatch()
         self._t_look = self._t_state = self._t_shape = -math.inf
         self._told: tuple[object, object] = (None, None)
@@ -302,6 +311,7 @@ class Core:
             present.update(watch.conditions(self.pads[name], under_way, look))
         present.update(self._arm_watch.conditions(self.arm, t, commanded, look))
         present.update(self._loop_watch.conditions(t, self._observer.late_dropped, look))
+        present.update(self._nis_watch.conditions(self._estimate.nis, self.steering.moving, t))
         if commanded and (self.steering.violated or self._outside()):
             present.add("limits-violated")
         if self._swap.swapped:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterator
 
@@ -15,6 +16,7 @@ GARBLED_SHARE, GARBLED_LEAST = 0.2, 24  # bytes
 ASTRAY_SHARE, ASTRAY_LEAST = 0.2, 10  # packets
 BATCHED_SHARE, BATCHED_LEAST = 0.5, 10
 DAMAGED_SHARE, DAMAGED_LEAST = 0.05, 10  # lines
+NIS_BAND, NIS_MEMORY_S = (0.4, 1.5), 2.0  # 2 % of readings wrong by centimetres bring an honest 1 to 1.3
 OVERRUNS_MOST, OVERRUN_MEMORY_S = 10, 1.0
 
 _BY_STATE = {
@@ -137,3 +139,28 @@ class LoopWatch:
             yield "loop-overrun"
             if len(self._overruns) == OVERRUNS_MOST and t - self._overruns[0] <= OVERRUN_MEMORY_S:
                 yield "loop-overruns"
+
+
+class NisWatch:
+    """Whether an observer's normalised innovations squared, 1 on average when the model is right, stay outside a band.
+
+    The estimate's own mean is over a quarter of a second and begins anew with each start; this one is slower.
+    """
+
+    def __init__(self) -> None:
+        self._mean = 1.0
+        self._t = math.inf
+
+    def conditions(self, nis: float, moving: bool, t: float) -> Iterator[str]:
+        """The codes that hold at `t` (s); `nis` is NaN while no observer runs.
+
+        Palms at rest ask nothing of the model, and resting pads repeat one rounded reading: only motion is judged.
+        """
+        since = max(t - self._t, 0.0)
+        self._t = t
+        if not moving:
+            self._mean = 1.0
+        elif math.isfinite(nis):
+            self._mean += (nis - self._mean) * -math.expm1(-since / NIS_MEMORY_S)
+        if not NIS_BAND[0] <= self._mean <= NIS_BAND[1]:
+            yield "estimate-inconsistent"

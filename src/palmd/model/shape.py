@@ -37,6 +37,17 @@ def tangential_basis(theta: FloatArray, order: int = HARMONICS) -> FloatArray:
     return rows
 
 
+def coefficients_of(h: FloatArray, order: int = HARMONICS) -> FloatArray:
+    """Coefficients (m) up to harmonic `order` of a support function given on evenly spaced normals from 0.
+
+    a_k + i b_k = 2/n Σ_j h(θ_j) e^{ikθ_j}, exact for a band-limited h on more than 2·order normals.
+    """
+    rows = basis(np.arange(len(h)) * (2 * np.pi / len(h)), order)
+    coefficients: FloatArray = rows.T @ h * (2 / len(h))
+    coefficients[0] /= 2
+    return coefficients
+
+
 def contact_rows(phi1: float, phi2: float) -> tuple[FloatArray, FloatArray]:
     """(radii, readings): rows mapping coefficients to (r1, r2) and to (s1, s2), for an object at ψ = 0.
 
@@ -92,3 +103,15 @@ def contact_at(theta: SX, coefficients: SX) -> Contact:
         d = d + k * odd
         v = v + (1 - k**2) * even
     return Contact(r, d, v)
+
+
+def turned(turn: float, order: int = HARMONICS) -> FloatArray:
+    """The matrix that maps coefficients of h(θ) to those of h(θ + turn), turn in rad."""
+    k = np.arange(1, order + 1)
+    cos, sin = np.cos(k * turn), np.sin(k * turn)
+    matrix = np.zeros((2 * order + 1, 2 * order + 1))
+    matrix[0, 0] = 1.0
+    even, odd = 2 * k - 1, 2 * k
+    matrix[even, even], matrix[even, odd] = cos, sin
+    matrix[odd, even], matrix[odd, odd] = -sin, cos
+    return matrix

@@ -69,11 +69,7 @@ def step_function() -> ca.Function:
 def _between(a: SX, b: SX, dt: SX, t: SX) -> tuple[SX, SX]:
     """(ψ, ω0) at `t` into a step of `dt` from node a to node b: cubic Hermite and its derivative."""
     u = t / dt
-    psi = (
-        (1 + 2 * u) * (1 - u) ** 2 * a[0]
-        + u**2 * (3 - 2 * u) * b[0]
-        + dt * u * (1 - u) * ((1 - u) * a[1] - u * b[1])
-    )
+    psi = (1 + 2 * u) * (1 - u) ** 2 * a[0] + u**2 * (3 - 2 * u) * b[0] + dt * u * (1 - u) * ((1 - u) * a[1] - u * b[1])
     omega0 = 6 * u * (1 - u) * (b[0] - a[0]) / dt + (1 - u) * (1 - 3 * u) * a[1] + u * (3 * u - 2) * b[1]
     return psi, omega0
 
@@ -109,7 +105,7 @@ def _batched(function: ca.Function) -> ca.Function:
 
 @cache
 def library() -> Library:
-    """Once for each process: the kernels step_batch, contact_batch, force_batch, and `advance`: one step without its Jacobian."""
+    """step_batch, contact_batch, force_batch, and `advance`, a step without its Jacobian; made once in a process."""
     step = step_function()
     x, p, u = (ca.SX.sym(step.name_in(i), *step.size_in(i)) for i in range(step.n_in()))
     advance = ca.Function("advance", [x, p, u], [step(x, p, u)[0]], ["x", "p", "u"], ["x_next"])

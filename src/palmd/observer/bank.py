@@ -20,7 +20,7 @@ from palmd.model.compiled import BLOCK, BoundCall, Library
 GATE = 16.0  # innovation² beyond which a reading is an outlier: 4 sigma
 SCORE_MEMORY_S = 2.0  # longer, and early luck keeps a filter in the lead that has since gone wrong
 NIS_READINGS = 50.0  # readings over which each filter's mean NIS is taken
-LOST_SCORE = -1e12
+LOST_SCORE = -math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,6 +172,29 @@ class Bank:
                 # P − k k' S: symmetric by construction, and S > P[state, state] keeps it positive
                 P -= gain[:, :, None] * (gain * spread[:, None])[:, None, :]
 
+    def lift(self, block: int, rows: FloatArray) -> bool:
+        """Tell the filters of one block that rows·x ≥ 0, where the mean of the lowest is below.
+
+        Mean and variance become those of the normal distribution cut off at 0, exactly. Returns whether every filter
+        was found above. A few microseconds when it was, some 20 µs a filter when not.
+        """
+        members = slice(block * BLOCK, (block + 1) * BLOCK)
+        x, P = self.x[members], self.P[members]
+        values = x @ rows.T
+        below = np.flatnonzero(values.min(axis=1) < 0.0)
+        for member in below:
+            lowest = int(values[member].argmin())
+            Ph = P[member] @ rows[lowest]
+            variance = float(rows[lowest] @ Ph)
+            if not variance > 0.0:  # a filter gone wild is parked at the next reading
+                continue
+            sd = math.sqrt(variance)
+            depth = float(-values[member, lowest]) / sd
+            rise = _mills(depth)
+            x[member] += Ph * (rise / sd)
+            P[member] -= np.outer(Ph, Ph) * (rise * (rise - depth) / variance)
+        return not len(below)
+
     def prune(self, margin: float) -> npt.NDArray[np.intp] | None:
         """Drop filters whose score is more than `margin` (nats) behind the best, block by block.
 
@@ -188,13 +211,17 @@ class Bank:
         self._blocks = blocks
         return order[: self.size]
 
+    def drop(self, members: npt.NDArray[np.bool_]) -> None:
+        """Take some filters out of the race for good."""
+        self.score[members] = LOST_SCORE
+
     def best(self) -> int:
         """Index of the most likely filter."""
         return int(np.argmax(self.score))
 
     def lost(self) -> bool:
         """Whether not one filter is finite any more."""
-        return bool(self.score.max() <= LOST_SCORE / 2)
+        return bool(self.score.max() == LOST_SCORE)
 
     def plausible(self, margin: float) -> npt.NDArray[np.intp]:
         """Indices of the filters whose score is within `margin` (nats) of the best."""
@@ -228,3 +255,10 @@ class Bank:
             self.x[:], self.P[:] = 0.0, np.eye(self.n)
         self._outcome[: self.size][~sound] = 0.0
         self.score[~sound] = LOST_SCORE
+
+
+def _mills(a: float) -> float:
+    """Mean of the standard normal distribution above `a` ≥ 0."""
+    if a > 20.0:
+        return a + 1.0 / a - 2.0 / a**3
+    return math.exp(-a * a / 2) / (math.sqrt(math.pi / 2) * math.erfc(a / math.sqrt(2.0)))

@@ -40,9 +40,13 @@ class Filters(Protocol):
     bank: Bank
     fuses_palms: bool  # whether reports of the palms are readings; else the palms' motion is an input
     optimism: Optimism
+    curvature: FloatArray  # rows that map the state to v (m) on `CURVATURE_NORMALS` normals
 
     def start(self, start: BlindStart, palms: PalmTracker, t: float) -> None:
         """Set every filter to its sample of the prior, at time `t`."""
+
+    def start_known(self, x: FloatArray, P: FloatArray, psi: FloatArray, palms: PalmTracker, t: float) -> None:
+        """Set the first filters, one for each of `psi` (rad), to a state of `model.shape_map` turned there."""
 
     def constants(self, start: BlindStart) -> Belief:
         """What was believed of the object's constants at the start, for `Bank.fade`."""
@@ -56,6 +60,9 @@ class Filters(Protocol):
     def fuse_palms(self, sample: PalmSample, angle_variance: float) -> None:
         """Fuse one report of the palms; only where `fuses_palms`."""
 
+    def doubt(self, gap: float) -> None:
+        """Widen what moves after `gap` seconds through which the palms' motion was not reported but guessed."""
+
     def named(self, member: int, t: float, dt: float, palms: PalmTracker) -> tuple[FloatArray, FloatArray]:
         """Values of `NAMED` and their covariance for one filter, taken from `t` to `t + dt`."""
 
@@ -65,9 +72,26 @@ class Filters(Protocol):
     def outline(self, member: int) -> tuple[FloatArray, FloatArray]:
         """Fourier coefficients of the support function (m) and their covariance for one filter."""
 
+    def as_shape_map(self, member: int) -> FloatArray:
+        """The state of one filter in the coordinates of `model.shape_map`."""
 
+    def shape_map_covariance(self, member: int) -> FloatArray:
+        """The covariance that belongs to it, as far as it concerns the constants."""
+
+
+CURVATURE_NORMALS = 72
 SMALLEST_RADIUS = 1e-3  # m, below which a filter's mean radius is not taken at its word
+GUESSED_ACCELERATION_SD = 2.0  # rad/s², of palms and object while the palms' motion is guessed
+GUESSED_SLIDING_SD, GUESSED_ROLLING_SD = 1e-2, 3e-3  # m/s, of s and of r then
+OUTLINE_SD = 1e-4  # m, of an outline put together from radii, curvature and what both contacts say of its centre
 CONSISTENCY_SD = 1e-6  # m, to which r and s agree with the outline's coefficients at the start
+
+
+def _curvature() -> FloatArray:
+    """Rows that map the coefficients of h to v = h + h″ on normals all around."""
+    rows = shape.basis(np.linspace(0.0, 2 * np.pi, CURVATURE_NORMALS, endpoint=False))
+    v: FloatArray = rows * (1.0 - shape.harmonic_of_coefficient() ** 2)
+    return v
 
 
 def _pad_update(pad: int) -> str:
@@ -96,6 +120,8 @@ class ExtendedFilters:
         self._h, self._J_h = np.zeros(h), np.zeros((n, h))
         self._predict = library.bind("predict", [self._x, self._P, self._u], [self._x_next, self._P_next])
         self._named = library.bind("named", [self._x_next, self._alpha], [self._y, self._J])
+        self.curvature = np.zeros((CURVATURE_NORMALS, n))
+        self.curvature[:, extended.X.CURVATURE :] = _curvature() @ np.linalg.pinv(shape.curvature_rows())
         self._outline = library.bind("outline", [self._x], [self._h, self._J_h])
 
     def start(self, start: BlindStart, palms: PalmTracker, t: float) -> None:
@@ -117,6 +143,30 @@ class ExtendedFilters:
         sd[X.OMEGA0], sd[X.RHO], sd[X.MU] = start.own_omega0_sd, start.own_rho_sd, start.own_mu_sd
         sd[X.LN_DITHER], sd[X.DAMPING] = start.own_ln_dither_sd, start.own_damping_sd
         P[:] = (linear * start.own_shape_sd**2) @ linear.T + np.diag(sd**2)
+
+    def start_known(self, x: FloatArray, P: FloatArray, psi: FloatArray, palms: PalmTracker, t: float) -> None:
+        X, Z = extended.X, shape_map.Z
+        phi1, phi2, omega1, omega2 = palms.at(t)[:4]
+        angle_sd, rate_sd = palms.sd()
+        sd = np.zeros(extended.N)
+        sd[[X.R1, X.R2, X.S1, X.S2]] = CONSISTENCY_SD
+        sd[[X.PHI1, X.PHI2]], sd[[X.OMEGA1, X.OMEGA2]] = angle_sd, rate_sd
+        for member, turn in enumerate(psi):
+            y = self.bank.x[member]
+            # the named state's gradient in the shape map's; contact_rows is for ψ = 0: turn the palms instead
+            J = np.zeros((extended.N, shape_map.N))
+            J[[X.R1, X.R2, X.S1, X.S2], Z.SHAPE :] = np.vstack(shape.contact_rows(phi1 - turn, phi2))
+            up, down = (np.vstack(shape.contact_rows(phi1 - turn - by, phi2)) for by in (1e-4, -1e-4))
+            J[[X.R1, X.R2, X.S1, X.S2], Z.PSI] = (up - down) @ x[Z.SHAPE :] / 2e-4
+            J[X.CURVATURE :, Z.SHAPE :] = shape.curvature_rows()
+            y[:] = J @ np.where(np.arange(shape_map.N) < Z.SHAPE, 0.0, x)
+            y[[X.PHI1, X.PHI2, X.OMEGA1, X.OMEGA2]] = phi1, phi2, omega1, omega2
+            y[X.PSI], y[X.OMEGA0], y[X.RHO] = turn, 0.0, math.exp(x[Z.LN_RHO])
+            y[X.MU], y[X.LN_DITHER], y[X.DAMPING] = x[Z.MU], x[Z.LN_DITHER], x[Z.DAMPING]
+            J[X.PSI, Z.PSI] = J[X.OMEGA0, Z.OMEGA0] = 1.0
+            J[X.RHO, Z.LN_RHO] = y[X.RHO]
+            J[X.MU, Z.MU] = J[X.LN_DITHER, Z.LN_DITHER] = J[X.DAMPING, Z.DAMPING] = 1.0
+            self.bank.P[member] = J @ P @ J.T + np.diag(sd**2)
 
     def constants(self, start: BlindStart) -> Belief:
         X = extended.X
@@ -144,6 +194,17 @@ class ExtendedFilters:
             self.bank.update("update_omega1", sample.omega1, PLAN_RATE_SD**2, scored=False)
             self.bank.update("update_omega2", sample.omega2, PLAN_RATE_SD**2, scored=False)
 
+    def doubt(self, gap: float) -> None:
+        X = extended.X
+        variance = np.zeros(extended.N)
+        variance[[X.OMEGA0, X.OMEGA1, X.OMEGA2]] = (GUESSED_ACCELERATION_SD * gap) ** 2
+        variance[[X.PSI, X.PHI1, X.PHI2]] = (GUESSED_ACCELERATION_SD * gap**2 / 2) ** 2
+        variance[[X.S1, X.S2]], variance[[X.R1, X.R2]] = (
+            (GUESSED_SLIDING_SD * gap) ** 2,
+            (GUESSED_ROLLING_SD * gap) ** 2,
+        )
+        self.bank.P[:] += np.diag(variance)
+
     def named(self, member: int, t: float, dt: float, palms: PalmTracker) -> tuple[FloatArray, FloatArray]:
         self._x[:], self._P[:] = self.bank.x[member], self.bank.P[member]
         self._u[0], self._u[1:3], self._u[3:5] = dt, palms.at(t)[4:], palms.jerk
@@ -159,6 +220,28 @@ class ExtendedFilters:
         self._x[:] = self.bank.x[member]
         self._outline()
         return self._h.copy(), self._J_h.T @ self.bank.P[member] @ self._J_h
+
+    def as_shape_map(self, member: int) -> FloatArray:
+        X, Z = extended.X, shape_map.Z
+        self._x[:] = self.bank.x[member]
+        self._outline()
+        state = np.empty(shape_map.N)
+        state[Z.PSI], state[Z.OMEGA0], state[Z.MU] = self._x[X.PSI], self._x[X.OMEGA0], self._x[X.MU]
+        state[Z.LN_RHO] = math.log(max(self._x[X.RHO], SMALLEST_RADIUS))
+        state[Z.LN_DITHER], state[Z.DAMPING] = self._x[X.LN_DITHER], self._x[X.DAMPING]
+        state[Z.SHAPE :] = self._h
+        return state
+
+    def shape_map_covariance(self, member: int) -> FloatArray:
+        X, Z = extended.X, shape_map.Z
+        variance = self.bank.P[member].diagonal()
+        P = np.zeros((shape_map.N, shape_map.N))
+        P[Z.LN_RHO, Z.LN_RHO] = variance[X.RHO] / self.bank.x[member, X.RHO] ** 2
+        P[Z.MU, Z.MU], P[Z.LN_DITHER, Z.LN_DITHER] = variance[X.MU], variance[X.LN_DITHER]
+        P[Z.DAMPING, Z.DAMPING] = variance[X.DAMPING]
+        _, P[Z.SHAPE :, Z.SHAPE :] = self.outline(member)
+        P[Z.SHAPE :, Z.SHAPE :] += np.eye(shape.COEFFICIENTS) * OUTLINE_SD**2
+        return P
 
 
 class ShapeFilters:
@@ -183,6 +266,8 @@ class ShapeFilters:
         self._y, self._J = np.zeros(len(NAMED)), np.zeros((n, len(NAMED)))
         self._predict = library.bind("predict", [self._x, self._P, self._u], [self._x_next, self._P_next])
         self._named = library.bind("named", [self._x_next, self._v], [self._y, self._J])
+        self.curvature = np.zeros((CURVATURE_NORMALS, n))
+        self.curvature[:, shape_map.Z.SHAPE :] = _curvature()
 
     def start(self, start: BlindStart, palms: PalmTracker, t: float) -> None:
         del palms, t  # the palms are not part of the state
@@ -201,6 +286,12 @@ class ShapeFilters:
         )
         sd[Z.SHAPE :] = start.own_shape_sd
         P[:] = np.diag(sd**2)
+
+    def start_known(self, x: FloatArray, P: FloatArray, psi: FloatArray, palms: PalmTracker, t: float) -> None:
+        del palms, t  # the palms are not part of the state
+        Z = shape_map.Z
+        self.bank.x[: len(psi)], self.bank.P[: len(psi)] = x, P
+        self.bank.x[: len(psi), Z.PSI], self.bank.x[: len(psi), Z.OMEGA0] = psi, 0.0
 
     def constants(self, start: BlindStart) -> Belief:
         Z = shape_map.Z
@@ -224,6 +315,13 @@ class ShapeFilters:
     def fuse_palms(self, sample: PalmSample, angle_variance: float) -> None:
         raise NotImplementedError("the palms' motion is an input of the shape map")
 
+    def doubt(self, gap: float) -> None:
+        Z = shape_map.Z
+        variance = np.zeros(shape_map.N)
+        variance[Z.OMEGA0] = (GUESSED_ACCELERATION_SD * gap) ** 2
+        variance[Z.PSI] = (GUESSED_ACCELERATION_SD * gap**2 / 2) ** 2
+        self.bank.P[:] += np.diag(variance)
+
     def named(self, member: int, t: float, dt: float, palms: PalmTracker) -> tuple[FloatArray, FloatArray]:
         self._x[:], self._P[:] = self.bank.x[member], self.bank.P[member]
         self._u[0], self._u[1:7], self._u[7:9] = dt, palms.at(t), palms.jerk
@@ -243,3 +341,11 @@ class ShapeFilters:
     def outline(self, member: int) -> tuple[FloatArray, FloatArray]:
         at = shape_map.Z.SHAPE
         return self.bank.x[member, at:].copy(), self.bank.P[member, at:, at:].copy()
+
+    def as_shape_map(self, member: int) -> FloatArray:
+        state: FloatArray = self.bank.x[member]
+        return state
+
+    def shape_map_covariance(self, member: int) -> FloatArray:
+        P: FloatArray = self.bank.P[member]
+        return P

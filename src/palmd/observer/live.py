@@ -2,7 +2,8 @@
 
 It starts blind from a circle when both palms feel the object, fuses every event at its own time (going back for
 a late one), and says `valid` only when the most likely filter is settled, consistent with the readings and in
-agreement with its plausible rivals. It starts again when the object is lifted or the readings say it is lost.
+agreement with its plausible rivals. It starts again when the object is lifted or the readings say it is lost, then with
+most of the bank from what it knew of the last object (`observer.known`).
 """
 
 from __future__ import annotations
@@ -23,17 +24,24 @@ from palmd.events import (
     RigDescription,
     ShapeEstimate,
 )
-from palmd.model import shape
-from palmd.model.named import NAMED
+from palmd.model import shape, shape_map
+from palmd.model.compiled import BLOCK
+from palmd.model.named import NAMED, rig_inputs
+from palmd.observer.answer import answer, no_answer
 from palmd.observer.bank import Bank, Snapshot
 from palmd.observer.filters import Filters
-from palmd.observer.mass import MassEstimator
+from palmd.observer.known import KnownObject, Memory
+from palmd.observer.mass import MassEstimator, resting_forces
+from palmd.observer.observability import Observability
 from palmd.observer.palms import PalmTracker
-from palmd.observer.prior import blind_start
+from palmd.observer.prior import blind_start, shape_map_sd
+from palmd.observer.touched import NORMAL_BINS, TouchMarks
 
 LONGEST_STEP_S = 0.0061  # of one integration step: readings of one pad come every 10 ms
 SILENCE_S = 0.1  # a pad silent for longer does not vouch for a contact
 GONE_S = 0.4  # a pad silent for longer: the object has left the palms
+# Palms not reported for longer are not known: a controller that does not track is asked each 0.1 s only.
+PALMS_UNKNOWN_S = 0.15
 HISTORY = 24  # events that can be undone for a late one
 SETTLED_SD = 3e-4  # m, of r1 and r2
 AGREEMENT = 3e-4  # m, among plausible filters
@@ -43,11 +51,16 @@ MIN_AGE_S = 0.4
 LOST_NIS = 3.0
 LOST_FOR_S = 0.4
 NIS_RANGE = (0.2, 2.0)  # of the running mean, to be called consistent
-NORMAL_BINS = 72
 # The first readings are fused about a blind guess: they weigh little at first, …
 CAUTION, CAUTION_S = 20.0, 0.3
 # … and all readings fade as a power of their age, so that the first do not bend the answer for ever.
 FADE, FADE_AGE_S, FADE_EVERY_S, FADE_AT_LEAST_EVERY_S = 1.5, 0.2, 0.2, 0.5
+# A filter that began from a known object fades as if so much older.
+FROM_KNOWN, EXPERIENCE_S = 0.75, 4.0  # share of the bank; s
+LOOKED_AT_S, UNDECIDED_S = 0.5, 3.0  # after which what is not the known object, or may not be, is begun as a new one
+CLEAR = 3.0  # nats by which blind filters lead when it is not
+WORSE_NIS = 0.35  # over some 30 readings: two sigmas
+WELCOME = 6.0  # nats by which a filter from elsewhere leads at first: its readings were weighed together
 # Readings that keep surprising the best filter make it forget faster.
 SURPRISING_NIS, FADE_BY_SURPRISE = 1.4, 20.0
 
@@ -55,8 +68,7 @@ DIRECTIONS = 180  # of the published outline
 _THETA = np.linspace(0.0, 2 * np.pi, DIRECTIONS, endpoint=False)
 _ROWS = shape.basis(_THETA)
 _BIN_OF_THETA = (_THETA / (2 * np.pi) * NORMAL_BINS).astype(np.intp)
-_R1, _R2, _F1, _F2 = (NAMED.index(name) for name in ("r1", "r2", "f1", "f2"))
-_PUBLISHED = tuple(name for name in NAMED if name not in ("f1", "f2"))
+_R1, _R2, _F1, _F2, _PSI = (NAMED.index(name) for name in ("r1", "r2", "f1", "f2", "psi"))
 
 
 @dataclass(slots=True)
@@ -80,6 +92,7 @@ class BankObserver:
         self._rig = rig
         self._seed = seed
         self._pad_variance = rig.pad_noise**2 + rig.pad_resolution**2 / 12
+        self._observability = Observability(rig_inputs(rig), self._pad_variance)
         self._fused: list[_Fused] = []
         self._spare = [self._bank.blank() for _ in range(HISTORY)]
         self.reset()
@@ -88,6 +101,8 @@ class BankObserver:
         """Back to the very beginning, as if nothing had been fed."""
         self.object_count = 0
         self.late_dropped = 0
+        self._starts = 0
+        self._memory = Memory()
         self._palms = PalmTracker(self._rig.palm_angle_noise)
         self._last: dict[int, PadSample] = {}
         self._lifted: set[int] = set()
@@ -115,6 +130,39 @@ class BankObserver:
         return self._filters.bank.backend
 
     @property
+    def t(self) -> float:
+        """Up to when events have been fused (s), -inf before the first."""
+        return self._t
+
+    @property
+    def begun(self) -> float:
+        """When the present object was begun (s), inf while there is none."""
+        return self._t_start if self._running else math.inf
+
+    def take_in(self, x: FloatArray, P: FloatArray, nis: float) -> bool:
+        """Let a filter from elsewhere lead the bank: a state of `model.shape_map` at `t`, its covariance, its mean NIS.
+
+        It takes the worst filter's place and the leader's gauge, so that ψ goes on without a jump. False when there is
+        nothing to join, or the readings surprise it more than the leader. Only for banks of shape maps. Safe inside
+        the loop.
+        """
+        bank, best = self._bank, self._bank.best()
+        if not self._running or bank.lost() or self._candidate is not None or nis > bank.nis[best] + WORSE_NIS:
+            return False
+        leader, Z = bank.x[best], shape_map.Z
+        worst = int(np.argmin(np.where(np.arange(bank.size) == best, np.inf, bank.score)))
+        turn = leader[Z.PSI] - x[Z.PSI]
+        matrix = np.eye(shape_map.N)
+        matrix[Z.SHAPE :, Z.SHAPE :] = shape.turned(turn)
+        moved = matrix @ x
+        moved[Z.PSI] = leader[Z.PSI]
+        bank.x[worst], bank.P[worst] = moved, matrix @ P @ matrix.T
+        bank.score[worst], bank.nis[worst] = bank.score[best] + WELCOME, nis
+        self._experience[worst] = 0.0
+        self._forget_history()
+        return True
+
+    @property
     def _bank(self) -> Bank:
         return self._filters.bank
 
@@ -127,39 +175,59 @@ class BankObserver:
             self.late_dropped += 1
             return
         if isinstance(event, PalmSample):
+            gap = event.t_sample - self._palms.t
             self._palms.feed(event)
+            if self._running and gap > PALMS_UNKNOWN_S:
+                self._bridge(event.t_sample, gap)
         else:
             previous = self._last.get(event.pad)
             if previous is None or event.t_sample >= previous.t_sample:
                 self._last[event.pad] = event
                 self._lifted.discard(event.pad)
+            self._observability.count(event.pad)
         if self._running:
             if event.t_sample - self._t > GONE_S:
                 self._stop()
-            elif isinstance(event, PadSample) or self._filters.fuses_palms:
+            elif self._palms_known(event.t_sample) and (isinstance(event, PadSample) or self._filters.fuses_palms):
                 self._fuse_in_order(event)
         if not self._running:
             self._try_to_start(event.t_sample)
 
     def estimate(self, t: float) -> Estimate:
         """The most likely filter's answer for time `t` ≥ the last event (s); never raises, NaN where unknown."""
-        if self._running and (self._bank.lost() or any(t - self._last_seen(pad) > GONE_S for pad in (1, 2))):
+        gone = t - min(self._palms.t, self._last_seen(1), self._last_seen(2)) > GONE_S
+        if self._running and (gone or self._bank.lost()):
             self._stop()
         if not self._running:
-            return self._nothing(t)
+            palms = self._palms.motion(t) if self._palms_known(t) else None
+            return no_answer(t, self.name, self.object_count, palms)
         best = self._bank.best()
         dt = min(max(t - self._t, 0.0), LONGEST_STEP_S * 4)
         y, cov = self._filters.named(best, self._t, dt, self._palms)
+        if self._observability.due(self._t):
+            state, motion = self._filters.as_shape_map(best), self._palms.at(self._t)
+            self._observability.sample(self._t, state, motion, self._palms.jerk)
         spread = self._rivals_spread(best)
         sd = np.sqrt(np.maximum(np.diagonal(cov), 0.0) + spread**2)
         sd *= self._filters.optimism.factor(t - self._t_start)
         finite = bool(np.isfinite(y).all() and np.isfinite(sd).all())
         settled = finite and self._settled(t, best, sd, spread)
+        if settled and (self._filters.curvature @ self._bank.x[best]).min() < 0.0:
+            settled = self._convex(best // BLOCK)
         self._watch_for_loss(t, best)
+        if self._candidate is not None and self._running:
+            settled = self._recognise(t, best, settled)
         if settled:
-            self._mark_touched(best, y)
-            self._weigh(y)
-        return self._assemble(t, settled, best, y, sd)
+            self._mass.weigh(self._last.get(1), float(y[_F1]))
+            self._mass.weigh(self._last.get(2), float(y[_F2]))
+            self._marks.mark(best, y, self._all_psi)
+            if self._memory.due(t):
+                state, P = self._filters.as_shape_map(best).copy(), self._filters.shape_map_covariance(best).copy()
+                self._memory.keep(t, KnownObject(state, P, self._marks.marks.copy(), self._mass))
+        return answer(
+            t, settled, self.name, self.object_count, y, sd, self._mass,
+            float(self._bank.nis[best]), self._observability.value(), self._marks.fraction,
+        )  # fmt: skip
 
     def shape(self, t: float) -> ShapeEstimate | None:
         """The outline of the most likely filter on `DIRECTIONS` normals, None before anything is felt."""
@@ -168,40 +236,86 @@ class BankObserver:
         coefficients, cov = self._filters.outline(self._bank.best())
         h_sd = np.sqrt(np.maximum(((_ROWS @ cov) * _ROWS).sum(axis=1), 0.0))
         h_sd *= self._filters.optimism.factor(t - self._t_start)
-        return ShapeEstimate(t, _THETA, _ROWS @ coefficients, h_sd, self._touched[_BIN_OF_THETA])
+        return ShapeEstimate(t, _THETA, _ROWS @ coefficients, h_sd, self._marks.marks[_BIN_OF_THETA])
 
     # ---- starting and stopping
 
     def _begin_fresh(self) -> None:
         self._mass = MassEstimator(self._rig.force_scale_std, self._rig.force_resolution)
-        self._weighed: dict[int, float] = {}
-        self._touched = np.zeros(NORMAL_BINS, dtype=np.bool_)
-        self._last_normals: tuple[float, float] | None = None
-        self._marked = -1
+        self._marks = TouchMarks()
+        self._candidate: KnownObject | None = None  # which it may be again
+        self._rough_mass = MassEstimator(self._rig.force_scale_std, self._rig.force_resolution)
         self._forget_history()
         self._t_start = math.inf
         self._t_unlikely: float | None = None
 
     def _try_to_start(self, t: float) -> None:
         fresh = all(abs(t - self._last_seen(pad)) < SILENCE_S for pad in (1, 2))
-        if not (fresh and self._palms.known):
+        if not (fresh and self._palms_known(t)):
             return
         self._begin_fresh()
-        self.object_count += 1
-        one, two = self._last[1], self._last[2]
-        random = np.random.default_rng([self._seed, self.object_count])
-        at_rest = self.object_count == 1
-        start = blind_start(one.s, two.s, self._palms.motion(t), self._bank.full_size, at_rest, random)
+        self._starts += 1
+        count = int(self._bank.full_size // BLOCK * FROM_KNOWN) * BLOCK
+        known = self._candidate = self._memory.recall() if count else None
+        if known is None:
+            self.object_count += 1
+        one, two, palms = self._last[1], self._last[2], self._palms.motion(t)
+        random = np.random.default_rng([self._seed, self._starts])
+        start = blind_start(one.s, two.s, palms, self._bank.full_size, self._starts == 1, random)
         self._bank.refill()
         self._filters.start(start, self._palms, t)
+        self._experience = np.zeros(self._bank.size)
+        if known is not None:
+            psi = known.orientations(one.s, two.s, palms, self._pad_variance, count)
+            self._filters.start_known(known.x, known.believed(), psi, self._palms, t)
+            self._experience[:count] = EXPERIENCE_S
         self._start = start
+        self._observability.begin(t, shape_map_sd(start))
         self._t_faded = np.full(self._bank.blocks, t)
         self._t = self._t_start = t
         self._running = True
 
+    def _recognise(self, t: float, best: int, settled: bool) -> bool:
+        """Whether the answer is settled and it is decided which object it is of: the known one, or a new one.
+
+        Until then nothing is valid, so that nobody sees the count of objects change to and fro.
+        """
+        known, score, blind = self._candidate, self._bank.score, self._experience == 0.0
+        assert known is not None
+        for pad, f in zip((1, 2), resting_forces(self._rig.gravity, self._palms.at(t)), strict=True):
+            self._rough_mass.weigh(self._last.get(pad), f)
+        likely = not blind[best]
+        alike = known.weighs(self._rough_mass.value) and (
+            not likely or known.resembles(self._filters.as_shape_map(best))
+        )
+        if likely and alike:
+            if settled:
+                self._candidate = None
+                self._bank.drop(blind)
+                self._marks, self._mass = TouchMarks(known.touched, best), known.mass
+            return settled
+        clear = not alike or score[blind].max() - score[~blind].max() > CLEAR
+        if t - self._t_start > (LOOKED_AT_S if clear else UNDECIDED_S):
+            self._memory.forget()
+            self._stop()
+        return False
+
     def _stop(self) -> None:
         self._running = False
         self._last.clear()
+
+    def _palms_known(self, t: float) -> bool:
+        return t - self._palms.t < PALMS_UNKNOWN_S
+
+    def _bridge(self, t: float, gap: float) -> None:
+        """The palms are reported again after `gap` seconds: go on from a guess of what was between, or begin anew."""
+        if gap > GONE_S:
+            self._stop()
+            return
+        self._forget_history()
+        if t > self._t:
+            self._move_to(t)
+        self._filters.doubt(gap)
 
     def _last_seen(self, pad: int) -> float:
         sample = self._last.get(pad)
@@ -213,6 +327,8 @@ class BankObserver:
         elif self._t_unlikely is None:
             self._t_unlikely = t
         elif t - self._t_unlikely > LOST_FOR_S:
+            if self._experience.any():
+                self._memory.forget()  # what was known of the object has led astray
             self._stop()
 
     # ---- fusing in the order of the samples' own times
@@ -260,13 +376,20 @@ class BankObserver:
         if since < min(max(FADE_EVERY_S, age / 10), FADE_AT_LEAST_EVERY_S):
             return
         surprise = max(0.0, self._bank.nis[self._bank.best()] - SURPRISING_NIS)
-        fraction = FADE * since / (FADE_AGE_S + age) * (1.0 + FADE_BY_SURPRISE * surprise)
+        learnt = age + float(self._experience[block * BLOCK : (block + 1) * BLOCK].min())
+        fraction = FADE * since / (FADE_AGE_S + learnt) * (1.0 + FADE_BY_SURPRISE * surprise)
         self._bank.fade(block, min(fraction, 1.0), self._filters.constants(self._start))
+        self._convex(block)
         self._t_faded[block] = self._t
         kept = self._bank.prune(HOPELESS) if age > PRUNE_AGE_S else None
         if kept is not None:
             self._forget_history()
-            self._marked = int(np.flatnonzero(kept == self._marked)[0]) if self._marked in kept else -1
+            self._experience = self._experience[kept]
+            self._marks.renumber(kept)
+
+    def _convex(self, block: int) -> bool:
+        """Whether the outlines of a block's filters are; those that are not are bent towards it."""
+        return self._bank.lift(block, self._filters.curvature)
 
     def _move_to(self, t: float) -> None:
         gap = t - self._t
@@ -286,73 +409,18 @@ class BankObserver:
         answers = self._filters.all_named(self._t, self._palms)
         weights = np.exp(self._bank.score[rivals] - self._bank.score[best])
         spread: FloatArray = np.sqrt(weights @ (answers[rivals] - answers[best]) ** 2 / weights.sum())
-        spread[NAMED.index("psi")] = 0.0  # each filter has its own gauge
+        spread[_PSI] = 0.0  # each filter has its own gauge
         return spread
 
     def _settled(self, t: float, best: int, sd: FloatArray, spread: FloatArray) -> bool:
         touching = not self._lifted and all(t - self._last_seen(pad) < SILENCE_S for pad in (1, 2))
+        felt = touching and self._palms_known(t)
         consistent = NIS_RANGE[0] < self._bank.nis[best] < NIS_RANGE[1]
         sharp = max(sd[_R1], sd[_R2]) < SETTLED_SD and max(spread[_R1], spread[_R2]) < AGREEMENT
-        return bool(touching and consistent and sharp and t - self._t_start > MIN_AGE_S)
+        return bool(felt and consistent and sharp and t - self._t_start > MIN_AGE_S)
 
-    def _mark_touched(self, best: int, y: FloatArray) -> None:
-        if best != self._marked:
-            self._turn_marks(best)
-        at = dict(zip(NAMED, y, strict=True))
-        normals = (
-            at["phi1"] - at["psi"] - math.pi / 2,
-            at["phi1"] + at["phi2"] - at["psi"] - 3 * math.pi / 2,
-        )
-        for now, before in zip(normals, self._last_normals or normals, strict=True):
-            first, last = sorted((now, before))
-            width = 2 * math.pi / NORMAL_BINS
-            for bin_ in range(math.floor(first / width), math.floor(last / width) + 1):
-                self._touched[bin_ % NORMAL_BINS] = True
-        self._last_normals = normals
-
-    def _turn_marks(self, best: int) -> None:
-        """Another filter has taken the lead: what was touched before has other names in its gauge."""
-        if self._marked >= 0:
-            psi = self._filters.all_named(self._t, self._palms)[:, NAMED.index("psi")]
-            turn = psi[best] - psi[self._marked]
-            self._touched = np.roll(self._touched, -round(turn / (2 * math.pi) * NORMAL_BINS))
-        else:
-            self._touched[:] = False
-        self._last_normals = None
-        self._marked = best
-
-    def _weigh(self, y: FloatArray) -> None:
-        for pad, f in ((1, y[_F1]), (2, y[_F2])):
-            sample = self._last.get(pad)
-            if sample is None or sample.force is None or self._weighed.get(pad) == sample.t_sample:
-                continue
-            self._weighed[pad] = sample.t_sample
-            self._mass.feed(sample.force, float(f))
-
-    def _assemble(self, t: float, valid: bool, best: int, y: FloatArray, sd: FloatArray) -> Estimate:
-        values = dict(zip(NAMED, (float(v) for v in y), strict=True))
-        sds = dict(zip(NAMED, (float(v) for v in sd), strict=True))
-        mass, mass_sd = self._mass.value, self._mass.sd
-        forces = {name: values.pop(name) for name in ("f1", "f2")}
-        newtons = {name: mass * f for name, f in forces.items()}
-        newtons_sd = {name: math.hypot(mass * sds[name], mass_sd * f) for name, f in forces.items()}
-        return Estimate(
-            t=t, valid=valid, observer=self.name, object_count=self.object_count,
-            mass=mass, nis=float(self._bank.nis[best]), observability=math.nan,
-            touched=float(self._touched.mean()),
-            sd={**{name: sds[name] for name in _PUBLISHED}, **newtons_sd, "mass": mass_sd},
-            **values, **newtons,
-        )  # fmt: skip
-
-    def _nothing(self, t: float) -> Estimate:
-        unknown = dict.fromkeys((*NAMED, "mass", "nis", "observability"), math.nan)
-        if self._palms.known:
-            palms = self._palms.motion(t)
-            unknown |= {name: getattr(palms, name) for name in ("phi1", "phi2", "omega1", "omega2")}
-        return Estimate(
-            t=t, valid=False, observer=self.name, object_count=self.object_count, touched=0.0,
-            sd=dict.fromkeys((*NAMED, "mass"), math.nan), **unknown,
-        )  # fmt: skip
+    def _all_psi(self) -> FloatArray:
+        return self._filters.all_named(self._t, self._palms)[:, _PSI]
 
 
 def _finite(event: PadSample | PalmSample) -> bool:

@@ -4,6 +4,17 @@ from __future__ import annotations
 
 import math
 
+from palmd.events import FloatArray, PadSample
+
+
+def resting_forces(gravity: float, palms: FloatArray) -> tuple[float, float]:
+    """f1 = g sin φ12 / sin φ2, f2 = g sin φ1 / sin φ2 (m/s²) of any object at rest without friction.
+
+    `palms` begins with φ1, φ2 (rad). In motion and with friction right to several percent. Safe inside the loop.
+    """
+    phi1, phi2 = float(palms[0]), float(palms[1])
+    return gravity * math.sin(phi1 + phi2) / math.sin(phi2), gravity * math.sin(phi1) / math.sin(phi2)
+
 
 class MassEstimator:
     """Weighted least squares of F = m f over all readings of both pads; safe inside the loop."""
@@ -14,6 +25,14 @@ class MassEstimator:
         self._rounding_variance = force_resolution**2 / 12
         self._information = 0.0  # 1/kg²
         self._weighted = 0.0
+        self._t_sample: dict[int, float] = {}  # of each pad's last reading weighed
+
+    def weigh(self, sample: PadSample | None, f: float) -> None:
+        """Take a pad's last reading, once, against the model's `f` (m/s²) of the same moment."""
+        if sample is None or sample.force is None or self._t_sample.get(sample.pad) == sample.t_sample:
+            return
+        self._t_sample[sample.pad] = sample.t_sample
+        self.feed(sample.force, f)
 
     def feed(self, force: float, f: float) -> None:
         """Take one reading: `force` in N against the model's `f` in m/s²; f ≤ 0 tells nothing."""

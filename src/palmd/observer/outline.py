@@ -37,26 +37,36 @@ def normal_angles(palms: FloatArray, psi: FloatArray) -> FloatArray:
 
 
 def outline_of(coefficients: FloatArray, covariance: FloatArray, normals: FloatArray) -> Outline:
-    """The outline on `directions`, touched where `normals` (n, 2) went, in order of time.
+    """The outline on `directions`, touched where `normals` (n, 2) went, in order of time; its band is `gauge_free_sd`."""
+    theta = directions()
+    touched = touched_by(normals)
+    h = shape.basis(theta, _order(coefficients)) @ coefficients
+    return Outline(theta, h, gauge_free_sd(theta, theta[touched], coefficients, covariance), touched)
+
+
+def gauge_free_sd(
+    theta: FloatArray, touched: FloatArray, coefficients: FloatArray, covariance: FloatArray
+) -> FloatArray:
+    """One-sigma of h (m) on normals `theta`, orientation left open: `touched` are the normals (rad) that fix it.
 
     Orientation is gauge: the band is that of h after the rotation that fits the touched part best, so the error of
     ψ(0) is no part of it: h(θ) − h′(θ)·ε, ε the rotation by least squares over touched normals.
     """
-    theta = directions()
-    order = (len(coefficients) - 1) // 2
-    rows = shape.basis(theta, order)
-    touched = _marks(normals)
-    slope = -shape.tangential_basis(theta, order) @ coefficients
-    if touched.any():
-        turn = slope[touched] @ rows[touched] / max(float(slope[touched] @ slope[touched]), 1e-30)
-        free = rows - np.outer(slope, turn)
-    else:
-        free = rows
+    order = _order(coefficients)
+    free = shape.basis(theta, order)
+    if len(touched):
+        slope = -shape.tangential_basis(touched, order) @ coefficients
+        turn = slope @ shape.basis(touched, order) / max(float(slope @ slope), 1e-30)
+        free = free + np.outer(shape.tangential_basis(theta, order) @ coefficients, turn)
     variance = ((free @ covariance) * free).sum(axis=1)
-    return Outline(theta, rows @ coefficients, np.sqrt(np.maximum(variance, 0.0)), touched)
+    return np.sqrt(np.maximum(variance, 0.0))
 
 
-def _marks(normals: FloatArray) -> npt.NDArray[np.bool_]:
+def _order(coefficients: FloatArray) -> int:
+    return (len(coefficients) - 1) // 2
+
+
+def touched_by(normals: FloatArray) -> npt.NDArray[np.bool_]:
     """Which directions the normals passed, each standing for the degree about it."""
     touched = np.zeros(DIRECTIONS, dtype=np.bool_)
     at = np.round(normals * (DIRECTIONS / math.tau)).astype(np.intp)

@@ -7,8 +7,10 @@ import numpy as np
 from palmd.events import FloatArray, PalmMotion, PalmSample
 
 JERK = 200.0  # rad/s³/√Hz, of palms whose plan is not told: enough to follow a planned stop
+TOLD_JERK = 1.0  # rad/s³/√Hz, of palms whose plan is
 PLAN_RATE_SD = 2e-3  # rad/s, of the plan's rate as a description of the palms
 PLAN_ACCELERATION_SD = 2e-2  # rad/s²
+FORGOTTEN_S = 0.5  # after which what was known of the motion helps no more
 FIRST_RATE_SD, FIRST_ACCELERATION_SD = 0.5, 5.0
 
 
@@ -43,7 +45,7 @@ class PalmTracker:
 
     def feed(self, sample: PalmSample) -> None:
         """Fuse one report; reports older than the last one are ignored."""
-        if self._t is None:
+        if self._t is None or sample.t_sample - self._t > FORGOTTEN_S:
             self._begin(sample)
             return
         dt = sample.t_sample - self._t
@@ -53,7 +55,7 @@ class PalmTracker:
         F = np.array([[1.0, dt, dt**2 / 2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
         G = np.array([dt**2 / 2, dt, 1.0])
         told = sample.alpha1 is not None
-        jerk = 1.0 if told else JERK
+        jerk = TOLD_JERK if told else JERK
         self._P = F @ self._P @ F.T + np.outer(G, G) * jerk**2 * dt + np.diag([0.0, 1e-8, 1e-8]) * dt
         self._t = sample.t_sample
         self._fuse(0, (sample.phi1, sample.phi2), self._angle_variance)
@@ -101,8 +103,10 @@ class PalmTracker:
         rate_sd = FIRST_RATE_SD if sample.omega1 is None else PLAN_RATE_SD
         acceleration_sd = FIRST_ACCELERATION_SD if sample.alpha1 is None else PLAN_ACCELERATION_SD
         self._P[:] = np.diag([self._angle_variance, rate_sd**2, acceleration_sd**2])
+        self._plan = None
         if sample.alpha1 is not None and sample.alpha2 is not None:
             self._plan = (sample.t_sample, sample.alpha1, sample.alpha2)
+        self.jerk[:] = 0.0
 
     def _fuse(self, state: int, values: tuple[float, float], variance: float) -> None:
         spread = self._P[state, state] + variance

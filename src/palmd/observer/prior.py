@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palmd.events import FloatArray, PalmMotion
-from palmd.model import shape
+from palmd.model import shape, shape_map
 
 # Of the belief's variance, how much goes into where the filters start, the rest being each filter's own.
 SCATTER = 0.7
@@ -73,3 +73,13 @@ def blind_start(
         own_ln_dither_sd=LN_DITHER_SD,
         own_damping_sd=OWN * DAMPING_SD,
     )
+
+
+def shape_map_sd(start: BlindStart) -> FloatArray:
+    """One-sigma of each state of `model.shape_map` before anything is felt of a moving object; ψ is gauge: 0."""
+    Z = shape_map.Z
+    sd = np.zeros(shape_map.N)
+    sd[Z.OMEGA0], sd[Z.LN_RHO] = SPIN_MOVING_SD, math.hypot(GYRATION_SD, RADIUS_SD)
+    sd[Z.MU], sd[Z.LN_DITHER], sd[Z.DAMPING] = FRICTION_SD, LN_DITHER_SD, DAMPING_SD
+    sd[Z.SHAPE :] = start.shape_sd
+    return sd

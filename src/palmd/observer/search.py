@@ -70,9 +70,18 @@ class Search:
         while len(record.t) < len(self.record.t):
             if not explained(fits[0], record):
                 return None
-            record = self._longer(record, fits[0])
-            fits = self._fits(record, [fit.guess for fit in fits])
+            record, fits = self._grown(record, fits)
         return Finding(record, fits)
+
+    def _grown(self, record: Record, fits: tuple[Fit, ...]) -> tuple[Record, tuple[Fit, ...]]:
+        """A longer window and the minima on it; a shorter one where the readings of the longer are not explained."""
+        now, guesses = float(record.t[-1]), [fit.guess for fit in fits]
+        longer = self._longer(record, fits[0])
+        found = self._fits(longer, guesses)
+        while not explained(found[0], longer) and (step := float(longer.t[-1]) - now) > LEAST_GROWTH_S:
+            longer = self.record.until(now + max(step / 2, LEAST_GROWTH_S))
+            found = self._fits(longer, guesses)
+        return longer, found
 
     def _longer(self, record: Record, fit: Fit) -> Record:
         """A longer window, as far as the fit foretells the readings to come: beyond that it would be led astray."""

@@ -28,7 +28,7 @@ class Stretch:
 
 def longest_stretch(events: Sequence[Event]) -> Stretch | None:
     """The longest one, None if there is no time at all at which both pads and the arm report."""
-    ordered = sorted((event for event in events if _finite(event)), key=lambda event: event.t_sample)
+    ordered = sorted((event for event in events if _finite(event)), key=_place)
     best: Stretch | None = None
     pads: list[PadSample] = []
     palms: list[PalmSample] = []
@@ -48,7 +48,7 @@ def longest_stretch(events: Sequence[Event]) -> Stretch | None:
             continue
         source = event.pad if isinstance(event, PadSample) else "arm"
         if event.t_sample == last[source]:
-            continue  # the same reading twice, or two that contradict each other: the first counts
+            continue  # the same reading twice, or two that contradict each other: one counts
         limits = {1: PAD_GAP_S, 2: PAD_GAP_S, "arm": ARM_GAP_S}
         if any(event.t_sample - t > limits[key] for key, t in last.items() if t > -math.inf):
             close()
@@ -64,19 +64,29 @@ def longest_stretch(events: Sequence[Event]) -> Stretch | None:
 
 def _trimmed(pads: list[PadSample], palms: list[PalmSample]) -> Stretch | None:
     """What lies between the first time at which all three have reported and the last at which all still do."""
-    times = ([s.t_sample for s in pads if s.pad == 1], [s.t_sample for s in pads if s.pad == 2])
-    reports = [sample.t_sample for sample in palms]
-    if not (all(times) and reports):
+    sources = [[sample.t_sample for sample in pads if sample.pad == number] for number in (1, 2)]
+    sources.append([sample.t_sample for sample in palms])
+    if not all(sources):
         return None
-    start = max(reports[0], min(times[0][0], times[1][0]))
-    end = min(max(times[0][-1], times[1][-1]), reports[-1] + ARM_GAP_S)
+    start, end = max(times[0] for times in sources), min(times[-1] for times in sources)
     inside = tuple(sample for sample in pads if start <= sample.t_sample <= end)
     return Stretch(start, end, inside, tuple(palms)) if inside and end > start else None
+
+
+def _place(event: Event) -> tuple[float, ...]:
+    """By time, and where times are equal in an order that does not depend on how the events were given."""
+    if isinstance(event, PadSample):
+        return event.t_sample, 1, event.pad, event.s
+    if isinstance(event, PalmSample):
+        return event.t_sample, 2, event.phi1, event.phi2
+    return event.t_sample, 0, event.pad
 
 
 def _finite(event: Event) -> bool:
     if isinstance(event, PadSample):
         return math.isfinite(event.t_sample) and math.isfinite(event.s)
     if isinstance(event, PalmSample):
-        return all(map(math.isfinite, (event.t_sample, event.phi1, event.phi2)))
+        plan = (event.omega1, event.omega2, event.alpha1, event.alpha2)
+        told = (value for value in plan if value is not None)
+        return all(map(math.isfinite, (event.t_sample, event.phi1, event.phi2, *told)))
     return math.isfinite(event.t_sample)

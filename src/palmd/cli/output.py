@@ -1,0 +1,30 @@
+"""Where a command writes what it makes of a log."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TextIO
+
+from palmd.cli.errors import BAD_INPUT, CliError
+
+STDOUT = Path("-")
+
+
+@contextlib.contextmanager
+def opened(path: Path, log: Path) -> Iterator[TextIO]:
+    """`path` for writing, `-` for standard output; CliError when that cannot be, or when it is the `log` itself."""
+    if path == STDOUT:
+        yield sys.stdout
+        return
+    try:
+        if path.exists() and path.samefile(log):
+            raise CliError(BAD_INPUT, f"{path}: is the log itself; write to another file")
+        with path.open("w", encoding="utf-8") as stream:
+            yield stream
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise CliError(BAD_INPUT, f"{path}: cannot be written: {error.strerror or error}") from None

@@ -1,0 +1,78 @@
+"""Reconstructs outline and motion from a whole event log at once, offline: one JSON object."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import math
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from palmd.cli.errors import BAD_INPUT, CliError
+from palmd.cli.output import opened
+from palmd.observer.reconstruct import Reconstruction, reconstruct
+from palmd.record.eventlog import LogError, read_log
+from palmd.record.result import as_line
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    parser.add_argument("log", type=Path, metavar="LOG", help="an event log (JSON lines)")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="RESULT.json", help="- for standard output")
+    parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of the blind start (default: %(default)s)")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Writes nothing before the answer is there; CliError when the log cannot be used."""
+    try:
+        log = read_log(arguments.log)
+    except LogError as error:
+        raise CliError(BAD_INPUT, str(error)) from None
+    for note in log.notes:
+        print(note, file=sys.stderr)
+    with _said("reconstructing…"):
+        answer = reconstruct(log.events, log.rig, arguments.seed)
+    with opened(arguments.output, arguments.log) as stream:
+        stream.write(json.dumps(as_line(answer), allow_nan=False) + "\n")
+    told = summary(answer) if answer.converged else f"not converged: {answer.reason}"
+    print(f"{arguments.log}: {told}", file=sys.stderr)
+    return 0
+
+
+def summary(answer: Reconstruction) -> str:
+    """One line about an answer that has converged: the outline's band where touched (RMS), the body's constants."""
+    if answer.h_sd is None or answer.touched is None:
+        raise ValueError("there is no outline")
+    band = float(np.sqrt(np.mean(answer.h_sd[answer.touched] ** 2)))
+    parts = [
+        f"outline ± {band * 1e6:.1f} µm on {np.mean(answer.touched):.0%} of the normals",
+        f"rho {answer.rho * 1e3:.2f} ± {answer.rho_sd * 1e3:.2f} mm",
+        f"mu {answer.mu:z.4f} ± {answer.mu_sd:.4f}",
+        f"mass {answer.mass * 1e3:.1f} ± {answer.mass_sd * 1e3:.1f} g" if math.isfinite(answer.mass) else "no mass",
+        f"{answer.seconds:.1f} s",
+    ]
+    return ", ".join(parts)
+
+
+@contextlib.contextmanager
+def _said(text: str) -> Iterator[None]:
+    """Shows the text meanwhile, on a terminal only."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    print(text, end="", file=sys.stderr, flush=True)
+    try:
+        yield
+    finally:
+        print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+
+
+def _seed(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{value} is negative")
+    return value

@@ -1,0 +1,100 @@
+"""The posterior Cramér–Rao bound of a record: how well anybody could know the object from these readings.
+
+The expected information of the readings at the true trajectory and constants, plus that of the blind prior; its
+inverse bounds the covariance of every unbiased estimator (van Trees 1968, section 2.4). For studies, where the truth
+is known.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from palmd.events import Event, FloatArray, RigDescription
+from palmd.model import shape
+from palmd.model.smoothing import CONSTANTS, ORDER, C
+from palmd.observer.outline import directions, gauge_free_sd, normal_angles, touched_by
+from palmd.observer.reconstruct import SPACING_S
+from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
+from palmd.observer.search import NOISE, Search
+from palmd.observer.smoother import Guess, Prior, Smoother
+from palmd.observer.stretch import longest_stretch
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What was really there; SI units.
+
+    dither: None where there is no friction for it to act on. h on evenly spaced normals theta from 0; psi, omega0 at
+    times t, in the outline's gauge.
+    """
+
+    rho: float
+    mu: float
+    mass: float
+    dither: float | None
+    damping: float
+    theta: FloatArray
+    h: FloatArray
+    t: FloatArray
+    psi: FloatArray
+    omega0: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """Least one-sigma possible: of h on the normals asked for (m), ρ (m), μ, mass (kg; NaN without any force)."""
+
+    h_sd: FloatArray
+    rho_sd: float
+    mu_sd: float
+    mass_sd: float
+
+
+def cramer_rao(events: Sequence[Event], rig: RigDescription, truth: Truth, theta: FloatArray) -> Bound:
+    """The bound on what `reconstruct` could make of `events`: (Σ JᵀJ/σ² + prior⁻¹)⁻¹ at the truth.
+
+    `theta`: normals (rad) in the truth's gauge; as in every published outline, the error of the orientation itself is
+    no part of the band. Raises ValueError where there is nothing to reconstruct.
+    """
+    stretch = longest_stretch(events)
+    if stretch is None:
+        raise ValueError("there is no time at which both pads and the arm report")
+    search = Search(stretch, rig)
+    record = lay_out(stretch.pads, search.path, rig, stretch.start, stretch.end, SPACING_S)
+    guess = _true_guess(truth, search.prior, record.t)
+    expected = _expected(record, Smoother(search.library, record, search.prior), rig, guess)
+    smoother = Smoother(search.library, expected, search.prior)
+    covariance = smoother.posterior(smoother.fit(guess, NOISE, iterations=0)).covariance
+
+    coefficients = guess.p[C.SHAPE :]
+    touched = directions()[touched_by(normal_angles(record.palms, guess.x[:, 0]))]
+    of_shape = covariance[C.SHAPE : CONSTANTS, C.SHAPE : CONSTANTS]
+    sd = np.sqrt(np.diagonal(covariance))
+    return Bound(
+        h_sd=gauge_free_sd(theta, touched, coefficients, of_shape),
+        rho_sd=truth.rho * float(sd[C.LN_RHO]),
+        mu_sd=float(sd[C.MU]),
+        mass_sd=truth.mass * float(sd[C.LN_MASS]) if len(record.force_value) else math.nan,
+    )
+
+
+def _true_guess(truth: Truth, prior: Prior, t: FloatArray) -> Guess:
+    p = np.zeros(CONSTANTS)
+    p[C.LN_RHO], p[C.MU], p[C.DAMPING], p[C.LN_MASS] = (
+        math.log(truth.rho), truth.mu, truth.damping, math.log(truth.mass)
+    )  # fmt: skip
+    p[C.LN_DITHER] = prior.mean[C.LN_DITHER] if truth.dither is None else math.log(truth.dither)
+    p[C.SHAPE :] = shape.coefficients_of(truth.h, ORDER)
+    return Guess(np.stack([truth.psi, truth.omega0], axis=1), p).on(truth.t, t)
+
+
+def _expected(record: Record, smoother: Smoother, rig: RigDescription, guess: Guess) -> Record:
+    """The record with every reading at its expectation, so that none is weighed down as an outlier."""
+    contacts = record.contact_value - smoother.residuals(guess) * np.sqrt(record.contact_variance)
+    forces = np.maximum(smoother.forces(guess), LEAST_FORCE_N)
+    variance = (rig.force_scale_std * forces) ** 2 + rig.force_resolution**2 / 12
+    return replace(record, contact_value=contacts, force_value=forces, force_variance=variance)

@@ -1,0 +1,141 @@
+"""The shape map's model once more, in NumPy alone and from the textbook: an independent check of the generated C.
+
+A state is a column, and columns are independent: with 1e-30·i added to one state each, their imaginary parts are the
+Jacobian to full precision (complex-step differentiation), with no derivative written down by hand.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from palmd.events import FloatArray
+from palmd.model.shape import HARMONICS
+from palmd.model.shape_map import N, Z
+
+Array = npt.NDArray[Any]  # real or complex
+
+EPSILON = 1e-30
+_K = np.arange(1, HARMONICS + 1)[:, None]
+_SERIES_TERMS = 20
+
+
+def contact(theta: Array, coefficients: Array) -> tuple[Array, Array, Array]:
+    """r = h, d = −h′, v = h + h″ (m) where the outward normal is `theta`."""
+    cos, sin = np.cos(_K * theta), np.sin(_K * theta)
+    a0, a, b = coefficients[0], coefficients[1::2], coefficients[2::2]
+    wave, slope = a * cos + b * sin, _K * (b * cos - a * sin)
+    h, h1, h2 = a0 + wave.sum(axis=0), slope.sum(axis=0), -(_K**2 * wave).sum(axis=0)
+    return h, -h1, h + h2
+
+
+def reading(x: Array, phi1: float, phi2: float, pad: int) -> Array:
+    """s1 (3.13) or s2 (3.14), m."""
+    (r1, d1, _), (r2, d2, _) = _contacts(x, phi1, phi2)
+    if pad == 1:
+        return np.asarray((r1 * math.cos(phi2) + r2) / math.sin(phi2) - d1)
+    return np.asarray((r2 * math.cos(phi2) + r1) / math.sin(phi2) + d2)
+
+
+def reading_row(x: FloatArray, phi1: float, phi2: float, pad: int) -> tuple[float, FloatArray]:
+    """The reading (m) and its derivative in the state."""
+    s = reading(_perturbed(x), phi1, phi2, pad)
+    return float(s[0].real), s.imag / EPSILON
+
+
+def spin_rate(x: Array, palms: FloatArray, rig: FloatArray) -> Array:
+    """α0 (rad/s²) from Newton–Euler per unit mass, unknowns (f1, f2, α0); palms φ1 … α2, rig as `rig_inputs`.
+
+    With N = (n1, n2)ᵀ and c the centre of mass, N c = r twice differentiated gives n_i·a; a = Σ f_j F_j + g.
+    """
+    phi1, phi2, omega1, omega2, alpha1, alpha2 = palms
+    angle = np.array([phi1, phi1 + phi2])
+    rate, acceleration = np.array([omega1, omega1 + omega2]), np.array([alpha1, alpha1 + alpha2])
+    sign = np.array([1.0, -1.0])
+    t = sign * np.array([np.cos(angle), np.sin(angle)])  # a column for each palm
+    n = np.array([-t[1], t[0]])
+    omega0, mu = x[Z.OMEGA0], x[Z.MU]
+    rho2, dither2, damping = np.exp(2 * x[Z.LN_RHO]), np.exp(2 * x[Z.LN_DITHER]), x[Z.DAMPING]
+    r, d, v = (np.array(pair) for pair in zip(*_contacts(x, phi1, phi2), strict=True))
+
+    theta1 = rate[:, None] - omega0  # θ̇ of each contact
+    to_plane = np.linalg.inv(n.T)  # w from (n1·w, n2·w)
+    c = to_plane @ r
+    c1 = to_plane @ (-d * theta1 + rate[:, None] * (t.T @ c))  # ċ, since ṅ = −ω t and ṙ = −d θ̇
+    gravity = np.array([0.0, -rig[0]]) + rig[1] * (alpha1 * n[:, 0] - omega1**2 * t[:, 0])
+    slip = t.T @ c1 + omega0 * r
+    sigma = slip / np.sqrt(slip**2 + dither2)
+
+    # n·a = r̈ − 2 ṅ·ċ − n̈·c with n̈ = −α t − ω² n and r̈ = (v − r) θ̇² − d (α − α0); α0's part goes to the left
+    known = (v - r) * theta1**2 - d * acceleration[:, None]
+    known = known + 2 * rate[:, None] * (t.T @ c1) + acceleration[:, None] * (t.T @ c) + rate[:, None] ** 2 * r
+    left = np.zeros((x.shape[1], 3, 3), dtype=x.dtype)
+    right = np.zeros((x.shape[1], 3), dtype=x.dtype)
+    for j in range(2):
+        force = n[:, j, None] - mu * sigma[j] * t[:, j, None]
+        arm = -(r[j] * n[:, j, None] + d[j] * t[:, j, None])
+        left[:, :2, j] = (n.T @ force).T
+        left[:, j, 2] = -d[j]
+        left[:, 2, j] = arm[0] * force[1] - arm[1] * force[0]
+    left[:, 2, 2] = -rho2
+    right[:, :2] = (known - (n.T @ gravity)[:, None]).T
+    right[:, 2] = damping * omega0
+    return np.asarray(np.linalg.solve(left, right[:, :, None])[:, 2, 0])
+
+
+def transition(x: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(x after the step, its Jacobian); u as `shape_map.predict_function` takes it."""
+    columns = _moved(_perturbed(x), u)
+    return columns[:, 0].real.copy(), columns.imag / EPSILON
+
+
+def _moved(x: Array, u: FloatArray) -> Array:
+    """ETDRK4 (Cox and Matthews 2002) with ω0's own rate taken exactly; with a rate of zero it is Runge–Kutta."""
+    dt, palms, jerk, rig = u[0], u[1:7], u[7:9], u[9:]
+    stiff = x[:, :1].real.astype(np.complex128)
+    stiff[Z.OMEGA0] += 1j * EPSILON
+    own_rate = float(spin_rate(stiff, palms, rig)[0].imag) / EPSILON
+    z = np.array([[0.0], [own_rate * dt]])
+
+    def rest(y: Array, t: float) -> Array:
+        state = np.concatenate([y, x[2:]])
+        phi = palms[:2] + t * palms[2:4] + t**2 / 2 * palms[4:] + t**3 / 6 * jerk
+        omega, alpha = palms[2:4] + t * palms[4:] + t**2 / 2 * jerk, palms[4:] + t * jerk
+        spin = spin_rate(state, np.concatenate([phi, omega, alpha]), rig)
+        return np.array([y[1], spin - own_rate * y[1]])
+
+    y = x[:2]
+    half, to_middle = np.exp(z / 2), dt / 2 * _phi(1, z / 2)
+    n0 = rest(y, 0.0)
+    a = half * y + to_middle * n0
+    n1 = rest(a, dt / 2)
+    b = half * y + to_middle * n1
+    n2 = rest(b, dt / 2)
+    c = half * a + to_middle * (2 * n2 - n0)
+    n3 = rest(c, dt)
+    p1, p2, p3 = (dt * _phi(k, z) for k in (1, 2, 3))
+    y = np.exp(z) * y + (p1 - 3 * p2 + 4 * p3) * n0 + 2 * (p2 - 2 * p3) * (n1 + n2) + (4 * p3 - p2) * n3
+    return np.concatenate([y, x[2:]])
+
+
+def _phi(order: int, z: FloatArray) -> FloatArray:
+    """φ_k(z) = Σ zⁿ/(n + k)!; beyond |z| = 1 by φ_k = (φ_(k−1) − 1/(k − 1)!)/z from φ_0 = eᶻ."""
+    small = np.abs(z) < 1.0
+    near, far = np.where(small, z, 0.0), np.where(small, 1.0, z)
+    series = sum((near**n / math.factorial(n + order) for n in range(_SERIES_TERMS)), np.zeros_like(z))
+    closed = np.exp(far)
+    for k in range(order):
+        closed = (closed - 1.0 / math.factorial(k)) / far
+    return np.where(small, series, closed)
+
+
+def _contacts(x: Array, phi1: float, phi2: float) -> tuple[tuple[Array, Array, Array], tuple[Array, Array, Array]]:
+    theta1, theta2 = phi1 - x[Z.PSI] - math.pi / 2, phi1 + phi2 - x[Z.PSI] - 3 * math.pi / 2
+    return contact(theta1, x[Z.SHAPE :]), contact(theta2, x[Z.SHAPE :])
+
+
+def _perturbed(x: FloatArray) -> Array:
+    return x[:, None] + 1j * EPSILON * np.eye(N)

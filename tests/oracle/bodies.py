@@ -1,0 +1,101 @@
+"""Many bodies on two palms, in plain NumPy: Newton and Euler in the world, from the constraint differentiated twice.
+
+Written for comparison with the models; shares nothing with them but the meaning of the constants.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+ORDER = 12
+# ln ρ, μ, ln u_d, c, ln m, coefficients of h, and maybe more: the smoother's order
+LN_RHO, MU, LN_DITHER, DAMPING, LN_MASS, SHAPE = range(6)
+CONSTANTS = SHAPE + 2 * ORDER + 1
+
+
+class Bodies:
+    """Many bodies on the same palms, one column of `parameters` each; N c = h differentiated twice gives the motion."""
+
+    def __init__(self, parameters: np.ndarray, gravity: float = 9.81, arm: float = 0.0) -> None:
+        self.p = parameters
+        self.gravity, self.arm = gravity, arm
+        self.k = np.arange(ORDER + 1)[:, None]
+        h = parameters[SHAPE:CONSTANTS]
+        self.wave = np.concatenate([h[:1] + 0j, h[1::2] - 1j * h[2::2]])  # h = Re Σ wave_k e^{ikθ}
+
+    def support(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """h, h′, h″."""
+        terms = self.wave * np.exp(1j * self.k * theta)
+        return terms.sum(0).real, (1j * self.k * terms).sum(0).real, (-(self.k**2) * terms).sum(0).real
+
+    def contacts(self, palms: np.ndarray, psi: np.ndarray) -> list[np.ndarray]:
+        """s1, s2: how far along each palm the contact point lies, from the COM's coordinates."""
+        lengths = []
+        com = self.com(palms, psi)
+        for number, angle in enumerate((palms[0], palms[0] + palms[1])):
+            sign = 1 - 2 * number
+            t = sign * np.array([math.cos(angle), math.sin(angle)])
+            _, slope, _ = self.support(angle - psi - (math.pi / 2, 3 * math.pi / 2)[number])
+            lengths.append(sign * (t @ com + slope))
+        return lengths
+
+    def com(self, palms: np.ndarray, psi: np.ndarray) -> np.ndarray:
+        """From the distances to both palms, relative to the hinge."""
+        phi1, phi12 = palms[0], palms[0] + palms[1]
+        N = np.array([[-math.sin(phi1), math.cos(phi1)], [math.sin(phi12), -math.cos(phi12)]])
+        one, two = self.support(phi1 - psi - math.pi / 2)[0], self.support(phi12 - psi - 3 * math.pi / 2)[0]
+        return np.linalg.solve(N, np.array([one, two]))
+
+    def forces_and_spin(self, palms: np.ndarray, psi: np.ndarray, omega0: np.ndarray) -> np.ndarray:
+        """(f1, f2, α0) of every body: Newton and Euler in the world, three equations."""
+        phi = np.array([palms[0], palms[0] + palms[1]])
+        omega, alpha = (np.array([palms[i], palms[i] + palms[i + 1]]) for i in (2, 4))
+        sign = np.array([1.0, -1.0])
+        t = sign[:, None] * np.stack([np.cos(phi), np.sin(phi)], axis=1)
+        n = np.stack([-t[:, 1], t[:, 0]], axis=1)
+        h, slope, bend = (np.stack(pair) for pair in zip(
+            self.support(phi[0] - psi - math.pi / 2), self.support(phi[1] - psi - 3 * math.pi / 2), strict=True
+        ))  # fmt: skip
+        turning = omega[:, None] - omega0
+        # N c = h; N' = −ω t, N'' = −α t − ω² n
+        inverse = np.linalg.inv(n)
+        c = inverse @ h
+        c_dot = inverse @ (slope * turning + omega[:, None] * (t @ c))
+        rest = bend * turning**2 + slope * alpha[:, None]
+        rest = rest + 2 * omega[:, None] * (t @ c_dot) + alpha[:, None] * (t @ c) + (omega**2)[:, None] * (n @ c)
+        still, with_spin = inverse @ rest, inverse @ -slope  # c̈ = still + with_spin α0
+        hinge = self.arm * np.array([
+            alpha[0] * math.sin(phi[0]) + omega[0] ** 2 * math.cos(phi[0]),
+            -alpha[0] * math.cos(phi[0]) + omega[0] ** 2 * math.sin(phi[0]),
+        ])  # fmt: skip
+        rho, mu, dither = np.exp(self.p[LN_RHO]), self.p[MU], np.exp(self.p[LN_DITHER])
+        count = psi.size
+        A, b = np.zeros((count, 3, 3)), np.zeros((count, 3))
+        A[:, :2, 2] = -with_spin.T
+        A[:, 2, 2] = -(rho**2)
+        b[:, :2] = (still + hinge[:, None]).T + [0.0, self.gravity]
+        b[:, 2] = self.p[DAMPING] * omega0
+        for i in range(2):
+            arm = -h[i] * n[i][:, None] + slope[i] * t[i][:, None]
+            spun = np.stack([-omega0 * arm[1], omega0 * arm[0]])
+            slip = t[i] @ (c_dot + spun)  # the palm's own points move across t
+            pull = n[i][:, None] - mu * slip / np.hypot(slip, dither) * t[i][:, None]
+            A[:, :2, i] = pull.T
+            A[:, 2, i] = arm[0] * pull[1] - arm[1] * pull[0]
+        return np.linalg.solve(A, b[..., None])[..., 0].T
+
+    def moved(
+        self, psi: np.ndarray, omega0: np.ndarray, palms: tuple[np.ndarray, np.ndarray, np.ndarray], dt: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(ψ, ω0) after one classical Runge–Kutta step; `palms` at its start, middle and end."""
+        before, middle, after = palms
+        a1 = self.forces_and_spin(before, psi, omega0)[2]
+        w2 = omega0 + dt / 2 * a1
+        a2 = self.forces_and_spin(middle, psi + dt / 2 * omega0, w2)[2]
+        w3 = omega0 + dt / 2 * a2
+        a3 = self.forces_and_spin(middle, psi + dt / 2 * w2, w3)[2]
+        w4 = omega0 + dt * a3
+        a4 = self.forces_and_spin(after, psi + dt * w3, w4)[2]
+        return psi + dt / 6 * (omega0 + 2 * (w2 + w3) + w4), omega0 + dt / 6 * (a1 + 2 * (a2 + a3) + a4)

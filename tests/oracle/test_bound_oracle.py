@@ -1,0 +1,110 @@
+"""The Cramér–Rao bound against single shooting: no nodes, no process noise, no Jacobians, nothing of the smoother.
+
+The motion of many perturbed bodies is integrated side by side in plain NumPy over the whole record; differences of
+the readings give J, and (JᵀJ/σ² + prior⁻¹)⁻¹ the covariance.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bodies import CONSTANTS, LN_DITHER, LN_MASS, LN_RHO, MU, ORDER, SHAPE, Bodies
+from scipy.interpolate import CubicHermiteSpline
+
+from palmd.model.shape import basis, coefficients_of, tangential_basis
+from palmd.observer.bound import Truth, cramer_rao
+from palmd.observer.search import Search
+from palmd.observer.stretch import Stretch, longest_stretch
+from palmd.record.eventlog import EventLog, read_log
+from palmd.rig.simulate import simulate_log
+
+STEP_S = 1e-3
+SECONDS = 2.0
+TOLERANCE = 0.02  # of each sd: the smoother has a little process noise and drops what comes after its last node
+SPIN = CONSTANTS  # after the constants: ω0 at the start
+
+
+def _simulated(kind: str, seed: int, folder: Path) -> tuple[EventLog, Truth]:
+    lines, told = simulate_log(kind, seed, SECONDS)
+    path = folder / "run.jsonl"
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    columns = (np.array(told[name]) for name in ("theta_rad", "h_m", "t", "psi_rad", "omega0_rad_s"))
+    constants = (told[name] for name in ("rho_m", "mu", "mass_kg", "dither_m_s", "damping_m2_s"))
+    return read_log(path), Truth(*constants, *columns)
+
+
+def _shot(bodies: Bodies, stretch: Stretch, search: Search, psi0: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(times, ψ, ω0) of every body from the start of the stretch."""
+    count = math.ceil((stretch.end - stretch.start) / STEP_S)
+    times = stretch.start + STEP_S / 2 * np.arange(2 * count + 1)
+    palms = search.path.at(times)
+    rows = [(np.full(bodies.p.shape[1], psi0), bodies.p[SPIN])]
+    for k in range(count):
+        rows.append(bodies.moved(*rows[-1], (palms[2 * k], palms[2 * k + 1], palms[2 * k + 2]), STEP_S))
+    trajectory = np.array(rows)
+    return times[::2], trajectory[:, 0], trajectory[:, 1]
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("nominal", 3), ("rig", 1)])
+def test_the_bound_is_that_of_single_shooting(kind: str, seed: int, tmp_path: Path) -> None:
+    log, truth = _simulated(kind, seed, tmp_path)
+    stretch = longest_stretch(log.events)
+    assert stretch is not None
+    search = Search(stretch, log.rig)
+    spline = CubicHermiteSpline(truth.t, truth.psi, truth.omega0)
+    prior = search.prior
+
+    p = np.zeros(SPIN + 1)
+    p[:SHAPE] = math.log(truth.rho), truth.mu, prior.mean[LN_DITHER], truth.damping, math.log(truth.mass)
+    if truth.dither is not None:
+        p[LN_DITHER] = math.log(truth.dither)
+    p[SHAPE:SPIN] = coefficients_of(truth.h, ORDER)
+    p[SPIN] = spline(stretch.start, 1)
+    belief = np.append(prior.sd, prior.omega0_sd)
+    step = 1e-4 * belief
+    both = np.concatenate([p[:, None], p[:, None] + np.diag(step), p[:, None] - np.diag(step)], axis=1)
+    bodies = Bodies(both, log.rig.gravity, log.rig.palm1_length if log.rig.hinge == "arc" else 0.0)
+    times, psi, omega0 = _shot(bodies, stretch, search, float(spline(stretch.start)))
+    inside = times < truth.t[-1]
+    assert psi[inside, 0] == pytest.approx(spline(times[inside]), abs=1e-3)  # one simulator or the other
+
+    paths = CubicHermiteSpline(times, psi, omega0)
+    predicted, sigma = [], []
+    for sample in stretch.pads:
+        (palms,) = search.path.at(np.array([sample.t_sample]))
+        at, spin = paths(sample.t_sample), paths(sample.t_sample, 1)
+        predicted.append(bodies.contacts(palms, at)[sample.pad - 1])
+        sigma.append(math.hypot(log.rig.pad_noise, log.rig.pad_resolution / math.sqrt(12)))
+        if sample.force is not None and sample.force > 0.05:
+            force = np.exp(both[LN_MASS]) * bodies.forces_and_spin(palms, at, spin)[sample.pad - 1]
+            predicted.append(force)
+            sigma.append(math.hypot(log.rig.force_scale_std * force[0], log.rig.force_resolution / math.sqrt(12)))
+    y = np.array(predicted)
+    J = (y[:, 1 : SPIN + 2] - y[:, SPIN + 2 :]) / (2 * step) / np.array(sigma)[:, None]
+    rows = np.diag(1 / belief)
+    rows[LN_RHO, SHAPE] = -1 / (p[SHAPE] * belief[LN_RHO])  # the belief is about ln(ρ/h0)
+    covariance = np.linalg.inv(J.T @ J + rows.T @ rows)
+    sd = np.sqrt(np.diagonal(covariance))
+
+    theta = np.arange(0.0, math.tau, math.tau / 90)
+    here = replace(truth, t=times, psi=psi[:, 0], omega0=omega0[:, 0])
+    bound = cramer_rao(log.events, log.rig, here, theta)
+    assert bound.rho_sd == pytest.approx(truth.rho * sd[LN_RHO], rel=TOLERANCE)
+    assert bound.mu_sd == pytest.approx(sd[MU], rel=TOLERANCE)
+    assert bound.mass_sd == pytest.approx(truth.mass * sd[LN_MASS], rel=TOLERANCE)
+
+    # h after the rotation that fits best where touched, found by rotating every eigenvector of the error
+    phi = search.path.at(times)[:, :2]
+    normals = np.concatenate([phi[:, 0] - psi[:, 0] - math.pi / 2, phi.sum(axis=1) - psi[:, 0] - 3 * math.pi / 2])
+    touched = np.unique(np.round(np.degrees(normals)) % 360) * (math.tau / 360)
+    values, vectors = np.linalg.eigh(covariance[SHAPE:SPIN, SHAPE:SPIN])
+    errors = vectors * np.sqrt(np.maximum(values, 0))
+    slope_there, slope = (-tangential_basis(angles, ORDER) @ p[SHAPE:SPIN] for angles in (touched, theta))
+    turns = np.linalg.lstsq(slope_there[:, None], basis(touched, ORDER) @ errors, rcond=None)[0]
+    h_sd = np.linalg.norm(basis(theta, ORDER) @ errors - slope[:, None] * turns, axis=1)
+    assert bound.h_sd == pytest.approx(h_sd, rel=TOLERANCE)

@@ -1,0 +1,150 @@
+"""The smoother's kernels: Jacobians against differences, values against a plain NumPy twin of the dynamics."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from bodies import CONSTANTS, DAMPING, LN_DITHER, LN_MASS, LN_RHO, MU, ORDER, SHAPE, Bodies
+from scipy.interpolate import CubicHermiteSpline
+
+from palmd.model import smoothing
+from palmd.model.shape import prior_sd
+
+RIG = [9.81, 0.12, 0.12, 0.0]
+PALMS = np.array([0.7, 1.5, 0.4, -0.3, 1.0, -2.0])
+JERK = np.array([3.0, -4.0])
+DT = 0.005
+NODES = np.array([[0.2, 1.3], [0.2066, 1.34]])
+
+
+def _constants(seed: int = 0, mu: float = 0.15, dither: float = 0.012) -> np.ndarray:
+    p = np.zeros(smoothing.CONSTANTS)
+    p[[LN_RHO, MU, LN_DITHER, DAMPING, LN_MASS]] = np.log(0.014), mu, np.log(dither), 3e-4, np.log(0.16)
+    p[SHAPE:] = 0.5 * prior_sd(0.02, ORDER) * np.random.default_rng(seed).standard_normal(2 * ORDER + 1)
+    p[SHAPE] = 0.02
+    return p
+
+
+def _step(x: np.ndarray, p: np.ndarray, dt: float = DT) -> list[np.ndarray]:
+    return [np.asarray(each) for each in smoothing.step_function().call([x, p, [dt, *PALMS, *JERK, *RIG]])]
+
+
+def _reading(kernel: ca.Function, nodes: np.ndarray, p: np.ndarray, z: list[float]) -> list[np.ndarray]:
+    return [np.asarray(each) for each in kernel.call([nodes[0], nodes[1], p, z])]
+
+
+def _palms_at(t: float) -> np.ndarray:
+    phi, omega, alpha = PALMS[:2], PALMS[2:4], PALMS[4:]
+    return np.concatenate([
+        phi + t * omega + t**2 / 2 * alpha + t**3 / 6 * JERK, omega + t * alpha + t**2 / 2 * JERK, alpha + t * JERK
+    ])  # fmt: skip
+
+
+def _differences(f, y: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    columns = []
+    for i, step in enumerate(1e-5 * scale):
+        up, down = y.copy(), y.copy()
+        up[i] += step
+        down[i] -= step
+        columns.append((f(up) - f(down)).ravel() / (2 * step))
+    return np.array(columns).T
+
+
+SCALE = np.concatenate([[0.1, 0.1, 0.1, 1e-4, 0.1], np.full(2 * ORDER + 1, 1e-3)])
+
+
+def test_the_twin_knows_the_same_constants() -> None:
+    C = smoothing.C
+    assert (LN_RHO, MU, LN_DITHER, DAMPING, LN_MASS, SHAPE) == tuple(C)
+    assert (smoothing.CONSTANTS, smoothing.ORDER) == (CONSTANTS, ORDER)
+
+
+@pytest.mark.parametrize(("mu", "relative"), [(0.0, 1e-5), (0.15, 2e-3)])
+def test_jacobian_of_the_step(mu: float, relative: float) -> None:
+    """With friction the step's own rate changes with the state, which its Jacobian leaves out."""
+    scale = np.concatenate([[0.1, 1.0], SCALE])
+    y = np.concatenate([[0.2, 0.3], _constants(mu=mu)])
+    function = smoothing.step_function()
+
+    def moved(v: np.ndarray) -> list[np.ndarray]:
+        return [np.asarray(each) for each in function.call([v[:2], v[2:], [DT, *PALMS, *JERK, *RIG]])]
+
+    J, wanted = moved(y)[1] * scale, _differences(lambda v: moved(v)[0], y, scale) * scale
+    assert J == pytest.approx(wanted, abs=relative * np.abs(wanted[1]).max())
+    assert np.abs(J[0]).max() == pytest.approx(np.abs(wanted[0]).max(), rel=1e-3)
+
+
+@pytest.mark.parametrize("pad", [1, 2])
+@pytest.mark.parametrize("name", ["contact", "force"])
+def test_gradient_of_a_reading(name: str, pad: int) -> None:
+    kernel = smoothing.contact_function() if name == "contact" else smoothing.force_function()
+    z = [DT, 0.002, pad, *PALMS[:2]] if name == "contact" else [DT, 0.002, pad, *PALMS, *RIG]
+    y = np.concatenate([NODES.ravel(), _constants()])
+    scale = np.concatenate([[0.1, 1.0, 0.1, 1.0], SCALE])
+
+    def value(v: np.ndarray) -> np.ndarray:
+        return _reading(kernel, v[:4].reshape(2, 2), v[4:], z)[0]
+
+    _, J = _reading(kernel, NODES, y[4:], z)
+    wanted = _differences(value, y, 1e-2 * scale)
+    assert (J * scale).ravel() == pytest.approx((wanted * scale).ravel(), rel=1e-5, abs=1e-8)
+
+
+def _error_of_step(mu: float, dither: float, omega0: float, dt: float = DT) -> tuple[float, float, float]:
+    """(error of ψ, error of ω0, change of ω0) in one step, against five hundred Runge–Kutta steps of the twin."""
+    p = _constants(1, mu, dither)
+    bodies, n = Bodies(p[:, None], RIG[0], RIG[1]), 500
+    psi, spin = np.array([0.2]), np.array([omega0])
+    for k in range(n):
+        psi, spin = bodies.moved(psi, spin, tuple(_palms_at((k + part) * dt / n) for part in (0, 0.5, 1)), dt / n)
+    moved = _step(np.array([0.2, omega0]), p, dt)[0].ravel()
+    return moved[0] - psi.item(), moved[1] - spin.item(), spin.item() - omega0
+
+
+@pytest.mark.parametrize(
+    ("mu", "dither", "omega0", "angle", "rate"),
+    [(0.0, 0.012, 1.3, 3e-8, 1e-6), (0.15, 0.012, 0.3, 2e-6, 1e-5), (0.25, 0.008, 0.3, 7e-6, 1e-4)],
+    ids=["no friction", "friction", "stiff friction"],
+)
+def test_the_step_integrates_the_motion(mu: float, dither: float, omega0: float, angle: float, rate: float) -> None:
+    """To less than the process noise of such a step, 7e-6 rad and 2e-4 rad/s, where ω0 relaxes at some 500 /s."""
+    of_angle, of_rate, change = _error_of_step(mu, dither, omega0)
+    assert abs(change) > 0.05
+    assert abs(of_angle) < angle
+    assert abs(of_rate) < rate
+
+
+def test_sudden_braking_is_followed_to_high_order_and_never_explodes() -> None:
+    long, short = (abs(_error_of_step(0.15, 0.012, 1.3, dt)[1]) for dt in (DT, DT / 2))
+    assert short < long / 12
+    _, error, change = _error_of_step(0.25, 0.008, 1.3, 2 * DT)
+    assert abs(error) < 0.6 * abs(change)
+
+
+@pytest.mark.parametrize("pad", [1, 2])
+@pytest.mark.parametrize("t", [0.0, 0.0013, DT])
+def test_a_reading_is_taken_where_the_cubic_between_the_nodes_is(t: float, pad: int) -> None:
+    p = _constants(2)
+    cubic = CubicHermiteSpline([0.0, DT], NODES[:, 0], NODES[:, 1])
+    psi, omega0 = np.array([cubic(t)]), np.array([cubic(t, 1)])
+    twin = Bodies(p[:, None], RIG[0], RIG[1])
+    s, _ = _reading(smoothing.contact_function(), NODES, p, [DT, t, pad, *PALMS[:2]])
+    assert s.item() == pytest.approx(twin.contacts(PALMS, psi)[pad - 1].item(), abs=1e-12)
+    force, _ = _reading(smoothing.force_function(), NODES, p, [DT, t, pad, *PALMS, *RIG])
+    assert force.item() == pytest.approx(0.16 * twin.forces_and_spin(PALMS, psi, omega0)[pad - 1].item(), rel=1e-9)
+
+
+def test_batches_serve_what_the_single_kernels_give() -> None:
+    library, random = smoothing.library(), np.random.default_rng(0)
+    p, rows = _constants(), smoothing.BATCH
+    a, u = np.zeros((rows, 2)), np.tile([DT, *PALMS, *JERK, *RIG], (rows, 1))
+    a[:] = NODES[0] + 0.1 * random.standard_normal((rows, 2))
+    end, J = np.zeros((rows, 2)), np.zeros((rows, 2 + CONSTANTS, 2))
+    library.bind("step_batch", [a, p, u], [end, J])()
+    one = np.zeros(2)
+    library.bind("advance", [a[5].copy(), p, u[5].copy()], [one])()
+    wanted, jacobian = _step(a[5], p)
+    assert end[5] == pytest.approx(wanted.ravel(), abs=1e-12)
+    assert one == pytest.approx(wanted.ravel(), abs=1e-12)
+    assert J[5].T == pytest.approx(jacobian, rel=1e-9, abs=1e-9)

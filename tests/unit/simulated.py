@@ -1,0 +1,47 @@
+"""Simulated runs as an observer is given them, with their truth."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from palmd.events import Event, PadSample, PalmSample, RigDescription
+from palmd.observer.bound import Truth
+from palmd.record.eventlog import read_log
+from palmd.rig.plant import AS_ASSUMED, PlantOptions
+from palmd.rig.simulate import simulate_log
+
+
+@dataclass(frozen=True)
+class Run:
+    events: tuple[Event, ...]
+    rig: RigDescription
+    truth: Truth
+    palms: np.ndarray  # φ1, φ2 at the truth's times
+
+
+@cache
+def simulated(kind: str, seed: int, seconds: float, options: PlantOptions = AS_ASSUMED) -> Run:
+    lines, told = simulate_log(kind, seed, seconds, options)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "run.jsonl"
+        path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+        log = read_log(path)
+    columns = (np.array(told[name]) for name in ("theta_rad", "h_m", "t", "psi_rad", "omega0_rad_s"))
+    constants = (told[name] for name in ("rho_m", "mu", "mass_kg", "dither_m_s", "damping_m2_s"))
+    palms = np.column_stack([told["phi1_rad"], told["phi2_rad"]])
+    return Run(log.events, log.rig, Truth(*constants, *columns), palms)
+
+
+def pads_changed(events: Iterable[Event], change: Callable[[PadSample], PadSample]) -> list[Event]:
+    return [change(event) if isinstance(event, PadSample) else event for event in events]
+
+
+def palms_changed(events: Iterable[Event], change: Callable[[PalmSample], PalmSample]) -> list[Event]:
+    return [change(event) if isinstance(event, PalmSample) else event for event in events]

@@ -1,0 +1,201 @@
+"""The smoother at the bank's side: what it finds joins the bank, and the estimate is the better for it."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from palmd import observer
+from palmd.events import Event, FloatArray, PadSample, PalmSample, RigDescription
+from palmd.model import shape
+from palmd.model.compiled import BLOCK
+from palmd.observer.filters import ShapeFilters
+from palmd.observer.improved import KEPT_S, LONGEST_S, ImprovedObserver, Readings, Simulated, period
+from palmd.observer.improver import Improvement, Improver
+from palmd.observer.live import LONGEST_STEP_S, BankObserver
+from palmd.observer.newcomer import LEAD_S, Newcomer
+from palmd.observer.palms import PalmTracker
+from simulated import Run, simulated
+
+KIND, SEED = "rig", 4
+
+
+@pytest.fixture(scope="module")
+def run() -> Run:
+    return simulated(KIND, SEED, 6.0)
+
+
+class Scripted:
+    """A smoother that has one improvement to give, at one time."""
+
+    def __init__(self, ready: float, improvement: Improvement | None):
+        self.ready, self.improvement = ready, improvement
+        self.begun: list[float] = []
+        self.count = 0
+
+    def submit(self, t: float, begun: float, events: Sequence[Event]) -> None:
+        self.begun.append(begun)
+        self.count += len(events)
+
+    def collect(self, t: float) -> Improvement | None:
+        if t < self.ready or self.improvement is None:
+            return None
+        improvement, self.improvement = self.improvement, None
+        return improvement
+
+
+def radius_errors(run: Run, watcher: BankObserver | ImprovedObserver, since: float) -> FloatArray:
+    errors = []
+    for t, estimate in run.ticks(watcher):
+        if t >= since:
+            r1, r2 = run.radii(t)
+            errors.append([estimate.r1 - r1, estimate.r2 - r2])
+    return np.array(errors)
+
+
+def test_the_improved_observer_is_nearer_the_truth_than_the_bank_alone(run: Run) -> None:
+    alone = radius_errors(run, observer.make("shape", run.rig), 3.0)
+    improved = radius_errors(run, observer.make("shape", run.rig, smoothing=Simulated(run.rig)), 3.0)
+    rms = math.sqrt(np.mean(improved**2))
+    assert rms < 0.1e-3
+    assert rms < 1.05 * math.sqrt(np.mean(alone**2))
+
+
+def test_the_same_log_gives_the_same_estimates(run: Run) -> None:
+    first, second = (
+        [estimate for _, estimate in run.ticks(observer.make("shape", run.rig, smoothing=Simulated(run.rig)))]
+        for _ in range(2)
+    )
+    assert repr(first) == repr(second)  # NaN equals itself there
+
+
+def test_psi_goes_on_without_a_jump_when_an_improvement_takes_the_lead(run: Run) -> None:
+    end = 3.0
+    improvement = Improver(run.rig).improve([event for event in run.events if event.t_sample <= end])
+    assert improvement is not None
+    smoothing = Scripted(end + 0.05, improvement)
+    watcher = observer.make("shape", run.rig, smoothing=smoothing)
+    assert isinstance(watcher, ImprovedObserver)
+    psi = np.array([[t, estimate.psi, estimate.omega0] for t, estimate in run.ticks(watcher) if 2.5 < t < 4.0])
+    assert watcher.improvements == 1
+    assert smoothing.count >= len(run.events) - 2  # all but those after the last tick
+    step = np.abs(np.diff(psi[:, 1]) - 0.01 * psi[1:, 2])
+    joined = np.searchsorted(psi[:, 0], end + 0.05)
+    assert step[joined:].max() < 1.5 * step[:joined].max()
+
+
+def test_an_improvement_from_before_the_present_object_is_not_taken(run: Run) -> None:
+    stale = Improvement(-1.0, np.zeros(21), np.eye(21))
+    watcher = observer.make("shape", run.rig, smoothing=Scripted(1.0, stale))
+    assert isinstance(watcher, ImprovedObserver)
+    for _ in run.ticks(watcher):
+        pass
+    assert watcher.improvements == 0
+
+
+def test_an_improvement_that_its_own_readings_contradict_is_turned_away(run: Run) -> None:
+    end = 3.0
+    right = Improver(run.rig).improve([event for event in run.events if event.t_sample <= end])
+    assert right is not None
+    wrong = right.x.copy()
+    wrong[6] += 3e-3  # 3 mm larger
+    watcher = observer.make("shape", run.rig, smoothing=Scripted(end, Improvement(end, wrong, right.P)))
+    assert isinstance(watcher, ImprovedObserver)
+    errors = radius_errors(run, watcher, 4.0)
+    assert watcher.improvements == 0
+    assert np.abs(errors).max() < 0.5e-3
+
+
+def test_a_newcomer_arrives_where_a_filter_that_had_always_been_there_stands(run: Run) -> None:
+    since, until = 2.0, 2.8
+    improvement = Improver(run.rig).improve([event for event in run.events if event.t_sample <= since])
+    assert improvement is not None
+    recent = [event for event in run.events if event.t_sample <= until]
+    newcomer = Newcomer(run.rig)
+    newcomer.begin(improvement, reversed(recent))  # in any order
+    while not newcomer.follow(3):
+        assert newcomer.active
+    x, P, nis = newcomer.state_at(until)
+
+    filters, palms = ShapeFilters(run.rig, BLOCK), PalmTracker(run.rig.palm_angle_noise)
+    filters.bank.refill()
+    filters.bank.x[:], filters.bank.P[:] = improvement.x, improvement.P
+    t = improvement.t
+    variance = run.rig.pad_noise**2 + run.rig.pad_resolution**2 / 12
+    for event in recent:
+        if isinstance(event, PalmSample) and event.t_sample > improvement.t - LEAD_S:
+            palms.feed(event)
+        if isinstance(event, PadSample) and event.t_sample >= improvement.t:
+            steps = math.ceil((event.t_sample - t) / LONGEST_STEP_S)
+            for begin, end in itertools.pairwise(np.linspace(t, event.t_sample, steps + 1)):
+                filters.predict(begin, end - begin, palms)
+            t = event.t_sample
+            filters.fuse_pad(event, variance, palms)
+    filters.predict(t, until - t, palms)
+    sd = np.sqrt(np.diagonal(P))
+    assert np.all(np.abs(filters.bank.x[0] - x) < 1e-3 * sd)
+    np.testing.assert_allclose(np.sqrt(np.diagonal(filters.bank.P[0])), sd, rtol=1e-3)
+    assert 0.5 < nis < 1.5
+
+
+def test_improvements_are_sharper_the_more_was_read(run: Run) -> None:
+    improver = Improver(run.rig)
+    theta = np.linspace(0.0, 2 * np.pi, 90)
+    spreads = []
+    for end in (2.0, 4.0, 6.0):
+        improvement = improver.improve([event for event in run.events if event.t_sample <= end])
+        assert improvement is not None
+        assert improvement.t == pytest.approx(end, abs=0.05)
+        rows = shape.basis(theta)
+        spreads.append(float(np.sqrt(np.einsum("ij,jk,ik->i", rows, improvement.P[6:, 6:], rows)).min()))
+    assert spreads[0] > spreads[1] > spreads[2]
+
+
+def test_too_few_readings_improve_nothing(run: Run) -> None:
+    assert Improver(run.rig).improve([]) is None
+    assert Improver(run.rig).improve(run.events[:40]) is None
+
+
+def test_readings_of_an_earlier_object_are_dropped() -> None:
+    readings = Readings()
+    readings.add(math.inf, [PadSample(0.0, 1, 0.02)])
+    readings.add(1.0, [PadSample(0.9, 1, 0.02), PadSample(1.1, 1, 0.02)])
+    assert [event.t_sample for event in readings.events] == [1.1]
+    readings.add(2.0, [])
+    assert readings.events == []
+
+
+def test_readings_are_kept_for_a_bounded_time() -> None:
+    readings = Readings()
+    for k in range(4000):
+        readings.add(0.0, [PadSample(0.05 * k, 1, 0.02)])
+        assert readings.seconds <= LONGEST_S
+    assert readings.seconds >= KEPT_S
+
+
+def test_the_smoother_runs_ever_more_rarely() -> None:
+    assert period(0.5) == 0.25
+    assert period(8.0) == 1.0
+    assert period(60.0) == 2.0
+
+
+def test_a_simulated_smoother_answers_after_its_latency(run: Run) -> None:
+    simulated_smoother = Simulated(run.rig, latency_s=0.5)
+    simulated_smoother.submit(3.0, 0.0, [event for event in run.events if event.t_sample <= 3.0])
+    assert simulated_smoother.collect(3.4) is None
+    assert simulated_smoother.collect(3.51) is not None
+    assert simulated_smoother.collect(3.52) is None
+
+
+def test_rigs_differ() -> None:
+    """The rig is given to every run of the smoother: gravity on the moon gives another object."""
+    moon = RigDescription(gravity=1.62, hinge="fixed")
+    run = simulated("nominal", 3, 4.0)
+    here = Improver(run.rig).improve(run.events)
+    there = Improver(moon).improve(run.events)
+    assert here is not None
+    assert there is None or not np.allclose(here.x, there.x, rtol=1e-3)

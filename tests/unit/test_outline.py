@@ -1,0 +1,74 @@
+"""From coefficients and covariance to an outline with its band."""
+
+import math
+
+import numpy as np
+import pytest
+
+from palmd.model.shape import basis, coefficients_of, tangential_basis
+from palmd.observer.outline import DIRECTIONS, directions, gauge_free_sd, normal_angles, outline_of, touched_by
+
+ORDER = 4
+RANDOM = np.random.default_rng(3)
+COEFFICIENTS = np.array([0.02, *(5e-4 * RANDOM.standard_normal(2 * ORDER))])
+ROOT = 1e-5 * RANDOM.standard_normal((2 * ORDER + 1, 2 * ORDER + 1))
+COVARIANCE = ROOT @ ROOT.T
+
+
+def degrees(*values):
+    return np.radians(values)
+
+
+def test_coefficients_of_a_sampled_outline():
+    theta = np.arange(50) * (math.tau / 50)
+    assert coefficients_of(basis(theta, ORDER) @ COEFFICIENTS, ORDER) == pytest.approx(COEFFICIENTS, abs=1e-15)
+    assert coefficients_of(np.cos(3 * theta), ORDER) == pytest.approx([0, 0, 0, 0, 0, 1, 0, 0, 0], abs=1e-15)
+
+
+def test_normals_at_the_contacts():
+    """(3.1)."""
+    (normals,) = normal_angles(np.array([[0.7, 1.6]]), np.array([0.2]))
+    assert normals == pytest.approx([0.7 - 0.2 - math.pi / 2, 0.7 + 1.6 - 0.2 - 3 * math.pi / 2])
+
+
+def test_touched_are_all_normals_that_were_passed():
+    touched = touched_by(np.column_stack([degrees(350, 362, 355), degrees(100, 100.2, 100.4)]))
+    assert np.flatnonzero(touched).tolist() == [0, 1, 2, 100, *range(350, 360)]
+
+
+def test_the_outline_is_the_series():
+    outline = outline_of(COEFFICIENTS, COVARIANCE, np.column_stack([degrees(0, 30), degrees(180, 200)]))
+    assert outline.h == pytest.approx(basis(directions(), ORDER) @ COEFFICIENTS)
+    assert outline.touched.sum() == 31 + 21
+
+
+def test_the_band_is_what_is_left_after_the_best_rotation():
+    """Against samples of the error, each rotated by least squares over the touched normals."""
+    normals = np.column_stack([degrees(0, 40), degrees(150, 220)])
+    outline = outline_of(COEFFICIENTS, COVARIANCE, normals)
+    samples = ROOT @ np.random.default_rng(0).standard_normal((2 * ORDER + 1, 4000))
+    errors = basis(directions(), ORDER) @ samples
+    slope = -tangential_basis(directions(), ORDER) @ COEFFICIENTS
+    on = outline.touched
+    turns, *_ = np.linalg.lstsq(slope[on][:, None], errors[on], rcond=None)
+    assert outline.h_sd == pytest.approx((errors - slope[:, None] * turns).std(axis=1), rel=0.06)
+
+
+def test_an_error_of_orientation_alone_is_no_error_of_the_outline():
+    """h(θ + ε) has the coefficients' first-order change along h′: no band at all, however large its variance."""
+    k = np.arange(1, ORDER + 1)
+    turned = np.zeros_like(COEFFICIENTS)
+    turned[1::2], turned[2::2] = k * COEFFICIENTS[2::2], -k * COEFFICIENTS[1::2]
+    theta, touched = directions(), degrees(10, 11, 12, 200)
+    plain = np.sqrt(((basis(theta, ORDER) @ turned) ** 2).max())
+    assert plain > 1e-4
+    assert gauge_free_sd(theta, touched, COEFFICIENTS, np.outer(turned, turned)).max() < 1e-9
+
+
+def test_a_circle_and_an_untouched_outline_have_no_orientation_to_lose():
+    circle = np.zeros(2 * ORDER + 1)
+    circle[0] = 0.02
+    plain = np.sqrt(((basis(directions(), ORDER) @ ROOT) ** 2).sum(axis=1))
+    assert gauge_free_sd(directions(), degrees(10, 20), circle, COVARIANCE) == pytest.approx(plain)
+    assert gauge_free_sd(directions(), degrees(), COEFFICIENTS, COVARIANCE) == pytest.approx(plain)
+    assert len(plain) == DIRECTIONS

@@ -1,0 +1,85 @@
+"""The palms' motion smoothed over a whole record, against the motion that was."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from palmd.events import PalmSample
+from palmd.observer.palm_path import PalmPath, smoothed_path
+from palmd.rig.simulate import Rock, Rocking
+
+NOISE = 2e-4
+ROCKING = Rocking(Rock(0.75, 0.6, 0.35, 1.0), Rock(1.65, 0.25, 0.4, -2.0))
+MEANWHILE = np.arange(0.0, 5.98, 0.005)
+
+
+def reports(noise=NOISE, seed=0):
+    random = np.random.default_rng(seed)
+    for k in range(375):
+        t = 0.016 * k
+        plan = ROCKING.at(t)
+        phi1, phi2 = np.array([plan.phi1, plan.phi2]) + noise * random.standard_normal(2)
+        yield PalmSample(t, phi1, phi2, plan.omega1, plan.omega2, plan.alpha1, plan.alpha2)
+
+
+def true_motion(times):
+    plans = [ROCKING.at(t) for t in times]
+    return np.array([[p.phi1, p.phi2, p.omega1, p.omega2, p.alpha1, p.alpha2] for p in plans])
+
+
+def untold(sample, rates=False):
+    plan = {} if rates else {"omega1": None, "omega2": None}
+    return replace(sample, alpha1=None, alpha2=None, **plan)
+
+
+@pytest.mark.parametrize(
+    ("known", "angle", "rate", "acceleration"),
+    [
+        (lambda sample: sample, 5e-5, 5e-4, 1e-2),
+        (lambda sample: untold(sample, rates=True), 6e-5, 1.2e-3, 0.2),
+        (untold, 1.6e-4, 1e-2, 0.8),
+    ],
+    ids=["plan told", "rates told", "angles only"],
+)
+def test_it_is_nearer_to_the_motion_than_the_reports_are(known, angle, rate, acceleration):
+    error = smoothed_path([known(sample) for sample in reports()], NOISE).at(MEANWHILE) - true_motion(MEANWHILE)
+    easing_in = MEANWHILE < 1.2  # where the plan's jerk is greatest
+    for part in (error[easing_in], error[~easing_in]):
+        rms = np.sqrt(np.mean(part.reshape(-1, 3, 2) ** 2, axis=(0, 2)))
+        assert (rms < [angle, rate, acceleration]).all(), rms
+
+
+def test_a_gap_is_crossed_on_a_quintic():
+    kept = [sample for sample in reports() if not 2.0 < sample.t_sample < 2.29]
+    error = smoothed_path(kept, NOISE).at(MEANWHILE) - true_motion(MEANWHILE)
+    assert np.abs(error[:, :2]).max() < 2.5e-4
+
+
+def test_angle_rate_and_acceleration_belong_together_between_the_reports():
+    path = smoothed_path(list(reports()), NOISE)
+    t, step = np.array([1.003, 2.5, 3.333]), 1e-5
+    before, at, after = path.at(t - step), path.at(t), path.at(t + step)
+    slope = (after - before) / (2 * step)
+    assert slope[:, :2] == pytest.approx(at[:, 2:4], abs=1e-8)
+    assert slope[:, 2:4] == pytest.approx(at[:, 4:], abs=1e-6)
+
+
+def test_at_the_reports_it_is_the_smoothed_state():
+    path = smoothed_path(list(reports()), NOISE)
+    assert path.at(path.t) == pytest.approx(path.state.reshape(-1, 6), abs=1e-9)
+
+
+def test_outside_the_reports_the_acceleration_stays():
+    path = PalmPath(np.array([1.0]), np.array([[[0.7, 1.6], [0.2, -0.1], [2.0, 0.0]]]))
+    (at,) = path.at(np.array([1.5]))
+    assert at == pytest.approx([0.7 + 0.1 + 0.25, 1.6 - 0.05, 1.2, -0.1, 2.0, 0.0])
+
+
+def test_one_report_is_enough_and_none_is_not():
+    (at,) = smoothed_path([PalmSample(0.0, 0.7, 1.6)], NOISE).at(np.array([0.0]))
+    assert at[:2] == pytest.approx([0.7, 1.6], abs=1e-6)
+    assert math.hypot(*at[2:]) == 0.0
+    with pytest.raises(ValueError, match="no report"):
+        smoothed_path([], NOISE)

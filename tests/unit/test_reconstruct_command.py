@@ -1,0 +1,186 @@
+"""`palmd reconstruct`: its JSON, its summary, its output files, what it refuses."""
+
+import json
+import math
+import os
+import pty
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from palmd.cli import main
+from palmd.observer.outline import directions
+from palmd.observer.reconstruct import Reconstruction
+from palmd.record.result import as_line
+from palmd.rig.simulate import simulate_log
+
+SECONDS = 2.5
+FIELDS = {
+    *("converged", "reason", "chi2", "theta_rad", "h_m", "h_sd_m", "touched", "rho_m", "rho_sd_m", "mu", "mu_sd"),
+    *("mass_kg", "mass_sd_kg", "trajectory", "seconds"),
+}
+
+
+def answer(**changes):
+    theta, t, nan = directions(), np.array([0.1, 0.2]), math.nan
+    values = {"converged": True, "chi2": 1.0, "theta": theta, "h": 0.02 + 0 * theta, "h_sd": 1e-5 + 0 * theta}
+    values |= {"touched": theta < 1.0, "rho": 0.014, "rho_sd": 1e-3, "mu": 0.1, "mu_sd": 0.01, "mass": nan}
+    values |= {"mass_sd": nan, "t": t, "psi": t, "omega0": 2 * t, "r1": t, "r2": t, "reason": "", "seconds": 1.5}
+    return Reconstruction(**values | changes)
+
+
+def nothing():
+    none = np.zeros(0)
+    absent = dict.fromkeys(("chi2", "rho", "rho_sd", "mu", "mu_sd"), math.nan)
+    columns = dict.fromkeys(("t", "psi", "omega0", "r1", "r2"), none)
+    return answer(converged=False, h=None, h_sd=None, touched=None, reason="too little", **absent, **columns)
+
+
+def test_the_result_has_the_fields_of_the_contract():
+    line = as_line(answer())
+    assert set(line) == FIELDS
+    assert line["reason"] is None
+    assert [len(line[name]) for name in ("theta_rad", "h_m", "h_sd_m", "touched")] == [360] * 4
+    assert set(line["touched"]) == {0, 1}
+    assert sum(line["touched"]) == 58
+    assert line["mass_kg"] is line["mass_sd_kg"] is None
+    assert (line["rho_m"], line["mu_sd"], line["seconds"]) == (0.014, 0.01, 1.5)
+    assert line["trajectory"] == {
+        "t": [0.1, 0.2], "psi_rad": [0.1, 0.2], "omega0_rad_s": [0.2, 0.4], "r1_m": [0.1, 0.2], "r2_m": [0.1, 0.2]
+    }  # fmt: skip
+
+
+def test_what_is_not_there_is_null():
+    line = as_line(nothing())
+    assert set(line) == FIELDS
+    assert (line["converged"], line["reason"], len(line["theta_rad"])) == (False, "too little", 360)
+    absent = FIELDS - {"converged", "reason", "theta_rad", "seconds"}
+    assert [line[name] for name in absent] == [None] * len(absent)
+    json.dumps(line, allow_nan=False)
+    spoilt = as_line(answer(h=np.full(360, math.nan), chi2=math.inf))
+    assert (spoilt["h_m"], spoilt["chi2"]) == ([None] * 360, None)
+
+
+# ---------------------------------------------------------------------------------------------- the command
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    path = tmp_path_factory.mktemp("logs") / "run.jsonl"
+    lines, _ = simulate_log("nominal", 1, SECONDS)
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    return path
+
+
+@pytest.fixture(scope="module")
+def result(log):
+    out = log.with_name("result.json")
+    assert main(["reconstruct", str(log), "-o", str(out)]) == 0
+    return json.loads(out.read_text())
+
+
+def without_seconds(line):
+    return {name: value for name, value in line.items() if name != "seconds"}
+
+
+def test_the_command_writes_one_result(log, result):
+    assert set(result) == FIELDS
+    assert result["converged"] is True
+    assert result["reason"] is None
+    assert 0.1 < sum(result["touched"]) / 360 < 0.5
+    trajectory = result["trajectory"]
+    assert len({len(column) for column in trajectory.values()}) == 1
+    assert trajectory["psi_rad"][0] == pytest.approx(0.0, abs=1e-5)
+    assert 0.0 <= trajectory["t"][0] < 0.03
+    assert trajectory["t"][-1] == pytest.approx(SECONDS, abs=0.06)
+
+
+def test_standard_output_summary_and_notes(log, result, tmp_path, capsys):
+    cut = tmp_path / "cut.jsonl"
+    cut.write_bytes(log.read_bytes() + b'{"t":2.4,"pad":1,"s')
+    assert main(["reconstruct", str(cut), "-o", "-", "--seed", "0"]) == 0
+    out, err = capsys.readouterr()
+    assert without_seconds(json.loads(out)) == without_seconds(result)
+    note, summary = err.splitlines()
+    assert "was cut off" in note
+    assert summary.startswith(f"{cut}: outline ± ")
+    for part in (" µm on ", "% of the normals", ", rho ", " mm, mu ", ", mass ", " g, "):
+        assert part in summary
+
+
+def test_truth_in_the_log_changes_nothing(log, result, tmp_path):
+    spoilt = tmp_path / "truth.jsonl"
+    header, *events = log.read_text().splitlines()
+    lies = [json.dumps({"t": json.loads(event)["t"], "truth": {"r1_m": 0.5}, "pad": 1, "s_m": 0.05}) for event in events]
+    spoilt.write_text("\n".join([header, *(line for pair in zip(events, lies, strict=True) for line in pair)]) + "\n")
+    out = tmp_path / "out.json"
+    assert main(["reconstruct", str(spoilt), "-o", str(out)]) == 0
+    assert without_seconds(json.loads(out.read_text())) == without_seconds(result)
+
+
+@pytest.mark.parametrize("source", ["pad", "palms"])
+def test_a_log_that_tells_too_little_is_no_fault(log, source, tmp_path, capsys):
+    header, *events = log.read_text().splitlines()
+    poor, out = tmp_path / "poor.jsonl", tmp_path / "out.json"
+    poor.write_text("\n".join([header, *(line for line in events if source in json.loads(line))]) + "\n")
+    assert main(["reconstruct", str(poor), "-o", str(out)]) == 0
+    line = json.loads(out.read_text())
+    assert line["converged"] is False
+    assert capsys.readouterr().err == f"{poor}: not converged: {line['reason']}\n"
+
+
+def test_bad_input_is_one_clear_line(log, tmp_path, capsys):
+    bad, empty, short = (tmp_path / name for name in ("bad.jsonl", "empty.jsonl", "short.jsonl"))
+    bad.write_text("{}\n")
+    empty.write_text(log.read_text().splitlines()[0] + "\n")
+    short.write_text("\n".join(log.read_text().splitlines()[:3]) + "\n")
+    before, out = short.read_bytes(), tmp_path / "out.json"
+    for arguments, told in (
+        ([str(tmp_path / "none.jsonl"), "-o", str(out)], "No such file"),
+        ([str(bad), "-o", str(out)], "bad.jsonl:1: the first line must be the header"),
+        ([str(empty), "-o", str(out)], "the log holds no events"),
+        ([str(short), "-o", str(tmp_path / "no" / "out.json")], "cannot be written: No such file"),
+        ([str(short), "-o", str(short)], "is the log itself"),
+        ([str(short), "-o", str(tmp_path)], "cannot be written: Is a directory"),
+    ):
+        assert main(["reconstruct", *arguments]) == 1
+        err = capsys.readouterr().err
+        assert told in err
+        assert err.count("\n") == 1
+    assert not out.exists()
+    assert short.read_bytes() == before
+
+
+@pytest.mark.parametrize("seed", ["-1", "x"])
+def test_a_seed_that_is_none_is_a_usage_error(seed, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["reconstruct", "log", "-o", "-", "--seed", seed])
+    assert caught.value.code == 2
+    assert "--seed" in capsys.readouterr().err
+
+
+def test_a_reader_that_goes_away_is_no_fault(log, tmp_path):
+    short = tmp_path / "short.jsonl"
+    short.write_text("\n".join(log.read_text().splitlines()[:3]) + "\n")
+    command = [sys.executable, "-m", "palmd", "reconstruct", str(short), "-o", "-"]
+    reading, writing = os.pipe()
+    os.close(reading)
+    ended = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, check=False)
+    os.close(writing)
+    assert ended.returncode == 0
+    assert b"Traceback" not in ended.stderr
+
+
+def test_a_terminal_is_told_that_it_takes_a_while(log, tmp_path):
+    short = tmp_path / "short.jsonl"
+    short.write_text("\n".join(log.read_text().splitlines()[:3]) + "\n")
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-m", "palmd", "reconstruct", str(short), "-o", str(tmp_path / "out.json")]
+    subprocess.run(command, stderr=theirs, check=True)
+    shown = os.read(ours, 10_000).decode()
+    os.close(theirs)
+    os.close(ours)
+    assert shown.startswith("reconstructing…\r\x1b[K")
+    assert "not converged" in shown

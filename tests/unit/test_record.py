@@ -1,0 +1,73 @@
+"""Readings laid out on nodes."""
+
+import numpy as np
+import pytest
+
+from palmd.events import PadSample, PalmSample, RigDescription
+from palmd.observer.palm_path import smoothed_path
+from palmd.observer.record import lay_out
+
+RIG = RigDescription(hinge="fixed")
+PATH = smoothed_path([PalmSample(0.016 * k, 0.7 + 0.2 * 0.016 * k, 1.6, 0.2, 0.0, 0.0, 0.0) for k in range(80)], 2e-4)
+
+
+def pads(*times, force=1.0):
+    return [PadSample(t, 1 + k % 2, 0.02 + t / 1000, force) for k, t in enumerate(times)]
+
+
+def laid(samples, end=0.1, spacing=0.01, rig=RIG):
+    return lay_out(samples, PATH, rig, 0.0, end, spacing)
+
+
+def test_each_reading_falls_into_its_step():
+    times = (0.0, 0.0099, 0.01, 0.055, 0.1)
+    record = laid(pads(*times))
+    assert record.t == pytest.approx(np.arange(11) * 0.01)
+    assert record.contact_step.tolist() == [0, 0, 1, 5, 9]
+    assert record.t[record.contact_step] + record.contact_offset == pytest.approx(times)
+    assert (record.contact_offset <= 0.01 + 1e-12).all()
+    assert record.contact_pad.tolist() == [1, 2, 1, 2, 1]
+    assert record.contact_palms[:, 0] == pytest.approx(0.7 + 0.2 * np.array(times), abs=1e-6)
+    assert record.palms[:, 0] == pytest.approx(0.7 + 0.2 * record.t, abs=1e-6)
+
+
+def test_what_lies_outside_the_nodes_is_left_out():
+    assert laid(pads(-0.01, 0.05, 0.11)).contact_value == pytest.approx([0.02005])
+
+
+def test_noise_of_contacts_and_forces():
+    record = laid(pads(*np.arange(0.0, 0.1, 0.01), force=2.0))
+    assert record.contact_variance == pytest.approx(1e-4**2 + 1.27e-4**2 / 12)
+    assert record.force_variance == pytest.approx((0.05 * 2.0) ** 2 + 0.02**2 / 12)
+
+
+def test_a_wild_force_does_not_tell_its_own_noise():
+    samples = pads(*np.arange(0.0, 0.1, 0.005), force=2.0)
+    samples[6] = PadSample(samples[6].t_sample, samples[6].pad, 0.02, 2000.0)
+    assert laid(samples).force_variance.max() == pytest.approx((0.05 * 2.0) ** 2 + 0.02**2 / 12)
+
+
+@pytest.mark.parametrize("force", [None, 0.0, -1.0, float("nan"), float("inf")])
+def test_a_force_that_tells_nothing_is_left_out(force):
+    samples = [*pads(0.01, 0.02), PadSample(0.03, 1, 0.02, force)]
+    record = laid(samples)
+    assert len(record.contact_value) == 3
+    assert record.force_step.tolist() == [1, 2]
+    assert np.isfinite(record.force_variance).all()
+
+
+def test_a_part_is_what_would_have_been_laid_out():
+    samples = pads(*np.arange(0.0, 0.1, 0.003))
+    part, wanted = laid(samples).until(0.0501), laid([s for s in samples if s.t_sample < 0.05], end=0.05)
+    for name in ("t", "palms", "contact_step", "contact_offset", "contact_value", "force_step", "force_value"):
+        assert getattr(part, name) == pytest.approx(getattr(wanted, name))
+    assert len(laid(samples).until(-1.0).t) == 2
+
+
+def test_kernel_inputs_are_padded_with_what_can_be_evaluated():
+    record = laid(pads(0.01, 0.02))
+    for inputs in (record.step_inputs(64), record.contact_inputs(64), record.force_inputs(64)):
+        assert np.isfinite(inputs).all()
+        assert (inputs[:, 0] > 0).all()
+    assert record.step_inputs(64)[:10, 0] == pytest.approx(0.01)
+    assert record.step_inputs(64)[0, 9:].tolist() == [9.81, 0.0, 0.0, 0.0]
