@@ -164,7 +164,9 @@ LOOP = Topic(
         Field("bus_*", "number", "", "what has passed on the bus since the start"),
         Field("lag_ms", "number", "ms", "by how much the arm follows its set-points, estimated"),
         Field("late_dropped", "number", "", "samples too late for the observer since the start"),
-        Field("smoother_*", "number", "", "since the start: improvements taken in, starts of its process, readings dropped"),
+        Field(
+            "smoother_*", "number", "", "since the start: improvements taken in, starts of its process, readings lost"
+        ),
         Field("rss_mb", "number", "MB", "resident memory"),
         Field("backend", "text", "", "what runs the models: c or vm"),
     ),

@@ -75,7 +75,7 @@ class Bodies:
         A, b = np.zeros((count, 3, 3)), np.zeros((count, 3))
         A[:, :2, 2] = -with_spin.T
         A[:, 2, 2] = -(rho**2)
-        b[:, :2] = (still + hinge[:, None]).T + [0.0, self.gravity]
+        b[:, :2] = (still + hinge[:, None]).T + np.array([0.0, self.gravity])
         b[:, 2] = self.p[DAMPING] * omega0
         for i in range(2):
             arm = -h[i] * n[i][:, None] + slope[i] * t[i][:, None]

@@ -56,7 +56,7 @@ SCALE = np.concatenate([[0.1, 0.1, 0.1, 1e-4, 0.1], np.full(2 * ORDER + 1, 1e-3)
 
 def test_the_twin_knows_the_same_constants() -> None:
     C = smoothing.C
-    assert (LN_RHO, MU, LN_DITHER, DAMPING, LN_MASS, SHAPE) == tuple(C)
+    assert tuple(C) == (LN_RHO, MU, LN_DITHER, DAMPING, LN_MASS, SHAPE)
     assert (smoothing.CONSTANTS, smoothing.ORDER) == (CONSTANTS, ORDER)
 
 
@@ -70,9 +70,9 @@ def test_jacobian_of_the_step(mu: float, relative: float) -> None:
     def moved(v: np.ndarray) -> list[np.ndarray]:
         return [np.asarray(each) for each in function.call([v[:2], v[2:], [DT, *PALMS, *JERK, *RIG]])]
 
-    J, wanted = moved(y)[1] * scale, _differences(lambda v: moved(v)[0], y, scale) * scale
-    assert J == pytest.approx(wanted, abs=relative * np.abs(wanted[1]).max())
-    assert np.abs(J[0]).max() == pytest.approx(np.abs(wanted[0]).max(), rel=1e-3)
+    jacobian, wanted = moved(y)[1] * scale, _differences(lambda v: moved(v)[0], y, scale) * scale
+    assert jacobian == pytest.approx(wanted, abs=relative * np.abs(wanted[1]).max())
+    assert np.abs(jacobian[0]).max() == pytest.approx(np.abs(wanted[0]).max(), rel=1e-3)
 
 
 @pytest.mark.parametrize("pad", [1, 2])
@@ -147,4 +147,5 @@ def test_batches_serve_what_the_single_kernels_give() -> None:
     wanted, jacobian = _step(a[5], p)
     assert end[5] == pytest.approx(wanted.ravel(), abs=1e-12)
     assert one == pytest.approx(wanted.ravel(), abs=1e-12)
-    assert J[5].T == pytest.approx(jacobian, rel=1e-9, abs=1e-9)
+    of_one = J[5].T
+    assert of_one == pytest.approx(jacobian, rel=1e-9, abs=1e-9)

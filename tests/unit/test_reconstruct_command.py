@@ -113,7 +113,9 @@ def test_standard_output_summary_and_notes(log, result, tmp_path, capsys):
 def test_truth_in_the_log_changes_nothing(log, result, tmp_path):
     spoilt = tmp_path / "truth.jsonl"
     header, *events = log.read_text().splitlines()
-    lies = [json.dumps({"t": json.loads(event)["t"], "truth": {"r1_m": 0.5}, "pad": 1, "s_m": 0.05}) for event in events]
+    lies = [
+        json.dumps({"t": json.loads(event)["t"], "truth": {"r1_m": 0.5}, "pad": 1, "s_m": 0.05}) for event in events
+    ]
     spoilt.write_text("\n".join([header, *(line for pair in zip(events, lies, strict=True) for line in pair)]) + "\n")
     out = tmp_path / "out.json"
     assert main(["reconstruct", str(spoilt), "-o", str(out)]) == 0

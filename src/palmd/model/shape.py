@@ -42,7 +42,7 @@ def coefficients_of(h: FloatArray, order: int = HARMONICS) -> FloatArray:
 
     a_k + i b_k = 2/n Σ_j h(θ_j) e^{ikθ_j}, exact for a band-limited h on more than 2·order normals.
     """
-    rows = basis(np.arange(len(h)) * (2 * np.pi / len(h)), order)
+    rows = basis(np.arange(len(h), dtype=np.float64) * (2 * np.pi / len(h)), order)
     coefficients: FloatArray = rows.T @ h * (2 / len(h))
     coefficients[0] /= 2
     return coefficients

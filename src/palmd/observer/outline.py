@@ -27,7 +27,7 @@ class Outline:
 
 def directions() -> FloatArray:
     """The normals of every reconstructed outline: each degree, from 0."""
-    return np.arange(DIRECTIONS) * (math.tau / DIRECTIONS)
+    return np.arange(DIRECTIONS, dtype=np.float64) * (math.tau / DIRECTIONS)
 
 
 def normal_angles(palms: FloatArray, psi: FloatArray) -> FloatArray:
@@ -37,7 +37,7 @@ def normal_angles(palms: FloatArray, psi: FloatArray) -> FloatArray:
 
 
 def outline_of(coefficients: FloatArray, covariance: FloatArray, normals: FloatArray) -> Outline:
-    """The outline on `directions`, touched where `normals` (n, 2) went, in order of time; its band is `gauge_free_sd`."""
+    """The outline on `directions`, touched where `normals` (n, 2) went, in order of time; the band is gauge-free."""
     theta = directions()
     touched = touched_by(normals)
     h = shape.basis(theta, _order(coefficients)) @ coefficients
@@ -58,7 +58,7 @@ def gauge_free_sd(
         slope = -shape.tangential_basis(touched, order) @ coefficients
         turn = slope @ shape.basis(touched, order) / max(float(slope @ slope), 1e-30)
         free = free + np.outer(shape.tangential_basis(theta, order) @ coefficients, turn)
-    variance = ((free @ covariance) * free).sum(axis=1)
+    variance: FloatArray = ((free @ covariance) * free).sum(axis=1)
     return np.sqrt(np.maximum(variance, 0.0))
 
 
