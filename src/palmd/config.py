@@ -240,6 +240,10 @@ def config_hash(config: Config) -> str:
     return hashlib.sha256(canonical.encode()).hexdigest()
 
 
+PRESSURE_GAIN_STD = 0.03
+"""How far a resistive pad's pressure, as a whole, is off its calibration: it creeps, and drifts within a minute."""
+
+
 def rig_description(config: Config) -> RigDescription:
     """What an observer must know of the configured rig (SI); where the pads differ, the worse one counts."""
     pads = (config.pads.palm1, config.pads.palm2)
@@ -251,6 +255,7 @@ def rig_description(config: Config) -> RigDescription:
         pad_length=min(pad.length_mm for pad in pads) * 1e-3,
         pad_resolution=1e-3 / min(pad.counts_per_mm for pad in pads),
         force_resolution=max(pad.newtons_per_count for pad in pads),
+        force_gain_std=PRESSURE_GAIN_STD,
     )
 
 

@@ -82,7 +82,8 @@ class RigDescription:
     pad_noise: float = 1e-4
     pad_resolution: float = 1.27e-4
     palm_angle_noise: float = 2e-4
-    force_scale_std: float = 0.05
+    force_scale_std: float = 0.05  # relative, of each reading by itself
+    force_gain_std: float = 0.0  # relative, of all of a pad's readings together; it may drift
     force_resolution: float = 0.02
 
 

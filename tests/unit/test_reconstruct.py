@@ -133,7 +133,7 @@ def test_without_the_plan_the_angles_are_enough(run):
     "source",
     [
         "all",
-        pytest.param("pad 2", marks=pytest.mark.xfail(strict=True, reason="a minimum with chi2 1.28 is let through")),
+        "pad 2",
     ],
 )
 def test_a_gap_leaves_the_longest_stretch(source):
@@ -154,11 +154,12 @@ def test_an_object_that_has_left_a_palm_is_another_one(run):
     assert honest(answer, run)
 
 
-@pytest.mark.parametrize("seconds", [0.4, 0.8])
-def test_too_short_a_record_is_not_claimed_wrongly(run, seconds):
+@pytest.mark.parametrize(("seconds", "reason"), [(0.6, "no second"), (1.05, "too little of the outline")])
+def test_too_short_a_record_is_not_claimed(seconds, reason):
+    run = simulated("friction", 1, 3.0)
     answer = reconstruct([event for event in run.events if event.t_sample < seconds], run.rig)
-    assert honest(answer, run)
-    assert answer.converged or answer.reason
+    assert not answer.converged
+    assert reason in answer.reason
 
 
 @pytest.mark.parametrize(
@@ -176,7 +177,7 @@ def test_too_short_a_record_is_not_claimed_wrongly(run, seconds):
 def test_without_a_source_nothing_is_claimed(run, keep):
     answer = reconstruct([event for event in run.events if keep(event)], run.rig)
     assert not answer.converged
-    assert "half second" in answer.reason
+    assert "no second" in answer.reason
     assert answer.h is answer.h_sd is answer.touched is None
     assert len(answer.theta) == 360
     assert len(answer.t) == 0
@@ -196,7 +197,6 @@ def test_absurd_values_among_the_others_do_no_harm(run, bad):
     assert honest(reconstruct(spoilt, run.rig), run)
 
 
-@pytest.mark.xfail(strict=True, reason="chi2 counts the outliers that the fit has weighed down")
 def test_readings_that_are_wrong_by_millimetres_now_and_then(run):
     dice = random.Random(1)
     spoilt = pads_changed(run.events, lambda s: replace(s, s=s.s + 5e-3) if dice.random() < 0.03 else s)
@@ -205,7 +205,6 @@ def test_readings_that_are_wrong_by_millimetres_now_and_then(run):
     assert e_h(answer, run) < RIGHT_M
 
 
-@pytest.mark.xfail(strict=True, reason="readings at rest are explained by an object that rocks by less than the noise")
 @pytest.mark.parametrize("noise", [0.0, 1e-4])
 def test_an_object_at_rest_on_palms_at_rest_tells_nothing(run, noise):
     dice = random.Random(2)
@@ -217,7 +216,6 @@ def test_an_object_at_rest_on_palms_at_rest_tells_nothing(run, noise):
     assert answer.reason
 
 
-@pytest.mark.xfail(strict=True, raises=(ValueError, RuntimeWarning), reason="a step overflows and is not turned down")
 @pytest.mark.parametrize("how", ["swapped", "noise"])
 def test_readings_without_any_sense_are_refused(run, how):
     dice = np.random.default_rng(0)
@@ -239,15 +237,9 @@ def test_pads_with_clocks_of_their_own_are_not_claimed_wrongly():
 @pytest.mark.parametrize(
     "options",
     [
-        pytest.param(
-            PlantOptions(pad_bow_m=(1e-3, -1e-3)),
-            marks=pytest.mark.xfail(run=False, reason="the window's growth does not end"),
-        ),
+        PlantOptions(pad_bow_m=(1e-3, -1e-3)),
         PlantOptions(lag_s=0.02),
-        pytest.param(
-            PlantOptions(pad_bias_m=(0.0, 1e-3)),
-            marks=pytest.mark.xfail(strict=True, reason="another outline explains readings with a constant error"),
-        ),
+        PlantOptions(pad_bias_m=(0.0, 1e-3)),
     ],
     ids=["bow", "lag", "bias"],
 )

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Callable
+from functools import partial
 from typing import get_args
 
 
@@ -15,11 +17,19 @@ def run(_arguments: argparse.Namespace) -> int:
     """Makes each observer once; takes seconds for what is not in the cache yet."""
     from palmd import observer
     from palmd.events import RigDescription
+    from palmd.model import smoothing
+
+    def backend_of(name: observer.ObserverName) -> str:
+        return observer.make(name, RigDescription()).backend
 
     for name in get_args(observer.ObserverName):
-        print(f"{name} observer: ", end="", flush=True)
-        begun = time.monotonic()
-        backend = observer.make(name, RigDescription()).backend
-        how = "compiled C" if backend == "c" else "CasADi's virtual machine, no compiled C"
-        print(f"{how}, {time.monotonic() - begun:.1f} s")
+        _told(f"{name} observer", partial(backend_of, name))
+    _told("smoother", lambda: smoothing.library().backend)
     return 0
+
+
+def _told(what: str, backend_of: Callable[[], str]) -> None:
+    print(f"{what}: ", end="", flush=True)
+    begun = time.monotonic()
+    how = "compiled C" if backend_of() == "c" else "CasADi's virtual machine, no compiled C"
+    print(f"{how}, {time.monotonic() - begun:.1f} s")

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
 
 from palmd import observer
 from palmd.cli.errors import BAD_INPUT, CliError
+from palmd.cli.output import opened
 from palmd.cli.progress import Progress
 from palmd.record.eventlog import EventLog, LogError, read_log
 from palmd.record.replay import lines, replay, tick_count
-
-STDOUT = Path("-")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,7 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise CliError(BAD_INPUT, str(error)) from None
     for note in log.notes:
         print(note, file=sys.stderr)
-    with _opened(arguments.output, arguments.log) as stream:
+    with opened(arguments.output, arguments.log) as stream:
         _replay(log, arguments.observer, stream)
     return 0
 
@@ -51,22 +48,6 @@ def _replay(log: EventLog, name: observer.ObserverName, stream: TextIO) -> None:
             for line in lines(tick):
                 stream.write(json.dumps(line, allow_nan=False) + "\n")
             progress.at(tick.number)
-
-
-@contextlib.contextmanager
-def _opened(path: Path, log: Path) -> Iterator[TextIO]:
-    if path == STDOUT:
-        yield sys.stdout
-        return
-    try:
-        if path.exists() and path.samefile(log):
-            raise CliError(BAD_INPUT, f"{path}: is the log itself; write to another file")
-        with path.open("w", encoding="utf-8") as stream:
-            yield stream
-    except BrokenPipeError:
-        raise
-    except OSError as error:
-        raise CliError(BAD_INPUT, f"{path}: cannot be written: {error.strerror or error}") from None
 
 
 def _observer(name: str) -> str:

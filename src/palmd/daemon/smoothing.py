@@ -24,6 +24,7 @@ import numpy as np
 import zmq
 
 from palmd.events import Event, PadLift, PadSample, PalmSample, RigDescription
+from palmd.model import shape_map, smoothing
 from palmd.observer.improved import Readings, period
 from palmd.observer.improver import Improvement, Improver
 
@@ -34,7 +35,7 @@ HIGH_WATER = 100  # messages on their way: five seconds
 KEPT_EVENTS = 1000  # for a process that does not take them: some four seconds; packing them takes 1 ms
 RESTART_S = 10.0  # from one start of the process to the next at least
 CLOSE_S = 1.0
-SHARE = 0.25  # of one core that the process takes at most
+SHARE = 0.5  # of one core that the process takes at most, and that only before it has found anything
 NICENESS = 10
 PARENT_CHECK_MS = 1000
 
@@ -134,6 +135,8 @@ def main(address: str, parent: int) -> None:
     readings = Readings()
     improver: Improver | None = None
     next_one = 0.0
+    smoothing.library()
+    shape_map.library()
     while os.getppid() == parent:
         if not socket.poll(PARENT_CHECK_MS):
             continue

@@ -14,13 +14,14 @@ import numpy as np
 from palmd.events import Event, FloatArray, RigDescription
 from palmd.model import shape
 from palmd.model.smoothing import CONSTANTS, C
-from palmd.observer.search import Finding, Search, doubt
+from palmd.observer.search import Finding, Search, doubt, merged
 from palmd.observer.smoother import Fit, Guess, Smoother
 from palmd.observer.stretch import longest_stretch
 
 LEAST_S = 1.0  # of readings, before which the bank is as good
 STARTS = 2  # of the bank's filters that the smoother follows up
 BANK_READS_S = 2.0
+CHALLENGE = 2.0  # by how much the record grows from one blind search to the next
 
 # Where each state of the shape map stands among (constants, last node) of the smoother.
 _FROM = np.concatenate(
@@ -52,6 +53,7 @@ class Improver:
         self._seed = seed
         self._start: float | None = None
         self._guesses: tuple[Guess, ...] = ()
+        self._challenge_s = 0.0
 
     def improve(self, events: Sequence[Event]) -> Improvement | None:
         """What all `events` of the object so far tell about its state at their end; None while that is in doubt."""
@@ -62,8 +64,14 @@ class Improver:
         finding: Finding | None = None
         if self._guesses and stretch.start == self._start:
             finding = search.resumed(self._guesses)
-        if finding is None or doubt(finding.fits[0], finding):
-            finding = search.blind(min(BANK_READS_S, stretch.end - stretch.start), STARTS, self._seed) or finding
+        else:
+            self._challenge_s = 0.0
+        seconds = stretch.end - stretch.start
+        if finding is None or seconds >= self._challenge_s or doubt(finding.fits[0], finding):
+            # a window that has grown may have been led into a valley next to the right one
+            self._seed += 1
+            finding = merged(finding, search.blind(min(BANK_READS_S, seconds), STARTS, self._seed))
+            self._challenge_s = CHALLENGE * seconds
         if finding is None:
             self._guesses = ()
             return None

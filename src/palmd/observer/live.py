@@ -241,13 +241,17 @@ class BankObserver:
     # ---- starting and stopping
 
     def _begin_fresh(self) -> None:
-        self._mass = MassEstimator(self._rig.force_scale_std, self._rig.force_resolution)
+        self._mass = self._new_mass()
         self._marks = TouchMarks()
         self._candidate: KnownObject | None = None  # which it may be again
-        self._rough_mass = MassEstimator(self._rig.force_scale_std, self._rig.force_resolution)
+        self._rough_mass = self._new_mass()
         self._forget_history()
         self._t_start = math.inf
         self._t_unlikely: float | None = None
+
+    def _new_mass(self) -> MassEstimator:
+        rig = self._rig
+        return MassEstimator(rig.force_scale_std, rig.force_resolution, rig.force_gain_std)
 
     def _try_to_start(self, t: float) -> None:
         fresh = all(abs(t - self._last_seen(pad)) < SILENCE_S for pad in (1, 2))

@@ -19,8 +19,9 @@ def resting_forces(gravity: float, palms: FloatArray) -> tuple[float, float]:
 class MassEstimator:
     """Weighted least squares of F = m f over all readings of both pads; safe inside the loop."""
 
-    def __init__(self, force_scale_std: float, force_resolution: float):
-        """`force_scale_std` is relative, `force_resolution` in N; both describe one reading."""
+    def __init__(self, force_scale_std: float, force_resolution: float, force_gain_std: float = 0.0):
+        """As in `RigDescription`: of one reading, relative and in N, and relative of all of a pad's together."""
+        self._gain_variance = force_gain_std**2 / 2  # of the mean of two pads
         self._scale_std = force_scale_std
         self._rounding_variance = force_resolution**2 / 12
         self._information = 0.0  # 1/kg²
@@ -52,4 +53,6 @@ class MassEstimator:
     @property
     def sd(self) -> float:
         """One-sigma of the mass in kg, NaN before the first reading."""
-        return 1.0 / math.sqrt(self._information) if self._information else math.nan
+        if not self._information:
+            return math.nan
+        return math.sqrt(1.0 / self._information + self._gain_variance * self.value**2)

@@ -14,6 +14,7 @@ from palmd.observer.palms import (
     PLAN_ACCELERATION_SD,
     PLAN_RATE_SD,
     TOLD_JERK,
+    white_jerk,
 )
 
 UNTOLD_JERK = 20.0  # rad/s³/√Hz where no plan is told: follows a planned stop; more only lets more noise through
@@ -47,9 +48,8 @@ class PalmPath:
 def smoothed_path(samples: Sequence[PalmSample], angle_noise: float) -> PalmPath:
     """Forward Kalman filter and backward Rauch–Tung–Striebel pass over reports in time order, both palms at once.
 
-    `angle_noise` is the one-sigma of a measured angle (rad). The model is driven by white jerk, about the jerk that
-    the plan shows between two reports where it tells accelerations; the plan's rates and accelerations are readings.
-    Raises ValueError when there is no report.
+    `angle_noise` is the one-sigma of a measured angle (rad). The model is driven by white jerk; the plan's rates and
+    accelerations are readings where they are told. Raises ValueError when there is no report.
     """
     if not samples:
         raise ValueError("no report of the palms")
@@ -65,34 +65,14 @@ def smoothed_path(samples: Sequence[PalmSample], angle_noise: float) -> PalmPath
         else:
             dt = t[k] - t[k - 1]
             F = transitions[k] = np.array([[1.0, dt, dt**2 / 2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
-            jerk, density = _jerk(samples[k - 1], sample, dt)
-            x_pred[k] = F @ x[k - 1] + np.outer([dt**3 / 6, dt**2 / 2, dt], jerk)
-            P_pred[k] = F @ P[k - 1] @ F.T + _white_jerk(dt) * density**2 + _DRIFT * dt
+            jerk = UNTOLD_JERK if sample.alpha1 is None else TOLD_JERK
+            x_pred[k] = F @ x[k - 1]
+            P_pred[k] = F @ P[k - 1] @ F.T + white_jerk(dt) * jerk**2 + _DRIFT * dt
         x[k], P[k] = _fused(x_pred[k], P_pred[k], sample, angle_noise)
     for k in range(n - 2, -1, -1):
         gain = np.linalg.solve(P_pred[k + 1], transitions[k + 1] @ P[k]).T
         x[k] += gain @ (x[k + 1] - x_pred[k + 1])
     return PalmPath(t, x)
-
-
-def _jerk(before: PalmSample, after: PalmSample, dt: float) -> tuple[FloatArray, float]:
-    """(the plan's mean jerk of both palms in rad/s³, the density in rad/s³/√Hz of what it leaves out)."""
-    told = (before.alpha1, before.alpha2, after.alpha1, after.alpha2)
-    if any(each is None for each in told):
-        return np.zeros(2), UNTOLD_JERK
-    first, second = np.array(told, dtype=np.float64).reshape(2, 2)
-    return (second - first) / dt, TOLD_JERK
-
-
-def _white_jerk(dt: float) -> FloatArray:
-    """Covariance that white jerk of density 1 adds to (φ, ω, α) in `dt` (s)."""
-    return np.array(
-        [
-            [dt**5 / 20, dt**4 / 8, dt**3 / 6],
-            [dt**4 / 8, dt**3 / 3, dt**2 / 2],
-            [dt**3 / 6, dt**2 / 2, dt],
-        ]
-    )
 
 
 def _fused(x: FloatArray, P: FloatArray, sample: PalmSample, angle_noise: float) -> tuple[FloatArray, FloatArray]:

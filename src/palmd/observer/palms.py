@@ -14,6 +14,17 @@ FORGOTTEN_S = 0.5  # after which what was known of the motion helps no more
 FIRST_RATE_SD, FIRST_ACCELERATION_SD = 0.5, 5.0
 
 
+def white_jerk(dt: float) -> FloatArray:
+    """Covariance that white jerk of density 1 adds to (φ, ω, α) in `dt` (s)."""
+    return np.array(
+        [
+            [dt**5 / 20, dt**4 / 8, dt**3 / 6],
+            [dt**4 / 8, dt**3 / 3, dt**2 / 2],
+            [dt**3 / 6, dt**2 / 2, dt],
+        ]
+    )
+
+
 class PalmTracker:
     """A Kalman filter on (φ, ω, α) of each palm, with the plan's rates and accelerations where they are told.
 
@@ -53,10 +64,9 @@ class PalmTracker:
             return
         self._state = self.at(sample.t_sample).reshape(3, 2).T.copy()
         F = np.array([[1.0, dt, dt**2 / 2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
-        G = np.array([dt**2 / 2, dt, 1.0])
         told = sample.alpha1 is not None
         jerk = TOLD_JERK if told else JERK
-        self._P = F @ self._P @ F.T + np.outer(G, G) * jerk**2 * dt + np.diag([0.0, 1e-8, 1e-8]) * dt
+        self._P = F @ self._P @ F.T + white_jerk(dt) * jerk**2 + np.diag([0.0, 1e-8, 1e-8]) * dt
         self._t = sample.t_sample
         self._fuse(0, (sample.phi1, sample.phi2), self._angle_variance)
         if sample.omega1 is not None and sample.omega2 is not None:

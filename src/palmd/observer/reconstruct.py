@@ -17,7 +17,8 @@ import numpy.typing as npt
 from palmd.events import Event, FloatArray, RigDescription
 from palmd.model import shape
 from palmd.model.smoothing import CONSTANTS, ORDER, C
-from palmd.observer.marginal import marginalised
+from palmd.observer.marginal import Marginal, marginalised
+from palmd.observer.mass import MassEstimator
 from palmd.observer.outline import directions, normal_angles, outline_of
 from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
 from palmd.observer.search import Finding, Search, doubt
@@ -25,7 +26,7 @@ from palmd.observer.smoother import Fit, Smoother
 from palmd.observer.stretch import Stretch, longest_stretch
 
 SPACING_S = 0.005  # of the nodes in the end
-LEAST_S = 0.5
+LEAST_S = 1.0
 SHARP_M = 1.5e-4  # RMS of the outline's one-sigma where touched, above which there is no outline to speak of
 # Each attempt: seconds that the bank reads, and how many of its filters the smoother starts from.
 ATTEMPTS = ((2.0, 3), (3.5, 6), (1.2, 8))
@@ -71,7 +72,7 @@ def reconstruct(events: Sequence[Event], rig: RigDescription, seed: int = 0) -> 
     begun = time.perf_counter()
     stretch = longest_stretch(events)
     if stretch is None or stretch.end - stretch.start < LEAST_S:
-        return _nothing("there is no half second in which both pads and the arm report", begun)
+        return _nothing("there is no second in which both pads and the arm report", begun)
     search = Search(stretch, rig)
     best: _Answer | None = None
     for seconds, starts in ATTEMPTS:
@@ -83,7 +84,7 @@ def reconstruct(events: Sequence[Event], rig: RigDescription, seed: int = 0) -> 
             best = answer
         if not best.reason:
             break
-    return _nothing(NO_ANSWER, begun) if best is None else _result(search, best, begun)
+    return _nothing(NO_ANSWER, begun) if best is None else _result(search, best, stretch, rig, begun)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +106,7 @@ def _refined(search: Search, finding: Finding, stretch: Stretch, rig: RigDescrip
     return _Answer(fit, record, doubt(fit, finding))
 
 
-def _result(search: Search, answer: _Answer, begun: float) -> Reconstruction:
+def _result(search: Search, answer: _Answer, stretch: Stretch, rig: RigDescription, begun: float) -> Reconstruction:
     fit, record = answer.fit, answer.record
     try:
         answered = marginalised(search.library, record, search.prior, fit)
@@ -118,17 +119,34 @@ def _result(search: Search, answer: _Answer, begun: float) -> Reconstruction:
     if not reason and float(np.sqrt(np.mean(outline.h_sd[outline.touched] ** 2))) > SHARP_M:
         reason = "the readings tell too little of the outline"
     sd = np.sqrt(np.diagonal(covariance))
-    rho, mass = math.exp(p[C.LN_RHO]), math.exp(p[C.LN_MASS])
-    weighed = len(record.force_value) > 0
+    rho = math.exp(p[C.LN_RHO])
+    mass, mass_sd = _weighed(search, answer, stretch, rig, answered)
     radii = [shape.basis(normals[:, i], ORDER) @ p[C.SHAPE :] for i in range(2)]
     return Reconstruction(
         converged=not reason, chi2=fit.chi2,
         theta=outline.theta, h=outline.h, h_sd=outline.h_sd, touched=outline.touched,
         rho=rho, rho_sd=rho * float(sd[C.LN_RHO]), mu=float(p[C.MU]), mu_sd=float(sd[C.MU]),
-        mass=mass if weighed else math.nan, mass_sd=mass * float(sd[C.LN_MASS]) if weighed else math.nan,
+        mass=mass, mass_sd=mass_sd,
         t=record.t, psi=x[:, 0], omega0=x[:, 1], r1=radii[0], r2=radii[1],
         reason=reason, seconds=time.perf_counter() - begun,
     )  # fmt: skip
+
+
+def _weighed(
+    search: Search, answer: _Answer, stretch: Stretch, rig: RigDescription, answered: Marginal
+) -> tuple[float, float]:
+    """Mass and its one-sigma (kg), NaN without forces: from the fit, or afterwards where the forces were left out."""
+    if len(answer.record.force_value):
+        mass = math.exp(answered.mean.p[C.LN_MASS])
+        return mass, mass * math.sqrt(answered.covariance[C.LN_MASS, C.LN_MASS])
+    believed = replace(rig, force_gain_std=0.0)
+    record = lay_out(stretch.pads, search.path, believed, stretch.start, stretch.end, SPACING_S)
+    unit = np.where(np.arange(CONSTANTS) == C.LN_MASS, 0.0, answered.mean.p)
+    per_mass = Smoother(search.library, record, search.prior).forces(replace(answered.mean, p=unit))
+    scales = MassEstimator(rig.force_scale_std, rig.force_resolution, rig.force_gain_std)
+    for force, f in zip(record.force_value, per_mass, strict=True):
+        scales.feed(float(force), float(f))
+    return scales.value, scales.sd
 
 
 def _nothing(reason: str, begun: float, chi2: float = math.nan) -> Reconstruction:

@@ -99,7 +99,11 @@ def lay_out(
     end: float,
     spacing: float,
 ) -> Record:
-    """Nodes each `spacing` from `start` to `end`, and the readings in between, which must be in order of time."""
+    """Nodes each `spacing` from `start` to `end`, and the readings in between, which must be in order of time.
+
+    Forces of pads whose gain is uncertain are left out: two thousand readings that share one error would outweigh all
+    that the contacts tell.
+    """
     steps = max(1, math.floor((end - start) / spacing + 1e-9))
     t: FloatArray = start + spacing * np.arange(steps + 1, dtype=np.float64)
     inside = [sample for sample in pads if start <= sample.t_sample <= t[-1]]
@@ -112,7 +116,7 @@ def lay_out(
     palms = path.at(times) if len(times) else np.zeros((0, 6))
     variance = np.full(len(times), rig.pad_noise**2 + rig.pad_resolution**2 / 12)
     # the noise grows with the true force; neighbours in time tell it better than the reading itself
-    pressed = np.isfinite(force) & (force > LEAST_FORCE_N)
+    pressed = np.isfinite(force) & (force > LEAST_FORCE_N) & (rig.force_gain_std == 0.0)
     level = _running_median(force, pad)
     force_variance = (rig.force_scale_std * level) ** 2 + rig.force_resolution**2 / 12
     return Record(

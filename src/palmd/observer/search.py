@@ -29,8 +29,9 @@ ASTRAY_SIGMAS, ASTRAY_READINGS = 8.0, 5  # a prediction that misses so many read
 RIVAL = 25.0  # twice the difference in log-likelihood up to which a rival is carried along
 DOUBT = 9.0  # and up to which it makes the answer ambiguous
 DIFFERENT_M = 1e-4  # RMS of the outlines' difference from which two fits are rivals rather than the same
-CHI2_SIGMAS, CHI2_SLACK = 5.0, 0.05
+CHI2_SIGMAS, CHI2_SLACK = 3.0, 0.02
 MOST_OUTLIERS = 0.2
+STILL_RAD = 5e-3  # palms that move by less tell nothing of what turns with them
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +79,7 @@ class Search:
         now, guesses = float(record.t[-1]), [fit.guess for fit in fits]
         longer = self._longer(record, fits[0])
         found = self._fits(longer, guesses)
-        while not explained(found[0], longer) and (step := float(longer.t[-1]) - now) > LEAST_GROWTH_S:
+        while not explained(found[0], longer) and (step := float(longer.t[-1]) - now) > 1.5 * LEAST_GROWTH_S:
             longer = self.record.until(now + max(step / 2, LEAST_GROWTH_S))
             found = self._fits(longer, guesses)
         return longer, found
@@ -98,13 +99,24 @@ class Search:
     def _fits(self, record: Record, guesses: Sequence[Guess]) -> tuple[Fit, ...]:
         """The distinct minima that the guesses lead to, best first, without those that are out of the race."""
         smoother = Smoother(self.library, record, self.prior)
-        fits = sorted((smoother.fit(guess, NOISE) for guess in guesses), key=lambda fit: fit.cost)
-        distinct: list[Fit] = []
-        for fit in fits:
-            near = fit.cost < fits[0].cost + RIVAL
-            if near and all(_difference(fit, other) > DIFFERENT_M for other in distinct):
-                distinct.append(fit)
-        return tuple(distinct)
+        return _distinct([smoother.fit(guess, NOISE) for guess in guesses])
+
+
+def merged(one: Finding | None, other: Finding | None) -> Finding | None:
+    """What two searches of the same stretch have found between them."""
+    if one is None or other is None:
+        return one or other
+    return Finding(one.record, _distinct([*one.fits, *other.fits]))
+
+
+def _distinct(fits: Sequence[Fit]) -> tuple[Fit, ...]:
+    ordered = sorted(fits, key=lambda fit: fit.cost)
+    distinct: list[Fit] = []
+    for fit in ordered:
+        near = fit.cost < ordered[0].cost + RIVAL or not distinct
+        if near and all(_difference(fit, other) > DIFFERENT_M for other in distinct):
+            distinct.append(fit)
+    return tuple(distinct)
 
 
 def explained(fit: Fit, record: Record) -> bool:
@@ -115,6 +127,8 @@ def explained(fit: Fit, record: Record) -> bool:
 
 def doubt(fit: Fit, finding: Finding) -> str:
     """Why `fit`, the best of `finding` or a refinement of it, cannot be taken at its word; empty when it can."""
+    if still(finding.record):
+        return "nothing moves: readings at rest tell nothing of the outline"
     if not fit.settled:
         return "the iteration has not settled"
     if not explained(fit, finding.record):
@@ -125,6 +139,18 @@ def doubt(fit: Fit, finding: Finding) -> str:
     if any(rival.cost < finding.fits[0].cost + DOUBT for rival in finding.fits[1:]):
         return "another outline explains the readings as well"
     return ""
+
+
+def still(record: Record) -> bool:
+    """Whether the palms stand and every reading of a pad is the same to its noise."""
+    if np.ptp(record.palms[:, :2], axis=0).max() > STILL_RAD:
+        return False
+    for pad in (1.0, 2.0):
+        mine = record.contact_pad == pad
+        values, variance = record.contact_value[mine], record.contact_variance[mine]
+        if len(values) and not _consistent(float(np.mean((values - values.mean()) ** 2 / variance)), len(values)):
+            return False
+    return True
 
 
 def _consistent(chi2: float, readings: int) -> bool:

@@ -9,7 +9,7 @@ in that form, so an iteration costs a few milliseconds for ten seconds of readin
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +32,7 @@ FIRST_DAMPING, LEAST_DAMPING, MAX_DAMPING = 1e-2, 1e-9, 1e8
 BAND = 2 * NODE  # diagonals of the normal matrix in the nodes, from the main one down
 CORRECTIONS, GOOD_ENOUGH = 2, 0.9  # of the nodes alone, unless the cost falls by a tenth at once
 WILD_SPIN = 200.0  # rad/s
+_UNSOLVABLE = (np.linalg.LinAlgError, ValueError)  # the latter is what scipy says of numbers that are not finite
 # Lengths in which a step is measured by the damping: radians and radians per second of the nodes.
 _NODE_SCALE = np.array([0.05, 0.5])
 
@@ -155,6 +156,8 @@ class Smoother:
         """
         guess = self.completed(start)
         now = self._linearise(guess, noise)
+        if not math.isfinite(now.cost):
+            return Fit(guess, noise, math.inf, math.inf, math.inf, 1.0, 0, False)
         damping, count, settled = FIRST_DAMPING, 0, False
         while count < iterations and damping < MAX_DAMPING and not settled:
             count += 1
@@ -201,6 +204,8 @@ class Smoother:
         if not _sane(trial):
             return None
         then = self._linearise(trial, noise)
+        if not math.isfinite(then.cost):
+            return None
         for _ in range(CORRECTIONS):
             if then.cost < GOOD_ENOUGH * to_beat:
                 break
@@ -217,6 +222,8 @@ class Smoother:
         """How sure the fit is of itself; raises LinAlgError where it is no minimum."""
         noise = fit.noise
         now = self._linearise(fit.guess, noise)
+        if not math.isfinite(now.cost):
+            raise np.linalg.LinAlgError("the fit is beyond all numbers")
         factor = cholesky_banded(now.banded, lower=True)
         last = np.zeros((len(now.node_side), NODE))
         last[-NODE:] = np.eye(NODE)
@@ -233,6 +240,13 @@ class Smoother:
     # ---- one point
 
     def _linearise(self, guess: Guess, noise: ProcessNoise) -> _Linear:
+        """The normal equations at `guess`; where anything overflows the cost is infinite and the rest is void."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            now = self._normal_equations(guess, noise)
+            sums = now.cost + now.banded.sum() + now.border.sum() + now.corner.sum() + now.node_side.sum()
+        return now if math.isfinite(sums) else replace(now, cost=math.inf)
+
+    def _normal_equations(self, guess: Guess, noise: ProcessNoise) -> _Linear:
         record, x, prior = self._record, guess.x, self._prior
         steps = len(record.dt)
         self._p[:] = guess.p
@@ -328,8 +342,10 @@ class _Readings:
         root = np.sqrt(np.where(outlier, gate / np.maximum(nis, gate), 1.0) / variance)
         cost = np.where(outlier, gate * (1.0 + np.log(np.maximum(nis, gate) / gate)), nis)
         total = float(cost.sum())
+        # of what is no outlier: those are counted, and have no say in how well the others are explained
+        chi2 = float(nis[~outlier].mean()) if n and not outlier.all() else math.inf
         outliers = float(outlier.sum()) / max(n, 1)
-        return _Evaluated(residual, root, self._gradient[:n], total, total / max(n, 1), outliers)
+        return _Evaluated(residual, root, self._gradient[:n], total, chi2 if n else 0.0, outliers)
 
 
 def _solved(now: _Linear, damping: float, scale: FloatArray) -> Guess | None:
@@ -340,7 +356,7 @@ def _solved(now: _Linear, damping: float, scale: FloatArray) -> Guess | None:
         solved = cho_solve_banded((factor, True), np.column_stack([now.border, now.node_side]))
         schur = now.corner + np.diag(damping / scale**2) - now.border.T @ solved[:, :-1]
         p = cho_solve(cho_factor(schur), now.constant_side - now.border.T @ solved[:, -1])
-    except np.linalg.LinAlgError:
+    except _UNSOLVABLE:
         return None
     x = solved[:, -1] - solved[:, :-1] @ p
     return Guess(x.reshape(-1, NODE), p)
@@ -350,7 +366,7 @@ def _solved_nodes(now: _Linear) -> FloatArray:
     """The Newton step of the nodes alone, zero where there is none."""
     try:
         step: FloatArray = solveh_banded(now.banded, now.node_side, lower=True)
-    except np.linalg.LinAlgError:
+    except _UNSOLVABLE:
         step = np.zeros(len(now.node_side))
     return step.reshape(-1, NODE)
 

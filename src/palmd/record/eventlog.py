@@ -186,6 +186,7 @@ def _rig(line: Line) -> RigDescription:
         pad_resolution=_not_negative(pad, "resolution_m"),
         palm_angle_noise=_positive(rig, "palm_angle_noise_rad", default.palm_angle_noise),
         force_scale_std=_positive(rig, "force_scale_std"),
+        force_gain_std=_not_negative(rig, "force_gain_std", default.force_gain_std),
         force_resolution=_not_negative(rig, "force_resolution_n", default.force_resolution),
     )
 
@@ -259,6 +260,7 @@ def header_line(rig: RigDescription) -> Line:
             "hinge": hinge,
             "pad": pad,
             "force_scale_std": rig.force_scale_std,
+            "force_gain_std": rig.force_gain_std,
             "palm_angle_noise_rad": rig.palm_angle_noise,
             "force_resolution_n": rig.force_resolution,
         },
