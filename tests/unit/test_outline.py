@@ -5,7 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from palmd.model import shape
 from palmd.model.shape import basis, coefficients_of, tangential_basis
+from palmd.observer import outline
 from palmd.observer.outline import DIRECTIONS, directions, gauge_free_sd, normal_angles, outline_of, touched_by
 
 ORDER = 4
@@ -72,3 +74,42 @@ def test_a_circle_and_an_untouched_outline_have_no_orientation_to_lose():
     assert gauge_free_sd(directions(), degrees(10, 20), circle, COVARIANCE) == pytest.approx(plain)
     assert gauge_free_sd(directions(), degrees(), COEFFICIENTS, COVARIANCE) == pytest.approx(plain)
     assert len(plain) == DIRECTIONS
+
+
+def _hollow(depth: float) -> tuple[np.ndarray, slice]:
+    """A belief of two other states and an outline whose least v is −depth (m)."""
+    coefficients = np.zeros(25)
+    coefficients[0] = 0.02
+    coefficients[3] = (0.02 + depth) / 3.0  # v = a0 + (1 − 2²) a2 cos 2θ
+    return np.concatenate([[1.0, 2.0], coefficients]), slice(2, None)
+
+
+def _least_curvature(x: np.ndarray, at: slice) -> float:
+    order = (len(x[at]) - 1) // 2
+    rows = shape.basis(np.linspace(0.0, 2 * np.pi, 1440), order) * (1.0 - shape.harmonic_of_coefficient(order) ** 2)
+    return float((rows @ x[at]).min())
+
+
+def test_a_hollow_outline_is_made_convex_by_what_is_not_known_of_it() -> None:
+    x, at = _hollow(1e-3)
+    P = np.diag(np.concatenate([[1.0, 1.0], np.full(25, 3e-4) ** 2]))
+    before = np.diagonal(P).copy()
+    assert _least_curvature(x, at) < -0.9e-3
+    assert outline.made_convex(x, P, at)
+    assert _least_curvature(x, at) > -2e-5  # between the directions looked at
+    assert x[0] == 1.0
+    assert np.all(np.diagonal(P) <= before)
+    assert np.linalg.eigvalsh(P).min() > -1e-18
+
+
+def test_a_convex_outline_is_left_alone() -> None:
+    x, at = _hollow(-5e-3)
+    P = np.eye(27) * 1e-8
+    assert outline.made_convex(x, P, at)
+    np.testing.assert_array_equal(x, _hollow(-5e-3)[0])
+    np.testing.assert_array_equal(P, np.eye(27) * 1e-8)
+
+
+def test_what_is_known_for_sure_to_be_hollow_cannot_be_mended() -> None:
+    x, at = _hollow(1e-3)
+    assert not outline.made_convex(x, np.zeros((27, 27)), at)

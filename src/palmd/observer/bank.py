@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.model.compiled import BLOCK, BoundCall, Library
+from palmd.observer.cutoff import cut_off
 
 GATE = 16.0  # innovation² beyond which a reading is an outlier: 4 sigma
 SCORE_MEMORY_S = 2.0  # longer, and early luck keeps a filter in the lead that has since gone wrong
@@ -183,16 +184,8 @@ class Bank:
         values = x @ rows.T
         below = np.flatnonzero(values.min(axis=1) < 0.0)
         for member in below:
-            lowest = int(values[member].argmin())
-            Ph = P[member] @ rows[lowest]
-            variance = float(rows[lowest] @ Ph)
-            if not variance > 0.0:  # a filter gone wild is parked at the next reading
-                continue
-            sd = math.sqrt(variance)
-            depth = float(-values[member, lowest]) / sd
-            rise = _mills(depth)
-            x[member] += Ph * (rise / sd)
-            P[member] -= np.outer(Ph, Ph) * (rise * (rise - depth) / variance)
+            # one gone wild cannot be told, and is parked at the next reading
+            cut_off(x[member], P[member], rows[int(values[member].argmin())])
         return not len(below)
 
     def prune(self, margin: float) -> npt.NDArray[np.intp] | None:
@@ -255,10 +248,3 @@ class Bank:
             self.x[:], self.P[:] = 0.0, np.eye(self.n)
         self._outcome[: self.size][~sound] = 0.0
         self.score[~sound] = LOST_SCORE
-
-
-def _mills(a: float) -> float:
-    """Mean of the standard normal distribution above `a` ≥ 0."""
-    if a > 20.0:
-        return a + 1.0 / a - 2.0 / a**3
-    return math.exp(-a * a / 2) / (math.sqrt(math.pi / 2) * math.erfc(a / math.sqrt(2.0)))

@@ -11,8 +11,11 @@ import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.model import shape
+from palmd.observer.cutoff import cut_off
 
 DIRECTIONS = 360
+HOLLOW_M = 1e-6  # of v, up to which an outline passes for convex
+MOST_CUTS = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +45,23 @@ def outline_of(coefficients: FloatArray, covariance: FloatArray, normals: FloatA
     touched = touched_by(normals)
     h = shape.basis(theta, _order(coefficients)) @ coefficients
     return Outline(theta, h, gauge_free_sd(theta, theta[touched], coefficients, covariance), touched)
+
+
+def made_convex(x: FloatArray, P: FloatArray, at: slice) -> bool:
+    """Tell a belief (mean x, covariance P, in place) whose part `at` is an outline that v = h + h″ ≥ 0 all around.
+
+    Returns whether it has come to obey, to `HOLLOW_M`.
+    """
+    order = (len(x[at]) - 1) // 2
+    rows = np.zeros((DIRECTIONS, len(x)))
+    rows[:, at] = shape.basis(directions(), order) * (1.0 - shape.harmonic_of_coefficient(order) ** 2)
+    for _ in range(MOST_CUTS):
+        curvature = rows @ x
+        if curvature.min() > -HOLLOW_M:
+            return True
+        if not cut_off(x, P, rows[int(curvature.argmin())]):
+            break
+    return False
 
 
 def gauge_free_sd(

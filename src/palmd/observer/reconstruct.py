@@ -19,7 +19,7 @@ from palmd.model import shape
 from palmd.model.smoothing import CONSTANTS, ORDER, C
 from palmd.observer.marginal import Marginal, marginalised
 from palmd.observer.mass import MassEstimator
-from palmd.observer.outline import directions, normal_angles, outline_of
+from palmd.observer.outline import directions, made_convex, normal_angles, outline_of
 from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
 from palmd.observer.search import Finding, Search, doubt
 from palmd.observer.smoother import Fit, Smoother
@@ -112,12 +112,17 @@ def _result(search: Search, answer: _Answer, stretch: Stretch, rig: RigDescripti
         answered = marginalised(search.library, record, search.prior, fit)
     except np.linalg.LinAlgError:
         return _nothing(answer.reason or "the fit is not a minimum", begun, fit.chi2)
-    x, p, covariance = answered.mean.x, answered.mean.p, answered.covariance
+    x, covariance = answered.mean.x, answered.covariance
+    everything = np.concatenate([answered.mean.p, x[-1]])
+    convex = made_convex(everything, covariance, slice(C.SHAPE, CONSTANTS))
+    p = everything[:CONSTANTS]
     normals = normal_angles(record.palms, x[:, 0])
     outline = outline_of(p[C.SHAPE :], covariance[C.SHAPE : CONSTANTS, C.SHAPE : CONSTANTS], normals)
     reason = answer.reason
     if not reason and float(np.sqrt(np.mean(outline.h_sd[outline.touched] ** 2))) > SHARP_M:
         reason = "the readings tell too little of the outline"
+    if not reason and not convex:
+        reason = "only a hollow outline explains the readings"
     sd = np.sqrt(np.diagonal(covariance))
     rho = math.exp(p[C.LN_RHO])
     mass, mass_sd = _weighed(search, answer, stretch, rig, answered)

@@ -1,0 +1,54 @@
+"""What reconstructing ten seconds from a blind start costs, and what the smoother's iteration does."""
+
+import time
+
+import numpy as np
+import pytest
+from benchtable import PARTS, machine, percentiles, show
+
+from palmd.events import PadSample, PalmSample, RigDescription
+from palmd.observer.improver import Improver
+from palmd.observer.reconstruct import reconstruct
+from palmd.rig.shapes import KINDS
+from palmd.rig.simulate import simulate_log
+
+pytestmark = [pytest.mark.bench, pytest.mark.timeout(300)]
+
+SEEDS, SECONDS = range(4), 10.0
+
+
+def log_of(kind, seed):
+    header, *lines = simulate_log(kind, seed, SECONDS)[0]
+    hinge = header["rig"]["hinge"]
+    events = []
+    for line in lines:
+        if "pad" in line:
+            events.append(PadSample(line["t"], line["pad"], line["s_m"], line["force_n"]))
+        else:
+            events.append(PalmSample(line["t"], *line["palms"].values()))
+    return events, RigDescription(hinge=hinge["mode"], palm1_length=hinge.get("palm1_length_m", 0.12))
+
+
+def test_bench_reconstruct():
+    rows = []
+    for kind in KINDS:
+        logs = [log_of(kind, seed) for seed in SEEDS]
+        reconstruct(*logs[0])  # compiles, fills caches
+        answers = [reconstruct(*log) for log in logs]
+        assert all(answer.converged for answer in answers)
+        rows.append((kind, *percentiles([answer.seconds for answer in answers])))
+    show(f"reconstructing {SECONDS:g} s from a blind start (s), seeds {SEEDS.start}..{SEEDS.stop - 1}", PARTS, rows)
+    print(f"  {machine()}")
+
+
+def test_bench_improver():
+    events, rig = log_of("rig", 0)
+    improver = Improver(rig)
+    times = []
+    for end in np.arange(1.5, SECONDS, 0.5):
+        readings = [event for event in events if event.t_sample < end]
+        begun = time.perf_counter()
+        improver.improve(readings)
+        times.append(time.perf_counter() - begun)
+    show("one improvement beside the loop, rig log of 1.5 to 10 s (s)", PARTS, [("improve", *percentiles(times))])
+    print(f"  {machine()}")
