@@ -21,7 +21,7 @@ from palmd.observer.marginal import Marginal, marginalised
 from palmd.observer.mass import MassEstimator
 from palmd.observer.outline import directions, made_convex, normal_angles, outline_of
 from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
-from palmd.observer.search import Finding, Search, doubt
+from palmd.observer.search import Finding, Search, beyond_question, doubt
 from palmd.observer.smoother import Fit, Smoother
 from palmd.observer.stretch import Stretch, longest_stretch
 
@@ -29,7 +29,7 @@ SPACING_S = 0.005  # of the nodes in the end
 LEAST_S = 1.0
 SHARP_M = 1.5e-4  # RMS of the outline's one-sigma where touched, above which there is no outline to speak of
 # Each attempt: seconds that the bank reads, and how many of its filters the smoother starts from.
-ATTEMPTS = ((2.0, 3), (3.5, 6), (1.2, 8))
+ATTEMPTS = ((2.0, 3), (3.5, 4), (1.2, 8), (5.0, 4))
 NO_ANSWER = "no motion of an object was found that explains the readings"
 
 
@@ -75,14 +75,14 @@ def reconstruct(events: Sequence[Event], rig: RigDescription, seed: int = 0) -> 
         return _nothing("there is no second in which both pads and the arm report", begun)
     search = Search(stretch, rig)
     best: _Answer | None = None
-    for seconds, starts in ATTEMPTS:
+    for number, (seconds, starts) in enumerate(ATTEMPTS):
         finding = search.blind(seconds, starts, seed)
         if finding is None:
             continue
         answer = _refined(search, finding, stretch, rig)
         if best is None or answer.fit.cost < best.fit.cost:
             best = answer
-        if not best.reason:
+        if not best.reason and (number > 0 or beyond_question(best.fit, best.record)):
             break
     return _nothing(NO_ANSWER, begun) if best is None else _result(search, best, stretch, rig, begun)
 

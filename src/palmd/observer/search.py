@@ -30,7 +30,10 @@ RIVAL = 25.0  # twice the difference in log-likelihood up to which a rival is ca
 DOUBT = 9.0  # and up to which it makes the answer ambiguous
 DIFFERENT_M = 1e-4  # RMS of the outlines' difference from which two fits are rivals rather than the same
 CHI2_SIGMAS, CHI2_SLACK = 3.0, 0.02
+SECOND_OPINION_SIGMAS = 0.5
 MOST_OUTLIERS = 0.2
+MOST_SLACK = 0.25  # of the cost, for each contact reading: more, and the motion is not one of the model's
+MOST_STRAIN = 60.0  # of the cost, from some thirty constants and their prior
 STILL_RAD = 5e-3  # palms that move by less tell nothing of what turns with them
 
 
@@ -120,9 +123,17 @@ def _distinct(fits: Sequence[Fit]) -> tuple[Fit, ...]:
 
 
 def explained(fit: Fit, record: Record) -> bool:
-    """Whether contact and force readings are explained to their noise."""
+    """Whether contacts and forces are explained to their noise, by a motion of the model and a likely object."""
     forces = len(record.force_value)
+    slack, strain = fit.slack > MOST_SLACK * len(record.contact_value), fit.strain > MOST_STRAIN
+    if slack or strain or fit.astray > ASTRAY_READINGS:
+        return False
     return _consistent(fit.chi2, len(record.contact_value)) and (not forces or _consistent(fit.force_chi2, forces))
+
+
+def beyond_question(fit: Fit, record: Record) -> bool:
+    """Whether the contacts are explained so well that a second search would be a waste."""
+    return _consistent(fit.chi2, len(record.contact_value), SECOND_OPINION_SIGMAS)
 
 
 def doubt(fit: Fit, finding: Finding) -> str:
@@ -133,7 +144,8 @@ def doubt(fit: Fit, finding: Finding) -> str:
         return "the iteration has not settled"
     if not explained(fit, finding.record):
         chi2 = f"chi2 {fit.chi2:.2f}, of the forces {fit.force_chi2:.2f}"
-        return f"the readings are not explained to their noise: {chi2}"
+        effort = f"process noise {fit.slack:.0f}, prior {fit.strain:.0f}, readings astray {fit.astray}"
+        return f"no likely object and motion explain the readings to their noise: {chi2}; {effort}"
     if fit.outliers > MOST_OUTLIERS:
         return f"{fit.outliers:.0%} of the readings are outliers"
     if any(rival.cost < finding.fits[0].cost + DOUBT for rival in finding.fits[1:]):
@@ -153,8 +165,8 @@ def still(record: Record) -> bool:
     return True
 
 
-def _consistent(chi2: float, readings: int) -> bool:
-    return chi2 < 1.0 + CHI2_SLACK + CHI2_SIGMAS * math.sqrt(2.0 / max(readings, 1))
+def _consistent(chi2: float, readings: int, sigmas: float = CHI2_SIGMAS) -> bool:
+    return chi2 < 1.0 + CHI2_SLACK + sigmas * math.sqrt(2.0 / max(readings, 1))
 
 
 def _difference(one: Fit, other: Fit) -> float:

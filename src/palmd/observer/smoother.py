@@ -82,7 +82,8 @@ class Guess:
 class Fit:
     """A minimum that was found: its cost, χ² per contact and force reading (robust), and how the iteration ended.
 
-    `outliers` is the share of contact readings beyond the gate.
+    `slack` is what the steps' noise and `strain` what the prior contributes to the cost; `outliers` is the share of
+    contact readings beyond the gate, `astray` the longest run of them.
     """
 
     guess: Guess
@@ -90,7 +91,10 @@ class Fit:
     cost: float
     chi2: float
     force_chi2: float
+    slack: float
+    strain: float
     outliers: float
+    astray: int
     iterations: int
     settled: bool
 
@@ -113,7 +117,10 @@ class _Linear:
     cost: float
     chi2: float
     force_chi2: float
+    slack: float
+    strain: float
     outliers: float
+    astray: int
     banded: FloatArray
     border: FloatArray
     corner: FloatArray
@@ -157,7 +164,7 @@ class Smoother:
         guess = self.completed(start)
         now = self._linearise(guess, noise)
         if not math.isfinite(now.cost):
-            return Fit(guess, noise, math.inf, math.inf, math.inf, 1.0, 0, False)
+            return Fit(guess, noise, math.inf, math.inf, math.inf, math.inf, math.inf, 1.0, 0, 0, False)
         damping, count, settled = FIRST_DAMPING, 0, False
         while count < iterations and damping < MAX_DAMPING and not settled:
             count += 1
@@ -172,7 +179,19 @@ class Smoother:
             settled = now.cost - found[1].cost < NEGLIGIBLE
             guess, now = found
             damping = max(damping / 5.0, LEAST_DAMPING)
-        return Fit(guess, noise, now.cost, now.chi2, now.force_chi2, now.outliers, count, settled)
+        return Fit(
+            guess,
+            noise,
+            now.cost,
+            now.chi2,
+            now.force_chi2,
+            now.slack,
+            now.strain,
+            now.outliers,
+            now.astray,
+            count,
+            settled,
+        )
 
     def completed(self, guess: Guess) -> Guess:
         """The guess as it is, or carried on by the model where it has fewer nodes than the record."""
@@ -287,9 +306,10 @@ class Smoother:
         banded[0, :NODE] += first
         side = -(across @ residual)
         side[:NODE] -= first * x[0]
-        cost = float(defect @ defect) + contacts.cost + forces.cost + float(belief @ belief + first @ x[0] ** 2)
+        slack, strain = float(defect @ defect), float(belief @ belief + first @ x[0] ** 2)
+        cost = contacts.cost + forces.cost + slack + strain
         return _Linear(
-            cost, contacts.chi2, forces.chi2, contacts.outliers,
+            cost, contacts.chi2, forces.chi2, slack, strain, contacts.outliers, contacts.astray,
             banded, across @ in_constants, in_constants.T @ in_constants + rows.T @ rows,
             side, -(in_constants.T @ residual) - rows.T @ belief,
         )  # fmt: skip
@@ -313,6 +333,7 @@ class _Evaluated:
     cost: float
     chi2: float
     outliers: float
+    astray: int
 
 
 class _Readings:
@@ -345,7 +366,14 @@ class _Readings:
         # of what is no outlier: those are counted, and have no say in how well the others are explained
         chi2 = float(nis[~outlier].mean()) if n and not outlier.all() else math.inf
         outliers = float(outlier.sum()) / max(n, 1)
-        return _Evaluated(residual, root, self._gradient[:n], total, chi2 if n else 0.0, outliers)
+        return _Evaluated(
+            residual, root, self._gradient[:n], total, chi2 if n else 0.0, outliers, _longest_run(outlier)
+        )
+
+
+def _longest_run(flags: npt.NDArray[np.bool_]) -> int:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.intp), [0]])))
+    return int((edges[1::2] - edges[::2]).max(initial=0))
 
 
 def _solved(now: _Linear, damping: float, scale: FloatArray) -> Guess | None:

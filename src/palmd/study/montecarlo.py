@@ -68,7 +68,11 @@ def _run(task: Task) -> Row:
     answer = reconstruct(log.events, log.rig)
     outline = outline_errors(answer, truth)
     bound = cramer_rao(log.events, log.rig, truth, truth.theta if outline is None else outline.true_theta)
-    causal = causal_of(answers(log, told, observer.make("shape", log.rig))) if task.causal else None
+    causal = (
+        causal_of(answers(log, told, observer.make("shape", log.rig, smoothing=observer.Simulated(log.rig))))
+        if task.causal
+        else None
+    )
     return row_of(task.kind, task.seed, truth, answer, outline, bound, causal)
 
 
