@@ -19,7 +19,8 @@ from palmd.observer.smoother import Fit, Guess, Smoother
 from palmd.observer.stretch import longest_stretch
 
 LEAST_S = 1.0  # of readings, before which the bank is as good
-STARTS = 2  # of the bank's filters that the smoother follows up
+PATIENCE = 2  # windows that may fail: an answer that hard to find comes too late
+STARTS = 3  # of the bank's filters that the smoother follows up
 BANK_READS_S = 2.0
 CHALLENGE = 2.0  # by how much the record grows from one blind search to the next
 
@@ -60,7 +61,7 @@ class Improver:
         stretch = longest_stretch(events)
         if stretch is None or stretch.end - stretch.start < LEAST_S:
             return None
-        search = Search(stretch, self._rig)
+        search = Search(stretch, self._rig, PATIENCE)
         finding: Finding | None = None
         if self._guesses and stretch.start == self._start:
             finding = search.resumed(self._guesses)

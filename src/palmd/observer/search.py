@@ -25,6 +25,7 @@ SPACING_S = 0.01  # of the nodes while looking for the answer
 FIRST_LOOK_S = 0.3  # readings that tell the object's size
 NOISE = ProcessNoise(1e-8, 1e-5)
 GROWTH, LEAST_GROWTH_S = 1.6, 0.1
+PATIENCE = 12
 ASTRAY_SIGMAS, ASTRAY_READINGS = 8.0, 5  # a prediction that misses so many readings in a row by so much is lost
 RIVAL = 25.0  # twice the difference in log-likelihood up to which a rival is carried along
 DOUBT = 9.0  # and up to which it makes the answer ambiguous
@@ -48,9 +49,13 @@ class Finding:
 class Search:
     """One stretch: its layout and its prior. Not for use inside the loop."""
 
-    def __init__(self, stretch: Stretch, rig: RigDescription):
-        """Lays out the stretch's readings; compiles the smoother the first time."""
+    def __init__(self, stretch: Stretch, rig: RigDescription, patience: int = PATIENCE):
+        """Lays out the stretch's readings; compiles the smoother the first time.
+
+        `patience` is how many windows in all a search may find unexplained, and try again with a shorter one.
+        """
         self._rig = rig
+        self._patience = patience
         self._events = stretch.events()
         self.path = smoothed_path(stretch.palms, rig.palm_angle_noise)
         self.record = lay_out(stretch.pads, self.path, rig, stretch.start, stretch.end, SPACING_S)
@@ -71,21 +76,22 @@ class Search:
 
     def _grown_from(self, record: Record, guesses: Sequence[Guess]) -> Finding | None:
         fits = self._fits(record, guesses)
+        if len(record.t) < len(self.record.t) and not explained(fits[0], record):
+            return None
+        failures = 0
         while len(record.t) < len(self.record.t):
-            if not explained(fits[0], record):
-                return None
-            record, fits = self._grown(record, fits)
+            now, known = float(record.t[-1]), [fit.guess for fit in fits]
+            longer = self._longer(record, fits[0])
+            found = self._fits(longer, known)
+            # near an unstable equilibrium a long window ends on the wrong side of it
+            while not explained(found[0], longer):
+                step, failures = float(longer.t[-1]) - now, failures + 1
+                if step < 1.5 * LEAST_GROWTH_S or failures > self._patience:
+                    return Finding(longer, found) if len(longer.t) == len(self.record.t) else None
+                longer = self.record.until(now + max(step / 2, LEAST_GROWTH_S))
+                found = self._fits(longer, known)
+            record, fits = longer, found
         return Finding(record, fits)
-
-    def _grown(self, record: Record, fits: tuple[Fit, ...]) -> tuple[Record, tuple[Fit, ...]]:
-        """A longer window and the minima on it; a shorter one where the readings of the longer are not explained."""
-        now, guesses = float(record.t[-1]), [fit.guess for fit in fits]
-        longer = self._longer(record, fits[0])
-        found = self._fits(longer, guesses)
-        while not explained(found[0], longer) and (step := float(longer.t[-1]) - now) > 1.5 * LEAST_GROWTH_S:
-            longer = self.record.until(now + max(step / 2, LEAST_GROWTH_S))
-            found = self._fits(longer, guesses)
-        return longer, found
 
     def _longer(self, record: Record, fit: Fit) -> Record:
         """A longer window, as far as the fit foretells the readings to come: beyond that it would be led astray."""
