@@ -126,7 +126,7 @@ def test_it_says_so_when_one_of_them_dies(demo, child):
 def test_its_children_end_with_it(demo):
     running = demo("--seed", "3")
     running.wait_for("PlotJuggler")
-    assert len(running.processes()) == 3
+    assert len(running.processes()) >= 3  # itself, the rig, the daemon; and the daemon's smoother once it is there
     running.process.kill()
     running.process.wait()
     deadline = time.monotonic() + 10.0

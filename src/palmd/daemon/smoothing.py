@@ -1,7 +1,7 @@
 """The smoother in a process of its own beside the loop: they meet on ZeroMQ, and the loop never waits.
 
 What the process cannot take at once is dropped; a process that has died is started again. It sleeps most of the time,
-so that a rig with two cores keeps one for itself. `python -m palmd.daemon.smoothing ADDRESS` is the process.
+so that a rig with two cores keeps one for itself.
 """
 
 from __future__ import annotations
@@ -37,7 +37,6 @@ RESTART_S = 10.0  # from one start of the process to the next at least
 CLOSE_S = 1.0
 SHARE = 0.5  # of one core that the process takes at most, and that only before it has found anything
 NICENESS = 10
-PARENT_CHECK_MS = 1000
 
 _KINDS: tuple[type[PadSample] | type[PadLift] | type[PalmSample], ...] = (PadSample, PadLift, PalmSample)
 
@@ -103,7 +102,7 @@ class SmootherProcess:
     def _start(self) -> None:
         self._t_started = time.monotonic()
         self.starts += 1
-        command = [sys.executable, "-m", "palmd.daemon.smoothing", self._address, str(os.getpid())]
+        command = [sys.executable, "-m", "palmd.daemon.smoother", self._address, str(os.getpid())]
         # the linear algebra is of small matrices: more threads would only take the loop's core
         environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
         self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, env=environment)
@@ -124,8 +123,8 @@ def _unpacked(fields: list[Any]) -> Event:
     return event
 
 
-def main(address: str, parent: int) -> None:
-    """The process: gather readings, smooth, answer; ends with its parent, whose process number is given."""
+def serve(address: str) -> None:
+    """The process's work, for ever: gather readings, smooth, answer."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the loop, which ends this process in its turn
     os.nice(NICENESS)
     context = zmq.Context()
@@ -137,9 +136,7 @@ def main(address: str, parent: int) -> None:
     next_one = 0.0
     smoothing.library()
     shape_map.library()
-    while os.getppid() == parent:
-        if not socket.poll(PARENT_CHECK_MS):
-            continue
+    while True:
         rig, begun, events = msgpack.unpackb(socket.recv())
         improver = improver or Improver(RigDescription(**_rig_fields(rig)))
         readings.add(begun, [_unpacked(event) for event in events])
@@ -155,7 +152,3 @@ def main(address: str, parent: int) -> None:
 
 def _rig_fields(fields: dict[str, Any]) -> dict[str, Any]:
     return {name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()}
-
-
-if __name__ == "__main__":
-    main(sys.argv[1], int(sys.argv[2]))
