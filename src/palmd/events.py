@@ -86,6 +86,15 @@ class RigDescription:
     force_gain_std: float = 0.0  # relative, of all of a pad's readings together; it may drift
     force_resolution: float = 0.02
 
+    @property
+    def reading_variance(self) -> float:
+        """Of one contact reading: its noise and what rounding to the pad's resolution adds (m²)."""
+        return self.pad_noise**2 + self.pad_resolution**2 / 12
+
+    def force_variance(self, force: FloatArray) -> FloatArray:
+        """Of readings of a true `force` (N) by themselves, rounding included; without what a gain adds (N²)."""
+        return (self.force_scale_std * force) ** 2 + self.force_resolution**2 / 12
+
 
 @dataclass(frozen=True, slots=True)
 class Estimate:

@@ -14,10 +14,10 @@ from palmd import observer
 from palmd.events import Estimate, Event, FloatArray, PadSample, PalmSample, RigDescription
 from palmd.model import shape
 from palmd.model.compiled import BLOCK
-from palmd.observer.filters import ShapeFilters
+from palmd.observer.filters import LONGEST_STEP_S, ShapeFilters
 from palmd.observer.improved import KEPT_S, LONGEST_S, ImprovedObserver, Readings, Simulated, period
 from palmd.observer.improver import Improvement, Improver
-from palmd.observer.live import LONGEST_STEP_S, BankObserver
+from palmd.observer.live import BankObserver
 from palmd.observer.newcomer import LEAD_S, Newcomer
 from palmd.observer.palms import PalmTracker
 
@@ -173,6 +173,20 @@ def test_improvements_are_sharper_the_more_was_read(run: Run) -> None:
         rows = shape.basis(theta)
         spreads.append(float(np.sqrt(np.einsum("ij,jk,ik->i", rows, improvement.P[6:, 6:], rows)).min()))
     assert spreads[0] > spreads[1] > spreads[2]
+
+
+def test_events_without_a_time_do_not_pile_up(run: Run) -> None:
+    smoothing = Scripted(math.inf, None)
+    watcher = observer.make("shape", run.rig, smoothing=smoothing)
+    assert isinstance(watcher, ImprovedObserver)
+    watcher.feed(PadSample(math.nan, 1, 0.02))
+    for k in range(2000):
+        watcher.feed(PadSample(0.01 * k, 1, 0.02))
+    watcher.feed(PadSample(20.0, 2, math.nan))
+    watcher.estimate(20.0)
+    assert len(watcher._recent) < 500
+    assert smoothing.count == 2000
+    assert watcher.late_dropped == 2
 
 
 def test_too_few_readings_improve_nothing(run: Run) -> None:

@@ -246,3 +246,10 @@ def test_pads_with_clocks_of_their_own_are_not_claimed_wrongly():
 def test_a_rig_that_is_not_as_described(options):
     run = simulated("nominal", 1, 3.0, options)
     assert honest(reconstruct(run.events, run.rig), run)
+
+
+def test_a_window_that_ends_on_the_wrong_side_of_an_unstable_pose_is_seen_and_shortened():
+    run = simulated("nominal", 1070, 8.0)
+    answer = reconstruct(run.events, run.rig)
+    assert answer.converged, answer.reason
+    assert e_h(answer, run) < RIGHT_M

@@ -9,18 +9,17 @@ import argparse
 import dataclasses
 import json
 import math
-import sys
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from palmd.cli.errors import BAD_INPUT, CliError
+from palmd.cli.logs import read
 from palmd.cli.progress import Progress
-from palmd.record.eventlog import EventLog, LogError, read_log
+from palmd.record.eventlog import EventLog
 from palmd.rig.shapes import KINDS
-from palmd.rig.simulate import simulate_log
 from palmd.study.peers.task import Start, Task, Truth, task_from
+from palmd.study.simulated import simulated
 
 if TYPE_CHECKING:
     from palmd.study.peers.contest import BankTick, Row
@@ -79,26 +78,12 @@ def _rows(log: EventLog, task: Task, truth: Truth, starts: tuple[Start, Start]) 
 def _run_to_compare(arguments: argparse.Namespace) -> tuple[str, EventLog, Truth]:
     """What it is called, its events up to `--seconds`, and its truth."""
     if arguments.log is not None:
-        log = _read(arguments.log)
+        log = read(arguments.log)
         t_end = log.events[0].t_sample + arguments.seconds
         events = tuple(event for event in log.events if event.t_sample <= t_end)
         return arguments.log.name, dataclasses.replace(log, events=events), _truth(arguments.log)
-    lines, fields = simulate_log(arguments.kind, arguments.seed, arguments.seconds)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "simulated.jsonl"
-        path.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
-        path.with_suffix(".truth.json").write_text(json.dumps(fields), encoding="utf-8")
-        return f"{arguments.kind}, seed {arguments.seed}", _read(path), _truth(path)
-
-
-def _read(path: Path) -> EventLog:
-    try:
-        log = read_log(path)
-    except LogError as error:
-        raise CliError(BAD_INPUT, str(error)) from None
-    for note in log.notes:
-        print(note, file=sys.stderr)
-    return log
+    log, told = simulated(arguments.kind, arguments.seed, arguments.seconds)
+    return f"{arguments.kind}, seed {arguments.seed}", log, Truth.from_fields(told)
 
 
 def _truth(log: Path) -> Truth:

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from pathlib import Path
 from typing import TextIO
 
 from palmd import observer
-from palmd.cli.errors import BAD_INPUT, CliError
-from palmd.cli.output import opened
+from palmd.cli.logs import opened, read
 from palmd.cli.progress import Progress
-from palmd.record.eventlog import EventLog, LogError, read_log
+from palmd.record.eventlog import EventLog
 from palmd.record.replay import lines, replay, tick_count
 
 
@@ -31,12 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Reads the whole log before it writes anything; CliError when the log cannot be used."""
-    try:
-        log = read_log(arguments.log)
-    except LogError as error:
-        raise CliError(BAD_INPUT, str(error)) from None
-    for note in log.notes:
-        print(note, file=sys.stderr)
+    log = read(arguments.log)
     with opened(arguments.output, arguments.log) as stream:
         _replay(log, arguments.observer, stream)
     return 0

@@ -12,10 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from palmd.cli.errors import BAD_INPUT, CliError
-from palmd.cli.output import opened
+from palmd.cli.logs import opened, read
 from palmd.observer.reconstruct import Reconstruction, reconstruct
-from palmd.record.eventlog import LogError, read_log
 from palmd.record.result import as_line
 
 
@@ -28,12 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Writes nothing before the answer is there; CliError when the log cannot be used."""
-    try:
-        log = read_log(arguments.log)
-    except LogError as error:
-        raise CliError(BAD_INPUT, str(error)) from None
-    for note in log.notes:
-        print(note, file=sys.stderr)
+    log = read(arguments.log)
     with _said("reconstructing…"):
         answer = reconstruct(log.events, log.rig, arguments.seed)
     with opened(arguments.output, arguments.log) as stream:

@@ -7,6 +7,7 @@ so that a rig with two cores keeps one for itself.
 from __future__ import annotations
 
 import contextlib
+import json
 import logging
 import os
 import signal
@@ -46,7 +47,7 @@ class SmootherProcess:
 
     def __init__(self, rig: RigDescription) -> None:
         """Start the process; raises OSError when it cannot be."""
-        self._rig = asdict(rig)
+        self._rig = json.dumps(asdict(rig))
         self._folder = tempfile.TemporaryDirectory(prefix="palmd-")
         self._address = f"ipc://{Path(self._folder.name) / 'smoother'}"
         self._context = zmq.Context()
@@ -67,7 +68,7 @@ class SmootherProcess:
             return
         self._t_sent = t
         try:
-            self._socket.send(msgpack.packb([self._rig, begun, self._waiting]), zmq.NOBLOCK)
+            self._socket.send(msgpack.packb([begun, self._waiting]), zmq.NOBLOCK)
             self._waiting = []
         except zmq.Again:  # it is starting, or stuck, or gone
             lost = len(self._waiting) - KEPT_EVENTS
@@ -102,7 +103,7 @@ class SmootherProcess:
     def _start(self) -> None:
         self._t_started = time.monotonic()
         self.starts += 1
-        command = [sys.executable, "-m", "palmd.daemon.smoother", self._address, str(os.getpid())]
+        command = [sys.executable, "-m", "palmd.daemon.smoother", self._address, str(os.getpid()), self._rig]
         # the linear algebra is of small matrices: more threads would only take the loop's core
         environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
         self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, env=environment)
@@ -123,8 +124,8 @@ def _unpacked(fields: list[Any]) -> Event:
     return event
 
 
-def serve(address: str) -> None:
-    """The process's work, for ever: gather readings, smooth, answer."""
+def serve(address: str, rig: str) -> None:
+    """The process's work, for ever: gather readings, smooth, answer; `rig` is the description's fields as JSON."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the loop, which ends this process in its turn
     os.nice(NICENESS)
     context = zmq.Context()
@@ -132,13 +133,12 @@ def serve(address: str) -> None:
     socket.set(zmq.LINGER, 0)
     socket.connect(address)
     readings = Readings()
-    improver: Improver | None = None
+    improver = Improver(RigDescription(**_rig_fields(json.loads(rig))))
     next_one = 0.0
     smoothing.library()
     shape_map.library()
     while True:
-        rig, begun, events = msgpack.unpackb(socket.recv())
-        improver = improver or Improver(RigDescription(**_rig_fields(rig)))
+        begun, events = msgpack.unpackb(socket.recv())
         readings.add(begun, [_unpacked(event) for event in events])
         if socket.poll(0) or time.monotonic() < next_one:
             continue

@@ -10,6 +10,7 @@ Readings are states, so every update is exactly linear; only the motion between 
 from __future__ import annotations
 
 from enum import IntEnum
+from functools import cache
 
 import casadi as ca
 
@@ -180,6 +181,7 @@ def outline_function() -> ca.Function:
     return ca.Function("outline", [x], [h, ca.jacobian(h, x)], ["x"], ["h", "J"])
 
 
+@cache
 def library() -> Library:
     """Kernels for blocks of filters (predict, update_*, values), and for one of them: predict, named, outline."""
     predict = predict_function()

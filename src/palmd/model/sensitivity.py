@@ -7,6 +7,8 @@ g_i = ∂s_i/∂x adds w_i (g_i Φ)ᵀ(g_i Φ) to the information G about x0, th
 
 from __future__ import annotations
 
+from functools import cache
+
 import casadi as ca
 
 from palmd.model.compiled import Library, densified, load
@@ -59,6 +61,7 @@ def aim_function() -> ca.Function:
     return ca.Function("aim", [x, u], [ca.jacobian(z, x)], ["x", "u"], ["J"])
 
 
+@cache
 def library() -> Library:
     """The kernels `gather` and `aim`, for one trajectory."""
     return load("sensitivity", [densified(f) for f in (gather_function(), aim_function())])

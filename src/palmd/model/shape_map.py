@@ -7,6 +7,7 @@ revisit sharpens it. Only ψ and ω0 move; s1, s2 are explicit functions of ψ, 
 from __future__ import annotations
 
 from enum import IntEnum
+from functools import cache
 
 import casadi as ca
 
@@ -120,6 +121,7 @@ def values_function() -> ca.Function:
     return ca.Function("values", [x, u], [named(x, u)[0]], ["x", "u"], ["y"])
 
 
+@cache
 def library() -> Library:
     """Kernels for blocks of shape maps (predict, update_s1, update_s2, values), and for one: predict, named."""
     predict = predict_function()

@@ -96,5 +96,4 @@ def _expected(record: Record, smoother: Smoother, rig: RigDescription, guess: Gu
     """The record with every reading at its expectation, so that none is weighed down as an outlier."""
     contacts = record.contact_value - smoother.residuals(guess) * np.sqrt(record.contact_variance)
     forces = np.maximum(smoother.forces(guess), LEAST_FORCE_N)
-    variance = (rig.force_scale_std * forces) ** 2 + rig.force_resolution**2 / 12
-    return replace(record, contact_value=contacts, force_value=forces, force_variance=variance)
+    return replace(record, contact_value=contacts, force_value=forces, force_variance=rig.force_variance(forces))

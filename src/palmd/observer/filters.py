@@ -80,6 +80,18 @@ class Filters(Protocol):
 
 
 CURVATURE_NORMALS = 72
+LONGEST_STEP_S = 0.0061  # of one integration step: readings of one pad come every 10 ms
+
+
+def carry(filters: Filters, t: float, until: float, palms: PalmTracker) -> None:
+    """Move a bank from `t` to `until` (s) in equal steps of at most `LONGEST_STEP_S`; safe inside the loop."""
+    gap = until - t
+    steps = max(1, math.ceil(gap / LONGEST_STEP_S))
+    for _ in range(steps):
+        filters.predict(t, gap / steps, palms)
+        t += gap / steps
+
+
 SMALLEST_RADIUS = 1e-3  # m, below which a filter's mean radius is not taken at its word
 GUESSED_ACCELERATION_SD = 2.0  # rad/s², of palms and object while the palms' motion is guessed
 GUESSED_SLIDING_SD, GUESSED_ROLLING_SD = 1e-2, 3e-3  # m/s, of s and of r then

@@ -10,9 +10,9 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Protocol
 
-from palmd.events import Estimate, Event, RigDescription, ShapeEstimate
+from palmd.events import Estimate, Event, PadLift, RigDescription, ShapeEstimate
 from palmd.observer.improver import Improvement, Improver
-from palmd.observer.live import BankObserver
+from palmd.observer.live import BankObserver, finite
 from palmd.observer.newcomer import Newcomer
 
 MEMORY_S = 4.0  # how long after its time an improvement can still be taken in
@@ -62,20 +62,15 @@ class ImprovedObserver:
         """Events too late to be fused, or not finite."""
         return self._bank.late_dropped
 
-    def reset(self) -> None:
-        """Back to the very beginning."""
-        self._bank.reset()
-        self._recent.clear()
-        self._batch.clear()
-        self._newcomer.active = False
-
     def warm_up(self) -> None:
         """Pay the costs of first calls now."""
         self._bank.warm_up()
 
     def feed(self, event: Event) -> None:
-        """Take one event."""
+        """Take one event; one that the bank counts as not finite goes no further."""
         self._bank.feed(event)
+        if not isinstance(event, PadLift) and not finite(event):
+            return
         self._batch.append(event)
         self._recent.append(event)
         while self._recent[0].t_sample < event.t_sample - MEMORY_S:

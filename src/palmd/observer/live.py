@@ -29,7 +29,7 @@ from palmd.model.compiled import BLOCK
 from palmd.model.named import NAMED, rig_inputs
 from palmd.observer.answer import answer, no_answer
 from palmd.observer.bank import Bank, Snapshot
-from palmd.observer.filters import Filters
+from palmd.observer.filters import LONGEST_STEP_S, Filters, carry
 from palmd.observer.known import KnownObject, Memory
 from palmd.observer.mass import MassEstimator, resting_forces
 from palmd.observer.observability import Observability
@@ -37,7 +37,6 @@ from palmd.observer.palms import PalmTracker
 from palmd.observer.prior import blind_start, shape_map_sd
 from palmd.observer.touched import NORMAL_BINS, TouchMarks
 
-LONGEST_STEP_S = 0.0061  # of one integration step: readings of one pad come every 10 ms
 SILENCE_S = 0.1  # a pad silent for longer does not vouch for a contact
 GONE_S = 0.4  # a pad silent for longer: the object has left the palms
 # Palms not reported for longer are not known: a controller that does not track is asked each 0.1 s only.
@@ -91,7 +90,7 @@ class BankObserver:
         self._filters = filters
         self._rig = rig
         self._seed = seed
-        self._pad_variance = rig.pad_noise**2 + rig.pad_resolution**2 / 12
+        self._pad_variance = rig.reading_variance
         self._observability = Observability(rig_inputs(rig), self._pad_variance)
         self._fused: list[_Fused] = []
         self._spare = [self._bank.blank() for _ in range(HISTORY)]
@@ -171,7 +170,7 @@ class BankObserver:
         if isinstance(event, PadLift):
             self._lifted.add(event.pad)
             return
-        if not _finite(event):
+        if not finite(event):
             self.late_dropped += 1
             return
         if isinstance(event, PalmSample):
@@ -396,11 +395,7 @@ class BankObserver:
         return self._bank.lift(block, self._filters.curvature)
 
     def _move_to(self, t: float) -> None:
-        gap = t - self._t
-        steps = max(1, math.ceil(gap / LONGEST_STEP_S))
-        for _ in range(steps):
-            self._filters.predict(self._t, gap / steps, self._palms)
-            self._t += gap / steps
+        carry(self._filters, self._t, t, self._palms)
         self._t = t
 
     # ---- reading off
@@ -427,7 +422,8 @@ class BankObserver:
         return self._filters.all_named(self._t, self._palms)[:, _PSI]
 
 
-def _finite(event: PadSample | PalmSample) -> bool:
+def finite(event: PadSample | PalmSample) -> bool:
+    """Whether every number that the event tells is one."""
     values: tuple[float, ...]
     if isinstance(event, PadSample):
         values = (event.t_sample, event.s, event.force or 0.0)

@@ -9,9 +9,8 @@ import numpy as np
 
 from palmd.events import Event, FloatArray, PadSample, PalmSample, RigDescription
 from palmd.model.compiled import BLOCK
-from palmd.observer.filters import ShapeFilters
+from palmd.observer.filters import ShapeFilters, carry
 from palmd.observer.improver import Improvement
-from palmd.observer.live import LONGEST_STEP_S
 from palmd.observer.palms import PalmTracker
 
 LEAST_READINGS = 30  # by which a newcomer is judged before it joins
@@ -27,7 +26,7 @@ class Newcomer:
     def __init__(self, rig: RigDescription):
         """Binds its own block of kernels."""
         self._filters = ShapeFilters(rig, BLOCK)
-        self._variance = rig.pad_noise**2 + rig.pad_resolution**2 / 12
+        self._variance = rig.reading_variance
         self._angle_noise = rig.palm_angle_noise
         self._waiting: deque[Event] = deque()
         self._palms = PalmTracker(self._angle_noise)
@@ -74,9 +73,5 @@ class Newcomer:
         return bank.x[0].copy(), bank.P[0].copy(), float(bank.nis[0])
 
     def _move_to(self, t: float) -> None:
-        gap = t - self._t
-        steps = int(np.ceil(gap / LONGEST_STEP_S))
-        for _ in range(steps):
-            self._filters.predict(self._t, gap / steps, self._palms)
-            self._t += gap / steps
+        carry(self._filters, self._t, t, self._palms)
         self._t = t

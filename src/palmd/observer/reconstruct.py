@@ -100,8 +100,7 @@ def _refined(search: Search, finding: Finding, stretch: Stretch, rig: RigDescrip
     record = lay_out(stretch.pads, search.path, rig, stretch.start, stretch.end, SPACING_S)
     guess = best.guess.on(finding.record.t, record.t)
     level = np.maximum(Smoother(search.library, record, search.prior).forces(guess), LEAST_FORCE_N)
-    variance = (rig.force_scale_std * level) ** 2 + rig.force_resolution**2 / 12
-    record = replace(record, force_variance=variance)
+    record = replace(record, force_variance=rig.force_variance(level))
     fit = Smoother(search.library, record, search.prior).fit(guess, best.noise)
     return _Answer(fit, record, doubt(fit, finding))
 

@@ -114,11 +114,11 @@ def lay_out(
     step = np.clip(np.searchsorted(t, times, side="right") - 1, 0, steps - 1)
     offset = times - t[step]
     palms = path.at(times) if len(times) else np.zeros((0, 6))
-    variance = np.full(len(times), rig.pad_noise**2 + rig.pad_resolution**2 / 12)
+    variance = np.full(len(times), rig.reading_variance)
     # the noise grows with the true force; neighbours in time tell it better than the reading itself
     pressed = np.isfinite(force) & (force > LEAST_FORCE_N) & (rig.force_gain_std == 0.0)
     level = _running_median(force, pad)
-    force_variance = (rig.force_scale_std * level) ** 2 + rig.force_resolution**2 / 12
+    force_variance = rig.force_variance(level)
     return Record(
         t, path.at(t), rig_inputs(rig),
         step, offset, pad, palms, value, variance,

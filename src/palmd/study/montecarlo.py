@@ -6,12 +6,9 @@ process, on any machine and in any order.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -19,11 +16,11 @@ from palmd import observer
 from palmd.events import FloatArray, ShapeEstimate
 from palmd.observer.bound import cramer_rao
 from palmd.observer.reconstruct import reconstruct
-from palmd.record.eventlog import EventLog, read_log
+from palmd.record.eventlog import EventLog
 from palmd.record.replay import Observer, replay
 from palmd.rig.shapes import KINDS, Kind
-from palmd.rig.simulate import simulate_log
 from palmd.study.scoring import Answers, Line, Row, causal_of, outline_errors, row_of, score_where_known, truth_of
+from palmd.study.simulated import simulated
 
 TICKS_PER_SHAPE = 10
 
@@ -62,25 +59,15 @@ def in_order(rows: Iterable[Row]) -> list[Row]:
 
 
 def _run(task: Task) -> Row:
-    lines, told = simulate_log(task.kind, task.seed, task.seconds)
-    log, truth = _as_read(lines), truth_of(told)
+    log, told = simulated(task.kind, task.seed, task.seconds)
+    truth = truth_of(told)
     # The estimators' own seeds stay at their defaults, so that the commands give the same answers on the same log.
     answer = reconstruct(log.events, log.rig)
     outline = outline_errors(answer, truth)
     bound = cramer_rao(log.events, log.rig, truth, truth.theta if outline is None else outline.true_theta)
-    causal = (
-        causal_of(answers(log, told, observer.make("shape", log.rig, smoothing=observer.Simulated(log.rig))))
-        if task.causal
-        else None
-    )
+    watcher = observer.make("shape", log.rig, smoothing=observer.Simulated(log.rig))
+    causal = causal_of(answers(log, told, watcher)) if task.causal else None
     return row_of(task.kind, task.seed, truth, answer, outline, bound, causal)
-
-
-def _as_read(lines: Iterable[Line]) -> EventLog:
-    with TemporaryDirectory(prefix="palmd-") as folder:
-        path = Path(folder) / "run.jsonl"
-        path.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
-        return read_log(path)
 
 
 def answers(log: EventLog, told: Line, watcher: Observer) -> Answers:

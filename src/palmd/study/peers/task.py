@@ -15,7 +15,8 @@ from palmd.events import Event, FloatArray, PadSample, PalmMotion, PalmSample, R
 from palmd.model import shape, shape_map
 from palmd.model.named import rig_inputs
 from palmd.observer import prior
-from palmd.observer.live import CAUTION, CAUTION_S, LONGEST_STEP_S
+from palmd.observer.filters import LONGEST_STEP_S
+from palmd.observer.live import CAUTION, CAUTION_S
 from palmd.observer.palms import PalmTracker
 
 StartName = Literal["good", "blind"]
@@ -128,7 +129,7 @@ class Start:
 def task_from(rig: RigDescription, events: Iterable[Event]) -> Task:
     """The events of a run as readings, cut as `observer.live` cuts them; raises ValueError if nothing is touched."""
     tracker, rig_values = PalmTracker(rig.palm_angle_noise), rig_inputs(rig)
-    variance = rig.pad_noise**2 + rig.pad_resolution**2 / 12
+    variance = rig.reading_variance
     last: dict[int, PadSample] = {}
     readings: list[Reading] = []
     t = t_start = math.inf

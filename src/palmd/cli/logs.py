@@ -1,4 +1,4 @@
-"""Where a command writes what it makes of a log."""
+"""How a command reads a log, and where it writes what it makes of it."""
 
 from __future__ import annotations
 
@@ -9,8 +9,20 @@ from pathlib import Path
 from typing import TextIO
 
 from palmd.cli.errors import BAD_INPUT, CliError
+from palmd.record.eventlog import EventLog, LogError, read_log
 
 STDOUT = Path("-")
+
+
+def read(path: Path) -> EventLog:
+    """The log at `path`, its notes told on standard error; CliError when it cannot be used."""
+    try:
+        log = read_log(path)
+    except LogError as error:
+        raise CliError(BAD_INPUT, str(error)) from None
+    for note in log.notes:
+        print(note, file=sys.stderr)
+    return log
 
 
 @contextlib.contextmanager

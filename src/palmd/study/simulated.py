@@ -1,0 +1,21 @@
+"""A run of the emulated plant as an event log, read exactly as one from disk would be."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from palmd.record.eventlog import EventLog, read_log
+from palmd.rig.shapes import Kind
+from palmd.rig.simulate import simulate_log
+
+
+def simulated(kind: Kind, seed: int, seconds: float) -> tuple[EventLog, dict[str, Any]]:
+    """The log, and the truth in the fields of a `*.truth.json`; the same arguments, the same run."""
+    lines, told = simulate_log(kind, seed, seconds)
+    with TemporaryDirectory(prefix="palmd-") as folder:
+        path = Path(folder) / "run.jsonl"
+        path.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
+        return read_log(path), told
