@@ -249,7 +249,7 @@ def test_a_rig_that_is_not_as_described(options):
 
 
 def test_a_window_that_ends_on_the_wrong_side_of_an_unstable_pose_is_seen_and_shortened():
-    run = simulated("nominal", 1070, 8.0)
+    run = simulated("nominal", 1070, 10.0)
     answer = reconstruct(run.events, run.rig)
     assert answer.converged, answer.reason
     assert e_h(answer, run) < RIGHT_M
