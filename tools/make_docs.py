@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 from palmd.daemon import lifecycle
 from palmd.faults import FAULTS
 from palmd.messages import STAMP, TOPICS
+from palmd.model import errata
 from palmd.model.notation import SYMBOLS
 from palmd.rig.mischief import TRICKS
 
@@ -59,12 +61,38 @@ def mischief() -> str:
     return "# Mischief of the emulated rig\n\n" + table(("trick", "what it does"), rows)
 
 
+def paper_errata() -> str:
+    found = errata.errata()
+    rows = []
+    for one in found:
+        printed, derived, _ = one.witness()
+        rows.append((f"({one.equation})", one.printed, one.correct, f"{printed:.5g}", f"{derived:.5g}", one.certainty))
+    wrong = {equation for one in found for equation in (one.equation, one.claim.equation)}
+    right = sorted(errata.claims().keys() - wrong, key=_place_in_the_paper)
+    point = ", ".join(f"{name} = {value:g}" for name, value in errata.WITNESS.items())
+    head = ("equation", "as printed", "as it must be", "printed, at the witness", "derived there", "how sure")
+    return (
+        "# Errata of CMU-CS-01-107\n\nThe equations of chapters 3 and 4 were derived anew and compared at random "
+        "points; (4.3) to (4.27) also as a whole,\nwith Lagrange's equations. `likely`: the text at hand might be at "
+        "fault instead of the paper.\n\n"
+        + table(head, rows)
+        + f"\nThe witness, SI: {point}; the paper's scalar g is −9.81 there.\n\n## Good to know\n\n"
+        + "".join(f"- {remark}\n" for remark in errata.REMARKS)
+        + f"\n## Found right\n\n{', '.join(f'({equation})' for equation in right)}.\n"
+    )
+
+
+def _place_in_the_paper(equation: str) -> tuple[bool, list[int]]:
+    return equation.startswith("A"), [int(number) for number in re.findall(r"\d+", equation)]
+
+
 PAGES = {
     "notation.md": notation,
     "faults.md": faults,
     "messages.md": messages,
     "lifecycle.md": states,
     "mischief.md": mischief,
+    "errata.md": paper_errata,
 }
 
 

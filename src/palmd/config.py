@@ -140,6 +140,7 @@ class PadConfig(Strict):
     counts_per_mm: Annotated[FiniteFloat, Field(gt=0, le=1000)] = 7.874
     newtons_per_count: Positive = 0.02
     length_mm: Annotated[FiniteFloat, Field(gt=0, le=1000)] = 55.5
+    noise_mm: Annotated[FiniteFloat, Field(gt=0, le=5)] = 0.1  # one sigma of a position, its rounding not counted
     handshake: Literal["none", "break", "break_twice"] = "none"
     pressure: PressureConfig = PressureConfig()
 
@@ -188,7 +189,17 @@ class ObserverConfig(Strict):
     """Which observer gives the published estimate."""
 
     primary: Literal["shape", "extended", "quasistatic"] = "shape"
-    smoother: bool = True  # beside the loop, in a process of its own; for the shape map only
+    smoother: bool = True  # beside the loop, in a process of its own; for the shape map of an unknown outline only
+    shape: FilePath | None = None  # a stored outline, or a folder of them: the object is one of these, or none
+
+    @field_validator("shape")
+    @classmethod
+    def _usable(cls, path: Path | None, info: ValidationInfo) -> Path | None:
+        if path is not None and not path.exists():
+            raise ValueError(f"{path} does not exist; name an outline file or a folder of them")
+        if path is not None and info.data.get("primary", "shape") != "shape":
+            raise ValueError(f"needs primary: shape; the observer {info.data['primary']} cannot use a stored outline")
+        return path
 
 
 class BusConfig(Strict):
@@ -234,8 +245,8 @@ class Config(Strict):
         return arm
 
 
-def config_hash(config: Config) -> str:
-    """Sha256 (hex) of the effective configuration, defaults included, as canonical JSON."""
+def config_hash(config: Strict) -> str:
+    """Sha256 (hex) of an effective configuration or a section of one, defaults included, as canonical JSON."""
     canonical = json.dumps(config.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(canonical.encode()).hexdigest()
 
@@ -253,6 +264,7 @@ def rig_description(config: Config) -> RigDescription:
         palm1_length=config.rig.palm1_length_mm * 1e-3,
         base=(config.rig.base_mm[0] * 1e-3, config.rig.base_mm[1] * 1e-3),
         pad_length=min(pad.length_mm for pad in pads) * 1e-3,
+        pad_noise=max(pad.noise_mm for pad in pads) * 1e-3,
         pad_resolution=1e-3 / min(pad.counts_per_mm for pad in pads),
         force_resolution=max(pad.newtons_per_count for pad in pads),
         force_gain_std=PRESSURE_GAIN_STD,

@@ -6,6 +6,7 @@ or the log's own clock (on a replay); no code below the rim ever asks what time 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -130,6 +131,8 @@ class Estimate:
     nis: float
     observability: float
     touched: float
+    e_f: float = math.nan  # of the quasistatic observer: (3.36), m
+    e_c: float = math.nan  # and the length of (3.37), m
     sd: dict[str, float] = field(default_factory=dict)
 
 
@@ -138,7 +141,8 @@ class ShapeEstimate:
     """The outline as a support function about the centre of mass: h and its one-sigma (m) on normals theta (rad).
 
     theta is the outward normal's direction in the object frame, whose gauge is psi = 0 at the first fused
-    measurement; `touched` marks the normals that a palm has been in contact with.
+    measurement, or that of the stored outline it began from; `touched` marks the normals that a palm has been in
+    contact with.
     """
 
     t: float
@@ -146,3 +150,27 @@ class ShapeEstimate:
     h: FloatArray
     h_sd: FloatArray
     touched: npt.NDArray[np.bool_]
+
+
+DECIDED = 0.95
+"""The probability from which on it is said which object it is."""
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectEstimate:
+    """Which of the stored outlines `names` the object is: the probability of each, and of none of them.
+
+    They sum to 1. `object_count` is that of the estimate at the same time `t` (s).
+    """
+
+    t: float
+    names: tuple[str, ...]
+    probability: FloatArray
+    none: float
+    object_count: int
+
+    @property
+    def best(self) -> str:
+        """The name whose probability is at least `DECIDED`, empty when there is none."""
+        likeliest = int(np.argmax(self.probability))
+        return self.names[likeliest] if self.probability[likeliest] >= DECIDED else ""

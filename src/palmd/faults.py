@@ -265,12 +265,6 @@ FAULTS: tuple[Fault, ...] = (
         "if it comes often: take load off this machine or give palmd real-time priority",
     ),
     Fault(
-        "observer-substituted",
-        Severity.NOTE,
-        "the configured observer is not in this version; the shape observer runs in its place",
-        "set observer.primary to shape or extended",
-    ),
-    Fault(
         "vm-backend",
         Severity.NOTE,
         "the models run on CasADi's virtual machine, several times slower than compiled",

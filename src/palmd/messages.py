@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from palmd.events import Estimate, PalmMotion, ShapeEstimate
+from palmd.events import DECIDED, Estimate, ObjectEstimate, PalmMotion, ShapeEstimate
 from palmd.faults import Fault
 
 SCHEMA = 1
@@ -63,7 +63,11 @@ _PUBLISHED_AS: dict[str, tuple[str, str, str]] = {
     "phi2": ("phi2_rad", "rad", "palm 2 from palm 1"),
     "omega2": ("omega2_rad_s", "rad/s", "rate of phi2"),
     "rho": ("rho_m", "m", "radius of gyration"),
-    "psi": ("psi_rad", "rad", "turn of the object since the first fused measurement"),
+    "psi": (
+        "psi_rad",
+        "rad",
+        "turn of the object since the first fused measurement, or from a stored outline",
+    ),
     "v1": ("v1_m", "m", "radius of curvature of the outline at contact 1"),
     "v2": ("v2_m", "m", "radius of curvature of the outline at contact 2"),
     "mu": ("mu", "", "friction"),
@@ -93,6 +97,8 @@ ESTIMATE = Topic(
         Field("nis", "number", "", "normalised innovation squared, running mean"),
         Field("observability", "number", "", "smallest singular value, scaled"),
         Field("touched", "number", "", "fraction of normals that have been in contact"),
+        Field("e_f_m", "number", "m", "error of balance (3.36), of the quasistatic observer"),
+        Field("e_c_m", "number", "m", "error of contact (3.37), of the quasistatic observer"),
     ),
 )
 SHAPE = Topic(
@@ -103,6 +109,17 @@ SHAPE = Topic(
         Field("h_m", "numbers", "m", "support function about the centre of mass"),
         Field("h_sd_m", "numbers", "m", "one-sigma of h"),
         Field("touched", "numbers", "", "1 where a palm has been in contact, else 0"),
+    ),
+)
+OBJECT = Topic(
+    "palm/object",
+    "at most 10 Hz, only with stored outlines",
+    (
+        Field("names", "texts", "", "of the stored outlines"),
+        Field("probability", "numbers", "", "that it is the object of that name, one for each"),
+        Field("none", "number", "", "probability that it is none of them"),
+        Field("best", "text", "", f"the name whose probability is at least {DECIDED:g}, empty when none is"),
+        Field("object", "number", "", "as in palm/estimate"),
     ),
 )
 CONTACT = Topic(
@@ -168,7 +185,7 @@ LOOP = Topic(
             "smoother_*", "number", "", "since the start: improvements taken in, starts of its process, readings lost"
         ),
         Field("rss_mb", "number", "MB", "resident memory"),
-        Field("backend", "text", "", "what runs the models: c or vm"),
+        Field("backend", "text", "", "what runs the models: c, vm or numpy"),
     ),
 )
 INFO = Topic(
@@ -183,7 +200,7 @@ INFO = Topic(
         Field("units", "text", "", "where the units are"),
     ),
 )
-TOPICS: tuple[Topic, ...] = (ESTIMATE, SHAPE, CONTACT, MOTION, STATE, LOOP, INFO)
+TOPICS: tuple[Topic, ...] = (ESTIMATE, SHAPE, OBJECT, CONTACT, MOTION, STATE, LOOP, INFO)
 UNITS = "SI; each name ends in its unit: _m _rad _rad_s _kg _n _s _ms _ns _hz _mb"
 
 
@@ -213,6 +230,8 @@ def estimate_fields(estimate: Estimate) -> Fields:
         "nis": estimate.nis,
         "observability": estimate.observability,
         "touched": estimate.touched,
+        "e_f_m": estimate.e_f,
+        "e_c_m": estimate.e_c,
         "sd": {_SD_NAMES[name]: sd for name, sd in estimate.sd.items()},
     }
     for name, published in _ESTIMATE_NAMES:
@@ -227,6 +246,17 @@ def shape_fields(shape: ShapeEstimate) -> Fields:
         "h_m": shape.h.tolist(),
         "h_sd_m": shape.h_sd.tolist(),
         "touched": [int(touched) for touched in shape.touched],
+    }
+
+
+def object_fields(estimate: ObjectEstimate) -> Fields:
+    """`palm/object`."""
+    return {
+        "names": list(estimate.names),
+        "probability": estimate.probability.tolist(),
+        "none": estimate.none,
+        "best": estimate.best,
+        "object": estimate.object_count,
     }
 
 

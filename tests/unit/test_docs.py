@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import subprocess
 import sys
@@ -19,7 +20,10 @@ def test_generated_pages_are_up_to_date() -> None:
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/architecture.md", "docs/theory.md"])
+PAGES = ["README.md", *(f"docs/{name}.md" for name in ("architecture", "theory", "paper", "limits", "calibration"))]
+
+
+@pytest.mark.parametrize("page", PAGES)
 def test_files_named_in_the_docs_exist(page: str) -> None:
     text = (ROOT / page).read_text()
     links = re.findall(r"\]\(([^)#]+)\)", text)
@@ -29,3 +33,11 @@ def test_files_named_in_the_docs_exist(page: str) -> None:
             continue
         places = ((ROOT / page).parent / name, ROOT / name, ROOT / "src/palmd" / name)
         assert any(place.exists() for place in places), f"{page} names {name}, which is not there"
+
+
+def test_the_papers_map_names_what_is_there() -> None:
+    named = re.findall(r"`([a-z_0-9/]+)\.py:(\w+)`", (ROOT / "docs/paper.md").read_text())
+    assert len(named) > 20
+    for path, name in named:
+        module = importlib.import_module("palmd." + path.replace("/", "."))
+        assert hasattr(module, name), f"docs/paper.md names {path}.py:{name}, which is not there"

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from palmd.cli import main
+from palmd.observer.mass import MassEstimator
 from palmd.observer.outline import directions
 from palmd.observer.reconstruct import Reconstruction
 from palmd.record.result import as_line
@@ -19,6 +20,7 @@ from palmd.rig.simulate import simulate_log
 SECONDS = 2.5
 FIELDS = {
     *("converged", "reason", "chi2", "theta_rad", "h_m", "h_sd_m", "touched", "rho_m", "rho_sd_m", "mu", "mu_sd"),
+    *("visits", "kept_paper", "kept_band", "mass_rest_kg", "mass_rest_sd_kg"),
     *("mass_kg", "mass_sd_kg", "trajectory", "seconds"),
 }
 
@@ -26,25 +28,36 @@ FIELDS = {
 def answer(**changes):
     theta, t, nan = directions(), np.array([0.1, 0.2]), math.nan
     values = {"converged": True, "chi2": 1.0, "theta": theta, "h": 0.02 + 0 * theta, "h_sd": 1e-5 + 0 * theta}
+    values |= {"visits": 2 * (theta < 0.5) + (theta < 1.0)}
     values |= {"touched": theta < 1.0, "rho": 0.014, "rho_sd": 1e-3, "mu": 0.1, "mu_sd": 0.01, "mass": nan}
     values |= {"mass_sd": nan, "t": t, "psi": t, "omega0": 2 * t, "r1": t, "r2": t, "reason": "", "seconds": 1.5}
     return Reconstruction(**values | changes)
+
+
+def unweighed():
+    return MassEstimator(0.05, 0.02)
 
 
 def nothing():
     none = np.zeros(0)
     absent = dict.fromkeys(("chi2", "rho", "rho_sd", "mu", "mu_sd"), math.nan)
     columns = dict.fromkeys(("t", "psi", "omega0", "r1", "r2"), none)
-    return answer(converged=False, h=None, h_sd=None, touched=None, reason="too little", **absent, **columns)
+    return answer(
+        converged=False, h=None, h_sd=None, touched=None, visits=None, reason="too little", **absent, **columns
+    )
 
 
 def test_the_result_has_the_fields_of_the_contract():
-    line = as_line(answer())
+    line = as_line(answer(), unweighed())
     assert set(line) == FIELDS
     assert line["reason"] is None
     assert [len(line[name]) for name in ("theta_rad", "h_m", "h_sd_m", "touched")] == [360] * 4
     assert set(line["touched"]) == {0, 1}
     assert sum(line["touched"]) == 58
+    assert [sum(line[name]) for name in ("visits", "kept_paper", "kept_band")] == [58 + 2 * 29, 29, 58]
+    doubtful = as_line(answer(h_sd=np.where(directions() < 0.25, 1e-5, 1e-4)), unweighed())
+    assert (sum(doubtful["kept_paper"]), sum(doubtful["kept_band"])) == (29, 15)
+    assert set(line["kept_paper"]) == set(line["kept_band"]) == {0, 1}
     assert line["mass_kg"] is line["mass_sd_kg"] is None
     assert (line["rho_m"], line["mu_sd"], line["seconds"]) == (0.014, 0.01, 1.5)
     assert line["trajectory"] == {
@@ -53,13 +66,13 @@ def test_the_result_has_the_fields_of_the_contract():
 
 
 def test_what_is_not_there_is_null():
-    line = as_line(nothing())
+    line = as_line(nothing(), unweighed())
     assert set(line) == FIELDS
     assert (line["converged"], line["reason"], len(line["theta_rad"])) == (False, "too little", 360)
     absent = FIELDS - {"converged", "reason", "theta_rad", "seconds"}
     assert [line[name] for name in absent] == [None] * len(absent)
     json.dumps(line, allow_nan=False)
-    spoilt = as_line(answer(h=np.full(360, math.nan), chi2=math.inf))
+    spoilt = as_line(answer(h=np.full(360, math.nan), chi2=math.inf), unweighed())
     assert (spoilt["h_m"], spoilt["chi2"]) == ([None] * 360, None)
 
 
@@ -186,3 +199,24 @@ def test_a_terminal_is_told_that_it_takes_a_while(log, tmp_path):
     os.close(ours)
     assert shown.startswith("reconstructing…\r\x1b[K")
     assert "not converged" in shown
+
+
+def test_what_lay_still_is_weighed_though_it_tells_no_outline(tmp_path, capsys):
+    """Section 4.1: mass without motion."""
+    log, out = tmp_path / "still.jsonl", tmp_path / "out.json"
+    lines, truth = simulate_log("friction", 405, 0.4)
+    palms = next(line["palms"] for line in lines if "palms" in line)
+    phi1, phi2 = palms["phi1_rad"], palms["phi2_rad"]
+    forces = [truth["mass_kg"] * 9.81 * math.sin(angle) / math.sin(phi2) for angle in (phi1 + phi2, phi1)]
+    events = []
+    for k in range(100):
+        t = k * 0.01
+        events.append({"t": t, "palms": {"phi1_rad": phi1, "phi2_rad": phi2}})
+        events += [{"t": t, "pad": pad, "s_m": 0.02, "force_n": forces[pad - 1]} for pad in (1, 2)]
+    log.write_text("".join(json.dumps(line) + "\n" for line in [lines[0], *events]))
+    assert main(["reconstruct", str(log), "-o", str(out)]) == 0
+    line = json.loads(out.read_text())
+    assert not line["converged"]
+    assert line["mass_rest_kg"] == pytest.approx(truth["mass_kg"], rel=1e-3)
+    assert 0 < line["mass_rest_sd_kg"] < 0.01 * truth["mass_kg"]
+    assert "at rest" in capsys.readouterr().err

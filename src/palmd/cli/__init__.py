@@ -22,7 +22,12 @@ COMMANDS = {
     "check": "find what is wrong with configurations and motion plans",
     "estimate": "replay an event log through the daemon's observer",
     "reconstruct": "outline and motion from a whole event log at once, offline",
-    "bench": "studies of many runs: montecarlo, peers",
+    "recognise": "which of the stored outlines lies on the palms, from an event log",
+    "calibrate": "measure what the configuration must know: pad",
+    "observability": "what the paper's systems can observe: rank and conditioning, maps over the rates",
+    "compare": "a reconstruction with a camera's track of the same run",
+    "report": "figures and tables: paper (the runs of CMU-CS-01-107 again)",
+    "bench": "studies of many runs: montecarlo, recognise, peers",
     "build": "compile the observers now; the first run does it otherwise",
 }
 """Every command; its module in this package has `add_arguments(parser)` and `run(arguments) -> int`."""

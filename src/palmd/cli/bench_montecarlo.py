@@ -17,6 +17,7 @@ from typing import TextIO
 
 from palmd.cli import INTERRUPTED
 from palmd.cli.errors import BAD_INPUT, CliError
+from palmd.cli.extras import only_without
 from palmd.cli.progress import Progress
 from palmd.rig.shapes import KINDS
 from palmd.study import montecarlo, runs
@@ -93,7 +94,7 @@ def _figure(rows: Sequence[Row], folder: Path) -> list[Path]:
     try:
         from palmd.study import montecarlo_figure
     except ModuleNotFoundError as error:
-        _only_without("matplotlib", error)
+        only_without("matplotlib", error)
         print("no figure: matplotlib is not installed (extra `report`)", file=sys.stderr)
         return []
     return montecarlo_figure.save(rows, folder)
@@ -106,16 +107,10 @@ def _workers(stack: ExitStack, arguments: argparse.Namespace) -> Executor:
     try:
         return stack.enter_context(runs.cluster(address))
     except ModuleNotFoundError as error:
-        _only_without("distributed", error)
+        only_without("distributed", error)
         raise CliError(BAD_INPUT, "--scheduler needs Dask, which is not installed (extra `cluster`)") from None
     except (OSError, ValueError) as error:
         raise CliError(BAD_INPUT, f"no Dask scheduler at {address}: {error}") from None
-
-
-def _only_without(package: str, error: ModuleNotFoundError) -> None:
-    """Raises the error again when it is about anything else."""
-    if (error.name or "").partition(".")[0] != package:
-        raise error
 
 
 def _writable(stack: ExitStack, path: Path) -> TextIO:

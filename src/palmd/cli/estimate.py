@@ -8,8 +8,11 @@ from pathlib import Path
 from typing import TextIO
 
 from palmd import observer
+from palmd.cli.errors import BAD_INPUT, CliError
 from palmd.cli.logs import opened, read
+from palmd.cli.outlines import read_outlines
 from palmd.cli.progress import Progress
+from palmd.outlinefile import Outline
 from palmd.record.eventlog import EventLog
 from palmd.record.replay import lines, replay, tick_count
 
@@ -25,19 +28,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="|".join(observer.OBSERVERS),
         help="default: %(default)s",
     )
+    parser.add_argument(
+        "--shape",
+        type=Path,
+        metavar="OUTLINE|FOLDER",
+        help="the object is that of the stored outline, or one of those in the folder, or none",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Reads the whole log before it writes anything; CliError when the log cannot be used."""
+    if arguments.shape is not None and arguments.observer != "shape":
+        raise CliError(BAD_INPUT, f"--shape needs --observer shape: {arguments.observer} cannot use a stored outline")
+    outlines = () if arguments.shape is None else read_outlines(arguments.shape)
     log = read(arguments.log)
     with opened(arguments.output, arguments.log) as stream:
-        _replay(log, arguments.observer, stream)
+        _replay(log, arguments.observer, outlines, stream)
     return 0
 
 
-def _replay(log: EventLog, name: observer.ObserverName, stream: TextIO) -> None:
+def _replay(log: EventLog, name: observer.ObserverName, outlines: tuple[Outline, ...], stream: TextIO) -> None:
+    watcher = observer.make(name, log.rig, smoothing=observer.Simulated(log.rig), outlines=outlines)
     with Progress(f"{name} observer", tick_count(log), "ticks") as progress:
-        for tick in replay(log, observer.make(name, log.rig, smoothing=observer.Simulated(log.rig))):
+        for tick in replay(log, watcher):
             for line in lines(tick):
                 stream.write(json.dumps(line, allow_nan=False) + "\n")
             progress.at(tick.number)
@@ -47,6 +60,4 @@ def _observer(name: str) -> str:
     if name in observer.OBSERVERS:
         return name
     known = ", ".join(observer.OBSERVERS)
-    if name == "quasistatic":
-        raise argparse.ArgumentTypeError(f"quasistatic is not built yet; there are {known}")
     raise argparse.ArgumentTypeError(f"there is no observer {name!r}; there are {known}")

@@ -14,6 +14,7 @@ import numpy as np
 
 from palmd.cli.logs import opened, read
 from palmd.observer.reconstruct import Reconstruction, reconstruct
+from palmd.observer.rest import mass_at_rest
 from palmd.record.result import as_line
 
 
@@ -29,9 +30,12 @@ def run(arguments: argparse.Namespace) -> int:
     log = read(arguments.log)
     with _said("reconstructing…"):
         answer = reconstruct(log.events, log.rig, arguments.seed)
+        at_rest = mass_at_rest(log.events, log.rig)
     with opened(arguments.output, arguments.log) as stream:
-        stream.write(json.dumps(as_line(answer), allow_nan=False) + "\n")
+        stream.write(json.dumps(as_line(answer, at_rest), allow_nan=False) + "\n")
     told = summary(answer) if answer.converged else f"not converged: {answer.reason}"
+    if math.isfinite(at_rest.value):
+        told += f"; at rest {at_rest.value * 1e3:.1f} ± {at_rest.sd * 1e3:.1f} g"
     print(f"{arguments.log}: {told}", file=sys.stderr)
     return 0
 

@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from types import FrameType
-from typing import Any, cast
+from typing import Any
 
 from palmd import __version__, observer
 from palmd.config import Config, config_hash, rig_description
@@ -27,12 +27,12 @@ from palmd.devices.port import Port
 from palmd.messages import Fields, info_fields
 from palmd.motion.check import motion_limits
 from palmd.motion.kinematics import PoseError, RigGeometry
+from palmd.outlinefile import Outline, OutlineError, read_library
 from palmd.yamlfile import ConfigError, load_config
 
 log = logging.getLogger(__name__)
 
 OK, BAD_INPUT, RIG_FAILED = 0, 1, 3
-SUBSTITUTE: observer.ObserverName = "shape"
 
 
 def run(config_path: Path) -> int:
@@ -53,10 +53,11 @@ def _start(config_path: Path, signals: _Signals) -> int:
         config = load_config(config_path)
         RigGeometry.from_config(config)
         plan = None if config.plan is None else read_plan(config.plan, motion_limits(config), None)
+        outlines = () if config.observer.shape is None else read_library(config.observer.shape)
     except ConfigError as error:
         print(error, file=sys.stderr)
         return BAD_INPUT
-    except PoseError as error:
+    except (PoseError, OutlineError) as error:
         print(f"{config_path}: {error}", file=sys.stderr)
         return BAD_INPUT
     try:
@@ -67,16 +68,25 @@ def _start(config_path: Path, signals: _Signals) -> int:
     with ExitStack() as stack:
         stack.callback(bus.close)
         stack.callback(start_journal().close)
-        return _run(config, config_path.absolute().parent, plan, bus, signals, stack)
+        return _run(config, config_path.absolute().parent, plan, outlines, bus, signals, stack)
 
 
-def _run(config: Config, folder: Path, plan: Plan | None, bus: Bus, signals: _Signals, stack: ExitStack) -> int:
+def _run(
+    config: Config,
+    folder: Path,
+    plan: Plan | None,
+    outlines: tuple[Outline, ...],
+    bus: Bus,
+    signals: _Signals,
+    stack: ExitStack,
+) -> int:
     notifier = Notifier()
     stack.callback(notifier.close)
     notifier.status("building the observer")
-    name, notes = _observer_name(config)
+    name: observer.ObserverName = config.observer.primary
+    notes: list[str] = []
     smoother = _smoother(config, name, stack)
-    estimator = observer.make(name, rig_description(config), smoothing=smoother)
+    estimator = observer.make(name, rig_description(config), smoothing=smoother, outlines=outlines)
     if estimator.backend == "vm":
         notes.append("vm-backend")
     estimator.warm_up()
@@ -105,15 +115,8 @@ def _run(config: Config, folder: Path, plan: Plan | None, bus: Bus, signals: _Si
     return OK if loop.run() else RIG_FAILED
 
 
-def _observer_name(config: Config) -> tuple[observer.ObserverName, list[str]]:
-    """The observer that the configuration gets, and the notes that come with it."""
-    if config.observer.primary in observer.OBSERVERS:
-        return cast(observer.ObserverName, config.observer.primary), []
-    return SUBSTITUTE, ["observer-substituted"]
-
-
 def _smoother(config: Config, name: observer.ObserverName, stack: ExitStack) -> SmootherProcess | None:
-    if name != "shape" or not config.observer.smoother:
+    if name != "shape" or not config.observer.smoother or config.observer.shape is not None:
         return None
     try:
         smoother = SmootherProcess(rig_description(config))

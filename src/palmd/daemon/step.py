@@ -14,7 +14,7 @@ import math
 from collections.abc import Callable, Iterable
 from concurrent.futures import Executor
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from palmd.config import Config
 from palmd.daemon.commands import Reply, Request
@@ -26,12 +26,13 @@ from palmd.daemon.steering import Steering
 from palmd.daemon.swap import SwapWatch
 from palmd.daemon.watch import LOOK_S, ArmWatch, LoopWatch, NisWatch, PadWatch
 from palmd.devices.armlink import ArmState
-from palmd.events import Estimate, Event, PadSample, ShapeEstimate
+from palmd.events import Estimate, Event, ObjectEstimate, PadSample, ShapeEstimate
 from palmd.faults import FaultMonitor
 from palmd.messages import (
     CONTACT,
     ESTIMATE,
     MOTION,
+    OBJECT,
     SHAPE,
     STATE,
     Fields,
@@ -39,6 +40,7 @@ from palmd.messages import (
     contact_fields,
     estimate_fields,
     motion_fields,
+    object_fields,
     shape_fields,
     sound,
     state_fields,
@@ -84,6 +86,14 @@ class Observer(Protocol):
         """The outline, None before anything is felt."""
 
 
+@runtime_checkable
+class Recogniser(Observer, Protocol):
+    """An observer that has stored outlines to choose from."""
+
+    def identify(self, t: float) -> ObjectEstimate | None:
+        """Which object it is, None before anything is felt."""
+
+
 class Core:
     """See the module. Times are seconds on one monotonic clock, never running backwards."""
 
@@ -112,6 +122,7 @@ class Core:
         self._observer = observer
         self._estimate = unknown_estimate(-math.inf, observer)
         self._shape: ShapeEstimate | None = None
+        self._object: ObjectEstimate | None = None
         self._observer_failed = False
         self._events: list[Event] = []
         self._notes = frozenset(notes)
@@ -195,6 +206,8 @@ class Core:
             if t - self._t_shape >= SLOW_TOPIC_S - _EARLY_S:
                 between()
                 self._shape = self._observer.shape(t)
+                if isinstance(self._observer, Recogniser):
+                    self._object = self._observer.identify(t)
                 self._t_shape = t
         except Exception:  # whatever is wrong with a model, the arm must be stopped in good order
             if not self._observer_failed:
@@ -253,6 +266,9 @@ class Core:
         if self._shape is not None:
             messages.append((SHAPE, shape_fields(self._shape)))
             self._shape = None
+        if self._object is not None:
+            messages.append((OBJECT, object_fields(self._object)))
+            self._object = None
         return messages
 
     def replies(self) -> list[Reply]:

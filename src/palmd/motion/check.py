@@ -11,6 +11,7 @@ from palmd.config import Config, ExploreSpec, HoldSpec, LimitsConfig, PadConfig,
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import PlanError, Trajectory, compile_plan
 from palmd.motion.segments import Angles
+from palmd.outlinefile import OutlineError, read_library
 from palmd.yamlfile import ConfigError, Document, parse, read_document
 
 DEFAULT_PAD_LENGTH_MM: float = PadConfig.model_fields["length_mm"].default
@@ -51,6 +52,7 @@ def check_files(paths: Sequence[Path]) -> list[str]:
             limits += _limits_of_faulty(document)
         else:
             limits.append(motion_limits(config))
+            errors += _outline_errors(document, config)
             plans += _documents(_plan_named(config, given=paths), errors)
     for document in plans:
         errors += _plan_errors(document, limits)
@@ -65,6 +67,16 @@ def _documents(paths: Iterable[Path], errors: list[str]) -> list[Document]:
         except ConfigError as error:
             errors += error.errors
     return documents
+
+
+def _outline_errors(document: Document, config: Config) -> list[str]:
+    """What is wrong with the stored outlines that a configuration names."""
+    try:
+        if config.observer.shape is not None:
+            read_library(config.observer.shape)
+    except OutlineError as error:
+        return [document.line(document.place(("observer", "shape")), f"observer.shape: {error}")]
+    return []
 
 
 def _is_plan(document: Document) -> bool:

@@ -2,29 +2,51 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal, get_args
 
 from palmd.events import RigDescription
 from palmd.observer.filters import ExtendedFilters, ShapeFilters
 from palmd.observer.improved import ImprovedObserver, Simulated, Smoothing
 from palmd.observer.live import BankObserver
+from palmd.observer.quasistatic import QuasistaticObserver
+from palmd.observer.recogniser import Recogniser
+from palmd.outlinefile import Outline
 
-ObserverName = Literal["shape", "extended"]
+ObserverName = Literal["shape", "extended", "quasistatic"]
 OBSERVERS: tuple[str, ...] = get_args(ObserverName)
 
-__all__ = ["OBSERVERS", "BankObserver", "ImprovedObserver", "ObserverName", "Simulated", "make"]
+__all__ = [
+    "OBSERVERS",
+    "BankObserver",
+    "ImprovedObserver",
+    "ObserverName",
+    "QuasistaticObserver",
+    "Recogniser",
+    "Simulated",
+    "make",
+]
 
 EXTENDED_BANK, SHAPE_BANK = 24, 32  # multiples of model.compiled.BLOCK
 
 
 def make(
-    name: ObserverName, rig: RigDescription, seed: int = 0, smoothing: Smoothing | None = None
-) -> BankObserver | ImprovedObserver:
+    name: ObserverName,
+    rig: RigDescription,
+    seed: int = 0,
+    smoothing: Smoothing | None = None,
+    outlines: Sequence[Outline] = (),
+) -> BankObserver | ImprovedObserver | Recogniser | QuasistaticObserver:
     """The observer called `name` for `rig`; takes seconds when its C has to be compiled first.
 
-    `smoothing` says where the smoother of a shape map runs; without it there is none, nor for other observers.
+    `smoothing` says where the smoother of a shape map runs; without it there is none, nor for other observers. With
+    `outlines`, which are for shape maps only, the object is one of these or none, and needs no smoother.
     """
+    if name == "quasistatic":
+        return QuasistaticObserver(rig)
     if name == "extended":
         return BankObserver(ExtendedFilters(rig, EXTENDED_BANK), rig, seed)
+    if outlines:
+        return Recogniser(outlines, rig, seed)
     bank = BankObserver(ShapeFilters(rig, SHAPE_BANK), rig, seed)
     return bank if smoothing is None else ImprovedObserver(bank, rig, smoothing)

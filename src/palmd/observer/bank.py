@@ -36,7 +36,7 @@ class Snapshot:
 
 @dataclass(frozen=True, slots=True)
 class Belief:
-    """Independent Gaussian beliefs about the states in `which`: means (size, n), one-sigma (n)."""
+    """Independent Gaussian beliefs about the states in `which`: means (size, n), one-sigma (n), or (size, n)."""
 
     which: slice
     mean: FloatArray
@@ -51,15 +51,25 @@ class Bank:
     has become non-finite is out of the race and never read.
     """
 
-    def __init__(self, library: Library, size: int, n: int, updates: Mapping[str, int], inputs: tuple[int, int, int]):
+    def __init__(
+        self,
+        library: Library,
+        size: int,
+        n: int,
+        updates: Mapping[str, int],
+        inputs: tuple[int, int, int],
+        memory_s: float = SCORE_MEMORY_S,
+    ):
         """Bind the kernels `predict`, `values` and those in `updates` (name → length of their last input).
 
-        `inputs` are the lengths of the last inputs of `predict` and `values`, and the number of values.
+        `inputs` are the lengths of the last inputs of `predict` and `values`, and the number of values. Scores fade
+        with the time constant `memory_s`.
         """
         blocks = math.ceil(size / BLOCK)
         self.full_size = blocks * BLOCK
         self.n = n
         self.backend = library.backend
+        self._memory_s = memory_s
         self._blocks = blocks
         self._x = [np.zeros((self.full_size, n)) for _ in range(2)]
         self._P = [np.zeros((self.full_size, n, n)) for _ in range(2)]
@@ -131,7 +141,7 @@ class Bank:
         self._u[1:] = np.concatenate(inputs)
         self._call(self._predict)
         self._side = 1 - self._side
-        self.score[:] *= math.exp(-dt / SCORE_MEMORY_S)
+        self.score[:] *= math.exp(-dt / self._memory_s)
 
     def update(self, name: str, value: float, variance: float, *inputs: float, scored: bool = True) -> None:
         """Fuse one scalar reading into every filter; `scored` says whether it counts in the race."""
@@ -164,10 +174,11 @@ class Bank:
         """
         members = slice(block * BLOCK, (block + 1) * BLOCK)
         x, P, mean = self.x[members], self.P[members], prior.mean[members]
+        variance = np.broadcast_to(prior.sd, prior.mean.shape)[members] ** 2
         P *= 1.0 + fraction
         with np.errstate(over="ignore", invalid="ignore"):  # a filter gone wild is parked at the next reading
             for state in range(*prior.which.indices(self.n)):
-                spread = P[:, state, state] + prior.sd[state] ** 2 / fraction
+                spread = P[:, state, state] + variance[:, state] / fraction
                 gain = P[:, :, state] / spread[:, None]
                 x += gain * (mean[:, state] - x[:, state])[:, None]
                 # P − k k' S: symmetric by construction, and S > P[state, state] keeps it positive

@@ -12,7 +12,7 @@ from palmd.events import FloatArray, PadSample, PalmSample, RigDescription
 from palmd.model import extended, shape, shape_map
 from palmd.model.named import NAMED, RIG_INPUTS, rig_inputs
 from palmd.observer import prior
-from palmd.observer.bank import Bank, Belief
+from palmd.observer.bank import SCORE_MEMORY_S, Bank, Belief
 from palmd.observer.palms import PLAN_RATE_SD, PalmTracker
 from palmd.observer.prior import BlindStart
 
@@ -46,7 +46,10 @@ class Filters(Protocol):
         """Set every filter to its sample of the prior, at time `t`."""
 
     def start_known(self, x: FloatArray, P: FloatArray, psi: FloatArray, palms: PalmTracker, t: float) -> None:
-        """Set the first filters, one for each of `psi` (rad), to a state of `model.shape_map` turned there."""
+        """Set the first filters, one for each of `psi` (rad), to a state of `model.shape_map` turned there.
+
+        `x` and its covariance `P` are one for all; a bank of shape maps also takes one for each.
+        """
 
     def constants(self, start: BlindStart) -> Belief:
         """What was believed of the object's constants at the start, for `Bank.fade`."""
@@ -263,10 +266,10 @@ class ShapeFilters:
     fuses_palms = False
     optimism = Optimism(1.0, 0.7)
 
-    def __init__(self, rig: RigDescription, size: int):
+    def __init__(self, rig: RigDescription, size: int, memory_s: float = SCORE_MEMORY_S):
         library = shape_map.library()
         inputs = (shape_map.PREDICTION_INPUTS, shape_map.PALM_INPUTS + RIG_INPUTS, len(NAMED))
-        self.bank = Bank(library, size, shape_map.N, {"update_s1": 5, "update_s2": 5}, inputs)
+        self.bank = Bank(library, size, shape_map.N, {"update_s1": 5, "update_s2": 5}, inputs, memory_s)
         self._rig = rig_inputs(rig)
         n = shape_map.N
         self._x, self._P = np.zeros(n), np.zeros((n, n))

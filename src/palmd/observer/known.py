@@ -51,20 +51,10 @@ class KnownObject:
 
     def orientations(self, s1: float, s2: float, palms: PalmMotion, variance: float, count: int) -> FloatArray:
         """The `count` likeliest ψ (rad) apart from each other, given the first readings (m) and their variance (m²)."""
-        coefficients, P = self.x[_OUTLINE], self.believed()[_OUTLINE, _OUTLINE]
-        theta1: FloatArray = palms.phi1 - math.pi / 2 - _PSI
-        theta2: FloatArray = palms.phi1 + palms.phi2 - 3 * math.pi / 2 - _PSI
-        r1, r2, cos, sin = shape.basis(theta1), shape.basis(theta2), math.cos(palms.phi2), math.sin(palms.phi2)
-        rows1 = (r1 * cos + r2) / sin - shape.tangential_basis(theta1)  # (3.13)
-        rows2 = (r2 * cos + r1) / sin + shape.tangential_basis(theta2)  # (3.14)
-        error1, error2 = s1 - rows1 @ coefficients, s2 - rows2 @ coefficients
-        slope1, slope2 = _slope(error1), _slope(error2)
-        S11 = ((rows1 @ P) * rows1).sum(axis=1) + (slope1 * PSI_SD) ** 2 + variance
-        S22 = ((rows2 @ P) * rows2).sum(axis=1) + (slope2 * PSI_SD) ** 2 + variance
-        S12 = ((rows1 @ P) * rows2).sum(axis=1) + slope1 * slope2 * PSI_SD**2
-        det = S11 * S22 - S12**2
-        misfit = (S22 * error1**2 - 2 * S12 * error1 * error2 + S11 * error2**2) / det
-        likelihood = -0.5 * (misfit + np.log(det))
+        rows = reading_rows(palms)
+        likelihood = orientation_likelihood(
+            self.x[_OUTLINE], self.believed()[_OUTLINE, _OUTLINE], s1, s2, rows, variance
+        )
         chosen = []
         for _ in range(count):
             best = int(np.argmax(likelihood))
@@ -81,6 +71,41 @@ class KnownObject:
     def weighs(self, mass: float) -> bool:
         """Whether `mass` (kg) may be this object's; NaN, where the pads give no forces, may."""
         return not abs(mass / self.mass.value - 1.0) > SAME_WEIGHT
+
+
+def reading_rows(palms: PalmMotion) -> tuple[FloatArray, FloatArray]:
+    """Rows that map coefficients to s1 and to s2 of an object at each of `DIRECTIONS` orientations ψ, evenly from 0."""
+    theta1: FloatArray = palms.phi1 - math.pi / 2 - _PSI
+    theta2: FloatArray = palms.phi1 + palms.phi2 - 3 * math.pi / 2 - _PSI
+    r1, r2, cos, sin = shape.basis(theta1), shape.basis(theta2), math.cos(palms.phi2), math.sin(palms.phi2)
+    rows1 = (r1 * cos + r2) / sin - shape.tangential_basis(theta1)  # (3.13)
+    rows2 = (r2 * cos + r1) / sin + shape.tangential_basis(theta2)  # (3.14)
+    return rows1, rows2
+
+
+def orientation_likelihood(
+    coefficients: FloatArray,
+    P: FloatArray,
+    s1: float,
+    s2: float,
+    rows: tuple[FloatArray, FloatArray],
+    variance: float,
+) -> FloatArray:
+    """Log-likelihood (DIRECTIONS) of two readings (m) of one instant, with `rows` of `reading_rows`.
+
+    The outline's coefficients (m) have the covariance `P`, ψ is within `PSI_SD` of each orientation, a reading's
+    variance is in m².
+    """
+    rows1, rows2 = rows
+    error1, error2 = s1 - rows1 @ coefficients, s2 - rows2 @ coefficients
+    slope1, slope2 = _slope(error1), _slope(error2)
+    S11 = ((rows1 @ P) * rows1).sum(axis=1) + (slope1 * PSI_SD) ** 2 + variance
+    S22 = ((rows2 @ P) * rows2).sum(axis=1) + (slope2 * PSI_SD) ** 2 + variance
+    S12 = ((rows1 @ P) * rows2).sum(axis=1) + slope1 * slope2 * PSI_SD**2
+    det = S11 * S22 - S12**2
+    misfit = (S22 * error1**2 - 2 * S12 * error1 * error2 + S11 * error2**2) / det
+    likelihood: FloatArray = -0.5 * (misfit + np.log(det))
+    return likelihood
 
 
 def _slope(values: FloatArray) -> FloatArray:

@@ -13,6 +13,7 @@ from bisect import bisect_right
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from palmd.events import (
     Estimate,
@@ -20,6 +21,7 @@ from palmd.events import (
     FloatArray,
     PadLift,
     PadSample,
+    PalmMotion,
     PalmSample,
     RigDescription,
     ShapeEstimate,
@@ -28,7 +30,7 @@ from palmd.model import shape, shape_map
 from palmd.model.compiled import BLOCK
 from palmd.model.named import NAMED, rig_inputs
 from palmd.observer.answer import answer, no_answer
-from palmd.observer.bank import Bank, Snapshot
+from palmd.observer.bank import Bank, Belief, Snapshot
 from palmd.observer.filters import LONGEST_STEP_S, Filters, carry
 from palmd.observer.known import KnownObject, Memory
 from palmd.observer.mass import MassEstimator, resting_forces
@@ -214,15 +216,13 @@ class BankObserver:
         if settled and (self._filters.curvature @ self._bank.x[best]).min() < 0.0:
             settled = self._convex(best // BLOCK)
         self._watch_for_loss(t, best)
-        if self._candidate is not None and self._running:
-            settled = self._recognise(t, best, settled)
+        if self._running:
+            settled = self._decided(t, best, settled)
         if settled:
             self._mass.weigh(self._last.get(1), float(y[_F1]))
             self._mass.weigh(self._last.get(2), float(y[_F2]))
             self._marks.mark(best, y, self._all_psi)
-            if self._memory.due(t):
-                state, P = self._filters.as_shape_map(best).copy(), self._filters.shape_map_covariance(best).copy()
-                self._memory.keep(t, KnownObject(state, P, self._marks.marks.copy(), self._mass))
+            self._keep(t, best)
         return answer(
             t, settled, self.name, self.object_count, y, sd, self._mass,
             float(self._bank.nis[best]), self._observability.value(), self._marks.fraction,
@@ -258,33 +258,37 @@ class BankObserver:
             return
         self._begin_fresh()
         self._starts += 1
-        count = int(self._bank.full_size // BLOCK * FROM_KNOWN) * BLOCK
-        known = self._candidate = self._memory.recall() if count else None
-        if known is None:
-            self.object_count += 1
         one, two, palms = self._last[1], self._last[2], self._palms.motion(t)
         random = np.random.default_rng([self._seed, self._starts])
-        start = blind_start(one.s, two.s, palms, self._bank.full_size, self._starts == 1, random)
+        self._start = blind_start(one.s, two.s, palms, self._bank.full_size, self._starts == 1, random)
         self._bank.refill()
-        self._filters.start(start, self._palms, t)
+        self._filters.start(self._start, self._palms, t)
         self._experience = np.zeros(self._bank.size)
-        if known is not None:
-            psi = known.orientations(one.s, two.s, palms, self._pad_variance, count)
-            self._filters.start_known(known.x, known.believed(), psi, self._palms, t)
-            self._experience[:count] = EXPERIENCE_S
-        self._start = start
-        self._observability.begin(t, shape_map_sd(start))
+        self._start_known(one.s, two.s, palms, t)
+        self._observability.begin(t, shape_map_sd(self._start))
         self._t_faded = np.full(self._bank.blocks, t)
         self._t = self._t_start = t
         self._running = True
 
-    def _recognise(self, t: float, best: int, settled: bool) -> bool:
+    def _start_known(self, s1: float, s2: float, palms: PalmMotion, t: float) -> None:
+        """Let the bank's first filters begin from what is known beforehand; all are blind so far."""
+        count = int(self._bank.full_size // BLOCK * FROM_KNOWN) * BLOCK
+        known = self._candidate = self._memory.recall() if count else None
+        if known is None:
+            self.object_count += 1
+            return
+        psi = known.orientations(s1, s2, palms, self._pad_variance, count)
+        self._filters.start_known(known.x, known.believed(), psi, self._palms, t)
+        self._experience[:count] = EXPERIENCE_S
+
+    def _decided(self, t: float, best: int, settled: bool) -> bool:
         """Whether the answer is settled and it is decided which object it is of: the known one, or a new one.
 
         Until then nothing is valid, so that nobody sees the count of objects change to and fro.
         """
         known, score, blind = self._candidate, self._bank.score, self._experience == 0.0
-        assert known is not None
+        if known is None:
+            return settled
         for pad, f in zip((1, 2), resting_forces(self._rig.gravity, self._palms.at(t)), strict=True):
             self._rough_mass.weigh(self._last.get(pad), f)
         likely = not blind[best]
@@ -302,6 +306,12 @@ class BankObserver:
             self._memory.forget()
             self._stop()
         return False
+
+    def _keep(self, t: float, best: int) -> None:
+        """Remember the settled map, for when the object is lost and put back."""
+        if self._memory.due(t):
+            state, P = self._filters.as_shape_map(best).copy(), self._filters.shape_map_covariance(best).copy()
+            self._memory.keep(t, KnownObject(state, P, self._marks.marks.copy(), self._mass))
 
     def _stop(self) -> None:
         self._running = False
@@ -381,14 +391,22 @@ class BankObserver:
         surprise = max(0.0, self._bank.nis[self._bank.best()] - SURPRISING_NIS)
         learnt = age + float(self._experience[block * BLOCK : (block + 1) * BLOCK].min())
         fraction = FADE * since / (FADE_AGE_S + learnt) * (1.0 + FADE_BY_SURPRISE * surprise)
-        self._bank.fade(block, min(fraction, 1.0), self._filters.constants(self._start))
+        self._bank.fade(block, min(fraction, 1.0), self._constants())
         self._convex(block)
         self._t_faded[block] = self._t
-        kept = self._bank.prune(HOPELESS) if age > PRUNE_AGE_S else None
+        kept = self._prune(age)
         if kept is not None:
             self._forget_history()
             self._experience = self._experience[kept]
             self._marks.renumber(kept)
+
+    def _constants(self) -> Belief:
+        """What was believed of each filter's constants at the start."""
+        return self._filters.constants(self._start)
+
+    def _prune(self, age: float) -> npt.NDArray[np.intp] | None:
+        """Drop the hopeless at `age` (s); the former indices of those that stay, None if none went."""
+        return self._bank.prune(HOPELESS) if age > PRUNE_AGE_S else None
 
     def _convex(self, block: int) -> bool:
         """Whether the outlines of a block's filters are; those that are not are bent towards it."""
@@ -407,9 +425,13 @@ class BankObserver:
             return np.zeros(len(NAMED))
         answers = self._filters.all_named(self._t, self._palms)
         weights = np.exp(self._bank.score[rivals] - self._bank.score[best])
-        spread: FloatArray = np.sqrt(weights @ (answers[rivals] - answers[best]) ** 2 / weights.sum())
-        spread[_PSI] = 0.0  # each filter has its own gauge
+        spread: FloatArray = np.sqrt(weights @ self._apart(answers[rivals] - answers[best]) ** 2 / weights.sum())
         return spread
+
+    def _apart(self, differences: FloatArray) -> FloatArray:
+        """Differences of `NAMED` between filters (count, len(NAMED)), as far as they mean anything."""
+        differences[:, _PSI] = 0.0  # each filter has its own gauge
+        return differences
 
     def _settled(self, t: float, best: int, sd: FloatArray, spread: FloatArray) -> bool:
         touching = not self._lifted and all(t - self._last_seen(pad) < SILENCE_S for pad in (1, 2))

@@ -24,6 +24,7 @@ from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
 from palmd.observer.search import Finding, Search, beyond_question, doubt
 from palmd.observer.smoother import Fit, Smoother
 from palmd.observer.stretch import Stretch, longest_stretch
+from palmd.observer.visits import Counts, visits_of
 
 SPACING_S = 0.005  # of the nodes in the end
 LEAST_S = 1.0
@@ -37,7 +38,8 @@ NO_ANSWER = "no motion of an object was found that explains the readings"
 class Reconstruction:
     """What a record tells; SI units, NaN or None where there is no value.
 
-    theta, h, h_sd, touched: 360 normals (rad), support function and its one-sigma (m), whether a palm touched there.
+    theta, h, h_sd, touched, visits: 360 normals (rad), support function and its one-sigma (m), whether a palm touched
+    there, and how many separate times.
     t, psi, omega0, r1, r2: the trajectory at the nodes. `chi2` is per contact reading. `reason` says why not, when
     not `converged`.
     """
@@ -48,6 +50,7 @@ class Reconstruction:
     h: FloatArray | None
     h_sd: FloatArray | None
     touched: npt.NDArray[np.bool_] | None
+    visits: Counts | None
     rho: float
     rho_sd: float
     mu: float
@@ -128,7 +131,7 @@ def _result(search: Search, answer: _Answer, stretch: Stretch, rig: RigDescripti
     radii = [shape.basis(normals[:, i], ORDER) @ p[C.SHAPE :] for i in range(2)]
     return Reconstruction(
         converged=not reason, chi2=fit.chi2,
-        theta=outline.theta, h=outline.h, h_sd=outline.h_sd, touched=outline.touched,
+        theta=outline.theta, h=outline.h, h_sd=outline.h_sd, touched=outline.touched, visits=visits_of(normals),
         rho=rho, rho_sd=rho * float(sd[C.LN_RHO]), mu=float(p[C.MU]), mu_sd=float(sd[C.MU]),
         mass=mass, mass_sd=mass_sd,
         t=record.t, psi=x[:, 0], omega0=x[:, 1], r1=radii[0], r2=radii[1],
@@ -157,6 +160,6 @@ def _nothing(reason: str, begun: float, chi2: float = math.nan) -> Reconstructio
     none: FloatArray = np.zeros(0)
     nan = math.nan
     return Reconstruction(
-        False, chi2, directions(), None, None, None, nan, nan, nan, nan, nan, nan,
+        False, chi2, directions(), None, None, None, None, nan, nan, nan, nan, nan, nan,
         none, none, none, none, none, reason, time.perf_counter() - begun,
     )  # fmt: skip

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
-from palmd.events import Estimate, Event, ShapeEstimate
-from palmd.messages import estimate_fields, shape_fields, stamp
+from palmd.events import Estimate, Event, ObjectEstimate, ShapeEstimate
+from palmd.messages import estimate_fields, object_fields, shape_fields, stamp
 from palmd.record.eventlog import EventLog
 
 PERIOD_S = 0.01
@@ -29,14 +29,23 @@ class Observer(Protocol):
         """The outline, None before anything is felt."""
 
 
+@runtime_checkable
+class Recogniser(Observer, Protocol):
+    """An observer that has outlines to choose from."""
+
+    def identify(self, t: float) -> ObjectEstimate | None:
+        """Which object it is, None before anything is felt."""
+
+
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """One tick of a replay; `shape` comes with every hundredth, where there is one."""
+    """One tick of a replay; `shape` and `object` come with every hundredth, where there are any."""
 
     number: int
     t: float
     estimate: Estimate
     shape: ShapeEstimate | None
+    object: ObjectEstimate | None
 
 
 def tick_count(log: EventLog) -> int:
@@ -48,6 +57,7 @@ def tick_count(log: EventLog) -> int:
 def replay(log: EventLog, observer: Observer) -> Iterator[Tick]:
     """The observer's answers at t0 + k·10 ms, each from events up to that time only, in the file's order."""
     t0 = log.events[0].t_sample
+    recogniser = observer if isinstance(observer, Recogniser) else None
     waiting = iter(log.events)
     event = next(waiting, None)
     for number in range(1, tick_count(log) + 1):
@@ -56,11 +66,14 @@ def replay(log: EventLog, observer: Observer) -> Iterator[Tick]:
             observer.feed(event)
             event = next(waiting, None)
         estimate = observer.estimate(t)
-        yield Tick(number, t, estimate, None if number % TICKS_PER_SHAPE else observer.shape(t))
+        if number % TICKS_PER_SHAPE:
+            yield Tick(number, t, estimate, None, None)
+        else:
+            yield Tick(number, t, estimate, observer.shape(t), recogniser.identify(t) if recogniser else None)
 
 
 def lines(tick: Tick) -> Iterator[dict[str, Any]]:
-    """The tick as JSON objects: the fields of palm/estimate, and of palm/shape where there is one.
+    """The tick as JSON objects: the fields of palm/estimate, and of palm/shape and palm/object where there are any.
 
     `t` is the log's own time, and so are the stamps. NaN becomes None.
     """
@@ -69,6 +82,8 @@ def lines(tick: Tick) -> Iterator[dict[str, Any]]:
     yield {"t": t} | stamp(fields, t, t, tick.number)
     if tick.shape is not None:
         yield {"t": t, "shape": {name: _or_none(value) for name, value in shape_fields(tick.shape).items()}}
+    if tick.object is not None:
+        yield {"t": t, "object": object_fields(tick.object)}
 
 
 def _or_none(value: Any) -> Any:

@@ -6,11 +6,16 @@ import math
 from typing import Any
 
 from palmd.events import FloatArray
+from palmd.observer.mass import MassEstimator
 from palmd.observer.reconstruct import Reconstruction
+from palmd.observer.visits import Marks, kept_by_band, kept_by_visits
 
 
-def as_line(answer: Reconstruction) -> dict[str, Any]:
-    """The result as `palmd reconstruct` writes it: SI units, the unit in each name, None where there is no value."""
+def as_line(answer: Reconstruction, at_rest: MassEstimator) -> dict[str, Any]:
+    """The result as `palmd reconstruct` writes it: SI units, the unit in each name, None where there is no value.
+
+    `at_rest` is what the object weighed while it lay still, which needs no outline.
+    """
     return {
         "converged": bool(answer.converged),
         "reason": answer.reason or None,
@@ -18,13 +23,18 @@ def as_line(answer: Reconstruction) -> dict[str, Any]:
         "theta_rad": _numbers(answer.theta),
         "h_m": _column(answer.h),
         "h_sd_m": _column(answer.h_sd),
-        "touched": None if answer.touched is None else answer.touched.astype(int).tolist(),
+        "touched": _marks(answer.touched),
+        "visits": None if answer.visits is None else answer.visits.tolist(),
+        "kept_paper": _marks(None if answer.visits is None else kept_by_visits(answer.visits)),
+        "kept_band": _marks(_kept_by_band(answer)),
         "rho_m": _number(answer.rho),
         "rho_sd_m": _number(answer.rho_sd),
         "mu": _number(answer.mu),
         "mu_sd": _number(answer.mu_sd),
         "mass_kg": _number(answer.mass),
         "mass_sd_kg": _number(answer.mass_sd),
+        "mass_rest_kg": _number(at_rest.value),
+        "mass_rest_sd_kg": _number(at_rest.sd),
         "trajectory": _trajectory(answer),
         "seconds": _number(answer.seconds),
     }
@@ -40,6 +50,16 @@ def _trajectory(answer: Reconstruction) -> dict[str, list[float | None]] | None:
         "r1_m": _numbers(answer.r1),
         "r2_m": _numbers(answer.r2),
     }
+
+
+def _kept_by_band(answer: Reconstruction) -> Marks | None:
+    if answer.h_sd is None or answer.touched is None:
+        return None
+    return kept_by_band(answer.h_sd, answer.touched)
+
+
+def _marks(marks: Marks | None) -> list[int] | None:
+    return None if marks is None else marks.astype(int).tolist()
 
 
 def _column(values: FloatArray | None) -> list[float | None] | None:

@@ -43,6 +43,7 @@ from palmd.yamlfile import ConfigError, load_config
 
 PERIOD_S = 1e-3
 TRUTH_S, OBJECT_S, PARENT_S = 0.01, 1.0, 0.5
+MARBLES: dict[str, tuple[PortName, ...]] = {"1": ("pad1",), "2": ("pad2",), "both": ("pad1", "pad2")}
 _LATE_S, _STALLED_S = 2e-3, 20e-3
 
 
@@ -51,6 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("config", nargs="?", type=Path, metavar="CONFIG", help="palmd.yaml; default: as shipped")
     parser.add_argument("--seed", type=int, help="which object, pads and noise; default: a random one, printed")
     parser.add_argument("--kind", choices=KINDS, default="rig", help="what sort of object (default: %(default)s)")
+    parser.add_argument("--marble", choices=MARBLES, help="a marble rolls over this pad; then there is no object")
     parser.add_argument(
         "--mischief",
         action="append",
@@ -71,7 +73,7 @@ def run_rig(arguments: argparse.Namespace) -> int:
     try:
         config = load_config(arguments.config) if arguments.config else default_config()
         t = time.monotonic()
-        world = World(config, seed, kind=arguments.kind, t=t)
+        world = World(config, seed, kind=arguments.kind, marbles=MARBLES.get(arguments.marble, ()), t=t)
         for text in arguments.mischief:
             world.mischief.add(parse(text, t))
     except (ConfigError, ValueError) as error:

@@ -26,6 +26,8 @@ from palmd.devices.versapad import (
 PACKET_S = 0.00625  # at 9600 baud; a faster line does not make the pad measure faster
 BAND_WEIGHTS = (0.64, 0.20, 0.16)  # with the jitter cut off below one packet time, mean 10.0 and s.d. 4.7 ms
 BAND_JITTER_S = 0.002
+WIDTH_M = 0.0395
+ACROSS_JITTER_COUNTS = 3  # noise across, evenly spread to both sides
 LiftReport = Literal["flag", "silence"]
 
 
@@ -47,10 +49,11 @@ GOOD_PADS = PadOptions()
 
 @dataclass(frozen=True, slots=True)
 class Press:
-    """Something that presses on the pad: s (m) from the hinge, force (N)."""
+    """Something that presses on the pad: s (m) from the hinge, force (N), across (m) from the pad's middle line."""
 
     s: float
     force: float
+    across: float = 0.0
 
 
 class PadEmulator:
@@ -80,8 +83,7 @@ class PadEmulator:
         """The packet formed at t (s) from what presses on the pad then; empty if the pad is silent."""
         self._drift_to(t)
         self.due = max(self.due + self._interval(), t + self._packet_s)
-        length = self._config.length_mm * 1e-3
-        felt = [press for press in presses if press.force > self._options.dead_band_n and 0.0 < press.s < length]
+        felt = [press for press in presses if self._feels(press)]
         if not felt:
             lifted, self._touched, self._felt = self._touched, False, 0.0
             if not (lifted and self._options.lift_report == "flag"):
@@ -91,10 +93,14 @@ class PadEmulator:
         self._touched = True
         total = sum(press.force for press in felt)
         counts = self._counts(sum(press.s * press.force for press in felt) / total)
-        across = int(self._rng.integers(-3, 4))
+        across = self._counts_across(sum(press.across * press.force for press in felt) / total)
         x, y = (counts, across) if self._config.axis == "x" else (across, counts)
         self.packets += 1
         return encode_packet(x, y, self._pressure(total), pressure_format=self._format)
+
+    def _feels(self, press: Press) -> bool:
+        on_pad = 0.0 < press.s < self._config.length_mm * 1e-3 and abs(press.across) < 0.5 * WIDTH_M
+        return on_pad and press.force > self._options.dead_band_n
 
     def _interval(self) -> float:
         band = 1 + int(self._rng.choice(3, p=BAND_WEIGHTS))
@@ -105,6 +111,10 @@ class PadEmulator:
         seen_mm = (s + self._error_m(s) + float(self._rng.normal(0.0, options.noise_m))) * 1e3
         counts = round(config.sign * (seen_mm - config.zero_mm) * config.counts_per_mm)
         return min(max(counts, COUNT_MIN), COUNT_MAX)
+
+    def _counts_across(self, across: float) -> int:
+        jitter = int(self._rng.integers(-ACROSS_JITTER_COUNTS, ACROSS_JITTER_COUNTS + 1))
+        return min(max(round(across * 1e3 * self._config.counts_per_mm) + jitter, COUNT_MIN), COUNT_MAX)
 
     def _pressure(self, force: float) -> int:
         options = self._options

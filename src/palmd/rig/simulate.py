@@ -108,22 +108,25 @@ def simulate_log(
     seed: int,
     duration_s: float = 10.0,
     options: PlantOptions = AS_ASSUMED,
+    body: Body | None = None,
 ) -> tuple[list[Line], Line]:
     """A run of the kind as event-log lines (header first), and its truth; the same seed, the same run.
 
-    Scenes in which a contact would be lost, or come near a pad's end, are drawn again.
+    Scenes in which a contact would be lost, or come near a pad's end, are drawn again. `body` is what lies on the
+    palms, a random one of the kind by default.
     """
     rng = np.random.default_rng([KINDS.index(kind), seed])
     while True:
-        scene = _draw(kind, rng)
+        scene = _draw(kind, rng, body)
         history = _run(scene, duration_s, options)
         if history is not None:
             return list(_log_lines(scene, history, options, rng)), _truth(scene, history)
 
 
-def _draw(kind: Kind, rng: np.random.Generator) -> Scene:
+def _draw(kind: Kind, rng: np.random.Generator, body: Body | None) -> Scene:
     """A scene of the kind, its body turned so that ψ starts at 0."""
-    body = random_body(kind, rng)
+    if body is None:
+        body = random_body(kind, rng)
     rocking = Rocking(
         Rock(*_uniform(rng, (0.68, 0.82), (0.35, 0.70), (0.16, 0.38), (-math.pi, math.pi))),
         Rock(*_uniform(rng, (1.50, 1.82), (0.10, 0.28), (0.17, 0.42), (-math.pi, math.pi))),

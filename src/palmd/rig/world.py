@@ -8,7 +8,7 @@ process with the daemon's pure step. The same seed and the same bytes in give th
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from palmd.rig.arm import Linkage, Servo, turn
 from palmd.rig.controller import BREAK_RECEIVED, CYCLE_S, ArmLimits, Controller
 from palmd.rig.judge import SetpointJudge
 from palmd.rig.line import Wire
+from palmd.rig.marble import Marble
 from palmd.rig.mischief import PADS, PORTS, Order, PortName, Switchboard
 from palmd.rig.pads import GOOD_PADS, PadEmulator, PadOptions, Press
 from palmd.rig.plant import AS_ASSUMED, Hinge, Plant, PlantOptions, random_surface, stable_poses
@@ -57,9 +58,13 @@ class World:
         kind: Kind = "rig",
         options: PlantOptions = AS_ASSUMED,
         pad_options: PadOptions = GOOD_PADS,
+        marbles: Collection[PortName] = (),
         t: float = 0.0,
     ) -> None:
-        """At rest at t (s), a random body of the kind in a stable pose; ValueError for a fixed hinge."""
+        """At rest at t (s), a random body of the kind in a stable pose; ValueError for a fixed hinge.
+
+        With `marbles` there is no body on the palms: a marble rolls over each of these pads instead.
+        """
         self.config, self.seed, self.kind = config, seed, kind
         self.mischief = Switchboard()
         self.contact_losses = self.falls = self.objects = self.jams = 0
@@ -78,6 +83,11 @@ class World:
         self._pads: dict[PortName, PadEmulator] = {
             name: PadEmulator(pad, pad_options, self._pad_error(number), self._rng, t)
             for number, (name, pad) in enumerate(self._pad_configs.items(), 1)
+        }
+        self._marbles = {
+            name: Marble(pad.length_mm * 1e-3, np.random.default_rng((seed, number)))
+            for number, (name, pad) in enumerate(self._pad_configs.items(), 1)
+            if name in marbles
         }
         bauds: dict[PortName, int] = {name: pad.baud for name, pad in self._pad_configs.items()}
         bauds["arm"] = config.arm.baud
@@ -281,6 +291,9 @@ class World:
 
     def _put_on_palms(self) -> None:
         """Puts the body in one of its stable poses on the pads; where there is none, tries again later."""
+        if self._marbles:
+            self._t_place = None
+            return
         poses = stable_poses(self.plant.body, self._palms)
         for i in self._rng.permutation(len(poses)):
             self.plant.place(self._palms, poses[i])
@@ -302,8 +315,11 @@ class World:
         self.falls += was_on and self.plant.fallen
 
     def _presses(self, name: PortName) -> list[Press]:
-        contact = self.plant.contacts()[PADS.index(name)]
-        presses = [Press(contact.s, contact.force)] if contact.touching else []
+        if name in self._marbles:
+            presses = self._marbles[name].presses(self.t - self._t_start)
+        else:
+            contact = self.plant.contacts()[PADS.index(name)]
+            presses = [Press(contact.s, contact.force)] if contact.touching else []
         finger = self.mischief.strength("touch", name)
         return [*presses, Press(_FINGER_M, finger)] if finger > 0.0 else presses
 

@@ -151,7 +151,7 @@ def outline_errors(answer: Reconstruction, truth: Truth) -> OutlineErrors | None
     if score is None:
         return None
     true_theta = np.mod(answer.theta + score.rotation, math.tau)
-    return OutlineErrors(score, answer.touched, true_theta, answer.h - _support(truth.h, true_theta), answer.h_sd)
+    return OutlineErrors(score, answer.touched, true_theta, answer.h - support_at(truth.h, true_theta), answer.h_sd)
 
 
 def score_where_known(theta: FloatArray, h: FloatArray, touched: Bools, true_h: FloatArray) -> OutlineScore | None:
@@ -208,7 +208,7 @@ def _scalar(true: float, value: float, sd: float, bound: float) -> Scalar:
     return Scalar(float(true), float(value - true), float(sd), float(bound))
 
 
-def _support(h: FloatArray, theta: FloatArray) -> FloatArray:
+def support_at(h: FloatArray, theta: FloatArray) -> FloatArray:
     """The support function (m) at any normals, from an even number of evenly spaced ones: taken as band-limited."""
     coefficients = np.fft.rfft(h) / len(h)
     coefficients[1:-1] *= 2.0

@@ -1,0 +1,21 @@
+"""Measures what the configuration must know of the rig."""
+
+from __future__ import annotations
+
+import argparse
+
+from palmd.cli import subcommands
+
+CALIBRATIONS = {
+    "pad": "one touchpad: noise, resolution, timing, dead band, with a marble rolled over it",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What is to be calibrated; what follows is for that calibration itself."""
+    subcommands.add_arguments(parser, CALIBRATIONS)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Runs the calibration."""
+    return subcommands.run("calibrate", arguments)

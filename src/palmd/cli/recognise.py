@@ -1,0 +1,49 @@
+"""Which of the stored outlines lies on the palms, from an event log: each one's probability, and that of none."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+from palmd.cli.errors import BAD_INPUT, CliError
+from palmd.cli.logs import STDOUT, opened, read
+from palmd.cli.outlines import read_outlines
+from palmd.cli.progress import Progress
+from palmd.events import ObjectEstimate
+from palmd.observer import Recogniser
+from palmd.record.eventlog import EventLog
+from palmd.record.recognition import as_line, table, verdict
+from palmd.record.replay import replay, tick_count
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    parser.add_argument("log", type=Path, metavar="LOG", help="an event log (JSON lines)")
+    parser.add_argument("library", type=Path, metavar="LIBRARY", help="a folder of outlines (.json, .csv), or one file")
+    parser.add_argument("-o", "--output", type=Path, metavar="OUT.json", help="as JSON; - for standard output alone")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Prints the table after the last event; CliError when log or library cannot be used, or nothing was felt."""
+    outlines = read_outlines(arguments.library)
+    log = read(arguments.log)
+    found = verdict(_estimates(log, Recogniser(outlines, log.rig)))
+    if found is None:
+        raise CliError(BAD_INPUT, f"{arguments.log}: the object never touched both palms: nothing to recognise")
+    if arguments.output != STDOUT:
+        print(table(found))
+    if arguments.output is not None:
+        with opened(arguments.output, arguments.log) as stream:
+            stream.write(json.dumps(as_line(found), allow_nan=False, ensure_ascii=False) + "\n")
+    return 0
+
+
+def _estimates(log: EventLog, recogniser: Recogniser) -> Iterator[ObjectEstimate]:
+    with Progress("recognising", tick_count(log), "ticks") as progress:
+        for tick in replay(log, recogniser):
+            estimate = recogniser.identify(tick.t)
+            if estimate is not None:
+                yield estimate
+            progress.at(tick.number)

@@ -1,0 +1,326 @@
+"""How an object rests between two palms without friction (CMU-CS-01-107, section 3.2), for many palm poses at once.
+
+A stable pose is a local minimum over ψ of the height Y of the centre of mass. With n1·c = r1, n2·c = r2 that height is
+
+    Y = (r1 sin φ12 + r2 sin φ1) / sin φ2,    r_i = h(θ_i),  dθ_i/dψ = −1 (3.1),
+
+so for an outline h(θ) = Re Σ z_k e^{ikθ} it is itself a Fourier series in ψ. Its slope is the horizontal distance of
+the centre of mass from the centre of rotation (3.21), which balance sets to zero (3.22). Heights are in the hinge's
+frame; lengths in m, angles in rad; palms must have φ1 > 0, φ2 > 0 and φ12 < π.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+import numpy.typing as npt
+
+from palmd.events import FloatArray
+from palmd.model.shape import basis, harmonic_of_coefficient, tangential_basis
+
+ComplexArray = npt.NDArray[np.complex128]
+IntArray = npt.NDArray[np.intp]
+BoolArray = npt.NDArray[np.bool_]
+
+SCAN = 180  # values of ψ among which the slope's changes of sign are looked for; more for outlines of high order
+_SCAN_PER_HARMONIC = 16
+_SETTLED = 1e-13  # rad: the last Newton step of a root that is found
+_MAX_ITERATIONS = 60  # bisection alone gets there in 45
+_STEP = 0.02  # rad: palms are followed in steps no longer than this
+_FLAT = 1e-12  # of the mean radius: what is less than this of slope is rounding
+
+
+@dataclass(frozen=True, slots=True)
+class Touch:
+    """Both contacts of a pose: r, d, v (m) as in section 3.1, and the readings s1, s2 (m)."""
+
+    r1: FloatArray
+    d1: FloatArray
+    v1: FloatArray
+    r2: FloatArray
+    d2: FloatArray
+    v2: FloatArray
+    s1: FloatArray
+    s2: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Height:
+    """Y of the centre of mass (m), and its first two derivatives in ψ (m/rad, m/rad²)."""
+
+    y: FloatArray
+    slope: FloatArray
+    curvature: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Basins:
+    """Where the height has its extrema in ψ for each of many palm poses, (…, K) each, ascending in [0, 2π).
+
+    Rows with fewer than K extrema end in NaN; every row has as many maxima as minima. The object slides from any ψ
+    to the minimum between the same two maxima.
+    """
+
+    minima: FloatArray
+    maxima: FloatArray
+
+    @property
+    def count(self) -> IntArray:
+        """How many stable poses each palm pose has, (…)."""
+        return cast(IntArray, np.isfinite(self.minima).sum(axis=-1))
+
+    def at(self, where: tuple[slice | int, ...]) -> Basins:
+        """Those of some of the palm poses."""
+        return Basins(self.minima[where], self.maxima[where])
+
+    def index(self, psi: FloatArray) -> IntArray:
+        """Which minimum of its row each ψ (…, P), any branch, slides to: (…, P), −1 where the row has none."""
+        turned = np.mod(psi, 2 * np.pi)
+        passed = (self.maxima[..., None, :] <= turned[..., None]).sum(axis=-1)
+        count = self.count[..., None]
+        maximum_first = self.maxima[..., :1] < self.minima[..., :1]
+        return np.where(count > 0, (passed - maximum_first) % np.maximum(count, 1), -1)
+
+
+@dataclass(frozen=True, slots=True)
+class Followed:
+    """The stable poses that an object goes through on a path of P palm poses, for S starts.
+
+    psi: (P, S), continuous where nothing jumps (rad). jumped: (P, S), True where the minimum that held the object has
+    vanished since the pose before.
+    """
+
+    psi: FloatArray
+    jumped: BoolArray
+
+
+def normals(phi1: FloatArray, phi2: FloatArray, psi: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(θ1, θ2), the outward normals at the contacts in the object's frame (rad): (3.1)."""
+    return phi1 - psi - np.pi / 2, phi1 + phi2 - psi - 3 * np.pi / 2
+
+
+def outline_at(coefficients: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """r = h, d = −h′ and v = h + h″ (m) of the outline at normals of any shape; any odd number of coefficients."""
+    order = (len(coefficients) - 1) // 2
+    bend = coefficients * (1 - harmonic_of_coefficient(order) ** 2)
+    rows = basis(np.ravel(theta), order)
+    r, v = (rows @ np.stack([coefficients, bend], axis=1)).T
+    d = tangential_basis(np.ravel(theta), order) @ coefficients
+    shape = np.shape(theta)
+    return r.reshape(shape), d.reshape(shape), v.reshape(shape)
+
+
+def touch(coefficients: FloatArray, phi1: FloatArray, phi2: FloatArray, psi: FloatArray) -> Touch:
+    """Contacts and readings of poses, stable or not, that broadcast against each other: (3.1), (3.13), (3.14)."""
+    theta1, theta2 = normals(phi1, phi2, psi)
+    r1, d1, v1 = outline_at(coefficients, theta1)
+    r2, d2, v2 = outline_at(coefficients, theta2)
+    cos, sin = np.cos(phi2), np.sin(phi2)
+    return Touch(r1, d1, v1, r2, d2, v2, (r1 * cos + r2) / sin - d1, (r2 * cos + r1) / sin + d2)
+
+
+def centre_of_mass(touch: Touch, phi1: FloatArray) -> FloatArray:
+    """c_m = s1 t1 − R x1 from the hinge (m), (…, 2): (3.17), with R x1 = −(r1 n1 + d1 t1)."""
+    along, across = touch.s1 + touch.d1, touch.r1
+    return np.stack(
+        [along * np.cos(phi1) - across * np.sin(phi1), along * np.sin(phi1) + across * np.cos(phi1)], axis=-1
+    )
+
+
+def centre_of_rotation(s1: FloatArray, s2: FloatArray, phi1: FloatArray, phi2: FloatArray) -> FloatArray:
+    """c_r = s1 t1 − d̃2 n1 / sin φ2 (m), (…, 2), where the contacts' normals meet: (3.18), d̃2 as in (3.6)."""
+    across = (s2 - s1 * np.cos(phi2)) / np.sin(phi2)
+    return np.stack([s1 * np.cos(phi1) - across * np.sin(phi1), s1 * np.sin(phi1) + across * np.cos(phi1)], axis=-1)
+
+
+def height_series(coefficients: FloatArray, phi1: FloatArray, phi2: FloatArray) -> ComplexArray:
+    """y_k (m), (…, order + 1), of Y(ψ) = Re Σ y_k e^{−ikψ}, for palm angles that broadcast against each other.
+
+    y_k = z_k (sin φ12 e^{ik(φ1 − π/2)} + sin φ1 e^{ik(φ12 − 3π/2)}) / sin φ2. Raises ValueError for palms that
+    cannot hold an object.
+    """
+    phi1, phi2 = np.broadcast_arrays(np.asarray(phi1, dtype=np.float64), np.asarray(phi2, dtype=np.float64))
+    phi12 = phi1 + phi2
+    if not (np.all(phi1 > 0) and np.all(phi2 > 0) and np.all(phi12 < np.pi)):
+        raise ValueError("palms hold an object only with phi1 > 0, phi2 > 0 and phi1 + phi2 < 180°")
+    z = np.concatenate([coefficients[:1] + 0j, coefficients[1::2] - 1j * coefficients[2::2]])
+    ik = 1j * np.arange(len(z))
+    theta1, theta2 = normals(phi1, phi2, np.zeros(()))
+    one = (np.sin(phi12) / np.sin(phi2))[..., None] * np.exp(ik * theta1[..., None])
+    two = (np.sin(phi1) / np.sin(phi2))[..., None] * np.exp(ik * theta2[..., None])
+    return cast(ComplexArray, z * (one + two))
+
+
+def height(coefficients: FloatArray, phi1: FloatArray, phi2: FloatArray, psi: FloatArray) -> Height:
+    """Potential energy per unit weight and its derivatives, for poses that broadcast against each other.
+
+    Y = (r1 sin φ12 + r2 sin φ1) / sin φ2, the Y of (3.17); slope (d1 sin φ12 + d2 sin φ1) / sin φ2, which is
+    the left side of (3.23); curvature ((v1 − r1) sin φ12 + (v2 − r2) sin φ1) / sin φ2, that of (3.24) with r̃2 and
+    x1 written out.
+    """
+    series = height_series(coefficients, phi1, phi2)
+    psi = np.asarray(psi, dtype=np.float64)
+    return Height(*(_value(derivative, psi) for derivative in _derivatives(series, 2)))
+
+
+def basins(coefficients: FloatArray, phi1: FloatArray, phi2: FloatArray) -> Basins:
+    """All stable and unstable balances of palm poses that broadcast to a shape (…): (3.22), (3.24), ψ to 1e-9 rad.
+
+    Changes of the slope's sign are looked for on a fine circle of ψ, and between its points wherever the slope might
+    touch zero twice; Newton's method refines within each bracket. A circle about its centre of mass has no extrema:
+    it balances everywhere. A thousand palm poses take some 15 ms: for a thread beside the loop. Raises ValueError as
+    `height_series` does.
+    """
+    series = height_series(coefficients, phi1, phi2)
+    shape = series.shape[:-1]
+    flat = series.reshape(-1, series.shape[-1])
+    _, slope, curvature = _derivatives(flat, 2)
+    found = _brackets(slope, curvature, coefficients[0])
+    roots = np.mod(_refine(slope[found.row], curvature[found.row], found), 2 * np.pi)
+    minima, maxima = (_table(found.row[kind], roots[kind], len(flat)) for kind in (found.rising, ~found.rising))
+    return Basins(minima.reshape(*shape, -1), maxima.reshape(*shape, -1))
+
+
+def stable_poses(coefficients: FloatArray, phi1: float, phi2: float) -> FloatArray:
+    """All stable ψ of one palm pose (rad), ascending in [0, 2π), to 1e-9: local minima of the height (3.22)–(3.24).
+
+    Raises ValueError as `height_series` does.
+    """
+    minima = basins(coefficients, np.asarray(phi1), np.asarray(phi2)).minima
+    return minima[np.isfinite(minima)]
+
+
+def follow(coefficients: FloatArray, psi: FloatArray, phi1_path: FloatArray, phi2_path: FloatArray) -> Followed:
+    """Where the object goes from each of `psi` (S,) (rad) as the palms move slowly along a path of P poses (rad).
+
+    It slides down to a minimum at once, stays in it as it moves, and where it vanishes slides down to the next one.
+    Between the path's poses the palms go straight. Raises ValueError as `height_series` does, and when there is
+    nothing to settle in.
+    """
+    longest = np.maximum(np.abs(np.diff(phi1_path)), np.abs(np.diff(phi2_path)))
+    steps = np.maximum(np.ceil(longest / _STEP), 1).astype(np.intp)
+    ends = np.concatenate([[0], np.cumsum(steps)])
+    fine = np.arange(ends[-1] + 1)
+    path = basins(coefficients, np.interp(fine, ends, phi1_path), np.interp(fine, ends, phi2_path))
+    if not path.count.all():
+        raise ValueError("the object balances everywhere: it has no stable pose to be followed")
+    at = path.at((0,))
+    now = nearest_turn(at.minima[at.index(psi)], psi)
+    all_psi = np.empty((len(ends), len(psi)))
+    jumped = np.zeros((len(ends), len(psi)), dtype=np.bool_)
+    all_psi[0] = now
+    for step, end in enumerate(steps):
+        for i in range(ends[step] + 1, ends[step] + end + 1):
+            before, at = at, path.at((i,))
+            after = nearest_turn(at.minima[at.index(now)], now)
+            jumped[step + 1] |= before.index(after) != before.index(now)
+            now = after
+        all_psi[step + 1] = now
+    return Followed(all_psi, jumped)
+
+
+def nearest_turn(psi: FloatArray, reference: FloatArray) -> FloatArray:
+    """`psi` on the branch that is nearest to `reference` (rad)."""
+    return reference + np.mod(psi - reference + np.pi, 2 * np.pi) - np.pi
+
+
+@dataclass(frozen=True, slots=True)
+class _Brackets:
+    """Intervals (rad) in which the slope of the height of palm pose `row` changes sign once, rising or falling."""
+
+    row: IntArray
+    low: FloatArray
+    high: FloatArray
+    rising: BoolArray
+
+
+def _derivatives(series: ComplexArray, order: int) -> list[ComplexArray]:
+    """The series and its derivatives in ψ up to `order`."""
+    factor = -1j * np.arange(series.shape[-1])
+    return [series * factor**n for n in range(order + 1)]
+
+
+def _value(series: ComplexArray, psi: FloatArray) -> FloatArray:
+    """Re Σ y_k e^{−ikψ}, by Horner's rule; `psi` broadcasts against the series' leading shape."""
+    turn = np.exp(-1j * psi)
+    total = np.zeros((), dtype=np.complex128)
+    for k in range(series.shape[-1] - 1, -1, -1):
+        total = total * turn + series[..., k]
+    return total.real
+
+
+def _on_circle(series: ComplexArray, psi: FloatArray) -> FloatArray:
+    """Values of each row's series at the same ψ: (rows, len(psi))."""
+    k = np.arange(series.shape[-1])
+    angles = np.multiply.outer(k, psi)
+    return series.real @ np.cos(angles) + series.imag @ np.sin(angles)
+
+
+def _brackets(slope: ComplexArray, curvature: ComplexArray, mean_radius: float) -> _Brackets:
+    """Intervals with one root of a row's slope: changes of sign on a circle of ψ, and pairs between its points."""
+    count = max(SCAN, _SCAN_PER_HARMONIC * (slope.shape[-1] - 1))
+    width = 2 * np.pi / count
+    psi = np.arange(count + 1) * width
+    slopes, bends = _on_circle(slope, psi[:-1]), _on_circle(curvature, psi[:-1])
+    slopes, bends = (np.concatenate([values, values[:, :1]], axis=1) for values in (slopes, bends))
+    uphill = slopes >= 0
+    live = np.abs(slopes).max(axis=1, keepdims=True) > _FLAT * abs(mean_radius)
+    row, cell = np.nonzero(live & (uphill[:, 1:] != uphill[:, :-1]))
+    crossing = _Brackets(row, psi[cell], psi[cell + 1], uphill[row, cell + 1])
+
+    # a slope that bends towards zero and back within a cell, and whose tangents cross zero there, may touch it twice
+    sign = np.where(uphill, 1.0, -1.0)
+    left, right = sign[:, :-1], sign[:, 1:]
+    towards = (left == right) & (left * bends[:, :-1] < 0) & (right * bends[:, 1:] > 0)
+    near = (left * (slopes[:, :-1] + width * bends[:, :-1]) < 0) & (right * (slopes[:, 1:] - width * bends[:, 1:]) < 0)
+    row, cell = np.nonzero(live & towards & near)
+    turning = _refine(
+        curvature[row],
+        _derivatives(curvature[row], 1)[1],
+        _Brackets(row, psi[cell], psi[cell + 1], uphill[row, cell]),
+    )
+    twice = (_value(slope[row], turning) >= 0) != uphill[row, cell]
+    row, cell, turning = row[twice], cell[twice], turning[twice]
+    first = _Brackets(row, psi[cell], turning, ~uphill[row, cell])
+    second = _Brackets(row, turning, psi[cell + 1], uphill[row, cell])
+    parts = (crossing, first, second)
+    return _Brackets(
+        np.concatenate([part.row for part in parts]),
+        np.concatenate([part.low for part in parts]),
+        np.concatenate([part.high for part in parts]),
+        np.concatenate([part.rising for part in parts]),
+    )
+
+
+def _refine(value: ComplexArray, derivative: ComplexArray, start: _Brackets) -> FloatArray:
+    """The root of each series in its bracket (rad): Newton's step where it stays inside, else the middle."""
+    low, high = start.low.copy(), start.high.copy()
+    psi = 0.5 * (low + high)
+    active = np.arange(len(psi))
+    for _ in range(_MAX_ITERATIONS):
+        if not len(active):
+            break
+        here = psi[active]
+        error = _value(value[active], here)
+        below = (error < 0) == start.rising[active]
+        low[active] = np.where(below, here, low[active])
+        high[active] = np.where(below, high[active], here)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            wanted = here - error / _value(derivative[active], here)
+        inside = (wanted >= low[active]) & (wanted <= high[active])
+        psi[active] = np.where(inside, wanted, 0.5 * (low[active] + high[active]))
+        active = active[np.abs(psi[active] - here) > _SETTLED]
+    return psi
+
+
+def _table(row: IntArray, roots: FloatArray, rows: int) -> FloatArray:
+    """The roots of each row, ascending, padded with NaN to the longest."""
+    order = np.lexsort((roots, row))
+    row, roots = row[order], roots[order]
+    count = np.bincount(row, minlength=rows)
+    place = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
+    table = np.full((rows, int(count.max(initial=1))), np.nan)
+    table[row, place] = roots
+    return table

@@ -1,0 +1,364 @@
+"""The paper's quasistatic observer (CMU-CS-01-107, chapter 3), live: (3.33)–(3.35) integrated from the best beginning.
+
+What is felt is smoothed by local cubics `LAG_S` behind the present, so that the rates which drive the system come
+from readings on both sides. Many beginnings are integrated side by side (`observer.beginnings`). From time to time a
+narrower set is drawn about the likeliest ones, integrated again from the stored past, a few steps a tick, and takes
+over. A set begins `WINDOW_S` ago at most: what was integrated longer has drifted.
+
+It knows no friction and no inertia. Of objects that friction holds off balance it tells the radii to a millimetre or
+two and hardly the motion, and says so in its standard deviations; the shape observer is the one to use. Published with
+it are the errors that the paper calls observable, e_f (3.36) and e_c (3.37).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from palmd.events import (
+    Estimate,
+    Event,
+    FloatArray,
+    PadLift,
+    PadSample,
+    PalmMotion,
+    PalmSample,
+    RigDescription,
+    ShapeEstimate,
+)
+from palmd.model import quasistatic as qs
+from palmd.model import shape
+from palmd.model.named import NAMED
+from palmd.observer.answer import answer, no_answer
+from palmd.observer.beginnings import BLOCKS, Beginnings, Spread
+from palmd.observer.live import DIRECTIONS, GONE_S, SILENCE_S, finite
+from palmd.observer.local_fit import HALF_WIDTH_S, Readings
+from palmd.observer.mass import MassEstimator, resting_forces
+from palmd.observer.prior import GYRATION, GYRATION_SD, RADIUS_SD
+from palmd.observer.touched import NORMAL_BINS, TouchMarks
+
+STEP_S = 0.01
+LAG_S = 0.1
+FIRST_S = 0.05  # after the first readings, where they can be smoothed
+WINDOW_S = 20.0
+STEPS_A_TICK = 3  # of the set that leads, when ticks were late
+STEPS_BEHIND = 4  # a tick, of the set that catches up
+ROUNDS_S = (2.0, 4.0, 8.0)  # after the beginning, when a narrower set is drawn; then each `ROUND_EVERY_S`
+ROUND_EVERY_S = 8.0
+FIRST_WIDTH, FIRST_BALANCE_M = 3 * RADIUS_SD, 2.5e-3  # of the circle's radius; e_f
+WIDTH_SDS, LEAST_WIDTH_M = 3.0, 5e-4
+# What remains about the best beginning, from the emulated rig: friction and inertia, which are not in the model.
+RADIUS_OFF_M, TURN_OFF_RAD, SPIN_OFF_RAD_S = 1.0e-3, 0.35, 0.5
+FITTED = 0.6  # of a reading's one-sigma that is left in the smoothed value at the end of the record
+PALM_RATE_SD = 5e-3  # rad/s
+SETTLED_M, SETTLED_S = 2.5e-3, 2.0
+# Readings that stray further from their smooth course than this have jumped, and so has the object; a conflict above
+# the other for so long is no friction. Either way it is begun anew.
+JUMP_M = 5e-4
+AGREEING_M, LOST_FOR_S = 1.5e-3, 0.3
+
+_THETA = np.linspace(0.0, 2 * np.pi, DIRECTIONS, endpoint=False)
+_ROWS = shape.basis(_THETA)
+_BIN_OF_THETA = (_THETA / (2 * np.pi) * NORMAL_BINS).astype(np.intp)
+
+
+@dataclass(frozen=True, slots=True)
+class _Node:
+    """One instant of the even grid: what was felt, and where the leading set's mean was then."""
+
+    felt: qs.Felt
+    mean: float
+    balance: float
+    psi: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Answer:
+    """The leading set at its last node: mean and one-sigma of r1, r2, ψ and ψ̇, errors of the likeliest beginning."""
+
+    values: FloatArray
+    sds: FloatArray
+    e_f: float
+    e_c: float
+    conflict: float
+    best: int
+
+
+class QuasistaticObserver:
+    """Events in, estimates out. `feed` and `estimate` take bounded time and are safe inside the loop."""
+
+    name = "quasistatic"
+    backend = "numpy"
+
+    def __init__(self, rig: RigDescription):
+        """Deterministic for given events and times."""
+        self._rig = rig
+        self._palms_seen = self._t_node = -math.inf
+        self._t_first = math.inf
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to the very beginning, as if nothing had been fed."""
+        self.object_count = 0
+        self.late_dropped = 0
+        self._palms = Readings(4 * HALF_WIDTH_S)
+        self._pads = {1: Readings(4 * HALF_WIDTH_S), 2: Readings(4 * HALF_WIDTH_S)}
+        self._stop()
+
+    def warm_up(self) -> None:
+        """Pay the costs of first calls now; ends with a `reset`."""
+        for i in range(100):
+            t = i * 0.01
+            self.feed(PalmSample(t, 0.8, 1.6))
+            self.feed(PadSample(t, 1, 0.02, 1.0))
+            self.feed(PadSample(t, 2, 0.02, 1.0))
+            self.estimate(t)
+            self.shape(t)
+        self.reset()
+
+    def feed(self, event: Event) -> None:
+        """Take one event; one too late to matter is counted and dropped."""
+        if isinstance(event, PadLift):
+            self._lifted.add(event.pad)
+            return
+        if not finite(event) or event.t_sample < self._t_node - HALF_WIDTH_S:
+            self.late_dropped += 1
+            return
+        if isinstance(event, PalmSample):
+            self._palms.add(event.t_sample, event.phi1, event.phi2)
+            self._palms_seen = max(self._palms_seen, event.t_sample)
+        else:
+            self._pads[event.pad].add(event.t_sample, event.s)
+            if event.t_sample >= self._last_seen(event.pad):
+                self._last[event.pad] = event
+                self._lifted.discard(event.pad)
+        if math.isinf(self._t_first) and len(self._last) == 2 and self._palms_seen > -math.inf:
+            self._t_first = event.t_sample
+
+    def estimate(self, t: float) -> Estimate:
+        """The likeliest beginnings' answer for time `t` (s); never raises, NaN where unknown."""
+        if t - min(self._palms_seen, self._last_seen(1), self._last_seen(2)) > GONE_S and self._last:
+            self._stop()
+        self._advance(t)
+        found, present = self._found, self._felt(t)
+        if found is None or present is None:
+            return no_answer(t, self.name, self.object_count, None if present is None else _motion(present[0]))
+        now, _ = present
+        y, sd = self._named(t, now, found)
+        touching = not self._lifted and all(t - self._last_seen(pad) < SILENCE_S for pad in (1, 2))
+        sharp = max(sd[0], sd[1]) < SETTLED_M and found.conflict < AGREEING_M
+        if found.conflict < AGREEING_M:
+            self._t_agreed = t
+        elif t - self._t_agreed > LOST_FOR_S:
+            self._forget(t)
+            return no_answer(t, self.name, self.object_count, _motion(now))
+        settled = bool(touching and sharp and np.isfinite(y[:11]).all() and t - self._t_first > SETTLED_S)
+        for pad, f in zip((1, 2), resting_forces(self._rig.gravity, np.array([now.phi1, now.phi2])), strict=True):
+            self._mass.weigh(self._last.get(pad), f)
+        if settled:
+            self._marks.mark(0, y, lambda: np.zeros(1))
+        told = answer(
+            t, settled, self.name, self.object_count, y, sd, self._mass, math.nan, math.nan, self._marks.fraction
+        )
+        return dataclasses.replace(told, e_f=found.e_f, e_c=found.e_c)
+
+    def shape(self, t: float) -> ShapeEstimate | None:
+        """The outline of the likeliest beginning on `DIRECTIONS` normals, None before there is one."""
+        found = self._found
+        if found is None or self._leader is None:
+            return None
+        coefficients, covariance = self._leader.outline(found.best)
+        variance = ((_ROWS @ covariance) * _ROWS).sum(axis=1) + float(found.sds[:2].max()) ** 2
+        return ShapeEstimate(t, _THETA, _ROWS @ coefficients, np.sqrt(variance), self._marks.marks[_BIN_OF_THETA])
+
+    # ---- the even grid and the sets of beginnings on it
+
+    def _stop(self) -> None:
+        """The object has left the palms, or the readings have gaps: nothing read until now counts any more."""
+        self._last: dict[int, PadSample] = {}
+        self._lifted: set[int] = set()
+        self._palms_seen = -math.inf
+        self._palms.clear()
+        for readings in self._pads.values():
+            readings.clear()
+        self._forget(math.inf)
+
+    def _forget(self, t: float) -> None:
+        """What has been integrated has led astray; begin anew with the readings from `t` (s) on."""
+        rig = self._rig
+        self._t_first, self._t_node, self._t_agreed = t, -math.inf, math.inf
+        self._nodes: deque[_Node] = deque(maxlen=round(WINDOW_S / STEP_S))
+        self._leader: Beginnings | None = None
+        self._found: _Answer | None = None
+        self._follower: Beginnings | None = None
+        self._ahead: deque[qs.Felt] = deque()  # of the follower
+        self._level = 0  # ticks for which it has been where the leader is
+        self._rounds = 0
+        self._mass = MassEstimator(rig.force_scale_std, rig.force_resolution, rig.force_gain_std)
+        self._marks = TouchMarks()
+
+    def _last_seen(self, pad: int) -> float:
+        sample = self._last.get(pad)
+        return -math.inf if sample is None else sample.t_sample
+
+    def _felt(self, t: float) -> tuple[qs.Felt, float] | None:
+        """What is felt at `t`, and how far pads' readings stray from it (m); None where they are too few."""
+        one, two, palms = self._pads[1].at(t), self._pads[2].at(t), self._palms.at(t)
+        if one is None or two is None or palms is None:
+            return None
+        (phi1, phi2), (omega1, omega2) = palms.value.tolist(), palms.rate.tolist()
+        if not 0.0 < phi2 < math.pi:
+            return None
+        s1, s2, s1_dot, s2_dot = (float(v[0]) for v in (one.value, two.value, one.rate, two.rate))
+        felt = qs.Felt(s1, s2, phi1, phi2, s1_dot, s2_dot, omega1, omega2)
+        return felt, float(max(one.misfit[0], two.misfit[0]))
+
+    def _advance(self, t: float) -> None:
+        """Carry the leading set to `t` − `LAG_S`, and the one that follows it a few steps on."""
+        if self._leader is None:
+            self._begin(t)
+        for _ in range(STEPS_A_TICK):
+            if self._leader is None or self._t_node + STEP_S > t - LAG_S:
+                break
+            felt = self._felt(self._t_node + STEP_S)
+            if felt is None:
+                self._stop()
+                break
+            there, astray = felt
+            if astray > JUMP_M:
+                self._forget(t)
+                break
+            self._leader.step(self._nodes[-1].felt, there)
+            self._leader.judge()
+            self._t_node += STEP_S
+            self._note(self._leader, there)
+        if self._leader is not None:
+            self._follow(self._leader)
+
+    def _begin(self, t: float) -> None:
+        start = self._t_first + FIRST_S
+        if t - LAG_S < start:
+            return
+        first = self._felt(start)
+        if first is None:
+            return
+        felt, astray = first
+        if astray > JUMP_M:
+            self._t_first = t
+            return
+        self._circle = float((felt.s1 + felt.s2) / 2 * np.tan(felt.phi2 / 2))
+        spread = Spread(self._circle, FIRST_WIDTH * self._circle, 0.0, FIRST_BALANCE_M)
+        self._leader = Beginnings(spread, felt, 0.0, self._circle, STEP_S)
+        self.object_count += 1
+        self._t_node = start
+        self._note(self._leader, felt)
+
+    def _note(self, leader: Beginnings, felt: qs.Felt) -> None:
+        """The leader stands at a new node where this is `felt`."""
+        self._ahead.append(felt)
+        if not leader.judged:
+            self._nodes.append(_Node(felt, self._circle, 0.0, 0.0))
+            return
+        weights = leader.weights()
+        if not np.isfinite(weights).all():  # nothing leads anywhere
+            self._forget(self._t_node + LAG_S)
+            return
+        self._found = found = _read_off(leader, felt, weights)
+        r1, r2, psi = found.values[:3].tolist()
+        self._nodes.append(_Node(felt, (r1 + r2) / 2, float(weights @ leader.balance), psi))
+
+    def _follow(self, leader: Beginnings) -> None:
+        """Draw a narrower set when it is time, and let it catch up; it leads when it has."""
+        if self._follower is None:
+            if leader.judged and self._t_node - self._t_first > self._next_round():
+                self._rounds += 1
+                self._draw(leader)
+            return
+        for _ in range(STEPS_BEHIND):
+            if len(self._ahead) > 1:
+                here = self._ahead.popleft()
+                self._follower.step(here, self._ahead[0])
+        self._follower.judge()
+        self._level = self._level + 1 if len(self._ahead) == 1 else 0
+        if self._level > BLOCKS:
+            self._leader, self._follower = self._follower, None
+
+    def _draw(self, leader: Beginnings) -> None:
+        """A set about the likeliest beginnings, from the oldest node that is kept."""
+        first, weights = self._nodes[0], leader.weights()
+        balance, mean_then = float(weights @ leader.balance), float(weights @ leader.mean)
+        mean = mean_then if leader.steps == len(self._nodes) - 1 else first.mean
+        widths = [
+            max(WIDTH_SDS * math.sqrt(float(weights @ (values - centre) ** 2)), LEAST_WIDTH_M)
+            for values, centre in ((leader.mean, mean_then), (leader.balance, balance))
+        ]
+        self._follower = Beginnings(
+            Spread(mean, widths[0], balance, widths[1]), first.felt, first.psi, self._circle, STEP_S
+        )
+        self._ahead = deque(node.felt for node in self._nodes)
+        self._level = 0
+
+    def _next_round(self) -> float:
+        later = self._rounds - len(ROUNDS_S)
+        return ROUNDS_S[self._rounds] if later < 0 else ROUNDS_S[-1] + (later + 1) * ROUND_EVERY_S
+
+    # ---- reading off
+
+    def _named(self, t: float, now: qs.Felt, found: _Answer) -> tuple[FloatArray, FloatArray]:
+        """Values and one-sigmas of `NAMED` at `t`, from the last node on at its rates."""
+        r1, r2, psi, omega0 = found.values.tolist()
+        node = self._nodes[-1].felt
+        ahead = t - self._t_node
+        d1, d2 = qs.offsets(node, r1, r2)
+        r1 -= float(d1 * (node.omega1 - omega0)) * ahead  # (3.33)
+        r2 -= float(d2 * (node.omega12 - omega0)) * ahead  # (3.34)
+        psi += omega0 * ahead
+        radius_sd = np.hypot(found.sds[:2], RADIUS_OFF_M)
+        mean, mean_sd = (r1 + r2) / 2, float(radius_sd.mean())
+        rho = GYRATION * mean
+        f1, f2 = resting_forces(self._rig.gravity, np.array([now.phi1, now.phi2]))
+        com_x, com_y = _centre(self._rig, float(now.phi1), float(now.phi2), r1, r2)
+        s_sd, phi_sd = FITTED * math.sqrt(self._rig.reading_variance), FITTED * self._rig.palm_angle_noise
+        values = {
+            "r1": r1, "r2": r2, "omega0": omega0, "s1": now.s1, "s2": now.s2,
+            "phi1": now.phi1, "omega1": now.omega1, "phi2": now.phi2, "omega2": now.omega2,
+            "rho": rho, "psi": psi, "f1": f1, "f2": f2, "com_x": com_x, "com_y": com_y,
+        }  # fmt: skip
+        sds = {
+            "r1": radius_sd[0], "r2": radius_sd[1], "omega0": math.hypot(found.sds[3], SPIN_OFF_RAD_S),
+            "s1": s_sd, "s2": s_sd, "phi1": phi_sd, "omega1": PALM_RATE_SD, "phi2": phi_sd, "omega2": PALM_RATE_SD,
+            "rho": math.hypot(GYRATION_SD * rho, GYRATION * mean_sd), "psi": math.hypot(found.sds[2], TURN_OFF_RAD),
+        }  # fmt: skip
+        y = np.array([values.get(name, math.nan) for name in NAMED])
+        return y, np.array([sds.get(name, math.nan) for name in NAMED])
+
+
+def _read_off(leader: Beginnings, felt: qs.Felt, weights: FloatArray) -> _Answer:
+    rates = qs.rates(felt, leader.state, leader.softening)
+    each = np.concatenate([leader.state[:3], rates[2:3]])
+    mean = each @ weights
+    sd = np.sqrt(((each - mean[:, None]) ** 2) @ weights)
+    best = int(np.argmax(weights))
+    r1, r2 = leader.state[:2, best].tolist()
+    e_c = np.hypot(*qs.closure_error(felt, leader.state[:, best]))
+    e_f = qs.balance_error(felt, r1, r2)
+    return _Answer(mean, sd, float(e_f), float(e_c), float(leader.conflict[best]), best)
+
+
+def _motion(felt: qs.Felt) -> PalmMotion:
+    return PalmMotion(float(felt.phi1), float(felt.phi2), float(felt.omega1), float(felt.omega2))
+
+
+def _centre(rig: RigDescription, phi1: float, phi2: float, r1: float, r2: float) -> tuple[float, float]:
+    """The centre of mass (m, world frame): n1·c = r1, n2·c = r2 from the hinge, itself on an arc or fixed."""
+    phi12 = phi1 + phi2
+    x = (r1 * math.cos(phi12) + r2 * math.cos(phi1)) / math.sin(phi2)
+    y = (r1 * math.sin(phi12) + r2 * math.sin(phi1)) / math.sin(phi2)
+    if rig.hinge == "arc":
+        x += rig.base[0] - rig.palm1_length * math.cos(phi1)
+        y += rig.base[1] - rig.palm1_length * math.sin(phi1)
+    return x, y

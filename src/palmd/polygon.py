@@ -1,0 +1,176 @@
+"""Points measured along a closed convex curve, and the support function of the smooth outline behind them. Pure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+
+from palmd.events import FloatArray
+
+ORDER = 24  # harmonics of a fitted outline
+COEFFICIENTS = 2 * ORDER + 1
+_GRID = 720  # normals on which a point's nearest one is sought first
+_SETTLED_M = 1e-9
+_MOST_ITERATIONS = 50
+_FIRST_RMS_M = 1e-4
+_COARSE = 0.02  # of the extent: steps in which a curve is looked at for crossings
+
+
+@dataclass(frozen=True, slots=True)
+class Lamina:
+    """A uniform plate: its area (m²), centroid (m), and radius of gyration about that centroid (m)."""
+
+    area: float
+    centroid: tuple[float, float]
+    rho: float
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """A support function h (360,) in m on the normals of 0, 1, …, 359 degrees, and the points' RMS distance (m)."""
+
+    h: FloatArray
+    rms: float
+
+
+def degrees() -> FloatArray:
+    """The normals of 0, 1, …, 359 degrees (rad)."""
+    return np.arange(360, dtype=np.float64) * (math.tau / 360)
+
+
+def normals(theta: FloatArray) -> FloatArray:
+    """Unit vectors (cos θ, sin θ): (len(theta), 2)."""
+    return np.stack([np.cos(theta), np.sin(theta)], axis=1)
+
+
+def boundary(h: FloatArray) -> FloatArray:
+    """The outline's own points (360, 2) in m: x = h n + h′ dn/dθ, h′ of the trigonometric interpolation."""
+    theta = degrees()
+    slope = np.fft.irfft(1j * np.append(np.arange(180), 0) * np.fft.rfft(h), len(h))
+    return np.asarray(h[:, None] * normals(theta) + slope[:, None] * normals(theta + math.pi / 2))
+
+
+def lamina(points: FloatArray) -> Lamina:
+    """The plate within a closed polygon `points` (n, 2) in m, counter-clockwise; the area is negative if clockwise.
+
+    Green's theorem, edge by edge: A = ½ Σ c with c = x_i × x_{i+1}, centroid and second moment by like sums.
+    """
+    middle = points.mean(axis=0)
+    a = points - middle
+    b = np.roll(a, -1, axis=0)
+    cross = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    area = float(cross.sum()) / 2
+    centroid = ((a + b) * cross[:, None]).sum(axis=0) / (6 * area)
+    second = float((cross * (a * a + a * b + b * b).sum(axis=1)).sum()) / (12 * area)
+    rho = math.sqrt(max(second - float(centroid @ centroid), 0.0))
+    x, y = (middle + centroid).tolist()
+    return Lamina(area, (x, y), rho)
+
+
+def gaps(points: FloatArray) -> FloatArray:
+    """Distance (m) from each point to the next, the last one's to the first."""
+    return np.asarray(np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1))
+
+
+def crossing(points: FloatArray) -> tuple[int, int] | None:
+    """Two edges of the closed polygon that cross, as the numbers of the points where they begin; None when none do.
+
+    Points are first thinned to steps of `_COARSE` of the extent: closer ones step back and forth by their own noise.
+    """
+    kept = _thinned(points)
+    a = points[kept]
+    b = np.roll(a, -1, axis=0)
+    edge = b - a
+    # [i, j]: on which side of edge i's line lies where edge j begins
+    side = edge[:, :1] * (a[None, :, 1] - a[:, None, 1]) - edge[:, 1:] * (a[None, :, 0] - a[:, None, 0])
+    apart = side * np.roll(side, -1, axis=1) < 0
+    found = np.argwhere(apart & apart.T)
+    return (int(kept[found[0, 0]]), int(kept[found[0, 1]])) if len(found) else None
+
+
+def winding(points: FloatArray) -> float:
+    """How many times the closed polygon goes round the mean of its points, positive counter-clockwise."""
+    away = points - points.mean(axis=0)
+    angle = np.arctan2(away[:, 1], away[:, 0])
+    steps = np.angle(np.exp(1j * (np.roll(angle, -1) - angle)))
+    return float(steps.sum()) / math.tau
+
+
+def depths(points: FloatArray) -> FloatArray:
+    """How far (m) each point lies inside the convex hull of all of them; 0 on the hull."""
+    along = points @ normals(_grid()).T
+    return np.asarray((along.max(axis=0) - along).min(axis=1))
+
+
+def fitted(points: FloatArray) -> Fit:
+    """The outline of `ORDER` harmonics that passes `points` (n, 2), in m, at the least RMS distance.
+
+    A point p lies outside a convex outline by max over θ of p·n(θ) − h(θ), negative inside. That is linear in the
+    coefficients of h once θ is known, and by the envelope theorem it has the same slope where θ is sought:
+    Gauss–Newton, under v = h + h″ ≥ 0. Harmonics from the second on are believed to be those of a smooth lump, as much
+    as the points' own distance from the fit demands: exact points are followed, noise is not.
+    Raises ValueError for fewer points than coefficients.
+    """
+    if len(points) < COEFFICIENTS:
+        raise ValueError(f"{len(points)} points do not tell {COEFFICIENTS} coefficients")
+    middle = points.mean(axis=0)
+    around = points - middle
+    grid = _grid()
+    on_grid = _waves(grid)
+    along = around @ normals(grid).T
+    coefficients = np.linalg.lstsq(on_grid, along.max(axis=0), rcond=None)[0]
+    k = np.concatenate([np.arange(ORDER + 1), np.arange(1, ORDER + 1)])
+    lump_sd = 0.045 * coefficients[0] * (2.0 / np.maximum(k, 1)) ** 1.7
+    lump = np.diag(np.where(k > 1, lump_sd**-2, 0.0))
+    curvature = on_grid * (1 - k**2)
+    rms = _FIRST_RMS_M
+    for _ in range(_MOST_ITERATIONS):
+        theta = _at_maximum(along - coefficients @ on_grid.T)
+        rows = _waves(theta)
+        offset = (around * normals(theta)).sum(axis=1)
+        before = coefficients
+        coefficients = _least_squares(rows.T @ rows + rms**2 * lump, rows.T @ offset, curvature)
+        rms = float(np.sqrt(np.mean((offset - rows @ coefficients) ** 2)))
+        if np.abs(coefficients - before).max() < _SETTLED_M:
+            break
+    h = _waves(degrees()) @ coefficients + normals(degrees()) @ middle
+    return Fit(np.asarray(h), rms)
+
+
+def _least_squares(normal: FloatArray, right: FloatArray, bounds: FloatArray) -> FloatArray:
+    """The c with the least ½ cᵀN c − gᵀc under B c ≥ 0, by its dual: c = N⁻¹(g + Bᵀλ), λ ≥ 0, a non-negative fit."""
+    lower = np.linalg.cholesky(normal)
+    multipliers, _ = nnls(np.linalg.solve(lower, bounds.T), -np.linalg.solve(lower, right))
+    return np.asarray(np.linalg.solve(normal, right + bounds.T @ multipliers))
+
+
+def _grid() -> FloatArray:
+    return np.arange(_GRID, dtype=np.float64) * (math.tau / _GRID)
+
+
+def _waves(theta: FloatArray) -> FloatArray:
+    """1, cos θ, …, cos ORDER·θ, sin θ, …, sin ORDER·θ on each of theta: (len(theta), COEFFICIENTS)."""
+    waves = np.exp(1j * np.outer(theta, np.arange(ORDER + 1)))
+    return np.concatenate([waves.real, waves.imag[:, 1:]], axis=1)
+
+
+def _at_maximum(values: FloatArray) -> FloatArray:
+    """Where on the circle each row, given on the grid's normals, is greatest (rad): the parabola through three."""
+    rows = np.arange(len(values))
+    top = values.argmax(axis=1)
+    before, at, after = (values[rows, (top + i) % _GRID] for i in (-1, 0, 1))
+    bend = np.minimum(before - 2 * at + after, -1e-15)
+    return np.asarray((top + np.clip((before - after) / (2 * bend), -0.5, 0.5)) * (math.tau / _GRID))
+
+
+def _thinned(points: FloatArray) -> FloatArray:
+    """Numbers of points that are each a coarse step away from the one kept before."""
+    step = _COARSE * float(np.ptp(points, axis=0).max())
+    kept = [0]
+    for i in range(1, len(points)):
+        if math.dist(points[i], points[kept[-1]]) >= step:
+            kept.append(i)
+    return np.array(kept)

@@ -1,0 +1,25 @@
+"""A marble rolled over an emulated pad, without wires and without waiting."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from palmd.config import PadConfig
+from palmd.devices.arrival import byte_time
+from palmd.devices.versapad import PACKET_BYTES, PadCounters, PadPacket, PressureFormat, VersaPadDecoder
+from palmd.rig.marble import Marble
+from palmd.rig.pads import GOOD_PADS, PadEmulator, PadOptions
+
+
+def rolled(
+    config: PadConfig, seed: int, seconds: float, options: PadOptions = GOOD_PADS
+) -> tuple[list[PadPacket], PadCounters]:
+    """What the host decodes, each packet read as its last byte arrives; the same arguments, the same packets."""
+    rng = np.random.default_rng(seed)
+    marble = Marble(config.length_mm * 1e-3, rng)
+    pad = PadEmulator(config, options, lambda _s: 0.0, rng, 0.0)
+    decoder = VersaPadDecoder(config.baud, PressureFormat(**config.pressure.model_dump()))
+    packets: list[PadPacket] = []
+    while (t := pad.due) < seconds:
+        packets += decoder.feed(pad.report(t, marble.presses(t)), t + (PACKET_BYTES - 1) * byte_time(config.baud))
+    return packets, decoder.counters

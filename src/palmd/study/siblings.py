@@ -1,0 +1,76 @@
+"""Libraries of similar outlines: variations of one body, each a little off from all the others. Pure."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.model import shape
+from palmd.outlinefile import Outline
+from palmd.rig.shapes import Body, Kind, Support, area_moments, random_body
+
+LEAST_M, MOST_M = 0.3e-3, 1.0e-3
+"""RMS over all normals between any two outlines after the best rotation."""
+
+LEAST_CURVATURE_RADIUS_M = 2.5e-3
+RADIUS_RANGE = 0.01  # of the mean radius, to either side
+H_SD_M = 20e-6
+RHO_SD = 0.02  # relative
+MASS_SD = 0.02
+_VARIATION = {2: 0.30e-3, 3: 0.22e-3, 4: 0.15e-3, 5: 0.11e-3, 6: 0.07e-3}  # m, of each coefficient
+_THETA: FloatArray = np.arange(360, dtype=np.float64) * (math.tau / 360)
+_ROTATIONS = 3600
+
+
+def difference(one: FloatArray, other: FloatArray) -> float:
+    """RMS between two support functions on 360 normals after the best rotation (m), to half a micrometre.
+
+    Over rotations δ: mean of (h1(θ) − h2(θ + δ))² = mean h1² + mean h2² − 2·correlation(δ), by Fourier transforms.
+    """
+    spectrum = np.fft.rfft(one) * np.conj(np.fft.rfft(other)) / len(one)
+    correlation = np.fft.irfft(spectrum, _ROTATIONS) * (_ROTATIONS / len(one))
+    square = float(np.mean(one**2) + np.mean(other**2) - 2.0 * correlation.max())
+    return math.sqrt(max(square, 0.0))
+
+
+def siblings(kind: Kind, count: int, rng: np.random.Generator) -> list[Body]:
+    """So many bodies that are variations of one random body of the kind, all within `LEAST_M` to `MOST_M`."""
+    base = random_body(kind, rng)
+    bodies: list[Body] = []
+    outlines: list[FloatArray] = []
+    while len(bodies) < count:
+        body = _varied(base, rng)
+        h = body.support.sample(_THETA)
+        convex = body.support.min_curvature_radius > LEAST_CURVATURE_RADIUS_M
+        if convex and all(LEAST_M <= difference(h, other) <= MOST_M for other in outlines):
+            bodies.append(body)
+            outlines.append(h)
+    return bodies
+
+
+def _varied(base: Body, rng: np.random.Generator) -> Body:
+    """The base with other harmonics; its centre of mass stays where it is, ρ goes with the outline."""
+    c = list(base.support.coefficients)
+    c[0] *= 1.0 + float(rng.uniform(-RADIUS_RANGE, RADIUS_RANGE))
+    for k, sd in _VARIATION.items():
+        c[k] += sd * complex(*rng.standard_normal(2))
+    support = Support.from_coefficients(tuple(c))
+    rho = base.rho * area_moments(support)[3] / area_moments(base.support)[3]
+    return Body(base.shape, support, rho, base.mass)
+
+
+def as_stored(body: Body, name: str, rng: np.random.Generator) -> Outline:
+    """What would be known of the body from an earlier measurement: errors as large as the one-sigmas say."""
+    sd = H_SD_M / math.sqrt(shape.HARMONICS + 1)
+    error = shape.basis(_THETA) @ (sd * rng.standard_normal(shape.COEFFICIENTS))
+    return Outline(
+        name=name,
+        h=body.support.sample(_THETA) + error,
+        h_sd=np.full(360, H_SD_M),
+        rho=body.rho * (1.0 + RHO_SD * float(rng.standard_normal())),
+        rho_sd=RHO_SD * body.rho,
+        mass=body.mass * (1.0 + MASS_SD * float(rng.standard_normal())),
+        mass_sd=MASS_SD * body.mass,
+    )
