@@ -174,7 +174,7 @@ def test_a_gap_between_samples_ends_the_window() -> None:
     assert run(2.06, 0.1) < full / 2
 
 
-@pytest.mark.parametrize("name", ("shape", "extended"))
+@pytest.mark.parametrize("name", ["shape", "extended"])
 def test_it_is_finite_in_every_valid_tick_after_the_first_second_and_nan_before(name: str) -> None:
     watcher = observer.make(name, RigDescription(hinge="fixed"))
     tick, seen = 0.01, []
