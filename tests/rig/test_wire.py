@@ -1,13 +1,16 @@
 """The bus as a program outside the project hears it: three frames, plain maps, no gaps, the promised rates."""
 
 import collections
+import json
 import re
 import time
 
 import msgpack
 import pytest
+from harness import Bench
 
-from palmd.messages import TOPICS, validate
+from palmd.messages import OBJECT, TOPICS, validate
+from palmd.rig.simulate import simulate_log
 
 pytestmark = pytest.mark.rig
 
@@ -25,10 +28,17 @@ STAMP = re.compile(rb"\d{10,}\.\d{3,}")
 PLOTTED_TEXT = 100  # PlotJuggler leaves out longer strings
 
 
+ALWAYS = [topic for topic in TOPICS if topic is not OBJECT]  # that one comes with stored outlines only
+
+
 @pytest.fixture(scope="module")
 def wire(bench):
     """Everything published in some seconds of a running plan, by topic: frames, and the map."""
     bench.run_plan()
+    return heard(bench)
+
+
+def heard(bench):
     bench.listener.drain()
     found = collections.defaultdict(list)
     end = time.monotonic() + SECONDS
@@ -44,14 +54,14 @@ def plain(value):
 
 
 def test_every_topic_comes_at_its_rate(wire):
-    assert wire.keys() == {topic.name for topic in TOPICS} == RATES_HZ.keys()
+    assert wire.keys() == {topic.name for topic in ALWAYS} == RATES_HZ.keys()
     for topic, (low, high) in RATES_HZ.items():
         times = [fields["mono_ns"] * 1e-9 for _, fields in wire[topic]]
         assert low * SECONDS - 1.0 <= len(times) <= high * SECONDS + 2.0, topic
         assert times == sorted(times)
 
 
-@pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
+@pytest.mark.parametrize("topic", ALWAYS, ids=lambda topic: topic.name)
 def test_messages_are_what_the_contract_says(wire, topic):
     numbers = []
     for frames, fields in wire[topic.name]:
@@ -87,3 +97,23 @@ def test_what_is_told_of_the_object_fits_together(wire):
     assert len(state["faults"]) == len(state["severities"]) == len(state["hints"])
     _, estimate = wire["palm/estimate"][-1]
     assert set(estimate["sd"]) <= {name for name, value in estimate.items() if isinstance(value, float)}
+
+
+def test_with_stored_outlines_it_tells_which_object_it_is(tmp_path):
+    library = tmp_path / "library"
+    library.mkdir()
+    for seed in (1, 2):
+        truth = simulate_log("rig", seed, 0.1)[1]
+        stored = {name: truth[name] for name in ("theta_rad", "h_m", "rho_m")}
+        (library / f"object{seed}.json").write_text(json.dumps(stored))
+    bench = Bench(tmp_path, observer={"shape": str(library)})
+    try:
+        bench.run_plan()
+        messages = [fields for _, fields in heard(bench)[OBJECT.name]]
+    finally:
+        bench.close()
+    assert 10 <= len(messages) <= 10.5 * SECONDS + 2
+    assert all(validate(OBJECT, fields) == [] for fields in messages)
+    assert messages[-1]["names"] == ["object1", "object2"]
+    assert sum(messages[-1]["probability"]) + messages[-1]["none"] == pytest.approx(1.0)
+    assert messages[-1]["none"] > 0.5, "neither lies on the palms"
