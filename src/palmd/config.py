@@ -374,7 +374,8 @@ class SineSpec(Strict):
 class ExploreGoal(Strict):
     """When an exploration has seen enough."""
 
-    coverage: Annotated[FiniteFloat, Field(gt=0, le=1)] = 0.95
+    coverage: Annotated[FiniteFloat, Field(gt=0, le=1)] = 0.95  # of the normals that can be reached
+    band_mm: Annotated[FiniteFloat, Field(gt=0, le=10)] | None = None  # one sigma of the outline, all over them
     time_limit_s: Duration = 60.0
 
 

@@ -174,3 +174,19 @@ class ObjectEstimate:
         """The name whose probability is at least `DECIDED`, empty when there is none."""
         likeliest = int(np.argmax(self.probability))
         return self.names[likeliest] if self.probability[likeliest] >= DECIDED else ""
+
+
+@dataclass(frozen=True, slots=True)
+class Outlook:
+    """What is known of the object at time `t` (s), for choosing motions.
+
+    states: (K, 21) of `model.shape_map`, SI, the likeliest first, then samples of what the object may be besides, all
+    in the first one's gauge. touched, h_sd: (72,) for the bins of outward normals, bin 0 beginning at θ = 0, whether a
+    palm has been there and the outline's one-sigma (m) at the bin's middle. `object_count` as in the estimate.
+    """
+
+    t: float
+    states: FloatArray
+    touched: npt.NDArray[np.bool_]
+    h_sd: FloatArray
+    object_count: int

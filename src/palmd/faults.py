@@ -232,6 +232,12 @@ FAULTS: tuple[Fault, ...] = (
         "mend the plan, then load it with the plan command",
     ),
     Fault(
+        "explorer-silent",
+        Severity.NOTE,
+        "nobody decides where the exploration goes next; the palms stand and wait",
+        "it goes on by itself when the explorer answers again; take load off this machine, and read the log",
+    ),
+    Fault(
         "pads-swapped",
         Severity.DEGRADE,
         "the pressures move the wrong way between the pads as the palms turn: the pads are swapped",

@@ -149,7 +149,12 @@ MOTION = Topic(
         Field("phi2_rad", "number", "rad", "actual, from the arm's last report"),
         Field("plan", "text", "", "name of the plan, empty without one"),
         Field("segment", "number", "", "number of the plan's segment from 0; -1 when no plan is being run"),
-        Field("progress", "number", "", "of the plan, 0 to 1; of the round when it runs forever"),
+        Field(
+            "progress",
+            "number",
+            "",
+            "of the plan, 0 to 1; of the round when it runs forever, of touching when it explores",
+        ),
         Field("arm_state", "text", "", "the controller's state letter, empty while unknown"),
     ),
 )
@@ -184,6 +189,7 @@ LOOP = Topic(
         Field(
             "smoother_*", "number", "", "since the start: improvements taken in, starts of its process, readings lost"
         ),
+        Field("explorer_*", "number", "", "since the start: starts of its process, decisions that came too late"),
         Field("rss_mb", "number", "MB", "resident memory"),
         Field("backend", "text", "", "what runs the models: c, vm or numpy"),
     ),

@@ -78,7 +78,7 @@ def cyclictest(folder):
 
 def run_daemon(rig, folder, stack):
     """Lateness and work (ms) and skipped ticks of a run with the palms in motion, one row a tick."""
-    config = load_config(shipped("demo.yaml"))
+    config = load_config(shipped("demo.yaml")).model_copy(update={"plan": shipped("plans/lively.yaml")})
     bus = free_addresses(config.bus)
     path, ticks = folder / "palmd.yaml", folder / "ticks"
     path.write_text(as_yaml(config, bus, rig), encoding="utf-8")

@@ -19,8 +19,10 @@ pytestmark = pytest.mark.rig
 
 SUMMARY = re.compile(
     r"palmd demo: seed 3, shape observer settled after \d+\.\d s, outline \d+ µm RMS \(\d+\.\d\d%\) on \d+% touched "
-    r"normals, r \d\.\d{3} mm, omega0 \d\.\d{3} rad/s, rho [+-]\d+\.\d%, mu \d\.\d\d \(true \d\.\d\d\), "
-    r"mass [+-]\d+\.\d%, ticks \d+, late > 2 ms \d+\.\d\d%, work p99 \d+\.\d ms\n"
+    r"normals, whole outline within \d+\.\d{3} mm \(largest sd \d+\.\d{3} mm\), r \d\.\d{3} mm, "
+    r"omega0 \d\.\d{3} rad/s, "
+    r"rho [+-]\d+\.\d%, mu \d\.\d\d \(true \d\.\d\d\), mass [+-]\d+\.\d%, ticks \d+, late > 2 ms \d+\.\d\d%, "
+    r"work p99 \d+\.\d ms\n"
 )
 
 

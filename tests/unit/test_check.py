@@ -20,6 +20,14 @@ segments:
   - {rate: {phi1_deg_s: 20}, until: {phi1_deg: 75}}
   - {explore: {coverage: 0.95, time_limit_s: 60}}
 """
+WRONG = """\
+name: wrong
+repeat: 2
+segments:
+  - {explore: {coverage: 0.95, time_limit_s: 60}}
+  - {hold_s: 1}
+dither: {amplitude_deg: 0.1, frequency_hz: 10}
+"""
 
 
 def write(folder: Path, **files: str) -> list[Path]:
@@ -72,11 +80,16 @@ def test_the_plan_that_a_configuration_names_is_checked_once(tmp_path: Path) -> 
     assert check_files([config]) == []
 
 
-def test_load_trajectory_tells_the_place_and_refuses_to_explore(tmp_path: Path) -> None:
+def test_an_exploration_comes_last_and_once_and_its_place_in_the_file_is_told_otherwise(tmp_path: Path) -> None:
     (plan,) = write(tmp_path, rock=ROCK)
     limits = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555)
+    assert load_trajectory(plan, limits).labels == ("move", "rate", "explore")
+    (wrong,) = write(tmp_path, wrong=WRONG)
     with pytest.raises(ConfigError) as caught:
-        load_trajectory(plan, limits)
-    assert [error.split(": ")[:2] for error in caught.value.errors] == [[f"{plan}:5:5", "segments.2"]]
-    shipped = load_trajectory(ROOT / "config/plans/demo.yaml", motion_limits(load_config(ROOT / "config/demo.yaml")))
-    assert shipped.name == "demo"
+        load_trajectory(wrong, limits)
+    expected = [f"{wrong}:2:9: repeat: ", f"{wrong}:4:5: segments.0: ", f"{wrong}:6:9: dither: "]
+    for line, start in zip(caught.value.errors, expected, strict=True):
+        assert line.startswith(start)
+    assert check_files([wrong]) == caught.value.errors
+    shipped = load_trajectory(ROOT / "config/plans/lively.yaml", motion_limits(load_config(ROOT / "config/demo.yaml")))
+    assert shipped.name == "lively"

@@ -12,6 +12,7 @@ from palmd.events import PalmMotion
 from palmd.motion.conductor import LONGEST_STEP, Conductor, MotionError
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import HOME, Trajectory, compile_plan
+from palmd.motion.segments import Move
 
 LIMITS = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555)
 DT = 0.016
@@ -177,3 +178,46 @@ def test_hold_before_the_first_advance_keeps_the_palms_where_they_are() -> None:
     assert angles(run.go(1.0)) == pytest.approx(HOME, abs=1e-9)
     assert at_rest(run.motions[-1])
     assert run.conductor.held
+
+
+def test_an_exploration_is_in_hand_from_its_beginning_until_it_is_concluded() -> None:
+    run = Run(plan({"move": {"phi1_deg": 45, "phi2_deg": 90}, "duration_s": 0.4}, {"explore": {}}))
+    run.go(0.3)
+    assert run.conductor.exploration is None  # this is the way to its beginning
+    run.go(0.5)
+    found = run.conductor.exploration
+    assert found is not None
+    exploration, t = found
+    assert t == pytest.approx(0.4, abs=2 * DT)
+    exploration.append(Move(HOME, (1.0, 1.5), 0.5), t)
+    run.go(0.2)
+    assert not at_rest(run.motions[-1])
+    run.go(0.5)
+    assert run.conductor.moving
+    run.conductor.conclude()
+    assert run.conductor.done
+    assert not run.conductor.moving
+    assert not run.conductor.held
+    assert run.conductor.exploration is None
+    assert angles(run.go(0.5)) == (1.0, 1.5)
+    run.conductor.start(plan({"explore": {}}))
+    run.go(0.1)
+    assert not run.conductor.done
+
+
+def test_a_move_cut_while_held_leaves_the_palms_where_they_stand() -> None:
+    run = Run(plan({"explore": {}}))
+    run.go(0.1)
+    assert run.conductor.exploration is not None
+    exploration, t = run.conductor.exploration
+    exploration.append(Move(HOME, (1.0, 1.5), 0.8), t)
+    run.go(0.3)
+    run.conductor.hold()
+    stood = run.go(0.4)
+    assert HOME[0] < stood.phi1 < 1.0
+    found = run.conductor.exploration
+    assert found is not None
+    exploration.cut(found[1])
+    run.conductor.resume()
+    assert angles(run.go(1.0)) == pytest.approx(angles(stood), abs=1e-12)
+    assert exploration.last.end == pytest.approx(angles(stood), abs=1e-12)

@@ -95,6 +95,16 @@ def test_a_plan_is_named_by_its_whole_path(tmp_path, monkeypatch):
     assert requests[0].args == {"path": str(tmp_path / "rock.yaml")}
 
 
+def test_how_far_an_exploration_is_and_why_it_ended_is_told():
+    explored = {"coverage": 0.83, "reachable": 0.91, "reason": "the time is over, untouched: 40–60°"}
+    lines = told("status", STATUS | {"explored": explored}).splitlines()
+    assert lines[2].strip() == (
+        "explored 83% of the 91% of the outline that can be reached: the time is over, untouched: 40–60°"
+    )
+    nothing = {"coverage": None, "reachable": None, "reason": "it has just begun"}
+    assert "explored nothing yet: it has just begun" in told("status", STATUS | {"explored": nothing})
+
+
 def test_a_refusal_is_told_and_ends_with_1(tmp_path, capsys):
     with daemon(tmp_path, refusing) as (address, _):
         assert main(["ctl", "arm", "--address", address]) == 1

@@ -77,7 +77,10 @@ def run_for(comparison, seconds, settles=0.0, begin=100.0, error=0.0):
             r2_m=0.02, omega0_rad_s=0.6, rho_m=0.0154, mass_kg=0.099, mu=0.11,
         )  # fmt: skip
     touched = [int(theta < 1.0) for theta in THETA]
-    tell(comparison, "palm/shape", theta_rad=THETA.tolist(), h_m=np.roll(TRUE_H, 40).tolist(), touched=touched)
+    h = np.roll(TRUE_H, 40)
+    h[200] += 3e-4  # where nothing was touched
+    told = {"theta_rad": THETA.tolist(), "h_m": h.tolist(), "touched": touched, "h_sd_m": [*[4e-5] * 359, 8e-5]}
+    tell(comparison, "palm/shape", **told)
 
 
 def test_the_summary_compares_with_the_truth():
@@ -87,6 +90,7 @@ def test_the_summary_compares_with_the_truth():
     assert comparison.settled
     told = comparison.summary()
     assert told.startswith("palmd demo: seed 7, shape observer settled after 2.1 s, outline 0 µm RMS (0.00%) on 16% t")
+    assert "whole outline within 0.300 mm (largest sd 0.080 mm)" in told
     assert "r 0.071 mm, omega0 0.100 rad/s" in told  # 0.1 mm in one of two
     assert "rho +10.0%, mu 0.11 (true 0.12), mass -1.0%" in told
     assert told.endswith("ticks 400, late > 2 ms 0.00%, work p99 1.2 ms")

@@ -20,7 +20,10 @@ def test_generated_pages_are_up_to_date() -> None:
     assert done.returncode == 0, done.stderr
 
 
-PAGES = ["README.md", *(f"docs/{name}.md" for name in ("architecture", "theory", "paper", "limits", "calibration"))]
+PAGES = [
+    "README.md",
+    *(f"docs/{name}.md" for name in ("architecture", "theory", "paper", "limits", "calibration", "exploring")),
+]
 
 
 @pytest.mark.parametrize("page", PAGES)

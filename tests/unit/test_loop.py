@@ -54,6 +54,13 @@ class Deaf:
     def shape(self, _t):
         return None
 
+    @property
+    def foresees(self):
+        return False
+
+    def outlook(self, _t):
+        return None
+
 
 class Wires:
     """A loop in a thread, and the far ends of its wires."""

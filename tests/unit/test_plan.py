@@ -10,7 +10,8 @@ import pytest
 from palmd.config import LimitsConfig, PlanSpec
 from palmd.motion.kinematics import PoseError, RigGeometry
 from palmd.motion.limits import MotionLimits, Workspace
-from palmd.motion.plan import HOME, PlanError, Trajectory, approach, compile_plan, home
+from palmd.motion.plan import HOME, Place, PlanError, Trajectory, approach, compile_plan, home
+from palmd.motion.segments import Move
 
 LIMITS = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555)
 GEOMETRY = RigGeometry(0.12, 0.0, 0.12, 0.12, -0.3, 0.0, 0.0)
@@ -159,7 +160,6 @@ def test_dither_rides_on_the_whole_plan_and_begins_and_ends_at_rest() -> None:
             {"sine": {"phi2_deg": 20}, "frequency_hz": 0.5, "duration_s": 0.2},
             "the acceleration of phi2 reaches",
         ),
-        ({"explore": {}}, "exploring follows the live estimate"),
     ],
 )
 def test_refusals_name_segment_value_and_bound(segment: dict[str, Any], said: str) -> None:
@@ -230,6 +230,35 @@ def test_the_arms_workspace_and_speed_are_limits_once_known() -> None:
     limits = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555, workspace=small)
     (said,) = refused(HOME_MOVE, {"move": {"phi2_deg": 80}, "duration_s": 3.0}, limits=limits)
     assert said.startswith("segments.1: the arm's x reaches 26")
+
+
+def test_an_exploration_begins_where_the_plan_leads_and_never_ends_by_itself() -> None:
+    trajectory = made(HOME_MOVE, {"rate": {"phi1_deg_s": 20}, "until": {"phi1_deg": 55}}, {"explore": {}})
+    assert trajectory.duration == math.inf
+    begins = trajectory.rounds[0].begins[-1]
+    assert trajectory.exploration(begins - 0.01) is None
+    found = trajectory.exploration(begins + 2.0)
+    assert found is not None
+    exploration, t = found
+    assert t == pytest.approx(2.0)
+    assert degrees(trajectory, begins + 1e6) == pytest.approx((55, 90))
+    exploration.append(Move(exploration.last.end, (math.radians(60), math.radians(95)), 1.0), t)
+    assert degrees(trajectory, begins + 3.0) == pytest.approx((60, 95))
+    exploration.coverage = 0.4
+    assert trajectory.place(begins + 3.0) == Place(2, "explore", 0.4)
+    assert trajectory.place(begins - 0.01).label == "rate"
+
+
+def test_an_exploration_is_the_last_segment_and_runs_once_without_dither() -> None:
+    lines = refused(
+        HOME_MOVE, {"explore": {}}, {"hold_s": 1}, repeat="forever", dither={"amplitude_deg": 0.1, "frequency_hz": 10}
+    )
+    assert [line.split(":")[0] for line in lines] == ["dither", "repeat", "segments.1"]
+
+
+def test_where_an_exploration_begins_is_checked() -> None:
+    with pytest.raises(PlanError, match=r"segments\.0: phi1 falls to 3°"):
+        compile_plan(plan({"explore": {}}), LIMITS, (math.radians(3), math.radians(90)))
 
 
 def test_approach_is_gentle_takes_its_least_time_and_stays_within_limits() -> None:

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from simulated import Run, simulated
 
-from palmd.daemon import smoothing
+from palmd.daemon import beside, smoothing
 from palmd.daemon.smoothing import SmootherProcess
 from palmd.events import PadLift
 from palmd.observer.improver import Improvement, Improver
@@ -33,6 +33,10 @@ def process(run: Run) -> Iterator[SmootherProcess]:
     process = SmootherProcess(run.rig)
     yield process
     process.close()
+
+
+def number(process: SmootherProcess) -> int:
+    return process._process._process.pid
 
 
 def wait_for(process: SmootherProcess, run: Run) -> Improvement:
@@ -62,22 +66,22 @@ def test_every_kind_of_event_crosses_unchanged(run: Run) -> None:
 
 
 def test_it_never_waits_for_a_process_that_stands_still(process: SmootherProcess, run: Run) -> None:
-    os.kill(process._process.pid, signal.SIGSTOP)
+    os.kill(number(process), signal.SIGSTOP)
     try:
         for tick in range(12 * smoothing.HIGH_WATER):
             process.submit(tick * smoothing.BATCH_S * 1.01, 0.0, run.events[:8])
             assert process.collect(0.0) is None
     finally:
-        os.kill(process._process.pid, signal.SIGCONT)
+        os.kill(number(process), signal.SIGCONT)
     assert process.dropped > 0
 
 
 def test_a_process_that_was_killed_is_started_again(
     process: SmootherProcess, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(smoothing, "RESTART_S", 0.0)
-    process._process.kill()
-    process._process.wait()
+    monkeypatch.setattr(beside, "RESTART_S", 0.0)
+    process._process._process.kill()
+    process._process._process.wait()
     process.submit(0.0, 0.0, [])  # nobody takes it
     assert process.starts == 2
     wait_for(process, run)
@@ -90,7 +94,7 @@ def test_it_ends_with_its_parent(tmp_path: Path) -> None:
         from palmd.daemon.smoothing import SmootherProcess
         from palmd.events import RigDescription
         process = SmootherProcess(RigDescription())
-        print(process._process.pid, flush=True)
+        print(process._process._process.pid, flush=True)
         os.kill(os.getpid(), 9)
         """
     )
@@ -109,6 +113,6 @@ def test_closing_ends_it_at_once(run: Run) -> None:
     process = SmootherProcess(run.rig)
     begun = time.monotonic()
     process.close()
-    assert process._process.poll() is not None
-    assert time.monotonic() - begun < 2 * smoothing.CLOSE_S + 1.0
-    assert not Path(process._folder.name).exists()
+    assert process._process._process.poll() is not None
+    assert time.monotonic() - begun < 2 * beside.CLOSE_S + 1.0
+    assert not Path(process._process._folder.name).exists()

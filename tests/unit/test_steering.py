@@ -97,6 +97,20 @@ def test_a_freeze_ends_by_itself_but_not_under_a_hold():
     assert math.degrees(drive.go(3.0)[-1].phi1) == pytest.approx(60.0)
 
 
+def test_a_pause_holds_until_it_ends_and_not_longer_than_a_hold():
+    drive = Drive()
+    drive.steering.start(trajectory())
+    drive.go(0.4)
+    drive.steering.pause(True)
+    drive.go(0.3)
+    assert not drive.steering.moving
+    drive.steering.hold()
+    drive.steering.pause(False)
+    assert drive.steering.held
+    drive.steering.resume()
+    assert math.degrees(drive.go(3.0)[-1].phi1) == pytest.approx(60.0)
+
+
 def test_a_displaced_arm_walks_back_gently_and_then_goes_on():
     drive = Drive()
     drive.steering.start(trajectory())

@@ -7,8 +7,9 @@ from random import Random
 
 import pytest
 
-from palmd.config import PlanSpec
+from palmd.config import ExploreGoal, ExploreSpec, PlanSpec
 from palmd.daemon.commands import Request
+from palmd.daemon.exploring import OVERTIME_S
 from palmd.daemon.planner import Plan
 from palmd.daemon.step import Core
 from palmd.events import Estimate, PadLift, PadSample, PalmSample
@@ -78,17 +79,39 @@ class Fake:
     def shape(self, _t):
         return None
 
+    @property
+    def foresees(self):
+        return self.valid
+
+    def outlook(self, _t):
+        return None
+
+
+class Mute:
+    """Nobody who decides."""
+
+    prepared, asked = False, 0
+
+    def prepare(self):
+        self.prepared = True
+
+    def ask(self, _question):
+        self.asked += 1
+
+    def collect(self, _t):
+        return None
+
 
 class Bench:
     """World and core, tick by tick."""
 
-    def __init__(self, seed=1, spec=SWING, autostart=False, config=None):
+    def __init__(self, seed=1, spec=SWING, autostart=False, config=None, explorer=None):
         config = (config or default_config()).model_copy(update={"autostart": autostart})
         limits = motion_limits(config)
         plan = None if spec is None else Plan(spec, compile_plan(spec, limits), limits, None)
         self.world = World(config, seed)
         self.observer = Fake()
-        self.core = Core(config, self.observer, AtOnce(), plan)
+        self.core = Core(config, self.observer, AtOnce(), plan, explorer=explorer)
         self.steps = 0
         self.messages = []
         self.written = b""
@@ -319,6 +342,52 @@ def test_without_a_plan_start_says_so():
     bench = Bench(spec=None).go(0.5)
     bench.do("arm")
     assert "there is no plan" in bench.ask("start").error
+
+
+EXPLORE = PlanSpec.model_validate({"name": "explore", "segments": [{"explore": {"time_limit_s": 2.0}}]})
+
+
+def test_a_plan_that_explores_needs_somebody_to_decide():
+    bench = Bench(spec=EXPLORE).go(0.5)
+    bench.do("arm")
+    assert "set observer.primary to shape" in bench.ask("start").error
+    assert bench.state == "tracking"
+
+
+def test_an_exploration_tells_how_it_ends_and_may_be_started_again():
+    nobody = Mute()
+    bench = Bench(spec=EXPLORE, explorer=nobody).go(0.5)
+    assert nobody.prepared
+    assert "explored" not in bench.do("status")
+    bench.do("arm")
+    before = None
+    for _ in range(2):
+        bench.do("start")
+        assert bench.core.operator.plan.trajectory is not before  # each start explores anew
+        before = bench.core.operator.plan.trajectory
+        bench.go(1.0)
+        status = bench.do("status")
+        assert (status["doing"], status["over"]) == ("explore", False)
+        bench.go(1.5 + OVERTIME_S)
+        status = bench.do("status")
+        assert status["explored"] == {"coverage": None, "reachable": None, "reason": "the time limit of 2 s is over"}
+        assert (status["moving"], status["over"]) == (False, True)
+        assert status["state"] == "tracking"
+
+
+def test_an_explorer_that_is_silent_is_told():
+    nobody = Mute()
+    bench = Bench(spec=EXPLORE.model_copy(update={"segments": [ExploreSpec(explore=ExploreGoal())]}), explorer=nobody)
+    bench.observer.valid = True
+    bench.go(0.5).do("arm")
+    bench.do("start")
+    bench.go(1.5)
+    assert bench.faults == []
+    bench.go(1.0)
+    assert bench.faults == ["explorer-silent"]
+    assert nobody.asked == 0  # there is no outlook
+    bench.do("stop")
+    assert bench.go(0.1).faults == []
 
 
 # ---- pads lost

@@ -6,7 +6,10 @@ import math
 
 import pytest
 
-from palmd.config import PlanSpec
+from palmd.config import PlanSpec, rig_description
+from palmd.daemon.decisions import Decider, InlineExplorer
+from palmd.motion.explorer import Decision
+from palmd.motion.segments import Move
 from palmd.rig.mischief import order
 from palmd.rig.world import default_config
 from palmd.study.outcome import Judge, conclude
@@ -19,6 +22,7 @@ ROCK = PlanSpec.model_validate(
         "segments": [{"sine": {"phi1_deg": 25, "phi2_deg": 10}, "frequency_hz": [0.41, 0.57], "duration_s": 20}],
     }
 )
+EXPLORE = PlanSpec.model_validate({"name": "explore", "segments": [{"explore": {"time_limit_s": 30}}]})
 RATE_LIMIT = math.radians(120.0)
 
 
@@ -97,6 +101,71 @@ def test_after_a_hold_it_goes_on():
     assert "hold" in states
     assert states[-1] == "tracking"
     assert run.core.steering.moving
+
+
+class ToAndFro(Decider):
+    """Decides for two poses in turn, and that all is done once it has been asked so often."""
+
+    questions_left = 15
+
+    def answer(self, question):
+        answer = super().answer(question)
+        if question.outlook is None:
+            return answer
+        self.questions_left -= 1
+        here = question.under_way.move.end
+        way = math.radians(14 if here[0] < math.radians(45) else -14)
+        move = Move(here, (here[0] + way, here[1]), 0.7)
+        decision = Decision("move", move, "goes on", 0.3, 0.9)
+        return dataclasses.replace(
+            answer, decision=decision if self.questions_left > 0 else Decision("done", None, "enough")
+        )
+
+
+def exploring(seed=3):
+    decider = ToAndFro(rig_description(default_config()))
+    run = Wireless(default_config(), EXPLORE, seed, explorer=InlineExplorer(decider))
+    run.start()
+    return run
+
+
+def test_an_exploration_begins_blind_goes_on_as_decided_and_ends_when_told():
+    run = exploring()
+    instants = list(run.run(20.0))
+    valid = next(instant.t for instant in instants if instant.messages["palm/estimate"]["valid"])
+    assert valid < 8.0
+    motions = [instant.messages["palm/motion"] for instant in instants if instant.t > 1.0]
+    phi1 = [math.degrees(motion["phi1_cmd_rad"]) for motion in motions]
+    assert max(phi1) - min(phi1) == pytest.approx(14, abs=0.1)
+    assert {motion["progress"] for motion in motions} >= {0.3}
+    status = run.ask("status")
+    assert status["explored"] == {"coverage": 0.3, "reachable": 0.9, "reason": "enough"}
+    assert (status["doing"], status["moving"], status["state"]) == ("explore", False, "tracking")
+    assert run.world.status()["setpoints_outside_limits"] == run.core.steering.interventions == 0
+    run.stop()
+
+
+def test_an_exploration_is_the_same_to_the_last_bit_for_the_same_seed():
+    first, second = (repr([instant.messages for instant in exploring().run(5.0)]) for _ in range(2))
+    assert first == second
+
+
+def test_an_exploration_goes_on_after_a_hold_from_where_it_stood():
+    run = exploring()
+    for instant in run.run(8.0):
+        if instant.messages["palm/estimate"]["valid"]:
+            break
+    list(run.run(1.0))
+    run.world.mischief.add(order("mute", run.t, port="pad2", for_s=0.6))
+    instants = list(run.run(4.0))
+    held = [i for i in instants if i.messages.get("palm/state", {}).get("state") == "hold"]
+    assert held
+    stood = held[-1].messages["palm/motion"]["phi1_cmd_rad"]
+    later = [i.messages["palm/motion"]["phi1_cmd_rad"] for i in instants if i.t > held[-1].t]
+    steps = [abs(b - a) for a, b in itertools.pairwise([stood, *later])]
+    assert max(steps) < RATE_LIMIT * 0.01
+    assert max(later) - min(later) > math.radians(10)
+    assert str(run.core.state) == "tracking"
 
 
 def test_an_estimate_is_judged_against_the_truth():

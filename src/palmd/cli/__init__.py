@@ -19,6 +19,7 @@ COMMANDS = {
     "rig": "the emulated rig alone, its ports on pseudo-terminals",
     "ctl": "tell a running daemon what to do: status, arm, start, hold, stop, reset, plan, jog",
     "top": "live status of a running daemon in this terminal",
+    "explore": "have a running daemon find the whole outline of what lies on the palms",
     "check": "find what is wrong with configurations and motion plans",
     "estimate": "replay an event log through the daemon's observer",
     "reconstruct": "outline and motion from a whole event log at once, offline",
@@ -27,7 +28,7 @@ COMMANDS = {
     "observability": "what the paper's systems can observe: rank and conditioning, maps over the rates",
     "compare": "a reconstruction with a camera's track of the same run",
     "report": "figures and tables: paper (the runs of CMU-CS-01-107 again)",
-    "bench": "studies of many runs: montecarlo, recognise, peers",
+    "bench": "studies of many runs: montecarlo, explore, recognise, peers",
     "build": "compile the observers now; the first run does it otherwise",
 }
 """Every command; its module in this package has `add_arguments(parser)` and `run(arguments) -> int`."""

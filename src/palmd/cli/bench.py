@@ -8,6 +8,7 @@ from palmd.cli import subcommands
 
 BENCHES = {
     "montecarlo": "random objects reconstructed blind, scored against their truth and the Cramér–Rao bound",
+    "explore": "unknown objects explored in the emulated rig, beside open-loop plans",
     "recognise": "which of twenty similar objects lies on the palms, or none of them",
     "peers": "palmd's estimators beside general-purpose ones",
 }

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import os
-import signal
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
-from types import FrameType
 from typing import TextIO
 
 from palmd.cli import INTERRUPTED
 from palmd.cli.errors import BAD_INPUT, CliError
 from palmd.cli.extras import only_without
 from palmd.cli.progress import Progress
+from palmd.cli.rows import ROWS, rewrite, terminable, writable, write
 from palmd.rig.shapes import KINDS
 from palmd.study import montecarlo, runs
 from palmd.study.montecarlo import Task
@@ -26,7 +24,6 @@ from palmd.study.montecarlo_summary import remarks, summaries, table
 from palmd.study.scoring import Row, as_line
 
 ALL = "all"
-ROWS = "runs.jsonl"
 _SHORTEST_S = 0.5
 
 
@@ -53,9 +50,9 @@ def run(arguments: argparse.Namespace) -> int:
     status = 0
     path = arguments.output / ROWS
     try:
-        with _terminable(), ExitStack() as stack:
+        with terminable(), ExitStack() as stack:
             executor = _workers(stack, arguments)  # first: rows of an earlier study outlive a wrong address
-            _collect(executor, tasks, _writable(stack, path), finished)
+            _collect(executor, tasks, writable(stack, path), finished)
     except KeyboardInterrupt:
         print(f"interrupted: {len(finished)} of {len(tasks)} runs are finished", file=sys.stderr)
         status = INTERRUPTED
@@ -68,26 +65,17 @@ def _collect(executor: Executor, tasks: Sequence[Task], stream: TextIO, finished
     """Each row is in the file as soon as it is finished: a study takes hours."""
     with Progress("Monte Carlo", len(tasks), "runs") as progress:
         for row in runs.finished(executor, montecarlo.run, montecarlo.failed, tasks):
-            _write(stream, [row])
+            write(stream, [as_line(row)])
             finished.append(row)
             progress.at(len(finished))
 
 
 def _conclude(rows: Sequence[Row], path: Path) -> None:
-    in_order = path.with_suffix(".tmp")
-    with in_order.open("w", encoding="utf-8") as stream:
-        _write(stream, rows)
-    in_order.replace(path)
+    rewrite(path, map(as_line, rows))
     print(table(summaries(rows)))
     for remark in remarks(rows):
         print(remark)
     print(f"written: {', '.join(map(str, [path, *_figure(rows, path.parent)]))}")
-
-
-def _write(stream: TextIO, rows: Iterable[Row]) -> None:
-    for row in rows:
-        stream.write(json.dumps(as_line(row), allow_nan=False, ensure_ascii=False) + "\n")
-    stream.flush()
 
 
 def _figure(rows: Sequence[Row], folder: Path) -> list[Path]:
@@ -111,28 +99,6 @@ def _workers(stack: ExitStack, arguments: argparse.Namespace) -> Executor:
         raise CliError(BAD_INPUT, "--scheduler needs Dask, which is not installed (extra `cluster`)") from None
     except (OSError, ValueError) as error:
         raise CliError(BAD_INPUT, f"no Dask scheduler at {address}: {error}") from None
-
-
-def _writable(stack: ExitStack, path: Path) -> TextIO:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        return stack.enter_context(path.open("w", encoding="utf-8"))
-    except OSError as error:
-        raise CliError(BAD_INPUT, f"{path}: cannot be written: {error.strerror or error}") from None
-
-
-@contextmanager
-def _terminable() -> Iterator[None]:
-    """A termination does what Ctrl-C does."""
-    before = signal.signal(signal.SIGTERM, _interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
-def _interrupt(_signal: int, _frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
 
 
 def count(text: str) -> int:

@@ -8,6 +8,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import get_args
 
+_BACKENDS = {"c": "compiled C", "vm": "CasADi's virtual machine, no compiled C", "numpy": "NumPy, nothing to compile"}
+
 
 def add_arguments(_parser: argparse.ArgumentParser) -> None:
     """There are none."""
@@ -17,7 +19,7 @@ def run(_arguments: argparse.Namespace) -> int:
     """Makes each observer once; takes seconds for what is not in the cache yet."""
     from palmd import observer
     from palmd.events import RigDescription
-    from palmd.model import smoothing
+    from palmd.model import rollout, smoothing
 
     def backend_of(name: observer.ObserverName) -> str:
         return observer.make(name, RigDescription()).backend
@@ -25,11 +27,11 @@ def run(_arguments: argparse.Namespace) -> int:
     for name in get_args(observer.ObserverName):
         _told(f"{name} observer", partial(backend_of, name))
     _told("smoother", lambda: smoothing.library().backend)
+    _told("explorer", lambda: rollout.library().backend)
     return 0
 
 
 def _told(what: str, backend_of: Callable[[], str]) -> None:
     print(f"{what}: ", end="", flush=True)
     begun = time.monotonic()
-    how = "compiled C" if backend_of() == "c" else "CasADi's virtual machine, no compiled C"
-    print(f"{how}, {time.monotonic() - begun:.1f} s")
+    print(f"{_BACKENDS[backend_of()]}, {time.monotonic() - begun:.1f} s")

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from palmd.cli.bus import Message
 from palmd.score import OutlineScore, score_outline
@@ -111,10 +112,13 @@ class Comparison:
         """The closing line."""
         parts = [f"seed {self._seed}", self._settling()]
         score = self._score()
-        if score is not None:
+        if score is not None and self._shape is not None and self._object is not None:
             parts.append(
                 f"outline {score.e_h * 1e6:.0f} µm RMS ({score.relative:.2%}) on {score.touched:.0%} touched normals"
             )
+            everywhere = np.ones(len(self._shape["theta_rad"]), dtype=np.bool_)
+            off, sd = _scored(self._shape, self._object, everywhere).max_error, max(self._shape["h_sd_m"])
+            parts.append(f"whole outline within {off * 1e3:.3f} mm (largest sd {sd * 1e3:.3f} mm)")
         if self._errors:
             r1, r2, omega0 = np.sqrt(np.mean(np.square(self._errors), axis=0))
             parts += [f"r {math.hypot(r1, r2) / math.sqrt(2) * 1e3:.3f} mm", f"omega0 {omega0:.3f} rad/s"]
@@ -139,13 +143,17 @@ class Comparison:
         return f"{name} observer settled after {self._t_settled - self.t_started:.1f} s"
 
     def _score(self) -> OutlineScore | None:
-        if self._shape is None or self._object is None:
+        """The outline against the true one where it was touched; None before there are both."""
+        if self._shape is None or self._object is None or not any(self._shape["touched"]):
             return None
-        theta, h = (np.array(self._shape[name], dtype=np.float64) for name in ("theta_rad", "h_m"))
-        touched = np.array(self._shape["touched"], dtype=np.bool_)
-        if not touched.any():
-            return None
-        return score_outline(theta, h, touched, np.array(self._object["h_m"], dtype=np.float64))
+        return _scored(self._shape, self._object, np.array(self._shape["touched"], dtype=np.bool_))
+
+
+def _scored(shape: Mapping[str, Any], true: Mapping[str, Any], where: npt.NDArray[np.bool_]) -> OutlineScore:
+    theta, h, true_h = (
+        np.array(values, dtype=np.float64) for values in (shape["theta_rad"], shape["h_m"], true["h_m"])
+    )
+    return score_outline(theta, h, where, true_h)
 
 
 class Punctuality:

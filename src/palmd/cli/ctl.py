@@ -66,12 +66,22 @@ def told(command: str, result: dict[str, Any]) -> str:
     arm = (f"state {result['arm_state']}" if result["arm_state"] else "state unknown") + (
         "" if result["arm_linked"] else ", does not answer"
     )
-    lines = [f"state   {result['state']}", f"plan    {plan}", f"arm     {arm}"]
+    lines = [f"state   {result['state']}", f"plan    {plan}"]
+    if "explored" in result:
+        lines.append(f"        explored {_explored(**result['explored'])}")
+    lines.append(f"arm     {arm}")
     if result["arm_error"]:
         lines.append(f"        {result['arm_error']}")
     faults = zip(result["faults"], result["severities"], result["hints"], strict=True)
     lines += [f"fault   {code} ({severity}): {hint}" for code, severity, hint in faults]
     return "\n".join(lines)
+
+
+def _explored(coverage: float | None, reachable: float | None, reason: str) -> str:
+    """How much an exploration has touched, and what it says for itself."""
+    of = "" if reachable is None else f" of the {reachable:.0%} of the outline that can be reached"
+    how_much = "nothing yet" if coverage is None else f"{coverage:.0%}{of}"
+    return f"{how_much}: {reason}" if reason else how_much
 
 
 def _jog(client: Client, phi1_deg: float, phi2_deg: float) -> dict[str, Any]:

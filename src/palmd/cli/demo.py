@@ -1,7 +1,7 @@
 """An emulated rig and the daemon together, in closed loop on an object that palmd knows nothing about.
 
-Progress goes to standard error, and in the end one line that compares the estimate with the rig's truth to
-standard output. Without --seconds it runs until Ctrl-C.
+The palms explore until the outline is complete, and then stand. Progress goes to standard error, and in the end one
+line that compares the estimate with the rig's truth to standard output. Without --seconds it runs until Ctrl-C.
 """
 
 from __future__ import annotations

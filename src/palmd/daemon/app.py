@@ -17,6 +17,7 @@ from palmd.config import Config, config_hash, rig_description
 from palmd.daemon import realtime
 from palmd.daemon.bus import Bus, BusError
 from palmd.daemon.ends import EndName
+from palmd.daemon.explorer_process import ExplorerProcess
 from palmd.daemon.journal import start_journal
 from palmd.daemon.loop import Loop
 from palmd.daemon.planner import Plan, read_plan
@@ -97,18 +98,19 @@ def _run(
         notes.append("no-realtime")
     aside = ThreadPoolExecutor(1, "aside")
     stack.callback(aside.shutdown, wait=False, cancel_futures=True)
+    explorer = _explorer(config, stack)
     ports = _ports(config)
     for port in ports.values():
         stack.callback(port.close)
     loop = Loop(
-        Core(config, estimator, aside, plan, notes, folder),
+        Core(config, estimator, aside, plan, notes, folder, explorer),
         ports,
         bus,
         notifier,
         rate_hz=config.loop.rate_hz,
         backend=estimator.backend,
         info=info_fields(__version__, config_hash(config), estimator.name, config.loop.rate_hz),
-        counters=lambda: _smoother_counters(smoother, estimator),
+        counters=lambda: _counters(smoother, estimator, explorer),
     )
     realtime.freeze_collector()
     signals.hand_over(loop.stop)
@@ -127,11 +129,20 @@ def _smoother(config: Config, name: observer.ObserverName, stack: ExitStack) -> 
     return smoother
 
 
-def _smoother_counters(smoother: SmootherProcess | None, estimator: object) -> Fields:
+def _explorer(config: Config, stack: ExitStack) -> ExplorerProcess | None:
+    if config.observer.primary != "shape":
+        return None
+    explorer = ExplorerProcess(rig_description(config))
+    stack.callback(explorer.close)
+    return explorer
+
+
+def _counters(smoother: SmootherProcess | None, estimator: object, explorer: ExplorerProcess | None) -> Fields:
     return {
         "smoother_improvements": estimator.improvements if isinstance(estimator, observer.ImprovedObserver) else 0,
         "smoother_starts": smoother.starts if smoother else 0,
         "smoother_dropped": smoother.dropped if smoother else 0,
+        "explorer_starts": explorer.starts if explorer else 0,
     }
 
 

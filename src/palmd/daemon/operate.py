@@ -15,6 +15,7 @@ from typing import Any
 
 from palmd.daemon.commands import Reply, Request
 from palmd.daemon.ends import RESTING, ArmEnd
+from palmd.daemon.exploring import Exploring
 from palmd.daemon.lifecycle import COMMANDED, State, Trigger, next_state
 from palmd.daemon.planner import Plan, read_plan
 from palmd.daemon.steering import Steering
@@ -62,6 +63,7 @@ class Operator:
         self,
         arm: ArmEnd,
         steering: Steering,
+        exploring: Exploring,
         faults: FaultMonitor,
         aside: Executor,
         plan: Plan | None,
@@ -77,6 +79,7 @@ class Operator:
         self.replies: list[Reply] = []
         self._arm = arm
         self._steering = steering
+        self._exploring = exploring
         self._faults = faults
         self._aside = aside
         self._folder = folder
@@ -151,6 +154,7 @@ class Operator:
 
     def _status(self, _request: Request, t: float) -> dict[str, Any]:
         host, place, faults = self._arm.host, self._steering.place, self._faults.active
+        explored = self._exploring.told()
         return {
             "state": str(self.state),
             "faults": [fault.code for fault in faults],
@@ -161,10 +165,11 @@ class Operator:
             "doing": "" if place is None else place.label,
             "progress": 0.0 if place is None else place.progress,
             "moving": self._steering.moving,
+            "over": self._steering.over,
             "arm_state": str(host.state or ""),
             "arm_error": "" if host.last_error is None else error_text(host.last_error),
             "arm_linked": host.linked(t),
-        }
+        } | ({} if explored is None else {"explored": explored})
 
     def _start_arming(self, request: Request, t: float) -> None:
         host, actual = self._arm.host, self._arm.actual
@@ -196,6 +201,8 @@ class Operator:
         plan = self.plan
         if plan is None:
             raise RefusedError("there is no plan: load one with the plan command")
+        if plan.explores and not self._exploring.possible:
+            raise RefusedError("exploring needs an outline to go by: set observer.primary to shape")
         assert commanded is not None, "the arm follows"
         limits, start = steering.limits, (commanded.phi1, commanded.phi2)
         if plan.serves(limits, start):

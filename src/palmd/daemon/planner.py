@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from palmd.config import MoveSpec, PlanSpec
+from palmd.config import ExploreSpec, MoveSpec, PlanSpec
 from palmd.motion.check import load_trajectory
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import PlanError, Trajectory, compile_plan
@@ -27,8 +27,15 @@ class Plan:
         """The plan's own name."""
         return self.spec.name
 
+    @property
+    def explores(self) -> bool:
+        """Whether it ends with an exploration."""
+        return isinstance(self.spec.segments[-1], ExploreSpec)
+
     def serves(self, limits: MotionLimits, start: Angles) -> bool:
-        """Whether the trajectory is right for these limits and this start."""
+        """Whether the trajectory is right for these limits and this start; that of an exploration serves but once."""
+        if self.explores:
+            return False
         return limits is self.limits and (start == self.start or _begins_anywhere(self.spec))
 
     def compiled(self, limits: MotionLimits, start: Angles) -> Plan:

@@ -14,6 +14,7 @@ from palmd.daemon.jog import Jog
 from palmd.devices.armlink import Pose
 from palmd.events import PalmMotion
 from palmd.motion.conductor import Conductor, MotionError
+from palmd.motion.exploration import Exploration
 from palmd.motion.kinematics import PoseError, RigGeometry, wrapped
 from palmd.motion.limits import MotionLimits, Workspace
 from palmd.motion.plan import Place, Trajectory
@@ -36,6 +37,7 @@ class Steering:
         self.violated = False
         self._frozen = False
         self._held = False
+        self._paused = False
         self._off_path = False
         self._twist = 0.0  # of the tool against palm 2 (rad), as found; it is taken back gently
         self._t_sent = -math.inf
@@ -71,7 +73,7 @@ class Steering:
         self._begin_at(actual, tool)
         self._t_sent = t
         self._jog = None
-        self._frozen = self._held = self._off_path = self.violated = False
+        self._frozen = self._held = self._paused = self._off_path = self.violated = False
 
     def leave(self) -> None:
         """The arm no longer follows; the plan is put away."""
@@ -84,7 +86,7 @@ class Steering:
         """Go to the trajectory's start and run it; raises MotionError."""
         self._end_jog()
         self._conductor.start(trajectory)
-        self._held = False
+        self._held = self._paused = False
         self._settle()
 
     def hold(self) -> None:
@@ -102,6 +104,15 @@ class Steering:
         if frozen != self._frozen:
             self._frozen = frozen
             self._settle()
+
+    def pause(self, paused: bool) -> None:
+        """Come to a stand along the path for as long as an exploration wants it."""
+        self._paused = paused
+        self._settle()
+
+    def conclude(self) -> None:
+        """The exploration in hand is over, its last move done: stand where it ends."""
+        self._conductor.conclude()
 
     def put_away(self) -> None:
         """Forget the plan that is held."""
@@ -140,6 +151,16 @@ class Steering:
     def held(self) -> bool:
         """Whether a plan is waiting to go on."""
         return self._jog is None and self._conductor.held
+
+    @property
+    def over(self) -> bool:
+        """Whether the plan in hand has run to its end."""
+        return self._conductor.done
+
+    @property
+    def exploration(self) -> tuple[Exploration, float] | None:
+        """The exploration in hand and its own time (s), None without one."""
+        return None if self._jog is not None else self._conductor.exploration
 
     @property
     def plan(self) -> str | None:
@@ -209,7 +230,7 @@ class Steering:
 
     def _settle(self) -> None:
         """Make the conductor wait while anything wants it to, and go on when nothing does."""
-        if self._held or self._frozen or self._off_path:
+        if self._held or self._frozen or self._paused or self._off_path:
             self._conductor.hold()
         elif self._conductor.held:
             self._conductor.resume()

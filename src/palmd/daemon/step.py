@@ -18,7 +18,9 @@ from typing import Protocol, runtime_checkable
 
 from palmd.config import Config
 from palmd.daemon.commands import Reply, Request
+from palmd.daemon.decisions import Source
 from palmd.daemon.ends import ArmEnd, EndName, PadEnd
+from palmd.daemon.exploring import Exploring, Senses
 from palmd.daemon.lifecycle import COMMANDED, State
 from palmd.daemon.operate import Operator
 from palmd.daemon.planner import Plan
@@ -26,7 +28,7 @@ from palmd.daemon.steering import Steering
 from palmd.daemon.swap import SwapWatch
 from palmd.daemon.watch import LOOK_S, ArmWatch, LoopWatch, NisWatch, PadWatch
 from palmd.devices.armlink import ArmState
-from palmd.events import Estimate, Event, ObjectEstimate, PadSample, ShapeEstimate
+from palmd.events import Estimate, Event, ObjectEstimate, Outlook, PadSample, ShapeEstimate
 from palmd.faults import FaultMonitor
 from palmd.messages import (
     CONTACT,
@@ -85,6 +87,13 @@ class Observer(Protocol):
     def shape(self, t: float) -> ShapeEstimate | None:
         """The outline, None before anything is felt."""
 
+    @property
+    def foresees(self) -> bool:
+        """Whether there is an outlook, of an estimate that need not be valid yet."""
+
+    def outlook(self, t: float) -> Outlook | None:
+        """What is known for choosing motions, None unless it `foresees`."""
+
 
 @runtime_checkable
 class Recogniser(Observer, Protocol):
@@ -105,10 +114,12 @@ class Core:
         plan: Plan | None = None,
         notes: Iterable[str] = (),
         folder: Path = Path(),
+        explorer: Source | None = None,
     ) -> None:
         """`aside` compiles plans beside the loop, `notes` are codes of faults that stand throughout.
 
-        `folder` is where a relative path of a `plan` command begins. Raises PoseError for a fixed hinge.
+        `folder` is where a relative path of a `plan` command begins. `explorer` decides where explorations go; without
+        one, plans that explore are refused. Raises PoseError for a fixed hinge.
         """
         geometry = RigGeometry.from_config(config)
         self.pads: dict[EndName, PadEnd] = {
@@ -118,7 +129,10 @@ class Core:
         self.arm = ArmEnd(config, geometry)
         self.steering = Steering(geometry, motion_limits(config))
         self.faults = FaultMonitor()
-        self.operator = Operator(self.arm, self.steering, self.faults, aside, plan, folder, autostart=config.autostart)
+        self.exploring = Exploring(self.steering, explorer)
+        self.operator = Operator(
+            self.arm, self.steering, self.exploring, self.faults, aside, plan, folder, autostart=config.autostart
+        )
         self._observer = observer
         self._estimate = unknown_estimate(-math.inf, observer)
         self._shape: ShapeEstimate | None = None
@@ -232,6 +246,10 @@ class Core:
         self.faults.update(self._conditions(t, under_way), t, armed=self.operator.armed)
         self._passing.clear()
         self.operator.settle(t, up=self._rig_up(t))
+        plan = self.operator.plan
+        if plan is not None and plan.explores:
+            self.exploring.prepare()
+        self.exploring.step(t, self._senses(t))
 
     def report(self, t: float) -> list[tuple[Topic, Fields]]:
         """What to publish at `t` (s)."""
@@ -314,7 +332,17 @@ class Core:
         counts["arm_guard_interventions"] = self.steering.interventions
         counts["lag_ms"] = self.arm.lag.lag_s * 1e3
         counts["late_dropped"] = self._observer.late_dropped
+        counts["explorer_dropped"] = self.exploring.dropped
         return counts
+
+    def _senses(self, t: float) -> Senses:
+        return Senses(
+            tracking=self.state is State.TRACKING,
+            touching=all(pad.touching for pad in self.pads.values()),
+            known=self._observer.foresees,
+            object_count=self._observer.object_count,
+            look=lambda: self._observer.outlook(t),
+        )
 
     def _conditions(self, t: float, under_way: bool) -> set[str]:
         """The codes of the fault table that hold at `t` (s)."""
@@ -334,6 +362,8 @@ class Core:
             present.add("pads-swapped")
         if self.operator.plan_refused:
             present.add("plan-refused")
+        if self.exploring.silent:
+            present.add("explorer-silent")
         touching = all(pad.touching for pad in self.pads.values())
         if self.steering.moving and touching and not self._estimate.valid:
             present.add("estimate-lost")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from palmd.config import Config, ExploreSpec, HoldSpec, LimitsConfig, PadConfig, PlanSpec
+from palmd.config import Config, LimitsConfig, PadConfig, PlanSpec
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import PlanError, Trajectory, compile_plan
 from palmd.motion.segments import Angles
@@ -37,7 +37,7 @@ def check_files(paths: Sequence[Path]) -> list[str]:
 
     A file with `segments` is a plan, checked within the limits of every configuration given beside it, else
     the defaults. The plan that a configuration names is checked too where it exists. A plan that does not
-    begin with a move is taken to begin at HOME, and an exploration to stand still: only the rig knows better.
+    begin with a move is taken to begin at HOME: only the rig knows better.
     """
     errors: list[str] = []
     documents = _documents(paths, errors)
@@ -109,14 +109,10 @@ def _plan_errors(document: Document, limits: Sequence[MotionLimits]) -> list[str
         spec = parse(document, PlanSpec)
     except ConfigError as error:
         return error.errors
-    still = [
-        HoldSpec(hold_s=segment.explore.time_limit_s) if isinstance(segment, ExploreSpec) else segment
-        for segment in spec.segments
-    ]
     errors: dict[str, None] = {}
     for each in limits:
         try:
-            _located(document, spec.model_copy(update={"segments": still}), each, None)
+            _located(document, spec, each, None)
         except ConfigError as error:
             errors |= dict.fromkeys(error.errors)
     return list(errors)

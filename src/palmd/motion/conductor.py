@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 
 from palmd.events import PalmMotion
+from palmd.motion.exploration import Exploration
 from palmd.motion.kinematics import PoseError
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import Place, Trajectory, approach
@@ -41,6 +42,7 @@ class Conductor:
         self._speed = 0.0
         self._wanted_speed = 0.0
         self._stopping = False
+        self._concluded = False
 
     @property
     def motion(self) -> PalmMotion:
@@ -60,7 +62,7 @@ class Conductor:
     @property
     def done(self) -> bool:
         """Whether the plan has run to its end."""
-        return self._trajectory is not None and self._tau >= self._end
+        return self._trajectory is not None and (self._concluded or self._tau >= self._end)
 
     @property
     def plan(self) -> str | None:
@@ -75,6 +77,14 @@ class Conductor:
         if self._tau < self._approach.duration:
             return Place(0, "approach", 0.0)
         return self._trajectory.place(self._tau - self._approach.duration)
+
+    @property
+    def exploration(self) -> tuple[Exploration, float] | None:
+        """The exploration that is in hand and its own time (s); None when there is none, or it is over."""
+        lead = self._approach.duration
+        if self._trajectory is None or self.done or self._tau < lead:
+            return None
+        return self._trajectory.exploration(self._tau - lead)
 
     def stand(self, phi1: float, phi2: float) -> None:
         """Begin anew at the pose (rad) where the palms are. No motion: only while the arm follows nothing."""
@@ -98,7 +108,7 @@ class Conductor:
         self._trajectory = trajectory
         self._tau = 0.0
         self._speed = self._wanted_speed = 1.0  # at once: the way there begins at rest
-        self._stopping = False
+        self._stopping = self._concluded = False
 
     def hold(self) -> None:
         """Slow down along the path to a stand; `resume` goes on from there."""
@@ -116,6 +126,11 @@ class Conductor:
         self._stopping = True
         if self._speed == 0.0:
             self._drop()
+
+    def conclude(self) -> None:
+        """The plan ends here: only while the path is at rest, which an exploration is when its last move is over."""
+        self._speed = self._wanted_speed = 0.0
+        self._concluded = True
 
     def advance(self, t: float) -> PalmMotion:
         """The command for time t (s); calls may come irregularly, an earlier t changes nothing."""
@@ -192,4 +207,4 @@ class Conductor:
     def _drop(self) -> None:
         self._trajectory = None
         self._speed = self._wanted_speed = 0.0
-        self._stopping = False
+        self._stopping = self._concluded = False

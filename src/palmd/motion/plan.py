@@ -3,7 +3,7 @@
 A plan begins at the target of its first segment when that is a `move` (the way there is the conductor's
 approach, no shorter than the move's duration); any other plan begins where the palms stand. A `rate` segment
 comes to rest exactly at its `until` angle. Repeats go from the pose where one round ended through the first
-segment again.
+segment again. An exploration is decided while it runs and ends when it is told to, so that it comes last and once.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from palmd.config import (
     MAX_DURATION_S,
     SEGMENT_KINDS,
     DitherSpec,
+    ExploreSpec,
     HoldSpec,
     MoveSpec,
     PalmAngles,
@@ -27,6 +28,7 @@ from palmd.config import (
     SineSpec,
 )
 from palmd.events import PalmMotion
+from palmd.motion.exploration import Exploration
 from palmd.motion.kinematics import PoseError
 from palmd.motion.limits import Bound, MotionLimits, problems, ranges
 from palmd.motion.segments import (
@@ -68,7 +70,7 @@ class PlanError(ValueError):
 class Place:
     """Where in a plan a time is: the segment's number (from 0) and kind, and the whole's progress, 0 to 1.
 
-    A plan that runs forever shows the progress of its present round.
+    A plan that runs forever shows the progress of its present round, one that explores the share it has touched.
     """
 
     segment: int
@@ -139,7 +141,17 @@ class Trajectory:
         current, t = self._locate(tau)
         whole, done = (current.duration, t) if math.isinf(self.duration) else (self.duration, tau)
         index = current.index(t)
+        segment = current.segments[index]
+        if isinstance(segment, Exploration):
+            whole, done = 1.0, segment.coverage
         return Place(index, self.labels[index], done / whole if whole > 0.0 else 1.0)
+
+    def exploration(self, tau: float) -> tuple[Exploration, float] | None:
+        """The exploration that plan time tau belongs to, and the time since it began (s). Safe in the loop."""
+        current, t = self._locate(min(max(tau, 0.0), self.duration))
+        index = current.index(t)
+        segment = current.segments[index]
+        return (segment, t - current.begins[index]) if isinstance(segment, Exploration) else None
 
     def _locate(self, tau: float) -> tuple[Round, float]:
         """The round that plan time tau falls into, and the time since that round began."""
@@ -151,6 +163,8 @@ class Trajectory:
         last = self.rounds[-1]
         if last.duration <= 0.0:
             return last, 0.0
+        if math.isinf(last.duration):
+            return last, tau - before
         passes = (tau - before) // last.duration
         if not math.isinf(self.duration):  # at the very end: the end of the last pass, not the start of another
             passes = min(passes, round((self.duration - before) / last.duration) - 1)
@@ -205,6 +219,7 @@ class _Compiler:
         self.dither_peaks = self._dither_peaks(spec.dither)
 
     def trajectory(self, origin: Angles) -> Trajectory:
+        self._check_explorations()
         first = self.spec.segments[0]
         lead_in = first.duration_s if isinstance(first, MoveSpec) else 0.0
         start = _target(first.move, origin) if isinstance(first, MoveSpec) else origin
@@ -264,11 +279,7 @@ class _Compiler:
             return Hold(pose, spec.hold_s), pose
         if isinstance(spec, SineSpec):
             return _sine(spec, pose), pose
-        raise _SegmentError(
-            "exploring follows the live estimate, and this version runs fixed segments only:"
-            " move, rate, hold_s and sine",
-            pose,
-        )
+        return Exploration(pose, spec.explore), pose
 
     def _constant_rate(self, spec: RateSpec, pose: Angles) -> tuple[ConstantRate, Angles]:
         rate = (math.radians(spec.rate.phi1_deg_s), math.radians(spec.rate.phi2_deg_s))
@@ -322,6 +333,18 @@ class _Compiler:
                 shortest = segment.duration * _slowing(bounds, extremes, usable)
                 text = f"{text}; duration_s must be {math.ceil(shortest * 100.0) / 100.0:g} or more"
             self.problems.setdefault((loc, bound.what), text)
+
+    def _check_explorations(self) -> None:
+        places = [index for index, spec in enumerate(self.spec.segments) if isinstance(spec, ExploreSpec)]
+        for index in places:
+            if index != len(self.spec.segments) - 1:
+                text = "where an exploration ends is not known beforehand: it must be the last segment"
+                self.problems[(("segments", index), "not last")] = text
+        if places and self.spec.repeat != 1:
+            self.problems[(("repeat",), "exploration")] = "a plan that explores runs once: leave repeat out"
+        if places and self.spec.dither is not None:
+            text = "a plan that explores has no dither: its moves leave no room for one"
+            self.problems[(("dither",), "exploration")] = text
 
     def _most_rounds(self, count: float) -> int:
         """How many rounds that differ are built; a plan refused anyway needs few to show its faults."""

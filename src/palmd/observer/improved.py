@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Protocol
 
-from palmd.events import Estimate, Event, PadLift, RigDescription, ShapeEstimate
+from palmd.events import Estimate, Event, Outlook, PadLift, RigDescription, ShapeEstimate
 from palmd.observer.improver import Improvement, Improver
 from palmd.observer.live import BankObserver, finite
 from palmd.observer.newcomer import Newcomer
@@ -61,6 +61,15 @@ class ImprovedObserver:
     def late_dropped(self) -> int:
         """Events too late to be fused, or not finite."""
         return self._bank.late_dropped
+
+    @property
+    def foresees(self) -> bool:
+        """Whether there is an outlook."""
+        return self._bank.foresees
+
+    def outlook(self, t: float) -> Outlook | None:
+        """What the bank knows of the object at `t` (s), for choosing motions."""
+        return self._bank.outlook(t)
 
     def warm_up(self) -> None:
         """Pay the costs of first calls now."""

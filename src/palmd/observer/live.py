@@ -19,6 +19,7 @@ from palmd.events import (
     Estimate,
     Event,
     FloatArray,
+    Outlook,
     PadLift,
     PadSample,
     PalmMotion,
@@ -31,7 +32,7 @@ from palmd.model.compiled import BLOCK
 from palmd.model.named import NAMED, rig_inputs
 from palmd.observer.answer import answer, no_answer
 from palmd.observer.bank import Bank, Belief, Snapshot
-from palmd.observer.filters import LONGEST_STEP_S, Filters, carry
+from palmd.observer.filters import LONGEST_STEP_S, Filters, ShapeFilters, carry
 from palmd.observer.known import KnownObject, Memory
 from palmd.observer.mass import MassEstimator, resting_forces
 from palmd.observer.observability import Observability
@@ -68,6 +69,10 @@ SURPRISING_NIS, FADE_BY_SURPRISE = 1.4, 20.0
 DIRECTIONS = 180  # of the published outline
 _THETA = np.linspace(0.0, 2 * np.pi, DIRECTIONS, endpoint=False)
 _ROWS = shape.basis(_THETA)
+_BIN_ROWS = shape.basis(np.linspace(0.0, 2 * np.pi, NORMAL_BINS, endpoint=False) + np.pi / NORMAL_BINS)
+_SHAPE = slice(shape_map.Z.SHAPE, None)
+SAMPLES, RIVALS = 6, 3  # in an outlook: of what the object may be besides, and how many of them rivals at most
+ROUGH_SD, ROUGH_AGE_S = 3e-3, 0.6  # m, of r1 and r2; s
 _BIN_OF_THETA = (_THETA / (2 * np.pi) * NORMAL_BINS).astype(np.intp)
 _R1, _R2, _F1, _F2, _PSI = (NAMED.index(name) for name in ("r1", "r2", "f1", "f2", "psi"))
 
@@ -108,7 +113,8 @@ class BankObserver:
         self._last: dict[int, PadSample] = {}
         self._lifted: set[int] = set()
         self._t = -math.inf  # up to which the bank has been moved
-        self._running = False
+        self._running = self._foresees = False
+        self._draws = np.random.default_rng([self._seed, 1 << 20])  # of outlooks: estimates do not depend on them
         self._begin_fresh()
 
     def warm_up(self) -> None:
@@ -223,6 +229,7 @@ class BankObserver:
             self._mass.weigh(self._last.get(2), float(y[_F2]))
             self._marks.mark(best, y, self._all_psi)
             self._keep(t, best)
+        self._foresees = settled or (finite and self._rough(t, sd))
         return answer(
             t, settled, self.name, self.object_count, y, sd, self._mass,
             float(self._bank.nis[best]), self._observability.value(), self._marks.fraction,
@@ -236,6 +243,33 @@ class BankObserver:
         h_sd = np.sqrt(np.maximum(((_ROWS @ cov) * _ROWS).sum(axis=1), 0.0))
         h_sd *= self._filters.optimism.factor(t - self._t_start)
         return ShapeEstimate(t, _THETA, _ROWS @ coefficients, h_sd, self._marks.marks[_BIN_OF_THETA])
+
+    @property
+    def foresees(self) -> bool:
+        """Whether the last estimate was good enough to choose motions by, though perhaps not valid yet."""
+        return self._foresees
+
+    def outlook(self, t: float) -> Outlook | None:
+        """What is known of the object at `t` (s), for choosing motions; None unless it `foresees`.
+
+        The leader's state, its plausible rivals', and draws from its belief. Takes a fraction of a millisecond.
+        """
+        if not self._foresees or not isinstance(self._filters, ShapeFilters):
+            return None
+        bank, best = self._bank, self._bank.best()
+        state, P = bank.x[best], bank.P[best]
+        try:
+            root = np.linalg.cholesky(P + np.diag(np.full(len(P), 1e-16)))
+        except np.linalg.LinAlgError:
+            return None
+        rivals = [number for number in bank.plausible(PLAUSIBLE) if number != best][:RIVALS]
+        too_sure = self._filters.optimism.factor(t - self._t_start)
+        drawn = state + too_sure * self._draws.standard_normal((SAMPLES - len(rivals), len(state))) @ root.T
+        others = np.vstack([bank.x[rivals], drawn])
+        for constant in (shape_map.Z.MU, shape_map.Z.DAMPING):
+            others[:, constant] = np.abs(others[:, constant])
+        h_sd = too_sure * np.sqrt(np.maximum(((_BIN_ROWS @ P[_SHAPE, _SHAPE]) * _BIN_ROWS).sum(axis=1), 0.0))
+        return Outlook(t, np.vstack([state, others]), self._marks.marks.copy(), h_sd, self.object_count)
 
     # ---- starting and stopping
 
@@ -314,7 +348,7 @@ class BankObserver:
             self._memory.keep(t, KnownObject(state, P, self._marks.marks.copy(), self._mass))
 
     def _stop(self) -> None:
-        self._running = False
+        self._running = self._foresees = False
         self._last.clear()
 
     def _palms_known(self, t: float) -> bool:
@@ -439,6 +473,11 @@ class BankObserver:
         consistent = NIS_RANGE[0] < self._bank.nis[best] < NIS_RANGE[1]
         sharp = max(sd[_R1], sd[_R2]) < SETTLED_SD and max(spread[_R1], spread[_R2]) < AGREEMENT
         return bool(felt and consistent and sharp and t - self._t_start > MIN_AGE_S)
+
+    def _rough(self, t: float, sd: FloatArray) -> bool:
+        """Whether the answer, rivals included, is known well enough to foresee what a motion will do."""
+        old, touching = t - self._t_start > ROUGH_AGE_S, all(t - self._last_seen(pad) < SILENCE_S for pad in (1, 2))
+        return bool(self._running and old and touching and max(sd[_R1], sd[_R2]) < ROUGH_SD)
 
     def _all_psi(self) -> FloatArray:
         return self._filters.all_named(self._t, self._palms)[:, _PSI]

@@ -23,6 +23,7 @@ from palmd.events import (
     Estimate,
     Event,
     FloatArray,
+    Outlook,
     PadLift,
     PadSample,
     PalmMotion,
@@ -174,6 +175,15 @@ class QuasistaticObserver:
         coefficients, covariance = self._leader.outline(found.best)
         variance = ((_ROWS @ covariance) * _ROWS).sum(axis=1) + float(found.sds[:2].max()) ** 2
         return ShapeEstimate(t, _THETA, _ROWS @ coefficients, np.sqrt(variance), self._marks.marks[_BIN_OF_THETA])
+
+    @property
+    def foresees(self) -> bool:
+        """Whether there is an outlook: never."""
+        return False
+
+    def outlook(self, t: float) -> Outlook | None:  # noqa: ARG002
+        """None: what it knows is not enough to foresee a motion."""
+        return None
 
     # ---- the even grid and the sets of beginnings on it
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from palmd.rig.shapes import KINDS, Kind
 from palmd.study.scoring import Causal, Row, Scalar
+from palmd.study.table import aligned
 
 CAUSAL_GOAL_S = 6.0
 _NOTHING = "–"
@@ -168,12 +169,7 @@ def table(told: Sequence[Summary]) -> str:
     causal = [summary.causal for summary in told]
     if any(causal):
         lines += [(name, [show(each) if each else _NOTHING for each in causal]) for name, show in _CAUSAL_LINES]
-    widths = [max(len(cells[i]) for _, cells in lines) for i in range(len(told))]
-    first = max(len(name) for name, _ in lines)
-    return "\n".join(
-        "  ".join([name.ljust(first), *(cell.rjust(width) for cell, width in zip(cells, widths, strict=True))])
-        for name, cells in lines
-    )
+    return aligned(lines)
 
 
 def remarks(rows: Sequence[Row]) -> list[str]:
@@ -185,7 +181,7 @@ def remarks(rows: Sequence[Row]) -> list[str]:
     ]
 
 
-def _number(value: float, unit: float = 1.0) -> str:
+def number(value: float, unit: float = 1.0) -> str:
     if math.isnan(value):
         return _NOTHING
     if math.isinf(value):
@@ -194,35 +190,35 @@ def _number(value: float, unit: float = 1.0) -> str:
     return f"{scaled:.0f}" if abs(scaled) >= 100.0 else f"{scaled:.3g}"
 
 
-def _percent(value: float) -> str:
+def percent(value: float) -> str:
     return _NOTHING if math.isnan(value) else f"{100.0 * value:.1f}"
 
 
 def _three(spread: Spread, unit: float = 1.0) -> str:
-    return " / ".join(_number(value, unit) for value in (spread.median, spread.p90, spread.p95))
+    return " / ".join(number(value, unit) for value in (spread.median, spread.p90, spread.p95))
 
 
 def _parameter_lines(name: str, of: Callable[[Summary], Parameter]) -> list[tuple[str, Callable[[Summary], str]]]:
     return [
-        (f"{name}: |error|, median (%)", lambda s: _number(of(s).relative_error, 100.0)),
-        (f"{name}: within 2 sd (%)", lambda s: _percent(of(s).within_2_sd)),
-        (f"{name}: sd / bound, median", lambda s: _number(of(s).sd_over_bound)),
+        (f"{name}: |error|, median (%)", lambda s: number(of(s).relative_error, 100.0)),
+        (f"{name}: within 2 sd (%)", lambda s: percent(of(s).within_2_sd)),
+        (f"{name}: sd / bound, median", lambda s: number(of(s).sd_over_bound)),
     ]
 
 
 _LINES: list[tuple[str, Callable[[Summary], str]]] = [
     ("runs", lambda s: str(s.runs)),
     ("ended in an error", lambda s: str(s.errors)),
-    ("right: e_h < 0.1 mm (%)", lambda s: _percent(s.right)),
-    ("converged (%)", lambda s: _percent(s.converged)),
+    ("right: e_h < 0.1 mm (%)", lambda s: percent(s.right)),
+    ("converged (%)", lambda s: percent(s.converged)),
     ("claimed but wrong: e_h > 0.3 mm", lambda s: str(s.wrong)),
     ("e_h, median / p90 / p95 (µm)", lambda s: _three(s.e_h_m, 1e6)),
     ("largest error, median / p90 / p95 (µm)", lambda s: _three(s.max_error_m, 1e6)),
-    ("touched normals, median (%)", lambda s: _percent(s.touched)),
-    ("efficiency: bound / e_h, median", lambda s: _number(s.efficiency)),
-    ("(error / sd)² of h, median", lambda s: _number(s.nees_h)),
-    ("ψ RMS, median (mrad)", lambda s: _number(s.psi_rms_rad, 1e3)),
-    ("ω0 RMS, median (mrad/s)", lambda s: _number(s.omega0_rms_rad_s, 1e3)),
+    ("touched normals, median (%)", lambda s: percent(s.touched)),
+    ("efficiency: bound / e_h, median", lambda s: number(s.efficiency)),
+    ("(error / sd)² of h, median", lambda s: number(s.nees_h)),
+    ("ψ RMS, median (mrad)", lambda s: number(s.psi_rms_rad, 1e3)),
+    ("ω0 RMS, median (mrad/s)", lambda s: number(s.omega0_rms_rad_s, 1e3)),
     *_parameter_lines("ρ", lambda s: s.rho),
     *_parameter_lines("μ", lambda s: s.mu),
     *_parameter_lines("mass", lambda s: s.mass),
@@ -231,8 +227,8 @@ _LINES: list[tuple[str, Callable[[Summary], str]]] = [
 
 _CAUSAL_LINES: list[tuple[str, Callable[[CausalSummary], str]]] = [
     ("causal: right for good after, median / p90 / p95 (s)", lambda c: _three(c.converged_after_s)),
-    (f"causal: within {CAUSAL_GOAL_S:g} s (%)", lambda c: _percent(c.within_goal)),
-    ("causal: first valid after, median (s)", lambda c: _number(c.first_valid_s)),
-    ("causal: r1, r2 RMS in the last 5 s, median (µm)", lambda c: _number(c.r_rms_m, 1e6)),
-    ("causal: (error / sd)² of r1, r2, median", lambda c: _number(c.nees_r)),
+    (f"causal: within {CAUSAL_GOAL_S:g} s (%)", lambda c: percent(c.within_goal)),
+    ("causal: first valid after, median (s)", lambda c: number(c.first_valid_s)),
+    ("causal: r1, r2 RMS in the last 5 s, median (µm)", lambda c: number(c.r_rms_m, 1e6)),
+    ("causal: (error / sd)² of r1, r2, median", lambda c: number(c.nees_r)),
 ]

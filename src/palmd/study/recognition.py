@@ -21,6 +21,7 @@ from palmd.score import score_outline
 from palmd.study.montecarlo_summary import quantile
 from palmd.study.siblings import as_stored, siblings
 from palmd.study.simulated import simulated
+from palmd.study.table import aligned
 
 COUNT = 20
 NONE_EVERY = 5
@@ -129,12 +130,7 @@ def table(rows: Sequence[Row]) -> str:
     lines: list[tuple[str, list[str]]] = [("", [column[0].kind for column in columns])]
     lines += [(name, [show([row for row in column if not row.error]) for column in columns]) for name, show in _LINES]
     lines.append(("ended in an error", [str(sum(bool(row.error) for row in column)) for column in columns]))
-    widths = [max(len(cells[i]) for _, cells in lines) for i in range(len(columns))]
-    first = max(len(name) for name, _ in lines)
-    return "\n".join(
-        "  ".join([name.ljust(first), *(cell.rjust(width) for cell, width in zip(cells, widths, strict=True))])
-        for name, cells in lines
-    )
+    return aligned(lines)
 
 
 def remarks(rows: Sequence[Row]) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +14,9 @@ from palmd.observer.bound import Bound, Truth
 from palmd.observer.reconstruct import Reconstruction
 from palmd.rig.shapes import Kind
 from palmd.score import OutlineScore, score_outline
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 RIGHT_M = 1e-4
 WRONG_M = 3e-4
@@ -97,7 +100,7 @@ class Row:
         return self.converged and self.e_h_m > WRONG_M
 
 
-def as_line(row: Row) -> Line:
+def as_line(row: DataclassInstance) -> Line:
     """The row as a JSON object; a number that is none becomes None."""
     return {field.name: _plain(getattr(row, field.name)) for field in fields(row)}
 

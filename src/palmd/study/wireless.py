@@ -16,6 +16,7 @@ import msgpack
 from palmd import observer
 from palmd.config import Config, PlanSpec, rig_description
 from palmd.daemon.commands import parse
+from palmd.daemon.decisions import Decider, InlineExplorer, Source
 from palmd.daemon.lifecycle import State
 from palmd.daemon.planner import Plan
 from palmd.daemon.step import Core
@@ -24,6 +25,7 @@ from palmd.messages import Fields
 from palmd.motion.check import motion_limits
 from palmd.motion.plan import compile_plan
 from palmd.observer import ObserverName
+from palmd.observer.improved import Smoothing
 from palmd.rig.pads import GOOD_PADS, PadOptions
 from palmd.rig.plant import AS_ASSUMED, PlantOptions
 from palmd.rig.shapes import Kind
@@ -65,16 +67,24 @@ class Wireless:
         observer_name: ObserverName = "shape",
         options: PlantOptions = AS_ASSUMED,
         pad_options: PadOptions = GOOD_PADS,
+        smoothing: Smoothing | None = None,
+        explorer: Source | None = None,
     ) -> None:
-        """`seed` draws object, noise and the observer's samples of the prior.
+        """`seed` draws object, noise and the observer's samples of the prior; `explorer` decides explorations.
+
+        Without one, a shape observer has the daemon's own, whose answers come some time after the questions. Without
+        `smoothing` the observer has no smoother at its side.
 
         Raises PlanError for a plan that cannot be run, PoseError or ValueError for a rig with a fixed hinge.
         """
         limits = motion_limits(config)
         plan = Plan(spec, compile_plan(spec, limits), limits, None)
-        estimator = observer.make(observer_name, rig_description(config), seed)
+        rig = rig_description(config)
+        estimator = observer.make(observer_name, rig, seed, smoothing)
+        if explorer is None and observer_name == "shape":
+            explorer = InlineExplorer(Decider(rig, seed))
         self.world = World(config, seed, kind=kind, options=options, pad_options=pad_options)
-        self.core = Core(config, estimator, _AtOnce(), plan)
+        self.core = Core(config, estimator, _AtOnce(), plan, explorer=explorer)
         self._steps = 0
         self._steps_per_tick = round(1.0 / (config.loop.rate_hz * STEP_S))
         for end in ("pad1", "pad2", "arm"):

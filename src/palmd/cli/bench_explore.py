@@ -1,0 +1,76 @@
+"""Unknown objects explored in the emulated rig, faster than real time where it can be, beside two open-loop plans."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+from palmd.cli import INTERRUPTED
+from palmd.cli.bench_montecarlo import ALL, count, seconds, seed
+from palmd.cli.extras import only_without
+from palmd.cli.progress import Progress
+from palmd.cli.rows import ROWS, rewrite, terminable, writable, write
+from palmd.rig.shapes import KINDS
+from palmd.study import exploring, runs
+from palmd.study.exploring import Row
+from palmd.study.exploring_summary import remarks, table
+from palmd.study.scoring import as_line
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The bench's arguments."""
+    add = parser.add_argument
+    add("--runs", type=count, default=10, metavar="N", help="how many objects of each kind (default: %(default)s)")
+    add("--kind", choices=(*KINDS, ALL), default=ALL, help="what sort of object (default: %(default)s)")
+    add("--seed", type=seed, default=0, metavar="FIRST", help="the first object's (default: %(default)s)")
+    add("--seconds", type=seconds, default=60.0, metavar="S", help="how long each may take (default: %(default)s)")
+    add("-o", "--output", type=Path, default=Path("explore"), metavar="FOLDER",
+        help=f"for {ROWS} and the figure, which are overwritten (default: %(default)s)")  # fmt: skip
+    add("--jobs", type=count, metavar="J", help="processes on this machine (default: one a processor)")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Interrupted, it ends with what is finished until then; CliError when it cannot begin."""
+    kinds = KINDS if arguments.kind == ALL else (arguments.kind,)
+    tasks = exploring.tasks_of(kinds, arguments.seed, arguments.runs, arguments.seconds)
+    finished: list[Row] = []
+    status = 0
+    path = arguments.output / ROWS
+    try:
+        with terminable(), ExitStack() as stack:
+            stream = writable(stack, path)
+            executor = stack.enter_context(runs.local(arguments.jobs or os.cpu_count() or 1))
+            progress = stack.enter_context(Progress("exploring", len(tasks), "runs"))
+            for row in runs.finished(executor, exploring.run, exploring.failed, tasks):
+                write(stream, [as_line(row)])
+                finished.append(row)
+                progress.at(len(finished))
+    except KeyboardInterrupt:
+        print(f"interrupted: {len(finished)} of {len(tasks)} runs are finished", file=sys.stderr)
+        status = INTERRUPTED
+    if finished:
+        _conclude(exploring.in_order(finished), path)
+    return status
+
+
+def _conclude(rows: Sequence[Row], path: Path) -> None:
+    rewrite(path, map(as_line, rows))
+    print(f"seeds {rows[0].seed} to {max(row.seed for row in rows)}")
+    print(table(rows))
+    for remark in remarks(rows):
+        print(remark)
+    print(f"written: {', '.join(map(str, [path, *_figure(rows, path.parent)]))}")
+
+
+def _figure(rows: Sequence[Row], folder: Path) -> list[Path]:
+    try:
+        from palmd.study import exploring_figure
+    except ModuleNotFoundError as error:
+        only_without("matplotlib", error)
+        print("no figure: matplotlib is not installed (extra `report`)", file=sys.stderr)
+        return []
+    return exploring_figure.save(rows, folder)

@@ -1,0 +1,71 @@
+"""The explorer in a process of its own beside the loop. It answers the newest question it finds."""
+
+from __future__ import annotations
+
+import logging
+import pickle  # between a process and its own child, on a socket in a folder of their own
+
+from palmd.daemon.beside import ProcessBeside, meet
+from palmd.daemon.decisions import Answer, Decider, Question
+from palmd.events import RigDescription
+
+log = logging.getLogger(__name__)
+
+HIGH_WATER = 10  # questions on their way: a second
+NICENESS = 5  # the palms stand while it thinks: before the smoother, after the loop
+
+
+class ExplorerProcess:
+    """The loop's end, a `daemon.decisions.Source`; the process is started when a plan first needs it, in some 3 ms."""
+
+    def __init__(self, rig: RigDescription) -> None:
+        self._rig = rig
+        self._process: ProcessBeside | None = None
+        self._failed = False
+
+    @property
+    def starts(self) -> int:
+        """How often the process has been started."""
+        return 0 if self._process is None else self._process.starts
+
+    def prepare(self) -> None:
+        """Start the process, unless that has been done."""
+        if self._process is not None or self._failed:
+            return
+        try:
+            self._process = ProcessBeside("explorer", __name__, high_water=HIGH_WATER)
+        except OSError as error:
+            self._failed = True
+            log.warning("no explorer beside the loop: %s", error)
+
+    def ask(self, question: Question) -> None:
+        """Pass a question on; it is dropped when the process does not take it."""
+        if self._process is not None:
+            self._process.send(pickle.dumps((self._rig, question)))
+
+    def collect(self, t: float) -> Answer | None:
+        """The newest answer that has come."""
+        del t  # it is ready when it is here
+        newest: Answer | None = None
+        if self._process is not None:
+            for message in self._process.received():
+                newest = pickle.loads(message)
+        return newest
+
+    def close(self) -> None:
+        """End the process."""
+        if self._process is not None:
+            self._process.close()
+
+
+def serve(address: str) -> None:
+    """The process's work, for ever: answer, and leave out questions that newer ones have overtaken."""
+    decider: Decider | None = None
+    with meet(address, NICENESS) as socket:
+        while True:
+            message = socket.recv()
+            if socket.poll(0):
+                continue
+            rig, question = pickle.loads(message)
+            decider = decider or Decider(rig)
+            socket.send(pickle.dumps(decider.answer(question)))

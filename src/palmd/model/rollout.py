@@ -1,0 +1,77 @@
+"""What an object will do while the palms move: many motions at once, as generated C.
+
+The same dynamics as `model.shape_map`, without a covariance. The palms' minimum-jerk path is evaluated inside, so
+that one call carries `COLUMNS` columns, each with its own object and its own move, through `SUBSTEPS` steps.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import casadi as ca
+
+from palmd.model.compiled import Library, densified, load
+from palmd.model.contact import SX, Contact, normal_directions, readings
+from palmd.model.dynamics import Body, Palms, newton_euler
+from palmd.model.integrate import exponential_step
+from palmd.model.named import RIG_INPUTS
+from palmd.model.shape import contact_at
+from palmd.model.shape_map import N, Z
+
+COLUMNS = 32
+SUBSTEPS = 4
+STEP_S = 0.01
+MOVE_INPUTS = 6  # φ1, φ2 at the start and at the end, duration, time since the start
+TOLD = 6  # ψ, ω0, f1, f2, s1, s2
+
+
+def palms_on(move: SX, t: SX) -> Palms:
+    """The palms `t` seconds after the time that `move` tells: the quintic 10u³ − 15u⁴ + 6u⁵, at rest after its end."""
+    start, way, duration = move[0:2], move[2:4] - move[0:2], move[4]
+    u = ca.fmin(ca.fmax((move[5] + t) / duration, 0.0), 1.0)
+    phi = start + way * u**3 * (10 + u * (6 * u - 15))
+    omega = way * 30 * u**2 * (1 - u) ** 2 / duration
+    alpha = way * 60 * u * (1 - u) * (1 - 2 * u) / duration**2
+    return Palms(phi[0], phi[1], omega[0], omega[1], alpha[0], alpha[1])
+
+
+def _contacts(x: SX, palms: Palms) -> tuple[Contact, Contact]:
+    theta1, theta2 = normal_directions(palms.phi1, palms.phi2, x[Z.PSI])
+    return contact_at(theta1, x[Z.SHAPE :]), contact_at(theta2, x[Z.SHAPE :])
+
+
+def _step_function() -> ca.Function:
+    """(x, move, rig) → (x after one step, `TOLD` then)."""
+    x, move, rig = SX.sym("x", N), SX.sym("move", MOVE_INPUTS), SX.sym("rig", RIG_INPUTS)
+    body = Body(ca.exp(x[Z.LN_RHO]), x[Z.MU], ca.exp(x[Z.LN_DITHER]), x[Z.DAMPING])
+
+    def alpha0(state: SX, palms: Palms) -> SX:
+        return newton_euler(palms, state[Z.OMEGA0], *_contacts(state, palms), body, rig).alpha0
+
+    def rates(moving: SX, t: SX) -> SX:
+        return ca.vertcat(moving[Z.OMEGA0], alpha0(ca.vertcat(moving, x[2:]), palms_on(move, t)))
+
+    damping = ca.jacobian(alpha0(x, palms_on(move, SX(0))), x[Z.OMEGA0])
+    moving, _ = exponential_step(rates, x, SX(STEP_S), [Z.PSI, Z.OMEGA0], Z.OMEGA0, damping)
+    after, palms = ca.vertcat(moving, x[2:]), palms_on(move, SX(STEP_S))
+    one, two = _contacts(after, palms)
+    motion = newton_euler(palms, moving[1], one, two, body, rig)
+    told = ca.vertcat(moving, motion.f1, motion.f2, *readings(palms.phi2, one, two))
+    return ca.Function("step", [x, move, rig], [after, told])
+
+
+def roll_function() -> ca.Function:
+    """(x, move, rig) → (ψ and ω0 after `SUBSTEPS` steps, `TOLD` at the end of each): forces per unit mass, m/s²."""
+    x, move, rig = SX.sym("x", N), SX.sym("move", MOVE_INPUTS), SX.sym("rig", RIG_INPUTS)
+    step, state, told = _step_function(), x, []
+    for number in range(SUBSTEPS):
+        state, now = step(state, ca.vertcat(move[:5], move[5] + number * STEP_S), rig)
+        told.append(now)
+    return ca.Function("roll", [x, move, rig], [state[:2], ca.horzcat(*told)], ["x", "move", "rig"], ["moved", "told"])
+
+
+@cache
+def library() -> Library:
+    """`roll_batch`: `roll` on `COLUMNS` columns side by side, on the same rig."""
+    roll = densified(roll_function())
+    return load("rollout", [roll.map("roll_batch", "serial", COLUMNS, [2], [])])

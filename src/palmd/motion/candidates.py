@@ -1,0 +1,106 @@
+"""Palm motions worth trying: loops that turn the object on, and single moves, within the limits. Pure.
+
+Friction holds the object to the palm that presses harder. On a loop in (φ1, φ12) it is carried by the one palm on the
+way there and by the other on the way back, so that it is turned on at each round, a ratchet. Without friction it
+follows the stable poses, and single moves do.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.motion.foresight import CALL_S, Moves
+from palmd.motion.limits import PHI12_MAX, MotionLimits
+from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE
+
+POSE_MARGIN = math.radians(1.5)
+RATE_SHARE = 0.9  # of the limits, at most
+SLOWEST = math.radians(20.0)
+SHORTEST_S = 3 * CALL_S
+LOOP_HALF_1, LOOP_HALF_12 = (0.1, 0.95), (0.1, 0.85)  # rad
+NEARBY = 0.35  # rad, one-sigma of a loop's middle about the present pose, for half of them
+STEP_SHARE = (0.15, 1.0)  # of the way to a pose anywhere, that a single move goes
+
+
+def loops(random: np.random.Generator, start: FloatArray, count: int, length: int, limits: MotionLimits) -> Moves:
+    """`count` sequences of `length` moves: rounds about a pose near or anywhere, either way, of any size and rate."""
+    low, high = _range(limits)
+    middle1 = random.uniform(low[0], high[0], count)
+    middle12 = random.uniform(low[0] + low[1], PHI12_MAX - POSE_MARGIN, count)
+    near = random.random(count) < 0.5
+    middle1 = np.where(near, start[0] + random.normal(0.0, NEARBY, count), middle1)
+    middle12 = np.where(near, start.sum() + random.normal(0.0, NEARBY, count), middle12)
+    half1, half12 = random.uniform(*LOOP_HALF_1, count), random.uniform(*LOOP_HALF_12, count)
+    angle = random.uniform(0.0, 2 * np.pi, count)[:, None] + random.choice([-1.0, 1.0], count)[:, None] * (
+        np.arange(length) * (np.pi / 2)
+    )
+    phi1 = middle1[:, None] + half1[:, None] * np.cos(angle)
+    phi12 = middle12[:, None] + half12[:, None] * np.sin(angle)
+    ends = _inside(np.stack([phi1, phi12 - phi1], axis=-1), limits)
+    return timed(start, ends, _rates(random, count, limits)[:, None], limits)
+
+
+def single_moves(
+    random: np.random.Generator, start: FloatArray, count: int, length: int, limits: MotionLimits
+) -> Moves:
+    """`count` sequences of `length` moves some way towards poses anywhere; some move one palm angle only."""
+    low, high = _range(limits)
+    ends = np.empty((count, length, 2))
+    here = np.tile(start, (count, 1))
+    for number in range(length):
+        goal = random.uniform(low, high, (count, 2))
+        stays = random.random((count, 1)) < np.array([[0.25, 0.5]])
+        stays[:, 1] &= ~stays[:, 0]
+        goal = np.where(stays, here, goal)
+        here = _inside(here + (goal - here) * random.uniform(*STEP_SHARE, (count, 1)), limits)
+        ends[:, number] = here
+    return timed(start, ends, _rates(random, count, limits)[:, None], limits)
+
+
+def timed(start: FloatArray, ends: FloatArray, rate: FloatArray, limits: MotionLimits) -> Moves:
+    """Durations for peaks of `rate` (rad/s, (N, 1)), longer where rate, acceleration or the arm need it."""
+    before = np.concatenate([np.broadcast_to(start, (len(ends), 1, 2)), ends[:, :-1]], axis=1)
+    way = ends - before
+    farthest = np.abs(way).max(axis=-1)
+    duration = PEAK_RATE * farthest / rate
+    duration = np.maximum(duration, np.sqrt(PEAK_ACCELERATION * farthest / (RATE_SHARE * limits.acceleration)))
+    if limits.workspace is not None:
+        duration = np.maximum(duration, _for_the_arm(way, limits))
+    whole = np.ceil(np.maximum(duration, SHORTEST_S) / CALL_S - 1e-9)
+    return Moves(start, ends, whole * CALL_S)
+
+
+def _for_the_arm(way: FloatArray, limits: MotionLimits) -> FloatArray:
+    """Seconds that the arm needs: its point E moves by L1 dφ1 and L2 dφ12 at most, and is bent by their squares."""
+    arm = limits.workspace
+    assert arm is not None
+    reach = arm.geometry.palm1_length * np.abs(way[..., 0]) + arm.geometry.palm2_length * np.abs(way.sum(axis=-1))
+    curved = arm.geometry.palm1_length * way[..., 0] ** 2 + arm.geometry.palm2_length * way.sum(axis=-1) ** 2
+    by_speed = PEAK_RATE * reach / (RATE_SHARE * arm.speed)
+    by_bend = np.sqrt((PEAK_ACCELERATION * reach + PEAK_RATE**2 * curved) / (RATE_SHARE * arm.acceleration))
+    needed: FloatArray = np.maximum(by_speed, by_bend)
+    return needed
+
+
+def _rates(random: np.random.Generator, count: int, limits: MotionLimits) -> FloatArray:
+    fastest = max(RATE_SHARE * limits.rate, SLOWEST)
+    rates: FloatArray = np.exp(random.uniform(math.log(SLOWEST), math.log(fastest), count))
+    return rates
+
+
+def _range(limits: MotionLimits) -> tuple[FloatArray, FloatArray]:
+    low = np.array([limits.phi1[0], limits.bounds[1].low]) + POSE_MARGIN
+    high = np.array([limits.phi1[1], limits.bounds[1].high]) - POSE_MARGIN
+    return low, high
+
+
+def _inside(poses: FloatArray, limits: MotionLimits) -> FloatArray:
+    """The poses, those outside of the limits brought to their edge (…, 2)."""
+    low, high = _range(limits)
+    top = PHI12_MAX - POSE_MARGIN
+    phi1 = np.clip(poses[..., 0], low[0], min(high[0], top - low[1]))
+    phi2 = np.clip(poses[..., 1], low[1], np.minimum(high[1], top - phi1))
+    return np.stack([phi1, phi2], axis=-1)

@@ -1,0 +1,80 @@
+"""Exploring on the rig: daemon, rig and explorer as processes; what becomes of it when the explorer is lost."""
+
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.rig
+
+PLAN = """\
+name: explore
+segments:
+  - {move: {phi1_deg: 45, phi2_deg: 90}, duration_s: 0.8}
+  - {explore: {coverage: 1.0, time_limit_s: 600}}
+"""
+GRAVE = ("hold", "stop")
+
+
+def explore(bench):
+    """The palms explore, and the first decisions have come."""
+    bench.ready()
+    plan = bench.folder / "explore.yaml"
+    plan.write_text(PLAN)
+    bench.client.do("plan", path=str(plan))
+    bench.client.do("arm")
+    bench.client.do("start")
+    until(bench, lambda heard: heard.latest["palm/estimate"]["valid"], "a valid estimate, by rocking alone")
+    until(bench, lambda _: coverage(bench), "a decision")
+
+
+def until(bench, condition, what):
+    """As the bench's own; a hold or a fault for which a slow machine is to blame is started out of."""
+    bench.until(lambda heard: bench._forgiven() or condition(heard), what)
+
+
+def coverage(bench):
+    """What is told of it, 0 before the first decision."""
+    return bench.client.do("status").get("explored", {}).get("coverage") or 0.0
+
+
+def explorer_number(bench):
+    """The process number of the daemon's explorer."""
+    daemon = bench.daemon._popen.pid
+    children = Path(f"/proc/{daemon}/task/{daemon}/children").read_text(encoding="ascii").split()
+    (number,) = (int(child) for child in children if b"explorer_process" in Path(f"/proc/{child}/cmdline").read_bytes())
+    return number
+
+
+def test_coverage_grows_from_a_blind_start_and_stop_stops_it(own_bench):
+    bench = own_bench
+    explore(bench)
+    begun = coverage(bench)
+    until(bench, lambda _: coverage(bench) > begun + 0.05, "more of the outline touched")
+    if not bench.stalled():
+        assert not [code for code, severity in bench.heard.faults.items() if severity in GRAVE]
+    assert bench.motion["segment"] == 1
+    assert bench.motion["progress"] > 0.05
+    bench.client.do("stop")
+    bench.until(lambda heard: heard.state == "ready" and bench.motion["arm_state"] == "R", "ready again")
+    bench.at_rest()
+    assert bench.client.do("status")["explored"]["reason"] == "it was stopped"
+    bench.judge()
+    assert bench.daemon.end() == 0
+
+
+def test_without_its_explorer_the_arm_stands_until_there_is_another_one(own_bench):
+    bench = own_bench
+    explore(bench)
+    number = explorer_number(bench)
+    os.kill(number, signal.SIGSTOP)
+    until(bench, lambda heard: "explorer-silent" in heard.active, "the news of it")
+    bench.at_rest()
+    assert bench.heard.state == "tracking"
+    os.kill(number, signal.SIGKILL)
+    bench.until(lambda heard: heard.latest["palm/loop"]["explorer_starts"] == 2, "another explorer")
+    assert explorer_number(bench) != number
+    bench.moving()
+    bench.until_gone("explorer-silent")
+    bench.judge()

@@ -1,0 +1,94 @@
+"""The motions that the explorer tries: inside the limits whatever is drawn, whole calls long."""
+
+import math
+
+import numpy as np
+import pytest
+
+from palmd.config import Config
+from palmd.model import rollout
+from palmd.motion import candidates
+from palmd.motion.check import motion_limits
+from palmd.motion.kinematics import RigGeometry
+from palmd.motion.limits import MotionLimits, Workspace, problems, ranges
+from palmd.motion.segments import Move
+from palmd.rig.world import arm_limits, default_config
+
+DRAWS = 500
+KINDS = (candidates.loops, candidates.single_moves)
+LENGTH = 5
+
+
+def limits_of(config: Config, strength: float = 1.0) -> MotionLimits:
+    """With the workspace that the emulated controller tells, and an arm so many times as strong."""
+    allowed = arm_limits(config)
+    workspace = Workspace(
+        RigGeometry.from_config(config), allowed.x_min, allowed.x_max, allowed.y_min, allowed.y_max,
+        strength * allowed.v_max, strength * allowed.a_max,
+    )  # fmt: skip
+    plain = motion_limits(config)
+    return MotionLimits(plain.phi1, plain.phi2, plain.rate, plain.acceleration, plain.pad_length, workspace)
+
+
+NARROW = default_config().model_copy(
+    update={"limits": default_config().limits.model_copy(update={"phi1_deg": (30.0, 70.0), "rate_deg_s": 40.0})}
+)
+STARTS = [(45.0, 90.0), (31.0, 75.0), (69.0, 100.0)]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "limits",
+    [limits_of(default_config()), limits_of(NARROW), limits_of(default_config(), 0.2)],
+    ids=["shipped", "narrow", "weak arm"],
+)
+def test_no_limit_is_ever_left(kind, limits):
+    """Angles, their sum, rates, accelerations and the arm, along thousands of moves."""
+    random = np.random.default_rng(5)
+    for start_deg in STARTS:
+        start = np.radians(start_deg)
+        moves = kind(random, start, DRAWS, LENGTH, limits)
+        for ends, durations in zip(moves.ends, moves.durations, strict=True):
+            here = tuple(start)
+            for end, duration in zip(map(tuple, ends), durations, strict=True):
+                move = Move(here, end, float(duration))
+                motion = [limits.values(move.at(t)) for t in np.linspace(0.0, move.duration, 15)]
+                assert problems(limits.bounds, ranges(motion)) == [], (np.degrees(here), np.degrees(end), duration)
+                here = end
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_durations_are_whole_calls_and_the_draw_depends_on_the_generator_alone(kind):
+    limits = motion_limits(default_config())
+    start = np.radians((45.0, 90.0))
+    one, other, same = (kind(np.random.default_rng(seed), start, 300, LENGTH, limits) for seed in (1, 2, 1))
+    calls = one.durations / (rollout.SUBSTEPS * rollout.STEP_S)
+    np.testing.assert_allclose(calls, np.round(calls), atol=1e-9)
+    assert calls.min() >= 3
+    assert one.ends.shape == (300, LENGTH, 2)
+    np.testing.assert_array_equal(one.ends, same.ends)
+    assert not np.array_equal(one.ends, other.ends)
+
+
+def test_loops_go_round_both_ways_and_come_back():
+    """The third and fifth corner are the first one's opposite and itself, unless a limit is in the way."""
+    limits = motion_limits(default_config())
+    ends = candidates.loops(np.random.default_rng(1), np.radians((45.0, 90.0)), DRAWS, LENGTH, limits).ends
+    np.testing.assert_allclose(ends[:, 4], ends[:, 0], atol=1e-12)
+    corners = np.stack([ends[..., 0], ends.sum(axis=-1)], axis=-1)
+    side, next_side = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 1]
+    area = side[:, 0] * next_side[:, 1] - side[:, 1] * next_side[:, 0]
+    assert 0.3 < np.mean(area > 0.0) < 0.7
+
+
+def test_a_lower_rate_takes_longer_and_the_acceleration_is_kept():
+    limits = motion_limits(default_config())
+    start, ends = np.radians((45.0, 90.0)), np.radians([[[75.0, 90.0]]])
+    slow, fast, hasty = (
+        candidates.timed(start, ends, np.array([[math.radians(rate)]]), limits) for rate in (20.0, 80.0, 1e6)
+    )
+    assert slow.durations[0, 0] == pytest.approx(15 / 8 * 30.0 / 20.0, abs=0.04)
+    assert fast.durations[0, 0] == pytest.approx(15 / 8 * 30.0 / 80.0, abs=0.04)
+    peak = Move(tuple(start), tuple(ends[0, 0]), float(hasty.durations[0, 0]))
+    most = max(abs(peak.at(t).alpha1) for t in np.linspace(0.0, peak.duration, 200))
+    assert 0.5 * limits.acceleration < most <= limits.acceleration

@@ -1,0 +1,64 @@
+"""What an observer hands over for choosing motions: the likeliest state, others that may be, and what was touched."""
+
+import numpy as np
+import pytest
+from simulated import simulated
+
+from palmd import observer
+from palmd.model import shape_map
+from palmd.model.shape import basis
+from palmd.observer.filters import Optimism
+
+
+def fed(seconds=4.5, optimism=None):
+    """A shape observer after so many seconds of the same run, and the time; it may take its youth more seriously."""
+    run = simulated("nominal", 2, 5.0)
+    mine = observer.make("shape", run.rig)
+    if optimism is not None:
+        mine._filters.optimism = optimism
+    t = run.events[0].t_sample
+    for event in run.events:
+        if event.t_sample > run.events[0].t_sample + seconds:
+            break
+        mine.feed(event)
+        if event.t_sample > t + 0.01:
+            t = event.t_sample
+            mine.estimate(t)
+    return mine, t
+
+
+def test_the_likeliest_state_comes_first_and_is_the_estimates():
+    mine, t = fed()
+    outlook, estimate, outline = mine.outlook(t), mine.estimate(t), mine.shape(t)
+    assert estimate.valid
+    state = outlook.states[0]
+    assert np.exp(state[shape_map.Z.LN_RHO]) == pytest.approx(estimate.rho)
+    np.testing.assert_allclose(basis(outline.theta, 7) @ state[shape_map.Z.SHAPE :], outline.h)
+    assert (outlook.t, outlook.object_count) == (t, estimate.object_count)
+    assert (outlook.touched.shape, outlook.h_sd.shape) == ((72,), (72,))
+    assert outlook.touched.mean() == pytest.approx(estimate.touched)
+
+
+def test_there_is_none_while_nothing_is_known():
+    assert observer.make("shape", simulated("nominal", 2, 5.0).rig).outlook(0.0) is None
+    for name in ("extended", "quasistatic"):
+        assert observer.make(name, simulated("nominal", 2, 5.0).rig).outlook(0.0) is None
+
+
+def test_looking_does_not_change_the_estimate():
+    (one, t), (other, _) = fed(), fed()
+    for _ in range(3):
+        one.outlook(t)
+    assert one.estimate(t) == other.estimate(t)
+
+
+def test_what_may_be_besides_is_spread_as_widely_as_the_error_bars_say():
+    """A young filter is too sure of itself: samples must not take it at its word, nor may the band."""
+    (sure, t), (doubtful, _) = fed(optimism=Optimism(0.0, 1.0)), fed(optimism=Optimism(2.0, 1e9))
+    one, other = sure.outlook(t), doubtful.outlook(t)
+    np.testing.assert_array_equal(one.states[0], other.states[0])
+    drawn = slice(-3, None)
+    away, farther = one.states[drawn] - one.states[0], other.states[drawn] - other.states[0]
+    keeps_sign = [i for i in range(shape_map.N) if i not in (shape_map.Z.MU, shape_map.Z.DAMPING)]
+    np.testing.assert_allclose(farther[:, keeps_sign], 3.0 * away[:, keeps_sign], rtol=1e-6)
+    np.testing.assert_allclose(other.h_sd, 3.0 * one.h_sd)
