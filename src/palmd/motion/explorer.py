@@ -27,8 +27,9 @@ from palmd.motion.segments import Angles, Move
 
 LOOPS, SINGLE_MOVES = 128, 64  # sequences tried
 MOVES, HORIZON_S = 5, 8.0  # of each: a round and a bit more, looked at so far ahead
-# Each time that so long nothing new has been touched, sequences become longer: it takes more rounds to get on.
-SLOW_S, MORE_MOVES, MORE_S, SLOWEST = 5.0, 3, 4.0, 2
+# Each time that so long nothing new has been touched, sequences become longer, what they lead to counts more than how
+# soon, and one bin, drawn at random, is headed for: small steps towards the nearest one have led to a corner.
+SLOW_S, MORE_MOVES, MORE_S, PATIENCE_S, SLOWEST = 4.0, 3, 4.0, 3.0, 2
 CHECKED = 6  # of the best sequences, on all samples
 LEAST_FORCE = 0.8  # m/s², of a contact: one that rests has several
 MARGIN_M = 3e-3  # of the contacts from a pad's ends
@@ -110,6 +111,7 @@ class Explorer:
         ended = self._ended(outlook, coverage)
         if ended:
             return Decision("done", None, ended, coverage, reachable)
+        self._t = outlook.t
         self._patience = min(int((outlook.t - self._t_new) / SLOW_S), SLOWEST)
         states, touched, safe = self._after(outlook, under_way)
         if not safe:
@@ -128,6 +130,7 @@ class Explorer:
         self._reach: Bools = np.ones(BINS, dtype=np.bool_)
         self._t_seen = self._t_new = -math.inf
         self._most = self._patience = 0
+        self._aimed_at = (-1, 0)  # when, and at which bin
         self._kept = None
 
     def _see(self, outlook: Outlook) -> None:
@@ -252,12 +255,23 @@ class Explorer:
     ) -> FloatArray:
         """What each beginning of each sequence brings in a second (N, k), −inf where it is not safe."""
         gain = foreseen.touched @ wanted
-        time_s = np.cumsum(tried.durations, axis=1) + DECISION_S
+        time_s = np.cumsum(tried.durations, axis=1) + DECISION_S + self._patience * PATIENCE_S
         psi = state[shape_map.Z.PSI]
         nearer = _distance(_normals(start, psi), wanted) - _distance(foreseen.normals, wanted)
-        turned = _distance(_normals(UPRIGHT, psi), wanted) - _distance(_normals(UPRIGHT, foreseen.psi), wanted)
-        score = (gain + APPROACH * (nearer + turned) * (BINS / (2 * np.pi))) / time_s
+        aim = self._aim(wanted) if self._patience else wanted
+        turned = _distance(_normals(UPRIGHT, psi), aim) - _distance(_normals(UPRIGHT, foreseen.psi), aim)
+        approach = turned if self._patience else nearer + turned
+        score = (gain + APPROACH * approach * (BINS / (2 * np.pi))) / time_s
         return np.where(self._is_safe(foreseen), score, -np.inf)
+
+    def _aim(self, wanted: FloatArray) -> FloatArray:
+        """One of the wanted bins, the same one for `SLOW_S`."""
+        now = int((self._t - self._t_new) / SLOW_S)
+        if now != self._aimed_at[0] or not wanted[self._aimed_at[1]]:
+            self._aimed_at = now, int(self._random.choice(np.flatnonzero(wanted))) if wanted.any() else 0
+        aim = np.zeros(BINS)
+        aim[self._aimed_at[1]] = wanted[self._aimed_at[1]]
+        return aim
 
     def _is_safe(self, foreseen: Foreseen) -> Bools:
         safe: Bools = (
