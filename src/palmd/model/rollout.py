@@ -22,7 +22,7 @@ COLUMNS = 32
 SUBSTEPS = 4
 STEP_S = 0.01
 MOVE_INPUTS = 6  # φ1, φ2 at the start and at the end, duration, time since the start
-TOLD = 6  # ψ, ω0, f1, f2, s1, s2
+TOLD = 8  # ψ, ω0, f1, f2, s1, s2, θ1, θ2
 
 
 def palms_on(move: SX, t: SX) -> Palms:
@@ -56,7 +56,8 @@ def _step_function() -> ca.Function:
     after, palms = ca.vertcat(moving, x[2:]), palms_on(move, SX(STEP_S))
     one, two = _contacts(after, palms)
     motion = newton_euler(palms, moving[1], one, two, body, rig)
-    told = ca.vertcat(moving, motion.f1, motion.f2, *readings(palms.phi2, one, two))
+    normals = normal_directions(palms.phi1, palms.phi2, moving[Z.PSI])
+    told = ca.vertcat(moving, motion.f1, motion.f2, *readings(palms.phi2, one, two), *normals)
     return ca.Function("step", [x, move, rig], [after, told])
 
 

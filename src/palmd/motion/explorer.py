@@ -19,6 +19,7 @@ from palmd.events import FloatArray, Outlook, RigDescription
 from palmd.model import shape_map
 from palmd.model.named import rig_inputs
 from palmd.model.shape import COEFFICIENTS, basis
+from palmd.model.stable_poses import normals
 from palmd.model.stable_surface import SurfaceLimits, stable_surface
 from palmd.motion import candidates
 from palmd.motion.foresight import BINS, Bools, Foreseen, Foresight, Moves
@@ -194,41 +195,37 @@ class Explorer:
             return states, outlook.touched, True
         ends, durations = np.tile(np.array(move.end), (count, 1, 1)), np.full((count, 1), move.duration)
         foreseen = self._foresight.of(states, Moves(np.array(move.start), ends, durations), under_way.elapsed)
-        safe = (foreseen.least_force[:, 0] > 0.0) & (foreseen.nearest[:, 0] > 0.0)
-        safe &= foreseen.farthest[:, 0] < self._limits.pad_length
         states[:, shape_map.Z.PSI], states[:, shape_map.Z.OMEGA0] = foreseen.psi[:, 0], foreseen.omega0[:, 0]
-        return states, outlook.touched | foreseen.touched[0, 0], bool(safe.all())
+        return states, outlook.touched | foreseen.touched[0, 0], bool((self._goodness(foreseen) > 0.0).all())
 
     def _choose(self, states: FloatArray, tried: Moves, touched: Bools, worth: FloatArray) -> Move | None:
-        start = tried.start
         wanted = np.where(touched, 0.0, worth) if self._goal.band_mm is None else worth
         foreseen = self._foresight.of(states[0], tried, 0.0, HORIZON_S + self._patience * MORE_S)
-        score = self._score(foreseen, tried, states[0], start, wanted)
+        score = self._score(foreseen, tried, states[0], wanted)
         best = np.argsort(-score.max(axis=1), kind="stable")[:CHECKED]
         best = best[np.isfinite(score[best].max(axis=1))]
         for number in best:
             if self._safe_for_all(states, tried, int(number)):
-                rest = tried.some(best[best == number])
-                self._kept = Moves(rest.ends[0, 0], rest.ends[:, 1:], rest.durations[:, 1:])
+                ends, durations = tried.ends[number], tried.durations[number]
+                self._kept = Moves(ends[0], ends[None, 1:], durations[None, 1:])
                 return _first_move(tried, int(number))
         self._kept = None
-        return self._least_bad(foreseen, tried, states[0], start)
+        return self._least_bad(foreseen, tried, states[0])
 
-    def _least_bad(self, foreseen: Foreseen, tried: Moves, state: FloatArray, start: FloatArray) -> Move | None:
+    def _least_bad(self, foreseen: Foreseen, tried: Moves, state: FloatArray) -> Move | None:
         """The first move that comes nearest to being safe, if standing still is worse."""
-        still = Moves(start, start[None, None], np.full((1, 1), STAND_S))
-        standing = self._goodness(self._foresight.of(state, still))[0]
-        goodness = self._goodness(foreseen)
+        still = Moves(tried.start, tried.start[None, None], np.full((1, 1), STAND_S))
+        standing = self._goodness(self._foresight.of(state, still))[0, 0]
+        goodness = self._goodness(foreseen)[:, 0]
         for number in np.argsort(-goodness, kind="stable")[:CHECKED]:
             if goodness[number] > standing and self._within_limits(_first_move(tried, int(number))):
                 return _first_move(tried, int(number))
         return None
 
     def _goodness(self, foreseen: Foreseen) -> FloatArray:
-        """How safe first moves (N,) are: 1 is as near to danger as allowed, 0 a contact lost or off its pad."""
-        end = self._limits.pad_length - foreseen.farthest[:, 0]
-        margins = np.minimum(foreseen.nearest[:, 0], end) / MARGIN_M
-        goodness: FloatArray = np.minimum(margins, foreseen.least_force[:, 0] / LEAST_FORCE)
+        """How safe it is up to the end of each move (N, k): 1 as near to danger as allowed, 0 a contact lost or off."""
+        margins = np.minimum(foreseen.nearest, self._limits.pad_length - foreseen.farthest) / MARGIN_M
+        goodness: FloatArray = np.minimum(margins, foreseen.least_force / LEAST_FORCE)
         return goodness
 
     def _tried(self, start: FloatArray, limits: MotionLimits) -> Moves:
@@ -250,19 +247,17 @@ class Explorer:
         ends, durations = (np.concatenate([getattr(part, name) for part in parts]) for name in ("ends", "durations"))
         return Moves(start, ends, durations)
 
-    def _score(
-        self, foreseen: Foreseen, tried: Moves, state: FloatArray, start: FloatArray, wanted: FloatArray
-    ) -> FloatArray:
+    def _score(self, foreseen: Foreseen, tried: Moves, state: FloatArray, wanted: FloatArray) -> FloatArray:
         """What each beginning of each sequence brings in a second (N, k), −inf where it is not safe."""
         gain = foreseen.touched @ wanted
         time_s = np.cumsum(tried.durations, axis=1) + DECISION_S + self._patience * PATIENCE_S
         psi = state[shape_map.Z.PSI]
-        nearer = _distance(_normals(start, psi), wanted) - _distance(foreseen.normals, wanted)
+        nearer = _distance(_normals(tried.start, psi), wanted) - _distance(foreseen.normals, wanted)
         aim = self._aim(wanted) if self._patience else wanted
         turned = _distance(_normals(UPRIGHT, psi), aim) - _distance(_normals(UPRIGHT, foreseen.psi), aim)
         approach = turned if self._patience else nearer + turned
         score = (gain + APPROACH * approach * (BINS / (2 * np.pi))) / time_s
-        return np.where(self._is_safe(foreseen), score, -np.inf)
+        return np.where(self._goodness(foreseen) > 1.0, score, -np.inf)
 
     def _aim(self, wanted: FloatArray) -> FloatArray:
         """One of the wanted bins, the same one for `SLOW_S`."""
@@ -273,14 +268,6 @@ class Explorer:
         aim[self._aimed_at[1]] = wanted[self._aimed_at[1]]
         return aim
 
-    def _is_safe(self, foreseen: Foreseen) -> Bools:
-        safe: Bools = (
-            (foreseen.least_force > LEAST_FORCE)
-            & (foreseen.nearest > MARGIN_M)
-            & (foreseen.farthest < self._limits.pad_length - MARGIN_M)
-        )
-        return safe
-
     def _safe_for_all(self, states: FloatArray, tried: Moves, number: int) -> bool:
         """Whether no sample of the object loses a contact on the first move, nor if the palms then stand still."""
         first = _first_move(tried, number)
@@ -288,7 +275,7 @@ class Explorer:
             return False
         count, end = len(states), np.array(first.end)
         ends, durations = np.tile(end, (count, 2, 1)), np.tile([first.duration, STAND_S], (count, 1))
-        goodness = self._goodness(self._foresight.of(states, Moves(tried.start, ends, durations)).last())
+        goodness = self._goodness(self._foresight.of(states, Moves(tried.start, ends, durations)))[:, -1]
         return bool(goodness[0] > 1.0 and goodness.min() > DOUBTFUL)
 
     def _within_limits(self, move: Move) -> bool:
@@ -314,16 +301,16 @@ def _within(wish: tuple[float, float], limit: tuple[float, float]) -> tuple[floa
 
 
 def _normals(pose: FloatArray, psi: FloatArray | float) -> FloatArray:
-    """θ1, θ2 (…, 2) of an object at ψ (rad) between palms at `pose` (rad): (3.1)."""
-    return np.stack([pose[0] - psi - np.pi / 2, pose[0] + pose[1] - psi - 3 * np.pi / 2], axis=-1)
+    """Both outward normals (…, 2) of an object at ψ (rad) between palms at `pose` (rad)."""
+    return np.stack(normals(pose[0], pose[1], np.asarray(psi)), axis=-1)
 
 
-def _distance(normals: FloatArray, wanted: FloatArray) -> FloatArray:
+def _distance(theta: FloatArray, wanted: FloatArray) -> FloatArray:
     """From the nearer of both normals (…, 2) to the nearest bin that is wanted (rad), (…); 0 where nothing is."""
     middles = _MIDDLES[wanted > 0.0]
     if not len(middles):
-        return np.zeros(normals.shape[:-1])
-    apart = np.abs(np.remainder(normals[..., None] - middles + np.pi, 2 * np.pi) - np.pi)
+        return np.zeros(theta.shape[:-1])
+    apart = np.abs(np.remainder(theta[..., None] - middles + np.pi, 2 * np.pi) - np.pi)
     distance: FloatArray = apart.min(axis=(-1, -2))
     return distance
 

@@ -50,10 +50,6 @@ class Foreseen:
     omega0: FloatArray
     normals: FloatArray
 
-    def last(self) -> Foreseen:
-        """Up to the end of the last moves only, (N, 1)."""
-        return Foreseen(*(getattr(self, name)[:, -1:] for name in Foreseen.__slots__))
-
 
 class Foresight:
     """Rolls the dynamic model forward; holds the kernel's memory."""
@@ -90,10 +86,8 @@ class Foresight:
         points = np.concatenate([np.broadcast_to(moves.start, (COLUMNS, 1, 2)), ends], axis=1)
         calls = max(int(np.ceil((min(finished[:, -1].max(), horizon_s) - 1e-9) / CALL_S)), 1)
         told = np.empty((COLUMNS, calls * SUBSTEPS, TOLD))
-        palms = np.empty((COLUMNS, calls * SUBSTEPS, 2))
         leg_of = np.empty((COLUMNS, calls), dtype=np.intp)
         self._x[:] = states[filled]
-        within = (np.arange(SUBSTEPS) + 1) * STEP_S
         for call in range(calls):
             t = call * CALL_S
             leg = np.minimum((finished <= t + 1e-9).sum(axis=1), k - 1)
@@ -102,29 +96,18 @@ class Foresight:
             self._move[:, 0:2], self._move[:, 2:4] = points[rows, leg], points[rows, leg + 1]
             self._move[:, 4], self._move[:, 5] = durations[rows, leg], t - begun
             self._roll()
-            at = slice(call * SUBSTEPS, (call + 1) * SUBSTEPS)
-            told[:, at] = self._told
-            u = (
-                np.clip((t - begun)[:, None] + within, 0.0, durations[rows, leg][:, None])
-                / durations[rows, leg][:, None]
-            )
-            share = u**3 * (10 + u * (6 * u - 15))
-            palms[:, at] = (
-                points[rows, leg][:, None] + (points[rows, leg + 1] - points[rows, leg])[:, None] * share[..., None]
-            )
+            told[:, call * SUBSTEPS : (call + 1) * SUBSTEPS] = self._told
             self._x[:, :2] = self._moved
-        return _foreseen(told[:n], palms[:n], np.repeat(leg_of[:n], SUBSTEPS, axis=1), finished[:n], k)
+        return _foreseen(told[:n], np.repeat(leg_of[:n], SUBSTEPS, axis=1), finished[:n], k)
 
 
-def _foreseen(told: FloatArray, palms: FloatArray, leg: npt.NDArray[np.intp], finished: FloatArray, k: int) -> Foreseen:
+def _foreseen(told: FloatArray, leg: npt.NDArray[np.intp], finished: FloatArray, k: int) -> Foreseen:
     n, steps, _ = told.shape
     live = np.arange(steps) * STEP_S < finished[:, -1:] - 1e-9
     rows = np.broadcast_to(np.arange(n)[:, None], (n, steps))
-    theta = np.stack(
-        [palms[..., 0] - told[..., 0] - np.pi / 2, palms.sum(axis=-1) - told[..., 0] - 3 * np.pi / 2], axis=-1
-    )
+    theta = told[..., 6:8]
     turned = np.remainder(np.where(np.isfinite(theta), theta, 0.0), 2 * np.pi)  # where it diverged it is no bin's
-    bins = np.floor(turned / _BIN_RAD).astype(np.intp) % BINS  # (3.1)
+    bins = np.floor(turned / _BIN_RAD).astype(np.intp) % BINS
     touched = np.zeros((n, k, BINS), dtype=np.bool_)
     for contact in range(2):
         touched[rows[live], leg[live], bins[..., contact][live]] = True

@@ -18,6 +18,7 @@ from palmd.events import FloatArray
 from palmd.model import quasistatic as qs
 from palmd.model import shape
 from palmd.model.adams import AdamsBashforthMoulton
+from palmd.model.stable_poses import normals
 from palmd.observer.prior import RADIUS_SD
 
 MEANS, BALANCES = 24, 9  # of the grid of beginnings
@@ -138,7 +139,7 @@ class Beginnings:
 
     def _note(self, felt: qs.Felt) -> None:
         r1, r2, psi = self.state[:3]
-        theta = np.stack([felt.phi1 - psi - math.pi / 2, felt.phi12 - psi - 3 * math.pi / 2], axis=1)  # (3.1)
+        theta = np.stack(normals(np.asarray(felt.phi1), np.asarray(felt.phi2), psi), axis=1)
         d = np.stack(qs.offsets(felt, r1, r2), axis=1)
         flat = theta.ravel()
         rows = np.concatenate(
