@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Sequence
-from contextlib import ExitStack
 from pathlib import Path
 
-from palmd.cli import INTERRUPTED
-from palmd.cli.bench_montecarlo import ALL, count, seconds, seed
+from palmd.cli.arguments import count, seconds, seed
+from palmd.cli.bench_montecarlo import ALL
 from palmd.cli.extras import only_without
-from palmd.cli.progress import Progress
-from palmd.cli.rows import ROWS, rewrite, terminable, writable, write
+from palmd.cli.rows import ROWS, Sink, collected, on_this_machine, rewrite
 from palmd.rig.shapes import KINDS
-from palmd.study import exploring, runs
+from palmd.study import exploring
 from palmd.study.exploring import Row
 from palmd.study.exploring_summary import remarks, table
 from palmd.study.scoring import as_line
@@ -37,21 +34,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Interrupted, it ends with what is finished until then; CliError when it cannot begin."""
     kinds = KINDS if arguments.kind == ALL else (arguments.kind,)
     tasks = exploring.tasks_of(kinds, arguments.seed, arguments.runs, arguments.seconds)
-    finished: list[Row] = []
-    status = 0
     path = arguments.output / ROWS
-    try:
-        with terminable(), ExitStack() as stack:
-            stream = writable(stack, path)
-            executor = stack.enter_context(runs.local(arguments.jobs or os.cpu_count() or 1))
-            progress = stack.enter_context(Progress("exploring", len(tasks), "runs"))
-            for row in runs.finished(executor, exploring.run, exploring.failed, tasks):
-                write(stream, [as_line(row)])
-                finished.append(row)
-                progress.at(len(finished))
-    except KeyboardInterrupt:
-        print(f"interrupted: {len(finished)} of {len(tasks)} runs are finished", file=sys.stderr)
-        status = INTERRUPTED
+    finished, status = collected(
+        "exploring", tasks, exploring.run, exploring.failed, on_this_machine(arguments.jobs), Sink[Row](path, as_line)
+    )
     if finished:
         _conclude(exploring.in_order(finished), path)
     return status

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import os
-import sys
 
-from palmd.cli import INTERRUPTED
-from palmd.cli.bench_montecarlo import ALL, count, seconds, seed
-from palmd.cli.progress import Progress
+from palmd.cli.arguments import count, seconds, seed
+from palmd.cli.bench_montecarlo import ALL
+from palmd.cli.rows import collected, on_this_machine
 from palmd.rig.shapes import KINDS
-from palmd.study import recognition, runs
-from palmd.study.recognition import Row, remarks, table
+from palmd.study import recognition
+from palmd.study.recognition import remarks, table
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,19 +26,9 @@ def run(arguments: argparse.Namespace) -> int:
     """Interrupted, it tells of what is finished until then."""
     kinds = KINDS if arguments.kind == ALL else (arguments.kind,)
     tasks = recognition.tasks_of(kinds, arguments.seed, arguments.runs, arguments.seconds)
-    finished: list[Row] = []
-    status = 0
-    try:
-        with (
-            runs.local(arguments.jobs or os.cpu_count() or 1) as executor,
-            Progress("recognition", len(tasks), "runs") as progress,
-        ):
-            for row in runs.finished(executor, recognition.run, recognition.failed, tasks):
-                finished.append(row)
-                progress.at(len(finished))
-    except KeyboardInterrupt:
-        print(f"interrupted: {len(finished)} of {len(tasks)} runs are finished", file=sys.stderr)
-        status = INTERRUPTED
+    finished, status = collected(
+        "recognition", tasks, recognition.run, recognition.failed, on_this_machine(arguments.jobs)
+    )
     rows = sorted(finished, key=lambda row: (KINDS.index(row.kind), row.seed))
     if rows:
         print(table(rows))

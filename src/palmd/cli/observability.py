@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 
-from palmd.cli.bench_montecarlo import count, seed
+from palmd.cli.arguments import count, seed
 from palmd.cli.errors import BAD_INPUT, CliError
 from palmd.cli.extras import only_without
 from palmd.study.observability import GRAVITY_M_S2, LENGTH_M, Verdict, judged, random_states

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from palmd.cli.arguments import seed
 from palmd.cli.logs import opened, read
 from palmd.observer.reconstruct import Reconstruction, reconstruct
 from palmd.observer.rest import mass_at_rest
@@ -22,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     parser.add_argument("log", type=Path, metavar="LOG", help="an event log (JSON lines)")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="RESULT.json", help="- for standard output")
-    parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of the blind start (default: %(default)s)")
+    parser.add_argument("--seed", type=seed, default=0, metavar="N", help="of the blind start (default: %(default)s)")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -66,10 +67,3 @@ def _said(text: str) -> Iterator[None]:
         yield
     finally:
         print("\r\x1b[K", end="", file=sys.stderr, flush=True)
-
-
-def _seed(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"{value} is negative")
-    return value

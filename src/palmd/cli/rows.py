@@ -1,18 +1,71 @@
-"""The rows of a study in a file of JSON lines: each as soon as it is there, all in order in the end."""
+"""A study's runs, and their rows in a file of JSON lines: each as soon as it is there, all in order in the end."""
 
 from __future__ import annotations
 
 import json
+import os
 import signal
-from collections.abc import Iterable, Iterator
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Any, TextIO
+from typing import Any, Generic, TextIO, TypeVar
 
+from palmd.cli import INTERRUPTED
 from palmd.cli.errors import BAD_INPUT, CliError
+from palmd.cli.progress import Progress
+from palmd.study import runs
 
 ROWS = "runs.jsonl"
+
+Task = TypeVar("Task")
+Row = TypeVar("Row")
+
+
+@dataclass(frozen=True)
+class Sink(Generic[Row]):
+    """Where each row goes as soon as it is finished: a study takes hours."""
+
+    path: Path
+    as_line: Callable[[Row], dict[str, Any]]
+
+
+def collected(
+    what: str,
+    tasks: Sequence[Task],
+    work: Callable[[Task], Row],
+    failed: Callable[[Task, BaseException], Row],
+    workers: Callable[[ExitStack], Executor],
+    sink: Sink[Row] | None = None,
+) -> tuple[list[Row], int]:
+    """The rows of a study's runs as they are finished, and the exit status: interrupted, those until then.
+
+    The workers come first, so that rows of an earlier study outlive a wrong address. Raises what `workers` raises, and
+    CliError when the rows cannot be written.
+    """
+    finished: list[Row] = []
+    try:
+        with terminable(), ExitStack() as stack:
+            executor = workers(stack)
+            stream = None if sink is None else writable(stack, sink.path)
+            progress = stack.enter_context(Progress(what, len(tasks), "runs"))
+            for row in runs.finished(executor, work, failed, tasks):
+                if sink is not None and stream is not None:
+                    write(stream, [sink.as_line(row)])
+                finished.append(row)
+                progress.at(len(finished))
+    except KeyboardInterrupt:
+        print(f"interrupted: {len(finished)} of {len(tasks)} runs are finished", file=sys.stderr)
+        return finished, INTERRUPTED
+    return finished, 0
+
+
+def on_this_machine(jobs: int | None) -> Callable[[ExitStack], Executor]:
+    """Workers for `collected`: so many processes, by default one a processor."""
+    return lambda stack: stack.enter_context(runs.local(jobs or os.cpu_count() or 1))
 
 
 def writable(stack: ExitStack, path: Path) -> TextIO:

@@ -1,0 +1,32 @@
+"""Kinds of arguments that several commands share; argparse tells what is wrong with one."""
+
+from __future__ import annotations
+
+import argparse
+import math
+
+_SHORTEST_S = 0.5
+
+
+def count(text: str) -> int:
+    """A whole number from 1."""
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{value} is less than 1")
+    return value
+
+
+def seed(text: str) -> int:
+    """A whole number from 0."""
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{value} is negative")
+    return value
+
+
+def seconds(text: str) -> float:
+    """A duration that leaves something to see (s)."""
+    value = float(text)
+    if not _SHORTEST_S <= value < math.inf:
+        raise argparse.ArgumentTypeError(f"{value:g} s is no duration from {_SHORTEST_S:g} s")
+    return value
