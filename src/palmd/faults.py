@@ -271,6 +271,18 @@ FAULTS: tuple[Fault, ...] = (
         "if it comes often: take load off this machine or give palmd real-time priority",
     ),
     Fault(
+        "recorder-failed",
+        Severity.NOTE,
+        "the run is not being recorded: the recorder cannot write",
+        "status tells why: make room on the disk, or let palmd write to record.directory; it tries again by itself",
+    ),
+    Fault(
+        "recorder-silent",
+        Severity.NOTE,
+        "the recorder has not been heard for 3 s",
+        "start it again with palmd record; what it has written is safe, palmd recover packs it",
+    ),
+    Fault(
         "vm-backend",
         Severity.NOTE,
         "the models run on CasADi's virtual machine, several times slower than compiled",

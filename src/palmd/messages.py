@@ -12,7 +12,18 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from palmd.events import DECIDED, Estimate, ObjectEstimate, PalmMotion, ShapeEstimate
+from palmd.events import (
+    DECIDED,
+    Estimate,
+    Event,
+    FloatArray,
+    ObjectEstimate,
+    PadLift,
+    PadSample,
+    PalmMotion,
+    PalmSample,
+    ShapeEstimate,
+)
 from palmd.faults import Fault
 
 SCHEMA = 1
@@ -179,6 +190,7 @@ LOOP = Topic(
             for what, meaning in (("lateness", "how late a tick began"), ("work", "how long a tick took"))
             for part, words in (("p50", "median"), ("p99", "99th percentile"), ("max", "largest"))
         ),
+        Field("lateness_ms", "numbers", "ms", "how late each tick of the last second began, in their order"),
         *(
             Field(f"{port}_*", "number", "", f"what has passed on the {port} port since the start, by cause")
             for port in ("pad1", "pad2", "arm")
@@ -206,7 +218,42 @@ INFO = Topic(
         Field("units", "text", "", "where the units are"),
     ),
 )
-TOPICS: tuple[Topic, ...] = (ESTIMATE, SHAPE, OBJECT, CONTACT, MOTION, STATE, LOOP, INFO)
+_TICK = Field("t_tick_s", "number", "s", "the tick's time, CLOCK_MONOTONIC, to the last bit")
+EVENTS = Topic(
+    "palm/events",
+    "every tick",
+    (
+        _TICK,
+        Field(
+            "source",
+            "numbers",
+            "",
+            "of each event that the observer was fed, in this order: 1 or 2 a reading of that pad, -1 or -2 the end "
+            "of its contact, 0 the palms",
+        ),
+        Field("t_sample_s", "numbers", "s", "when it was true, CLOCK_MONOTONIC"),
+        Field("s_m", "numbers", "m", "of a reading: contact, from the hinge"),
+        Field("force_n", "numbers", "N", "of a reading: normal force"),
+        *(Field(f"phi{i}_rad", "numbers", "rad", f"of the palms: phi{i} as measured") for i in (1, 2)),
+        *(Field(f"omega{i}_rad_s", "numbers", "rad/s", f"of the palms: rate of phi{i}, planned") for i in (1, 2)),
+        *(
+            Field(f"alpha{i}_rad_s2", "numbers", "rad/s²", f"of the palms: acceleration of phi{i}, planned")
+            for i in (1, 2)
+        ),
+    ),
+)
+IMPROVEMENT = Topic(
+    "palm/improvement",
+    "when the smoother beside the loop has answered",
+    (
+        _TICK,
+        Field("t_s", "number", "s", "what instant the answer is about, CLOCK_MONOTONIC"),
+        Field("x", "numbers", "SI", "mean of the shape map's state"),
+        Field("covariance", "numbers", "SI", "of that state, row after row"),
+    ),
+)
+TOPICS: tuple[Topic, ...] = (ESTIMATE, SHAPE, OBJECT, CONTACT, MOTION, STATE, LOOP, INFO, EVENTS, IMPROVEMENT)
+_EVENT_COLUMNS = tuple(field.name for field in EVENTS.fields if field is not _TICK)
 UNITS = "SI; each name ends in its unit: _m _rad _rad_s _kg _n _s _ms _ns _hz _mb"
 
 
@@ -264,6 +311,46 @@ def object_fields(estimate: ObjectEstimate) -> Fields:
         "best": estimate.best,
         "object": estimate.object_count,
     }
+
+
+_NONE = (math.nan,) * 8
+
+
+def events_fields(t: float, events: Iterable[Event]) -> Fields:
+    """`palm/events`: what the observer was fed in the tick at `t` (s), in this order; None becomes NaN."""
+    rows = [_event_row(event) for event in events]
+    columns = zip(*rows, strict=True) if rows else ((),) * len(_EVENT_COLUMNS)
+    return {"t_tick_s": t} | dict(zip(_EVENT_COLUMNS, map(list, columns), strict=True))
+
+
+def events_of(fields: Mapping[str, Any]) -> tuple[Event, ...]:
+    """The events that `events_fields` was given, bit for bit; raises KeyError, ValueError for other fields."""
+    return tuple(_event(*row) for row in zip(*(fields[name] for name in _EVENT_COLUMNS), strict=True))
+
+
+def _event_row(event: Event) -> tuple[float, ...]:
+    if isinstance(event, PadSample):
+        force = math.nan if event.force is None else event.force
+        return (event.pad, event.t_sample, event.s, force, *_NONE[:6])
+    if isinstance(event, PadLift):
+        return (-event.pad, event.t_sample, *_NONE)
+    planned = (event.omega1, event.omega2, event.alpha1, event.alpha2)
+    rates = [math.nan if value is None else value for value in planned]
+    return (0, event.t_sample, *_NONE[:2], event.phi1, event.phi2, *rates)
+
+
+def _event(source: int, t: float, s: float, force: float, phi1: float, phi2: float, *rates: float) -> Event:
+    if source == 0:
+        return PalmSample(t, phi1, phi2, *(None if math.isnan(rate) else rate for rate in rates))
+    if abs(source) not in (1, 2):
+        raise ValueError(f"source is {source}; it is 0, 1, 2, -1 or -2")
+    pad: Literal[1, 2] = 1 if abs(source) == 1 else 2
+    return PadLift(t, pad) if source < 0 else PadSample(t, pad, s, None if math.isnan(force) else force)
+
+
+def improvement_fields(t_tick: float, t: float, x: FloatArray, covariance: FloatArray) -> Fields:
+    """`palm/improvement`: mean (n) and covariance (n, n) about `t` (s), taken in the tick at `t_tick` (s)."""
+    return {"t_tick_s": t_tick, "t_s": t, "x": x.tolist(), "covariance": covariance.ravel().tolist()}
 
 
 @dataclass(frozen=True, slots=True)

@@ -63,6 +63,11 @@ class Process:
     def alive(self):
         return self._popen.poll() is None
 
+    @property
+    def number(self):
+        """Of the process."""
+        return self._popen.pid
+
     def first_line(self):
         """The first line of its standard output."""
 
@@ -195,8 +200,8 @@ class Bench:
     The configured ports are links of steady names, as udev makes them; a rig that is started anew gets them.
     """
 
-    def __init__(self, folder, seed=3, **changes):
-        """`changes` go into the daemon's configuration and not into the rig's."""
+    def __init__(self, folder, seed=3, record=False, **changes):
+        """`changes` go into the daemon's configuration and not into the rig's; `record` has it start its recorder."""
         self.folder = folder
         self.config = folder / "palmd.yaml"
         self.ports = {name: folder / name for name in ("pad1", "pad2", "arm")}
@@ -205,7 +210,7 @@ class Bench:
         (folder / "lively.yaml").write_text(PLAN)
         try:
             self.start_rig()
-            self.start_daemon(**changes)
+            self.start_daemon(record, **changes)
         except BaseException:
             self.close()
             raise
@@ -227,12 +232,13 @@ class Bench:
         self._truth, self._rig_folder = found["truth"], Path(found["arm"]).parent
         self.hand = self._closes(Client(found["control"]), Client.close)
 
-    def start_daemon(self, **changes):
-        """The daemon, with sockets of its own."""
+    def start_daemon(self, record=False, **changes):
+        """The daemon, with sockets of its own, and its recorder if that is wanted."""
         publish, self.command = (f"tcp://127.0.0.1:{port}" for port in free_ports(2))
         settings = self._settings() | {"bus": {"publish": publish, "command": self.command}}
         self.config.write_text(yaml.safe_dump(merged(settings, changes)))
-        self.daemon = self._closes(Process(self.folder, "run", self.config), Process.kill)
+        quietly = () if record else ("--no-record",)
+        self.daemon = self._closes(Process(self.folder, "run", self.config, *quietly), Process.kill)
         self.client = self._closes(Client(self.command), Client.close)
         self.stranger = self._closes(Client(self.command), Client.close)
         self.listener = self._closes(Listener(publish), Listener.close)
@@ -394,9 +400,9 @@ def merged(settings, changes):
     }
 
 
-def wait(look, what, pause_s=_LOOK_S):
+def wait(look, what, pause_s=_LOOK_S, patience_s=GENEROUS_S):
     """What `look` returns, once it is true."""
-    deadline = time.monotonic() + GENEROUS_S
+    deadline = time.monotonic() + patience_s
     while not (found := look()):
         if time.monotonic() > deadline:
             raise AssertionError(f"waited in vain for {what() if callable(what) else what}")

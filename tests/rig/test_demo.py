@@ -14,6 +14,7 @@ import pytest
 import zmq
 
 from palmd.cli.bus import COMMAND, PUBLISH
+from palmd.record.run import read_run
 
 pytestmark = pytest.mark.rig
 
@@ -27,15 +28,18 @@ SUMMARY = re.compile(
 
 
 class Demo:
-    """The command, marked so that every process of it can be found, with a folder of its own for what is temporary."""
+    """The command, marked so that every process of it can be found, with a folder of its own for what is temporary.
 
-    def __init__(self, folder, *arguments):
-        self._mark, self._folder = f"PALMD_TEST={uuid.uuid4()}", folder
+    It is called in the folder `here`.
+    """
+
+    def __init__(self, folder, here, *arguments):
+        self._mark, self._folder, self.here = f"PALMD_TEST={uuid.uuid4()}", folder, here
         name, value = self._mark.split("=")
         self.process = subprocess.Popen(
             [sys.executable, "-m", "palmd", "demo", "--no-browser", *arguments],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-            env=os.environ | {name: value, "TMPDIR": str(folder)},
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=self.here,
+            env=os.environ | {name: value, "TMPDIR": str(self._folder)},
         )  # fmt: skip
 
     def wait_for(self, text):
@@ -69,11 +73,11 @@ class Demo:
 
 
 @pytest.fixture
-def demo(tmp_path):
+def demo(tmp_path, tmp_path_factory):
     started = []
 
     def start(*arguments):
-        started.append(Demo(tmp_path, *arguments))
+        started.append(Demo(tmp_path, tmp_path_factory.mktemp("here"), *arguments))
         return started[-1]
 
     yield start
@@ -102,7 +106,21 @@ def test_it_runs_beside_busy_ports_and_ends_by_itself_with_a_summary(demo):
     assert (status, bool(SUMMARY.fullmatch(out))) == (0, True), out + err
     assert "palmd top --address tcp://127.0.0.1:" in err
     assert " 7 s  tracking" in err
+    (path,) = (running.here / "runs").iterdir()
+    assert f"recorded in {path}\n" in err
+    run = read_run(path)
+    assert run.complete
+    survey = run.survey()
+    assert {"palm/events", "palm/estimate", "rig/truth", "rig/object"} <= set(survey)
+    assert all(found.missing == 0 for found in survey.values())
+    assert survey["palm/estimate"].first == 0
     assert time.monotonic() - begun > 8.0
+
+
+def test_nothing_is_recorded_when_that_is_not_wanted(demo):
+    running = demo("--seconds", "1", "--seed", "3", "--no-record")
+    running.end()
+    assert list(running.here.iterdir()) == []
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -6,7 +6,7 @@ import msgpack
 import pytest
 import zmq
 
-from palmd.daemon.bus import COMMANDS_PER_TICK, Bus, BusError
+from palmd.daemon.bus import COMMANDS_PER_TICK, PUBLISHED_HIGH_WATER, Bus, BusError
 from palmd.daemon.commands import Reply
 from palmd.messages import INFO, STATE, info_fields, state_fields
 
@@ -144,6 +144,22 @@ def test_a_subscriber_that_does_not_listen_holds_nothing_up(rig):
     for _ in range(2000):
         rig.bus.publish(STATE, dict(fields), 0.0, 0.0)
     assert time.monotonic() - begun < 2.0
+
+
+def test_the_last_messages_leave_before_the_sockets_close(rig):
+    client = rig.client(zmq.SUB, rig.publish)
+    client.setsockopt(zmq.RCVHWM, 0)
+    client.subscribe(b"")
+    while not client.poll(20):
+        rig.bus.publish(INFO, info_fields("0", "h", "shape", 100.0), 0.0, 0.0)
+    count = PUBLISHED_HIGH_WATER // 10
+    for _ in range(count):
+        rig.bus.publish(STATE, {"state": "x" * 20_000}, 0.0, 0.0)
+    rig.bus.close()
+    seen = 0
+    while client.poll(500):
+        seen += client.recv_multipart()[0] == b"palm/state"
+    assert seen == count
 
 
 @pytest.mark.parametrize("key", ["publish", "command"])

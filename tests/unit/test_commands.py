@@ -12,7 +12,9 @@ def packed(**message) -> bytes:
     return msgpack.packb(message)
 
 
-@pytest.mark.parametrize("name", [name for name in COMMANDS if name != "plan"])
+@pytest.mark.parametrize(
+    "name", [name for name, spec in COMMANDS.items() if not any(a.required for a in spec.arguments)]
+)
 def test_every_command_is_understood(name):
     assert parse(packed(id=7, cmd=name), (b"x",)) == Request(name, {}, 7, (b"x",))
 
@@ -21,6 +23,8 @@ def test_arguments_are_passed_on():
     assert parse(packed(id="a", cmd="plan", args={"path": "p.yaml"})).args == {"path": "p.yaml"}
     assert parse(packed(id="a", cmd="jog", args={"phi1_deg": -0.25})).args == {"phi1_deg": -0.25}
     assert parse(packed(id=1, cmd="arm", args=None)).args == {}
+    told = {"bytes": 100, "messages": 3, "lost": 0, "path": "a.mcap"}
+    assert parse(packed(id=1, cmd="recorder", args=told)).args == told
 
 
 @pytest.mark.parametrize(

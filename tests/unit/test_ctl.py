@@ -105,6 +105,20 @@ def test_how_far_an_exploration_is_and_why_it_ended_is_told():
     assert "explored nothing yet: it has just begun" in told("status", STATUS | {"explored": nothing})
 
 
+def test_how_the_recorder_fares_is_told():
+    recorder = {"bytes": 4_800_000, "messages": 9392, "lost": 0, "path": "runs/a.mcap", "age_s": 0.4}
+    assert "record  runs/a.mcap, 9392 messages, 4.8 MB, 0 s ago" in told("status", STATUS | {"recorder": recorder})
+    failed = {"bytes": 0, "messages": 0, "lost": 7, "age_s": 0.4, "problem": "/runs: the disk is full"}
+    text = told("status", STATUS | {"recorder": failed})
+    assert "record  no file, 0 messages, 0.0 MB, 7 lost: /runs: the disk is full" in text
+
+
+def test_only_what_people_do_can_be_asked(capsys):
+    with pytest.raises(SystemExit):
+        main(["ctl", "recorder"])
+    assert "invalid choice: 'recorder'" in capsys.readouterr().err
+
+
 def test_a_refusal_is_told_and_ends_with_1(tmp_path, capsys):
     with daemon(tmp_path, refusing) as (address, _):
         assert main(["ctl", "arm", "--address", address]) == 1

@@ -53,6 +53,32 @@ def test_it_resets_a_fault_and_leaves_a_broken_rig_alone():
     assert Panel().decide({}, {}, 0.0) is None
 
 
+def seen(panel, *states):
+    for state, *severities in states:
+        panel.see({"state": state, "severities": severities})
+
+
+@pytest.mark.parametrize("wish", ["hold", "ready"])
+def test_it_leaves_alone_what_somebody_has_held_or_stopped_until_it_moves_again(wish):
+    panel = Panel()
+    seen(panel, ("ready",), ("tracking",), (wish,))
+    assert looks(panel, wish, segment=-1 if wish == "ready" else 0) == []
+    seen(panel, ("tracking",))
+    assert looks(panel, "tracking", segment=-1) == []  # armed by somebody, who has not started yet
+    assert looks(panel, "tracking", segment=0, until=0.2) == []
+    assert [command for _, command in looks(panel, "tracking", segment=-1, since=0.2, until=1.0)] == ["start"]
+
+
+@pytest.mark.parametrize("severity", ["hold", "stop"])
+def test_what_a_fault_has_held_or_stopped_is_nobodys_wish(severity):
+    panel = Panel()
+    seen(panel, ("tracking",), ("hold", "note", severity), ("hold",))
+    assert looks(panel, "hold", segment=0, until=1.0) == [(CALM_S, "start")]
+    panel = Panel()
+    seen(panel, ("tracking",), ("fault", "stop"), ("ready",))
+    assert looks(panel, "ready", until=0.5) == [(0.0, "arm")]
+
+
 # --------------------------------------------------------------------------------------------- the comparison
 
 THETA = np.arange(360) * (math.tau / 360)

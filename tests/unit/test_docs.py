@@ -22,7 +22,10 @@ def test_generated_pages_are_up_to_date() -> None:
 
 PAGES = [
     "README.md",
-    *(f"docs/{name}.md" for name in ("architecture", "theory", "paper", "limits", "calibration", "exploring")),
+    *(
+        f"docs/{name}.md"
+        for name in ("architecture", "theory", "paper", "limits", "calibration", "exploring", "subscribing")
+    ),
 ]
 
 

@@ -6,12 +6,16 @@ import math
 import msgpack
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from palmd.events import Estimate, ObjectEstimate, PalmMotion, ShapeEstimate
+from palmd.events import Estimate, ObjectEstimate, PadLift, PadSample, PalmMotion, PalmSample, ShapeEstimate
 from palmd.faults import TABLE
 from palmd.messages import (
     CONTACT,
     ESTIMATE,
+    EVENTS,
+    IMPROVEMENT,
     INFO,
     LOOP,
     MOTION,
@@ -23,6 +27,9 @@ from palmd.messages import (
     PadView,
     contact_fields,
     estimate_fields,
+    events_fields,
+    events_of,
+    improvement_fields,
     info_fields,
     motion_fields,
     object_fields,
@@ -68,6 +75,7 @@ def built():
         "ticks": 1,
         "overruns": 0,
         **{f"{a}_{b}_ms": 0.1 for a in ("lateness", "work") for b in ("p50", "p99", "max")},
+        "lateness_ms": [0.1, 0.2],
         "pad1_bytes_discarded": 3,
         "arm_crc_errors": 0,
         "bus_published": 1,
@@ -85,6 +93,8 @@ def built():
         STATE: state_fields("hold", [TABLE["pad1-port"], TABLE["vm-backend"]]),
         LOOP: loop,
         INFO: info_fields("0.1.0", "abc", "shape", 100.0),
+        EVENTS: events_fields(1.0, [PadSample(0.99, 1, 0.02), PadLift(0.995, 2), PalmSample(0.98, 0.5, 1.5)]),
+        IMPROVEMENT: improvement_fields(1.0, 0.8, np.arange(3.0), np.eye(3)),
     }
 
 
@@ -168,3 +178,32 @@ def test_validate_misses_what_is_missing():
     errors = validate(ESTIMATE, fields)
     assert any("r2_m is missing" in error for error in errors)
     assert any("mono_ns is missing" in error for error in errors)
+
+
+NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
+MAYBE = st.none() | NUMBERS
+PADS = st.sampled_from([1, 2])
+EVENT = st.one_of(
+    st.builds(PadSample, NUMBERS, PADS, NUMBERS, MAYBE),
+    st.builds(PadLift, NUMBERS, PADS),
+    st.builds(PalmSample, NUMBERS, NUMBERS, NUMBERS, MAYBE, MAYBE, MAYBE, MAYBE),
+)
+
+
+@given(NUMBERS, st.lists(EVENT, max_size=6))
+def test_events_come_back_from_the_wire_bit_for_bit(t, events):
+    fields = msgpack.unpackb(msgpack.packb(events_fields(t, events)))
+    back = events_of(fields)
+    assert back == tuple(events)
+    assert repr(back) == repr(tuple(events))  # the sign of zero counts too
+    assert fields["t_tick_s"] == t
+
+
+def test_events_of_other_fields_are_refused():
+    fields = events_fields(1.0, [PadSample(0.99, 1, 0.02), PadLift(0.99, 2)])
+    with pytest.raises(ValueError, match="source is 3"):
+        events_of(fields | {"source": [3, 1]})
+    with pytest.raises(ValueError, match="shorter"):
+        events_of(fields | {"s_m": [0.02]})
+    with pytest.raises(KeyError):
+        events_of({"source": []})

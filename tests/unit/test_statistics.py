@@ -15,6 +15,7 @@ def test_window_agrees_with_numpy(count):
     last = values[-100:]
     expected = [np.percentile(last, p, method="inverted_cdf") for p in (50, 99, 100)]
     assert window.summary() == pytest.approx(tuple(expected))
+    assert window.values() == list(last)
 
 
 def test_empty_window_has_zeros():
@@ -36,5 +37,6 @@ def test_loop_statistics_speak_milliseconds_and_count():
     assert fields["overruns"] == 2
     assert fields["lateness_p50_ms"] == pytest.approx(0.1)
     assert fields["lateness_max_ms"] == pytest.approx(5.0)
+    assert fields["lateness_ms"] == pytest.approx([0.1] * 99 + [5.0])
     assert fields["work_p99_ms"] == pytest.approx(1.0)
     assert fields["work_max_ms"] == pytest.approx(22.0)

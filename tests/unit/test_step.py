@@ -5,6 +5,7 @@ import math
 from concurrent.futures import Executor, Future
 from random import Random
 
+import numpy as np
 import pytest
 
 from palmd.config import ExploreGoal, ExploreSpec, PlanSpec
@@ -13,9 +14,10 @@ from palmd.daemon.exploring import OVERTIME_S
 from palmd.daemon.planner import Plan
 from palmd.daemon.step import Core
 from palmd.events import Estimate, PadLift, PadSample, PalmSample
-from palmd.messages import NAMED_STATE, validate
+from palmd.messages import EVENTS, IMPROVEMENT, NAMED_STATE, events_of, stamp, validate
 from palmd.motion.check import motion_limits
 from palmd.motion.plan import compile_plan
+from palmd.observer.improver import Improvement
 from palmd.rig.mischief import TRICKS, order
 from palmd.rig.world import STEP_S, World, default_config
 
@@ -56,6 +58,7 @@ class Fake:
     def __init__(self):
         self.events = []
         self.ticks = [[]]
+        self.times = []
         self.valid = False
         self.value = 0.01
         self.failing = False
@@ -66,6 +69,7 @@ class Fake:
 
     def estimate(self, t):
         self.ticks.append([])
+        self.times.append(t)
         if self.failing:
             raise ZeroDivisionError("a defect")
         values = {
@@ -322,6 +326,67 @@ def test_status_tells_where_things_stand(running):
     assert (status["plan"], status["doing"], status["arm_state"]) == ("swing", "sine", "T")
     assert status["moving"] is True
     assert status["faults"] == []
+
+
+# ---- what is kept of a run
+
+
+def test_every_tick_publishes_just_what_the_observer_was_fed(running):
+    published = [fields for topic, fields in running.messages if topic.name == "palm/events"]
+    assert [event for fields in published for event in events_of(fields)] == running.observer.events
+    assert [len(fields["source"]) for fields in published] == [len(times) for times in running.observer.ticks[:-1]]
+    assert [fields["t_tick_s"] for fields in published] == running.observer.times
+    assert {type(event) for event in running.observer.events} == {PadSample, PalmSample}
+    for fields in published:
+        assert validate(EVENTS, stamp(dict(fields), 0.0, 0.0, 0)) == []
+
+
+class Improved(Fake):
+    """An observer with a smoother beside it that answers in the third estimate."""
+
+    @property
+    def answered(self):
+        return Improvement(0.04, np.arange(3.0), np.eye(3)) if len(self.ticks) == 4 else None
+
+
+def test_an_improvement_is_published_in_the_tick_that_heard_it():
+    observer = Improved()
+    core = Core(default_config(), observer, AtOnce())
+    told = {t: dict(core.step(t)) for t in (0.01, 0.02, 0.03)}
+    assert [t for t, messages in told.items() if IMPROVEMENT in messages] == [0.03]
+    fields = told[0.03][IMPROVEMENT]
+    assert (fields["t_tick_s"], fields["t_s"]) == (0.03, 0.04)
+    assert (fields["x"], fields["covariance"]) == ([0.0, 1.0, 2.0], np.eye(3).ravel().tolist())
+    assert validate(IMPROVEMENT, stamp(fields, 0.0, 0.0, 0)) == []
+    observer.failing = True
+    assert IMPROVEMENT not in dict(core.step(0.04))
+
+
+RECORDED = {"bytes": 1000.0, "messages": 10.0, "lost": 0.0, "path": "runs/a.mcap"}
+
+
+def test_a_recorder_is_missed_only_once_it_has_been_heard(ready):
+    ready.go(5.0)
+    assert "recorder" not in ready.do("status")
+    ready.do("recorder", **RECORDED)
+    ready.go(2.5)
+    assert "recorder-silent" not in ready.faults
+    status = ready.do("status")["recorder"]
+    assert status.pop("age_s") == pytest.approx(2.5, abs=0.1)
+    assert status == RECORDED
+    ready.go(1.0)
+    assert "recorder-silent" in ready.faults
+    ready.do("recorder", **RECORDED)
+    assert "recorder-silent" not in ready.go(0.1).faults
+
+
+def test_a_recorder_that_cannot_write_is_told_and_stops_nothing(running):
+    running.do("recorder", **RECORDED, problem="/runs: the disk is full")
+    assert running.go(0.1).faults == ["recorder-failed"]
+    assert running.state == "tracking"
+    assert running.do("status")["recorder"]["problem"] == "/runs: the disk is full"
+    running.do("recorder", **RECORDED)
+    assert running.go(0.1).faults == []
 
 
 # ---- plans

@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("result", type=Path, metavar="RESULT.json", help="as written by palmd reconstruct")
     add("track", type=Path, metavar="TRACK.csv",
         help="t_s,object_x_mm,object_y_mm,object_angle_deg[,palm1_angle_deg,palm2_angle_deg]")  # fmt: skip
-    add("--log", type=Path, metavar="LOG", help="the event log of the run: places are compared too, not angles alone")
+    add("--log", type=Path, metavar="LOG", help="event log or recording of the run: places are compared too")
     add("--outline", type=Path, metavar="FILE", help="the object's true outline (.json, .csv)")
     add("-o", "--output", type=Path, metavar="REPORT.json", help="everything found, as JSON; - for standard output")
     add("--figure", type=Path, metavar="FILE.svg", help="outline and orientation, after figure 3.15 of the paper")

@@ -26,6 +26,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     common.add_argument("--json", action="store_true", help="print the answer as it came")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, spec in COMMANDS.items():
+        if not spec.by_hand:
+            continue
         chosen = commands.add_parser(name, parents=[common], help=spec.does, description=spec.does)
         if name == "plan":
             chosen.add_argument("path", type=Path, metavar="FILE", help="the plan (YAML)")
@@ -69,6 +71,8 @@ def told(command: str, result: dict[str, Any]) -> str:
     lines = [f"state   {result['state']}", f"plan    {plan}"]
     if "explored" in result:
         lines.append(f"        explored {_explored(**result['explored'])}")
+    if "recorder" in result:
+        lines.append(f"record  {_recorded(**result['recorder'])}")
     lines.append(f"arm     {arm}")
     if result["arm_error"]:
         lines.append(f"        {result['arm_error']}")
@@ -82,6 +86,14 @@ def _explored(coverage: float | None, reachable: float | None, reason: str) -> s
     of = "" if reachable is None else f" of the {reachable:.0%} of the outline that can be reached"
     how_much = "nothing yet" if coverage is None else f"{coverage:.0%}{of}"
     return f"{how_much}: {reason}" if reason else how_much
+
+
+def _recorded(
+    bytes: float, messages: float, lost: float, age_s: float, path: str = "no file", problem: str = ""
+) -> str:
+    """What the recorder said last."""
+    text = f"{path}, {messages:.0f} messages, {bytes / 1e6:.1f} MB" + (f", {lost:.0f} lost" if lost else "")
+    return f"{text}: {problem}" if problem else f"{text}, {age_s:.0f} s ago"
 
 
 def _jog(client: Client, phi1_deg: float, phi2_deg: float) -> dict[str, Any]:

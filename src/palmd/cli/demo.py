@@ -1,4 +1,4 @@
-"""An emulated rig and the daemon together, in closed loop on an object that palmd knows nothing about.
+"""An emulated rig, the daemon and the live page together, in closed loop on an object that palmd knows nothing about.
 
 The palms explore until the outline is complete, and then stand. Progress goes to standard error, and in the end one
 line that compares the estimate with the rig's truth to standard output. Without --seconds it runs until Ctrl-C.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import socket
 import sys
 import tempfile
 import time
@@ -20,6 +21,7 @@ from typing import Any
 import yaml
 import zmq
 
+from palmd.cli.browser import open_page
 from palmd.cli.bus import COMMAND, PUBLISH, Client, Subscriber
 from palmd.cli.comparison import Comparison
 from palmd.cli.errors import BAD_INPUT, RIG_FAILED, CliError
@@ -38,15 +40,21 @@ ANSWER_S = 5.0
 LOOK_S = 0.1
 PROGRESS_S = 1.0
 START_ATTEMPTS = 3
+RECORDER_START_S = 10.0
+RECORDED_S = 300.0  # to pack the recording of many hours
+RUNS = Path("runs")
 PORTS = range(9872, 10872)  # below those that the system hands out itself
+PAGE_PORTS = range(8787, 8887)
+PAGE_START_S = 15.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     parser.add_argument("--seconds", type=_duration, default=math.inf, metavar="N", help="how long to run")
-    parser.add_argument("--no-browser", action="store_true", help="open no browser (this version has no page to show)")
+    parser.add_argument("--no-browser", action="store_true", help="serve the live page, but open no browser")
     parser.add_argument("--seed", type=int, help="which object and noise; default: a random one, printed")
     parser.add_argument("--kind", choices=KINDS, default="rig", help="what sort of object (default: %(default)s)")
+    parser.add_argument("--no-record", action="store_true", help=f"keep no recording; else it goes to {RUNS}/ here")
     parser.add_argument("--config", type=Path, default=shipped("demo.yaml"), help="rig and plan; default: as shipped")
 
 
@@ -63,13 +71,18 @@ def run(arguments: argparse.Namespace) -> int:
     with StopRequest() as stop, tempfile.TemporaryDirectory(prefix="palmd-demo-") as name, ExitStack() as stack:
         folder = Path(name)
         rig = _start_rig([str(arguments.config), "--kind", arguments.kind, *seed], folder, stop, stack)
-        daemon = rig and _start_daemon(config, rig, folder, stop, stack)
+        runs = None if arguments.no_record else RUNS.absolute()
+        daemon = rig and _start_daemon(config, rig, runs, folder, stop, stack)
         if not (rig and daemon):
             return 0  # the end was asked for before anything began
         comparison = Comparison(rig.told["seed"])
-        _introduce(rig.told["seed"], daemon.bus)
+        page = _serve_page(daemon.bus, rig.told["truth"], folder, stop, stack)
+        _introduce(rig.told["seed"], daemon.bus, page)
+        if page and not arguments.no_browser:
+            open_page(page)
         _operate(rig, daemon, comparison, stop, arguments.seconds)
         _bring_to_rest(daemon)
+        _finish_recording(daemon)
     print(comparison.summary())
     return 0 if comparison.settled else RIG_FAILED
 
@@ -87,14 +100,17 @@ class _Daemon:
     """The daemon's process and the ways to talk with it; the subscriber hears the rig's truth too."""
 
     child: Child
+    recorder: Child | None
     bus: BusConfig
     subscriber: Subscriber
     client: Client
 
-    def listen(self, comparison: Comparison, seconds: float) -> None:
-        """Let the comparison take what comes within so many seconds."""
+    def listen(self, comparison: Comparison, panel: Panel, seconds: float) -> None:
+        """Let both take what comes within so many seconds."""
         for message in self.subscriber.until(time.monotonic() + seconds):
             comparison.take(message)
+            if message.topic == "palm/state":
+                panel.see(message.fields)
 
 
 # -------------------------------------------------------------------------------------------------- starting
@@ -104,8 +120,7 @@ def _start_rig(arguments: list[str], folder: Path, stop: StopRequest, stack: Exi
     """None when the end was asked for meanwhile; raises CliError when there is no rig."""
     child = Child(["rig", *arguments], folder)
     stack.callback(child.stop)
-    t_end = time.monotonic() + RIG_START_S
-    line = child.first_line(lambda: stop.made or time.monotonic() > t_end)
+    line = _told_within(child, RIG_START_S, stop)
     if stop.made:
         return None
     if line is None:
@@ -113,22 +128,68 @@ def _start_rig(arguments: list[str], folder: Path, stop: StopRequest, stack: Exi
     return _Rig(child, json.loads(line))
 
 
-def _start_daemon(config: Config, rig: _Rig, folder: Path, stop: StopRequest, stack: ExitStack) -> _Daemon | None:
-    """None when the end was asked for meanwhile; raises CliError when there is no daemon."""
+def _start_daemon(
+    config: Config, rig: _Rig, runs: Path | None, folder: Path, stop: StopRequest, stack: ExitStack
+) -> _Daemon | None:
+    """With its recorder, unless `runs` is None. None when the end was asked for meanwhile.
+
+    Raises CliError when there is no daemon.
+    """
     for _ in range(START_ATTEMPTS):  # another demo may take the addresses while this daemon starts
         bus = free_addresses(config.bus)
         path = folder / "palmd.yaml"
-        path.write_text(as_yaml(config, bus, rig.told), encoding="utf-8")
-        child = Child(["run", str(path)], folder)
+        path.write_text(as_yaml(config, bus, rig.told, runs), encoding="utf-8")
+        recorder = None if runs is None else _start_recorder(path, rig, folder, stop, stack)
+        child = Child(["run", str(path), "--no-record"], folder)
         stack.callback(child.stop)
         subscriber = stack.enter_context(Subscriber(bus.publish, rig.told["truth"], topics=("palm/", "rig/")))
         if _is_heard(child, subscriber, stop):
-            return _Daemon(child, bus, subscriber, stack.enter_context(Client(bus.command, ANSWER_S)))
+            return _Daemon(child, recorder, bus, subscriber, stack.enter_context(Client(bus.command, ANSWER_S)))
+        if recorder is not None:
+            recorder.stop()
         if stop.made:
             return None
         if "is in use" not in child.said():
             break
     raise _not_started(child)
+
+
+def _told_within(child: Child, seconds: float, stop: StopRequest) -> str | None:
+    """Its first line, None when it ends without, or the end is asked for, or it takes too long."""
+    t_end = time.monotonic() + seconds
+    return child.first_line(lambda: stop.made or time.monotonic() > t_end)
+
+
+def _start_recorder(config: Path, rig: _Rig, folder: Path, stop: StopRequest, stack: ExitStack) -> Child:
+    """It listens before the daemon begins to speak, unless it does not start at all, which ends nothing."""
+    recorder = Child(["record", str(config), "--truth", rig.told["truth"]], folder)
+    stack.callback(recorder.stop)
+    t_end = time.monotonic() + RECORDER_START_S
+    recorder.first_line(lambda: stop.made or time.monotonic() > t_end)
+    return recorder
+
+
+def _serve_page(bus: BusConfig, truth: str, folder: Path, stop: StopRequest, stack: ExitStack) -> str | None:
+    """The live page's address; None when there is none, which ends nothing."""
+    where = ["--address", bus.publish, "--command", bus.command, "--truth", truth]
+    for _ in range(START_ATTEMPTS):  # another demo may take the port in between
+        child = Child(["view", "--no-browser", *where, "--port", str(_free_page_port())], folder)
+        stack.callback(child.stop)
+        page = _told_within(child, PAGE_START_S, stop)
+        if page is not None or stop.made:
+            return page
+    _tell(f"no live page: {child.said() or 'it did not start'}")
+    return None
+
+
+def _free_page_port() -> int:
+    """The first of the page's ports that nobody has, else any."""
+    for port in PAGE_PORTS:
+        with socket.socket() as probe, suppress(OSError):
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as the page's server has it
+            probe.bind(("127.0.0.1", port))
+            return port
+    return 0
 
 
 def _is_heard(daemon: Child, subscriber: Subscriber, stop: StopRequest) -> bool:
@@ -153,10 +214,12 @@ def _not_started(child: Child) -> CliError:
 # -------------------------------------------------------------------------------------------------- operating
 
 
-def _introduce(seed: int, bus: BusConfig) -> None:
+def _introduce(seed: int, bus: BusConfig, page: str | None) -> None:
     at = "" if bus.publish == PUBLISH else f" --address {bus.publish}"
     to = "" if bus.command == COMMAND else f" --address {bus.command}"
     _tell(f"an object that palmd does not know (seed {seed}); look at it with:")
+    if page:
+        _tell(f"  {page}")
     _tell(f"  palmd top{at}")
     _tell(f"  PlotJuggler: ZeroMQ subscriber, MessagePack, {bus.publish}")
     _tell(f"  palmd ctl status{to}")
@@ -168,7 +231,7 @@ def _operate(rig: _Rig, daemon: _Daemon, comparison: Comparison, stop: StopReque
     t_begin = time.monotonic()
     t_progress = -math.inf
     while not stop.made:
-        daemon.listen(comparison, LOOK_S)
+        daemon.listen(comparison, panel, LOOK_S)
         _check_alive(rig.child, daemon.child)
         t = time.monotonic()
         started = comparison.t_started
@@ -206,6 +269,19 @@ def _bring_to_rest(daemon: _Daemon) -> None:
     daemon.child.stop()
 
 
+def _finish_recording(daemon: _Daemon) -> None:
+    """Let the recorder hear the daemon's end and pack what it has; says where that is."""
+    recorder = daemon.recorder
+    if recorder is None:
+        return
+    recorder.stop(RECORDED_S)
+    paths = recorder.lines()[1:]
+    for path in paths:
+        _tell(f"recorded in {path}")
+    if recorder.status != 0 or not paths:
+        _tell(f"not recorded: {recorder.said() or recorder.status}")
+
+
 # ------------------------------------------------------------------------------------- addresses, configuration
 
 
@@ -231,9 +307,11 @@ def _is_free(address: str) -> bool:
     return True
 
 
-def as_yaml(config: Config, bus: BusConfig, rig: dict[str, Any]) -> str:
-    """The configuration with the rig's ports and the addresses that are free."""
+def as_yaml(config: Config, bus: BusConfig, rig: dict[str, Any], runs: Path | None = None) -> str:
+    """The configuration with the rig's ports, the addresses that are free, and the folder of recordings."""
     values = config.model_dump(mode="json") | {"bus": bus.model_dump(mode="json")}
+    if runs is not None:
+        values["record"]["directory"] = str(runs)
     values["pads"]["palm1"]["port"] = rig["pad1"]
     values["pads"]["palm2"]["port"] = rig["pad2"]
     values["arm"]["port"] = rig["arm"]

@@ -1,4 +1,4 @@
-"""Replays an event log causally through exactly the daemon's observer: one JSON line for each tick of 10 ms."""
+"""Replays an event log or recorded run causally through exactly the daemon's observer: one JSON line each 10 ms."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from palmd.record.replay import lines, replay, tick_count
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
-    parser.add_argument("log", type=Path, metavar="LOG", help="an event log (JSON lines)")
+    parser.add_argument("log", type=Path, metavar="LOG", help="an event log (JSON lines) or a recorded run (.mcap)")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT.jsonl", help="- for standard output")
     parser.add_argument(
         "--observer",

@@ -1,4 +1,4 @@
-"""How a command reads a log, and where it writes what it makes of it."""
+"""How a command reads a log, be it an event log or a recorded run, and where it writes what it makes of it."""
 
 from __future__ import annotations
 
@@ -10,19 +10,33 @@ from typing import TextIO
 
 from palmd.cli.errors import BAD_INPUT, CliError
 from palmd.record.eventlog import EventLog, LogError, read_log
+from palmd.record.mcapfile import MAGIC
+from palmd.record.run import RunError, read_run
+from palmd.record.runfile import SUFFIX
 
 STDOUT = Path("-")
 
 
 def read(path: Path) -> EventLog:
-    """The log at `path`, its notes told on standard error; CliError when it cannot be used."""
+    """The log at `path`, its notes told on standard error; CliError when it cannot be used.
+
+    What it is shows in its first bytes; a file named as a recording is taken for one even so.
+    """
     try:
-        log = read_log(path)
-    except LogError as error:
+        log = read_run(path).event_log() if path.suffix == SUFFIX or _is_mcap(path) else read_log(path)
+    except (LogError, RunError) as error:
         raise CliError(BAD_INPUT, str(error)) from None
     for note in log.notes:
         print(note, file=sys.stderr)
     return log
+
+
+def _is_mcap(path: Path) -> bool:
+    try:
+        with path.open("rb") as stream:
+            return stream.read(len(MAGIC)) == MAGIC
+    except OSError:
+        return False  # whoever reads it tells why
 
 
 @contextlib.contextmanager

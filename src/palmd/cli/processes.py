@@ -1,10 +1,11 @@
-"""Other palmd commands as processes of this one, none of which outlives it."""
+"""Other palmd commands as processes of this one, which are asked to end when it ends."""
 
 from __future__ import annotations
 
 import ctypes
 import os
 import signal
+import stat
 import subprocess
 import sys
 import time
@@ -21,6 +22,25 @@ _LOOK_S = 0.02
 
 def _die_with_parent() -> None:
     _C.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+def start_beside(arguments: list[str]) -> subprocess.Popen[bytes]:
+    """Start another command that is asked to end when this one ends, and takes its time; raises OSError.
+
+    It shares standard error, unless that is a pipe: who reads it to its end waits for us alone.
+    """
+    return subprocess.Popen(
+        [sys.executable, "-P", "-m", "palmd", *arguments],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL if _is_pipe(sys.stderr.fileno()) else None,
+        process_group=0,
+        preexec_fn=_die_with_parent,
+    )
+
+
+def _is_pipe(fd: int) -> bool:
+    return stat.S_ISFIFO(os.fstat(fd).st_mode)
 
 
 class Child:
@@ -62,11 +82,15 @@ class Child:
                 return None
             time.sleep(_LOOK_S)
 
-    def stop(self) -> None:
-        """Ask it to end, and make it end if it does not."""
+    def lines(self) -> list[str]:
+        """What it has said on its standard output."""
+        return self._out.read_text(encoding="utf-8").splitlines()
+
+    def stop(self, patience_s: float = _STOPPING_S) -> None:
+        """Ask it to end, and make it end if it has not after so long."""
         self._process.terminate()
         try:
-            self._process.wait(_STOPPING_S)
+            self._process.wait(patience_s)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()

@@ -1,4 +1,4 @@
-"""Which of the stored outlines lies on the palms, from an event log: each one's probability, and that of none."""
+"""Which of the stored outlines lies on the palms, from a log: each one's probability, and that of none."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from palmd.record.replay import replay, tick_count
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
-    parser.add_argument("log", type=Path, metavar="LOG", help="an event log (JSON lines)")
+    parser.add_argument("log", type=Path, metavar="LOG", help="an event log (JSON lines) or a recorded run (.mcap)")
     parser.add_argument("library", type=Path, metavar="LIBRARY", help="a folder of outlines (.json, .csv), or one file")
     parser.add_argument("-o", "--output", type=Path, metavar="OUT.json", help="as JSON; - for standard output alone")
 

@@ -1,4 +1,4 @@
-"""Reconstructs outline and motion from a whole event log at once, offline: one JSON object."""
+"""Reconstructs outline and motion from a whole event log or recorded run at once, offline: one JSON object."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from palmd.record.result import as_line
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
-    parser.add_argument("log", type=Path, metavar="LOG", help="an event log (JSON lines)")
+    parser.add_argument("log", type=Path, metavar="LOG", help="an event log (JSON lines) or a recorded run (.mcap)")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="RESULT.json", help="- for standard output")
     parser.add_argument("--seed", type=seed, default=0, metavar="N", help="of the blind start (default: %(default)s)")
 

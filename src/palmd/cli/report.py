@@ -1,86 +1,39 @@
-"""Figures and tables. `palmd report paper`: the runs behind the figures of CMU-CS-01-107, its method and palmd's."""
+"""A recorded run as a printable report. `palmd report paper`: the runs behind the figures of CMU-CS-01-107 instead."""
 
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
-from typing import Any
 
+from palmd.cli import report_paper, report_run
 from palmd.cli.errors import BAD_INPUT, CliError
-from palmd.cli.extras import only_without
-from palmd.cli.logs import read
-from palmd.cli.progress import Progress
-from palmd.record.eventlog import EventLog
-from palmd.rig.shapes import Kind
-from palmd.study.paper_report import as_text, rows
-from palmd.study.paper_runs import SideBySide, paper_simulation, side_by_side
-from palmd.study.simulated import simulated
 
-DEFAULT_RUNS: tuple[tuple[Kind, int], ...] = (("friction", 401), ("friction", 405), ("rig", 401), ("rig", 404))
-SECONDS = 10.0
-_TOLD = ("t", "psi_rad", "r1_m", "r2_m", "theta_rad", "h_m")
-
-Told = dict[str, Any]
+PAPER = "paper"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
-    parser.add_argument("subject", choices=("paper",), help="paper: figures 3.6, 3.8 to 3.11 and 3.15")
     parser.add_argument(
-        "logs",
-        nargs="*",
-        type=Path,
-        metavar="LOG",
-        help="event logs with their truth beside them (LOG without .jsonl, plus .truth.json); "
-        f"default: simulated runs {', '.join(f'{kind} {seed}' for kind, seed in DEFAULT_RUNS)}",
+        "subject",
+        metavar="RUN",
+        help=f"a recording; or the word {PAPER}: figures 3.6, 3.8 to 3.11 and 3.15 (for a recording of that name: "
+        f"./{PAPER})",
     )
+    parser.add_argument("logs", nargs="*", type=Path, metavar="LOG", help=f"for {PAPER}: {report_paper.LOGS}")
     parser.add_argument(
-        "-o", "--output", type=Path, default=Path(), metavar="FOLDER", help="for the figures (default: .)"
+        "-o",
+        "--output",
+        type=Path,
+        metavar="FILE",
+        help=f"FILE.html or FILE.pdf (default: RUN's name with .html, here); for {PAPER} a folder (default: here)",
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Prints the table, saves the figures; CliError when a log or its truth cannot be used."""
-    try:
-        from palmd.study import paper_figures, stable_pose_figures
-    except ModuleNotFoundError as error:
-        only_without("matplotlib", error)
-        raise CliError(BAD_INPUT, "the figures need matplotlib, which is not installed (extra `report`)") from None
-    runs = [(path.stem, read(path), _truth(path)) for path in arguments.logs] or [
-        (f"{kind} {seed}", *simulated(kind, seed, SECONDS)) for kind, seed in DEFAULT_RUNS
-    ]
-    sides = _compared(runs)
-    simulation = paper_simulation()
-    print(as_text(rows(simulation, sides)), end="")
-    try:
-        arguments.output.mkdir(parents=True, exist_ok=True)
-        saved = paper_figures.save(simulation, sides, arguments.output) + stable_pose_figures.save(arguments.output)
-    except OSError as error:
-        raise CliError(BAD_INPUT, f"{arguments.output}: cannot be written: {error.strerror or error}") from None
-    print("figures: " + ", ".join(map(str, saved)))
-    return 0
-
-
-def _compared(runs: list[tuple[str, EventLog, Told]]) -> list[SideBySide]:
-    sides = []
-    with Progress("both methods", len(runs), "runs") as progress:
-        for name, log, told in runs:
-            sides.append(side_by_side(name, log, told))
-            progress.at(len(sides))
-    return sides
-
-
-def _truth(log: Path) -> Told:
-    path = log.with_suffix(".truth.json")
-    try:
-        told = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise CliError(BAD_INPUT, f"{path}: {error.strerror or error}; the report needs each log's truth") from None
-    except ValueError as error:
-        raise CliError(BAD_INPUT, f"{path}: not JSON: {error}") from None
-    missing = [name for name in _TOLD if not (isinstance(told, dict) and isinstance(told.get(name), list))]
-    if missing:
-        raise CliError(BAD_INPUT, f"{path}: no truth: {', '.join(missing)} missing")
-    result: Told = told
-    return result
+    """Makes the report; CliError when something cannot be used."""
+    if arguments.subject == PAPER:
+        return report_paper.run(arguments.logs, arguments.output or Path())
+    if arguments.logs:
+        raise CliError(BAD_INPUT, f"{arguments.logs[0]}: one report is about one run; make another for this one")
+    recording = Path(arguments.subject)
+    return report_run.run(recording, arguments.output or Path(f"{recording.stem}.html"))

@@ -6,10 +6,13 @@ import argparse
 import os
 from pathlib import Path
 
+from palmd.cli.processes import start_beside
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     parser.add_argument("config", type=Path, metavar="CONFIG", help="the rig's configuration, palmd.yaml")
+    parser.add_argument("--no-record", action="store_true", help="start no recorder beside it")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -18,4 +21,7 @@ def run(arguments: argparse.Namespace) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from palmd.daemon import app
 
-    return app.run(arguments.config)
+    def recorder() -> None:
+        start_beside(["record", str(arguments.config)])
+
+    return app.run(arguments.config) if arguments.no_record else app.run(arguments.config, recorder)

@@ -34,22 +34,24 @@ from palmd.yamlfile import ConfigError, load_config
 log = logging.getLogger(__name__)
 
 OK, BAD_INPUT, RIG_FAILED = 0, 1, 3
+RECORDER_START_S = 2.0
+"""How long the first tick waits for a recorder to speak: an observer can be replayed from its first event only."""
 
 
-def run(config_path: Path) -> int:
-    """Run the daemon until SIGTERM or SIGINT; returns the exit status.
+def run(config_path: Path, recorder: Callable[[], None] | None = None) -> int:
+    """Run the daemon until SIGTERM or SIGINT; returns the exit status. `recorder` starts one beside it.
 
     0: the arm stands. 1: the configuration or its plan is wrong, told on standard error. 3: an address is
     taken, or the arm could not be brought to a stop that it confirmed.
     """
     with _Signals() as signals:
         try:
-            return _start(config_path, signals)
+            return _start(config_path, signals, recorder)
         except _InterruptedError:
             return OK
 
 
-def _start(config_path: Path, signals: _Signals) -> int:
+def _start(config_path: Path, signals: _Signals, recorder: Callable[[], None] | None) -> int:
     try:
         config = load_config(config_path)
         RigGeometry.from_config(config)
@@ -69,7 +71,8 @@ def _start(config_path: Path, signals: _Signals) -> int:
     with ExitStack() as stack:
         stack.callback(bus.close)
         stack.callback(start_journal().close)
-        return _run(config, config_path.absolute().parent, plan, outlines, bus, signals, stack)
+        recorded = recorder is not None and _is_started(recorder)
+        return _run(config, config_path.absolute().parent, plan, outlines, bus, recorded, signals, stack)
 
 
 def _run(
@@ -78,6 +81,7 @@ def _run(
     plan: Plan | None,
     outlines: tuple[Outline, ...],
     bus: Bus,
+    recorded: bool,
     signals: _Signals,
     stack: ExitStack,
 ) -> int:
@@ -112,9 +116,20 @@ def _run(
         info=info_fields(__version__, config_hash(config), estimator.name, config.loop.rate_hz),
         counters=lambda: _counters(smoother, estimator, explorer),
     )
+    if recorded:
+        bus.await_command(RECORDER_START_S)
     realtime.freeze_collector()
     signals.hand_over(loop.stop)
     return OK if loop.run() else RIG_FAILED
+
+
+def _is_started(recorder: Callable[[], None]) -> bool:
+    try:
+        recorder()
+    except OSError as error:
+        log.warning("nothing is recorded: %s", error)
+        return False
+    return True
 
 
 def _smoother(config: Config, name: observer.ObserverName, stack: ExitStack) -> SmootherProcess | None:

@@ -15,6 +15,9 @@ from palmd.daemon.commands import CommandError, Reply, Request, parse, reply_fie
 from palmd.messages import Fields, Topic, stamp
 
 HIGH_WATER = 100
+PUBLISHED_HIGH_WATER = 10_000
+"""Messages kept for a subscriber that does not take them: some 20 s of all topics, which is 10 MB."""
+LAST_WORDS_MS = 100
 COMMANDS_PER_TICK = 4
 MESSAGE_BYTES_MAX = 1 << 20  # ZeroMQ itself turns away a client that sends more
 
@@ -76,6 +79,10 @@ class Bus:
                 self._send(route, reply_fields(error.id, str(error)))
         return requests
 
+    def await_command(self, seconds: float) -> None:
+        """Wait until there is a command, at most so long: for before the loop begins."""
+        self._commands.poll(round(seconds * 1e3))
+
     def reply(self, reply: Reply) -> None:
         """Answer a request; lost when the client has gone."""
         if reply.request.route is not None:
@@ -86,13 +93,13 @@ class Bus:
         return {f"bus_{name}": count for name, count in asdict(self.counters).items()}
 
     def close(self) -> None:
-        """Drop everything and let go of the addresses."""
-        self._context.destroy(linger=0)
+        """Let go of the addresses; what was published last has `LAST_WORDS_MS` to leave, the rest is dropped."""
+        self._context.destroy()
 
     def _bound(self, kind: int, address: str, key: str) -> zmq.Socket[bytes]:
         socket = self._context.socket(kind)
-        socket.setsockopt(zmq.LINGER, 0)
-        socket.setsockopt(zmq.SNDHWM, HIGH_WATER)
+        socket.setsockopt(zmq.LINGER, LAST_WORDS_MS if kind == zmq.PUB else 0)
+        socket.setsockopt(zmq.SNDHWM, PUBLISHED_HIGH_WATER if kind == zmq.PUB else HIGH_WATER)
         socket.setsockopt(zmq.RCVHWM, HIGH_WATER)
         socket.setsockopt(zmq.MAXMSGSIZE, MESSAGE_BYTES_MAX)
         try:

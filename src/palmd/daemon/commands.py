@@ -32,6 +32,7 @@ class CommandSpec:
 
     does: str
     arguments: tuple[Argument, ...] = ()
+    by_hand: bool = True  # whether people give it
 
 
 JOG_STEP_MAX_DEG = 0.5
@@ -53,6 +54,17 @@ COMMANDS: dict[str, CommandSpec] = {
             Argument(f"phi{i}_deg", "number", f"step of phi{i}", low=-JOG_STEP_MAX_DEG, high=JOG_STEP_MAX_DEG)
             for i in (1, 2)
         ),
+    ),
+    "recorder": CommandSpec(
+        "tells the daemon how its recorder fares; the recorder does it each second",
+        (
+            Argument("bytes", "number", "in the file", required=True, low=0.0),
+            Argument("messages", "number", "in the file", required=True, low=0.0),
+            Argument("lost", "number", "messages that are in no file, since the recorder's start", True, low=0.0),
+            Argument("path", "text", "of the file; not told while there is none"),
+            Argument("problem", "text", "why nothing can be written; not told when all is well"),
+        ),
+        by_hand=False,
     ),
 }
 

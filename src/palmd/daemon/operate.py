@@ -18,6 +18,7 @@ from palmd.daemon.ends import RESTING, ArmEnd
 from palmd.daemon.exploring import Exploring
 from palmd.daemon.lifecycle import COMMANDED, State, Trigger, next_state
 from palmd.daemon.planner import Plan, read_plan
+from palmd.daemon.recorder_watch import RecorderWatch
 from palmd.daemon.steering import Steering
 from palmd.devices.armlink import ArmState, HelloReply, error_text
 from palmd.faults import FaultMonitor, Severity
@@ -77,6 +78,7 @@ class Operator:
         self.plan_refused = False
         self.at_rest = True
         self.replies: list[Reply] = []
+        self.recorder = RecorderWatch()
         self._arm = arm
         self._steering = steering
         self._exploring = exploring
@@ -99,6 +101,7 @@ class Operator:
             "reset": self._reset,
             "plan": self._load_plan,
             "jog": self._jog,
+            "recorder": self._hear_recorder,
         }
 
     @property
@@ -154,8 +157,8 @@ class Operator:
 
     def _status(self, _request: Request, t: float) -> dict[str, Any]:
         host, place, faults = self._arm.host, self._steering.place, self._faults.active
-        explored = self._exploring.told()
-        return {
+        explored, recorder = self._exploring.told(), self.recorder.last(t)
+        status = {
             "state": str(self.state),
             "faults": [fault.code for fault in faults],
             "severities": [str(fault.severity) for fault in faults],
@@ -169,7 +172,13 @@ class Operator:
             "arm_state": str(host.state or ""),
             "arm_error": "" if host.last_error is None else error_text(host.last_error),
             "arm_linked": host.linked(t),
-        } | ({} if explored is None else {"explored": explored})
+        }
+        told = {"explored": explored, "recorder": recorder}
+        return status | {name: what for name, what in told.items() if what is not None}
+
+    def _hear_recorder(self, request: Request, t: float) -> dict[str, Any]:
+        self.recorder.hear(request.args, t)
+        return {}
 
     def _start_arming(self, request: Request, t: float) -> None:
         host, actual = self._arm.host, self._arm.actual

@@ -20,12 +20,18 @@ class Window:
         self._values[self._count % len(self._values)] = value
         self._count += 1
 
+    def values(self) -> list[float]:
+        """The values from the oldest to the newest."""
+        size = len(self._values)
+        start = max(0, self._count - size)
+        return [self._values[i % size] for i in range(start, self._count)]
+
     def summary(self) -> tuple[float, float, float]:
         """Median, 99th percentile (nearest rank) and maximum; zeros when empty."""
-        count = min(self._count, len(self._values))
+        ordered = sorted(self.values())
+        count = len(ordered)
         if count == 0:
             return (0.0, 0.0, 0.0)
-        ordered = sorted(self._values[:count])
         return (ordered[(count - 1) // 2], ordered[-(-99 * count // 100) - 1], ordered[-1])
 
 
@@ -46,10 +52,11 @@ class LoopStatistics:
         self._lateness.add(lateness_s)
         self._work.add(work_s)
 
-    def fields(self) -> dict[str, float]:
+    def fields(self) -> dict[str, float | list[float]]:
         """The statistics by the names of `palm/loop`."""
-        fields: dict[str, float] = {"ticks": self.ticks, "overruns": self.overruns}
+        fields: dict[str, float | list[float]] = {"ticks": self.ticks, "overruns": self.overruns}
         for name, window in (("lateness", self._lateness), ("work", self._work)):
             for part, value in zip(("p50", "p99", "max"), window.summary(), strict=True):
                 fields[f"{name}_{part}_ms"] = value * 1e3
+        fields["lateness_ms"] = [value * 1e3 for value in self._lateness.values()]
         return fields

@@ -33,6 +33,8 @@ from palmd.faults import FaultMonitor
 from palmd.messages import (
     CONTACT,
     ESTIMATE,
+    EVENTS,
+    IMPROVEMENT,
     MOTION,
     OBJECT,
     SHAPE,
@@ -41,6 +43,8 @@ from palmd.messages import (
     Topic,
     contact_fields,
     estimate_fields,
+    events_fields,
+    improvement_fields,
     motion_fields,
     object_fields,
     shape_fields,
@@ -49,6 +53,7 @@ from palmd.messages import (
 )
 from palmd.motion.check import motion_limits
 from palmd.motion.kinematics import RigGeometry
+from palmd.observer.improver import Improvement
 
 log = logging.getLogger(__name__)
 
@@ -103,6 +108,15 @@ class Recogniser(Observer, Protocol):
         """Which object it is, None before anything is felt."""
 
 
+@runtime_checkable
+class Improved(Observer, Protocol):
+    """An observer with a smoother beside the loop."""
+
+    @property
+    def answered(self) -> Improvement | None:
+        """What the smoother had to say in the last estimate."""
+
+
 class Core:
     """See the module. Times are seconds on one monotonic clock, never running backwards."""
 
@@ -134,11 +148,14 @@ class Core:
             self.arm, self.steering, self.exploring, self.faults, aside, plan, folder, autostart=config.autostart
         )
         self._observer = observer
+        self._improved = observer if isinstance(observer, Improved) else None
         self._estimate = unknown_estimate(-math.inf, observer)
         self._shape: ShapeEstimate | None = None
         self._object: ObjectEstimate | None = None
         self._observer_failed = False
         self._events: list[Event] = []
+        self._fed: list[Event] = []
+        self._answered: Improvement | None = None
         self._notes = frozenset(notes)
         self._passing: set[str] = set()  # conditions seen since the last decision
         self._pad_watches = {name: PadWatch(name) for name in self.pads}
@@ -210,6 +227,7 @@ class Core:
             self._events += pad.poll(t)
         events, self._events = self._events, []
         events.sort(key=_sample_time)
+        self._fed, self._answered = events, None
         try:
             for event in events:
                 self._observer.feed(event)
@@ -217,6 +235,8 @@ class Core:
                     self._swap.feed(event)
                 between()
             self._estimate = self._observer.estimate(t)
+            if self._improved is not None:
+                self._answered = self._improved.answered
             if t - self._t_shape >= SLOW_TOPIC_S - _EARLY_S:
                 between()
                 self._shape = self._observer.shape(t)
@@ -276,7 +296,11 @@ class Core:
                     str(arm.state or ""),
                 ),
             ),
+            (EVENTS, events_fields(t, self._fed)),
         ]
+        if self._answered is not None:
+            answer = self._answered
+            messages.append((IMPROVEMENT, improvement_fields(t, answer.t, answer.x, answer.P)))
         told = (self.state, self.faults.active)
         if told != self._told or t - self._t_state >= SLOW_TOPIC_S - _EARLY_S:
             self._told, self._t_state = told, t
@@ -355,6 +379,7 @@ class Core:
             present.update(watch.conditions(self.pads[name], under_way, look))
         present.update(self._arm_watch.conditions(self.arm, t, commanded, look))
         present.update(self._loop_watch.conditions(t, self._observer.late_dropped, look))
+        present.update(self.operator.recorder.conditions(t))
         present.update(self._nis_watch.conditions(self._estimate.nis, self.steering.moving, t))
         if commanded and (self.steering.violated or self._outside()):
             present.add("limits-violated")

@@ -34,13 +34,14 @@ class ImprovedObserver:
     """A `BankObserver` that a smoother improves; `feed` and `estimate` are as safe inside the loop as its own."""
 
     def __init__(self, bank: BankObserver, rig: RigDescription, smoothing: Smoothing):
-        """`bank` holds shape maps."""
+        """`bank` holds shape maps. `answered` is what the smoother had to say in the last `estimate`."""
         self._bank = bank
         self._smoothing = smoothing
         self._newcomer = Newcomer(rig)
         self._recent: deque[Event] = deque()
         self._batch: list[Event] = []
         self.improvements = 0
+        self.answered: Improvement | None = None
 
     @property
     def name(self) -> str:
@@ -92,7 +93,7 @@ class ImprovedObserver:
         begun = self._bank.begun
         self._smoothing.submit(t, begun, self._batch)
         self._batch.clear()
-        improvement = self._smoothing.collect(t)
+        improvement = self.answered = self._smoothing.collect(t)
         if improvement is not None and max(begun, t - MEMORY_S) < improvement.t <= t:
             self._newcomer.begin(improvement, self._recent)
         if self._newcomer.active and self._newcomer.follow(EVENTS_PER_TICK):

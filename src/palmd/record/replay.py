@@ -10,6 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 from palmd.events import Estimate, Event, ObjectEstimate, ShapeEstimate
 from palmd.messages import estimate_fields, object_fields, shape_fields, stamp
 from palmd.record.eventlog import EventLog
+from palmd.record.jsonvalues import or_none
 
 PERIOD_S = 0.01
 TICKS_PER_SHAPE = 100
@@ -78,19 +79,9 @@ def lines(tick: Tick) -> Iterator[dict[str, Any]]:
     `t` is the log's own time, and so are the stamps. NaN becomes None.
     """
     t = round(tick.t, 9)
-    fields = {name: _or_none(value) for name, value in estimate_fields(tick.estimate).items()}
+    fields = {name: or_none(value) for name, value in estimate_fields(tick.estimate).items()}
     yield {"t": t} | stamp(fields, t, t, tick.number)
     if tick.shape is not None:
-        yield {"t": t, "shape": {name: _or_none(value) for name, value in shape_fields(tick.shape).items()}}
+        yield {"t": t, "shape": {name: or_none(value) for name, value in shape_fields(tick.shape).items()}}
     if tick.object is not None:
         yield {"t": t, "object": object_fields(tick.object)}
-
-
-def _or_none(value: Any) -> Any:
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {name: _or_none(each) for name, each in value.items()}
-    if isinstance(value, list):
-        return [_or_none(each) for each in value]
-    return value

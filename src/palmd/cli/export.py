@@ -1,0 +1,55 @@
+"""Writes a recorded run in the form of other programs: event log, CSV, MCAP with JSON, or for rerun."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import sys
+from pathlib import Path
+
+from palmd.cli.errors import BAD_INPUT, CliError
+from palmd.cli.extras import only_without
+from palmd.cli.progress import Progress
+from palmd.motion.kinematics import PoseError
+from palmd.record.export import FORMS, ExportError, export, form_of, passes
+from palmd.record.length import message_count
+from palmd.record.run import RunError, read_run
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    parser.add_argument("run", type=Path, metavar="RUN", help="a recorded run (.mcap)")
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        metavar="FILE|FOLDER",
+        help=".jsonl event log; folder or .zip CSV, a table for each topic; .mcap messages in JSON; .rrd for rerun",
+    )
+    parser.add_argument("--as", dest="form", choices=FORMS, help="the form, where the name does not tell it")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Leaves no half of an output; CliError when the run cannot be used or the output not be written."""
+    source, target = arguments.run, arguments.output
+    form = arguments.form or form_of(target)
+    if form is None:
+        raise CliError(BAD_INPUT, f"{target}: the name does not tell the form; add --as {'|'.join(FORMS)}")
+    try:
+        recording = read_run(source)
+        count = itertools.count(1)
+        with Progress("export", passes(form) * message_count(recording), "messages") as progress:
+            export(recording, target, form, lambda: progress.at(next(count)))
+    except (RunError, ExportError) as error:
+        raise CliError(BAD_INPUT, str(error)) from None
+    except PoseError as error:
+        raise CliError(BAD_INPUT, f"{source}: {error}") from None
+    except ModuleNotFoundError as error:
+        only_without("rerun", error)
+        raise CliError(BAD_INPUT, "the form rrd needs rerun-sdk, which is not installed (extra `rerun`)") from None
+    except OSError as error:
+        raise CliError(BAD_INPUT, f"{target}: cannot be written: {error.strerror or error}") from None
+    if not recording.complete:
+        print(f"{source}: the recording was not finished; what there is of it is exported", file=sys.stderr)
+    return 0

@@ -1,0 +1,98 @@
+"""Record what a daemon publishes: one MCAP file a run, in the configuration's record.directory.
+
+It listens until SIGTERM or SIGINT, whether or not a daemon is there, and begins a file with the daemon's first message.
+A run that has ended is packed into compressed chunks. Standard output tells when it listens, and each run's path at the
+end.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import logging
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TextIO
+
+import zmq
+
+from palmd.cli.bus import PUBLISH
+from palmd.cli.errors import BAD_INPUT, CliError
+from palmd.cli.processes import StopRequest, start_beside
+from palmd.cli.progress import Progress
+from palmd.daemon.systemd import Notifier
+from palmd.record.mcapfile import RunError, is_packed
+from palmd.record.recorder import record
+from palmd.record.recording import Ended
+from palmd.record.runfile import pack
+from palmd.yamlfile import ConfigError, load_config
+
+log = logging.getLogger(__name__)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    parser.add_argument("config", type=Path, metavar="CONFIG", help="the daemon's configuration, palmd.yaml")
+    parser.add_argument("--truth", metavar="ADDRESS", help="where an emulated rig publishes its truth")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Raises CliError for a configuration that cannot be read, and for what is no address."""
+    try:
+        config = load_config(arguments.config)
+    except ConfigError as error:
+        raise CliError(BAD_INPUT, str(error)) from None
+    truth = () if arguments.truth is None else (arguments.truth,)
+    notifier = Notifier()
+
+    def ready() -> None:
+        print(f"listening to {config.bus.publish}", flush=True)
+        notifier.ready()
+
+    with StopRequest() as stop:
+        packing = _Packing()
+        try:
+            record(config, truth, ready, lambda: stop.made, lambda ended: packing.take(ended, in_time=not stop.made))
+        except zmq.ZMQError:
+            raise CliError(BAD_INPUT, f"{' '.join(truth)}: not an address; it looks like {PUBLISH}") from None
+        packing.finish()
+    return 0
+
+
+class _Packing:
+    """Packs what has ended: in a process beside the recording, or when that is over."""
+
+    def __init__(self) -> None:
+        self._ended: list[tuple[Ended, subprocess.Popen[bytes] | None]] = []
+
+    def take(self, ended: Ended, *, in_time: bool) -> None:
+        """Pack it now if it is whole and the recording goes on."""
+        beside = start_beside(["recover", str(ended.path)]) if in_time and ended.whole else None
+        self._ended.append((ended, beside))
+
+    def finish(self) -> None:
+        """Pack what is left. What cannot be packed stays as it is, and `palmd recover` may have more luck."""
+        for ended, beside in self._ended:
+            if beside is not None:
+                beside.wait()
+            try:
+                if not is_packed(ended.path):
+                    with _terminal() as stream, Progress("packing", max(ended.messages, 1), "messages", stream) as bar:
+                        pack(ended.path, ended.path, bar.at)
+            except (OSError, RunError) as error:
+                log.warning("%s is not packed: %s", ended.path, error)
+            print(ended.path)
+
+
+@contextlib.contextmanager
+def _terminal() -> Iterator[TextIO]:
+    """Standard error, or nothing where another command has the terminal by now."""
+    with contextlib.ExitStack() as stack:
+        try:
+            ours = os.tcgetpgrp(sys.stderr.fileno()) == os.getpgrp()
+        except OSError:
+            ours = False
+        yield sys.stderr if ours else stack.enter_context(Path(os.devnull).open("w", encoding="utf-8"))

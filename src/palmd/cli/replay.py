@@ -1,0 +1,114 @@
+"""Publishes a recorded run again, message by message, for the live page and every other subscriber.
+
+With --check nothing is published: the recorded events go through the same observer again, and its estimates are
+compared with the recorded ones, to the last bit.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from pathlib import Path
+
+from pydantic import TypeAdapter, ValidationError
+
+from palmd.cli.bus import PUBLISH
+from palmd.cli.errors import BAD_INPUT, CliError
+from palmd.cli.processes import StopRequest
+from palmd.cli.progress import Progress
+from palmd.config import BusAddress
+from palmd.messages import EVENTS
+from palmd.record.length import message_count
+from palmd.record.recheck import Difference, Recheck
+from palmd.record.republish import SETTLE_S, Publisher, RepublishError, pause, play
+from palmd.record.run import Run, RunError, read_run
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    parser.add_argument("run", type=Path, metavar="RUN", help="a recorded run (.mcap)")
+    parser.add_argument("--speed", type=_speed, default=1.0, metavar="X", help="times the recorded pace (default: 1)")
+    parser.add_argument(
+        "--publish", type=_address, default=PUBLISH, metavar="ADDRESS", help="where to (default: %(default)s)"
+    )
+    parser.add_argument("--loop", action="store_true", help="begin anew at the end, until Ctrl-C")
+    parser.add_argument("--check", action="store_true", help="compare with what the observer says now, and end")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Ends with the run or when asked to; status 1 when a check finds a difference. CliError for an unusable run."""
+    try:
+        recording = read_run(arguments.run)
+        if not recording.complete:
+            print(f"{recording.path}: the recording was not finished; what there is of it is used", file=sys.stderr)
+        if arguments.check:
+            return _check(recording)
+        _publish(recording, arguments.publish, arguments.speed, loop=arguments.loop)
+    except (RunError, RepublishError) as error:
+        raise CliError(BAD_INPUT, str(error)) from None
+    return 0
+
+
+def _publish(recording: Run, address: str, speed: float, *, loop: bool) -> None:
+    total = message_count(recording)
+    publisher = Publisher(address)
+    try:
+        with StopRequest() as stop:
+            pause(time.monotonic() + SETTLE_S, lambda: stop.made)
+            while not stop.made:
+                with Progress("replay", total, "messages") as progress:
+                    play(recording.messages(), speed, publisher.send, lambda: stop.made, progress.at)
+                if not loop:
+                    break
+    finally:
+        publisher.close()
+
+
+def _check(recording: Run) -> int:
+    recheck = Recheck(recording)
+    total = recording.survey()[EVENTS.name].count
+    elsewhere = recheck.elsewhere()
+    for line in elsewhere:
+        print(f"{recording.path}: recorded with {line}: the last bits may differ", file=sys.stderr)
+    ticks = agree = 0
+    found: list[Difference] = []
+    with Progress("check", total, "ticks") as progress:
+        for tick in recheck.ticks():
+            ticks += 1
+            agree += not tick.differences
+            found += tick.differences
+            progress.at(tick.number)
+    print("\n".join(_told(recording.path, total, ticks, agree, found)))
+    return BAD_INPUT if found else 0
+
+
+def _told(path: Path, total: int, ticks: int, agree: int, found: list[Difference]) -> list[str]:
+    """The outcome of a check, in words."""
+    lines = [f"{path}: {agree} of {ticks} ticks agree to the last bit"]
+    if ticks < total:
+        lines[0] += f"; {total - ticks} more could not be compared: what was published between is missing"
+    if found:
+        first = found[0]
+        lines.append(f"first difference in tick {first.number}: {first.name} was {first.recorded!r}, is {first.now!r}")
+    weighed = [each for each in found if math.isfinite(each.sigmas)]
+    if weighed:
+        most = max(weighed, key=lambda each: each.sigmas)
+        lines.append(f"largest difference in tick {most.number}: {most.name} by {most.sigmas:.2g} sd")
+    return lines
+
+
+def _speed(text: str) -> float:
+    value = float(text)
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"must be more than 0, got {text}")
+    return value
+
+
+def _address(text: str) -> str:
+    try:
+        address: str = TypeAdapter(BusAddress).validate_python(text)
+    except ValidationError as error:
+        raise argparse.ArgumentTypeError(error.errors()[0]["msg"].removeprefix("Value error, ")) from None
+    return address

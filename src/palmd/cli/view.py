@@ -1,0 +1,85 @@
+"""The live page of a running daemon, or of a replayed run, served to browsers on this machine.
+
+The first line of standard output is its address. Whoever has the token in it may give commands, like any other client
+of the daemon's command socket; without it the page only watches. Ends with Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import secrets
+import signal
+
+from palmd.cli.browser import open_page
+from palmd.cli.bus import COMMAND, PUBLISH
+from palmd.cli.errors import BAD_INPUT, CliError
+from palmd.daemon.lifecycle import TRANSITIONS, Trigger
+from palmd.view.errors import ViewError
+from palmd.view.server import Settings, serve_page
+
+PORT = 8787
+TRIGGERS = {
+    "arm": Trigger.ARMED,
+    "start": Trigger.START,
+    "hold": Trigger.HOLD,
+    "stop": Trigger.STOP,
+    "reset": Trigger.CLEARED,
+}
+"""The page's commands, and what each would trigger."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    parser.add_argument("--address", default=PUBLISH, help="where the daemon publishes (default: %(default)s)")
+    parser.add_argument("--command", default=COMMAND, help="the daemon's command socket (default: %(default)s)")
+    parser.add_argument("--truth", default="", metavar="ADDRESS", help="where an emulated rig publishes its truth")
+    parser.add_argument("--port", type=_port, default=PORT, help="of the page; 0: any free one (default: %(default)s)")
+    parser.add_argument("--no-browser", action="store_true", help="open no browser")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Serves until asked to end; CliError for a wrong address and for a port that cannot be had."""
+    settings = Settings(
+        publish=arguments.address,
+        command=arguments.command,
+        truth=arguments.truth,
+        port=arguments.port,
+        token=secrets.token_urlsafe(16),
+        allowed=allowed(),
+    )
+    try:
+        asyncio.run(_serve(settings, browser=not arguments.no_browser))
+    except ViewError as error:
+        raise CliError(BAD_INPUT, str(error)) from None
+    return 0
+
+
+def allowed() -> dict[str, list[str]]:
+    """The states in which each of the page's commands applies, from the daemon's own table."""
+    return {
+        command: [str(state) for state, trigger in TRANSITIONS if trigger is triggered]
+        for command, triggered in TRIGGERS.items()
+    }
+
+
+async def _serve(settings: Settings, browser: bool) -> None:
+    stop = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(number, stop.set)
+
+    def ready(url: str) -> None:
+        with contextlib.suppress(BrokenPipeError):
+            print(url, flush=True)
+        if browser:
+            open_page(url)
+
+    await serve_page(settings, ready, stop)
+
+
+def _port(text: str) -> int:
+    port = int(text)
+    if not 0 <= port <= 65535:
+        raise argparse.ArgumentTypeError(f"must be 0 to 65535, got {text}")
+    return port

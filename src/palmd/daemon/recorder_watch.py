@@ -1,0 +1,33 @@
+"""What the recorder says of itself, and which faults that means. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+SILENT_S = 3.0
+"""It speaks each second."""
+
+
+class RecorderWatch:
+    """Remembers the recorder's last words; there need not be a recorder. Times are seconds."""
+
+    def __init__(self) -> None:
+        self._told: dict[str, Any] = {}
+        self._t = math.nan
+
+    def hear(self, told: dict[str, Any], t: float) -> None:
+        """The arguments of a `recorder` command that came at `t`."""
+        self._told, self._t = told, t
+
+    def conditions(self, t: float) -> Iterator[str]:
+        """The codes of the fault table that hold at `t`."""
+        if t - self._t > SILENT_S:
+            yield "recorder-silent"
+        elif "problem" in self._told:
+            yield "recorder-failed"
+
+    def last(self, t: float) -> dict[str, Any] | None:
+        """What it said last, and how long ago; None when it was never heard."""
+        return None if math.isnan(self._t) else {**self._told, "age_s": t - self._t}

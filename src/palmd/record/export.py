@@ -1,0 +1,76 @@
+"""A recorded run in the forms of other programs, each written as a whole or not at all."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal, get_args
+
+from palmd.record.export_csv import write_csv, write_zip
+from palmd.record.export_json import write_json
+from palmd.record.export_log import write_log
+from palmd.record.run import Run, RunError, read_run
+
+Form = Literal["log", "csv", "mcap-json", "rrd"]
+FORMS: tuple[Form, ...] = get_args(Form)
+_SUFFIXES: dict[str, Form] = {".jsonl": "log", ".zip": "csv", "": "csv", ".mcap": "mcap-json", ".rrd": "rrd"}
+_TWICE = ("csv", "mcap-json")
+"""The forms that a run must be read through beforehand for."""
+
+
+class ExportError(Exception):
+    """An output that is not written to; its text is one line `file: what`."""
+
+
+def form_of(target: Path) -> Form | None:
+    """What the name of the output asks for, None when it does not tell; a folder is for CSV."""
+    return "csv" if target.is_dir() else _SUFFIXES.get(target.suffix.lower())
+
+
+def passes(form: Form) -> int:
+    """How often every message is read."""
+    return 2 if form in _TWICE else 1
+
+
+def export(run: Run, target: Path, form: Form, done: Callable[[], None]) -> None:
+    """Write `run` to `target`; `done` is called after each message of each pass.
+
+    A file that is there is replaced unless it is a recording; a folder must be empty. Raises ExportError, RunError,
+    PoseError, OSError, and ModuleNotFoundError without rerun; there is then no part of an output.
+    """
+    if _is_recording(target):
+        raise ExportError(f"{target}: is a recorded run, which an export does not replace; export to another file")
+    if target.is_dir() and form != "csv":
+        raise ExportError(f"{target}: is a folder; the form {form} is one file")
+    if target.is_dir() and any(target.iterdir()):
+        raise ExportError(f"{target}: is not empty; export to a new folder")
+    part = target.with_name(f".{target.name}.part")
+    try:
+        _writer(form, target)(run, part, done)
+        part.rename(target)
+    except BaseException:
+        shutil.rmtree(part) if part.is_dir() else part.unlink(missing_ok=True)
+        raise
+
+
+def _is_recording(target: Path) -> bool:
+    try:
+        read_run(target)
+    except RunError:
+        return False
+    return True
+
+
+def _writer(form: Form, target: Path) -> Callable[[Run, Path, Callable[[], None]], None]:
+    match form:
+        case "log":
+            return write_log
+        case "csv":
+            return write_zip if target.suffix.lower() == ".zip" else write_csv
+        case "mcap-json":
+            return write_json
+        case "rrd":
+            from palmd.record.export_rerun import write_rerun  # an optional extra, and a large one
+
+            return write_rerun

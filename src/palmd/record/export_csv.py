@@ -1,0 +1,60 @@
+"""A recorded run as tables: one CSV file a topic, one row a message, one column a field."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import re
+import tempfile
+import zipfile
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from palmd.record.jsonvalues import or_none
+from palmd.record.run import Run
+from palmd.record.tables import examples, flat
+
+
+def write_csv(run: Run, folder: Path, done: Callable[[], None]) -> None:
+    """The tables as files of a new `folder`; see `cell` for what stands in them. Raises RunError, OSError.
+
+    `done` is called twice for each message.
+    """
+    folder.mkdir()
+    known = examples(run, done)
+    with ExitStack() as stack:
+        tables = {}
+        for topic, fields in known.items():
+            stream = stack.enter_context((folder / file_name(topic)).open("w", encoding="utf-8", newline=""))
+            tables[topic] = csv.DictWriter(stream, [name for name, _ in flat(fields)], restval="")
+            tables[topic].writeheader()
+        for message in run.messages():
+            tables[message.topic].writerow({name: cell(value) for name, value in flat(message.fields)})
+            done()
+
+
+def write_zip(run: Run, path: Path, done: Callable[[], None]) -> None:
+    """The same files in a ZIP archive. Raises RunError, OSError."""
+    with tempfile.TemporaryDirectory(prefix="palmd-export-", dir=path.parent) as scratch:
+        folder = Path(scratch) / "tables"
+        write_csv(run, folder, done)
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+            for file in sorted(folder.iterdir()):
+                archive.write(file, file.name)
+
+
+def file_name(topic: str) -> str:
+    """`palm-estimate.csv` for `palm/estimate`."""
+    return re.sub(r"[^A-Za-z0-9_.-]", "-", topic) + ".csv"
+
+
+def cell(value: Any) -> Any:
+    """Empty for no value, 1 or 0 for a truth value, JSON text for a list; numbers keep every bit."""
+    if isinstance(value, list):
+        return json.dumps(or_none(value), allow_nan=False, separators=(",", ":"), ensure_ascii=False)
+    if isinstance(value, bool):
+        return int(value)
+    return "" if isinstance(value, float) and math.isnan(value) else value

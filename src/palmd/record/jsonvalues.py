@@ -1,0 +1,17 @@
+"""What JSON has no form for: numbers that are none."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+
+def or_none(value: Any) -> Any:
+    """The same value with None for every number that is not finite, in lists and maps too."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {name: or_none(each) for name, each in value.items()}
+    if isinstance(value, list):
+        return [or_none(each) for each in value]
+    return value

@@ -1,0 +1,121 @@
+"""Whether the observer says again what it said: a run's events through the same observer, compared bit for bit.
+
+An observer is a function of the events, the ticks' times and the smoother's answers, all of which a run holds. On the
+same machine with the same versions nothing may differ, not even the last bit.
+"""
+
+from __future__ import annotations
+
+import math
+import platform
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+
+import msgpack
+
+from palmd import __version__, observer
+from palmd.events import Event
+from palmd.messages import ESTIMATE, EVENTS, LOOP, Fields, estimate_fields
+from palmd.observer.improver import Improvement
+from palmd.record.run import Run, RunError
+from palmd.record.tables import flat
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """A field of a tick's estimate that is another now; `sigmas` is by how much, in its recorded one-sigma."""
+
+    number: int
+    name: str
+    recorded: object
+    now: object
+    sigmas: float
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """What one tick has come to: its differences, none when every bit agrees."""
+
+    number: int
+    differences: tuple[Difference, ...]
+
+
+class _Recorded:
+    """The smoother's answers in the ticks in which they came."""
+
+    def __init__(self, answers: dict[float, Improvement]) -> None:
+        self._answers = answers
+
+    def submit(self, t: float, begun: float, events: Sequence[Event]) -> None:
+        pass
+
+    def collect(self, t: float) -> Improvement | None:
+        return self._answers.get(t)
+
+
+class Recheck:
+    """The observer that a run was made with, given the same again."""
+
+    def __init__(self, run: Run) -> None:
+        """Raises RunError for a run without events or estimates; takes seconds when C has to be compiled."""
+        run.require(EVENTS, ESTIMATE)
+        self._run = run
+        settings = run.config.observer
+        smoothing = _Recorded(dict(run.improvements())) if settings.smoother else None
+        self._observer = observer.make(settings.primary, run.rig, smoothing=smoothing, outlines=run.outlines())
+
+    def ticks(self) -> Iterator[Checked]:
+        """Every recorded tick from the first up to a missing one; raises RunError when the first is not there."""
+        estimates = (message.fields for message in self._run.messages(ESTIMATE.name))
+        recorded = next(estimates, None)
+        for number, tick in enumerate(self._run.ticks()):
+            if tick.number != number:
+                if number:
+                    return
+                raise RunError(
+                    f"{self._run.path}: begins with tick {tick.number}; what the observer knew by then is not in it"
+                )
+            for event in tick.events:
+                self._observer.feed(event)
+            now = estimate_fields(self._observer.estimate(tick.t))
+            t_ns = round(tick.t * 1e9)
+            while recorded is not None and recorded["mono_ns"] < t_ns:
+                recorded = next(estimates, None)
+            if recorded is not None and recorded["mono_ns"] == t_ns:
+                yield Checked(number, tuple(differences(number, recorded, now)))
+
+    def elsewhere(self) -> list[str]:
+        """In what the run's making differs from this program and machine, so that last bits may differ too."""
+        here = {
+            "palmd": __version__,
+            "python": platform.python_version(),
+            "numpy": version("numpy"),
+            "casadi": version("casadi"),
+            "machine": platform.machine(),
+        }
+        told = dict(self._run.metadata)
+        loop = next(iter(self._run.messages(LOOP.name)), None)
+        if loop is not None:
+            told["backend"], here["backend"] = str(loop.fields.get("backend")), self._observer.backend
+        return [f"{name} {told.get(name)}, here {now}" for name, now in here.items() if told.get(name) != now]
+
+
+def differences(number: int, recorded: Fields, now: Fields) -> Iterator[Difference]:
+    """The fields of a tick's `palm/estimate` in which `now` is another than `recorded`, to the last bit.
+
+    The daemon may withhold an estimate that the observer calls valid, as while the pads are swapped: a `valid` that
+    it has lowered is no difference.
+    """
+    told = dict(flat(recorded))
+    for name, value in flat(now):
+        before = told.get(name)
+        withheld = name == "valid" and before is False
+        if not withheld and msgpack.packb(before) != msgpack.packb(value):
+            yield Difference(number, name, before, value, _sigmas(told.get(f"sd.{name}"), before, value))
+
+
+def _sigmas(sd: object, before: object, value: object) -> float:
+    if isinstance(sd, float) and isinstance(before, float) and isinstance(value, float) and sd > 0.0:
+        return abs(value - before) / sd
+    return math.nan

@@ -1,0 +1,175 @@
+"""A recorded run, read back: its messages, the events that the observer was fed, its configuration and versions."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+from pydantic import TypeAdapter, ValidationError
+
+from palmd.config import Config
+from palmd.events import Event, RigDescription
+from palmd.messages import EVENTS, IMPROVEMENT, SCHEMA, Topic, events_of
+from palmd.observer.improver import Improvement
+from palmd.outlinefile import Outline, OutlineError, read_library
+from palmd.record.eventlog import EventLog
+from palmd.record.mcapfile import Preface, RawMessage, RunError, Tail, is_finished, read_messages, read_preface
+from palmd.record.preface import CONFIG, METADATA, OUTLINES, RIG
+
+__all__ = ["FedTick", "Run", "RunError", "Survey", "read_run"]
+
+
+@dataclass(frozen=True, slots=True)
+class FedTick:
+    """One tick of the loop: its time `t` (s), the events that the observer was fed in it, and its number."""
+
+    t: float
+    events: tuple[Event, ...]
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """What a run holds of one topic: how many messages, from which number on, how many are missing between."""
+
+    count: int
+    first: int
+    missing: int
+    begin_ns: int
+    end_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """A recording. `complete` says whether it was finished; what is read lazily may raise RunError or OSError.
+
+    `metadata` holds versions, the configuration's hash, and which run it continues. `rig` is what the observer was
+    told. The configuration's `observer.shape` is left out: `outlines` has what was in it.
+    """
+
+    path: Path
+    complete: bool
+    metadata: Mapping[str, str]
+    config: Config
+    rig: RigDescription
+    preface: Preface
+
+    def messages(self, *topics: str, tail: Tail | None = None) -> Iterator[RawMessage]:
+        """All messages, or those of these topics, as they were received; `tail` learns of a torn end."""
+        for message in read_messages(self.path, tail):
+            if not topics or message.topic in topics:
+                yield message
+
+    def survey(self) -> dict[str, Survey]:
+        """What there is, by topic; reads the whole file."""
+        found: dict[str, Survey] = {}
+        last: dict[str, int] = {}
+        for message in self.messages():
+            topic, number, t = message.topic, message.sequence, message.log_time_ns
+            before = found.get(topic)
+            if before is None:
+                found[topic] = Survey(1, number, 0, t, t)
+            else:
+                missing = before.missing + max(0, number - last[topic] - 1)
+                found[topic] = Survey(before.count + 1, before.first, missing, before.begin_ns, t)
+            last[topic] = number
+        return found
+
+    def require(self, *topics: Topic) -> None:
+        """Raise RunError unless there are messages of each of these topics; reads no further than it must."""
+        wanted = {topic.name for topic in topics}
+        for message in self.messages():
+            wanted.discard(message.topic)
+            if not wanted:
+                return
+        raise RunError(f"{self.path}: holds no {' and no '.join(sorted(wanted))}")
+
+    def ticks(self) -> Iterator[FedTick]:
+        """Every recorded tick with its events, bit for bit; an observer is in the same state only from number 0 on."""
+        for message in self.messages(EVENTS.name):
+            fields = message.fields
+            try:
+                yield FedTick(fields["t_tick_s"], events_of(fields), fields["seq"])
+            except (KeyError, ValueError, TypeError) as error:
+                raise RunError(f"{self.path}: {EVENTS.name}, message {message.sequence}: {error!r}") from None
+
+    def events(self) -> Iterator[tuple[float, Event]]:
+        """Every event with the time (s) of the tick in which the observer was fed it."""
+        for tick in self.ticks():
+            for event in tick.events:
+                yield tick.t, event
+
+    def improvements(self) -> Iterator[tuple[float, Improvement]]:
+        """What the smoother beside the loop had to say, with the time (s) of the tick in which it was heard."""
+        for message in self.messages(IMPROVEMENT.name):
+            fields = message.fields
+            x = np.array(fields["x"])
+            yield fields["t_tick_s"], Improvement(fields["t_s"], x, np.array(fields["covariance"]).reshape(len(x), -1))
+
+    def event_log(self) -> EventLog:
+        """The run in the neutral form of event logs; raises RunError when there are no events in it."""
+        self.require(EVENTS)
+        events = tuple(event for _, event in self.events())
+        if not events:
+            raise RunError(f"{self.path}: {EVENTS.name} tells of no event: neither pad nor arm was heard")
+        notes = () if self.complete else (f"{self.path}: the recording was not finished; what there is of it is used",)
+        return EventLog(self.rig, events, notes)
+
+    def outlines(self) -> tuple[Outline, ...]:
+        """The stored outlines that the observer had to choose from, empty without any."""
+        files = {name: data for name, data in self.preface.attachments.items() if name.startswith(OUTLINES)}
+        if not files:
+            return ()
+        with tempfile.TemporaryDirectory(prefix="palmd-outlines-") as folder:
+            for name, data in files.items():
+                (Path(folder) / Path(name).name).write_bytes(data)
+            try:
+                return read_library(Path(folder))
+            except OutlineError as error:
+                raise RunError(f"{self.path}: its stored outlines: {error}") from None
+
+
+def read_run(path: Path) -> Run:
+    """The recording in a file, finished or not; raises RunError when it cannot be used.
+
+    That is a file that cannot be read, is no MCAP file, none of palmd's, of another schema version, or holds no
+    messages. Not for the loop.
+    """
+    try:
+        complete = is_finished(path)
+        preface = read_preface(path)
+        empty = next(read_messages(path), None) is None
+    except OSError as error:
+        raise RunError(f"{path}: {error.strerror or error}") from None
+    metadata = preface.metadata.get(METADATA)
+    if metadata is None and empty and not complete:
+        raise RunError(f"{path}: is cut off before its first message: there is nothing left in it")
+    if metadata is None:
+        raise RunError(f"{path}: is an MCAP file, but no recording of palmd")
+    if metadata.get("schema") != str(SCHEMA):
+        raise RunError(f"{path}: has messages of schema {metadata.get('schema')}; this palmd reads schema {SCHEMA}")
+    if empty:
+        why = "the recording was finished before any came" if complete else "it is cut off before the first"
+        raise RunError(f"{path}: holds no messages: {why}")
+    return Run(path, complete, metadata, _config(path, preface), _rig(path, preface), preface)
+
+
+def _config(path: Path, preface: Preface) -> Config:
+    try:
+        values = yaml.safe_load(preface.attachments[CONFIG])
+        values["observer"]["shape"] = None  # a path on the machine that recorded it
+        return Config.model_validate(values)
+    except (KeyError, TypeError, ValidationError, yaml.YAMLError) as error:
+        raise RunError(f"{path}: its configuration cannot be read: {str(error).splitlines()[0]}") from None
+
+
+def _rig(path: Path, preface: Preface) -> RigDescription:
+    try:
+        return TypeAdapter(RigDescription).validate_python(json.loads(preface.attachments[RIG]))
+    except (KeyError, ValueError) as error:
+        raise RunError(f"{path}: its description of the rig cannot be read: {str(error).splitlines()[0]}") from None

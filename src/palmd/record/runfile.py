@@ -1,0 +1,129 @@
+"""One run on the disk while it is being recorded, and its packing when it has ended."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable
+from datetime import UTC, datetime
+from io import BytesIO
+from pathlib import Path
+
+from palmd.record.mcapfile import Preface, RawMessage, RunWriter, Tail, read_messages, read_preface
+
+NAME = "%Y-%m-%dT%H-%M-%SZ"
+SUFFIX = ".mcap"
+_MOST_OF_ONE_SECOND = 100
+
+
+class _Spool(BytesIO):
+    """Collects what is written; `flush` brings it to the file as a whole, or leaves the file as it was."""
+
+    def __init__(self, fd: int) -> None:
+        super().__init__()
+        self._fd = fd
+        self.written = 0
+
+    def tell(self) -> int:
+        return self.written + super().tell()
+
+    def flush(self) -> None:
+        data = self.getvalue()
+        try:
+            at = 0
+            while at < len(data):
+                at += os.write(self._fd, data[at:])
+        except OSError:
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._fd, self.written)
+            raise
+        self.written += len(data)
+        self.seek(0)
+        self.truncate(0)
+
+
+class RunFile:
+    """A new file in `directory`, named after its beginning. All of it raises OSError; the file then stays readable."""
+
+    def __init__(self, directory: Path, preface: Preface, begin: datetime) -> None:
+        """Makes the directory if it is not there; the file holds its preface at once."""
+        directory.mkdir(parents=True, exist_ok=True)
+        self.path, self.fd = _created(directory, begin)
+        self.messages = self._flushed = 0
+        self._spool = _Spool(self.fd)
+        try:
+            self._writer = RunWriter(self._spool, preface, round(begin.timestamp() * 1e9), compressed=False)
+            self._spool.flush()
+        except OSError:
+            self.abandon()
+            self.path.unlink(missing_ok=True)
+            raise
+
+    @property
+    def size_bytes(self) -> int:
+        """That have been handed to the operating system."""
+        return self._spool.written
+
+    @property
+    def pending(self) -> int:
+        """How many messages have not been."""
+        return self.messages - self._flushed
+
+    def write(self, message: RawMessage) -> None:
+        """Append one message; nothing is safe before the next `flush`."""
+        self._writer.write(message)
+        self.messages += 1
+
+    def flush(self) -> None:
+        """Hand everything to the operating system: a death of this process then loses nothing of it."""
+        self._spool.flush()
+        self._flushed = self.messages
+
+    def finish(self) -> None:
+        """Write the end, bring everything to the disk, and close."""
+        self._writer.finish()
+        self.flush()
+        os.fsync(self.fd)
+        os.close(self.fd)
+
+    def abandon(self) -> None:
+        """Close without an end, as a file that cannot be written any further."""
+        os.close(self.fd)
+
+
+def _created(directory: Path, begin: datetime) -> tuple[Path, int]:
+    stem = begin.astimezone(UTC).strftime(NAME)
+    for number in range(1, _MOST_OF_ONE_SECOND):
+        path = directory / f"{stem}{f'-{number}' if number > 1 else ''}{SUFFIX}"
+        with contextlib.suppress(FileExistsError):
+            return path, os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+    raise FileExistsError(f"{stem}{SUFFIX} and {_MOST_OF_ONE_SECOND - 1} more exist")
+
+
+def pack(source: Path, target: Path, at: Callable[[int], None] = lambda _: None) -> tuple[int, int]:
+    """Write what `source` holds to `target` as a finished file of compressed chunks, and rename it into place.
+
+    Both may be the same path. `at` is told the number of messages that are done. Returns how many there are, and how
+    many bytes of a torn end were left out. Raises OSError, RunError, and leaves no part of a file then.
+    """
+    part = target.with_name(f".{target.name}.part")
+    tail = Tail()
+    count = 0
+    try:
+        with part.open("wb") as stream:
+            preface = read_preface(source)
+            writer: RunWriter | None = None
+            for message in read_messages(source, tail):
+                writer = writer or RunWriter(stream, preface, message.log_time_ns, compressed=True)
+                writer.write(message)
+                count += 1
+                at(count)
+            writer = writer or RunWriter(stream, preface, 0, compressed=True)
+            writer.finish()
+            stream.flush()
+            os.fsync(stream.fileno())
+        part.rename(target)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+    return count, tail.torn_bytes

@@ -1,0 +1,71 @@
+"""What there was to see at one instant of a run: palms, outline and centre of mass in the world frame. Pure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from palmd.config import Config
+from palmd.events import FloatArray
+from palmd.messages import ESTIMATE, SHAPE, Fields
+from palmd.motion.kinematics import RigGeometry
+from palmd.polygon import boundary
+
+_PLACE = ("phi1_rad", "phi2_rad", "psi_rad", "com_x_m", "com_y_m")
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """Places in m. palms (3, 2): tip of pad 1, hinge, tip of pad 2. outline (361, 2): closed. centre (2): of mass.
+
+    `valid` is the estimate's.
+    """
+
+    valid: bool
+    palms: FloatArray
+    outline: FloatArray
+    centre: FloatArray
+
+
+class SceneWatch:
+    """Makes a scene of each outline that has an estimate of the same tick before it, with a place in it."""
+
+    def __init__(self, config: Config) -> None:
+        """Raises PoseError for a fixed hinge, which no daemon has run with."""
+        self._geometry = RigGeometry.from_config(config)
+        self._pads = [pad.length_mm * 1e-3 for pad in (config.pads.palm1, config.pads.palm2)]
+        self._estimate: Fields = {}
+
+    def take(self, topic: str, fields: Fields) -> Scene | None:
+        """The scene that a message completes, if it does."""
+        if topic == ESTIMATE.name:
+            self._estimate = fields
+        told = self._estimate
+        if topic != SHAPE.name or told.get("mono_ns") != fields["mono_ns"]:
+            return None
+        if not all(math.isfinite(told[name]) for name in _PLACE):
+            return None
+        hinge = np.array(self._geometry.hinge(told["phi1_rad"]))
+        angles = (told["phi1_rad"], told["phi1_rad"] + told["phi2_rad"])
+        tips = [
+            hinge + length * np.array([math.cos(angle), math.sin(angle)])
+            for length, angle in zip(self._pads, angles, strict=True)
+        ]
+        centre = np.array([told["com_x_m"], told["com_y_m"]])
+        turned = boundary(_on_degrees(np.array(fields["h_m"]))) @ _turn(told["psi_rad"] + fields["theta_rad"][0])
+        return Scene(
+            told["valid"], np.array([tips[0], hinge, tips[1]]), centre + np.concatenate([turned, turned[:1]]), centre
+        )
+
+
+def _on_degrees(h: FloatArray) -> FloatArray:
+    """Samples of a full turn as 360 of them, by trigonometric interpolation."""
+    return np.asarray(np.fft.irfft(np.fft.rfft(h), 360) * (360 / len(h)))
+
+
+def _turn(angle: float) -> FloatArray:
+    """What turns points in rows by `angle` (rad)."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, s], [-s, c]])

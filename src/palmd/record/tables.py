@@ -1,0 +1,45 @@
+"""Messages as rows of a table: nested maps laid flat, and which columns there are. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from palmd.messages import STAMP, Fields
+from palmd.record.run import Run
+
+_FIRST = tuple(field.name for field in STAMP)
+
+
+def flat(fields: Fields) -> Iterator[tuple[str, Any]]:
+    """Each value with its name; what a nested map holds as `map.name`."""
+    for name, value in fields.items():
+        if isinstance(value, dict):
+            yield from ((f"{name}.{inner}", each) for inner, each in flat(value))
+        else:
+            yield name, value
+
+
+def examples(run: Run, done: Callable[[], None]) -> dict[str, Fields]:
+    """By topic: every field that occurs in any of its messages, with the first value of each; the stamp comes first.
+
+    Maps within maps are gathered likewise. `done` is called after each message. Raises RunError, OSError.
+    """
+    found: dict[str, Fields] = {}
+    for message in run.messages():
+        _gather(found.setdefault(message.topic, {}), message.fields)
+        done()
+    return {topic: _stamp_first(fields) for topic, fields in found.items()}
+
+
+def _gather(known: Fields, fields: Fields) -> None:
+    for name, value in fields.items():
+        if isinstance(value, dict):
+            _gather(known.setdefault(name, {}), value)
+        elif name not in known or known[name] == []:  # an empty list does not tell what lists hold
+            known[name] = value
+
+
+def _stamp_first(fields: Fields) -> Fields:
+    names = [name for name in _FIRST if name in fields]
+    return {name: fields[name] for name in (*names, *(name for name in fields if name not in names))}

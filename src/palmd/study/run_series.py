@@ -1,0 +1,304 @@
+"""A recorded run as arrays over time: one pass over its messages, and nothing thrown away that a report needs."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from palmd.events import FloatArray
+from palmd.messages import CONTACT, ESTIMATE, IMPROVEMENT, LOOP, MOTION, SHAPE, STATE, Fields, Topic
+from palmd.record.mcapfile import RunError, Tail
+from palmd.record.run import Run, Survey
+
+Bools = npt.NDArray[np.bool_]
+
+TRUTH, BODY = "rig/truth", "rig/object"
+SD = "sd."
+"""Before a field's name: the column of its one-sigma."""
+
+_TRUE = (
+    "psi_rad", "omega0_rad_s", "r1_m", "r2_m", "s1_m", "s2_m", "phi1_rad", "phi2_rad", "omega1_rad_s", "omega2_rad_s",
+    "com_x_m", "com_y_m", "f1_n", "f2_n", "contact1", "contact2", "object",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """The numbers of one topic: times t (n,) in s since the run's beginning, columns (n,) by field name, NaN for none.
+
+    Booleans are 0 and 1. A one-sigma has its field's name after `SD`.
+    """
+
+    t: FloatArray
+    columns: Mapping[str, FloatArray]
+
+    def __getitem__(self, name: str) -> FloatArray:
+        column = self.columns.get(name)
+        return np.full(len(self.t), math.nan) if column is None else column
+
+
+@dataclass(frozen=True, slots=True)
+class OutlineAt:
+    """One `palm/shape`: t (s), which object, whether the estimate was valid; theta (rad), h and h_sd (m), touched."""
+
+    t: float
+    number: int
+    valid: bool
+    theta: FloatArray
+    h: FloatArray
+    h_sd: FloatArray
+    touched: Bools
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """One `rig/object`: what really lay there from t (s) on; h (m) on even normals from 0, rho (m), mass (kg)."""
+
+    t: float
+    h: FloatArray
+    rho: float
+    mass: float
+    mu: float
+
+
+@dataclass(frozen=True, slots=True)
+class Spell:
+    """Something that lasted from `begin` to `end` (s)."""
+
+    what: str
+    begin: float
+    end: float
+
+
+@dataclass(frozen=True, slots=True)
+class FaultSpell:
+    """A fault that stood from `begin` to `end` (s), with what the operator was told; `stands` at the run's end."""
+
+    code: str
+    severity: str
+    hint: str
+    begin: float
+    end: float
+    stands: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """A run as arrays; times in s since its first message.
+
+    `faults` are in the order in which they came, `improvements` the times of the smoother's answers, `counts` the
+    last `palm/loop`, `torn_bytes` what was left out at the end of an unfinished file.
+    """
+
+    run: Run
+    survey: Mapping[str, Survey]
+    torn_bytes: int
+    observer: str
+    duration: float
+    estimate: Track
+    contact: Track
+    motion: Track
+    loop: Track
+    truth: Track
+    outlines: tuple[OutlineAt, ...]
+    bodies: tuple[Body, ...]
+    states: tuple[Spell, ...]
+    arm_states: tuple[Spell, ...]
+    segments: tuple[Spell, ...]
+    faults: tuple[FaultSpell, ...]
+    improvements: FloatArray
+    counts: Mapping[str, float]
+
+    @property
+    def valid(self) -> Bools:
+        """Of each estimate, whether it was called valid."""
+        return np.asarray(self.estimate["valid"] > 0.5)
+
+    @property
+    def objects(self) -> tuple[int, ...]:
+        """The objects that were begun, by the number that the observer gave them."""
+        numbers = np.unique(self.estimate["object"])
+        return tuple(int(number) for number in numbers if number >= 1)
+
+
+def series_of(run: Run, survey: Mapping[str, Survey], at: Callable[[int], None] = lambda _: None) -> Series:
+    """Everything a report needs of a run; `at` is told how many messages are done.
+
+    Raises RunError for messages that are not what their topic says, and for a run without a `palm/estimate`; OSError.
+    """
+    if ESTIMATE.name not in survey:
+        raise RunError(f"{run.path}: holds no {ESTIMATE.name}: there is nothing to report")
+    tail, reader = Tail(), _Reader()
+    for number, message in enumerate(run.messages(tail=tail)):
+        if message.topic in reader.takers:
+            try:
+                reader.take(message.topic, message.fields)
+            except (KeyError, TypeError, ValueError) as error:
+                raise RunError(f"{run.path}: {message.topic}, message {message.sequence}: {error!r}") from None
+        at(number + 1)
+    return reader.series(run, survey, tail.torn_bytes)
+
+
+class _Columns:
+    """Numbers of one topic while they are being read; a field that comes late has NaN before."""
+
+    def __init__(self) -> None:
+        self.t = array("d")
+        self._columns: dict[str, array[float]] = {}
+
+    def add(self, t: float, values: Iterable[tuple[str, float]]) -> None:
+        count = len(self.t)
+        for name, value in values:
+            column = self._columns.get(name)
+            if column is None:
+                column = self._columns[name] = array("d")
+            if len(column) < count:
+                column.extend([math.nan] * (count - len(column)))
+            column.append(value)
+        self.t.append(t)
+
+    def track(self) -> Track:
+        count = len(self.t)
+        for column in self._columns.values():
+            column.extend([math.nan] * (count - len(column)))
+        return Track(np.array(self.t), {name: np.array(column) for name, column in self._columns.items()})
+
+
+class _Spells:
+    """What is said again and again, as spells of the same."""
+
+    def __init__(self) -> None:
+        self._spells: list[Spell] = []
+
+    def say(self, t: float, what: str) -> None:
+        last = self._spells[-1] if self._spells else None
+        if last is not None:
+            self._spells[-1] = Spell(last.what, last.begin, t)
+        if last is None or last.what != what:
+            self._spells.append(Spell(what, t, t))
+
+    def until(self, t: float) -> tuple[Spell, ...]:
+        """All of them, the last one lasting until `t`."""
+        if not self._spells:
+            return ()
+        *before, last = self._spells
+        return (*before, Spell(last.what, last.begin, t))
+
+
+class _Reader:
+    def __init__(self) -> None:
+        self.takers: dict[str, Callable[[float, Fields], None]] = {
+            ESTIMATE.name: self._take_estimate,
+            SHAPE.name: self._take_shape,
+            CONTACT.name: self._numbers(CONTACT),
+            MOTION.name: self._take_motion,
+            STATE.name: self._take_state,
+            LOOP.name: self._take_loop,
+            IMPROVEMENT.name: lambda t, _: self._improvements.append(t),
+            TRUTH: lambda t, fields: self._columns[TRUTH].add(t, [(name, float(fields[name])) for name in _TRUE]),
+            BODY: self._take_body,
+        }
+        self._columns = {topic: _Columns() for topic in (ESTIMATE.name, CONTACT.name, MOTION.name, LOOP.name, TRUTH)}
+        self._begin_ns: int | None = None
+        self._end = 0.0
+        self._observer = ""
+        self._number, self._valid = 0, False
+        self._outlines: list[OutlineAt] = []
+        self._bodies: list[Body] = []
+        self._states, self._arm_states, self._segments = _Spells(), _Spells(), _Spells()
+        self._standing: dict[str, FaultSpell] = {}
+        self._faults: list[FaultSpell] = []
+        self._improvements = array("d")
+        self._estimated = _names(ESTIMATE)
+        self._moved = _names(MOTION)
+
+    def take(self, topic: str, fields: Fields) -> None:
+        now = int(fields["mono_ns"])
+        if self._begin_ns is None:
+            self._begin_ns = now
+        t = (now - self._begin_ns) * 1e-9
+        self._end = max(self._end, t)
+        self.takers[topic](t, fields)
+
+    def series(self, run: Run, survey: Mapping[str, Survey], torn_bytes: int) -> Series:
+        end = self._end
+        faults = [*self._faults, *(replace(fault, end=end) for fault in self._standing.values())]
+        tracks = {topic: columns.track() for topic, columns in self._columns.items()}
+        loop = tracks[LOOP.name]
+        return Series(
+            run=run,
+            survey=survey,
+            torn_bytes=torn_bytes,
+            observer=self._observer,
+            duration=end,
+            estimate=tracks[ESTIMATE.name],
+            contact=tracks[CONTACT.name],
+            motion=tracks[MOTION.name],
+            loop=loop,
+            truth=tracks[TRUTH],
+            outlines=tuple(self._outlines),
+            bodies=tuple(self._bodies),
+            states=self._states.until(end),
+            arm_states=self._arm_states.until(end),
+            segments=self._segments.until(end),
+            faults=tuple(sorted(faults, key=lambda spell: spell.begin)),
+            improvements=np.array(self._improvements),
+            counts={name: float(column[-1]) for name, column in loop.columns.items()},
+        )
+
+    def _numbers(self, topic: Topic) -> Callable[[float, Fields], None]:
+        names = _names(topic)
+        return lambda t, fields: self._columns[topic.name].add(t, [(name, float(fields[name])) for name in names])
+
+    def _take_estimate(self, t: float, fields: Fields) -> None:
+        values = [(name, float(fields[name])) for name in self._estimated]
+        values += [(SD + name, float(sd)) for name, sd in fields["sd"].items()]
+        self._columns[ESTIMATE.name].add(t, values)
+        self._observer, self._number, self._valid = fields["observer"], int(fields["object"]), bool(fields["valid"])
+
+    def _take_shape(self, t: float, fields: Fields) -> None:
+        theta, h, h_sd, touched = (
+            np.array(fields[name], dtype=np.float64) for name in ("theta_rad", "h_m", "h_sd_m", "touched")
+        )
+        if not len(theta) == len(h) == len(h_sd) == len(touched):
+            raise ValueError("its lists differ in length")
+        self._outlines.append(OutlineAt(t, self._number, self._valid, theta, h, h_sd, np.asarray(touched > 0.5)))
+
+    def _take_motion(self, t: float, fields: Fields) -> None:
+        self._columns[MOTION.name].add(t, [(name, float(fields[name])) for name in self._moved])
+        self._arm_states.say(t, fields["arm_state"])
+        segment = int(fields["segment"])
+        self._segments.say(t, "" if segment < 0 else f"{fields['plan']} {segment}")
+
+    def _take_state(self, t: float, fields: Fields) -> None:
+        self._states.say(t, fields["state"])
+        told = dict(zip(fields["faults"], zip(fields["severities"], fields["hints"], strict=True), strict=True))
+        for code in [code for code in self._standing if code not in told]:
+            self._faults.append(replace(self._standing.pop(code), end=t, stands=False))
+        for code, (severity, hint) in told.items():
+            self._standing.setdefault(code, FaultSpell(code, severity, hint, t, t))
+
+    def _take_loop(self, t: float, fields: Fields) -> None:
+        numbers = [(name, float(value)) for name, value in fields.items() if isinstance(value, int | float)]
+        self._columns[LOOP.name].add(t, numbers)
+
+    def _take_body(self, t: float, fields: Fields) -> None:
+        h = np.array(fields["h_m"], dtype=np.float64)
+        self._bodies.append(Body(t, h, *(float(fields[name]) for name in ("rho_m", "mass_kg", "mu"))))
+
+
+def _names(topic: Topic) -> tuple[str, ...]:
+    return tuple(field.name for field in topic.fields if field.kind in ("number", "bool"))
+
+
+def spent(spells: Iterable[Spell]) -> dict[str, float]:
+    """How long (s) each of the things lasted, all its spells together."""
+    total: dict[str, float] = {}
+    for spell in spells:
+        total[spell.what] = total.get(spell.what, 0.0) + spell.end - spell.begin
+    return total

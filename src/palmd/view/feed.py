@@ -1,0 +1,58 @@
+"""What a daemon and its emulated rig publish, taken in without being decoded."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import zmq
+
+from palmd.messages import CONTACT, ESTIMATE, INFO, LOOP, MOTION, OBJECT, SHAPE, STATE
+from palmd.view.errors import ViewError
+
+Message = tuple[str, bytes]
+"""A topic and its payload, a msgpack map as it came."""
+
+RIG_TOPICS = ("rig/truth", "rig/object")
+TOPICS = (*(topic.name for topic in (ESTIMATE, SHAPE, OBJECT, CONTACT, MOTION, STATE, LOOP, INFO)), *RIG_TOPICS)
+"""What the page shows; the other topics are not even sent to us."""
+
+QUEUED_MESSAGES = 1000  # two seconds' worth, should we be held up
+MESSAGE_BYTES_MAX = 1 << 20
+
+
+class Feed:
+    """Listens to one or more publishers, and remembers the last message of each topic."""
+
+    def __init__(self, addresses: Sequence[str]) -> None:
+        """`addresses` are ZeroMQ addresses; raises ViewError for what is none."""
+        self.latest: dict[str, bytes] = {}
+        self._context = zmq.Context()
+        self._socket = self._context.socket(zmq.SUB)
+        self._socket.setsockopt(zmq.RCVHWM, QUEUED_MESSAGES)
+        self._socket.setsockopt(zmq.MAXMSGSIZE, MESSAGE_BYTES_MAX)
+        for topic in TOPICS:
+            self._socket.subscribe(topic)
+        for address in addresses:
+            try:
+                self._socket.connect(address)
+            except zmq.ZMQError as error:
+                self.close()
+                raise ViewError(f"{address}: not an address ({error.strerror})") from None
+
+    def take(self) -> list[Message]:
+        """What has come since the last call, in its order; what has not three frames is left out."""
+        came: list[Message] = []
+        while len(came) < QUEUED_MESSAGES:
+            try:
+                frames = self._socket.recv_multipart(zmq.NOBLOCK)
+            except zmq.Again:
+                break
+            topic = frames[0].decode(errors="replace")
+            if len(frames) == 3 and topic in TOPICS:
+                came.append((topic, frames[1]))
+        self.latest.update(came)
+        return came
+
+    def close(self) -> None:
+        """Let go of the socket."""
+        self._context.destroy(linger=0)

@@ -1,0 +1,176 @@
+"""The page's server: 60 batches a second to every browser, their commands to the daemon, all in one thread."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import socket
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from websockets.asyncio.server import ServerConnection, serve
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from palmd import __version__
+from palmd.view import door, wire
+from palmd.view.client import Client
+from palmd.view.desk import Desk
+from palmd.view.errors import ViewError
+from palmd.view.feed import Feed, Message
+from palmd.view.files import page_files
+
+HOST = "127.0.0.1"
+FRAME_S = 1 / 60
+HEARTBEAT_FRAMES = 30  # a batch goes out as often even when nothing was published
+HELLO_S = 5.0
+CLOSING_S = 1.0
+MESSAGE_BYTES_MAX = 4096
+SEND_BUFFER_BYTES = 1 << 16  # what the kernel may hold back for a slow page: about half a second
+CLIENTS_MOST = 32
+_REFUSED, _TOO_MANY = 1008, 1013  # WebSocket's close codes for a breach of policy, and for "try again later"
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Where the daemon is, where the page is served, and what its commands are.
+
+    `truth` is an emulated rig's publisher, empty for none. `allowed` names the states in which each command applies.
+    """
+
+    publish: str
+    command: str
+    truth: str
+    port: int
+    token: str
+    allowed: Mapping[str, Sequence[str]]
+
+
+async def serve_page(settings: Settings, ready: Callable[[str], None], stop: asyncio.Event) -> None:
+    """Serves until `stop`; `ready` is told the page's address, token included. Raises ViewError when it cannot."""
+    feed = Feed([address for address in (settings.publish, settings.truth) if address])
+    try:
+        desk = Desk(settings.command)
+        try:
+            await _Server(settings, feed, desk).run(ready, stop)
+        finally:
+            desk.close()
+    finally:
+        feed.close()
+
+
+class _Server:
+    def __init__(self, settings: Settings, feed: Feed, desk: Desk) -> None:
+        self._settings, self._feed, self._desk = settings, feed, desk
+        self._files = page_files()
+        self._frame = 0
+        self._clients: set[Client] = set()
+        self._orders: dict[int, tuple[Client, wire.Order]] = {}
+
+    async def run(self, ready: Callable[[str], None], stop: asyncio.Event) -> None:
+        strangers = logging.getLogger("palmd.view.connections")
+        strangers.setLevel(logging.CRITICAL)  # what others do to an open port is no news
+        try:
+            server = await serve(
+                self._welcome,
+                HOST,
+                self._settings.port,
+                process_request=self._answer,
+                compression=None,
+                max_size=MESSAGE_BYTES_MAX,
+                close_timeout=CLOSING_S,
+                server_header=None,
+                logger=strangers,
+            )
+        except OSError as error:
+            where, why = f"{HOST}:{self._settings.port}", os.strerror(error.errno or 0)
+            raise ViewError(f"{where}: cannot be had ({why}); try another --port") from None
+        async with server:
+            port = next(iter(server.sockets)).getsockname()[1]
+            ready(f"http://{HOST}:{port}/#token={self._settings.token}")
+            frames = asyncio.create_task(self._frames())
+            stopped = asyncio.create_task(stop.wait())
+            await asyncio.wait((frames, stopped), return_when=asyncio.FIRST_COMPLETED)
+            stopped.cancel()
+            if frames.done():
+                frames.result()
+            frames.cancel()
+
+    def _answer(self, _connection: ServerConnection, request: Request) -> Response | None:
+        return door.answer(request, self._files)
+
+    # -- to the pages -------------------------------------------------------------------------------------
+
+    async def _frames(self) -> None:
+        """Each frame: take in what has come, and pass it on."""
+        clock = asyncio.get_running_loop().time
+        due, told = clock(), 0
+        commandable = False
+        while True:
+            due = max(due + FRAME_S, clock())
+            await asyncio.sleep(due - clock())
+            self._frame += 1
+            messages = self._feed.take()
+            self._pass_answers(clock())
+            before, commandable = commandable, self._desk.open
+            if messages or commandable is not before or self._frame - told >= HEARTBEAT_FRAMES:
+                told = self._frame
+                self._offer(self._clients, messages)
+
+    def _offer(self, clients: Iterable[Client], messages: list[Message]) -> None:
+        commandable = self._desk.open
+        for client in clients:
+            client.offer(self._frame, commandable, messages, self._feed.latest.items())
+
+    def _pass_answers(self, t: float) -> None:
+        for answer in self._desk.answers(t):
+            client, order = self._orders.pop(answer.number)
+            client.tell(wire.answer(order, answer.error))
+
+    # -- from the pages -----------------------------------------------------------------------------------
+
+    async def _welcome(self, connection: ServerConnection) -> None:
+        """One page, from its first message to its end."""
+        if len(self._clients) >= CLIENTS_MOST:
+            await connection.close(_TOO_MANY, f"there are {CLIENTS_MOST} pages already")
+            return
+        try:
+            token = wire.token_in(await asyncio.wait_for(connection.recv(), HELLO_S))
+        except (TimeoutError, ConnectionClosed):
+            token = None
+        if token is None:
+            await connection.close(_REFUSED, "the first message must be a map with a token")
+            return
+        settings = self._settings
+        connection.transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+        client = Client(connection, door.may_operate(token, settings.token))
+        client.tell(wire.hello(__version__, client.operator, settings.publish, settings.command, settings.allowed))
+        self._offer([client], [])
+        self._clients.add(client)
+        sending = asyncio.create_task(client.serve())
+        try:
+            async for message in connection:
+                self._obey(client, message)
+        except ConnectionClosed:
+            pass
+        finally:
+            self._clients.discard(client)
+            sending.cancel()
+            await asyncio.gather(sending, return_exceptions=True)
+
+    def _obey(self, client: Client, message: str | bytes) -> None:
+        """Pass an order on to the daemon, or say why not."""
+        order = wire.order_in(message)
+        if order is None:
+            return
+        if not client.operator:
+            client.tell(wire.answer(order, "this page only watches: it was opened without the token"))
+        elif order.command not in self._settings.allowed:
+            client.tell(wire.answer(order, "the page has no such command"))
+        else:
+            number = self._desk.send(order.command, asyncio.get_running_loop().time())
+            if number is None:
+                client.tell(wire.answer(order, f"nobody takes commands at {self._settings.command}"))
+            else:
+                self._orders[number] = (client, order)

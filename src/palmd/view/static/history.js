@@ -1,0 +1,89 @@
+// The last seconds of some fields, as columns that lie in one piece.
+
+/** Rows of numbers in the order of time; NaN for no value. A clock that jumps begins anew. */
+export class History {
+  #columns;
+  #capacity;
+  #gap;
+
+  /** `names` of the columns beside the time; `capacity` rows are kept at least; `gap` s without a row begin anew. */
+  constructor(names, capacity, gap) {
+    this.names = names;
+    this.start = 0;
+    this.end = 0;
+    this.#capacity = capacity;
+    this.#gap = gap;
+    this.#columns = Array.from({ length: names.length + 1 }, () => new Float64Array(2 * capacity));
+  }
+
+  /** The time of the newest row (s), NaN without one. */
+  get newest() {
+    return this.end > this.start ? this.#columns[0][this.end - 1] : NaN;
+  }
+
+  /** Adds a row: time (s) and values in the order of `names`. */
+  add(t, values) {
+    if (t < this.newest || t > this.newest + this.#gap) this.start = this.end = 0;
+    if (this.end === 2 * this.#capacity) {
+      for (const column of this.#columns) column.copyWithin(0, this.#capacity);
+      this.start -= this.#capacity;
+      this.end -= this.#capacity;
+    }
+    this.#columns[0][this.end] = t;
+    for (let i = 0; i < values.length; i++) this.#columns[i + 1][this.end] = values[i];
+    this.end += 1;
+    this.start = Math.max(this.start, this.end - this.#capacity);
+  }
+
+  /** The times from `since` (s) on, every `stride`-th. */
+  times(since, stride) {
+    const found = [];
+    const times = this.#columns[0];
+    for (let i = this.#first(since, stride); i < this.end; i += stride) found.push(times[i]);
+    return found;
+  }
+
+  /** A column from `since` (s) on, every `stride`-th, times `scale`; null for no value. */
+  values(name, since, stride, scale) {
+    const found = [];
+    const column = this.#columns[this.names.indexOf(name) + 1];
+    for (let i = this.#first(since, stride); i < this.end; i += stride) {
+      found.push(Number.isNaN(column[i]) ? null : column[i] * scale);
+    }
+    return found;
+  }
+
+  /** A column at other `times` in their order, times `scale`; null where this history does not reach. */
+  valuesAt(times, name, scale) {
+    const [own, column] = [this.#columns[0], this.#columns[this.names.indexOf(name) + 1]];
+    let i = this.start;
+    return times.map((t) => {
+      while (i + 1 < this.end && own[i + 1] < t) i += 1;
+      if (i + 1 >= this.end || t < own[i]) return null;
+      const share = (t - own[i]) / (own[i + 1] - own[i]);
+      return (column[i] + share * (column[i + 1] - column[i])) * scale;
+    });
+  }
+
+  /** The row of the last time before `t`, and how far `t` lies from it to the next one: [row, 0…1]; null for none. */
+  place(t) {
+    const times = this.#columns[0];
+    for (let i = this.end - 2; i >= this.start; i--) {
+      if (times[i] <= t) return t <= times[i + 1] ? [i, (t - times[i]) / (times[i + 1] - times[i])] : null;
+    }
+    return null;
+  }
+
+  /** A column's value at a place between two rows. */
+  between(name, [row, share]) {
+    const column = this.#columns[this.names.indexOf(name) + 1];
+    return column[row] + share * (column[row + 1] - column[row]);
+  }
+
+  #first(since, stride) {
+    const times = this.#columns[0];
+    let i = this.end;
+    while (i > this.start && times[i - 1] >= since) i -= 1;
+    return Math.ceil(i / stride) * stride; // the same rows each time, so that curves do not shimmer
+  }
+}

@@ -1,0 +1,70 @@
+// What has come: the last message of each topic, when it came, and the histories that strips are drawn from.
+
+import { History } from "./history.js";
+
+export const WINDOW_S = 10;
+export const STALE_MS = 500;
+const GAP_S = 2;
+
+const STATE = ["r1_m", "r2_m", "omega0_rad_s", "s1_m", "s2_m", "phi1_rad", "phi2_rad", "omega1_rad_s", "omega2_rad_s",
+  "rho_m"];
+const HEALTH = ["nis", "observability"];
+const TRUTH = ["psi_rad", "com_x_m", "com_y_m", ...STATE.filter((name) => name !== "rho_m")];
+export const SD = "sd ";
+
+export class Store {
+  #latest = new Map();
+  #cameAt = new Map();
+
+  constructor() {
+    const rows = WINDOW_S * 100 + 100;
+    this.estimates = new History([...STATE, ...HEALTH, ...STATE.map((name) => SD + name)], rows, GAP_S);
+    this.truths = new History(TRUTH, rows, GAP_S);
+    this.palmAt = -Infinity; // when palmd was heard last, performance.now()
+  }
+
+  /** One message, at `now` (ms). */
+  take(topic, fields, now) {
+    this.#latest.set(topic, fields);
+    this.#cameAt.set(topic, now);
+    if (topic.startsWith("palm/")) this.palmAt = now;
+    if (topic === "palm/estimate") this.#takeEstimate(fields);
+    if (topic === "rig/truth") this.truths.add(seconds(fields), TRUTH.map((name) => fields[name]));
+  }
+
+  /** The last message of a topic, an empty map before the first. */
+  get(topic) {
+    return this.#latest.get(topic) ?? {};
+  }
+
+  has(topic) {
+    return this.#latest.has(topic);
+  }
+
+  /** How long ago (ms) a topic was heard last. */
+  age(topic, now) {
+    return now - (this.#cameAt.get(topic) ?? -Infinity);
+  }
+
+  /** Whether what there is to see is old. */
+  stale(now) {
+    return now - this.palmAt > STALE_MS;
+  }
+
+  /** Whether an emulated rig tells the truth at the moment. */
+  truthful(now) {
+    return this.age("rig/truth", now) < 2 * STALE_MS && this.has("rig/object");
+  }
+
+  #takeEstimate(fields) {
+    const known = fields.valid ? (name) => fields[name] ?? NaN : () => NaN;
+    const sd = fields.valid ? (name) => fields.sd?.[name] ?? NaN : () => NaN;
+    this.estimates.add(seconds(fields), [...STATE.map(known), ...HEALTH.map((name) => fields[name] ?? NaN),
+      ...STATE.map(sd)]);
+  }
+}
+
+/** The tick of a message (s, the machine's monotonic clock). */
+export function seconds(fields) {
+  return fields.mono_ns * 1e-9;
+}

@@ -1,0 +1,65 @@
+"""What goes between server and page. Pure.
+
+To the page: text frames are JSON maps `{hello: …}` and `{answer: …}`; binary frames are batches, a msgpack list
+`[frame, lost, commandable, [[topic, payload], …]]` with each payload as the daemon sent it, so that nothing is decoded
+on the way. From the page: JSON maps, first `{token}`, then `{id, cmd}`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import msgpack
+
+from palmd.view.feed import Message
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """A command as the page asks for it; `id` is the page's own and comes back with the answer."""
+
+    id: int
+    command: str
+
+
+def batch(frame: int, lost: int, commandable: bool, messages: Iterable[Message]) -> bytes:
+    """All messages of one frame; `lost` counts the frames that this page was too slow for."""
+    return cast(bytes, msgpack.packb([frame, lost, commandable, list(messages)]))
+
+
+def hello(version: str, operator: bool, publish: str, command: str, allowed: Mapping[str, Sequence[str]]) -> str:
+    """The first words: who is here, whether this page may give commands, and in which state each applies."""
+    fields = {"version": version, "operator": operator, "publish": publish, "command": command, "allowed": allowed}
+    return json.dumps({"hello": fields})
+
+
+def answer(order: Order, error: str | None) -> str:
+    """What became of an order."""
+    return json.dumps({"answer": {"id": order.id, "cmd": order.command, "error": error}})
+
+
+def token_in(text: str | bytes) -> str | None:
+    """The token in a page's first message, empty when it has none; None when that is no such message."""
+    message = _map(text)
+    if message is None or message.keys() != {"token"} or not isinstance(message["token"], str | None):
+        return None
+    return message["token"] or ""
+
+
+def order_in(text: str | bytes) -> Order | None:
+    """The order in a later message, None when there is none."""
+    message = _map(text)
+    if message is None or type(message.get("id")) is not int or not isinstance(message.get("cmd"), str):
+        return None
+    return Order(message["id"], message["cmd"])
+
+
+def _map(text: str | bytes) -> dict[str, Any] | None:
+    try:
+        message = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    return message if isinstance(message, dict) else None

@@ -1,0 +1,235 @@
+"""Which messages go to which file, and what happens when nothing can be written."""
+
+import errno
+import os
+
+import pytest
+import recorded
+
+from palmd.messages import EVENTS, events_fields
+from palmd.record import recording as module
+from palmd.record import runfile
+from palmd.record.mcapfile import is_finished, read_messages, read_preface
+from palmd.record.recording import LONGEST_S, RETRY_S, SILENT_S, Recording
+
+T0 = recorded.T0
+
+
+class Disk:
+    """A recording into a folder, and the files that it has closed."""
+
+    def __init__(self, folder):
+        self.ended = []
+        self.folder = folder
+        self.recording = Recording(recorded.config(folder), self.ended.append)
+
+    def take(self, number, t=0.0, topic=EVENTS.name):
+        self.recording.take(recorded.frames(topic, events_fields(t, []), number, t), T0 + t)
+        self.recording.flush(T0 + t)
+
+    def files(self):
+        return sorted(path.name for path in self.folder.iterdir())
+
+    def numbers(self, path):
+        return [message.sequence for message in read_messages(path)]
+
+
+@pytest.fixture
+def disk(tmp_path):
+    return Disk(tmp_path / "runs")
+
+
+def test_what_has_been_flushed_is_in_the_file(disk):
+    for number in range(5):
+        disk.take(number)
+        assert disk.numbers(disk.recording.path) == list(range(number + 1))
+    assert disk.files() == ["2026-11-21T22-30-05Z.mcap"]
+    assert disk.recording.messages == 5
+    assert disk.recording.size_bytes == disk.recording.path.stat().st_size
+
+
+def test_bytes_and_times_are_stored_as_they_came(disk):
+    sent = recorded.frames(EVENTS.name, events_fields(0.5, recorded.events(1)), 0, 0.5)
+    disk.recording.take(sent, T0 + 0.75)
+    disk.recording.flush(T0 + 0.75)
+    (got,) = read_messages(disk.recording.path)
+    assert (got.topic.encode(), got.payload) == (sent[0], sent[1])
+    assert got.log_time_ns == round((T0 + 0.75) * 1e9)
+    assert got.publish_time_ns == round((T0 + 0.5) * 1e9)
+
+
+def test_gaps_are_counted_topic_by_topic(disk):
+    for number, topic in ((0, "palm/a"), (7, "palm/b"), (1, "palm/a"), (9, "palm/b"), (5, "palm/a"), (10, "palm/b")):
+        disk.take(number, topic=topic)
+    assert disk.recording.lost == 1 + 3
+    assert disk.recording.messages == 6
+
+
+def test_a_daemon_that_begins_anew_gets_a_file_of_its_own(disk):
+    for number in (0, 1, 2):
+        disk.take(number)
+    disk.take(0, 0.4)
+    assert disk.files() == ["2026-11-21T22-30-05Z-2.mcap", "2026-11-21T22-30-05Z.mcap"]
+    (first,) = disk.ended
+    assert (first.messages, first.whole, disk.numbers(first.path)) == (3, True, [0, 1, 2])
+    assert disk.numbers(disk.recording.path) == [0]
+    assert disk.recording.lost == 0
+    assert read_preface(disk.recording.path).metadata["palmd"]["continues"] == ""
+
+
+def test_a_rig_that_begins_anew_changes_nothing(disk):
+    disk.take(0)
+    disk.take(500, topic="rig/truth")
+    disk.take(0, topic="rig/truth")
+    assert disk.ended == []
+    assert disk.recording.lost == 0
+
+
+def test_only_the_daemon_begins_a_file(disk):
+    disk.take(0, topic="rig/truth")
+    assert disk.recording.path is None
+    assert not disk.folder.exists()
+    disk.take(0)
+    disk.take(1, topic="rig/truth")
+    assert disk.recording.messages == 2
+    assert disk.recording.lost == 0
+
+
+def test_a_long_run_goes_on_in_another_file(disk):
+    disk.take(0)
+    disk.take(1, LONGEST_S - 1)
+    disk.take(2, LONGEST_S)
+    (first,) = disk.ended
+    assert (disk.numbers(first.path), is_finished(first.path)) == ([0, 1], True)
+    assert disk.recording.path.name == "2026-11-21T23-30-05Z.mcap"
+    assert read_preface(disk.recording.path).metadata["palmd"]["continues"] == first.path.name
+    assert disk.recording.lost == 0
+
+
+def test_a_run_ends_with_the_daemons_silence_and_goes_on_with_its_voice(disk):
+    disk.take(0)
+    for tenths in range(1, round(SILENT_S * 10)):
+        disk.take(tenths, 0.1 * tenths, topic="rig/truth")
+    assert disk.ended == []
+    disk.take(50, SILENT_S + 0.1, topic="rig/truth")
+    assert [one.whole for one in disk.ended] == [True]
+    assert disk.recording.path is None
+    disk.take(3, SILENT_S + 1.0)
+    assert disk.recording.lost == 2
+    assert read_preface(disk.recording.path).metadata["palmd"]["continues"] == disk.ended[0].path.name
+
+
+@pytest.mark.parametrize(
+    "frames",
+    [[b"palm/x"], [b"palm/x", b"\xc1", b"1"], [b"palm/x", b"\x93\x01\x02\x03", b"1"], [b"palm/x", b"\x80", b"1"]],
+)
+def test_what_is_no_message_is_left_out(disk, frames):
+    disk.recording.take(frames, T0)
+    assert disk.recording.path is None
+
+
+@pytest.mark.parametrize("timestamp", [float("nan"), float("inf"), -1.0, "now", None, 10**30])
+def test_a_stamp_that_is_no_time_harms_nothing(disk, timestamp):
+    frames = recorded.frames(EVENTS.name, {}, 0)
+    fields = {"seq": 0, "timestamp": timestamp}
+    disk.recording.take([frames[0], recorded.msgpack.packb(fields) if timestamp != 10**30 else frames[1], b""], T0)
+    disk.recording.flush(T0)
+    assert next(read_messages(disk.recording.path)).publish_time_ns == pytest.approx(T0 * 1e9)
+
+
+# ----------------------------------------------------------------------------------------- nowhere to write to
+
+
+@pytest.fixture
+def full(monkeypatch):
+    """A disk that can be filled up in mid-write: `full.room` bytes fit until it is None."""
+
+    class Full:
+        room = None
+
+    real = os.write
+
+    def write(fd, data):
+        if Full.room is None:
+            return real(fd, data)
+        if Full.room == 0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        written = real(fd, data[: Full.room])
+        Full.room -= written
+        return written
+
+    monkeypatch.setattr(runfile.os, "write", write)
+    return Full
+
+
+def test_a_full_disk_keeps_what_is_there_and_is_tried_again(disk, full):
+    for number in range(3):
+        disk.take(number, 0.01 * number)
+    full.room = 100  # in the middle of a record
+    disk.take(3, 0.03)
+    (first,) = disk.ended
+    assert (first.whole, first.messages, disk.numbers(first.path)) == (False, 3, [0, 1, 2])
+    assert disk.recording.problem == f"{disk.folder}: the disk is full"
+    assert disk.recording.lost == 1
+    disk.take(4, 1.0)
+    full.room = None
+    disk.take(5, RETRY_S)
+    assert (disk.recording.lost, disk.recording.path) == (3, None)
+    disk.take(6, RETRY_S + 0.1)
+    assert disk.recording.problem == ""
+    assert disk.numbers(disk.recording.path) == [6]
+    assert disk.recording.lost == 3
+    assert read_preface(disk.recording.path).metadata["palmd"]["continues"] == first.path.name
+
+
+def test_a_file_that_is_whole_to_the_last_record_can_be_packed(disk, full):
+    for number in range(3):
+        disk.take(number)
+    full.room = 7
+    disk.recording.finish()
+    (first,) = disk.ended
+    assert not first.whole
+    full.room = None
+    assert runfile.pack(first.path, first.path) == (3, 0)
+    assert is_finished(first.path)
+
+
+def test_a_disk_that_is_full_from_the_beginning_gets_no_empty_files(disk, full):
+    full.room = 10
+    for number in range(3):
+        disk.take(number)
+    assert disk.files() == []
+    assert disk.recording.lost == 3
+    assert "the disk is full" in disk.recording.problem
+
+
+def test_a_directory_that_cannot_be_written_is_told_and_tried_again(disk, caplog):
+    disk.folder.write_text("a file where the directory should be")
+    for number in range(3):
+        disk.take(number)
+    assert disk.recording.problem == f"{disk.folder}: File exists"
+    assert disk.recording.lost == 3
+    assert caplog.text.count("tried again") == 1
+    disk.folder.unlink()
+    disk.take(3, RETRY_S)
+    assert disk.recording.problem == ""
+    assert disk.numbers(disk.recording.path) == [3]
+
+
+def test_a_disk_that_fails_later_is_not_trusted_any_longer(disk):
+    disk.take(0)
+    disk.recording.fail(OSError(errno.EIO, "Input/output error"), T0)
+    assert disk.recording.problem.endswith("Input/output error")
+    assert disk.recording.path is None
+    assert disk.numbers(disk.ended[0].path) == [0]
+
+
+def test_the_names_of_one_second_are_different(tmp_path):
+    config = recorded.config(tmp_path)
+    for _ in range(3):
+        runfile.RunFile(tmp_path, module.preface(config, ""), recorded.BEGIN).finish()
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "2026-11-21T22-30-05Z-2.mcap",
+        "2026-11-21T22-30-05Z-3.mcap",
+        "2026-11-21T22-30-05Z.mcap",
+    ]

@@ -1,0 +1,67 @@
+"""`palmd recover` and `palmd record`: what they say, and what they refuse."""
+
+import pytest
+import recorded
+
+from palmd.cli import main
+from palmd.record.mcapfile import is_packed, read_messages
+from palmd.record.run import read_run
+
+
+@pytest.fixture
+def cut_off(tmp_path):
+    """A run that ends in the middle of its last message but one."""
+    file, ends = recorded.begun(tmp_path)
+    file.abandon()
+    with file.path.open("r+b") as stream:
+        stream.truncate(ends[-2] - 5)
+    return file.path
+
+
+def test_a_run_that_was_cut_off_is_made_whole_in_place(cut_off, capsys):
+    expected = list(recorded.messages(5))[:-2]
+    assert main(["recover", str(cut_off)]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith(f"{cut_off}: 10 messages of 0.4 s saved, ")
+    assert out.endswith(" torn bytes at the end left out\n")
+    assert list(read_messages(cut_off)) == expected
+    assert is_packed(cut_off)
+    assert read_run(cut_off).complete
+    assert main(["recover", str(cut_off)]) == 0
+    assert capsys.readouterr().out == f"{cut_off}: is whole already\n"
+
+
+def test_the_original_may_be_kept(cut_off, tmp_path, capsys):
+    before = cut_off.read_bytes()
+    assert main(["recover", str(cut_off), "-o", str(tmp_path / "b.mcap")]) == 0
+    assert capsys.readouterr().out.startswith(f"{tmp_path / 'b.mcap'}: 10 messages")
+    assert cut_off.read_bytes() == before
+    assert is_packed(tmp_path / "b.mcap")
+
+
+def test_what_cannot_be_recovered_is_refused_and_left_as_it_is(tmp_path, capsys):
+    path = tmp_path / "run.mcap"
+    path.write_bytes(b"not a recording")
+    assert main(["recover", str(path)]) == 1
+    assert capsys.readouterr().err == f"{path}: is no MCAP file\n"
+    assert path.read_bytes() == b"not a recording"
+    assert main(["recover", str(tmp_path / "none.mcap")]) == 1
+    assert capsys.readouterr().err == f"{tmp_path / 'none.mcap'}: No such file or directory\n"
+
+
+def test_an_output_that_cannot_be_written_is_told(cut_off, tmp_path, capsys):
+    target = tmp_path / "none" / "b.mcap"
+    assert main(["recover", str(cut_off), "-o", str(target)]) == 1
+    assert capsys.readouterr().err == f"{target}: cannot be written: No such file or directory\n"
+
+
+def test_record_refuses_what_is_no_configuration_and_no_address(tmp_path, capsys):
+    assert main(["record", str(tmp_path / "none.yaml")]) == 1
+    assert "none.yaml" in capsys.readouterr().err
+    config = tmp_path / "palmd.yaml"
+    config.write_text(
+        "pads: {palm1: {port: a}, palm2: {port: b}}\narm: {port: c}\n"
+        f"bus: {{publish: 'ipc://{tmp_path}/p', command: 'ipc://{tmp_path}/c'}}\n"
+    )
+    assert main(["record", str(config), "--truth", "somewhere"]) == 1
+    assert capsys.readouterr().err == "somewhere: not an address; it looks like tcp://127.0.0.1:9872\n"
