@@ -22,12 +22,16 @@ SLOWEST = math.radians(20.0)
 SHORTEST_S = 3 * CALL_S
 LOOP_HALF_1, LOOP_HALF_12 = (0.1, 0.95), (0.1, 0.85)  # rad
 NEARBY = 0.35  # rad, one-sigma of a loop's middle about the present pose, for half of them
+SHIFTED, SHIFT = (
+    0.5,
+    0.3,
+)  # the share of a kept sequence's ends that is shifted, and by how much at most (rad, one-sigma)
 STEP_SHARE = (0.15, 1.0)  # of the way to a pose anywhere, that a single move goes
 
 
 def loops(random: np.random.Generator, start: FloatArray, count: int, length: int, limits: MotionLimits) -> Moves:
     """`count` sequences of `length` moves: rounds about a pose near or anywhere, either way, of any size and rate."""
-    low, high = _range(limits)
+    low, high = range_of(limits)
     middle1 = random.uniform(low[0], high[0], count)
     middle12 = random.uniform(low[0] + low[1], PHI12_MAX - POSE_MARGIN, count)
     near = random.random(count) < 0.5
@@ -47,7 +51,7 @@ def single_moves(
     random: np.random.Generator, start: FloatArray, count: int, length: int, limits: MotionLimits
 ) -> Moves:
     """`count` sequences of `length` moves some way towards poses anywhere; some move one palm angle only."""
-    low, high = _range(limits)
+    low, high = range_of(limits)
     ends = np.empty((count, length, 2))
     here = np.tile(start, (count, 1))
     for number in range(length):
@@ -60,9 +64,46 @@ def single_moves(
     return timed(start, ends, _rates(random, count, limits)[:, None], limits)
 
 
+def visits(
+    random: np.random.Generator, start: FloatArray, poses: FloatArray, length: int, limits: MotionLimits
+) -> Moves:
+    """For each of `poses` (P, 2) a sequence of `length` moves that goes there with the first, and stays."""
+    ends = np.repeat(poses[:, None], length, axis=1)
+    return timed(start, ends, _rates(random, len(poses), limits)[:, None], limits)
+
+
+def mutated(random: np.random.Generator, kept: Moves, count: int, limits: MotionLimits) -> Moves:
+    """`count` sequences like the one `kept`, each move's end shifted by a little or not."""
+    ends = np.repeat(kept.ends, count, axis=0)
+    shifted = random.random((count, ends.shape[1], 1)) < SHIFTED
+    ends = ends + shifted * random.normal(0.0, SHIFT, ends.shape) * np.exp(random.uniform(-2.0, 0.0, (count, 1, 1)))
+    return timed(kept.start, _inside(ends, limits), _rates(random, count, limits)[:, None], limits)
+
+
+def lengthened(kept: Moves) -> Moves:
+    """The rest of a sequence that has been begun, with a stay at its end for the move that has gone."""
+    stay = np.full((len(kept.durations), 1), SHORTEST_S)
+    ends = np.concatenate([kept.ends, kept.ends[:, -1:]], axis=1)
+    return Moves(kept.start, ends, np.concatenate([kept.durations, stay], axis=1))
+
+
+def ending_at(moves: Moves, ends: FloatArray, limits: MotionLimits) -> Moves:
+    """The sequences with their last moves going to `ends` (N, 2) instead."""
+    before = moves.ends[:, -2]
+    last = timed(before, ends[:, None], np.full((len(ends), 1), RATE_SHARE * limits.rate), limits)
+    return Moves(
+        moves.start,
+        np.concatenate([moves.ends[:, :-1], ends[:, None]], axis=1),
+        np.concatenate([moves.durations[:, :-1], last.durations], axis=1),
+    )
+
+
 def timed(start: FloatArray, ends: FloatArray, rate: FloatArray, limits: MotionLimits) -> Moves:
-    """Durations for peaks of `rate` (rad/s, (N, 1)), longer where rate, acceleration or the arm need it."""
-    before = np.concatenate([np.broadcast_to(start, (len(ends), 1, 2)), ends[:, :-1]], axis=1)
+    """Sequences from `start` (2,) or (N, 2) to `ends` (N, k, 2) with peaks of `rate` (rad/s, (N, 1)), or slower.
+
+    As slow as rate, acceleration and the arm need it.
+    """
+    before = np.concatenate([np.broadcast_to(start, (len(ends), 2))[:, None], ends[:, :-1]], axis=1)
     way = ends - before
     farthest = np.abs(way).max(axis=-1)
     duration = PEAK_RATE * farthest / rate
@@ -91,7 +132,8 @@ def _rates(random: np.random.Generator, count: int, limits: MotionLimits) -> Flo
     return rates
 
 
-def _range(limits: MotionLimits) -> tuple[FloatArray, FloatArray]:
+def range_of(limits: MotionLimits) -> tuple[FloatArray, FloatArray]:
+    """The lowest and the highest palm angles (φ1, φ2) (rad) that moves end at."""
     low = np.array([limits.phi1[0], limits.bounds[1].low]) + POSE_MARGIN
     high = np.array([limits.phi1[1], limits.bounds[1].high]) - POSE_MARGIN
     return low, high
@@ -99,7 +141,7 @@ def _range(limits: MotionLimits) -> tuple[FloatArray, FloatArray]:
 
 def _inside(poses: FloatArray, limits: MotionLimits) -> FloatArray:
     """The poses, those outside of the limits brought to their edge (…, 2)."""
-    low, high = _range(limits)
+    low, high = range_of(limits)
     top = PHI12_MAX - POSE_MARGIN
     phi1 = np.clip(poses[..., 0], low[0], min(high[0], top - low[1]))
     phi2 = np.clip(poses[..., 1], low[1], np.minimum(high[1], top - phi1))

@@ -18,6 +18,9 @@ CALL_S = SUBSTEPS * STEP_S
 BINS = 72  # of outward normals, bin 0 beginning at θ = 0
 _BIN_RAD = 2 * np.pi / BINS
 
+LEAST_FORCE = 0.8  # m/s², of a contact: one that rests has several
+MARGIN_M = 3e-3  # of the contacts from a pad's ends
+
 Bools = npt.NDArray[np.bool_]
 
 
@@ -49,6 +52,13 @@ class Foreseen:
     psi: FloatArray
     omega0: FloatArray
     normals: FloatArray
+
+
+def goodness(foreseen: Foreseen, pad_length: float) -> FloatArray:
+    """How safe it is up to the end of each move (N, k): 1 as near to danger as allowed, 0 a contact lost or off."""
+    margins = np.minimum(foreseen.nearest, pad_length - foreseen.farthest) / MARGIN_M
+    how_safe: FloatArray = np.minimum(margins, foreseen.least_force / LEAST_FORCE)
+    return how_safe
 
 
 class Foresight:

@@ -1,0 +1,54 @@
+"""Which normals of an outline palms can touch, and why they cannot touch the others. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.model.stable_surface import SurfaceLimits, stable_surface
+from palmd.motion.foresight import BINS, MARGIN_M, Bools
+from palmd.motion.limits import PHI12_MAX, MotionLimits
+
+ANY_PHI1, ANY_PHI2, ANY_LENGTH_M = (0.02, 2.9), (0.1, 2.95), 0.5  # as if there were no limits
+
+
+def surface_limits(limits: MotionLimits) -> SurfaceLimits:
+    """What the palms may do, as far as it matters for where an object can lie."""
+    return SurfaceLimits(
+        limits.phi1, (limits.bounds[1].low, limits.bounds[1].high), PHI12_MAX, limits.pad_length, MARGIN_M
+    )
+
+
+def reach(outline: FloatArray, limits: SurfaceLimits) -> Bools:
+    """The bins of normals that a palm touches in some stable pose of `outline`, coefficients of h (m)."""
+    return np.asarray(stable_surface(outline, limits, bins=BINS).reach.any(axis=0))
+
+
+def why_not(out: Bools, outline: FloatArray, limits: SurfaceLimits) -> list[str]:
+    """In words, why the bins `out` of the outline are out of reach: what would have to be wider to reach them."""
+    told = []
+    for wider, why in (
+        (replace(limits, phi1=ANY_PHI1, phi2=ANY_PHI2), "the limits of the palm angles"),
+        (replace(limits, pad_length=ANY_LENGTH_M), "the pads' length"),
+        (SurfaceLimits(ANY_PHI1, ANY_PHI2, PHI12_MAX, ANY_LENGTH_M, 0.0), "these limits and the pads' length together"),
+    ):
+        opened = out & reach(outline, wider) if out.any() else out
+        if opened.any():
+            told.append(f"out of reach because of {why}: {arcs(opened)}")
+        out = out & ~opened
+    return [*told, f"in no stable pose: {arcs(out)}"] if out.any() else told
+
+
+def arcs(marks: Bools) -> str:
+    """The marked bins as arcs `from–to°` of the normal."""
+    if marks.all():
+        return "0–360°"
+    width = 360 / BINS
+    begins = np.flatnonzero(marks & ~np.roll(marks, 1))
+    named = []
+    for begin in begins:
+        length = int(np.argmin(np.roll(marks, -begin)))
+        named.append(f"{begin * width:.0f}–{(begin + length) % BINS * width:.0f}°")
+    return ", ".join(named)

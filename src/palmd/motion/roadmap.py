@@ -1,0 +1,153 @@
+"""The way through barriers: from any pose of palms and object, the time until something wanted is touched. Pure.
+
+A rough and nearly round object rests almost anywhere, and turns on only by detours that no few moves drawn at random
+find. So the dynamic model is rolled forward on the moves between some poses of the palms, from the object at rest in
+each of some orientations; value iteration on what comes of them gives the time to go.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from palmd.events import FloatArray
+from palmd.model import shape_map
+from palmd.motion.candidates import POSE_MARGIN, RATE_SHARE, range_of, timed
+from palmd.motion.foresight import BINS, MARGIN_M, Bools, Foresight, goodness
+from palmd.motion.limits import PHI12_MAX, MotionLimits
+
+GRID = 7  # poses along φ1
+STEP = math.radians(22.0)  # between those along φ2
+ORIENTATIONS = 36
+SAME = 1e-9  # rad
+FARTHEST = math.radians(50.0)  # that a move between poses turns an angle
+NEVER_S = 60.0
+ITERATIONS, SETTLED_S = 300, 1e-3
+
+Indices = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class TimeToGo:
+    """From each of the `poses` (P, 2) and `ORIENTATIONS` the `seconds` (P, O), `NEVER_S` at most."""
+
+    poses: FloatArray
+    seconds: FloatArray
+
+    def at(self, poses: FloatArray, psi: FloatArray) -> FloatArray:
+        """From palms at `poses` (…, 2) (rad) and the object at rest at `psi` (…); `NEVER_S` from other poses."""
+        pose, apart = self._nearest(poses)
+        return np.where(apart < SAME, _interpolated(self.seconds, pose, psi), NEVER_S)
+
+    def nearest(self, poses: FloatArray) -> FloatArray:
+        """The pose of the roadmap nearest to each of `poses` (…, 2)."""
+        return self.poses[self._nearest(poses)[0]]
+
+    def _nearest(self, poses: FloatArray) -> tuple[Indices, FloatArray]:
+        apart = np.abs(poses[..., None, :] - self.poses).max(axis=-1)
+        return apart.argmin(axis=-1), apart.min(axis=-1)
+
+
+class Roadmap:
+    """The table of moves; it takes as long as several decisions, so it is made, and renewed, some poses at a time."""
+
+    def __init__(self, foresight: Foresight, limits: MotionLimits, state: FloatArray):
+        """`state` (21,) tells how large the object is: where its contacts would leave the pads no pose is of use."""
+        self.poses = _poses(limits, float(state[shape_map.Z.SHAPE]))
+        self._foresight = foresight
+        self._limits = limits
+        apart = np.abs(self.poses[:, None] - self.poses).max(axis=-1)
+        self._from, self._to = np.nonzero((apart <= FARTHEST) & (apart > 0.0))
+        shape = (len(self._from), ORIENTATIONS)
+        self._seconds = np.full(shape, NEVER_S)  # what each move takes, if it is safe
+        self._psi = np.zeros(shape)  # where it ends
+        self._touched = np.zeros((*shape, BINS), dtype=np.bool_)
+        self._made = 0
+        self._least = np.zeros((len(self.poses), ORIENTATIONS))  # what has turned out to take longer than foreseen
+
+    @property
+    def complete(self) -> bool:
+        """Whether all poses have been looked at once."""
+        return self._made >= len(self.poses)
+
+    def renew(self, state: FloatArray, count: int) -> None:
+        """Roll the object of `state` (21,) forward on the moves from the next `count` poses."""
+        for number in range(self._made, self._made + count):
+            self._renew(state, number % len(self.poses))
+        self._made += count
+
+    def _renew(self, state: FloatArray, pose: int) -> None:
+        moves = np.flatnonzero(self._from == pose)
+        n = len(moves) * ORIENTATIONS
+        states = np.tile(state, (n, 1))
+        states[:, shape_map.Z.PSI] = np.tile(_ORIENTATION, len(moves))
+        states[:, shape_map.Z.OMEGA0] = 0.0
+        ends = np.repeat(self.poses[self._to[moves]], ORIENTATIONS, axis=0)[:, None]
+        rates = np.full((n, 1), RATE_SHARE * self._limits.rate)
+        tried = timed(self.poses[pose], ends, rates, self._limits)
+        foreseen = self._foresight.of(states, tried)
+        safe = (goodness(foreseen, self._limits.pad_length) > 1.0) & np.isfinite(foreseen.psi)
+        self._seconds[moves] = np.where(safe, tried.durations, np.inf).reshape(-1, ORIENTATIONS)
+        self._psi[moves] = np.where(safe, foreseen.psi, 0.0).reshape(-1, ORIENTATIONS)
+        self._touched[moves] = foreseen.touched[:, 0].reshape(-1, ORIENTATIONS, BINS)
+
+    def learn(self, pose: FloatArray, psi: float, seconds: float) -> None:
+        """From here it takes so long at least, whatever the table says."""
+        number = np.abs(self.poses - pose).max(axis=-1).argmin()
+        low = int(_place(np.array(psi)))
+        for orientation in (low % ORIENTATIONS, (low + 1) % ORIENTATIONS):
+            self._least[number, orientation] = max(self._least[number, orientation], min(seconds, NEVER_S))
+
+    def forget(self) -> None:
+        """What has been learnt does not count any more, since something else is wanted."""
+        self._least[:] = 0.0
+
+    def time_to(self, wanted: Bools) -> TimeToGo:
+        """The time to go until any of the bins `wanted` (BINS,) is touched; takes some 20 ms."""
+        there = (self._touched & wanted).any(axis=-1)
+        left, begins = np.unique(self._from, return_index=True)
+        seconds = np.full((len(self.poses), ORIENTATIONS), NEVER_S)
+        for _ in range(ITERATIONS if len(left) else 0):
+            after = np.where(there, 0.0, _interpolated(seconds, self._to[:, None], self._psi))
+            newer = seconds.copy()
+            newer[left] = np.clip(np.minimum.reduceat(self._seconds + after, begins), self._least[left], NEVER_S)
+            settled = np.abs(newer - seconds).max() < SETTLED_S
+            seconds = newer
+            if settled:
+                break
+        return TimeToGo(self.poses, seconds)
+
+
+def _poses(limits: MotionLimits, radius: float) -> FloatArray:
+    """Some poses (P, 2) all over where an object of the mean `radius` (m) may be, the rims included."""
+    low, high = range_of(limits)
+    top = PHI12_MAX - POSE_MARGIN
+    closed = max(low[1], 2.0 * math.atan(radius / (limits.pad_length - MARGIN_M)) + POSE_MARGIN)
+    poses = []
+    for phi1 in np.linspace(low[0], max(min(high[0], top - closed), low[0]), GRID):
+        opened = max(min(high[1], top - phi1), closed)
+        count = 1 + math.ceil((opened - closed) / STEP - 0.5)
+        poses += [(phi1, phi2) for phi2 in np.linspace(opened, closed, count)]
+    return np.array(poses)
+
+
+_ORIENTATION = np.arange(ORIENTATIONS) * (2 * np.pi / ORIENTATIONS)
+
+
+def _place(psi: FloatArray) -> FloatArray:
+    """`psi` (rad) counted in orientations, 0 where it is no number."""
+    turned = np.remainder(np.where(np.isfinite(psi), psi, 0.0), 2 * np.pi)
+    place: FloatArray = turned * (ORIENTATIONS / (2 * np.pi))
+    return place
+
+
+def _interpolated(table: FloatArray, pose: Indices, psi: FloatArray) -> FloatArray:
+    """`table` (P, O) at `pose` and, between orientations, at `psi` (rad)."""
+    place = _place(psi)
+    low = np.floor(place).astype(np.intp)
+    share = place - low
+    values: FloatArray = (1.0 - share) * table[pose, low % ORIENTATIONS] + share * table[pose, (low + 1) % ORIENTATIONS]
+    return values
