@@ -102,6 +102,12 @@ def test_what_it_does_shows_new_normals_on_the_plant():
     assert touched.mean() > 0.3
 
 
+def test_asked_for_no_choice_it_only_judges_the_move_under_way():
+    sliding = UnderWay(Move(POSE, (math.radians(8.0), math.radians(36.0)), 0.3), 0.0)
+    assert explorer().decide(outlook(), STANDING, choose=False).kind == "safe"
+    assert explorer().decide(outlook(), sliding, choose=False).kind == "unsafe"
+
+
 def test_it_is_done_when_enough_is_touched_and_reports_the_reach():
     enough = NOTHING.copy()
     enough[:70] = True  # 97 %

@@ -179,6 +179,25 @@ def test_a_long_move_is_looked_at_now_and_then_until_its_end_is_near() -> None:
     assert late
 
 
+def test_a_choice_is_asked_for_when_it_is_due_and_only_until_it_is_made() -> None:
+    def in_time(question: Question) -> Decision:
+        return onwards(question) if question.choose else Decision("safe")
+
+    stage = Stage(in_time)
+    stage.source.latency = 0.02
+    list(stage.go(6.0))
+    chosen: set[int] = set()
+    for question in stage.source.questions:
+        move, elapsed = question.under_way.move, question.under_way.elapsed
+        due = move.duration - elapsed <= AHEAD_S
+        assert question.choose is (due and id(move) not in chosen)
+        if question.choose:
+            chosen.add(id(move))
+    assert len(chosen) > 5
+    assert moves(stage.motions[-1])
+    assert stage.reason() == "goes on"
+
+
 def test_the_newest_decision_counts() -> None:
     """All but the last answer before a move's end lead elsewhere."""
     stage = Stage()

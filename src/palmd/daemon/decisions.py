@@ -26,12 +26,16 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """What the palms should do after the move that is under way at `t` (s); without an outlook, to get one."""
+    """What the palms should do after the move that is under way at `t` (s); without an outlook, to get one.
+
+    Without `choose`: only whether that move may go on.
+    """
 
     t: float
     task: Task
     outlook: Outlook | None
     under_way: UnderWay
+    choose: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +79,7 @@ class Decider:
             self._centre: Angles | None = None  # of the rocking
         if outlook is not None:
             self._centre = None
-            decision = self._explorer.decide(outlook, question.under_way)
+            decision = self._explorer.decide(outlook, question.under_way, choose=question.choose)
         else:
             self._centre = self._centre or move.end
             to_and_fro = rock(move.end, self._centre, task.limits)

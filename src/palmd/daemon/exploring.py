@@ -158,9 +158,10 @@ class Exploring:
             return
         decision = answer.decision
         self._t_heard = t
-        self._next = None
-        if not self._ending:
-            self._reason = decision.reason
+        if decision.kind != "safe":
+            self._next = None
+            if not self._ending:
+                self._reason = decision.reason
         if math.isfinite(decision.coverage):
             self._coverage = exploration.coverage = decision.coverage
         if math.isfinite(decision.reachable):
@@ -184,7 +185,8 @@ class Exploring:
         may_rock = senses.touching and (self._rocking or t - self._t_moved > BLIND_S)
         if outlook is None and (senses.known or not may_rock):
             return
-        source.ask(Question(t, self._task, outlook, UnderWay(move, elapsed)))
+        choose = self._next is None and to_go <= 0.0
+        source.ask(Question(t, self._task, outlook, UnderWay(move, elapsed), choose))
 
     def _halt(self, reason: str) -> None:
         self._halting = True

@@ -42,7 +42,7 @@ CAREFUL_PHI1, CAREFUL_PHI2 = (math.radians(22.0), math.radians(75.0)), (math.rad
 CAREFUL_RATE = math.radians(100.0)
 STUCK_S = 40.0  # without anything new
 
-Kind = Literal["move", "wait", "unsafe", "done"]
+Kind = Literal["move", "wait", "safe", "unsafe", "done"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class UnderWay:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What to do next.
+    """What to do next; `safe` says no more than that the move under way may go on.
 
     move: from where the one under way ends, from rest to rest. reason: in words. coverage: the share touched of the
     normals that can be reached; reachable: their share of all.
@@ -89,8 +89,11 @@ class Explorer:
         self._kept: Moves | None = None
         self._forget()
 
-    def decide(self, outlook: Outlook, under_way: UnderWay) -> Decision:
-        """What the palms shall do after the move under way, or that it must not go on."""
+    def decide(self, outlook: Outlook, under_way: UnderWay, *, choose: bool = True) -> Decision:
+        """What the palms shall do after the move under way, or that it must not go on.
+
+        Without `choose` only the latter is asked, and soon answered.
+        """
         if outlook.object_count != self._object_count:
             self._object_count = outlook.object_count
             self._forget()
@@ -104,6 +107,8 @@ class Explorer:
         states, touched, safe = self._after(outlook, under_way)
         if not safe:
             return Decision("unsafe", None, "the move under way would lose a contact", coverage, reachable)
+        if not choose:
+            return Decision("safe", None, "", coverage, reachable)
         start = np.array(under_way.move.end)
         careful = _spread(states, start) > CAREFUL_M
         wanted = self._wanted(outlook, touched)
