@@ -152,7 +152,7 @@ class ExtendedFilters:
         x[:, X.OMEGA0], x[:, X.RHO], x[:, X.MU] = start.omega0, start.rho, start.mu
         x[:, X.LN_DITHER], x[:, X.DAMPING] = start.ln_dither, start.damping
         sd = np.zeros(extended.N)
-        angle_sd, rate_sd = palms.sd()
+        angle_sd, rate_sd = palms.sd(t)
         sd[[X.R1, X.R2, X.S1, X.S2]] = CONSISTENCY_SD
         sd[[X.PHI1, X.PHI2]], sd[[X.OMEGA1, X.OMEGA2]] = angle_sd, rate_sd
         sd[X.OMEGA0], sd[X.RHO], sd[X.MU] = start.own_omega0_sd, start.own_rho_sd, start.own_mu_sd
@@ -162,7 +162,7 @@ class ExtendedFilters:
     def start_known(self, x: FloatArray, P: FloatArray, psi: FloatArray, palms: PalmTracker, t: float) -> None:
         X, Z = extended.X, shape_map.Z
         phi1, phi2, omega1, omega2 = palms.at(t)[:4]
-        angle_sd, rate_sd = palms.sd()
+        angle_sd, rate_sd = palms.sd(t)
         sd = np.zeros(extended.N)
         sd[[X.R1, X.R2, X.S1, X.S2]] = CONSISTENCY_SD
         sd[[X.PHI1, X.PHI2]], sd[[X.OMEGA1, X.OMEGA2]] = angle_sd, rate_sd
@@ -344,8 +344,7 @@ class ShapeFilters:
         self._v[: shape_map.PALM_INPUTS] = palms.at(t + dt)
         self._named()
         cov = self._J.T @ self._P_next @ self._J
-        angle_sd, rate_sd = palms.sd()
-        for name, sd in (("phi1", angle_sd), ("phi2", angle_sd), ("omega1", rate_sd), ("omega2", rate_sd)):
+        for name, sd in zip(("phi1", "phi2", "omega1", "omega2"), np.ravel(palms.sd(t + dt)), strict=True):
             i = NAMED.index(name)
             cov[i, i] += sd**2
         return self._y.copy(), cov

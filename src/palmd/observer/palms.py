@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from palmd.events import FloatArray, PalmMotion, PalmSample
@@ -10,6 +12,9 @@ JERK = 200.0  # rad/s³/√Hz, of palms whose plan is not told: enough to follow
 TOLD_JERK = 1.0  # rad/s³/√Hz, of palms whose plan is
 PLAN_RATE_SD = 2e-3  # rad/s, of the plan's rate as a description of the palms
 PLAN_ACCELERATION_SD = 2e-2  # rad/s²
+ROUNDING_S2 = 6e-5  # (8 ms)²: an arm that interpolates between set-points rounds a plan's bends off beside delaying it
+CHANGED = 0.2  # of the jerks of the last second: how far a change of the plan since the last report is off, one-sigma
+JERK_MEMORY_S = 1.0
 FORGOTTEN_S = 0.5  # after which what was known of the motion helps no more
 FIRST_RATE_SD, FIRST_ACCELERATION_SD = 0.5, 5.0
 
@@ -39,6 +44,7 @@ class PalmTracker:
         self._P = np.zeros((3, 3))  # the same for both palms: they are read and told together
         self._plan: tuple[float, float, float] | None = None  # t, α1, α2
         self.jerk = np.zeros(2)
+        self._liveliest = 0.0  # the largest jerk lately
 
     @property
     def known(self) -> bool:
@@ -50,9 +56,16 @@ class PalmTracker:
         """Time of the last report; -inf before the first."""
         return -np.inf if self._t is None else self._t
 
-    def sd(self) -> tuple[float, float]:
-        """One-sigma of angle (rad) and rate (rad/s) at the last report."""
-        return float(np.sqrt(self._P[0, 0])), float(np.sqrt(self._P[1, 1]))
+    def sd(self, t: float) -> tuple[FloatArray, FloatArray]:
+        """One-sigma of both angles (rad) and of both rates (rad/s) at `t` (s).
+
+        The arm rounds the plan off, and since the last report the plan may have turned.
+        """
+        age = t - self.t
+        turned = CHANGED * self._liveliest
+        angle = self._P[0, 0] + (ROUNDING_S2 * self._state[:, 2]) ** 2 + (turned * age**3 / 6) ** 2
+        rate = self._P[1, 1] + (ROUNDING_S2 * self.jerk) ** 2 + (turned * age**2 / 2) ** 2
+        return np.sqrt(angle), np.sqrt(rate)
 
     def feed(self, sample: PalmSample) -> None:
         """Fuse one report; reports older than the last one are ignored."""
@@ -68,6 +81,7 @@ class PalmTracker:
         jerk = TOLD_JERK if told else JERK
         self._P = F @ self._P @ F.T + white_jerk(dt) * jerk**2 + np.diag([0.0, 1e-8, 1e-8]) * dt
         self._t = sample.t_sample
+        self._liveliest = max(float(np.abs(self.jerk).max()), self._liveliest * math.exp(-dt / JERK_MEMORY_S))
         self._fuse(0, (sample.phi1, sample.phi2), self._angle_variance)
         if sample.omega1 is not None and sample.omega2 is not None:
             self._fuse(1, (sample.omega1, sample.omega2), PLAN_RATE_SD**2)
@@ -117,6 +131,7 @@ class PalmTracker:
         if sample.alpha1 is not None and sample.alpha2 is not None:
             self._plan = (sample.t_sample, sample.alpha1, sample.alpha2)
         self.jerk[:] = 0.0
+        self._liveliest = 0.0
 
     def _fuse(self, state: int, values: tuple[float, float], variance: float) -> None:
         spread = self._P[state, state] + variance

@@ -1,0 +1,62 @@
+"""The palms' motion between reports, and how far its error bars can be believed."""
+
+import math
+
+import numpy as np
+import pytest
+
+from palmd.events import PalmSample
+from palmd.motion.segments import Move
+from palmd.observer.palms import PalmTracker
+
+NOISE = 2e-4
+REPORT_S, ROUNDED_S = 0.016, 0.024
+
+
+def told(duration, way=1.0, pause=0.2, count=12):
+    """Moves to and fro with pauses: the plan's angle, rate and acceleration at any time."""
+    there, back = Move((0.5, 1.5), (0.5 + way, 1.5), duration), Move((0.5 + way, 1.5), (0.5, 1.5), duration)
+
+    def at(t):
+        number, since = divmod(max(t, 0.0), duration + pause)
+        return (there if int(number) % 2 == 0 else back).at(min(since, duration))
+
+    return at, count * (duration + pause)
+
+
+def normalised(duration, age=0.012, seed=3):
+    """Squared errors of angle and rate over their variance, `age` after each report of palms that round it off."""
+    at, seconds = told(duration)
+    random = np.random.default_rng(seed)
+
+    def really(t):
+        return float(np.mean([at(t + u).phi1 for u in np.linspace(-0.5, 0.5, 25) * ROUNDED_S]))
+
+    tracker, squares = PalmTracker(NOISE), []
+    for t in np.arange(0.5, seconds, REPORT_S):
+        plan = at(t)
+        tracker.feed(
+            PalmSample(t, really(t) + NOISE * random.standard_normal(), 1.5, plan.omega1, 0.0, plan.alpha1, 0.0)
+        )
+        angle_sd, rate_sd = tracker.sd(t + age)
+        guess = tracker.at(t + age)
+        rate = (really(t + age + 1e-4) - really(t + age - 1e-4)) / 2e-4
+        squares.append([((guess[0] - really(t + age)) / angle_sd[0]) ** 2, ((guess[2] - rate) / rate_sd[0]) ** 2])
+    return np.mean(squares, axis=0)
+
+
+@pytest.mark.parametrize("duration", [0.7, 1.0, 3.0])
+def test_its_error_bars_hold_on_brisk_moves_of_an_arm_that_rounds_them_off(duration):
+    angle, rate = normalised(duration)
+    assert 0.1 < angle < 3.0
+    assert rate < 3.0
+
+
+def test_standing_palms_are_as_sharp_as_their_reports():
+    tracker = PalmTracker(NOISE)
+    for number in range(200):
+        tracker.feed(PalmSample(number * REPORT_S, 0.5, 1.5, 0.0, 0.0, 0.0, 0.0))
+    angle_sd, rate_sd = tracker.sd(tracker.t + 0.01)
+    assert angle_sd == pytest.approx([7e-5, 7e-5], abs=5e-5)
+    assert (rate_sd < 5e-3).all()
+    assert math.isfinite(tracker.at(tracker.t + 0.01)[0])
