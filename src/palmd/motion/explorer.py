@@ -34,7 +34,7 @@ STAND_S = 1.0  # for which it must be safe to stand after a move: the next decis
 DOUBTFUL = 0.5  # of these, that samples of the object must keep
 DECISION_S = 0.15  # that a decision costs, so that moves are not made ever shorter
 MADE, RENEWED = 5, 2  # poses of the roadmap that a decision looks at, until it is complete and then
-AWAY = math.radians(3.0)  # a first move that is to be one on the road
+AWAY = math.radians(10.0)  # a first move that is to be one on the road
 REACH_EVERY_S = 4.0
 # As long as the radii at the contacts are not known better, the palms keep to gentle moves far from the pads' ends.
 CAREFUL_M = 2.5e-4

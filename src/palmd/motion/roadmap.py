@@ -22,6 +22,7 @@ from palmd.motion.limits import PHI12_MAX, MotionLimits
 GRID = 7  # poses along φ1
 STEP = math.radians(22.0)  # between those along φ2
 ORIENTATIONS = 36
+AGAIN_S = 0.3  # that it takes longer each time one has been there in vain
 SAME = 1e-9  # rad
 FARTHEST = math.radians(50.0)  # that a move between poses turns an angle
 NEVER_S = 60.0
@@ -95,11 +96,11 @@ class Roadmap:
         self._touched[moves] = foreseen.touched[:, 0].reshape(-1, ORIENTATIONS, BINS)
 
     def learn(self, pose: FloatArray, psi: float, seconds: float) -> None:
-        """From here it takes so long at least, whatever the table says."""
+        """From near here it takes longer than `seconds`, whatever the table says: nobody shall go round for ever."""
         number = np.abs(self.poses - pose).max(axis=-1).argmin()
         low = int(_place(np.array(psi)))
         for orientation in (low % ORIENTATIONS, (low + 1) % ORIENTATIONS):
-            self._least[number, orientation] = max(self._least[number, orientation], min(seconds, NEVER_S))
+            self._least[number, orientation] = min(max(self._least[number, orientation], seconds) + AGAIN_S, NEVER_S)
 
     def forget(self) -> None:
         """What has been learnt does not count any more, since something else is wanted."""
