@@ -115,6 +115,10 @@ def test_it_runs_beside_busy_ports_and_ends_by_itself_with_a_summary(demo):
     assert all(found.missing == 0 for found in survey.values())
     assert survey["palm/estimate"].first == 0
     assert time.monotonic() - begun > 8.0
+    check = subprocess.run(
+        [sys.executable, "-m", "palmd", "replay", str(path), "--check"], capture_output=True, text=True
+    )
+    assert check.returncode == 0, check.stdout + check.stderr  # what was live is said again, bit for bit
 
 
 def test_nothing_is_recorded_when_that_is_not_wanted(demo):
