@@ -93,3 +93,12 @@ def test_an_exploration_comes_last_and_once_and_its_place_in_the_file_is_told_ot
     assert check_files([wrong]) == caught.value.errors
     shipped = load_trajectory(ROOT / "config/plans/lively.yaml", motion_limits(load_config(ROOT / "config/demo.yaml")))
     assert shipped.name == "lively"
+
+
+def test_a_plan_that_explores_needs_an_observer_that_knows_an_outline(tmp_path: Path) -> None:
+    config, plan = write(tmp_path, palmd=PORTS + "observer: {primary: extended}\nplan: rock.yaml\n", rock=ROCK)
+    (error,) = check_files([config])
+    assert error.startswith(f"{config}:3:21: observer.primary: ")
+    assert str(plan) in error
+    config.write_text(PORTS + "observer: {primary: shape}\nplan: rock.yaml\n")
+    assert check_files([config]) == []

@@ -44,6 +44,7 @@ def check_files(paths: Sequence[Path]) -> list[str]:
     plans = [document for document in documents if _is_plan(document)]
     configs = [document for document in documents if not _is_plan(document)]
     limits = [] if configs else [_default_limits()]
+    blind: list[Document] = []  # configurations whose observers know no outline to explore by
     for document in configs:
         try:
             config = parse(document, Config)
@@ -52,10 +53,12 @@ def check_files(paths: Sequence[Path]) -> list[str]:
             limits += _limits_of_faulty(document)
         else:
             limits.append(motion_limits(config))
+            blind += [document] if config.observer.primary != "shape" else []
             errors += _outline_errors(document, config)
             plans += _documents(_plan_named(config, given=paths), errors)
     for document in plans:
         errors += _plan_errors(document, limits)
+        errors += _blind_errors(document, blind)
     return errors
 
 
@@ -77,6 +80,15 @@ def _outline_errors(document: Document, config: Config) -> list[str]:
     except OutlineError as error:
         return [document.line(document.place(("observer", "shape")), f"observer.shape: {error}")]
     return []
+
+
+def _blind_errors(plan: Document, blind: Iterable[Document]) -> list[str]:
+    segments = plan.data["segments"]
+    last = segments[-1] if isinstance(segments, list) and segments else None
+    if not (isinstance(last, dict) and "explore" in last):
+        return []
+    text = f"observer.primary: {plan.path} explores, which needs an outline to go by: set it to shape"
+    return [config.line(config.place(("observer", "primary")), text) for config in blind]
 
 
 def _is_plan(document: Document) -> bool:
