@@ -14,8 +14,8 @@ demo: build  ## an emulated rig, the daemon, an unknown object: live estimates u
 	@$(BIN)/palmd demo $(DEMO_ARGS)
 
 test: dev lint  ## all tests, linters, types and import contracts
-	$(BIN)/python -m pytest -q -n 2 -m "not rig and not bench"
-	$(BIN)/python -m pytest -q -m rig
+	$(BIN)/python -m pytest -q -n 2 -m "not rig and not system and not bench"
+	$(BIN)/python -m pytest -q -m "rig or system"
 
 lint: dev
 	$(BIN)/ruff check .

@@ -24,7 +24,10 @@ PAGES = [
     "README.md",
     *(
         f"docs/{name}.md"
-        for name in ("architecture", "theory", "paper", "limits", "calibration", "exploring", "subscribing")
+        for name in (
+            *("architecture", "theory", "paper", "limits", "calibration", "exploring", "subscribing"),
+            *("recordings", "page", "reports", "operations", "bringup"),
+        )
     ),
 ]
 

@@ -252,6 +252,38 @@ def test_wait_names_the_readable_port_only(tmp_path: Path) -> None:
         end.unplug()
 
 
+def test_what_came_while_nobody_waited_is_not_lost(far: FarEnd, port: Port) -> None:
+    waiter = PortWaiter([port])
+    assert waiter.wait(0.0) == []
+    for data in (b"one", b"two"):
+        os.write(far.master, data)
+        assert waiter.wait(time.monotonic() + 2.0) == [port]
+        assert port.read() == data
+        assert waiter.wait(0.0) == []
+
+
+def test_what_comes_after_a_port_was_lost_and_found_wakes_the_same_waiter(far: FarEnd, port: Port) -> None:
+    waiter = PortWaiter([port])
+    for t in (1.0, 2.0):
+        far.unplug()
+        assert waiter.wait(time.monotonic() + 2.0) == [port]
+        port.read()
+        far.plug()
+        assert port.poll_open(t)
+        assert waiter.wait(0.0) == []
+        os.write(far.master, b"back")
+        assert waiter.wait(time.monotonic() + 2.0) == [port]
+        assert port.read() == b"back"
+
+
+def test_a_port_is_not_asked_again_when_it_has_nothing_new(far: FarEnd, port: Port) -> None:
+    """Asking is what waits for the kernel's own thread."""
+    waiter = PortWaiter([port])
+    os.write(far.master, b"!")
+    assert waiter.wait(time.monotonic() + 2.0) == [port]
+    assert waiter.wait(time.monotonic() + 0.02) == []
+
+
 def test_wait_asks_for_exactly_the_time_left(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[float] = []
     monkeypatch.setattr("select.select", lambda r, w, x, timeout: asked.append(timeout) or (r, w, x))

@@ -22,6 +22,7 @@ COMMANDS = {
     "ctl": "tell a running daemon what to do: status, arm, start, hold, stop, reset, plan, jog",
     "top": "live status of a running daemon in this terminal",
     "view": "live page of a running daemon for browsers on this machine",
+    "jog": "turn the palms by the arrow keys, for as long as one is held",
     "explore": "have a running daemon find the whole outline of what lies on the palms",
     "replay": "publish a recorded run again, or check that the observer still says the same",
     "export": "a recorded run as event log, CSV, MCAP with JSON, or for rerun",
@@ -34,7 +35,10 @@ COMMANDS = {
     "compare": "a reconstruction with a camera's track of the same run",
     "report": "a recorded run as a page or PDF to print; paper: the runs of CMU-CS-01-107 again",
     "bench": "studies of many runs: montecarlo, explore, recognise, peers",
+    "latency": "how late the control loop is on this machine, idle and busy, beside a bare timer",
+    "doctor": "what is missing and how to mend it; the arm's controller and the pads put to the test",
     "build": "compile the observers now; the first run does it otherwise",
+    "install": "services of this palmd for systemd: units, account, udev rules",
 }
 """Every command; its module in this package has `add_arguments(parser)` and `run(arguments) -> int`."""
 

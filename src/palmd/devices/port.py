@@ -16,8 +16,7 @@ from dataclasses import asdict, dataclass
 import serial
 
 READ_BYTES = 4096
-READS_MAX = 16
-"""A flood is read in portions, so that one port cannot hold up the others."""
+"""As much as a terminal ever holds ready."""
 
 PTY_MAJORS = range(136, 144)
 
@@ -87,21 +86,22 @@ class Port:
         return self.is_open
 
     def read(self) -> bytes:
-        """Return what has arrived, empty if nothing has. A port that has hung up is shut at once."""
-        chunks: list[bytes] = []
-        while self._serial is not None and len(chunks) < READS_MAX:
-            try:
-                chunk = os.read(self.fileno(), READ_BYTES)
-            except BlockingIOError:
-                break
-            except OSError as failure:
-                self._lose(failure)
-                break
-            if not chunk:  # VMIN is 1, so this is the end of file and not the end of the data
-                self._lose(None)
-                break
-            chunks.append(chunk)
-        data = b"".join(chunks)
+        """Return what has arrived, empty if nothing has. A port that has hung up is shut at once.
+
+        One portion, so that a flood on one port cannot hold up the others. It is no more than the kernel has ready:
+        reading on until there is nothing would wait for a thread of the kernel, see `PortWaiter`.
+        """
+        if self._serial is None:
+            return b""
+        try:
+            data = os.read(self.fileno(), READ_BYTES)
+        except BlockingIOError:
+            return b""
+        except OSError as failure:
+            self._lose(failure)
+            return b""
+        if not data:  # VMIN is 1, so this is the end of file and not the end of the data
+            self._lose(None)
         self.counters.bytes_read += len(data)
         return data
 
@@ -195,18 +195,33 @@ def explain(path: str, failure: Exception) -> str:
 
 
 class PortWaiter:
-    """Waits on several ports at once."""
+    """Waits on several ports at once, and never for the kernel.
+
+    Asking a terminal whether it has something to read makes the kernel finish handing over what the driver has brought,
+    in a thread of ordinary priority, and wait for that: hundreds of milliseconds on a busy machine, whatever our own
+    priority. Edge-triggered epoll asks only once the bytes are there. So every port that is returned must be read.
+    """
 
     def __init__(self, ports: Sequence[Port], clock: Callable[[], float] = time.monotonic) -> None:
         """`clock` gives the time (s) that deadlines are told in."""
         self._ports = ports
         self._clock = clock
+        self._epoll = select.epoll()
+        self._watched: dict[Port, int] = {}
 
     def wait(self, t_deadline: float) -> list[Port]:
-        """Return the ports that can be read (or have hung up), or none once `t_deadline` (s) has come.
+        """Return the ports where something has come (or that have hung up), or none once `t_deadline` (s) has come.
 
-        select() serves because its time-out has microseconds; poll() and epoll_wait() know milliseconds only.
+        select() serves because its time-out has microseconds; those of poll() and epoll have milliseconds only.
         """
-        open_ports = [port for port in self._ports if port.is_open]
-        readable, _, _ = select.select(open_ports, (), (), max(0.0, t_deadline - self._clock()))
-        return readable
+        self._watch()
+        select.select((self._epoll,), (), (), max(0.0, t_deadline - self._clock()))
+        ready = {fd for fd, _ in self._epoll.poll(0)}
+        return [port for port in self._ports if port.is_open and port.fileno() in ready]
+
+    def _watch(self) -> None:
+        """Take in what has been opened since; the kernel forgets by itself what was shut."""
+        for port in self._ports:
+            if port.is_open and self._watched.get(port) != port.counters.opens:
+                self._watched[port] = port.counters.opens
+                self._epoll.register(port.fileno(), select.EPOLLIN | select.EPOLLET)

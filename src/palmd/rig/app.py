@@ -60,6 +60,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME[@PORT][,strength=X][,after=S][,for=S]",
         help=f"what goes wrong; may be given again; names: {', '.join(TRICKS)}",
     )
+    parser.add_argument(
+        "--ports", type=Path, metavar="FOLDER", help="where its ports are; default: a folder of its own"
+    )
 
 
 def run_rig(arguments: argparse.Namespace) -> int:
@@ -70,6 +73,8 @@ def run_rig(arguments: argparse.Namespace) -> int:
     seed = secrets.randbelow(2**31) if arguments.seed is None else arguments.seed
     if seed < 0:
         return _refuse(f"--seed must not be negative, got {seed}")
+    if arguments.ports is not None and not arguments.ports.is_dir():
+        return _refuse(f"--ports: {arguments.ports} is not a folder")
     try:
         config = load_config(arguments.config) if arguments.config else default_config()
         t = time.monotonic()
@@ -78,14 +83,15 @@ def run_rig(arguments: argparse.Namespace) -> int:
             world.mischief.add(parse(text, t))
     except (ConfigError, ValueError) as error:
         return _refuse(str(error))
-    folder = Path(tempfile.mkdtemp(prefix="palmd-rig-"))
+    folder = arguments.ports or Path(tempfile.mkdtemp(prefix="palmd-rig-"))
     try:
         rig = RigProcess(config, world, folder, stop)
         with contextlib.suppress(BrokenPipeError):
             print(json.dumps(rig.addresses()), flush=True)
         rig.run()
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        if arguments.ports is None:
+            shutil.rmtree(folder, ignore_errors=True)
     return 0
 
 

@@ -1,0 +1,22 @@
+"""One thing that was looked into: how it stands, and what mends it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Verdict = Literal["ok", "missing", "cannot tell"]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that palmd needs: how it stands, and the command that mends it, if there is one."""
+
+    what: str
+    verdict: Verdict
+    says: str
+    mend: str = ""
+
+    def line(self) -> str:
+        """It in one line."""
+        return f"{self.verdict:12} {self.what:18} {self.says}" + (f": {self.mend}" if self.mend else "")

@@ -1,0 +1,141 @@
+"""Puts palmd's services in place: units, account, udev rules, and a first configuration in /etc/palmd.
+
+The files get the paths of the palmd that is called. What a machine owns (the configuration, the ports' names) is never
+overwritten. Nothing is enabled or started. With --root the files go into another tree, such as an image.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import palmd
+from palmd.cli.errors import BAD_INPUT, RIG_FAILED, CliError
+from palmd.cli.shipped import shipped, shipped_service
+
+UNITS = ("palmd.service", "palmd-record.service", "palmd-view.service", "palmd-rig.service")
+LOCAL = Path("usr/local/lib")
+SETTINGS = Path("etc/palmd")
+CACHE = "/var/cache/palmd"
+RUNS = "/var/lib/palmd"
+HOMES = (Path("/home"), Path("/root"), Path("/run/user"))
+
+_SHIPPED_COMMAND = "/opt/palmd/bin/palmd"
+_SHIPPED_HOME = "ProtectHome=yes\n"
+_SHIPPED_RUNS = "record: {directory: runs}        # relative to this file's folder\n"
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """A file to be put in place, relative to the root; an `own` one of the machine stays as it is if it exists."""
+
+    target: Path
+    text: str
+    own: bool = False
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    parser.add_argument("--root", type=Path, default=Path("/"), help="the tree to install into (default: this machine)")
+    parser.add_argument("--dry-run", action="store_true", help="only say what would be done")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Raises CliError where it may not write, and when what must follow the files fails."""
+    root: Path = arguments.root
+    command = Path(sys.prefix) / "bin/palmd"
+    if not command.exists():
+        raise CliError(BAD_INPUT, f"there is no {command}: install palmd with pip before its services")
+    items = [*_services(command), *_settings()]
+    follow = _following(command) if root == Path("/") else ()
+    for item in items:
+        _put(item, root, arguments.dry_run)
+    for words in follow:
+        _follow(words, arguments.dry_run)
+    print(f"next: put the rig into {root / SETTINGS / 'palmd.yaml'} and the ports' names into", end=" ")
+    print(f"{root / _NAMES}, then: systemctl enable --now palmd palmd-record palmd-view")
+    return 0
+
+
+_NAMES = Path("etc/udev/rules.d/71-palmd-names.rules")
+
+
+def adapted(unit: str, command: Path, hidden: Sequence[Path]) -> str:
+    """A shipped unit for a palmd at `command`; of the homes it sees only the `hidden` paths that it needs. Pure."""
+    unit = unit.replace(_SHIPPED_COMMAND, str(command))
+    if not hidden:
+        return unit
+    return unit.replace(_SHIPPED_HOME, f"ProtectHome=tmpfs\nBindReadOnlyPaths={' '.join(map(str, hidden))}\n")
+
+
+def hidden_parts(parts: Sequence[Path]) -> list[Path]:
+    """Those of an installation's folders that lie in somebody's home, each once. Pure."""
+    inside = {part for part in parts if any(part.is_relative_to(home) for home in HOMES)}
+    return sorted(part for part in inside if not any(part != other and part.is_relative_to(other) for other in inside))
+
+
+def _services(command: Path) -> Iterator[Item]:
+    hidden = hidden_parts([Path(sys.prefix), Path(sys.base_prefix), Path(palmd.__file__).resolve().parent.parent])
+    for name in UNITS:
+        yield Item(LOCAL / "systemd/system" / name, adapted(_read(shipped_service(name)), command, hidden))
+    for name in ("sysusers.d/palmd.conf", "modules-load.d/palmd.conf"):
+        yield Item(LOCAL / name, _read(shipped_service(name)))
+    latency = "70-palmd-latency.rules"
+    yield Item(LOCAL / "udev/rules.d" / latency, _read(shipped_service(f"udev/{latency}")))
+    yield Item(_NAMES, _read(shipped_service(f"udev/{_NAMES.name}")), own=True)
+
+
+def _settings() -> Iterator[Item]:
+    text = _read(shipped("palmd.yaml"))
+    yield Item(SETTINGS / "palmd.yaml", text.replace(_SHIPPED_RUNS, f"record: {{directory: {RUNS}}}\n"), own=True)
+    for plan in sorted(shipped("plans").glob("*.yaml")):
+        yield Item(SETTINGS / "plans" / plan.name, _read(plan), own=True)
+
+
+def _following(command: Path) -> Iterator[list[str]]:
+    """What makes the account, has those who run take notice, and compiles the observers for the services."""
+    yield ["systemd-sysusers", f"/{LOCAL}/sysusers.d/palmd.conf"]
+    if Path("/run/systemd/system").exists():
+        yield ["systemctl", "daemon-reload"]
+    if Path("/run/udev/control").exists():
+        yield ["udevadm", "control", "--reload"]
+    yield ["env", f"CACHE_DIRECTORY={CACHE}", str(command), "build"]
+
+
+def _put(item: Item, root: Path, dry_run: bool) -> None:
+    path = root / item.target
+    if item.own and path.exists():
+        print(f"kept     {path}")
+        return
+    print(f"written  {path}" if not dry_run else f"to write {path}")
+    if dry_run:
+        return
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(item.text, encoding="utf-8")
+        path.chmod(0o644)
+    except PermissionError:
+        raise CliError(BAD_INPUT, f"{path} may not be written: sudo {sys.prefix}/bin/palmd install") from None
+    except OSError as error:
+        raise CliError(BAD_INPUT, f"{path} cannot be written: {error.strerror}") from None
+
+
+def _follow(words: list[str], dry_run: bool) -> None:
+    print(f"{'to run' if dry_run else 'running':8} {' '.join(words)}", flush=True)
+    if dry_run:
+        return
+    try:
+        status = subprocess.run(words, check=False, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"}).returncode
+    except FileNotFoundError:
+        raise CliError(RIG_FAILED, f"there is no {words[0]}: palmd's services need systemd and udev") from None
+    if status != 0:
+        raise CliError(RIG_FAILED, f"{' '.join(words)} failed with status {status}; the files are in place")
+
+
+def _read(path: Path) -> str:
+    return path.read_text(encoding="utf-8")

@@ -1,0 +1,166 @@
+"""Turns the palms for as long as an arrow key is held: left and right palm 1, up and down palm 2.
+
+The terminal's key repeat is the dead-man's handle: when it stops, the palms do. Needs a running daemon.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import select
+import sys
+import termios
+import time
+import tty
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from palmd.cli.bus import COMMAND, PUBLISH, Client, Subscriber
+from palmd.cli.configured import configured, usual
+from palmd.cli.errors import BAD_INPUT, RIG_FAILED, CliError
+from palmd.config import LimitsConfig
+
+EVERY_S = 0.05
+STEP_DEG = 0.4
+"""8 degrees a second: the palms keep up."""
+
+HELD_S = 0.12
+"""A key counts as held for so long after its last repeat; terminals repeat some 30 times a second."""
+
+SILENCE_S = 2.0
+
+STEPS = {b"\x1b[C": (1, 0), b"\x1b[D": (-1, 0), b"\x1b[A": (0, 1), b"\x1b[B": (0, -1),
+         b"\x1bOC": (1, 0), b"\x1bOD": (-1, 0), b"\x1bOA": (0, 1), b"\x1bOB": (0, -1)}  # fmt: skip
+"""What terminals send for the arrows, and how they turn phi1 and phi2."""
+
+ASKS = {b"a": "arm", b"s": "stop"}
+HELP = "arrows: ← → palm 1, ↑ ↓ palm 2, only while held    a: arm   s: stop   q: end"
+
+
+@dataclass(slots=True)
+class Handle:
+    """The dead-man's handle: which arrow is held, by the time of its last repeat. Pure."""
+
+    arrow: tuple[int, int] = (0, 0)
+    t_last: float = -math.inf
+
+    def pressed(self, data: bytes, t: float) -> list[str]:
+        """Take what the terminal sent by `t` (s); returns what else was asked for: `arm`, `stop` or `end`."""
+        asked = []
+        while data:
+            key = next((key for key in STEPS if data.startswith(key)), data[:1])
+            data = data[len(key) :]
+            if key in STEPS:
+                self.arrow, self.t_last = STEPS[key], t
+                continue
+            self.t_last = -math.inf  # any other key lets go
+            if key in b"qQ\x03\x04":
+                asked.append("end")
+            elif key.lower() in ASKS:
+                asked.append(ASKS[key.lower()])
+        return asked
+
+    def step(self, t: float) -> dict[str, float] | None:
+        """The step to send at `t` (s), None when nothing is held."""
+        if t - self.t_last > HELD_S:
+            return None
+        return {f"phi{i}_deg": STEP_DEG * way for i, way in enumerate(self.arrow, 1)}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    parser.add_argument("config", nargs="?", type=Path, metavar="CONFIG",
+                        help="the daemon's configuration, for its limits and addresses")  # fmt: skip
+    parser.add_argument("--address", help=f"the daemon's command socket (default: as configured, {COMMAND})")
+    parser.add_argument("--publish", help=f"where the daemon publishes (default: as configured, {PUBLISH})")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Runs until q; CliError without a terminal or a daemon. Stops what it has armed."""
+    config = configured(usual(arguments.config))
+    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+        raise CliError(BAD_INPUT, "jog needs a terminal, for its keys; elsewhere: palmd ctl jog --phi1-deg 1")
+    command, publish = arguments.address or config.bus.command, arguments.publish or config.bus.publish
+    with Client(command) as client, Subscriber(publish, topics=("palm/motion", "palm/state")) as subscriber:
+        client.ask("status")
+        print(HELP)
+        with _keys(sys.stdin.fileno()) as keys:
+            _Jogging(client, subscriber, config.limits).until_end(keys)
+    return 0
+
+
+class _Jogging:
+    """One sitting at the keys."""
+
+    def __init__(self, client: Client, subscriber: Subscriber, limits: LimitsConfig) -> None:
+        self._client, self._subscriber, self._limits = client, subscriber, limits
+        self._handle = Handle()
+        self._latest: dict[str, dict[str, Any]] = {}
+        self._t_heard = time.monotonic()
+        self._armed = False
+        self._said = ""
+
+    def until_end(self, keys: int) -> None:
+        """Until q is pressed; what was armed here is stopped in any case."""
+        try:
+            while not self._turn(keys):
+                pass
+        finally:
+            print()
+            if self._armed:
+                print(f"stop: {self._asked('stop')}")
+
+    def _turn(self, keys: int) -> bool:
+        t_next = time.monotonic() + EVERY_S
+        asked = self._handle.pressed(_pressed(keys), time.monotonic())
+        for each in asked:
+            if each == "end":
+                return True
+            self._said = self._asked(each)
+            self._armed = each == "arm" and not self._said
+        step = self._handle.step(time.monotonic())
+        if step is not None:
+            self._said = self._asked("jog", step)
+        for message in self._subscriber.until(t_next):
+            self._latest[message.topic], self._t_heard = message.fields, time.monotonic()
+        if time.monotonic() - self._t_heard > SILENCE_S:
+            raise CliError(RIG_FAILED, f"nothing from the daemon for {SILENCE_S:g} s: see palmd ctl status")
+        text = line(self._latest.get("palm/motion", {}), self._latest.get("palm/state", {}), self._limits, self._said)
+        sys.stdout.write(f"\r{text}\x1b[K")
+        sys.stdout.flush()
+        return False
+
+    def _asked(self, command: str, args: dict[str, float] | None = None) -> str:
+        """What speaks against it, empty if it was granted."""
+        reply = self._client.ask(command, args)
+        return "" if reply["ok"] else str(reply.get("error"))
+
+
+def line(motion: dict[str, Any], state: dict[str, Any], limits: LimitsConfig, said: str) -> str:
+    """Angles with their limits, state and faults, and what the daemon has against the last wish."""
+    parts = []
+    for i, bounds in ((1, limits.phi1_deg), (2, limits.phi2_deg)):
+        angle = math.degrees(motion.get(f"phi{i}_rad", math.nan))
+        parts.append(f"phi{i} {angle:6.1f}° ({bounds[0]:g} to {bounds[1]:g})")
+    words = [str(state.get("state", "")), *state.get("faults", ()), *([said] if said else [])]
+    return "   ".join([*parts, *words])
+
+
+def _pressed(keys: int) -> bytes:
+    ready, _, _ = select.select([keys], [], [], 0)
+    return os.read(keys, 1024) if ready else b""
+
+
+@contextmanager
+def _keys(terminal: int) -> Iterator[int]:
+    """Keys as they are pressed, without echo; the terminal as before in the end."""
+    before = termios.tcgetattr(terminal)
+    try:
+        tty.setcbreak(terminal)
+        yield terminal
+    finally:
+        termios.tcsetattr(terminal, termios.TCSADRAIN, before)

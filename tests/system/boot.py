@@ -1,0 +1,196 @@
+"""A systemd of our own: process 1 of its own namespaces, on a copy of this machine's files that is thrown away.
+
+The files are an overlay whose upper layer is memory, so nothing that happens inside is left afterwards. Run as a
+program (`boot.py FOLDER SHARED…`), this module is the inside's first process, which ends by becoming systemd.
+"""
+
+import contextlib
+import ctypes
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+SYSTEMD = Path("/lib/systemd/systemd")
+TOOLS = ("unshare", "nsenter", "mount", "pivot_root", "ip", "systemctl", "systemd-analyze", "journalctl")
+UNSHARE = ["unshare", "--pid", "--fork", "--kill-child", "--mount", "--cgroup", "--uts", "--ipc", "--net"]
+NODES = ("null", "zero", "full", "random", "urandom", "tty")
+TARGET = "boot.target"
+BOOT_S = 30.0
+
+_C = ctypes.CDLL(None, use_errno=True)
+_PR_SET_PDEATHSIG = 1
+_CLONE_NEWNET = 0x40000000
+
+
+def obstacle():
+    """Why no systemd can be booted here, None if it can."""
+    if sys.platform != "linux" or not SYSTEMD.exists():
+        return "there is no systemd"
+    missing = [tool for tool in TOOLS if shutil.which(tool) is None]
+    if missing:
+        return f"there is no {', '.join(missing)}"
+    if os.geteuid() != 0:
+        return "it takes root"
+    tried = subprocess.run([*UNSHARE, "mount", "-t", "tmpfs", "tmpfs", "/mnt"], capture_output=True, text=True)
+    if tried.returncode != 0:
+        return f"namespaces are not permitted: {tried.stderr.strip()}"
+    return None
+
+
+class Machine:
+    """The booted system."""
+
+    def __init__(self, folder, shared):
+        """`shared` are paths that are seen inside, read-only, even where they are mounts of their own."""
+        self._console = folder / "console"
+        self._console.touch()
+        with self._console.open("ab") as console:
+            self._outside = subprocess.Popen(
+                [*UNSHARE, sys.executable, __file__, str(folder), *map(str, shared)],
+                stdin=subprocess.DEVNULL,
+                stdout=console,
+                stderr=console,
+                start_new_session=True,
+                preexec_fn=lambda: _C.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL),
+            )
+        try:
+            wait(self._is_up, lambda: f"systemd\n{self.console()[-2000:]}", BOOT_S)
+        except BaseException:
+            self.close()
+            raise
+
+    def _is_up(self):
+        assert self._outside.poll() is None, f"systemd ended: {self.console()[-2000:]}"
+        return self.pid is not None and self.run("systemctl", "is-active", TARGET, check=False).strip() == "active"
+
+    @property
+    def pid(self):
+        """Process 1 of the inside as we see it, None while there is none."""
+        children = Path(f"/proc/{self._outside.pid}/task/{self._outside.pid}/children").read_text().split()
+        return int(children[0]) if children else None
+
+    def console(self):
+        """What was said while it booted."""
+        return self._console.read_text(errors="replace")
+
+    def path(self, inside):
+        """A path of the inside as we see it."""
+        return Path(f"/proc/{self.pid}/root") / inside.lstrip("/")
+
+    def run(self, *words, check=True):
+        """Run a command inside; what it says on both outputs."""
+        done = subprocess.run(
+            ["nsenter", "-t", str(self.pid), "-a", "-r", "-w", *map(str, words)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        assert done.returncode == 0 or not check, f"{' '.join(map(str, words))}: {done.stdout}"
+        return done.stdout
+
+    @contextlib.contextmanager
+    def network(self):
+        """Sockets, and threads that make them, belong to the inside when they are begun here."""
+        ours_at, theirs_at = (Path(f"/proc/{process}/ns/net") for process in ("self", self.pid))
+        with ours_at.open() as ours, theirs_at.open() as theirs:
+            _enter(theirs)
+            try:
+                yield
+            finally:
+                _enter(ours)
+
+    def close(self):
+        """All its processes are killed, and its files are gone."""
+        self._outside.kill()
+        self._outside.wait()
+
+
+def wait(condition, what, seconds, pause_s=0.05):
+    """The first true value of `condition`; fails with `what` when there is none in time."""
+    t_end = time.monotonic() + seconds
+    while not (value := condition()):
+        assert time.monotonic() < t_end, f"not within {seconds:g} s: {what()}"
+        time.sleep(pause_s)
+    return value
+
+
+def _enter(namespace):
+    if _C.setns(namespace.fileno(), _CLONE_NEWNET) != 0:
+        raise OSError(ctypes.get_errno(), "setns")
+
+
+# ------------------------------------------------------------------------------------------------------ inside
+
+
+def _become_systemd(folder, shared):
+    root = _overlay(folder)
+    _mount("proc", root / "proc", "-t", "proc")
+    _mount("sysfs", root / "sys", "-t", "sysfs", "-o", "ro")
+    _mount("cgroup2", root / "sys/fs/cgroup", "-t", "cgroup2")
+    _mount("tmpfs", root / "run", "-t", "tmpfs", "-o", "mode=755")
+    _devices(root / "dev", folder / "console")
+    for path in shared:
+        inside = root / path.relative_to("/")
+        _mount(path, inside, "--bind")
+        _mount("none", inside, "-o", "remount,bind,ro")
+    _units(root / "etc/systemd/system")
+    subprocess.run(["ip", "link", "set", "lo", "up"], check=True)
+    _change_root(root)
+    environment = {"container": "test", "PATH": "/usr/sbin:/usr/bin:/sbin:/bin"}
+    os.execve(SYSTEMD, [str(SYSTEMD), f"--unit={TARGET}", "--log-target=console", "--show-status=1"], environment)
+
+
+def _overlay(folder):
+    """This machine's files with a layer of memory above them."""
+    layers = folder / "layers"
+    layers.mkdir()
+    _mount("none", "/", "--make-rprivate")
+    _mount("tmpfs", layers, "-t", "tmpfs")
+    upper, work, root = (layers / name for name in ("upper", "work", "root"))
+    for path in (upper, work, root):
+        path.mkdir()
+    _mount("overlay", root, "-t", "overlay", "-o", f"lowerdir=/,upperdir={upper},workdir={work}")
+    return root
+
+
+def _change_root(root):
+    """No mere chroot: in one of those no user namespaces may be made, which services ask for."""
+    os.chdir(root)
+    subprocess.run(["pivot_root", ".", "mnt"], check=True)
+    os.chroot(".")
+    subprocess.run(["umount", "--lazy", "/mnt"], check=True)
+
+
+def _devices(dev, console):
+    _mount("tmpfs", dev, "-t", "tmpfs", "-o", "mode=755")
+    for name in NODES:
+        (dev / name).touch()
+        _mount(f"/dev/{name}", dev / name, "--bind")
+    (dev / "console").touch()
+    _mount(console, dev / "console", "--bind")
+    (dev / "shm").mkdir()
+    _mount("tmpfs", dev / "shm", "-t", "tmpfs", "-o", "mode=1777")
+    (dev / "pts").mkdir()
+    _mount("devpts", dev / "pts", "-t", "devpts", "-o", "newinstance,ptmxmode=0666,mode=620")
+    (dev / "ptmx").symlink_to("pts/ptmx")
+    (dev / "fd").symlink_to("/proc/self/fd")
+
+
+def _units(folder):
+    """Nothing of this machine's own services: a journal, and what the tests put there."""
+    _mount("tmpfs", folder, "-t", "tmpfs", "-o", "mode=755")
+    (folder / "systemd-udevd.service").symlink_to("/dev/null")
+    (folder / TARGET).write_text("[Unit]\nRequires=systemd-journald.service\nAfter=systemd-journald.service\n")
+
+
+def _mount(what, where, *options):
+    subprocess.run(["mount", *options, str(what), str(where)], check=True)
+
+
+if __name__ == "__main__":
+    _become_systemd(Path(sys.argv[1]), [Path(path) for path in sys.argv[2:]])

@@ -1,0 +1,156 @@
+"""palmd's own services on a systemd of our own, installed by `palmd install`, with the emulated rig for a rig."""
+
+import json
+import shutil
+import sys
+import time
+from pathlib import Path
+
+from boot import Machine, wait
+
+from palmd.cli.bus import COMMAND, PUBLISH, Client, Subscriber
+from palmd.model.compiled import cache_directory
+
+CHECKOUT = Path(__file__).parents[2]
+PALMD = Path(sys.prefix) / "bin/palmd"
+UNITS = ("palmd", "palmd-record", "palmd-view", "palmd-rig")
+CACHE, RUNS, CONFIG = "/var/cache/palmd", "/var/lib/palmd", "/etc/palmd/palmd.yaml"
+GENEROUS_S = 30.0
+SEEDED = f"[Service]\nExecStart=\nExecStart={PALMD} rig --seed 3 --ports /run/palmd-rig {CONFIG}\n"
+
+
+class Services:
+    """The four units, and both ends of what they say."""
+
+    def __init__(self, folder):
+        self.machine = Machine(folder, sorted({CHECKOUT, Path(sys.prefix), Path(sys.base_prefix)}))
+        try:
+            self.installed = self._install()
+            with self.machine.network():
+                self._subscriber = Subscriber(PUBLISH, topics=("palm/",))
+                self._client = Client(COMMAND, GENEROUS_S)
+        except BaseException:
+            self.machine.close()
+            raise
+        self._rig, self._rig_process = None, 0
+        self.forget()
+
+    def _install(self):
+        """What `palmd install` said; the observers are those that this machine has compiled already."""
+        cache = self.machine.path(CACHE)
+        cache.mkdir(parents=True, exist_ok=True)
+        for library in cache_directory().glob("*.so"):
+            shutil.copy(library, cache)
+        said = self.machine.run(PALMD, "install")
+        config = self.machine.path(CONFIG)
+        text = config.read_text().replace("/dev/palmd-", "/run/palmd-rig/").replace("rock.yaml", "lively.yaml")
+        config.write_text(text)
+        dropin = self.machine.path("/etc/systemd/system/palmd-rig.service.d")
+        dropin.mkdir()
+        (dropin / "seed.conf").write_text(SEEDED)
+        self.systemctl("daemon-reload")
+        self.systemctl("enable", *UNITS)
+        return said
+
+    def close(self):
+        for link in (self._subscriber, self._client, self._rig):
+            if link is not None:
+                link.close()
+        self.machine.close()
+
+    # the manager
+
+    def systemctl(self, *words):
+        return self.machine.run("systemctl", *words)
+
+    def show(self, unit, *names):
+        """Properties of a unit, in the order asked for."""
+        said = self.systemctl("show", *(f"--property={name}" for name in names), unit)
+        found = dict(line.split("=", 1) for line in said.splitlines())
+        return found[names[0]] if len(names) == 1 else [found[name] for name in names]
+
+    def state(self, unit):
+        return self.show(unit, "ActiveState")
+
+    def main(self, unit="palmd"):
+        """The main process's number, as it is seen inside."""
+        return int(self.show(unit, "MainPID"))
+
+    def kill(self, signal, unit="palmd"):
+        self.systemctl("kill", "--kill-whom=main", f"--signal={signal}", unit)
+
+    def journal(self, unit):
+        """What it said: pairs of priority and text."""
+        said = self.machine.run("journalctl", "--unit", unit, "--output", "json", "--no-pager")
+        entries = [json.loads(line) for line in said.splitlines() if line.startswith("{")]
+        return [(int(e["PRIORITY"]), e["MESSAGE"]) for e in entries if e.get("_COMM") == "palmd"]
+
+    def until(self, condition, what):
+        return wait(condition, lambda: f"{what}\n{self.systemctl_status()}", GENEROUS_S)
+
+    def systemctl_status(self):
+        return self.machine.run("systemctl", "status", "--no-pager", "--lines=20", *UNITS, check=False)
+
+    def all_stopped(self):
+        """Where each test begins."""
+        self.systemctl("stop", *UNITS)
+        self.systemctl("reset-failed")
+        self.forget()
+
+    def started(self):
+        """All four run, and the daemon is ready for orders."""
+        self.systemctl("start", "palmd")
+        self.hear(lambda: self.heard["palm/state"]["state"] == "ready" and self.arm_letter() == "R", "ready")
+
+    # the daemon and the rig
+
+    def forget(self):
+        """Nothing has been heard yet."""
+        for _ in self._subscriber.until(time.monotonic() + 0.05):
+            pass
+        self.heard = {}
+        self.ticks = 0
+
+    def hear(self, condition, what):
+        """Listen until it is true; messages that it needs may not have come yet."""
+
+        def look():
+            for message in self._subscriber.until(time.monotonic() + 0.1):
+                self.heard[message.topic] = message.fields
+                self.ticks += message.topic == "palm/estimate"
+            try:
+                return condition()
+            except KeyError:
+                return False
+
+        self.until(look, what)
+
+    def arm_letter(self):
+        return self.heard["palm/motion"]["arm_state"]
+
+    def do(self, command):
+        reply = self._client.ask(command)
+        assert reply["ok"], f"{command}: {reply['error']}"
+
+    def moving(self):
+        """The arm follows a plan."""
+        self.do("arm")
+        self.do("start")
+        start = self.heard["palm/motion"]["phi1_rad"]
+        self.hear(lambda: abs(self.heard["palm/motion"]["phi1_rad"] - start) > 0.02, "motion")
+
+    def rig(self):
+        """What the emulated rig counts."""
+        if self._rig is None or self._rig_process != self.main("palmd-rig"):
+            if self._rig is not None:
+                self._rig.close()
+            self._rig_process = self.main("palmd-rig")
+            told = [text for _, text in self.journal("palmd-rig") if text.startswith("{")]
+            with self.machine.network():
+                self._rig = Client(json.loads(told[-1])["control"], GENEROUS_S)
+        return self._rig.ask("status")["result"]
+
+    def commanded(self):
+        """What the controller was told that may move the arm: starts of tracking, set-points, resets."""
+        rig = self.rig()
+        return rig["starts"], rig["setpoints"], rig["resets"]

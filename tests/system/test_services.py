@@ -1,0 +1,168 @@
+"""palmd's units under a real systemd: what READY means, restarts that leave the arm alone, stops, rights."""
+
+import re
+import time
+
+import pytest
+from services import PALMD, RUNS, UNITS
+
+from palmd.daemon.realtime import PRIORITY
+
+pytestmark = pytest.mark.system
+
+STOP_S = 2.0
+EXPOSURE_MOST = 2.0
+FIFO = f"SCHED_FIFO|SCHED_RESET_ON_FORK {PRIORITY}"
+
+
+def test_verify_has_nothing_to_say(services):
+    units = [f"/usr/local/lib/systemd/system/{unit}.service" for unit in UNITS]
+    assert services.machine.run("systemd-analyze", "verify", *units) == ""
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_exposure(services, unit):
+    said = services.machine.run("systemd-analyze", "security", "--no-pager", f"{unit}.service")
+    assert float(re.search(r"exposure level for .*: ([\d.]+)", said)[1]) <= EXPOSURE_MOST
+
+
+def test_install_again_keeps_what_is_the_machines_own(services):
+    said = services.machine.run(PALMD, "install")
+    assert "kept     /etc/palmd/palmd.yaml" in said
+    assert "kept     /etc/udev/rules.d/71-palmd-names.rules" in said
+    assert "/run/palmd-rig/pad1" in services.machine.path("/etc/palmd/palmd.yaml").read_text()
+
+
+def test_ready_means_that_the_ports_are_open_and_the_controller_has_answered(services):
+    services.systemctl("mask", "--runtime", "palmd-rig")
+    try:
+        services.systemctl("start", "--no-block", "palmd")
+        services.hear(lambda: services.ticks > 100, "ticks without a rig")
+        assert services.heard["palm/state"]["state"] == "idle"
+        assert services.show("palmd", "ActiveState", "NRestarts") == ["activating", "0"]
+        assert "idle, arm-port, pad1-port, pad2-port" in services.show("palmd", "StatusText")
+    finally:
+        services.systemctl("unmask", "--runtime", "palmd-rig")
+    services.systemctl("start", "palmd-rig")
+    services.until(lambda: services.state("palmd") == "active", "active")
+    services.hear(lambda: services.heard["palm/state"]["state"] == "ready", "ready")
+    assert services.commanded() == (0, 0, 0)
+
+
+def test_companions_and_rig_come_with_it_and_the_companions_go_with_it(services):
+    services.started()
+    services.until(lambda: [services.state(unit) for unit in UNITS] == ["active"] * 4, "all active")
+    began, listening = (int(services.show(unit, "ActiveEnterTimestampMonotonic")) for unit in ("palmd", "palmd-record"))
+    assert listening < began
+    companions = ("palmd-record", "palmd-view")
+    for unit in companions:
+        services.kill("SIGKILL", unit)
+    services.until(
+        lambda: all(services.show(unit, "ActiveState", "NRestarts") == ["active", "1"] for unit in companions), "both"
+    )
+    assert services.show("palmd", "ActiveState", "NRestarts") == ["active", "0"]
+    services.systemctl("stop", "palmd")
+    expected = ["inactive", "inactive", "inactive", "active"]
+    services.until(lambda: [services.state(unit) for unit in UNITS] == expected, "the companions' end")
+    assert services.show("palmd-record", "Result") == "success"
+    runs = list(services.machine.path(RUNS).glob("*.mcap"))
+    assert services.machine.run("stat", "--format=%U %a", *(f"{RUNS}/{run.name}" for run in runs)).split() == [
+        "palmd",
+        "640",
+    ] * len(runs)
+    newest = max(runs, key=lambda run: run.stat().st_mtime)
+    said = services.machine.run(PALMD, "recover", f"{RUNS}/{newest.name}", "-o", "/run/whole.mcap")
+    assert "messages" in said
+
+
+def test_stop_brings_the_arm_to_rest_in_time(services):
+    services.started()
+    services.moving()
+    begun = time.monotonic()
+    services.systemctl("kill", "--kill-whom=main", "--signal=SIGTERM", "palmd")
+    services.until(lambda: services.state("palmd") == "inactive", "the end")
+    ended = int(services.show("palmd", "ExecMainExitTimestampMonotonic")) * 1e-6
+    assert ended - begun < STOP_S
+    assert services.show("palmd", "Result", "ExecMainStatus", "NRestarts") == ["success", "0", "0"]
+    assert services.rig()["arm_state"] == "R"
+
+
+def test_a_daemon_that_hangs_is_killed_and_comes_back_without_touching_the_arm(services):
+    services.started()
+    hung = services.main()
+    services.kill("SIGSTOP")
+    services.until(lambda: services.show("palmd", "NRestarts") == "1", "the watchdog")
+    services.forget()
+    services.hear(lambda: services.heard["palm/state"]["state"] == "ready", "ready again")
+    services.until(lambda: services.state("palmd") == "active", "active again")
+    assert services.main() != hung
+    services.hear(lambda: services.ticks > 100, "a second of ticks")
+    assert services.commanded() == (0, 0, 0)
+    said = "\n".join(text for _, text in services.journal("palmd"))
+    assert 'loop.py", line' in said.partition("Fatal Python error")[2]
+
+
+def test_after_a_death_in_motion_nothing_moves_the_arm(services):
+    services.started()
+    services.moving()
+    services.kill("SIGKILL")
+    services.until(lambda: services.show("palmd", "NRestarts") == "1", "the restart")
+    before = services.commanded()
+    assert services.rig()["arm_state"] == "F"
+    services.forget()
+    services.hear(lambda: services.heard["palm/state"]["state"] != "idle", "a state")
+    services.until(lambda: services.state("palmd") == "active", "active again")
+    services.hear(lambda: services.ticks > 100, "a second of ticks")
+    assert services.commanded() == before
+    assert "arm-fault" in services.heard["palm/state"]["faults"]
+    assert services.show("palmd-record", "ActiveState", "NRestarts") == ["active", "0"]
+
+
+def test_a_wrong_configuration_is_told_and_not_tried_again(services):
+    config = services.machine.path("/etc/palmd/palmd.yaml")
+    right = config.read_text()
+    config.write_text(right.replace("rate_hz: 100", "rate_hz: quick"))
+    try:
+        services.machine.run("systemctl", "start", "palmd", check=False)
+        assert services.show("palmd", "ActiveState", "ExecMainStatus", "NRestarts") == ["failed", "1", "0"]
+    finally:
+        config.write_text(right)
+    assert any("palmd.yaml:" in text and "rate_hz" in text for _, text in services.journal("palmd"))
+
+
+def test_a_rig_that_goes_and_comes_back_costs_no_restart_and_no_motion(services):
+    services.started()
+    services.systemctl("stop", "palmd-rig")
+    services.hear(lambda: services.heard["palm/state"]["state"] == "idle", "idle")
+    services.systemctl("start", "palmd-rig")
+    services.hear(lambda: services.heard["palm/state"]["state"] == "ready", "ready again")
+    assert services.show("palmd", "ActiveState", "NRestarts") == ["active", "0"]
+    assert services.commanded() == (0, 0, 0)
+
+
+def test_its_rights_suffice_and_are_no_more(services):
+    services.started()
+    pid = services.main()
+    threads = services.machine.run("chrt", "--all-tasks", "--pid", pid)
+    policies = re.findall(r"policy: (\S+)\n.*priority: (\d+)", threads)
+    assert " ".join(policies[0]) == FIFO
+    assert {policy for policy, _ in policies[1:]} == {"SCHED_OTHER"}
+    status = services.machine.path(f"/proc/{pid}/status").read_text()
+    fields = dict(line.split(":\t", 1) for line in status.splitlines())
+    assert {int(fields[name], 16) for name in ("CapInh", "CapPrm", "CapEff", "CapBnd", "CapAmb")} == {0}
+    limit = services.machine.path(f"/proc/{pid}/limits").read_text()
+    if re.search(r"Max locked memory +unlimited", limit):  # a container's manager may not grant it
+        assert int(fields["VmLck"].split()[0]) > 10_000
+    services.hear(lambda: "palm/loop" in services.heard, "palm/loop")
+    assert services.heard["palm/loop"]["backend"] == "c"
+    assert not {"vm-backend", "recorder-failed", "recorder-silent"} & set(services.heard["palm/state"]["faults"])
+    assert not any("could not" in text or "compile" in text for _, text in services.journal("palmd"))
+
+
+def test_log_lines_have_priorities(services):
+    services.started()
+    services.systemctl("stop", "palmd")
+    lines = services.journal("palmd")
+    assert (6, "idle -> ready") in lines
+    assert any(priority == 4 and text.startswith("fault ") for priority, text in lines)
+    assert not any(text.startswith("<") for _, text in lines)

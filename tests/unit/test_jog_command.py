@@ -1,0 +1,173 @@
+"""`palmd jog`: the palms turn while a key is held, and only then."""
+
+import contextlib
+import itertools
+import math
+import os
+import pty
+import threading
+import time
+
+import pytest
+
+from palmd.cli import jog, main
+from palmd.cli.jog import EVERY_S, HELD_S, STEP_DEG, Handle, line
+from palmd.config import LimitsConfig
+from palmd.daemon.bus import Bus
+from palmd.daemon.commands import JOG_STEP_MAX_DEG, Reply
+from palmd.daemon.jog import DEAD_MAN_S, RATE
+from palmd.messages import TOPICS
+
+RIGHT, LEFT, UP, DOWN = b"\x1b[C", b"\x1b[D", b"\x1b[A", b"\x1b[B"
+
+
+def test_nothing_moves_without_a_key():
+    assert Handle().step(0.0) is None
+
+
+@pytest.mark.parametrize(("key", "phi1", "phi2"), [(RIGHT, 1, 0), (LEFT, -1, 0), (UP, 0, 1), (DOWN, 0, -1),
+                                                   (b"\x1bOC", 1, 0)])  # fmt: skip
+def test_arrows(key, phi1, phi2):
+    handle = Handle()
+    assert handle.pressed(key, 1.0) == []
+    assert handle.step(1.0) == {"phi1_deg": STEP_DEG * phi1, "phi2_deg": STEP_DEG * phi2}
+
+
+def test_letting_go_stops():
+    handle = Handle()
+    handle.pressed(RIGHT * 3, 1.0)
+    assert handle.step(1.0 + HELD_S - 1e-3) is not None
+    assert handle.step(1.0 + HELD_S + 1e-3) is None
+
+
+def test_the_last_arrow_counts_and_any_other_key_lets_go():
+    handle = Handle()
+    handle.pressed(RIGHT + UP, 1.0)
+    assert handle.step(1.0) == {"phi1_deg": 0.0, "phi2_deg": STEP_DEG}
+    handle.pressed(b"x", 1.01)
+    assert handle.step(1.01) is None
+
+
+def test_what_else_can_be_asked():
+    assert Handle().pressed(b"aS" + RIGHT + b"q", 0.0) == ["arm", "stop", "end"]
+    assert Handle().pressed(b"\x03", 0.0) == ["end"]
+
+
+def test_steps_are_such_that_the_daemon_takes_them_and_goes_on():
+    assert JOG_STEP_MAX_DEG >= STEP_DEG
+    assert math.degrees(RATE) >= STEP_DEG / EVERY_S
+    assert 2.0 * EVERY_S < DEAD_MAN_S
+    assert HELD_S > 2.0 / 20.0  # slow terminals repeat 20 times a second
+
+
+def test_the_line_shows_angles_limits_and_what_is_wrong():
+    text = line(
+        {"phi1_rad": 0.5, "phi2_rad": 1.5},
+        {"state": "hold", "faults": ["pad1-lifted"]},
+        LimitsConfig(),
+        "jog refused: too far",
+    )
+    assert "28.6° (6 to 150)" in text
+    assert "85.9° (35 to 155)" in text
+    assert text.endswith("hold   pad1-lifted   jog refused: too far")
+    assert "nan" in line({}, {}, LimitsConfig(), "")
+
+
+def test_without_a_terminal_it_says_what_else_there_is(capsys):
+    assert main(["jog"]) == 1
+    assert "palmd ctl jog" in capsys.readouterr().err
+
+
+@contextlib.contextmanager
+def daemon(folder, refusing=()):
+    """A daemon's bus that publishes a motion and grants what it is not to refuse; collects the commands."""
+    bus = Bus(f"ipc://{folder}/publish", f"ipc://{folder}/command")
+    asked, over = [], threading.Event()
+
+    def serve():
+        motion = next(topic for topic in TOPICS if topic.name == "palm/motion")
+        while not over.wait(0.005):
+            for request in bus.receive():
+                asked.append((request.name, request.args, time.monotonic()))
+                bus.reply(Reply(request, "not now" if request.name in refusing else None, {}))
+            bus.publish(motion, {"phi1_rad": 0.5, "phi2_rad": 1.5}, time.monotonic(), time.time())
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        yield asked
+    finally:
+        over.set()
+        thread.join()
+        bus.close()
+
+
+@contextlib.contextmanager
+def terminal(monkeypatch):
+    """Standard input and output on a pseudo-terminal; its far end."""
+    master, slave = pty.openpty()
+    os.set_blocking(master, False)
+    with os.fdopen(slave, "r+b", buffering=0) as end, open(slave, "w", closefd=False) as out:
+        monkeypatch.setattr(jog.sys, "stdin", end)
+        monkeypatch.setattr(jog.sys, "stdout", out)
+        yield master
+    os.close(master)
+
+
+def at_the_keys(master, presses):
+    """Presses keys, each for so long."""
+
+    def press():
+        _until_ready(master)
+        for key, seconds in presses:
+            t_end = time.monotonic() + seconds
+            while time.monotonic() < t_end:
+                if key:
+                    os.write(master, key)
+                with contextlib.suppress(BlockingIOError):
+                    os.read(master, 4096)
+                time.sleep(0.03)
+        os.write(master, b"q")
+
+    thread = threading.Thread(target=press)
+    thread.start()
+    return thread
+
+
+def _until_ready(master):
+    """Until it has said which keys there are, and drawn its first line: from then on keys count at once."""
+    said, deadline = b"", time.monotonic() + 20.0
+    while b"phi1" not in said and time.monotonic() < deadline:
+        with contextlib.suppress(BlockingIOError):
+            said += os.read(master, 4096)
+        time.sleep(0.01)
+
+
+def sitting(tmp_path, monkeypatch, presses, **options):
+    path = tmp_path / "palmd.yaml"
+    path.write_text(
+        "pads: {palm1: {port: a}, palm2: {port: b}}\narm: {port: c}\n"
+        f'bus: {{publish: "ipc://{tmp_path}/publish", command: "ipc://{tmp_path}/command"}}\n'
+    )
+    with daemon(tmp_path, **options) as asked, terminal(monkeypatch) as master:
+        thread = at_the_keys(master, presses)
+        assert main(["jog", str(path)]) == 0
+        thread.join()
+    return asked
+
+
+def test_a_sitting(tmp_path, monkeypatch):
+    """Armed, turned while the key is held, still while it is not, and stopped in the end for it was armed here."""
+    asked = sitting(tmp_path, monkeypatch, [(b"a", 0.02), (RIGHT, 0.5), (b"", 0.5), (DOWN, 0.3)])
+    names = [name for name, _, _ in asked]
+    assert names[:2] == ["status", "arm"]
+    assert names[-1] == "stop"
+    steps = [(args["phi1_deg"], args["phi2_deg"], t) for name, args, t in asked if name == "jog"]
+    assert {step[:2] for step in steps} == {(STEP_DEG, 0.0), (0.0, -STEP_DEG)}
+    gaps = [later[2] - sooner[2] for sooner, later in itertools.pairwise(steps)]
+    assert max(gaps) > 0.3
+
+
+def test_what_was_not_armed_here_is_not_stopped(tmp_path, monkeypatch):
+    asked = sitting(tmp_path, monkeypatch, [(b"a", 0.02), (RIGHT, 0.2)], refusing=("arm", "jog"))
+    assert [name for name, _, _ in asked if name == "stop"] == []
