@@ -197,7 +197,8 @@ class Explorer:
                     tried.ends[number, 0], tried.ends[None, number, 1:], tried.durations[None, number, 1:]
                 )
                 if self._roadmap is not None and to_go is not None:
-                    self._roadmap.learn(tried.start, states[0, shape_map.Z.PSI], 1.0 / score[number])
+                    seconds = 1.0 / score[number] if score[number] > 0.0 else math.inf
+                    self._roadmap.learn(tried.start, states[0, shape_map.Z.PSI], seconds)
                 return move
         self._kept = None
         return self._least_bad(states, foreseen, tried)
