@@ -176,3 +176,13 @@ def test_an_address_in_use_is_told_with_its_key(key):
 def test_an_impossible_address_is_told(tmp_path):
     with pytest.raises(BusError, match=r"bus\.publish: ipc:///no/such/folder/x cannot be bound"):
         Bus("ipc:///no/such/folder/x", f"ipc://{tmp_path}/c")
+
+
+def test_what_comes_before_the_awaited_command_is_kept(rig):
+    curious, recorder = rig.client(zmq.DEALER, rig.command), rig.client(zmq.DEALER, rig.command)
+    curious.send(call(id=1, cmd="status"))
+    rig.bus.await_command("recorder", 0.1)
+    recorder.send(call(id=2, cmd="recorder", args={"bytes": 0, "messages": 0, "lost": 0}))
+    rig.bus.await_command("recorder", 60.0)  # ends long before: the test's own time is short
+    assert [request.name for request in rig.bus.receive()] == ["status", "recorder"]
+    assert rig.bus.receive() == []

@@ -117,7 +117,7 @@ def _run(
         counters=lambda: _counters(smoother, estimator, explorer),
     )
     if recorded:
-        bus.await_command(RECORDER_START_S)
+        bus.await_command("recorder", RECORDER_START_S)
     realtime.freeze_collector()
     signals.hand_over(loop.stop)
     return OK if loop.run() else RIG_FAILED

@@ -6,6 +6,8 @@ Who does not listen in time loses messages, never the loop's time. All of `Bus` 
 from __future__ import annotations
 
 import contextlib
+import math
+import time
 from dataclasses import asdict, dataclass
 
 import msgpack
@@ -43,6 +45,7 @@ class Bus:
         """`publish` and `command` are ZeroMQ addresses."""
         self.counters = BusCounters()
         self._seq: dict[str, int] = {}
+        self._early: list[Request] = []  # what came before the loop
         self._context = zmq.Context()
         try:
             self._publisher = self._bound(zmq.PUB, publish, "bus.publish")
@@ -62,7 +65,7 @@ class Bus:
 
     def receive(self) -> list[Request]:
         """The valid commands that have come, a few at most; what is malformed is answered here."""
-        requests: list[Request] = []
+        requests, self._early = self._early, []
         for _ in range(COMMANDS_PER_TICK):
             try:
                 frames = self._commands.recv_multipart(zmq.NOBLOCK)
@@ -79,9 +82,17 @@ class Bus:
                 self._send(route, reply_fields(error.id, str(error)))
         return requests
 
-    def await_command(self, seconds: float) -> None:
-        """Wait until there is a command, at most so long: for before the loop begins."""
-        self._commands.poll(round(seconds * 1e3))
+    def await_command(self, name: str, seconds: float) -> None:
+        """Wait until a command of that name has come, at most so long: for before the loop begins.
+
+        What comes meanwhile is kept for `receive`.
+        """
+        t_end = time.monotonic() + seconds
+        while all(request.name != name for request in self._early):
+            left_s = t_end - time.monotonic()
+            if left_s <= 0.0 or not self._commands.poll(math.ceil(left_s * 1e3)):
+                return
+            self._early = self.receive()
 
     def reply(self, reply: Reply) -> None:
         """Answer a request; lost when the client has gone."""
