@@ -183,7 +183,7 @@ def test_a_signal_ends_real_processes(number, send, tmp_path):
 def test_a_cluster_is_used_when_its_address_is_given(tmp_path, monkeypatch, capsys):
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr(montecarlo, "run", quick)
-    with distributed.LocalCluster(1, threads_per_worker=2, processes=False, dashboard_address=None) as dask:
+    with distributed.LocalCluster(1, threads_per_worker=2, processes=False, dashboard_address=":0") as dask:
         arguments = ["--kind", "rig", "--runs", "3", "--scheduler", dask.scheduler_address, "-o", str(tmp_path)]
         assert main(["bench", "montecarlo", *arguments]) == 0
     assert [row["seed"] for row in written(tmp_path)] == [0, 1, 2]
