@@ -19,11 +19,18 @@ GENEROUS_S = 30.0
 SEEDED = f"[Service]\nExecStart=\nExecStart={PALMD} rig --seed 3 --ports /run/palmd-rig {CONFIG}\n"
 
 
+def _is_elsewhere(path):
+    """Whether it lies on another file system than /, whose overlay shows everything else: /usr may be among the paths."""
+    return path.stat().st_dev != Path("/").stat().st_dev
+
+
 class Services:
     """The four units, and both ends of what they say."""
 
     def __init__(self, folder):
-        self.machine = Machine(folder, sorted({CHECKOUT, Path(sys.prefix), Path(sys.base_prefix)}))
+        self.machine = Machine(
+            folder, sorted(filter(_is_elsewhere, {CHECKOUT, Path(sys.prefix), Path(sys.base_prefix)}))
+        )
         try:
             self.installed = self._install()
             with self.machine.network():
