@@ -20,7 +20,7 @@ SEEDED = f"[Service]\nExecStart=\nExecStart={PALMD} rig --seed 3 --ports /run/pa
 
 
 def _is_elsewhere(path):
-    """Whether it lies on another file system than /, whose overlay shows everything else: /usr may be among the paths."""
+    """Whether it lies on another file system than /, whose overlay shows all the rest; /usr may be among the paths."""
     return path.stat().st_dev != Path("/").stat().st_dev
 
 

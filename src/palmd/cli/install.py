@@ -23,7 +23,8 @@ LOCAL = Path("usr/local/lib")
 SETTINGS = Path("etc/palmd")
 CACHE = "/var/cache/palmd"
 RUNS = "/var/lib/palmd"
-HOMES = (Path("/home"), Path("/root"), Path("/run/user"))
+# of these a service sees nothing but what it is given: checkouts lie there, too
+HIDDEN = (Path("/home"), Path("/root"), Path("/run/user"), Path("/tmp"), Path("/var/tmp"))
 
 _SHIPPED_COMMAND = "/opt/palmd/bin/palmd"
 _SHIPPED_HOME = "ProtectHome=yes\n"
@@ -66,7 +67,7 @@ _NAMES = Path("etc/udev/rules.d/71-palmd-names.rules")
 
 
 def adapted(unit: str, command: Path, hidden: Sequence[Path]) -> str:
-    """A shipped unit for a palmd at `command`; of the homes it sees only the `hidden` paths that it needs. Pure."""
+    """A shipped unit for a palmd at `command`; of what is hidden it sees only the `hidden` paths that it needs."""
     unit = unit.replace(_SHIPPED_COMMAND, str(command))
     if not hidden:
         return unit
@@ -74,8 +75,8 @@ def adapted(unit: str, command: Path, hidden: Sequence[Path]) -> str:
 
 
 def hidden_parts(parts: Sequence[Path]) -> list[Path]:
-    """Those of an installation's folders that lie in somebody's home, each once. Pure."""
-    inside = {part for part in parts if any(part.is_relative_to(home) for home in HOMES)}
+    """Those of an installation's folders that lie in somebody's home or among temporary files, each once. Pure."""
+    inside = {part for part in parts if any(part.is_relative_to(home) for home in HIDDEN)}
     return sorted(part for part in inside if not any(part != other and part.is_relative_to(other) for other in inside))
 
 
