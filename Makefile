@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint bench build docs setup dev lock wheelhouse clean
+.PHONY: help demo test system lint bench build docs setup dev lock wheelhouse clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z]*\):.*##/make \1\t/p' $(MAKEFILE_LIST) | expand -t 18
@@ -15,7 +15,10 @@ demo: build  ## an emulated rig, the daemon, an unknown object: live estimates u
 
 test: dev lint  ## all tests, linters, types and import contracts
 	$(BIN)/python -m pytest -q -n 2 -m "not rig and not system and not bench"
-	$(BIN)/python -m pytest -q -m "rig or system"
+	$(BIN)/python -m pytest -q -m rig
+
+system: dev  ## the services under a systemd of their own (as root; a minute)
+	$(BIN)/python -m pytest -q -m system
 
 lint: dev
 	$(BIN)/ruff check .
