@@ -192,7 +192,7 @@ def test_a_reply_to_somebody_else_is_passed_over(tmp_path):
 
 
 def test_a_stranger_on_the_port_is_no_answer(capsys, monkeypatch):
-    monkeypatch.setattr("palmd.cli.ctl.Client", lambda address: Client(address, 0.2))
+    monkeypatch.setattr("palmd.cli.ctl.Client", lambda address, key: Client(address, 0.2, key))
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
         begun = time.monotonic()
