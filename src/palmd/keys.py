@@ -247,7 +247,7 @@ def _check_name(name: str) -> None:
 
 def _make_folder(folder: Path) -> None:
     try:
-        folder.mkdir(mode=0o755, exist_ok=True)
+        folder.mkdir(mode=0o755, parents=True, exist_ok=True)
     except OSError as error:
         raise KeysError(f"{folder}: cannot be made ({error.strerror})") from None
 

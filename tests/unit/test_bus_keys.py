@@ -2,9 +2,11 @@
 
 import contextlib
 import logging
+import re
 import socket
 import threading
 import time
+from pathlib import Path
 
 import msgpack
 import pytest
@@ -16,6 +18,8 @@ from palmd.daemon.bus import Bus
 from palmd.daemon.commands import COMMANDS, Reply
 from palmd.keys import Role
 from palmd.messages import STATE, state_fields
+from palmd.view.desk import Desk
+from palmd.view.feed import Feed
 
 GENEROUS_S = 10.0
 ARGS = {"plan": {"path": "x"}, "recorder": {"bytes": 0, "messages": 0, "lost": 0}}
@@ -108,6 +112,36 @@ def test_both_roles_and_the_daemons_own_recorder_hear_what_is_published(rig):
     for client in listening:
         rig.until(lambda client=client: client.poll(0))
     assert rig.ask(rig.client(zmq.DEALER, keys.own_credentials(rig.own)), "recorder")["ok"]
+
+
+def test_a_page_listens_to_a_daemon_with_keys_and_to_a_rig_without(rig):
+    truth = rig.context.socket(zmq.PUB)
+    rig.clients.append(truth)
+    truth.bind("tcp://127.0.0.1:*")
+    feed = Feed(rig.publish, truth.last_endpoint.decode(), rig.credentials("desk"))
+
+    def both():
+        truth.send_multipart((b"rig/truth", msgpack.packb({}), b"0"))
+        feed.take()
+        return {"palm/state", "rig/truth"} <= feed.latest.keys()
+
+    with contextlib.closing(feed), contextlib.closing(Desk(rig.command, rig.credentials("ann"))) as desk:
+        rig.until(both)
+        rig.until(lambda: desk.open)
+        desk.send("hold", 0.0)
+        rig.until(lambda: rig.granted == ["hold"])
+
+
+def test_a_subscriber_of_ones_own_as_the_manual_has_it(rig):
+    page = (Path(__file__).parents[2] / "docs/subscribing.md").read_text()
+    (code,) = re.findall(r"```python\n(from zmq.auth.*?)```", page, flags=re.DOTALL)
+    made = rig.context.socket(zmq.SUB)
+    rig.clients.append(made)
+    with contextlib.chdir(rig.folder):
+        exec(code, {"socket": made})
+    made.subscribe("palm/")
+    made.connect(rig.publish)
+    rig.until(lambda: made.poll(0))
 
 
 def strangers(rig):
@@ -247,7 +281,7 @@ def spoken_to_the_end(rig, line, data):
 
 
 class Wiretap:
-    """A line in between that writes down what the client sends; with `garble` one bit of each long message is turned."""
+    """A line in between that writes down what the client sends; with `garble` one bit of each message is turned."""
 
     def __init__(self, address, garble=False):
         self.sent, self.garbled = bytearray(), 0

@@ -89,7 +89,9 @@ def test_with_keys_any_address_of_the_machine_is_taken(address: str) -> None:
     assert made.bus.keys == Path("/etc/palmd/keys")
 
 
-@pytest.mark.parametrize("address", ["tcp://*:9872", "tcp://eth0:9872", "tcp://[::]:9872", "tcp://0.0.0.0:0", "udp://0.0.0.0:9"])
+@pytest.mark.parametrize(
+    "address", ["tcp://*:9872", "tcp://eth0:9872", "tcp://[::]:9872", "tcp://0.0.0.0:0", "udp://0.0.0.0:9"]
+)
 def test_keys_make_no_address_of_what_is_none(address: str) -> None:
     ((name, text),) = faults(bus={"publish": address, "keys": "keys"})
     assert name == "bus.publish"

@@ -24,7 +24,7 @@ PAGES = [
     "README.md",
     *(
         f"docs/{name}.md"
-        for name in ("architecture", "theory", "paper", "limits", "calibration", "exploring", "subscribing")
+        for name in ("architecture", "theory", "paper", "limits", "calibration", "exploring", "subscribing", "security")
     ),
 ]
 

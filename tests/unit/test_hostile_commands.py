@@ -34,7 +34,23 @@ HOSTILE_PLANS = {
 }  # fmt: skip
 
 hostile_values = st.sampled_from(
-    [math.nan, math.inf, -math.inf, 1e308, 0.5, -0.5, 0.500001, 10**18, True, None, "0.5", b"", [], LIMITS, "../palmd.yaml"]
+    [
+        math.nan,
+        math.inf,
+        -math.inf,
+        1e308,
+        0.5,
+        -0.5,
+        0.500001,
+        10**18,
+        True,
+        None,
+        "0.5",
+        b"",
+        [],
+        LIMITS,
+        "../palmd.yaml",
+    ]
 )
 commands = st.tuples(
     st.sampled_from([*COMMANDS, *["jog"] * 10, "limits", "set", "config", "__init__"]),

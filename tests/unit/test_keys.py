@@ -92,11 +92,9 @@ def test_list_and_revoke(folders, capsys):
 @pytest.mark.parametrize("which", ["mine/desk.key_secret", "keys/server.key_secret"])
 def test_a_secret_that_others_can_open_is_not_used(folders, bits, which):
     (folders / which).chmod(bits)
+    use = keys.client_credentials if which.startswith("mine") else lambda path: keys.server_keys(path.parent)
     with pytest.raises(KeysError, match=rf"others than its owner .* chmod 600 {folders / which}$"):
-        if which.startswith("mine"):
-            keys.client_credentials(folders / which)
-        else:
-            keys.server_keys(folders / "keys")
+        use(folders / which)
 
 
 @pytest.mark.parametrize("which", ["keys", "keys/clients", "keys/clients/desk.key"])
