@@ -12,8 +12,11 @@ from hypothesis import strategies as st
 from test_step import Bench
 
 from palmd import keys
+from palmd.config import LimitsConfig
 from palmd.daemon.commands import COMMANDS, CommandError, parse
+from palmd.rig.world import default_config
 
+NARROW = LimitsConfig(phi1_deg=(30.0, 60.0), phi2_deg=(80.0, 115.0))
 LIMITS = {"phi1_deg": [0, 180], "phi2_deg": [1, 179], "rate_deg_s": 2000.0, "acceleration_deg_s2": 50000.0}
 AWAY = {"move": {"phi1_deg": 30, "phi2_deg": 110}, "duration_s": 1.0}
 BACK = {"move": {"phi1_deg": 50, "phi2_deg": 90}, "duration_s": 1.0}
@@ -73,7 +76,7 @@ def send(bench, command, args):
 
 
 def armed():
-    bench = Bench().go(0.5)
+    bench = Bench(config=default_config().model_copy(update={"limits": NARROW})).go(0.5)
     bench.do("arm")
     return bench.go(0.1)
 
@@ -86,7 +89,7 @@ def test_no_command_changes_the_limits_or_gets_past_them(sent, push):
     for command, args in sent:
         send(bench, command, args)
     bench.ask("arm")
-    for _ in range(60):  # and to the stop, as far as it goes
+    for _ in range(80):  # and to the stop, as far as it goes
         send(bench, "jog", dict(zip(("phi1_deg", "phi2_deg"), push, strict=True)))
     bench.check_the_arm()
     assert bench.core.steering.limits is limits
