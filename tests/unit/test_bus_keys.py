@@ -13,6 +13,8 @@ import pytest
 import zmq
 
 from palmd import keys
+from palmd.cli.bus import Client
+from palmd.cli.errors import CliError
 from palmd.daemon import doorkeeper
 from palmd.daemon.bus import Bus
 from palmd.daemon.commands import COMMANDS, Reply
@@ -175,6 +177,14 @@ def test_no_stranger_gets_a_message_or_a_word_in(rig):
         assert not any(client.poll(0) for client in clients), what
     assert rig.granted == ["hold"]
     assert rig.bus.counters.commands == 1
+
+
+def test_a_client_that_was_turned_away_says_so_each_time_it_asks(rig):
+    with Client(rig.command, 0.3, rig.credentials("stranger")) as client:
+        rig.until(lambda: rig.bus.fields()["bus_turned_away"])
+        for _ in range(2):
+            with pytest.raises(CliError, match="does it allow this key"):
+                client.ask("status")
 
 
 def test_a_plain_client_of_old_protocols_is_cut_off(rig):

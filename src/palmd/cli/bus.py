@@ -8,6 +8,7 @@ import math
 import os
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -122,6 +123,7 @@ class Client(_Link):
     def __init__(self, address: str, timeout_s: float = TIMEOUT_S, key: Credentials | None = None) -> None:
         """Raises CliError for what is no address."""
         super().__init__(zmq.DEALER, address, key=key)
+        self._socket.setsockopt(zmq.SNDTIMEO, math.ceil(timeout_s * 1e3))  # who is turned away has nowhere to send to
         self._address, self._timeout_s = address, timeout_s
         self._numbers = itertools.count(1)
 
@@ -129,7 +131,8 @@ class Client(_Link):
         """The reply `{id, ok, error?, result?}`; raises CliError when none comes in time."""
         number = next(self._numbers)
         t_end = time.monotonic() + self._timeout_s
-        self._socket.send(msgpack.packb({"id": number, "cmd": command, "args": args or {}}))
+        with suppress(zmq.Again):
+            self._socket.send(msgpack.packb({"id": number, "cmd": command, "args": args or {}}))
         while self._socket.poll(_wait_ms(t_end)):
             reply = _unpacked(self._socket.recv_multipart()[-1])
             if reply is not None and reply.get("id") == number and isinstance(reply.get("ok"), bool):
