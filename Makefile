@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test system lint bench build docs setup dev lock wheelhouse clean
+.PHONY: help demo test system lint audit bench build docs setup dev lock wheelhouse clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z]*\):.*##/make \1\t/p' $(MAKEFILE_LIST) | expand -t 18
@@ -25,6 +25,10 @@ lint: dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+audit: dev  ## known holes in what is locked (needs the network, and pip-audit)
+	pip-audit --disable-pip --require-hashes -r requirements.lock
+	pip-audit --disable-pip --require-hashes -r requirements-dev.lock
 
 bench: dev  ## lateness, work and step times as p50/p99/p99.9/max (needs an idle machine)
 	$(BIN)/python -m pytest -q -s -m bench tests/bench

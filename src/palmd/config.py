@@ -65,10 +65,10 @@ def _beside_the_file(value: object, info: ValidationInfo) -> Path:
     return folder / Path(value).expanduser()
 
 
-def _bus_address(address: str) -> str:
-    """Loopback TCP or a local socket; anything wider needs keys."""
+def _host(address: str) -> str | None:
+    """The machine in a TCP address, None for a local socket."""
     if address.startswith("ipc://") and len(address) > len("ipc://"):
-        return address
+        return None
     try:
         parts = urlsplit(address)
         host, port = parts.hostname, parts.port
@@ -76,7 +76,13 @@ def _bus_address(address: str) -> str:
         host, port = None, None
     if not address.startswith("tcp://") or not host or not port or parts.path:
         raise ValueError(f"must be tcp://ADDRESS:PORT (port 1 to 65535) or ipc://PATH; got {address!r}")
-    if host != "localhost" and not _is_loopback(host):
+    return host
+
+
+def _local_address(address: str) -> str:
+    """Loopback TCP or a local socket; anything wider needs keys."""
+    host = _host(address)
+    if host not in (None, "localhost") and not _is_loopback(host):
         raise ValueError(
             f"{host} can be reached from other machines, which needs CURVE keys, and none are configured;"
             " use tcp://127.0.0.1:PORT or ipc://PATH"
@@ -84,11 +90,24 @@ def _bus_address(address: str) -> str:
     return address
 
 
-def _is_loopback(host: str) -> bool:
+def _guarded_address(address: str) -> str:
+    """Any address of this machine: for a bus with keys."""
+    host = _host(address)
+    if host not in (None, "localhost") and _ipv4(host) is None:
+        raise ValueError(f"must be an IPv4 address of this machine, or 0.0.0.0 for all it has; got {host}")
+    return address
+
+
+def _is_loopback(host: str | None) -> bool:
+    ip = _ipv4(host)
+    return ip is not None and ip.is_loopback
+
+
+def _ipv4(host: str | None) -> ipaddress.IPv4Address | None:
     try:
-        return ipaddress.IPv4Address(host).is_loopback
+        return ipaddress.IPv4Address(host)
     except ValueError:
-        return False
+        return None
 
 
 Positive = Annotated[FiniteFloat, Field(gt=0)]
@@ -98,7 +117,7 @@ Pair = Annotated[tuple[FiniteFloat, FiniteFloat], Field(strict=False)]  # a YAML
 OpeningRange = Annotated[Pair, AfterValidator(_rising_within(1.0, 179.0))]
 AngleRange = Annotated[Pair, AfterValidator(_rising_within(0.0, 180.0))]
 FilePath = Annotated[Path, PlainValidator(_beside_the_file)]
-BusAddress = Annotated[str, AfterValidator(_bus_address)]
+LocalAddress = Annotated[str, AfterValidator(_local_address)]
 
 
 class Strict(BaseModel):
@@ -203,10 +222,17 @@ class ObserverConfig(Strict):
 
 
 class BusConfig(Strict):
-    """The ZeroMQ addresses, on this machine only."""
+    """The ZeroMQ addresses; without a folder of keys on this machine only."""
 
-    publish: BusAddress = "tcp://127.0.0.1:9872"
-    command: BusAddress = "tcp://127.0.0.1:9873"
+    keys: FilePath | None = None
+    publish: str = "tcp://127.0.0.1:9872"
+    command: str = "tcp://127.0.0.1:9873"
+
+    @field_validator("publish", "command")
+    @classmethod
+    def _not_for_strangers(cls, address: str, info: ValidationInfo) -> str:
+        guarded = info.data.get("keys", "wrong, which is said at its own place") is not None
+        return _guarded_address(address) if guarded else _local_address(address)
 
     @field_validator("command")
     @classmethod
@@ -243,6 +269,11 @@ class Config(Strict):
         if pads is not None and arm.port in (pads.palm1.port, pads.palm2.port):
             raise ValueError(f"port {arm.port} is already that of a pad")
         return arm
+
+
+def from_here(address: str) -> str:
+    """Where a program on the daemon's own machine connects to what the daemon binds at `address`."""
+    return address.replace("tcp://0.0.0.0:", "tcp://127.0.0.1:")
 
 
 def config_hash(config: Strict) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from palmd.config import Config, PlanSpec, config_hash, rig_description
+from palmd.config import Config, PlanSpec, config_hash, from_here, rig_description
 from palmd.yamlfile import load_config
 
 ROOT = Path(__file__).parents[2]
@@ -80,6 +80,32 @@ def test_other_addresses_are_refused(address: str, said: str) -> None:
     ((name, text),) = faults(bus={"command": address})
     assert name == "bus.command"
     assert said in text
+
+
+@pytest.mark.parametrize("address", ["tcp://0.0.0.0:9872", "tcp://192.168.1.4:9872", "tcp://127.0.0.1:1", "ipc:///x"])
+def test_with_keys_any_address_of_the_machine_is_taken(address: str) -> None:
+    made = config(bus={"publish": address, "keys": "keys"})
+    assert made.bus.publish == address
+    assert made.bus.keys == Path("/etc/palmd/keys")
+
+
+@pytest.mark.parametrize(
+    "address", ["tcp://*:9872", "tcp://eth0:9872", "tcp://[::]:9872", "tcp://0.0.0.0:0", "udp://0.0.0.0:9"]
+)
+def test_keys_make_no_address_of_what_is_none(address: str) -> None:
+    ((name, text),) = faults(bus={"publish": address, "keys": "keys"})
+    assert name == "bus.publish"
+    assert "must be" in text
+
+
+@pytest.mark.parametrize("keys", ["", 3, True])
+def test_keys_that_are_none_are_told_at_their_own_place(keys: object) -> None:
+    assert [name for name, _ in faults(bus={"publish": "tcp://0.0.0.0:9872", "keys": keys})] == ["bus.keys"]
+
+
+def test_a_program_on_the_same_machine_connects_by_loopback() -> None:
+    assert from_here("tcp://0.0.0.0:9872") == "tcp://127.0.0.1:9872"
+    assert from_here("tcp://192.168.1.4:9872") == "tcp://192.168.1.4:9872"
 
 
 def test_things_that_must_differ() -> None:

@@ -157,7 +157,10 @@ def test_once_without_data_ends_with_3(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("palmd.cli.top.TIMEOUT_S", 0.05)
     address = f"ipc://{tmp_path}/nobody"
     assert main(["top", "--once", "--address", address]) == 3
-    assert capsys.readouterr().err == f"no data from {address}: is a palmd running there?\n"
+    assert (
+        capsys.readouterr().err
+        == f"no data from {address}: is a palmd running there, and does it have keys (then give --key)?\n"
+    )
 
 
 def command(address):

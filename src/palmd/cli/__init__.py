@@ -26,6 +26,7 @@ COMMANDS = {
     "explore": "have a running daemon find the whole outline of what lies on the palms",
     "replay": "publish a recorded run again, or check that the observer still says the same",
     "export": "a recorded run as event log, CSV, MCAP with JSON, or for rerun",
+    "keys": "who may listen to a daemon and command it: new, allow, revoke, list",
     "check": "find what is wrong with configurations and motion plans",
     "estimate": "an event log or a recorded run through the daemon's observer",
     "reconstruct": "outline and motion from a whole event log or recorded run at once, offline",

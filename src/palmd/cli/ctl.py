@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from palmd.cli.bus import COMMAND, Client
+from palmd.cli.bus import COMMAND, Client, add_key, credentials
 from palmd.cli.errors import BAD_INPUT, CliError
 from palmd.daemon.commands import COMMANDS
 
@@ -23,6 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments: those of every command that the daemon knows."""
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument("--address", default=COMMAND, help="the daemon's command socket (default: %(default)s)")
+    add_key(common)
     common.add_argument("--json", action="store_true", help="print the answer as it came")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, spec in COMMANDS.items():
@@ -40,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Asks once, or for a jog until the palms have turned; CliError when refused or unanswered."""
-    with Client(arguments.address) as client:
+    with Client(arguments.address, key=credentials(arguments)) as client:
         if arguments.command == "jog":
             reply = _jog(client, arguments.phi1_deg, arguments.phi2_deg)
         elif arguments.command == "plan":

@@ -17,7 +17,7 @@ from typing import Any
 
 import yaml
 
-from palmd.cli.bus import COMMAND, PUBLISH, Client, Subscriber
+from palmd.cli.bus import COMMAND, PUBLISH, Client, Subscriber, add_key, credentials
 from palmd.cli.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.cli.processes import StopRequest
 from palmd.config import MAX_DURATION_S, ExploreGoal
@@ -38,15 +38,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--seconds", type=_seconds, default=default.time_limit_s, metavar="S", help="at most (default: %(default)g)")
     add("--address", default=COMMAND, help="the daemon's command socket (default: %(default)s)")
     add("--listen", default=PUBLISH, metavar="ADDRESS", help="where it publishes (default: %(default)s)")
+    add_key(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Explores to the end; CliError when the daemon refuses, does not answer, or the rig fails meanwhile."""
     goal = ExploreGoal(coverage=arguments.coverage, band_mm=arguments.band_mm, time_limit_s=arguments.seconds)
+    key = credentials(arguments)
     with (
         StopRequest() as stop,
-        Client(arguments.address) as client,
-        Subscriber(arguments.listen, topics=("palm/shape",)) as subscriber,
+        Client(arguments.address, key=key) as client,
+        Subscriber(arguments.listen, topics=("palm/shape",), key=key) as subscriber,
     ):
         operation = _Operation(client, subscriber)
         operation.begin(goal)

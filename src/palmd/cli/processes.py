@@ -14,6 +14,9 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, Self
 
+KEY_VARIABLE = "PALMD_KEY"
+"""Names the file of the key with which our commands come in where a daemon has keys."""
+
 _C = ctypes.CDLL(None)
 _PR_SET_PDEATHSIG = 1
 _STOPPING_S = 5.0
@@ -44,7 +47,10 @@ def _is_pipe(fd: int) -> bool:
 
 
 class Child:
-    """One command, what it says and its temporary files kept in `folder`; a terminal's Ctrl-C does not reach it."""
+    """One command, what it says and its temporary files kept in `folder`; a terminal's Ctrl-C does not reach it.
+
+    Its daemon has no keys, so neither has it one.
+    """
 
     def __init__(self, arguments: list[str], folder: Path) -> None:
         """`arguments` begin with the command's name."""
@@ -56,7 +62,8 @@ class Child:
                 stdin=subprocess.DEVNULL,
                 stdout=out,
                 stderr=err,
-                env=os.environ | {"TMPDIR": str(folder)},
+                env={name: value for name, value in os.environ.items() if name != KEY_VARIABLE}
+                | {"TMPDIR": str(folder)},
                 process_group=0,
                 preexec_fn=_die_with_parent,
             )

@@ -23,7 +23,9 @@ from palmd.cli.bus import PUBLISH
 from palmd.cli.errors import BAD_INPUT, CliError
 from palmd.cli.processes import StopRequest, start_beside
 from palmd.cli.progress import Progress
+from palmd.config import BusConfig
 from palmd.daemon.systemd import Notifier
+from palmd.keys import Credentials, KeysError, client_credentials, own_credentials
 from palmd.record.mcapfile import RunError, is_packed
 from palmd.record.recorder import record
 from palmd.record.recording import Ended
@@ -36,6 +38,12 @@ log = logging.getLogger(__name__)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     parser.add_argument("config", type=Path, metavar="CONFIG", help="the daemon's configuration, palmd.yaml")
+    parser.add_argument(
+        "--key",
+        type=Path,
+        metavar="FILE",
+        help="a secret key that may operate, for a daemon with keys (default: the daemon's own, from its bus.keys)",
+    )
     parser.add_argument("--truth", metavar="ADDRESS", help="where an emulated rig publishes its truth")
 
 
@@ -45,6 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
         config = load_config(arguments.config)
     except ConfigError as error:
         raise CliError(BAD_INPUT, str(error)) from None
+    key = _credentials(config.bus, arguments.key)
     truth = () if arguments.truth is None else (arguments.truth,)
     notifier = Notifier()
 
@@ -55,11 +64,22 @@ def run(arguments: argparse.Namespace) -> int:
     with StopRequest() as stop:
         packing = _Packing()
         try:
-            record(config, truth, ready, lambda: stop.made, lambda ended: packing.take(ended, in_time=not stop.made))
+            record(
+                config, truth, ready, lambda: stop.made, lambda ended: packing.take(ended, in_time=not stop.made), key
+            )
         except zmq.ZMQError:
             raise CliError(BAD_INPUT, f"{' '.join(truth)}: not an address; it looks like {PUBLISH}") from None
         packing.finish()
     return 0
+
+
+def _credentials(bus: BusConfig, path: Path | None) -> Credentials | None:
+    try:
+        if path is not None:
+            return client_credentials(path)
+        return None if bus.keys is None else own_credentials(bus.keys)
+    except KeysError as error:
+        raise CliError(BAD_INPUT, str(error)) from None
 
 
 class _Packing:

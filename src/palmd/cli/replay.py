@@ -18,7 +18,7 @@ from palmd.cli.bus import PUBLISH
 from palmd.cli.errors import BAD_INPUT, CliError
 from palmd.cli.processes import StopRequest
 from palmd.cli.progress import Progress
-from palmd.config import BusAddress
+from palmd.config import LocalAddress
 from palmd.messages import EVENTS
 from palmd.record.length import message_count
 from palmd.record.recheck import Difference, Recheck
@@ -108,7 +108,7 @@ def _speed(text: str) -> float:
 
 def _address(text: str) -> str:
     try:
-        address: str = TypeAdapter(BusAddress).validate_python(text)
+        address: str = TypeAdapter(LocalAddress).validate_python(text)
     except ValidationError as error:
         raise argparse.ArgumentTypeError(error.errors()[0]["msg"].removeprefix("Value error, ")) from None
     return address

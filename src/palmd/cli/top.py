@@ -19,8 +19,8 @@ from contextlib import contextmanager
 from types import FrameType
 
 from palmd.cli.board import Board, Row, frame
-from palmd.cli.bus import PUBLISH, TIMEOUT_S, Subscriber
-from palmd.cli.errors import RIG_FAILED, CliError
+from palmd.cli.bus import PUBLISH, TIMEOUT_S, Subscriber, add_key, credentials, silent
+from palmd.keys import Credentials
 
 REDRAW_S = 0.1
 PLAIN_S = 1.0
@@ -32,15 +32,16 @@ _COLOURS = {"plain": "", "title": "1", "good": "32", "bad": "31;1", "warning": "
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     parser.add_argument("--address", default=PUBLISH, help="where the daemon publishes (default: %(default)s)")
+    add_key(parser)
     parser.add_argument("--once", action="store_true", help="print one frame and end")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Shows until asked to end; CliError when asked for one frame and nothing comes."""
-    board = Board(arguments.address)
-    with Subscriber(arguments.address, topics=("palm/",)) as subscriber:
+    board, key = Board(arguments.address), credentials(arguments)
+    with Subscriber(arguments.address, topics=("palm/",), key=key) as subscriber:
         if arguments.once:
-            _once(board, subscriber)
+            _once(board, subscriber, key)
         elif sys.stdout.isatty():
             _live(board, subscriber)
         else:
@@ -48,12 +49,12 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _once(board: Board, subscriber: Subscriber) -> None:
+def _once(board: Board, subscriber: Subscriber, key: Credentials | None) -> None:
     for message in subscriber.until(time.monotonic() + TIMEOUT_S):
         board.take(message)
         break
     else:
-        raise CliError(RIG_FAILED, f"no data from {board.address}: is a palmd running there?")
+        raise silent(f"no data from {board.address}", key)
     _listen(board, subscriber, ONCE_S)
     _print(board)
 

@@ -13,7 +13,7 @@ import secrets
 import signal
 
 from palmd.cli.browser import open_page
-from palmd.cli.bus import COMMAND, PUBLISH
+from palmd.cli.bus import COMMAND, PUBLISH, add_key, credentials
 from palmd.cli.errors import BAD_INPUT, CliError
 from palmd.daemon.lifecycle import TRANSITIONS, Trigger
 from palmd.view.errors import ViewError
@@ -34,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     parser.add_argument("--address", default=PUBLISH, help="where the daemon publishes (default: %(default)s)")
     parser.add_argument("--command", default=COMMAND, help="the daemon's command socket (default: %(default)s)")
+    add_key(parser)
     parser.add_argument("--truth", default="", metavar="ADDRESS", help="where an emulated rig publishes its truth")
     parser.add_argument("--port", type=_port, default=PORT, help="of the page; 0: any free one (default: %(default)s)")
     parser.add_argument("--no-browser", action="store_true", help="open no browser")
@@ -48,6 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
         port=arguments.port,
         token=secrets.token_urlsafe(16),
         allowed=allowed(),
+        key=credentials(arguments),
     )
     try:
         asyncio.run(_serve(settings, browser=not arguments.no_browser))

@@ -25,6 +25,7 @@ from palmd.daemon.smoothing import SmootherProcess
 from palmd.daemon.step import Core
 from palmd.daemon.systemd import Notifier
 from palmd.devices.port import Port
+from palmd.keys import KeysError, server_keys
 from palmd.messages import Fields, info_fields
 from palmd.motion.check import motion_limits
 from palmd.motion.kinematics import PoseError, RigGeometry
@@ -57,14 +58,15 @@ def _start(config_path: Path, signals: _Signals, recorder: Callable[[], None] | 
         RigGeometry.from_config(config)
         plan = None if config.plan is None else read_plan(config.plan, motion_limits(config), None)
         outlines = () if config.observer.shape is None else read_library(config.observer.shape)
+        keys = None if config.bus.keys is None else server_keys(config.bus.keys)
     except ConfigError as error:
         print(error, file=sys.stderr)
         return BAD_INPUT
-    except (PoseError, OutlineError) as error:
+    except (PoseError, OutlineError, KeysError) as error:
         print(f"{config_path}: {error}", file=sys.stderr)
         return BAD_INPUT
     try:
-        bus = Bus(config.bus.publish, config.bus.command)
+        bus = Bus(config.bus.publish, config.bus.command, keys)
     except BusError as error:
         print(f"{config_path}: {error}", file=sys.stderr)
         return RIG_FAILED

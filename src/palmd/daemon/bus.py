@@ -13,7 +13,9 @@ from dataclasses import asdict, dataclass
 import msgpack
 import zmq
 
-from palmd.daemon.commands import CommandError, Reply, Request, parse, reply_fields
+from palmd.daemon.commands import COMMANDS, CommandError, Reply, Request, parse, reply_fields
+from palmd.daemon.doorkeeper import Doorkeeper
+from palmd.keys import Role, ServerKeys
 from palmd.messages import Fields, Topic, stamp
 
 HIGH_WATER = 100
@@ -30,23 +32,30 @@ class BusError(Exception):
 
 @dataclass(slots=True)
 class BusCounters:
-    """What has passed on the bus since the start; `replies_lost` found nobody to take them."""
+    """What has passed on the bus since the start; `replies_lost` found nobody to take them.
+
+    `forbidden` commands came from clients that may only watch, `turned_away` connections with keys that nobody knows.
+    """
 
     published: int = 0
     commands: int = 0
     malformed: int = 0
+    forbidden: int = 0
+    turned_away: int = 0
     replies_lost: int = 0
 
 
 class Bus:
     """Both sockets, bound from the beginning; raises BusError when an address cannot be had."""
 
-    def __init__(self, publish: str, command: str) -> None:
-        """`publish` and `command` are ZeroMQ addresses."""
+    def __init__(self, publish: str, command: str, keys: ServerKeys | None = None) -> None:
+        """`publish` and `command` are ZeroMQ addresses; with `keys` only who is listed there comes in, encrypted."""
         self.counters = BusCounters()
         self._seq: dict[str, int] = {}
         self._early: list[Request] = []  # what came before the loop
         self._context = zmq.Context()
+        self._door = None if keys is None else Doorkeeper(self._context, keys)
+        self._sockets: list[zmq.Socket[bytes]] = []
         try:
             self._publisher = self._bound(zmq.PUB, publish, "bus.publish")
             self._commands = self._bound(zmq.ROUTER, command, "bus.command")
@@ -68,18 +77,24 @@ class Bus:
         requests, self._early = self._early, []
         for _ in range(COMMANDS_PER_TICK):
             try:
-                frames = self._commands.recv_multipart(zmq.NOBLOCK)
+                frames = self._commands.recv_multipart(zmq.NOBLOCK, copy=False)
             except zmq.Again:
                 break
             self.counters.commands += 1
-            route, payloads = _opened(frames)
+            route, payloads = _opened([frame.bytes for frame in frames])
             try:
                 if len(payloads) != 1:
                     raise CommandError(f"expected one frame with a map {{id, cmd, args}}, got {len(payloads)}")
-                requests.append(parse(payloads[0], route))
+                request = parse(payloads[0], route)
             except CommandError as error:
                 self.counters.malformed += 1
                 self._send(route, reply_fields(error.id, str(error)))
+                continue
+            if self._may(request, frames[-1]):
+                requests.append(request)
+            else:
+                self.counters.forbidden += 1
+                self._send(route, reply_fields(request.id, f"{request.name} refused: your key may only watch"))
         return requests
 
     def await_command(self, name: str, seconds: float) -> None:
@@ -101,14 +116,28 @@ class Bus:
 
     def fields(self) -> dict[str, int]:
         """The counters by the names of `palm/loop`."""
+        if self._door is not None:
+            self.counters.turned_away = self._door.turned_away
         return {f"bus_{name}": count for name, count in asdict(self.counters).items()}
 
     def close(self) -> None:
         """Let go of the addresses; what was published last has `LAST_WORDS_MS` to leave, the rest is dropped."""
+        for socket in self._sockets:
+            socket.close()
+        if self._door is not None:
+            self._door.close()
+            self._door = None
         self._context.destroy()
+
+    def _may(self, request: Request, frame: zmq.Frame) -> bool:
+        role = Role.OPERATE if self._door is None else self._door.role(frame)
+        return role is not None and role.covers(COMMANDS[request.name].role)
 
     def _bound(self, kind: int, address: str, key: str) -> zmq.Socket[bytes]:
         socket = self._context.socket(kind)
+        self._sockets.append(socket)
+        if self._door is not None:
+            self._door.guard(socket)
         socket.setsockopt(zmq.LINGER, LAST_WORDS_MS if kind == zmq.PUB else 0)
         socket.setsockopt(zmq.SNDHWM, PUBLISHED_HIGH_WATER if kind == zmq.PUB else HIGH_WATER)
         socket.setsockopt(zmq.RCVHWM, HIGH_WATER)

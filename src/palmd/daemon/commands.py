@@ -8,6 +8,8 @@ from typing import Any, Literal
 
 import msgpack
 
+from palmd.keys import Role
+
 REQUEST_BYTES_MAX = 64 * 1024
 
 _SCALARS = (str, bytes, int, float, bool, type(None))
@@ -33,12 +35,13 @@ class CommandSpec:
     does: str
     arguments: tuple[Argument, ...] = ()
     by_hand: bool = True  # whether people give it
+    role: Role = Role.OPERATE  # what a client with a key needs
 
 
 JOG_STEP_MAX_DEG = 0.5
 
 COMMANDS: dict[str, CommandSpec] = {
-    "status": CommandSpec("tells state, faults and plan"),
+    "status": CommandSpec("tells state, faults and plan", role=Role.WATCH),
     "arm": CommandSpec("from ready: starts tracking and stands at the present pose"),
     "start": CommandSpec("blends to the plan's start and runs it; goes on after a hold"),
     "hold": CommandSpec("stops the motion along its path; tracking goes on"),

@@ -10,7 +10,7 @@ from palmd.motion.check import load_trajectory
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import PlanError, Trajectory, compile_plan
 from palmd.motion.segments import Angles
-from palmd.yamlfile import load_plan
+from palmd.yamlfile import ConfigError, load_plan
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +45,8 @@ class Plan:
 
 def read_plan(path: Path, limits: MotionLimits, start: Angles | None) -> Plan:
     """The plan in a file; raises ConfigError with file:line:col for all that is wrong. Not for the loop."""
+    if path.is_fifo() or path.is_char_device() or path.is_socket():
+        raise ConfigError([f"{path}: is no file but something that may never end"])
     spec = load_plan(path)
     try:
         trajectory = compile_plan(spec, limits, start)

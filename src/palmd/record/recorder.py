@@ -17,7 +17,8 @@ from typing import Any
 import msgpack
 import zmq
 
-from palmd.config import Config
+from palmd.config import Config, from_here
+from palmd.keys import Credentials
 from palmd.record.recording import Ended, Recording
 
 LOOK_S = 0.05  # between looks at the clock when nothing comes
@@ -33,8 +34,9 @@ def record(
     ready: Callable[[], None],
     stopped: Callable[[], bool],
     ended: Callable[[Ended], None],
+    key: Credentials | None = None,
 ) -> None:
-    """Record until `stopped`; `truth` holds addresses beside the daemon's.
+    """Record until `stopped`; `truth` holds addresses beside the daemon's, `key` is for a daemon that has keys.
 
     `ready` is called when it listens, whoever is there; `ended` is told of each closed file. Raises zmq.ZMQError for
     what is no address.
@@ -43,8 +45,8 @@ def record(
     with contextlib.ExitStack() as stack:
         context = zmq.Context()
         stack.callback(context.destroy, linger=0)
-        socket = _subscriber(context, (config.bus.publish, *truth))
-        daemon = _Teller(context, config.bus.command)
+        socket = _subscriber(context, from_here(config.bus.publish), truth, key)
+        daemon = _Teller(context, from_here(config.bus.command), key)
         syncer = stack.enter_context(_Syncer())
         due = 0.0
         ready()
@@ -77,13 +79,18 @@ def _drain(socket: zmq.Socket[bytes], recording: Recording, wait_s: float) -> in
     return BATCH
 
 
-def _subscriber(context: zmq.Context[zmq.Socket[bytes]], addresses: Sequence[str]) -> zmq.Socket[bytes]:
+def _subscriber(
+    context: zmq.Context[zmq.Socket[bytes]], publish: str, truth: Sequence[str], key: Credentials | None
+) -> zmq.Socket[bytes]:
     """Keeps everything that comes for as long as this process lives."""
     socket = context.socket(zmq.SUB)
     socket.setsockopt(zmq.RCVHWM, 0)
     socket.setsockopt(zmq.RECONNECT_IVL, RECONNECT_MS)
-    for address in addresses:
-        socket.connect(address)
+    for address in truth:
+        socket.connect(address)  # a rig has no keys, and a key counts for what is connected after it is set
+    if key is not None:
+        key.encrypt(socket)
+    socket.connect(publish)
     socket.subscribe(b"")
     return socket
 
@@ -91,9 +98,11 @@ def _subscriber(context: zmq.Context[zmq.Socket[bytes]], addresses: Sequence[str
 class _Teller:
     """Tells the daemon, if there is one, and never waits for it."""
 
-    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], address: str) -> None:
+    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], address: str, key: Credentials | None) -> None:
         self._socket = context.socket(zmq.DEALER)
         self._socket.setsockopt(zmq.IMMEDIATE, 1)  # what nobody hears now is not worth keeping
+        if key is not None:
+            key.encrypt(self._socket)
         self._socket.connect(address)
         self._numbers = itertools.count(1)
 

@@ -9,6 +9,7 @@ from typing import Any
 import msgpack
 import zmq
 
+from palmd.keys import Credentials
 from palmd.view.errors import ViewError
 
 TIMEOUT_S = 2.0
@@ -25,7 +26,7 @@ class Answer:
 class Desk:
     """Sends commands only to a daemon that is there: none may lie in a queue and move the arm later."""
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, key: Credentials | None = None) -> None:
         """Raises ViewError for what is no ZeroMQ address."""
         self._address = address
         self._numbers = itertools.count(1)
@@ -33,6 +34,8 @@ class Desk:
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.DEALER)
         self._socket.setsockopt(zmq.IMMEDIATE, 1)
+        if key is not None:
+            key.encrypt(self._socket)
         try:
             self._socket.connect(address)
         except zmq.ZMQError as error:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import zmq
 
+from palmd.keys import Credentials
 from palmd.messages import CONTACT, ESTIMATE, INFO, LOOP, MOTION, OBJECT, SHAPE, STATE
 from palmd.view.errors import ViewError
 
@@ -21,10 +20,13 @@ MESSAGE_BYTES_MAX = 1 << 20
 
 
 class Feed:
-    """Listens to one or more publishers, and remembers the last message of each topic."""
+    """Listens to a daemon and perhaps to its emulated rig, and remembers the last message of each topic."""
 
-    def __init__(self, addresses: Sequence[str]) -> None:
-        """`addresses` are ZeroMQ addresses; raises ViewError for what is none."""
+    def __init__(self, publish: str, truth: str = "", key: Credentials | None = None) -> None:
+        """`publish` and `truth` (empty for none) are ZeroMQ addresses, `key` is for the former alone.
+
+        Raises ViewError for what is no address.
+        """
         self.latest: dict[str, bytes] = {}
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.SUB)
@@ -32,12 +34,18 @@ class Feed:
         self._socket.setsockopt(zmq.MAXMSGSIZE, MESSAGE_BYTES_MAX)
         for topic in TOPICS:
             self._socket.subscribe(topic)
-        for address in addresses:
-            try:
-                self._socket.connect(address)
-            except zmq.ZMQError as error:
-                self.close()
-                raise ViewError(f"{address}: not an address ({error.strerror})") from None
+        if truth:
+            self._connect(truth)  # a rig has no keys, and a key counts for what is connected after it is set
+        if key is not None:
+            key.encrypt(self._socket)
+        self._connect(publish)
+
+    def _connect(self, address: str) -> None:
+        try:
+            self._socket.connect(address)
+        except zmq.ZMQError as error:
+            self.close()
+            raise ViewError(f"{address}: not an address ({error.strerror})") from None
 
     def take(self) -> list[Message]:
         """What has come since the last call, in its order; what has not three frames is left out."""

@@ -14,6 +14,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from palmd import __version__
+from palmd.keys import Credentials
 from palmd.view import door, wire
 from palmd.view.client import Client
 from palmd.view.desk import Desk
@@ -37,6 +38,7 @@ class Settings:
     """Where the daemon is, where the page is served, and what its commands are.
 
     `truth` is an emulated rig's publisher, empty for none. `allowed` names the states in which each command applies.
+    With a `key` the page may do what the daemon lets the key's owner do.
     """
 
     publish: str
@@ -45,13 +47,14 @@ class Settings:
     port: int
     token: str
     allowed: Mapping[str, Sequence[str]]
+    key: Credentials | None = None
 
 
 async def serve_page(settings: Settings, ready: Callable[[str], None], stop: asyncio.Event) -> None:
     """Serves until `stop`; `ready` is told the page's address, token included. Raises ViewError when it cannot."""
-    feed = Feed([address for address in (settings.publish, settings.truth) if address])
+    feed = Feed(settings.publish, settings.truth, settings.key)
     try:
-        desk = Desk(settings.command)
+        desk = Desk(settings.command, settings.key)
         try:
             await _Server(settings, feed, desk).run(ready, stop)
         finally:

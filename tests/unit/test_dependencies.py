@@ -1,0 +1,87 @@
+"""What palmd is built on is what the lock files say, to the byte: pinned, hashed, and nothing besides.
+
+Whether a locked version has a known hole is not asked here, since that needs the network: see docs/security.md.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib.metadata
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+LOCKS = ("requirements.lock", "requirements-dev.lock")
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+TYPES_ONLY = {"_typeshed"}
+UNLOCKED = {"rerun": "rerun-sdk"}  # an optional extra, by the name that it is imported by
+
+
+def canonical(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def named(requirement: str) -> str:
+    return canonical(re.match(r"[\w.-]+", requirement)[0])  # type: ignore[index]
+
+
+def entries(lock: str) -> list[str]:
+    """The requirements of a lock file, each with its continuation lines, comments left out."""
+    text = re.sub(r"^\s*#.*\n", "", (ROOT / lock).read_text(), flags=re.MULTILINE)
+    return text.replace("\\\n", " ").splitlines()
+
+
+def pins(lock: str) -> dict[str, set[str]]:
+    """The versions of each package; there may be several, for different Pythons."""
+    found: dict[str, set[str]] = {}
+    for entry in entries(lock):
+        found.setdefault(named(entry), set()).add(entry.split()[0].split("==")[1])
+    return found
+
+
+@pytest.mark.parametrize("lock", LOCKS)
+def test_every_requirement_is_pinned_and_hashed(lock: str) -> None:
+    assert len(entries(lock)) > 10
+    for entry in entries(lock):
+        assert re.match(r"[\w.-]+==[\w.+!-]+ ", entry), f"{lock}: {entry[:60]} is not pinned"
+        hashes = re.findall(r"--hash=(\S+)", entry)
+        assert hashes, f"{lock}: {entry[:60]} has no hash"
+        assert all(re.fullmatch(r"sha256:[0-9a-f]{64}", each) for each in hashes), f"{lock}: {entry[:60]}"
+
+
+def test_both_locks_hold_what_is_asked_for_and_agree() -> None:
+    run, dev = map(pins, LOCKS)
+    extras = PROJECT["optional-dependencies"]
+    assert {named(each) for each in [*PROJECT["dependencies"], *extras["build"]]} <= run.keys()
+    assert {named(each) for each in extras["dev"]} <= dev.keys()
+    assert {name: dev.get(name) for name in run} == run
+
+
+def test_what_is_imported_is_locked() -> None:
+    locked, owners = pins("requirements.lock"), importlib.metadata.packages_distributions()
+    optional = {named(each) for extra in PROJECT["optional-dependencies"].values() for each in extra}
+    for path in (ROOT / "src").rglob("*.py"):
+        for top in sorted(imported(path) - sys.stdlib_module_names - TYPES_ONLY - {"palmd"}):
+            packages = {canonical(each) for each in owners.get(top, [UNLOCKED.get(top, top)])}
+            assert packages & (locked.keys() | optional), f"{path} imports {top}, which no lock file has"
+
+
+def imported(path: Path) -> set[str]:
+    nodes = list(ast.walk(ast.parse(path.read_text())))
+    whole = {name.name for node in nodes if isinstance(node, ast.Import) for name in node.names}
+    parts = {node.module or "" for node in nodes if isinstance(node, ast.ImportFrom) and not node.level}
+    return {name.split(".")[0] for name in whole | parts}
+
+
+def test_what_is_installed_is_what_is_locked_and_fits_together() -> None:
+    locked = pins("requirements-dev.lock")
+    installed = {canonical(each.name): each.version for each in importlib.metadata.distributions()}
+    other = {name: version for name, version in installed.items() if version not in locked.get(name, {version})}
+    assert not other, "installed in other versions than locked: run `make dev`"
+    done = subprocess.run([sys.executable, "-m", "pip", "check"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
