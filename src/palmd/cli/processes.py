@@ -9,7 +9,7 @@ import stat
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, Self
@@ -46,8 +46,8 @@ def _is_pipe(fd: int) -> bool:
 class Child:
     """One command, what it says and its temporary files kept in `folder`; a terminal's Ctrl-C does not reach it."""
 
-    def __init__(self, arguments: list[str], folder: Path) -> None:
-        """`arguments` begin with the command's name."""
+    def __init__(self, arguments: list[str], folder: Path, environment: Mapping[str, str] | None = None) -> None:
+        """`arguments` begin with the command's name; `environment` comes on top of ours."""
         self.name = arguments[0]
         self._out, self._err = folder / f"{self.name}.out", folder / f"{self.name}.err"
         with self._out.open("wb") as out, self._err.open("wb") as err:
@@ -56,10 +56,15 @@ class Child:
                 stdin=subprocess.DEVNULL,
                 stdout=out,
                 stderr=err,
-                env=os.environ | {"TMPDIR": str(folder)},
+                env=os.environ | {"TMPDIR": str(folder)} | dict(environment or {}),
                 process_group=0,
                 preexec_fn=_die_with_parent,
             )
+
+    @property
+    def number(self) -> int:
+        """Of the process."""
+        return self._process.pid
 
     @property
     def status(self) -> int | None:
@@ -85,6 +90,10 @@ class Child:
     def lines(self) -> list[str]:
         """What it has said on its standard output."""
         return self._out.read_text(encoding="utf-8").splitlines()
+
+    def send(self, number: signal.Signals) -> None:
+        """Send it a signal."""
+        self._process.send_signal(number)
 
     def stop(self, patience_s: float = _STOPPING_S) -> None:
         """Ask it to end, and make it end if it has not after so long."""
