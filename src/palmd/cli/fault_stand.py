@@ -7,7 +7,7 @@ import os
 import resource
 import signal
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -30,6 +30,7 @@ AFTERWARDS_S = 0.3  # looked on after all has come
 ANSWER_S = 5.0
 LOOK_S = 0.02
 CLOCKS_AGREE_S = 1.0
+RIG_PRIORITY = 60  # above the daemon's, whose processor it must not wait for
 BRISK_RAD_S = 0.4
 """How fast a palm must turn when a cause comes, or there would be nothing to stop."""
 
@@ -57,6 +58,7 @@ class Stand:
         try:
             path = self._written("rig.yaml", as_yaml(self._config, self._config.bus, _NO_PORTS))
             rig = self._begin("rig", str(path), "--seed", str(self._seed))
+            _prefer(rig)
             self._told: dict[str, Any] = json.loads(self._first_line(rig))
             self._hand = self._stack.enter_context(Client(self._told["control"], ANSWER_S))
             self._start_daemon(Watch())
@@ -112,6 +114,7 @@ class Stand:
         self._children["daemon"] = self._begin("run", str(self._path), "--no-record", stack=stack, **environment)
         self._heard = stack.enter_context(Subscriber(self._bus.publish, self._told["truth"], topics=("palm/", "rig/")))
         self._client = stack.enter_context(Client(self._bus.command, ANSWER_S))
+        self._panel = Panel()
         self._state: dict[str, Any] = {}
         self._motion: dict[str, Any] = {}
         t_end = time.monotonic() + START_S
@@ -134,16 +137,15 @@ class Stand:
 
     def bring_to_motion(self) -> None:
         """Arm, start, go on or reset as it needs, until the palms turn briskly; raises CliError."""
-        panel, watch = Panel(), Watch()
-        panel.see(self._state)
+        watch = Watch()
         t_end = time.monotonic() + PATIENCE_S
         while not self._brisk(watch):
-            self._listen(watch, LOOK_S, panel)
+            self._listen(watch, LOOK_S)
             t = time.monotonic()
             if t > t_end:
                 said = self._children["daemon"].said()
                 raise CliError(RIG_FAILED, f"the palms were not brought to move: {self._state}\n{said}")
-            command = panel.decide(self._state, self._motion, t)
+            command = self._panel.decide(self._state, self._motion, t)
             if command is not None:
                 self._client.ask(command)
 
@@ -153,12 +155,11 @@ class Stand:
         grave = {"hold", "stop"} & set(self._state.get("severities", ()))
         return last is not None and follows and not grave and max(map(abs, last.omega)) > BRISK_RAD_S
 
-    def _listen(self, watch: Watch, seconds: float, panel: Panel | None = None) -> None:
+    def _listen(self, watch: Watch, seconds: float) -> None:
         for message in self._heard.until(time.monotonic() + seconds):
             if message.topic == "palm/state":
                 self._state = message.fields
-                if panel is not None:
-                    panel.see(message.fields)
+                self._panel.see(message.fields)
             elif message.topic == "palm/motion":
                 self._motion = message.fields
             watch.take(message.topic, message.fields)
@@ -307,6 +308,12 @@ class Stand:
             if self._rig_status()["accepted"] > now["accepted"]:
                 wrong.append("set-points to an arm that must stand")
         return wrong
+
+
+def _prefer(rig: Child) -> None:
+    """Real-time priority where that is allowed: it stands for machines that no load of this one slows down."""
+    with suppress(OSError):
+        os.sched_setscheduler(rig.number, os.SCHED_FIFO, os.sched_param(RIG_PRIORITY))
 
 
 _NO_PORTS = {name: name for name in ("pad1", "pad2", "arm")}

@@ -266,9 +266,10 @@ def _unpacked(content: bytes) -> bytes | None:
 def _parsed(kind: type[Part], content: bytes) -> Part | None:
     """The record in `content`, None where it is damaged."""
     try:
-        return kind.read(_stream(content))
+        record: Part = kind.read(_stream(content))
     except Exception:  # bytes that run out, text that is no text, lengths beyond all reason
         return None
+    return record
 
 
 def _stream(content: bytes) -> ReadDataStream:

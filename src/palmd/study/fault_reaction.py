@@ -160,7 +160,9 @@ def summary(results: Sequence[tuple[Row, Sequence[Reaction]]]) -> str:
     """How many did as promised, and how soon the arm stood."""
     right = sum(not any(differences(row, one) for one in reactions) for row, reactions in results)
     lines = [f"{right} of {len(results)} rows did as promised"]
-    for goal_s, whose in sorted({(row.goal_s, "host alive" if row.goal_s < 0.1 else "host dead") for row, _ in results}):
+    for goal_s, whose in sorted(
+        {(row.goal_s, "host alive" if row.goal_s < 0.1 else "host dead") for row, _ in results}
+    ):
         times = [one.still_s for row, some in results if row.goal_s == goal_s for one in some if _stopped(one)]
         if times:
             within = sum(time <= goal_s for time in times)
