@@ -7,6 +7,7 @@ for status 1: that is a matter of the machine as well.
 from __future__ import annotations
 
 import argparse
+import logging
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -61,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 class _Campaign(ExitStack):
-    """Has a stand as soon as a row needs one."""
+    """Has a stand as soon as a row needs one, and another one when that has become useless."""
 
     def __init__(self, seed: int) -> None:
         super().__init__()
@@ -71,17 +72,26 @@ class _Campaign(ExitStack):
     def provoke(self, row: Row) -> Reaction:
         """One provocation; where the machine has starved the rig and the row differs, tried again."""
         for _ in range(STARVED_TRIES):
-            reaction = self._once(row)
+            reaction = self._without_wires(row, row.act) if isinstance(row.act, BrokenObserver) else self._on_stand(row)
             if not (reaction.starved and differences(row, reaction)):
                 break
             print(f"{row.name}: the machine kept the rig from its work; it is tried again", file=sys.stderr)
         return reaction
 
-    def _once(self, row: Row) -> Reaction:
-        if isinstance(row.act, BrokenObserver):
-            return provoke(row, row.act.how, load_plan(shipped(PLAN)), self._seed)
+    def _without_wires(self, row: Row, act: BrokenObserver) -> Reaction:
+        logging.disable(logging.ERROR)  # the traceback of the error that is wanted
+        try:
+            return provoke(row, act.how, load_plan(shipped(PLAN)), self._seed)
+        finally:
+            logging.disable(logging.NOTSET)
+
+    def _on_stand(self, row: Row) -> Reaction:
         if self._stand is None:
             folder = Path(self.enter_context(tempfile.TemporaryDirectory(prefix="palmd-faults-")))
             config = load_config(shipped("demo.yaml")).model_copy(update={"plan": shipped(PLAN)})
             self._stand = self.enter_context(Stand(folder, config, self._seed))
-        return self._stand.provoke(row)
+        reaction = self._stand.provoke(row)
+        if not self._stand.usable:
+            self.close()
+            self._stand = None
+        return reaction

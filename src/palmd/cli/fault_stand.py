@@ -43,11 +43,15 @@ time.time = lambda: _time() + ({seconds!r} if os.path.exists(_mark) else 0.0)
 
 
 class Stand:
-    """See the module; enter it to have the processes, leave it and they are gone."""
+    """See the module; enter it to have the processes, leave it and they are gone.
+
+    `usable` is False once the palms could not be brought to move again.
+    """
 
     def __init__(self, folder: Path, config: Config, seed: int) -> None:
         """`folder` takes configurations, output and recordings; `config` has the plan that is run."""
         self._folder, self._config, self._seed = folder, config, seed
+        self.usable = True
         self._count = 0
         self._stack = ExitStack()
         self._lives: dict[str, ExitStack] = {}
@@ -182,6 +186,7 @@ class Stand:
         try:
             self.bring_to_motion()
         except CliError as error:
+            self.usable = False
             wrong.append(str(error).splitlines()[0])
         wrong += _lost(kept) if _concerns_recording(row.act) else []
         starved = self._rig_status()["stalls"] > before["stalls"]
@@ -227,6 +232,8 @@ class Stand:
         match act:
             case Trick() if act.for_s is None:
                 self._ask_hand("calm", {"name": act.name, "port": act.port})
+            case Kill(process="daemon"):
+                self._client.ask("reset")  # the controller's fault, which the new daemon found
             case Kill(process="recorder"):
                 self._start_recorder()
             case Kill(process="page"):

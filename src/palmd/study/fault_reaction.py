@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from statistics import median
 from typing import Any
 
-from palmd.study.fault_rows import Row
+from palmd.study.fault_rows import HOST_ALIVE_S, HOST_DEAD_S, Row
 from palmd.study.table import aligned
 
 STANDING_RAD_S = math.radians(0.5)
@@ -143,7 +143,7 @@ def as_line(row: Row, reaction: Reaction) -> dict[str, Any]:
         "observed": {"state": reaction.state, "faults": reaction.faults},
         "noticed_ms": _ms_or_none(reaction.noticed_s),
         "still_ms": _ms_or_none(reaction.still_s),
-        "goal_ms": round(row.goal_s * 1e3) if _stopped(reaction) else None,
+        "goal_ms": round(row.goal_s * 1e3) if _stopped(reaction) and math.isfinite(row.goal_s) else None,
         "turned_deg": _rounded(math.degrees(reaction.turned_rad)),
         "starved": reaction.starved,
         "differs": differences(row, reaction),
@@ -160,9 +160,7 @@ def summary(results: Sequence[tuple[Row, Sequence[Reaction]]]) -> str:
     """How many did as promised, and how soon the arm stood."""
     right = sum(not any(differences(row, one) for one in reactions) for row, reactions in results)
     lines = [f"{right} of {len(results)} rows did as promised"]
-    for goal_s, whose in sorted(
-        {(row.goal_s, "host alive" if row.goal_s < 0.1 else "host dead") for row, _ in results}
-    ):
+    for goal_s, whose in ((HOST_ALIVE_S, "host alive"), (HOST_DEAD_S, "host dead")):
         times = [one.still_s for row, some in results if row.goal_s == goal_s for one in some if _stopped(one)]
         if times:
             within = sum(time <= goal_s for time in times)
@@ -185,7 +183,7 @@ def _cells(row: Row, reactions: Sequence[Reaction]) -> list[str]:
         _ms(median(noticed)) if noticed else "-",
         _ms(median(still)) if still else "-",
         _ms(max(still)) if still else "-",
-        _ms(row.goal_s) if still else "-",
+        _ms(row.goal_s) if still and math.isfinite(row.goal_s) else "-",
         "; ".join(dict.fromkeys(differs)) or "as promised",
     ]
 

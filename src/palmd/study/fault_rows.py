@@ -6,6 +6,7 @@ severity there, or leads to another state, differs.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -75,7 +76,8 @@ Act = Trick | Pause | Kill | FullDisk | TakenAddress | ClockStep | BrokenObserve
 class Row:
     """One cause and its effect: `faults` must come, with these severities, and no grave ones but those in `may`.
 
-    `goal_s` bounds the time from the cause to the arm standing still where the state is not tracking.
+    `goal_s` bounds the time from the cause to the arm standing still where the state is not tracking; infinite where
+    somebody else moves the arm.
     """
 
     name: str
@@ -113,6 +115,7 @@ def _pad(pad: PortName) -> tuple[Row, ...]:
             Trick("unplug", pad, for_s=0.5),
             "hold",
             ((port, "hold"),),
+            (silent,),  # from the opening to the first packet
         ),
         Row(
             f"{pad}-foreign",
@@ -192,7 +195,14 @@ ROWS: tuple[Row, ...] = (
     ),
     Row("controller-estop", "the e-stop is pressed", Trick("estop", "arm"), "fault", (("arm-estop", "stop"),)),
     Row("controller-power-off", "arm power goes", Trick("power_off", "arm"), "fault", (("arm-power-off", "stop"),)),
-    Row("controller-manual", "the operator takes the arm", Trick("manual", "arm"), "fault", (("arm-manual", "stop"),)),
+    Row(
+        "controller-manual",
+        "the operator takes the arm and jogs it",
+        Trick("manual", "arm"),
+        "fault",
+        (("arm-manual", "stop"),),
+        goal_s=math.inf,
+    ),
     Row(
         "controller-watchdog",
         "200 ms without a set-point",
