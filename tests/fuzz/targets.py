@@ -64,6 +64,8 @@ def versapad(data: bytes) -> None:
         t += (piece[0] % 8) * 0.01
         for packet in decoder.feed(piece, t):
             assert latest <= packet.t_first <= t
+            assert -2048 <= min(packet.x_counts, packet.y_counts) <= max(packet.x_counts, packet.y_counts) <= 2047
+            assert 0 <= packet.pressure <= 127
             latest = packet.t_first
         counters = decoder.counters
         assert counters.bytes == 6 * counters.packets + counters.bytes_discarded + decoder.pending

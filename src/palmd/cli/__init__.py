@@ -33,7 +33,7 @@ COMMANDS = {
     "observability": "what the paper's systems can observe: rank and conditioning, maps over the rates",
     "compare": "a reconstruction with a camera's track of the same run",
     "report": "a recorded run as a page or PDF to print; paper: the runs of CMU-CS-01-107 again",
-    "bench": "studies of many runs: montecarlo, explore, recognise, peers",
+    "bench": "studies of many runs: montecarlo, explore, recognise, peers, faults",
     "build": "compile the observers now; the first run does it otherwise",
 }
 """Every command; its module in this package has `add_arguments(parser)` and `run(arguments) -> int`."""

@@ -26,7 +26,7 @@ from palmd.study.fault_rows import Act, ClockStep, FullDisk, Kill, Pause, Proces
 START_S = 240.0  # compiling the observers on a slow machine
 PATIENCE_S = 40.0  # until the palms move again
 WATCHED_LEAST_S, WATCHED_MOST_S = 1.0, 10.0
-AFTERWARDS_S = 0.3  # looked on after all has come
+AFTERWARDS_S = 0.5  # looked on after all has come
 ANSWER_S = 5.0
 LOOK_S = 0.02
 CLOCKS_AGREE_S = 1.0
@@ -183,6 +183,7 @@ class Stand:
         reaction = self._watch(row, watch, t_cause)
         wrong += self._set_points(before, reaction)
         wrong += self._undo(row.act)
+        self._listen(Watch(), AFTERWARDS_S)  # a line that was late has bytes of then to deliver
         try:
             self.bring_to_motion()
         except CliError as error:
