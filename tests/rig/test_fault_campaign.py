@@ -1,4 +1,4 @@
-"""`palmd bench faults`, its short form: a pad, the controller, the host and a neighbour, with real processes."""
+"""`palmd bench faults`, its short form: a pad, the controller, an address and a neighbour, with real processes."""
 
 import json
 
@@ -10,7 +10,7 @@ pytestmark = pytest.mark.rig
 NAMES = ("pad1-mute", "controller-estop", "address-taken", "page-killed")
 
 
-def test_some_of_the_faults_do_as_promised(tmp_path):
+def test_some_faults(tmp_path):  # a short name: it is part of the path of a socket
     process = Process(tmp_path, "bench", "faults", "--only", *NAMES, "-o", tmp_path)
     try:
         status = process._popen.wait(100)

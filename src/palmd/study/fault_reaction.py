@@ -135,16 +135,17 @@ def differences(row: Row, reaction: Reaction) -> list[str]:
 
 
 def as_line(row: Row, reaction: Reaction) -> dict[str, Any]:
-    """One provocation for JSON; null for what did not happen."""
+    """One provocation for JSON; null for what did not happen, and for an arm that need not stand."""
+    stopped = _stopped(reaction)
     return {
         "name": row.name,
         "cause": row.cause,
         "expected": {"state": row.state, "faults": dict(row.faults)},
         "observed": {"state": reaction.state, "faults": reaction.faults},
         "noticed_ms": _ms_or_none(reaction.noticed_s),
-        "still_ms": _ms_or_none(reaction.still_s),
-        "goal_ms": round(row.goal_s * 1e3) if _stopped(reaction) and math.isfinite(row.goal_s) else None,
-        "turned_deg": _rounded(math.degrees(reaction.turned_rad)),
+        "still_ms": _ms_or_none(reaction.still_s) if stopped else None,
+        "goal_ms": round(row.goal_s * 1e3) if stopped and math.isfinite(row.goal_s) else None,
+        "turned_deg": _rounded(math.degrees(reaction.turned_rad)) if stopped else None,
         "starved": reaction.starved,
         "differs": differences(row, reaction),
     }
