@@ -61,8 +61,8 @@ class Document:
         return self.values.get(loc, Place())
 
     def line(self, place: Place, text: str) -> str:
-        """One error line."""
-        return f"{self.path}:{place.line}:{place.column}: {text}"
+        """One error line, even where the text quotes a word that runs over several."""
+        return f"{self.path}:{place.line}:{place.column}: {' '.join(text.splitlines())}"
 
     def error(self, problems: list[tuple[Place, str]]) -> ConfigError:
         """All problems in the order of the file."""

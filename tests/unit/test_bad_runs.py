@@ -5,8 +5,8 @@ import pytest
 import recorded
 
 from palmd.cli import main
-from palmd.messages import ESTIMATE
-from palmd.record.mcapfile import Preface, RunWriter
+from palmd.messages import ESTIMATE, IMPROVEMENT
+from palmd.record.mcapfile import Preface, RunError, RunWriter
 from palmd.record.preface import METADATA
 from palmd.record.run import read_run
 
@@ -104,3 +104,16 @@ def test_reconstruct_takes_a_run_as_its_event_log(tmp_path):
         assert main(["reconstruct", str(source), "-o", str(out)]) == 0
     first, second = (out.read_text().rsplit('"seconds"', 1)[0] for out in outs)
     assert first == second
+
+
+def test_an_improvement_that_makes_no_sense_is_told_in_one_line(tmp_path):
+    path = tmp_path / "run.mcap"
+    run = read_run(lived.path())
+    with path.open("wb") as stream:
+        writer = RunWriter(stream, run.preface, 0, compressed=False)
+        writer.write(
+            recorded.message(IMPROVEMENT.name, {"t_tick_s": 0.0, "t_s": 0.0, "x": [1.0, 2.0], "covariance": [1.0]}, 0)
+        )
+        writer.finish()
+    with pytest.raises(RunError, match=f"^{path}: {IMPROVEMENT.name}, message 0: "):
+        list(read_run(path).improvements())

@@ -18,6 +18,7 @@ from palmd.record.mcapfile import (
     is_packed,
     json_schema,
     read_messages,
+    read_preface,
 )
 from palmd.record.runfile import pack
 
@@ -156,6 +157,25 @@ def test_a_damaged_chunk_ends_the_reading(tmp_path):
     tail = Tail()
     assert list(read_messages(file.path, tail)) == []
     assert tail.torn_bytes > 0
+
+
+def test_a_damaged_preface_costs_what_is_damaged_and_no_more(tmp_path):
+    stream, path = BytesIO(), tmp_path / "run.mcap"
+    small(stream, compressed=False)
+    data = bytearray(stream.getvalue())
+    data[data.index(b"schema")] = 0xFF  # no text any longer
+    path.write_bytes(data)
+    assert read_preface(path) == Preface({}, {"a.txt": b"abc"})
+    assert list(read_messages(path)) == THREE
+
+
+def test_messages_of_a_damaged_channel_are_left_out(tmp_path):
+    stream, path = BytesIO(), tmp_path / "run.mcap"
+    small(stream, compressed=False)
+    data = bytearray(stream.getvalue())
+    data[data.rindex(b"rig/truth")] = 0xFF
+    path.write_bytes(data)
+    assert list(read_messages(path)) == []
 
 
 @pytest.mark.parametrize("content", [b"", b"palmd", b'{"palmd_log":1}\n' * 9])

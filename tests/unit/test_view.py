@@ -19,7 +19,7 @@ from websockets.sync.client import connect
 from palmd.cli import main
 from palmd.cli.view import allowed
 from palmd.daemon.commands import COMMANDS
-from palmd.view import desk, wire
+from palmd.view import desk, door, wire
 from palmd.view.client import Client
 from palmd.view.files import STATIC, page_files
 from palmd.view.server import Settings, serve_page
@@ -198,7 +198,9 @@ def test_code_of_others_is_what_its_note_says():
 # ------------------------------------------------------------------------------------------------ who may come in
 
 
-@pytest.mark.parametrize("host", ["palmd.example", "palmd.example:8787", "127.0.0.1.palmd.example", "", "10.0.0.1"])
+@pytest.mark.parametrize(
+    "host", ["palmd.example", "palmd.example:8787", "127.0.0.1.palmd.example", "", "10.0.0.1", "["]
+)
 def test_only_names_of_this_machine_are_served(served, host):
     assert served.get("/", Host=host)[0] == 403
     assert served.get("/", Host=f"localhost:{served.port}")[0] == 200
@@ -241,6 +243,10 @@ def test_without_the_token_a_page_only_watches(daemon, served, token):
         until_commandable(page)
         assert "only watches" in answer(page, "stop")
     assert daemon.asked(0.2) is None
+
+
+def test_a_token_that_is_no_text_at_all_is_not_ours():
+    assert not door.may_operate(wire.token_in('{"token": "\\ud800"}'), TOKEN)
 
 
 # ----------------------------------------------------------------------------------------------------- commands

@@ -129,6 +129,12 @@ def test_yaml_that_does_not_mean_what_it_seems(file: Path, line: str, expected: 
     assert expected in said(file, PORTS + line + "\n")
 
 
+def test_a_word_over_several_lines_is_quoted_in_one(file: Path) -> None:
+    lines = said(file, '? "ra\n\n  dar"\n: 1\n')
+    assert "1:3: ra dar: unknown key" in lines
+    assert all(len(line.splitlines()) == 1 for line in lines)
+
+
 def test_notations_that_are_fine(file: Path) -> None:
     file.write_text(
         PORTS + "autostart: yes\nlimits: {rate_deg_s: 1.0e+2, acceleration_deg_s2: 1_000}\n"

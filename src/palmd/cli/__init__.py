@@ -35,7 +35,7 @@ COMMANDS = {
     "observability": "what the paper's systems can observe: rank and conditioning, maps over the rates",
     "compare": "a reconstruction with a camera's track of the same run",
     "report": "a recorded run as a page or PDF to print; paper: the runs of CMU-CS-01-107 again",
-    "bench": "studies of many runs: montecarlo, explore, recognise, peers",
+    "bench": "studies of many runs: montecarlo, explore, recognise, peers, faults",
     "latency": "how late the control loop is on this machine, idle and busy, beside a bare timer",
     "doctor": "what is missing and how to mend it; the arm's controller and the pads put to the test",
     "build": "compile the observers now; the first run does it otherwise",

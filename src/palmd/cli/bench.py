@@ -11,6 +11,7 @@ BENCHES = {
     "explore": "unknown objects explored in the emulated rig, beside open-loop plans",
     "recognise": "which of twenty similar objects lies on the palms, or none of them",
     "peers": "palmd's estimators beside general-purpose ones",
+    "faults": "every fault provoked on the emulated rig: what comes of it, how soon the arm stands",
 }
 
 

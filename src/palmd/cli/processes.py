@@ -9,7 +9,7 @@ import stat
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, Self
@@ -52,8 +52,8 @@ class Child:
     Its daemon has no keys, so neither has it one.
     """
 
-    def __init__(self, arguments: list[str], folder: Path) -> None:
-        """`arguments` begin with the command's name."""
+    def __init__(self, arguments: list[str], folder: Path, environment: Mapping[str, str] | None = None) -> None:
+        """`arguments` begin with the command's name; `environment` comes on top of ours."""
         self.name = arguments[0]
         self._out, self._err = folder / f"{self.name}.out", folder / f"{self.name}.err"
         with self._out.open("wb") as out, self._err.open("wb") as err:
@@ -63,10 +63,16 @@ class Child:
                 stdout=out,
                 stderr=err,
                 env={name: value for name, value in os.environ.items() if name != KEY_VARIABLE}
-                | {"TMPDIR": str(folder)},
+                | {"TMPDIR": str(folder)}
+                | dict(environment or {}),
                 process_group=0,
                 preexec_fn=_die_with_parent,
             )
+
+    @property
+    def number(self) -> int:
+        """Of the process."""
+        return self._process.pid
 
     @property
     def status(self) -> int | None:
@@ -92,6 +98,10 @@ class Child:
     def lines(self) -> list[str]:
         """What it has said on its standard output."""
         return self._out.read_text(encoding="utf-8").splitlines()
+
+    def send(self, number: signal.Signals) -> None:
+        """Send it a signal."""
+        self._process.send_signal(number)
 
     def stop(self, patience_s: float = _STOPPING_S) -> None:
         """Ask it to end, and make it end if it has not after so long."""

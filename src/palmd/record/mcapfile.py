@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Any, BinaryIO
+from typing import IO, Any, BinaryIO, TypeVar
 
 import msgpack
 from mcap.data_stream import ReadDataStream
@@ -33,6 +33,8 @@ _HEAD = struct.Struct("<BQ")  # of a record: opcode, length
 _MESSAGE_HEAD = struct.Struct("<HIQQ")  # of a message: channel, sequence, log time, publish time
 _FOOTER_BYTES = _HEAD.size + 20 + len(MAGIC)
 _SEQUENCE_MODULUS = 1 << 32
+
+Part = TypeVar("Part", Attachment, Channel, Metadata)
 
 
 class RunError(Exception):
@@ -176,17 +178,19 @@ def is_packed(path: Path) -> bool:
 
 
 def read_preface(path: Path) -> Preface:
-    """Metadata and attachments before the first message; raises RunError, OSError."""
+    """Metadata and attachments before the first message, but for damaged ones; raises RunError, OSError."""
     metadata: dict[str, Mapping[str, str]] = {}
     attachments: dict[str, bytes] = {}
     with path.open("rb") as stream:
         for opcode, content in _records(path, stream, Tail()):
             if opcode == Opcode.METADATA:
-                one = Metadata.read(_stream(content))
-                metadata[one.name] = one.metadata
+                one = _parsed(Metadata, content)
+                if one is not None:
+                    metadata[one.name] = one.metadata
             elif opcode == Opcode.ATTACHMENT:
-                file = Attachment.read(_stream(content))
-                attachments[file.name] = file.data
+                file = _parsed(Attachment, content)
+                if file is not None:
+                    attachments[file.name] = file.data
             elif opcode in (Opcode.MESSAGE, Opcode.CHUNK):
                 break
     return Preface(metadata, attachments)
@@ -217,8 +221,9 @@ def read_messages(path: Path, tail: Tail | None = None) -> Iterator[RawMessage]:
 def _message(opcode: int, content: bytes, topics: dict[int, str]) -> Iterator[RawMessage]:
     """The message that a record is, if it is one; a channel is added to `topics`."""
     if opcode == Opcode.CHANNEL:
-        channel = Channel.read(_stream(content))
-        topics[channel.id] = channel.topic
+        channel = _parsed(Channel, content)
+        if channel is not None:
+            topics[channel.id] = channel.topic
     elif opcode == Opcode.MESSAGE and len(content) >= _MESSAGE_HEAD.size:
         channel_id, sequence, log_time, publish_time = _MESSAGE_HEAD.unpack_from(content)
         if channel_id in topics:
@@ -256,6 +261,15 @@ def _unpacked(content: bytes) -> bytes | None:
         return stream.read(length)
     except Exception:  # each compression has its own kinds
         return None
+
+
+def _parsed(kind: type[Part], content: bytes) -> Part | None:
+    """The record in `content`, None where it is damaged."""
+    try:
+        record: Part = kind.read(_stream(content))
+    except Exception:  # bytes that run out, text that is no text, lengths beyond all reason
+        return None
+    return record
 
 
 def _stream(content: bytes) -> ReadDataStream:

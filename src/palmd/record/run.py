@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
 from palmd.config import Config
 from palmd.events import Event, RigDescription
@@ -108,8 +108,12 @@ class Run:
         """What the smoother beside the loop had to say, with the time (s) of the tick in which it was heard."""
         for message in self.messages(IMPROVEMENT.name):
             fields = message.fields
-            x = np.array(fields["x"])
-            yield fields["t_tick_s"], Improvement(fields["t_s"], x, np.array(fields["covariance"]).reshape(len(x), -1))
+            try:
+                x = np.array(fields["x"], dtype=np.float64)
+                covariance = np.array(fields["covariance"], dtype=np.float64).reshape(len(x), -1)
+                yield fields["t_tick_s"], Improvement(fields["t_s"], x, covariance)
+            except (KeyError, ValueError, TypeError) as error:
+                raise RunError(f"{self.path}: {IMPROVEMENT.name}, message {message.sequence}: {error!r}") from None
 
     def event_log(self) -> EventLog:
         """The run in the neutral form of event logs; raises RunError when there are no events in it."""
@@ -164,7 +168,7 @@ def _config(path: Path, preface: Preface) -> Config:
         values = yaml.safe_load(preface.attachments[CONFIG])
         values["observer"]["shape"] = None  # a path on the machine that recorded it
         return Config.model_validate(values)
-    except (KeyError, TypeError, ValidationError, yaml.YAMLError) as error:
+    except (KeyError, TypeError, ValueError, RecursionError, yaml.YAMLError) as error:
         raise RunError(f"{path}: its configuration cannot be read: {str(error).splitlines()[0]}") from None
 
 

@@ -6,7 +6,7 @@ publishes what is really there (`rig/truth` at 100 Hz, `rig/object` at 1 Hz) in 
 
     status      counts for end-to-end checks
     tricks      every mischief by name with its description
-    mischief    {name, port?, strength?, after_s?, for_s?}: on
+    mischief    {name, port?, strength?, after_s?, for_s?}: on; tells when, on the monotonic clock
     calm        {name, port?}: off
     new_object  a hand exchanges the object
 """
@@ -243,7 +243,9 @@ class RigProcess:
             case "tricks":
                 return {name: trick.description for name, trick in TRICKS.items()}
             case "mischief":
-                world.mischief.add(order(t=t, **args))
+                orders = order(t=t, **args)
+                world.mischief.add(orders)
+                return {"t_on_s": orders[0].t_on}
             case "calm":
                 world.mischief.cancel(args["name"], args.get("port"))
             case "new_object":

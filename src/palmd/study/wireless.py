@@ -19,7 +19,7 @@ from palmd.daemon.commands import parse
 from palmd.daemon.decisions import Decider, InlineExplorer, Source
 from palmd.daemon.lifecycle import State
 from palmd.daemon.planner import Plan
-from palmd.daemon.step import Core
+from palmd.daemon.step import Core, Observer
 from palmd.faults import Severity
 from palmd.messages import Fields
 from palmd.motion.check import motion_limits
@@ -69,18 +69,19 @@ class Wireless:
         pad_options: PadOptions = GOOD_PADS,
         smoothing: Smoothing | None = None,
         explorer: Source | None = None,
+        estimator: Observer | None = None,
     ) -> None:
         """`seed` draws object, noise and the observer's samples of the prior; `explorer` decides explorations.
 
         Without one, a shape observer has the daemon's own, whose answers come some time after the questions. Without
-        `smoothing` the observer has no smoother at its side.
+        `smoothing` the observer has no smoother at its side. An `estimator` takes the place of the one that is named.
 
         Raises PlanError for a plan that cannot be run, PoseError or ValueError for a rig with a fixed hinge.
         """
         limits = motion_limits(config)
         plan = Plan(spec, compile_plan(spec, limits), limits, None)
         rig = rig_description(config)
-        estimator = observer.make(observer_name, rig, seed, smoothing)
+        estimator = estimator or observer.make(observer_name, rig, seed, smoothing)
         if explorer is None and observer_name == "shape":
             explorer = InlineExplorer(Decider(rig, seed))
         self.world = World(config, seed, kind=kind, options=options, pad_options=pad_options)

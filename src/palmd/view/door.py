@@ -30,7 +30,7 @@ _GUARDS = {
 def answer(request: Request, files: dict[str, File]) -> Response | None:
     """The response to an HTTP request, None where it may go on to be a WebSocket."""
     host = _single(request.headers, "Host")
-    if urlsplit(f"//{host}").hostname not in OUR_NAMES:
+    if _name(host) not in OUR_NAMES:
         return _text(HTTPStatus.FORBIDDEN, f"this page is served as 127.0.0.1 or localhost, not as {host!r}\n")
     path = request.path.partition("?")[0]
     if path == SOCKET:
@@ -45,7 +45,15 @@ def answer(request: Request, files: dict[str, File]) -> Response | None:
 
 def may_operate(shown: object, token: str) -> bool:
     """Whether a token that somebody shows is ours; told in constant time."""
-    return isinstance(shown, str) and hmac.compare_digest(shown.encode(), token.encode())
+    return isinstance(shown, str) and hmac.compare_digest(shown.encode(errors="replace"), token.encode())
+
+
+def _name(host: str) -> str | None:
+    """The name in a Host header, None where there is none."""
+    try:
+        return urlsplit(f"//{host}").hostname
+    except ValueError:
+        return None
 
 
 def _single(headers: Headers, name: str) -> str:

@@ -1,0 +1,22 @@
+"""`palmd bench faults`, its short form: a pad, the controller, an address and a neighbour, with real processes."""
+
+import json
+
+import pytest
+from harness import Process
+
+pytestmark = pytest.mark.rig
+
+NAMES = ("pad1-mute", "controller-estop", "address-taken", "page-killed")
+
+
+def test_some_faults(tmp_path):  # a short name: it is part of the path of a socket
+    process = Process(tmp_path, "bench", "faults", "--only", *NAMES, "-o", tmp_path)
+    try:
+        status = process._popen.wait(100)
+    finally:
+        process.kill()
+    lines = [json.loads(line) for line in (tmp_path / "runs.jsonl").read_text().splitlines()]
+    assert {line["name"]: line["differs"] for line in lines} == {name: [] for name in NAMES}, process.said
+    assert status == 0
+    assert "4 of 4 rows did as promised" in (tmp_path / "bench0.out").read_text()
