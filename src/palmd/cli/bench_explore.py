@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from palmd.cli.arguments import count, seconds, seed
 from palmd.cli.bench_montecarlo import ALL
-from palmd.cli.extras import only_without
+from palmd.cli.extras import drawing
 from palmd.cli.rows import ROWS, Sink, collected, on_this_machine, rewrite
 from palmd.rig.shapes import KINDS
 from palmd.study import exploring
@@ -53,10 +52,5 @@ def _conclude(rows: Sequence[Row], path: Path) -> None:
 
 
 def _figure(rows: Sequence[Row], folder: Path) -> list[Path]:
-    try:
-        from palmd.study import exploring_figure
-    except ModuleNotFoundError as error:
-        only_without("matplotlib", error)
-        print("no figure: matplotlib is not installed (extra `report`)", file=sys.stderr)
-        return []
-    return exploring_figure.save(rows, folder)
+    figure = drawing("palmd.study.exploring_figure")
+    return figure.save(rows, folder) if figure else []

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack
@@ -11,7 +10,7 @@ from pathlib import Path
 
 from palmd.cli.arguments import count, seconds, seed
 from palmd.cli.errors import BAD_INPUT, CliError
-from palmd.cli.extras import only_without
+from palmd.cli.extras import drawing, only_without
 from palmd.cli.rows import ROWS, Sink, collected, on_this_machine, rewrite
 from palmd.rig.shapes import KINDS
 from palmd.study import montecarlo, runs
@@ -63,13 +62,8 @@ def _conclude(rows: Sequence[Row], path: Path) -> None:
 
 
 def _figure(rows: Sequence[Row], folder: Path) -> list[Path]:
-    try:
-        from palmd.study import montecarlo_figure
-    except ModuleNotFoundError as error:
-        only_without("matplotlib", error)
-        print("no figure: matplotlib is not installed (extra `report`)", file=sys.stderr)
-        return []
-    return montecarlo_figure.save(rows, folder)
+    figure = drawing("palmd.study.montecarlo_figure")
+    return figure.save(rows, folder) if figure else []
 
 
 def _workers(stack: ExitStack, arguments: argparse.Namespace) -> Executor:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import datetime
 import math
-import os
 import sys
 import time
 from collections.abc import Iterator
@@ -13,13 +11,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
 
-import yaml
-
-from palmd import __version__
+from palmd.cli.calibration_file import not_written, plain, provenance, writable, write
 from palmd.cli.errors import BAD_INPUT, RIG_FAILED, CliError
-from palmd.cli.extras import only_without
+from palmd.cli.extras import drawing
 from palmd.cli.progress import Progress
-from palmd.config import PadConfig, config_hash
+from palmd.config import PadConfig
 from palmd.devices.handshake import Handshake
 from palmd.devices.port import Port, PortWaiter
 from palmd.devices.versapad import PadPacket, PressureFormat, VersaPadDecoder
@@ -51,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Writes nothing before the pad has been measured; CliError when the input is wrong or the pad says too little."""
     name = f"pad{arguments.pad}"
     config = _pad_config(arguments.config, arguments.pad)
-    folder = _writable(arguments.output or arguments.config.parent / "calibration")
+    folder = writable(arguments.output or arguments.config.parent / "calibration")
     decoder = VersaPadDecoder(config.baud, PressureFormat(**config.pressure.model_dump()))
     packets = _listen(name, config, decoder, arguments.seconds)
     try:
@@ -62,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     for remark in remarks(name, found, config):
         print(remark, file=sys.stderr)
     result = folder / f"{name}.yaml"
-    _write(result, document(arguments.pad, found, config))
+    write(result, document(arguments.pad, found, config))
     figure = _draw(packets, found, config, folder / f"{name}.svg")
     print(f"written: {', '.join(map(str, [result, *figure]))}")
     print(f"{arguments.config}: write in pads.palm{arguments.pad}: noise_mm: {noise_mm(found, config):g}")
@@ -113,12 +109,10 @@ def document(pad: int, found: PadCharacteristic, config: PadConfig) -> dict[str,
     called_for = {"noise_mm": noise_mm(found, config)}
     return {
         "palmd_pad_characteristic": FORMAT,
-        "date": datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
-        "palmd": __version__,
+        **provenance(config.model_copy(update=called_for)),
         "pad": pad,
-        "settings_sha256": config_hash(config.model_copy(update=called_for)),
         "configuration": called_for,
-        "found": _plain(asdict(found)),
+        "found": plain(asdict(found)),
     }
 
 
@@ -127,15 +121,6 @@ def _axis_row(axis: AxisCharacteristic) -> str:
         f"noise {axis.noise_mm:.3f} ± {axis.noise_sd_mm:.3f} mm, step {axis.step_mm:.3f} mm,"
         f" reported from {axis.low_mm:.1f} to {axis.high_mm:.1f} mm"
     )
-
-
-def _plain(value: Any) -> Any:
-    """Maps, lists and rounded numbers only."""
-    if isinstance(value, dict):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, tuple):
-        return [_plain(each) for each in value]
-    return round(value, 5) if isinstance(value, float) else value
 
 
 def _pad_config(path: Path, pad: Literal[1, 2]) -> PadConfig:
@@ -191,43 +176,15 @@ def _silence(name: str, config: PadConfig, decoder: VersaPadDecoder, handshake: 
     )
 
 
-def _writable(folder: Path) -> Path:
-    """The folder, made if need be, before anybody has to roll a marble."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise _not_written(folder, error) from None
-    if not os.access(folder, os.W_OK):
-        raise CliError(BAD_INPUT, f"{folder}: cannot be written: no permission")
-    return folder
-
-
-def _write(path: Path, content: dict[str, Any]) -> None:
-    """An earlier result stays until the new one is complete."""
-    partial = path.with_suffix(".tmp")
-    try:
-        partial.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
-        partial.replace(path)
-    except OSError as error:
-        raise _not_written(path, error) from None
-
-
 def _draw(packets: list[PadPacket], found: PadCharacteristic, config: PadConfig, path: Path) -> list[Path]:
-    try:
-        from palmd.study import pad_figure
-    except ModuleNotFoundError as error:
-        only_without("matplotlib", error)
-        print("no figure: matplotlib is not installed (extra `report`)", file=sys.stderr)
+    figure = drawing("palmd.study.pad_figure")
+    if figure is None:
         return []
     try:
-        pad_figure.save(packets, found, config, path)
+        figure.save(packets, found, config, path)
     except OSError as error:
-        raise _not_written(path, error) from None
+        raise not_written(path, error) from None
     return [path]
-
-
-def _not_written(path: Path, error: OSError) -> CliError:
-    return CliError(BAD_INPUT, f"{path}: cannot be written: {error.strerror or error}")
 
 
 def _seconds(text: str) -> float:

@@ -1,0 +1,58 @@
+"""The files that calibrations leave: YAML with the date, the version, and the hash of the settings they call for."""
+
+from __future__ import annotations
+
+import datetime
+import os
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from palmd import __version__
+from palmd.cli.errors import BAD_INPUT, CliError
+from palmd.config import Strict, config_hash
+
+
+def provenance(section: Strict) -> dict[str, Any]:
+    """When and with what it was measured, and the hash of the configuration's section as the result has it."""
+    return {
+        "date": datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
+        "palmd": __version__,
+        "settings_sha256": config_hash(section),
+    }
+
+
+def plain(value: Any) -> Any:
+    """Maps, lists and rounded numbers only."""
+    if isinstance(value, dict):
+        return {key: plain(each) for key, each in value.items()}
+    if isinstance(value, tuple):
+        return [plain(each) for each in value]
+    return round(value, 5) if isinstance(value, float) else value
+
+
+def writable(folder: Path) -> Path:
+    """The folder, made if need be, before anybody goes to the trouble of a calibration; raises CliError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise not_written(folder, error) from None
+    if not os.access(folder, os.W_OK):
+        raise CliError(BAD_INPUT, f"{folder}: cannot be written: no permission")
+    return folder
+
+
+def write(path: Path, content: dict[str, Any]) -> None:
+    """An earlier result stays until the new one is complete; raises CliError."""
+    partial = path.with_suffix(".tmp")
+    try:
+        partial.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+        partial.replace(path)
+    except OSError as error:
+        raise not_written(path, error) from None
+
+
+def not_written(path: Path, error: OSError) -> CliError:
+    """Says which file cannot be written, and why."""
+    return CliError(BAD_INPUT, f"{path}: cannot be written: {error.strerror or error}")
