@@ -95,6 +95,7 @@ def _soak(
         *arm(rig, daemon, config.arm.baud),
         between("counters", "malformed commands sent and not counted", stand.nonsense - daemon["bus_malformed"], 0, 0),
         told("counters", "rig stalls", rig["stalls"]),
+        between("behaviour", "visitors not served", len(stand.unserved), 0, 0, why=", ".join(stand.unserved[:4])),
         *behaviour(watch.states, watch.so_far(), watch.commands, watch.sent, watch.accepted, end),
         *_recording(stand, daemon["bus_published"]),
     ]

@@ -15,7 +15,9 @@ from typing import Any, Self
 
 import msgpack
 import zmq
+from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
+from websockets.typing import Origin
 
 from palmd.cli.bus import Client, Message, Subscriber
 from palmd.cli.demo import as_yaml, free_addresses
@@ -55,6 +57,7 @@ class SoakStand:
         pads = config.pads
         self.watch = Watch({"pad1": pads.palm1.length_mm * 1e-3, "pad2": pads.palm2.length_mm * 1e-3})
         self.nonsense = 0
+        self.unserved: list[str] = []
         self._stack = ExitStack()
         self._children: dict[str, Child] = {}
         self._plans = [shipped(plan) for plan in PLANS]
@@ -229,30 +232,33 @@ class SoakStand:
                 self._plans.reverse()
 
     def _visit(self, visit: Visit) -> None:
-        """One who comes and goes. What goes wrong at their end is seen at the others'."""
+        """One who comes and goes, and must be served."""
         t_end = time.monotonic() + visit.for_s
-        with suppress(CliError, OSError, zmq.ZMQError):
-            match visit.who:
-                case "listener":
-                    with Subscriber(self._bus.publish, topics=("palm/",)) as subscriber:
-                        for _ in subscriber.until(t_end):
-                            if self._over.is_set():
-                                break
-                case "deaf":
-                    with zmq.Context() as context, context.socket(zmq.SUB) as socket:
-                        socket.setsockopt(zmq.RCVHWM, 1)
-                        socket.connect(self._bus.publish)
-                        socket.subscribe(b"")
-                        self._over.wait(visit.for_s)
-                case "page":
-                    self._open_page(t_end)
-                case "asker":
-                    self._ask_much(t_end)
+        visits = {"listener": self._listen_in, "deaf": self._be_deaf, "page": self._open_page, "asker": self._ask_much}
+        try:
+            visits[visit.who](t_end)
+        except (CliError, OSError, zmq.ZMQError, WebSocketException) as error:
+            self.unserved.append(f"{visit.who}: {error!r}")
+
+    def _listen_in(self, t_end: float) -> None:
+        with Subscriber(self._bus.publish, topics=("palm/",)) as subscriber:
+            for _ in subscriber.until(t_end):
+                if self._over.is_set():
+                    break
+
+    def _be_deaf(self, t_end: float) -> None:
+        with zmq.Context() as context, context.socket(zmq.SUB) as socket:
+            socket.setsockopt(zmq.RCVHWM, 1)
+            socket.setsockopt(zmq.LINGER, 0)
+            socket.connect(self._bus.publish)
+            socket.subscribe(b"")
+            self._over.wait(t_end - time.monotonic())
 
     def _open_page(self, t_end: float) -> None:
         address, _, token = self._page.partition("#")
-        with connect(f"ws{address.removeprefix('http')}", origin=address.rstrip("/"), max_size=None) as page:
+        with connect(f"ws{address.removeprefix('http')}", origin=Origin(address.rstrip("/")), max_size=None) as page:
             page.send(json.dumps({"token": token}))
+            page.recv(ANSWER_S)
             while time.monotonic() < t_end and not self._over.is_set():
                 with suppress(TimeoutError):
                     page.recv(LOOK_S)
@@ -267,7 +273,7 @@ class SoakStand:
                 with self._lock:
                     self.nonsense += 1
                 if not socket.poll(round(ANSWER_S * 1e3)):
-                    return
+                    raise CliError(RIG_FAILED, "no answer to status")
                 while socket.poll(round(ASKED_EVERY_S * 1e3)):
                     socket.recv_multipart()
 

@@ -11,6 +11,7 @@ from palmd.study.soak import Finding, between, told
 
 COMMANDED = ("tracking", "hold")
 BEFORE_S, AFTER_S = 0.1, 5.0
+HELD_UP_AFTER_S = 0.5
 LONG_AFTER_S = 60.0  # an estimate takes its time to go wrong, and to come back
 COMMAND_S = 2.0  # from a command to the state that it leads to
 SETTLED_S = 0.5  # set-points that were under way when the state changed
@@ -28,6 +29,7 @@ PAD_CODES: dict[str, tuple[str, ...]] = {
     "misbaud": _PAD,
     "touch": ("out-of-range",),
     "parted": ("silent", "lifted", "untouched"),
+    "batch": ("silent", "untouched", "batched"),
 }
 ARM_CODES: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("drop", "garble", "mute", "late", "burst", "misbaud"), _LINK),
@@ -38,6 +40,9 @@ ARM_CODES: dict[str, tuple[str, ...]] = {
     "manual": ("arm-manual", "arm-left-tracking", "limits-violated"),
 }
 OBJECT_CODES = tuple(f"{pad}-{what}" for pad in ("pad1", "pad2") for what in ("silent", "lifted", "untouched"))
+HELD_UP = ("stall", "batch")
+"""Not mischief, but the machine: the rig was kept from its work, or the kernel kept bytes back."""
+
 STALL_CODES = (*OBJECT_CODES, *_LINK, "pad1-batched", "pad2-batched")
 LATER_CODES = ("estimate-lost", "estimate-inconsistent", "samples-too-late", "pads-swapped")
 
@@ -46,7 +51,7 @@ LATER_CODES = ("estimate-lost", "estimate-inconsistent", "samples-too-late", "pa
 class Cause:
     """Something that may bring faults, from t_on to t_off (s): a mischief of a port, or of the object (no port).
 
-    `parted`: the object really left the pad. `stall`: the machine kept the rig from its work.
+    Besides the rig's tricks there are `parted`, the object really left the pad, and those of `HELD_UP`.
     """
 
     name: str
@@ -60,7 +65,8 @@ class Cause:
             return False
         if code in LATER_CODES:
             return t <= self.t_off + LONG_AFTER_S
-        return t <= self.t_off + AFTER_S and code in self._codes()
+        after = HELD_UP_AFTER_S if self.name in HELD_UP else AFTER_S
+        return t <= self.t_off + after and code in self._codes()
 
     def _codes(self) -> tuple[str, ...]:
         if self.name == "stall":
@@ -141,10 +147,12 @@ def behaviour(
 ) -> list[Finding]:
     """All that is to be said; `sent` and `accepted` are the daemon's and the controller's counts of set-points."""
     strange, alone = unexplained(states, causes), uncalled(states, commands)
+    done = [cause for cause in causes if cause.name not in HELD_UP]
     came = sum(code not in a.faults for a, b in pairwise(states) for code in b.faults)
     return [
-        told("behaviour", "mischiefs", sum(cause.name not in ("stall", "parted") for cause in causes)),
+        told("behaviour", "mischiefs", sum(cause.name != "parted" for cause in done)),
         told("behaviour", "faults told", came),
+        told("behaviour", "faults by the machine alone", len(unexplained(states, done)) - len(strange)),
         between("behaviour", "faults without a cause", len(strange), 0, 0, why=", ".join(strange[:8])),
         between("behaviour", "tracking without a command", len(alone), 0, 0, why=", ".join(alone[:8])),
         between("behaviour", "set-points sent while not tracking", commanded_while_not(states, sent), 0, 0),

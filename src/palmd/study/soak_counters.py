@@ -16,6 +16,7 @@ from palmd.devices.versapad import PACKET_BYTES
 from palmd.study.soak import Finding, at_most, between, told
 
 UNDER_WAY_S = 0.05
+GAPS_MOST_PERCENT = 0.1  # packets in which the kernel paused for longer than the decoder waits
 HELLO_BYTES = 64  # what a daemon without an answer says between the two looks
 
 Counts = Mapping[str, Any]
@@ -29,6 +30,7 @@ def pad(name: str, rig: Counts, daemon: Counts, baud: int) -> list[Finding]:
     lost_at_shut_port = math.ceil(rig[f"{name}_bytes_lost"] / PACKET_BYTES) + line.interruptions
     intact = rig[f"{name}_messages"] - rig[f"{name}_altered"] - rig[f"{name}_withheld"] - lost_at_shut_port
     in_pieces = math.ceil(fell / PACKET_BYTES) + line.interruptions if line.reopened else 0
+    gaps, gaps_there = line.got("gaps"), line.sent("gaps")
     return [
         *line.bytes(),
         between(
@@ -39,18 +41,21 @@ def pad(name: str, rig: Counts, daemon: Counts, baud: int) -> list[Finding]:
             PACKET_BYTES - 1,
             why="bytes that are neither in a packet, nor discarded, nor in hand",
         ),
-        between("counters", f"{name} whole packets sent and not decoded", whole - packets, 0, in_pieces),
+        between(
+            "counters", f"{name} whole packets sent and not decoded", whole - packets, -gaps_there, in_pieces + gaps
+        ),
+        at_most("counters", f"{name} packets cut by a gap", 100.0 * gaps / max(1, packets), GAPS_MOST_PERCENT, "%"),
         told("counters", f"{name} packets decoded", packets),
         told("counters", f"{name} packets altered by mischief", rig[f"{name}_altered"]),
         told("counters", f"{name} packets withheld by mischief", rig[f"{name}_withheld"]),
         at_most(
             "counters",
             f"{name} intact packets lost",
-            max(0, intact - in_pieces - packets),
+            max(0, intact - in_pieces - gaps - packets),
             0,
             why="fewer packets were decoded than left the pad untouched and found the port open",
         ),
-        *line.causes(("bad_header", "bad_data", "truncated"), bytes_each=1),
+        *line.causes(("bad_header", "bad_data", "truncated"), line.allowance, (PACKET_BYTES - 1) * (gaps + gaps_there)),
     ]
 
 
@@ -66,7 +71,7 @@ def arm(rig: Counts, daemon: Counts, baud: int) -> list[Finding]:
         *line.bytes(),
         between("counters", "arm whole lines sent and not read", line.sent("lines") - line.got("lines"), 0, in_pieces),
         told("counters", "arm lines read", line.got("lines")),
-        *line.causes(("crc_errors", "unframed", "overlong"), bytes_each=math.inf),
+        *line.causes(("crc_errors", "unframed", "overlong"), 2 * line.interruptions),
         between(
             "counters",
             "arm bytes written and not heard",
@@ -121,10 +126,9 @@ class _Line:
             ),
         ]
 
-    def causes(self, names: tuple[str, ...], bytes_each: float) -> list[Finding]:
+    def causes(self, names: tuple[str, ...], if_reopened: int, always: int = 0) -> list[Finding]:
         """What was discarded, by cause, beside what a listener at the rig's end discards of the same bytes."""
-        most = self.allowance * bytes_each if math.isfinite(bytes_each) else 2 * self.interruptions
-        slack = most if self.reopened else 0
+        slack = always + (if_reopened if self.reopened else 0)
         return [
             between(
                 "counters",

@@ -64,7 +64,7 @@ def longest_run(missed: Sequence[int]) -> int:
 
 
 def punctuality(seconds: Sequence[Second], goal: bool = True) -> list[Finding]:
-    """All that is to be said; without `goal` (no real-time priority, a short test) nothing is judged but storms."""
+    """All that is to be said; without `goal` (no real-time priority, a short test) nothing is judged."""
     if len(seconds) < 2:
         return [at_most("lateness", "missed ticks", math.nan, MISSED_MOST_PERCENT, "%", "no palm/loop was heard")]
     ticks, missed = seconds[-1].ticks - seconds[0].ticks, seconds[-1].overruns - seconds[0].overruns
@@ -97,7 +97,7 @@ def punctuality(seconds: Sequence[Second], goal: bool = True) -> list[Finding]:
         found.append(told("lateness", "worst minute's p99", max(one.p99_ms for one in each_minute), "ms"))
     if goal:
         return found
-    return [one if one.name.startswith("longest run") else _unjudged(one) for one in found]
+    return [_unjudged(one) for one in found]
 
 
 def _unjudged(finding: Finding) -> Finding:

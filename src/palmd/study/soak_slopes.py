@@ -50,7 +50,7 @@ def leaks(processes: Mapping[str, Series], t_begin: float, seconds: float) -> li
     for name, series in processes.items():
         t = np.asarray(series.t) - t_begin
         warm = t >= warm_up_s(seconds)
-        rate = slope(t[warm], np.asarray(series.rss_mb)[warm]) * HOUR_S
+        rate = slope(t[warm].tolist(), np.asarray(series.rss_mb)[warm].tolist()) * HOUR_S
         met = rate <= MEMORY_MB_H if judged else None
         found.append(Finding("leak", f"{name} memory", rate, "MB/h", f"≤ {MEMORY_MB_H:g}", met))
         for what, counts in (("descriptors", series.descriptors), ("threads", series.threads)):
