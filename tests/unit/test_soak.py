@@ -368,8 +368,8 @@ def test_the_watch_sees_gaps_and_when_the_object_left_a_pad():
 def test_the_watch_sees_when_bytes_were_kept_back():
     watch = Watch({})
     for seq, batch in enumerate((False, True, True, False)):
-        watch.take(Heard("palm/contact", 5.0 + 0.01 * seq, seq, batch1=batch, batch2=False))
-    assert watch.causes == [Cause("batch", "pad1", 5.01 - 0.5, 5.01)]
+        watch.take(Heard("palm/contact", 5.0 + 0.25 * seq, seq, batch1=batch, batch2=False))
+    assert watch.causes == [Cause("batch", "pad1", 4.75, 5.25)]
 
 
 def test_the_watch_keeps_changes_of_state_and_samples():

@@ -30,6 +30,7 @@ from palmd.config import Config
 from palmd.study.soak_behaviour import Cause, Command
 from palmd.study.soak_mischief import Act, Say, Trick, Visit
 from palmd.study.soak_watch import Process, Watch
+from palmd.view.door import SOCKET
 
 START_S = 240.0  # compiling the observers on a slow machine
 PATIENCE_S = 40.0
@@ -238,7 +239,7 @@ class SoakStand:
         try:
             visits[visit.who](t_end)
         except (CliError, OSError, zmq.ZMQError, WebSocketException) as error:
-            self.unserved.append(f"{visit.who}: {error!r}")
+            self.unserved.append(f"{visit.who}: {str(error)[:120]}")
 
     def _listen_in(self, t_end: float) -> None:
         with Subscriber(self._bus.publish, topics=("palm/",)) as subscriber:
@@ -255,8 +256,9 @@ class SoakStand:
             self._over.wait(t_end - time.monotonic())
 
     def _open_page(self, t_end: float) -> None:
-        address, _, token = self._page.partition("#")
-        with connect(f"ws{address.removeprefix('http')}", origin=Origin(address.rstrip("/")), max_size=None) as page:
+        address, _, token = self._page.partition("/#token=")
+        socket = f"ws{address.removeprefix('http')}{SOCKET}"
+        with connect(socket, origin=Origin(address), max_size=None, proxy=None) as page:
             page.send(json.dumps({"token": token}))
             page.recv(ANSWER_S)
             while time.monotonic() < t_end and not self._over.is_set():

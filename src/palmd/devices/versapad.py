@@ -108,8 +108,8 @@ class PadCounters:
 
     `bad_header`, `bad_data` and `truncated` count discarded bytes by cause: outside a packet; of a packet
     spoilt by an illegal byte, that byte included; of a packet cut short by the next header, a gap or a reset.
-    `batches` counts reads with several packets, `out_of_range` packets that cannot be a place on the pad, `gaps` packets
-    that were cut short because the rest of them did not come in time.
+    `batches` counts reads with several packets, `out_of_range` packets that cannot be a place on the pad, `gaps`
+    packets that were cut short because the rest of them did not come in time.
     """
 
     bytes: int = 0
