@@ -285,7 +285,8 @@ class SoakStand:
         """Stop as an operator does; the state then, and what rig and daemon have counted when the lines are at rest."""
         for visitor in self._visitors:
             visitor.join()
-        self.bring_to_motion()
+        with suppress(CliError):  # what it comes to is judged
+            self.bring_to_motion()
         self._command("stop")
         with suppress(CliError):
             self._wait(lambda: self.watch.state == "ready", PATIENCE_S, "the palms were not stopped")
