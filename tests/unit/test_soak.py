@@ -1,6 +1,7 @@
 """A soak's judges: each passes what is sound, and sees the one thing that it is there for."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -114,6 +115,16 @@ def test_too_many_missed_ticks_are_seen_and_35_of_an_hour_are_not():
 def test_a_storm_is_seen_even_where_the_total_is_small():
     assert missed(punctuality(seconds_of(missed_in={5: 1, 6: 1, 7: 1}))) == {"longest run of seconds with misses"}
     assert missed(punctuality(seconds_of(missed_in={400: 31}))) == {"worst minute's misses"}
+
+
+def test_what_is_missed_while_others_have_the_processors_is_told_apart():
+    waits = [
+        replace(one, waited_ms=50.0 if i >= 300 else 0.0)
+        for i, one in enumerate(seconds_of(missed_in={300: 4, 900: 3}))
+    ]
+    told_apart = {one.name: one.value for one in punctuality(waits)}
+    assert told_apart["missed ticks, while others had the processors"] == 4
+    assert told_apart["missed ticks, number"] == 7
 
 
 def test_a_drift_is_seen():

@@ -164,6 +164,7 @@ class SoakStand:
         """Each second: what the rig counts, and now and then what the processes take."""
         t = time.monotonic()
         self.watch.rig(self._rig_status(), t)
+        self.watch.waited(_waited_ms(self._children["daemon"].number))
         if t - self._t_sampled >= SAMPLE_S:
             self._t_sampled = t
             for name, number in self._processes().items():
@@ -321,6 +322,14 @@ class SoakStand:
 
     def _rig_status(self) -> dict[str, Any]:
         return self._ask_hand("status", {})
+
+
+def _waited_ms(number: int) -> float:
+    """For how long the process's first thread has been ready to run and had no processor; 0 where that is not told."""
+    try:
+        return int(Path(f"/proc/{number}/task/{number}/schedstat").read_text(encoding="ascii").split()[1]) * 1e-6
+    except (OSError, ValueError, IndexError):
+        return 0.0
 
 
 def _sampled(number: int) -> Process | None:

@@ -18,17 +18,21 @@ STORM_SECONDS_MOST = 2
 STORM_MINUTE_MOST = 30
 """A storm: ticks missed in more than so many seconds on end, or more than so many of a minute's 6000."""
 
-MINUTE_S = 60.0
+WAITED_MS = 3.0  # without a processor within a second: what was missed in it is no wonder
 
 
 @dataclass(frozen=True, slots=True)
 class Second:
-    """One `palm/loop`: when (s), ticks and skipped ticks since the start, how late each of its ticks began (ms)."""
+    """One `palm/loop`: when (s), ticks and skipped ticks since the start, how late each of its ticks began (ms).
+
+    `waited_ms` is for how long the loop has been ready to run and had no processor, since the start.
+    """
 
     t: float
     ticks: int
     overruns: int
     lateness_ms: tuple[float, ...]
+    waited_ms: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +67,11 @@ def longest_run(missed: Sequence[int]) -> int:
     return longest
 
 
+def kept_from(seconds: Sequence[Second]) -> int:
+    """How many ticks were missed in seconds in which the loop waited for a processor."""
+    return sum(b.overruns - a.overruns for a, b in pairwise(seconds) if b.waited_ms - a.waited_ms > WAITED_MS)
+
+
 def punctuality(seconds: Sequence[Second], goal: bool = True) -> list[Finding]:
     """All that is to be said; without `goal` (no real-time priority, a short test) nothing is judged."""
     if len(seconds) < 2:
@@ -74,6 +83,7 @@ def punctuality(seconds: Sequence[Second], goal: bool = True) -> list[Finding]:
     found = [
         told("lateness", "ticks", ticks),
         told("lateness", "missed ticks, number", missed),
+        told("lateness", "missed ticks, while others had the processors", kept_from(seconds)),
         at_most("lateness", "missed ticks", percent, MISSED_MOST_PERCENT, "%"),
         at_most("lateness", "longest run of seconds with misses", longest_run(each), STORM_SECONDS_MOST, "s"),
         *(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 from palmd.study.soak_behaviour import Cause, Command, Counted, Told
@@ -107,6 +107,10 @@ class Watch:
         if status["stalls"] > self._stalls:
             self.causes.append(Cause("stall", None, self._t_rig, t))
         self._stalls, self._t_rig = status["stalls"], t
+
+    def waited(self, total_ms: float) -> None:
+        """For how long the loop has had to wait for a processor by its last palm/loop, since the start."""
+        self.seconds[-1] = replace(self.seconds[-1], waited_ms=total_ms)
 
     def sample(self, name: str, t: float, process: Process) -> None:
         """What a process takes at `t` (s)."""
