@@ -216,11 +216,12 @@ def test_whatever_is_lost_between_the_ends_is_seen(changes, seen):
     assert seen is None or found == seen
 
 
-def test_a_packet_in_which_the_kernel_paused_has_that_for_a_reason():
-    cut = {"daemon__pad1_packets": -1, "daemon__pad1_bad_header": 4, "daemon__pad1_truncated": 2}
-    cut["daemon__pad1_bytes_discarded"] = 6
-    assert judged(**cut)
-    assert judged(**cut, daemon__pad1_gaps=1) == {"pad1 packets cut by a gap"}  # of 973, which is too many
+@pytest.mark.parametrize(("packets", "seen"), [(5, set()), (6, {"pad1 packets cut by a gap"})])
+def test_packets_in_which_the_kernel_paused_have_that_for_a_reason(packets, seen):
+    cut = {"packets": -1, "bad_header": 4, "truncated": 2, "bytes_discarded": 6}
+    changes = {f"daemon__pad1_{what}": packets * change for what, change in cut.items()}
+    assert "pad1 whole packets sent and not decoded" in judged(**changes)
+    assert judged(**changes, daemon__pad1_gaps=packets) == seen
 
 
 def test_what_was_under_way_when_a_port_was_lost_may_be_lost_and_no_more():

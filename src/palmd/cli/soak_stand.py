@@ -20,7 +20,7 @@ from websockets.sync.client import connect
 from websockets.typing import Origin
 
 from palmd.cli.bus import Client, Message, Subscriber
-from palmd.cli.demo import as_yaml, free_addresses
+from palmd.cli.demo import PORTS, as_yaml, free_addresses
 from palmd.cli.errors import RIG_FAILED, CliError
 from palmd.cli.fault_stand import RIG_PRIORITY
 from palmd.cli.panel import Panel
@@ -95,7 +95,9 @@ class SoakStand:
             os.sched_setscheduler(rig.number, os.SCHED_FIFO, os.sched_param(RIG_PRIORITY))
         self._told: dict[str, Any] = json.loads(self._first_line(rig))
         self._hand = self._stack.enter_context(Client(self._told["control"], ANSWER_S))
-        self._bus = free_addresses(self._config.bus)
+        port = PORTS[2 * os.getpid() % len(PORTS)]  # others that start just now look for free ones too
+        wanted = {"publish": f"tcp://127.0.0.1:{port}", "command": f"tcp://127.0.0.1:{port + 1}"}
+        self._bus = free_addresses(self._config.bus.model_copy(update=wanted))
         path = self._folder / "palmd.yaml"
         path.write_text(as_yaml(self._config, self._bus, self._told, self._runs), encoding="utf-8")
         self._first_line(self._begin("recorder", "record", str(path), "--truth", self._told["truth"]))

@@ -16,7 +16,7 @@ from palmd.devices.versapad import PACKET_BYTES
 from palmd.study.soak import Finding, at_most, between, told
 
 UNDER_WAY_S = 0.05
-GAPS_MOST_PERCENT = 0.1  # packets in which the kernel paused for longer than the decoder waits
+GAPS_PART, GAPS_ANYWAY = 1e-3, 5  # packets in which the kernel paused for longer than the decoder waits
 HELLO_BYTES = 64  # what a daemon without an answer says between the two looks
 
 Counts = Mapping[str, Any]
@@ -44,7 +44,7 @@ def pad(name: str, rig: Counts, daemon: Counts, baud: int) -> list[Finding]:
         between(
             "counters", f"{name} whole packets sent and not decoded", whole - packets, -gaps_there, in_pieces + gaps
         ),
-        at_most("counters", f"{name} packets cut by a gap", 100.0 * gaps / max(1, packets), GAPS_MOST_PERCENT, "%"),
+        at_most("counters", f"{name} packets cut by a gap", gaps, max(GAPS_ANYWAY, GAPS_PART * packets)),
         told("counters", f"{name} packets decoded", packets),
         told("counters", f"{name} packets altered by mischief", rig[f"{name}_altered"]),
         told("counters", f"{name} packets withheld by mischief", rig[f"{name}_withheld"]),
