@@ -275,6 +275,7 @@ def test_every_trick_explains_something():
 def test_tracking_without_a_command_is_seen():
     ready, again = Told(5.0, "ready", {}), Told(10.0, "tracking", {})
     assert behaviour.uncalled([TRACKING, ready, again], [Command(9.5, "arm")]) == []
+    assert behaviour.uncalled([TRACKING, ready, again], [Command(10.01, "arm")]) == []
     assert behaviour.uncalled([TRACKING, ready, again], [Command(9.5, "start"), Command(1.0, "arm")])
     assert behaviour.uncalled([TRACKING, HELD, Told(12.0, "tracking", {})], [Command(11.9, "start")]) == []
     assert behaviour.uncalled([TRACKING, HELD, Told(12.0, "tracking", {})], [])
@@ -391,7 +392,8 @@ def test_the_watch_keeps_changes_of_state_and_samples():
     assert len(watch.states) == 1
     watch.sample("daemon", 1.0, Process(70.0, 9, 3))
     assert watch.processes["daemon"] == Series([1.0], [70.0], [9], [3])
-    status = {"accepted": 3, "on_palms": True, "stalls": 0}
+    status = {"clock_s": 0.9, "accepted": 3, "on_palms": True, "stalls": 0}
     watch.rig(status, 1.0)
     watch.rig(status | {"stalls": 2}, 2.0)
     assert watch.causes == [Cause("stall", None, 1.0, 2.0)]
+    assert watch.accepted[0] == Counted(0.9, 3)

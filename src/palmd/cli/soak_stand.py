@@ -45,8 +45,42 @@ PLANS = ("plans/lively.yaml", "plans/explore.yaml")
 """The one that is run first, and the one that takes turns with it."""
 
 BESIDE = {"palmd.daemon.smoothing": "smoother", "palmd.daemon.explorer_process": "planner"}
+WATCHED_EVERY_S, HELD_UP_S = 0.01, 0.03
 NONSENSE = b"\xc1 no command"
 ASKED_EVERY_S = 0.05
+
+
+class _Watchmen:
+    """A thread of ordinary priority on each processor, which sees when such threads do not get it.
+
+    The kernel hands over the bytes of a terminal in threads like these, on the processor that wrote them.
+    """
+
+    def __init__(self, causes: list[Cause]) -> None:
+        self._causes = causes
+        self._over = threading.Event()
+        self._threads = [
+            threading.Thread(target=self._watch, args=(number,), name=f"watchman {number}")
+            for number in os.sched_getaffinity(0)
+        ]
+
+    def __enter__(self) -> Self:
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        for thread in self._threads:
+            thread.join()
+
+    def _watch(self, number: int) -> None:
+        os.sched_setaffinity(0, {number})
+        t = time.monotonic()
+        while not self._over.wait(WATCHED_EVERY_S):
+            before, t = t, time.monotonic()
+            if t - before > WATCHED_EVERY_S + HELD_UP_S:
+                self._causes.append(Cause("stall", None, before, t))
 
 
 class SoakStand:
@@ -87,6 +121,7 @@ class SoakStand:
         self._stack.close()
 
     def _start(self) -> None:
+        self._stack.enter_context(_Watchmen(self.watch.causes))
         rig_config = self._folder / "rig.yaml"
         ports = {name: name for name in ("pad1", "pad2", "arm")}
         rig_config.write_text(as_yaml(self._config, self._config.bus, ports), encoding="utf-8")

@@ -191,6 +191,7 @@ class World:
         """Counts for end-to-end checks."""
         return {
             "t_s": self.t - self._t_start,
+            "clock_s": self.t,
             "seed": self.seed,
             "kind": self.kind,
             "arm_state": str(self._controller.state),

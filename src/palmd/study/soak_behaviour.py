@@ -11,6 +11,8 @@ from palmd.study.soak import Finding, between, told
 
 COMMANDED = ("tracking", "hold")
 BEFORE_S, AFTER_S = 0.1, 5.0
+"""What a tick tells is dated with its beginning: what came within the tick looks later."""
+
 HELD_UP_AFTER_S = 0.5
 LONG_AFTER_S = 60.0  # an estimate takes its time to go wrong, and to come back
 COMMAND_S = 2.0  # from a command to the state that it leads to
@@ -41,7 +43,7 @@ ARM_CODES: dict[str, tuple[str, ...]] = {
 }
 OBJECT_CODES = tuple(f"{pad}-{what}" for pad in ("pad1", "pad2") for what in ("silent", "lifted", "untouched"))
 HELD_UP = ("stall", "batch")
-"""Not mischief, but the machine: the rig was kept from its work, or the kernel kept bytes back."""
+"""Not mischief, but the machine: rig or ordinary processes were kept from their work, or the kernel kept bytes back."""
 
 STALL_CODES = (*OBJECT_CODES, *_LINK, "pad1-batched", "pad2-batched")
 LATER_CODES = ("estimate-lost", "estimate-inconsistent", "samples-too-late", "pads-swapped")
@@ -120,7 +122,7 @@ def uncalled(states: Sequence[Told], commands: Sequence[Command]) -> list[str]:
     for before, now in pairwise(states):
         if now.state == "tracking" and before.state != "tracking":
             wanted = "start" if before.state == "hold" else "arm"
-            if not any(one.name == wanted and 0.0 <= now.t - one.t <= COMMAND_S for one in commands):
+            if not any(one.name == wanted and -BEFORE_S <= now.t - one.t <= COMMAND_S for one in commands):
                 found.append(f"{before.state} to tracking without {wanted} after {now.t - states[0].t:.1f} s")
     return found
 
@@ -131,7 +133,7 @@ def commanded_while_not(states: Sequence[Told], counted: Sequence[Counted]) -> i
     total = 0
     for a, b in pairwise(counted):
         first = bisect_right(times, a.t - SETTLED_S) - 1
-        last = bisect_right(times, b.t) - 1
+        last = bisect_right(times, b.t + BEFORE_S) - 1
         if first >= 0 and not any(told.state in COMMANDED for told in states[first : last + 1]):
             total += b.setpoints - a.setpoints
     return total

@@ -102,7 +102,7 @@ class Watch:
 
     def rig(self, status: Mapping[str, Any], t: float) -> None:
         """The rig's own counts, asked at `t` (s)."""
-        self.accepted.append(Counted(t, status["accepted"]))
+        self.accepted.append(Counted(status["clock_s"], status["accepted"]))
         self.on_palms = status["on_palms"]
         if status["stalls"] > self._stalls:
             self.causes.append(Cause("stall", None, self._t_rig, t))
