@@ -379,10 +379,11 @@ def test_the_watch_sees_gaps_and_when_the_object_left_a_pad():
 
 
 def test_the_watch_sees_when_bytes_were_kept_back():
-    watch = Watch({})
-    for seq, batch in enumerate((False, True, True, False)):
-        watch.take(Heard("palm/contact", 5.0 + 0.25 * seq, seq, batch1=batch, batch2=False))
-    assert watch.causes == [Cause("batch", "pad1", 4.75, 5.25)]
+    watch = Watch({"pad1": 0.055, "pad2": 0.055})
+    plain = {"ticks": 1, "overruns": 0, "lateness_ms": [0.1], "arm_setpoints": 1, "pad2_batches": 4}
+    for seq, batches in enumerate((7, 7, 8, 8)):
+        watch.take(Heard("palm/loop", 5.0 + seq, seq, pad1_batches=batches, **plain))
+    assert watch.causes == [Cause("batch", "pad1", 6.0, 7.0)]
 
 
 def test_the_watch_keeps_changes_of_state_and_samples():

@@ -10,7 +10,6 @@ from palmd.study.soak_behaviour import Cause, Command, Counted, Told
 from palmd.study.soak_lateness import Second
 from palmd.study.soak_slopes import Series
 
-HELD_UP_S = 0.5  # how long bytes that come together may have waited
 FELT_N = 0.1  # a pad needs a closing force
 
 
@@ -62,7 +61,6 @@ class Watch:
     loop: dict[str, Any] = field(default_factory=dict)
     on_palms: bool = True
     _parted: dict[str, float] = field(default_factory=dict)
-    _batched: dict[int, bool] = field(default_factory=lambda: {1: False, 2: False})
     _stalls: int = 0
     _t_rig: float = 0.0
 
@@ -87,15 +85,13 @@ class Watch:
             case "palm/motion":
                 self.motion = fields
             case "palm/loop":
-                self.loop = fields
+                before, self.loop = self.loop or fields, fields
+                for pad in self.lengths_m:
+                    if fields[f"{pad}_batches"] > before[f"{pad}_batches"]:
+                        self.causes.append(Cause("batch", pad, before["mono_ns"] * 1e-9, t))
                 late = tuple(fields["lateness_ms"])
                 self.seconds.append(Second(t, fields["ticks"], fields["overruns"], late))
                 self.sent.append(Counted(t, fields["arm_setpoints"]))
-            case "palm/contact":
-                for number in (1, 2):
-                    if fields[f"batch{number}"] and not self._batched[number]:
-                        self.causes.append(Cause("batch", f"pad{number}", t - HELD_UP_S, t))
-                    self._batched[number] = fields[f"batch{number}"]
             case "rig/truth":
                 for number in (1, 2):
                     self._contact(f"pad{number}", fields, number, t)
