@@ -34,10 +34,13 @@ import numpy as np
 import zmq
 
 from palmd.config import Config
+from palmd.devices.armlink import LineReader
+from palmd.devices.versapad import VersaPadDecoder
 from palmd.messages import stamp
 from palmd.rig.line import PtyLine
 from palmd.rig.mischief import PORTS, TRICKS, MischiefError, PortName, order, parse
 from palmd.rig.shapes import KINDS
+from palmd.rig.tally import Listener
 from palmd.rig.world import World, default_config
 from palmd.yamlfile import ConfigError, load_config
 
@@ -121,9 +124,14 @@ class RigProcess:
         self._parent = os.getppid()
         self._seq = {"rig/truth": 0, "rig/object": 0}
         noise = np.random.default_rng(world.seed)
-        bauds = (config.pads.palm1.baud, config.pads.palm2.baud, config.arm.baud)
+        pad1, pad2, arm = bauds = (config.pads.palm1.baud, config.pads.palm2.baud, config.arm.baud)
         self._lines: dict[PortName, PtyLine] = {
             port: PtyLine(folder / port, baud, noise) for port, baud in zip(PORTS, bauds, strict=True)
+        }
+        self._listeners: dict[PortName, Listener] = {
+            "pad1": Listener(VersaPadDecoder(pad1)),
+            "pad2": Listener(VersaPadDecoder(pad2)),
+            "arm": Listener(LineReader(arm)),
         }
         self._poll = select.poll()
         for line in self._lines.values():
@@ -176,6 +184,7 @@ class RigProcess:
         events = self._ready()
         for port, line in self._lines.items():
             if world.unplugged(port) == line.plugged:
+                self._listeners[port].interrupted()
                 self._move_plug(line)
                 continue
             heard, flushed = line.read(events.get(line.fileno, 0))
@@ -184,7 +193,7 @@ class RigProcess:
             if heard:
                 world.receive(port, heard)
         for port, said in world.advance(t).items():
-            self._lines[port].write(said)
+            self._listeners[port].take(self._lines[port].write(said), t)
 
     def _ready(self) -> dict[int, int]:
         """What poll() says of each port that has something to say: one system call for all."""
@@ -258,7 +267,16 @@ class RigProcess:
         lines = {
             f"{port}_{what}": value
             for port, line in self._lines.items()
-            for what, value in (("bytes_sent", line.bytes_sent), ("bytes_lost", line.bytes_lost))
+            for what, value in (
+                ("bytes_sent", line.bytes_sent),
+                ("bytes_lost", line.bytes_lost),
+                ("bytes_heard", line.bytes_heard),
+            )
+        }
+        sent = {
+            f"{port}_sent_{what}": n
+            for port, listener in self._listeners.items()
+            for what, n in listener.as_dict().items()
         }
         pace = {
             "ticks": self.ticks,
@@ -266,7 +284,7 @@ class RigProcess:
             "stalls": self.stalls,
             "latest_ms": self.latest_s * 1e3,
         }
-        return self.world.status() | lines | pace
+        return self.world.status() | lines | sent | pace
 
 
 def _bind(socket: zmq.Socket[bytes]) -> str:
