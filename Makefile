@@ -15,9 +15,9 @@ demo: build  ## an emulated rig, the daemon, an unknown object: live estimates u
 
 test: dev lint  ## all tests, linters, types and import contracts
 	$(BIN)/python -m pytest -q -n 2 -m "not rig and not system and not bench"
-	$(BIN)/python -m pytest -q -m rig
+	$(BIN)/python -m pytest -q -m "rig or system"
 
-system: dev  ## the services under a systemd of their own (as root; a minute)
+system: dev  ## only the services, under a systemd of their own (skipped unless root may boot one)
 	$(BIN)/python -m pytest -q -m system
 
 lint: dev
