@@ -22,7 +22,6 @@ from websockets.typing import Origin
 from palmd.cli.bus import Client, Message, Subscriber
 from palmd.cli.demo import PORTS, as_yaml, free_addresses
 from palmd.cli.errors import RIG_FAILED, CliError
-from palmd.cli.fault_stand import RIG_PRIORITY
 from palmd.cli.panel import Panel
 from palmd.cli.processes import Child
 from palmd.cli.shipped import shipped
@@ -126,8 +125,6 @@ class SoakStand:
         ports = {name: name for name in ("pad1", "pad2", "arm")}
         rig_config.write_text(as_yaml(self._config, self._config.bus, ports), encoding="utf-8")
         rig = self._begin("rig", "rig", str(rig_config), "--seed", str(self._seed))
-        with suppress(OSError):
-            os.sched_setscheduler(rig.number, os.SCHED_FIFO, os.sched_param(RIG_PRIORITY))
         self._told: dict[str, Any] = json.loads(self._first_line(rig))
         self._hand = self._stack.enter_context(Client(self._told["control"], ANSWER_S))
         port = PORTS[2 * os.getpid() % len(PORTS)]  # others that start just now look for free ones too
