@@ -98,5 +98,5 @@ def test_pads_that_are_not_as_configured_are_found(stand):
 def test_forces_that_are_20_percent_off_are_found(stand):
     found = stand.calibrated("force", "--mass-g", "100", "--rounds", "2")["configuration"]
     for palm, real in REAL.items():
-        expected = pytest.approx(real["newtons_per_count"], rel=0.08)  # two rounds of six: four times the pads' drift
+        expected = pytest.approx(real["newtons_per_count"], rel=0.08)  # two rounds of eight: four times the pads' drift
         assert found[palm]["newtons_per_count"] == expected

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from turned_cylinder import LIMITS, share
+from off_pads import LIMITS, share
 
 from palmd.config import LimitsConfig, PlanSpec
 from palmd.motion.limits import MotionLimits

@@ -156,9 +156,13 @@ def _within(phi1: float, phi2: float, limits: MotionLimits) -> float:
 
 
 def _tipped(phi2: float, limits: MotionLimits) -> tuple[float, float]:
-    """The range of phi1 in which either palm bears its least share of the weight."""
+    """The range of phi1 in which either palm bears its least share of the weight.
+
+    It ends where a force is largest (φ12 or φ1 upright): beyond, that force would be come to from below both ways.
+    """
     edge = math.asin(_LEAST_SHARE * math.sin(phi2))
-    return _within(edge, phi2, limits), _within(math.pi - phi2 - edge, phi2, limits)
+    least, most = max(edge, math.pi / 2.0 - phi2), min(math.pi - phi2 - edge, math.pi / 2.0)
+    return _within(least, phi2, limits), _within(most, phi2, limits)
 
 
 def _too_little(radius_m: float, limits: MotionLimits, travel_m: float) -> str:

@@ -35,7 +35,7 @@ _SETTLING_S = 0.3  # of each rest that is left out
 _LEAST_REST_S = 0.3
 _LEAST_READINGS = 10
 _WANDERING = 1.25
-"""What one sigma of a mean of rounds is larger by, as neighbours of 50 s share some of a drift of 20 s."""
+"""What one sigma of a mean of rounds is larger by, as neighbours of a minute share some of a drift of 20 s."""
 _LEAST_TIP_N_SHARE = 0.2  # of the weight that the difference of the forces must vary by
 
 

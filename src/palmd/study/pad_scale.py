@@ -72,7 +72,7 @@ def _scale(number: int, found: Readings, radius_m: float) -> PadScale:
     kept = np.abs(left - middle) <= _SPOILT * max(1.4826 * float(np.median(np.abs(left - middle))), 1.0)
     spoilt, s, counts = int(np.sum(~kept)), s[kept], counts[kept]
     left = counts - _line(s, counts)
-    if 1.0 - left.var() / max(counts.var(), 1e-12) < LEAST_FOLLOWED:
+    if not left.var() < (1.0 - LEAST_FOLLOWED) * counts.var():
         raise CylinderError(
             f"pad {number}'s counts do not follow the cylinder (from {counts.min():.0f} to {counts.max():.0f} over"
             f" {np.ptp(s):.0f} mm of way): check pads.palm{number}.axis, and that nothing else lies on the pad"
