@@ -39,7 +39,7 @@ from palmd.devices.versapad import VersaPadDecoder
 from palmd.messages import stamp
 from palmd.rig.line import PtyLine
 from palmd.rig.mischief import PORTS, TRICKS, MischiefError, PortName, order, parse
-from palmd.rig.shapes import KINDS
+from palmd.rig.shapes import KINDS, Body, cylinder
 from palmd.rig.tally import Listener
 from palmd.rig.world import World, default_config
 from palmd.yamlfile import ConfigError, load_config
@@ -55,7 +55,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("config", nargs="?", type=Path, metavar="CONFIG", help="palmd.yaml; default: as shipped")
     parser.add_argument("--seed", type=int, help="which object, pads and noise; default: a random one, printed")
     parser.add_argument("--kind", choices=KINDS, default="rig", help="what sort of object (default: %(default)s)")
-    parser.add_argument("--marble", choices=MARBLES, help="a marble rolls over this pad; then there is no object")
+    gauge = parser.add_mutually_exclusive_group()
+    gauge.add_argument("--marble", choices=MARBLES, help="a marble rolls over this pad; then there is no object")
+    gauge.add_argument("--cylinder", type=_cylinder, metavar="RADIUS_MM,MASS_G", help="a turned cylinder is the object")
     parser.add_argument(
         "--mischief",
         action="append",
@@ -81,7 +83,8 @@ def run_rig(arguments: argparse.Namespace) -> int:
     try:
         config = load_config(arguments.config) if arguments.config else default_config()
         t = time.monotonic()
-        world = World(config, seed, kind=arguments.kind, marbles=MARBLES.get(arguments.marble, ()), t=t)
+        marbles = MARBLES.get(arguments.marble, ())
+        world = World(config, seed, kind=arguments.kind, marbles=marbles, body=arguments.cylinder, t=t)
         for text in arguments.mischief:
             world.mischief.add(parse(text, t))
     except (ConfigError, ValueError) as error:
@@ -96,6 +99,16 @@ def run_rig(arguments: argparse.Namespace) -> int:
         if arguments.ports is None:
             shutil.rmtree(folder, ignore_errors=True)
     return 0
+
+
+def _cylinder(text: str) -> Body:
+    try:
+        radius_mm, mass_g = map(float, text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"must be RADIUS_MM,MASS_G, such as 20,100; got {text}") from None
+    if not (0.0 < radius_mm <= 200.0 and 0.0 < mass_g <= 5000.0):
+        raise argparse.ArgumentTypeError(f"must be at most 200 mm and 5000 g, and more than 0; got {text}")
+    return cylinder(radius_mm * 1e-3, mass_g * 1e-3)
 
 
 def _refuse(text: str) -> int:

@@ -24,7 +24,7 @@ from palmd.rig.marble import Marble
 from palmd.rig.mischief import PADS, PORTS, Order, PortName, Switchboard
 from palmd.rig.pads import GOOD_PADS, PadEmulator, PadOptions, Press
 from palmd.rig.plant import AS_ASSUMED, Hinge, Plant, PlantOptions, random_surface, stable_poses
-from palmd.rig.shapes import Kind, random_body
+from palmd.rig.shapes import Body, Kind, random_body
 from palmd.rig.tally import HostLines, Said
 
 STEP_S = 5e-4
@@ -60,16 +60,17 @@ class World:
         options: PlantOptions = AS_ASSUMED,
         pad_options: PadOptions = GOOD_PADS,
         marbles: Collection[PortName] = (),
+        body: Body | None = None,
         t: float = 0.0,
     ) -> None:
-        """At rest at t (s), a random body of the kind in a stable pose; ValueError for a fixed hinge.
+        """At rest at t (s), a random body of the kind, or `body`, in a stable pose; ValueError for a fixed hinge.
 
         With `marbles` there is no body on the palms: a marble rolls over each of these pads instead.
         """
         self.config, self.seed, self.kind = config, seed, kind
         self.mischief = Switchboard()
         self.contact_losses = self.falls = self.objects = self.jams = 0
-        self._options = options
+        self._options, self._body = options, body
         self._rng = np.random.default_rng(seed)
         self._t_start, self._steps = t, 0
         self._linkage = Linkage.from_config(config)
@@ -288,7 +289,7 @@ class World:
         rig = self.config.rig
         base = (rig.base_mm[0] * 1e-3, rig.base_mm[1] * 1e-3)
         self.plant = Plant(
-            random_body(self.kind, self._rng),
+            self._body or random_body(self.kind, self._rng),
             Hinge("arc", rig.palm1_length_mm * 1e-3, base),
             random_surface(self.kind, self._rng),
             options=self._options,
