@@ -130,8 +130,8 @@ class Bus:
             socket.close()
         if self._door is not None:
             self._door.close()
-            self._door = None
         self._context.destroy()
+        self._door = None
 
     def _may(self, request: Request, frame: zmq.Frame) -> bool:
         role = Role.OPERATE if self._door is None else self._door.role(frame)

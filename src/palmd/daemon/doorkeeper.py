@@ -26,6 +26,8 @@ REPORTS_AT_ONCE = 100  # of connections that proved no key
 TELL_EVERY_S = 30.0
 HANDSHAKE_MS = 5000  # a connection that has not proved its key by then is closed
 
+# a client without a key may hang up before it is told that it needs one, and then there is no detail
+_UNPROVEN = zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
 _VERSION = b"1.0"
 _ASKED_FRAMES = 7  # version, request, domain, address, identity, mechanism, key
 
@@ -68,7 +70,7 @@ class Doorkeeper:
         socket.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)  # without this thread nobody is let in
         socket.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
         address = f"inproc://door-{len(self._reports)}"
-        socket.monitor(address, zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL)
+        socket.monitor(address, _UNPROVEN)
         report = self._context.socket(zmq.PAIR)
         report.setsockopt(zmq.RCVHWM, 0)  # ZeroMQ stands still while it cannot report
         report.connect(address)
@@ -84,15 +86,14 @@ class Doorkeeper:
         return None if member is None else member.role
 
     def close(self) -> None:
-        """End the thread."""
+        """End the thread; reports may come on, unread, until the context is destroyed."""
         if self._thread.is_alive():
             with self._context.socket(zmq.REQ) as socket:
                 socket.setsockopt(zmq.LINGER, 0)
                 socket.connect(ADDRESS)
                 socket.send(b"")
                 self._thread.join()
-        for socket in (self._questions, *self._reports):
-            socket.close()
+        self._questions.close()
 
     def _serve(self) -> None:
         poller = zmq.Poller()
