@@ -5,22 +5,35 @@ import json
 import pytest
 from harness import Process
 
-pytestmark = pytest.mark.rig
+pytestmark = [pytest.mark.rig, pytest.mark.timeout(600)]
 
 SEED = 170  # a lost port, damaged bytes on two lines, another object, a page
+ATTEMPTS = 3  # on a machine too busy for the rig
 
 
-def test_half_a_minute(tmp_path):
-    process = Process(tmp_path, "bench", "soak", "--seconds", "25", "--seed", SEED, "-o", tmp_path)
+def soaked(folder):
+    """Exit status, what was done and the findings by name."""
+    folder.mkdir()
+    process = Process(folder, "bench", "soak", "--seconds", "25", "--seed", SEED, "-o", folder)
     try:
         status = process._popen.wait(150)
     finally:
         process.kill()
-    rows = [json.loads(line) for line in (tmp_path / "soak.jsonl").read_text().splitlines()]
+    rows = [json.loads(line) for line in (folder / "soak.jsonl").read_text().splitlines()]
     findings = {row["name"]: row for row in rows if row["row"] == "finding"}
-    assert [name for name, row in findings.items() if row["met"] is False] == [], process.said
+    return status, [row for row in rows if row["row"] == "doing"], findings
+
+
+def test_half_a_minute(tmp_path):
+    for attempt in range(ATTEMPTS):
+        status, done, findings = soaked(tmp_path / str(attempt))
+        missed = [name for name, row in findings.items() if row["met"] is False]
+        if not missed:
+            break
+        assert findings["rig stalls"]["value"] > 0, missed
+    else:
+        pytest.skip(f"this machine is too busy for the emulated rig: {', '.join(missed)}")
     assert status == 0
-    done = [row for row in rows if row["row"] == "doing"]
     assert findings["mischiefs"]["value"] >= sum(row["what"] == "trick" for row in done) > 3
     assert findings["pad1 packets decoded"]["value"] > 1000
     assert findings["set-points sent"]["value"] > 500
