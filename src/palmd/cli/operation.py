@@ -116,4 +116,4 @@ def why(status: Status) -> str:
         for code, severity, hint in zip(status["faults"], status["severities"], status["hints"], strict=True)
         if severity in ("hold", "stop")
     ]
-    return "; ".join(grave) or f"the state is {status['state']}: somebody else has stopped it"
+    return "; ".join(grave) or f"the state is {status['state']}: somebody else has stopped it, or a fault that is over"
