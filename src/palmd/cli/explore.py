@@ -9,23 +9,18 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-import tempfile
 import time
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
-import yaml
-
 from palmd.cli.bus import COMMAND, PUBLISH, Client, Subscriber, add_key, credentials
-from palmd.cli.errors import BAD_INPUT, RIG_FAILED, CliError
+from palmd.cli.errors import RIG_FAILED, CliError
+from palmd.cli.operation import LOOK_S, Operation, why
 from palmd.cli.processes import StopRequest
 from palmd.config import MAX_DURATION_S, ExploreGoal
 
 PLAN = "explore"
-LOOK_S = 0.25
 PROGRESS_S = 1.0
-STANDING_S = 5.0  # for the palms to come to a stand when they are held
 HELD_S = 30.0  # that a hold may last: until then somebody may put the object back and start again
 
 
@@ -66,23 +61,15 @@ class _Operation:
     def __init__(self, client: Client, subscriber: Subscriber) -> None:
         self.band_m = math.nan
         self.seconds = 0.0
-        self._client, self._subscriber = client, subscriber
-        self._armed = self._over = False
+        self._operation, self._subscriber = Operation(client), subscriber
+        self._over = False
 
     def begin(self, goal: ExploreGoal) -> None:
         """Hand the plan over, arm and start; CliError with the daemon's own words when it refuses."""
-        plan = {"name": PLAN, "segments": [{"explore": goal.model_dump(exclude_none=True)}]}
-        with tempfile.TemporaryDirectory(prefix="palmd-explore-") as name:
-            folder = Path(name)
-            folder.chmod(0o755)  # the daemon may be another user's
-            path = folder / "explore.yaml"
-            path.write_text(yaml.safe_dump(plan), encoding="utf-8")
-            self._do("plan", path=str(path))
-        if self._do("status")["state"] == "ready":
-            self._do("arm")
-            self._armed = True
+        self._operation.load({"name": PLAN, "segments": [{"explore": goal.model_dump(exclude_none=True)}]})
+        self._operation.arm()
         try:
-            self._do("start")
+            self._operation.do("start")
         except CliError:
             self.end()
             raise
@@ -94,10 +81,10 @@ class _Operation:
         while True:
             for message in self._subscriber.until(time.monotonic() + LOOK_S):
                 self.band_m = max(message.fields["h_sd_m"])
-            status, t = self._do("status"), time.monotonic()
+            status, t = self._operation.do("status"), time.monotonic()
             self.seconds = t - begun
             if status["state"] not in ("tracking", "hold"):
-                raise CliError(RIG_FAILED, f"{concluded(status, self.seconds, self.band_m)}; {_why(status)}")
+                raise CliError(RIG_FAILED, f"{concluded(status, self.seconds, self.band_m)}; {why(status)}")
             if status["state"] == "tracking" and status["over"]:
                 self._over = True
                 return status
@@ -106,26 +93,14 @@ class _Operation:
             if status["state"] == "tracking":
                 t_going = t
             if t > t_going + HELD_S:
-                raise CliError(RIG_FAILED, f"held for {HELD_S:g} s, so given up; {_why(status)}")
+                raise CliError(RIG_FAILED, f"held for {HELD_S:g} s, so given up; {why(status)}")
             if t >= t_progress:
                 t_progress = t + PROGRESS_S
                 print(progress(status, self.seconds, self.band_m), file=sys.stderr, flush=True)
 
     def end(self) -> None:
         """Leave the palms standing, and the arm as it was found; after Ctrl-C or a failure it is stopped."""
-        if not self._over and self._client.ask("hold")["ok"]:
-            t_end = time.monotonic() + STANDING_S
-            while time.monotonic() < t_end and self._do("status")["moving"]:
-                time.sleep(LOOK_S)
-        if self._armed or not self._over:
-            self._client.ask("stop")
-
-    def _do(self, command: str, **args: Any) -> dict[str, Any]:
-        reply = self._client.ask(command, args)
-        if not reply["ok"]:
-            raise CliError(BAD_INPUT, " ".join(str(reply.get("error")).split()))
-        result: dict[str, Any] = reply.get("result") or {}
-        return result
+        self._operation.leave(over=self._over)
 
 
 def progress(status: Mapping[str, Any], seconds: float, band_m: float) -> str:
@@ -134,7 +109,7 @@ def progress(status: Mapping[str, Any], seconds: float, band_m: float) -> str:
     share = explored.get("coverage")
     parts = [f"{seconds:5.0f} s  {status['state']:8}", f"touched {_percent(share)}", f"largest sd {_mm(band_m)}"]
     if status["state"] == "hold":
-        parts.append(f"{_why(status)} (palmd ctl start goes on)")
+        parts.append(f"{why(status)} (palmd ctl start goes on)")
     elif explored.get("reason"):
         parts.append(explored["reason"])
     return "  ".join(parts)
@@ -148,15 +123,6 @@ def concluded(status: Mapping[str, Any], seconds: float, band_m: float) -> str:
         f"that can be reached in {seconds:.0f} s, largest sd {_mm(band_m)}"
     )
     return f"{told}: {explored['reason']}" if explored.get("reason") else told
-
-
-def _why(status: Mapping[str, Any]) -> str:
-    grave = [
-        f"{code}: {hint}"
-        for code, severity, hint in zip(status["faults"], status["severities"], status["hints"], strict=True)
-        if severity in ("hold", "stop")
-    ]
-    return "; ".join(grave) or f"the state is {status['state']}: somebody else has stopped it"
 
 
 def _percent(share: float | None) -> str:

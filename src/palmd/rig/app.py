@@ -37,6 +37,7 @@ from palmd.config import Config
 from palmd.messages import stamp
 from palmd.rig.line import PtyLine
 from palmd.rig.mischief import PORTS, TRICKS, MischiefError, PortName, order, parse
+from palmd.rig.roller import KINDS as ROLLERS
 from palmd.rig.shapes import KINDS
 from palmd.rig.world import World, default_config
 from palmd.yamlfile import ConfigError, load_config
@@ -53,6 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, help="which object, pads and noise; default: a random one, printed")
     parser.add_argument("--kind", choices=KINDS, default="rig", help="what sort of object (default: %(default)s)")
     parser.add_argument("--marble", choices=MARBLES, help="a marble rolls over this pad; then there is no object")
+    parser.add_argument("--roller", choices=ROLLERS, help="it rolls down the gentler palm; then there is no object")
+    parser.add_argument("--by-hand", action="store_true", help="manual mode: a hand swings the empty palms")
     parser.add_argument(
         "--mischief",
         action="append",
@@ -78,7 +81,8 @@ def run_rig(arguments: argparse.Namespace) -> int:
     try:
         config = load_config(arguments.config) if arguments.config else default_config()
         t = time.monotonic()
-        world = World(config, seed, kind=arguments.kind, marbles=MARBLES.get(arguments.marble, ()), t=t)
+        empty = {"roller": arguments.roller, "by_hand": arguments.by_hand}
+        world = World(config, seed, kind=arguments.kind, marbles=MARBLES.get(arguments.marble, ()), t=t, **empty)
         for text in arguments.mischief:
             world.mischief.add(parse(text, t))
     except (ConfigError, ValueError) as error:
