@@ -24,7 +24,7 @@ from palmd.cli.operation import Operation, why
 from palmd.cli.processes import StopRequest
 from palmd.cli.progress import Progress
 from palmd.config import Config, LimitsConfig, PadConfig, config_hash
-from palmd.events import Event
+from palmd.events import Event, PadSample
 from palmd.messages import EVENTS, INFO, events_of
 from palmd.study.rolling_fit import (
     INERTIA,
@@ -100,7 +100,7 @@ def run(arguments: argparse.Namespace) -> int:
     ):
         client.ask("status")
         session = _Session(config, Operation(client), subscriber, stop, arguments.clear)
-        session.introduce()
+        session.begin(slopes[0])
         try:
             for each in slopes:
                 session.roll_on(each)
@@ -153,9 +153,14 @@ class _Session:
         self.too_short = self.rough = 0
         self.over = False
         self._config, self._subscriber, self._stop, self._clear_s = config, subscriber, stop, clear_s
-        self._armed = False
 
-    def introduce(self) -> None:
+    def begin(self, first: Slope) -> None:
+        """Arm, once the daemon has been heard and has nothing against the first plan; CliError where it has."""
+        self._introduce()
+        self._load(first)
+        self.operation.arm()
+
+    def _introduce(self) -> None:
         """CliError unless the daemon runs with our configuration: the angles that it tells rest on its own."""
         t_end = time.monotonic() + INTRODUCTION_S
         for message in self._subscriber.until(t_end):
@@ -193,18 +198,21 @@ class _Session:
         self.too_short += short
         self.rough += len(each) - len(good)
 
-    def _go(self, where: Slope) -> None:
-        """Bring the palms there once nothing touches them; raises CliError when they do not arrive."""
+    def _load(self, where: Slope) -> None:
         move = {"phi1_deg": where.phi1_deg, "phi2_deg": where.phi2_deg}
         self.operation.load({"name": "gravity", "segments": [{"move": move, "duration_s": 1.0}]})
-        if not self._armed:
-            self.operation.arm()
-            self._armed = True
+
+    def _go(self, where: Slope) -> None:
+        """Bring the palms there once nothing touches them; raises CliError when they do not arrive."""
+        self._load(where)
         _tell(f"{where}: take the roller off and keep clear, the palms will move")
         t_free = t_begin = time.monotonic()
         while time.monotonic() < t_free + self._clear_s:
-            if any(not hasattr(event, "phi1") for event in self._events()):
+            if any(isinstance(event, PadSample) for event in self._events()):
                 t_free = time.monotonic()
+            status = self._status()
+            if status["state"] not in ("tracking", "hold"):
+                raise CliError(RIG_FAILED, f"gravity: {why(status)}")
             self._refuse_to_wait(t_begin, "something touches the pads: take it off")
         self.operation.do("start")
         t_begin = time.monotonic()
