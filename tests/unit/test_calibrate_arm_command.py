@@ -60,7 +60,7 @@ def arm(swing=all_over, state=ArmState.MANUAL, tool=0.0, deaf=()):
                 data = os.read(master, 1000)
                 count = controller.counters.commands
                 pose = LINKAGE.pose(*swing(count))
-                x, y = (pose.x_m, pose.y_m) + rng.normal(0.0, 1.5e-5, 2)
+                x, y = np.array([pose.x_m, pose.y_m]) + rng.normal(0.0, 1.5e-5, 2)
                 controller.lead(Pose(x, y, math.remainder(pose.t_rad - tool, math.tau)))
                 controller.state = state
                 said = controller.feed(data, 0.0, controller.path)

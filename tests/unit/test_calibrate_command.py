@@ -272,7 +272,7 @@ def test_usage(arguments, capsys):
 def test_its_help_names_the_calibrations(capsys):
     with pytest.raises(SystemExit):
         main(["calibrate", "--help"])
-    assert "pad  one touchpad" in capsys.readouterr().out
+    assert "pad      one touchpad" in capsys.readouterr().out
 
 
 def test_the_worse_pad_s_noise_is_the_observer_s(configured):

@@ -11,10 +11,11 @@ import pytest
 import yaml
 from rolls import rolled
 
-from palmd.cli import calibrate_gravity, main
-from palmd.cli.calibrate_gravity import Slope, called_for, remarks, slopes_within
+from palmd.cli import main, rolling_session
+from palmd.cli.calibrate_gravity import called_for, remarks
 from palmd.cli.calibrated_linkage import changed
 from palmd.cli.errors import CliError
+from palmd.cli.rolling_session import Slope, slopes_within
 from palmd.config import LimitsConfig, PlanSpec, config_hash
 from palmd.daemon.bus import Bus
 from palmd.daemon.commands import Reply
@@ -41,9 +42,9 @@ def path(tmp_path):
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    monkeypatch.setattr(calibrate_gravity, "LOOK_S", 0.05)
-    monkeypatch.setattr(calibrate_gravity, "SETTLED_S", 0.05)
-    monkeypatch.setattr(calibrate_gravity, "PATIENCE_S", 1.5)
+    monkeypatch.setattr(rolling_session, "LOOK_S", 0.05)
+    monkeypatch.setattr(rolling_session, "SETTLED_S", 0.05)
+    monkeypatch.setattr(rolling_session, "PATIENCE_S", 1.5)
 
 
 class Daemon:
@@ -77,9 +78,6 @@ class Daemon:
         return Reply(request, None, {"state": self.state})
 
     def _status(self):
-        if self._rolling and self._fault_after is not None:
-            self._fault_after -= 1
-            self.state = "fault" if self._fault_after < 0 else self.state
         grave = ["arm-estop"] if self.state == "fault" else []
         return {"state": self.state, "over": self._rolling, "moving": False, "faults": grave,
                 "severities": ["stop"] * len(grave), "hints": ["release it"] * len(grave)}  # fmt: skip
@@ -90,6 +88,9 @@ class Daemon:
         touch = [PadSample(self._t, 1, 0.03, 0.2)] if self._touched else []
         if not (self._rolling and self.poses) or self._lazy:
             return touch
+        if self._fault_after is not None and self.state == "tracking":
+            self._fault_after -= 1
+            self.state = "fault" if self._fault_after < 0 else self.state
         phi1, phi2 = self.poses[-1]
         palm = 1 if phi1 < 40.0 else 2
         felt, self._t = rolled(self._rng, palm, phi1, phi2, G, YAW_ERROR, self._t)
@@ -189,7 +190,10 @@ def test_a_daemon_with_another_configuration(path, capsys):
 def test_a_refusal_is_one_line_in_the_daemons_own_words(path, capsys, command, asked):
     daemon = Daemon(path, refuses=(command,))
     with serving(path, daemon):
-        assert refused(path, capsys, 1) == f"{command} refused: the state is {'tracking' if command == 'start' else 'ready'}"
+        assert (
+            refused(path, capsys, 1)
+            == f"{command} refused: the state is {'tracking' if command == 'start' else 'ready'}"
+        )
     assert daemon.asked == asked
 
 
@@ -209,10 +213,30 @@ def test_what_lies_on_the_pads_keeps_the_palms_from_moving(path, capsys):
     assert "start" not in daemon.asked
 
 
-def test_a_fault_ends_it(path, capsys):
+def test_a_fault_that_nobody_mends_ends_it(path, capsys):
     daemon = Daemon(path, fault_after=4)
     with serving(path, daemon):
         assert refused(path, capsys, 3) == "gravity: arm-estop: release it"
+
+
+def test_after_a_fault_that_is_mended_it_goes_on_with_the_rolls_it_has(path, capsys):
+    daemon = Daemon(path, fault_after=10)
+
+    def mend():
+        while daemon.state != "fault":
+            over.wait(0.01)
+        over.wait(0.2)
+        daemon.state, daemon._rolling, daemon._fault_after = "tracking", False, None
+
+    over = threading.Event()
+    person = threading.Thread(target=mend)
+    with serving(path, daemon):
+        person.start()
+        assert calibrate(path, "--rolls", 6) == 0
+        person.join()
+    assert len(daemon.poses) == 6  # one of them twice
+    err = capsys.readouterr().err
+    assert "arm-estop: release it; when that is mended: palmd ctl reset, palmd ctl arm" in err
 
 
 def test_slopes_keep_to_the_limits():
@@ -245,7 +269,9 @@ def test_an_exact_yaw_changes_nothing(path):
     }  # fmt: skip
 
 
-@pytest.mark.parametrize(("option", "value"), [("--rolls", "3"), ("--rolls", "many"), ("--clear", "0"), ("--roller", "cube")])
+@pytest.mark.parametrize(
+    ("option", "value"), [("--rolls", "3"), ("--rolls", "many"), ("--clear", "0"), ("--roller", "cube")]
+)
 def test_arguments_are_checked(path, option, value):
     with pytest.raises(SystemExit) as ended:
         calibrate(path, option, value)

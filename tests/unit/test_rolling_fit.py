@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-
 from rolls import READING_SD, rolled, standing
 
 from palmd.events import PadSample
@@ -93,7 +92,10 @@ def test_spoilt_readings_of_a_roll_are_left_out():
 
 
 def reported(times, places, pad=1):
-    return [standing(10.0, 110.0), *(PadSample(float(t), pad, float(s), 0.3) for t, s in zip(times, places, strict=True))]
+    return [
+        standing(10.0, 110.0),
+        *(PadSample(float(t), pad, float(s), 0.3) for t, s in zip(times, places, strict=True)),
+    ]
 
 
 T = np.arange(0.0, 1.0, 0.01)

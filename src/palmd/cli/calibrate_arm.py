@@ -93,7 +93,7 @@ def remarks(fit: LinkageFit) -> list[str]:
         )
     if fit.rms > _ROUGH_M:
         said.append(
-            f"arm: no linkage explains {fit.rms * 1e3:.2f} mm: look for play in hinges and gripper, or swing more gently"
+            f"arm: no linkage explains {fit.rms * 1e3:.2f} mm: look for play in hinges and gripper"
         )
     return said
 
@@ -144,13 +144,15 @@ def _listen(config: Config, seconds: float) -> list[Pose]:
         with Progress("arm", math.ceil(seconds), "s") as progress:
             return line.play(_swings(talk, seconds, progress))
     except DeviationError as error:
-        raise CliError(RIG_FAILED, f"arm: {path} does not answer: {error}; is the controller's program running?") from None
+        raise CliError(
+            RIG_FAILED, f"arm: {path} does not answer: {error}; is the controller's program running?"
+        ) from None
     finally:
         line.close()
 
 
 def _swings(talk: Talk, seconds: float, progress: Progress) -> Script[list[Pose]]:
-    """Asks where the arm is until it has been swung for so long; only poses that are apart. DeviationError, CliError."""
+    """Asks where the arm is until it has been swung for so long; poses that are apart. DeviationError, CliError."""
     poses: list[Pose] = []
     missed = 0
     t = time.monotonic()

@@ -1,4 +1,4 @@
-"""Finds gravity in the plane and the error of the arm's yaw, with a ball or a cylinder that you let roll down the palms.
+"""Finds gravity in the plane and the error of the arm's yaw, with a ball or cylinder that you let roll down the palms.
 
 Needs a running daemon. It arms the arm if that has not been done, and then stops it in the end; the palms go to one
 slope after the other, and stand there while you let it roll.
@@ -9,23 +9,20 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-import time
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from palmd.cli.bus import COMMAND, PUBLISH, Client, Subscriber, add_key, credentials
 from palmd.cli.calibrated_linkage import arm_base, changed, found, lines, palm_base_in_arm
 from palmd.cli.calibration_file import plain, provenance, writable, write
 from palmd.cli.configured import configured
-from palmd.cli.errors import BAD_INPUT, RIG_FAILED, CliError
-from palmd.cli.operation import Operation, why
+from palmd.cli.errors import RIG_FAILED, CliError
+from palmd.cli.operation import Operation
 from palmd.cli.processes import StopRequest
-from palmd.cli.progress import Progress
-from palmd.config import Config, LimitsConfig, PadConfig, config_hash
-from palmd.events import Event, PadSample
-from palmd.messages import EVENTS, INFO, events_of
+from palmd.cli.rolling_session import RollingSession, slopes_within
+from palmd.config import Config
+from palmd.messages import EVENTS, INFO
 from palmd.study.rolling_fit import (
     INERTIA,
     LEAST_PER_PALM,
@@ -33,25 +30,12 @@ from palmd.study.rolling_fit import (
     GravityFit,
     RollerKind,
     TooFewRollsError,
-    accelerate,
-    find_rolls,
-    fit_gravity,
     causes,
+    fit_gravity,
     slope,
 )
 
 FORMAT = 1
-LOOK_S = 0.25
-PATIENCE_S = 60.0
-"""How long nothing may roll, or the palms may be on their way."""
-SETTLED_S = 0.3
-INTRODUCTION_S = 3.0
-
-_SHALLOW_DEG, _STEEPER_DEG = 8.0, 18.0
-_OPENING_DEG = 110.0
-_MOST_PHI12_DEG = 169.0  # leaves room for a yaw that is wrong
-_MARGIN_DEG = 1.0
-_LEAST_STEEPER_DEG = 6.0
 _UPRIGHT_M_S2 = 9.84
 _SCATTER_MOST = 2.0
 
@@ -72,20 +56,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_key(parser)
 
 
-@dataclass(frozen=True, slots=True)
-class Slope:
-    """Where the palms stand while it rolls on one of them."""
-
-    pad: Literal[1, 2]
-    phi1_deg: float
-    phi2_deg: float
-    rolls: int
-
-    def __str__(self) -> str:
-        falls = self.phi1_deg if self.pad == 1 else 180.0 - self.phi1_deg - self.phi2_deg
-        return f"palm {self.pad}, {falls:.0f}°"
-
-
 def run(arguments: argparse.Namespace) -> int:
     """Writes nothing before all is measured; CliError when the daemon refuses, or the rolls say too little."""
     config = configured(arguments.config)
@@ -99,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
         Subscriber(publish, topics=(EVENTS.name, INFO.name), key=key) as subscriber,
     ):
         client.ask("status")
-        session = _Session(config, Operation(client), subscriber, stop, arguments.clear)
+        session = RollingSession(config, Operation(client), subscriber, stop, arguments.clear)
         session.begin(slopes[0])
         try:
             for each in slopes:
@@ -119,123 +89,6 @@ def run(arguments: argparse.Namespace) -> int:
     print(f"written: {result}")
     print(f"{arguments.config}: write in these sections:\n{lines(called_for(fit, config))}")
     return 0
-
-
-def slopes_within(limits: LimitsConfig, rolls: int) -> Iterator[Slope]:
-    """A gentle and a steep slope of each palm, in the order of phi1; CliError where the limits leave no room for them."""
-    (low1, high1), (low2, high2) = limits.phi1_deg, limits.phi2_deg
-    low1, high1, low2, high2 = low1 + _MARGIN_DEG, high1 - _MARGIN_DEG, low2 + _MARGIN_DEG, high2 - _MARGIN_DEG
-    phi2 = min(max(_OPENING_DEG, low2), high2)
-    gentle1 = max(_SHALLOW_DEG, low1)
-    steep1 = min(gentle1 + _STEEPER_DEG, high1, _MOST_PHI12_DEG - phi2)
-    gentle2 = min(_MOST_PHI12_DEG - phi2, high1)  # palm 1's angle where palm 2 is gentle
-    steep2 = max(gentle2 - _STEEPER_DEG, low1)
-    if min(steep1 - gentle1, gentle2 - steep2) < _LEAST_STEEPER_DEG or low2 > high2:
-        raise CliError(
-            BAD_INPUT,
-            f"limits: they leave no two slopes {_LEAST_STEEPER_DEG:g}° apart on each palm at phi2 {phi2:g}°: widen them",
-        )
-    few = max(rolls // 3, LEAST_PER_PALM)
-    yield Slope(1, gentle1, phi2, few)
-    yield Slope(1, steep1, phi2, rolls)
-    yield Slope(2, steep2, phi2, rolls)
-    yield Slope(2, gentle2, phi2, few)
-
-
-class _Session:
-    """The rolls on one slope after the other."""
-
-    def __init__(
-        self, config: Config, operation: Operation, subscriber: Subscriber, stop: StopRequest, clear_s: float
-    ) -> None:
-        self.operation = operation
-        self.rolls: list[Acceleration] = []
-        self.too_short = self.rough = 0
-        self.over = False
-        self._config, self._subscriber, self._stop, self._clear_s = config, subscriber, stop, clear_s
-
-    def begin(self, first: Slope) -> None:
-        """Arm, once the daemon has been heard and has nothing against the first plan; CliError where it has."""
-        self._introduce()
-        self._load(first)
-        self.operation.arm()
-
-    def _introduce(self) -> None:
-        """CliError unless the daemon runs with our configuration: the angles that it tells rest on its own."""
-        t_end = time.monotonic() + INTRODUCTION_S
-        for message in self._subscriber.until(t_end):
-            if message.topic == INFO.name:
-                if message.fields["config_hash"] != config_hash(self._config):
-                    raise CliError(
-                        BAD_INPUT, "gravity: the daemon runs with another configuration: restart it with this one"
-                    )
-                return
-        raise CliError(RIG_FAILED, "gravity: the daemon says nothing of itself: is --listen where it publishes?")
-
-    def roll_on(self, where: Slope) -> None:
-        """Go there, and take in as many good rolls as are wanted; CliError when that fails."""
-        self._go(where)
-        _tell(f"{where}: lay the roller at the upper end of palm {where.pad} and let go, {where.rolls} times")
-        pad = self._config.pads.palm1 if where.pad == 1 else self._config.pads.palm2
-        events: list[Event] = []
-        good: list[Acceleration] = []
-        t_good = time.monotonic()
-        with Progress(str(where), where.rolls, "rolls") as progress:
-            while len(good) < where.rolls:
-                events += self._events()
-                status = self._status()
-                if status["state"] != "tracking":
-                    raise CliError(RIG_FAILED, f"gravity: {why(status)}")
-                rolls, short = find_rolls(events)
-                each = [accelerate(roll, reading_sd(pad)) for roll in rolls if roll.pad == where.pad]
-                before, good = len(good), [roll for roll in each if roll is not None]
-                if len(good) > before:
-                    t_good = time.monotonic()
-                if time.monotonic() > t_good + PATIENCE_S:
-                    raise CliError(RIG_FAILED, _nothing(where, len(good), short, len(each) - len(good)))
-                progress.at(len(good))
-        self.rolls += good
-        self.too_short += short
-        self.rough += len(each) - len(good)
-
-    def _load(self, where: Slope) -> None:
-        move = {"phi1_deg": where.phi1_deg, "phi2_deg": where.phi2_deg}
-        self.operation.load({"name": "gravity", "segments": [{"move": move, "duration_s": 1.0}]})
-
-    def _go(self, where: Slope) -> None:
-        """Bring the palms there once nothing touches them; raises CliError when they do not arrive."""
-        self._load(where)
-        _tell(f"{where}: take the roller off and keep clear, the palms will move")
-        t_free = t_begin = time.monotonic()
-        while time.monotonic() < t_free + self._clear_s:
-            if any(isinstance(event, PadSample) for event in self._events()):
-                t_free = time.monotonic()
-            status = self._status()
-            if status["state"] not in ("tracking", "hold"):
-                raise CliError(RIG_FAILED, f"gravity: {why(status)}")
-            self._refuse_to_wait(t_begin, "something touches the pads: take it off")
-        self.operation.do("start")
-        t_begin = time.monotonic()
-        while not ((status := self._status())["state"] == "tracking" and status["over"]):
-            self._events()
-            if status["state"] not in ("tracking", "hold"):
-                raise CliError(RIG_FAILED, f"gravity: {why(status)}")
-            self._refuse_to_wait(t_begin, f"the palms do not arrive; {why(status)}")
-        for _ in self._subscriber.until(time.monotonic() + SETTLED_S):
-            pass
-
-    def _refuse_to_wait(self, t_begin: float, text: str) -> None:
-        if time.monotonic() > t_begin + PATIENCE_S:
-            raise CliError(RIG_FAILED, f"gravity: {text}")
-
-    def _status(self) -> dict[str, Any]:
-        if self._stop.made:
-            raise CliError(RIG_FAILED, "gravity: given up")
-        return self.operation.do("status")
-
-    def _events(self) -> list[Event]:
-        messages = self._subscriber.until(time.monotonic() + LOOK_S)
-        return [event for each in messages if each.topic == EVENTS.name for event in events_of(each.fields)]
 
 
 def table(fit: GravityFit, kind: RollerKind, too_short: int, rough: int) -> str:
@@ -292,7 +145,9 @@ def remarks(fit: GravityFit, kind: RollerKind) -> list[str]:
     if fit.resistance < -3.0 * fit.resistance_sd:
         said.append("gravity: a resistance below zero: it was pushed, it slipped, or a pad's scale is bent")
     if fit.scatter > _SCATTER_MOST:
-        said.append(f"gravity: the rolls scatter {fit.scatter:.1f} times as much as their readings: is it round and clean?")
+        said.append(
+            f"gravity: the rolls scatter {fit.scatter:.1f} times as much as their readings: is it round and clean?"
+        )
     return said
 
 
@@ -324,24 +179,6 @@ def document(fit: GravityFit, kind: RollerKind, config: Config) -> dict[str, Any
         "configuration": values,
         "found": plain(numbers) | {"slopes": [plain(asdict(row)) for row in by_slope(fit, kind)]},
     }
-
-
-def reading_sd(pad: PadConfig) -> float:
-    """One sigma of a position (m), rounding included."""
-    return math.hypot(pad.noise_mm, 1.0 / (pad.counts_per_mm * math.sqrt(12.0))) * 1e-3
-
-
-def _nothing(where: Slope, good: int, too_short: int, rough: int) -> str:
-    out = causes(too_short, rough, 0)
-    said = ", ".join(f"{count} were {cause}" for cause, count in out.items()) or "nothing touches its pad"
-    return (
-        f"gravity: {where}: nothing rolls: {good} good rolls of {where.rolls} wanted, and no more within"
-        f" {PATIENCE_S:.0f} s; {said}"
-    )
-
-
-def _tell(text: str) -> None:
-    print(f"gravity: {text}", file=sys.stderr, flush=True)
 
 
 def _rolls(text: str) -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-
 from palmd.config import ArmConfig, Config, RigConfig, Strict
 
 
@@ -48,5 +47,3 @@ def arm_base(config: Config, palm_base: tuple[float, float], yaw_deg: float) -> 
 def found(value: float, sd: float, unit: str, digits: int) -> str:
     """A result with its one sigma, for a table."""
     return f"{value:.{digits}f} ± {sd:.{digits}f} {unit}".rstrip()
-
-

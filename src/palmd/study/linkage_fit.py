@@ -108,7 +108,12 @@ def fit_linkage(poses: FloatArray) -> LinkageFit:
             f"the lengths are only known to {float(sd[:4].max()) * 1e3:.2f} mm: swing both palms more widely,"
             " each against the other, and without force"
         )
-    return LinkageFit(*x.tolist(), *sd.tolist(), rms, len(poses), span1, span2, span_opening)
+    (bx, by, length1, length2, tool), (bx_sd, by_sd, length1_sd, length2_sd, tool_sd) = map(float, x), map(float, sd)
+    return LinkageFit(
+        *(bx, by, length1, length2, tool),
+        *(bx_sd, by_sd, length1_sd, length2_sd, tool_sd),
+        *(rms, len(poses), span1, span2, span_opening),
+    )
 
 
 def _missing(what: str, span: float) -> TooLittleSwingError:
@@ -147,7 +152,7 @@ def _hinge_from_base(poses: FloatArray, x: FloatArray) -> tuple[FloatArray, Floa
 def _residuals(poses: FloatArray, x: FloatArray) -> FloatArray:
     """Left minus right side of (1), m."""
     dx, dy = _hinge_from_base(poses, x)
-    return np.hypot(dx, dy) - x[2]
+    return np.asarray(np.hypot(dx, dy) - x[2])
 
 
 def _jacobian(poses: FloatArray, x: FloatArray) -> FloatArray:

@@ -183,7 +183,10 @@ def fit_gravity(rolls: Sequence[Acceleration], kind: RollerKind) -> GravityFit:
     scatter = math.sqrt(float(left[kept] @ left[kept]) / (len(used) - 3))
     weighted = _jacobian(phi[kept], INERTIA[kind], x) / sd[kept, None]
     sds = np.sqrt(np.diag(np.linalg.inv(weighted.T @ weighted))) * max(scatter, 1.0)
-    return GravityFit(*x.tolist(), *sds.tolist(), scatter, used, len(rolls) - len(used))
+    (g, delta, resistance), (g_sd, delta_sd, resistance_sd) = map(float, x), map(float, sds)
+    return GravityFit(
+        g, delta, resistance, g_sd, delta_sd, resistance_sd, scatter, used, strange=len(rolls) - len(used)
+    )
 
 
 def slope(pad: int, phi: float) -> float:
