@@ -92,9 +92,7 @@ def remarks(fit: LinkageFit) -> list[str]:
             " transform by that much, and calibrate again"
         )
     if fit.rms > _ROUGH_M:
-        said.append(
-            f"arm: no linkage explains {fit.rms * 1e3:.2f} mm: look for play in hinges and gripper"
-        )
+        said.append(f"arm: no linkage explains {fit.rms * 1e3:.2f} mm: look for play in hinges and gripper")
     return said
 
 
@@ -167,6 +165,7 @@ def _swings(talk: Talk, seconds: float, progress: Progress) -> Script[list[Pose]
             missed += 1
             if missed == _MISSED_MOST:
                 raise
+            t = (yield from talk.raw(b"")).t  # an answer that came late must not be taken for the next one's
             continue
         missed = 0
         if ack.state not in BY_HAND:

@@ -134,20 +134,19 @@ def find_rolls(events: Sequence[Event]) -> tuple[list[Roll], int]:
 def accelerate(roll: Roll, noise: float) -> Acceleration | None:
     """The least squares of (2), without readings that are grossly off; None for a roll that is not smooth.
 
-    A reading counts from the time on when the fit itself has passed `_PARTED` below the rest: were the reading asked,
-    its noise would choose it, and bias the curve. noise: one sigma of a position (m), rounding included; less is never
-    believed of the readings.
+    noise: one sigma of a position (m), rounding included; less is never believed of the readings.
     """
     t = roll.t - float(roll.t[-1])
     basis = np.stack([np.ones_like(t), t, 0.5 * t * t], axis=1)
-    kept = t > t[np.flatnonzero(roll.s > roll.rest - 2.0 * _PARTED)[-1]]
+    # the first reading below was chosen for being low, which would bias the curve: it is left out as well
+    rolling = np.arange(len(t)) > np.flatnonzero(roll.s > roll.rest - _PARTED)[-1] + 1
+    kept = rolling
     for _ in range(_ROUNDS):
         if kept.sum() < LEAST_READINGS:
             return None
         found = np.linalg.lstsq(basis[kept], roll.s[kept], rcond=None)[0]
         left = roll.s - basis @ found
         spread = max(1.4826 * float(np.median(np.abs(left[kept]))), noise)
-        rolling = t > _passing(found, roll.rest - _PARTED)
         again = rolling & (np.abs(left) < _GROSS * spread)
         if (again == kept).all():
             break
@@ -252,12 +251,6 @@ def _descents(s: FloatArray) -> Iterator[tuple[int, int, int]]:
             high = low = i
     if len(s) and s[high] - s[low] > _REVERSAL:
         yield begin, high, low + 1
-
-
-def _passing(found: FloatArray, s: float) -> float:
-    """When (2) comes down through s, or leaves its top if that is lower (s); −∞ if it does not come down."""
-    s0, v, a = found
-    return -math.inf if a >= 0.0 else (-v - math.sqrt(max(v * v - 2.0 * a * (s0 - s), 0.0))) / a
 
 
 def _next(times: FloatArray, t: float) -> float:
