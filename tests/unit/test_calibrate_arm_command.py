@@ -114,7 +114,7 @@ def test_what_it_asks_for_is_what_the_arm_has(configured, capsys):
     assert told["rms_mm"] == pytest.approx(0.015, rel=0.3)
     out, err = capsys.readouterr()
     assert out.startswith(f"arm: {told['poses']} poses")
-    assert f"  arm: {{base_x_mm: {called_for['arm']['base_x_mm']:g}" in out
+    assert f"  arm: {{base_x_mm: {called_for['arm']['base_x_mm']}" in out
     assert "TOOL" not in err
 
 

@@ -54,7 +54,7 @@ def test_gravity_and_yaw_are_found_within_the_stated_tolerance(seed):
     assert fit.strange <= 1
 
 
-def test_no_roll_is_biased_by_how_its_beginning_is_found():
+def test_how_its_beginning_is_found_biases_no_roll_by_a_fifth_of_the_tolerance():
     good, _, _ = session(np.random.default_rng(11), [(1, 8.0, 110.0, 500)], g=9.81, yaw_error=0.0)
     true = -9.81 * (math.sin(math.radians(8.0)) - 0.003 * math.cos(math.radians(8.0))) / 1.4
     wrong = np.array([each.a / true - 1.0 for each in good])

@@ -22,7 +22,7 @@ def changed(config: Config, rig: dict[str, float], arm: dict[str, float]) -> Sec
 def lines(called_for: dict[str, dict[str, float]]) -> str:
     """What to write into the configuration, as it is written there."""
     return "\n".join(
-        f"  {section}: {{{', '.join(f'{key}: {value:g}' for key, value in values.items())}}}"
+        f"  {section}: {{{', '.join(f'{key}: {value}' for key, value in values.items())}}}"
         for section, values in called_for.items()
     )
 

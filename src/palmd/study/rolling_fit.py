@@ -31,9 +31,10 @@ RollerKind = Literal["ball", "cylinder"]
 INERTIA: Mapping[RollerKind, float] = MappingProxyType({"ball": 7.0 / 5.0, "cylinder": 3.0 / 2.0})
 """κ of (1)."""
 
-LEAST_TRAVEL = 0.012
 LEAST_READINGS = 8
 LEAST_PER_PALM = 4
+LEAST_TRAVEL = 0.012
+"""m: less on one pad alone is no roll."""
 LEAST_SLOPES = math.radians(5.0)
 """How far apart the slopes on one of the palms must be, for the resistance to be told."""
 
@@ -41,7 +42,6 @@ _REVERSAL = 1e-3  # m: so far back uphill, and it is another roll
 _AT_TOP, _AT_BOTTOM = 6e-4, 1.5e-3  # m: so near to them it may lie in the hand, or on both palms
 _PARTED = 3e-4  # m: a roll counts from here on below its rest, where the hand has surely let go
 _SILENCE = 0.06  # s: a touch has ended
-
 _GROSS = 3.5  # of one sigma: no reading of this roll
 _ROUGH = 5e-4  # m: what (2) may leave of a roll; a hand that leads the roller leaves more
 _STRANGE = 4.0  # of one sigma: no roll like the others
