@@ -15,9 +15,9 @@ demo: build  ## an emulated rig, the daemon, an unknown object: live estimates u
 
 test: dev lint  ## all tests, linters, types and import contracts
 	$(BIN)/python -m pytest -q -n 2 -m "not rig and not system and not bench"
-	$(BIN)/python -m pytest -q -m rig
+	$(BIN)/python -m pytest -q -m "rig or system"
 
-system: dev  ## the services under a systemd of their own (as root; a minute)
+system: dev  ## only the services, under a systemd of their own (skipped unless root may boot one)
 	$(BIN)/python -m pytest -q -m system
 
 lint: dev
@@ -26,9 +26,8 @@ lint: dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-audit: dev  ## known holes in what is locked (needs the network, and pip-audit)
-	pip-audit --disable-pip --require-hashes -r requirements.lock
-	pip-audit --disable-pip --require-hashes -r requirements-dev.lock
+audit: dev  ## known holes in what is locked, as far as PyPI answers
+	$(BIN)/python tools/audit.py requirements.lock requirements-dev.lock
 
 bench: dev  ## lateness, work and step times as p50/p99/p99.9/max (needs an idle machine)
 	$(BIN)/python -m pytest -q -s -m bench tests/bench

@@ -1,10 +1,8 @@
 """`palmd calibrate arm`, then `palmd calibrate gravity`, on a rig that is not what the configuration says."""
 
 import cmath
-import contextlib
 import json
 import math
-import os
 import subprocess
 import sys
 
@@ -30,8 +28,6 @@ def rig(tmp_path):
     def start(*arguments):
         config = written(tmp_path / "real.yaml", TRUE_RIG, TRUE_ARM)
         process = Process(tmp_path, "rig", config, "--ports", ports, "--seed", 4, *arguments)
-        with contextlib.suppress(OSError):  # it stands for machines that no load of this one slows down
-            os.sched_setscheduler(process.number, os.SCHED_FIFO, os.sched_param(60))
         hand = Client(json.loads(process.first_line())["control"])
         started.append((process, hand))
         return hand

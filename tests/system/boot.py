@@ -1,7 +1,7 @@
 """A systemd of our own: process 1 of its own namespaces, on a copy of this machine's files that is thrown away.
 
 The files are an overlay whose upper layer is memory, so nothing that happens inside is left afterwards. Run as a
-program (`boot.py FOLDER SHARED…`), this module is the inside's first process, which ends by becoming systemd.
+program (`boot.py PROGRAM FOLDER SHARED…`), this module is the inside's first process, which ends by becoming PROGRAM.
 """
 
 import contextlib
@@ -11,6 +11,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -35,10 +36,16 @@ def obstacle():
         return f"there is no {', '.join(missing)}"
     if os.geteuid() != 0:
         return "it takes root"
-    tried = subprocess.run([*UNSHARE, "mount", "-t", "tmpfs", "tmpfs", "/mnt"], capture_output=True, text=True)
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "console").touch()
+        tried = subprocess.run(_inside("/bin/true", folder), capture_output=True, text=True)
     if tried.returncode != 0:
-        return f"namespaces are not permitted: {tried.stderr.strip()}"
+        return f"namespaces or their mounts are not permitted: {tried.stderr.partition(os.linesep)[0]}"
     return None
+
+
+def _inside(program, folder, shared=()):
+    return [*UNSHARE, sys.executable, __file__, program, str(folder), *map(str, shared)]
 
 
 class Machine:
@@ -50,7 +57,7 @@ class Machine:
         self._console.touch()
         with self._console.open("ab") as console:
             self._outside = subprocess.Popen(
-                [*UNSHARE, sys.executable, __file__, str(folder), *map(str, shared)],
+                _inside(str(SYSTEMD), folder, shared),
                 stdin=subprocess.DEVNULL,
                 stdout=console,
                 stderr=console,
@@ -127,7 +134,7 @@ def _enter(namespace):
 # ------------------------------------------------------------------------------------------------------ inside
 
 
-def _become_systemd(folder, shared):
+def _become(program, folder, shared):
     root = _overlay(folder)
     _mount("proc", root / "proc", "-t", "proc")
     _mount("sysfs", root / "sys", "-t", "sysfs", "-o", "ro")
@@ -136,13 +143,15 @@ def _become_systemd(folder, shared):
     _devices(root / "dev", folder / "console")
     for path in shared:
         inside = root / path.relative_to("/")
+        inside.mkdir(parents=True, exist_ok=True)
         _mount(path, inside, "--bind")
         _mount("none", inside, "-o", "remount,bind,ro")
     _units(root / "etc/systemd/system")
+    _tmp_stays(root / "etc")
     subprocess.run(["ip", "link", "set", "lo", "up"], check=True)
     _change_root(root)
     environment = {"container": "test", "PATH": "/usr/sbin:/usr/bin:/sbin:/bin"}
-    os.execve(SYSTEMD, [str(SYSTEMD), f"--unit={TARGET}", "--log-target=console", "--show-status=1"], environment)
+    os.execve(program, [program, f"--unit={TARGET}", "--log-target=console", "--show-status=1"], environment)
 
 
 def _overlay(folder):
@@ -188,9 +197,17 @@ def _units(folder):
     (folder / TARGET).write_text("[Unit]\nRequires=systemd-journald.service\nAfter=systemd-journald.service\n")
 
 
+def _tmp_stays(etc):
+    """A boot empties /tmp or mounts a new one over it, and the palmd that is tested may lie there."""
+    (etc / "tmpfiles.d").mkdir(exist_ok=True)
+    for name in ("tmpfiles.d/tmp.conf", "systemd/system/tmp.mount"):
+        (etc / name).unlink(missing_ok=True)
+        (etc / name).symlink_to("/dev/null")
+
+
 def _mount(what, where, *options):
     subprocess.run(["mount", *options, str(what), str(where)], check=True)
 
 
 if __name__ == "__main__":
-    _become_systemd(Path(sys.argv[1]), [Path(path) for path in sys.argv[2:]])
+    _become(sys.argv[1], Path(sys.argv[2]), [Path(path) for path in sys.argv[3:]])

@@ -245,6 +245,25 @@ def test_strangers_are_logged_once_in_a_while(rig, caplog):
     assert rig.credentials("stranger").pair.public.decode() in line
 
 
+@pytest.mark.parametrize("what", ["no key", "another server's key"])
+def test_who_proves_no_key_is_counted_and_logged(rig, caplog, what):
+    caplog.set_level(logging.WARNING)
+    right = rig.credentials("ann")
+    wrong = {
+        "no key": None,
+        "another server's key": keys.Credentials(right.pair, rig.credentials("stranger").pair.public),
+    }
+    for kind in (zmq.SUB, zmq.DEALER):
+        before = rig.bus.fields()["bus_unproven"]
+        client = rig.client(kind, wrong[what])
+        rig.until(lambda before=before: rig.bus.fields()["bus_unproven"] > before)
+        client.close()
+    assert rig.ask(rig.client(zmq.DEALER, right), "hold")["ok"]
+    (line,) = [record.getMessage() for record in caplog.records if "wrong server.key" in record.getMessage()]
+    assert rig.publish in line
+    assert (rig.bus.fields()["bus_turned_away"], rig.granted) == (0, ["hold"])
+
+
 def test_without_its_doorkeeper_the_bus_lets_nobody_in(rig):
     rig.bus._door.close()
     client = rig.client(zmq.SUB, rig.credentials("ann"))

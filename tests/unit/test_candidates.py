@@ -57,6 +57,15 @@ def test_no_limit_is_ever_left(kind, limits):
                 here = end
 
 
+@pytest.mark.parametrize(("width_deg", "middle_deg"), [(0.0, 45.0), (0.5, 45.25), (3.0, 46.5), (3.5, 46.75)])
+def test_a_range_too_narrow_for_its_margins_is_its_middle(width_deg, middle_deg):
+    limits = MotionLimits(tuple(np.radians((45.0, 45.0 + width_deg))), tuple(np.radians((60.0, 120.0))), 1.0, 9.0, 0.05)
+    low, high = candidates.range_of(limits)
+    assert (low <= high).all()
+    assert (low + high) / 2 == pytest.approx(np.radians((middle_deg, 90.0)))
+    assert high[0] - low[0] == pytest.approx(math.radians(max(width_deg - 3.0, 0.0)))
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_durations_are_whole_calls_and_the_draw_depends_on_the_generator_alone(kind):
     limits = motion_limits(default_config())

@@ -1,13 +1,16 @@
 """What palmd is built on is what the lock files say, to the byte: pinned, hashed, and nothing besides.
 
-Whether a locked version has a known hole is not asked here, since that needs the network: see docs/security.md.
+Whether a locked version has a known hole is not asked here, since that needs the network (docs/security.md); how the
+answer is judged is.
 """
 
 from __future__ import annotations
 
 import ast
 import importlib.metadata
+import json
 import re
+import runpy
 import subprocess
 import sys
 import tomllib
@@ -85,3 +88,35 @@ def test_what_is_installed_is_what_is_locked_and_fits_together() -> None:
     assert not other, "installed in other versions than locked: run `make dev`"
     done = subprocess.run([sys.executable, "-m", "pip", "check"], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
+
+
+judged = runpy.run_path(str(ROOT / "tools/audit.py"))["judged"]
+CLEAN = {"name": "lz4", "version": "4.4.5", "vulns": []}
+HOLE = {"id": "PYSEC-1", "fix_versions": ["7.0"], "aliases": [], "description": "bad"}
+HOLED = {"name": "pyyaml", "version": "6.0.3", "vulns": [HOLE]}
+SKIPPED = {"name": "casadi", "skip_reason": "Dependency not found on PyPI and could not be audited"}
+
+
+def judged_of(*packages: object) -> tuple[bool, list[str]]:
+    return judged(json.dumps({"dependencies": packages, "fixes": []}), "")
+
+
+def test_a_known_hole_fails_the_audit_and_says_what_mends_it() -> None:
+    assert judged_of(CLEAN) == (True, ["no known holes"])
+    assert judged_of(CLEAN, HOLED) == (False, ["pyyaml 6.0.3: PYSEC-1, mended in 7.0"])
+
+
+def test_an_audit_that_nobody_answered_neither_fails_nor_claims_anything() -> None:
+    for passed, lines in (judged_of(SKIPPED, SKIPPED), judged("", "…\nrequests.exceptions.ConnectionError: no\n")):
+        assert passed
+        assert [line.startswith("not audited: no answer from pypi.org") for line in lines] == [True]
+
+
+def test_a_version_that_left_the_index_and_a_broken_audit_fail() -> None:
+    passed, lines = judged_of(CLEAN, SKIPPED)
+    assert not passed
+    assert lines == ["casadi: its locked version is not on pypi.org (any more)"]
+    assert judged("", "ERROR: requirement x==1 does not contain a hash") == (
+        False,
+        ["not audited: ERROR: requirement x==1 does not contain a hash"],
+    )

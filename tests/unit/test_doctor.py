@@ -145,6 +145,35 @@ def test_rights(monkeypatch, tmp_path, what, limit):
     assert "limits.d" not in finding.mend
 
 
+LOCKING = """
+import ctypes, encodings.ascii, os, resource, sys  # Python's own files may be out of reach once rights are laid down
+from palmd.cli.doctor_machine import locked_memory
+limit = int(sys.argv[1])
+resource.setrlimit(resource.RLIMIT_MEMLOCK, (limit, limit))
+if sys.argv[2] == "stripped":
+    os.setresuid(65534, 65534, 65534)
+locks = ctypes.CDLL(None).mlockall(3) == 0  # what is there and what comes, as the daemon asks for it
+print(locked_memory().verdict, locked_memory().says, locks, sep="|")
+"""
+
+
+@pytest.mark.parametrize("rights", ["own", "stripped"])
+@pytest.mark.parametrize("limit", [1_000_000, -1], ids=["limited", "unlimited"])
+def test_locked_memory_is_judged_as_the_kernel_does(limit, rights):
+    """In a process of its own, which locks all its memory, or may not."""
+    if rights == "stripped" and os.geteuid() != 0:
+        pytest.skip("only root has rights to lay down")
+    command = [sys.executable, "-c", LOCKING, str(limit), rights]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if "not allowed to raise maximum limit" in done.stderr:
+        pytest.skip("this user may not raise the limit")
+    verdict, says, locks = done.stdout.strip().split("|")
+    assert verdict == ("ok" if locks == "True" else "missing")
+    assert says == ("no limit" if verdict == "ok" else "limited to 1.0 MB")
+    if rights == "stripped":
+        assert verdict == ("missing" if limit > 0 else "ok")
+
+
 def test_runs(monkeypatch, tmp_path):
     monkeypatch.setattr(machine.shutil, "disk_usage", lambda _: SimpleNamespace(free=5e9))
     assert machine.runs(tmp_path / "a/b").verdict == "ok"

@@ -6,13 +6,13 @@ from functools import cache
 import numpy as np
 import pytest
 
-from palmd.config import ExploreGoal
+from palmd.config import ExploreGoal, LimitsConfig
 from palmd.events import Outlook, PalmMotion, RigDescription
 from palmd.model import shape, shape_map
 from palmd.motion.check import motion_limits
 from palmd.motion.explorer import STUCK_S, Explorer, UnderWay
 from palmd.motion.foresight import BINS
-from palmd.motion.limits import problems, ranges
+from palmd.motion.limits import MotionLimits, problems, ranges
 from palmd.motion.segments import Move
 from palmd.rig.plant import Hinge, Plant, random_surface, stable_poses
 from palmd.rig.shapes import random_body
@@ -168,3 +168,21 @@ def test_what_is_safe_with_the_likeliest_state_only_is_not_done():
     doubtful, sure = explorer().decide(outlook(states=states), STANDING), explorer().decide(outlook(), STANDING)
     assert sure.kind == "move"
     assert doubtful.move != sure.move
+
+
+@pytest.mark.parametrize(
+    ("phi1_deg", "phi2_deg"),
+    [((44.0, 47.0), (89.0, 92.0)), ((45.0, 45.5), (60.0, 120.0)), ((85.0, 150.0), (85.0, 155.0))],
+    ids=["one pose", "one angle", "one sum"],
+)
+def test_limits_that_leave_next_to_no_room_are_kept_too(phi1_deg, phi2_deg):
+    """Until the roadmap, if only of one pose, is complete and in use."""
+    limits = MotionLimits.from_config(LimitsConfig(phi1_deg=phi1_deg, phi2_deg=phi2_deg), pad_length=LIMITS.pad_length)
+    mine = Explorer(RigDescription(), limits, ExploreGoal(coverage=0.95, time_limit_s=60.0))
+    here = (math.radians(phi1_deg[0] + 0.25), math.radians(phi2_deg[0] + 1.0))
+    for number in range(4):
+        decision = mine.decide(outlook(0.5 * number), UnderWay(Move(here, here, 0.1), 0.1))
+        assert decision.kind in ("move", "wait")
+        if decision.move is not None:
+            motion = [limits.values(decision.move.at(t)) for t in np.linspace(0.0, decision.move.duration, 50)]
+            assert problems(limits.bounds, ranges(motion)) == []

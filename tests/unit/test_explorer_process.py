@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 import signal
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -134,3 +135,24 @@ def test_closing_ends_it_at_once() -> None:
     process.close()
     assert process._process._process.poll() is not None
     assert not folder.exists()
+
+
+@pytest.mark.parametrize("length", [83, 84, 200])
+def test_it_is_met_however_long_the_path_of_temporary_files_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, length: int
+) -> None:
+    """A Unix socket's path has 107 bytes at most; `/palmd-`, eight letters and `/explorer` come after it."""
+    with tempfile.TemporaryDirectory(dir="/tmp") as short:
+        folder = Path(short) / "ü".ljust(length - len(short) - 2, "x")
+        folder.mkdir(parents=True)
+        monkeypatch.setattr(tempfile, "tempdir", str(folder))
+        process = ExplorerProcess(RIG)
+        process.prepare()
+        assert process._process is not None
+        own = Path(process._process._folder.name)
+        assert own.is_relative_to(folder) == (length <= 83)
+        assert own.stat().st_mode & 0o077 == 0
+        wait_for(process)
+        process.close()
+        assert not own.exists()
+        assert list(folder.iterdir()) == []

@@ -116,7 +116,7 @@ def test_many_at_once_are_foreseen_as_each_alone():
     together = foresight("arc").of(states[which], Moves(START, ends, durations))
     for i in (0, 31, 32, 44):
         alone = foresight("arc").of(states[which[i]], Moves(START, ends[i : i + 1], durations[i : i + 1]))
-        for name in ("touched", "least_force", "nearest", "farthest", "psi", "omega0", "normals"):
+        for name in ("touched", "least_force", "nearest", "farthest", "psi", "omega0"):
             np.testing.assert_array_equal(getattr(together, name)[i], getattr(alone, name)[0], err_msg=name)
 
 

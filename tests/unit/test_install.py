@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from palmd import cli
-from palmd.cli.install import UNITS, adapted, hidden_parts
+from palmd.cli import install
+from palmd.cli.install import UNITS, adapted, hidden_parts, passing_parts
 from palmd.cli.shipped import shipped_service
 from palmd.daemon.realtime import PRIORITY
 from palmd.yamlfile import load_config
@@ -83,6 +84,17 @@ def test_a_palmd_in_a_home_is_shown_and_nothing_else_of_it():
     assert "\nProtectHome=tmpfs\nBindReadOnlyPaths=/home/ada/palmd\n" in text
     assert "ProtectHome=yes" not in text
     assert f"ExecStart={command} run" in text
+
+
+def test_a_palmd_among_temporary_files_is_shown_and_its_end_foretold(tmp_path, capsys, monkeypatch):
+    parts = [Path("/tmp/palmd/.venv"), Path("/tmp/palmd/src"), Path("/home/ada/python"), Path("/tmpfs/palmd")]
+    assert hidden_parts(parts) == [Path("/home/ada/python"), *parts[:2]]
+    assert passing_parts(parts) == parts[:2]
+    monkeypatch.setattr(install, "_parts", lambda: parts)
+    text = installed(tmp_path)[SYSTEM / "palmd.service"].read_text()
+    assert "BindReadOnlyPaths=/home/ada/python /tmp/palmd/.venv /tmp/palmd/src\n" in text
+    notes = [line for line in capsys.readouterr().out.splitlines() if line.startswith("note ")]
+    assert [line.split()[1] for line in notes] == ["/tmp/palmd/.venv", "/tmp/palmd/src"]
 
 
 def test_a_palmd_elsewhere_leaves_the_homes_shut():

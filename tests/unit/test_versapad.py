@@ -132,6 +132,7 @@ def test_reset_discards_the_packet_in_hand() -> None:
         "truncated": 3,
         "batches": 0,
         "out_of_range": 0,
+        "gaps": 0,
         "bytes_discarded": 6,
     }
 
@@ -146,7 +147,7 @@ def test_tail_of_a_much_later_packet_completes_nothing() -> None:
     decoder = VersaPadDecoder(BAUD)
     decoder.feed(GOLDEN[:2], 0.0)
     assert decoder.feed(GOLDEN[2:], 0.050) == []
-    assert (decoder.counters.truncated, decoder.counters.bad_header) == (2, 4)
+    assert (decoder.counters.truncated, decoder.counters.bad_header, decoder.counters.gaps) == (2, 4, 1)
 
 
 # Time stamps

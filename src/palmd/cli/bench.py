@@ -12,6 +12,7 @@ BENCHES = {
     "recognise": "which of twenty similar objects lies on the palms, or none of them",
     "peers": "palmd's estimators beside general-purpose ones",
     "faults": "every fault provoked on the emulated rig: what comes of it, how soon the arm stands",
+    "soak": "the demo for an hour with random mischief: leaks, lateness, lost packets",
 }
 
 

@@ -18,7 +18,6 @@ from palmd.cli.calibrated_linkage import arm_base, changed, found, lines, palm_b
 from palmd.cli.calibration_file import plain, provenance, writable, write
 from palmd.cli.configured import configured
 from palmd.cli.errors import RIG_FAILED, CliError
-from palmd.cli.operation import Operation
 from palmd.cli.processes import StopRequest
 from palmd.cli.rolling_session import RollingSession, slopes_within
 from palmd.config import Config
@@ -69,14 +68,14 @@ def run(arguments: argparse.Namespace) -> int:
         Subscriber(publish, topics=(EVENTS.name, INFO.name), key=key) as subscriber,
     ):
         client.ask("status")
-        session = RollingSession(config, Operation(client), subscriber, stop, arguments.clear)
+        session = RollingSession(config, client, subscriber, stop, arguments.clear)
         session.begin(slopes[0])
         try:
             for each in slopes:
                 session.roll_on(each)
             session.over = True
         finally:
-            session.operation.leave(over=session.over)
+            session.end()
     try:
         fit = fit_gravity(session.rolls, arguments.roller)
     except TooFewRollsError as error:

@@ -8,20 +8,15 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
-import time
 from collections.abc import Mapping
 from typing import Any
 
 from palmd.cli.bus import COMMAND, PUBLISH, Client, Subscriber, add_key, credentials
-from palmd.cli.errors import RIG_FAILED, CliError
-from palmd.cli.operation import LOOK_S, Operation, why
+from palmd.cli.operation import Operation, why
 from palmd.cli.processes import StopRequest
 from palmd.config import MAX_DURATION_S, ExploreGoal
 
 PLAN = "explore"
-PROGRESS_S = 1.0
-HELD_S = 30.0  # that a hold may last: until then somebody may put the object back and start again
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,62 +40,28 @@ def run(arguments: argparse.Namespace) -> int:
         Client(arguments.address, key=key) as client,
         Subscriber(arguments.listen, topics=("palm/shape",), key=key) as subscriber,
     ):
-        operation = _Operation(client, subscriber)
-        operation.begin(goal)
+        band = _Band(subscriber)
+        operation = Operation(client, band.listen, lambda status, seconds: concluded(status, seconds, band.sd_m))
+        operation.begin({"name": PLAN, "segments": [{"explore": goal.model_dump(exclude_none=True)}]})
         try:
-            status = operation.watch(stop)
+            status = operation.watch(stop, lambda status, seconds: progress(status, seconds, band.sd_m))
         finally:
             operation.end()
-        print(concluded(status, operation.seconds, operation.band_m))
+        print(concluded(status, operation.seconds, band.sd_m))
     return 0
 
 
-class _Operation:
-    """One exploration, as a person at `palmd ctl` would do it; `band_m` is the largest sd of the last outline heard."""
+class _Band:
+    """Listens for the outline; `sd_m` is the largest sd of the last one heard."""
 
-    def __init__(self, client: Client, subscriber: Subscriber) -> None:
-        self.band_m = math.nan
-        self.seconds = 0.0
-        self._operation, self._subscriber = Operation(client), subscriber
-        self._over = False
+    def __init__(self, subscriber: Subscriber) -> None:
+        self.sd_m = math.nan
+        self._subscriber = subscriber
 
-    def begin(self, goal: ExploreGoal) -> None:
-        """Hand the plan over, arm and start; CliError with the daemon's own words when it refuses."""
-        self._operation.load({"name": PLAN, "segments": [{"explore": goal.model_dump(exclude_none=True)}]})
-        self._operation.arm()
-        try:
-            self._operation.do("start")
-        except CliError:
-            self.end()
-            raise
-
-    def watch(self, stop: StopRequest) -> Mapping[str, Any]:
-        """The status when it is over; CliError when somebody or a fault has ended it, or it stays held."""
-        begun = time.monotonic()
-        t_progress = t_going = begun
-        while True:
-            for message in self._subscriber.until(time.monotonic() + LOOK_S):
-                self.band_m = max(message.fields["h_sd_m"])
-            status, t = self._operation.do("status"), time.monotonic()
-            self.seconds = t - begun
-            if status["state"] not in ("tracking", "hold"):
-                raise CliError(RIG_FAILED, f"{concluded(status, self.seconds, self.band_m)}; {why(status)}")
-            if status["state"] == "tracking" and status["over"]:
-                self._over = True
-                return status
-            if stop.made:
-                return status
-            if status["state"] == "tracking":
-                t_going = t
-            if t > t_going + HELD_S:
-                raise CliError(RIG_FAILED, f"held for {HELD_S:g} s, so given up; {why(status)}")
-            if t >= t_progress:
-                t_progress = t + PROGRESS_S
-                print(progress(status, self.seconds, self.band_m), file=sys.stderr, flush=True)
-
-    def end(self) -> None:
-        """Leave the palms standing, and the arm as it was found; after Ctrl-C or a failure it is stopped."""
-        self._operation.leave(over=self._over)
+    def listen(self, t_end: float) -> None:
+        """Until t_end (s, monotonic clock)."""
+        for message in self._subscriber.until(t_end):
+            self.sd_m = max(message.fields["h_sd_m"])
 
 
 def progress(status: Mapping[str, Any], seconds: float, band_m: float) -> str:

@@ -7,7 +7,7 @@ import os
 import resource
 import signal
 import time
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -30,7 +30,6 @@ AFTERWARDS_S = 0.5  # looked on after all has come
 ANSWER_S = 5.0
 LOOK_S = 0.02
 CLOCKS_AGREE_S = 1.0
-RIG_PRIORITY = 60  # above the daemon's, whose processor it must not wait for
 BRISK_RAD_S = 0.4
 """How fast a palm must turn when a cause comes, or there would be nothing to stop."""
 
@@ -62,7 +61,6 @@ class Stand:
         try:
             path = self._written("rig.yaml", as_yaml(self._config, self._config.bus, _NO_PORTS))
             rig = self._begin("rig", str(path), "--seed", str(self._seed))
-            _prefer(rig)
             self._told: dict[str, Any] = json.loads(self._first_line(rig))
             self._hand = self._stack.enter_context(Client(self._told["control"], ANSWER_S))
             self._start_daemon(Watch())
@@ -316,12 +314,6 @@ class Stand:
             if self._rig_status()["accepted"] > now["accepted"]:
                 wrong.append("set-points to an arm that must stand")
         return wrong
-
-
-def _prefer(rig: Child) -> None:
-    """Real-time priority where that is allowed: it stands for machines that no load of this one slows down."""
-    with suppress(OSError):
-        os.sched_setscheduler(rig.number, os.SCHED_FIFO, os.sched_param(RIG_PRIORITY))
 
 
 _NO_PORTS = {name: name for name in ("pad1", "pad2", "arm")}

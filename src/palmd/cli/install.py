@@ -25,6 +25,7 @@ CACHE = "/var/cache/palmd"
 RUNS = "/var/lib/palmd"
 # of these a service sees nothing but what it is given: checkouts lie there, too
 HIDDEN = (Path("/home"), Path("/root"), Path("/run/user"), Path("/tmp"), Path("/var/tmp"))
+EMPTIED = Path("/tmp")  # at each boot, most often
 
 _SHIPPED_COMMAND = "/opt/palmd/bin/palmd"
 _SHIPPED_HOME = "ProtectHome=yes\n"
@@ -58,6 +59,8 @@ def run(arguments: argparse.Namespace) -> int:
         _put(item, root, arguments.dry_run)
     for words in follow:
         _follow(words, arguments.dry_run)
+    for part in passing_parts(_parts()):
+        print(f"note     {part} may be gone after the next boot, and the services with it: /opt/palmd would last")
     print(f"next: put the rig into {root / SETTINGS / 'palmd.yaml'} and the ports' names into", end=" ")
     print(f"{root / _NAMES}, then: systemctl enable --now palmd palmd-record palmd-view")
     return 0
@@ -80,8 +83,17 @@ def hidden_parts(parts: Sequence[Path]) -> list[Path]:
     return sorted(part for part in inside if not any(part != other and part.is_relative_to(other) for other in inside))
 
 
+def passing_parts(parts: Sequence[Path]) -> list[Path]:
+    """Those of an installation's folders that a boot may take away. Pure."""
+    return [part for part in hidden_parts(parts) if part.is_relative_to(EMPTIED)]
+
+
+def _parts() -> list[Path]:
+    return [Path(sys.prefix), Path(sys.base_prefix), Path(palmd.__file__).resolve().parent.parent]
+
+
 def _services(command: Path) -> Iterator[Item]:
-    hidden = hidden_parts([Path(sys.prefix), Path(sys.base_prefix), Path(palmd.__file__).resolve().parent.parent])
+    hidden = hidden_parts(_parts())
     for name in UNITS:
         yield Item(LOCAL / "systemd/system" / name, adapted(_read(shipped_service(name)), command, hidden))
     for name in ("sysusers.d/palmd.conf", "modules-load.d/palmd.conf"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+from palmd.daemon import realtime
 from palmd.rig import app
 
 
@@ -14,4 +15,5 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Runs until SIGTERM, SIGINT or the parent's end."""
+    realtime.prepare(realtime.RIG_PRIORITY)  # what is not allowed makes it no worse than it was
     return app.run_rig(arguments)

@@ -9,9 +9,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from palmd.cli.bus import Subscriber
+from palmd.cli.bus import Client, Subscriber
 from palmd.cli.errors import BAD_INPUT, RIG_FAILED, CliError
-from palmd.cli.operation import Operation, why
+from palmd.cli.operation import can_move, do, leave, load, why
 from palmd.cli.processes import StopRequest
 from palmd.cli.progress import Progress
 from palmd.config import Config, LimitsConfig, PadConfig, config_hash
@@ -71,19 +71,27 @@ class RollingSession:
     """The rolls on one slope after the other; each method raises CliError when it cannot be done."""
 
     def __init__(
-        self, config: Config, operation: Operation, subscriber: Subscriber, stop: StopRequest, clear_s: float
+        self, config: Config, client: Client, subscriber: Subscriber, stop: StopRequest, clear_s: float
     ) -> None:
-        self.operation = operation
         self.rolls: list[Acceleration] = []
         self.too_short = self.rough = 0
         self.over = False
-        self._config, self._subscriber, self._stop, self._clear_s = config, subscriber, stop, clear_s
+        self._armed = False
+        self._config, self._client, self._subscriber = config, client, subscriber
+        self._stop, self._clear_s = stop, clear_s
 
     def begin(self, first: Slope) -> None:
         """Arm, once the daemon has been heard and has nothing against the first plan; CliError where it has."""
         self._introduce()
+        can_move(self._client)
         self._load(first)
-        self.operation.arm()
+        if self._status()["state"] == "ready":
+            do(self._client, "arm")
+            self._armed = True
+
+    def end(self) -> None:
+        """Leave the palms standing, and the arm as it was found; after Ctrl-C or a failure it is stopped."""
+        leave(self._client, armed=self._armed, over=self.over)
 
     def _introduce(self) -> None:
         """CliError unless the daemon runs with our configuration: the angles that it tells rest on its own."""
@@ -131,7 +139,7 @@ class RollingSession:
 
     def _load(self, where: Slope) -> None:
         move = {"phi1_deg": where.phi1_deg, "phi2_deg": where.phi2_deg}
-        self.operation.load({"name": "gravity", "segments": [{"move": move, "duration_s": 1.0}]})
+        load(self._client, {"name": "gravity", "segments": [{"move": move, "duration_s": 1.0}]})
 
     def _wait_until_commanded(self) -> None:
         """Nothing to wait for unless a fault has stopped the arm, which a person can mend."""
@@ -155,7 +163,7 @@ class RollingSession:
             self._refuse_to_wait(t_begin, "something touches the pads: take it off")
         if not _commanded(self._status()):
             return False
-        self.operation.do("start")
+        do(self._client, "start")
         t_begin = time.monotonic()
         while _commanded(status := self._status()):
             if status["state"] == "tracking" and status["over"]:
@@ -173,7 +181,7 @@ class RollingSession:
     def _status(self) -> dict[str, Any]:
         if self._stop.made:
             raise CliError(RIG_FAILED, "gravity: given up")
-        return self.operation.do("status")
+        return do(self._client, "status")
 
     def _events(self) -> list[Event]:
         messages = self._subscriber.until(time.monotonic() + LOOK_S)

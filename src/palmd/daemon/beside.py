@@ -32,7 +32,7 @@ class ProcessBeside:
         `name` is for people, `high_water` the most messages on their way. Raises OSError when it cannot be started.
         """
         self._name = name
-        self._folder = tempfile.TemporaryDirectory(prefix="palmd-")
+        self._folder = _meeting_place(name)
         address = f"ipc://{Path(self._folder.name) / name}"
         self._command = [sys.executable, "-m", "palmd.daemon.tied", module, str(os.getpid()), address, *arguments]
         self._context = zmq.Context()
@@ -88,6 +88,15 @@ class ProcessBeside:
         if self._process.poll() is not None and time.monotonic() - self._t_started > RESTART_S:
             log.warning("the %s ended with status %s: started again", self._name, self._process.returncode)
             self._start()
+
+
+def _meeting_place(name: str) -> tempfile.TemporaryDirectory[str]:
+    """A folder of this user's alone, whose path is short enough for a socket `name` in it."""
+    folder = tempfile.TemporaryDirectory(prefix="palmd-")
+    if len(os.fsencode(folder.name)) + 1 + len(name) <= zmq.IPC_PATH_MAX_LEN:
+        return folder
+    folder.cleanup()
+    return tempfile.TemporaryDirectory(prefix="palmd-", dir="/tmp")
 
 
 @contextlib.contextmanager

@@ -34,7 +34,8 @@ class BusError(Exception):
 class BusCounters:
     """What has passed on the bus since the start; `replies_lost` found nobody to take them.
 
-    `forbidden` commands came from clients that may only watch, `turned_away` connections with keys that nobody knows.
+    `forbidden` commands came from clients that may only watch, `turned_away` connections with keys that nobody knows,
+    `unproven` ones with no key, or with another server's.
     """
 
     published: int = 0
@@ -42,6 +43,7 @@ class BusCounters:
     malformed: int = 0
     forbidden: int = 0
     turned_away: int = 0
+    unproven: int = 0
     replies_lost: int = 0
 
 
@@ -62,6 +64,8 @@ class Bus:
         except BusError:
             self.close()
             raise
+        if self._door is not None:
+            self._door.begin()
 
     def publish(self, topic: Topic, fields: Fields, t: float, timestamp: float) -> None:
         """Send one message, or drop it; `t` is the tick's time, `timestamp` Unix time (s)."""
@@ -117,7 +121,7 @@ class Bus:
     def fields(self) -> dict[str, int]:
         """The counters by the names of `palm/loop`."""
         if self._door is not None:
-            self.counters.turned_away = self._door.turned_away
+            self.counters.turned_away, self.counters.unproven = self._door.turned_away, self._door.unproven
         return {f"bus_{name}": count for name, count in asdict(self.counters).items()}
 
     def close(self) -> None:

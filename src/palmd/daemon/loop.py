@@ -1,8 +1,8 @@
 """The 100 Hz loop: one thread, one grid of deadlines, ports and sockets at its rim.
 
 Until the tick's deadline the loop waits on the ports, so bytes are dated when they arrive, and writes the
-arm's set-points when their own timer says so. A tick that comes late skips whole periods; it never makes up
-for them.
+arm's set-points when their own timer says so. The last moments before a deadline are kept free for it. A tick
+that comes late skips whole periods; it never makes up for them.
 """
 
 from __future__ import annotations
@@ -29,6 +29,12 @@ STOPPING_S = 1.5
 """How long the end may wait for the arm to report that it stands."""
 
 SLOW_TOPIC_S = 1.0
+
+QUIET_S = 0.3e-3
+"""So long before a tick nothing is begun that could delay it; what comes is dated, and seen to in the tick."""
+
+AWAKE_S = 0.1e-3
+"""So long before a tick the loop no longer sleeps, for no machine wakes anybody to the microsecond."""
 
 
 def next_deadline(deadline: float, now: float, period: float) -> tuple[float, int]:
@@ -71,6 +77,7 @@ class Loop:
         self._in_break: set[EndName] = set()
         self._stop_wanted = False
         self._t_stop = math.inf
+        self._arrived: list[tuple[Port, bytes, float]] = []
         self._busy_s = 0.0  # spent on bytes since the last tick
         self._failed = False
         self._t_slow = -math.inf
@@ -78,6 +85,7 @@ class Loop:
         self._told_state: tuple[State, tuple[Fault, ...]] = (core.state, ())
         self._told_errors: dict[EndName, str | None] = {}
         self._parts: tuple[Callable[[float], None], ...] = (
+            self._take_in,
             self._open_ports,
             self._observe,
             self._obey,
@@ -126,29 +134,39 @@ class Loop:
     # ---- between ticks -----------------------------------------------------------------------------------
 
     def _attend(self, deadline: float) -> None:
-        """Read and write as things come and fall due, until the deadline; then once more what is there."""
-        while True:
-            until = min(deadline, self._core.due())
-            readable = self._waiter.wait(until)
+        """Until the deadline read what comes and write what falls due, the latter not when it is near."""
+        t_quiet, t_awake = deadline - QUIET_S, deadline - AWAKE_S
+        while (begun := self._clock()) < t_awake:
+            if begun >= t_quiet:
+                self._read(t_awake)
+                continue
+            self._read(min(t_quiet, self._core.due()))
             begun = self._clock()
-            for port in readable:
-                self._read(port)
-            self._write()
-            if begun >= deadline:
-                return
-            self._busy_s += self._clock() - begun
+            if begun < t_quiet:
+                self._see_to()
+                self._write()
+                self._busy_s += self._clock() - begun
+        while self._clock() < deadline:
+            pass
 
-    def _read(self, port: Port) -> None:
-        end = self._ends[port]
-        data = port.read()
-        t = self._clock()
-        if data:
-            try:
-                self._core.receive(end, data, t)
-            except Exception:
-                self._fail(t)
-        if not port.is_open:
-            self._lost(end, t)
+    def _read(self, t_end: float) -> None:
+        """Wait for bytes, no longer than until `t_end` (s), and date them."""
+        for port in self._waiter.wait(t_end):
+            data = port.read()
+            self._arrived.append((port, data, self._clock()))
+
+    def _see_to(self) -> None:
+        """Give the core what has arrived."""
+        arrived, self._arrived = self._arrived, []
+        for port, data, t in arrived:
+            end = self._ends[port]
+            if data:
+                try:
+                    self._core.receive(end, data, t)
+                except Exception:
+                    self._fail(t)
+            if not port.is_open and end in self._known_open:
+                self._lost(end, t)
 
     def _write(self) -> None:
         t = self._clock()
@@ -180,6 +198,10 @@ class Loop:
                 healthy = False
             self._write()
         return healthy
+
+    def _take_in(self, _t: float) -> None:
+        self._read(-math.inf)
+        self._see_to()
 
     def _observe(self, t: float) -> None:
         self._core.observe(t, self._write)

@@ -12,6 +12,9 @@ from pathlib import Path
 PRIORITY = 50
 """FIFO priority: above the kernel's own interrupt threads would be 51 and more."""
 
+RIG_PRIORITY = 40
+"""That of an emulated rig: hardware does not wait for what else a machine has to do; nor does it hold up the loop."""
+
 SWITCH_INTERVAL_S = 0.05e-3
 """For how long at most a helper thread keeps the interpreter from the loop."""
 
@@ -20,10 +23,10 @@ _PR_SET_TIMERSLACK = 29
 _CAP_IPC_LOCK = 14
 
 
-def prepare() -> list[str]:
+def prepare(priority: int = PRIORITY) -> list[str]:
     """Do what the system allows, from the thread that will run the loop; return what it did not, in words."""
     sys.setswitchinterval(SWITCH_INTERVAL_S)
-    missing = [_prioritise(), _lock_memory(), _tighten_timers()]
+    missing = [_prioritise(priority), _lock_memory(), _tighten_timers()]
     return [text for text in missing if text is not None]
 
 
@@ -42,14 +45,14 @@ def rss_mb() -> float:
     return pages * resource.getpagesize() / 1e6
 
 
-def _prioritise() -> str | None:
+def _prioritise(priority: int) -> str | None:
     policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK  # helper threads and children stay ordinary
     try:
-        os.sched_setscheduler(0, policy, os.sched_param(PRIORITY))
+        os.sched_setscheduler(0, policy, os.sched_param(priority))
     except OSError as error:
         return (
             f"no real-time priority ({error.strerror}): run palmd as its systemd service, "
-            f"or allow this user rtprio {PRIORITY} in /etc/security/limits.conf"
+            f"or allow this user rtprio {priority} in /etc/security/limits.conf"
         )
     return None
 

@@ -108,7 +108,8 @@ class PadCounters:
 
     `bad_header`, `bad_data` and `truncated` count discarded bytes by cause: outside a packet; of a packet
     spoilt by an illegal byte, that byte included; of a packet cut short by the next header, a gap or a reset.
-    `batches` counts reads with several packets, `out_of_range` packets that cannot be a place on the pad.
+    `batches` counts reads with several packets, `out_of_range` packets that cannot be a place on the pad, `gaps`
+    packets that were cut short because the rest of them did not come in time.
     """
 
     bytes: int = 0
@@ -118,6 +119,7 @@ class PadCounters:
     truncated: int = 0
     batches: int = 0
     out_of_range: int = 0
+    gaps: int = 0
 
     @property
     def bytes_discarded(self) -> int:
@@ -161,6 +163,7 @@ class VersaPadDecoder:
         if partial:
             if t_recv - (size - 1) * self._byte_s - self._t_last > self._stale_s:
                 self._truncate()
+                counters.gaps += 1
             else:
                 self._clock.more(t_recv, len(partial) + size - 1)
         self._t_last = t_recv

@@ -33,7 +33,8 @@ def loops(random: np.random.Generator, start: FloatArray, count: int, length: in
     """`count` sequences of `length` moves: rounds about a pose near or anywhere, either way, of any size and rate."""
     low, high = range_of(limits)
     middle1 = random.uniform(low[0], high[0], count)
-    middle12 = random.uniform(low[0] + low[1], PHI12_MAX - POSE_MARGIN, count)
+    top = PHI12_MAX - POSE_MARGIN
+    middle12 = random.uniform(min(low[0] + low[1], top), top, count)
     near = random.random(count) < 0.5
     middle1 = np.where(near, start[0] + random.normal(0.0, NEARBY, count), middle1)
     middle12 = np.where(near, start.sum() + random.normal(0.0, NEARBY, count), middle12)
@@ -133,10 +134,12 @@ def _rates(random: np.random.Generator, count: int, limits: MotionLimits) -> Flo
 
 
 def range_of(limits: MotionLimits) -> tuple[FloatArray, FloatArray]:
-    """The lowest and the highest palm angles (φ1, φ2) (rad) that moves end at."""
-    low = np.array([limits.phi1[0], limits.bounds[1].low]) + POSE_MARGIN
-    high = np.array([limits.phi1[1], limits.bounds[1].high]) - POSE_MARGIN
-    return low, high
+    """The lowest and the highest palm angles (φ1, φ2) (rad) that moves end at; the middle of what is too narrow."""
+    low = np.array([limits.phi1[0], limits.bounds[1].low])
+    high = np.array([limits.phi1[1], limits.bounds[1].high])
+    margin = np.minimum(POSE_MARGIN, (high - low) / 2)
+    low, high = low + margin, high - margin
+    return low, np.maximum(low, high)
 
 
 def _inside(poses: FloatArray, limits: MotionLimits) -> FloatArray:

@@ -86,7 +86,6 @@ class Explorer:
         self._surface_limits = surface_limits(limits)
         self._t_begin = math.nan
         self._object_count = 0
-        self._kept: Moves | None = None
         self._forget()
 
     def decide(self, outlook: Outlook, under_way: UnderWay, *, choose: bool = True) -> Decision:
@@ -125,7 +124,7 @@ class Explorer:
         self._reach: Bools = np.ones(BINS, dtype=np.bool_)
         self._t_seen = self._t_new = -math.inf
         self._most = 0
-        self._kept = None
+        self._kept: Moves | None = None
         self._roadmap: Roadmap | None = None
 
     def _see(self, outlook: Outlook) -> None:

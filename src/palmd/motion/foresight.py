@@ -42,7 +42,7 @@ class Foreseen:
     """What comes of each sequence, up to the end of each of its moves.
 
     touched: (N, k, BINS), where palms have been since the beginning. least_force: (N, k), m/s². nearest, farthest:
-    (N, k), of both contacts from the hinge, m. psi, omega0: (N, k) at the end of each move. normals: (N, k, 2) then.
+    (N, k), of both contacts from the hinge, m. psi, omega0: (N, k) at the end of each move.
     """
 
     touched: Bools
@@ -51,7 +51,6 @@ class Foreseen:
     farthest: FloatArray
     psi: FloatArray
     omega0: FloatArray
-    normals: FloatArray
 
 
 def goodness(foreseen: Foreseen, pad_length: float) -> FloatArray:
@@ -139,5 +138,4 @@ def _foreseen(told: FloatArray, leg: npt.NDArray[np.intp], finished: FloatArray,
         np.maximum.accumulate(farthest, axis=1),
         told[each, last, 0],
         told[each, last, 1],
-        theta[each, last],
     )

@@ -82,6 +82,8 @@ class Roadmap:
 
     def _renew(self, state: FloatArray, pose: int) -> None:
         moves = np.flatnonzero(self._from == pose)
+        if not len(moves):  # narrow limits may leave but one pose
+            return
         n = len(moves) * ORIENTATIONS
         states = np.tile(state, (n, 1))
         states[:, shape_map.Z.PSI] = np.tile(_ORIENTATION, len(moves))

@@ -34,11 +34,14 @@ import numpy as np
 import zmq
 
 from palmd.config import Config
+from palmd.devices.armlink import LineReader
+from palmd.devices.versapad import VersaPadDecoder
 from palmd.messages import stamp
 from palmd.rig.line import PtyLine
 from palmd.rig.mischief import PORTS, TRICKS, MischiefError, PortName, order, parse
 from palmd.rig.roller import KINDS as ROLLERS
-from palmd.rig.shapes import KINDS
+from palmd.rig.shapes import KINDS, Body, cylinder
+from palmd.rig.tally import Listener
 from palmd.rig.world import World, default_config
 from palmd.yamlfile import ConfigError, load_config
 
@@ -53,9 +56,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("config", nargs="?", type=Path, metavar="CONFIG", help="palmd.yaml; default: as shipped")
     parser.add_argument("--seed", type=int, help="which object, pads and noise; default: a random one, printed")
     parser.add_argument("--kind", choices=KINDS, default="rig", help="what sort of object (default: %(default)s)")
-    parser.add_argument("--marble", choices=MARBLES, help="a marble rolls over this pad; then there is no object")
-    parser.add_argument("--roller", choices=ROLLERS, help="it rolls down the gentler palm; then there is no object")
-    parser.add_argument("--by-hand", action="store_true", help="manual mode: a hand swings the empty palms")
+    gauge = parser.add_mutually_exclusive_group()
+    gauge.add_argument("--marble", choices=MARBLES, help="a marble rolls over this pad; then there is no object")
+    gauge.add_argument("--cylinder", type=_cylinder, metavar="RADIUS_MM,MASS_G", help="a turned cylinder is the object")
+    gauge.add_argument("--roller", choices=ROLLERS, help="it rolls down the gentler palm; then there is no object")
+    gauge.add_argument("--by-hand", action="store_true", help="manual mode: a hand swings the empty palms")
     parser.add_argument(
         "--mischief",
         action="append",
@@ -81,8 +86,9 @@ def run_rig(arguments: argparse.Namespace) -> int:
     try:
         config = load_config(arguments.config) if arguments.config else default_config()
         t = time.monotonic()
+        marbles, cylinder = MARBLES.get(arguments.marble, ()), arguments.cylinder
         empty = {"roller": arguments.roller, "by_hand": arguments.by_hand}
-        world = World(config, seed, kind=arguments.kind, marbles=MARBLES.get(arguments.marble, ()), t=t, **empty)
+        world = World(config, seed, kind=arguments.kind, marbles=marbles, body=cylinder, t=t, **empty)
         for text in arguments.mischief:
             world.mischief.add(parse(text, t))
     except (ConfigError, ValueError) as error:
@@ -97,6 +103,16 @@ def run_rig(arguments: argparse.Namespace) -> int:
         if arguments.ports is None:
             shutil.rmtree(folder, ignore_errors=True)
     return 0
+
+
+def _cylinder(text: str) -> Body:
+    try:
+        radius_mm, mass_g = map(float, text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"must be RADIUS_MM,MASS_G, such as 20,100; got {text}") from None
+    if not (0.0 < radius_mm <= 200.0 and 0.0 < mass_g <= 5000.0):
+        raise argparse.ArgumentTypeError(f"must be at most 200 mm and 5000 g, and more than 0; got {text}")
+    return cylinder(radius_mm * 1e-3, mass_g * 1e-3)
 
 
 def _refuse(text: str) -> int:
@@ -125,9 +141,14 @@ class RigProcess:
         self._parent = os.getppid()
         self._seq = {"rig/truth": 0, "rig/object": 0}
         noise = np.random.default_rng(world.seed)
-        bauds = (config.pads.palm1.baud, config.pads.palm2.baud, config.arm.baud)
+        pad1, pad2, arm = bauds = (config.pads.palm1.baud, config.pads.palm2.baud, config.arm.baud)
         self._lines: dict[PortName, PtyLine] = {
             port: PtyLine(folder / port, baud, noise) for port, baud in zip(PORTS, bauds, strict=True)
+        }
+        self._listeners: dict[PortName, Listener] = {
+            "pad1": Listener(VersaPadDecoder(pad1)),
+            "pad2": Listener(VersaPadDecoder(pad2)),
+            "arm": Listener(LineReader(arm)),
         }
         self._poll = select.poll()
         for line in self._lines.values():
@@ -180,6 +201,7 @@ class RigProcess:
         events = self._ready()
         for port, line in self._lines.items():
             if world.unplugged(port) == line.plugged:
+                self._listeners[port].interrupted()
                 self._move_plug(line)
                 continue
             heard, flushed = line.read(events.get(line.fileno, 0))
@@ -188,7 +210,7 @@ class RigProcess:
             if heard:
                 world.receive(port, heard)
         for port, said in world.advance(t).items():
-            self._lines[port].write(said)
+            self._listeners[port].take(self._lines[port].write(said), t)
 
     def _ready(self) -> dict[int, int]:
         """What poll() says of each port that has something to say: one system call for all."""
@@ -262,7 +284,16 @@ class RigProcess:
         lines = {
             f"{port}_{what}": value
             for port, line in self._lines.items()
-            for what, value in (("bytes_sent", line.bytes_sent), ("bytes_lost", line.bytes_lost))
+            for what, value in (
+                ("bytes_sent", line.bytes_sent),
+                ("bytes_lost", line.bytes_lost),
+                ("bytes_heard", line.bytes_heard),
+            )
+        }
+        sent = {
+            f"{port}_sent_{what}": n
+            for port, listener in self._listeners.items()
+            for what, n in listener.as_dict().items()
         }
         pace = {
             "ticks": self.ticks,
@@ -270,7 +301,7 @@ class RigProcess:
             "stalls": self.stalls,
             "latest_ms": self.latest_s * 1e3,
         }
-        return self.world.status() | lines | pace
+        return self.world.status() | lines | sent | pace
 
 
 def _bind(socket: zmq.Socket[bytes]) -> str:

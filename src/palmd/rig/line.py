@@ -35,6 +35,11 @@ class Wire:
             self._bytes.append((t_done, byte))
         self._t_free = t_done
 
+    @property
+    def waiting(self) -> int:
+        """How many bytes have not arrived yet."""
+        return len(self._bytes)
+
     def take(self, t: float) -> bytes:
         """The bytes that have arrived by t (s)."""
         waiting = self._bytes
@@ -57,6 +62,7 @@ class PtyLine:
         self.path = link
         self.bytes_sent = 0
         self.bytes_lost = 0
+        self.bytes_heard = 0
         self._baud, self._rng = baud, rng
         self._master: int | None = None
         self._attached = False
@@ -105,20 +111,22 @@ class PtyLine:
                 break
             if packet[0] == 0:
                 out += packet[1:]
+                self.bytes_heard += len(packet) - 1
             else:
                 flushed = flushed or bool(packet[0] & _FLUSHED)
         return self._as_heard(out), flushed
 
-    def write(self, data: bytes) -> None:
-        """Offers bytes to the host."""
+    def write(self, data: bytes) -> bytes:
+        """Offers bytes to the host; returns those that the pseudo-terminal took, as the host will read them."""
         if not data:
-            return
-        written = 0
+            return b""
+        said, written = self._as_heard(data), 0
         if self._master is not None and self._attached:
             with contextlib.suppress(OSError):
-                written = os.write(self._master, self._as_heard(data))
+                written = os.write(self._master, said)
         self.bytes_sent += written
         self.bytes_lost += len(data) - written
+        return said[:written]
 
     def _as_heard(self, data: bytes) -> bytes:
         if not data or self._master is None or self._host_baud() == self._baud:

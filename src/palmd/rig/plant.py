@@ -29,6 +29,7 @@ PAD_LENGTH = 0.0555  # m, from the hinge outwards
 _COULOMB_SLIP = 1e-3  # m/s: the hard law's linear part, as steep as a 0.5 ms step allows
 _DRIFT_RATE = 80.0  # 1/s: numerical drift of a closed gap is pulled back at this rate, critically damped
 _SOFT_BLOW = 0.02  # m/s: below it a blow closes both contacts, or they would chatter for ever
+_LEVEL = 1e-9  # m: a COM that turning lifts by no more rests at any angle
 _LOST_DISTANCE = 0.25  # m from the hinge: an object this far is on the floor
 
 
@@ -439,10 +440,15 @@ def _contact_distances(body: Body, frame: PalmFrame, q: BodyState) -> tuple[floa
 
 
 def stable_poses(body: Body, palms: PalmMotion) -> list[float]:
-    """The angles ψ in [0, 2π) at which the COM is lowest among its neighbours (rad), lowest of all first."""
+    """The angles ψ in [0, 2π) at which the COM is lowest among its neighbours (rad), lowest of all first.
+
+    A disc rests at any angle; 0 stands for all of them.
+    """
     frame = palm_frame(Hinge("fixed"), palms)
     count = 360
     heights = [_seat(body, frame, math.tau * i / count)[1] for i in range(count)]
+    if max(heights) - min(heights) < _LEVEL:
+        return [0.0]
     minima = [i for i in range(count) if heights[i - 1] > heights[i] <= heights[(i + 1) % count]]
     minima.sort(key=heights.__getitem__)
     return [_lowest(body, frame, math.tau * i / count, math.tau / count) for i in minima]

@@ -90,6 +90,11 @@ class Body:
         return Body(self.shape, self.support.turned(angle), self.rho, self.mass)
 
 
+def cylinder(radius: float, mass: float) -> Body:
+    """A turned solid cylinder on its side: radius in m, mass in kg."""
+    return Body("cylinder", Support.from_coefficients((complex(radius),)), radius / math.sqrt(2.0), mass)
+
+
 def random_body(kind: Kind, rng: np.random.Generator) -> Body:
     """A random body: gentle and uniform, or for `odd` an ellipse, a strongly curved or an off-centre one."""
     mass = float(rng.uniform(0.06, 0.25))

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from palmd.config import ArmConfig, Config, PadConfig, PadsConfig
-from palmd.devices.armlink import ArmState, Pose
+from palmd.devices.armlink import CONTROLLER_NEWLINE, ArmState, Pose
 from palmd.events import PalmMotion
 from palmd.rig.arm import Linkage, Servo, turn
 from palmd.rig.controller import BREAK_RECEIVED, CYCLE_S, ArmLimits, Controller
@@ -26,7 +26,8 @@ from palmd.rig.mischief import PADS, PORTS, Order, PortName, Switchboard
 from palmd.rig.pads import GOOD_PADS, PadEmulator, PadOptions, Press
 from palmd.rig.plant import AS_ASSUMED, Hinge, Plant, PlantOptions, random_surface, stable_poses
 from palmd.rig.roller import Roller, RollerKind
-from palmd.rig.shapes import Kind, random_body
+from palmd.rig.shapes import Body, Kind, random_body
+from palmd.rig.tally import HostLines, Said
 
 STEP_S = 5e-4
 _STEPS_PER_CYCLE = round(CYCLE_S / STEP_S)
@@ -61,11 +62,12 @@ class World:
         options: PlantOptions = AS_ASSUMED,
         pad_options: PadOptions = GOOD_PADS,
         marbles: Collection[PortName] = (),
+        body: Body | None = None,
         roller: RollerKind | None = None,
         by_hand: bool = False,
         t: float = 0.0,
     ) -> None:
-        """At rest at t (s), a random body of the kind in a stable pose; ValueError for a fixed hinge.
+        """At rest at t (s), a random body of the kind, or `body`, in a stable pose; ValueError for a fixed hinge.
 
         With `marbles` there is no body on the palms: a marble rolls over each of these pads instead. With `roller` it
         is one that rolls down a gently sloping palm; with `by_hand` the arm is in manual mode and a hand swings the
@@ -74,7 +76,7 @@ class World:
         self.config, self.seed, self.kind = config, seed, kind
         self.mischief = Switchboard()
         self.contact_losses = self.falls = self.objects = self.jams = 0
-        self._options = options
+        self._options, self._body = options, body
         self._rng = np.random.default_rng(seed)
         self._t_start, self._steps = t, 0
         self._linkage = Linkage.from_config(config)
@@ -101,6 +103,8 @@ class World:
         bauds["arm"] = config.arm.baud
         self._out: dict[PortName, Wire] = {port: Wire(bauds[port]) for port in PORTS}
         self._in = Wire(config.arm.baud)
+        self._said: dict[PortName, Said] = {port: Said() for port in PORTS}
+        self._host_lines = HostLines(config.arm.baud)
         self._next_delivery: dict[PortName, float] = dict.fromkeys(PORTS, -math.inf)
         self._t_place: float | None = None
         self._touching = (False, False)
@@ -123,7 +127,9 @@ class World:
     def receive(self, port: PortName, data: bytes) -> None:
         """Takes what the host has just written to a port; a pad listens to nothing."""
         if port == "arm":
-            self._in.send(self.mischief.spoil("arm", data, self._rng), self.t)
+            spoilt = self.mischief.spoil("arm", data, self._rng)
+            self._host_lines.take(data, spoilt, self.t)
+            self._in.send(spoilt, self.t)
 
     def opened(self, port: PortName) -> None:
         """The host has opened a port. For a pad that starts with a handshake this stands for its breaks.
@@ -134,6 +140,7 @@ class World:
         if port in self._pad_configs:
             breaks = {"none": 0, "break": 1, "break_twice": 2}[self._pad_configs[port].handshake]
             for number in range(breaks):
+                self._said[port].take(_IDENTITY, _IDENTITY, messages=0)
                 self._out[port].send(_IDENTITY, self.t + (number + 1) * _IDENTITY_S)
 
     def unplugged(self, port: PortName) -> bool:
@@ -193,6 +200,7 @@ class World:
         """Counts for end-to-end checks."""
         return {
             "t_s": self.t - self._t_start,
+            "clock_s": self.t,
             "seed": self.seed,
             "kind": self.kind,
             "arm_state": str(self._controller.state),
@@ -205,6 +213,9 @@ class World:
             "pad1_packets": self._pads["pad1"].packets,
             "pad2_packets": self._pads["pad2"].packets,
             "crc_errors": self._controller.reader.counters.crc_errors,
+            **{f"{port}_{what}": n for port, said in self._said.items() for what, n in said.as_dict().items()},
+            **{f"{port}_bytes_waiting": wire.waiting for port, wire in self._out.items()},
+            **{f"host_{what}": n for what, n in self._host_lines.as_dict().items()},
             **self._controller.counters.as_dict(),
             **self._judge.as_dict(),
         }
@@ -253,7 +264,9 @@ class World:
         if data:
             wire = self._out[port]
             late = self.mischief.strength("late", port) - wire.byte_s
-            wire.send(self.mischief.spoil(port, data, self._rng), t + late)
+            spoilt = self.mischief.spoil(port, data, self._rng)
+            self._said[port].take(data, spoilt, data.count(CONTROLLER_NEWLINE) if port == "arm" else 1)
+            wire.send(spoilt, t + late)
 
     def _delivered(self, port: PortName, t: float) -> bytes:
         burst = self.mischief.strength("burst", port)
@@ -288,7 +301,7 @@ class World:
         rig = self.config.rig
         base = (rig.base_mm[0] * 1e-3, rig.base_mm[1] * 1e-3)
         self.plant = Plant(
-            random_body(self.kind, self._rng),
+            self._body or random_body(self.kind, self._rng),
             Hinge("arc", rig.palm1_length_mm * 1e-3, base),
             random_surface(self.kind, self._rng),
             options=self._options,

@@ -1,0 +1,81 @@
+"""A cylinder that the emulated palms turn by a plan, without wires, without a daemon and without waiting."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from palmd.config import PadConfig, PlanSpec
+from palmd.devices.versapad import PadCalibration, PadReceiver
+from palmd.events import Event, Pad, PalmSample
+from palmd.motion.limits import MotionLimits
+from palmd.motion.plan import compile_plan
+from palmd.rig.pads import GOOD_PADS, PadEmulator, PadOptions, Press
+from palmd.rig.plant import AS_ASSUMED, Hinge, Plant, PlantOptions, random_surface
+from palmd.rig.shapes import cylinder
+
+STEP_S = 2e-3  # the cylinder goes slowly
+ARM_S = 0.016
+ANGLE_NOISE_RAD = 1.5e-4
+PADS: tuple[Pad, Pad] = (1, 2)
+
+
+def turned(
+    plan: Mapping[str, Any],
+    limits: MotionLimits,
+    real: tuple[PadConfig, PadConfig],
+    configured: tuple[PadConfig, PadConfig],
+    radius_m: float,
+    mass_kg: float,
+    seed: int,
+    *,
+    options: PlantOptions = AS_ASSUMED,
+    pad_options: PadOptions = GOOD_PADS,
+    late_s: float = 0.0,
+    phi2_error_rad: float = 0.0,
+) -> list[Event]:
+    """What a daemon that believes the pads are as `configured` gives its observer; the same arguments, the same events.
+
+    The pads' times are `late_s` too late, and the arm tells a phi2 that is too large by `phi2_error_rad`. Raises
+    PlanError for a plan that the limits do not allow.
+    """
+    rng = np.random.default_rng(seed)
+    trajectory = compile_plan(PlanSpec.model_validate(plan), limits)
+    plant = Plant(cylinder(radius_m, mass_kg), Hinge(), random_surface("rig", rng), options=options)
+    plant.place(trajectory.at(0.0), 0.0)
+    pads = [
+        PadEmulator(config, pad_options, partial(options.pad_error_m, number), rng, 0.0)
+        for number, config in zip(PADS, real, strict=True)
+    ]
+    hosts = [_receiver(number, config) for number, config in zip(PADS, configured, strict=True)]
+    events: list[Event] = []
+    t_arm = 0.0
+    for k in range(1, int(trajectory.duration / STEP_S)):
+        t = k * STEP_S
+        palms = trajectory.at(t)
+        plant.advance(trajectory.at(t - 0.5 * STEP_S), palms, STEP_S)
+        if t >= t_arm:
+            t_arm += ARM_S
+            noise1, noise2 = rng.normal(0.0, ANGLE_NOISE_RAD, 2).tolist()
+            rates = (palms.omega1, palms.omega2, palms.alpha1, palms.alpha2)
+            events.append(PalmSample(t, palms.phi1 + noise1, palms.phi2 + phi2_error_rad + noise2, *rates))
+        for pad, host, contact in zip(pads, hosts, plant.contacts(), strict=True):
+            if t >= pad.due:
+                presses = [Press(contact.s, contact.force)] if contact.touching else []
+                events += host.feed(pad.report(t, presses), t + late_s)
+    return events
+
+
+def _receiver(number: Pad, config: PadConfig) -> PadReceiver:
+    calibration = PadCalibration(
+        number,
+        config.zero_mm,
+        config.counts_per_mm,
+        config.newtons_per_count,
+        sign=1 if config.sign > 0 else -1,
+        length_mm=config.length_mm,
+    )
+    return PadReceiver(calibration, config.baud)

@@ -1,0 +1,28 @@
+"""`palmd bench soak`, its short form: half a minute with real processes, everything judged but slopes and lateness."""
+
+import json
+
+import pytest
+from harness import Process
+
+pytestmark = pytest.mark.rig
+
+SEED = 170  # a lost port, damaged bytes on two lines, another object, a page
+
+
+def test_half_a_minute(tmp_path):
+    process = Process(tmp_path, "bench", "soak", "--seconds", "25", "--seed", SEED, "-o", tmp_path)
+    try:
+        status = process._popen.wait(150)
+    finally:
+        process.kill()
+    rows = [json.loads(line) for line in (tmp_path / "soak.jsonl").read_text().splitlines()]
+    findings = {row["name"]: row for row in rows if row["row"] == "finding"}
+    assert [name for name, row in findings.items() if row["met"] is False] == [], process.said
+    assert status == 0
+    done = [row for row in rows if row["row"] == "doing"]
+    assert findings["mischiefs"]["value"] >= sum(row["what"] == "trick" for row in done) > 3
+    assert findings["pad1 packets decoded"]["value"] > 1000
+    assert findings["set-points sent"]["value"] > 500
+    assert findings["ticks replayed"]["value"] > 1000
+    assert {row["group"] for row in findings.values()} == {"leak", "lateness", "counters", "recording", "behaviour"}
