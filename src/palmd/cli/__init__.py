@@ -31,7 +31,7 @@ COMMANDS = {
     "estimate": "an event log or a recorded run through the daemon's observer",
     "reconstruct": "outline and motion from a whole event log or recorded run at once, offline",
     "recognise": "which of the stored outlines lies on the palms, from an event log or recorded run",
-    "calibrate": "measure what the configuration must know: pad, pads, force",
+    "calibrate": "measure what the configuration must know: pad, arm, gravity, pads, force",
     "observability": "what the paper's systems can observe: rank and conditioning, maps over the rates",
     "compare": "a reconstruction with a camera's track of the same run",
     "report": "a recorded run as a page or PDF to print; paper: the runs of CMU-CS-01-107 again",

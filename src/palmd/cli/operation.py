@@ -38,12 +38,7 @@ class Operation:
     def begin(self, plan: Mapping[str, Any]) -> None:
         """Hand the plan over, arm and start; CliError with the daemon's own words when it refuses."""
         can_move(self._client)
-        with tempfile.TemporaryDirectory(prefix="palmd-plan-") as name:
-            folder = Path(name)
-            folder.chmod(0o755)  # the daemon may be another user's
-            path = folder / "plan.yaml"
-            path.write_text(yaml.safe_dump(dict(plan)), encoding="utf-8")
-            self._do("plan", path=str(path))
+        load(self._client, plan)
         if self._do("status")["state"] == "ready":
             self._do("arm")
             self._armed = True
@@ -81,12 +76,7 @@ class Operation:
 
     def end(self) -> None:
         """Leave the palms standing, and the arm as it was found; after Ctrl-C or a failure it is stopped."""
-        if not self._over and self._client.ask("hold")["ok"]:
-            t_end = time.monotonic() + STANDING_S
-            while time.monotonic() < t_end and self._do("status")["moving"]:
-                time.sleep(LOOK_S)
-        if self._armed or not self._over:
-            self._client.ask("stop")
+        leave(self._client, armed=self._armed, over=self._over)
 
     def _do(self, command: str, **args: Any) -> dict[str, Any]:
         return do(self._client, command, **args)
@@ -99,6 +89,26 @@ def do(client: Client, command: str, **args: Any) -> dict[str, Any]:
         raise CliError(BAD_INPUT, " ".join(str(reply.get("error")).split()))
     result: dict[str, Any] = reply.get("result") or {}
     return result
+
+
+def load(client: Client, plan: Mapping[str, Any]) -> None:
+    """Hand a plan over; CliError when the daemon finds fault with it."""
+    with tempfile.TemporaryDirectory(prefix="palmd-plan-") as name:
+        folder = Path(name)
+        folder.chmod(0o755)  # the daemon may be another user's
+        path = folder / "plan.yaml"
+        path.write_text(yaml.safe_dump(dict(plan)), encoding="utf-8")
+        do(client, "plan", path=str(path))
+
+
+def leave(client: Client, *, armed: bool, over: bool) -> None:
+    """Leave the palms standing, and stop the arm if it was `armed` here or all is not `over`."""
+    if not over and client.ask("hold")["ok"]:
+        t_end = time.monotonic() + STANDING_S
+        while time.monotonic() < t_end and do(client, "status")["moving"]:
+            time.sleep(LOOK_S)
+    if armed or not over:
+        client.ask("stop")
 
 
 def can_move(client: Client) -> None:

@@ -39,6 +39,7 @@ from palmd.devices.versapad import VersaPadDecoder
 from palmd.messages import stamp
 from palmd.rig.line import PtyLine
 from palmd.rig.mischief import PORTS, TRICKS, MischiefError, PortName, order, parse
+from palmd.rig.roller import KINDS as ROLLERS
 from palmd.rig.shapes import KINDS, Body, cylinder
 from palmd.rig.tally import Listener
 from palmd.rig.world import World, default_config
@@ -58,6 +59,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     gauge = parser.add_mutually_exclusive_group()
     gauge.add_argument("--marble", choices=MARBLES, help="a marble rolls over this pad; then there is no object")
     gauge.add_argument("--cylinder", type=_cylinder, metavar="RADIUS_MM,MASS_G", help="a turned cylinder is the object")
+    gauge.add_argument("--roller", choices=ROLLERS, help="it rolls down the gentler palm; then there is no object")
+    gauge.add_argument("--by-hand", action="store_true", help="manual mode: a hand swings the empty palms")
     parser.add_argument(
         "--mischief",
         action="append",
@@ -83,8 +86,9 @@ def run_rig(arguments: argparse.Namespace) -> int:
     try:
         config = load_config(arguments.config) if arguments.config else default_config()
         t = time.monotonic()
-        marbles = MARBLES.get(arguments.marble, ())
-        world = World(config, seed, kind=arguments.kind, marbles=marbles, body=arguments.cylinder, t=t)
+        marbles, cylinder = MARBLES.get(arguments.marble, ()), arguments.cylinder
+        empty = {"roller": arguments.roller, "by_hand": arguments.by_hand}
+        world = World(config, seed, kind=arguments.kind, marbles=marbles, body=cylinder, t=t, **empty)
         for text in arguments.mischief:
             world.mischief.add(parse(text, t))
     except (ConfigError, ValueError) as error:

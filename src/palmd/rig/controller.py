@@ -274,6 +274,11 @@ class Controller:
         """Manual mode; the operator jogs the arm slowly to `jog_to`."""
         self.state, self._pending, self._target = ArmState.MANUAL, None, jog_to
 
+    def lead(self, pose: Pose) -> None:
+        """A hand carries the arm in manual mode: where it is led, the path is."""
+        self.state = ArmState.MANUAL
+        self.path = self._target = pose
+
     def make_ready(self) -> None:
         """The operator clears everything: plungers released, power on, automatic mode."""
         self.state, self._pending, self._stop_code = ArmState.READY, None, None

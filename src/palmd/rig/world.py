@@ -18,12 +18,14 @@ from palmd.devices.armlink import CONTROLLER_NEWLINE, ArmState, Pose
 from palmd.events import PalmMotion
 from palmd.rig.arm import Linkage, Servo, turn
 from palmd.rig.controller import BREAK_RECEIVED, CYCLE_S, ArmLimits, Controller
+from palmd.rig.hand import Hand
 from palmd.rig.judge import SetpointJudge
 from palmd.rig.line import Wire
 from palmd.rig.marble import Marble
 from palmd.rig.mischief import PADS, PORTS, Order, PortName, Switchboard
 from palmd.rig.pads import GOOD_PADS, PadEmulator, PadOptions, Press
 from palmd.rig.plant import AS_ASSUMED, Hinge, Plant, PlantOptions, random_surface, stable_poses
+from palmd.rig.roller import Roller, RollerKind
 from palmd.rig.shapes import Body, Kind, random_body
 from palmd.rig.tally import HostLines, Said
 
@@ -61,11 +63,15 @@ class World:
         pad_options: PadOptions = GOOD_PADS,
         marbles: Collection[PortName] = (),
         body: Body | None = None,
+        roller: RollerKind | None = None,
+        by_hand: bool = False,
         t: float = 0.0,
     ) -> None:
         """At rest at t (s), a random body of the kind, or `body`, in a stable pose; ValueError for a fixed hinge.
 
-        With `marbles` there is no body on the palms: a marble rolls over each of these pads instead.
+        With `marbles` there is no body on the palms: a marble rolls over each of these pads instead. With `roller` it
+        is one that rolls down a gently sloping palm; with `by_hand` the arm is in manual mode and a hand swings the
+        empty palms.
         """
         self.config, self.seed, self.kind = config, seed, kind
         self.mischief = Switchboard()
@@ -91,6 +97,8 @@ class World:
             for number, (name, pad) in enumerate(self._pad_configs.items(), 1)
             if name in marbles
         }
+        self._roller = roller and Roller(roller, config.rig.gravity_m_s2, self._reach(), np.random.default_rng(seed))
+        self._hand = Hand(config.limits, _home(config)) if by_hand else None
         bauds: dict[PortName, int] = {name: pad.baud for name, pad in self._pad_configs.items()}
         bauds["arm"] = config.arm.baud
         self._out: dict[PortName, Wire] = {port: Wire(bauds[port]) for port in PORTS}
@@ -228,6 +236,8 @@ class World:
             self._play(*begun)
         if self._t_place is not None and t >= self._t_place:
             self._put_on_palms()
+        if self._roller:
+            self._roller.advance(t, self._palms)
         arrived = self._in.take(t)
         if arrived:
             self._say("arm", self._controller.feed(arrived, t, self._actual_pose(t)), t)
@@ -240,6 +250,8 @@ class World:
     def _arm_cycle(self, t: float) -> None:
         """The controller's cycle; the servos then follow the path it lays for the next 16 ms."""
         self._next_cycle += _STEPS_PER_CYCLE
+        if self._hand:
+            self._controller.lead(self._linkage.pose(*self._hand.at(t - self._t_start)))
         self._say("arm", self._controller.cycle(t, self._actual_pose(t)), t)
         path = self._controller.path
         along_x, along_y, tool = self._servos
@@ -304,7 +316,7 @@ class World:
 
     def _put_on_palms(self) -> None:
         """Puts the body in one of its stable poses on the pads; where there is none, tries again later."""
-        if self._marbles:
+        if self._marbles or self._roller or self._hand:
             self._t_place = None
             return
         poses = stable_poses(self.plant.body, self._palms)
@@ -330,6 +342,8 @@ class World:
     def _presses(self, name: PortName) -> list[Press]:
         if name in self._marbles:
             presses = self._marbles[name].presses(self.t - self._t_start)
+        elif self._roller:
+            presses = self._roller.presses(PADS.index(name))
         else:
             contact = self.plant.contacts()[PADS.index(name)]
             presses = [Press(contact.s, contact.force)] if contact.touching else []

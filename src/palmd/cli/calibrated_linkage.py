@@ -1,0 +1,49 @@
+"""What the calibrations of arm and gravity share: the sections they change, and where the arm's base comes to stand."""
+
+from __future__ import annotations
+
+import math
+
+from palmd.config import ArmConfig, Config, RigConfig, Strict
+
+
+class Sections(Strict):
+    """The sections that tell where the palms are, and what pulls at what lies on them."""
+
+    rig: RigConfig
+    arm: ArmConfig
+
+
+def changed(config: Config, rig: dict[str, float], arm: dict[str, float]) -> Sections:
+    """The configuration's sections with these values."""
+    return Sections(rig=config.rig.model_copy(update=rig), arm=config.arm.model_copy(update=arm))
+
+
+def lines(called_for: dict[str, dict[str, float]]) -> str:
+    """What to write into the configuration, as it is written there."""
+    return "\n".join(
+        f"  {section}: {{{', '.join(f'{key}: {value}' for key, value in values.items())}}}"
+        for section, values in called_for.items()
+    )
+
+
+def palm_base_in_arm(config: Config) -> tuple[float, float]:
+    """B in arm coordinates (mm) as configured: R(−yaw)·(B − base)."""
+    yaw = math.radians(config.arm.base_yaw_deg)
+    dx, dy = config.rig.base_mm[0] - config.arm.base_x_mm, config.rig.base_mm[1] - config.arm.base_y_mm
+    return math.cos(yaw) * dx + math.sin(yaw) * dy, math.cos(yaw) * dy - math.sin(yaw) * dx
+
+
+def arm_base(config: Config, palm_base: tuple[float, float], yaw_deg: float) -> dict[str, float]:
+    """Where the arm's base is in the world for B at `palm_base` in arm coordinates (mm): B − R(yaw)·palm_base."""
+    yaw = math.radians(yaw_deg)
+    (bx, by), (x, y) = config.rig.base_mm, palm_base
+    return {
+        "base_x_mm": round(bx - math.cos(yaw) * x + math.sin(yaw) * y, 3),
+        "base_y_mm": round(by - math.sin(yaw) * x - math.cos(yaw) * y, 3),
+    }
+
+
+def found(value: float, sd: float, unit: str, digits: int) -> str:
+    """A result with its one sigma, for a table."""
+    return f"{value:.{digits}f} ± {sd:.{digits}f} {unit}".rstrip()

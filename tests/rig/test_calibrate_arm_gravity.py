@@ -1,0 +1,130 @@
+"""`palmd calibrate arm`, then `palmd calibrate gravity`, on a rig that is not what the configuration says."""
+
+import cmath
+import json
+import math
+import subprocess
+import sys
+
+import pytest
+import yaml
+from harness import Client, Process, free_ports, wait
+
+pytestmark = pytest.mark.rig
+
+BASE_MM = (120.0, 0.0)
+TRUE_RIG = {"palm1_length_mm": 120.0, "palm2_length_mm": 120.0, "gravity_m_s2": 9.6}
+TRUE_ARM = {"base_x_mm": -300.0, "base_y_mm": 20.0, "base_yaw_deg": 2.0}
+ATTEMPTS = 5  # where a busy machine has kept the rig from its work
+
+
+@pytest.fixture
+def rig(tmp_path):
+    """Starts the true rig with more arguments on steady ports; what it says of itself, and what talks to it."""
+    ports = tmp_path / "ports"
+    ports.mkdir()
+    started = []
+
+    def start(*arguments):
+        config = written(tmp_path / "real.yaml", TRUE_RIG, TRUE_ARM)
+        process = Process(tmp_path, "rig", config, "--ports", ports, "--seed", 4, *arguments)
+        hand = Client(json.loads(process.first_line())["control"])
+        started.append((process, hand))
+        return hand
+
+    yield start
+    for process, hand in started:
+        hand.close()
+        process.kill()
+
+
+def written(path, rig, arm, **more):
+    """A configuration with the rig's ports."""
+    ports = path.parent / "ports"
+    pads = {f"palm{i}": {"port": str(ports / f"pad{i}")} for i in (1, 2)}
+    settings = {"rig": {"base_mm": list(BASE_MM), **rig}, "pads": pads, "arm": {"port": str(ports / "arm"), **arm}}
+    path.write_text(yaml.safe_dump(settings | more))
+    return path
+
+
+def calibrate(hand, *arguments, mend=lambda: None):
+    """Until the rig was not kept from its work, or it has succeeded; `mend` makes up for what that has done."""
+    for attempt in range(ATTEMPTS):
+        stalls = hand.do("status")["stalls"]
+        done = subprocess.run(
+            [sys.executable, "-P", "-m", "palmd", "calibrate", *map(str, arguments)],
+            capture_output=True, text=True, timeout=240, check=False,
+        )  # fmt: skip
+        if done.returncode == 0 or hand.do("status")["stalls"] == stalls:
+            break
+        print(f"attempt {attempt}: {done.stderr}")
+        mend()
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+def base_for(yaw_deg, palm_base):
+    """Where an arm of this yaw must stand (mm) for the palms' base to be at palm_base for it (complex)."""
+    base = complex(*BASE_MM) - palm_base * cmath.exp(1j * math.radians(yaw_deg))
+    return {"base_x_mm": base.real, "base_y_mm": base.imag, "base_yaw_deg": yaw_deg}
+
+
+def ready(client):
+    """Wait until the daemon is, without what an earlier attempt has left."""
+
+    def look():
+        state = client.do("status")["state"]
+        if state == "fault":
+            client.ask("reset")
+        return state == "ready"
+
+    wait(look, "the daemon being ready")
+
+
+@pytest.fixture
+def palm_base():
+    """The palms' base in the true arm's coordinates (mm, complex)."""
+    offset = complex(*BASE_MM) - complex(TRUE_ARM["base_x_mm"], TRUE_ARM["base_y_mm"])
+    return offset * cmath.exp(-1j * math.radians(TRUE_ARM["base_yaw_deg"]))
+
+
+def test_the_arm_is_found_while_a_hand_swings_it(rig, tmp_path, palm_base):
+    hand = rig("--by-hand")
+    wrong = {"palm1_length_mm": 123.0, "palm2_length_mm": 117.0}
+    config = written(tmp_path / "my.yaml", wrong, {"base_x_mm": -308.0, "base_y_mm": 14.0, "base_yaw_deg": 0.0})
+    calibrate(hand, "arm", config, "--seconds", 16)
+    result = yaml.safe_load((tmp_path / "calibration/arm.yaml").read_text())
+    found, called_for = result["found"], result["configuration"]
+    assert called_for["rig"]["palm1_length_mm"] == pytest.approx(120.0, abs=0.2)
+    assert called_for["rig"]["palm2_length_mm"] == pytest.approx(120.0, abs=0.2)
+    assert complex(found["base_x_mm"], found["base_y_mm"]) == pytest.approx(palm_base, abs=0.2)
+    expected = base_for(0.0, palm_base)  # the yaw is not its business
+    assert [called_for["arm"][f"base_{axis}_mm"] for axis in "xy"] == pytest.approx(
+        [expected[f"base_{axis}_mm"] for axis in "xy"], abs=0.2
+    )
+    assert abs(found["tool_deg"]) < 0.1
+    assert found["rms_mm"] < 0.05
+
+
+def test_gravity_and_yaw_are_found_with_a_ball(rig, tmp_path, palm_base):
+    hand = rig("--roller", "ball")
+    publish, command = (f"tcp://127.0.0.1:{port}" for port in free_ports(2))
+    wrong = TRUE_RIG | {"gravity_m_s2": 9.9}
+    config = written(
+        tmp_path / "my.yaml", wrong, base_for(0.0, palm_base), bus={"publish": publish, "command": command}
+    )
+    daemon, client = Process(tmp_path, "run", config, "--no-record"), Client(command)
+    try:
+        ready(client)
+        calibrate(hand, "gravity", config, "--rolls", 8, "--clear", 0.4, mend=lambda: ready(client))
+        assert client.do("status")["state"] == "ready"
+    finally:
+        client.close()
+        daemon.kill()
+    assert "Traceback" not in daemon.said
+    result = yaml.safe_load((tmp_path / "calibration/gravity.yaml").read_text())
+    found, called_for = result["found"], result["configuration"]
+    assert found["yaw_error_deg"] == pytest.approx(2.0, abs=0.1)
+    assert abs(found["gravity_m_s2"] - 9.6) < 4.0 * found["gravity_sd_m_s2"] < 0.4  # few rolls, to be quick
+    assert called_for["arm"]["base_x_mm"] == pytest.approx(TRUE_ARM["base_x_mm"], abs=0.2)
+    assert called_for["arm"]["base_y_mm"] == pytest.approx(TRUE_ARM["base_y_mm"], abs=1.0)  # a tenth of a degree of yaw
