@@ -69,14 +69,17 @@ class Document:
         return ConfigError([self.line(place, text) for place, text in sorted(dict.fromkeys(problems))])
 
 
-def read_document(path: Path) -> Document:
+def read_document(path: Path, text: str | None = None) -> Document:
     """Read a YAML file as plain data; raises ConfigError when it is not readable as YAML at all.
+
+    With `text` that is what the file says, and `path` only its name.
 
     What can be read but is not allowed (a key twice, an alias) is kept in `problems`, so that it is reported
     together with what the models find.
     """
     document = Document(path)
-    text = _text(path)
+    if text is None:
+        text = _text(path)
     try:
         loader = _Loader(text)
         node = loader.get_single_node()

@@ -4,7 +4,6 @@ import math
 import threading
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,6 +29,7 @@ pads: {{palm1: {{port: /dev/none1}}, palm2: {{port: /dev/none2}}}}
 arm: {{port: /dev/none3, base_x_mm: -280.0, base_y_mm: 30.0, base_yaw_deg: 1.0}}
 bus: {{publish: "ipc://{folder}/publish", command: "ipc://{folder}/command"}}
 """
+FAULTY = 4  # the plan at whose pose the fault comes, if one does: the third slope
 G, YAW_ERROR = 9.2, math.radians(1.5)
 
 
@@ -56,6 +56,7 @@ class Daemon:
         self._refuses, self._lazy, self._touched, self._fault_after = refuses, lazy, touched, fault_after
         self._rng, self._t = np.random.default_rng(7), 0.0
         self._rolling = False
+        self.fault_told = threading.Event()
 
     def answer(self, request):
         name = request.name
@@ -66,7 +67,7 @@ class Daemon:
             return Reply(request, f"{name} refused: the state is\n{self.state}")
         match name:
             case "plan":
-                spec = PlanSpec.model_validate(yaml.safe_load(Path(request.args["path"]).read_text()))
+                spec = PlanSpec.model_validate(yaml.safe_load(request.args["text"]))
                 self.poses.append((spec.segments[0].move.phi1_deg, spec.segments[0].move.phi2_deg))
                 self._rolling = False
             case "arm":
@@ -78,6 +79,8 @@ class Daemon:
         return Reply(request, None, {"state": self.state})
 
     def _status(self):
+        if self.state == "fault":
+            self.fault_told.set()
         grave = ["arm-estop"] if self.state == "fault" else []
         return {"state": self.state, "over": self._rolling, "moving": False, "faults": grave,
                 "severities": ["stop"] * len(grave), "hints": ["release it"] * len(grave)}  # fmt: skip
@@ -88,7 +91,7 @@ class Daemon:
         touch = [PadSample(self._t, 1, 0.03, 0.2)] if self._touched else []
         if not (self._rolling and self.poses) or self._lazy:
             return touch
-        if self._fault_after is not None and self.state == "tracking":
+        if self._fault_after is not None and len(self.poses) == FAULTY and self.state == "tracking":
             self._fault_after -= 1
             self.state = "fault" if self._fault_after < 0 else self.state
         phi1, phi2 = self.poses[-1]
@@ -220,15 +223,14 @@ def test_a_fault_that_nobody_mends_ends_it(path, capsys):
 
 
 def test_after_a_fault_that_is_mended_it_goes_on_with_the_rolls_it_has(path, capsys):
-    daemon = Daemon(path, fault_after=10)
+    daemon = Daemon(path, fault_after=2)
 
     def mend():
-        while daemon.state != "fault":
-            over.wait(0.01)
-        over.wait(0.2)
+        daemon.fault_told.wait()
+        daemon.fault_told.clear()
+        daemon.fault_told.wait()  # it has been looked at since, and said
         daemon.state, daemon._rolling, daemon._fault_after = "tracking", False, None
 
-    over = threading.Event()
     person = threading.Thread(target=mend)
     with serving(path, daemon):
         person.start()

@@ -90,11 +90,23 @@ def test_status_of_a_rig_that_is_not_there():
     ]
 
 
-def test_a_plan_is_named_by_its_whole_path(tmp_path, monkeypatch):
+def test_a_plan_is_named_by_its_whole_path_and_goes_along_where_there_is_one(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with daemon(tmp_path, granted) as (address, requests):
         assert main(["ctl", "plan", "rock.yaml", "--address", address]) == 0
-    assert requests[0].args == {"path": str(tmp_path / "rock.yaml")}
+        (tmp_path / "rock.yaml").write_text("name: rock  # µ\n")
+        assert main(["ctl", "plan", "rock.yaml", "--address", address]) == 0
+    path = str(tmp_path / "rock.yaml")
+    assert [request.args for request in requests] == [{"path": path}, {"path": path, "text": "name: rock  # µ\n"}]
+
+
+@pytest.mark.parametrize("content", [b"name: \xff\n", b"", b"#" * 40_000])
+def test_what_is_no_plan_that_could_go_along_is_left_to_the_daemon(tmp_path, content):
+    path = tmp_path / "odd.yaml"
+    path.write_bytes(content)
+    with daemon(tmp_path, granted) as (address, requests):
+        assert main(["ctl", "plan", str(path), "--address", address]) == 0
+    assert requests[0].args == {"path": str(path)}
 
 
 def test_how_far_an_exploration_is_and_why_it_ended_is_told():

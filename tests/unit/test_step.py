@@ -403,6 +403,15 @@ def test_plan_replaces_the_plan_and_a_bad_one_changes_nothing(ready, tmp_path):
     assert ready.go(0.05).last("palm/motion")["plan"] == "other"
 
 
+def test_a_plan_may_come_along_where_the_daemon_cannot_read_its_file(ready):
+    text = "name: sent\nsegments:\n  - {hold_s: 1.0}\n"
+    assert ready.do("plan", path="/nobody/here.yaml", text=text)["plan"] == "sent"
+    far = text.replace("hold_s: 1.0", "move: {phi1_deg: 170}, duration_s: 2.0")
+    assert "/nobody/here.yaml:3:" in ready.ask("plan", path="/nobody/here.yaml", text=far).error
+    assert "/nobody/here.yaml:1:" in ready.ask("plan", path="/nobody/here.yaml", text="\x07").error
+    assert ready.go(0.05).last("palm/motion")["plan"] == "sent"
+
+
 def test_without_a_plan_start_says_so():
     bench = Bench(spec=None).go(0.5)
     bench.do("arm")

@@ -12,7 +12,9 @@ from typing import Any
 
 from palmd.cli.bus import COMMAND, Client, add_key, credentials
 from palmd.cli.errors import BAD_INPUT, CliError
-from palmd.daemon.commands import COMMANDS
+from palmd.daemon.commands import COMMANDS, REQUEST_BYTES_MAX
+
+PLAN_BYTES_MAX = REQUEST_BYTES_MAX // 2
 
 JOG_EVERY_S = 0.05  # well within the daemon's dead-man time
 JOG_STEP_DEG = 0.4  # 8°/s: the palms keep up
@@ -45,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.command == "jog":
             reply = _jog(client, arguments.phi1_deg, arguments.phi2_deg)
         elif arguments.command == "plan":
-            reply = client.ask("plan", {"path": str(arguments.path.absolute())})
+            reply = client.ask("plan", _plan(arguments.path.absolute()))
         else:
             reply = client.ask(arguments.command)
     if arguments.json:
@@ -57,6 +59,15 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         return BAD_INPUT
     raise CliError(BAD_INPUT, str(reply.get("error")))
+
+
+def _plan(path: Path) -> dict[str, str]:
+    """The plan goes along: the daemon may be another user's, or on another machine. A file of its own is left to it."""
+    try:
+        text = path.read_text(encoding="utf-8") if path.is_file() else ""
+    except (OSError, UnicodeDecodeError):
+        text = ""
+    return {"path": str(path)} | ({"text": text} if 0 < len(text.encode()) <= PLAN_BYTES_MAX else {})
 
 
 def told(command: str, result: dict[str, Any]) -> str:

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 import yaml
@@ -93,12 +91,7 @@ def do(client: Client, command: str, **args: Any) -> dict[str, Any]:
 
 def load(client: Client, plan: Mapping[str, Any]) -> None:
     """Hand a plan over; CliError when the daemon finds fault with it."""
-    with tempfile.TemporaryDirectory(prefix="palmd-plan-") as name:
-        folder = Path(name)
-        folder.chmod(0o755)  # the daemon may be another user's
-        path = folder / "plan.yaml"
-        path.write_text(yaml.safe_dump(dict(plan)), encoding="utf-8")
-        do(client, "plan", path=str(path))
+    do(client, "plan", path=f"{plan['name']}.yaml", text=yaml.safe_dump(dict(plan)))
 
 
 def leave(client: Client, *, armed: bool, over: bool) -> None:

@@ -49,7 +49,10 @@ COMMANDS: dict[str, CommandSpec] = {
     "reset": CommandSpec("clears latched faults that are gone, and a faulted controller; never an e-stop"),
     "plan": CommandSpec(
         "loads another plan, validated first; not while moving",
-        (Argument("path", "text", "the plan's file; relative to the configuration's folder", required=True),),
+        (
+            Argument("path", "text", "the plan's file; relative to the configuration's folder", required=True),
+            Argument("text", "text", "what the file says, where the daemon cannot read it itself"),
+        ),
     ),
     "jog": CommandSpec(
         "turns the palms by small steps, for as long as the next one comes within 200 ms",

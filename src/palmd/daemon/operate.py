@@ -255,7 +255,8 @@ class Operator:
         if actual is not None:
             inside = self._steering.nearest(actual)
             start = (inside.phi1, inside.phi2)
-        self._begin(request, lambda: read_plan(path, limits, start), self._adopt)
+        text = request.args.get("text")
+        self._begin(request, lambda: read_plan(path, limits, start, text), self._adopt)
 
     def _adopt(self, plan: Plan) -> None:
         self._refuse_while_moving()

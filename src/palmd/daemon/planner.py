@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from palmd.config import ExploreSpec, MoveSpec, PlanSpec
-from palmd.motion.check import load_trajectory
+from palmd.motion.check import compiled
 from palmd.motion.limits import MotionLimits
-from palmd.motion.plan import PlanError, Trajectory, compile_plan
+from palmd.motion.plan import Trajectory, compile_plan
 from palmd.motion.segments import Angles
-from palmd.yamlfile import ConfigError, load_plan
+from palmd.yamlfile import ConfigError, parse, read_document
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,16 +43,16 @@ class Plan:
         return Plan(self.spec, compile_plan(self.spec, limits, start), limits, start)
 
 
-def read_plan(path: Path, limits: MotionLimits, start: Angles | None) -> Plan:
-    """The plan in a file; raises ConfigError with file:line:col for all that is wrong. Not for the loop."""
-    if path.is_fifo() or path.is_char_device() or path.is_socket():
+def read_plan(path: Path, limits: MotionLimits, start: Angles | None, text: str | None = None) -> Plan:
+    """The plan in a file, or `text` that came from such a file; not for the loop.
+
+    Raises ConfigError with file:line:col for all that is wrong.
+    """
+    if text is None and (path.is_fifo() or path.is_char_device() or path.is_socket()):
         raise ConfigError([f"{path}: is no file but something that may never end"])
-    spec = load_plan(path)
-    try:
-        trajectory = compile_plan(spec, limits, start)
-    except PlanError:
-        trajectory = load_trajectory(path, limits, start)  # raises the same with the places in the file
-    return Plan(spec, trajectory, limits, start)
+    document = read_document(path, text)
+    spec = parse(document, PlanSpec)
+    return Plan(spec, compiled(document, spec, limits, start), limits, start)
 
 
 def _begins_anywhere(spec: PlanSpec) -> bool:

@@ -29,7 +29,17 @@ def load_trajectory(path: Path, limits: MotionLimits, start: Angles | None = Non
     start: where the palms stand (rad), as for `compile_plan`.
     """
     document = read_document(path)
-    return _located(document, parse(document, PlanSpec), limits, start)
+    return compiled(document, parse(document, PlanSpec), limits, start)
+
+
+def compiled(document: Document, spec: PlanSpec, limits: MotionLimits, start: Angles | None) -> Trajectory:
+    """The compiled plan; raises ConfigError with file:line:col for what is wrong with it."""
+    try:
+        return compile_plan(spec, limits, start)
+    except PlanError as error:
+        raise document.error(
+            [(document.place(loc), f"{'.'.join(map(str, loc))}: {text}") for loc, text in error.problems]
+        ) from None
 
 
 def check_files(paths: Sequence[Path]) -> list[str]:
@@ -124,17 +134,7 @@ def _plan_errors(document: Document, limits: Sequence[MotionLimits]) -> list[str
     errors: dict[str, None] = {}
     for each in limits:
         try:
-            _located(document, spec, each, None)
+            compiled(document, spec, each, None)
         except ConfigError as error:
             errors |= dict.fromkeys(error.errors)
     return list(errors)
-
-
-def _located(document: Document, spec: PlanSpec, limits: MotionLimits, start: Angles | None) -> Trajectory:
-    """The compiled plan; what is wrong with it is told with its place in the file."""
-    try:
-        return compile_plan(spec, limits, start)
-    except PlanError as error:
-        raise document.error(
-            [(document.place(loc), f"{'.'.join(map(str, loc))}: {text}") for loc, text in error.problems]
-        ) from None
