@@ -2,6 +2,7 @@
 
 import re
 import time
+from pathlib import Path
 
 import pytest
 from services import PALMD, RUNS, UNITS
@@ -12,7 +13,7 @@ pytestmark = pytest.mark.system
 
 STOP_S = 2.0
 EXPOSURE_MOST = 2.0
-FIFO = f"SCHED_FIFO|SCHED_RESET_ON_FORK {PRIORITY}"
+FIFO, HELPER = (f"SCHED_FIFO|SCHED_RESET_ON_FORK {priority}" for priority in (PRIORITY, PRIORITY - 1))
 
 
 def test_verify_has_nothing_to_say(services):
@@ -140,13 +141,20 @@ def test_a_rig_that_goes_and_comes_back_costs_no_restart_and_no_motion(services)
     assert services.commanded() == (0, 0, 0)
 
 
+def test_a_plan_in_a_home_that_it_does_not_see_comes_along(services):
+    services.started()
+    plan = Path("/root/of-a-user.yaml")
+    services.machine.path(str(plan)).write_text("name: of a user\nsegments:\n  - {hold_s: 1.0}\n")
+    assert services.machine.run(PALMD, "ctl", "plan", str(plan)).strip() == "state ready, plan of a user"
+
+
 def test_its_rights_suffice_and_are_no_more(services):
     services.started()
     pid = services.main()
     threads = services.machine.run("chrt", "--all-tasks", "--pid", pid)
     policies = re.findall(r"policy: (\S+)\n.*priority: (\d+)", threads)
     assert " ".join(policies[0]) == FIFO
-    assert {policy for policy, _ in policies[1:]} == {"SCHED_OTHER"}
+    assert {" ".join(each) for each in policies[1:]} == {"SCHED_OTHER 0", HELPER}  # ZeroMQ's threads, Python's
     status = services.machine.path(f"/proc/{pid}/status").read_text()
     fields = dict(line.split(":\t", 1) for line in status.splitlines())
     assert {int(fields[name], 16) for name in ("CapInh", "CapPrm", "CapEff", "CapBnd", "CapAmb")} == {0}

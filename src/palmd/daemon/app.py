@@ -102,7 +102,7 @@ def _run(
         log.warning("%s", text)
     if missing:
         notes.append("no-realtime")
-    aside = ThreadPoolExecutor(1, "aside")
+    aside = ThreadPoolExecutor(1, "aside", realtime.accompany)
     stack.callback(aside.shutdown, wait=False, cancel_futures=True)
     explorer = _explorer(config, stack)
     ports = _ports(config)

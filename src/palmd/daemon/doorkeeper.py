@@ -15,6 +15,7 @@ import time
 import zmq
 from zmq.utils import z85
 
+from palmd.daemon import realtime
 from palmd.keys import Role, ServerKeys
 
 log = logging.getLogger(__name__)
@@ -96,6 +97,7 @@ class Doorkeeper:
         self._questions.close()
 
     def _serve(self) -> None:
+        realtime.accompany()
         poller = zmq.Poller()
         for socket in (self._questions, *self._reports):
             poller.register(socket, zmq.POLLIN)

@@ -8,6 +8,7 @@ import os
 import queue
 import threading
 
+from palmd.daemon import realtime
 from palmd.logformat import formatter
 
 LINES_WAITING_MAX = 1000
@@ -40,6 +41,7 @@ class Journal(logging.Handler):
         super().close()
 
     def _write(self) -> None:
+        realtime.accompany()
         while (line := self._lines.get()) is not None:
             with contextlib.suppress(OSError):
                 os.write(self._fd, line.encode(errors="replace") + b"\n")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import gc
 import os
@@ -30,6 +31,16 @@ def prepare(priority: int = PRIORITY) -> list[str]:
     return [text for text in missing if text is not None]
 
 
+def accompany() -> None:
+    """Give the calling helper thread nearly the loop's priority, where that is allowed.
+
+    While it runs it has the interpreter. Were it an ordinary thread, a busy machine could take the processor from it
+    then, and the loop would wait for the interpreter until that machine has time again.
+    """
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY - 1))
+
+
 def freeze_collector() -> None:
     """Take everything made so far out of the collector's sight. Once all is set up."""
     gc.collect()
@@ -46,7 +57,7 @@ def rss_mb() -> float:
 
 
 def _prioritise(priority: int) -> str | None:
-    policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK  # helper threads and children stay ordinary
+    policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK  # children stay ordinary, and so do ZeroMQ's threads
     try:
         os.sched_setscheduler(0, policy, os.sched_param(priority))
     except OSError as error:
