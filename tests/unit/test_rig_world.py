@@ -246,6 +246,19 @@ def test_manual_displaces_the_arm():
     assert math.degrees(loop.world.truth()["phi1_rad"]) == pytest.approx(49.0, abs=0.1)
 
 
+def test_manual_again_and_again_leaves_the_palms_within_their_limits():
+    loop = Loop(rocking=False).run(0.1)
+    low, high = CONFIG.limits.phi1_deg
+    for _ in range(6):
+        loop.mischief("manual")
+        loop.run(1.0)
+        loop.world.mischief.cancel("manual", None)
+        loop.run(0.1)
+        phi1_deg = math.degrees(loop.world.truth()["phi1_rad"])
+        assert low < phi1_deg < high
+        assert abs(phi1_deg - 45.0) < 4.5
+
+
 def test_a_break_on_the_line_faults_the_moving_arm():
     loop = Loop().run(0.8)
     loop.mischief("break")

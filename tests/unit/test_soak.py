@@ -281,6 +281,15 @@ def test_tracking_without_a_command_is_seen():
     assert behaviour.uncalled([TRACKING, HELD, Told(12.0, "tracking", {})], [])
 
 
+def test_an_arm_that_is_left_standing_is_seen():
+    states = [TRACKING, HELD, Told(12.0, "ready", {}), Told(70.0, "tracking", {}), Told(80.0, "ready", {})]
+    assert behaviour.longest_rest(states, 90.0) == pytest.approx(60.0)
+    assert behaviour.longest_rest(states, 200.0) == pytest.approx(120.0)
+    assert behaviour.longest_rest([TRACKING], 500.0) == 0.0
+    left = behaviour.behaviour(states, [], [], [Counted(200.0, 0)], [], "ready")
+    assert "longest time without tracking" in missed(left)
+
+
 def test_set_points_in_a_state_that_allows_none_are_seen():
     states = [TRACKING, Told(10.0, "fault", {}), Told(20.0, "tracking", {})]
     counted = [Counted(9.0, 100), Counted(10.4, 140), Counted(11.0, 140), Counted(19.0, 140), Counted(21.0, 200)]

@@ -80,7 +80,8 @@ class World:
         self._rng = np.random.default_rng(seed)
         self._t_start, self._steps = t, 0
         self._linkage = Linkage.from_config(config)
-        home = self._linkage.pose(*_home(config))
+        self._home = _home(config)
+        home = self._linkage.pose(*self._home)
         self._judge = SetpointJudge(self._linkage, config.limits)
         self._controller = Controller(arm_limits(config), home, config.arm.baud, self._hear_setpoint)
         lag = 0.016 + options.lag_s
@@ -98,7 +99,7 @@ class World:
             if name in marbles
         }
         self._roller = roller and Roller(roller, config.rig.gravity_m_s2, self._reach(), np.random.default_rng(seed))
-        self._hand = Hand(config.limits, _home(config)) if by_hand else None
+        self._hand = Hand(config.limits, self._home) if by_hand else None
         bauds: dict[PortName, int] = {name: pad.baud for name, pad in self._pad_configs.items()}
         bauds["arm"] = config.arm.baud
         self._out: dict[PortName, Wire] = {port: Wire(bauds[port]) for port in PORTS}
@@ -359,8 +360,9 @@ class World:
             case "power_off", True:
                 controller.switch_power_off()
             case "manual", True:
-                phi1, phi2 = self._palms.phi1, self._palms.phi2
-                controller.switch_to_manual(self._linkage.pose(phi1 + math.radians(_JOG_DEG), phi2))
+                controller.switch_to_manual(
+                    self._linkage.pose(*_jogged(self._palms.phi1, self._palms.phi2, self._home))
+                )
             case (("estop" | "power_off" | "manual"), False):
                 controller.make_ready()
             case "break", True:
@@ -400,6 +402,15 @@ def arm_limits(config: Config) -> ArmLimits:
         v_max=_ROOM * (l1 + 2.0 * l2) * omega,
         a_max=_ROOM * (l1 * (alpha + omega**2) + l2 * (2.0 * alpha + 4.0 * omega**2)),
     )
+
+
+def _jogged(phi1: float, phi2: float, home: tuple[float, float]) -> tuple[float, float]:
+    """Where an operator jogs the palms to (rad): a little nearer to home, or off it; so never out of the limits."""
+    way = (home[0] - phi1, home[1] - phi2)
+    far, step = max(map(abs, way)), math.radians(_JOG_DEG)
+    if far < step:
+        return phi1 + step, phi2
+    return phi1 + step / far * way[0], phi2 + step / far * way[1]
 
 
 def _home(config: Config) -> tuple[float, float]:

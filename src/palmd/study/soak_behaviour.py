@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from palmd.study.soak import Finding, between, told
+from palmd.study.soak import Finding, at_most, between, told
 
 COMMANDED = ("tracking", "hold")
 BEFORE_S, AFTER_S = 0.1, 5.0
@@ -17,6 +18,9 @@ HELD_UP_AFTER_S = 0.5
 LONG_AFTER_S = 60.0  # an estimate takes its time to go wrong, and to come back
 COMMAND_S = 2.0  # from a command to the state that it leads to
 SETTLED_S = 0.5  # set-points that were under way when the state changed
+REST_MOST_S = 60.0
+"""An operator has the palms tracking again within this, or the soak is of a rig at rest."""
+
 GRAVE = ("degrade", "hold", "stop")
 
 _PAD = ("silent", "lifted", "untouched", "garbled", "out-of-range", "batched", "handshake")
@@ -127,6 +131,17 @@ def uncalled(states: Sequence[Told], commands: Sequence[Command]) -> list[str]:
     return found
 
 
+def longest_rest(states: Sequence[Told], t_end: float) -> float:
+    """For how long (s) on end the arm was not tracking at most, until t_end."""
+    longest, since = 0.0, math.inf
+    for one in (*states, Told(t_end, "tracking", {})):
+        if one.state == "tracking":
+            longest, since = max(longest, one.t - since), math.inf
+        else:
+            since = min(since, one.t)
+    return longest
+
+
 def commanded_while_not(states: Sequence[Told], counted: Sequence[Counted]) -> int:
     """Set-points between two counts during which the state allowed none."""
     times = [told.t for told in states]
@@ -149,6 +164,7 @@ def behaviour(
 ) -> list[Finding]:
     """All that is to be said; `sent` and `accepted` are the daemon's and the controller's counts of set-points."""
     strange, alone = unexplained(states, causes), uncalled(states, commands)
+    t_end = max(states[-1].t, sent[-1].t if sent else -math.inf)
     done = [cause for cause in causes if cause.name not in HELD_UP]
     came = sum(code not in a.faults for a, b in pairwise(states) for code in b.faults)
     return [
@@ -157,6 +173,7 @@ def behaviour(
         told("behaviour", "faults by the machine alone", len(unexplained(states, done)) - len(strange)),
         between("behaviour", "faults without a cause", len(strange), 0, 0, why=", ".join(strange[:8])),
         between("behaviour", "tracking without a command", len(alone), 0, 0, why=", ".join(alone[:8])),
+        at_most("behaviour", "longest time without tracking", longest_rest(states, t_end), REST_MOST_S, "s"),
         between("behaviour", "set-points sent while not tracking", commanded_while_not(states, sent), 0, 0),
         between("behaviour", "set-points taken while not tracking", commanded_while_not(states, accepted), 0, 0),
         between("behaviour", "ended ready or held", float(end in ("ready", "hold")), 1, 1, why=f"it ended {end}"),
