@@ -14,6 +14,7 @@ from palmd.daemon.systemd import Notifier
 
 PERIOD_S, TICKS = 0.01, 4
 WORK_S = 0.2e-3  # to see to some bytes, or to work out a set-point
+EVENT_S = 2.5e-3  # to take in an event that comes late
 LOOK_S = 2e-6  # to look at the clock
 
 times = st.floats(0.0, TICKS * PERIOD_S)
@@ -31,7 +32,7 @@ class World:
         self.now = 0.0
         self.coming, self.setpoints = sorted(arrivals), sorted(setpoints)
         self.received, self.sent = [], []
-        self.ticks = 0
+        self.ticks = self.backlog = 0
 
     def clock(self):
         self.now += LOOK_S
@@ -49,6 +50,14 @@ class World:
         count = sum(t <= self.now for t in self.coming)
         come, self.coming = self.coming[:count], self.coming[count:]
         return " ".join(map(repr, come)).encode()
+
+    def observe(self, _t, between):
+        """As long as it may: somebody has kept back bytes, and now all come at once."""
+        while self.backlog:
+            self.backlog -= 1
+            self.now += EVENT_S
+            if not between():
+                break
 
     def receive(self, _end, data, t):
         self.received += [(float(came), t) for came in data.split()]
@@ -79,6 +88,7 @@ def run(world):
         )
         loop._t_slow = math.inf  # palm/loop needs more of a core than there is here
         loop.run()
+        world.overruns = loop.statistics.overruns
     return [ms * 1e-3 for ms in loop.statistics.fields()["lateness_ms"] if ms]
 
 
@@ -96,6 +106,14 @@ def test_every_byte_is_dated_when_it_comes_and_every_set_point_goes_out(arrivals
     assert [came for came, _ in world.received] == sorted(arrivals)
     assert all(0.0 <= t - came <= 2 * WORK_S * 18 for came, t in world.received)
     assert len(world.sent) == len(setpoints)
+
+
+def test_a_backlog_is_taken_in_over_several_ticks():
+    world = World([], [])
+    world.backlog = 6
+    assert max(run(world)) <= 3 * LOOK_S
+    assert world.backlog == 0
+    assert world.overruns == 0
 
 
 def test_what_comes_in_the_last_moment_is_dated_before_the_tick_and_seen_to_in_it():

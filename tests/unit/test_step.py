@@ -91,6 +91,17 @@ class Fake:
         return None
 
 
+class Clock:
+    """Time for so many events in a tick."""
+
+    def __init__(self, events):
+        self.left = events
+
+    def __call__(self):
+        self.left -= 1
+        return self.left > 0
+
+
 class Mute:
     """Nobody who decides."""
 
@@ -390,6 +401,20 @@ def test_a_recorder_that_cannot_write_is_told_and_stops_nothing(running):
 
 
 # ---- plans
+
+
+def test_what_there_is_no_time_for_waits_for_the_next_tick_in_its_order(ready):
+    core, fed = ready.core, ready.observer.events
+    samples = [PalmSample(ready.t + i * 1e-4, 0.8, 1.6) for i in range(7)]
+    core._events = samples[::-1]
+    before = len(fed)
+    counts = []
+    for events in (3, 3, 3):
+        core.observe(ready.t, Clock(events))
+        told = {topic.name: fields for topic, fields in core.report(ready.t)}["palm/events"]
+        counts.append(len(told["t_sample_s"]))
+    assert fed[before:] == samples
+    assert counts == [3, 3, 1]
 
 
 def test_plan_replaces_the_plan_and_a_bad_one_changes_nothing(ready, tmp_path):

@@ -64,8 +64,8 @@ OUTSIDE = math.radians(1.0)
 """How far outside the limits the palms may be found while commanded."""
 
 
-def _nothing() -> None:
-    pass
+def _always() -> bool:
+    return True
 
 
 class Observer(Protocol):
@@ -217,23 +217,26 @@ class Core:
 
     # ---- one tick ----------------------------------------------------------------------------------------
 
-    def observe(self, t: float, between: Callable[[], None] = _nothing) -> None:
+    def observe(self, t: float, between: Callable[[], bool] = _always) -> None:
         """Give the observer what has arrived, in the order of the samples' own times; estimate for `t` (s).
 
         This is the tick's longest part, so `between` is called between the observer's turns: a set-point may
-        have fallen due.
+        have fallen due. When it says that there is no more time, what is left is for the next tick: bytes that
+        were held up come all at once, and each sets the observer back to its own time.
         """
         for pad in self.pads.values():
             self._events += pad.poll(t)
-        events, self._events = self._events, []
-        events.sort(key=_sample_time)
-        self._fed, self._answered = events, None
+        events, self._events = sorted(self._events, key=_sample_time), []
+        self._fed, self._answered = [], None
         try:
-            for event in events:
+            for number, event in enumerate(events, 1):
+                self._fed.append(event)
                 self._observer.feed(event)
                 if isinstance(event, PadSample):
                     self._swap.feed(event)
-                between()
+                if not between():
+                    self._events = events[number:]
+                    break
             self._estimate = self._observer.estimate(t)
             if self._improved is not None:
                 self._answered = self._improved.answered
