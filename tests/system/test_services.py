@@ -143,8 +143,10 @@ def test_a_rig_that_goes_and_comes_back_costs_no_restart_and_no_motion(services)
 
 def test_a_plan_in_a_home_that_it_does_not_see_comes_along(services):
     services.started()
-    plan = Path("/root/of-a-user.yaml")
-    services.machine.path(str(plan)).write_text("name: of a user\nsegments:\n  - {hold_s: 1.0}\n")
+    plan = Path.home() / "of-a-user.yaml"
+    inside = services.machine.path(str(plan))
+    inside.parent.mkdir(parents=True, exist_ok=True)
+    inside.write_text("name: of a user\nsegments:\n  - {hold_s: 1.0}\n")
     assert services.machine.run(PALMD, "ctl", "plan", str(plan)).strip() == "state ready, plan of a user"
 
 
