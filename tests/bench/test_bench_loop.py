@@ -53,10 +53,7 @@ sys.exit(status)
 def start_rig(folder, stack):
     rig = Child(["rig", str(shipped("demo.yaml")), "--seed", str(SEED)], folder)
     stack.callback(rig.stop)
-    t_end = time.monotonic() + 30.0
-    line = rig.first_line(lambda: time.monotonic() > t_end)
-    assert line is not None, rig.said()
-    return json.loads(line)
+    return json.loads(rig.started(30.0))
 
 
 def cyclictest(folder):

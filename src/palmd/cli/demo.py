@@ -120,7 +120,7 @@ def _start_rig(arguments: list[str], folder: Path, stop: StopRequest, stack: Exi
     """None when the end was asked for meanwhile; raises CliError when there is no rig."""
     child = Child(["rig", *arguments], folder)
     stack.callback(child.stop)
-    line = _told_within(child, RIG_START_S, stop)
+    line = child.first_line(RIG_START_S, lambda: stop.made)
     if stop.made:
         return None
     if line is None:
@@ -154,18 +154,11 @@ def _start_daemon(
     raise _not_started(child)
 
 
-def _told_within(child: Child, seconds: float, stop: StopRequest) -> str | None:
-    """Its first line, None when it ends without, or the end is asked for, or it takes too long."""
-    t_end = time.monotonic() + seconds
-    return child.first_line(lambda: stop.made or time.monotonic() > t_end)
-
-
 def _start_recorder(config: Path, rig: _Rig, folder: Path, stop: StopRequest, stack: ExitStack) -> Child:
     """It listens before the daemon begins to speak, unless it does not start at all, which ends nothing."""
     recorder = Child(["record", str(config), "--truth", rig.told["truth"]], folder)
     stack.callback(recorder.stop)
-    t_end = time.monotonic() + RECORDER_START_S
-    recorder.first_line(lambda: stop.made or time.monotonic() > t_end)
+    recorder.first_line(RECORDER_START_S, lambda: stop.made)
     return recorder
 
 
@@ -175,7 +168,7 @@ def _serve_page(bus: BusConfig, truth: str, folder: Path, stop: StopRequest, sta
     for _ in range(START_ATTEMPTS):  # another demo may take the port in between
         child = Child(["view", "--no-browser", *where, "--port", str(_free_page_port())], folder)
         stack.callback(child.stop)
-        page = _told_within(child, PAGE_START_S, stop)
+        page = child.first_line(PAGE_START_S, lambda: stop.made)
         if page is not None or stop.made:
             return page
     _tell(f"no live page: {child.said() or 'it did not start'}")

@@ -61,7 +61,7 @@ class Stand:
         try:
             path = self._written("rig.yaml", as_yaml(self._config, self._config.bus, _NO_PORTS))
             rig = self._begin("rig", str(path), "--seed", str(self._seed))
-            self._told: dict[str, Any] = json.loads(self._first_line(rig))
+            self._told: dict[str, Any] = json.loads(rig.started(START_S))
             self._hand = self._stack.enter_context(Client(self._told["control"], ANSWER_S))
             self._start_daemon(Watch())
             self._start_recorder()
@@ -93,13 +93,6 @@ class Stand:
         (stack or self._stack).callback(child.stop)
         return child
 
-    def _first_line(self, child: Child) -> str:
-        t_end = time.monotonic() + START_S
-        line = child.first_line(lambda: time.monotonic() > t_end)
-        if line is None:
-            raise CliError(RIG_FAILED, child.said() or f"palmd {child.name} did not start")
-        return line
-
     def _life(self, name: str) -> ExitStack:
         """A new life for one of them; the one before ends."""
         if name in self._lives:
@@ -127,13 +120,13 @@ class Stand:
 
     def _start_recorder(self) -> None:
         self._children["recorder"] = self._begin("record", str(self._path), stack=self._life("recorder"))
-        self._first_line(self._children["recorder"])
+        self._children["recorder"].started(START_S)
 
     def _start_page(self) -> None:
         where = ("--address", self._bus.publish, "--command", self._bus.command, "--truth", self._told["truth"])
         page = self._begin("view", "--no-browser", "--port", "0", *where, stack=self._life("page"))
         self._children["page"] = page
-        self._first_line(page)
+        page.started(START_S)
 
     # ---- what an operator does ---------------------------------------------------------------------------
 

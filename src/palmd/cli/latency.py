@@ -109,7 +109,7 @@ class _Bench:
 
 def _start(folder: Path, stop: StopRequest, stack: ExitStack) -> _Bench:
     rig = _child(["rig", str(shipped("demo.yaml")), "--seed", str(SEED)], folder, stack)
-    told = json.loads(_first_line(rig, START_S, stop))
+    told = json.loads(rig.started(START_S, lambda: stop.made))
     config = load_config(shipped("demo.yaml")).model_copy(update={"plan": shipped("plans/lively.yaml")})
     bus = free_addresses(config.bus)
     path = folder / "palmd.yaml"
@@ -167,7 +167,7 @@ def _companions(bench: _Bench) -> Iterator[None]:
         where = ["--address", bench.bus.publish, "--command", bench.bus.command, "--truth", bench.truth]
         page = _child(["view", "--no-browser", "--port", "0", *where], bench.folder, stack)
         with StopRequest() as stop:
-            address = _first_line(page, PAGE_START_S, stop)
+            address = page.started(PAGE_START_S, lambda: stop.made)
         stack.enter_context(_beside(load.browser, address))
         yield
 
@@ -197,14 +197,6 @@ def _child(arguments: list[str], folder: Path, stack: ExitStack) -> Child:
     child = Child(arguments, folder)
     stack.callback(child.stop)
     return child
-
-
-def _first_line(child: Child, patience_s: float, stop: StopRequest) -> str:
-    t_end = time.monotonic() + patience_s
-    line = child.first_line(lambda: stop.made or time.monotonic() > t_end)
-    if line is None:
-        raise CliError(RIG_FAILED, child.said() or f"palmd {child.name} did not start")
-    return line
 
 
 def _tell(text: str) -> None:

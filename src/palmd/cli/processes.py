@@ -14,6 +14,8 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, Self
 
+from palmd.cli.errors import RIG_FAILED, CliError
+
 KEY_VARIABLE = "PALMD_KEY"
 """Names the file of the key with which our commands come in where a daemon has keys."""
 
@@ -44,6 +46,10 @@ def start_beside(arguments: list[str]) -> subprocess.Popen[bytes]:
 
 def _is_pipe(fd: int) -> bool:
     return stat.S_ISFIFO(os.fstat(fd).st_mode)
+
+
+def _never() -> bool:
+    return False
 
 
 class Child:
@@ -84,16 +90,24 @@ class Child:
         lines = self._err.read_text(encoding="utf-8", errors="replace").splitlines()
         return "\n".join([line for line in lines if not line.startswith(("INFO ", "DEBUG "))][-20:])
 
-    def first_line(self, give_up: Callable[[], bool]) -> str | None:
-        """The first line of its standard output, None if it ends without or `give_up` says so."""
+    def first_line(self, patience_s: float, give_up: Callable[[], bool] = _never) -> str | None:
+        """The first line of its standard output; None if it ends without, takes too long, or `give_up` says so."""
+        t_end = time.monotonic() + patience_s
         while True:
             ended = self.status is not None
             line, end, _ = self._out.read_text(encoding="utf-8").partition("\n")
             if end:
                 return line
-            if ended or give_up():
+            if ended or give_up() or time.monotonic() > t_end:
                 return None
             time.sleep(_LOOK_S)
+
+    def started(self, patience_s: float, give_up: Callable[[], bool] = _never) -> str:
+        """The same for one that must start; raises CliError with what it says for itself."""
+        line = self.first_line(patience_s, give_up)
+        if line is None:
+            raise CliError(RIG_FAILED, self.said() or f"palmd {self.name} did not start")
+        return line
 
     def lines(self) -> list[str]:
         """What it has said on its standard output."""

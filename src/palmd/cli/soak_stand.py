@@ -125,14 +125,14 @@ class SoakStand:
         ports = {name: name for name in ("pad1", "pad2", "arm")}
         rig_config.write_text(as_yaml(self._config, self._config.bus, ports), encoding="utf-8")
         rig = self._begin("rig", "rig", str(rig_config), "--seed", str(self._seed))
-        self._told: dict[str, Any] = json.loads(self._first_line(rig))
+        self._told: dict[str, Any] = json.loads(rig.started(START_S))
         self._hand = self._stack.enter_context(Client(self._told["control"], ANSWER_S))
         port = PORTS[2 * os.getpid() % len(PORTS)]  # others that start just now look for free ones too
         wanted = {"publish": f"tcp://127.0.0.1:{port}", "command": f"tcp://127.0.0.1:{port + 1}"}
         self._bus = free_addresses(self._config.bus.model_copy(update=wanted))
         path = self._folder / "palmd.yaml"
         path.write_text(as_yaml(self._config, self._bus, self._told, self._runs), encoding="utf-8")
-        self._first_line(self._begin("recorder", "record", str(path), "--truth", self._told["truth"]))
+        self._begin("recorder", "record", str(path), "--truth", self._told["truth"]).started(START_S)
         self._heard = self._stack.enter_context(
             Subscriber(self._bus.publish, self._told["truth"], topics=("palm/", "rig/"))
         )
@@ -140,7 +140,7 @@ class SoakStand:
         self._client = self._stack.enter_context(Client(self._bus.command, ANSWER_S))
         self._wait(lambda: bool(self.watch.states), START_S, "palmd run did not start")
         where = ("--address", self._bus.publish, "--command", self._bus.command, "--truth", self._told["truth"])
-        self._page = self._first_line(self._begin("page", "view", "--no-browser", "--port", "0", *where))
+        self._page = self._begin("page", "view", "--no-browser", "--port", "0", *where).started(START_S)
 
     def _begin(self, name: str, *arguments: str) -> Child:
         folder = self._folder / name
@@ -149,13 +149,6 @@ class SoakStand:
         self._stack.callback(child.stop)
         self._children[name] = child
         return child
-
-    def _first_line(self, child: Child) -> str:
-        t_end = time.monotonic() + START_S
-        line = child.first_line(lambda: time.monotonic() > t_end)
-        if line is None:
-            raise CliError(RIG_FAILED, child.said() or f"palmd {child.name} did not start")
-        return line
 
     # ---- living on ---------------------------------------------------------------------------------------
 
