@@ -11,8 +11,9 @@ from palmd.record.run import Survey
 from palmd.rig.mischief import ARM, PADS, TRICKS
 from palmd.study import soak_behaviour as behaviour
 from palmd.study import soak_counters as counters
+from palmd.study.fault_reaction import Told
 from palmd.study.soak import all_met, as_line, at_most, between, table, told
-from palmd.study.soak_behaviour import Cause, Command, Counted, Told
+from palmd.study.soak_behaviour import Cause, Command, Counted
 from palmd.study.soak_lateness import Second, minutes, punctuality
 from palmd.study.soak_mischief import QUIET_S, Trick, Visit, draw
 from palmd.study.soak_recording import recorded, replayed

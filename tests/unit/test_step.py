@@ -2,11 +2,11 @@
 
 import dataclasses
 import math
-from concurrent.futures import Executor, Future
 from random import Random
 
 import numpy as np
 import pytest
+from virtual_rig import AtOnce
 
 from palmd.config import ExploreGoal, ExploreSpec, PlanSpec
 from palmd.daemon.commands import Request
@@ -36,18 +36,6 @@ SWING = PlanSpec.model_validate(
 SHORT = PlanSpec.model_validate(
     {"name": "short", "segments": [{"rate": {"phi1_deg_s": 20}, "until": {"phi1_deg": 55}}]}
 )
-
-
-class AtOnce(Executor):
-    """Does the work when it is asked for."""
-
-    def submit(self, work, /, *args, **kwargs):
-        future = Future()
-        try:
-            future.set_result(work(*args, **kwargs))
-        except Exception as error:
-            future.set_exception(error)
-        return future
 
 
 class Fake:

@@ -13,7 +13,7 @@ from palmd.rig.world import STEP_S, World
 TICK_STEPS = 20
 
 
-class _AtOnce(Executor):
+class AtOnce(Executor):
     """Does the work when it is asked for."""
 
     def submit(self, work, /, *args, **kwargs):
@@ -51,7 +51,7 @@ def running(real, config, seed, body, crossed=False, pad_options=GOOD_PADS):
     """
     plug = {"pad1": "pad2", "pad2": "pad1"} if crossed else {}
     world = World(real, seed, body=body, pad_options=pad_options)
-    core = Core(config, _Deaf(), _AtOnce())
+    core = Core(config, _Deaf(), AtOnce())
     bus, over = Bus(config.bus.publish, config.bus.command), threading.Event()
     ready = threading.Event()
     for end in ("pad1", "pad2", "arm"):

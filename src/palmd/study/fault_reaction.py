@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import median
 from typing import Any
@@ -42,6 +42,11 @@ class Told:
     state: str
     faults: dict[str, str]
 
+    @classmethod
+    def heard(cls, fields: Mapping[str, Any], t: float) -> Told:
+        """Of a palm/state's fields."""
+        return cls(t, fields["state"], dict(zip(fields["faults"], fields["severities"], strict=True)))
+
 
 @dataclass(frozen=True, slots=True)
 class Reaction:
@@ -72,7 +77,7 @@ class Watch:
         """One message of either."""
         t = fields["mono_ns"] * 1e-9
         if topic == "palm/state":
-            self.told.append(Told(t, fields["state"], dict(zip(fields["faults"], fields["severities"], strict=True))))
+            self.told.append(Told.heard(fields, t))
         elif topic == "rig/truth":
             phi, omega = ((fields[f"{name}1_{unit}"], fields[f"{name}2_{unit}"]) for name, unit in _TURNING)
             self.turning.append(Turning(t, phi, omega))

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+from palmd.study.fault_reaction import Told
 from palmd.study.soak import Finding, at_most, between, told
 
 COMMANDED = ("tracking", "hold")
@@ -82,15 +83,6 @@ class Cause:
         if self.port is None:
             return OBJECT_CODES
         return tuple(f"{self.port}-{what}" for what in PAD_CODES[self.name])
-
-
-@dataclass(frozen=True, slots=True)
-class Told:
-    """One palm/state: time (s), state, and the faults that stand with their severities."""
-
-    t: float
-    state: str
-    faults: dict[str, str]
 
 
 @dataclass(frozen=True, slots=True)

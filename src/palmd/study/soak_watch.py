@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
-from palmd.study.soak_behaviour import Cause, Command, Counted, Told
+from palmd.study.fault_reaction import Told
+from palmd.study.soak_behaviour import Cause, Command, Counted
 from palmd.study.soak_lateness import Second
 from palmd.study.soak_slopes import Series
 
@@ -126,7 +127,7 @@ class Watch:
 
     def _state(self, fields: dict[str, Any], t: float) -> None:
         self.told = fields
-        now = Told(t, fields["state"], dict(zip(fields["faults"], fields["severities"], strict=True)))
+        now = Told.heard(fields, t)
         if not self.states or (self.states[-1].state, self.states[-1].faults) != (now.state, now.faults):
             self.states.append(now)
 
