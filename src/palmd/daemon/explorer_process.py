@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import pickle  # between a process and its own child, on a socket in a folder of their own
 
-from palmd.daemon.beside import ProcessBeside, meet
+from palmd.daemon.beside import ProcessBeside, give_back_memory, meet
 from palmd.daemon.decisions import Answer, Decider, Question
 from palmd.events import RigDescription
 
@@ -69,3 +69,4 @@ def serve(address: str) -> None:
             rig, question = pickle.loads(message)
             decider = decider or Decider(rig)
             socket.send(pickle.dumps(decider.answer(question)))
+            give_back_memory()

@@ -15,7 +15,7 @@ from typing import Any
 import msgpack
 import numpy as np
 
-from palmd.daemon.beside import ProcessBeside, meet
+from palmd.daemon.beside import ProcessBeside, give_back_memory, meet
 from palmd.events import Event, PadLift, PadSample, PalmSample, RigDescription
 from palmd.model import shape_map, smoothing
 from palmd.observer.improved import Readings, period
@@ -103,6 +103,7 @@ def serve(address: str, rig: str) -> None:
             next_one = max(started + period(readings.seconds), ended + (ended - started) * (1.0 / SHARE - 1.0))
             if improvement is not None:
                 socket.send(msgpack.packb([improvement.t, improvement.x.tobytes(), improvement.P.tobytes()]))
+            give_back_memory()
 
 
 def _rig_fields(fields: dict[str, Any]) -> dict[str, Any]:
