@@ -316,3 +316,23 @@ def test_an_arm_that_says_nothing(tmp_path, path):
         assert time.monotonic() - t < 10.0
     assert finding.verdict == "missing"
     assert "tools/adept/README.md" in finding.mend
+
+
+def test_a_container_s_pseudo_terminal_of_the_same_number_is_another_port():
+    def device(major: int, minor: int, of: int) -> os.stat_result:
+        return os.stat_result((0, 0, of, 0, 0, 0, 0, 0, 0, 0), {"st_rdev": os.makedev(major, minor)})
+
+    assert ports.same_port(device(136, 3, 24), device(136, 3, 24))
+    assert not ports.same_port(device(136, 3, 77), device(136, 3, 24))
+    assert not ports.same_port(device(136, 4, 24), device(136, 3, 24))
+    assert ports.same_port(device(188, 0, 5), device(188, 0, 6)), "a USB port is one port wherever /dev is"
+
+
+def test_who_holds_a_port_is_found():
+    master, slave = os.openpty()
+    try:
+        assert os.getpid() in [process for process, _ in ports.holders(os.ttyname(slave))]
+        assert ports.holders("/dev/ttyNobody") == []
+    finally:
+        os.close(master)
+        os.close(slave)

@@ -17,6 +17,7 @@ from palmd.config import Config, PadConfig
 
 PROC = Path("/proc")
 USB_SERIAL = Path("/sys/bus/usb-serial/devices")
+PSEUDO_TERMINALS = range(136, 144)  # their major device numbers
 LISTEN_S = 0.6
 LATENCY_MS = 1
 
@@ -86,17 +87,29 @@ def _group(number: int) -> str:
 def holders(path: str) -> list[tuple[int, str]]:
     """Process number and name of everybody who has this port open, as far as we may look.
 
-    A process of palmd is called so whatever interpreter runs it.
+    A process of palmd is called so whatever interpreter runs it. Nobody has a port that is not there.
     """
     real = os.path.realpath(path)
+    try:
+        asked = Path(real).stat()
+    except OSError:
+        return []
     found = []
     for folder in PROC.glob("[0-9]*"):
         try:
-            if any(str(link.readlink()) == real for link in (folder / "fd").iterdir()):
+            links = (folder / "fd").iterdir()
+            if any(str(link.readlink()) == real and same_port(link.stat(), asked) for link in links):
                 found.append((int(folder.name), _command(folder)))
         except OSError:  # gone in the meantime, or somebody else's
             continue
     return found
+
+
+def same_port(one: os.stat_result, other: os.stat_result) -> bool:
+    """Whether two device files of one name are one port: a container counts its pseudo-terminals for itself."""
+    if os.major(other.st_rdev) in PSEUDO_TERMINALS and one.st_dev != other.st_dev:
+        return False
+    return one.st_rdev == other.st_rdev
 
 
 def _command(folder: Path) -> str:
