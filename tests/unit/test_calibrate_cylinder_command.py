@@ -166,6 +166,7 @@ def test_the_cylinder_is_lost_on_the_way(rig, mine, capsys, monkeypatch):
 
 def test_no_daemon(mine, capsys):
     assert "is a palmd running there" in refused(mine, 3, capsys)
+    assert not (mine.parent / "calibration").exists(), "a calibration that was refused leaves nothing"
 
 
 def test_cylinders_that_do_not_fit(mine, capsys, tmp_path):
@@ -183,7 +184,8 @@ def test_cylinders_that_do_not_fit(mine, capsys, tmp_path):
 def test_bad_configurations_and_folders(tmp_path, mine, capsys):
     assert "no such file" in refused(tmp_path / "none.yaml", 1, capsys)
     (tmp_path / "file").write_text("")
-    assert "cannot be written" in refused(mine, 1, capsys, "-o", tmp_path / "file")
+    for folder in ("file", "file/of/it"):
+        assert f"{tmp_path / 'file'} is no folder" in refused(mine, 1, capsys, "-o", tmp_path / folder)
 
 
 @pytest.mark.parametrize(

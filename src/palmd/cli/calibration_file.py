@@ -33,20 +33,23 @@ def plain(value: Any) -> Any:
 
 
 def writable(folder: Path) -> Path:
-    """The folder, made if need be, before anybody goes to the trouble of a calibration; raises CliError."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise not_written(folder, error) from None
-    if not os.access(folder, os.W_OK):
+    """The folder, before anybody goes to the trouble of a calibration; CliError unless `write` can make it and write.
+
+    Nothing is made yet: a calibration that is refused leaves nothing.
+    """
+    there = next(each for each in (folder, *folder.parents) if each.exists())
+    if not there.is_dir():
+        raise CliError(BAD_INPUT, f"{folder}: cannot be written: {there} is no folder")
+    if not os.access(there, os.W_OK | os.X_OK):
         raise CliError(BAD_INPUT, f"{folder}: cannot be written: no permission")
     return folder
 
 
 def write(path: Path, content: dict[str, Any]) -> None:
-    """An earlier result stays until the new one is complete; raises CliError."""
+    """Makes the folder if need be; an earlier result stays until the new one is complete; raises CliError."""
     partial = path.with_suffix(".tmp")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         partial.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
         partial.replace(path)
     except OSError as error:
