@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import gc
 import logging
 import os
 import subprocess
@@ -17,6 +18,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import zmq
+
+from palmd.daemon.realtime import freeze_collector
 
 log = logging.getLogger(__name__)
 
@@ -104,6 +107,7 @@ def _meeting_place(name: str) -> tempfile.TemporaryDirectory[str]:
 def meet(address: str, niceness: int) -> Iterator[zmq.Socket[bytes]]:
     """The process's end: a socket on which messages come and go, and no more of the machine than is left over."""
     os.nice(niceness)
+    freeze_collector()
     with zmq.Context() as context, context.socket(zmq.DEALER) as socket:
         socket.set(zmq.LINGER, 0)
         socket.connect(address)
@@ -111,11 +115,12 @@ def meet(address: str, niceness: int) -> Iterator[zmq.Socket[bytes]]:
 
 
 def give_back_memory() -> None:
-    """Return to the system what this process has freed; once an answer is out, takes milliseconds, no-op without glibc.
+    """Return to the system what this process needs no longer; once an answer is out, takes milliseconds.
 
-    Else one small block that is still in use above a solver's many freed ones keeps them all resident, and the
-    process's memory wanders by tens of megabytes, under which a leak would not be seen.
+    Else cycles wait for the collector, and with glibc one small block that is still in use above a solver's many freed
+    ones keeps them all resident: the process's memory wanders by tens of megabytes, under which no leak would be seen.
     """
+    gc.collect()
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
         trim(ctypes.c_size_t(0))
