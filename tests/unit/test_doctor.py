@@ -328,11 +328,13 @@ def test_a_container_s_pseudo_terminal_of_the_same_number_is_another_port():
     assert ports.same_port(device(188, 0, 5), device(188, 0, 6)), "a USB port is one port wherever /dev is"
 
 
-def test_who_holds_a_port_is_found():
+def test_who_holds_a_port_is_found(monkeypatch):
     master, slave = os.openpty()
     try:
         assert os.getpid() in [process for process, _ in ports.holders(os.ttyname(slave))]
         assert ports.holders("/dev/ttyNobody") == []
+        monkeypatch.setattr(ports, "same_port", lambda *_: False)  # as if all were of a container
+        assert ports.holders(os.ttyname(slave)) == []
     finally:
         os.close(master)
         os.close(slave)
