@@ -186,6 +186,9 @@ def test_bad_configurations_and_folders(tmp_path, mine, capsys):
     (tmp_path / "file").write_text("")
     for folder in ("file", "file/of/it"):
         assert f"{tmp_path / 'file'} is no folder" in refused(mine, 1, capsys, "-o", tmp_path / folder)
+    (tmp_path / "astray").symlink_to("nowhere")
+    assert "astray is no folder" in refused(mine, 1, capsys, "-o", tmp_path / "astray")
+    assert "File name too long" in refused(mine, 1, capsys, "-o", tmp_path / ("a" * 300))
 
 
 @pytest.mark.parametrize(

@@ -181,6 +181,8 @@ def test_runs(monkeypatch, tmp_path):
     assert "1000 MB free" in machine.runs(tmp_path / "a/b").says
     (tmp_path / "file").touch()
     assert machine.runs(tmp_path / "file/b").verdict == "missing"
+    finding = machine.runs(tmp_path / ("a" * 300))
+    assert (finding.verdict, finding.says.endswith("File name too long")) == ("missing", True)
 
 
 def test_units(monkeypatch, tmp_path):

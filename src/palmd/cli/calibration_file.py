@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import os
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ import yaml
 
 from palmd import __version__
 from palmd.cli.errors import BAD_INPUT, CliError
+from palmd.cli.folders import nearest, takes_files
 from palmd.config import Strict, config_hash
 
 
@@ -37,10 +37,13 @@ def writable(folder: Path) -> Path:
 
     Nothing is made yet: a calibration that is refused leaves nothing.
     """
-    there = next(each for each in (folder, *folder.parents) if each.exists())
+    try:
+        there = nearest(folder)
+    except OSError as error:
+        raise not_written(folder, error) from None
     if not there.is_dir():
         raise CliError(BAD_INPUT, f"{folder}: cannot be written: {there} is no folder")
-    if not os.access(there, os.W_OK | os.X_OK):
+    if not takes_files(there):
         raise CliError(BAD_INPUT, f"{folder}: cannot be written: no permission")
     return folder
 

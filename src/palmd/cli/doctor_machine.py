@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from palmd.cli.finding import Finding
+from palmd.cli.folders import nearest, takes_files
 
 PROC = Path("/proc")
 UNIT_FOLDERS = tuple(map(Path, (
@@ -116,8 +117,11 @@ def user() -> str:
 
 def runs(folder: Path) -> Finding:
     """Where runs are recorded: made when needed, so that its nearest parent counts."""
-    there = next(each for each in (folder, *folder.absolute().parents) if each.exists())
-    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+    try:
+        there = nearest(folder)
+    except OSError as error:
+        return Finding("runs", "missing", f"{folder}: {error.strerror}", "edit record.directory in the configuration")
+    if not takes_files(there):
         owner = f"sudo install -d -o {user()} {folder}"
         return Finding("runs", "missing", f"{there} cannot be written", owner)
     free_mb = shutil.disk_usage(there).free / 1e6
