@@ -7,6 +7,8 @@ each, eased in over the first second, and four kinds of run:
     friction  friction with dither, started at rest, irregular samples in three bands
     rig       as friction, and the hinge travels on an arc
     odd       ellipses, strongly curved bodies, bodies whose mass is off-centre
+
+On request the palms rest in between, and the object is taken away and put back, turned.
 """
 
 from __future__ import annotations
@@ -50,24 +52,34 @@ _PALM_NOISE_RAD = 2e-4
 _ANGLE_COLUMNS = ("phi1_rad", "phi2_rad")
 _COLUMNS = ("t", "psi_rad", "omega0_rad_s", "r1_m", "r2_m", "s1_m", "s2_m", *_ANGLE_COLUMNS, "f1_n", "f2_n")
 _PAD_MARGIN_M = 3e-3
+_TURNED_RAD = 0.3
 _MIN_FORCE = 0.1  # m/s²: below it the contact is as good as lost
+
+
+Span = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class Rock:
-    """One palm's angle: mean + w(t)·amplitude·sin(2πft + phase), w easing in over the first second."""
+    """One palm's angle: mean + w(t)·amplitude·sin(2πft + phase), w easing in over the first second.
+
+    In each of `rests` (from, to, in s) w eases out over the first second, stays 0, and eases in over the second after.
+    """
 
     mean: float
     amplitude: float
     frequency: float
     phase: float
+    rests: tuple[Span, ...] = ()
 
     def at(self, t: float) -> tuple[float, float, float]:
         """Angle, rate and acceleration (rad, rad/s, rad/s²) at t ≥ 0 (s); at rest before."""
-        u = min(max(t, 0.0), 1.0)
-        w = u**3 * (10.0 - 15.0 * u + 6.0 * u * u)
-        dw = 30.0 * u * u * (1.0 - u) ** 2
-        ddw = 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u)
+        w, dw, ddw = _eased(t)
+        for begin, end in self.rests:
+            out, back = _eased(t - begin), _eased(t - end)
+            v, dv, ddv = (b - a for a, b in zip(out, back, strict=True))
+            v += 1.0
+            w, dw, ddw = w * v, dw * v + w * dv, ddw * v + 2.0 * dw * dv + w * ddv
         k = math.tau * self.frequency
         s, c = math.sin(k * t + self.phase), math.cos(k * t + self.phase)
         a = self.amplitude
@@ -76,6 +88,12 @@ class Rock:
             a * (dw * s + w * k * c),
             a * (ddw * s + 2.0 * dw * k * c - w * k * k * s),
         )
+
+
+def _eased(t: float) -> tuple[float, float, float]:
+    """The smooth step from 0 at t = 0 to 1 at t = 1 s, its rate and its acceleration."""
+    u = min(max(t, 0.0), 1.0)
+    return u**3 * (10.0 - 15.0 * u + 6.0 * u * u), 30.0 * u * u * (1.0 - u) ** 2, 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u)
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,27 +127,31 @@ def simulate_log(
     duration_s: float = 10.0,
     options: PlantOptions = AS_ASSUMED,
     body: Body | None = None,
+    *,
+    rests: tuple[Span, ...] = (),
+    absences: tuple[Span, ...] = (),
 ) -> tuple[list[Line], Line]:
     """A run of the kind as event-log lines (header first), and its truth; the same seed, the same run.
 
     Scenes in which a contact would be lost, or come near a pad's end, are drawn again. `body` is what lies on the
-    palms, a random one of the kind by default.
+    palms, a random one of the kind by default. In each of `rests` the palms stand. In each of `absences` the object is
+    away, and is then put back in a stable pose, turned by at least `_TURNED_RAD` where there is one.
     """
     rng = np.random.default_rng([KINDS.index(kind), seed])
     while True:
-        scene = _draw(kind, rng, body)
-        history = _run(scene, duration_s, options)
+        scene = _draw(kind, rng, body, rests)
+        history = _run(scene, duration_s, options, absences)
         if history is not None:
             return list(_log_lines(scene, history, options, rng)), _truth(scene, history)
 
 
-def _draw(kind: Kind, rng: np.random.Generator, body: Body | None) -> Scene:
+def _draw(kind: Kind, rng: np.random.Generator, body: Body | None, rests: tuple[Span, ...]) -> Scene:
     """A scene of the kind, its body turned so that ψ starts at 0."""
     if body is None:
         body = random_body(kind, rng)
     rocking = Rocking(
-        Rock(*_uniform(rng, (0.68, 0.82), (0.35, 0.70), (0.16, 0.38), (-math.pi, math.pi))),
-        Rock(*_uniform(rng, (1.50, 1.82), (0.10, 0.28), (0.17, 0.42), (-math.pi, math.pi))),
+        _rock(rng, (0.68, 0.82), (0.35, 0.70), (0.16, 0.38), rests),
+        _rock(rng, (1.50, 1.82), (0.10, 0.28), (0.17, 0.42), rests),
     )
     surface = random_surface(kind, rng)
     release = float(rng.choice((-1.0, 1.0)) * rng.uniform(0.12, 0.5)) if kind == "nominal" else 0.0
@@ -142,19 +164,31 @@ def _draw(kind: Kind, rng: np.random.Generator, body: Body | None) -> Scene:
     return Scene(kind, body.turned(psi), hinge, surface, rocking)
 
 
-def _uniform(rng: np.random.Generator, *ranges: tuple[float, float]) -> list[float]:
-    return [float(rng.uniform(low, high)) for low, high in ranges]
+def _rock(rng: np.random.Generator, mean: Span, amplitude: Span, frequency: Span, rests: tuple[Span, ...]) -> Rock:
+    drawn = [float(rng.uniform(*each)) for each in (mean, amplitude, frequency, (-math.pi, math.pi))]
+    return Rock(drawn[0], drawn[1], drawn[2], drawn[3], rests)
 
 
-def _run(scene: Scene, duration_s: float, options: PlantOptions) -> FloatArray | None:
-    """Rows of `_COLUMNS` each 0.5 ms, None if contact was lost."""
+def _run(scene: Scene, duration_s: float, options: PlantOptions, absences: tuple[Span, ...]) -> FloatArray | None:
+    """Rows of `_COLUMNS` each 0.5 ms, NaN for what there is not while the object is away; None if contact was lost."""
     plant = Plant(scene.body, scene.hinge, scene.surface, options=options)
     lag, rocking = options.lag_s, scene.rocking
     palms = rocking.at(-lag)
     plant.place(palms, psi=0.0)
     rows = []
     low, high, least = _PAD_MARGIN_M, PAD_LENGTH - _PAD_MARGIN_M, _MIN_FORCE * scene.body.mass
+    away = False
     for k in range(round(duration_s / STEP_S) + 1):
+        t = k * STEP_S
+        if any(begin <= t < end for begin, end in absences):
+            away = True
+            nothing = [math.nan] * 5
+            rows.append((t, plant.state.psi, *nothing, palms.phi1, palms.phi2, math.nan, math.nan))
+            palms = rocking.at(t + STEP_S - lag)
+            continue
+        if away:
+            away = False
+            _put_back(plant, scene.body, palms)
         contact1, contact2 = plant.contacts()
         if min(contact1.force, contact2.force) < least:
             return None
@@ -163,11 +197,18 @@ def _run(scene: Scene, duration_s: float, options: PlantOptions) -> FloatArray |
         r1, r2 = plant.radii()
         q = plant.state
         angles, forces = (palms.phi1, palms.phi2), (contact1.force, contact2.force)
-        rows.append((k * STEP_S, q.psi, q.omega0, r1, r2, contact1.s, contact2.s, *angles, *forces))
-        middle = rocking.at((k + 0.5) * STEP_S - lag)
-        palms = rocking.at((k + 1) * STEP_S - lag)
+        rows.append((t, q.psi, q.omega0, r1, r2, contact1.s, contact2.s, *angles, *forces))
+        middle = rocking.at(t + 0.5 * STEP_S - lag)
+        palms = rocking.at(t + STEP_S - lag)
         plant.advance(middle, palms, STEP_S)
     return np.array(rows)
+
+
+def _put_back(plant: Plant, body: Body, palms: PalmMotion) -> None:
+    """In the first stable pose, by growing ψ from where it was taken away, that is turned far enough."""
+    turned = sorted((psi - plant.state.psi) % math.tau for psi in stable_poses(body, palms))
+    far = [by for by in turned if _TURNED_RAD < by < math.tau - _TURNED_RAD]
+    plant.place(palms, psi=plant.state.psi + (far or turned)[0])
 
 
 def _log_lines(scene: Scene, history: FloatArray, options: PlantOptions, rng: np.random.Generator) -> Iterator[Line]:
@@ -222,6 +263,8 @@ def _pad_lines(
     """One pad's readings with bias, bow, noise and rounding."""
     s = np.interp(times, history[:, 0], history[:, 4 + pad])
     force = np.interp(times, history[:, 0], history[:, 8 + pad])
+    felt = np.isfinite(s)
+    times, s, force = times[felt], s[felt], force[felt]
     s += np.array([options.pad_error_m(pad, float(true)) for true in s])
     s = s + rng.normal(0.0, _PAD_NOISE_M, len(s))
     force = force * (1.0 + rng.normal(0.0, _FORCE_SCALE_STD, len(s)))
