@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from palmd.daemon import lifecycle
+from palmd.daemon.commands import COMMANDS, CommandSpec
 from palmd.faults import FAULTS
 from palmd.messages import STAMP, TOPICS
 from palmd.model import errata
@@ -47,7 +48,19 @@ def messages() -> str:
     for topic in TOPICS:
         parts.append(f"\n## `{topic.name}` ({topic.rate})\n\n")
         parts.append(table(head, [(f"`{f.name}`", f.unit, f.meaning) for f in topic.fields]))
+    parts.append(
+        "\n## Commands\n\nOne msgpack map `{id, cmd, args}` to the command socket, and one back: "
+        "`{id, ok, error?, result?}`.\nWhat is refused has moved nothing.\n\n"
+    )
+    rows = [(f"`{name}`", spec.does, _arguments(spec)) for name, spec in COMMANDS.items()]
+    parts.append(table(("command", "does", "args"), rows))
     return "".join(parts)
+
+
+def _arguments(spec: CommandSpec) -> str:
+    return "; ".join(
+        f"`{each.name}`{' (required)' if each.required else ''}: {each.meaning}" for each in spec.arguments
+    )
 
 
 def states() -> str:

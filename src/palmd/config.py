@@ -62,7 +62,18 @@ def _beside_the_file(value: object, info: ValidationInfo) -> Path:
     if not isinstance(value, str) or not value.strip():
         raise ValueError("must be a path as text")
     folder: Path = (info.context or {}).get("folder", Path())
-    return folder / Path(value).expanduser()
+    try:
+        return folder / Path(value).expanduser()
+    except RuntimeError:
+        raise ValueError(f"{value}: nobody knows whose home that is; write the path out") from None
+
+
+def _exists(path: Path) -> bool:
+    """Whether there is such a file or folder; raises ValueError where that may not be known."""
+    try:
+        return path.exists()
+    except OSError as error:
+        raise ValueError(f"{path}: {error.strerror}") from None
 
 
 def _host(address: str) -> str | None:
@@ -214,7 +225,7 @@ class ObserverConfig(Strict):
     @field_validator("shape")
     @classmethod
     def _usable(cls, path: Path | None, info: ValidationInfo) -> Path | None:
-        if path is not None and not path.exists():
+        if path is not None and not _exists(path):
             raise ValueError(f"{path} does not exist; name an outline file or a folder of them")
         if path is not None and info.data.get("primary", "shape") != "shape":
             raise ValueError(f"needs primary: shape; the observer {info.data['primary']} cannot use a stored outline")

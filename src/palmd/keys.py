@@ -94,10 +94,10 @@ def server_keys(folder: Path) -> ServerKeys:
 
 def client_credentials(path: Path) -> Credentials:
     """A client's secret key file, with the daemon's `server.key` beside it; raises KeysError."""
-    server = path.parent / f"{SERVER}{PUBLIC}"
+    pair, server = _read_pair(path), path.parent / f"{SERVER}{PUBLIC}"
     if not server.exists():
         raise KeysError(f"{server}: no such file; copy the daemon's {SERVER}{PUBLIC} there")
-    return Credentials(_read_pair(path), _public(server, _read(server)))
+    return Credentials(pair, _public(server, _read(server)))
 
 
 def own_credentials(folder: Path) -> Credentials:

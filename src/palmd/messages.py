@@ -16,7 +16,7 @@ from palmd.events import (
     DECIDED,
     Estimate,
     Event,
-    FloatArray,
+    Improvement,
     ObjectEstimate,
     PadLift,
     PadSample,
@@ -250,6 +250,9 @@ IMPROVEMENT = Topic(
         Field("t_s", "number", "s", "what instant the answer is about, CLOCK_MONOTONIC"),
         Field("x", "numbers", "SI", "mean of the shape map's state"),
         Field("covariance", "numbers", "SI", "of that state, row after row"),
+        Field("frame", "number", "", "another when the outline has another gauge than in the answer before"),
+        Field("established", "bool", "", "whether it has proved true for so long that no rival is kept"),
+        Field("touched", "numbers", "", "0 or 1 for each of 72 bins of outward normals, the first beginning at 0"),
     ),
 )
 TOPICS: tuple[Topic, ...] = (ESTIMATE, SHAPE, OBJECT, CONTACT, MOTION, STATE, LOOP, INFO, EVENTS, IMPROVEMENT)
@@ -348,9 +351,17 @@ def _event(source: int, t: float, s: float, force: float, phi1: float, phi2: flo
     return PadLift(t, pad) if source < 0 else PadSample(t, pad, s, None if math.isnan(force) else force)
 
 
-def improvement_fields(t_tick: float, t: float, x: FloatArray, covariance: FloatArray) -> Fields:
-    """`palm/improvement`: mean (n) and covariance (n, n) about `t` (s), taken in the tick at `t_tick` (s)."""
-    return {"t_tick_s": t_tick, "t_s": t, "x": x.tolist(), "covariance": covariance.ravel().tolist()}
+def improvement_fields(t_tick: float, answer: Improvement) -> Fields:
+    """`palm/improvement`, heard in the tick at `t_tick` (s)."""
+    return {
+        "t_tick_s": t_tick,
+        "t_s": answer.t,
+        "x": answer.x.tolist(),
+        "covariance": answer.P.ravel().tolist(),
+        "frame": answer.frame,
+        "established": answer.established,
+        "touched": answer.touched.astype(int).tolist(),
+    }
 
 
 @dataclass(frozen=True, slots=True)

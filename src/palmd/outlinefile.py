@@ -91,9 +91,12 @@ def read_library(path: Path) -> tuple[Outline, ...]:
 
     Raises OutlineError for the first that cannot be used, for two of equal name, and for a folder without any.
     """
-    if not path.is_dir():
-        return (read_outline(path),)
-    files = sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES)
+    try:
+        if not path.is_dir():
+            return (read_outline(path),)
+        files = sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES)
+    except OSError as error:
+        raise OutlineError(f"{path}: {error.strerror}") from None
     if not files:
         raise OutlineError(f"{path}: the folder holds no outline (*.json, *.csv)")
     found: dict[str, tuple[Path, Outline]] = {}

@@ -79,7 +79,7 @@ def read_document(path: Path, text: str | None = None) -> Document:
     """
     document = Document(path)
     if text is None:
-        text = _text(path)
+        text = read_text(path)
     try:
         loader = _Loader(text)
         node = loader.get_single_node()
@@ -146,7 +146,8 @@ class _Loader(yaml.SafeLoader):
         return node
 
 
-def _text(path: Path) -> str:
+def read_text(path: Path) -> str:
+    """What a file says, before it is taken for YAML; raises ConfigError when it is no text, or too long."""
     document = Document(path)
     try:
         with path.open("rb") as file:

@@ -1,5 +1,6 @@
 """What people get wrong, tried by name: each is said in clear words, and none stops what still works."""
 
+import math
 import os
 import random
 import subprocess
@@ -116,8 +117,15 @@ def test_swapped_pads_are_told(start, tmp_path):
     assert bench.heard.latest["palm/estimate"]["valid"] is False
 
 
-@pytest.mark.parametrize(("text", "what"), [(FAR, ":4:"), ("segments:\n\t- {}\n", ":2:1:"), ("", ":1:1:")])
-def test_a_bad_plan_is_refused_and_changes_nothing(bench, text, what):
+@pytest.mark.parametrize(
+    ("text", "what", "by_name"),
+    [
+        (FAR, ":4:", ":4:"),
+        ("segments:\n\t- {}\n", ":2:1:", ": is no motion plan"),
+        ("", ":1:1:", ": is no motion plan"),
+    ],
+)
+def test_a_bad_plan_is_refused_and_changes_nothing(bench, text, what, by_name):
     path = bench.folder / "bad.yaml"
     path.write_text(text)
     bench.run_plan()
@@ -127,7 +135,7 @@ def test_a_bad_plan_is_refused_and_changes_nothing(bench, text, what):
     before, stood = bench.client.do("status"), bench.truth()
     refused = bench.client.ask("plan", path="bad.yaml")
     assert refused["ok"] is False
-    assert f"{path}{what}" in refused["error"]
+    assert f"bad.yaml{by_name}" in refused["error"]
     told = palmd("ctl", "plan", path, "--address", bench.command)
     assert told.returncode == 1
     assert f"{path}{what}" in told.stderr
@@ -136,6 +144,22 @@ def test_a_bad_plan_is_refused_and_changes_nothing(bench, text, what):
     assert max(abs(stands[phi] - stood[phi]) for phi in ("phi1_rad", "phi2_rad")) < 1e-3
     bench.client.do("start")
     bench.moving()
+    bench.judge()
+
+
+def test_a_jog_that_cannot_go_all_the_way_moves_nothing(bench):
+    bench.ready()
+    bench.client.do("arm")
+    bench.until_state("tracking")
+    stood = bench.at_rest()
+    told = palmd("ctl", "jog", "--phi1-deg", "90", "--address", bench.command)
+    assert told.returncode == 1
+    assert "jog refused: phi1 reaches" in told.stderr
+    stands = bench.truth()
+    assert max(abs(stands[phi] - stood[phi]) for phi in ("phi1_rad", "phi2_rad")) < 1e-3
+    told = palmd("ctl", "jog", "--phi2-deg", "-2", "--address", bench.command)
+    assert told.returncode == 0, told.stderr
+    assert math.degrees(bench.at_rest()["phi2_rad"] - stood["phi2_rad"]) == pytest.approx(-2.0, abs=0.2)
     bench.judge()
 
 

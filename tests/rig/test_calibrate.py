@@ -25,7 +25,7 @@ def rig(tmp_path):
 
 def calibrate(config, *arguments):
     return subprocess.run(
-        [sys.executable, "-P", "-m", "palmd", "calibrate", "pad", "--characterise", config, *arguments],
+        [sys.executable, "-P", "-m", "palmd", "calibrate", "pad", config, *arguments],
         capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
 

@@ -69,6 +69,25 @@ def hear(port, seconds):
     return data
 
 
+def test_the_ports_folder_is_made(tmp_path):
+    folder = tmp_path / "new" / "ports"
+    with rig("--ports", str(folder)) as (_, found):
+        assert found["pad1"] == str(folder / "pad1")
+        assert {path.name for path in folder.iterdir()} == {"pad1", "pad2", "arm"}
+    assert list(folder.iterdir()) == []
+
+
+def test_a_ports_folder_that_cannot_be_is_told_in_one_line(tmp_path):
+    (tmp_path / "file").touch()
+    for folder, complaint in (("file", "is not a folder"), ("file/new", "Not a directory"), ("x" * 300, "too long")):
+        command = [sys.executable, "-c", PROGRAM, "--ports", str(tmp_path / folder)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stdout) == (1, "")
+        assert done.stderr.startswith(f"--ports: {tmp_path / folder}")
+        assert complaint in done.stderr
+        assert len(done.stderr.splitlines()) == 1
+
+
 def test_ports_speak_the_protocols_and_truth_is_published():
     with rig("--seed", "5") as (_, found), zmq.Context() as context, context.socket(zmq.SUB) as truth:
         assert found["seed"] == 5

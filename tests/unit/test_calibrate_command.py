@@ -1,4 +1,4 @@
-"""`palmd calibrate pad --characterise`: what it stores and says, and what it says when it cannot measure."""
+"""`palmd calibrate pad`: what it stores and says, and what it says when it cannot measure."""
 
 import os
 import sys
@@ -70,7 +70,7 @@ def on_first_wait(monkeypatch, act):
 
 
 def calibrate(config, *more, pad=1):
-    return main(["calibrate", "pad", "--characterise", str(config), "--pad", str(pad), *map(str, more)])
+    return main(["calibrate", "pad", str(config), "--pad", str(pad), *map(str, more)])
 
 
 def refused(config, status, capsys, *more):
@@ -254,12 +254,11 @@ def test_a_folder_that_cannot_be_written(configured, tmp_path, capsys):
     "arguments",
     [
         ["pad"],
-        ["pad", "palmd.yaml", "--pad", "1"],
-        ["pad", "--characterise", "palmd.yaml"],
-        ["pad", "--characterise", "palmd.yaml", "--pad", "3"],
-        ["pad", "--characterise", "palmd.yaml", "--pad", "1", "--seconds", "0"],
-        ["pad", "--characterise", "palmd.yaml", "--pad", "1", "--seconds", "nan"],
-        ["pad", "--characterise", "palmd.yaml", "--pad", "1", "--seconds", "inf"],
+        ["pad", "palmd.yaml"],
+        ["pad", "palmd.yaml", "--pad", "3"],
+        ["pad", "palmd.yaml", "--pad", "1", "--seconds", "0"],
+        ["pad", "palmd.yaml", "--pad", "1", "--seconds", "nan"],
+        ["pad", "palmd.yaml", "--pad", "1", "--seconds", "inf"],
         ["pads"],
         [],
     ],
@@ -268,6 +267,14 @@ def test_usage(arguments, capsys):
     with pytest.raises(SystemExit) as caught:
         main(["calibrate", *arguments])
     assert caught.value.code == 2
+
+
+def test_the_option_that_was_needed_once_is_still_taken_and_no_longer_shown(tmp_path, capsys):
+    assert main(["calibrate", "pad", "--characterise", str(tmp_path / "none.yaml"), "--pad", "1"]) == 1
+    assert "none.yaml:1:1: no such file" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["calibrate", "pad", "--help"])
+    assert "characterise" not in capsys.readouterr().out
 
 
 def test_its_help_names_the_calibrations(capsys):

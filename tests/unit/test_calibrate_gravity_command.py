@@ -20,6 +20,8 @@ from palmd.daemon.bus import Bus
 from palmd.daemon.commands import Reply
 from palmd.events import PadSample, PalmSample
 from palmd.messages import EVENTS, INFO, events_fields
+from palmd.motion.check import motion_limits
+from palmd.motion.plan import compile_plan
 from palmd.study.rolling_fit import GravityFit
 from palmd.yamlfile import load_config
 
@@ -50,8 +52,9 @@ def quick(monkeypatch):
 class Daemon:
     """Goes wherever a plan says, at once; there something rolls unless `lazy`."""
 
-    def __init__(self, path, refuses=(), lazy=False, touched=False, fault_after=None, hash=None):
-        self.state, self.asked, self.poses = "ready", [], []
+    def __init__(self, path, refuses=(), lazy=False, touched=False, fault_after=None, hash=None, most=180.0):
+        self.state, self.asked, self.poses, self.plans = "ready", [], [], []
+        self._most_phi1_deg = most
         self.info = {"config_hash": hash or config_hash(load_config(path))}
         self._refuses, self._lazy, self._touched, self._fault_after = refuses, lazy, touched, fault_after
         self._rng, self._t = np.random.default_rng(7), 0.0
@@ -68,6 +71,9 @@ class Daemon:
         match name:
             case "plan":
                 spec = PlanSpec.model_validate(yaml.safe_load(request.args["text"]))
+                self.plans.append(spec)
+                if any(segment.move.phi1_deg > self._most_phi1_deg for segment in spec.segments):
+                    return Reply(request, "plan refused: the arm's x reaches 500 mm, the limit is 400 mm")
                 self.poses.append((spec.segments[0].move.phi1_deg, spec.segments[0].move.phi2_deg))
                 self._rolling = False
             case "arm":
@@ -154,6 +160,18 @@ def test_it_goes_to_four_slopes_and_finds_gravity_and_yaw(path, capsys):
     assert out.startswith("gravity: ")
     assert "palm 2   29.0°" in out
     assert "lay the roller at the upper end of palm 2" in err
+
+
+def test_all_slopes_are_checked_before_the_first_is_gone_to(path, capsys):
+    daemon = Daemon(path, most=50.0)
+    with serving(path, daemon):
+        assert "the arm's x reaches" in refused(path, capsys, 1)
+    assert daemon.asked == ["plan"]
+    config = load_config(path)
+    slow = config.limits.model_copy(update={"rate_deg_s": 1.0, "acceleration_deg_s2": 1.0})
+    slow_limits = motion_limits(config.model_copy(update={"limits": slow}))
+    ends = compile_plan(daemon.plans[0], slow_limits).rounds[0].segments
+    assert [round(math.degrees(each.at(each.duration).phi1)) for each in ends] == [8, 26, 41, 59]
 
 
 def test_taken_over_the_palms_base_stays_for_the_arm_and_the_hash_is_the_sections(path):

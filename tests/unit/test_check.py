@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
+from shut import shut
 
 from palmd.config import LimitsConfig
+from palmd.daemon.planner import read_plan
 from palmd.motion.check import check_files, load_trajectory, motion_limits
 from palmd.motion.limits import MotionLimits
 from palmd.yamlfile import ConfigError, load_config
@@ -102,3 +105,16 @@ def test_a_plan_that_explores_needs_an_observer_that_knows_an_outline(tmp_path: 
     assert str(plan) in error
     config.write_text(PORTS + "observer: {primary: shape}\nplan: rock.yaml\n")
     assert check_files([config]) == []
+
+
+def test_a_plan_that_may_not_be_looked_for_is_told() -> None:
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        folder.chmod(0o755)
+        (folder / "plans").mkdir()
+        (config,) = write(folder, palmd=PORTS + "plan: plans/rock.yaml\n")
+        expected = f"{folder}/plans/rock.yaml:1:1: cannot be read: Permission denied"
+        with shut(folder / "plans"):
+            assert check_files([config]) == [expected]
+            with pytest.raises(ConfigError, match=expected):
+                read_plan(folder / "plans/rock.yaml", motion_limits(load_config(config)), None)

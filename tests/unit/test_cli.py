@@ -36,6 +36,47 @@ def test_usage_errors(argv, capsys):
     assert "usage: palmd" in capsys.readouterr().err
 
 
+def test_without_a_command_there_is_help(capsys):
+    assert usage() == 2
+    told = capsys.readouterr().err
+    assert all(f"  {name} " in told for name in cli.COMMANDS)
+
+
+@pytest.mark.parametrize(
+    ("argv", "told"),
+    [
+        (("rnu",), "there is no 'rnu'; is run meant?"),
+        (("recrod", "x.yaml"), "there is no 'recrod'; is record meant?"),
+        (("calibrate", "pda"), "there is no 'pda'; is pad meant?"),
+        (("bench", "dance"), "there is no 'dance'; there are montecarlo, "),
+    ],
+)
+def test_a_slip_is_told_what_may_be_meant(argv, told, capsys):
+    assert usage(*argv) == 2
+    assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp437", "utf-8"])
+def test_help_on_any_terminal(encoding):
+    command = [sys.executable, "-m", "palmd", "--help"]
+    environment = os.environ | {"PYTHONIOENCODING": encoding}
+    done = subprocess.run(command, env=environment, capture_output=True, check=True)
+    assert done.stderr == b""
+    assert "see: palmd COMMAND --help" in " ".join(done.stdout.decode(encoding).split())
+
+
+def test_data_on_standard_output_are_utf_8_on_any_terminal(tmp_path):
+    program = (
+        "import pathlib; from palmd.cli import logs, main; main(['keys', 'list'])\n"
+        "with logs.opened(logs.STDOUT, pathlib.Path('x')) as stream: stream.write('µ…')"
+    )
+    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=environment, cwd=tmp_path, capture_output=True, check=True
+    )
+    assert done.stdout.decode("utf-8").endswith("µ…")
+
+
 @pytest.mark.parametrize("name", cli.COMMANDS)
 def test_every_command_has_its_module_and_help(name, capsys):
     module = importlib.import_module(f"palmd.cli.{name}")

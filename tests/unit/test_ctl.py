@@ -90,23 +90,33 @@ def test_status_of_a_rig_that_is_not_there():
     ]
 
 
-def test_a_plan_is_named_by_its_whole_path_and_goes_along_where_there_is_one(tmp_path, monkeypatch):
+def test_a_plan_goes_along_and_what_is_no_file_here_is_a_name_over_there(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with daemon(tmp_path, granted) as (address, requests):
         assert main(["ctl", "plan", "rock.yaml", "--address", address]) == 0
         (tmp_path / "rock.yaml").write_text("name: rock  # µ\n")
         assert main(["ctl", "plan", "rock.yaml", "--address", address]) == 0
-    path = str(tmp_path / "rock.yaml")
+    path = "rock.yaml"
     assert [request.args for request in requests] == [{"path": path}, {"path": path, "text": "name: rock  # µ\n"}]
 
 
-@pytest.mark.parametrize("content", [b"name: \xff\n", b"", b"#" * 40_000])
-def test_what_is_no_plan_that_could_go_along_is_left_to_the_daemon(tmp_path, content):
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        (b"name: \xff\n", ":1:7: not UTF-8 text"),
+        (b"", ":1:1: the file is empty"),
+        (b"#" * 40_000, ": larger than 32 kB"),
+        (b"#" * 300_000, ":1:1: larger than 256 kB"),
+        (None, ":1:1: this is a folder"),
+    ],
+)
+def test_what_cannot_go_along_is_told_here(tmp_path, content, complaint, capsys):
     path = tmp_path / "odd.yaml"
-    path.write_bytes(content)
+    path.mkdir() if content is None else path.write_bytes(content)
     with daemon(tmp_path, granted) as (address, requests):
-        assert main(["ctl", "plan", str(path), "--address", address]) == 0
-    assert requests[0].args == {"path": str(path)}
+        assert main(["ctl", "plan", str(path), "--address", address]) == 1
+    assert requests == []
+    assert f"{path}{complaint}" in capsys.readouterr().err
 
 
 def test_how_far_an_exploration_is_and_why_it_ended_is_told():
@@ -125,6 +135,12 @@ def test_how_the_recorder_fares_is_told():
     failed = {"bytes": 0, "messages": 0, "lost": 7, "age_s": 0.4, "problem": "/runs: the disk is full"}
     text = told("status", STATUS | {"recorder": failed})
     assert "record  no file, 0 messages, 0.0 MB, 7 lost: /runs: the disk is full" in text
+
+
+def test_what_a_reset_has_cleared_is_told_and_that_there_was_nothing():
+    cleared = {"state": "ready", "cleared": ["arm-lost", "arm-fault"]}
+    assert told("reset", cleared) == "state ready, cleared: arm-lost, arm-fault"
+    assert told("reset", {"state": "ready", "cleared": []}) == "state ready, there was nothing to reset"
 
 
 def test_only_what_people_do_can_be_asked(capsys):
@@ -152,6 +168,20 @@ def test_a_jog_goes_in_steps_the_daemon_takes_and_arrives(tmp_path):
         assert main(["ctl", "jog", "--phi2-deg", "-1", "--address", address]) == 0
     assert sum(request.args["phi2_deg"] for request in requests) == pytest.approx(-1.0)
     assert all(request.args["phi1_deg"] == 0.0 for request in requests)
+
+
+def test_a_jog_tells_its_whole_way_with_the_first_step(tmp_path):
+    with daemon(tmp_path, granted) as (address, requests):
+        assert main(["ctl", "jog", "--phi1-deg", "0.6", "--phi2-deg", "-1", "--address", address]) == 0
+    first, *others = (request.args for request in requests)
+    assert (first["whole_phi1_deg"], first["whole_phi2_deg"]) == (0.6, -1.0)
+    assert all(args.keys() == {"phi1_deg", "phi2_deg"} for args in others)
+
+
+@pytest.mark.parametrize("angles", [[], ["--phi1-deg", "0"]])
+def test_a_jog_by_nothing_says_so(angles, capsys):
+    assert main(["ctl", "jog", *angles]) == 2
+    assert "by how much? give --phi1-deg" in capsys.readouterr().err
 
 
 def test_a_jog_ends_when_it_is_refused(tmp_path, capsys):

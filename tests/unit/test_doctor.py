@@ -8,15 +8,18 @@ import threading
 import time
 import tty
 from contextlib import contextmanager
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from shut import shut
 
+from palmd.cli import configured, main
 from palmd.cli import doctor_machine as machine
 from palmd.cli import doctor_ports as ports
-from palmd.cli import main
 from palmd.cli.doctor_arm import told
 from palmd.cli.doctor_findings import bus, daemon, findings, plan
+from palmd.cli.shipped import shipped
 from palmd.config import PadConfig
 from palmd.daemon.bus import Bus
 from palmd.daemon.commands import Reply
@@ -128,6 +131,36 @@ def test_observers(monkeypatch, tmp_path):
     (tmp_path / "cache").mkdir()
     (tmp_path / "cache/shape-12.so").touch()
     assert machine.observers().verdict == "ok"
+
+
+@pytest.mark.parametrize("what", ["cache", "cache/deeper"])
+def test_observers_where_we_may_not_look(monkeypatch, tmp_path, what):
+    monkeypatch.setenv("CACHE_DIRECTORY", str(tmp_path / what))
+    (tmp_path / "cache/deeper").mkdir(parents=True)
+    with shut(tmp_path / "cache"):
+        finding, user = machine.observers(), machine.user()
+    assert (finding.verdict, finding.says) == ("missing", f"{tmp_path / what}: Permission denied")
+    assert finding.mend == f"set XDG_CACHE_HOME to a folder of {user}'s own, then palmd build"
+
+
+def test_observers_of_who_has_no_home(monkeypatch):
+    for name in ("CACHE_DIRECTORY", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+
+    def homeless():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(Path, "home", homeless)
+    assert "has no home" in machine.observers().says
+
+
+def test_an_installed_configuration_that_may_not_be_read_is_not_passed_over(monkeypatch, tmp_path):
+    folder = tmp_path / "etc"
+    folder.mkdir()
+    monkeypatch.setattr(configured, "INSTALLED", folder / "palmd.yaml")
+    with shut(folder):
+        assert configured.usual(None) == folder / "palmd.yaml"
+    assert configured.usual(None) == shipped("palmd.yaml")
 
 
 @pytest.mark.parametrize(("what", "limit"), [("real_time", "RTPRIO"), ("locked_memory", "MEMLOCK")])

@@ -75,8 +75,8 @@ def send(bench, command, args):
     bench.go(0.03)
 
 
-def armed():
-    bench = Bench(config=default_config().model_copy(update={"limits": NARROW})).go(0.5)
+def armed(plan=None):
+    bench = Bench(config=default_config().model_copy(update={"limits": NARROW, "plan": plan})).go(0.5)
     bench.do("arm")
     return bench.go(0.1)
 
@@ -97,14 +97,12 @@ def test_no_command_changes_the_limits_or_gets_past_them(sent, push):
 
 
 @pytest.mark.parametrize("what", HOSTILE_PLANS)
-def test_no_plan_changes_the_limits_or_gets_past_them(tmp_path, what):
+def test_no_plan_changes_the_limits_or_gets_past_them(what):
     bench = armed()
     limits, before = bench.core.steering.limits, copy.deepcopy(bench.core.steering.limits)
-    path = tmp_path / "plan.yaml"
-    path.write_text(yaml.safe_dump(HOSTILE_PLANS[what]), encoding="utf-8")
-    refused = bench.ask("plan", path=str(path)).error
+    refused = bench.ask("plan", path="plan.yaml", text=yaml.safe_dump(HOSTILE_PLANS[what])).error
     assert refused
-    assert refused.startswith(f"plan refused: {path}")
+    assert refused.startswith("plan refused: plan.yaml:")
     bench.do("start")
     bench.go(1.0)
     assert bench.last("palm/motion")["plan"] == "swing"
@@ -113,11 +111,9 @@ def test_no_plan_changes_the_limits_or_gets_past_them(tmp_path, what):
     assert limits == before
 
 
-def test_a_first_move_in_no_time_takes_the_time_that_the_limits_ask_for(tmp_path):
+def test_a_first_move_in_no_time_takes_the_time_that_the_limits_ask_for():
     bench = armed()
-    path = tmp_path / "plan.yaml"
-    path.write_text(yaml.safe_dump({"name": "x", "segments": [AWAY | {"duration_s": 1e-6}]}), encoding="utf-8")
-    bench.do("plan", path=str(path))
+    bench.do("plan", path="plan.yaml", text=yaml.safe_dump({"name": "x", "segments": [AWAY | {"duration_s": 1e-6}]}))
     bench.do("start")
     bench.go(1.5)
     assert math.degrees(bench.commanded()) == pytest.approx(30.0)
@@ -126,12 +122,22 @@ def test_a_first_move_in_no_time_takes_the_time_that_the_limits_ask_for(tmp_path
 
 def test_a_plan_that_never_ends_to_be_read_is_refused_at_once(tmp_path):
     os.mkfifo(tmp_path / "plan.yaml")
-    assert "is no file" in armed().ask("plan", path=str(tmp_path / "plan.yaml")).error
+    assert "no file of that name" in armed(plan=tmp_path / "rock.yaml").ask("plan", path="plan.yaml").error
 
 
-def test_the_answer_to_a_plan_that_is_none_does_not_read_out_the_file(tmp_path):
+@pytest.mark.parametrize("beside", [True, False])
+def test_the_answer_to_a_plan_that_is_none_does_not_read_out_the_file(tmp_path, beside):
     secret, _ = keys.make_pair(tmp_path, "server")
     hidden = keys.own_credentials(tmp_path).pair.secret.decode()
-    told = armed().ask("plan", path=str(secret)).error
+    bench = armed(plan=tmp_path / "rock.yaml" if beside else tmp_path / "plans" / "rock.yaml")
+    told = bench.ask("plan", path=str(secret)).error
     assert told
     assert not any(hidden[i : i + 8] in told for i in range(len(hidden) - 8))
+    assert "key" not in told.replace(str(secret), "")
+
+
+@pytest.mark.parametrize("path", ["/etc/passwd", "/proc/self/environ", "../../../../../../etc/passwd"])
+def test_a_plan_command_reads_out_no_file_of_the_machine(tmp_path, path):
+    bench = armed(plan=tmp_path / "rock.yaml")
+    refused = "no file of that name lies beside the configured plan; palmd ctl plan FILE sends any other"
+    assert bench.ask("plan", path=path).error == f"plan refused: {path}: {refused}"

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from shut import shut
 
 from palmd import cli
 from palmd.cli import install
@@ -70,9 +71,19 @@ def test_a_dry_run_writes_nothing_and_names_everything(tmp_path, capsys):
 def test_a_tree_that_cannot_be_written_is_told_in_one_line(tmp_path, capsys):
     (tmp_path / "usr").write_text("a file where a folder must be")
     assert cli.main(["install", "--root", str(tmp_path)]) == 1
-    said = capsys.readouterr().err.splitlines()
-    assert len(said) == 1
-    assert "palmd.service cannot be written" in said[0]
+    out, err = capsys.readouterr()
+    assert len(err.splitlines()) == 1
+    assert "palmd.service cannot be written" in err
+    assert out == ""
+
+
+def test_what_may_not_be_written_is_not_said_to_be(tmp_path, capsys):
+    (tmp_path / "tree").mkdir()
+    with shut(tmp_path / "tree"):
+        assert cli.main(["install", "--root", str(tmp_path / "tree")]) == 1
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith(f"{tmp_path / 'tree' / SYSTEM / UNITS[0]} may not be written: sudo ")
 
 
 def test_a_palmd_in_a_home_is_shown_and_nothing_else_of_it():

@@ -9,7 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from palmd.events import Estimate, ObjectEstimate, PadLift, PadSample, PalmMotion, PalmSample, ShapeEstimate
+from palmd.events import (
+    Estimate,
+    Improvement,
+    ObjectEstimate,
+    PadLift,
+    PadSample,
+    PalmMotion,
+    PalmSample,
+    ShapeEstimate,
+)
 from palmd.faults import TABLE
 from palmd.messages import (
     CONTACT,
@@ -94,7 +103,9 @@ def built():
         LOOP: loop,
         INFO: info_fields("0.1.0", "abc", "shape", 100.0),
         EVENTS: events_fields(1.0, [PadSample(0.99, 1, 0.02), PadLift(0.995, 2), PalmSample(0.98, 0.5, 1.5)]),
-        IMPROVEMENT: improvement_fields(1.0, 0.8, np.arange(3.0), np.eye(3)),
+        IMPROVEMENT: improvement_fields(
+            1.0, Improvement(0.8, np.arange(3.0), np.eye(3), 1, False, np.zeros(72, dtype=bool))
+        ),
     }
 
 

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from shut import shut
 
 from palmd.cli import main
 from palmd.outlinefile import H_SD_M, OutlineError, read_library, read_outline
@@ -325,3 +326,11 @@ def test_check_takes_outlines_too(tmp_path, capsys):
     assert capsys.readouterr().out == f"{good}: good\n"
     assert main(["check", str(good), str(bad)]) == 1
     assert "b.csv:151: the curve is open" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("what", ["", "/outline.json"])
+def test_a_library_that_may_not_be_looked_at_is_told(tmp_path, what):
+    (tmp_path / "library").mkdir()
+    path = tmp_path / f"library{what}"
+    with shut(tmp_path / "library"), pytest.raises(OutlineError, match=f"^{path}: Permission denied$"):
+        read_library(path)

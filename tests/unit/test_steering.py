@@ -36,8 +36,9 @@ def tool_of(motion: PalmMotion) -> float:
 class Drive:
     """A steering whose set-points are all sent, one each cycle."""
 
-    def __init__(self, pose=HERE):
+    def __init__(self, pose=HERE, workspace=None):
         self.steering = Steering(GEOMETRY, LIMITS)
+        self.steering.learn(workspace)
         self.t = 10.0
         self.steering.stand(pose, tool_of(pose), self.t)
 
@@ -239,6 +240,36 @@ def test_jog_never_leaves_the_limits():
     with pytest.raises(MotionError, match="phi1 falls to"):
         jogged(drive, 20, phi1_deg=-0.5)
     assert drive.go(1.0)[-1].phi1 >= LIMITS.phi1[0]
+
+
+BOX = Workspace(GEOMETRY, 0.20, 0.40, -0.07, 0.072, 1.0, 10.0)  # the way by (-39, -54) leaves it and comes back
+
+
+def jogged_by(drive, way, *, whole):
+    """Steps that add up to a way (rad), `whole` told with the first one or not; the last motion."""
+    steps = 150
+    for number in range(steps):
+        drive.steering.jog(way[0] / steps, way[1] / steps, drive.t, way if whole and number == 0 else None)
+        drive.go(0.064)
+    drive.steering.jog(0.0, 0.0, drive.t)
+    return drive.go(0.19)[-1]
+
+
+@pytest.mark.parametrize("workspace", [None, BOX])
+@pytest.mark.parametrize("way", [(40, 0), (90, 0), (-30, 40), (-39, -54), (-50, 0), (0, -54), (-35, 60), (60, -40)])
+def test_a_jog_is_refused_with_its_first_step_or_goes_all_the_way(workspace, way):
+    drive = Drive(workspace=workspace)
+    way = (math.radians(way[0]), math.radians(way[1]))
+    try:
+        last = jogged_by(drive, way, whole=True)
+    except MotionError:
+        assert drive.t == 10.0
+        assert drive.go(0.5)[-1] == HERE
+        with pytest.raises(MotionError):  # and rightly so
+            jogged_by(drive, way, whole=False)
+    else:
+        assert (last.phi1, last.phi2) == pytest.approx((HERE.phi1 + way[0], HERE.phi2 + way[1]), abs=1e-6)
+        assert drive.steering.interventions == 0
 
 
 def test_jog_and_plan_keep_out_of_each_others_way():

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import io
 import logging
 import os
 import sys
 from collections.abc import Sequence
 
-from palmd import __version__
-from palmd.cli.errors import CliError
+from palmd import __version__, blas
+from palmd.cli.arguments import one_of
+from palmd.cli.errors import USAGE, CliError
 from palmd.logformat import formatter
 
 COMMANDS = {
@@ -51,7 +53,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Raises SystemExit for usage, help and version, as argparse does.
     """
-    chosen = _parser().parse_args(argv)
+    blas.one_thread_from_here()
+    _take_any_terminal()
+    parser = _parser()
+    chosen = parser.parse_args(argv)
+    if chosen.command is None:
+        parser.print_help(sys.stderr)
+        raise SystemExit(USAGE)
     module = importlib.import_module(f"palmd.cli.{chosen.command}")
     parser = argparse.ArgumentParser(prog=f"palmd {chosen.command}", description=module.__doc__)
     module.add_arguments(parser)
@@ -71,6 +79,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     return status
 
 
+def _take_any_terminal() -> None:
+    """A terminal or pipe that is not UTF-8 gets a ? for what it cannot show, instead of a traceback."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")
+
+
 def _start_logging() -> None:
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(formatter())
@@ -88,6 +102,8 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"palmd {__version__}")
-    parser.add_argument("command", metavar="COMMAND", choices=COMMANDS, help="one of the commands below")
+    parser.add_argument(
+        "command", metavar="COMMAND", nargs="?", type=one_of(COMMANDS), help="one of the commands below"
+    )
     parser.add_argument("arguments", metavar="…", nargs=argparse.REMAINDER, help="see: palmd COMMAND --help")
     return parser

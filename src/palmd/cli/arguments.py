@@ -3,9 +3,25 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import math
+from collections.abc import Callable, Collection
 
 _SHORTEST_S = 0.5
+
+
+def one_of(names: Collection[str]) -> Callable[[str], str]:
+    """One of the names; else it is said which of them may be meant, or which there are."""
+
+    def name(text: str) -> str:
+        if text in names:
+            return text
+        near = difflib.get_close_matches(text, names, n=1)
+        raise argparse.ArgumentTypeError(
+            f"there is no {text!r}; " + (f"is {near[0]} meant?" if near else f"there are {', '.join(names)}")
+        )
+
+    return name
 
 
 def count(text: str) -> int:

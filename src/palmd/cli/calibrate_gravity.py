@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
     ):
         client.ask("status")
         session = RollingSession(config, client, subscriber, stop, arguments.clear)
-        session.begin(slopes[0])
+        session.begin(slopes)
         try:
             for each in slopes:
                 session.roll_on(each)

@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The calibration's arguments."""
     add = parser.add_argument
     add("config", type=Path, metavar="CONFIG", help="the rig's configuration, palmd.yaml")
-    add("--characterise", action="store_true", required=True, help="roll a marble over the pad; nothing else moves")
+    add("--characterise", action="store_true", help=argparse.SUPPRESS)  # was needed once
     add("--pad", type=int, choices=(1, 2), required=True, help="of palm 1 or palm 2")
     add("--seconds", type=_seconds, default=20.0, metavar="S", help="from the first touch (default: %(default)s)")
     add("-o", "--output", type=Path, metavar="FOLDER",

@@ -14,7 +14,15 @@ INSTALLED = Path("/etc/palmd/palmd.yaml")
 
 def usual(path: Path | None) -> Path:
     """The path given, else that of the installed configuration, else of the shipped one."""
-    return path or (INSTALLED if INSTALLED.exists() else shipped("palmd.yaml"))
+    return path or (INSTALLED if _stands(INSTALLED) else shipped("palmd.yaml"))
+
+
+def _stands(path: Path) -> bool:
+    """Whether it is there; what may not be looked at is, and whoever reads it tells."""
+    try:
+        return path.exists()
+    except PermissionError:
+        return True
 
 
 def configured(path: Path) -> Config:

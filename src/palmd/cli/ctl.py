@@ -5,13 +5,14 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from palmd.cli.bus import COMMAND, Client, add_key, credentials
-from palmd.cli.errors import BAD_INPUT, CliError
+from palmd.cli.errors import BAD_INPUT, USAGE, CliError
 from palmd.daemon.commands import COMMANDS, REQUEST_BYTES_MAX
 
 PLAN_BYTES_MAX = REQUEST_BYTES_MAX // 2
@@ -33,7 +34,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             continue
         chosen = commands.add_parser(name, parents=[common], help=spec.does, description=spec.does)
         if name == "plan":
-            chosen.add_argument("path", type=Path, metavar="FILE", help="the plan (YAML)")
+            chosen.add_argument(
+                "path",
+                type=Path,
+                metavar="FILE",
+                help="the plan (YAML), or the name of one that lies beside the daemon's configured plan",
+            )
         elif name == "jog":
             for i in (1, 2):
                 chosen.add_argument(
@@ -43,11 +49,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Asks once, or for a jog until the palms have turned; CliError when refused or unanswered."""
+    if arguments.command == "jog" and arguments.phi1_deg == arguments.phi2_deg == 0.0:
+        raise CliError(USAGE, "ctl jog: by how much? give --phi1-deg, --phi2-deg or both, such as --phi1-deg 1")
     with Client(arguments.address, key=credentials(arguments)) as client:
         if arguments.command == "jog":
             reply = _jog(client, arguments.phi1_deg, arguments.phi2_deg)
         elif arguments.command == "plan":
-            reply = client.ask("plan", _plan(arguments.path.absolute()))
+            reply = client.ask("plan", _plan(arguments.path))
         else:
             reply = client.ask(arguments.command)
     if arguments.json:
@@ -62,16 +70,27 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _plan(path: Path) -> dict[str, str]:
-    """The plan goes along: the daemon may be another user's, or on another machine. A file of its own is left to it."""
+    """The plan goes along, for the daemon opens no file of ours; what is not here is a name among its own plans."""
+    from palmd.yamlfile import ConfigError, read_text
+
+    if not os.path.lexists(path):
+        return {"path": str(path)}
     try:
-        text = path.read_text(encoding="utf-8") if path.is_file() else ""
-    except (OSError, UnicodeDecodeError):
-        text = ""
-    return {"path": str(path)} | ({"text": text} if 0 < len(text.encode()) <= PLAN_BYTES_MAX else {})
+        text = read_text(path)
+    except ConfigError as error:
+        raise CliError(BAD_INPUT, str(error)) from None
+    if not text:
+        raise CliError(BAD_INPUT, f"{path}:1:1: the file is empty")
+    if len(text.encode()) > PLAN_BYTES_MAX:
+        raise CliError(BAD_INPUT, f"{path}: larger than {PLAN_BYTES_MAX // 1000} kB, the most that can be sent along")
+    return {"path": str(path), "text": text}
 
 
 def told(command: str, result: dict[str, Any]) -> str:
     """A result in words."""
+    if command == "reset" and "cleared" in result:
+        cleared = ", ".join(result["cleared"])
+        return f"state {result['state']}, " + (f"cleared: {cleared}" if cleared else "there was nothing to reset")
     if command != "status":
         return ", ".join(f"{name} {value}" for name, value in result.items())
     plan = result["plan"] or "none"
@@ -109,11 +128,16 @@ def _recorded(
 
 
 def _jog(client: Client, phi1_deg: float, phi2_deg: float) -> dict[str, Any]:
-    """Turns the palms by small steps, as a hand on the dead-man's handle would; letting go of it stops them."""
+    """Turns the palms by small steps, as a hand on the dead-man's handle would; letting go of it stops them.
+
+    The first step tells the whole wish: one that cannot be granted to its end is not begun.
+    """
     reply: dict[str, Any] = {}
+    whole = {"whole_phi1_deg": phi1_deg, "whole_phi2_deg": phi2_deg}
     for step1, step2 in jog_steps(phi1_deg, phi2_deg):
         t_next = time.monotonic() + JOG_EVERY_S
-        reply = client.ask("jog", {"phi1_deg": step1, "phi2_deg": step2})
+        reply = client.ask("jog", {"phi1_deg": step1, "phi2_deg": step2, **whole})
+        whole = {}
         if not reply["ok"]:
             break
         time.sleep(max(0.0, t_next - time.monotonic()))

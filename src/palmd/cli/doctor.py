@@ -6,7 +6,6 @@ Without an option it changes nothing and moves nothing. Exit status 0 only if al
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 
 from palmd.cli.configured import INSTALLED, configured, usual
@@ -29,7 +28,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Returns the exit status; CliError for a configuration that cannot be used, and for a rig that does not answer."""
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     path = usual(arguments.config)
     if arguments.arm_conformance:
         from palmd.cli.doctor_arm import examine_arm

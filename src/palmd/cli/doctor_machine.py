@@ -71,11 +71,19 @@ def observers() -> Finding:
     """The compiled observers; whether they are this version's is known when they are loaded."""
     from palmd.model.compiled import cache_directory
 
-    folder = cache_directory()
-    count = len(list(folder.glob("*.so"))) if folder.is_dir() else 0
+    own = f"set XDG_CACHE_HOME to a folder of {user()}'s own, then palmd build"
+    try:
+        folder = cache_directory()
+    except RuntimeError:
+        return Finding("observers", "missing", f"{user()} has no home to keep them in", own)
+    try:
+        count = sum(each.suffix == ".so" for each in folder.iterdir()) if folder.is_dir() else 0
+        makes_more = takes_files(nearest(folder))
+    except OSError as error:
+        return Finding("observers", "missing", f"{folder}: {error.strerror}", own)
     if count:
         return Finding("observers", "ok", f"{count} compiled in {folder}")
-    return Finding("observers", "missing", f"none compiled in {folder}", "palmd build")
+    return Finding("observers", "missing", f"none compiled in {folder}", "palmd build" if makes_more else own)
 
 
 def real_time() -> Finding:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 BAD_INPUT = 1
+USAGE = 2
 RIG_FAILED = 3
 
 

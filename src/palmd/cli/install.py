@@ -7,7 +7,6 @@ overwritten. Nothing is enabled or started. With --root the files go into anothe
 from __future__ import annotations
 
 import argparse
-import os
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -125,8 +124,8 @@ def _put(item: Item, root: Path, dry_run: bool) -> None:
     if item.own and path.exists():
         print(f"kept     {path}")
         return
-    print(f"written  {path}" if not dry_run else f"to write {path}")
     if dry_run:
+        print(f"to write {path}")
         return
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -136,6 +135,7 @@ def _put(item: Item, root: Path, dry_run: bool) -> None:
         raise CliError(BAD_INPUT, f"{path} may not be written: sudo {sys.prefix}/bin/palmd install") from None
     except OSError as error:
         raise CliError(BAD_INPUT, f"{path} cannot be written: {error.strerror}") from None
+    print(f"written  {path}")
 
 
 def _follow(words: list[str], dry_run: bool) -> None:
@@ -143,7 +143,7 @@ def _follow(words: list[str], dry_run: bool) -> None:
     if dry_run:
         return
     try:
-        status = subprocess.run(words, check=False, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"}).returncode
+        status = subprocess.run(words, check=False).returncode
     except FileNotFoundError:
         raise CliError(RIG_FAILED, f"there is no {words[0]}: palmd's services need systemd and udev") from None
     if status != 0:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -43,6 +44,8 @@ def _is_mcap(path: Path) -> bool:
 def opened(path: Path, log: Path) -> Iterator[TextIO]:
     """`path` for writing, `-` for standard output; CliError when that cannot be, or when it is the `log` itself."""
     if path == STDOUT:
+        if isinstance(sys.stdout, io.TextIOWrapper):
+            sys.stdout.reconfigure(encoding="utf-8")  # as in a file: what a terminal cannot show must not be lost
         yield sys.stdout
         return
     try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -24,6 +24,7 @@ PATIENCE_S = 60.0
 """How long nothing may roll, or the palms may be on their way."""
 SETTLED_S = 0.3
 INTRODUCTION_S = 3.0
+TOUR_S = 600.0
 
 _SHALLOW_DEG, _STEEPER_DEG = 8.0, 18.0
 _OPENING_DEG = 110.0
@@ -80,11 +81,11 @@ class RollingSession:
         self._config, self._client, self._subscriber = config, client, subscriber
         self._stop, self._clear_s = stop, clear_s
 
-    def begin(self, first: Slope) -> None:
-        """Arm, once the daemon has been heard and has nothing against the first plan; CliError where it has."""
+    def begin(self, slopes: Sequence[Slope]) -> None:
+        """Arm, once the daemon has been heard and has nothing against the whole tour; CliError where it has."""
         self._introduce()
         can_move(self._client)
-        self._load(first)
+        self._load(*slopes)
         if self._status()["state"] == "ready":
             do(self._client, "arm")
             self._armed = True
@@ -137,9 +138,13 @@ class RollingSession:
         self.rough += rough
         return good
 
-    def _load(self, where: Slope) -> None:
-        move = {"phi1_deg": where.phi1_deg, "phi2_deg": where.phi2_deg}
-        load(self._client, {"name": "gravity", "segments": [{"move": move, "duration_s": 1.0}]})
+    def _load(self, first: Slope, *others: Slope) -> None:
+        """A way to a slope, or to several one after the other, so slow that only its poses can be refused."""
+        segments = [
+            {"move": {"phi1_deg": each.phi1_deg, "phi2_deg": each.phi2_deg}, "duration_s": duration_s}
+            for each, duration_s in ((first, 1.0), *((each, TOUR_S) for each in others))
+        ]
+        load(self._client, {"name": "gravity", "segments": segments})
 
     def _wait_until_commanded(self) -> None:
         """Nothing to wait for unless a fault has stopped the arm, which a person can mend."""

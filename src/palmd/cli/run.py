@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 
 from palmd.cli.processes import start_beside
@@ -17,8 +16,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Runs until SIGTERM or SIGINT, then brings the arm to a planned stop."""
-    # the loop's matrices are small: threads of the linear algebra library would only compete with it
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from palmd.daemon import app
 
     def recorder() -> None:

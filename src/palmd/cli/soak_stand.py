@@ -257,7 +257,7 @@ class SoakStand:
         self._command("stop")
         with suppress(CliError):
             self._wait(lambda: self.watch.state == "ready", STOPPED_S, "the palms were not stopped")
-            if self._client.ask("plan", {"path": str(self._plans[1])})["ok"]:
+            if self._client.ask("plan", {"path": str(self._plans[1]), "text": self._plans[1].read_text()})["ok"]:
                 self._plans.reverse()
 
     def _visit(self, visit: Visit) -> None:

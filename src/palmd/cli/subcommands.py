@@ -6,13 +6,15 @@ import argparse
 import importlib
 from collections.abc import Mapping
 
+from palmd.cli.arguments import one_of
+
 
 def add_arguments(parser: argparse.ArgumentParser, table: Mapping[str, str]) -> None:
     """The name, out of a table from names to what they do; what follows is for that module itself."""
     width = max(map(len, table))
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = "names:\n" + "\n".join(f"  {name:{width}}  {text}" for name, text in table.items())
-    parser.add_argument("name", metavar="NAME", choices=table, help="one of the names below")
+    parser.add_argument("name", metavar="NAME", type=one_of(table), help="one of the names below")
     parser.add_argument("arguments", metavar="…", nargs=argparse.REMAINDER, help=f"see: {parser.prog} NAME --help")
 
 

@@ -84,9 +84,7 @@ class ProcessBeside:
     def _start(self) -> None:
         self._t_started = time.monotonic()
         self.starts += 1
-        # the linear algebra is of small matrices: more threads would only take the loop's core
-        environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
-        self._process = subprocess.Popen(self._command, stdin=subprocess.DEVNULL, env=environment)
+        self._process = subprocess.Popen(self._command, stdin=subprocess.DEVNULL)
 
     def _revive(self) -> None:
         if self._process.poll() is not None and time.monotonic() - self._t_started > RESTART_S:

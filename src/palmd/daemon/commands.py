@@ -39,6 +39,7 @@ class CommandSpec:
 
 
 JOG_STEP_MAX_DEG = 0.5
+JOG_WHOLE_MAX_DEG = 180.0
 
 COMMANDS: dict[str, CommandSpec] = {
     "status": CommandSpec("tells state, faults and plan", role=Role.WATCH),
@@ -50,14 +51,24 @@ COMMANDS: dict[str, CommandSpec] = {
     "plan": CommandSpec(
         "loads another plan, validated first; not while moving",
         (
-            Argument("path", "text", "the plan's file; relative to the configuration's folder", required=True),
-            Argument("text", "text", "what the file says, where the daemon cannot read it itself"),
+            Argument("path", "text", "the plan's file; without its text one beside the configured plan", required=True),
+            Argument("text", "text", "what the file says"),
         ),
     ),
     "jog": CommandSpec(
         "turns the palms by small steps, for as long as the next one comes within 200 ms",
         tuple(
             Argument(f"phi{i}_deg", "number", f"step of phi{i}", low=-JOG_STEP_MAX_DEG, high=JOG_STEP_MAX_DEG)
+            for i in (1, 2)
+        )
+        + tuple(
+            Argument(
+                f"whole_phi{i}_deg",
+                "number",
+                f"what this step of phi{i} and those to come add up to: all of it must be possible",
+                low=-JOG_WHOLE_MAX_DEG,
+                high=JOG_WHOLE_MAX_DEG,
+            )
             for i in (1, 2)
         ),
     ),

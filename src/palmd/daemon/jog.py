@@ -6,6 +6,7 @@ import math
 
 from palmd.events import PalmMotion
 from palmd.motion.limits import MotionLimits
+from palmd.motion.plan import check_way
 
 DEAD_MAN_S = 0.200
 RATE = math.radians(10.0)
@@ -37,6 +38,10 @@ class Jog:
     def motion(self) -> PalmMotion:
         """Where the palms are meant to be, and how fast."""
         return PalmMotion(*self._q, *self._v)
+
+    def check(self, whole1: float, whole2: float) -> None:
+        """Raises PoseError if steps that add up to so much (rad) would leave the limits; takes about a millisecond."""
+        check_way((self._goal[0], self._goal[1]), (self._goal[0] + whole1, self._goal[1] + whole2), self._limits)
 
     def step(self, step1: float, step2: float, t: float) -> list[str]:
         """Shift the goal (rad) at `t` (s); returns what speaks against it, and then changes nothing."""

@@ -10,18 +10,17 @@ import math
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from palmd.daemon.commands import Reply, Request
 from palmd.daemon.ends import RESTING, ArmEnd
 from palmd.daemon.exploring import Exploring
 from palmd.daemon.lifecycle import COMMANDED, State, Trigger, next_state
-from palmd.daemon.planner import Plan, read_plan
+from palmd.daemon.planner import Plan, PlanFolder, plan_in
 from palmd.daemon.recorder_watch import RecorderWatch
 from palmd.daemon.steering import Steering
 from palmd.devices.armlink import ArmState, HelloReply, error_text
-from palmd.faults import FaultMonitor, Severity
+from palmd.faults import Fault, FaultMonitor, Severity
 from palmd.motion.conductor import MotionError
 from palmd.motion.limits import Workspace
 from palmd.motion.segments import Angles
@@ -51,10 +50,11 @@ class _Job:
 
 @dataclass(frozen=True, slots=True)
 class _Wait:
-    """A request whose answer depends on the arm, and until when (s) to wait for it."""
+    """A request whose answer depends on the arm, until when (s) to wait for it, and which faults stood then."""
 
     request: Request
     t_end: float
+    faults: tuple[Fault, ...]
 
 
 class Operator:
@@ -68,11 +68,11 @@ class Operator:
         faults: FaultMonitor,
         aside: Executor,
         plan: Plan | None,
-        folder: Path,
+        plans: PlanFolder,
         *,
         autostart: bool,
     ) -> None:
-        """`aside` does slow work beside the loop; `folder` is where a plan's relative path begins."""
+        """`aside` does slow work beside the loop; plans without their text come from the `plans`."""
         self.state = State.IDLE
         self.plan = plan
         self.plan_refused = False
@@ -84,7 +84,7 @@ class Operator:
         self._exploring = exploring
         self._faults = faults
         self._aside = aside
-        self._folder = folder
+        self._plans = plans
         self._autostart = ["arm", "start"] if autostart else []
         self._closing = False
         self._hello: HelloReply | None = None
@@ -195,7 +195,7 @@ class Operator:
             raise RefusedError(f"{'; '.join(problems)}: bring the palms inside with the pendant")
         host.want_tracking()
         self.at_rest = False
-        self._arming = _Wait(request, t + ARMING_S)
+        self._arming = _Wait(request, t + ARMING_S, self._faults.active)
 
     def _start(self, request: Request, _t: float) -> dict[str, Any] | None:
         steering, commanded = self._steering, self._steering.commanded
@@ -246,17 +246,20 @@ class Operator:
         host = self._arm.host
         if host.state is ArmState.FAULT and not self._closing:
             host.request_reset()
-        self._resetting = _Wait(request, t + RESET_S)
+        self._resetting = _Wait(request, t + RESET_S, self._faults.active)
 
     def _load_plan(self, request: Request, _t: float) -> None:
         self._refuse_while_moving()
-        path, limits, actual = self._folder / request.args["path"], self._steering.limits, self._arm.actual
+        name, text = request.args["path"], request.args.get("text")
+        plans, limits, actual = self._plans, self._steering.limits, self._arm.actual
         start: Angles | None = None
         if actual is not None:
             inside = self._steering.nearest(actual)
             start = (inside.phi1, inside.phi2)
-        text = request.args.get("text")
-        self._begin(request, lambda: read_plan(path, limits, start, text), self._adopt)
+        if text is None:
+            self._begin(request, lambda: plans.load(name, limits, start), self._adopt)
+        else:
+            self._begin(request, lambda: plan_in(text, name, limits, start), self._adopt)
 
     def _adopt(self, plan: Plan) -> None:
         self._refuse_while_moving()
@@ -266,8 +269,8 @@ class Operator:
 
     def _jog(self, request: Request, t: float) -> dict[str, Any]:
         self._refuse_unless_commanded()
-        step1, step2 = (math.radians(request.args.get(f"phi{i}_deg", 0.0)) for i in (1, 2))
-        self._steering.jog(step1, step2, t)
+        told = any(name.startswith("whole_") for name in request.args)
+        self._steering.jog(*_turn(request, ""), t, _turn(request, "whole_") if told else None)
         return self._told()
 
     def _told(self) -> dict[str, Any]:
@@ -345,7 +348,8 @@ class Operator:
             self._answer(wait.request, f"reset refused: {why}")
         else:
             self._change(Trigger.CLEARED)
-            self._answer(wait.request, None, self._told())
+            cleared = [fault.code for fault in wait.faults if fault not in self._faults.active]
+            self._answer(wait.request, None, {**self._told(), "cleared": cleared})
 
     def _stand_down(self, reason: str) -> None:
         """Planned stop, as far as the arm is commanded; an `arm` under way comes to nothing."""
@@ -409,6 +413,12 @@ class Operator:
             self._autostart.clear()
             log.warning("autostart: %s", error)
         self.replies.append(Reply(request, error, result))
+
+
+def _turn(jog: Request, of: str) -> Angles:
+    """By how much a jog turns the palms (rad): its step, or the whole of which that is the first."""
+    phi1_deg, phi2_deg = (jog.args.get(f"{of}phi{i}_deg", 0.0) for i in (1, 2))
+    return math.radians(phi1_deg), math.radians(phi2_deg)
 
 
 def _named(state: ArmState | None) -> str:

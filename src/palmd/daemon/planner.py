@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import contextlib
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from palmd.config import ExploreSpec, MoveSpec, PlanSpec
-from palmd.motion.check import compiled
+from palmd.motion.check import compiled, is_plan
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import Trajectory, compile_plan
 from palmd.motion.segments import Angles
-from palmd.yamlfile import ConfigError, parse, read_document
+from palmd.yamlfile import ConfigError, Document, parse, read_document
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,14 +44,68 @@ class Plan:
         return Plan(self.spec, compile_plan(self.spec, limits, start), limits, start)
 
 
-def read_plan(path: Path, limits: MotionLimits, start: Angles | None, text: str | None = None) -> Plan:
-    """The plan in a file, or `text` that came from such a file; not for the loop.
+def read_plan(path: Path, limits: MotionLimits, start: Angles | None) -> Plan:
+    """The plan in a file; not for the loop. Raises ConfigError with file:line:col for all that is wrong."""
+    with contextlib.suppress(OSError):  # which the reading tells
+        if path.is_fifo() or path.is_char_device() or path.is_socket():
+            raise ConfigError([f"{path}: is no file but something that may never end"])
+    return _plan(read_document(path), limits, start)
 
-    Raises ConfigError with file:line:col for all that is wrong.
+
+def plan_in(text: str, name: str, limits: MotionLimits, start: Angles | None) -> Plan:
+    """The plan that `text` says, `name` its file somewhere else; not for the loop. Raises ConfigError, as `read_plan`.
+
+    The text may be quoted: it is the sender's own.
     """
-    if text is None and (path.is_fifo() or path.is_char_device() or path.is_socket()):
-        raise ConfigError([f"{path}: is no file but something that may never end"])
-    document = read_document(path, text)
+    return _plan(read_document(Path(name), text), limits, start)
+
+
+@dataclass(frozen=True, slots=True)
+class PlanFolder:
+    """The folder out of which plans are loaded by name: that of the configured plan, None without one.
+
+    `base` is the configuration's folder, from which names may be told, too.
+    """
+
+    folder: Path | None
+    base: Path
+
+    def load(self, name: str, limits: MotionLimits, start: Angles | None) -> Plan:
+        """The plan in the file called `name`; not for the loop. Raises ConfigError, as `read_plan`.
+
+        Nothing outside the folder is opened, wherever `..` and links lead, and of a file that is no plan no word is
+        told: it may be a key.
+        """
+        path = self._file(name)
+        if path is None:
+            raise ConfigError(
+                [f"{name}: no file of that name lies beside the configured plan; palmd ctl plan FILE sends any other"]
+            )
+        try:
+            document = read_document(path)
+        except ConfigError:
+            raise _no_plan(name) from None
+        if not is_plan(document):
+            raise _no_plan(name)
+        return _plan(replace(document, path=Path(name)), limits, start)
+
+    def _file(self, name: str) -> Path | None:
+        if self.folder is None:
+            return None
+        with contextlib.suppress(OSError, RuntimeError):  # the latter for links that lead to themselves
+            inside = self.folder.resolve()
+            for place in (self.folder, self.base):
+                path = (place / name).resolve()
+                if path.parent == inside and path.is_file():
+                    return path
+        return None
+
+
+def _no_plan(name: str) -> ConfigError:
+    return ConfigError([f"{name}: is no motion plan; palmd check tells what is wrong with a file"])
+
+
+def _plan(document: Document, limits: MotionLimits, start: Angles | None) -> Plan:
     spec = parse(document, PlanSpec)
     return Plan(spec, compiled(document, spec, limits, start), limits, start)
 

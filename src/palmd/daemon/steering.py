@@ -18,6 +18,7 @@ from palmd.motion.exploration import Exploration
 from palmd.motion.kinematics import PoseError, RigGeometry, wrapped
 from palmd.motion.limits import MotionLimits, Workspace
 from palmd.motion.plan import Place, Trajectory
+from palmd.motion.segments import Angles
 
 LONGEST_STEP_S = 0.032
 """Two cycles: what one set-point may make up for when the one before was not sent."""
@@ -118,21 +119,27 @@ class Steering:
         """Forget the plan that is held."""
         self._conductor.stop()
 
-    def jog(self, step1: float, step2: float, t: float) -> None:
-        """Shift the palms by small steps (rad) at `t` (s); raises MotionError when that cannot be."""
+    def jog(self, step1: float, step2: float, t: float, whole: Angles | None = None) -> None:
+        """Shift the palms by small steps (rad) at `t` (s); raises MotionError when that cannot be, and changes nothing.
+
+        whole: what this step and those to come add up to (rad), where it is known: then all of it must be possible.
+        """
         if self.commanded is None or self._off_path or self._frozen:
             raise MotionError("the arm does not follow yet")
         if self._conductor.moving:
             raise MotionError("a plan is running: hold it first")
-        if self._jog is None:
-            self._conductor.stop()
-            self._jog = Jog(self._conductor.motion, self.limits, t)
+        jog = Jog(self._conductor.motion, self.limits, t) if self._jog is None else self._jog
         try:
-            problems = self._jog.step(step1, step2, t)
+            if whole is not None:
+                jog.check(*whole)
+            problems = jog.step(step1, step2, t)
         except PoseError as error:
             problems = [str(error)]
         if problems:
             raise MotionError("; ".join(problems))
+        if self._jog is None:
+            self._conductor.stop()
+            self._jog = jog
 
     def displaced(self, actual: PalmMotion, tool: float) -> None:
         """The arm did not follow: begin again at its actual pose, its tool at the angle `tool` (rad)."""

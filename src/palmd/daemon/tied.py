@@ -12,6 +12,8 @@ import signal
 import sys
 from collections.abc import Sequence
 
+from palmd import blas
+
 _PR_SET_PDEATHSIG = 1
 
 
@@ -20,6 +22,7 @@ def main(module: str, parent: int, arguments: Sequence[str]) -> None:
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:  # it has died already
         return
+    blas.one_thread_from_here()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the loop, which ends this process in its turn
     importlib.import_module(module).serve(*arguments)
 

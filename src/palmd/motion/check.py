@@ -42,6 +42,11 @@ def compiled(document: Document, spec: PlanSpec, limits: MotionLimits, start: An
         ) from None
 
 
+def is_plan(document: Document) -> bool:
+    """Whether it means to be a motion plan: what has `segments` does, however wrong it is otherwise."""
+    return isinstance(document.data, dict) and "segments" in document.data
+
+
 def check_files(paths: Sequence[Path]) -> list[str]:
     """Everything wrong with these configurations and plans, as `file:line:col: what`; empty when all is well.
 
@@ -51,8 +56,8 @@ def check_files(paths: Sequence[Path]) -> list[str]:
     """
     errors: list[str] = []
     documents = _documents(paths, errors)
-    plans = [document for document in documents if _is_plan(document)]
-    configs = [document for document in documents if not _is_plan(document)]
+    plans = [document for document in documents if is_plan(document)]
+    configs = [document for document in documents if not is_plan(document)]
     limits = [] if configs else [_default_limits()]
     blind: list[Document] = []  # configurations whose observers know no outline to explore by
     for document in configs:
@@ -101,13 +106,14 @@ def _blind_errors(plan: Document, blind: Iterable[Document]) -> list[str]:
     return [config.line(config.place(("observer", "primary")), text) for config in blind]
 
 
-def _is_plan(document: Document) -> bool:
-    return isinstance(document.data, dict) and "segments" in document.data
-
-
 def _plan_named(config: Config, *, given: Sequence[Path]) -> list[Path]:
-    if config.plan is None or not config.plan.is_file():
+    if config.plan is None:
         return []
+    try:
+        if not config.plan.is_file():
+            return []
+    except OSError:  # whoever reads it tells why
+        return [config.plan]
     resolved = config.plan.resolve()
     return [] if any(path.resolve() == resolved for path in given) else [config.plan]
 

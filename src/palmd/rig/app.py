@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import errno
 import gc
 import json
 import os
@@ -69,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"what goes wrong; may be given again; names: {', '.join(TRICKS)}",
     )
     parser.add_argument(
-        "--ports", type=Path, metavar="FOLDER", help="where its ports are; default: a folder of its own"
+        "--ports", type=Path, metavar="FOLDER", help="where its ports are, made if need be; default: one of its own"
     )
 
 
@@ -81,8 +82,6 @@ def run_rig(arguments: argparse.Namespace) -> int:
     seed = secrets.randbelow(2**31) if arguments.seed is None else arguments.seed
     if seed < 0:
         return _refuse(f"--seed must not be negative, got {seed}")
-    if arguments.ports is not None and not arguments.ports.is_dir():
-        return _refuse(f"--ports: {arguments.ports} is not a folder")
     try:
         config = load_config(arguments.config) if arguments.config else default_config()
         t = time.monotonic()
@@ -93,7 +92,12 @@ def run_rig(arguments: argparse.Namespace) -> int:
             world.mischief.add(parse(text, t))
     except (ConfigError, ValueError) as error:
         return _refuse(str(error))
-    folder = arguments.ports or Path(tempfile.mkdtemp(prefix="palmd-rig-"))
+    try:
+        folder = _folder(arguments.ports)
+    except FileExistsError:
+        return _refuse(f"--ports: {arguments.ports} is not a folder")
+    except OSError as error:
+        return _refuse(f"--ports: {arguments.ports}: {error.strerror}")
     try:
         rig = RigProcess(config, world, folder, stop)
         with contextlib.suppress(BrokenPipeError):
@@ -103,6 +107,16 @@ def run_rig(arguments: argparse.Namespace) -> int:
         if arguments.ports is None:
             shutil.rmtree(folder, ignore_errors=True)
     return 0
+
+
+def _folder(given: Path | None) -> Path:
+    """Where the ports are: the folder given, made if need be, or one for this run alone; raises OSError."""
+    if given is None:
+        return Path(tempfile.mkdtemp(prefix="palmd-rig-"))
+    given.mkdir(parents=True, exist_ok=True)
+    if not os.access(given, os.W_OK | os.X_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    return given
 
 
 def _cylinder(text: str) -> Body:

@@ -1,0 +1,141 @@
+"""One thread for the linear algebra: in every process of palmd's own, and in others' while palmd computes."""
+
+import json
+import os
+import subprocess
+import sys
+from collections import UserList
+
+import pytest
+from simulated import simulated
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from palmd.blas import one_thread
+from palmd.cli import COMMANDS
+from palmd.events import Estimate
+from palmd.observer.reconstruct import reconstruct
+from palmd.record.eventlog import EventLog
+from palmd.record.replay import replay
+from palmd.rig.simulate import simulate_log
+
+MANY = 3
+ASKED_FOR_MANY = dict.fromkeys(("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"), str(MANY))
+
+# What a command's module finds when it is imported: whether there is an array library, and what it is told of threads.
+EVERY_COMMAND = """
+import importlib, json, os, sys, types
+import palmd.cli
+
+def found(name):
+    print(json.dumps([name, "numpy" in sys.modules, os.environ["OPENBLAS_NUM_THREADS"]]))
+    return types.SimpleNamespace(__doc__="", add_arguments=lambda parser: None, run=lambda arguments: 0)
+
+importlib.import_module = found
+for name in palmd.cli.COMMANDS:
+    os.environ["OPENBLAS_NUM_THREADS"] = "3"
+    palmd.cli.main([name])
+"""
+TELLING = """
+import json, sys
+def serve(*arguments):
+    import numpy, scipy.linalg, threadpoolctl
+    print(json.dumps([each["num_threads"] for each in threadpoolctl.threadpool_info()]))
+"""
+
+
+def in_effect():
+    """The threads of every library that is loaded."""
+    return {each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"}
+
+
+@pytest.fixture
+def many():
+    """A program of somebody else's, whose linear algebra uses several threads."""
+    with threadpool_limits(MANY):
+        assert in_effect() == {MANY}
+        yield
+        assert in_effect() == {MANY}, "its threads were not given back"
+
+
+class Watched(UserList):
+    """Events; each time they are read the threads in effect are noted."""
+
+    def __init__(self, events):
+        super().__init__(events)
+        self.seen = set()
+
+    def __iter__(self):
+        self.seen |= in_effect()
+        return iter(self.data)
+
+
+class Watch:
+    """An observer that only notes the threads."""
+
+    def __init__(self):
+        self.seen = set()
+
+    def feed(self, _event):
+        self.seen |= in_effect()
+
+    def estimate(self, t):
+        self.seen |= in_effect()
+        values = dict.fromkeys(Estimate.__dataclass_fields__, 0.5)
+        return Estimate(**values | {"t": t, "valid": False, "observer": "watch", "object_count": 1, "sd": {}})
+
+    def shape(self, _t):
+        self.seen |= in_effect()
+
+
+def test_every_command_begins_with_one_thread_whatever_the_shell_says():
+    told = subprocess.run([sys.executable, "-c", EVERY_COMMAND], capture_output=True, text=True, check=True).stdout
+    found = [json.loads(line) for line in told.splitlines()]
+    assert found == [[f"palmd.cli.{name}", False, "1"] for name in COMMANDS]
+
+
+def test_a_command_computes_with_one_thread(tmp_path):
+    lines, _ = simulate_log("nominal", 3, 2.0)
+    log = tmp_path / "log.jsonl"
+    log.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    program = (
+        "import json, sys, threadpoolctl; from palmd.cli import main; status = main(sys.argv[1:]);"
+        "print(json.dumps([each['num_threads'] for each in threadpoolctl.threadpool_info()])); sys.exit(status)"
+    )
+    command = [sys.executable, "-c", program, "reconstruct", log, "-o", tmp_path / "result.json"]
+    done = subprocess.run(command, env=os.environ | ASKED_FOR_MANY, capture_output=True, text=True, check=True)
+    assert set(json.loads(done.stdout)) == {1}
+
+
+def test_a_process_beside_the_loop_has_one_thread(tmp_path):
+    (tmp_path / "telling.py").write_text(TELLING)
+    command = [sys.executable, "-m", "palmd.daemon.tied", "telling", str(os.getpid())]
+    environment = os.environ | ASKED_FOR_MANY | {"PYTHONPATH": str(tmp_path)}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert set(json.loads(done.stdout)) == {1}
+
+
+@pytest.mark.usefixtures("many")
+def test_reconstruct_takes_one_thread_and_gives_the_others_back():
+    run = simulated("nominal", 3, 2.0)
+    events = Watched(run.events)
+    reconstruct(events, run.rig)
+    assert events.seen == {1}
+
+
+@pytest.mark.usefixtures("many")
+def test_a_replay_takes_one_thread_and_gives_the_others_back_between_the_ticks():
+    run = simulated("nominal", 3, 2.0)
+    watch = Watch()
+    between = set()
+    for _ in replay(EventLog(run.rig, run.events), watch):
+        between |= in_effect()
+    assert watch.seen == {1}
+    assert between == {MANY}
+
+
+@pytest.mark.usefixtures("many")
+def test_within_one_another_and_after_an_error_the_threads_come_back():
+    with one_thread():
+        with pytest.raises(ZeroDivisionError), one_thread():
+            raise ZeroDivisionError
+        assert in_effect() == {1}
