@@ -152,6 +152,22 @@ class ShapeEstimate:
     touched: npt.NDArray[np.bool_]
 
 
+@dataclass(frozen=True, slots=True)
+class Improvement:
+    """A smoother's belief about the shape map's state at time `t` (s): mean x and covariance P.
+
+    The outline has the smoother's harmonics. `frame` is another when it has another gauge than before. `established`:
+    what was found has proved true for so long that no rival needs to be kept. touched: (72,) as in `Outlook`.
+    """
+
+    t: float
+    x: FloatArray
+    P: FloatArray
+    frame: int
+    established: bool
+    touched: npt.NDArray[np.bool_]
+
+
 DECIDED = 0.95
 """The probability from which on it is said which object it is."""
 

@@ -7,7 +7,7 @@ import pytest
 from benchtable import PARTS, machine, percentiles, show
 
 from palmd.events import PadSample, PalmSample, RigDescription
-from palmd.observer.improver import Improver
+from palmd.observer.incremental import IncrementalSmoother, Session
 from palmd.observer.reconstruct import reconstruct
 from palmd.rig.shapes import KINDS
 from palmd.rig.simulate import simulate_log
@@ -41,14 +41,16 @@ def test_bench_reconstruct():
     print(f"  {machine()}")
 
 
-def test_bench_improver():
+def test_bench_incremental_smoother():
     events, rig = log_of("rig", 0)
-    improver = Improver(rig)
-    times = []
+    smoother = IncrementalSmoother(rig)
+    times, given = [], 0
     for end in np.arange(1.5, SECONDS, 0.5):
-        readings = [event for event in events if event.t_sample < end]
+        upto = sum(event.t_sample < end for event in events)
         begun = time.perf_counter()
-        improver.improve(readings)
+        smoother.add(Session(1, 0.0), events[given:upto])
+        smoother.answer()
         times.append(time.perf_counter() - begun)
-    show("one improvement beside the loop, rig log of 1.5 to 10 s (s)", PARTS, [("improve", *percentiles(times))])
+        given = upto
+    show("one answer beside the loop, rig log of 1.5 to 10 s (s)", PARTS, [("answer", *percentiles(times))])
     print(f"  {machine()}")

@@ -11,7 +11,7 @@ import numpy as np
 
 ORDER = 12
 # ln ρ, μ, ln u_d, c, ln m, coefficients of h, and maybe more: the smoother's order
-LN_RHO, MU, LN_DITHER, DAMPING, LN_MASS, SHAPE = range(6)
+LN_RHO, DRAG, SATURATION, DAMPING, LN_MASS, SHAPE = range(6)
 CONSTANTS = SHAPE + 2 * ORDER + 1
 
 
@@ -70,7 +70,8 @@ class Bodies:
             alpha[0] * math.sin(phi[0]) + omega[0] ** 2 * math.cos(phi[0]),
             -alpha[0] * math.cos(phi[0]) + omega[0] ** 2 * math.sin(phi[0]),
         ])  # fmt: skip
-        rho, mu, dither = np.exp(self.p[LN_RHO]), self.p[MU], np.exp(self.p[LN_DITHER])
+        rho, dither = np.exp(self.p[LN_RHO]), self.p[SATURATION] ** -0.5
+        mu = self.p[DRAG] * dither
         count = psi.size
         A, b = np.zeros((count, 3, 3)), np.zeros((count, 3))
         A[:, :2, 2] = -with_spin.T

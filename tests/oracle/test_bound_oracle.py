@@ -13,11 +13,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bodies import CONSTANTS, LN_DITHER, LN_MASS, LN_RHO, MU, ORDER, SHAPE, Bodies
+from bodies import CONSTANTS, DRAG, LN_MASS, LN_RHO, ORDER, SATURATION, SHAPE, Bodies
 from scipy.interpolate import CubicHermiteSpline
 
 from palmd.model.shape import basis, coefficients_of, tangential_basis
 from palmd.observer.bound import Truth, cramer_rao
+from palmd.observer.factor import Prior
 from palmd.observer.search import Search
 from palmd.observer.stretch import Stretch, longest_stretch
 from palmd.record.eventlog import EventLog, read_log
@@ -50,6 +51,15 @@ def _shot(bodies: Bodies, stretch: Stretch, search: Search, psi0: float) -> tupl
     return times[::2], trajectory[:, 0], trajectory[:, 1]
 
 
+def _believed(p: np.ndarray, prior: Prior) -> np.ndarray:
+    """What the prior is about, in its one-sigmas: ln(ρ/h0), μ, ln u_d, the other constants, and the first spin."""
+    dither = p[SATURATION] ** -0.5
+    about = p.copy()
+    about[LN_RHO] -= math.log(p[SHAPE])
+    about[DRAG], about[SATURATION] = p[DRAG] * dither, math.log(dither)
+    return about / np.append(prior.sd, prior.omega0_sd)
+
+
 @pytest.mark.parametrize(("kind", "seed"), [("nominal", 3), ("rig", 1)])
 def test_the_bound_is_that_of_single_shooting(kind: str, seed: int, tmp_path: Path) -> None:
     log, truth = _simulated(kind, seed, tmp_path)
@@ -60,13 +70,11 @@ def test_the_bound_is_that_of_single_shooting(kind: str, seed: int, tmp_path: Pa
     prior = search.prior
 
     p = np.zeros(SPIN + 1)
-    p[:SHAPE] = math.log(truth.rho), truth.mu, prior.mean[LN_DITHER], truth.damping, math.log(truth.mass)
-    if truth.dither is not None:
-        p[LN_DITHER] = math.log(truth.dither)
+    dither = truth.dither or math.exp(prior.mean[SATURATION])
+    p[:SHAPE] = math.log(truth.rho), truth.mu / dither, dither**-2.0, truth.damping, math.log(truth.mass)
     p[SHAPE:SPIN] = coefficients_of(truth.h, ORDER)
     p[SPIN] = spline(stretch.start, 1)
-    belief = np.append(prior.sd, prior.omega0_sd)
-    step = 1e-4 * belief
+    step = 1e-4 * np.append(prior.scale, prior.omega0_sd)
     both = np.concatenate([p[:, None], p[:, None] + np.diag(step), p[:, None] - np.diag(step)], axis=1)
     bodies = Bodies(both, log.rig.gravity, log.rig.palm1_length if log.rig.hinge == "arc" else 0.0)
     times, psi, omega0 = _shot(bodies, stretch, search, float(spline(stretch.start)))
@@ -86,8 +94,8 @@ def test_the_bound_is_that_of_single_shooting(kind: str, seed: int, tmp_path: Pa
             sigma.append(math.hypot(log.rig.force_scale_std * force[0], log.rig.force_resolution / math.sqrt(12)))
     y = np.array(predicted)
     J = (y[:, 1 : SPIN + 2] - y[:, SPIN + 2 :]) / (2 * step) / np.array(sigma)[:, None]
-    rows = np.diag(1 / belief)
-    rows[LN_RHO, SHAPE] = -1 / (p[SHAPE] * belief[LN_RHO])  # the belief is about ln(ρ/h0)
+    believed = np.array([_believed(column, prior) for column in both.T]).T
+    rows = (believed[:, 1 : SPIN + 2] - believed[:, SPIN + 2 :]) / (2 * step)
     covariance = np.linalg.inv(J.T @ J + rows.T @ rows)
     sd = np.sqrt(np.diagonal(covariance))
 
@@ -95,7 +103,8 @@ def test_the_bound_is_that_of_single_shooting(kind: str, seed: int, tmp_path: Pa
     here = replace(truth, t=times, psi=psi[:, 0], omega0=omega0[:, 0])
     bound = cramer_rao(log.events, log.rig, here, theta)
     assert bound.rho_sd == pytest.approx(truth.rho * sd[LN_RHO], rel=TOLERANCE)
-    assert bound.mu_sd == pytest.approx(sd[MU], rel=TOLERANCE)
+    of_mu = np.array([dither, -truth.mu * dither**2 / 2]) @ covariance[np.ix_([DRAG, SATURATION], [DRAG, SATURATION])]
+    assert bound.mu_sd == pytest.approx(math.sqrt(of_mu @ [dither, -truth.mu * dither**2 / 2]), rel=TOLERANCE)
     assert bound.mass_sd == pytest.approx(truth.mass * sd[LN_MASS], rel=TOLERANCE)
 
     # h after the rotation that fits best where touched, found by rotating every eigenvector of the error

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from bodies import CONSTANTS, DAMPING, LN_DITHER, LN_MASS, LN_RHO, MU, ORDER, SHAPE, Bodies
+from bodies import CONSTANTS, DAMPING, DRAG, LN_MASS, LN_RHO, ORDER, SATURATION, SHAPE, Bodies
 from scipy.interpolate import CubicHermiteSpline
 
 from palmd.model import smoothing
@@ -20,7 +20,7 @@ NODES = np.array([[0.2, 1.3], [0.2066, 1.34]])
 
 def _constants(seed: int = 0, mu: float = 0.15, dither: float = 0.012) -> np.ndarray:
     p = np.zeros(smoothing.CONSTANTS)
-    p[[LN_RHO, MU, LN_DITHER, DAMPING, LN_MASS]] = np.log(0.014), mu, np.log(dither), 3e-4, np.log(0.16)
+    p[[LN_RHO, DRAG, SATURATION, DAMPING, LN_MASS]] = np.log(0.014), mu / dither, dither**-2.0, 3e-4, np.log(0.16)
     p[SHAPE:] = 0.5 * prior_sd(0.02, ORDER) * np.random.default_rng(seed).standard_normal(2 * ORDER + 1)
     p[SHAPE] = 0.02
     return p
@@ -51,12 +51,12 @@ def _differences(f, y: np.ndarray, scale: np.ndarray) -> np.ndarray:
     return np.array(columns).T
 
 
-SCALE = np.concatenate([[0.1, 0.1, 0.1, 1e-4, 0.1], np.full(2 * ORDER + 1, 1e-3)])
+SCALE = np.concatenate([[0.1, 10.0, 1e3, 1e-4, 0.1], np.full(2 * ORDER + 1, 1e-3)])
 
 
 def test_the_twin_knows_the_same_constants() -> None:
     C = smoothing.C
-    assert tuple(C) == (LN_RHO, MU, LN_DITHER, DAMPING, LN_MASS, SHAPE)
+    assert tuple(C) == (LN_RHO, DRAG, SATURATION, DAMPING, LN_MASS, SHAPE)
     assert (smoothing.CONSTANTS, smoothing.ORDER) == (CONSTANTS, ORDER)
 
 

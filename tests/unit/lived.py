@@ -16,7 +16,7 @@ from palmd.record.runfile import RunFile, pack
 from palmd.rig.world import default_config
 from palmd.study.wireless import Wireless
 
-SECONDS = 1.9
+SECONDS = 2.9
 PLAN = PlanSpec.model_validate(
     {
         "name": "rock",
@@ -32,9 +32,9 @@ class _Twice(observer.Simulated):
 
     given = 0
 
-    def submit(self, t, begun, events):
+    def submit(self, t, session, events):
         if self.given < 2:
-            super().submit(t, begun, events)
+            super().submit(t, session, events)
 
     def collect(self, t):
         answer = super().collect(t)

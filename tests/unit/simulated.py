@@ -27,8 +27,15 @@ class Run:
 
 
 @cache
-def simulated(kind: str, seed: int, seconds: float, options: PlantOptions = AS_ASSUMED) -> Run:
-    lines, told = simulate_log(kind, seed, seconds, options)
+def simulated(
+    kind: str,
+    seed: int,
+    seconds: float,
+    options: PlantOptions = AS_ASSUMED,
+    rests: tuple[tuple[float, float], ...] = (),
+    absences: tuple[tuple[float, float], ...] = (),
+) -> Run:
+    lines, told = simulate_log(kind, seed, seconds, options, rests=rests, absences=absences)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "run.jsonl"
         path.write_text("".join(json.dumps(line) + "\n" for line in lines))

@@ -83,11 +83,11 @@ def test_marks_turn_with_the_gauge_of_the_leader() -> None:
     named = np.zeros(18)
     named[[5, 7]] = 0.8, 1.6  # φ1, φ2
     marks = TouchMarks()
-    marks.mark(0, named, lambda: np.zeros(2))
+    marks.mark(1.0, 0, named, lambda: np.zeros(2))
     before = marks.marks.copy()
     assert before.sum() == 2
     step = 2 * math.pi / NORMAL_BINS
     named[10] = 6 * step  # ψ of the other filter for the same pose
-    marks.mark(1, named, lambda: np.array([0.0, 6 * step]))
+    marks.mark(2.0, 1, named, lambda: np.array([0.0, 6 * step]))
     assert marks.fraction == pytest.approx(2 / NORMAL_BINS)
     assert (marks.marks == np.roll(before, -6)).all()

@@ -366,7 +366,8 @@ def test_what_raises_in_a_process_or_kills_it_is_a_result():
         assert list(runs.finished(executor, os._exit, told_failed, [3])) == ["3: BrokenProcessPool"]
 
 
-def test_a_worker_keeps_to_one_thread_and_leaves_interruptions_to_its_parent():
+def test_a_worker_keeps_to_one_thread_and_leaves_interruptions_to_its_parent(monkeypatch):
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "3")
     with runs.local(1) as executor:
         assert executor.submit(signal.getsignal, signal.SIGINT).result() == signal.SIG_IGN
         assert executor.submit(os.getenv, "OPENBLAS_NUM_THREADS").result() == "1"

@@ -8,7 +8,7 @@ import pytest
 import recorded
 
 from palmd.config import rig_description
-from palmd.events import PadSample
+from palmd.events import Improvement, PadSample
 from palmd.messages import ESTIMATE, EVENTS, IMPROVEMENT, improvement_fields
 from palmd.record.mcapfile import Preface, RunWriter
 from palmd.record.preface import METADATA
@@ -93,11 +93,16 @@ def test_an_unfinished_run_says_so(tmp_path):
 
 def test_improvements_come_back_with_their_ticks(tmp_path):
     x, covariance = np.array([1 / 3, math.pi]), np.array([[1.0, 0.1], [0.1, 2.0]]) / 7
-    message = recorded.message(IMPROVEMENT.name, improvement_fields(1 / 7, 0.1, x, covariance), 0)
+    touched = np.arange(72) % 3 == 0
+    message = recorded.message(
+        IMPROVEMENT.name, improvement_fields(1 / 7, Improvement(0.1, x, covariance, 3, True, touched)), 0
+    )
     ((t, improvement),) = read_run(written(tmp_path / "run.mcap", [message])).improvements()
     assert (t, improvement.t) == (1 / 7, 0.1)
     assert improvement.x.tobytes() == x.tobytes()
     assert improvement.P.tobytes() == covariance.tobytes()
+    assert (improvement.frame, improvement.established) == (3, True)
+    assert np.array_equal(improvement.touched, touched)
 
 
 def test_stored_outlines_are_in_the_run(tmp_path):

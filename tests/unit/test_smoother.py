@@ -9,8 +9,10 @@ from simulated import simulated
 
 from palmd.model.shape import coefficients_of
 from palmd.model.smoothing import CONSTANTS, NODE, ORDER, C
+from palmd.observer.factor import GAUGE_SD
+from palmd.observer.normal_equations import Guess
 from palmd.observer.search import NOISE, Search
-from palmd.observer.smoother import GAUGE_SD, Guess, Smoother
+from palmd.observer.smoother import Smoother
 from palmd.observer.stretch import longest_stretch
 
 SECONDS = 0.4
@@ -33,13 +35,14 @@ class Problem:
         search = Search(longest_stretch(run.events), run.rig)
         self.library, self.measured = search.library, search.record.until(search.record.t[0] + seconds)
         p = np.zeros(CONSTANTS)
-        p[C.LN_RHO], p[C.MU], p[C.LN_DITHER] = np.log(truth.rho), truth.mu, np.log(truth.dither)
+        p[C.LN_RHO], p[C.DRAG], p[C.SATURATION] = np.log(truth.rho), truth.mu / truth.dither, truth.dither**-2.0
         p[C.DAMPING], p[C.LN_MASS], p[C.SHAPE :] = truth.damping, np.log(truth.mass), coefficients_of(truth.h, ORDER)
         spline = CubicHermiteSpline(truth.t, truth.psi, truth.omega0)
         start = self.measured.t[0]
         first = Guess(np.array([[0.0, spline(start, 1)]]), p)
         mean = p.copy()
         mean[C.LN_RHO] -= np.log(p[C.SHAPE])
+        mean[C.DRAG], mean[C.SATURATION] = truth.mu, np.log(truth.dither)
         self.prior = replace(search.prior, mean=mean)
         smoother = Smoother(self.library, self.measured, self.prior)
         self.guess = guess = smoother.completed(first)
@@ -47,14 +50,14 @@ class Problem:
         contacts = self.measured.contact_value - smoother.residuals(guess) * sd
         self.record = replace(self.measured, contact_value=contacts, force_value=smoother.forces(guess))
         self.smoother = Smoother(self.library, self.record, self.prior)
-        self.scale = np.concatenate([np.tile([1e-4, 1e-2], len(guess.x)), 1e-2 * self.prior.sd])
+        self.scale = np.concatenate([np.tile([1e-4, 1e-2], len(guess.x)), 1e-2 * self.prior.scale])
 
     def right_hand_side(self, y, smoother=None):
-        now = (smoother or self.smoother)._linearise(unpacked(y), NOISE)
+        now = (smoother or self.smoother).linearised(unpacked(y), NOISE)
         return np.concatenate([now.node_side, now.constant_side])
 
     def normal_matrix(self):
-        now = self.smoother._linearise(self.guess, NOISE)
+        now = self.smoother.linearised(self.guess, NOISE)
         nodes = np.diag(now.banded[0])
         for k in range(1, len(now.banded)):
             part = np.diag(now.banded[k, :-k], -k)

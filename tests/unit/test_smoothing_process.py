@@ -17,10 +17,11 @@ from simulated import Run, simulated
 
 from palmd.daemon import beside, smoothing
 from palmd.daemon.smoothing import SmootherProcess
-from palmd.events import PadLift
-from palmd.observer.improver import Improvement, Improver
+from palmd.events import Improvement, PadLift
+from palmd.observer.incremental import IncrementalSmoother, Session
 
 PATIENCE_S = 60.0
+SESSION = Session(1, 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -42,22 +43,26 @@ def number(process: SmootherProcess) -> int:
 def wait_for(process: SmootherProcess, run: Run) -> Improvement:
     """Hand the whole run over and keep ticking until an improvement about its end comes back."""
     begun = time.monotonic()
-    process.submit(run.events[-1].t_sample, 0.0, run.events)
+    process.submit(run.events[-1].t_sample, SESSION, run.events)
     while time.monotonic() - begun < PATIENCE_S:
         t = run.events[-1].t_sample + time.monotonic() - begun
-        process.submit(t, 0.0, [])
+        process.submit(t, SESSION, [])
         if (improvement := process.collect(t)) is not None:
             return improvement
         time.sleep(0.01)
     raise AssertionError("no improvement came")
 
 
-def test_the_process_answers_what_the_improver_would(process: SmootherProcess, run: Run) -> None:
-    got, wanted = wait_for(process, run), Improver(run.rig).improve(run.events)
+def test_the_process_answers_what_the_smoother_would(process: SmootherProcess, run: Run) -> None:
+    smoother = IncrementalSmoother(run.rig)
+    smoother.add(SESSION, run.events)
+    got, wanted = wait_for(process, run), smoother.answer()
     assert wanted is not None
     assert got.t == wanted.t
     np.testing.assert_allclose(got.x, wanted.x, rtol=1e-9)
     np.testing.assert_allclose(got.P, wanted.P, rtol=1e-6)
+    assert (got.frame, got.established) == (wanted.frame, wanted.established)
+    assert np.array_equal(got.touched, wanted.touched)
 
 
 def test_every_kind_of_event_crosses_unchanged(run: Run) -> None:
@@ -69,7 +74,7 @@ def test_it_never_waits_for_a_process_that_stands_still(process: SmootherProcess
     os.kill(number(process), signal.SIGSTOP)
     try:
         for tick in range(12 * smoothing.HIGH_WATER):
-            process.submit(tick * smoothing.BATCH_S * 1.01, 0.0, run.events[:8])
+            process.submit(tick * smoothing.BATCH_S * 1.01, SESSION, run.events[:8])
             assert process.collect(0.0) is None
     finally:
         os.kill(number(process), signal.SIGCONT)
@@ -82,7 +87,7 @@ def test_a_process_that_was_killed_is_started_again(
     monkeypatch.setattr(beside, "RESTART_S", 0.0)
     process._process._process.kill()
     process._process._process.wait()
-    process.submit(0.0, 0.0, [])  # nobody takes it
+    process.submit(0.0, SESSION, [])  # nobody takes it
     assert process.starts == 2
     wait_for(process, run)
 

@@ -13,11 +13,10 @@ from palmd.daemon.commands import Request
 from palmd.daemon.exploring import OVERTIME_S
 from palmd.daemon.planner import Plan
 from palmd.daemon.step import Core
-from palmd.events import Estimate, PadLift, PadSample, PalmSample
+from palmd.events import Estimate, Improvement, PadLift, PadSample, PalmSample
 from palmd.messages import EVENTS, IMPROVEMENT, NAMED_STATE, events_of, stamp, validate
 from palmd.motion.check import motion_limits
 from palmd.motion.plan import compile_plan
-from palmd.observer.improver import Improvement
 from palmd.rig.mischief import TRICKS, order
 from palmd.rig.world import STEP_S, World, default_config
 
@@ -300,6 +299,33 @@ def test_jog(ready):
 
 
 @pytest.mark.parametrize(
+    ("whole", "complaint"),
+    [
+        ({"whole_phi1_deg": 90.0}, "phi1 + phi2 reaches"),
+        ({"whole_phi1_deg": -40.0}, "phi1 falls to"),
+        ({"whole_phi1_deg": 1.0, "whole_phi2_deg": 70.0}, "phi2 reaches"),
+    ],
+)
+def test_a_jog_that_cannot_go_all_the_way_is_not_begun(ready, whole, complaint):
+    ready.do("arm")
+    begin = ready.go(0.1).commanded()
+    assert complaint in ready.ask("jog", phi1_deg=0.4, **whole).error
+    for _ in range(50):
+        assert ready.go(0.01).commanded() == begin
+    assert not ready.do("status")["moving"]
+
+
+def test_a_jog_that_is_refused_leaves_the_held_plan_in_hand(running):
+    running.do("hold")
+    running.go(0.5)
+    assert "falls to" in running.ask("jog", phi1_deg=-0.4, whole_phi1_deg=-90.0).error
+    assert running.do("status")["doing"] == "sine"
+    assert running.do("start") == {"state": "tracking"}
+    before = running.commanded()
+    assert running.go(0.5).commanded() != before
+
+
+@pytest.mark.parametrize(
     ("command", "complaint"),
     [
         ("start", "it must be tracking or hold"),
@@ -345,7 +371,11 @@ class Improved(Fake):
 
     @property
     def answered(self):
-        return Improvement(0.04, np.arange(3.0), np.eye(3)) if len(self.ticks) == 4 else None
+        return (
+            Improvement(0.04, np.arange(3.0), np.eye(3), 2, True, np.ones(72, dtype=bool))
+            if len(self.ticks) == 4
+            else None
+        )
 
 
 def test_an_improvement_is_published_in_the_tick_that_heard_it():
@@ -356,6 +386,7 @@ def test_an_improvement_is_published_in_the_tick_that_heard_it():
     fields = told[0.03][IMPROVEMENT]
     assert (fields["t_tick_s"], fields["t_s"]) == (0.03, 0.04)
     assert (fields["x"], fields["covariance"]) == ([0.0, 1.0, 2.0], np.eye(3).ravel().tolist())
+    assert (fields["frame"], fields["established"], fields["touched"]) == (2, True, [1] * 72)
     assert validate(IMPROVEMENT, stamp(fields, 0.0, 0.0, 0)) == []
     observer.failing = True
     assert IMPROVEMENT not in dict(core.step(0.04))
@@ -405,18 +436,22 @@ def test_what_there_is_no_time_for_waits_for_the_next_tick_in_its_order(ready):
     assert counts == [3, 3, 1]
 
 
-def test_plan_replaces_the_plan_and_a_bad_one_changes_nothing(ready, tmp_path):
-    good, bad = tmp_path / "good.yaml", tmp_path / "bad.yaml"
-    good.write_text("name: other\nsegments:\n  - {hold_s: 1.0}\n")
+def test_plan_replaces_the_plan_and_a_bad_one_changes_nothing(tmp_path):
+    ready = Bench(config=default_config().model_copy(update={"plan": tmp_path / "swing.yaml"})).go(1.0)
+    good, bad, outside = tmp_path / "good.yaml", tmp_path / "bad.yaml", tmp_path.parent / "outside.yaml"
+    for path in (good, outside):
+        path.write_text("name: other\nsegments:\n  - {hold_s: 1.0}\n")
     bad.write_text("name: far\nsegments:\n  - {move: {phi1_deg: 170}, duration_s: 2.0}\n")
+    assert ready.do("plan", path="good.yaml")["plan"] == "other"
     assert ready.do("plan", path=str(good))["plan"] == "other"
-    error = ready.ask("plan", path=str(bad)).error
-    assert f"{bad}:3:" in error
+    assert "bad.yaml:3:" in ready.ask("plan", path="bad.yaml").error
     assert "no/such" in ready.ask("plan", path="no/such.yaml").error
+    for path in (str(outside), "../outside.yaml"):
+        assert "no file of that name" in ready.ask("plan", path=path).error
     assert ready.go(0.05).last("palm/motion")["plan"] == "other"
 
 
-def test_a_plan_may_come_along_where_the_daemon_cannot_read_its_file(ready):
+def test_a_plan_may_come_along(ready):
     text = "name: sent\nsegments:\n  - {hold_s: 1.0}\n"
     assert ready.do("plan", path="/nobody/here.yaml", text=text)["plan"] == "sent"
     far = text.replace("hold_s: 1.0", "move: {phi1_deg: 170}, duration_s: 2.0")
@@ -559,8 +594,9 @@ def test_what_the_operator_does_at_the_arm_stops_it_until_reset(running, trick, 
     assert "it must be ready" in running.ask("arm").error
     running.go(0.5)
     assert (running.state, running.faults) == ("fault", [fault])
-    running.do("reset")
+    assert running.do("reset") == {"state": "ready", "cleared": [fault]}
     assert (running.state, running.faults) == ("ready", [])
+    assert running.do("reset") == {"state": "ready", "cleared": []}
     running.do("arm")
     running.go(0.3).check_the_arm()
 

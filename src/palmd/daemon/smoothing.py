@@ -16,10 +16,10 @@ import msgpack
 import numpy as np
 
 from palmd.daemon.beside import ProcessBeside, give_back_memory, meet
-from palmd.events import Event, PadLift, PadSample, PalmSample, RigDescription
+from palmd.events import Event, Improvement, PadLift, PadSample, PalmSample, RigDescription
 from palmd.model import shape_map, smoothing
-from palmd.observer.improved import Readings, period
-from palmd.observer.improver import Improvement, Improver
+from palmd.observer.improved import period
+from palmd.observer.incremental import IncrementalSmoother, Session
 
 BATCH_S = 0.05  # of events that go out in one message
 HIGH_WATER = 100  # messages on their way: five seconds
@@ -45,13 +45,14 @@ class SmootherProcess:
         """How often the process has been started."""
         return self._process.starts
 
-    def submit(self, t: float, begun: float, events: Sequence[Event]) -> None:
+    def submit(self, t: float, session: Session, events: Sequence[Event]) -> None:
         """Hand the tick's events over, a few ticks' together."""
         self._waiting += [_packed(event) for event in events]
         if t - self._t_sent < BATCH_S:
             return
         self._t_sent = t
-        if self._process.send(msgpack.packb([begun, self._waiting])):
+        hint = None if session.hint is None else session.hint.tobytes()
+        if self._process.send(msgpack.packb([session.object_count, session.begun, hint, self._waiting])):
             self._waiting = []
             return
         lost = len(self._waiting) - KEPT_EVENTS
@@ -64,9 +65,10 @@ class SmootherProcess:
         del t  # it is ready when it is here
         newest: Improvement | None = None
         for message in self._process.received():
-            when, mean, covariance = msgpack.unpackb(message)
+            when, mean, covariance, frame, established, touched = msgpack.unpackb(message)
             x = np.frombuffer(mean)
-            newest = Improvement(when, x, np.frombuffer(covariance).reshape(len(x), -1))
+            square = np.frombuffer(covariance).reshape(len(x), -1)
+            newest = Improvement(when, x, square, frame, established, np.frombuffer(touched, dtype=np.bool_))
         return newest
 
     def close(self) -> None:
@@ -86,23 +88,27 @@ def _unpacked(fields: list[Any]) -> Event:
 
 def serve(address: str, rig: str) -> None:
     """The process's work, for ever: gather readings, smooth, answer; `rig` is the description's fields as JSON."""
-    readings = Readings()
-    improver = Improver(RigDescription(**_rig_fields(json.loads(rig))))
+    smoother = IncrementalSmoother(RigDescription(**_rig_fields(json.loads(rig))))
     next_one = 0.0
     smoothing.library()
     shape_map.library()
     with meet(address, NICENESS) as socket:
         while True:
-            begun, events = msgpack.unpackb(socket.recv())
-            readings.add(begun, [_unpacked(event) for event in events])
+            object_count, begun, hint, events = msgpack.unpackb(socket.recv())
+            smoother.add(
+                Session(object_count, begun, hint and np.frombuffer(hint)), [_unpacked(event) for event in events]
+            )
             if socket.poll(0) or time.monotonic() < next_one:
                 continue
             started = time.monotonic()
-            improvement = improver.improve(readings.events)
+            improvement = smoother.answer()
             ended = time.monotonic()
-            next_one = max(started + period(readings.seconds), ended + (ended - started) * (1.0 / SHARE - 1.0))
+            next_one = max(started + period(smoother.elapsed_s), ended + (ended - started) * (1.0 / SHARE - 1.0))
             if improvement is not None:
-                socket.send(msgpack.packb([improvement.t, improvement.x.tobytes(), improvement.P.tobytes()]))
+                mean, covariance = improvement.x.tobytes(), improvement.P.tobytes()
+                touched = improvement.touched.tobytes()
+                told = [improvement.t, mean, covariance, improvement.frame, improvement.established, touched]
+                socket.send(msgpack.packb(told))
             give_back_memory()
 
 

@@ -23,12 +23,12 @@ from palmd.daemon.ends import ArmEnd, EndName, PadEnd
 from palmd.daemon.exploring import Exploring, Senses
 from palmd.daemon.lifecycle import COMMANDED, State
 from palmd.daemon.operate import Operator
-from palmd.daemon.planner import Plan
+from palmd.daemon.planner import Plan, PlanFolder
 from palmd.daemon.steering import Steering
 from palmd.daemon.swap import SwapWatch
 from palmd.daemon.watch import LOOK_S, ArmWatch, LoopWatch, NisWatch, PadWatch
 from palmd.devices.armlink import ArmState
-from palmd.events import Estimate, Event, ObjectEstimate, Outlook, PadSample, ShapeEstimate
+from palmd.events import Estimate, Event, Improvement, ObjectEstimate, Outlook, PadSample, ShapeEstimate
 from palmd.faults import FaultMonitor
 from palmd.messages import (
     CONTACT,
@@ -53,7 +53,6 @@ from palmd.messages import (
 )
 from palmd.motion.check import motion_limits
 from palmd.motion.kinematics import RigGeometry
-from palmd.observer.improver import Improvement
 
 log = logging.getLogger(__name__)
 
@@ -132,8 +131,8 @@ class Core:
     ) -> None:
         """`aside` compiles plans beside the loop, `notes` are codes of faults that stand throughout.
 
-        `folder` is where a relative path of a `plan` command begins. `explorer` decides where explorations go; without
-        one, plans that explore are refused. Raises PoseError for a fixed hinge.
+        `folder` is the configuration's. `explorer` decides where explorations go; without one, plans that explore are
+        refused. Raises PoseError for a fixed hinge.
         """
         geometry = RigGeometry.from_config(config)
         self.pads: dict[EndName, PadEnd] = {
@@ -144,8 +143,9 @@ class Core:
         self.steering = Steering(geometry, motion_limits(config))
         self.faults = FaultMonitor()
         self.exploring = Exploring(self.steering, explorer)
+        plans = PlanFolder(None if config.plan is None else config.plan.parent, folder)
         self.operator = Operator(
-            self.arm, self.steering, self.exploring, self.faults, aside, plan, folder, autostart=config.autostart
+            self.arm, self.steering, self.exploring, self.faults, aside, plan, plans, autostart=config.autostart
         )
         self._observer = observer
         self._improved = observer if isinstance(observer, Improved) else None
@@ -302,8 +302,7 @@ class Core:
             (EVENTS, events_fields(t, self._fed)),
         ]
         if self._answered is not None:
-            answer = self._answered
-            messages.append((IMPROVEMENT, improvement_fields(t, answer.t, answer.x, answer.P)))
+            messages.append((IMPROVEMENT, improvement_fields(t, self._answered)))
         told = (self.state, self.faults.active)
         if told != self._told or t - self._t_state >= SLOW_TOPIC_S - _EARLY_S:
             self._told, self._t_state = told, t

@@ -16,7 +16,7 @@ from palmd.model.contact import SX, Contact, normal_directions, readings
 from palmd.model.dynamics import Body, Palms, newton_euler
 from palmd.model.integrate import exponential_step
 from palmd.model.named import RIG_INPUTS, named_outputs
-from palmd.model.shape import COEFFICIENTS, contact_at
+from palmd.model.shape import HARMONICS, contact_at
 
 
 class Z(IntEnum):
@@ -31,7 +31,12 @@ class Z(IntEnum):
     SHAPE = 6
 
 
-N = Z.SHAPE + COEFFICIENTS
+def size(order: int) -> int:
+    """How many states there are with an outline of `order` harmonics."""
+    return Z.SHAPE + 2 * order + 1
+
+
+N = size(HARMONICS)
 PALM_INPUTS = 6  # φ1, φ2, ω1, ω2, α1, α2
 PREDICTION_INPUTS = 3 + PALM_INPUTS + RIG_INPUTS
 
@@ -62,9 +67,10 @@ def _alpha0(x: SX, palms: Palms, rig: SX) -> SX:
     return newton_euler(palms, x[Z.OMEGA0], one, two, _body(x), rig).alpha0
 
 
-def predict_function() -> ca.Function:
+def predict_function(order: int = HARMONICS) -> ca.Function:
     """(x, P, [dt, φ1, φ2, ω1, ω2, α1, α2, jerk1, jerk2, rig]) → (x, P) after dt."""
-    x, P, u = SX.sym("x", N), SX.sym("P", N, N), SX.sym("u", PREDICTION_INPUTS)
+    n = size(order)
+    x, P, u = SX.sym("x", n), SX.sym("P", n, n), SX.sym("u", PREDICTION_INPUTS)
     dt, palms, jerk, rig = u[0], u[1:7], u[7:9], u[9:]
 
     def rates(moving: SX, t: SX) -> SX:
@@ -82,12 +88,13 @@ def predict_function() -> ca.Function:
     return ca.Function("predict", [x, P, u], [x_next, P_next], ["x", "P", "u"], ["x_next", "P_next"])
 
 
-def update_function(name: str, pad: int) -> ca.Function:
+def update_function(name: str, pad: int, order: int = HARMONICS) -> ca.Function:
     """(x, P, [value, variance, gate, φ1, φ2]) → (x, P, [log-likelihood, NIS]) for one reading of `pad`.
 
     Joseph form; the variance of a reading beyond the gate is inflated until it sits on the gate.
     """
-    x, P, z = SX.sym("x", N), SX.sym("P", N, N), SX.sym("z", 5)
+    n = size(order)
+    x, P, z = SX.sym("x", n), SX.sym("P", n, n), SX.sym("z", 5)
     value, variance, gate = z[0], z[1], z[2]
     palms = Palms(z[3], z[4], SX(0), SX(0), SX(0), SX(0))
     predicted = readings(palms.phi2, *_contacts(x, palms))[pad - 1]
@@ -105,26 +112,27 @@ def update_function(name: str, pad: int) -> ca.Function:
     return ca.Function(name, [x, P, z], outputs, ["x", "P", "z"], ["x_next", "P_next", "score"])
 
 
-def named_function() -> ca.Function:
+def named_function(order: int = HARMONICS) -> ca.Function:
     """(x, [φ1 … α2, rig]) → values of `NAMED` and their Jacobian in x."""
-    x, u = SX.sym("x", N), SX.sym("u", PALM_INPUTS + RIG_INPUTS)
+    x, u = SX.sym("x", size(order)), SX.sym("u", PALM_INPUTS + RIG_INPUTS)
     palms = palms_after(u[:PALM_INPUTS], SX.zeros(2), SX(0))
     one, two = _contacts(x, palms)
     y = named_outputs(palms, x[Z.OMEGA0], x[Z.PSI], one, two, _body(x), u[PALM_INPUTS:])
     return ca.Function("named", [x, u], [y, ca.jacobian(y, x)], ["x", "u"], ["y", "J"])
 
 
-def values_function() -> ca.Function:
+def values_function(order: int = HARMONICS) -> ca.Function:
     """(x, [φ1 … α2, rig]) → values of `NAMED` alone."""
-    named = named_function()
-    x, u = SX.sym("x", N), SX.sym("u", PALM_INPUTS + RIG_INPUTS)
+    named = named_function(order)
+    x, u = SX.sym("x", size(order)), SX.sym("u", PALM_INPUTS + RIG_INPUTS)
     return ca.Function("values", [x, u], [named(x, u)[0]], ["x", "u"], ["y"])
 
 
 @cache
-def library() -> Library:
-    """Kernels for blocks of shape maps (predict, update_s1, update_s2, values), and for one: predict, named."""
-    predict = predict_function()
-    blocks = [predict, update_function("update_s1", 1), update_function("update_s2", 2), values_function()]
-    single = [predict, named_function()]
-    return load("shape_map", [*(mapped_over_block(f) for f in blocks), *(densified(f) for f in single)])
+def library(order: int = HARMONICS) -> Library:
+    """Kernels for blocks of shape maps and, without `_block`, for one: predict, update_s1, update_s2, values; named."""
+    pads = [update_function(f"update_s{pad}", pad, order) for pad in (1, 2)]
+    kernels = [predict_function(order), *pads, values_function(order)]
+    single = [*kernels, named_function(order)]
+    name = "shape_map" if order == HARMONICS else f"shape_map{order}"
+    return load(name, [*(mapped_over_block(f) for f in kernels), *(densified(f) for f in single)])

@@ -1,7 +1,7 @@
 """The smoother's kernels: one step of the motion, one contact reading, one force reading, each with its Jacobian.
 
 The trajectory is held by nodes x_k = (ψ, ω0), and everything that does not move is one vector of constants
-p = (ln ρ, μ, ln u_d, c, ln m, coefficients of h). Between two nodes ψ is the cubic that fits both, so a reading
+p = (ln ρ, B, w, c, ln m, coefficients of h). Between two nodes ψ is the cubic that fits both, so a reading
 at any time depends on two neighbouring nodes and on p alone: the least-squares problem is block-tridiagonal
 with a border.
 """
@@ -26,11 +26,15 @@ NODE = 2  # ψ, ω0
 
 
 class C(IntEnum):
-    """Index of each constant; SI units, logarithms of SI units."""
+    """Index of each constant; SI units, logarithms of SI units.
+
+    Friction is B u/√(1 + w u²) of slip u: DRAG is B = μ/u_d (s/m), SATURATION w = 1/u_d² (s²/m²). Readings tell B at
+    slow slip and B w at faster slip, both in straight lines: records that tell little of w add up without bending.
+    """
 
     LN_RHO = 0
-    MU = 1
-    LN_DITHER = 2
+    DRAG = 1
+    SATURATION = 2
     DAMPING = 3
     LN_MASS = 4
     SHAPE = 5
@@ -48,7 +52,8 @@ BATCH = 64
 def _motion(psi: SX, omega0: SX, p: SX, palms: Palms, rig: SX) -> Motion:
     theta1, theta2 = normal_directions(palms.phi1, palms.phi2, psi)
     h = p[C.SHAPE :]
-    body = Body(ca.exp(p[C.LN_RHO]), p[C.MU], ca.exp(p[C.LN_DITHER]), p[C.DAMPING])
+    dither = 1.0 / ca.sqrt(p[C.SATURATION])
+    body = Body(ca.exp(p[C.LN_RHO]), p[C.DRAG] * dither, dither, p[C.DAMPING])
     return newton_euler(palms, omega0, contact_at(theta1, h), contact_at(theta2, h), body, rig)
 
 

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from typing import Literal, get_args
 
 from palmd.events import RigDescription
+from palmd.model.smoothing import ORDER
 from palmd.observer.filters import ExtendedFilters, ShapeFilters
 from palmd.observer.improved import ImprovedObserver, Simulated, Smoothing
-from palmd.observer.live import BankObserver
+from palmd.observer.live import BankObserver, SmoothedFilters
 from palmd.observer.quasistatic import QuasistaticObserver
 from palmd.observer.recogniser import Recogniser
 from palmd.outlinefile import Outline
@@ -27,7 +28,7 @@ __all__ = [
     "make",
 ]
 
-EXTENDED_BANK, SHAPE_BANK = 24, 32  # multiples of model.compiled.BLOCK
+EXTENDED_BANK, SHAPE_BANK, AGAIN_BANK = 24, 32, 24  # multiples of model.compiled.BLOCK
 
 
 def make(
@@ -48,5 +49,8 @@ def make(
         return BankObserver(ExtendedFilters(rig, EXTENDED_BANK), rig, seed)
     if outlines:
         return Recogniser(outlines, rig, seed)
-    bank = BankObserver(ShapeFilters(rig, SHAPE_BANK), rig, seed)
-    return bank if smoothing is None else ImprovedObserver(bank, rig, smoothing)
+    filters = ShapeFilters(rig, SHAPE_BANK)
+    if smoothing is None:
+        return BankObserver(filters, rig, seed)
+    smoothed = SmoothedFilters(ShapeFilters(rig, AGAIN_BANK, order=ORDER), ShapeFilters(rig, 1, order=ORDER))
+    return ImprovedObserver(BankObserver(filters, rig, seed, smoothed), rig, smoothing)

@@ -63,10 +63,12 @@ class Bank:
         """Bind the kernels `predict`, `values` and those in `updates` (name → length of their last input).
 
         `inputs` are the lengths of the last inputs of `predict` and `values`, and the number of values. Scores fade
-        with the time constant `memory_s`.
+        with the time constant `memory_s`. A bank of one filter has kernels of its own.
         """
-        blocks = math.ceil(size / BLOCK)
-        self.full_size = blocks * BLOCK
+        self.block = 1 if size == 1 else BLOCK
+        suffix = "" if size == 1 else "_block"
+        blocks = math.ceil(size / self.block)
+        self.full_size = blocks * self.block
         self.n = n
         self.backend = library.backend
         self._memory_s = memory_s
@@ -79,13 +81,13 @@ class Bank:
         self._u, self._v = np.zeros(inputs[0]), np.zeros(inputs[1])
         self._y = np.zeros((self.full_size, inputs[2]))
         self._z = {name: np.zeros(length) for name, length in updates.items()}
-        in_blocks = [slice(i * BLOCK, (i + 1) * BLOCK) for i in range(blocks)]
+        in_blocks = [slice(i * self.block, (i + 1) * self.block) for i in range(blocks)]
 
         def bound(name: str, last: FloatArray, outcome: bool) -> list[list[BoundCall]]:
             def call(a: int, at: slice) -> BoundCall:
                 outputs = [self._x[1 - a][at], self._P[1 - a][at]]
                 return library.bind(
-                    f"{name}_block",
+                    f"{name}{suffix}",
                     [self._x[a][at], self._P[a][at], last],
                     [*outputs, self._outcome[at]] if outcome else outputs,
                 )
@@ -95,19 +97,23 @@ class Bank:
         self._predict = bound("predict", self._u, outcome=False)
         self._updates = {name: bound(name, z, outcome=True) for name, z in self._z.items()}
         self._values = [
-            [library.bind("values_block", [self._x[a][at], self._v], [self._y[at]]) for at in in_blocks]
+            [library.bind(f"values{suffix}", [self._x[a][at], self._v], [self._y[at]]) for at in in_blocks]
             for a in range(2)
         ]
 
     @property
     def size(self) -> int:
         """How many filters are in the race."""
-        return self._blocks * BLOCK
+        return self._blocks * self.block
 
     @property
     def blocks(self) -> int:
         """How many blocks of filters are in the race."""
         return self._blocks
+
+    def members(self, block: int) -> slice:
+        """The filters of one block."""
+        return slice(block * self.block, (block + 1) * self.block)
 
     @property
     def x(self) -> FloatArray:
@@ -131,7 +137,7 @@ class Bank:
 
     def refill(self) -> None:
         """All filters back into the race, with equal scores; their states are the caller's to set."""
-        self._blocks = self.full_size // BLOCK
+        self._blocks = self.full_size // self.block
         self._score[:] = 0.0
         self._nis[:] = 1.0
 
@@ -172,7 +178,7 @@ class Bank:
         grows by 1 + fraction, and the constants are told their prior again with just the weight that this took
         from it. Takes a tenth of a millisecond: for now and then, not for every event.
         """
-        members = slice(block * BLOCK, (block + 1) * BLOCK)
+        members = self.members(block)
         x, P, mean = self.x[members], self.P[members], prior.mean[members]
         variance = np.broadcast_to(prior.sd, prior.mean.shape)[members] ** 2
         P *= 1.0 + fraction
@@ -190,7 +196,7 @@ class Bank:
         Mean and variance become those of the normal distribution cut off at 0, exactly. Returns whether every filter
         was found above. A few microseconds when it was, some 20 µs a filter when not.
         """
-        members = slice(block * BLOCK, (block + 1) * BLOCK)
+        members = self.members(block)
         x, P = self.x[members], self.P[members]
         values = x @ rows.T
         below = np.flatnonzero(values.min(axis=1) < 0.0)
@@ -206,7 +212,7 @@ class Bank:
         void then.
         """
         hopeful = int(np.count_nonzero(self.score > self.score.max() - margin))
-        blocks = max(1, math.ceil(hopeful / BLOCK))
+        blocks = max(1, math.ceil(hopeful / self.block))
         if blocks == self._blocks:
             return None
         order = np.argsort(-self.score, kind="stable")

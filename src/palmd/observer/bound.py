@@ -16,11 +16,13 @@ import numpy as np
 from palmd.events import Event, FloatArray, RigDescription
 from palmd.model import shape
 from palmd.model.smoothing import CONSTANTS, ORDER, C
+from palmd.observer.factor import Prior, friction_of
+from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import directions, gauge_free_sd, normal_angles, touched_by
 from palmd.observer.reconstruct import SPACING_S
 from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
 from palmd.observer.search import NOISE, Search
-from palmd.observer.smoother import Guess, Prior, Smoother
+from palmd.observer.smoother import Smoother
 from palmd.observer.stretch import longest_stretch
 
 
@@ -77,17 +79,16 @@ def cramer_rao(events: Sequence[Event], rig: RigDescription, truth: Truth, theta
     return Bound(
         h_sd=gauge_free_sd(theta, touched, coefficients, of_shape),
         rho_sd=truth.rho * float(sd[C.LN_RHO]),
-        mu_sd=float(sd[C.MU]),
+        mu_sd=friction_of(guess.p, covariance)[1],
         mass_sd=truth.mass * float(sd[C.LN_MASS]) if len(record.force_value) else math.nan,
     )
 
 
 def _true_guess(truth: Truth, prior: Prior, t: FloatArray) -> Guess:
     p = np.zeros(CONSTANTS)
-    p[C.LN_RHO], p[C.MU], p[C.DAMPING], p[C.LN_MASS] = (
-        math.log(truth.rho), truth.mu, truth.damping, math.log(truth.mass)
-    )  # fmt: skip
-    p[C.LN_DITHER] = prior.mean[C.LN_DITHER] if truth.dither is None else math.log(truth.dither)
+    p[C.LN_RHO], p[C.DAMPING], p[C.LN_MASS] = math.log(truth.rho), truth.damping, math.log(truth.mass)
+    dither = math.exp(prior.mean[C.SATURATION]) if truth.dither is None else truth.dither
+    p[C.DRAG], p[C.SATURATION] = truth.mu / dither, dither**-2.0
     p[C.SHAPE :] = shape.coefficients_of(truth.h, ORDER)
     return Guess(np.stack([truth.psi, truth.omega0], axis=1), p).on(truth.t, t)
 

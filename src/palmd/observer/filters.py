@@ -38,6 +38,7 @@ class Filters(Protocol):
 
     name: str
     bank: Bank
+    order: int  # harmonics of its outlines
     fuses_palms: bool  # whether reports of the palms are readings; else the palms' motion is an input
     optimism: Optimism
     curvature: FloatArray  # rows that map the state to v (m) on `CURVATURE_NORMALS` normals
@@ -76,10 +77,10 @@ class Filters(Protocol):
         """Fourier coefficients of the support function (m) and their covariance for one filter."""
 
     def as_shape_map(self, member: int) -> FloatArray:
-        """The state of one filter in the coordinates of `model.shape_map`."""
+        """The state of one filter in the coordinates of `model.shape_map`, with `HARMONICS` harmonics."""
 
-    def shape_map_covariance(self, member: int) -> FloatArray:
-        """The covariance that belongs to it, as far as it concerns the constants."""
+    def belief(self, member: int) -> tuple[FloatArray, FloatArray]:
+        """Mean and, as far as it concerns the constants, covariance in these coordinates, with all its harmonics."""
 
 
 CURVATURE_NORMALS = 72
@@ -95,6 +96,16 @@ def carry(filters: Filters, t: float, until: float, palms: PalmTracker) -> None:
         t += gap / steps
 
 
+def smoother_outline(x: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The belief (mean x, covariance P) about a shape map of more than `HARMONICS` harmonics, if it had no more.
+
+    Where the outline has been felt it is much the same; merely leaving harmonics out would bend it there too.
+    """
+    low, high = slice(0, shape_map.N), slice(shape_map.N, None)
+    gain = np.linalg.solve(P[high, high], P[high, low]).T
+    return x[low] - gain @ x[high], P[low, low] - gain @ P[high, low]
+
+
 SMALLEST_RADIUS = 1e-3  # m, below which a filter's mean radius is not taken at its word
 GUESSED_ACCELERATION_SD = 2.0  # rad/s², of palms and object while the palms' motion is guessed
 GUESSED_SLIDING_SD, GUESSED_ROLLING_SD = 1e-2, 3e-3  # m/s, of s and of r then
@@ -102,10 +113,10 @@ OUTLINE_SD = 1e-4  # m, of an outline put together from radii, curvature and wha
 CONSISTENCY_SD = 1e-6  # m, to which r and s agree with the outline's coefficients at the start
 
 
-def _curvature() -> FloatArray:
+def _curvature(order: int = shape.HARMONICS) -> FloatArray:
     """Rows that map the coefficients of h to v = h + h″ on normals all around."""
-    rows = shape.basis(np.linspace(0.0, 2 * np.pi, CURVATURE_NORMALS, endpoint=False))
-    v: FloatArray = rows * (1.0 - shape.harmonic_of_coefficient() ** 2)
+    rows = shape.basis(np.linspace(0.0, 2 * np.pi, CURVATURE_NORMALS, endpoint=False), order)
+    v: FloatArray = rows * (1.0 - shape.harmonic_of_coefficient(order) ** 2)
     return v
 
 
@@ -117,6 +128,7 @@ class ExtendedFilters:
     """Filters on the project's named state (`model.extended`)."""
 
     name = "extended"
+    order = shape.HARMONICS
     fuses_palms = True
     optimism = Optimism(1.2, 3.0)
 
@@ -247,31 +259,32 @@ class ExtendedFilters:
         state[Z.SHAPE :] = self._h
         return state
 
-    def shape_map_covariance(self, member: int) -> FloatArray:
+    def belief(self, member: int) -> tuple[FloatArray, FloatArray]:
         X, Z = extended.X, shape_map.Z
         variance = self.bank.P[member].diagonal()
-        P = np.zeros((shape_map.N, shape_map.N))
-        P[Z.LN_RHO, Z.LN_RHO] = variance[X.RHO] / self.bank.x[member, X.RHO] ** 2
+        x, P = self.as_shape_map(member), np.zeros((shape_map.N, shape_map.N))
         P[Z.MU, Z.MU], P[Z.LN_DITHER, Z.LN_DITHER] = variance[X.MU], variance[X.LN_DITHER]
+        P[Z.LN_RHO, Z.LN_RHO] = variance[X.RHO] / self.bank.x[member, X.RHO] ** 2
         P[Z.DAMPING, Z.DAMPING] = variance[X.DAMPING]
         _, P[Z.SHAPE :, Z.SHAPE :] = self.outline(member)
         P[Z.SHAPE :, Z.SHAPE :] += np.eye(shape.COEFFICIENTS) * OUTLINE_SD**2
-        return P
+        return x, P
 
 
 class ShapeFilters:
-    """Filters on the whole outline (`model.shape_map`); the palms' angles are inputs."""
+    """Filters on the whole outline (`model.shape_map`), of `order` harmonics; the palms' angles are inputs."""
 
     name = "shape"
     fuses_palms = False
     optimism = Optimism(1.0, 0.7)
 
-    def __init__(self, rig: RigDescription, size: int, memory_s: float = SCORE_MEMORY_S):
-        library = shape_map.library()
+    def __init__(self, rig: RigDescription, size: int, memory_s: float = SCORE_MEMORY_S, order: int = shape.HARMONICS):
+        library = shape_map.library(order)
         inputs = (shape_map.PREDICTION_INPUTS, shape_map.PALM_INPUTS + RIG_INPUTS, len(NAMED))
-        self.bank = Bank(library, size, shape_map.N, {"update_s1": 5, "update_s2": 5}, inputs, memory_s)
+        n = shape_map.size(order)
+        self.bank = Bank(library, size, n, {"update_s1": 5, "update_s2": 5}, inputs, memory_s)
+        self.order = order
         self._rig = rig_inputs(rig)
-        n = shape_map.N
         self._x, self._P = np.zeros(n), np.zeros((n, n))
         self._x_next, self._P_next = np.zeros(n), np.zeros((n, n))
         self._u = np.zeros(shape_map.PREDICTION_INPUTS)
@@ -282,7 +295,7 @@ class ShapeFilters:
         self._predict = library.bind("predict", [self._x, self._P, self._u], [self._x_next, self._P_next])
         self._named = library.bind("named", [self._x_next, self._v], [self._y, self._J])
         self.curvature = np.zeros((CURVATURE_NORMALS, n))
-        self.curvature[:, shape_map.Z.SHAPE :] = _curvature()
+        self.curvature[:, shape_map.Z.SHAPE :] = _curvature(order)
 
     def start(self, start: BlindStart, palms: PalmTracker, t: float) -> None:
         del palms, t  # the palms are not part of the state
@@ -292,7 +305,7 @@ class ShapeFilters:
         x[:, Z.OMEGA0], x[:, Z.LN_RHO], x[:, Z.MU] = start.omega0, np.log(start.rho), start.mu
         x[:, Z.LN_DITHER], x[:, Z.DAMPING] = start.ln_dither, start.damping
         x[:, Z.SHAPE :] = start.coefficients
-        sd = np.zeros(shape_map.N)
+        sd = np.zeros(self.bank.n)
         sd[Z.OMEGA0], sd[Z.LN_RHO] = start.own_omega0_sd, start.own_rho_sd / start.rho.mean()
         sd[Z.MU], sd[Z.LN_DITHER], sd[Z.DAMPING] = (
             start.own_mu_sd,
@@ -310,7 +323,7 @@ class ShapeFilters:
 
     def constants(self, start: BlindStart) -> Belief:
         Z = shape_map.Z
-        mean, sd = np.zeros((self.bank.size, shape_map.N)), np.zeros(shape_map.N)
+        mean, sd = np.zeros((self.bank.size, self.bank.n)), np.zeros(self.bank.n)
         ln_ratio = math.log(prior.GYRATION)
         mean[:, Z.LN_RHO] = np.log(np.maximum(self.bank.x[:, Z.SHAPE], SMALLEST_RADIUS)) + ln_ratio
         mean[:, Z.MU], mean[:, Z.LN_DITHER] = prior.FRICTION, math.log(prior.DITHER)
@@ -318,7 +331,7 @@ class ShapeFilters:
         sd[Z.LN_RHO], sd[Z.MU] = prior.GYRATION_SD, prior.FRICTION_SD
         sd[Z.LN_DITHER], sd[Z.DAMPING] = prior.LN_DITHER_SD, prior.DAMPING_SD
         sd[Z.SHAPE :] = start.shape_sd
-        return Belief(slice(Z.LN_RHO, shape_map.N), mean, sd)
+        return Belief(slice(Z.LN_RHO, self.bank.n), mean, sd)
 
     def predict(self, t: float, dt: float, palms: PalmTracker) -> None:
         self.bank.predict(dt, palms.at(t), palms.jerk, self._rig)
@@ -332,7 +345,7 @@ class ShapeFilters:
 
     def doubt(self, gap: float) -> None:
         Z = shape_map.Z
-        variance = np.zeros(shape_map.N)
+        variance = np.zeros(self.bank.n)
         variance[Z.OMEGA0] = (GUESSED_ACCELERATION_SD * gap) ** 2
         variance[Z.PSI] = (GUESSED_ACCELERATION_SD * gap**2 / 2) ** 2
         self.bank.P[:] += np.diag(variance)
@@ -357,9 +370,8 @@ class ShapeFilters:
         return self.bank.x[member, at:].copy(), self.bank.P[member, at:, at:].copy()
 
     def as_shape_map(self, member: int) -> FloatArray:
-        state: FloatArray = self.bank.x[member]
-        return state
+        x, P = self.bank.x[member], self.bank.P[member]
+        return x if len(x) == shape_map.N else smoother_outline(x, P)[0]
 
-    def shape_map_covariance(self, member: int) -> FloatArray:
-        P: FloatArray = self.bank.P[member]
-        return P
+    def belief(self, member: int) -> tuple[FloatArray, FloatArray]:
+        return self.bank.x[member].copy(), self.bank.P[member].copy()

@@ -13,9 +13,10 @@ from palmd.model import shape
 from palmd.model.shape_map import Z
 from palmd.model.smoothing import CONSTANTS, ORDER, C
 from palmd.observer import prior
+from palmd.observer.factor import Prior
 from palmd.observer.filters import ShapeFilters
 from palmd.observer.live import BankObserver
-from palmd.observer.smoother import Guess, Prior
+from palmd.observer.normal_equations import Guess
 
 BANK = 64
 SPACING_S = 0.01  # of the remembered trajectories
@@ -40,12 +41,12 @@ class Start:
 
 
 def blind_starts(
-    events: Sequence[Event], rig: RigDescription, seconds: float, seed: int, size: int = BANK
+    events: Sequence[Event], rig: RigDescription, begin: float, seconds: float, seed: int, size: int = BANK
 ) -> list[Start]:
-    """Every filter of a bank that has read the first `seconds` of `events`, the likeliest first; maybe none."""
+    """Every filter of a bank that has read `events` until `seconds` after `begin` (s), likeliest first; maybe none."""
     filters = ShapeFilters(rig, size)
     observer = BankObserver(filters, rig, seed)
-    end = events[0].t_sample + seconds
+    end = begin + seconds
     times: list[float] = []
     states: list[FloatArray] = []
     for event in events:
@@ -62,7 +63,7 @@ def blind_starts(
     same = [state for state in states if len(state) == len(states[-1])]  # filters keep their places until one goes
     trajectories = np.array([state[:, [Z.PSI, Z.OMEGA0]] for state in same])
     at = at[-len(same) :]
-    return [Start(float(score[i]), at, trajectories[:, i], _constants(states[-1][i])) for i in order]
+    return [Start(float(score[i]), at, trajectories[:, i], constants_of(states[-1][i])) for i in order]
 
 
 def prior_of(pads: Sequence[PadSample], tangents: FloatArray) -> Prior:
@@ -74,8 +75,8 @@ def prior_of(pads: Sequence[PadSample], tangents: FloatArray) -> Prior:
     radius = float(np.mean([sample.s * tangent for sample, tangent in zip(pads, tangents, strict=True)]))
     mean, sd = np.zeros(CONSTANTS), np.zeros(CONSTANTS)
     mean[C.LN_RHO], sd[C.LN_RHO] = math.log(prior.GYRATION), LN_GYRATION_SD
-    mean[C.MU], sd[C.MU] = prior.FRICTION, prior.FRICTION_SD
-    mean[C.LN_DITHER], sd[C.LN_DITHER] = math.log(prior.DITHER), prior.LN_DITHER_SD
+    mean[C.DRAG], sd[C.DRAG] = prior.FRICTION, prior.FRICTION_SD
+    mean[C.SATURATION], sd[C.SATURATION] = math.log(prior.DITHER), prior.LN_DITHER_SD
     mean[C.DAMPING], sd[C.DAMPING] = prior.DAMPING, prior.DAMPING_SD
     mean[C.LN_MASS], sd[C.LN_MASS] = math.log(MASS_KG), LN_MASS_SD
     sd[C.SHAPE :] = shape.prior_sd(radius, ORDER)
@@ -83,9 +84,13 @@ def prior_of(pads: Sequence[PadSample], tangents: FloatArray) -> Prior:
     return Prior(mean, sd, prior.SPIN_MOVING_SD)
 
 
-def _constants(x: FloatArray) -> FloatArray:
+def constants_of(x: FloatArray) -> FloatArray:
+    """The smoother's constants of a state of `model.shape_map`, of whatever order, which knows nothing of the mass."""
     p = np.zeros(CONSTANTS)
-    p[[C.LN_RHO, C.MU, C.LN_DITHER, C.DAMPING]] = x[[Z.LN_RHO, Z.MU, Z.LN_DITHER, Z.DAMPING]]
+    p[[C.LN_RHO, C.DAMPING]] = x[[Z.LN_RHO, Z.DAMPING]]
+    dither = math.exp(x[Z.LN_DITHER])
+    p[C.DRAG], p[C.SATURATION] = x[Z.MU] / dither, dither**-2.0
     p[C.LN_MASS] = math.log(MASS_KG)
-    p[C.SHAPE : C.SHAPE + shape.COEFFICIENTS] = x[Z.SHAPE :]
+    outline = x[Z.SHAPE :]
+    p[C.SHAPE : C.SHAPE + len(outline)] = outline
     return p

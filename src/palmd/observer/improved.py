@@ -1,30 +1,30 @@
-"""The bank with a smoother at its side: estimates come from the bank, and what the smoother finds joins it.
+"""A live observer with a smoother at its side: the smoother knows the object, one filter carries that to the present.
 
 The smoother works outside the loop, so what it finds is about a time that has passed. A newcomer filter starts there,
-reads what has come since, a few events a tick, and then takes the place of the bank's worst filter.
+reads what has come since, a few events a tick, and then takes over. The bank is for beginnings.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from typing import Protocol
 
-from palmd.events import Estimate, Event, Outlook, PadLift, RigDescription, ShapeEstimate
-from palmd.observer.improver import Improvement, Improver
+from palmd.events import Estimate, Event, Improvement, Outlook, PadLift, RigDescription, ShapeEstimate
+from palmd.observer.incremental import IncrementalSmoother, Session
 from palmd.observer.live import BankObserver, finite
 from palmd.observer.newcomer import Newcomer
 
-MEMORY_S = 4.0  # how long after its time an improvement can still be taken in
+MEMORY_S = 8.0  # how long after its time an improvement can still be taken in
 EVENTS_PER_TICK = 14  # beyond those that come in a tick, that a newcomer reads
-LONGEST_S, KEPT_S = 60.0, 30.0  # of readings that the smoother is given at most, and keeps then
 
 
 class Smoothing(Protocol):
     """Where the smoother runs; both calls return at once."""
 
-    def submit(self, t: float, begun: float, events: Sequence[Event]) -> None:
-        """The tick's time, when the present object was begun (inf while there is none), and the tick's events."""
+    def submit(self, t: float, session: Session, events: Sequence[Event]) -> None:
+        """The tick's time, which object is on the palms since when, and the tick's events."""
 
     def collect(self, t: float) -> Improvement | None:
         """An improvement that is ready at `t`, each once."""
@@ -40,6 +40,7 @@ class ImprovedObserver:
         self._newcomer = Newcomer(rig)
         self._recent: deque[Event] = deque()
         self._batch: list[Event] = []
+        self._awaited: Improvement | None = None
         self.improvements = 0
         self.answered: Improvement | None = None
 
@@ -90,14 +91,15 @@ class ImprovedObserver:
 
     def estimate(self, t: float) -> Estimate:
         """The answer for time `t`."""
-        begun = self._bank.begun
-        self._smoothing.submit(t, begun, self._batch)
+        session = Session(self._bank.object_count, self._bank.begun, self._bank.hint)
+        self._smoothing.submit(t, session, self._batch)
         self._batch.clear()
         improvement = self.answered = self._smoothing.collect(t)
-        if improvement is not None and max(begun, t - MEMORY_S) < improvement.t <= t:
+        if improvement is not None and max(session.begun, t - MEMORY_S) < improvement.t <= t:
             self._newcomer.begin(improvement, self._recent)
-        if self._newcomer.active and self._newcomer.follow(EVENTS_PER_TICK):
-            self.improvements += self._bank.take_in(*self._newcomer.state_at(self._bank.t))
+            self._awaited = improvement
+        if self._awaited is not None and self._newcomer.active and self._newcomer.follow(EVENTS_PER_TICK):
+            self.improvements += self._bank.take_in(self._awaited, *self._newcomer.state_at(self._bank.t))
         return self._bank.estimate(t)
 
     def shape(self, t: float) -> ShapeEstimate | None:
@@ -105,34 +107,9 @@ class ImprovedObserver:
         return self._bank.shape(t)
 
 
-class Readings:
-    """The readings of the present object, as the smoother is given them."""
-
-    def __init__(self) -> None:
-        self._begun = float("inf")
-        self.events: list[Event] = []
-
-    def add(self, begun: float, events: Sequence[Event]) -> None:
-        """Append; what came before the object was begun, or long ago, is dropped."""
-        self.events += events
-        if begun != self._begun:
-            self._begun = begun
-            self._keep_from(begun)
-        if self.seconds > LONGEST_S:
-            self._keep_from(self.events[-1].t_sample - KEPT_S)
-
-    @property
-    def seconds(self) -> float:
-        """How long a time they cover."""
-        return self.events[-1].t_sample - self.events[0].t_sample if self.events else 0.0
-
-    def _keep_from(self, t: float) -> None:
-        self.events = [event for event in self.events if event.t_sample >= t]
-
-
-def period(seconds: float) -> float:
-    """How long to wait from one start of the smoother to the next when there are `seconds` of readings (s)."""
-    return min(max(seconds / 8.0, 0.25), 2.0)
+def period(elapsed_s: float) -> float:
+    """How long to wait from one answer of the smoother to the next, so long after the object was begun (s)."""
+    return min(max(elapsed_s / 8.0, 0.25), 2.0)
 
 
 class Simulated:
@@ -143,18 +120,17 @@ class Simulated:
 
     def __init__(self, rig: RigDescription, seed: int = 0, latency_s: float = 0.2):
         """Each run of the smoother is taken to last `latency_s` of the log's time."""
-        self._improver = Improver(rig, seed)
-        self._readings = Readings()
+        self._smoother = IncrementalSmoother(rig, seed)
         self._latency = latency_s
-        self._next = float("-inf")
+        self._next = -math.inf
         self._ready: tuple[float, Improvement | None] | None = None
 
-    def submit(self, t: float, begun: float, events: Sequence[Event]) -> None:
+    def submit(self, t: float, session: Session, events: Sequence[Event]) -> None:
         """Take the tick's events, and start when it is time."""
-        self._readings.add(begun, events)
+        self._smoother.add(session, events)
         if t >= self._next and self._ready is None:
-            self._next = t + period(self._readings.seconds)
-            self._ready = (t + self._latency, self._improver.improve(self._readings.events))
+            self._next = t + period(t - session.begun)
+            self._ready = (t + self._latency, self._smoother.answer())
 
     def collect(self, t: float) -> Improvement | None:
         """What was started at least the latency ago."""

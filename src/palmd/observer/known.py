@@ -18,13 +18,15 @@ from palmd.observer.mass import MassEstimator
 from palmd.observer.touched import Marks
 
 KEEP_EVERY_S = 0.5
-DOUBT, DOUBT_SD = 2.0, 1e-5  # what is kept is believed with this times its variance, and m of its outline more
+# What filters have learnt from a blind start is believed with this times its variance, and m of its outline more.
+DOUBT, DOUBT_SD = 2.0, 1e-5
 DIRECTIONS = 120  # orientations looked at
 APART = 2  # directions on either side of a chosen one that are not chosen
 PSI_SD = 0.06  # rad, of a filter about its orientation
 SPIN_SD = 1.0  # rad/s, of an object just put down
 # How far the same object's outline strays from what was kept, in one-sigma squared; measured: median 0.7, most 23.
 SAME = 25.0
+SAME_SMOOTHED = 60.0  # where nothing has been widened: up to some 25 directions that are felt for the first time
 SAME_WEIGHT = 0.1  # relative, between its mass and the one that resting forces give
 
 _PSI: FloatArray = np.arange(DIRECTIONS, dtype=np.float64) * (2 * math.pi / DIRECTIONS)
@@ -33,53 +35,67 @@ _CONSTANTS, _OUTLINE = slice(shape_map.Z.LN_RHO, None), slice(shape_map.Z.SHAPE,
 
 @dataclass(frozen=True, slots=True)
 class KnownObject:
-    """A settled state of `model.shape_map` with its covariance, the normals touched in its gauge, and the mass."""
+    """A settled state of `model.shape_map` with its covariance, the normals touched in its gauge, and the mass.
+
+    `smoothed`: a smoother vouches for it.
+    """
 
     x: FloatArray
     P: FloatArray
     touched: Marks
     mass: MassEstimator
+    smoothed: bool = False
 
     def believed(self) -> FloatArray:
-        """The covariance of the constants, widened by `DOUBT`; ψ and ω0 as of an object put down anyhow (21 × 21)."""
+        """The covariance of the constants, unless smoothed widened by `DOUBT`; ψ, ω0 as of what is put down anyhow."""
         Z = shape_map.Z
         P = np.zeros_like(self.P)
-        P[_CONSTANTS, _CONSTANTS] = DOUBT * self.P[_CONSTANTS, _CONSTANTS]
-        P[_OUTLINE, _OUTLINE] += np.eye(shape.COEFFICIENTS) * DOUBT_SD**2
+        P[_CONSTANTS, _CONSTANTS] = self.P[_CONSTANTS, _CONSTANTS]
+        if not self.smoothed:
+            P *= DOUBT
+            P[_OUTLINE, _OUTLINE] += np.eye(len(self.x) - shape_map.Z.SHAPE) * DOUBT_SD**2
         P[Z.PSI, Z.PSI], P[Z.OMEGA0, Z.OMEGA0] = PSI_SD**2, SPIN_SD**2
         return P
 
     def orientations(self, s1: float, s2: float, palms: PalmMotion, variance: float, count: int) -> FloatArray:
         """The `count` likeliest ψ (rad) apart from each other, given the first readings (m) and their variance (m²)."""
-        rows = reading_rows(palms)
-        likelihood = orientation_likelihood(
-            self.x[_OUTLINE], self.believed()[_OUTLINE, _OUTLINE], s1, s2, rows, variance
+        return likely_orientations(
+            self.x[_OUTLINE], self.believed()[_OUTLINE, _OUTLINE], s1, s2, palms, variance, count
         )
-        chosen = []
-        for _ in range(count):
-            best = int(np.argmax(likelihood))
-            chosen.append(_PSI[best])
-            likelihood[np.arange(best - APART, best + APART + 1) % DIRECTIONS] -= 1e6
-        return np.array(chosen)
 
     def resembles(self, x: FloatArray) -> bool:
         """Whether the outline of state `x`, in the same gauge, is this one within what was believed of it."""
         change = x[_OUTLINE] - self.x[_OUTLINE]
         distance = change @ np.linalg.solve(self.believed()[_OUTLINE, _OUTLINE], change)
-        return bool(distance < SAME)
+        return bool(distance < (SAME_SMOOTHED if self.smoothed else SAME))
 
     def weighs(self, mass: float) -> bool:
         """Whether `mass` (kg) may be this object's; NaN, where the pads give no forces, may."""
         return not abs(mass / self.mass.value - 1.0) > SAME_WEIGHT
 
 
-def reading_rows(palms: PalmMotion) -> tuple[FloatArray, FloatArray]:
+def likely_orientations(
+    coefficients: FloatArray, P: FloatArray, s1: float, s2: float, palms: PalmMotion, variance: float, count: int
+) -> FloatArray:
+    """The `count` likeliest ψ (rad) apart from each other of an outline; arguments as of `orientation_likelihood`."""
+    rows = reading_rows(palms, (len(coefficients) - 1) // 2)
+    likelihood = orientation_likelihood(coefficients, P, s1, s2, rows, variance)
+    chosen = []
+    for _ in range(count):
+        best = int(np.argmax(likelihood))
+        chosen.append(_PSI[best])
+        likelihood[np.arange(best - APART, best + APART + 1) % DIRECTIONS] -= 1e6
+    return np.array(chosen)
+
+
+def reading_rows(palms: PalmMotion, order: int = shape.HARMONICS) -> tuple[FloatArray, FloatArray]:
     """Rows that map coefficients to s1 and to s2 of an object at each of `DIRECTIONS` orientations ψ, evenly from 0."""
     theta1: FloatArray = palms.phi1 - math.pi / 2 - _PSI
     theta2: FloatArray = palms.phi1 + palms.phi2 - 3 * math.pi / 2 - _PSI
-    r1, r2, cos, sin = shape.basis(theta1), shape.basis(theta2), math.cos(palms.phi2), math.sin(palms.phi2)
-    rows1 = (r1 * cos + r2) / sin - shape.tangential_basis(theta1)  # (3.13)
-    rows2 = (r2 * cos + r1) / sin + shape.tangential_basis(theta2)  # (3.14)
+    r1, r2 = shape.basis(theta1, order), shape.basis(theta2, order)
+    cos, sin = math.cos(palms.phi2), math.sin(palms.phi2)
+    rows1 = (r1 * cos + r2) / sin - shape.tangential_basis(theta1, order)  # (3.13)
+    rows2 = (r2 * cos + r1) / sin + shape.tangential_basis(theta2, order)  # (3.14)
     return rows1, rows2
 
 

@@ -11,6 +11,8 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from dataclasses import dataclass
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +21,7 @@ from palmd.events import (
     Estimate,
     Event,
     FloatArray,
+    Improvement,
     Outlook,
     PadLift,
     PadSample,
@@ -28,17 +31,17 @@ from palmd.events import (
     ShapeEstimate,
 )
 from palmd.model import shape, shape_map
-from palmd.model.compiled import BLOCK
 from palmd.model.named import NAMED, rig_inputs
 from palmd.observer.answer import answer, no_answer
 from palmd.observer.bank import Bank, Belief, Snapshot
-from palmd.observer.filters import LONGEST_STEP_S, Filters, ShapeFilters, carry
+from palmd.observer.filters import LONGEST_STEP_S, Filters, ShapeFilters, carry, smoother_outline
 from palmd.observer.known import KnownObject, Memory
 from palmd.observer.mass import MassEstimator, resting_forces
 from palmd.observer.observability import Observability
+from palmd.observer.outline import gauge_free_sd
 from palmd.observer.palms import PalmTracker
 from palmd.observer.prior import blind_start, shape_map_sd
-from palmd.observer.touched import NORMAL_BINS, TouchMarks
+from palmd.observer.touched import NORMAL_BINS, Marks, TouchMarks, contact_bins, turned_marks
 
 SILENCE_S = 0.1  # a pad silent for longer does not vouch for a contact
 GONE_S = 0.4  # a pad silent for longer: the object has left the palms
@@ -60,6 +63,7 @@ FADE, FADE_AGE_S, FADE_EVERY_S, FADE_AT_LEAST_EVERY_S = 1.5, 0.2, 0.2, 0.5
 # A filter that began from a known object fades as if so much older.
 FROM_KNOWN, EXPERIENCE_S = 0.75, 4.0  # share of the bank; s
 LOOKED_AT_S, UNDECIDED_S = 0.5, 3.0  # after which what is not the known object, or may not be, is begun as a new one
+OTHERWISE_RAD = 0.1  # from which on an object lies another way round
 CLEAR = 3.0  # nats by which blind filters lead when it is not
 WORSE_NIS = 0.35  # over some 30 readings: two sigmas
 WELCOME = 6.0  # nats by which a filter from elsewhere leads at first: its readings were weighed together
@@ -68,8 +72,7 @@ SURPRISING_NIS, FADE_BY_SURPRISE = 1.4, 20.0
 
 DIRECTIONS = 180  # of the published outline
 _THETA = np.linspace(0.0, 2 * np.pi, DIRECTIONS, endpoint=False)
-_ROWS = shape.basis(_THETA)
-_BIN_ROWS = shape.basis(np.linspace(0.0, 2 * np.pi, NORMAL_BINS, endpoint=False) + np.pi / NORMAL_BINS)
+_BINS = np.linspace(0.0, 2 * np.pi, NORMAL_BINS, endpoint=False) + np.pi / NORMAL_BINS
 _SHAPE = slice(shape_map.Z.SHAPE, None)
 SAMPLES, RIVALS = 6, 3  # in an outlook: of what the object may be besides, and how many of them rivals at most
 ROUGH_SD, ROUGH_AGE_S = 3e-3, 0.6  # m, of r1 and r2; s
@@ -88,19 +91,28 @@ class _Fused:
     before: Snapshot
 
 
+class SmoothedFilters(NamedTuple):
+    """Filters for what a smoother has told of an object: a bank to know it `again`, and `one` that carries it on."""
+
+    again: ShapeFilters
+    one: ShapeFilters
+
+
 class BankObserver:
     """Events in, estimates out. `feed` and `estimate` take bounded time and are safe inside the loop."""
 
-    def __init__(self, filters: Filters, rig: RigDescription, seed: int = 0):
-        """Deterministic for given `seed`, events and times."""
+    def __init__(self, filters: Filters, rig: RigDescription, seed: int = 0, smoothed: SmoothedFilters | None = None):
+        """Deterministic for given `seed`, events and times. `smoothed`: for an observer with a smoother at its side."""
         self.name = filters.name
-        self._filters = filters
+        self._filters = self._blind = filters
+        self._smoothed = smoothed
         self._rig = rig
         self._seed = seed
         self._pad_variance = rig.reading_variance
         self._observability = Observability(rig_inputs(rig), self._pad_variance)
-        self._fused: list[_Fused] = []
-        self._spare = [self._bank.blank() for _ in range(HISTORY)]
+        everyone = [filters, *(smoothed or ())]
+        self._blank = {id(each): [each.bank.blank() for _ in range(HISTORY)] for each in everyone}
+        self._use(filters)
         self.reset()
 
     def reset(self) -> None:
@@ -113,7 +125,11 @@ class BankObserver:
         self._last: dict[int, PadSample] = {}
         self._lifted: set[int] = set()
         self._t = -math.inf  # up to which the bank has been moved
-        self._running = self._foresees = False
+        self._candidate: KnownObject | None = None  # what lies on the palms may be that again
+        self._t_begun = math.inf
+        self._frame: int | None = None  # of the smoother's answers, and by how much it is turned from the published one
+        self._turn = 0.0
+        self._running = self._foresees = self._valid = False
         self._draws = np.random.default_rng([self._seed, 1 << 20])  # of outlooks: estimates do not depend on them
         self._begin_fresh()
 
@@ -144,30 +160,65 @@ class BankObserver:
     @property
     def begun(self) -> float:
         """When the present object was begun (s), inf while there is none."""
-        return self._t_start if self._running else math.inf
+        return self._t_begun if self._running else math.inf
 
-    def take_in(self, x: FloatArray, P: FloatArray, nis: float) -> bool:
-        """Let a filter from elsewhere lead the bank: a state of `model.shape_map` at `t`, its covariance, its mean NIS.
+    @property
+    def hint(self) -> FloatArray | None:
+        """For a smoother that has not found the object yet: the state of a bank that has settled, None otherwise."""
+        return None if self._carrying or not self._valid else self._bank.x[self._bank.best()]
 
-        It takes the worst filter's place and the leader's gauge, so that ψ goes on without a jump. False when there is
-        nothing to join, or the readings surprise it more than the leader. Only for banks of shape maps. Safe inside
-        the loop.
+    def take_in(self, answer: Improvement, x: FloatArray, P: FloatArray, nis: float) -> bool:
+        """Let a filter that a smoother's `answer` began lead: its state and covariance at `t`, its mean NIS since.
+
+        It joins the bank, in the worst filter's place; once the answer is established it goes on alone. It is turned
+        so that ψ goes on without a jump. False when there is nothing to take part in, or the readings surprise it
+        more than the present leader. Safe inside the loop.
         """
         bank, best = self._bank, self._bank.best()
-        if not self._running or bank.lost() or self._candidate is not None or nis > bank.nis[best] + WORSE_NIS:
+        undecided = self._candidate is not None and not answer.established
+        if self._smoothed is None or not self._running or bank.lost() or undecided or nis > bank.nis[best] + WORSE_NIS:
             return False
-        leader, Z = bank.x[best], shape_map.Z
-        worst = int(np.argmin(np.where(np.arange(bank.size) == best, np.inf, bank.score)))
-        turn = leader[Z.PSI] - x[Z.PSI]
-        matrix = np.eye(shape_map.N)
-        matrix[Z.SHAPE :, Z.SHAPE :] = shape.turned(turn)
-        moved = matrix @ x
-        moved[Z.PSI] = leader[Z.PSI]
-        bank.x[worst], bank.P[worst] = moved, matrix @ P @ matrix.T
-        bank.score[worst], bank.nis[worst] = bank.score[best] + WELCOME, nis
-        self._experience[worst] = 0.0
-        self._forget_history()
+        if self._carrying and not (answer.frame == self._frame or self._as_sharp(P)):
+            return False  # it has been found anew, from the latest readings alone
+        if answer.frame != self._frame:
+            self._frame, self._turn = answer.frame, float(bank.x[best, shape_map.Z.PSI] - x[shape_map.Z.PSI])
+        x, P = _turned(x, P, self._turn)
+        if answer.established:
+            known, self._candidate = self._candidate, None
+            if known is not None:  # the smoother has known it again
+                self._mass = known.mass
+            self._lead_with(x, P, nis, self._touched(answer, float(x[shape_map.Z.PSI])))
+        else:
+            worst = int(np.argmin(np.where(np.arange(bank.size) == best, np.inf, bank.score)))
+            bank.x[worst], bank.P[worst] = smoother_outline(x, P) if bank.n < len(x) else (x, P)
+            bank.score[worst], bank.nis[worst] = bank.score[best] + WELCOME, nis
+            self._experience[worst] = 0.0
+            self._forget_history()
         return True
+
+    def _as_sharp(self, P: FloatArray) -> bool:
+        """Whether covariance `P` tells the outline as well as the leader's does, where it has been touched."""
+        rows = _bin_rows(P.shape[-1] - shape_map.Z.SHAPE)[self._marks.marks]
+        own = self._bank.P[self._bank.best()]
+        variance = [((rows @ each[_SHAPE, _SHAPE]) * rows).sum() for each in (P, own)]
+        return bool(variance[0] <= variance[1])
+
+    def _touched(self, answer: Improvement, psi: float) -> Marks:
+        """The normals touched up to an answer, and since then unless the answer lies another way round (ψ in rad)."""
+        touched, best = turned_marks(answer.touched, self._turn), self._bank.best()
+        if abs(math.remainder(psi - self._bank.x[best, shape_map.Z.PSI], math.tau)) > OTHERWISE_RAD:
+            return touched
+        return touched | self._marks.since(answer.t, best, self._all_psi)
+
+    def _lead_with(self, x: FloatArray, P: FloatArray, nis: float, touched: Marks) -> None:
+        """One filter takes the place of all others; it has the leader's gauge."""
+        assert self._smoothed is not None
+        self._marks = TouchMarks(touched, 0)
+        self._use(self._smoothed.one)
+        bank = self._bank
+        bank.refill()
+        bank.x[0], bank.P[0], bank.nis[0] = x, P, nis
+        self._experience, self._t_faded = np.zeros(1), np.full(1, math.inf)
 
     @property
     def _bank(self) -> Bank:
@@ -216,19 +267,21 @@ class BankObserver:
             self._observability.sample(self._t, state, motion, self._palms.jerk)
         spread = self._rivals_spread(best)
         sd = np.sqrt(np.maximum(np.diagonal(cov), 0.0) + spread**2)
-        sd *= self._filters.optimism.factor(t - self._t_start)
+        sd *= self._too_sure(t)
         finite = bool(np.isfinite(y).all() and np.isfinite(sd).all())
         settled = finite and self._settled(t, best, sd, spread)
         if settled and (self._filters.curvature @ self._bank.x[best]).min() < 0.0:
-            settled = self._convex(best // BLOCK)
+            settled = self._convex(best // self._bank.block)
         self._watch_for_loss(t, best)
         if self._running:
             settled = self._decided(t, best, settled)
+            best = self._bank.best()  # another bank may have taken over
         if settled:
             self._mass.weigh(self._last.get(1), float(y[_F1]))
             self._mass.weigh(self._last.get(2), float(y[_F2]))
-            self._marks.mark(best, y, self._all_psi)
+            self._marks.mark(t, best, y, self._all_psi)
             self._keep(t, best)
+        self._valid = settled
         self._foresees = settled or (finite and self._rough(t, sd))
         return answer(
             t, settled, self.name, self.object_count, y, sd, self._mass,
@@ -240,9 +293,9 @@ class BankObserver:
         if not self._running or self._bank.lost():
             return None
         coefficients, cov = self._filters.outline(self._bank.best())
-        h_sd = np.sqrt(np.maximum(((_ROWS @ cov) * _ROWS).sum(axis=1), 0.0))
-        h_sd *= self._filters.optimism.factor(t - self._t_start)
-        return ShapeEstimate(t, _THETA, _ROWS @ coefficients, h_sd, self._marks.marks[_BIN_OF_THETA])
+        touched = self._marks.marks[_BIN_OF_THETA]
+        h_sd = gauge_free_sd(_THETA, _THETA[touched], coefficients, cov) * self._too_sure(t)
+        return ShapeEstimate(t, _THETA, _rows(len(coefficients)) @ coefficients, h_sd, touched)
 
     @property
     def foresees(self) -> bool:
@@ -257,18 +310,20 @@ class BankObserver:
         if not self._foresees or not isinstance(self._filters, ShapeFilters):
             return None
         bank, best = self._bank, self._bank.best()
-        state, P = bank.x[best], bank.P[best]
+        state, P = self._filters.as_shape_map(best), bank.P[best]
         try:
-            root = np.linalg.cholesky(P + np.diag(np.full(len(P), 1e-16)))
+            root = np.linalg.cholesky(P + np.diag(np.full(len(P), 1e-16)))[: shape_map.N, : shape_map.N]
         except np.linalg.LinAlgError:
             return None
         rivals = [number for number in bank.plausible(PLAUSIBLE) if number != best][:RIVALS]
-        too_sure = self._filters.optimism.factor(t - self._t_start)
+        too_sure = self._too_sure(t)
         drawn = state + too_sure * self._draws.standard_normal((SAMPLES - len(rivals), len(state))) @ root.T
-        others = np.vstack([bank.x[rivals], drawn])
+        others = np.vstack([*(self._filters.as_shape_map(rival) for rival in rivals), drawn])
         for constant in (shape_map.Z.MU, shape_map.Z.DAMPING):
             others[:, constant] = np.abs(others[:, constant])
-        h_sd = too_sure * np.sqrt(np.maximum(((_BIN_ROWS @ P[_SHAPE, _SHAPE]) * _BIN_ROWS).sum(axis=1), 0.0))
+        outline = P[_SHAPE, _SHAPE]
+        rows = _bin_rows(len(outline))
+        h_sd = too_sure * np.sqrt(np.maximum(((rows @ outline) * rows).sum(axis=1), 0.0))
         return Outlook(t, np.vstack([state, others]), self._marks.marks.copy(), h_sd, self.object_count)
 
     # ---- starting and stopping
@@ -276,7 +331,7 @@ class BankObserver:
     def _begin_fresh(self) -> None:
         self._mass = self._new_mass()
         self._marks = TouchMarks()
-        self._candidate: KnownObject | None = None  # which it may be again
+        self._candidate = None
         self._rough_mass = self._new_mass()
         self._forget_history()
         self._t_start = math.inf
@@ -288,28 +343,38 @@ class BankObserver:
 
     def _try_to_start(self, t: float) -> None:
         fresh = all(abs(t - self._last_seen(pad)) < SILENCE_S for pad in (1, 2))
-        if not (fresh and self._palms_known(t)):
-            return
+        if fresh and self._palms_known(t):
+            self._t_begun = t
+            self._begin(t)
+
+    def _begin(self, t: float) -> None:
+        """Begin with what lies on the palms since `begun`, as what is remembered or blind."""
         self._begin_fresh()
         self._starts += 1
         one, two, palms = self._last[1], self._last[2], self._palms.motion(t)
         random = np.random.default_rng([self._seed, self._starts])
-        self._start = blind_start(one.s, two.s, palms, self._bank.full_size, self._starts == 1, random)
+        known = self._memory.recall()
+        self._use(self._smoothed.again if self._smoothed and known and known.smoothed else self._blind)
+        size, order = self._bank.full_size, self._filters.order
+        self._start = blind_start(one.s, two.s, palms, size, self._starts == 1, random, order)
         self._bank.refill()
         self._filters.start(self._start, self._palms, t)
         self._experience = np.zeros(self._bank.size)
         self._start_known(one.s, two.s, palms, t)
         self._observability.begin(t, shape_map_sd(self._start))
-        self._t_faded = np.full(self._bank.blocks, t)
+        # what a smoother vouches for has been linearised well: only what begins blind has to forget
+        blind = self._experience.reshape(self._bank.blocks, -1).min(axis=1) == 0.0
+        self._t_faded = np.where(blind | (self._filters is self._blind), t, math.inf)
         self._t = self._t_start = t
         self._running = True
 
     def _start_known(self, s1: float, s2: float, palms: PalmMotion, t: float) -> None:
         """Let the bank's first filters begin from what is known beforehand; all are blind so far."""
-        count = int(self._bank.full_size // BLOCK * FROM_KNOWN) * BLOCK
+        count = int(self._bank.full_size // self._bank.block * FROM_KNOWN) * self._bank.block
         known = self._candidate = self._memory.recall() if count else None
         if known is None:
             self.object_count += 1
+            self._frame = None
             return
         psi = known.orientations(s1, s2, palms, self._pad_variance, count)
         self._filters.start_known(known.x, known.believed(), psi, self._palms, t)
@@ -326,30 +391,58 @@ class BankObserver:
         for pad, f in zip((1, 2), resting_forces(self._rig.gravity, self._palms.at(t)), strict=True):
             self._rough_mass.weigh(self._last.get(pad), f)
         likely = not blind[best]
-        alike = known.weighs(self._rough_mass.value) and (
-            not likely or known.resembles(self._filters.as_shape_map(best))
-        )
-        if likely and alike:
-            if settled:
-                self._candidate = None
+        alike = known.weighs(self._rough_mass.value) and (not likely or known.resembles(self._filters.belief(best)[0]))
+        if likely and alike and (not known.smoothed or self._where_felt(known, best)):
+            if not settled or (known.smoothed and not (self._lies_one_way(best) or t - self._t_start > UNDECIDED_S)):
+                return False
+            self._candidate, self._mass = None, known.mass
+            if known.smoothed:
+                self._lead_with(*self._filters.belief(best), float(self._bank.nis[best]), known.touched)
+            else:
+                self._marks = TouchMarks(known.touched, best)
                 self._bank.drop(blind)
-                self._marks, self._mass = TouchMarks(known.touched, best), known.mass
-            return settled
+            return True
         clear = not alike or score[blind].max() - score[~blind].max() > CLEAR
         if t - self._t_start > (LOOKED_AT_S if clear else UNDECIDED_S):
             self._memory.forget()
-            self._stop()
+            self._begin(t)
         return False
+
+    def _where_felt(self, known: KnownObject, best: int) -> bool:
+        """Whether the likeliest filter touches the known outline where that was felt: elsewhere any outline fits."""
+        y = self._filters.all_named(self._t, self._palms)[best]
+        return bool(known.touched[contact_bins(y)].all())
+
+    def _lies_one_way(self, best: int) -> bool:
+        """Whether the plausible filters that began from what is known agree on how it lies."""
+        rivals = [number for number in self._bank.plausible(PLAUSIBLE) if self._experience[number] > 0.0]
+        psi = self._filters.all_named(self._t, self._palms)[:, _PSI]
+        apart = np.remainder(psi[rivals] - psi[best] + math.pi, math.tau) - math.pi
+        return bool(np.abs(apart).max() < OTHERWISE_RAD)
 
     def _keep(self, t: float, best: int) -> None:
         """Remember the settled map, for when the object is lost and put back."""
         if self._memory.due(t):
-            state, P = self._filters.as_shape_map(best).copy(), self._filters.shape_map_covariance(best).copy()
-            self._memory.keep(t, KnownObject(state, P, self._marks.marks.copy(), self._mass))
+            x, P = self._filters.belief(best)
+            self._memory.keep(t, KnownObject(x, P, self._marks.marks.copy(), self._mass, self._carrying))
 
     def _stop(self) -> None:
-        self._running = self._foresees = False
+        self._running = self._foresees = self._valid = False
         self._last.clear()
+
+    @property
+    def _carrying(self) -> bool:
+        """Whether one filter carries to the present what a smoother knows; else a bank looks for the object."""
+        return self._smoothed is not None and self._filters is self._smoothed.one
+
+    def _too_sure(self, t: float) -> float:
+        """What to multiply one-sigmas with at `t` (s)."""
+        return 1.0 if self._filters is not self._blind else self._filters.optimism.factor(t - self._t_start)
+
+    def _use(self, filters: Filters) -> None:
+        self._filters = filters
+        self._fused: list[_Fused] = []
+        self._spare = self._blank[id(filters)].copy()
 
     def _palms_known(self, t: float) -> bool:
         return t - self._palms.t < PALMS_UNKNOWN_S
@@ -374,7 +467,7 @@ class BankObserver:
         elif self._t_unlikely is None:
             self._t_unlikely = t
         elif t - self._t_unlikely > LOST_FOR_S:
-            if self._experience.any():
+            if self._experience.any() or (self._smoothed and not self._carrying):
                 self._memory.forget()  # what was known of the object has led astray
             self._stop()
 
@@ -411,7 +504,7 @@ class BankObserver:
         self._forget_some()
         if isinstance(event, PadSample):
             age = event.t_sample - self._t_start
-            caution = 1.0 + CAUTION * math.exp(-age / CAUTION_S)
+            caution = 1.0 if self._carrying else 1.0 + CAUTION * math.exp(-age / CAUTION_S)
             self._filters.fuse_pad(event, caution * self._pad_variance, self._palms)
         else:
             self._filters.fuse_palms(event, self._rig.palm_angle_noise**2)
@@ -423,7 +516,7 @@ class BankObserver:
         if since < min(max(FADE_EVERY_S, age / 10), FADE_AT_LEAST_EVERY_S):
             return
         surprise = max(0.0, self._bank.nis[self._bank.best()] - SURPRISING_NIS)
-        learnt = age + float(self._experience[block * BLOCK : (block + 1) * BLOCK].min())
+        learnt = age + float(self._experience[self._bank.members(block)].min())
         fraction = FADE * since / (FADE_AGE_S + learnt) * (1.0 + FADE_BY_SURPRISE * surprise)
         self._bank.fade(block, min(fraction, 1.0), self._constants())
         self._convex(block)
@@ -481,6 +574,27 @@ class BankObserver:
 
     def _all_psi(self) -> FloatArray:
         return self._filters.all_named(self._t, self._palms)[:, _PSI]
+
+
+def _turned(x: FloatArray, P: FloatArray, turn: float) -> tuple[FloatArray, FloatArray]:
+    """A state of `model.shape_map` and its covariance in a gauge in which ψ is larger by `turn` (rad)."""
+    matrix = np.eye(len(x))
+    matrix[_SHAPE, _SHAPE] = shape.turned(turn, (len(x) - shape_map.Z.SHAPE - 1) // 2)
+    moved = matrix @ x
+    moved[shape_map.Z.PSI] += turn
+    return moved, matrix @ P @ matrix.T
+
+
+@cache
+def _rows(coefficients: int) -> FloatArray:
+    """Values of the outline's harmonics on the published directions."""
+    return shape.basis(_THETA, (coefficients - 1) // 2)
+
+
+@cache
+def _bin_rows(coefficients: int) -> FloatArray:
+    """The same in the middles of the bins of normals."""
+    return shape.basis(_BINS, (coefficients - 1) // 2)
 
 
 def finite(event: PadSample | PalmSample) -> bool:

@@ -15,8 +15,10 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.model.compiled import Library
 from palmd.model.smoothing import CONSTANTS, NODE, C
+from palmd.observer.factor import Prior
+from palmd.observer.normal_equations import Guess
 from palmd.observer.record import Record
-from palmd.observer.smoother import Fit, Guess, Posterior, Prior, Smoother
+from palmd.observer.smoother import Fit, Posterior, Smoother
 
 PINNED_SD = 1e-4
 STEP_RANGE = (0.03, 0.35)  # of ln u_d
@@ -42,8 +44,10 @@ class _Step:
 
 def marginalised(library: Library, record: Record, prior: Prior, fit: Fit) -> Marginal:
     """Average about the minimum `fit` of `record`; raises LinAlgError where it is no minimum."""
-    middle = float(fit.guess.p[C.LN_DITHER])
-    sd = math.sqrt(Smoother(library, record, prior).posterior(fit).covariance[C.LN_DITHER, C.LN_DITHER])
+    saturation = float(fit.guess.p[C.SATURATION])
+    middle = -0.5 * math.log(saturation)
+    covariance = Smoother(library, record, prior).posterior(fit).covariance
+    sd = math.sqrt(covariance[C.SATURATION, C.SATURATION]) / (2.0 * saturation)
     stride = min(max(sd, STEP_RANGE[0]), STEP_RANGE[1])
     steps = [_step(library, record, prior, fit, middle)]
     for direction in (-1, 1):
@@ -62,17 +66,18 @@ def marginalised(library: Library, record: Record, prior: Prior, fit: Fit) -> Ma
     for weight, step in zip(weights, steps, strict=True):
         miss = np.concatenate([step.fit.guess.p, step.fit.guess.x[-1]]) - mean
         covariance += weight * (step.posterior.covariance + np.outer(miss, miss))
-    covariance[C.LN_DITHER, C.LN_DITHER] += stride**2 / 12
+    covariance[C.SATURATION, C.SATURATION] += (2.0 * p[C.SATURATION] * stride) ** 2 / 12
     return Marginal(Guess(x, p), covariance)
 
 
 def _step(library: Library, record: Record, prior: Prior, start: Fit, value: float) -> _Step:
     mean, sd = prior.mean.copy(), prior.sd.copy()
-    mean[C.LN_DITHER], sd[C.LN_DITHER] = value, PINNED_SD
+    mean[C.SATURATION], sd[C.SATURATION] = value, PINNED_SD
     p = start.guess.p.copy()
-    p[C.LN_DITHER] = value
+    p[C.SATURATION] = math.exp(-2.0 * value)
     smoother = Smoother(library, record, replace(prior, mean=mean, sd=sd))
     fit = smoother.fit(Guess(start.guess.x, p), start.noise)
     posterior = smoother.posterior(fit)
-    belief = (value - prior.mean[C.LN_DITHER]) / prior.sd[C.LN_DITHER]
-    return _Step(value, fit, posterior, posterior.evidence - belief**2 / 2)
+    belief = (value - prior.mean[C.SATURATION]) / prior.sd[C.SATURATION]
+    # the evidence is an integral over w = exp(−2 ln u_d), in which the pin is as wide as w
+    return _Step(value, fit, posterior, posterior.evidence - belief**2 / 2 + 2.0 * value)

@@ -7,10 +7,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from palmd.events import Event, FloatArray, PadSample, PalmSample, RigDescription
-from palmd.model.compiled import BLOCK
+from palmd.events import Event, FloatArray, Improvement, PadSample, PalmSample, RigDescription
+from palmd.model.smoothing import ORDER
 from palmd.observer.filters import ShapeFilters, carry
-from palmd.observer.improver import Improvement
 from palmd.observer.palms import PalmTracker
 
 LEAST_READINGS = 30  # by which a newcomer is judged before it joins
@@ -25,7 +24,7 @@ class Newcomer:
 
     def __init__(self, rig: RigDescription):
         """Binds its own block of kernels."""
-        self._filters = ShapeFilters(rig, BLOCK)
+        self._filters = ShapeFilters(rig, 1, order=ORDER)
         self._variance = rig.reading_variance
         self._angle_noise = rig.palm_angle_noise
         self._waiting: deque[Event] = deque()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,10 +40,13 @@ def normal_angles(palms: FloatArray, psi: FloatArray) -> FloatArray:
     return np.stack([first, first + palms[:, 1] - math.pi], axis=1)
 
 
-def outline_of(coefficients: FloatArray, covariance: FloatArray, normals: FloatArray) -> Outline:
-    """The outline on `directions`, touched where `normals` (n, 2) went, in order of time; the band is gauge-free."""
+def outline_of(coefficients: FloatArray, covariance: FloatArray, normals: Sequence[FloatArray]) -> Outline:
+    """The outline on `directions`, touched where the `normals` went; the band is gauge-free.
+
+    Of each uninterrupted time (n, 2), in order of time.
+    """
     theta = directions()
-    touched = touched_by(normals)
+    touched = np.logical_or.reduce([touched_by(each) for each in normals])
     h = shape.basis(theta, _order(coefficients)) @ coefficients
     return Outline(theta, h, gauge_free_sd(theta, theta[touched], coefficients, covariance), touched)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -43,6 +44,19 @@ class PalmPath:
         phi, omega, alpha = values[:, 0], values[:, 1], values[:, 2]
         phi = phi + beyond * omega + beyond**2 / 2 * alpha
         return np.concatenate([phi, omega + beyond * alpha, alpha], axis=1)
+
+    def resting(self, times: FloatArray, rate: float, since: float = math.inf) -> FloatArray:
+        """For how long (s) both palms have turned slower than `rate` (rad/s) at each of `times` (s).
+
+        Where they have from the path's beginning on, since `since` if that is earlier.
+        """
+        slow = np.asarray((np.abs(self.state[:, 1]) < rate).all(axis=1))
+        began = np.where(slow, -np.inf, self.t)
+        began = np.maximum.accumulate(began)
+        began[np.isinf(began)] = min(since, float(self.t[0]))
+        at = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, len(self.t) - 1)
+        lasted: FloatArray = np.where(slow[at], times - began[at], 0.0)
+        return np.maximum(lasted, 0.0)
 
 
 def smoothed_path(samples: Sequence[PalmSample], angle_noise: float) -> PalmPath:

@@ -44,17 +44,23 @@ class BlindStart:
 
 
 def blind_start(
-    s1: float, s2: float, palms: PalmMotion, size: int, at_rest: bool, random: np.random.Generator
+    s1: float,
+    s2: float,
+    palms: PalmMotion,
+    size: int,
+    at_rest: bool,
+    random: np.random.Generator,
+    order: int = shape.HARMONICS,
 ) -> BlindStart:
-    """Draw `size` starts about the circle that would give the readings s1, s2 (m).
+    """Draw `size` starts, outlines of `order` harmonics, about the circle that would give the readings s1, s2 (m).
 
     For a circle of radius r both readings are r / tan(φ2/2), from (3.13) with d = 0. `at_rest` says that the
     object has just been put down; otherwise it may be turning. Orientation is gauge: 0 at the start.
     """
     mean_radius = (s1 + s2) / 2 * math.tan(palms.phi2 / 2)
-    shape_sd = shape.prior_sd(mean_radius)
+    shape_sd = shape.prior_sd(mean_radius, order)
     shape_sd[0] = RADIUS_SD * mean_radius
-    coefficients = SCATTER * shape_sd * random.standard_normal((size, shape.COEFFICIENTS))
+    coefficients = SCATTER * shape_sd * random.standard_normal((size, len(shape_sd)))
     coefficients[:, 0] += mean_radius
     spin_sd = SPIN_AT_REST_SD if at_rest else SPIN_MOVING_SD
     return BlindStart(
@@ -81,5 +87,5 @@ def shape_map_sd(start: BlindStart) -> FloatArray:
     sd = np.zeros(shape_map.N)
     sd[Z.OMEGA0], sd[Z.LN_RHO] = SPIN_MOVING_SD, math.hypot(GYRATION_SD, RADIUS_SD)
     sd[Z.MU], sd[Z.LN_DITHER], sd[Z.DAMPING] = FRICTION_SD, LN_DITHER_SD, DAMPING_SD
-    sd[Z.SHAPE :] = start.shape_sd
+    sd[Z.SHAPE :] = start.shape_sd[: shape.COEFFICIENTS]
     return sd

@@ -161,7 +161,7 @@ class QuasistaticObserver:
         for pad, f in zip((1, 2), resting_forces(self._rig.gravity, np.array([now.phi1, now.phi2])), strict=True):
             self._mass.weigh(self._last.get(pad), f)
         if settled:
-            self._marks.mark(0, y, lambda: np.zeros(1))
+            self._marks.mark(t, 0, y, lambda: np.zeros(1))
         told = answer(
             t, settled, self.name, self.object_count, y, sd, self._mass, math.nan, math.nan, self._marks.fraction
         )

@@ -14,23 +14,29 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from palmd.blas import one_thread
 from palmd.events import Event, FloatArray, RigDescription
 from palmd.model import shape
 from palmd.model.smoothing import CONSTANTS, ORDER, C
+from palmd.observer.chain import Chain
+from palmd.observer.factor import Prior, friction_of
 from palmd.observer.marginal import Marginal, marginalised
 from palmd.observer.mass import MassEstimator
+from palmd.observer.matching import Felt, matched
 from palmd.observer.outline import directions, made_convex, normal_angles, outline_of
 from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
 from palmd.observer.search import Finding, Search, beyond_question, doubt
+from palmd.observer.seeker import ATTEMPTS
 from palmd.observer.smoother import Fit, Smoother
-from palmd.observer.stretch import Stretch, longest_stretch
+from palmd.observer.stretch import Stretch, stretches
+from palmd.observer.touched import marks_of
 from palmd.observer.visits import Counts, visits_of
 
 SPACING_S = 0.005  # of the nodes in the end
 LEAST_S = 1.0
+SUSPICIOUS_GAP_S = 0.08  # between readings, in which an object may have been changed for another
+MOST_PARTS = 20  # stretches of one log that are looked at
 SHARP_M = 1.5e-4  # RMS of the outline's one-sigma where touched, above which there is no outline to speak of
-# Each attempt: seconds that the bank reads, and how many of its filters the smoother starts from.
-ATTEMPTS = ((2.0, 3), (3.5, 4), (1.2, 8), (5.0, 4))
 NO_ANSWER = "no motion of an object was found that explains the readings"
 
 
@@ -66,38 +72,89 @@ class Reconstruction:
     seconds: float
 
 
+@one_thread()
 def reconstruct(events: Sequence[Event], rig: RigDescription, seed: int = 0) -> Reconstruction:
-    """Smooth the longest stretch of `events` in which both palms feel the object; deterministic for a given seed.
+    """Smooth the longest stretch of `events` in which both palms feel the object, and others if they are of the same.
 
-    Takes about a second for ten seconds of readings. Never raises for what the readings say: a record that tells too
-    little, or contradicts the model, comes back with `converged` False and the reason.
+    Deterministic for a given seed. Takes about a second for ten seconds of readings. Never raises for what the readings
+    say: a record that tells too little, or contradicts the model, comes back with `converged` False and the reason.
     """
     begun = time.perf_counter()
-    stretch = longest_stretch(events)
-    if stretch is None or stretch.end - stretch.start < LEAST_S:
+    found = _by_length(stretches(events))
+    if not found:
         return _nothing("there is no second in which both pads and the arm report", begun)
-    search = Search(stretch, rig)
-    best: _Answer | None = None
-    for number, (seconds, starts) in enumerate(ATTEMPTS):
-        finding = search.blind(seconds, starts, seed)
-        if finding is None:
-            continue
-        answer = _refined(search, finding, stretch, rig)
-        if best is None or answer.fit.cost < best.fit.cost:
-            best = answer
-        if not best.reason and (number > 0 or beyond_question(best.fit, best.record)):
-            break
-    return _nothing(NO_ANSWER, begun) if best is None else _result(search, best, stretch, rig, begun)
+    main = _part(found[0], rig, seed)
+    if main is None or main.reason:
+        shorter = _by_length(stretches(events, SUSPICIOUS_GAP_S))
+        apart = (
+            _part(shorter[0], rig, seed) if shorter and shorter[0].end - shorter[0].start < _length(found[0]) else None
+        )
+        if apart is not None and not apart.reason:
+            main, found = apart, shorter
+    if main is None:
+        return _nothing(NO_ANSWER, begun)
+    if main.reason:
+        return _result(main, (), rig, begun)
+    parts = [main, *(_part(stretch, rig, seed) for stretch in found[1:MOST_PARTS])]
+    main, others = _longest_together([part for part in parts if part is not None and not part.reason])
+    return _result(main, others, rig, begun)
 
 
 @dataclass(frozen=True, slots=True)
-class _Answer:
+class _Part:
+    """A stretch, what is known of the object before it, and the best fit of it; `reason`: why that is in doubt."""
+
+    stretch: Stretch
+    search: Search
+    known: Prior
     fit: Fit
     record: Record
     reason: str
 
+    def felt(self) -> Felt:
+        """What its readings tell of the object, and those that have been joined to it."""
+        chain = Chain(self.search.library, self.fit.noise, self.search.prior)
+        if self.known.told is not None:
+            chain.learn(self.known.told)
+        chain.append(self.record, self.fit.guess)
+        p = self.fit.guess.p
+        return Felt(chain.told(p), marks_of(normal_angles(self.record.palms, self.fit.guess.x[:, 0])))
 
-def _refined(search: Search, finding: Finding, stretch: Stretch, rig: RigDescription) -> _Answer:
+
+@dataclass(frozen=True, slots=True)
+class _Joined:
+    """A stretch's motion, ψ in the gauge of the one that the others were joined to."""
+
+    record: Record
+    psi: FloatArray
+    omega0: FloatArray
+
+
+def _length(stretch: Stretch) -> float:
+    return stretch.end - stretch.start
+
+
+def _by_length(found: Sequence[Stretch]) -> list[Stretch]:
+    return sorted((stretch for stretch in found if _length(stretch) >= LEAST_S), key=_length, reverse=True)
+
+
+def _part(stretch: Stretch, rig: RigDescription, seed: int) -> _Part | None:
+    """The best that any attempt finds in a stretch, None when nothing is."""
+    search = Search(stretch, rig)
+    best: _Part | None = None
+    for number, (seconds, starts) in enumerate(ATTEMPTS):
+        finding = search.blind(seconds, starts, seed)
+        if finding is None:
+            continue
+        part = _refined(search, finding, stretch, rig)
+        if best is None or part.fit.cost < best.fit.cost:
+            best = part
+        if not best.reason and (number > 0 or beyond_question(best.fit, best.record)):
+            break
+    return best
+
+
+def _refined(search: Search, finding: Finding, stretch: Stretch, rig: RigDescription) -> _Part:
     """The best fit again on finer nodes, each force's noise taken from the model's force instead of its neighbours'."""
     best = finding.fits[0]
     record = lay_out(stretch.pads, search.path, rig, stretch.start, stretch.end, SPACING_S)
@@ -105,48 +162,91 @@ def _refined(search: Search, finding: Finding, stretch: Stretch, rig: RigDescrip
     level = np.maximum(Smoother(search.library, record, search.prior).forces(guess), LEAST_FORCE_N)
     record = replace(record, force_variance=rig.force_variance(level))
     fit = Smoother(search.library, record, search.prior).fit(guess, best.noise)
-    return _Answer(fit, record, doubt(fit, finding))
+    return _Part(stretch, search, search.prior, fit, record, doubt(fit, finding))
 
 
-def _result(search: Search, answer: _Answer, stretch: Stretch, rig: RigDescription, begun: float) -> Reconstruction:
-    fit, record = answer.fit, answer.record
+def _longest_together(parts: Sequence[_Part]) -> tuple[_Part, list[_Joined]]:
+    """Those parts that are of the same object beyond doubt: of all such sets the one that lasts longest."""
+    left, best, longest = list(parts), (parts[0], list[_Joined]()), 0.0
+    while left:
+        main, others = left.pop(0), list[_Joined]()
+        lasts = _length(main.stretch)
+        waiting = list(left)
+        while waiting:
+            part = waiting.pop(0)
+            joined = _joined(main, part)
+            if joined is not None:
+                main, other = joined
+                others.append(other)
+                left = [each for each in left if each is not part]
+                lasts += _length(part.stretch)
+                waiting = list(left)  # more of the outline is known now that they may overlap with
+        if lasts > longest:
+            best, longest = (main, others), lasts
+    return best
+
+
+def _joined(main: _Part, part: _Part) -> tuple[_Part, _Joined] | None:
+    """`main` with what `part` tells besides; None unless that is of the same object beyond doubt."""
+    p = main.fit.guess.p
+    prior = Chain(main.search.library, main.fit.noise, main.search.prior).prior(p)
+    found = matched(part.felt(), main.felt(), prior)
+    if found is None:
+        return None
+    told = found.felt.told if main.known.told is None else main.known.told.plus(found.felt.told)
+    known = replace(main.known, told=told)
+    fit = Smoother(main.search.library, main.record, known).fit(main.fit.guess, main.fit.noise)
+    if not fit.settled:
+        return None
+    nodes = part.fit.guess.x
+    return replace(main, known=known, fit=fit), _Joined(part.record, nodes[:, 0] + found.turn, nodes[:, 1])
+
+
+def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: float) -> Reconstruction:
+    fit, record, library = main.fit, main.record, main.search.library
     try:
-        answered = marginalised(search.library, record, search.prior, fit)
+        answered = marginalised(library, record, main.known, fit)
     except np.linalg.LinAlgError:
-        return _nothing(answer.reason or "the fit is not a minimum", begun, fit.chi2)
+        return _nothing(main.reason or "the fit is not a minimum", begun, fit.chi2)
     x, covariance = answered.mean.x, answered.covariance
     everything = np.concatenate([answered.mean.p, x[-1]])
     convex = made_convex(everything, covariance, slice(C.SHAPE, CONSTANTS))
     p = everything[:CONSTANTS]
-    normals = normal_angles(record.palms, x[:, 0])
+    parts = sorted([_Joined(record, x[:, 0], x[:, 1]), *others], key=lambda part: float(part.record.t[0]))
+    normals = [normal_angles(part.record.palms, part.psi) for part in parts]
     outline = outline_of(p[C.SHAPE :], covariance[C.SHAPE : CONSTANTS, C.SHAPE : CONSTANTS], normals)
-    reason = answer.reason
+    reason = main.reason
     if not reason and float(np.sqrt(np.mean(outline.h_sd[outline.touched] ** 2))) > SHARP_M:
         reason = "the readings tell too little of the outline"
     if not reason and not convex:
         reason = "only a hollow outline explains the readings"
     sd = np.sqrt(np.diagonal(covariance))
     rho = math.exp(p[C.LN_RHO])
-    mass, mass_sd = _weighed(search, answer, stretch, rig, answered)
-    radii = [shape.basis(normals[:, i], ORDER) @ p[C.SHAPE :] for i in range(2)]
+    friction = friction_of(p, covariance)
+    mass, mass_sd = _weighed(main, rig, answered)
+    everywhere = np.concatenate(normals)
+    radii = [shape.basis(everywhere[:, i], ORDER) @ p[C.SHAPE :] for i in range(2)]
+    t, psi, omega0 = (
+        np.concatenate(columns)
+        for columns in zip(*((part.record.t, part.psi, part.omega0) for part in parts), strict=True)
+    )
     return Reconstruction(
         converged=not reason, chi2=fit.chi2,
-        theta=outline.theta, h=outline.h, h_sd=outline.h_sd, touched=outline.touched, visits=visits_of(normals),
-        rho=rho, rho_sd=rho * float(sd[C.LN_RHO]), mu=float(p[C.MU]), mu_sd=float(sd[C.MU]),
+        theta=outline.theta, h=outline.h, h_sd=outline.h_sd, touched=outline.touched,
+        visits=np.sum([visits_of(each) for each in normals], axis=0),
+        rho=rho, rho_sd=rho * float(sd[C.LN_RHO]), mu=friction[0], mu_sd=friction[1],
         mass=mass, mass_sd=mass_sd,
-        t=record.t, psi=x[:, 0], omega0=x[:, 1], r1=radii[0], r2=radii[1],
+        t=t, psi=psi, omega0=omega0, r1=radii[0], r2=radii[1],
         reason=reason, seconds=time.perf_counter() - begun,
     )  # fmt: skip
 
 
-def _weighed(
-    search: Search, answer: _Answer, stretch: Stretch, rig: RigDescription, answered: Marginal
-) -> tuple[float, float]:
+def _weighed(main: _Part, rig: RigDescription, answered: Marginal) -> tuple[float, float]:
     """Mass and its one-sigma (kg), NaN without forces: from the fit, or afterwards where the forces were left out."""
-    if len(answer.record.force_value):
+    if len(main.record.force_value):
         mass = math.exp(answered.mean.p[C.LN_MASS])
         return mass, mass * math.sqrt(answered.covariance[C.LN_MASS, C.LN_MASS])
-    believed = replace(rig, force_gain_std=0.0)
+    believed, stretch, search = replace(rig, force_gain_std=0.0), main.stretch, main.search
     record = lay_out(stretch.pads, search.path, believed, stretch.start, stretch.end, SPACING_S)
     unit = np.where(np.arange(CONSTANTS) == C.LN_MASS, 0.0, answered.mean.p)
     per_mass = Smoother(search.library, record, search.prior).forces(replace(answered.mean, p=unit))

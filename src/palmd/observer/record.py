@@ -17,13 +17,18 @@ from palmd.observer.palm_path import PalmPath
 IntArray = npt.NDArray[np.intp]
 
 LEAST_FORCE_N = 0.05  # below it a pressure tells little more than that something touches
+# Readings of one place share what the pad is wrong about there, its rounding above all: while the palms rest they weigh
+# less and less, one half after such a time.
+SHARED_AFTER_S = 1.0
+RESTING_RAD_S = 2e-3
 
 
 @dataclass(frozen=True, slots=True)
 class Record:
     """Nodes at times `t` (K + 1), the palms there, and each reading with the step it falls into.
 
-    `palms` (K + 1, 6): φ1, φ2, ω1, ω2, α1, α2. Readings are in order of time; `*_offset` is the time into the step.
+    `palms` (K + 1, 6): φ1, φ2, ω1, ω2, α1, α2. Readings are in order of time; `*_offset` is the time into the step,
+    `*_weight` what each counts, 1 but at rest.
     """
 
     t: FloatArray
@@ -35,12 +40,14 @@ class Record:
     contact_palms: FloatArray
     contact_value: FloatArray
     contact_variance: FloatArray
+    contact_weight: FloatArray
     force_step: IntArray
     force_offset: FloatArray
     force_pad: FloatArray
     force_palms: FloatArray
     force_value: FloatArray
     force_variance: FloatArray
+    force_weight: FloatArray
 
     @property
     def dt(self) -> FloatArray:
@@ -53,13 +60,18 @@ class Record:
 
     def steps(self, steps: int) -> Record:
         """The first `steps` steps of the record."""
-        c, f = int(np.searchsorted(self.contact_step, steps)), int(np.searchsorted(self.force_step, steps))
+        return self.between(0, steps)
+
+    def between(self, first: int, last: int) -> Record:
+        """The steps from node `first` to node `last`."""
+        c = slice(*np.searchsorted(self.contact_step, (first, last)))
+        f = slice(*np.searchsorted(self.force_step, (first, last)))
         return Record(
-            self.t[: steps + 1], self.palms[: steps + 1], self.rig,
-            self.contact_step[:c], self.contact_offset[:c], self.contact_pad[:c], self.contact_palms[:c],
-            self.contact_value[:c], self.contact_variance[:c],
-            self.force_step[:f], self.force_offset[:f], self.force_pad[:f], self.force_palms[:f],
-            self.force_value[:f], self.force_variance[:f],
+            self.t[first : last + 1], self.palms[first : last + 1], self.rig,
+            self.contact_step[c] - first, self.contact_offset[c], self.contact_pad[c], self.contact_palms[c],
+            self.contact_value[c], self.contact_variance[c], self.contact_weight[c],
+            self.force_step[f] - first, self.force_offset[f], self.force_pad[f], self.force_palms[f],
+            self.force_value[f], self.force_variance[f], self.force_weight[f],
         )  # fmt: skip
 
     def step_inputs(self, rows: int) -> FloatArray:
@@ -98,8 +110,11 @@ def lay_out(
     start: float,
     end: float,
     spacing: float,
+    resting_since: float = math.inf,
 ) -> Record:
     """Nodes each `spacing` from `start` to `end`, and the readings in between, which must be in order of time.
+
+    `resting_since`: from when on the palms have rested at the path's beginning (s), where that was earlier.
 
     Forces of pads whose gain is uncertain are left out: two thousand readings that share one error would outweigh all
     that the contacts tell.
@@ -115,14 +130,16 @@ def lay_out(
     offset = times - t[step]
     palms = path.at(times) if len(times) else np.zeros((0, 6))
     variance = np.full(len(times), rig.reading_variance)
+    weight: FloatArray = 1.0 / (1.0 + path.resting(times, RESTING_RAD_S, resting_since) / SHARED_AFTER_S)
     # the noise grows with the true force; neighbours in time tell it better than the reading itself
     pressed = np.isfinite(force) & (force > LEAST_FORCE_N) & (rig.force_gain_std == 0.0)
     level = _running_median(force, pad)
     force_variance = rig.force_variance(level)
     return Record(
         t, path.at(t), rig_inputs(rig),
-        step, offset, pad, palms, value, variance,
+        step, offset, pad, palms, value, variance, weight,
         step[pressed], offset[pressed], pad[pressed], palms[pressed], force[pressed], force_variance[pressed],
+        weight[pressed],
     )  # fmt: skip
 
 

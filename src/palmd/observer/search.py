@@ -8,21 +8,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
-from palmd.events import RigDescription
-from palmd.model import smoothing
-from palmd.model.smoothing import C
+from palmd.events import FloatArray, PalmMotion, RigDescription
+from palmd.model import shape, smoothing
+from palmd.model.smoothing import NODE, ORDER, C
+from palmd.observer.factor import Knowledge, Prior
 from palmd.observer.first_guess import blind_starts, prior_of
+from palmd.observer.known import likely_orientations
+from palmd.observer.normal_equations import Guess, ProcessNoise
 from palmd.observer.palm_path import smoothed_path
-from palmd.observer.record import Record, lay_out
-from palmd.observer.smoother import Fit, Guess, ProcessNoise, Smoother
+from palmd.observer.record import RESTING_RAD_S, Record, lay_out
+from palmd.observer.smoother import Fit, Smoother
 from palmd.observer.stretch import Stretch
 
 SPACING_S = 0.01  # of the nodes while looking for the answer
 FIRST_LOOK_S = 0.3  # readings that tell the object's size
+PLACED_S = 0.4  # readings that orientations are first judged by
+FIRST_READINGS, ORIENTATIONS = 5, 10
 NOISE = ProcessNoise(1e-8, 1e-5)
 GROWTH, LEAST_GROWTH_S = 1.6, 0.1
 PATIENCE = 12
@@ -45,34 +52,100 @@ class Finding:
     record: Record
     fits: tuple[Fit, ...]
 
+    def until(self, t: float) -> Finding | None:
+        """The best one's part up to `t` (s); None when hardly anything is left."""
+        record = self.record.until(t)
+        if len(record.dt) < 2 or record.t[-1] > t:
+            return None
+        best = self.fits[0]
+        cut = replace(best, guess=Guess(best.guess.x[: len(record.t)], best.guess.p))
+        return Finding(record, (cut,))
+
 
 class Search:
-    """One stretch: its layout and its prior. Not for use inside the loop."""
+    """One stretch: its layout and what is known beforehand. Not for use inside the loop."""
 
-    def __init__(self, stretch: Stretch, rig: RigDescription, patience: int = PATIENCE):
-        """Lays out the stretch's readings; compiles the smoother the first time.
+    def __init__(
+        self,
+        stretch: Stretch,
+        rig: RigDescription,
+        patience: int = PATIENCE,
+        known: Knowledge | None = None,
+        start: float | None = None,
+        resting_since: float = math.inf,
+    ):
+        """Lays out the stretch's readings from `start` (s) on; compiles the smoother the first time.
 
-        `patience` is how many windows in all a search may find unexplained, and try again with a shorter one.
+        `known` is about the constants and the first node, by default the blind prior. `patience` is how many windows in
+        all a search may find unexplained, and try again with a shorter one. `resting_since` as in `lay_out`.
         """
         self._rig = rig
         self._patience = patience
-        self._events = stretch.events()
+        self._stretch = stretch
+        start = stretch.start if start is None else start
         self.path = smoothed_path(stretch.palms, rig.palm_angle_noise)
-        self.record = lay_out(stretch.pads, self.path, rig, stretch.start, stretch.end, SPACING_S)
+        self.record = lay_out(stretch.pads, self.path, rig, start, stretch.end, SPACING_S, resting_since)
+        self.library = smoothing.library()
+        self._known = known
+        self._resting_since = resting_since
+
+    @property
+    def known(self) -> Knowledge:
+        """What the search goes by: what was known beforehand, else the blind prior."""
+        return self._known or self.prior
+
+    @cached_property
+    def prior(self) -> Prior:
+        """What is believed of the object before anything but its first readings."""
+        stretch = self._stretch
         first = [sample for sample in stretch.pads if sample.t_sample < stretch.start + FIRST_LOOK_S]
         phi2 = self.path.at(np.array([sample.t_sample for sample in first]))[:, 1]
-        self.prior = prior_of(first, np.tan(phi2 / 2))
-        self.library = smoothing.library()
+        return prior_of(first, np.tan(phi2 / 2))
+
+    def rested(self, t: float) -> float:
+        """For how long the palms have rested at `t` (s)."""
+        return float(self.path.resting(np.array([t]), RESTING_RAD_S, self._resting_since)[0])
 
     def blind(self, seconds: float, count: int, seed: int) -> Finding | None:
         """Start from the `count` likeliest of a bank that has read the first `seconds`; None if that leads nowhere."""
-        record = self.record.until(self.record.t[0] + seconds)
-        starts = blind_starts(self._events, self._rig, seconds, seed)[:count]
+        begin = self.record.t[0]
+        record = self.record.until(begin + seconds)
+        starts = blind_starts(self._stretch.events(), self._rig, begin, seconds, seed)[:count]
         return self._grown_from(record, [start.guess(record.t) for start in starts]) if starts else None
 
     def resumed(self, guesses: Sequence[Guess]) -> Finding | None:
         """Go on from what was found on a shorter part of the same stretch; None if that leads nowhere."""
         return self._grown_from(self.record.steps(len(guesses[0].x) - 1), guesses)
+
+    def followed(self, guess: Guess) -> Finding | None:
+        """Go on at once to the end of the record where the model foretells it; else as `resumed`."""
+        smoother = Smoother(self.library, self.record, self.known)
+        start = smoother.completed(guess)
+        if not _astray(smoother.residuals(start)).any():
+            fit = smoother.fit(start, NOISE)
+            if explained(fit, self.record):
+                return Finding(self.record, (fit,))
+        return self.resumed([guess])
+
+    def placed(self, p: FloatArray, covariance: FloatArray) -> Finding | None:
+        """Start from the constants `p`, at rest as the outline is most likely to lie; None if that leads nowhere.
+
+        `covariance` is of the outline's coefficients (m²). ψ is gauge: it is the outline that is turned.
+        """
+        record = self.record.until(self.record.t[0] + PLACED_S)
+        guesses = []
+        for psi in self._orientations(p[C.SHAPE :], covariance):
+            turned = p.copy()
+            turned[C.SHAPE :] = shape.turned(-psi, ORDER) @ p[C.SHAPE :]
+            guesses.append(Guess(np.zeros((len(record.t), NODE)), turned))
+        return self._grown_from(record, guesses)
+
+    def _orientations(self, outline: FloatArray, covariance: FloatArray) -> FloatArray:
+        """ψ of an object that has just been put down, by the first readings of both pads."""
+        first = [[sample for sample in self._stretch.pads if sample.pad == pad][:FIRST_READINGS] for pad in (1, 2)]
+        s1, s2 = (float(np.mean([sample.s for sample in samples])) for samples in first)
+        palms = PalmMotion(*self.path.at(np.array([first[0][0].t_sample]))[0].tolist())
+        return likely_orientations(outline, covariance, s1, s2, palms, self._rig.reading_variance, ORIENTATIONS)
 
     def _grown_from(self, record: Record, guesses: Sequence[Guess]) -> Finding | None:
         fits = self._fits(record, guesses)
@@ -97,9 +170,8 @@ class Search:
         """A longer window, as far as the fit foretells the readings to come: beyond that it would be led astray."""
         begin, now = record.t[0], record.t[-1]
         longer = self.record.until(begin + GROWTH * (now - begin))
-        smoother = Smoother(self.library, longer, self.prior)
-        miss = np.abs(smoother.residuals(smoother.completed(fit.guess)))
-        gone = np.convolve(miss > ASTRAY_SIGMAS, np.ones(ASTRAY_READINGS), "valid") == ASTRAY_READINGS
+        smoother = Smoother(self.library, longer, self.known)
+        gone = _astray(smoother.residuals(smoother.completed(fit.guess)))
         if not gone.any():
             return longer
         step = longer.contact_step[int(np.argmax(gone))]
@@ -107,8 +179,15 @@ class Search:
 
     def _fits(self, record: Record, guesses: Sequence[Guess]) -> tuple[Fit, ...]:
         """The distinct minima that the guesses lead to, best first, without those that are out of the race."""
-        smoother = Smoother(self.library, record, self.prior)
+        smoother = Smoother(self.library, record, self.known)
         return _distinct([smoother.fit(guess, NOISE) for guess in guesses])
+
+
+def _astray(residuals: FloatArray) -> npt.NDArray[np.bool_]:
+    """Where `ASTRAY_READINGS` readings in a row are missed by `ASTRAY_SIGMAS`; residuals in sigmas."""
+    miss = np.abs(residuals) > ASTRAY_SIGMAS
+    gone: npt.NDArray[np.bool_] = np.convolve(miss, np.ones(ASTRAY_READINGS), "valid") == ASTRAY_READINGS
+    return gone
 
 
 def merged(one: Finding | None, other: Finding | None) -> Finding | None:

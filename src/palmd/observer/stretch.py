@@ -10,6 +10,7 @@ from palmd.events import Event, PadLift, PadSample, PalmSample
 
 PAD_GAP_S = 0.4  # a pad silent for longer: the object may have left the palm
 ARM_GAP_S = 0.3  # the palms' motion is not guessed across more
+LEAD_S = 0.5  # of the arm's reports before both pads feel the object
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,19 +26,20 @@ class Stretch:
         """All of them in order of time, the arm's report first where times are equal."""
         return sorted((*self.palms, *self.pads), key=lambda event: event.t_sample)
 
+    def until(self, t: float) -> Stretch:
+        """What was before `t` (s)."""
+        return Stretch(self.start, t, tuple(sample for sample in self.pads if sample.t_sample <= t), self.palms)
 
-def longest_stretch(events: Sequence[Event]) -> Stretch | None:
-    """The longest one, None if there is no time at all at which both pads and the arm report."""
+
+def stretches(events: Sequence[Event], pad_gap_s: float = PAD_GAP_S) -> list[Stretch]:
+    """All of them, in order of time."""
     ordered = sorted((event for event in events if _finite(event)), key=_place)
-    best: Stretch | None = None
+    found: list[Stretch | None] = []
     pads: list[PadSample] = []
     palms: list[PalmSample] = []
 
     def close() -> None:
-        nonlocal best
-        found = _trimmed(pads, palms)
-        if found is not None and (best is None or found.end - found.start > best.end - best.start):
-            best = found
+        found.append(_trimmed(pads, palms))
         pads.clear()
         palms.clear()
 
@@ -49,7 +51,7 @@ def longest_stretch(events: Sequence[Event]) -> Stretch | None:
         source = event.pad if isinstance(event, PadSample) else "arm"
         if event.t_sample == last[source]:
             continue  # the same reading twice, or two that contradict each other: one counts
-        limits = {1: PAD_GAP_S, 2: PAD_GAP_S, "arm": ARM_GAP_S}
+        limits = {1: pad_gap_s, 2: pad_gap_s, "arm": ARM_GAP_S}
         if any(event.t_sample - t > limits[key] for key, t in last.items() if t > -math.inf):
             close()
             last = dict.fromkeys(last, -math.inf)
@@ -59,18 +61,27 @@ def longest_stretch(events: Sequence[Event]) -> Stretch | None:
         else:
             palms.append(event)
     close()
-    return best
+    return [stretch for stretch in found if stretch is not None]
+
+
+def longest_stretch(events: Sequence[Event]) -> Stretch | None:
+    """The longest one, None if there is no time at all at which both pads and the arm report."""
+    return max(stretches(events), key=lambda stretch: stretch.end - stretch.start, default=None)
 
 
 def _trimmed(pads: list[PadSample], palms: list[PalmSample]) -> Stretch | None:
-    """What lies between the first time at which all three have reported and the last at which all still do."""
+    """What lies between the first time at which all three have reported and the last at which all still do.
+
+    The arm's reports of a moment before that stay: they tell how the palms moved at the start.
+    """
     sources = [[sample.t_sample for sample in pads if sample.pad == number] for number in (1, 2)]
     sources.append([sample.t_sample for sample in palms])
     if not all(sources):
         return None
     start, end = max(times[0] for times in sources), min(times[-1] for times in sources)
     inside = tuple(sample for sample in pads if start <= sample.t_sample <= end)
-    return Stretch(start, end, inside, tuple(palms)) if inside and end > start else None
+    about = tuple(sample for sample in palms if sample.t_sample >= start - LEAD_S)
+    return Stretch(start, end, inside, about) if inside and end > start else None
 
 
 def _place(event: Event) -> tuple[float, ...]:

@@ -15,9 +15,10 @@ from importlib.metadata import version
 import msgpack
 
 from palmd import __version__, observer
-from palmd.events import Event
+from palmd.blas import one_thread
+from palmd.events import Event, Improvement
 from palmd.messages import ESTIMATE, EVENTS, LOOP, Fields, estimate_fields
-from palmd.observer.improver import Improvement
+from palmd.observer.incremental import Session
 from palmd.record.run import Run, RunError
 from palmd.record.tables import flat
 
@@ -47,7 +48,7 @@ class _Recorded:
     def __init__(self, answers: dict[float, Improvement]) -> None:
         self._answers = answers
 
-    def submit(self, t: float, begun: float, events: Sequence[Event]) -> None:
+    def submit(self, t: float, session: Session, events: Sequence[Event]) -> None:
         pass
 
     def collect(self, t: float) -> Improvement | None:
@@ -76,9 +77,10 @@ class Recheck:
                 raise RunError(
                     f"{self._run.path}: begins with tick {tick.number}; what the observer knew by then is not in it"
                 )
-            for event in tick.events:
-                self._observer.feed(event)
-            now = estimate_fields(self._observer.estimate(tick.t))
+            with one_thread():
+                for event in tick.events:
+                    self._observer.feed(event)
+                now = estimate_fields(self._observer.estimate(tick.t))
             t_ns = round(tick.t * 1e9)
             while recorded is not None and recorded["mono_ns"] < t_ns:
                 recorded = next(estimates, None)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
+from palmd.blas import one_thread
 from palmd.events import Estimate, Event, ObjectEstimate, ShapeEstimate
 from palmd.messages import estimate_fields, object_fields, shape_fields, stamp
 from palmd.record.eventlog import EventLog
@@ -63,14 +64,15 @@ def replay(log: EventLog, observer: Observer) -> Iterator[Tick]:
     event = next(waiting, None)
     for number in range(1, tick_count(log) + 1):
         t = t0 + number * PERIOD_S
-        while event is not None and event.t_sample <= t + _SAME_TIME_S:
-            observer.feed(event)
-            event = next(waiting, None)
-        estimate = observer.estimate(t)
-        if number % TICKS_PER_SHAPE:
-            yield Tick(number, t, estimate, None, None)
-        else:
-            yield Tick(number, t, estimate, observer.shape(t), recogniser.identify(t) if recogniser else None)
+        shape, identified = None, None
+        with one_thread():
+            while event is not None and event.t_sample <= t + _SAME_TIME_S:
+                observer.feed(event)
+                event = next(waiting, None)
+            estimate = observer.estimate(t)
+            if number % TICKS_PER_SHAPE == 0:
+                shape, identified = observer.shape(t), recogniser.identify(t) if recogniser else None
+        yield Tick(number, t, estimate, shape, identified)
 
 
 def lines(tick: Tick) -> Iterator[dict[str, Any]]:

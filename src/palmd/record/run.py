@@ -13,9 +13,8 @@ import yaml
 from pydantic import TypeAdapter
 
 from palmd.config import Config
-from palmd.events import Event, RigDescription
+from palmd.events import Event, Improvement, RigDescription
 from palmd.messages import EVENTS, IMPROVEMENT, SCHEMA, Topic, events_of
-from palmd.observer.improver import Improvement
 from palmd.outlinefile import Outline, OutlineError, read_library
 from palmd.record.eventlog import EventLog
 from palmd.record.mcapfile import Preface, RawMessage, RunError, Tail, is_finished, read_messages, read_preface
@@ -111,7 +110,9 @@ class Run:
             try:
                 x = np.array(fields["x"], dtype=np.float64)
                 covariance = np.array(fields["covariance"], dtype=np.float64).reshape(len(x), -1)
-                yield fields["t_tick_s"], Improvement(fields["t_s"], x, covariance)
+                touched = np.array(fields["touched"], dtype=np.bool_)
+                told = Improvement(fields["t_s"], x, covariance, fields["frame"], fields["established"], touched)
+                yield fields["t_tick_s"], told
             except (KeyError, ValueError, TypeError) as error:
                 raise RunError(f"{self.path}: {IMPROVEMENT.name}, message {message.sequence}: {error!r}") from None
 

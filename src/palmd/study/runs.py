@@ -15,8 +15,9 @@ from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from typing import TypeVar
 
+from palmd import blas
+
 CONNECT_S = 10.0
-_ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -65,7 +66,7 @@ def finished(
 
 def _begin_worker() -> None:
     """A worker's first act: one thread for its linear algebra, and no life of its own."""
-    os.environ.update(_ONE_THREAD)  # the runs share the processors already, and sums keep their order
+    blas.one_thread_from_here()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's Ctrl-C is the parent's to deal with
     threading.Thread(target=_die_with_parent, daemon=True).start()
 

@@ -1,0 +1,172 @@
+"""What is known of the constants and of one node, as a quadratic cost: a prior, or what marginalisation leaves.
+
+y = (p, x): the smoother's constants and a node (ψ, ω0). Pure.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from palmd.events import FloatArray
+from palmd.model.smoothing import CONSTANTS, NODE, C
+
+SIZE = CONSTANTS + NODE
+GAUGE_SD = 1e-7  # rad, of ψ at the first node
+
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """A cost at one y and its second-order expansion there: cost − 2 sideᵀδ + δᵀ matrix δ for y + δ.
+
+    `strain` is by how much the cost exceeds its least.
+    """
+
+    cost: float
+    strain: float
+    matrix: FloatArray
+    side: FloatArray
+
+
+class Knowledge(Protocol):
+    """Knowledge of (p, x) from which a record's smoothing begins, x being the record's first node."""
+
+    @property
+    def scale(self) -> FloatArray:
+        """Lengths (CONSTANTS) in which the damping of an iteration measures a step of the constants."""
+
+    def terms(self, p: FloatArray, x: FloatArray) -> Terms:
+        """The cost and its expansion at (p, x)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """Independent Gaussian belief about the constants and ω0 (rad/s) before anything is felt; ψ is gauge: 0.
+
+    In place of ln ρ, B and w, `mean` and `sd` hold for ln(ρ/h0), h0 the mean radius, for μ and for ln u_d. `told`: what
+    other records of the object tell of the constants.
+    """
+
+    mean: FloatArray
+    sd: FloatArray
+    omega0_sd: float
+    told: Factor | None = None
+
+    @property
+    def scale(self) -> FloatArray:
+        """See `Knowledge`."""
+        scale = self.sd.copy()
+        dither = math.exp(self.mean[C.SATURATION])
+        scale[C.DRAG] /= dither
+        scale[C.SATURATION] *= 2.0 / dither**2
+        return scale
+
+    def terms(self, p: FloatArray, x: FloatArray) -> Terms:
+        """See `Knowledge`."""
+        miss = np.concatenate([p - self.mean, x])
+        dither = p[C.SATURATION] ** -0.5
+        mu = p[C.DRAG] * dither
+        miss[C.LN_RHO] -= math.log(p[C.SHAPE])
+        miss[C.DRAG] = mu - self.mean[C.DRAG]
+        miss[C.SATURATION] = math.log(dither) - self.mean[C.SATURATION]
+        sd = np.concatenate([self.sd, [GAUGE_SD, self.omega0_sd]])
+        rows = np.diag(1.0 / sd)
+        rows[C.LN_RHO, C.SHAPE] = -1.0 / (p[C.SHAPE] * self.sd[C.LN_RHO])
+        rows[C.DRAG, [C.DRAG, C.SATURATION]] = np.array([dither, -0.5 * mu * dither**2]) / self.sd[C.DRAG]
+        rows[C.SATURATION, C.SATURATION] = -0.5 * dither**2 / self.sd[C.SATURATION]
+        miss /= sd
+        cost, matrix, side = float(miss @ miss), rows.T @ rows, -(rows.T @ miss)
+        if self.told is not None:
+            told = self.told.moved(p)
+            cost += told.cost - self.told.cost
+            matrix[:CONSTANTS, :CONSTANTS] += told.matrix
+            side[:CONSTANTS] += told.side
+        return Terms(cost, cost, matrix, side)
+
+
+@dataclass(frozen=True, slots=True)
+class Factor:
+    """A quadratic cost of y: cost − 2 sideᵀ(y − about) + (y − about)ᵀ matrix (y − about).
+
+    y may be longer than (p, x): the constants and several nodes.
+    """
+
+    about: FloatArray
+    cost: float
+    matrix: FloatArray
+    side: FloatArray
+    scale: FloatArray
+
+    def terms(self, p: FloatArray, x: FloatArray) -> Terms:
+        """See `Knowledge`."""
+        here = self.moved(np.concatenate([p, x]))
+        return Terms(here.cost, here.strain(), here.matrix, here.side)
+
+    def moved(self, about: FloatArray) -> Factor:
+        """The same cost, expanded about another point."""
+        by = about - self.about
+        pull = self.matrix @ by
+        cost = self.cost - 2.0 * float(self.side @ by) + float(by @ pull)
+        return Factor(about, cost, self.matrix, self.side - pull, self.scale)
+
+    def plus(self, other: Factor) -> Factor:
+        """Both costs together."""
+        other = other.moved(self.about)
+        matrix, side = self.matrix + other.matrix, self.side + other.side
+        return Factor(self.about, self.cost + other.cost, matrix, side, self.scale)
+
+    def less(self, other: Factor) -> Factor:
+        """This cost without `other`, which is part of it."""
+        other = other.moved(self.about)
+        matrix, side = self.matrix - other.matrix, self.side - other.side
+        return Factor(self.about, self.cost - other.cost, matrix, side, self.scale)
+
+    def strain(self) -> float:
+        """By how much the cost at `about` exceeds its least."""
+        return float(self.side @ self.solved(self.side))
+
+    def solved(self, sides: FloatArray) -> FloatArray:
+        """matrix⁻¹ sides; raises LinAlgError where the cost leaves a direction open."""
+        return _solved(self.matrix, sides)
+
+    def log_determinant(self) -> float:
+        """Of the matrix; raises LinAlgError as `solved`."""
+        scale = 1.0 / np.sqrt(np.diagonal(self.matrix))
+        root = np.linalg.cholesky(self.matrix * np.outer(scale, scale))
+        return 2.0 * float(np.log(np.diagonal(root)).sum() - np.log(scale).sum())
+
+    def without(self, dropped: slice) -> Factor:
+        """The least cost over the entries `dropped` of y, as a cost of the others: their marginalisation."""
+        gone = np.zeros(len(self.about), dtype=np.bool_)
+        gone[dropped] = True
+        across = self.matrix[np.ix_(gone, ~gone)]
+        solved = _solved(self.matrix[np.ix_(gone, gone)], np.column_stack([across, self.side[gone]]))
+        matrix = self.matrix[np.ix_(~gone, ~gone)] - across.T @ solved[:, :-1]
+        return Factor(
+            self.about[~gone],
+            self.cost - float(self.side[gone] @ solved[:, -1]),
+            (matrix + matrix.T) / 2,
+            self.side[~gone] - across.T @ solved[:, -1],
+            self.scale,
+        )
+
+
+def friction_of(p: FloatArray, covariance: FloatArray) -> tuple[float, float]:
+    """μ and its one-sigma, from constants and their covariance (which may go on beyond them)."""
+    dither = p[C.SATURATION] ** -0.5
+    gradient = np.array([dither, -0.5 * p[C.DRAG] * dither**3])
+    at = [C.DRAG, C.SATURATION]
+    return float(p[C.DRAG] * dither), math.sqrt(float(gradient @ covariance[np.ix_(at, at)] @ gradient))
+
+
+def _solved(matrix: FloatArray, sides: FloatArray) -> FloatArray:
+    """By Cholesky's factorisation of the matrix scaled to a unit diagonal: entries differ by twenty powers of ten."""
+    scale = 1.0 / np.sqrt(np.diagonal(matrix))
+    factor = cho_factor(matrix * np.outer(scale, scale), check_finite=False)
+    column = scale if sides.ndim == 1 else scale[:, None]
+    solved: FloatArray = column * cho_solve(factor, column * sides, check_finite=False)
+    return solved

@@ -1,0 +1,133 @@
+"""A known object, smoothed on: the latest readings by their trajectory, everything older as a chain of information.
+
+What is open, i.e. in no segment of the chain yet, is smoothed again with each answer, and its beginning is closed as it
+grows. What was felt of the same object before it was taken away joins the chain. Not for use inside the loop.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from palmd.events import RigDescription
+from palmd.observer.chain import SEGMENT_S, Chain
+from palmd.observer.matching import Felt, matched
+from palmd.observer.normal_equations import Guess
+from palmd.observer.outline import normal_angles
+from palmd.observer.search import NOISE, Finding, Search, explained
+from palmd.observer.stretch import Stretch
+from palmd.observer.touched import marks_of
+
+PATIENCE = 2  # windows that may fail: an answer that hard to find comes too late
+LEAST_S = 1.0  # of readings at the end of a stretch that are worth an iteration
+OPEN_S = 1.5  # of the latest readings at least that no segment holds
+LOST_S = 6.0  # of readings that what is known does not explain, after which the object is sought anew
+TAIL_S = 0.5  # before an object was lost: it may have been held already
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What was found, and the search that found it: with what it went by, it tells how sure it is."""
+
+    search: Search
+    finding: Finding
+
+
+@dataclass(frozen=True, slots=True)
+class _Open:
+    """The smoothed trajectory of the latest readings.
+
+    `resting_since`: since when the palms have rested at `start`, inf when they have not.
+    """
+
+    start: float
+    guess: Guess
+    resting_since: float
+
+
+class Follower:
+    """One object while it is on the palms; deterministic, and each call takes bounded time.
+
+    `touched`: on which normals. `lost`: the readings contradict what is known.
+    """
+
+    def __init__(self, rig: RigDescription, found: Answer):
+        """`found` has the readings so far."""
+        self._rig = rig
+        self._chain = Chain(found.search.library, NOISE, found.search.known)
+        self._closed = self.touched = marks_of(np.zeros((0, 2)))
+        self.lost = False
+        self._go_on(found)
+
+    @property
+    def needs_from(self) -> float:
+        """Earlier readings are of no use any more (s)."""
+        return self._open.start
+
+    def smoothed(self, stretch: Stretch) -> Answer | None:
+        """With the readings of `stretch`, as far as they have come; None while they are in doubt."""
+        answer = self._smoothed(stretch, self._open.guess)
+        if answer is None:
+            self.lost = stretch.end - self._open.start > LOST_S
+            return None
+        guess = answer.finding.fits[0].guess
+        if self._chain.renew(guess.p, guess.x[0]):
+            answer = self._smoothed(stretch, guess) or answer
+        self._go_on(answer)
+        return answer
+
+    def join(self, archive: Sequence[Felt]) -> Felt | None:
+        """Join the first of what was felt before that is of the same object beyond doubt; which that was."""
+        now = self.felt()
+        for known in archive:
+            found = matched(known, now, self._chain.prior(self._open.guess.p))
+            if found is not None:
+                self._chain.learn(found.felt.told)
+                self._closed = self._closed | found.felt.touched
+                self.touched = self.touched | found.felt.touched
+                return known
+        return None
+
+    def end(self, last: Stretch) -> None:
+        """The object has been taken away; `last` are its last readings."""
+        if last.end - TAIL_S < self._open.start + LEAST_S:
+            return
+        answer = self._smoothed(last.until(last.end - TAIL_S), self._open.guess)
+        if answer is not None:
+            self._close(answer, 0, len(answer.finding.record.dt))
+
+    def felt(self) -> Felt:
+        """What the chain tells of the object."""
+        return Felt(self._chain.told(self._open.guess.p), self._closed)
+
+    def _smoothed(self, stretch: Stretch, guess: Guess) -> Answer | None:
+        present = self._open
+        search = Search(stretch, self._rig, PATIENCE, self._chain.known(guess.p), present.start, present.resting_since)
+        finding = search.followed(Guess(guess.x[: len(search.record.t)], guess.p))
+        # palms at rest are no reason for doubt here
+        if finding is None or not (finding.fits[0].settled and explained(finding.fits[0], finding.record)):
+            return None
+        return Answer(search, finding)
+
+    def _go_on(self, answer: Answer) -> None:
+        """What is older than `OPEN_S` becomes part of the chain, the rest is open."""
+        record, guess = answer.finding.record, answer.finding.fits[0].guess
+        dt = float(record.dt[0])
+        first, each = 0, round(SEGMENT_S / dt)
+        while (len(record.dt) - first) * dt >= SEGMENT_S + OPEN_S:
+            self._close(answer, first, first + each)
+            first += each
+        start = float(record.t[first])
+        rested = answer.search.rested(start)
+        self._open = _Open(start, Guess(guess.x[first:], guess.p), start - rested if rested else math.inf)
+        self.touched = self._closed | marks_of(normal_angles(record.palms, guess.x[:, 0])[first:])
+
+    def _close(self, answer: Answer, first: int, last: int) -> None:
+        """The steps from node `first` to node `last` become a segment."""
+        record, guess = answer.finding.record.between(first, last), answer.finding.fits[0].guess
+        nodes = guess.x[first : last + 1]
+        self._chain.append(record, Guess(nodes, guess.p))
+        self._closed = self._closed | marks_of(normal_angles(record.palms, nodes[:, 0]))

@@ -1,0 +1,187 @@
+"""The smoother at a live observer's side: from everything felt of an object so far, a belief about its state now.
+
+A filter keeps what it made of each reading when it came. The smoother looks again, with what is known now: first at the
+whole record, in search of the object (`observer.seeker`), then at the latest seconds of it, everything older being kept
+as information (`observer.follower`). Its posterior at the last node is a Gaussian belief about the shape map's state,
+from which a filter can start.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from palmd.events import Event, FloatArray, Improvement, PalmSample, RigDescription
+from palmd.model import shape_map, smoothing
+from palmd.model.smoothing import CONSTANTS, ORDER, C
+from palmd.observer.first_guess import constants_of
+from palmd.observer.follower import TAIL_S, Answer, Follower
+from palmd.observer.matching import Felt
+from palmd.observer.outline import made_convex, normal_angles
+from palmd.observer.seeker import Seeker
+from palmd.observer.smoother import Smoother
+from palmd.observer.stretch import LEAD_S, Stretch, stretches
+from palmd.observer.touched import marks_of
+
+FOUND_S = 8.0  # of readings, after which what has been found is beyond question
+ARCHIVED = 4  # objects that were taken away
+
+# Where each state of the shape map stands among (constants, last node).
+_FROM = np.concatenate(
+    [
+        [CONSTANTS, CONSTANTS + 1, C.LN_RHO, C.DRAG, C.SATURATION, C.DAMPING],
+        C.SHAPE + np.arange(2 * ORDER + 1),
+    ]
+).astype(np.intp)
+_OUTLINE = slice(shape_map.Z.SHAPE, None)
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """Which object is on the palms, counted from 1, and since when (s, inf while there is none).
+
+    `hint`: the state of `model.shape_map` that a bank of filters has settled on, if it has.
+    """
+
+    object_count: int
+    begun: float
+    hint: FloatArray | None = None
+
+
+NO_SESSION = Session(0, math.inf)
+
+
+class IncrementalSmoother:
+    """Takes an object's readings as they come, and answers when asked; not for use inside the loop.
+
+    Deterministic: the same calls give the same answers. Memory and the time of an answer are bounded, however long it
+    goes on.
+    """
+
+    def __init__(self, rig: RigDescription, seed: int = 0):
+        """`seed` draws where blind searches start."""
+        self._rig = rig
+        self._seed = seed
+        self._library = smoothing.library()
+        self._session = NO_SESSION
+        self._hint: FloatArray | None = None
+        self._events: list[Event] = []
+        self._archive: list[Felt] = []  # of objects that were taken away, the latest first
+        self._frame = 1
+        self._seeker = Seeker(rig, seed)
+        self._found: Answer | None = None
+        self._follower: Follower | None = None
+
+    @property
+    def elapsed_s(self) -> float:
+        """How long ago the present object was begun, by the latest event; 0 while there is none."""
+        return max(self._events[-1].t_sample - self._session.begun, 0.0) if self._events else 0.0
+
+    def add(self, session: Session, events: Sequence[Event]) -> None:
+        """Take the latest events, and since when they are of what is now on the palms."""
+        self._events += events
+        self._hint = None if session.hint is None else constants_of(session.hint)
+        if session.begun != self._session.begun:
+            self._end(stretches([event for event in self._events if event.t_sample < session.begun]))
+            self._drop_before(session.begun)
+        if math.isinf(session.begun) and self._events:
+            self._drop_before(self._events[-1].t_sample)
+        self._session = session
+
+    def answer(self) -> Improvement | None:
+        """What everything so far tells about the state at the last reading; None while that is in doubt."""
+        found = stretches(self._events)
+        if not found or math.isinf(self._session.begun):
+            return None
+        stretch = found[-1]
+        if self._follower is not None and stretch.start > self._follower.needs_from + LEAD_S:
+            self._end(found[:-1])  # the arm was silent for a moment
+        answer = self._sought(stretch) if self._follower is None else self._followed(stretch, self._follower)
+        return None if answer is None else self._improvement(answer)
+
+    def _sought(self, stretch: Stretch) -> Answer | None:
+        answer = self._found = self._seeker.sought(stretch, self._hint)
+        self._drop_before(self._seeker.needs_from)
+        if answer is None or not (self._archive or stretch.end - stretch.start >= FOUND_S):
+            return answer
+        follower = Follower(self._rig, answer)
+        if self._joined(follower):
+            answer = follower.smoothed(stretch) or answer
+        elif stretch.end - stretch.start < FOUND_S:
+            return answer
+        self._follower = follower
+        self._drop_before(follower.needs_from)
+        return answer
+
+    def _followed(self, stretch: Stretch, follower: Follower) -> Answer | None:
+        answer = follower.smoothed(stretch)
+        if follower.lost:
+            self._end([])
+            self._drop_before(stretch.end - LEAD_S)
+            return None
+        if answer is not None and self._joined(follower):
+            answer = follower.smoothed(stretch)
+        self._drop_before(follower.needs_from)
+        return answer
+
+    def _joined(self, follower: Follower) -> bool:
+        """Whether the object is one that was felt before; then its part of the archive is the follower's now."""
+        known = follower.join(self._archive)
+        self._archive = [felt for felt in self._archive if felt is not known]
+        return known is not None
+
+    def _end(self, felt: Sequence[Stretch]) -> None:
+        """The object is away, or must be sought again; `felt` are the last readings of it."""
+        follower = self._follower
+        if follower is None and self._found is not None:
+            found = self._found.finding.until(float(self._found.finding.record.t[-1]) - TAIL_S)
+            follower = Follower(self._rig, Answer(self._found.search, found)) if found is not None else None
+        if follower is not None:
+            if felt and self._follower is not None:
+                follower.end(felt[0])
+            self._archive = [follower.felt(), *self._archive][:ARCHIVED]
+        self._seek()
+
+    def _seek(self) -> None:
+        """Nothing is known of what the next readings are of."""
+        self._frame += 1
+        self._seeker = Seeker(self._rig, self._seed + 100 * self._frame)
+        self._found = self._follower = None
+
+    def _drop_before(self, t: float) -> None:
+        """Forget events that no answer needs any more; the arm's reports of a moment before `t` (s) are kept."""
+        self._events = [
+            event
+            for event in self._events
+            if event.t_sample >= (t - 2 * LEAD_S if isinstance(event, PalmSample) else t - 1e-6)
+        ]
+
+    def _improvement(self, answer: Answer) -> Improvement | None:
+        record, best = answer.finding.record, answer.finding.fits[0]
+        try:
+            posterior = Smoother(self._library, record, answer.search.known).posterior(best)
+        except np.linalg.LinAlgError:
+            return None
+        everything = np.concatenate([best.guess.p, best.guess.x[-1]])
+        x, P = everything[_FROM], posterior.covariance[np.ix_(_FROM, _FROM)]
+        x, P = _as_shape_map(x, P)
+        made_convex(x, P, _OUTLINE)
+        if self._follower is not None:
+            touched = self._follower.touched
+        else:
+            touched = marks_of(normal_angles(record.palms, best.guess.x[:, 0]))
+        return Improvement(float(record.t[-1]), x, P, self._frame, self._follower is not None, touched)
+
+
+def _as_shape_map(x: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """A belief in which B and w of `model.smoothing` stand where the shape map has μ = B/√w and ln u_d = −ln(w)/2."""
+    at = [shape_map.Z.MU, shape_map.Z.LN_DITHER]
+    drag, saturation = x[at]
+    dither = saturation**-0.5
+    moved, J = x.copy(), np.eye(len(x))
+    moved[at] = drag * dither, math.log(dither)
+    J[np.ix_(at, at)] = [[dither, -0.5 * drag * dither**3], [0.0, -0.5 / saturation]]
+    return moved, J @ P @ J.T
