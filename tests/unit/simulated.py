@@ -15,6 +15,7 @@ from palmd.events import Event, PadSample, PalmSample, RigDescription
 from palmd.observer.bound import Truth
 from palmd.record.eventlog import read_log
 from palmd.rig.plant import AS_ASSUMED, PlantOptions
+from palmd.rig.shapes import Body, random_body
 from palmd.rig.simulate import simulate_log
 
 
@@ -34,8 +35,9 @@ def simulated(
     options: PlantOptions = AS_ASSUMED,
     rests: tuple[tuple[float, float], ...] = (),
     absences: tuple[tuple[float, float], ...] = (),
+    body: Body | None = None,
 ) -> Run:
-    lines, told = simulate_log(kind, seed, seconds, options, rests=rests, absences=absences)
+    lines, told = simulate_log(kind, seed, seconds, options, body, rests=rests, absences=absences)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "run.jsonl"
         path.write_text("".join(json.dumps(line) + "\n" for line in lines))
@@ -44,6 +46,20 @@ def simulated(
     constants = (told[name] for name in ("rho_m", "mu", "mass_kg", "dither_m_s", "damping_m2_s"))
     palms = np.column_stack([told["phi1_rad"], told["phi2_rad"]])
     return Run(log.events, log.rig, Truth(*constants, *columns), palms)
+
+
+def swapped(kind: str, seed: int, at: float, gap: float, seconds: float) -> tuple[Run, Run, tuple[Event, ...]]:
+    """Runs of two objects on palms that move alike, and the first one's readings up to `at`, the other's `gap` after."""
+    random = np.random.default_rng([seed, 7])
+    first, second = (simulated(kind, seed, seconds, body=random_body(kind, random)) for _ in range(2))
+    assert np.allclose(first.palms, second.palms), "a contact was lost, and a motion drawn again: take another seed"
+    late = [event for event in second.events if is_pad(event) and event.t_sample >= at + gap]
+    early = [event for event in first.events if not is_pad(event) or event.t_sample < at]
+    return first, second, tuple(sorted([*early, *late], key=lambda event: event.t_sample))
+
+
+def is_pad(event: Event) -> bool:
+    return isinstance(event, PadSample)
 
 
 def pads_changed(events: Iterable[Event], change: Callable[[PadSample], PadSample]) -> list[Event]:

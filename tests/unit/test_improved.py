@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated import Run, simulated
+from simulated import Run, simulated, swapped
 
 from palmd import observer
 from palmd.events import Estimate, Event, FloatArray, Improvement, PadSample, PalmSample, RigDescription
@@ -92,6 +92,19 @@ def test_the_improved_observer_is_nearer_the_truth_than_the_bank_alone(run: Run)
     rms = math.sqrt(np.mean(improved**2))
     assert rms < 0.1e-3
     assert rms < 1.05 * math.sqrt(np.mean(alone**2))
+
+
+@pytest.mark.parametrize("seed", [3, 5])
+def test_an_object_that_another_takes_the_place_of_within_a_moment_is_told_from_it(seed: int) -> None:
+    at, gap, end = 9.0, 0.2, 14.0
+    _, second, events = swapped("rig", seed, at, gap, end)
+    run = replace(second, events=events)
+    watcher = observer.make("shape", run.rig, smoothing=Simulated(run.rig))
+    for t, estimate in ticks(run, watcher):
+        if t > at + gap and estimate.valid:
+            assert np.abs([estimate.r1, estimate.r2] - radii(run, t)).max() < 0.3e-3
+    assert estimate.valid
+    assert estimate.object_count == 2
 
 
 def test_the_same_log_gives_the_same_estimates(run: Run) -> None:

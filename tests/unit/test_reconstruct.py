@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated import Run, pads_changed, palms_changed, simulated
+from simulated import Run, is_pad, pads_changed, palms_changed, simulated, swapped
 
 from palmd.events import PadLift, PadSample, PalmSample
 from palmd.observer.reconstruct import Reconstruction, reconstruct
@@ -152,6 +152,23 @@ def test_an_object_that_has_left_a_palm_is_another_one(run):
     answer = reconstruct([*run.events, PadLift(1.0, 1)], run.rig)
     assert answer.t[0] == pytest.approx(1.01, abs=0.02)
     assert honest(answer, run)
+
+
+def test_an_object_put_down_seconds_after_the_arm_began_to_report():
+    run = simulated("friction", 1, 4.0 + SECONDS)
+    answer = reconstruct([event for event in run.events if not (is_pad(event) and event.t_sample < 4.0)], run.rig)
+    assert answer.converged, answer.reason
+    assert e_h(answer, run) < RIGHT_M
+
+
+@pytest.mark.parametrize("seed", [3, 5])
+def test_an_object_that_another_takes_the_place_of_within_a_moment(seed):
+    """Each is felt for some seconds: they are not one object, whichever of them is told of."""
+    first, second, events = swapped("friction", seed, SECONDS, 0.2, 2 * SECONDS)
+    answer = reconstruct(events, first.rig)
+    assert answer.converged, answer.reason
+    assert min(e_h(answer, first), e_h(answer, second)) < max(RIGHT_M, 3 * band(answer))
+    assert answer.t[-1] <= SECONDS + 0.02 or answer.t[0] >= SECONDS
 
 
 @pytest.mark.parametrize(("seconds", "reason"), [(0.6, "no second"), (1.05, "too little of the outline")])

@@ -105,6 +105,15 @@ def test_improvements_come_back_with_their_ticks(tmp_path):
     assert np.array_equal(improvement.touched, touched)
 
 
+def test_answers_of_an_earlier_smoother_are_refused_with_what_to_do(tmp_path):
+    fields = improvement_fields(1 / 7, Improvement(0.1, np.zeros(2), np.eye(2), 3, True, np.zeros(72, dtype=bool)))
+    for name in ("frame", "established", "touched"):
+        del fields[name]
+    run = read_run(written(tmp_path / "run.mcap", [recorded.message(IMPROVEMENT.name, fields, 0)]))
+    with pytest.raises(RunError, match=r"cannot check them; `palmd estimate \S*run.mcap` runs the smoother anew"):
+        next(run.improvements())
+
+
 def test_stored_outlines_are_in_the_run(tmp_path):
     theta = np.linspace(0.0, 2 * np.pi, 360, endpoint=False)
     outline = {"theta_rad": theta.tolist(), "h_m": (0.02 + 1e-3 * np.cos(2 * theta)).tolist(), "rho_m": 0.014}

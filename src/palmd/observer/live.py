@@ -44,6 +44,7 @@ from palmd.observer.prior import blind_start, shape_map_sd
 from palmd.observer.touched import NORMAL_BINS, Marks, TouchMarks, contact_bins, turned_marks
 
 SILENCE_S = 0.1  # a pad silent for longer does not vouch for a contact
+HEARD_AGAIN_S = 0.05  # of readings after such a silence, by which it shows whether they are of the same object
 GONE_S = 0.4  # a pad silent for longer: the object has left the palms
 # Palms not reported for longer are not known: a controller that does not track is asked each 0.1 s only.
 PALMS_UNKNOWN_S = 0.15
@@ -123,6 +124,7 @@ class BankObserver:
         self._memory = Memory()
         self._palms = PalmTracker(self._rig.palm_angle_noise)
         self._last: dict[int, PadSample] = {}
+        self._heard_again = -math.inf  # when a pad spoke after a silence
         self._lifted: set[int] = set()
         self._t = -math.inf  # up to which the bank has been moved
         self._candidate: KnownObject | None = None  # what lies on the palms may be that again
@@ -240,6 +242,8 @@ class BankObserver:
         else:
             previous = self._last.get(event.pad)
             if previous is None or event.t_sample >= previous.t_sample:
+                if event.t_sample - self._last_seen(event.pad) > SILENCE_S:
+                    self._heard_again = event.t_sample
                 self._last[event.pad] = event
                 self._lifted.discard(event.pad)
             self._observability.count(event.pad)
@@ -562,7 +566,7 @@ class BankObserver:
 
     def _settled(self, t: float, best: int, sd: FloatArray, spread: FloatArray) -> bool:
         touching = not self._lifted and all(t - self._last_seen(pad) < SILENCE_S for pad in (1, 2))
-        felt = touching and self._palms_known(t)
+        felt = touching and self._palms_known(t) and t - self._heard_again > HEARD_AGAIN_S
         consistent = NIS_RANGE[0] < self._bank.nis[best] < NIS_RANGE[1]
         sharp = max(sd[_R1], sd[_R2]) < SETTLED_SD and max(spread[_R1], spread[_R2]) < AGREEMENT
         return bool(felt and consistent and sharp and t - self._t_start > MIN_AGE_S)

@@ -107,6 +107,11 @@ class Run:
         """What the smoother beside the loop had to say, with the time (s) of the tick in which it was heard."""
         for message in self.messages(IMPROVEMENT.name):
             fields = message.fields
+            if "established" not in fields:
+                raise RunError(
+                    f"{self.path}: its smoother's answers tell less than those of this palmd, which cannot check them;"
+                    f" `palmd estimate {self.path}` runs the smoother anew"
+                )
             try:
                 x = np.array(fields["x"], dtype=np.float64)
                 covariance = np.array(fields["covariance"], dtype=np.float64).reshape(len(x), -1)
