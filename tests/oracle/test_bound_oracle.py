@@ -18,9 +18,9 @@ from scipy.interpolate import CubicHermiteSpline
 
 from palmd.model.shape import basis, coefficients_of, tangential_basis
 from palmd.observer.bound import Truth, cramer_rao
+from palmd.observer.data_segment import Stretch, longest_stretch
 from palmd.observer.factor import Prior
 from palmd.observer.search import Search
-from palmd.observer.stretch import Stretch, longest_stretch
 from palmd.record.eventlog import EventLog, read_log
 from palmd.rig.simulate import simulate_log
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from palmd.model import errata, paper
-from palmd.model.claim import Claim
+from palmd.model.equation_check import Claim
 
 TOLERANCE = 1e-10
 POINTS = 20

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from palmd.config import PlanSpec
 from palmd.events import PalmMotion
-from palmd.motion.conductor import Conductor, MotionError
 from palmd.motion.kinematics import RigGeometry
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import PlanError, Trajectory, compile_plan
+from palmd.motion.trajectory_executor import Conductor, MotionError
 
 
 def _limits(roomier_deg: float = 0.0) -> MotionLimits:

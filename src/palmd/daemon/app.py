@@ -15,14 +15,14 @@ from typing import Any
 from palmd import __version__, observer
 from palmd.config import Config, config_hash, rig_description
 from palmd.daemon import realtime
+from palmd.daemon.async_log import start_journal
 from palmd.daemon.bus import Bus, BusError
-from palmd.daemon.ends import EndName
+from palmd.daemon.core import Core
+from palmd.daemon.drivers import EndName
 from palmd.daemon.explorer_process import ExplorerProcess
-from palmd.daemon.journal import start_journal
 from palmd.daemon.loop import Loop
 from palmd.daemon.planner import Plan, read_plan
 from palmd.daemon.smoothing import SmootherProcess
-from palmd.daemon.step import Core
 from palmd.daemon.systemd import Notifier
 from palmd.devices.port import Port
 from palmd.keys import KeysError, server_keys

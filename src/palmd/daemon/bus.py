@@ -14,7 +14,7 @@ import msgpack
 import zmq
 
 from palmd.daemon.commands import COMMANDS, CommandError, Reply, Request, parse, reply_fields
-from palmd.daemon.doorkeeper import Doorkeeper
+from palmd.daemon.zap_auth import Doorkeeper
 from palmd.keys import Role, ServerKeys
 from palmd.messages import Fields, Topic, stamp
 

@@ -1,8 +1,8 @@
 """The loop's side of an exploration: asks where to go next, and lets the palms do what is answered. Pure.
 
-The decisions come from elsewhere and may come late or never (`daemon.decisions`). A move follows the one before when
-that ends; the newest decision counts. Without a decision the palms stand. A move that has become unsafe, or during
-which the estimate is lost, is stopped along its path and dropped.
+The decisions come from elsewhere and may come late or never (`daemon.exploration_requests`). A move follows the one
+before when that ends; the newest decision counts. Without a decision the palms stand. A move that has become unsafe,
+or during which the estimate is lost, is stopped along its path and dropped.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from palmd.daemon.decisions import Answer, Question, Source, Task
-from palmd.daemon.steering import Steering
+from palmd.daemon.exploration_requests import Answer, Question, Source, Task
+from palmd.daemon.setpoints import Steering
 from palmd.events import Outlook
 from palmd.motion.exploration import Exploration
 from palmd.motion.explorer import UnderWay

@@ -15,11 +15,11 @@ from typing import Any
 import msgpack
 import numpy as np
 
-from palmd.daemon.beside import ProcessBeside, give_back_memory, meet
+from palmd.daemon.worker import ProcessBeside, give_back_memory, meet
 from palmd.events import Event, Improvement, PadLift, PadSample, PalmSample, RigDescription
 from palmd.model import shape_map, smoothing
-from palmd.observer.improved import period
 from palmd.observer.incremental import IncrementalSmoother, Session
+from palmd.observer.smoothed_observer import period
 
 BATCH_S = 0.05  # of events that go out in one message
 HIGH_WATER = 100  # messages on their way: five seconds

@@ -9,8 +9,8 @@ from __future__ import annotations
 import casadi as ca
 
 from palmd.model import paper
-from palmd.model.claim import Claim
 from palmd.model.contact import SX
+from palmd.model.equation_check import Claim
 from palmd.model.paper import (
     alpha1,
     alpha12,

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from palmd.model.claim import Claim
 from palmd.model.contact import SX, normal, solve_from_normals, tangent
+from palmd.model.equation_check import Claim
 
 sin, cos, tan, dot = ca.sin, ca.cos, ca.tan, ca.dot
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import casadi as ca
 
 from palmd.model import paper
-from palmd.model.claim import Claim
+from palmd.model.equation_check import Claim
 from palmd.model.paper import d1, d2, g, omega0, omega1, omega2, phi1, phi2, phi12, r1, r2, s1, s2
 
 sin, cos, tan, row = ca.sin, ca.cos, ca.tan, ca.horzcat

@@ -17,14 +17,14 @@ import numpy as np
 from palmd.config import ExploreGoal
 from palmd.events import FloatArray, Outlook, RigDescription
 from palmd.model import shape_map
-from palmd.model.named import rig_inputs
+from palmd.model.outputs import rig_inputs
 from palmd.model.shape import basis
 from palmd.model.stable_poses import normals
 from palmd.motion import candidates
-from palmd.motion.foresight import BINS, Bools, Foreseen, Foresight, Moves, goodness
 from palmd.motion.limits import MotionLimits, problems, ranges
 from palmd.motion.reach import arcs, reach, surface_limits, why_not
 from palmd.motion.roadmap import Roadmap, TimeToGo
+from palmd.motion.rollout_predictor import BINS, Bools, Foreseen, Foresight, Moves, goodness
 from palmd.motion.segments import Angles, Move
 
 LOOPS, SINGLE_MOVES, MUTATED = 104, 56, 32  # sequences tried

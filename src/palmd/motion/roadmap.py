@@ -16,8 +16,8 @@ import numpy.typing as npt
 from palmd.events import FloatArray
 from palmd.model import shape_map
 from palmd.motion.candidates import POSE_MARGIN, RATE_SHARE, range_of, timed
-from palmd.motion.foresight import BINS, MARGIN_M, Bools, Foresight, goodness
 from palmd.motion.limits import PHI12_MAX, MotionLimits
+from palmd.motion.rollout_predictor import BINS, MARGIN_M, Bools, Foresight, goodness
 
 GRID = 7  # poses along φ1
 STEP = math.radians(22.0)  # between those along φ2

@@ -7,11 +7,11 @@ from typing import Literal, get_args
 
 from palmd.events import RigDescription
 from palmd.model.smoothing import ORDER
+from palmd.observer.bank_observer import BankObserver, SmoothedFilters
 from palmd.observer.filters import ExtendedFilters, ShapeFilters
-from palmd.observer.improved import ImprovedObserver, Simulated, Smoothing
-from palmd.observer.live import BankObserver, SmoothedFilters
 from palmd.observer.quasistatic import QuasistaticObserver
 from palmd.observer.recogniser import Recogniser
+from palmd.observer.smoothed_observer import ImprovedObserver, Simulated, Smoothing
 from palmd.outlinefile import Outline
 
 ObserverName = Literal["shape", "extended", "quasistatic"]

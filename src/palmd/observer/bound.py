@@ -16,6 +16,7 @@ import numpy as np
 from palmd.events import Event, FloatArray, RigDescription
 from palmd.model import shape
 from palmd.model.smoothing import CONSTANTS, ORDER, C
+from palmd.observer.data_segment import longest_stretch
 from palmd.observer.factor import Prior, friction_of
 from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import directions, gauge_free_sd, normal_angles, touched_by
@@ -23,7 +24,6 @@ from palmd.observer.reconstruct import SPACING_S
 from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
 from palmd.observer.search import NOISE, Search
 from palmd.observer.smoother import Smoother
-from palmd.observer.stretch import longest_stretch
 
 
 @dataclass(frozen=True, slots=True)

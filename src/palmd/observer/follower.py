@@ -14,12 +14,12 @@ import numpy as np
 
 from palmd.events import RigDescription
 from palmd.observer.chain import SEGMENT_S, Chain
+from palmd.observer.coverage import marks_of
+from palmd.observer.data_segment import Stretch
 from palmd.observer.matching import Felt, matched
 from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import normal_angles
 from palmd.observer.search import NOISE, Finding, Search, explained
-from palmd.observer.stretch import Stretch
-from palmd.observer.touched import marks_of
 
 PATIENCE = 2  # windows that may fail: an answer that hard to find comes too late
 LEAST_S = 1.0  # of readings at the end of a stretch that are worth an iteration

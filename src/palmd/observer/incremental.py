@@ -17,14 +17,14 @@ import numpy as np
 from palmd.events import Event, FloatArray, Improvement, PalmSample, RigDescription
 from palmd.model import shape_map, smoothing
 from palmd.model.smoothing import CONSTANTS, ORDER, C
+from palmd.observer.coverage import marks_of
+from palmd.observer.data_segment import LEAD_S, Stretch, stretches
 from palmd.observer.first_guess import constants_of
 from palmd.observer.follower import TAIL_S, Answer, Follower
 from palmd.observer.matching import Felt
 from palmd.observer.outline import made_convex, normal_angles
 from palmd.observer.seeker import Seeker
 from palmd.observer.smoother import Smoother
-from palmd.observer.stretch import LEAD_S, Stretch, stretches
-from palmd.observer.touched import marks_of
 
 FOUND_S = 8.0  # of readings, after which what has been found is beyond question
 ARCHIVED = 4  # objects that were taken away

@@ -1,7 +1,7 @@
 """The paper's quasistatic observer (CMU-CS-01-107, chapter 3), live: (3.33)–(3.35) integrated from the best beginning.
 
 What is felt is smoothed by local cubics `LAG_S` behind the present, so that the rates which drive the system come
-from readings on both sides. Many beginnings are integrated side by side (`observer.beginnings`). From time to time a
+from readings on both sides. Many beginnings are integrated side by side (`observer.multi_start`). From time to time a
 narrower set is drawn about the likeliest ones, integrated again from the stored past, a few steps a tick, and takes
 over. A set begins `WINDOW_S` ago at most: what was integrated longer has drifted.
 
@@ -33,14 +33,14 @@ from palmd.events import (
 )
 from palmd.model import quasistatic as qs
 from palmd.model import shape
-from palmd.model.named import NAMED
+from palmd.model.outputs import NAMED
 from palmd.observer.answer import answer, no_answer
-from palmd.observer.beginnings import BLOCKS, Beginnings, Spread
-from palmd.observer.live import DIRECTIONS, GONE_S, SILENCE_S, finite
+from palmd.observer.bank_observer import DIRECTIONS, GONE_S, SILENCE_S, finite
+from palmd.observer.coverage import NORMAL_BINS, TouchMarks
 from palmd.observer.local_fit import HALF_WIDTH_S, Readings
 from palmd.observer.mass import MassEstimator, resting_forces
+from palmd.observer.multi_start import BLOCKS, Beginnings, Spread
 from palmd.observer.prior import GYRATION, GYRATION_SD, RADIUS_SD
-from palmd.observer.touched import NORMAL_BINS, TouchMarks
 
 STEP_S = 0.01
 LAG_S = 0.1

@@ -19,6 +19,8 @@ from palmd.events import Event, FloatArray, RigDescription
 from palmd.model import shape
 from palmd.model.smoothing import CONSTANTS, ORDER, C
 from palmd.observer.chain import Chain
+from palmd.observer.coverage import marks_of
+from palmd.observer.data_segment import Stretch, stretches
 from palmd.observer.factor import Prior, friction_of
 from palmd.observer.marginal import Marginal, marginalised
 from palmd.observer.mass import MassEstimator
@@ -28,8 +30,6 @@ from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
 from palmd.observer.search import Finding, Search, beyond_question, doubt
 from palmd.observer.seeker import ATTEMPTS
 from palmd.observer.smoother import Fit, Smoother
-from palmd.observer.stretch import Stretch, stretches
-from palmd.observer.touched import marks_of
 from palmd.observer.visits import Counts, visits_of
 
 SPACING_S = 0.005  # of the nodes in the end

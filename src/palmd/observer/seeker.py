@@ -6,10 +6,10 @@ import numpy as np
 
 from palmd.events import FloatArray, RigDescription
 from palmd.model.smoothing import ORDER
+from palmd.observer.data_segment import Stretch
 from palmd.observer.follower import PATIENCE, Answer
 from palmd.observer.normal_equations import Guess
 from palmd.observer.search import Finding, Search, doubt, merged, still
-from palmd.observer.stretch import Stretch
 
 LEAST_S = 1.0  # of readings, before which the bank is as good
 STILL_KEPT_S = 2.0  # of readings at rest, when those and what came before tell nothing

@@ -38,8 +38,8 @@ from palmd.config import Config
 from palmd.devices.armlink import LineReader
 from palmd.devices.versapad import VersaPadDecoder
 from palmd.messages import stamp
+from palmd.rig.fault_injection import PORTS, TRICKS, MischiefError, PortName, order, parse
 from palmd.rig.line import PtyLine
-from palmd.rig.mischief import PORTS, TRICKS, MischiefError, PortName, order, parse
 from palmd.rig.roller import KINDS as ROLLERS
 from palmd.rig.shapes import KINDS, Body, cylinder
 from palmd.rig.tally import Listener

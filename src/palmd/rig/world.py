@@ -18,14 +18,14 @@ from palmd.devices.armlink import CONTROLLER_NEWLINE, ArmState, Pose
 from palmd.events import PalmMotion
 from palmd.rig.arm import Linkage, Servo, turn
 from palmd.rig.controller import BREAK_RECEIVED, CYCLE_S, ArmLimits, Controller
+from palmd.rig.fault_injection import PADS, PORTS, Order, PortName, Switchboard
 from palmd.rig.hand import Hand
-from palmd.rig.judge import SetpointJudge
 from palmd.rig.line import Wire
 from palmd.rig.marble import Marble
-from palmd.rig.mischief import PADS, PORTS, Order, PortName, Switchboard
 from palmd.rig.pads import GOOD_PADS, PadEmulator, PadOptions, Press
 from palmd.rig.plant import AS_ASSUMED, Hinge, Plant, PlantOptions, random_surface, stable_poses
 from palmd.rig.roller import Roller, RollerKind
+from palmd.rig.setpoint_checker import SetpointJudge
 from palmd.rig.shapes import Body, Kind, random_body
 from palmd.rig.tally import HostLines, Said
 
