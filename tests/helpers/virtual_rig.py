@@ -76,7 +76,7 @@ def running(real, config, seed, body, crossed=False, pad_options=GOOD_PADS):
                 bus.reply(reply)
             if core.state is State.READY:
                 ready.set()
-            over.wait(0.0 if core.steering.moving else 0.002)  # at rest it need not hurry
+            over.wait(0.0 if core.setpoints.moving else 0.002)  # at rest it need not hurry
 
     thread = threading.Thread(target=live)
     thread.start()

@@ -107,7 +107,7 @@ class Expression:
         while self._next[1] in _KIND and self._next[0] in ("sign", "word"):
             operators.append(self._take()[1])
             operands.append(self._operand())
-        kinds = [_KIND[operator] for operator in operators]
+        kinds = [_KIND[supervisor] for supervisor in operators]
         plain = set(kinds) <= {"sum", "product", "relation"} and kinds.count("relation") <= 1
         if len(set(kinds)) > 1 and not plain:
             raise VPlusError(f"{' '.join(operators)} need parentheses")

@@ -1,4 +1,4 @@
-"""Whatever is asked of steering, no set-point leaves the limits or is farther from the last than allowed."""
+"""Whatever is asked of the set-points, no set-point leaves the limits or is farther from the last than allowed."""
 
 import contextlib
 import math
@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from palmd.config import ArmConfig, Config, PadConfig, PadsConfig, PlanSpec
-from palmd.daemon.setpoints import LONGEST_STEP_S, Steering
+from palmd.daemon.setpoints import LONGEST_STEP_S, SetPoints
 from palmd.events import PalmMotion
 from palmd.motion.check import motion_limits
 from palmd.motion.kinematics import RigGeometry
@@ -64,29 +64,29 @@ acts = st.one_of(
 )
 
 
-def do(steering: Steering, what: str, how, t: float) -> bool:
+def do(setpoints: SetPoints, what: str, how, t: float) -> bool:
     """Ask for something; returns whether the arm was said to be elsewhere."""
     with contextlib.suppress(MotionError):
         match what:
             case "start":
-                steering.start(GOOD)
+                setpoints.start(GOOD)
             case "rogue":
-                steering.start(rogue())
+                setpoints.start(rogue())
             case "hold":
-                steering.hold()
+                setpoints.hold()
             case "resume":
-                steering.resume()
+                setpoints.resume()
             case "freeze" | "thaw":
-                steering.freeze(what == "freeze")
+                setpoints.freeze(what == "freeze")
             case "put_away":
-                steering.put_away()
+                setpoints.put_away()
             case "jog":
-                steering.jog(*how, t)
+                setpoints.jog(*how, t)
             case "displaced":
-                steering.displaced(PalmMotion(*how), 0.0)
+                setpoints.displaced(PalmMotion(*how), 0.0)
                 return True
             case "stand":
-                steering.stand(PalmMotion(*how), 0.0, t)
+                setpoints.stand(PalmMotion(*how), 0.0, t)
                 return True
     return False
 
@@ -94,21 +94,21 @@ def do(steering: Steering, what: str, how, t: float) -> bool:
 @settings(max_examples=150, deadline=None)
 @given(st.lists(st.tuples(acts, st.integers(0, 12), st.floats(0.012, 0.030)), max_size=25), st.randoms())
 def test_guard(script, random):
-    steering, t = Steering(GEOMETRY, LIMITS), 100.0
-    steering.stand(HERE, 0.0, t)
+    setpoints, t = SetPoints(GEOMETRY, LIMITS), 100.0
+    setpoints.stand(HERE, 0.0, t)
     last, t_last = HERE, t
     for (what, how), cycles, period in script:
         if what == "pause":
             t += how
-        elif do(steering, what, how, t):
+        elif do(setpoints, what, how, t):
             last, t_last = PalmMotion(*how), t
         for _ in range(cycles):
             t += period
-            pose = steering.target(t)
+            pose = setpoints.target(t)
             assert pose is not None
             if random.random() < 0.1:
                 continue  # the line had no room for it
-            steering.sent(t)
+            setpoints.sent(t)
             phi1, phi2 = GEOMETRY.palm_angles(pose.x_m, pose.y_m)
             assert LIMITS.phi1[0] - 1e-9 <= phi1 <= LIMITS.phi1[1] + 1e-9
             assert LIMITS.phi2[0] - 1e-9 <= phi2 <= LIMITS.phi2[1] + 1e-9

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import pytest
 
 from palmd.faults import TABLE
-from palmd.rig.fault_injection import TRICKS
+from palmd.rig.fault_injection import INJECTABLE_FAULTS
 
 pytestmark = pytest.mark.rig
 
@@ -72,9 +72,9 @@ CASES = (
 
 
 def test_every_trick_is_tried():
-    assert {case.name for case in CASES} == TRICKS.keys()
+    assert {case.name for case in CASES} == INJECTABLE_FAULTS.keys()
     assert {(case.name, port) for case in CASES for port in case.ports if port} == {
-        (trick.name, port) for trick in TRICKS.values() for port in trick.ports
+        (trick.name, port) for trick in INJECTABLE_FAULTS.values() for port in trick.ports
     }
 
 

@@ -16,7 +16,7 @@ LAST_WORDS_S = 0.5
 """How long the end may wait for lines to be written."""
 
 
-class Journal(logging.Handler):
+class AsyncLog(logging.Handler):
     """Hands lines to a thread that writes them, and drops them when it does not keep up."""
 
     def __init__(self, fd: int = 2) -> None:
@@ -47,9 +47,9 @@ class Journal(logging.Handler):
                 os.write(self._fd, line.encode(errors="replace") + b"\n")
 
 
-def start_journal() -> Journal:
+def start_async_log() -> AsyncLog:
     """Send this process's log, from INFO on, to standard error; `close` what is returned at the end."""
-    journal = Journal()
+    journal = AsyncLog()
     root = logging.getLogger()
     root.handlers[:] = [journal]
     root.setLevel(logging.INFO)

@@ -18,14 +18,14 @@ from typing import Protocol, runtime_checkable
 
 from palmd.config import Config
 from palmd.daemon.commands import Reply, Request
-from palmd.daemon.diagnostics import LOOK_S, ArmWatch, LoopWatch, NisWatch, PadWatch
-from palmd.daemon.drivers import ArmEnd, EndName, PadEnd
+from palmd.daemon.diagnostics import LOOK_S, ArmDiagnostics, LoopDiagnostics, NisDiagnostics, PadDiagnostics
+from palmd.daemon.drivers import ArmDriver, EndName, PadDriver
 from palmd.daemon.exploration_requests import Source
 from palmd.daemon.exploring import Exploring, Senses
 from palmd.daemon.lifecycle import COMMANDED, State
 from palmd.daemon.planner import Plan, PlanFolder
-from palmd.daemon.setpoints import Steering
-from palmd.daemon.supervisor import Operator
+from palmd.daemon.setpoints import SetPoints
+from palmd.daemon.supervisor import Supervisor
 from palmd.daemon.swap import SwapWatch
 from palmd.devices.armlink import ArmState
 from palmd.events import Estimate, Event, Improvement, ObjectEstimate, Outlook, PadSample, ShapeEstimate
@@ -135,17 +135,17 @@ class Core:
         refused. Raises PoseError for a fixed hinge.
         """
         geometry = RigGeometry.from_config(config)
-        self.pads: dict[EndName, PadEnd] = {
-            "pad1": PadEnd(1, config.pads.palm1),
-            "pad2": PadEnd(2, config.pads.palm2),
+        self.pads: dict[EndName, PadDriver] = {
+            "pad1": PadDriver(1, config.pads.palm1),
+            "pad2": PadDriver(2, config.pads.palm2),
         }
-        self.arm = ArmEnd(config, geometry)
-        self.steering = Steering(geometry, motion_limits(config))
+        self.arm = ArmDriver(config, geometry)
+        self.setpoints = SetPoints(geometry, motion_limits(config))
         self.faults = FaultMonitor()
-        self.exploring = Exploring(self.steering, explorer)
+        self.exploring = Exploring(self.setpoints, explorer)
         plans = PlanFolder(None if config.plan is None else config.plan.parent, folder)
-        self.operator = Operator(
-            self.arm, self.steering, self.exploring, self.faults, aside, plan, plans, autostart=config.autostart
+        self.supervisor = Supervisor(
+            self.arm, self.setpoints, self.exploring, self.faults, aside, plan, plans, autostart=config.autostart
         )
         self._observer = observer
         self._improved = observer if isinstance(observer, Improved) else None
@@ -158,10 +158,10 @@ class Core:
         self._answered: Improvement | None = None
         self._notes = frozenset(notes)
         self._passing: set[str] = set()  # conditions seen since the last decision
-        self._pad_watches = {name: PadWatch(name) for name in self.pads}
-        self._arm_watch = ArmWatch()
-        self._loop_watch = LoopWatch()
-        self._nis_watch = NisWatch()
+        self._pad_watches = {name: PadDiagnostics(name) for name in self.pads}
+        self._arm_watch = ArmDiagnostics()
+        self._loop_watch = LoopDiagnostics()
+        self._nis_watch = NisDiagnostics()
         self._swap = SwapWatch()
         self._t_look = self._t_state = self._t_shape = -math.inf
         self._told: tuple[object, object] = (None, None)
@@ -169,7 +169,7 @@ class Core:
     @property
     def state(self) -> State:
         """What the daemon is doing."""
-        return self.operator.state
+        return self.supervisor.state
 
     # ---- the lines ---------------------------------------------------------------------------------------
 
@@ -200,19 +200,19 @@ class Core:
 
     def transmit(self, t: float) -> bytes:
         """What to write to the arm at `t` (s), empty if nothing is due."""
-        host, steering, actual = self.arm.host, self.steering, self.arm.actual
+        host, setpoints, actual = self.arm.host, self.setpoints, self.arm.actual
         if not self.arm.is_open or t < host.due():
             return b""
         if not host.tracking or host.pose is None or actual is None:
             return host.poll(t, None)
-        if steering.commanded is None:
-            steering.stand(actual, host.pose.t_rad, t)
+        if setpoints.commanded is None:
+            setpoints.stand(actual, host.pose.t_rad, t)
         if host.state is ArmState.HOLD:
-            steering.displaced(actual, host.pose.t_rad)
-        target = steering.target(t)
+            setpoints.displaced(actual, host.pose.t_rad)
+        target = setpoints.target(t)
         out = host.poll(t, target)
         if target is not None and host.commanded is target:
-            self.arm.lag.sent(t, steering.sent(t))
+            self.arm.lag.sent(t, setpoints.sent(t))
         return out
 
     # ---- one tick ----------------------------------------------------------------------------------------
@@ -261,22 +261,22 @@ class Core:
 
     def handle(self, request: Request, t: float) -> None:
         """Do what a valid command asks at `t` (s), or refuse; the answer comes with `replies`."""
-        self.operator.handle(request, t)
+        self.supervisor.handle(request, t)
 
     def decide(self, t: float) -> None:
         """Faults, state and motion at `t` (s)."""
-        under_way = self.steering.moving or self.steering.held
-        self.faults.update(self._conditions(t, under_way), t, armed=self.operator.armed)
+        under_way = self.setpoints.moving or self.setpoints.held
+        self.faults.update(self._conditions(t, under_way), t, armed=self.supervisor.armed)
         self._passing.clear()
-        self.operator.settle(t, up=self._rig_up(t))
-        plan = self.operator.plan
+        self.supervisor.settle(t, up=self._rig_up(t))
+        plan = self.supervisor.plan
         if plan is not None and plan.explores:
             self.exploring.prepare()
         self.exploring.step(t, self._senses(t))
 
     def report(self, t: float) -> list[tuple[Topic, Fields]]:
         """What to publish at `t` (s)."""
-        arm, place = self.arm.host, self.steering.place
+        arm, place = self.arm.host, self.setpoints.place
         age = arm.age(t)
         messages = [
             (ESTIMATE, estimate_fields(self._estimate)),
@@ -291,9 +291,9 @@ class Core:
             (
                 MOTION,
                 motion_fields(
-                    self.steering.commanded,
+                    self.setpoints.commanded,
                     self.arm.actual,
-                    self.operator.plan_name,
+                    self.supervisor.plan_name,
                     -1 if place is None else place.segment,
                     0.0 if place is None else place.progress,
                     str(arm.state or ""),
@@ -317,7 +317,7 @@ class Core:
 
     def replies(self) -> list[Reply]:
         """The answers that have come due since the last call."""
-        replies, self.operator.replies = self.operator.replies, []
+        replies, self.supervisor.replies = self.supervisor.replies, []
         return replies
 
     def step(self, t: float, requests: Iterable[Request] = ()) -> list[tuple[Topic, Fields]]:
@@ -337,16 +337,16 @@ class Core:
     def fail(self, t: float) -> None:
         """The tick at `t` (s) raised something unexpected: make for standing still with as little as can be."""
         self.faults.update({"tick-error"}, t, armed=True)
-        self.operator.fall()
+        self.supervisor.fall()
 
     def close(self) -> None:
         """Make for a planned stop, and take no more commands that move."""
-        self.operator.close()
+        self.supervisor.close()
 
     @property
     def at_rest(self) -> bool:
         """Whether the arm is known to stand: never commanded, or reported at rest since."""
-        return self.operator.at_rest
+        return self.supervisor.at_rest
 
     def counters(self) -> Fields:
         """What has passed on the lines, by the names of `palm/loop`."""
@@ -355,7 +355,7 @@ class Core:
             counts |= {f"{name}_{what}": n for what, n in pad.receiver.counters.as_dict().items()}
         counts |= {f"arm_{what}": n for what, n in self.arm.host.counters.as_dict().items()}
         counts["arm_bad_poses"] = self.arm.bad_poses
-        counts["arm_guard_interventions"] = self.steering.interventions
+        counts["arm_guard_interventions"] = self.setpoints.interventions
         counts["lag_ms"] = self.arm.lag.lag_s * 1e3
         counts["late_dropped"] = self._observer.late_dropped
         counts["explorer_dropped"] = self.exploring.dropped
@@ -381,18 +381,18 @@ class Core:
             present.update(watch.conditions(self.pads[name], under_way, look))
         present.update(self._arm_watch.conditions(self.arm, t, commanded, look))
         present.update(self._loop_watch.conditions(t, self._observer.late_dropped, look))
-        present.update(self.operator.recorder.conditions(t))
-        present.update(self._nis_watch.conditions(self._estimate.nis, self.steering.moving, t))
-        if commanded and (self.steering.violated or self._outside()):
+        present.update(self.supervisor.recorder.conditions(t))
+        present.update(self._nis_watch.conditions(self._estimate.nis, self.setpoints.moving, t))
+        if commanded and (self.setpoints.violated or self._outside()):
             present.add("limits-violated")
         if self._swap.swapped:
             present.add("pads-swapped")
-        if self.operator.plan_refused:
+        if self.supervisor.plan_refused:
             present.add("plan-refused")
         if self.exploring.silent:
             present.add("explorer-silent")
         touching = all(pad.touching for pad in self.pads.values())
-        if self.steering.moving and touching and not self._estimate.valid:
+        if self.setpoints.moving and touching and not self._estimate.valid:
             present.add("estimate-lost")
         return present
 
@@ -400,7 +400,7 @@ class Core:
         actual = self.arm.actual
         if actual is None:
             return False
-        (low1, high1), (low2, high2) = self.steering.limits.phi1, self.steering.limits.phi2
+        (low1, high1), (low2, high2) = self.setpoints.limits.phi1, self.setpoints.limits.phi2
         return not (
             low1 - OUTSIDE <= actual.phi1 <= high1 + OUTSIDE and low2 - OUTSIDE <= actual.phi2 <= high2 + OUTSIDE
         )

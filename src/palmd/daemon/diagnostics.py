@@ -1,4 +1,4 @@
-"""Which conditions of the fault table hold, judged from the near ends and the motion. Pure."""
+"""Which conditions of the fault table hold, judged from the drivers and the motion. Pure."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections import deque
 from collections.abc import Iterator
 
-from palmd.daemon.drivers import ArmEnd, PadEnd
+from palmd.daemon.drivers import ArmDriver, PadDriver
 from palmd.devices.armlink import ArmState
 
 LOOK_S = 0.5
@@ -45,7 +45,7 @@ class Share:
         return gained >= self._least and spoilt > self._most * gained
 
 
-class PadWatch:
+class PadDiagnostics:
     """One pad's conditions."""
 
     def __init__(self, name: str) -> None:
@@ -56,7 +56,7 @@ class PadWatch:
         self._verdicts: tuple[str, ...] = ()
         self._needed = False
 
-    def conditions(self, pad: PadEnd, under_way: bool, look: bool) -> Iterator[str]:
+    def conditions(self, pad: PadDriver, under_way: bool, look: bool) -> Iterator[str]:
         """The codes that hold; with `look`, the counters are judged anew.
 
         A touch can only be missed once it has been felt in the motion that is `under_way`.
@@ -76,7 +76,7 @@ class PadWatch:
         else:
             yield f"{self._name}-untouched"
 
-    def _judged(self, pad: PadEnd) -> Iterator[str]:
+    def _judged(self, pad: PadDriver) -> Iterator[str]:
         counters = pad.receiver.counters
         if self._garbled.exceeded(counters.bytes, counters.bytes_discarded):
             yield f"{self._name}-garbled"
@@ -86,14 +86,14 @@ class PadWatch:
             yield f"{self._name}-batched"
 
 
-class ArmWatch:
+class ArmDiagnostics:
     """The arm's conditions."""
 
     def __init__(self) -> None:
         self._damaged = Share(DAMAGED_SHARE, DAMAGED_LEAST)
         self._verdicts: tuple[str, ...] = ()
 
-    def conditions(self, arm: ArmEnd, t: float, commanded: bool, look: bool) -> Iterator[str]:
+    def conditions(self, arm: ArmDriver, t: float, commanded: bool, look: bool) -> Iterator[str]:
         """The codes that hold at `t` (s); `commanded` says whether the arm ought to be following."""
         host = arm.host
         if look:
@@ -117,7 +117,7 @@ class ArmWatch:
                 yield code
 
 
-class LoopWatch:
+class LoopDiagnostics:
     """Missed deadlines, and samples that came too late."""
 
     def __init__(self) -> None:
@@ -141,7 +141,7 @@ class LoopWatch:
                 yield "loop-overruns"
 
 
-class NisWatch:
+class NisDiagnostics:
     """Whether an observer's normalised innovations squared, 1 on average when the model is right, stay outside a band.
 
     The estimate's own mean is over a quarter of a second and begins anew with each start; this one is slower.

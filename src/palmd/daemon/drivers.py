@@ -1,4 +1,4 @@
-"""The near ends of the three lines: bytes in, events out, and what is known of each device. Pure."""
+"""Drivers of both pads and the arm: bytes in, events out, and what is known of each device. Pure."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 from typing import Literal, cast
 
 from palmd.config import Config, PadConfig
-from palmd.daemon.latency_estimator import LagTracker
+from palmd.daemon.latency_estimator import LatencyEstimator
 from palmd.devices.armhost import ArmHost, ArmReport
 from palmd.devices.armlink import ArmState
 from palmd.devices.handshake import Handshake
@@ -26,7 +26,7 @@ RESTING = frozenset({ArmState.READY, ArmState.POWER_OFF, ArmState.UNCALIBRATED, 
 COMING_TO_REST_S = 0.3
 
 
-class PadEnd:
+class PadDriver:
     """One pad's line.
 
     `parted` says how the last touch ended, None while touching or before any touch. `in_break` says whether
@@ -117,12 +117,12 @@ class PadEnd:
         return lift
 
 
-class ArmEnd:
+class ArmDriver:
     """The arm's line. `actual` are the palm angles of the last report, None before; rates are the plan's."""
 
     def __init__(self, config: Config, geometry: RigGeometry) -> None:
         self.host = ArmHost(config.arm.baud)
-        self.lag = LagTracker()
+        self.lag = LatencyEstimator()
         self.is_open = False
         self.linked_since_open = False
         self.actual: PalmMotion | None = None

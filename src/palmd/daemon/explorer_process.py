@@ -6,7 +6,7 @@ import logging
 import pickle  # between a process and its own child, on a socket in a folder of their own
 
 from palmd.daemon.exploration_requests import Answer, Decider, Question
-from palmd.daemon.worker import ProcessBeside, give_back_memory, meet
+from palmd.daemon.worker import WorkerProcess, give_back_memory, meet
 from palmd.events import RigDescription
 
 log = logging.getLogger(__name__)
@@ -20,7 +20,7 @@ class ExplorerProcess:
 
     def __init__(self, rig: RigDescription) -> None:
         self._rig = rig
-        self._process: ProcessBeside | None = None
+        self._process: WorkerProcess | None = None
         self._failed = False
 
     @property
@@ -33,7 +33,7 @@ class ExplorerProcess:
         if self._process is not None or self._failed:
             return
         try:
-            self._process = ProcessBeside("explorer", __name__, high_water=HIGH_WATER)
+            self._process = WorkerProcess("explorer", __name__, high_water=HIGH_WATER)
         except OSError as error:
             self._failed = True
             log.warning("no explorer beside the loop: %s", error)

@@ -1,4 +1,4 @@
-"""By how much the arm follows its set-points, learnt while it moves. Pure, and safe in the loop."""
+"""The latency with which the arm follows its set-points, estimated while it moves. Pure, and safe in the loop."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ FORGETTING = 0.995  # per report: a memory of some 3 s
 PRIOR_INFORMATION = 0.01  # (1 mrad of misfit / 10 ms of lag)²: what a report says of the lag is ω² beside it
 
 
-class LagTracker:
+class LatencyEstimator:
     """Remembers what was commanded and when, and fits the lag L in actual(t) ≈ commanded(t − L).
 
     To first order actual(t) − commanded(t − L) = −ω·δ when L is wrong by δ, so L follows by recursive least

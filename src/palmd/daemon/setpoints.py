@@ -18,7 +18,7 @@ from palmd.motion.kinematics import PoseError, RigGeometry, wrapped
 from palmd.motion.limits import MotionLimits, Workspace
 from palmd.motion.plan import Place, Trajectory
 from palmd.motion.segments import Angles
-from palmd.motion.trajectory_executor import Conductor, MotionError
+from palmd.motion.trajectory_executor import MotionError, TrajectoryExecutor
 
 LONGEST_STEP_S = 0.032
 """Two cycles: what one set-point may make up for when the one before was not sent."""
@@ -28,7 +28,7 @@ _ON_PATH = 1e-6  # rad: less than the wire's micrometre
 _OUTSIDE = math.radians(0.03)  # how far outside the limits a pose may be for its noise alone
 
 
-class Steering:
+class SetPoints:
     """See the module. `commanded` is the motion of the last set-point, None while the arm is not commanded."""
 
     def __init__(self, geometry: RigGeometry, limits: MotionLimits) -> None:
@@ -45,12 +45,12 @@ class Steering:
         self._next = PalmMotion(math.nan, math.nan)
         self._jog: Jog | None = None
         self.limits = limits
-        self._conductor = Conductor(limits)
+        self._executor = TrajectoryExecutor(limits)
 
     def learn(self, workspace: Workspace | None) -> None:
         """Take over what the arm has said it can do. Only while it is not commanded."""
         self.limits = dataclasses.replace(self.limits, workspace=workspace)
-        self._conductor = Conductor(self.limits)
+        self._executor = TrajectoryExecutor(self.limits)
 
     def nearest(self, pose: PalmMotion) -> PalmMotion:
         """The pose inside the angle limits that is nearest to `pose`."""
@@ -70,7 +70,7 @@ class Steering:
     def stand(self, actual: PalmMotion, tool: float, t: float) -> None:
         """The arm follows from now on, `t` (s); stand where it is, its tool at the angle `tool` (rad)."""
         inside = self.nearest(actual)
-        self._conductor.stand(inside.phi1, inside.phi2)
+        self._executor.stand(inside.phi1, inside.phi2)
         self._begin_at(actual, tool)
         self._t_sent = t
         self._jog = None
@@ -79,14 +79,14 @@ class Steering:
     def leave(self) -> None:
         """The arm no longer follows; the plan is put away."""
         if self.commanded is not None:
-            self._conductor.stand(math.nan, math.nan)
+            self._executor.stand(math.nan, math.nan)
             self.commanded = None
             self._jog = None
 
     def start(self, trajectory: Trajectory) -> None:
         """Go to the trajectory's start and run it; raises MotionError."""
         self._end_jog()
-        self._conductor.start(trajectory)
+        self._executor.start(trajectory)
         self._held = self._paused = False
         self._settle()
 
@@ -113,11 +113,11 @@ class Steering:
 
     def conclude(self) -> None:
         """The exploration in hand is over, its last move done: stand where it ends."""
-        self._conductor.conclude()
+        self._executor.conclude()
 
     def put_away(self) -> None:
         """Forget the plan that is held."""
-        self._conductor.stop()
+        self._executor.stop()
 
     def jog(self, step1: float, step2: float, t: float, whole: Angles | None = None) -> None:
         """Shift the palms by small steps (rad) at `t` (s); raises MotionError when that cannot be, and changes nothing.
@@ -126,9 +126,9 @@ class Steering:
         """
         if self.commanded is None or self._off_path or self._frozen:
             raise MotionError("the arm does not follow yet")
-        if self._conductor.moving:
+        if self._executor.moving:
             raise MotionError("a plan is running: hold it first")
-        jog = Jog(self._conductor.motion, self.limits, t) if self._jog is None else self._jog
+        jog = Jog(self._executor.motion, self.limits, t) if self._jog is None else self._jog
         try:
             if whole is not None:
                 jog.check(*whole)
@@ -138,7 +138,7 @@ class Steering:
         if problems:
             raise MotionError("; ".join(problems))
         if self._jog is None:
-            self._conductor.stop()
+            self._executor.stop()
             self._jog = jog
 
     def displaced(self, actual: PalmMotion, tool: float) -> None:
@@ -152,32 +152,32 @@ class Steering:
     @property
     def moving(self) -> bool:
         """Whether a plan or a jog is under way."""
-        return self._conductor.moving or (self._jog is not None and self._jog.moving)
+        return self._executor.moving or (self._jog is not None and self._jog.moving)
 
     @property
     def held(self) -> bool:
         """Whether a plan is waiting to go on."""
-        return self._jog is None and self._conductor.held
+        return self._jog is None and self._executor.held
 
     @property
     def over(self) -> bool:
         """Whether the plan in hand has run to its end."""
-        return self._conductor.done
+        return self._executor.done
 
     @property
     def exploration(self) -> tuple[Exploration, float] | None:
         """The exploration in hand and its own time (s), None without one."""
-        return None if self._jog is not None else self._conductor.exploration
+        return None if self._jog is not None else self._executor.exploration
 
     @property
     def plan(self) -> str | None:
         """Name of the plan in hand."""
-        return self._conductor.plan
+        return self._executor.plan
 
     @property
     def place(self) -> Place | None:
         """Where in the plan the motion is."""
-        return self._conductor.place
+        return self._executor.place
 
     # Set-points
 
@@ -186,7 +186,7 @@ class Steering:
         before = self.commanded
         if before is None:
             return None
-        wanted = self._conductor.advance(t) if self._jog is None else self._jog.advance(t)
+        wanted = self._executor.advance(t) if self._jog is None else self._jog.advance(t)
         self.violated |= _distance(self.nearest(wanted), wanted) > _ON_PATH
         dt = min(max(t - self._t_sent, 0.0), LONGEST_STEP_S) * (CATCH_UP_SHARE if self._off_path else 1.0)
         motion = self.limits.clamp_step(before, wanted, dt)
@@ -232,15 +232,15 @@ class Steering:
         if self._jog is not None:
             if self._jog.moving:
                 raise MotionError("the palms are being jogged")
-            self._conductor.stand(self._jog.motion.phi1, self._jog.motion.phi2)
+            self._executor.stand(self._jog.motion.phi1, self._jog.motion.phi2)
             self._jog = None
 
     def _settle(self) -> None:
-        """Make the conductor wait while anything wants it to, and go on when nothing does."""
+        """Make the executor wait while anything wants it to, and go on when nothing does."""
         if self._held or self._frozen or self._paused or self._off_path:
-            self._conductor.hold()
-        elif self._conductor.held:
-            self._conductor.resume()
+            self._executor.hold()
+        elif self._executor.held:
+            self._executor.resume()
 
 
 def _distance(a: PalmMotion, b: PalmMotion) -> float:

@@ -1,4 +1,4 @@
-"""Commands, faults and states: who may do what when, and what becomes of it. Pure.
+"""The supervisor of commands, faults and states: who may do what when, and what becomes of it. Pure.
 
 An answer that depends on the arm or on a plan being compiled comes later; `replies` collects them all.
 """
@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from palmd.daemon.commands import Reply, Request
-from palmd.daemon.drivers import RESTING, ArmEnd
+from palmd.daemon.drivers import RESTING, ArmDriver
 from palmd.daemon.exploring import Exploring
 from palmd.daemon.lifecycle import COMMANDED, State, Trigger, next_state
 from palmd.daemon.planner import Plan, PlanFolder, plan_in
 from palmd.daemon.recorder_watch import RecorderWatch
-from palmd.daemon.setpoints import Steering
+from palmd.daemon.setpoints import SetPoints
 from palmd.devices.armlink import ArmState, HelloReply, error_text
 from palmd.faults import Fault, FaultMonitor, Severity
 from palmd.motion.limits import Workspace
@@ -57,13 +57,13 @@ class _Wait:
     faults: tuple[Fault, ...]
 
 
-class Operator:
-    """Holds the state and acts on arm and steering; see the module. Times are seconds."""
+class Supervisor:
+    """Holds the state and acts on arm and set-points; see the module. Times are seconds."""
 
     def __init__(
         self,
-        arm: ArmEnd,
-        steering: Steering,
+        arm: ArmDriver,
+        setpoints: SetPoints,
         exploring: Exploring,
         faults: FaultMonitor,
         aside: Executor,
@@ -80,7 +80,7 @@ class Operator:
         self.replies: list[Reply] = []
         self.recorder = RecorderWatch()
         self._arm = arm
-        self._steering = steering
+        self._setpoints = setpoints
         self._exploring = exploring
         self._faults = faults
         self._aside = aside
@@ -112,7 +112,7 @@ class Operator:
     @property
     def plan_name(self) -> str:
         """The name of the plan in hand, empty without one."""
-        return self._steering.plan or (self.plan.name if self.plan is not None else "")
+        return self._setpoints.plan or (self.plan.name if self.plan is not None else "")
 
     def handle(self, request: Request, t: float) -> None:
         """Do what a valid command asks at `t` (s), or refuse; the answer is in `replies`, now or later."""
@@ -135,7 +135,7 @@ class Operator:
                 self.fall()
         elif self.state is State.TRACKING and self._faults.standing(Severity.HOLD):
             self._change(Trigger.HOLD)
-            self._steering.hold()
+            self._setpoints.hold()
         self._change(Trigger.RIG_UP if up else Trigger.RIG_DOWN)
         self._t_up = min(self._t_up, t) if up else math.inf
         self._enforce(t)
@@ -156,7 +156,7 @@ class Operator:
     # ---- commands ----------------------------------------------------------------------------------------
 
     def _status(self, _request: Request, t: float) -> dict[str, Any]:
-        host, place, faults = self._arm.host, self._steering.place, self._faults.active
+        host, place, faults = self._arm.host, self._setpoints.place, self._faults.active
         explored, recorder = self._exploring.told(), self.recorder.last(t)
         status = {
             "state": str(self.state),
@@ -167,8 +167,8 @@ class Operator:
             "segment": -1 if place is None else place.segment,
             "doing": "" if place is None else place.label,
             "progress": 0.0 if place is None else place.progress,
-            "moving": self._steering.moving,
-            "over": self._steering.over,
+            "moving": self._setpoints.moving,
+            "over": self._setpoints.over,
             "arm_state": str(host.state or ""),
             "arm_error": "" if host.last_error is None else error_text(host.last_error),
             "arm_linked": host.linked(t),
@@ -190,7 +190,7 @@ class Operator:
         self._refuse_faults(Severity.STOP)
         if host.state is not ArmState.READY or host.busy:
             raise RefusedError(f"the controller is in state {_named(host.state)}, it must be R (READY)")
-        problems = self._steering.may_stand(actual)
+        problems = self._setpoints.may_stand(actual)
         if problems:
             raise RefusedError(f"{'; '.join(problems)}: bring the palms inside with the pendant")
         host.want_tracking()
@@ -198,14 +198,14 @@ class Operator:
         self._arming = _Wait(request, t + ARMING_S, self._faults.active)
 
     def _start(self, request: Request, _t: float) -> dict[str, Any] | None:
-        steering, commanded = self._steering, self._steering.commanded
+        setpoints, commanded = self._setpoints, self._setpoints.commanded
         self._refuse_unless_commanded()
         self._refuse_faults(Severity.HOLD)
-        if self.state is State.HOLD and steering.held:
-            steering.resume()
+        if self.state is State.HOLD and setpoints.held:
+            setpoints.resume()
             self._change(Trigger.START)
             return self._told()
-        if steering.moving or steering.held:
+        if setpoints.moving or setpoints.held:
             raise RefusedError("the palms are moving already")
         plan = self.plan
         if plan is None:
@@ -213,7 +213,7 @@ class Operator:
         if plan.explores and not self._exploring.possible:
             raise RefusedError("exploring needs an outline to go by: set observer.primary to shape")
         assert commanded is not None, "the arm follows"
-        limits, start = steering.limits, (commanded.phi1, commanded.phi2)
+        limits, start = setpoints.limits, (commanded.phi1, commanded.phi2)
         if plan.serves(limits, start):
             self._run(plan)
             return self._told()
@@ -223,7 +223,7 @@ class Operator:
     def _run(self, plan: Plan) -> None:
         self._refuse_unless_commanded()
         self._refuse_faults(Severity.HOLD)
-        self._steering.start(plan.trajectory)
+        self._setpoints.start(plan.trajectory)
         self.plan = plan
         self.plan_refused = False
         self._change(Trigger.START)
@@ -231,7 +231,7 @@ class Operator:
     def _hold(self, _request: Request, _t: float) -> dict[str, Any]:
         self._refuse_unless_commanded()
         self._change(Trigger.HOLD)
-        self._steering.hold()
+        self._setpoints.hold()
         return self._told()
 
     def _stop(self, _request: Request, _t: float) -> dict[str, Any]:
@@ -251,10 +251,10 @@ class Operator:
     def _load_plan(self, request: Request, _t: float) -> None:
         self._refuse_while_moving()
         name, text = request.args["path"], request.args.get("text")
-        plans, limits, actual = self._plans, self._steering.limits, self._arm.actual
+        plans, limits, actual = self._plans, self._setpoints.limits, self._arm.actual
         start: Angles | None = None
         if actual is not None:
-            inside = self._steering.nearest(actual)
+            inside = self._setpoints.nearest(actual)
             start = (inside.phi1, inside.phi2)
         if text is None:
             self._begin(request, lambda: plans.load(name, limits, start), self._adopt)
@@ -263,14 +263,14 @@ class Operator:
 
     def _adopt(self, plan: Plan) -> None:
         self._refuse_while_moving()
-        self._steering.put_away()
+        self._setpoints.put_away()
         self.plan = plan
         self.plan_refused = False
 
     def _jog(self, request: Request, t: float) -> dict[str, Any]:
         self._refuse_unless_commanded()
         told = any(name.startswith("whole_") for name in request.args)
-        self._steering.jog(*_turn(request, ""), t, _turn(request, "whole_") if told else None)
+        self._setpoints.jog(*_turn(request, ""), t, _turn(request, "whole_") if told else None)
         return self._told()
 
     def _told(self) -> dict[str, Any]:
@@ -281,11 +281,11 @@ class Operator:
             raise RefusedError("palmd is stopping")
 
     def _refuse_while_moving(self) -> None:
-        if self._steering.moving:
+        if self._setpoints.moving:
             raise RefusedError("the palms are moving: hold or stop them first")
 
     def _refuse_unless_commanded(self) -> None:
-        if self.state not in COMMANDED or self._steering.commanded is None:
+        if self.state not in COMMANDED or self._setpoints.commanded is None:
             raise RefusedError(f"the state is {self.state}, it must be tracking or hold: arm first")
 
     def _refuse_faults(self, severity: Severity) -> None:
@@ -356,7 +356,7 @@ class Operator:
         host = self._arm.host
         if host.tracking or self._arming is not None:
             host.want_stop()
-        self._steering.leave()
+        self._setpoints.leave()
         if self._arming is not None:
             wait, self._arming = self._arming, None
             self._answer(wait.request, f"arm refused: {reason}")
@@ -368,9 +368,9 @@ class Operator:
         if hello is None or hello == self._hello or self.armed:
             return
         self._hello = hello
-        self._steering.learn(
+        self._setpoints.learn(
             Workspace(
-                self._steering.geometry,
+                self._setpoints.geometry,
                 hello.x_min_m,
                 hello.x_max_m,
                 hello.y_min_m,
@@ -386,9 +386,9 @@ class Operator:
         if host.tracking and not self.armed:
             host.want_stop()
         if host.tracking:
-            self._steering.freeze(host.frozen(t))
+            self._setpoints.freeze(host.frozen(t))
             return
-        self._steering.leave()
+        self._setpoints.leave()
         if not self.armed and not host.busy and (host.state in RESTING or host.state is ArmState.MANUAL):
             self.at_rest = True
 
@@ -397,7 +397,7 @@ class Operator:
             return
         ready = self.state is State.READY and not self._faults.standing(Severity.STOP)
         if (self._autostart[0] == "arm" and ready and t - self._t_up >= SETTLED_S) or (
-            self._autostart[0] == "start" and self.state is State.TRACKING and self._steering.commanded
+            self._autostart[0] == "start" and self.state is State.TRACKING and self._setpoints.commanded
         ):
             self.handle(Request(self._autostart.pop(0), id=_AUTOSTART_ID), t)
 

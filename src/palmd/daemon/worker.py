@@ -27,7 +27,7 @@ RESTART_S = 10.0  # from one start of the process to the next at least
 CLOSE_S = 1.0
 
 
-class ProcessBeside:
+class WorkerProcess:
     """The loop's end; `send` and `received` are safe inside the loop, starting the process again takes it 1 ms."""
 
     def __init__(self, name: str, module: str, *arguments: str, high_water: int) -> None:

@@ -33,7 +33,7 @@ _VERSION = b"1.0"
 _ASKED_FRAMES = 7  # version, request, domain, address, identity, mechanism, key
 
 
-class Doorkeeper:
+class ZapAuthenticator:
     """Turns away every key that is not on the list. Safe in the loop once it is made."""
 
     def __init__(self, context: zmq.Context[zmq.Socket[bytes]], keys: ServerKeys) -> None:

@@ -201,7 +201,7 @@ def _watched(wireless: Wireless, watch: Watch, seconds: float) -> float:
     exploring, ended = False, math.nan
     for instant in wireless.run(seconds):
         watch.take(instant)
-        explores_now = wireless.core.steering.exploration is not None
+        explores_now = wireless.core.setpoints.exploration is not None
         if exploring and not explores_now and math.isnan(ended):
             ended = instant.t - watch.t_start
         exploring = explores_now

@@ -18,7 +18,7 @@ from palmd.events import FloatArray
 from palmd.lab.balanced import BalancedRun, balanced_run, eased_path
 from palmd.lab.scoring import Bools, score_where_known
 from palmd.model import quasistatic as qs
-from palmd.observer.multi_start import BLOCKS, Beginnings, Spread
+from palmd.observer.multi_start import BLOCKS, MultiStart, Spread
 from palmd.observer.quasistatic import QuasistaticObserver
 from palmd.observer.reconstruct import reconstruct
 from palmd.record.eventlog import EventLog
@@ -93,10 +93,10 @@ def paper_simulation() -> Simulation:
     return Simulation(run, _trace(run, states[:, :, best]), astray, valley, circle)
 
 
-def _integrated(run: BalancedRun, spread: Spread, circle: float) -> tuple[Beginnings, FloatArray]:
+def _integrated(run: BalancedRun, spread: Spread, circle: float) -> tuple[MultiStart, FloatArray]:
     """A set of beginnings carried through the run and judged, and their states (n, 5, beginnings)."""
     step_s = float(run.t[1] - run.t[0])
-    beginnings = Beginnings(spread, run.felt[0], float(run.psi[0]), circle, step_s, softening=0.0)
+    beginnings = MultiStart(spread, run.felt[0], float(run.psi[0]), circle, step_s, softening=0.0)
     states = [beginnings.state.copy()]
     for here, there in pairwise(run.felt):
         beginnings.step(here, there)
@@ -106,7 +106,7 @@ def _integrated(run: BalancedRun, spread: Spread, circle: float) -> tuple[Beginn
     return beginnings, np.array(states)
 
 
-def _narrower(beginnings: Beginnings, weights: FloatArray) -> Spread:
+def _narrower(beginnings: MultiStart, weights: FloatArray) -> Spread:
     centres_widths = []
     for values in (beginnings.mean, beginnings.balance):
         centre = float(weights @ values)

@@ -16,7 +16,7 @@ from palmd.model.contact import SX
 
 
 @dataclass(frozen=True, slots=True)
-class Claim:
+class EquationCheck:
     """What the paper prints for an equation, and what follows from the model; same shape, SI."""
 
     equation: str

@@ -1,4 +1,4 @@
-"""Gentle moves to and fro about a pose, for when the object must be felt in motion before anything is known of it."""
+"""Excitation: gentle moves to and fro about a pose, for an object of which nothing is known yet."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Foresight: what objects will do on sequences of palm moves, many at once. Pure; not for the loop."""
+"""Rollout predictor: what objects will do on sequences of palm moves, many at once. Pure; not for the loop."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Moves:
 
 
 @dataclass(frozen=True, slots=True)
-class Foreseen:
+class Prediction:
     """What comes of each sequence, up to the end of each of its moves.
 
     touched: (N, k, BINS), where palms have been since the beginning. least_force: (N, k), m/s². nearest, farthest:
@@ -53,14 +53,14 @@ class Foreseen:
     omega0: FloatArray
 
 
-def goodness(foreseen: Foreseen, pad_length: float) -> FloatArray:
+def goodness(foreseen: Prediction, pad_length: float) -> FloatArray:
     """How safe it is up to the end of each move (N, k): 1 as near to danger as allowed, 0 a contact lost or off."""
     margins = np.minimum(foreseen.nearest, pad_length - foreseen.farthest) / MARGIN_M
     how_safe: FloatArray = np.minimum(margins, foreseen.least_force / LEAST_FORCE)
     return how_safe
 
 
-class Foresight:
+class RolloutPredictor:
     """Rolls the dynamic model forward; holds the kernel's memory."""
 
     def __init__(self, rig: FloatArray):
@@ -71,7 +71,7 @@ class Foresight:
         self._told = np.zeros((COLUMNS, SUBSTEPS, TOLD))
         self._roll = rollout.library().bind("roll_batch", [self._x, self._move, rig], [self._moved, self._told])
 
-    def of(self, states: FloatArray, moves: Moves, elapsed: float = 0.0, horizon_s: float = math.inf) -> Foreseen:
+    def of(self, states: FloatArray, moves: Moves, elapsed: float = 0.0, horizon_s: float = math.inf) -> Prediction:
         """From `states` (N, 21), or one for all (21,), at rest or `elapsed` seconds into the first move.
 
         Moves that end after `horizon_s` are not looked at: their `least_force` is −inf.
@@ -84,9 +84,11 @@ class Foresight:
             for some in (order[i : i + COLUMNS] for i in range(0, n, COLUMNS))
         ]
         back = np.argsort(order, kind="stable")
-        return Foreseen(*(np.concatenate([getattr(part, name) for part in parts])[back] for name in Foreseen.__slots__))
+        return Prediction(
+            *(np.concatenate([getattr(part, name) for part in parts])[back] for name in Prediction.__slots__)
+        )
 
-    def _batch(self, states: FloatArray, moves: Moves, elapsed: float, horizon_s: float) -> Foreseen:
+    def _batch(self, states: FloatArray, moves: Moves, elapsed: float, horizon_s: float) -> Prediction:
         n, k = moves.durations.shape
         rows = np.arange(COLUMNS)
         filled = np.minimum(rows, n - 1)
@@ -110,7 +112,7 @@ class Foresight:
         return _foreseen(told[:n], np.repeat(leg_of[:n], SUBSTEPS, axis=1), finished[:n], k)
 
 
-def _foreseen(told: FloatArray, leg: npt.NDArray[np.intp], finished: FloatArray, k: int) -> Foreseen:
+def _foreseen(told: FloatArray, leg: npt.NDArray[np.intp], finished: FloatArray, k: int) -> Prediction:
     n, steps, _ = told.shape
     live = np.arange(steps) * STEP_S < finished[:, -1:] - 1e-9
     rows = np.broadcast_to(np.arange(n)[:, None], (n, steps))
@@ -131,7 +133,7 @@ def _foreseen(told: FloatArray, leg: npt.NDArray[np.intp], finished: FloatArray,
     last = np.clip(np.ceil(finished / STEP_S - 1e-9).astype(np.intp) - 1, 0, steps - 1)
     each = np.arange(n)[:, None]
     lowest[finished > steps * STEP_S + 1e-9] = -np.inf
-    return Foreseen(
+    return Prediction(
         np.logical_or.accumulate(touched, axis=1),
         np.minimum.accumulate(lowest, axis=1),
         np.minimum.accumulate(nearest, axis=1),

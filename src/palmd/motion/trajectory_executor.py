@@ -1,4 +1,4 @@
-"""The conductor runs a trajectory in its own path time, so that hold and resume keep the path's geometry.
+"""Executes a trajectory in its own path time, so that hold and resume keep the path's geometry.
 
 The command is q(tau), tau the path time, and u = dtau/dt its speed: 0 standing, 1 as planned. With the
 trajectory's ω = q′ and α = q″ the command has the rate ω·u and the acceleration α·u² + ω·u̇. A hold brings
@@ -26,7 +26,7 @@ class MotionError(ValueError):
     """Something that the palms cannot be asked to do now; says why."""
 
 
-class Conductor:
+class TrajectoryExecutor:
     """What the palms are commanded to do, instant by instant. Pure, and safe in the loop.
 
     The pose is NaN until `stand` gives one. `start` takes about a millisecond, everything else microseconds.

@@ -34,10 +34,10 @@ from palmd.model import shape, shape_map
 from palmd.model.outputs import NAMED, rig_inputs
 from palmd.observer.answer import answer, no_answer
 from palmd.observer.bank import Bank, Belief, Snapshot
-from palmd.observer.coverage import NORMAL_BINS, Marks, TouchMarks, contact_bins, turned_marks
+from palmd.observer.coverage import NORMAL_BINS, Coverage, Marks, contact_bins, turned_marks
 from palmd.observer.filters import LONGEST_STEP_S, Filters, ShapeFilters, carry, smoother_outline
 from palmd.observer.mass import MassEstimator, resting_forces
-from palmd.observer.object_memory import KnownObject, Memory
+from palmd.observer.object_memory import KnownObject, ObjectMemory
 from palmd.observer.observability import Observability
 from palmd.observer.outline import gauge_free_sd
 from palmd.observer.palms import PalmTracker
@@ -120,7 +120,7 @@ class BankObserver:
         self.object_count = 0
         self.late_dropped = 0
         self._starts = 0
-        self._memory = Memory()
+        self._memory = ObjectMemory()
         self._palms = PalmTracker(self._rig.palm_angle_noise)
         self._last: dict[int, PadSample] = {}
         self._lifted: set[int] = set()
@@ -213,7 +213,7 @@ class BankObserver:
     def _lead_with(self, x: FloatArray, P: FloatArray, nis: float, touched: Marks) -> None:
         """One filter takes the place of all others; it has the leader's gauge."""
         assert self._smoothed is not None
-        self._marks = TouchMarks(touched, 0)
+        self._marks = Coverage(touched, 0)
         self._use(self._smoothed.one)
         bank = self._bank
         bank.refill()
@@ -330,7 +330,7 @@ class BankObserver:
 
     def _begin_fresh(self) -> None:
         self._mass = self._new_mass()
-        self._marks = TouchMarks()
+        self._marks = Coverage()
         self._candidate = None
         self._rough_mass = self._new_mass()
         self._forget_history()
@@ -399,7 +399,7 @@ class BankObserver:
             if known.smoothed:
                 self._lead_with(*self._filters.belief(best), float(self._bank.nis[best]), known.touched)
             else:
-                self._marks = TouchMarks(known.touched, best)
+                self._marks = Coverage(known.touched, best)
                 self._bank.drop(blind)
             return True
         clear = not alike or score[blind].max() - score[~blind].max() > CLEAR

@@ -20,7 +20,7 @@ _PSI, _PHI1, _PHI2 = (NAMED.index(name) for name in ("psi", "phi1", "phi2"))
 Marks = npt.NDArray[np.bool_]
 
 
-class TouchMarks:
+class Coverage:
     """Marks on `NORMAL_BINS` normals, in the gauge of the filter that leads; safe inside the loop."""
 
     def __init__(self, marks: Marks | None = None, leader: int = -1):

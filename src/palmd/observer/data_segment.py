@@ -14,7 +14,7 @@ LEAD_S = 0.5  # of the arm's reports before both pads feel the object
 
 
 @dataclass(frozen=True, slots=True)
-class Stretch:
+class DataSegment:
     """Events in order of time, each once: between `start` and `end` (s) no gap is longer than the limits above."""
 
     start: float
@@ -26,15 +26,15 @@ class Stretch:
         """All of them in order of time, the arm's report first where times are equal."""
         return sorted((*self.palms, *self.pads), key=lambda event: event.t_sample)
 
-    def until(self, t: float) -> Stretch:
+    def until(self, t: float) -> DataSegment:
         """What was before `t` (s)."""
-        return Stretch(self.start, t, tuple(sample for sample in self.pads if sample.t_sample <= t), self.palms)
+        return DataSegment(self.start, t, tuple(sample for sample in self.pads if sample.t_sample <= t), self.palms)
 
 
-def stretches(events: Sequence[Event], pad_gap_s: float = PAD_GAP_S) -> list[Stretch]:
+def data_segments(events: Sequence[Event], pad_gap_s: float = PAD_GAP_S) -> list[DataSegment]:
     """All of them, in order of time."""
     ordered = sorted((event for event in events if _finite(event)), key=_place)
-    found: list[Stretch | None] = []
+    found: list[DataSegment | None] = []
     pads: list[PadSample] = []
     palms: list[PalmSample] = []
 
@@ -64,12 +64,12 @@ def stretches(events: Sequence[Event], pad_gap_s: float = PAD_GAP_S) -> list[Str
     return [stretch for stretch in found if stretch is not None]
 
 
-def longest_stretch(events: Sequence[Event]) -> Stretch | None:
+def longest_segment(events: Sequence[Event]) -> DataSegment | None:
     """The longest one, None if there is no time at all at which both pads and the arm report."""
-    return max(stretches(events), key=lambda stretch: stretch.end - stretch.start, default=None)
+    return max(data_segments(events), key=lambda stretch: stretch.end - stretch.start, default=None)
 
 
-def _trimmed(pads: list[PadSample], palms: list[PalmSample]) -> Stretch | None:
+def _trimmed(pads: list[PadSample], palms: list[PalmSample]) -> DataSegment | None:
     """What lies between the first time at which all three have reported and the last at which all still do.
 
     The arm's reports of a moment before that stay: they tell how the palms moved at the start.
@@ -81,7 +81,7 @@ def _trimmed(pads: list[PadSample], palms: list[PalmSample]) -> Stretch | None:
     start, end = max(times[0] for times in sources), min(times[-1] for times in sources)
     inside = tuple(sample for sample in pads if start <= sample.t_sample <= end)
     about = tuple(sample for sample in palms if sample.t_sample >= start - LEAD_S)
-    return Stretch(start, end, inside, about) if inside and end > start else None
+    return DataSegment(start, end, inside, about) if inside and end > start else None
 
 
 def _place(event: Event) -> tuple[float, ...]:

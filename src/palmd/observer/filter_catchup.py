@@ -16,7 +16,7 @@ LEAST_READINGS = 30  # by which a newcomer is judged before it joins
 LEAD_S = 0.3  # of the arm's reports before that time, from which the palms' motion is known
 
 
-class Newcomer:
+class FilterCatchUp:
     """One filter that catches up with the bank, a few events at a time; safe inside the loop.
 
     A late reading is left out: it is one of hundreds.

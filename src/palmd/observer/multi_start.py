@@ -52,7 +52,7 @@ class Spread:
         return a.ravel(), b.ravel()
 
 
-class Beginnings:
+class MultiStart:
     """Trajectories from a grid of beginnings. Every call takes bounded time and is safe inside the loop."""
 
     def __init__(

@@ -130,7 +130,7 @@ def _slope(values: FloatArray) -> FloatArray:
     return slope
 
 
-class Memory:
+class ObjectMemory:
     """The last settled map but one: the very last may have been taken while the object was being taken away."""
 
     def __init__(self) -> None:

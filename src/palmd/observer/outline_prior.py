@@ -40,7 +40,7 @@ class Starts:
 
 
 @dataclass(frozen=True, slots=True)
-class Stored:
+class OutlinePrior:
     """Outlines as beliefs: mean states x (count, 21) of `model.shape_map` at ψ = 0, covariances P (count, 21, 21)."""
 
     names: tuple[str, ...]
@@ -88,13 +88,13 @@ class Stored:
         return chosen[:, 0], psi
 
 
-def stored(outlines: Sequence[Outline]) -> Stored:
+def stored(outlines: Sequence[Outline]) -> OutlinePrior:
     """The outlines as beliefs; raises ValueError when there is none."""
     if not outlines:
         raise ValueError("no outline")
     x, P = zip(*map(_belief, outlines), strict=True)
     information = np.linalg.inv(np.stack(P)[:, _OUTLINE, _OUTLINE])
-    return Stored(tuple(outline.name for outline in outlines), np.stack(x), np.stack(P), information)
+    return OutlinePrior(tuple(outline.name for outline in outlines), np.stack(x), np.stack(P), information)
 
 
 def _belief(outline: Outline) -> tuple[FloatArray, FloatArray]:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from palmd.events import FloatArray, PalmMotion, RigDescription
 from palmd.model import shape, smoothing
 from palmd.model.smoothing import NODE, ORDER, C
-from palmd.observer.data_segment import Stretch
+from palmd.observer.data_segment import DataSegment
 from palmd.observer.factor import Knowledge, Prior
 from palmd.observer.first_guess import blind_starts, prior_of
 from palmd.observer.normal_equations import Guess, ProcessNoise
@@ -67,7 +67,7 @@ class Search:
 
     def __init__(
         self,
-        stretch: Stretch,
+        stretch: DataSegment,
         rig: RigDescription,
         patience: int = PATIENCE,
         known: Knowledge | None = None,

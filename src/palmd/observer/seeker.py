@@ -6,7 +6,7 @@ import numpy as np
 
 from palmd.events import FloatArray, RigDescription
 from palmd.model.smoothing import ORDER
-from palmd.observer.data_segment import Stretch
+from palmd.observer.data_segment import DataSegment
 from palmd.observer.follower import PATIENCE, Answer
 from palmd.observer.normal_equations import Guess
 from palmd.observer.search import Finding, Search, doubt, merged, still
@@ -34,7 +34,7 @@ class Seeker:
         self._doubtful = True
         self.needs_from = -float("inf")
 
-    def sought(self, stretch: Stretch, hint: FloatArray | None) -> Answer | None:
+    def sought(self, stretch: DataSegment, hint: FloatArray | None) -> Answer | None:
         """What all readings of `stretch` tell; None while that is in doubt. `needs_from`: those before are useless.
 
         `hint`: constants that a live filter has settled on, in whatever gauge.

@@ -13,7 +13,7 @@ from typing import Protocol
 
 from palmd.events import Estimate, Event, Improvement, Outlook, PadLift, RigDescription, ShapeEstimate
 from palmd.observer.bank_observer import BankObserver, finite
-from palmd.observer.filter_catchup import Newcomer
+from palmd.observer.filter_catchup import FilterCatchUp
 from palmd.observer.incremental import IncrementalSmoother, Session
 
 MEMORY_S = 8.0  # how long after its time an improvement can still be taken in
@@ -30,14 +30,14 @@ class Smoothing(Protocol):
         """An improvement that is ready at `t`, each once."""
 
 
-class ImprovedObserver:
+class SmoothedObserver:
     """A `BankObserver` that a smoother improves; `feed` and `estimate` are as safe inside the loop as its own."""
 
     def __init__(self, bank: BankObserver, rig: RigDescription, smoothing: Smoothing):
         """`bank` holds shape maps. `answered` is what the smoother had to say in the last `estimate`."""
         self._bank = bank
         self._smoothing = smoothing
-        self._newcomer = Newcomer(rig)
+        self._newcomer = FilterCatchUp(rig)
         self._recent: deque[Event] = deque()
         self._batch: list[Event] = []
         self._awaited: Improvement | None = None

@@ -14,7 +14,7 @@ ARM: tuple[PortName, ...] = ("arm",)
 
 
 @dataclass(frozen=True, slots=True)
-class Trick:
+class InjectableFault:
     """One kind of mischief: what it does, which ports it can be done to, and how strongly by default.
 
     `strength` is a probability per byte, a time or a force, as the description says; `ports` is empty for
@@ -27,33 +27,33 @@ class Trick:
     strength: float = 1.0
 
 
-TRICKS: dict[str, Trick] = {
+INJECTABLE_FAULTS: dict[str, InjectableFault] = {
     trick.name: trick
     for trick in (
-        Trick("drop", "each byte is lost with this probability", PORTS, 0.05),
-        Trick("garble", "each byte is flipped, doubled or made up with this probability", PORTS, 0.05),
-        Trick("mute", "the device neither speaks nor hears", PORTS),
-        Trick("unplug", "the port disappears; it comes back under another number", PORTS),
-        Trick("late", "everything the device says comes this many seconds later", PORTS, 0.05),
-        Trick("burst", "a USB adapter delivers only once in this many seconds", PORTS, 0.016),
-        Trick("misbaud", "the device runs at another speed than configured", PORTS),
-        Trick("touch", "a finger presses on the pad as well, with this many newtons", PADS, 0.5),
-        Trick("break", "a break on the line: a moving arm takes it for the loss of its link", ARM),
-        Trick("estop", "the emergency stop is pressed; off releases it and makes the arm ready", ARM),
-        Trick("power_off", "arm power goes; off restores it", ARM),
-        Trick("manual", "the operator takes the arm and jogs it a little; off gives it back", ARM),
-        Trick("lift", "the object is lifted off by hand; off puts it back in another pose"),
-        Trick("swap", "the object is exchanged for another one, at once"),
+        InjectableFault("drop", "each byte is lost with this probability", PORTS, 0.05),
+        InjectableFault("garble", "each byte is flipped, doubled or made up with this probability", PORTS, 0.05),
+        InjectableFault("mute", "the device neither speaks nor hears", PORTS),
+        InjectableFault("unplug", "the port disappears; it comes back under another number", PORTS),
+        InjectableFault("late", "everything the device says comes this many seconds later", PORTS, 0.05),
+        InjectableFault("burst", "a USB adapter delivers only once in this many seconds", PORTS, 0.016),
+        InjectableFault("misbaud", "the device runs at another speed than configured", PORTS),
+        InjectableFault("touch", "a finger presses on the pad as well, with this many newtons", PADS, 0.5),
+        InjectableFault("break", "a break on the line: a moving arm takes it for the loss of its link", ARM),
+        InjectableFault("estop", "the emergency stop is pressed; off releases it and makes the arm ready", ARM),
+        InjectableFault("power_off", "arm power goes; off restores it", ARM),
+        InjectableFault("manual", "the operator takes the arm and jogs it a little; off gives it back", ARM),
+        InjectableFault("lift", "the object is lifted off by hand; off puts it back in another pose"),
+        InjectableFault("swap", "the object is exchanged for another one, at once"),
     )
 }
 
 
-class MischiefError(ValueError):
+class InjectionError(ValueError):
     """A mischief nobody knows, or for a port it cannot be done to."""
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
+class FaultOrder:
     """A wish for mischief: on `port` (None where it has none), this strong, from t_on to t_off (s)."""
 
     name: str
@@ -70,27 +70,27 @@ def order(
     strength: float | None = None,
     after_s: float = 0.0,
     for_s: float | None = None,
-) -> list[Order]:
+) -> list[FaultOrder]:
     """The orders for a trick from t + after_s on, for for_s seconds (None: until switched off).
 
-    Without a port it is done to every port it can be done to. Raises MischiefError for what cannot be.
+    Without a port it is done to every port it can be done to. Raises InjectionError for what cannot be.
     """
-    trick = TRICKS.get(name)
+    trick = INJECTABLE_FAULTS.get(name)
     if trick is None:
-        raise MischiefError(f"no mischief {name!r}; there are {', '.join(TRICKS)}")
+        raise InjectionError(f"no mischief {name!r}; there are {', '.join(INJECTABLE_FAULTS)}")
     if port is not None and port not in trick.ports:
-        raise MischiefError(f"{name} is for {' or '.join(trick.ports) or 'no port in particular'}, not {port!r}")
+        raise InjectionError(f"{name} is for {' or '.join(trick.ports) or 'no port in particular'}, not {port!r}")
     force = trick.strength if strength is None else strength
     if not force >= 0.0 or not after_s >= 0.0 or (for_s is not None and not for_s > 0.0):
-        raise MischiefError(f"{name}: strength and times must be positive numbers")
+        raise InjectionError(f"{name}: strength and times must be positive numbers")
     ports: list[PortName | None] = [p for p in trick.ports if port in (None, p)] or [None]
     t_on = t + after_s
     t_off = float("inf") if for_s is None else t_on + for_s
-    return [Order(name, p, force, t_on, t_off) for p in ports]
+    return [FaultOrder(name, p, force, t_on, t_off) for p in ports]
 
 
-def parse(text: str, t: float) -> list[Order]:
-    """Orders from `NAME[@PORT][,strength=X][,after=S][,for=S]`; raises MischiefError."""
+def parse(text: str, t: float) -> list[FaultOrder]:
+    """Orders from `NAME[@PORT][,strength=X][,after=S][,for=S]`; raises InjectionError."""
     head, *settings = text.split(",")
     name, _, port = head.partition("@")
     numbers: dict[str, float] = {}
@@ -99,7 +99,7 @@ def parse(text: str, t: float) -> list[Order]:
         try:
             numbers[{"strength": "strength", "after": "after_s", "for": "for_s"}[key]] = float(value)
         except (KeyError, ValueError):
-            raise MischiefError(f"{text}: expected NAME[@PORT][,strength=X][,after=S][,for=S]") from None
+            raise InjectionError(f"{text}: expected NAME[@PORT][,strength=X][,after=S][,for=S]") from None
     return order(name, t, port or None, numbers.get("strength"), numbers.get("after_s", 0.0), numbers.get("for_s"))
 
 
@@ -107,23 +107,23 @@ class Switchboard:
     """Which mischief is on. Times are told to it; it never looks at a clock."""
 
     def __init__(self) -> None:
-        self._waiting: list[Order] = []
-        self._active: dict[tuple[str, PortName | None], Order] = {}
+        self._waiting: list[FaultOrder] = []
+        self._active: dict[tuple[str, PortName | None], FaultOrder] = {}
 
-    def add(self, orders: list[Order]) -> None:
+    def add(self, orders: list[FaultOrder]) -> None:
         """Takes orders for later or for now."""
         self._waiting += orders
 
     def cancel(self, name: str, port: str | None) -> None:
         """Forgets what is still to come of a trick, and ends what is on at the next `update`."""
-        if name not in TRICKS:
-            raise MischiefError(f"no mischief {name!r}; there are {', '.join(TRICKS)}")
+        if name not in INJECTABLE_FAULTS:
+            raise InjectionError(f"no mischief {name!r}; there are {', '.join(INJECTABLE_FAULTS)}")
         self._waiting = [o for o in self._waiting if o.name != name or port not in (None, o.port)]
         for key, active in self._active.items():
             if active.name == name and port in (None, active.port):
-                self._active[key] = Order(name, active.port, active.strength, active.t_on, 0.0)
+                self._active[key] = FaultOrder(name, active.port, active.strength, active.t_on, 0.0)
 
-    def update(self, t: float) -> list[tuple[Order, bool]]:
+    def update(self, t: float) -> list[tuple[FaultOrder, bool]]:
         """What has just begun (True) or ended (False) by t (s)."""
         if not self._waiting and not self._active:
             return []

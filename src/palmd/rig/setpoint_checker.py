@@ -16,7 +16,7 @@ _SEPARATE_S = 0.1  # set-points further apart belong to different motions
 
 
 @dataclass(slots=True)
-class SetpointJudge:
+class SetPointChecker:
     """Every set-point heard, valid or not, as palm angles: outside limits or not, and how fast they moved.
 
     The rate is that between two set-points in a row, over the time between them but one cycle at least. Where the

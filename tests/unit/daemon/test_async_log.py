@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from palmd.daemon.async_log import LINES_WAITING_MAX, Journal
+from palmd.daemon.async_log import LINES_WAITING_MAX, AsyncLog
 
 
 @pytest.fixture
@@ -22,7 +22,7 @@ def say(journal, text):
 
 
 def test_lines_arrive_in_order_with_their_level(pipe):
-    journal = Journal(pipe[1])
+    journal = AsyncLog(pipe[1])
     say(journal, "one")
     say(journal, "two")
     journal.close()
@@ -30,7 +30,7 @@ def test_lines_arrive_in_order_with_their_level(pipe):
 
 
 def test_nobody_reading_holds_nothing_up(pipe):
-    journal = Journal(pipe[1])
+    journal = AsyncLog(pipe[1])
     begun = time.monotonic()
     for _ in range(3 * LINES_WAITING_MAX):
         say(journal, "x" * 200)
@@ -44,7 +44,7 @@ def test_nobody_reading_holds_nothing_up(pipe):
 def test_a_closed_standard_error_is_no_error():
     read, write = os.pipe()
     os.close(read)
-    journal = Journal(write)
+    journal = AsyncLog(write)
     say(journal, "to nobody")
     journal.close()
     os.close(write)

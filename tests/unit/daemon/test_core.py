@@ -17,7 +17,7 @@ from palmd.events import Estimate, Improvement, PadLift, PadSample, PalmSample
 from palmd.messages import EVENTS, IMPROVEMENT, NAMED_STATE, events_of, stamp, validate
 from palmd.motion.check import motion_limits
 from palmd.motion.plan import compile_plan
-from palmd.rig.fault_injection import TRICKS, order
+from palmd.rig.fault_injection import INJECTABLE_FAULTS, order
 from palmd.rig.world import STEP_S, World, default_config
 
 ENDS = ("pad1", "pad2", "arm")
@@ -250,7 +250,7 @@ def test_a_plan_that_ends_leaves_the_arm_standing_and_may_be_run_again():
     bench.go(2.0)
     assert bench.state == "tracking"
     assert math.degrees(bench.commanded()) == pytest.approx(55.0)
-    assert not bench.core.steering.moving
+    assert not bench.core.setpoints.moving
     assert "never reaches" in bench.ask("start").error  # from where it stands, as the plan says
     assert "plan-refused" in bench.go(0.1).faults
     bench.check_the_arm()
@@ -260,7 +260,7 @@ def test_autostart_arms_and_starts_once():
     bench = Bench(autostart=True)
     bench.go(3.0)
     assert bench.state == "tracking"
-    assert bench.core.steering.moving
+    assert bench.core.setpoints.moving
     bench.do("stop")
     assert bench.go(3.0).state == "ready"
 
@@ -485,8 +485,8 @@ def test_an_exploration_tells_how_it_ends_and_may_be_started_again():
     before = None
     for _ in range(2):
         bench.do("start")
-        assert bench.core.operator.plan.trajectory is not before  # each start explores anew
-        before = bench.core.operator.plan.trajectory
+        assert bench.core.supervisor.plan.trajectory is not before  # each start explores anew
+        before = bench.core.supervisor.plan.trajectory
         bench.go(1.0)
         status = bench.do("status")
         assert (status["doing"], status["over"]) == ("explore", False)
@@ -563,7 +563,7 @@ def test_palms_may_be_armed_and_moved_without_an_object(ready):
     ready.do("arm")
     ready.do("start")
     ready.go(1.0)
-    assert (ready.state, ready.core.steering.moving) == ("tracking", True)
+    assert (ready.state, ready.core.setpoints.moving) == ("tracking", True)
 
 
 def test_an_object_taken_off_standing_palms_holds_nothing(ready):
@@ -628,7 +628,7 @@ def test_a_short_silence_of_the_arm_pauses_the_motion(running):
     }
     running.go(0.5)
     assert (running.state, running.faults) == ("tracking", [])
-    assert running.core.steering.moving
+    assert running.core.setpoints.moving
     running.check_the_arm()
 
 
@@ -818,7 +818,7 @@ def test_whatever_happens_the_arm_gets_no_bad_set_point(seed):
                 step = random.uniform(-0.5, 0.5)
                 bench.core.handle(Request(name, {"phi1_deg": step} if name == "jog" else {}), bench.t)
             case "mischief":
-                name = random.choice(list(TRICKS))
+                name = random.choice(list(INJECTABLE_FAULTS))
                 bench.play(name, for_s=random.uniform(0.05, 0.3))
             case "plug":
                 end = random.choice(ENDS)

@@ -24,7 +24,7 @@ from palmd.daemon.exploring import (
     Exploring,
     Senses,
 )
-from palmd.daemon.setpoints import Steering
+from palmd.daemon.setpoints import SetPoints
 from palmd.events import Outlook, PalmMotion
 from palmd.motion.check import motion_limits
 from palmd.motion.explorer import Decision, UnderWay
@@ -77,13 +77,13 @@ class Scripted:
 
 
 class Stage:
-    """Steering whose set-points all go out, and an exploration begun in it."""
+    """Set-points that all go out, and an exploration begun in it."""
 
     def __init__(self, decide: Decide = onwards, time_limit_s: float = 1000.0) -> None:
         self.geometry = RigGeometry.from_config(CONFIG)
-        self.steering = Steering(self.geometry, LIMITS)
+        self.setpoints = SetPoints(self.geometry, LIMITS)
         self.source = Scripted(decide)
-        self.exploring = Exploring(self.steering, self.source)
+        self.exploring = Exploring(self.setpoints, self.source)
         self.steps = 5000
         self.valid = self.touching = self.tracking = True
         self.object_count = 1
@@ -91,13 +91,13 @@ class Stage:
         self.spec = PlanSpec.model_validate(
             {"name": "out", "segments": [{"explore": {"time_limit_s": time_limit_s, "coverage": 0.9}}]}
         )
-        self.steering.stand(HERE, self.geometry.arm_pose(HERE.phi1, HERE.phi2)[2], self.t)
+        self.setpoints.stand(HERE, self.geometry.arm_pose(HERE.phi1, HERE.phi2)[2], self.t)
         self.start()
 
     def start(self) -> None:
-        here = self.steering.commanded
+        here = self.setpoints.commanded
         assert here is not None
-        self.steering.start(compile_plan(self.spec, LIMITS, (here.phi1, here.phi2)))
+        self.setpoints.start(compile_plan(self.spec, LIMITS, (here.phi1, here.phi2)))
 
     @property
     def t(self) -> float:
@@ -114,8 +114,8 @@ class Stage:
                 senses = Senses(self.tracking, self.touching, self.valid, self.object_count, self.look)
                 self.exploring.step(self.t, senses)
             if self.steps % CYCLE_STEPS == 0:
-                assert self.steering.target(self.t) is not None
-                self.motions.append(self.steering.sent(self.t))
+                assert self.setpoints.target(self.t) is not None
+                self.motions.append(self.setpoints.sent(self.t))
                 yield self.motions[-1]
 
     def after(self, seconds: float) -> PalmMotion:
@@ -145,9 +145,9 @@ def test_it_goes_from_move_to_move_without_a_rest_and_never_jumps() -> None:
     assert max(at_a_time, default=0) <= 1  # the instant between two of them
     rates = [abs(b.phi1 - a.phi1) / 0.016 for a, b in itertools.pairwise(motions)]
     assert 1.7 * WAY / 0.8 < max(rates) < 2.0 * WAY / 0.8
-    assert stage.steering.interventions == 0
+    assert stage.setpoints.interventions == 0
     assert stage.exploring.told() == {"coverage": 0.5, "reachable": 0.9, "reason": "goes on"}
-    place = stage.steering.place
+    place = stage.setpoints.place
     assert place is not None
     assert place.progress == 0.5
 
@@ -250,12 +250,12 @@ def test_a_decision_of_an_earlier_exploration_is_not_followed() -> None:
     stage.source.decide = lambda _: Decision("done", reason="all of it")
     list(stage.go(0.3))
     stage.source.decide = lambda _: None
-    assert not stage.steering.moving
+    assert not stage.setpoints.moving
     left = Answer(stage.t, 1, Move((HERE.phi1, HERE.phi2), (HERE.phi1, HERE.phi2), 0.0), 1, Decision("done"))
     stage.start()
     stage.source.answers = [left]
     list(stage.go(0.4))
-    assert stage.steering.moving
+    assert stage.setpoints.moving
     assert stage.reason() == "it has just begun"
 
 
@@ -305,9 +305,9 @@ def test_done_ends_it_when_the_move_in_hand_is_over() -> None:
     stage.source.decide = lambda _: Decision("done", reason="all that can be reached", coverage=0.96)
     assert moves(stage.after(0.3))
     list(stage.go(1.0))
-    assert not stage.steering.moving
-    assert stage.steering.exploration is None
-    assert not stage.steering.held
+    assert not stage.setpoints.moving
+    assert stage.setpoints.exploration is None
+    assert not stage.setpoints.held
     assert stage.motions[-1].phi1 == pytest.approx(HERE.phi1 + WAY)
     assert stage.exploring.told() == {"coverage": 0.96, "reachable": 0.9, "reason": "all that can be reached"}
     stage.source.decide = onwards
@@ -319,16 +319,16 @@ def test_done_ends_it_when_the_move_in_hand_is_over() -> None:
 def test_the_time_limit_ends_it() -> None:
     stage = Stage(time_limit_s=3.0)
     list(stage.go(3.0 + OVERTIME_S))
-    assert stage.steering.moving
+    assert stage.setpoints.moving
     list(stage.go(1.2))
-    assert not stage.steering.moving
+    assert not stage.setpoints.moving
     assert stage.reason() == "the time limit of 3 s is over"
 
 
 def test_who_stops_it_is_remembered() -> None:
     stage = Stage()
     list(stage.go(0.5))
-    stage.steering.leave()
+    stage.setpoints.leave()
     stage.exploring.step(stage.t, Senses(False, True, True, 1, stage.look))
     assert stage.reason() == "it was stopped"
 
@@ -381,12 +381,12 @@ def test_a_hold_drops_the_move_and_start_goes_on_from_there() -> None:
     stage = Stage()
     list(stage.go(0.6))
     stage.tracking = False
-    stage.steering.hold()
+    stage.setpoints.hold()
     list(stage.go(0.3))
     assert stands(stage, 2.0)
     stood = stage.motions[-1]
     stage.tracking = True
-    stage.steering.resume()
+    stage.setpoints.resume()
     list(stage.go(0.4))
     begun = stage.source.questions[-1].under_way.move
     assert begun.start == pytest.approx((stood.phi1, stood.phi2))

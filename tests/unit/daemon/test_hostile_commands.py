@@ -85,21 +85,21 @@ def armed(plan=None):
 @given(st.lists(commands, max_size=40), st.sampled_from([(0.5, 0.5), (-0.5, -0.5), (0.5, -0.5)]))
 def test_no_command_changes_the_limits_or_gets_past_them(sent, push):
     bench = armed()
-    limits, before = bench.core.steering.limits, copy.deepcopy(bench.core.steering.limits)
+    limits, before = bench.core.setpoints.limits, copy.deepcopy(bench.core.setpoints.limits)
     for command, args in sent:
         send(bench, command, args)
     bench.ask("arm")
     for _ in range(80):  # and to the stop, as far as it goes
         send(bench, "jog", dict(zip(("phi1_deg", "phi2_deg"), push, strict=True)))
     bench.check_the_arm()
-    assert bench.core.steering.limits is limits
+    assert bench.core.setpoints.limits is limits
     assert limits == before
 
 
 @pytest.mark.parametrize("what", HOSTILE_PLANS)
 def test_no_plan_changes_the_limits_or_gets_past_them(what):
     bench = armed()
-    limits, before = bench.core.steering.limits, copy.deepcopy(bench.core.steering.limits)
+    limits, before = bench.core.setpoints.limits, copy.deepcopy(bench.core.setpoints.limits)
     refused = bench.ask("plan", path="plan.yaml", text=yaml.safe_dump(HOSTILE_PLANS[what])).error
     assert refused
     assert refused.startswith("plan refused: plan.yaml:")
@@ -107,7 +107,7 @@ def test_no_plan_changes_the_limits_or_gets_past_them(what):
     bench.go(1.0)
     assert bench.last("palm/motion")["plan"] == "swing"
     bench.check_the_arm()
-    assert bench.core.steering.limits is limits
+    assert bench.core.setpoints.limits is limits
     assert limits == before
 
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from palmd.daemon.latency_estimator import LONGEST_S, START_S, LagTracker
+from palmd.daemon.latency_estimator import LONGEST_S, START_S, LatencyEstimator
 from palmd.events import PalmMotion
 
 CYCLE = 0.016
@@ -24,8 +24,8 @@ def swing(t: float, rate_hz: float = 0.4) -> PalmMotion:
     )
 
 
-def run(lag: float, seconds: float, noise: float = 2e-4, motion=swing) -> LagTracker:
-    tracker, random = LagTracker(), np.random.default_rng(1)
+def run(lag: float, seconds: float, noise: float = 2e-4, motion=swing) -> LatencyEstimator:
+    tracker, random = LatencyEstimator(), np.random.default_rng(1)
     for i in range(round(seconds / CYCLE)):
         t = i * CYCLE
         tracker.sent(t, motion(t))
@@ -54,7 +54,7 @@ def test_lag_stays_within_reason(lag):
 
 
 def test_motion_is_the_commanded_one_a_lag_ago():
-    tracker = LagTracker()
+    tracker = LatencyEstimator()
     for i in range(20):
         tracker.sent(i * CYCLE, swing(i * CYCLE))
     meant = tracker.motion(0.25)
@@ -65,7 +65,7 @@ def test_motion_is_the_commanded_one_a_lag_ago():
 
 
 def test_after_the_last_set_point_it_holds_and_before_the_first_there_is_none():
-    tracker = LagTracker()
+    tracker = LatencyEstimator()
     tracker.sent(1.0, swing(1.0))
     assert tracker.motion(5.0) == swing(1.0)
     assert tracker.motion(1.0 + START_S - 1e-6) is None

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from palmd.config import PlanSpec
-from palmd.daemon.diagnostics import NIS_MEMORY_S, NisWatch
+from palmd.daemon.diagnostics import NIS_MEMORY_S, NisDiagnostics
 from palmd.faults import TABLE, Severity
 from palmd.harness.wireless import Wireless
 from palmd.rig.plant import AS_ASSUMED, PlantOptions
@@ -20,7 +20,7 @@ ROCK = PlanSpec.model_validate(
 )
 
 
-def after(watch: NisWatch, nis: float, seconds: float, t0: float = 0.0, *, moving: bool = True) -> list[str]:
+def after(watch: NisDiagnostics, nis: float, seconds: float, t0: float = 0.0, *, moving: bool = True) -> list[str]:
     codes: list[str] = []
     for k in range(round(seconds * 100)):
         codes = list(watch.conditions(nis, moving, t0 + k * 0.01))
@@ -29,18 +29,18 @@ def after(watch: NisWatch, nis: float, seconds: float, t0: float = 0.0, *, movin
 
 @pytest.mark.parametrize(("nis", "codes"), [(1.0, []), (0.7, []), (1.3, []), (2.0, [CODE]), (0.1, [CODE])])
 def test_only_a_lasting_mean_outside_the_band_counts(nis, codes):
-    assert after(NisWatch(), nis, 4 * NIS_MEMORY_S) == codes
+    assert after(NisDiagnostics(), nis, 4 * NIS_MEMORY_S) == codes
 
 
 def test_a_moment_is_forgiven():
-    watch = NisWatch()
+    watch = NisDiagnostics()
     assert after(watch, 3.0, 0.4) == []
     assert after(watch, 1.0, 3.0, 0.4) == []
 
 
 def test_beginning_anew_does_not_hide_that_the_model_is_wrong():
     """Each new start begins with a mean of 1 and little weight on the readings, and some ticks say nothing."""
-    watch, codes = NisWatch(), []
+    watch, codes = NisDiagnostics(), []
     for k in range(1000):
         young = k % 100
         nis = math.nan if young < 5 else 0.8 if young < 40 else 4.0
@@ -49,7 +49,7 @@ def test_beginning_anew_does_not_hide_that_the_model_is_wrong():
 
 
 def test_at_rest_nothing_is_judged():
-    watch = NisWatch()
+    watch = NisDiagnostics()
     assert after(watch, 0.01, 20.0, moving=False) == []
     assert after(watch, 3.0, 10.0, 20.0) == [CODE]
     assert after(watch, 3.0, 0.01, 30.0, moving=False) == []

@@ -100,7 +100,7 @@ def test_after_a_hold_it_goes_on():
     states = [str(run.core.state) for _ in run.run(3.0)]
     assert "hold" in states
     assert states[-1] == "tracking"
-    assert run.core.steering.moving
+    assert run.core.setpoints.moving
 
 
 class ToAndFro(Decider):
@@ -141,7 +141,7 @@ def test_an_exploration_begins_blind_goes_on_as_decided_and_ends_when_told():
     status = run.ask("status")
     assert status["explored"] == {"coverage": 0.3, "reachable": 0.9, "reason": "enough"}
     assert (status["doing"], status["moving"], status["state"]) == ("explore", False, "tracking")
-    assert run.world.status()["setpoints_outside_limits"] == run.core.steering.interventions == 0
+    assert run.world.status()["setpoints_outside_limits"] == run.core.setpoints.interventions == 0
     run.stop()
 
 

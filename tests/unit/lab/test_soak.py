@@ -18,7 +18,7 @@ from palmd.lab.soak_slopes import Series, leaks, slope
 from palmd.lab.soak_watch import Numbers, Process, Watch
 from palmd.record.recheck import Checked, Difference
 from palmd.record.run import Survey
-from palmd.rig.fault_injection import ARM, PADS, TRICKS
+from palmd.rig.fault_injection import ARM, INJECTABLE_FAULTS, PADS
 
 HOUR_S = 3600.0
 
@@ -268,7 +268,7 @@ def test_notes_need_no_cause_and_a_standing_fault_comes_once():
 
 
 def test_every_trick_explains_something():
-    for name, trick in TRICKS.items():
+    for name, trick in INJECTABLE_FAULTS.items():
         for port in trick.ports or (None,):
             assert Cause(name, port, 0.0, 1.0)._codes(), name
 
@@ -356,7 +356,7 @@ def test_the_same_seed_draws_the_same_and_another_one_another():
 def test_an_hour_has_every_trick_on_every_port_and_every_visitor():
     acts = [doing.act for doing in draw(np.random.default_rng(1), 10 * HOUR_S)]
     drawn = {(act.name, act.port) for act in acts if isinstance(act, Trick)}
-    assert drawn == {(name, port) for name, trick in TRICKS.items() for port in trick.ports or (None,)}
+    assert drawn == {(name, port) for name, trick in INJECTABLE_FAULTS.items() for port in trick.ports or (None,)}
     assert {act.who for act in acts if isinstance(act, Visit)} == {"listener", "deaf", "page", "asker"}
     assert {port for _, port in drawn} == {*PADS, *ARM, None}
 

@@ -15,14 +15,14 @@ from palmd.motion.check import motion_limits
 from palmd.motion.explorer import Explorer, UnderWay
 from palmd.motion.limits import PHI12_MAX, problems, ranges
 from palmd.motion.roadmap import NEVER_S, ORIENTATIONS, Roadmap
-from palmd.motion.rollout_predictor import BINS, MARGIN_M, Foresight, Moves, goodness
+from palmd.motion.rollout_predictor import BINS, MARGIN_M, Moves, RolloutPredictor, goodness
 from palmd.motion.segments import Move
 from palmd.rig.plant import random_surface
 from palmd.rig.shapes import random_body
 from palmd.rig.world import World, default_config
 
 LIMITS = motion_limits(default_config())
-FORESIGHT = Foresight(rig_inputs(RigDescription()))
+PREDICTOR = RolloutPredictor(rig_inputs(RigDescription()))
 
 
 @cache
@@ -38,7 +38,7 @@ def state(seed=4, kind="rig"):
 
 @cache
 def roadmap():
-    made = Roadmap(FORESIGHT, LIMITS, state())
+    made = Roadmap(PREDICTOR, LIMITS, state())
     made.renew(state(), len(made.poses))
     return made
 
@@ -55,7 +55,7 @@ def rolled(here, psi, ends):
     start[shape_map.Z.PSI] = psi
     rates = np.full((len(ends), 1), candidates.RATE_SHARE * LIMITS.rate)
     moves = candidates.timed(here, ends[:, None], rates, LIMITS)
-    return FORESIGHT.of(start, moves), moves.durations[:, 0]
+    return PREDICTOR.of(start, moves), moves.durations[:, 0]
 
 
 def test_its_poses_keep_the_limits_and_reach_their_rims():
@@ -69,7 +69,7 @@ def test_its_poses_keep_the_limits_and_reach_their_rims():
 
 
 def test_it_is_complete_once_each_pose_has_been_looked_at():
-    young = Roadmap(FORESIGHT, LIMITS, state())
+    young = Roadmap(PREDICTOR, LIMITS, state())
     assert not young.complete
     young.renew(state(), 3)
     assert not young.complete
@@ -135,7 +135,7 @@ def test_following_it_leads_to_what_is_wanted():
 
 
 def test_what_was_learnt_holds_until_it_is_forgotten():
-    made = Roadmap(FORESIGHT, LIMITS, state())
+    made = Roadmap(PREDICTOR, LIMITS, state())
     made.renew(state(), len(made.poses))
     wanted = bins(*range(BINS))
     before = made.time_to(wanted).seconds
@@ -174,7 +174,7 @@ def exploring(seed):
             continue
         move = decision.move
         moves = Moves(np.array(move.start), np.array([[move.end]]), np.array([[move.duration]]))
-        foreseen = FORESIGHT.of(now, moves)
+        foreseen = PREDICTOR.of(now, moves)
         now[shape_map.Z.PSI], now[shape_map.Z.OMEGA0] = foreseen.psi[0, 0], foreseen.omega0[0, 0]
         touched = touched | foreseen.touched[0, 0]
         t += move.duration

@@ -9,7 +9,7 @@ import pytest
 from palmd.events import PalmMotion, RigDescription
 from palmd.model import shape, shape_map
 from palmd.model.outputs import rig_inputs
-from palmd.motion.rollout_predictor import BINS, CALL_S, Foresight, Moves
+from palmd.motion.rollout_predictor import BINS, CALL_S, Moves, RolloutPredictor
 from palmd.motion.segments import Move
 from palmd.rig.plant import Hinge, Plant, random_surface, stable_poses
 from palmd.rig.shapes import random_body
@@ -21,8 +21,8 @@ FINE_S = 5e-4
 
 
 @cache
-def foresight(hinge):
-    return Foresight(rig_inputs(RigDescription(hinge=hinge)))
+def predictor(hinge):
+    return RolloutPredictor(rig_inputs(RigDescription(hinge=hinge)))
 
 
 def thing(kind, seed):
@@ -64,7 +64,7 @@ def driven(body, surface, psi, hinge):
 def test_the_plant_does_what_is_foreseen(kind, seed, hinge):
     body, surface, psi, state = thing(kind, seed)
     ends, bins, force, low, high = driven(body, surface, psi, hinge)
-    foreseen = foresight(hinge).of(state, Moves(START, ROUTE[None], np.array([DURATIONS])))
+    foreseen = predictor(hinge).of(state, Moves(START, ROUTE[None], np.array([DURATIONS])))
     np.testing.assert_allclose(foreseen.psi[0], ends[:, 0], atol=3e-3)
     np.testing.assert_allclose(foreseen.omega0[0], ends[:, 1], atol=0.05)
     assert foreseen.least_force[0, -1] == pytest.approx(force, abs=0.25)
@@ -77,7 +77,7 @@ def test_the_plant_does_what_is_foreseen(kind, seed, hinge):
 def test_each_move_adds_to_the_ones_before():
     """The first one is the most violent: its least force stands to the end."""
     _, _, _, state = thing("friction", 1)
-    foreseen = foresight("arc").of(state, Moves(START, ROUTE[None], np.array([[0.24, 0.8, 1.2]])))
+    foreseen = predictor("arc").of(state, Moves(START, ROUTE[None], np.array([[0.24, 0.8, 1.2]])))
     assert (np.diff(foreseen.touched[0].sum(axis=1)) >= 0).all()
     assert foreseen.touched[0, 2].sum() > foreseen.touched[0, 0].sum()
     assert (np.diff(foreseen.least_force[0]) <= 0.0).all()
@@ -87,7 +87,7 @@ def test_each_move_adds_to_the_ones_before():
 def test_a_move_seen_from_its_middle_ends_where_it_was_to_end():
     """What is left of it, from the state half-way there."""
     _, _, _, state = thing("friction", 4)
-    seer = foresight("arc")
+    seer = predictor("arc")
     whole = seer.of(state, Moves(START, ROUTE[None, :1], np.array([[0.8]])))
     begun = 5 * CALL_S
     short = Move(tuple(START), tuple(ROUTE[0]), 0.8)
@@ -113,9 +113,9 @@ def test_many_at_once_are_foreseen_as_each_alone():
     which = random.integers(2, size=count)
     ends = START + random.uniform(-0.2, 0.2, (count, 2, 2))
     durations = CALL_S * random.integers(8, 40, (count, 2))
-    together = foresight("arc").of(states[which], Moves(START, ends, durations))
+    together = predictor("arc").of(states[which], Moves(START, ends, durations))
     for i in (0, 31, 32, 44):
-        alone = foresight("arc").of(states[which[i]], Moves(START, ends[i : i + 1], durations[i : i + 1]))
+        alone = predictor("arc").of(states[which[i]], Moves(START, ends[i : i + 1], durations[i : i + 1]))
         for name in ("touched", "least_force", "nearest", "farthest", "psi", "omega0"):
             np.testing.assert_array_equal(getattr(together, name)[i], getattr(alone, name)[0], err_msg=name)
 
@@ -123,7 +123,7 @@ def test_many_at_once_are_foreseen_as_each_alone():
 def test_what_diverges_is_not_safe_and_warns_of_nothing():
     _, _, _, state = thing("friction", 1)
     state[shape_map.Z.OMEGA0] = 1e25
-    foreseen = foresight("arc").of(state, Moves(START, ROUTE[None], np.array([DURATIONS])))
+    foreseen = predictor("arc").of(state, Moves(START, ROUTE[None], np.array([DURATIONS])))
     assert not foreseen.least_force[0, -1] > 0.0
 
 
@@ -131,4 +131,4 @@ def test_an_object_thrown_off_is_foreseen_to_lose_a_contact():
     """Down faster than it can fall."""
     _, _, _, state = thing("friction", 1)
     hasty = Moves(START, np.radians([[[45.0, 150.0]]]), np.array([[0.12]]))
-    assert foresight("arc").of(state, hasty).least_force[0, 0] < 0.0
+    assert predictor("arc").of(state, hasty).least_force[0, 0] < 0.0

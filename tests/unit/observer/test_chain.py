@@ -7,7 +7,7 @@ from simulated import simulated
 from palmd.model.smoothing import CONSTANTS, C
 from palmd.observer import chain as chain_module
 from palmd.observer.chain import Chain
-from palmd.observer.data_segment import longest_stretch
+from palmd.observer.data_segment import longest_segment
 from palmd.observer.normal_equations import Guess
 from palmd.observer.search import NOISE, Search
 from palmd.observer.smoother import Smoother
@@ -19,7 +19,7 @@ STEPS = 100  # a second
 def smoothed():
     """A search and what it found on six seconds."""
     run = simulated("friction", 7, 6.0)
-    search = Search(longest_stretch(run.events), run.rig)
+    search = Search(longest_segment(run.events), run.rig)
     finding = search.blind(2.0, 3, seed=0)
     assert finding is not None
     assert len(finding.record.t) == len(search.record.t)

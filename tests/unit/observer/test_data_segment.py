@@ -7,7 +7,7 @@ from itertools import pairwise
 import pytest
 
 from palmd.events import PadLift, PadSample, PalmSample
-from palmd.observer.data_segment import ARM_GAP_S, PAD_GAP_S, longest_stretch
+from palmd.observer.data_segment import ARM_GAP_S, PAD_GAP_S, longest_segment
 
 
 def run(start=0.0, end=3.0, without=()):
@@ -23,13 +23,13 @@ def run(start=0.0, end=3.0, without=()):
 
 
 def span(events):
-    found = longest_stretch(events)
+    found = longest_segment(events)
     return found and (found.start, found.end)
 
 
 def test_the_whole_of_a_complete_record():
     events = run()
-    found = longest_stretch(events)
+    found = longest_segment(events)
     assert (found.start, found.end) == (0.0, 3.0)
     assert len(found.pads) + len(found.palms) == len(found.events()) == len(events)
 
@@ -47,7 +47,7 @@ def test_a_short_silence_does_not(source, limit):
 
 def test_it_begins_with_the_last_source_that_comes_and_ends_with_the_first_that_goes():
     assert span(run(without=[(1, -1.0, 0.5), ("arm", 2.8, 4.0)])) == (0.5, 2.8)
-    found = longest_stretch(run(without=[(1, -1.0, 0.5)]))
+    found = longest_segment(run(without=[(1, -1.0, 0.5)]))
     assert all(sample.t_sample >= 0.5 for sample in found.pads)
     assert found.palms[0].t_sample == 0.0  # they help to know the palms' motion
 
@@ -59,7 +59,7 @@ def test_an_object_that_leaves_a_palm_ends_it():
 @pytest.mark.parametrize("missing", [PalmSample, 1, 2])
 def test_without_one_source_there_is_none(missing):
     left = [e for e in run() if not (isinstance(e, PalmSample) if missing is PalmSample else pad_of(e) == missing)]
-    assert longest_stretch(left) is None
+    assert longest_segment(left) is None
 
 
 def pad_of(event):
@@ -68,15 +68,15 @@ def pad_of(event):
 
 @pytest.mark.parametrize("events", [[], run()[:1], run()[1:2], [PadLift(0.0, 1)]])
 def test_next_to_nothing_is_none(events):
-    assert longest_stretch(events) is None
+    assert longest_segment(events) is None
 
 
 def test_order_and_repetition_do_not_matter():
     events = [*run(), PadSample(1.0, 1, 0.05), PalmSample(1.0, 0.9, 1.7)]  # two that contradict others
-    wanted = longest_stretch(events)
+    wanted = longest_segment(events)
     twice = [event for event in events for _ in range(2)]
     for mixed in (events[::-1], twice, random.Random(0).sample(events, len(events))):
-        assert longest_stretch(mixed) == wanted
+        assert longest_segment(mixed) == wanted
     for samples in ([s for s in wanted.pads if s.pad == 1], [s for s in wanted.pads if s.pad == 2], wanted.palms):
         assert all(a.t_sample < b.t_sample for a, b in pairwise(samples))
 
@@ -84,4 +84,4 @@ def test_order_and_repetition_do_not_matter():
 def test_what_is_no_number_is_left_out():
     bad = [PadSample(1.004, 1, math.nan), PadSample(math.nan, 1, 0.02), PalmSample(1.004, math.inf, 1.6)]
     bad += [PalmSample(1.004, 0.7, 1.6, omega1=math.nan, omega2=0.0), PalmSample(1.004, 0.7, 1.6, alpha1=math.inf)]
-    assert longest_stretch([*bad, *run()]) == longest_stretch(run())
+    assert longest_segment([*bad, *run()]) == longest_segment(run())

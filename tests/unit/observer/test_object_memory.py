@@ -9,9 +9,9 @@ import pytest
 
 from palmd.events import PalmMotion
 from palmd.model import shape, shape_map
-from palmd.observer.coverage import NORMAL_BINS, TouchMarks
+from palmd.observer.coverage import NORMAL_BINS, Coverage
 from palmd.observer.mass import MassEstimator, resting_forces
-from palmd.observer.object_memory import DIRECTIONS, DOUBT, KnownObject, Memory
+from palmd.observer.object_memory import DIRECTIONS, DOUBT, KnownObject, ObjectMemory
 
 Z = shape_map.Z
 PALMS = PalmMotion(0.75, 1.6)
@@ -24,7 +24,7 @@ def _known(sd: float = 2e-5, mass: float = 0.2) -> KnownObject:
     x[Z.SHAPE], x[Z.LN_RHO] = 0.02, math.log(0.014)
     weighed = MassEstimator(0.05, 0.02)
     weighed.feed(mass * 5.0, 5.0)
-    return KnownObject(x, np.eye(shape_map.N) * sd**2, TouchMarks().marks, weighed)
+    return KnownObject(x, np.eye(shape_map.N) * sd**2, Coverage().marks, weighed)
 
 
 @pytest.mark.parametrize("psi", [0.3, 2.0, 4.4])
@@ -67,7 +67,7 @@ def test_it_is_weighed_by_the_forces_of_an_object_at_rest() -> None:
 
 
 def test_the_last_map_but_one_is_recalled() -> None:
-    memory, maps = Memory(), [_known(), _known(), _known()]
+    memory, maps = ObjectMemory(), [_known(), _known(), _known()]
     assert memory.recall() is None
     assert memory.due(0.0)
     for t, known in enumerate(maps):
@@ -82,7 +82,7 @@ def test_the_last_map_but_one_is_recalled() -> None:
 def test_marks_turn_with_the_gauge_of_the_leader() -> None:
     named = np.zeros(18)
     named[[5, 7]] = 0.8, 1.6  # φ1, φ2
-    marks = TouchMarks()
+    marks = Coverage()
     marks.mark(1.0, 0, named, lambda: np.zeros(2))
     before = marks.marks.copy()
     assert before.sum() == 2

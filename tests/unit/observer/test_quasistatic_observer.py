@@ -12,7 +12,7 @@ from simulated import simulated
 from palmd.events import Event, PadLift, PadSample, PalmSample, RigDescription
 from palmd.lab.balanced import BalancedRun, balanced_run
 from palmd.messages import ESTIMATE, estimate_fields, sound, stamp, validate
-from palmd.observer.multi_start import BLOCKS, Beginnings, Spread
+from palmd.observer.multi_start import BLOCKS, MultiStart, Spread
 from palmd.observer.quasistatic import QuasistaticObserver
 
 LUMP = np.array([0.020, 0.0015, -0.001, 0.004, 0.0, 0.0004, 0.0005])
@@ -188,7 +188,7 @@ def test_constant_readings_and_parallel_palms_do_not_raise():
 def test_beginnings_that_run_away_are_left_out():
     run = balanced(2.0)
     spread = Spread(0.02, 0.019, 0.0, 0.02)
-    beginnings = Beginnings(spread, run.felt[0], 0.0, 0.02, 0.01, softening=0.0)
+    beginnings = MultiStart(spread, run.felt[0], 0.0, 0.02, 0.01, softening=0.0)
     for here, there in zip(run.felt, run.felt[1:], strict=False):
         beginnings.step(here, there)
     for _ in range(BLOCKS):
@@ -204,7 +204,7 @@ def test_the_conflict_tells_the_mean_radius_where_the_papers_errors_do_not():
     run = balanced(8.0)
     true = (run.contacts.r1[0] + run.contacts.r2[0]) / 2
     spread = Spread(true + 8e-4, 4e-3, 0.0, 1e-9)
-    beginnings = Beginnings(spread, run.felt[0], 0.0, 0.02, 0.01, softening=0.0)
+    beginnings = MultiStart(spread, run.felt[0], 0.0, 0.02, 0.01, softening=0.0)
     for here, there in zip(run.felt, run.felt[1:], strict=False):
         beginnings.step(here, there)
     for _ in range(BLOCKS):

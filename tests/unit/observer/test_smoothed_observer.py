@@ -17,11 +17,11 @@ from palmd.model import shape, shape_map
 from palmd.model.smoothing import ORDER
 from palmd.observer.bank_observer import BankObserver
 from palmd.observer.coverage import NORMAL_BINS
-from palmd.observer.filter_catchup import LEAD_S, Newcomer
+from palmd.observer.filter_catchup import LEAD_S, FilterCatchUp
 from palmd.observer.filters import LONGEST_STEP_S, ShapeFilters
 from palmd.observer.incremental import IncrementalSmoother, Session
 from palmd.observer.palms import PalmTracker
-from palmd.observer.smoothed_observer import MEMORY_S, ImprovedObserver, Simulated, period
+from palmd.observer.smoothed_observer import MEMORY_S, Simulated, SmoothedObserver, period
 
 KIND, SEED = "rig", 4
 TICK_S = 0.01
@@ -57,7 +57,7 @@ def answer(run: Run, end: float, rig: RigDescription | None = None) -> Improveme
     return smoother.answer()
 
 
-def ticks(run: Run, watcher: BankObserver | ImprovedObserver) -> Iterator[tuple[float, Estimate]]:
+def ticks(run: Run, watcher: BankObserver | SmoothedObserver) -> Iterator[tuple[float, Estimate]]:
     """A causal replay."""
     waiting = iter(run.events)
     event = next(waiting, None)
@@ -78,7 +78,7 @@ def radii(run: Run, t: float) -> FloatArray:
     return shape.basis(np.array([theta1, theta1 + phi2 - math.pi]), 30) @ outline
 
 
-def radius_errors(run: Run, watcher: BankObserver | ImprovedObserver, since: float) -> FloatArray:
+def radius_errors(run: Run, watcher: BankObserver | SmoothedObserver, since: float) -> FloatArray:
     errors = []
     for t, estimate in ticks(run, watcher):
         if t >= since:
@@ -108,7 +108,7 @@ def test_psi_goes_on_without_a_jump_when_an_improvement_takes_the_lead(run: Run)
     assert improvement is not None
     smoothing = Scripted(end + 0.05, improvement)
     watcher = observer.make("shape", run.rig, smoothing=smoothing)
-    assert isinstance(watcher, ImprovedObserver)
+    assert isinstance(watcher, SmoothedObserver)
     psi = np.array([[t, estimate.psi, estimate.omega0] for t, estimate in ticks(run, watcher) if 2.5 < t < 4.0])
     assert watcher.improvements == 1
     assert smoothing.count >= len(run.events) - 2  # all but those after the last tick
@@ -121,7 +121,7 @@ def test_an_improvement_from_before_the_present_object_is_not_taken(run: Run) ->
     n = shape_map.size(ORDER)
     stale = Improvement(-1.0, np.zeros(n), np.eye(n), 1, True, np.zeros(NORMAL_BINS, dtype=np.bool_))
     watcher = observer.make("shape", run.rig, smoothing=Scripted(1.0, stale))
-    assert isinstance(watcher, ImprovedObserver)
+    assert isinstance(watcher, SmoothedObserver)
     for _ in ticks(run, watcher):
         pass
     assert watcher.improvements == 0
@@ -134,7 +134,7 @@ def test_an_improvement_that_its_own_readings_contradict_is_turned_away(run: Run
     wrong = right.x.copy()
     wrong[6] += 3e-3  # 3 mm larger
     watcher = observer.make("shape", run.rig, smoothing=Scripted(end, replace(right, x=wrong)))
-    assert isinstance(watcher, ImprovedObserver)
+    assert isinstance(watcher, SmoothedObserver)
     errors = radius_errors(run, watcher, 4.0)
     assert watcher.improvements == 0
     assert np.abs(errors).max() < 0.5e-3
@@ -145,7 +145,7 @@ def test_a_newcomer_arrives_where_a_filter_that_had_always_been_there_stands(run
     improvement = answer(run, since)
     assert improvement is not None
     recent = [event for event in run.events if event.t_sample <= until]
-    newcomer = Newcomer(run.rig)
+    newcomer = FilterCatchUp(run.rig)
     newcomer.begin(improvement, reversed(recent))  # in any order
     while not newcomer.follow(3):
         assert newcomer.active
@@ -187,7 +187,7 @@ def test_improvements_are_sharper_the_more_was_read(run: Run) -> None:
 def test_events_without_a_time_do_not_pile_up(run: Run) -> None:
     smoothing = Scripted(math.inf, None)
     watcher = observer.make("shape", run.rig, smoothing=smoothing)
-    assert isinstance(watcher, ImprovedObserver)
+    assert isinstance(watcher, SmoothedObserver)
     watcher.feed(PadSample(math.nan, 1, 0.02))
     for k in range(2000):
         watcher.feed(PadSample(0.01 * k, 1, 0.02))

@@ -9,7 +9,7 @@ from simulated import simulated
 
 from palmd.model.shape import coefficients_of
 from palmd.model.smoothing import CONSTANTS, NODE, ORDER, C
-from palmd.observer.data_segment import longest_stretch
+from palmd.observer.data_segment import longest_segment
 from palmd.observer.factor import GAUGE_SD
 from palmd.observer.normal_equations import Guess
 from palmd.observer.search import NOISE, Search
@@ -32,7 +32,7 @@ class Problem:
     def __init__(self, seconds=SECONDS):
         run = simulated("rig", 1, 2.0)
         truth = run.truth
-        search = Search(longest_stretch(run.events), run.rig)
+        search = Search(longest_segment(run.events), run.rig)
         self.library, self.measured = search.library, search.record.until(search.record.t[0] + seconds)
         p = np.zeros(CONSTANTS)
         p[C.LN_RHO], p[C.DRAG], p[C.SATURATION] = np.log(truth.rho), truth.mu / truth.dither, truth.dither**-2.0

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from palmd.rig.fault_injection import TRICKS, MischiefError, Switchboard, order, parse
+from palmd.rig.fault_injection import INJECTABLE_FAULTS, InjectionError, Switchboard, order, parse
 
 
 def rng():
@@ -19,7 +19,7 @@ def board(*texts, t=0.0):
 
 
 def test_every_trick_can_be_ordered_by_name():
-    for name, trick in TRICKS.items():
+    for name, trick in INJECTABLE_FAULTS.items():
         assert trick.name == name
         assert len(trick.description) > 10
         assert len(order(name, 0.0)) == max(1, len(trick.ports))
@@ -54,7 +54,7 @@ def test_text_form():
     ],
 )
 def test_bad_orders_are_refused(text):
-    with pytest.raises(MischiefError):
+    with pytest.raises(InjectionError):
         parse(text, 0.0)
 
 
@@ -72,7 +72,7 @@ def test_cancelling():
     assert [(o.port, begins) for o, begins in switchboard.update(1.0)] == [("pad1", False)]
     assert sorted(switchboard.names()) == ["mute@arm", "mute@pad2"]
     assert switchboard.update(9.0) == []
-    with pytest.raises(MischiefError):
+    with pytest.raises(InjectionError):
         switchboard.cancel("nonsense", None)
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from palmd.devices.armlink import Pose
 from palmd.rig.arm import Linkage
-from palmd.rig.setpoint_checker import SetpointJudge
+from palmd.rig.setpoint_checker import SetPointChecker
 from palmd.rig.world import default_config
 
 CONFIG = default_config()
@@ -14,7 +14,7 @@ LINKAGE = Linkage.from_config(CONFIG)
 
 
 def judge(*angles_deg, dt=0.016):
-    found = SetpointJudge(LINKAGE, CONFIG.limits)
+    found = SetPointChecker(LINKAGE, CONFIG.limits)
     for k, (phi1, phi2) in enumerate(angles_deg):
         found.hear(LINKAGE.pose(math.radians(phi1), math.radians(phi2)), k * dt)
     return found.as_dict()
@@ -30,7 +30,7 @@ def test_rate_is_over_the_time_between_but_one_cycle_at_least():
 def test_an_arm_that_holds_may_be_gone_on_with_from_where_it_stands():
     before, stands, far = (LINKAGE.pose(math.radians(phi1), 1.5) for phi1 in (50, 45, 40))
     for standing, step_deg in ((None, 5), (stands, 0), (far, 5)):
-        found = SetpointJudge(LINKAGE, CONFIG.limits)
+        found = SetPointChecker(LINKAGE, CONFIG.limits)
         found.hear(before, 0.0)
         found.hear(stands, 0.016, standing)
         assert found.as_dict()["largest_rate_deg_s"] == pytest.approx(step_deg / 0.016)
@@ -47,13 +47,13 @@ def test_on_the_limits(angles):
 
 
 def test_out_of_reach_counts_as_outside():
-    found = SetpointJudge(LINKAGE, CONFIG.limits)
+    found = SetPointChecker(LINKAGE, CONFIG.limits)
     found.hear(Pose(0.9, 0.9, 0.0), 0.0)
     assert found.outside_limits == 1
 
 
 def test_tool_angle():
-    found = SetpointJudge(LINKAGE, CONFIG.limits)
+    found = SetPointChecker(LINKAGE, CONFIG.limits)
     pose = LINKAGE.pose(0.8, 1.6)
     found.hear(Pose(pose.x_m, pose.y_m, pose.t_rad - 0.1 + math.tau), 0.0)
     assert found.as_dict()["largest_tool_error_deg"] == pytest.approx(math.degrees(0.1))
