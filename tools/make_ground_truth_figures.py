@@ -9,16 +9,16 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from palmd.events import PalmSample
+from palmd.lab import ground_truth_figure, pruning_figure
+from palmd.lab.camera import Camera, as_csv, filmed
+from palmd.lab.camera_signals import motion_of
+from palmd.lab.ground_truth import compared
+from palmd.lab.scoring import outline_errors, truth_of
+from palmd.lab.simulated import simulated
 from palmd.observer.reconstruct import Reconstruction, reconstruct
 from palmd.outlinefile import Outline
 from palmd.record.resultfile import Result
 from palmd.record.track import read_track
-from palmd.study import ground_truth_figure, pruning_figure
-from palmd.study.camera import Camera, as_csv, filmed
-from palmd.study.camera_signals import motion_of
-from palmd.study.ground_truth import compared
-from palmd.study.scoring import outline_errors, truth_of
-from palmd.study.simulated import simulated
 
 FIGURES = Path(__file__).parent.parent / "docs/figures"
 

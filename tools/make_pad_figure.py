@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from palmd.calibration.pad_characteristic import characterise
+from palmd.calibration.pad_figure import save
 from palmd.config import PadConfig
-from palmd.study.pad_characteristic import characterise
-from palmd.study.pad_figure import save
-from palmd.study.rolled_marble import rolled
+from palmd.lab.rolled_marble import rolled
 
 FIGURE = Path(__file__).parent.parent / "docs/figures/pad.svg"
 

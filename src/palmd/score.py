@@ -57,6 +57,14 @@ def score_outline(theta: FloatArray, h: FloatArray, touched: npt.NDArray[np.bool
     )
 
 
+def support_at(h: FloatArray, theta: FloatArray) -> FloatArray:
+    """The support function (m) at any normals, from an even number of evenly spaced ones: taken as band-limited."""
+    coefficients = np.fft.rfft(h) / len(h)
+    coefficients[1:-1] *= 2.0
+    waves = np.exp(1j * np.outer(theta, np.arange(len(coefficients))))
+    return np.asarray((waves @ coefficients).real)
+
+
 class _Errors:
     """ĥ(θ) − h(θ + δ) for any rotation δ, the truth being summed from its Fourier coefficients."""
 

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from benchtable import PARTS, machine, percentiles, show
 
-from palmd.cli.bus import Client, Subscriber
+from palmd.bus.client import Client, Subscriber
 from palmd.cli.demo import as_yaml, free_addresses
-from palmd.cli.panel import Panel
-from palmd.cli.processes import Child
-from palmd.cli.shipped import shipped
+from palmd.console.shipped import shipped
 from palmd.daemon.realtime import PRIORITY
+from palmd.harness.panel import Panel
+from palmd.harness.processes import Child
 from palmd.yamlfile import load_config
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(180)]

@@ -9,8 +9,8 @@ from benchtable import PARTS, machine, percentiles, show
 from palmd.events import PadSample, PalmSample, RigDescription
 from palmd.model import compiled, extended, shape_map
 from palmd.observer import EXTENDED_BANK, SHAPE_BANK, QuasistaticObserver
+from palmd.observer.bank_observer import BankObserver
 from palmd.observer.filters import ExtendedFilters, ShapeFilters
-from palmd.observer.live import BankObserver
 from palmd.rig.simulate import simulate_log
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(300)]

@@ -30,7 +30,7 @@ from palmd.record.run import read_run
 from palmd.record.runfile import pack
 from palmd.rig.controller import Controller
 from palmd.rig.world import World, arm_limits, default_config
-from palmd.view import door, wire
+from palmd.view import http_guard, wire
 from palmd.view.files import File
 from palmd.yamlfile import ConfigError, load_config, load_plan
 
@@ -204,10 +204,10 @@ def page(data: bytes) -> None:
         headers = Headers([("Host", host.decode("latin-1")), ("Origin", origin.decode("latin-1"))])
     except InvalidHeaderValue:  # websockets itself turns such a request away
         return
-    answer = door.answer(Request(path.decode("latin-1"), headers), _FILES)
+    answer = http_guard.answer(Request(path.decode("latin-1"), headers), _FILES)
     assert answer is None or answer.status_code in (200, 403, 404)
     for said in (message, message.decode("utf-8", "replace")):
-        assert not door.may_operate(wire.token_in(said), _TOKEN) or json.loads(said) == {"token": _TOKEN}
+        assert not http_guard.may_operate(wire.token_in(said), _TOKEN) or json.loads(said) == {"token": _TOKEN}
         order = wire.order_in(said)
         if order is not None:
             json.loads(wire.answer(order, "refused"))

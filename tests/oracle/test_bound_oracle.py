@@ -18,9 +18,9 @@ from scipy.interpolate import CubicHermiteSpline
 
 from palmd.model.shape import basis, coefficients_of, tangential_basis
 from palmd.observer.bound import Truth, cramer_rao
+from palmd.observer.data_segment import DataSegment, longest_segment
 from palmd.observer.factor import Prior
 from palmd.observer.search import Search
-from palmd.observer.stretch import Stretch, longest_stretch
 from palmd.record.eventlog import EventLog, read_log
 from palmd.rig.simulate import simulate_log
 
@@ -39,7 +39,9 @@ def _simulated(kind: str, seed: int, folder: Path) -> tuple[EventLog, Truth]:
     return read_log(path), Truth(*constants, *columns)
 
 
-def _shot(bodies: Bodies, stretch: Stretch, search: Search, psi0: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _shot(
+    bodies: Bodies, stretch: DataSegment, search: Search, psi0: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(times, ψ, ω0) of every body from the start of the stretch."""
     count = math.ceil((stretch.end - stretch.start) / STEP_S)
     times = stretch.start + STEP_S / 2 * np.arange(2 * count + 1)
@@ -63,7 +65,7 @@ def _believed(p: np.ndarray, prior: Prior) -> np.ndarray:
 @pytest.mark.parametrize(("kind", "seed"), [("nominal", 3), ("rig", 1)])
 def test_the_bound_is_that_of_single_shooting(kind: str, seed: int, tmp_path: Path) -> None:
     log, truth = _simulated(kind, seed, tmp_path)
-    stretch = longest_stretch(log.events)
+    stretch = longest_segment(log.events)
     assert stretch is not None
     search = Search(stretch, log.rig)
     spline = CubicHermiteSpline(truth.t, truth.psi, truth.omega0)

@@ -8,7 +8,7 @@ import pytest
 
 from palmd.model import extended, sensitivity, shape, shape_map
 from palmd.model.integrate import exponential_step
-from palmd.model.named import NAMED
+from palmd.model.outputs import NAMED
 
 RIG = [9.81, 0.12, 0.12, 0.0]
 PALMS = [0.7, 1.5, 0.4, -0.3, 1.0, -2.0]

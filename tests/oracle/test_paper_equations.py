@@ -13,21 +13,21 @@ import numpy as np
 import pytest
 
 from palmd.model import errata, paper
-from palmd.model.claim import Claim
+from palmd.model.equation_check import EquationCheck
 
 TOLERANCE = 1e-10
 POINTS = 20
 GRAVITY = 9.81
 
 
-def _point(claim: Claim, random: np.random.Generator) -> dict[str, float]:
+def _point(claim: EquationCheck, random: np.random.Generator) -> dict[str, float]:
     """Values of about 1, with the object turning against the palms: no denominator comes near zero."""
     return {
         name: random.uniform(-3.0, -2.0) if name == "omega0" else random.uniform(0.4, 1.4) for name in claim.names()
     }
 
 
-def _mismatch(claim: Claim, random: np.random.Generator) -> float:
+def _mismatch(claim: EquationCheck, random: np.random.Generator) -> float:
     """The largest difference over POINTS points, relative to the largest entry."""
     worst = 0.0
     for _ in range(POINTS):
@@ -55,7 +55,7 @@ def test_an_erratum_is_one_everywhere(equation: str) -> None:
 
 @pytest.mark.parametrize("erratum", ERRATA, ids=lambda one: one.claim.equation)
 def test_the_correction_follows_everywhere(erratum: errata.Erratum) -> None:
-    corrected = Claim(erratum.equation, erratum.corrected, erratum.claim.derived)
+    corrected = EquationCheck(erratum.equation, erratum.corrected, erratum.claim.derived)
     assert _mismatch(corrected, np.random.default_rng(3)) < TOLERANCE
 
 
@@ -135,7 +135,7 @@ def test_the_general_system_moves_as_lagrange_says(seed: int) -> None:
     }  # fmt: skip
     rate = system.drift + tau1 * system.input1 + tau2 * system.input2
     derived = [r1_dot, r2_dot, alpha0, s1_dot, s2_dot, q_dot[1], alpha[0], q_dot[2], alpha[1], 0.0]
-    claim = Claim("4.25, 4.26", rate, ca.SX(derived))
+    claim = EquationCheck("4.25, 4.26", rate, ca.SX(derived))
     got, wanted = claim.values(values)
     assert got == pytest.approx(wanted, rel=1e-8, abs=1e-10)
 
@@ -179,7 +179,7 @@ def _free_flight(case: paper.Case) -> ca.SX:
 
 @pytest.mark.parametrize("case", ["equal rates", "palm 1 fixed", "palms fixed"])
 def test_the_drift_at_constant_rates_is_free_flight(case: paper.Case) -> None:
-    claim = Claim(case, paper.observed(case).codistribution(), _free_flight(case))
+    claim = EquationCheck(case, paper.observed(case).codistribution(), _free_flight(case))
     assert _mismatch(claim, np.random.default_rng(4)) < TOLERANCE
 
 
@@ -213,10 +213,12 @@ def test_a_level_palm_1_leaves_equal_rates_observable_by_the_other_contact() -> 
     system, rows = observed.system, observed.codistribution()
     twice = paper.lie(system.drift, observed.functions["Lf s2"], system.state)
     exchanged = ca.vertcat(rows[:5, :], ca.jacobian(twice, system.state))
-    level, _ = Claim("", ca.det(exchanged), ca.det(rows)).values(dict(errata.WITNESS) | {"phi1": 0.0})
-    usual, _ = Claim("", ca.det(exchanged), ca.det(rows)).values(errata.WITNESS)
+    level, _ = EquationCheck("", ca.det(exchanged), ca.det(rows)).values(dict(errata.WITNESS) | {"phi1": 0.0})
+    usual, _ = EquationCheck("", ca.det(exchanged), ca.det(rows)).values(errata.WITNESS)
     assert abs(level[0]) > 0.1 * abs(usual[0])
-    mirrored, _ = Claim("", ca.det(exchanged), ca.det(rows)).values(dict(errata.WITNESS) | {"phi1": math.pi - 1.6})
+    mirrored, _ = EquationCheck("", ca.det(exchanged), ca.det(rows)).values(
+        dict(errata.WITNESS) | {"phi1": math.pi - 1.6}
+    )
     assert abs(mirrored[0]) < 1e-12 * abs(usual[0]), "φ12 = π"
 
 

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from palmd.config import PlanSpec
 from palmd.events import PalmMotion
-from palmd.motion.conductor import Conductor, MotionError
 from palmd.motion.kinematics import RigGeometry
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import PlanError, Trajectory, compile_plan
+from palmd.motion.trajectory_executor import MotionError, TrajectoryExecutor
 
 
 def _limits(roomier_deg: float = 0.0) -> MotionLimits:
@@ -119,16 +119,16 @@ commands = st.lists(
 )
 
 
-def _obey(conductor: Conductor, command: str, trajectory: Trajectory) -> None:
+def _obey(executor: TrajectoryExecutor, command: str, trajectory: Trajectory) -> None:
     try:
         if command == "hold":
-            conductor.hold()
+            executor.hold()
         elif command == "stop":
-            conductor.stop()
+            executor.stop()
         elif command == "resume":
-            conductor.resume()
+            executor.resume()
         elif command == "start":
-            conductor.start(trajectory)
+            executor.start(trajectory)
     except MotionError:
         pass  # refused at this moment: as good as not asked
 
@@ -139,16 +139,16 @@ def _obey(conductor: Conductor, command: str, trajectory: Trajectory) -> None:
 def test_command_keeps_rate_and_acceleration_whatever_is_asked(
     dt: float, trajectory: Trajectory, commands: list[tuple[int, str]]
 ) -> None:
-    conductor = Conductor(LIMITS)
-    conductor.stand(*START)
-    conductor.start(trajectory)
+    executor = TrajectoryExecutor(LIMITS)
+    executor.stand(*START)
+    executor.start(trajectory)
     t = 0.0
-    command = [conductor.advance(t)]
+    command = [executor.advance(t)]
     for count, wish in commands:
         for _ in range(count):
             t += dt
-            command.append(conductor.advance(t))
-        _obey(conductor, wish, trajectory)
+            command.append(executor.advance(t))
+        _obey(executor, wish, trajectory)
     worst = 0.0
     for a, b, c in zip(command, command[1:], command[2:], strict=False):
         for before, here, after in ((a.phi1, b.phi1, c.phi1), (a.phi2, b.phi2, c.phi2)):

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from palmd.cli.latency import CASES
+from palmd.lab.latency import CASES
 
 pytestmark = pytest.mark.rig
 

@@ -10,8 +10,8 @@ import zmq
 from harness import Bench, Client, Process, free_ports, wait
 
 from palmd import keys
-from palmd.cli.bus import Client as KeyedClient
-from palmd.cli.bus import Subscriber
+from palmd.bus.client import Client as KeyedClient
+from palmd.bus.client import Subscriber
 from palmd.keys import Role
 
 pytestmark = pytest.mark.rig

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from boot import Machine, wait
 
-from palmd.cli.bus import COMMAND, PUBLISH, Client, Subscriber
+from palmd.bus.client import COMMAND, PUBLISH, Client, Subscriber
 from palmd.model.compiled import cache_directory
 
 CHECKOUT = Path(__file__).parents[2]

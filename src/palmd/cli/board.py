@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from palmd.cli.bus import Message
+from palmd.bus.client import Message
 
 Style = Literal["plain", "title", "good", "bad", "warning", "faint"]
 

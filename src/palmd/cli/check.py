@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from palmd.cli.errors import BAD_INPUT, CliError
+from palmd.console.errors import BAD_INPUT, CliError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

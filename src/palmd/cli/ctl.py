@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from palmd.cli.bus import COMMAND, Client, add_key, credentials
-from palmd.cli.errors import BAD_INPUT, USAGE, CliError
+from palmd.bus.client import COMMAND, Client, add_key, credentials
+from palmd.console.errors import BAD_INPUT, USAGE, CliError
 from palmd.daemon.commands import COMMANDS, REQUEST_BYTES_MAX
 
 PLAN_BYTES_MAX = REQUEST_BYTES_MAX // 2

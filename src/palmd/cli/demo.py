@@ -21,14 +21,14 @@ from typing import Any
 import yaml
 import zmq
 
+from palmd.bus.client import COMMAND, PUBLISH, Client, Subscriber
 from palmd.cli.browser import open_page
-from palmd.cli.bus import COMMAND, PUBLISH, Client, Subscriber
-from palmd.cli.comparison import Comparison
-from palmd.cli.errors import BAD_INPUT, RIG_FAILED, CliError
-from palmd.cli.panel import Panel
-from palmd.cli.processes import Child, StopRequest
-from palmd.cli.shipped import shipped
 from palmd.config import BusConfig, Config
+from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
+from palmd.console.shipped import shipped
+from palmd.harness.comparison import Comparison
+from palmd.harness.panel import Panel
+from palmd.harness.processes import Child, StopRequest
 from palmd.rig.shapes import KINDS
 from palmd.yamlfile import ConfigError, load_config
 

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TextIO
 
 from palmd import observer
-from palmd.cli.errors import BAD_INPUT, CliError
 from palmd.cli.logs import opened, read
 from palmd.cli.outlines import read_outlines
-from palmd.cli.progress import Progress
+from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.progress import Progress
 from palmd.outlinefile import Outline
 from palmd.record.eventlog import EventLog
 from palmd.record.replay import lines, replay, tick_count

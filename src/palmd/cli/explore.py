@@ -11,10 +11,10 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from palmd.cli.bus import COMMAND, PUBLISH, Client, Subscriber, add_key, credentials
-from palmd.cli.operation import Operation, why
-from palmd.cli.processes import StopRequest
+from palmd.bus.client import COMMAND, PUBLISH, Client, Subscriber, add_key, credentials
 from palmd.config import MAX_DURATION_S, ExploreGoal
+from palmd.harness.operation import Operation, why
+from palmd.harness.processes import StopRequest
 
 PLAN = "explore"
 

@@ -7,9 +7,9 @@ import itertools
 import sys
 from pathlib import Path
 
-from palmd.cli.errors import BAD_INPUT, CliError
-from palmd.cli.extras import only_without
-from palmd.cli.progress import Progress
+from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.extras import missing, only_without
+from palmd.console.progress import Progress
 from palmd.motion.kinematics import PoseError
 from palmd.record.export import FORMS, ExportError, export, form_of, passes
 from palmd.record.length import message_count
@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise CliError(BAD_INPUT, f"{source}: {error}") from None
     except ModuleNotFoundError as error:
         only_without("rerun", error)
-        raise CliError(BAD_INPUT, "the form rrd needs rerun-sdk, which is not installed (extra `rerun`)") from None
+        raise missing("the form rrd", "rerun-sdk", "rerun") from None
     except OSError as error:
         raise CliError(BAD_INPUT, f"{target}: cannot be written: {error.strerror or error}") from None
     if not recording.complete:

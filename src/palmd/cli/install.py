@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import palmd
-from palmd.cli.errors import BAD_INPUT, RIG_FAILED, CliError
-from palmd.cli.shipped import shipped, shipped_service
+from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
+from palmd.console.shipped import shipped, shipped_service
 
 UNITS = ("palmd.service", "palmd-record.service", "palmd-view.service", "palmd-rig.service")
 LOCAL = Path("usr/local/lib")

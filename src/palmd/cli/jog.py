@@ -19,10 +19,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from palmd.cli.bus import COMMAND, PUBLISH, Client, Subscriber
-from palmd.cli.configured import configured, usual
-from palmd.cli.errors import BAD_INPUT, RIG_FAILED, CliError
+from palmd.bus.client import COMMAND, PUBLISH, Client, Subscriber
 from palmd.config import LimitsConfig
+from palmd.console.configured import configured, usual
+from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 
 EVERY_S = 0.05
 STEP_DEG = 0.4

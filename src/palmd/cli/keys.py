@@ -9,7 +9,7 @@ import argparse
 from pathlib import Path
 
 from palmd import keys
-from palmd.cli.errors import BAD_INPUT, CliError
+from palmd.console.errors import BAD_INPUT, CliError
 from palmd.keys import PUBLIC, SERVER, KeysError, Role
 
 RESTART = "restart palmd for it to count"

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
 
-from palmd.cli.errors import BAD_INPUT, CliError
+from palmd.console.errors import BAD_INPUT, CliError
 from palmd.record.eventlog import EventLog, LogError, read_log
 from palmd.record.mcapfile import MAGIC
 from palmd.record.run import RunError, read_run

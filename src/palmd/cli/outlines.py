@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from palmd.cli.errors import BAD_INPUT, CliError
+from palmd.console.errors import BAD_INPUT, CliError
 from palmd.outlinefile import Outline, OutlineError, read_library
 
 

@@ -7,10 +7,10 @@ import json
 from collections.abc import Iterator
 from pathlib import Path
 
-from palmd.cli.errors import BAD_INPUT, CliError
 from palmd.cli.logs import STDOUT, opened, read
 from palmd.cli.outlines import read_outlines
-from palmd.cli.progress import Progress
+from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.progress import Progress
 from palmd.events import ObjectEstimate
 from palmd.observer import Recogniser
 from palmd.record.eventlog import EventLog

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from palmd.cli.arguments import seed
 from palmd.cli.logs import opened, read
+from palmd.console.arguments import seed
 from palmd.observer.reconstruct import Reconstruction, reconstruct
-from palmd.observer.rest import mass_at_rest
+from palmd.observer.static_mass import mass_at_rest
 from palmd.record.result import as_line
 
 

@@ -19,12 +19,12 @@ from typing import TextIO
 
 import zmq
 
-from palmd.cli.bus import PUBLISH
-from palmd.cli.errors import BAD_INPUT, CliError
-from palmd.cli.processes import StopRequest, start_beside
-from palmd.cli.progress import Progress
+from palmd.bus.client import PUBLISH
 from palmd.config import BusConfig
+from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.progress import Progress
 from palmd.daemon.systemd import Notifier
+from palmd.harness.processes import StopRequest, start_beside
 from palmd.keys import Credentials, KeysError, client_credentials, own_credentials
 from palmd.record.mcapfile import RunError, is_packed
 from palmd.record.recorder import record

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from palmd.cli.errors import BAD_INPUT, CliError
-from palmd.cli.progress import Progress
+from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.progress import Progress
 from palmd.record.mcapfile import is_packed
 from palmd.record.run import Run, RunError, read_run
 from palmd.record.runfile import pack

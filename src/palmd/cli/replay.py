@@ -14,15 +14,15 @@ from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
 
-from palmd.cli.bus import PUBLISH
-from palmd.cli.errors import BAD_INPUT, CliError
-from palmd.cli.processes import StopRequest
-from palmd.cli.progress import Progress
+from palmd.bus.client import PUBLISH
 from palmd.config import LocalAddress
+from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.progress import Progress
+from palmd.harness.processes import StopRequest
 from palmd.messages import EVENTS
 from palmd.record.length import message_count
+from palmd.record.player import SETTLE_S, Publisher, RepublishError, pause, play
 from palmd.record.recheck import Difference, Recheck
-from palmd.record.republish import SETTLE_S, Publisher, RepublishError, pause, play
 from palmd.record.run import Run, RunError, read_run
 
 

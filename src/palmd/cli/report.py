@@ -5,10 +5,12 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from palmd.cli import report_paper, report_run
-from palmd.cli.errors import BAD_INPUT, CliError
+from palmd.cli.table import below, loaded
+from palmd.console.errors import BAD_INPUT, CliError
+from palmd.report import command
 
 PAPER = "paper"
+_LOGS = "event logs with their truth beside them (LOG without .jsonl, plus .truth.json); default: four simulated runs"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"a recording; or the word {PAPER}: figures 3.6, 3.8 to 3.11 and 3.15 (for a recording of that name: "
         f"./{PAPER})",
     )
-    parser.add_argument("logs", nargs="*", type=Path, metavar="LOG", help=f"for {PAPER}: {report_paper.LOGS}")
+    parser.add_argument("logs", nargs="*", type=Path, metavar="LOG", help=f"for {PAPER}: {_LOGS}")
     parser.add_argument(
         "-o",
         "--output",
@@ -32,8 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Makes the report; CliError when something cannot be used."""
     if arguments.subject == PAPER:
-        return report_paper.run(arguments.logs, arguments.output or Path())
+        status: int = loaded(below("report")[PAPER]).run(arguments.logs, arguments.output or Path())
+        return status
     if arguments.logs:
         raise CliError(BAD_INPUT, f"{arguments.logs[0]}: one report is about one run; make another for this one")
     recording = Path(arguments.subject)
-    return report_run.run(recording, arguments.output or Path(f"{recording.stem}.html"))
+    return command.run(recording, arguments.output or Path(f"{recording.stem}.html"))

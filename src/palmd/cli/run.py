@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from palmd.cli.processes import start_beside
+from palmd.harness.processes import start_beside
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -18,8 +18,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+from palmd.bus.client import PUBLISH, TIMEOUT_S, Subscriber, add_key, credentials, silent
 from palmd.cli.board import Board, Row, frame
-from palmd.cli.bus import PUBLISH, TIMEOUT_S, Subscriber, add_key, credentials, silent
 from palmd.keys import Credentials
 
 REDRAW_S = 0.1

@@ -12,9 +12,9 @@ import contextlib
 import secrets
 import signal
 
+from palmd.bus.client import COMMAND, PUBLISH, add_key, credentials
 from palmd.cli.browser import open_page
-from palmd.cli.bus import COMMAND, PUBLISH, add_key, credentials
-from palmd.cli.errors import BAD_INPUT, CliError
+from palmd.console.errors import BAD_INPUT, CliError
 from palmd.daemon.lifecycle import TRANSITIONS, Trigger
 from palmd.view.errors import ViewError
 from palmd.view.server import Settings, serve_page

@@ -15,14 +15,14 @@ from typing import Any
 from palmd import __version__, observer
 from palmd.config import Config, config_hash, rig_description
 from palmd.daemon import realtime
+from palmd.daemon.async_log import start_async_log
 from palmd.daemon.bus import Bus, BusError
-from palmd.daemon.ends import EndName
+from palmd.daemon.core import Core
+from palmd.daemon.drivers import EndName
 from palmd.daemon.explorer_process import ExplorerProcess
-from palmd.daemon.journal import start_journal
 from palmd.daemon.loop import Loop
 from palmd.daemon.planner import Plan, read_plan
 from palmd.daemon.smoothing import SmootherProcess
-from palmd.daemon.step import Core
 from palmd.daemon.systemd import Notifier
 from palmd.devices.port import Port
 from palmd.keys import KeysError, server_keys
@@ -72,7 +72,7 @@ def _start(config_path: Path, signals: _Signals, recorder: Callable[[], None] | 
         return RIG_FAILED
     with ExitStack() as stack:
         stack.callback(bus.close)
-        stack.callback(start_journal().close)
+        stack.callback(start_async_log().close)
         recorded = recorder is not None and _is_started(recorder)
         return _run(config, config_path.absolute().parent, plan, outlines, bus, recorded, signals, stack)
 
@@ -156,7 +156,7 @@ def _explorer(config: Config, stack: ExitStack) -> ExplorerProcess | None:
 
 def _counters(smoother: SmootherProcess | None, estimator: object, explorer: ExplorerProcess | None) -> Fields:
     return {
-        "smoother_improvements": estimator.improvements if isinstance(estimator, observer.ImprovedObserver) else 0,
+        "smoother_improvements": estimator.improvements if isinstance(estimator, observer.SmoothedObserver) else 0,
         "smoother_starts": smoother.starts if smoother else 0,
         "smoother_dropped": smoother.dropped if smoother else 0,
         "explorer_starts": explorer.starts if explorer else 0,

@@ -14,7 +14,7 @@ import msgpack
 import zmq
 
 from palmd.daemon.commands import COMMANDS, CommandError, Reply, Request, parse, reply_fields
-from palmd.daemon.doorkeeper import Doorkeeper
+from palmd.daemon.zap_auth import ZapAuthenticator
 from palmd.keys import Role, ServerKeys
 from palmd.messages import Fields, Topic, stamp
 
@@ -56,7 +56,7 @@ class Bus:
         self._seq: dict[str, int] = {}
         self._early: list[Request] = []  # what came before the loop
         self._context = zmq.Context()
-        self._door = None if keys is None else Doorkeeper(self._context, keys)
+        self._door = None if keys is None else ZapAuthenticator(self._context, keys)
         self._sockets: list[zmq.Socket[bytes]] = []
         try:
             self._publisher = self._bound(zmq.PUB, publish, "bus.publish")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import logging
 import pickle  # between a process and its own child, on a socket in a folder of their own
 
-from palmd.daemon.beside import ProcessBeside, give_back_memory, meet
-from palmd.daemon.decisions import Answer, Decider, Question
+from palmd.daemon.exploration_requests import Answer, Decider, Question
+from palmd.daemon.worker import WorkerProcess, give_back_memory, meet
 from palmd.events import RigDescription
 
 log = logging.getLogger(__name__)
@@ -16,11 +16,11 @@ NICENESS = 5  # the palms stand while it thinks: before the smoother, after the 
 
 
 class ExplorerProcess:
-    """The loop's end, a `daemon.decisions.Source`; the process is started when a plan first needs it, in some 3 ms."""
+    """The loop's end, a `daemon.exploration_requests.Source`; a plan that first needs it starts it, in 3 ms."""
 
     def __init__(self, rig: RigDescription) -> None:
         self._rig = rig
-        self._process: ProcessBeside | None = None
+        self._process: WorkerProcess | None = None
         self._failed = False
 
     @property
@@ -33,7 +33,7 @@ class ExplorerProcess:
         if self._process is not None or self._failed:
             return
         try:
-            self._process = ProcessBeside("explorer", __name__, high_water=HIGH_WATER)
+            self._process = WorkerProcess("explorer", __name__, high_water=HIGH_WATER)
         except OSError as error:
             self._failed = True
             log.warning("no explorer beside the loop: %s", error)

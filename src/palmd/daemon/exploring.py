@@ -1,8 +1,8 @@
 """The loop's side of an exploration: asks where to go next, and lets the palms do what is answered. Pure.
 
-The decisions come from elsewhere and may come late or never (`daemon.decisions`). A move follows the one before when
-that ends; the newest decision counts. Without a decision the palms stand. A move that has become unsafe, or during
-which the estimate is lost, is stopped along its path and dropped.
+The decisions come from elsewhere and may come late or never (`daemon.exploration_requests`). A move follows the one
+before when that ends; the newest decision counts. Without a decision the palms stand. A move that has become unsafe,
+or during which the estimate is lost, is stopped along its path and dropped.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from palmd.daemon.decisions import Answer, Question, Source, Task
-from palmd.daemon.steering import Steering
+from palmd.daemon.exploration_requests import Answer, Question, Source, Task
+from palmd.daemon.setpoints import SetPoints
 from palmd.events import Outlook
 from palmd.motion.exploration import Exploration
 from palmd.motion.explorer import UnderWay
@@ -48,11 +48,11 @@ class Senses:
 class Exploring:
     """See the module. `silent` says that decisions fail to come. Safe in the loop."""
 
-    def __init__(self, steering: Steering, source: Source | None) -> None:
+    def __init__(self, setpoints: SetPoints, source: Source | None) -> None:
         """Without a `source` there is no exploring: the observer knows no outline."""
         self.silent = False
         self.dropped = 0
-        self._steering = steering
+        self._setpoints = setpoints
         self._source = source
         self._exploration: Exploration | None = None
         self._run = 0
@@ -84,7 +84,7 @@ class Exploring:
 
     def step(self, t: float, senses: Senses) -> None:
         """One tick at `t` (s)."""
-        found, source = self._steering.exploration, self._source
+        found, source = self._setpoints.exploration, self._source
         if found is None or source is None:
             self._leave()
             return
@@ -109,7 +109,7 @@ class Exploring:
         if tau > exploration.goal.time_limit_s + OVERTIME_S and not self._ending:
             self._end(f"the time limit of {exploration.goal.time_limit_s:g} s is over")
         if self._ending and at_rest:
-            self._steering.conclude()
+            self._setpoints.conclude()
             log.info("the exploration is over: %s", self._reason)
             return
         self._ask(source, exploration, tau, t, senses)
@@ -124,7 +124,7 @@ class Exploring:
         self._run += 1
         self._coverage = self._reachable = math.nan
         self._reason = "it has just begun"
-        self._task = Task(self._run, exploration.goal, self._steering.limits)
+        self._task = Task(self._run, exploration.goal, self._setpoints.limits)
         self._forget(t)
 
     def _forget(self, t: float) -> None:
@@ -142,9 +142,9 @@ class Exploring:
 
     def _stand(self, exploration: Exploration, tau: float, t: float) -> None:
         """While the motion is held: once it stands, the rest of the move is dropped."""
-        if not self._steering.moving:
+        if not self._setpoints.moving:
             exploration.cut(tau)
-            self._steering.pause(False)
+            self._setpoints.pause(False)
             self._forget(t)
 
     def _take(self, answer: Answer, exploration: Exploration, t: float, senses: Senses, at_rest: bool) -> None:
@@ -191,7 +191,7 @@ class Exploring:
     def _halt(self, reason: str) -> None:
         self._halting = True
         self._reason = reason
-        self._steering.pause(True)
+        self._setpoints.pause(True)
 
     def _end(self, reason: str) -> None:
         """No further move: it is over when the one in hand is."""

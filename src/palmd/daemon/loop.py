@@ -13,11 +13,11 @@ import time
 from collections.abc import Callable, Mapping
 
 from palmd.daemon.bus import Bus
-from palmd.daemon.ends import EndName
+from palmd.daemon.core import Core
+from palmd.daemon.drivers import EndName
 from palmd.daemon.lifecycle import State
 from palmd.daemon.realtime import rss_mb
 from palmd.daemon.statistics import LoopStatistics
-from palmd.daemon.step import Core
 from palmd.daemon.systemd import Notifier
 from palmd.devices.port import Port, PortWaiter
 from palmd.faults import Fault

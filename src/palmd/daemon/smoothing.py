@@ -15,11 +15,11 @@ from typing import Any
 import msgpack
 import numpy as np
 
-from palmd.daemon.beside import ProcessBeside, give_back_memory, meet
+from palmd.daemon.worker import WorkerProcess, give_back_memory, meet
 from palmd.events import Event, Improvement, PadLift, PadSample, PalmSample, RigDescription
 from palmd.model import shape_map, smoothing
-from palmd.observer.improved import period
 from palmd.observer.incremental import IncrementalSmoother, Session
+from palmd.observer.smoothed_observer import period
 
 BATCH_S = 0.05  # of events that go out in one message
 HIGH_WATER = 100  # messages on their way: five seconds
@@ -35,7 +35,7 @@ class SmootherProcess:
 
     def __init__(self, rig: RigDescription) -> None:
         """Start the process; raises OSError when it cannot be."""
-        self._process = ProcessBeside("smoother", __name__, json.dumps(asdict(rig)), high_water=HIGH_WATER)
+        self._process = WorkerProcess("smoother", __name__, json.dumps(asdict(rig)), high_water=HIGH_WATER)
         self._waiting: list[list[Any]] = []
         self._t_sent = -np.inf
         self.dropped = 0

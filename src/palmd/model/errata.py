@@ -15,8 +15,8 @@ from typing import Literal
 import casadi as ca
 
 from palmd.model import paper, printed_dynamics, printed_geometry, printed_rates
-from palmd.model.claim import Claim
 from palmd.model.contact import SX
+from palmd.model.equation_check import EquationCheck
 from palmd.model.paper import g, omega0, omega2, phi1, phi2, phi12, r1, r2, s1, s2
 
 Certainty = Literal["certain", "likely"]
@@ -50,17 +50,17 @@ class Erratum:
     printed: str
     correct: str
     certainty: Certainty
-    claim: Claim
+    claim: EquationCheck
     corrected: SX
 
     def witness(self) -> tuple[float, float, float]:
         """(printed, derived, corrected) at `WITNESS`, SI."""
         printed, derived = self.claim.values(WITNESS)
-        corrected, _ = Claim(self.equation, self.corrected, self.claim.derived).values(WITNESS)
+        corrected, _ = EquationCheck(self.equation, self.corrected, self.claim.derived).values(WITNESS)
         return float(printed[0]), float(derived[0]), float(corrected[0])
 
 
-def claims() -> dict[str, Claim]:
+def claims() -> dict[str, EquationCheck]:
     """Every equation that is checked, by its number."""
     modules = (printed_geometry, printed_dynamics, printed_rates)
     return {claim.equation: claim for module in modules for claim in module.claims()}
@@ -150,8 +150,8 @@ def errata() -> tuple[Erratum, ...]:
 
 
 def _entry(
-    claim: Claim, index: int, printed: str, correct: str, corrected: SX, certainty: Certainty = "likely"
+    claim: EquationCheck, index: int, printed: str, correct: str, corrected: SX, certainty: Certainty = "likely"
 ) -> Erratum:
     """Of one component of a claim."""
-    scalar = Claim(claim.equation, claim.printed[index], claim.derived[index])
+    scalar = EquationCheck(claim.equation, claim.printed[index], claim.derived[index])
     return Erratum(claim.equation, printed, correct, certainty, scalar, corrected)

@@ -18,7 +18,7 @@ from palmd.model.compiled import Library, densified, load, mapped_over_block
 from palmd.model.contact import SX, Contact, normal_directions, offsets
 from palmd.model.dynamics import Body, Palms, newton_euler
 from palmd.model.integrate import exponential_step
-from palmd.model.named import RIG_INPUTS, named_outputs
+from palmd.model.outputs import RIG_INPUTS, named_outputs
 from palmd.model.shape import COEFFICIENTS, HARMONICS, contact_at, harmonics
 
 

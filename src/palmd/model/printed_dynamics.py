@@ -9,8 +9,8 @@ from __future__ import annotations
 import casadi as ca
 
 from palmd.model import paper
-from palmd.model.claim import Claim
 from palmd.model.contact import SX
+from palmd.model.equation_check import EquationCheck
 from palmd.model.paper import (
     alpha1,
     alpha12,
@@ -39,12 +39,12 @@ from palmd.model.paper import (
 sin, cos, tan, row = ca.sin, ca.cos, ca.tan, ca.horzcat
 
 
-def claims() -> tuple[Claim, ...]:
+def claims() -> tuple[EquationCheck, ...]:
     """(4.23) to (4.35) and (4.58) to (4.68)."""
     return (*_general(), *_palms_fixed())
 
 
-def _general() -> tuple[Claim, ...]:
+def _general() -> tuple[EquationCheck, ...]:
     a0, alpha0 = paper.accelerations()
     along1 = -ca.dot(a0, _normal1()) + alpha0 * d1
     along2 = -ca.dot(a0, _normal2()) + alpha0 * d2
@@ -78,13 +78,13 @@ def _general() -> tuple[Claim, ...]:
     input2 = ca.vertcat(0, 0, d2 / weight2, cross / (weight2 * slide1), square2 / (weight2 * slide2), SX.zeros(5))
     outputs = ca.jacobian(system.outputs, system.state)
     return (
-        Claim("4.23", push1 * square1 / weight1 + push2 * cross / weight2 - g * cos(phi1), along1),
-        Claim("4.24", -push1 * cross / weight1 - push2 * square2 / weight2 + g * cos(phi12), along2),
-        Claim("4.25", drift, system.drift),
-        Claim("4.26 g1", input1, system.input1),
-        Claim("4.26 g2", input2, system.input2),
+        EquationCheck("4.23", push1 * square1 / weight1 + push2 * cross / weight2 - g * cos(phi1), along1),
+        EquationCheck("4.24", -push1 * cross / weight1 - push2 * square2 / weight2 + g * cos(phi12), along2),
+        EquationCheck("4.25", drift, system.drift),
+        EquationCheck("4.26 g1", input1, system.input1),
+        EquationCheck("4.26 g2", input2, system.input2),
         *(
-            Claim(f"4.{30 + i}", SX(row(*(float(column == one) for column in range(10)))), outputs[i, :])
+            EquationCheck(f"4.{30 + i}", SX(row(*(float(column == one) for column in range(10)))), outputs[i, :])
             for i, one in enumerate((3, 4, 5, 6, 7, 8))
         ),
     )
@@ -98,7 +98,7 @@ def _normal2() -> SX:
     return ca.vertcat(sin(phi12), -cos(phi12))
 
 
-def _palms_fixed() -> tuple[Claim, ...]:
+def _palms_fixed() -> tuple[EquationCheck, ...]:
     system = paper.palms_fixed()
     functions = paper.observed("palms fixed").functions
     inside1 = r1 + s1 / tan(phi2) - s2 / sin(phi2)
@@ -119,15 +119,15 @@ def _palms_fixed() -> tuple[Claim, ...]:
     )
     s1_ddot = omega0**2 * (-d1 + r1 / tan(phi2) + r2 / sin(phi2) - s1) + g * sin(phi1)
     return (
-        Claim("4.58 f", drift, system.drift),
-        Claim("4.58 g1", input1, system.input1),
-        Claim("4.58 g2", input2, system.input2),
-        Claim("4.61", s1_dot, functions["Lf s1"]),
-        Claim("4.62", d_s1_dot, paper.observed("palms fixed").differential("Lf s1")),
-        Claim("4.63", s2_dot, functions["Lf s2"]),
-        Claim("4.64", d_s2_dot, paper.observed("palms fixed").differential("Lf s2")),
-        Claim("4.65", ca.vertcat(s1_ddot, g * sin(phi1)), ca.vertcat(*[functions["Lf Lf s1"]] * 2)),
-        Claim("4.66", SX.zeros(1, 5), paper.observed("palms fixed").differential("Lf Lf s1")),
-        Claim("4.67", along_input, paper.observed("palms fixed, with inputs").functions["Lg1 s1"]),
-        Claim("4.68", d_along_input, paper.observed("palms fixed, with inputs").differential("Lg1 s1")),
+        EquationCheck("4.58 f", drift, system.drift),
+        EquationCheck("4.58 g1", input1, system.input1),
+        EquationCheck("4.58 g2", input2, system.input2),
+        EquationCheck("4.61", s1_dot, functions["Lf s1"]),
+        EquationCheck("4.62", d_s1_dot, paper.observed("palms fixed").differential("Lf s1")),
+        EquationCheck("4.63", s2_dot, functions["Lf s2"]),
+        EquationCheck("4.64", d_s2_dot, paper.observed("palms fixed").differential("Lf s2")),
+        EquationCheck("4.65", ca.vertcat(s1_ddot, g * sin(phi1)), ca.vertcat(*[functions["Lf Lf s1"]] * 2)),
+        EquationCheck("4.66", SX.zeros(1, 5), paper.observed("palms fixed").differential("Lf Lf s1")),
+        EquationCheck("4.67", along_input, paper.observed("palms fixed, with inputs").functions["Lg1 s1"]),
+        EquationCheck("4.68", d_along_input, paper.observed("palms fixed, with inputs").differential("Lg1 s1")),
     )

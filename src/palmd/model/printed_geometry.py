@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from palmd.model.claim import Claim
 from palmd.model.contact import SX, normal, solve_from_normals, tangent
+from palmd.model.equation_check import EquationCheck
 
 sin, cos, tan, dot = ca.sin, ca.cos, ca.tan, ca.dot
 
@@ -60,7 +60,7 @@ def over_psi(function: SX) -> SX:
     return along(function, 1.0, 0.0, 0.0)
 
 
-def claims() -> tuple[Claim, ...]:
+def claims() -> tuple[EquationCheck, ...]:
     """(3.6) to (3.32), (4.11) to (4.17) and the appendix; all hold at any r, d, v, not only in balance."""
     # (3.2) to (3.5) in the world frame, where the object's normals are −n_i, −t_i
     between = RX1 - RX2
@@ -68,31 +68,31 @@ def claims() -> tuple[Claim, ...]:
     return (*_supports(tilde, between), *_poses(tilde), *_quasistatic(tilde), *_dynamic())
 
 
-def _supports(tilde: Generalized, between: SX) -> tuple[Claim, ...]:
+def _supports(tilde: Generalized, between: SX) -> tuple[EquationCheck, ...]:
     lever1, lever2 = (r1 * cos(phi2) + r2) / sin(phi2), (r2 * cos(phi2) + r1) / sin(phi2)
     theta_dot, theta2_dot = omega1 - omega0, omega12 - omega0
     return (
-        Claim(
+        EquationCheck(
             "3.6",
             ca.vertcat(S2 * sin(phi2), S2 * cos(phi2) - S1, -S1 * sin(phi2), S1 * cos(phi2) - S2),
             ca.vertcat(tilde.r1, tilde.d1, tilde.r2, tilde.d2),
         ),
-        Claim("3.7", S1 * t1, COM + RX1),
-        Claim("3.8", -S2 * t2, COM + RX2),
-        Claim("3.9", S1 * t1 + S2 * t2, between),
-        Claim("3.10", -(-over_psi(tilde.r2) + tilde.d2) / sin(phi2), v1),
-        Claim("3.11", -(-over_psi(tilde.r1) + tilde.d1) / sin(phi2), v2),
-        Claim("3.12", -(r1 * n1 + d1 * t1) + (r2 * n2 + d2 * t2), S1 * t1 + S2 * t2),
-        Claim("3.13", lever1 - S1, d1),
-        Claim("3.14", -lever2 + S2, d2),
-        Claim("A.1", -v2 * sin(phi2) - tilde.d1, -over_psi(tilde.r1)),
-        Claim("A.2", -v2 * theta2_dot * sin(phi2) - theta_dot * tilde.d1, in_time(tilde.r1)),
-        Claim("A.3", -v1 * sin(phi2) - tilde.d2, -over_psi(tilde.r2)),
-        Claim("A.4", -v1 * theta_dot * sin(phi2) - theta2_dot * tilde.d2, in_time(tilde.r2)),
+        EquationCheck("3.7", S1 * t1, COM + RX1),
+        EquationCheck("3.8", -S2 * t2, COM + RX2),
+        EquationCheck("3.9", S1 * t1 + S2 * t2, between),
+        EquationCheck("3.10", -(-over_psi(tilde.r2) + tilde.d2) / sin(phi2), v1),
+        EquationCheck("3.11", -(-over_psi(tilde.r1) + tilde.d1) / sin(phi2), v2),
+        EquationCheck("3.12", -(r1 * n1 + d1 * t1) + (r2 * n2 + d2 * t2), S1 * t1 + S2 * t2),
+        EquationCheck("3.13", lever1 - S1, d1),
+        EquationCheck("3.14", -lever2 + S2, d2),
+        EquationCheck("A.1", -v2 * sin(phi2) - tilde.d1, -over_psi(tilde.r1)),
+        EquationCheck("A.2", -v2 * theta2_dot * sin(phi2) - theta_dot * tilde.d1, in_time(tilde.r1)),
+        EquationCheck("A.3", -v1 * sin(phi2) - tilde.d2, -over_psi(tilde.r2)),
+        EquationCheck("A.4", -v1 * theta_dot * sin(phi2) - theta2_dot * tilde.d2, in_time(tilde.r2)),
     )
 
 
-def _poses(tilde: Generalized) -> tuple[Claim, ...]:
+def _poses(tilde: Generalized) -> tuple[EquationCheck, ...]:
     q1, q2 = (S2 - S1 * cos(phi2)) / sin(phi2), (S1 - S2 * cos(phi2)) / sin(phi2)
     # the point of the object that rests while ψ changes: ∂c/∂ψ is the quarter turn of c − c_r
     centre = COM + QUARTER_TURN @ over_psi(COM)
@@ -101,26 +101,26 @@ def _poses(tilde: Generalized) -> tuple[Claim, ...]:
     slope = -tilde.d2 * sin(phi1) / sin(phi2) - dot(ca.vertcat(cos(psi), -sin(psi)), x1)
     bend = (v1 * sin(phi12) + (v2 + tilde.r2) * sin(phi1)) / sin(phi2) + dot(ca.vertcat(sin(psi), cos(psi)), x1)
     return (
-        Claim("3.15, 3.16", S1 * t1 + q1 * n1, -S2 * t2 + q2 * n2),
-        Claim("below 3.16", ca.vertcat(-tilde.d2, -tilde.d1) / sin(phi2), ca.vertcat(q1, q2)),
-        Claim("3.17", -tilde.r2 * t1 / sin(phi2) - RX1, COM),
-        Claim("3.18", -(tilde.r2 * t1 + tilde.d2 * n1) / sin(phi2), centre),
-        Claim("3.19", -tilde.d2 * t1 / sin(phi2) - QUARTER_TURN @ RX1, over_psi(COM)),
-        Claim("3.20", -(v1 * n2 - v2 * n1 - tilde.r2 * n1 + tilde.d2 * t1) / sin(phi2), over_psi(centre)),
-        Claim("3.21", QUARTER_TURN @ (COM - centre), over_psi(COM)),
-        Claim("3.22", -RX1[0] - tilde.d2 * sin(phi1) / sin(phi2), over_psi(COM[1])),
-        Claim("3.23", slope, over_psi(COM[1])),
-        Claim("3.24", bend, over_psi(over_psi(COM[1]))),
-        Claim(
+        EquationCheck("3.15, 3.16", S1 * t1 + q1 * n1, -S2 * t2 + q2 * n2),
+        EquationCheck("below 3.16", ca.vertcat(-tilde.d2, -tilde.d1) / sin(phi2), ca.vertcat(q1, q2)),
+        EquationCheck("3.17", -tilde.r2 * t1 / sin(phi2) - RX1, COM),
+        EquationCheck("3.18", -(tilde.r2 * t1 + tilde.d2 * n1) / sin(phi2), centre),
+        EquationCheck("3.19", -tilde.d2 * t1 / sin(phi2) - QUARTER_TURN @ RX1, over_psi(COM)),
+        EquationCheck("3.20", -(v1 * n2 - v2 * n1 - tilde.r2 * n1 + tilde.d2 * t1) / sin(phi2), over_psi(centre)),
+        EquationCheck("3.21", QUARTER_TURN @ (COM - centre), over_psi(COM)),
+        EquationCheck("3.22", -RX1[0] - tilde.d2 * sin(phi1) / sin(phi2), over_psi(COM[1])),
+        EquationCheck("3.23", slope, over_psi(COM[1])),
+        EquationCheck("3.24", bend, over_psi(over_psi(COM[1]))),
+        EquationCheck(
             "A.13",
             (-(v1 * sin(phi2) + tilde.d2) * t1 + (v1 * cos(phi2) + v2 + tilde.r2) * n1) / sin(phi2),
             over_psi(centre),
         ),
-        Claim("A.15", tilde.d2 * n1 / sin(phi2) - RX1, COM - centre),
+        EquationCheck("A.15", tilde.d2 * n1 / sin(phi2) - RX1, COM - centre),
     )
 
 
-def _quasistatic(tilde: Generalized) -> tuple[Claim, ...]:
+def _quasistatic(tilde: Generalized) -> tuple[EquationCheck, ...]:
     theta_dot, theta2_dot = omega1 - omega0, omega12 - omega0
     r2_tilde_dot, d2_tilde_dot = in_time(tilde.r2), in_time(tilde.d2)
     r1_dot, d1_dot = in_time(r1), in_time(d1)
@@ -136,28 +136,28 @@ def _quasistatic(tilde: Generalized) -> tuple[Claim, ...]:
         -d2_tilde_dot * sin(phi1) - tilde.d2 * omega1 * cos(phi1) + tilde.d2 * omega2 * sin(phi1) / tan(phi2)
     ) / sin(phi2)
     return (
-        Claim("3.27", -(r2_tilde_dot + theta2_dot * tilde.d2) / (theta_dot * sin(phi2)), v1),
-        Claim("3.28", -(in_time(tilde.r1) + theta_dot * tilde.d1) / (theta2_dot * sin(phi2)), v2),
-        Claim("3.31", r1 * sin(phi1) - d1 * cos(phi1), RX1[0]),
-        Claim("3.32", ca.substitute(numerator / denominator, omega0, turning), turning),
-        Claim(
+        EquationCheck("3.27", -(r2_tilde_dot + theta2_dot * tilde.d2) / (theta_dot * sin(phi2)), v1),
+        EquationCheck("3.28", -(in_time(tilde.r1) + theta_dot * tilde.d1) / (theta2_dot * sin(phi2)), v2),
+        EquationCheck("3.31", r1 * sin(phi1) - d1 * cos(phi1), RX1[0]),
+        EquationCheck("3.32", ca.substitute(numerator / denominator, omega0, turning), turning),
+        EquationCheck(
             "A.18",
             (r1_dot + d1 * omega1) * sin(phi1) + (r1 * omega1 - d1_dot) * cos(phi1),
             in_time(r1 * sin(phi1) - d1 * cos(phi1)),
         ),
-        Claim(
+        EquationCheck(
             "A.19",
             d1 * (omega1 - theta_dot) * sin(phi1)
             + r1 * (omega1 - theta_dot) * cos(phi1)
             - (r2_tilde_dot + theta2_dot * tilde.d2) / sin(phi2) * cos(phi1),
             in_time(r1 * sin(phi1) - d1 * cos(phi1)),
         ),
-        Claim("A.21", left_rate, in_time(r1 * sin(phi1) - d1 * cos(phi1))),
-        Claim("A.22", right_rate, in_time(-tilde.d2 * sin(phi1) / sin(phi2))),
+        EquationCheck("A.21", left_rate, in_time(r1 * sin(phi1) - d1 * cos(phi1))),
+        EquationCheck("A.22", right_rate, in_time(-tilde.d2 * sin(phi1) / sin(phi2))),
     )
 
 
-def _dynamic() -> tuple[Claim, ...]:
+def _dynamic() -> tuple[EquationCheck, ...]:
     a0 = in_time(in_time(COM))
     s1_dot, s2_dot = in_time(S1), in_time(S2)
     slide1, slide2 = omega1 - omega0, omega12 - omega0
@@ -173,8 +173,8 @@ def _dynamic() -> tuple[Claim, ...]:
         pull2 / slide2 + (omega12 + omega0) / tan(phi2) * S2 - (omega12 + omega0) * slide1 / (slide2 * sin(phi2)) * S1
     )
     return (
-        Claim("4.11", (2 * s1_dot * omega1 + pull1) / (omega1**2 - omega0**2), v1),
-        Claim("4.12", curvature, v1),
-        Claim("4.16", rate1, s1_dot),
-        Claim("4.17", rate2, s2_dot),
+        EquationCheck("4.11", (2 * s1_dot * omega1 + pull1) / (omega1**2 - omega0**2), v1),
+        EquationCheck("4.12", curvature, v1),
+        EquationCheck("4.16", rate1, s1_dot),
+        EquationCheck("4.17", rate2, s2_dot),
     )

@@ -9,18 +9,18 @@ from __future__ import annotations
 import casadi as ca
 
 from palmd.model import paper
-from palmd.model.claim import Claim
+from palmd.model.equation_check import EquationCheck
 from palmd.model.paper import d1, d2, g, omega0, omega1, omega2, phi1, phi2, phi12, r1, r2, s1, s2
 
 sin, cos, tan, row = ca.sin, ca.cos, ca.tan, ca.horzcat
 
 
-def claims() -> tuple[Claim, ...]:
+def claims() -> tuple[EquationCheck, ...]:
     """(4.36) to (4.57)."""
     return (*_equal_rates(), *_palm1_fixed())
 
 
-def _equal_rates() -> tuple[Claim, ...]:
+def _equal_rates() -> tuple[EquationCheck, ...]:
     system, slide = paper.equal_rates(), omega1 - omega0
     functions = paper.observed("equal rates").functions
     s1_dot = (omega0**2 * r1 + g * cos(phi1)) / slide + (omega1 + omega0) * (s2 - s1 * cos(phi2)) / sin(phi2)
@@ -59,18 +59,18 @@ def _equal_rates() -> tuple[Claim, ...]:
         -g * cos(phi1) * (omega0 + 2 * omega1) / slide,
     )
     return (
-        Claim("4.36", drift, system.drift),
-        Claim("4.40", s1_dot, functions["Lf s1"]),
-        Claim("4.41", d_s1_dot, paper.observed("equal rates").differential("Lf s1")),
-        Claim("4.42", s2_dot, functions["Lf s2"]),
-        Claim("4.43", d_s2_dot, paper.observed("equal rates").differential("Lf s2")),
-        Claim("4.44", s1_ddot, functions["Lf Lf s1"]),
-        Claim("4.45", d_s1_ddot, paper.observed("equal rates").differential("Lf Lf s1")),
-        Claim("4.46", g * omega0**4 * omega1 * sin(phi1) / slide**4, paper.determinant("equal rates")),
+        EquationCheck("4.36", drift, system.drift),
+        EquationCheck("4.40", s1_dot, functions["Lf s1"]),
+        EquationCheck("4.41", d_s1_dot, paper.observed("equal rates").differential("Lf s1")),
+        EquationCheck("4.42", s2_dot, functions["Lf s2"]),
+        EquationCheck("4.43", d_s2_dot, paper.observed("equal rates").differential("Lf s2")),
+        EquationCheck("4.44", s1_ddot, functions["Lf Lf s1"]),
+        EquationCheck("4.45", d_s1_ddot, paper.observed("equal rates").differential("Lf Lf s1")),
+        EquationCheck("4.46", g * omega0**4 * omega1 * sin(phi1) / slide**4, paper.determinant("equal rates")),
     )
 
 
-def _palm1_fixed() -> tuple[Claim, ...]:
+def _palm1_fixed() -> tuple[EquationCheck, ...]:
     system, slide, both = paper.palm1_fixed(), omega2 - omega0, omega2 + omega0
     functions = paper.observed("palm 1 fixed").functions
     s1_dot = -(omega0**2 * r1 + g * cos(phi1)) / omega0 - omega0 * s1 / tan(phi2) - slide * s2 / sin(phi2)
@@ -124,18 +124,18 @@ def _palm1_fixed() -> tuple[Claim, ...]:
     rows = paper.observed("palm 1 fixed").codistribution()
     d_phi1 = ca.jacobian(phi1, system.state)
     return (
-        Claim("4.47", drift, system.drift),
-        Claim("4.51", s1_dot, functions["Lf s1"]),
-        Claim("4.51, name", functions["Lf s2"], s1_dot),
-        Claim("4.52", d_s1_dot, paper.observed("palm 1 fixed").differential("Lf s1")),
-        Claim("4.53", s2_dot, functions["Lf s2"]),
-        Claim("4.54", d_s2_dot, paper.observed("palm 1 fixed").differential("Lf s2")),
-        Claim("4.55", s2_ddot, functions["Lf Lf s2"]),
-        Claim("4.56", d_s2_ddot, paper.observed("palm 1 fixed").differential("Lf Lf s2")),
-        Claim(
+        EquationCheck("4.47", drift, system.drift),
+        EquationCheck("4.51", s1_dot, functions["Lf s1"]),
+        EquationCheck("4.51, name", functions["Lf s2"], s1_dot),
+        EquationCheck("4.52", d_s1_dot, paper.observed("palm 1 fixed").differential("Lf s1")),
+        EquationCheck("4.53", s2_dot, functions["Lf s2"]),
+        EquationCheck("4.54", d_s2_dot, paper.observed("palm 1 fixed").differential("Lf s2")),
+        EquationCheck("4.55", s2_ddot, functions["Lf Lf s2"]),
+        EquationCheck("4.56", d_s2_ddot, paper.observed("palm 1 fixed").differential("Lf Lf s2")),
+        EquationCheck(
             "4.57",
             -2 * omega0**3 * omega2**2 / (slide**3 * sin(phi2)) * bracket,
             paper.determinant("palm 1 fixed"),
         ),
-        Claim("4.57, columns", ca.det(ca.vertcat(rows[:2, :], d_phi1, rows[3:, :])), ca.det(rows)),
+        EquationCheck("4.57, columns", ca.det(ca.vertcat(rows[:2, :], d_phi1, rows[3:, :])), ca.det(rows)),
     )

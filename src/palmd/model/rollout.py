@@ -14,7 +14,7 @@ from palmd.model.compiled import Library, densified, load
 from palmd.model.contact import SX, Contact, normal_directions, readings
 from palmd.model.dynamics import Body, Palms, newton_euler
 from palmd.model.integrate import exponential_step
-from palmd.model.named import RIG_INPUTS
+from palmd.model.outputs import RIG_INPUTS
 from palmd.model.shape import contact_at
 from palmd.model.shape_map import N, Z
 

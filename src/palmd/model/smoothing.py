@@ -17,7 +17,7 @@ from palmd.model.compiled import Library, densified, load
 from palmd.model.contact import SX, normal_directions, readings
 from palmd.model.dynamics import Body, Motion, Palms, newton_euler
 from palmd.model.integrate import exponential_step
-from palmd.model.named import RIG_INPUTS
+from palmd.model.outputs import RIG_INPUTS
 from palmd.model.shape import contact_at
 from palmd.model.shape_map import PALM_INPUTS, palms_after
 

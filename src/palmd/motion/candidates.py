@@ -12,8 +12,8 @@ import math
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.motion.foresight import CALL_S, Moves
 from palmd.motion.limits import PHI12_MAX, MotionLimits
+from palmd.motion.rollout_predictor import CALL_S, Moves
 from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE
 
 POSE_MARGIN = math.radians(1.5)

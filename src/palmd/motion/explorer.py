@@ -17,14 +17,14 @@ import numpy as np
 from palmd.config import ExploreGoal
 from palmd.events import FloatArray, Outlook, RigDescription
 from palmd.model import shape_map
-from palmd.model.named import rig_inputs
+from palmd.model.outputs import rig_inputs
 from palmd.model.shape import basis
 from palmd.model.stable_poses import normals
 from palmd.motion import candidates
-from palmd.motion.foresight import BINS, Bools, Foreseen, Foresight, Moves, goodness
 from palmd.motion.limits import MotionLimits, problems, ranges
 from palmd.motion.reach import arcs, reach, surface_limits, why_not
 from palmd.motion.roadmap import Roadmap, TimeToGo
+from palmd.motion.rollout_predictor import BINS, Bools, Moves, Prediction, RolloutPredictor, goodness
 from palmd.motion.segments import Angles, Move
 
 LOOPS, SINGLE_MOVES, MUTATED = 104, 56, 32  # sequences tried
@@ -82,7 +82,7 @@ class Explorer:
             rate=min(CAREFUL_RATE, limits.rate),
         )
         self._random = np.random.default_rng(seed)
-        self._foresight = Foresight(rig_inputs(rig))
+        self._predictor = RolloutPredictor(rig_inputs(rig))
         self._surface_limits = surface_limits(limits)
         self._t_begin = math.nan
         self._object_count = 0
@@ -175,19 +175,19 @@ class Explorer:
         if under_way.elapsed >= move.duration:
             return states, outlook.touched, True
         ends, durations = np.tile(np.array(move.end), (count, 1, 1)), np.full((count, 1), move.duration)
-        foreseen = self._foresight.of(states, Moves(np.array(move.start), ends, durations), under_way.elapsed)
+        foreseen = self._predictor.of(states, Moves(np.array(move.start), ends, durations), under_way.elapsed)
         states[:, shape_map.Z.PSI], states[:, shape_map.Z.OMEGA0] = foreseen.psi[:, 0], foreseen.omega0[:, 0]
         return states, outlook.touched | foreseen.touched[0, 0], bool((self._goodness(foreseen) > 0.0).all())
 
     def _time_to_go(self, state: FloatArray, wanted: FloatArray) -> TimeToGo | None:
         """How far it is to what is wanted, None while the roadmap is being made."""
         if self._roadmap is None:
-            self._roadmap = Roadmap(self._foresight, self._limits, state)
+            self._roadmap = Roadmap(self._predictor, self._limits, state)
         self._roadmap.renew(state, RENEWED if self._roadmap.complete else MADE)
         return self._roadmap.time_to(wanted > 0.0) if self._roadmap.complete else None
 
     def _choose(self, states: FloatArray, tried: Moves, wanted: FloatArray, to_go: TimeToGo | None) -> Move | None:
-        foreseen = self._foresight.of(states[0], tried, 0.0, HORIZON_S)
+        foreseen = self._predictor.of(states[0], tried, 0.0, HORIZON_S)
         score = self._score(foreseen, tried, wanted, to_go).max(axis=1)
         for number in np.argsort(-score, kind="stable")[:CHECKED]:
             move = _first_move(tried, int(number))
@@ -202,7 +202,7 @@ class Explorer:
         self._kept = None
         return self._least_bad(states, foreseen, tried)
 
-    def _least_bad(self, states: FloatArray, foreseen: Foreseen, tried: Moves) -> Move | None:
+    def _least_bad(self, states: FloatArray, foreseen: Prediction, tried: Moves) -> Move | None:
         """The first move that comes nearest to being safe with every sample, if standing still is worse."""
         here = _pose(tried.start)
         best, best_worst = None, self._goodness_of(states, Move(here, here, candidates.SHORTEST_S)).min()
@@ -229,7 +229,7 @@ class Explorer:
         tried = Moves(start, ends, durations)
         return tried if to_go is None else candidates.ending_at(tried, to_go.nearest(ends[:, -2]), limits)
 
-    def _score(self, foreseen: Foreseen, tried: Moves, wanted: FloatArray, to_go: TimeToGo | None) -> FloatArray:
+    def _score(self, foreseen: Prediction, tried: Moves, wanted: FloatArray, to_go: TimeToGo | None) -> FloatArray:
         """What each beginning of each sequence brings in a second (N, k), −inf where it is not safe.
 
         Where it touches nothing itself, it is the one bin at the end of the road; a first move that stays where it is
@@ -250,14 +250,14 @@ class Explorer:
         goodness = self._goodness_of(states, move)
         return bool(goodness[0] > 1.0 and goodness.min() > DOUBTFUL)
 
-    def _goodness(self, foreseen: Foreseen) -> FloatArray:
+    def _goodness(self, foreseen: Prediction) -> FloatArray:
         return goodness(foreseen, self._limits.pad_length)
 
     def _goodness_of(self, states: FloatArray, move: Move) -> FloatArray:
         """How safe the move is for each of the states (N,), and standing still after it."""
         count = len(states)
         ends, durations = np.tile(np.array(move.end), (count, 2, 1)), np.tile([move.duration, STAND_S], (count, 1))
-        return self._goodness(self._foresight.of(states, Moves(np.array(move.start), ends, durations)))[:, -1]
+        return self._goodness(self._predictor.of(states, Moves(np.array(move.start), ends, durations)))[:, -1]
 
     def _within_limits(self, move: Move) -> bool:
         motion = [self._limits.values(move.at(t)) for t in np.linspace(0.0, move.duration, 12)]

@@ -1,6 +1,6 @@
 """From a plan as written to a trajectory: every segment placed in time and checked against the limits.
 
-A plan begins at the target of its first segment when that is a `move` (the way there is the conductor's
+A plan begins at the target of its first segment when that is a `move` (the way there is the executor's
 approach, no shorter than the move's duration); any other plan begins where the palms stand. A `rate` segment
 comes to rest exactly at its `until` angle. Repeats go from the pose where one round ended through the first
 segment again. An exploration is decided while it runs and ends when it is told to, so that it comes last and once.

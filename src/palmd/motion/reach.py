@@ -8,8 +8,8 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model.stable_surface import SurfaceLimits, stable_surface
-from palmd.motion.foresight import BINS, MARGIN_M, Bools
 from palmd.motion.limits import PHI12_MAX, MotionLimits
+from palmd.motion.rollout_predictor import BINS, MARGIN_M, Bools
 
 ANY_PHI1, ANY_PHI2, ANY_LENGTH_M = (0.02, 2.9), (0.1, 2.95), 0.5  # as if there were no limits
 

@@ -16,8 +16,8 @@ import numpy.typing as npt
 from palmd.events import FloatArray
 from palmd.model import shape_map
 from palmd.motion.candidates import POSE_MARGIN, RATE_SHARE, range_of, timed
-from palmd.motion.foresight import BINS, MARGIN_M, Bools, Foresight, goodness
 from palmd.motion.limits import PHI12_MAX, MotionLimits
+from palmd.motion.rollout_predictor import BINS, MARGIN_M, Bools, RolloutPredictor, goodness
 
 GRID = 7  # poses along φ1
 STEP = math.radians(22.0)  # between those along φ2
@@ -55,10 +55,10 @@ class TimeToGo:
 class Roadmap:
     """The table of moves; it takes as long as several decisions, so it is made, and renewed, some poses at a time."""
 
-    def __init__(self, foresight: Foresight, limits: MotionLimits, state: FloatArray):
+    def __init__(self, predictor: RolloutPredictor, limits: MotionLimits, state: FloatArray):
         """`state` (21,) tells how large the object is: where its contacts would leave the pads no pose is of use."""
         self.poses = _poses(limits, float(state[shape_map.Z.SHAPE]))
-        self._foresight = foresight
+        self._predictor = predictor
         self._limits = limits
         apart = np.abs(self.poses[:, None] - self.poses).max(axis=-1)
         self._from, self._to = np.nonzero((apart <= FARTHEST) & (apart > 0.0))
@@ -91,7 +91,7 @@ class Roadmap:
         ends = np.repeat(self.poses[self._to[moves]], ORIENTATIONS, axis=0)[:, None]
         rates = np.full((n, 1), RATE_SHARE * self._limits.rate)
         tried = timed(self.poses[pose], ends, rates, self._limits)
-        foreseen = self._foresight.of(states, tried)
+        foreseen = self._predictor.of(states, tried)
         safe = (goodness(foreseen, self._limits.pad_length) > 1.0) & np.isfinite(foreseen.psi)
         self._seconds[moves] = np.where(safe, tried.durations, np.inf).reshape(-1, ORIENTATIONS)
         self._psi[moves] = np.where(safe, foreseen.psi, 0.0).reshape(-1, ORIENTATIONS)

@@ -7,11 +7,11 @@ from typing import Literal, get_args
 
 from palmd.events import RigDescription
 from palmd.model.smoothing import ORDER
+from palmd.observer.bank_observer import BankObserver, SmoothedFilters
 from palmd.observer.filters import ExtendedFilters, ShapeFilters
-from palmd.observer.improved import ImprovedObserver, Simulated, Smoothing
-from palmd.observer.live import BankObserver, SmoothedFilters
 from palmd.observer.quasistatic import QuasistaticObserver
 from palmd.observer.recogniser import Recogniser
+from palmd.observer.smoothed_observer import Simulated, SmoothedObserver, Smoothing
 from palmd.outlinefile import Outline
 
 ObserverName = Literal["shape", "extended", "quasistatic"]
@@ -20,11 +20,11 @@ OBSERVERS: tuple[str, ...] = get_args(ObserverName)
 __all__ = [
     "OBSERVERS",
     "BankObserver",
-    "ImprovedObserver",
     "ObserverName",
     "QuasistaticObserver",
     "Recogniser",
     "Simulated",
+    "SmoothedObserver",
     "make",
 ]
 
@@ -37,7 +37,7 @@ def make(
     seed: int = 0,
     smoothing: Smoothing | None = None,
     outlines: Sequence[Outline] = (),
-) -> BankObserver | ImprovedObserver | Recogniser | QuasistaticObserver:
+) -> BankObserver | SmoothedObserver | Recogniser | QuasistaticObserver:
     """The observer called `name` for `rig`; takes seconds when its C has to be compiled first.
 
     `smoothing` says where the smoother of a shape map runs; without it there is none, nor for other observers. With
@@ -53,4 +53,4 @@ def make(
     if smoothing is None:
         return BankObserver(filters, rig, seed)
     smoothed = SmoothedFilters(ShapeFilters(rig, AGAIN_BANK, order=ORDER), ShapeFilters(rig, 1, order=ORDER))
-    return ImprovedObserver(BankObserver(filters, rig, seed, smoothed), rig, smoothing)
+    return SmoothedObserver(BankObserver(filters, rig, seed, smoothed), rig, smoothing)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from palmd.events import Estimate, FloatArray, PalmMotion
-from palmd.model.named import NAMED
+from palmd.model.outputs import NAMED
 from palmd.observer.mass import MassEstimator
 
 _FORCES = ("f1", "f2")

@@ -16,6 +16,7 @@ import numpy as np
 from palmd.events import Event, FloatArray, RigDescription
 from palmd.model import shape
 from palmd.model.smoothing import CONSTANTS, ORDER, C
+from palmd.observer.data_segment import longest_segment
 from palmd.observer.factor import Prior, friction_of
 from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import directions, gauge_free_sd, normal_angles, touched_by
@@ -23,7 +24,6 @@ from palmd.observer.reconstruct import SPACING_S
 from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
 from palmd.observer.search import NOISE, Search
 from palmd.observer.smoother import Smoother
-from palmd.observer.stretch import longest_stretch
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,7 @@ def cramer_rao(events: Sequence[Event], rig: RigDescription, truth: Truth, theta
     `theta`: normals (rad) in the truth's gauge; as in every published outline, the error of the orientation itself is
     no part of the band. Raises ValueError where there is nothing to reconstruct.
     """
-    stretch = longest_stretch(events)
+    stretch = longest_segment(events)
     if stretch is None:
         raise ValueError("there is no time at which both pads and the arm report")
     search = Search(stretch, rig)

@@ -10,7 +10,7 @@ import numpy as np
 
 from palmd.events import FloatArray, PadSample, PalmSample, RigDescription
 from palmd.model import extended, shape, shape_map
-from palmd.model.named import NAMED, RIG_INPUTS, rig_inputs
+from palmd.model.outputs import NAMED, RIG_INPUTS, rig_inputs
 from palmd.observer import prior
 from palmd.observer.bank import SCORE_MEMORY_S, Bank, Belief
 from palmd.observer.palms import PLAN_RATE_SD, PalmTracker

@@ -13,9 +13,9 @@ from palmd.model import shape
 from palmd.model.shape_map import Z
 from palmd.model.smoothing import CONSTANTS, ORDER, C
 from palmd.observer import prior
+from palmd.observer.bank_observer import BankObserver
 from palmd.observer.factor import Prior
 from palmd.observer.filters import ShapeFilters
-from palmd.observer.live import BankObserver
 from palmd.observer.normal_equations import Guess
 
 BANK = 64

@@ -14,12 +14,12 @@ import numpy as np
 
 from palmd.events import RigDescription
 from palmd.observer.chain import SEGMENT_S, Chain
+from palmd.observer.coverage import marks_of
+from palmd.observer.data_segment import DataSegment
 from palmd.observer.matching import Felt, matched
 from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import normal_angles
 from palmd.observer.search import NOISE, Finding, Search, explained
-from palmd.observer.stretch import Stretch
-from palmd.observer.touched import marks_of
 
 PATIENCE = 2  # windows that may fail: an answer that hard to find comes too late
 LEAST_S = 1.0  # of readings at the end of a stretch that are worth an iteration
@@ -67,7 +67,7 @@ class Follower:
         """Earlier readings are of no use any more (s)."""
         return self._open.start
 
-    def smoothed(self, stretch: Stretch) -> Answer | None:
+    def smoothed(self, stretch: DataSegment) -> Answer | None:
         """With the readings of `stretch`, as far as they have come; None while they are in doubt."""
         answer = self._smoothed(stretch, self._open.guess)
         if answer is None:
@@ -91,7 +91,7 @@ class Follower:
                 return known
         return None
 
-    def end(self, last: Stretch) -> None:
+    def end(self, last: DataSegment) -> None:
         """The object has been taken away; `last` are its last readings."""
         if last.end - TAIL_S < self._open.start + LEAST_S:
             return
@@ -103,7 +103,7 @@ class Follower:
         """What the chain tells of the object."""
         return Felt(self._chain.told(self._open.guess.p), self._closed)
 
-    def _smoothed(self, stretch: Stretch, guess: Guess) -> Answer | None:
+    def _smoothed(self, stretch: DataSegment, guess: Guess) -> Answer | None:
         present = self._open
         search = Search(stretch, self._rig, PATIENCE, self._chain.known(guess.p), present.start, present.resting_since)
         finding = search.followed(Guess(guess.x[: len(search.record.t)], guess.p))

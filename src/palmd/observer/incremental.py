@@ -17,14 +17,14 @@ import numpy as np
 from palmd.events import Event, FloatArray, Improvement, PalmSample, RigDescription
 from palmd.model import shape_map, smoothing
 from palmd.model.smoothing import CONSTANTS, ORDER, C
+from palmd.observer.coverage import marks_of
+from palmd.observer.data_segment import LEAD_S, DataSegment, data_segments
 from palmd.observer.first_guess import constants_of
 from palmd.observer.follower import TAIL_S, Answer, Follower
 from palmd.observer.matching import Felt
 from palmd.observer.outline import made_convex, normal_angles
 from palmd.observer.seeker import Seeker
 from palmd.observer.smoother import Smoother
-from palmd.observer.stretch import LEAD_S, Stretch, stretches
-from palmd.observer.touched import marks_of
 
 FOUND_S = 8.0  # of readings, after which what has been found is beyond question
 ARCHIVED = 4  # objects that were taken away
@@ -85,7 +85,7 @@ class IncrementalSmoother:
         self._events += events
         self._hint = None if session.hint is None else constants_of(session.hint)
         if session.begun != self._session.begun:
-            self._end(stretches([event for event in self._events if event.t_sample < session.begun]))
+            self._end(data_segments([event for event in self._events if event.t_sample < session.begun]))
             self._drop_before(session.begun)
         if math.isinf(session.begun) and self._events:
             self._drop_before(self._events[-1].t_sample)
@@ -93,7 +93,7 @@ class IncrementalSmoother:
 
     def answer(self) -> Improvement | None:
         """What everything so far tells about the state at the last reading; None while that is in doubt."""
-        found = stretches(self._events)
+        found = data_segments(self._events)
         if not found or math.isinf(self._session.begun):
             return None
         stretch = found[-1]
@@ -102,7 +102,7 @@ class IncrementalSmoother:
         answer = self._sought(stretch) if self._follower is None else self._followed(stretch, self._follower)
         return None if answer is None else self._improvement(answer)
 
-    def _sought(self, stretch: Stretch) -> Answer | None:
+    def _sought(self, stretch: DataSegment) -> Answer | None:
         answer = self._found = self._seeker.sought(stretch, self._hint)
         self._drop_before(self._seeker.needs_from)
         if answer is None or not (self._archive or stretch.end - stretch.start >= FOUND_S):
@@ -116,7 +116,7 @@ class IncrementalSmoother:
         self._drop_before(follower.needs_from)
         return answer
 
-    def _followed(self, stretch: Stretch, follower: Follower) -> Answer | None:
+    def _followed(self, stretch: DataSegment, follower: Follower) -> Answer | None:
         answer = follower.smoothed(stretch)
         if follower.lost:
             self._end([])
@@ -133,7 +133,7 @@ class IncrementalSmoother:
         self._archive = [felt for felt in self._archive if felt is not known]
         return known is not None
 
-    def _end(self, felt: Sequence[Stretch]) -> None:
+    def _end(self, felt: Sequence[DataSegment]) -> None:
         """The object is away, or must be sought again; `felt` are the last readings of it."""
         follower = self._follower
         if follower is None and self._found is not None:

@@ -17,8 +17,8 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.model import shape
 from palmd.model.smoothing import CONSTANTS, ORDER, C
+from palmd.observer.coverage import Marks, turned_marks
 from palmd.observer.factor import Factor
-from palmd.observer.touched import Marks, turned_marks
 
 DIRECTIONS = 240  # turns looked at
 STEP_RAD = math.tau / DIRECTIONS

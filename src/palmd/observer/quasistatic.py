@@ -1,7 +1,7 @@
 """The paper's quasistatic observer (CMU-CS-01-107, chapter 3), live: (3.33)–(3.35) integrated from the best beginning.
 
 What is felt is smoothed by local cubics `LAG_S` behind the present, so that the rates which drive the system come
-from readings on both sides. Many beginnings are integrated side by side (`observer.beginnings`). From time to time a
+from readings on both sides. Many beginnings are integrated side by side (`observer.multi_start`). From time to time a
 narrower set is drawn about the likeliest ones, integrated again from the stored past, a few steps a tick, and takes
 over. A set begins `WINDOW_S` ago at most: what was integrated longer has drifted.
 
@@ -33,14 +33,14 @@ from palmd.events import (
 )
 from palmd.model import quasistatic as qs
 from palmd.model import shape
-from palmd.model.named import NAMED
+from palmd.model.outputs import NAMED
 from palmd.observer.answer import answer, no_answer
-from palmd.observer.beginnings import BLOCKS, Beginnings, Spread
-from palmd.observer.live import DIRECTIONS, GONE_S, SILENCE_S, finite
+from palmd.observer.bank_observer import DIRECTIONS, GONE_S, SILENCE_S, finite
+from palmd.observer.coverage import NORMAL_BINS, Coverage
 from palmd.observer.local_fit import HALF_WIDTH_S, Readings
 from palmd.observer.mass import MassEstimator, resting_forces
+from palmd.observer.multi_start import BLOCKS, MultiStart, Spread
 from palmd.observer.prior import GYRATION, GYRATION_SD, RADIUS_SD
-from palmd.observer.touched import NORMAL_BINS, TouchMarks
 
 STEP_S = 0.01
 LAG_S = 0.1
@@ -202,14 +202,14 @@ class QuasistaticObserver:
         rig = self._rig
         self._t_first, self._t_node, self._t_agreed = t, -math.inf, math.inf
         self._nodes: deque[_Node] = deque(maxlen=round(WINDOW_S / STEP_S))
-        self._leader: Beginnings | None = None
+        self._leader: MultiStart | None = None
         self._found: _Answer | None = None
-        self._follower: Beginnings | None = None
+        self._follower: MultiStart | None = None
         self._ahead: deque[qs.Felt] = deque()  # of the follower
         self._level = 0  # ticks for which it has been where the leader is
         self._rounds = 0
         self._mass = MassEstimator(rig.force_scale_std, rig.force_resolution, rig.force_gain_std)
-        self._marks = TouchMarks()
+        self._marks = Coverage()
 
     def _last_seen(self, pad: int) -> float:
         sample = self._last.get(pad)
@@ -262,12 +262,12 @@ class QuasistaticObserver:
             return
         self._circle = float((felt.s1 + felt.s2) / 2 * np.tan(felt.phi2 / 2))
         spread = Spread(self._circle, FIRST_WIDTH * self._circle, 0.0, FIRST_BALANCE_M)
-        self._leader = Beginnings(spread, felt, 0.0, self._circle, STEP_S)
+        self._leader = MultiStart(spread, felt, 0.0, self._circle, STEP_S)
         self.object_count += 1
         self._t_node = start
         self._note(self._leader, felt)
 
-    def _note(self, leader: Beginnings, felt: qs.Felt) -> None:
+    def _note(self, leader: MultiStart, felt: qs.Felt) -> None:
         """The leader stands at a new node where this is `felt`."""
         self._ahead.append(felt)
         if not leader.judged:
@@ -281,7 +281,7 @@ class QuasistaticObserver:
         r1, r2, psi = found.values[:3].tolist()
         self._nodes.append(_Node(felt, (r1 + r2) / 2, float(weights @ leader.balance), psi))
 
-    def _follow(self, leader: Beginnings) -> None:
+    def _follow(self, leader: MultiStart) -> None:
         """Draw a narrower set when it is time, and let it catch up; it leads when it has."""
         if self._follower is None:
             if leader.judged and self._t_node - self._t_first > self._next_round():
@@ -297,7 +297,7 @@ class QuasistaticObserver:
         if self._level > BLOCKS:
             self._leader, self._follower = self._follower, None
 
-    def _draw(self, leader: Beginnings) -> None:
+    def _draw(self, leader: MultiStart) -> None:
         """A set about the likeliest beginnings, from the oldest node that is kept."""
         first, weights = self._nodes[0], leader.weights()
         balance, mean_then = float(weights @ leader.balance), float(weights @ leader.mean)
@@ -306,7 +306,7 @@ class QuasistaticObserver:
             max(WIDTH_SDS * math.sqrt(float(weights @ (values - centre) ** 2)), LEAST_WIDTH_M)
             for values, centre in ((leader.mean, mean_then), (leader.balance, balance))
         ]
-        self._follower = Beginnings(
+        self._follower = MultiStart(
             Spread(mean, widths[0], balance, widths[1]), first.felt, first.psi, self._circle, STEP_S
         )
         self._ahead = deque(node.felt for node in self._nodes)
@@ -347,7 +347,7 @@ class QuasistaticObserver:
         return y, np.array([sds.get(name, math.nan) for name in NAMED])
 
 
-def _read_off(leader: Beginnings, felt: qs.Felt, weights: FloatArray) -> _Answer:
+def _read_off(leader: MultiStart, felt: qs.Felt, weights: FloatArray) -> _Answer:
     rates = qs.rates(felt, leader.state, leader.softening)
     each = np.concatenate([leader.state[:3], rates[2:3]])
     mean = each @ weights

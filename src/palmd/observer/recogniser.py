@@ -19,11 +19,11 @@ import numpy.typing as npt
 
 from palmd.events import DECIDED, FloatArray, ObjectEstimate, PalmMotion, RigDescription
 from palmd.model.compiled import BLOCK
-from palmd.model.named import NAMED
+from palmd.model.outputs import NAMED
 from palmd.observer.bank import Belief
+from palmd.observer.bank_observer import NIS_RANGE, PLAUSIBLE, BankObserver
 from palmd.observer.filters import ShapeFilters
-from palmd.observer.live import NIS_RANGE, PLAUSIBLE, BankObserver
-from palmd.observer.stored import MOST_STARTS, kin_variance, stored
+from palmd.observer.outline_prior import MOST_STARTS, kin_variance, stored
 from palmd.outlinefile import Outline
 
 BANK = 96  # filters at most: what a tick has time for

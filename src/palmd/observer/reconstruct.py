@@ -19,6 +19,8 @@ from palmd.events import Event, FloatArray, RigDescription
 from palmd.model import shape
 from palmd.model.smoothing import CONSTANTS, ORDER, C
 from palmd.observer.chain import Chain
+from palmd.observer.coverage import marks_of
+from palmd.observer.data_segment import DataSegment, data_segments
 from palmd.observer.factor import Prior, friction_of
 from palmd.observer.marginal import Marginal, marginalised
 from palmd.observer.mass import MassEstimator
@@ -28,8 +30,6 @@ from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
 from palmd.observer.search import Finding, Search, beyond_question, doubt
 from palmd.observer.seeker import ATTEMPTS
 from palmd.observer.smoother import Fit, Smoother
-from palmd.observer.stretch import Stretch, stretches
-from palmd.observer.touched import marks_of
 from palmd.observer.visits import Counts, visits_of
 
 SPACING_S = 0.005  # of the nodes in the end
@@ -80,12 +80,12 @@ def reconstruct(events: Sequence[Event], rig: RigDescription, seed: int = 0) -> 
     say: a record that tells too little, or contradicts the model, comes back with `converged` False and the reason.
     """
     begun = time.perf_counter()
-    found = _by_length(stretches(events))
+    found = _by_length(data_segments(events))
     if not found:
         return _nothing("there is no second in which both pads and the arm report", begun)
     main = _part(found[0], rig, seed)
     if main is None or main.reason:
-        shorter = _by_length(stretches(events, SUSPICIOUS_GAP_S))
+        shorter = _by_length(data_segments(events, SUSPICIOUS_GAP_S))
         apart = (
             _part(shorter[0], rig, seed) if shorter and shorter[0].end - shorter[0].start < _length(found[0]) else None
         )
@@ -104,7 +104,7 @@ def reconstruct(events: Sequence[Event], rig: RigDescription, seed: int = 0) -> 
 class _Part:
     """A stretch, what is known of the object before it, and the best fit of it; `reason`: why that is in doubt."""
 
-    stretch: Stretch
+    stretch: DataSegment
     search: Search
     known: Prior
     fit: Fit
@@ -130,15 +130,15 @@ class _Joined:
     omega0: FloatArray
 
 
-def _length(stretch: Stretch) -> float:
+def _length(stretch: DataSegment) -> float:
     return stretch.end - stretch.start
 
 
-def _by_length(found: Sequence[Stretch]) -> list[Stretch]:
+def _by_length(found: Sequence[DataSegment]) -> list[DataSegment]:
     return sorted((stretch for stretch in found if _length(stretch) >= LEAST_S), key=_length, reverse=True)
 
 
-def _part(stretch: Stretch, rig: RigDescription, seed: int) -> _Part | None:
+def _part(stretch: DataSegment, rig: RigDescription, seed: int) -> _Part | None:
     """The best that any attempt finds in a stretch, None when nothing is."""
     search = Search(stretch, rig)
     best: _Part | None = None
@@ -154,7 +154,7 @@ def _part(stretch: Stretch, rig: RigDescription, seed: int) -> _Part | None:
     return best
 
 
-def _refined(search: Search, finding: Finding, stretch: Stretch, rig: RigDescription) -> _Part:
+def _refined(search: Search, finding: Finding, stretch: DataSegment, rig: RigDescription) -> _Part:
     """The best fit again on finer nodes, each force's noise taken from the model's force instead of its neighbours'."""
     best = finding.fits[0]
     record = lay_out(stretch.pads, search.path, rig, stretch.start, stretch.end, SPACING_S)

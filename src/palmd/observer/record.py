@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray, PadSample, RigDescription
-from palmd.model.named import rig_inputs
+from palmd.model.outputs import rig_inputs
 from palmd.model.smoothing import CONTACT_INPUTS, FORCE_INPUTS, STEP_INPUTS
 from palmd.observer.palm_path import PalmPath
 

@@ -17,14 +17,14 @@ import numpy.typing as npt
 from palmd.events import FloatArray, PalmMotion, RigDescription
 from palmd.model import shape, smoothing
 from palmd.model.smoothing import NODE, ORDER, C
+from palmd.observer.data_segment import DataSegment
 from palmd.observer.factor import Knowledge, Prior
 from palmd.observer.first_guess import blind_starts, prior_of
-from palmd.observer.known import likely_orientations
 from palmd.observer.normal_equations import Guess, ProcessNoise
+from palmd.observer.object_memory import likely_orientations
 from palmd.observer.palm_path import smoothed_path
 from palmd.observer.record import RESTING_RAD_S, Record, lay_out
 from palmd.observer.smoother import Fit, Smoother
-from palmd.observer.stretch import Stretch
 
 SPACING_S = 0.01  # of the nodes while looking for the answer
 FIRST_LOOK_S = 0.3  # readings that tell the object's size
@@ -67,7 +67,7 @@ class Search:
 
     def __init__(
         self,
-        stretch: Stretch,
+        stretch: DataSegment,
         rig: RigDescription,
         patience: int = PATIENCE,
         known: Knowledge | None = None,

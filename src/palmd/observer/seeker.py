@@ -6,10 +6,10 @@ import numpy as np
 
 from palmd.events import FloatArray, RigDescription
 from palmd.model.smoothing import ORDER
+from palmd.observer.data_segment import DataSegment
 from palmd.observer.follower import PATIENCE, Answer
 from palmd.observer.normal_equations import Guess
 from palmd.observer.search import Finding, Search, doubt, merged, still
-from palmd.observer.stretch import Stretch
 
 LEAST_S = 1.0  # of readings, before which the bank is as good
 STILL_KEPT_S = 2.0  # of readings at rest, when those and what came before tell nothing
@@ -34,7 +34,7 @@ class Seeker:
         self._doubtful = True
         self.needs_from = -float("inf")
 
-    def sought(self, stretch: Stretch, hint: FloatArray | None) -> Answer | None:
+    def sought(self, stretch: DataSegment, hint: FloatArray | None) -> Answer | None:
         """What all readings of `stretch` tell; None while that is in doubt. `needs_from`: those before are useless.
 
         `hint`: constants that a live filter has settled on, in whatever gauge.

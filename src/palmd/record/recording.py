@@ -15,7 +15,7 @@ from pathlib import Path
 
 from palmd.config import Config
 from palmd.record.mcapfile import RawMessage, unpacked
-from palmd.record.preface import preface
+from palmd.record.metadata import preface
 from palmd.record.runfile import RunFile
 
 log = logging.getLogger(__name__)

@@ -18,7 +18,7 @@ from palmd.messages import EVENTS, IMPROVEMENT, SCHEMA, Topic, events_of
 from palmd.outlinefile import Outline, OutlineError, read_library
 from palmd.record.eventlog import EventLog
 from palmd.record.mcapfile import Preface, RawMessage, RunError, Tail, is_finished, read_messages, read_preface
-from palmd.record.preface import CONFIG, METADATA, OUTLINES, RIG
+from palmd.record.metadata import CONFIG, METADATA, OUTLINES, RIG
 
 __all__ = ["FedTick", "Run", "RunError", "Survey", "read_run"]
 

@@ -38,8 +38,8 @@ from palmd.config import Config
 from palmd.devices.armlink import LineReader
 from palmd.devices.versapad import VersaPadDecoder
 from palmd.messages import stamp
+from palmd.rig.fault_injection import INJECTABLE_FAULTS, PORTS, InjectionError, PortName, order, parse
 from palmd.rig.line import PtyLine
-from palmd.rig.mischief import PORTS, TRICKS, MischiefError, PortName, order, parse
 from palmd.rig.roller import KINDS as ROLLERS
 from palmd.rig.shapes import KINDS, Body, cylinder
 from palmd.rig.tally import Listener
@@ -67,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME[@PORT][,strength=X][,after=S][,for=S]",
-        help=f"what goes wrong; may be given again; names: {', '.join(TRICKS)}",
+        help=f"what goes wrong; may be given again; names: {', '.join(INJECTABLE_FAULTS)}",
     )
     parser.add_argument(
         "--ports", type=Path, metavar="FOLDER", help="where its ports are, made if need be; default: one of its own"
@@ -269,7 +269,7 @@ class RigProcess:
             message = msgpack.unpackb(request)
             identity = message.get("id")
             result = self._obey(message["cmd"], message.get("args") or {})
-        except MischiefError as error:
+        except InjectionError as error:
             return {"id": identity, "ok": False, "error": str(error)}
         except Exception as error:  # whatever a stranger sends, the rig goes on
             return {"id": identity, "ok": False, "error": f"not a command: {type(error).__name__}: {error}"}
@@ -281,7 +281,7 @@ class RigProcess:
             case "status":
                 return self._status()
             case "tricks":
-                return {name: trick.description for name, trick in TRICKS.items()}
+                return {name: trick.description for name, trick in INJECTABLE_FAULTS.items()}
             case "mischief":
                 orders = order(t=t, **args)
                 world.mischief.add(orders)
@@ -291,7 +291,7 @@ class RigProcess:
             case "new_object":
                 world.new_object()
             case _:
-                raise MischiefError(f"no command {command!r}; there are status, tricks, mischief, calm, new_object")
+                raise InjectionError(f"no command {command!r}; there are status, tricks, mischief, calm, new_object")
         return None
 
     def _status(self) -> dict[str, Any]:

@@ -18,14 +18,14 @@ from palmd.devices.armlink import CONTROLLER_NEWLINE, ArmState, Pose
 from palmd.events import PalmMotion
 from palmd.rig.arm import Linkage, Servo, turn
 from palmd.rig.controller import BREAK_RECEIVED, CYCLE_S, ArmLimits, Controller
+from palmd.rig.fault_injection import PADS, PORTS, FaultOrder, PortName, Switchboard
 from palmd.rig.hand import Hand
-from palmd.rig.judge import SetpointJudge
 from palmd.rig.line import Wire
 from palmd.rig.marble import Marble
-from palmd.rig.mischief import PADS, PORTS, Order, PortName, Switchboard
 from palmd.rig.pads import GOOD_PADS, PadEmulator, PadOptions, Press
 from palmd.rig.plant import AS_ASSUMED, Hinge, Plant, PlantOptions, random_surface, stable_poses
 from palmd.rig.roller import Roller, RollerKind
+from palmd.rig.setpoint_checker import SetPointChecker
 from palmd.rig.shapes import Body, Kind, random_body
 from palmd.rig.tally import HostLines, Said
 
@@ -82,7 +82,7 @@ class World:
         self._linkage = Linkage.from_config(config)
         self._home = _home(config)
         home = self._linkage.pose(*self._home)
-        self._judge = SetpointJudge(self._linkage, config.limits)
+        self._judge = SetPointChecker(self._linkage, config.limits)
         self._controller = Controller(arm_limits(config), home, config.arm.baud, self._hear_setpoint)
         lag = 0.016 + options.lag_s
         self._servos = [Servo(r, lag) for r in (home.x_m, home.y_m, home.t_rad)]
@@ -351,7 +351,7 @@ class World:
         finger = self.mischief.strength("touch", name)
         return [*presses, Press(_FINGER_M, finger)] if finger > 0.0 else presses
 
-    def _play(self, order: Order, begins: bool) -> None:
+    def _play(self, order: FaultOrder, begins: bool) -> None:
         """Mischief that is an act rather than a state of the lines."""
         controller = self._controller
         match order.name, begins:

@@ -15,9 +15,9 @@ from websockets.http11 import Request, Response
 
 from palmd import __version__
 from palmd.keys import Credentials
-from palmd.view import door, wire
+from palmd.view import http_guard, wire
 from palmd.view.client import Client
-from palmd.view.desk import Desk
+from palmd.view.command_client import Desk
 from palmd.view.errors import ViewError
 from palmd.view.feed import Feed, Message
 from palmd.view.files import page_files
@@ -101,7 +101,7 @@ class _Server:
             frames.cancel()
 
     def _answer(self, _connection: ServerConnection, request: Request) -> Response | None:
-        return door.answer(request, self._files)
+        return http_guard.answer(request, self._files)
 
     # -- to the pages -------------------------------------------------------------------------------------
 
@@ -147,7 +147,7 @@ class _Server:
             return
         settings = self._settings
         connection.transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
-        client = Client(connection, door.may_operate(token, settings.token))
+        client = Client(connection, http_guard.may_operate(token, settings.token))
         client.tell(wire.hello(__version__, client.operator, settings.publish, settings.command, settings.allowed))
         self._offer([client], [])
         self._clients.add(client)

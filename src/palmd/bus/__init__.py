@@ -1,0 +1,1 @@
+"""A daemon's sockets from the other side."""

@@ -1,0 +1,1 @@
+"""What the configuration must know of a rig, measured."""

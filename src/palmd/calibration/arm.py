@@ -1,0 +1,198 @@
+"""Finds the arm's base and the palms' lengths while you swing the palms by hand; nothing moves by itself."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palmd.calibration.files import plain, provenance, writable, write
+from palmd.calibration.linkage import arm_base, changed, found, lines
+from palmd.calibration.linkage_fit import LinkageFit, TooLittleSwingError, fit_linkage
+from palmd.config import Config
+from palmd.console.configured import configured
+from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
+from palmd.console.progress import Progress
+from palmd.devices.armconformance_talk import DeviationError, Script, Talk, acknowledged
+from palmd.devices.armlink import ArmState, Pose, Query, encode_command
+from palmd.doctor.arm import ArmLine
+from palmd.doctor.ports import holders
+
+FORMAT = 1
+FIRST_MOTION_S = 20.0
+"""How long the arm may stand at the beginning."""
+EVERY_S = 0.02
+BY_HAND = (ArmState.MANUAL, ArmState.POWER_OFF)
+"""The controller's states in which nothing but a hand moves the arm."""
+
+_SHORTEST_S, _LONGEST_S = 3.0, 600.0
+_MISSED_MOST = 5  # answers in a row
+_APART_M, _APART_RAD = 1e-3, math.radians(0.5)  # poses that are nearer to each other count as one
+_NOTICED_RAD = math.radians(0.05)
+_ROUGH_M = 3e-4
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The calibration's arguments."""
+    add = parser.add_argument
+    add("config", type=Path, metavar="CONFIG", help="the rig's configuration, palmd.yaml")
+    add("--seconds", type=_seconds, default=40.0, metavar="S", help="from the first motion (default: %(default)g)")
+    add("-o", "--output", type=Path, metavar="FOLDER",
+        help="for arm.yaml, which is overwritten (default: calibration/ beside CONFIG)")  # fmt: skip
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Writes nothing before all is measured; CliError when the input is wrong or the poses say too little."""
+    config = configured(arguments.config)
+    if config.rig.hinge != "arc":
+        raise CliError(BAD_INPUT, f"{arguments.config}: rig.hinge: no arm holds a fixed hinge: there is nothing to do")
+    folder = writable(arguments.output or arguments.config.parent / "calibration")
+    poses = _listen(config, arguments.seconds)
+    try:
+        fit = fit_linkage(np.array([(pose.x_m, pose.y_m, pose.t_rad) for pose in poses]).reshape(-1, 3))
+    except TooLittleSwingError as error:
+        raise CliError(RIG_FAILED, f"arm: {error}") from None
+    print(table(fit))
+    for remark in remarks(fit):
+        print(remark, file=sys.stderr)
+    result = folder / "arm.yaml"
+    write(result, document(fit, config))
+    print(f"written: {result}")
+    print(f"{arguments.config}: write in these sections:\n{lines(called_for(fit, config))}")
+    return 0
+
+
+def table(fit: LinkageFit) -> str:
+    """The result in a few lines for a terminal."""
+    spans = (("palm 1", fit.span1), ("palm 2", fit.span2), ("opening", fit.span_opening))
+    rows = {
+        "palm 1": found(fit.palm1_length * 1e3, fit.palm1_length_sd * 1e3, "mm long", 3),
+        "palm 2": found(fit.palm2_length * 1e3, fit.palm2_length_sd * 1e3, "mm long", 3),
+        "hinge B": f"x {found(fit.base_x * 1e3, fit.base_x_sd * 1e3, 'mm', 3)},"
+        f" y {found(fit.base_y * 1e3, fit.base_y_sd * 1e3, 'mm', 3)} in arm coordinates",
+        "tool": f"askew by {found(math.degrees(fit.tool), math.degrees(fit.tool_sd), '°', 3)}",
+        "swung": ", ".join(f"{name} {math.degrees(span):.0f}°" for name, span in spans),
+    }
+    head = f"arm: {fit.poses} poses, which the linkage leaves {fit.rms * 1e3:.3f} mm of"
+    return "\n".join([head, *(f"  {what:8} {text}" for what, text in rows.items())])
+
+
+def remarks(fit: LinkageFit) -> list[str]:
+    """What a person should look into."""
+    said = []
+    if abs(fit.tool) > max(3.0 * fit.tool_sd, _NOTICED_RAD):
+        said.append(
+            f"arm: the tool angle is {math.degrees(fit.tool):+.2f}° short of palm 2's: mend the controller's TOOL"
+            " transform by that much, and calibrate again"
+        )
+    if fit.rms > _ROUGH_M:
+        said.append(f"arm: no linkage explains {fit.rms * 1e3:.2f} mm: look for play in hinges and gripper")
+    return said
+
+
+def called_for(fit: LinkageFit, config: Config) -> dict[str, dict[str, float]]:
+    """What the configuration should say, by section; yaw and the palms' base stay as configured."""
+    return {
+        "rig": {
+            "palm1_length_mm": round(fit.palm1_length * 1e3, 3),
+            "palm2_length_mm": round(fit.palm2_length * 1e3, 3),
+        },
+        "arm": arm_base(config, (fit.base_x * 1e3, fit.base_y * 1e3), config.arm.base_yaw_deg),
+    }
+
+
+def document(fit: LinkageFit, config: Config) -> dict[str, Any]:
+    """The stored result; `configuration` holds what it calls for, the hash is of sections rig and arm with it."""
+    values = called_for(fit, config)
+    numbers = {name: value for name, value in asdict(fit).items() if name != "poses"}
+    return {
+        "palmd_arm_calibration": FORMAT,
+        **provenance(changed(config, values["rig"], values["arm"])),
+        "configuration": values,
+        "found": {"poses": fit.poses} | plain({_named(name): _scaled(name, value) for name, value in numbers.items()}),
+    }
+
+
+def _is_angle(name: str) -> bool:
+    return name.startswith(("tool", "span"))
+
+
+def _named(name: str) -> str:
+    return f"{name}_{'deg' if _is_angle(name) else 'mm'}"
+
+
+def _scaled(name: str, value: float) -> float:
+    return math.degrees(value) if _is_angle(name) else value * 1e3
+
+
+def _listen(config: Config, seconds: float) -> list[Pose]:
+    """The poses of a swinging arm; CliError when the port fails, the arm is not in manual mode, or nobody swings it."""
+    path = config.arm.port
+    for number, name in holders(path):
+        if name == "palmd":
+            raise CliError(RIG_FAILED, f"arm: {path} is held by palmd (process {number}): stop the daemon first")
+    line, talk = ArmLine(path, config.arm.baud), Talk(config.arm.baud)
+    try:
+        with Progress("arm", math.ceil(seconds), "s") as progress:
+            return line.play(_swings(talk, seconds, progress))
+    except DeviationError as error:
+        raise CliError(
+            RIG_FAILED, f"arm: {path} does not answer: {error}; is the controller's program running?"
+        ) from None
+    finally:
+        line.close()
+
+
+def _swings(talk: Talk, seconds: float, progress: Progress) -> Script[list[Pose]]:
+    """Asks where the arm is until it has been swung for so long; poses that are apart. DeviationError, CliError."""
+    poses: list[Pose] = []
+    missed = 0
+    t = time.monotonic()
+    t_begin, t_end = math.inf, t + FIRST_MOTION_S
+    while t < t_end:
+        ss = talk.next_ss()
+        heard = yield from talk.raw(encode_command(Query(ss)), t_send=t + EVERY_S, enough=1)
+        t = heard.t
+        try:
+            ack = acknowledged(heard.lines, ss)
+        except DeviationError:
+            missed += 1
+            if missed == _MISSED_MOST:
+                raise
+            t = (yield from talk.raw(b"")).t  # an answer that came late must not be taken for the next one's
+            continue
+        missed = 0
+        if ack.state not in BY_HAND:
+            raise CliError(
+                RIG_FAILED,
+                f"arm: the controller is in state {ack.state}: switch it to manual mode (M) or its power off (P),"
+                " so that nothing but your hand moves the arm",
+            )
+        if not poses:
+            print("arm: swing both palms by hand through their whole range, each against the other", file=sys.stderr)
+        if not poses or _apart(poses[-1], ack.pose):
+            poses.append(ack.pose)
+            if len(poses) == 2:
+                t_begin, t_end = t, t + seconds
+        progress.at(int(max(t - t_begin, 0.0)))
+    if len(poses) < 2:
+        raise CliError(RIG_FAILED, f"arm: it has not moved within {FIRST_MOTION_S:.0f} s: swing the palms by hand")
+    return poses
+
+
+def _apart(a: Pose, b: Pose) -> bool:
+    turned = math.remainder(b.t_rad - a.t_rad, math.tau)
+    return math.hypot(b.x_m - a.x_m, b.y_m - a.y_m) > _APART_M or abs(turned) > _APART_RAD
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not _SHORTEST_S <= value <= _LONGEST_S:
+        raise argparse.ArgumentTypeError(f"{value:g} s is not within {_SHORTEST_S:g} to {_LONGEST_S:g} s")
+    return value

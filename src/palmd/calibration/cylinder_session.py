@@ -1,0 +1,160 @@
+"""A calibration with a cylinder between the palms: a running daemon turns it by a plan, and we listen to the pads."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from palmd.bus.client import Client, Subscriber, add_key, credentials
+from palmd.calibration.cylinder import CylinderError
+from palmd.calibration.files import plain, provenance, write
+from palmd.config import Config, PadConfig, from_here
+from palmd.console.errors import RIG_FAILED, CliError
+from palmd.events import Event
+from palmd.harness.operation import Operation, Status, can_move, why
+from palmd.harness.processes import StopRequest
+from palmd.messages import CONTACT, EVENTS, events_of
+
+FIRST_TOUCH_S = 30.0
+"""How long it may take until the cylinder lies on both palms."""
+TOUCHED_S = 1.0
+"""How long both pads must have been touched without a break before anything moves."""
+
+_LOOK_S = 0.25
+_LARGEST_RADIUS_MM = 1000.0
+
+
+def add_arguments(parser: argparse.ArgumentParser, written: str) -> None:
+    """The configuration, the cylinder's radius, the folder for the file `written`, and the key."""
+    add = parser.add_argument
+    add("config", type=Path, metavar="CONFIG", help="the running daemon's configuration, palmd.yaml")
+    add("--radius-mm", type=within(_LARGEST_RADIUS_MM), required=True, metavar="R", help="of the cylinder")
+    add("-o", "--output", type=Path, metavar="FOLDER",
+        help=f"for {written}, which is overwritten (default: calibration/ beside CONFIG)")  # fmt: skip
+    add_key(parser)
+
+
+def within(most: float) -> Callable[[str], float]:
+    """Takes a number of more than 0 and at most `most`."""
+
+    def number(text: str) -> float:
+        value = float(text)
+        if not 0.0 < value <= most:
+            raise argparse.ArgumentTypeError(f"must be more than 0 and at most {most:g}, got {text}")
+        return value
+
+    return number
+
+
+def pads(config: Config) -> tuple[PadConfig, PadConfig]:
+    """Both pads' sections."""
+    return config.pads.palm1, config.pads.palm2
+
+
+@contextmanager
+def ending(status: int) -> Iterator[None]:
+    """What `palmd.lab` refuses ends the command with this status."""
+    try:
+        yield
+    except CylinderError as error:
+        raise CliError(status, str(error)) from None
+
+
+def heard(arguments: argparse.Namespace, config: Config, plan: Mapping[str, Any]) -> list[Event]:
+    """All that the observer was fed while the daemon ran the plan.
+
+    Nothing moves before both pads are touched. CliError when there is no daemon, it refuses, the plan is not run to
+    its end, or the daemon finds the pads swapped.
+    """
+    key = credentials(arguments)
+    command, publish = from_here(config.bus.command), from_here(config.bus.publish)
+    with (
+        StopRequest() as stop,
+        Client(command, key=key) as client,
+        Subscriber(publish, topics=(CONTACT.name, EVENTS.name), key=key) as subscriber,
+    ):
+        can_move(client)
+        _wait_for_touch(subscriber, publish, stop)
+        events: list[Event] = []
+
+        def listen(t_end: float) -> None:
+            for message in subscriber.until(t_end):
+                if message.topic == EVENTS.name:
+                    events.extend(events_of(message.fields))
+
+        operation = Operation(client, listen, lambda _status, seconds: f"ended after {seconds:.0f} s")
+        operation.begin(plan)
+        try:
+            status = operation.watch(stop, progress)
+        finally:
+            operation.end()
+        if stop.made:
+            raise CliError(RIG_FAILED, f"stopped after {operation.seconds:.0f} s: nothing is stored")
+        if "pads-swapped" in status["faults"]:
+            raise CliError(
+                RIG_FAILED,
+                "the pressures move the wrong way as the V is tipped: the pads are swapped; exchange pads.palm1.port"
+                " and pads.palm2.port, start the daemon anew, and calibrate again",
+            )
+        return events
+
+
+def store(
+    path: Path,
+    kind: Mapping[str, Any],
+    arguments: argparse.Namespace,
+    config: Config,
+    called_for: Mapping[str, Mapping[str, Any]],
+    found: Mapping[str, Any],
+) -> None:
+    """Write the result and say what to write into the configuration, palm by palm.
+
+    `kind` begins the file. The hash is that of the whole section `pads` with what is called for.
+    """
+    updated = {palm: getattr(config.pads, palm).model_copy(update=new) for palm, new in called_for.items()}
+    settings = {palm: dict(new) for palm, new in called_for.items()}
+    origin = provenance(config.pads.model_copy(update=updated))
+    write(path, {**kind, **origin, "configuration": settings, "found": plain(dict(found))})
+    print(f"written: {path}")
+    for palm, new in settings.items():
+        told = ", ".join(f"{key}: {value}" for key, value in new.items())
+        print(f"{arguments.config}: write in pads.{palm}: {told}")
+
+
+def progress(status: Status, seconds: float) -> str:
+    """One line on how it stands."""
+    more = f"  {why(status)} (palmd ctl start goes on)" if status["state"] == "hold" else ""
+    return f"{seconds:5.0f} s  {status['state']:8}  {status['progress']:4.0%}{more}"
+
+
+def _wait_for_touch(subscriber: Subscriber, address: str, stop: StopRequest) -> None:
+    """Until both pads have been touched for a while."""
+    print("lay the cylinder between the palms, across both pads", file=sys.stderr, flush=True)
+    t_end = time.monotonic() + FIRST_TOUCH_S
+    t_since = math.inf
+    touched: tuple[bool, bool] | None = None
+    while time.monotonic() < t_end and not stop.made:
+        for message in subscriber.until(min(time.monotonic() + _LOOK_S, t_end)):
+            if message.topic == CONTACT.name:
+                touched = (bool(message.fields["touch1"]), bool(message.fields["touch2"]))
+                t_since = min(t_since, message.t_recv) if all(touched) else math.inf
+                if message.t_recv >= t_since + TOUCHED_S:
+                    return
+    if stop.made:
+        raise CliError(RIG_FAILED, "stopped before anything moved")
+    if touched is None:
+        raise CliError(RIG_FAILED, f"nothing is heard from {address}: is a palmd running there?")
+    raise CliError(RIG_FAILED, f"{_untouched(touched)} within {FIRST_TOUCH_S:.0f} s: nothing has been moved")
+
+
+def _untouched(touched: tuple[bool, bool]) -> str:
+    if any(touched):
+        feels, lacks = (1, 2) if touched[0] else (2, 1)
+        return f"the cylinder is felt on palm {feels} and not on palm {lacks}"
+    return "nothing has touched the pads"

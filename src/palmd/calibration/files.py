@@ -1,0 +1,64 @@
+"""The files that calibrations leave: YAML with the date, the version, and the hash of the settings they call for."""
+
+from __future__ import annotations
+
+import datetime
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from palmd import __version__
+from palmd.config import Strict, config_hash
+from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.folders import nearest, takes_files
+
+
+def provenance(section: Strict) -> dict[str, Any]:
+    """When and with what it was measured, and the hash of the configuration's section as the result has it."""
+    return {
+        "date": datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
+        "palmd": __version__,
+        "settings_sha256": config_hash(section),
+    }
+
+
+def plain(value: Any) -> Any:
+    """Maps, lists and rounded numbers only."""
+    if isinstance(value, dict):
+        return {key: plain(each) for key, each in value.items()}
+    if isinstance(value, tuple):
+        return [plain(each) for each in value]
+    return round(value, 5) if isinstance(value, float) else value
+
+
+def writable(folder: Path) -> Path:
+    """The folder, before anybody goes to the trouble of a calibration; CliError unless `write` can make it and write.
+
+    Nothing is made yet: a calibration that is refused leaves nothing.
+    """
+    try:
+        there = nearest(folder)
+    except OSError as error:
+        raise not_written(folder, error) from None
+    if not there.is_dir():
+        raise CliError(BAD_INPUT, f"{folder}: cannot be written: {there} is no folder")
+    if not takes_files(there):
+        raise CliError(BAD_INPUT, f"{folder}: cannot be written: no permission")
+    return folder
+
+
+def write(path: Path, content: dict[str, Any]) -> None:
+    """Makes the folder if need be; an earlier result stays until the new one is complete; raises CliError."""
+    partial = path.with_suffix(".tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+        partial.replace(path)
+    except OSError as error:
+        raise not_written(path, error) from None
+
+
+def not_written(path: Path, error: OSError) -> CliError:
+    """Says which file cannot be written, and why."""
+    return CliError(BAD_INPUT, f"{path}: cannot be written: {error.strerror or error}")

@@ -1,0 +1,194 @@
+"""Finds gravity in the plane and the error of the arm's yaw, with a ball or cylinder that you let roll down the palms.
+
+Needs a running daemon. It arms the arm if that has not been done, and then stops it in the end; the palms go to one
+slope after the other, and stand there while you let it roll.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from palmd.bus.client import COMMAND, PUBLISH, Client, Subscriber, add_key, credentials
+from palmd.calibration.files import plain, provenance, writable, write
+from palmd.calibration.linkage import arm_base, changed, found, lines, palm_base_in_arm
+from palmd.calibration.rolling_fit import (
+    INERTIA,
+    LEAST_PER_PALM,
+    Acceleration,
+    GravityFit,
+    RollerKind,
+    TooFewRollsError,
+    causes,
+    fit_gravity,
+    slope,
+)
+from palmd.calibration.rolling_session import RollingSession, slopes_within
+from palmd.config import Config
+from palmd.console.configured import configured
+from palmd.console.errors import RIG_FAILED, CliError
+from palmd.harness.processes import StopRequest
+from palmd.messages import EVENTS, INFO
+
+FORMAT = 1
+_UPRIGHT_M_S2 = 9.84
+_SCATTER_MOST = 2.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The calibration's arguments."""
+    add = parser.add_argument
+    add("config", type=Path, metavar="CONFIG", help="the configuration that the daemon runs with, palmd.yaml")
+    add("--roller", choices=INERTIA, default="ball", help="what rolls; a cylinder must be full (default: %(default)s)")
+    add("--rolls", type=_rolls, default=40, metavar="N",
+        help="on each steep slope, a third of it on each shallow one (default: %(default)s)")  # fmt: skip
+    add("--clear", type=_clear, default=3.0, metavar="S",
+        help="both pads must be free for so long before the palms move (default: %(default)g)")  # fmt: skip
+    add("--address", help=f"the daemon's command socket (default: as configured, {COMMAND})")
+    add("--listen", metavar="ADDRESS", help=f"where it publishes (default: as configured, {PUBLISH})")
+    add("-o", "--output", type=Path, metavar="FOLDER",
+        help="for gravity.yaml, which is overwritten (default: calibration/ beside CONFIG)")  # fmt: skip
+    add_key(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Writes nothing before all is measured; CliError when the daemon refuses, or the rolls say too little."""
+    config = configured(arguments.config)
+    folder = writable(arguments.output or arguments.config.parent / "calibration")
+    key = credentials(arguments)
+    command, publish = arguments.address or config.bus.command, arguments.listen or config.bus.publish
+    slopes = list(slopes_within(config.limits, arguments.rolls))
+    with (
+        StopRequest() as stop,
+        Client(command, key=key) as client,
+        Subscriber(publish, topics=(EVENTS.name, INFO.name), key=key) as subscriber,
+    ):
+        client.ask("status")
+        session = RollingSession(config, client, subscriber, stop, arguments.clear)
+        session.begin(slopes)
+        try:
+            for each in slopes:
+                session.roll_on(each)
+            session.over = True
+        finally:
+            session.end()
+    try:
+        fit = fit_gravity(session.rolls, arguments.roller)
+    except TooFewRollsError as error:
+        raise CliError(RIG_FAILED, f"gravity: {error}") from None
+    print(table(fit, arguments.roller, session.too_short, session.rough))
+    for remark in remarks(fit, arguments.roller):
+        print(remark, file=sys.stderr)
+    result = folder / "gravity.yaml"
+    write(result, document(fit, arguments.roller, config))
+    print(f"written: {result}")
+    print(f"{arguments.config}: write in these sections:\n{lines(called_for(fit, config))}")
+    return 0
+
+
+def table(fit: GravityFit, kind: RollerKind, too_short: int, rough: int) -> str:
+    """The result in a few lines for a terminal."""
+    out = causes(too_short, rough, fit.strange)
+    said = ", ".join(f"{count} {cause}" for cause, count in out.items())
+    rows = {
+        "gravity": found(fit.g, fit.g_sd, "m/s² in the plane", 4),
+        "yaw": f"wrong by {found(math.degrees(fit.delta), math.degrees(fit.delta_sd), '°', 3)}",
+        "rolling": f"resistance {found(fit.resistance, fit.resistance_sd, '', 5)}",
+    }
+    head = f"gravity: {len(fit.used)} rolls of a {kind}" + (f"; left out: {said}" if said else "")
+    return "\n".join([head, *(f"  {what:8} {text}" for what, text in rows.items()), *map(_row, by_slope(fit, kind))])
+
+
+@dataclass(frozen=True, slots=True)
+class OnSlope:
+    """The rolls on one slope: mean acceleration, and by how much the fit misses it, with its one sigma (m/s²)."""
+
+    pad: int
+    slope_deg: float
+    rolls: int
+    mean_m_s2: float
+    left_m_s2: float
+    left_sd_m_s2: float
+
+
+def by_slope(fit: GravityFit, kind: RollerKind) -> list[OnSlope]:
+    """What the fit leaves of the rolls on each slope, gentle ones first."""
+    groups: dict[tuple[int, float], list[Acceleration]] = {}
+    for roll in fit.used:
+        groups.setdefault((roll.pad, round(math.degrees(slope(roll.pad, roll.phi)), 1)), []).append(roll)
+    rows = []
+    for (pad, slope_deg), rolls in sorted(groups.items()):
+        weights = [roll.a_sd**-2 for roll in rolls]
+        mean = sum(w * roll.a for w, roll in zip(weights, rolls, strict=True)) / sum(weights)
+        expected = fit.acceleration(rolls[0].phi, kind)
+        rows.append(OnSlope(pad, slope_deg, len(rolls), mean, mean - expected, sum(weights) ** -0.5))
+    return rows
+
+
+def _row(row: OnSlope) -> str:
+    left = found(row.left_m_s2, row.left_sd_m_s2, "m/s² left", 4)
+    return f"  palm {row.pad} {row.slope_deg:6.1f}°  {row.rolls:3} rolls  {row.mean_m_s2:8.4f} m/s², {left}"
+
+
+def remarks(fit: GravityFit, kind: RollerKind) -> list[str]:
+    """What a person should look into."""
+    said = []
+    if fit.g - 3.0 * fit.g_sd > _UPRIGHT_M_S2:
+        said.append(
+            f"gravity: {fit.g:.3f} m/s² is more than there is: check the pads' counts_per_mm, and that it is a {kind}"
+        )
+    if fit.resistance < -3.0 * fit.resistance_sd:
+        said.append("gravity: a resistance below zero: it was pushed, it slipped, or a pad's scale is bent")
+    if fit.scatter > _SCATTER_MOST:
+        said.append(
+            f"gravity: the rolls scatter {fit.scatter:.1f} times as much as their readings: is it round and clean?"
+        )
+    return said
+
+
+def called_for(fit: GravityFit, config: Config) -> dict[str, dict[str, float]]:
+    """What the configuration should say, by section: the yaw is turned about the palms' base, which stays."""
+    yaw_deg = round(config.arm.base_yaw_deg + math.degrees(fit.delta), 4)
+    return {
+        "rig": {"gravity_m_s2": round(fit.g, 4)},
+        "arm": {**arm_base(config, palm_base_in_arm(config), yaw_deg), "base_yaw_deg": yaw_deg},
+    }
+
+
+def document(fit: GravityFit, kind: RollerKind, config: Config) -> dict[str, Any]:
+    """The stored result; `configuration` holds what it calls for, the hash is of sections rig and arm with it."""
+    values = called_for(fit, config)
+    numbers = {
+        "gravity_m_s2": fit.g,
+        "gravity_sd_m_s2": fit.g_sd,
+        "yaw_error_deg": math.degrees(fit.delta),
+        "yaw_error_sd_deg": math.degrees(fit.delta_sd),
+        "rolling_resistance": fit.resistance,
+        "rolling_resistance_sd": fit.resistance_sd,
+        "scatter": fit.scatter,
+    }
+    return {
+        "palmd_gravity_calibration": FORMAT,
+        **provenance(changed(config, values["rig"], values["arm"])),
+        "roller": kind,
+        "configuration": values,
+        "found": plain(numbers) | {"slopes": [plain(asdict(row)) for row in by_slope(fit, kind)]},
+    }
+
+
+def _rolls(text: str) -> int:
+    value = int(text)
+    if not LEAST_PER_PALM <= value <= 1000:
+        raise argparse.ArgumentTypeError(f"must be {LEAST_PER_PALM} to 1000, got {text}")
+    return value
+
+
+def _clear(text: str) -> float:
+    value = float(text)
+    if not 0.2 <= value <= 30.0:
+        raise argparse.ArgumentTypeError(f"must be 0.2 to 30 s, got {text}")
+    return value

@@ -1,0 +1,194 @@
+"""Characterises a touchpad by a marble that you roll all over it, slowly and fast, lifting it now and then."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Literal
+
+from palmd.calibration.files import not_written, plain, provenance, writable, write
+from palmd.calibration.pad_characteristic import AxisCharacteristic, PadCharacteristic, TooLittleError, characterise
+from palmd.config import PadConfig
+from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
+from palmd.console.extras import drawing
+from palmd.console.progress import Progress
+from palmd.devices.handshake import Handshake
+from palmd.devices.port import Port, PortWaiter
+from palmd.devices.versapad import PadPacket, PressureFormat, VersaPadDecoder
+from palmd.yamlfile import ConfigError, load_config
+
+FIRST_TOUCH_S = 15.0
+"""How long the pad may be left alone at the beginning."""
+FORMAT = 1
+
+_SHORTEST_S, _LONGEST_S = 2.0, 600.0
+_LOOK_S = 0.1
+_SUSPICIOUS_SHARE = 0.01
+_LEAST_NOISE_MM = 0.001
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The calibration's arguments."""
+    add = parser.add_argument
+    add("config", type=Path, metavar="CONFIG", help="the rig's configuration, palmd.yaml")
+    add("--characterise", action="store_true", help=argparse.SUPPRESS)  # was needed once
+    add("--pad", type=int, choices=(1, 2), required=True, help="of palm 1 or palm 2")
+    add("--seconds", type=_seconds, default=20.0, metavar="S", help="from the first touch (default: %(default)s)")
+    add("-o", "--output", type=Path, metavar="FOLDER",
+        help="for padN.yaml and padN.svg, which are overwritten (default: calibration/ beside CONFIG)")  # fmt: skip
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Writes nothing before the pad has been measured; CliError when the input is wrong or the pad says too little."""
+    name = f"pad{arguments.pad}"
+    config = _pad_config(arguments.config, arguments.pad)
+    folder = writable(arguments.output or arguments.config.parent / "calibration")
+    decoder = VersaPadDecoder(config.baud, PressureFormat(**config.pressure.model_dump()))
+    packets = _listen(name, config, decoder, arguments.seconds)
+    try:
+        found = characterise(packets, decoder.counters, config)
+    except TooLittleError as error:
+        raise CliError(RIG_FAILED, f"{name}: {error}") from None
+    print(table(name, found, config))
+    for remark in remarks(name, found, config):
+        print(remark, file=sys.stderr)
+    result = folder / f"{name}.yaml"
+    write(result, document(arguments.pad, found, config))
+    figure = _draw(packets, found, config, folder / f"{name}.svg")
+    print(f"written: {', '.join(map(str, [result, *figure]))}")
+    print(f"{arguments.config}: write in pads.palm{arguments.pad}: noise_mm: {noise_mm(found, config):g}")
+    return 0
+
+
+def table(name: str, found: PadCharacteristic, config: PadConfig) -> str:
+    """The result in a few lines for a terminal."""
+    bands = ", ".join(f"{band.share:.0%} at {band.mean_ms:.1f} ms" for band in found.bands)
+    discarded = found.bad_header_bytes + found.bad_data_bytes + found.truncated_bytes
+    rows = {
+        "interval": f"{found.interval_mean_ms:.1f} ms, sd {found.interval_sd_ms:.1f} ms: {bands}",
+        "x": _axis_row(found.x),
+        "y": _axis_row(found.y),
+        "dead band": f"at most {found.dead_band_counts} counts, {found.dead_band_n:.3f} N",
+        "pressure": f"{found.dead_band_counts} to {found.pressure_high}, {found.pressure_levels} levels",
+        "discarded": f"{discarded} of {found.received_bytes} bytes ({found.bad_header_bytes} outside a packet, "
+        f"{found.bad_data_bytes} illegal, {found.truncated_bytes} cut short)",
+    }
+    head = f"{name}: {found.reports} reports in {found.seconds:.1f} s, {found.touches} touches, s along {config.axis}"
+    return "\n".join([head, *(f"  {what:10} {text}" for what, text in rows.items())])
+
+
+def remarks(name: str, found: PadCharacteristic, config: PadConfig) -> Iterator[str]:
+    """What a person should look into."""
+    if found.out_of_range > _SUSPICIOUS_SHARE * found.reports:
+        yield f"{name}: {found.out_of_range} reports are no place on the pad: check zero_mm, sign and counts_per_mm"
+    if found.along(config).step_counts > 1:
+        yield (
+            f"{name}: positions come in steps of {found.along(config).step_counts} counts: the pad is coarser than"
+            f" its {config.counts_per_mm:g} counts_per_mm"
+        )
+    if found.batches > _SUSPICIOUS_SHARE * found.reports:
+        yield (
+            f"{name}: {found.batches} reads held several reports, so that their times are less certain:"
+            " lower the adapter's latency, or close what keeps this machine busy"
+        )
+
+
+def noise_mm(found: PadCharacteristic, config: PadConfig) -> float:
+    """What the configuration should say; where rounding hides the noise, what it may at most be (one sigma)."""
+    along = found.along(config)
+    return max(round(max(along.noise_mm, along.noise_sd_mm), 3), _LEAST_NOISE_MM)
+
+
+def document(pad: int, found: PadCharacteristic, config: PadConfig) -> dict[str, Any]:
+    """The stored result; `configuration` holds what it calls for in the pad's section, the hash is of both together."""
+    called_for = {"noise_mm": noise_mm(found, config)}
+    return {
+        "palmd_pad_characteristic": FORMAT,
+        **provenance(config.model_copy(update=called_for)),
+        "pad": pad,
+        "configuration": called_for,
+        "found": plain(asdict(found)),
+    }
+
+
+def _axis_row(axis: AxisCharacteristic) -> str:
+    return (
+        f"noise {axis.noise_mm:.3f} ± {axis.noise_sd_mm:.3f} mm, step {axis.step_mm:.3f} mm,"
+        f" reported from {axis.low_mm:.1f} to {axis.high_mm:.1f} mm"
+    )
+
+
+def _pad_config(path: Path, pad: Literal[1, 2]) -> PadConfig:
+    try:
+        pads = load_config(path).pads
+    except ConfigError as error:
+        raise CliError(BAD_INPUT, str(error)) from None
+    return pads.palm1 if pad == 1 else pads.palm2
+
+
+def _listen(name: str, config: PadConfig, decoder: VersaPadDecoder, seconds: float) -> list[PadPacket]:
+    """Everything the pad says from its first report on; CliError when the port fails or nobody touches the pad."""
+    port = Port(name, config.port, config.baud)
+    t = time.monotonic()
+    if not port.poll_open(t):
+        raise CliError(RIG_FAILED, str(port.error))
+    handshake = Handshake(config.handshake, t)
+    waiter = PortWaiter([port])
+    packets: list[PadPacket] = []
+    print(f"{name}: roll a marble over the whole pad, slowly and fast; lift it now and then", file=sys.stderr)
+    try:
+        with Progress(name, math.ceil(seconds), "s") as progress:
+            t_begin, t_end = math.inf, t + FIRST_TOUCH_S
+            while t < t_end:
+                waiter.wait(min(t + _LOOK_S, t_end))
+                data = port.read()
+                t = time.monotonic()
+                if not handshake.done:
+                    port.set_break(handshake.step(t, data))
+                packets += decoder.feed(data, t)
+                if not port.is_open:
+                    raise CliError(RIG_FAILED, str(port.error))
+                if math.isinf(t_begin) and any(packet.in_use for packet in packets):
+                    t_begin, t_end = t, t + seconds
+                progress.at(int(max(t - t_begin, 0.0)))
+    finally:
+        port.close()
+    if math.isinf(t_begin):
+        raise CliError(RIG_FAILED, _silence(name, config, decoder, handshake))
+    return packets
+
+
+def _silence(name: str, config: PadConfig, decoder: VersaPadDecoder, handshake: Handshake) -> str:
+    if handshake.error is not None:
+        return f"{name}: {handshake.error}"
+    if decoder.counters.bytes_discarded:
+        return (
+            f"{name}: {decoder.counters.bytes_discarded} bytes from {config.port}, but no report among them:"
+            f" is it a pad, and is {config.baud} its baud?"
+        )
+    return (
+        f"{name}: no report within {FIRST_TOUCH_S:.0f} s: nobody has touched the pad, or {config.port} is not its port"
+    )
+
+
+def _draw(packets: list[PadPacket], found: PadCharacteristic, config: PadConfig, path: Path) -> list[Path]:
+    figure = drawing("palmd.calibration.pad_figure")
+    if figure is None:
+        return []
+    try:
+        figure.save(packets, found, config, path)
+    except OSError as error:
+        raise not_written(path, error) from None
+    return [path]
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not _SHORTEST_S <= value <= _LONGEST_S:
+        raise argparse.ArgumentTypeError(f"{value:g} s is not within {_SHORTEST_S:g} to {_LONGEST_S:g} s")
+    return value

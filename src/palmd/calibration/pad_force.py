@@ -1,0 +1,186 @@
+"""Both pads' newtons per count from the weight of a turned cylinder between the palms. Pure.
+
+The palms stand in one pose after the other; the mean pressure of each rest is one measurement. Friction at rest is not
+known, and it does not average out: a cylinder that slid down is held up, and one that was pushed up is held down, by
+unequal amounts. But it leaves the difference of both forces alone (`palmd.calibration.cylinder`), so that
+
+    k1·c1 − k2·c2 = m·g·cos β/cos(φ2/2)
+
+holds in every pose for the pressures c1, c2 (counts) and the wanted k1, k2 (N per count). Tipping the V to both sides
+makes two numbers of the one: upright the difference vanishes, which gives k1/k2, and tipped it gives their size.
+
+Least squares would come out low, as the noise is in c1 and c2. The pose is exact and goes with them, so its
+frictionless forces N1, N2 are the instruments: Zᵀ(M·k − y) = 0 with the rows Z = (N1, −N2), M = (c1, −c2). Each round
+of poses is also solved by itself: a resistive pad's gain creeps within a minute, and the scatter between rounds tells
+by how much.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from palmd.calibration.cylinder import CylinderError, Readings, normal_forces, readings
+from palmd.config import PadConfig
+from palmd.events import Event, FloatArray
+
+LEAST_ROUNDS = 2
+
+_STILL_RAD_S = 1e-4
+_SETTLING_S = 0.3  # of each rest that is left out
+_LEAST_REST_S = 0.3
+_LEAST_READINGS = 10
+_WANDERING = 1.25
+"""What one sigma of a mean of rounds is larger by, as neighbours of a minute share some of a drift of 20 s."""
+_LEAST_TIP_N_SHARE = 0.2  # of the weight that the difference of the forces must vary by
+
+
+@dataclass(frozen=True, slots=True)
+class PadForce:
+    """One pad: newtons_per_count with one sigma, and what a line with an offset would say instead.
+
+    share_left: what is left of a force at rest, one sigma relative to the force: drift, hysteresis and friction.
+    offset_n: the force at which the pressure would be zero, friction taken to average out.
+    least_n, greatest_n: the forces it was measured at.
+    """
+
+    newtons_per_count: float
+    newtons_per_count_sd: float
+    share_left: float
+    offset_n: float
+    offset_sd_n: float
+    least_n: float
+    greatest_n: float
+    saturated: int
+
+
+@dataclass(frozen=True, slots=True)
+class Forces:
+    """Both pads; `friction` is the largest share of a normal force that friction at rest bears (mean over poses)."""
+
+    pad1: PadForce
+    pad2: PadForce
+    friction: float
+    rests: int
+    rounds: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Rests:
+    """Of each rest: mean pressures (counts), angles (rad), and frictionless forces for a weight of 1 N."""
+
+    c1: FloatArray
+    c2: FloatArray
+    phi1: FloatArray
+    phi2: FloatArray
+
+    def __getitem__(self, some: slice) -> _Rests:
+        return _Rests(self.c1[some], self.c2[some], self.phi1[some], self.phi2[some])
+
+
+def pad_forces(events: Iterable[Event], configs: tuple[PadConfig, PadConfig], weight_n: float, poses: int) -> Forces:
+    """Both pads from at least LEAST_ROUNDS rounds of so many poses; `configs` are those the daemon ran with.
+
+    Raises CylinderError for readings that do not suffice.
+    """
+    pads = readings(events, configs)
+    rests = _rests(*pads)
+    rounds = round(len(rests.c1) / poses)
+    if rounds < LEAST_ROUNDS or len(rests.c1) < LEAST_ROUNDS * poses - poses // 4:
+        raise CylinderError(
+            f"the cylinder rested on both pads {len(rests.c1)} times, of {LEAST_ROUNDS * poses} at least: it must lie"
+            " on both palms all the time, and press less than the pads' full scale"
+        )
+    wanted = _difference(rests, weight_n)
+    if np.ptp(wanted) < _LEAST_TIP_N_SHARE * weight_n:
+        raise CylinderError("the palms have hardly tipped the cylinder: was the plan stopped?")
+    gains = _gains(rests, weight_n)
+    each = np.array([_gains(part, weight_n) for part in _parts(rests, rounds)])
+    sds = _WANDERING * each.std(axis=0, ddof=1) / math.sqrt(rounds)
+    if gains.min() <= 0.0:
+        raise CylinderError(
+            "the pressures do not follow the weight as the V is tipped: are the pads swapped, is anything else on them?"
+        )
+    friction = _friction(rests, weight_n, gains)
+    pad1, pad2 = (
+        _pad(number, rests, rounds, weight_n, float(gains[number]), float(sds[number]), pads[number])
+        for number in (0, 1)
+    )
+    return Forces(pad1, pad2, friction, len(rests.c1), rounds)
+
+
+def _parts(rests: _Rests, rounds: int) -> list[_Rests]:
+    edges = np.linspace(0, len(rests.c1), rounds + 1).round().astype(int).tolist()
+    return [rests[slice(low, high)] for low, high in itertools.pairwise(edges)]
+
+
+def _difference(rests: _Rests, weight_n: float) -> FloatArray:
+    """N1 − N2 (N)."""
+    return np.asarray(weight_n * np.cos(rests.phi1 + rests.phi2 / 2.0) / np.cos(rests.phi2 / 2.0))
+
+
+def _gains(rests: _Rests, weight_n: float) -> FloatArray:
+    n1, n2 = normal_forces(weight_n, rests.phi1, rests.phi2)
+    instruments, regressors = np.stack([n1, -n2]), np.stack([rests.c1, -rests.c2])
+    gains: FloatArray = np.linalg.solve(instruments @ regressors.T, instruments @ _difference(rests, weight_n))
+    return gains
+
+
+def _friction(rests: _Rests, weight_n: float, gains: FloatArray) -> float:
+    """Root mean square of T over the normal force: N1 + N2 = m·g·sin β/sin(φ2/2) − 2T/tan(φ2/2)."""
+    both = gains[0] * rests.c1 + gains[1] * rests.c2
+    half = rests.phi2 / 2.0
+    held = (weight_n * np.sin(rests.phi1 + half) / np.sin(half) - both) * np.tan(half)
+    return float(np.sqrt(np.mean((held / both) ** 2)))
+
+
+def _pad(
+    number: int, rests: _Rests, rounds: int, weight_n: float, gain: float, gain_sd: float, found: Readings
+) -> PadForce:
+    force = normal_forces(weight_n, rests.phi1, rests.phi2)[number]
+    counts = (rests.c1, rests.c2)[number]
+    offsets = [_offset(part, number, weight_n) for part in _parts(rests, rounds)]
+    return PadForce(
+        newtons_per_count=gain,
+        newtons_per_count_sd=gain_sd,
+        share_left=float(np.sqrt(np.mean((gain * counts / force - 1.0) ** 2))),
+        offset_n=float(np.mean(offsets)),
+        offset_sd_n=float(np.std(offsets, ddof=1)) / math.sqrt(rounds),
+        least_n=float(force.min()),
+        greatest_n=float(force.max()),
+        saturated=int(np.sum(np.isnan(found.pressure))),
+    )
+
+
+def _offset(rests: _Rests, number: int, weight_n: float) -> float:
+    """Where the line of the pressures over the frictionless forces crosses zero pressure (N)."""
+    force = normal_forces(weight_n, rests.phi1, rests.phi2)[number]
+    slope, level = np.polyfit(force, (rests.c1, rests.c2)[number], 1)
+    return float(-level / slope)
+
+
+def _rests(pad1: Readings, pad2: Readings) -> _Rests:
+    """The rests in time order; one in which a pad was silent or at full scale is left out."""
+    rows = []
+    for begin, end in _still(pad1):
+        means = [
+            (float(pad.pressure[some].mean()), float(pad.phi1[some].mean()), float(pad.phi2[some].mean()))
+            for pad in (pad1, pad2)
+            if np.sum(some := (pad.t >= begin) & (pad.t <= end)) >= _LEAST_READINGS
+        ]
+        if len(means) == 2 and all(math.isfinite(pressure) for pressure, _, _ in means):
+            (c1, phi1, phi2), (c2, _, _) = means
+            rows.append((c1, c2, phi1, phi2))
+    return _Rests(*np.array(rows, dtype=np.float64).reshape(-1, 4).T)
+
+
+def _still(found: Readings) -> list[tuple[float, float]]:
+    """From when to when the palms stood (s), without the time to settle."""
+    still = (found.rate <= _STILL_RAD_S).astype(np.int8)
+    edges = np.flatnonzero(np.diff(still, prepend=0, append=0)).reshape(-1, 2).tolist()
+    stood = [(float(found.t[low]) + _SETTLING_S, float(found.t[high - 1])) for low, high in edges]
+    return [(begin, end) for begin, end in stood if end - begin >= _LEAST_REST_S]

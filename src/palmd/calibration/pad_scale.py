@@ -1,0 +1,121 @@
+"""Both pads' zero, scale and sign from a turned cylinder between the palms. Pure.
+
+The cylinder touches each pad at s = R/tan(φ2/2) (`palmd.calibration.cylinder`), and a pad says
+counts = sign · counts_per_mm · (s − zero_mm): a straight line through counts over s, fitted by least squares. Opening
+and closing weigh the same, so that a pad that speaks later than the arm shifts nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from palmd.calibration.cylinder import LEAST_TRAVEL_M, SLOW_RAD_S, CylinderError, Readings, contact_m, readings
+from palmd.config import PadConfig
+from palmd.events import Event, FloatArray
+
+LEAST_READINGS = 500
+LEAST_FOLLOWED = 0.9
+"""Of the counts' scatter that the line must explain, or they do not follow the cylinder."""
+
+_SLOW_ENOUGH = 1.05 * SLOW_RAD_S  # faster ones are from the way to the plan's beginning
+_SPOILT = 6.0  # scaled median deviations
+_STRETCHES = 10
+_LEAST_IN_STRETCH = 30
+
+
+@dataclass(frozen=True, slots=True)
+class PadScale:
+    """One pad: s = zero_mm + sign · counts/counts_per_mm, with one sigma of both, the radius taken for exact.
+
+    noise_mm: one sigma of a reading about the line, rounding included. bend_mm: the largest mean deviation from the
+    line over a tenth of the way, with its own sd; it is what a straight line cannot explain. low_mm, high_mm: the way.
+    """
+
+    sign: int
+    zero_mm: float
+    zero_sd_mm: float
+    counts_per_mm: float
+    counts_per_mm_sd: float
+    noise_mm: float
+    bend_mm: float
+    bend_sd_mm: float
+    low_mm: float
+    high_mm: float
+    readings: int
+    spoilt: int
+
+
+def pad_scales(
+    events: Iterable[Event], configs: tuple[PadConfig, PadConfig], radius_m: float
+) -> tuple[PadScale, PadScale]:
+    """Both pads; `configs` are those the daemon ran with. Raises CylinderError for readings that do not suffice."""
+    first, second = readings(events, configs)
+    return _scale(1, first, radius_m), _scale(2, second, radius_m)
+
+
+def _scale(number: int, found: Readings, radius_m: float) -> PadScale:
+    slow = found.rate <= _SLOW_ENOUGH
+    s, counts = contact_m(radius_m, found.phi2[slow]) * 1e3, found.counts[slow]
+    if len(s) < LEAST_READINGS:
+        raise CylinderError(
+            f"pad {number}: {len(s)} readings while both pads were touched, of at least {LEAST_READINGS}:"
+            " does the cylinder lie on both palms all the time?"
+        )
+    if np.ptp(s) < 0.8 * LEAST_TRAVEL_M * 1e3:
+        raise CylinderError(f"the palms moved the cylinder by {np.ptp(s):.1f} mm only: was the plan stopped?")
+    left = counts - _line(s, counts)
+    middle = float(np.median(left))
+    kept = np.abs(left - middle) <= _SPOILT * max(1.4826 * float(np.median(np.abs(left - middle))), 1.0)
+    spoilt, s, counts = int(np.sum(~kept)), s[kept], counts[kept]
+    left = counts - _line(s, counts)
+    if not left.var() < (1.0 - LEAST_FOLLOWED) * counts.var():
+        raise CylinderError(
+            f"pad {number}'s counts do not follow the cylinder (from {counts.min():.0f} to {counts.max():.0f} over"
+            f" {np.ptp(s):.0f} mm of way): check pads.palm{number}.axis, and that nothing else lies on the pad"
+        )
+    return _result(s, counts, left, spoilt)
+
+
+def _line(s: FloatArray, counts: FloatArray) -> FloatArray:
+    return np.asarray(np.polynomial.Polynomial.fit(s, counts, 1)(s))
+
+
+def _result(s: FloatArray, counts: FloatArray, left: FloatArray, spoilt: int) -> PadScale:
+    """The line counts = mean + slope·(s − mean s), whose two numbers err independently of each other."""
+    n = len(s)
+    away = s - s.mean()
+    slope = float(away @ counts / (away @ away))
+    noise = math.sqrt(float(left @ left) / (n - 2))
+    slope_sd, mean_sd = noise / math.sqrt(float(away @ away)), noise / math.sqrt(n)
+    zero = float(s.mean() - counts.mean() / slope)
+    bend, bend_sd = _bend(s, left)
+    scale = abs(slope)
+    return PadScale(
+        sign=1 if slope > 0.0 else -1,
+        zero_mm=zero,
+        zero_sd_mm=math.hypot(mean_sd / scale, float(counts.mean()) * slope_sd / scale**2),
+        counts_per_mm=scale,
+        counts_per_mm_sd=slope_sd,
+        noise_mm=noise / scale,
+        bend_mm=bend / scale,
+        bend_sd_mm=bend_sd / scale,
+        low_mm=float(s.min()),
+        high_mm=float(s.max()),
+        readings=n,
+        spoilt=spoilt,
+    )
+
+
+def _bend(s: FloatArray, left: FloatArray) -> tuple[float, float]:
+    """The largest mean that is left over a tenth of the way, and its sd (counts)."""
+    stretch = np.minimum(((s - s.min()) / np.ptp(s) * _STRETCHES).astype(np.int64), _STRETCHES - 1)
+    means = [
+        (float(abs(some.mean())), float(some.std()) / math.sqrt(len(some)))
+        for some in (left[stretch == number] for number in range(_STRETCHES))
+        if len(some) >= _LEAST_IN_STRETCH
+    ]
+    return max(means, default=(0.0, 0.0))

@@ -1,0 +1,130 @@
+"""The table of commands: what each is called, what it is for, and the module that is imported when it is called."""
+
+from __future__ import annotations
+
+import importlib
+from types import ModuleType
+from typing import NamedTuple
+
+from palmd.console.extras import missing
+
+
+class Command(NamedTuple):
+    """One command.
+
+    `module`, in the package, has a docstring, `add_arguments(parser)` and `run(arguments) -> int`; it is None where
+    only the commands below do something. `palmd report paper` takes its arguments from `report`.
+    """
+
+    name: str
+    module: str | None
+    help: str
+
+
+COMMANDS = (
+    Command("demo", "cli.demo", "emulated rig and daemon together: an unknown object, live estimates"),
+    Command("run", "cli.run", "the daemon"),
+    Command("record", "cli.record", "keep what a daemon publishes: one file a run"),
+    Command("recover", "cli.recover", "make a whole recording of one that was cut off"),
+    Command("rig", "cli.rig", "the emulated rig alone, its ports on pseudo-terminals"),
+    Command("ctl", "cli.ctl", "tell a running daemon what to do: status, arm, start, hold, stop, reset, plan, jog"),
+    Command("top", "cli.top", "live status of a running daemon in this terminal"),
+    Command("view", "cli.view", "live page of a running daemon for browsers on this machine"),
+    Command("jog", "cli.jog", "turn the palms by the arrow keys, for as long as one is held"),
+    Command("explore", "cli.explore", "have a running daemon find the whole outline of what lies on the palms"),
+    Command("replay", "cli.replay", "publish a recorded run again, or check that the observer still says the same"),
+    Command("export", "cli.export", "a recorded run as event log, CSV, MCAP with JSON, or for rerun"),
+    Command("keys", "cli.keys", "who may listen to a daemon and command it: new, allow, revoke, list"),
+    Command("check", "cli.check", "find what is wrong with configurations and motion plans"),
+    Command("estimate", "cli.estimate", "an event log or a recorded run through the daemon's observer"),
+    Command(
+        "reconstruct", "cli.reconstruct", "outline and motion from a whole event log or recorded run at once, offline"
+    ),
+    Command(
+        "recognise",
+        "cli.recognise",
+        "which of the stored outlines lies on the palms, from an event log or recorded run",
+    ),
+    Command("calibrate", None, "measure what the configuration must know"),
+    Command(
+        "calibrate pad",
+        "calibration.pad",
+        "one touchpad: noise, resolution, timing, dead band, with a marble rolled over it",
+    ),
+    Command(
+        "calibrate arm", "calibration.arm", "the arm's base and the palms' lengths, while you swing the palms by hand"
+    ),
+    Command(
+        "calibrate gravity",
+        "calibration.gravity",
+        "gravity and the arm's yaw, with a ball or cylinder that rolls down the palms",
+    ),
+    Command(
+        "calibrate pads",
+        "calibration.pads",
+        "both touchpads: zero, scale, sign, with a turned cylinder between the palms",
+    ),
+    Command(
+        "calibrate force", "calibration.force", "both touchpads: newtons per count, by the weight of that cylinder"
+    ),
+    Command(
+        "observability",
+        "lab.observability",
+        "what the paper's systems can observe: rank and conditioning, maps over the rates",
+    ),
+    Command("compare", "lab.compare", "a reconstruction with a camera's track of the same run"),
+    Command("report", "cli.report", "a recorded run as a page or PDF to print; paper: the runs of CMU-CS-01-107 again"),
+    Command("report paper", "lab.paper", "the runs behind the figures of CMU-CS-01-107 again: its method and palmd's"),
+    Command("bench", None, "studies of many runs"),
+    Command(
+        "bench montecarlo",
+        "lab.bench_montecarlo",
+        "random objects reconstructed blind, scored against their truth and the Cramér–Rao bound",
+    ),
+    Command(
+        "bench explore", "lab.bench_explore", "unknown objects explored in the emulated rig, beside open-loop plans"
+    ),
+    Command(
+        "bench recognise", "lab.bench_recognise", "which of twenty similar objects lies on the palms, or none of them"
+    ),
+    Command("bench peers", "lab.bench_peers", "palmd's estimators beside general-purpose ones"),
+    Command(
+        "bench faults",
+        "lab.bench_faults",
+        "every fault provoked on the emulated rig: what comes of it, how soon the arm stands",
+    ),
+    Command("bench soak", "lab.bench_soak", "the demo for an hour with random mischief: leaks, lateness, lost packets"),
+    Command(
+        "latency", "lab.latency", "how late the control loop is on this machine, idle and busy, beside a bare timer"
+    ),
+    Command(
+        "doctor",
+        "doctor.command",
+        "what is missing and how to mend it; the arm's controller and the pads put to the test",
+    ),
+    Command("build", "cli.build", "compile the observers now; the first run does it otherwise"),
+    Command("install", "cli.install", "services of this palmd for systemd: units, account, udev rules"),
+)
+"""In the order in which `palmd --help` lists them; this table alone names the modules of `palmd.lab`."""
+
+
+def below(name: str = "") -> dict[str, Command]:
+    """The commands that stand one level below another, by their last word; those at the top by default."""
+    head = f"{name} " if name else ""
+    found = {each.name.removeprefix(head): each for each in COMMANDS if each.name.startswith(head)}
+    return {word: each for word, each in found.items() if " " not in word}
+
+
+def said(command: Command) -> str:
+    """What a command is for, in the words of a list; with the names of the commands that it consists of."""
+    return command.help if command.module else f"{command.help}: {', '.join(below(command.name))}"
+
+
+def loaded(command: Command) -> ModuleType:
+    """Its module; raises CliError, with what mends it, for a package that only the laboratory needs."""
+    try:
+        return importlib.import_module(f"palmd.{command.module}")
+    except ModuleNotFoundError as error:
+        if not f"{command.module}".startswith("lab.") or (error.name or "").startswith("palmd"):
+            raise
+        raise missing(f"palmd {command.name}", error.name or "a package", "lab") from None

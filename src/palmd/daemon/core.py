@@ -1,0 +1,428 @@
+"""The daemon's pure heart: bytes, commands and times in; bytes, answers and messages out.
+
+`Core` never opens a port or a socket and never reads a clock, so the same steps run behind real wires and, in
+one process with the emulated plant, faster than real time. One tick is `observe`, `decide`, `report`, in this
+order; in between, `receive` takes bytes as they arrive and `transmit` gives the arm its set-points on its own
+timer.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import math
+from collections.abc import Callable, Iterable
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+from palmd.config import Config
+from palmd.daemon.commands import Reply, Request
+from palmd.daemon.diagnostics import LOOK_S, ArmDiagnostics, LoopDiagnostics, NisDiagnostics, PadDiagnostics
+from palmd.daemon.drivers import ArmDriver, EndName, PadDriver
+from palmd.daemon.exploration_requests import Source
+from palmd.daemon.exploring import Exploring, Senses
+from palmd.daemon.lifecycle import COMMANDED, State
+from palmd.daemon.planner import Plan, PlanFolder
+from palmd.daemon.setpoints import SetPoints
+from palmd.daemon.supervisor import Supervisor
+from palmd.daemon.swap import SwapWatch
+from palmd.devices.armlink import ArmState
+from palmd.events import Estimate, Event, Improvement, ObjectEstimate, Outlook, PadSample, ShapeEstimate
+from palmd.faults import FaultMonitor
+from palmd.messages import (
+    CONTACT,
+    ESTIMATE,
+    EVENTS,
+    IMPROVEMENT,
+    MOTION,
+    OBJECT,
+    SHAPE,
+    STATE,
+    Fields,
+    Topic,
+    contact_fields,
+    estimate_fields,
+    events_fields,
+    improvement_fields,
+    motion_fields,
+    object_fields,
+    shape_fields,
+    sound,
+    state_fields,
+)
+from palmd.motion.check import motion_limits
+from palmd.motion.kinematics import RigGeometry
+
+log = logging.getLogger(__name__)
+
+SLOW_TOPIC_S = 0.1
+_EARLY_S = 1e-3  # ticks jitter; what is due within so much is due now
+
+OUTSIDE = math.radians(1.0)
+"""How far outside the limits the palms may be found while commanded."""
+
+
+def _always() -> bool:
+    return True
+
+
+class Observer(Protocol):
+    """What the core asks of an observer (`palmd.observer.make`)."""
+
+    @property
+    def name(self) -> str:
+        """As in estimates."""
+
+    @property
+    def object_count(self) -> int:
+        """Counts up when a new object is begun."""
+
+    @property
+    def late_dropped(self) -> int:
+        """Events that could not be fused."""
+
+    def feed(self, event: Event) -> None:
+        """Take one event."""
+
+    def estimate(self, t: float) -> Estimate:
+        """The answer for time `t` (s)."""
+
+    def shape(self, t: float) -> ShapeEstimate | None:
+        """The outline, None before anything is felt."""
+
+    @property
+    def foresees(self) -> bool:
+        """Whether there is an outlook, of an estimate that need not be valid yet."""
+
+    def outlook(self, t: float) -> Outlook | None:
+        """What is known for choosing motions, None unless it `foresees`."""
+
+
+@runtime_checkable
+class Recogniser(Observer, Protocol):
+    """An observer that has stored outlines to choose from."""
+
+    def identify(self, t: float) -> ObjectEstimate | None:
+        """Which object it is, None before anything is felt."""
+
+
+@runtime_checkable
+class Improved(Observer, Protocol):
+    """An observer with a smoother beside the loop."""
+
+    @property
+    def answered(self) -> Improvement | None:
+        """What the smoother had to say in the last estimate."""
+
+
+class Core:
+    """See the module. Times are seconds on one monotonic clock, never running backwards."""
+
+    def __init__(
+        self,
+        config: Config,
+        observer: Observer,
+        aside: Executor,
+        plan: Plan | None = None,
+        notes: Iterable[str] = (),
+        folder: Path = Path(),
+        explorer: Source | None = None,
+    ) -> None:
+        """`aside` compiles plans beside the loop, `notes` are codes of faults that stand throughout.
+
+        `folder` is the configuration's. `explorer` decides where explorations go; without one, plans that explore are
+        refused. Raises PoseError for a fixed hinge.
+        """
+        geometry = RigGeometry.from_config(config)
+        self.pads: dict[EndName, PadDriver] = {
+            "pad1": PadDriver(1, config.pads.palm1),
+            "pad2": PadDriver(2, config.pads.palm2),
+        }
+        self.arm = ArmDriver(config, geometry)
+        self.setpoints = SetPoints(geometry, motion_limits(config))
+        self.faults = FaultMonitor()
+        self.exploring = Exploring(self.setpoints, explorer)
+        plans = PlanFolder(None if config.plan is None else config.plan.parent, folder)
+        self.supervisor = Supervisor(
+            self.arm, self.setpoints, self.exploring, self.faults, aside, plan, plans, autostart=config.autostart
+        )
+        self._observer = observer
+        self._improved = observer if isinstance(observer, Improved) else None
+        self._estimate = unknown_estimate(-math.inf, observer)
+        self._shape: ShapeEstimate | None = None
+        self._object: ObjectEstimate | None = None
+        self._observer_failed = False
+        self._events: list[Event] = []
+        self._fed: list[Event] = []
+        self._answered: Improvement | None = None
+        self._notes = frozenset(notes)
+        self._passing: set[str] = set()  # conditions seen since the last decision
+        self._pad_watches = {name: PadDiagnostics(name) for name in self.pads}
+        self._arm_watch = ArmDiagnostics()
+        self._loop_watch = LoopDiagnostics()
+        self._nis_watch = NisDiagnostics()
+        self._swap = SwapWatch()
+        self._t_look = self._t_state = self._t_shape = -math.inf
+        self._told: tuple[object, object] = (None, None)
+
+    @property
+    def state(self) -> State:
+        """What the daemon is doing."""
+        return self.supervisor.state
+
+    # ---- the lines ---------------------------------------------------------------------------------------
+
+    def opened(self, end: EndName, t: float) -> None:
+        """A port has been opened at `t` (s)."""
+        if end == "arm":
+            self.arm.opened()
+        else:
+            self.pads[end].opened(t)
+
+    def lost(self, end: EndName, t: float) -> None:
+        """A port has gone at `t` (s)."""
+        if end == "arm":
+            self.arm.lost()
+        else:
+            self._events += self.pads[end].lost(t)
+
+    def receive(self, end: EndName, data: bytes, t: float) -> None:
+        """Bytes have been read at `t` (s)."""
+        if end != "arm":
+            self._events += self.pads[end].feed(data, t)
+            return
+        self._events += self.arm.feed(data, t)
+
+    def due(self) -> float:
+        """When (s) `transmit` wants to be called next."""
+        return self.arm.host.due() if self.arm.is_open else math.inf
+
+    def transmit(self, t: float) -> bytes:
+        """What to write to the arm at `t` (s), empty if nothing is due."""
+        host, setpoints, actual = self.arm.host, self.setpoints, self.arm.actual
+        if not self.arm.is_open or t < host.due():
+            return b""
+        if not host.tracking or host.pose is None or actual is None:
+            return host.poll(t, None)
+        if setpoints.commanded is None:
+            setpoints.stand(actual, host.pose.t_rad, t)
+        if host.state is ArmState.HOLD:
+            setpoints.displaced(actual, host.pose.t_rad)
+        target = setpoints.target(t)
+        out = host.poll(t, target)
+        if target is not None and host.commanded is target:
+            self.arm.lag.sent(t, setpoints.sent(t))
+        return out
+
+    # ---- one tick ----------------------------------------------------------------------------------------
+
+    def observe(self, t: float, between: Callable[[], bool] = _always) -> None:
+        """Give the observer what has arrived, in the order of the samples' own times; estimate for `t` (s).
+
+        This is the tick's longest part, so `between` is called between the observer's turns: a set-point may
+        have fallen due. When it says that there is no more time, what is left is for the next tick: bytes that
+        were held up come all at once, and each sets the observer back to its own time.
+        """
+        for pad in self.pads.values():
+            self._events += pad.poll(t)
+        events, self._events = sorted(self._events, key=_sample_time), []
+        self._fed, self._answered = [], None
+        try:
+            for number, event in enumerate(events, 1):
+                self._fed.append(event)
+                self._observer.feed(event)
+                if isinstance(event, PadSample):
+                    self._swap.feed(event)
+                if not between():
+                    self._events = events[number:]
+                    break
+            self._estimate = self._observer.estimate(t)
+            if self._improved is not None:
+                self._answered = self._improved.answered
+            if t - self._t_shape >= SLOW_TOPIC_S - _EARLY_S:
+                between()
+                self._shape = self._observer.shape(t)
+                if isinstance(self._observer, Recogniser):
+                    self._object = self._observer.identify(t)
+                self._t_shape = t
+        except Exception:  # whatever is wrong with a model, the arm must be stopped in good order
+            if not self._observer_failed:
+                log.exception("the observer failed; this is told once")
+            self._observer_failed = True
+            self._passing.add("tick-error")
+            self._estimate = unknown_estimate(t, self._observer)
+        self._swap.look(t, self.arm.actual)
+        if self._estimate.valid and self._swap.swapped:
+            self._estimate = dataclasses.replace(self._estimate, valid=False)
+        if self._estimate.valid and not sound(self._estimate):
+            self._passing.add("estimate-not-finite")
+            self._estimate = dataclasses.replace(self._estimate, valid=False)
+
+    def handle(self, request: Request, t: float) -> None:
+        """Do what a valid command asks at `t` (s), or refuse; the answer comes with `replies`."""
+        self.supervisor.handle(request, t)
+
+    def decide(self, t: float) -> None:
+        """Faults, state and motion at `t` (s)."""
+        under_way = self.setpoints.moving or self.setpoints.held
+        self.faults.update(self._conditions(t, under_way), t, armed=self.supervisor.armed)
+        self._passing.clear()
+        self.supervisor.settle(t, up=self._rig_up(t))
+        plan = self.supervisor.plan
+        if plan is not None and plan.explores:
+            self.exploring.prepare()
+        self.exploring.step(t, self._senses(t))
+
+    def report(self, t: float) -> list[tuple[Topic, Fields]]:
+        """What to publish at `t` (s)."""
+        arm, place = self.arm.host, self.setpoints.place
+        age = arm.age(t)
+        messages = [
+            (ESTIMATE, estimate_fields(self._estimate)),
+            (
+                CONTACT,
+                contact_fields(
+                    self.pads["pad1"].view(t),
+                    self.pads["pad2"].view(t),
+                    age if math.isfinite(age) else math.nan,
+                ),
+            ),
+            (
+                MOTION,
+                motion_fields(
+                    self.setpoints.commanded,
+                    self.arm.actual,
+                    self.supervisor.plan_name,
+                    -1 if place is None else place.segment,
+                    0.0 if place is None else place.progress,
+                    str(arm.state or ""),
+                ),
+            ),
+            (EVENTS, events_fields(t, self._fed)),
+        ]
+        if self._answered is not None:
+            messages.append((IMPROVEMENT, improvement_fields(t, self._answered)))
+        told = (self.state, self.faults.active)
+        if told != self._told or t - self._t_state >= SLOW_TOPIC_S - _EARLY_S:
+            self._told, self._t_state = told, t
+            messages.append((STATE, state_fields(str(self.state), self.faults.active)))
+        if self._shape is not None:
+            messages.append((SHAPE, shape_fields(self._shape)))
+            self._shape = None
+        if self._object is not None:
+            messages.append((OBJECT, object_fields(self._object)))
+            self._object = None
+        return messages
+
+    def replies(self) -> list[Reply]:
+        """The answers that have come due since the last call."""
+        replies, self.supervisor.replies = self.supervisor.replies, []
+        return replies
+
+    def step(self, t: float, requests: Iterable[Request] = ()) -> list[tuple[Topic, Fields]]:
+        """A whole tick at once, for a rig without wires."""
+        self.observe(t)
+        for request in requests:
+            self.handle(request, t)
+        self.decide(t)
+        return self.report(t)
+
+    # ---- beside the ticks --------------------------------------------------------------------------------
+
+    def overran(self, t: float) -> None:
+        """The tick at `t` (s) came so late that others had to be skipped."""
+        self._loop_watch.overran(t)
+
+    def fail(self, t: float) -> None:
+        """The tick at `t` (s) raised something unexpected: make for standing still with as little as can be."""
+        self.faults.update({"tick-error"}, t, armed=True)
+        self.supervisor.fall()
+
+    def close(self) -> None:
+        """Make for a planned stop, and take no more commands that move."""
+        self.supervisor.close()
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the arm is known to stand: never commanded, or reported at rest since."""
+        return self.supervisor.at_rest
+
+    def counters(self) -> Fields:
+        """What has passed on the lines, by the names of `palm/loop`."""
+        counts: Fields = {}
+        for name, pad in self.pads.items():
+            counts |= {f"{name}_{what}": n for what, n in pad.receiver.counters.as_dict().items()}
+        counts |= {f"arm_{what}": n for what, n in self.arm.host.counters.as_dict().items()}
+        counts["arm_bad_poses"] = self.arm.bad_poses
+        counts["arm_guard_interventions"] = self.setpoints.interventions
+        counts["lag_ms"] = self.arm.lag.lag_s * 1e3
+        counts["late_dropped"] = self._observer.late_dropped
+        counts["explorer_dropped"] = self.exploring.dropped
+        return counts
+
+    def _senses(self, t: float) -> Senses:
+        return Senses(
+            tracking=self.state is State.TRACKING,
+            touching=all(pad.touching for pad in self.pads.values()),
+            known=self._observer.foresees,
+            object_count=self._observer.object_count,
+            look=lambda: self._observer.outlook(t),
+        )
+
+    def _conditions(self, t: float, under_way: bool) -> set[str]:
+        """The codes of the fault table that hold at `t` (s)."""
+        look = t - self._t_look >= LOOK_S
+        if look:
+            self._t_look = t
+        commanded = self.state in COMMANDED
+        present = self._passing | self._notes
+        for name, watch in self._pad_watches.items():
+            present.update(watch.conditions(self.pads[name], under_way, look))
+        present.update(self._arm_watch.conditions(self.arm, t, commanded, look))
+        present.update(self._loop_watch.conditions(t, self._observer.late_dropped, look))
+        present.update(self.supervisor.recorder.conditions(t))
+        present.update(self._nis_watch.conditions(self._estimate.nis, self.setpoints.moving, t))
+        if commanded and (self.setpoints.violated or self._outside()):
+            present.add("limits-violated")
+        if self._swap.swapped:
+            present.add("pads-swapped")
+        if self.supervisor.plan_refused:
+            present.add("plan-refused")
+        if self.exploring.silent:
+            present.add("explorer-silent")
+        touching = all(pad.touching for pad in self.pads.values())
+        if self.setpoints.moving and touching and not self._estimate.valid:
+            present.add("estimate-lost")
+        return present
+
+    def _outside(self) -> bool:
+        actual = self.arm.actual
+        if actual is None:
+            return False
+        (low1, high1), (low2, high2) = self.setpoints.limits.phi1, self.setpoints.limits.phi2
+        return not (
+            low1 - OUTSIDE <= actual.phi1 <= high1 + OUTSIDE and low2 - OUTSIDE <= actual.phi2 <= high2 + OUTSIDE
+        )
+
+    def _rig_up(self, t: float) -> bool:
+        return (
+            self.arm.is_open
+            and all(pad.is_open for pad in self.pads.values())
+            and self.arm.host.linked(t)
+            and self.arm.actual is not None
+        )
+
+
+def _sample_time(event: Event) -> float:
+    return event.t_sample
+
+
+def unknown_estimate(t: float, observer: Observer) -> Estimate:
+    """An estimate that says nothing."""
+    values = {
+        field.name: math.nan
+        for field in dataclasses.fields(Estimate)
+        if field.name not in ("t", "valid", "observer", "object_count", "sd")
+    }
+    return Estimate(t=t, valid=False, observer=observer.name, object_count=observer.object_count, sd={}, **values)

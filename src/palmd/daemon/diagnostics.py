@@ -1,0 +1,166 @@
+"""Which conditions of the fault table hold, judged from the drivers and the motion. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+
+from palmd.daemon.drivers import ArmDriver, PadDriver
+from palmd.devices.armlink import ArmState
+
+LOOK_S = 0.5
+"""How often the counters are judged; a verdict stands until the next."""
+
+GARBLED_SHARE, GARBLED_LEAST = 0.2, 24  # bytes
+ASTRAY_SHARE, ASTRAY_LEAST = 0.2, 10  # packets
+BATCHED_SHARE, BATCHED_LEAST = 0.5, 10
+DAMAGED_SHARE, DAMAGED_LEAST = 0.05, 10  # lines
+NIS_BAND, NIS_MEMORY_S = (0.4, 1.5), 2.0  # 2 % of readings wrong by centimetres bring an honest 1 to 1.3
+OVERRUNS_MOST, OVERRUN_MEMORY_S = 10, 1.0
+
+_BY_STATE = {
+    ArmState.ESTOP: "arm-estop",
+    ArmState.FAULT: "arm-fault",
+    ArmState.POWER_OFF: "arm-power-off",
+    ArmState.MANUAL: "arm-manual",
+    ArmState.UNCALIBRATED: "arm-uncalibrated",
+    ArmState.READY: "arm-left-tracking",
+    ArmState.DECELERATING: "arm-left-tracking",
+}
+
+
+class Share:
+    """The share of bad ones among what two counters have gained since the last look."""
+
+    def __init__(self, most: float, least: int) -> None:
+        """Too many are more than the share `most`, among `least` or more."""
+        self._most, self._least = most, least
+        self._all = self._bad = 0
+
+    def exceeded(self, total: int, bad: int) -> bool:
+        """Whether there were too many; the counters only ever grow."""
+        gained, spoilt = total - self._all, bad - self._bad
+        self._all, self._bad = total, bad
+        return gained >= self._least and spoilt > self._most * gained
+
+
+class PadDiagnostics:
+    """One pad's conditions."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._garbled = Share(GARBLED_SHARE, GARBLED_LEAST)
+        self._astray = Share(ASTRAY_SHARE, ASTRAY_LEAST)
+        self._batched = Share(BATCHED_SHARE, BATCHED_LEAST)
+        self._verdicts: tuple[str, ...] = ()
+        self._needed = False
+
+    def conditions(self, pad: PadDriver, under_way: bool, look: bool) -> Iterator[str]:
+        """The codes that hold; with `look`, the counters are judged anew.
+
+        A touch can only be missed once it has been felt in the motion that is `under_way`.
+        """
+        self._needed &= under_way
+        if look:
+            self._verdicts = tuple(self._judged(pad))
+        yield from self._verdicts
+        if pad.unanswered:
+            yield f"{self._name}-handshake"
+        if not pad.is_open:
+            yield f"{self._name}-port"
+        elif pad.touching:
+            self._needed = under_way
+        elif self._needed and pad.parted is not None:
+            yield f"{self._name}-{pad.parted}"
+        else:
+            yield f"{self._name}-untouched"
+
+    def _judged(self, pad: PadDriver) -> Iterator[str]:
+        counters = pad.receiver.counters
+        if self._garbled.exceeded(counters.bytes, counters.bytes_discarded):
+            yield f"{self._name}-garbled"
+        if self._astray.exceeded(counters.packets, counters.out_of_range):
+            yield f"{self._name}-out-of-range"
+        if self._batched.exceeded(counters.packets, 2 * counters.batches):  # two packets or more in each
+            yield f"{self._name}-batched"
+
+
+class ArmDiagnostics:
+    """The arm's conditions."""
+
+    def __init__(self) -> None:
+        self._damaged = Share(DAMAGED_SHARE, DAMAGED_LEAST)
+        self._verdicts: tuple[str, ...] = ()
+
+    def conditions(self, arm: ArmDriver, t: float, commanded: bool, look: bool) -> Iterator[str]:
+        """The codes that hold at `t` (s); `commanded` says whether the arm ought to be following."""
+        host = arm.host
+        if look:
+            line = host.counters.line
+            spoilt = line.crc_errors + line.unframed + line.overlong
+            damaged = self._damaged.exceeded(line.lines + spoilt, spoilt)
+            self._verdicts = ("arm-garbled",) if damaged else ()
+        yield from self._verdicts
+        if not arm.is_open:
+            yield "arm-port"
+        elif host.lost(t):
+            yield "arm-link-lost" if arm.linked_since_open else "arm-mute"
+        elif host.tracking:
+            if host.frozen(t):
+                yield "arm-late"
+            if host.state is ArmState.HOLD:
+                yield "arm-held"
+        elif host.state in _BY_STATE:
+            code = _BY_STATE[host.state]
+            if commanded or code != "arm-left-tracking":
+                yield code
+
+
+class LoopDiagnostics:
+    """Missed deadlines, and samples that came too late."""
+
+    def __init__(self) -> None:
+        self._overruns: deque[float] = deque(maxlen=OVERRUNS_MOST)
+        self._late = Share(0.0, 5)
+        self._too_late = False
+
+    def overran(self, t: float) -> None:
+        """The tick at `t` (s) came so late that others were skipped."""
+        self._overruns.append(t)
+
+    def conditions(self, t: float, late_dropped: int, look: bool) -> Iterator[str]:
+        """The codes that hold at `t` (s)."""
+        if look:
+            self._too_late = self._late.exceeded(late_dropped, late_dropped)
+        if self._too_late:
+            yield "samples-too-late"
+        if self._overruns and t - self._overruns[-1] <= OVERRUN_MEMORY_S:
+            yield "loop-overrun"
+            if len(self._overruns) == OVERRUNS_MOST and t - self._overruns[0] <= OVERRUN_MEMORY_S:
+                yield "loop-overruns"
+
+
+class NisDiagnostics:
+    """Whether an observer's normalised innovations squared, 1 on average when the model is right, stay outside a band.
+
+    The estimate's own mean is over a quarter of a second and begins anew with each start; this one is slower.
+    """
+
+    def __init__(self) -> None:
+        self._mean = 1.0
+        self._t = math.inf
+
+    def conditions(self, nis: float, moving: bool, t: float) -> Iterator[str]:
+        """The codes that hold at `t` (s); `nis` is NaN while no observer runs.
+
+        Palms at rest ask nothing of the model, and resting pads repeat one rounded reading: only motion is judged.
+        """
+        since = max(t - self._t, 0.0)
+        self._t = t
+        if not moving:
+            self._mean = 1.0
+        elif math.isfinite(nis):
+            self._mean += (nis - self._mean) * -math.expm1(-since / NIS_MEMORY_S)
+        if not NIS_BAND[0] <= self._mean <= NIS_BAND[1]:
+            yield "estimate-inconsistent"

@@ -1,0 +1,119 @@
+"""Where an exploration goes next: questions and answers, who decides, and how that is had without a process."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from palmd.config import ExploreGoal
+from palmd.events import Outlook, RigDescription
+from palmd.motion.excitation import rock
+from palmd.motion.explorer import Decision, Explorer, UnderWay
+from palmd.motion.limits import MotionLimits
+from palmd.motion.segments import Angles, Move
+
+LATENCY_S = 0.3  # what a decision takes in a run without wires
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One exploration from its start to its end, counted by `run`."""
+
+    run: int
+    goal: ExploreGoal
+    limits: MotionLimits
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What the palms should do after the move that is under way at `t` (s); without an outlook, to get one.
+
+    Without `choose`: only whether that move may go on.
+    """
+
+    t: float
+    task: Task
+    outlook: Outlook | None
+    under_way: UnderWay
+    choose: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """A decision, and what it was about: when it was asked for (s), after which move, for which object (None: any)."""
+
+    t: float
+    run: int
+    after: Move
+    object_count: int | None
+    decision: Decision
+
+
+class Source(Protocol):
+    """Where decisions come from; nothing here keeps the loop waiting."""
+
+    def prepare(self) -> None:
+        """Get ready; called again and again for as long as a plan that explores is in hand."""
+
+    def ask(self, question: Question) -> None:
+        """Pass a question on; it may be dropped."""
+
+    def collect(self, t: float) -> Answer | None:
+        """The newest answer that has come by `t` (s), each once."""
+
+
+class Decider:
+    """Answers questions: the explorer's work, and rocking for as long as nothing is known. Not for the loop."""
+
+    def __init__(self, rig: RigDescription, seed: int = 0) -> None:
+        self._rig = rig
+        self._seed = seed
+        self._run: int | None = None
+
+    def answer(self, question: Question) -> Answer:
+        """The answer to a question; a new task begins with a new explorer."""
+        task, outlook, move = question.task, question.outlook, question.under_way.move
+        if task.run != self._run:
+            self._run = task.run
+            self._explorer = Explorer(self._rig, task.limits, task.goal, self._seed)
+            self._centre: Angles | None = None  # of the rocking
+        if outlook is not None:
+            self._centre = None
+            decision = self._explorer.decide(outlook, question.under_way, choose=question.choose)
+        else:
+            self._centre = self._centre or move.end
+            to_and_fro = rock(move.end, self._centre, task.limits)
+            decision = (
+                Decision("wait", reason="there is no room to rock the object")
+                if to_and_fro is None
+                else Decision("move", to_and_fro, "rocks the object until it is known where it is")
+            )
+        return Answer(question.t, task.run, move, None if outlook is None else outlook.object_count, decision)
+
+
+class InlineExplorer:
+    """Decisions that come a fixed time after their questions: deterministic, for runs without wires.
+
+    A question that comes while another is being answered is dropped.
+    """
+
+    def __init__(self, decider: Decider, latency_s: float = LATENCY_S) -> None:
+        self._decider = decider
+        self._latency = latency_s
+        self._ready: Answer | None = None
+
+    def prepare(self) -> None:
+        """Nothing to do."""
+
+    def ask(self, question: Question) -> None:
+        """Decide at once, and keep the answer back."""
+        if self._ready is None:
+            self._ready = self._decider.answer(question)
+
+    def collect(self, t: float) -> Answer | None:
+        """The answer to what was asked at least the latency ago."""
+        ready = self._ready
+        if ready is None or t < ready.t + self._latency:
+            return None
+        self._ready = None
+        return ready

@@ -1,0 +1,425 @@
+"""The supervisor of commands, faults and states: who may do what when, and what becomes of it. Pure.
+
+An answer that depends on the arm or on a plan being compiled comes later; `replies` collects them all.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass
+from typing import Any
+
+from palmd.daemon.commands import Reply, Request
+from palmd.daemon.drivers import RESTING, ArmDriver
+from palmd.daemon.exploring import Exploring
+from palmd.daemon.lifecycle import COMMANDED, State, Trigger, next_state
+from palmd.daemon.planner import Plan, PlanFolder, plan_in
+from palmd.daemon.recorder_watch import RecorderWatch
+from palmd.daemon.setpoints import SetPoints
+from palmd.devices.armlink import ArmState, HelloReply, error_text
+from palmd.faults import Fault, FaultMonitor, Severity
+from palmd.motion.limits import Workspace
+from palmd.motion.segments import Angles
+from palmd.motion.trajectory_executor import MotionError
+
+log = logging.getLogger(__name__)
+
+ARMING_S = 1.0
+RESET_S = 1.0
+SETTLED_S = 1.0
+"""How long the rig must be up before `autostart` arms it."""
+
+_AUTOSTART_ID = "autostart"
+
+
+class RefusedError(Exception):
+    """A command that cannot be done now; says why and what would help."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    """Slow work beside the loop for a request, and what to do with its outcome."""
+
+    request: Request
+    future: Future[Plan]
+    done: Callable[[Plan], None]
+
+
+@dataclass(frozen=True, slots=True)
+class _Wait:
+    """A request whose answer depends on the arm, until when (s) to wait for it, and which faults stood then."""
+
+    request: Request
+    t_end: float
+    faults: tuple[Fault, ...]
+
+
+class Supervisor:
+    """Holds the state and acts on arm and set-points; see the module. Times are seconds."""
+
+    def __init__(
+        self,
+        arm: ArmDriver,
+        setpoints: SetPoints,
+        exploring: Exploring,
+        faults: FaultMonitor,
+        aside: Executor,
+        plan: Plan | None,
+        plans: PlanFolder,
+        *,
+        autostart: bool,
+    ) -> None:
+        """`aside` does slow work beside the loop; plans without their text come from the `plans`."""
+        self.state = State.IDLE
+        self.plan = plan
+        self.plan_refused = False
+        self.at_rest = True
+        self.replies: list[Reply] = []
+        self.recorder = RecorderWatch()
+        self._arm = arm
+        self._setpoints = setpoints
+        self._exploring = exploring
+        self._faults = faults
+        self._aside = aside
+        self._plans = plans
+        self._autostart = ["arm", "start"] if autostart else []
+        self._closing = False
+        self._hello: HelloReply | None = None
+        self._arming: _Wait | None = None
+        self._resetting: _Wait | None = None
+        self._job: _Job | None = None
+        self._t_up = math.inf
+        self._commands: dict[str, Callable[[Request, float], dict[str, Any] | None]] = {
+            "status": self._status,
+            "arm": self._start_arming,
+            "start": self._start,
+            "hold": self._hold,
+            "stop": self._stop,
+            "reset": self._reset,
+            "plan": self._load_plan,
+            "jog": self._jog,
+            "recorder": self._hear_recorder,
+        }
+
+    @property
+    def armed(self) -> bool:
+        """Whether the arm is commanded, or about to be."""
+        return self.state in COMMANDED or self._arming is not None
+
+    @property
+    def plan_name(self) -> str:
+        """The name of the plan in hand, empty without one."""
+        return self._setpoints.plan or (self.plan.name if self.plan is not None else "")
+
+    def handle(self, request: Request, t: float) -> None:
+        """Do what a valid command asks at `t` (s), or refuse; the answer is in `replies`, now or later."""
+        try:
+            result = self._commands[request.name](request, t)
+        except (RefusedError, MotionError) as error:
+            self._answer(request, f"{request.name} refused: {error}")
+        else:
+            if result is not None:
+                self._answer(request, None, result)
+
+    def settle(self, t: float, *, up: bool) -> None:
+        """Let the faults and the rig's being there at `t` (s) have their effect. Once a tick."""
+        self._learn_workspace()
+        self._finish_job()
+        self._finish_arming(t)
+        self._finish_reset(t)
+        if self._faults.standing(Severity.STOP):
+            if self.state in COMMANDED or self._faults.latched(Severity.STOP):
+                self.fall()
+        elif self.state is State.TRACKING and self._faults.standing(Severity.HOLD):
+            self._change(Trigger.HOLD)
+            self._setpoints.hold()
+        self._change(Trigger.RIG_UP if up else Trigger.RIG_DOWN)
+        self._t_up = min(self._t_up, t) if up else math.inf
+        self._enforce(t)
+        self._start_by_itself(t)
+
+    def fall(self) -> None:
+        """A stop fault: a planned stop, whatever is going on."""
+        self._change(Trigger.STOP_FAULT)
+        self._stand_down("a fault came up; see status")
+
+    def close(self) -> None:
+        """Make for a planned stop, and take no more commands that move."""
+        self._closing = True
+        self._autostart.clear()
+        self._change(Trigger.STOP)
+        self._stand_down("palmd is stopping")
+
+    # ---- commands ----------------------------------------------------------------------------------------
+
+    def _status(self, _request: Request, t: float) -> dict[str, Any]:
+        host, place, faults = self._arm.host, self._setpoints.place, self._faults.active
+        explored, recorder = self._exploring.told(), self.recorder.last(t)
+        status = {
+            "state": str(self.state),
+            "faults": [fault.code for fault in faults],
+            "severities": [str(fault.severity) for fault in faults],
+            "hints": [fault.hint for fault in faults],
+            "plan": self.plan_name,
+            "segment": -1 if place is None else place.segment,
+            "doing": "" if place is None else place.label,
+            "progress": 0.0 if place is None else place.progress,
+            "moving": self._setpoints.moving,
+            "over": self._setpoints.over,
+            "arm_state": str(host.state or ""),
+            "arm_error": "" if host.last_error is None else error_text(host.last_error),
+            "arm_linked": host.linked(t),
+        }
+        told = {"explored": explored, "recorder": recorder}
+        return status | {name: what for name, what in told.items() if what is not None}
+
+    def _hear_recorder(self, request: Request, t: float) -> dict[str, Any]:
+        self.recorder.hear(request.args, t)
+        return {}
+
+    def _start_arming(self, request: Request, t: float) -> None:
+        host, actual = self._arm.host, self._arm.actual
+        self._refuse_while_closing()
+        if self.state is not State.READY or actual is None:
+            raise RefusedError(f"the state is {self.state}, it must be ready")
+        if self._arming is not None:
+            raise RefusedError("it is being done already")
+        self._refuse_faults(Severity.STOP)
+        if host.state is not ArmState.READY or host.busy:
+            raise RefusedError(f"the controller is in state {_named(host.state)}, it must be R (READY)")
+        problems = self._setpoints.may_stand(actual)
+        if problems:
+            raise RefusedError(f"{'; '.join(problems)}: bring the palms inside with the pendant")
+        host.want_tracking()
+        self.at_rest = False
+        self._arming = _Wait(request, t + ARMING_S, self._faults.active)
+
+    def _start(self, request: Request, _t: float) -> dict[str, Any] | None:
+        setpoints, commanded = self._setpoints, self._setpoints.commanded
+        self._refuse_unless_commanded()
+        self._refuse_faults(Severity.HOLD)
+        if self.state is State.HOLD and setpoints.held:
+            setpoints.resume()
+            self._change(Trigger.START)
+            return self._told()
+        if setpoints.moving or setpoints.held:
+            raise RefusedError("the palms are moving already")
+        plan = self.plan
+        if plan is None:
+            raise RefusedError("there is no plan: load one with the plan command")
+        if plan.explores and not self._exploring.possible:
+            raise RefusedError("exploring needs an outline to go by: set observer.primary to shape")
+        assert commanded is not None, "the arm follows"
+        limits, start = setpoints.limits, (commanded.phi1, commanded.phi2)
+        if plan.serves(limits, start):
+            self._run(plan)
+            return self._told()
+        self._begin(request, lambda: plan.compiled(limits, start), self._run)
+        return None
+
+    def _run(self, plan: Plan) -> None:
+        self._refuse_unless_commanded()
+        self._refuse_faults(Severity.HOLD)
+        self._setpoints.start(plan.trajectory)
+        self.plan = plan
+        self.plan_refused = False
+        self._change(Trigger.START)
+
+    def _hold(self, _request: Request, _t: float) -> dict[str, Any]:
+        self._refuse_unless_commanded()
+        self._change(Trigger.HOLD)
+        self._setpoints.hold()
+        return self._told()
+
+    def _stop(self, _request: Request, _t: float) -> dict[str, Any]:
+        self._autostart.clear()
+        self._change(Trigger.STOP)
+        self._stand_down("stop came first")
+        return self._told()
+
+    def _reset(self, request: Request, t: float) -> None:
+        if self._arming is not None or self._resetting is not None:
+            raise RefusedError("another command is under way")
+        host = self._arm.host
+        if host.state is ArmState.FAULT and not self._closing:
+            host.request_reset()
+        self._resetting = _Wait(request, t + RESET_S, self._faults.active)
+
+    def _load_plan(self, request: Request, _t: float) -> None:
+        self._refuse_while_moving()
+        name, text = request.args["path"], request.args.get("text")
+        plans, limits, actual = self._plans, self._setpoints.limits, self._arm.actual
+        start: Angles | None = None
+        if actual is not None:
+            inside = self._setpoints.nearest(actual)
+            start = (inside.phi1, inside.phi2)
+        if text is None:
+            self._begin(request, lambda: plans.load(name, limits, start), self._adopt)
+        else:
+            self._begin(request, lambda: plan_in(text, name, limits, start), self._adopt)
+
+    def _adopt(self, plan: Plan) -> None:
+        self._refuse_while_moving()
+        self._setpoints.put_away()
+        self.plan = plan
+        self.plan_refused = False
+
+    def _jog(self, request: Request, t: float) -> dict[str, Any]:
+        self._refuse_unless_commanded()
+        told = any(name.startswith("whole_") for name in request.args)
+        self._setpoints.jog(*_turn(request, ""), t, _turn(request, "whole_") if told else None)
+        return self._told()
+
+    def _told(self) -> dict[str, Any]:
+        return {"state": str(self.state)}
+
+    def _refuse_while_closing(self) -> None:
+        if self._closing:
+            raise RefusedError("palmd is stopping")
+
+    def _refuse_while_moving(self) -> None:
+        if self._setpoints.moving:
+            raise RefusedError("the palms are moving: hold or stop them first")
+
+    def _refuse_unless_commanded(self) -> None:
+        if self.state not in COMMANDED or self._setpoints.commanded is None:
+            raise RefusedError(f"the state is {self.state}, it must be tracking or hold: arm first")
+
+    def _refuse_faults(self, severity: Severity) -> None:
+        faults = self._faults.standing(severity)
+        if faults:
+            raise RefusedError("; ".join(f"{fault.text}: {fault.hint}" for fault in faults))
+
+    # ---- what comes of them later ------------------------------------------------------------------------
+
+    def _begin(self, request: Request, work: Callable[[], Plan], done: Callable[[Plan], None]) -> None:
+        if self._job is not None:
+            raise RefusedError("another plan is still being checked")
+        self._job = _Job(request, self._aside.submit(work), done)
+
+    def _finish_job(self) -> None:
+        job = self._job
+        if job is None or not job.future.done():
+            return
+        self._job = None
+        try:
+            plan = job.future.result()
+        except Exception as error:  # a plan from outside may be wrong in any way; the loop goes on
+            self.plan_refused |= job.done == self._run
+            self._answer(job.request, f"{job.request.name} refused: {error}")
+            return
+        try:
+            job.done(plan)
+        except (RefusedError, MotionError) as error:
+            self._answer(job.request, f"{job.request.name} refused: {error}")
+        else:
+            self._answer(job.request, None, {**self._told(), "plan": plan.name})
+
+    def _finish_arming(self, t: float) -> None:
+        wait, host = self._arming, self._arm.host
+        if wait is None:
+            return
+        if self._faults.standing(Severity.STOP):
+            self._stand_down("a fault came up; see status")
+        elif host.tracking:
+            self._arming = None
+            self._change(Trigger.ARMED)
+            self._answer(wait.request, None, self._told())
+        elif not host.busy:
+            self._arming = None
+            self._answer(wait.request, host.refusal or "arm refused: the controller went on to something else")
+        elif t > wait.t_end:
+            self._stand_down("the controller does not answer")
+
+    def _finish_reset(self, t: float) -> None:
+        wait = self._resetting
+        if wait is None:
+            return
+        self._faults.reset()
+        left = self._faults.standing(Severity.STOP)
+        if left and self._arm.host.busy and t <= wait.t_end:
+            return
+        self._resetting = None
+        if left:
+            why = "; ".join(f"{fault.text}: {fault.hint}" for fault in left)
+            self._answer(wait.request, f"reset refused: {why}")
+        else:
+            self._change(Trigger.CLEARED)
+            cleared = [fault.code for fault in wait.faults if fault not in self._faults.active]
+            self._answer(wait.request, None, {**self._told(), "cleared": cleared})
+
+    def _stand_down(self, reason: str) -> None:
+        """Planned stop, as far as the arm is commanded; an `arm` under way comes to nothing."""
+        host = self._arm.host
+        if host.tracking or self._arming is not None:
+            host.want_stop()
+        self._setpoints.leave()
+        if self._arming is not None:
+            wait, self._arming = self._arming, None
+            self._answer(wait.request, f"arm refused: {reason}")
+
+    # ---- keeping order -----------------------------------------------------------------------------------
+
+    def _learn_workspace(self) -> None:
+        hello = self._arm.host.hello
+        if hello is None or hello == self._hello or self.armed:
+            return
+        self._hello = hello
+        self._setpoints.learn(
+            Workspace(
+                self._setpoints.geometry,
+                hello.x_min_m,
+                hello.x_max_m,
+                hello.y_min_m,
+                hello.y_max_m,
+                hello.v_max_m_s,
+                hello.a_max_m_s2,
+            )
+        )
+
+    def _enforce(self, t: float) -> None:
+        """Keep the arm to what the state allows, whatever has happened."""
+        host = self._arm.host
+        if host.tracking and not self.armed:
+            host.want_stop()
+        if host.tracking:
+            self._setpoints.freeze(host.frozen(t))
+            return
+        self._setpoints.leave()
+        if not self.armed and not host.busy and (host.state in RESTING or host.state is ArmState.MANUAL):
+            self.at_rest = True
+
+    def _start_by_itself(self, t: float) -> None:
+        if not self._autostart:
+            return
+        ready = self.state is State.READY and not self._faults.standing(Severity.STOP)
+        if (self._autostart[0] == "arm" and ready and t - self._t_up >= SETTLED_S) or (
+            self._autostart[0] == "start" and self.state is State.TRACKING and self._setpoints.commanded
+        ):
+            self.handle(Request(self._autostart.pop(0), id=_AUTOSTART_ID), t)
+
+    def _change(self, trigger: Trigger) -> bool:
+        state = next_state(self.state, trigger)
+        if state is None:
+            return False
+        self.state = state
+        return True
+
+    def _answer(self, request: Request, error: str | None, result: dict[str, Any] | None = None) -> None:
+        if error is not None and request.id == _AUTOSTART_ID and request.route is None:
+            self._autostart.clear()
+            log.warning("autostart: %s", error)
+        self.replies.append(Reply(request, error, result))
+
+
+def _turn(jog: Request, of: str) -> Angles:
+    """By how much a jog turns the palms (rad): its step, or the whole of which that is the first."""
+    phi1_deg, phi2_deg = (jog.args.get(f"{of}phi{i}_deg", 0.0) for i in (1, 2))
+    return math.radians(phi1_deg), math.radians(phi2_deg)
+
+
+def _named(state: ArmState | None) -> str:
+    return "unknown" if state is None else f"{state} ({state.name})"

@@ -1,0 +1,1 @@
+"""What is missing or wrong, found with the command that mends it."""

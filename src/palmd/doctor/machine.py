@@ -1,0 +1,148 @@
+"""What palmd needs of this machine: Python, packages, compiler, rights, room, services."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import pwd
+import re
+import resource
+import shutil
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from palmd.console.folders import nearest, takes_files
+from palmd.doctor.finding import Finding
+
+PROC = Path("/proc")
+UNIT_FOLDERS = tuple(map(Path, (
+    "/etc/systemd/system", "/run/systemd/system", "/usr/local/lib/systemd/system", "/usr/lib/systemd/system",
+    "/lib/systemd/system",
+)))  # fmt: skip
+UNITS = ("palmd.service", "palmd-record.service", "palmd-view.service")
+SYSTEMD_RUNS = Path("/run/systemd/system")
+FREE_MB = 2000
+"""Room for some hours of recording."""
+
+_CAP_IPC_LOCK, _CAP_SYS_NICE = 14, 23
+
+
+def python(version: Sequence[int]) -> Finding:
+    """The interpreter."""
+    text = ".".join(map(str, version))
+    if tuple(version) >= (3, 11):
+        return Finding("python", "ok", text)
+    return Finding("python", "missing", f"{text} is too old, 3.11 is needed", "sudo apt-get install python3.11-venv")
+
+
+def packages(distribution: str = "palmd") -> Finding:
+    """What the package itself says it needs, its extras left out."""
+    try:
+        needed = importlib.metadata.requires(distribution) or []
+    except importlib.metadata.PackageNotFoundError:
+        return Finding("packages", "cannot tell", f"{distribution} runs from its sources", "pip install -e .")
+    names = [re.split(r"[^A-Za-z0-9._-]", each)[0] for each in needed if "extra ==" not in each]
+    missing = [name for name in names if not _installed(name)]
+    if missing:
+        return Finding(
+            "packages", "missing", ", ".join(missing), f"{sys.executable} -m pip install {' '.join(missing)}"
+        )
+    return Finding("packages", "ok", f"all {len(names)} are there")
+
+
+def _installed(name: str) -> bool:
+    try:
+        importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return False
+    return True
+
+
+def compiler() -> Finding:
+    """Without one the observers run, several times slower."""
+    found = os.environ.get("CC") or next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
+    if found:
+        return Finding("compiler", "ok", found)
+    return Finding("compiler", "missing", "no C compiler", "sudo apt-get install gcc libc6-dev")
+
+
+def observers() -> Finding:
+    """The compiled observers; whether they are this version's is known when they are loaded."""
+    from palmd.model.compiled import cache_directory
+
+    own = f"set XDG_CACHE_HOME to a folder of {user()}'s own, then palmd build"
+    try:
+        folder = cache_directory()
+    except RuntimeError:
+        return Finding("observers", "missing", f"{user()} has no home to keep them in", own)
+    try:
+        count = sum(each.suffix == ".so" for each in folder.iterdir()) if folder.is_dir() else 0
+        makes_more = takes_files(nearest(folder))
+    except OSError as error:
+        return Finding("observers", "missing", f"{folder}: {error.strerror}", own)
+    if count:
+        return Finding("observers", "ok", f"{count} compiled in {folder}")
+    return Finding("observers", "missing", f"none compiled in {folder}", "palmd build" if makes_more else own)
+
+
+def real_time() -> Finding:
+    """Whether this user may have the loop's priority; the service has it in any case."""
+    from palmd.daemon.realtime import PRIORITY
+
+    allowed, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
+    if allowed >= PRIORITY or allowed == resource.RLIM_INFINITY or _capable(_CAP_SYS_NICE):
+        return Finding("real time", "ok", f"priority {PRIORITY} is allowed")
+    mend = f"echo '{user()} - rtprio {PRIORITY}' | sudo tee -a /etc/security/limits.d/palmd.conf, or run the service"
+    return Finding("real time", "missing", f"no right to priority {PRIORITY}", mend)
+
+
+def locked_memory() -> Finding:
+    """Whether this user may lock all memory."""
+    limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    if limit == resource.RLIM_INFINITY or _capable(_CAP_IPC_LOCK):
+        return Finding("locked memory", "ok", "no limit")
+    mend = f"echo '{user()} - memlock unlimited' | sudo tee -a /etc/security/limits.d/palmd.conf, or run the service"
+    return Finding("locked memory", "missing", f"limited to {limit / 1e6:.1f} MB", mend)
+
+
+def _capable(capability: int) -> bool:
+    try:
+        status = (PROC / "self/status").read_text(encoding="ascii")
+    except OSError:
+        return False
+    found = re.search(r"^CapEff:\s*([0-9a-f]+)", status, re.MULTILINE)
+    return found is not None and bool(int(found[1], 16) >> capability & 1)
+
+
+def user() -> str:
+    """Whose rights these are."""
+    try:
+        return pwd.getpwuid(os.getuid()).pw_name
+    except KeyError:
+        return str(os.getuid())
+
+
+def runs(folder: Path) -> Finding:
+    """Where runs are recorded: made when needed, so that its nearest parent counts."""
+    try:
+        there = nearest(folder)
+    except OSError as error:
+        return Finding("runs", "missing", f"{folder}: {error.strerror}", "edit record.directory in the configuration")
+    if not takes_files(there):
+        owner = f"sudo install -d -o {user()} {folder}"
+        return Finding("runs", "missing", f"{there} cannot be written", owner)
+    free_mb = shutil.disk_usage(there).free / 1e6
+    if free_mb < FREE_MB:
+        return Finding("runs", "missing", f"{there}: {free_mb:.0f} MB free, {FREE_MB} wanted", f"du -sh {folder}/*")
+    return Finding("runs", "ok", f"{folder}, {free_mb / 1e3:.0f} GB free")
+
+
+def units(folders: Sequence[Path] = UNIT_FOLDERS) -> Finding:
+    """The services: installed, and of use only where systemd runs the machine."""
+    missing = [name for name in UNITS if not any((folder / name).exists() for folder in folders)]
+    if missing:
+        return Finding("services", "missing", f"{', '.join(missing)} not installed", "sudo palmd install")
+    if not SYSTEMD_RUNS.is_dir():
+        return Finding("services", "cannot tell", "installed, but systemd does not run this machine")
+    return Finding("services", "ok", "installed")

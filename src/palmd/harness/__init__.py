@@ -1,0 +1,1 @@
+"""What starts and operates a whole stack, and the loop without wires."""

@@ -1,0 +1,122 @@
+"""One plan on a running daemon, as a person at `palmd ctl` would run it: load, arm, start, look on, leave at rest."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import yaml
+
+from palmd.bus.client import Client
+from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
+from palmd.harness.processes import StopRequest
+
+Status = Mapping[str, Any]
+
+LOOK_S = 0.25
+PROGRESS_S = 1.0
+STANDING_S = 5.0  # for the palms to come to a stand when they are held
+HELD_S = 30.0  # that a hold may last: until then somebody may put the object back and start again
+
+
+class Operation:
+    """Arms the arm if that has not been done, and then stops it in the end; a daemon that tracked before tracks on."""
+
+    def __init__(self, client: Client, listen: Callable[[float], None], told: Callable[[Status, float], str]) -> None:
+        """`listen(t_end)` takes what is published until t_end (s, monotonic clock).
+
+        `told(status, seconds)` is how far it has come, in words, for an error.
+        """
+        self.seconds = 0.0
+        self._client, self._listen, self._told = client, listen, told
+        self._armed = self._over = False
+
+    def begin(self, plan: Mapping[str, Any]) -> None:
+        """Hand the plan over, arm and start; CliError with the daemon's own words when it refuses."""
+        can_move(self._client)
+        load(self._client, plan)
+        if self._do("status")["state"] == "ready":
+            self._do("arm")
+            self._armed = True
+        try:
+            self._do("start")
+        except CliError:
+            self.end()
+            raise
+
+    def watch(self, stop: StopRequest, progress: Callable[[Status, float], str]) -> Status:
+        """The status when it is over or `stop` is made; `progress(status, seconds)` is printed now and then.
+
+        CliError when somebody or a fault has ended it, or it stays held.
+        """
+        begun = time.monotonic()
+        t_progress = t_going = begun
+        while True:
+            self._listen(time.monotonic() + LOOK_S)
+            status, t = self._do("status"), time.monotonic()
+            self.seconds = t - begun
+            if status["state"] not in ("tracking", "hold"):
+                raise CliError(RIG_FAILED, f"{self._told(status, self.seconds)}; {why(status)}")
+            if status["state"] == "tracking" and status["over"]:
+                self._over = True
+                return status
+            if stop.made:
+                return status
+            if status["state"] == "tracking":
+                t_going = t
+            if t > t_going + HELD_S:
+                raise CliError(RIG_FAILED, f"held for {HELD_S:g} s, so given up; {why(status)}")
+            if t >= t_progress:
+                t_progress = t + PROGRESS_S
+                print(progress(status, self.seconds), file=sys.stderr, flush=True)
+
+    def end(self) -> None:
+        """Leave the palms standing, and the arm as it was found; after Ctrl-C or a failure it is stopped."""
+        leave(self._client, armed=self._armed, over=self._over)
+
+    def _do(self, command: str, **args: Any) -> dict[str, Any]:
+        return do(self._client, command, **args)
+
+
+def do(client: Client, command: str, **args: Any) -> dict[str, Any]:
+    """The result of a command; CliError with the daemon's own words when it refuses."""
+    reply = client.ask(command, args)
+    if not reply["ok"]:
+        raise CliError(BAD_INPUT, " ".join(str(reply.get("error")).split()))
+    result: dict[str, Any] = reply.get("result") or {}
+    return result
+
+
+def load(client: Client, plan: Mapping[str, Any]) -> None:
+    """Hand a plan over; CliError when the daemon finds fault with it."""
+    do(client, "plan", path=f"{plan['name']}.yaml", text=yaml.safe_dump(dict(plan)))
+
+
+def leave(client: Client, *, armed: bool, over: bool) -> None:
+    """Leave the palms standing, and stop the arm if it was `armed` here or all is not `over`."""
+    if not over and client.ask("hold")["ok"]:
+        t_end = time.monotonic() + STANDING_S
+        while time.monotonic() < t_end and do(client, "status")["moving"]:
+            time.sleep(LOOK_S)
+    if armed or not over:
+        client.ask("stop")
+
+
+def can_move(client: Client) -> None:
+    """CliError when the daemon's arm is neither armed nor can be."""
+    status = do(client, "status")
+    if status["state"] not in ("ready", "tracking", "hold"):
+        told = (f"{code}: {hint}" for code, hint in zip(status["faults"], status["hints"], strict=True))
+        raise CliError(RIG_FAILED, f"the arm cannot be armed, the state is {status['state']}; {'; '.join(told)}")
+
+
+def why(status: Status) -> str:
+    """What holds or stops it, and what to do."""
+    grave = [
+        f"{code}: {hint}"
+        for code, severity, hint in zip(status["faults"], status["severities"], status["hints"], strict=True)
+        if severity in ("hold", "stop")
+    ]
+    return "; ".join(grave) or f"the state is {status['state']}: somebody else has stopped it, or a fault that is over"

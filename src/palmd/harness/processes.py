@@ -1,0 +1,146 @@
+"""Other palmd commands as processes of this one, which are asked to end when it ends."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import stat
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+from palmd.bus.client import KEY_VARIABLE
+from palmd.console.errors import RIG_FAILED, CliError
+
+_C = ctypes.CDLL(None)
+_PR_SET_PDEATHSIG = 1
+_STOPPING_S = 5.0
+_LOOK_S = 0.02
+
+
+def _die_with_parent() -> None:
+    _C.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+def start_beside(arguments: list[str]) -> subprocess.Popen[bytes]:
+    """Start another command that is asked to end when this one ends, and takes its time; raises OSError.
+
+    It shares standard error, unless that is a pipe: who reads it to its end waits for us alone.
+    """
+    return subprocess.Popen(
+        [sys.executable, "-P", "-m", "palmd", *arguments],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL if _is_pipe(sys.stderr.fileno()) else None,
+        process_group=0,
+        preexec_fn=_die_with_parent,
+    )
+
+
+def _is_pipe(fd: int) -> bool:
+    return stat.S_ISFIFO(os.fstat(fd).st_mode)
+
+
+def _never() -> bool:
+    return False
+
+
+class Child:
+    """One command, what it says and its temporary files kept in `folder`; a terminal's Ctrl-C does not reach it.
+
+    Its daemon has no keys, so neither has it one.
+    """
+
+    def __init__(self, arguments: list[str], folder: Path, environment: Mapping[str, str] | None = None) -> None:
+        """`arguments` begin with the command's name; `environment` comes on top of ours."""
+        self.name = arguments[0]
+        self._out, self._err = folder / f"{self.name}.out", folder / f"{self.name}.err"
+        with self._out.open("wb") as out, self._err.open("wb") as err:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "palmd", *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=err,
+                env={name: value for name, value in os.environ.items() if name != KEY_VARIABLE}
+                | {"TMPDIR": str(folder)}
+                | dict(environment or {}),
+                process_group=0,
+                preexec_fn=_die_with_parent,
+            )
+
+    @property
+    def number(self) -> int:
+        """Of the process."""
+        return self._process.pid
+
+    @property
+    def status(self) -> int | None:
+        """The exit status, None while it runs; negative for a signal."""
+        return self._process.poll()
+
+    def said(self) -> str:
+        """The last lines of its standard error, without log levels below a warning."""
+        lines = self._err.read_text(encoding="utf-8", errors="replace").splitlines()
+        return "\n".join([line for line in lines if not line.startswith(("INFO ", "DEBUG "))][-20:])
+
+    def first_line(self, patience_s: float, give_up: Callable[[], bool] = _never) -> str | None:
+        """The first line of its standard output; None if it ends without, takes too long, or `give_up` says so."""
+        t_end = time.monotonic() + patience_s
+        while True:
+            ended = self.status is not None
+            line, end, _ = self._out.read_text(encoding="utf-8").partition("\n")
+            if end:
+                return line
+            if ended or give_up() or time.monotonic() > t_end:
+                return None
+            time.sleep(_LOOK_S)
+
+    def started(self, patience_s: float, give_up: Callable[[], bool] = _never) -> str:
+        """The same for one that must start; raises CliError with what it says for itself."""
+        line = self.first_line(patience_s, give_up)
+        if line is None:
+            raise CliError(RIG_FAILED, self.said() or f"palmd {self.name} did not start")
+        return line
+
+    def lines(self) -> list[str]:
+        """What it has said on its standard output."""
+        return self._out.read_text(encoding="utf-8").splitlines()
+
+    def send(self, number: signal.Signals) -> None:
+        """Send it a signal."""
+        self._process.send_signal(number)
+
+    def stop(self, patience_s: float = _STOPPING_S) -> None:
+        """Ask it to end, and make it end if it has not after so long."""
+        self._process.terminate()
+        try:
+            self._process.wait(patience_s)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+
+class StopRequest:
+    """While it is entered, SIGINT and SIGTERM only set `made`."""
+
+    def __init__(self) -> None:
+        self.made = False
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> Self:
+        self._before = {number: signal.signal(number, self._ask) for number in (signal.SIGINT, signal.SIGTERM)}
+        return self
+
+    def _ask(self, _signal: int, _frame: FrameType | None) -> None:
+        self.made = True
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)

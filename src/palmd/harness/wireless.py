@@ -1,0 +1,167 @@
+"""The daemon's pure core and the emulated rig in one process: closed loop without wires, faster than real time.
+
+The bytes of the pads and the arm go through the real codecs and arrive when a serial line would deliver them; a
+client's commands go through the real parser. No clock is read: the same seed gives the same bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass
+from typing import Any, ParamSpec, TypeVar
+
+import msgpack
+
+from palmd import observer
+from palmd.config import Config, PlanSpec, rig_description
+from palmd.daemon.commands import parse
+from palmd.daemon.core import Core, Observer
+from palmd.daemon.exploration_requests import Decider, InlineExplorer, Source
+from palmd.daemon.lifecycle import State
+from palmd.daemon.planner import Plan
+from palmd.faults import Severity
+from palmd.messages import Fields
+from palmd.motion.check import motion_limits
+from palmd.motion.plan import compile_plan
+from palmd.observer import ObserverName
+from palmd.observer.smoothed_observer import Smoothing
+from palmd.rig.pads import GOOD_PADS, PadOptions
+from palmd.rig.plant import AS_ASSUMED, PlantOptions
+from palmd.rig.shapes import Kind
+from palmd.rig.world import STEP_S, World
+
+ANSWER_S = 2.0
+READY_S = 5.0
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+class WirelessError(Exception):
+    """The daemon refused a command or did not get ready; says what it said."""
+
+
+@dataclass(frozen=True, slots=True)
+class Instant:
+    """One tick at `t` (s): what the daemon published, by topic, beside `rig/truth` of the same instant."""
+
+    t: float
+    messages: dict[str, Fields]
+    truth: dict[str, Any]
+
+
+class Wireless:
+    """One rig with one object, and one daemon; see the module. Times are seconds from 0.
+
+    `world` and `core` may be looked at between ticks, and mischief played on the world.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        spec: PlanSpec,
+        seed: int,
+        *,
+        kind: Kind = "rig",
+        observer_name: ObserverName = "shape",
+        options: PlantOptions = AS_ASSUMED,
+        pad_options: PadOptions = GOOD_PADS,
+        smoothing: Smoothing | None = None,
+        explorer: Source | None = None,
+        estimator: Observer | None = None,
+    ) -> None:
+        """`seed` draws object, noise and the observer's samples of the prior; `explorer` decides explorations.
+
+        Without one, a shape observer has the daemon's own, whose answers come some time after the questions. Without
+        `smoothing` the observer has no smoother at its side. An `estimator` takes the place of the one that is named.
+
+        Raises PlanError for a plan that cannot be run, PoseError or ValueError for a rig with a fixed hinge.
+        """
+        limits = motion_limits(config)
+        plan = Plan(spec, compile_plan(spec, limits), limits, None)
+        rig = rig_description(config)
+        estimator = estimator or observer.make(observer_name, rig, seed, smoothing)
+        if explorer is None and observer_name == "shape":
+            explorer = InlineExplorer(Decider(rig, seed))
+        self.world = World(config, seed, kind=kind, options=options, pad_options=pad_options)
+        self.core = Core(config, estimator, _AtOnce(), plan, explorer=explorer)
+        self._steps = 0
+        self._steps_per_tick = round(1.0 / (config.loop.rate_hz * STEP_S))
+        for end in ("pad1", "pad2", "arm"):
+            self.core.opened(end, self.t)
+
+    @property
+    def t(self) -> float:
+        """The time both stand at (s)."""
+        return self._steps * STEP_S
+
+    def tick(self) -> Instant:
+        """Live through one period of the loop and take stock at its end."""
+        for _ in range(self._steps_per_tick):
+            self._step()
+        published = self.core.step(self.t)
+        return Instant(self.t, {topic.name: fields for topic, fields in published}, self.world.truth())
+
+    def ask(self, command: str, **args: Any) -> dict[str, Any]:
+        """Give a command as a client would and let time pass until it is answered; raises WirelessError."""
+        self.core.handle(parse(msgpack.packb({"id": command, "cmd": command, "args": args})), self.t)
+        t_end = self.t + ANSWER_S
+        while self.t < t_end:
+            for reply in self.core.replies():
+                if reply.error is not None:
+                    raise WirelessError(reply.error)
+                return reply.result or {}
+            self.tick()
+        raise WirelessError(f"{command} was not answered within {ANSWER_S:g} s")
+
+    def start(self) -> None:
+        """Wait until the daemon is ready, arm it and start the plan; raises WirelessError."""
+        while self.core.state is not State.READY:
+            if self.t > READY_S:
+                raise WirelessError(f"not ready within {READY_S:g} s, but {self.core.state}: {self._faults()}")
+            self.tick()
+        self.ask("arm")
+        self.ask("start")
+
+    def run(self, duration_s: float) -> Iterator[Instant]:
+        """Go on for so many seconds, tick by tick; after a hold, start again once its cause is gone."""
+        t_end = self.t + duration_s
+        while self.t < t_end - STEP_S / 2:
+            if self.core.state is State.HOLD and not self.core.faults.standing(Severity.HOLD):
+                self.ask("start")
+            yield self.tick()
+
+    def stop(self) -> None:
+        """A planned stop, until the arm is known to stand; raises WirelessError."""
+        self.ask("stop")
+        t_end = self.t + ANSWER_S
+        while not self.core.at_rest:
+            if self.t > t_end:
+                raise WirelessError(f"the arm did not come to rest: {self._faults()}")
+            self.tick()
+
+    def _step(self) -> None:
+        """Half a millisecond: what has arrived is read, what has fallen due is written."""
+        self._steps += 1
+        t = self.t
+        for port, data in self.world.advance(t).items():
+            if data:
+                self.core.receive(port, data, t)
+        if t >= self.core.due():
+            self.world.receive("arm", self.core.transmit(t))
+
+    def _faults(self) -> str:
+        return ", ".join(fault.code for fault in self.core.faults.active) or "no faults"
+
+
+class _AtOnce(Executor):
+    """Does the work when it is asked for, so that nothing depends on how long it takes."""
+
+    def submit(self, work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        future: Future[T] = Future()
+        try:
+            future.set_result(work(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future

@@ -1,0 +1,97 @@
+"""Every fault provoked on the emulated rig, with real processes: what comes of it, and how soon the arm stands.
+
+Exit status 1 when a row does otherwise than it must. How soon the arm stands is told beside the goal, and no reason
+for status 1: that is a matter of the machine as well.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+import tempfile
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+from palmd.console.arguments import count, seed
+from palmd.console.errors import BAD_INPUT
+from palmd.console.progress import Progress
+from palmd.console.shipped import shipped
+from palmd.lab.fault_reaction import Reaction, all_as_promised, as_line, differences, summary, table
+from palmd.lab.fault_rows import NAMES, ROWS, BrokenObserver, Row
+from palmd.lab.fault_stand import Stand
+from palmd.lab.fault_wireless import provoke
+from palmd.lab.rows import ROWS as FILE
+from palmd.lab.rows import terminable, writable, write
+from palmd.yamlfile import load_config, load_plan
+
+PLAN = "plans/lively.yaml"
+STARVED_TRIES = 3  # for a row that differs while the machine kept the rig from its work
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The bench's arguments."""
+    add = parser.add_argument
+    add("--only", nargs="+", choices=NAMES, metavar="NAME", help=f"these rows alone; there are {', '.join(NAMES)}")
+    add("--times", type=count, default=1, metavar="N", help="how often each is provoked (default: %(default)s)")
+    add("--seed", type=seed, default=3, help="which object and noise (default: %(default)s)")
+    add("-o", "--output", type=Path, default=Path("faults"), metavar="FOLDER",
+        help=f"for {FILE}, which is overwritten (default: %(default)s)")  # fmt: skip
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Raises CliError when rig or daemon do not start or the palms cannot be brought to move."""
+    rows = [row for row in ROWS if arguments.only is None or row.name in arguments.only]
+    results: list[tuple[Row, Sequence[Reaction]]] = []
+    with terminable(), ExitStack() as stack:
+        stream = writable(stack, arguments.output / FILE)
+        campaign = stack.enter_context(_Campaign(arguments.seed))
+        progress = stack.enter_context(Progress("faults", len(rows) * arguments.times, "provocations"))
+        for row in rows:
+            reactions: list[Reaction] = []
+            results.append((row, reactions))
+            for _ in range(arguments.times):
+                reactions.append(campaign.provoke(row))
+                write(stream, [as_line(row, reactions[-1])])
+                progress.at(sum(len(some) for _, some in results))
+    print(table(results))
+    print(summary(results))
+    print(f"written: {arguments.output / FILE}")
+    return 0 if all_as_promised(results) else BAD_INPUT
+
+
+class _Campaign(ExitStack):
+    """Has a stand as soon as a row needs one, and another one when that has become useless."""
+
+    def __init__(self, seed: int) -> None:
+        super().__init__()
+        self._seed = seed
+        self._stand: Stand | None = None
+
+    def provoke(self, row: Row) -> Reaction:
+        """One provocation; where the machine has starved the rig and the row differs, tried again."""
+        for _ in range(STARVED_TRIES):
+            reaction = self._without_wires(row, row.act) if isinstance(row.act, BrokenObserver) else self._on_stand(row)
+            if not (reaction.starved and differences(row, reaction)):
+                break
+            print(f"{row.name}: the machine kept the rig from its work; it is tried again", file=sys.stderr)
+        return reaction
+
+    def _without_wires(self, row: Row, act: BrokenObserver) -> Reaction:
+        logging.disable(logging.ERROR)  # the traceback of the error that is wanted
+        try:
+            return provoke(row, act.how, load_plan(shipped(PLAN)), self._seed)
+        finally:
+            logging.disable(logging.NOTSET)
+
+    def _on_stand(self, row: Row) -> Reaction:
+        if self._stand is None:
+            folder = Path(self.enter_context(tempfile.TemporaryDirectory(prefix="palmd-faults-")))
+            config = load_config(shipped("demo.yaml")).model_copy(update={"plan": shipped(PLAN)})
+            self._stand = self.enter_context(Stand(folder, config, self._seed))
+        reaction = self._stand.provoke(row)
+        if not self._stand.usable:
+            self.close()
+            self._stand = None
+        return reaction

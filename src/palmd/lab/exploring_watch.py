@@ -1,0 +1,84 @@
+"""What an exploration really touched, against the rig's truth, tick by tick. Pure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.harness.wireless import Instant
+from palmd.messages import ESTIMATE, SHAPE, Fields
+from palmd.motion.rollout_predictor import BINS, Bools
+from palmd.score import OutlineScore, score_outline
+
+EDGE_M = 5e-4
+"""A contact nearer to a pad's end than this has reached it."""
+
+ENOUGH = 0.95
+_BIN_RAD = math.tau / BINS
+
+
+@dataclass(slots=True)
+class Watch:
+    """Takes the ticks one by one; `reachable` and `touched` are marks on the truth's bins of outward normals.
+
+    curve: the share touched of the reachable normals at each full second since `t_start` (s). t_enough: when that
+    was `ENOUGH`; t_valid: the first valid tick (s since the start), both NaN when it never came.
+    """
+
+    reachable: Bools
+    pad_length_m: float
+    t_start: float
+    touched: Bools = field(default_factory=lambda: np.zeros(BINS, dtype=np.bool_))
+    curve: list[float] = field(default_factory=list)
+    t_enough: float = math.nan
+    t_valid: float = math.nan
+    valid: bool = False
+    objects: int = 0
+    on_both: bool = False
+    at_edge: int = 0  # ticks
+    parted: int = 0  # ticks
+    shape: Fields | None = None
+
+    def take(self, instant: Instant) -> None:
+        """One tick."""
+        t, truth = instant.t - self.t_start, instant.truth
+        self._touch(truth)
+        estimate = instant.messages[ESTIMATE.name]
+        self.valid, self.objects = bool(estimate["valid"]), estimate["object"]
+        if self.valid:
+            self.t_valid = t if math.isnan(self.t_valid) else self.t_valid
+            self.shape = instant.messages.get(SHAPE.name, self.shape)
+        if t >= len(self.curve):
+            self.curve.append(self.coverage)
+        if math.isnan(self.t_enough) and self.coverage >= ENOUGH:
+            self.t_enough = t
+
+    @property
+    def coverage(self) -> float:
+        """The share touched of the reachable normals."""
+        return float((self.touched & self.reachable).sum() / max(self.reachable.sum(), 1))
+
+    def outline_score(self, true_h: FloatArray) -> OutlineScore | None:
+        """The last valid outline against the truth on all normals, touched or not, after the best rotation.
+
+        For convex bodies `max_error` is then their Hausdorff distance (m).
+        """
+        if self.shape is None:
+            return None
+        theta, h = (np.array(self.shape[name], dtype=np.float64) for name in ("theta_rad", "h_m"))
+        return score_outline(theta, h, np.ones(len(theta), dtype=np.bool_), true_h)
+
+    def _touch(self, truth: dict[str, Any]) -> None:
+        self.on_both = truth["contact1"] and truth["contact2"]
+        self.parted += not self.on_both
+        psi, phi1 = truth["psi_rad"], truth["phi1_rad"]
+        theta1, theta2 = phi1 - psi - math.pi / 2, phi1 + truth["phi2_rad"] - psi - 3 * math.pi / 2  # (3.1)
+        for number, theta in ((1, theta1), (2, theta2)):
+            if truth[f"contact{number}"]:
+                self.touched[math.floor(theta / _BIN_RAD) % BINS] = True
+                s = truth[f"s{number}_m"]
+                self.at_edge += not EDGE_M < s < self.pad_length_m - EDGE_M

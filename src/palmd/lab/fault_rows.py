@@ -1,0 +1,261 @@
+"""The fault campaign's table: what is done to rig and processes, and what must come of it. Pure.
+
+What must come is written down here a second time, apart from `palmd.faults`: a row whose fault turns up with another
+severity there, or leads to another state, differs.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from palmd.rig.fault_injection import PADS, PortName
+
+Process = Literal["daemon", "recorder", "page"]
+State = Literal["tracking", "ready", "hold", "fault"]
+
+HOST_ALIVE_S = 0.060
+HOST_DEAD_S = 0.200
+"""From the cause to the arm standing still: the goals with the daemon alive, and without it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trick:
+    """A mischief of the emulated rig, for so long or until it is switched off."""
+
+    name: str
+    port: PortName | None = None
+    strength: float | None = None
+    for_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Pause:
+    """A process gets no processor for so long (SIGSTOP, SIGCONT)."""
+
+    process: Process
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Kill:
+    """A process is gone without a word (SIGKILL)."""
+
+    process: Process
+
+
+@dataclass(frozen=True, slots=True)
+class FullDisk:
+    """The recorder can write no further: its limit of file size (RLIMIT_FSIZE) is what its file has."""
+
+
+@dataclass(frozen=True, slots=True)
+class TakenAddress:
+    """Another daemon is started on the addresses of this one."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClockStep:
+    """The daemon's wall clock, as Python tells it, is set by so many seconds; nobody can set the machine's here."""
+
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class BrokenObserver:
+    """In a run without wires, so that no hook is needed in the daemon: from a tick on the observer raises, or lies."""
+
+    how: Literal["raises", "nan"]
+
+
+Act = Trick | Pause | Kill | FullDisk | TakenAddress | ClockStep | BrokenObserver
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One cause and its effect: `faults` must come, with these severities, and no grave ones but those in `may`.
+
+    `goal_s` bounds the time from the cause to the arm standing still where the state is not tracking; infinite where
+    somebody else moves the arm.
+    """
+
+    name: str
+    cause: str
+    act: Act
+    state: State
+    faults: tuple[tuple[str, str], ...] = ()
+    may: tuple[str, ...] = ()
+    goal_s: float = HOST_ALIVE_S
+
+    @property
+    def codes(self) -> frozenset[str]:
+        """Of the faults that must come."""
+        return frozenset(code for code, _ in self.faults)
+
+
+def _pad(pad: PortName) -> tuple[Row, ...]:
+    silent, garbled, port = f"{pad}-silent", f"{pad}-garbled", f"{pad}-port"
+    late = (silent, f"{pad}-lifted")
+    return (
+        Row(f"{pad}-dead", "its port disappears", Trick("unplug", pad), "hold", ((port, "hold"),)),
+        Row(
+            f"{pad}-garbled",
+            "a fifth of its bytes are damaged",
+            Trick("garble", pad, 0.2),
+            "tracking",
+            ((garbled, "degrade"),),
+            late,
+        ),
+        Row(f"{pad}-late", "what it says comes 200 ms late", Trick("late", pad, 0.2), "hold", ((silent, "hold"),)),
+        Row(f"{pad}-mute", "it falls silent", Trick("mute", pad), "hold", ((silent, "hold"),)),
+        Row(
+            f"{pad}-replaced",
+            "its port comes back under another number",
+            Trick("unplug", pad, for_s=0.5),
+            "hold",
+            ((port, "hold"),),
+            (silent,),  # from the opening to the first packet
+        ),
+        Row(
+            f"{pad}-foreign",
+            "another device speaks at its port",
+            Trick("misbaud", pad),
+            "hold",
+            ((silent, "hold"), (garbled, "degrade")),
+        ),
+    )
+
+
+_LOST = ("arm-link-lost", "stop")
+
+ROWS: tuple[Row, ...] = (
+    *(row for pad in PADS for row in _pad(pad)),
+    Row(
+        "object-lifted",
+        "the object is lifted off",
+        Trick("lift"),
+        "hold",
+        (("pad1-lifted", "hold"), ("pad2-lifted", "hold")),
+    ),
+    Row(
+        "arm-dead",
+        "its port disappears",
+        Trick("unplug", "arm"),
+        "fault",
+        (("arm-port", "stop"),),
+        ("arm-link-lost", "arm-fault"),
+    ),
+    Row(
+        "arm-garbled",
+        "a fifth of its line's bytes are damaged",
+        Trick("garble", "arm", 0.2),
+        "fault",
+        (_LOST,),
+        ("arm-fault", "arm-left-tracking"),
+    ),
+    Row(
+        "arm-late",
+        "what it says comes 120 ms late",
+        Trick("late", "arm", 0.12),
+        "tracking",
+        (("arm-late", "degrade"),),
+    ),
+    Row(
+        "arm-mute",
+        "it falls silent",
+        Trick("mute", "arm"),
+        "fault",
+        (("arm-late", "degrade"), _LOST),
+        ("arm-fault",),
+    ),
+    Row(
+        "arm-replaced",
+        "its port comes back under another number",
+        Trick("unplug", "arm", for_s=0.5),
+        "fault",
+        (("arm-port", "stop"),),
+        ("arm-link-lost", "arm-fault"),
+    ),
+    Row(
+        "arm-foreign",
+        "another device speaks at its port",
+        Trick("misbaud", "arm"),
+        "fault",
+        (_LOST,),
+        ("arm-fault",),
+    ),
+    Row(
+        "controller-break",
+        "a break on the arm's line",
+        Trick("break", "arm"),
+        "fault",
+        (("arm-fault", "stop"),),
+        ("arm-left-tracking",),
+    ),
+    Row("controller-estop", "the e-stop is pressed", Trick("estop", "arm"), "fault", (("arm-estop", "stop"),)),
+    Row("controller-power-off", "arm power goes", Trick("power_off", "arm"), "fault", (("arm-power-off", "stop"),)),
+    Row(
+        "controller-manual",
+        "the operator takes the arm and jogs it",
+        Trick("manual", "arm"),
+        "fault",
+        (("arm-manual", "stop"),),
+        goal_s=math.inf,
+    ),
+    Row(
+        "controller-watchdog",
+        "200 ms without a set-point",
+        Trick("mute", "arm", for_s=0.2),
+        "fault",
+        (("arm-fault", "stop"),),
+        ("arm-left-tracking", "arm-link-lost"),
+        HOST_DEAD_S,
+    ),
+    Row(
+        "daemon-paused-50",
+        "the daemon is stopped for 50 ms",
+        Pause("daemon", 0.05),
+        "tracking",
+        (("loop-overrun", "note"),),
+    ),
+    Row(
+        "daemon-paused-300",
+        "the daemon is stopped for 300 ms",
+        Pause("daemon", 0.3),
+        "fault",
+        (("arm-fault", "stop"), ("loop-overrun", "note")),
+        ("arm-left-tracking", "arm-link-lost", "pad1-silent", "pad2-silent"),
+        HOST_DEAD_S,
+    ),
+    Row(
+        "daemon-killed",
+        "the daemon is killed, and another one started",
+        Kill("daemon"),
+        "ready",
+        (("arm-fault", "stop"),),
+        goal_s=HOST_DEAD_S,
+    ),
+    Row("observer-raises", "the observer raises", BrokenObserver("raises"), "fault", (("tick-error", "stop"),)),
+    Row(
+        "observer-nan",
+        "the observer calls NaN valid",
+        BrokenObserver("nan"),
+        "fault",
+        (("estimate-not-finite", "stop"),),
+    ),
+    Row("disk-full", "the recorder cannot write", FullDisk(), "tracking", (("recorder-failed", "note"),)),
+    Row("recorder-killed", "the recorder is killed", Kill("recorder"), "tracking", (("recorder-silent", "note"),)),
+    Row(
+        "recorder-stuck",
+        "the recorder is stopped for 5 s",
+        Pause("recorder", 5.0),
+        "tracking",
+        (("recorder-silent", "note"),),
+    ),
+    Row("page-killed", "the live page is killed", Kill("page"), "tracking"),
+    Row("page-stuck", "the live page is stopped for 3 s", Pause("page", 3.0), "tracking"),
+    Row("address-taken", "a second daemon wants the same addresses", TakenAddress(), "tracking"),
+    Row("clock-step", "the wall clock is set back by an hour", ClockStep(-3600.0), "tracking"),
+)
+NAMES = tuple(row.name for row in ROWS)

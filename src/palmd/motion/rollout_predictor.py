@@ -1,0 +1,143 @@
+"""Rollout predictor: what objects will do on sequences of palm moves, many at once. Pure; not for the loop."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from palmd.events import FloatArray
+from palmd.model import rollout, shape_map
+from palmd.model.rollout import COLUMNS, MOVE_INPUTS, STEP_S, SUBSTEPS, TOLD
+
+CALL_S = SUBSTEPS * STEP_S
+"""Moves last whole multiples of this."""
+
+BINS = 72  # of outward normals, bin 0 beginning at θ = 0
+_BIN_RAD = 2 * np.pi / BINS
+
+LEAST_FORCE = 0.8  # m/s², of a contact: one that rests has several
+MARGIN_M = 3e-3  # of the contacts from a pad's ends
+
+Bools = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Moves:
+    """N sequences of k minimum-jerk moves from the pose `start`: `ends` (N, k, 2) (rad), `durations` (N, k) (s)."""
+
+    start: FloatArray
+    ends: FloatArray
+    durations: FloatArray
+
+    def some(self, which: npt.NDArray[np.intp]) -> Moves:
+        """Those of the given numbers."""
+        return Moves(self.start, self.ends[which], self.durations[which])
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """What comes of each sequence, up to the end of each of its moves.
+
+    touched: (N, k, BINS), where palms have been since the beginning. least_force: (N, k), m/s². nearest, farthest:
+    (N, k), of both contacts from the hinge, m. psi, omega0: (N, k) at the end of each move.
+    """
+
+    touched: Bools
+    least_force: FloatArray
+    nearest: FloatArray
+    farthest: FloatArray
+    psi: FloatArray
+    omega0: FloatArray
+
+
+def goodness(foreseen: Prediction, pad_length: float) -> FloatArray:
+    """How safe it is up to the end of each move (N, k): 1 as near to danger as allowed, 0 a contact lost or off."""
+    margins = np.minimum(foreseen.nearest, pad_length - foreseen.farthest) / MARGIN_M
+    how_safe: FloatArray = np.minimum(margins, foreseen.least_force / LEAST_FORCE)
+    return how_safe
+
+
+class RolloutPredictor:
+    """Rolls the dynamic model forward; holds the kernel's memory."""
+
+    def __init__(self, rig: FloatArray):
+        """`rig` as `model.outputs.rig_inputs` gives it; takes seconds when its C has to be compiled first."""
+        self._x = np.zeros((COLUMNS, shape_map.N))
+        self._move = np.zeros((COLUMNS, MOVE_INPUTS))
+        self._moved = np.zeros((COLUMNS, 2))
+        self._told = np.zeros((COLUMNS, SUBSTEPS, TOLD))
+        self._roll = rollout.library().bind("roll_batch", [self._x, self._move, rig], [self._moved, self._told])
+
+    def of(self, states: FloatArray, moves: Moves, elapsed: float = 0.0, horizon_s: float = math.inf) -> Prediction:
+        """From `states` (N, 21), or one for all (21,), at rest or `elapsed` seconds into the first move.
+
+        Moves that end after `horizon_s` are not looked at: their `least_force` is −inf.
+        """
+        n = len(moves.durations)
+        states = np.broadcast_to(states, (n, shape_map.N))
+        order = np.argsort(moves.durations.sum(axis=1), kind="stable")  # those side by side end at about the same time
+        parts = [
+            self._batch(states[some], moves.some(some), elapsed, horizon_s)
+            for some in (order[i : i + COLUMNS] for i in range(0, n, COLUMNS))
+        ]
+        back = np.argsort(order, kind="stable")
+        return Prediction(
+            *(np.concatenate([getattr(part, name) for part in parts])[back] for name in Prediction.__slots__)
+        )
+
+    def _batch(self, states: FloatArray, moves: Moves, elapsed: float, horizon_s: float) -> Prediction:
+        n, k = moves.durations.shape
+        rows = np.arange(COLUMNS)
+        filled = np.minimum(rows, n - 1)
+        ends, durations = moves.ends[filled], moves.durations[filled]
+        finished = np.cumsum(durations, axis=1) - elapsed
+        points = np.concatenate([np.broadcast_to(moves.start, (COLUMNS, 1, 2)), ends], axis=1)
+        calls = max(int(np.ceil((min(finished[:, -1].max(), horizon_s) - 1e-9) / CALL_S)), 1)
+        told = np.empty((COLUMNS, calls * SUBSTEPS, TOLD))
+        leg_of = np.empty((COLUMNS, calls), dtype=np.intp)
+        self._x[:] = states[filled]
+        for call in range(calls):
+            t = call * CALL_S
+            leg = np.minimum((finished <= t + 1e-9).sum(axis=1), k - 1)
+            leg_of[:, call] = leg
+            begun = finished[rows, leg] - durations[rows, leg]
+            self._move[:, 0:2], self._move[:, 2:4] = points[rows, leg], points[rows, leg + 1]
+            self._move[:, 4], self._move[:, 5] = durations[rows, leg], t - begun
+            self._roll()
+            told[:, call * SUBSTEPS : (call + 1) * SUBSTEPS] = self._told
+            self._x[:, :2] = self._moved
+        return _foreseen(told[:n], np.repeat(leg_of[:n], SUBSTEPS, axis=1), finished[:n], k)
+
+
+def _foreseen(told: FloatArray, leg: npt.NDArray[np.intp], finished: FloatArray, k: int) -> Prediction:
+    n, steps, _ = told.shape
+    live = np.arange(steps) * STEP_S < finished[:, -1:] - 1e-9
+    rows = np.broadcast_to(np.arange(n)[:, None], (n, steps))
+    theta = told[..., 6:8]
+    turned = np.remainder(np.where(np.isfinite(theta), theta, 0.0), 2 * np.pi)  # where it diverged it is no bin's
+    bins = np.floor(turned / _BIN_RAD).astype(np.intp) % BINS
+    touched = np.zeros((n, k, BINS), dtype=np.bool_)
+    for contact in range(2):
+        touched[rows[live], leg[live], bins[..., contact][live]] = True
+    lowest, nearest, farthest = (np.full((n, k), value) for value in (np.inf, np.inf, -np.inf))
+    force, low, high = told[..., 2:4].min(axis=-1), told[..., 4:6].min(axis=-1), told[..., 4:6].max(axis=-1)
+    force = np.where(np.isfinite(force), force, -np.inf)
+    for number in range(k):
+        own = live & (leg == number)
+        lowest[:, number] = np.where(own, force, np.inf).min(axis=1)
+        nearest[:, number] = np.where(own, low, np.inf).min(axis=1)
+        farthest[:, number] = np.where(own, high, -np.inf).max(axis=1)
+    last = np.clip(np.ceil(finished / STEP_S - 1e-9).astype(np.intp) - 1, 0, steps - 1)
+    each = np.arange(n)[:, None]
+    lowest[finished > steps * STEP_S + 1e-9] = -np.inf
+    return Prediction(
+        np.logical_or.accumulate(touched, axis=1),
+        np.minimum.accumulate(lowest, axis=1),
+        np.minimum.accumulate(nearest, axis=1),
+        np.maximum.accumulate(farthest, axis=1),
+        told[each, last, 0],
+        told[each, last, 1],
+    )

@@ -1,0 +1,210 @@
+"""Executes a trajectory in its own path time, so that hold and resume keep the path's geometry.
+
+The command is q(tau), tau the path time, and u = dtau/dt its speed: 0 standing, 1 as planned. With the
+trajectory's ω = q′ and α = q″ the command has the rate ω·u and the acceleration α·u² + ω·u̇. A hold brings
+u to 0 and a resume back to 1, as fast as the acceleration limit leaves room for u̇. As u never exceeds 1, what
+is within the limits at plan speed is so at any lower one, and u̇ = 0 is always allowed.
+"""
+
+from __future__ import annotations
+
+import math
+
+from palmd.events import PalmMotion
+from palmd.motion.exploration import Exploration
+from palmd.motion.kinematics import PoseError
+from palmd.motion.limits import MotionLimits
+from palmd.motion.plan import Place, Trajectory, approach
+from palmd.motion.segments import Move
+
+LONGEST_STEP = 0.020  # s; after a longer pause between calls the motion is late, it never catches up
+_AT_REST = 1e-9  # rad/s; below this a palm angle does not limit how the path's speed changes
+_SPEED_RATE_MAX = 1000.0  # 1/s; where the path stands, its speed may change within a step
+
+
+class MotionError(ValueError):
+    """Something that the palms cannot be asked to do now; says why."""
+
+
+class TrajectoryExecutor:
+    """What the palms are commanded to do, instant by instant. Pure, and safe in the loop.
+
+    The pose is NaN until `stand` gives one. `start` takes about a millisecond, everything else microseconds.
+    """
+
+    def __init__(self, limits: MotionLimits) -> None:
+        self._limits = limits
+        self._t = math.nan
+        self._motion = PalmMotion(math.nan, math.nan)
+        self._trajectory: Trajectory | None = None
+        self._approach = Move((math.nan, math.nan), (math.nan, math.nan), 0.0)
+        self._tau = 0.0
+        self._speed = 0.0
+        self._wanted_speed = 0.0
+        self._stopping = False
+        self._concluded = False
+
+    @property
+    def motion(self) -> PalmMotion:
+        """The command as `advance` gave it last (rad, s)."""
+        return self._motion
+
+    @property
+    def moving(self) -> bool:
+        """Whether the command is under way; a dwell within a running plan counts as moving."""
+        return self._speed > 0.0 or self._wanted_speed > 0.0
+
+    @property
+    def held(self) -> bool:
+        """Whether a plan is waiting for `resume`."""
+        return self._trajectory is not None and not self._stopping and self._wanted_speed == 0.0 and not self.done
+
+    @property
+    def done(self) -> bool:
+        """Whether the plan has run to its end."""
+        return self._trajectory is not None and (self._concluded or self._tau >= self._end)
+
+    @property
+    def plan(self) -> str | None:
+        """The name of the plan in hand."""
+        return None if self._trajectory is None else self._trajectory.name
+
+    @property
+    def place(self) -> Place | None:
+        """Where in the plan the command is; None without one."""
+        if self._trajectory is None:
+            return None
+        if self._tau < self._approach.duration:
+            return Place(0, "approach", 0.0)
+        return self._trajectory.place(self._tau - self._approach.duration)
+
+    @property
+    def exploration(self) -> tuple[Exploration, float] | None:
+        """The exploration that is in hand and its own time (s); None when there is none, or it is over."""
+        lead = self._approach.duration
+        if self._trajectory is None or self.done or self._tau < lead:
+            return None
+        return self._trajectory.exploration(self._tau - lead)
+
+    def stand(self, phi1: float, phi2: float) -> None:
+        """Begin anew at the pose (rad) where the palms are. No motion: only while the arm follows nothing."""
+        self._motion = PalmMotion(phi1, phi2)
+        self._drop()
+
+    def start(self, trajectory: Trajectory) -> None:
+        """Go to the trajectory's start on a gentle minimum-jerk way, then run it.
+
+        Raises MotionError while moving, without a pose, and when the way there leaves the limits.
+        """
+        if self.moving:
+            raise MotionError("the palms are moving: hold or stop them first")
+        if math.isnan(self._motion.phi1):
+            raise MotionError("the palms' pose is not known")
+        present = (self._motion.phi1, self._motion.phi2)
+        try:
+            self._approach = approach(present, trajectory.start, self._limits, trajectory.lead_in)
+        except PoseError as error:
+            raise MotionError(f"no way from here to the start of plan {trajectory.name}: {error}") from None
+        self._trajectory = trajectory
+        self._tau = 0.0
+        self._speed = self._wanted_speed = 1.0  # at once: the way there begins at rest
+        self._stopping = self._concluded = False
+
+    def hold(self) -> None:
+        """Slow down along the path to a stand; `resume` goes on from there."""
+        self._wanted_speed = 0.0
+
+    def resume(self) -> None:
+        """Speed up along the path again; raises MotionError when no plan is held."""
+        if not self.held:
+            raise MotionError("no plan is being held")
+        self._wanted_speed = 1.0
+
+    def stop(self) -> None:
+        """Slow down along the path to a stand and put the plan away."""
+        self._wanted_speed = 0.0
+        self._stopping = True
+        if self._speed == 0.0:
+            self._drop()
+
+    def conclude(self) -> None:
+        """The plan ends here: only while the path is at rest, which an exploration is when its last move is over."""
+        self._speed = self._wanted_speed = 0.0
+        self._concluded = True
+
+    def advance(self, t: float) -> PalmMotion:
+        """The command for time t (s); calls may come irregularly, an earlier t changes nothing."""
+        elapsed = 0.0 if math.isnan(self._t) else t - self._t
+        if elapsed < 0.0:
+            return self._motion
+        self._t = t
+        if self._trajectory is not None and elapsed > 0.0 and self.moving:
+            self._step(self._trajectory, min(elapsed, LONGEST_STEP))
+        return self._motion
+
+    @property
+    def _end(self) -> float:
+        return math.inf if self._trajectory is None else self._approach.duration + self._trajectory.duration
+
+    def _step(self, trajectory: Trajectory, dt: float) -> None:
+        speed_rate = self._speed_rate(trajectory, dt)
+        changing = dt
+        if speed_rate != 0.0:
+            changing = min(dt, (self._wanted_speed - self._speed) / speed_rate)
+        self._tau += self._speed * changing + 0.5 * speed_rate * changing * changing
+        if changing < dt:
+            self._speed = self._wanted_speed
+            self._tau += self._speed * (dt - changing)
+            speed_rate = 0.0
+        else:
+            self._speed += speed_rate * changing
+        if self._tau >= self._end:
+            self._tau, self._speed, self._wanted_speed, speed_rate = self._end, 0.0, 0.0, 0.0
+        self._motion = self._on_path(trajectory, self._tau, self._speed, speed_rate)
+        if self._stopping and self._speed == 0.0:
+            self._drop()
+
+    def _speed_rate(self, trajectory: Trajectory, dt: float) -> float:
+        """u̇ (1/s) towards the wanted speed: what the accelerations leave room for at both ends of a step."""
+        change = self._wanted_speed - self._speed
+        if change == 0.0:
+            return 0.0
+        speed_rate = math.copysign(_SPEED_RATE_MAX, change)
+        for ahead in (0.0, 0.5 * dt, dt):
+            duration = min(ahead, abs(change / speed_rate)) if speed_rate != 0.0 else ahead
+            speed = self._speed + speed_rate * duration
+            tau = self._tau + 0.5 * (self._speed + speed) * duration
+            speed_rate = self._limited(speed_rate, self._plan_motion(trajectory, tau), speed)
+        return speed_rate
+
+    def _limited(self, speed_rate: float, planned: PalmMotion, speed: float) -> float:
+        """u̇ cut, but not reversed, so that |α·u² + ω·u̇| stays within the acceleration limit on both palms."""
+        most = self._limits.acceleration
+        for omega, alpha in ((planned.omega1, planned.alpha1), (planned.omega2, planned.alpha2)):
+            if abs(omega) > _AT_REST:
+                used = alpha * speed * speed
+                room = (most - math.copysign(used, used * omega * speed_rate)) / abs(omega)
+                speed_rate = math.copysign(min(abs(speed_rate), max(room, 0.0)), speed_rate)
+        return speed_rate
+
+    def _plan_motion(self, trajectory: Trajectory, tau: float) -> PalmMotion:
+        lead = self._approach.duration
+        return self._approach.at(tau) if tau < lead else trajectory.at(tau - lead)
+
+    def _on_path(self, trajectory: Trajectory, tau: float, speed: float, speed_rate: float) -> PalmMotion:
+        planned = self._plan_motion(trajectory, tau)
+        if speed == 1.0 and speed_rate == 0.0:
+            return planned
+        return PalmMotion(
+            planned.phi1,
+            planned.phi2,
+            planned.omega1 * speed,
+            planned.omega2 * speed,
+            planned.alpha1 * speed * speed + planned.omega1 * speed_rate,
+            planned.alpha2 * speed * speed + planned.omega2 * speed_rate,
+        )
+
+    def _drop(self) -> None:
+        self._trajectory = None
+        self._speed = self._wanted_speed = 0.0
+        self._stopping = self._concluded = False

@@ -1,0 +1,106 @@
+"""Which outward normals of the object a palm has been in contact with."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from palmd.events import FloatArray
+from palmd.model.outputs import NAMED
+
+NORMAL_BINS = 72
+RECENT_S = 10.0
+_WIDTH = 2 * math.pi / NORMAL_BINS
+_PSI, _PHI1, _PHI2 = (NAMED.index(name) for name in ("psi", "phi1", "phi2"))
+
+Marks = npt.NDArray[np.bool_]
+
+
+class Coverage:
+    """Marks on `NORMAL_BINS` normals, in the gauge of the filter that leads; safe inside the loop."""
+
+    def __init__(self, marks: Marks | None = None, leader: int = -1):
+        """`marks` made before, in the gauge of filter `leader`; none by default."""
+        self.marks: Marks = np.zeros(NORMAL_BINS, dtype=np.bool_) if marks is None else marks.copy()
+        self._leader = leader
+        self._last_normals: tuple[float, float] | None = None
+        self._recent: deque[tuple[float, int]] = deque()  # when (s) which bin was marked first
+
+    def mark(self, t: float, leader: int, y: FloatArray, all_psi: Callable[[], FloatArray]) -> None:
+        """Mark the normals (3.1) touched since the last call; filter `leader` has the values `y` of `NAMED` at `t` (s).
+
+        `all_psi` gives ψ of every filter (rad), for when another one has taken the lead: what was touched before has
+        other names in its gauge.
+        """
+        self._turn_to(leader, all_psi)
+        normals = _normals(y)
+        for now, before in zip(normals, self._last_normals or normals, strict=True):
+            first, last = sorted((now, before))
+            for bin_ in range(math.floor(first / _WIDTH), math.floor(last / _WIDTH) + 1):
+                if not self.marks[bin_ % NORMAL_BINS]:
+                    self.marks[bin_ % NORMAL_BINS] = True
+                    self._recent.append((t, bin_ % NORMAL_BINS))
+        self._last_normals = normals
+        while self._recent and self._recent[0][0] < t - RECENT_S:
+            self._recent.popleft()
+
+    def renumber(self, kept: npt.NDArray[np.intp]) -> None:
+        """The bank has dropped filters: `kept` are the former numbers of those that stay."""
+        place = np.flatnonzero(kept == self._leader)
+        self._leader = int(place[0]) if len(place) else -1
+
+    def since(self, t: float, leader: int, all_psi: Callable[[], FloatArray]) -> Marks:
+        """The normals touched first after `t` (s), at most `RECENT_S` ago, in the gauge of filter `leader`."""
+        self._turn_to(leader, all_psi)
+        marks = np.zeros(NORMAL_BINS, dtype=np.bool_)
+        marks[[bin_ for when, bin_ in self._recent if when > t]] = True
+        return marks
+
+    @property
+    def fraction(self) -> float:
+        """Share of the normals that are marked."""
+        return float(self.marks.mean())
+
+    def _turn_to(self, leader: int, all_psi: Callable[[], FloatArray]) -> None:
+        if leader == self._leader:
+            return
+        if self._leader >= 0:
+            psi = all_psi()
+            by = -round((psi[leader] - psi[self._leader]) / _WIDTH)
+            self.marks = np.roll(self.marks, by)
+            self._recent = deque((t, (bin_ + by) % NORMAL_BINS) for t, bin_ in self._recent)
+        else:
+            self.marks[:] = False
+            self._recent.clear()
+        self._leader, self._last_normals = leader, None
+
+
+def _normals(y: FloatArray) -> tuple[float, float]:
+    """θ1, θ2 (3.1) in rad, on any branch, from values of `NAMED`."""
+    theta1 = float(y[_PHI1] - y[_PSI]) - math.pi / 2
+    return theta1, theta1 + float(y[_PHI2]) - math.pi
+
+
+def contact_bins(y: FloatArray) -> list[int]:
+    """The bins in which both contacts are, from values of `NAMED`."""
+    return [math.floor(theta / _WIDTH) % NORMAL_BINS for theta in _normals(y)]
+
+
+def marks_of(normals: FloatArray) -> Marks:
+    """The normals passed by `normals` (n, 2), θ1 and θ2 (3.1) in order of time (rad, on any branch)."""
+    marks = np.zeros(NORMAL_BINS, dtype=np.bool_)
+    for bins in np.floor(normals / _WIDTH).astype(np.intp).T:
+        lows, highs = np.minimum(bins[:-1], bins[1:]), np.maximum(bins[:-1], bins[1:])
+        for low, high in {*zip(lows.tolist(), highs.tolist(), strict=True)}:
+            marks[np.arange(low, high + 1) % NORMAL_BINS] = True
+        marks[bins % NORMAL_BINS] = True
+    return marks
+
+
+def turned_marks(marks: Marks, turn: float) -> Marks:
+    """The same marks in a gauge in which ψ is larger by `turn` (rad)."""
+    return np.roll(marks, -round(turn / _WIDTH))

@@ -1,0 +1,103 @@
+"""The longest part of a record in which nothing is missing: both pads and the arm report all the time. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from palmd.events import Event, PadLift, PadSample, PalmSample
+
+PAD_GAP_S = 0.4  # a pad silent for longer: the object may have left the palm
+ARM_GAP_S = 0.3  # the palms' motion is not guessed across more
+LEAD_S = 0.5  # of the arm's reports before both pads feel the object
+
+
+@dataclass(frozen=True, slots=True)
+class DataSegment:
+    """Events in order of time, each once: between `start` and `end` (s) no gap is longer than the limits above."""
+
+    start: float
+    end: float
+    pads: tuple[PadSample, ...]
+    palms: tuple[PalmSample, ...]
+
+    def events(self) -> list[Event]:
+        """All of them in order of time, the arm's report first where times are equal."""
+        return sorted((*self.palms, *self.pads), key=lambda event: event.t_sample)
+
+    def until(self, t: float) -> DataSegment:
+        """What was before `t` (s)."""
+        return DataSegment(self.start, t, tuple(sample for sample in self.pads if sample.t_sample <= t), self.palms)
+
+
+def data_segments(events: Sequence[Event], pad_gap_s: float = PAD_GAP_S) -> list[DataSegment]:
+    """All of them, in order of time."""
+    ordered = sorted((event for event in events if _finite(event)), key=_place)
+    found: list[DataSegment | None] = []
+    pads: list[PadSample] = []
+    palms: list[PalmSample] = []
+
+    def close() -> None:
+        found.append(_trimmed(pads, palms))
+        pads.clear()
+        palms.clear()
+
+    last = {1: -math.inf, 2: -math.inf, "arm": -math.inf}
+    for event in ordered:
+        if isinstance(event, PadLift):
+            close()
+            continue
+        source = event.pad if isinstance(event, PadSample) else "arm"
+        if event.t_sample == last[source]:
+            continue  # the same reading twice, or two that contradict each other: one counts
+        limits = {1: pad_gap_s, 2: pad_gap_s, "arm": ARM_GAP_S}
+        if any(event.t_sample - t > limits[key] for key, t in last.items() if t > -math.inf):
+            close()
+            last = dict.fromkeys(last, -math.inf)
+        last[source] = event.t_sample
+        if isinstance(event, PadSample):
+            pads.append(event)
+        else:
+            palms.append(event)
+    close()
+    return [stretch for stretch in found if stretch is not None]
+
+
+def longest_segment(events: Sequence[Event]) -> DataSegment | None:
+    """The longest one, None if there is no time at all at which both pads and the arm report."""
+    return max(data_segments(events), key=lambda stretch: stretch.end - stretch.start, default=None)
+
+
+def _trimmed(pads: list[PadSample], palms: list[PalmSample]) -> DataSegment | None:
+    """What lies between the first time at which all three have reported and the last at which all still do.
+
+    The arm's reports of a moment before that stay: they tell how the palms moved at the start.
+    """
+    sources = [[sample.t_sample for sample in pads if sample.pad == number] for number in (1, 2)]
+    sources.append([sample.t_sample for sample in palms])
+    if not all(sources):
+        return None
+    start, end = max(times[0] for times in sources), min(times[-1] for times in sources)
+    inside = tuple(sample for sample in pads if start <= sample.t_sample <= end)
+    about = tuple(sample for sample in palms if sample.t_sample >= start - LEAD_S)
+    return DataSegment(start, end, inside, about) if inside and end > start else None
+
+
+def _place(event: Event) -> tuple[float, ...]:
+    """By time, and where times are equal in an order that does not depend on how the events were given."""
+    if isinstance(event, PadSample):
+        return event.t_sample, 1, event.pad, event.s
+    if isinstance(event, PalmSample):
+        return event.t_sample, 2, event.phi1, event.phi2
+    return event.t_sample, 0, event.pad
+
+
+def _finite(event: Event) -> bool:
+    if isinstance(event, PadSample):
+        return math.isfinite(event.t_sample) and math.isfinite(event.s)
+    if isinstance(event, PalmSample):
+        plan = (event.omega1, event.omega2, event.alpha1, event.alpha2)
+        told = (value for value in plan if value is not None)
+        return all(map(math.isfinite, (event.t_sample, event.phi1, event.phi2, *told)))
+    return math.isfinite(event.t_sample)

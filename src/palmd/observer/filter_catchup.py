@@ -1,0 +1,76 @@
+"""An improved filter on its way into a running bank: it must first read what came since the time it is about."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+
+import numpy as np
+
+from palmd.events import Event, FloatArray, Improvement, PadSample, PalmSample, RigDescription
+from palmd.model.smoothing import ORDER
+from palmd.observer.filters import ShapeFilters, carry
+from palmd.observer.palms import PalmTracker
+
+LEAST_READINGS = 30  # by which a newcomer is judged before it joins
+LEAD_S = 0.3  # of the arm's reports before that time, from which the palms' motion is known
+
+
+class FilterCatchUp:
+    """One filter that catches up with the bank, a few events at a time; safe inside the loop.
+
+    A late reading is left out: it is one of hundreds.
+    """
+
+    def __init__(self, rig: RigDescription):
+        """Binds its own block of kernels."""
+        self._filters = ShapeFilters(rig, 1, order=ORDER)
+        self._variance = rig.reading_variance
+        self._angle_noise = rig.palm_angle_noise
+        self._waiting: deque[Event] = deque()
+        self._palms = PalmTracker(self._angle_noise)
+        self._t = -np.inf
+        self._read = 0
+        self.active = False
+
+    def begin(self, improvement: Improvement, recent: Iterable[Event]) -> None:
+        """Start at `improvement.t`; `recent` holds the events since `LEAD_S` before it, and maybe earlier ones."""
+        self._palms = PalmTracker(self._angle_noise)
+        ordered = sorted(recent, key=lambda event: event.t_sample)
+        self._waiting = deque(event for event in ordered if event.t_sample > improvement.t - LEAD_S)
+        while self._waiting and self._waiting[0].t_sample <= improvement.t:
+            event = self._waiting.popleft()
+            if isinstance(event, PalmSample):
+                self._palms.feed(event)
+        self._filters.bank.refill()
+        self._filters.bank.x[:], self._filters.bank.P[:] = improvement.x, improvement.P
+        self._t = improvement.t
+        self._read = 0
+        self.active = self._palms.known
+
+    def hear(self, event: Event) -> None:
+        """Queue one more event."""
+        self._waiting.append(event)
+
+    def follow(self, budget: int) -> bool:
+        """Read up to `budget` of the events that wait; whether none is left and it can be judged."""
+        for _ in range(min(budget, len(self._waiting))):
+            event = self._waiting.popleft()
+            if isinstance(event, PalmSample):
+                self._palms.feed(event)
+            elif isinstance(event, PadSample) and event.t_sample >= self._t:
+                self._move_to(event.t_sample)
+                self._filters.fuse_pad(event, self._variance, self._palms)
+                self._read += 1
+        return not self._waiting and self._read >= LEAST_READINGS
+
+    def state_at(self, t: float) -> tuple[FloatArray, FloatArray, float]:
+        """(mean, covariance, mean NIS since the beginning) at `t` (s); ends its work."""
+        self._move_to(max(t, self._t))
+        self.active = False
+        bank = self._filters.bank
+        return bank.x[0].copy(), bank.P[0].copy(), float(bank.nis[0])
+
+    def _move_to(self, t: float) -> None:
+        carry(self._filters, self._t, t, self._palms)
+        self._t = t

@@ -1,0 +1,155 @@
+"""What is kept of an object when the palms lose it, and how it is known again.
+
+A settled map (outline, ρ, friction, damping, with their covariance) outlives the contact. At the next start most of
+the bank begins with it, at the orientations ψ that give the first two readings best; the rest begins blind, and the
+readings decide between them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from palmd.events import FloatArray, PalmMotion
+from palmd.model import shape, shape_map
+from palmd.observer.coverage import Marks
+from palmd.observer.mass import MassEstimator
+
+KEEP_EVERY_S = 0.5
+# What filters have learnt from a blind start is believed with this times its variance, and m of its outline more.
+DOUBT, DOUBT_SD = 2.0, 1e-5
+DIRECTIONS = 120  # orientations looked at
+APART = 2  # directions on either side of a chosen one that are not chosen
+PSI_SD = 0.06  # rad, of a filter about its orientation
+SPIN_SD = 1.0  # rad/s, of an object just put down
+# How far the same object's outline strays from what was kept, in one-sigma squared; measured: median 0.7, most 23.
+SAME = 25.0
+SAME_SMOOTHED = 60.0  # where nothing has been widened: up to some 25 directions that are felt for the first time
+SAME_WEIGHT = 0.1  # relative, between its mass and the one that resting forces give
+
+_PSI: FloatArray = np.arange(DIRECTIONS, dtype=np.float64) * (2 * math.pi / DIRECTIONS)
+_CONSTANTS, _OUTLINE = slice(shape_map.Z.LN_RHO, None), slice(shape_map.Z.SHAPE, None)
+
+
+@dataclass(frozen=True, slots=True)
+class KnownObject:
+    """A settled state of `model.shape_map` with its covariance, the normals touched in its gauge, and the mass.
+
+    `smoothed`: a smoother vouches for it.
+    """
+
+    x: FloatArray
+    P: FloatArray
+    touched: Marks
+    mass: MassEstimator
+    smoothed: bool = False
+
+    def believed(self) -> FloatArray:
+        """The covariance of the constants, unless smoothed widened by `DOUBT`; ψ, ω0 as of what is put down anyhow."""
+        Z = shape_map.Z
+        P = np.zeros_like(self.P)
+        P[_CONSTANTS, _CONSTANTS] = self.P[_CONSTANTS, _CONSTANTS]
+        if not self.smoothed:
+            P *= DOUBT
+            P[_OUTLINE, _OUTLINE] += np.eye(len(self.x) - shape_map.Z.SHAPE) * DOUBT_SD**2
+        P[Z.PSI, Z.PSI], P[Z.OMEGA0, Z.OMEGA0] = PSI_SD**2, SPIN_SD**2
+        return P
+
+    def orientations(self, s1: float, s2: float, palms: PalmMotion, variance: float, count: int) -> FloatArray:
+        """The `count` likeliest ψ (rad) apart from each other, given the first readings (m) and their variance (m²)."""
+        return likely_orientations(
+            self.x[_OUTLINE], self.believed()[_OUTLINE, _OUTLINE], s1, s2, palms, variance, count
+        )
+
+    def resembles(self, x: FloatArray) -> bool:
+        """Whether the outline of state `x`, in the same gauge, is this one within what was believed of it."""
+        change = x[_OUTLINE] - self.x[_OUTLINE]
+        distance = change @ np.linalg.solve(self.believed()[_OUTLINE, _OUTLINE], change)
+        return bool(distance < (SAME_SMOOTHED if self.smoothed else SAME))
+
+    def weighs(self, mass: float) -> bool:
+        """Whether `mass` (kg) may be this object's; NaN, where the pads give no forces, may."""
+        return not abs(mass / self.mass.value - 1.0) > SAME_WEIGHT
+
+
+def likely_orientations(
+    coefficients: FloatArray, P: FloatArray, s1: float, s2: float, palms: PalmMotion, variance: float, count: int
+) -> FloatArray:
+    """The `count` likeliest ψ (rad) apart from each other of an outline; arguments as of `orientation_likelihood`."""
+    rows = reading_rows(palms, (len(coefficients) - 1) // 2)
+    likelihood = orientation_likelihood(coefficients, P, s1, s2, rows, variance)
+    chosen = []
+    for _ in range(count):
+        best = int(np.argmax(likelihood))
+        chosen.append(_PSI[best])
+        likelihood[np.arange(best - APART, best + APART + 1) % DIRECTIONS] -= 1e6
+    return np.array(chosen)
+
+
+def reading_rows(palms: PalmMotion, order: int = shape.HARMONICS) -> tuple[FloatArray, FloatArray]:
+    """Rows that map coefficients to s1 and to s2 of an object at each of `DIRECTIONS` orientations ψ, evenly from 0."""
+    theta1: FloatArray = palms.phi1 - math.pi / 2 - _PSI
+    theta2: FloatArray = palms.phi1 + palms.phi2 - 3 * math.pi / 2 - _PSI
+    r1, r2 = shape.basis(theta1, order), shape.basis(theta2, order)
+    cos, sin = math.cos(palms.phi2), math.sin(palms.phi2)
+    rows1 = (r1 * cos + r2) / sin - shape.tangential_basis(theta1, order)  # (3.13)
+    rows2 = (r2 * cos + r1) / sin + shape.tangential_basis(theta2, order)  # (3.14)
+    return rows1, rows2
+
+
+def orientation_likelihood(
+    coefficients: FloatArray,
+    P: FloatArray,
+    s1: float,
+    s2: float,
+    rows: tuple[FloatArray, FloatArray],
+    variance: float,
+) -> FloatArray:
+    """Log-likelihood (DIRECTIONS) of two readings (m) of one instant, with `rows` of `reading_rows`.
+
+    The outline's coefficients (m) have the covariance `P`, ψ is within `PSI_SD` of each orientation, a reading's
+    variance is in m².
+    """
+    rows1, rows2 = rows
+    error1, error2 = s1 - rows1 @ coefficients, s2 - rows2 @ coefficients
+    slope1, slope2 = _slope(error1), _slope(error2)
+    S11 = ((rows1 @ P) * rows1).sum(axis=1) + (slope1 * PSI_SD) ** 2 + variance
+    S22 = ((rows2 @ P) * rows2).sum(axis=1) + (slope2 * PSI_SD) ** 2 + variance
+    S12 = ((rows1 @ P) * rows2).sum(axis=1) + slope1 * slope2 * PSI_SD**2
+    det = S11 * S22 - S12**2
+    misfit = (S22 * error1**2 - 2 * S12 * error1 * error2 + S11 * error2**2) / det
+    likelihood: FloatArray = -0.5 * (misfit + np.log(det))
+    return likelihood
+
+
+def _slope(values: FloatArray) -> FloatArray:
+    """d/dψ of values on the circle of `_PSI` (1/rad), by central differences."""
+    slope: FloatArray = (np.roll(values, -1) - np.roll(values, 1)) * (DIRECTIONS / (4 * math.pi))
+    return slope
+
+
+class ObjectMemory:
+    """The last settled map but one: the very last may have been taken while the object was being taken away."""
+
+    def __init__(self) -> None:
+        self._older: KnownObject | None = None
+        self._newer: KnownObject | None = None
+        self._t = -math.inf
+
+    def due(self, t: float) -> bool:
+        """Whether the settled map at `t` (s) is to be kept."""
+        return t - self._t >= KEEP_EVERY_S
+
+    def keep(self, t: float, known: KnownObject) -> None:
+        """Keep the settled map at `t` (s)."""
+        self._older, self._newer, self._t = self._newer or known, known, t
+
+    def recall(self) -> KnownObject | None:
+        """What is known of the last object, None if none ever settled."""
+        return self._older
+
+    def forget(self) -> None:
+        """The last object is another one, or was not known well."""
+        self._older = self._newer = None

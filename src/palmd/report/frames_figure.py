@@ -1,0 +1,69 @@
+"""The reconstruction through time, after figure 3.9 of the paper; needs matplotlib."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import FigureBase
+
+from palmd.report.axes import BLACK, BLUE, GREY, ORANGE
+from palmd.report.body import closed, felt_points, frames, outline_known, points, pose_at, turned
+from palmd.report.series import Series
+
+MOST, COLUMNS = 12, 4
+ROW_IN = 1.2
+_PALM_MM = 60.0
+_MOST_FELT = 150
+
+
+def rows(series: Series) -> int:
+    """How many rows of frames there are."""
+    return -(-len(frames(series, MOST)) // COLUMNS)
+
+
+def draw_frames(figure: FigureBase, series: Series) -> None:
+    """Palms, contacts and outline as known then, one frame each."""
+    numbers = frames(series, MOST)
+    grid = figure.subplots(rows(series), COLUMNS, squeeze=False).ravel()
+    reach = _reach(series, numbers)
+    for axes, number in zip(grid, numbers, strict=False):
+        _frame(axes, series, number)
+        axes.set(xlim=reach[0], ylim=reach[1], aspect="equal")
+        axes.axis("off")
+        told = f", {series.estimate['touched'][number]:.0%}" if series.outlines else ""
+        axes.set_title(f"{series.estimate.t[number]:.1f} s{told}", fontsize=7.5, pad=1.0)
+    for axes in grid[len(numbers) :]:
+        axes.axis("off")
+
+
+def _frame(axes: Axes, series: Series, number: int) -> None:
+    pose = pose_at(series, number)
+    for angle, contact in ((pose.phi1, pose.contact1), (pose.phi12, pose.contact2)):
+        axes.plot([0, _PALM_MM * math.cos(angle)], [0, _PALM_MM * math.sin(angle)], color=GREY, linewidth=1.6,
+                  solid_capstyle="round")  # fmt: skip
+        axes.plot(*contact * 1e3, "o", color=ORANGE, markersize=3.0, zorder=4)
+    object_number = int(series.estimate["object"][number])
+    known = outline_known(series, pose.t, object_number)
+    if known is not None:
+        curve = (turned(points(known.theta, known.h), pose.psi) + pose.centre[:, None]) * 1e3
+        axes.plot(*closed(curve), color=BLUE, linewidth=0.6, alpha=0.5)
+        axes.plot(*closed(np.where(known.touched, curve, math.nan)), color=BLUE, linewidth=1.6)
+    else:
+        before = np.flatnonzero(series.valid[: number + 1] & (series.estimate["object"][: number + 1] == object_number))
+        felt = felt_points(series, before[:: -(-len(before) // _MOST_FELT)])
+        axes.plot(*(turned(felt, pose.psi) + pose.centre[:, None]) * 1e3, ".", color=BLUE, markersize=1.2)
+    axes.plot(*pose.centre * 1e3, "+", color=BLACK, markersize=4.0)
+
+
+def _reach(series: Series, numbers: tuple[int, ...]) -> tuple[tuple[float, float], tuple[float, float]]:
+    """One view for all: hinge, palms as far as they are drawn, the object."""
+    ends = [(0.0, 0.0)]
+    for number in numbers:
+        pose = pose_at(series, number)
+        ends += [(_PALM_MM * math.cos(angle), _PALM_MM * math.sin(angle)) for angle in (pose.phi1, pose.phi12)]
+        radius = 1.1e3 * max(float(series.estimate[name][number]) for name in ("r1_m", "r2_m"))
+        ends += [tuple(pose.centre * 1e3 + side * radius) for side in (-1.0, 1.0)]
+    low, high = np.min(ends, axis=0) - 3.0, np.max(ends, axis=0) + 3.0
+    return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))

@@ -1,0 +1,88 @@
+"""A run's report as one HTML file: figures as SVG in the page, nothing fetched from elsewhere. Needs matplotlib."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from html import escape
+from io import StringIO
+
+from palmd.report.axes import styled
+from palmd.report.sections import Listing, Plate, Report, Section, drawn
+from palmd.report.words import Table
+
+_CSS = """
+:root { color-scheme: light; }
+body { font: 15px/1.45 system-ui, sans-serif; color: #111; background: #fff; max-width: 180mm; margin: 2em auto;
+  padding: 0 1em; }
+h1 { font-size: 1.5em; } h2 { font-size: 1.15em; margin: 2em 0 .4em; border-bottom: 1px solid #bbb; }
+figure { margin: 1em 0 1.6em; break-inside: avoid; } figure svg { width: 100%; height: auto; display: block; }
+figcaption { font-size: .92em; margin-top: .3em; }
+table { border-collapse: collapse; font-size: .88em; margin: .8em 0; font-variant-numeric: tabular-nums; }
+th, td { text-align: left; vertical-align: top; padding: .15em .9em .15em 0; border-bottom: 1px solid #e3e3e3;
+  overflow-wrap: anywhere; }
+.facts th { font-weight: 600; white-space: nowrap; }
+pre { font-size: .78em; line-height: 1.3; white-space: pre-wrap; }
+@page { margin: 15mm; }
+@media print { body { margin: 0; padding: 0; max-width: none; font-size: 10pt; } h2 { break-after: avoid; }
+  tr { break-inside: avoid; } }
+"""
+_PLAIN = {"Date": None, "Creator": None, "Format": None, "Type": None}  # no metadata: nothing of it is of this run
+
+
+def as_html(report: Report, at: Callable[[int], None] = lambda _: None) -> str:
+    """The page; the same report gives the same text. `at` is told how many figures are drawn."""
+    number = 0
+    body = [f"<h1>{escape(report.title)}</h1>", _facts(report.facts)]
+    for section in report.sections:
+        body.append(f"<section>\n<h2>{escape(section.title)}</h2>")
+        for part in section.parts:
+            if isinstance(part, Plate):
+                number += 1
+                body.append(_figure(part, section, number))
+                at(number)
+            else:
+                body.append(_table(part) if isinstance(part, Table) else _listing(part))
+        body.append("</section>")
+    title = escape(f"palmd: {report.title}")
+    return (
+        f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1">\n<title>{title}</title>\n'
+        f"<style>{_CSS}</style>\n</head>\n<body>\n" + "\n".join(body) + "\n</body>\n</html>\n"
+    )
+
+
+def _figure(plate: Plate, section: Section, number: int) -> str:
+    text = StringIO()
+    with styled(str(number)):
+        drawn(plate).savefig(text, format="svg", metadata=_PLAIN)
+    return (
+        f"<figure>\n{_embedded(text.getvalue(), f'f{number}-', section.title)}\n"
+        f"<figcaption><b>Figure {number}.</b> {escape(plate.sentence)}</figcaption>\n</figure>"
+    )
+
+
+def _embedded(svg: str, prefix: str, name: str) -> str:
+    """The drawing without its prologue, its names made unique in a page of several, with a name for screen readers."""
+    drawing = svg[svg.index("<svg") :]
+    drawing = re.sub(r'\bid="', f'id="{prefix}', drawing)
+    drawing = re.sub(r'href="#', f'href="#{prefix}', drawing)
+    drawing = drawing.replace("url(#", f"url(#{prefix}")
+    return drawing.replace("<svg", f'<svg role="img" aria-label="{escape(name)}"', 1)
+
+
+def _facts(facts: tuple[tuple[str, str], ...]) -> str:
+    rows = "\n".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in facts)
+    return f'<table class="facts">\n{rows}\n</table>'
+
+
+def _table(table: Table) -> str:
+    if not table.rows:
+        return "<p>None.</p>"
+    head = "".join(f"<th>{escape(cell)}</th>" for cell in table.head)
+    rows = "\n".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in table.rows)
+    return f"<table>\n<tr>{head}</tr>\n{rows}\n</table>"
+
+
+def _listing(listing: Listing) -> str:
+    return f"<pre>{escape(listing.text)}</pre>"

@@ -1,0 +1,71 @@
+"""What the palms were told and did, and what state everything was in; needs matplotlib."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import FigureBase
+from matplotlib.patches import Patch
+
+from palmd.report.axes import BLACK, BLUE, GREEN, GREY, ORANGE, PINK, bars, in_view, line, over_time
+from palmd.report.series import FaultSpell, Series, Spell
+
+STATES = {
+    "idle": "#d9d9d9", "ready": "#56b4e9", "tracking": GREEN, "hold": "#e69f00", "fault": ORANGE, "stopping": "#f0e442",
+    "e-stop": BLACK, "power off": GREY, "manual": PINK, "uncalibrated": "#b3b3b3",
+}  # fmt: skip
+ARM_STATES = {"R": "ready", "T": "tracking", "H": "hold", "D": "stopping", "F": "fault", "X": "e-stop",
+    "P": "power off", "M": "manual", "U": "uncalibrated"}  # fmt: skip
+SEVERITIES = {"note": "#9ecae1", "degrade": "#fdae61", "hold": "#d6604d", "stop": "#67001f"}
+_MOST_FAULTS = 12
+_SEGMENT_COLOURS = (BLUE, "#56b4e9")  # by turns
+
+
+def bar_rows(series: Series) -> int:
+    """How many rows of bars there are."""
+    return 3 + min(len({fault.code for fault in series.faults}), _MOST_FAULTS)
+
+
+def draw_motion(figure: FigureBase, series: Series) -> None:
+    """Angles, how far the arm is behind them, and below on the same time states and faults as bars."""
+    count = bar_rows(series)
+    grid = figure.subplots(4, 1, sharex=True, height_ratios=(1.3, 1.3, 1.0, 0.24 * count))
+    for axes, palm in zip(grid[:2], (1, 2), strict=True):
+        t = series.motion.t
+        commanded, actual = (np.degrees(series.motion[f"phi{palm}{what}_rad"]) for what in ("_cmd", ""))
+        line(axes, t, actual, color=BLUE, linewidth=1.2, label="actual")
+        line(axes, t, commanded, color=BLACK, linewidth=0.7, linestyle=(0, (4, 2)), label="commanded")
+        line(grid[2], t, actual - commanded, color=(BLUE, ORANGE)[palm - 1], linewidth=0.7, label=f"palm {palm}")
+        in_view(axes, actual, commanded, least=1.0)
+        axes.set_ylabel(f"φ{'₁₂'[palm - 1]} (°)")
+    grid[0].legend(loc="lower left", bbox_to_anchor=(0.0, 0.99), ncols=2, borderaxespad=0.0)
+    grid[2].set_ylabel("actual −\ncommanded (°)")
+    grid[2].legend(loc="upper right", ncols=2)
+    key = _states(grid[3], series)
+    for axes in grid:
+        over_time(axes, series, last=axes is grid[3])
+    if key:
+        figure.legend(handles=key, loc="outside lower center", ncols=6)
+
+
+def _states(axes: Axes, series: Series) -> list[Patch]:
+    """Draws the bars; the key of the colours that occur."""
+    segments = tuple(
+        Spell(str(number % 2), spell.begin, spell.end)
+        for number, spell in enumerate(spell for spell in series.segments if spell.what)
+    )
+    arm = tuple(Spell(ARM_STATES.get(spell.what, ""), spell.begin, spell.end) for spell in series.arm_states)
+    codes = list(dict.fromkeys(fault.code for fault in series.faults))[:_MOST_FAULTS]
+    faults = [
+        (code, [Spell(_fault(each), each.begin, each.end) for each in series.faults if each.code == code])
+        for code in codes
+    ]
+    colours = STATES | {f"fault: {name}": colour for name, colour in SEVERITIES.items()}
+    rows = [("palmd", series.states), ("arm", arm), ("segment", segments), *faults]
+    bars(axes, rows, colours | dict(zip("01", _SEGMENT_COLOURS, strict=True)))
+    occurring = {spell.what for _, spells in rows for spell in spells}
+    return [Patch(color=colour, label=name) for name, colour in colours.items() if name in occurring]
+
+
+def _fault(fault: FaultSpell) -> str:
+    return f"fault: {fault.severity}"

@@ -1,0 +1,77 @@
+"""The named state over time with its band, and its errors where truth is known; needs matplotlib."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import FigureBase
+
+from palmd.report.axes import BLACK, BLUE, GREY, band, estimated, in_view, invalid_shaded, line, over_time
+from palmd.report.errors import SDS, Errors, inside
+from palmd.report.quantities import QUANTITIES, Quantity
+from palmd.report.series import SD, Series
+
+STATE_NAMES = ("r1_m", "r2_m", "s1_m", "s2_m", "phi1_rad", "phi2_rad", "omega1_rad_s", "omega2_rad_s",
+    "omega0_rad_s", "psi_rad", "rho_m", "mu")  # fmt: skip
+_IN_SMALLER = {"mm": ("µm", 1e3), "°": ("mrad", math.radians(1) * 1e3), "rad": ("mrad", 1e3)}
+
+
+def draw_state(figure: FigureBase, series: Series, errors: Errors | None) -> None:
+    """The state with its band; the truth dashed."""
+    for axes, quantity, last in _panels(figure):
+        factor = quantity.factor
+        value, low, high = estimated(series, quantity.name, SDS)
+        t = series.estimate.t
+        band(axes, t, low, high, BLUE, f"±{SDS:g} sd")
+        line(axes, t, np.where(series.valid, np.nan, series.estimate[quantity.name]) * factor, color=GREY,
+             linewidth=0.5, label="not valid")  # fmt: skip
+        line(axes, t, value, color=BLUE, linewidth=1.3, label="estimate")
+        drawn = [value]
+        if errors is not None and quantity.name in errors.true:
+            true = errors.true[quantity.name] * factor
+            line(axes, t, true, color=BLACK, linewidth=0.7, linestyle=(0, (4, 2)), label="truth")
+            drawn.append(true)
+        if not series.valid.any():
+            drawn = [series.estimate[quantity.name] * factor]
+        in_view(axes, *drawn)
+        _finish(axes, series, last, quantity.label)
+
+
+def draw_errors(figure: FigureBase, series: Series, errors: Errors) -> None:
+    """Estimate less truth, and the band it should stay within."""
+    for axes, quantity, last in _panels(figure):
+        unit, smaller = _IN_SMALLER.get(quantity.unit, (quantity.unit, 1.0))
+        factor = quantity.factor * smaller
+        t, valid = series.estimate.t, series.valid
+        error = errors.error.get(quantity.name, np.full(len(t), math.nan))
+        off = np.where(valid, error, math.nan) * factor
+        reach = np.where(valid, SDS * series.estimate[SD + quantity.name], math.nan) * factor
+        band(axes, t, -reach, reach, BLUE, f"±{SDS:g} sd")
+        line(axes, t, off, color=BLACK, linewidth=0.6, label="estimate − truth")
+        axes.axhline(0.0, color=GREY, linewidth=0.5)
+        in_view(axes, off, np.percentile(reach[np.isfinite(reach)], (90,)) if np.isfinite(reach).any() else reach)
+        highest = max(map(abs, axes.get_ylim()))
+        axes.set_ylim(-highest, highest)
+        within, judged = inside(series, errors, quantity.name) if quantity.name in errors.error else (0, 0)
+        _finish(axes, series, last, f"Δ{quantity.symbol} ({unit})" if unit else f"Δ{quantity.symbol}")
+        if judged:
+            axes.set_title(f"{within / judged:.0%} inside", loc="right", fontsize=7.0, pad=2.0)
+
+
+def _panels(figure: FigureBase) -> list[tuple[Axes, Quantity, bool]]:
+    rows = len(STATE_NAMES) // 2
+    grid = figure.subplots(rows, 2, sharex=True).ravel()
+    return [
+        (axes, QUANTITIES[name], number >= len(STATE_NAMES) - 2)
+        for number, (axes, name) in enumerate(zip(grid, STATE_NAMES, strict=True))
+    ]
+
+
+def _finish(axes: Axes, series: Series, last: bool, label: str) -> None:
+    invalid_shaded(axes, series)
+    axes.set_ylabel(label)
+    over_time(axes, series, last=last)
+    if axes.get_subplotspec().get_geometry()[2] == 0:  # type: ignore[union-attr]
+        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 0.99), ncols=4, borderaxespad=0.0)

@@ -1,1 +1,0 @@
-"""Offline work: the whole rig without wires, and studies of many runs."""

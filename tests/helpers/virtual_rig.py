@@ -1,0 +1,89 @@
+"""The daemon's real core on the emulated rig, behind its real sockets, in a time of their own that runs fast."""
+
+import threading
+from concurrent.futures import Executor, Future
+from contextlib import contextmanager
+
+from palmd.daemon.bus import Bus
+from palmd.daemon.core import Core, unknown_estimate
+from palmd.daemon.lifecycle import State
+from palmd.rig.pads import GOOD_PADS
+from palmd.rig.world import STEP_S, World
+
+TICK_STEPS = 20
+
+
+class AtOnce(Executor):
+    """Does the work when it is asked for."""
+
+    def submit(self, work, /, *args, **kwargs):
+        future = Future()
+        try:
+            future.set_result(work(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+class _Deaf:
+    """An observer that knows nothing: a calibration needs none."""
+
+    name, object_count, late_dropped, foresees = "deaf", 0, 0, False
+
+    def feed(self, event):
+        pass
+
+    def estimate(self, t):
+        return unknown_estimate(t, self)
+
+    def shape(self, _t):
+        return None
+
+    def outlook(self, _t):
+        return None
+
+
+@contextmanager
+def running(real, config, seed, body, crossed=False, pad_options=GOOD_PADS):
+    """A rig as `real` says with `body` on its palms, and a daemon on it as `config` says; the world, for mischief.
+
+    The pads' plugs may be `crossed`.
+    """
+    plug = {"pad1": "pad2", "pad2": "pad1"} if crossed else {}
+    world = World(real, seed, body=body, pad_options=pad_options)
+    core = Core(config, _Deaf(), AtOnce())
+    bus, over = Bus(config.bus.publish, config.bus.command), threading.Event()
+    ready = threading.Event()
+    for end in ("pad1", "pad2", "arm"):
+        core.opened(end, 0.0)
+
+    def live():
+        steps = 0
+        while not over.is_set():
+            steps += 1
+            t = steps * STEP_S
+            for end, data in world.advance(t).items():
+                if data:
+                    core.receive(plug.get(end, end), data, t)
+            if t >= core.due():
+                world.receive("arm", core.transmit(t))
+            if steps % TICK_STEPS:
+                continue
+            requests = bus.receive()
+            for topic, fields in core.step(t, requests):
+                bus.publish(topic, fields, t, t)
+            for reply in core.replies():
+                bus.reply(reply)
+            if core.state is State.READY:
+                ready.set()
+            over.wait(0.0 if core.setpoints.moving else 0.002)  # at rest it need not hurry
+
+    thread = threading.Thread(target=live)
+    thread.start()
+    assert ready.wait(20.0)
+    try:
+        yield world
+    finally:
+        over.set()
+        thread.join()
+        bus.close()

@@ -1,0 +1,119 @@
+"""Whatever is asked of the set-points, no set-point leaves the limits or is farther from the last than allowed."""
+
+import contextlib
+import math
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from palmd.config import ArmConfig, Config, PadConfig, PadsConfig, PlanSpec
+from palmd.daemon.setpoints import LONGEST_STEP_S, SetPoints
+from palmd.events import PalmMotion
+from palmd.motion.check import motion_limits
+from palmd.motion.kinematics import RigGeometry
+from palmd.motion.limits import PHI12_MAX
+from palmd.motion.plan import Trajectory, compile_plan
+from palmd.motion.segments import Hold
+from palmd.motion.trajectory_executor import MotionError
+
+CONFIG = Config(pads=PadsConfig(palm1=PadConfig(port="a"), palm2=PadConfig(port="b")), arm=ArmConfig(port="c"))
+GEOMETRY = RigGeometry.from_config(CONFIG)
+LIMITS = motion_limits(CONFIG)
+HERE = PalmMotion(math.radians(45.0), math.radians(90.0))
+SPEC = PlanSpec.model_validate(
+    {
+        "name": "lively",
+        "repeat": "forever",
+        "segments": [
+            {"move": {"phi1_deg": 30, "phi2_deg": 90}, "duration_s": 1.0},
+            {"sine": {"phi1_deg": 12, "phi2_deg": 8}, "frequency_hz": [0.9, 0.7], "duration_s": 6},
+        ],
+        "dither": {"amplitude_deg": 0.05, "frequency_hz": 10},
+    }
+)
+GOOD = compile_plan(SPEC, LIMITS)
+
+
+class Rogue(Hold):
+    """A segment that was never checked: it jumps about, leaves every limit and is not always a number."""
+
+    def at(self, t: float) -> PalmMotion:
+        jumps = (0.8, 7.0, -3.0, math.nan, 1e9, math.inf, 2.9)
+        return PalmMotion(jumps[int(t * 40) % 7], jumps[int(t * 23) % 7], 50.0, -50.0, 1e4, 1e4)
+
+
+def rogue() -> Trajectory:
+    checked = compile_plan(
+        PlanSpec.model_validate({"name": "rogue", "segments": [{"hold_s": 5.0}]}),
+        LIMITS,
+        (HERE.phi1, HERE.phi2),
+    )
+    (one,) = checked.rounds
+    segment = Rogue((HERE.phi1, HERE.phi2), one.duration)
+    object.__setattr__(one, "segments", (segment,))
+    return checked
+
+
+angles = st.tuples(st.floats(0.2, 1.2), st.floats(0.8, 1.6))
+acts = st.one_of(
+    st.tuples(st.sampled_from(["start", "rogue", "hold", "resume", "freeze", "thaw", "put_away"]), st.none()),
+    st.tuples(st.just("displaced"), angles),
+    st.tuples(st.just("jog"), st.tuples(st.floats(-0.01, 0.01), st.floats(-0.01, 0.01))),
+    st.tuples(st.just("stand"), angles),
+    st.tuples(st.just("pause"), st.floats(0.0, 0.5)),
+)
+
+
+def do(setpoints: SetPoints, what: str, how, t: float) -> bool:
+    """Ask for something; returns whether the arm was said to be elsewhere."""
+    with contextlib.suppress(MotionError):
+        match what:
+            case "start":
+                setpoints.start(GOOD)
+            case "rogue":
+                setpoints.start(rogue())
+            case "hold":
+                setpoints.hold()
+            case "resume":
+                setpoints.resume()
+            case "freeze" | "thaw":
+                setpoints.freeze(what == "freeze")
+            case "put_away":
+                setpoints.put_away()
+            case "jog":
+                setpoints.jog(*how, t)
+            case "displaced":
+                setpoints.displaced(PalmMotion(*how), 0.0)
+                return True
+            case "stand":
+                setpoints.stand(PalmMotion(*how), 0.0, t)
+                return True
+    return False
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.lists(st.tuples(acts, st.integers(0, 12), st.floats(0.012, 0.030)), max_size=25), st.randoms())
+def test_guard(script, random):
+    setpoints, t = SetPoints(GEOMETRY, LIMITS), 100.0
+    setpoints.stand(HERE, 0.0, t)
+    last, t_last = HERE, t
+    for (what, how), cycles, period in script:
+        if what == "pause":
+            t += how
+        elif do(setpoints, what, how, t):
+            last, t_last = PalmMotion(*how), t
+        for _ in range(cycles):
+            t += period
+            pose = setpoints.target(t)
+            assert pose is not None
+            if random.random() < 0.1:
+                continue  # the line had no room for it
+            setpoints.sent(t)
+            phi1, phi2 = GEOMETRY.palm_angles(pose.x_m, pose.y_m)
+            assert LIMITS.phi1[0] - 1e-9 <= phi1 <= LIMITS.phi1[1] + 1e-9
+            assert LIMITS.phi2[0] - 1e-9 <= phi2 <= LIMITS.phi2[1] + 1e-9
+            assert phi1 + phi2 < PHI12_MAX
+            step = max(abs(phi1 - last.phi1), abs(phi2 - last.phi2))
+            room = LIMITS.rate * min(max(t - t_last, period), LONGEST_STEP_S)
+            assert step <= room + 1e-9
+            last, t_last = PalmMotion(phi1, phi2), t

@@ -1,0 +1,95 @@
+"""What palmd sends is what PlotJuggler reads, and the layout for it names only what is sent."""
+
+import contextlib
+import time
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import lived
+import msgpack
+import numpy as np
+import plotjuggler
+import pytest
+import zmq
+
+from palmd.daemon.bus import Bus
+from palmd.events import ObjectEstimate
+from palmd.messages import OBJECT, TOPICS, object_fields
+
+LAYOUT = Path(__file__).parents[3] / "config/plotjuggler.xml"
+STAMP = ("v", "timestamp", "mono_ns", "seq")
+
+
+def sent():
+    """What the daemon sends: (topic, fields without stamp) of every topic."""
+    recognised = ObjectEstimate(1.0, ("cup", "lid"), np.array([0.2, 0.7]), 0.1, 1)
+    topics = {topic.name: topic for topic in TOPICS}
+    for name, fields in lived.published():
+        if name in topics:
+            yield topics[name], {key: value for key, value in fields.items() if key not in STAMP}
+    yield OBJECT, object_fields(recognised)
+
+
+@pytest.fixture(scope="module")
+def wire(tmp_path_factory):
+    """The frames of all of it, as a subscriber gets them from the daemon's own bus."""
+    folder = tmp_path_factory.mktemp("bus")
+    publish, command = (f"ipc://{folder}/{name}" for name in ("publish", "command"))
+    messages = list(sent())
+    found = []
+    with contextlib.closing(Bus(publish, command)) as bus, zmq.Context() as context, context.socket(zmq.SUB) as socket:
+        socket.linger, socket.rcvhwm = 0, 0
+        socket.connect(publish)
+        socket.subscribe(b"")
+        while not socket.poll(20):  # until the subscription has arrived
+            bus.publish(*messages[0], 0.0, time.time())
+        while socket.poll(100):
+            socket.recv_multipart()
+        for topic, fields in messages:
+            bus.publish(topic, dict(fields), 0.0, time.time())
+        while len(found) < len(messages) and socket.poll(10_000):
+            found.append(socket.recv_multipart())
+    return found
+
+
+def test_every_topic_of_the_table_is_on_the_wire(wire):
+    assert {frames[0].decode() for frames in wire} == {topic.name for topic in TOPICS}
+
+
+def test_plotjuggler_can_read_every_message(wire):
+    assert [(frames[0], plotjuggler.problems(frames)) for frames in wire if plotjuggler.problems(frames)] == []
+
+
+@pytest.mark.parametrize(
+    ("frames", "told"),
+    [
+        ([b"palm/x", b"\x80"], "2 frames"),
+        ([b"palm/x", b"\x80", b"now"], "third frame"),
+        ([b"palm/x", b"\x80", b"12390.5"], "third frame"),
+        ([b"palm/x", msgpack.packb([1]), b"1795301140.5"], "top level"),
+        ([b"palm/x", msgpack.packb({"a": {1: 2}}), b"1795301140.5"], "payload"),
+        ([b"palm/x", msgpack.packb({"a": None}), b"1795301140.5"], "NoneType"),
+        ([b"palm/x", msgpack.packb({"a": [1, b"x"]}), b"1795301140.5"], "bytes"),
+        ([b"palm/x", msgpack.packb({"a": msgpack.ExtType(1, b"x")}), b"1795301140.5"], "ExtType"),
+        ([b"palm/x", msgpack.packb({"a": [[1]]}), b"1795301140.5"], "nested"),
+    ],
+)
+def test_what_it_cannot_read_would_be_seen(frames, told):
+    assert any(told in problem for problem in plotjuggler.problems(frames))
+
+
+def test_the_layout_names_series_that_are_sent():
+    root = ElementTree.parse(LAYOUT).getroot()
+    curves = [curve.get("name") for curve in root.iter("curve")]
+    known = {name for topic, fields in sent() for name in plotjuggler.series(topic.name, fields)}
+    assert len(curves) > 30
+    assert set(curves) <= known, set(curves) - known
+
+
+def test_the_layout_is_whole():
+    root = ElementTree.parse(LAYOUT).getroot()
+    assert root.tag == "root"
+    assert root.find("previouslyLoaded_Streamer").get("name") == "ZMQ Subscriber"
+    assert root.find("Plugins/plugin[@ID='ZMQ Subscriber']") is not None
+    for splitter in root.iter("DockSplitter"):
+        assert int(splitter.get("count")) == len(list(splitter)) == len(splitter.get("sizes").split(";"))

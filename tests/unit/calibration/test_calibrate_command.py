@@ -1,0 +1,295 @@
+"""`palmd calibrate pad`: what it stores and says, and what it says when it cannot measure."""
+
+import os
+import sys
+import tty
+from dataclasses import replace
+
+import pytest
+import yaml
+
+import palmd.lab
+from palmd.calibration import pad
+from palmd.calibration.pad_characteristic import characterise
+from palmd.cli import main
+from palmd.cli.table import below
+from palmd.config import PadConfig, config_hash, rig_description
+from palmd.devices.port import Port
+from palmd.devices.versapad import encode_packet
+from palmd.lab.rolled_marble import rolled
+from palmd.rig.pads import PadOptions
+from palmd.yamlfile import load_config
+
+CONFIG = "pads: {{palm1: {{port: {port}{more}}}, palm2: {{port: /dev/none2}}}}\narm: {{port: /dev/none3}}\n"
+
+
+@pytest.fixture
+def configured(tmp_path):
+    """Writes a configuration whose first pad has this port, and more keys."""
+
+    def write(port="/dev/none1", more=""):
+        path = tmp_path / "palmd.yaml"
+        path.write_text(CONFIG.format(port=port, more=more))
+        return path
+
+    return write
+
+
+@pytest.fixture
+def line():
+    """A pseudo-terminal: the far end's descriptor and the port's path."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    yield master, os.ttyname(slave)
+    for descriptor in (master, slave):
+        os.close(descriptor)
+
+
+def marble(monkeypatch, **options):
+    """The pad is emulated: there is no port and nothing to wait for."""
+
+    def listen(name, config, decoder, seconds):
+        packets, decoder.counters = rolled(config, 1, seconds, PadOptions(**options))
+        return packets
+
+    monkeypatch.setattr(pad, "_listen", listen)
+
+
+def on_first_wait(monkeypatch, act):
+    """Once the port is open: opening it drops what came before."""
+
+    class Waiter(pad.PortWaiter):
+        acted = False
+
+        def wait(self, t_deadline):
+            if not self.acted:
+                self.acted = True
+                act()
+            return super().wait(t_deadline)
+
+    monkeypatch.setattr(pad, "PortWaiter", Waiter)
+
+
+def calibrate(config, *more, pad=1):
+    return main(["calibrate", "pad", str(config), "--pad", str(pad), *map(str, more)])
+
+
+def refused(config, status, capsys, *more):
+    """The one line it ends with."""
+    assert calibrate(config, *more) == status
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert not list(config.parent.glob("**/pad*"))
+    return err.splitlines()[-1]
+
+
+def test_result_and_figure_stand_beside_the_configuration(configured, monkeypatch, capsys):
+    marble(monkeypatch, noise_m=2e-4)
+    config = configured()
+    assert calibrate(config) == 0
+    result = yaml.safe_load((config.parent / "calibration/pad1.yaml").read_text())
+    assert (result["palmd_pad_characteristic"], result["pad"]) == (1, 1)
+    noise_mm = result["configuration"]["noise_mm"]
+    assert noise_mm == pytest.approx(0.2, rel=0.1)
+    assert noise_mm == round(result["found"]["x"]["noise_mm"], 3)
+    assert result["found"]["interval_mean_ms"] == pytest.approx(10.0, rel=0.1)
+    assert [band["packet_times"] for band in result["found"]["bands"]] == [1, 2, 3]
+    assert result["found"]["dead_band_n"] == pytest.approx(0.04, abs=0.021)
+    assert (config.parent / "calibration/pad1.svg").read_text().startswith("<?xml")
+    assert sorted(path.name for path in (config.parent / "calibration").iterdir()) == ["pad1.svg", "pad1.yaml"]
+    out, err = capsys.readouterr()
+    assert out.startswith("pad1: ")
+    assert f"{config}: write in pads.palm1: noise_mm: {noise_mm}\n" in out
+    assert err == ""
+
+
+def test_what_it_asks_for_is_taken_and_then_the_hash_is_the_section_s(configured, monkeypatch, capsys):
+    marble(monkeypatch, noise_m=2e-4)
+    config = configured()
+    assert calibrate(config) == 0
+    result = yaml.safe_load((config.parent / "calibration/pad1.yaml").read_text())
+    before = load_config(config).pads.palm1
+    configured(more=f", noise_mm: {result['configuration']['noise_mm']}")
+    after = load_config(config).pads.palm1
+    assert config_hash(after) == result["settings_sha256"] != config_hash(before)
+    assert main(["check", str(config)]) == 0
+
+
+def test_the_other_axis_and_another_folder(configured, monkeypatch, tmp_path):
+    marble(monkeypatch, noise_m=3e-4)
+    config = configured(more=", axis: y")
+    assert calibrate(config, "-o", tmp_path / "a/b") == 0
+    result = yaml.safe_load((tmp_path / "a/b/pad1.yaml").read_text())
+    assert result["configuration"]["noise_mm"] == round(result["found"]["y"]["noise_mm"], 3)
+    assert result["found"]["y"]["noise_mm"] == pytest.approx(0.3, rel=0.1)
+
+
+def test_noise_below_the_rounding_still_gives_a_number_that_is_taken():
+    config = PadConfig(port="p")
+    packets, counters = rolled(config, 1, 20.0)
+    found = characterise(packets, counters, config)
+    for noise, noise_sd, said in (
+        (0.0, 0.004, 0.004),
+        (0.002, 0.004, 0.004),
+        (0.0, 0.0, 0.001),
+        (0.1234, 0.004, 0.123),
+    ):
+        hidden = replace(found, x=replace(found.x, noise_mm=noise, noise_sd_mm=noise_sd))
+        assert pad.noise_mm(hidden, config) == said
+        assert PadConfig(port="p", noise_mm=said).noise_mm == said
+
+
+def test_the_same_reports_give_the_same_figure(configured, monkeypatch):
+    marble(monkeypatch)
+    config = configured()
+    figures = []
+    for _ in range(2):
+        assert calibrate(config, "--seconds", 3) == 0
+        figures.append((config.parent / "calibration/pad1.svg").read_bytes())
+    assert figures[0] == figures[1]
+
+
+def test_a_pad_that_disagrees_with_its_configuration_is_remarked(configured, monkeypatch, capsys):
+    packets, counters = rolled(PadConfig(port="p"), 1, 20.0)
+    coarse = [replace(each, x_counts=4 * round(each.x_counts / 4), batched=True) for each in packets]
+    counters.batches = 100
+
+    def listen(name, config, decoder, seconds):
+        decoder.counters = counters
+        return coarse
+
+    monkeypatch.setattr(pad, "_listen", listen)
+    assert calibrate(configured(more=", length_mm: 45")) == 0
+    err = capsys.readouterr().err
+    assert "reports are no place on the pad: check zero_mm" in err
+    assert "positions come in steps of 4 counts" in err
+    assert "100 reads held several reports" in err
+
+
+def test_without_matplotlib_the_result_is_stored_all_the_same(configured, monkeypatch, capsys):
+    marble(monkeypatch)
+    monkeypatch.delitem(sys.modules, "palmd.calibration.pad_figure", raising=False)
+    monkeypatch.delattr(palmd.lab, "pad_figure", raising=False)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    config = configured()
+    assert calibrate(config) == 0
+    assert capsys.readouterr().err == "no figure: matplotlib is not installed (pip install 'palmd[report]')\n"
+    assert [path.name for path in (config.parent / "calibration").iterdir()] == ["pad1.yaml"]
+
+
+def test_an_earlier_result_outlives_a_failure(configured, monkeypatch, capsys):
+    config = configured()
+    stored = config.parent / "calibration/pad1.yaml"
+    stored.parent.mkdir()
+    stored.write_text("precious\n")
+    assert calibrate(config) == 3
+    marble(monkeypatch)
+    assert calibrate(config, "--seconds", 2, "--pad", 2) == 0  # the other pad's
+    assert stored.read_text() == "precious\n"
+
+
+def test_a_missing_port(configured, capsys):
+    said = refused(configured("/dev/palmd-none"), 3, capsys)
+    assert said == "pad1: no such port /dev/palmd-none: check the plug and the configured name"
+
+
+def test_a_port_that_another_process_holds(configured, line, capsys):
+    holder = Port("daemon", line[1], 9600)
+    assert holder.poll_open(0.0)
+    said = refused(configured(line[1]), 3, capsys)
+    holder.close()
+    assert said.startswith(f"pad1: {line[1]} is held by another process: end it")
+
+
+def test_nobody_touches_the_pad(configured, line, monkeypatch, capsys):
+    monkeypatch.setattr(pad, "FIRST_TOUCH_S", 0.3)
+    lift = encode_packet(0, 0, 0, in_use=False)  # that is no touch either
+    on_first_wait(monkeypatch, lambda: os.write(line[0], lift))
+    said = refused(configured(line[1]), 3, capsys)
+    assert said.startswith("pad1: no report within 0 s: nobody has touched the pad")
+
+
+def test_garbage_only(configured, line, monkeypatch, capsys):
+    monkeypatch.setattr(pad, "FIRST_TOUCH_S", 0.3)
+    on_first_wait(monkeypatch, lambda: os.write(line[0], b"\x15" * 10))
+    said = refused(configured(line[1]), 3, capsys)
+    assert said == f"pad1: 10 bytes from {line[1]}, but no report among them: is it a pad, and is 9600 its baud?"
+
+
+def test_too_few_reports(configured, line, monkeypatch, capsys):
+    on_first_wait(monkeypatch, lambda: os.write(line[0], encode_packet(0, 0, 50)))
+    said = refused(configured(line[1]), 3, capsys, "--seconds", 2)
+    assert said == "pad1: too few reports (1 of at least 150): roll the marble for longer"
+
+
+def test_the_plug_is_pulled(configured, monkeypatch, capsys):
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    path = os.ttyname(slave)
+    os.close(slave)
+    on_first_wait(monkeypatch, lambda: os.close(master))
+    assert f"pad1: {path} was lost" in refused(configured(path), 3, capsys)
+
+
+def test_a_pad_that_does_not_answer_its_start_up(configured, line, monkeypatch, capsys):
+    monkeypatch.setattr(pad, "FIRST_TOUCH_S", 1.8)
+    said = refused(configured(line[1], ", handshake: break"), 3, capsys)
+    assert said.startswith("pad1: no identity within 1 s of the break")
+
+
+def test_bad_configurations(configured, tmp_path, capsys):
+    assert "no such file" in refused(tmp_path / "none.yaml", 1, capsys)
+    for noise in ("0", "-0.1", "5.1", ".nan", "true", '"0.1"'):
+        config = configured(more=f", noise_mm: {noise}")
+        assert refused(config, 1, capsys).startswith(f"{config}:1:44: pads.palm1.noise_mm: must be ")
+        assert main(["check", str(config)]) == 1
+        assert capsys.readouterr().err.startswith(f"{config}:1:44: pads.palm1.noise_mm: must be ")
+
+
+def test_a_folder_that_cannot_be_written(configured, tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert "cannot be written" in refused(configured(), 1, capsys, "-o", tmp_path / "file")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["pad"],
+        ["pad", "palmd.yaml"],
+        ["pad", "palmd.yaml", "--pad", "3"],
+        ["pad", "palmd.yaml", "--pad", "1", "--seconds", "0"],
+        ["pad", "palmd.yaml", "--pad", "1", "--seconds", "nan"],
+        ["pad", "palmd.yaml", "--pad", "1", "--seconds", "inf"],
+        ["pads"],
+        [],
+    ],
+)
+def test_usage(arguments, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["calibrate", *arguments])
+    assert caught.value.code == 2
+
+
+def test_the_option_that_was_needed_once_is_still_taken_and_no_longer_shown(tmp_path, capsys):
+    assert main(["calibrate", "pad", "--characterise", str(tmp_path / "none.yaml"), "--pad", "1"]) == 1
+    assert "none.yaml:1:1: no such file" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["calibrate", "pad", "--help"])
+    assert "characterise" not in capsys.readouterr().out
+
+
+def test_its_help_names_the_calibrations(capsys):
+    with pytest.raises(SystemExit):
+        main(["calibrate", "--help"])
+    told = " ".join(capsys.readouterr().out.split())
+    assert all(f"{name} {each.help}" in told for name, each in below("calibrate").items())
+
+
+def test_the_worse_pad_s_noise_is_the_observer_s(configured):
+    config = load_config(configured())
+    assert rig_description(config).pad_noise == 1e-4
+    pads = {
+        name: pad.model_copy(update={"noise_mm": mm}) for (name, pad), mm in zip(config.pads, (0.2, 0.3), strict=True)
+    }
+    worse = config.model_copy(update={"pads": config.pads.model_copy(update=pads)})
+    assert rig_description(worse).pad_noise == pytest.approx(3e-4)

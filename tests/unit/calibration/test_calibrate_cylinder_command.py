@@ -1,0 +1,213 @@
+"""`palmd calibrate pads` and `force`: what they find, store and say, and what they say when they cannot.
+
+On the daemon's core and the emulated rig, whose pads are not as the daemon's configuration says.
+"""
+
+import threading
+import time
+
+import pytest
+import yaml
+from virtual_rig import running
+
+from palmd.calibration import cylinder_session
+from palmd.cli import main
+from palmd.config import config_hash
+from palmd.rig.fault_injection import order
+from palmd.rig.pads import PadOptions
+from palmd.rig.shapes import cylinder as turned
+from palmd.yamlfile import load_config
+
+REAL = (
+    "{port: pad1, zero_mm: 26.5, counts_per_mm: 8.11, newtons_per_count: 0.024}",
+    "{port: pad2, zero_mm: 29.2, counts_per_mm: 7.65, newtons_per_count: 0.017, sign: -1}",
+)
+"""1.5 mm, 3 % and 20 % from what the daemon is told, and the second pad is mirrored."""
+
+LIMITS = "{phi1_deg: [20, 70], phi2_deg: [70, 110]}"
+BODY = turned(0.02, 0.1)
+
+
+def written(folder, name, pads=("{port: pad1}", "{port: pad2}"), limits=LIMITS, more=""):
+    path = folder / name
+    path.write_text(
+        f"pads: {{palm1: {pads[0]}, palm2: {pads[1]}}}\narm: {{port: arm}}\nlimits: {limits}\n"
+        f'bus: {{publish: "ipc://{folder}/publish", command: "ipc://{folder}/command"}}\n{more}'
+    )
+    return path
+
+
+@pytest.fixture
+def mine(tmp_path):
+    """The daemon's configuration, which is wrong."""
+    return written(tmp_path, "my.yaml")
+
+
+@pytest.fixture
+def rig(tmp_path, mine):
+    """Runs the rig as it really is; the daemon has `mine`."""
+
+    def run(**more):
+        return running(load_config(written(tmp_path, "REAL.yaml", REAL)), load_config(mine), 5, BODY, **more)
+
+    return run
+
+
+@pytest.fixture(autouse=True)
+def brief(monkeypatch):
+    monkeypatch.setattr(cylinder_session, "FIRST_TOUCH_S", 3.0)
+    monkeypatch.setattr(cylinder_session, "TOUCHED_S", 0.1)
+
+
+def pads(config, *more):
+    return main(["calibrate", "pads", str(config), "--radius-mm", "20", *map(str, more)])
+
+
+def force(config, *more):
+    return main(["calibrate", "force", str(config), "--radius-mm", "20", "--mass-g", "100", *map(str, more)])
+
+
+def refused(config, status, capsys, *more, calibrate=pads):
+    """The one line it ends with; nothing is stored."""
+    assert calibrate(config, *more) == status
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert not list(config.parent.glob("**/*ds.yaml"))
+    return err.splitlines()[-1]
+
+
+def test_pads_are_found_stored_and_told(rig, mine, capsys):
+    with rig() as world:
+        assert pads(mine) == 0
+    result = yaml.safe_load((mine.parent / "calibration/pads.yaml").read_text())
+    assert (result["palmd_pads_scale"], result["radius_mm"]) == (1, 20.0)
+    asked = result["configuration"]
+    assert asked["palm1"]["zero_mm"] == pytest.approx(26.5, abs=0.05)
+    assert asked["palm2"]["zero_mm"] == pytest.approx(29.2, abs=0.05)
+    assert asked["palm1"]["counts_per_mm"] == pytest.approx(8.11, rel=0.003)
+    assert asked["palm2"]["counts_per_mm"] == pytest.approx(7.65, rel=0.003)
+    assert (asked["palm1"]["sign"], asked["palm2"]["sign"]) == (1, -1)
+    out, err = capsys.readouterr()
+    assert out.startswith("pad1: ")
+    for palm, settings in asked.items():
+        told = f"sign: {settings['sign']}, zero_mm: {settings['zero_mm']}, counts_per_mm: {settings['counts_per_mm']}"
+        assert f"{mine}: write in pads.{palm}: {told}\n" in out
+    assert err.startswith("lay the cylinder between the palms, across both pads\n")
+    assert "tracking" in err.splitlines()[-1], "no remark"
+    assert world.status()["arm_state"] in "DR", "the arm was stopped"
+    assert world.status()["setpoints_outside_limits"] == 0
+    before = [f"{{port: pad{n}, " + ", ".join(f"{k}: {v}" for k, v in asked[f"palm{n}"].items()) + "}" for n in (1, 2)]
+    after = written(mine.parent, "after.yaml", before)
+    assert config_hash(load_config(after).pads) == result["settings_sha256"] != config_hash(load_config(mine).pads)
+
+
+def test_forces_are_found_stored_and_told(rig, mine, tmp_path, capsys):
+    with rig(pad_options=PadOptions(force_drift=0.0)):  # which many rounds average
+        assert force(mine, "--rounds", 2, "-o", tmp_path / "kept") == 0
+    result = yaml.safe_load((tmp_path / "kept/force.yaml").read_text())
+    assert (result["palmd_pads_force"], result["radius_mm"], result["mass_g"]) == (1, 20.0, 100.0)
+    found = result["configuration"]
+    assert found["palm1"]["newtons_per_count"] == pytest.approx(0.024, rel=0.015)
+    assert found["palm2"]["newtons_per_count"] == pytest.approx(0.017, rel=0.015)
+    assert (result["found"]["rests"], result["found"]["rounds"]) == (64, 2)
+    out, _ = capsys.readouterr()
+    assert out.startswith("64 rests in 2 rounds, friction at rest ")
+    assert f"{mine}: write in pads.palm2: newtons_per_count: {found['palm2']['newtons_per_count']}\n" in out
+
+
+def test_swapped_pads_are_refused(rig, mine, capsys):
+    with rig(crossed=True):
+        said = refused(mine, 3, capsys)
+    assert "the pads are swapped; exchange pads.palm1.port and pads.palm2.port" in said
+
+
+def test_a_daemon_with_another_configuration_is_noticed(rig, mine, capsys):
+    with rig():
+        mine.write_text(mine.read_text().replace("palm1: {port: pad1}", "palm1: {port: pad1, zero_mm: 26.5}"))
+        said = refused(mine, 3, capsys)
+    assert said == "the daemon did not make pad 1's readings with this configuration: start it anew with it"
+
+
+def test_nothing_on_the_palms(rig, mine, capsys):
+    with rig() as world:
+        world.mischief.add(order("lift", world.t, strength=1.0, for_s=1e6))
+        assert refused(mine, 3, capsys) == "nothing has touched the pads within 3 s: nothing has been moved"
+        assert world.status()["arm_state"] == "R"
+
+
+def test_a_cylinder_on_one_palm_only(rig, mine, capsys):
+    with rig() as world:
+        world.mischief.add(order("mute", world.t, port="pad2", for_s=1e6))
+        said = refused(mine, 3, capsys)
+    assert said == "the cylinder is felt on palm 1 and not on palm 2 within 3 s: nothing has been moved"
+
+
+def test_an_arm_that_may_not_be_armed(rig, mine, capsys):
+    with rig() as world:
+        world.mischief.add(order("estop", world.t))
+        time.sleep(0.3)
+        said = refused(mine, 3, capsys)
+    assert said.startswith("the arm cannot be armed, the state is fault; arm-estop: when it is safe, release it")
+
+
+def test_the_cylinder_is_lost_on_the_way(rig, mine, capsys, monkeypatch):
+    monkeypatch.setattr("palmd.harness.operation.HELD_S", 0.5)
+
+    def lift():
+        time.sleep(1.5)
+        world.mischief.add(order("lift", world.t, strength=1.0, for_s=1e6))
+
+    with rig() as world:
+        thread = threading.Thread(target=lift)
+        thread.start()
+        said = refused(mine, 3, capsys)
+        thread.join()
+    assert said.startswith("held for 0.5 s, so given up; pad")
+
+
+def test_no_daemon(mine, capsys):
+    assert "is a palmd running there" in refused(mine, 3, capsys)
+    assert not (mine.parent / "calibration").exists(), "a calibration that was refused leaves nothing"
+
+
+def test_cylinders_that_do_not_fit(mine, capsys, tmp_path):
+    said = refused(mine, 1, capsys, "--radius-mm", "60")
+    assert said == (
+        "a cylinder of 60 mm radius can be moved by 7.7 mm along the pads; 10 mm is the least:"
+        " the radius is too large for these pads and limits.phi2_deg"
+    )
+    assert "0.0 mm along the pads" in refused(mine, 1, capsys, "--radius-mm", "90")
+    assert "take a larger cylinder, or widen limits" in refused(mine, 1, capsys, "--radius-mm", "8")
+    narrow = written(tmp_path, "narrow.yaml", limits="{phi1_deg: [40, 50], phi2_deg: [70, 110]}")
+    assert "widen limits.phi1_deg" in refused(narrow, 1, capsys, calibrate=force)
+
+
+def test_bad_configurations_and_folders(tmp_path, mine, capsys):
+    assert "no such file" in refused(tmp_path / "none.yaml", 1, capsys)
+    (tmp_path / "file").write_text("")
+    for folder in ("file", "file/of/it"):
+        assert f"{tmp_path / 'file'} is no folder" in refused(mine, 1, capsys, "-o", tmp_path / folder)
+    (tmp_path / "astray").symlink_to("nowhere")
+    assert "astray is no folder" in refused(mine, 1, capsys, "-o", tmp_path / "astray")
+    assert "File name too long" in refused(mine, 1, capsys, "-o", tmp_path / ("a" * 300))
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["pads", "my.yaml"],
+        ["pads", "my.yaml", "--radius-mm", "nan"],
+        ["pads", "my.yaml", "--radius-mm", "-20"],
+        ["pads", "my.yaml", "--radius-mm", "0"],
+        ["pads", "my.yaml", "--radius-mm", "inf"],
+        ["pads", "--radius-mm", "20"],
+        ["force", "my.yaml", "--radius-mm", "20"],
+        ["force", "my.yaml", "--radius-mm", "20", "--mass-g", "nan"],
+        ["force", "my.yaml", "--radius-mm", "20", "--mass-g", "-1"],
+        ["force", "my.yaml", "--radius-mm", "20", "--mass-g", "100", "--rounds", "1"],
+    ],
+)
+def test_usage(arguments, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["calibrate", *arguments])
+    assert caught.value.code == 2

@@ -1,0 +1,220 @@
+"""The command line as a whole: its table, exit statuses, how quick it is, log lines, the progress bar."""
+
+import importlib
+import io
+import logging
+import os
+import subprocess
+import sys
+
+import pytest
+
+import palmd
+from palmd import cli
+from palmd.cli.table import COMMANDS, below, loaded
+from palmd.console.errors import CliError
+from palmd.console.progress import Progress
+from palmd.logformat import JournalFormatter, is_journal
+
+
+def usage(*argv):
+    with pytest.raises(SystemExit) as caught:
+        cli.main(argv)
+    return caught.value.code
+
+
+def test_version_and_help(capsys):
+    assert usage("--version") == 0
+    assert capsys.readouterr().out == f"palmd {palmd.__version__}\n"
+    assert usage("--help") == 0
+    told = capsys.readouterr().out
+    assert all(f"  {name} " in told for name in below())
+
+
+@pytest.mark.parametrize("argv", [(), ("dance",), ("run",), ("ctl",), ("ctl", "dance"), ("rig", "--seed", "x")])
+def test_usage_errors(argv, capsys):
+    assert usage(*argv) == 2
+    assert "usage: palmd" in capsys.readouterr().err
+
+
+def test_without_a_command_there_is_help(capsys):
+    assert usage() == 2
+    told = capsys.readouterr().err
+    assert all(f"  {name} " in told for name in below())
+
+
+@pytest.mark.parametrize(
+    ("argv", "told"),
+    [
+        (("rnu",), "there is no 'rnu'; is run meant?"),
+        (("recrod", "x.yaml"), "there is no 'recrod'; is record meant?"),
+        (("calibrate", "pda"), "there is no 'pda'; is pad meant?"),
+        (("bench", "dance"), "there is no 'dance'; there are montecarlo, "),
+    ],
+)
+def test_a_slip_is_told_what_may_be_meant(argv, told, capsys):
+    assert usage(*argv) == 2
+    assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp437", "utf-8"])
+def test_help_on_any_terminal(encoding):
+    command = [sys.executable, "-m", "palmd", "--help"]
+    environment = os.environ | {"PYTHONIOENCODING": encoding}
+    done = subprocess.run(command, env=environment, capture_output=True, check=True)
+    assert done.stderr == b""
+    assert "see: palmd COMMAND --help" in " ".join(done.stdout.decode(encoding).split())
+
+
+def test_data_on_standard_output_are_utf_8_on_any_terminal(tmp_path):
+    program = (
+        "import pathlib; from palmd.cli import logs, main; main(['keys', 'list'])\n"
+        "with logs.opened(logs.STDOUT, pathlib.Path('x')) as stream: stream.write('µ…')"
+    )
+    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=environment, cwd=tmp_path, capture_output=True, check=True
+    )
+    assert done.stdout.decode("utf-8").endswith("µ…")
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda each: each.name)
+def test_every_command_has_its_module_and_help(command, capsys):
+    assert command.module is None or callable(loaded(command).run)
+    assert usage(*command.name.split(), "--help") == 0
+    assert capsys.readouterr().out.startswith(f"usage: palmd {command.name.removesuffix(' paper')}")
+
+
+def test_a_package_that_only_the_laboratory_needs_is_told_when_it_is_missing(monkeypatch, capsys):
+    monkeypatch.delitem(sys.modules, "palmd.lab.bench_recognise", raising=False)
+    monkeypatch.setitem(sys.modules, "palmd.lab.recognition", None)
+    with pytest.raises(ModuleNotFoundError):  # a module of ours is a fault, nothing to be installed
+        cli.main(["bench", "recognise"])
+
+    def not_there(_name):
+        raise ModuleNotFoundError(name="filterpy")
+
+    monkeypatch.setattr(importlib, "import_module", not_there)
+    assert cli.main(["bench", "peers"]) == 1
+    told = "palmd bench peers needs filterpy, which is not installed: pip install 'palmd[lab]'\n"
+    assert capsys.readouterr().err == told
+    with pytest.raises(ModuleNotFoundError):
+        cli.main(["run"])
+
+
+@pytest.mark.parametrize("argv", [["--help"], ["ctl", "status", "--help"]])
+def test_quick_commands_leave_the_heavy_libraries_alone(argv):
+    program = (
+        "import sys; from palmd.cli import main\n"
+        f"try: main({argv!r})\n"
+        "except SystemExit: pass\n"
+        "sys.exit(bool({'numpy', 'casadi', 'pydantic', 'yaml'} & set(sys.modules)))"
+    )
+    assert subprocess.run([sys.executable, "-c", program], capture_output=True, check=False).returncode == 0
+
+
+class Ending:
+    """A command that ends in a given way."""
+
+    def __init__(self, end):
+        self._end = end
+
+    def add_arguments(self, _parser):
+        pass
+
+    def run(self, _arguments):
+        if isinstance(self._end, int):
+            return self._end
+        raise self._end
+
+
+@pytest.mark.parametrize(
+    ("end", "status", "told"),
+    [
+        (0, 0, ""),
+        (3, 3, ""),
+        (CliError(1, "file:3: wrong"), 1, "file:3: wrong\n"),
+        (CliError(3, "no rig"), 3, "no rig\n"),
+        (KeyboardInterrupt(), 130, ""),
+    ],
+)
+def test_ends(end, status, told, monkeypatch, capsys):
+    monkeypatch.setattr(importlib, "import_module", lambda _: Ending(end))
+    assert cli.main(["check"]) == status
+    assert capsys.readouterr().err == told
+
+
+def test_check_tells_all_errors_at_once(tmp_path, capsys):
+    good, bad = tmp_path / "good.yaml", tmp_path / "bad.yaml"
+    good.write_text("name: x\nsegments: [{hold_s: 1.0}]\n")
+    bad.write_text("name: x\nnmae: y\nsegments: [{hold_s: -1.0}]\n")
+    assert cli.main(["check", str(good)]) == 0
+    assert capsys.readouterr().out == f"{good}: good\n"
+    assert cli.main(["check", str(bad), str(tmp_path / "none.yaml")]) == 1
+    err = capsys.readouterr().err.splitlines()
+    assert len(err) == 3
+    assert sum(line.startswith(f"{bad}:") for line in err) == 2
+
+
+def test_run_refuses_a_missing_configuration(tmp_path, capsys):
+    assert cli.main(["run", str(tmp_path / "none.yaml")]) == 1
+    assert "none.yaml" in capsys.readouterr().err
+
+
+def test_the_package_runs_as_a_module():
+    command = [sys.executable, "-m", "palmd", "--version"]
+    assert subprocess.run(command, capture_output=True, check=True, text=True).stdout.startswith("palmd ")
+
+
+# ------------------------------------------------------------------------------------------------ log lines
+
+
+def test_lines_for_the_journal_carry_their_priority():
+    formatter = JournalFormatter()
+    levels = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6), (logging.DEBUG, 7))
+    for level, priority in levels:
+        record = logging.LogRecord("x", level, "", 0, "one\n%s", ("two",), None)
+        assert formatter.format(record) == f"<{priority}>one\n<{priority}>two"
+
+
+def test_the_journal_is_known_by_its_stream(tmp_path):
+    with (tmp_path / "stream").open("w") as stream:
+        status = os.fstat(stream.fileno())
+        environment = {"JOURNAL_STREAM": f"{status.st_dev}:{status.st_ino}"}
+        assert is_journal(environment, stream.fileno())
+        assert not is_journal({}, stream.fileno())
+        with (tmp_path / "another").open("w") as another:
+            assert not is_journal(environment, another.fileno())
+    assert not is_journal(environment, 987_654)
+
+
+# --------------------------------------------------------------------------------------------- progress bar
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def test_the_bar_shows_on_a_terminal_after_a_second(monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr("palmd.console.progress.time.monotonic", lambda: now[0])
+    terminal = Terminal()
+    with Progress("work", 200, "ticks", terminal) as progress:
+        for done, after in ((10, 0.0), (20, 0.9), (100, 1.1), (101, 1.15), (150, 1.3)):
+            now[0] = 100.0 + after
+            progress.at(done)
+    shown = terminal.getvalue().split("\r")
+    assert ["50 % of 200 ticks" in shown[1], "75 % of 200 ticks" in shown[2], len(shown)] == [True, True, 4]
+    assert shown[-1] == "\x1b[K"
+
+
+def test_the_bar_stays_away_otherwise(monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr("palmd.console.progress.time.monotonic", lambda: now[0])
+    for stream, after in ((Terminal(), 0.5), (io.StringIO(), 5.0)):
+        with Progress("work", 200, "ticks", stream) as progress:
+            now[0] = 100.0 + after
+            progress.at(100)
+        assert stream.getvalue() == ""
+        now[0] = 100.0

@@ -1,0 +1,243 @@
+"""`palmd ctl` against the daemon's own command socket: what is asked, what is told, what happens without answer."""
+
+import json
+import socket
+import threading
+import time
+from contextlib import contextmanager
+
+import pytest
+
+from palmd.bus.client import COMMAND, PUBLISH, Client
+from palmd.cli import main
+from palmd.cli.ctl import JOG_EVERY_S, jog_steps, told
+from palmd.config import BusConfig
+from palmd.console.errors import CliError
+from palmd.daemon.bus import Bus
+from palmd.daemon.commands import JOG_STEP_MAX_DEG, Reply, Request
+from palmd.daemon.jog import DEAD_MAN_S, RATE
+
+STATUS = {
+    "state": "hold", "faults": ["pad1-lifted"], "severities": ["hold"], "hints": ["put the object back"],
+    "plan": "rock", "segment": 2, "doing": "sine", "progress": 0.25, "moving": False,
+    "arm_state": "T", "arm_error": "", "arm_linked": True,
+}  # fmt: skip
+
+SILENT = "is a palmd running there, and does it have keys (then give --key)?"
+
+
+@contextmanager
+def daemon(folder, answer):
+    """A daemon's bus at the address given, that replies with `answer(request)`; collects the requests."""
+    address = f"ipc://{folder}/command"
+    bus = Bus(f"ipc://{folder}/publish", address)
+    requests, over = [], threading.Event()
+
+    def serve():
+        while not over.wait(0.002):
+            for request in bus.receive():
+                requests.append(request)
+                bus.reply(answer(request))
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        yield address, requests
+    finally:
+        over.set()
+        thread.join()
+        bus.close()
+
+
+def granted(request):
+    return Reply(request, None, STATUS if request.name == "status" else {"state": "tracking"})
+
+
+def refusing(request):
+    return Reply(request, f"{request.name} refused: the state is idle")
+
+
+def test_default_addresses_are_those_of_the_configuration():
+    assert BusConfig(publish=PUBLISH, command=COMMAND) == BusConfig()
+
+
+@pytest.mark.parametrize("name", ["arm", "start", "hold", "stop", "reset"])
+def test_commands(tmp_path, capsys, name):
+    with daemon(tmp_path, granted) as (address, requests):
+        assert main(["ctl", name, "--address", address]) == 0
+    assert [(request.name, request.args) for request in requests] == [(name, {})]
+    assert capsys.readouterr().out == "state tracking\n"
+
+
+def test_status_reads_well(tmp_path, capsys):
+    with daemon(tmp_path, granted) as (address, _):
+        assert main(["ctl", "status", "--address", address]) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "state   hold",
+        "plan    rock, segment 2 (sine), 25%",
+        "arm     state T",
+        "fault   pad1-lifted (hold): put the object back",
+    ]
+
+
+def test_status_of_a_rig_that_is_not_there():
+    nothing = {"plan": "", "segment": -1, "arm_state": "", "arm_error": "−600 link lost", "arm_linked": False}
+    assert told("status", STATUS | nothing | {"state": "idle"}).splitlines()[:4] == [
+        "state   idle",
+        "plan    none",
+        "arm     state unknown, does not answer",
+        "        −600 link lost",
+    ]
+
+
+def test_a_plan_goes_along_and_what_is_no_file_here_is_a_name_over_there(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with daemon(tmp_path, granted) as (address, requests):
+        assert main(["ctl", "plan", "rock.yaml", "--address", address]) == 0
+        (tmp_path / "rock.yaml").write_text("name: rock  # µ\n")
+        assert main(["ctl", "plan", "rock.yaml", "--address", address]) == 0
+    path = "rock.yaml"
+    assert [request.args for request in requests] == [{"path": path}, {"path": path, "text": "name: rock  # µ\n"}]
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        (b"name: \xff\n", ":1:7: not UTF-8 text"),
+        (b"", ":1:1: the file is empty"),
+        (b"#" * 40_000, ": larger than 32 kB"),
+        (b"#" * 300_000, ":1:1: larger than 256 kB"),
+        (None, ":1:1: this is a folder"),
+    ],
+)
+def test_what_cannot_go_along_is_told_here(tmp_path, content, complaint, capsys):
+    path = tmp_path / "odd.yaml"
+    path.mkdir() if content is None else path.write_bytes(content)
+    with daemon(tmp_path, granted) as (address, requests):
+        assert main(["ctl", "plan", str(path), "--address", address]) == 1
+    assert requests == []
+    assert f"{path}{complaint}" in capsys.readouterr().err
+
+
+def test_how_far_an_exploration_is_and_why_it_ended_is_told():
+    explored = {"coverage": 0.83, "reachable": 0.91, "reason": "the time is over, untouched: 40–60°"}
+    lines = told("status", STATUS | {"explored": explored}).splitlines()
+    assert lines[2].strip() == (
+        "explored 83% of the 91% of the outline that can be reached: the time is over, untouched: 40–60°"
+    )
+    nothing = {"coverage": None, "reachable": None, "reason": "it has just begun"}
+    assert "explored nothing yet: it has just begun" in told("status", STATUS | {"explored": nothing})
+
+
+def test_how_the_recorder_fares_is_told():
+    recorder = {"bytes": 4_800_000, "messages": 9392, "lost": 0, "path": "runs/a.mcap", "age_s": 0.4}
+    assert "record  runs/a.mcap, 9392 messages, 4.8 MB, 0 s ago" in told("status", STATUS | {"recorder": recorder})
+    failed = {"bytes": 0, "messages": 0, "lost": 7, "age_s": 0.4, "problem": "/runs: the disk is full"}
+    text = told("status", STATUS | {"recorder": failed})
+    assert "record  no file, 0 messages, 0.0 MB, 7 lost: /runs: the disk is full" in text
+
+
+def test_what_a_reset_has_cleared_is_told_and_that_there_was_nothing():
+    cleared = {"state": "ready", "cleared": ["arm-lost", "arm-fault"]}
+    assert told("reset", cleared) == "state ready, cleared: arm-lost, arm-fault"
+    assert told("reset", {"state": "ready", "cleared": []}) == "state ready, there was nothing to reset"
+
+
+def test_only_what_people_do_can_be_asked(capsys):
+    with pytest.raises(SystemExit):
+        main(["ctl", "recorder"])
+    assert "invalid choice: 'recorder'" in capsys.readouterr().err
+
+
+def test_a_refusal_is_told_and_ends_with_1(tmp_path, capsys):
+    with daemon(tmp_path, refusing) as (address, _):
+        assert main(["ctl", "arm", "--address", address]) == 1
+        assert capsys.readouterr().err == "arm refused: the state is idle\n"
+        assert main(["ctl", "arm", "--address", address, "--json"]) == 1
+    assert json.loads(capsys.readouterr().out) == {"id": 1, "ok": False, "error": "arm refused: the state is idle"}
+
+
+def test_json_is_the_reply_as_it_came(tmp_path, capsys):
+    with daemon(tmp_path, granted) as (address, _):
+        assert main(["ctl", "status", "--json", "--address", address]) == 0
+    assert json.loads(capsys.readouterr().out) == {"id": 1, "ok": True, "result": STATUS}
+
+
+def test_a_jog_goes_in_steps_the_daemon_takes_and_arrives(tmp_path):
+    with daemon(tmp_path, granted) as (address, requests):
+        assert main(["ctl", "jog", "--phi2-deg", "-1", "--address", address]) == 0
+    assert sum(request.args["phi2_deg"] for request in requests) == pytest.approx(-1.0)
+    assert all(request.args["phi1_deg"] == 0.0 for request in requests)
+
+
+def test_a_jog_tells_its_whole_way_with_the_first_step(tmp_path):
+    with daemon(tmp_path, granted) as (address, requests):
+        assert main(["ctl", "jog", "--phi1-deg", "0.6", "--phi2-deg", "-1", "--address", address]) == 0
+    first, *others = (request.args for request in requests)
+    assert (first["whole_phi1_deg"], first["whole_phi2_deg"]) == (0.6, -1.0)
+    assert all(args.keys() == {"phi1_deg", "phi2_deg"} for args in others)
+
+
+@pytest.mark.parametrize("angles", [[], ["--phi1-deg", "0"]])
+def test_a_jog_by_nothing_says_so(angles, capsys):
+    assert main(["ctl", "jog", *angles]) == 2
+    assert "by how much? give --phi1-deg" in capsys.readouterr().err
+
+
+def test_a_jog_ends_when_it_is_refused(tmp_path, capsys):
+    with daemon(tmp_path, refusing) as (address, requests):
+        assert main(["ctl", "jog", "--phi1-deg", "5", "--address", address]) == 1
+    assert len(requests) == 1
+    assert capsys.readouterr().err == "jog refused: the state is idle\n"
+
+
+@pytest.mark.parametrize("angles", [(0.0, 0.0), (0.1, -0.1), (7.3, 0.2), (-90.0, 45.0)])
+def test_jog_steps_add_up_within_the_daemons_bounds(angles):
+    steps = list(jog_steps(*angles))
+    for palm in (0, 1):
+        assert sum(step[palm] for step in steps) == pytest.approx(angles[palm])
+        assert max(abs(step[palm]) for step in steps) <= JOG_STEP_MAX_DEG
+        assert max(abs(step[palm]) for step in steps) / JOG_EVERY_S < RATE * 57.3
+    assert JOG_EVERY_S < DEAD_MAN_S / 2
+    assert steps[-1] == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("angle", ["91", "nan", "wide"])
+def test_jog_angles_are_bounded(angle, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["ctl", "jog", "--phi1-deg", angle])
+    assert caught.value.code == 2
+    assert "--phi1-deg" in capsys.readouterr().err
+
+
+def test_no_answer_ends_with_3_and_says_where_it_tried(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("palmd.cli.ctl.Client", lambda address, key: Client(address, 0.05, key))
+    address = f"ipc://{tmp_path}/nobody"
+    assert main(["ctl", "status", "--address", address]) == 3
+    assert capsys.readouterr().err == f"no answer from {address} within 0.05 s: {SILENT}\n"
+
+
+def test_what_is_no_address_ends_with_1(capsys):
+    assert main(["ctl", "status", "--address", "nowhere"]) == 1
+    assert "nowhere: not an address" in capsys.readouterr().err
+
+
+def test_a_reply_to_somebody_else_is_passed_over(tmp_path):
+    def confused(request):
+        meant = request.id - 1 if request.id == 1 else request.id
+        return Reply(Request(request.name, id=meant, route=request.route), None, {"state": "ready"})
+
+    with daemon(tmp_path, confused) as (address, _), Client(address, 0.2) as client:
+        with pytest.raises(CliError, match="no answer"):
+            client.ask("status")
+        assert client.ask("status")["result"] == {"state": "ready"}
+
+
+def test_a_stranger_on_the_port_is_no_answer(capsys, monkeypatch):
+    monkeypatch.setattr("palmd.cli.ctl.Client", lambda address, key: Client(address, 0.2, key))
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        begun = time.monotonic()
+        assert main(["ctl", "status", "--address", address]) == 3
+    assert time.monotonic() - begun < 2.0
+    assert "no answer" in capsys.readouterr().err

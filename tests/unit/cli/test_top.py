@@ -1,0 +1,214 @@
+"""`palmd top`: what a frame shows, how it is painted, and that the terminal is given back."""
+
+import contextlib
+import fcntl
+import math
+import os
+import pty
+import select
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import threading
+import time
+
+import pytest
+
+from palmd.bus.client import Message
+from palmd.cli import main
+from palmd.cli.board import Board, Row, frame
+from palmd.cli.top import painted
+from palmd.daemon.bus import Bus
+from palmd.events import Estimate, PalmMotion
+from palmd.faults import TABLE
+from palmd.messages import (
+    CONTACT,
+    ESTIMATE,
+    INFO,
+    LOOP,
+    MOTION,
+    STATE,
+    PadView,
+    contact_fields,
+    estimate_fields,
+    info_fields,
+    motion_fields,
+    state_fields,
+)
+
+
+def estimate(**changes):
+    values = dict.fromkeys(Estimate.__dataclass_fields__, math.nan)
+    values |= {"t": 1.0, "valid": True, "observer": "shape", "object_count": 2, "touched": 0.34, "r1": 0.02103}
+    values |= {"sd": {"r1": 1.2e-5}, "nis": 0.98}
+    return estimate_fields(Estimate(**values | changes))
+
+
+MESSAGES = {
+    ESTIMATE: estimate(),
+    STATE: state_fields("hold", [TABLE["pad1-lifted"], TABLE["no-realtime"]]),
+    CONTACT: contact_fields(PadView(0.021, 45, 0.006, True), PadView(age=3.0, batch=True), 0.011),
+    MOTION: motion_fields(PalmMotion(0.5, 1.5), PalmMotion(0.49, 1.51), "rock", 1, 0.34, "T"),
+    LOOP: {"ticks": 1234, "overruns": 2, "lateness_p50_ms": 0.05, "work_p99_ms": 1.5, "rss_mb": 80.2, "backend": "c",
+           "pad1_bytes": 9000, "pad1_bad_header": 3, "pad1_port_losses": 1, "pad2_bytes": 8000, "pad2_bad_header": 0},
+    INFO: info_fields("0.1.0", "abc", "shape", 100.0),
+}  # fmt: skip
+
+
+def board(*topics, t=100.0):
+    shown = Board("tcp://127.0.0.1:9872")
+    for topic in topics or MESSAGES:
+        shown.take(Message(topic.name, MESSAGES[topic], t))
+    return shown
+
+
+def text(rows):
+    return "\n".join(row.text for row in rows)
+
+
+def test_a_frame_tells_everything():
+    told = text(frame(board(), 100.1))
+    assert "palmd 0.1.0  HOLD  tcp://127.0.0.1:9872" in told
+    assert "valid, shape observer, object 2, touched 34 %, nis 0.98, observability –" in told
+    assert "r1         21.03 ±0.01 mm" in told
+    assert "r2             – ±– mm" in told
+    assert "pad 1  touched     21.00 mm  pressure  45  age    6 ms" in told
+    assert "pad 2  untouched       – mm  pressure   –  age 3000 ms, several packets in one read" in told
+    assert "phi1     28.07°  commanded   28.65°" in told
+    assert "arm    T   plan rock, segment 1, 34 %" in told
+    assert "ticks 1234, overruns 2, c backend, 80 MB" in told
+    assert "pad1      bad_header 3, losses 1" in told
+    assert "9000" not in told
+    assert " s old" not in told
+
+
+def test_faults_come_with_their_hints_and_gravity():
+    rows = frame(board(), 100.1)
+    (hold,) = [row for row in rows if "pad1-lifted" in row.text]
+    assert hold == Row(f"  hold    pad1-lifted: {TABLE['pad1-lifted'].hint}", "bad")
+    (note,) = [row for row in rows if "no-realtime" in row.text]
+    assert note.style == "faint"
+
+
+def test_what_is_old_is_said_to_be_old():
+    shown = board()
+    shown.take(Message(LOOP.name, MESSAGES[LOOP], 101.5))
+    told = text(frame(shown, 102.0))
+    assert told.count("2.0 s old") == 3
+    assert "no data" not in told
+    assert "no data from tcp://127.0.0.1:9872 for 9 s; what follows is old" in text(frame(shown, 110.5))
+
+
+def test_without_data_it_says_where_it_listens():
+    told = text(frame(Board("tcp://127.0.0.1:1"), 5.0))
+    assert told == "no data from tcp://127.0.0.1:1: is a palmd running there?"
+
+
+@pytest.mark.parametrize("topic", MESSAGES)
+def test_any_topic_alone_and_empty_makes_a_frame(topic):
+    assert frame(board(topic), 100.0)
+    empty = Board("x")
+    empty.take(Message(topic.name, {}, 100.0))
+    assert frame(empty, 100.0)
+
+
+def test_painting_cuts_to_the_terminal():
+    rows = [Row("a" * 50, "bad"), Row("second"), Row("third")]
+    drawn = painted(rows, columns=10, lines=2)
+    assert drawn.startswith("\x1b[H\x1b[31;1m" + "a" * 10 + "\x1b[m\x1b[K\n")
+    assert drawn.endswith("second\x1b[m\x1b[K\x1b[J")
+    assert "third" not in drawn
+
+
+# ------------------------------------------------------------------------------------------------ the command
+
+
+@pytest.fixture
+def daemon(tmp_path):
+    """The address where a daemon publishes all of it, fifty times a second."""
+    address = f"ipc://{tmp_path}/publish"
+    bus = Bus(address, f"ipc://{tmp_path}/command")
+    over = threading.Event()
+
+    def publish():
+        while not over.wait(0.02):
+            for topic, fields in MESSAGES.items():
+                bus.publish(topic, dict(fields), time.monotonic(), time.time())
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    yield address
+    over.set()
+    thread.join()
+    bus.close()
+
+
+def test_once_prints_one_plain_frame(daemon, capsys):
+    assert main(["top", "--once", "--address", daemon]) == 0
+    out = capsys.readouterr().out
+    assert "HOLD" in out
+    assert "ticks 1234" in out
+    assert "\x1b" not in out
+
+
+def test_once_without_data_ends_with_3(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("palmd.cli.top.TIMEOUT_S", 0.05)
+    address = f"ipc://{tmp_path}/nobody"
+    assert main(["top", "--once", "--address", address]) == 3
+    assert (
+        capsys.readouterr().err
+        == f"no data from {address}: is a palmd running there, and does it have keys (then give --key)?\n"
+    )
+
+
+def command(address):
+    return [sys.executable, "-m", "palmd", "top", "--address", address]
+
+
+def test_in_a_pipe_it_prints_plain_frames_until_interrupted(daemon):
+    with subprocess.Popen(command(daemon), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert "HOLD" in process.stdout.readline()
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=10)
+    assert "\x1b" not in out
+    assert err == ""
+    assert process.returncode == 130
+
+
+@pytest.mark.parametrize("end", ["q", "SIGTERM", "SIGINT"])
+def test_on_a_terminal_it_redraws_resizes_and_gives_the_terminal_back(daemon, end):
+    main_end, terminal = pty.openpty()
+    fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 30, 100, 0, 0))
+    before = termios.tcgetattr(terminal)
+    with subprocess.Popen(command(daemon), stdin=terminal, stdout=terminal, stderr=terminal) as process:
+        try:
+            told = shown(main_end, lambda told: told.count(b"HOLD") > 2)
+            assert told.startswith(b"\x1b[?1049h\x1b[?25l\x1b[H")
+            fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 3, 20, 0, 0))
+            shown(main_end, lambda told: told.count(b"HOLD") > 4 and b"ticks" not in told[-200:])
+            if end == "q":
+                os.write(main_end, b"q")
+            else:
+                process.send_signal(getattr(signal, end))
+            rest = shown(main_end, lambda told: told.endswith(b"\x1b[?25h\x1b[?1049l"))
+            assert process.wait(10) == 0
+            assert b"Traceback" not in rest
+            assert termios.tcgetattr(terminal) == before
+        finally:
+            process.kill()
+    os.close(main_end)
+    os.close(terminal)
+
+
+def shown(descriptor, enough):
+    """What a terminal gets, until it is enough."""
+    told = b""
+    deadline = time.monotonic() + 10.0
+    while not enough(told):
+        assert time.monotonic() < deadline, told
+        if select.select([descriptor], [], [], 0.1)[0]:
+            with contextlib.suppress(OSError):
+                told += os.read(descriptor, 65536)
+    return told

@@ -1,0 +1,837 @@
+"""The daemon's pure core in one process with the emulated rig: commands, faults, and what reaches the arm."""
+
+import dataclasses
+import math
+from random import Random
+
+import numpy as np
+import pytest
+from virtual_rig import AtOnce
+
+from palmd.config import ExploreGoal, ExploreSpec, PlanSpec
+from palmd.daemon.commands import Request
+from palmd.daemon.core import Core
+from palmd.daemon.exploring import OVERTIME_S
+from palmd.daemon.planner import Plan
+from palmd.events import Estimate, Improvement, PadLift, PadSample, PalmSample
+from palmd.messages import EVENTS, IMPROVEMENT, NAMED_STATE, events_of, stamp, validate
+from palmd.motion.check import motion_limits
+from palmd.motion.plan import compile_plan
+from palmd.rig.fault_injection import INJECTABLE_FAULTS, order
+from palmd.rig.world import STEP_S, World, default_config
+
+ENDS = ("pad1", "pad2", "arm")
+TICK_STEPS = 20
+SWING = PlanSpec.model_validate(
+    {
+        "name": "swing",
+        "repeat": "forever",
+        "segments": [
+            {"move": {"phi1_deg": 45, "phi2_deg": 90}, "duration_s": 0.3},
+            {"sine": {"phi1_deg": 12, "phi2_deg": 4}, "frequency_hz": 0.5, "duration_s": 20},
+        ],
+    }
+)
+SHORT = PlanSpec.model_validate(
+    {"name": "short", "segments": [{"rate": {"phi1_deg_s": 20}, "until": {"phi1_deg": 55}}]}
+)
+
+
+class Fake:
+    """An observer that only listens."""
+
+    name, object_count, late_dropped = "fake", 1, 0
+
+    def __init__(self):
+        self.events = []
+        self.ticks = [[]]
+        self.times = []
+        self.valid = False
+        self.value = 0.01
+        self.failing = False
+
+    def feed(self, event):
+        self.events.append(event)
+        self.ticks[-1].append(event.t_sample)
+
+    def estimate(self, t):
+        self.ticks.append([])
+        self.times.append(t)
+        if self.failing:
+            raise ZeroDivisionError("a defect")
+        values = {
+            field.name: self.value
+            for field in dataclasses.fields(Estimate)
+            if field.name not in ("t", "valid", "observer", "object_count", "sd")
+        }
+        sd = dict.fromkeys(NAMED_STATE, 1e-3)
+        return Estimate(t=t, valid=self.valid, observer="fake", object_count=1, sd=sd, **values)
+
+    def shape(self, _t):
+        return None
+
+    @property
+    def foresees(self):
+        return self.valid
+
+    def outlook(self, _t):
+        return None
+
+
+class Clock:
+    """Time for so many events in a tick."""
+
+    def __init__(self, events):
+        self.left = events
+
+    def __call__(self):
+        self.left -= 1
+        return self.left > 0
+
+
+class Mute:
+    """Nobody who decides."""
+
+    prepared, asked = False, 0
+
+    def prepare(self):
+        self.prepared = True
+
+    def ask(self, _question):
+        self.asked += 1
+
+    def collect(self, _t):
+        return None
+
+
+class Bench:
+    """World and core, tick by tick."""
+
+    def __init__(self, seed=1, spec=SWING, autostart=False, config=None, explorer=None):
+        config = (config or default_config()).model_copy(update={"autostart": autostart})
+        limits = motion_limits(config)
+        plan = None if spec is None else Plan(spec, compile_plan(spec, limits), limits, None)
+        self.world = World(config, seed)
+        self.observer = Fake()
+        self.core = Core(config, self.observer, AtOnce(), plan, explorer=explorer)
+        self.steps = 0
+        self.messages = []
+        self.written = b""
+        self.open = set()
+        self.plug(*ENDS)
+
+    @property
+    def t(self):
+        return self.steps * STEP_S
+
+    @property
+    def state(self):
+        return self.core.state
+
+    @property
+    def faults(self):
+        return [fault.code for fault in self.core.faults.active]
+
+    def plug(self, *ends):
+        for end in ends:
+            self.core.opened(end, self.t)
+        self.open |= set(ends)
+
+    def unplug(self, end):
+        self.open.discard(end)
+        self.core.lost(end, self.t)
+
+    def go(self, seconds, until=None):
+        for _ in range(round(seconds / STEP_S)):
+            self.steps += 1
+            for end, data in self.world.advance(self.t).items():
+                if data and end in self.open:
+                    self.core.receive(end, data, self.t)
+            if self.t >= self.core.due():
+                data = self.core.transmit(self.t)
+                self.written += data
+                self.world.receive("arm", data)
+            if self.steps % TICK_STEPS == 0:
+                self.messages += self.core.step(self.t)
+                if until is not None and until():
+                    return self
+        assert until is None, f"it did not come to that: {self.state}, {self.faults}"
+        return self
+
+    def ask(self, name, seconds=0.5, **args):
+        """A command, and its answer."""
+        self.core.handle(Request(name, args, id=name), self.t)
+        answers = []
+
+        def answered():
+            answers.extend(reply for reply in self.core.replies() if reply.request.id == name)
+            return bool(answers)
+
+        if not answered():
+            self.go(seconds, answered)
+        (answer,) = answers
+        return answer
+
+    def do(self, name, **args):
+        answer = self.ask(name, **args)
+        assert answer.error is None, answer.error
+        return answer.result
+
+    def play(self, name, **how):
+        self.world.mischief.add(order(name, self.world.t, **how))
+
+    def last(self, topic):
+        return next(fields for each, fields in reversed(self.messages) if each.name == topic)
+
+    def commanded(self):
+        return self.last("palm/motion")["phi1_cmd_rad"]
+
+    def stall(self, seconds):
+        """The host does nothing for a while."""
+        self.steps += round(seconds / STEP_S)
+        for end, data in self.world.advance(self.t).items():
+            if data and end in self.open:
+                self.core.receive(end, data, self.t)
+
+    def check_the_arm(self):
+        """What the far end thinks of the set-points it got."""
+        status = self.world.status()
+        assert status["setpoints_outside_limits"] == 0
+        assert status["largest_rate_deg_s"] < 121.0
+        assert status.get("refused_610", 0) == status.get("refused_611", 0) == 0
+
+
+@pytest.fixture
+def ready():
+    return Bench().go(1.0)
+
+
+@pytest.fixture
+def running(ready):
+    ready.do("arm")
+    ready.do("start")
+    return ready.go(1.0)
+
+
+# ---- from idle to a running plan
+
+
+def test_idle_until_all_ports_are_open_and_the_arm_has_said_hello():
+    bench = Bench()
+    bench.unplug("pad2")
+    assert bench.go(0.5).state == "idle"
+    assert bench.faults == ["pad2-port"]
+    bench.plug("pad2")
+    assert bench.go(0.3).state == "ready"
+
+
+def test_nothing_moves_unasked(ready):
+    ready.go(2.0)
+    assert ready.state == "ready"
+    assert {line[:1] for line in ready.written.split(b"\n") if line} == {b"H", b"Q"}
+
+
+def test_arm_stands_and_start_runs_the_plan(ready):
+    assert ready.do("arm") == {"state": "tracking"}
+    here = ready.go(0.3).commanded()
+    assert ready.go(0.3).commanded() == here
+    assert ready.do("start") == {"state": "tracking", "plan": "swing"}
+    assert ready.go(2.0).commanded() != here
+    motion = ready.last("palm/motion")
+    assert (motion["plan"], motion["segment"], motion["arm_state"]) == ("swing", 1, "T")
+    assert 0.0 < motion["progress"] < 1.0
+    ready.check_the_arm()
+
+
+def test_a_plan_that_ends_leaves_the_arm_standing_and_may_be_run_again():
+    bench = Bench(spec=SHORT).go(0.5)
+    bench.do("arm")
+    bench.do("start")
+    bench.go(2.0)
+    assert bench.state == "tracking"
+    assert math.degrees(bench.commanded()) == pytest.approx(55.0)
+    assert not bench.core.setpoints.moving
+    assert "never reaches" in bench.ask("start").error  # from where it stands, as the plan says
+    assert "plan-refused" in bench.go(0.1).faults
+    bench.check_the_arm()
+
+
+def test_autostart_arms_and_starts_once():
+    bench = Bench(autostart=True)
+    bench.go(3.0)
+    assert bench.state == "tracking"
+    assert bench.core.setpoints.moving
+    bench.do("stop")
+    assert bench.go(3.0).state == "ready"
+
+
+def test_hold_and_start_go_on_where_it_stood(running):
+    running.do("hold")
+    assert running.state == "hold"
+    here = running.go(0.5).commanded()
+    assert running.go(0.3).commanded() == here
+    running.do("start")
+    assert running.state == "tracking"
+    assert abs(running.go(0.02).commanded() - here) < math.radians(1.0)
+    running.go(1.0).check_the_arm()
+
+
+def test_stop_comes_to_rest_in_ready(running):
+    assert running.do("stop") == {"state": "ready"}
+    running.go(0.5)
+    assert running.last("palm/motion")["arm_state"] == "R"
+    assert math.isnan(running.commanded())
+    assert running.core.at_rest
+    running.do("arm")
+
+
+def test_jog(ready):
+    ready.do("arm")
+    begin = ready.go(0.1).commanded()
+    for _ in range(10):
+        ready.do("jog", phi1_deg=0.5)
+        ready.go(0.05)
+    ready.go(0.5)
+    here = ready.commanded()
+    assert math.degrees(here - begin) > 2.0
+    assert ready.go(0.3).commanded() == here
+    ready.check_the_arm()
+
+
+@pytest.mark.parametrize(
+    ("whole", "complaint"),
+    [
+        ({"whole_phi1_deg": 90.0}, "phi1 + phi2 reaches"),
+        ({"whole_phi1_deg": -40.0}, "phi1 falls to"),
+        ({"whole_phi1_deg": 1.0, "whole_phi2_deg": 70.0}, "phi2 reaches"),
+    ],
+)
+def test_a_jog_that_cannot_go_all_the_way_is_not_begun(ready, whole, complaint):
+    ready.do("arm")
+    begin = ready.go(0.1).commanded()
+    assert complaint in ready.ask("jog", phi1_deg=0.4, **whole).error
+    for _ in range(50):
+        assert ready.go(0.01).commanded() == begin
+    assert not ready.do("status")["moving"]
+
+
+def test_a_jog_that_is_refused_leaves_the_held_plan_in_hand(running):
+    running.do("hold")
+    running.go(0.5)
+    assert "falls to" in running.ask("jog", phi1_deg=-0.4, whole_phi1_deg=-90.0).error
+    assert running.do("status")["doing"] == "sine"
+    assert running.do("start") == {"state": "tracking"}
+    before = running.commanded()
+    assert running.go(0.5).commanded() != before
+
+
+@pytest.mark.parametrize(
+    ("command", "complaint"),
+    [
+        ("start", "it must be tracking or hold"),
+        ("hold", "it must be tracking or hold"),
+        ("jog", "it must be tracking or hold"),
+    ],
+)
+def test_what_needs_an_arm_is_refused_in_ready(ready, command, complaint):
+    assert complaint in ready.ask(command).error
+    assert ready.state == "ready"
+
+
+def test_what_is_under_way_is_not_begun_again(running):
+    assert "it must be ready" in running.ask("arm").error
+    assert "moving already" in running.ask("start").error
+    assert "hold or stop them first" in running.ask("plan", path="x.yaml").error
+    assert running.state == "tracking"
+
+
+def test_status_tells_where_things_stand(running):
+    status = running.do("status")
+    assert status["state"] == "tracking"
+    assert (status["plan"], status["doing"], status["arm_state"]) == ("swing", "sine", "T")
+    assert status["moving"] is True
+    assert status["faults"] == []
+
+
+# ---- what is kept of a run
+
+
+def test_every_tick_publishes_just_what_the_observer_was_fed(running):
+    published = [fields for topic, fields in running.messages if topic.name == "palm/events"]
+    assert [event for fields in published for event in events_of(fields)] == running.observer.events
+    assert [len(fields["source"]) for fields in published] == [len(times) for times in running.observer.ticks[:-1]]
+    assert [fields["t_tick_s"] for fields in published] == running.observer.times
+    assert {type(event) for event in running.observer.events} == {PadSample, PalmSample}
+    for fields in published:
+        assert validate(EVENTS, stamp(dict(fields), 0.0, 0.0, 0)) == []
+
+
+class Improved(Fake):
+    """An observer with a smoother beside it that answers in the third estimate."""
+
+    @property
+    def answered(self):
+        return (
+            Improvement(0.04, np.arange(3.0), np.eye(3), 2, True, np.ones(72, dtype=bool))
+            if len(self.ticks) == 4
+            else None
+        )
+
+
+def test_an_improvement_is_published_in_the_tick_that_heard_it():
+    observer = Improved()
+    core = Core(default_config(), observer, AtOnce())
+    told = {t: dict(core.step(t)) for t in (0.01, 0.02, 0.03)}
+    assert [t for t, messages in told.items() if IMPROVEMENT in messages] == [0.03]
+    fields = told[0.03][IMPROVEMENT]
+    assert (fields["t_tick_s"], fields["t_s"]) == (0.03, 0.04)
+    assert (fields["x"], fields["covariance"]) == ([0.0, 1.0, 2.0], np.eye(3).ravel().tolist())
+    assert (fields["frame"], fields["established"], fields["touched"]) == (2, True, [1] * 72)
+    assert validate(IMPROVEMENT, stamp(fields, 0.0, 0.0, 0)) == []
+    observer.failing = True
+    assert IMPROVEMENT not in dict(core.step(0.04))
+
+
+RECORDED = {"bytes": 1000.0, "messages": 10.0, "lost": 0.0, "path": "runs/a.mcap"}
+
+
+def test_a_recorder_is_missed_only_once_it_has_been_heard(ready):
+    ready.go(5.0)
+    assert "recorder" not in ready.do("status")
+    ready.do("recorder", **RECORDED)
+    ready.go(2.5)
+    assert "recorder-silent" not in ready.faults
+    status = ready.do("status")["recorder"]
+    assert status.pop("age_s") == pytest.approx(2.5, abs=0.1)
+    assert status == RECORDED
+    ready.go(1.0)
+    assert "recorder-silent" in ready.faults
+    ready.do("recorder", **RECORDED)
+    assert "recorder-silent" not in ready.go(0.1).faults
+
+
+def test_a_recorder_that_cannot_write_is_told_and_stops_nothing(running):
+    running.do("recorder", **RECORDED, problem="/runs: the disk is full")
+    assert running.go(0.1).faults == ["recorder-failed"]
+    assert running.state == "tracking"
+    assert running.do("status")["recorder"]["problem"] == "/runs: the disk is full"
+    running.do("recorder", **RECORDED)
+    assert running.go(0.1).faults == []
+
+
+# ---- plans
+
+
+def test_what_there_is_no_time_for_waits_for_the_next_tick_in_its_order(ready):
+    core, fed = ready.core, ready.observer.events
+    samples = [PalmSample(ready.t + i * 1e-4, 0.8, 1.6) for i in range(7)]
+    core._events = samples[::-1]
+    before = len(fed)
+    counts = []
+    for events in (3, 3, 3):
+        core.observe(ready.t, Clock(events))
+        told = {topic.name: fields for topic, fields in core.report(ready.t)}["palm/events"]
+        counts.append(len(told["t_sample_s"]))
+    assert fed[before:] == samples
+    assert counts == [3, 3, 1]
+
+
+def test_plan_replaces_the_plan_and_a_bad_one_changes_nothing(tmp_path):
+    ready = Bench(config=default_config().model_copy(update={"plan": tmp_path / "swing.yaml"})).go(1.0)
+    good, bad, outside = tmp_path / "good.yaml", tmp_path / "bad.yaml", tmp_path.parent / "outside.yaml"
+    for path in (good, outside):
+        path.write_text("name: other\nsegments:\n  - {hold_s: 1.0}\n")
+    bad.write_text("name: far\nsegments:\n  - {move: {phi1_deg: 170}, duration_s: 2.0}\n")
+    assert ready.do("plan", path="good.yaml")["plan"] == "other"
+    assert ready.do("plan", path=str(good))["plan"] == "other"
+    assert "bad.yaml:3:" in ready.ask("plan", path="bad.yaml").error
+    assert "no/such" in ready.ask("plan", path="no/such.yaml").error
+    for path in (str(outside), "../outside.yaml"):
+        assert "no file of that name" in ready.ask("plan", path=path).error
+    assert ready.go(0.05).last("palm/motion")["plan"] == "other"
+
+
+def test_a_plan_may_come_along(ready):
+    text = "name: sent\nsegments:\n  - {hold_s: 1.0}\n"
+    assert ready.do("plan", path="/nobody/here.yaml", text=text)["plan"] == "sent"
+    far = text.replace("hold_s: 1.0", "move: {phi1_deg: 170}, duration_s: 2.0")
+    assert "/nobody/here.yaml:3:" in ready.ask("plan", path="/nobody/here.yaml", text=far).error
+    assert "/nobody/here.yaml:1:" in ready.ask("plan", path="/nobody/here.yaml", text="\x07").error
+    assert ready.go(0.05).last("palm/motion")["plan"] == "sent"
+
+
+def test_without_a_plan_start_says_so():
+    bench = Bench(spec=None).go(0.5)
+    bench.do("arm")
+    assert "there is no plan" in bench.ask("start").error
+
+
+EXPLORE = PlanSpec.model_validate({"name": "explore", "segments": [{"explore": {"time_limit_s": 2.0}}]})
+
+
+def test_a_plan_that_explores_needs_somebody_to_decide():
+    bench = Bench(spec=EXPLORE).go(0.5)
+    bench.do("arm")
+    assert "set observer.primary to shape" in bench.ask("start").error
+    assert bench.state == "tracking"
+
+
+def test_an_exploration_tells_how_it_ends_and_may_be_started_again():
+    nobody = Mute()
+    bench = Bench(spec=EXPLORE, explorer=nobody).go(0.5)
+    assert nobody.prepared
+    assert "explored" not in bench.do("status")
+    bench.do("arm")
+    before = None
+    for _ in range(2):
+        bench.do("start")
+        assert bench.core.supervisor.plan.trajectory is not before  # each start explores anew
+        before = bench.core.supervisor.plan.trajectory
+        bench.go(1.0)
+        status = bench.do("status")
+        assert (status["doing"], status["over"]) == ("explore", False)
+        bench.go(1.5 + OVERTIME_S)
+        status = bench.do("status")
+        assert status["explored"] == {"coverage": None, "reachable": None, "reason": "the time limit of 2 s is over"}
+        assert (status["moving"], status["over"]) == (False, True)
+        assert status["state"] == "tracking"
+
+
+def test_an_explorer_that_is_silent_is_told():
+    nobody = Mute()
+    bench = Bench(spec=EXPLORE.model_copy(update={"segments": [ExploreSpec(explore=ExploreGoal())]}), explorer=nobody)
+    bench.observer.valid = True
+    bench.go(0.5).do("arm")
+    bench.do("start")
+    bench.go(1.5)
+    assert bench.faults == []
+    bench.go(1.0)
+    assert bench.faults == ["explorer-silent"]
+    assert nobody.asked == 0  # there is no outlook
+    bench.do("stop")
+    assert bench.go(0.1).faults == []
+
+
+# ---- pads lost
+
+
+@pytest.mark.parametrize(
+    ("trick", "how", "fault"),
+    [
+        ("mute", {"port": "pad1"}, "pad1-silent"),
+        ("lift", {}, "pad2-lifted"),
+    ],
+)
+def test_a_lost_pad_holds_the_motion_within_100_ms(running, trick, how, fault):
+    t = running.t
+    running.play(trick, **how)
+    running.go(0.2, lambda: running.state == "hold")
+    assert running.t - t < 0.1
+    running.go(0.4)
+    assert fault in running.faults
+    here = running.commanded()
+    assert running.go(0.2).commanded() == here
+    running.check_the_arm()
+    running.do("stop")
+    assert fault not in running.go(0.05).faults  # what is not moved cannot be missed
+
+
+def test_a_pad_unplugged_holds_at_once_and_goes_on_only_when_asked(running):
+    running.unplug("pad1")
+    running.go(0.02)
+    assert running.state == "hold"
+    assert running.faults == ["pad1-port"]
+    assert "pad 1 is not open" in running.ask("start").error
+    running.plug("pad1")
+    running.go(0.3)
+    assert (running.state, running.faults) == ("hold", [])
+    running.do("start")
+    assert running.state == "tracking"
+
+
+def test_the_observer_is_told_that_a_pad_is_gone(running):
+    running.unplug("pad2")
+    running.go(0.02)
+    lifts = [event for event in running.observer.events if isinstance(event, PadLift)]
+    assert lifts[-1].pad == 2
+
+
+def test_palms_may_be_armed_and_moved_without_an_object(ready):
+    ready.play("lift")
+    ready.go(1.5)
+    assert ready.faults == ["pad1-untouched", "pad2-untouched"]
+    ready.do("arm")
+    ready.do("start")
+    ready.go(1.0)
+    assert (ready.state, ready.core.setpoints.moving) == ("tracking", True)
+
+
+def test_an_object_taken_off_standing_palms_holds_nothing(ready):
+    ready.do("arm")
+    ready.go(0.2)
+    ready.play("lift")
+    ready.go(0.5)
+    assert (ready.state, ready.faults) == ("tracking", [])
+
+
+def test_a_pad_unplugged_in_ready_leads_to_idle(ready):
+    ready.unplug("pad1")
+    assert ready.go(0.05).state == "idle"
+
+
+# ---- the arm lost or stopped
+
+
+@pytest.mark.parametrize(
+    ("trick", "fault"),
+    [("estop", "arm-estop"), ("power_off", "arm-power-off"), ("manual", "arm-manual")],
+)
+def test_what_the_operator_does_at_the_arm_stops_it_until_reset(running, trick, fault):
+    running.play(trick, port="arm", for_s=0.5)
+    running.go(0.3)
+    assert (running.state, running.faults) == ("fault", [fault])
+    assert "reset refused" in running.ask("reset").error
+    assert "it must be ready" in running.ask("arm").error
+    running.go(0.5)
+    assert (running.state, running.faults) == ("fault", [fault])
+    assert running.do("reset") == {"state": "ready", "cleared": [fault]}
+    assert (running.state, running.faults) == ("ready", [])
+    assert running.do("reset") == {"state": "ready", "cleared": []}
+    running.do("arm")
+    running.go(0.3).check_the_arm()
+
+
+def test_reset_never_speaks_to_a_controller_in_e_stop(running):
+    running.play("estop", port="arm")
+    running.go(0.3)
+    running.written = b""
+    running.ask("reset")
+    running.go(0.3)
+    assert b"R" not in running.written
+
+
+def test_arm_needs_power(ready):
+    ready.play("power_off", port="arm")
+    ready.go(0.3)
+    assert ready.state == "ready"
+    assert "enable power" in ready.ask("arm").error
+
+
+def test_a_short_silence_of_the_arm_pauses_the_motion(running):
+    running.play("mute", port="arm", for_s=0.11)
+    running.messages.clear()
+    running.go(0.3)
+    told = [fields for topic, fields in running.messages if topic.name == "palm/state"]
+    assert {(fields["state"], *fields["faults"]) for fields in told} == {
+        ("tracking",),
+        ("tracking", "arm-late"),
+    }
+    running.go(0.5)
+    assert (running.state, running.faults) == ("tracking", [])
+    assert running.core.setpoints.moving
+    running.check_the_arm()
+
+
+def test_a_lost_arm_link_is_a_fault_and_reset_brings_it_back(running):
+    t = running.t
+    running.play("mute", port="arm", for_s=1.0)
+    running.go(0.4, lambda: running.state == "fault")
+    assert 0.2 < running.t - t < 0.3
+    assert "arm-link-lost" in running.faults
+    assert "has not answered" in running.ask("reset").error
+    running.go(1.5)
+    assert running.state == "fault"
+    assert "arm-fault" in running.faults  # the controller gave up by itself, as it should
+    running.do("reset")
+    assert (running.state, running.faults) == ("ready", [])
+    running.check_the_arm()
+
+
+def test_an_arm_port_unplugged_is_a_fault(running):
+    running.unplug("arm")
+    running.go(0.02)
+    assert (running.state, running.faults) == ("fault", ["arm-port"])
+    running.plug("arm")
+    running.go(0.5)
+    running.do("reset")
+    assert running.state == "ready"
+
+
+def test_a_controller_that_has_stopped_following(running):
+    running.play("break", port="arm", for_s=0.1)
+    running.go(0.4)
+    assert running.state == "fault"
+    running.do("reset")
+
+
+# ---- defects
+
+
+def test_an_observer_that_raises_stops_the_arm_in_good_order(running, caplog):
+    running.observer.failing = True
+    running.go(0.05)
+    assert (running.state, running.faults) == ("fault", ["tick-error"])
+    assert [record.levelname for record in caplog.records] == ["ERROR"]
+    running.go(0.5)
+    assert running.last("palm/motion")["arm_state"] == "R"
+    assert running.last("palm/estimate")["valid"] is False
+    assert "unexpected error" in running.ask("reset").error
+    running.observer.failing = False
+    running.do("reset")
+    assert running.state == "ready"
+
+
+def test_a_valid_estimate_that_is_not_finite_is_not_published_as_valid(running):
+    running.observer.valid, running.observer.value = True, math.nan
+    running.go(0.05)
+    assert (running.state, running.faults) == ("fault", ["estimate-not-finite"])
+    assert running.last("palm/estimate")["valid"] is False
+
+
+def test_a_failed_tick_stops_the_arm_at_once(running):
+    running.core.fail(running.t)
+    assert running.state == "fault"
+    assert running.core.transmit(running.t).startswith(b"P")
+
+
+def test_after_a_failed_tick_the_arm_comes_to_rest(running):
+    running.core.fail(running.t)
+    running.go(0.5)
+    assert running.last("palm/motion")["arm_state"] == "R"
+
+
+def test_repeated_overruns_stop_a_single_one_does_not(running):
+    running.core.overran(running.t)
+    running.go(0.05)
+    assert (running.state, running.faults) == ("tracking", ["loop-overrun"])
+    for _ in range(10):
+        running.core.overran(running.t)
+    running.go(0.05)
+    assert running.state == "fault"
+    assert running.faults[0] == "loop-overruns"
+
+
+# ---- the end
+
+
+def test_closing_stops_and_waits_for_rest(running):
+    assert not running.core.at_rest
+    running.core.close()
+    running.go(0.5, lambda: running.core.at_rest)
+    assert running.last("palm/motion")["arm_state"] == "R"
+    assert "palmd is stopping" in running.ask("arm").error
+
+
+def test_closing_while_the_arm_is_being_asked_waits_too(ready):
+    ready.core.handle(Request("arm", id=1), ready.t)
+    ready.core.close()
+    assert not ready.core.at_rest
+    ready.go(0.5, lambda: ready.core.at_rest)
+    ready.go(0.1)
+    assert ready.last("palm/motion")["arm_state"] == "R"
+
+
+def test_an_arm_that_does_not_answer_is_not_known_to_rest(running):
+    running.play("mute", port="arm")
+    running.core.close()
+    running.go(1.0)
+    assert not running.core.at_rest
+
+
+def test_who_never_commanded_is_at_rest(ready):
+    ready.core.close()
+    assert ready.core.at_rest
+
+
+# ---- what is told and measured
+
+
+def test_every_message_is_as_the_table_says_and_as_often(running):
+    stamp = {"v": 1, "timestamp": 0.0, "mono_ns": 0, "seq": 0}
+    counts = {}
+    for topic, fields in running.messages:
+        assert validate(topic, fields | stamp) == []
+        counts[topic.name] = counts.get(topic.name, 0) + 1
+    ticks = running.steps // TICK_STEPS
+    assert counts["palm/estimate"] == counts["palm/contact"] == counts["palm/motion"] == ticks
+    assert ticks / 10 <= counts["palm/state"] <= ticks / 10 + 6
+
+
+def test_each_tick_gives_the_observer_its_events_in_the_order_of_their_own_times(running):
+    assert sum(len(times) > 1 for times in running.observer.ticks) > 50
+    assert all(times == sorted(times) for times in running.observer.ticks)
+
+
+def test_readings_are_right(running):
+    truth = running.world.truth()
+    contact, motion = running.last("palm/contact"), running.last("palm/motion")
+    assert contact["s1_m"] == pytest.approx(truth["s1_m"], abs=2e-3)
+    assert contact["touch1"] is True
+    assert contact["age1_ms"] < 50.0
+    assert contact["arm_age_ms"] < 50.0
+    assert motion["phi1_rad"] == pytest.approx(truth["phi1_rad"], abs=0.02)
+    forces = [e.force for e in running.observer.events if isinstance(e, PadSample) and e.force]
+    assert min(forces) > 0.0
+
+
+def test_the_plans_rates_come_with_the_palms_angles_allowing_for_the_lag(running):
+    running.go(2.0)
+    assert 0.030 < running.core.arm.lag.lag_s < 0.060
+    palms = [event for event in running.observer.events if isinstance(event, PalmSample)][-60:]
+    for a, b, c in zip(palms, palms[1:], palms[2:], strict=False):
+        slope = (c.phi1 - a.phi1) / (c.t_sample - a.t_sample)
+        assert b.omega1 == pytest.approx(slope, abs=0.05)
+
+
+def test_a_standing_arm_is_told_to_stand(ready):
+    palms = [event for event in ready.observer.events if isinstance(event, PalmSample)]
+    assert (palms[-1].omega1, palms[-1].alpha2) == (0.0, 0.0)
+
+
+def test_counters_are_told_by_port(running):
+    counters = running.core.counters()
+    assert counters["pad1_packets"] > 50
+    assert counters["pad1_bytes_discarded"] == 0
+    assert counters["arm_crc_errors"] == 0
+    assert counters["arm_setpoints"] > 50
+
+
+def test_garbled_pads_are_told_and_nothing_else(running):
+    running.play("garble", port="pad1", strength=0.3)
+    running.go(1.2)
+    assert running.state in ("tracking", "hold")
+    assert "pad1-garbled" in running.faults
+    running.check_the_arm()
+
+
+# ---- everything at once
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_whatever_happens_the_arm_gets_no_bad_set_point(seed):
+    random = Random(seed)
+    bench = Bench(seed).go(0.5)
+    for _ in range(25):
+        match random.choice(("command", "mischief", "mischief", "plug", "stall", "fail")):
+            case "command":
+                name = random.choice(("arm", "start", "start", "hold", "stop", "reset", "jog"))
+                step = random.uniform(-0.5, 0.5)
+                bench.core.handle(Request(name, {"phi1_deg": step} if name == "jog" else {}), bench.t)
+            case "mischief":
+                name = random.choice(list(INJECTABLE_FAULTS))
+                bench.play(name, for_s=random.uniform(0.05, 0.3))
+            case "plug":
+                end = random.choice(ENDS)
+                bench.unplug(end) if end in bench.open else bench.plug(end)
+            case "stall":
+                bench.stall(random.uniform(0.02, 0.4))
+            case "fail":
+                bench.core.fail(bench.t)
+        bench.go(random.uniform(0.05, 0.3))
+        if random.random() < 0.7:  # an operator who keeps at it
+            bench.plug(*(set(ENDS) - bench.open))
+            for name in ("reset", "arm", "start"):
+                bench.core.handle(Request(name), bench.t)
+                bench.go(0.1)
+    bench.check_the_arm()
+    assert bench.world.status()["setpoints"] > 50

@@ -1,0 +1,158 @@
+"""The explorer's own process: it answers what it would without one, never holds the loop up, is started again."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from palmd.config import ExploreGoal, LimitsConfig
+from palmd.daemon import worker
+from palmd.daemon.exploration_requests import Answer, Decider, Question, Task
+from palmd.daemon.explorer_process import HIGH_WATER, ExplorerProcess
+from palmd.events import RigDescription
+from palmd.motion.explorer import UnderWay
+from palmd.motion.limits import MotionLimits
+from palmd.motion.segments import Move
+
+PATIENCE_S = 60.0
+FEW = HIGH_WATER // 2
+RIG = RigDescription()
+HERE = (0.8, 1.6)
+TASK = Task(3, ExploreGoal(), MotionLimits.from_config(LimitsConfig(), pad_length=0.0555))
+
+
+def question(t: float) -> Question:
+    """One that is answered by rocking, which needs no object."""
+    return Question(t, TASK, None, UnderWay(Move(HERE, HERE, 0.0), 1.0))
+
+
+@pytest.fixture
+def process() -> Iterator[ExplorerProcess]:
+    process = ExplorerProcess(RIG)
+    process.prepare()
+    yield process
+    process.close()
+
+
+def wait_for(process: ExplorerProcess) -> Answer:
+    """Keep asking until an answer comes."""
+    begun = time.monotonic()
+    while time.monotonic() - begun < PATIENCE_S:
+        t = time.monotonic() - begun
+        process.ask(question(t))
+        if (answer := process.collect(t)) is not None:
+            return answer
+        time.sleep(0.02)
+    raise AssertionError("no answer came")
+
+
+def test_it_answers_what_would_be_decided_without_it(process: ExplorerProcess) -> None:
+    got = wait_for(process)
+    wanted = Decider(RIG).answer(question(got.t))
+    assert (got.run, got.after, got.object_count) == (wanted.run, wanted.after, wanted.object_count)
+    assert (got.decision.kind, got.decision.move) == (wanted.decision.kind, wanted.decision.move)
+    assert got.decision.move is not None
+    assert got.decision.move.start == HERE
+
+
+def test_it_is_not_started_before_it_is_needed_and_then_once() -> None:
+    process = ExplorerProcess(RIG)
+    process.ask(question(0.0))
+    assert process.collect(0.0) is None
+    assert process.starts == 0
+    process.prepare()
+    process.prepare()
+    assert process.starts == 1
+    process.close()
+
+
+def test_it_never_waits_for_a_process_that_stands_still_and_the_newest_question_is_answered(
+    process: ExplorerProcess,
+) -> None:
+    wait_for(process)
+    assert process._process is not None
+    number = process._process._process.pid
+    os.kill(number, signal.SIGSTOP)
+    begun = time.monotonic()
+    try:
+        for tick in range(FEW):
+            process.ask(question(1000.0 + tick))
+        time.sleep(0.1)
+    finally:
+        os.kill(number, signal.SIGCONT)
+    answered: list[float] = []
+    while answered[-1:] != [1000.0 + FEW - 1] and time.monotonic() - begun < PATIENCE_S:
+        answered += [pickle.loads(message).t for message in process._process.received()]
+        time.sleep(0.01)
+    assert answered[-1] == 1000.0 + FEW - 1
+    assert len(answered) < FEW
+    os.kill(number, signal.SIGSTOP)
+    begun = time.monotonic()
+    for _ in range(100 * HIGH_WATER):
+        process.ask(question(0.0))
+    assert time.monotonic() - begun < 5.0
+    os.kill(number, signal.SIGCONT)
+
+
+def test_a_process_that_was_killed_is_started_again_and_knows_its_task(
+    process: ExplorerProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wait_for(process)
+    monkeypatch.setattr(worker, "RESTART_S", 0.0)
+    assert process._process is not None
+    process._process._process.kill()
+    process._process._process.wait()
+    begun = time.monotonic()
+    while process.starts < 2 and time.monotonic() - begun < PATIENCE_S:
+        process.ask(question(0.0))
+        time.sleep(0.01)
+    assert process.starts == 2
+    assert wait_for(process).run == TASK.run
+
+
+def test_one_that_cannot_be_started_answers_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(worker.sys, "executable", "/nowhere/python")
+    process = ExplorerProcess(RIG)
+    process.prepare()
+    process.prepare()
+    process.ask(question(0.0))
+    assert process.collect(0.0) is None
+    process.close()
+
+
+def test_closing_ends_it_at_once() -> None:
+    process = ExplorerProcess(RIG)
+    process.prepare()
+    assert process._process is not None
+    folder = Path(process._process._folder.name)
+    process.close()
+    assert process._process._process.poll() is not None
+    assert not folder.exists()
+
+
+@pytest.mark.parametrize("length", [83, 84, 200])
+def test_it_is_met_however_long_the_path_of_temporary_files_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, length: int
+) -> None:
+    """A Unix socket's path has 107 bytes at most; `/palmd-`, eight letters and `/explorer` come after it."""
+    with tempfile.TemporaryDirectory(dir="/tmp") as short:
+        folder = Path(short) / "ü".ljust(length - len(short) - 2, "x")
+        folder.mkdir(parents=True)
+        monkeypatch.setattr(tempfile, "tempdir", str(folder))
+        process = ExplorerProcess(RIG)
+        process.prepare()
+        assert process._process is not None
+        own = Path(process._process._folder.name)
+        assert own.is_relative_to(folder) == (length <= 83)
+        assert own.stat().st_mode & 0o077 == 0
+        wait_for(process)
+        process.close()
+        assert not own.exists()
+        assert list(folder.iterdir()) == []

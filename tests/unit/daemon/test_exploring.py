@@ -1,0 +1,408 @@
+"""The loop's side of an exploration, with somebody else's decisions: what is followed, what is dropped, what stops."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from palmd.config import ArmConfig, Config, PadConfig, PadsConfig, PlanSpec, rig_description
+from palmd.daemon.exploration_requests import Answer, Decider, InlineExplorer, Question, Task
+from palmd.daemon.exploring import (
+    AHEAD_S,
+    ASK_S,
+    BLIND_S,
+    CHECK_S,
+    LEAD_S,
+    LOST_S,
+    OVERTIME_S,
+    SILENT_S,
+    STALE_S,
+    Exploring,
+    Senses,
+)
+from palmd.daemon.setpoints import SetPoints
+from palmd.events import Outlook, PalmMotion
+from palmd.motion.check import motion_limits
+from palmd.motion.explorer import Decision, UnderWay
+from palmd.motion.kinematics import RigGeometry
+from palmd.motion.plan import compile_plan
+from palmd.motion.segments import Move
+
+STEP_S = 0.002
+CYCLE_STEPS, TICK_STEPS = 8, 5
+CONFIG = Config(pads=PadsConfig(palm1=PadConfig(port="a"), palm2=PadConfig(port="b")), arm=ArmConfig(port="c"))
+LIMITS = motion_limits(CONFIG)
+HERE = PalmMotion(math.radians(45.0), math.radians(90.0))
+WAY = math.radians(10.0)
+
+Decide = Callable[[Question], Decision | None]
+
+
+def onwards(question: Question) -> Decision:
+    """To and fro between two poses, for ever."""
+    start = question.under_way.move.end
+    step = WAY if start[0] < HERE.phi1 + 0.5 * WAY else -WAY
+    return Decision("move", Move(start, (start[0] + step, start[1]), 0.8), "goes on", coverage=0.5, reachable=0.9)
+
+
+class Scripted:
+    """A source whose decisions a test makes; each is handed out `latency` seconds after its question."""
+
+    def __init__(self, decide: Decide) -> None:
+        self.decide = decide
+        self.latency = 0.1
+        self.questions: list[Question] = []
+        self.answers: list[Answer] = []
+        self.prepared = 0
+
+    def prepare(self) -> None:
+        self.prepared += 1
+
+    def ask(self, question: Question) -> None:
+        self.questions.append(question)
+        decision = self.decide(question)
+        if decision is not None:
+            seen = None if question.outlook is None else question.outlook.object_count
+            self.answers.append(Answer(question.t, question.task.run, question.under_way.move, seen, decision))
+
+    def collect(self, t: float) -> Answer | None:
+        newest = None
+        while self.answers and self.answers[0].t + self.latency <= t:
+            newest = self.answers.pop(0)
+        return newest
+
+
+class Stage:
+    """Set-points that all go out, and an exploration begun in it."""
+
+    def __init__(self, decide: Decide = onwards, time_limit_s: float = 1000.0) -> None:
+        self.geometry = RigGeometry.from_config(CONFIG)
+        self.setpoints = SetPoints(self.geometry, LIMITS)
+        self.source = Scripted(decide)
+        self.exploring = Exploring(self.setpoints, self.source)
+        self.steps = 5000
+        self.valid = self.touching = self.tracking = True
+        self.object_count = 1
+        self.motions: list[PalmMotion] = []
+        self.spec = PlanSpec.model_validate(
+            {"name": "out", "segments": [{"explore": {"time_limit_s": time_limit_s, "coverage": 0.9}}]}
+        )
+        self.setpoints.stand(HERE, self.geometry.arm_pose(HERE.phi1, HERE.phi2)[2], self.t)
+        self.start()
+
+    def start(self) -> None:
+        here = self.setpoints.commanded
+        assert here is not None
+        self.setpoints.start(compile_plan(self.spec, LIMITS, (here.phi1, here.phi2)))
+
+    @property
+    def t(self) -> float:
+        return self.steps * STEP_S
+
+    def look(self) -> Outlook:
+        return Outlook(self.t, np.zeros((1, 21)), np.zeros(72, dtype=bool), np.zeros(72), self.object_count)
+
+    def go(self, seconds: float) -> Iterator[PalmMotion]:
+        """Live on; gives the commanded motion of each cycle."""
+        for _ in range(round(seconds / STEP_S)):
+            self.steps += 1
+            if self.steps % TICK_STEPS == 0:
+                senses = Senses(self.tracking, self.touching, self.valid, self.object_count, self.look)
+                self.exploring.step(self.t, senses)
+            if self.steps % CYCLE_STEPS == 0:
+                assert self.setpoints.target(self.t) is not None
+                self.motions.append(self.setpoints.sent(self.t))
+                yield self.motions[-1]
+
+    def after(self, seconds: float) -> PalmMotion:
+        """The last motion of so many seconds."""
+        return list(self.go(seconds))[-1]
+
+    def reason(self) -> str:
+        told = self.exploring.told()
+        assert told is not None
+        return str(told["reason"])
+
+
+def moves(motion: PalmMotion) -> bool:
+    return motion.omega1 != 0.0 or motion.omega2 != 0.0
+
+
+def stands(stage: Stage, seconds: float = 0.3) -> bool:
+    motions = list(stage.go(seconds))
+    return len({(motion.phi1, motion.phi2) for motion in motions}) == 1
+
+
+def test_it_goes_from_move_to_move_without_a_rest_and_never_jumps() -> None:
+    stage = Stage()
+    motions = list(stage.go(8.0))
+    resting = [not moves(motion) for motion in motions[round(0.4 / 0.016) :]]
+    at_a_time = [len(list(run)) for rests, run in itertools.groupby(resting) if rests]
+    assert max(at_a_time, default=0) <= 1  # the instant between two of them
+    rates = [abs(b.phi1 - a.phi1) / 0.016 for a, b in itertools.pairwise(motions)]
+    assert 1.7 * WAY / 0.8 < max(rates) < 2.0 * WAY / 0.8
+    assert stage.setpoints.interventions == 0
+    assert stage.exploring.told() == {"coverage": 0.5, "reachable": 0.9, "reason": "goes on"}
+    place = stage.setpoints.place
+    assert place is not None
+    assert place.progress == 0.5
+
+
+def test_it_asks_on_a_grid_and_about_the_last_move_only() -> None:
+    stage = Stage()
+    list(stage.go(5.0))
+    times = [question.t for question in stage.source.questions]
+    assert min(b - a for a, b in itertools.pairwise(times)) >= ASK_S - 1e-9
+    assert 5 < len(times) <= 5.0 / ASK_S + 1
+    for question in stage.source.questions:
+        move = question.under_way.move
+        assert question.under_way.elapsed >= 0.0
+        assert question.outlook is not None
+        assert move.end == move.start or question.under_way.elapsed < move.duration - LEAD_S + 0.02
+
+
+def test_a_long_move_is_looked_at_now_and_then_until_its_end_is_near() -> None:
+    def far(question: Question) -> Decision:
+        start = question.under_way.move.end
+        return Decision("move", Move(start, (start[0] + (0.3 if start[0] < 0.9 else -0.3), start[1]), 4.0))
+
+    stage = Stage(far)
+    list(stage.go(8.0))
+    early = [q.t for q in stage.source.questions if 0.0 < q.under_way.elapsed < 4.0 - AHEAD_S - ASK_S]
+    gaps = [b - a for a, b in itertools.pairwise(early) if b - a < 2.0]
+    assert min(gaps) > CHECK_S - 0.05
+    late = [q for q in stage.source.questions if 4.0 - AHEAD_S <= q.under_way.elapsed < 4.0]
+    assert late
+
+
+def test_a_choice_is_asked_for_when_it_is_due_and_only_until_it_is_made() -> None:
+    def in_time(question: Question) -> Decision:
+        return onwards(question) if question.choose else Decision("safe")
+
+    stage = Stage(in_time)
+    stage.source.latency = 0.02
+    list(stage.go(6.0))
+    chosen: set[int] = set()
+    for question in stage.source.questions:
+        move, elapsed = question.under_way.move, question.under_way.elapsed
+        due = move.duration - elapsed <= AHEAD_S
+        assert question.choose is (due and id(move) not in chosen)
+        if question.choose:
+            chosen.add(id(move))
+    assert len(chosen) > 5
+    assert moves(stage.motions[-1])
+    assert stage.reason() == "goes on"
+
+
+def test_the_newest_decision_counts() -> None:
+    """All but the last answer before a move's end lead elsewhere."""
+    stage = Stage()
+
+    def wavering(question: Question) -> Decision:
+        left = question.under_way.move.duration - question.under_way.elapsed
+        start = question.under_way.move.end
+        away = math.radians(3.0) if left > 0.5 else 0.0
+        return Decision("move", Move(start, (onwards(question).move.end[0], start[1] + away), 0.8))  # type: ignore[union-attr]
+
+    stage.source.decide = wavering
+    list(stage.go(0.5))
+    assert all(motion.phi2 == pytest.approx(HERE.phi2, abs=1e-9) for motion in stage.go(5.0))
+
+
+def test_without_decisions_it_finishes_the_move_stands_and_says_so() -> None:
+    stage = Stage()
+    list(stage.go(0.5))
+    stage.source.decide = lambda _: None
+    list(stage.go(2.0))
+    assert stands(stage)
+    list(stage.go(SILENT_S))
+    assert stage.exploring.silent
+    stage.source.decide = onwards
+    assert moves(stage.after(0.5))
+    assert not stage.exploring.silent
+
+
+def test_an_answer_that_comes_too_late_is_dropped_and_counted() -> None:
+    stage = Stage()
+    stage.source.latency = STALE_S + 0.05
+    assert stands(stage, 3.0)
+    assert stage.exploring.dropped > 5
+    assert stage.exploring.silent
+
+
+def test_a_decision_about_another_object_or_from_elsewhere_is_not_followed() -> None:
+    stage = Stage()
+    list(stage.go(0.05))
+    stage.object_count = 2
+    stage.source.answers = [
+        Answer(answer.t, answer.run, answer.after, 1, answer.decision) for answer in stage.source.answers
+    ]
+    stage.source.decide = lambda _: Decision("move", Move((0.7, 1.5), (0.8, 1.5), 1.0))
+    assert stands(stage, 2.0)
+
+
+def test_a_decision_of_an_earlier_exploration_is_not_followed() -> None:
+    stage = Stage(time_limit_s=1.0)
+    stage.source.decide = lambda _: Decision("done", reason="all of it")
+    list(stage.go(0.3))
+    stage.source.decide = lambda _: None
+    assert not stage.setpoints.moving
+    left = Answer(stage.t, 1, Move((HERE.phi1, HERE.phi2), (HERE.phi1, HERE.phi2), 0.0), 1, Decision("done"))
+    stage.start()
+    stage.source.answers = [left]
+    list(stage.go(0.4))
+    assert stage.setpoints.moving
+    assert stage.reason() == "it has just begun"
+
+
+def test_an_unsafe_move_is_stopped_on_its_path_dropped_and_another_one_followed() -> None:
+    stage = Stage()
+    list(stage.go(0.6))
+    stage.source.decide = lambda _: Decision("unsafe", reason="it would slip")
+    stood = stage.after(0.7)
+    assert HERE.phi1 + 0.05 * WAY < stood.phi1 < HERE.phi1 + 0.95 * WAY
+    assert stands(stage)
+    assert stage.reason() == "it would slip"
+    asked = stage.source.questions[-1].under_way.move
+    assert (asked.start, asked.duration) == (asked.end, 0.0)
+    assert asked.end[0] == pytest.approx(stood.phi1)
+    stage.source.decide = onwards
+    steps = [abs(b.phi1 - a.phi1) for a, b in itertools.pairwise([stood, *stage.go(1.0)])]
+    assert 0.0 < max(steps) < LIMITS.rate * 0.016
+    assert moves(stage.motions[-1])
+
+
+def test_what_was_said_about_the_move_before_is_not_held_against_the_present_one() -> None:
+    stage = Stage()
+    list(stage.go(0.6))
+    before = stage.source.questions[-1].under_way.move
+    list(stage.go(0.8))
+    assert stage.source.questions[-1].under_way.move != before
+    for kind in ("unsafe", "done"):
+        stage.source.decide = lambda _: None
+        stage.source.answers = [Answer(stage.t, 1, before, 1, Decision(kind))]  # type: ignore[arg-type]
+        assert moves(stage.after(0.15))
+        assert stage.reason() == "goes on"
+
+
+def test_a_move_not_begun_yet_is_taken_back_when_the_next_answer_says_so() -> None:
+    stage = Stage()
+    list(stage.go(0.45))
+    assert moves(stage.motions[-1])
+    stage.source.decide = lambda _: Decision("wait", reason="nothing is safe")
+    list(stage.go(1.0))
+    assert stands(stage)
+    assert stage.reason() == "nothing is safe"
+
+
+def test_done_ends_it_when_the_move_in_hand_is_over() -> None:
+    stage = Stage()
+    list(stage.go(0.5))
+    stage.source.decide = lambda _: Decision("done", reason="all that can be reached", coverage=0.96)
+    assert moves(stage.after(0.3))
+    list(stage.go(1.0))
+    assert not stage.setpoints.moving
+    assert stage.setpoints.exploration is None
+    assert not stage.setpoints.held
+    assert stage.motions[-1].phi1 == pytest.approx(HERE.phi1 + WAY)
+    assert stage.exploring.told() == {"coverage": 0.96, "reachable": 0.9, "reason": "all that can be reached"}
+    stage.source.decide = onwards
+    assert stands(stage)
+    stage.start()
+    assert moves(stage.after(0.5))
+
+
+def test_the_time_limit_ends_it() -> None:
+    stage = Stage(time_limit_s=3.0)
+    list(stage.go(3.0 + OVERTIME_S))
+    assert stage.setpoints.moving
+    list(stage.go(1.2))
+    assert not stage.setpoints.moving
+    assert stage.reason() == "the time limit of 3 s is over"
+
+
+def test_who_stops_it_is_remembered() -> None:
+    stage = Stage()
+    list(stage.go(0.5))
+    stage.setpoints.leave()
+    stage.exploring.step(stage.t, Senses(False, True, True, 1, stage.look))
+    assert stage.reason() == "it was stopped"
+
+
+def test_losing_the_estimate_for_a_moment_changes_nothing_for_longer_drops_the_move() -> None:
+    stage = Stage(lambda question: Decision("move", Move(question.under_way.move.end, (1.2, 1.5), 3.0)))
+    list(stage.go(0.5))
+    stage.valid = False
+    assert moves(stage.after(0.8 * LOST_S))
+    stage.valid = True
+    list(stage.go(0.1))
+    stage.valid = False
+    stood = stage.after(LOST_S + 0.3)
+    assert stands(stage)
+    assert stood.phi1 < 1.0
+    assert "lost" in stage.reason()
+    stage.valid = True
+    assert moves(stage.after(0.5))
+
+
+def test_a_blind_start_rocks_the_object_gently_until_there_is_an_estimate() -> None:
+    stage = Stage()
+    decider = Decider(rig_description(CONFIG))
+    stage.source.decide = lambda question: (
+        onwards(question) if question.outlook is not None else decider.answer(question).decision
+    )
+    stage.valid = False
+    assert stands(stage, BLIND_S)
+    list(stage.go(0.3))
+    rocked = list(stage.go(6.0))
+    reach = max(abs(motion.phi1 - HERE.phi1) for motion in rocked)
+    assert reach == pytest.approx(math.radians(6.0), abs=1e-3)
+    assert max(abs(motion.omega1) for motion in rocked) < 0.3 * LIMITS.rate
+    assert sum(not moves(motion) for motion in rocked) < 0.1 * len(rocked)
+    stage.valid = True
+    list(stage.go(1.2))
+    assert stage.reason() == "goes on"
+    assert moves(stage.after(0.4))
+
+
+def test_nothing_is_rocked_while_a_pad_feels_nothing() -> None:
+    stage = Stage()
+    stage.valid = stage.touching = False
+    assert stands(stage, 4.0)
+    assert stage.source.questions == []
+    assert not stage.exploring.silent
+
+
+def test_a_hold_drops_the_move_and_start_goes_on_from_there() -> None:
+    stage = Stage()
+    list(stage.go(0.6))
+    stage.tracking = False
+    stage.setpoints.hold()
+    list(stage.go(0.3))
+    assert stands(stage, 2.0)
+    stood = stage.motions[-1]
+    stage.tracking = True
+    stage.setpoints.resume()
+    list(stage.go(0.4))
+    begun = stage.source.questions[-1].under_way.move
+    assert begun.start == pytest.approx((stood.phi1, stood.phi2))
+    assert moves(stage.after(0.3))
+
+
+def test_a_guide_without_a_process_answers_a_fixed_time_after_the_question() -> None:
+    inline = InlineExplorer(Decider(rig_description(CONFIG)), latency_s=0.3)
+    here = (HERE.phi1, HERE.phi2)
+    task = Task(1, Stage().spec.segments[-1].explore, LIMITS)  # type: ignore[union-attr]
+    first = Question(5.0, task, None, UnderWay(Move(here, here, 0.0), 9.0))
+    inline.ask(first)
+    inline.ask(Question(5.1, task, None, first.under_way))  # while it is busy
+    assert inline.collect(5.29) is None
+    answer = inline.collect(5.3)
+    assert answer is not None
+    assert (answer.t, answer.run, answer.after, answer.object_count) == (5.0, 1, first.under_way.move, None)
+    assert answer.decision.kind == "move"
+    assert inline.collect(9.0) is None

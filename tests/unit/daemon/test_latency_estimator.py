@@ -1,0 +1,79 @@
+"""The lag tracker on motions whose lag is known."""
+
+import math
+
+import numpy as np
+import pytest
+
+from palmd.daemon.latency_estimator import LONGEST_S, START_S, LatencyEstimator
+from palmd.events import PalmMotion
+
+CYCLE = 0.016
+
+
+def swing(t: float, rate_hz: float = 0.4) -> PalmMotion:
+    w = math.tau * rate_hz
+    a1, a2 = 0.3, 0.15
+    return PalmMotion(
+        0.8 + a1 * math.sin(w * t),
+        1.6 + a2 * math.cos(w * t),
+        a1 * w * math.cos(w * t),
+        -a2 * w * math.sin(w * t),
+        -a1 * w * w * math.sin(w * t),
+        -a2 * w * w * math.cos(w * t),
+    )
+
+
+def run(lag: float, seconds: float, noise: float = 2e-4, motion=swing) -> LatencyEstimator:
+    tracker, random = LatencyEstimator(), np.random.default_rng(1)
+    for i in range(round(seconds / CYCLE)):
+        t = i * CYCLE
+        tracker.sent(t, motion(t))
+        now = motion(t - lag)
+        phi1, phi2 = np.array([now.phi1, now.phi2]) + random.normal(0.0, noise, 2)
+        tracker.observe(t + 0.001, phi1, phi2)
+    return tracker
+
+
+@pytest.mark.parametrize("lag", [0.005, 0.03, 0.055, 0.09])
+def test_finds_the_lag_while_moving(lag):
+    # observed 1 ms after the set-point, which does not count as lag
+    assert run(lag, 6.0).lag_s == pytest.approx(lag + 0.001, abs=1.5e-3)
+
+
+def test_standing_teaches_nothing():
+    def still(_t: float) -> PalmMotion:
+        return PalmMotion(0.8, 1.6)
+
+    assert run(0.08, 6.0, motion=still).lag_s == START_S
+
+
+@pytest.mark.parametrize("lag", [-0.05, 0.3])
+def test_lag_stays_within_reason(lag):
+    assert 0.0 <= run(lag, 6.0).lag_s <= LONGEST_S
+
+
+def test_motion_is_the_commanded_one_a_lag_ago():
+    tracker = LatencyEstimator()
+    for i in range(20):
+        tracker.sent(i * CYCLE, swing(i * CYCLE))
+    meant = tracker.motion(0.25)
+    assert meant is not None
+    expected = swing(0.25 - START_S)
+    assert meant.phi1 == pytest.approx(expected.phi1, abs=1e-4)
+    assert meant.omega2 == pytest.approx(expected.omega2, abs=1e-3)
+
+
+def test_after_the_last_set_point_it_holds_and_before_the_first_there_is_none():
+    tracker = LatencyEstimator()
+    tracker.sent(1.0, swing(1.0))
+    assert tracker.motion(5.0) == swing(1.0)
+    assert tracker.motion(1.0 + START_S - 1e-6) is None
+
+
+def test_forgetting_keeps_the_lag():
+    tracker = run(0.07, 6.0)
+    lag = tracker.lag_s
+    tracker.forget()
+    assert tracker.motion(6.0) is None
+    assert tracker.lag_s == lag

@@ -1,0 +1,79 @@
+"""The alarm of an observer whose model is wrong: on the watch's own numbers, and in closed loop."""
+
+import math
+
+import pytest
+
+from palmd.config import PlanSpec
+from palmd.daemon.diagnostics import NIS_MEMORY_S, NisDiagnostics
+from palmd.faults import TABLE, Severity
+from palmd.harness.wireless import Wireless
+from palmd.rig.plant import AS_ASSUMED, PlantOptions
+from palmd.rig.world import default_config
+
+CODE = "estimate-inconsistent"
+ROCK = PlanSpec.model_validate(
+    {
+        "name": "rock",
+        "segments": [{"sine": {"phi1_deg": 25, "phi2_deg": 10}, "frequency_hz": [0.41, 0.57], "duration_s": 20}],
+    }
+)
+
+
+def after(watch: NisDiagnostics, nis: float, seconds: float, t0: float = 0.0, *, moving: bool = True) -> list[str]:
+    codes: list[str] = []
+    for k in range(round(seconds * 100)):
+        codes = list(watch.conditions(nis, moving, t0 + k * 0.01))
+    return codes
+
+
+@pytest.mark.parametrize(("nis", "codes"), [(1.0, []), (0.7, []), (1.3, []), (2.0, [CODE]), (0.1, [CODE])])
+def test_only_a_lasting_mean_outside_the_band_counts(nis, codes):
+    assert after(NisDiagnostics(), nis, 4 * NIS_MEMORY_S) == codes
+
+
+def test_a_moment_is_forgiven():
+    watch = NisDiagnostics()
+    assert after(watch, 3.0, 0.4) == []
+    assert after(watch, 1.0, 3.0, 0.4) == []
+
+
+def test_beginning_anew_does_not_hide_that_the_model_is_wrong():
+    """Each new start begins with a mean of 1 and little weight on the readings, and some ticks say nothing."""
+    watch, codes = NisDiagnostics(), []
+    for k in range(1000):
+        young = k % 100
+        nis = math.nan if young < 5 else 0.8 if young < 40 else 4.0
+        codes = list(watch.conditions(nis, True, k * 0.01))
+    assert codes == [CODE]
+
+
+def test_at_rest_nothing_is_judged():
+    watch = NisDiagnostics()
+    assert after(watch, 0.01, 20.0, moving=False) == []
+    assert after(watch, 3.0, 10.0, 20.0) == [CODE]
+    assert after(watch, 3.0, 0.01, 30.0, moving=False) == []
+
+
+def test_its_row_says_what_to_do():
+    fault = TABLE[CODE]
+    assert fault.severity is Severity.DEGRADE
+    assert fault.debounce_s > 0.0
+    assert len(fault.hint) <= 100
+
+
+@pytest.mark.parametrize(
+    ("seed", "options", "alarm"),
+    [
+        (1, AS_ASSUMED, False),
+        (3, AS_ASSUMED, False),
+        (1, PlantOptions(pad_bias_m=(2e-3, -2e-3)), True),
+        (3, PlantOptions(pad_bias_m=(2e-3, -2e-3)), True),
+        (3, PlantOptions(pad_bow_m=(1e-3, -1e-3)), True),
+    ],
+)
+def test_it_comes_when_the_pads_are_not_as_configured_and_else_not(seed, options, alarm):
+    run = Wireless(default_config(), ROCK, seed, options=options)
+    run.start()
+    raised = any(CODE in [fault.code for fault in run.core.faults.active] for _ in run.run(15.0))
+    assert raised == alarm

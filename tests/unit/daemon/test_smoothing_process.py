@@ -1,0 +1,123 @@
+"""The smoother's own process: it answers, it never holds the loop up, it dies with its parent and is started again."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from simulated import Run, simulated
+
+from palmd.daemon import smoothing, worker
+from palmd.daemon.smoothing import SmootherProcess
+from palmd.events import Improvement, PadLift
+from palmd.observer.incremental import IncrementalSmoother, Session
+
+PATIENCE_S = 60.0
+SESSION = Session(1, 0.0)
+
+
+@pytest.fixture(scope="module")
+def run() -> Run:
+    return simulated("nominal", 107, 3.0)
+
+
+@pytest.fixture
+def process(run: Run) -> Iterator[SmootherProcess]:
+    process = SmootherProcess(run.rig)
+    yield process
+    process.close()
+
+
+def number(process: SmootherProcess) -> int:
+    return process._process._process.pid
+
+
+def wait_for(process: SmootherProcess, run: Run) -> Improvement:
+    """Hand the whole run over and keep ticking until an improvement about its end comes back."""
+    begun = time.monotonic()
+    process.submit(run.events[-1].t_sample, SESSION, run.events)
+    while time.monotonic() - begun < PATIENCE_S:
+        t = run.events[-1].t_sample + time.monotonic() - begun
+        process.submit(t, SESSION, [])
+        if (improvement := process.collect(t)) is not None:
+            return improvement
+        time.sleep(0.01)
+    raise AssertionError("no improvement came")
+
+
+def test_the_process_answers_what_the_smoother_would(process: SmootherProcess, run: Run) -> None:
+    smoother = IncrementalSmoother(run.rig)
+    smoother.add(SESSION, run.events)
+    got, wanted = wait_for(process, run), smoother.answer()
+    assert wanted is not None
+    assert got.t == wanted.t
+    np.testing.assert_allclose(got.x, wanted.x, rtol=1e-9)
+    np.testing.assert_allclose(got.P, wanted.P, rtol=1e-6)
+    assert (got.frame, got.established) == (wanted.frame, wanted.established)
+    assert np.array_equal(got.touched, wanted.touched)
+
+
+def test_every_kind_of_event_crosses_unchanged(run: Run) -> None:
+    for event in (run.events[0], run.events[5], PadLift(1.5, 2)):
+        assert smoothing._unpacked(smoothing._packed(event)) == event
+
+
+def test_it_never_waits_for_a_process_that_stands_still(process: SmootherProcess, run: Run) -> None:
+    os.kill(number(process), signal.SIGSTOP)
+    try:
+        for tick in range(12 * smoothing.HIGH_WATER):
+            process.submit(tick * smoothing.BATCH_S * 1.01, SESSION, run.events[:8])
+            assert process.collect(0.0) is None
+    finally:
+        os.kill(number(process), signal.SIGCONT)
+    assert process.dropped > 0
+
+
+def test_a_process_that_was_killed_is_started_again(
+    process: SmootherProcess, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(worker, "RESTART_S", 0.0)
+    process._process._process.kill()
+    process._process._process.wait()
+    process.submit(0.0, SESSION, [])  # nobody takes it
+    assert process.starts == 2
+    wait_for(process, run)
+
+
+def test_it_ends_with_its_parent(tmp_path: Path) -> None:
+    parent = textwrap.dedent(
+        """
+        import os, sys
+        from palmd.daemon.smoothing import SmootherProcess
+        from palmd.events import RigDescription
+        process = SmootherProcess(RigDescription())
+        print(process._process._process.pid, flush=True)
+        os.kill(os.getpid(), 9)
+        """
+    )
+    told = subprocess.run([sys.executable, "-c", parent], capture_output=True, text=True, check=False)
+    child = int(told.stdout)
+    begun = time.monotonic()
+    while Path(f"/proc/{child}/stat").exists() and time.monotonic() - begun < PATIENCE_S:
+        if Path(f"/proc/{child}/stat").read_text(encoding="ascii").split()[2] == "Z":
+            break
+        time.sleep(0.1)
+    else:
+        assert not Path(f"/proc/{child}").exists()
+
+
+def test_closing_ends_it_at_once(run: Run) -> None:
+    process = SmootherProcess(run.rig)
+    begun = time.monotonic()
+    process.close()
+    assert process._process._process.poll() is not None
+    assert time.monotonic() - begun < 2 * worker.CLOSE_S + 1.0
+    assert not Path(process._process._folder.name).exists()

@@ -1,0 +1,375 @@
+"""`palmd doctor`: each thing that may be missing is found, with the command that mends it."""
+
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+import tty
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from shut import shut
+
+from palmd.cli import main
+from palmd.config import PadConfig
+from palmd.console import configured
+from palmd.console.shipped import shipped
+from palmd.daemon.bus import Bus
+from palmd.daemon.commands import Reply
+from palmd.devices.armconformance import Result
+from palmd.devices.versapad import encode_packet
+from palmd.doctor import machine, ports
+from palmd.doctor.arm import told
+from palmd.doctor.findings import bus, daemon, findings, plan
+from palmd.yamlfile import load_config
+
+CONFIG = """\
+pads: {{palm1: {{port: {folder}/pad1}}, palm2: {{port: {folder}/pad2}}}}
+arm: {{port: {folder}/arm}}
+bus: {{publish: "ipc://{folder}/publish", command: "ipc://{folder}/command"}}
+"""
+
+
+@pytest.fixture
+def path(tmp_path):
+    path = tmp_path / "palmd.yaml"
+    path.write_text(CONFIG.format(folder=tmp_path))
+    return path
+
+
+@contextmanager
+def terminal(link):
+    """A pseudo-terminal under a steady name; its far end's descriptor."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    link.symlink_to(os.ttyname(slave))
+    try:
+        yield master
+    finally:
+        link.unlink()
+        os.close(slave)
+        os.close(master)
+
+
+def found(path):
+    return {finding.what: finding for finding in findings(path)}
+
+
+def test_ports_that_are_not_there_are_missing_and_the_rest_is_told_all_the_same(path, capsys):
+    assert main(["doctor", str(path)]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert next(line for line in lines if "pad 1 port" in line).startswith("missing")
+    assert "/dev/serial/by-id" in "".join(line for line in lines if "arm port" in line)
+    assert [line.split()[0] for line in lines if "  python  " in line] == ["ok"]
+    assert lines[-1].split(", ")[1].endswith("missing")
+    assert not any("talks" in line or "answers" in line for line in lines)
+
+
+def test_a_bad_configuration_ends_the_list_with_its_place(path, capsys):
+    path.write_text("pads: 3\n")
+    assert main(["doctor", str(path)]) == 1
+    [line] = [line for line in capsys.readouterr().out.splitlines() if "configuration" in line]
+    assert line.startswith("missing")
+    assert f"{path}:1:" in line
+    assert f"palmd check {path}" in line
+
+
+def test_options_of_the_arms_test_alone_are_refused(path, capsys):
+    assert main(["doctor", str(path), "--yes"]) == 1
+    assert "--arm-conformance" in capsys.readouterr().err
+
+
+def test_all_is_well_only_if_everything_is(monkeypatch, path):
+    from palmd.doctor import findings
+    from palmd.doctor.finding import Finding
+
+    for verdicts, status in ((("ok", "ok"), 0), (("ok", "missing"), 1), (("ok", "cannot tell"), 1)):
+        made = [Finding("a", each, "b") for each in verdicts]
+        monkeypatch.setattr(findings, "findings", lambda _path, made=made: iter(made))
+        assert main(["doctor", str(path)]) == status
+
+
+def test_a_failed_check_tells_what_was_sent_expected_and_seen():
+    text = told(Result(7, "numbers", "failed", "Q07*98", "A07", "nothing"))
+    assert [line.split(maxsplit=1) for line in text.splitlines()[1:]] == [
+        ["sent", "Q07*98"], ["expected", "A07"], ["seen", "nothing"]
+    ]  # fmt: skip
+    assert text.startswith(" 7 FAIL")
+
+
+# -- the machine -----------------------------------------------------------------------------------------------
+
+
+def test_python():
+    assert machine.python((3, 11, 0)).verdict == "ok"
+    assert machine.python((3, 10, 12)).verdict == "missing"
+
+
+def test_packages(monkeypatch):
+    assert machine.packages().verdict == "ok"
+    assert machine.packages("nobody-made-this").verdict == "cannot tell"
+    needed = ["numpy>=1", "no-such-thing[x]>=2 ; python_version > '3'", "neither-this; extra == 'report'"]
+    monkeypatch.setattr(machine.importlib.metadata, "requires", lambda _: needed)
+    assert machine.packages().says == "no-such-thing"
+
+
+def test_compiler(monkeypatch, tmp_path):
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert machine.compiler().verdict == "missing"
+    (tmp_path / "gcc").touch(0o755)
+    assert machine.compiler().says.endswith("gcc")
+
+
+def test_observers(monkeypatch, tmp_path):
+    monkeypatch.setenv("CACHE_DIRECTORY", str(tmp_path / "cache"))
+    assert machine.observers().mend == "palmd build"
+    (tmp_path / "cache").mkdir()
+    (tmp_path / "cache/shape-12.so").touch()
+    assert machine.observers().verdict == "ok"
+
+
+@pytest.mark.parametrize("what", ["cache", "cache/deeper"])
+def test_observers_where_we_may_not_look(monkeypatch, tmp_path, what):
+    monkeypatch.setenv("CACHE_DIRECTORY", str(tmp_path / what))
+    (tmp_path / "cache/deeper").mkdir(parents=True)
+    with shut(tmp_path / "cache"):
+        finding, user = machine.observers(), machine.user()
+    assert (finding.verdict, finding.says) == ("missing", f"{tmp_path / what}: Permission denied")
+    assert finding.mend == f"set XDG_CACHE_HOME to a folder of {user}'s own, then palmd build"
+
+
+def test_observers_of_who_has_no_home(monkeypatch):
+    for name in ("CACHE_DIRECTORY", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+
+    def homeless():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(Path, "home", homeless)
+    assert "has no home" in machine.observers().says
+
+
+def test_an_installed_configuration_that_may_not_be_read_is_not_passed_over(monkeypatch, tmp_path):
+    folder = tmp_path / "etc"
+    folder.mkdir()
+    monkeypatch.setattr(configured, "INSTALLED", folder / "palmd.yaml")
+    with shut(folder):
+        assert configured.usual(None) == folder / "palmd.yaml"
+    assert configured.usual(None) == shipped("palmd.yaml")
+
+
+@pytest.mark.parametrize(("what", "limit"), [("real_time", "RTPRIO"), ("locked_memory", "MEMLOCK")])
+def test_rights(monkeypatch, tmp_path, what, limit):
+    (tmp_path / "self").mkdir()
+    status = tmp_path / "self/status"
+    monkeypatch.setattr(machine, "PROC", tmp_path)
+    for effective, allowed, verdict in (("0", 0, "missing"), ("0", -1, "ok"), ("0000000000804000", 0, "ok")):
+        status.write_text(f"Name:\tx\nCapEff:\t{effective}\n")
+        asked = []
+        monkeypatch.setattr(machine.resource, "getrlimit", lambda name, n=allowed, a=asked: a.append(name) or (n, n))
+        finding = getattr(machine, what)()
+        assert finding.verdict == verdict
+        assert asked == [getattr(machine.resource, f"RLIMIT_{limit}")]
+    assert "limits.d" not in finding.mend
+
+
+LOCKING = """
+import ctypes, encodings.ascii, os, resource, sys  # Python's own files may be out of reach once rights are laid down
+from palmd.doctor.machine import locked_memory
+limit = int(sys.argv[1])
+resource.setrlimit(resource.RLIMIT_MEMLOCK, (limit, limit))
+if sys.argv[2] == "stripped":
+    os.setresuid(65534, 65534, 65534)
+locks = ctypes.CDLL(None).mlockall(3) == 0  # what is there and what comes, as the daemon asks for it
+print(locked_memory().verdict, locked_memory().says, locks, sep="|")
+"""
+
+
+@pytest.mark.parametrize("rights", ["own", "stripped"])
+@pytest.mark.parametrize("limit", [1_000_000, -1], ids=["limited", "unlimited"])
+def test_locked_memory_is_judged_as_the_kernel_does(limit, rights):
+    """In a process of its own, which locks all its memory, or may not."""
+    if rights == "stripped" and os.geteuid() != 0:
+        pytest.skip("only root has rights to lay down")
+    command = [sys.executable, "-c", LOCKING, str(limit), rights]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if "not allowed to raise maximum limit" in done.stderr:
+        pytest.skip("this user may not raise the limit")
+    verdict, says, locks = done.stdout.strip().split("|")
+    assert verdict == ("ok" if locks == "True" else "missing")
+    assert says == ("no limit" if verdict == "ok" else "limited to 1.0 MB")
+    if rights == "stripped":
+        assert verdict == ("missing" if limit > 0 else "ok")
+
+
+def test_runs(monkeypatch, tmp_path):
+    monkeypatch.setattr(machine.shutil, "disk_usage", lambda _: SimpleNamespace(free=5e9))
+    assert machine.runs(tmp_path / "a/b").verdict == "ok"
+    monkeypatch.setattr(machine.shutil, "disk_usage", lambda _: SimpleNamespace(free=1e9))
+    assert "1000 MB free" in machine.runs(tmp_path / "a/b").says
+    (tmp_path / "file").touch()
+    assert machine.runs(tmp_path / "file/b").verdict == "missing"
+    finding = machine.runs(tmp_path / ("a" * 300))
+    assert (finding.verdict, finding.says.endswith("File name too long")) == ("missing", True)
+
+
+def test_units(monkeypatch, tmp_path):
+    assert machine.units([tmp_path]).mend == "sudo palmd install"
+    for name in machine.UNITS:
+        (tmp_path / name).touch()
+    monkeypatch.setattr(machine, "SYSTEMD_RUNS", tmp_path / "none")
+    assert machine.units([tmp_path / "other", tmp_path]).verdict == "cannot tell"
+    monkeypatch.setattr(machine, "SYSTEMD_RUNS", tmp_path)
+    assert machine.units([tmp_path]).verdict == "ok"
+
+
+# -- files and sockets -----------------------------------------------------------------------------------------
+
+
+def test_plan(path, tmp_path):
+    assert plan(load_config(path), path).verdict == "ok"
+    path.write_text(path.read_text() + "plan: far.yaml\n")
+    assert plan(load_config(path), path).verdict == "missing"
+    (tmp_path / "far.yaml").write_text("name: far\nsegments: [{move: {phi1_deg: 175}, duration_s: 2}]\n")
+    assert "far.yaml:2:" in plan(load_config(path), path).says
+    (tmp_path / "far.yaml").write_text("name: near\nsegments: [{hold_s: 1}]\n")
+    assert plan(load_config(path), path).verdict == "ok"
+
+
+def test_bus_is_free_or_somebody_elses(path):
+    config = load_config(path)
+    assert daemon(config) is None
+    assert bus(config, None).verdict == "ok"
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        path.write_text(path.read_text().replace(f'"ipc://{path.parent}/publish"', f'"tcp://127.0.0.1:{port}"'))
+        finding = bus(load_config(path), None)
+    assert finding.verdict == "missing"
+    assert f"sport = :{port}" in finding.mend
+
+
+def test_a_daemon_that_has_the_ports_is_asked_instead(path, tmp_path):
+    status = {"state": "ready", "faults": ["pad1-port", "arm-link-lost"], "arm_state": "R"}
+    server, over = Bus(f"ipc://{tmp_path}/publish", f"ipc://{tmp_path}/command"), threading.Event()
+
+    def serve():
+        while not over.wait(0.002):
+            for request in server.receive():
+                server.reply(Reply(request, None, status))
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        with terminal(tmp_path / "pad1"), terminal(tmp_path / "pad2"), terminal(tmp_path / "arm"):
+            seen = found(path)
+    finally:
+        over.set()
+        thread.join()
+        server.close()
+    assert "state ready" in seen["bus"].says
+    assert (seen["pad 1 talks"].verdict, seen["pad 2 talks"].verdict) == ("missing", "ok")
+    assert "arm-link-lost" in seen["arm answers"].says
+
+
+# -- ports -----------------------------------------------------------------------------------------------------
+
+
+def test_a_port_is_there_and_nobody_has_it(tmp_path):
+    (tmp_path / "file").touch()
+    assert "not a serial port" in ports.port_finding("arm", str(tmp_path / "file")).says
+    with terminal(tmp_path / "arm"):
+        assert ports.port_finding("arm", str(tmp_path / "arm")).verdict == "ok"
+
+
+def test_a_port_that_may_not_be_opened(tmp_path, monkeypatch):
+    with terminal(tmp_path / "arm"):
+        monkeypatch.setattr(ports.os, "access", lambda *_: False)
+        monkeypatch.setattr(ports, "_group", lambda _: "dialout")
+        finding = ports.port_finding("arm", str(tmp_path / "arm"))
+    assert finding.verdict == "missing"
+    assert finding.mend.startswith(f"sudo usermod -aG dialout {machine.user()},")
+
+
+@pytest.mark.parametrize(("name", "verdict"), [("stranger", "missing"), ("palmd", "ok")])
+def test_who_has_a_port(tmp_path, name, verdict):
+    """A process that has it open, under a name of its own."""
+    script = tmp_path / name
+    script.write_text("import sys, time\nport = open(sys.argv[1], 'rb')\nprint(flush=True)\ntime.sleep(60)\n")
+    with terminal(tmp_path / "arm"):
+        command = [sys.executable, str(script), str(tmp_path / "arm")]
+        with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+            process.stdout.readline()
+            finding = ports.port_finding("arm", str(tmp_path / "arm"))
+            process.kill()
+    assert finding.verdict == verdict
+    assert f"({process.pid})" in finding.says if verdict == "missing" else "palmd has it" in finding.says
+
+
+def test_latency_timers(tmp_path, monkeypatch):
+    monkeypatch.setattr(ports, "USB_SERIAL", tmp_path)
+    assert ports.latency("arm", "/dev/ttyUSB7").verdict == "ok"
+    (tmp_path / "ttyUSB7").mkdir()
+    for milliseconds, verdict in ((16, "missing"), (1, "ok")):
+        (tmp_path / "ttyUSB7/latency_timer").write_text(f"{milliseconds}\n")
+        assert ports.latency("arm", "/dev/ttyUSB7").verdict == verdict
+
+
+@pytest.mark.parametrize(
+    ("data", "verdict", "says"),
+    [
+        (encode_packet(10, 20, 30), "ok", "reports in"),
+        (b"\x07\x55", "missing", "at 9600 baud"),
+        (b"", "cannot tell", "silent"),
+    ],
+)
+def test_a_pad_is_heard(tmp_path, path, data, verdict, says):
+    over = threading.Event()
+    with terminal(tmp_path / "pad1") as master:
+
+        def speak():
+            while not over.wait(0.05):
+                os.write(master, data)
+
+        thread = threading.Thread(target=speak)
+        thread.start()
+        finding = ports.pad_talks("pad 1", PadConfig(port=str(tmp_path / "pad1")), path)
+        over.set()
+        thread.join()
+    assert finding.verdict == verdict
+    assert says in finding.says
+
+
+def test_an_arm_that_says_nothing(tmp_path, path):
+    with terminal(tmp_path / "arm"):
+        t = time.monotonic()
+        finding = ports.arm_answers(str(tmp_path / "arm"), 38400, path)
+        assert time.monotonic() - t < 10.0
+    assert finding.verdict == "missing"
+    assert "tools/adept/README.md" in finding.mend
+
+
+def test_a_container_s_pseudo_terminal_of_the_same_number_is_another_port():
+    def device(major: int, minor: int, of: int) -> os.stat_result:
+        return os.stat_result((0, 0, of, 0, 0, 0, 0, 0, 0, 0), {"st_rdev": os.makedev(major, minor)})
+
+    assert ports.same_port(device(136, 3, 24), device(136, 3, 24))
+    assert not ports.same_port(device(136, 3, 77), device(136, 3, 24))
+    assert not ports.same_port(device(136, 4, 24), device(136, 3, 24))
+    assert ports.same_port(device(188, 0, 5), device(188, 0, 6)), "a USB port is one port wherever /dev is"
+
+
+def test_who_holds_a_port_is_found(monkeypatch):
+    master, slave = os.openpty()
+    try:
+        assert os.getpid() in [process for process, _ in ports.holders(os.ttyname(slave))]
+        assert ports.holders("/dev/ttyNobody") == []
+        monkeypatch.setattr(ports, "same_port", lambda *_: False)  # as if all were of a container
+        assert ports.holders(os.ttyname(slave)) == []
+    finally:
+        os.close(master)
+        os.close(slave)

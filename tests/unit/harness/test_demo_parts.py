@@ -1,0 +1,220 @@
+"""What `palmd demo` is made of: the panel, the comparison with the truth, punctuality, addresses, configuration."""
+
+import math
+
+import numpy as np
+import pytest
+import zmq
+
+from palmd.bus.client import Message
+from palmd.cli.demo import as_yaml, free_addresses
+from palmd.config import BusConfig
+from palmd.console.shipped import shipped
+from palmd.harness.comparison import Comparison, Punctuality
+from palmd.harness.panel import AGAIN_S, CALM_S, Panel
+from palmd.motion.check import check_files
+from palmd.yamlfile import load_config
+
+# -------------------------------------------------------------------------------------------------- the panel
+
+
+def looks(panel, state, severities=(), segment=-1, since=0.0, until=3.0):
+    """The commands that it gives in this situation, with their times."""
+    given = []
+    for i in range(round((until - since) / 0.1)):
+        t = since + 0.1 * i
+        command = panel.decide({"state": state, "severities": list(severities)}, {"segment": segment}, t)
+        if command:
+            given.append((round(t, 1), command))
+    return given
+
+
+def test_it_arms_and_starts():
+    panel = Panel()
+    assert looks(panel, "ready", until=0.5) == [(0.0, "arm")]
+    assert looks(panel, "tracking", since=0.5, until=1.2) == [(1.0, "start")]
+    assert looks(panel, "tracking", segment=0, since=1.2) == []
+
+
+def test_it_asks_again_but_never_hurries():
+    assert [t for t, _ in looks(Panel(), "ready")] == pytest.approx([0.0, AGAIN_S, 2 * AGAIN_S])
+
+
+def test_after_a_hold_it_waits_until_all_is_calm():
+    panel = Panel()
+    assert looks(panel, "hold", ["hold", "note"], segment=1, until=2.0) == []
+    assert looks(panel, "hold", ["note", "degrade"], segment=1, since=2.0, until=2.9) == [(2.0 + CALM_S, "start")]
+
+
+def test_it_resets_a_fault_and_leaves_a_broken_rig_alone():
+    assert looks(Panel(), "fault", ["stop"], until=1.0) == [(CALM_S, "reset")]
+    for state, severities in (("idle", ()), ("ready", ["stop"]), (None, ())):
+        assert looks(Panel(), state, severities) == []
+    assert Panel().decide({}, {}, 0.0) is None
+
+
+def seen(panel, *states):
+    for state, *severities in states:
+        panel.see({"state": state, "severities": severities})
+
+
+@pytest.mark.parametrize("wish", ["hold", "ready"])
+def test_it_leaves_alone_what_somebody_has_held_or_stopped_until_it_moves_again(wish):
+    panel = Panel()
+    seen(panel, ("ready",), ("tracking",), (wish,))
+    assert looks(panel, wish, segment=-1 if wish == "ready" else 0) == []
+    seen(panel, ("tracking",))
+    assert looks(panel, "tracking", segment=-1) == []  # armed by somebody, who has not started yet
+    assert looks(panel, "tracking", segment=0, until=0.2) == []
+    assert [command for _, command in looks(panel, "tracking", segment=-1, since=0.2, until=1.0)] == ["start"]
+
+
+@pytest.mark.parametrize("severity", ["hold", "stop"])
+def test_what_a_fault_has_held_or_stopped_is_nobodys_wish(severity):
+    panel = Panel()
+    seen(panel, ("tracking",), ("hold", "note", severity), ("hold",))
+    assert looks(panel, "hold", segment=0, until=1.0) == [(CALM_S, "start")]
+    panel = Panel()
+    seen(panel, ("tracking",), ("fault", "stop"), ("ready",))
+    assert looks(panel, "ready", until=0.5) == [(0.0, "arm")]
+
+
+# --------------------------------------------------------------------------------------------- the comparison
+
+THETA = np.arange(360) * (math.tau / 360)
+TRUE_H = 0.02 + 1e-3 * np.cos(2 * THETA) + 5e-4 * np.sin(3 * THETA)
+
+
+def tell(comparison, topic, t=0.0, **fields):
+    comparison.take(Message(topic, {"mono_ns": round(t * 1e9), **fields}, t))
+
+
+def run_for(comparison, seconds, settles=0.0, begin=100.0, error=0.0):
+    """A run from `begin`: truth each 10 ms, estimates between, valid after `settles`, r1 wrong by `error`."""
+    tell(comparison, "rig/object", begin, h_m=TRUE_H.tolist(), rho_m=0.014, mass_kg=0.1, mu=0.12)
+    comparison.started(begin)
+    for k in range(round(seconds * 100)):
+        t = begin + 0.01 * k
+        r = 0.02 + 1e-3 * (t - begin)
+        tell(comparison, "rig/truth", t, r1_m=r, r2_m=0.02, omega0_rad_s=0.5)
+        t += 0.004
+        tell(
+            comparison, "palm/estimate", t, valid=t - begin > settles, observer="shape", r1_m=r + 4e-6 + error,
+            r2_m=0.02, omega0_rad_s=0.6, rho_m=0.0154, mass_kg=0.099, mu=0.11,
+        )  # fmt: skip
+    touched = [int(theta < 1.0) for theta in THETA]
+    h = np.roll(TRUE_H, 40)
+    h[200] += 3e-4  # where nothing was touched
+    told = {"theta_rad": THETA.tolist(), "h_m": h.tolist(), "touched": touched, "h_sd_m": [*[4e-5] * 359, 8e-5]}
+    tell(comparison, "palm/shape", **told)
+
+
+def test_the_summary_compares_with_the_truth():
+    comparison = Comparison(7)
+    run_for(comparison, 4.0, settles=2.1, error=1e-4)
+    tell(comparison, "palm/loop", work_p99_ms=1.25)
+    assert comparison.settled
+    told = comparison.summary()
+    assert told.startswith("palmd demo: seed 7, shape observer settled after 2.1 s, outline 0 µm RMS (0.00%) on 16% t")
+    assert "whole outline within 0.300 mm (largest sd 0.080 mm)" in told
+    assert "r 0.071 mm, omega0 0.100 rad/s" in told  # 0.1 mm in one of two
+    assert "rho +10.0%, mu 0.11 (true 0.12), mass -1.0%" in told
+    assert told.endswith("ticks 400, late > 2 ms 0.00%, work p99 1.2 ms")
+    assert "\n" not in told
+
+
+def test_without_a_valid_estimate_nothing_is_claimed():
+    comparison = Comparison(7)
+    run_for(comparison, 2.0, settles=99.0)
+    assert not comparison.settled
+    told = comparison.summary()
+    assert "shape observer never settled" in told
+    assert "outline" not in told
+    assert "rho" not in told
+    assert "no valid estimate yet" in comparison.progress(102.0)
+
+
+def test_an_estimate_before_the_motion_does_not_settle_anything():
+    comparison = Comparison(7)
+    tell(comparison, "palm/estimate", 99.0, valid=True, observer="shape", r1_m=0.0, r2_m=0.0, omega0_rad_s=0.0)
+    comparison.started(100.0)
+    tell(comparison, "palm/estimate", 99.9, valid=True, observer="shape", r1_m=0.0, r2_m=0.0, omega0_rad_s=0.0)
+    assert not comparison.settled
+
+
+def test_progress_names_state_and_grave_faults():
+    comparison = Comparison(7)
+    run_for(comparison, 1.0)
+    tell(comparison, "palm/state", state="hold", faults=["a", "b"], severities=["hold", "note"], hints=["", ""])
+    told = comparison.progress(103.2)
+    assert told.startswith("    3 s  hold")
+    assert "rho 15.40 mm  mu 0.11  mass 99 g  outline within 0 µm on 16%" in told
+    assert told.endswith("  a")
+
+
+def test_memory_does_not_grow():
+    comparison = Comparison(7)
+    run_for(comparison, 8.0)
+    assert sum(len(value) for value in vars(comparison).values() if hasattr(value, "__len__")) < 800
+
+
+# -------------------------------------------------------------------------------------------------- punctuality
+
+
+def late_share(times):
+    punctuality = Punctuality()
+    for t in times:
+        punctuality.tick(t)
+    return punctuality.late_share(len(times))
+
+
+def test_late_and_missing_ticks_are_counted():
+    random = np.random.default_rng(1)
+    times = 5.0 + 0.01 * np.arange(1000) + random.uniform(0.0, 2e-4, 1000)
+    assert late_share(times) == 0.0
+    late = times.copy()
+    late[[3, 500, 501]] += [0.003, 0.006, 0.0088]
+    assert late_share(late) == pytest.approx(3 / 1000)
+    late[700] += 0.0015
+    assert late_share(late) == pytest.approx(3 / 1000)
+    assert late_share(np.delete(times, [300, 301, 302, 303])) == pytest.approx(4 / 1000)
+    assert math.isnan(late_share(times[:50]))
+
+
+# -------------------------------------------------------------------------------------- addresses, configuration
+
+
+def test_free_addresses_are_those_wanted_or_others_that_can_be_had():
+    with zmq.Context() as context, context.socket(zmq.PUB) as busy:
+        taken = busy.bind_to_random_port("tcp://127.0.0.1")
+        wanted = BusConfig(publish=f"tcp://127.0.0.1:{taken}", command="tcp://127.0.0.1:9871")
+        found = free_addresses(wanted)
+        assert found.publish != wanted.publish
+        assert found.command != found.publish
+        for address in (found.publish, found.command):
+            with context.socket(zmq.PUB) as socket:
+                socket.bind(address)
+
+
+def test_the_daemons_configuration_is_the_rigs_with_its_ports(tmp_path):
+    config = load_config(shipped("demo.yaml"))
+    bus = BusConfig(publish="tcp://127.0.0.1:9882", command="tcp://127.0.0.1:9883")
+    path = tmp_path / "palmd.yaml"
+    path.write_text(as_yaml(config, bus, {"pad1": "/dev/a", "pad2": "/dev/b", "arm": "/dev/c"}))
+    mine = load_config(path)
+    assert (mine.pads.palm1.port, mine.pads.palm2.port, mine.arm.port) == ("/dev/a", "/dev/b", "/dev/c")
+    assert mine.bus == bus
+    assert mine.plan == config.plan
+    assert mine.plan.is_file()
+    assert (mine.rig, mine.limits, mine.observer) == (config.rig, config.limits, config.observer)
+
+
+def test_what_is_shipped_is_good():
+    files = [shipped(name) for name in ("palmd.yaml", "demo.yaml")]
+    plans = sorted(shipped("plans").glob("*.yaml"))
+    assert len(plans) >= 3
+    assert check_files([*files, *plans]) == []
+
+
+def test_a_summary_can_be_made_of_nothing():
+    assert "never settled" in Comparison(1).summary()

@@ -1,0 +1,207 @@
+"""The closed loop without wires: deterministic by seed, through the same commands, and right about the object."""
+
+import dataclasses
+import itertools
+import math
+
+import pytest
+
+from palmd.config import PlanSpec, rig_description
+from palmd.daemon.exploration_requests import Decider, InlineExplorer
+from palmd.harness.outcome import Judge, conclude
+from palmd.harness.wireless import Wireless, WirelessError
+from palmd.motion.explorer import Decision
+from palmd.motion.segments import Move
+from palmd.rig.fault_injection import order
+from palmd.rig.world import default_config
+
+ROCK = PlanSpec.model_validate(
+    {
+        "name": "rock",
+        "repeat": "forever",
+        "segments": [{"sine": {"phi1_deg": 25, "phi2_deg": 10}, "frequency_hz": [0.41, 0.57], "duration_s": 20}],
+    }
+)
+EXPLORE = PlanSpec.model_validate({"name": "explore", "segments": [{"explore": {"time_limit_s": 30}}]})
+RATE_LIMIT = math.radians(120.0)
+
+
+def wireless(seed, **how):
+    return Wireless(default_config(), ROCK, seed, **how)
+
+
+def bits(seed, seconds=5.0):
+    """Everything that a run says and everything that is true in it, to the last bit."""
+    run = wireless(seed)
+    run.start()
+    return repr([(instant.messages, instant.truth) for instant in run.run(seconds)])
+
+
+def test_the_same_seed_gives_the_same_bits():
+    assert bits(3) == bits(3)
+
+
+def test_another_seed_has_another_body():
+    bodies = [wireless(seed).world.object_truth() for seed in (3, 4)]
+    assert bodies[0]["h_m"] != bodies[1]["h_m"]
+    assert bodies[0]["mass_kg"] != bodies[1]["mass_kg"]
+
+
+@pytest.mark.parametrize(("seed", "observer_name"), [(1, "shape"), (3, "shape"), (6, "extended")])
+def test_it_settles_and_is_right(seed, observer_name):
+    outcome = conclude(wireless(seed, observer_name=observer_name), 12.0)
+    assert outcome.t_settled < 6.0
+    assert outcome.valid > 0.8
+    assert outcome.r_rms < 1e-4
+    assert outcome.e_h < 1e-4
+    assert outcome.touched > 0.05
+    assert abs(outcome.mass_error) < 0.1
+    assert outcome.objects == 1
+    assert outcome.contact_losses == outcome.falls == 0
+    assert outcome.outside_limits == 0
+    assert 0.0 < outcome.largest_rate < RATE_LIMIT
+
+
+def test_ticks_are_the_loops_own_and_truth_is_of_the_same_instant():
+    run = wireless(5)
+    run.start()
+    instants = list(run.run(0.5))
+    times = [instant.t for instant in instants]
+    assert len(times) == 50
+    assert [b - a for a, b in itertools.pairwise(times)] == pytest.approx([0.01] * 49)
+    assert instants[-1].truth == run.world.truth()
+    assert {"palm/estimate", "palm/contact", "palm/motion"} <= instants[-1].messages.keys()
+
+
+def test_commands_go_the_way_of_a_client():
+    run = wireless(5)
+    with pytest.raises(WirelessError, match="it must be tracking or hold"):
+        run.ask("start")
+    run.start()
+    assert run.ask("status")["plan"] == "rock"
+    with pytest.raises(ValueError, match="unknown argument"):
+        run.ask("jog", phi3_deg=0.1)
+    run.stop()
+    assert run.core.at_rest
+    assert run.world.truth()["arm_state"] == "R"
+
+
+def test_a_rig_that_does_not_get_ready_is_told():
+    run = wireless(5)
+    run.world.mischief.add(order("mute", 0.0, port="arm"))
+    with pytest.raises(WirelessError, match="not ready within 5 s, but idle: "):
+        run.start()
+
+
+def test_after_a_hold_it_goes_on():
+    run = wireless(5)
+    run.start()
+    run.world.mischief.add(order("mute", run.t, port="pad1", for_s=0.5))
+    states = [str(run.core.state) for _ in run.run(3.0)]
+    assert "hold" in states
+    assert states[-1] == "tracking"
+    assert run.core.setpoints.moving
+
+
+class ToAndFro(Decider):
+    """Decides for two poses in turn, and that all is done once it has been asked so often."""
+
+    questions_left = 15
+
+    def answer(self, question):
+        answer = super().answer(question)
+        if question.outlook is None:
+            return answer
+        self.questions_left -= 1
+        here = question.under_way.move.end
+        way = math.radians(14 if here[0] < math.radians(45) else -14)
+        move = Move(here, (here[0] + way, here[1]), 0.7)
+        decision = Decision("move", move, "goes on", 0.3, 0.9)
+        return dataclasses.replace(
+            answer, decision=decision if self.questions_left > 0 else Decision("done", None, "enough")
+        )
+
+
+def exploring(seed=3):
+    decider = ToAndFro(rig_description(default_config()))
+    run = Wireless(default_config(), EXPLORE, seed, explorer=InlineExplorer(decider))
+    run.start()
+    return run
+
+
+def test_an_exploration_begins_blind_goes_on_as_decided_and_ends_when_told():
+    run = exploring()
+    instants = list(run.run(20.0))
+    valid = next(instant.t for instant in instants if instant.messages["palm/estimate"]["valid"])
+    assert valid < 8.0
+    motions = [instant.messages["palm/motion"] for instant in instants if instant.t > 1.0]
+    phi1 = [math.degrees(motion["phi1_cmd_rad"]) for motion in motions]
+    assert max(phi1) - min(phi1) == pytest.approx(14, abs=0.1)
+    assert {motion["progress"] for motion in motions} >= {0.3}
+    status = run.ask("status")
+    assert status["explored"] == {"coverage": 0.3, "reachable": 0.9, "reason": "enough"}
+    assert (status["doing"], status["moving"], status["state"]) == ("explore", False, "tracking")
+    assert run.world.status()["setpoints_outside_limits"] == run.core.setpoints.interventions == 0
+    run.stop()
+
+
+def test_an_exploration_is_the_same_to_the_last_bit_for_the_same_seed():
+    first, second = (repr([instant.messages for instant in exploring().run(5.0)]) for _ in range(2))
+    assert first == second
+
+
+def test_an_exploration_goes_on_after_a_hold_from_where_it_stood():
+    run = exploring()
+    for instant in run.run(8.0):
+        if instant.messages["palm/estimate"]["valid"]:
+            break
+    list(run.run(1.0))
+    run.world.mischief.add(order("mute", run.t, port="pad2", for_s=0.6))
+    instants = list(run.run(4.0))
+    held = [i for i in instants if i.messages.get("palm/state", {}).get("state") == "hold"]
+    assert held
+    stood = held[-1].messages["palm/motion"]["phi1_cmd_rad"]
+    later = [i.messages["palm/motion"]["phi1_cmd_rad"] for i in instants if i.t > held[-1].t]
+    steps = [abs(b - a) for a, b in itertools.pairwise([stood, *later])]
+    assert max(steps) < RATE_LIMIT * 0.01
+    assert max(later) - min(later) > math.radians(10)
+    assert str(run.core.state) == "tracking"
+
+
+def test_an_estimate_is_judged_against_the_truth():
+    run = wireless(5)
+    run.start()
+    (instant,) = run.run(0.01)
+    judge = Judge(t_started=0.0)
+    truth = instant.truth
+    names = ("r1_m", "r2_m", "omega0_rad_s")
+    body = run.world.object_truth()
+    judge.take(dataclasses.replace(instant, t=1.0))
+    for t, valid, off in ((2.0, True, 0.0), (3.0, True, 4e-4), (4.0, False, 1.0), (5.0, True, 0.0)):
+        estimate = {name: truth[name] + off * (name == "r2_m") for name in names}
+        estimate |= {"valid": valid, "object": 2, "rho_m": 1.1 * body["rho_m"], "mu": body["mu"] - 0.02}
+        estimate |= {"mass_kg": 0.9 * body["mass_kg"]}
+        judge.take(dataclasses.replace(instant, t=t, messages={"palm/estimate": estimate}))
+    outcome = judge.outcome(run.world)
+    assert outcome.settled
+    assert outcome.t_settled == 2.0
+    assert outcome.valid == 0.75
+    assert outcome.wrong == pytest.approx(1 / 3)
+    assert outcome.r_rms == pytest.approx(4e-4 / math.sqrt(6))
+    assert outcome.omega0_rms == pytest.approx(0.0)
+    assert outcome.rho_error == pytest.approx(0.1)
+    assert outcome.mu_error == pytest.approx(-0.02)
+    assert outcome.mass_error == pytest.approx(-0.1)
+    assert outcome.objects == 2
+    assert math.isnan(outcome.e_h)
+
+
+def test_what_never_settled_has_no_numbers():
+    run = wireless(5)
+    run.start()
+    judge = Judge(run.t)
+    for instant in run.run(0.05):
+        judge.take(instant)
+    outcome = judge.outcome(run.world)
+    assert not outcome.settled
+    assert all(math.isnan(x) for x in (outcome.valid, outcome.wrong, outcome.r_rms, outcome.e_h, outcome.rho_error))

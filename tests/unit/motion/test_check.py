@@ -1,0 +1,120 @@
+"""`palmd check`: configurations and plans together, all errors with their places."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import pytest
+from shut import shut
+
+from palmd.config import LimitsConfig
+from palmd.daemon.planner import read_plan
+from palmd.motion.check import check_files, load_trajectory, motion_limits
+from palmd.motion.limits import MotionLimits
+from palmd.yamlfile import ConfigError, load_config
+
+ROOT = Path(__file__).parents[3]
+PORTS = "pads: {palm1: {port: /dev/a}, palm2: {port: /dev/b}}\narm: {port: /dev/c}\n"
+ROCK = """\
+name: rock
+segments:
+  - {move: {phi1_deg: 45, phi2_deg: 90}, duration_s: 2.0}
+  - {rate: {phi1_deg_s: 20}, until: {phi1_deg: 75}}
+  - {explore: {coverage: 0.95, time_limit_s: 60}}
+"""
+WRONG = """\
+name: wrong
+repeat: 2
+segments:
+  - {explore: {coverage: 0.95, time_limit_s: 60}}
+  - {hold_s: 1}
+dither: {amplitude_deg: 0.1, frequency_hz: 10}
+"""
+
+
+def write(folder: Path, **files: str) -> list[Path]:
+    paths = [folder / f"{name}.yaml" for name in files]
+    for path, text in zip(paths, files.values(), strict=True):
+        path.write_text(text)
+    return paths
+
+
+def test_every_shipped_file_is_fine() -> None:
+    configs = sorted((ROOT / "config").glob("*.yaml"))
+    plans = sorted((ROOT / "config/plans").glob("*.yaml"))
+    assert len(configs) >= 2
+    assert len(plans) >= 3
+    for config in configs:
+        assert check_files([config, *plans]) == []
+    assert check_files(plans) == []
+
+
+def test_the_limits_are_those_of_the_configuration_beside_else_the_defaults(tmp_path: Path) -> None:
+    config, plan = write(tmp_path, palmd=PORTS + "limits: {phi1_deg: [6, 70]}\n", rock=ROCK)
+    assert check_files([plan]) == []
+    expected = [f"{plan}:4:5: segments.1: phi1 reaches 75°, the limit is 70°"]
+    assert check_files([plan, config]) == expected
+    assert check_files([config, plan]) == expected
+
+
+def test_errors_of_all_files_come_at_once(tmp_path: Path) -> None:
+    broken = PORTS + "limits: {phi1_deg: [6, 70]}\nloop: {rate_hz: fast}\n"
+    config, plan, other = write(tmp_path, palmd=broken, rock=ROCK, other="name: x\nsegments: []\n")
+    errors = check_files([config, plan, other, tmp_path / "none.yaml"])
+    assert errors == [
+        f"{tmp_path / 'none.yaml'}:1:1: no such file",
+        f"{config}:4:17: loop.rate_hz: must be a number; got the text fast",
+        f"{plan}:4:5: segments.1: phi1 reaches 75°, the limit is 70°",
+        f"{other}:2:11: segments: must have at least 1 entries; got 0",
+    ]
+
+
+def test_a_plan_beside_unusable_limits_is_checked_for_its_form_only(tmp_path: Path) -> None:
+    config, plan = write(tmp_path, palmd=PORTS + "limits: {phi1_deg: [70, 6]}\n", rock=ROCK)
+    assert [error.split(":")[0] for error in check_files([config, plan])] == [str(config)]
+
+
+def test_the_plan_that_a_configuration_names_is_checked_once(tmp_path: Path) -> None:
+    config, plan = write(tmp_path, palmd=PORTS + "limits: {phi1_deg: [6, 70]}\nplan: rock.yaml\n", rock=ROCK)
+    assert len(check_files([config])) == 1
+    assert len(check_files([config, plan])) == 1
+    plan.unlink()
+    assert check_files([config]) == []
+
+
+def test_an_exploration_comes_last_and_once_and_its_place_in_the_file_is_told_otherwise(tmp_path: Path) -> None:
+    (plan,) = write(tmp_path, rock=ROCK)
+    limits = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555)
+    assert load_trajectory(plan, limits).labels == ("move", "rate", "explore")
+    (wrong,) = write(tmp_path, wrong=WRONG)
+    with pytest.raises(ConfigError) as caught:
+        load_trajectory(wrong, limits)
+    expected = [f"{wrong}:2:9: repeat: ", f"{wrong}:4:5: segments.0: ", f"{wrong}:6:9: dither: "]
+    for line, start in zip(caught.value.errors, expected, strict=True):
+        assert line.startswith(start)
+    assert check_files([wrong]) == caught.value.errors
+    shipped = load_trajectory(ROOT / "config/plans/lively.yaml", motion_limits(load_config(ROOT / "config/demo.yaml")))
+    assert shipped.name == "lively"
+
+
+def test_a_plan_that_explores_needs_an_observer_that_knows_an_outline(tmp_path: Path) -> None:
+    config, plan = write(tmp_path, palmd=PORTS + "observer: {primary: extended}\nplan: rock.yaml\n", rock=ROCK)
+    (error,) = check_files([config])
+    assert error.startswith(f"{config}:3:21: observer.primary: ")
+    assert str(plan) in error
+    config.write_text(PORTS + "observer: {primary: shape}\nplan: rock.yaml\n")
+    assert check_files([config]) == []
+
+
+def test_a_plan_that_may_not_be_looked_for_is_told() -> None:
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        folder.chmod(0o755)
+        (folder / "plans").mkdir()
+        (config,) = write(folder, palmd=PORTS + "plan: plans/rock.yaml\n")
+        expected = f"{folder}/plans/rock.yaml:1:1: cannot be read: Permission denied"
+        with shut(folder / "plans"):
+            assert check_files([config]) == [expected]
+            with pytest.raises(ConfigError, match=expected):
+                read_plan(folder / "plans/rock.yaml", motion_limits(load_config(config)), None)

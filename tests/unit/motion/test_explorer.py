@@ -1,0 +1,188 @@
+"""The explorer's decisions: the same for the same seed, inside the limits, and honest about why it ends."""
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+
+from palmd.config import ExploreGoal, LimitsConfig
+from palmd.events import Outlook, PalmMotion, RigDescription
+from palmd.model import shape, shape_map
+from palmd.motion.check import motion_limits
+from palmd.motion.explorer import STUCK_S, Explorer, UnderWay
+from palmd.motion.limits import MotionLimits, problems, ranges
+from palmd.motion.rollout_predictor import BINS
+from palmd.motion.segments import Move
+from palmd.rig.plant import Hinge, Plant, random_surface, stable_poses
+from palmd.rig.shapes import random_body
+from palmd.rig.world import default_config
+
+LIMITS = motion_limits(default_config())
+POSE = (math.radians(45.0), math.radians(90.0))
+STANDING = UnderWay(Move(POSE, POSE, 0.1), 0.1)
+NOTHING = np.zeros(BINS, dtype=np.bool_)
+SHARP = np.full(BINS, 1e-5)
+
+
+@cache
+def lying(seed=2, mu=0.15):
+    """The likeliest state of an object at rest in a stable pose, and a few like it."""
+    random = np.random.default_rng([seed, 5])
+    body = random_body("rig", random)
+    state = np.zeros(shape_map.N)
+    state[shape_map.Z.PSI] = stable_poses(body, PalmMotion(*POSE))[0]
+    state[shape_map.Z.LN_RHO], state[shape_map.Z.MU] = math.log(body.rho), mu
+    state[shape_map.Z.LN_DITHER] = math.log(0.012)
+    theta = np.arange(360) * (math.tau / 360)
+    state[shape_map.Z.SHAPE :] = shape.coefficients_of(body.support.sample(theta))
+    states = np.tile(state, (4, 1))
+    states[1:, shape_map.Z.MU] += (0.02, -0.02, 0.04)
+    return states
+
+
+def outlook(t=0.0, touched=NOTHING, h_sd=SHARP, states=None, count=1):
+    return Outlook(t, lying() if states is None else states, touched, h_sd, count)
+
+
+def explorer(seed=0, **goal):
+    return Explorer(RigDescription(), LIMITS, ExploreGoal(**{"coverage": 0.95, "time_limit_s": 60.0} | goal), seed)
+
+
+def test_the_same_seed_decides_the_same():
+    def moves(seed):
+        mine, under_way, found = explorer(seed), STANDING, []
+        for number in range(2):
+            decision = mine.decide(outlook(0.5 * number), under_way)
+            found.append(decision.move)
+            under_way = UnderWay(decision.move, decision.move.duration)
+        return found
+
+    assert moves(1) == moves(1)
+    assert moves(1) != moves(2)
+
+
+def test_moves_begin_where_the_one_under_way_ends_and_keep_every_limit():
+    mine, under_way, states = explorer(), STANDING, lying()
+    for number in range(4):
+        decision = mine.decide(outlook(0.5 * number, states=states), under_way)
+        if decision.kind != "move":
+            assert decision.reason
+            continue
+        assert decision.move.start == under_way.move.end
+        motion = [LIMITS.values(decision.move.at(t)) for t in np.linspace(0.0, decision.move.duration, 200)]
+        assert problems(LIMITS.bounds, ranges(motion)) == []
+        under_way = UnderWay(decision.move, 0.0)  # the next one is decided while it has just begun
+
+
+def test_what_it_does_shows_new_normals_on_the_plant():
+    """A few moves, each from what the plant really did: much more is touched than where the object first lay."""
+    random = np.random.default_rng([2, 5])
+    body = random_body("rig", random)
+    surface = random_surface("rig", random)
+    plant = Plant(body, Hinge("arc"), surface)
+    states = lying(mu=surface.mu).copy()
+    plant.place(PalmMotion(*POSE), states[0, 0])
+    mine, under_way, touched, t = explorer(), STANDING, NOTHING.copy(), 0.0
+    for _ in range(6):
+        states[:, :2] = plant.state.psi, plant.state.omega0
+        decision = mine.decide(outlook(t, touched.copy(), states=states), under_way)
+        if decision.kind == "done":
+            break
+        assert decision.kind == "move"
+        move = decision.move
+        for step in range(round(move.duration / 1e-3)):
+            palms = move.at((step + 1) * 1e-3)
+            plant.advance(move.at((step + 0.5) * 1e-3), palms, 1e-3)
+            assert plant.touching == (True, True)
+            for normal in (palms.phi1 - math.pi / 2, palms.phi1 + palms.phi2 - 1.5 * math.pi):
+                touched[math.floor((normal - plant.state.psi) / (math.tau / BINS)) % BINS] = True
+        t += move.duration
+        under_way = UnderWay(move, move.duration)
+    assert touched.mean() > 0.3
+
+
+def test_asked_for_no_choice_it_only_judges_the_move_under_way():
+    sliding = UnderWay(Move(POSE, (math.radians(8.0), math.radians(36.0)), 0.3), 0.0)
+    assert explorer().decide(outlook(), STANDING, choose=False).kind == "safe"
+    assert explorer().decide(outlook(), sliding, choose=False).kind == "unsafe"
+
+
+def test_it_is_done_when_enough_is_touched_and_reports_the_reach():
+    enough = NOTHING.copy()
+    enough[:70] = True  # 97 %
+    decision = explorer().decide(outlook(touched=enough), STANDING)
+    assert decision.kind == "done"
+    assert decision.coverage == pytest.approx(70 / 72, abs=0.03)
+    assert 0.9 <= decision.reachable <= 1.0
+    assert "touched" in decision.reason
+    assert explorer(coverage=1.0).decide(outlook(touched=enough), STANDING).kind != "done"
+
+
+def test_a_band_that_was_asked_for_must_be_reached_too():
+    everything = np.ones(BINS, dtype=np.bool_)
+    blunt = SHARP.copy()
+    blunt[20] = 1e-4
+    assert explorer(band_mm=0.05).decide(outlook(touched=everything, h_sd=blunt), STANDING).kind != "done"
+    assert explorer(band_mm=0.05).decide(outlook(touched=everything), STANDING).kind == "done"
+    assert explorer().decide(outlook(touched=everything, h_sd=blunt), STANDING).kind == "done"
+
+
+def test_it_ends_at_the_time_limit_and_names_what_is_missing():
+    mine = explorer(time_limit_s=10.0)
+    gap = np.ones(BINS, dtype=np.bool_)
+    gap[10:20] = False
+    assert mine.decide(outlook(0.0, gap), STANDING).kind != "done"
+    decision = mine.decide(outlook(10.5, gap), STANDING)
+    assert decision.kind == "done"
+    assert "time limit of 10 s" in decision.reason
+    assert "50–100°" in decision.reason
+
+
+def test_it_gives_up_when_nothing_new_has_come_for_long():
+    mine = explorer(time_limit_s=600.0)
+    gap = np.ones(BINS, dtype=np.bool_)
+    gap[-5:] = gap[:5] = False
+    assert mine.decide(outlook(0.0, gap), STANDING).kind != "done"
+    gap[4] = True
+    assert mine.decide(outlook(STUCK_S, gap), STANDING).kind != "done"
+    decision = mine.decide(outlook(2 * STUCK_S + 1.0, gap), STANDING)
+    assert decision.kind == "done"
+    assert "nothing new" in decision.reason
+    assert "335–20°" in decision.reason
+
+
+def test_a_move_that_throws_the_object_off_is_unsafe():
+    hasty = UnderWay(Move(POSE, (POSE[0], math.radians(150.0)), 0.12), 0.02)
+    decision = explorer().decide(outlook(), hasty)
+    assert decision.kind == "unsafe"
+    assert "contact" in decision.reason
+    gentle = UnderWay(Move(POSE, (POSE[0], math.radians(100.0)), 1.2), 0.02)
+    assert explorer().decide(outlook(), gentle).kind == "move"
+
+
+def test_what_is_safe_with_the_likeliest_state_only_is_not_done():
+    """One sample, so large that it leaves the pads, is enough to refuse the move that would be made otherwise."""
+    states = lying().copy()
+    states[3, shape_map.Z.SHAPE] *= 3.5
+    doubtful, sure = explorer().decide(outlook(states=states), STANDING), explorer().decide(outlook(), STANDING)
+    assert sure.kind == "move"
+    assert doubtful.move != sure.move
+
+
+@pytest.mark.parametrize(
+    ("phi1_deg", "phi2_deg"),
+    [((44.0, 47.0), (89.0, 92.0)), ((45.0, 45.5), (60.0, 120.0)), ((85.0, 150.0), (85.0, 155.0))],
+    ids=["one pose", "one angle", "one sum"],
+)
+def test_limits_that_leave_next_to_no_room_are_kept_too(phi1_deg, phi2_deg):
+    """Until the roadmap, if only of one pose, is complete and in use."""
+    limits = MotionLimits.from_config(LimitsConfig(phi1_deg=phi1_deg, phi2_deg=phi2_deg), pad_length=LIMITS.pad_length)
+    mine = Explorer(RigDescription(), limits, ExploreGoal(coverage=0.95, time_limit_s=60.0))
+    here = (math.radians(phi1_deg[0] + 0.25), math.radians(phi2_deg[0] + 1.0))
+    for number in range(4):
+        decision = mine.decide(outlook(0.5 * number), UnderWay(Move(here, here, 0.1), 0.1))
+        assert decision.kind in ("move", "wait")
+        if decision.move is not None:
+            motion = [limits.values(decision.move.at(t)) for t in np.linspace(0.0, decision.move.duration, 50)]
+            assert problems(limits.bounds, ranges(motion)) == []

@@ -1,0 +1,180 @@
+"""The roadmap: what it promises is kept by the same dynamics, and it leads where no few moves drawn at random do."""
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+
+from palmd.config import ExploreGoal
+from palmd.events import Outlook, RigDescription
+from palmd.model import shape, shape_map
+from palmd.model.outputs import rig_inputs
+from palmd.motion import candidates
+from palmd.motion.check import motion_limits
+from palmd.motion.explorer import Explorer, UnderWay
+from palmd.motion.limits import PHI12_MAX, problems, ranges
+from palmd.motion.roadmap import NEVER_S, ORIENTATIONS, Roadmap
+from palmd.motion.rollout_predictor import BINS, MARGIN_M, Moves, RolloutPredictor, goodness
+from palmd.motion.segments import Move
+from palmd.rig.plant import random_surface
+from palmd.rig.shapes import random_body
+from palmd.rig.world import World, default_config
+
+LIMITS = motion_limits(default_config())
+PREDICTOR = RolloutPredictor(rig_inputs(RigDescription()))
+
+
+@cache
+def state(seed=4, kind="rig"):
+    random = np.random.default_rng([seed, 7])
+    body, surface = random_body(kind, random), random_surface(kind, random)
+    found = np.zeros(shape_map.N)
+    found[shape_map.Z.LN_RHO], found[shape_map.Z.MU] = math.log(body.rho), surface.mu
+    found[shape_map.Z.LN_DITHER], found[shape_map.Z.DAMPING] = math.log(surface.dither), surface.damping
+    found[shape_map.Z.SHAPE :] = shape.coefficients_of(body.support.sample(np.arange(360) * (math.tau / 360)))
+    return found
+
+
+@cache
+def roadmap():
+    made = Roadmap(PREDICTOR, LIMITS, state())
+    made.renew(state(), len(made.poses))
+    return made
+
+
+def bins(*which):
+    marks = np.zeros(BINS, dtype=np.bool_)
+    marks[list(which)] = True
+    return marks
+
+
+def rolled(here, psi, ends):
+    """What comes of going from `here` to each of `ends`, as the roadmap's moves go, from rest at psi."""
+    start = state().copy()
+    start[shape_map.Z.PSI] = psi
+    rates = np.full((len(ends), 1), candidates.RATE_SHARE * LIMITS.rate)
+    moves = candidates.timed(here, ends[:, None], rates, LIMITS)
+    return PREDICTOR.of(start, moves), moves.durations[:, 0]
+
+
+def test_its_poses_keep_the_limits_and_reach_their_rims():
+    poses = roadmap().poses
+    for pose in poses:
+        assert not problems(LIMITS.bounds, ranges([LIMITS.values(Move(tuple(pose), tuple(pose), 0.1).at(0.0))]))
+        radius = state()[shape_map.Z.SHAPE]
+        assert radius / math.tan(pose[1] / 2) < LIMITS.pad_length - MARGIN_M
+    assert poses.sum(axis=1).max() > PHI12_MAX - math.radians(3.0)
+    assert poses[:, 0].min() < math.radians(10.0)
+
+
+def test_it_is_complete_once_each_pose_has_been_looked_at():
+    young = Roadmap(PREDICTOR, LIMITS, state())
+    assert not young.complete
+    young.renew(state(), 3)
+    assert not young.complete
+    young.renew(state(), len(young.poses) - 3)
+    assert young.complete
+
+
+def test_where_nothing_is_wanted_it_takes_for_ever():
+    assert (roadmap().time_to(bins()).seconds == NEVER_S).all()
+
+
+def test_between_its_poses_it_promises_nothing():
+    to_go = roadmap().time_to(bins(*range(BINS)))
+    on, off = to_go.poses[3], to_go.poses[3] + 0.01
+    assert to_go.at(on, np.array(0.3)) < 5.0
+    assert to_go.at(off, np.array(0.3)) == NEVER_S
+    assert to_go.at(on, np.array(math.nan)) >= 0.0
+    assert to_go.nearest(off) == pytest.approx(on)
+
+
+def test_no_move_is_quicker_than_it_says():
+    """Bellman's equation from above, each move rolled forward here: no way by a next pose beats the time to go."""
+    wanted = bins(*range(30, 36))
+    to_go = roadmap().time_to(wanted)
+    random = np.random.default_rng(3)
+    compared = 0
+    for number in random.integers(0, len(to_go.poses), 12):
+        here, place = to_go.poses[number], random.integers(0, ORIENTATIONS)
+        apart = np.abs(to_go.poses - here).max(axis=1)
+        ends = to_go.poses[(apart > 0) & (apart < math.radians(45.0))]
+        foreseen, seconds = rolled(here, place * math.tau / ORIENTATIONS, ends)
+        safe = goodness(foreseen, LIMITS.pad_length)[:, 0] > 1.0
+        after = np.where((foreseen.touched[:, 0] & wanted).any(axis=1), 0.0, to_go.at(ends, foreseen.psi[:, 0]))
+        if safe.any():
+            compared += 1
+            assert to_go.seconds[number, place] <= (seconds + after)[safe].min() + 0.02
+    assert compared > 4
+
+
+def test_following_it_leads_to_what_is_wanted():
+    """From wherever it says seconds, its own greedy policy gets there on the model, though not always that soon."""
+    wanted = bins(*range(10, 14))
+    to_go = roadmap().time_to(wanted)
+    arrived = tried = 0
+    for number, place in zip(*np.nonzero((to_go.seconds > 1.0) & (to_go.seconds < 6.0)), strict=True):
+        if (number * ORIENTATIONS + place) % 17:
+            continue
+        tried += 1
+        here, psi, t = to_go.poses[number], place * math.tau / ORIENTATIONS, 0.0
+        while t < 3.0 * to_go.seconds[number, place]:
+            ends = to_go.poses[np.abs(to_go.poses - here).max(axis=1) > 0.0]
+            foreseen, seconds = rolled(here, psi, ends)
+            there = (foreseen.touched[:, 0] & wanted).any(axis=1)
+            cost = seconds + np.where(there, 0.0, to_go.at(ends, foreseen.psi[:, 0]))
+            cost[goodness(foreseen, LIMITS.pad_length)[:, 0] <= 1.0] = np.inf
+            best = cost.argmin()
+            here, psi, t = ends[best], foreseen.psi[best, 0], t + seconds[best]
+            if there[best]:
+                arrived += 1
+                break
+    assert tried >= 5
+    assert arrived >= 0.6 * tried
+
+
+def test_what_was_learnt_holds_until_it_is_forgotten():
+    made = Roadmap(PREDICTOR, LIMITS, state())
+    made.renew(state(), len(made.poses))
+    wanted = bins(*range(BINS))
+    before = made.time_to(wanted).seconds
+    made.learn(made.poses[5], 0.0, 20.0)
+    learnt = made.time_to(wanted).seconds
+    assert learnt[5, 0] >= 20.0
+    assert (learnt >= before).all()
+    made.forget()
+    assert (made.time_to(wanted).seconds == before).all()
+
+
+def test_an_object_that_rests_almost_anywhere_is_turned_all_the_way():
+    """Of this one, moves chosen without the roadmap leave a quarter untouched until the time is over."""
+    assert exploring(102) < 40.0
+
+
+def exploring(seed):
+    """How long until all is touched, when the object does what the model foresees (s)."""
+    truth = World(default_config(), seed, kind="rig", t=0.0).object_truth()
+    now = np.zeros(shape_map.N)
+    now[shape_map.Z.SHAPE :] = shape.coefficients_of(np.array(truth["h_m"]))
+    now[shape_map.Z.LN_RHO], now[shape_map.Z.MU] = math.log(truth["rho_m"]), truth["mu"]
+    now[shape_map.Z.LN_DITHER], now[shape_map.Z.DAMPING] = math.log(truth["dither_m_s"]), truth["damping_m2_s"]
+    explorer = Explorer(RigDescription(), LIMITS, ExploreGoal(coverage=0.95, time_limit_s=60.0), seed)
+    pose = (math.radians(45.0), math.radians(90.0))
+    move, touched, t = Move(pose, pose, 0.1), np.zeros(BINS, dtype=np.bool_), 0.0
+    while True:
+        states = np.tile(now, (4, 1))
+        states[1:, shape_map.Z.MU] += (0.01, -0.01, 0.02)
+        outlook = Outlook(t, states, touched, np.full(BINS, 1e-5), 1)
+        decision = explorer.decide(outlook, UnderWay(move, move.duration))
+        if decision.kind == "done":
+            return t
+        if decision.kind != "move":
+            t += 0.3
+            continue
+        move = decision.move
+        moves = Moves(np.array(move.start), np.array([[move.end]]), np.array([[move.duration]]))
+        foreseen = PREDICTOR.of(now, moves)
+        now[shape_map.Z.PSI], now[shape_map.Z.OMEGA0] = foreseen.psi[0, 0], foreseen.omega0[0, 0]
+        touched = touched | foreseen.touched[0, 0]
+        t += move.duration

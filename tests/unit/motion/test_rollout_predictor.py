@@ -1,0 +1,134 @@
+"""What is foreseen of a motion against the emulated rig's plant on the same body, surface and moves."""
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+
+from palmd.events import PalmMotion, RigDescription
+from palmd.model import shape, shape_map
+from palmd.model.outputs import rig_inputs
+from palmd.motion.rollout_predictor import BINS, CALL_S, Moves, RolloutPredictor
+from palmd.motion.segments import Move
+from palmd.rig.plant import Hinge, Plant, random_surface, stable_poses
+from palmd.rig.shapes import random_body
+
+START = np.radians((45.0, 90.0))
+ROUTE = np.radians([(52.0, 88.0), (40.0, 97.0), (58.0, 84.0)])
+DURATIONS = (0.64, 0.8, 0.72)
+FINE_S = 5e-4
+
+
+@cache
+def predictor(hinge):
+    return RolloutPredictor(rig_inputs(RigDescription(hinge=hinge)))
+
+
+def thing(kind, seed):
+    """A body and a surface, a place for the body to lie, and the shape map's state of both."""
+    random = np.random.default_rng([seed, 3])
+    body, surface = random_body(kind, random), random_surface(kind, random)
+    psi = stable_poses(body, PalmMotion(*START))[0]
+    state = np.zeros(shape_map.N)
+    state[shape_map.Z.PSI] = psi
+    state[shape_map.Z.LN_RHO], state[shape_map.Z.MU] = math.log(body.rho), surface.mu
+    state[shape_map.Z.LN_DITHER], state[shape_map.Z.DAMPING] = math.log(surface.dither), surface.damping
+    theta = np.arange(360) * (math.tau / 360)
+    state[shape_map.Z.SHAPE :] = shape.coefficients_of(body.support.sample(theta))
+    return body, surface, psi, state
+
+
+def driven(body, surface, psi, hinge):
+    """What the plant does on the route: ψ and ω0 after each move, bins touched, least force (m/s²), contacts (m)."""
+    plant = Plant(body, Hinge(hinge), surface)
+    plant.place(PalmMotion(*START), psi)
+    here, ends, bins, force, contacts = START, [], set(), math.inf, []
+    for end, duration in zip(ROUTE, DURATIONS, strict=True):
+        move = Move(tuple(here), tuple(end), duration)
+        for step in range(round(duration / FINE_S)):
+            palms = move.at((step + 1) * FINE_S)
+            plant.advance(move.at((step + 0.5) * FINE_S), palms, FINE_S)
+            one, two = plant.contacts()
+            force = min(force, one.force / body.mass, two.force / body.mass)
+            contacts += [one.s, two.s]
+            normals = (palms.phi1 - math.pi / 2, palms.phi1 + palms.phi2 - 1.5 * math.pi)
+            bins |= {math.floor((normal - plant.state.psi) / (math.tau / BINS)) % BINS for normal in normals}
+        here = end
+        ends.append((plant.state.psi, plant.state.omega0))
+    return np.array(ends), bins, force, min(contacts), max(contacts)
+
+
+@pytest.mark.parametrize("hinge", ["fixed", "arc"])
+@pytest.mark.parametrize(("kind", "seed"), [("friction", 1), ("friction", 4), ("rig", 2), ("nominal", 3)])
+def test_the_plant_does_what_is_foreseen(kind, seed, hinge):
+    body, surface, psi, state = thing(kind, seed)
+    ends, bins, force, low, high = driven(body, surface, psi, hinge)
+    foreseen = predictor(hinge).of(state, Moves(START, ROUTE[None], np.array([DURATIONS])))
+    np.testing.assert_allclose(foreseen.psi[0], ends[:, 0], atol=3e-3)
+    np.testing.assert_allclose(foreseen.omega0[0], ends[:, 1], atol=0.05)
+    assert foreseen.least_force[0, -1] == pytest.approx(force, abs=0.25)
+    assert foreseen.nearest[0, -1] == pytest.approx(low, abs=1e-4)
+    assert foreseen.farthest[0, -1] == pytest.approx(high, abs=1e-4)
+    mine = set(np.flatnonzero(foreseen.touched[0, -1]).tolist())
+    assert len(mine ^ bins) <= 2  # a bin only just touched, or not
+
+
+def test_each_move_adds_to_the_ones_before():
+    """The first one is the most violent: its least force stands to the end."""
+    _, _, _, state = thing("friction", 1)
+    foreseen = predictor("arc").of(state, Moves(START, ROUTE[None], np.array([[0.24, 0.8, 1.2]])))
+    assert (np.diff(foreseen.touched[0].sum(axis=1)) >= 0).all()
+    assert foreseen.touched[0, 2].sum() > foreseen.touched[0, 0].sum()
+    assert (np.diff(foreseen.least_force[0]) <= 0.0).all()
+    assert (np.diff(foreseen.farthest[0]) >= 0.0).all()
+
+
+def test_a_move_seen_from_its_middle_ends_where_it_was_to_end():
+    """What is left of it, from the state half-way there."""
+    _, _, _, state = thing("friction", 4)
+    seer = predictor("arc")
+    whole = seer.of(state, Moves(START, ROUTE[None, :1], np.array([[0.8]])))
+    begun = 5 * CALL_S
+    short = Move(tuple(START), tuple(ROUTE[0]), 0.8)
+    plant_like = seer.of(state, Moves(START, np.tile(ROUTE[:1], (1, 1, 1)), np.array([[0.8]])))
+    np.testing.assert_array_equal(plant_like.psi, whole.psi)
+    body, surface, psi, _ = thing("friction", 4)
+    plant = Plant(body, Hinge("arc"), surface)
+    plant.place(PalmMotion(*START), psi)
+    for step in range(round(begun / FINE_S)):
+        plant.advance(short.at((step + 0.5) * FINE_S), short.at((step + 1) * FINE_S), FINE_S)
+    middle = state.copy()
+    middle[:2] = plant.state.psi, plant.state.omega0
+    rest = seer.of(middle, Moves(START, ROUTE[None, :1], np.array([[0.8]])), begun)
+    assert rest.psi[0, 0] == pytest.approx(whole.psi[0, 0], abs=2e-3)
+    assert rest.touched[0, 0].sum() < whole.touched[0, 0].sum() + 1
+
+
+def test_many_at_once_are_foreseen_as_each_alone():
+    """More than one batch, with durations of all lengths."""
+    states = np.array([thing("friction", seed)[3] for seed in (1, 4)])
+    random = np.random.default_rng(2)
+    count = 45
+    which = random.integers(2, size=count)
+    ends = START + random.uniform(-0.2, 0.2, (count, 2, 2))
+    durations = CALL_S * random.integers(8, 40, (count, 2))
+    together = predictor("arc").of(states[which], Moves(START, ends, durations))
+    for i in (0, 31, 32, 44):
+        alone = predictor("arc").of(states[which[i]], Moves(START, ends[i : i + 1], durations[i : i + 1]))
+        for name in ("touched", "least_force", "nearest", "farthest", "psi", "omega0"):
+            np.testing.assert_array_equal(getattr(together, name)[i], getattr(alone, name)[0], err_msg=name)
+
+
+def test_what_diverges_is_not_safe_and_warns_of_nothing():
+    _, _, _, state = thing("friction", 1)
+    state[shape_map.Z.OMEGA0] = 1e25
+    foreseen = predictor("arc").of(state, Moves(START, ROUTE[None], np.array([DURATIONS])))
+    assert not foreseen.least_force[0, -1] > 0.0
+
+
+def test_an_object_thrown_off_is_foreseen_to_lose_a_contact():
+    """Down faster than it can fall."""
+    _, _, _, state = thing("friction", 1)
+    hasty = Moves(START, np.radians([[[45.0, 150.0]]]), np.array([[0.12]]))
+    assert predictor("arc").of(state, hasty).least_force[0, 0] < 0.0

@@ -1,0 +1,109 @@
+"""Segments marginalised one after the other say what the whole record says at once."""
+
+import numpy as np
+import pytest
+from simulated import simulated
+
+from palmd.model.smoothing import CONSTANTS, C
+from palmd.observer import chain as chain_module
+from palmd.observer.chain import Chain
+from palmd.observer.data_segment import longest_segment
+from palmd.observer.normal_equations import Guess
+from palmd.observer.search import NOISE, Search
+from palmd.observer.smoother import Smoother
+
+STEPS = 100  # a second
+
+
+@pytest.fixture(scope="module")
+def smoothed():
+    """A search and what it found on six seconds."""
+    run = simulated("friction", 7, 6.0)
+    search = Search(longest_segment(run.events), run.rig)
+    finding = search.blind(2.0, 3, seed=0)
+    assert finding is not None
+    assert len(finding.record.t) == len(search.record.t)
+    return search, finding
+
+
+def cut(smoothed, kept=60, at=None):
+    """The chain of the record's segments, all linearised where the whole has been, or at other constants."""
+    search, finding = smoothed
+    record, guess = finding.record, finding.fits[0].guess
+    chain = Chain(search.library, NOISE, search.prior, kept)
+    for first in range(0, len(record.dt), STEPS):
+        last = min(first + STEPS, len(record.dt))
+        chain.append(record.between(first, last), Guess(guess.x[first : last + 1], guess.p if at is None else at))
+    return chain
+
+
+def test_the_pieces_of_a_record_hold_all_its_readings_once(smoothed):
+    record = smoothed[1].record
+    pieces = [record.between(first, first + STEPS) for first in range(0, 5 * STEPS, STEPS)]
+    whole = record.until(record.t[5 * STEPS])
+    assert sum(len(piece.contact_value) for piece in pieces) == len(whole.contact_value)
+    for first, piece in zip(range(0, 5 * STEPS, STEPS), pieces, strict=True):
+        assert piece.t[0] == record.t[first]
+        assert ((piece.contact_step >= 0) & (piece.contact_step < STEPS)).all()
+    assert np.concatenate([piece.force_value for piece in pieces]) == pytest.approx(whole.force_value)
+
+
+@pytest.mark.parametrize("kept", [60, 2], ids=["kept", "folded"])
+def test_a_chain_knows_what_the_whole_record_tells(smoothed, kept):
+    search, finding = smoothed
+    best = finding.fits[0]
+    whole = Smoother(search.library, finding.record, search.prior).posterior(best).covariance
+    known = cut(smoothed, kept).known(best.guess.p)
+    sd = np.sqrt(np.diagonal(whole))
+    covariance = np.linalg.inv(known.matrix)
+    assert covariance / np.outer(sd, sd) == pytest.approx(whole / np.outer(sd, sd), abs=1e-4)
+    assert known.cost == pytest.approx(best.cost, rel=1e-6)
+    assert known.strain() < 0.1  # at its minimum, as far as the iteration went
+
+
+def test_without_the_prior_it_is_the_prior_less(smoothed):
+    chain, p = cut(smoothed), smoothed[1].fits[0].guess.p
+    told, prior = chain.told(p), chain.prior(p)
+    known = chain.known(p).without(slice(CONSTANTS, None))
+    assert told.plus(prior).matrix == pytest.approx(known.matrix)
+    assert told.matrix[C.DAMPING, C.DAMPING] < known.matrix[C.DAMPING, C.DAMPING]
+
+
+def test_what_it_learns_besides_adds_to_it(smoothed):
+    p = smoothed[1].fits[0].guess.p
+    for kept in (60, 2):
+        chain, twice = cut(smoothed, kept), cut(smoothed, kept)
+        twice.learn(chain.told(p))
+        gained = twice.known(p).matrix[:CONSTANTS, :CONSTANTS] - chain.known(p).matrix[:CONSTANTS, :CONSTANTS]
+        assert gained == pytest.approx(chain.told(p).matrix, rel=1e-6, abs=1e-6 * np.abs(gained).max())
+
+
+def test_a_chain_linearised_elsewhere_comes_to_the_same_when_it_is_renewed(smoothed, monkeypatch):
+    finding = smoothed[1]
+    guess = finding.fits[0].guess
+    off = guess.p.copy()
+    off[C.SHAPE] += 3e-4
+    off[C.DRAG] += 4.0
+    wanted = cut(smoothed).known(guess.p)
+    chain = cut(smoothed, at=off)
+    sd = np.sqrt(np.diagonal(np.linalg.inv(wanted.matrix)))
+    before = chain.known(guess.p)
+    monkeypatch.setattr(chain_module, "NEAR", 1e-3)
+    assert chain.renew(guess.p, guess.x[-1]) > 0
+    for _ in range(4):
+        chain.renew(guess.p, guess.x[-1])
+    after = chain.known(guess.p)
+    errors = [np.abs(np.linalg.solve(known.matrix, known.side) / sd).max() for known in (before, after)]
+    assert errors[1] < 0.5
+    assert errors[0] > 2 * errors[1]
+    covariances = [np.linalg.inv(known.matrix) / np.outer(sd, sd) for known in (after, wanted)]
+    assert covariances[0] == pytest.approx(covariances[1], abs=0.05)
+
+
+def test_an_hour_needs_no_more_memory_than_two_minutes(smoothed):
+    search, finding = smoothed
+    chain, guess = Chain(search.library, NOISE, search.prior, kept=5), finding.fits[0].guess
+    piece = finding.record.between(0, STEPS)
+    for _ in range(50):
+        chain.append(piece, Guess(guess.x[: STEPS + 1], guess.p))
+    assert len(chain._segments) == 5

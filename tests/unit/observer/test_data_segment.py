@@ -1,0 +1,87 @@
+"""The longest part of a record in which nothing is missing."""
+
+import math
+import random
+from itertools import pairwise
+
+import pytest
+
+from palmd.events import PadLift, PadSample, PalmSample
+from palmd.observer.data_segment import ARM_GAP_S, PAD_GAP_S, longest_segment
+
+
+def run(start=0.0, end=3.0, without=()):
+    """All three report every 10 ms; `without` holds (source, from, to)."""
+    events = []
+    for k in range(round(start * 100), round(end * 100) + 1):
+        t = k / 100
+        silent = {source for source, first, last in without if first < t < last}
+        if "arm" not in silent:
+            events.append(PalmSample(t, 0.7 + 0.1 * t, 1.6))
+        events += [PadSample(t, pad, 0.02 + 0.001 * t) for pad in (1, 2) if pad not in silent]
+    return events
+
+
+def span(events):
+    found = longest_segment(events)
+    return found and (found.start, found.end)
+
+
+def test_the_whole_of_a_complete_record():
+    events = run()
+    found = longest_segment(events)
+    assert (found.start, found.end) == (0.0, 3.0)
+    assert len(found.pads) + len(found.palms) == len(found.events()) == len(events)
+
+
+@pytest.mark.parametrize("source", [1, 2, "arm"])
+def test_a_silence_of_one_source_ends_it_and_the_next_begins_when_all_are_back(source):
+    assert span(run(without=[(source, 0.5, 1.5)])) == (1.5, 3.0)
+    assert span(run(without=[(source, 1.5, 2.5)])) == (0.0, 1.5)
+
+
+@pytest.mark.parametrize(("source", "limit"), [(1, PAD_GAP_S), (2, PAD_GAP_S), ("arm", ARM_GAP_S)])
+def test_a_short_silence_does_not(source, limit):
+    assert span(run(without=[(source, 1.0, 1.0 + limit - 0.02)])) == (0.0, 3.0)
+
+
+def test_it_begins_with_the_last_source_that_comes_and_ends_with_the_first_that_goes():
+    assert span(run(without=[(1, -1.0, 0.5), ("arm", 2.8, 4.0)])) == (0.5, 2.8)
+    found = longest_segment(run(without=[(1, -1.0, 0.5)]))
+    assert all(sample.t_sample >= 0.5 for sample in found.pads)
+    assert found.palms[0].t_sample == 0.0  # they help to know the palms' motion
+
+
+def test_an_object_that_leaves_a_palm_ends_it():
+    assert span([*run(), PadLift(1.004, 2)]) == (1.01, 3.0)
+
+
+@pytest.mark.parametrize("missing", [PalmSample, 1, 2])
+def test_without_one_source_there_is_none(missing):
+    left = [e for e in run() if not (isinstance(e, PalmSample) if missing is PalmSample else pad_of(e) == missing)]
+    assert longest_segment(left) is None
+
+
+def pad_of(event):
+    return event.pad if isinstance(event, PadSample) else 0
+
+
+@pytest.mark.parametrize("events", [[], run()[:1], run()[1:2], [PadLift(0.0, 1)]])
+def test_next_to_nothing_is_none(events):
+    assert longest_segment(events) is None
+
+
+def test_order_and_repetition_do_not_matter():
+    events = [*run(), PadSample(1.0, 1, 0.05), PalmSample(1.0, 0.9, 1.7)]  # two that contradict others
+    wanted = longest_segment(events)
+    twice = [event for event in events for _ in range(2)]
+    for mixed in (events[::-1], twice, random.Random(0).sample(events, len(events))):
+        assert longest_segment(mixed) == wanted
+    for samples in ([s for s in wanted.pads if s.pad == 1], [s for s in wanted.pads if s.pad == 2], wanted.palms):
+        assert all(a.t_sample < b.t_sample for a, b in pairwise(samples))
+
+
+def test_what_is_no_number_is_left_out():
+    bad = [PadSample(1.004, 1, math.nan), PadSample(math.nan, 1, 0.02), PalmSample(1.004, math.inf, 1.6)]
+    bad += [PalmSample(1.004, 0.7, 1.6, omega1=math.nan, omega2=0.0), PalmSample(1.004, 0.7, 1.6, alpha1=math.inf)]
+    assert longest_segment([*bad, *run()]) == longest_segment(run())

@@ -1,0 +1,171 @@
+"""The smoother beside a live observer: what it knows only grows, through rests and losses, in bounded time."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from simulated import Run, simulated
+
+from palmd.events import FloatArray, Improvement, PadSample
+from palmd.model import shape, shape_map
+from palmd.model.smoothing import ORDER
+from palmd.observer.coverage import NORMAL_BINS
+from palmd.observer.incremental import IncrementalSmoother, Session, _as_shape_map
+from palmd.observer.outline import gauge_free_sd
+from palmd.score import score_outline
+
+THETA: FloatArray = (np.arange(NORMAL_BINS) + 0.5) * (2 * np.pi / NORMAL_BINS)
+OUTLINE = slice(shape_map.Z.SHAPE, None)
+
+
+def scored(answer: Improvement, run: Run) -> tuple[float, float, float]:
+    """RMS error of the outline where it was touched (µm), RMS of its one-sigma there (µm), and the touched share."""
+    coefficients, touched = answer.x[OUTLINE], answer.touched
+    score = score_outline(THETA, shape.basis(THETA, ORDER) @ coefficients, touched, run.truth.h)
+    sd = gauge_free_sd(THETA, THETA[touched], coefficients, answer.P[OUTLINE, OUTLINE])[touched]
+    return score.e_h * 1e6, math.sqrt(float(np.mean(sd**2))) * 1e6, score.touched
+
+
+class Beside:
+    """A smoother that is given a run as the loop would, and asked each half second."""
+
+    def __init__(self, run: Run):
+        self.run, self.smoother, self.t = run, IncrementalSmoother(run.rig), 0.0
+        self.answers: list[Improvement] = []
+
+    def until(self, t: float, session: Session) -> Improvement | None:
+        """Go on to `t` (s); the last answer on the way."""
+        last = None
+        while self.t < t:
+            before, self.t = self.t, min(self.t + 0.5, t)
+            self.smoother.add(session, [e for e in self.run.events if before < e.t_sample <= self.t])
+            answer = self.smoother.answer()
+            if answer is not None:
+                last = answer
+                self.answers.append(answer)
+        return last
+
+
+def test_rest_does_not_wear_off_what_was_felt() -> None:
+    run = simulated("friction", 700, 36.0, rests=((12.0, 31.0),))
+    beside, session = Beside(run), Session(1, 0.0)
+    moved, rested, again = (beside.until(t, session) for t in (12.5, 30.5, 36.0))
+    assert moved is not None
+    assert rested is not None
+    assert again is not None
+    errors, sds, _ = zip(*(scored(answer, run) for answer in (moved, rested, again)), strict=True)
+    assert sds[1] < 1.01 * sds[0]
+    assert sds[2] < 1.01 * sds[1]
+    assert all(error < 2.5 * sd for error, sd in zip(errors, sds, strict=True))
+    assert all(answer.established and answer.frame == moved.frame for answer in (moved, rested, again))
+
+
+def test_what_an_answer_looks_at_is_bounded_however_long_it_has_been() -> None:
+    run = simulated("friction", 700, 36.0, rests=((12.0, 31.0),))
+    beside = Beside(run)
+    beside.until(16.0, Session(1, 0.0))
+    early = len(beside.smoother._events)
+    beside.until(36.0, Session(1, 0.0))
+    assert len(beside.smoother._events) < 1.2 * early
+    assert early < 6 * 300
+
+
+def test_an_object_that_was_away_is_known_again_and_what_was_felt_is_joined() -> None:
+    absences = ((9.0, 10.0), (18.0, 19.0), (27.0, 28.0))
+    run = simulated("rig", 710, 36.0, absences=absences)
+    beside = Beside(run)
+    ends, starts = (9.0, 18.0, 27.0, 36.0), (0.0, 10.02, 19.02, 28.02)
+    told = []
+    for number, (start, end) in enumerate(zip(starts, ends, strict=True)):
+        beside.until(start, Session(number, math.inf))
+        answer = beside.until(end, Session(number + 1, start))
+        assert answer is not None
+        told.append(scored(answer, run))
+    errors, sds, touched = zip(*told, strict=True)
+    assert touched[-1] > 1.5 * touched[0]
+    assert sds[-1] < sds[0]
+    assert errors[-1] < max(1.2 * errors[0], 2 * sds[-1])
+    frames = {answer.frame for answer in beside.answers}
+    assert len(frames) == len(starts)  # each time it lies in a gauge of its own
+
+
+def test_another_object_begins_with_nothing() -> None:
+    first, second = simulated("friction", 700, 9.0), simulated("friction", 713, 9.0)
+    beside = Beside(first)
+    before = beside.until(9.0, Session(1, 0.0))
+    assert before is not None
+    beside.run, beside.t = second, 0.0
+    beside.smoother.add(Session(1, math.inf), [])
+    after = beside.until(9.0, Session(2, 0.0))
+    assert after is not None
+    alone = Beside(second).until(9.0, Session(1, 0.0))
+    assert alone is not None
+    assert scored(after, second)[2] == pytest.approx(scored(alone, second)[2], abs=2.5 / NORMAL_BINS)
+    assert scored(after, second)[1] == pytest.approx(scored(alone, second)[1], rel=0.05)
+
+
+def test_while_nothing_lies_there_nothing_piles_up() -> None:
+    run = simulated("friction", 700, 9.0)
+    smoother = IncrementalSmoother(run.rig)
+    for event in run.events:
+        smoother.add(Session(0, math.inf), [event])
+        assert smoother.answer() is None if event is run.events[-1] else True
+    assert len(smoother._events) < 300
+
+
+def test_palms_at_rest_from_the_start_are_waited_through() -> None:
+    """A minute of standing still before the first motion costs nothing, and does not blind the search."""
+    run = simulated("friction", 700, 26.0, rests=((0.0, 18.0),))
+    beside, session = Beside(run), Session(1, 0.0)
+    assert beside.until(18.0, session) is None
+    answer = beside.until(25.0, session)
+    assert answer is not None
+    error, sd, _ = scored(answer, run)
+    assert error < 3 * sd
+
+
+def test_readings_that_contradict_are_sought_anew_and_the_rest_is_kept() -> None:
+    """Somebody turns the object by hand for a second, without either pad losing it."""
+    run = simulated("rig", 4, 24.0)
+
+    def pushed(event: object) -> object:
+        inside = isinstance(event, PadSample) and 10.0 < event.t_sample < 11.0
+        return PadSample(event.t_sample, event.pad, event.s + 4e-3, event.force) if inside else event
+
+    beside = Beside(Run(tuple(map(pushed, run.events)), run.rig, run.truth, run.palms))
+    before = beside.until(10.0, Session(1, 0.0))
+    assert before is not None
+    after = beside.until(24.0, Session(1, 0.0))
+    assert after is not None
+    assert scored(after, run)[1] < 1.1 * scored(before, run)[1]
+    assert scored(after, run)[0] < 3 * scored(after, run)[1]
+
+
+def test_the_same_calls_give_the_same_answers() -> None:
+    run = simulated("rig", 4, 12.0)
+    first, second = Beside(run), Beside(run)
+    for beside in (first, second):
+        beside.until(12.0, Session(1, 0.0))
+    for one, other in zip(first.answers, second.answers, strict=True):
+        assert (one.t, one.frame, one.established) == (other.t, other.frame, other.established)
+        assert one.x.tobytes() == other.x.tobytes()
+        assert one.P.tobytes() == other.P.tobytes()
+
+
+def test_friction_in_other_coordinates_is_the_same_belief() -> None:
+    """Against drawing from the one and transforming each draw."""
+    n = shape_map.size(ORDER)
+    x, sd = np.zeros(n), np.full(n, 1e-6)
+    mu, dither = shape_map.Z.MU, shape_map.Z.LN_DITHER
+    x[mu], x[dither] = 12.0, 7000.0  # B, w
+    P = np.diag(sd**2)
+    P[np.ix_([mu, dither], [mu, dither])] = [[0.04, 2.0], [2.0, 400.0]]
+    mean, covariance = _as_shape_map(x, P)
+    drawn = np.random.default_rng(0).multivariate_normal(
+        x[[mu, dither]], P[np.ix_([mu, dither], [mu, dither])], 200_000
+    )
+    there = np.column_stack([drawn[:, 0] / np.sqrt(drawn[:, 1]), -0.5 * np.log(drawn[:, 1])])
+    assert mean[[mu, dither]] == pytest.approx(there.mean(axis=0), rel=1e-3)
+    assert covariance[np.ix_([mu, dither], [mu, dither])] == pytest.approx(np.cov(there.T), rel=0.02)

@@ -1,0 +1,114 @@
+"""Whether two records are of one object: joined where they overlap, left apart where they do not or are of another."""
+
+import math
+
+import numpy as np
+import pytest
+
+from palmd.model import shape
+from palmd.model.smoothing import CONSTANTS, ORDER, C
+from palmd.observer.coverage import NORMAL_BINS
+from palmd.observer.factor import Factor
+from palmd.observer.matching import Felt, _of_any_small_turn, _weight, _weights, matched
+
+RANDOM = np.random.default_rng(3)
+RADIUS = 0.02
+SD = 5e-6
+NOWHERE = np.zeros(NORMAL_BINS, dtype=np.bool_)
+
+
+def a_prior():
+    sd = np.concatenate([[0.12, 0.1, 0.35, 3e-4, 1.5], shape.prior_sd(RADIUS, ORDER)])
+    sd[C.SHAPE] = 0.1 * RADIUS
+    mean = np.zeros(CONSTANTS)
+    mean[C.SHAPE] = RADIUS
+    return Factor(mean, 0.0, np.diag(sd**-2.0), np.zeros(CONSTANTS), sd)
+
+
+def an_object():
+    prior = a_prior()
+    return prior.about + 0.7 * prior.scale * RANDOM.standard_normal(CONSTANTS)
+
+
+def felt(p, middle, width, sd=SD):
+    """What readings of h with one-sigma `sd` at normals within `width` (rad) about `middle` tell, and of ρ, μ, m."""
+    theta = middle + np.linspace(-width, width, 60)
+    rows = np.zeros((60, CONSTANTS))
+    rows[:, C.SHAPE :] = shape.basis(theta, ORDER) / sd
+    rows = np.vstack([rows, np.diag([20.0, 100.0, 10.0, 1e3, 300.0] + [0.0] * (2 * ORDER + 1))[:5]])
+    values = rows @ p + RANDOM.standard_normal(len(rows))
+    matrix = rows.T @ rows
+    about = p + 1e-6 * RANDOM.standard_normal(CONSTANTS)
+    miss = values - rows @ about
+    marks = NOWHERE.copy()
+    marks[np.floor(theta / (2 * np.pi) * NORMAL_BINS).astype(int) % NORMAL_BINS] = True
+    return Felt(Factor(about, float(miss @ miss), matrix, rows.T @ miss, np.ones(CONSTANTS)), marks)
+
+
+def turned(p, by):
+    other = p.copy()
+    other[C.SHAPE :] = shape.turned(by, ORDER) @ p[C.SHAPE :]
+    return other
+
+
+@pytest.mark.parametrize("by", [0.0, 0.7, 3.0, -2.0])
+def test_records_of_one_object_that_overlap_are_joined_at_the_right_turn(by):
+    p = an_object()
+    known, now = felt(p, 1.0, 1.5), felt(turned(p, by), 1.5 - by, 1.2)
+    found = matched(known, now, a_prior())
+    assert found is not None
+    assert math.remainder(found.turn - by, math.tau) == pytest.approx(0.0, abs=1e-3)
+    joined = found.felt.told.plus(now.told).plus(a_prior())
+    best = joined.about + joined.solved(joined.side)
+    theta = 1.0 - by + np.linspace(-1.5, 1.5, 50)
+    assert shape.basis(theta, ORDER) @ (best - turned(p, by))[C.SHAPE :] == pytest.approx(0.0, abs=6 * SD)
+    assert found.felt.touched.sum() == known.touched.sum()
+    assert found.felt.touched[int((1.0 - by) % math.tau / math.tau * NORMAL_BINS)]
+
+
+def test_the_turn_itself_is_not_told_by_what_was_known():
+    """Its gauge is open: what the joined record knows of the orientation comes from the overlap alone."""
+    known = felt(an_object(), 1.0, 3.0)
+    free, told = _of_any_small_turn(known.told)
+    along, h = np.zeros(CONSTANTS), 1e-6
+    along[C.SHAPE :] = (shape.turned(h, ORDER) - shape.turned(-h, ORDER)) @ known.told.about[C.SHAPE :] / (2 * h)
+    assert told > 1.0
+    assert along @ free.matrix @ along < 1.1 * (math.tau / 240) ** -2
+
+
+def test_parts_that_do_not_overlap_are_left_apart():
+    p = an_object()
+    assert matched(felt(p, 0.0, 0.4), felt(turned(p, 0.3), 2.5, 0.4), a_prior()) is None
+
+
+def test_another_object_is_not_joined():
+    for _ in range(5):
+        assert matched(felt(an_object(), 1.0, 2.0), felt(an_object(), 1.2, 2.0), a_prior()) is None
+
+
+def test_a_circle_may_lie_anyhow():
+    p = a_prior().about.copy()
+    assert matched(felt(p, 1.0, 3.0), felt(p, 1.5, 3.0), a_prior()) is None
+
+
+def test_all_turns_at_once_are_weighed_as_each_by_itself():
+    p = an_object()
+    known, rest = felt(p, 1.0, 1.5), felt(p, 1.5, 1.2).told.plus(a_prior())
+    weights = _weights(known.told, rest)
+    for number in (0, 17, 120):
+        free, told = _of_any_small_turn(known.turned(number * math.tau / 240).told)
+        wanted = _weight(free.plus(rest)) - 0.5 * math.log1p(told) - math.log(240)
+        assert weights[number] == pytest.approx(wanted, rel=1e-9)
+
+
+def test_weights_are_gaussian_integrals():
+    """Against the integral by brute force in two dimensions."""
+    root = np.array([[3.0, 1.0], [0.5, 2.0]])
+    factor = Factor(np.array([0.1, -0.2]), 1.3, root @ root.T, np.array([0.4, -0.3]), np.ones(2))
+    grid = np.linspace(-4.0, 4.0, 801)
+    a, b = np.meshgrid(grid, grid, indexing="ij")
+    y = np.stack([a.ravel(), b.ravel()], axis=1)
+    by = y - factor.about
+    cost = factor.cost - 2 * by @ factor.side + ((by @ factor.matrix) * by).sum(axis=1)
+    integral = np.exp(-cost / 2).sum() * (grid[1] - grid[0]) ** 2
+    assert _weight(factor) + math.log(2 * math.pi) == pytest.approx(math.log(integral), rel=1e-6)

@@ -1,0 +1,93 @@
+"""What is kept of an object: at which orientations it would give the readings, and what is taken for it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from palmd.events import PalmMotion
+from palmd.model import shape, shape_map
+from palmd.observer.coverage import NORMAL_BINS, Coverage
+from palmd.observer.mass import MassEstimator, resting_forces
+from palmd.observer.object_memory import DIRECTIONS, DOUBT, KnownObject, ObjectMemory
+
+Z = shape_map.Z
+PALMS = PalmMotion(0.75, 1.6)
+
+
+def _known(sd: float = 2e-5, mass: float = 0.2) -> KnownObject:
+    random = np.random.default_rng(8)
+    x = np.zeros(shape_map.N)
+    x[Z.SHAPE :] = random.standard_normal(shape.COEFFICIENTS) * shape.prior_sd(0.02)
+    x[Z.SHAPE], x[Z.LN_RHO] = 0.02, math.log(0.014)
+    weighed = MassEstimator(0.05, 0.02)
+    weighed.feed(mass * 5.0, 5.0)
+    return KnownObject(x, np.eye(shape_map.N) * sd**2, Coverage().marks, weighed)
+
+
+@pytest.mark.parametrize("psi", [0.3, 2.0, 4.4])
+def test_the_orientations_begin_with_those_that_give_the_readings(psi: float) -> None:
+    known = _known()
+    _, rows = shape.contact_rows(PALMS.phi1 - psi, PALMS.phi2)
+    s1, s2 = rows @ known.x[Z.SHAPE :]
+    chosen = known.orientations(s1, s2, PALMS, 1.2e-8, 24)
+    assert len(set(chosen)) == 24
+    apart = np.abs(np.angle(np.exp(1j * (chosen[:, None] - chosen[None, :]))))
+    assert apart[~np.eye(24, dtype=bool)].min() > 2.5 * 2 * math.pi / DIRECTIONS
+    off = np.abs(np.angle(np.exp(1j * (chosen[:8] - psi))))
+    assert off.min() < 1.5 * 2 * math.pi / DIRECTIONS
+
+
+def test_an_outline_is_the_same_within_what_was_believed_of_it() -> None:
+    known = _known()
+    strayed = known.x.copy()
+    sd = math.sqrt(known.believed()[-1, -1])
+    assert sd > math.sqrt(DOUBT) * 2e-5
+    strayed[-1] += 4 * sd
+    assert known.resembles(strayed)
+    strayed[-1] += 2 * sd
+    assert not known.resembles(strayed)
+    strayed = known.x.copy()
+    strayed[[Z.PSI, Z.OMEGA0, Z.MU]] += 1.0
+    assert known.resembles(strayed), "how it lies and moves is not the outline"
+
+
+def test_it_is_weighed_by_the_forces_of_an_object_at_rest() -> None:
+    known = _known(mass=0.2)
+    assert known.weighs(0.195)
+    assert not known.weighs(0.23)
+    assert known.weighs(math.nan)
+    f1, f2 = resting_forces(9.81, np.array([0.7, 1.5]))
+    # balance in the world's axes: f1 n1 + f2 n2 carries the weight
+    n1, n2 = (-math.sin(0.7), math.cos(0.7)), (math.sin(2.2), -math.cos(2.2))
+    assert f1 * n1[0] + f2 * n2[0] == pytest.approx(0.0, abs=1e-12)
+    assert f1 * n1[1] + f2 * n2[1] == pytest.approx(9.81)
+
+
+def test_the_last_map_but_one_is_recalled() -> None:
+    memory, maps = ObjectMemory(), [_known(), _known(), _known()]
+    assert memory.recall() is None
+    assert memory.due(0.0)
+    for t, known in enumerate(maps):
+        memory.keep(float(t), known)
+    assert memory.recall() is maps[1]
+    assert not memory.due(2.4)
+    assert memory.due(2.6)
+    memory.forget()
+    assert memory.recall() is None
+
+
+def test_marks_turn_with_the_gauge_of_the_leader() -> None:
+    named = np.zeros(18)
+    named[[5, 7]] = 0.8, 1.6  # φ1, φ2
+    marks = Coverage()
+    marks.mark(1.0, 0, named, lambda: np.zeros(2))
+    before = marks.marks.copy()
+    assert before.sum() == 2
+    step = 2 * math.pi / NORMAL_BINS
+    named[10] = 6 * step  # ψ of the other filter for the same pose
+    marks.mark(2.0, 1, named, lambda: np.array([0.0, 6 * step]))
+    assert marks.fraction == pytest.approx(2 / NORMAL_BINS)
+    assert (marks.marks == np.roll(before, -6)).all()

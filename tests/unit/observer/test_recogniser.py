@@ -1,0 +1,214 @@
+"""Which of several similar outlines it is, or none: right, soon, with probabilities that mean something."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from library import THETA, library, run_with
+
+from palmd.daemon.core import Core
+from palmd.events import DECIDED, ObjectEstimate, PadSample
+from palmd.lab import recognition
+from palmd.lab.recognition import Row, Task
+from palmd.lab.siblings import LEAST_M, MOST_M, RADIUS_RANGE, difference
+from palmd.messages import OBJECT, object_fields, stamp, validate
+from palmd.observer.outline_prior import stored
+from palmd.observer.recogniser import NONE, Recogniser
+from palmd.record.recognition import NONE_OF_THESE, as_line, table, verdict
+from palmd.record.replay import lines, replay
+from palmd.rig.world import default_config
+from palmd.score import score_outline
+
+
+def said(t, *probability, names=("a", "b")):
+    return ObjectEstimate(t, names, np.array(probability[:-1]), probability[-1], 1)
+
+
+# ---- runs
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("nominal", 21), ("friction", 22), ("rig", 23), ("odd", 20)])
+def test_the_right_one_of_many_is_found_within_three_seconds(kind, seed):
+    bodies, outlines = library(kind, seed, 8)
+    chosen = seed % 8
+    run = run_with(bodies[chosen], kind, seed, 3.0)
+    recogniser = Recogniser(outlines, run.log.rig)
+    told = []
+    for tick in replay(run.log, recogniser):
+        told.append(recogniser.identify(tick.t))
+        if told[-1] is not None:
+            assert told[-1].probability.sum() + told[-1].none == pytest.approx(1.0)
+        if tick.estimate.valid:
+            assert told[-1].best, "nothing is valid while it is undecided"
+    found = verdict(each for each in told if each is not None)
+    assert found.said == outlines[chosen].name
+    assert found.decided < 2.5
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("friction", 32), ("rig", 33), ("odd", 34)])
+def test_a_sibling_that_is_not_stored_is_none_of_them(kind, seed):
+    bodies, outlines = library(kind, seed, 8)
+    run = run_with(bodies[0], kind, seed, 4.0)
+    recogniser = Recogniser(outlines[1:], run.log.rig)
+    found = verdict(e for tick in replay(run.log, recogniser) if (e := recogniser.identify(tick.t)) is not None)
+    assert found.said == NONE_OF_THESE
+
+
+def test_before_the_twins_begin_none_has_its_prior():
+    bodies, outlines = library("friction", 22, 8)
+    run = run_with(bodies[6], "friction", 22, 3.0)
+    recogniser = Recogniser(outlines, run.log.rig)
+    for tick in itertools.islice(replay(run.log, recogniser), 50):
+        assert not tick.estimate.valid
+    assert recogniser.identify(0.5).none == pytest.approx(NONE)
+
+
+def test_nothing_is_said_before_anything_is_felt():
+    bodies, outlines = library("friction", 22, 8)
+    run = run_with(bodies[6], "friction", 22, 3.0)
+    recogniser = Recogniser(outlines, run.log.rig)
+    assert recogniser.identify(0.0) is None
+    recogniser.warm_up()
+    assert recogniser.identify(0.0) is None
+
+
+def test_no_name_is_given_while_nothing_foresees_the_readings():
+    bodies, outlines = library("friction", 22, 8)
+    run = run_with(bodies[6], "friction", 22, 3.0)
+    recogniser, random = Recogniser(outlines, run.log.rig), np.random.default_rng(4)
+    before, during = set(), []
+    for event in run.log.events:
+        t = event.t_sample
+        if t > 1.5 and isinstance(event, PadSample):
+            event = replace(event, s=event.s + random.normal(0.0, 3e-4))
+        recogniser.feed(event)
+        estimate, found = recogniser.estimate(t), recogniser.identify(t)
+        if found is None:
+            continue
+        if 1.2 < t < 1.5:
+            before.add(found.best)
+        elif t > 1.5 and estimate.nis > 2.0:
+            during.append(found)
+    assert before == {outlines[6].name}
+    assert len(during) > 50
+    assert all(found.none == 1.0 for found in during)
+
+
+# ---- what is said of a run
+
+
+def test_a_verdict_stands_since_it_was_said_for_good():
+    found = verdict(
+        [said(0.1, 0.97, 0.01, 0.02), said(0.2, 0.5, 0.5, 0.0), said(0.3, 0.96, 0, 0), said(0.4, 0.99, 0, 0)]
+    )
+    assert (found.said, found.decided) == ("a", 0.3)
+    found = verdict([said(0.1, 0.96, 0.0, 0.04), said(0.2, 0.0, 0.03, 0.97)])
+    assert (found.said, found.decided) == (NONE_OF_THESE, 0.2)
+    assert as_line(found)["best"] == ""
+    assert as_line(found)["decided_s"] == 0.2
+    found = verdict([said(0.1, 0.94, 0.0, 0.06)])
+    assert found.said == ""
+    assert math.isnan(found.decided)
+    assert as_line(found)["decided_s"] is None
+    assert verdict([]) is None
+
+
+def test_the_table_begins_with_the_likeliest():
+    text = table(verdict([said(0.1, 0.01, 0.98, 0.01)])).splitlines()
+    assert text[0].split() == ["b", "0.980"]
+    assert text[2].split() == ["none", "of", "these", "0.010"]
+    assert text[3] == "b, since 0.10 s"
+    assert table(verdict([said(0.1, 0.5, 0.4, 0.1)])).endswith("undecided")
+
+
+def test_the_message_is_that_of_the_table():
+    fields = stamp(object_fields(said(0.1, DECIDED, 0.03, 0.02)), 1.0, 0.1, 1)
+    assert validate(OBJECT, fields) == []
+    assert fields["best"] == "a"
+    assert object_fields(said(0.1, DECIDED - 0.01, 0.04, 0.02))["best"] == ""
+
+
+# ---- published and replayed
+
+
+def test_the_daemon_publishes_it_ten_times_a_second():
+    outlines = library("friction", 22, 8)[1]
+    bodies = library("friction", 22, 8)[0]
+    run = run_with(bodies[6], "friction", 22, 3.0)
+    recogniser = Recogniser(outlines, run.log.rig)
+    with ThreadPoolExecutor(1) as aside:
+        core = Core(default_config(), recogniser, aside)
+        waiting, published = list(reversed(run.log.events)), []
+        for k in range(1, 101):
+            while waiting and waiting[-1].t_sample <= k * 0.01:
+                core._events.append(waiting.pop())
+            published += [fields for topic, fields in core.step(k * 0.01) if topic is OBJECT]
+    assert 8 <= len(published) <= 11
+    assert published[-1]["best"] == outlines[6].name
+    assert published[-1]["object"] == 1
+
+
+def test_a_replay_tells_it_each_second():
+    bodies, outlines = library("friction", 22, 8)
+    run = run_with(bodies[6], "friction", 22, 3.0)
+    told = [line for tick in replay(run.log, Recogniser(outlines, run.log.rig)) for line in lines(tick)]
+    objects = [line for line in told if isinstance(line.get("object"), dict)]
+    assert [line["t"] for line in objects] == pytest.approx([1.0, 2.0])
+    assert objects[-1]["object"]["best"] == outlines[6].name
+
+
+# ---- the study
+
+
+def test_siblings_are_similar_and_different():
+    bodies, outlines = library("odd", 34, 8)
+    everywhere = np.ones(360, dtype=bool)
+    for one, other in itertools.combinations([body.support.sample(THETA) for body in bodies], 2):
+        apart = score_outline(THETA, one, everywhere, other).e_h
+        assert difference(one, other) == pytest.approx(apart, abs=1e-6)
+        assert 0.99 * LEAST_M < apart < 1.01 * MOST_M
+    radii = [body.support.sample(THETA).mean() for body in bodies]
+    assert max(radii) / min(radii) < (1 + RADIUS_RANGE) / (1 - RADIUS_RANGE)
+    errors = [outline.h - body.support.sample(THETA) for body, outline in zip(bodies, outlines, strict=True)]
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(20e-6, rel=0.35)
+    assert stored(outlines).names == tuple(f"body {i}" for i in range(8))
+
+
+def test_a_row_tells_what_came_of_a_run():
+    row = recognition.run(Task("friction", 3, 2.0))
+    assert not row.error
+    assert row.said == row.true != NONE_OF_THESE
+    assert row.decided < 2.0
+    assert row.brier < 0.05
+    assert row.psi_rms < 0.05
+    assert recognition.failed(Task("rig", 1, 2.0), OSError("gone")).error == "OSError: gone"
+
+
+def test_the_studys_table_counts_each_run_once():
+    rows = [
+        Row("rig", 0, true="a", said="a", probability=0.99, brier=0.0, decided=0.8, psi_rms=0.01),
+        Row("rig", 1, true="a", said="b", probability=0.0, brier=2.0, decided=1.0),
+        Row("rig", 2, true="a", said=NONE_OF_THESE, probability=0.0, brier=2.0, decided=1.0),
+        Row("rig", 3, true="a", said="", probability=0.5, brier=0.5),
+        Row("rig", 4, true=NONE_OF_THESE, said=NONE_OF_THESE, probability=1.0, brier=0.0, decided=1.2),
+        Row("rig", 5, error="OSError: gone"),
+    ]
+    told = recognition.table(rows)
+    for name, number in (
+        ("stored: right", "1 of 4"),
+        ("stored: another one said", "1 of 4"),
+        ("stored: none said", "1 of 4"),
+        ("stored: undecided", "1 of 4"),
+        ("none of them: right", "1 of 1"),
+        ("none of them: undecided", "0 of 1"),
+        ("ended in an error", "1"),
+    ):
+        (line,) = [line for line in told.splitlines() if line.startswith(name)]
+        assert line.endswith(number)
+    assert len(recognition.remarks(rows)) == 4
+    assert recognition.remarks(rows)[-1] == "rig 5: OSError: gone"

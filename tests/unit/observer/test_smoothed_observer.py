@@ -1,0 +1,234 @@
+"""The smoother at the bank's side: what it finds joins the bank, and the estimate is the better for it."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated import Run, simulated, swapped
+
+from palmd import observer
+from palmd.events import Estimate, Event, FloatArray, Improvement, PadSample, PalmSample, RigDescription
+from palmd.model import shape, shape_map
+from palmd.model.smoothing import ORDER
+from palmd.observer.bank_observer import BankObserver
+from palmd.observer.coverage import NORMAL_BINS
+from palmd.observer.filter_catchup import LEAD_S, FilterCatchUp
+from palmd.observer.filters import LONGEST_STEP_S, ShapeFilters
+from palmd.observer.incremental import IncrementalSmoother, Session
+from palmd.observer.palms import PalmTracker
+from palmd.observer.smoothed_observer import MEMORY_S, Simulated, SmoothedObserver, period
+
+KIND, SEED = "rig", 4
+TICK_S = 0.01
+
+
+@pytest.fixture(scope="module")
+def run() -> Run:
+    return simulated(KIND, SEED, 6.0)
+
+
+class Scripted:
+    """A smoother that has one improvement to give, at one time."""
+
+    def __init__(self, ready: float, improvement: Improvement | None):
+        self.ready, self.improvement = ready, improvement
+        self.count = 0
+
+    def submit(self, t: float, session: Session, events: Sequence[Event]) -> None:
+        assert session.begun < t or math.isinf(session.begun)
+        self.count += len(events)
+
+    def collect(self, t: float) -> Improvement | None:
+        if t < self.ready or self.improvement is None:
+            return None
+        improvement, self.improvement = self.improvement, None
+        return improvement
+
+
+def answer(run: Run, end: float, rig: RigDescription | None = None) -> Improvement | None:
+    """What a smoother says of the readings up to `end` (s)."""
+    smoother = IncrementalSmoother(rig or run.rig)
+    smoother.add(Session(1, 0.0), [event for event in run.events if event.t_sample <= end])
+    return smoother.answer()
+
+
+def ticks(run: Run, watcher: BankObserver | SmoothedObserver) -> Iterator[tuple[float, Estimate]]:
+    """A causal replay."""
+    waiting = iter(run.events)
+    event = next(waiting, None)
+    for number in range(1, round(run.events[-1].t_sample / TICK_S) + 1):
+        t = number * TICK_S
+        while event is not None and event.t_sample <= t:
+            watcher.feed(event)
+            event = next(waiting, None)
+        yield t, watcher.estimate(t)
+
+
+def radii(run: Run, t: float) -> FloatArray:
+    """The true r1, r2 (m)."""
+    truth = run.truth
+    phi1, phi2 = (np.interp(t, truth.t, column) for column in run.palms.T)
+    theta1 = phi1 - np.interp(t, truth.t, truth.psi) - math.pi / 2
+    outline = shape.coefficients_of(truth.h, 30)
+    return shape.basis(np.array([theta1, theta1 + phi2 - math.pi]), 30) @ outline
+
+
+def radius_errors(run: Run, watcher: BankObserver | SmoothedObserver, since: float) -> FloatArray:
+    errors = []
+    for t, estimate in ticks(run, watcher):
+        if t >= since:
+            errors.append([estimate.r1, estimate.r2] - radii(run, t))
+    return np.array(errors)
+
+
+def test_the_improved_observer_is_nearer_the_truth_than_the_bank_alone(run: Run) -> None:
+    alone = radius_errors(run, observer.make("shape", run.rig), 3.0)
+    improved = radius_errors(run, observer.make("shape", run.rig, smoothing=Simulated(run.rig)), 3.0)
+    rms = math.sqrt(np.mean(improved**2))
+    assert rms < 0.1e-3
+    assert rms < 1.05 * math.sqrt(np.mean(alone**2))
+
+
+@pytest.mark.parametrize("seed", [3, 5])
+def test_an_object_that_another_takes_the_place_of_within_a_moment_is_told_from_it(seed: int) -> None:
+    at, gap, end = 9.0, 0.2, 14.0
+    _, second, events = swapped("rig", seed, at, gap, end)
+    run = replace(second, events=events)
+    watcher = observer.make("shape", run.rig, smoothing=Simulated(run.rig))
+    for t, estimate in ticks(run, watcher):
+        if t > at + gap and estimate.valid:
+            assert np.abs([estimate.r1, estimate.r2] - radii(run, t)).max() < 0.3e-3
+    assert estimate.valid
+    assert estimate.object_count == 2
+
+
+def test_the_same_log_gives_the_same_estimates(run: Run) -> None:
+    first, second = (
+        [estimate for _, estimate in ticks(run, observer.make("shape", run.rig, smoothing=Simulated(run.rig)))]
+        for _ in range(2)
+    )
+    assert repr(first) == repr(second)  # NaN equals itself there
+
+
+def test_psi_goes_on_without_a_jump_when_an_improvement_takes_the_lead(run: Run) -> None:
+    end = 3.0
+    improvement = answer(run, end)
+    assert improvement is not None
+    smoothing = Scripted(end + 0.05, improvement)
+    watcher = observer.make("shape", run.rig, smoothing=smoothing)
+    assert isinstance(watcher, SmoothedObserver)
+    psi = np.array([[t, estimate.psi, estimate.omega0] for t, estimate in ticks(run, watcher) if 2.5 < t < 4.0])
+    assert watcher.improvements == 1
+    assert smoothing.count >= len(run.events) - 2  # all but those after the last tick
+    step = np.abs(np.diff(psi[:, 1]) - 0.01 * psi[1:, 2])
+    joined = np.searchsorted(psi[:, 0], end + 0.05)
+    assert step[joined:].max() < 1.5 * step[:joined].max()
+
+
+def test_an_improvement_from_before_the_present_object_is_not_taken(run: Run) -> None:
+    n = shape_map.size(ORDER)
+    stale = Improvement(-1.0, np.zeros(n), np.eye(n), 1, True, np.zeros(NORMAL_BINS, dtype=np.bool_))
+    watcher = observer.make("shape", run.rig, smoothing=Scripted(1.0, stale))
+    assert isinstance(watcher, SmoothedObserver)
+    for _ in ticks(run, watcher):
+        pass
+    assert watcher.improvements == 0
+
+
+def test_an_improvement_that_its_own_readings_contradict_is_turned_away(run: Run) -> None:
+    end = 3.0
+    right = answer(run, end)
+    assert right is not None
+    wrong = right.x.copy()
+    wrong[6] += 3e-3  # 3 mm larger
+    watcher = observer.make("shape", run.rig, smoothing=Scripted(end, replace(right, x=wrong)))
+    assert isinstance(watcher, SmoothedObserver)
+    errors = radius_errors(run, watcher, 4.0)
+    assert watcher.improvements == 0
+    assert np.abs(errors).max() < 0.5e-3
+
+
+def test_a_newcomer_arrives_where_a_filter_that_had_always_been_there_stands(run: Run) -> None:
+    since, until = 2.0, 2.8
+    improvement = answer(run, since)
+    assert improvement is not None
+    recent = [event for event in run.events if event.t_sample <= until]
+    newcomer = FilterCatchUp(run.rig)
+    newcomer.begin(improvement, reversed(recent))  # in any order
+    while not newcomer.follow(3):
+        assert newcomer.active
+    x, P, nis = newcomer.state_at(until)
+
+    filters, palms = ShapeFilters(run.rig, 1, order=ORDER), PalmTracker(run.rig.palm_angle_noise)
+    filters.bank.refill()
+    filters.bank.x[:], filters.bank.P[:] = improvement.x, improvement.P
+    t = improvement.t
+    variance = run.rig.pad_noise**2 + run.rig.pad_resolution**2 / 12
+    for event in recent:
+        if isinstance(event, PalmSample) and event.t_sample > improvement.t - LEAD_S:
+            palms.feed(event)
+        if isinstance(event, PadSample) and event.t_sample >= improvement.t:
+            steps = math.ceil((event.t_sample - t) / LONGEST_STEP_S)
+            for begin, end in itertools.pairwise(np.linspace(t, event.t_sample, steps + 1)):
+                filters.predict(begin, end - begin, palms)
+            t = event.t_sample
+            filters.fuse_pad(event, variance, palms)
+    filters.predict(t, until - t, palms)
+    sd = np.sqrt(np.diagonal(P))
+    assert np.all(np.abs(filters.bank.x[0] - x) < 1e-3 * sd)
+    np.testing.assert_allclose(np.sqrt(np.diagonal(filters.bank.P[0])), sd, rtol=1e-3)
+    assert 0.5 < nis < 1.5
+
+
+def test_improvements_are_sharper_the_more_was_read(run: Run) -> None:
+    theta = np.linspace(0.0, 2 * np.pi, 90)
+    spreads = []
+    for end in (2.0, 4.0, 6.0):
+        improvement = answer(run, end)
+        assert improvement is not None
+        assert improvement.t == pytest.approx(end, abs=0.05)
+        rows = shape.basis(theta, ORDER)
+        spreads.append(float(np.sqrt(np.einsum("ij,jk,ik->i", rows, improvement.P[6:, 6:], rows)).min()))
+    assert spreads[0] > spreads[1] > spreads[2]
+
+
+def test_events_without_a_time_do_not_pile_up(run: Run) -> None:
+    smoothing = Scripted(math.inf, None)
+    watcher = observer.make("shape", run.rig, smoothing=smoothing)
+    assert isinstance(watcher, SmoothedObserver)
+    watcher.feed(PadSample(math.nan, 1, 0.02))
+    for k in range(2000):
+        watcher.feed(PadSample(0.01 * k, 1, 0.02))
+    watcher.feed(PadSample(20.0, 2, math.nan))
+    watcher.estimate(20.0)
+    assert len(watcher._recent) <= 100 * MEMORY_S
+    assert smoothing.count == 2000
+    assert watcher.late_dropped == 2
+
+
+def test_the_smoother_runs_ever_more_rarely() -> None:
+    assert period(0.5) == 0.25
+    assert period(8.0) == 1.0
+    assert period(60.0) == 2.0
+
+
+def test_a_simulated_smoother_answers_after_its_latency(run: Run) -> None:
+    simulated_smoother = Simulated(run.rig, latency_s=0.5)
+    simulated_smoother.submit(3.0, Session(1, 0.0), [event for event in run.events if event.t_sample <= 3.0])
+    assert simulated_smoother.collect(3.4) is None
+    assert simulated_smoother.collect(3.51) is not None
+    assert simulated_smoother.collect(3.52) is None
+
+
+def test_rigs_differ() -> None:
+    """The rig is given to every run of the smoother: gravity on the moon gives another object."""
+    run = simulated("nominal", 3, 4.0)
+    here = answer(run, 4.0)
+    there = answer(run, 4.0, RigDescription(gravity=1.62, hinge="fixed"))
+    assert here is not None
+    assert there is None or not np.allclose(here.x, there.x, rtol=1e-3)

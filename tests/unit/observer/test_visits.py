@@ -1,0 +1,122 @@
+"""How often each direction was felt, and what either rule of pruning keeps."""
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated import simulated
+
+from palmd.lab import pruning_figure
+from palmd.lab.scoring import outline_errors
+from palmd.observer.outline import directions, normal_angles, touched_by
+from palmd.observer.reconstruct import reconstruct
+from palmd.observer.visits import kept_by_band, kept_by_visits, visits_of
+
+
+def path(*degrees, steps=200):
+    """One palm's normals that go straight from each of `degrees` to the next."""
+    legs = [np.linspace(a, b, steps) for a, b in itertools.pairwise(degrees)]
+    return np.radians(np.concatenate(legs))[:, None]
+
+
+def counted(visits):
+    """{count: number of directions}"""
+    return {int(count): int((visits == count).sum()) for count in np.unique(visits)}
+
+
+def test_a_sweep_is_one_visit():
+    visits = visits_of(path(10, 50))
+    assert counted(visits) == {0: 319, 1: 41}
+    assert visits[10] == visits[50] == 1
+
+
+def test_there_and_back_is_two_and_the_turn_is_one():
+    visits = visits_of(path(10, 50, 10))
+    assert (visits[10:48] == 2).all()
+    assert (visits[49:51] == 1).all()
+    assert visits.sum() == 38 * 2 + visits[48] + 2
+
+
+def test_jitter_is_no_visit():
+    random = np.random.default_rng(0)
+    sweep = path(10, 50, steps=4000)
+    visits = visits_of(sweep + np.radians(random.uniform(-0.7, 0.7, sweep.shape)))
+    assert (visits[10:51] == 1).all()
+    assert visits.max() == 1
+    assert visits_of(np.radians(random.uniform(-0.7, 0.7, (4000, 1)))).max() == 1
+
+
+def test_going_round_counts_each_round():
+    assert counted(visits_of(path(0.2, 1080.1, steps=4000))) == {3: 359, 4: 1}
+    assert counted(visits_of(path(0.2, -719.9, steps=4000))) == {2: 359, 3: 1}
+
+
+def test_the_branch_of_an_angle_means_nothing():
+    there = path(300, 480, 250)
+    wrapped = np.mod(there + math.pi, math.tau) - math.pi
+    np.testing.assert_array_equal(visits_of(wrapped), visits_of(there))
+
+
+def test_both_palms_count():
+    one, other = path(10, 50), path(40, 80)
+    both = visits_of(np.concatenate([one, other], axis=1))
+    np.testing.assert_array_equal(both, visits_of(one) + visits_of(other))
+    assert (both[40:51] == 2).all()
+
+
+def test_a_leap_over_many_directions_passes_each():
+    assert counted(visits_of(np.radians([[10.2], [50.2]]))) == {0: 319, 1: 41}
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_visited_is_touched(seed):
+    random = np.random.default_rng(seed)
+    normals = np.cumsum(np.cumsum(random.normal(0.0, 2e-3, (800, 2)), axis=0), axis=0)
+    np.testing.assert_array_equal(visits_of(normals) > 0, touched_by(normals))
+
+
+def test_a_sine_passes_each_direction_as_often_as_it_has_half_periods():
+    t = np.linspace(0.0, 7.0, 5000)
+    visits = visits_of(np.radians(90 + 40 * np.cos(math.pi * t))[:, None])
+    inner = visits[54:127]
+    assert (inner == 7).all()
+    assert visits[50] == visits[130] == 4
+
+
+def test_other_numbers_of_directions():
+    assert counted(visits_of(path(10, 50), 72)) == {0: 63, 1: 9}
+
+
+def test_each_rule_keeps_what_it_says():
+    visits = np.array([0, 1, 2, 3])
+    h_sd = np.array([1e-5, 1e-5, 2e-4, 2e-5])
+    assert kept_by_visits(visits).tolist() == [False, False, True, True]
+    assert kept_by_band(h_sd, visits > 0).tolist() == [False, True, False, True]
+
+
+def test_a_reconstruction_tells_its_visits():
+    run = simulated("nominal", 1, 3.0)
+    answer = reconstruct(run.events, run.rig)
+    np.testing.assert_array_equal(answer.visits > 0, answer.touched)
+    psi = np.interp(answer.t, run.truth.t, run.truth.psi)
+    palms = np.stack([np.interp(answer.t, run.truth.t, column) for column in run.palms.T], axis=1)
+    truth = visits_of(normal_angles(palms, psi + np.mean(answer.psi - psi)))
+    nearby = np.stack([np.roll(truth, shift) for shift in range(-2, 3)])  # but for its gauge, ψ is known to a degree
+    assert ((nearby.min(axis=0) <= answer.visits) & (answer.visits <= nearby.max(axis=0))).all()
+    assert len(answer.visits) == len(directions())
+    assert answer.visits.max() > 1
+
+
+def test_both_rules_are_drawn_and_the_same_run_gives_the_same_file(tmp_path):
+    run = simulated("nominal", 1, 3.0)
+    answer = reconstruct(run.events, run.rig)
+    errors = outline_errors(answer, run.truth)
+    for name in ("one.svg", "other.svg"):
+        pruning_figure.save(answer, errors, run.truth.h, tmp_path / name)
+    drawn = (tmp_path / "one.svg").read_bytes()
+    assert (tmp_path / "other.svg").read_bytes() == drawn
+    assert len(drawn) < 400_000
+    with pytest.raises(ValueError, match="no outline"):
+        pruning_figure.save(replace(answer, h_sd=None), errors, run.truth.h, tmp_path / "none.svg")

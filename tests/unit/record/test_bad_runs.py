@@ -1,0 +1,119 @@
+"""Recordings that cannot be used: each is one clear line with the file's name, and changes nothing."""
+
+import lived
+import pytest
+import recorded
+
+from palmd.cli import main
+from palmd.messages import ESTIMATE, IMPROVEMENT
+from palmd.record.mcapfile import Preface, RunError, RunWriter
+from palmd.record.metadata import METADATA
+from palmd.record.run import read_run
+
+FILES = ("schema", "truncated", "prose", "empty", "magic", "folder", "none", "foreign", "eventless")
+TOLD = {
+    "schema": "has messages of schema 7; this palmd reads schema 1",
+    "truncated": "is cut off before its first message: there is nothing left in it",
+    "prose": "is no MCAP file",
+    "empty": "is no MCAP file",
+    "magic": "is cut off before its first message: there is nothing left in it",
+    "folder": "Is a directory",
+    "none": "No such file or directory",
+    "foreign": "is an MCAP file, but no recording of palmd",
+    "eventless": "holds no palm/events",
+}
+COMMANDS = {
+    "estimate": ["-o", "OUT"],
+    "reconstruct": ["-o", "OUT"],
+    "export": ["-o", "OUT", "--as", "log"],
+    "replay": ["--check"],
+}
+
+
+def written(path, topics=(), **metadata):
+    run = read_run(lived.path())
+    said = {METADATA: {**run.metadata, **metadata}} if metadata != {"none": True} else {}
+    with path.open("wb") as stream:
+        writer = RunWriter(stream, Preface(said, run.preface.attachments), 0, compressed=False)
+        for message in run.messages(*topics):
+            writer.write(message)
+        writer.finish()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bad")
+    written(folder / "schema.mcap", schema="7")
+    written(folder / "foreign.mcap", none=True)
+    written(folder / "eventless.mcap", topics=(ESTIMATE.name, "palm/info"))
+    (folder / "truncated.mcap").write_bytes(lived.path().read_bytes()[:60])
+    (folder / "prose.mcap").write_text("a run of last week\n")
+    (folder / "empty.mcap").touch()
+    (folder / "magic.mcap").write_bytes(lived.path().read_bytes()[:8])
+    (folder / "folder.mcap").mkdir()
+    return folder
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("name", FILES)
+def test_it_is_told_in_one_line(folder, tmp_path, capsys, command, name):
+    path, out = folder / f"{name}.mcap", tmp_path / "out"
+    arguments = [str(out) if each == "OUT" else each for each in COMMANDS[command]]
+    assert main([command, str(path), *arguments]) == 1
+    said, err = capsys.readouterr()
+    assert (said, err) == ("", f"{path}: {TOLD[name]}\n")
+    assert not out.exists()
+
+
+def test_a_recording_is_known_by_what_is_in_it(tmp_path, capsys):
+    named = tmp_path / "run.jsonl"
+    named.write_bytes(lived.path().read_bytes())
+    outs = tmp_path / "a", tmp_path / "b"
+    for source, out in zip((named, lived.path()), outs, strict=True):
+        assert main(["estimate", str(source), "-o", str(out), "--observer", "quasistatic"]) == 0
+    assert outs[0].read_bytes() == outs[1].read_bytes()
+    assert capsys.readouterr().err == ""
+
+
+def test_an_event_log_is_no_recording(tmp_path, capsys):
+    log = tmp_path / "run.jsonl"
+    assert main(["export", str(lived.path()), "-o", str(log)]) == 0
+    for command in (["replay", str(log)], ["export", str(log), "-o", str(tmp_path / "out.zip")]):
+        assert main(command) == 1
+        assert capsys.readouterr().err == f"{log}: is no MCAP file\n"
+
+
+@pytest.mark.parametrize("command", ["estimate", "export"])
+def test_what_is_left_of_a_run_that_was_cut_off_is_used_and_this_is_said(tmp_path, capsys, command):
+    file, ends = recorded.begun(tmp_path)
+    file.abandon()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(file.path.read_bytes()[: ends[6] + 11])
+    assert main([command, str(cut), "-o", str(tmp_path / "out.jsonl")]) == 0
+    err = capsys.readouterr().err
+    assert err.startswith(f"{cut}: the recording was not finished; what there is of it is ")
+    assert err.count("\n") == 1
+
+
+def test_reconstruct_takes_a_run_as_its_event_log(tmp_path):
+    # too short for an answer, and told so alike
+    log = tmp_path / "run.jsonl"
+    assert main(["export", str(lived.path()), "-o", str(log)]) == 0
+    outs = tmp_path / "a", tmp_path / "b"
+    for source, out in zip((lived.path(), log), outs, strict=True):
+        assert main(["reconstruct", str(source), "-o", str(out)]) == 0
+    first, second = (out.read_text().rsplit('"seconds"', 1)[0] for out in outs)
+    assert first == second
+
+
+def test_an_improvement_that_makes_no_sense_is_told_in_one_line(tmp_path):
+    path = tmp_path / "run.mcap"
+    run = read_run(lived.path())
+    with path.open("wb") as stream:
+        writer = RunWriter(stream, run.preface, 0, compressed=False)
+        writer.write(
+            recorded.message(IMPROVEMENT.name, {"t_tick_s": 0.0, "t_s": 0.0, "x": [1.0, 2.0], "covariance": [1.0]}, 0)
+        )
+        writer.finish()
+    with pytest.raises(RunError, match=f"^{path}: {IMPROVEMENT.name}, message 0: "):
+        list(read_run(path).improvements())

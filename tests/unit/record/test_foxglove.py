@@ -1,0 +1,58 @@
+"""The layout for Foxglove and Lichtblick names only what an export holds."""
+
+import json
+import re
+from pathlib import Path
+
+import lived
+
+from palmd.cli import main
+from palmd.record.export_json import SCENE, schema
+from palmd.record.run import read_run
+from palmd.record.tables import examples
+
+LAYOUT = json.loads((Path(__file__).parents[3] / "config/foxglove.json").read_text())
+PANELS = LAYOUT["configById"]
+
+
+def panels(part):
+    """The names in a layout's tree."""
+    if isinstance(part, str):
+        return [part]
+    assert part["direction"] in ("row", "column")
+    assert 0 < part["splitPercentage"] < 100
+    return [*panels(part["first"]), *panels(part["second"])]
+
+
+def paths():
+    for panel in PANELS.values():
+        yield from (path["value"] for path in panel.get("paths", ()))
+        if "xAxisPath" in panel:
+            yield panel["xAxisPath"]["value"]
+
+
+def test_every_panel_stands_somewhere():
+    placed = panels(LAYOUT["layout"])
+    assert sorted(placed) == sorted(PANELS)
+
+
+def test_every_path_leads_to_a_field(tmp_path):
+    known = {topic: schema(topic, fields) for topic, fields in examples(read_run(lived.path()), lambda: None).items()}
+    assert main(["export", str(lived.path()), "-o", str(tmp_path / "run.mcap")]) == 0
+    found = list(paths())
+    assert len(found) > 20
+    for path in found:
+        topic, first, *rest = re.fullmatch(r"([a-z/]+)\.(\w+)(\[:\])?(?:\.(\w+))?", path).groups()
+        if topic == SCENE:
+            assert first in ("outline_x_m", "outline_y_m", "palms_x_m", "palms_y_m")
+            assert rest[0] == "[:]"
+            continue
+        field = known[topic]["properties"][first]
+        if rest[1] is not None:
+            field = field["properties"][rest[1]]
+        assert field["type"] in ("number", "boolean"), path
+
+
+def test_state_and_estimate_can_be_read():
+    raw = {panel["topicPath"] for name, panel in PANELS.items() if name.startswith("RawMessages!")}
+    assert raw == {"palm/state", "palm/estimate"}

@@ -1,0 +1,129 @@
+"""Errors against the rig's truth, from runs whose errors are known beforehand."""
+
+import math
+
+import numpy as np
+import pytest
+import reported
+
+from palmd.record.run import read_run
+from palmd.report.errors import against, body_at, errors_of, inside, last_outlines, normalised, scores_over_time
+from palmd.report.series import series_of
+
+
+@pytest.fixture
+def series(tmp_path):
+    def made(seconds=2.5, **how):
+        run = read_run(reported.write(tmp_path, reported.told(seconds, **how)))
+        return series_of(run, run.survey())
+
+    return made
+
+
+def test_errors_and_how_many_are_inside(series):
+    read = series()
+    errors = errors_of(read)
+    by_hand = [reported.SD_M * (3.0 if tick % 4 == 0 else 1.5) for tick in range(250)]
+    assert errors.error["r1_m"] == pytest.approx(by_hand, abs=1e-12)
+    assert inside(read, errors, "r1_m") == (150, 200)  # of 2 s of valid ticks every fourth is outside
+    assert inside(read, errors, "r2_m") == (200, 200)
+    mean = (9.0 / 4 + 2.25 * 3 / 4) / 3  # r1 alone is off
+    assert np.nanmean(normalised(read, errors)) == pytest.approx(mean)
+    assert np.isnan(normalised(read, errors)).sum() == 50
+
+
+def test_the_gauge_of_psi_is_taken_out(series):
+    read = series()
+    errors = errors_of(read)
+    assert np.abs(errors.error["psi_rad"]).max() < 1e-6
+    drawn = errors.true["psi_rad"] - read.estimate["psi_rad"]
+    assert np.abs(drawn).max() < 1e-6
+
+
+def test_every_object_has_a_gauge_of_its_own(tmp_path):
+    messages = list(reported.told(3.0, second_from=1.5))
+    for topic, fields, t, _ in messages:
+        if topic == "palm/estimate" and t > 1.495:
+            fields["psi_rad"] -= 7.0
+    run = read_run(reported.write(tmp_path, messages))
+    read = series_of(run, run.survey())
+    errors = errors_of(read)
+    assert np.abs(errors.error["psi_rad"]).max() < 1e-6
+    assert np.abs(errors.true["psi_rad"] - read.estimate["psi_rad"]).max() < 1e-6  # drawn beside it, no turn away
+
+
+def test_some_ticks_that_are_far_off_do_not_move_the_gauge(tmp_path):
+    messages = list(reported.told(2.0))
+    for topic, fields, t, _ in messages:
+        if topic == "palm/estimate" and t > 1.795:
+            fields["psi_rad"] += 0.5
+    run = read_run(reported.write(tmp_path, messages))
+    error = errors_of(series_of(run, run.survey())).error["psi_rad"]
+    assert np.abs(error[:180]).max() < 1e-6
+    assert error[180:] == pytest.approx(np.full(20, 0.5))
+
+
+def test_truth_that_begins_late_is_not_made_up(tmp_path):
+    messages = [each for each in reported.told(2.0) if not (each[0] == "rig/truth" and each[2] < 0.995)]
+    run = read_run(reported.write(tmp_path, messages))
+    read = series_of(run, run.survey())
+    errors = errors_of(read)
+    for name in ("r1_m", "psi_rad", "f1_n"):
+        assert np.isnan(errors.error[name]).sum() == 100
+    assert inside(read, errors, "r2_m") == (100, 100)
+
+
+def test_without_truth_there_are_no_errors(series):
+    read = series(truths=False)
+    assert errors_of(read) is None
+    assert body_at(read, 1.0) is None
+
+
+def test_outline_is_turned_back_and_scored(series):
+    read = series()
+    (outline,) = last_outlines(read)
+    found = against(outline, body_at(read, outline.t))
+    assert found.error == pytest.approx(np.full(180, reported.OFF_M), abs=1e-9)
+    assert found.h == pytest.approx(reported.true_h(reported.THETA + reported.GAUGE), abs=1e-9)
+    assert found.all.e_h == pytest.approx(reported.OFF_M, rel=1e-3)
+    assert found.all.max_error == pytest.approx(reported.OFF_M, rel=1e-2)
+    assert math.remainder(found.all.rotation - reported.GAUGE, math.tau) == pytest.approx(0.0, abs=1e-3)
+    assert found.felt.touched == pytest.approx(np.mean(outline.touched))
+
+
+def test_what_is_known_well_says_how_the_outline_is_turned(series):
+    read = series()
+    (outline,) = last_outlines(read)
+    outline.h[90:] += 1e-3 * np.sin(3 * reported.THETA[90:])
+    outline.h_sd[90:] = 2e-3
+    found = against(outline, body_at(read, outline.t))
+    assert np.abs(found.error[:90] - reported.OFF_M).max() < 2e-6
+
+
+def test_each_object_with_a_valid_outline_is_shown_once(series):
+    read = series(second_from=1.5)
+    assert [(each.number, round(each.t, 3)) for each in last_outlines(read)] == [(1, 1.4), (2, 2.4)]
+
+
+def test_what_came_after_the_last_valid_outline_is_not_shown(tmp_path):
+    messages = list(reported.told(2.5))
+    for topic, fields, t, _ in messages:
+        if topic == "palm/estimate" and t > 1.995:
+            fields["valid"] = False
+    run = read_run(reported.write(tmp_path, messages))
+    (outline,) = last_outlines(series_of(run, run.survey()))
+    assert outline.t == pytest.approx(1.9)
+
+
+def test_without_a_valid_outline_the_last_one_is_shown(series):
+    (outline,) = last_outlines(series(valid=False))
+    assert not outline.valid
+    assert outline.t == pytest.approx(2.4)
+
+
+def test_scores_over_time(series):
+    t, e_h, largest = scores_over_time(series())
+    assert len(t) == 20
+    assert e_h == pytest.approx(np.full(20, reported.OFF_M), rel=1e-3)
+    assert (largest >= e_h).all()
+    assert [len(each) for each in scores_over_time(series(valid=False))] == [0, 0, 0]

@@ -1,0 +1,254 @@
+"""The report of a run: a whole page and a whole PDF, whatever the run holds, and one clear line when it cannot be."""
+
+import re
+import sys
+from dataclasses import replace
+from functools import cache
+from html.parser import HTMLParser
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+import reported
+from matplotlib.figure import Figure
+
+from palmd import lab
+from palmd.cli import main
+from palmd.messages import ESTIMATE, LOOP
+from palmd.record.run import read_run
+from palmd.report.html import as_html
+from palmd.report.pdf import as_pdf
+from palmd.report.sections import Plate, Report, drawn, report_of
+from palmd.report.series import Track, series_of
+
+VOID = {"meta", "br", "hr", "img", "link", "input"}
+_KEPT = TemporaryDirectory(prefix="palmd-test-report-")
+
+
+@cache
+def path():
+    return reported.write(Path(_KEPT.name), reported.told(2.5, second_from=1.5, lost=range(200, 220)))
+
+
+def report(folder, messages, **how):
+    run = read_run(reported.write(folder, messages, **how))
+    return report_of(series_of(run, run.survey()))
+
+
+def titles(made):
+    return [section.title for section in made.sections]
+
+
+def said(made):
+    return dict(made.facts)
+
+
+class Page(HTMLParser):
+    """Follows tags, names and references."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.ids, self.references, self.tags, self.text = [], [], [], [], []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.look(tag, attrs)
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.look(tag, attrs)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+    def look(self, tag, attrs):
+        self.tags.append(tag)
+        for name, value in attrs:
+            if name == "id":
+                self.ids.append(value)
+            if name in ("src", "href", "xlink:href", "data", "action"):
+                self.references.append(value)
+            self.references += re.findall(r"url\((.*?)\)", value or "")
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    target = tmp_path_factory.mktemp("page") / "report.html"
+    assert main(["report", str(path()), "-o", str(target)]) == 0
+    return target.read_text()
+
+
+def test_page_is_whole_and_needs_nothing_from_elsewhere(page):
+    read = Page(page)
+    assert read.open == []
+    assert read.tags.count("svg") == read.tags.count("figure") == 10
+    assert not {"script", "link", "img", "iframe", "object"} & set(read.tags)
+    assert len(read.ids) == len(set(read.ids))
+    assert {reference.lstrip("#") for reference in read.references} <= set(read.ids)
+    assert all(reference.startswith("#") for reference in read.references)
+    assert set(re.findall(r"https?://[^\"\s<]+", page)) == {
+        "http://www.w3.org/2000/svg",
+        "http://www.w3.org/1999/xlink",
+    }
+    assert "@import" not in page
+
+
+def test_page_says_what_the_run_was(page):
+    text = " ".join(" ".join(Page(page).text).split())
+    for words in (
+        "2026-11-21 22:30:05 UTC", "2.5 s", "observer shape", "complete", "2 begun; with a valid estimate: 1, 2",
+        "20 of palm/contact, 20 of palm/estimate", "e_h 4 µm", "Hausdorff 4", "r₁ 75%, r₂ 100%",
+        "mend <arm-late>", "mend <pad1-garbled>", "stands", "bad header", "counts_per_mm: 7.874",
+    ):  # fmt: skip
+        assert words in text
+
+
+def test_pdf_has_its_pages_and_embeds_its_fonts(tmp_path):
+    target = tmp_path / "report.pdf"
+    assert main(["report", str(path()), "-o", str(target)]) == 0
+    data = target.read_bytes()
+    assert data.startswith(b"%PDF-")
+    assert data.rstrip().endswith(b"%%EOF")
+    pages = int(re.search(rb"/Type /Pages[^>]*?/Count (\d+)|/Count (\d+)", data).group(0).split()[-1])
+    assert 8 <= pages <= 12
+    assert b"/FontFile2" in data
+    assert b"/Type3" not in data
+    assert b"/Subtype /Image" not in data
+
+
+def test_the_same_run_gives_the_same_page_and_pdf(tmp_path):
+    whole = report(tmp_path, reported.told(1.0))
+    made = Report(whole.title, whole.facts, (whole.sections[0], *whole.sections[-3:]))
+    assert as_html(made) == as_html(made)
+    assert as_pdf(made) == as_pdf(made)
+
+
+def test_without_truth_and_outline(tmp_path):
+    made = report(tmp_path, reported.told(1.5, observer="extended", shapes=False, truths=False))
+    assert "Coverage" not in titles(made)
+    assert "this observer tells no outline" in said(made)["outcome"]
+    sentences = [part.sentence for section in made.sections for part in section.parts if isinstance(part, Plate)]
+    assert not any("truth" in sentence for sentence in sentences)
+    draw(made)
+
+
+def test_never_valid(tmp_path):
+    made = report(tmp_path, reported.told(0.9, valid=False))
+    assert said(made)["outcome"] == "no estimate was ever called valid"
+    assert said(made)["objects"] == "one, never settled"
+    assert "Reconstruction through time" not in titles(made)
+    draw(made)
+
+
+def test_a_single_tick(tmp_path):
+    draw(report(tmp_path, reported.told(0.01)))
+
+
+def test_nothing_but_estimates(tmp_path):
+    made = report(tmp_path, [each for each in reported.told(1.0) if each[0] == ESTIMATE.name])
+    assert titles(made)[-3:] == ["Faults", "Messages", "Configuration"]
+    assert not {"Motion", "Loop"} & set(titles(made))
+    draw(made)
+
+
+def test_numbers_that_are_not_known(tmp_path):
+    messages = list(reported.told(1.5))
+    for topic, fields, t, _ in messages:
+        for name in [name for name, value in fields.items() if isinstance(value, float)]:
+            if topic not in (LOOP.name, "rig/object") and (t < 0.2 or name in ("mu", "nis", "observability")):
+                fields[name] = float("nan")
+    draw(report(tmp_path, messages))
+
+
+def test_cut_short_is_said(tmp_path):
+    messages = list(reported.told(0.3))
+    cut = reported.write(tmp_path, messages, finish=False)
+    cut.write_bytes(cut.read_bytes()[:-10])
+    run = read_run(cut)
+    assert "cut short" in said(report_of(series_of(run, run.survey())))["recording"]
+
+
+def test_a_figure_of_a_long_run_stays_small(tmp_path):
+    run = read_run(reported.write(tmp_path, reported.told(2.0)))
+    read = series_of(run, run.survey())
+    state = next(section for section in report_of(read).sections if section.title == "State").parts[0]
+
+    def points_of(figure):
+        return sum(len(line.get_xdata()) for axes in figure.axes for line in axes.lines)
+
+    short = points_of(drawn(state))
+    random = np.random.default_rng(0)
+    columns = {
+        name: np.concatenate([column, column[-1] + random.normal(0, 1e-3, 20000)])
+        for name, column in read.estimate.columns.items()
+    }
+    columns["valid"][:] = 1.0
+    read = replace(read, estimate=Track(np.arange(20200) * 0.01, columns))
+    long = next(section for section in report_of(read).sections if section.title == "State").parts[0]
+    assert points_of(drawn(long)) < 12 * 3 * 3 * 300 + short
+
+
+def draw(made):
+    """Everything but the writing, which takes most of the time."""
+    for section in made.sections:
+        for part in section.parts:
+            if isinstance(part, Plate):
+                part.draw(Figure(figsize=(7.1, part.height_in), layout="constrained"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["nothing.mcap"], "nothing.mcap: No such file or directory"),
+        (["prose.mcap"], "prose.mcap: is no MCAP file"),
+        (["RUN", "-o", "report.txt"], "report.txt: a report is .html or .pdf; name it so"),
+        (["RUN", "-o", "nowhere/report.html"], "nowhere/report.html: cannot be written: there is no folder nowhere"),
+        (["RUN", "-o", "folder.pdf"], "folder.pdf: cannot be written: Is a directory"),
+        (["RUN", "other.mcap"], "other.mcap: one report is about one run; make another for this one"),
+        (["./paper"], "paper: is no MCAP file"),
+    ],
+)
+def test_bad_input_is_one_clear_line(tmp_path, monkeypatch, capsys, arguments, line):
+    monkeypatch.chdir(tmp_path)
+    Path("prose.mcap").write_text("not a run\n")
+    Path("paper").write_text("not a run\n")
+    Path("folder.pdf").mkdir()
+    monkeypatch.setattr("palmd.report.command._drawn", lambda _, as_pdf: b"%PDF" if as_pdf else b"")
+    assert main(["report", *[str(path()) if each == "RUN" else each for each in arguments]]) == 1
+    assert capsys.readouterr().err == line + "\n"
+
+
+def test_a_run_is_never_overwritten_by_its_report(tmp_path, capsys):
+    run = tmp_path / "run.html"
+    run.write_bytes(path().read_bytes())
+    assert main(["report", str(run), "-o", str(run)]) == 1
+    assert "is the run itself" in capsys.readouterr().err
+    assert run.read_bytes() == path().read_bytes()
+
+
+def test_without_matplotlib_it_says_so(tmp_path, monkeypatch, capsys):
+    for name in [name for name in sys.modules if name.startswith("palmd.lab.run_")]:
+        if name.rpartition(".")[2] not in ("run_series", "run_words"):
+            monkeypatch.delitem(sys.modules, name)
+            monkeypatch.delattr(lab, name.rpartition(".")[2], raising=False)
+    for name in [name for name in sys.modules if name.partition(".")[0] == "matplotlib"]:
+        monkeypatch.setitem(sys.modules, name, None)
+    assert main(["report", str(path()), "-o", str(tmp_path / "report.html")]) == 1
+    assert (
+        capsys.readouterr().err == "the report needs matplotlib, which is not installed: pip install 'palmd[report]'\n"
+    )
+    assert not (tmp_path / "report.html").exists()
+
+
+def test_the_name_is_the_runs_when_none_is_given(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("palmd.report.command._drawn", lambda _, as_pdf: b"pdf" if as_pdf else b"html")
+    assert main(["report", str(path())]) == 0
+    assert Path(f"{path().stem}.html").read_bytes() == b"html"
+    assert capsys.readouterr().out.startswith(f"{path().stem}.html: valid ")

@@ -1,0 +1,59 @@
+"""What the rig says of the set-points it hears."""
+
+import math
+
+import pytest
+
+from palmd.devices.armlink import Pose
+from palmd.rig.arm import Linkage
+from palmd.rig.setpoint_checker import SetPointChecker
+from palmd.rig.world import default_config
+
+CONFIG = default_config()
+LINKAGE = Linkage.from_config(CONFIG)
+
+
+def judge(*angles_deg, dt=0.016):
+    found = SetPointChecker(LINKAGE, CONFIG.limits)
+    for k, (phi1, phi2) in enumerate(angles_deg):
+        found.hear(LINKAGE.pose(math.radians(phi1), math.radians(phi2)), k * dt)
+    return found.as_dict()
+
+
+def test_rate_is_over_the_time_between_but_one_cycle_at_least():
+    assert judge((45, 90), (46, 90))["largest_rate_deg_s"] == pytest.approx(1 / 0.016)
+    assert judge((45, 90), (46, 90), dt=0.032)["largest_rate_deg_s"] == pytest.approx(1 / 0.032)
+    assert judge((45, 90), (46, 90), dt=0.004)["largest_rate_deg_s"] == pytest.approx(1 / 0.016)
+    assert judge((45, 90), (60, 90), dt=0.2)["largest_rate_deg_s"] == 0.0
+
+
+def test_an_arm_that_holds_may_be_gone_on_with_from_where_it_stands():
+    before, stands, far = (LINKAGE.pose(math.radians(phi1), 1.5) for phi1 in (50, 45, 40))
+    for standing, step_deg in ((None, 5), (stands, 0), (far, 5)):
+        found = SetPointChecker(LINKAGE, CONFIG.limits)
+        found.hear(before, 0.0)
+        found.hear(stands, 0.016, standing)
+        assert found.as_dict()["largest_rate_deg_s"] == pytest.approx(step_deg / 0.016)
+
+
+@pytest.mark.parametrize("angles", [(5, 90), (45, 34), (10, 156), (80, 93)])
+def test_outside_limits(angles):
+    assert judge((45, 90), angles)["setpoints_outside_limits"] == 1
+
+
+@pytest.mark.parametrize("angles", [(6, 90), (45, 35), (10, 155), (80, 91.9)])
+def test_on_the_limits(angles):
+    assert judge((45, 90), angles)["setpoints_outside_limits"] == 0
+
+
+def test_out_of_reach_counts_as_outside():
+    found = SetPointChecker(LINKAGE, CONFIG.limits)
+    found.hear(Pose(0.9, 0.9, 0.0), 0.0)
+    assert found.outside_limits == 1
+
+
+def test_tool_angle():
+    found = SetPointChecker(LINKAGE, CONFIG.limits)
+    pose = LINKAGE.pose(0.8, 1.6)
+    found.hear(Pose(pose.x_m, pose.y_m, pose.t_rad - 0.1 + math.tau), 0.0)
+    assert found.as_dict()["largest_tool_error_deg"] == pytest.approx(math.degrees(0.1))

@@ -1,0 +1,93 @@
+"""The rig's own counts: nothing said goes astray, and what mischief does to it is told apart."""
+
+import math
+import os
+import select
+
+import numpy as np
+
+from palmd.devices.armlink import LineReader, Pose, SetPoint, Start, encode_command
+from palmd.devices.versapad import VersaPadDecoder, encode_packet
+from palmd.rig.fault_injection import PORTS, order
+from palmd.rig.line import PtyLine
+from palmd.rig.tally import HostLines, Listener, Said
+from palmd.rig.world import World, default_config
+
+
+def test_what_was_said_altered_and_withheld_is_told_apart():
+    said = Said()
+    said.take(b"abcdef", b"abcdef")
+    said.take(b"abcdef", b"abcde")
+    said.take(b"abcdef", b"")
+    said.take(b"ID\r", b"ID\r", messages=0)
+    assert said == Said(messages=3, altered=1, withheld=1, bytes_said=21, bytes_on_line=14)
+
+
+def test_set_points_are_counted_before_mischief_and_the_touched_ones_among_them():
+    lines = HostLines(38400)
+    one = encode_command(SetPoint(1, Pose(0.1, 0.2, 0.3)))
+    lines.take(encode_command(Start(0)), encode_command(Start(0)), 0.0)
+    lines.take(one, one, 0.1)
+    lines.take(one, b"", 0.2)
+    assert (lines.setpoints, lines.setpoints_touched) == (2, 1)
+    lines.take(one[:5], b"x", 0.3)
+    assert (lines.setpoints, lines.setpoints_touched) == (2, 2)
+    lines.take(one[5:], one[5:], 0.3)
+    assert (lines.setpoints, lines.setpoints_touched) == (3, 2)
+
+
+def test_a_listener_hears_whole_packets_and_forgets_half_ones_when_the_plug_is_pulled():
+    listener = Listener(VersaPadDecoder(9600))
+    packet = encode_packet(10, 20, 30)
+    listener.take(packet + packet[:4], 0.0)
+    assert (listener.as_dict()["packets"], listener.as_dict()["pending"]) == (1, 4)
+    listener.interrupted()
+    listener.take(packet[4:] + packet, 0.01)
+    told = listener.as_dict()
+    assert (told["packets"], told["truncated"], told["bad_header"]) == (2, 4, 2)
+
+
+def test_every_byte_on_a_line_is_sent_or_still_waiting():
+    world = World(default_config(), 3)
+    world.mischief.add(order("garble", 0.5, "pad1", 0.3, for_s=1.0))
+    world.mischief.add(order("mute", 0.5, "pad2", for_s=1.0))
+    out = dict.fromkeys(PORTS, b"")
+    for step in range(1, 2001):
+        for port, data in world.advance(step * 1e-3).items():
+            out[port] += data
+        if step % 100 == 0:
+            world.receive("arm", encode_command(Start(step % 256)))
+    told = world.status()
+    for port in PORTS:
+        assert told[f"{port}_bytes_on_line"] == len(out[port]) + told[f"{port}_bytes_waiting"], port
+    assert told["pad1_messages"] == told["pad1_packets"] > 100
+    assert told["pad1_altered"] > 50
+    assert told["pad1_withheld"] == told["pad2_altered"] == 0
+    assert told["pad2_withheld"] > 50
+    assert told["arm_messages"] == lines_in(out["arm"])
+
+
+def lines_in(data):
+    reader = LineReader(38400)
+    return len(reader.feed(data, math.inf))
+
+
+def test_a_terminal_tells_what_it_took_and_what_it_has_heard(tmp_path):
+    line = PtyLine(tmp_path / "port", 38400, np.random.default_rng(1))
+    assert line.write(b"nobody") == b""
+    line.plug()
+    host = os.open(line.path, os.O_RDWR | os.O_NOCTTY)
+    try:
+        line.read(select.POLLIN)
+        assert len(line.write(b"hello")) == 5
+        os.write(host, b"Q01*AB\n")
+        poll = select.poll()
+        poll.register(line.fileno)
+        heard = b""
+        while len(heard) < 7:
+            ((_, events),) = poll.poll(1000)
+            heard += line.read(events)[0]
+        assert (line.bytes_sent, line.bytes_lost, line.bytes_heard) == (5, 6, 7)
+    finally:
+        os.close(host)
+        line.unplug()

@@ -1,0 +1,467 @@
+"""The live page's server: who may come in, what goes out, and that no command waits for a daemon that is not there."""
+
+import asyncio
+import contextlib
+import hashlib
+import http.client
+import json
+import math
+import re
+import socket
+import threading
+
+import msgpack
+import pytest
+import zmq
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
+from palmd.cli import main
+from palmd.cli.view import allowed
+from palmd.daemon.commands import COMMANDS
+from palmd.view import command_client, http_guard, wire
+from palmd.view.client import Client
+from palmd.view.files import STATIC, page_files
+from palmd.view.server import Settings, serve_page
+
+PATIENCE_S = 10.0
+TOKEN = "open sesame"
+
+
+class Daemon:
+    """A publisher and a command socket, as a daemon has them; it answers what it is told to."""
+
+    def __init__(self):
+        self._context = zmq.Context()
+        self._publisher = self._context.socket(zmq.PUB)
+        self.publish = f"tcp://127.0.0.1:{self._publisher.bind_to_random_port('tcp://127.0.0.1')}"
+        self._commands = None
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self.command = f"tcp://127.0.0.1:{probe.getsockname()[1]}"
+
+    def say(self, topic, fields):
+        self.send(topic.encode(), msgpack.packb(fields), b"1.0")
+
+    def send(self, *frames):
+        self._publisher.send_multipart(frames)
+
+    def take_commands(self):
+        self._commands = self._context.socket(zmq.ROUTER)
+        self._commands.bind(self.command)
+
+    def asked(self, wait_s=PATIENCE_S):
+        """The next command and the way back, None when none comes."""
+        if not self._commands.poll(wait_s * 1e3):
+            return None
+        route, payload = self._commands.recv_multipart()
+        return route, msgpack.unpackb(payload)
+
+    def reply(self, route, **fields):
+        self._commands.send_multipart([route, msgpack.packb(fields)])
+
+    def close(self):
+        self._context.destroy(linger=0)
+
+
+@pytest.fixture
+def daemon():
+    one = Daemon()
+    yield one
+    one.close()
+
+
+class Served:
+    """The page's server in a thread of its own."""
+
+    def __init__(self, daemon):
+        self._ready = threading.Event()
+        self._settings = Settings(daemon.publish, daemon.command, "", 0, TOKEN, allowed())
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()))
+        self._thread.start()
+        assert self._ready.wait(PATIENCE_S)
+
+    async def _serve(self):
+        self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
+        await serve_page(self._settings, self._is_ready, self._stop)
+
+    def _is_ready(self, url):
+        self.url = url
+        self.port = int(re.fullmatch(r"http://127\.0\.0\.1:(\d+)/#token=open sesame", url)[1])
+        self._ready.set()
+
+    def close(self):
+        self._loop.call_soon_threadsafe(self._stop.set)
+        self._thread.join(PATIENCE_S)
+        assert not self._thread.is_alive()
+
+    def get(self, path, **headers):
+        """Status, headers and body of a request, its path as it stands."""
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE_S)
+        with contextlib.closing(connection):
+            connection.putrequest("GET", path, skip_host="Host" in headers)
+            for name, value in headers.items():
+                connection.putheader(name, value)
+            connection.endheaders()
+            response = connection.getresponse()
+            return response.status, response.headers, response.read()
+
+    @contextlib.contextmanager
+    def page(self, token=TOKEN):
+        """A page's socket, and the first words to it."""
+        with self.socket() as opened:
+            opened.send(json.dumps({"token": token}))
+            yield opened, json.loads(opened.recv(PATIENCE_S))["hello"]
+
+    def socket(self, origin=None, host="127.0.0.1"):
+        here = f"{host}:{self.port}"
+        return connect(f"ws://{here}/socket", origin=origin or f"http://{here}", proxy=None, close_timeout=1)
+
+
+@pytest.fixture
+def served(daemon):
+    one = Served(daemon)
+    yield one
+    one.close()
+
+
+def batches(page):
+    """What comes in batches: (lost, commandable, {topic: payload})."""
+    while True:
+        message = page.recv(PATIENCE_S)
+        if isinstance(message, bytes):
+            _, lost, commandable, messages = msgpack.unpackb(message)
+            yield lost, commandable, messages
+
+
+def heard(page, *topics):
+    """The messages that came until each of the topics has come."""
+    found = []
+    for _, _, messages in batches(page):
+        found += messages
+        if {topic for topic, _ in found} >= set(topics):
+            return found
+    return None
+
+
+def answer(page, command):
+    """What the page is told of a command."""
+    page.send(json.dumps({"id": 7, "cmd": command}))
+    while True:
+        message = page.recv(PATIENCE_S)
+        if isinstance(message, str):
+            told = json.loads(message)["answer"]
+            assert (told["id"], told["cmd"]) == (7, command)
+            return told["error"]
+
+
+def until_commandable(page):
+    assert any(commandable for _, commandable, _ in batches(page))
+
+
+# --------------------------------------------------------------------------------------------------- the files
+
+
+def test_the_page_and_all_that_it_names_come_from_here(served):
+    status, headers, body = served.get("/")
+    assert (status, headers["Content-Type"]) == (200, "text/html; charset=utf-8")
+    assert "frame-ancestors 'none'" in headers["Content-Security-Policy"]
+    names = re.findall(r'(?:src|href)="([^"#]+)"', body.decode())
+    assert len(names) >= 4
+    for name in names:
+        assert served.get(f"/{name}")[0] == 200
+    for path in STATIC.glob("*.js"):
+        status, headers, body = served.get(f"/{path.name}")
+        assert (status, headers["Content-Type"], body) == (200, "text/javascript; charset=utf-8", path.read_bytes())
+        for name in re.findall(r'from "\./([^"]+)"', body.decode()):
+            assert (STATIC / name).is_file()
+        assert "https://" not in body.decode()
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["/../server.py", "/%2e%2e/server.py", "/vendor/../../server.py", "//etc/passwd", "/etc/passwd", "/vendor/",
+     "/vendor/README.md", "http://127.0.0.1/", "/..\\server.py"],
+)  # fmt: skip
+def test_no_path_leads_out_of_the_page(served, path):
+    assert served.get(path)[0] == 404
+
+
+def test_code_of_others_is_what_its_note_says():
+    note = (STATIC / "vendor/README.md").read_text()
+    for path in (STATIC / "vendor").glob("uPlot.*"):
+        assert hashlib.sha256(path.read_bytes()).hexdigest() in note
+    assert "Permission is hereby granted" in (STATIC / "vendor/uPlot-LICENSE.txt").read_text()
+    assert {"/", "/index.html", "/vendor/uPlot.iife.min.js"} <= page_files().keys()
+
+
+# ------------------------------------------------------------------------------------------------ who may come in
+
+
+@pytest.mark.parametrize(
+    "host", ["palmd.example", "palmd.example:8787", "127.0.0.1.palmd.example", "", "10.0.0.1", "["]
+)
+def test_only_names_of_this_machine_are_served(served, host):
+    assert served.get("/", Host=host)[0] == 403
+    assert served.get("/", Host=f"localhost:{served.port}")[0] == 200
+
+
+@pytest.mark.parametrize("origin", ["http://palmd.example", "http://127.0.0.1:1", "null", "https://127.0.0.1"])
+def test_another_sites_page_gets_no_socket(served, origin):
+    with pytest.raises(InvalidStatus) as refused, served.socket(origin):
+        pass
+    assert refused.value.response.status_code == 403
+
+
+def test_a_socket_needs_an_origin(served):
+    upgrade = {
+        "Connection": "Upgrade",
+        "Upgrade": "websocket",
+        "Sec-WebSocket-Version": "13",
+        "Sec-WebSocket-Key": "A" * 22 + "==",
+    }
+    assert served.get("/socket", **upgrade)[0] == 403
+    assert served.get("/socket", Origin=f"http://127.0.0.1:{served.port}", **upgrade)[0] == 101
+
+
+@pytest.mark.parametrize(
+    "first", ["", "hello", "[]", "{}", '{"token": 1}', '{"id": 1, "cmd": "arm"}', b"\xff", "[" * 4000]
+)
+def test_the_first_message_must_show_a_token_or_none(served, first):
+    with served.socket() as page:
+        page.send(first)
+        with pytest.raises(ConnectionClosed) as closed:
+            page.recv(PATIENCE_S)
+    assert closed.value.rcvd.code == 1008
+
+
+@pytest.mark.parametrize("token", [None, "", "open sesam", "Open sesame", "ö"])
+def test_without_the_token_a_page_only_watches(daemon, served, token):
+    daemon.take_commands()
+    with served.page(token) as (page, hello):
+        assert hello["operator"] is False
+        until_commandable(page)
+        assert "only watches" in answer(page, "stop")
+    assert daemon.asked(0.2) is None
+
+
+def test_a_token_that_is_no_text_at_all_is_not_ours():
+    assert not http_guard.may_operate(wire.token_in('{"token": "\\ud800"}'), TOKEN)
+
+
+# ----------------------------------------------------------------------------------------------------- commands
+
+
+def test_a_command_reaches_the_daemon_and_its_answer_the_page(daemon, served):
+    daemon.take_commands()
+    with served.page() as (page, hello):
+        assert (hello["operator"], hello["command"]) == (True, daemon.command)
+        until_commandable(page)
+        for reply, error in (({"ok": True}, None), ({"ok": False, "error": "arm first"}, "arm first")):
+            page.send(json.dumps({"id": 1, "cmd": "hold"}))
+            route, asked = daemon.asked()
+            assert (asked["cmd"], asked["args"]) == ("hold", {})
+            daemon.reply(route, id=asked["id"] + 1000, ok=True)  # of something else
+            daemon.reply(route, id=asked["id"], **reply)
+            told = next(m for m in iter(lambda: page.recv(PATIENCE_S), None) if isinstance(m, str))
+            assert json.loads(told) == {"answer": {"id": 1, "cmd": "hold", "error": error}}
+
+
+@pytest.mark.parametrize("command", ["plan", "jog", "status", "", "arm "])
+def test_the_page_has_no_other_commands(daemon, served, command):
+    daemon.take_commands()
+    with served.page() as (page, _):
+        until_commandable(page)
+        assert answer(page, command) == "the page has no such command"
+    assert daemon.asked(0.2) is None
+
+
+def test_a_command_never_waits_for_a_daemon_that_is_not_there(daemon, served):
+    with served.page() as (page, _):
+        for command in allowed():
+            assert answer(page, command) == f"nobody takes commands at {daemon.command}"
+        daemon.take_commands()
+        until_commandable(page)
+    assert daemon.asked(0.3) is None
+
+
+def test_silence_is_told_after_a_while(daemon, served, monkeypatch):
+    monkeypatch.setattr(command_client, "TIMEOUT_S", 0.1)
+    daemon.take_commands()
+    with served.page() as (page, _):
+        until_commandable(page)
+        assert answer(page, "stop") == f"no answer from {daemon.command} within 0.1 s"
+        route, asked = daemon.asked()
+        daemon.reply(route, id=asked["id"], ok=True)  # too late: says nothing any more
+        page.send(json.dumps({"id": 8, "cmd": "none"}))
+        told = next(m for m in iter(lambda: page.recv(PATIENCE_S), None) if isinstance(m, str))
+        assert json.loads(told)["answer"]["id"] == 8
+
+
+@pytest.mark.parametrize(
+    "rubbish", ["", "x", "[]", '{"cmd": "stop"}', '{"id": true, "cmd": "stop"}', '{"id": 1, "cmd": 2}', b"\x00"]
+)
+def test_rubbish_is_no_order_and_does_no_harm(daemon, served, rubbish):
+    daemon.take_commands()
+    with served.page() as (page, _):
+        until_commandable(page)
+        page.send(rubbish)
+        assert answer(page, "none") == "the page has no such command"
+    assert daemon.asked(0.1) is None
+
+
+def test_what_applies_when_is_the_daemons_own_table():
+    table = allowed()
+    assert table.keys() < COMMANDS.keys()
+    assert table["arm"] == ["ready"]
+    assert table["reset"] == ["fault"]
+    assert set(table["start"]) == set(table["hold"]) == {"tracking", "hold"}
+    assert "idle" not in {state for states in table.values() for state in states}
+
+
+# ------------------------------------------------------------------------------------------------------ batches
+
+
+def speak_until_heard(daemon, page):
+    """Until the subscription stands: a publisher's first messages find nobody."""
+    page.socket.settimeout(PATIENCE_S)
+    found = []
+    stop = threading.Event()
+
+    def speak():
+        while not stop.wait(0.01):
+            daemon.say("palm/info", {"version": "0"})
+
+    thread = threading.Thread(target=speak)
+    thread.start()
+    try:
+        found = heard(page, "palm/info")
+    finally:
+        stop.set()
+        thread.join()
+    return found
+
+
+def test_messages_pass_in_their_order_and_unchanged(daemon, served):
+    with served.page() as (page, _):
+        speak_until_heard(daemon, page)
+        sent = [{"seq": seq, "nis": math.nan, "names": ["ö"]} for seq in range(300)]
+        for fields in sent:
+            daemon.say("palm/estimate", fields)
+        daemon.say("palm/state", {"state": "ready"})
+        came = [payload for topic, payload in heard(page, "palm/state") if topic == "palm/estimate"]
+    assert came == [msgpack.packb(fields) for fields in sent]
+
+
+def test_what_is_no_message_of_ours_is_left_out(daemon, served):
+    with served.page() as (page, _):
+        speak_until_heard(daemon, page)
+        daemon.send(b"palm/state")
+        daemon.send(b"palm/state", b"x")
+        daemon.send(b"palm/stateless", b"x", b"1.0")
+        daemon.send(b"palm/events", b"x", b"1.0")
+        daemon.send(b"palm/state", b"\xc1 no msgpack", b"1.0")  # for the page to leave out
+        daemon.say("palm/loop", {})
+        came = heard(page, "palm/loop")
+    assert [payload for topic, payload in came if topic != "palm/info"] == [b"\xc1 no msgpack", msgpack.packb({})]
+
+
+def test_a_new_page_gets_the_last_message_of_every_topic_at_once(daemon, served):
+    with served.page() as (page, _):
+        speak_until_heard(daemon, page)
+        for seq in range(3):
+            daemon.say("rig/object", {"seq": seq})
+        daemon.say("palm/loop", {})
+        heard(page, "palm/loop")
+    with served.page(token="") as (page, _):
+        _, _, messages = next(batches(page))
+    assert {topic: msgpack.unpackb(payload) for topic, payload in messages}.items() >= {
+        "rig/object": {"seq": 2}, "palm/loop": {},
+    }.items()  # fmt: skip
+
+
+class Stuck:
+    """A connection that takes nothing until it is let go."""
+
+    def __init__(self):
+        self.sent = []
+        self.free = asyncio.Event()
+
+    async def send(self, message):
+        await self.free.wait()
+        self.sent.append(message)
+
+
+async def pause():
+    for _ in range(5):
+        await asyncio.sleep(0)
+
+
+def test_a_slow_page_loses_frames_and_never_grows():
+    async def story():
+        connection = Stuck()
+        client = Client(connection, operator=False)
+        sending = asyncio.create_task(client.serve())
+        latest = {"palm/loop": b"old"}
+        for frame in range(1000):
+            client.offer(frame, True, [("palm/estimate", bytes(1000))], latest.items())
+            client.tell(f"answer {frame}")
+            await pause()
+        held = [value for slot in vars(client).values() for value in (slot if hasattr(slot, "__len__") else [slot])]
+        assert sum(len(value) for value in held if isinstance(value, bytes | str)) < 2500
+        assert client.lost == 999
+        connection.free.set()
+        await pause()
+        latest["palm/loop"] = b"new"
+        client.offer(1000, True, [("palm/estimate", b"1")], latest.items())
+        client.offer(1001, True, [("palm/estimate", b"2")], latest.items())
+        await pause()
+        client.offer(1002, True, [("palm/estimate", b"3")], latest.items())
+        await pause()
+        sending.cancel()
+        return [msgpack.unpackb(m) for m in connection.sent if isinstance(m, bytes)]
+
+    first, caught_up, again = asyncio.run(story())
+    assert first == [0, 0, True, [["palm/loop", b"old"]]]
+    assert caught_up == [1000, 999, True, [["palm/loop", b"new"]]]
+    assert again == [1002, 1000, True, [["palm/loop", b"new"]]]
+
+
+def test_a_page_that_reads_nothing_holds_up_nobody(daemon, served):
+    with served.page() as (stuck, _), served.page() as (page, _):
+        speak_until_heard(daemon, page)
+        big = {"h_m": [0.0] * 20_000}
+        for _ in range(30):  # more than all buffers on the way to the one that does not read
+            daemon.say("palm/shape", big)
+            heard(page, "palm/shape")
+        assert stuck.protocol.state.name == "OPEN"
+        assert not any(lost for lost, _, _ in [next(batches(page))])
+
+
+def test_the_wire_says_what_it_must():
+    text = wire.hello("1", True, "tcp://a", "tcp://b", {"arm": ["ready"]})
+    assert json.loads(text)["hello"]["allowed"] == {"arm": ["ready"]}
+    assert wire.token_in('{"token": null}') == ""
+    assert wire.order_in('{"id": 3, "cmd": "arm"}') == wire.Order(3, "arm")
+
+
+# ---------------------------------------------------------------------------------------------------- bad input
+
+
+def test_bad_input_is_told_in_one_line(capsys):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = str(taken.getsockname()[1])
+        assert main(["view", "--no-browser", "--port", port]) == 1
+    told = capsys.readouterr()
+    assert (told.out, told.err.count("\n")) == ("", 1)
+    assert told.err.startswith(f"127.0.0.1:{port}: cannot be had")
+    for option in ("--address", "--command", "--truth"):
+        assert main(["view", "--no-browser", "--port", "0", option, "nonsense"]) == 1
+        told = capsys.readouterr()
+        assert told.err.startswith("nonsense: not an address")
+        assert told.err.count("\n") == 1
+    with pytest.raises(SystemExit) as usage:
+        main(["view", "--port", "70000"])
+    assert usage.value.code == 2
