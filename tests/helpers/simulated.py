@@ -49,7 +49,7 @@ def simulated(
 
 
 def swapped(kind: str, seed: int, at: float, gap: float, seconds: float) -> tuple[Run, Run, tuple[Event, ...]]:
-    """Runs of two objects on palms that move alike, and the first one's readings up to `at`, the other's `gap` after."""
+    """Runs of two objects on palms that move alike; the one's readings up to `at`, the other's from `gap` on."""
     random = np.random.default_rng([seed, 7])
     first, second = (simulated(kind, seed, seconds, body=random_body(kind, random)) for _ in range(2))
     assert np.allclose(first.palms, second.palms), "a contact was lost, and a motion drawn again: take another seed"

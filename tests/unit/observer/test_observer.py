@@ -444,7 +444,7 @@ def test_it_neither_starts_nor_fuses_while_the_palms_are_unknown(nominal: tuple)
     with_pads, without = observer.make("shape", rig), observer.make("shape", rig)
     gap = _without_palms(events, 3.0, 3.3)
     _replay(with_pads, gap)
-    _replay(without, [e for e in gap if not 3.15 < e.t_sample < 3.28])
+    _replay(without, [e for e in gap if not 3.18 < e.t_sample < 3.26])
     assert with_pads.estimate(6.0) == without.estimate(6.0)
 
 
