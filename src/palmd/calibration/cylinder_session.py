@@ -17,7 +17,7 @@ from palmd.calibration.files import plain, provenance, write
 from palmd.config import Config, PadConfig, from_here
 from palmd.console.errors import RIG_FAILED, CliError
 from palmd.events import Event
-from palmd.harness.operation import Operation, Status, can_move, why
+from palmd.harness.operator import PlanRun, Status, can_move, why
 from palmd.harness.processes import StopRequest
 from palmd.messages import CONTACT, EVENTS, events_of
 
@@ -88,7 +88,7 @@ def heard(arguments: argparse.Namespace, config: Config, plan: Mapping[str, Any]
                 if message.topic == EVENTS.name:
                     events.extend(events_of(message.fields))
 
-        operation = Operation(client, listen, lambda _status, seconds: f"ended after {seconds:.0f} s")
+        operation = PlanRun(client, listen, lambda _status, seconds: f"ended after {seconds:.0f} s")
         operation.begin(plan)
         try:
             status = operation.watch(stop, progress)

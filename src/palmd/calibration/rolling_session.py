@@ -15,7 +15,7 @@ from palmd.config import Config, LimitsConfig, PadConfig, config_hash
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.console.progress import Progress
 from palmd.events import Event, PadSample
-from palmd.harness.operation import can_move, do, leave, load, why
+from palmd.harness.operator import can_move, do, leave, load, why
 from palmd.harness.processes import StopRequest
 from palmd.messages import EVENTS, INFO, events_of
 
