@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from benchtable import PARTS, machine, percentiles, show
 
-from palmd.bus.client import Client, Subscriber
+from palmd.bus.command_client import CommandClient
+from palmd.bus.subscriber import Subscriber
 from palmd.console.shipped import shipped
 from palmd.daemon.realtime import PRIORITY
 from palmd.harness.operator import Operator
@@ -82,7 +83,7 @@ def run_daemon(rig, folder, stack):
     daemon = subprocess.Popen([sys.executable, "-c", RECORDED_DAEMON, str(path), str(ticks)], stderr=subprocess.PIPE)
     stack.callback(daemon.kill)
     subscriber = stack.enter_context(Subscriber(bus.publish, topics=("palm/state", "palm/motion")))
-    client = stack.enter_context(Client(bus.command, 5.0))
+    client = stack.enter_context(CommandClient(bus.command, 5.0))
     operator, t_end = Operator(), math.inf
     t_give_up = time.monotonic() + 90.0  # the observer may have to be compiled first
     while time.monotonic() < min(t_end, t_give_up):

@@ -11,7 +11,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from palmd.bus.client import Client, Subscriber, add_key, credentials
+from palmd.bus.command_client import CommandClient
+from palmd.bus.link import add_key, credentials
+from palmd.bus.subscriber import Subscriber
 from palmd.calibration.cylinder import CylinderError
 from palmd.calibration.files import plain, provenance, write
 from palmd.config import Config, PadConfig, from_here
@@ -76,7 +78,7 @@ def heard(arguments: argparse.Namespace, config: Config, plan: Mapping[str, Any]
     command, publish = from_here(config.bus.command), from_here(config.bus.publish)
     with (
         StopRequest() as stop,
-        Client(command, key=key) as client,
+        CommandClient(command, key=key) as client,
         Subscriber(publish, topics=(CONTACT.name, EVENTS.name), key=key) as subscriber,
     ):
         can_move(client)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from palmd.bus.client import Message
+from palmd.bus.subscriber import Message
 
 Style = Literal["plain", "title", "good", "bad", "warning", "faint"]
 

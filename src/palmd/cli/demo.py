@@ -14,7 +14,8 @@ import time
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
-from palmd.bus.client import COMMAND, PUBLISH, Client
+from palmd.bus.command_client import CommandClient
+from palmd.bus.link import COMMAND, PUBLISH
 from palmd.cli.browser import open_page
 from palmd.config import BusConfig
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
@@ -108,7 +109,7 @@ def _operate(stack: Stack, comparison: Comparison, stop: StopRequest, seconds: f
             _tell(comparison.progress(t))
 
 
-def _is_done(client: Client, command: str) -> bool:
+def _is_done(client: CommandClient, command: str) -> bool:
     reply = client.ask(command)
     if not reply["ok"]:
         _tell(f"{command}: {reply.get('error')}")

@@ -18,7 +18,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-from palmd.bus.client import PUBLISH, TIMEOUT_S, Subscriber, add_key, credentials, silent
+from palmd.bus.command_client import TIMEOUT_S
+from palmd.bus.link import PUBLISH, add_key, credentials, silent
+from palmd.bus.subscriber import Subscriber
 from palmd.cli.board import Board, Row, frame
 from palmd.keys import Credentials
 

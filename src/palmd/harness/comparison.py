@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from palmd.bus.client import Message
+from palmd.bus.subscriber import Message
 from palmd.score import OutlineScore, score_outline
 
 WINDOW_TICKS = 500  # the last five seconds

@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from palmd.bus.client import Client
+from palmd.bus.command_client import CommandClient
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.harness.processes import StopRequest
 
@@ -90,7 +90,9 @@ class PlanRun:
     Arms the arm if that has not been done, and then stops it in the end; a daemon that tracked before tracks on.
     """
 
-    def __init__(self, client: Client, listen: Callable[[float], None], told: Callable[[Status, float], str]) -> None:
+    def __init__(
+        self, client: CommandClient, listen: Callable[[float], None], told: Callable[[Status, float], str]
+    ) -> None:
         """`listen(t_end)` takes what is published until t_end (s, monotonic clock).
 
         `told(status, seconds)` is how far it has come, in words, for an error.
@@ -146,7 +148,7 @@ class PlanRun:
         return do(self._client, command, **args)
 
 
-def do(client: Client, command: str, **args: Any) -> dict[str, Any]:
+def do(client: CommandClient, command: str, **args: Any) -> dict[str, Any]:
     """The result of a command; CliError with the daemon's own words when it refuses."""
     reply = client.ask(command, args)
     if not reply["ok"]:
@@ -155,12 +157,12 @@ def do(client: Client, command: str, **args: Any) -> dict[str, Any]:
     return result
 
 
-def load(client: Client, plan: Mapping[str, Any]) -> None:
+def load(client: CommandClient, plan: Mapping[str, Any]) -> None:
     """Hand a plan over; CliError when the daemon finds fault with it."""
     do(client, "plan", path=f"{plan['name']}.yaml", text=yaml.safe_dump(dict(plan)))
 
 
-def leave(client: Client, *, armed: bool, over: bool) -> None:
+def leave(client: CommandClient, *, armed: bool, over: bool) -> None:
     """Leave the palms standing, and stop the arm if it was `armed` here or all is not `over`."""
     if not over and client.ask("hold")["ok"]:
         t_end = time.monotonic() + STANDING_S
@@ -170,7 +172,7 @@ def leave(client: Client, *, armed: bool, over: bool) -> None:
         client.ask("stop")
 
 
-def can_move(client: Client) -> None:
+def can_move(client: CommandClient) -> None:
     """CliError when the daemon's arm is neither armed nor can be."""
     status = do(client, "status")
     if status["state"] not in ("ready", "tracking", "hold"):

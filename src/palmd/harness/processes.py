@@ -14,7 +14,7 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, Self
 
-from palmd.bus.client import KEY_VARIABLE
+from palmd.bus.link import KEY_VARIABLE
 from palmd.console.errors import RIG_FAILED, CliError
 
 _C = ctypes.CDLL(None)

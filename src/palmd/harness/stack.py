@@ -14,7 +14,8 @@ from typing import Any, Literal, Self
 import yaml
 import zmq
 
-from palmd.bus.client import Client, Message, Subscriber
+from palmd.bus.command_client import CommandClient
+from palmd.bus.subscriber import Message, Subscriber
 from palmd.config import BusConfig, Config
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.harness.processes import Child
@@ -41,7 +42,7 @@ class Stack:
     bus: BusConfig
     path: Path
     page: str
-    client: Client
+    client: CommandClient
     subscriber: Subscriber
 
     def __init__(
@@ -99,7 +100,7 @@ class Stack:
         if line is None:
             raise not_started(child)
         self.told = json.loads(line)
-        self._hand = self._lives["rig"].enter_context(Client(self.told["control"], ANSWER_S))
+        self._hand = self._lives["rig"].enter_context(CommandClient(self.told["control"], ANSWER_S))
         return True
 
     def start(self, *, record: bool) -> bool:
@@ -128,7 +129,7 @@ class Stack:
         life = self._lives["daemon"]
         topics = ("palm/", "rig/")
         self.subscriber = life.enter_context(Subscriber(self.bus.publish, self.told["truth"], topics=topics))
-        self.client = life.enter_context(Client(self.bus.command, ANSWER_S))
+        self.client = life.enter_context(CommandClient(self.bus.command, ANSWER_S))
 
     def until_heard(self, hear: Callable[[Message], None] = lambda _message: None) -> bool:
         """Whether the daemon speaks; `hear` is given what the rig says meanwhile, and the daemon's first word."""

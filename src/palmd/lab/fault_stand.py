@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from palmd.bus.client import Message
+from palmd.bus.subscriber import Message
 from palmd.config import Config
 from palmd.console.errors import RIG_FAILED, CliError
 from palmd.harness.operator import Operator

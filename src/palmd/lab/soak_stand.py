@@ -19,7 +19,7 @@ from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
-from palmd.bus.client import Message, Subscriber
+from palmd.bus.subscriber import Message, Subscriber
 from palmd.config import Config
 from palmd.console.errors import RIG_FAILED, CliError
 from palmd.console.shipped import shipped

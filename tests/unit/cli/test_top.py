@@ -16,7 +16,7 @@ import time
 
 import pytest
 
-from palmd.bus.client import Message
+from palmd.bus.subscriber import Message
 from palmd.cli import main
 from palmd.cli.board import Board, Row, frame
 from palmd.cli.top import painted

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import zmq
 
-from palmd.bus.client import Message
+from palmd.bus.subscriber import Message
 from palmd.config import BusConfig
 from palmd.console.shipped import shipped
 from palmd.harness.comparison import Comparison, Punctuality
