@@ -11,8 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from palmd.lab.montecarlo_summary import CAUSAL_GOAL_S
-from palmd.lab.scoring import RIGHT_M, WRONG_M, Row
+from palmd.lab.scoring import RIGHT_M, Row
 from palmd.rig.shapes import KINDS
+from palmd.score import WRONG_M
 
 COLOURS = dict(zip(KINDS, ("#0072b2", "#e69f00", "#009e73", "#cc79a7"), strict=True))
 _GREY = "#808080"

@@ -100,7 +100,7 @@ def _run(task: Task) -> Row:
     theta: FloatArray = np.arange(_NORMALS, dtype=np.float64) * (math.tau / _NORMALS)
     own = bodies[chosen].support.sample(theta)
     # the truth's frame is turned so that ψ begins at 0
-    turn = score_outline(theta, own, np.ones(_NORMALS, dtype=np.bool_), np.array(told["h_m"])).rotation
+    turn = score_outline(theta, own, None, np.array(told["h_m"])).rotation
     return Row(
         kind=task.kind,
         seed=task.seed,

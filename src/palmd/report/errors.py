@@ -115,8 +115,8 @@ def body_at(series: Series, t: float) -> Body | None:
 
 def against(outline: OutlineAt, body: Body) -> OutlineAgainst:
     """The outline's errors, and its scores."""
-    theta, h, everywhere = outline.theta, outline.h, np.ones(len(outline.theta), dtype=np.bool_)
-    whole = score_outline(theta, h, everywhere, body.h)
+    theta, h = outline.theta, outline.h
+    whole = score_outline(theta, h, None, body.h)
     felt = score_outline(theta, h, outline.touched, body.h)
     rotation = _likeliest_turn(outline, body)
     true_h = support_at(body.h, theta + rotation)
@@ -131,7 +131,7 @@ def scores_over_time(series: Series) -> tuple[FloatArray, FloatArray, FloatArray
     for outline in chosen:
         body = body_at(series, outline.t)
         if body is not None:
-            score = score_outline(outline.theta, outline.h, np.ones(len(outline.h), dtype=np.bool_), body.h)
+            score = score_outline(outline.theta, outline.h, None, body.h)
             rows.append((outline.t, score.e_h, score.max_error))
     t, e_h, largest = np.array(rows).reshape(-1, 3).T
     return t, e_h, largest
