@@ -22,7 +22,7 @@ _BIN_RAD = math.tau / BINS
 
 
 @dataclass(slots=True)
-class Watch:
+class ExplorationWatch:
     """Takes the ticks one by one; `reachable` and `touched` are marks on the truth's bins of outward normals.
 
     curve: the share touched of the reachable normals at each full second since `t_start` (s). t_enough: when that

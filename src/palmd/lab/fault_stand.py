@@ -15,8 +15,8 @@ from palmd.config import Config
 from palmd.console.errors import RIG_FAILED, CliError
 from palmd.harness.operator import Operator
 from palmd.harness.stack import START_S, Stack, not_started
-from palmd.lab.fault_reaction import Reaction, Turning, Watch, complete
-from palmd.lab.fault_rows import Act, ClockStep, FullDisk, Kill, Pause, Row, TakenAddress, Trick
+from palmd.lab.fault_reaction import Reaction, ReactionWatch, Turning, complete
+from palmd.lab.fault_rows import Act, ClockStep, FaultRow, FullDisk, Kill, Pause, RowFault, TakenAddress
 from palmd.record.mcapfile import RunError
 from palmd.record.run import read_run
 
@@ -65,7 +65,7 @@ class Stand:
     ) -> None:
         self._stack.__exit__(kind, error, traceback)
 
-    def _restart_daemon(self, watch: Watch, **environment: str) -> None:
+    def _restart_daemon(self, watch: ReactionWatch, **environment: str) -> None:
         """`watch` takes what is heard until the daemon speaks."""
         self._stack.begin_daemon(**environment)
         self._operator = Operator()
@@ -79,7 +79,7 @@ class Stand:
 
     def bring_to_motion(self) -> None:
         """Arm, start, go on or reset as it needs, until the palms turn briskly; raises CliError."""
-        watch = Watch()
+        watch = ReactionWatch()
         t_end = time.monotonic() + PATIENCE_S
         while not self._brisk(watch):
             self._listen(watch, LOOK_S)
@@ -91,36 +91,36 @@ class Stand:
             if command is not None:
                 self._stack.client.ask(command)
 
-    def _brisk(self, watch: Watch) -> bool:
+    def _brisk(self, watch: ReactionWatch) -> bool:
         last: Turning | None = watch.turning[-1] if watch.turning else None
         follows = self._operator.moves and self._operator.motion["segment"] > 0
         grave = {"hold", "stop"} & set(self._operator.state.get("severities", ()))
         return last is not None and follows and not grave and max(map(abs, last.omega)) > BRISK_RAD_S
 
-    def _listen(self, watch: Watch, seconds: float) -> None:
+    def _listen(self, watch: ReactionWatch, seconds: float) -> None:
         for message in self._stack.subscriber.until(time.monotonic() + seconds):
             self._hear(watch, message)
 
-    def _hear(self, watch: Watch, message: Message) -> None:
+    def _hear(self, watch: ReactionWatch, message: Message) -> None:
         self._operator.take(message.topic, message.fields)
         watch.take(message.topic, message.fields)
 
     # ---- a row -------------------------------------------------------------------------------------------
 
-    def provoke(self, row: Row) -> Reaction:
+    def provoke(self, row: FaultRow) -> Reaction:
         """From brisk motion: the cause, what comes of it, its end, and the palms moving again; raises CliError."""
         if isinstance(row.act, ClockStep):
-            self._restart_daemon(Watch(), PYTHONPATH=self._stepped_clock(row.act))
+            self._restart_daemon(ReactionWatch(), PYTHONPATH=self._stepped_clock(row.act))
         self.bring_to_motion()
         before, kept = self._stack.rig_status(), self._recorder()
-        watch = Watch()
+        watch = ReactionWatch()
         wrong: list[str] = []
         self._listen(watch, LOOK_S)
         t_cause = self._do(row.act, watch, wrong)
         reaction = self._watch(row, watch, t_cause)
         wrong += self._set_points(before, reaction)
         wrong += self._undo(row.act)
-        self._listen(Watch(), AFTERWARDS_S)  # a line that was late has bytes of then to deliver
+        self._listen(ReactionWatch(), AFTERWARDS_S)  # a line that was late has bytes of then to deliver
         try:
             self.bring_to_motion()
         except CliError as error:
@@ -130,7 +130,7 @@ class Stand:
         starved = self._stack.rig_status()["stalls"] > before["stalls"]
         return watch.reaction(row, t_cause, wrong, starved=starved)
 
-    def _watch(self, row: Row, watch: Watch, t_cause: float) -> Reaction:
+    def _watch(self, row: FaultRow, watch: ReactionWatch, t_cause: float) -> Reaction:
         """Look on until all that the row promises has come, and a little longer."""
         t_begin = time.monotonic()
         t_done = t_begin + WATCHED_MOST_S
@@ -141,11 +141,11 @@ class Stand:
                 t_done = max(t_begin + WATCHED_LEAST_S, time.monotonic() + AFTERWARDS_S)
         return watch.reaction(row, t_cause)
 
-    def _do(self, act: Act, watch: Watch, wrong: list[str]) -> float:
+    def _do(self, act: Act, watch: ReactionWatch, wrong: list[str]) -> float:
         """Bring the cause about; returns its time (s, monotonic clock)."""
         t = time.monotonic()
         match act:
-            case Trick():
+            case RowFault():
                 fields = {"name": act.name, "port": act.port, "strength": act.strength, "for_s": act.for_s}
                 t = float(self._stack.ask_rig("mischief", **fields)["t_on_s"])
             case Pause():
@@ -168,7 +168,7 @@ class Stand:
     def _undo(self, act: Act) -> list[str]:
         """End the cause, and start again what is gone; what went wrong with that."""
         match act:
-            case Trick() if act.for_s is None:
+            case RowFault() if act.for_s is None:
                 self._stack.ask_rig("calm", name=act.name, port=act.port)
             case Kill(process="daemon"):
                 self._stack.client.ask("reset")  # the controller's fault, which the new daemon found
@@ -183,7 +183,7 @@ class Stand:
                 return self._gone("recorder-failed")
             case ClockStep():
                 jumped = self._operator.state["timestamp"] - time.time()
-                self._restart_daemon(Watch())
+                self._restart_daemon(ReactionWatch())
                 return [] if abs(jumped - act.seconds) < CLOCKS_AGREE_S else ["the daemon's clock was not set"]
         return []
 
@@ -202,7 +202,7 @@ class Stand:
         while code in self._operator.state["faults"]:
             if time.monotonic() > t_end:
                 return [f"{code} does not go away"]
-            self._listen(Watch(), LOOK_S)
+            self._listen(ReactionWatch(), LOOK_S)
         return []
 
     def _limit_recorder(self, size_bytes: int) -> None:

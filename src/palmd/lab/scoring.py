@@ -58,7 +58,7 @@ class Causal:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class MonteCarloRow:
     """A run in numbers; NaN for what there is not.
 
     error: what was raised, then nothing else is known. converged, reason, chi2, seconds: as `reconstruct` says.
@@ -171,9 +171,9 @@ def row_of(
     outline: OutlineErrors | None,
     bound: Bound,
     causal: Causal | None,
-) -> Row:
+) -> MonteCarloRow:
     """The row of a run; `bound.h_sd` is for the normals `outline.true_theta`."""
-    row = Row(
+    row = MonteCarloRow(
         kind=kind,
         seed=seed,
         converged=bool(answer.converged),

@@ -25,9 +25,9 @@ from palmd.console.errors import RIG_FAILED, CliError
 from palmd.console.shipped import shipped
 from palmd.harness.operator import Operator
 from palmd.harness.stack import ANSWER_S, START_S, Stack
-from palmd.lab.soak_behaviour import Cause, Command
+from palmd.lab.soak_behaviour import Cause, GivenCommand
 from palmd.lab.soak_fault_injection import Act, Say, Trick, Visit
-from palmd.lab.soak_watch import Process, Watch
+from palmd.lab.soak_watch import Process, SoakWatch
 from palmd.view.http_guard import SOCKET
 
 PATIENCE_S = 40.0
@@ -86,7 +86,7 @@ class SoakStand:
         """`folder` takes configurations and what the processes say, `runs` the recordings."""
         self._folder, self._seed = folder, seed
         pads = config.pads
-        self.watch = Watch({"pad1": pads.palm1.length_mm * 1e-3, "pad2": pads.palm2.length_mm * 1e-3})
+        self.watch = SoakWatch({"pad1": pads.palm1.length_mm * 1e-3, "pad2": pads.palm2.length_mm * 1e-3})
         self.nonsense = 0
         self.unserved: list[str] = []
         self._resources = ExitStack()
@@ -199,7 +199,7 @@ class SoakStand:
             self._command(command)
 
     def _command(self, name: str) -> bool:
-        self.watch.commands.append(Command(time.monotonic(), name))
+        self.watch.commands.append(GivenCommand(time.monotonic(), name))
         return bool(self._stack.client.ask(name)["ok"])
 
     # ---- doings ------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from palmd.view.feed import Payload
 ANSWERS_MOST = 16
 
 
-class Client:
+class PageClient:
     """A page that takes one batch at a time; while it is busy with one, the next frames are dropped and counted."""
 
     def __init__(self, connection: ServerConnection, operator: bool) -> None:

@@ -17,7 +17,7 @@ from palmd import __version__
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.keys import Credentials
 from palmd.view import http_guard, wire
-from palmd.view.client import Client
+from palmd.view.client import PageClient
 from palmd.view.command_client import PageCommands
 from palmd.view.feed import Feed, Payload
 from palmd.view.files import page_files
@@ -68,8 +68,8 @@ class _Server:
         self._settings, self._feed, self._commands = settings, feed, commands
         self._files = page_files()
         self._frame = 0
-        self._clients: set[Client] = set()
-        self._orders: dict[int, tuple[Client, wire.Order]] = {}
+        self._clients: set[PageClient] = set()
+        self._orders: dict[int, tuple[PageClient, wire.Order]] = {}
 
     async def run(self, ready: Callable[[str], None], stop: asyncio.Event) -> None:
         strangers = logging.getLogger("palmd.view.connections")
@@ -121,7 +121,7 @@ class _Server:
                 told = self._frame
                 self._offer(self._clients, messages)
 
-    def _offer(self, clients: Iterable[Client], messages: list[Payload]) -> None:
+    def _offer(self, clients: Iterable[PageClient], messages: list[Payload]) -> None:
         commandable = self._commands.open
         for client in clients:
             client.offer(self._frame, commandable, messages, self._feed.latest.items())
@@ -147,7 +147,7 @@ class _Server:
             return
         settings = self._settings
         connection.transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
-        client = Client(connection, http_guard.may_operate(token, settings.token))
+        client = PageClient(connection, http_guard.may_operate(token, settings.token))
         client.tell(wire.hello(__version__, client.operator, settings.publish, settings.command, settings.allowed))
         self._offer([client], [])
         self._clients.add(client)
@@ -162,7 +162,7 @@ class _Server:
             sending.cancel()
             await asyncio.gather(sending, return_exceptions=True)
 
-    def _obey(self, client: Client, message: str | bytes) -> None:
+    def _obey(self, client: PageClient, message: str | bytes) -> None:
         """Pass an order on to the daemon, or say why not."""
         order = wire.order_in(message)
         if order is None:

@@ -20,7 +20,7 @@ from palmd.record.run import read_run
 from palmd.report.html import as_html
 from palmd.report.pdf import as_pdf
 from palmd.report.sections import Plate, Report, drawn, report_of
-from palmd.report.series import Track, series_of
+from palmd.report.series import TopicSeries, series_of
 
 VOID = {"meta", "br", "hr", "img", "link", "input"}
 _KEPT = TemporaryDirectory(prefix="palmd-test-report-")
@@ -189,7 +189,7 @@ def test_a_figure_of_a_long_run_stays_small(tmp_path):
         for name, column in read.estimate.columns.items()
     }
     columns["valid"][:] = 1.0
-    read = replace(read, estimate=Track(np.arange(20200) * 0.01, columns))
+    read = replace(read, estimate=TopicSeries(np.arange(20200) * 0.01, columns))
     long = next(section for section in report_of(read).sections if section.title == "State").parts[0]
     assert points_of(drawn(long)) < 12 * 3 * 3 * 300 + short
 
