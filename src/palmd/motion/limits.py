@@ -158,15 +158,6 @@ class MotionLimits:
         """
         return [text for _, text in problems(self.bounds, ranges([self.values(PalmMotion(phi1, phi2))]))]
 
-    def contact_violations(self, s1: float, s2: float, margin: float = PAD_MARGIN) -> list[str]:
-        """What is wrong with contacts at s1, s2 (m from the hinge): nearer to a pad's end than `margin`."""
-        low, high = margin * 1e3, (self.pad_length - margin) * 1e3
-        return [
-            f"the contact on palm {palm} is at {s * 1e3:.1f} mm; the pad serves {low:.1f} to {high:.1f} mm"
-            for palm, s in ((1, s1), (2, s2))
-            if not margin <= s <= self.pad_length - margin
-        ]
-
     def clamp_step(self, previous: PalmMotion, wanted: PalmMotion, dt: float) -> PalmMotion:
         """The last guard before a set-point: `wanted`, inside the angle limits and one step of rate·dt.
 

@@ -5,10 +5,10 @@ import itertools
 import math
 
 import pytest
+from outcomes import conclude, outcome, take
 
 from palmd.config import PlanSpec, rig_description
 from palmd.daemon.exploration_requests import Decider, InlineExplorer
-from palmd.harness.outcome import conclude, outcome, take
 from palmd.harness.scorer import Scorer
 from palmd.harness.wireless import Wireless, WirelessError
 from palmd.motion.explorer import Decision
