@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from palmd.cli.logs import read
+from palmd.console.arguments import seconds_within, seed
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.extras import missing, only_without
 from palmd.console.progress import Progress
@@ -33,8 +34,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     parser.add_argument("log", type=Path, nargs="?", metavar="LOG", help="an event log, its truth beside it")
     parser.add_argument("--kind", choices=KINDS, default="nominal", help="of a simulated run; default: %(default)s")
-    parser.add_argument("--seed", type=_seed, default=100, help="of run and good start; default: %(default)s")
-    parser.add_argument("--seconds", type=_seconds, default=10.0, help="of the run; default: %(default)g")
+    parser.add_argument("--seed", type=seed, default=100, help="of run and good start; default: %(default)s")
+    parser.add_argument(
+        "--seconds", type=seconds_within(1.0, 600.0), default=10.0, help="of the run; default: %(default)g"
+    )
     parser.add_argument("-o", "--output", type=Path, metavar="FOLDER", help=f"write {RESULT} there")
 
 
@@ -132,17 +135,3 @@ def _make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise CliError(BAD_INPUT, f"{folder}: cannot be made: {error.strerror or error}") from None
-
-
-def _seed(text: str) -> int:
-    seed = int(text)
-    if seed < 0:
-        raise argparse.ArgumentTypeError(f"0 or more, got {text}")
-    return seed
-
-
-def _seconds(text: str) -> float:
-    seconds = float(text)
-    if not 1.0 <= seconds <= 600.0:
-        raise argparse.ArgumentTypeError(f"between 1 and 600, got {text}")
-    return seconds
