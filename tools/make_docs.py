@@ -10,9 +10,9 @@ from pathlib import Path
 from palmd.daemon import lifecycle
 from palmd.daemon.commands import COMMANDS, CommandSpec
 from palmd.faults import FAULTS
-from palmd.messages import STAMP, TOPICS
 from palmd.model import errata
 from palmd.model.notation import SYMBOLS
+from palmd.quantities import STAMP, TOPICS
 from palmd.rig.fault_injection import INJECTABLE_FAULTS
 
 DOCS = Path(__file__).parent.parent / "docs"
@@ -47,7 +47,7 @@ def messages() -> str:
     parts.append(table(head, [(f"`{f.name}`", f.unit, f.meaning) for f in STAMP]))
     for topic in TOPICS:
         parts.append(f"\n## `{topic.name}` ({topic.rate})\n\n")
-        parts.append(table(head, [(f"`{f.name}`", f.unit, f.meaning) for f in topic.fields]))
+        parts.append(table(head, [(f"`{f.name}`", f.unit, f.meaning) for f in topic.quantities]))
     parts.append(
         "\n## Commands\n\nOne msgpack map `{id, cmd, args}` to the command socket, and one back: "
         "`{id, ok, error?, result?}`.\nWhat is refused has moved nothing.\n\n"

@@ -31,16 +31,7 @@ from palmd.devices.armlink import ArmState
 from palmd.events import Estimate, Event, Improvement, ObjectEstimate, Outlook, PadSample, ShapeEstimate
 from palmd.faults import FaultMonitor
 from palmd.messages import (
-    CONTACT,
-    ESTIMATE,
-    EVENTS,
-    IMPROVEMENT,
-    MOTION,
-    OBJECT,
-    SHAPE,
-    STATE,
     Fields,
-    Topic,
     contact_fields,
     estimate_fields,
     events_fields,
@@ -53,6 +44,7 @@ from palmd.messages import (
 )
 from palmd.motion.check import motion_limits
 from palmd.motion.kinematics import RigGeometry
+from palmd.quantities import CONTACT, ESTIMATE, EVENTS, IMPROVEMENT, MOTION, OBJECT, SHAPE, STATE, Topic
 
 log = logging.getLogger(__name__)
 

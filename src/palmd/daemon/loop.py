@@ -21,7 +21,8 @@ from palmd.daemon.statistics import LoopStatistics
 from palmd.daemon.systemd import Notifier
 from palmd.devices.port import Port, PortWaiter
 from palmd.faults import Fault
-from palmd.messages import INFO, LOOP, Fields
+from palmd.messages import Fields
+from palmd.quantities import INFO, LOOP
 
 log = logging.getLogger(__name__)
 

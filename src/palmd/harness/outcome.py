@@ -10,7 +10,8 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.harness.wireless import Instant, Wireless
-from palmd.messages import ESTIMATE, SHAPE, Fields
+from palmd.messages import Fields
+from palmd.quantities import ESTIMATE, SHAPE
 from palmd.rig.world import World
 from palmd.score import score_outline
 

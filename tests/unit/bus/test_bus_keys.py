@@ -19,7 +19,8 @@ from palmd.daemon import zap_auth
 from palmd.daemon.bus import Bus
 from palmd.daemon.commands import COMMANDS, Reply
 from palmd.keys import Role
-from palmd.messages import STATE, state_fields
+from palmd.messages import state_fields
+from palmd.quantities import STATE
 from palmd.view.command_client import Desk
 from palmd.view.feed import Feed
 

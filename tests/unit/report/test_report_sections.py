@@ -13,9 +13,9 @@ import pytest
 import reported
 from matplotlib.figure import Figure
 
-from palmd import lab
+import palmd.report
 from palmd.cli import main
-from palmd.messages import ESTIMATE, LOOP
+from palmd.quantities import ESTIMATE, LOOP
 from palmd.record.run import read_run
 from palmd.report.html import as_html
 from palmd.report.pdf import as_pdf
@@ -233,10 +233,10 @@ def test_a_run_is_never_overwritten_by_its_report(tmp_path, capsys):
 
 
 def test_without_matplotlib_it_says_so(tmp_path, monkeypatch, capsys):
-    for name in [name for name in sys.modules if name.startswith("palmd.lab.run_")]:
-        if name.rpartition(".")[2] not in ("run_series", "run_words"):
+    for name in [name for name in sys.modules if name.startswith("palmd.report.")]:
+        if name.rpartition(".")[2] not in ("command", "series", "words"):
             monkeypatch.delitem(sys.modules, name)
-            monkeypatch.delattr(lab, name.rpartition(".")[2], raising=False)
+            monkeypatch.delattr(palmd.report, name.rpartition(".")[2], raising=False)
     for name in [name for name in sys.modules if name.partition(".")[0] == "matplotlib"]:
         monkeypatch.setitem(sys.modules, name, None)
     assert main(["report", str(path()), "-o", str(tmp_path / "report.html")]) == 1
