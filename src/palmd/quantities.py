@@ -1,7 +1,7 @@
 """One table of what is published: topics, their quantities, and how people are shown them.
 
-Messages, `palmd top`, the live page, reports, exports, the layouts in `config/` and docs/messages.md take names, units,
-symbols and rates from here. Adding a quantity is adding a row, and filling it in where it is built.
+Messages, `palmd top`, the live page, reports, exports, the layouts in `config/` and docs/reference/messages.md take
+names, units, symbols and rates from here. Adding a quantity is adding a row, and filling it in where it is built.
 """
 
 from __future__ import annotations

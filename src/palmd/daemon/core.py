@@ -48,7 +48,7 @@ from palmd.quantities import CONTACT, ESTIMATE, EVENTS, IMPROVEMENT, MOTION, OBJ
 
 log = logging.getLogger(__name__)
 
-SLOW_TOPIC_S = 0.1
+SLOW_TOPIC_S = 1.0 / STATE.rate_hz
 _EARLY_S = 1e-3  # ticks jitter; what is due within so much is due now
 
 OUTSIDE = math.radians(1.0)

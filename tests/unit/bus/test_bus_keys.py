@@ -136,7 +136,7 @@ def test_a_page_listens_to_a_daemon_with_keys_and_to_a_rig_without(rig):
 
 
 def test_a_subscriber_of_ones_own_as_the_manual_has_it(rig):
-    page = (Path(__file__).parents[3] / "docs/subscribing.md").read_text()
+    page = (Path(__file__).parents[3] / "docs/operate/subscribing.md").read_text()
     (code,) = re.findall(r"```python\n(from zmq.auth.*?)```", page, flags=re.DOTALL)
     made = rig.context.socket(zmq.SUB)
     rig.clients.append(made)
