@@ -26,7 +26,18 @@ PAGES = [
         f"docs/{name}.md"
         for name in (
             *("architecture", "theory", "paper", "limits", "calibration", "exploring", "subscribing"),
-            *("recordings", "page", "reports", "operations", "bringup", "security", "campaign", "soak", "fuzzing"),
+            *(
+                "start/library",
+                "recordings",
+                "page",
+                "reports",
+                "operations",
+                "bringup",
+                "security",
+                "campaign",
+                "soak",
+                "fuzzing",
+            ),
         )
     ),
 ]
