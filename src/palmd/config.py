@@ -140,11 +140,19 @@ class Strict(BaseModel):
 # ---------------------------------------------------------------------------------------------- configuration
 
 
+def _that_can_be_driven(hinge: object) -> object:
+    if hinge == "fixed":
+        raise ValueError(
+            "no actuator drives a fixed hinge, which is for theory and event logs; an arm needs hinge: arc"
+        )
+    return hinge
+
+
 class RigConfig(Strict):
     """Gravity and the palms' linkage, in the world frame."""
 
     gravity_m_s2: Annotated[FiniteFloat, Field(gt=0, le=30)] = 9.81
-    hinge: Literal["arc", "fixed"] = "arc"
+    hinge: Annotated[Literal["arc"], BeforeValidator(_that_can_be_driven)] = "arc"
     base_mm: Pair = (120.0, 0.0)
     palm1_length_mm: Annotated[FiniteFloat, Field(gt=0, le=2000)] = 120.0
     palm2_length_mm: Annotated[FiniteFloat, Field(gt=0, le=2000)] = 120.0
@@ -159,11 +167,10 @@ class PressureConfig(Strict):
     invert: bool = False
 
 
-class PadConfig(Strict):
-    """One touchpad: its port, and how counts become s = zero_mm + sign · counts / counts_per_mm."""
+class PadBase(Strict):
+    """What every kind of touchpad has: its port, and how counts become s = zero_mm + sign · counts / counts_per_mm."""
 
     port: PortPath
-    baud: Baud = 9600
     axis: Literal["x", "y"] = "x"
     sign: Annotated[int, _one_of(1, -1)] = 1
     zero_mm: Annotated[FiniteFloat, Field(ge=-1000, le=1000)] = 28.0
@@ -171,8 +178,24 @@ class PadConfig(Strict):
     newtons_per_count: Positive = 0.02
     length_mm: Annotated[FiniteFloat, Field(gt=0, le=1000)] = 55.5
     noise_mm: Annotated[FiniteFloat, Field(gt=0, le=5)] = 0.1  # one sigma of a position, its rounding not counted
+
+
+class VersaPadConfig(PadBase):
+    """A VersaPad on a serial line."""
+
+    kind: Literal["versapad"] = Field(default="versapad", exclude=True)  # may be left out, and is where it is stored
+    baud: Baud = 9600
     handshake: Literal["none", "break", "break_twice"] = "none"
     pressure: PressureConfig = PressureConfig()
+
+    @property
+    def report_s(self) -> float:
+        """How long a report of six bytes takes on the line (s)."""
+        return 6 * (10.0 / self.baud)
+
+
+PadConfig = VersaPadConfig
+"""The kinds of touchpads: `of_kind(A, B, …)` once there are several."""
 
 
 class PadsConfig(Strict):
@@ -190,14 +213,19 @@ class PadsConfig(Strict):
         return palm2
 
 
-class ArmConfig(Strict):
-    """The robot arm's serial line, and where its base stands in the world frame."""
+class AdeptConfig(Strict):
+    """The serial line of an Adept controller, and where its arm's base stands in the world frame."""
 
+    kind: Literal["adept"] = Field(default="adept", exclude=True)
     port: PortPath
     baud: Baud = 38400
     base_x_mm: FiniteFloat = -300.0
     base_y_mm: FiniteFloat = 0.0
     base_yaw_deg: Annotated[FiniteFloat, Field(ge=-360, le=360)] = 0.0
+
+
+ArmConfig = AdeptConfig
+"""The kinds of actuators."""
 
 
 class LimitsConfig(Strict):

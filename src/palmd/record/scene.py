@@ -33,7 +33,6 @@ class SceneWatch:
     """Makes a scene of each outline that has an estimate of the same tick before it, with a place in it."""
 
     def __init__(self, config: Config) -> None:
-        """Raises PoseError for a fixed hinge, which no daemon has run with."""
         self._geometry = RigGeometry.from_config(config)
         self._pads = [pad.length_mm * 1e-3 for pad in (config.pads.palm1, config.pads.palm2)]
         self._estimate: Fields = {}

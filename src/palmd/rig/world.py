@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from palmd.config import ArmConfig, Config, PadConfig, PadsConfig
-from palmd.devices.armlink import CONTROLLER_NEWLINE, ArmState, Pose
+from palmd.config import AdeptConfig, Config, PadConfig, PadsConfig, VersaPadConfig
+from palmd.devices.actuator import ArmState, Pose
+from palmd.devices.armlink import CONTROLLER_NEWLINE
 from palmd.events import PalmMotion
 from palmd.rig.arm import Linkage, Servo, turn
 from palmd.rig.controller import BREAK_RECEIVED, CYCLE_S, ArmLimits, Controller
@@ -46,8 +47,8 @@ _IDENTITY_S = 0.5
 
 def default_config() -> Config:
     """The contract's defaults, for a rig started without a configuration."""
-    pads = PadsConfig(palm1=PadConfig(port="pad1"), palm2=PadConfig(port="pad2"))
-    return Config(pads=pads, arm=ArmConfig(port="arm"))
+    pads = PadsConfig(palm1=VersaPadConfig(port="pad1"), palm2=VersaPadConfig(port="pad2"))
+    return Config(pads=pads, arm=AdeptConfig(port="arm"))
 
 
 class World:
@@ -67,7 +68,7 @@ class World:
         by_hand: bool = False,
         t: float = 0.0,
     ) -> None:
-        """At rest at t (s), a random body of the kind, or `body`, in a stable pose; ValueError for a fixed hinge.
+        """At rest at t (s), a random body of the kind, or `body`, in a stable pose.
 
         With `marbles` there is no body on the palms: a marble rolls over each of these pads instead. With `roller` it
         is one that rolls down a gently sloping palm; with `by_hand` the arm is in manual mode and a hand swings the
