@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from palmd.config import AdeptConfig, Config, PadConfig, PadsConfig, VersaPadConfig
+from palmd.config import AdeptConfig, Config, PadsConfig, VersaPadConfig
 from palmd.devices.actuator import ArmState, Pose
 from palmd.devices.armlink import CONTROLLER_NEWLINE
 from palmd.events import PalmMotion
@@ -23,7 +23,7 @@ from palmd.rig.fault_injection import PADS, PORTS, FaultOrder, PortName, Switchb
 from palmd.rig.hand import Hand
 from palmd.rig.line import Wire
 from palmd.rig.marble import Marble
-from palmd.rig.pads import GOOD_PADS, PadEmulator, PadOptions, Press
+from palmd.rig.pads import GOOD_PADS, PadEmulator, PadOptions, Press, versapads
 from palmd.rig.plant import AS_ASSUMED, Hinge, Plant, PlantOptions, random_surface, stable_poses
 from palmd.rig.roller import Roller, RollerKind
 from palmd.rig.setpoint_checker import SetPointChecker
@@ -89,7 +89,8 @@ class World:
         self._servos = [Servo(r, lag) for r in (home.x_m, home.y_m, home.t_rad)]
         self._next_cycle = int(self._rng.integers(_STEPS_PER_CYCLE))
         self._palms = self._palms_at(t)
-        self._pad_configs: dict[PortName, PadConfig] = {"pad1": config.pads.palm1, "pad2": config.pads.palm2}
+        pad1, pad2 = versapads(config)
+        self._pad_configs: dict[PortName, VersaPadConfig] = {"pad1": pad1, "pad2": pad2}
         self._pads: dict[PortName, PadEmulator] = {
             name: PadEmulator(pad, pad_options, self._pad_error(number), self._rng, t)
             for number, (name, pad) in enumerate(self._pad_configs.items(), 1)
@@ -101,9 +102,8 @@ class World:
         }
         self._roller = roller and Roller(roller, config.rig.gravity_m_s2, self._reach(), np.random.default_rng(seed))
         self._hand = Hand(config.limits, self._home) if by_hand else None
-        bauds: dict[PortName, int] = {name: pad.baud for name, pad in self._pad_configs.items()}
-        bauds["arm"] = config.arm.baud
-        self._out: dict[PortName, Wire] = {port: Wire(bauds[port]) for port in PORTS}
+        self.bauds: dict[PortName, int] = {"pad1": pad1.baud, "pad2": pad2.baud, "arm": config.arm.baud}
+        self._out: dict[PortName, Wire] = {port: Wire(self.bauds[port]) for port in PORTS}
         self._in = Wire(config.arm.baud)
         self._said: dict[PortName, Said] = {port: Said() for port in PORTS}
         self._host_lines = HostLines(config.arm.baud)
