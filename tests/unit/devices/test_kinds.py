@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
+from pydantic import Discriminator, Tag
 
 from palmd import config, devices
 from palmd.config import AdeptConfig, VersaPadConfig
@@ -23,8 +24,10 @@ def kinds(folder):
 
 
 def kinds_in(union):
-    models = get_args(union) or (union,)
-    return {get_args(model.model_fields["kind"].annotation)[0] for model in models}
+    """The kinds of a model, or of a union of them, however they are told apart."""
+    if isinstance(union, type):
+        return set(get_args(union.model_fields["kind"].annotation))
+    return {kind for each in get_args(union) if not isinstance(each, Discriminator | Tag) for kind in kinds_in(each)}
 
 
 def members(protocol):
