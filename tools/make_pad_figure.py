@@ -6,12 +6,12 @@ from pathlib import Path
 
 from palmd.calibration.pad_characteristic import characterise
 from palmd.calibration.pad_figure import save
-from palmd.config import PadConfig
+from palmd.config import VersaPadConfig
 from palmd.lab.rolled_marble import rolled
 
 FIGURE = Path(__file__).parent.parent / "docs/figures/pad.svg"
 
 if __name__ == "__main__":
-    config = PadConfig(port="emulated")
+    config = VersaPadConfig(port="emulated")
     packets, counters = rolled(config, seed=1, seconds=20.0)
     save(packets, characterise(packets, counters, config), config, FIGURE)

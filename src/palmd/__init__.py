@@ -1,3 +1,59 @@
-"""palmd: an unknown planar object on two touchpad palms, reconstructed live."""
+"""palmd: an unknown planar object on two touchpad palms, reconstructed live.
+
+    run = palmd.open("run.mcap")      # a recorded run or an event log, as NumPy arrays
+    palmd.estimate(run)               # what the daemon's observer says of it, tick by tick
+    palmd.reconstruct(run)            # what the whole of it tells, seen from its end
+    palmd.connect()                   # a running daemon: its estimates, and commands to it
+
+`import palmd` loads nothing else; each name loads what it needs when it is first used (see docs/start/library.md).
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from palmd.api import (
+        EstimatedRun,
+        Events,
+        Live,
+        Outline,
+        PalmdError,
+        Run,
+        SmoothedRun,
+        Table,
+        connect,
+        estimate,
+        open,
+        reconstruct,
+    )
 
 __version__ = "0.1.0"
+
+__all__ = [
+    "EstimatedRun",
+    "Events",
+    "Live",
+    "Outline",
+    "PalmdError",
+    "Run",
+    "SmoothedRun",
+    "Table",
+    "connect",
+    "estimate",
+    "open",
+    "reconstruct",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value: object = getattr(importlib.import_module("palmd.api"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -140,13 +140,21 @@ class Strict(BaseModel):
 # ---------------------------------------------------------------------------------------------- configuration
 
 
+def _that_can_be_driven(hinge: object) -> object:
+    if hinge == "fixed":
+        raise ValueError(
+            "no actuator drives a fixed hinge, which is for theory and event logs; an arm needs hinge: arc"
+        )
+    return hinge
+
+
 class RigConfig(Strict):
     """Gravity and the palms' linkage, in the world frame."""
 
     gravity_m_s2: Annotated[FiniteFloat, Field(gt=0, le=30)] = 9.81
     """In the plane of the palms: 9.81 · sin(tilt of the table)."""
-    hinge: Literal["arc", "fixed"] = "arc"
-    """`arc`: palm 1 is hinged to B, the arm holds the far end of palm 2. `fixed` is for theory and logs only."""
+    hinge: Annotated[Literal["arc"], BeforeValidator(_that_can_be_driven)] = "arc"
+    """`arc`: palm 1 is hinged to B, the arm holds the far end of palm 2."""
     base_mm: Pair = (120.0, 0.0)
     """B, the fixed hinge at the far end of palm 1, in the world frame."""
     palm1_length_mm: Annotated[FiniteFloat, Field(gt=0, le=2000)] = 120.0
@@ -168,13 +176,11 @@ class PressureConfig(Strict):
     """Whether a firm touch gives a small number."""
 
 
-class PadConfig(Strict):
-    """One touchpad: its port, and how counts become s = zero_mm + sign · counts / counts_per_mm."""
+class PadBase(Strict):
+    """What every kind of touchpad has: its port, and how counts become s = zero_mm + sign · counts / counts_per_mm."""
 
     port: PortPath
     """The serial port; a name that lasts is best (`/dev/serial/by-id/…`)."""
-    baud: Baud = 9600
-    """Of the serial line."""
     axis: Literal["x", "y"] = "x"
     """Which of the pad's axes lies along the palm."""
     sign: Annotated[int, _one_of(1, -1)] = 1
@@ -189,10 +195,28 @@ class PadConfig(Strict):
     """How far from the hinge the pad reaches."""
     noise_mm: Annotated[FiniteFloat, Field(gt=0, le=5)] = 0.1
     """One sigma of a position, its rounding not counted."""
+
+
+class VersaPadConfig(PadBase):
+    """A VersaPad on a serial line."""
+
+    kind: Literal["versapad"] = Field(default="versapad", exclude=True)  # excluded: it is where it is stored
+    """What kind of pad it is; may be left out."""
+    baud: Baud = 9600
+    """Of the serial line."""
     handshake: Literal["none", "break", "break_twice"] = "none"
     """What the pad wants before it talks: nothing, a break, or two."""
     pressure: PressureConfig = PressureConfig()
     """Where the pressure is in a packet."""
+
+    @property
+    def report_s(self) -> float:
+        """How long a report of six bytes takes on the line (s)."""
+        return 6 * (10.0 / self.baud)
+
+
+PadConfig = VersaPadConfig
+"""The kinds of touchpads: `of_kind(A, B, …)` once there are several."""
 
 
 class PadsConfig(Strict):
@@ -212,9 +236,10 @@ class PadsConfig(Strict):
         return palm2
 
 
-class ArmConfig(Strict):
-    """The robot arm's serial line, and where its base stands in the world frame."""
+class AdeptConfig(Strict):
+    """The serial line of an Adept controller, and where its arm's base stands in the world frame."""
 
+    kind: Literal["adept"] = Field(default="adept", exclude=True)
     port: PortPath
     """The serial port to the controller."""
     baud: Baud = 38400
@@ -225,6 +250,10 @@ class ArmConfig(Strict):
     """Its other coordinate."""
     base_yaw_deg: Annotated[FiniteFloat, Field(ge=-360, le=360)] = 0.0
     """By how much the arm's own x axis is turned from the world's."""
+
+
+ArmConfig = AdeptConfig
+"""The kinds of actuators."""
 
 
 class LimitsConfig(Strict):

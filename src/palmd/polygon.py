@@ -53,6 +53,22 @@ def boundary(h: FloatArray) -> FloatArray:
     return np.asarray(h[:, None] * normals(theta) + slope[:, None] * normals(theta + math.pi / 2))
 
 
+def closed_outline(theta: FloatArray, h: FloatArray) -> FloatArray:
+    """The closed outline (361, 2) in m of a support function h (m) on any number of normals spread over a full turn.
+
+    The first and last point have the normal theta[0] (rad); between the samples it is interpolated trigonometrically.
+    """
+    on_degrees = np.fft.irfft(np.fft.rfft(h), 360) * (360 / len(h))
+    points = boundary(on_degrees) @ turned(float(theta[0]))
+    return np.concatenate([points, points[:1]])
+
+
+def turned(angle: float) -> FloatArray:
+    """What turns points in rows by `angle` (rad): points @ turned(angle)."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, s], [-s, c]])
+
+
 def lamina(points: FloatArray) -> Lamina:
     """The plate within a closed polygon `points` (n, 2) in m, counter-clockwise; the area is negative if clockwise.
 

@@ -8,7 +8,7 @@ from turned_cylinder import turned
 from palmd.calibration.cylinder import tipping_plan, turning_plan
 from palmd.calibration.pad_force import pad_forces
 from palmd.calibration.pad_scale import pad_scales
-from palmd.config import LimitsConfig, PadConfig
+from palmd.config import LimitsConfig, VersaPadConfig
 from palmd.motion.limits import MotionLimits
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(300)]
@@ -18,10 +18,10 @@ SEEDS = 12
 ROUNDS = 8
 RADIUS_M, MASS_KG = 0.02, 0.1
 LIMITS = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555)
-CONFIGURED = (PadConfig(port="pad1"), PadConfig(port="pad2"))
+CONFIGURED = (VersaPadConfig(port="pad1"), VersaPadConfig(port="pad2"))
 REAL = (
-    PadConfig(port="pad1", zero_mm=26.5, counts_per_mm=8.11, newtons_per_count=0.024),
-    PadConfig(port="pad2", zero_mm=29.2, counts_per_mm=7.65, newtons_per_count=0.017, sign=-1),
+    VersaPadConfig(port="pad1", zero_mm=26.5, counts_per_mm=8.11, newtons_per_count=0.024),
+    VersaPadConfig(port="pad2", zero_mm=29.2, counts_per_mm=7.65, newtons_per_count=0.017, sign=-1),
 )
 
 

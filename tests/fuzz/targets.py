@@ -94,7 +94,7 @@ def _read_again(body: str) -> None:
 def armhost(data: bytes) -> None:
     """The host hears anything on a link that is up, and goes on: what it writes are commands."""
     host, t = ArmHost(BAUD), 0.0
-    assert host.poll(t, None) == encode_command(Hello())
+    assert host.poll(t, None).data == encode_command(Hello())
     wanted = (host.want_tracking, host.want_stop, host.request_reset)
     for number, piece in enumerate(_pieces(data)):
         t += (piece[0] % 8) * 0.004
@@ -102,7 +102,7 @@ def armhost(data: bytes) -> None:
             assert report.t_sample <= t
         if number % 4 == 3:
             wanted[piece[0] % 3]()
-        for line in LineReader(BAUD).feed(host.poll(t, _HOME), t):
+        for line in LineReader(BAUD).feed(host.poll(t, _HOME).data, t):
             parse_command(line.body)
         assert host.due() > -math.inf or host.hello is None
 

@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 
-from palmd.config import LimitsConfig, PadConfig
+from palmd.config import LimitsConfig, VersaPadConfig
 from palmd.motion.limits import MotionLimits
 
 LIMITS = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555)
-CONFIGURED = tuple(PadConfig(port=f"pad{number}") for number in (1, 2))
+CONFIGURED = tuple(VersaPadConfig(port=f"pad{number}") for number in (1, 2))
 TRUE = (
     CONFIGURED[0].model_copy(update={"zero_mm": 26.5, "counts_per_mm": 8.11, "newtons_per_count": 0.024}),
     CONFIGURED[1].model_copy(update={"zero_mm": 29.2, "counts_per_mm": 7.65, "newtons_per_count": 0.017, "sign": -1}),

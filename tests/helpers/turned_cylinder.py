@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from palmd.config import PadConfig, PlanSpec
+from palmd.config import PlanSpec, VersaPadConfig
 from palmd.devices.versapad import PadCalibration, PadReceiver
 from palmd.events import Event, Pad, PalmSample
 from palmd.motion.limits import MotionLimits
@@ -26,8 +26,8 @@ PADS: tuple[Pad, Pad] = (1, 2)
 def turned(
     plan: Mapping[str, Any],
     limits: MotionLimits,
-    real: tuple[PadConfig, PadConfig],
-    configured: tuple[PadConfig, PadConfig],
+    real: tuple[VersaPadConfig, VersaPadConfig],
+    configured: tuple[VersaPadConfig, VersaPadConfig],
     radius_m: float,
     mass_kg: float,
     seed: int,
@@ -69,7 +69,7 @@ def turned(
     return events
 
 
-def _receiver(number: Pad, config: PadConfig) -> PadReceiver:
+def _receiver(number: Pad, config: VersaPadConfig) -> PadReceiver:
     calibration = PadCalibration(
         number,
         config.zero_mm,

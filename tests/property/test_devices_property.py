@@ -269,7 +269,7 @@ def test_host_survives_anything_and_always_moves_on(
                 asked.add({"want_tracking": "G", "want_stop": "P", "request_reset": "R"}.get(action, "H"))
             case Pose():
                 target = action
-        for line in far.feed(host.poll(t, target), t):
+        for line in far.feed(host.poll(t, target).data, t):
             assert line.body[0] in asked | ({"S"} if "G" in asked else set())
             last = parse_command(line.body)
         assert host.due() > t

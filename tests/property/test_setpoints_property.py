@@ -6,7 +6,7 @@ import math
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from palmd.config import ArmConfig, Config, PadConfig, PadsConfig, PlanSpec
+from palmd.config import AdeptConfig, Config, PadsConfig, PlanSpec, VersaPadConfig
 from palmd.daemon.setpoints import LONGEST_STEP_S, SetPoints
 from palmd.events import PalmMotion
 from palmd.motion.check import motion_limits
@@ -16,7 +16,9 @@ from palmd.motion.plan import Trajectory, compile_plan
 from palmd.motion.segments import Hold
 from palmd.motion.trajectory_executor import MotionError
 
-CONFIG = Config(pads=PadsConfig(palm1=PadConfig(port="a"), palm2=PadConfig(port="b")), arm=ArmConfig(port="c"))
+CONFIG = Config(
+    pads=PadsConfig(palm1=VersaPadConfig(port="a"), palm2=VersaPadConfig(port="b")), arm=AdeptConfig(port="c")
+)
 GEOMETRY = RigGeometry.from_config(CONFIG)
 LIMITS = motion_limits(CONFIG)
 HERE = PalmMotion(math.radians(45.0), math.radians(90.0))

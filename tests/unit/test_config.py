@@ -124,6 +124,8 @@ def test_things_that_must_differ() -> None:
         ({"rig": {"gravity_m_s2": True}}, "rig.gravity_m_s2"),
         ({"rig": {"base_mm": [1.0, float("nan")]}}, "rig.base_mm.1"),
         ({"rig": {"hinge": "Arc"}}, "rig.hinge"),
+        ({"rig": {"hinge": "fixed"}}, "rig.hinge"),
+        ({"arm": {"port": "/dev/c", "kind": "scara"}}, "arm.kind"),
         ({"limits": {"phi1_deg": [150, 6]}}, "limits.phi1_deg"),
         ({"limits": {"phi1_deg": [6, 6]}}, "limits.phi1_deg"),
         ({"limits": {"phi1_deg": [-1, 150]}}, "limits.phi1_deg"),
@@ -142,6 +144,23 @@ def test_what_is_wrong_is_found_where_it_stands(section: dict[str, Any], name: s
     assert [fault[0] for fault in faults(**section)] == [name]
 
 
+def test_a_fixed_hinge_is_refused_in_one_sentence() -> None:
+    ((name, text),) = faults(rig={"hinge": "fixed"})
+    assert name == "rig.hinge"
+    assert "an arm needs hinge: arc" in text
+
+
+def test_the_kind_of_a_device_may_be_left_out_and_changes_no_hash() -> None:
+    told = config(
+        pads={"palm1": {"port": "/dev/a", "kind": "versapad"}, "palm2": {"port": "/dev/b"}},
+        arm={"port": "/dev/c", "kind": "adept"},
+    )
+    left_out = config(pads={"palm1": {"port": "/dev/a"}, "palm2": {"port": "/dev/b"}}, arm={"port": "/dev/c"})
+    assert (left_out.pads.palm1.kind, left_out.arm.kind) == ("versapad", "adept")
+    assert config_hash(told) == config_hash(left_out)
+    assert "kind" not in told.model_dump()["arm"]
+
+
 def test_sign_is_not_true() -> None:
     pads = {"palm1": {"port": "/dev/a", "sign": True}, "palm2": {"port": "/dev/b", "sign": -1}}
     assert [name for name, _ in faults(pads=pads)] == ["pads.palm1.sign"]
@@ -158,8 +177,8 @@ def test_rig_description_takes_the_worse_of_the_pads() -> None:
         "palm1": {"port": "/dev/a", "length_mm": 50.0, "counts_per_mm": 4.0},
         "palm2": {"port": "/dev/b", "newtons_per_count": 0.05},
     }
-    rig = rig_description(config(pads=pads, rig={"hinge": "fixed", "palm1_length_mm": 110}))
-    assert (rig.hinge, rig.palm1_length, rig.pad_length) == ("fixed", 0.11, 0.05)
+    rig = rig_description(config(pads=pads, rig={"palm1_length_mm": 110}))
+    assert (rig.hinge, rig.palm1_length, rig.pad_length) == ("arc", 0.11, 0.05)
     assert (rig.pad_resolution, rig.force_resolution) == (0.00025, 0.05)
 
 

@@ -18,11 +18,11 @@ from palmd.calibration.linkage_fit import LinkageFit, TooLittleSwingError, fit_l
 from palmd.config import Config
 from palmd.console.arguments import seconds_within
 from palmd.console.configured import configured
-from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
+from palmd.console.errors import RIG_FAILED, CliError
 from palmd.console.progress import Progress
-from palmd.devices.armconformance_talk import DeviationError, Script, Talk, acknowledged
-from palmd.devices.armlink import ArmState, Pose, Query, encode_command
-from palmd.doctor.arm import ArmLine
+from palmd.devices.actuator import ArmState, Pose
+from palmd.devices.armconformance_port import ArmLine, ArmLineError
+from palmd.devices.armconformance_talk import DeviationError, Script, Talk
 from palmd.doctor.ports import holders
 
 FORMAT = 1
@@ -56,8 +56,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Writes nothing before all is measured; CliError when the input is wrong or the poses say too little."""
     config = configured(arguments.config)
-    if config.rig.hinge != "arc":
-        raise CliError(BAD_INPUT, f"{arguments.config}: rig.hinge: no arm holds a fixed hinge: there is nothing to do")
     folder = writable(arguments.output or arguments.config.parent / "calibration")
     poses = _listen(config, arguments.seconds)
     try:
@@ -143,16 +141,15 @@ def _listen(config: Config, seconds: float) -> list[Pose]:
     for number, name in holders(path):
         if name == "palmd":
             raise CliError(RIG_FAILED, f"arm: {path} is held by palmd (process {number}): stop the daemon first")
-    line, talk = ArmLine(path, config.arm.baud), Talk(config.arm.baud)
     try:
-        with Progress("arm", math.ceil(seconds), "s") as progress:
-            return line.play(_swings(talk, seconds, progress))
+        with ArmLine(path, config.arm.baud) as line, Progress("arm", math.ceil(seconds), "s") as progress:
+            return line.play(_swings(Talk(config.arm.baud), seconds, progress))
+    except ArmLineError as error:
+        raise CliError(RIG_FAILED, str(error)) from None
     except DeviationError as error:
         raise CliError(
             RIG_FAILED, f"arm: {path} does not answer: {error}; is the controller's program running?"
         ) from None
-    finally:
-        line.close()
 
 
 def _swings(talk: Talk, seconds: float, progress: Progress) -> Script[list[Pose]]:
@@ -162,18 +159,15 @@ def _swings(talk: Talk, seconds: float, progress: Progress) -> Script[list[Pose]
     t = time.monotonic()
     t_begin, t_end = math.inf, t + FIRST_MOTION_S
     while t < t_end:
-        ss = talk.next_ss()
-        heard = yield from talk.raw(encode_command(Query(ss)), t_send=t + EVERY_S, enough=1)
-        t = heard.t
         try:
-            ack = acknowledged(heard.lines, ss)
+            ack = yield from talk.report(t + EVERY_S)
         except DeviationError:
             missed += 1
             if missed == _MISSED_MOST:
                 raise
             t = (yield from talk.raw(b"")).t  # an answer that came late must not be taken for the next one's
             continue
-        missed = 0
+        missed, t = 0, talk.t
         if ack.state not in BY_HAND:
             raise CliError(
                 RIG_FAILED,

@@ -18,9 +18,8 @@ from palmd.console.arguments import seconds_within
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.console.extras import drawing
 from palmd.console.progress import Progress
-from palmd.devices.handshake import Handshake
-from palmd.devices.port import Port, PortWaiter
-from palmd.devices.versapad import PadPacket, PressureFormat, VersaPadDecoder
+from palmd.devices.pad import PadDriver, PadReport, make_pad
+from palmd.devices.port import PortWaiter
 from palmd.yamlfile import ConfigError, load_config
 
 FIRST_TOUCH_S = 15.0
@@ -54,10 +53,10 @@ def run(arguments: argparse.Namespace) -> int:
     name = f"pad{arguments.pad}"
     config = _pad_config(arguments.config, arguments.pad)
     folder = writable(arguments.output or arguments.config.parent / "calibration")
-    decoder = VersaPadDecoder(config.baud, PressureFormat(**config.pressure.model_dump()))
-    packets = _listen(name, config, decoder, arguments.seconds)
+    pad = make_pad(arguments.pad, config)
+    packets = _listen(name, config, pad, arguments.seconds)
     try:
-        found = characterise(packets, decoder.counters, config)
+        found = characterise(packets, pad.counts(), config)
     except TooLittleError as error:
         raise CliError(RIG_FAILED, f"{name}: {error}") from None
     print(table(name, found, config))
@@ -137,15 +136,15 @@ def _pad_config(path: Path, pad: Literal[1, 2]) -> PadConfig:
     return pads.palm1 if pad == 1 else pads.palm2
 
 
-def _listen(name: str, config: PadConfig, decoder: VersaPadDecoder, seconds: float) -> list[PadPacket]:
+def _listen(name: str, config: PadConfig, pad: PadDriver, seconds: float) -> list[PadReport]:
     """Everything the pad says from its first report on; CliError when the port fails or nobody touches the pad."""
-    port = Port(name, config.port, config.baud)
+    port = pad.port()
     t = time.monotonic()
     if not port.poll_open(t):
         raise CliError(RIG_FAILED, str(port.error))
-    handshake = Handshake(config.handshake, t)
+    pad.opened(t)
     waiter = PortWaiter([port])
-    packets: list[PadPacket] = []
+    packets: list[PadReport] = []
     print(f"{name}: roll a marble over the whole pad, slowly and fast; lift it now and then", file=sys.stderr)
     try:
         with Progress(name, math.ceil(seconds), "s") as progress:
@@ -154,9 +153,8 @@ def _listen(name: str, config: PadConfig, decoder: VersaPadDecoder, seconds: flo
                 waiter.wait(min(t + _LOOK_S, t_end))
                 data = port.read()
                 t = time.monotonic()
-                if not handshake.done:
-                    port.set_break(handshake.step(t, data))
-                packets += decoder.feed(data, t)
+                packets += pad.reports(data, t)
+                pad.tend(port)
                 if not port.is_open:
                     raise CliError(RIG_FAILED, str(port.error))
                 if math.isinf(t_begin) and any(packet.in_use for packet in packets):
@@ -165,24 +163,19 @@ def _listen(name: str, config: PadConfig, decoder: VersaPadDecoder, seconds: flo
     finally:
         port.close()
     if math.isinf(t_begin):
-        raise CliError(RIG_FAILED, _silence(name, config, decoder, handshake))
+        raise CliError(RIG_FAILED, _silence(name, config, pad))
     return packets
 
 
-def _silence(name: str, config: PadConfig, decoder: VersaPadDecoder, handshake: Handshake) -> str:
-    if handshake.error is not None:
-        return f"{name}: {handshake.error}"
-    if decoder.counters.bytes_discarded:
-        return (
-            f"{name}: {decoder.counters.bytes_discarded} bytes from {config.port}, but no report among them:"
-            f" is it a pad, and is {config.baud} its baud?"
-        )
+def _silence(name: str, config: PadConfig, pad: PadDriver) -> str:
+    if pad.complaint is not None:
+        return f"{name}: {pad.complaint}"
     return (
         f"{name}: no report within {FIRST_TOUCH_S:.0f} s: nobody has touched the pad, or {config.port} is not its port"
     )
 
 
-def _draw(packets: list[PadPacket], found: PadCharacteristic, config: PadConfig, path: Path) -> list[Path]:
+def _draw(packets: list[PadReport], found: PadCharacteristic, config: PadConfig, path: Path) -> list[Path]:
     figure = drawing("palmd.calibration.pad_figure")
     if figure is None:
         return []

@@ -16,15 +16,14 @@ no noise. A time stamp that is off counts as noise too, in proportion to the mar
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from palmd.config import PadConfig
-from palmd.devices.arrival import byte_time
-from palmd.devices.versapad import MARGIN_MM, PACKET_BYTES, PadCounters, PadPacket, TouchTracker
+from palmd.devices.pad import MARGIN_MM, PadReport, TouchTracker
 from palmd.events import FloatArray
 
 WINDOW = 10
@@ -93,7 +92,7 @@ class PadCharacteristic:
     """All that is found. The dead band is the least pressure reported: the true one is no larger.
 
     `out_of_range` counts reports that cannot be a place on the pad; they are part of nothing else here. The last
-    lines tell what came over the wire: bytes, those discarded by cause as in `PadCounters`, and reads with several
+    lines tell what came over the wire: bytes, those discarded by cause, and reads with several
     packets, whose times rest on back-dating.
     """
 
@@ -122,8 +121,8 @@ class PadCharacteristic:
         return self.x if config.axis == "x" else self.y
 
 
-def characterise(packets: Sequence[PadPacket], counters: PadCounters, config: PadConfig) -> PadCharacteristic:
-    """Everything about the pad; packets in the order of arrival, and what its decoder has counted meanwhile.
+def characterise(packets: Sequence[PadReport], counts: Mapping[str, int], config: PadConfig) -> PadCharacteristic:
+    """Everything about the pad; reports in the order of arrival, and what its driver has counted meanwhile.
 
     Raises TooLittleError for fewer than LEAST_REPORTS reports, or for too little motion along an axis.
     """
@@ -155,22 +154,22 @@ def characterise(packets: Sequence[PadPacket], counters: PadCounters, config: Pa
         pressure_high=int(pressure.max()),
         pressure_levels=len(np.unique(pressure)),
         out_of_range=sum(packet.in_use for packet in packets) - reports,
-        received_bytes=counters.bytes,
-        bad_header_bytes=counters.bad_header,
-        bad_data_bytes=counters.bad_data,
-        truncated_bytes=counters.truncated,
-        batches=counters.batches,
+        received_bytes=counts.get("bytes", 0),
+        bad_header_bytes=counts.get("bad_header", 0),
+        bad_data_bytes=counts.get("bad_data", 0),
+        truncated_bytes=counts.get("truncated", 0),
+        batches=counts.get("batches", 0),
     )
 
 
-def strokes(packets: Sequence[PadPacket], config: PadConfig) -> list[Stroke]:
+def strokes(packets: Sequence[PadReport], config: PadConfig) -> list[Stroke]:
     """The reports of each touch; a touch ends as the daemon has it, by A = 0 or by silence."""
-    tracker = TouchTracker(1, config.baud)
-    found: list[list[PadPacket]] = []
+    tracker = TouchTracker(1, config.report_s)
+    found: list[list[PadReport]] = []
     for packet in packets:
         tracker.poll(packet.t_first)
         begins = not tracker.touching
-        tracker.packet(packet)
+        tracker.report(packet)
         if not packet.in_use:
             continue
         if begins:
@@ -187,7 +186,7 @@ def intervals_s(touches: Sequence[Stroke]) -> FloatArray:
 
 def packet_time_s(gaps: FloatArray, config: PadConfig) -> float:
     """The unit of the bands (s): the pad's shortest regular interval, or one packet on the line if that is longer."""
-    return max(float(np.quantile(gaps, 0.1)), PACKET_BYTES * byte_time(config.baud))
+    return max(float(np.quantile(gaps, 0.1)), config.report_s)
 
 
 def position_mm(counts: FloatArray, axis: Axis, config: PadConfig) -> FloatArray:
@@ -259,7 +258,7 @@ def _windows(t: FloatArray, counts: FloatArray) -> tuple[FloatArray, FloatArray]
     return t[:whole].reshape(-1, WINDOW), counts[:whole].reshape(-1, WINDOW)
 
 
-def _stroke(touch: Sequence[PadPacket]) -> Stroke:
+def _stroke(touch: Sequence[PadReport]) -> Stroke:
     rows = [(packet.t_first, packet.x_counts, packet.y_counts, packet.pressure) for packet in touch]
     t, x, y, pressure = np.array(rows, dtype=np.float64).T
     return Stroke(t, x, y, pressure)

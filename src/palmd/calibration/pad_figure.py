@@ -22,7 +22,7 @@ from palmd.calibration.pad_characteristic import (
     strokes,
 )
 from palmd.config import PadConfig
-from palmd.devices.versapad import PadPacket
+from palmd.devices.pad import PadReport
 from palmd.events import FloatArray
 
 _BLUE, _ORANGE, _GREY = "#0072b2", "#d55e00", "#808080"
@@ -30,7 +30,7 @@ _COLOURS = dict(zip(AXES, (_BLUE, _ORANGE), strict=True))
 _LONGEST_PACKETS = 4.5
 
 
-def save(packets: Sequence[PadPacket], found: PadCharacteristic, config: PadConfig, path: Path) -> None:
+def save(packets: Sequence[PadReport], found: PadCharacteristic, config: PadConfig, path: Path) -> None:
     """Draws the reports and what was found in them into an SVG; the same reports give the same file."""
     touches = strokes(packets, config)
     gaps_ms = intervals_s(touches) * 1e3

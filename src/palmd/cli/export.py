@@ -10,7 +10,6 @@ from pathlib import Path
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.extras import missing, only_without
 from palmd.console.progress import Progress
-from palmd.motion.kinematics import PoseError
 from palmd.record.export import FORMS, ExportError, export, form_of, passes
 from palmd.record.length import message_count
 from palmd.record.run import RunError, read_run
@@ -43,8 +42,6 @@ def run(arguments: argparse.Namespace) -> int:
             export(recording, target, form, lambda: progress.at(next(count)))
     except (RunError, ExportError) as error:
         raise CliError(BAD_INPUT, str(error)) from None
-    except PoseError as error:
-        raise CliError(BAD_INPUT, f"{source}: {error}") from None
     except ModuleNotFoundError as error:
         only_without("rerun", error)
         raise missing("the form rrd", "rerun-sdk", "rerun") from None

@@ -11,9 +11,7 @@ from typing import TextIO
 
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.record.eventlog import EventLog, LogError, read_log
-from palmd.record.mcapfile import MAGIC
-from palmd.record.run import RunError, read_run
-from palmd.record.runfile import SUFFIX
+from palmd.record.run import RunError, is_recording, read_run
 
 STDOUT = Path("-")
 
@@ -24,20 +22,12 @@ def read(path: Path) -> EventLog:
     What it is shows in its first bytes; a file named as a recording is taken for one even so.
     """
     try:
-        log = read_run(path).event_log() if path.suffix == SUFFIX or _is_mcap(path) else read_log(path)
+        log = read_run(path).event_log() if is_recording(path) else read_log(path)
     except (LogError, RunError) as error:
         raise CliError(BAD_INPUT, str(error)) from None
     for note in log.notes:
         print(note, file=sys.stderr)
     return log
-
-
-def _is_mcap(path: Path) -> bool:
-    try:
-        with path.open("rb") as stream:
-            return stream.read(len(MAGIC)) == MAGIC
-    except OSError:
-        return False  # whoever reads it tells why
 
 
 @contextlib.contextmanager

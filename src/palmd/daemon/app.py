@@ -18,17 +18,14 @@ from palmd.daemon import realtime
 from palmd.daemon.async_log import start_async_log
 from palmd.daemon.bus import Bus, BusError
 from palmd.daemon.core import Core
-from palmd.daemon.drivers import EndName
 from palmd.daemon.explorer_process import ExplorerProcess
 from palmd.daemon.loop import Loop
 from palmd.daemon.planner import Plan, read_plan
 from palmd.daemon.smoothing import SmootherProcess
 from palmd.daemon.systemd import Notifier
-from palmd.devices.port import Port
 from palmd.keys import KeysError, server_keys
 from palmd.messages import Fields, info_fields
 from palmd.motion.check import motion_limits
-from palmd.motion.kinematics import PoseError, RigGeometry
 from palmd.outlinefile import Outline, OutlineError, read_library
 from palmd.yamlfile import ConfigError, load_config
 
@@ -55,14 +52,13 @@ def run(config_path: Path, recorder: Callable[[], None] | None = None) -> int:
 def _start(config_path: Path, signals: _Signals, recorder: Callable[[], None] | None) -> int:
     try:
         config = load_config(config_path)
-        RigGeometry.from_config(config)
         plan = None if config.plan is None else read_plan(config.plan, motion_limits(config), None)
         outlines = () if config.observer.shape is None else read_library(config.observer.shape)
         keys = None if config.bus.keys is None else server_keys(config.bus.keys)
     except ConfigError as error:
         print(error, file=sys.stderr)
         return BAD_INPUT
-    except (PoseError, OutlineError, KeysError) as error:
+    except (OutlineError, KeysError) as error:
         print(f"{config_path}: {error}", file=sys.stderr)
         return BAD_INPUT
     try:
@@ -105,11 +101,12 @@ def _run(
     aside = ThreadPoolExecutor(1, "aside", realtime.accompany)
     stack.callback(aside.shutdown, wait=False, cancel_futures=True)
     explorer = _explorer(config, stack)
-    ports = _ports(config)
+    core = Core(config, estimator, aside, plan, notes, folder, explorer)
+    ports = core.ports()
     for port in ports.values():
         stack.callback(port.close)
     loop = Loop(
-        Core(config, estimator, aside, plan, notes, folder, explorer),
+        core,
         ports,
         bus,
         notifier,
@@ -160,15 +157,6 @@ def _counters(smoother: SmootherProcess | None, estimator: object, explorer: Exp
         "smoother_starts": smoother.starts if smoother else 0,
         "smoother_dropped": smoother.dropped if smoother else 0,
         "explorer_starts": explorer.starts if explorer else 0,
-    }
-
-
-def _ports(config: Config) -> dict[EndName, Port]:
-    pads = config.pads
-    return {
-        "pad1": Port("pad1", pads.palm1.port, pads.palm1.baud),
-        "pad2": Port("pad2", pads.palm2.port, pads.palm2.baud),
-        "arm": Port("arm", config.arm.port, config.arm.baud),
     }
 
 

@@ -19,7 +19,7 @@ from typing import Protocol, runtime_checkable
 from palmd.config import Config
 from palmd.daemon.commands import Reply, Request
 from palmd.daemon.diagnostics import LOOK_S, ArmDiagnostics, LoopDiagnostics, NisDiagnostics, PadDiagnostics
-from palmd.daemon.drivers import ArmDriver, EndName, PadDriver
+from palmd.daemon.drivers import ArmDriver, EndName
 from palmd.daemon.exploration_requests import Source
 from palmd.daemon.exploring import Exploring, Senses
 from palmd.daemon.lifecycle import COMMANDED, State
@@ -27,7 +27,9 @@ from palmd.daemon.planner import Plan, PlanFolder
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.supervisor import Supervisor
 from palmd.daemon.swap import SwapWatch
-from palmd.devices.armlink import ArmState
+from palmd.devices.actuator import ArmState
+from palmd.devices.pad import PadDriver, make_pad
+from palmd.devices.port import DevicePort
 from palmd.events import Estimate, Event, Improvement, ObjectEstimate, Outlook, PadSample, ShapeEstimate
 from palmd.faults import FaultMonitor
 from palmd.messages import (
@@ -124,12 +126,12 @@ class Core:
         """`aside` compiles plans beside the loop, `notes` are codes of faults that stand throughout.
 
         `folder` is the configuration's. `explorer` decides where explorations go; without one, plans that explore are
-        refused. Raises PoseError for a fixed hinge.
+        refused.
         """
         geometry = RigGeometry.from_config(config)
         self.pads: dict[EndName, PadDriver] = {
-            "pad1": PadDriver(1, config.pads.palm1),
-            "pad2": PadDriver(2, config.pads.palm2),
+            "pad1": make_pad(1, config.pads.palm1),
+            "pad2": make_pad(2, config.pads.palm2),
         }
         self.arm = ArmDriver(config, geometry)
         self.setpoints = SetPoints(geometry, motion_limits(config))
@@ -165,6 +167,11 @@ class Core:
 
     # ---- the lines ---------------------------------------------------------------------------------------
 
+    def ports(self) -> dict[EndName, DevicePort]:
+        """What the devices are behind, shut."""
+        pads = {name: pad.port() for name, pad in self.pads.items()}
+        return pads | {"arm": self.arm.host.port()}
+
     def opened(self, end: EndName, t: float) -> None:
         """A port has been opened at `t` (s)."""
         if end == "arm":
@@ -196,16 +203,16 @@ class Core:
         if not self.arm.is_open or t < host.due():
             return b""
         if not host.tracking or host.pose is None or actual is None:
-            return host.poll(t, None)
+            return host.poll(t, None).data
         if setpoints.commanded is None:
             setpoints.stand(actual, host.pose.t_rad, t)
         if host.state is ArmState.HOLD:
             setpoints.displaced(actual, host.pose.t_rad)
         target = setpoints.target(t)
-        out = host.poll(t, target)
-        if target is not None and host.commanded is target:
+        sent = host.poll(t, target)
+        if target is not None and sent.setpoint == target:
             self.arm.lag.sent(t, setpoints.sent(t))
-        return out
+        return sent.data
 
     # ---- one tick ----------------------------------------------------------------------------------------
 
@@ -344,8 +351,8 @@ class Core:
         """What has passed on the lines, by the names of `palm/loop`."""
         counts: Fields = {}
         for name, pad in self.pads.items():
-            counts |= {f"{name}_{what}": n for what, n in pad.receiver.counters.as_dict().items()}
-        counts |= {f"arm_{what}": n for what, n in self.arm.host.counters.as_dict().items()}
+            counts |= {f"{name}_{what}": n for what, n in pad.counts().items()}
+        counts |= {f"arm_{what}": n for what, n in self.arm.host.counts().items()}
         counts["arm_bad_poses"] = self.arm.bad_poses
         counts["arm_guard_interventions"] = self.setpoints.interventions
         counts["lag_ms"] = self.arm.lag.lag_s * 1e3

@@ -6,16 +6,14 @@ import math
 from collections import deque
 from collections.abc import Iterator
 
-from palmd.daemon.drivers import ArmDriver, PadDriver
-from palmd.devices.armlink import ArmState
+from palmd.daemon.drivers import ArmDriver
+from palmd.devices.actuator import ArmState
+from palmd.devices.health import Share
+from palmd.devices.pad import PadDriver
 
 LOOK_S = 0.5
 """How often the counters are judged; a verdict stands until the next."""
 
-GARBLED_SHARE, GARBLED_LEAST = 0.2, 24  # bytes
-ASTRAY_SHARE, ASTRAY_LEAST = 0.2, 10  # packets
-BATCHED_SHARE, BATCHED_LEAST = 0.5, 10
-DAMAGED_SHARE, DAMAGED_LEAST = 0.05, 10  # lines
 NIS_BAND, NIS_MEMORY_S = (0.4, 1.5), 2.0  # 2 % of readings wrong by centimetres bring an honest 1 to 1.3
 OVERRUNS_MOST, OVERRUN_MEMORY_S = 10, 1.0
 
@@ -30,30 +28,11 @@ _BY_STATE = {
 }
 
 
-class Share:
-    """The share of bad ones among what two counters have gained since the last look."""
-
-    def __init__(self, most: float, least: int) -> None:
-        """Too many are more than the share `most`, among `least` or more."""
-        self._most, self._least = most, least
-        self._all = self._bad = 0
-
-    def exceeded(self, total: int, bad: int) -> bool:
-        """Whether there were too many; the counters only ever grow."""
-        gained, spoilt = total - self._all, bad - self._bad
-        self._all, self._bad = total, bad
-        return gained >= self._least and spoilt > self._most * gained
-
-
 class PadDiagnostics:
     """One pad's conditions."""
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._garbled = Share(GARBLED_SHARE, GARBLED_LEAST)
-        self._astray = Share(ASTRAY_SHARE, ASTRAY_LEAST)
-        self._batched = Share(BATCHED_SHARE, BATCHED_LEAST)
-        self._verdicts: tuple[str, ...] = ()
         self._needed = False
 
     def conditions(self, pad: PadDriver, under_way: bool, look: bool) -> Iterator[str]:
@@ -62,11 +41,8 @@ class PadDiagnostics:
         A touch can only be missed once it has been felt in the motion that is `under_way`.
         """
         self._needed &= under_way
-        if look:
-            self._verdicts = tuple(self._judged(pad))
-        yield from self._verdicts
-        if pad.unanswered:
-            yield f"{self._name}-handshake"
+        for condition in pad.health(look):
+            yield f"{self._name}-{condition}"
         if not pad.is_open:
             yield f"{self._name}-port"
         elif pad.touching:
@@ -76,32 +52,15 @@ class PadDiagnostics:
         else:
             yield f"{self._name}-untouched"
 
-    def _judged(self, pad: PadDriver) -> Iterator[str]:
-        counters = pad.receiver.counters
-        if self._garbled.exceeded(counters.bytes, counters.bytes_discarded):
-            yield f"{self._name}-garbled"
-        if self._astray.exceeded(counters.packets, counters.out_of_range):
-            yield f"{self._name}-out-of-range"
-        if self._batched.exceeded(counters.packets, 2 * counters.batches):  # two packets or more in each
-            yield f"{self._name}-batched"
-
 
 class ArmDiagnostics:
     """The arm's conditions."""
 
-    def __init__(self) -> None:
-        self._damaged = Share(DAMAGED_SHARE, DAMAGED_LEAST)
-        self._verdicts: tuple[str, ...] = ()
-
     def conditions(self, arm: ArmDriver, t: float, commanded: bool, look: bool) -> Iterator[str]:
         """The codes that hold at `t` (s); `commanded` says whether the arm ought to be following."""
         host = arm.host
-        if look:
-            line = host.counters.line
-            spoilt = line.crc_errors + line.unframed + line.overlong
-            damaged = self._damaged.exceeded(line.lines + spoilt, spoilt)
-            self._verdicts = ("arm-garbled",) if damaged else ()
-        yield from self._verdicts
+        for condition in host.health(look):
+            yield f"arm-{condition}"
         if not arm.is_open:
             yield "arm-port"
         elif host.lost(t):

@@ -19,7 +19,7 @@ from palmd.daemon.lifecycle import State
 from palmd.daemon.realtime import rss_mb
 from palmd.daemon.statistics import LoopStatistics
 from palmd.daemon.systemd import Notifier
-from palmd.devices.port import Port, PortWaiter
+from palmd.devices.port import DevicePort, PortWaiter
 from palmd.faults import Fault
 from palmd.messages import Fields
 from palmd.quantities import INFO, LOOP
@@ -53,7 +53,7 @@ class Loop:
     def __init__(
         self,
         core: Core,
-        ports: Mapping[EndName, Port],
+        ports: Mapping[EndName, DevicePort],
         bus: Bus,
         notifier: Notifier,
         *,
@@ -78,10 +78,9 @@ class Loop:
         self._clock = clock
         self._waiter = PortWaiter(list(self._ports.values()), clock)
         self._known_open: set[EndName] = set()
-        self._in_break: set[EndName] = set()
         self._stop_wanted = False
         self._t_stop = math.inf
-        self._arrived: list[tuple[Port, bytes, float]] = []
+        self._arrived: list[tuple[DevicePort, bytes, float]] = []
         self._busy_s = 0.0  # spent on bytes since the last tick
         self._failed = False
         self._t_slow = -math.inf
@@ -244,7 +243,7 @@ class Loop:
         self._core.fail(t)
 
     def _open_ports(self, t: float) -> None:
-        """Try the shut ports again, and let pads in their start-up have their breaks."""
+        """Try the shut ports again, and let pads do there what their start-up wants."""
         for end, port in self._ports.items():
             if end not in self._known_open and port.poll_open(t):
                 self._known_open.add(end)
@@ -253,13 +252,10 @@ class Loop:
                 self._told_errors[end] = port.error
                 log.warning("%s", port.error) if port.error else log.info("%s: %s is open", end, port.path)
         for end, pad in self._core.pads.items():
-            if pad.in_break is not (end in self._in_break):
-                self._ports[end].set_break(pad.in_break)
-                self._in_break ^= {end}
+            pad.tend(self._ports[end])
 
     def _lost(self, end: EndName, t: float) -> None:
         self._known_open.discard(end)
-        self._in_break.discard(end)
         self._core.lost(end, t)
 
     def _loop_fields(self) -> Fields:

@@ -11,7 +11,7 @@ import dataclasses
 import math
 
 from palmd.daemon.jog import Jog
-from palmd.devices.armlink import Pose
+from palmd.devices.actuator import Pose
 from palmd.events import PalmMotion
 from palmd.motion.exploration import Exploration
 from palmd.motion.kinematics import PoseError, RigGeometry, wrapped

@@ -19,7 +19,7 @@ from palmd.daemon.lifecycle import COMMANDED, State, Trigger, next_state
 from palmd.daemon.planner import Plan, PlanFolder, plan_in
 from palmd.daemon.recorder_watch import RecorderWatch
 from palmd.daemon.setpoints import SetPoints
-from palmd.devices.armlink import ArmState, HelloReply, error_text
+from palmd.devices.actuator import ArmState, Reach
 from palmd.faults import Fault, FaultMonitor, Severity
 from palmd.motion.limits import Workspace
 from palmd.motion.segments import Angles
@@ -87,7 +87,7 @@ class Supervisor:
         self._plans = plans
         self._autostart = ["arm", "start"] if autostart else []
         self._closing = False
-        self._hello: HelloReply | None = None
+        self._reach: Reach | None = None
         self._arming: _Wait | None = None
         self._resetting: _Wait | None = None
         self._job: _Job | None = None
@@ -170,7 +170,7 @@ class Supervisor:
             "moving": self._setpoints.moving,
             "over": self._setpoints.over,
             "arm_state": str(host.state or ""),
-            "arm_error": "" if host.last_error is None else error_text(host.last_error),
+            "arm_error": host.error,
             "arm_linked": host.linked(t),
         }
         told = {"explored": explored, "recorder": recorder}
@@ -364,19 +364,19 @@ class Supervisor:
     # ---- keeping order -----------------------------------------------------------------------------------
 
     def _learn_workspace(self) -> None:
-        hello = self._arm.host.hello
-        if hello is None or hello == self._hello or self.armed:
+        reach = self._arm.host.reach
+        if reach is None or reach == self._reach or self.armed:
             return
-        self._hello = hello
+        self._reach = reach
         self._setpoints.learn(
             Workspace(
                 self._setpoints.geometry,
-                hello.x_min_m,
-                hello.x_max_m,
-                hello.y_min_m,
-                hello.y_max_m,
-                hello.v_max_m_s,
-                hello.a_max_m_s2,
+                reach.x_min_m,
+                reach.x_max_m,
+                reach.y_min_m,
+                reach.y_max_m,
+                reach.v_max_m_s,
+                reach.a_max_m_s2,
             )
         )
 

@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from palmd.devices.actuator import ArmState, Pose
 from palmd.devices.armconformance_talk import (
     ANSWER_S,
     DeviationError,
@@ -33,11 +34,9 @@ from palmd.devices.armlink import (
     MAX_LINE_BYTES,
     SEQUENCE_MODULUS,
     Ack,
-    ArmState,
     Hello,
     HelloReply,
     Line,
-    Pose,
     Query,
     Refusal,
     Reset,

@@ -7,15 +7,14 @@ from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
+from palmd.devices.actuator import ArmState, Pose
 from palmd.devices.armlink import (
     SEQUENCE_MODULUS,
     Ack,
-    ArmState,
     Command,
     HelloReply,
     Line,
     LinkError,
-    Pose,
     Query,
     Refusal,
     Reply,
@@ -132,10 +131,10 @@ class Talk:
         """Write these commands in one go."""
         return (yield from self.raw(b"".join(map(encode_command, commands)), listen_s, enough=enough))
 
-    def report(self) -> Script[Ack]:
-        """Ask for state and place. Raises DeviationError without a proper answer."""
+    def report(self, t_send: float = -math.inf) -> Script[Ack]:
+        """Ask for state and place, at `t_send` (s) or at once. Raises DeviationError without a proper answer."""
         ss = self.next_ss()
-        heard = yield from self.send(Query(ss), enough=1)
+        heard = yield from self.raw(encode_command(Query(ss)), t_send=t_send, enough=1)
         return acknowledged(heard.lines, ss)
 
     def begin(self) -> Script[Ack]:

@@ -15,18 +15,17 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass, field
 
+from palmd.devices.actuator import ArmReport, ArmState, Pose, Sent
 from palmd.devices.armlink import (
     SEQUENCE_MODULUS,
     SETPOINT_BYTES,
     Ack,
-    ArmState,
     Command,
     Hello,
     HelloReply,
     LineCounters,
     LineReader,
     LinkError,
-    Pose,
     Query,
     Refusal,
     Reset,
@@ -70,15 +69,6 @@ WRONG_STATE = -620
 
 Request = type[Start] | type[Stop] | type[Reset]
 _VERB: dict[Request, str] = {Start: "start", Stop: "stop", Reset: "reset"}
-
-
-@dataclass(frozen=True, slots=True)
-class ArmReport:
-    """The controller's state and the arm's actual pose at `t_sample` (s), the first byte's arrival."""
-
-    t_sample: float
-    state: ArmState
-    pose: Pose
 
 
 @dataclass(slots=True)
@@ -300,8 +290,8 @@ class ArmHost:
             return min(t_lost, self._t_query, self._timer.t_next)
         return min(t_lost, self._t_query)
 
-    def poll(self, t: float, target: Pose | None) -> bytes:
-        """Return what to write at `t` (s, monotonic); empty if nothing is due.
+    def poll(self, t: float, target: Pose | None) -> Sent:
+        """Return what to write at `t` (s, monotonic), and the set-point in it; empty if nothing is due.
 
         `target` is where the arm should be in this cycle, if tracking; None repeats the last set-point.
         """
@@ -309,16 +299,16 @@ class ArmHost:
             self.counters.losses += 1
             self._unlink("the controller does not answer")
         if t < self.due():
-            return b""
+            return Sent(b"")
         if self.hello is None:
-            return self._greet(t)
+            return Sent(self._greet(t))
         if self._pending is not None:
-            return self._ask(self._pending, t)
-        out = b""
+            return Sent(self._ask(self._pending, t))
+        out = Sent(b"")
         if self._timer is not None and not self._doubt:
             out = self._set_point(self._timer, t, target)
         if t >= self._t_query:
-            out += self._send(Query(self._next_ss()), t)
+            out = Sent(out.data + self._send(Query(self._next_ss()), t), out.setpoint)
             self._t_query = math.inf if self.tracking and not self._doubt else t + QUERY_S
         return out
 
@@ -338,14 +328,14 @@ class ArmHost:
         self.counters.retries += 1
         return encode_command(pending.command)
 
-    def _set_point(self, timer: SetPointTimer, t: float, target: Pose | None) -> bytes:
+    def _set_point(self, timer: SetPointTimer, t: float, target: Pose | None) -> Sent:
         self.counters.skipped_periods += timer.skip(t)
         if t < timer.t_next:
-            return b""
+            return Sent(b"")
         timer.sent()
         self.counters.setpoints += 1
         self.commanded = self._goal(target)
-        return self._send(SetPoint(self._next_ss(), self.commanded), t)
+        return Sent(self._send(SetPoint(self._next_ss(), self.commanded), t), self.commanded)
 
     def _goal(self, target: Pose | None) -> Pose:
         assert self.pose is not None, "tracking begins with a report"

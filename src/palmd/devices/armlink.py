@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import asdict, dataclass
-from enum import StrEnum
 
+from palmd.devices.actuator import ArmState, Pose
 from palmd.devices.arrival import FirstByteClock
 
 HOST_NEWLINE = b"\n"
@@ -29,20 +29,6 @@ HALF_TURN_MDEG = 180_000
 
 class LinkError(ValueError):
     """A line, or a value meant for one, that the link's grammar does not allow."""
-
-
-class ArmState(StrEnum):
-    """The controller's state, as the letter it goes by on the wire."""
-
-    UNCALIBRATED = "U"
-    MANUAL = "M"
-    POWER_OFF = "P"
-    READY = "R"
-    TRACKING = "T"
-    HOLD = "H"
-    DECELERATING = "D"
-    FAULT = "F"
-    ESTOP = "X"
 
 
 ERROR_TEXT: dict[int, str] = {
@@ -63,15 +49,6 @@ ERROR_TEXT: dict[int, str] = {
 def error_text(code: int) -> str:
     """Return one line on what error `code` means, whether it is a known one or not."""
     return f"{code:+05d} {ERROR_TEXT.get(code, 'unknown error: look it up in the V+ reference')}"
-
-
-@dataclass(frozen=True, slots=True)
-class Pose:
-    """The tool in arm coordinates: position (m) and angle t = phi12 - yaw (rad)."""
-
-    x_m: float
-    y_m: float
-    t_rad: float
 
 
 @dataclass(frozen=True, slots=True)

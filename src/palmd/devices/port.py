@@ -12,6 +12,7 @@ import termios
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from typing import Protocol
 
 import serial
 
@@ -37,6 +38,36 @@ class PortCounters:
     def as_dict(self) -> dict[str, int]:
         """Return every count by name."""
         return asdict(self)
+
+
+class DevicePort(Protocol):
+    """Whatever a device is behind: opened again when it has gone, read without waiting, written whole; never raises.
+
+    A serial line is `Port`; another kind of device brings its own. What `read` gives is for its driver alone.
+    """
+
+    path: str
+    error: str | None
+    counters: PortCounters
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it can be read and written."""
+
+    def fileno(self) -> int:
+        """The file descriptor, for waiting on. Raises ValueError if it is not open."""
+
+    def poll_open(self, t: float) -> bool:
+        """Open it if it is shut and a try is due at `t` (s, monotonic); return whether it is open."""
+
+    def read(self) -> bytes:
+        """What has arrived, empty if nothing has."""
+
+    def write(self, data: bytes) -> None:
+        """Send `data`, or drop and count it."""
+
+    def close(self) -> None:
+        """Shut it."""
 
 
 class Port:
@@ -202,14 +233,14 @@ class PortWaiter:
     priority. Edge-triggered epoll asks only once the bytes are there. So every port that is returned must be read.
     """
 
-    def __init__(self, ports: Sequence[Port], clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, ports: Sequence[DevicePort], clock: Callable[[], float] = time.monotonic) -> None:
         """`clock` gives the time (s) that deadlines are told in."""
         self._ports = ports
         self._clock = clock
         self._epoll = select.epoll()
-        self._watched: dict[Port, int] = {}
+        self._watched: dict[DevicePort, int] = {}
 
-    def wait(self, t_deadline: float) -> list[Port]:
+    def wait(self, t_deadline: float) -> list[DevicePort]:
         """Return the ports where something has come (or that have hung up), or none once `t_deadline` (s) has come.
 
         select() serves because its time-out has microseconds; those of poll() and epoll have milliseconds only.

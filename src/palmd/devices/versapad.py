@@ -1,6 +1,6 @@
 """The VersaPad's serial protocol, both directions, and what a pad's packets mean.
 
-Wire format: docs of the project, "VersaPad over RS232". Six bytes, sent as long as the pad is touched:
+Six bytes, sent as long as the pad is touched:
 
     0      1 1 L R T A 0 0     left, right, tap, in use
     1, 2   x, low and high six bits of a 12-bit two's complement number
@@ -17,6 +17,7 @@ from dataclasses import asdict, dataclass
 from typing import Literal
 
 from palmd.devices.arrival import FirstByteClock, byte_time
+from palmd.devices.pad import MARGIN_MM, PadReport, TouchTracker
 from palmd.events import Pad, PadLift, PadSample
 
 PACKET_BYTES = 6
@@ -35,12 +36,6 @@ Four byte times alone would do on a plain RS232 port, but a USB adapter delivers
 anywhere. Headers resynchronise by themselves, so the limit only has to keep the head of one packet from being
 completed by the tail of a much later one; two adapter periods do that and lose no good packet.
 """
-
-MARGIN_MM = 1.0
-"""How far beyond the pad's end a reading may lie, for the zero is never quite right."""
-
-SILENT_INTERVALS = 5
-"""A pad that says nothing for so many mean intervals between packets has been let go."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,23 +78,12 @@ class PressureFormat:
 
 
 @dataclass(frozen=True, slots=True)
-class PadPacket:
-    """One packet as sent by the pad.
+class PadPacket(PadReport):
+    """One packet as sent by the pad, the state of its buttons included."""
 
-    `t_first` is when its first byte arrived, `t_recv` when it was read whole (s, monotonic). `batched` says
-    that several packets came in that read, so that `t_first` rests on back-dating alone.
-    """
-
-    t_first: float
-    t_recv: float
-    x_counts: int
-    y_counts: int
-    pressure: int
-    in_use: bool
     left: bool
     right: bool
     tap: bool
-    batched: bool
 
 
 @dataclass(slots=True)
@@ -275,63 +259,13 @@ class PadCalibration:
         return PadSample(packet.t_first, self.pad, s_mm * 1e-3, force)
 
 
-class TouchTracker:
-    """Tells when the object has left a pad: A = 0, or silence for five mean intervals between packets.
-
-    The mean is a running one, held between one packet time (the line cannot do better) and 2.5, so that a
-    mute pad is noticed within 100 ms at 9600 baud whatever came before.
-    """
-
-    GAIN = 1 / 16
-    START_PACKETS = 1.6
-    MAX_PACKETS = 2.5
-
-    def __init__(self, pad: Pad, baud: int) -> None:
-        """`baud` in bit/s bounds the mean interval. Raises ValueError if it is not positive."""
-        packet_s = PACKET_BYTES * byte_time(baud)
-        self._pad: Pad = pad
-        self._shortest_s = packet_s
-        self._longest_s = self.MAX_PACKETS * packet_s
-        self._mean_s = self.START_PACKETS * packet_s
-        self._t_first = 0.0
-        self._t_recv = 0.0
-        self.touching = False
-
-    @property
-    def mean_interval_s(self) -> float:
-        """The running mean of the time between packets."""
-        return self._mean_s
-
-    def packet(self, packet: PadPacket) -> PadLift | None:
-        """Take a packet, in the order received; return the lift-off it reports, if any."""
-        if not packet.in_use:
-            return self._lift(packet.t_first)
-        if self.touching:
-            mean_s = self._mean_s + self.GAIN * (packet.t_first - self._t_first - self._mean_s)
-            self._mean_s = min(max(mean_s, self._shortest_s), self._longest_s)
-        self.touching = True
-        self._t_first, self._t_recv = packet.t_first, packet.t_recv
-        return None
-
-    def poll(self, t: float) -> PadLift | None:
-        """Return the lift-off if the pad has been silent for too long at time `t` (s), else None."""
-        t_silent = self._t_recv + SILENT_INTERVALS * self._mean_s
-        return self._lift(t_silent) if t >= t_silent else None
-
-    def _lift(self, t: float) -> PadLift | None:
-        if not self.touching:
-            return None
-        self.touching = False
-        return PadLift(t, self._pad)
-
-
 class PadReceiver:
     """One pad from bytes to events: decoder, calibration and lift-off in a row."""
 
     def __init__(self, calibration: PadCalibration, baud: int, pressure: PressureFormat | None = None) -> None:
         """`baud` in bit/s. Raises ValueError if it is not positive."""
         self.decoder = VersaPadDecoder(baud, pressure)
-        self.touch = TouchTracker(calibration.pad, baud)
+        self.touch = TouchTracker(calibration.pad, PACKET_BYTES * byte_time(baud))
         self.latest: PadPacket | None = None
         self._calibration = calibration
 
@@ -345,7 +279,7 @@ class PadReceiver:
         events: list[PadSample | PadLift] = []
         for packet in self.decoder.feed(data, t_recv):
             self.latest = packet
-            event = self.touch.packet(packet) or self._sample(packet)
+            event = self.touch.report(packet) or self._sample(packet)
             if event is not None:
                 events.append(event)
         return events

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import sys
-import time
-from typing import TypeVar
 
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.daemon import realtime
 from palmd.devices.armconformance import CHECKS, REACH_M, REPORT, CheckResult, examine
-from palmd.devices.armconformance_talk import Script, Talk, TalkAnswer, TalkRequest
-from palmd.devices.armlink import Line, LineReader, Stop, encode_command
-from palmd.devices.port import Port, PortWaiter
+from palmd.devices.armconformance_port import ArmLine, ArmLineError
+from palmd.devices.armconformance_talk import Talk
 
-_T = TypeVar("_T")
 _WORDS = {"passed": "pass", "failed": "FAIL", "not run": "----"}
 _QUESTION = (
     f"The next checks make the arm track; one that keeps the contract moves less than {REACH_M * 1e3:g} mm. One that\n"
@@ -22,64 +18,21 @@ _QUESTION = (
 )
 
 
-class ArmLine:
-    """The port with the controller behind it."""
-
-    def __init__(self, path: str, baud: int) -> None:
-        """Opens it; CliError when it cannot be opened."""
-        self._port = Port("arm", path, baud)
-        if not self._port.poll_open(time.monotonic()):
-            raise CliError(RIG_FAILED, str(self._port.error))
-        self._reader = LineReader(baud)
-        self._waiter = PortWaiter([self._port])
-
-    def play(self, script: Script[_T]) -> _T:
-        """What the script ends with; CliError when the port is lost on the way."""
-        try:
-            say = next(script)
-            while True:
-                say = script.send(self._heard(say))
-        except StopIteration as end:
-            value: _T = end.value
-            return value
-
-    def _heard(self, say: TalkRequest) -> TalkAnswer:
-        lines: list[Line] = []
-        raw = self._listen(lines, say.t_send, 0)
-        t_sent = time.monotonic()
-        self._port.write(say.data)
-        raw += self._listen(lines, t_sent + say.listen_s, say.enough)
-        return TalkAnswer(lines, raw, t_sent, time.monotonic())
-
-    def _listen(self, lines: list[Line], t_end: float, enough: int) -> bytes:
-        """Adds the lines that come until t_end (s), or until there are enough; returns all the bytes."""
-        raw = b""
-        while time.monotonic() < t_end and not 0 < enough <= len(lines):
-            self._waiter.wait(t_end)
-            data = self._port.read()
-            if not self._port.is_open:
-                raise CliError(RIG_FAILED, str(self._port.error))
-            raw += data
-            lines += self._reader.feed(data, time.monotonic())
-        return raw
-
-    def stop(self, talk: Talk) -> None:
-        """Asks for a planned stop, in case that anything still moves."""
-        self._port.write(encode_command(Stop(talk.next_ss())))
-
-    def close(self) -> None:
-        """Lets go of the port."""
-        self._port.close()
-
-
 def examine_arm(path: str, baud: int, sure: bool) -> int:
     """Makes every check that is allowed, prints each; returns the exit status, CliError when nobody answers.
 
     sure: what makes the arm track needs no question.
     """
-    line, talk = ArmLine(path, baud), Talk(baud)
-    results: list[CheckResult] = []
     realtime.prepare()  # as punctual as this user may be: what is missing only makes a check less sure
+    try:
+        with ArmLine(path, baud) as line:
+            return _summary(path, _examined(path, line, Talk(baud), sure))
+    except ArmLineError as error:
+        raise CliError(RIG_FAILED, str(error)) from None
+
+
+def _examined(path: str, line: ArmLine, talk: Talk, sure: bool) -> list[CheckResult]:
+    results: list[CheckResult] = []
     try:
         for check in CHECKS:
             if check.tracks and not sure:
@@ -92,8 +45,7 @@ def examine_arm(path: str, baud: int, sure: bool) -> int:
                 raise CliError(RIG_FAILED, f"{path}: no use going on: {results[-1].seen}")
     finally:
         line.stop(talk)
-        line.close()
-    return _summary(path, results)
+    return results
 
 
 def told(result: CheckResult) -> str:

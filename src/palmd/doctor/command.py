@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from palmd.config import BAUDS, ArmConfig
+from palmd.config import BAUDS, AdeptConfig
 from palmd.console.configured import INSTALLED, configured, usual
 from palmd.console.errors import BAD_INPUT, CliError
 
@@ -48,6 +48,6 @@ def run(arguments: argparse.Namespace) -> int:
 def _arm(arguments: argparse.Namespace, path: Path) -> tuple[str, int]:
     """The arm's port and baud: what was given, and the configuration's for the rest."""
     if arguments.port and not arguments.config:
-        return arguments.port, arguments.baud or ArmConfig(port=arguments.port).baud
+        return arguments.port, arguments.baud or AdeptConfig(port=arguments.port).baud
     arm = configured(path).arm
     return arguments.port or arm.port, arguments.baud or arm.baud

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from palmd.config import Config, PadConfig
-from palmd.console.errors import CliError
 from palmd.doctor.finding import Finding
 from palmd.doctor.machine import user
 
@@ -134,50 +133,44 @@ def latency(name: str, path: str) -> Finding:
 
 def pad_talks(name: str, pad: PadConfig, path: Path) -> Finding:
     """Whether reports come, which takes a touch."""
-    from palmd.devices.handshake import Handshake
-    from palmd.devices.port import Port, PortWaiter
-    from palmd.devices.versapad import PressureFormat, VersaPadDecoder
+    from palmd.devices.pad import make_pad
+    from palmd.devices.port import PortWaiter
 
     what = f"{name} talks"
-    port, decoder = (
-        Port(name, pad.port, pad.baud),
-        VersaPadDecoder(pad.baud, PressureFormat(**pad.pressure.model_dump())),
-    )
+    driver = make_pad(1 if name.endswith("1") else 2, pad)
+    port = driver.port()
     t = time.monotonic()
     if not port.poll_open(t):
         return Finding(what, "missing", str(port.error))
-    handshake, waiter = Handshake(pad.handshake, t), PortWaiter([port])
-    packets, t_end = 0, t + LISTEN_S
-    while port.is_open and (t < t_end or not handshake.done):
+    driver.opened(t)
+    waiter = PortWaiter([port])
+    reports, t_end = 0, t + LISTEN_S
+    while port.is_open and (t < t_end or driver.starting):
         waiter.wait(min(t + 0.02, t_end))
         data = port.read()
         t = time.monotonic()
-        if not handshake.done:
-            port.set_break(handshake.step(t, data))
-        packets += len(decoder.feed(data, t))
+        reports += len(driver.reports(data, t))
+        driver.tend(port)
     port.close()
-    if packets:
-        return Finding(what, "ok", f"{packets} reports in {LISTEN_S:g} s")
-    if handshake.error is not None:
-        return Finding(what, "missing", handshake.error)
-    if decoder.counters.bytes_discarded:
-        return Finding(what, "missing", f"bytes, but no report among them at {pad.baud} baud", f"edit baud in {path}")
+    if reports:
+        return Finding(what, "ok", f"{reports} reports in {LISTEN_S:g} s")
+    if driver.complaint is not None:
+        return Finding(what, "missing", driver.complaint, f"check the pad's section in {path}")
     return Finding(what, "cannot tell", "silent, as a pad is that nothing touches", f"palmd doctor --touch {path}")
 
 
 def arm_answers(port: str, baud: int, path: Path) -> Finding:
     """Hello and a report; neither moves anything."""
     from palmd.devices.armconformance import CHECKS, REPORT, examine
+    from palmd.devices.armconformance_port import ArmLine, ArmLineError
     from palmd.devices.armconformance_talk import Talk
-    from palmd.doctor.arm import ArmLine
 
     what = "arm answers"
     talk = Talk(baud)
     try:
-        line = ArmLine(port, baud)
-        results = [line.play(examine(check, talk)) for check in (CHECKS[0], REPORT)]
-        line.close()
-    except CliError as error:
+        with ArmLine(port, baud) as line:
+            results = [line.play(examine(check, talk)) for check in (CHECKS[0], REPORT)]
+    except ArmLineError as error:
         return Finding(what, "missing", str(error))
     if talk.home is None:
         mend = f"start the program on the controller (tools/adept/README.md), check arm.baud in {path}"

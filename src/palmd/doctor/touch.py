@@ -10,9 +10,8 @@ from typing import Literal
 
 from palmd.config import PadConfig, PadsConfig
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
-from palmd.devices.handshake import Handshake
-from palmd.devices.port import Port, PortWaiter
-from palmd.devices.versapad import PadPacket, PressureFormat, VersaPadDecoder
+from palmd.devices.pad import PadReport, make_pad
+from palmd.devices.port import PortWaiter
 
 Palm = Literal[1, 2]
 
@@ -49,21 +48,21 @@ class _Listener:
         """Opens it; CliError when it cannot be opened."""
         t = time.monotonic()
         self.palm = palm
-        self.port = Port(f"pad{palm}", pad.port, pad.baud)
+        self._pad = make_pad(palm, pad)
+        self.port = self._pad.port()
         if not self.port.poll_open(t):
             raise CliError(RIG_FAILED, str(self.port.error))
-        self._decoder = VersaPadDecoder(pad.baud, PressureFormat(**pad.pressure.model_dump()))
-        self._handshake = Handshake(pad.handshake, t)
+        self._pad.opened(t)
 
-    def hear(self) -> list[PadPacket]:
+    def hear(self) -> list[PadReport]:
         """The reports of a touch that have come; CliError when the port is lost."""
         data = self.port.read()
         t = time.monotonic()
         if not self.port.is_open:
             raise CliError(RIG_FAILED, str(self.port.error))
-        if not self._handshake.done:
-            self.port.set_break(self._handshake.step(t, data))
-        return [packet for packet in self._decoder.feed(data, t) if packet.in_use]
+        reports = self._pad.reports(data, t)
+        self._pad.tend(self.port)
+        return [report for report in reports if report.in_use]
 
 
 def examine_pads(path: Path, pads: PadsConfig) -> int:
@@ -96,7 +95,7 @@ def examine_pads(path: Path, pads: PadsConfig) -> int:
 def _stroke(palm: int, listeners: Sequence[_Listener]) -> FingerStroke:
     """The next one, on whichever pad it comes; on both at once is a mistake."""
     waiter = PortWaiter([listener.port for listener in listeners])
-    heard: dict[Palm, list[PadPacket]] = {listener.palm: [] for listener in listeners}
+    heard: dict[Palm, list[PadReport]] = {listener.palm: [] for listener in listeners}
     t = time.monotonic()
     t_end = t + TOUCH_WITHIN_S
     while t < t_end:

@@ -76,7 +76,7 @@ class Wireless:
         Without one, a shape observer has the daemon's own, whose answers come some time after the questions. Without
         `smoothing` the observer has no smoother at its side. An `estimator` takes the place of the one that is named.
 
-        Raises PlanError for a plan that cannot be run, PoseError or ValueError for a rig with a fixed hinge.
+        Raises PlanError for a plan that cannot be run.
         """
         limits = motion_limits(config)
         plan = Plan(spec, compile_plan(spec, limits), limits, None)

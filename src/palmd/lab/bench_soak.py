@@ -35,6 +35,7 @@ from palmd.lab.soak_slopes import leaks
 from palmd.lab.soak_stand import PLANS, SoakStand
 from palmd.record.recheck import Recheck
 from palmd.record.run import RunError, read_run
+from palmd.rig.pads import versapads
 from palmd.yamlfile import load_config
 
 FILE = "soak.jsonl"
@@ -85,13 +86,13 @@ def _soak(
     slopes = leaks(watch.processes, t_begin, arguments.seconds)
     end, rig, daemon = stand.come_to_rest()
     write(stream, [{"row": "counts", "rig": rig, "daemon": {name: _plain(value) for name, value in daemon.items()}}])
-    pads = config.pads
+    pad1, pad2 = versapads(config)
     return [
         *slopes,
         told("lateness", "real-time priority", float(real_time)),
         *late,
-        *pad("pad1", rig, daemon, pads.palm1.baud),
-        *pad("pad2", rig, daemon, pads.palm2.baud),
+        *pad("pad1", rig, daemon, pad1.baud),
+        *pad("pad2", rig, daemon, pad2.baud),
         *arm(rig, daemon, config.arm.baud),
         between("counters", "malformed commands sent and not counted", stand.nonsense - daemon["bus_malformed"], 0, 0),
         told("counters", "rig stalls", rig["stalls"]),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from palmd.config import PadConfig
+from palmd.config import VersaPadConfig
 from palmd.devices.arrival import byte_time
 from palmd.devices.versapad import PACKET_BYTES, PadCounters, PadPacket, PressureFormat, VersaPadDecoder
 from palmd.rig.marble import Marble
@@ -12,7 +12,7 @@ from palmd.rig.pads import GOOD_PADS, PadEmulator, PadOptions
 
 
 def rolled(
-    config: PadConfig, seed: int, seconds: float, options: PadOptions = GOOD_PADS
+    config: VersaPadConfig, seed: int, seconds: float, options: PadOptions = GOOD_PADS
 ) -> tuple[list[PadPacket], PadCounters]:
     """What the host decodes, each packet read as its last byte arrives; the same arguments, the same packets."""
     rng = np.random.default_rng(seed)

@@ -7,14 +7,14 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from palmd.config import Config, LimitsConfig, PadConfig, PlanSpec
+from palmd.config import Config, LimitsConfig, PadBase, PlanSpec
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import PlanError, Trajectory, compile_plan
 from palmd.motion.segments import Angles
 from palmd.outlinefile import OutlineError, read_library
 from palmd.yamlfile import ConfigError, Document, parse, read_document
 
-DEFAULT_PAD_LENGTH_MM: float = PadConfig.model_fields["length_mm"].default
+DEFAULT_PAD_LENGTH_MM: float = PadBase.model_fields["length_mm"].default
 
 
 def motion_limits(config: Config) -> MotionLimits:

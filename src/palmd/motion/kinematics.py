@@ -40,11 +40,7 @@ class RigGeometry:
 
     @classmethod
     def from_config(cls, config: Config) -> RigGeometry:
-        """The configured geometry in SI; raises PoseError for a fixed hinge, which the arm cannot drive."""
-        if config.rig.hinge != "arc":
-            raise PoseError(
-                "rig.hinge: a fixed hinge exists in theory and logs only; an arm moves a rig with hinge: arc"
-            )
+        """The configured geometry in SI."""
         base_x_mm, base_y_mm = config.rig.base_mm
         return cls(
             base_x=base_x_mm * 1e-3,

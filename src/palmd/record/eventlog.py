@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, TextIO
 
-from palmd.devices.versapad import MARGIN_MM
+from palmd.devices.pad import MARGIN_MM
 from palmd.events import Event, PadSample, PalmSample, RigDescription
 
 VERSION = 1

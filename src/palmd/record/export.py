@@ -37,7 +37,7 @@ def export(run: Run, target: Path, form: Form, done: Callable[[], None]) -> None
     """Write `run` to `target`; `done` is called after each message of each pass.
 
     A file that is there is replaced unless it is a recording; a folder must be empty. Raises ExportError, RunError,
-    PoseError, OSError, and ModuleNotFoundError without rerun; there is then no part of an output.
+    OSError, and ModuleNotFoundError without rerun; there is then no part of an output.
     """
     if _is_recording(target):
         raise ExportError(f"{target}: is a recorded run, which an export does not replace; export to another file")

@@ -26,7 +26,7 @@ _TYPES = {bool: "boolean", int: "number", float: "number", str: "string"}
 def write_json(run: Run, path: Path, done: Callable[[], None]) -> None:
     """Every message with its times, no value being null, and `scene`: palms and outline in the world frame (m).
 
-    `done` is called twice for each message. Raises RunError, PoseError, OSError.
+    `done` is called twice for each message. Raises RunError, OSError.
     """
     watch = SceneWatch(run.config)
     known = examples(run, done) | {SCENE: {"valid": True} | {name: [0.0] for name in _SCENE}}

@@ -27,7 +27,7 @@ _OUTLINE_RADIUS, _PALM_RADIUS, _CENTRE_RADIUS = 2e-4, 5e-4, 1e-3  # m
 
 
 def write_rerun(run: Run, path: Path, done: Callable[[], None]) -> None:
-    """Times are those of the stamps. `done` is called after each message. Raises RunError, PoseError, OSError."""
+    """Times are those of the stamps. `done` is called after each message. Raises RunError, OSError."""
     watch = SceneWatch(run.config)
     path.touch()  # tells an OSError of its own if that cannot be
     recording = rr.RecordingStream("palmd", recording_id=run.metadata["started"])

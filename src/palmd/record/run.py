@@ -18,10 +18,11 @@ from palmd.messages import events_of
 from palmd.outlinefile import Outline, OutlineError, read_library
 from palmd.quantities import EVENTS, IMPROVEMENT, SCHEMA, Topic
 from palmd.record.eventlog import EventLog
-from palmd.record.mcapfile import Preface, RawMessage, RunError, Tail, is_finished, read_messages, read_preface
+from palmd.record.mcapfile import MAGIC, Preface, RawMessage, RunError, Tail, is_finished, read_messages, read_preface
 from palmd.record.metadata import CONFIG, METADATA, OUTLINES, RIG
+from palmd.record.runfile import SUFFIX
 
-__all__ = ["FedTick", "Run", "RunError", "Survey", "read_run"]
+__all__ = ["FedTick", "Run", "RunError", "Survey", "is_recording", "read_run"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,6 +144,17 @@ class Run:
                 return read_library(Path(folder))
             except OutlineError as error:
                 raise RunError(f"{self.path}: its stored outlines: {error}") from None
+
+
+def is_recording(path: Path) -> bool:
+    """Whether a file is a recorded run, by its first bytes or else by its name; also when it cannot be read."""
+    if path.suffix == SUFFIX:
+        return True
+    try:
+        with path.open("rb") as stream:
+            return stream.read(len(MAGIC)) == MAGIC
+    except OSError:
+        return False  # whoever reads it tells why
 
 
 def read_run(path: Path) -> Run:

@@ -11,7 +11,7 @@ from palmd.config import Config
 from palmd.events import FloatArray
 from palmd.messages import Fields
 from palmd.motion.kinematics import RigGeometry
-from palmd.polygon import boundary
+from palmd.polygon import closed_outline, turned
 from palmd.quantities import ESTIMATE, SHAPE
 
 _PLACE = ("phi1_rad", "phi2_rad", "psi_rad", "com_x_m", "com_y_m")
@@ -34,7 +34,6 @@ class SceneWatch:
     """Makes a scene of each outline that has an estimate of the same tick before it, with a place in it."""
 
     def __init__(self, config: Config) -> None:
-        """Raises PoseError for a fixed hinge, which no daemon has run with."""
         self._geometry = RigGeometry.from_config(config)
         self._pads = [pad.length_mm * 1e-3 for pad in (config.pads.palm1, config.pads.palm2)]
         self._estimate: Fields = {}
@@ -55,18 +54,5 @@ class SceneWatch:
             for length, angle in zip(self._pads, angles, strict=True)
         ]
         centre = np.array([told["com_x_m"], told["com_y_m"]])
-        turned = boundary(_on_degrees(np.array(fields["h_m"]))) @ _turn(told["psi_rad"] + fields["theta_rad"][0])
-        return Scene(
-            told["valid"], np.array([tips[0], hinge, tips[1]]), centre + np.concatenate([turned, turned[:1]]), centre
-        )
-
-
-def _on_degrees(h: FloatArray) -> FloatArray:
-    """Samples of a full turn as 360 of them, by trigonometric interpolation."""
-    return np.asarray(np.fft.irfft(np.fft.rfft(h), 360) * (360 / len(h)))
-
-
-def _turn(angle: float) -> FloatArray:
-    """What turns points in rows by `angle` (rad)."""
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[c, s], [-s, c]])
+        outline = closed_outline(np.array(fields["theta_rad"]), np.array(fields["h_m"])) @ turned(told["psi_rad"])
+        return Scene(told["valid"], np.array([tips[0], hinge, tips[1]]), centre + outline, centre)

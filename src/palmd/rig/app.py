@@ -34,7 +34,6 @@ import msgpack
 import numpy as np
 import zmq
 
-from palmd.config import Config
 from palmd.devices.armlink import LineReader
 from palmd.devices.versapad import VersaPadDecoder
 from palmd.messages import stamp
@@ -100,7 +99,7 @@ def run_rig(arguments: argparse.Namespace) -> int:
     except OSError as error:
         return _refuse(f"--ports: {arguments.ports}: {error.strerror}")
     try:
-        rig = RigProcess(config, world, folder, stop)
+        rig = RigProcess(world, folder, stop)
         with contextlib.suppress(BrokenPipeError):
             print(json.dumps(rig.addresses()), flush=True)
         rig.run()
@@ -148,7 +147,7 @@ class StopSignal:
 class RigProcess:
     """The world behind its ports and sockets. Ports are links in `folder`, as udev would name them."""
 
-    def __init__(self, config: Config, world: World, folder: Path, stop: StopSignal) -> None:
+    def __init__(self, world: World, folder: Path, stop: StopSignal) -> None:
         self.world = world
         self.ticks = self.late_ticks = self.stalls = 0
         self.latest_s = 0.0
@@ -156,14 +155,13 @@ class RigProcess:
         self._parent = os.getppid()
         self._seq = {topic.name: 0 for topic in RIG_TOPICS}
         noise = np.random.default_rng(world.seed)
-        pad1, pad2, arm = bauds = (config.pads.palm1.baud, config.pads.palm2.baud, config.arm.baud)
         self._lines: dict[PortName, PtyLine] = {
-            port: PtyLine(folder / port, baud, noise) for port, baud in zip(PORTS, bauds, strict=True)
+            port: PtyLine(folder / port, world.bauds[port], noise) for port in PORTS
         }
         self._listeners: dict[PortName, Listener] = {
-            "pad1": Listener(VersaPadDecoder(pad1)),
-            "pad2": Listener(VersaPadDecoder(pad2)),
-            "arm": Listener(LineReader(arm)),
+            "pad1": Listener(VersaPadDecoder(world.bauds["pad1"])),
+            "pad2": Listener(VersaPadDecoder(world.bauds["pad2"])),
+            "arm": Listener(LineReader(world.bauds["arm"])),
         }
         self._poll = select.poll()
         for line in self._lines.values():

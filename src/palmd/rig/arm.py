@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 
 from palmd.config import Config
-from palmd.devices.armlink import Pose
+from palmd.devices.actuator import Pose
 from palmd.events import PalmMotion
 
 _LEAST_OPENING = math.radians(3.0)  # beyond it the linkage hits its stops
@@ -30,10 +30,8 @@ class Linkage:
 
     @classmethod
     def from_config(cls, config: Config) -> Linkage:
-        """The configured linkage; raises ValueError for a fixed hinge, which no arm can drive."""
+        """The configured linkage."""
         rig, arm = config.rig, config.arm
-        if rig.hinge != "arc":
-            raise ValueError("rig.hinge: the emulated rig has an arc hinge, as the real one; set hinge: arc")
         return cls(
             (rig.base_mm[0] * 1e-3, rig.base_mm[1] * 1e-3),
             rig.palm1_length_mm * 1e-3,

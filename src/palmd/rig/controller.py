@@ -12,15 +12,14 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from palmd.devices.actuator import ArmState, Pose
 from palmd.devices.armlink import (
     Ack,
-    ArmState,
     Command,
     Hello,
     HelloReply,
     LineReader,
     LinkError,
-    Pose,
     Query,
     Refusal,
     Reply,

@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from palmd.config import PadConfig
+from palmd.config import Config, VersaPadConfig
 from palmd.devices.versapad import (
     COUNT_MAX,
     COUNT_MIN,
@@ -56,12 +56,22 @@ class Press:
     across: float = 0.0
 
 
+def versapads(config: Config) -> tuple[VersaPadConfig, VersaPadConfig]:
+    """Both pads of a configuration; ValueError for one of a kind that is not emulated here."""
+    pads: list[VersaPadConfig] = []
+    for name, pad in (("palm1", config.pads.palm1), ("palm2", config.pads.palm2)):
+        if not isinstance(pad, VersaPadConfig):
+            raise ValueError(f"pads.{name}.kind: the emulated rig has pads of kind versapad only, not {pad.kind}")
+        pads.append(pad)
+    return pads[0], pads[1]
+
+
 class PadEmulator:
     """One pad. Ask `due` when it reports next and `report` what it then sends."""
 
     def __init__(
         self,
-        config: PadConfig,
+        config: VersaPadConfig,
         options: PadOptions,
         error_m: Callable[[float], float],
         rng: np.random.Generator,

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from palmd.config import LimitsConfig
-from palmd.devices.armlink import Pose
+from palmd.devices.actuator import Pose
 from palmd.rig.arm import Linkage, turn
 from palmd.rig.controller import CYCLE_S
 

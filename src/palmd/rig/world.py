@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from palmd.config import ArmConfig, Config, PadConfig, PadsConfig
-from palmd.devices.armlink import CONTROLLER_NEWLINE, ArmState, Pose
+from palmd.config import AdeptConfig, Config, PadsConfig, VersaPadConfig
+from palmd.devices.actuator import ArmState, Pose
+from palmd.devices.armlink import CONTROLLER_NEWLINE
 from palmd.events import PalmMotion
 from palmd.rig.arm import Linkage, Servo, turn
 from palmd.rig.controller import BREAK_RECEIVED, CYCLE_S, ArmLimits, Controller
@@ -22,7 +23,7 @@ from palmd.rig.fault_injection import PADS, PORTS, FaultOrder, PortName, Switchb
 from palmd.rig.hand import Hand
 from palmd.rig.line import Wire
 from palmd.rig.marble import Marble
-from palmd.rig.pads import GOOD_PADS, PadEmulator, PadOptions, Press
+from palmd.rig.pads import GOOD_PADS, PadEmulator, PadOptions, Press, versapads
 from palmd.rig.plant import AS_ASSUMED, Hinge, Plant, PlantOptions, random_surface, stable_poses
 from palmd.rig.roller import Roller, RollerKind
 from palmd.rig.setpoint_checker import SetPointChecker
@@ -46,8 +47,8 @@ _IDENTITY_S = 0.5
 
 def default_config() -> Config:
     """The contract's defaults, for a rig started without a configuration."""
-    pads = PadsConfig(palm1=PadConfig(port="pad1"), palm2=PadConfig(port="pad2"))
-    return Config(pads=pads, arm=ArmConfig(port="arm"))
+    pads = PadsConfig(palm1=VersaPadConfig(port="pad1"), palm2=VersaPadConfig(port="pad2"))
+    return Config(pads=pads, arm=AdeptConfig(port="arm"))
 
 
 class World:
@@ -67,7 +68,7 @@ class World:
         by_hand: bool = False,
         t: float = 0.0,
     ) -> None:
-        """At rest at t (s), a random body of the kind, or `body`, in a stable pose; ValueError for a fixed hinge.
+        """At rest at t (s), a random body of the kind, or `body`, in a stable pose.
 
         With `marbles` there is no body on the palms: a marble rolls over each of these pads instead. With `roller` it
         is one that rolls down a gently sloping palm; with `by_hand` the arm is in manual mode and a hand swings the
@@ -88,7 +89,8 @@ class World:
         self._servos = [Servo(r, lag) for r in (home.x_m, home.y_m, home.t_rad)]
         self._next_cycle = int(self._rng.integers(_STEPS_PER_CYCLE))
         self._palms = self._palms_at(t)
-        self._pad_configs: dict[PortName, PadConfig] = {"pad1": config.pads.palm1, "pad2": config.pads.palm2}
+        pad1, pad2 = versapads(config)
+        self._pad_configs: dict[PortName, VersaPadConfig] = {"pad1": pad1, "pad2": pad2}
         self._pads: dict[PortName, PadEmulator] = {
             name: PadEmulator(pad, pad_options, self._pad_error(number), self._rng, t)
             for number, (name, pad) in enumerate(self._pad_configs.items(), 1)
@@ -100,9 +102,8 @@ class World:
         }
         self._roller = roller and Roller(roller, config.rig.gravity_m_s2, self._reach(), np.random.default_rng(seed))
         self._hand = Hand(config.limits, self._home) if by_hand else None
-        bauds: dict[PortName, int] = {name: pad.baud for name, pad in self._pad_configs.items()}
-        bauds["arm"] = config.arm.baud
-        self._out: dict[PortName, Wire] = {port: Wire(bauds[port]) for port in PORTS}
+        self.bauds: dict[PortName, int] = {"pad1": pad1.baud, "pad2": pad2.baud, "arm": config.arm.baud}
+        self._out: dict[PortName, Wire] = {port: Wire(self.bauds[port]) for port in PORTS}
         self._in = Wire(config.arm.baud)
         self._said: dict[PortName, Said] = {port: Said() for port in PORTS}
         self._host_lines = HostLines(config.arm.baud)

@@ -13,7 +13,7 @@ from palmd.calibration import pad
 from palmd.calibration.pad_characteristic import characterise
 from palmd.cli import main
 from palmd.cli.table import below
-from palmd.config import PadConfig, config_hash, rig_description
+from palmd.config import VersaPadConfig, config_hash, rig_description
 from palmd.devices.port import Port
 from palmd.devices.versapad import encode_packet
 from palmd.lab.rolled_marble import rolled
@@ -48,8 +48,9 @@ def line():
 def marble(monkeypatch, **options):
     """The pad is emulated: there is no port and nothing to wait for."""
 
-    def listen(name, config, decoder, seconds):
-        packets, decoder.counters = rolled(config, 1, seconds, PadOptions(**options))
+    def listen(name, config, driver, seconds):
+        packets, counters = rolled(config, 1, seconds, PadOptions(**options))
+        monkeypatch.setattr(driver, "counts", counters.as_dict)
         return packets
 
     monkeypatch.setattr(pad, "_listen", listen)
@@ -125,9 +126,9 @@ def test_the_other_axis_and_another_folder(configured, monkeypatch, tmp_path):
 
 
 def test_noise_below_the_rounding_still_gives_a_number_that_is_taken():
-    config = PadConfig(port="p")
+    config = VersaPadConfig(port="p")
     packets, counters = rolled(config, 1, 20.0)
-    found = characterise(packets, counters, config)
+    found = characterise(packets, counters.as_dict(), config)
     for noise, noise_sd, said in (
         (0.0, 0.004, 0.004),
         (0.002, 0.004, 0.004),
@@ -136,7 +137,7 @@ def test_noise_below_the_rounding_still_gives_a_number_that_is_taken():
     ):
         hidden = replace(found, x=replace(found.x, noise_mm=noise, noise_sd_mm=noise_sd))
         assert pad.noise_mm(hidden, config) == said
-        assert PadConfig(port="p", noise_mm=said).noise_mm == said
+        assert VersaPadConfig(port="p", noise_mm=said).noise_mm == said
 
 
 def test_the_same_reports_give_the_same_figure(configured, monkeypatch):
@@ -150,12 +151,12 @@ def test_the_same_reports_give_the_same_figure(configured, monkeypatch):
 
 
 def test_a_pad_that_disagrees_with_its_configuration_is_remarked(configured, monkeypatch, capsys):
-    packets, counters = rolled(PadConfig(port="p"), 1, 20.0)
+    packets, counters = rolled(VersaPadConfig(port="p"), 1, 20.0)
     coarse = [replace(each, x_counts=4 * round(each.x_counts / 4), batched=True) for each in packets]
     counters.batches = 100
 
-    def listen(name, config, decoder, seconds):
-        decoder.counters = counters
+    def listen(name, config, driver, seconds):
+        monkeypatch.setattr(driver, "counts", counters.as_dict)
         return coarse
 
     monkeypatch.setattr(pad, "_listen", listen)
@@ -213,7 +214,7 @@ def test_garbage_only(configured, line, monkeypatch, capsys):
     monkeypatch.setattr(pad, "FIRST_TOUCH_S", 0.3)
     on_first_wait(monkeypatch, lambda: os.write(line[0], b"\x15" * 10))
     said = refused(configured(line[1]), 3, capsys)
-    assert said == f"pad1: 10 bytes from {line[1]}, but no report among them: is it a pad, and is 9600 its baud?"
+    assert said == "pad1: 10 bytes, but no report among them at 9600 baud: is it a pad?"
 
 
 def test_too_few_reports(configured, line, monkeypatch, capsys):

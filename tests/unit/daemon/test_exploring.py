@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from palmd.config import ArmConfig, Config, PadConfig, PadsConfig, PlanSpec, rig_description
+from palmd.config import AdeptConfig, Config, PadsConfig, PlanSpec, VersaPadConfig, rig_description
 from palmd.daemon.exploration_requests import Decider, ExplorationAnswer, ExplorationTask, InlineExplorer, Question
 from palmd.daemon.exploring import (
     AHEAD_S,
@@ -34,7 +34,9 @@ from palmd.motion.segments import Move
 
 STEP_S = 0.002
 CYCLE_STEPS, TICK_STEPS = 8, 5
-CONFIG = Config(pads=PadsConfig(palm1=PadConfig(port="a"), palm2=PadConfig(port="b")), arm=ArmConfig(port="c"))
+CONFIG = Config(
+    pads=PadsConfig(palm1=VersaPadConfig(port="a"), palm2=VersaPadConfig(port="b")), arm=AdeptConfig(port="c")
+)
 LIMITS = motion_limits(CONFIG)
 HERE = PalmMotion(math.radians(45.0), math.radians(90.0))
 WAY = math.radians(10.0)

@@ -11,7 +11,7 @@ import zmq
 from hypothesis import given
 from hypothesis import strategies as st
 
-from palmd.config import ArmConfig, Config, PadConfig, PadsConfig
+from palmd.config import AdeptConfig, Config, PadsConfig, VersaPadConfig
 from palmd.daemon.bus import Bus
 from palmd.daemon.core import Core, unknown_estimate
 from palmd.daemon.loop import Loop, next_deadline
@@ -71,8 +71,8 @@ class Wires:
         self.folder = folder
         self.masters = {}
         config = Config(
-            pads=PadsConfig(palm1=PadConfig(port="pad1"), palm2=PadConfig(port="pad2")),
-            arm=ArmConfig(port="arm"),
+            pads=PadsConfig(palm1=VersaPadConfig(port="pad1"), palm2=VersaPadConfig(port="pad2")),
+            arm=AdeptConfig(port="arm"),
         )
         self.ports = {
             "pad1": Port("pad1", str(folder / "pad1"), 9600, retry_s=0.05),

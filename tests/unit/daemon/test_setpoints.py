@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from palmd.config import ArmConfig, Config, PadConfig, PadsConfig, PlanSpec
+from palmd.config import AdeptConfig, Config, PadsConfig, PlanSpec, VersaPadConfig
 from palmd.daemon.jog import DEAD_MAN_S
 from palmd.daemon.setpoints import SetPoints
 from palmd.events import PalmMotion
@@ -16,7 +16,9 @@ from palmd.motion.plan import compile_plan
 from palmd.motion.trajectory_executor import MotionError
 
 CYCLE = 0.016
-CONFIG = Config(pads=PadsConfig(palm1=PadConfig(port="a"), palm2=PadConfig(port="b")), arm=ArmConfig(port="c"))
+CONFIG = Config(
+    pads=PadsConfig(palm1=VersaPadConfig(port="a"), palm2=VersaPadConfig(port="b")), arm=AdeptConfig(port="c")
+)
 GEOMETRY = RigGeometry.from_config(CONFIG)
 LIMITS = motion_limits(CONFIG)
 HERE = PalmMotion(math.radians(45.0), math.radians(90.0))

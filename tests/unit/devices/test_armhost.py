@@ -172,7 +172,7 @@ class Bench:
                 for reply in replies:
                     self.transmit("host", self.t + late_s, encode_reply(reply))
             else:
-                data = self.host.poll(self.t, self.target(self.t))
+                data = self.host.poll(self.t, self.target(self.t)).data
                 assert self.host.due() > self.t
                 if data:
                     self.sent.append((self.t, data))

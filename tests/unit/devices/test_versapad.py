@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import pytest
 
+from palmd.devices.pad import TouchTracker
 from palmd.devices.versapad import (
     MARGIN_MM,
     PadCalibration,
     PadPacket,
     PadReceiver,
     PressureFormat,
-    TouchTracker,
     VersaPadDecoder,
     encode_packet,
 )
 from palmd.events import PadLift, PadSample
 
 BAUD = 9600
+PACKET_S = 0.00625
 BYTE_S = 10 / BAUD
 GOLDEN = bytes.fromhex("c4 3b 3f 07 00 64")
 """In use; x = -5 = 0xFFB: low six bits 0x3B, high 0x3F; y = 7; pressure 100 = 0x64."""
@@ -234,18 +235,18 @@ def test_saturated_pressure_is_no_force() -> None:
 
 
 def test_flag_lifts_once() -> None:
-    touch = TouchTracker(1, BAUD)
-    assert touch.packet(packet(1.0)) is None
+    touch = TouchTracker(1, PACKET_S)
+    assert touch.report(packet(1.0)) is None
     assert touch.touching
-    assert touch.packet(packet(1.01, in_use=False)) == PadLift(1.01, 1)
-    assert touch.packet(packet(1.02, in_use=False)) is None
+    assert touch.report(packet(1.01, in_use=False)) == PadLift(1.01, 1)
+    assert touch.report(packet(1.02, in_use=False)) is None
     assert not touch.touching
 
 
 def test_silence_of_five_mean_intervals_lifts_once() -> None:
-    touch = TouchTracker(2, BAUD)
+    touch = TouchTracker(2, PACKET_S)
     for n in range(200):
-        touch.packet(packet(n * 0.012))
+        touch.report(packet(n * 0.012))
     t_last = 199 * 0.012
     assert touch.mean_interval_s == pytest.approx(0.012, rel=1e-3)
     assert touch.poll(t_last + 0.0599) is None
@@ -256,18 +257,18 @@ def test_silence_of_five_mean_intervals_lifts_once() -> None:
 
 
 def test_mean_interval_stays_within_what_the_line_can_do() -> None:
-    touch = TouchTracker(1, BAUD)
+    touch = TouchTracker(1, PACKET_S)
     for n in range(100):
-        touch.packet(packet(n * 10.0))
+        touch.report(packet(n * 10.0))
     assert touch.mean_interval_s == pytest.approx(2.5 * 6 * BYTE_S)
     assert 5 * touch.mean_interval_s < 0.100
     for _ in range(100):
-        touch.packet(packet(1000.0))
+        touch.report(packet(1000.0))
     assert touch.mean_interval_s == pytest.approx(6 * BYTE_S)
 
 
 def test_untouched_pad_never_lifts() -> None:
-    assert TouchTracker(1, BAUD).poll(1e6) is None
+    assert TouchTracker(1, PACKET_S).poll(1e6) is None
 
 
 # The whole receiver

@@ -15,7 +15,7 @@ import pytest
 from shut import shut
 
 from palmd.cli import main
-from palmd.config import PadConfig
+from palmd.config import VersaPadConfig
 from palmd.console import configured
 from palmd.console.shipped import shipped
 from palmd.daemon.bus import Bus
@@ -337,7 +337,7 @@ def test_a_pad_is_heard(tmp_path, path, data, verdict, says):
 
         thread = threading.Thread(target=speak)
         thread.start()
-        finding = ports.pad_talks("pad 1", PadConfig(port=str(tmp_path / "pad1")), path)
+        finding = ports.pad_talks("pad 1", VersaPadConfig(port=str(tmp_path / "pad1")), path)
         over.set()
         thread.join()
     assert finding.verdict == verdict

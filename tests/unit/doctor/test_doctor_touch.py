@@ -8,13 +8,13 @@ import tty
 import pytest
 
 from palmd.cli import main
-from palmd.config import PadConfig, PadsConfig
+from palmd.config import PadsConfig, VersaPadConfig
 from palmd.console.errors import CliError
 from palmd.devices.versapad import encode_packet
 from palmd.doctor import touch
 from palmd.doctor.touch import FingerStroke, changes
 
-PADS = PadsConfig(palm1=PadConfig(port="one"), palm2=PadConfig(port="two", axis="y", sign=-1))
+PADS = PadsConfig(palm1=VersaPadConfig(port="one"), palm2=VersaPadConfig(port="two", axis="y", sign=-1))
 
 
 def stroke(heard_on, x, y=0):

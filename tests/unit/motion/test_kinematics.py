@@ -70,11 +70,9 @@ def test_tip_speed_and_acceleration_are_the_derivatives_of_the_position() -> Non
     assert acceleration == pytest.approx(math.hypot(x2 - 2 * x1 + x0, y2 - 2 * y1 + y0) / h**2, rel=1e-5)
 
 
-def test_from_config_converts_to_si_and_refuses_a_fixed_hinge() -> None:
+def test_from_config_converts_to_si() -> None:
     geometry = RigGeometry.from_config(Config.model_validate(PORTS))
     assert geometry == GEOMETRY
-    with pytest.raises(PoseError, match=r"rig\.hinge"):
-        RigGeometry.from_config(Config.model_validate({**PORTS, "rig": {"hinge": "fixed"}}))
 
 
 def test_wrapped_is_half_open() -> None:

@@ -4,9 +4,7 @@ import math
 
 import pytest
 
-from palmd.config import ArmConfig, PadConfig, PadsConfig, RigConfig
 from palmd.rig.arm import Linkage, Servo, turn
-from palmd.rig.world import default_config
 
 LINKAGE = Linkage((0.12, 0.01), 0.11, 0.13, (-0.3, 0.05), math.radians(30.0))
 
@@ -53,15 +51,6 @@ def test_out_of_reach_is_none():
     assert LINKAGE.angles(far.x_m, far.y_m) is None
     assert LINKAGE.angles(5.0, 5.0) is None
     assert LINKAGE.motion((5.0, 0.0, 0.0), (5.0, 0.0, 0.0)) is None
-
-
-def test_a_fixed_hinge_is_refused():
-    pads = PadsConfig(palm1=PadConfig(port="a"), palm2=PadConfig(port="b"))
-    config = default_config().model_copy(
-        update={"rig": RigConfig(hinge="fixed"), "pads": pads, "arm": ArmConfig(port="c")}
-    )
-    with pytest.raises(ValueError, match="hinge: arc"):
-        Linkage.from_config(config)
 
 
 def test_servo_trails_a_ramp_by_its_lag_and_settles():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from palmd.config import PadConfig, PressureConfig
+from palmd.config import PressureConfig, VersaPadConfig
 from palmd.devices.versapad import VersaPadDecoder
 from palmd.rig.pads import PadEmulator, PadOptions, Press
 
@@ -11,7 +11,7 @@ QUIET = PadOptions(noise_m=0.0, force_noise=0.0, force_drift=0.0, hysteresis=0.0
 
 
 def pad(config=None, options=QUIET, error=lambda _s: 0.0, seed=0):
-    return PadEmulator(config or PadConfig(port="p"), options, error, np.random.default_rng(seed), 0.0)
+    return PadEmulator(config or VersaPadConfig(port="p"), options, error, np.random.default_rng(seed), 0.0)
 
 
 def packets(data):
@@ -26,7 +26,7 @@ def test_counts_and_pressure_worked_by_hand():
 
 
 def test_axis_and_sign():
-    config = PadConfig(port="p", axis="y", sign=-1, zero_mm=30.0)
+    config = VersaPadConfig(port="p", axis="y", sign=-1, zero_mm=30.0)
     packet = packets(pad(config).report(0.1, [Press(0.0173, 1.0)]))[0]
     assert packet.y_counts == 100
     assert abs(packet.x_counts) <= 3
@@ -34,7 +34,7 @@ def test_axis_and_sign():
 
 def test_pressure_saturates_and_takes_the_configured_place():
     assert packets(pad().report(0.1, [Press(0.03, 9.0)]))[0].pressure == 127
-    config = PadConfig(port="p", pressure=PressureConfig(mask=0x3F, invert=True))
+    config = VersaPadConfig(port="p", pressure=PressureConfig(mask=0x3F, invert=True))
     assert pad(config).report(0.1, [Press(0.03, 0.2)])[5] == 0x3F - 10
 
 
@@ -66,7 +66,7 @@ def test_reading_error_is_added():
 
 @pytest.mark.parametrize("baud", [9600, 38400, 4800])
 def test_reports_come_in_three_bands(baud):
-    emulator = pad(PadConfig(port="p", baud=baud))
+    emulator = pad(VersaPadConfig(port="p", baud=baud))
     times = []
     for _ in range(4000):
         t = emulator.due

@@ -61,7 +61,7 @@ class Loop:
             self.host.want_tracking()
         if self.host.tracking:
             self.t_tracking = min(self.t_tracking, t)
-        said = self.host.poll(t, self._target(t) if self.host.tracking else None)
+        said = self.host.poll(t, self._target(t) if self.host.tracking else None).data
         if said:
             self.world.receive("arm", said)
         self.truth.append((t, self.world.truth()))

@@ -1,0 +1,142 @@
+"""What the observers say of a run: causally, tick by tick, or seen from its end."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palmd import observer as observers
+from palmd.api.errors import PalmdError, as_palmd_error
+from palmd.api.outline import Outline, last_of, outline_of
+from palmd.api.runs import Run, open
+from palmd.api.table import Table, table_of
+from palmd.blas import one_thread
+from palmd.events import FloatArray
+from palmd.messages import estimate_fields, shape_fields
+from palmd.observer.reconstruct import reconstruct as smoothed
+from palmd.observer.static_mass import mass_at_rest
+from palmd.outlinefile import read_library
+from palmd.record.recognition import Verdict, verdict
+from palmd.record.replay import replay
+from palmd.record.result import as_line
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EstimatedRun:
+    """What an observer says of a run, each tick from the events up to it only.
+
+    estimates: the fields of `palm/estimate` and `t_s` (s, the log's own time), a row each 10 ms. outlines: one
+    a second. verdict: which of the stored outlines the object is, None without any.
+    """
+
+    estimates: Table
+    outlines: tuple[Outline, ...]
+    verdict: Verdict | None
+
+    @property
+    def outline(self) -> Outline:
+        """The last outline; PalmdError when there is none."""
+        return last_of(self.outlines, "the estimate")
+
+    def outline_xy(self) -> FloatArray:
+        """The last outline's points (361, 2) in m, closed, in the object's frame about its centre of mass."""
+        return self.outline.xy()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SmoothedRun:
+    """What a whole run tells; SI units, NaN where there is no value.
+
+    converged: False rather than wrong, then `reason` says why, and outline and trajectory may be missing. chi2: per
+    reading. trajectory: `t_s psi_rad omega0_rad_s r1_m r2_m`. rho_m: radius of gyration. mu: friction. mass_rest_kg:
+    mass as weighed while the object lay still, which needs no outline. `…_sd…`: one-sigma.
+    """
+
+    converged: bool
+    reason: str
+    chi2: float
+    outline: Outline | None
+    trajectory: Table
+    rho_m: float
+    rho_sd_m: float
+    mu: float
+    mu_sd: float
+    mass_kg: float
+    mass_sd_kg: float
+    mass_rest_kg: float
+    mass_rest_sd_kg: float
+    seconds: float
+
+    def outline_xy(self) -> FloatArray:
+        """The outline's points (361, 2) in m, closed, about the centre of mass; PalmdError when there is none."""
+        if self.outline is None:
+            raise PalmdError(f"the reconstruction has no outline: {self.reason}")
+        return self.outline.xy()
+
+
+@one_thread()
+def estimate(
+    log: Run | str | os.PathLike[str],
+    observer: observers.ObserverName = "shape",
+    shape: str | os.PathLike[str] | None = None,
+) -> EstimatedRun:
+    """A run through exactly the daemon's observer, causally; takes about as long as the run itself.
+
+    `shape`: a stored outline, or a folder of them; the object is then one of these or none. Deterministic. Raises
+    PalmdError for a log or outline that cannot be used.
+    """
+    if observer not in observers.OBSERVERS:
+        raise PalmdError(f"there is no observer {observer!r}; there are {', '.join(observers.OBSERVERS)}")
+    if shape is not None and observer != "shape":
+        raise PalmdError(f"a stored outline needs the observer shape: {observer} cannot use one")
+    told = _opened(log).log
+    with as_palmd_error():
+        outlines = () if shape is None else read_library(Path(shape))
+    watcher = observers.make(observer, told.rig, smoothing=observers.Simulated(told.rig), outlines=outlines)
+    ticks = list(replay(told, watcher))
+    return EstimatedRun(
+        table_of({"t_s": tick.t} | estimate_fields(tick.estimate) for tick in ticks),
+        tuple(outline_of(shape_fields(tick.shape), tick.t) for tick in ticks if tick.shape is not None),
+        verdict(tick.object for tick in ticks if tick.object is not None),
+    )
+
+
+@one_thread()
+def reconstruct(log: Run | str | os.PathLike[str], seed: int = 0) -> SmoothedRun:
+    """Outline and motion from a whole run at once; takes about a second for ten seconds of readings.
+
+    Deterministic for a given `seed` (of the blind start). Raises PalmdError for a log that cannot be used, never for
+    what its readings say.
+    """
+    told = _opened(log).log
+    line = as_line(smoothed(told.events, told.rig, seed), mass_at_rest(told.events, told.rig))
+    return SmoothedRun(
+        converged=line["converged"],
+        reason=line["reason"] or "",
+        outline=None if line["h_m"] is None else outline_of(line, math.nan),
+        trajectory=_trajectory(line["trajectory"]),
+        **{name: math.nan if line[name] is None else line[name] for name in _NUMBERS},
+    )
+
+
+_NUMBERS = (
+    *("chi2", "rho_m", "rho_sd_m", "mu", "mu_sd", "mass_kg", "mass_sd_kg", "mass_rest_kg", "mass_rest_sd_kg"),
+    "seconds",
+)
+_TIME = {"t": "t_s"}
+
+
+def _trajectory(columns: Mapping[str, list[Any]] | None) -> Table:
+    """Columns as a table; empty ones where there is no trajectory."""
+    told = columns or {name: [] for name in ("t", "psi_rad", "omega0_rad_s", "r1_m", "r2_m")}
+    return Table({_TIME.get(name, name): np.array(values, dtype=np.float64) for name, values in told.items()})
+
+
+def _opened(log: Run | str | os.PathLike[str]) -> Run:
+    return log if isinstance(log, Run) else open(log)

@@ -1,0 +1,96 @@
+"""A running daemon: what it says, and what it can be told to do."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from palmd.api.errors import PalmdError, as_palmd_error
+from palmd.bus.command_client import CommandClient
+from palmd.bus.link import COMMAND, PUBLISH, silent
+from palmd.bus.subscriber import Message, Subscriber
+from palmd.keys import Credentials, client_credentials
+from palmd.quantities import ESTIMATE
+
+SILENT_S = 2.0
+
+
+class Live:
+    """A daemon's two sockets. Use it in a `with`, or `close` it.
+
+    `for estimate in live:` gives the fields of `palm/estimate`, one dict a tick. Every iteration listens anew, to what
+    comes from then on: in order, with up to 20 000 messages waiting for a slow reader.
+    """
+
+    def __init__(self, publish: str, command: str, key: Credentials | None) -> None:
+        """Raises PalmdError for what is no address."""
+        self._publish, self._key = publish, key
+        with as_palmd_error():
+            self._client = CommandClient(command, key=key)
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        return self.estimates()
+
+    def estimates(self, seconds: float = math.inf) -> Iterator[dict[str, Any]]:
+        """The fields of `palm/estimate`, tick by tick, for so long; PalmdError when the daemon falls silent."""
+        return (message.fields for message in self.messages(ESTIMATE.name, seconds=seconds))
+
+    def messages(self, *topics: str, seconds: float = math.inf) -> Iterator[Message]:
+        """Messages of these topics (beginnings of names; none: of all), for so long (s).
+
+        Raises PalmdError after two seconds of silence.
+        """
+        end = time.monotonic() + seconds
+        with as_palmd_error(), Subscriber(self._publish, topics=topics or ("",), key=self._key) as subscriber:
+            heard_ever = False
+            while (now := time.monotonic()) < end:
+                heard = False
+                for message in subscriber.until(min(now + SILENT_S, end)):
+                    heard = heard_ever = True
+                    yield message
+                if not heard and (not heard_ever or now + SILENT_S <= end):
+                    raise silent(f"nothing heard from {self._publish}", self._key)
+
+    def command(self, name: str, **arguments: Any) -> dict[str, Any]:
+        """Tell the daemon what to do, and what it answers: `arm`, `start`, `hold`, `stop`, `reset`, `plan`, `jog`…
+
+        Raises PalmdError when it refuses, with its reason, or does not answer.
+        """
+        with as_palmd_error():
+            reply = self._client.ask(name, arguments)
+        if not reply["ok"]:
+            raise PalmdError(f"{name}: {reply.get('error', 'refused')}")
+        result: dict[str, Any] = reply.get("result") or {}
+        return result
+
+    def status(self) -> dict[str, Any]:
+        """State, faults and plan."""
+        return self.command("status")
+
+    def close(self) -> None:
+        """Let go of the daemon, which goes on with what it does."""
+        self._client.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def connect(publish: str = PUBLISH, command: str = COMMAND, key: str | os.PathLike[str] | None = None) -> Live:
+    """A client of the daemon at these addresses, by default where one is unless its configuration says otherwise.
+
+    `key`: the file of our secret key, for a daemon with keys. Returns at once, whether or not a daemon is there: the
+    first question or iteration tells. Raises PalmdError for an address or a key that cannot be used.
+    """
+    with as_palmd_error():
+        credentials = None if key is None else client_credentials(Path(key))
+    return Live(publish, command, credentials)

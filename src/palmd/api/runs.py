@@ -1,0 +1,138 @@
+"""A recorded run or an event log, as arrays."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from palmd.api.errors import PalmdError, as_palmd_error
+from palmd.api.outline import Outline, last_of, outline_of
+from palmd.api.table import Table, table_of
+from palmd.events import Event, FloatArray, PadLift, RigDescription
+from palmd.messages import Fields
+from palmd.quantities import CONTACT, ESTIMATE, SHAPE
+from palmd.record import run as recorded
+from palmd.record.eventlog import EventLog, event_line, read_log
+
+
+@dataclass(frozen=True, slots=True)
+class Events:
+    """What was measured, by what measured it; `t_s` is when it was true, on the log's own clock.
+
+    pads: `t_s pad s_m force_n`, one row a reading; where the object left the pad s_m is NaN. palms: `t_s`, the palms'
+    angles as measured, and the rates and accelerations of the plan.
+    """
+
+    pads: Table
+    palms: Table
+
+
+class Run:
+    """A run as it lies on the disk; each table is read when it is first asked for, and kept."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises PalmdError for a file that is neither a recorded run nor an event log."""
+        self.path = path
+        with as_palmd_error():
+            self._recording = recorded.read_run(path) if recorded.is_recording(path) else None
+            self._log = read_log(path) if self._recording is None else None
+
+    def __repr__(self) -> str:
+        return f"<palmd.Run {self.path}>"
+
+    @cached_property
+    def log(self) -> EventLog:
+        """The rig and the events as the observers take them; PalmdError for a recording without events."""
+        with as_palmd_error():
+            return self._log or self._recorded().event_log()
+
+    @property
+    def rig(self) -> RigDescription:
+        """What the observer is told of the rig."""
+        return self.log.rig if self._recording is None else self._recording.rig
+
+    @property
+    def metadata(self) -> Mapping[str, str]:
+        """Versions, the configuration's hash, and which run it continues; empty for an event log."""
+        return {} if self._recording is None else self._recording.metadata
+
+    @cached_property
+    def topics(self) -> Mapping[str, int]:
+        """How many messages there are of each topic; none in an event log."""
+        if self._recording is None:
+            return {}
+        with as_palmd_error():
+            return {topic: survey.count for topic, survey in self._recording.survey().items()}
+
+    def table(self, topic: str) -> Table:
+        """All messages of a topic, with `t_s`: the time they hold for (s), on the clock of the events.
+
+        Raises PalmdError where there are none.
+        """
+        with as_palmd_error():
+            table = table_of(_timed(message.fields) for message in self._recorded(topic).messages(topic))
+        if not table:
+            raise PalmdError(f"{self.path}: holds no {topic}; there are {', '.join(self.topics)}")
+        return table
+
+    @cached_property
+    def estimates(self) -> Table:
+        """What the daemon said, tick by tick: the fields of `palm/estimate`."""
+        return self.table(ESTIMATE.name)
+
+    @cached_property
+    def contacts(self) -> Table:
+        """What the pads said last, tick by tick: the fields of `palm/contact`."""
+        return self.table(CONTACT.name)
+
+    @cached_property
+    def outlines(self) -> tuple[Outline, ...]:
+        """Every outline that the daemon gave, in order of time."""
+        with as_palmd_error():
+            messages = self._recorded(SHAPE.name).messages(SHAPE.name)
+            return tuple(outline_of(fields, fields["mono_ns"] * 1e-9) for fields in (each.fields for each in messages))
+
+    @property
+    def outline(self) -> Outline:
+        """The last outline; PalmdError when there is none."""
+        return last_of(self.outlines, str(self.path))
+
+    def outline_xy(self) -> FloatArray:
+        """The last outline's points (361, 2) in m, closed, in the object's frame about its centre of mass."""
+        return self.outline.xy()
+
+    @cached_property
+    def events(self) -> Events:
+        """What was measured."""
+        rows = [_row(event) for event in self.log.events]
+        return Events(*(table_of(row for row in rows if ("pad" in row) is of_pads) for of_pads in (True, False)))
+
+    def _recorded(self, topic: str = "") -> recorded.Run:
+        if self._recording is None:
+            raise PalmdError(
+                f"{self.path}: is an event log and holds no {topic}: .events has its readings, palmd.estimate(…) and"
+                " palmd.reconstruct(…) make estimates of them"
+            )
+        return self._recording
+
+
+def open(path: str | os.PathLike[str]) -> Run:
+    """The recorded run (MCAP) or event log (JSON lines) in a file; what it is shows in its first bytes.
+
+    Raises PalmdError when it cannot be used. Quick: tables are read when they are asked for.
+    """
+    return Run(Path(path))
+
+
+def _timed(fields: Fields) -> Fields:
+    return {"t_s": fields["mono_ns"] * 1e-9} | fields
+
+
+def _row(event: Event) -> Fields:
+    """An event under the names of the event log, flat."""
+    line: Fields = {"pad": event.pad} if isinstance(event, PadLift) else event_line(event) or {}
+    fields = {name: value for name, value in (line | line.get("palms", {})).items() if name not in ("t", "palms")}
+    return {"t_s": event.t_sample} | fields

@@ -1,0 +1,57 @@
+"""`kind: adept`: a V+ program on an Adept controller, on a serial line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from palmd.config import AdeptConfig
+from palmd.devices.actuator import ActuatorFactory, Reach
+from palmd.devices.armhost import ArmHost
+from palmd.devices.armlink import error_text
+from palmd.devices.health import Share
+from palmd.devices.port import Port
+
+DAMAGED_SHARE, DAMAGED_LEAST = 0.05, 10  # lines
+
+
+class Adept(ArmHost):
+    """The arm link's host on its serial line; see `Actuator`."""
+
+    def __init__(self, config: AdeptConfig) -> None:
+        """Nothing is opened yet."""
+        super().__init__(config.baud)
+        self._config = config
+        self._damaged = Share(DAMAGED_SHARE, DAMAGED_LEAST)
+        self._verdicts: tuple[str, ...] = ()
+
+    @property
+    def reach(self) -> Reach | None:
+        """The limits in the controller's hello."""
+        hello = self.hello
+        if hello is None:
+            return None
+        return Reach(hello.x_min_m, hello.x_max_m, hello.y_min_m, hello.y_max_m, hello.v_max_m_s, hello.a_max_m_s2)
+
+    @property
+    def error(self) -> str:
+        """The code of the last error line, and what it means."""
+        return "" if self.last_error is None else error_text(self.last_error)
+
+    def port(self) -> Port:
+        """The serial line."""
+        return Port("arm", self._config.port, self._config.baud)
+
+    def health(self, look: bool) -> Iterator[str]:
+        """Whether too many lines are damaged."""
+        if look:
+            line = self.counters.line
+            spoilt = line.crc_errors + line.unframed + line.overlong
+            self._verdicts = ("garbled",) if self._damaged.exceeded(line.lines + spoilt, spoilt) else ()
+        yield from self._verdicts
+
+    def counts(self) -> dict[str, float]:
+        """What has passed on the link since the start."""
+        return self.counters.as_dict()
+
+
+DRIVER: ActuatorFactory = Adept

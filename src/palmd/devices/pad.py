@@ -1,0 +1,153 @@
+"""What every kind of touch pad offers, and how the configured kind is found.
+
+A kind `K` is `palmd/devices/pads/K.py`, which says `DRIVER`, and a model in `palmd.config` with `kind: Literal["K"]`.
+Nothing else knows of it: the daemon, the bring-up and the calibration take what stands here.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+from palmd.config import PadConfig
+from palmd.events import Pad, PadLift, PadSample
+from palmd.messages import PadView
+
+if TYPE_CHECKING:
+    from palmd.devices.port import DevicePort
+
+MARGIN_MM = 1.0
+"""How far beyond the pad's end a reading may lie, for the zero is never quite right."""
+
+SILENT_INTERVALS = 5
+"""A pad that says nothing for so many mean intervals between reports has been let go."""
+
+
+@dataclass(frozen=True, slots=True)
+class PadReport:
+    """One report of a pad in its own counts.
+
+    `t_first` is when its first byte arrived, `t_recv` when it was read whole (s, monotonic). `batched` says that
+    several came in that read, so that `t_first` rests on back-dating alone.
+    """
+
+    t_first: float
+    t_recv: float
+    x_counts: int
+    y_counts: int
+    pressure: int
+    in_use: bool
+    batched: bool
+
+
+class PadDriver(Protocol):
+    """One pad: bytes in, events out, and what is known of it. Pure but for `port`, what it opens; safe in the loop."""
+
+    is_open: bool
+
+    @property
+    def touching(self) -> bool:
+        """Whether the object touches the pad, as far as is known."""
+
+    @property
+    def parted(self) -> Literal["lifted", "silent"] | None:
+        """How the last touch ended, None while touching or before any touch."""
+
+    @property
+    def starting(self) -> bool:
+        """Whether its start-up is under way."""
+
+    @property
+    def complaint(self) -> str | None:
+        """Why it may be that no report has come, as far as the pad's line tells; None when nothing is wrong with it."""
+
+    def port(self) -> DevicePort:
+        """What the pad is behind, shut."""
+
+    def opened(self, t: float) -> None:
+        """The port has been opened at `t` (s)."""
+
+    def lost(self, t: float) -> list[PadLift]:
+        """The port has gone at `t` (s)."""
+
+    def tend(self, port: DevicePort) -> None:
+        """Do at the open port what a start-up wants; once a tick."""
+
+    def feed(self, data: bytes, t: float) -> list[PadSample | PadLift]:
+        """The events in the bytes read at `t` (s)."""
+
+    def poll(self, t: float) -> list[PadLift]:
+        """The lift-off that silence tells of at `t` (s), if it does; once a tick."""
+
+    def reports(self, data: bytes, t: float) -> Sequence[PadReport]:
+        """The reports in the bytes read at `t` (s), uncalibrated: instead of `feed`, for bring-up and calibration."""
+
+    def view(self, t: float) -> PadView:
+        """What is to be told of the pad at `t` (s)."""
+
+    def health(self, look: bool) -> Iterator[str]:
+        """The conditions of the fault table that hold, without the pad's name; with `look` counters are judged anew."""
+
+    def counts(self) -> dict[str, int]:
+        """What has passed since the start, by cause."""
+
+
+PadFactory = Callable[[Pad, Any], PadDriver]
+"""Takes the pad's number and its kind's configuration."""
+
+
+def make_pad(number: Pad, config: PadConfig) -> PadDriver:
+    """The driver of a configured pad."""
+    factory: PadFactory = importlib.import_module(f"palmd.devices.pads.{config.kind}").DRIVER
+    return factory(number, config)
+
+
+class TouchTracker:
+    """Tells when the object has left a pad that reports while it is touched: a report says so, or silence does.
+
+    Silence of five mean intervals between reports. The mean is a running one, held between one report time (the line
+    cannot do better) and 2.5, so that a mute pad is noticed within 100 ms at 9600 baud whatever came before.
+    """
+
+    GAIN = 1 / 16
+    START_REPORTS = 1.6
+    MAX_REPORTS = 2.5
+
+    def __init__(self, pad: Pad, report_s: float) -> None:
+        """`report_s` is how long a report takes on the line, at least (s)."""
+        self._pad: Pad = pad
+        self._shortest_s = report_s
+        self._longest_s = self.MAX_REPORTS * report_s
+        self._mean_s = self.START_REPORTS * report_s
+        self._t_first = 0.0
+        self._t_recv = 0.0
+        self.touching = False
+
+    @property
+    def mean_interval_s(self) -> float:
+        """The running mean of the time between reports."""
+        return self._mean_s
+
+    def report(self, report: PadReport) -> PadLift | None:
+        """Take a report, in the order received; return the lift-off it reports, if any."""
+        if not report.in_use:
+            return self._lift(report.t_first)
+        if self.touching:
+            mean_s = self._mean_s + self.GAIN * (report.t_first - self._t_first - self._mean_s)
+            self._mean_s = min(max(mean_s, self._shortest_s), self._longest_s)
+        self.touching = True
+        self._t_first, self._t_recv = report.t_first, report.t_recv
+        return None
+
+    def poll(self, t: float) -> PadLift | None:
+        """Return the lift-off if the pad has been silent for too long at time `t` (s), else None."""
+        t_silent = self._t_recv + SILENT_INTERVALS * self._mean_s
+        return self._lift(t_silent) if t >= t_silent else None
+
+    def _lift(self, t: float) -> PadLift | None:
+        if not self.touching:
+            return None
+        self.touching = False
+        return PadLift(t, self._pad)

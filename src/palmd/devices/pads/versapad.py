@@ -1,0 +1,169 @@
+"""`kind: versapad`: a Logitech/Interlink VersaPad on a serial line."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Iterator
+from typing import Literal, cast
+
+from palmd.config import VersaPadConfig
+from palmd.devices.handshake import Handshake
+from palmd.devices.health import Share
+from palmd.devices.pad import PadFactory
+from palmd.devices.port import DevicePort, Port
+from palmd.devices.versapad import PadCalibration, PadPacket, PadReceiver, PressureFormat
+from palmd.events import Pad, PadLift, PadSample
+from palmd.messages import PadView
+
+log = logging.getLogger(__name__)
+
+GARBLED_SHARE, GARBLED_LEAST = 0.2, 24  # bytes
+ASTRAY_SHARE, ASTRAY_LEAST = 0.2, 10  # packets
+BATCHED_SHARE, BATCHED_LEAST = 0.5, 10
+
+
+class VersaPad:
+    """One pad's line; see `PadDriver`. `in_break` says whether its start-up wants the line in break."""
+
+    def __init__(self, number: Pad, config: VersaPadConfig) -> None:
+        """Nothing is opened yet."""
+        pressure = PressureFormat(
+            config.pressure.byte, config.pressure.mask, config.pressure.shift, config.pressure.invert
+        )
+        calibration = PadCalibration(
+            number,
+            config.zero_mm,
+            config.counts_per_mm,
+            config.newtons_per_count,
+            config.axis,
+            cast(Literal[1, -1], config.sign),
+            config.length_mm,
+            pressure.full_scale,
+        )
+        self.is_open = False
+        self.in_break = False
+        self.parted: Literal["lifted", "silent"] | None = None
+        self._receiver = PadReceiver(calibration, config.baud, pressure)
+        self._number: Pad = number
+        self._config = config
+        self._s = math.nan
+        self._handshake: Handshake | None = None
+        self._unanswered: str | None = None
+        self._held = False  # in break, as the port has been told
+        self._garbled = Share(GARBLED_SHARE, GARBLED_LEAST)
+        self._astray = Share(ASTRAY_SHARE, ASTRAY_LEAST)
+        self._batched = Share(BATCHED_SHARE, BATCHED_LEAST)
+        self._verdicts: tuple[str, ...] = ()
+
+    @property
+    def touching(self) -> bool:
+        """Whether the object touches the pad, as far as is known."""
+        return self._receiver.touch.touching
+
+    @property
+    def starting(self) -> bool:
+        """Whether the handshake is under way."""
+        return self._handshake is not None
+
+    @property
+    def complaint(self) -> str | None:
+        """That the handshake was not answered, or that what came was no report."""
+        if self._unanswered is not None:
+            return self._unanswered
+        if discarded := self._receiver.counters.bytes_discarded:
+            return f"{discarded} bytes, but no report among them at {self._config.baud} baud: is it a pad?"
+        return None
+
+    def port(self) -> Port:
+        """The serial line."""
+        return Port(f"pad{self._number}", self._config.port, self._config.baud)
+
+    def opened(self, t: float) -> None:
+        """The port has been opened at `t` (s)."""
+        self.is_open = True
+        self._unanswered = None
+        self._handshake = Handshake(self._config.handshake, t)
+
+    def lost(self, t: float) -> list[PadLift]:
+        """The port has gone at `t` (s)."""
+        self.is_open = self.in_break = self._held = False
+        self._handshake = None
+        self._receiver.decoder.reset()
+        lift = self._receiver.poll(math.inf)
+        return [] if lift is None else [self._part(PadLift(t, self._number), "silent")]
+
+    def tend(self, port: DevicePort) -> None:
+        """Hold the line in break, or end that."""
+        if self.in_break is not self._held and isinstance(port, Port):
+            port.set_break(self.in_break)
+            self._held = self.in_break
+
+    def feed(self, data: bytes, t: float) -> list[PadSample | PadLift]:
+        """Take bytes read at `t` (s)."""
+        self._shake(data, t)
+        events = self._receiver.feed(data, t)
+        for event in events:
+            if isinstance(event, PadLift):
+                self._part(event, "lifted")
+            else:
+                self._s, self.parted = event.s, None
+        return events
+
+    def poll(self, t: float) -> list[PadLift]:
+        """The lift-off that silence tells of at `t` (s). Once a tick."""
+        self._shake(b"", t)
+        lift = self._receiver.poll(t)
+        return [] if lift is None else [self._part(lift, "silent")]
+
+    def reports(self, data: bytes, t: float) -> list[PadPacket]:
+        """The packets in the bytes read at `t` (s)."""
+        self._shake(data, t)
+        return self._receiver.decoder.feed(data, t)
+
+    def view(self, t: float) -> PadView:
+        """What is to be told of the pad at `t` (s)."""
+        latest = self._receiver.latest
+        if latest is None:
+            return PadView()
+        return PadView(self._s, latest.pressure, t - latest.t_first, self.touching, latest.batched)
+
+    def health(self, look: bool) -> Iterator[str]:
+        """The conditions that hold, without the pad's name."""
+        if look:
+            self._verdicts = tuple(self._judged())
+        yield from self._verdicts
+        if self._unanswered is not None:
+            yield "handshake"
+
+    def counts(self) -> dict[str, int]:
+        """What has passed since the start, by cause."""
+        return self._receiver.counters.as_dict()
+
+    def _judged(self) -> Iterator[str]:
+        counters = self._receiver.counters
+        if self._garbled.exceeded(counters.bytes, counters.bytes_discarded):
+            yield "garbled"
+        if self._astray.exceeded(counters.packets, counters.out_of_range):
+            yield "out-of-range"
+        if self._batched.exceeded(counters.packets, 2 * counters.batches):  # two packets or more in each
+            yield "batched"
+
+    def _shake(self, data: bytes, t: float) -> None:
+        """Let the start-up go on."""
+        handshake = self._handshake
+        if handshake is None:
+            return
+        self.in_break = handshake.step(t, data)
+        if handshake.done:
+            self._handshake = None
+            if handshake.error is not None:
+                self._unanswered = handshake.error
+                log.warning("pad%d: %s", self._number, handshake.error)
+
+    def _part(self, lift: PadLift, how: Literal["lifted", "silent"]) -> PadLift:
+        self._s, self.parted = math.nan, how
+        return lift
+
+
+DRIVER: PadFactory = VersaPad
