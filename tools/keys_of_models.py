@@ -59,7 +59,13 @@ def keys(model: type[Strict], path: str = "") -> Iterator[Key]:
                 yield from keys(inner, f"{path}{', '.join(alike[inner])}.")
         else:
             unit = next((unit for end, unit in UNITS.items() if name.endswith(end)), "")
-            yield Key(path + name, unit, _default(field), _allowed(field), TEXTS[model.__name__, name])
+            yield Key(path + name, unit, _default(field), _allowed(field), _text(model, name))
+
+
+def _text(model: type[Strict], name: str) -> str:
+    """Of the class that has the key, which may be one that the model is built on."""
+    own = next(each for each in model.__mro__ if name in vars(each).get("__annotations__", {}))
+    return TEXTS[own.__name__, name]
 
 
 def model_in(kind: Any) -> type[Strict] | None:

@@ -240,6 +240,7 @@ class AdeptConfig(Strict):
     """The serial line of an Adept controller, and where its arm's base stands in the world frame."""
 
     kind: Literal["adept"] = Field(default="adept", exclude=True)
+    """What kind of actuator it is; may be left out."""
     port: PortPath
     """The serial port to the controller."""
     baud: Baud = 38400
