@@ -21,7 +21,7 @@ from palmd.model.smoothing import CONSTANTS, ORDER, RIG, C
 from palmd.observer.chain import Chain
 from palmd.observer.coverage import marks_of
 from palmd.observer.data_segment import DataSegment, data_segments
-from palmd.observer.factor import Prior, friction_of
+from palmd.observer.factor import Prior
 from palmd.observer.marginal import Marginal, marginalised
 from palmd.observer.mass import MassEstimator
 from palmd.observer.matching import Felt, matched
@@ -228,7 +228,6 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
         reason = "only a hollow outline explains the readings"
     sd = np.sqrt(np.diagonal(covariance))
     rho = math.exp(p[C.LN_RHO])
-    friction = friction_of(p, covariance)
     mass, mass_sd = _weighed(main, rig, answered)
     everywhere = np.concatenate(normals)
     radii = [shape.basis(everywhere[:, i], ORDER) @ p[C.SHAPE :] for i in range(2)]
@@ -240,7 +239,7 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
         converged=not reason, chi2=fit.chi2,
         theta=outline.theta, h=outline.h, h_sd=outline.h_sd, touched=outline.touched,
         visits=np.sum([visits_of(each) for each in normals], axis=0),
-        rho=rho, rho_sd=rho * float(sd[C.LN_RHO]), mu=friction[0], mu_sd=friction[1],
+        rho=rho, rho_sd=rho * float(sd[C.LN_RHO]), mu=answered.mu, mu_sd=answered.mu_sd,
         mass=mass, mass_sd=mass_sd, rig=p[RIG], rig_sd=sd[RIG],
         t=t, psi=psi, omega0=omega0, r1=radii[0], r2=radii[1],
         reason=reason, seconds=time.perf_counter() - begun,
