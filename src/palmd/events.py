@@ -177,10 +177,12 @@ class ShapeEstimate:
 
 @dataclass(frozen=True, slots=True)
 class Improvement:
-    """A smoother's belief about the shape map's state at time `t` (s): mean x and covariance P.
+    """A smoother's belief about the shape map's state at time `t` (s): mean x, and covariance P were `rig` right.
 
-    The outline has the smoother's harmonics. `frame` is another when it has another gauge than before. `established`:
-    what was found has proved true for so long that no rival needs to be kept. touched: (72,) as in `Outlook`.
+    rig: (12,) the rig's constants as in `model.smoothing.R`; what is not known of them adds spread·spreadᵀ to P, with
+    spread (n, 12). The outline has the smoother's harmonics. `frame` is another when it has another gauge than before.
+    `established`: what was found has proved true for so long that no rival needs to be kept. touched: (72,) as in
+    `Outlook`.
     """
 
     t: float
@@ -189,6 +191,8 @@ class Improvement:
     frame: int
     established: bool
     touched: npt.NDArray[np.bool_]
+    rig: FloatArray
+    spread: FloatArray
 
 
 DECIDED = 0.95

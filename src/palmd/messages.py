@@ -249,10 +249,12 @@ IMPROVEMENT = Topic(
         _TICK,
         Field("t_s", "number", "s", "what instant the answer is about, CLOCK_MONOTONIC"),
         Field("x", "numbers", "SI", "mean of the shape map's state"),
-        Field("covariance", "numbers", "SI", "of that state, row after row"),
+        Field("covariance", "numbers", "SI", "of that state, were `rig` right, row after row"),
         Field("frame", "number", "", "another when the outline has another gauge than in the answer before"),
         Field("established", "bool", "", "whether it has proved true for so long that no rival is kept"),
         Field("touched", "numbers", "", "0 or 1 for each of 72 bins of outward normals, the first beginning at 0"),
+        Field("rig", "numbers", "SI", "what the rig's constants are off by, in the order of a result's `rig`"),
+        Field("spread", "numbers", "SI", "the state's covariance is larger by spread·spreadᵀ, since `rig` is not sure"),
     ),
 )
 TOPICS: tuple[Topic, ...] = (ESTIMATE, SHAPE, OBJECT, CONTACT, MOTION, STATE, LOOP, INFO, EVENTS, IMPROVEMENT)
@@ -361,6 +363,8 @@ def improvement_fields(t_tick: float, answer: Improvement) -> Fields:
         "frame": answer.frame,
         "established": answer.established,
         "touched": answer.touched.astype(int).tolist(),
+        "rig": answer.rig.tolist(),
+        "spread": answer.spread.ravel().tolist(),
     }
 
 

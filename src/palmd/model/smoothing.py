@@ -1,8 +1,8 @@
 """The smoother's kernels: one step of the motion, one contact reading, one force reading, each with its Jacobian.
 
 The trajectory is held by nodes x_k = (ψ, ω0), and everything that does not move is one vector of constants
-p = (ln ρ, B, w, c, ln m, constants of the rig, coefficients of h). Between two nodes ψ is the cubic that fits both, so a reading
-at any time depends on two neighbouring nodes and on p alone: the least-squares problem is block-tridiagonal
+p = (ln ρ, B, w, c, ln m, constants of the rig, coefficients of h). Between two nodes ψ is the cubic that fits both, so
+a reading at any time depends on two neighbouring nodes and on p alone: the least-squares problem is block-tridiagonal
 with a border.
 """
 
@@ -45,8 +45,8 @@ class C(IntEnum):
 class R(IntEnum):
     """Index of each constant of the rig, from `C.RIG` on: by how much it is off from what it is taken for; SI units.
 
-    A pad reads ZERO + (1 + SCALE) s of a contact at s, as it was LAG ago. Its surface lies STANDOFF above the hinge line,
-    on the object's side, and is an arc that is SAGITTA higher in the pad's middle than at its ends. TILT is φ1's
+    A pad reads ZERO + (1 + SCALE) s of a contact at s, as it was LAG ago. Its surface lies STANDOFF above the hinge
+    line, on the object's side, and is an arc that is SAGITTA higher in the pad's middle than at its ends. TILT is φ1's
     error, gravity's direction included, TURN that of φ2. Where each pad has its own, pad 2's follows pad 1's.
     """
 

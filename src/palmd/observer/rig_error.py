@@ -41,7 +41,7 @@ class RigError:
 
 
 def circle_spread(rig: RigDescription, s1: float, s2: float, phi2: float) -> float:
-    """One-sigma (m) that the rig's constants leave of a circle's radius, r = (s1 + s2)/2 · tan(φ2/2), at these readings.
+    """One-sigma (m) that the rig's constants leave of a circle's radius r = (s1 + s2)/2 · tan(φ2/2).
 
     For before a smoother has told how they and the outline hang together.
     """

@@ -207,9 +207,7 @@ def _calibration(rig: Line) -> Calibration:
     if rig.get("calibration_sd") is None:
         return Calibration()
     told, default = _block(rig, "calibration_sd"), Calibration()
-    values = {
-        name: _not_negative(told, key, getattr(default, name)) for name, key in CALIBRATION_KEYS.items()
-    }
+    values = {name: _not_negative(told, key, getattr(default, name)) for name, key in CALIBRATION_KEYS.items()}
     return Calibration(**values)
 
 

@@ -6,9 +6,9 @@ import math
 from typing import Any
 
 from palmd.events import FloatArray
+from palmd.model.smoothing import RIG_NAMES
 from palmd.observer.mass import MassEstimator
 from palmd.observer.reconstruct import Reconstruction
-from palmd.model.smoothing import RIG_NAMES
 from palmd.observer.visits import Marks, kept_by_band, kept_by_visits
 
 
