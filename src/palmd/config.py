@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import ipaddress
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -28,7 +29,7 @@ from pydantic import (
     field_validator,
 )
 
-from palmd.events import RigDescription
+from palmd.events import Calibration, RigDescription
 
 BAUDS = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)
 SEGMENT_KINDS = ("move", "rate", "hold_s", "sine", "explore")
@@ -122,6 +123,7 @@ def _ipv4(host: str | None) -> ipaddress.IPv4Address | None:
 
 
 Positive = Annotated[FiniteFloat, Field(gt=0)]
+NotNegative = Annotated[FiniteFloat, Field(ge=0)]
 Baud = Annotated[int, _one_of(*BAUDS)]
 PortPath = Annotated[str, Field(min_length=1)]
 Pair = Annotated[tuple[FiniteFloat, FiniteFloat], Field(strict=False)]  # a YAML list is not a tuple
@@ -148,6 +150,9 @@ class RigConfig(Strict):
     base_mm: Pair = (120.0, 0.0)
     palm1_length_mm: Annotated[FiniteFloat, Field(gt=0, le=2000)] = 120.0
     palm2_length_mm: Annotated[FiniteFloat, Field(gt=0, le=2000)] = 120.0
+    # how well the palms' angles and gravity's direction are known, one sigma; as docs/calibration.md leaves them
+    angle_sd_deg: Annotated[NotNegative, Field(le=10)] = 0.1
+    gravity_sd_deg: Annotated[NotNegative, Field(le=10)] = 0.2
 
 
 class PressureConfig(Strict):
@@ -173,6 +178,12 @@ class PadConfig(Strict):
     noise_mm: Annotated[FiniteFloat, Field(gt=0, le=5)] = 0.1  # one sigma of a position, its rounding not counted
     handshake: Literal["none", "break", "break_twice"] = "none"
     pressure: PressureConfig = PressureConfig()
+    # how well the pad is known, one sigma; as docs/calibration.md leaves it
+    zero_sd_mm: Annotated[NotNegative, Field(le=10)] = 0.1
+    scale_sd: Annotated[NotNegative, Field(le=0.2)] = 0.003
+    standoff_sd_mm: Annotated[NotNegative, Field(le=10)] = 0.2
+    sagitta_sd_mm: Annotated[NotNegative, Field(le=5)] = 0.03
+    lag_sd_ms: Annotated[NotNegative, Field(le=100)] = 2.0
 
 
 class PadsConfig(Strict):
@@ -310,6 +321,15 @@ def rig_description(config: Config) -> RigDescription:
         pad_resolution=1e-3 / min(pad.counts_per_mm for pad in pads),
         force_resolution=max(pad.newtons_per_count for pad in pads),
         force_gain_std=PRESSURE_GAIN_STD,
+        calibration=Calibration(
+            zero=max(pad.zero_sd_mm for pad in pads) * 1e-3,
+            scale=max(pad.scale_sd for pad in pads),
+            angle=math.radians(config.rig.angle_sd_deg),
+            standoff=max(pad.standoff_sd_mm for pad in pads) * 1e-3,
+            lag=max(pad.lag_sd_ms for pad in pads) * 1e-3,
+            gravity=math.radians(config.rig.gravity_sd_deg),
+            sagitta=max(pad.sagitta_sd_mm for pad in pads) * 1e-3,
+        ),
     )
 
 
