@@ -16,7 +16,7 @@ from palmd.daemon.commands import COMMANDS, CommandSpec
 from palmd.faults import FAULTS
 from palmd.model import errata
 from palmd.model.notation import SYMBOLS
-from palmd.quantities import STAMP, TOPICS
+from palmd.quantities import RIG_TOPICS, STAMP, TOPICS, Topic
 from palmd.rig.fault_injection import INJECTABLE_FAULTS
 
 ROOT = Path(__file__).parent.parent
@@ -50,9 +50,11 @@ def messages() -> str:
     ]
     head = ("field", "unit", "meaning")
     parts.append(table(head, [(f"`{f.name}`", f.unit, f.meaning) for f in STAMP]))
-    for topic in TOPICS:
-        parts.append(f"\n## `{topic.name}` ({topic.rate})\n\n")
-        parts.append(table(head, [(f"`{f.name}`", f.unit, f.meaning) for f in topic.quantities]))
+    parts += [_topic(topic) for topic in TOPICS]
+    parts.append(
+        "\n## An emulated rig\n\nOn an address of its own, which it tells when it starts: what is really there.\n"
+    )
+    parts += [_topic(topic) for topic in RIG_TOPICS]
     parts.append(
         "\n## Commands\n\nOne msgpack map `{id, cmd, args}` to the command socket, and one back: "
         "`{id, ok, error?, result?}`.\nWhat is refused has moved nothing.\n\n"
@@ -60,6 +62,11 @@ def messages() -> str:
     rows = [(f"`{name}`", spec.does, _arguments(spec)) for name, spec in COMMANDS.items()]
     parts.append(table(("command", "does", "args"), rows))
     return "".join(parts)
+
+
+def _topic(topic: Topic) -> str:
+    rows = [(f"`{each.name}`", each.unit, each.meaning) for each in topic.quantities]
+    return f"\n## `{topic.name}` ({topic.rate})\n\n" + table(("field", "unit", "meaning"), rows)
 
 
 def _arguments(spec: CommandSpec) -> str:
