@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from palmd.bus.client import Message
+from palmd.bus.subscriber import Message
 from palmd.quantities import CONTACT, ESTIMATE, INFO, LOOP, MOTION, STATE, Quantity, Topic, drawn
 
 Style = Literal["plain", "title", "good", "bad", "warning", "faint"]
@@ -19,7 +19,7 @@ _SEVERITY_STYLES: dict[str, Style] = {"stop": "bad", "hold": "bad", "degrade": "
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class BoardRow:
     """One line of text, and how to show it."""
 
     text: str
@@ -58,14 +58,14 @@ class Board:
         return min((t - message.t_recv for message in self._last.values()), default=math.inf)
 
 
-def frame(board: Board, t: float) -> list[Row]:
+def frame(board: Board, t: float) -> list[BoardRow]:
     """Everything there is to see at t (s, monotonic clock)."""
     if not board.heard:
-        return [Row(f"no data from {board.address}: is a palmd running there?", "warning")]
+        return [BoardRow(f"no data from {board.address}: is a palmd running there?", "warning")]
     rows = [_head(board)]
     silence = board.silence(t)
     if silence > LOOP.stale_s:
-        rows.append(Row(f"no data from {board.address} for {silence:.0f} s; what follows is old", "bad"))
+        rows.append(BoardRow(f"no data from {board.address} for {silence:.0f} s; what follows is old", "bad"))
     rows += _faults(board)
     for topic, block in (
         (ESTIMATE, _estimate),
@@ -77,36 +77,36 @@ def frame(board: Board, t: float) -> list[Row]:
         if fields:
             age = board.age(topic, t)
             old = f"  {age:.1f} s old" if age > topic.stale_s else ""
-            rows += [Row(""), *_titled(topic.name.removeprefix("palm/"), old, block(fields))]
+            rows += [BoardRow(""), *_titled(topic.name.removeprefix("palm/"), old, block(fields))]
     return rows
 
 
-def _head(board: Board) -> Row:
+def _head(board: Board) -> BoardRow:
     state, info = board.fields(STATE), board.fields(INFO)
     name = str(state.get("state", "unknown"))
     words = f"palmd {info.get('version', '')}".rstrip()
-    return Row(f"{words}  {name.upper()}  {board.address}", _STATE_STYLES.get(name, "title"))
+    return BoardRow(f"{words}  {name.upper()}  {board.address}", _STATE_STYLES.get(name, "title"))
 
 
-def _faults(board: Board) -> Iterator[Row]:
+def _faults(board: Board) -> Iterator[BoardRow]:
     state = board.fields(STATE)
     columns = (state.get(name, ()) for name in ("faults", "severities", "hints"))
     for code, severity, hint in zip(*columns, strict=False):
-        yield Row(f"  {severity:8}{code}: {hint}", _SEVERITY_STYLES.get(severity, "plain"))
+        yield BoardRow(f"  {severity:8}{code}: {hint}", _SEVERITY_STYLES.get(severity, "plain"))
 
 
-def _titled(title: str, old: str, rows: Iterable[Row]) -> Iterator[Row]:
+def _titled(title: str, old: str, rows: Iterable[BoardRow]) -> Iterator[BoardRow]:
     """The block with its title in front of the first row, and how old it is behind."""
     for number, row in enumerate(rows):
         text = f"{'' if number else title:10}{row.text}{'' if number else old}"
-        yield Row(text, "bad" if old else row.style)
+        yield BoardRow(text, "bad" if old else row.style)
 
 
-def _estimate(e: Mapping[str, Any]) -> Iterator[Row]:
+def _estimate(e: Mapping[str, Any]) -> Iterator[BoardRow]:
     valid = bool(e.get("valid"))
     word = "valid" if valid else "not valid"
     trust = ", ".join(f"{name} {_shown(e, ESTIMATE[name])}" for name in ("nis", "observability"))
-    yield Row(
+    yield BoardRow(
         f"{word}, {e.get('observer', '')} observer, object {e.get('object', 0)}, touched {_share(e.get('touched'))}, "
         f"{trust}",
         "good" if valid else "warning",
@@ -119,58 +119,58 @@ def _estimate(e: Mapping[str, Any]) -> Iterator[Row]:
         if quantity.glance
     ]
     for first in range(0, len(cells), _CELLS):
-        yield Row("".join(f"{cell:29}" for cell in cells[first : first + _CELLS]).rstrip(), style)
+        yield BoardRow("".join(f"{cell:29}" for cell in cells[first : first + _CELLS]).rstrip(), style)
 
 
-def _contact(c: Mapping[str, Any]) -> Iterator[Row]:
+def _contact(c: Mapping[str, Any]) -> Iterator[BoardRow]:
     for pad in (1, 2):
         touch = bool(c.get(f"touch{pad}"))
         batch = ", several packets in one read" if c.get(f"batch{pad}") else ""
         place, age = CONTACT[f"s{pad}_m"], CONTACT[f"age{pad}_ms"]
-        yield Row(
+        yield BoardRow(
             f"pad {pad}  {'touched' if touch else 'untouched':10}{_shown(c, place):>7} {place.shown.unit}"
             f"  pressure {_number(c.get(f'pressure{pad}'), 1, 0):>3}"
             f"  age {_shown(c, age):>4} {age.shown.unit}{batch}",
             "plain" if touch else "warning",
         )
     age = CONTACT["arm_age_ms"]
-    yield Row(f"arm    age {_shown(c, age)} {age.shown.unit}")
+    yield BoardRow(f"arm    age {_shown(c, age)} {age.shown.unit}")
 
 
-def _motion(m: Mapping[str, Any]) -> Iterator[Row]:
+def _motion(m: Mapping[str, Any]) -> Iterator[BoardRow]:
     for palm in (1, 2):
         actual, commanded = (MOTION[f"phi{palm}{what}_rad"] for what in ("", "_cmd"))
-        yield Row(
+        yield BoardRow(
             f"phi{palm}   {_shown(m, actual):>7}{actual.shown.unit}"
             f"  commanded {_shown(m, commanded):>7}{commanded.shown.unit}"
         )
     plan = m.get("plan") or "none"
     segment = m.get("segment", -1)
     where = f", segment {segment}, {_share(m.get('progress'))}" if segment >= 0 else ", not running"
-    yield Row(f"arm    {m.get('arm_state') or 'unknown'}   plan {plan}{where}")
+    yield BoardRow(f"arm    {m.get('arm_state') or 'unknown'}   plan {plan}{where}")
 
 
-def _loop(fields: Mapping[str, Any]) -> Iterator[Row]:
+def _loop(fields: Mapping[str, Any]) -> Iterator[BoardRow]:
     rss = LOOP["rss_mb"]
-    yield Row(
+    yield BoardRow(
         f"ticks {fields.get('ticks', 0)}, overruns {fields.get('overruns', 0)}, "
         f"{fields.get('backend', '')} backend, {_shown(fields, rss)} {rss.shown.unit}"
     )
     for name in ("lateness", "work"):
         values = (f"{q.symbol} {_shown(fields, q):>6} {q.shown.unit}" for q in drawn(LOOP, chart=name))
-        yield Row(f"{name:10}{'  '.join(values)}")
+        yield BoardRow(f"{name:10}{'  '.join(values)}")
     for port in ("pad1", "pad2", "arm"):
         yield from _troubles(port, fields)
 
 
-def _troubles(port: str, fields: Mapping[str, Any]) -> Iterator[Row]:
+def _troubles(port: str, fields: Mapping[str, Any]) -> Iterator[BoardRow]:
     """What has gone wrong on a port since the start, by cause: its counters but for those of normal traffic."""
     counters = {
         name.removeprefix(f"{port}_").removeprefix("port_"): n for name, n in fields.items() if f"{port}_" in name
     }
     causes = [f"{name} {n}" for name, n in counters.items() if isinstance(n, int) and n and name not in _PASSING]
     if causes:
-        yield Row(f"{port:10}{', '.join(causes)}", "faint")
+        yield BoardRow(f"{port:10}{', '.join(causes)}", "faint")
 
 
 def _shown(fields: Mapping[str, Any], quantity: Quantity) -> str:

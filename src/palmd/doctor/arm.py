@@ -8,8 +8,8 @@ from typing import TypeVar
 
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.daemon import realtime
-from palmd.devices.armconformance import CHECKS, REACH_M, REPORT, Result, examine
-from palmd.devices.armconformance_talk import Heard, Say, Script, Talk
+from palmd.devices.armconformance import CHECKS, REACH_M, REPORT, CheckResult, examine
+from palmd.devices.armconformance_talk import Script, Talk, TalkAnswer, TalkRequest
 from palmd.devices.armlink import Line, LineReader, Stop, encode_command
 from palmd.devices.port import Port, PortWaiter
 
@@ -43,13 +43,13 @@ class ArmLine:
             value: _T = end.value
             return value
 
-    def _heard(self, say: Say) -> Heard:
+    def _heard(self, say: TalkRequest) -> TalkAnswer:
         lines: list[Line] = []
         raw = self._listen(lines, say.t_send, 0)
         t_sent = time.monotonic()
         self._port.write(say.data)
         raw += self._listen(lines, t_sent + say.listen_s, say.enough)
-        return Heard(lines, raw, t_sent, time.monotonic())
+        return TalkAnswer(lines, raw, t_sent, time.monotonic())
 
     def _listen(self, lines: list[Line], t_end: float, enough: int) -> bytes:
         """Adds the lines that come until t_end (s), or until there are enough; returns all the bytes."""
@@ -78,7 +78,7 @@ def examine_arm(path: str, baud: int, sure: bool) -> int:
     sure: what makes the arm track needs no question.
     """
     line, talk = ArmLine(path, baud), Talk(baud)
-    results: list[Result] = []
+    results: list[CheckResult] = []
     realtime.prepare()  # as punctual as this user may be: what is missing only makes a check less sure
     try:
         for check in CHECKS:
@@ -96,7 +96,7 @@ def examine_arm(path: str, baud: int, sure: bool) -> int:
     return _summary(path, results)
 
 
-def told(result: Result) -> str:
+def told(result: CheckResult) -> str:
     """A result in words: one line, more if it failed."""
     text = f"{result.number:2} {_WORDS[result.outcome]}  {result.clause}"
     if result.outcome == "failed":
@@ -105,7 +105,7 @@ def told(result: Result) -> str:
     return f"{text}\n         {result.seen}"
 
 
-def _summary(path: str, results: list[Result]) -> int:
+def _summary(path: str, results: list[CheckResult]) -> int:
     counts = {outcome: sum(result.outcome == outcome for result in results) for outcome in _WORDS}
     left = len(CHECKS) - len(results)
     text = f"{counts['passed']} of {len(CHECKS)} checks passed, {counts['failed']} failed"

@@ -27,7 +27,7 @@ from palmd.observer.mass import MassEstimator
 from palmd.observer.matching import Felt, matched
 from palmd.observer.outline import directions, made_convex, normal_angles, outline_of
 from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
-from palmd.observer.search import Finding, Search, beyond_question, doubt
+from palmd.observer.search import Minima, Search, beyond_question, doubt
 from palmd.observer.seeker import ATTEMPTS
 from palmd.observer.smoother import Fit, Smoother
 from palmd.observer.visits import Counts, visits_of
@@ -154,7 +154,7 @@ def _part(stretch: DataSegment, rig: RigDescription, seed: int) -> _Part | None:
     return best
 
 
-def _refined(search: Search, finding: Finding, stretch: DataSegment, rig: RigDescription) -> _Part:
+def _refined(search: Search, finding: Minima, stretch: DataSegment, rig: RigDescription) -> _Part:
     """The best fit again on finer nodes, each force's noise taken from the model's force instead of its neighbours'."""
     best = finding.fits[0]
     record = lay_out(stretch.pads, search.path, rig, stretch.start, stretch.end, SPACING_S)

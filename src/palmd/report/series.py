@@ -26,7 +26,7 @@ CONSTANTS = tuple(quantity.name for quantity in ESTIMATE.quantities if truth_of(
 
 
 @dataclass(frozen=True, slots=True)
-class Track:
+class TopicSeries:
     """The numbers of one topic: times t (n,) in s since the run's beginning, columns (n,) by field name, NaN for none.
 
     Booleans are 0 and 1. A one-sigma has its field's name after `SD`.
@@ -54,7 +54,7 @@ class OutlineAt:
 
 
 @dataclass(frozen=True, slots=True)
-class Body:
+class TrueBody:
     """One `rig/object`: what really lay there from t (s) on; h (m) on even normals from 0, `CONSTANTS`."""
 
     t: float
@@ -96,13 +96,13 @@ class Series:
     torn_bytes: int
     observer: str
     duration: float
-    estimate: Track
-    contact: Track
-    motion: Track
-    loop: Track
-    truth: Track
+    estimate: TopicSeries
+    contact: TopicSeries
+    motion: TopicSeries
+    loop: TopicSeries
+    truth: TopicSeries
     outlines: tuple[OutlineAt, ...]
-    bodies: tuple[Body, ...]
+    bodies: tuple[TrueBody, ...]
     states: tuple[Spell, ...]
     arm_states: tuple[Spell, ...]
     segments: tuple[Spell, ...]
@@ -129,7 +129,7 @@ def series_of(run: Run, survey: Mapping[str, Survey], at: Callable[[int], None] 
     """
     if ESTIMATE.name not in survey:
         raise RunError(f"{run.path}: holds no {ESTIMATE.name}: there is nothing to report")
-    tail, reader = Tail(), _Reader()
+    tail, reader = Tail(), _RunReader()
     for number, message in enumerate(run.messages(tail=tail)):
         if message.topic in reader.takers:
             try:
@@ -158,11 +158,11 @@ class _Columns:
             column.append(value)
         self.t.append(t)
 
-    def track(self) -> Track:
+    def track(self) -> TopicSeries:
         count = len(self.t)
         for column in self._columns.values():
             column.extend([math.nan] * (count - len(column)))
-        return Track(np.array(self.t), {name: np.array(column) for name, column in self._columns.items()})
+        return TopicSeries(np.array(self.t), {name: np.array(column) for name, column in self._columns.items()})
 
 
 class _Spells:
@@ -189,7 +189,7 @@ class _Spells:
 _TRACKS = tuple(topic.name for topic in (ESTIMATE, CONTACT, MOTION, LOOP, TRUTH))
 
 
-class _Reader:
+class _RunReader:
     def __init__(self) -> None:
         self.takers: dict[str, Callable[[float, Fields], None]] = {
             ESTIMATE.name: self._take_estimate,
@@ -208,7 +208,7 @@ class _Reader:
         self._observer = ""
         self._number, self._valid = 0, False
         self._outlines: list[OutlineAt] = []
-        self._bodies: list[Body] = []
+        self._bodies: list[TrueBody] = []
         self._states, self._arm_states, self._segments = _Spells(), _Spells(), _Spells()
         self._standing: dict[str, FaultSpell] = {}
         self._faults: list[FaultSpell] = []
@@ -288,7 +288,7 @@ class _Reader:
 
     def _take_body(self, t: float, fields: Fields) -> None:
         h = np.array(fields["h_m"], dtype=np.float64)
-        self._bodies.append(Body(t, h, {name: float(fields[name]) for name in CONSTANTS}))
+        self._bodies.append(TrueBody(t, h, {name: float(fields[name]) for name in CONSTANTS}))
 
 
 def _names(topic: Topic) -> tuple[str, ...]:
