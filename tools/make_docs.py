@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import re
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
+from palmd.cli.table import COMMANDS as TABLE
+from palmd.cli.table import Command, loaded, parser_of, said
 from palmd.daemon import lifecycle
 from palmd.daemon.commands import COMMANDS, CommandSpec
 from palmd.faults import FAULTS
@@ -63,6 +66,51 @@ def _arguments(spec: CommandSpec) -> str:
     )
 
 
+def command_line() -> str:
+    own = [each for each in TABLE if each.module and each.name != "report paper"]
+    rows = [(f"[`palmd {c.name}`](#palmd-{c.name.replace(' ', '-')})" if c in own else f"`palmd {c.name}`", said(c))
+            for c in TABLE]  # fmt: skip
+    parts = [
+        "# Commands\n\n`palmd COMMAND --help` tells the same. Exit status: 0 success, 1 the input is wrong, 2 usage, "
+        "3 the rig failed.\n\n",
+        table(("command", "does"), rows),
+        *map(_one_command, own),
+    ]
+    return "".join(parts)
+
+
+def _one_command(command: Command) -> str:
+    module = loaded(command)
+    parser = parser_of(command, module)
+    rows = [row for each in parser._actions for row in _rows(each, parser)]
+    text = f"\n## `palmd {command.name}`\n\n{(module.__doc__ or '').strip()}\n"
+    return text + ("\n" + table(("argument", "meaning"), rows) if rows else "")
+
+
+def _rows(action: argparse.Action, parser: argparse.ArgumentParser) -> Iterator[tuple[str, str]]:
+    if isinstance(action, argparse._SubParsersAction):
+        for each in action._choices_actions:
+            words = [_spelt(one) for one in action.choices[each.dest]._actions if one.dest != "help"]
+            yield f"`{' '.join([each.dest, *words])}`", each.help or ""
+    elif action.dest != "help" and action.help is not argparse.SUPPRESS:
+        yield f"`{_spelt(action)}`", _meaning(action, parser).replace("|", "\\|")
+
+
+def _spelt(action: argparse.Action) -> str:
+    """The argument as it is typed."""
+    name = ", ".join(action.option_strings)
+    if action.nargs == 0:
+        return name
+    many = {"*": " …", "+": " …", argparse.REMAINDER: " …"}.get(str(action.nargs), "")
+    if action.choices is not None and action.metavar is None:
+        return f"{name} {{{','.join(map(str, action.choices))}}}".strip()
+    return f"{name} {action.metavar or action.dest.upper()}{many}".strip()
+
+
+def _meaning(action: argparse.Action, parser: argparse.ArgumentParser) -> str:
+    return (action.help or "") % (vars(action) | {"prog": parser.prog})
+
+
 def states() -> str:
     return (
         f"# Lifecycle\n\nThe daemon's states and every transition there is.\n\n```mermaid\n{lifecycle.diagram()}```\n"
@@ -106,6 +154,7 @@ PAGES = {
     "lifecycle.md": states,
     "mischief.md": mischief,
     "errata.md": paper_errata,
+    "commands.md": command_line,
 }
 
 

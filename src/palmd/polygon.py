@@ -29,7 +29,7 @@ class Lamina:
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class PolygonFit:
     """A support function h (360,) in m on the normals of 0, 1, …, 359 degrees, and the points' RMS distance (m)."""
 
     h: FloatArray
@@ -121,7 +121,7 @@ def depths(points: FloatArray) -> FloatArray:
     return np.asarray((along.max(axis=0) - along).min(axis=1))
 
 
-def fitted(points: FloatArray) -> Fit:
+def fitted(points: FloatArray) -> PolygonFit:
     """The outline of `ORDER` harmonics that passes `points` (n, 2), in m, at the least RMS distance.
 
     A point p lies outside a convex outline by max over θ of p·n(θ) − h(θ), negative inside. That is linear in the
@@ -153,7 +153,7 @@ def fitted(points: FloatArray) -> Fit:
         if np.abs(coefficients - before).max() < _SETTLED_M:
             break
     h = _waves(degrees()) @ coefficients + normals(degrees()) @ middle
-    return Fit(np.asarray(h), rms)
+    return PolygonFit(np.asarray(h), rms)
 
 
 def _least_squares(normal: FloatArray, right: FloatArray, bounds: FloatArray) -> FloatArray:

@@ -1,15 +1,22 @@
-"""How far an outline is from the truth, as the project scores it: COM-centred, after the best rotation. Pure."""
+"""How far estimates are from the truth, as the project scores them. Outlines: COM-centred, best rotation. Pure."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray
+
+WRONG_M = 3e-4
+"""A contact's r, or an outline, that is farther off than this is wrong."""
+
+LAST_S = 5.0
+"""The end of a run, over which its errors are told."""
 
 _ROTATIONS = 720
 _REFINED = 8  # candidates, since an outline may look much the same several ways round
@@ -32,13 +39,17 @@ class OutlineScore:
     rotation: float
 
 
-def score_outline(theta: FloatArray, h: FloatArray, touched: npt.NDArray[np.bool_], true_h: FloatArray) -> OutlineScore:
+def score_outline(
+    theta: FloatArray, h: FloatArray, touched: npt.NDArray[np.bool_] | None, true_h: FloatArray
+) -> OutlineScore:
     """e_h = RMS over touched normals of ĥ(θ) − h(θ + δ), least over the full circle of rotations δ.
 
-    theta, h, touched: the estimate's normals (rad), support function (m) and which were touched. true_h: the
+    theta, h, touched: the estimate's normals (rad), support function (m) and which were touched, None: all. true_h: the
     true support function (m) on evenly spaced normals from 0; between them it is taken as band-limited.
     Raises ValueError when the lengths do not fit.
     """
+    if touched is None:
+        touched = np.ones(len(theta), dtype=np.bool_)
     if not len(theta) == len(h) == len(touched):
         raise ValueError(f"{len(theta)} normals, {len(h)} values of h and {len(touched)} of touched do not fit")
     mean_radius = float(np.mean(true_h))
@@ -63,6 +74,13 @@ def support_at(h: FloatArray, theta: FloatArray) -> FloatArray:
     coefficients[1:-1] *= 2.0
     waves = np.exp(1j * np.outer(theta, np.arange(len(coefficients))))
     return np.asarray((waves @ coefficients).real)
+
+
+def score_shape(shape: Mapping[str, Any], true_h: Sequence[float] | FloatArray, *, all_normals: bool) -> OutlineScore:
+    """A `palm/shape` against the true support function (m): where it was touched, or everywhere."""
+    theta, h = (np.array(shape[name], dtype=np.float64) for name in ("theta_rad", "h_m"))
+    touched = None if all_normals else np.array(shape["touched"], dtype=np.bool_)
+    return score_outline(theta, h, touched, np.array(true_h, dtype=np.float64))
 
 
 class _Errors:

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from benchtable import show
+from turned_cylinder import turned
 
 from palmd.calibration.cylinder import tipping_plan, turning_plan
 from palmd.calibration.pad_force import pad_forces
 from palmd.calibration.pad_scale import pad_scales
 from palmd.config import LimitsConfig, VersaPadConfig
-from palmd.lab.turned_cylinder import turned
 from palmd.motion.limits import MotionLimits
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(300)]

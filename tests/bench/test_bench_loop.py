@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 from benchtable import PARTS, machine, percentiles, show
 
-from palmd.bus.client import Client, Subscriber
-from palmd.cli.demo import as_yaml, free_addresses
+from palmd.bus.command_client import CommandClient
+from palmd.bus.subscriber import Subscriber
 from palmd.console.shipped import shipped
 from palmd.daemon.realtime import PRIORITY
-from palmd.harness.panel import Panel
+from palmd.harness.operator import Operator
 from palmd.harness.processes import Child
+from palmd.harness.stack import as_yaml, free_addresses
 from palmd.yamlfile import load_config
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(180)]
@@ -82,14 +83,14 @@ def run_daemon(rig, folder, stack):
     daemon = subprocess.Popen([sys.executable, "-c", RECORDED_DAEMON, str(path), str(ticks)], stderr=subprocess.PIPE)
     stack.callback(daemon.kill)
     subscriber = stack.enter_context(Subscriber(bus.publish, topics=("palm/state", "palm/motion")))
-    client = stack.enter_context(Client(bus.command, 5.0))
-    panel, seen, t_end = Panel(), {"palm/state": {}, "palm/motion": {}}, math.inf
+    client = stack.enter_context(CommandClient(bus.command, 5.0))
+    operator, t_end = Operator(), math.inf
     t_give_up = time.monotonic() + 90.0  # the observer may have to be compiled first
     while time.monotonic() < min(t_end, t_give_up):
         for message in subscriber.until(time.monotonic() + 0.1):
-            seen[message.topic] = message.fields
+            operator.take(message.topic, message.fields)
         assert daemon.poll() is None, daemon.stderr.read().decode()
-        command = panel.decide(seen["palm/state"], seen["palm/motion"], time.monotonic())
+        command = operator.decide(time.monotonic())
         if command and client.ask(command)["ok"] and command == "start":
             t_end = min(t_end, time.monotonic() + SECONDS)
     assert t_end < math.inf, "the palms were not brought to move"

@@ -3,7 +3,7 @@
 import math
 
 from palmd.devices.armconformance import CHECKS, examine
-from palmd.devices.armconformance_talk import Heard, Talk
+from palmd.devices.armconformance_talk import Talk, TalkAnswer
 from palmd.devices.armlink import LineReader, Pose
 from palmd.rig.arm import Servo, turn
 from palmd.rig.controller import CYCLE_S, ArmLimits, Controller
@@ -68,7 +68,7 @@ class FarEnd:
             t_sent = self.t
             self._to.send(say.data, t_sent)
             lines, raw = self._listen(t_sent + say.listen_s, max(0, say.enough - len(before)))
-            heard = Heard(before + lines, raw_before + raw, t_sent, self.t)
+            heard = TalkAnswer(before + lines, raw_before + raw, t_sent, self.t)
 
     def examine(self):
         """The outcome of every check."""

@@ -37,7 +37,7 @@ def test_the_balance_error_is_zero_in_every_stable_pose_of_the_emulated_rig():
             )
             s1 = (h1 * math.cos(phi2) + h2) / math.sin(phi2) + g1
             s2 = (h2 * math.cos(phi2) + h1) / math.sin(phi2) - g2
-            felt = qs.Felt(s1, s2, phi1, phi2, 0.0, 0.0, 0.0, 0.0)
+            felt = qs.QuasistaticReadings(s1, s2, phi1, phi2, 0.0, 0.0, 0.0, 0.0)
             assert qs.offsets(felt, h1, h2) == pytest.approx((-g1, -g2), abs=1e-12)
             assert abs(qs.balance_error(felt, h1, h2)) < 1e-9
             assert abs(qs.balance_error(felt, h1 + 1e-4, h2)) > 1e-6
@@ -109,7 +109,7 @@ def test_the_papers_two_errors_do_not_tell_the_mean_radius(off):
 
 
 def test_radii_of_is_the_inverse_of_mean_and_balance():
-    felt = qs.Felt(0.021, 0.019, 0.7, 1.6, 0.0, 0.0, 0.0, 0.0)
+    felt = qs.QuasistaticReadings(0.021, 0.019, 0.7, 1.6, 0.0, 0.0, 0.0, 0.0)
     r1, r2 = qs.radii_of(felt, np.array([0.018, 0.022]), np.array([1e-3, -5e-4]))
     np.testing.assert_allclose((r1 + r2) / 2, [0.018, 0.022])
     np.testing.assert_allclose(qs.balance_error(felt, r1, r2), [1e-3, -5e-4], atol=1e-15)
@@ -118,7 +118,7 @@ def test_radii_of_is_the_inverse_of_mean_and_balance():
 def test_a_circle_gives_no_lever_and_softening_bounds_the_rate():
     phi1, phi2, r = 0.7, 1.5, 0.02
     s = r / math.tan(phi2 / 2)
-    felt = qs.Felt(s, s, phi1, phi2, 0.003, -0.002, 0.1, 0.05)
+    felt = qs.QuasistaticReadings(s, s, phi1, phi2, 0.003, -0.002, 0.1, 0.05)
     assert abs(qs.balance_lever(felt, r, r)) < 1e-15
     assert abs(qs.turning_rate(felt, r, r, 1e-3)) < 1e-9
 
@@ -138,7 +138,7 @@ def test_the_integrator_is_of_fourth_order():
 
 
 def test_rates_take_many_beginnings_at_once():
-    felt = qs.Felt(0.021, 0.019, 0.7, 1.6, 0.003, -0.002, 0.1, 0.05)
+    felt = qs.QuasistaticReadings(0.021, 0.019, 0.7, 1.6, 0.003, -0.002, 0.1, 0.05)
     states = np.array([[0.018, 0.02], [0.019, 0.021], [0.0, 0.1], [0.001, 0.0], [0.0, 0.002]])
     together = qs.rates(felt, states, 1e-3)
     for k in range(2):

@@ -109,7 +109,7 @@ def closing(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 def slow_plant(body: Body) -> plant.Plant:
     """So strongly damped that it does not swing past a maximum."""
-    surface = plant.Surface(damping=30 * body.rho**2)
+    surface = plant.FrictionSurface(damping=30 * body.rho**2)
     return plant.Plant(body, plant.Hinge("fixed", base=(0.0, 0.0)), surface)
 
 

@@ -5,14 +5,9 @@ how long a slow machine may take until it holds.
 """
 
 import contextlib
-import ctypes
-import itertools
 import json
-import os
 import signal
 import socket
-import subprocess
-import sys
 import time
 from collections import Counter
 from dataclasses import dataclass, field
@@ -22,10 +17,11 @@ import msgpack
 import yaml
 import zmq
 
+from palmd.bus.command_client import CommandClient
+from palmd.harness.processes import Child
+
 GENEROUS_S = 20.0
 _LOOK_S = 0.02
-_PR_SET_PDEATHSIG = 1
-_C = ctypes.CDLL(None)
 
 RATE_DEG_S = 80.0
 RESTING_RAD_S = 1e-3
@@ -38,21 +34,12 @@ segments:
 """
 
 
-class Process:
+class Process(Child):
     """One palmd command; what it says is kept in `folder`. It cannot outlive us."""
 
     def __init__(self, folder, *arguments):
         number = len(list(folder.glob("*.err")))
-        self._out, self._err = folder / f"{arguments[0]}{number}.out", folder / f"{arguments[0]}{number}.err"
-        with self._out.open("wb") as out, self._err.open("wb") as err:
-            self._popen = subprocess.Popen(
-                [sys.executable, "-P", "-m", "palmd", *map(str, arguments)],
-                stdin=subprocess.DEVNULL,
-                stdout=out,
-                stderr=err,
-                env=os.environ | {"TMPDIR": str(folder)},
-                preexec_fn=lambda: _C.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL),
-            )
+        super().__init__([*map(str, arguments)], folder, label=f"{arguments[0]}{number}")
 
     @property
     def said(self):
@@ -61,50 +48,35 @@ class Process:
 
     @property
     def alive(self):
-        return self._popen.poll() is None
-
-    @property
-    def number(self):
-        """Of the process."""
-        return self._popen.pid
+        return self.status is None
 
     def first_line(self):
         """The first line of its standard output."""
-
-        def line():
-            assert self.alive, f"it ended with {self._popen.poll()}: {self.said}"
-            text, end, _ = self._out.read_text(encoding="utf-8").partition("\n")
-            return text if end else None
-
-        return wait(line, "its first line")
-
-    def send(self, number):
-        self._popen.send_signal(number)
+        line = super().first_line(GENEROUS_S)
+        assert line is not None, f"it says nothing; it ended with {self.status}: {self.said}"
+        return line
 
     def end(self, number=signal.SIGTERM, within_s=GENEROUS_S):
         """Send a signal, and return the exit status."""
-        self._popen.send_signal(number)
-        return self._popen.wait(within_s)
+        self.send(number)
+        return self._process.wait(within_s)
 
     def wait(self):
         """The exit status, once it ends by itself."""
-        return self._popen.wait(GENEROUS_S)
+        return self._process.wait(GENEROUS_S)
 
     def kill(self):
         """Whatever it does, it is gone."""
-        self._popen.kill()
-        self._popen.wait()
+        self._process.kill()
+        self._process.wait()
 
 
-class Client:
+class Client(CommandClient):
     """Asks a command socket, one map at a time."""
 
     def __init__(self, address):
-        self._context = zmq.Context()
-        self.socket = self._context.socket(zmq.DEALER)
-        self.socket.linger = 0
-        self.socket.connect(address)
-        self._numbers = itertools.count(1)
+        super().__init__(address, GENEROUS_S)
+        self.socket = self._socket
 
     def reply(self):
         """The next answer, whomever it is for."""
@@ -113,20 +85,13 @@ class Client:
 
     def ask(self, command, **args):
         """The answer `{id, ok, error?, result?}`."""
-        number = next(self._numbers)
-        self.socket.send(msgpack.packb({"id": number, "cmd": command, "args": args}))
-        while (reply := self.reply())["id"] != number:
-            pass
-        return reply
+        return super().ask(command, args)
 
     def do(self, command, **args):
         """The result of a command that must not be refused."""
         reply = self.ask(command, **args)
         assert reply["ok"], f"{command}: {reply['error']}"
         return reply.get("result")
-
-    def close(self):
-        self._context.destroy(linger=0)
 
 
 @dataclass

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import zmq
 
-from palmd.bus.client import COMMAND, PUBLISH
+from palmd.bus.link import COMMAND, PUBLISH
 from palmd.record.run import read_run
 
 pytestmark = pytest.mark.rig

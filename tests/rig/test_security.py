@@ -10,8 +10,8 @@ import zmq
 from harness import Bench, Client, Process, free_ports, wait
 
 from palmd import keys
-from palmd.bus.client import Client as KeyedClient
-from palmd.bus.client import Subscriber
+from palmd.bus.command_client import CommandClient
+from palmd.bus.subscriber import Subscriber
 from palmd.keys import Role
 
 pytestmark = pytest.mark.rig
@@ -49,9 +49,9 @@ def test_only_who_has_a_key_hears_and_moves_anything(guarded, tmp_path):
         return process.wait(), process.said, process._out.read_text()
 
     with (
-        KeyedClient(command, 10.0, key("ann")) as operator,
+        CommandClient(command, 10.0, key("ann")) as operator,
         Subscriber(publish, topics=("palm/",), key=key("desk")) as watcher,
-        KeyedClient(command, 10.0, key("stranger")) as unknown,
+        CommandClient(command, 10.0, key("stranger")) as unknown,
         Subscriber(publish, topics=("palm/",), key=key("stranger")) as eavesdropper,
         Subscriber(publish, topics=("palm/",)) as passer_by,
     ):

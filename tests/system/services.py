@@ -8,7 +8,9 @@ from pathlib import Path
 
 from boot import Machine, wait
 
-from palmd.bus.client import COMMAND, PUBLISH, Client, Subscriber
+from palmd.bus.command_client import CommandClient
+from palmd.bus.link import COMMAND, PUBLISH
+from palmd.bus.subscriber import Subscriber
 from palmd.model.compiled import cache_directory
 
 CHECKOUT = Path(__file__).parents[2]
@@ -35,7 +37,7 @@ class Services:
             self.installed = self._install()
             with self.machine.network():
                 self._subscriber = Subscriber(PUBLISH, topics=("palm/",))
-                self._client = Client(COMMAND, GENEROUS_S)
+                self._client = CommandClient(COMMAND, GENEROUS_S)
         except BaseException:
             self.machine.close()
             raise
@@ -154,7 +156,7 @@ class Services:
             self._rig_process = self.main("palmd-rig")
             told = [text for _, text in self.journal("palmd-rig") if text.startswith("{")]
             with self.machine.network():
-                self._rig = Client(json.loads(told[-1])["control"], GENEROUS_S)
+                self._rig = CommandClient(json.loads(told[-1])["control"], GENEROUS_S)
         return self._rig.ask("status")["result"]
 
     def commanded(self):

@@ -13,9 +13,9 @@ import numpy as np
 
 from palmd import observer as observers
 from palmd.api.errors import PalmdError, as_palmd_error
-from palmd.api.outline import Outline, last_of, outline_of
-from palmd.api.runs import Run, open
-from palmd.api.table import Table, table_of
+from palmd.api.outline import OutlineData, last_of, outline_of
+from palmd.api.runs import RunData, open
+from palmd.api.table import DataTable, table_of
 from palmd.blas import one_thread
 from palmd.events import FloatArray
 from palmd.messages import estimate_fields, shape_fields
@@ -35,12 +35,12 @@ class EstimatedRun:
     a second. verdict: which of the stored outlines the object is, None without any.
     """
 
-    estimates: Table
-    outlines: tuple[Outline, ...]
+    estimates: DataTable
+    outlines: tuple[OutlineData, ...]
     verdict: Verdict | None
 
     @property
-    def outline(self) -> Outline:
+    def outline(self) -> OutlineData:
         """The last outline; PalmdError when there is none."""
         return last_of(self.outlines, "the estimate")
 
@@ -61,8 +61,8 @@ class SmoothedRun:
     converged: bool
     reason: str
     chi2: float
-    outline: Outline | None
-    trajectory: Table
+    outline: OutlineData | None
+    trajectory: DataTable
     rho_m: float
     rho_sd_m: float
     mu: float
@@ -82,7 +82,7 @@ class SmoothedRun:
 
 @one_thread()
 def estimate(
-    log: Run | str | os.PathLike[str],
+    log: RunData | str | os.PathLike[str],
     observer: observers.ObserverName = "shape",
     shape: str | os.PathLike[str] | None = None,
 ) -> EstimatedRun:
@@ -108,8 +108,8 @@ def estimate(
 
 
 @one_thread()
-def reconstruct(log: Run | str | os.PathLike[str], seed: int = 0) -> SmoothedRun:
-    """Outline and motion from a whole run at once; takes about a second for ten seconds of readings.
+def reconstruct(log: RunData | str | os.PathLike[str], seed: int = 0) -> SmoothedRun:
+    """OutlineData and motion from a whole run at once; takes about a second for ten seconds of readings.
 
     Deterministic for a given `seed` (of the blind start). Raises PalmdError for a log that cannot be used, never for
     what its readings say.
@@ -132,11 +132,11 @@ _NUMBERS = (
 _TIME = {"t": "t_s"}
 
 
-def _trajectory(columns: Mapping[str, list[Any]] | None) -> Table:
+def _trajectory(columns: Mapping[str, list[Any]] | None) -> DataTable:
     """Columns as a table; empty ones where there is no trajectory."""
     told = columns or {name: [] for name in ("t", "psi_rad", "omega0_rad_s", "r1_m", "r2_m")}
-    return Table({_TIME.get(name, name): np.array(values, dtype=np.float64) for name, values in told.items()})
+    return DataTable({_TIME.get(name, name): np.array(values, dtype=np.float64) for name, values in told.items()})
 
 
-def _opened(log: Run | str | os.PathLike[str]) -> Run:
-    return log if isinstance(log, Run) else open(log)
+def _opened(log: RunData | str | os.PathLike[str]) -> RunData:
+    return log if isinstance(log, RunData) else open(log)

@@ -11,7 +11,9 @@ from types import TracebackType
 from typing import Any, Self
 
 from palmd.api.errors import PalmdError, as_palmd_error
-from palmd.bus.client import COMMAND, PUBLISH, Client, Message, Subscriber, silent
+from palmd.bus.command_client import CommandClient
+from palmd.bus.link import COMMAND, PUBLISH, silent
+from palmd.bus.subscriber import Message, Subscriber
 from palmd.keys import Credentials, client_credentials
 from palmd.messages import ESTIMATE
 
@@ -29,7 +31,7 @@ class Live:
         """Raises PalmdError for what is no address."""
         self._publish, self._key = publish, key
         with as_palmd_error():
-            self._client = Client(command, key=key)
+            self._client = CommandClient(command, key=key, now_or_never=True)
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
         return self.estimates()

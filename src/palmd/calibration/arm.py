@@ -16,6 +16,7 @@ from palmd.calibration.files import plain, provenance, writable, write
 from palmd.calibration.linkage import arm_base, changed, found, lines
 from palmd.calibration.linkage_fit import LinkageFit, TooLittleSwingError, fit_linkage
 from palmd.config import Config
+from palmd.console.arguments import seconds_within
 from palmd.console.configured import configured
 from palmd.console.errors import RIG_FAILED, CliError
 from palmd.console.progress import Progress
@@ -31,7 +32,6 @@ EVERY_S = 0.02
 BY_HAND = (ArmState.MANUAL, ArmState.POWER_OFF)
 """The controller's states in which nothing but a hand moves the arm."""
 
-_SHORTEST_S, _LONGEST_S = 3.0, 600.0
 _MISSED_MOST = 5  # answers in a row
 _APART_M, _APART_RAD = 1e-3, math.radians(0.5)  # poses that are nearer to each other count as one
 _NOTICED_RAD = math.radians(0.05)
@@ -42,7 +42,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The calibration's arguments."""
     add = parser.add_argument
     add("config", type=Path, metavar="CONFIG", help="the rig's configuration, palmd.yaml")
-    add("--seconds", type=_seconds, default=40.0, metavar="S", help="from the first motion (default: %(default)g)")
+    add(
+        "--seconds",
+        type=seconds_within(3.0, 600.0),
+        default=40.0,
+        metavar="S",
+        help="from the first motion (default: %(default)g)",
+    )
     add("-o", "--output", type=Path, metavar="FOLDER",
         help="for arm.yaml, which is overwritten (default: calibration/ beside CONFIG)")  # fmt: skip
 
@@ -183,10 +189,3 @@ def _swings(talk: Talk, seconds: float, progress: Progress) -> Script[list[Pose]
 def _apart(a: Pose, b: Pose) -> bool:
     turned = math.remainder(b.t_rad - a.t_rad, math.tau)
     return math.hypot(b.x_m - a.x_m, b.y_m - a.y_m) > _APART_M or abs(turned) > _APART_RAD
-
-
-def _seconds(text: str) -> float:
-    value = float(text)
-    if not _SHORTEST_S <= value <= _LONGEST_S:
-        raise argparse.ArgumentTypeError(f"{value:g} s is not within {_SHORTEST_S:g} to {_LONGEST_S:g} s")
-    return value

@@ -48,7 +48,7 @@ class CylinderError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class Readings:
+class CylinderReadings:
     """One pad's readings while both pads were touched: t (s), counts, pressure (counts, NaN at full scale).
 
     Beside them the palms' angles at these times (rad) and the larger of their planned rates (rad/s).
@@ -73,7 +73,9 @@ def normal_forces(weight_n: float, phi1: FloatArray, phi2: FloatArray) -> tuple[
     return np.asarray(share * np.sin(phi1 + phi2)), np.asarray(share * np.sin(phi1))
 
 
-def readings(events: Iterable[Event], configs: tuple[PadConfig, PadConfig]) -> tuple[Readings, Readings]:
+def readings(
+    events: Iterable[Event], configs: tuple[PadConfig, PadConfig]
+) -> tuple[CylinderReadings, CylinderReadings]:
     """Both pads' readings in counts again; `configs` are those with which the daemon made millimetres of them.
 
     Raises CylinderError for readings that were not made with them.
@@ -202,7 +204,9 @@ def _samples(events: Iterable[Event], number: int) -> FloatArray:
     return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
 
-def _readings(number: Pad, own: FloatArray, other: FloatArray, palms: FloatArray, config: PadConfig) -> Readings:
+def _readings(
+    number: Pad, own: FloatArray, other: FloatArray, palms: FloatArray, config: PadConfig
+) -> CylinderReadings:
     fresh = (_nearest(own[:, 0], other) <= FRESH_S) & (_nearest(own[:, 0], palms[:, 0]) <= FRESH_S)
     t, s, force = own[fresh].T
     counts = config.sign * (s * 1e3 - config.zero_mm) * config.counts_per_mm
@@ -212,9 +216,9 @@ def _readings(number: Pad, own: FloatArray, other: FloatArray, palms: FloatArray
             f"the daemon did not make pad {number}'s readings with this configuration: start it anew with it"
         )
     if not len(t):
-        return Readings(t, counts, pressure, t, t, t)
+        return CylinderReadings(t, counts, pressure, t, t, t)
     phi1, phi2, rate = (np.interp(t, palms[:, 0], palms[:, column]) for column in (1, 2, 3))
-    return Readings(t, np.rint(counts), np.rint(pressure), phi1, phi2, rate)
+    return CylinderReadings(t, np.rint(counts), np.rint(pressure), phi1, phi2, rate)
 
 
 def _off_whole(values: FloatArray) -> float:

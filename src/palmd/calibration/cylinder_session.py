@@ -11,13 +11,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from palmd.bus.client import Client, Subscriber, add_key, credentials
+from palmd.bus.command_client import CommandClient
+from palmd.bus.link import add_key, credentials
+from palmd.bus.subscriber import Subscriber
 from palmd.calibration.cylinder import CylinderError
 from palmd.calibration.files import plain, provenance, write
 from palmd.config import Config, PadConfig, from_here
 from palmd.console.errors import RIG_FAILED, CliError
 from palmd.events import Event
-from palmd.harness.operation import Operation, Status, can_move, why
+from palmd.harness.operator import PlanRun, Status, can_move, why
 from palmd.harness.processes import StopRequest
 from palmd.messages import CONTACT, EVENTS, events_of
 
@@ -76,7 +78,7 @@ def heard(arguments: argparse.Namespace, config: Config, plan: Mapping[str, Any]
     command, publish = from_here(config.bus.command), from_here(config.bus.publish)
     with (
         StopRequest() as stop,
-        Client(command, key=key) as client,
+        CommandClient(command, key=key) as client,
         Subscriber(publish, topics=(CONTACT.name, EVENTS.name), key=key) as subscriber,
     ):
         can_move(client)
@@ -88,7 +90,7 @@ def heard(arguments: argparse.Namespace, config: Config, plan: Mapping[str, Any]
                 if message.topic == EVENTS.name:
                     events.extend(events_of(message.fields))
 
-        operation = Operation(client, listen, lambda _status, seconds: f"ended after {seconds:.0f} s")
+        operation = PlanRun(client, listen, lambda _status, seconds: f"ended after {seconds:.0f} s")
         operation.begin(plan)
         try:
             status = operation.watch(stop, progress)

@@ -13,7 +13,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from palmd.bus.client import COMMAND, PUBLISH, Client, Subscriber, add_key, credentials
+from palmd.bus.command_client import CommandClient
+from palmd.bus.link import COMMAND, PUBLISH, add_key, credentials
+from palmd.bus.subscriber import Subscriber
 from palmd.calibration.files import plain, provenance, writable, write
 from palmd.calibration.linkage import arm_base, changed, found, lines, palm_base_in_arm
 from palmd.calibration.rolling_fit import (
@@ -64,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
     slopes = list(slopes_within(config.limits, arguments.rolls))
     with (
         StopRequest() as stop,
-        Client(command, key=key) as client,
+        CommandClient(command, key=key) as client,
         Subscriber(publish, topics=(EVENTS.name, INFO.name), key=key) as subscriber,
     ):
         client.ask("status")

@@ -14,6 +14,7 @@ from typing import Any, Literal
 from palmd.calibration.files import not_written, plain, provenance, writable, write
 from palmd.calibration.pad_characteristic import AxisCharacteristic, PadCharacteristic, TooLittleError, characterise
 from palmd.config import PadConfig
+from palmd.console.arguments import seconds_within
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.console.extras import drawing
 from palmd.console.progress import Progress
@@ -25,7 +26,6 @@ FIRST_TOUCH_S = 15.0
 """How long the pad may be left alone at the beginning."""
 FORMAT = 1
 
-_SHORTEST_S, _LONGEST_S = 2.0, 600.0
 _LOOK_S = 0.1
 _SUSPICIOUS_SHARE = 0.01
 _LEAST_NOISE_MM = 0.001
@@ -37,7 +37,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("config", type=Path, metavar="CONFIG", help="the rig's configuration, palmd.yaml")
     add("--characterise", action="store_true", help=argparse.SUPPRESS)  # was needed once
     add("--pad", type=int, choices=(1, 2), required=True, help="of palm 1 or palm 2")
-    add("--seconds", type=_seconds, default=20.0, metavar="S", help="from the first touch (default: %(default)s)")
+    add(
+        "--seconds",
+        type=seconds_within(2.0, 600.0),
+        default=20.0,
+        metavar="S",
+        help="from the first touch (default: %(default)s)",
+    )
     add("-o", "--output", type=Path, metavar="FOLDER",
         help="for padN.yaml and padN.svg, which are overwritten (default: calibration/ beside CONFIG)")  # fmt: skip
 
@@ -178,10 +184,3 @@ def _draw(packets: list[PadReport], found: PadCharacteristic, config: PadConfig,
     except OSError as error:
         raise not_written(path, error) from None
     return [path]
-
-
-def _seconds(text: str) -> float:
-    value = float(text)
-    if not _SHORTEST_S <= value <= _LONGEST_S:
-        raise argparse.ArgumentTypeError(f"{value:g} s is not within {_SHORTEST_S:g} to {_LONGEST_S:g} s")
-    return value

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palmd.calibration.cylinder import CylinderError, Readings, normal_forces, readings
+from palmd.calibration.cylinder import CylinderError, CylinderReadings, normal_forces, readings
 from palmd.config import PadConfig
 from palmd.events import Event, FloatArray
 
@@ -139,7 +139,7 @@ def _friction(rests: _Rests, weight_n: float, gains: FloatArray) -> float:
 
 
 def _pad(
-    number: int, rests: _Rests, rounds: int, weight_n: float, gain: float, gain_sd: float, found: Readings
+    number: int, rests: _Rests, rounds: int, weight_n: float, gain: float, gain_sd: float, found: CylinderReadings
 ) -> PadForce:
     force = normal_forces(weight_n, rests.phi1, rests.phi2)[number]
     counts = (rests.c1, rests.c2)[number]
@@ -163,7 +163,7 @@ def _offset(rests: _Rests, number: int, weight_n: float) -> float:
     return float(-level / slope)
 
 
-def _rests(pad1: Readings, pad2: Readings) -> _Rests:
+def _rests(pad1: CylinderReadings, pad2: CylinderReadings) -> _Rests:
     """The rests in time order; one in which a pad was silent or at full scale is left out."""
     rows = []
     for begin, end in _still(pad1):
@@ -178,7 +178,7 @@ def _rests(pad1: Readings, pad2: Readings) -> _Rests:
     return _Rests(*np.array(rows, dtype=np.float64).reshape(-1, 4).T)
 
 
-def _still(found: Readings) -> list[tuple[float, float]]:
+def _still(found: CylinderReadings) -> list[tuple[float, float]]:
     """From when to when the palms stood (s), without the time to settle."""
     still = (found.rate <= _STILL_RAD_S).astype(np.int8)
     edges = np.flatnonzero(np.diff(still, prepend=0, append=0)).reshape(-1, 2).tolist()

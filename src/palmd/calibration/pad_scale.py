@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palmd.calibration.cylinder import LEAST_TRAVEL_M, SLOW_RAD_S, CylinderError, Readings, contact_m, readings
+from palmd.calibration.cylinder import LEAST_TRAVEL_M, SLOW_RAD_S, CylinderError, CylinderReadings, contact_m, readings
 from palmd.config import PadConfig
 from palmd.events import Event, FloatArray
 
@@ -57,7 +57,7 @@ def pad_scales(
     return _scale(1, first, radius_m), _scale(2, second, radius_m)
 
 
-def _scale(number: int, found: Readings, radius_m: float) -> PadScale:
+def _scale(number: int, found: CylinderReadings, radius_m: float) -> PadScale:
     slow = found.rate <= _SLOW_ENOUGH
     s, counts = contact_m(radius_m, found.phi2[slow]) * 1e3, found.counts[slow]
     if len(s) < LEAST_READINGS:

@@ -9,13 +9,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from palmd.bus.client import Client, Subscriber
+from palmd.bus.command_client import CommandClient
+from palmd.bus.subscriber import Subscriber
 from palmd.calibration.rolling_fit import LEAST_PER_PALM, Acceleration, accelerate, causes, find_rolls
 from palmd.config import Config, LimitsConfig, PadConfig, config_hash
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.console.progress import Progress
 from palmd.events import Event, PadSample
-from palmd.harness.operation import can_move, do, leave, load, why
+from palmd.harness.operator import can_move, do, leave, load, why
 from palmd.harness.processes import StopRequest
 from palmd.messages import EVENTS, INFO, events_of
 
@@ -72,7 +73,7 @@ class RollingSession:
     """The rolls on one slope after the other; each method raises CliError when it cannot be done."""
 
     def __init__(
-        self, config: Config, client: Client, subscriber: Subscriber, stop: StopRequest, clear_s: float
+        self, config: Config, client: CommandClient, subscriber: Subscriber, stop: StopRequest, clear_s: float
     ) -> None:
         self.rolls: list[Acceleration] = []
         self.too_short = self.rough = 0

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from types import ModuleType
 
 from palmd import __version__, blas
-from palmd.cli.table import Command, below, loaded, said
+from palmd.cli.table import Command, below, loaded, parser_of, said
 from palmd.console.arguments import one_of
 from palmd.console.errors import USAGE, CliError
 from palmd.logformat import formatter
@@ -53,9 +53,7 @@ def _asked_for(argv: Sequence[str] | None) -> tuple[ModuleType, argparse.Namespa
         chosen = _group_parser(command).parse_args(words)
         command, words = below(command.name)[chosen.name], chosen.arguments
     module = loaded(command)
-    parser = argparse.ArgumentParser(prog=f"palmd {command.name}", description=module.__doc__)
-    module.add_arguments(parser)
-    return module, parser.parse_args(words)
+    return module, parser_of(command, module).parse_args(words)
 
 
 def _take_any_terminal() -> None:

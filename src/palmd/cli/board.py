@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from palmd.bus.client import Message
+from palmd.bus.subscriber import Message
 
 Style = Literal["plain", "title", "good", "bad", "warning", "faint"]
 
@@ -20,7 +20,7 @@ _SEVERITY_STYLES: dict[str, Style] = {"stop": "bad", "hold": "bad", "degrade": "
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class BoardRow:
     """One line of text, and how to show it."""
 
     text: str
@@ -59,14 +59,14 @@ class Board:
         return min((self.age(topic, t) for topic in self._last), default=math.inf)
 
 
-def frame(board: Board, t: float) -> list[Row]:
+def frame(board: Board, t: float) -> list[BoardRow]:
     """Everything there is to see at t (s, monotonic clock)."""
     if not board.heard:
-        return [Row(f"no data from {board.address}: is a palmd running there?", "warning")]
+        return [BoardRow(f"no data from {board.address}: is a palmd running there?", "warning")]
     rows = [_head(board)]
     silence = board.silence(t)
     if silence > max(STALE_S.values()):
-        rows.append(Row(f"no data from {board.address} for {silence:.0f} s; what follows is old", "bad"))
+        rows.append(BoardRow(f"no data from {board.address} for {silence:.0f} s; what follows is old", "bad"))
     rows += _faults(board)
     for topic, block in (
         ("palm/estimate", _estimate),
@@ -78,35 +78,35 @@ def frame(board: Board, t: float) -> list[Row]:
         if fields:
             age = board.age(topic, t)
             old = f"  {age:.1f} s old" if age > STALE_S[topic] else ""
-            rows += [Row(""), *_titled(topic.removeprefix("palm/"), old, block(fields))]
+            rows += [BoardRow(""), *_titled(topic.removeprefix("palm/"), old, block(fields))]
     return rows
 
 
-def _head(board: Board) -> Row:
+def _head(board: Board) -> BoardRow:
     state, info = board.fields("palm/state"), board.fields("palm/info")
     name = str(state.get("state", "unknown"))
     words = f"palmd {info.get('version', '')}".rstrip()
-    return Row(f"{words}  {name.upper()}  {board.address}", _STATE_STYLES.get(name, "title"))
+    return BoardRow(f"{words}  {name.upper()}  {board.address}", _STATE_STYLES.get(name, "title"))
 
 
-def _faults(board: Board) -> Iterator[Row]:
+def _faults(board: Board) -> Iterator[BoardRow]:
     state = board.fields("palm/state")
     columns = (state.get(name, ()) for name in ("faults", "severities", "hints"))
     for code, severity, hint in zip(*columns, strict=False):
-        yield Row(f"  {severity:8}{code}: {hint}", _SEVERITY_STYLES.get(severity, "plain"))
+        yield BoardRow(f"  {severity:8}{code}: {hint}", _SEVERITY_STYLES.get(severity, "plain"))
 
 
-def _titled(title: str, old: str, rows: Iterable[Row]) -> Iterator[Row]:
+def _titled(title: str, old: str, rows: Iterable[BoardRow]) -> Iterator[BoardRow]:
     """The block with its title in front of the first row, and how old it is behind."""
     for number, row in enumerate(rows):
         text = f"{'' if number else title:10}{row.text}{'' if number else old}"
-        yield Row(text, "bad" if old else row.style)
+        yield BoardRow(text, "bad" if old else row.style)
 
 
-def _estimate(e: Mapping[str, Any]) -> Iterator[Row]:
+def _estimate(e: Mapping[str, Any]) -> Iterator[BoardRow]:
     valid = bool(e.get("valid"))
     word = "valid" if valid else "not valid"
-    yield Row(
+    yield BoardRow(
         f"{word}, {e.get('observer', '')} observer, object {e.get('object', 0)}, touched {_share(e.get('touched'))}, "
         f"nis {_number(e.get('nis'), 1, 2)}, observability {_number(e.get('observability'), 1, 3)}",
         "good" if valid else "warning",
@@ -124,38 +124,38 @@ def _estimate(e: Mapping[str, Any]) -> Iterator[Row]:
             f" ±{_number(e.get('sd', {}).get(name), scale, digits)} {unit}"
             for name, label, scale, digits, unit in names
         ]
-        yield Row("".join(f"{cell:29}" for cell in cells).rstrip(), style)
+        yield BoardRow("".join(f"{cell:29}" for cell in cells).rstrip(), style)
 
 
-def _contact(c: Mapping[str, Any]) -> Iterator[Row]:
+def _contact(c: Mapping[str, Any]) -> Iterator[BoardRow]:
     for pad in (1, 2):
         touch = bool(c.get(f"touch{pad}"))
         batch = ", several packets in one read" if c.get(f"batch{pad}") else ""
-        yield Row(
+        yield BoardRow(
             f"pad {pad}  {'touched' if touch else 'untouched':10}{_number(c.get(f's{pad}_m'), 1e3, 2):>7} mm"
             f"  pressure {_number(c.get(f'pressure{pad}'), 1, 0):>3}"
             f"  age {_number(c.get(f'age{pad}_ms'), 1, 0):>4} ms{batch}",
             "plain" if touch else "warning",
         )
-    yield Row(f"arm    age {_number(c.get('arm_age_ms'), 1, 0)} ms")
+    yield BoardRow(f"arm    age {_number(c.get('arm_age_ms'), 1, 0)} ms")
 
 
-def _motion(m: Mapping[str, Any]) -> Iterator[Row]:
+def _motion(m: Mapping[str, Any]) -> Iterator[BoardRow]:
     degrees = math.degrees(1)
     for palm in (1, 2):
-        yield Row(
+        yield BoardRow(
             f"phi{palm}   {_number(m.get(f'phi{palm}_rad'), degrees, 2):>7}°"
             f"  commanded {_number(m.get(f'phi{palm}_cmd_rad'), degrees, 2):>7}°"
         )
     plan = m.get("plan") or "none"
     segment = m.get("segment", -1)
     where = f", segment {segment}, {_share(m.get('progress'))}" if segment >= 0 else ", not running"
-    yield Row(f"arm    {m.get('arm_state') or 'unknown'}   plan {plan}{where}")
+    yield BoardRow(f"arm    {m.get('arm_state') or 'unknown'}   plan {plan}{where}")
 
 
-def _loop(fields: Mapping[str, Any]) -> Iterator[Row]:
+def _loop(fields: Mapping[str, Any]) -> Iterator[BoardRow]:
     rss_mb = _number(fields.get("rss_mb"), 1, 0)
-    yield Row(
+    yield BoardRow(
         f"ticks {fields.get('ticks', 0)}, overruns {fields.get('overruns', 0)}, "
         f"{fields.get('backend', '')} backend, {rss_mb} MB"
     )
@@ -163,19 +163,19 @@ def _loop(fields: Mapping[str, Any]) -> Iterator[Row]:
         values = "  ".join(
             f"{part} {_number(fields.get(f'{name}_{part}_ms'), 1, 2):>6} ms" for part in ("p50", "p99", "max")
         )
-        yield Row(f"{name:10}{values}")
+        yield BoardRow(f"{name:10}{values}")
     for port in ("pad1", "pad2", "arm"):
         yield from _troubles(port, fields)
 
 
-def _troubles(port: str, fields: Mapping[str, Any]) -> Iterator[Row]:
+def _troubles(port: str, fields: Mapping[str, Any]) -> Iterator[BoardRow]:
     """What has gone wrong on a port since the start, by cause: its counters but for those of normal traffic."""
     counters = {
         name.removeprefix(f"{port}_").removeprefix("port_"): n for name, n in fields.items() if f"{port}_" in name
     }
     causes = [f"{name} {n}" for name, n in counters.items() if isinstance(n, int) and n and name not in _PASSING]
     if causes:
-        yield Row(f"{port:10}{', '.join(causes)}", "faint")
+        yield BoardRow(f"{port:10}{', '.join(causes)}", "faint")
 
 
 def _number(value: Any, scale: float, digits: int) -> str:

@@ -11,7 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from palmd.bus.client import COMMAND, Client, add_key, credentials
+from palmd.bus.command_client import CommandClient
+from palmd.bus.link import COMMAND, add_key, credentials
 from palmd.console.errors import BAD_INPUT, USAGE, CliError
 from palmd.daemon.commands import COMMANDS, REQUEST_BYTES_MAX
 
@@ -51,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Asks once, or for a jog until the palms have turned; CliError when refused or unanswered."""
     if arguments.command == "jog" and arguments.phi1_deg == arguments.phi2_deg == 0.0:
         raise CliError(USAGE, "ctl jog: by how much? give --phi1-deg, --phi2-deg or both, such as --phi1-deg 1")
-    with Client(arguments.address, key=credentials(arguments)) as client:
+    with CommandClient(arguments.address, key=credentials(arguments)) as client:
         if arguments.command == "jog":
             reply = _jog(client, arguments.phi1_deg, arguments.phi2_deg)
         elif arguments.command == "plan":
@@ -127,7 +128,7 @@ def _recorded(
     return f"{text}: {problem}" if problem else f"{text}, {age_s:.0f} s ago"
 
 
-def _jog(client: Client, phi1_deg: float, phi2_deg: float) -> dict[str, Any]:
+def _jog(client: CommandClient, phi1_deg: float, phi2_deg: float) -> dict[str, Any]:
     """Turns the palms by small steps, as a hand on the dead-man's handle would; letting go of it stops them.
 
     The first step tells the whole wish: one that cannot be granted to its end is not begun.

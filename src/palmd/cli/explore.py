@@ -11,9 +11,11 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from palmd.bus.client import COMMAND, PUBLISH, Client, Subscriber, add_key, credentials
+from palmd.bus.command_client import CommandClient
+from palmd.bus.link import COMMAND, PUBLISH, add_key, credentials
+from palmd.bus.subscriber import Subscriber
 from palmd.config import MAX_DURATION_S, ExploreGoal
-from palmd.harness.operation import Operation, why
+from palmd.harness.operator import PlanRun, why
 from palmd.harness.processes import StopRequest
 
 PLAN = "explore"
@@ -37,11 +39,11 @@ def run(arguments: argparse.Namespace) -> int:
     key = credentials(arguments)
     with (
         StopRequest() as stop,
-        Client(arguments.address, key=key) as client,
+        CommandClient(arguments.address, key=key) as client,
         Subscriber(arguments.listen, topics=("palm/shape",), key=key) as subscriber,
     ):
         band = _Band(subscriber)
-        operation = Operation(client, band.listen, lambda status, seconds: concluded(status, seconds, band.sd_m))
+        operation = PlanRun(client, band.listen, lambda status, seconds: concluded(status, seconds, band.sd_m))
         operation.begin({"name": PLAN, "segments": [{"explore": goal.model_dump(exclude_none=True)}]})
         try:
             status = operation.watch(stop, lambda status, seconds: progress(status, seconds, band.sd_m))

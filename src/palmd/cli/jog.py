@@ -19,7 +19,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from palmd.bus.client import COMMAND, PUBLISH, Client, Subscriber
+from palmd.bus.command_client import CommandClient
+from palmd.bus.link import COMMAND, PUBLISH
+from palmd.bus.subscriber import Subscriber
 from palmd.config import LimitsConfig
 from palmd.console.configured import configured, usual
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
@@ -85,7 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise CliError(BAD_INPUT, "jog needs a terminal, for its keys; elsewhere: palmd ctl jog --phi1-deg 1")
     command, publish = arguments.address or config.bus.command, arguments.publish or config.bus.publish
-    with Client(command) as client, Subscriber(publish, topics=("palm/motion", "palm/state")) as subscriber:
+    with CommandClient(command) as client, Subscriber(publish, topics=("palm/motion", "palm/state")) as subscriber:
         client.ask("status")
         print(HELP)
         with _keys(sys.stdin.fileno()) as keys:
@@ -96,7 +98,7 @@ def run(arguments: argparse.Namespace) -> int:
 class _Jogging:
     """One sitting at the keys."""
 
-    def __init__(self, client: Client, subscriber: Subscriber, limits: LimitsConfig) -> None:
+    def __init__(self, client: CommandClient, subscriber: Subscriber, limits: LimitsConfig) -> None:
         self._client, self._subscriber, self._limits = client, subscriber, limits
         self._handle = Handle()
         self._latest: dict[str, dict[str, Any]] = {}

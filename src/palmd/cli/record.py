@@ -17,9 +17,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
 
-import zmq
-
-from palmd.bus.client import PUBLISH
 from palmd.config import BusConfig
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import Progress
@@ -63,12 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     with StopRequest() as stop:
         packing = _Packing()
-        try:
-            record(
-                config, truth, ready, lambda: stop.made, lambda ended: packing.take(ended, in_time=not stop.made), key
-            )
-        except zmq.ZMQError:
-            raise CliError(BAD_INPUT, f"{' '.join(truth)}: not an address; it looks like {PUBLISH}") from None
+        record(config, truth, ready, lambda: stop.made, lambda ended: packing.take(ended, in_time=not stop.made), key)
         packing.finish()
     return 0
 

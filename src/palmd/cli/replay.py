@@ -14,7 +14,7 @@ from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
 
-from palmd.bus.client import PUBLISH
+from palmd.bus.link import PUBLISH
 from palmd.config import LocalAddress
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import Progress

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import importlib
 from types import ModuleType
 from typing import NamedTuple
@@ -128,3 +129,10 @@ def loaded(command: Command) -> ModuleType:
         if not f"{command.module}".startswith("lab.") or (error.name or "").startswith("palmd"):
             raise
         raise missing(f"palmd {command.name}", error.name or "a package", "lab") from None
+
+
+def parser_of(command: Command, module: ModuleType) -> argparse.ArgumentParser:
+    """What takes the arguments of a command that has a module."""
+    parser = argparse.ArgumentParser(prog=f"palmd {command.name}", description=module.__doc__)
+    module.add_arguments(parser)
+    return parser

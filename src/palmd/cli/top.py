@@ -18,8 +18,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-from palmd.bus.client import PUBLISH, TIMEOUT_S, Subscriber, add_key, credentials, silent
-from palmd.cli.board import Board, Row, frame
+from palmd.bus.command_client import TIMEOUT_S
+from palmd.bus.link import PUBLISH, add_key, credentials, silent
+from palmd.bus.subscriber import Subscriber
+from palmd.cli.board import Board, BoardRow, frame
 from palmd.keys import Credentials
 
 REDRAW_S = 0.1
@@ -118,7 +120,7 @@ def _interrupt(_signal: int, _frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-def painted(rows: list[Row], columns: int, lines: int) -> str:
+def painted(rows: list[BoardRow], columns: int, lines: int) -> str:
     """The rows for a terminal of this size, drawn over what was there; what does not fit is cut off."""
     shown = rows[:lines]
     drawn = [f"\x1b[{_COLOURS[row.style]}m{row.text[:columns]}\x1b[m\x1b[K" for row in shown]

@@ -12,11 +12,9 @@ import contextlib
 import secrets
 import signal
 
-from palmd.bus.client import COMMAND, PUBLISH, add_key, credentials
+from palmd.bus.link import COMMAND, PUBLISH, add_key, credentials
 from palmd.cli.browser import open_page
-from palmd.console.errors import BAD_INPUT, CliError
 from palmd.daemon.lifecycle import TRANSITIONS, Trigger
-from palmd.view.errors import ViewError
 from palmd.view.server import Settings, serve_page
 
 PORT = 8787
@@ -51,10 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
         allowed=allowed(),
         key=credentials(arguments),
     )
-    try:
-        asyncio.run(_serve(settings, browser=not arguments.no_browser))
-    except ViewError as error:
-        raise CliError(BAD_INPUT, str(error)) from None
+    asyncio.run(_serve(settings, browser=not arguments.no_browser))
     return 0
 
 

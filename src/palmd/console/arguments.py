@@ -46,3 +46,15 @@ def seconds(text: str) -> float:
     if not _SHORTEST_S <= value < math.inf:
         raise argparse.ArgumentTypeError(f"{value:g} s is no duration from {_SHORTEST_S:g} s")
     return value
+
+
+def seconds_within(least_s: float, most_s: float) -> Callable[[str], float]:
+    """A duration (s) that is neither shorter nor longer."""
+
+    def seconds(text: str) -> float:
+        value = float(text)
+        if not least_s <= value <= most_s:
+            raise argparse.ArgumentTypeError(f"{value:g} s is not within {least_s:g} to {most_s:g} s")
+        return value
+
+    return seconds

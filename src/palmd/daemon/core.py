@@ -102,7 +102,7 @@ class Observer(Protocol):
 
 
 @runtime_checkable
-class Recogniser(Observer, Protocol):
+class RecognisingObserver(Observer, Protocol):
     """An observer that has stored outlines to choose from."""
 
     def identify(self, t: float) -> ObjectEstimate | None:
@@ -110,7 +110,7 @@ class Recogniser(Observer, Protocol):
 
 
 @runtime_checkable
-class Improved(Observer, Protocol):
+class SmoothingObserver(Observer, Protocol):
     """An observer with a smoother beside the loop."""
 
     @property
@@ -150,7 +150,7 @@ class Core:
             self.arm, self.setpoints, self.exploring, self.faults, aside, plan, plans, autostart=config.autostart
         )
         self._observer = observer
-        self._improved = observer if isinstance(observer, Improved) else None
+        self._improved = observer if isinstance(observer, SmoothingObserver) else None
         self._estimate = unknown_estimate(-math.inf, observer)
         self._shape: ShapeEstimate | None = None
         self._object: ObjectEstimate | None = None
@@ -250,7 +250,7 @@ class Core:
             if t - self._t_shape >= SLOW_TOPIC_S - _EARLY_S:
                 between()
                 self._shape = self._observer.shape(t)
-                if isinstance(self._observer, Recogniser):
+                if isinstance(self._observer, RecognisingObserver):
                     self._object = self._observer.identify(t)
                 self._t_shape = t
         except Exception:  # whatever is wrong with a model, the arm must be stopped in good order

@@ -16,7 +16,7 @@ LATENCY_S = 0.3  # what a decision takes in a run without wires
 
 
 @dataclass(frozen=True, slots=True)
-class Task:
+class ExplorationTask:
     """One exploration from its start to its end, counted by `run`."""
 
     run: int
@@ -32,14 +32,14 @@ class Question:
     """
 
     t: float
-    task: Task
+    task: ExplorationTask
     outlook: Outlook | None
     under_way: UnderWay
     choose: bool = True
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class ExplorationAnswer:
     """A decision, and what it was about: when it was asked for (s), after which move, for which object (None: any)."""
 
     t: float
@@ -58,7 +58,7 @@ class Source(Protocol):
     def ask(self, question: Question) -> None:
         """Pass a question on; it may be dropped."""
 
-    def collect(self, t: float) -> Answer | None:
+    def collect(self, t: float) -> ExplorationAnswer | None:
         """The newest answer that has come by `t` (s), each once."""
 
 
@@ -70,7 +70,7 @@ class Decider:
         self._seed = seed
         self._run: int | None = None
 
-    def answer(self, question: Question) -> Answer:
+    def answer(self, question: Question) -> ExplorationAnswer:
         """The answer to a question; a new task begins with a new explorer."""
         task, outlook, move = question.task, question.outlook, question.under_way.move
         if task.run != self._run:
@@ -88,7 +88,9 @@ class Decider:
                 if to_and_fro is None
                 else Decision("move", to_and_fro, "rocks the object until it is known where it is")
             )
-        return Answer(question.t, task.run, move, None if outlook is None else outlook.object_count, decision)
+        return ExplorationAnswer(
+            question.t, task.run, move, None if outlook is None else outlook.object_count, decision
+        )
 
 
 class InlineExplorer:
@@ -100,7 +102,7 @@ class InlineExplorer:
     def __init__(self, decider: Decider, latency_s: float = LATENCY_S) -> None:
         self._decider = decider
         self._latency = latency_s
-        self._ready: Answer | None = None
+        self._ready: ExplorationAnswer | None = None
 
     def prepare(self) -> None:
         """Nothing to do."""
@@ -110,7 +112,7 @@ class InlineExplorer:
         if self._ready is None:
             self._ready = self._decider.answer(question)
 
-    def collect(self, t: float) -> Answer | None:
+    def collect(self, t: float) -> ExplorationAnswer | None:
         """The answer to what was asked at least the latency ago."""
         ready = self._ready
         if ready is None or t < ready.t + self._latency:

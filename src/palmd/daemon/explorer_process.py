@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import pickle  # between a process and its own child, on a socket in a folder of their own
 
-from palmd.daemon.exploration_requests import Answer, Decider, Question
+from palmd.daemon.exploration_requests import Decider, ExplorationAnswer, Question
 from palmd.daemon.worker import WorkerProcess, give_back_memory, meet
 from palmd.events import RigDescription
 
@@ -43,10 +43,10 @@ class ExplorerProcess:
         if self._process is not None:
             self._process.send(pickle.dumps((self._rig, question)))
 
-    def collect(self, t: float) -> Answer | None:
+    def collect(self, t: float) -> ExplorationAnswer | None:
         """The newest answer that has come."""
         del t  # it is ready when it is here
-        newest: Answer | None = None
+        newest: ExplorationAnswer | None = None
         if self._process is not None:
             for message in self._process.received():
                 newest = pickle.loads(message)

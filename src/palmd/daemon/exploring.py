@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from palmd.daemon.exploration_requests import Answer, Question, Source, Task
+from palmd.daemon.exploration_requests import ExplorationAnswer, ExplorationTask, Question, Source
 from palmd.daemon.setpoints import SetPoints
 from palmd.events import Outlook
 from palmd.motion.exploration import Exploration
@@ -124,7 +124,7 @@ class Exploring:
         self._run += 1
         self._coverage = self._reachable = math.nan
         self._reason = "it has just begun"
-        self._task = Task(self._run, exploration.goal, self._setpoints.limits)
+        self._task = ExplorationTask(self._run, exploration.goal, self._setpoints.limits)
         self._forget(t)
 
     def _forget(self, t: float) -> None:
@@ -147,7 +147,9 @@ class Exploring:
             self._setpoints.pause(False)
             self._forget(t)
 
-    def _take(self, answer: Answer, exploration: Exploration, t: float, senses: Senses, at_rest: bool) -> None:
+    def _take(
+        self, answer: ExplorationAnswer, exploration: Exploration, t: float, senses: Senses, at_rest: bool
+    ) -> None:
         """Let an answer have its effect, if it is still about what is going on."""
         blind = answer.object_count is None
         if answer.run != self._run or t - answer.t > STALE_S:

@@ -16,7 +16,7 @@ from palmd.events import PalmMotion
 from palmd.motion.exploration import Exploration
 from palmd.motion.kinematics import PoseError, RigGeometry, wrapped
 from palmd.motion.limits import MotionLimits, Workspace
-from palmd.motion.plan import Place, Trajectory
+from palmd.motion.plan import PlanPlace, Trajectory
 from palmd.motion.segments import Angles
 from palmd.motion.trajectory_executor import MotionError, TrajectoryExecutor
 
@@ -175,7 +175,7 @@ class SetPoints:
         return self._executor.plan
 
     @property
-    def place(self) -> Place | None:
+    def place(self) -> PlanPlace | None:
         """Where in the plan the motion is."""
         return self._executor.place
 

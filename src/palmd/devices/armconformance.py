@@ -73,7 +73,7 @@ Outcome = Literal["passed", "failed", "not run"]
 
 
 @dataclass(frozen=True, slots=True)
-class Result:
+class CheckResult:
     """One check's outcome: the last lines sent, what was expected and seen; `expected` is empty unless it failed."""
 
     number: int
@@ -573,7 +573,7 @@ REPORT = CHECKS[1]
 """Without an answer to this one, and state READY in it, no other means anything."""
 
 
-def examine(check: Check, talk: Talk) -> Script[Result]:
+def examine(check: Check, talk: Talk) -> Script[CheckResult]:
     """Make one check and leave the controller READY; a failure to do so is the check's own.
 
     What a late host may have spoilt is made again, some times; the result tells if it was late every time.
@@ -588,7 +588,7 @@ def examine(check: Check, talk: Talk) -> Script[Result]:
     )
 
 
-def _examine(check: Check, talk: Talk) -> Script[Result]:
+def _examine(check: Check, talk: Talk) -> Script[CheckResult]:
     talk.sent.clear()
     outcome: Outcome = "passed"
     expected = ""
@@ -607,4 +607,4 @@ def _examine(check: Check, talk: Talk) -> Script[Result]:
         except DeviationError as deviation:
             if outcome != "failed":
                 outcome, expected, seen = "failed", deviation.expected, deviation.seen
-    return Result(check.number, check.clause, outcome, sent, expected, seen)
+    return CheckResult(check.number, check.clause, outcome, sent, expected, seen)

@@ -6,7 +6,7 @@ import time
 from types import TracebackType
 from typing import Self, TypeVar
 
-from palmd.devices.armconformance_talk import Heard, Say, Script, Talk
+from palmd.devices.armconformance_talk import Script, Talk, TalkAnswer, TalkRequest
 from palmd.devices.armlink import Line, LineReader, Stop, encode_command
 from palmd.devices.port import Port, PortWaiter
 
@@ -38,13 +38,13 @@ class ArmLine:
             value: _T = end.value
             return value
 
-    def _heard(self, say: Say) -> Heard:
+    def _heard(self, say: TalkRequest) -> TalkAnswer:
         lines: list[Line] = []
         raw = self._listen(lines, say.t_send, 0)
         t_sent = time.monotonic()
         self._port.write(say.data)
         raw += self._listen(lines, t_sent + say.listen_s, say.enough)
-        return Heard(lines, raw, t_sent, time.monotonic())
+        return TalkAnswer(lines, raw, t_sent, time.monotonic())
 
     def _listen(self, lines: list[Line], t_end: float, enough: int) -> bytes:
         """Adds the lines that come until t_end (s), or until there are enough; returns all the bytes."""

@@ -33,7 +33,7 @@ _T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True)
-class Say:
+class TalkRequest:
     """What a script asks for: write `data` at `t_send` (s, monotonic; past: at once), then listen.
 
     Listening ends `listen_s` after the writing, or as soon as `enough` lines have come (0: never).
@@ -46,7 +46,7 @@ class Say:
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class TalkAnswer:
     """What came of it: whole lines, and all the bytes; written at `t_sent`, over at `t` (s, monotonic)."""
 
     lines: list[Line]
@@ -55,7 +55,7 @@ class Heard:
     t: float
 
 
-Script = Generator[Say, Heard, _T]
+Script = Generator[TalkRequest, TalkAnswer, _T]
 
 
 class DeviationError(Exception):
@@ -115,17 +115,19 @@ class Talk:
 
     # parts of scripts
 
-    def raw(self, data: bytes, listen_s: float = ANSWER_S, t_send: float = -math.inf, enough: int = 0) -> Script[Heard]:
+    def raw(
+        self, data: bytes, listen_s: float = ANSWER_S, t_send: float = -math.inf, enough: int = 0
+    ) -> Script[TalkAnswer]:
         """Write these bytes, whatever they are."""
         self.sent += [data.decode("ascii", errors="replace").strip()[:40]] if data else []
-        heard = yield Say(data, t_send, listen_s, enough)
+        heard = yield TalkRequest(data, t_send, listen_s, enough)
         self.late_s = max(self.late_s, heard.t_sent - max(t_send, self.t), heard.t - heard.t_sent - listen_s)
         self.t = heard.t
         self.line_feeds += heard.raw.count(b"\n")
         self.crlf += heard.raw.count(b"\r\n")
         return heard
 
-    def send(self, *commands: Command, listen_s: float = ANSWER_S, enough: int = 0) -> Script[Heard]:
+    def send(self, *commands: Command, listen_s: float = ANSWER_S, enough: int = 0) -> Script[TalkAnswer]:
         """Write these commands in one go."""
         return (yield from self.raw(b"".join(map(encode_command, commands)), listen_s, enough=enough))
 
@@ -146,7 +148,7 @@ class Talk:
         self._timer = SetPointTimer(self._baud, self.limits.cycle_s, heard.lines[0].t_first)
         return ack
 
-    def point(self, pose: Pose, ss: int | None = None, listen_s: float | None = None) -> Script[Heard]:
+    def point(self, pose: Pose, ss: int | None = None, listen_s: float | None = None) -> Script[TalkAnswer]:
         """Send a set-point in the middle of the next cycle; listen until the next but one is due, or as told."""
         timer = self.timer
         timer.skip(self.t)
@@ -163,7 +165,7 @@ class Talk:
         assert self._timer is not None, "begin() comes first"
         return self._timer
 
-    def arrived(self, heard: Heard, size: int) -> float:
+    def arrived(self, heard: TalkAnswer, size: int) -> float:
         """When the last of `size` bytes had reached the controller (s)."""
         return heard.t_sent + size * self.byte_s
 

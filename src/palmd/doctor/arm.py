@@ -6,7 +6,7 @@ import sys
 
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.daemon import realtime
-from palmd.devices.armconformance import CHECKS, REACH_M, REPORT, Result, examine
+from palmd.devices.armconformance import CHECKS, REACH_M, REPORT, CheckResult, examine
 from palmd.devices.armconformance_port import ArmLine, ArmLineError
 from palmd.devices.armconformance_talk import Talk
 
@@ -31,8 +31,8 @@ def examine_arm(path: str, baud: int, sure: bool) -> int:
         raise CliError(RIG_FAILED, str(error)) from None
 
 
-def _examined(path: str, line: ArmLine, talk: Talk, sure: bool) -> list[Result]:
-    results: list[Result] = []
+def _examined(path: str, line: ArmLine, talk: Talk, sure: bool) -> list[CheckResult]:
+    results: list[CheckResult] = []
     try:
         for check in CHECKS:
             if check.tracks and not sure:
@@ -48,7 +48,7 @@ def _examined(path: str, line: ArmLine, talk: Talk, sure: bool) -> list[Result]:
     return results
 
 
-def told(result: Result) -> str:
+def told(result: CheckResult) -> str:
     """A result in words: one line, more if it failed."""
     text = f"{result.number:2} {_WORDS[result.outcome]}  {result.clause}"
     if result.outcome == "failed":
@@ -57,7 +57,7 @@ def told(result: Result) -> str:
     return f"{text}\n         {result.seen}"
 
 
-def _summary(path: str, results: list[Result]) -> int:
+def _summary(path: str, results: list[CheckResult]) -> int:
     counts = {outcome: sum(result.outcome == outcome for result in results) for outcome in _WORDS}
     left = len(CHECKS) - len(results)
     text = f"{counts['passed']} of {len(CHECKS)} checks passed, {counts['failed']} failed"

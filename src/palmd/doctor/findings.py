@@ -67,9 +67,9 @@ def plan(config: Config, path: Path) -> Finding:
 
 def daemon(config: Config) -> dict[str, Any] | None:
     """What a running daemon says of itself, None if none answers."""
-    from palmd.bus.client import Client
+    from palmd.bus.command_client import CommandClient
 
-    with Client(config.bus.command, timeout_s=0.5) as client, contextlib.suppress(CliError):
+    with CommandClient(config.bus.command, timeout_s=0.5) as client, contextlib.suppress(CliError):
         reply = client.ask("status")
         result: dict[str, Any] | None = reply.get("result")
         return result if reply["ok"] else {}

@@ -27,7 +27,7 @@ _LOOK_S = 0.02
 
 
 @dataclass(frozen=True, slots=True)
-class Stroke:
+class FingerStroke:
     """A finger that slid over a pad from the hinge outwards: the reports' counts, in order."""
 
     heard_on: Palm  # by the configuration
@@ -71,7 +71,7 @@ def examine_pads(path: Path, pads: PadsConfig) -> int:
     CliError when a port cannot be opened, or nobody touches a pad.
     """
     listeners: list[_Listener] = []
-    strokes: list[Stroke] = []
+    strokes: list[FingerStroke] = []
     try:
         for palm, pad in ((1, pads.palm1), (2, pads.palm2)):
             listeners.append(_Listener(1 if palm == 1 else 2, pad))
@@ -92,7 +92,7 @@ def examine_pads(path: Path, pads: PadsConfig) -> int:
     return BAD_INPUT
 
 
-def _stroke(palm: int, listeners: Sequence[_Listener]) -> Stroke:
+def _stroke(palm: int, listeners: Sequence[_Listener]) -> FingerStroke:
     """The next one, on whichever pad it comes; on both at once is a mistake."""
     waiter = PortWaiter([listener.port for listener in listeners])
     heard: dict[Palm, list[PadReport]] = {listener.palm: [] for listener in listeners}
@@ -112,12 +112,12 @@ def _stroke(palm: int, listeners: Sequence[_Listener]) -> Stroke:
         raise CliError(RIG_FAILED, f"palm {palm}: {what}; start again with palmd doctor --touch")
     packets = heard[touched[0]]
     print(f"  heard on the port of pads.palm{touched[0]}, {len(packets)} reports", flush=True)
-    return Stroke(
+    return FingerStroke(
         touched[0], tuple(packet.x_counts for packet in packets), tuple(packet.y_counts for packet in packets)
     )
 
 
-def changes(strokes: Sequence[Stroke], pads: PadsConfig) -> Iterator[str]:
+def changes(strokes: Sequence[FingerStroke], pads: PadsConfig) -> Iterator[str]:
     """What to write into the configuration, given a stroke on palm 1 and then one on palm 2. Pure.
 
     CliError where the strokes do not tell: both on one pad, or neither along x nor along y.
@@ -137,7 +137,7 @@ def changes(strokes: Sequence[Stroke], pads: PadsConfig) -> Iterator[str]:
             yield f"  pads.palm{palm}: sign: {sign}    # the pad is mirrored; then calibrate zero_mm"
 
 
-def _direction(palm: int, stroke: Stroke) -> tuple[str, int]:
+def _direction(palm: int, stroke: FingerStroke) -> tuple[str, int]:
     """The axis along the palm, and whether its counts grow outwards, as s does."""
     x, y = stroke.slid()
     if abs(x) >= STRAIGHT * abs(y) and x:

@@ -8,17 +8,16 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from palmd.bus.client import Message
-from palmd.score import OutlineScore, score_outline
+from palmd.bus.subscriber import Message
+from palmd.harness.scorer import COMPARED, Scorer
+from palmd.score import OutlineScore
 
-WINDOW_TICKS = 500  # the last five seconds
+LOOPS = 300  # of palm/loop, one a second
 TRUTHS = 100
 GRID_TICKS = 100
 LATE_S = 2e-3
 PERIOD_S = 0.01
-_COMPARED = ("r1_m", "r2_m", "omega0_rad_s")
 
 
 class Comparison:
@@ -26,31 +25,30 @@ class Comparison:
 
     def __init__(self, seed: int) -> None:
         """`seed` is the rig's, to be named in the summary."""
-        self.state: Mapping[str, Any] = {}
-        self.motion: Mapping[str, Any] = {}
-        self.t_started: float | None = None
         self._seed = seed
-        self._t_settled: float | None = None
-        self._estimate: Mapping[str, Any] = {}
-        self._valid: Mapping[str, Any] = {}  # the last valid estimate
-        self._shape: Mapping[str, Any] | None = None
+        self._scorer = Scorer()
+        self._state: Mapping[str, Any] = {}
         self._object: Mapping[str, Any] | None = None
         self._truths: deque[tuple[float, ...]] = deque(maxlen=TRUTHS)
         self._waiting: deque[tuple[float, ...]] = deque(maxlen=TRUTHS)  # valid ticks whose truth is to come
-        self._errors: deque[tuple[float, ...]] = deque(maxlen=WINDOW_TICKS)
         self._punctuality = Punctuality()
         self._ticks = 0
-        self._work_p99_ms: deque[float] = deque(maxlen=WINDOW_TICKS)  # one a second
+        self._work_p99_ms: deque[float] = deque(maxlen=LOOPS)
 
     @property
     def settled(self) -> bool:
         """Whether an estimate has been called valid since the palms began to move."""
-        return self._t_settled is not None
+        return self._scorer.t_settled is not None
+
+    @property
+    def t_started(self) -> float | None:
+        """When the palms began to move (s, monotonic clock)."""
+        return self._scorer.t_started
 
     def started(self, t: float) -> None:
         """The palms begin to move at t (s, monotonic clock), for the first time or again."""
-        if self.t_started is None:
-            self.t_started = t
+        if self._scorer.t_started is None:
+            self._scorer.t_started = t
 
     def take(self, message: Message) -> None:
         """One message of the daemon or of the rig."""
@@ -58,30 +56,24 @@ class Comparison:
         match message.topic:
             case "palm/estimate":
                 self._take_estimate(fields)
-            case "palm/shape" if self._estimate.get("valid"):
-                self._shape = fields
+            case "palm/shape":
+                self._scorer.take_shape(fields)
             case "palm/state":
-                self.state = fields
-            case "palm/motion":
-                self.motion = fields
+                self._state = fields
             case "palm/loop":
                 self._work_p99_ms.append(fields["work_p99_ms"])
             case "rig/truth":
-                self._truths.append((_seconds(fields), *(fields[name] for name in _COMPARED)))
+                self._truths.append((_seconds(fields), *(fields[name] for name in COMPARED)))
                 self._compare()
             case "rig/object":
                 self._object = fields
 
     def _take_estimate(self, fields: Mapping[str, Any]) -> None:
         t = _seconds(fields)
-        self._estimate = fields
         self._ticks += 1
         self._punctuality.tick(t)
-        if fields["valid"] and self.t_started is not None and t >= self.t_started:
-            if self._t_settled is None:
-                self._t_settled = t
-            self._valid = fields
-            self._waiting.append((t, *(fields[name] for name in _COMPARED)))
+        if self._scorer.take(t, fields):
+            self._waiting.append((t, *(fields[name] for name in COMPARED)))
 
     def _compare(self) -> None:
         """Compare the ticks that now lie between two truths, by interpolation."""
@@ -89,14 +81,13 @@ class Comparison:
         while self._waiting and self._waiting[0][0] <= known[-1, 0]:
             t, *estimated = self._waiting.popleft()
             if t >= known[0, 0]:
-                true = [float(np.interp(t, known[:, 0], column)) for column in known.T[1:]]
-                self._errors.append(tuple(a - b for a, b in zip(estimated, true, strict=True)))
+                self._scorer.compare(t, estimated, [float(np.interp(t, known[:, 0], each)) for each in known.T[1:]])
 
     def progress(self, t: float) -> str:
         """One line on how it stands at t (s, monotonic clock)."""
-        parts = [f"{t - (self.t_started or t):5.0f} s  {self.state.get('state', ''):8}"]
-        if self._estimate.get("valid"):
-            e = self._estimate
+        parts = [f"{t - (self.t_started or t):5.0f} s  {self._state.get('state', ''):8}"]
+        e = self._scorer.estimate
+        if e.get("valid"):
             parts.append(f"r {e['r1_m'] * 1e3:.2f} {e['r2_m'] * 1e3:.2f} mm")
             parts.append(f"rho {e['rho_m'] * 1e3:.2f} mm  mu {e['mu']:z.2f}  mass {e['mass_kg'] * 1e3:.0f} g")
             score = self._score()
@@ -104,31 +95,27 @@ class Comparison:
                 parts.append(f"outline within {score.e_h * 1e6:.0f} µm on {score.touched:.0%}")
         else:
             parts.append("lost, looking again" if self.settled else "no valid estimate yet")
-        faults = self.state.get("faults", ())
-        grave = [f for f, severity in zip(faults, self.state.get("severities", ()), strict=False) if severity != "note"]
+        faults = zip(self._state.get("faults", ()), self._state.get("severities", ()), strict=False)
+        grave = [fault for fault, severity in faults if severity != "note"]
         return "  ".join(parts + grave)
 
     def summary(self) -> str:
         """The closing line."""
         parts = [f"seed {self._seed}", self._settling()]
-        score = self._score()
-        if score is not None and self._shape is not None and self._object is not None:
-            parts.append(
-                f"outline {score.e_h * 1e6:.0f} µm RMS ({score.relative:.2%}) on {score.touched:.0%} touched normals"
-            )
-            everywhere = np.ones(len(self._shape["theta_rad"]), dtype=np.bool_)
-            off, sd = _scored(self._shape, self._object, everywhere).max_error, max(self._shape["h_sd_m"])
-            parts.append(f"whole outline within {off * 1e3:.3f} mm (largest sd {sd * 1e3:.3f} mm)")
-        if self._errors:
-            r1, r2, omega0 = np.sqrt(np.mean(np.square(self._errors), axis=0))
-            parts += [f"r {math.hypot(r1, r2) / math.sqrt(2) * 1e3:.3f} mm", f"omega0 {omega0:.3f} rad/s"]
-        if self._valid and self._object:
-            mine, true = self._valid, self._object
+        score, everywhere = self._score(), self._score(all_normals=True)
+        if score is not None and everywhere is not None and self._scorer.shape is not None:
+            sd = max(self._scorer.shape["h_sd_m"])
             parts += [
-                f"rho {mine['rho_m'] / true['rho_m'] - 1:+.1%}",
-                f"mu {mine['mu']:z.2f} (true {true['mu']:.2f})",
-                f"mass {mine['mass_kg'] / true['mass_kg'] - 1:+.1%}",
+                f"outline {score.e_h * 1e6:.0f} µm RMS ({score.relative:.2%}) on {score.touched:.0%} touched normals",
+                f"whole outline within {everywhere.max_error * 1e3:.3f} mm (largest sd {sd * 1e3:.3f} mm)",
             ]
+        r, omega0 = self._scorer.rms()
+        if not math.isnan(r):
+            parts += [f"r {r * 1e3:.3f} mm", f"omega0 {omega0:.3f} rad/s"]
+        if self.settled and self._object:
+            rho, mu, mass = self._scorer.constants(self._object)
+            true_mu = self._object["mu"]
+            parts += [f"rho {rho:+.1%}", f"mu {mu + true_mu:z.2f} (true {true_mu:.2f})", f"mass {mass:+.1%}"]
         parts += [
             f"ticks {self._ticks}",
             f"late > {LATE_S * 1e3:g} ms {self._punctuality.late_share(self._ticks):.2%}",
@@ -137,23 +124,14 @@ class Comparison:
         return "palmd demo: " + ", ".join(parts)
 
     def _settling(self) -> str:
-        name = self._estimate.get("observer", "")
-        if self._t_settled is None or self.t_started is None:
+        name = self._scorer.estimate.get("observer", "")
+        if not self.settled:
             return f"{name} observer never settled"
-        return f"{name} observer settled after {self._t_settled - self.t_started:.1f} s"
+        return f"{name} observer settled after {self._scorer.settling_s:.1f} s"
 
-    def _score(self) -> OutlineScore | None:
-        """The outline against the true one where it was touched; None before there are both."""
-        if self._shape is None or self._object is None or not any(self._shape["touched"]):
-            return None
-        return _scored(self._shape, self._object, np.array(self._shape["touched"], dtype=np.bool_))
-
-
-def _scored(shape: Mapping[str, Any], true: Mapping[str, Any], where: npt.NDArray[np.bool_]) -> OutlineScore:
-    theta, h, true_h = (
-        np.array(values, dtype=np.float64) for values in (shape["theta_rad"], shape["h_m"], true["h_m"])
-    )
-    return score_outline(theta, h, where, true_h)
+    def _score(self, *, all_normals: bool = False) -> OutlineScore | None:
+        """The outline against the true one, where it was touched or everywhere; None before there are both."""
+        return None if self._object is None else self._scorer.outline(self._object["h_m"], all_normals=all_normals)
 
 
 class Punctuality:

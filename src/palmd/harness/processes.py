@@ -14,7 +14,7 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, Self
 
-from palmd.bus.client import KEY_VARIABLE
+from palmd.bus.link import KEY_VARIABLE
 from palmd.console.errors import RIG_FAILED, CliError
 
 _C = ctypes.CDLL(None)
@@ -56,10 +56,16 @@ class Child:
     Its daemon has no keys, so neither has it one.
     """
 
-    def __init__(self, arguments: list[str], folder: Path, environment: Mapping[str, str] | None = None) -> None:
-        """`arguments` begin with the command's name; `environment` comes on top of ours."""
+    def __init__(
+        self, arguments: list[str], folder: Path, environment: Mapping[str, str] | None = None, label: str = ""
+    ) -> None:
+        """`arguments` begin with the command's name, which its files bear too unless there is a `label`.
+
+        `environment` comes on top of ours.
+        """
         self.name = arguments[0]
-        self._out, self._err = folder / f"{self.name}.out", folder / f"{self.name}.err"
+        label = label or self.name
+        self._out, self._err = folder / f"{label}.out", folder / f"{label}.err"
         with self._out.open("wb") as out, self._err.open("wb") as err:
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "palmd", *arguments],

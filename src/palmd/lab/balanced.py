@@ -21,7 +21,7 @@ class BalancedRun:
     phi2: FloatArray
     psi: FloatArray
     contacts: Touch
-    felt: tuple[qs.Felt, ...]
+    felt: tuple[qs.QuasistaticReadings, ...]
     jumps: int
 
 
@@ -37,7 +37,7 @@ def balanced_run(
     contacts = touch(coefficients, phi1, phi2, turned)
     values = np.stack([contacts.s1, contacts.s2, phi1, phi2])
     rates = CubicSpline(t, values, axis=1)(t, 1)
-    felt = tuple(qs.Felt(*column) for column in np.concatenate([values, rates]).T.tolist())
+    felt = tuple(qs.QuasistaticReadings(*column) for column in np.concatenate([values, rates]).T.tolist())
     return BalancedRun(t, phi1, phi2, turned, contacts, felt, int(followed.jumped.sum()))
 
 

@@ -10,7 +10,7 @@ from palmd.console.arguments import count, seconds, seed
 from palmd.console.extras import drawing
 from palmd.lab import exploring
 from palmd.lab.bench_montecarlo import ALL
-from palmd.lab.exploring import Row
+from palmd.lab.exploring import ExploringRow
 from palmd.lab.exploring_summary import remarks, table
 from palmd.lab.rows import ROWS, Sink, collected, on_this_machine, rewrite
 from palmd.lab.scoring import as_line
@@ -35,14 +35,19 @@ def run(arguments: argparse.Namespace) -> int:
     tasks = exploring.tasks_of(kinds, arguments.seed, arguments.runs, arguments.seconds)
     path = arguments.output / ROWS
     finished, status = collected(
-        "exploring", tasks, exploring.run, exploring.failed, on_this_machine(arguments.jobs), Sink[Row](path, as_line)
+        "exploring",
+        tasks,
+        exploring.run,
+        exploring.failed,
+        on_this_machine(arguments.jobs),
+        Sink[ExploringRow](path, as_line),
     )
     if finished:
         _conclude(exploring.in_order(finished), path)
     return status
 
 
-def _conclude(rows: Sequence[Row], path: Path) -> None:
+def _conclude(rows: Sequence[ExploringRow], path: Path) -> None:
     rewrite(path, map(as_line, rows))
     print(f"seeds {rows[0].seed} to {max(row.seed for row in rows)}")
     print(table(rows))
@@ -51,6 +56,6 @@ def _conclude(rows: Sequence[Row], path: Path) -> None:
     print(f"written: {', '.join(map(str, [path, *_figure(rows, path.parent)]))}")
 
 
-def _figure(rows: Sequence[Row], folder: Path) -> list[Path]:
+def _figure(rows: Sequence[ExploringRow], folder: Path) -> list[Path]:
     figure = drawing("palmd.lab.exploring_figure")
     return figure.save(rows, folder) if figure else []

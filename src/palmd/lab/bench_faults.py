@@ -19,7 +19,7 @@ from palmd.console.errors import BAD_INPUT
 from palmd.console.progress import Progress
 from palmd.console.shipped import shipped
 from palmd.lab.fault_reaction import Reaction, all_as_promised, as_line, differences, summary, table
-from palmd.lab.fault_rows import NAMES, ROWS, BrokenObserver, Row
+from palmd.lab.fault_rows import NAMES, ROWS, BrokenObserver, FaultRow
 from palmd.lab.fault_stand import Stand
 from palmd.lab.fault_wireless import provoke
 from palmd.lab.rows import ROWS as FILE
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Raises CliError when rig or daemon do not start or the palms cannot be brought to move."""
     rows = [row for row in ROWS if arguments.only is None or row.name in arguments.only]
-    results: list[tuple[Row, Sequence[Reaction]]] = []
+    results: list[tuple[FaultRow, Sequence[Reaction]]] = []
     with terminable(), ExitStack() as stack:
         stream = writable(stack, arguments.output / FILE)
         campaign = stack.enter_context(_Campaign(arguments.seed))
@@ -69,7 +69,7 @@ class _Campaign(ExitStack):
         self._seed = seed
         self._stand: Stand | None = None
 
-    def provoke(self, row: Row) -> Reaction:
+    def provoke(self, row: FaultRow) -> Reaction:
         """One provocation; where the machine has starved the rig and the row differs, tried again."""
         for _ in range(STARVED_TRIES):
             reaction = self._without_wires(row, row.act) if isinstance(row.act, BrokenObserver) else self._on_stand(row)
@@ -78,14 +78,14 @@ class _Campaign(ExitStack):
             print(f"{row.name}: the machine kept the rig from its work; it is tried again", file=sys.stderr)
         return reaction
 
-    def _without_wires(self, row: Row, act: BrokenObserver) -> Reaction:
+    def _without_wires(self, row: FaultRow, act: BrokenObserver) -> Reaction:
         logging.disable(logging.ERROR)  # the traceback of the error that is wanted
         try:
             return provoke(row, act.how, load_plan(shipped(PLAN)), self._seed)
         finally:
             logging.disable(logging.NOTSET)
 
-    def _on_stand(self, row: Row) -> Reaction:
+    def _on_stand(self, row: FaultRow) -> Reaction:
         if self._stand is None:
             folder = Path(self.enter_context(tempfile.TemporaryDirectory(prefix="palmd-faults-")))
             config = load_config(shipped("demo.yaml")).model_copy(update={"plan": shipped(PLAN)})

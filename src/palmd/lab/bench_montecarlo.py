@@ -14,7 +14,7 @@ from palmd.console.extras import drawing, missing, only_without
 from palmd.lab import montecarlo, runs
 from palmd.lab.montecarlo_summary import remarks, summaries, table
 from palmd.lab.rows import ROWS, Sink, collected, on_this_machine, rewrite
-from palmd.lab.scoring import Row, as_line
+from palmd.lab.scoring import MonteCarloRow, as_line
 from palmd.rig.shapes import KINDS
 
 ALL = "all"
@@ -46,14 +46,14 @@ def run(arguments: argparse.Namespace) -> int:
         montecarlo.run,
         montecarlo.failed,
         lambda stack: _workers(stack, arguments),
-        Sink[Row](path, as_line),
+        Sink[MonteCarloRow](path, as_line),
     )
     if finished:
         _conclude(montecarlo.in_order(finished), path)
     return status
 
 
-def _conclude(rows: Sequence[Row], path: Path) -> None:
+def _conclude(rows: Sequence[MonteCarloRow], path: Path) -> None:
     rewrite(path, map(as_line, rows))
     print(table(summaries(rows)))
     for remark in remarks(rows):
@@ -61,7 +61,7 @@ def _conclude(rows: Sequence[Row], path: Path) -> None:
     print(f"written: {', '.join(map(str, [path, *_figure(rows, path.parent)]))}")
 
 
-def _figure(rows: Sequence[Row], folder: Path) -> list[Path]:
+def _figure(rows: Sequence[MonteCarloRow], folder: Path) -> list[Path]:
     figure = drawing("palmd.lab.montecarlo_figure")
     return figure.save(rows, folder) if figure else []
 

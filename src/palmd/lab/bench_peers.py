@@ -14,16 +14,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from palmd.cli.logs import read
+from palmd.console.arguments import seconds_within, seed
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.extras import missing, only_without
 from palmd.console.progress import Progress
-from palmd.lab.peers.task import Start, Task, Truth, task_from
+from palmd.lab.peers.task import PeerStart, PeerTask, PeerTruth, task_from
 from palmd.lab.simulated import simulated
 from palmd.record.eventlog import EventLog
 from palmd.rig.shapes import KINDS
 
 if TYPE_CHECKING:
-    from palmd.lab.peers.contest import BankTick, Row
+    from palmd.lab.peers.contest import BankTick, PeerRow
 
 RESULT = "peers.json"
 _HEAD = ("method", "start", "r RMS mm", "e_h µm", "µs per step", "× palmd", "remark")
@@ -33,8 +34,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     parser.add_argument("log", type=Path, nargs="?", metavar="LOG", help="an event log, its truth beside it")
     parser.add_argument("--kind", choices=KINDS, default="nominal", help="of a simulated run; default: %(default)s")
-    parser.add_argument("--seed", type=_seed, default=100, help="of run and good start; default: %(default)s")
-    parser.add_argument("--seconds", type=_seconds, default=10.0, help="of the run; default: %(default)g")
+    parser.add_argument("--seed", type=seed, default=100, help="of run and good start; default: %(default)s")
+    parser.add_argument(
+        "--seconds", type=seconds_within(1.0, 600.0), default=10.0, help="of the run; default: %(default)g"
+    )
     parser.add_argument("-o", "--output", type=Path, metavar="FOLDER", help=f"write {RESULT} there")
 
 
@@ -63,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _rows(log: EventLog, task: Task, truth: Truth, starts: tuple[Start, Start]) -> Iterator[Row]:
+def _rows(log: EventLog, task: PeerTask, truth: PeerTruth, starts: tuple[PeerStart, PeerStart]) -> Iterator[PeerRow]:
     from palmd.lab.peers.contest import BANK, bank_row, compete, entries
 
     everybody = entries(task, truth)
@@ -75,7 +78,7 @@ def _rows(log: EventLog, task: Task, truth: Truth, starts: tuple[Start, Start]) 
         yield bank_row(log.rig, log.events, task, truth, progress.at)
 
 
-def _run_to_compare(arguments: argparse.Namespace) -> tuple[str, EventLog, Truth]:
+def _run_to_compare(arguments: argparse.Namespace) -> tuple[str, EventLog, PeerTruth]:
     """What it is called, its events up to `--seconds`, and its truth."""
     if arguments.log is not None:
         log = read(arguments.log)
@@ -83,20 +86,20 @@ def _run_to_compare(arguments: argparse.Namespace) -> tuple[str, EventLog, Truth
         events = tuple(event for event in log.events if event.t_sample <= t_end)
         return arguments.log.name, dataclasses.replace(log, events=events), _truth(arguments.log)
     log, told = simulated(arguments.kind, arguments.seed, arguments.seconds)
-    return f"{arguments.kind}, seed {arguments.seed}", log, Truth.from_fields(told)
+    return f"{arguments.kind}, seed {arguments.seed}", log, PeerTruth.from_fields(told)
 
 
-def _truth(log: Path) -> Truth:
+def _truth(log: Path) -> PeerTruth:
     path = log.with_suffix(".truth.json")
     try:
-        return Truth.from_fields(json.loads(path.read_text(encoding="utf-8")))
+        return PeerTruth.from_fields(json.loads(path.read_text(encoding="utf-8")))
     except OSError as error:
         raise CliError(BAD_INPUT, f"{path}: the truth cannot be read: {error.strerror or error}") from None
     except (ValueError, KeyError, TypeError) as error:
         raise CliError(BAD_INPUT, f"{path}: is not the truth of a run: {error!r}") from None
 
 
-def _table(rows: list[Row]) -> Iterator[str]:
+def _table(rows: list[PeerRow]) -> Iterator[str]:
     cells = [_HEAD, *map(_cells, rows)]
     widths = [max(len(row[i]) for row in cells) for i in range(len(_HEAD) - 1)]
     for row in cells:
@@ -104,7 +107,7 @@ def _table(rows: list[Row]) -> Iterator[str]:
         yield "  ".join([*words, row[-1]]).rstrip()
 
 
-def _cells(row: Row) -> tuple[str, ...]:
+def _cells(row: PeerRow) -> tuple[str, ...]:
     numbers = ((row.r_rms, 1e3, ".3f"), (row.e_h, 1e6, ".0f"), (row.us, 1.0, ".1f"), (row.ratio, 1.0, ".3g"))
     shown = ("–" if math.isnan(value) else _plain(value * unit, form) for value, unit, form in numbers)
     return row.method, row.start, *shown, row.remark
@@ -114,7 +117,7 @@ def _plain(value: float, form: str) -> str:
     return f"{value:.0f}" if value >= 1000 else f"{value:{form}}"
 
 
-def _write(path: Path, what: str, seconds: float, rows: list[Row], tick: BankTick) -> None:
+def _write(path: Path, what: str, seconds: float, rows: list[PeerRow], tick: BankTick) -> None:
     fields = [{name: _or_none(value) for name, value in dataclasses.asdict(row).items()} for row in rows]
     result = {"run": what, "seconds": seconds, "rows": fields, "bank": dataclasses.asdict(tick)}
     try:
@@ -132,17 +135,3 @@ def _make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise CliError(BAD_INPUT, f"{folder}: cannot be made: {error.strerror or error}") from None
-
-
-def _seed(text: str) -> int:
-    seed = int(text)
-    if seed < 0:
-        raise argparse.ArgumentTypeError(f"0 or more, got {text}")
-    return seed
-
-
-def _seconds(text: str) -> float:
-    seconds = float(text)
-    if not 1.0 <= seconds <= 600.0:
-        raise argparse.ArgumentTypeError(f"between 1 and 600, got {text}")
-    return seconds

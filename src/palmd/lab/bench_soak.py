@@ -25,7 +25,7 @@ from palmd.console.errors import BAD_INPUT
 from palmd.console.progress import Progress
 from palmd.console.shipped import shipped
 from palmd.lab.rows import terminable, writable, write
-from palmd.lab.soak import Finding, all_met, as_line, between, table, told
+from palmd.lab.soak import SoakFinding, all_met, as_line, between, table, told
 from palmd.lab.soak_behaviour import behaviour
 from palmd.lab.soak_counters import arm, pad
 from palmd.lab.soak_fault_injection import Doing, draw
@@ -75,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _soak(
     stand: SoakStand, config: Config, doings: list[Doing], stream: TextIO, arguments: argparse.Namespace
-) -> list[Finding]:
+) -> list[SoakFinding]:
     stand.bring_to_motion()
     t_begin = time.monotonic()
     watch = stand.watch
@@ -131,7 +131,7 @@ def _minute(stand: SoakStand, t: float) -> dict[str, Any]:
     return {"row": "minute", "t_s": round(t, 1), "state": watch.state, **late, "rss_mb": rss}
 
 
-def _recording(stand: SoakStand, published: int) -> list[Finding]:
+def _recording(stand: SoakStand, published: int) -> list[SoakFinding]:
     """Of the files, once daemon and recorder have ended."""
     paths = stand.finish()
     try:

@@ -54,7 +54,7 @@ class Frame:
     mark_sd: tuple[float, float]
 
 
-class Fit:
+class CameraFit:
     """All unknowns by least squares on the chosen rows: p = (offset − lag, drift, γ[, α, Tx, Ty, mx, my])."""
 
     def __init__(self, signals: Signals, rows: Bools, lag: float) -> None:

@@ -19,7 +19,7 @@ Bools = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class KnownMotion:
     """The run as palmd knows it at times t (n, s): psi (rad); com (n, 2) in m and palms φ1, φ12 (n, 2) with a log."""
 
     t: FloatArray
@@ -28,13 +28,13 @@ class Motion:
     palms: FloatArray | None
 
 
-def motion_of(result: Result, rig: RigDescription | None, palms: list[PalmSample]) -> Motion:
+def motion_of(result: Result, rig: RigDescription | None, palms: list[PalmSample]) -> KnownMotion:
     """The reconstructed motion, its centre of mass in the world where the log's palm angles are given."""
     if rig is None or not palms:
-        return Motion(result.t, result.psi, None, None)
+        return KnownMotion(result.t, result.psi, None, None)
     angles = smoothed_path(palms, rig.palm_angle_noise).at(result.t)[:, :2]
     com = com_of(angles, result.r1, result.r2, rig)
-    return Motion(result.t, result.psi, com, np.stack([angles[:, 0], angles.sum(axis=1)], axis=1))
+    return KnownMotion(result.t, result.psi, com, np.stack([angles[:, 0], angles.sum(axis=1)], axis=1))
 
 
 def com_of(angles: FloatArray, r1: FloatArray, r2: FloatArray, rig: RigDescription) -> FloatArray:
@@ -54,7 +54,7 @@ def com_of(angles: FloatArray, r1: FloatArray, r2: FloatArray, rig: RigDescripti
 class Signals:
     """Both records as functions of time."""
 
-    def __init__(self, motion: Motion, track: Track) -> None:
+    def __init__(self, motion: KnownMotion, track: Track) -> None:
         self.motion, self.track = motion, track
         self.psi = CubicSpline(motion.t, motion.psi)
         self.com = None if motion.com is None else CubicSpline(motion.t, motion.com)

@@ -31,7 +31,7 @@ _PALM_RATE_RAD_S, _SPIN_RAD_S = 2.0, 4.0
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class RankVerdict:
     """One case at many states: the codistribution's size, its usual rank, and how well it is conditioned."""
 
     case: Case
@@ -95,16 +95,16 @@ def random_states(count: int, seed: int) -> FloatArray:
     return np.stack([r1, r2, omega0, s1, s2, phi1, omega1, phi2, omega2, rho, *rest], axis=1)
 
 
-def judged(points: FloatArray) -> list[Verdict]:
+def judged(points: FloatArray) -> list[RankVerdict]:
     """Each case at all of `points` (n, 12), SI, n ≥ 1."""
     return [_judged(case, points) for case in CASES]
 
 
-def _judged(case: Case, points: FloatArray) -> Verdict:
+def _judged(case: Case, points: FloatArray) -> RankVerdict:
     _, functions, states = codistribution(case, points[:1]).shape
     values = singular_values(case, points)
     ranks = (values > RANK_TOLERANCE * values[:, :1]).sum(axis=1)
     rank = int(np.median(ranks))
     smallest = float(np.median(values[:, -1])) if rank == states else 0.0
     condition = float(np.median(values[:, 0] / values[:, -1])) if rank == states else np.inf
-    return Verdict(case, functions, states, rank, float(np.mean(ranks == states)), smallest, condition)
+    return RankVerdict(case, functions, states, rank, float(np.mean(ranks == states)), smallest, condition)

@@ -15,7 +15,7 @@ from palmd.console.extras import missing, only_without
 from palmd.events import PalmSample
 from palmd.lab.camera_clock import GroundTruthError
 from palmd.lab.camera_signals import motion_of
-from palmd.lab.ground_truth import Comparison, compared
+from palmd.lab.ground_truth import CameraComparison, compared
 from palmd.lab.ground_truth_report import as_line, told
 from palmd.outlinefile import Outline, OutlineError, read_outline
 from palmd.record.resultfile import Result, ResultError, read_result
@@ -68,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _draw(result: Result, found: Comparison, outline: Outline | None, path: Path) -> None:
+def _draw(result: Result, found: CameraComparison, outline: Outline | None, path: Path) -> None:
     try:
         from palmd.lab import ground_truth_figure
     except ModuleNotFoundError as error:

@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from palmd.config import Config, ExploreGoal, rig_description
-from palmd.daemon.exploration_requests import Answer, Decider, InlineExplorer, Question
+from palmd.daemon.exploration_requests import Decider, ExplorationAnswer, InlineExplorer, Question
 from palmd.events import FloatArray
 from palmd.harness.wireless import Wireless
 from palmd.lab.exploring_plans import STRATEGIES, Strategy, plan
-from palmd.lab.exploring_watch import EDGE_M, Watch
+from palmd.lab.exploring_watch import EDGE_M, ExplorationWatch
 from palmd.model import shape
 from palmd.model.stable_surface import SurfaceLimits, stable_surface
 from palmd.motion.check import motion_limits
@@ -35,7 +35,7 @@ SETTLE_S = 2.0  # after the end of an exploration, for the smoother to read the 
 
 
 @dataclass(frozen=True, slots=True)
-class Task:
+class ExploringTask:
     """One run to do: kind and seed of the object, how the palms are moved, and for how long (s)."""
 
     kind: Kind
@@ -46,7 +46,7 @@ class Task:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class ExploringRow:
     """A run in numbers; NaN for what there is not.
 
     error: what was raised, then nothing else is known. reachable: share of the normals that stable poses within the
@@ -96,25 +96,25 @@ class Row:
 
 def tasks_of(
     kinds: Iterable[Kind], first_seed: int, count: int, seconds: float, band_mm: float | None = None
-) -> list[Task]:
+) -> list[ExploringTask]:
     """So many objects of each kind, each with every strategy.
 
     No two kinds share a seed: here, where the hinge always travels, friction and rig are the same kind of thing.
     """
     return [
-        Task(kind, first_seed + len(KINDS) * i + KINDS.index(kind), strategy, seconds, band_mm)
+        ExploringTask(kind, first_seed + len(KINDS) * i + KINDS.index(kind), strategy, seconds, band_mm)
         for i in range(count)
         for kind in kinds
         for strategy in STRATEGIES
     ]
 
 
-def in_order(rows: Iterable[Row]) -> list[Row]:
+def in_order(rows: Iterable[ExploringRow]) -> list[ExploringRow]:
     """By kind, seed and strategy, whichever was finished first."""
     return sorted(rows, key=lambda row: (KINDS.index(row.kind), row.seed, STRATEGIES.index(row.strategy)))
 
 
-def run(task: Task) -> Row:
+def run(task: ExploringTask) -> ExploringRow:
     """Explore and judge; what raises becomes a row that says so."""
     try:
         return _run(task)
@@ -122,9 +122,9 @@ def run(task: Task) -> Row:
         return failed(task, error)
 
 
-def failed(task: Task, error: BaseException) -> Row:
+def failed(task: ExploringTask, error: BaseException) -> ExploringRow:
     """The row of a run that came to nothing."""
-    return Row(task.kind, task.seed, task.strategy, error=f"{type(error).__name__}: {error}")
+    return ExploringRow(task.kind, task.seed, task.strategy, error=f"{type(error).__name__}: {error}")
 
 
 class _Timed(Decider):
@@ -132,7 +132,7 @@ class _Timed(Decider):
 
     spent_ms: list[float]
 
-    def answer(self, question: Question) -> Answer:
+    def answer(self, question: Question) -> ExplorationAnswer:
         begin = time.process_time()
         answer = super().answer(question)
         if question.outlook is not None:
@@ -140,7 +140,7 @@ class _Timed(Decider):
         return answer
 
 
-def _run(task: Task) -> Row:
+def _run(task: ExploringTask) -> ExploringRow:
     begin = time.process_time()
     config = default_config()
     rig = rig_description(config)
@@ -160,13 +160,13 @@ def _run(task: Task) -> Row:
     reachable = _reachable(config, true_h)
     wireless.start()
     before = wireless.world.status()["contact_losses"]
-    watch = Watch(reachable, rig.pad_length, wireless.t)
+    watch = ExplorationWatch(reachable, rig.pad_length, wireless.t)
     ended_s = _watched(wireless, watch, task.seconds)
     status = wireless.world.status()
     told = wireless.core.exploring.told() if explores else None
     score = watch.outline_score(true_h) if explores else None
     tick_s = 1.0 / config.loop.rate_hz
-    return Row(
+    return ExploringRow(
         kind=task.kind,
         seed=task.seed,
         strategy=task.strategy,
@@ -196,7 +196,7 @@ def _run(task: Task) -> Row:
     )
 
 
-def _watched(wireless: Wireless, watch: Watch, seconds: float) -> float:
+def _watched(wireless: Wireless, watch: ExplorationWatch, seconds: float) -> float:
     """Let it run, no longer than something happens; when the exploration ended (s since the start), else NaN."""
     exploring, ended = False, math.nan
     for instant in wireless.run(seconds):

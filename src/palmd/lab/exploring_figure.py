@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from palmd.lab.exploring import Row
+from palmd.lab.exploring import ExploringRow
 from palmd.lab.exploring_plans import STRATEGIES
 from palmd.lab.exploring_summary import of
 from palmd.lab.exploring_watch import ENOUGH
@@ -21,7 +21,7 @@ _STYLES = dict(zip(STRATEGIES, ("-", "--", ":"), strict=True))
 _GREY = "#808080"
 
 
-def save(rows: Sequence[Row], folder: Path) -> list[Path]:
+def save(rows: Sequence[ExploringRow], folder: Path) -> list[Path]:
     """Draws the runs into `explore.svg` and `explore.png`; the same rows give the same files."""
     paths = [folder / "explore.svg", folder / "explore.png"]
     drawn = [row for row in rows if row.curve]
@@ -49,7 +49,7 @@ def save(rows: Sequence[Row], folder: Path) -> list[Path]:
     return paths
 
 
-def _coverage(axes: Axes, rows: Sequence[Row]) -> None:
+def _coverage(axes: Axes, rows: Sequence[ExploringRow]) -> None:
     """The median of all objects, and from the 10th to the 90th percentile."""
     for strategy in STRATEGIES:
         curves = 100.0 * np.array([row.curve for row in of(strategy, rows)])

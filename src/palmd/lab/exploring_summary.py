@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 
-from palmd.lab.exploring import Row
+from palmd.lab.exploring import ExploringRow
 from palmd.lab.exploring_plans import STRATEGIES, Strategy
 from palmd.lab.montecarlo_summary import number, percent, quantile
 from palmd.lab.table import aligned
@@ -14,7 +14,7 @@ from palmd.rig.shapes import KINDS
 _OPEN_LOOP: tuple[Strategy, ...] = tuple(each for each in STRATEGIES if each != "explore")
 
 
-def table(rows: Sequence[Row]) -> str:
+def table(rows: Sequence[ExploringRow]) -> str:
     """A line for each number, a column for each kind of which there are runs; ∞ where too many runs have none.
 
     A run that came to nothing has touched nothing.
@@ -26,17 +26,17 @@ def table(rows: Sequence[Row]) -> str:
     return aligned(lines)
 
 
-def remarks(rows: Sequence[Row]) -> list[str]:
+def remarks(rows: Sequence[ExploringRow]) -> list[str]:
     """The explorations to look at: a line for each that touched too little, met with a mishap, or came to nothing."""
     return [f"{row.kind} {row.seed}: {_remark(row)}" for row in rows if row.strategy == "explore" and _remark(row)]
 
 
-def of(strategy: Strategy, rows: Sequence[Row]) -> list[Row]:
+def of(strategy: Strategy, rows: Sequence[ExploringRow]) -> list[ExploringRow]:
     """The runs with this strategy."""
     return [row for row in rows if row.strategy == strategy]
 
 
-def _remark(row: Row) -> str:
+def _remark(row: ExploringRow) -> str:
     if row.error:
         return row.error
     parts = []
@@ -52,8 +52,8 @@ def _remark(row: Row) -> str:
     return ", ".join(parts)
 
 
-def _enough(strategy: Strategy) -> Callable[[Sequence[Row]], str]:
-    def show(rows: Sequence[Row]) -> str:
+def _enough(strategy: Strategy) -> Callable[[Sequence[ExploringRow]], str]:
+    def show(rows: Sequence[ExploringRow]) -> str:
         runs = of(strategy, rows)
         return percent(sum(math.isfinite(row.enough_s) for row in runs) / len(runs)) if runs else percent(math.nan)
 
@@ -61,11 +61,11 @@ def _enough(strategy: Strategy) -> Callable[[Sequence[Row]], str]:
 
 
 def _quantiles(
-    value: Callable[[Row], float], unit: float = 1.0, strategy: Strategy = "explore"
-) -> Callable[[Sequence[Row]], str]:
+    value: Callable[[ExploringRow], float], unit: float = 1.0, strategy: Strategy = "explore"
+) -> Callable[[Sequence[ExploringRow]], str]:
     """Median and 90th percentile, a run without the number counting as infinite."""
 
-    def show(rows: Sequence[Row]) -> str:
+    def show(rows: Sequence[ExploringRow]) -> str:
         values = [value(row) for row in of(strategy, rows)]
         values = [each if math.isfinite(each) else math.inf for each in values]
         return " / ".join(number(quantile(values, q), unit) for q in (0.5, 0.9))
@@ -73,21 +73,23 @@ def _quantiles(
     return show
 
 
-def _lowest(strategy: Strategy) -> Callable[[Sequence[Row]], str]:
+def _lowest(strategy: Strategy) -> Callable[[Sequence[ExploringRow]], str]:
     """Median and 10th percentile of what was touched in the end."""
 
-    def show(rows: Sequence[Row]) -> str:
+    def show(rows: Sequence[ExploringRow]) -> str:
         shares = [0.0 if math.isnan(row.coverage) else row.coverage for row in of(strategy, rows)]
         return " / ".join(percent(quantile(shares, q)) for q in (0.5, 0.1))
 
     return show
 
 
-def _count(marks: Callable[[Row], bool], strategy: Strategy = "explore") -> Callable[[Sequence[Row]], str]:
+def _count(
+    marks: Callable[[ExploringRow], bool], strategy: Strategy = "explore"
+) -> Callable[[Sequence[ExploringRow]], str]:
     return lambda rows: str(sum(marks(row) for row in of(strategy, rows)))
 
 
-def _lines() -> Iterable[tuple[str, Callable[[Sequence[Row]], str]]]:
+def _lines() -> Iterable[tuple[str, Callable[[Sequence[ExploringRow]], str]]]:
     yield "objects", lambda rows: str(len({row.seed for row in rows}))
     yield "ended in an error", lambda rows: str(sum(bool(row.error) for row in rows))
     for strategy in STRATEGIES:

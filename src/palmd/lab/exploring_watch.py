@@ -12,7 +12,7 @@ from palmd.events import FloatArray
 from palmd.harness.wireless import Instant
 from palmd.messages import ESTIMATE, SHAPE, Fields
 from palmd.motion.rollout_predictor import BINS, Bools
-from palmd.score import OutlineScore, score_outline
+from palmd.score import OutlineScore, score_shape
 
 EDGE_M = 5e-4
 """A contact nearer to a pad's end than this has reached it."""
@@ -22,7 +22,7 @@ _BIN_RAD = math.tau / BINS
 
 
 @dataclass(slots=True)
-class Watch:
+class ExplorationWatch:
     """Takes the ticks one by one; `reachable` and `touched` are marks on the truth's bins of outward normals.
 
     curve: the share touched of the reachable normals at each full second since `t_start` (s). t_enough: when that
@@ -69,8 +69,7 @@ class Watch:
         """
         if self.shape is None:
             return None
-        theta, h = (np.array(self.shape[name], dtype=np.float64) for name in ("theta_rad", "h_m"))
-        return score_outline(theta, h, np.ones(len(theta), dtype=np.bool_), true_h)
+        return score_shape(self.shape, true_h, all_normals=True)
 
     def _touch(self, truth: dict[str, Any]) -> None:
         self.on_both = truth["contact1"] and truth["contact2"]

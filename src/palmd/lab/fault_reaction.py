@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from statistics import median
 from typing import Any
 
-from palmd.lab.fault_rows import HOST_ALIVE_S, HOST_DEAD_S, Row
+from palmd.lab.fault_rows import HOST_ALIVE_S, HOST_DEAD_S, FaultRow
 from palmd.lab.table import aligned
 
 STANDING_RAD_S = math.radians(0.5)
@@ -67,7 +67,7 @@ class Reaction:
 
 
 @dataclass(slots=True)
-class Watch:
+class ReactionWatch:
     """Collects what daemon and rig say; `reaction` looks at what came after the cause."""
 
     told: list[Told] = field(default_factory=list)
@@ -82,7 +82,7 @@ class Watch:
             phi, omega = ((fields[f"{name}1_{unit}"], fields[f"{name}2_{unit}"]) for name, unit in _TURNING)
             self.turning.append(Turning(t, phi, omega))
 
-    def reaction(self, row: Row, t_cause: float, wrong: Sequence[str] = (), *, starved: bool = False) -> Reaction:
+    def reaction(self, row: FaultRow, t_cause: float, wrong: Sequence[str] = (), *, starved: bool = False) -> Reaction:
         """What has come of the cause at `t_cause` (s) up to now."""
         before = {code for told in self.told if told.t <= t_cause for code in told.faults} - row.codes
         after = [told for told in self.told if told.t > t_cause]
@@ -113,13 +113,13 @@ def standstill(turning: Sequence[Turning], t_cause: float) -> tuple[float, float
     return still, max(abs(a - b) for a, b in zip(at.phi, turning[0].phi, strict=True))
 
 
-def complete(row: Row, reaction: Reaction) -> bool:
+def complete(row: FaultRow, reaction: Reaction) -> bool:
     """Whether all that the row promises has come."""
     stands = reaction.state == "tracking" or not math.isnan(reaction.still_s)
     return row.codes <= reaction.faults.keys() and reaction.state == row.state and stands
 
 
-def differences(row: Row, reaction: Reaction) -> list[str]:
+def differences(row: FaultRow, reaction: Reaction) -> list[str]:
     """What is otherwise than the row says, in words; empty when nothing is."""
     found = [
         f"{code} is {reaction.faults[code]}, not {severity}" if code in reaction.faults else f"no {code}"
@@ -139,7 +139,7 @@ def differences(row: Row, reaction: Reaction) -> list[str]:
 # -------------------------------------------------------------------------------------------------- in words
 
 
-def as_line(row: Row, reaction: Reaction) -> dict[str, Any]:
+def as_line(row: FaultRow, reaction: Reaction) -> dict[str, Any]:
     """One provocation for JSON; null for what did not happen, and for an arm that need not stand."""
     stopped = _stopped(reaction)
     return {
@@ -156,13 +156,13 @@ def as_line(row: Row, reaction: Reaction) -> dict[str, Any]:
     }
 
 
-def table(results: Sequence[tuple[Row, Sequence[Reaction]]]) -> str:
+def table(results: Sequence[tuple[FaultRow, Sequence[Reaction]]]) -> str:
     """One line a row: what must come and what came, medians of the times (ms), and the verdict."""
     head = ("row", ("expected", "observed", "noticed", "still", "worst", "goal", "verdict"))
     return aligned([head, *((row.name, _cells(row, reactions)) for row, reactions in results)])
 
 
-def summary(results: Sequence[tuple[Row, Sequence[Reaction]]]) -> str:
+def summary(results: Sequence[tuple[FaultRow, Sequence[Reaction]]]) -> str:
     """How many did as promised, and how soon the arm stood."""
     right = sum(not any(differences(row, one) for one in reactions) for row, reactions in results)
     lines = [f"{right} of {len(results)} rows did as promised"]
@@ -177,7 +177,7 @@ def summary(results: Sequence[tuple[Row, Sequence[Reaction]]]) -> str:
     return "\n".join(lines)
 
 
-def _cells(row: Row, reactions: Sequence[Reaction]) -> list[str]:
+def _cells(row: FaultRow, reactions: Sequence[Reaction]) -> list[str]:
     codes = {code for one in reactions for code in one.faults if one.faults[code] in GRAVE or code in row.codes}
     found = sorted({one.state for one in reactions}, key=_gravity)
     differs = [what for one in reactions for what in differences(row, one)]
@@ -210,6 +210,6 @@ def _rounded(value: float) -> float | None:
     return None if math.isnan(value) else round(value, 1)
 
 
-def all_as_promised(results: Iterable[tuple[Row, Sequence[Reaction]]]) -> bool:
+def all_as_promised(results: Iterable[tuple[FaultRow, Sequence[Reaction]]]) -> bool:
     """Whether no row differs."""
     return not any(differences(row, one) for row, reactions in results for one in reactions)

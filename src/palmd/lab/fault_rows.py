@@ -21,7 +21,7 @@ HOST_DEAD_S = 0.200
 
 
 @dataclass(frozen=True, slots=True)
-class Trick:
+class RowFault:
     """A mischief of the emulated rig, for so long or until it is switched off."""
 
     name: str
@@ -69,11 +69,11 @@ class BrokenObserver:
     how: Literal["raises", "nan"]
 
 
-Act = Trick | Pause | Kill | FullDisk | TakenAddress | ClockStep | BrokenObserver
+Act = RowFault | Pause | Kill | FullDisk | TakenAddress | ClockStep | BrokenObserver
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class FaultRow:
     """One cause and its effect: `faults` must come, with these severities, and no grave ones but those in `may`.
 
     `goal_s` bounds the time from the cause to the arm standing still where the state is not tracking; infinite where
@@ -94,33 +94,35 @@ class Row:
         return frozenset(code for code, _ in self.faults)
 
 
-def _pad(pad: PortName) -> tuple[Row, ...]:
+def _pad(pad: PortName) -> tuple[FaultRow, ...]:
     silent, garbled, port = f"{pad}-silent", f"{pad}-garbled", f"{pad}-port"
     late = (silent, f"{pad}-lifted")
     return (
-        Row(f"{pad}-dead", "its port disappears", Trick("unplug", pad), "hold", ((port, "hold"),)),
-        Row(
+        FaultRow(f"{pad}-dead", "its port disappears", RowFault("unplug", pad), "hold", ((port, "hold"),)),
+        FaultRow(
             f"{pad}-garbled",
             "a fifth of its bytes are damaged",
-            Trick("garble", pad, 0.2),
+            RowFault("garble", pad, 0.2),
             "tracking",
             ((garbled, "degrade"),),
             late,
         ),
-        Row(f"{pad}-late", "what it says comes 200 ms late", Trick("late", pad, 0.2), "hold", ((silent, "hold"),)),
-        Row(f"{pad}-mute", "it falls silent", Trick("mute", pad), "hold", ((silent, "hold"),)),
-        Row(
+        FaultRow(
+            f"{pad}-late", "what it says comes 200 ms late", RowFault("late", pad, 0.2), "hold", ((silent, "hold"),)
+        ),
+        FaultRow(f"{pad}-mute", "it falls silent", RowFault("mute", pad), "hold", ((silent, "hold"),)),
+        FaultRow(
             f"{pad}-replaced",
             "its port comes back under another number",
-            Trick("unplug", pad, for_s=0.5),
+            RowFault("unplug", pad, for_s=0.5),
             "hold",
             ((port, "hold"),),
             (silent,),  # from the opening to the first packet
         ),
-        Row(
+        FaultRow(
             f"{pad}-foreign",
             "another device speaks at its port",
-            Trick("misbaud", pad),
+            RowFault("misbaud", pad),
             "hold",
             ((silent, "hold"), (garbled, "degrade")),
         ),
@@ -129,97 +131,99 @@ def _pad(pad: PortName) -> tuple[Row, ...]:
 
 _LOST = ("arm-link-lost", "stop")
 
-ROWS: tuple[Row, ...] = (
+ROWS: tuple[FaultRow, ...] = (
     *(row for pad in PADS for row in _pad(pad)),
-    Row(
+    FaultRow(
         "object-lifted",
         "the object is lifted off",
-        Trick("lift"),
+        RowFault("lift"),
         "hold",
         (("pad1-lifted", "hold"), ("pad2-lifted", "hold")),
     ),
-    Row(
+    FaultRow(
         "arm-dead",
         "its port disappears",
-        Trick("unplug", "arm"),
+        RowFault("unplug", "arm"),
         "fault",
         (("arm-port", "stop"),),
         ("arm-link-lost", "arm-fault"),
     ),
-    Row(
+    FaultRow(
         "arm-garbled",
         "a fifth of its line's bytes are damaged",
-        Trick("garble", "arm", 0.2),
+        RowFault("garble", "arm", 0.2),
         "fault",
         (_LOST,),
         ("arm-fault", "arm-left-tracking"),
     ),
-    Row(
+    FaultRow(
         "arm-late",
         "what it says comes 120 ms late",
-        Trick("late", "arm", 0.12),
+        RowFault("late", "arm", 0.12),
         "tracking",
         (("arm-late", "degrade"),),
     ),
-    Row(
+    FaultRow(
         "arm-mute",
         "it falls silent",
-        Trick("mute", "arm"),
+        RowFault("mute", "arm"),
         "fault",
         (("arm-late", "degrade"), _LOST),
         ("arm-fault",),
     ),
-    Row(
+    FaultRow(
         "arm-replaced",
         "its port comes back under another number",
-        Trick("unplug", "arm", for_s=0.5),
+        RowFault("unplug", "arm", for_s=0.5),
         "fault",
         (("arm-port", "stop"),),
         ("arm-link-lost", "arm-fault"),
     ),
-    Row(
+    FaultRow(
         "arm-foreign",
         "another device speaks at its port",
-        Trick("misbaud", "arm"),
+        RowFault("misbaud", "arm"),
         "fault",
         (_LOST,),
         ("arm-fault",),
     ),
-    Row(
+    FaultRow(
         "controller-break",
         "a break on the arm's line",
-        Trick("break", "arm"),
+        RowFault("break", "arm"),
         "fault",
         (("arm-fault", "stop"),),
         ("arm-left-tracking",),
     ),
-    Row("controller-estop", "the e-stop is pressed", Trick("estop", "arm"), "fault", (("arm-estop", "stop"),)),
-    Row("controller-power-off", "arm power goes", Trick("power_off", "arm"), "fault", (("arm-power-off", "stop"),)),
-    Row(
+    FaultRow("controller-estop", "the e-stop is pressed", RowFault("estop", "arm"), "fault", (("arm-estop", "stop"),)),
+    FaultRow(
+        "controller-power-off", "arm power goes", RowFault("power_off", "arm"), "fault", (("arm-power-off", "stop"),)
+    ),
+    FaultRow(
         "controller-manual",
         "the operator takes the arm and jogs it",
-        Trick("manual", "arm"),
+        RowFault("manual", "arm"),
         "fault",
         (("arm-manual", "stop"),),
         goal_s=math.inf,
     ),
-    Row(
+    FaultRow(
         "controller-watchdog",
         "200 ms without a set-point",
-        Trick("mute", "arm", for_s=0.2),
+        RowFault("mute", "arm", for_s=0.2),
         "fault",
         (("arm-fault", "stop"),),
         ("arm-left-tracking", "arm-link-lost"),
         HOST_DEAD_S,
     ),
-    Row(
+    FaultRow(
         "daemon-paused-50",
         "the daemon is stopped for 50 ms",
         Pause("daemon", 0.05),
         "tracking",
         (("loop-overrun", "note"),),
     ),
-    Row(
+    FaultRow(
         "daemon-paused-300",
         "the daemon is stopped for 300 ms",
         Pause("daemon", 0.3),
@@ -228,7 +232,7 @@ ROWS: tuple[Row, ...] = (
         ("arm-left-tracking", "arm-link-lost", "pad1-silent", "pad2-silent"),
         HOST_DEAD_S,
     ),
-    Row(
+    FaultRow(
         "daemon-killed",
         "the daemon is killed, and another one started",
         Kill("daemon"),
@@ -236,26 +240,26 @@ ROWS: tuple[Row, ...] = (
         (("arm-fault", "stop"),),
         goal_s=HOST_DEAD_S,
     ),
-    Row("observer-raises", "the observer raises", BrokenObserver("raises"), "fault", (("tick-error", "stop"),)),
-    Row(
+    FaultRow("observer-raises", "the observer raises", BrokenObserver("raises"), "fault", (("tick-error", "stop"),)),
+    FaultRow(
         "observer-nan",
         "the observer calls NaN valid",
         BrokenObserver("nan"),
         "fault",
         (("estimate-not-finite", "stop"),),
     ),
-    Row("disk-full", "the recorder cannot write", FullDisk(), "tracking", (("recorder-failed", "note"),)),
-    Row("recorder-killed", "the recorder is killed", Kill("recorder"), "tracking", (("recorder-silent", "note"),)),
-    Row(
+    FaultRow("disk-full", "the recorder cannot write", FullDisk(), "tracking", (("recorder-failed", "note"),)),
+    FaultRow("recorder-killed", "the recorder is killed", Kill("recorder"), "tracking", (("recorder-silent", "note"),)),
+    FaultRow(
         "recorder-stuck",
         "the recorder is stopped for 5 s",
         Pause("recorder", 5.0),
         "tracking",
         (("recorder-silent", "note"),),
     ),
-    Row("page-killed", "the live page is killed", Kill("page"), "tracking"),
-    Row("page-stuck", "the live page is stopped for 3 s", Pause("page", 3.0), "tracking"),
-    Row("address-taken", "a second daemon wants the same addresses", TakenAddress(), "tracking"),
-    Row("clock-step", "the wall clock is set back by an hour", ClockStep(-3600.0), "tracking"),
+    FaultRow("page-killed", "the live page is killed", Kill("page"), "tracking"),
+    FaultRow("page-stuck", "the live page is stopped for 3 s", Pause("page", 3.0), "tracking"),
+    FaultRow("address-taken", "a second daemon wants the same addresses", TakenAddress(), "tracking"),
+    FaultRow("clock-step", "the wall clock is set back by an hour", ClockStep(-3600.0), "tracking"),
 )
 NAMES = tuple(row.name for row in ROWS)

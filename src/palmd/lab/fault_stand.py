@@ -2,32 +2,27 @@
 
 from __future__ import annotations
 
-import json
 import os
 import resource
 import signal
 import time
-from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from palmd.bus.client import Client, Subscriber
-from palmd.cli.demo import as_yaml, free_addresses
-from palmd.config import BusConfig, Config
+from palmd.bus.subscriber import Message
+from palmd.config import Config
 from palmd.console.errors import RIG_FAILED, CliError
-from palmd.harness.panel import Panel
-from palmd.harness.processes import Child
-from palmd.lab.fault_reaction import Reaction, Turning, Watch, complete
-from palmd.lab.fault_rows import Act, ClockStep, FullDisk, Kill, Pause, Process, Row, TakenAddress, Trick
+from palmd.harness.operator import Operator
+from palmd.harness.stack import START_S, Stack, not_started
+from palmd.lab.fault_reaction import Reaction, ReactionWatch, Turning, complete
+from palmd.lab.fault_rows import Act, ClockStep, FaultRow, FullDisk, Kill, Pause, RowFault, TakenAddress
 from palmd.record.mcapfile import RunError
 from palmd.record.run import read_run
 
-START_S = 240.0  # compiling the observers on a slow machine
 PATIENCE_S = 40.0  # until the palms move again
 WATCHED_LEAST_S, WATCHED_MOST_S = 1.0, 10.0
 AFTERWARDS_S = 0.5  # looked on after all has come
-ANSWER_S = 5.0
 LOOK_S = 0.02
 CLOCKS_AGREE_S = 1.0
 BRISK_RAD_S = 0.4
@@ -49,23 +44,17 @@ class Stand:
 
     def __init__(self, folder: Path, config: Config, seed: int) -> None:
         """`folder` takes configurations, output and recordings; `config` has the plan that is run."""
-        self._folder, self._config, self._seed = folder, config, seed
+        self._folder, self._seed = folder, seed
+        self._stack = Stack(folder, config)
+        self._operator = Operator()
         self.usable = True
-        self._count = 0
-        self._stack = ExitStack()
-        self._lives: dict[str, ExitStack] = {}
-        self._children: dict[Process, Child] = {}
 
     def __enter__(self) -> Self:
         """Raises CliError when a process does not start."""
         try:
-            path = self._written("rig.yaml", as_yaml(self._config, self._config.bus, _NO_PORTS))
-            rig = self._begin("rig", str(path), "--seed", str(self._seed))
-            self._told: dict[str, Any] = json.loads(rig.started(START_S))
-            self._hand = self._stack.enter_context(Client(self._told["control"], ANSWER_S))
-            self._start_daemon(Watch())
-            self._start_recorder()
-            self._start_page()
+            self._stack.start_rig("--seed", str(self._seed))
+            self._stack.start(record=True)
+            self._stack.start_page()
         except BaseException:
             self.__exit__(None, None, None)
             raise
@@ -74,117 +63,74 @@ class Stand:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        for life in self._lives.values():
-            life.close()
-        self._stack.close()
+        self._stack.__exit__(kind, error, traceback)
 
-    # ---- the processes -----------------------------------------------------------------------------------
-
-    def _written(self, name: str, text: str) -> Path:
-        path = self._folder / name
-        path.write_text(text, encoding="utf-8")
-        return path
-
-    def _begin(self, *arguments: str, stack: ExitStack | None = None, **environment: str) -> Child:
-        self._count += 1
-        folder = self._folder / str(self._count)
-        folder.mkdir()
-        child = Child(list(arguments), folder, environment)
-        (stack or self._stack).callback(child.stop)
-        return child
-
-    def _life(self, name: str) -> ExitStack:
-        """A new life for one of them; the one before ends."""
-        if name in self._lives:
-            self._lives.pop(name).close()
-        return self._lives.setdefault(name, ExitStack())
-
-    def _start_daemon(self, watch: Watch, **environment: str) -> None:
+    def _restart_daemon(self, watch: ReactionWatch, **environment: str) -> None:
         """`watch` takes what is heard until the daemon speaks."""
-        stack = self._life("daemon")
-        if "daemon" not in self._children:
-            self._bus: BusConfig = free_addresses(self._config.bus)
-            runs = self._folder / "runs"
-            self._path = self._written("palmd.yaml", as_yaml(self._config, self._bus, self._told, runs))
-        self._children["daemon"] = self._begin("run", str(self._path), "--no-record", stack=stack, **environment)
-        self._heard = stack.enter_context(Subscriber(self._bus.publish, self._told["truth"], topics=("palm/", "rig/")))
-        self._client = stack.enter_context(Client(self._bus.command, ANSWER_S))
-        self._panel = Panel()
-        self._state: dict[str, Any] = {}
-        self._motion: dict[str, Any] = {}
-        t_end = time.monotonic() + START_S
-        while not self._state:
+        self._stack.begin_daemon(**environment)
+        self._operator = Operator()
+        if not self._stack.until_heard(lambda message: self._hear(watch, message)):
+            raise not_started(self._stack.children["daemon"])
+        while not self._operator.state:
             self._listen(watch, LOOK_S)
-            if self._children["daemon"].status is not None or time.monotonic() > t_end:
-                raise CliError(RIG_FAILED, self._children["daemon"].said() or "palmd run did not start")
-
-    def _start_recorder(self) -> None:
-        self._children["recorder"] = self._begin("record", str(self._path), stack=self._life("recorder"))
-        self._children["recorder"].started(START_S)
-
-    def _start_page(self) -> None:
-        where = ("--address", self._bus.publish, "--command", self._bus.command, "--truth", self._told["truth"])
-        page = self._begin("view", "--no-browser", "--port", "0", *where, stack=self._life("page"))
-        self._children["page"] = page
-        page.started(START_S)
+            self._stack.check_alive("daemon")
 
     # ---- what an operator does ---------------------------------------------------------------------------
 
     def bring_to_motion(self) -> None:
         """Arm, start, go on or reset as it needs, until the palms turn briskly; raises CliError."""
-        watch = Watch()
+        watch = ReactionWatch()
         t_end = time.monotonic() + PATIENCE_S
         while not self._brisk(watch):
             self._listen(watch, LOOK_S)
             t = time.monotonic()
             if t > t_end:
-                said = self._children["daemon"].said()
-                raise CliError(RIG_FAILED, f"the palms were not brought to move: {self._state}\n{said}")
-            command = self._panel.decide(self._state, self._motion, t)
+                said = self._stack.children["daemon"].said()
+                raise CliError(RIG_FAILED, f"the palms were not brought to move: {self._operator.state}\n{said}")
+            command = self._operator.decide(t)
             if command is not None:
-                self._client.ask(command)
+                self._stack.client.ask(command)
 
-    def _brisk(self, watch: Watch) -> bool:
+    def _brisk(self, watch: ReactionWatch) -> bool:
         last: Turning | None = watch.turning[-1] if watch.turning else None
-        follows = self._state.get("state") == "tracking" and self._motion.get("segment", -1) > 0
-        grave = {"hold", "stop"} & set(self._state.get("severities", ()))
+        follows = self._operator.moves and self._operator.motion["segment"] > 0
+        grave = {"hold", "stop"} & set(self._operator.state.get("severities", ()))
         return last is not None and follows and not grave and max(map(abs, last.omega)) > BRISK_RAD_S
 
-    def _listen(self, watch: Watch, seconds: float) -> None:
-        for message in self._heard.until(time.monotonic() + seconds):
-            if message.topic == "palm/state":
-                self._state = message.fields
-                self._panel.see(message.fields)
-            elif message.topic == "palm/motion":
-                self._motion = message.fields
-            watch.take(message.topic, message.fields)
+    def _listen(self, watch: ReactionWatch, seconds: float) -> None:
+        for message in self._stack.subscriber.until(time.monotonic() + seconds):
+            self._hear(watch, message)
+
+    def _hear(self, watch: ReactionWatch, message: Message) -> None:
+        self._operator.take(message.topic, message.fields)
+        watch.take(message.topic, message.fields)
 
     # ---- a row -------------------------------------------------------------------------------------------
 
-    def provoke(self, row: Row) -> Reaction:
+    def provoke(self, row: FaultRow) -> Reaction:
         """From brisk motion: the cause, what comes of it, its end, and the palms moving again; raises CliError."""
         if isinstance(row.act, ClockStep):
-            self._start_daemon(Watch(), PYTHONPATH=self._stepped_clock(row.act))
+            self._restart_daemon(ReactionWatch(), PYTHONPATH=self._stepped_clock(row.act))
         self.bring_to_motion()
-        before, kept = self._rig_status(), self._recorder()
-        watch = Watch()
+        before, kept = self._stack.rig_status(), self._recorder()
+        watch = ReactionWatch()
         wrong: list[str] = []
         self._listen(watch, LOOK_S)
         t_cause = self._do(row.act, watch, wrong)
         reaction = self._watch(row, watch, t_cause)
         wrong += self._set_points(before, reaction)
         wrong += self._undo(row.act)
-        self._listen(Watch(), AFTERWARDS_S)  # a line that was late has bytes of then to deliver
+        self._listen(ReactionWatch(), AFTERWARDS_S)  # a line that was late has bytes of then to deliver
         try:
             self.bring_to_motion()
         except CliError as error:
             self.usable = False
             wrong.append(str(error).splitlines()[0])
         wrong += _lost(kept) if _concerns_recording(row.act) else []
-        starved = self._rig_status()["stalls"] > before["stalls"]
+        starved = self._stack.rig_status()["stalls"] > before["stalls"]
         return watch.reaction(row, t_cause, wrong, starved=starved)
 
-    def _watch(self, row: Row, watch: Watch, t_cause: float) -> Reaction:
+    def _watch(self, row: FaultRow, watch: ReactionWatch, t_cause: float) -> Reaction:
         """Look on until all that the row promises has come, and a little longer."""
         t_begin = time.monotonic()
         t_done = t_begin + WATCHED_MOST_S
@@ -195,22 +141,22 @@ class Stand:
                 t_done = max(t_begin + WATCHED_LEAST_S, time.monotonic() + AFTERWARDS_S)
         return watch.reaction(row, t_cause)
 
-    def _do(self, act: Act, watch: Watch, wrong: list[str]) -> float:
+    def _do(self, act: Act, watch: ReactionWatch, wrong: list[str]) -> float:
         """Bring the cause about; returns its time (s, monotonic clock)."""
         t = time.monotonic()
         match act:
-            case Trick():
+            case RowFault():
                 fields = {"name": act.name, "port": act.port, "strength": act.strength, "for_s": act.for_s}
-                t = float(self._ask_hand("mischief", fields)["t_on_s"])
+                t = float(self._stack.ask_rig("mischief", **fields)["t_on_s"])
             case Pause():
-                self._children[act.process].send(signal.SIGSTOP)
+                self._stack.children[act.process].send(signal.SIGSTOP)
                 time.sleep(act.seconds)
-                self._children[act.process].send(signal.SIGCONT)
+                self._stack.children[act.process].send(signal.SIGCONT)
             case Kill():
-                self._children[act.process].send(signal.SIGKILL)
+                self._stack.children[act.process].send(signal.SIGKILL)
                 if act.process == "daemon":
                     self._listen(watch, WATCHED_LEAST_S)
-                    self._start_daemon(watch)
+                    self._restart_daemon(watch)
             case FullDisk():
                 self._limit_recorder(Path(self._recorder()["path"]).stat().st_size)
             case TakenAddress():
@@ -222,45 +168,45 @@ class Stand:
     def _undo(self, act: Act) -> list[str]:
         """End the cause, and start again what is gone; what went wrong with that."""
         match act:
-            case Trick() if act.for_s is None:
-                self._ask_hand("calm", {"name": act.name, "port": act.port})
+            case RowFault() if act.for_s is None:
+                self._stack.ask_rig("calm", name=act.name, port=act.port)
             case Kill(process="daemon"):
-                self._client.ask("reset")  # the controller's fault, which the new daemon found
+                self._stack.client.ask("reset")  # the controller's fault, which the new daemon found
             case Kill(process="recorder"):
-                self._start_recorder()
+                self._stack.start_recorder()
             case Kill(process="page"):
-                self._start_page()
+                self._stack.start_page()
             case Pause(process="recorder"):
                 return self._gone("recorder-silent")
             case FullDisk():
                 self._limit_recorder(resource.RLIM_INFINITY)
                 return self._gone("recorder-failed")
             case ClockStep():
-                jumped = self._state["timestamp"] - time.time()
-                self._start_daemon(Watch())
+                jumped = self._operator.state["timestamp"] - time.time()
+                self._restart_daemon(ReactionWatch())
                 return [] if abs(jumped - act.seconds) < CLOCKS_AGREE_S else ["the daemon's clock was not set"]
         return []
 
     def _refused_beside(self) -> list[str]:
         """What is wrong with a second daemon's end, which must say why."""
-        child = self._begin("run", str(self._path), "--no-record")
+        child = self._stack.begin("second", "run", str(self._stack.path), "--no-record")
         t_end = time.monotonic() + START_S
         while child.status is None and time.monotonic() < t_end:
             time.sleep(LOOK_S)
-        if child.status == RIG_FAILED and f"{self._bus.publish} is in use" in child.said():
+        if child.status == RIG_FAILED and f"{self._stack.bus.publish} is in use" in child.said():
             return []
         return [f"the second daemon ended with {child.status}: {child.said()}"]
 
     def _gone(self, code: str) -> list[str]:
         t_end = time.monotonic() + PATIENCE_S
-        while code in self._state["faults"]:
+        while code in self._operator.state["faults"]:
             if time.monotonic() > t_end:
                 return [f"{code} does not go away"]
-            self._listen(Watch(), LOOK_S)
+            self._listen(ReactionWatch(), LOOK_S)
         return []
 
     def _limit_recorder(self, size_bytes: int) -> None:
-        number = self._children["recorder"].number
+        number = self._stack.children["recorder"].number
         _, hard = resource.prlimit(number, resource.RLIMIT_FSIZE)
         resource.prlimit(number, resource.RLIMIT_FSIZE, (size_bytes, hard))
 
@@ -276,40 +222,28 @@ class Stand:
 
     # ---- what the others say -----------------------------------------------------------------------------
 
-    def _ask_hand(self, command: str, fields: dict[str, Any]) -> dict[str, Any]:
-        reply = self._hand.ask(command, fields)
-        if not reply["ok"]:
-            raise CliError(RIG_FAILED, f"the emulated rig refuses {command}: {reply.get('error')}")
-        return reply["result"] or {}
-
-    def _rig_status(self) -> dict[str, Any]:
-        return self._ask_hand("status", {})
-
     def _recorder(self) -> dict[str, Any]:
         """What the recorder last told the daemon, once it has a file."""
         t_end = time.monotonic() + PATIENCE_S
         while time.monotonic() < t_end:
-            result = self._client.ask("status").get("result") or {}
+            result = self._stack.client.ask("status").get("result") or {}
             told: dict[str, Any] = result.get("recorder") or {}
             if "path" in told:
                 return told
             time.sleep(LOOK_S)
-        raise CliError(RIG_FAILED, f"the recorder does not record\n{self._children['recorder'].said()}")
+        raise CliError(RIG_FAILED, f"the recorder does not record\n{self._stack.children['recorder'].said()}")
 
     def _set_points(self, before: dict[str, Any], reaction: Reaction) -> list[str]:
         """What is wrong with those that the rig has heard: outside the limits, or taken by an arm that must stand."""
-        now = self._rig_status()
+        now = self._stack.rig_status()
         wrong = []
         if now["setpoints_outside_limits"] > before["setpoints_outside_limits"]:
             wrong.append("set-points outside the limits")
         if reaction.state in ("ready", "fault"):
             time.sleep(AFTERWARDS_S)
-            if self._rig_status()["accepted"] > now["accepted"]:
+            if self._stack.rig_status()["accepted"] > now["accepted"]:
                 wrong.append("set-points to an arm that must stand")
         return wrong
-
-
-_NO_PORTS = {name: name for name in ("pad1", "pad2", "arm")}
 
 
 def _concerns_recording(act: Act) -> bool:

@@ -10,8 +10,8 @@ from palmd import observer
 from palmd.config import PlanSpec, rig_description
 from palmd.events import Estimate
 from palmd.harness.wireless import Wireless
-from palmd.lab.fault_reaction import Reaction, Watch
-from palmd.lab.fault_rows import Row
+from palmd.lab.fault_reaction import Reaction, ReactionWatch
+from palmd.lab.fault_rows import FaultRow
 from palmd.rig.world import default_config
 
 BREAKS_AFTER_S = 3.0
@@ -40,7 +40,7 @@ class _Breakable:
         return dataclasses.replace(estimate, valid=True, r1=math.nan) if self.how == "nan" else estimate
 
 
-def provoke(row: Row, how: Literal["raises", "nan"], spec: PlanSpec, seed: int) -> Reaction:
+def provoke(row: FaultRow, how: Literal["raises", "nan"], spec: PlanSpec, seed: int) -> Reaction:
     """Run the plan, break the observer while the palms turn, and look on."""
     config = default_config()
     breakable = _Breakable(observer.make("shape", rig_description(config), seed))
@@ -48,7 +48,7 @@ def provoke(row: Row, how: Literal["raises", "nan"], spec: PlanSpec, seed: int) 
     run.start()
     for _ in run.run(BREAKS_AFTER_S):
         pass
-    watch = Watch()
+    watch = ReactionWatch()
     t_cause = run.t
     breakable.how = how
     while run.t < t_cause + WATCHED_S:

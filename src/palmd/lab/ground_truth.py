@@ -13,8 +13,8 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.lab.camera_clock import GroundTruthError, scanned
-from palmd.lab.camera_frame import Clock, Fit, Frame, rms, wrapped
-from palmd.lab.camera_signals import Motion, Signals
+from palmd.lab.camera_frame import CameraFit, Clock, Frame, rms, wrapped
+from palmd.lab.camera_signals import KnownMotion, Signals
 from palmd.outlinefile import Outline
 from palmd.record.resultfile import Result
 from palmd.record.track import LEAST_ROWS, Track
@@ -25,7 +25,7 @@ TOLD_GAP_S = 0.2  # of the camera's rows
 
 
 @dataclass(frozen=True, slots=True)
-class Errors:
+class CameraErrors:
     """RMS and greatest error, the RMS of the motion itself about its mean, skill = 1 − RMS / that; SI units."""
 
     rms: float
@@ -39,7 +39,7 @@ class Errors:
 
 
 @dataclass(frozen=True, slots=True)
-class OutlineErrors:
+class CameraOutlineErrors:
     """Errors over touched normals after the best rotation (rad): RMS, greatest, ninetieth percentile (m); their share.
 
     The estimate's normal θ is the true outline's θ + rotation.
@@ -53,7 +53,7 @@ class OutlineErrors:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class CameraComparison:
     """What came of it. t (log's, s), psi_camera, psi (rad, the constant between them removed): the compared rows.
 
     frame, mark are None without a log. left_out: spans in which nothing is compared, one line each.
@@ -61,16 +61,16 @@ class Comparison:
 
     clock: Clock
     frame: Frame | None
-    psi: Errors
-    mark: Errors | None
-    outline: OutlineErrors | None
+    psi: CameraErrors
+    mark: CameraErrors | None
+    outline: CameraOutlineErrors | None
     t: FloatArray
     psi_camera: FloatArray
     psi_palmd: FloatArray
     left_out: tuple[str, ...]
 
 
-def compared(result: Result, motion: Motion, track: Track, outline: Outline | None) -> Comparison:
+def compared(result: Result, motion: KnownMotion, track: Track, outline: Outline | None) -> CameraComparison:
     """Clock and frame by least squares, then the errors; raises GroundTruthError when no clock or frame can be told.
 
     First a scan over all offsets of the clock with the angles alone, each against its own constant; then all
@@ -82,7 +82,7 @@ def compared(result: Result, motion: Motion, track: Track, outline: Outline | No
     rows = signals.seen & signals.known_at(log_t) & (log_t >= motion.t[0]) & (log_t <= motion.t[-1])
     if rows.sum() < LEAST_ROWS:
         raise GroundTruthError(f"only {int(rows.sum())} rows of the track fall into the reconstruction")
-    fit = Fit(signals, rows, lag)
+    fit = CameraFit(signals, rows, lag)
     clock, frame = fit.clock(), fit.frame()
     if clock.offset_sd > MOST_OFFSET_SD_S:
         raise GroundTruthError(f"the clock's offset is told to {clock.offset_sd:.2g} s only: too little moves")
@@ -93,11 +93,11 @@ def compared(result: Result, motion: Motion, track: Track, outline: Outline | No
     if frame is not None:
         seen, residual = track.mark[rows], fit.place_residual()
         about = np.hypot(*(seen - seen.mean(axis=0)).T)
-        mark = Errors(rms(residual), float(residual.max()), rms(about))
-    return Comparison(
+        mark = CameraErrors(rms(residual), float(residual.max()), rms(about))
+    return CameraComparison(
         clock=clock,
         frame=frame,
-        psi=Errors(rms(error), float(np.abs(error).max()), float(np.std(psi + error))),
+        psi=CameraErrors(rms(error), float(np.abs(error).max()), float(np.std(psi + error))),
         mark=mark,
         outline=None if outline is None else _outline_errors(result, outline),
         t=t,
@@ -107,12 +107,12 @@ def compared(result: Result, motion: Motion, track: Track, outline: Outline | No
     )
 
 
-def _outline_errors(result: Result, outline: Outline) -> OutlineErrors:
+def _outline_errors(result: Result, outline: Outline) -> CameraOutlineErrors:
     score = score_outline(result.theta, result.h, result.touched, outline.h)
     at = np.mod(result.theta[result.touched] + score.rotation, math.tau)
     error = np.abs(result.h[result.touched] - support_at(outline.h, at))
     p90 = float(np.quantile(error, 0.9)) if len(error) else math.nan
-    return OutlineErrors(score.e_h, score.max_error, p90, score.touched, score.rotation)
+    return CameraOutlineErrors(score.e_h, score.max_error, p90, score.touched, score.rotation)
 
 
 def _left_out(track: Track, signals: Signals, clock: Clock) -> list[str]:

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from palmd.events import FloatArray
-from palmd.lab.ground_truth import Comparison
+from palmd.lab.ground_truth import CameraComparison
 from palmd.outlinefile import Outline
 from palmd.polygon import boundary, degrees, normals
 from palmd.record.resultfile import Result
@@ -21,7 +21,7 @@ _BLUE, _ORANGE, _GREY = "#0072b2", "#d55e00", "#606060"
 _SDS = 2.0
 
 
-def save(result: Result, found: Comparison, outline: Outline | None, path: Path) -> None:
+def save(result: Result, found: CameraComparison, outline: Outline | None, path: Path) -> None:
     """Draws the comparison; the same comparison gives the same file."""
     with matplotlib.rc_context({"svg.hashsalt": "palmd", "font.size": 9.0, "axes.grid": True, "grid.alpha": 0.3}):
         figure = Figure(figsize=(10.0, 4.6), layout="constrained")
@@ -33,7 +33,7 @@ def save(result: Result, found: Comparison, outline: Outline | None, path: Path)
         figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
 
 
-def _outline(axes: Axes, result: Result, found: Comparison, outline: Outline | None) -> None:
+def _outline(axes: Axes, result: Result, found: CameraComparison, outline: Outline | None) -> None:
     """The estimate turned into the true outline's frame, where there is one."""
     turn = 0.0 if found.outline is None else found.outline.rotation
     theta = degrees()
@@ -57,7 +57,7 @@ def _outline(axes: Axes, result: Result, found: Comparison, outline: Outline | N
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 0.55), fontsize=7.0)
 
 
-def _orientation(axes: Axes, below: Axes, result: Result, found: Comparison) -> None:
+def _orientation(axes: Axes, below: Axes, result: Result, found: CameraComparison) -> None:
     axes.plot(found.t, found.psi_camera, ".", color=_ORANGE, markersize=3.0, label="camera")
     axes.plot(result.t, result.psi, color=_BLUE, linewidth=1.0, label="palmd")
     axes.set(ylabel="ψ (rad)", title=f"(b) Orientation: RMS {found.psi.rms:.4f} rad")

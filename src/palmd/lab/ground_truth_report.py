@@ -6,14 +6,14 @@ import math
 from typing import Any
 
 from palmd.lab.camera_frame import Clock, Frame
-from palmd.lab.ground_truth import Comparison, Errors, OutlineErrors
+from palmd.lab.ground_truth import CameraComparison, CameraErrors, CameraOutlineErrors
 
 # Digitised from figure 3.15: ψ (rad) and its skill against an object that stands still, outline (m), share touched.
 PAPER_PSI_RMS_RAD, PAPER_PSI_SKILL = 0.27, 0.08
 PAPER_OUTLINE_RMS_M, PAPER_OUTLINE_P90_M, PAPER_TOUCHED = 1.9e-3, 2.9e-3, 0.54
 
 
-def told(found: Comparison) -> list[str]:
+def told(found: CameraComparison) -> list[str]:
     """One line each about clock, frame, orientation, place, outline, and what was left out."""
     lines = [_clock(found.clock)]
     if found.frame is not None:
@@ -36,7 +36,7 @@ def told(found: Comparison) -> list[str]:
     return [*lines, *found.left_out]
 
 
-def as_line(found: Comparison) -> dict[str, Any]:
+def as_line(found: CameraComparison) -> dict[str, Any]:
     """Everything found, the unit in each name; None for what was not compared, NaN for what was not told."""
     clock = found.clock
     return {
@@ -81,14 +81,14 @@ def _frame_line(frame: Frame) -> dict[str, float]:
     return line
 
 
-def _errors(errors: Errors, unit: str) -> dict[str, float]:
+def _errors(errors: CameraErrors, unit: str) -> dict[str, float]:
     return {
         f"rms_{unit}": errors.rms, f"max_{unit}": errors.greatest, f"still_rms_{unit}": errors.still,
         "skill": errors.skill,
     }  # fmt: skip
 
 
-def _outline(errors: OutlineErrors) -> dict[str, float]:
+def _outline(errors: CameraOutlineErrors) -> dict[str, float]:
     return {
         "e_h_m": errors.e_h, "max_m": errors.greatest, "p90_m": errors.p90, "touched": errors.touched,
         "rotation_rad": errors.rotation,

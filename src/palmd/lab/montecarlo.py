@@ -14,19 +14,28 @@ import numpy as np
 
 from palmd import observer
 from palmd.events import FloatArray, ShapeEstimate
-from palmd.lab.scoring import Answers, Line, Row, causal_of, outline_errors, row_of, score_where_known, truth_of
+from palmd.lab.scoring import (
+    Answers,
+    Line,
+    MonteCarloRow,
+    causal_of,
+    outline_errors,
+    row_of,
+    score_where_known,
+    truth_of,
+)
 from palmd.lab.simulated import simulated
 from palmd.observer.bound import cramer_rao
 from palmd.observer.reconstruct import reconstruct
 from palmd.record.eventlog import EventLog
-from palmd.record.replay import Observer, replay
+from palmd.record.replay import ReplayObserver, replay
 from palmd.rig.shapes import KINDS, Kind
 
 TICKS_PER_SHAPE = 10
 
 
 @dataclass(frozen=True, slots=True)
-class Task:
+class MonteCarloTask:
     """One run to do: the kind and seed of `simulate_log`, how long (s), and whether to replay it causally too."""
 
     kind: Kind
@@ -35,12 +44,12 @@ class Task:
     causal: bool = True
 
 
-def tasks_of(kinds: Iterable[Kind], first_seed: int, runs: int, seconds: float, causal: bool) -> list[Task]:
+def tasks_of(kinds: Iterable[Kind], first_seed: int, runs: int, seconds: float, causal: bool) -> list[MonteCarloTask]:
     """So many runs of each kind, all kinds with the same seeds."""
-    return [Task(kind, first_seed + i, seconds, causal) for i in range(runs) for kind in kinds]
+    return [MonteCarloTask(kind, first_seed + i, seconds, causal) for i in range(runs) for kind in kinds]
 
 
-def run(task: Task) -> Row:
+def run(task: MonteCarloTask) -> MonteCarloRow:
     """Simulate, reconstruct, replay and score; what raises becomes a row that says so."""
     try:
         return _run(task)
@@ -48,17 +57,17 @@ def run(task: Task) -> Row:
         return failed(task, error)
 
 
-def failed(task: Task, error: BaseException) -> Row:
+def failed(task: MonteCarloTask, error: BaseException) -> MonteCarloRow:
     """The row of a run that came to nothing."""
-    return Row(task.kind, task.seed, error=f"{type(error).__name__}: {error}")
+    return MonteCarloRow(task.kind, task.seed, error=f"{type(error).__name__}: {error}")
 
 
-def in_order(rows: Iterable[Row]) -> list[Row]:
+def in_order(rows: Iterable[MonteCarloRow]) -> list[MonteCarloRow]:
     """By kind and seed, whichever was finished first."""
     return sorted(rows, key=lambda row: (KINDS.index(row.kind), row.seed))
 
 
-def _run(task: Task) -> Row:
+def _run(task: MonteCarloTask) -> MonteCarloRow:
     log, told = simulated(task.kind, task.seed, task.seconds)
     truth = truth_of(told)
     # The estimators' own seeds stay at their defaults, so that the commands give the same answers on the same log.
@@ -70,7 +79,7 @@ def _run(task: Task) -> Row:
     return row_of(task.kind, task.seed, truth, answer, outline, bound, causal)
 
 
-def answers(log: EventLog, told: Line, watcher: Observer) -> Answers:
+def answers(log: EventLog, told: Line, watcher: ReplayObserver) -> Answers:
     """Everything that the observer says of the run, tick by tick, against the truth that was `told`."""
     true_h = np.array(told["h_m"])
     t, valid, r, sd, e_h, latest = [], [], [], [], [], math.nan

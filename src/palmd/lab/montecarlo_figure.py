@@ -11,15 +11,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from palmd.lab.montecarlo_summary import CAUSAL_GOAL_S
-from palmd.lab.scoring import RIGHT_M, WRONG_M, Row
+from palmd.lab.scoring import RIGHT_M, MonteCarloRow
 from palmd.rig.shapes import KINDS
+from palmd.score import WRONG_M
 
 COLOURS = dict(zip(KINDS, ("#0072b2", "#e69f00", "#009e73", "#cc79a7"), strict=True))
 _GREY = "#808080"
 _RANGE_UM = (1.0, 1e3)
 
 
-def save(rows: Sequence[Row], folder: Path) -> list[Path]:
+def save(rows: Sequence[MonteCarloRow], folder: Path) -> list[Path]:
     """Draws the runs into `montecarlo.svg` and `montecarlo.png`; the same rows give the same files."""
     paths = [folder / "montecarlo.svg", folder / "montecarlo.png"]
     with matplotlib.rc_context({"svg.hashsalt": "palmd", "font.size": 9.0, "axes.grid": True, "grid.alpha": 0.3}):
@@ -34,14 +35,14 @@ def save(rows: Sequence[Row], folder: Path) -> list[Path]:
     return paths
 
 
-def _outline(axes: Axes, rows: Sequence[Row]) -> None:
+def _outline(axes: Axes, rows: Sequence[MonteCarloRow]) -> None:
     _shares(axes, rows, lambda row: row.e_h_m * 1e6)
     for limit in (RIGHT_M, WRONG_M):
         axes.axvline(limit * 1e6, color=_GREY, linestyle="--")
     axes.set(xscale="log", xlabel="error of the outline e_h (µm)", title="Outline: right left of the first line")
 
 
-def _efficiency(axes: Axes, rows: Sequence[Row]) -> None:
+def _efficiency(axes: Axes, rows: Sequence[MonteCarloRow]) -> None:
     drawn = [row for row in rows if math.isfinite(row.e_h_m + row.h_bound_m)]
     for kind in KINDS:
         for claims, marker in ((True, "o"), (False, "x")):
@@ -53,19 +54,19 @@ def _efficiency(axes: Axes, rows: Sequence[Row]) -> None:
     axes.set_title("Efficiency: 1 on the line; × not converged")
 
 
-def _consistency(axes: Axes, rows: Sequence[Row]) -> None:
+def _consistency(axes: Axes, rows: Sequence[MonteCarloRow]) -> None:
     _shares(axes, rows, lambda row: row.nees_h)
     axes.axvline(1.0, color=_GREY, linestyle="--")
     axes.set(xscale="log", xlabel="mean (error / sd)² of the outline", title="Error bars: honest at 1")
 
 
-def _causal(axes: Axes, rows: Sequence[Row]) -> None:
+def _causal(axes: Axes, rows: Sequence[MonteCarloRow]) -> None:
     _shares(axes, rows, lambda row: row.causal.converged_after_s if row.causal else math.nan)
     axes.axvline(CAUSAL_GOAL_S, color=_GREY, linestyle="--")
     axes.set(xlim=(0.0, None), xlabel="right for good after (s)", title="Causal observer")
 
 
-def _shares(axes: Axes, rows: Sequence[Row], value: Callable[[Row], float]) -> None:
+def _shares(axes: Axes, rows: Sequence[MonteCarloRow], value: Callable[[MonteCarloRow], float]) -> None:
     """For each kind the share of all its runs that stay below; a run without the number stays nowhere below."""
     for kind in KINDS:
         values = [value(row) for row in rows if row.kind == kind]

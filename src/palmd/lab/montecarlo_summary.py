@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-from palmd.lab.scoring import Causal, Row, Scalar
+from palmd.lab.scoring import Causal, MonteCarloRow, Scalar
 from palmd.lab.table import aligned
 from palmd.rig.shapes import KINDS, Kind
 
@@ -15,7 +15,7 @@ _NOTHING = "–"
 
 
 @dataclass(frozen=True, slots=True)
-class Spread:
+class Percentiles:
     """Median, 90th and 95th percentile."""
 
     median: float
@@ -36,7 +36,7 @@ class Parameter:
 class CausalSummary:
     """Of the causal replays: `within_goal` is the share converged for good within `CAUSAL_GOAL_S`."""
 
-    converged_after_s: Spread
+    converged_after_s: Percentiles
     within_goal: float
     first_valid_s: float
     r_rms_m: float
@@ -57,8 +57,8 @@ class Summary:
     right: float
     converged: float
     wrong: int
-    e_h_m: Spread
-    max_error_m: Spread
+    e_h_m: Percentiles
+    max_error_m: Percentiles
     touched: float
     efficiency: float
     nees_h: float
@@ -67,11 +67,11 @@ class Summary:
     rho: Parameter
     mu: Parameter
     mass: Parameter
-    seconds: Spread
+    seconds: Percentiles
     causal: CausalSummary | None
 
 
-def summaries(rows: Sequence[Row]) -> list[Summary]:
+def summaries(rows: Sequence[MonteCarloRow]) -> list[Summary]:
     """One for each kind of which there are runs."""
     kinds = [(kind, [row for row in rows if row.kind == kind]) for kind in KINDS]
     return [_summary(kind, of_kind) for kind, of_kind in kinds if of_kind]
@@ -90,7 +90,7 @@ def quantile(values: Iterable[float], q: float) -> float:
     return ordered[low] + part * (ordered[low + 1] - ordered[low])
 
 
-def _summary(kind: Kind, rows: Sequence[Row]) -> Summary:
+def _summary(kind: Kind, rows: Sequence[MonteCarloRow]) -> Summary:
     return Summary(
         kind=kind,
         runs=len(rows),
@@ -150,8 +150,8 @@ def _median(values: Iterable[float]) -> float:
     return quantile(_known(values), 0.5)
 
 
-def _spread(values: Sequence[float]) -> Spread:
-    return Spread(*(quantile(values, q) for q in (0.5, 0.9, 0.95)))
+def _spread(values: Sequence[float]) -> Percentiles:
+    return Percentiles(*(quantile(values, q) for q in (0.5, 0.9, 0.95)))
 
 
 def _share(marks: Iterable[bool]) -> float:
@@ -172,7 +172,7 @@ def table(told: Sequence[Summary]) -> str:
     return aligned(lines)
 
 
-def remarks(rows: Sequence[Row]) -> list[str]:
+def remarks(rows: Sequence[MonteCarloRow]) -> list[str]:
     """The runs to look at: a line for each that claims what is wrong, or came to nothing."""
     return [
         f"{row.kind} {row.seed}: {row.error or f'claimed but wrong by {row.e_h_m * 1e6:.0f} µm'}"
@@ -194,7 +194,7 @@ def percent(value: float) -> str:
     return _NOTHING if math.isnan(value) else f"{100.0 * value:.1f}"
 
 
-def _three(spread: Spread, unit: float = 1.0) -> str:
+def _three(spread: Percentiles, unit: float = 1.0) -> str:
     return " / ".join(number(value, unit) for value in (spread.median, spread.p90, spread.p95))
 
 

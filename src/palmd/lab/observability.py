@@ -11,7 +11,7 @@ from types import ModuleType
 from palmd.console.arguments import count, seed
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.extras import missing, only_without
-from palmd.lab.codistributions import GRAVITY_M_S2, LENGTH_M, Verdict, judged, random_states
+from palmd.lab.codistributions import GRAVITY_M_S2, LENGTH_M, RankVerdict, judged, random_states
 
 EQUATIONS = {
     "general": "(4.25)-(4.35)",
@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def table(verdicts: Sequence[Verdict]) -> str:
+def table(verdicts: Sequence[RankVerdict]) -> str:
     """A line a case; ∞ where the rank is short."""
     lines = [_HEAD, *map(_cells, verdicts)]
     widths = [max(len(line[i]) for line in lines) for i in range(len(_HEAD))]
@@ -62,7 +62,7 @@ def table(verdicts: Sequence[Verdict]) -> str:
     )
 
 
-def _cells(verdict: Verdict) -> tuple[str, ...]:
+def _cells(verdict: RankVerdict) -> tuple[str, ...]:
     return (
         verdict.case,
         EQUATIONS[verdict.case],

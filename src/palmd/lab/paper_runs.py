@@ -7,7 +7,6 @@ Its simulation (section 3.4) is an object that is always in balance, felt exactl
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -215,8 +214,3 @@ def relative_radius_error(run: BalancedRun, trace: Trace) -> float:
 def psi_error(run: BalancedRun, trace: Trace) -> float:
     """RMS of ψ's error (rad)."""
     return float(np.sqrt(np.mean((trace.psi - run.psi) ** 2)))
-
-
-def sides_of(pairs: Sequence[tuple[str, EventLog, dict[str, Any]]]) -> list[SideBySide]:
-    """`side_by_side` of each."""
-    return [side_by_side(*pair) for pair in pairs]

@@ -30,7 +30,7 @@ _NORMALS = 360
 
 
 @dataclass(frozen=True, slots=True)
-class Task:
+class RecognitionTask:
     """One run to do: its kind and seed, and how long it lasts (s)."""
 
     kind: Kind
@@ -39,7 +39,7 @@ class Task:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class RecognitionRow:
     """A run in numbers; NaN for what there is not.
 
     error: what was raised, then nothing else is known. true: the object's name, or `NONE_OF_THESE`. said: the verdict,
@@ -58,12 +58,12 @@ class Row:
     psi_rms: float = math.nan
 
 
-def tasks_of(kinds: Iterable[Kind], first_seed: int, count: int, seconds: float) -> list[Task]:
+def tasks_of(kinds: Iterable[Kind], first_seed: int, count: int, seconds: float) -> list[RecognitionTask]:
     """So many runs of each kind, all kinds with the same seeds."""
-    return [Task(kind, first_seed + i, seconds) for i in range(count) for kind in kinds]
+    return [RecognitionTask(kind, first_seed + i, seconds) for i in range(count) for kind in kinds]
 
 
-def run(task: Task) -> Row:
+def run(task: RecognitionTask) -> RecognitionRow:
     """Simulate, recognise and score; what raises becomes a row that says so."""
     try:
         return _run(task)
@@ -71,12 +71,12 @@ def run(task: Task) -> Row:
         return failed(task, error)
 
 
-def failed(task: Task, error: BaseException) -> Row:
+def failed(task: RecognitionTask, error: BaseException) -> RecognitionRow:
     """The row of a run that came to nothing."""
-    return Row(task.kind, task.seed, error=f"{type(error).__name__}: {error}")
+    return RecognitionRow(task.kind, task.seed, error=f"{type(error).__name__}: {error}")
 
 
-def _run(task: Task) -> Row:
+def _run(task: RecognitionTask) -> RecognitionRow:
     random = np.random.default_rng([_STREAM, KINDS.index(task.kind), task.seed])
     bodies = siblings(task.kind, COUNT + 1, random)
     outlines = [as_stored(body, f"sibling {i + 1}", random) for i, body in enumerate(bodies[:COUNT])]
@@ -100,8 +100,8 @@ def _run(task: Task) -> Row:
     theta: FloatArray = np.arange(_NORMALS, dtype=np.float64) * (math.tau / _NORMALS)
     own = bodies[chosen].support.sample(theta)
     # the truth's frame is turned so that ψ begins at 0
-    turn = score_outline(theta, own, np.ones(_NORMALS, dtype=np.bool_), np.array(told["h_m"])).rotation
-    return Row(
+    turn = score_outline(theta, own, None, np.array(told["h_m"])).rotation
+    return RecognitionRow(
         kind=task.kind,
         seed=task.seed,
         true=true,
@@ -123,7 +123,7 @@ def _psi_rms(valid: Sequence[Estimate], t: FloatArray, psi: FloatArray) -> float
 # ------------------------------------------------------------------------------------------------- shown
 
 
-def table(rows: Sequence[Row]) -> str:
+def table(rows: Sequence[RecognitionRow]) -> str:
     """A line for each number, a column for each kind of which there are runs."""
     columns = [[row for row in rows if row.kind == kind] for kind in KINDS]
     columns = [column for column in columns if column]
@@ -133,24 +133,24 @@ def table(rows: Sequence[Row]) -> str:
     return aligned(lines)
 
 
-def remarks(rows: Sequence[Row]) -> list[str]:
+def remarks(rows: Sequence[RecognitionRow]) -> list[str]:
     """The runs to look at: a line for each that is wrong, undecided, or came to nothing."""
     return [f"{row.kind} {row.seed}: {row.error or _remark(row)}" for row in rows if row.error or row.said != row.true]
 
 
-def _remark(row: Row) -> str:
+def _remark(row: RecognitionRow) -> str:
     return f"{row.true}, said: {row.said or 'undecided'} (p = {row.probability:.2g})"
 
 
-def _stored(rows: Sequence[Row]) -> list[Row]:
+def _stored(rows: Sequence[RecognitionRow]) -> list[RecognitionRow]:
     return [row for row in rows if row.true != NONE_OF_THESE]
 
 
-def _strange(rows: Sequence[Row]) -> list[Row]:
+def _strange(rows: Sequence[RecognitionRow]) -> list[RecognitionRow]:
     return [row for row in rows if row.true == NONE_OF_THESE]
 
 
-def _of(count: int, rows: Sequence[Row]) -> str:
+def _of(count: int, rows: Sequence[RecognitionRow]) -> str:
     return f"{count} of {len(rows)}"
 
 
@@ -159,7 +159,7 @@ def _quantiles(values: Iterable[float], digits: int) -> str:
     return " / ".join(f"{quantile(known, q):.{digits}f}" for q in (0.5, 0.95)) if known else "–"
 
 
-_LINES: list[tuple[str, Callable[[Sequence[Row]], str]]] = [
+_LINES: list[tuple[str, Callable[[Sequence[RecognitionRow]], str]]] = [
     ("stored: right", lambda rows: _of(sum(row.said == row.true for row in _stored(rows)), _stored(rows))),
     (
         "stored: another one said",

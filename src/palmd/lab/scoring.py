@@ -8,20 +8,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.interpolate import CubicHermiteSpline
 
 from palmd.events import FloatArray
 from palmd.observer.bound import Bound, Truth
 from palmd.observer.reconstruct import Reconstruction
 from palmd.rig.shapes import Kind
-from palmd.score import OutlineScore, score_outline, support_at
+from palmd.score import LAST_S, WRONG_M, OutlineScore, score_outline, support_at
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 RIGHT_M = 1e-4
-WRONG_M = 3e-4
 CAUSAL_OUTLINE_M, CAUSAL_R_M = 2e-4, 3e-4
-LAST_S = 5.0
 
 Line = dict[str, Any]
 Bools = npt.NDArray[np.bool_]
@@ -59,7 +58,7 @@ class Causal:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class MonteCarloRow:
     """A run in numbers; NaN for what there is not.
 
     error: what was raised, then nothing else is known. converged, reason, chi2, seconds: as `reconstruct` says.
@@ -172,9 +171,9 @@ def row_of(
     outline: OutlineErrors | None,
     bound: Bound,
     causal: Causal | None,
-) -> Row:
+) -> MonteCarloRow:
     """The row of a run; `bound.h_sd` is for the normals `outline.true_theta`."""
-    row = Row(
+    row = MonteCarloRow(
         kind=kind,
         seed=seed,
         converged=bool(answer.converged),
@@ -188,7 +187,8 @@ def row_of(
         causal=causal,
     )
     if len(answer.t):
-        psi, omega0 = _truth_at(truth, answer.t)
+        turn = CubicHermiteSpline(truth.t, truth.psi, truth.omega0)  # a straight line would be off by 0.3 mrad
+        psi, omega0 = turn(answer.t), turn(answer.t, 1)
         row = replace(
             row, psi_rms_rad=_rms(_without_gauge(answer.psi - psi)), omega0_rms_rad_s=_rms(answer.omega0 - omega0)
         )
@@ -209,21 +209,6 @@ def row_of(
 
 def _scalar(true: float, value: float, sd: float, bound: float) -> Scalar:
     return Scalar(float(true), float(value - true), float(sd), float(bound))
-
-
-def _truth_at(truth: Truth, t: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """ψ (rad) and ω0 (rad/s) between the truth's instants: the cubic through ψ and its rate at both ends.
-
-    A straight line would be off by a third of a milliradian, as much as a good estimate.
-    """
-    k = np.clip(np.searchsorted(truth.t, t, side="right") - 1, 0, len(truth.t) - 2)
-    step = truth.t[k + 1] - truth.t[k]
-    u = (t - truth.t[k]) / step
-    rise = truth.psi[k + 1] - truth.psi[k]
-    at_first, at_last = step * truth.omega0[k] - rise, rise - step * truth.omega0[k + 1]
-    psi = truth.psi[k] + u * rise + u * (1 - u) * ((1 - u) * at_first + u * at_last)
-    omega0 = rise + (1 - 2 * u) * ((1 - u) * at_first + u * at_last) + u * (1 - u) * (at_last - at_first)
-    return psi, omega0 / step
 
 
 def _without_gauge(angle: FloatArray) -> FloatArray:

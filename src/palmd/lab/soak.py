@@ -14,7 +14,7 @@ JUDGED_FROM_S = 1800.0
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class SoakFinding:
     """One thing looked at: the figure, what it must be, and whether it is; None where that is not judged.
 
     `group` is one of `leak`, `lateness`, `counters`, `recording`, `behaviour`.
@@ -29,28 +29,30 @@ class Finding:
     why: str = ""
 
 
-def at_most(group: str, name: str, value: float, most: float, unit: str = "", why: str = "") -> Finding:
+def at_most(group: str, name: str, value: float, most: float, unit: str = "", why: str = "") -> SoakFinding:
     """A figure that must not exceed `most`; one that is not there has not met its goal."""
-    return Finding(group, name, value, unit, f"≤ {most:g}", value <= most, why)
+    return SoakFinding(group, name, value, unit, f"≤ {most:g}", value <= most, why)
 
 
-def between(group: str, name: str, value: float, least: float, most: float, unit: str = "", why: str = "") -> Finding:
+def between(
+    group: str, name: str, value: float, least: float, most: float, unit: str = "", why: str = ""
+) -> SoakFinding:
     """A figure that must lie between two, both included."""
     goal = f"= {least:g}" if least == most else f"{least:g} to {most:g}"
-    return Finding(group, name, value, unit, goal, least <= value <= most, why)
+    return SoakFinding(group, name, value, unit, goal, least <= value <= most, why)
 
 
-def told(group: str, name: str, value: float, unit: str = "") -> Finding:
+def told(group: str, name: str, value: float, unit: str = "") -> SoakFinding:
     """A figure without a goal."""
-    return Finding(group, name, value, unit, "", None)
+    return SoakFinding(group, name, value, unit, "", None)
 
 
-def all_met(findings: Sequence[Finding]) -> bool:
+def all_met(findings: Sequence[SoakFinding]) -> bool:
     """Whether there is anything, and nothing has missed its goal."""
     return bool(findings) and all(finding.met is not False for finding in findings)
 
 
-def as_line(finding: Finding) -> dict[str, Any]:
+def as_line(finding: SoakFinding) -> dict[str, Any]:
     """One finding for JSON."""
     return {
         "group": finding.group,
@@ -63,7 +65,7 @@ def as_line(finding: Finding) -> dict[str, Any]:
     }
 
 
-def table(findings: Sequence[Finding]) -> str:
+def table(findings: Sequence[SoakFinding]) -> str:
     """One line a finding."""
     verdict = {True: "met", False: "MISSED", None: "-"}
     head = ("finding", ("value", "unit", "goal", "verdict"))

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from palmd.lab.fault_reaction import Told
-from palmd.lab.soak import Finding, at_most, between, told
+from palmd.lab.soak import SoakFinding, at_most, between, told
 
 COMMANDED = ("tracking", "hold")
 BEFORE_S, AFTER_S = 0.1, 5.0
@@ -86,7 +86,7 @@ class Cause:
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class GivenCommand:
     """An operator's command and when it was given (s)."""
 
     t: float
@@ -112,7 +112,7 @@ def unexplained(states: Sequence[Told], causes: Sequence[Cause]) -> list[str]:
     return found
 
 
-def uncalled(states: Sequence[Told], commands: Sequence[Command]) -> list[str]:
+def uncalled(states: Sequence[Told], commands: Sequence[GivenCommand]) -> list[str]:
     """Changes into tracking that nobody had asked for: neither armed nor, after a hold, started."""
     found = []
     for before, now in pairwise(states):
@@ -149,11 +149,11 @@ def commanded_while_not(states: Sequence[Told], counted: Sequence[Counted]) -> i
 def behaviour(
     states: Sequence[Told],
     causes: Sequence[Cause],
-    commands: Sequence[Command],
+    commands: Sequence[GivenCommand],
     sent: Sequence[Counted],
     accepted: Sequence[Counted],
     end: str,
-) -> list[Finding]:
+) -> list[SoakFinding]:
     """All that is to be said; `sent` and `accepted` are the daemon's and the controller's counts of set-points."""
     strange, alone = unexplained(states, causes), uncalled(states, commands)
     t_end = max(states[-1].t, sent[-1].t if sent else -math.inf)

@@ -13,7 +13,7 @@ from typing import Any
 from palmd.devices.armlink import SETPOINT_BYTES
 from palmd.devices.arrival import byte_time
 from palmd.devices.versapad import PACKET_BYTES
-from palmd.lab.soak import Finding, at_most, between, told
+from palmd.lab.soak import SoakFinding, at_most, between, told
 
 UNDER_WAY_S = 0.05
 GAPS_PART, GAPS_ANYWAY = 1e-3, 5  # packets in which the kernel paused for longer than the decoder waits
@@ -22,7 +22,7 @@ HELLO_BYTES = 64  # what a daemon without an answer says between the two looks
 Counts = Mapping[str, Any]
 
 
-def pad(name: str, rig: Counts, daemon: Counts, baud: int) -> list[Finding]:
+def pad(name: str, rig: Counts, daemon: Counts, baud: int) -> list[SoakFinding]:
     """One pad's line, from its packets to the daemon's."""
     line = _Line(name, rig, daemon, baud)
     packets, whole = line.got("packets"), line.sent("packets")
@@ -59,7 +59,7 @@ def pad(name: str, rig: Counts, daemon: Counts, baud: int) -> list[Finding]:
     ]
 
 
-def arm(rig: Counts, daemon: Counts, baud: int) -> list[Finding]:
+def arm(rig: Counts, daemon: Counts, baud: int) -> list[SoakFinding]:
     """The arm's line: the controller's answers one way, set-points the other way."""
     line = _Line("arm", rig, daemon, baud)
     in_pieces = line.interruptions * 4 if line.reopened else 0
@@ -110,7 +110,7 @@ class _Line:
     def got(self, what: str) -> int:
         return int(self._daemon[f"{self._name}_{what}"])
 
-    def bytes(self) -> list[Finding]:
+    def bytes(self) -> list[SoakFinding]:
         name, rig = self._name, self._rig
         passed = rig[f"{name}_bytes_sent"] + rig[f"{name}_bytes_lost"] + rig[f"{name}_bytes_waiting"]
         return [
@@ -126,7 +126,7 @@ class _Line:
             ),
         ]
 
-    def causes(self, names: tuple[str, ...], if_reopened: int, always: int = 0) -> list[Finding]:
+    def causes(self, names: tuple[str, ...], if_reopened: int, always: int = 0) -> list[SoakFinding]:
         """What was discarded, by cause, beside what a listener at the rig's end discards of the same bytes."""
         slack = always + (if_reopened if self.reopened else 0)
         return [

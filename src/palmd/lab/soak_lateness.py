@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from palmd.lab.soak import JUDGED_FROM_S, Finding, at_most, told
+from palmd.lab.soak import JUDGED_FROM_S, SoakFinding, at_most, told
 from palmd.lab.soak_slopes import HOUR_S, slope
 
 MISSED_MOST_PERCENT = 0.01
@@ -72,7 +72,7 @@ def kept_from(seconds: Sequence[Second]) -> int:
     return sum(b.overruns - a.overruns for a, b in pairwise(seconds) if b.waited_ms - a.waited_ms > WAITED_MS)
 
 
-def punctuality(seconds: Sequence[Second], goal: bool = True) -> list[Finding]:
+def punctuality(seconds: Sequence[Second], goal: bool = True) -> list[SoakFinding]:
     """All that is to be said; without `goal` (no real-time priority, a short test) nothing is judged."""
     if len(seconds) < 2:
         return [at_most("lateness", "missed ticks", math.nan, MISSED_MOST_PERCENT, "%", "no palm/loop was heard")]
@@ -102,7 +102,7 @@ def punctuality(seconds: Sequence[Second], goal: bool = True) -> list[Finding]:
         judged = seconds[-1].t - seconds[0].t >= JUDGED_FROM_S
         drift = slope(t, [one.p50_ms for one in each_minute]) * HOUR_S
         met = abs(drift) <= DRIFT_MOST_MS_H if judged else None
-        found.append(Finding("lateness", "drift of the median", drift, "ms/h", f"within ±{DRIFT_MOST_MS_H:g}", met))
+        found.append(SoakFinding("lateness", "drift of the median", drift, "ms/h", f"within ±{DRIFT_MOST_MS_H:g}", met))
         found.append(told("lateness", "drift of p99", slope(t, [one.p99_ms for one in each_minute]) * HOUR_S, "ms/h"))
         found.append(told("lateness", "worst minute's p99", max(one.p99_ms for one in each_minute), "ms"))
     if goal:
@@ -110,5 +110,5 @@ def punctuality(seconds: Sequence[Second], goal: bool = True) -> list[Finding]:
     return [_unjudged(one) for one in found]
 
 
-def _unjudged(finding: Finding) -> Finding:
-    return Finding(finding.group, finding.name, finding.value, finding.unit, finding.goal, None)
+def _unjudged(finding: SoakFinding) -> SoakFinding:
+    return SoakFinding(finding.group, finding.name, finding.value, finding.unit, finding.goal, None)

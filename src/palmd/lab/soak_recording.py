@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from palmd.lab.soak import Finding, between, told
+from palmd.lab.soak import SoakFinding, between, told
 from palmd.lab.soak_watch import Numbers
 from palmd.record.recheck import Checked
 from palmd.record.run import Survey
 
 
-def recorded(surveys: Sequence[Mapping[str, Survey]], heard: Mapping[str, Numbers], published: int) -> list[Finding]:
+def recorded(
+    surveys: Sequence[Mapping[str, Survey]], heard: Mapping[str, Numbers], published: int
+) -> list[SoakFinding]:
     """Of one run's files in their order, beside what we heard on the bus and what the daemon says it published."""
     missing: list[str] = []
     count = 0
@@ -42,13 +44,13 @@ def recorded(surveys: Sequence[Mapping[str, Survey]], heard: Mapping[str, Number
     ]
 
 
-def replayed(ticks: Iterable[Checked]) -> list[Finding]:
+def replayed(ticks: Iterable[Checked]) -> list[SoakFinding]:
     """Of the first ticks, given to the observer again."""
     count = differ = 0
     for tick in ticks:
         count += 1
         differ += bool(tick.differences)
     return [
-        Finding("recording", "ticks replayed", count, "", "> 0", count > 0),
+        SoakFinding("recording", "ticks replayed", count, "", "> 0", count > 0),
         between("recording", "ticks replayed that differ", differ, 0, 0),
     ]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from palmd.lab.soak import JUDGED_FROM_S, Finding
+from palmd.lab.soak import JUDGED_FROM_S, SoakFinding
 
 MEMORY_MB_H = 1.0
 POINTS_MOST = 600  # of a series for its slope: there is a slope for every pair
@@ -16,7 +16,7 @@ HOUR_S = 3600.0
 
 
 @dataclass(slots=True)
-class Series:
+class ProcessSeries:
     """One process over time: seconds, resident memory (MB), open descriptors, threads."""
 
     t: list[float] = field(default_factory=list)
@@ -43,7 +43,7 @@ def warm_up_s(seconds: float) -> float:
     return min(WARM_UP_PART * seconds, WARM_UP_MOST_S)
 
 
-def leaks(processes: Mapping[str, Series], t_begin: float, seconds: float) -> list[Finding]:
+def leaks(processes: Mapping[str, ProcessSeries], t_begin: float, seconds: float) -> list[SoakFinding]:
     """Of each process after the warm-up: MB an hour, and by how many the descriptors and threads have become more."""
     judged = seconds >= JUDGED_FROM_S
     found = []
@@ -52,10 +52,10 @@ def leaks(processes: Mapping[str, Series], t_begin: float, seconds: float) -> li
         warm = t >= warm_up_s(seconds)
         rate = slope(t[warm].tolist(), np.asarray(series.rss_mb)[warm].tolist()) * HOUR_S
         met = rate <= MEMORY_MB_H if judged else None
-        found.append(Finding("leak", f"{name} memory", rate, "MB/h", f"≤ {MEMORY_MB_H:g}", met))
+        found.append(SoakFinding("leak", f"{name} memory", rate, "MB/h", f"≤ {MEMORY_MB_H:g}", met))
         for what, counts in (("descriptors", series.descriptors), ("threads", series.threads)):
             more = growth(np.asarray(counts, dtype=np.float64)[warm].tolist())
-            found.append(Finding("leak", f"{name} {what}", more, "more", "≤ 0", more <= 0.0 if judged else None))
+            found.append(SoakFinding("leak", f"{name} {what}", more, "more", "≤ 0", more <= 0.0 if judged else None))
     return found
 
 

@@ -19,23 +19,20 @@ from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
-from palmd.bus.client import Client, Message, Subscriber
-from palmd.cli.demo import PORTS, as_yaml, free_addresses
+from palmd.bus.subscriber import Message, Subscriber
 from palmd.config import Config
 from palmd.console.errors import RIG_FAILED, CliError
 from palmd.console.shipped import shipped
-from palmd.harness.panel import Panel
-from palmd.harness.processes import Child
-from palmd.lab.soak_behaviour import Cause, Command
+from palmd.harness.operator import Operator
+from palmd.harness.stack import ANSWER_S, START_S, Stack
+from palmd.lab.soak_behaviour import Cause, GivenCommand
 from palmd.lab.soak_fault_injection import Act, Say, Trick, Visit
-from palmd.lab.soak_watch import Process, Watch
+from palmd.lab.soak_watch import Process, SoakWatch
 from palmd.view.http_guard import SOCKET
 
-START_S = 240.0  # compiling the observers on a slow machine
 PATIENCE_S = 40.0
 STOPPED_S = 2.0
 RECORDED_S = 1800.0  # to pack the recording of an hour
-ANSWER_S = 5.0
 LOOK_S = 0.02
 SAMPLE_S = 5.0
 FALLEN_S = 5.0  # an object that has fallen off is exchanged after so long
@@ -87,15 +84,15 @@ class SoakStand:
 
     def __init__(self, folder: Path, runs: Path, config: Config, seed: int) -> None:
         """`folder` takes configurations and what the processes say, `runs` the recordings."""
-        self._folder, self._runs, self._config, self._seed = folder, runs, config, seed
+        self._folder, self._seed = folder, seed
         pads = config.pads
-        self.watch = Watch({"pad1": pads.palm1.length_mm * 1e-3, "pad2": pads.palm2.length_mm * 1e-3})
+        self.watch = SoakWatch({"pad1": pads.palm1.length_mm * 1e-3, "pad2": pads.palm2.length_mm * 1e-3})
         self.nonsense = 0
         self.unserved: list[str] = []
-        self._stack = ExitStack()
-        self._children: dict[str, Child] = {}
+        self._resources = ExitStack()
+        self._stack = self._resources.enter_context(Stack(folder, config, runs))
         self._plans = [shipped(plan) for plan in PLANS]
-        self._panel = Panel()
+        self._operator = Operator()
         self._t_hands_on = 0.0
         self._t_sampled = self._t_fallen = 0.0
         self._visitors: list[threading.Thread] = []
@@ -117,38 +114,14 @@ class SoakStand:
         self._over.set()
         for visitor in self._visitors:
             visitor.join()
-        self._stack.close()
+        self._resources.close()
 
     def _start(self) -> None:
-        self._stack.enter_context(_Watchmen(self.watch.causes))
-        rig_config = self._folder / "rig.yaml"
-        ports = {name: name for name in ("pad1", "pad2", "arm")}
-        rig_config.write_text(as_yaml(self._config, self._config.bus, ports), encoding="utf-8")
-        rig = self._begin("rig", "rig", str(rig_config), "--seed", str(self._seed))
-        self._told: dict[str, Any] = json.loads(rig.started(START_S))
-        self._hand = self._stack.enter_context(Client(self._told["control"], ANSWER_S))
-        port = PORTS[2 * os.getpid() % len(PORTS)]  # others that start just now look for free ones too
-        wanted = {"publish": f"tcp://127.0.0.1:{port}", "command": f"tcp://127.0.0.1:{port + 1}"}
-        self._bus = free_addresses(self._config.bus.model_copy(update=wanted))
-        path = self._folder / "palmd.yaml"
-        path.write_text(as_yaml(self._config, self._bus, self._told, self._runs), encoding="utf-8")
-        self._begin("recorder", "record", str(path), "--truth", self._told["truth"]).started(START_S)
-        self._heard = self._stack.enter_context(
-            Subscriber(self._bus.publish, self._told["truth"], topics=("palm/", "rig/"))
-        )
-        self._begin("daemon", "run", str(path), "--no-record")
-        self._client = self._stack.enter_context(Client(self._bus.command, ANSWER_S))
+        self._resources.enter_context(_Watchmen(self.watch.causes))
+        self._stack.start_rig("--seed", str(self._seed))
+        self._stack.start(record=True)
         self._wait(lambda: bool(self.watch.states), START_S, "palmd run did not start")
-        where = ("--address", self._bus.publish, "--command", self._bus.command, "--truth", self._told["truth"])
-        self._page = self._begin("page", "view", "--no-browser", "--port", "0", *where).started(START_S)
-
-    def _begin(self, name: str, *arguments: str) -> Child:
-        folder = self._folder / name
-        folder.mkdir()
-        child = Child(list(arguments), folder)
-        self._stack.callback(child.stop)
-        self._children[name] = child
-        return child
+        self._stack.start_page()
 
     # ---- living on ---------------------------------------------------------------------------------------
 
@@ -164,34 +137,33 @@ class SoakStand:
         self._wait(self._moves, PATIENCE_S, "the palms were not brought to move", operate=True)
 
     def _moves(self) -> bool:
-        return self.watch.state == "tracking" and self.watch.motion.get("segment", -1) >= 0
+        return self._operator.moves
 
     def _wait(self, holds: Callable[[], bool], patience_s: float, otherwise: str, *, operate: bool = False) -> None:
         t_end = time.monotonic() + patience_s
         while not holds():
             t = time.monotonic()
             if t > t_end:
-                raise CliError(RIG_FAILED, f"{otherwise}: {self.watch.state}\n{self._children['run'].said()}".strip())
+                raise CliError(
+                    RIG_FAILED, f"{otherwise}: {self.watch.state}\n{self._stack.children['daemon'].said()}".strip()
+                )
             self._listen(t + LOOK_S)
             if operate:
                 self._operate(t)
 
     def _listen(self, t_end: float) -> None:
-        for message in self._heard.until(t_end):
+        for message in self._stack.subscriber.until(t_end):
             self.watch.take(message)
+            self._operator.take(message.topic, message.fields)
             if message.topic == "palm/loop":
                 self._look(message)
-        for child in self._children.values():
-            if child.status is not None:
-                raise CliError(
-                    RIG_FAILED, f"palmd {child.name} ended with status {child.status}\n{child.said()}".strip()
-                )
+        self._stack.check_alive()
 
     def _look(self, loop: Message) -> None:
         """Each second: what the rig counts, and now and then what the processes take."""
         t = time.monotonic()
-        self.watch.rig(self._rig_status(), t)
-        self.watch.waited(_waited_ms(self._children["daemon"].number))
+        self.watch.rig(self._stack.rig_status(), t)
+        self.watch.waited(_waited_ms(self._stack.children["daemon"].number))
         if t - self._t_sampled >= SAMPLE_S:
             self._t_sampled = t
             for name, number in self._processes().items():
@@ -202,7 +174,7 @@ class SoakStand:
 
     def _processes(self) -> dict[str, int]:
         """Ours, and the daemon's own, by name."""
-        found = {name: child.number for name, child in self._children.items()}
+        found: dict[str, int] = {name: child.number for name, child in self._stack.children.items()}
         daemon = found["daemon"]
         with suppress(OSError):
             for text in Path(f"/proc/{daemon}/task/{daemon}/children").read_text(encoding="ascii").split():
@@ -220,15 +192,15 @@ class SoakStand:
             self._t_fallen = t
         elif t - self._t_fallen > FALLEN_S:
             self._t_fallen = t
-            self._ask_hand("new_object", {})
+            self._stack.ask_rig("new_object")
             self.watch.causes.append(Cause("swap", None, t, t + 1.5))
-        command = self._panel.decide(self.watch.told, self.watch.motion, t)
+        command = self._operator.decide(t)
         if command is not None:
             self._command(command)
 
     def _command(self, name: str) -> bool:
-        self.watch.commands.append(Command(time.monotonic(), name))
-        return bool(self._client.ask(name)["ok"])
+        self.watch.commands.append(GivenCommand(time.monotonic(), name))
+        return bool(self._stack.client.ask(name)["ok"])
 
     # ---- doings ------------------------------------------------------------------------------------------
 
@@ -239,7 +211,7 @@ class SoakStand:
                 args = {"name": act.name, "port": act.port, "for_s": act.for_s}
                 if act.strength is not None:
                     args["strength"] = act.strength
-                t_on = float(self._ask_hand("mischief", args)["t_on_s"])
+                t_on = float(self._stack.ask_rig("mischief", **args)["t_on_s"])
                 self.watch.causes.append(Cause(act.name, act.port, t_on, t_on + act.for_s))
             case Say(command="plan"):
                 self._change_plan()
@@ -257,7 +229,7 @@ class SoakStand:
         self._command("stop")
         with suppress(CliError):
             self._wait(lambda: self.watch.state == "ready", STOPPED_S, "the palms were not stopped")
-            if self._client.ask("plan", {"path": str(self._plans[1]), "text": self._plans[1].read_text()})["ok"]:
+            if self._stack.client.ask("plan", {"path": str(self._plans[1]), "text": self._plans[1].read_text()})["ok"]:
                 self._plans.reverse()
 
     def _visit(self, visit: Visit) -> None:
@@ -270,7 +242,7 @@ class SoakStand:
             self.unserved.append(f"{visit.who}: {str(error)[:120]}")
 
     def _listen_in(self, t_end: float) -> None:
-        with Subscriber(self._bus.publish, topics=("palm/",)) as subscriber:
+        with Subscriber(self._stack.bus.publish, topics=("palm/",)) as subscriber:
             for _ in subscriber.until(t_end):
                 if self._over.is_set():
                     break
@@ -279,12 +251,12 @@ class SoakStand:
         with zmq.Context() as context, context.socket(zmq.SUB) as socket:
             socket.setsockopt(zmq.RCVHWM, 1)
             socket.setsockopt(zmq.LINGER, 0)
-            socket.connect(self._bus.publish)
+            socket.connect(self._stack.bus.publish)
             socket.subscribe(b"")
             self._over.wait(t_end - time.monotonic())
 
     def _open_page(self, t_end: float) -> None:
-        address, _, token = self._page.partition("/#token=")
+        address, _, token = self._stack.page.partition("/#token=")
         socket = f"ws{address.removeprefix('http')}{SOCKET}"
         with connect(socket, origin=Origin(address), max_size=None, proxy=None) as page:
             page.send(json.dumps({"token": token}))
@@ -296,7 +268,7 @@ class SoakStand:
     def _ask_much(self, t_end: float) -> None:
         with zmq.Context() as context, context.socket(zmq.DEALER) as socket:
             socket.setsockopt(zmq.LINGER, round(ANSWER_S * 1e3))
-            socket.connect(self._bus.command)
+            socket.connect(self._stack.bus.command)
             while time.monotonic() < t_end and not self._over.is_set():
                 socket.send(msgpack.packb({"id": 1, "cmd": "status"}))
                 socket.send(NONSENSE)
@@ -320,35 +292,24 @@ class SoakStand:
             self._wait(lambda: self.watch.state == "ready", PATIENCE_S, "the palms were not stopped")
         end = self.watch.state
         for port in ("pad1", "pad2", "arm"):
-            self._ask_hand("mischief", {"name": "mute", "port": port})
+            self._stack.ask_rig("mischief", name="mute", port=port)
         t = time.monotonic()
         self.watch.causes += [Cause("mute", port, t, t + QUIET_S) for port in ("pad1", "pad2", "arm")]
         t_quiet = t + QUIET_S
         self._wait(lambda: self.watch.t_loop > t_quiet, PATIENCE_S, "palm/loop does not come")
-        return end, self._rig_status(), self.watch.loop
+        return end, self._stack.rig_status(), self.watch.loop
 
     def finish(self) -> list[Path]:
         """End the daemon, then the recorder; the recording's files, in their order."""
-        self._children["daemon"].stop()
-        for message in self._heard.until(time.monotonic() + 1.0):
+        self._stack.children["daemon"].stop()
+        for message in self._stack.subscriber.until(time.monotonic() + 1.0):
             self.watch.take(message)
-        recorder = self._children["recorder"]
-        recorder.stop(RECORDED_S)
-        return [Path(line) for line in recorder.lines()[1:]]
+        return self._stack.recorded(RECORDED_S)
 
     def keep(self, folder: Path) -> None:
         """Keep what the processes have said there."""
         for path in self._folder.glob("*/*.err"):
             shutil.copy(path, folder)
-
-    def _ask_hand(self, command: str, fields: dict[str, Any]) -> dict[str, Any]:
-        reply = self._hand.ask(command, fields)
-        if not reply["ok"]:
-            raise CliError(RIG_FAILED, f"the emulated rig refuses {command}: {reply.get('error')}")
-        return reply["result"] or {}
-
-    def _rig_status(self) -> dict[str, Any]:
-        return self._ask_hand("status", {})
 
 
 def _waited_ms(number: int) -> float:

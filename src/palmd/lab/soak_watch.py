@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 from palmd.lab.fault_reaction import Told
-from palmd.lab.soak_behaviour import Cause, Command, Counted
+from palmd.lab.soak_behaviour import Cause, Counted, GivenCommand
 from palmd.lab.soak_lateness import Second
-from palmd.lab.soak_slopes import Series
+from palmd.lab.soak_slopes import ProcessSeries
 
 FELT_N = 0.1  # a pad needs a closing force
 
@@ -45,17 +45,17 @@ class Numbers:
 
 
 @dataclass(slots=True)
-class Watch:
+class SoakWatch:
     """See the module. `lengths_m` are those of the pads; `told` is the last palm/state, `loop` the last palm/loop."""
 
     lengths_m: Mapping[str, float]
     seconds: list[Second] = field(default_factory=list)
     states: list[Told] = field(default_factory=list)
     causes: list[Cause] = field(default_factory=list)
-    commands: list[Command] = field(default_factory=list)
+    commands: list[GivenCommand] = field(default_factory=list)
     sent: list[Counted] = field(default_factory=list)
     accepted: list[Counted] = field(default_factory=list)
-    processes: dict[str, Series] = field(default_factory=dict)
+    processes: dict[str, ProcessSeries] = field(default_factory=dict)
     numbers: dict[str, Numbers] = field(default_factory=dict)
     told: dict[str, Any] = field(default_factory=dict)
     motion: dict[str, Any] = field(default_factory=dict)
@@ -111,7 +111,7 @@ class Watch:
 
     def sample(self, name: str, t: float, process: Process) -> None:
         """What a process takes at `t` (s)."""
-        series = self.processes.setdefault(name, Series())
+        series = self.processes.setdefault(name, ProcessSeries())
         series.t.append(t)
         series.rss_mb.append(process.rss_mb)
         series.descriptors.append(process.descriptors)

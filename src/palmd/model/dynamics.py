@@ -42,7 +42,7 @@ class Palms:
 
 
 @dataclass(frozen=True, slots=True)
-class Body:
+class BodyConstants:
     """Radius of gyration ρ (m), friction coefficient μ, dither speed u_d (m/s), damping c (m²/s)."""
 
     rho: SX
@@ -69,7 +69,7 @@ def effective_gravity(palms: Palms, rig: SX) -> SX:
     return ca.vertcat(0, -rig[0]) + rig[1] * (palms.alpha1 * n1 - palms.omega1**2 * t1)
 
 
-def newton_euler(palms: Palms, omega0: SX, one: Contact, two: Contact, body: Body, rig: SX) -> Motion:
+def newton_euler(palms: Palms, omega0: SX, one: Contact, two: Contact, body: BodyConstants, rig: SX) -> Motion:
     """Solve the three linear equations of docs/theory.md for α0, f1, f2.
 
     Two of them say that the object keeps touching (n_i·a prescribed by the contact's motion), the third is

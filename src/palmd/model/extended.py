@@ -16,7 +16,7 @@ import casadi as ca
 
 from palmd.model.compiled import Library, densified, load, mapped_over_block
 from palmd.model.contact import SX, Contact, normal_directions, offsets
-from palmd.model.dynamics import Body, Palms, newton_euler
+from palmd.model.dynamics import BodyConstants, Palms, newton_euler
 from palmd.model.integrate import exponential_step
 from palmd.model.outputs import RIG_INPUTS, named_outputs
 from palmd.model.shape import COEFFICIENTS, HARMONICS, contact_at, harmonics
@@ -74,8 +74,8 @@ def _contacts(x: SX) -> tuple[Contact, Contact]:
     return Contact(x[X.R1], d1, v1), Contact(x[X.R2], d2, v2)
 
 
-def _body(x: SX) -> Body:
-    return Body(x[X.RHO], x[X.MU], ca.exp(x[X.LN_DITHER]), x[X.DAMPING])
+def _body(x: SX) -> BodyConstants:
+    return BodyConstants(x[X.RHO], x[X.MU], ca.exp(x[X.LN_DITHER]), x[X.DAMPING])
 
 
 def drift(x: SX, alpha1: SX, alpha2: SX, rig: SX) -> SX:

@@ -7,7 +7,7 @@ import numpy as np
 
 from palmd.events import FloatArray, RigDescription
 from palmd.model.contact import SX, Contact, readings, solve_from_normals, tangent
-from palmd.model.dynamics import Body, Palms, newton_euler
+from palmd.model.dynamics import BodyConstants, Palms, newton_euler
 
 NAMED = (
     "r1", "r2", "omega0", "s1", "s2", "phi1", "omega1", "phi2", "omega2", "rho",
@@ -28,7 +28,7 @@ def rig_inputs(rig: RigDescription) -> FloatArray:
     return np.array([rig.gravity, arm, *base])
 
 
-def named_outputs(palms: Palms, omega0: SX, psi: SX, one: Contact, two: Contact, body: Body, rig: SX) -> SX:
+def named_outputs(palms: Palms, omega0: SX, psi: SX, one: Contact, two: Contact, body: BodyConstants, rig: SX) -> SX:
     """Values of `NAMED`, in that order."""
     s1, s2 = readings(palms.phi2, one, two)
     motion = newton_euler(palms, omega0, one, two, body, rig)

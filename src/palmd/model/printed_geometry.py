@@ -30,7 +30,7 @@ S1, S2 = dot(t1, COM + RX1), -dot(t2, COM + RX2)
 
 
 @dataclass(frozen=True, slots=True)
-class Generalized:
+class PrintedSupport:
     """The generalized contact support functions r̃1, d̃1, r̃2, d̃2 (3.2) to (3.5), m."""
 
     r1: SX
@@ -64,11 +64,11 @@ def claims() -> tuple[EquationCheck, ...]:
     """(3.6) to (3.32), (4.11) to (4.17) and the appendix; all hold at any r, d, v, not only in balance."""
     # (3.2) to (3.5) in the world frame, where the object's normals are −n_i, −t_i
     between = RX1 - RX2
-    tilde = Generalized(-dot(between, n1), -dot(between, t1), -dot(between, n2), -dot(between, t2))
+    tilde = PrintedSupport(-dot(between, n1), -dot(between, t1), -dot(between, n2), -dot(between, t2))
     return (*_supports(tilde, between), *_poses(tilde), *_quasistatic(tilde), *_dynamic())
 
 
-def _supports(tilde: Generalized, between: SX) -> tuple[EquationCheck, ...]:
+def _supports(tilde: PrintedSupport, between: SX) -> tuple[EquationCheck, ...]:
     lever1, lever2 = (r1 * cos(phi2) + r2) / sin(phi2), (r2 * cos(phi2) + r1) / sin(phi2)
     theta_dot, theta2_dot = omega1 - omega0, omega12 - omega0
     return (
@@ -92,7 +92,7 @@ def _supports(tilde: Generalized, between: SX) -> tuple[EquationCheck, ...]:
     )
 
 
-def _poses(tilde: Generalized) -> tuple[EquationCheck, ...]:
+def _poses(tilde: PrintedSupport) -> tuple[EquationCheck, ...]:
     q1, q2 = (S2 - S1 * cos(phi2)) / sin(phi2), (S1 - S2 * cos(phi2)) / sin(phi2)
     # the point of the object that rests while ψ changes: ∂c/∂ψ is the quarter turn of c − c_r
     centre = COM + QUARTER_TURN @ over_psi(COM)
@@ -120,7 +120,7 @@ def _poses(tilde: Generalized) -> tuple[EquationCheck, ...]:
     )
 
 
-def _quasistatic(tilde: Generalized) -> tuple[EquationCheck, ...]:
+def _quasistatic(tilde: PrintedSupport) -> tuple[EquationCheck, ...]:
     theta_dot, theta2_dot = omega1 - omega0, omega12 - omega0
     r2_tilde_dot, d2_tilde_dot = in_time(tilde.r2), in_time(tilde.d2)
     r1_dot, d1_dot = in_time(r1), in_time(d1)

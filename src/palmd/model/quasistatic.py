@@ -17,7 +17,7 @@ Values = FloatArray | float
 
 
 @dataclass(frozen=True, slots=True)
-class Felt:
+class QuasistaticReadings:
     """Readings s1, s2 (m) and palm angles φ1, φ2 (rad) with their rates, at one instant or at many."""
 
     s1: Values
@@ -53,7 +53,7 @@ class Generalized:
     d2_dot: Values
 
 
-def generalized(felt: Felt) -> Generalized:
+def generalized(felt: QuasistaticReadings) -> Generalized:
     """(3.6): r̃1 = s2 sin φ2, d̃1 = s2 cos φ2 − s1, r̃2 = −s1 sin φ2, d̃2 = s1 cos φ2 − s2 (m), and their rates (m/s)."""
     sin, cos = np.sin(felt.phi2), np.cos(felt.phi2)
     return Generalized(
@@ -67,13 +67,13 @@ def generalized(felt: Felt) -> Generalized:
     )
 
 
-def offsets(felt: Felt, r1: Values, r2: Values) -> tuple[Values, Values]:
+def offsets(felt: QuasistaticReadings, r1: Values, r2: Values) -> tuple[Values, Values]:
     """(d1, d2) (m) from the radii and the readings: (3.13), (3.14) with d2's sign as the geometry has it."""
     sin, cos = np.sin(felt.phi2), np.cos(felt.phi2)
     return (r1 * cos + r2) / sin - felt.s1, felt.s2 - (r2 * cos + r1) / sin
 
 
-def balance_lever(felt: Felt, r1: Values, r2: Values) -> Values:
+def balance_lever(felt: QuasistaticReadings, r1: Values, r2: Values) -> Values:
     """The denominator D of (3.35), r1 sin φ12 + (r2 + r̃2) sin φ1 + d̃2 cos φ1 (m): what a turn adds to the balance.
 
     It may have either sign in a stable pose. Where it is 0 (for a circle everywhere) readings tell nothing of turning.
@@ -82,7 +82,7 @@ def balance_lever(felt: Felt, r1: Values, r2: Values) -> Values:
     return r1 * np.sin(felt.phi12) + (r2 + tilde.r2) * np.sin(felt.phi1) + tilde.d2 * np.cos(felt.phi1)
 
 
-def turning_rate(felt: Felt, r1: Values, r2: Values, softening: float = 0.0) -> Values:
+def turning_rate(felt: QuasistaticReadings, r1: Values, r2: Values, softening: float = 0.0) -> Values:
     """ψ̇ (rad/s) of an object that stays in balance (3.35).
 
     `softening` (m) is a length ε that turns 1/D into D/(D² + ε²), D the `balance_lever`: at its zeros the printed
@@ -98,7 +98,7 @@ def turning_rate(felt: Felt, r1: Values, r2: Values, softening: float = 0.0) -> 
     return drive * D / (D**2 + softening**2)
 
 
-def contact_rates(felt: Felt, psi_dot: Values) -> tuple[Values, Values]:
+def contact_rates(felt: QuasistaticReadings, psi_dot: Values) -> tuple[Values, Values]:
     """θ̇1 v1 and θ̇2 v2 (m/s): how fast the contacts run along the outline, (3.27) and (3.28) without their division."""
     tilde, sin = generalized(felt), np.sin(felt.phi2)
     theta1_dot, theta2_dot = felt.omega1 - psi_dot, felt.omega12 - psi_dot
@@ -108,7 +108,7 @@ def contact_rates(felt: Felt, psi_dot: Values) -> tuple[Values, Values]:
 STATE = ("r1", "r2", "psi", "d1", "d2")
 
 
-def rates(felt: Felt, state: FloatArray, softening: float = 0.0) -> FloatArray:
+def rates(felt: QuasistaticReadings, state: FloatArray, softening: float = 0.0) -> FloatArray:
     """d/dt of `STATE`, (5, …): (3.33), (3.34), (3.35), and of the offsets carried along by curvature, ḋ = (r − v) θ̇.
 
     The radii are driven by the offsets that the readings give, (3.13) and (3.14); those carried along have no say and
@@ -124,7 +124,7 @@ def rates(felt: Felt, state: FloatArray, softening: float = 0.0) -> FloatArray:
     )
 
 
-def balance_error(felt: Felt, r1: Values, r2: Values) -> Values:
+def balance_error(felt: QuasistaticReadings, r1: Values, r2: Values) -> Values:
     """e_f (m), (3.36): r1 sin φ1 − d1 cos φ1 + d̃2 sin φ1/sin φ2, how far the centre of mass is beside that of rotation.
 
     With d1 from (3.13). Any solution of (3.33)–(3.35) keeps its first value: (3.35) is its derivative, set to 0.
@@ -135,7 +135,7 @@ def balance_error(felt: Felt, r1: Values, r2: Values) -> Values:
     )
 
 
-def closure_error(felt: Felt, state: FloatArray) -> FloatArray:
+def closure_error(felt: QuasistaticReadings, state: FloatArray) -> FloatArray:
     """e_c (2, …) (m, world axes), (3.37): R(ψ)(x1 − x2) − s1 t1 − s2 t2, with R x_i = −(r_i n_i + d_i t_i) as carried.
 
     Zero for exact readings exactly integrated, whatever the radii at the beginning; it shows how integration drifts.
@@ -148,7 +148,7 @@ def closure_error(felt: Felt, state: FloatArray) -> FloatArray:
     return np.stack(np.broadcast_arrays(x, y))
 
 
-def radii_of(felt: Felt, mean: Values, balance: Values) -> tuple[Values, Values]:
+def radii_of(felt: QuasistaticReadings, mean: Values, balance: Values) -> tuple[Values, Values]:
     """(r1, r2) (m) of the given mean and `balance_error` (m): the two freedoms of a beginning.
 
     e_f = −(r1 cos φ12 + r2 cos φ1)/sin φ2 + K with K = s1 cos φ1 + d̃2 sin φ1/sin φ2, from (3.13) and (3.36).

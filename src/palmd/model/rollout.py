@@ -12,7 +12,7 @@ import casadi as ca
 
 from palmd.model.compiled import Library, densified, load
 from palmd.model.contact import SX, Contact, normal_directions, readings
-from palmd.model.dynamics import Body, Palms, newton_euler
+from palmd.model.dynamics import BodyConstants, Palms, newton_euler
 from palmd.model.integrate import exponential_step
 from palmd.model.outputs import RIG_INPUTS
 from palmd.model.shape import contact_at
@@ -43,7 +43,7 @@ def _contacts(x: SX, palms: Palms) -> tuple[Contact, Contact]:
 def _step_function() -> ca.Function:
     """(x, move, rig) → (x after one step, `TOLD` then)."""
     x, move, rig = SX.sym("x", N), SX.sym("move", MOVE_INPUTS), SX.sym("rig", RIG_INPUTS)
-    body = Body(ca.exp(x[Z.LN_RHO]), x[Z.MU], ca.exp(x[Z.LN_DITHER]), x[Z.DAMPING])
+    body = BodyConstants(ca.exp(x[Z.LN_RHO]), x[Z.MU], ca.exp(x[Z.LN_DITHER]), x[Z.DAMPING])
 
     def alpha0(state: SX, palms: Palms) -> SX:
         return newton_euler(palms, state[Z.OMEGA0], *_contacts(state, palms), body, rig).alpha0

@@ -13,7 +13,7 @@ import casadi as ca
 
 from palmd.model.compiled import Library, densified, load
 from palmd.model.contact import SX, Contact, normal_directions, readings
-from palmd.model.dynamics import Body, Palms, newton_euler
+from palmd.model.dynamics import BodyConstants, Palms, newton_euler
 from palmd.model.integrate import exponential_step
 from palmd.model.shape import contact_at
 from palmd.model.shape_map import PALM_INPUTS, PREDICTION_INPUTS, N, Z, palms_after
@@ -41,7 +41,7 @@ def gather_function() -> ca.Function:
         G_next = G_next + weight * (row.T @ row)
 
     def alpha0(state: SX, now: Palms) -> SX:
-        body = Body(ca.exp(state[Z.LN_RHO]), state[Z.MU], ca.exp(state[Z.LN_DITHER]), state[Z.DAMPING])
+        body = BodyConstants(ca.exp(state[Z.LN_RHO]), state[Z.MU], ca.exp(state[Z.LN_DITHER]), state[Z.DAMPING])
         return newton_euler(now, state[Z.OMEGA0], *_contacts(state, now.phi1, now.phi2), body, rig).alpha0
 
     def rates(moving: SX, t: SX) -> SX:

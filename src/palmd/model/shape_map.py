@@ -13,7 +13,7 @@ import casadi as ca
 
 from palmd.model.compiled import Library, densified, load, mapped_over_block
 from palmd.model.contact import SX, Contact, normal_directions, readings
-from palmd.model.dynamics import Body, Palms, newton_euler
+from palmd.model.dynamics import BodyConstants, Palms, newton_euler
 from palmd.model.integrate import exponential_step
 from palmd.model.outputs import RIG_INPUTS, named_outputs
 from palmd.model.shape import HARMONICS, contact_at
@@ -50,8 +50,8 @@ def _contacts(x: SX, palms: Palms) -> tuple[Contact, Contact]:
     return contact_at(theta1, coefficients), contact_at(theta2, coefficients)
 
 
-def _body(x: SX) -> Body:
-    return Body(ca.exp(x[Z.LN_RHO]), x[Z.MU], ca.exp(x[Z.LN_DITHER]), x[Z.DAMPING])
+def _body(x: SX) -> BodyConstants:
+    return BodyConstants(ca.exp(x[Z.LN_RHO]), x[Z.MU], ca.exp(x[Z.LN_DITHER]), x[Z.DAMPING])
 
 
 def palms_after(u: SX, jerk: SX, t: SX) -> Palms:

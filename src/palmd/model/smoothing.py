@@ -15,7 +15,7 @@ import casadi as ca
 
 from palmd.model.compiled import Library, densified, load
 from palmd.model.contact import SX, normal_directions, readings
-from palmd.model.dynamics import Body, Motion, Palms, newton_euler
+from palmd.model.dynamics import BodyConstants, Motion, Palms, newton_euler
 from palmd.model.integrate import exponential_step
 from palmd.model.outputs import RIG_INPUTS
 from palmd.model.shape import contact_at
@@ -53,7 +53,7 @@ def _motion(psi: SX, omega0: SX, p: SX, palms: Palms, rig: SX) -> Motion:
     theta1, theta2 = normal_directions(palms.phi1, palms.phi2, psi)
     h = p[C.SHAPE :]
     dither = 1.0 / ca.sqrt(p[C.SATURATION])
-    body = Body(ca.exp(p[C.LN_RHO]), p[C.DRAG] * dither, dither, p[C.DAMPING])
+    body = BodyConstants(ca.exp(p[C.LN_RHO]), p[C.DRAG] * dither, dither, p[C.DAMPING])
     return newton_euler(palms, omega0, contact_at(theta1, h), contact_at(theta2, h), body, rig)
 
 

@@ -1,6 +1,6 @@
 """What the palms may do: angles, rates, accelerations, the arm's workspace, contacts on the pads.
 
-A limit is a `Bound` on one quantity of a motion and says in words when it is left, so that the check of a
+A limit is a `QuantityLimit` on one quantity of a motion and says in words when it is left, so that the check of a
 plan, the last guard before a set-point and the message to the operator speak of the same numbers.
 """
 
@@ -23,7 +23,7 @@ _BELOW = 3e-9  # "must stay below" as a bound that may be reached
 
 
 @dataclass(frozen=True, slots=True)
-class Bound:
+class QuantityLimit:
     """The limits of one quantity (SI) and how to speak of it.
 
     order: 0 for a pose, 1 for a rate, 2 for an acceleration. gain: the most that the quantity changes when
@@ -67,14 +67,14 @@ class Workspace:
     speed: float
     acceleration: float
 
-    def bounds(self) -> tuple[Bound, ...]:
+    def bounds(self) -> tuple[QuantityLimit, ...]:
         """Of the values that `values` gives, in the same order."""
         gain = self.geometry.palm1_length + 2.0 * self.geometry.palm2_length
         return (
-            Bound("the arm's x", " mm", 1e3, self.x_min, self.x_max, 0, gain),
-            Bound("the arm's y", " mm", 1e3, self.y_min, self.y_max, 0, gain),
-            Bound("the arm's speed", " mm/s", 1e3, 0.0, self.speed, 1, gain),
-            Bound("the arm's acceleration", " mm/s²", 1e3, 0.0, self.acceleration, 2, gain),
+            QuantityLimit("the arm's x", " mm", 1e3, self.x_min, self.x_max, 0, gain),
+            QuantityLimit("the arm's y", " mm", 1e3, self.y_min, self.y_max, 0, gain),
+            QuantityLimit("the arm's speed", " mm/s", 1e3, 0.0, self.speed, 1, gain),
+            QuantityLimit("the arm's acceleration", " mm/s²", 1e3, 0.0, self.acceleration, 2, gain),
         )
 
     def values(self, motion: PalmMotion) -> tuple[float, ...]:
@@ -97,20 +97,20 @@ class MotionLimits:
     acceleration: float
     pad_length: float
     workspace: Workspace | None = None
-    bounds: tuple[Bound, ...] = field(init=False)
+    bounds: tuple[QuantityLimit, ...] = field(init=False)
 
     def __post_init__(self) -> None:
         top = PHI12_MAX - _BELOW
         bounds = [
-            Bound("phi1", "°", _DEGREES, *self.phi1),
+            QuantityLimit("phi1", "°", _DEGREES, *self.phi1),
             self._opening_bound(),
-            Bound("phi1 + phi2", "°", _DEGREES, 0.0, top, gain=2.0, high_words="it must stay below"),
+            QuantityLimit("phi1 + phi2", "°", _DEGREES, 0.0, top, gain=2.0, high_words="it must stay below"),
         ]
         for order, kind, unit, most in (
             (1, "rate", "°/s", self.rate),
             (2, "acceleration", "°/s²", self.acceleration),
         ):
-            bounds += [Bound(f"the {kind} of phi{i}", unit, _DEGREES, -most, most, order) for i in (1, 2)]
+            bounds += [QuantityLimit(f"the {kind} of phi{i}", unit, _DEGREES, -most, most, order) for i in (1, 2)]
         if self.workspace is not None:
             bounds += self.workspace.bounds()
         object.__setattr__(self, "bounds", tuple(bounds))
@@ -129,13 +129,13 @@ class MotionLimits:
             workspace=workspace,
         )
 
-    def _opening_bound(self) -> Bound:
+    def _opening_bound(self) -> QuantityLimit:
         """phi2's bound: a circle of radius r touches both palms at r/tan(φ2/2), which must be on the pads."""
         pads_end = 2.0 * math.atan(SMALL_RADIUS / max(self.pad_length - PAD_MARGIN, PAD_MARGIN))
         if pads_end <= self.phi2[0]:
-            return Bound("phi2", "°", _DEGREES, *self.phi2)
+            return QuantityLimit("phi2", "°", _DEGREES, *self.phi2)
         words = f"even an object of {SMALL_RADIUS * 1e3:g} mm radius leaves the pads below"
-        return Bound("phi2", "°", _DEGREES, pads_end, self.phi2[1], low_words=words)
+        return QuantityLimit("phi2", "°", _DEGREES, pads_end, self.phi2[1], low_words=words)
 
     def values(self, motion: PalmMotion) -> tuple[float, ...]:
         """The quantities bounded by `bounds`, in that order; raises PoseError at a singular pose."""
@@ -157,15 +157,6 @@ class MotionLimits:
         Raises PoseError at a singular pose when a workspace is known. Safe in the loop.
         """
         return [text for _, text in problems(self.bounds, ranges([self.values(PalmMotion(phi1, phi2))]))]
-
-    def contact_violations(self, s1: float, s2: float, margin: float = PAD_MARGIN) -> list[str]:
-        """What is wrong with contacts at s1, s2 (m from the hinge): nearer to a pad's end than `margin`."""
-        low, high = margin * 1e3, (self.pad_length - margin) * 1e3
-        return [
-            f"the contact on palm {palm} is at {s * 1e3:.1f} mm; the pad serves {low:.1f} to {high:.1f} mm"
-            for palm, s in ((1, s1), (2, s2))
-            if not margin <= s <= self.pad_length - margin
-        ]
 
     def clamp_step(self, previous: PalmMotion, wanted: PalmMotion, dt: float) -> PalmMotion:
         """The last guard before a set-point: `wanted`, inside the angle limits and one step of rate·dt.
@@ -197,7 +188,9 @@ def ranges(values: Iterable[tuple[float, ...]]) -> list[tuple[float, float]]:
     return [(min(column), max(column)) for column in zip(*values, strict=True)]
 
 
-def problems(bounds: Iterable[Bound], extremes: Iterable[tuple[float, float]]) -> list[tuple[Bound, str]]:
+def problems(
+    bounds: Iterable[QuantityLimit], extremes: Iterable[tuple[float, float]]
+) -> list[tuple[QuantityLimit, str]]:
     """Which bounds the quantities' extremes leave, in words."""
     found = ((bound, bound.problem(*pair)) for bound, pair in zip(bounds, extremes, strict=True))
     return [(bound, text) for bound, text in found if text is not None]

@@ -30,14 +30,14 @@ from palmd.config import (
 from palmd.events import PalmMotion
 from palmd.motion.exploration import Exploration
 from palmd.motion.kinematics import PoseError
-from palmd.motion.limits import Bound, MotionLimits, problems, ranges
+from palmd.motion.limits import MotionLimits, QuantityLimit, problems, ranges
 from palmd.motion.segments import (
     PEAK_RATE,
     Angles,
     ConstantRate,
     Hold,
+    MotionSegment,
     Move,
-    Segment,
     Sine,
 )
 
@@ -67,7 +67,7 @@ class PlanError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class PlanPlace:
     """Where in a plan a time is: the segment's number (from 0) and kind, and the whole's progress, 0 to 1.
 
     A plan that runs forever shows the progress of its present round, one that explores the share it has touched.
@@ -82,12 +82,12 @@ class Place:
 class Round:
     """One pass through a plan: its segments, and when each begins (s, from the round's beginning)."""
 
-    segments: tuple[Segment, ...]
+    segments: tuple[MotionSegment, ...]
     begins: tuple[float, ...]
     duration: float
 
     @classmethod
-    def of(cls, segments: Sequence[Segment]) -> Round:
+    def of(cls, segments: Sequence[MotionSegment]) -> Round:
         """Segments one after the other."""
         ends = list(accumulate(segment.duration for segment in segments))
         return cls(tuple(segments), (0.0, *ends[:-1]), ends[-1])
@@ -135,7 +135,7 @@ class Trajectory:
             motion.alpha2 + extra.alpha2,
         )
 
-    def place(self, tau: float) -> Place:
+    def place(self, tau: float) -> PlanPlace:
         """Which segment plan time tau belongs to, and how far the plan is. Safe in the loop."""
         tau = min(max(tau, 0.0), self.duration)
         current, t = self._locate(tau)
@@ -144,7 +144,7 @@ class Trajectory:
         segment = current.segments[index]
         if isinstance(segment, Exploration):
             whole, done = 1.0, segment.coverage
-        return Place(index, self.labels[index], done / whole if whole > 0.0 else 1.0)
+        return PlanPlace(index, self.labels[index], done / whole if whole > 0.0 else 1.0)
 
     def exploration(self, tau: float) -> tuple[Exploration, float] | None:
         """The exploration that plan time tau belongs to, and the time since it began (s). Safe in the loop."""
@@ -251,14 +251,14 @@ class _Compiler:
             dither=_dither(self.spec.dither, duration),
         )
 
-    def _round(self, pose: Angles, *, first: bool) -> tuple[list[Segment], Angles]:
+    def _round(self, pose: Angles, *, first: bool) -> tuple[list[MotionSegment], Angles]:
         """One pass from `pose`; in the first, a move at its beginning is left to the approach."""
-        segments: list[Segment] = []
+        segments: list[MotionSegment] = []
         for index, spec in enumerate(self.spec.segments):
             beginning = first and index == 0
             try:
                 if beginning and isinstance(spec, MoveSpec):
-                    segment: Segment = Hold(pose, 0.0)
+                    segment: MotionSegment = Hold(pose, 0.0)
                 else:
                     segment, pose = self._segment(spec, pose)
             except _SegmentError as error:
@@ -269,7 +269,7 @@ class _Compiler:
             segments.append(segment)
         return segments, pose
 
-    def _segment(self, spec: SegmentSpec, pose: Angles) -> tuple[Segment, Angles]:
+    def _segment(self, spec: SegmentSpec, pose: Angles) -> tuple[MotionSegment, Angles]:
         """One segment from `pose`, and where it ends."""
         if isinstance(spec, MoveSpec):
             end = _target(spec.move, pose)
@@ -311,7 +311,7 @@ class _Compiler:
         end = (until, other) if axis == 0 else (other, until)
         return ConstantRate(pose, rate, ramp, duration), end
 
-    def _check(self, index: int, segment: Segment, *, first: bool) -> None:
+    def _check(self, index: int, segment: MotionSegment, *, first: bool) -> None:
         """Note what in a segment leaves the limits, with the dither on top.
 
         A pose limit that is left already where the segment starts is the fault of the one before.
@@ -422,7 +422,7 @@ def _way(start: Angles, end: Angles, limits: MotionLimits) -> tuple[Move, list[t
     return move, extremes
 
 
-def _extremes(segment: Segment, limits: MotionLimits) -> list[tuple[float, float]]:
+def _extremes(segment: MotionSegment, limits: MotionLimits) -> list[tuple[float, float]]:
     """Lowest and highest of each bounded quantity; raises PoseError at a singular pose."""
     return ranges(limits.values(segment.at(t)) for t in segment.sample_times())
 
@@ -431,7 +431,9 @@ def _widened(extremes: Sequence[tuple[float, float]], more: Sequence[float]) -> 
     return [(low - each, high + each) for (low, high), each in zip(extremes, more, strict=True)]
 
 
-def _slowing(bounds: Sequence[Bound], extremes: Sequence[tuple[float, float]], usable: Sequence[float]) -> float:
+def _slowing(
+    bounds: Sequence[QuantityLimit], extremes: Sequence[tuple[float, float]], usable: Sequence[float]
+) -> float:
     """The factor on a move's duration that brings its rates and accelerations down to what is usable of them.
 
     The path stays the same, so rates go with 1/T and accelerations with 1/T².

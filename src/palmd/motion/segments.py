@@ -23,7 +23,7 @@ _SWING_SAMPLES = 6000  # at most, of a long sine; by then it has shown all it do
 Angles = tuple[float, float]
 
 
-class Segment(Protocol):
+class MotionSegment(Protocol):
     """One piece of motion, from rest to rest."""
 
     @property

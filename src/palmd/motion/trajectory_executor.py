@@ -14,7 +14,7 @@ from palmd.events import PalmMotion
 from palmd.motion.exploration import Exploration
 from palmd.motion.kinematics import PoseError
 from palmd.motion.limits import MotionLimits
-from palmd.motion.plan import Place, Trajectory, approach
+from palmd.motion.plan import PlanPlace, Trajectory, approach
 from palmd.motion.segments import Move
 
 LONGEST_STEP = 0.020  # s; after a longer pause between calls the motion is late, it never catches up
@@ -70,12 +70,12 @@ class TrajectoryExecutor:
         return None if self._trajectory is None else self._trajectory.name
 
     @property
-    def place(self) -> Place | None:
+    def place(self) -> PlanPlace | None:
         """Where in the plan the command is; None without one."""
         if self._trajectory is None:
             return None
         if self._tau < self._approach.duration:
-            return Place(0, "approach", 0.0)
+            return PlanPlace(0, "approach", 0.0)
         return self._trajectory.place(self._tau - self._approach.duration)
 
     @property

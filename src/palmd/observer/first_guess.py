@@ -26,7 +26,7 @@ LN_GYRATION_SD = 0.12
 
 
 @dataclass(frozen=True, slots=True)
-class Start:
+class FirstGuess:
     """One filter of the bank at the end of its time: how likely, its trajectory (n, 2) at `t`, and its constants."""
 
     score: float
@@ -42,7 +42,7 @@ class Start:
 
 def blind_starts(
     events: Sequence[Event], rig: RigDescription, begin: float, seconds: float, seed: int, size: int = BANK
-) -> list[Start]:
+) -> list[FirstGuess]:
     """Every filter of a bank that has read `events` until `seconds` after `begin` (s), likeliest first; maybe none."""
     filters = ShapeFilters(rig, size)
     observer = BankObserver(filters, rig, seed)
@@ -63,7 +63,7 @@ def blind_starts(
     same = [state for state in states if len(state) == len(states[-1])]  # filters keep their places until one goes
     trajectories = np.array([state[:, [Z.PSI, Z.OMEGA0]] for state in same])
     at = at[-len(same) :]
-    return [Start(float(score[i]), at, trajectories[:, i], constants_of(states[-1][i])) for i in order]
+    return [FirstGuess(float(score[i]), at, trajectories[:, i], constants_of(states[-1][i])) for i in order]
 
 
 def prior_of(pads: Sequence[PadSample], tangents: FloatArray) -> Prior:

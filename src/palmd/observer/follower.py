@@ -19,7 +19,7 @@ from palmd.observer.data_segment import DataSegment
 from palmd.observer.matching import Felt, matched
 from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import normal_angles
-from palmd.observer.search import NOISE, Finding, Search, explained
+from palmd.observer.search import NOISE, Minima, Search, explained
 
 PATIENCE = 2  # windows that may fail: an answer that hard to find comes too late
 LEAST_S = 1.0  # of readings at the end of a stretch that are worth an iteration
@@ -33,7 +33,7 @@ class Answer:
     """What was found, and the search that found it: with what it went by, it tells how sure it is."""
 
     search: Search
-    finding: Finding
+    finding: Minima
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ Gaussian), and the steps are weighed by their marginal likelihood (Rue, Martino 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.model.compiled import Library
 from palmd.model.smoothing import CONSTANTS, NODE, C
-from palmd.observer.factor import Prior
+from palmd.observer.factor import Prior, friction_of
 from palmd.observer.normal_equations import Guess
 from palmd.observer.record import Record
 from palmd.observer.smoother import Fit, Posterior, Smoother
@@ -28,10 +29,12 @@ NEGLIGIBLE_NATS = 4.0  # below the best step: e⁻⁴
 
 @dataclass(frozen=True, slots=True)
 class Marginal:
-    """Means of nodes and constants, and the covariance of (constants, last node)."""
+    """Means of nodes and constants, the covariance of (constants, last node), and μ with its one-sigma."""
 
     mean: Guess
     covariance: FloatArray
+    mu: float
+    mu_sd: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +70,16 @@ def marginalised(library: Library, record: Record, prior: Prior, fit: Fit) -> Ma
         miss = np.concatenate([step.fit.guess.p, step.fit.guess.x[-1]]) - mean
         covariance += weight * (step.posterior.covariance + np.outer(miss, miss))
     covariance[C.SATURATION, C.SATURATION] += (2.0 * p[C.SATURATION] * stride) ** 2 / 12
-    return Marginal(Guess(x, p), covariance)
+    mu, mu_sd = _friction(steps, weights, stride)
+    return Marginal(Guess(x, p), covariance, mu, mu_sd)
+
+
+def _friction(steps: Sequence[_Step], weights: FloatArray, stride: float) -> tuple[float, float]:
+    """μ and its one-sigma over all steps: as a function of (B, w) it is too curved for their covariance."""
+    each = np.array([friction_of(step.fit.guess.p, step.posterior.covariance) for step in steps])
+    mean = float(weights @ each[:, 0])
+    between = (mean * stride) ** 2 / 12
+    return mean, math.sqrt(float(weights @ (each[:, 1] ** 2 + (each[:, 0] - mean) ** 2)) + between)
 
 
 def _step(library: Library, record: Record, prior: Prior, start: Fit, value: float) -> _Step:

@@ -56,7 +56,13 @@ class MultiStart:
     """Trajectories from a grid of beginnings. Every call takes bounded time and is safe inside the loop."""
 
     def __init__(
-        self, spread: Spread, felt: qs.Felt, psi: float, circle: float, step_s: float, softening: float = SOFTENING_M
+        self,
+        spread: Spread,
+        felt: qs.QuasistaticReadings,
+        psi: float,
+        circle: float,
+        step_s: float,
+        softening: float = SOFTENING_M,
     ):
         """All begin at what is `felt` first, at orientation `psi` (rad), and go on in steps of `step_s` (s).
 
@@ -89,7 +95,7 @@ class MultiStart:
         self._weight = step_s * NOTED_EVERY / ERROR_LASTS_S / NOTED_SD**2
         self._readings = 0
 
-    def step(self, here: qs.Felt, there: qs.Felt) -> None:
+    def step(self, here: qs.QuasistaticReadings, there: qs.QuasistaticReadings) -> None:
         """Integrate one step, from what is felt `here` to what is felt `there`, and take note of the outline."""
         if self.steps % NOTED_EVERY == 0:
             self._note(here)
@@ -137,7 +143,7 @@ class MultiStart:
         covariance = np.linalg.inv(self._information[number])
         return covariance @ self._told[number], covariance
 
-    def _note(self, felt: qs.Felt) -> None:
+    def _note(self, felt: qs.QuasistaticReadings) -> None:
         r1, r2, psi = self.state[:3]
         theta = np.stack(normals(np.asarray(felt.phi1), np.asarray(felt.phi2), psi), axis=1)
         d = np.stack(qs.offsets(felt, r1, r2), axis=1)

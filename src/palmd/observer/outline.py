@@ -20,7 +20,7 @@ MOST_CUTS = 200
 
 
 @dataclass(frozen=True, slots=True)
-class Outline:
+class OutlineEstimate:
     """Support function h and its one-sigma (m) on normals theta (rad); `touched`: a palm has been there."""
 
     theta: FloatArray
@@ -40,7 +40,7 @@ def normal_angles(palms: FloatArray, psi: FloatArray) -> FloatArray:
     return np.stack([first, first + palms[:, 1] - math.pi], axis=1)
 
 
-def outline_of(coefficients: FloatArray, covariance: FloatArray, normals: Sequence[FloatArray]) -> Outline:
+def outline_of(coefficients: FloatArray, covariance: FloatArray, normals: Sequence[FloatArray]) -> OutlineEstimate:
     """The outline on `directions`, touched where the `normals` went; the band is gauge-free.
 
     Of each uninterrupted time (n, 2), in order of time.
@@ -48,7 +48,7 @@ def outline_of(coefficients: FloatArray, covariance: FloatArray, normals: Sequen
     theta = directions()
     touched = np.logical_or.reduce([touched_by(each) for each in normals])
     h = shape.basis(theta, _order(coefficients)) @ coefficients
-    return Outline(theta, h, gauge_free_sd(theta, theta[touched], coefficients, covariance), touched)
+    return OutlineEstimate(theta, h, gauge_free_sd(theta, theta[touched], coefficients, covariance), touched)
 
 
 def made_convex(x: FloatArray, P: FloatArray, at: slice) -> bool:

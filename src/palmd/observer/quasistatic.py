@@ -71,7 +71,7 @@ _BIN_OF_THETA = (_THETA / (2 * np.pi) * NORMAL_BINS).astype(np.intp)
 class _Node:
     """One instant of the even grid: what was felt, and where the leading set's mean was then."""
 
-    felt: qs.Felt
+    felt: qs.QuasistaticReadings
     mean: float
     balance: float
     psi: float
@@ -205,7 +205,7 @@ class QuasistaticObserver:
         self._leader: MultiStart | None = None
         self._found: _Answer | None = None
         self._follower: MultiStart | None = None
-        self._ahead: deque[qs.Felt] = deque()  # of the follower
+        self._ahead: deque[qs.QuasistaticReadings] = deque()  # of the follower
         self._level = 0  # ticks for which it has been where the leader is
         self._rounds = 0
         self._mass = MassEstimator(rig.force_scale_std, rig.force_resolution, rig.force_gain_std)
@@ -215,7 +215,7 @@ class QuasistaticObserver:
         sample = self._last.get(pad)
         return -math.inf if sample is None else sample.t_sample
 
-    def _felt(self, t: float) -> tuple[qs.Felt, float] | None:
+    def _felt(self, t: float) -> tuple[qs.QuasistaticReadings, float] | None:
         """What is felt at `t`, and how far pads' readings stray from it (m); None where they are too few."""
         one, two, palms = self._pads[1].at(t), self._pads[2].at(t), self._palms.at(t)
         if one is None or two is None or palms is None:
@@ -224,7 +224,7 @@ class QuasistaticObserver:
         if not 0.0 < phi2 < math.pi:
             return None
         s1, s2, s1_dot, s2_dot = (float(v[0]) for v in (one.value, two.value, one.rate, two.rate))
-        felt = qs.Felt(s1, s2, phi1, phi2, s1_dot, s2_dot, omega1, omega2)
+        felt = qs.QuasistaticReadings(s1, s2, phi1, phi2, s1_dot, s2_dot, omega1, omega2)
         return felt, float(max(one.misfit[0], two.misfit[0]))
 
     def _advance(self, t: float) -> None:
@@ -267,7 +267,7 @@ class QuasistaticObserver:
         self._t_node = start
         self._note(self._leader, felt)
 
-    def _note(self, leader: MultiStart, felt: qs.Felt) -> None:
+    def _note(self, leader: MultiStart, felt: qs.QuasistaticReadings) -> None:
         """The leader stands at a new node where this is `felt`."""
         self._ahead.append(felt)
         if not leader.judged:
@@ -318,7 +318,7 @@ class QuasistaticObserver:
 
     # ---- reading off
 
-    def _named(self, t: float, now: qs.Felt, found: _Answer) -> tuple[FloatArray, FloatArray]:
+    def _named(self, t: float, now: qs.QuasistaticReadings, found: _Answer) -> tuple[FloatArray, FloatArray]:
         """Values and one-sigmas of `NAMED` at `t`, from the last node on at its rates."""
         r1, r2, psi, omega0 = found.values.tolist()
         node = self._nodes[-1].felt
@@ -347,7 +347,7 @@ class QuasistaticObserver:
         return y, np.array([sds.get(name, math.nan) for name in NAMED])
 
 
-def _read_off(leader: MultiStart, felt: qs.Felt, weights: FloatArray) -> _Answer:
+def _read_off(leader: MultiStart, felt: qs.QuasistaticReadings, weights: FloatArray) -> _Answer:
     rates = qs.rates(felt, leader.state, leader.softening)
     each = np.concatenate([leader.state[:3], rates[2:3]])
     mean = each @ weights
@@ -359,7 +359,7 @@ def _read_off(leader: MultiStart, felt: qs.Felt, weights: FloatArray) -> _Answer
     return _Answer(mean, sd, float(e_f), float(e_c), float(leader.conflict[best]), best)
 
 
-def _motion(felt: qs.Felt) -> PalmMotion:
+def _motion(felt: qs.QuasistaticReadings) -> PalmMotion:
     return PalmMotion(float(felt.phi1), float(felt.phi2), float(felt.omega1), float(felt.omega2))
 
 

@@ -21,13 +21,13 @@ from palmd.model.smoothing import CONSTANTS, ORDER, C
 from palmd.observer.chain import Chain
 from palmd.observer.coverage import marks_of
 from palmd.observer.data_segment import DataSegment, data_segments
-from palmd.observer.factor import Prior, friction_of
+from palmd.observer.factor import Prior
 from palmd.observer.marginal import Marginal, marginalised
 from palmd.observer.mass import MassEstimator
 from palmd.observer.matching import Felt, matched
 from palmd.observer.outline import directions, made_convex, normal_angles, outline_of
 from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
-from palmd.observer.search import Finding, Search, beyond_question, doubt
+from palmd.observer.search import Minima, Search, beyond_question, doubt
 from palmd.observer.seeker import ATTEMPTS
 from palmd.observer.smoother import Fit, Smoother
 from palmd.observer.visits import Counts, visits_of
@@ -154,7 +154,7 @@ def _part(stretch: DataSegment, rig: RigDescription, seed: int) -> _Part | None:
     return best
 
 
-def _refined(search: Search, finding: Finding, stretch: DataSegment, rig: RigDescription) -> _Part:
+def _refined(search: Search, finding: Minima, stretch: DataSegment, rig: RigDescription) -> _Part:
     """The best fit again on finer nodes, each force's noise taken from the model's force instead of its neighbours'."""
     best = finding.fits[0]
     record = lay_out(stretch.pads, search.path, rig, stretch.start, stretch.end, SPACING_S)
@@ -222,7 +222,6 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
         reason = "only a hollow outline explains the readings"
     sd = np.sqrt(np.diagonal(covariance))
     rho = math.exp(p[C.LN_RHO])
-    friction = friction_of(p, covariance)
     mass, mass_sd = _weighed(main, rig, answered)
     everywhere = np.concatenate(normals)
     radii = [shape.basis(everywhere[:, i], ORDER) @ p[C.SHAPE :] for i in range(2)]
@@ -234,7 +233,7 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
         converged=not reason, chi2=fit.chi2,
         theta=outline.theta, h=outline.h, h_sd=outline.h_sd, touched=outline.touched,
         visits=np.sum([visits_of(each) for each in normals], axis=0),
-        rho=rho, rho_sd=rho * float(sd[C.LN_RHO]), mu=friction[0], mu_sd=friction[1],
+        rho=rho, rho_sd=rho * float(sd[C.LN_RHO]), mu=answered.mu, mu_sd=answered.mu_sd,
         mass=mass, mass_sd=mass_sd,
         t=t, psi=psi, omega0=omega0, r1=radii[0], r2=radii[1],
         reason=reason, seconds=time.perf_counter() - begun,

@@ -46,20 +46,20 @@ STILL_RAD = 5e-3  # palms that move by less tell nothing of what turns with them
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class Minima:
     """The distinct minima found on `record`, best first, at least one."""
 
     record: Record
     fits: tuple[Fit, ...]
 
-    def until(self, t: float) -> Finding | None:
+    def until(self, t: float) -> Minima | None:
         """The best one's part up to `t` (s); None when hardly anything is left."""
         record = self.record.until(t)
         if len(record.dt) < 2 or record.t[-1] > t:
             return None
         best = self.fits[0]
         cut = replace(best, guess=Guess(best.guess.x[: len(record.t)], best.guess.p))
-        return Finding(record, (cut,))
+        return Minima(record, (cut,))
 
 
 class Search:
@@ -106,28 +106,28 @@ class Search:
         """For how long the palms have rested at `t` (s)."""
         return float(self.path.resting(np.array([t]), RESTING_RAD_S, self._resting_since)[0])
 
-    def blind(self, seconds: float, count: int, seed: int) -> Finding | None:
+    def blind(self, seconds: float, count: int, seed: int) -> Minima | None:
         """Start from the `count` likeliest of a bank that has read the first `seconds`; None if that leads nowhere."""
         begin = self.record.t[0]
         record = self.record.until(begin + seconds)
         starts = blind_starts(self._stretch.events(), self._rig, begin, seconds, seed)[:count]
         return self._grown_from(record, [start.guess(record.t) for start in starts]) if starts else None
 
-    def resumed(self, guesses: Sequence[Guess]) -> Finding | None:
+    def resumed(self, guesses: Sequence[Guess]) -> Minima | None:
         """Go on from what was found on a shorter part of the same stretch; None if that leads nowhere."""
         return self._grown_from(self.record.steps(len(guesses[0].x) - 1), guesses)
 
-    def followed(self, guess: Guess) -> Finding | None:
+    def followed(self, guess: Guess) -> Minima | None:
         """Go on at once to the end of the record where the model foretells it; else as `resumed`."""
         smoother = Smoother(self.library, self.record, self.known)
         start = smoother.completed(guess)
         if not _astray(smoother.residuals(start)).any():
             fit = smoother.fit(start, NOISE)
             if explained(fit, self.record):
-                return Finding(self.record, (fit,))
+                return Minima(self.record, (fit,))
         return self.resumed([guess])
 
-    def placed(self, p: FloatArray, covariance: FloatArray) -> Finding | None:
+    def placed(self, p: FloatArray, covariance: FloatArray) -> Minima | None:
         """Start from the constants `p`, at rest as the outline is most likely to lie; None if that leads nowhere.
 
         `covariance` is of the outline's coefficients (m²). ψ is gauge: it is the outline that is turned.
@@ -147,7 +147,7 @@ class Search:
         palms = PalmMotion(*self.path.at(np.array([first[0][0].t_sample]))[0].tolist())
         return likely_orientations(outline, covariance, s1, s2, palms, self._rig.reading_variance, ORIENTATIONS)
 
-    def _grown_from(self, record: Record, guesses: Sequence[Guess]) -> Finding | None:
+    def _grown_from(self, record: Record, guesses: Sequence[Guess]) -> Minima | None:
         fits = self._fits(record, guesses)
         if len(record.t) < len(self.record.t) and not explained(fits[0], record):
             return None
@@ -160,11 +160,11 @@ class Search:
             while not explained(found[0], longer):
                 step, failures = float(longer.t[-1]) - now, failures + 1
                 if step < 1.5 * LEAST_GROWTH_S or failures > self._patience:
-                    return Finding(longer, found) if len(longer.t) == len(self.record.t) else None
+                    return Minima(longer, found) if len(longer.t) == len(self.record.t) else None
                 longer = self.record.until(now + max(step / 2, LEAST_GROWTH_S))
                 found = self._fits(longer, known)
             record, fits = longer, found
-        return Finding(record, fits)
+        return Minima(record, fits)
 
     def _longer(self, record: Record, fit: Fit) -> Record:
         """A longer window, as far as the fit foretells the readings to come: beyond that it would be led astray."""
@@ -190,11 +190,11 @@ def _astray(residuals: FloatArray) -> npt.NDArray[np.bool_]:
     return gone
 
 
-def merged(one: Finding | None, other: Finding | None) -> Finding | None:
+def merged(one: Minima | None, other: Minima | None) -> Minima | None:
     """What two searches of the same stretch have found between them."""
     if one is None or other is None:
         return one or other
-    return Finding(one.record, _distinct([*one.fits, *other.fits]))
+    return Minima(one.record, _distinct([*one.fits, *other.fits]))
 
 
 def _distinct(fits: Sequence[Fit]) -> tuple[Fit, ...]:
@@ -221,7 +221,7 @@ def beyond_question(fit: Fit, record: Record) -> bool:
     return _consistent(fit.chi2, len(record.contact_value), SECOND_OPINION_SIGMAS)
 
 
-def doubt(fit: Fit, finding: Finding) -> str:
+def doubt(fit: Fit, finding: Minima) -> str:
     """Why `fit`, the best of `finding` or a refinement of it, cannot be taken at its word; empty when it can."""
     if still(finding.record):
         return "nothing moves: readings at rest tell nothing of the outline"

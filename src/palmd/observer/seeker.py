@@ -9,7 +9,7 @@ from palmd.model.smoothing import ORDER
 from palmd.observer.data_segment import DataSegment
 from palmd.observer.follower import PATIENCE, Answer
 from palmd.observer.normal_equations import Guess
-from palmd.observer.search import Finding, Search, doubt, merged, still
+from palmd.observer.search import Minima, Search, doubt, merged, still
 
 LEAST_S = 1.0  # of readings, before which the bank is as good
 STILL_KEPT_S = 2.0  # of readings at rest, when those and what came before tell nothing
@@ -46,7 +46,7 @@ class Seeker:
         if still(search.record) or (self._doubtful and search.rested(stretch.end) > STILL_KEPT_S):
             self.needs_from = stretch.end - STILL_KEPT_S
             return None
-        finding: Finding | None = None
+        finding: Minima | None = None
         if self._guesses and stretch.start == self._start:
             finding = search.resumed(self._guesses)
         else:

@@ -7,25 +7,22 @@ another one brings that to the disk each second, however long it takes.
 from __future__ import annotations
 
 import contextlib
-import itertools
 import os
 import threading
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import msgpack
-import zmq
-
+from palmd.bus.command_client import CommandClient
+from palmd.bus.subscriber import Subscriber
 from palmd.config import Config, from_here
 from palmd.keys import Credentials
 from palmd.record.recording import Ended, Recording
 
 LOOK_S = 0.05  # between looks at the clock when nothing comes
 BATCH = 1000  # messages that are taken before they are handed over
-SYNC_S = TELL_S = 1.0
+TELL_S = 1.0  # and between times that it is brought to the disk
 LAST_WORDS_S = 0.15  # that a daemon's last messages may take
-RECONNECT_MS = 20
 
 
 def record(
@@ -38,93 +35,52 @@ def record(
 ) -> None:
     """Record until `stopped`; `truth` holds addresses beside the daemon's, `key` is for a daemon that has keys.
 
-    `ready` is called when it listens, whoever is there; `ended` is told of each closed file. Raises zmq.ZMQError for
-    what is no address.
+    `ready` is called when it listens, whoever is there; `ended` is told of each closed file. Raises CliError for what
+    is no address.
     """
     recording = Recording(config, ended)
     with contextlib.ExitStack() as stack:
-        context = zmq.Context()
-        stack.callback(context.destroy, linger=0)
-        socket = _subscriber(context, from_here(config.bus.publish), truth, key)
-        daemon = _Teller(context, from_here(config.bus.command), key)
+        publish, command = from_here(config.bus.publish), from_here(config.bus.command)
+        subscriber = stack.enter_context(Subscriber(publish, topics=("",), key=key, keyless=truth, high_water=0))
+        daemon = stack.enter_context(CommandClient(command, key=key, now_or_never=True))
         syncer = stack.enter_context(_Syncer())
         due = 0.0
         ready()
         while not stopped():
-            _drain(socket, recording, LOOK_S)
+            _drain(subscriber, recording, LOOK_S)
             recording.flush(time.time())
             error = syncer.failed()
             if error is not None:
                 recording.fail(error, time.time())
             if time.monotonic() >= due:
                 syncer.sync(recording.fd)
-                if daemon.tell(recording):
+                if _told(daemon, recording):
                     due = time.monotonic() + TELL_S
         t_end = time.monotonic() + LAST_WORDS_S
-        while _drain(socket, recording, LAST_WORDS_S) and time.monotonic() < t_end:
+        while _drain(subscriber, recording, LAST_WORDS_S) and time.monotonic() < t_end:
             pass
     recording.finish()
 
 
-def _drain(socket: zmq.Socket[bytes], recording: Recording, wait_s: float) -> int:
-    """Wait for something to come, then take what there is."""
-    if not socket.poll(round(wait_s * 1e3)):
-        return 0
-    for count in range(BATCH):
-        try:
-            frames = socket.recv_multipart(zmq.NOBLOCK)
-        except zmq.Again:
-            return count
+def _drain(subscriber: Subscriber, recording: Recording, wait_s: float) -> int:
+    """Wait for something to come, then take what there is; how much that was."""
+    count = 0
+    for frames in subscriber.frames(BATCH, wait_s):
         recording.take(frames, time.time())
-    return BATCH
+        count += 1
+    return count
 
 
-def _subscriber(
-    context: zmq.Context[zmq.Socket[bytes]], publish: str, truth: Sequence[str], key: Credentials | None
-) -> zmq.Socket[bytes]:
-    """Keeps everything that comes for as long as this process lives."""
-    socket = context.socket(zmq.SUB)
-    socket.setsockopt(zmq.RCVHWM, 0)
-    socket.setsockopt(zmq.RECONNECT_IVL, RECONNECT_MS)
-    for address in truth:
-        socket.connect(address)  # a rig has no keys, and a key counts for what is connected after it is set
-    if key is not None:
-        key.encrypt(socket)
-    socket.connect(publish)
-    socket.subscribe(b"")
-    return socket
-
-
-class _Teller:
-    """Tells the daemon, if there is one, and never waits for it."""
-
-    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], address: str, key: Credentials | None) -> None:
-        self._socket = context.socket(zmq.DEALER)
-        self._socket.setsockopt(zmq.IMMEDIATE, 1)  # what nobody hears now is not worth keeping
-        if key is not None:
-            key.encrypt(self._socket)
-        self._socket.connect(address)
-        self._numbers = itertools.count(1)
-
-    def tell(self, recording: Recording) -> bool:
-        """One command `recorder`, if somebody takes it; what was answered to earlier ones is of no interest."""
-        args: dict[str, Any] = {
-            "bytes": recording.size_bytes,
-            "messages": recording.messages,
-            "lost": recording.lost,
-        }
-        if recording.path is not None:
-            args["path"] = str(recording.path)
-        if recording.problem:
-            args["problem"] = recording.problem
-        with contextlib.suppress(zmq.Again):
-            while True:
-                self._socket.recv_multipart(zmq.NOBLOCK)
-        with contextlib.suppress(zmq.Again):
-            request = {"id": next(self._numbers), "cmd": "recorder", "args": args}
-            self._socket.send(msgpack.packb(request), zmq.NOBLOCK)
-            return True
-        return False
+def _told(client: CommandClient, recording: Recording) -> bool:
+    """Whether the daemon, if there is one, took the command `recorder`; earlier answers are of no interest."""
+    args: dict[str, Any] = {"bytes": recording.size_bytes, "messages": recording.messages, "lost": recording.lost}
+    if recording.path is not None:
+        args["path"] = str(recording.path)
+    if recording.problem:
+        args["problem"] = recording.problem
+    for _ in client.replies():
+        pass
+    return client.post("recorder", args) is not None
 
 
 class _Syncer:

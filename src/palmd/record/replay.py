@@ -18,7 +18,7 @@ TICKS_PER_SHAPE = 100
 _SAME_TIME_S = 1e-9
 
 
-class Observer(Protocol):
+class ReplayObserver(Protocol):
     """What a replay needs of an observer."""
 
     def feed(self, event: Event) -> None:
@@ -32,7 +32,7 @@ class Observer(Protocol):
 
 
 @runtime_checkable
-class Recogniser(Observer, Protocol):
+class ReplayRecogniser(ReplayObserver, Protocol):
     """An observer that has outlines to choose from."""
 
     def identify(self, t: float) -> ObjectEstimate | None:
@@ -56,10 +56,10 @@ def tick_count(log: EventLog) -> int:
     return max(1, math.ceil((span - _SAME_TIME_S) / PERIOD_S))
 
 
-def replay(log: EventLog, observer: Observer) -> Iterator[Tick]:
+def replay(log: EventLog, observer: ReplayObserver) -> Iterator[Tick]:
     """The observer's answers at t0 + k·10 ms, each from events up to that time only, in the file's order."""
     t0 = log.events[0].t_sample
-    recogniser = observer if isinstance(observer, Recogniser) else None
+    recogniser = observer if isinstance(observer, ReplayRecogniser) else None
     waiting = iter(log.events)
     event = next(waiting, None)
     for number in range(1, tick_count(log) + 1):

@@ -32,7 +32,7 @@ def closed(curve: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True)
-class Pose:
+class DrawnPose:
     """One estimate as it stands on the palms, seen from the hinge: angles (rad), points (2,) in m."""
 
     t: float
@@ -44,7 +44,7 @@ class Pose:
     contact2: FloatArray
 
 
-def pose_at(series: Series, number: int) -> Pose:
+def pose_at(series: Series, number: int) -> DrawnPose:
     """The estimate of that number: n1·c = r1, n2·c = r2; contacts at s1 t1 and −s2 t2 (section 3.1)."""
     t, estimate = series.estimate.t, series.estimate
     phi1, phi2, psi, r1, r2, s1, s2 = (
@@ -54,7 +54,7 @@ def pose_at(series: Series, number: int) -> Pose:
     along1, along2 = (np.array([math.cos(angle), math.sin(angle)]) for angle in (phi1, phi12))
     inward = np.array([[-along1[1], along1[0]], [along2[1], -along2[0]]])
     centre = np.linalg.solve(inward, np.array([r1, r2])) if math.sin(phi2) else np.full(2, math.nan)
-    return Pose(float(t[number]), phi1, phi12, psi, centre, s1 * along1, s2 * along2)
+    return DrawnPose(float(t[number]), phi1, phi12, psi, centre, s1 * along1, s2 * along2)
 
 
 def felt_points(series: Series, numbers: Iterable[int]) -> FloatArray:

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import minimize_scalar
 
 from palmd.events import FloatArray
-from palmd.report.series import SD, Body, OutlineAt, Series
+from palmd.report.series import SD, OutlineAt, Series, TrueBody
 from palmd.score import OutlineScore, score_outline, support_at
 
 SDS = 2.0
@@ -107,16 +107,16 @@ def last_outlines(series: Series) -> tuple[OutlineAt, ...]:
     return tuple(last.values()) or series.outlines[-1:]
 
 
-def body_at(series: Series, t: float) -> Body | None:
+def body_at(series: Series, t: float) -> TrueBody | None:
     """What lay on the palms at `t` (s), None when nobody knows."""
     before = [body for body in series.bodies if body.t <= t]
     return before[-1] if before else next(iter(series.bodies), None)
 
 
-def against(outline: OutlineAt, body: Body) -> OutlineAgainst:
+def against(outline: OutlineAt, body: TrueBody) -> OutlineAgainst:
     """The outline's errors, and its scores."""
-    theta, h, everywhere = outline.theta, outline.h, np.ones(len(outline.theta), dtype=np.bool_)
-    whole = score_outline(theta, h, everywhere, body.h)
+    theta, h = outline.theta, outline.h
+    whole = score_outline(theta, h, None, body.h)
     felt = score_outline(theta, h, outline.touched, body.h)
     rotation = _likeliest_turn(outline, body)
     true_h = support_at(body.h, theta + rotation)
@@ -131,13 +131,13 @@ def scores_over_time(series: Series) -> tuple[FloatArray, FloatArray, FloatArray
     for outline in chosen:
         body = body_at(series, outline.t)
         if body is not None:
-            score = score_outline(outline.theta, outline.h, np.ones(len(outline.h), dtype=np.bool_), body.h)
+            score = score_outline(outline.theta, outline.h, None, body.h)
             rows.append((outline.t, score.e_h, score.max_error))
     t, e_h, largest = np.array(rows).reshape(-1, 3).T
     return t, e_h, largest
 
 
-def _likeliest_turn(outline: OutlineAt, body: Body) -> float:
+def _likeliest_turn(outline: OutlineAt, body: TrueBody) -> float:
     """The rotation (rad) of the true outline at which Σ (error / sd)² is least."""
 
     def misfit(true_h: FloatArray) -> float:

@@ -23,7 +23,7 @@ _WORDS = 108  # letters of a line of a caption
 
 
 @dataclass(frozen=True, slots=True)
-class _Block:
+class _PageBlock:
     """Something that stays together on a page: a heading or none, then a figure with its caption, or lines of text."""
 
     heading: str
@@ -52,22 +52,22 @@ def as_pdf(report: Report, at: Callable[[int], None] = lambda _: None) -> bytes:
     return file.getvalue()
 
 
-def _blocks(report: Report) -> Iterator[_Block]:
+def _blocks(report: Report) -> Iterator[_PageBlock]:
     number = 0
     width = max(len(name) for name, _ in report.facts)
     facts = [line for name, value in report.facts for line in _wrapped(value, f"{name:{width}}  ")]
-    yield _Block(report.title, None, 0, tuple(facts))
+    yield _PageBlock(report.title, None, 0, tuple(facts))
     for section in report.sections:
         heading = section.title
         for part in section.parts:
             if isinstance(part, Plate):
                 number += 1
                 caption = textwrap.wrap(f"Figure {number}. {part.sentence}", _WORDS)
-                yield _Block(heading, part, number, tuple(caption))
+                yield _PageBlock(heading, part, number, tuple(caption))
             else:
                 lines = _rows(part) if isinstance(part, Table) else part.text.splitlines()
                 for some in _chunks([piece for line in lines for piece in _wrapped(line, "")]):
-                    yield _Block(heading, None, number, some)
+                    yield _PageBlock(heading, None, number, some)
                     heading = ""
             heading = ""
 
@@ -99,8 +99,8 @@ def _wrapped(text: str, before: str) -> list[str]:
     ) or [""]
 
 
-def _pages(blocks: Sequence[_Block]) -> Iterator[list[_Block]]:
-    page: list[_Block] = []
+def _pages(blocks: Sequence[_PageBlock]) -> Iterator[list[_PageBlock]]:
+    page: list[_PageBlock] = []
     left = _ROOM_IN
     for block in blocks:
         if page and block.height_in > left:
@@ -111,7 +111,7 @@ def _pages(blocks: Sequence[_Block]) -> Iterator[list[_Block]]:
     yield page
 
 
-def _page(blocks: Sequence[_Block]) -> Figure:
+def _page(blocks: Sequence[_PageBlock]) -> Figure:
     figure = Figure(figsize=_PAGE_IN, layout="constrained")
     spare = max(_PAGE_IN[1] - _TOP_IN - sum(block.height_in for block in blocks), 0.01)
     heights = [_TOP_IN, *(part for block in blocks for part in _heights(block)), spare]
@@ -130,7 +130,7 @@ def _page(blocks: Sequence[_Block]) -> Figure:
     return figure
 
 
-def _heights(block: _Block) -> tuple[float, float, float]:
+def _heights(block: _PageBlock) -> tuple[float, float, float]:
     """Of a block's heading, its figure, and what is below."""
     heading = _HEADING_IN if block.heading else 0.001
     inner = block.plate.height_in if block.plate else 0.001

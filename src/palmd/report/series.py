@@ -28,7 +28,7 @@ _TRUE = (
 
 
 @dataclass(frozen=True, slots=True)
-class Track:
+class TopicSeries:
     """The numbers of one topic: times t (n,) in s since the run's beginning, columns (n,) by field name, NaN for none.
 
     Booleans are 0 and 1. A one-sigma has its field's name after `SD`.
@@ -56,7 +56,7 @@ class OutlineAt:
 
 
 @dataclass(frozen=True, slots=True)
-class Body:
+class TrueBody:
     """One `rig/object`: what really lay there from t (s) on; h (m) on even normals from 0, rho (m), mass (kg)."""
 
     t: float
@@ -100,13 +100,13 @@ class Series:
     torn_bytes: int
     observer: str
     duration: float
-    estimate: Track
-    contact: Track
-    motion: Track
-    loop: Track
-    truth: Track
+    estimate: TopicSeries
+    contact: TopicSeries
+    motion: TopicSeries
+    loop: TopicSeries
+    truth: TopicSeries
     outlines: tuple[OutlineAt, ...]
-    bodies: tuple[Body, ...]
+    bodies: tuple[TrueBody, ...]
     states: tuple[Spell, ...]
     arm_states: tuple[Spell, ...]
     segments: tuple[Spell, ...]
@@ -133,7 +133,7 @@ def series_of(run: Run, survey: Mapping[str, Survey], at: Callable[[int], None] 
     """
     if ESTIMATE.name not in survey:
         raise RunError(f"{run.path}: holds no {ESTIMATE.name}: there is nothing to report")
-    tail, reader = Tail(), _Reader()
+    tail, reader = Tail(), _RunReader()
     for number, message in enumerate(run.messages(tail=tail)):
         if message.topic in reader.takers:
             try:
@@ -162,11 +162,11 @@ class _Columns:
             column.append(value)
         self.t.append(t)
 
-    def track(self) -> Track:
+    def track(self) -> TopicSeries:
         count = len(self.t)
         for column in self._columns.values():
             column.extend([math.nan] * (count - len(column)))
-        return Track(np.array(self.t), {name: np.array(column) for name, column in self._columns.items()})
+        return TopicSeries(np.array(self.t), {name: np.array(column) for name, column in self._columns.items()})
 
 
 class _Spells:
@@ -190,7 +190,7 @@ class _Spells:
         return (*before, Spell(last.what, last.begin, t))
 
 
-class _Reader:
+class _RunReader:
     def __init__(self) -> None:
         self.takers: dict[str, Callable[[float, Fields], None]] = {
             ESTIMATE.name: self._take_estimate,
@@ -209,7 +209,7 @@ class _Reader:
         self._observer = ""
         self._number, self._valid = 0, False
         self._outlines: list[OutlineAt] = []
-        self._bodies: list[Body] = []
+        self._bodies: list[TrueBody] = []
         self._states, self._arm_states, self._segments = _Spells(), _Spells(), _Spells()
         self._standing: dict[str, FaultSpell] = {}
         self._faults: list[FaultSpell] = []
@@ -289,7 +289,7 @@ class _Reader:
 
     def _take_body(self, t: float, fields: Fields) -> None:
         h = np.array(fields["h_m"], dtype=np.float64)
-        self._bodies.append(Body(t, h, *(float(fields[name]) for name in ("rho_m", "mass_kg", "mu"))))
+        self._bodies.append(TrueBody(t, h, *(float(fields[name]) for name in ("rho_m", "mass_kg", "mu"))))
 
 
 def _names(topic: Topic) -> tuple[str, ...]:

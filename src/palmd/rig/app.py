@@ -75,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_rig(arguments: argparse.Namespace) -> int:
     """Runs the rig until SIGTERM, SIGINT or the parent's end; returns the exit status, 1 for bad input."""
-    stop = StopRequest()
+    stop = StopSignal()
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
     seed = secrets.randbelow(2**31) if arguments.seed is None else arguments.seed
@@ -133,7 +133,7 @@ def _refuse(text: str) -> int:
     return 1
 
 
-class StopRequest:
+class StopSignal:
     """A signal handler that only remembers that it was called."""
 
     def __init__(self) -> None:
@@ -146,7 +146,7 @@ class StopRequest:
 class RigProcess:
     """The world behind its ports and sockets. Ports are links in `folder`, as udev would name them."""
 
-    def __init__(self, world: World, folder: Path, stop: StopRequest) -> None:
+    def __init__(self, world: World, folder: Path, stop: StopSignal) -> None:
         self.world = world
         self.ticks = self.late_ticks = self.stalls = 0
         self.latest_s = 0.0

@@ -50,7 +50,7 @@ class Hinge:
 
 
 @dataclass(frozen=True, slots=True)
-class Surface:
+class FrictionSurface:
     """What the contact rubs against: mu (–), dither speed u_d (m/s), damping c (m²/s, per unit mass)."""
 
     mu: float = 0.0
@@ -79,7 +79,7 @@ class PlantOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class Contact:
+class PlantContact:
     """One palm's contact: s (m) from the hinge, force (N), and whether the body touches there."""
 
     touching: bool
@@ -131,11 +131,11 @@ class PalmFrame(NamedTuple):
 _Rates = tuple[float, float, float, float, float]  # ax, ay, alpha0, f1, f2
 
 
-def random_surface(kind: Kind, rng: np.random.Generator) -> Surface:
+def random_surface(kind: Kind, rng: np.random.Generator) -> FrictionSurface:
     """What bodies of the kind rub against: light damping alone for `nominal`, else friction with dither."""
     if kind == "nominal":
-        return Surface(damping=float(rng.uniform(3.5e-4, 7.5e-4)))
-    return Surface(mu=float(rng.uniform(0.04, 0.25)), dither=float(rng.uniform(8e-3, 20e-3)))
+        return FrictionSurface(damping=float(rng.uniform(3.5e-4, 7.5e-4)))
+    return FrictionSurface(mu=float(rng.uniform(0.04, 0.25)), dither=float(rng.uniform(8e-3, 20e-3)))
 
 
 def palm_frame(hinge: Hinge, palms: PalmMotion) -> PalmFrame:
@@ -169,7 +169,7 @@ class Plant:
         self,
         body: Body,
         hinge: Hinge,
-        surface: Surface,
+        surface: FrictionSurface,
         *,
         options: PlantOptions = AS_ASSUMED,
         gravity: float = 9.81,
@@ -205,13 +205,13 @@ class Plant:
         """Whether the body touches palm 1, palm 2."""
         return self._on1, self._on2
 
-    def contacts(self) -> tuple[Contact, Contact]:
+    def contacts(self) -> tuple[PlantContact, PlantContact]:
         """Both contacts as they are now; `touching` is false where there is a gap or the body has fallen."""
         state, frame = self.state, self._frame
         s1, s2 = _contact_distances(self.body, frame, state)
         _, _, _, f1, f2 = self._rates
         mass = self.body.mass
-        return Contact(self._on1, s1, mass * f1), Contact(self._on2, s2, mass * f2)
+        return PlantContact(self._on1, s1, mass * f1), PlantContact(self._on2, s2, mass * f2)
 
     def radii(self) -> tuple[float, float]:
         """r1 and r2 (m): the support function at both contact normals."""

@@ -28,10 +28,10 @@ from palmd.events import FloatArray, PalmMotion
 from palmd.rig.plant import (
     AS_ASSUMED,
     PAD_LENGTH,
+    FrictionSurface,
     Hinge,
     Plant,
     PlantOptions,
-    Surface,
     random_surface,
     stable_poses,
 )
@@ -111,13 +111,13 @@ class Rocking:
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class SimulatedRun:
     """Everything one run is made of, drawn at random from a seed."""
 
     kind: Kind
     body: Body
     hinge: Hinge
-    surface: Surface
+    surface: FrictionSurface
     rocking: Rocking
 
 
@@ -145,7 +145,7 @@ def simulate_log(
             return list(_log_lines(scene, history, options, rng)), _truth(scene, history)
 
 
-def _draw(kind: Kind, rng: np.random.Generator, body: Body | None, rests: tuple[Span, ...]) -> Scene:
+def _draw(kind: Kind, rng: np.random.Generator, body: Body | None, rests: tuple[Span, ...]) -> SimulatedRun:
     """A scene of the kind, its body turned so that ψ starts at 0."""
     if body is None:
         body = random_body(kind, rng)
@@ -161,7 +161,7 @@ def _draw(kind: Kind, rng: np.random.Generator, body: Body | None, rests: tuple[
         hinge = Hinge("arc", length, (length, 0.0))
     poses = stable_poses(body, rocking.at(0.0))
     psi = poses[int(rng.integers(len(poses)))] + release
-    return Scene(kind, body.turned(psi), hinge, surface, rocking)
+    return SimulatedRun(kind, body.turned(psi), hinge, surface, rocking)
 
 
 def _rock(rng: np.random.Generator, mean: Span, amplitude: Span, frequency: Span, rests: tuple[Span, ...]) -> Rock:
@@ -169,7 +169,9 @@ def _rock(rng: np.random.Generator, mean: Span, amplitude: Span, frequency: Span
     return Rock(drawn[0], drawn[1], drawn[2], drawn[3], rests)
 
 
-def _run(scene: Scene, duration_s: float, options: PlantOptions, absences: tuple[Span, ...]) -> FloatArray | None:
+def _run(
+    scene: SimulatedRun, duration_s: float, options: PlantOptions, absences: tuple[Span, ...]
+) -> FloatArray | None:
     """Rows of `_COLUMNS` each 0.5 ms, NaN for what there is not while the object is away; None if contact was lost."""
     plant = Plant(scene.body, scene.hinge, scene.surface, options=options)
     lag, rocking = options.lag_s, scene.rocking
@@ -211,7 +213,9 @@ def _put_back(plant: Plant, body: Body, palms: PalmMotion) -> None:
     plant.place(palms, psi=plant.state.psi + (far or turned)[0])
 
 
-def _log_lines(scene: Scene, history: FloatArray, options: PlantOptions, rng: np.random.Generator) -> Iterator[Line]:
+def _log_lines(
+    scene: SimulatedRun, history: FloatArray, options: PlantOptions, rng: np.random.Generator
+) -> Iterator[Line]:
     """The header, then palms and pads in time order with their noise and rounding."""
     hinge: Line = {"mode": scene.hinge.mode}
     if scene.hinge.mode == "arc":
@@ -227,7 +231,7 @@ def _log_lines(scene: Scene, history: FloatArray, options: PlantOptions, rng: np
     yield from sorted(events, key=lambda line: float(line["t"]))
 
 
-def _palm_lines(scene: Scene, history: FloatArray, rng: np.random.Generator) -> Iterator[Line]:
+def _palm_lines(scene: SimulatedRun, history: FloatArray, rng: np.random.Generator) -> Iterator[Line]:
     """The arm's reports: measured angles, the plan's own rates and accelerations."""
     for i in range(int(history[-1, 0] / _ARM_PERIOD_S)):
         t = i * _ARM_PERIOD_S
@@ -274,7 +278,7 @@ def _pad_lines(
         yield {"t": round(t, 6), "pad": pad, "s_m": round(s_m, 6), "force_n": round(force_n, 2)}
 
 
-def _truth(scene: Scene, history: FloatArray) -> Line:
+def _truth(scene: SimulatedRun, history: FloatArray) -> Line:
     """What was really there, in the fields of the reference truth files."""
     theta: FloatArray = np.arange(360, dtype=np.float64) * (math.tau / 360)
     columns = history[::_STEPS_PER_TRUTH].T.tolist()

@@ -9,12 +9,12 @@ from collections.abc import Iterable
 from websockets.asyncio.server import ServerConnection
 
 from palmd.view import wire
-from palmd.view.feed import Message
+from palmd.view.feed import Payload
 
 ANSWERS_MOST = 16
 
 
-class Client:
+class PageClient:
     """A page that takes one batch at a time; while it is busy with one, the next frames are dropped and counted."""
 
     def __init__(self, connection: ServerConnection, operator: bool) -> None:
@@ -27,7 +27,7 @@ class Client:
         self._behind = True  # it has not even the last message of every topic
         self._due = asyncio.Event()
 
-    def offer(self, frame: int, commandable: bool, messages: list[Message], latest: Iterable[Message]) -> None:
+    def offer(self, frame: int, commandable: bool, messages: list[Payload], latest: Iterable[Payload]) -> None:
         """The messages of a frame; a page that has missed some gets the last of every topic instead."""
         if self._batch is not None:
             self.lost += 1

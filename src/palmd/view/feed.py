@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import zmq
-
+from palmd.bus.subscriber import Subscriber
 from palmd.keys import Credentials
 from palmd.messages import CONTACT, ESTIMATE, INFO, LOOP, MOTION, OBJECT, SHAPE, STATE
-from palmd.view.errors import ViewError
 
-Message = tuple[str, bytes]
+Payload = tuple[str, bytes]
 """A topic and its payload, a msgpack map as it came."""
 
 RIG_TOPICS = ("rig/truth", "rig/object")
@@ -25,36 +23,22 @@ class Feed:
     def __init__(self, publish: str, truth: str = "", key: Credentials | None = None) -> None:
         """`publish` and `truth` (empty for none) are ZeroMQ addresses, `key` is for the former alone.
 
-        Raises ViewError for what is no address.
+        Raises CliError for what is no address.
         """
         self.latest: dict[str, bytes] = {}
-        self._context = zmq.Context()
-        self._socket = self._context.socket(zmq.SUB)
-        self._socket.setsockopt(zmq.RCVHWM, QUEUED_MESSAGES)
-        self._socket.setsockopt(zmq.MAXMSGSIZE, MESSAGE_BYTES_MAX)
-        for topic in TOPICS:
-            self._socket.subscribe(topic)
-        if truth:
-            self._connect(truth)  # a rig has no keys, and a key counts for what is connected after it is set
-        if key is not None:
-            key.encrypt(self._socket)
-        self._connect(publish)
+        self._subscriber = Subscriber(
+            publish,
+            topics=TOPICS,
+            key=key,
+            keyless=[truth] if truth else [],
+            high_water=QUEUED_MESSAGES,
+            bytes_most=MESSAGE_BYTES_MAX,
+        )
 
-    def _connect(self, address: str) -> None:
-        try:
-            self._socket.connect(address)
-        except zmq.ZMQError as error:
-            self.close()
-            raise ViewError(f"{address}: not an address ({error.strerror})") from None
-
-    def take(self) -> list[Message]:
+    def take(self) -> list[Payload]:
         """What has come since the last call, in its order; what has not three frames is left out."""
-        came: list[Message] = []
-        while len(came) < QUEUED_MESSAGES:
-            try:
-                frames = self._socket.recv_multipart(zmq.NOBLOCK)
-            except zmq.Again:
-                break
+        came: list[Payload] = []
+        for frames in self._subscriber.frames(QUEUED_MESSAGES):
             topic = frames[0].decode(errors="replace")
             if len(frames) == 3 and topic in TOPICS:
                 came.append((topic, frames[1]))
@@ -63,4 +47,4 @@ class Feed:
 
     def close(self) -> None:
         """Let go of the socket."""
-        self._context.destroy(linger=0)
+        self._subscriber.close()

@@ -14,12 +14,12 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from palmd import __version__
+from palmd.console.errors import BAD_INPUT, CliError
 from palmd.keys import Credentials
 from palmd.view import http_guard, wire
-from palmd.view.client import Client
-from palmd.view.command_client import Desk
-from palmd.view.errors import ViewError
-from palmd.view.feed import Feed, Message
+from palmd.view.client import PageClient
+from palmd.view.command_client import PageCommands
+from palmd.view.feed import Feed, Payload
 from palmd.view.files import page_files
 
 HOST = "127.0.0.1"
@@ -51,25 +51,25 @@ class Settings:
 
 
 async def serve_page(settings: Settings, ready: Callable[[str], None], stop: asyncio.Event) -> None:
-    """Serves until `stop`; `ready` is told the page's address, token included. Raises ViewError when it cannot."""
+    """Serves until `stop`; `ready` is told the page's address, token included. Raises CliError when it cannot."""
     feed = Feed(settings.publish, settings.truth, settings.key)
     try:
-        desk = Desk(settings.command, settings.key)
+        commands = PageCommands(settings.command, settings.key)
         try:
-            await _Server(settings, feed, desk).run(ready, stop)
+            await _Server(settings, feed, commands).run(ready, stop)
         finally:
-            desk.close()
+            commands.close()
     finally:
         feed.close()
 
 
 class _Server:
-    def __init__(self, settings: Settings, feed: Feed, desk: Desk) -> None:
-        self._settings, self._feed, self._desk = settings, feed, desk
+    def __init__(self, settings: Settings, feed: Feed, commands: PageCommands) -> None:
+        self._settings, self._feed, self._commands = settings, feed, commands
         self._files = page_files()
         self._frame = 0
-        self._clients: set[Client] = set()
-        self._orders: dict[int, tuple[Client, wire.Order]] = {}
+        self._clients: set[PageClient] = set()
+        self._orders: dict[int, tuple[PageClient, wire.Order]] = {}
 
     async def run(self, ready: Callable[[str], None], stop: asyncio.Event) -> None:
         strangers = logging.getLogger("palmd.view.connections")
@@ -88,7 +88,7 @@ class _Server:
             )
         except OSError as error:
             where, why = f"{HOST}:{self._settings.port}", os.strerror(error.errno or 0)
-            raise ViewError(f"{where}: cannot be had ({why}); try another --port") from None
+            raise CliError(BAD_INPUT, f"{where}: cannot be had ({why}); try another --port") from None
         async with server:
             port = next(iter(server.sockets)).getsockname()[1]
             ready(f"http://{HOST}:{port}/#token={self._settings.token}")
@@ -116,18 +116,18 @@ class _Server:
             self._frame += 1
             messages = self._feed.take()
             self._pass_answers(clock())
-            before, commandable = commandable, self._desk.open
+            before, commandable = commandable, self._commands.open
             if messages or commandable is not before or self._frame - told >= HEARTBEAT_FRAMES:
                 told = self._frame
                 self._offer(self._clients, messages)
 
-    def _offer(self, clients: Iterable[Client], messages: list[Message]) -> None:
-        commandable = self._desk.open
+    def _offer(self, clients: Iterable[PageClient], messages: list[Payload]) -> None:
+        commandable = self._commands.open
         for client in clients:
             client.offer(self._frame, commandable, messages, self._feed.latest.items())
 
     def _pass_answers(self, t: float) -> None:
-        for answer in self._desk.answers(t):
+        for answer in self._commands.answers(t):
             client, order = self._orders.pop(answer.number)
             client.tell(wire.answer(order, answer.error))
 
@@ -147,7 +147,7 @@ class _Server:
             return
         settings = self._settings
         connection.transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
-        client = Client(connection, http_guard.may_operate(token, settings.token))
+        client = PageClient(connection, http_guard.may_operate(token, settings.token))
         client.tell(wire.hello(__version__, client.operator, settings.publish, settings.command, settings.allowed))
         self._offer([client], [])
         self._clients.add(client)
@@ -162,7 +162,7 @@ class _Server:
             sending.cancel()
             await asyncio.gather(sending, return_exceptions=True)
 
-    def _obey(self, client: Client, message: str | bytes) -> None:
+    def _obey(self, client: PageClient, message: str | bytes) -> None:
         """Pass an order on to the daemon, or say why not."""
         order = wire.order_in(message)
         if order is None:
@@ -172,7 +172,7 @@ class _Server:
         elif order.command not in self._settings.allowed:
             client.tell(wire.answer(order, "the page has no such command"))
         else:
-            number = self._desk.send(order.command, asyncio.get_running_loop().time())
+            number = self._commands.send(order.command, asyncio.get_running_loop().time())
             if number is None:
                 client.tell(wire.answer(order, f"nobody takes commands at {self._settings.command}"))
             else:

@@ -14,7 +14,7 @@ from typing import Any, cast
 
 import msgpack
 
-from palmd.view.feed import Message
+from palmd.view.feed import Payload
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +25,7 @@ class Order:
     command: str
 
 
-def batch(frame: int, lost: int, commandable: bool, messages: Iterable[Message]) -> bytes:
+def batch(frame: int, lost: int, commandable: bool, messages: Iterable[Payload]) -> bytes:
     """All messages of one frame; `lost` counts the frames that this page was too slow for."""
     return cast(bytes, msgpack.packb([frame, lost, commandable, list(messages)]))
 

@@ -13,14 +13,14 @@ import pytest
 import zmq
 
 from palmd import keys
-from palmd.bus.client import Client
+from palmd.bus.command_client import CommandClient
 from palmd.console.errors import CliError
 from palmd.daemon import zap_auth
 from palmd.daemon.bus import Bus
 from palmd.daemon.commands import COMMANDS, Reply
 from palmd.keys import Role
 from palmd.messages import STATE, state_fields
-from palmd.view.command_client import Desk
+from palmd.view.command_client import PageCommands
 from palmd.view.feed import Feed
 
 GENEROUS_S = 10.0
@@ -127,7 +127,7 @@ def test_a_page_listens_to_a_daemon_with_keys_and_to_a_rig_without(rig):
         feed.take()
         return {"palm/state", "rig/truth"} <= feed.latest.keys()
 
-    with contextlib.closing(feed), contextlib.closing(Desk(rig.command, rig.credentials("ann"))) as desk:
+    with contextlib.closing(feed), contextlib.closing(PageCommands(rig.command, rig.credentials("ann"))) as desk:
         rig.until(both)
         rig.until(lambda: desk.open)
         desk.send("hold", 0.0)
@@ -180,7 +180,7 @@ def test_no_stranger_gets_a_message_or_a_word_in(rig):
 
 
 def test_a_client_that_was_turned_away_says_so_each_time_it_asks(rig):
-    with Client(rig.command, 0.3, rig.credentials("stranger")) as client:
+    with CommandClient(rig.command, 0.3, rig.credentials("stranger")) as client:
         rig.until(lambda: rig.bus.fields()["bus_turned_away"])
         for _ in range(2):
             with pytest.raises(CliError, match="does it allow this key"):

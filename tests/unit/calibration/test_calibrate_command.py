@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 import yaml
 
-import palmd.lab
+import palmd.calibration
 from palmd.calibration import pad
 from palmd.calibration.pad_characteristic import characterise
 from palmd.cli import main
@@ -170,7 +170,7 @@ def test_a_pad_that_disagrees_with_its_configuration_is_remarked(configured, mon
 def test_without_matplotlib_the_result_is_stored_all_the_same(configured, monkeypatch, capsys):
     marble(monkeypatch)
     monkeypatch.delitem(sys.modules, "palmd.calibration.pad_figure", raising=False)
-    monkeypatch.delattr(palmd.lab, "pad_figure", raising=False)
+    monkeypatch.delattr(palmd.calibration, "pad_figure", raising=False)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     config = configured()
     assert calibrate(config) == 0

@@ -151,7 +151,7 @@ def test_an_arm_that_may_not_be_armed(rig, mine, capsys):
 
 
 def test_the_cylinder_is_lost_on_the_way(rig, mine, capsys, monkeypatch):
-    monkeypatch.setattr("palmd.harness.operation.HELD_S", 0.5)
+    monkeypatch.setattr("palmd.harness.operator.HELD_S", 0.5)
 
     def lift():
         time.sleep(1.5)

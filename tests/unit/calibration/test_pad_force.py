@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from off_pads import CONFIGURED, LIMITS, gain_errors, share
 from off_pads import TRUE as REAL
+from turned_cylinder import turned
 
 from palmd.calibration.cylinder import CylinderError, normal_forces, tipping_plan
 from palmd.calibration.pad_force import pad_forces
 from palmd.events import PadSample, PalmSample
-from palmd.lab.turned_cylinder import turned
 from palmd.rig.pads import PadOptions
 
 RADIUS_M, MASS_KG = 0.02, 0.1

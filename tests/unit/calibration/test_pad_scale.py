@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 from off_pads import CONFIGURED, LIMITS, TRUE, errors
+from turned_cylinder import turned
 
 from palmd.calibration.cylinder import CylinderError, contact_m, turning_plan
 from palmd.calibration.pad_scale import pad_scales
 from palmd.events import PadSample, PalmSample
-from palmd.lab.turned_cylinder import turned
 from palmd.rig.pads import PadOptions
 from palmd.rig.plant import PlantOptions
 

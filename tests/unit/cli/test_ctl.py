@@ -8,7 +8,8 @@ from contextlib import contextmanager
 
 import pytest
 
-from palmd.bus.client import COMMAND, PUBLISH, Client
+from palmd.bus.command_client import CommandClient
+from palmd.bus.link import COMMAND, PUBLISH
 from palmd.cli import main
 from palmd.cli.ctl import JOG_EVERY_S, jog_steps, told
 from palmd.config import BusConfig
@@ -211,7 +212,7 @@ def test_jog_angles_are_bounded(angle, capsys):
 
 
 def test_no_answer_ends_with_3_and_says_where_it_tried(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("palmd.cli.ctl.Client", lambda address, key: Client(address, 0.05, key))
+    monkeypatch.setattr("palmd.cli.ctl.CommandClient", lambda address, key: CommandClient(address, 0.05, key))
     address = f"ipc://{tmp_path}/nobody"
     assert main(["ctl", "status", "--address", address]) == 3
     assert capsys.readouterr().err == f"no answer from {address} within 0.05 s: {SILENT}\n"
@@ -227,14 +228,14 @@ def test_a_reply_to_somebody_else_is_passed_over(tmp_path):
         meant = request.id - 1 if request.id == 1 else request.id
         return Reply(Request(request.name, id=meant, route=request.route), None, {"state": "ready"})
 
-    with daemon(tmp_path, confused) as (address, _), Client(address, 0.2) as client:
+    with daemon(tmp_path, confused) as (address, _), CommandClient(address, 0.2) as client:
         with pytest.raises(CliError, match="no answer"):
             client.ask("status")
         assert client.ask("status")["result"] == {"state": "ready"}
 
 
 def test_a_stranger_on_the_port_is_no_answer(capsys, monkeypatch):
-    monkeypatch.setattr("palmd.cli.ctl.Client", lambda address, key: Client(address, 0.2, key))
+    monkeypatch.setattr("palmd.cli.ctl.CommandClient", lambda address, key: CommandClient(address, 0.2, key))
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
         begun = time.monotonic()

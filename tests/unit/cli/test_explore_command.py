@@ -14,7 +14,7 @@ from palmd.cli.explore import concluded, progress
 from palmd.config import PlanSpec
 from palmd.daemon.bus import Bus
 from palmd.daemon.commands import Reply
-from palmd.harness import operation
+from palmd.harness import operator
 from palmd.messages import SHAPE
 
 
@@ -91,8 +91,8 @@ def serving(folder, daemon):
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    monkeypatch.setattr(operation, "LOOK_S", 0.02)
-    monkeypatch.setattr(operation, "PROGRESS_S", 0.0)
+    monkeypatch.setattr(operator, "LOOK_S", 0.02)
+    monkeypatch.setattr(operator, "PROGRESS_S", 0.0)
 
 
 def test_it_arms_starts_tells_and_leaves_the_arm_as_it_was(tmp_path, capsys):
@@ -141,7 +141,7 @@ def test_a_fault_ends_it_as_a_failure_of_the_rig(tmp_path, capsys):
 
 
 def test_a_hold_is_told_and_given_up_after_a_while(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(operation, "HELD_S", 0.3)
+    monkeypatch.setattr(operator, "HELD_S", 0.3)
     daemon = Daemon(looks=1000, held_at=3)
     with serving(tmp_path, daemon) as where:
         assert main(["explore", *where]) == 3

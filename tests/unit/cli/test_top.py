@@ -16,9 +16,9 @@ import time
 
 import pytest
 
-from palmd.bus.client import Message
+from palmd.bus.subscriber import Message
 from palmd.cli import main
-from palmd.cli.board import Board, Row, frame
+from palmd.cli.board import Board, BoardRow, frame
 from palmd.cli.top import painted
 from palmd.daemon.bus import Bus
 from palmd.events import Estimate, PalmMotion
@@ -87,7 +87,7 @@ def test_a_frame_tells_everything():
 def test_faults_come_with_their_hints_and_gravity():
     rows = frame(board(), 100.1)
     (hold,) = [row for row in rows if "pad1-lifted" in row.text]
-    assert hold == Row(f"  hold    pad1-lifted: {TABLE['pad1-lifted'].hint}", "bad")
+    assert hold == BoardRow(f"  hold    pad1-lifted: {TABLE['pad1-lifted'].hint}", "bad")
     (note,) = [row for row in rows if "no-realtime" in row.text]
     assert note.style == "faint"
 
@@ -115,7 +115,7 @@ def test_any_topic_alone_and_empty_makes_a_frame(topic):
 
 
 def test_painting_cuts_to_the_terminal():
-    rows = [Row("a" * 50, "bad"), Row("second"), Row("third")]
+    rows = [BoardRow("a" * 50, "bad"), BoardRow("second"), BoardRow("third")]
     drawn = painted(rows, columns=10, lines=2)
     assert drawn.startswith("\x1b[H\x1b[31;1m" + "a" * 10 + "\x1b[m\x1b[K\n")
     assert drawn.endswith("second\x1b[m\x1b[K\x1b[J")

@@ -14,7 +14,7 @@ import pytest
 
 from palmd.config import ExploreGoal, LimitsConfig
 from palmd.daemon import worker
-from palmd.daemon.exploration_requests import Answer, Decider, Question, Task
+from palmd.daemon.exploration_requests import Decider, ExplorationAnswer, ExplorationTask, Question
 from palmd.daemon.explorer_process import HIGH_WATER, ExplorerProcess
 from palmd.events import RigDescription
 from palmd.motion.explorer import UnderWay
@@ -25,7 +25,7 @@ PATIENCE_S = 60.0
 FEW = HIGH_WATER // 2
 RIG = RigDescription()
 HERE = (0.8, 1.6)
-TASK = Task(3, ExploreGoal(), MotionLimits.from_config(LimitsConfig(), pad_length=0.0555))
+TASK = ExplorationTask(3, ExploreGoal(), MotionLimits.from_config(LimitsConfig(), pad_length=0.0555))
 
 
 def question(t: float) -> Question:
@@ -41,7 +41,7 @@ def process() -> Iterator[ExplorerProcess]:
     process.close()
 
 
-def wait_for(process: ExplorerProcess) -> Answer:
+def wait_for(process: ExplorerProcess) -> ExplorationAnswer:
     """Keep asking until an answer comes."""
     begun = time.monotonic()
     while time.monotonic() - begun < PATIENCE_S:

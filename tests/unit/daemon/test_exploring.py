@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from palmd.config import AdeptConfig, Config, PadsConfig, PlanSpec, VersaPadConfig, rig_description
-from palmd.daemon.exploration_requests import Answer, Decider, InlineExplorer, Question, Task
+from palmd.daemon.exploration_requests import Decider, ExplorationAnswer, ExplorationTask, InlineExplorer, Question
 from palmd.daemon.exploring import (
     AHEAD_S,
     ASK_S,
@@ -58,7 +58,7 @@ class Scripted:
         self.decide = decide
         self.latency = 0.1
         self.questions: list[Question] = []
-        self.answers: list[Answer] = []
+        self.answers: list[ExplorationAnswer] = []
         self.prepared = 0
 
     def prepare(self) -> None:
@@ -69,9 +69,11 @@ class Scripted:
         decision = self.decide(question)
         if decision is not None:
             seen = None if question.outlook is None else question.outlook.object_count
-            self.answers.append(Answer(question.t, question.task.run, question.under_way.move, seen, decision))
+            self.answers.append(
+                ExplorationAnswer(question.t, question.task.run, question.under_way.move, seen, decision)
+            )
 
-    def collect(self, t: float) -> Answer | None:
+    def collect(self, t: float) -> ExplorationAnswer | None:
         newest = None
         while self.answers and self.answers[0].t + self.latency <= t:
             newest = self.answers.pop(0)
@@ -241,7 +243,7 @@ def test_a_decision_about_another_object_or_from_elsewhere_is_not_followed() -> 
     list(stage.go(0.05))
     stage.object_count = 2
     stage.source.answers = [
-        Answer(answer.t, answer.run, answer.after, 1, answer.decision) for answer in stage.source.answers
+        ExplorationAnswer(answer.t, answer.run, answer.after, 1, answer.decision) for answer in stage.source.answers
     ]
     stage.source.decide = lambda _: Decision("move", Move((0.7, 1.5), (0.8, 1.5), 1.0))
     assert stands(stage, 2.0)
@@ -253,7 +255,7 @@ def test_a_decision_of_an_earlier_exploration_is_not_followed() -> None:
     list(stage.go(0.3))
     stage.source.decide = lambda _: None
     assert not stage.setpoints.moving
-    left = Answer(stage.t, 1, Move((HERE.phi1, HERE.phi2), (HERE.phi1, HERE.phi2), 0.0), 1, Decision("done"))
+    left = ExplorationAnswer(stage.t, 1, Move((HERE.phi1, HERE.phi2), (HERE.phi1, HERE.phi2), 0.0), 1, Decision("done"))
     stage.start()
     stage.source.answers = [left]
     list(stage.go(0.4))
@@ -286,7 +288,7 @@ def test_what_was_said_about_the_move_before_is_not_held_against_the_present_one
     assert stage.source.questions[-1].under_way.move != before
     for kind in ("unsafe", "done"):
         stage.source.decide = lambda _: None
-        stage.source.answers = [Answer(stage.t, 1, before, 1, Decision(kind))]  # type: ignore[arg-type]
+        stage.source.answers = [ExplorationAnswer(stage.t, 1, before, 1, Decision(kind))]  # type: ignore[arg-type]
         assert moves(stage.after(0.15))
         assert stage.reason() == "goes on"
 
@@ -398,7 +400,7 @@ def test_a_hold_drops_the_move_and_start_goes_on_from_there() -> None:
 def test_a_guide_without_a_process_answers_a_fixed_time_after_the_question() -> None:
     inline = InlineExplorer(Decider(rig_description(CONFIG)), latency_s=0.3)
     here = (HERE.phi1, HERE.phi2)
-    task = Task(1, Stage().spec.segments[-1].explore, LIMITS)  # type: ignore[union-attr]
+    task = ExplorationTask(1, Stage().spec.segments[-1].explore, LIMITS)  # type: ignore[union-attr]
     first = Question(5.0, task, None, UnderWay(Move(here, here, 0.0), 9.0))
     inline.ask(first)
     inline.ask(Question(5.1, task, None, first.under_way))  # while it is busy

@@ -20,7 +20,7 @@ from palmd.console import configured
 from palmd.console.shipped import shipped
 from palmd.daemon.bus import Bus
 from palmd.daemon.commands import Reply
-from palmd.devices.armconformance import Result
+from palmd.devices.armconformance import CheckResult
 from palmd.devices.versapad import encode_packet
 from palmd.doctor import machine, ports
 from palmd.doctor.arm import told
@@ -94,7 +94,7 @@ def test_all_is_well_only_if_everything_is(monkeypatch, path):
 
 
 def test_a_failed_check_tells_what_was_sent_expected_and_seen():
-    text = told(Result(7, "numbers", "failed", "Q07*98", "A07", "nothing"))
+    text = told(CheckResult(7, "numbers", "failed", "Q07*98", "A07", "nothing"))
     assert [line.split(maxsplit=1) for line in text.splitlines()[1:]] == [
         ["sent", "Q07*98"], ["expected", "A07"], ["seen", "nothing"]
     ]  # fmt: skip

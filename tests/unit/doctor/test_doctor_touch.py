@@ -12,14 +12,14 @@ from palmd.config import PadsConfig, VersaPadConfig
 from palmd.console.errors import CliError
 from palmd.devices.versapad import encode_packet
 from palmd.doctor import touch
-from palmd.doctor.touch import Stroke, changes
+from palmd.doctor.touch import FingerStroke, changes
 
 PADS = PadsConfig(palm1=VersaPadConfig(port="one"), palm2=VersaPadConfig(port="two", axis="y", sign=-1))
 
 
 def stroke(heard_on, x, y=0):
     steps = range(20)
-    return Stroke(heard_on, tuple(x * k // 19 for k in steps), tuple(y * k // 19 for k in steps))
+    return FingerStroke(heard_on, tuple(x * k // 19 for k in steps), tuple(y * k // 19 for k in steps))
 
 
 def told(*strokes):

@@ -1,4 +1,4 @@
-"""What `palmd demo` is made of: the panel, the comparison with the truth, punctuality, addresses, configuration."""
+"""What `palmd demo` is made of: the operator, the comparison with the truth, punctuality, addresses, configuration."""
 
 import math
 
@@ -6,77 +6,79 @@ import numpy as np
 import pytest
 import zmq
 
-from palmd.bus.client import Message
-from palmd.cli.demo import as_yaml, free_addresses
+from palmd.bus.subscriber import Message
 from palmd.config import BusConfig
 from palmd.console.shipped import shipped
 from palmd.harness.comparison import Comparison, Punctuality
-from palmd.harness.panel import AGAIN_S, CALM_S, Panel
+from palmd.harness.operator import AGAIN_S, CALM_S, Operator
+from palmd.harness.stack import as_yaml, free_addresses
 from palmd.motion.check import check_files
 from palmd.yamlfile import load_config
 
-# -------------------------------------------------------------------------------------------------- the panel
+# -------------------------------------------------------------------------------------------------- the operator
 
 
-def looks(panel, state, severities=(), segment=-1, since=0.0, until=3.0):
+def looks(operator, state, severities=(), segment=-1, since=0.0, until=3.0):
     """The commands that it gives in this situation, with their times."""
     given = []
     for i in range(round((until - since) / 0.1)):
         t = since + 0.1 * i
-        command = panel.decide({"state": state, "severities": list(severities)}, {"segment": segment}, t)
+        operator.take("palm/state", {"state": state, "severities": list(severities)})
+        operator.take("palm/motion", {"segment": segment})
+        command = operator.decide(t)
         if command:
             given.append((round(t, 1), command))
     return given
 
 
 def test_it_arms_and_starts():
-    panel = Panel()
-    assert looks(panel, "ready", until=0.5) == [(0.0, "arm")]
-    assert looks(panel, "tracking", since=0.5, until=1.2) == [(1.0, "start")]
-    assert looks(panel, "tracking", segment=0, since=1.2) == []
+    operator = Operator()
+    assert looks(operator, "ready", until=0.5) == [(0.0, "arm")]
+    assert looks(operator, "tracking", since=0.5, until=1.2) == [(1.0, "start")]
+    assert looks(operator, "tracking", segment=0, since=1.2) == []
 
 
 def test_it_asks_again_but_never_hurries():
-    assert [t for t, _ in looks(Panel(), "ready")] == pytest.approx([0.0, AGAIN_S, 2 * AGAIN_S])
+    assert [t for t, _ in looks(Operator(), "ready")] == pytest.approx([0.0, AGAIN_S, 2 * AGAIN_S])
 
 
 def test_after_a_hold_it_waits_until_all_is_calm():
-    panel = Panel()
-    assert looks(panel, "hold", ["hold", "note"], segment=1, until=2.0) == []
-    assert looks(panel, "hold", ["note", "degrade"], segment=1, since=2.0, until=2.9) == [(2.0 + CALM_S, "start")]
+    operator = Operator()
+    assert looks(operator, "hold", ["hold", "note"], segment=1, until=2.0) == []
+    assert looks(operator, "hold", ["note", "degrade"], segment=1, since=2.0, until=2.9) == [(2.0 + CALM_S, "start")]
 
 
 def test_it_resets_a_fault_and_leaves_a_broken_rig_alone():
-    assert looks(Panel(), "fault", ["stop"], until=1.0) == [(CALM_S, "reset")]
+    assert looks(Operator(), "fault", ["stop"], until=1.0) == [(CALM_S, "reset")]
     for state, severities in (("idle", ()), ("ready", ["stop"]), (None, ())):
-        assert looks(Panel(), state, severities) == []
-    assert Panel().decide({}, {}, 0.0) is None
+        assert looks(Operator(), state, severities) == []
+    assert Operator().decide(0.0) is None
 
 
-def seen(panel, *states):
+def seen(operator, *states):
     for state, *severities in states:
-        panel.see({"state": state, "severities": severities})
+        operator.take("palm/state", {"state": state, "severities": severities})
 
 
 @pytest.mark.parametrize("wish", ["hold", "ready"])
 def test_it_leaves_alone_what_somebody_has_held_or_stopped_until_it_moves_again(wish):
-    panel = Panel()
-    seen(panel, ("ready",), ("tracking",), (wish,))
-    assert looks(panel, wish, segment=-1 if wish == "ready" else 0) == []
-    seen(panel, ("tracking",))
-    assert looks(panel, "tracking", segment=-1) == []  # armed by somebody, who has not started yet
-    assert looks(panel, "tracking", segment=0, until=0.2) == []
-    assert [command for _, command in looks(panel, "tracking", segment=-1, since=0.2, until=1.0)] == ["start"]
+    operator = Operator()
+    seen(operator, ("ready",), ("tracking",), (wish,))
+    assert looks(operator, wish, segment=-1 if wish == "ready" else 0) == []
+    seen(operator, ("tracking",))
+    assert looks(operator, "tracking", segment=-1) == []  # armed by somebody, who has not started yet
+    assert looks(operator, "tracking", segment=0, until=0.2) == []
+    assert [command for _, command in looks(operator, "tracking", segment=-1, since=0.2, until=1.0)] == ["start"]
 
 
 @pytest.mark.parametrize("severity", ["hold", "stop"])
 def test_what_a_fault_has_held_or_stopped_is_nobodys_wish(severity):
-    panel = Panel()
-    seen(panel, ("tracking",), ("hold", "note", severity), ("hold",))
-    assert looks(panel, "hold", segment=0, until=1.0) == [(CALM_S, "start")]
-    panel = Panel()
-    seen(panel, ("tracking",), ("fault", "stop"), ("ready",))
-    assert looks(panel, "ready", until=0.5) == [(0.0, "arm")]
+    operator = Operator()
+    seen(operator, ("tracking",), ("hold", "note", severity), ("hold",))
+    assert looks(operator, "hold", segment=0, until=1.0) == [(CALM_S, "start")]
+    operator = Operator()
+    seen(operator, ("tracking",), ("fault", "stop"), ("ready",))
+    assert looks(operator, "ready", until=0.5) == [(0.0, "arm")]
 
 
 # --------------------------------------------------------------------------------------------- the comparison

@@ -5,10 +5,11 @@ import itertools
 import math
 
 import pytest
+from outcomes import conclude, outcome, take
 
 from palmd.config import PlanSpec, rig_description
 from palmd.daemon.exploration_requests import Decider, InlineExplorer
-from palmd.harness.outcome import Judge, conclude
+from palmd.harness.scorer import Scorer
 from palmd.harness.wireless import Wireless, WirelessError
 from palmd.motion.explorer import Decision
 from palmd.motion.segments import Move
@@ -172,36 +173,36 @@ def test_an_estimate_is_judged_against_the_truth():
     run = wireless(5)
     run.start()
     (instant,) = run.run(0.01)
-    judge = Judge(t_started=0.0)
+    scorer = Scorer(t_started=0.0)
     truth = instant.truth
     names = ("r1_m", "r2_m", "omega0_rad_s")
     body = run.world.object_truth()
-    judge.take(dataclasses.replace(instant, t=1.0))
+    take(scorer, dataclasses.replace(instant, t=1.0))
     for t, valid, off in ((2.0, True, 0.0), (3.0, True, 4e-4), (4.0, False, 1.0), (5.0, True, 0.0)):
         estimate = {name: truth[name] + off * (name == "r2_m") for name in names}
         estimate |= {"valid": valid, "object": 2, "rho_m": 1.1 * body["rho_m"], "mu": body["mu"] - 0.02}
         estimate |= {"mass_kg": 0.9 * body["mass_kg"]}
-        judge.take(dataclasses.replace(instant, t=t, messages={"palm/estimate": estimate}))
-    outcome = judge.outcome(run.world)
-    assert outcome.settled
-    assert outcome.t_settled == 2.0
-    assert outcome.valid == 0.75
-    assert outcome.wrong == pytest.approx(1 / 3)
-    assert outcome.r_rms == pytest.approx(4e-4 / math.sqrt(6))
-    assert outcome.omega0_rms == pytest.approx(0.0)
-    assert outcome.rho_error == pytest.approx(0.1)
-    assert outcome.mu_error == pytest.approx(-0.02)
-    assert outcome.mass_error == pytest.approx(-0.1)
-    assert outcome.objects == 2
-    assert math.isnan(outcome.e_h)
+        take(scorer, dataclasses.replace(instant, t=t, messages={"palm/estimate": estimate}))
+    found = outcome(scorer, run.world)
+    assert found.settled
+    assert found.t_settled == 2.0
+    assert found.valid == 0.75
+    assert found.wrong == pytest.approx(1 / 3)
+    assert found.r_rms == pytest.approx(4e-4 / math.sqrt(6))
+    assert found.omega0_rms == pytest.approx(0.0)
+    assert found.rho_error == pytest.approx(0.1)
+    assert found.mu_error == pytest.approx(-0.02)
+    assert found.mass_error == pytest.approx(-0.1)
+    assert found.objects == 2
+    assert math.isnan(found.e_h)
 
 
 def test_what_never_settled_has_no_numbers():
     run = wireless(5)
     run.start()
-    judge = Judge(run.t)
+    scorer = Scorer(run.t)
     for instant in run.run(0.05):
-        judge.take(instant)
-    outcome = judge.outcome(run.world)
-    assert not outcome.settled
-    assert all(math.isnan(x) for x in (outcome.valid, outcome.wrong, outcome.r_rms, outcome.e_h, outcome.rho_error))
+        take(scorer, instant)
+    found = outcome(scorer, run.world)
+    assert not found.settled
+    assert all(math.isnan(x) for x in (found.valid, found.wrong, found.r_rms, found.e_h, found.rho_error))

@@ -15,7 +15,7 @@ import pytest
 from palmd.cli import main
 from palmd.cli.table import below, loaded
 from palmd.lab import bench_montecarlo, montecarlo, runs
-from palmd.lab.scoring import Row
+from palmd.lab.scoring import MonteCarloRow
 
 
 def usage(*argv):
@@ -64,7 +64,7 @@ def quick(task):
     time.sleep(0.02 * (4 - task.seed % 4))
     if task.seed == 12:
         return montecarlo.failed(task, ValueError("no ground"))
-    return Row(task.kind, task.seed, converged=True, e_h_m=1e-5 * task.seed, max_error_m=1e-4, h_bound_m=1e-5)
+    return MonteCarloRow(task.kind, task.seed, converged=True, e_h_m=1e-5 * task.seed, max_error_m=1e-4, h_bound_m=1e-5)
 
 
 @pytest.fixture

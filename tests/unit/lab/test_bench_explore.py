@@ -13,10 +13,10 @@ from palmd.cli import main
 from palmd.config import ExploreGoal
 from palmd.harness.wireless import Instant
 from palmd.lab import bench_explore, exploring, exploring_plans, runs
-from palmd.lab.exploring import Row, Task
+from palmd.lab.exploring import ExploringRow, ExploringTask
 from palmd.lab.exploring_plans import STRATEGIES
 from palmd.lab.exploring_summary import remarks, table
-from palmd.lab.exploring_watch import Watch
+from palmd.lab.exploring_watch import ExplorationWatch
 from palmd.messages import ESTIMATE, SHAPE
 from palmd.motion.check import motion_limits
 from palmd.motion.plan import compile_plan
@@ -28,7 +28,7 @@ from palmd.rig.world import default_config
 
 def test_a_run_explores_more_than_the_open_loop_plans_and_is_told_in_full():
     """Eight seconds of each on the same object, the smoother beside the first."""
-    explored, *others = (exploring.run(Task("odd", 3, strategy, 8.0)) for strategy in STRATEGIES)
+    explored, *others = (exploring.run(ExploringTask("odd", 3, strategy, 8.0)) for strategy in STRATEGIES)
     assert [row.error for row in (explored, *others)] == ["", "", ""]
     assert explored.coverage > 0.35
     assert all(row.coverage < explored.coverage for row in others)
@@ -45,7 +45,7 @@ def test_a_run_explores_more_than_the_open_loop_plans_and_is_told_in_full():
 
 def test_what_raises_becomes_a_row_that_says_so(monkeypatch):
     monkeypatch.setattr(exploring, "Wireless", lambda *_, **__: 1 / 0)
-    row = exploring.run(Task("rig", 1, "random", 3.0))
+    row = exploring.run(ExploringTask("rig", 1, "random", 3.0))
     assert row.error == "ZeroDivisionError: division by zero"
 
 
@@ -79,7 +79,7 @@ def instant(t, psi, contacts=(True, True), s=(0.02, 0.03), valid=True):
 
 
 def watch(**how):
-    return Watch(np.ones(BINS, dtype=np.bool_), 0.0555, t_start=100.0, **how)
+    return ExplorationWatch(np.ones(BINS, dtype=np.bool_), 0.0555, t_start=100.0, **how)
 
 
 def test_the_bins_of_both_normals_are_touched_where_there_is_contact():
@@ -95,7 +95,7 @@ def test_the_bins_of_both_normals_are_touched_where_there_is_contact():
 def test_time_to_enough_counts_what_can_be_reached():
     reachable = np.zeros(BINS, dtype=np.bool_)
     reachable[50:60] = True
-    mine = Watch(reachable, 0.0555, t_start=100.0)
+    mine = ExplorationWatch(reachable, 0.0555, t_start=100.0)
     for k in range(400):  # ψ falls by 10° a second: θ1 goes from 298° up, through the bins from 59 on
         mine.take(instant(100.0 + 0.01 * k, psi=math.radians(45.0 - 0.15 * k)))
     # bin 50 is touched when θ1 = 298.6° − 45° + 15°/s · t comes to 250°: at once; bin 59 at 295° after 2.76 s
@@ -139,7 +139,7 @@ def test_an_outline_counts_only_while_the_estimate_is_valid():
 
 def row(strategy="explore", seed=0, **numbers):
     told = {"coverage": 0.97, "enough_s": 12.0, "hausdorff_m": 3e-5, "valid_s": 2.0, "reachable": 1.0}
-    return Row("odd", seed, strategy, curve=(0.1, 0.5, 0.97), **told | numbers)
+    return ExploringRow("odd", seed, strategy, curve=(0.1, 0.5, 0.97), **told | numbers)
 
 
 def test_the_table_counts_what_is_missing_as_never():

@@ -11,9 +11,9 @@ from palmd.faults import TABLE
 from palmd.lab.fault_reaction import (
     STANDING_RAD_S,
     Reaction,
+    ReactionWatch,
     Told,
     Turning,
-    Watch,
     all_as_promised,
     as_line,
     complete,
@@ -22,12 +22,14 @@ from palmd.lab.fault_reaction import (
     summary,
     table,
 )
-from palmd.lab.fault_rows import HOST_ALIVE_S, NAMES, ROWS, BrokenObserver, Row, Trick
+from palmd.lab.fault_rows import HOST_ALIVE_S, NAMES, ROWS, BrokenObserver, FaultRow, RowFault
 from palmd.lab.fault_wireless import provoke
 from palmd.rig.fault_injection import PORTS
 from palmd.yamlfile import load_plan
 
-ROW = Row("mute", "it falls silent", Trick("mute", "pad1"), "hold", (("pad1-silent", "hold"),), ("pad1-lifted",))
+ROW = FaultRow(
+    "mute", "it falls silent", RowFault("mute", "pad1"), "hold", (("pad1-silent", "hold"),), ("pad1-lifted",)
+)
 GOOD = Reaction({"pad1-silent": "hold", "pad1-garbled": "degrade"}, "hold", 0.05, 0.1, 0.02)
 
 
@@ -73,7 +75,7 @@ def test_a_palm_that_turns_back_before_it_stands_has_not_come_to_stand():
 
 
 def test_only_what_comes_after_the_cause_counts():
-    watch = Watch(
+    watch = ReactionWatch(
         told=[
             Told(99.9, "tracking", {"no-realtime": "note", "pad1-silent": "hold"}),
             Told(100.05, "hold", {"no-realtime": "note", "pad1-silent": "hold"}),

@@ -18,9 +18,19 @@ import pytest
 
 from palmd.events import Estimate, ShapeEstimate
 from palmd.lab import montecarlo, montecarlo_figure, runs
-from palmd.lab.montecarlo import Task
+from palmd.lab.montecarlo import MonteCarloTask
 from palmd.lab.montecarlo_summary import quantile, remarks, summaries, table
-from palmd.lab.scoring import Answers, Causal, Row, Scalar, as_line, causal_of, outline_errors, row_of, truth_of
+from palmd.lab.scoring import (
+    Answers,
+    Causal,
+    MonteCarloRow,
+    Scalar,
+    as_line,
+    causal_of,
+    outline_errors,
+    row_of,
+    truth_of,
+)
 from palmd.observer.bound import Bound
 from palmd.observer.reconstruct import Reconstruction
 from palmd.record.eventlog import read_log
@@ -256,7 +266,7 @@ def test_a_run_reads_what_a_log_holds_and_scores_against_the_simulators_truth(tm
 
     monkeypatch.setattr(montecarlo, "reconstruct", reconstruct)
     monkeypatch.setattr(montecarlo, "cramer_rao", cramer_rao)
-    row = montecarlo.run(Task("rig", 5, 1.0, causal=False))
+    row = montecarlo.run(MonteCarloTask("rig", 5, 1.0, causal=False))
     assert seen["read"] == (log.events, log.rig)
     assert seen["bound"] == (log.events, log.rig, truth["rho_m"], 360)
     assert row.error == ""
@@ -269,7 +279,7 @@ def test_a_run_reads_what_a_log_holds_and_scores_against_the_simulators_truth(tm
 def test_the_daemons_observer_is_replayed_unless_it_is_not_wanted(monkeypatch):
     monkeypatch.setattr(montecarlo, "reconstruct", lambda *_: answer(**NO_SHAPE))
     monkeypatch.setattr(montecarlo, "cramer_rao", lambda *_: BOUND)
-    row = montecarlo.run(Task("nominal", 1, 3.0))
+    row = montecarlo.run(MonteCarloTask("nominal", 1, 3.0))
     assert row.error == ""
     assert 0.3 < row.causal.first_valid_s <= row.causal.converged_after_s < 3.0
     assert row.causal.r_rms_m < 1e-4
@@ -280,7 +290,7 @@ def test_what_raises_becomes_a_row(monkeypatch):
         raise ZeroDivisionError("no ground")
 
     monkeypatch.setattr(montecarlo, "reconstruct", broken)
-    row = montecarlo.run(Task("odd", 7, 0.5))
+    row = montecarlo.run(MonteCarloTask("odd", 7, 0.5))
     assert row.error == "ZeroDivisionError: no ground"
     assert (row.kind, row.seed, row.converged, row.right) == ("odd", 7, False, False)
     assert as_line(row)["e_h_m"] is None
@@ -290,7 +300,14 @@ def test_tasks_and_their_order():
     tasks = montecarlo.tasks_of(("nominal", "odd"), 5, 2, 3.0, False)
     assert {(task.kind, task.seed) for task in tasks} == {(k, s) for k in ("nominal", "odd") for s in (5, 6)}
     assert {(task.seconds, task.causal) for task in tasks} == {(3.0, False)}
-    rows = montecarlo.in_order([Row("odd", 1), Row("friction", 10), Row("friction", 9), Row("nominal", 2)])
+    rows = montecarlo.in_order(
+        [
+            MonteCarloRow("odd", 1),
+            MonteCarloRow("friction", 10),
+            MonteCarloRow("friction", 9),
+            MonteCarloRow("nominal", 2),
+        ]
+    )
     assert [(row.kind, row.seed) for row in rows] == [("nominal", 2), ("friction", 9), ("friction", 10), ("odd", 1)]
 
 
@@ -414,7 +431,7 @@ def row(kind="nominal", seed=0, e_h=1e-5, **changes):
         "rho_m": Scalar(0.02, -1e-3, 1e-3, 5e-4), "mu": Scalar(0.0, 0.1, 0.04, 0.02),
         "mass_kg": Scalar(0.1, 0.01, 4e-3, 0.0), "seconds": 2.0, "causal": Causal(3.0, 1.0, 1e-5, 0.9),
     }  # fmt: skip
-    return Row(kind, seed, **values | changes)
+    return MonteCarloRow(kind, seed, **values | changes)
 
 
 FEW = [
@@ -422,7 +439,7 @@ FEW = [
     row(seed=1, e_h=4e-4),
     row(seed=2, e_h=2e-4, causal=Causal(7.0, 5.0, 3e-5, 1.1)),
     row(seed=3, e_h=NAN, converged=False, max_error_m=NAN, causal=Causal(NAN, NAN, NAN, NAN)),
-    Row("nominal", 4, error="ValueError: no"),
+    MonteCarloRow("nominal", 4, error="ValueError: no"),
     row("odd", 0),
 ]
 

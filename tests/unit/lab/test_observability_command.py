@@ -17,7 +17,7 @@ from palmd.model.outputs import rig_inputs
 from palmd.model.paper import CASES, POINT, codistribution
 from palmd.observer import prior
 from palmd.observer.observability import SAMPLE_S, Observability
-from palmd.rig.plant import Hinge, Plant, Surface, stable_poses
+from palmd.rig.plant import FrictionSurface, Hinge, Plant, stable_poses
 from palmd.rig.shapes import random_body
 
 STEP_S = 5e-4
@@ -162,7 +162,7 @@ def _along_the_plant(omega1: float, omega2: float) -> float:
 
     body = random_body("nominal", np.random.default_rng(1))
     body = body.turned(stable_poses(body, at(0.0))[0])
-    plant = Plant(body, Hinge("fixed", base=(0.0, 0.0)), Surface(prior.FRICTION, prior.DITHER, prior.DAMPING))
+    plant = Plant(body, Hinge("fixed", base=(0.0, 0.0)), FrictionSurface(prior.FRICTION, prior.DITHER, prior.DAMPING))
     plant.place(at(0.0), psi=0.0)
     rig = RigDescription(hinge="fixed")
     follower = Observability(rig_inputs(rig), rig.reading_variance)

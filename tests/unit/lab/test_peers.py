@@ -17,10 +17,10 @@ from palmd.lab.peers import task as task_module
 from palmd.lab.peers.filterpy_filters import FilterpyExtended, FilterpyUnscented
 from palmd.lab.peers.functions import array, functions
 from palmd.lab.peers.plain import PlainFilter
-from palmd.lab.peers.task import LostError, Reading, Truth, blind, good, task_from
+from palmd.lab.peers.task import LostError, PeerTruth, Reading, blind, good, task_from
 from palmd.model import shape, shape_map
 from palmd.model.contact import Contact, offsets
-from palmd.model.dynamics import Body, Palms, newton_euler
+from palmd.model.dynamics import BodyConstants, Palms, newton_euler
 from palmd.model.outputs import RIG_INPUTS, rig_inputs
 from palmd.record.eventlog import write_log
 from palmd.rig.simulate import simulate_log
@@ -59,7 +59,7 @@ def run_of(kind, seed=101, seconds=SECONDS):
     arm = hinge.get("palm1_length_m", 0.12)
     rig = RigDescription(hinge=hinge["mode"], palm1_length=arm, base=(arm, 0.0))
     events = list(events_of(lines))
-    return rig, events, task_from(rig, events), Truth.from_fields(fields)
+    return rig, events, task_from(rig, events), PeerTruth.from_fields(fields)
 
 
 @pytest.fixture(scope="module", params=["nominal", "rig"])
@@ -257,7 +257,7 @@ def test_both_forms_of_the_papers_dynamics_are_one():
     palms = Palms(*(ca.SX(v) for v in PALMS))
     rho, rig = ca.SX(0.014), ca.SX(RIG)
     d1, d2 = offsets(palms.phi2, *(q[i] for i in (0, 1, 3, 4)))
-    body = Body(rho, ca.SX(0), ca.SX(1), ca.SX(0))
+    body = BodyConstants(rho, ca.SX(0), ca.SX(1), ca.SX(0))
     motion = newton_euler(palms, ca.SX(q[2]), Contact(q[0], d1, q[5]), Contact(q[1], d2, q[6]), body, rig)
     forces = ca.vertcat(motion.f1, motion.f2)
     regular = newton.constant(ca.SX(q), palms, forces, rho, rig)[:5]
@@ -417,7 +417,7 @@ def test_without_filterpy_it_says_what_to_install(monkeypatch):
         return real(name, *rest, **more)
 
     monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(CliError, match=r"pip install 'palmd\[peers\]'") as caught:
+    with pytest.raises(CliError, match=r"pip install 'palmd\[lab\]'") as caught:
         bench_peers.run(parsed())
     assert caught.value.status == BAD_INPUT
     assert "\n" not in str(caught.value)
@@ -426,17 +426,17 @@ def test_without_filterpy_it_says_what_to_install(monkeypatch):
 def test_a_truth_whose_series_do_not_fit_is_refused():
     fields = simulate_log("nominal", 101, SECONDS)[1]
     with pytest.raises(ValueError, match="lengths"):
-        Truth.from_fields(fields | {"r1_m": fields["r1_m"][:-1]})
+        PeerTruth.from_fields(fields | {"r1_m": fields["r1_m"][:-1]})
 
 
 def test_seeds_are_not_negative(capsys):
     with pytest.raises(SystemExit):
         parsed("--seed", "-1")
-    assert "0 or more" in capsys.readouterr().err
+    assert "is negative" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("seconds", ["0", "nan", "1e9"])
 def test_seconds_have_a_range(seconds, capsys):
     with pytest.raises(SystemExit):
         parsed("--seconds", seconds)
-    assert "between 1 and 600" in capsys.readouterr().err
+    assert "is not within 1 to 600 s" in capsys.readouterr().err

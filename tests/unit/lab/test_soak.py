@@ -10,12 +10,12 @@ from palmd.lab import soak_behaviour as behaviour
 from palmd.lab import soak_counters as counters
 from palmd.lab.fault_reaction import Told
 from palmd.lab.soak import all_met, as_line, at_most, between, table, told
-from palmd.lab.soak_behaviour import Cause, Command, Counted
+from palmd.lab.soak_behaviour import Cause, Counted, GivenCommand
 from palmd.lab.soak_fault_injection import QUIET_S, Trick, Visit, draw
 from palmd.lab.soak_lateness import Second, minutes, punctuality
 from palmd.lab.soak_recording import recorded, replayed
-from palmd.lab.soak_slopes import Series, leaks, slope
-from palmd.lab.soak_watch import Numbers, Process, Watch
+from palmd.lab.soak_slopes import ProcessSeries, leaks, slope
+from palmd.lab.soak_watch import Numbers, Process, SoakWatch
 from palmd.record.recheck import Checked, Difference
 from palmd.record.run import Survey
 from palmd.rig.fault_injection import ARM, INJECTABLE_FAULTS, PADS
@@ -48,7 +48,7 @@ def process(mb_per_hour=0.0, descriptors_at_end=12, warm_up_mb=30.0, seconds=HOU
     noise = np.random.default_rng(1).normal(0.0, 0.3, t.size)
     rss = 100.0 + warm_up_mb * np.minimum(t / 600.0, 1.0) + mb_per_hour * t / HOUR_S + noise
     descriptors = np.where(t > 2.0 / 3.0 * seconds, descriptors_at_end, 12)
-    return Series((t + 50.0).tolist(), rss.tolist(), descriptors.tolist(), [3] * t.size)
+    return ProcessSeries((t + 50.0).tolist(), rss.tolist(), descriptors.tolist(), [3] * t.size)
 
 
 def test_memory_of_the_warm_up_is_no_leak():
@@ -275,10 +275,10 @@ def test_every_trick_explains_something():
 
 def test_tracking_without_a_command_is_seen():
     ready, again = Told(5.0, "ready", {}), Told(10.0, "tracking", {})
-    assert behaviour.uncalled([TRACKING, ready, again], [Command(9.5, "arm")]) == []
-    assert behaviour.uncalled([TRACKING, ready, again], [Command(10.01, "arm")]) == []
-    assert behaviour.uncalled([TRACKING, ready, again], [Command(9.5, "start"), Command(1.0, "arm")])
-    assert behaviour.uncalled([TRACKING, HELD, Told(12.0, "tracking", {})], [Command(11.9, "start")]) == []
+    assert behaviour.uncalled([TRACKING, ready, again], [GivenCommand(9.5, "arm")]) == []
+    assert behaviour.uncalled([TRACKING, ready, again], [GivenCommand(10.01, "arm")]) == []
+    assert behaviour.uncalled([TRACKING, ready, again], [GivenCommand(9.5, "start"), GivenCommand(1.0, "arm")])
+    assert behaviour.uncalled([TRACKING, HELD, Told(12.0, "tracking", {})], [GivenCommand(11.9, "start")]) == []
     assert behaviour.uncalled([TRACKING, HELD, Told(12.0, "tracking", {})], [])
 
 
@@ -375,7 +375,7 @@ TOUCHING = (("s", "_m", 0.03), ("f", "_n", 1.0), ("contact", "", True))
 
 
 def test_the_watch_sees_gaps_and_when_the_object_left_a_pad():
-    watch = Watch({"pad1": 0.055, "pad2": 0.055})
+    watch = SoakWatch({"pad1": 0.055, "pad2": 0.055})
     watch.take(truth(1.0, 0))
     watch.take(truth(1.01, 1, contact2=False))
     watch.take(truth(1.02, 3, s2_m=0.06))
@@ -389,7 +389,7 @@ def test_the_watch_sees_gaps_and_when_the_object_left_a_pad():
 
 
 def test_the_watch_sees_when_bytes_were_kept_back():
-    watch = Watch({"pad1": 0.055, "pad2": 0.055})
+    watch = SoakWatch({"pad1": 0.055, "pad2": 0.055})
     plain = {"ticks": 1, "overruns": 0, "lateness_ms": [0.1], "arm_setpoints": 1, "pad2_batches": 4}
     for seq, batches in enumerate((7, 7, 8, 8)):
         watch.take(Heard("palm/loop", 5.0 + seq, seq, pad1_batches=batches, **plain))
@@ -397,12 +397,12 @@ def test_the_watch_sees_when_bytes_were_kept_back():
 
 
 def test_the_watch_keeps_changes_of_state_and_samples():
-    watch = Watch({})
+    watch = SoakWatch({})
     for t in (1.0, 1.1, 1.2):
         watch.take(Heard("palm/state", t, round(10 * t) - 10, state="ready", faults=[], severities=[]))
     assert len(watch.states) == 1
     watch.sample("daemon", 1.0, Process(70.0, 9, 3))
-    assert watch.processes["daemon"] == Series([1.0], [70.0], [9], [3])
+    assert watch.processes["daemon"] == ProcessSeries([1.0], [70.0], [9], [3])
     status = {"clock_s": 0.9, "accepted": 3, "on_palms": True, "stalls": 0}
     watch.rig(status, 1.0)
     watch.rig(status | {"stalls": 2}, 2.0)

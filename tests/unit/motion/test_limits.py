@@ -57,15 +57,6 @@ def test_where_even_a_small_object_leaves_the_pads() -> None:
     ]
 
 
-def test_contacts_near_the_ends_of_the_pads() -> None:
-    assert LIMITS.contact_violations(0.02, 0.0534) == []
-    assert LIMITS.contact_violations(0.001, 0.054) == [
-        "the contact on palm 1 is at 1.0 mm; the pad serves 2.0 to 53.5 mm",
-        "the contact on palm 2 is at 54.0 mm; the pad serves 2.0 to 53.5 mm",
-    ]
-    assert LIMITS.contact_violations(math.nan, 0.02)
-
-
 def test_workspace_of_the_arm_counts_too() -> None:
     workspace = Workspace(GEOMETRY, 0.1, 0.26, -0.2, 0.2, 0.5, 5.0)
     limits = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555, workspace=workspace)

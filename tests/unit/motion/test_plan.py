@@ -10,7 +10,7 @@ import pytest
 from palmd.config import LimitsConfig, PlanSpec
 from palmd.motion.kinematics import PoseError, RigGeometry
 from palmd.motion.limits import MotionLimits, Workspace
-from palmd.motion.plan import HOME, Place, PlanError, Trajectory, approach, compile_plan, home
+from palmd.motion.plan import HOME, PlanError, PlanPlace, Trajectory, approach, compile_plan, home
 from palmd.motion.segments import Move
 
 LIMITS = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555)
@@ -245,7 +245,7 @@ def test_an_exploration_begins_where_the_plan_leads_and_never_ends_by_itself() -
     exploration.append(Move(exploration.last.end, (math.radians(60), math.radians(95)), 1.0), t)
     assert degrees(trajectory, begins + 3.0) == pytest.approx((60, 95))
     exploration.coverage = 0.4
-    assert trajectory.place(begins + 3.0) == Place(2, "explore", 0.4)
+    assert trajectory.place(begins + 3.0) == PlanPlace(2, "explore", 0.4)
     assert trajectory.place(begins - 0.01).label == "rate"
 
 

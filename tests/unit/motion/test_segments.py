@@ -7,9 +7,9 @@ import math
 import pytest
 
 from palmd.events import PalmMotion
-from palmd.motion.segments import ConstantRate, Hold, Move, Segment, Sine, blend
+from palmd.motion.segments import ConstantRate, Hold, MotionSegment, Move, Sine, blend
 
-SEGMENTS: list[Segment] = [
+SEGMENTS: list[MotionSegment] = [
     Hold((0.7, 1.5), 2.0),
     Move((0.7, 1.5), (1.0, 1.2), 1.3),
     ConstantRate((0.7, 1.5), (0.5, -0.2), 0.1, 1.1),
@@ -24,13 +24,13 @@ def rest(motion: PalmMotion) -> tuple[float, float, float, float]:
 
 
 @pytest.mark.parametrize("segment", SEGMENTS, ids=lambda s: type(s).__name__)
-def test_begins_and_ends_at_rest(segment: Segment) -> None:
+def test_begins_and_ends_at_rest(segment: MotionSegment) -> None:
     assert rest(segment.at(0.0)) == pytest.approx((0, 0, 0, 0), abs=1e-9)
     assert rest(segment.at(segment.duration)) == pytest.approx((0, 0, 0, 0), abs=1e-9)
 
 
 @pytest.mark.parametrize("segment", SEGMENTS, ids=lambda s: type(s).__name__)
-def test_rates_and_accelerations_are_the_slopes(segment: Segment) -> None:
+def test_rates_and_accelerations_are_the_slopes(segment: MotionSegment) -> None:
     h = 1e-5
     for i in range(1, 200):
         t = segment.duration * i / 200
@@ -42,7 +42,7 @@ def test_rates_and_accelerations_are_the_slopes(segment: Segment) -> None:
 
 
 @pytest.mark.parametrize("segment", SEGMENTS, ids=lambda s: type(s).__name__)
-def test_samples_see_the_extremes(segment: Segment) -> None:
+def test_samples_see_the_extremes(segment: MotionSegment) -> None:
     fine = [segment.at(segment.duration * i / 20000) for i in range(20001)]
     seen = [segment.at(t) for t in segment.sample_times()]
     for name in ("phi1", "phi2", "omega1", "omega2", "alpha1", "alpha2"):

@@ -15,7 +15,7 @@ from palmd.model import sensitivity, shape, shape_map
 from palmd.model.outputs import rig_inputs
 from palmd.observer.observability import Observability, scaled_singular_value
 from palmd.observer.prior import FRICTION_SD, blind_start, shape_map_sd
-from palmd.rig.plant import Hinge, Plant, Surface, stable_poses
+from palmd.rig.plant import FrictionSurface, Hinge, Plant, stable_poses
 from palmd.rig.shapes import random_body
 from palmd.rig.simulate import simulate_log
 from palmd.rig.world import default_config
@@ -72,7 +72,7 @@ def _palms(t: float) -> PalmMotion:
 
 def _along(mu: float, seed: int) -> tuple[float, float]:
     """Median of the number along the true trajectory of a plant, and the r.m.s. of θ̇1 (rad/s)."""
-    body, surface = random_body("nominal", np.random.default_rng(seed)), Surface(mu, 2e-3, 2e-4)
+    body, surface = random_body("nominal", np.random.default_rng(seed)), FrictionSurface(mu, 2e-3, 2e-4)
     hinge = Hinge("fixed", base=(0.0, 0.0))
     body = body.turned(stable_poses(body, _palms(0.0))[0])
     plant = Plant(body, hinge, surface)

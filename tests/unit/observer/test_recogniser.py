@@ -14,7 +14,7 @@ from library import THETA, library, run_with
 from palmd.daemon.core import Core
 from palmd.events import DECIDED, ObjectEstimate, PadSample
 from palmd.lab import recognition
-from palmd.lab.recognition import Row, Task
+from palmd.lab.recognition import RecognitionRow, RecognitionTask
 from palmd.lab.siblings import LEAST_M, MOST_M, RADIUS_RANGE, difference
 from palmd.messages import OBJECT, object_fields, stamp, validate
 from palmd.observer.outline_prior import stored
@@ -180,23 +180,23 @@ def test_siblings_are_similar_and_different():
 
 
 def test_a_row_tells_what_came_of_a_run():
-    row = recognition.run(Task("friction", 3, 2.0))
+    row = recognition.run(RecognitionTask("friction", 3, 2.0))
     assert not row.error
     assert row.said == row.true != NONE_OF_THESE
     assert row.decided < 2.0
     assert row.brier < 0.05
     assert row.psi_rms < 0.05
-    assert recognition.failed(Task("rig", 1, 2.0), OSError("gone")).error == "OSError: gone"
+    assert recognition.failed(RecognitionTask("rig", 1, 2.0), OSError("gone")).error == "OSError: gone"
 
 
 def test_the_studys_table_counts_each_run_once():
     rows = [
-        Row("rig", 0, true="a", said="a", probability=0.99, brier=0.0, decided=0.8, psi_rms=0.01),
-        Row("rig", 1, true="a", said="b", probability=0.0, brier=2.0, decided=1.0),
-        Row("rig", 2, true="a", said=NONE_OF_THESE, probability=0.0, brier=2.0, decided=1.0),
-        Row("rig", 3, true="a", said="", probability=0.5, brier=0.5),
-        Row("rig", 4, true=NONE_OF_THESE, said=NONE_OF_THESE, probability=1.0, brier=0.0, decided=1.2),
-        Row("rig", 5, error="OSError: gone"),
+        RecognitionRow("rig", 0, true="a", said="a", probability=0.99, brier=0.0, decided=0.8, psi_rms=0.01),
+        RecognitionRow("rig", 1, true="a", said="b", probability=0.0, brier=2.0, decided=1.0),
+        RecognitionRow("rig", 2, true="a", said=NONE_OF_THESE, probability=0.0, brier=2.0, decided=1.0),
+        RecognitionRow("rig", 3, true="a", said="", probability=0.5, brier=0.5),
+        RecognitionRow("rig", 4, true=NONE_OF_THESE, said=NONE_OF_THESE, probability=1.0, brier=0.0, decided=1.2),
+        RecognitionRow("rig", 5, error="OSError: gone"),
     ]
     told = recognition.table(rows)
     for name, number in (

@@ -92,6 +92,13 @@ def true_touched(run: Run, answer: Reconstruction) -> float:
     return len(np.unique(np.round(np.degrees(true_normals(run)[:, inside])) % 360)) / 360
 
 
+def test_strong_friction_is_within_its_error_bar():
+    """Where the readings leave μ and u_d apart open, μ's belief is lopsided."""
+    run = simulated("rig", 2008, 10.0)
+    answer = reconstruct(run.events, run.rig)
+    assert abs(answer.mu - run.truth.mu) < 2.2 * answer.mu_sd
+
+
 def test_it_is_deterministic(run, answer):
     assert same(reconstruct(run.events, run.rig), answer)
 

@@ -13,14 +13,14 @@ import pytest
 import reported
 from matplotlib.figure import Figure
 
-from palmd import lab
+from palmd import report as room
 from palmd.cli import main
 from palmd.messages import ESTIMATE, LOOP
 from palmd.record.run import read_run
 from palmd.report.html import as_html
 from palmd.report.pdf import as_pdf
 from palmd.report.sections import Plate, Report, drawn, report_of
-from palmd.report.series import Track, series_of
+from palmd.report.series import TopicSeries, series_of
 
 VOID = {"meta", "br", "hr", "img", "link", "input"}
 _KEPT = TemporaryDirectory(prefix="palmd-test-report-")
@@ -189,7 +189,7 @@ def test_a_figure_of_a_long_run_stays_small(tmp_path):
         for name, column in read.estimate.columns.items()
     }
     columns["valid"][:] = 1.0
-    read = replace(read, estimate=Track(np.arange(20200) * 0.01, columns))
+    read = replace(read, estimate=TopicSeries(np.arange(20200) * 0.01, columns))
     long = next(section for section in report_of(read).sections if section.title == "State").parts[0]
     assert points_of(drawn(long)) < 12 * 3 * 3 * 300 + short
 
@@ -233,10 +233,10 @@ def test_a_run_is_never_overwritten_by_its_report(tmp_path, capsys):
 
 
 def test_without_matplotlib_it_says_so(tmp_path, monkeypatch, capsys):
-    for name in [name for name in sys.modules if name.startswith("palmd.lab.run_")]:
-        if name.rpartition(".")[2] not in ("run_series", "run_words"):
+    for name in [name for name in sys.modules if name.startswith("palmd.report.")]:
+        if name.rpartition(".")[2] not in ("command", "series", "words"):
             monkeypatch.delitem(sys.modules, name)
-            monkeypatch.delattr(lab, name.rpartition(".")[2], raising=False)
+            monkeypatch.delattr(room, name.rpartition(".")[2], raising=False)
     for name in [name for name in sys.modules if name.partition(".")[0] == "matplotlib"]:
         monkeypatch.setitem(sys.modules, name, None)
     assert main(["report", str(path()), "-o", str(tmp_path / "report.html")]) == 1

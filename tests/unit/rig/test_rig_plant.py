@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from palmd.events import PalmMotion
-from palmd.rig.plant import Hinge, Plant, PlantOptions, Surface, stable_poses
+from palmd.rig.plant import FrictionSurface, Hinge, Plant, PlantOptions, stable_poses
 from palmd.rig.shapes import Body, Support, random_body
 from palmd.rig.simulate import Rock, Rocking
 
@@ -34,7 +34,7 @@ def run(plant: Plant, palms: PalmMotion, seconds: float) -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_static_forces_and_geometry(seed):
-    plant = Plant(body(seed), FIXED, Surface(mu=0.2))
+    plant = Plant(body(seed), FIXED, FrictionSurface(mu=0.2))
     phi1, phi2 = AT_REST.phi1, AT_REST.phi2
     plant.place(AT_REST, stable_poses(plant.body, AT_REST)[0])
     contact1, contact2 = plant.contacts()
@@ -52,7 +52,7 @@ def test_static_forces_and_geometry(seed):
 
 
 def test_energy_is_conserved_without_friction():
-    plant = Plant(body(1), FIXED, Surface())
+    plant = Plant(body(1), FIXED, FrictionSurface())
     plant.place(AT_REST, stable_poses(plant.body, AT_REST)[0] + 0.5)
     start = plant.energy()
     swing = 0.0
@@ -64,7 +64,7 @@ def test_energy_is_conserved_without_friction():
     assert plant.energy() == pytest.approx(start, abs=1e-8)
 
 
-@pytest.mark.parametrize("surface", [Surface(mu=0.1), Surface(damping=5e-4)])
+@pytest.mark.parametrize("surface", [FrictionSurface(mu=0.1), FrictionSurface(damping=5e-4)])
 def test_friction_and_damping_only_take_energy(surface):
     plant = Plant(body(1), FIXED, surface)
     plant.place(AT_REST, stable_poses(plant.body, AT_REST)[0] + 0.5)
@@ -77,7 +77,7 @@ def test_friction_and_damping_only_take_energy(surface):
 
 
 def test_a_disc_pushed_by_no_torque_does_not_turn():
-    plant = Plant(disc(), Hinge("arc", 0.12, (0.12, 0.0)), Surface())
+    plant = Plant(disc(), Hinge("arc", 0.12, (0.12, 0.0)), FrictionSurface())
     rocking = Rocking(Rock(0.7, 0.4, 0.5, 0.3), Rock(1.6, 0.2, 0.4, 1.0))
     plant.place(rocking.at(0.0), 0.0, omega0=1.5)
     for k in range(2000):
@@ -90,7 +90,7 @@ def test_a_disc_pushed_by_no_torque_does_not_turn():
 def test_agrees_with_an_independent_simulator(run_data):
     support = Support.from_coefficients(tuple(complex(*c) for c in run_data["h_harmonics_m"]))
     hinge = Hinge(run_data["hinge"]["mode"], run_data["hinge"].get("palm1_length_m", 0.12))
-    surface = Surface(run_data["mu"], run_data["dither_m_s"], run_data["damping_m2_s"])
+    surface = FrictionSurface(run_data["mu"], run_data["dither_m_s"], run_data["damping_m2_s"])
     plant = Plant(Body("given", support, run_data["rho_m"], run_data["mass_kg"]), hinge, surface)
     rocking = Rocking(Rock(*run_data["palm1"]), Rock(*run_data["palm2"]))
     plant.place(rocking.at(0.0), 0.0)
@@ -110,7 +110,7 @@ def test_agrees_with_an_independent_simulator(run_data):
 
 def test_palms_that_drop_away_let_go_and_catch_again():
     """The palms turn down faster than the body can fall; then they stop and it lands on them."""
-    plant = Plant(disc(), FIXED, Surface(mu=0.1))
+    plant = Plant(disc(), FIXED, FrictionSurface(mu=0.1))
     phi1, rate, dt = 0.7, 0.0, STEP
     plant.place(PalmMotion(phi1, 1.7), 0.0)
     lost = 0
@@ -129,7 +129,7 @@ def test_palms_that_drop_away_let_go_and_catch_again():
 
 
 def test_a_landing_loses_energy_and_does_not_bounce():
-    plant = Plant(disc(), FIXED, Surface())
+    plant = Plant(disc(), FIXED, FrictionSurface())
     plant.place(AT_REST, 0.0)
     plant.state.vx, plant.state.vy = 0.0, 0.5  # thrown up
     highest = plant.state.y
@@ -144,7 +144,7 @@ def test_a_landing_loses_energy_and_does_not_bounce():
 
 
 def test_a_body_beyond_the_pad_falls_off_and_can_be_put_back():
-    plant = Plant(disc(), FIXED, Surface(), reach=(0.0555, 0.0555))
+    plant = Plant(disc(), FIXED, FrictionSurface(), reach=(0.0555, 0.0555))
     narrow = PalmMotion(0.9, 0.6)  # wedged far out: s = r / tan(phi2 / 2) = 65 mm
     plant.place(narrow, 0.0)
     assert plant.fallen
@@ -157,7 +157,7 @@ def test_a_body_beyond_the_pad_falls_off_and_can_be_put_back():
 
 
 def test_a_body_that_lands_beyond_the_pad_falls_off():
-    plant = Plant(disc(), FIXED, Surface())
+    plant = Plant(disc(), FIXED, FrictionSurface())
     flat = PalmMotion(0.2, 2.0)
     plant.place(flat, 0.0)
     assert not plant.fallen
@@ -175,7 +175,7 @@ def test_a_pinned_hinge_is_the_fixed_rig():
         (Hinge("arc", 0.12, (0.12, 0.0)), PlantOptions(hinge_travels=False)),
         (Hinge("arc", 0.12, (0.12, 0.0)), PlantOptions()),
     ):
-        plant = Plant(body(2), hinge, Surface(mu=0.1), options=options)
+        plant = Plant(body(2), hinge, FrictionSurface(mu=0.1), options=options)
         plant.place(rocking.at(0.0), stable_poses(plant.body, rocking.at(0.0))[0])
         for k in range(1000):
             plant.advance(rocking.at((k + 0.5) * STEP), rocking.at((k + 1) * STEP), STEP)
@@ -188,7 +188,7 @@ def test_hard_friction_sticks_where_dither_creeps():
     """Beside its stable pose a body stays if friction is hard, and creeps home under dither."""
     moved = []
     for law in ("coulomb", "dither"):
-        plant = Plant(body(1), FIXED, Surface(mu=0.25, dither=0.02), options=PlantOptions(friction_law=law))
+        plant = Plant(body(1), FIXED, FrictionSurface(mu=0.25, dither=0.02), options=PlantOptions(friction_law=law))
         start = stable_poses(plant.body, AT_REST)[0] + 0.02
         plant.place(AT_REST, start)
         run(plant, AT_REST, 0.5)
@@ -198,7 +198,7 @@ def test_hard_friction_sticks_where_dither_creeps():
 
 def test_stable_poses_are_minima_of_the_height():
     shape = body(4)
-    plant = Plant(shape, FIXED, Surface())
+    plant = Plant(shape, FIXED, FrictionSurface())
 
     def height(psi: float) -> float:
         plant.place(AT_REST, psi)

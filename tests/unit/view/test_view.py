@@ -20,7 +20,7 @@ from palmd.cli import main
 from palmd.cli.view import allowed
 from palmd.daemon.commands import COMMANDS
 from palmd.view import command_client, http_guard, wire
-from palmd.view.client import Client
+from palmd.view.client import PageClient
 from palmd.view.files import STATIC, page_files
 from palmd.view.server import Settings, serve_page
 
@@ -400,7 +400,7 @@ async def pause():
 def test_a_slow_page_loses_frames_and_never_grows():
     async def story():
         connection = Stuck()
-        client = Client(connection, operator=False)
+        client = PageClient(connection, operator=False)
         sending = asyncio.create_task(client.serve())
         latest = {"palm/loop": b"old"}
         for frame in range(1000):

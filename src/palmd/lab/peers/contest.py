@@ -17,7 +17,7 @@ from palmd.lab.peers import generated, horizon, newton
 from palmd.lab.peers.filterpy_filters import FilterpyExtended, FilterpyUnscented
 from palmd.lab.peers.functions import functions
 from palmd.lab.peers.plain import PlainFilter
-from palmd.lab.peers.task import LostError, Reading, Start, Task, Truth, blind, good
+from palmd.lab.peers.task import LostError, PeerStart, PeerTask, PeerTruth, Reading, blind, good
 from palmd.model import shape
 from palmd.model.outputs import rig_inputs
 from palmd.observer.bank import Bank
@@ -46,7 +46,7 @@ class Peer(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class PeerRow:
     """One line of the comparison; r_rms and e_h in m, NaN where there is none.
 
     us: the median step (µs of processor time). r_rms: over r1 and r2 in the last half. e_h: as in `score`, over the
@@ -67,11 +67,11 @@ class Entry:
     """How to make one peer."""
 
     method: str
-    make: Callable[[Start], Peer]
+    make: Callable[[PeerStart], Peer]
     remark: Callable[[Peer], str] = field(default=lambda _peer: "")
 
 
-def entries(task: Task, truth: Truth) -> tuple[Entry, ...]:
+def entries(task: PeerTask, truth: PeerTruth) -> tuple[Entry, ...]:
     """All of them but the bank; palmd's own comes first. Compiles and builds what they need when first made."""
     model, kernels, solver = cache(functions), cache(generated.library), cache(horizon.program)
     windows = cache(newton.window)
@@ -79,7 +79,7 @@ def entries(task: Task, truth: Truth) -> tuple[Entry, ...]:
     palms = task.palms
     first = np.array([palms.phi1, palms.phi2, palms.omega1, palms.omega2, palms.alpha1, palms.alpha2])
 
-    def newtons(form: newton.Form) -> Callable[[Start], Peer]:
+    def newtons(form: newton.Form) -> Callable[[PeerStart], Peer]:
         return lambda start: newton.NewtonObserver(windows(form), start, first, rig, truth.mass)
 
     return (
@@ -97,12 +97,12 @@ def entries(task: Task, truth: Truth) -> tuple[Entry, ...]:
     )
 
 
-def starts(task: Task, truth: Truth, seed: int) -> tuple[Start, Start]:
+def starts(task: PeerTask, truth: PeerTruth, seed: int) -> tuple[PeerStart, PeerStart]:
     """A good one and the blind one."""
     return good(task, truth, np.random.default_rng(seed)), blind(task)
 
 
-def compete(entry: Entry, start: Start, task: Task, truth: Truth, tell: Tell) -> Row:
+def compete(entry: Entry, start: PeerStart, task: PeerTask, truth: PeerTruth, tell: Tell) -> PeerRow:
     """One peer through the whole run; `tell` hears how many readings are done."""
     peer = entry.make(start)
     times: list[float] = []
@@ -120,16 +120,16 @@ def compete(entry: Entry, start: Start, task: Task, truth: Truth, tell: Tell) ->
                     raise LostError("not finite")
             except _GIVES_UP as error:
                 remark = f"lost after {reading.t - task.t_start:.2f} s: {str(error).splitlines()[0]}"
-                return Row(entry.method, start.name, math.nan, math.nan, _median_us(times), remark)
+                return PeerRow(entry.method, start.name, math.nan, math.nan, _median_us(times), remark)
             if whole and len(reading.moves) == 1:
                 times.append(took)
             if reading.t > middle:
                 errors.append(off)
     e_h = _e_h(peer.outline(), truth)
-    return Row(entry.method, start.name, _rms(errors), e_h, _median_us(times), entry.remark(peer))
+    return PeerRow(entry.method, start.name, _rms(errors), e_h, _median_us(times), entry.remark(peer))
 
 
-def bank_row(rig: RigDescription, events: Sequence[Event], task: Task, truth: Truth, tell: Tell) -> Row:
+def bank_row(rig: RigDescription, events: Sequence[Event], task: PeerTask, truth: PeerTruth, tell: Tell) -> PeerRow:
     """The observer that the daemon runs, blind: its whole `feed` of a contact reading counts as a step."""
     watcher = observer.make("shape", rig)
     times: list[float] = []
@@ -150,10 +150,10 @@ def bank_row(rig: RigDescription, events: Sequence[Event], task: Task, truth: Tr
         coefficients: FloatArray = np.linalg.lstsq(shape.basis(outline.theta), outline.h, rcond=None)[0].astype(float)
         e_h = _e_h(coefficients, truth)
     remark = "as the daemon runs it: late events, fading, rivals"
-    return Row(BANK, "blind", _rms(errors), e_h, _median_us(times), remark)
+    return PeerRow(BANK, "blind", _rms(errors), e_h, _median_us(times), remark)
 
 
-def with_ratios(rows: Sequence[Row]) -> Iterator[Row]:
+def with_ratios(rows: Sequence[PeerRow]) -> Iterator[PeerRow]:
     """Each row with its step as a multiple of `OWN`'s from the same start."""
     own = {row.start: row.us for row in rows if row.method == OWN}
     for row in rows:
@@ -169,7 +169,7 @@ class BankTick:
     step_us: float
 
 
-def bank_tick(task: Task, start: Start, size: int = 64, ticks: int = 400) -> BankTick:
+def bank_tick(task: PeerTask, start: PeerStart, size: int = 64, ticks: int = 400) -> BankTick:
     """Time the bare bank on the run's own readings, every filter started alike."""
     bank: Bank = ShapeFilters(task.rig, size).bank
     bank.refill()
@@ -187,7 +187,7 @@ def bank_tick(task: Task, start: Start, size: int = 64, ticks: int = 400) -> Ban
     return BankTick(size, tick * 1e3, tick * 1e6 / (2 * size))
 
 
-def _e_h(coefficients: FloatArray | None, truth: Truth) -> float:
+def _e_h(coefficients: FloatArray | None, truth: PeerTruth) -> float:
     if coefficients is None or not np.isfinite(coefficients).all():
         return math.nan
     return score_outline(_THETA, shape.basis(_THETA) @ coefficients, truth.touched(_THETA), truth.h).e_h

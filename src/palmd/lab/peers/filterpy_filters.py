@@ -12,7 +12,7 @@ from filterpy.kalman import (  # type: ignore[import-untyped]
 
 from palmd.events import FloatArray
 from palmd.lab.peers.functions import Q_DIAGONAL, Functions, array
-from palmd.lab.peers.task import Reading, Start, radii
+from palmd.lab.peers.task import PeerStart, Reading, radii
 from palmd.model import shape_map
 
 ALPHA, BETA, KAPPA = 1.0, 2.0, 0.0
@@ -42,7 +42,7 @@ class _OnShapeMap:
 class FilterpyExtended(_OnShapeMap):
     """`filterpy.kalman.ExtendedKalmanFilter`, its `predict_x` overridden as its documentation asks for."""
 
-    def __init__(self, model: Functions, start: Start):
+    def __init__(self, model: Functions, start: PeerStart):
         super().__init__(model)
         self._filter = ekf = ExtendedKalmanFilter(dim_x=shape_map.N, dim_z=1)
         ekf.x, ekf.P, ekf.Q = start.x.copy(), start.P.copy(), np.zeros((shape_map.N,) * 2)
@@ -79,7 +79,7 @@ class FilterpyExtended(_OnShapeMap):
 class FilterpyUnscented(_OnShapeMap):
     """`filterpy.kalman.UnscentedKalmanFilter` with Merwe's scaled sigma points."""
 
-    def __init__(self, model: Functions, start: Start):
+    def __init__(self, model: Functions, start: PeerStart):
         super().__init__(model)
         points = MerweScaledSigmaPoints(shape_map.N, ALPHA, BETA, KAPPA)
         self._filter = ukf = UnscentedKalmanFilter(

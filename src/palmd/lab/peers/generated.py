@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.lab.peers.task import Reading, Start, radii
+from palmd.lab.peers.task import PeerStart, Reading, radii
 from palmd.model import shape_map
 from palmd.model.compiled import Library, densified, load
 
@@ -22,7 +22,7 @@ def library() -> Library:
 class GeneratedFilter:
     """The extended Kalman filter of `model.shape_map`; `gate` as in the bank, in innovation²/variance."""
 
-    def __init__(self, kernels: Library, start: Start, gate: float = math.inf):
+    def __init__(self, kernels: Library, start: PeerStart, gate: float = math.inf):
         n = shape_map.N
         self._x, self._P = [start.x.copy(), np.zeros(n)], [start.P.copy(), np.zeros((n, n))]
         self._side = 0  # kernels write into the other side's arrays, which then become the current ones

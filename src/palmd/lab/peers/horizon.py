@@ -18,7 +18,7 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.lab.peers.functions import Q_DIAGONAL, Functions, array
-from palmd.lab.peers.task import Reading, Start, radii
+from palmd.lab.peers.task import PeerStart, Reading, radii
 from palmd.model import shape_map
 
 NODES = 133  # steps in a window of half a second; two pads at 100 Hz, some gaps cut in two
@@ -88,7 +88,7 @@ def program(model: Functions) -> ca.Function:
 class MovingHorizon:
     """Solves anew each `EVERY_S`; a solution that IPOPT does not vouch for is counted and not taken."""
 
-    def __init__(self, model: Functions, solver: ca.Function, start: Start):
+    def __init__(self, model: Functions, solver: ca.Function, start: PeerStart):
         self._model, self._solver = model, solver
         self._mean, self._P = start.x.copy(), start.P.copy()  # arrival: what is known at the window's beginning
         self._nodes: deque[Node] = deque()

@@ -23,10 +23,10 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.lab.peers.functions import array
-from palmd.lab.peers.task import LostError, Reading, Start
+from palmd.lab.peers.task import LostError, PeerStart, Reading
 from palmd.model import shape_map
 from palmd.model.contact import SX, Contact, normal, offsets, readings
-from palmd.model.dynamics import Body, Palms, effective_gravity, newton_euler
+from palmd.model.dynamics import BodyConstants, Palms, effective_gravity, newton_euler
 from palmd.model.outputs import NAMED, RIG_INPUTS
 
 Form = Literal["eliminated", "constant"]
@@ -67,7 +67,7 @@ def constant(q: SX, palms: Palms, _forces: SX, rho: SX, rig: SX) -> SX:
     r1, r2, omega0, s1, s2, v1, v2 = (q[i] for i in range(7))
     d1, d2 = offsets(palms.phi2, r1, r2, s1, s2)
     one, two = Contact(r1, d1, v1), Contact(r2, d2, v2)
-    body = Body(rho, SX(0), SX(1), SX(0))
+    body = BodyConstants(rho, SX(0), SX(1), SX(0))
     alpha0 = newton_euler(palms, omega0, one, two, body, rig).alpha0
     rate1, rate2 = palms.omega1 - omega0, palms.omega12 - omega0
     geometry = [SX.sym(name) for name in ("phi2", "r1", "d1", "r2", "d2")]
@@ -96,7 +96,7 @@ def step_function(form: Form) -> ca.Function:
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class NewtonWindow:
     """run: (q, u of all nodes, ρ) → states after each node, and their sensitivities to q side by side."""
 
     form: Form
@@ -104,7 +104,7 @@ class Window:
     run: ca.Function
 
 
-def window(form: Form) -> Window:
+def window(form: Form) -> NewtonWindow:
     """The window's trajectory and its variational equation, on CasADi's virtual machine."""
     n, step = _SIZE[form], step_function(form)
     q, S, u, rho = SX.sym("q", n), SX.sym("S", n, n), SX.sym("u", _INPUTS), SX.sym("rho")
@@ -114,10 +114,10 @@ def window(form: Form) -> Window:
     along = moved.mapaccum("along", NODES)
     start, us, rho_all = ca.MX.sym("q", n), ca.MX.sym("u", _INPUTS, NODES), ca.MX.sym("rho")
     path = along(ca.horzcat(start, ca.DM.eye(n)), us, ca.repmat(rho_all, 1, NODES))
-    return Window(form, step, ca.Function("run", [start, us, rho_all], [path]))
+    return NewtonWindow(form, step, ca.Function("run", [start, us, rho_all], [path]))
 
 
-def first_state(form: Form, start: Start, palms: FloatArray, rig: FloatArray) -> FloatArray:
+def first_state(form: Form, start: PeerStart, palms: FloatArray, rig: FloatArray) -> FloatArray:
     """What a shape map's start means in `STATES`, under the palms φ1 … α2."""
     values = array(shape_map.values_function()(start.x, np.concatenate([palms, rig])))
     return values[[NAMED.index(name) for name in STATES[: _SIZE[form]]]]
@@ -126,7 +126,7 @@ def first_state(form: Form, start: Start, palms: FloatArray, rig: FloatArray) ->
 class NewtonObserver:
     """One Gauss–Newton step on the window for each reading; see the module."""
 
-    def __init__(self, model: Window, start: Start, first: FloatArray, rig: FloatArray, mass: float):
+    def __init__(self, model: NewtonWindow, start: PeerStart, first: FloatArray, rig: FloatArray, mass: float):
         """`first` are the palms' φ1 … α2 at the start, `rig` as `named.rig_inputs`; `mass` in kg."""
         self._model, self._mass = model, mass
         self._n = _SIZE[model.form]

@@ -7,14 +7,14 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.lab.peers.plain_model import reading_row, transition
-from palmd.lab.peers.task import Reading, Start, radii
+from palmd.lab.peers.task import PeerStart, Reading, radii
 from palmd.model import shape_map
 
 
 class PlainFilter:
     """x, P as a textbook has them; the covariance in Joseph's form."""
 
-    def __init__(self, start: Start):
+    def __init__(self, start: PeerStart):
         self.x, self.P = start.x.copy(), start.P.copy()
         self._q = np.zeros(shape_map.N)
         self._q[:2] = shape_map.Q_PSI, shape_map.Q_OMEGA0

@@ -49,7 +49,7 @@ class Reading:
 
 
 @dataclass(frozen=True, slots=True)
-class Task:
+class PeerTask:
     """A run as every peer gets it; `s1`, `s2` (m) and `palms` are those at `t_start`, when both pads have spoken."""
 
     rig: RigDescription
@@ -61,7 +61,7 @@ class Task:
 
 
 @dataclass(frozen=True, slots=True)
-class Truth:
+class PeerTruth:
     """What was really there, SI: time series on `t`, h on evenly spaced normals from 0."""
 
     t: FloatArray
@@ -79,7 +79,7 @@ class Truth:
     mass: float
 
     @classmethod
-    def from_fields(cls, fields: dict[str, Any]) -> Truth:
+    def from_fields(cls, fields: dict[str, Any]) -> PeerTruth:
         """From the fields of a `*.truth.json`; raises KeyError, TypeError or ValueError for what is none."""
 
         def series(name: str) -> FloatArray:
@@ -118,7 +118,7 @@ class Truth:
 
 
 @dataclass(frozen=True, slots=True)
-class Start:
+class PeerStart:
     """Mean and covariance of the shape map's state (`shape_map.Z`) at the task's `t_start`."""
 
     name: StartName
@@ -126,7 +126,7 @@ class Start:
     P: FloatArray
 
 
-def task_from(rig: RigDescription, events: Iterable[Event]) -> Task:
+def task_from(rig: RigDescription, events: Iterable[Event]) -> PeerTask:
     """The events of a run as readings, cut as `observer.bank_observer` cuts them; ValueError if nothing is touched."""
     tracker, rig_values = PalmTracker(rig.palm_angle_noise), rig_inputs(rig)
     variance = rig.reading_variance
@@ -151,16 +151,16 @@ def task_from(rig: RigDescription, events: Iterable[Event]) -> Task:
             readings.append(Reading(t, event.pad, event.s, caution * variance, tracker.at(t), moves, forces))
     if first is None or not readings:
         raise ValueError("both pads and the palms must have been read for there to be anything to estimate")
-    return Task(rig, t_start, *first, tuple(readings))
+    return PeerTask(rig, t_start, *first, tuple(readings))
 
 
-def blind(task: Task) -> Start:
+def blind(task: PeerTask) -> PeerStart:
     """The prior itself: the circle that would give the first two readings, and all that is believed about it."""
     x, sd = _prior(task)
-    return Start("blind", x, np.diag(sd**2))
+    return PeerStart("blind", x, np.diag(sd**2))
 
 
-def good(task: Task, truth: Truth, random: np.random.Generator) -> Start:
+def good(task: PeerTask, truth: PeerTruth, random: np.random.Generator) -> PeerStart:
     """The truth, off by a draw with one-sigma of `GOOD` priors, and that as its covariance."""
     sd = GOOD * _prior(task)[1]
     theta: FloatArray = np.arange(len(truth.h), dtype=np.float64) * (math.tau / len(truth.h))
@@ -170,7 +170,7 @@ def good(task: Task, truth: Truth, random: np.random.Generator) -> Start:
     x[Z.LN_RHO], x[Z.MU] = math.log(truth.rho), truth.mu
     x[Z.LN_DITHER], x[Z.DAMPING] = math.log(truth.dither), truth.damping
     x[Z.SHAPE :] = np.linalg.lstsq(shape.basis(theta), truth.h, rcond=None)[0]
-    return Start("good", x + sd * random.standard_normal(shape_map.N), np.diag(sd**2))
+    return PeerStart("good", x + sd * random.standard_normal(shape_map.N), np.diag(sd**2))
 
 
 def radii(x: FloatArray, reading: Reading) -> FloatArray:
@@ -181,7 +181,7 @@ def radii(x: FloatArray, reading: Reading) -> FloatArray:
     return rows @ x[Z.SHAPE :]
 
 
-def _prior(task: Task) -> tuple[FloatArray, FloatArray]:
+def _prior(task: PeerTask) -> tuple[FloatArray, FloatArray]:
     belief = prior.blind_start(task.s1, task.s2, task.palms, 1, True, np.random.default_rng(0))
     Z = shape_map.Z
     x, sd = np.zeros(shape_map.N), np.zeros(shape_map.N)

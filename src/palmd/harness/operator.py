@@ -1,4 +1,4 @@
-"""One plan on a running daemon, as a person at `palmd ctl` would run it: load, arm, start, look on, leave at rest."""
+"""What an operator does: keeps the palms moving, or runs one plan on a running daemon and looks on."""
 
 from __future__ import annotations
 
@@ -9,22 +9,90 @@ from typing import Any
 
 import yaml
 
-from palmd.bus.client import Client
+from palmd.bus.command_client import CommandClient
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.harness.processes import StopRequest
 
 Status = Mapping[str, Any]
 
+AGAIN_S = 1.0
+CALM_S = 0.5
 LOOK_S = 0.25
 PROGRESS_S = 1.0
 STANDING_S = 5.0  # for the palms to come to a stand when they are held
 HELD_S = 30.0  # that a hold may last: until then somebody may put the object back and start again
 
 
-class Operation:
-    """Arms the arm if that has not been done, and then stops it in the end; a daemon that tracked before tracks on."""
+class Operator:
+    """Brings the palms to move and keeps them moving, as somebody who looks at the bus would. Pure.
 
-    def __init__(self, client: Client, listen: Callable[[float], None], told: Callable[[Status, float], str]) -> None:
+    When somebody else holds or stops them it takes its hands off until they are started again.
+    """
+
+    def __init__(self) -> None:
+        self.state: Status = {}
+        self.motion: Status = {}
+        self._hands_off = False
+        self._t_told = -AGAIN_S
+        self._wanted: str | None = None
+        self._t_wanted = 0.0
+
+    @property
+    def moves(self) -> bool:
+        """Whether the palms follow a plan."""
+        return self.state.get("state") == "tracking" and self.motion.get("segment", -1) >= 0
+
+    def take(self, topic: str, fields: Status) -> None:
+        """Every palm/state and palm/motion: a hold or a stop without a fault is somebody's wish."""
+        if topic == "palm/motion":
+            self.motion = fields
+        elif topic == "palm/state":
+            before, now = self.state.get("state"), fields.get("state")
+            self.state = fields
+            if now == "hold" != before:
+                self._hands_off |= {"hold", "stop"}.isdisjoint(fields.get("severities", ()))
+            elif now == "ready":
+                self._hands_off |= before in ("tracking", "hold")
+
+    def decide(self, t: float) -> str | None:
+        """The command to give at t (s), None for none.
+
+        After a hold or a fault it waits until things have been calm for `CALM_S`, and never hurries.
+        """
+        if self.moves:
+            self._hands_off = False
+        wanted = None if self._hands_off else self._wish()
+        if wanted != self._wanted:
+            self._wanted, self._t_wanted = wanted, t
+        patience = 0.0 if wanted == "arm" else CALM_S
+        if wanted is None or t - self._t_wanted < patience or t - self._t_told < AGAIN_S:
+            return None
+        self._t_told = t
+        return wanted
+
+    def _wish(self) -> str | None:
+        severities = set(self.state.get("severities", ()))
+        match self.state.get("state"):
+            case "ready" if "stop" not in severities:
+                return "arm"
+            case "tracking" if not self.moves:
+                return "start"
+            case "hold" if not severities & {"hold", "stop"}:
+                return "start"
+            case "fault":
+                return "reset"
+        return None
+
+
+class PlanRun:
+    """One plan on a running daemon: load, arm, start, look on, leave at rest.
+
+    Arms the arm if that has not been done, and then stops it in the end; a daemon that tracked before tracks on.
+    """
+
+    def __init__(
+        self, client: CommandClient, listen: Callable[[float], None], told: Callable[[Status, float], str]
+    ) -> None:
         """`listen(t_end)` takes what is published until t_end (s, monotonic clock).
 
         `told(status, seconds)` is how far it has come, in words, for an error.
@@ -80,7 +148,7 @@ class Operation:
         return do(self._client, command, **args)
 
 
-def do(client: Client, command: str, **args: Any) -> dict[str, Any]:
+def do(client: CommandClient, command: str, **args: Any) -> dict[str, Any]:
     """The result of a command; CliError with the daemon's own words when it refuses."""
     reply = client.ask(command, args)
     if not reply["ok"]:
@@ -89,12 +157,12 @@ def do(client: Client, command: str, **args: Any) -> dict[str, Any]:
     return result
 
 
-def load(client: Client, plan: Mapping[str, Any]) -> None:
+def load(client: CommandClient, plan: Mapping[str, Any]) -> None:
     """Hand a plan over; CliError when the daemon finds fault with it."""
     do(client, "plan", path=f"{plan['name']}.yaml", text=yaml.safe_dump(dict(plan)))
 
 
-def leave(client: Client, *, armed: bool, over: bool) -> None:
+def leave(client: CommandClient, *, armed: bool, over: bool) -> None:
     """Leave the palms standing, and stop the arm if it was `armed` here or all is not `over`."""
     if not over and client.ask("hold")["ok"]:
         t_end = time.monotonic() + STANDING_S
@@ -104,7 +172,7 @@ def leave(client: Client, *, armed: bool, over: bool) -> None:
         client.ask("stop")
 
 
-def can_move(client: Client) -> None:
+def can_move(client: CommandClient) -> None:
     """CliError when the daemon's arm is neither armed nor can be."""
     status = do(client, "status")
     if status["state"] not in ("ready", "tracking", "hold"):

@@ -1,0 +1,78 @@
+"""Asks a daemon's command socket."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from typing import Any
+
+import msgpack
+import zmq
+
+from palmd.bus.link import Link, silent, unpacked, wait_ms
+from palmd.keys import Credentials
+
+TIMEOUT_S = 2.0
+
+
+class CommandClient(Link):
+    """Asks and waits for the answer (`ask`), or neither waits to be heard nor for the answer (`post`, `replies`)."""
+
+    def __init__(
+        self, address: str, timeout_s: float = TIMEOUT_S, key: Credentials | None = None, *, now_or_never: bool = False
+    ) -> None:
+        """`now_or_never`: what nobody hears now may not lie in a queue and move the arm later.
+
+        Raises CliError for what is no address.
+        """
+        super().__init__(zmq.DEALER)
+        self._socket.setsockopt(zmq.SNDTIMEO, math.ceil(timeout_s * 1e3))  # who is turned away has nowhere to send to
+        self._socket.setsockopt(zmq.IMMEDIATE, int(now_or_never))
+        self._key, self._timeout_s = key, timeout_s
+        self.address = address
+        self._numbers = itertools.count(1)
+        self._connect([address], key)
+
+    def ask(self, command: str, args: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """The reply `{id, ok, error?, result?}`; raises CliError when none comes in time."""
+        number = next(self._numbers)
+        t_end = time.monotonic() + self._timeout_s
+        with suppress(zmq.Again):
+            self._socket.send(_request(number, command, args))
+        while self._socket.poll(wait_ms(t_end)):
+            reply = unpacked(self._socket.recv_multipart()[-1])
+            if reply is not None and reply.get("id") == number and isinstance(reply.get("ok"), bool):
+                return reply
+        raise silent(f"no answer from {self.address} within {self._timeout_s:g} s", self._key)
+
+    @property
+    def open(self) -> bool:
+        """Whether somebody takes commands at the address."""
+        return bool(self._socket.poll(0, zmq.POLLOUT))
+
+    def post(self, command: str, args: Mapping[str, Any] | None = None) -> int | None:
+        """The number under which the answer will come; None when nobody takes the command."""
+        number = next(self._numbers)
+        try:
+            self._socket.send(_request(number, command, args), zmq.NOBLOCK)
+        except zmq.Again:
+            return None
+        return number
+
+    def replies(self) -> Iterator[dict[str, Any]]:
+        """The answers that have come; what is none is left out."""
+        while True:
+            try:
+                frames = self._socket.recv_multipart(zmq.NOBLOCK)
+            except zmq.Again:
+                return
+            reply = unpacked(frames[-1])
+            if reply is not None and isinstance(reply.get("id"), int):
+                yield reply
+
+
+def _request(number: int, command: str, args: Mapping[str, Any] | None) -> bytes:
+    return bytes(msgpack.packb({"id": number, "cmd": command, "args": dict(args or {})}))

@@ -1,0 +1,73 @@
+"""Hears what a daemon, or an emulated rig, publishes."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import zmq
+
+from palmd.bus.link import Link, unpacked, wait_ms
+from palmd.keys import Credentials
+
+QUEUED_MESSAGES = 20_000  # a minute's, should we be slow
+RECONNECT_MS = 20  # a publisher that begins anew is heard almost from its first message
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """One message as it came; t_recv on the monotonic clock (s)."""
+
+    topic: str
+    fields: dict[str, Any]
+    t_recv: float
+
+
+class Subscriber(Link):
+    """Listens to one or more publishers; what is no message of theirs is left out."""
+
+    def __init__(
+        self,
+        *addresses: str,
+        topics: Sequence[str],
+        key: Credentials | None = None,
+        keyless: Sequence[str] = (),
+        high_water: int = QUEUED_MESSAGES,
+        bytes_most: int = -1,
+    ) -> None:
+        """`topics` are beginnings of topic names; `keyless` are addresses, an emulated rig's, that the key is not for.
+
+        `high_water` messages may wait to be read, 0: any number; those with more than `bytes_most` are not taken.
+        Raises CliError for what is no address.
+        """
+        super().__init__(zmq.SUB)
+        self._socket.setsockopt(zmq.RCVHWM, high_water)
+        self._socket.setsockopt(zmq.MAXMSGSIZE, bytes_most)
+        self._socket.setsockopt(zmq.RECONNECT_IVL, RECONNECT_MS)
+        for topic in topics:
+            self._socket.subscribe(topic)
+        self._connect(keyless, None)
+        self._connect(addresses, key)
+
+    def until(self, t_end: float) -> Iterator[Message]:
+        """What comes until t_end (s, monotonic clock), as it comes."""
+        t = -math.inf
+        while t < t_end and self._socket.poll(wait_ms(t_end)):
+            t = time.monotonic()
+            frames = self._socket.recv_multipart()
+            fields = unpacked(frames[1]) if len(frames) == 3 else None
+            if fields is not None:
+                yield Message(frames[0].decode(errors="replace"), fields, t)
+
+    def frames(self, most: int, wait_s: float = 0.0) -> Iterator[list[bytes]]:
+        """What is there, undecoded, so many messages at most; when there is nothing, what comes first within wait_s."""
+        if wait_s > 0.0 and not self._socket.poll(round(wait_s * 1e3)):
+            return
+        for _ in range(most):
+            try:
+                yield self._socket.recv_multipart(zmq.NOBLOCK)
+            except zmq.Again:
+                return

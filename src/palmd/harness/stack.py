@@ -1,0 +1,245 @@
+"""The emulated rig, a daemon on its ports, the recorder and the live page: each a process of ours, talked with here."""
+
+from __future__ import annotations
+
+import json
+import socket
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal, Self
+
+import yaml
+import zmq
+
+from palmd.bus.command_client import CommandClient
+from palmd.bus.subscriber import Message, Subscriber
+from palmd.config import BusConfig, Config
+from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
+from palmd.harness.processes import Child
+
+START_S = 240.0  # compiling the observers on a slow machine
+BUILDING_AFTER_S = 3.0
+ANSWER_S = 5.0
+LOOK_S = 0.1
+ATTEMPTS = 3
+PORTS = range(9872, 10872)  # below those that the system hands out itself
+PAGE_PORTS = range(8787, 8887)
+
+Name = Literal["rig", "daemon", "recorder", "page"]
+
+
+class Stack:
+    """Enter it and start what is needed; left, all of it is gone. Each of the four may be started anew.
+
+    `told` is the rig's JSON line, `path` the daemon's configuration; `client` and `subscriber` are the daemon's, and
+    the latter hears the rig's truth too.
+    """
+
+    told: dict[str, Any]
+    bus: BusConfig
+    path: Path
+    page: str
+    client: CommandClient
+    subscriber: Subscriber
+
+    def __init__(
+        self,
+        folder: Path,
+        config: Config,
+        runs: Path | None = None,
+        *,
+        give_up: Callable[[], bool] = lambda: False,
+        tell: Callable[[str], None] = lambda _text: None,
+    ) -> None:
+        """`folder` takes configurations and what the processes say, `runs` the recordings (None: in `folder`).
+
+        Once `give_up` says so nothing is waited for; `tell` is told of what takes its time.
+        """
+        self._folder, self._config, self._runs = folder, config, runs or folder / "runs"
+        self._give_up, self._tell = give_up, tell
+        self._count = 0
+        self._lives: dict[str, ExitStack] = {}
+        self.children: dict[Name, Child] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        with ExitStack() as stack:
+            for life in self._lives.values():
+                stack.push(life)
+
+    def begin(self, name: str, *arguments: str, **environment: str) -> Child:
+        """A palmd command with a folder of its own; what had the name before ends first."""
+        if name in self._lives:
+            self._lives.pop(name).close()
+        life = self._lives.setdefault(name, ExitStack())
+        self._count += 1
+        folder = self._folder / f"{self._count}-{name}"
+        folder.mkdir()
+        child = Child(list(arguments), folder, environment)
+        life.callback(child.stop)
+        return child
+
+    # ---- starting ----------------------------------------------------------------------------------------
+
+    def start_rig(self, *arguments: str, config: Path | None = None) -> bool:
+        """Configured as its daemon is, unless a file is given; False when given up, CliError when there is no rig."""
+        if config is None:
+            config = self._folder / "rig.yaml"
+            config.write_text(as_yaml(self._config, self._config.bus, _NO_PORTS), encoding="utf-8")
+        child = self.children["rig"] = self.begin("rig", "rig", str(config), *arguments)
+        line = child.first_line(START_S, self._give_up)
+        if self._give_up():
+            return False
+        if line is None:
+            raise not_started(child)
+        self.told = json.loads(line)
+        self._hand = self._lives["rig"].enter_context(CommandClient(self.told["control"], ANSWER_S))
+        return True
+
+    def start(self, *, record: bool) -> bool:
+        """The daemon at addresses that are free, and its recorder; False when given up, CliError without a daemon.
+
+        Somebody else may take the addresses while the daemon starts: then at others.
+        """
+        for _ in range(ATTEMPTS):
+            self.bus = free_addresses(self._config.bus)
+            self.path = self._folder / "palmd.yaml"
+            self.path.write_text(as_yaml(self._config, self.bus, self.told, self._runs), encoding="utf-8")
+            if record:
+                self.start_recorder()
+            self.begin_daemon()
+            if self.until_heard():
+                return True
+            if self._give_up():
+                return False
+            if "is in use" not in self.children["daemon"].said():
+                break
+        raise not_started(self.children["daemon"])
+
+    def begin_daemon(self, **environment: str) -> None:
+        """A daemon as configured by `start`, whoever hears it."""
+        self.children["daemon"] = self.begin("daemon", "run", str(self.path), "--no-record", **environment)
+        life = self._lives["daemon"]
+        topics = ("palm/", "rig/")
+        self.subscriber = life.enter_context(Subscriber(self.bus.publish, self.told["truth"], topics=topics))
+        self.client = life.enter_context(CommandClient(self.bus.command, ANSWER_S))
+
+    def until_heard(self, hear: Callable[[Message], None] = lambda _message: None) -> bool:
+        """Whether the daemon speaks; `hear` is given what the rig says meanwhile, and the daemon's first word."""
+        daemon, t_begin = self.children["daemon"], time.monotonic()
+        told = False
+        while daemon.status is None and not self._give_up() and time.monotonic() < t_begin + START_S:
+            for message in self.subscriber.until(time.monotonic() + LOOK_S):
+                hear(message)
+                if message.topic.startswith("palm/"):
+                    return True
+            if not told and time.monotonic() > t_begin + BUILDING_AFTER_S:
+                told = True
+                self._tell("building the observers once, some 20 s…")
+        return False
+
+    def start_recorder(self) -> None:
+        """It listens when this returns, unless it does not start at all, which ends nothing."""
+        arguments = ("record", str(self.path), "--truth", self.told["truth"])
+        self.children["recorder"] = self.begin("recorder", *arguments)
+        self.children["recorder"].first_line(START_S, self._give_up)
+
+    def start_page(self) -> bool:
+        """Whether there is a live page, at `page`; why not is what its process said."""
+        where = ("--address", self.bus.publish, "--command", self.bus.command, "--truth", self.told["truth"])
+        for _ in range(ATTEMPTS):  # somebody else may take the port in between
+            port = str(_free_page_port())
+            child = self.children["page"] = self.begin("page", "view", "--no-browser", *where, "--port", port)
+            line = child.first_line(START_S, self._give_up)
+            if line is not None or self._give_up():
+                break
+        self.page = line or ""
+        return bool(line)
+
+    # ---- while it runs -----------------------------------------------------------------------------------
+
+    def check_alive(self, *names: Name) -> None:
+        """Raises CliError, with its own words, for one of these that has ended; all of them by default."""
+        for name, child in self.children.items():
+            if child.status is not None and (not names or name in names):
+                raise CliError(RIG_FAILED, f"{child.name} ended with status {child.status}\n{child.said()}".strip())
+
+    def ask_rig(self, command: str, **fields: Any) -> dict[str, Any]:
+        """What the emulated rig answers; CliError when it refuses."""
+        reply = self._hand.ask(command, fields)
+        if not reply["ok"]:
+            raise CliError(RIG_FAILED, f"the emulated rig refuses {command}: {reply.get('error')}")
+        return reply["result"] or {}
+
+    def rig_status(self) -> dict[str, Any]:
+        """What the rig has counted."""
+        return self.ask_rig("status")
+
+    def recorded(self, patience_s: float) -> list[Path]:
+        """End the recorder, which then packs what it has; its files."""
+        recorder = self.children["recorder"]
+        recorder.stop(patience_s)
+        return [Path(line) for line in recorder.lines()[1:]]
+
+
+def not_started(child: Child) -> CliError:
+    """Its own words, and its status where the input was wrong."""
+    status = BAD_INPUT if child.status == BAD_INPUT else RIG_FAILED
+    return CliError(status, child.said() or f"palmd {child.name} did not start")
+
+
+# ------------------------------------------------------------------------------------- addresses, configuration
+
+_NO_PORTS = {name: name for name in ("pad1", "pad2", "arm")}
+
+
+def as_yaml(config: Config, bus: BusConfig, rig: dict[str, Any], runs: Path | None = None) -> str:
+    """The configuration with the rig's ports, the addresses that are free, and the folder of recordings."""
+    values = config.model_dump(mode="json") | {"bus": bus.model_dump(mode="json")}
+    if runs is not None:
+        values["record"]["directory"] = str(runs)
+    values["pads"]["palm1"]["port"] = rig["pad1"]
+    values["pads"]["palm2"]["port"] = rig["pad2"]
+    values["arm"]["port"] = rig["arm"]
+    if values["plan"] is None:
+        del values["plan"]
+    return yaml.safe_dump(values, allow_unicode=True)
+
+
+def free_addresses(wanted: BusConfig) -> BusConfig:
+    """The wanted addresses where nobody has them, else the next free ports of this machine."""
+    publish = _free(wanted.publish, taken="")
+    return wanted.model_copy(update={"publish": publish, "command": _free(wanted.command, taken=publish)})
+
+
+def _free(wanted: str, taken: str) -> str:
+    for address in (wanted, *(f"tcp://127.0.0.1:{port}" for port in PORTS)):
+        if address != taken and _is_free(address):
+            return address
+    raise CliError(RIG_FAILED, f"{wanted} is in use, and so are {PORTS[0]} to {PORTS[-1]}")
+
+
+def _is_free(address: str) -> bool:
+    with zmq.Context() as context, context.socket(zmq.PUB) as probe:
+        try:
+            probe.bind(address)
+        except zmq.ZMQError:
+            return False
+    return True
+
+
+def _free_page_port() -> int:
+    """The first of the page's ports that nobody has, else any."""
+    for port in PAGE_PORTS:
+        with socket.socket() as probe, suppress(OSError):
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as the page's server has it
+            probe.bind(("127.0.0.1", port))
+            return port
+    return 0
