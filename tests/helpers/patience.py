@@ -13,29 +13,26 @@ class Pressure:
     """The share of the time since it was made in which somebody waited for a processor."""
 
     def __init__(self):
-        self._t, self._waited = time.monotonic(), waited_s()
+        self._t, (self._waited, _) = time.monotonic(), told()
 
     def share(self):
-        """0 to 1; 1 where the kernel does not tell."""
-        waited = waited_s()
-        if waited is None:
-            return 1.0
-        return (waited - self._waited) / max(time.monotonic() - self._t, 1e-3)
+        """0 to 1, the last ten seconds counted in, for the kernel counts in steps of two; 1 where it does not tell."""
+        waited, lately = told()
+        return max(lately, (waited - self._waited) / max(time.monotonic() - self._t, 2.0))
 
 
-def waited_s():
-    """Seconds since boot in which somebody waited for a processor; None where the kernel does not tell."""
+def told(path=PRESSURE):
+    """Seconds since boot in which somebody waited for a processor, and the share of the last ten seconds (0 to 1)."""
     try:
-        return float(PRESSURE.read_text().splitlines()[0].rpartition("total=")[2]) * 1e-6
-    except (OSError, ValueError, IndexError):
-        return None
+        some = path.read_text().splitlines()[0]
+        fields = dict(field.split("=") for field in some.split()[1:])
+        return float(fields["total"]) * 1e-6, float(fields["avg10"]) * 1e-2
+    except (OSError, ValueError, IndexError, KeyError):
+        return 0.0, 1.0
 
 
 def until_quiet(longest_s):
     """Wait for a quieter moment, for so long (s) at most."""
     t_end = time.monotonic() + longest_s
-    while time.monotonic() < t_end:
-        pressure = Pressure()
+    while time.monotonic() < t_end and told()[1] > QUIET_SHARE:
         time.sleep(LOOK_S)
-        if pressure.share() < QUIET_SHARE:
-            return
