@@ -40,20 +40,20 @@ def _one_of(*allowed: int) -> AfterValidator:
 
     def check(value: int) -> int:
         if value not in allowed:
-            raise ValueError(f"must be one of {', '.join(map(str, allowed))}; got {value}")
+            raise ValueError(f"must be {check.__doc__}; got {value}")
         return value
 
+    check.__doc__ = f"one of {', '.join(map(str, allowed))}"
     return AfterValidator(check)
 
 
 def _rising_within(low: float, high: float) -> Callable[[tuple[float, float]], tuple[float, float]]:
     def check(pair: tuple[float, float]) -> tuple[float, float]:
         if not low <= pair[0] < pair[1] <= high:
-            raise ValueError(
-                f"must be [low, high] with {low:g} ≤ low < high ≤ {high:g}; got [{pair[0]:g}, {pair[1]:g}]"
-            )
+            raise ValueError(f"must be {check.__doc__}; got [{pair[0]:g}, {pair[1]:g}]")
         return pair
 
+    check.__doc__ = f"[low, high] with {low:g} ≤ low < high ≤ {high:g}"
     return check
 
 
@@ -152,41 +152,62 @@ class RigConfig(Strict):
     """Gravity and the palms' linkage, in the world frame."""
 
     gravity_m_s2: Annotated[FiniteFloat, Field(gt=0, le=30)] = 9.81
+    """In the plane of the palms: 9.81 · sin(tilt of the table)."""
     hinge: Annotated[Literal["arc"], BeforeValidator(_that_can_be_driven)] = "arc"
+    """`arc`: palm 1 is hinged to B, the arm holds the far end of palm 2."""
     base_mm: Pair = (120.0, 0.0)
+    """B, the fixed hinge at the far end of palm 1, in the world frame."""
     palm1_length_mm: Annotated[FiniteFloat, Field(gt=0, le=2000)] = 120.0
+    """From the hinge between the palms to B."""
     palm2_length_mm: Annotated[FiniteFloat, Field(gt=0, le=2000)] = 120.0
+    """From the hinge between the palms to where the arm holds palm 2."""
 
 
 class PressureConfig(Strict):
     """Where a pad's packet carries the pressure: (packet[byte] & mask) >> shift, inverted or not."""
 
     byte: Annotated[int, Field(ge=0, le=5)] = 5
+    """Which byte of the packet, from 0."""
     mask: Annotated[int, Field(ge=1, le=0xFF)] = 0x7F
+    """Which bits of it."""
     shift: Annotated[int, Field(ge=0, le=7)] = 0
+    """How many bits the masked byte is shifted to the right."""
     invert: bool = False
+    """Whether a firm touch gives a small number."""
 
 
 class PadBase(Strict):
     """What every kind of touchpad has: its port, and how counts become s = zero_mm + sign · counts / counts_per_mm."""
 
     port: PortPath
+    """The serial port; a name that lasts is best (`/dev/serial/by-id/…`)."""
     axis: Literal["x", "y"] = "x"
+    """Which of the pad's axes lies along the palm."""
     sign: Annotated[int, _one_of(1, -1)] = 1
+    """1 where the counts grow away from the hinge."""
     zero_mm: Annotated[FiniteFloat, Field(ge=-1000, le=1000)] = 28.0
+    """Distance from the hinge of the place where the pad counts 0."""
     counts_per_mm: Annotated[FiniteFloat, Field(gt=0, le=1000)] = 7.874
+    """The pad's scale; 200 counts per inch."""
     newtons_per_count: Positive = 0.02
+    """What one count of pressure is worth."""
     length_mm: Annotated[FiniteFloat, Field(gt=0, le=1000)] = 55.5
-    noise_mm: Annotated[FiniteFloat, Field(gt=0, le=5)] = 0.1  # one sigma of a position, its rounding not counted
+    """How far from the hinge the pad reaches."""
+    noise_mm: Annotated[FiniteFloat, Field(gt=0, le=5)] = 0.1
+    """One sigma of a position, its rounding not counted."""
 
 
 class VersaPadConfig(PadBase):
     """A VersaPad on a serial line."""
 
-    kind: Literal["versapad"] = Field(default="versapad", exclude=True)  # may be left out, and is where it is stored
+    kind: Literal["versapad"] = Field(default="versapad", exclude=True)  # excluded: it is where it is stored
+    """What kind of pad it is; may be left out."""
     baud: Baud = 9600
+    """Of the serial line."""
     handshake: Literal["none", "break", "break_twice"] = "none"
+    """What the pad wants before it talks: nothing, a break, or two."""
     pressure: PressureConfig = PressureConfig()
+    """Where the pressure is in a packet."""
 
     @property
     def report_s(self) -> float:
@@ -202,7 +223,9 @@ class PadsConfig(Strict):
     """Both touchpads."""
 
     palm1: PadConfig
+    """The pad of palm 1."""
     palm2: PadConfig
+    """The pad of palm 2; not on the same port."""
 
     @field_validator("palm2")
     @classmethod
@@ -217,11 +240,17 @@ class AdeptConfig(Strict):
     """The serial line of an Adept controller, and where its arm's base stands in the world frame."""
 
     kind: Literal["adept"] = Field(default="adept", exclude=True)
+    """What kind of actuator it is; may be left out."""
     port: PortPath
+    """The serial port to the controller."""
     baud: Baud = 38400
+    """Of the serial line."""
     base_x_mm: FiniteFloat = -300.0
+    """Where the arm's base stands in the world frame."""
     base_y_mm: FiniteFloat = 0.0
+    """Its other coordinate."""
     base_yaw_deg: Annotated[FiniteFloat, Field(ge=-360, le=360)] = 0.0
+    """By how much the arm's own x axis is turned from the world's."""
 
 
 ArmConfig = AdeptConfig
@@ -232,23 +261,31 @@ class LimitsConfig(Strict):
     """What the palms may do; the same rate and acceleration hold for each palm angle."""
 
     phi1_deg: AngleRange = (6.0, 150.0)
+    """Palm 1 from the world X axis."""
     phi2_deg: OpeningRange = (35.0, 155.0)
+    """Palm 2 from palm 1."""
     rate_deg_s: Annotated[FiniteFloat, Field(gt=0, le=2000)] = 120.0
+    """Of each palm angle."""
     acceleration_deg_s2: Annotated[FiniteFloat, Field(gt=0, le=50000)] = 900.0
+    """Of each palm angle."""
 
 
 class LoopConfig(Strict):
     """The control loop."""
 
     rate_hz: Annotated[FiniteFloat, Field(ge=10, le=1000)] = 100.0
+    """How many ticks a second."""
 
 
 class ObserverConfig(Strict):
     """Which observer gives the published estimate."""
 
     primary: Literal["shape", "extended", "quasistatic"] = "shape"
-    smoother: bool = True  # beside the loop, in a process of its own; for the shape map of an unknown outline only
-    shape: FilePath | None = None  # a stored outline, or a folder of them: the object is one of these, or none
+    """Whose estimate is published."""
+    smoother: bool = True
+    """Beside the loop, in a process of its own; for the shape map of an unknown outline only."""
+    shape: FilePath | None = None
+    """A stored outline, or a folder of them: the object is one of these, or none."""
 
     @field_validator("shape")
     @classmethod
@@ -264,8 +301,11 @@ class BusConfig(Strict):
     """The ZeroMQ addresses; without a folder of keys on this machine only."""
 
     keys: FilePath | None = None
+    """A folder of CURVE keys; with it other machines may listen and command."""
     publish: str = "tcp://127.0.0.1:9872"
+    """Where everything is published."""
     command: str = "tcp://127.0.0.1:9873"
+    """Where commands are taken."""
 
     @field_validator("publish", "command")
     @classmethod
@@ -285,21 +325,32 @@ class RecordConfig(Strict):
     """Where runs are recorded."""
 
     directory: FilePath = Field(default="runs", validate_default=True)
+    """Where runs are put."""
 
 
 class Config(Strict):
     """The whole of `palmd.yaml`; its paths are those of the file, joined to the file's folder."""
 
     rig: RigConfig = RigConfig()
+    """Geometry and gravity."""
     pads: PadsConfig
+    """The touchpads."""
     arm: ArmConfig
+    """The robot arm."""
     limits: LimitsConfig = LimitsConfig()
+    """What the palms may do."""
     loop: LoopConfig = LoopConfig()
+    """The control loop."""
     observer: ObserverConfig = ObserverConfig()
+    """Who estimates."""
     bus: BusConfig = BusConfig()
+    """The addresses."""
     record: RecordConfig = Field(default_factory=dict, validate_default=True)  # its default needs the folder
+    """Recordings."""
     plan: FilePath | None = None
+    """The motion plan that `start` runs, unless another is chosen."""
     autostart: bool = False
+    """Whether the palms move without having been told to."""
 
     @field_validator("arm")
     @classmethod
@@ -345,6 +396,7 @@ def rig_description(config: Config) -> RigDescription:
 
 
 def _repeat(value: object) -> int | Literal["forever"]:
+    """A whole number from 1 to 10000, or forever."""
     if value == "forever":
         return "forever"
     if type(value) is int and 1 <= value <= 10_000:
@@ -368,7 +420,9 @@ class PalmAngles(Strict):
     """Where palm angles shall go; an angle that is left out stays."""
 
     phi1_deg: FiniteFloat | None = None
+    """Palm 1 from the world X axis."""
     phi2_deg: FiniteFloat | None = None
+    """Palm 2 from palm 1."""
 
     @field_validator("*", mode="before")
     @classmethod
@@ -382,21 +436,27 @@ class PalmRates(Strict):
     """Constant rates of the palm angles; zero where left out."""
 
     phi1_deg_s: FiniteFloat = 0.0
+    """Of φ1."""
     phi2_deg_s: FiniteFloat = 0.0
+    """Of φ2."""
 
 
 class PalmAmplitudes(Strict):
     """Amplitudes about the pose where a sine starts; zero where left out, negative for opposite phase."""
 
     phi1_deg: Annotated[FiniteFloat, Field(ge=-90, le=90)] = 0.0
+    """Of φ1."""
     phi2_deg: Annotated[FiniteFloat, Field(ge=-90, le=90)] = 0.0
+    """Of φ2."""
 
 
 class MoveSpec(Strict):
     """From rest to rest on a minimum-jerk path."""
 
     move: PalmAngles
+    """Where to; an angle that is left out stays."""
     duration_s: Duration
+    """How long it takes."""
 
     @field_validator("move")
     @classmethod
@@ -410,7 +470,9 @@ class RateSpec(Strict):
     """Constant rates until one palm angle is reached, where the palms come to rest."""
 
     rate: PalmRates
+    """How fast."""
     until: PalmAngles
+    """The one angle that ends it."""
 
     @field_validator("rate")
     @classmethod
@@ -431,28 +493,36 @@ class HoldSpec(Strict):
     """Stand still."""
 
     hold_s: Duration
+    """For how long."""
 
 
 class SineSpec(Strict):
     """Swing about the pose where it starts, growing in and dying away."""
 
     sine: PalmAmplitudes
+    """How far to either side."""
     frequency_hz: SwingFrequencies
+    """Of both palms, or one for each."""
     duration_s: Duration
+    """How long it takes, growing in and dying away included."""
 
 
 class ExploreGoal(Strict):
     """When an exploration has seen enough."""
 
-    coverage: Annotated[FiniteFloat, Field(gt=0, le=1)] = 0.95  # of the normals that can be reached
-    band_mm: Annotated[FiniteFloat, Field(gt=0, le=10)] | None = None  # one sigma of the outline, all over them
+    coverage: Annotated[FiniteFloat, Field(gt=0, le=1)] = 0.95
+    """Share of the normals that can be reached."""
+    band_mm: Annotated[FiniteFloat, Field(gt=0, le=10)] | None = None
+    """One sigma of the outline, all over them; left out, coverage alone counts."""
     time_limit_s: Duration = 60.0
+    """When to give up."""
 
 
 class ExploreSpec(Strict):
     """Closed-loop motion that seeks the parts of the outline not touched yet."""
 
     explore: ExploreGoal
+    """When it has seen enough; must be the last segment."""
 
 
 def _segment_kind(value: Any) -> str | None:
@@ -481,13 +551,19 @@ class DitherSpec(Strict):
     """A small vibration of both palm angles on top of the whole plan, to break friction."""
 
     amplitude_deg: Annotated[FiniteFloat, Field(gt=0, le=5)]
+    """Of both angles."""
     frequency_hz: Annotated[FiniteFloat, Field(gt=0, le=20)]
+    """Of both angles."""
 
 
 class PlanSpec(Strict):
     """A motion plan as it stands in its file; `palmd.motion.plan` makes a trajectory of it."""
 
     name: Annotated[str, Field(min_length=1, max_length=60)]
+    """What it is called on the bus."""
     repeat: Repeat = 1
+    """How often the segments are run."""
     segments: Annotated[list[SegmentSpec], Field(min_length=1, max_length=200)]
+    """Motions, one after the other."""
     dither: DitherSpec | None = None
+    """A small vibration on top of it all, to break friction."""

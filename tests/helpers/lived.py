@@ -10,7 +10,8 @@ import recorded
 from palmd import observer
 from palmd.config import PlanSpec, rig_description
 from palmd.harness.wireless import Wireless
-from palmd.messages import ESTIMATE, INFO, LOOP, info_fields, stamp
+from palmd.messages import info_fields, stamp
+from palmd.quantities import ESTIMATE, INFO, LOOP
 from palmd.record.mcapfile import RawMessage
 from palmd.record.metadata import preface
 from palmd.record.runfile import RunFile, pack
@@ -61,7 +62,7 @@ def published():
             publish(topic, fields, instant.t)
         if numbers[ESTIMATE.name] % 100 == 0:
             publish("rig/object", lived.world.object_truth(), instant.t)
-            publish(INFO.name, info_fields("0.1.0", "abc", "shape", 100.0), instant.t)
+            publish(INFO.name, info_fields("0.1.0", "shape", default_config()), instant.t)
             publish(LOOP.name, loop_fields(), instant.t)
         return instant
 
@@ -74,8 +75,8 @@ def published():
 
 def loop_fields():
     """`palm/loop` as the loop makes it, with a counter or two of each family."""
-    named = {field.name: 0.5 for field in LOOP.fields if not field.name.endswith("*") and field.kind == "number"}
-    families = {f"{field.name[:-1]}bytes": 7 for field in LOOP.fields if field.name.endswith("*")}
+    named = {field.name: 0.5 for field in LOOP.quantities if not field.name.endswith("*") and field.kind == "number"}
+    families = {f"{field.name[:-1]}bytes": 7 for field in LOOP.quantities if field.name.endswith("*")}
     return named | families | {"backend": "c"}
 
 

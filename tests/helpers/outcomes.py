@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from palmd.harness.scorer import COMPARED, Scorer
 from palmd.harness.wireless import Instant, Wireless
-from palmd.messages import ESTIMATE, SHAPE
+from palmd.quantities import ESTIMATE, SHAPE
 from palmd.rig.world import World
 
 

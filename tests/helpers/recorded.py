@@ -7,10 +7,12 @@ import msgpack
 
 from palmd.config import Config
 from palmd.events import PadLift, PadSample, PalmSample
-from palmd.messages import EVENTS, INFO, LOOP, events_fields, info_fields, stamp
+from palmd.messages import events_fields, info_fields, stamp
+from palmd.quantities import EVENTS, INFO, LOOP
 from palmd.record.mcapfile import RawMessage
 from palmd.record.metadata import preface
 from palmd.record.runfile import RunFile
+from palmd.rig.world import default_config
 
 BEGIN = datetime(2026, 11, 21, 22, 30, 5, tzinfo=UTC)
 T0 = BEGIN.timestamp()
@@ -43,7 +45,7 @@ def messages(ticks):
         yield message(EVENTS.name, events_fields(0.1 * i, events(i)), i, 0.1 * i)
         yield message("rig/truth", {"psi_rad": 0.1 * i}, 100 + i, 0.1 * i)
     yield message(LOOP.name, {"pad1_bytes": 3, "ticks": ticks}, 0, 0.1 * ticks)
-    yield message(INFO.name, info_fields("0.1.0", "abc", "shape", 100.0), 0, 0.1 * ticks)
+    yield message(INFO.name, info_fields("0.1.0", "shape", default_config()), 0, 0.1 * ticks)
 
 
 def begun(folder, ticks=5):

@@ -7,7 +7,8 @@ import msgpack
 import numpy as np
 import recorded
 
-from palmd.messages import CONTACT, ESTIMATE, LOOP, MOTION, SHAPE, STATE, stamp
+from palmd.messages import stamp
+from palmd.quantities import CONTACT, ESTIMATE, LOOP, MOTION, SHAPE, STATE
 from palmd.record.mcapfile import RawMessage
 from palmd.record.metadata import preface
 from palmd.record.runfile import RunFile
@@ -33,7 +34,7 @@ def true_psi(t):
 def fields_of(topic, **said):
     """All fields of a topic, 0 or empty where nothing is said."""
     empty = {"number": 0.0, "bool": False, "text": "", "texts": [], "numbers": [], "sds": {}}
-    known = {field.name: empty[field.kind] for field in topic.fields if not field.name.endswith("*")}
+    known = {field.name: empty[field.kind] for field in topic.quantities if not field.name.endswith("*")}
     return known | said
 
 

@@ -9,7 +9,8 @@ import msgpack
 import pytest
 from harness import Bench
 
-from palmd.messages import IMPROVEMENT, OBJECT, TOPICS, validate
+from palmd.messages import validate
+from palmd.quantities import IMPROVEMENT, OBJECT, TOPICS
 from palmd.rig.simulate import simulate_log
 
 pytestmark = pytest.mark.rig

@@ -1,6 +1,7 @@
 """What palmd is built on is what the lock files say, to the byte: pinned, hashed, and nothing besides.
 
-Whether a locked version has a known hole is not asked here, since that needs the network (docs/security.md); how the
+Whether a locked version has a known hole is not asked here, since that needs the network
+(docs/operate/security.md); how the
 answer is judged is.
 """
 

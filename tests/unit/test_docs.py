@@ -20,33 +20,36 @@ def test_generated_pages_are_up_to_date() -> None:
     assert done.returncode == 0, done.stderr
 
 
-PAGES = [
-    "README.md",
-    *(
-        f"docs/{name}.md"
-        for name in (
-            *("architecture", "theory", "paper", "limits", "calibration", "exploring", "subscribing"),
-            *(
-                "start/library",
-                "recordings",
-                "page",
-                "reports",
-                "operations",
-                "bringup",
-                "security",
-                "campaign",
-                "soak",
-                "fuzzing",
-            ),
-        )
-    ),
-]
+PAGES = ["README.md", *sorted(str(page.relative_to(ROOT)) for page in (ROOT / "docs").rglob("*.md"))]
+FOLDERS = {
+    "start",
+    "operate",
+    "reference",
+    "theory",
+    "results",
+    "decisions",
+    "figures",
+    "commands.md",
+    "configuration.md",
+    "walkthrough.md",
+}
+
+
+def test_every_page_has_its_folder_and_is_found_from_the_readme() -> None:
+    assert {entry.name for entry in (ROOT / "docs").iterdir()} == FOLDERS
+    reached, waiting = set(), {ROOT / "README.md"}
+    while waiting:
+        page = waiting.pop()
+        reached.add(page)
+        links = re.findall(r"\]\(([^)#]+\.md)", page.read_text())
+        waiting |= {(page.parent / link).resolve() for link in links if not link.startswith("http")} - reached
+    assert {page for page in PAGES if "/decisions/" not in page} <= {str(page.relative_to(ROOT)) for page in reached}
 
 
 @pytest.mark.parametrize("page", PAGES)
 def test_files_named_in_the_docs_exist(page: str) -> None:
     text = (ROOT / page).read_text()
-    links = re.findall(r"\]\(([^)#]+)\)", text)
+    links = re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", text) + re.findall(r'src="([^"]+)"', text)
     files = re.findall(r"`((?:[a-z_]+/)+[a-z_0-9]+\.(?:py|md|yaml))`", text)
     for name in {*links, *files}:
         if name.startswith("http"):
@@ -55,9 +58,28 @@ def test_files_named_in_the_docs_exist(page: str) -> None:
         assert any(place.exists() for place in places), f"{page} names {name}, which is not there"
 
 
+def test_pages_named_in_the_code_exist() -> None:
+    named = {}
+    for file in (file for folder in ("src", "config", "tools") for file in (ROOT / folder).rglob("*")):
+        if file.suffix in (".py", ".yaml", ".xml"):
+            named |= dict.fromkeys(re.findall(r"docs/[\w/-]+\.(?:md|svg|py)", file.read_text()), file)
+    assert len(named) > 5
+    assert {name: file for name, file in named.items() if not (ROOT / name).exists()} == {}
+
+
+def test_the_walk_goes_through_places_that_are_there() -> None:
+    text = (ROOT / "docs/walkthrough.md").read_text()
+    places = re.findall(r"`([a-z_0-9/]+\.(?:py|js))(?::(\w+))?`", text)
+    assert len(places) > 40
+    for path, name in places:
+        file = ROOT / "src/palmd" / path
+        assert file.exists(), f"the walk goes through {path}, which is not there"
+        assert re.search(rf"\b{name}\b", file.read_text()), f"there is no {name} in {path}"
+
+
 def test_the_papers_map_names_what_is_there() -> None:
-    named = re.findall(r"`([a-z_0-9/]+)\.py:(\w+)`", (ROOT / "docs/paper.md").read_text())
+    named = re.findall(r"`([a-z_0-9/]+)\.py:(\w+)`", (ROOT / "docs/theory/paper.md").read_text())
     assert len(named) > 20
     for path, name in named:
         module = importlib.import_module("palmd." + path.replace("/", "."))
-        assert hasattr(module, name), f"docs/paper.md names {path}.py:{name}, which is not there"
+        assert hasattr(module, name), f"docs/theory/paper.md names {path}.py:{name}, which is not there"

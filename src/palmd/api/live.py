@@ -15,7 +15,7 @@ from palmd.bus.command_client import CommandClient
 from palmd.bus.link import COMMAND, PUBLISH, silent
 from palmd.bus.subscriber import Message, Subscriber
 from palmd.keys import Credentials, client_credentials
-from palmd.messages import ESTIMATE
+from palmd.quantities import ESTIMATE
 
 SILENT_S = 2.0
 

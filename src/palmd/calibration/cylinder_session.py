@@ -21,7 +21,8 @@ from palmd.console.errors import RIG_FAILED, CliError
 from palmd.events import Event
 from palmd.harness.operator import PlanRun, Status, can_move, why
 from palmd.harness.processes import StopRequest
-from palmd.messages import CONTACT, EVENTS, events_of
+from palmd.messages import events_of
+from palmd.quantities import CONTACT, EVENTS
 
 FIRST_TOUCH_S = 30.0
 """How long it may take until the cylinder lies on both palms."""

@@ -34,7 +34,7 @@ from palmd.config import Config
 from palmd.console.configured import configured
 from palmd.console.errors import RIG_FAILED, CliError
 from palmd.harness.processes import StopRequest
-from palmd.messages import EVENTS, INFO
+from palmd.quantities import EVENTS, INFO
 
 FORMAT = 1
 _UPRIGHT_M_S2 = 9.84

@@ -18,7 +18,8 @@ from palmd.console.progress import Progress
 from palmd.events import Event, PadSample
 from palmd.harness.operator import can_move, do, leave, load, why
 from palmd.harness.processes import StopRequest
-from palmd.messages import EVENTS, INFO, events_of
+from palmd.messages import events_of
+from palmd.quantities import EVENTS, INFO
 
 LOOK_S = 0.25
 PATIENCE_S = 60.0

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from palmd.bus.subscriber import Message
+from palmd.quantities import CONTACT, ESTIMATE, INFO, LOOP, MOTION, STATE, Quantity, Topic, drawn
 
 Style = Literal["plain", "title", "good", "bad", "warning", "faint"]
 
-STALE_S = {"palm/estimate": 0.5, "palm/contact": 0.5, "palm/motion": 0.5, "palm/state": 1.0, "palm/loop": 3.0}
-"""How old the last message of a topic may be before it is said."""
-
+_CELLS = 3  # a row
 _PASSING = ("bytes", "packets", "lines", "acks", "setpoints", "bytes_read", "bytes_written", "opens")
 _STATE_STYLES: dict[str, Style] = {"tracking": "good", "hold": "warning", "fault": "bad"}
 _SEVERITY_STYLES: dict[str, Style] = {"stop": "bad", "hold": "bad", "degrade": "warning", "note": "faint"}
@@ -44,19 +43,19 @@ class Board:
         """One message."""
         self._last[message.topic] = message
 
-    def fields(self, topic: str) -> Mapping[str, Any]:
+    def fields(self, topic: Topic) -> Mapping[str, Any]:
         """The last message of a topic, empty before the first."""
-        message = self._last.get(topic)
+        message = self._last.get(topic.name)
         return {} if message is None else message.fields
 
-    def age(self, topic: str, t: float) -> float:
+    def age(self, topic: Topic, t: float) -> float:
         """How long ago (s) it came, at t (s, monotonic clock); infinite before the first."""
-        message = self._last.get(topic)
+        message = self._last.get(topic.name)
         return math.inf if message is None else t - message.t_recv
 
     def silence(self, t: float) -> float:
         """How long (s) nothing at all has come."""
-        return min((self.age(topic, t) for topic in self._last), default=math.inf)
+        return min((t - message.t_recv for message in self._last.values()), default=math.inf)
 
 
 def frame(board: Board, t: float) -> list[BoardRow]:
@@ -65,32 +64,32 @@ def frame(board: Board, t: float) -> list[BoardRow]:
         return [BoardRow(f"no data from {board.address}: is a palmd running there?", "warning")]
     rows = [_head(board)]
     silence = board.silence(t)
-    if silence > max(STALE_S.values()):
+    if silence > LOOP.stale_s:
         rows.append(BoardRow(f"no data from {board.address} for {silence:.0f} s; what follows is old", "bad"))
     rows += _faults(board)
     for topic, block in (
-        ("palm/estimate", _estimate),
-        ("palm/contact", _contact),
-        ("palm/motion", _motion),
-        ("palm/loop", _loop),
+        (ESTIMATE, _estimate),
+        (CONTACT, _contact),
+        (MOTION, _motion),
+        (LOOP, _loop),
     ):
         fields = board.fields(topic)
         if fields:
             age = board.age(topic, t)
-            old = f"  {age:.1f} s old" if age > STALE_S[topic] else ""
-            rows += [BoardRow(""), *_titled(topic.removeprefix("palm/"), old, block(fields))]
+            old = f"  {age:.1f} s old" if age > topic.stale_s else ""
+            rows += [BoardRow(""), *_titled(topic.name.removeprefix("palm/"), old, block(fields))]
     return rows
 
 
 def _head(board: Board) -> BoardRow:
-    state, info = board.fields("palm/state"), board.fields("palm/info")
+    state, info = board.fields(STATE), board.fields(INFO)
     name = str(state.get("state", "unknown"))
     words = f"palmd {info.get('version', '')}".rstrip()
     return BoardRow(f"{words}  {name.upper()}  {board.address}", _STATE_STYLES.get(name, "title"))
 
 
 def _faults(board: Board) -> Iterator[BoardRow]:
-    state = board.fields("palm/state")
+    state = board.fields(STATE)
     columns = (state.get(name, ()) for name in ("faults", "severities", "hints"))
     for code, severity, hint in zip(*columns, strict=False):
         yield BoardRow(f"  {severity:8}{code}: {hint}", _SEVERITY_STYLES.get(severity, "plain"))
@@ -106,46 +105,44 @@ def _titled(title: str, old: str, rows: Iterable[BoardRow]) -> Iterator[BoardRow
 def _estimate(e: Mapping[str, Any]) -> Iterator[BoardRow]:
     valid = bool(e.get("valid"))
     word = "valid" if valid else "not valid"
+    trust = ", ".join(f"{name} {_shown(e, ESTIMATE[name])}" for name in ("nis", "observability"))
     yield BoardRow(
         f"{word}, {e.get('observer', '')} observer, object {e.get('object', 0)}, touched {_share(e.get('touched'))}, "
-        f"nis {_number(e.get('nis'), 1, 2)}, observability {_number(e.get('observability'), 1, 3)}",
+        f"{trust}",
         "good" if valid else "warning",
     )
     style: Style = "plain" if valid else "faint"
-    for names in (
-        (("r1_m", "r1", 1e3, 2, "mm"), ("r2_m", "r2", 1e3, 2, "mm"), ("rho_m", "rho", 1e3, 2, "mm")),
-        (("s1_m", "s1", 1e3, 2, "mm"), ("s2_m", "s2", 1e3, 2, "mm"), ("mu", "mu", 1.0, 3, "")),
-        (("psi_rad", "psi", math.degrees(1), 1, "°"), ("omega0_rad_s", "omega0", math.degrees(1), 1, "°/s"),
-         ("mass_kg", "mass", 1e3, 1, "g")),
-        (("f1_n", "f1", 1.0, 2, "N"), ("f2_n", "f2", 1.0, 2, "N"), ("com_y_m", "com y", 1e3, 2, "mm")),
-    ):  # fmt: skip
-        cells = [
-            f"{label:7}{_number(e.get(name), scale, digits):>9}"
-            f" ±{_number(e.get('sd', {}).get(name), scale, digits)} {unit}"
-            for name, label, scale, digits, unit in names
-        ]
-        yield BoardRow("".join(f"{cell:29}" for cell in cells).rstrip(), style)
+    cells = [
+        f"{quantity.source.replace('_', ' '):7}{_shown(e, quantity):>9}"
+        f" ±{_shown(e.get('sd', {}), quantity)} {quantity.shown.unit}"
+        for quantity in ESTIMATE.quantities
+        if quantity.glance
+    ]
+    for first in range(0, len(cells), _CELLS):
+        yield BoardRow("".join(f"{cell:29}" for cell in cells[first : first + _CELLS]).rstrip(), style)
 
 
 def _contact(c: Mapping[str, Any]) -> Iterator[BoardRow]:
     for pad in (1, 2):
         touch = bool(c.get(f"touch{pad}"))
         batch = ", several packets in one read" if c.get(f"batch{pad}") else ""
+        place, age = CONTACT[f"s{pad}_m"], CONTACT[f"age{pad}_ms"]
         yield BoardRow(
-            f"pad {pad}  {'touched' if touch else 'untouched':10}{_number(c.get(f's{pad}_m'), 1e3, 2):>7} mm"
+            f"pad {pad}  {'touched' if touch else 'untouched':10}{_shown(c, place):>7} {place.shown.unit}"
             f"  pressure {_number(c.get(f'pressure{pad}'), 1, 0):>3}"
-            f"  age {_number(c.get(f'age{pad}_ms'), 1, 0):>4} ms{batch}",
+            f"  age {_shown(c, age):>4} {age.shown.unit}{batch}",
             "plain" if touch else "warning",
         )
-    yield BoardRow(f"arm    age {_number(c.get('arm_age_ms'), 1, 0)} ms")
+    age = CONTACT["arm_age_ms"]
+    yield BoardRow(f"arm    age {_shown(c, age)} {age.shown.unit}")
 
 
 def _motion(m: Mapping[str, Any]) -> Iterator[BoardRow]:
-    degrees = math.degrees(1)
     for palm in (1, 2):
+        actual, commanded = (MOTION[f"phi{palm}{what}_rad"] for what in ("", "_cmd"))
         yield BoardRow(
-            f"phi{palm}   {_number(m.get(f'phi{palm}_rad'), degrees, 2):>7}°"
-            f"  commanded {_number(m.get(f'phi{palm}_cmd_rad'), degrees, 2):>7}°"
+            f"phi{palm}   {_shown(m, actual):>7}{actual.shown.unit}"
+            f"  commanded {_shown(m, commanded):>7}{commanded.shown.unit}"
         )
     plan = m.get("plan") or "none"
     segment = m.get("segment", -1)
@@ -154,16 +151,14 @@ def _motion(m: Mapping[str, Any]) -> Iterator[BoardRow]:
 
 
 def _loop(fields: Mapping[str, Any]) -> Iterator[BoardRow]:
-    rss_mb = _number(fields.get("rss_mb"), 1, 0)
+    rss = LOOP["rss_mb"]
     yield BoardRow(
         f"ticks {fields.get('ticks', 0)}, overruns {fields.get('overruns', 0)}, "
-        f"{fields.get('backend', '')} backend, {rss_mb} MB"
+        f"{fields.get('backend', '')} backend, {_shown(fields, rss)} {rss.shown.unit}"
     )
     for name in ("lateness", "work"):
-        values = "  ".join(
-            f"{part} {_number(fields.get(f'{name}_{part}_ms'), 1, 2):>6} ms" for part in ("p50", "p99", "max")
-        )
-        yield BoardRow(f"{name:10}{values}")
+        values = (f"{q.symbol} {_shown(fields, q):>6} {q.shown.unit}" for q in drawn(LOOP, chart=name))
+        yield BoardRow(f"{name:10}{'  '.join(values)}")
     for port in ("pad1", "pad2", "arm"):
         yield from _troubles(port, fields)
 
@@ -176,6 +171,11 @@ def _troubles(port: str, fields: Mapping[str, Any]) -> Iterator[BoardRow]:
     causes = [f"{name} {n}" for name, n in counters.items() if isinstance(n, int) and n and name not in _PASSING]
     if causes:
         yield BoardRow(f"{port:10}{', '.join(causes)}", "faint")
+
+
+def _shown(fields: Mapping[str, Any], quantity: Quantity) -> str:
+    """A quantity's value among the fields, or a dash for none."""
+    return _number(fields.get(quantity.name), quantity.shown.factor, quantity.shown.digits)
 
 
 def _number(value: Any, scale: float, digits: int) -> str:

@@ -19,7 +19,7 @@ from palmd.config import LocalAddress
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import Progress
 from palmd.harness.processes import StopRequest
-from palmd.messages import EVENTS
+from palmd.quantities import EVENTS
 from palmd.record.length import message_count
 from palmd.record.player import SETTLE_S, Publisher, RepublishError, pause, play
 from palmd.record.recheck import Difference, Recheck

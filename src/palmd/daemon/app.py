@@ -13,7 +13,7 @@ from types import FrameType
 from typing import Any
 
 from palmd import __version__, observer
-from palmd.config import Config, config_hash, rig_description
+from palmd.config import Config, rig_description
 from palmd.daemon import realtime
 from palmd.daemon.async_log import start_async_log
 from palmd.daemon.bus import Bus, BusError
@@ -112,7 +112,7 @@ def _run(
         notifier,
         rate_hz=config.loop.rate_hz,
         backend=estimator.backend,
-        info=info_fields(__version__, config_hash(config), estimator.name, config.loop.rate_hz),
+        info=info_fields(__version__, estimator.name, config),
         counters=lambda: _counters(smoother, estimator, explorer),
     )
     if recorded:

@@ -16,7 +16,8 @@ import zmq
 from palmd.daemon.commands import COMMANDS, CommandError, Reply, Request, parse, reply_fields
 from palmd.daemon.zap_auth import ZapAuthenticator
 from palmd.keys import Role, ServerKeys
-from palmd.messages import Fields, Topic, stamp
+from palmd.messages import Fields, stamp
+from palmd.quantities import Topic
 
 HIGH_WATER = 100
 PUBLISHED_HIGH_WATER = 10_000

@@ -33,16 +33,7 @@ from palmd.devices.port import DevicePort
 from palmd.events import Estimate, Event, Improvement, ObjectEstimate, Outlook, PadSample, ShapeEstimate
 from palmd.faults import FaultMonitor
 from palmd.messages import (
-    CONTACT,
-    ESTIMATE,
-    EVENTS,
-    IMPROVEMENT,
-    MOTION,
-    OBJECT,
-    SHAPE,
-    STATE,
     Fields,
-    Topic,
     contact_fields,
     estimate_fields,
     events_fields,
@@ -55,10 +46,11 @@ from palmd.messages import (
 )
 from palmd.motion.check import motion_limits
 from palmd.motion.kinematics import RigGeometry
+from palmd.quantities import CONTACT, ESTIMATE, EVENTS, IMPROVEMENT, MOTION, OBJECT, SHAPE, STATE, Topic
 
 log = logging.getLogger(__name__)
 
-SLOW_TOPIC_S = 0.1
+SLOW_TOPIC_S = 1.0 / STATE.rate_hz
 _EARLY_S = 1e-3  # ticks jitter; what is due within so much is due now
 
 OUTSIDE = math.radians(1.0)

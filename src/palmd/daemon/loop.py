@@ -21,14 +21,15 @@ from palmd.daemon.statistics import LoopStatistics
 from palmd.daemon.systemd import Notifier
 from palmd.devices.port import DevicePort, PortWaiter
 from palmd.faults import Fault
-from palmd.messages import INFO, LOOP, Fields
+from palmd.messages import Fields
+from palmd.quantities import INFO, LOOP
 
 log = logging.getLogger(__name__)
 
 STOPPING_S = 1.5
 """How long the end may wait for the arm to report that it stands."""
 
-SLOW_TOPIC_S = 1.0
+SLOW_TOPIC_S = 1.0 / LOOP.rate_hz
 
 QUIET_S = 0.3e-3
 """So long before a tick nothing is begun that could delay it; what comes is dated, and seen to in the tick."""

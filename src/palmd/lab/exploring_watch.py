@@ -10,8 +10,9 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.harness.wireless import Instant
-from palmd.messages import ESTIMATE, SHAPE, Fields
+from palmd.messages import Fields
 from palmd.motion.rollout_predictor import BINS, Bools
+from palmd.quantities import ESTIMATE, SHAPE
 from palmd.score import OutlineScore, score_shape
 
 EDGE_M = 5e-4

@@ -1,7 +1,7 @@
 """Rigid-body dynamics of the object between the palms, in a form that is nowhere singular.
 
 CMU-CS-01-107 eliminates the radii of curvature v1, v2 and gets (4.16), (4.17), which divide by the contacts'
-sliding rates. Keeping v1, v2 leaves three linear equations in f1, f2, α0 (docs/theory.md), solvable whenever
+sliding rates. Keeping v1, v2 leaves three linear equations in f1, f2, α0 (docs/theory/theory.md), solvable whenever
 the palms are not parallel; neither a force nor a torque sensor is needed.
 """
 
@@ -70,7 +70,7 @@ def effective_gravity(palms: Palms, rig: SX) -> SX:
 
 
 def newton_euler(palms: Palms, omega0: SX, one: Contact, two: Contact, body: BodyConstants, rig: SX) -> Motion:
-    """Solve the three linear equations of docs/theory.md for α0, f1, f2.
+    """Solve the three linear equations of docs/theory/theory.md for α0, f1, f2.
 
     Two of them say that the object keeps touching (n_i·a prescribed by the contact's motion), the third is
     ρ²α0 = Σ f_i (x_i × F_i) − c ω0 with F_i = n_i − μ σ(u_i) t_i and σ(u) = u/√(u² + u_d²).

@@ -1,7 +1,7 @@
 """Where CMU-CS-01-107 prints something else than follows from its own equations, each with a numerical witness.
 
-Found by comparing every equation of `printed_geometry`, `printed_dynamics` and `printed_rates`; docs/errata.md is
-generated from here. Lost fraction bars, dots and tildes of the text at hand are no errata, only signs, factors and
+Found by comparing every equation of `printed_geometry`, `printed_dynamics` and `printed_rates`; docs/theory/errata.md
+is generated from here. Lost fraction bars, dots and tildes of the text at hand are no errata, only signs, factors and
 names that it shows.
 """
 

@@ -7,12 +7,12 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from palmd.messages import EVENTS, STAMP, events_of
+from palmd.messages import events_of
+from palmd.quantities import EVENTS, STAMP, TRUTH
 from palmd.record.eventlog import Line, event_line, header_line
 from palmd.record.jsonvalues import or_none
 from palmd.record.run import Run
 
-TRUTH = "rig/truth"
 _STAMP = {field.name for field in STAMP}
 
 
@@ -33,7 +33,7 @@ def _lines(run: Run, done: Callable[[], None]) -> Iterator[Line]:
     """Events, each after the truth up to its time; the rig is heard sooner than what the daemon makes of it."""
     truths: deque[Line] = deque()
     for message in run.messages():
-        if message.topic == TRUTH:
+        if message.topic == TRUTH.name:
             truths.append(_truth_line(message.fields))
         elif message.topic == EVENTS.name:
             for line in filter(None, map(event_line, events_of(message.fields))):

@@ -13,7 +13,8 @@ import numpy as np
 import rerun as rr
 
 from palmd.events import FloatArray
-from palmd.messages import STATE, Fields
+from palmd.messages import Fields
+from palmd.quantities import STATE
 from palmd.record.run import Run
 from palmd.record.scene import Scene, SceneWatch
 from palmd.record.tables import flat

@@ -23,7 +23,8 @@ from mcap.records import Attachment, Channel, Chunk, Metadata
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import CompressionType, Writer
 
-from palmd.messages import SCHEMA, STAMP, TOPICS, Field, Fields, Kind, Topic
+from palmd.messages import Fields
+from palmd.quantities import SCHEMA, STAMP, TOPICS, Kind, Quantity, Topic
 
 MAGIC = b"\x89MCAP0\r\n"
 PROFILE = "palmd"
@@ -99,16 +100,16 @@ def json_schema(name: str) -> dict[str, Any]:
 
 
 def _table_schema(topic: Topic) -> dict[str, Any]:
-    fields = (*STAMP, *topic.fields)
-    named = {field.name: _property(field) for field in fields if not field.name.endswith("*")}
-    families = {f"^{field.name[:-1]}": _property(field) for field in fields if field.name.endswith("*")}
+    quantities = (*STAMP, *topic.quantities)
+    named = {each.name: _property(each) for each in quantities if not each.name.endswith("*")}
+    families = {f"^{each.name[:-1]}": _property(each) for each in quantities if each.name.endswith("*")}
     schema = {"title": topic.name, "type": "object", "properties": named, "required": list(named)}
     return schema | ({"patternProperties": families} if families else {})
 
 
-def _property(field: Field) -> dict[str, Any]:
-    unit = f" ({field.unit})" if field.unit else ""
-    return _JSON_TYPES[field.kind] | {"description": field.meaning + unit}
+def _property(quantity: Quantity) -> dict[str, Any]:
+    unit = f" ({quantity.unit})" if quantity.unit else ""
+    return _JSON_TYPES[quantity.kind] | {"description": quantity.meaning + unit}
 
 
 # ---------------------------------------------------------------------------------------------------- writing

@@ -12,8 +12,8 @@ import yaml
 
 from palmd import __version__
 from palmd.config import Config, config_hash, rig_description
-from palmd.messages import SCHEMA
 from palmd.outlinefile import SUFFIXES
+from palmd.quantities import SCHEMA
 from palmd.record.mcapfile import Preface
 
 METADATA = "palmd"

@@ -17,8 +17,9 @@ import msgpack
 from palmd import __version__, observer
 from palmd.blas import one_thread
 from palmd.events import Event, Improvement
-from palmd.messages import ESTIMATE, EVENTS, LOOP, Fields, estimate_fields
+from palmd.messages import Fields, estimate_fields
 from palmd.observer.incremental import Session
+from palmd.quantities import ESTIMATE, EVENTS, LOOP
 from palmd.record.run import Run, RunError
 from palmd.record.tables import flat
 

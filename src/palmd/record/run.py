@@ -14,8 +14,9 @@ from pydantic import TypeAdapter
 
 from palmd.config import Config
 from palmd.events import Event, Improvement, RigDescription
-from palmd.messages import EVENTS, IMPROVEMENT, SCHEMA, Topic, events_of
+from palmd.messages import events_of
 from palmd.outlinefile import Outline, OutlineError, read_library
+from palmd.quantities import EVENTS, IMPROVEMENT, SCHEMA, Topic
 from palmd.record.eventlog import EventLog
 from palmd.record.mcapfile import MAGIC, Preface, RawMessage, RunError, Tail, is_finished, read_messages, read_preface
 from palmd.record.metadata import CONFIG, METADATA, OUTLINES, RIG

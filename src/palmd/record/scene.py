@@ -9,9 +9,10 @@ import numpy as np
 
 from palmd.config import Config
 from palmd.events import FloatArray
-from palmd.messages import ESTIMATE, SHAPE, Fields
+from palmd.messages import Fields
 from palmd.motion.kinematics import RigGeometry
 from palmd.polygon import closed_outline, turned
+from palmd.quantities import ESTIMATE, SHAPE
 
 _PLACE = ("phi1_rad", "phi2_rad", "psi_rad", "com_x_m", "com_y_m")
 

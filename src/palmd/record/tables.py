@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from palmd.messages import STAMP, Fields
+from palmd.messages import Fields
+from palmd.quantities import STAMP
 from palmd.record.run import Run
 
 _FIRST = tuple(field.name for field in STAMP)

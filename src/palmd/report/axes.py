@@ -9,10 +9,11 @@ from contextlib import contextmanager
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import FigureBase
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from palmd.events import FloatArray
-from palmd.report.quantities import QUANTITIES
+from palmd.quantities import ESTIMATE
 from palmd.report.series import SD, Series, Spell
 from palmd.report.thinning import thinned, thinned_band
 
@@ -37,6 +38,14 @@ def styled(salt: str = "") -> Iterator[None]:
         yield
 
 
+def panels(figure: FigureBase, count: int) -> list[Axes]:
+    """So many panels in two columns; an odd one has nothing beside it."""
+    grid = list(figure.subplots(-(-count // 2), 2, sharex=True).ravel())
+    for spare in grid[count:]:
+        spare.set_visible(False)
+    return grid[:count]
+
+
 def line(axes: Axes, t: FloatArray, values: FloatArray, **style: object) -> None:
     """Values over time, thinned."""
     axes.plot(*thinned(t, values), **style)  # type: ignore[arg-type]
@@ -58,7 +67,7 @@ def in_view(axes: Axes, *values: FloatArray, least: float = 0.0) -> None:
 
 def estimated(series: Series, name: str, sds: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """A field where the estimate is valid, and its band of so many sd, all in the quantity's own unit."""
-    factor = QUANTITIES[name].factor
+    factor = ESTIMATE[name].shown.factor
     value = np.where(series.valid, series.estimate[name], math.nan) * factor
     reach = sds * series.estimate[SD + name] * factor
     return value, value - reach, value + reach

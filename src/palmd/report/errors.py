@@ -11,21 +11,20 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import minimize_scalar
 
 from palmd.events import FloatArray
-from palmd.report.series import SD, OutlineAt, Series, TrueBody
+from palmd.quantities import ESTIMATE, TRUTH, truth_of
+from palmd.report.series import CONSTANTS, SD, OutlineAt, Series, TrueBody
 from palmd.score import OutlineScore, score_outline, support_at
 
 SDS = 2.0
 """How many one-sigmas every band has to both sides."""
 
-STATE = ("r1_m", "r2_m", "omega0_rad_s", "s1_m", "s2_m", "phi1_rad", "omega1_rad_s", "phi2_rad", "omega2_rad_s",
-    "rho_m", "psi_rad")  # fmt: skip
+STATE = tuple(quantity.name for quantity in ESTIMATE.quantities if quantity.role == "named")
 """The named state and ψ, as published."""
 
 OBJECTS_OWN = ("r1_m", "r2_m", "omega0_rad_s")
 """What neither pads nor arm measure."""
 
-_CONSTANTS = ("rho_m", "mass_kg", "mu")
-_ALSO = ("f1_n", "f2_n")
+_MOVING = tuple(quantity.name for quantity in ESTIMATE.quantities if truth_of(quantity) is TRUTH)
 _MOST_SCORES = 60
 _TURNS = 360
 _LEAST_SD_M = 1e-7  # of an outline that was told beforehand
@@ -65,18 +64,16 @@ def errors_of(series: Series) -> Errors | None:
     t_true = truth.t[known]
     outside = (t < t_true[0]) | (t > t_true[-1])
     true: dict[str, FloatArray] = {}
-    for name in (*STATE, *_ALSO):
+    for name in _MOVING:
         if name == "psi_rad":  # a straight line between two ticks would be off by as much as a good estimate
             turn = CubicHermiteSpline(t_true, truth[name][known], truth["omega0_rad_s"][known])
             true[name] = np.where(outside, math.nan, turn(np.clip(t, t_true[0], t_true[-1])))
-        elif name not in _CONSTANTS:
+        else:
             true[name] = np.interp(t, t_true, truth[name][known], math.nan, math.nan)
     if series.bodies:
         number = np.maximum(np.searchsorted([body.t for body in series.bodies], t, side="right") - 1, 0)
-        for name, values in zip(
-            _CONSTANTS, np.array([(body.rho, body.mass, body.mu) for body in series.bodies]).T, strict=True
-        ):
-            true[name] = values[number]
+        for name in CONSTANTS:
+            true[name] = np.array([body.constants[name] for body in series.bodies])[number]
     error = {name: series.estimate[name] - values for name, values in true.items()}
     for name in ("phi1_rad", "phi2_rad"):
         error[name] = _wrapped(error[name])

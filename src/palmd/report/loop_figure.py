@@ -10,12 +10,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 
 from palmd.events import FloatArray
+from palmd.quantities import CONTACT, LOOP, drawn
 from palmd.report.axes import BLACK, BLUE, GREEN, ORANGE, line, logarithmic, over_time
 from palmd.report.series import Series
 from palmd.report.thinning import thinned_band
 
-_OF_A_SECOND = (("p50", BLUE), ("p99", ORANGE), ("max", BLACK))
-_AGES = (("age1_ms", "pad 1", BLUE), ("age2_ms", "pad 2", ORANGE), ("arm_age_ms", "arm", GREEN))
+_OF_A_SECOND = (BLUE, ORANGE, BLACK)
+_OF_A_PORT = (BLUE, ORANGE, GREEN)
 _COLUMNS = 120  # of the ages, each of which swings all the time
 
 
@@ -24,11 +25,12 @@ def draw_loop(figure: FigureBase, series: Series) -> None:
     (lateness, work), (skipped, ages) = figure.subplots(2, 2, sharex=True)
     for axes, what in ((lateness, "lateness"), (work, "work")):
         begun = series.loop["ticks"] > 0.0  # the first message comes before there is anything to tell
-        for part, colour in _OF_A_SECOND:
-            values = np.where(begun, series.loop[f"{what}_{part}_ms"], math.nan)
-            line(axes, series.loop.t, values, color=colour, linewidth=0.8, label=part)
-        _positive(axes, [series.loop[f"{what}_{part}_ms"][begun] for part, _ in _OF_A_SECOND])
-        axes.set_ylabel(f"{what} (ms)")
+        parts = tuple(drawn(LOOP, chart=what))
+        for part, colour in zip(parts, _OF_A_SECOND, strict=True):
+            values = np.where(begun, series.loop[part.name], math.nan)
+            line(axes, series.loop.t, values, color=colour, linewidth=0.8, label=part.symbol)
+        _positive(axes, [series.loop[part.name][begun] for part in parts])
+        axes.set_ylabel(f"{what} ({parts[0].unit})")
     line(skipped, series.loop.t, series.loop["overruns"], color=BLUE)
     skipped.set(
         ylabel="ticks skipped",
@@ -36,10 +38,11 @@ def draw_loop(figure: FigureBase, series: Series) -> None:
     )
     skipped.yaxis.get_major_locator().set_params(integer=True)
     t = series.contact.t
-    for name, label, colour in _AGES:
-        t_oldest, _, oldest = thinned_band(t, series.contact[name], series.contact[name], _COLUMNS)
-        ages.plot(t_oldest, oldest, color=colour, linewidth=0.8, label=label)
-    _positive(ages, [series.contact[name] for name, *_ in _AGES])
+    of_ports = tuple(drawn(CONTACT, chart="age"))
+    for age, colour in zip(of_ports, _OF_A_PORT, strict=True):
+        t_oldest, _, oldest = thinned_band(t, series.contact[age.name], series.contact[age.name], _COLUMNS)
+        ages.plot(t_oldest, oldest, color=colour, linewidth=0.8, label=age.symbol)
+    _positive(ages, [series.contact[age.name] for age in of_ports])
     ages.set_ylabel("oldest reading (ms)")
     for axes in (lateness, work, skipped, ages):
         over_time(axes, series, last=axes in (skipped, ages))

@@ -11,6 +11,7 @@ from matplotlib.figure import FigureBase
 from palmd.events import FloatArray
 from palmd.observer.bank import NIS_READINGS
 from palmd.observer.bank_observer import NIS_RANGE
+from palmd.quantities import ESTIMATE, drawn
 from palmd.report.axes import (
     BLACK,
     BLUE,
@@ -24,34 +25,34 @@ from palmd.report.axes import (
     line,
     logarithmic,
     over_time,
+    panels,
 )
 from palmd.report.errors import SDS, Errors, normalised, scores_over_time
-from palmd.report.quantities import QUANTITIES
 from palmd.report.series import Series
 
 _DASHED = (0, (4, 2))
-FORCES = ("f1_n", "f2_n", "mu", "mass_kg")
+FORCES = tuple(drawn(ESTIMATE, tab="forces"))
 _SETTLED_TICKS = 200  # over which the errors are averaged
 
 
 def draw_forces(figure: FigureBase, series: Series, errors: Errors | None) -> None:
     """Normal forces, friction and mass, each with its band; the truth dashed."""
-    grid = figure.subplots(2, 2, sharex=True)
+    rows = panels(figure, len(FORCES))
     t = series.estimate.t
-    for axes, name in zip(grid.ravel(), FORCES, strict=True):
-        quantity = QUANTITIES[name]
+    for axes, quantity in zip(rows, FORCES, strict=True):
+        name, factor = quantity.name, quantity.shown.factor
         value, low, high = estimated(series, name, SDS)
         band(axes, t, low, high, BLUE, f"±{SDS:g} sd")
         line(axes, t, value, color=BLUE, linewidth=1.3, label="estimate")
         drawn = [value]
         if errors is not None and name in errors.true:
-            drawn.append(errors.true[name] * quantity.factor)
+            drawn.append(errors.true[name] * factor)
             line(axes, t, drawn[-1], color=BLACK, linewidth=0.7, linestyle=_DASHED, label="truth")
         in_view(axes, *drawn)
         axes.set_ylabel(quantity.label)
         invalid_shaded(axes, series)
-        over_time(axes, series, last=axes in grid[1])
-    _legend(grid[0, 0])
+        over_time(axes, series, last=axes in rows[-2:])
+    _legend(rows[0])
 
 
 def nis_band() -> tuple[float, float]:

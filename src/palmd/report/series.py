@@ -11,20 +11,18 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray
-from palmd.messages import CONTACT, ESTIMATE, IMPROVEMENT, LOOP, MOTION, SHAPE, STATE, Fields, Topic
+from palmd.messages import Fields
+from palmd.quantities import BODY, CONTACT, ESTIMATE, IMPROVEMENT, LOOP, MOTION, SHAPE, STATE, TRUTH, Topic, truth_of
 from palmd.record.mcapfile import RunError, Tail
 from palmd.record.run import Run, Survey
 
 Bools = npt.NDArray[np.bool_]
 
-TRUTH, BODY = "rig/truth", "rig/object"
 SD = "sd."
 """Before a field's name: the column of its one-sigma."""
 
-_TRUE = (
-    "psi_rad", "omega0_rad_s", "r1_m", "r2_m", "s1_m", "s2_m", "phi1_rad", "phi2_rad", "omega1_rad_s", "omega2_rad_s",
-    "com_x_m", "com_y_m", "f1_n", "f2_n", "contact1", "contact2", "object",
-)  # fmt: skip
+CONSTANTS = tuple(quantity.name for quantity in ESTIMATE.quantities if truth_of(quantity) is BODY)
+"""What is true of an object as long as it lies there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,13 +55,11 @@ class OutlineAt:
 
 @dataclass(frozen=True, slots=True)
 class TrueBody:
-    """One `rig/object`: what really lay there from t (s) on; h (m) on even normals from 0, rho (m), mass (kg)."""
+    """One `rig/object`: what really lay there from t (s) on; h (m) on even normals from 0, `CONSTANTS`."""
 
     t: float
     h: FloatArray
-    rho: float
-    mass: float
-    mu: float
+    constants: Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,6 +186,9 @@ class _Spells:
         return (*before, Spell(last.what, last.begin, t))
 
 
+_TRACKS = tuple(topic.name for topic in (ESTIMATE, CONTACT, MOTION, LOOP, TRUTH))
+
+
 class _RunReader:
     def __init__(self) -> None:
         self.takers: dict[str, Callable[[float, Fields], None]] = {
@@ -200,10 +199,10 @@ class _RunReader:
             STATE.name: self._take_state,
             LOOP.name: self._take_loop,
             IMPROVEMENT.name: lambda t, _: self._improvements.append(t),
-            TRUTH: lambda t, fields: self._columns[TRUTH].add(t, [(name, float(fields[name])) for name in _TRUE]),
-            BODY: self._take_body,
+            TRUTH.name: self._numbers(TRUTH),
+            BODY.name: self._take_body,
         }
-        self._columns = {topic: _Columns() for topic in (ESTIMATE.name, CONTACT.name, MOTION.name, LOOP.name, TRUTH)}
+        self._columns = {topic: _Columns() for topic in _TRACKS}
         self._begin_ns: int | None = None
         self._end = 0.0
         self._observer = ""
@@ -240,7 +239,7 @@ class _RunReader:
             contact=tracks[CONTACT.name],
             motion=tracks[MOTION.name],
             loop=loop,
-            truth=tracks[TRUTH],
+            truth=tracks[TRUTH.name],
             outlines=tuple(self._outlines),
             bodies=tuple(self._bodies),
             states=self._states.until(end),
@@ -289,11 +288,11 @@ class _RunReader:
 
     def _take_body(self, t: float, fields: Fields) -> None:
         h = np.array(fields["h_m"], dtype=np.float64)
-        self._bodies.append(TrueBody(t, h, *(float(fields[name]) for name in ("rho_m", "mass_kg", "mu"))))
+        self._bodies.append(TrueBody(t, h, {name: float(fields[name]) for name in CONSTANTS}))
 
 
 def _names(topic: Topic) -> tuple[str, ...]:
-    return tuple(field.name for field in topic.fields if field.kind in ("number", "bool"))
+    return tuple(field.name for field in topic.quantities if field.kind in ("number", "bool"))
 
 
 def spent(spells: Iterable[Spell]) -> dict[str, float]:

@@ -8,20 +8,23 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 
-from palmd.report.axes import BLACK, BLUE, GREY, band, estimated, in_view, invalid_shaded, line, over_time
+from palmd.quantities import ESTIMATE, Quantity, drawn
+from palmd.report.axes import BLACK, BLUE, GREY, band, estimated, in_view, invalid_shaded, line, over_time, panels
 from palmd.report.errors import SDS, Errors, inside
-from palmd.report.quantities import QUANTITIES, Quantity
 from palmd.report.series import SD, Series
 
-STATE_NAMES = ("r1_m", "r2_m", "s1_m", "s2_m", "phi1_rad", "phi2_rad", "omega1_rad_s", "omega2_rad_s",
-    "omega0_rad_s", "psi_rad", "rho_m", "mu")  # fmt: skip
-_IN_SMALLER = {"mm": ("µm", 1e3), "°": ("mrad", math.radians(1) * 1e3), "rad": ("mrad", 1e3)}
+STATE = (*drawn(ESTIMATE, tab="state"), ESTIMATE["mu"])
+_IN_SMALLER = {
+    "mm": ("µm", 1e3),
+    "°": ("mrad", math.radians(1) * 1e3),
+    "°/s": ("mrad/s", math.radians(1) * 1e3),
+}
 
 
 def draw_state(figure: FigureBase, series: Series, errors: Errors | None) -> None:
     """The state with its band; the truth dashed."""
     for axes, quantity, last in _panels(figure):
-        factor = quantity.factor
+        factor = quantity.shown.factor
         value, low, high = estimated(series, quantity.name, SDS)
         t = series.estimate.t
         band(axes, t, low, high, BLUE, f"±{SDS:g} sd")
@@ -42,8 +45,8 @@ def draw_state(figure: FigureBase, series: Series, errors: Errors | None) -> Non
 def draw_errors(figure: FigureBase, series: Series, errors: Errors) -> None:
     """Estimate less truth, and the band it should stay within."""
     for axes, quantity, last in _panels(figure):
-        unit, smaller = _IN_SMALLER.get(quantity.unit, (quantity.unit, 1.0))
-        factor = quantity.factor * smaller
+        unit, smaller = _IN_SMALLER.get(quantity.shown.unit, (quantity.shown.unit, 1.0))
+        factor = quantity.shown.factor * smaller
         t, valid = series.estimate.t, series.valid
         error = errors.error.get(quantity.name, np.full(len(t), math.nan))
         off = np.where(valid, error, math.nan) * factor
@@ -61,12 +64,8 @@ def draw_errors(figure: FigureBase, series: Series, errors: Errors) -> None:
 
 
 def _panels(figure: FigureBase) -> list[tuple[Axes, Quantity, bool]]:
-    rows = len(STATE_NAMES) // 2
-    grid = figure.subplots(rows, 2, sharex=True).ravel()
-    return [
-        (axes, QUANTITIES[name], number >= len(STATE_NAMES) - 2)
-        for number, (axes, name) in enumerate(zip(grid, STATE_NAMES, strict=True))
-    ]
+    grid = panels(figure, len(STATE))
+    return [(axes, quantity, axes in grid[-2:]) for axes, quantity in zip(grid, STATE, strict=True)]
 
 
 def _finish(axes: Axes, series: Series, last: bool, label: str) -> None:

@@ -10,9 +10,9 @@ from datetime import datetime
 import numpy as np
 
 from palmd.observer.bank_observer import NIS_RANGE
+from palmd.quantities import ESTIMATE
 from palmd.record.metadata import CONFIG
 from palmd.report.errors import OBJECTS_OWN, SDS, STATE, Errors, against, body_at, inside, last_outlines, normalised
-from palmd.report.quantities import QUANTITIES
 from palmd.report.series import SD, OutlineAt, Series, Spell
 
 _CAUSES = ("pad1_", "pad2_", "arm_", "bus_", "smoother_", "explorer_")
@@ -103,10 +103,13 @@ def under_state(series: Series) -> str:
     valid = np.flatnonzero(series.valid)
     if not len(valid):
         return "No estimate was called valid: the lines are grey, and nobody vouches for them."
-    r1, r2, omega0 = (float(series.estimate[SD + name][valid[-1]]) for name in OBJECTS_OWN)
+    r1, r2, omega0 = (
+        f"{_small(name, float(series.estimate[SD + name][valid[-1]]))} for {ESTIMATE[name].symbol}"
+        for name in OBJECTS_OWN
+    )
     return (
-        f"At the last valid tick ({series.estimate.t[valid[-1]]:.1f} s) one sd is {_um(r1)} for r₁, {_um(r2)} for r₂ "
-        f"and {omega0:.3g} rad/s for ω₀; grey times have no valid estimate."
+        f"At the last valid tick ({series.estimate.t[valid[-1]]:.1f} s) one sd is {r1}, {r2} "
+        f"and {omega0}; grey times have no valid estimate."
     )
 
 
@@ -116,16 +119,19 @@ def under_errors(series: Series, errors: Errors) -> str:
     if not all(judged for _, judged in told):
         return "No valid estimate has a truth beside it."
     shares = ", ".join(
-        f"{symbol} {within / judged:.0%}" for symbol, (within, judged) in zip(("r₁", "r₂", "ω₀"), told, strict=True)
+        f"{ESTIMATE[name].symbol} {within / judged:.0%}"
+        for name, (within, judged) in zip(OBJECTS_OWN, told, strict=True)
     )
-    rms = [float(np.sqrt(np.nanmean(errors.error[name][series.valid] ** 2))) for name in OBJECTS_OWN]
+    rms = ", ".join(
+        _small(name, float(np.sqrt(np.nanmean(errors.error[name][series.valid] ** 2)))) for name in OBJECTS_OWN
+    )
     worst = min(
         (within / judged, name) for name in STATE if name in errors.error
         for within, judged in [inside(series, errors, name)] if judged
     )  # fmt: skip
     return (
         f"Within ±{SDS:g} sd, where 95% would be expected: {shares} of {told[0][1]} valid ticks, least often "
-        f"{QUANTITIES[worst[1]].symbol} ({worst[0]:.0%}); RMS errors {_um(rms[0])}, {_um(rms[1])}, {rms[2]:.3g} rad/s."
+        f"{ESTIMATE[worst[1]].symbol} ({worst[0]:.0%}); RMS errors {rms}."
     )
 
 
@@ -151,7 +157,9 @@ def under_forces(series: Series, errors: Errors | None) -> str:
     """Mass and friction at the last valid tick, of which there must be one."""
     last = np.flatnonzero(series.valid)[-1]
 
-    def told(name: str, factor: float, digits: str, unit: str) -> str:
+    def told(name: str) -> str:
+        shown = ESTIMATE[name].shown
+        factor, digits, unit = shown.factor, f".{shown.digits}f", f" {shown.unit}".rstrip()
         value, sd = (float(series.estimate[key][last]) * factor for key in (name, SD + name))
         if not math.isfinite(value):
             return "not told"
@@ -160,7 +168,7 @@ def under_forces(series: Series, errors: Errors | None) -> str:
             said += f" (truth {float(errors.true[name][last]) * factor:{digits}})"
         return said
 
-    mass, mu = told("mass_kg", 1e3, ".1f", " g"), told("mu", 1.0, ".3f", "")
+    mass, mu = told("mass_kg"), told("mu")
     return f"At the last valid tick: mass {mass}, μ {mu}, one sd each."
 
 
@@ -303,6 +311,12 @@ def _first_valid(series: Series) -> float:
 
 def _share(part: float, whole: int) -> str:
     return f"{part / whole:.0%}"
+
+
+def _small(name: str, value: float) -> str:
+    """A sd or an error of an estimated quantity, SI, in words."""
+    shown = ESTIMATE[name].shown
+    return _um(value) if ESTIMATE[name].unit == "m" else f"{value * shown.factor:.3g} {shown.unit}"
 
 
 def _mm(metres: float) -> str:

@@ -37,6 +37,7 @@ import zmq
 from palmd.devices.armlink import LineReader
 from palmd.devices.versapad import VersaPadDecoder
 from palmd.messages import stamp
+from palmd.quantities import BODY, RIG_TOPICS, TRUTH, Topic
 from palmd.rig.fault_injection import INJECTABLE_FAULTS, PORTS, InjectionError, PortName, order, parse
 from palmd.rig.line import PtyLine
 from palmd.rig.roller import KINDS as ROLLERS
@@ -46,7 +47,7 @@ from palmd.rig.world import World, default_config
 from palmd.yamlfile import ConfigError, load_config
 
 PERIOD_S = 1e-3
-TRUTH_S, OBJECT_S, PARENT_S = 0.01, 1.0, 0.5
+TRUTH_S, OBJECT_S, PARENT_S = 1.0 / TRUTH.rate_hz, 1.0 / BODY.rate_hz, 0.5
 MARBLES: dict[str, tuple[PortName, ...]] = {"1": ("pad1",), "2": ("pad2",), "both": ("pad1", "pad2")}
 _LATE_S, _STALLED_S = 2e-3, 20e-3
 
@@ -152,7 +153,7 @@ class RigProcess:
         self.latest_s = 0.0
         self._stop = stop
         self._parent = os.getppid()
-        self._seq = {"rig/truth": 0, "rig/object": 0}
+        self._seq = {topic.name: 0 for topic in RIG_TOPICS}
         noise = np.random.default_rng(world.seed)
         self._lines: dict[PortName, PtyLine] = {
             port: PtyLine(folder / port, world.bauds[port], noise) for port in PORTS
@@ -192,11 +193,11 @@ class RigProcess:
                 self._tick(t)
                 if t >= truth_due:
                     truth_due += TRUTH_S * (1 + int((t - truth_due) / TRUTH_S))
-                    self._publish("rig/truth", self.world.truth())
+                    self._publish(TRUTH, self.world.truth())
                     self._serve()
                 if t >= object_due:
                     object_due = t + OBJECT_S
-                    self._publish("rig/object", self.world.object_truth())
+                    self._publish(BODY, self.world.object_truth())
                 if t >= parent_due:
                     parent_due = t + PARENT_S
                     self._stop.made |= os.getppid() != self._parent
@@ -244,11 +245,11 @@ class RigProcess:
 
     # -- sockets ------------------------------------------------------------------------------------------
 
-    def _publish(self, topic: str, fields: dict[str, Any]) -> None:
+    def _publish(self, topic: Topic, fields: dict[str, Any]) -> None:
         now = time.time()
-        stamped = stamp(fields, now, self.world.t, self._seq[topic])
-        self._seq[topic] += 1
-        frames = [topic.encode(), msgpack.packb(stamped), f"{now:.6f}".encode()]
+        stamped = stamp(fields, now, self.world.t, self._seq[topic.name])
+        self._seq[topic.name] += 1
+        frames = [topic.frame, msgpack.packb(stamped), f"{now:.6f}".encode()]
         with contextlib.suppress(zmq.Again):
             self._truth.send_multipart(frames, zmq.NOBLOCK)
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
+
+from palmd.view.page_quantities import page_quantities
 
 STATIC = Path(__file__).parent / "static"
 _TYPES = {
@@ -23,10 +26,11 @@ class File:
 
 
 def page_files() -> dict[str, File]:
-    """Every file of the page by its path in an address; `/` is the page itself."""
+    """Every file of the page by its path in an address; `/` is the page itself, one more is made from the table."""
     files = {
         f"/{path.relative_to(STATIC).as_posix()}": File(path.read_bytes(), _TYPES[path.suffix])
         for path in sorted(STATIC.rglob("*"))
         if path.suffix in _TYPES
     }
-    return files | {"/": files["/index.html"]}
+    table = File(json.dumps(page_quantities(), ensure_ascii=False).encode(), "application/json; charset=utf-8")
+    return files | {"/": files["/index.html"], "/quantities.json": table}

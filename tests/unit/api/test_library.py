@@ -15,8 +15,9 @@ from palmd.api.table import table_of
 from palmd.cli import main
 from palmd.daemon.bus import Bus
 from palmd.daemon.commands import Reply
-from palmd.messages import CONTACT, ESTIMATE, SHAPE, PadView, contact_fields
+from palmd.messages import PadView, contact_fields
 from palmd.polygon import boundary
+from palmd.quantities import CONTACT, ESTIMATE, SHAPE
 from palmd.rig.simulate import simulate_log
 
 SECONDS = 4.0

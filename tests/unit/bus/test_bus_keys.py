@@ -19,7 +19,8 @@ from palmd.daemon import zap_auth
 from palmd.daemon.bus import Bus
 from palmd.daemon.commands import COMMANDS, Reply
 from palmd.keys import Role
-from palmd.messages import STATE, state_fields
+from palmd.messages import state_fields
+from palmd.quantities import STATE
 from palmd.view.command_client import PageCommands
 from palmd.view.feed import Feed
 
@@ -135,7 +136,7 @@ def test_a_page_listens_to_a_daemon_with_keys_and_to_a_rig_without(rig):
 
 
 def test_a_subscriber_of_ones_own_as_the_manual_has_it(rig):
-    page = (Path(__file__).parents[3] / "docs/subscribing.md").read_text()
+    page = (Path(__file__).parents[3] / "docs/operate/subscribing.md").read_text()
     (code,) = re.findall(r"```python\n(from zmq.auth.*?)```", page, flags=re.DOTALL)
     made = rig.context.socket(zmq.SUB)
     rig.clients.append(made)

@@ -14,7 +14,8 @@ import zmq
 
 from palmd.daemon.bus import Bus
 from palmd.events import ObjectEstimate
-from palmd.messages import OBJECT, TOPICS, object_fields
+from palmd.messages import object_fields
+from palmd.quantities import OBJECT, TOPICS
 
 LAYOUT = Path(__file__).parents[3] / "config/plotjuggler.xml"
 STAMP = ("v", "timestamp", "mono_ns", "seq")

@@ -11,7 +11,7 @@ import zmq
 
 from palmd.record.player import frames
 
-PROGRAM = Path(__file__).parents[3] / "docs/subscriber.py"
+PROGRAM = Path(__file__).parents[3] / "docs/operate/subscriber.py"
 LINE = re.compile(r"r1 ([\d.]+) ± [\d.]+ mm, r2 ([\d.]+) ± [\d.]+ mm, psi (-?[\d.]+) ± [\d.]+°, touched (\d+)%")
 
 

@@ -21,9 +21,10 @@ from palmd.console.errors import CliError
 from palmd.daemon.bus import Bus
 from palmd.daemon.commands import Reply
 from palmd.events import PadSample, PalmSample
-from palmd.messages import EVENTS, INFO, events_fields
+from palmd.messages import events_fields
 from palmd.motion.check import motion_limits
 from palmd.motion.plan import compile_plan
+from palmd.quantities import EVENTS, INFO
 from palmd.yamlfile import load_config
 
 CONFIG = """\

@@ -11,7 +11,7 @@ import pytest
 from palmd import observer
 from palmd.cli import main
 from palmd.events import Estimate, PadSample, RigDescription, ShapeEstimate
-from palmd.messages import ESTIMATE, SHAPE, STAMP
+from palmd.quantities import ESTIMATE, SHAPE, STAMP
 from palmd.record.eventlog import EventLog, read_log
 from palmd.record.replay import lines, replay, tick_count
 from palmd.rig.simulate import simulate_log
@@ -78,12 +78,12 @@ def test_a_shape_comes_every_second():
 def test_lines_hold_the_fields_of_the_contract():
     (tick,) = [tick for tick in replay(run_of(7.0, 8.0), Spy()) if tick.shape]
     estimate, shape = lines(tick)
-    assert set(estimate) == {"t"} | {field.name for field in (*STAMP, *ESTIMATE.fields)}
+    assert set(estimate) == {"t"} | {field.name for field in (*STAMP, *ESTIMATE.quantities)}
     assert estimate["t"] == estimate["timestamp"] == 8.0
     assert (estimate["mono_ns"], estimate["seq"], estimate["object"]) == (8_000_000_000, 100, 1)
     assert estimate["sd"] == {"r1_m": None}
     assert set(shape) == {"t", "shape"}
-    assert set(shape["shape"]) == {field.name for field in SHAPE.fields}
+    assert set(shape["shape"]) == {field.name for field in SHAPE.quantities}
     assert len(shape["shape"]["touched"]) == 180
     json.dumps([estimate, shape], allow_nan=False)
 

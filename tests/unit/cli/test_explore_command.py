@@ -15,7 +15,7 @@ from palmd.config import PlanSpec
 from palmd.daemon.bus import Bus
 from palmd.daemon.commands import Reply
 from palmd.harness import operator
-from palmd.messages import SHAPE
+from palmd.quantities import SHAPE
 
 
 class Daemon:

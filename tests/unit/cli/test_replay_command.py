@@ -17,7 +17,7 @@ import recorded
 import zmq
 
 from palmd.cli import main
-from palmd.messages import ESTIMATE, EVENTS, IMPROVEMENT
+from palmd.quantities import ESTIMATE, EVENTS, IMPROVEMENT
 from palmd.record.mcapfile import Preface, RawMessage, RunWriter
 from palmd.record.metadata import METADATA
 from palmd.record.player import frames, offsets, play

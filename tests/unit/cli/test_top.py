@@ -23,20 +23,9 @@ from palmd.cli.top import painted
 from palmd.daemon.bus import Bus
 from palmd.events import Estimate, PalmMotion
 from palmd.faults import TABLE
-from palmd.messages import (
-    CONTACT,
-    ESTIMATE,
-    INFO,
-    LOOP,
-    MOTION,
-    STATE,
-    PadView,
-    contact_fields,
-    estimate_fields,
-    info_fields,
-    motion_fields,
-    state_fields,
-)
+from palmd.messages import PadView, contact_fields, estimate_fields, info_fields, motion_fields, state_fields
+from palmd.quantities import CONTACT, ESTIMATE, INFO, LOOP, MOTION, STATE
+from palmd.rig.world import default_config
 
 
 def estimate(**changes):
@@ -53,7 +42,7 @@ MESSAGES = {
     MOTION: motion_fields(PalmMotion(0.5, 1.5), PalmMotion(0.49, 1.51), "rock", 1, 0.34, "T"),
     LOOP: {"ticks": 1234, "overruns": 2, "lateness_p50_ms": 0.05, "work_p99_ms": 1.5, "rss_mb": 80.2, "backend": "c",
            "pad1_bytes": 9000, "pad1_bad_header": 3, "pad1_port_losses": 1, "pad2_bytes": 8000, "pad2_bad_header": 0},
-    INFO: info_fields("0.1.0", "abc", "shape", 100.0),
+    INFO: info_fields("0.1.0", "shape", default_config()),
 }  # fmt: skip
 
 

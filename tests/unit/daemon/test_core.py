@@ -14,9 +14,10 @@ from palmd.daemon.core import Core
 from palmd.daemon.exploring import OVERTIME_S
 from palmd.daemon.planner import Plan
 from palmd.events import Estimate, Improvement, PadLift, PadSample, PalmSample
-from palmd.messages import EVENTS, IMPROVEMENT, NAMED_STATE, events_of, stamp, validate
+from palmd.messages import NAMED_STATE, events_of, stamp, validate
 from palmd.motion.check import motion_limits
 from palmd.motion.plan import compile_plan
+from palmd.quantities import EVENTS, IMPROVEMENT
 from palmd.rig.fault_injection import INJECTABLE_FAULTS, order
 from palmd.rig.world import STEP_S, World, default_config
 

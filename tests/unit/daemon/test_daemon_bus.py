@@ -8,7 +8,9 @@ import zmq
 
 from palmd.daemon.bus import COMMANDS_PER_TICK, PUBLISHED_HIGH_WATER, Bus, BusError
 from palmd.daemon.commands import Reply
-from palmd.messages import INFO, STATE, info_fields, state_fields
+from palmd.messages import info_fields, state_fields
+from palmd.quantities import INFO, STATE
+from palmd.rig.world import default_config
 
 TIMEOUT_MS = 2000
 
@@ -125,7 +127,7 @@ def test_each_topic_counts_for_itself(rig):
     client = rig.client(zmq.SUB, rig.publish)
     client.subscribe(b"")
     while not client.poll(20):
-        rig.bus.publish(INFO, info_fields("0", "h", "shape", 100.0), 0.0, 0.0)
+        rig.bus.publish(INFO, info_fields("0", "shape", default_config()), 0.0, 0.0)
     for _ in range(3):
         rig.bus.publish(STATE, state_fields("idle", []), 0.0, 0.0)
     seen = []
@@ -151,7 +153,7 @@ def test_the_last_messages_leave_before_the_sockets_close(rig):
     client.setsockopt(zmq.RCVHWM, 0)
     client.subscribe(b"")
     while not client.poll(20):
-        rig.bus.publish(INFO, info_fields("0", "h", "shape", 100.0), 0.0, 0.0)
+        rig.bus.publish(INFO, info_fields("0", "shape", default_config()), 0.0, 0.0)
     count = PUBLISHED_HIGH_WATER // 10
     for _ in range(count):
         rig.bus.publish(STATE, {"state": "x" * 20_000}, 0.0, 0.0)

@@ -19,7 +19,9 @@ from palmd.daemon.systemd import Notifier
 from palmd.devices.armlink import Ack, ArmState, HelloReply, Pose, Query, encode_reply, parse_command
 from palmd.devices.port import Port
 from palmd.devices.versapad import encode_packet
-from palmd.messages import TOPICS, info_fields, validate
+from palmd.messages import info_fields, validate
+from palmd.quantities import TOPICS
+from palmd.rig.world import default_config
 
 PERIOD = 0.01
 
@@ -88,7 +90,7 @@ class Wires:
             Notifier({}),
             rate_hz=1.0 / PERIOD,
             backend="c",
-            info=info_fields("0", "hash", "deaf", 100.0),
+            info=info_fields("0", "deaf", default_config()),
         )
         self.context = zmq.Context()
         self.messages = self.context.socket(zmq.SUB)

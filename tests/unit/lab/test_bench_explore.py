@@ -17,10 +17,10 @@ from palmd.lab.exploring import ExploringRow, ExploringTask
 from palmd.lab.exploring_plans import STRATEGIES
 from palmd.lab.exploring_summary import remarks, table
 from palmd.lab.exploring_watch import ExplorationWatch
-from palmd.messages import ESTIMATE, SHAPE
 from palmd.motion.check import motion_limits
 from palmd.motion.plan import compile_plan
 from palmd.motion.rollout_predictor import BINS
+from palmd.quantities import ESTIMATE, SHAPE
 from palmd.rig.world import default_config
 
 # ---------------------------------------------------------------------------------------------- real runs

@@ -16,9 +16,10 @@ from palmd.events import DECIDED, ObjectEstimate, PadSample
 from palmd.lab import recognition
 from palmd.lab.recognition import RecognitionRow, RecognitionTask
 from palmd.lab.siblings import LEAST_M, MOST_M, RADIUS_RANGE, difference
-from palmd.messages import OBJECT, object_fields, stamp, validate
+from palmd.messages import object_fields, stamp, validate
 from palmd.observer.outline_prior import stored
 from palmd.observer.recogniser import NONE, Recogniser
+from palmd.quantities import OBJECT
 from palmd.record.recognition import NONE_OF_THESE, as_line, table, verdict
 from palmd.record.replay import lines, replay
 from palmd.rig.world import default_config

@@ -5,7 +5,7 @@ import pytest
 import recorded
 
 from palmd.cli import main
-from palmd.messages import ESTIMATE, IMPROVEMENT
+from palmd.quantities import ESTIMATE, IMPROVEMENT
 from palmd.record.mcapfile import Preface, RunError, RunWriter
 from palmd.record.metadata import METADATA
 from palmd.record.run import read_run

@@ -7,7 +7,7 @@ import pytest
 import recorded
 from mcap.reader import NonSeekingReader, make_reader
 
-from palmd.messages import ESTIMATE, LOOP, TOPICS
+from palmd.quantities import ESTIMATE, LOOP, TOPICS
 from palmd.record.mcapfile import (
     MAGIC,
     Preface,
@@ -27,7 +27,7 @@ def test_every_topic_of_the_table_has_a_schema_of_its_fields():
     for topic in TOPICS:
         schema = json_schema(topic.name)
         said = {*schema["properties"], *(f"{name[1:]}*" for name in schema.get("patternProperties", ()))}
-        assert said == {"v", "timestamp", "mono_ns", "seq", *(field.name for field in topic.fields)}
+        assert said == {"v", "timestamp", "mono_ns", "seq", *(field.name for field in topic.quantities)}
         json.dumps(schema, allow_nan=False)
 
 

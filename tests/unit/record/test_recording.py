@@ -6,7 +6,8 @@ import os
 import pytest
 import recorded
 
-from palmd.messages import EVENTS, events_fields
+from palmd.messages import events_fields
+from palmd.quantities import EVENTS
 from palmd.record import recording as module
 from palmd.record import runfile
 from palmd.record.mcapfile import is_finished, read_messages, read_preface

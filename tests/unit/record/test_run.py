@@ -9,7 +9,8 @@ import recorded
 
 from palmd.config import rig_description
 from palmd.events import Improvement, PadSample
-from palmd.messages import ESTIMATE, EVENTS, IMPROVEMENT, improvement_fields
+from palmd.messages import improvement_fields
+from palmd.quantities import ESTIMATE, EVENTS, IMPROVEMENT
 from palmd.record.mcapfile import Preface, RunWriter
 from palmd.record.metadata import METADATA
 from palmd.record.run import RunError, read_run

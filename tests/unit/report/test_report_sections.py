@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from palmd import report as room
 from palmd.cli import main
-from palmd.messages import ESTIMATE, LOOP
+from palmd.quantities import ESTIMATE, LOOP
 from palmd.record.run import read_run
 from palmd.report.html import as_html
 from palmd.report.pdf import as_pdf

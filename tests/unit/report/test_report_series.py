@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import reported
 
-from palmd.messages import ESTIMATE, MOTION, SHAPE
+from palmd.quantities import ESTIMATE, MOTION, SHAPE
 from palmd.record.mcapfile import RunError
 from palmd.record.run import read_run
 from palmd.report.series import SD, series_of

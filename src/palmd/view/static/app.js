@@ -2,7 +2,7 @@
 
 import { Commands } from "./commands.js";
 import { Connection } from "./connection.js";
-import { describe, set, showReadouts } from "./readouts.js";
+import { describe, layOut, set, showReadouts } from "./readouts.js";
 import { Scene } from "./scene.js";
 import { Store } from "./store.js";
 import { Strips } from "./strips.js";
@@ -12,6 +12,7 @@ const READOUT_MS = 100;
 const DESCRIBE_MS = 3000;
 const CALM_MS = 100; // between pictures for those who want less motion
 
+layOut(document.getElementById("told"));
 const store = new Store();
 const scene = new Scene(document.getElementById("scene"));
 const strips = new Strips(document.getElementById("strips"));

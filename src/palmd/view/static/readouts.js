@@ -1,5 +1,7 @@
 // State, faults, ages and punctuality in words and numbers. The page's text is only touched where it changes.
 
+import { ESTIMATE, shown, TOLD } from "./quantities.js";
+
 const STATES = {
   idle: "waiting for the rig",
   ready: "the arm stands, uncommanded",
@@ -52,16 +54,15 @@ function showNumbers(store, now, fps) {
   set("age-data", number(age, 0, "ms"));
   for (const pad of [1, 2]) {
     const touch = contact[`touch${pad}`] === undefined ? "" : contact[`touch${pad}`] ? "touched" : "untouched";
-    set(`age-pad${pad}`, `${number(contact[`age${pad}_ms`], 0, "ms")} ${touch}`);
+    set(`age-pad${pad}`, `${told("palm/contact", contact, `age${pad}_ms`)} ${touch}`);
   }
-  set("age-arm", `${number(contact.arm_age_ms, 0, "ms")}${motion.arm_state ? ` state ${motion.arm_state}` : ""}`);
-  set("lateness", ["p50", "p99", "max"].map((part) => number(loop[`lateness_${part}_ms`], 2)).join(" / ") + " ms");
-  set("work", ["p50", "p99", "max"].map((part) => number(loop[`work_${part}_ms`], 2)).join(" / ") + " ms");
+  set("age-arm", `${told("palm/contact", contact, "arm_age_ms")}${motion.arm_state ? ` state ${motion.arm_state}` : ""}`);
+  for (const what of ["lateness", "work"]) {
+    set(what, ["p50", "p99", "max"].map((part) => told("palm/loop", loop, `${what}_${part}_ms`)).join(" / "));
+  }
   set("ticks", loop.ticks === undefined ? "–" : `${loop.ticks}, ${loop.overruns} skipped`);
-  set("process", loop.rss_mb === undefined ? "–" : `${number(loop.rss_mb, 0, "MB")}, ${loop.backend} models`);
-  set("mass", pair(estimate, "mass_kg", 1e3, 1, "g"));
-  set("mu", pair(estimate, "mu", 1, 3, ""));
-  set("psi", pair(estimate, "psi_rad", 180 / Math.PI, 1, "°"));
+  set("process", loop.rss_mb === undefined ? "–" : `${told("palm/loop", loop, "rss_mb")}, ${loop.backend} models`);
+  for (const { name } of TOLD) set(name, pair(estimate, name));
   set("touched", share(estimate.touched));
   const running = motion.segment >= 0;
   set("plan", motion.plan ? `${motion.plan}${running ? `, segment ${motion.segment + 1}` : ", not running"}` : "none");
@@ -75,21 +76,33 @@ function showNumbers(store, now, fps) {
 export function describe(store) {
   const estimate = store.get("palm/estimate");
   if (!estimate.valid) return "Palms and object; the estimate has not settled.";
-  const mm = (value) => (value * 1e3).toFixed(1);
-  return `Palms at ${degrees(estimate.phi1_rad)} and ${degrees(estimate.phi2_rad)} degrees, object of about `
-    + `${mm((estimate.r1_m + estimate.r2_m) / 2)} millimetres radius, touched over ${share(estimate.touched)} `
-    + `of its outline, contact forces ${number(estimate.f1_n, 2)} and ${number(estimate.f2_n, 2)} newtons.`;
+  const say = (name) => told("palm/estimate", estimate, name);
+  return `Palms at ${say("phi1_rad")} and ${say("phi2_rad")}, centre of mass ${say("r1_m")} and ${say("r2_m")} from `
+    + `them, touched over ${share(estimate.touched)} of the outline, contact forces ${say("f1_n")} and ${say("f2_n")}.`;
 }
 
-function degrees(angle) {
-  return (angle * 180 / Math.PI).toFixed(0);
+/** Rows for what of the estimate is told as numbers alone, before the first row of `list`. */
+export function layOut(list) {
+  list.prepend(...TOLD.flatMap(({ name, title }) => {
+    const { symbol, meaning } = ESTIMATE[name];
+    const term = Object.assign(element("dt", "", `${title} ${symbol}`), { title: meaning });
+    return [term, Object.assign(element("dd", "", "–"), { id: name })];
+  }));
 }
 
-function pair(fields, name, scale, digits, unit) {
-  if (!fields.valid || !Number.isFinite(fields[name])) return "–";
-  const sd = fields.sd?.[name];
-  return number(fields[name] * scale, digits) + (Number.isFinite(sd) ? ` ± ${number(sd * scale, digits)}` : "")
-    + (unit && ` ${unit}`);
+/** A quantity among the fields of its topic, with its unit. */
+function told(topic, fields, name) {
+  const { factor, digits, unit } = shown(topic, name);
+  return number(fields[name] * factor, digits, unit);
+}
+
+/** A valid estimate with its sigma. */
+function pair(estimate, name) {
+  const { factor, digits, unit } = ESTIMATE[name];
+  if (!estimate.valid || !Number.isFinite(estimate[name])) return "–";
+  const sd = estimate.sd?.[name];
+  return number(estimate[name] * factor, digits)
+    + (Number.isFinite(sd) ? ` ± ${number(sd * factor, digits)}` : "") + (unit && ` ${unit}`);
 }
 
 function share(value) {

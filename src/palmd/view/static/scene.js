@@ -4,9 +4,8 @@ import { at, centreFromRadii, magnification, outline, palm } from "./geometry.js
 import { seconds } from "./store.js";
 import { colours } from "./theme.js";
 
-const VIEW_MM = { width: 150, height: 92, below: 13 }; // what is seen, and how much of it lies below the hinge
-const PAD_MM = 55.5;
-const PALM_MM = 72;
+const VIEW = { width: 2.7, height: 1.66, below: 0.235 }; // what is seen, in pads, and how much of it lies below the hinge
+const SOME_PAD_MM = 55.5; // what is seen while nobody has told how long the pads are
 const THICK_MM = 3.2;
 const FORCE_MM_PER_N = 12;
 const GRID_MM = 10;
@@ -19,6 +18,7 @@ export class Scene {
   outdated = true; // whether to draw again even if nothing new is known
   #magnified = true;
   #scale = 1; // pixels per mm
+  #below = 0; // mm that are seen below the hinge
   #canvas;
   #context;
   #pixels = { width: 0, height: 0, ratio: 1 };
@@ -47,8 +47,9 @@ export class Scene {
     const estimate = store.get("palm/estimate");
     const motion = store.get("palm/motion");
     const pose = poseOf(estimate, motion);
+    const rig = store.get("palm/info");
     this.outdated = false;
-    this.#begin();
+    this.#begin(Math.max(rig.pad1_length_m ?? 0, rig.pad2_length_m ?? 0) * MM || SOME_PAD_MM);
     if (!pose) return;
     const truth = store.truthful(now) ? truthAt(store, seconds(estimate)) : null;
     const centre = known(estimate, "r1_m", "r2_m")
@@ -62,7 +63,7 @@ export class Scene {
       if (this.#points && truth && hinge) this.#drawTruth(store.get("rig/object"), truth, estimate, centre, hinge);
     }
     const contact = store.get("palm/contact");
-    for (const number of [1, 2]) this.#drawPalm(number, pose);
+    for (const number of [1, 2]) this.#drawPalm(number, pose, rig);
     this.#drawHinge();
     for (const number of [1, 2]) this.#drawContact(number, pose, estimate, contact);
     if (centre) this.#drawCentre(centre, estimate.psi_rad);
@@ -167,19 +168,22 @@ export class Scene {
 
   // -- palms ------------------------------------------------------------------------------------------------------
 
-  #drawPalm(number, pose) {
+  /** The palm in its length, which may lead out of the picture, and the pad on it; no pad while its length is unknown. */
+  #drawPalm(number, pose, rig) {
     const { along, normal } = palm(number, pose.phi1, pose.phi2);
+    const length = (rig[`palm${number}_length_m`] ?? 1) * MM;
+    const pad = (rig[`pad${number}_length_m`] ?? 0) * MM;
     const context = this.#context;
     context.save();
     context.transform(...along, ...normal, 0, 0); // x along the surface, y towards the object
     context.fillStyle = colours.line;
     context.beginPath();
-    context.roundRect(0, -THICK_MM, PALM_MM, THICK_MM, [0, 0.8, 0.8, 0]);
+    context.roundRect(0, -THICK_MM, length, THICK_MM, [0, 0.8, 0.8, 0]);
     context.fill();
     context.fillStyle = colours[`palm${number}`];
-    context.fillRect(0.5, -THICK_MM * 0.42, PAD_MM, THICK_MM * 0.42);
+    context.fillRect(0.5, -THICK_MM * 0.42, pad, THICK_MM * 0.42);
     context.restore();
-    this.#label(`palm ${number}`, along, normal, colours[`palm${number}`]);
+    this.#label(`palm ${number}`, pad || SOME_PAD_MM, along, normal, colours[`palm${number}`]);
   }
 
   #drawHinge() {
@@ -211,9 +215,10 @@ export class Scene {
     context.stroke();
   }
 
-  #label(text, along, normal, colour) {
+  /** Below the surface, `s` mm from the hinge. */
+  #label(text, s, along, normal, colour) {
     const out = -THICK_MM - this.#thin(11);
-    this.#write(text, along[0] * (PALM_MM - 7) + normal[0] * out, along[1] * (PALM_MM - 7) + normal[1] * out, colour, 600);
+    this.#write(text, along[0] * s + normal[0] * out, along[1] * s + normal[1] * out, colour, 600);
   }
 
   #drawForce(force, point, normal, colour) {
@@ -239,16 +244,18 @@ export class Scene {
 
   // -- surroundings -----------------------------------------------------------------------------------------------
 
-  #begin() {
+  /** Clears the picture for pads of this length. */
+  #begin(padMm) {
     const { width, height } = this.#pixels;
     const context = this.#context;
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.setLineDash([]);
     context.globalAlpha = 1;
     context.clearRect(0, 0, width, height);
-    const scale = Math.min(width / VIEW_MM.width, height / VIEW_MM.height);
+    const scale = Math.min(width / VIEW.width, height / VIEW.height) / padMm;
     this.#scale = scale;
-    context.setTransform(scale, 0, 0, -scale, width / 2, height - VIEW_MM.below * scale);
+    this.#below = VIEW.below * padMm;
+    context.setTransform(scale, 0, 0, -scale, width / 2, height - this.#below * scale);
   }
 
   /** A grid that stands in the world, so that the hinge is seen to move. */
@@ -257,16 +264,16 @@ export class Scene {
     const context = this.#context;
     const { width, height } = this.#pixels;
     const half = width / this.#scale / 2;
-    const top = height / this.#scale - VIEW_MM.below;
+    const top = height / this.#scale - this.#below;
     context.strokeStyle = colours.faint;
     context.lineWidth = this.#thin(1);
     context.beginPath();
     const [x0, y0] = hinge.map((place) => place * MM);
     for (let x = Math.ceil((x0 - half) / GRID_MM) * GRID_MM; x < x0 + half; x += GRID_MM) {
-      context.moveTo(x - x0, -VIEW_MM.below);
+      context.moveTo(x - x0, -this.#below);
       context.lineTo(x - x0, top);
     }
-    for (let y = Math.ceil((y0 - VIEW_MM.below) / GRID_MM) * GRID_MM; y < y0 + top; y += GRID_MM) {
+    for (let y = Math.ceil((y0 - this.#below) / GRID_MM) * GRID_MM; y < y0 + top; y += GRID_MM) {
       context.moveTo(-half, y - y0);
       context.lineTo(half, y - y0);
     }
@@ -276,7 +283,7 @@ export class Scene {
   #drawScale() {
     const context = this.#context;
     const left = -this.#pixels.width / this.#scale / 2 + this.#thin(18);
-    const y = -VIEW_MM.below + 4;
+    const y = -this.#below + 4;
     context.strokeStyle = colours.ink;
     context.lineWidth = this.#thin(1.5);
     line(context, [left, y], [left + 10, y]);

@@ -1,15 +1,15 @@
 // What has come: the last message of each topic, when it came, and the histories that strips are drawn from.
 
 import { History } from "./history.js";
+import { ESTIMATE, staleMs, STRIPS } from "./quantities.js";
 
 export const WINDOW_S = 10;
-export const STALE_MS = 500;
 const GAP_S = 2;
 
-const STATE = ["r1_m", "r2_m", "omega0_rad_s", "s1_m", "s2_m", "phi1_rad", "phi2_rad", "omega1_rad_s", "omega2_rad_s",
-  "rho_m"];
-const HEALTH = ["nis", "observability"];
-const TRUTH = ["psi_rad", "com_x_m", "com_y_m", ...STATE.filter((name) => name !== "rho_m")];
+const DRAWN = STRIPS.flatMap(({ names }) => names);
+const STATE = DRAWN.filter((name) => ESTIMATE[name].uncertain);
+const HEALTH = DRAWN.filter((name) => !ESTIMATE[name].uncertain);
+const TRUTH = Object.keys(ESTIMATE).filter((name) => ESTIMATE[name].truth === "rig/truth");
 export const SD = "sd ";
 
 export class Store {
@@ -48,12 +48,12 @@ export class Store {
 
   /** Whether what there is to see is old. */
   stale(now) {
-    return now - this.palmAt > STALE_MS;
+    return now - this.palmAt > staleMs("palm/estimate");
   }
 
   /** Whether an emulated rig tells the truth at the moment. */
   truthful(now) {
-    return this.age("rig/truth", now) < 2 * STALE_MS && this.has("rig/object");
+    return this.age("rig/truth", now) < 2 * staleMs("rig/truth") && this.has("rig/object");
   }
 
   #takeEstimate(fields) {

@@ -1,30 +1,11 @@
 // Strips: the last seconds of a quantity or two, with ± one sigma as a band and the rig's truth dashed.
 
+import { ESTIMATE, STRIPS } from "./quantities.js";
 import { number } from "./readouts.js";
 import { SD, WINDOW_S } from "./store.js";
 import { colours } from "./theme.js";
 
-const DEG = 180 / Math.PI;
 const STRIDE = 2; // 50 samples a second are more than there are pixels
-
-/** One strip: curves [field, label, colour], factor to the shown unit, digits, least span of its axis in that unit. */
-const STRIPS = [
-  { title: "Distance of the palms from the centre of mass", unit: "mm", scale: 1e3, digits: 2, span: 0.5,
-    curves: [["r1_m", "r₁", "palm1"], ["r2_m", "r₂", "palm2"]] },
-  { title: "Angular rate of the object", unit: "°/s", scale: DEG, digits: 1, span: 10,
-    curves: [["omega0_rad_s", "ω₀", "single"]] },
-  { title: "Contacts, from the hinge", unit: "mm", scale: 1e3, digits: 2, span: 2,
-    curves: [["s1_m", "s₁", "palm1"], ["s2_m", "s₂", "palm2"]] },
-  { title: "Radius of gyration", unit: "mm", scale: 1e3, digits: 2, span: 1, curves: [["rho_m", "ρ", "single"]] },
-  { title: "Palm angles", unit: "°", scale: DEG, digits: 1, span: 4,
-    curves: [["phi1_rad", "φ₁", "palm1"], ["phi2_rad", "φ₂", "palm2"]] },
-  { title: "Palm rates", unit: "°/s", scale: DEG, digits: 1, span: 4,
-    curves: [["omega1_rad_s", "ω₁", "palm1"], ["omega2_rad_s", "ω₂", "palm2"]] },
-  { title: "Normalised innovation squared: 1 when readings and model agree", unit: "", scale: 1, digits: 2, span: 1,
-    low: 0, curves: [["nis", "NIS", "single"]] },
-  { title: "Observability: above 1 when the last second alone tells all", unit: "", scale: 1, digits: 2, span: 1,
-    low: 0, curves: [["observability", "observability", "single"]] },
-];
 
 export class Strips {
   #strips;
@@ -73,8 +54,9 @@ class Strip {
     this.#figure.setAttribute("aria-label", spec.title);
     const caption = document.createElement("figcaption");
     caption.title = spec.title;
-    for (const [, label, colour] of spec.curves) {
-      const name = Object.assign(document.createElement("span"), { className: `name ${colour}`, textContent: label });
+    for (const { symbol, meaning, colour } of spec.names.map((name) => ESTIMATE[name])) {
+      const name = Object.assign(document.createElement("span"), { className: `name ${colour}`, textContent: symbol,
+        title: meaning });
       const value = Object.assign(document.createElement("span"), { className: "value" });
       caption.append(name, value);
       this.#values.push(value);
@@ -88,32 +70,32 @@ class Strip {
 
   /** The last value of each curve with its sigma. */
   tell(estimate) {
-    const { curves, scale, digits } = this.#spec;
-    curves.forEach(([field], i) => {
-      const [value, sd] = [estimate[field] * scale, estimate.sd?.[field] * scale];
-      const shown = estimate.valid || field === "nis" || field === "observability";
+    const { names, factor, digits } = this.#spec;
+    names.forEach((name, i) => {
+      const [value, sd] = [estimate[name] * factor, estimate.sd?.[name] * factor];
+      const shown = estimate.valid || !ESTIMATE[name].uncertain;
       this.#values[i].textContent = !shown || !Number.isFinite(value) ? "–"
         : number(value, digits) + (Number.isFinite(sd) ? ` ± ${number(sd, sd < 0.1 ? 3 : digits)}` : "");
     });
   }
 
   draw(store) {
-    const { curves, scale } = this.#spec;
+    const { names, factor } = this.#spec;
     const { estimates } = store;
     if (Number.isNaN(estimates.newest)) return;
     this.#newest = estimates.newest;
     const since = estimates.newest - WINDOW_S;
     const x = estimates.times(since, STRIDE);
     const columns = [x];
-    for (const [field] of curves) {
-      const value = estimates.values(field, since, STRIDE, scale);
+    for (const name of names) {
+      const value = estimates.values(name, since, STRIDE, factor);
       columns.push(value);
-      if (!hasBand(field)) continue;
-      const sd = estimates.values(SD + field, since, STRIDE, scale);
+      if (!ESTIMATE[name].uncertain) continue;
+      const sd = estimates.values(SD + name, since, STRIDE, factor);
       columns.push(value.map((v, i) => (v === null || sd[i] === null ? null : v + sd[i])));
       columns.push(value.map((v, i) => (v === null || sd[i] === null ? null : v - sd[i])));
     }
-    for (const [field] of curves) if (hasBand(field)) columns.push(truthOn(x, field, store, scale));
+    for (const name of names) if (ESTIMATE[name].truth) columns.push(truthOn(x, name, store, factor));
     this.#range = this.#extent(columns);
     this.#plot.setData(columns);
   }
@@ -144,19 +126,19 @@ class Strip {
   }
 
   #build() {
-    const { curves } = this.#spec;
+    const curves = this.#spec.names.map((name) => ESTIMATE[name]);
     const points = { show: false };
     const series = [{}];
     const bands = [];
-    for (const [field, label, colour] of curves) {
-      series.push({ label, stroke: () => colours[colour], width: 1.5, points });
-      if (!hasBand(field)) continue;
+    for (const { symbol, uncertain, colour } of curves) {
+      series.push({ label: symbol, stroke: () => colours[colour], width: 1.5, points });
+      if (!uncertain) continue;
       bands.push({ series: [series.length, series.length + 1], fill: () => `${colours[colour]}40` });
       series.push({ points }, { points });
     }
-    for (const [field, label] of curves) {
-      if (!hasBand(field)) continue;
-      series.push({ label: `${label} true`, stroke: () => colours.truth, width: 1.2, dash: [5, 4], points });
+    for (const { symbol, truth } of curves) {
+      if (!truth) continue;
+      series.push({ label: `${symbol} true`, stroke: () => colours.truth, width: 1.2, dash: [5, 4], points });
     }
     const axis = { stroke: () => colours.ink, font: "11px system-ui, sans-serif", ticks: { show: false } };
     const grid = { stroke: () => colours.faint, width: 1 };
@@ -188,13 +170,10 @@ function minus(tick) {
   return String(tick).replace("-", "−");
 }
 
-function hasBand(field) {
-  return field !== "nis" && field !== "observability";
-}
-
-/** The truth of a field at the times `x`; no values where there is no truth. */
-function truthOn(x, field, store, scale) {
-  if (field !== "rho_m") return store.truths.valuesAt(x, field, scale);
-  const { rho_m: rho } = store.get("rig/object");
-  return x.map(() => (rho === undefined ? null : rho * scale));
+/** The truth of a quantity at the times `x`; no values where there is no truth. */
+function truthOn(x, name, store, factor) {
+  const { truth } = ESTIMATE[name];
+  if (truth === "rig/truth") return store.truths.valuesAt(x, name, factor);
+  const constant = store.get(truth)[name];
+  return x.map(() => (constant === undefined ? null : constant * factor));
 }

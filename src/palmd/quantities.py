@@ -1,0 +1,431 @@
+"""One table of what is published: topics, their quantities, and how people are shown them.
+
+Messages, `palmd top`, the live page, reports, exports, the layouts in `config/` and docs/reference/messages.md take
+names, units, symbols and rates from here. Adding a quantity is adding a row, and filling it in where it is built.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from palmd.events import DECIDED
+
+SCHEMA = 1
+
+Kind = Literal["number", "bool", "text", "numbers", "texts", "sds"]
+Role = Literal["plain", "derived", "named"]
+Tab = Literal["state", "trust", "forces", "loop"]
+
+LEAST_STALE_S = 0.5
+STALE_PERIODS = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """How people read a number: its unit, how many of these are one published unit, digits behind the point."""
+
+    unit: str
+    factor: float
+    digits: int
+
+
+_SHOWN = {
+    "m": Shown("mm", 1e3, 2),
+    "rad": Shown("°", math.degrees(1), 1),
+    "rad/s": Shown("°/s", math.degrees(1), 1),
+    "kg": Shown("g", 1e3, 1),
+    "N": Shown("N", 1.0, 2),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Chart:
+    """Quantities that are drawn in one picture, those whose `chart` has this name.
+
+    As a strip of the live page its axis spans at least `span` shown units, from `low` on where that is given; without
+    a span the page has no strip of it.
+    """
+
+    name: str
+    tab: Tab
+    title: str
+    span: float | None = None
+    low: float | None = None
+
+
+CHARTS = (
+    Chart("distance", "state", "Distance of the palms from the centre of mass", 0.5),
+    Chart("rate", "state", "Angular rate of the object", 10.0),
+    Chart("contact", "state", "Contacts, from the hinge", 2.0),
+    Chart("gyration", "state", "Radius of gyration", 1.0),
+    Chart("angles", "state", "Palm angles", 4.0),
+    Chart("rates", "state", "Palm rates", 4.0),
+    Chart("turn", "state", "Turn of the object"),
+    Chart("nis", "trust", "Normalised innovation squared: 1 when readings and model agree", 1.0, 0.0),
+    Chart("observability", "trust", "Observability: above 1 when the last second alone tells all", 1.0, 0.0),
+    Chart("touched", "trust", "Touched, valid"),
+    Chart("object", "trust", "Number of the object"),
+    Chart("force", "forces", "Normal force"),
+    Chart("mass", "forces", "Mass"),
+    Chart("friction", "forces", "Friction"),
+    Chart("pressure", "forces", "Pressure of the pads, counts"),
+    Chart("lateness", "loop", "Lateness"),
+    Chart("work", "loop", "Work"),
+    Chart("age", "loop", "Age of the readings"),
+    Chart("missed", "loop", "Ticks skipped, readings dropped"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """One published field; a name that ends in `*` stands for every name so begun.
+
+    unit: as published, empty for what has none. role: `derived` has a one-sigma in the message's `sd`, `named` must
+    besides be finite, one-sigma included, in an estimate that says `valid`. chart: name of the `Chart` it is drawn in.
+    source: the attribute of what it is taken from, SI. glance: whether it is among the few that are shown at a glance.
+    palm: 1 or 2 for what belongs to one palm. digits: where its unit's are not enough or too many.
+    """
+
+    name: str
+    kind: Kind
+    unit: str
+    meaning: str
+    symbol: str = ""
+    chart: str = ""
+    role: Role = "plain"
+    source: str = ""
+    glance: bool = False
+    palm: Literal[0, 1, 2] = 0
+    digits: int | None = None
+
+    @property
+    def uncertain(self) -> bool:
+        """Whether it has a one-sigma."""
+        return self.role != "plain"
+
+    @property
+    def shown(self) -> Shown:
+        """How people read it."""
+        shown = _SHOWN.get(self.unit, Shown(self.unit, 1.0, 3))
+        return shown if self.digits is None else replace(shown, digits=self.digits)
+
+    @property
+    def label(self) -> str:
+        """Symbol and unit shown, as an axis has them."""
+        return f"{self.symbol} ({self.shown.unit})" if self.shown.unit else self.symbol
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """One topic: how often it comes, and its quantities beyond those of `STAMP`.
+
+    rate_hz: at the default rate of the loop where it is every tick; 0 for what has no rate. when: what the rate leaves
+    unsaid.
+    """
+
+    name: str
+    rate_hz: float
+    when: str
+    quantities: tuple[Quantity, ...]
+
+    @property
+    def frame(self) -> bytes:
+        """The first frame of its messages."""
+        return self.name.encode()
+
+    @property
+    def rate(self) -> str:
+        """How often it comes, in words."""
+        return ", ".join(filter(None, (f"{self.rate_hz:g} Hz" if self.rate_hz else "", self.when)))
+
+    @property
+    def stale_s(self) -> float:
+        """How old (s) its last message may be before people are told; infinite without a rate."""
+        return max(LEAST_STALE_S, STALE_PERIODS / self.rate_hz) if self.rate_hz else math.inf
+
+    def __getitem__(self, name: str) -> Quantity:
+        """The quantity of that name; raises KeyError."""
+        for quantity in self.quantities:
+            if quantity.name == name:
+                return quantity
+        raise KeyError(f"{self.name} has no {name}")
+
+
+def drawn(topic: Topic, *, tab: Tab | None = None, chart: str | None = None) -> Iterator[Quantity]:
+    """The quantities of a topic that are drawn, chart by chart: all, those of a tab, or those of a chart."""
+    for each in CHARTS:
+        if tab in (None, each.tab) and chart in (None, each.name):
+            yield from (quantity for quantity in topic.quantities if quantity.chart == each.name)
+
+
+STAMP = (
+    Quantity("v", "number", "", "schema version"),
+    Quantity("timestamp", "number", "s", "Unix time when it was sent"),
+    Quantity("mono_ns", "number", "ns", "CLOCK_MONOTONIC of the tick that the values hold for"),
+    Quantity("seq", "number", "", "counts up by one with every message of the topic"),
+)
+
+ESTIMATE = Topic(
+    "palm/estimate",
+    100.0,
+    "every tick",
+    (
+        Quantity("valid", "bool", "", "whether to trust it: settled, consistent, finite", "valid", "touched",
+                 source="valid"),
+        Quantity("observer", "text", "", "which observer it comes from", source="observer"),
+        Quantity("object", "number", "", "counts up when a new object is begun", "object", "object",
+                 source="object_count"),
+        Quantity("r1_m", "number", "m", "distance of palm 1 from the centre of mass",
+                 "r₁", "distance", "named", "r1", glance=True, palm=1),
+        Quantity("r2_m", "number", "m", "distance of palm 2 from the centre of mass",
+                 "r₂", "distance", "named", "r2", glance=True, palm=2),
+        Quantity("omega0_rad_s", "number", "rad/s", "angular rate of the object",
+                 "ω₀", "rate", "named", "omega0", glance=True),
+        Quantity("s1_m", "number", "m", "contact on palm 1, from the hinge",
+                 "s₁", "contact", "named", "s1", glance=True, palm=1),
+        Quantity("s2_m", "number", "m", "contact on palm 2, from the hinge",
+                 "s₂", "contact", "named", "s2", glance=True, palm=2),
+        Quantity("phi1_rad", "number", "rad", "palm 1 from the world X axis",
+                 "φ₁", "angles", "named", "phi1", palm=1),
+        Quantity("omega1_rad_s", "number", "rad/s", "rate of phi1", "ω₁", "rates", "named", "omega1", palm=1),
+        Quantity("phi2_rad", "number", "rad", "palm 2 from palm 1", "φ₂", "angles", "named", "phi2", palm=2),
+        Quantity("omega2_rad_s", "number", "rad/s", "rate of phi2", "ω₂", "rates", "named", "omega2", palm=2),
+        Quantity("rho_m", "number", "m", "radius of gyration", "ρ", "gyration", "named", "rho", glance=True),
+        Quantity("psi_rad", "number", "rad",
+                 "turn of the object since the first fused measurement, or from a stored outline",
+                 "ψ", "turn", "named", "psi", glance=True),
+        Quantity("v1_m", "number", "m", "radius of curvature of the outline at contact 1",
+                 "v₁", "", "derived", "v1", palm=1),
+        Quantity("v2_m", "number", "m", "radius of curvature of the outline at contact 2",
+                 "v₂", "", "derived", "v2", palm=2),
+        Quantity("mu", "number", "", "friction", "μ", "friction", "derived", "mu", glance=True),
+        Quantity("mass_kg", "number", "kg", "mass of the object", "m", "mass", "derived", "mass", glance=True),
+        Quantity("f1_n", "number", "N", "normal force of contact 1", "f₁", "force", "derived", "f1", glance=True,
+                 palm=1),
+        Quantity("f2_n", "number", "N", "normal force of contact 2", "f₂", "force", "derived", "f2", glance=True,
+                 palm=2),
+        Quantity("com_x_m", "number", "m", "centre of mass, world frame", "x", "", "derived", "com_x"),
+        Quantity("com_y_m", "number", "m", "centre of mass, world frame", "y", "", "derived", "com_y", glance=True),
+        Quantity("sd", "sds", "", "one-sigma of each field that it names, in that field's unit"),
+        Quantity("nis", "number", "", "normalised innovation squared, running mean", "NIS", "nis", source="nis",
+                 digits=2),
+        Quantity("observability", "number", "", "smallest singular value, scaled", "observability", "observability",
+                 source="observability", digits=2),
+        Quantity("touched", "number", "", "fraction of normals that have been in contact", "touched", "touched",
+                 source="touched"),
+        Quantity("e_f_m", "number", "m", "error of balance (3.36), of the quasistatic observer", source="e_f"),
+        Quantity("e_c_m", "number", "m", "error of contact (3.37), of the quasistatic observer", source="e_c"),
+    ),
+)  # fmt: skip
+SHAPE = Topic(
+    "palm/shape",
+    10.0,
+    "at most",
+    (
+        Quantity("theta_rad", "numbers", "rad", "direction of the outward normal in the object's frame"),
+        Quantity("h_m", "numbers", "m", "support function about the centre of mass"),
+        Quantity("h_sd_m", "numbers", "m", "one-sigma of h"),
+        Quantity("touched", "numbers", "", "1 where a palm has been in contact, else 0"),
+    ),
+)
+OBJECT = Topic(
+    "palm/object",
+    10.0,
+    "at most, only with stored outlines",
+    (
+        Quantity("names", "texts", "", "of the stored outlines"),
+        Quantity("probability", "numbers", "", "that it is the object of that name, one for each"),
+        Quantity("none", "number", "", "probability that it is none of them"),
+        Quantity("best", "text", "", f"the name whose probability is at least {DECIDED:g}, empty when none is"),
+        Quantity("object", "number", "", "as in palm/estimate"),
+    ),
+)
+CONTACT = Topic(
+    "palm/contact",
+    100.0,
+    "every tick",
+    (
+        Quantity("s1_m", "number", "m", "last reading of pad 1, from the hinge; none while untouched",
+                 chart="contact", palm=1),
+        Quantity("s2_m", "number", "m", "last reading of pad 2, from the hinge; none while untouched",
+                 chart="contact", palm=2),
+        Quantity("pressure1", "number", "", "last pressure of pad 1, counts", chart="pressure", palm=1),
+        Quantity("pressure2", "number", "", "last pressure of pad 2, counts", chart="pressure", palm=2),
+        Quantity("age1_ms", "number", "ms", "age of pad 1's last packet", "pad 1", "age", palm=1, digits=0),
+        Quantity("age2_ms", "number", "ms", "age of pad 2's last packet", "pad 2", "age", palm=2, digits=0),
+        Quantity("arm_age_ms", "number", "ms", "age of the arm's last report", "arm", "age", digits=0),
+        Quantity("touch1", "bool", "", "whether pad 1 is touched"),
+        Quantity("touch2", "bool", "", "whether pad 2 is touched"),
+        Quantity("batch1", "bool", "", "whether pad 1's last packet came with others in one read"),
+        Quantity("batch2", "bool", "", "whether pad 2's last packet came with others in one read"),
+    ),
+)  # fmt: skip
+MOTION = Topic(
+    "palm/motion",
+    100.0,
+    "every tick",
+    (
+        Quantity("phi1_cmd_rad", "number", "rad", "commanded; none unless tracking", "φ₁", "angles", palm=1, digits=2),
+        Quantity("phi2_cmd_rad", "number", "rad", "commanded; none unless tracking", "φ₂", "angles", palm=2, digits=2),
+        Quantity("phi1_rad", "number", "rad", "actual, from the arm's last report", "φ₁", palm=1, digits=2),
+        Quantity("phi2_rad", "number", "rad", "actual, from the arm's last report", "φ₂", palm=2, digits=2),
+        Quantity("plan", "text", "", "name of the plan, empty without one"),
+        Quantity("segment", "number", "", "number of the plan's segment from 0; -1 when no plan is being run"),
+        Quantity("progress", "number", "",
+                 "of the plan, 0 to 1; of the round when it runs forever, of touching when it explores"),
+        Quantity("arm_state", "text", "", "the controller's state letter, empty while unknown"),
+    ),
+)  # fmt: skip
+STATE = Topic(
+    "palm/state",
+    10.0,
+    "and on change",
+    (
+        Quantity("state", "text", "", "idle, ready, tracking, hold or fault"),
+        Quantity("faults", "texts", "", "codes of the faults that stand, latched ones included"),
+        Quantity("severities", "texts", "", "note, degrade, hold or stop, one for each fault"),
+        Quantity("hints", "texts", "", "what to do, one for each fault"),
+    ),
+)
+LOOP = Topic(
+    "palm/loop",
+    1.0,
+    "",
+    (
+        Quantity("ticks", "number", "", "ticks since the start"),
+        Quantity("overruns", "number", "", "ticks skipped since the start because another one took too long",
+                 chart="missed"),
+        *(
+            Quantity(f"{what}_{part}_ms", "number", "ms", f"{meaning}, {words} of the last second", part, what,
+                     digits=2)
+            for what, meaning in (("lateness", "how late a tick began"), ("work", "how long a tick took"))
+            for part, words in (("p50", "median"), ("p99", "99th percentile"), ("max", "largest"))
+        ),
+        Quantity("lateness_ms", "numbers", "ms", "how late each tick of the last second began, in their order"),
+        *(
+            Quantity(f"{port}_*", "number", "", f"what has passed on the {port} port since the start, by cause")
+            for port in ("pad1", "pad2", "arm")
+        ),
+        Quantity("bus_*", "number", "", "what has passed on the bus since the start"),
+        Quantity("lag_ms", "number", "ms", "by how much the arm follows its set-points, estimated"),
+        Quantity("late_dropped", "number", "", "samples too late for the observer since the start", chart="missed"),
+        Quantity("smoother_*", "number", "",
+                 "since the start: improvements taken in, starts of its process, readings lost"),
+        Quantity("explorer_*", "number", "",
+                 "since the start: starts of its process, decisions that came too late"),
+        Quantity("rss_mb", "number", "MB", "resident memory", digits=0),
+        Quantity("backend", "text", "", "what runs the models: c, vm or numpy"),
+    ),
+)  # fmt: skip
+INFO = Topic(
+    "palm/info",
+    1.0,
+    "",
+    (
+        Quantity("version", "text", "", "of palmd"),
+        Quantity("schema", "number", "", "of these messages"),
+        Quantity("config_hash", "text", "", "sha256 of the effective configuration"),
+        Quantity("observer", "text", "", "the observer that runs"),
+        Quantity("rate_hz", "number", "Hz", "of the ticks"),
+        Quantity("units", "text", "", "where the units are"),
+        Quantity("hinge", "text", "", "what joins the palms: arc or fixed"),
+        Quantity("gravity_m_s2", "number", "m/s²", "in the plane of the palms"),
+        Quantity("base_m", "numbers", "m", "far end of palm 1, where an arc hinge is fixed: x and y, world frame"),
+        *(Quantity(f"palm{i}_length_m", "number", "m", f"palm {i}, from the hinge to its far end") for i in (1, 2)),
+        *(Quantity(f"pad{i}_length_m", "number", "m", f"pad {i}, from the hinge on") for i in (1, 2)),
+        *(Quantity(f"phi{i}_limits_rad", "numbers", "rad", f"least and largest phi{i}") for i in (1, 2)),
+        Quantity("rate_limit_rad_s", "number", "rad/s", "of each palm angle"),
+        Quantity("acceleration_limit_rad_s2", "number", "rad/s²", "of each palm angle"),
+    ),
+)
+TICK = Quantity("t_tick_s", "number", "s", "the tick's time, CLOCK_MONOTONIC, to the last bit")
+EVENTS = Topic(
+    "palm/events",
+    100.0,
+    "every tick",
+    (
+        TICK,
+        Quantity(
+            "source",
+            "numbers",
+            "",
+            "of each event that the observer was fed, in this order: 1 or 2 a reading of that pad, -1 or -2 the end "
+            "of its contact, 0 the palms",
+        ),
+        Quantity("t_sample_s", "numbers", "s", "when it was true, CLOCK_MONOTONIC"),
+        Quantity("s_m", "numbers", "m", "of a reading: contact, from the hinge"),
+        Quantity("force_n", "numbers", "N", "of a reading: normal force"),
+        *(Quantity(f"phi{i}_rad", "numbers", "rad", f"of the palms: phi{i} as measured") for i in (1, 2)),
+        *(Quantity(f"omega{i}_rad_s", "numbers", "rad/s", f"of the palms: rate of phi{i}, planned") for i in (1, 2)),
+        *(
+            Quantity(f"alpha{i}_rad_s2", "numbers", "rad/s²", f"of the palms: acceleration of phi{i}, planned")
+            for i in (1, 2)
+        ),
+    ),
+)
+IMPROVEMENT = Topic(
+    "palm/improvement",
+    0.0,
+    "when the smoother beside the loop has answered",
+    (
+        TICK,
+        Quantity("t_s", "number", "s", "what instant the answer is about, CLOCK_MONOTONIC"),
+        Quantity("x", "numbers", "SI", "mean of the shape map's state"),
+        Quantity("covariance", "numbers", "SI", "of that state, row after row"),
+        Quantity("frame", "number", "", "another when the outline has another gauge than in the answer before"),
+        Quantity("established", "bool", "", "whether it has proved true for so long that no rival is kept"),
+        Quantity("touched", "numbers", "", "0 or 1 for each of 72 bins of outward normals, the first beginning at 0"),
+    ),
+)
+TOPICS: tuple[Topic, ...] = (ESTIMATE, SHAPE, OBJECT, CONTACT, MOTION, STATE, LOOP, INFO, EVENTS, IMPROVEMENT)
+"""What the daemon publishes."""
+
+TRUTH = Topic(
+    "rig/truth",
+    100.0,
+    "",
+    (
+        *(
+            replace(ESTIMATE[name], chart="", role="plain", source="", glance=False)
+            for name in ("psi_rad", "omega0_rad_s", "r1_m", "r2_m", "s1_m", "s2_m", "phi1_rad", "phi2_rad",
+                         "omega1_rad_s", "omega2_rad_s", "com_x_m", "com_y_m", "f1_n", "f2_n")
+        ),
+        *(Quantity(f"contact{i}", "bool", "", f"whether the object touches palm {i}") for i in (1, 2)),
+        Quantity("object", "number", "", "counts up when another object is put on the palms"),
+        Quantity("arm_state", "text", "", "the controller's state letter"),
+    ),
+)  # fmt: skip
+BODY = Topic(
+    "rig/object",
+    1.0,
+    "",
+    (
+        Quantity("object", "number", "", "as in rig/truth"),
+        Quantity("kind", "text", "", "what kind of object was drawn"),
+        Quantity("shape", "text", "", "what the outline is made of"),
+        Quantity("theta_rad", "numbers", "rad", "direction of the outward normal in a frame that turns by psi_rad"),
+        Quantity("h_m", "numbers", "m", "support function about the centre of mass"),
+        *(
+            replace(ESTIMATE[name], chart="", role="plain", source="", glance=False)
+            for name in ("rho_m", "mass_kg", "mu")
+        ),
+        Quantity("dither_m_s", "number", "m/s", "dither speed u_d of the friction law"),
+        Quantity("damping_m2_s", "number", "m²/s", "damping of its turning, per unit mass"),
+    ),
+)
+RIG_TOPICS: tuple[Topic, ...] = (TRUTH, BODY)
+"""What an emulated rig publishes besides: what is really there."""
+
+
+def truth_of(quantity: Quantity) -> Topic | None:
+    """Which of the emulated rig's topics tells the truth of an estimated quantity, None where neither does."""
+    for topic in RIG_TOPICS:
+        if quantity.uncertain and any(each.name == quantity.name for each in topic.quantities):
+            return topic
+    return None
+
+
+UNITS = "SI; each name ends in its unit: _m _rad _rad_s _kg _n _s _ms _ns _hz _mb"

@@ -1,0 +1,76 @@
+"""The table of quantities: whole, and true of what is built from it."""
+
+import dataclasses
+import math
+
+import pytest
+
+from palmd.events import Estimate
+from palmd.quantities import (
+    BODY,
+    CHARTS,
+    ESTIMATE,
+    IMPROVEMENT,
+    LOOP,
+    RIG_TOPICS,
+    STAMP,
+    STATE,
+    TOPICS,
+    TRUTH,
+    drawn,
+    truth_of,
+)
+from palmd.rig.world import World, default_config
+
+SUFFIXES = {"m": "_m", "rad": "_rad", "rad/s": "_rad_s", "rad/s²": "_rad_s2", "kg": "_kg", "N": "_n", "s": "_s",
+    "ms": "_ms", "ns": "_ns", "Hz": "_hz", "MB": "_mb", "m/s": "_m_s", "m/s²": "_m_s2", "m²/s": "_m2_s"}  # fmt: skip
+EVERYTHING = [(topic, quantity) for topic in (*TOPICS, *RIG_TOPICS) for quantity in topic.quantities]
+
+
+@pytest.mark.parametrize(("topic", "quantity"), EVERYTHING, ids=lambda each: each.name)
+def test_a_name_ends_in_its_unit(topic, quantity):
+    if quantity.unit and quantity.unit != "SI" and quantity.name != "timestamp":
+        assert quantity.name.endswith(SUFFIXES[quantity.unit])
+
+
+def test_names_are_said_once_a_topic():
+    for topic in (*TOPICS, *RIG_TOPICS):
+        names = [quantity.name for quantity in (*STAMP, *topic.quantities)]
+        assert len(set(names)) == len(names), topic.name
+
+
+def test_what_is_drawn_is_drawn_somewhere():
+    known = {chart.name for chart in CHARTS}
+    assert {quantity.chart for _, quantity in EVERYTHING} - {""} == known
+    for chart in CHARTS:
+        found = [(topic, quantity) for topic, quantity in EVERYTHING if quantity.chart == chart.name]
+        assert len({quantity.unit for _, quantity in found}) == 1, chart.name
+        if chart.span is not None:
+            assert list(drawn(ESTIMATE, chart=chart.name)), f"{chart.name} is a strip of nothing"
+
+
+def test_an_estimate_has_what_is_taken_from_it():
+    known = {field.name for field in dataclasses.fields(Estimate)} - {"t", "sd"}
+    assert {quantity.source for quantity in ESTIMATE.quantities} - {""} == known
+
+
+def test_what_is_uncertain_can_be_written_down():
+    uncertain = [quantity for quantity in ESTIMATE.quantities if quantity.uncertain]
+    assert len({quantity.symbol for quantity in uncertain} - {""}) == len(uncertain)
+    assert ESTIMATE["r1_m"].label == "r₁ (mm)"
+    assert ESTIMATE["mu"].label == "μ"
+    with pytest.raises(KeyError, match="palm/estimate has no r3_m"):
+        ESTIMATE["r3_m"]
+
+
+def test_how_old_a_topic_may_be_follows_from_its_rate():
+    assert (ESTIMATE.stale_s, STATE.stale_s, LOOP.stale_s, IMPROVEMENT.stale_s) == (0.5, 0.5, 3.0, math.inf)
+    assert (ESTIMATE.rate, STATE.rate, LOOP.rate) == ("100 Hz, every tick", "10 Hz, and on change", "1 Hz")
+
+
+def test_the_rig_tells_what_its_topics_say():
+    world = World(default_config(), 1)
+    assert set(world.truth()) == {quantity.name for quantity in TRUTH.quantities}
+    assert set(world.object_truth()) == {quantity.name for quantity in BODY.quantities}
+    told = [truth_of(ESTIMATE[name]) for name in ("r1_m", "rho_m", "v1_m", "touched")]
+    assert told == [TRUTH, BODY, None, None]

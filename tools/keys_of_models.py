@@ -1,0 +1,148 @@
+"""Pages on the keys of configurations and plans, made from their models and the texts below each key in config.py."""
+
+from __future__ import annotations
+
+import ast
+import json
+import types
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin
+
+import annotated_types as at
+from pydantic import AfterValidator, PlainValidator
+from pydantic.fields import FieldInfo
+
+from palmd import config
+from palmd.config import Strict
+
+UNITS = {
+    "counts_per_mm": "counts/mm", "newtons_per_count": "N/count", "_m_s2": "m/s²", "_deg_s2": "°/s²", "_deg_s": "°/s",
+    "_deg": "°", "_mm": "mm", "_hz": "Hz", "_s": "s", "baud": "bit/s",
+}  # fmt: skip
+BOUNDS = ((at.Gt, "gt", ">"), (at.Ge, "ge", "≥"), (at.Lt, "lt", "<"), (at.Le, "le", "≤"))
+
+
+class Key(NamedTuple):
+    """One key as a row: path, unit, default, what is allowed, meaning."""
+
+    path: str
+    unit: str
+    default: str
+    allowed: str
+    meaning: str
+
+
+def _texts() -> dict[tuple[str, str], str]:
+    """By class and key: the text below the key."""
+    found = {}
+    for node in ast.parse(Path(config.__file__).read_text()).body:
+        if isinstance(node, ast.ClassDef):
+            for key, text in zip(node.body, node.body[1:], strict=False):
+                if isinstance(key, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(key.target, ast.Name):
+                    found[node.name, key.target.id] = ast.literal_eval(text.value)
+    return found
+
+
+TEXTS = _texts()
+
+
+def keys(model: type[Strict], path: str = "") -> Iterator[Key]:
+    """Every key of a model and of the models in it, models of one kind once; KeyError where a text is missing."""
+    alike: dict[type[Strict] | None, list[str]] = {}
+    for name, field in model.model_fields.items():
+        alike.setdefault(model_in(field.annotation), []).append(name)
+    for name, field in model.model_fields.items():
+        inner = model_in(field.annotation)
+        if inner is not None:
+            if name == alike[inner][0]:
+                yield from keys(inner, f"{path}{', '.join(alike[inner])}.")
+        else:
+            unit = next((unit for end, unit in UNITS.items() if name.endswith(end)), "")
+            yield Key(path + name, unit, _default(field), _allowed(field), _text(model, name))
+
+
+def _text(model: type[Strict], name: str) -> str:
+    """Of the class that has the key, which may be one that the model is built on."""
+    own = next(each for each in model.__mro__ if name in vars(each).get("__annotations__", {}))
+    return TEXTS[own.__name__, name]
+
+
+def model_in(kind: Any) -> type[Strict] | None:
+    """The model that a type is, or may be."""
+    for each in (kind, *get_args(kind)):
+        if isinstance(each, type) and issubclass(each, Strict):
+            return each
+    return None
+
+
+def _default(field: FieldInfo) -> str:
+    if field.is_required():
+        return "needed"
+    if field.default is None:
+        return "–"
+    return json.dumps(field.default) if isinstance(field.default, bool | tuple) else str(field.default)
+
+
+def _allowed(field: FieldInfo) -> str:
+    return " and ".join(dict.fromkeys(_rules(field.annotation, field.metadata)))
+
+
+def _rules(kind: Any, metadata: Sequence[Any]) -> Iterator[str]:
+    """What is allowed, from the type and from what it is annotated with."""
+    for each in metadata:
+        if isinstance(each, AfterValidator | PlainValidator):
+            yield (each.func.__doc__ or "").rstrip(".").partition(", relative")[0]
+        yield from (f"{sign} {getattr(each, name):g}" for bound, name, sign in BOUNDS if isinstance(each, bound))
+        yield from _rules(None, [inner for inner in getattr(each, "metadata", ()) if inner is not each])
+    if any(isinstance(each, PlainValidator) for each in metadata):
+        return  # it alone says what is allowed
+    origin, arguments = get_origin(kind), get_args(kind)
+    if origin is Annotated:
+        yield from _rules(arguments[0], arguments[1:])
+    elif origin is Literal:
+        yield ", ".join(map(str, arguments))
+    elif origin in (Union, types.UnionType):
+        for each in arguments:
+            yield from _rules(each, ())
+    elif origin is tuple and any(_rules(arguments[0], ())):
+        yield f"each {'; '.join(_rules(arguments[0], ()))}"
+    elif kind is bool:
+        yield "true, false"
+
+
+# --------------------------------------------------------------------------------------------------- pages
+
+HEAD = ("key", "unit", "default", "allowed", "meaning")
+
+
+def rows(found: Iterable[Key]) -> list[tuple[str, ...]]:
+    return [(f"`{key.path}`", key.unit, f"`{key.default}`", key.allowed, key.meaning) for key in found]
+
+
+CONFIGURATION = """\
+# Configuration
+
+One YAML file says what the rig is; `config/palmd.yaml` is one to copy. Keys not named here are refused, and so is a
+value outside what is allowed: `palmd check FILE` says so with file, line and column, all errors at once. *needed*
+stands where there is no default. A path is relative to the folder of the file it stands in.
+"""
+PLANS = """\
+# Motion plans
+
+A plan is a YAML file with `segments`; `config/plans/` has some. The palms go through the segments one after the other.
+
+```yaml
+name: rock
+repeat: 3
+segments:
+  - {move: {phi1_deg: 45, phi2_deg: 90}, duration_s: 2.0}
+  - {rate: {phi1_deg_s: 20, phi2_deg_s: 0}, until: {phi1_deg: 55}}
+  - {hold_s: 1.0}
+  - {sine: {phi1_deg: 18, phi2_deg: 8}, frequency_hz: [0.4, 0.31], duration_s: 20}
+```
+
+Segments are joined by blends within the acceleration limit, so that angles and rates are always continuous. A plan
+that leaves the limits, the workspace or the pads, that opens the palms to φ1 + φ2 ≥ 172°, or whose blends the limits
+leave no room for, is refused before anything moves, with the place in the file: `palmd check CONFIG PLAN`.
+"""
