@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import ipaddress
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -28,7 +29,7 @@ from pydantic import (
     field_validator,
 )
 
-from palmd.events import RigDescription
+from palmd.events import Calibration, RigDescription
 
 BAUDS = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)
 SEGMENT_KINDS = ("move", "rate", "hold_s", "sine", "explore")
@@ -122,6 +123,7 @@ def _ipv4(host: str | None) -> ipaddress.IPv4Address | None:
 
 
 Positive = Annotated[FiniteFloat, Field(gt=0)]
+NotNegative = Annotated[FiniteFloat, Field(ge=0)]
 Baud = Annotated[int, _one_of(*BAUDS)]
 PortPath = Annotated[str, Field(min_length=1)]
 Pair = Annotated[tuple[FiniteFloat, FiniteFloat], Field(strict=False)]  # a YAML list is not a tuple
@@ -161,6 +163,10 @@ class RigConfig(Strict):
     """From the hinge between the palms to B."""
     palm2_length_mm: Annotated[FiniteFloat, Field(gt=0, le=2000)] = 120.0
     """From the hinge between the palms to where the arm holds palm 2."""
+    angle_sd_deg: Annotated[NotNegative, Field(le=10)] = 0.1
+    """How well the palms' angles are known, one sigma; this and the other `_sd` are as calibration leaves a rig."""
+    gravity_sd_deg: Annotated[NotNegative, Field(le=10)] = 0.2
+    """How well gravity's direction is known, one sigma."""
 
 
 class PressureConfig(Strict):
@@ -195,6 +201,16 @@ class PadBase(Strict):
     """How far from the hinge the pad reaches."""
     noise_mm: Annotated[FiniteFloat, Field(gt=0, le=5)] = 0.1
     """One sigma of a position, its rounding not counted."""
+    zero_sd_mm: Annotated[NotNegative, Field(le=10)] = 0.1
+    """How well the zero is known, one sigma."""
+    scale_sd: Annotated[NotNegative, Field(le=0.2)] = 0.003
+    """How well the scale is known, one sigma, as a share of it."""
+    standoff_sd_mm: Annotated[NotNegative, Field(le=10)] = 0.2
+    """By how much the pad's surface may lie off the hinge line, one sigma; no motion tells it."""
+    sagitta_sd_mm: Annotated[NotNegative, Field(le=5)] = 0.03
+    """By how much the pad's middle may be higher than its ends, one sigma."""
+    lag_sd_ms: Annotated[NotNegative, Field(le=100)] = 2.0
+    """How well the time of a reading is known, one sigma."""
 
 
 class VersaPadConfig(PadBase):
@@ -389,6 +405,15 @@ def rig_description(config: Config) -> RigDescription:
         pad_resolution=1e-3 / min(pad.counts_per_mm for pad in pads),
         force_resolution=max(pad.newtons_per_count for pad in pads),
         force_gain_std=PRESSURE_GAIN_STD,
+        calibration=Calibration(
+            zero=max(pad.zero_sd_mm for pad in pads) * 1e-3,
+            scale=max(pad.scale_sd for pad in pads),
+            angle=math.radians(config.rig.angle_sd_deg),
+            standoff=max(pad.standoff_sd_mm for pad in pads) * 1e-3,
+            lag=max(pad.lag_sd_ms for pad in pads) * 1e-3,
+            gravity=math.radians(config.rig.gravity_sd_deg),
+            sagitta=max(pad.sagitta_sd_mm for pad in pads) * 1e-3,
+        ),
     )
 
 

@@ -72,6 +72,28 @@ class PalmMotion:
 
 
 @dataclass(frozen=True, slots=True)
+class Calibration:
+    """One-sigma of what each of the rig's constants is off by: of each pad, of each palm's angle, of gravity; SI units.
+
+    `zero` and `scale` of the readings, `standoff` of the pad's surface from the hinge line, `sagitta` of its bow, `lag`
+    of its time stamps, `angle` of φ1 and φ2, `gravity` of its direction. The defaults are those of a rig after
+    docs/calibration.md.
+    """
+
+    zero: float = 1e-4
+    scale: float = 3e-3
+    angle: float = math.radians(0.1)
+    standoff: float = 2e-4
+    lag: float = 2e-3
+    gravity: float = math.radians(0.2)
+    sagitta: float = 3e-5
+
+
+PERFECT = Calibration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+"""Of a rig that is exactly as described."""
+
+
+@dataclass(frozen=True, slots=True)
 class RigDescription:
     """What an observer must know of the rig: gravity, hinge, and how good the sensors are (SI units)."""
 
@@ -86,6 +108,7 @@ class RigDescription:
     force_scale_std: float = 0.05  # relative, of each reading by itself
     force_gain_std: float = 0.0  # relative, of all of a pad's readings together; it may drift
     force_resolution: float = 0.02
+    calibration: Calibration = PERFECT
 
     @property
     def reading_variance(self) -> float:
@@ -154,10 +177,12 @@ class ShapeEstimate:
 
 @dataclass(frozen=True, slots=True)
 class Improvement:
-    """A smoother's belief about the shape map's state at time `t` (s): mean x and covariance P.
+    """A smoother's belief about the shape map's state at time `t` (s): mean x, and covariance P were `rig` right.
 
-    The outline has the smoother's harmonics. `frame` is another when it has another gauge than before. `established`:
-    what was found has proved true for so long that no rival needs to be kept. touched: (72,) as in `Outlook`.
+    rig: (12,) the rig's constants as in `model.smoothing.R`; what is not known of them adds spread·spreadᵀ to P, with
+    spread (n, 12). The outline has the smoother's harmonics. `frame` is another when it has another gauge than before.
+    `established`: what was found has proved true for so long that no rival needs to be kept. touched: (72,) as in
+    `Outlook`.
     """
 
     t: float
@@ -166,6 +191,8 @@ class Improvement:
     frame: int
     established: bool
     touched: npt.NDArray[np.bool_]
+    rig: FloatArray
+    spread: FloatArray
 
 
 DECIDED = 0.95

@@ -131,6 +131,8 @@ def improvement_fields(t_tick: float, answer: Improvement) -> Fields:
         "frame": answer.frame,
         "established": answer.established,
         "touched": answer.touched.astype(int).tolist(),
+        "rig": answer.rig.tolist(),
+        "spread": answer.spread.ravel().tolist(),
     }
 
 

@@ -374,10 +374,12 @@ IMPROVEMENT = Topic(
         TICK,
         Quantity("t_s", "number", "s", "what instant the answer is about, CLOCK_MONOTONIC"),
         Quantity("x", "numbers", "SI", "mean of the shape map's state"),
-        Quantity("covariance", "numbers", "SI", "of that state, row after row"),
+        Quantity("covariance", "numbers", "SI", "of that state, were `rig` right, row after row"),
         Quantity("frame", "number", "", "another when the outline has another gauge than in the answer before"),
         Quantity("established", "bool", "", "whether it has proved true for so long that no rival is kept"),
         Quantity("touched", "numbers", "", "0 or 1 for each of 72 bins of outward normals, the first beginning at 0"),
+        Quantity("rig", "numbers", "SI", "what the rig's constants are off by, in the order of a result's `rig`"),
+        Quantity("spread", "numbers", "SI", "the covariance is larger by spread·spreadᵀ, since `rig` is not sure"),
     ),
 )
 TOPICS: tuple[Topic, ...] = (ESTIMATE, SHAPE, OBJECT, CONTACT, MOTION, STATE, LOOP, INFO, EVENTS, IMPROVEMENT)

@@ -10,8 +10,9 @@ import math
 import numpy as np
 
 ORDER = 12
-# ln ρ, μ, ln u_d, c, ln m, coefficients of h, and maybe more: the smoother's order
-LN_RHO, DRAG, SATURATION, DAMPING, LN_MASS, SHAPE = range(6)
+# ln ρ, B, w, c, ln m, the rig's constants, coefficients of h, and maybe more: the smoother's order
+LN_RHO, DRAG, SATURATION, DAMPING, LN_MASS, RIG = range(6)
+SHAPE = RIG + 12
 CONSTANTS = SHAPE + 2 * ORDER + 1
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bodies import CONSTANTS, DRAG, LN_MASS, LN_RHO, ORDER, SATURATION, SHAPE, Bodies
+from bodies import CONSTANTS, DRAG, LN_MASS, LN_RHO, ORDER, RIG, SATURATION, SHAPE, Bodies
 from scipy.interpolate import CubicHermiteSpline
 
 from palmd.model.shape import basis, coefficients_of, tangential_basis
@@ -73,7 +73,7 @@ def test_the_bound_is_that_of_single_shooting(kind: str, seed: int, tmp_path: Pa
 
     p = np.zeros(SPIN + 1)
     dither = truth.dither or math.exp(prior.mean[SATURATION])
-    p[:SHAPE] = math.log(truth.rho), truth.mu / dither, dither**-2.0, truth.damping, math.log(truth.mass)
+    p[:RIG] = math.log(truth.rho), truth.mu / dither, dither**-2.0, truth.damping, math.log(truth.mass)
     p[SHAPE:SPIN] = coefficients_of(truth.h, ORDER)
     p[SPIN] = spline(stretch.start, 1)
     step = 1e-4 * np.append(prior.scale, prior.omega0_sd)

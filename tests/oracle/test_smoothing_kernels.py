@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import bodies
 import casadi as ca
 import numpy as np
 import pytest
 from bodies import CONSTANTS, DAMPING, DRAG, LN_MASS, LN_RHO, ORDER, SATURATION, SHAPE, Bodies
 from scipy.interpolate import CubicHermiteSpline
+from scipy.optimize import root
 
 from palmd.model import smoothing
 from palmd.model.shape import prior_sd
 
-RIG = [9.81, 0.12, 0.12, 0.0]
+RIG = [9.81, 0.12, 0.12, 0.0, 0.0555]  # and the pads' length
+LENGTH = RIG[-1]
 PALMS = np.array([0.7, 1.5, 0.4, -0.3, 1.0, -2.0])
 JERK = np.array([3.0, -4.0])
 DT = 0.005
@@ -51,12 +54,13 @@ def _differences(f, y: np.ndarray, scale: np.ndarray) -> np.ndarray:
     return np.array(columns).T
 
 
-SCALE = np.concatenate([[0.1, 10.0, 1e3, 1e-4, 0.1], np.full(2 * ORDER + 1, 1e-3)])
+RIG_SD = np.repeat([1e-4, 3e-3, 3e-5, 2e-3, 2e-4, 2e-3], 2)  # as a calibrated rig is known
+SCALE = np.concatenate([[0.1, 10.0, 1e3, 1e-4, 0.1], RIG_SD, np.full(2 * ORDER + 1, 1e-3)])
 
 
 def test_the_twin_knows_the_same_constants() -> None:
     C = smoothing.C
-    assert tuple(C) == (LN_RHO, DRAG, SATURATION, DAMPING, LN_MASS, SHAPE)
+    assert tuple(C) == (LN_RHO, DRAG, SATURATION, DAMPING, LN_MASS, bodies.RIG, SHAPE)
     assert (smoothing.CONSTANTS, smoothing.ORDER) == (CONSTANTS, ORDER)
 
 
@@ -79,7 +83,7 @@ def test_jacobian_of_the_step(mu: float, relative: float) -> None:
 @pytest.mark.parametrize("name", ["contact", "force"])
 def test_gradient_of_a_reading(name: str, pad: int) -> None:
     kernel = smoothing.contact_function() if name == "contact" else smoothing.force_function()
-    z = [DT, 0.002, pad, *PALMS[:2]] if name == "contact" else [DT, 0.002, pad, *PALMS, *RIG]
+    z = [DT, 0.002, pad, *PALMS[:4], LENGTH] if name == "contact" else [DT, 0.002, pad, *PALMS, *RIG]
     y = np.concatenate([NODES.ravel(), _constants()])
     scale = np.concatenate([[0.1, 1.0, 0.1, 1.0], SCALE])
 
@@ -129,10 +133,53 @@ def test_a_reading_is_taken_where_the_cubic_between_the_nodes_is(t: float, pad: 
     cubic = CubicHermiteSpline([0.0, DT], NODES[:, 0], NODES[:, 1])
     psi, omega0 = np.array([cubic(t)]), np.array([cubic(t, 1)])
     twin = Bodies(p[:, None], RIG[0], RIG[1])
-    s, _ = _reading(smoothing.contact_function(), NODES, p, [DT, t, pad, *PALMS[:2]])
+    s, _ = _reading(smoothing.contact_function(), NODES, p, [DT, t, pad, *PALMS[:4], LENGTH])
     assert s.item() == pytest.approx(twin.contacts(PALMS, psi)[pad - 1].item(), abs=1e-12)
     force, _ = _reading(smoothing.force_function(), NODES, p, [DT, t, pad, *PALMS, *RIG])
     assert force.item() == pytest.approx(0.16 * twin.forces_and_spin(PALMS, psi, omega0)[pad - 1].item(), rel=1e-9)
+
+
+def _surface(palm: int, phi: float, s: float, above: float, sagitta: float) -> tuple[np.ndarray, float]:
+    """Where a palm's bowed surface is at `s` along it, and the world direction of its tangent there."""
+    sign = 3 - 2 * palm  # the object is to the left of palm 1 and to the right of palm 2
+    along = np.array([np.cos(phi), np.sin(phi)])
+    left = np.array([-along[1], along[0]])
+    height = above + sagitta * (1 - (2 * s / LENGTH - 1) ** 2)
+    slope = -sagitta * 4 / LENGTH * (2 * s / LENGTH - 1)
+    return s * along + sign * height * left, phi + sign * np.arctan(slope)
+
+
+def _touch(p: np.ndarray, phi: tuple[float, float], psi: float) -> np.ndarray:
+    """s1, s2 where the body lies on both surfaces, from the points of body and surface that must coincide."""
+    rig, twin = p[bodies.RIG : SHAPE], Bodies(p[:, None])
+
+    def miss(y: np.ndarray) -> np.ndarray:
+        apart = []
+        for palm in (1, 2):
+            angle = phi[0] + rig[10] + (phi[1] + rig[11] if palm == 2 else 0.0)
+            place, tangent = _surface(palm, angle, y[1 + palm], rig[7 + palm], rig[3 + palm])
+            outward = tangent - (np.pi / 2 if palm == 1 else 3 * np.pi / 2)
+            h, slope, _ = (each.item() for each in twin.support(np.array([outward - psi])))
+            normal = np.array([np.cos(outward), np.sin(outward)])
+            apart.append(y[:2] + h * normal + slope * np.array([-normal[1], normal[0]]) - place)
+        return np.concatenate(apart)
+
+    found = root(miss, [0.0, 0.03, 0.02, 0.02], tol=1e-12)
+    assert found.success
+    return found.x[2:]
+
+
+@pytest.mark.parametrize("pad", [1, 2])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_pads_reading_on_a_rig_that_is_not_as_described(pad: int, seed: int) -> None:
+    p = _constants(2)
+    p[bodies.RIG : SHAPE] = RIG_SD * np.random.default_rng(seed).standard_normal(12)
+    zero, scale, _, lag = p[bodies.RIG + np.array([0, 2, 4, 6]) + pad - 1]
+    t = 0.003
+    psi = CubicHermiteSpline([0.0, DT], NODES[:, 0], NODES[:, 1])(t - lag)
+    then = PALMS[:2] - lag * PALMS[2:4]
+    reading, _ = _reading(smoothing.contact_function(), NODES, p, [DT, t, pad, *PALMS[:4], LENGTH])
+    assert reading.item() == pytest.approx(zero + (1 + scale) * _touch(p, then, psi)[pad - 1], abs=1e-6)
 
 
 def test_batches_serve_what_the_single_kernels_give() -> None:

@@ -90,7 +90,10 @@ def built():
         INFO: info_fields("0.1.0", "shape", default_config()),
         EVENTS: events_fields(1.0, [PadSample(0.99, 1, 0.02), PadLift(0.995, 2), PalmSample(0.98, 0.5, 1.5)]),
         IMPROVEMENT: improvement_fields(
-            1.0, Improvement(0.8, np.arange(3.0), np.eye(3), 1, False, np.zeros(72, dtype=bool))
+            1.0,
+            Improvement(
+                0.8, np.arange(3.0), np.eye(3), 1, False, np.zeros(72, dtype=bool), np.zeros(12), np.zeros((3, 12))
+            ),
         ),
     }
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TextIO
 
 from palmd import observer
-from palmd.cli.logs import opened, read
+from palmd.cli.logs import add_calibration_argument, opened, read
 from palmd.cli.outlines import read_outlines
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import Progress
@@ -34,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="OUTLINE|FOLDER",
         help="the object is that of the stored outline, or one of those in the folder, or none",
     )
+    add_calibration_argument(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -41,7 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.shape is not None and arguments.observer != "shape":
         raise CliError(BAD_INPUT, f"--shape needs --observer shape: {arguments.observer} cannot use a stored outline")
     outlines = () if arguments.shape is None else read_outlines(arguments.shape)
-    log = read(arguments.log)
+    log = read(arguments.log, arguments.calibration_sd)
     with opened(arguments.output, arguments.log) as stream:
         _replay(log, arguments.observer, outlines, stream)
     return 0

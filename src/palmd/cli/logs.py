@@ -2,24 +2,54 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import io
+import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TextIO
 
 from palmd.console.errors import BAD_INPUT, CliError
-from palmd.record.eventlog import EventLog, LogError, read_log
+from palmd.record.eventlog import CALIBRATION_KEYS, EventLog, LogError, read_log
 from palmd.record.run import RunError, is_recording, read_run
 
 STDOUT = Path("-")
 
 
-def read(path: Path) -> EventLog:
+def add_calibration_argument(parser: argparse.ArgumentParser) -> None:
+    """How well the rig is known, where that is not what the log says."""
+    parser.add_argument(
+        "--calibration-sd",
+        type=_calibration_sd,
+        nargs="+",
+        default=[],
+        metavar="KEY=VALUE",
+        help=f"one-sigma of the rig's constants, instead of the log's: {', '.join(CALIBRATION_KEYS.values())}",
+    )
+
+
+def _calibration_sd(text: str) -> tuple[str, float]:
+    key, _, value = text.partition("=")
+    names = {key: name for name, key in CALIBRATION_KEYS.items()}
+    if key not in names:
+        raise argparse.ArgumentTypeError(f"there is no {key!r}; there are {', '.join(names)}")
+    try:
+        sd = float(value)
+    except ValueError:
+        sd = math.nan
+    if not 0.0 <= sd < math.inf:
+        raise argparse.ArgumentTypeError(f"{key} must be a number from 0, got {value!r}")
+    return names[key], sd
+
+
+def read(path: Path, calibration_sd: Sequence[tuple[str, float]] = ()) -> EventLog:
     """The log at `path`, its notes told on standard error; CliError when it cannot be used.
 
-    What it is shows in its first bytes; a file named as a recording is taken for one even so.
+    `calibration_sd`: fields of `Calibration` in place of the log's own. What the file is shows in its first bytes; one
+    that is named as a recording is taken for one even so.
     """
     try:
         log = read_run(path).event_log() if is_recording(path) else read_log(path)
@@ -27,7 +57,7 @@ def read(path: Path) -> EventLog:
         raise CliError(BAD_INPUT, str(error)) from None
     for note in log.notes:
         print(note, file=sys.stderr)
-    return log
+    return replace(log, rig=replace(log.rig, calibration=replace(log.rig.calibration, **dict(calibration_sd))))
 
 
 @contextlib.contextmanager

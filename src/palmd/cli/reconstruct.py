@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from palmd.cli.logs import opened, read
+from palmd.cli.logs import add_calibration_argument, opened, read
 from palmd.console.arguments import seed
 from palmd.observer.reconstruct import Reconstruction, reconstruct
 from palmd.observer.static_mass import mass_at_rest
@@ -24,11 +24,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", type=Path, metavar="LOG", help="an event log (JSON lines) or a recorded run (.mcap)")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="RESULT.json", help="- for standard output")
     parser.add_argument("--seed", type=seed, default=0, metavar="N", help="of the blind start (default: %(default)s)")
+    add_calibration_argument(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Writes nothing before the answer is there; CliError when the log cannot be used."""
-    log = read(arguments.log)
+    log = read(arguments.log, arguments.calibration_sd)
     with _said("reconstructing…"):
         answer = reconstruct(log.events, log.rig, arguments.seed)
         at_rest = mass_at_rest(log.events, log.rig)

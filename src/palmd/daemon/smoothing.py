@@ -16,7 +16,7 @@ import msgpack
 import numpy as np
 
 from palmd.daemon.worker import WorkerProcess, give_back_memory, meet
-from palmd.events import Event, Improvement, PadLift, PadSample, PalmSample, RigDescription
+from palmd.events import Calibration, Event, Improvement, PadLift, PadSample, PalmSample, RigDescription
 from palmd.model import shape_map, smoothing
 from palmd.observer.incremental import IncrementalSmoother, Session
 from palmd.observer.smoothed_observer import period
@@ -65,10 +65,11 @@ class SmootherProcess:
         del t  # it is ready when it is here
         newest: Improvement | None = None
         for message in self._process.received():
-            when, mean, covariance, frame, established, touched = msgpack.unpackb(message)
+            when, mean, covariance, frame, established, touched, rig, spread = msgpack.unpackb(message)
             x = np.frombuffer(mean)
-            square = np.frombuffer(covariance).reshape(len(x), -1)
-            newest = Improvement(when, x, square, frame, established, np.frombuffer(touched, dtype=np.bool_))
+            square, beyond = (np.frombuffer(told).reshape(len(x), -1) for told in (covariance, spread))
+            marks = np.frombuffer(touched, dtype=np.bool_)
+            newest = Improvement(when, x, square, frame, established, marks, np.frombuffer(rig), beyond)
         return newest
 
     def close(self) -> None:
@@ -88,7 +89,7 @@ def _unpacked(fields: list[Any]) -> Event:
 
 def serve(address: str, rig: str) -> None:
     """The process's work, for ever: gather readings, smooth, answer; `rig` is the description's fields as JSON."""
-    smoother = IncrementalSmoother(RigDescription(**_rig_fields(json.loads(rig))))
+    smoother = IncrementalSmoother(_rig_of(json.loads(rig)))
     next_one = 0.0
     smoothing.library()
     shape_map.library()
@@ -105,12 +106,16 @@ def serve(address: str, rig: str) -> None:
             ended = time.monotonic()
             next_one = max(started + period(smoother.elapsed_s), ended + (ended - started) * (1.0 / SHARE - 1.0))
             if improvement is not None:
-                mean, covariance = improvement.x.tobytes(), improvement.P.tobytes()
-                touched = improvement.touched.tobytes()
-                told = [improvement.t, mean, covariance, improvement.frame, improvement.established, touched]
+                a = improvement
+                mean, covariance, touched, constants, spread = (
+                    each.tobytes() for each in (a.x, a.P, a.touched, a.rig, a.spread)
+                )
+                told = [a.t, mean, covariance, a.frame, a.established, touched, constants, spread]
                 socket.send(msgpack.packb(told))
             give_back_memory()
 
 
-def _rig_fields(fields: dict[str, Any]) -> dict[str, Any]:
-    return {name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()}
+def _rig_of(fields: dict[str, Any]) -> RigDescription:
+    values: dict[str, Any] = {name: tuple(each) if isinstance(each, list) else each for name, each in fields.items()}
+    values["calibration"] = Calibration(**fields["calibration"])
+    return RigDescription(**values)

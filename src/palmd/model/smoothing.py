@@ -1,20 +1,21 @@
 """The smoother's kernels: one step of the motion, one contact reading, one force reading, each with its Jacobian.
 
 The trajectory is held by nodes x_k = (ψ, ω0), and everything that does not move is one vector of constants
-p = (ln ρ, B, w, c, ln m, coefficients of h). Between two nodes ψ is the cubic that fits both, so a reading
-at any time depends on two neighbouring nodes and on p alone: the least-squares problem is block-tridiagonal
+p = (ln ρ, B, w, c, ln m, constants of the rig, coefficients of h). Between two nodes ψ is the cubic that fits both, so
+a reading at any time depends on two neighbouring nodes and on p alone: the least-squares problem is block-tridiagonal
 with a border.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import IntEnum
 from functools import cache
 
 import casadi as ca
 
 from palmd.model.compiled import Library, densified, load
-from palmd.model.contact import SX, normal_directions, readings
+from palmd.model.contact import SX, Contact, normal_directions, readings
 from palmd.model.dynamics import BodyConstants, Motion, Palms, newton_euler
 from palmd.model.integrate import exponential_step
 from palmd.model.outputs import RIG_INPUTS
@@ -37,36 +38,80 @@ class C(IntEnum):
     SATURATION = 2
     DAMPING = 3
     LN_MASS = 4
-    SHAPE = 5
+    RIG = 5
+    SHAPE = 17
 
 
+class R(IntEnum):
+    """Index of each constant of the rig, from `C.RIG` on: by how much it is off from what it is taken for; SI units.
+
+    A pad reads ZERO + (1 + SCALE) s of a contact at s, as it was LAG ago. Its surface lies STANDOFF above the hinge
+    line, on the object's side, and is an arc that is SAGITTA higher in the pad's middle than at its ends. TILT is φ1's
+    error, gravity's direction included, TURN that of φ2. Where each pad has its own, pad 2's follows pad 1's.
+    """
+
+    ZERO = 0
+    SCALE = 2
+    SAGITTA = 4
+    LAG = 6
+    STANDOFF = 8
+    TILT = 10
+    TURN = 11
+
+
+RIG_CONSTANTS = 12
+RIG_NAMES = (
+    *("pad1_zero_m", "pad2_zero_m", "pad1_scale", "pad2_scale", "pad1_sagitta_m", "pad2_sagitta_m"),
+    *("pad1_lag_s", "pad2_lag_s", "pad1_standoff_m", "pad2_standoff_m", "phi1_rad", "phi2_rad"),
+)
+RIG = slice(C.RIG, C.SHAPE)
 CONSTANTS = C.SHAPE + 2 * ORDER + 1
-STEP_INPUTS = 1 + PALM_INPUTS + 2 + RIG_INPUTS  # dt, palms, jerk, rig
-CONTACT_INPUTS = 3 + 2  # dt, time into the step, pad, φ1, φ2
-FORCE_INPUTS = 3 + PALM_INPUTS + RIG_INPUTS  # dt, time into the step, pad, palms, rig
+STEP_INPUTS = 1 + PALM_INPUTS + 2 + RIG_INPUTS + 1  # dt, palms, jerk, rig, the pads' length
+CONTACT_INPUTS = 3 + 5  # dt, time into the step, pad, φ1, φ2, their rates, the pad's length
+FORCE_INPUTS = 3 + PALM_INPUTS + RIG_INPUTS + 1  # dt, time into the step, pad, palms, rig, the pads' length
 
 BATCH = 64
 """Steps or readings that one call of a `NAME_batch` kernel serves, all with the same constants."""
 
 
-def _motion(psi: SX, omega0: SX, p: SX, palms: Palms, rig: SX) -> Motion:
-    theta1, theta2 = normal_directions(palms.phi1, palms.phi2, psi)
-    h = p[C.SHAPE :]
+def _felt(phi1: SX, phi2: SX, psi: SX, p: SX, length: SX) -> tuple[SX, SX, Contact, Contact]:
+    """(φ1, φ2) of the planes that the palms' surfaces are where they touch, and the contacts as seen from their hinge.
+
+    Where a bowed surface touches it is a plane, turned by its slope there and set off from the hinge.
+    """
+    rig, h = p[RIG], p[C.SHAPE :]
+    phi1, phi2 = phi1 + rig[R.TILT], phi2 + rig[R.TURN]
+
+    def contacts(phi1: SX, phi2: SX, above1: SX, above2: SX) -> tuple[Contact, Contact]:
+        theta1, theta2 = normal_directions(phi1, phi2, psi)
+        one, two = contact_at(theta1, h), contact_at(theta2, h)
+        return replace(one, r=one.r + rig[R.STANDOFF] + above1), replace(two, r=two.r + rig[R.STANDOFF + 1] + above2)
+
+    s1, s2 = readings(phi2, *contacts(phi1, phi2, SX(0), SX(0)))
+    slope1, slope2 = (4 * rig[R.SAGITTA + i] / length * (1 - 2 * s / length) for i, s in enumerate((s1, s2)))
+    above1, above2 = (4 * rig[R.SAGITTA + i] * (s / length) ** 2 for i, s in enumerate((s1, s2)))  # height less s·slope
+    phi1, phi2 = phi1 + slope1, phi2 - slope1 - slope2
+    return phi1, phi2, *contacts(phi1, phi2, above1, above2)
+
+
+def _motion(psi: SX, omega0: SX, p: SX, palms: Palms, rig: SX, length: SX) -> Motion:
+    phi1, phi2, one, two = _felt(palms.phi1, palms.phi2, psi, p, length)
     dither = 1.0 / ca.sqrt(p[C.SATURATION])
     body = BodyConstants(ca.exp(p[C.LN_RHO]), p[C.DRAG] * dither, dither, p[C.DAMPING])
-    return newton_euler(palms, omega0, contact_at(theta1, h), contact_at(theta2, h), body, rig)
+    return newton_euler(replace(palms, phi1=phi1, phi2=phi2), omega0, one, two, body, rig)
 
 
 def step_function() -> ca.Function:
-    """(x_k, p, [dt, φ1 … α2, jerk1, jerk2, rig]) → (x after dt, its Jacobian in (x_k, p))."""
+    """(x_k, p, [dt, φ1 … α2, jerk1, jerk2, rig, L]) → (x after dt, its Jacobian in (x_k, p))."""
     x, p, u = SX.sym("x", NODE), SX.sym("p", CONSTANTS), SX.sym("u", STEP_INPUTS)
-    dt, palms, jerk, rig = u[0], u[1:7], u[7:9], u[9:]
+    dt, palms, jerk, rig, length = u[0], u[1:7], u[7:9], u[9:-1], u[-1]
     y = ca.vertcat(x, p)
 
     def rates(moving: SX, t: SX) -> SX:
-        return ca.vertcat(moving[1], _motion(moving[0], moving[1], p, palms_after(palms, jerk, t), rig).alpha0)
+        now = _motion(moving[0], moving[1], p, palms_after(palms, jerk, t), rig, length)
+        return ca.vertcat(moving[1], now.alpha0)
 
-    damping = ca.jacobian(_motion(x[0], x[1], p, palms_after(palms, jerk, SX(0)), rig).alpha0, x[1])
+    damping = ca.jacobian(_motion(x[0], x[1], p, palms_after(palms, jerk, SX(0)), rig, length).alpha0, x[1])
     moved, J = exponential_step(rates, y, dt, [0, 1], 1, damping)
     return ca.Function("step", [x, p, u], [moved, J], ["x", "p", "u"], ["x_next", "J"])
 
@@ -80,24 +125,31 @@ def _between(a: SX, b: SX, dt: SX, t: SX) -> tuple[SX, SX]:
 
 
 def contact_function() -> ca.Function:
-    """(x_k, x_k+1, p, [dt, t, pad, φ1, φ2]) → (s of that pad, its gradient in (x_k, x_k+1, p))."""
+    """(x_k, x_k+1, p, [dt, t, pad, φ1, φ2, ω1, ω2, L]) → (that pad's reading, its gradient in (x_k, x_k+1, p))."""
     a, b, p = SX.sym("a", NODE), SX.sym("b", NODE), SX.sym("p", CONSTANTS)
     z = SX.sym("z", CONTACT_INPUTS)
-    psi, _ = _between(a, b, z[0], z[1])
-    theta1, theta2 = normal_directions(z[3], z[4], psi)
-    s1, s2 = readings(z[4], contact_at(theta1, p[C.SHAPE :]), contact_at(theta2, p[C.SHAPE :]))
-    s = ca.if_else(z[2] < 1.5, s1, s2)
-    J = ca.jacobian(s, ca.vertcat(a, b, p))
-    return ca.Function("contact", [a, b, p, z], [s, J], ["a", "b", "p", "z"], ["s", "J"])
+    rig = p[RIG]
+    first = z[2] < 1.5
+
+    def own(which: R) -> SX:
+        return ca.if_else(first, rig[which], rig[which + 1])
+
+    lag = own(R.LAG)
+    psi, _ = _between(a, b, z[0], z[1] - lag)
+    _, phi2, one, two = _felt(z[3] - lag * z[5], z[4] - lag * z[6], psi, p, z[7])
+    s1, s2 = readings(phi2, one, two)
+    reading = own(R.ZERO) + (1 + own(R.SCALE)) * ca.if_else(first, s1, s2)
+    J = ca.jacobian(reading, ca.vertcat(a, b, p))
+    return ca.Function("contact", [a, b, p, z], [reading, J], ["a", "b", "p", "z"], ["s", "J"])
 
 
 def force_function() -> ca.Function:
-    """(x_k, x_k+1, p, [dt, t, pad, φ1 … α2, rig]) → (force of that pad in N, its gradient in (x_k, x_k+1, p))."""
+    """(x_k, x_k+1, p, [dt, t, pad, φ1 … α2, rig, L]) → (force of that pad in N, its gradient in (x_k, x_k+1, p))."""
     a, b, p = SX.sym("a", NODE), SX.sym("b", NODE), SX.sym("p", CONSTANTS)
     z = SX.sym("z", FORCE_INPUTS)
     psi, omega0 = _between(a, b, z[0], z[1])
     palms = palms_after(z[3 : 3 + PALM_INPUTS], SX.zeros(2), SX(0))
-    motion = _motion(psi, omega0, p, palms, z[3 + PALM_INPUTS :])
+    motion = _motion(psi, omega0, p, palms, z[3 + PALM_INPUTS : -1], z[-1])
     force = ca.exp(p[C.LN_MASS]) * ca.if_else(z[2] < 1.5, motion.f1, motion.f2)
     J = ca.jacobian(force, ca.vertcat(a, b, p))
     return ca.Function("force", [a, b, p, z], [force, J], ["a", "b", "p", "z"], ["f", "J"])

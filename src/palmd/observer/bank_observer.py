@@ -42,6 +42,7 @@ from palmd.observer.observability import Observability
 from palmd.observer.outline import gauge_free_sd
 from palmd.observer.palms import PalmTracker
 from palmd.observer.prior import blind_start, shape_map_sd
+from palmd.observer.rig_error import RigError, circle_spread
 
 SILENCE_S = 0.1  # a pad silent for longer does not vouch for a contact
 HEARD_AGAIN_S = 0.05  # of readings after such a silence, by which it shows whether they are of the same object
@@ -78,6 +79,7 @@ _SHAPE = slice(shape_map.Z.SHAPE, None)
 SAMPLES, RIVALS = 6, 3  # in an outlook: of what the object may be besides, and how many of them rivals at most
 ROUGH_SD, ROUGH_AGE_S = 3e-3, 0.6  # m, of r1 and r2; s
 _BIN_OF_THETA = (_THETA / (2 * np.pi) * NORMAL_BINS).astype(np.intp)
+_RADII = [NAMED.index("r1"), NAMED.index("r2")]
 _R1, _R2, _F1, _F2, _PSI = (NAMED.index(name) for name in ("r1", "r2", "f1", "f2", "psi"))
 
 
@@ -108,6 +110,11 @@ class BankObserver:
         self._filters = self._blind = filters
         self._smoothed = smoothed
         self._rig = rig
+        self._rig_error = RigError(rig.pad_length)
+        if smoothed is not None:
+            assert isinstance(filters, ShapeFilters)
+            for each in (filters, *smoothed):
+                each.rig_error = self._rig_error
         self._seed = seed
         self._pad_variance = rig.reading_variance
         self._observability = Observability(rig_inputs(rig), self._pad_variance)
@@ -131,6 +138,7 @@ class BankObserver:
         self._t_begun = math.inf
         self._frame: int | None = None  # of the smoother's answers, and by how much it is turned from the published one
         self._turn = 0.0
+        self._rig_error.values[:] = 0.0
         self._running = self._foresees = self._valid = False
         self._draws = np.random.default_rng([self._seed, 1 << 20])  # of outlooks: estimates do not depend on them
         self._begin_fresh()
@@ -184,12 +192,13 @@ class BankObserver:
             return False  # it has been found anew, from the latest readings alone
         if answer.frame != self._frame:
             self._frame, self._turn = answer.frame, float(bank.x[best, shape_map.Z.PSI] - x[shape_map.Z.PSI])
-        x, P = _turned(x, P, self._turn)
+        x, P, spread = _turned(x, P, answer.spread, self._turn)
+        self._rig_error.values[:] = answer.rig
         if answer.established:
             known, self._candidate = self._candidate, None
             if known is not None:  # the smoother has known it again
                 self._mass = known.mass
-            self._lead_with(x, P, nis, self._touched(answer, float(x[shape_map.Z.PSI])))
+            self._lead_with(x, P, nis, self._touched(answer, float(x[shape_map.Z.PSI])), spread)
         else:
             worst = int(np.argmin(np.where(np.arange(bank.size) == best, np.inf, bank.score)))
             bank.x[worst], bank.P[worst] = smoother_outline(x, P) if bank.n < len(x) else (x, P)
@@ -212,9 +221,10 @@ class BankObserver:
             return touched
         return touched | self._marks.since(answer.t, best, self._all_psi)
 
-    def _lead_with(self, x: FloatArray, P: FloatArray, nis: float, touched: Marks) -> None:
+    def _lead_with(self, x: FloatArray, P: FloatArray, nis: float, touched: Marks, spread: FloatArray) -> None:
         """One filter takes the place of all others; it has the leader's gauge."""
         assert self._smoothed is not None
+        self._smoothed.one.spread = spread
         self._marks = Coverage(touched, 0)
         self._use(self._smoothed.one)
         bank = self._bank
@@ -234,6 +244,8 @@ class BankObserver:
         if not finite(event):
             self.late_dropped += 1
             return
+        if isinstance(event, PadSample):
+            event = self._rig_error.on_time(event)
         if isinstance(event, PalmSample):
             gap = event.t_sample - self._palms.t
             self._palms.feed(event)
@@ -272,6 +284,8 @@ class BankObserver:
         spread = self._rivals_spread(best)
         sd = np.sqrt(np.maximum(np.diagonal(cov), 0.0) + spread**2)
         sd *= self._too_sure(t)
+        if not self._carrying:
+            sd[_RADII] = np.hypot(sd[_RADII], self._blind_radius_sd)
         finite = bool(np.isfinite(y).all() and np.isfinite(sd).all())
         settled = finite and self._settled(t, best, sd, spread)
         if settled and (self._filters.curvature @ self._bank.x[best]).min() < 0.0:
@@ -299,6 +313,8 @@ class BankObserver:
         coefficients, cov = self._filters.outline(self._bank.best())
         touched = self._marks.marks[_BIN_OF_THETA]
         h_sd = gauge_free_sd(_THETA, _THETA[touched], coefficients, cov) * self._too_sure(t)
+        if not self._carrying:
+            h_sd = np.hypot(h_sd, self._blind_radius_sd)
         return ShapeEstimate(t, _THETA, _rows(len(coefficients)) @ coefficients, h_sd, touched)
 
     @property
@@ -360,6 +376,7 @@ class BankObserver:
         known = self._memory.recall()
         self._use(self._smoothed.again if self._smoothed and known and known.smoothed else self._blind)
         size, order = self._bank.full_size, self._filters.order
+        self._blind_radius_sd = circle_spread(self._rig, one.s, two.s, palms.phi2)
         self._start = blind_start(one.s, two.s, palms, size, self._starts == 1, random, order)
         self._bank.refill()
         self._filters.start(self._start, self._palms, t)
@@ -401,7 +418,8 @@ class BankObserver:
                 return False
             self._candidate, self._mass = None, known.mass
             if known.smoothed:
-                self._lead_with(*self._filters.belief(best), float(self._bank.nis[best]), known.touched)
+                assert known.spread is not None
+                self._lead_with(*self._filters.belief(best), float(self._bank.nis[best]), known.touched, known.spread)
             else:
                 self._marks = Coverage(known.touched, best)
                 self._bank.drop(blind)
@@ -428,7 +446,8 @@ class BankObserver:
         """Remember the settled map, for when the object is lost and put back."""
         if self._memory.due(t):
             x, P = self._filters.belief(best)
-            self._memory.keep(t, KnownObject(x, P, self._marks.marks.copy(), self._mass, self._carrying))
+            spread = self._smoothed.one.spread if self._smoothed and self._carrying else None
+            self._memory.keep(t, KnownObject(x, P, self._marks.marks.copy(), self._mass, spread))
 
     def _stop(self) -> None:
         self._running = self._foresees = self._valid = False
@@ -580,13 +599,13 @@ class BankObserver:
         return self._filters.all_named(self._t, self._palms)[:, _PSI]
 
 
-def _turned(x: FloatArray, P: FloatArray, turn: float) -> tuple[FloatArray, FloatArray]:
-    """A state of `model.shape_map` and its covariance in a gauge in which ψ is larger by `turn` (rad)."""
+def _turned(x: FloatArray, P: FloatArray, spread: FloatArray, turn: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A state of `model.shape_map`, its covariance and its spread in a gauge in which ψ is larger by `turn` (rad)."""
     matrix = np.eye(len(x))
     matrix[_SHAPE, _SHAPE] = shape.turned(turn, (len(x) - shape_map.Z.SHAPE - 1) // 2)
     moved = matrix @ x
     moved[shape_map.Z.PSI] += turn
-    return moved, matrix @ P @ matrix.T
+    return moved, matrix @ P @ matrix.T, matrix @ spread
 
 
 @cache

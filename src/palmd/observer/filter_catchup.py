@@ -36,6 +36,7 @@ class FilterCatchUp:
     def begin(self, improvement: Improvement, recent: Iterable[Event]) -> None:
         """Start at `improvement.t`; `recent` holds the events since `LEAD_S` before it, and maybe earlier ones."""
         self._palms = PalmTracker(self._angle_noise)
+        self._filters.rig_error.values[:] = improvement.rig
         ordered = sorted(recent, key=lambda event: event.t_sample)
         self._waiting = deque(event for event in ordered if event.t_sample > improvement.t - LEAD_S)
         while self._waiting and self._waiting[0].t_sample <= improvement.t:
@@ -58,10 +59,12 @@ class FilterCatchUp:
             event = self._waiting.popleft()
             if isinstance(event, PalmSample):
                 self._palms.feed(event)
-            elif isinstance(event, PadSample) and event.t_sample >= self._t:
-                self._move_to(event.t_sample)
-                self._filters.fuse_pad(event, self._variance, self._palms)
-                self._read += 1
+            elif isinstance(event, PadSample):
+                sample = self._filters.rig_error.on_time(event)
+                if sample.t_sample >= self._t:
+                    self._move_to(sample.t_sample)
+                    self._filters.fuse_pad(sample, self._variance, self._palms)
+                    self._read += 1
         return not self._waiting and self._read >= LEAST_READINGS
 
     def state_at(self, t: float) -> tuple[FloatArray, FloatArray, float]:

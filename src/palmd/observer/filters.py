@@ -15,6 +15,7 @@ from palmd.observer import prior
 from palmd.observer.bank import SCORE_MEMORY_S, Bank, Belief
 from palmd.observer.palms import PLAN_RATE_SD, PalmTracker
 from palmd.observer.prior import BlindStart
+from palmd.observer.rig_error import RigError
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,7 +273,11 @@ class ExtendedFilters:
 
 
 class ShapeFilters:
-    """Filters on the whole outline (`model.shape_map`), of `order` harmonics; the palms' angles are inputs."""
+    """Filters on the whole outline (`model.shape_map`), of `order` harmonics; the palms' angles are inputs.
+
+    Readings and angles are taken as `rig_error` corrects them. Beliefs are those of filters to which that is right;
+    what is told, `named` and `outline`, has the covariance spread·spreadᵀ besides.
+    """
 
     name = "shape"
     fuses_palms = False
@@ -296,6 +301,8 @@ class ShapeFilters:
         self._named = library.bind("named", [self._x_next, self._v], [self._y, self._J])
         self.curvature = np.zeros((CURVATURE_NORMALS, n))
         self.curvature[:, shape_map.Z.SHAPE :] = _curvature(order)
+        self.rig_error = RigError(rig.pad_length)
+        self.spread: FloatArray | None = None
 
     def start(self, start: BlindStart, palms: PalmTracker, t: float) -> None:
         del palms, t  # the palms are not part of the state
@@ -334,11 +341,12 @@ class ShapeFilters:
         return Belief(slice(Z.LN_RHO, self.bank.n), mean, sd)
 
     def predict(self, t: float, dt: float, palms: PalmTracker) -> None:
-        self.bank.predict(dt, palms.at(t), palms.jerk, self._rig)
+        self.bank.predict(dt, self._palms_at(t, palms), palms.jerk, self._rig)
 
     def fuse_pad(self, sample: PadSample, variance: float, palms: PalmTracker) -> None:
-        phi1, phi2 = palms.at(sample.t_sample)[:2]
-        self.bank.update(_pad_update(sample.pad), sample.s, variance, phi1, phi2)
+        phi1, phi2 = self._palms_at(sample.t_sample, palms)[:2]
+        s = self.rig_error.corrected(sample, phi2)
+        self.bank.update(_pad_update(sample.pad), s, variance, phi1, phi2)
 
     def fuse_palms(self, sample: PalmSample, angle_variance: float) -> None:
         raise NotImplementedError("the palms' motion is an input of the shape map")
@@ -351,10 +359,10 @@ class ShapeFilters:
         self.bank.P[:] += np.diag(variance)
 
     def named(self, member: int, t: float, dt: float, palms: PalmTracker) -> tuple[FloatArray, FloatArray]:
-        self._x[:], self._P[:] = self.bank.x[member], self.bank.P[member]
-        self._u[0], self._u[1:7], self._u[7:9] = dt, palms.at(t), palms.jerk
+        self._x[:], self._P[:] = self.bank.x[member], self._whole(member)
+        self._u[0], self._u[1:7], self._u[7:9] = dt, self._palms_at(t, palms), palms.jerk
         self._predict()
-        self._v[: shape_map.PALM_INPUTS] = palms.at(t + dt)
+        self._v[: shape_map.PALM_INPUTS] = self._palms_at(t + dt, palms)
         self._named()
         cov = self._J.T @ self._P_next @ self._J
         for name, sd in zip(("phi1", "phi2", "omega1", "omega2"), np.ravel(palms.sd(t + dt)), strict=True):
@@ -363,11 +371,11 @@ class ShapeFilters:
         return self._y.copy(), cov
 
     def all_named(self, t: float, palms: PalmTracker) -> FloatArray:
-        return self.bank.values(palms.at(t), self._rig)
+        return self.bank.values(self._palms_at(t, palms), self._rig)
 
     def outline(self, member: int) -> tuple[FloatArray, FloatArray]:
         at = shape_map.Z.SHAPE
-        return self.bank.x[member, at:].copy(), self.bank.P[member, at:, at:].copy()
+        return self.bank.x[member, at:].copy(), self._whole(member)[at:, at:].copy()
 
     def as_shape_map(self, member: int) -> FloatArray:
         x, P = self.bank.x[member], self.bank.P[member]
@@ -375,3 +383,12 @@ class ShapeFilters:
 
     def belief(self, member: int) -> tuple[FloatArray, FloatArray]:
         return self.bank.x[member].copy(), self.bank.P[member].copy()
+
+    def _palms_at(self, t: float, palms: PalmTracker) -> FloatArray:
+        motion = palms.at(t)
+        motion[:2] += self.rig_error.angles()
+        return motion
+
+    def _whole(self, member: int) -> FloatArray:
+        P: FloatArray = self.bank.P[member]
+        return P if self.spread is None else P + self.spread @ self.spread.T

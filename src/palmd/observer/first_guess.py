@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palmd.events import Event, FloatArray, PadSample, RigDescription
+from palmd.events import Calibration, Event, FloatArray, PadSample, RigDescription
 from palmd.model import shape
 from palmd.model.shape_map import Z
-from palmd.model.smoothing import CONSTANTS, ORDER, C
+from palmd.model.smoothing import CONSTANTS, ORDER, RIG, C
 from palmd.observer import prior
 from palmd.observer.bank_observer import BankObserver
 from palmd.observer.factor import Prior
@@ -23,6 +23,7 @@ SPACING_S = 0.01  # of the remembered trajectories
 MASS_KG, LN_MASS_SD = 0.15, 1.5
 # Wider than the live observer's belief: a ring (ratio 1) and a body with a heavy core must stay possible.
 LN_GYRATION_SD = 0.12
+KNOWN = 1e-9  # one-sigma, in SI units, of what is exactly as described: small, and a number to divide by
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +67,8 @@ def blind_starts(
     return [FirstGuess(float(score[i]), at, trajectories[:, i], constants_of(states[-1][i])) for i in order]
 
 
-def prior_of(pads: Sequence[PadSample], tangents: FloatArray) -> Prior:
-    """The blind belief about the smoother's constants.
+def prior_of(pads: Sequence[PadSample], tangents: FloatArray, calibration: Calibration) -> Prior:
+    """The blind belief about the smoother's constants, of a rig known as well as `calibration` says.
 
     `tangents` holds tan(φ2/2) at each reading: for a circle both readings are its radius over that (3.13), so the
     mean of s·tan(φ2/2) over the first readings tells about how large the object is.
@@ -81,7 +82,15 @@ def prior_of(pads: Sequence[PadSample], tangents: FloatArray) -> Prior:
     mean[C.LN_MASS], sd[C.LN_MASS] = math.log(MASS_KG), LN_MASS_SD
     sd[C.SHAPE :] = shape.prior_sd(radius, ORDER)
     mean[C.SHAPE], sd[C.SHAPE] = radius, prior.RADIUS_SD * radius
+    sd[RIG] = np.maximum(rig_sd(calibration), KNOWN)
     return Prior(mean, sd, prior.SPIN_MOVING_SD)
+
+
+def rig_sd(calibration: Calibration) -> FloatArray:
+    """One-sigma of each constant of the rig, in the order of `model.smoothing.R`."""
+    c = calibration
+    each = [c.zero, c.scale, c.sagitta, c.lag, c.standoff]
+    return np.array([*np.repeat(each, 2), math.hypot(c.angle, c.gravity), c.angle])
 
 
 def constants_of(x: FloatArray) -> FloatArray:

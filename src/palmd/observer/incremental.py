@@ -16,7 +16,7 @@ import numpy as np
 
 from palmd.events import Event, FloatArray, Improvement, PalmSample, RigDescription
 from palmd.model import shape_map, smoothing
-from palmd.model.smoothing import CONSTANTS, ORDER, C
+from palmd.model.smoothing import CONSTANTS, ORDER, RIG, C
 from palmd.observer.coverage import marks_of
 from palmd.observer.data_segment import LEAD_S, DataSegment, data_segments
 from palmd.observer.first_guess import constants_of
@@ -166,22 +166,35 @@ class IncrementalSmoother:
         except np.linalg.LinAlgError:
             return None
         everything = np.concatenate([best.guess.p, best.guess.x[-1]])
-        x, P = everything[_FROM], posterior.covariance[np.ix_(_FROM, _FROM)]
-        x, P = _as_shape_map(x, P)
+        x, P, spread = given_the_rig(everything, posterior.covariance)
         made_convex(x, P, _OUTLINE)
         if self._follower is not None:
             touched = self._follower.touched
         else:
             touched = marks_of(normal_angles(record.palms, best.guess.x[:, 0]))
-        return Improvement(float(record.t[-1]), x, P, self._frame, self._follower is not None, touched)
+        established = self._follower is not None
+        return Improvement(float(record.t[-1]), x, P, self._frame, established, touched, everything[RIG], spread)
 
 
-def _as_shape_map(x: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A belief in which B and w of `model.smoothing` stand where the shape map has μ = B/√w and ln u_d = −ln(w)/2."""
+def given_the_rig(y: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The shape map's state of (constants, last node) y: mean, covariance given the rig's constants, and its spread.
+
+    Their covariance being L Lᵀ, spread = cov(state, rig) L⁻ᵀ, so that covariance + spread·spreadᵀ is the whole one.
+    """
+    x, J = _as_shape_map(y[_FROM])
+    scale = np.sqrt(np.diagonal(covariance)[RIG])
+    root = np.linalg.cholesky(covariance[RIG, RIG] / np.outer(scale, scale))
+    spread = J @ np.linalg.solve(root, covariance[RIG, _FROM] / scale[:, None]).T
+    P = J @ covariance[np.ix_(_FROM, _FROM)] @ J.T - spread @ spread.T
+    return x, (P + P.T) / 2, spread
+
+
+def _as_shape_map(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """With μ = B/√w and ln u_d = −ln(w)/2 in the place of B and w of `model.smoothing`, and the Jacobian of that."""
     at = [shape_map.Z.MU, shape_map.Z.LN_DITHER]
     drag, saturation = x[at]
     dither = saturation**-0.5
     moved, J = x.copy(), np.eye(len(x))
     moved[at] = drag * dither, math.log(dither)
     J[np.ix_(at, at)] = [[dither, -0.5 * drag * dither**3], [0.0, -0.5 / saturation]]
-    return moved, J @ P @ J.T
+    return moved, J

@@ -16,7 +16,7 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model import shape
-from palmd.model.smoothing import CONSTANTS, ORDER, C
+from palmd.model.smoothing import CONSTANTS, ORDER, RIG, C
 from palmd.observer.coverage import Marks, turned_marks
 from palmd.observer.factor import Factor
 
@@ -56,7 +56,7 @@ def matched(known: Felt, now: Felt, prior: Factor) -> Match | None:
 
     `prior` is what is believed of any object.
     """
-    alone = _weight(known.told.plus(prior)) + _weight(now.told.plus(prior)) - _weight(prior)
+    alone = _weight_apart(known.told, now.told, prior)
     rest = now.told.plus(prior)
     weights = _weights(known.told, rest)
     best = int(np.argmax(weights))
@@ -136,6 +136,27 @@ def _along(known: Factor) -> FloatArray:
     coefficients = known.about[_OUTLINE]
     along[_OUTLINE] = (shape.turned(h, ORDER) - shape.turned(-h, ORDER)) @ coefficients / (2 * h)
     return along
+
+
+def _weight_apart(one: Factor, other: Factor, prior: Factor) -> float:
+    """As `_weight` of two objects on one rig, less that of one object's prior.
+
+    The rig's constants are the same in both records, so that what either tells of them is held against neither.
+    """
+    first, second = (told.plus(prior).moved(_on_the_rig(told.about, other.about)) for told in (one, other))
+    rig = prior.without(_OUTLINE).without(slice(0, C.RIG)).moved(other.about[RIG])
+    inner, outer = (each.without(_OUTLINE).without(slice(0, C.RIG)) for each in (first, second))
+    return (
+        _weight(first) - _weight(inner) + _weight(second) - _weight(outer)
+        + _weight(inner.plus(outer).less(rig)) - _weight(prior) + _weight(rig)
+    )  # fmt: skip
+
+
+def _on_the_rig(p: FloatArray, other: FloatArray) -> FloatArray:
+    """The constants p with the rig's of another's."""
+    moved = p.copy()
+    moved[RIG] = other[RIG]
+    return moved
 
 
 def _weight(cost: Factor) -> float:

@@ -37,14 +37,19 @@ _CONSTANTS, _OUTLINE = slice(shape_map.Z.LN_RHO, None), slice(shape_map.Z.SHAPE,
 class KnownObject:
     """A settled state of `model.shape_map` with its covariance, the normals touched in its gauge, and the mass.
 
-    `smoothed`: a smoother vouches for it.
+    Where a smoother vouches for it, `spread` is what the rig's constants leave open (`events.Improvement`).
     """
 
     x: FloatArray
     P: FloatArray
     touched: Marks
     mass: MassEstimator
-    smoothed: bool = False
+    spread: FloatArray | None = None
+
+    @property
+    def smoothed(self) -> bool:
+        """Whether a smoother vouches for it."""
+        return self.spread is not None
 
     def believed(self) -> FloatArray:
         """The covariance of the constants, unless smoothed widened by `DOUBT`; ψ, ω0 as of what is put down anyhow."""

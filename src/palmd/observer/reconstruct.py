@@ -17,7 +17,7 @@ import numpy.typing as npt
 from palmd.blas import one_thread
 from palmd.events import Event, FloatArray, RigDescription
 from palmd.model import shape
-from palmd.model.smoothing import CONSTANTS, ORDER, C
+from palmd.model.smoothing import CONSTANTS, ORDER, RIG, C
 from palmd.observer.chain import Chain
 from palmd.observer.coverage import marks_of
 from palmd.observer.data_segment import DataSegment, data_segments
@@ -36,7 +36,9 @@ SPACING_S = 0.005  # of the nodes in the end
 LEAST_S = 1.0
 SUSPICIOUS_GAP_S = 0.08  # between readings, in which an object may have been changed for another
 MOST_PARTS = 20  # stretches of one log that are looked at
-SHARP_M = 1.5e-4  # RMS of the outline's one-sigma where touched, above which there is no outline to speak of
+# RMS of the outline's one-sigma where touched, were the rig known, above which there is no outline to speak of.
+SHARP_M = 1.5e-4
+_OUTLINE = slice(C.SHAPE, CONSTANTS)
 NO_ANSWER = "no motion of an object was found that explains the readings"
 
 
@@ -46,6 +48,7 @@ class Reconstruction:
 
     theta, h, h_sd, touched, visits: 360 normals (rad), support function and its one-sigma (m), whether a palm touched
     there, and how many separate times.
+    rig, rig_sd: the rig's constants, as in `model.smoothing.R`, and their one-sigma.
     t, psi, omega0, r1, r2: the trajectory at the nodes. `chi2` is per contact reading. `reason` says why not, when
     not `converged`.
     """
@@ -63,6 +66,8 @@ class Reconstruction:
     mu_sd: float
     mass: float
     mass_sd: float
+    rig: FloatArray
+    rig_sd: FloatArray
     t: FloatArray
     psi: FloatArray
     omega0: FloatArray
@@ -210,13 +215,14 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
         return _nothing(main.reason or "the fit is not a minimum", begun, fit.chi2)
     x, covariance = answered.mean.x, answered.covariance
     everything = np.concatenate([answered.mean.p, x[-1]])
-    convex = made_convex(everything, covariance, slice(C.SHAPE, CONSTANTS))
+    convex = made_convex(everything, covariance, _OUTLINE)
     p = everything[:CONSTANTS]
     parts = sorted([_Joined(record, x[:, 0], x[:, 1]), *others], key=lambda part: float(part.record.t[0]))
     normals = [normal_angles(part.record.palms, part.psi) for part in parts]
-    outline = outline_of(p[C.SHAPE :], covariance[C.SHAPE : CONSTANTS, C.SHAPE : CONSTANTS], normals)
+    outline = outline_of(p[C.SHAPE :], covariance[_OUTLINE, _OUTLINE], normals)
     reason = main.reason
-    if not reason and float(np.sqrt(np.mean(outline.h_sd[outline.touched] ** 2))) > SHARP_M:
+    told = outline_of(p[C.SHAPE :], given_the_rig(covariance), normals)
+    if not reason and float(np.sqrt(np.mean(told.h_sd[told.touched] ** 2))) > SHARP_M:
         reason = "the readings tell too little of the outline"
     if not reason and not convex:
         reason = "only a hollow outline explains the readings"
@@ -234,10 +240,19 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
         theta=outline.theta, h=outline.h, h_sd=outline.h_sd, touched=outline.touched,
         visits=np.sum([visits_of(each) for each in normals], axis=0),
         rho=rho, rho_sd=rho * float(sd[C.LN_RHO]), mu=answered.mu, mu_sd=answered.mu_sd,
-        mass=mass, mass_sd=mass_sd,
+        mass=mass, mass_sd=mass_sd, rig=p[RIG], rig_sd=sd[RIG],
         t=t, psi=psi, omega0=omega0, r1=radii[0], r2=radii[1],
         reason=reason, seconds=time.perf_counter() - begun,
     )  # fmt: skip
+
+
+def given_the_rig(covariance: FloatArray) -> FloatArray:
+    """Of the outline's coefficients, were the rig's constants known: what its readings have told of them."""
+    across = covariance[RIG, _OUTLINE]
+    own: FloatArray = covariance[_OUTLINE, _OUTLINE]
+    scale = np.sqrt(np.diagonal(covariance)[RIG])
+    solved = np.linalg.solve(covariance[RIG, RIG] / np.outer(scale, scale), across / scale[:, None])
+    return own - (across / scale[:, None]).T @ solved
 
 
 def _weighed(main: _Part, rig: RigDescription, answered: Marginal) -> tuple[float, float]:
@@ -260,5 +275,5 @@ def _nothing(reason: str, begun: float, chi2: float = math.nan) -> Reconstructio
     nan = math.nan
     return Reconstruction(
         False, chi2, directions(), None, None, None, None, nan, nan, nan, nan, nan, nan,
-        none, none, none, none, none, reason, time.perf_counter() - begun,
+        none, none, none, none, none, none, none, reason, time.perf_counter() - begun,
     )  # fmt: skip

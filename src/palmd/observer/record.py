@@ -34,6 +34,7 @@ class Record:
     t: FloatArray
     palms: FloatArray
     rig: FloatArray
+    pad_length: float
     contact_step: IntArray
     contact_offset: FloatArray
     contact_pad: FloatArray
@@ -67,7 +68,7 @@ class Record:
         c = slice(*np.searchsorted(self.contact_step, (first, last)))
         f = slice(*np.searchsorted(self.force_step, (first, last)))
         return Record(
-            self.t[first : last + 1], self.palms[first : last + 1], self.rig,
+            self.t[first : last + 1], self.palms[first : last + 1], self.rig, self.pad_length,
             self.contact_step[c] - first, self.contact_offset[c], self.contact_pad[c], self.contact_palms[c],
             self.contact_value[c], self.contact_variance[c], self.contact_weight[c],
             self.force_step[f] - first, self.force_offset[f], self.force_pad[f], self.force_palms[f],
@@ -82,7 +83,7 @@ class Record:
         inputs[:n, 0] = dt
         inputs[:n, 1:7] = self.palms[:-1]
         inputs[:n, 7:9] = np.diff(self.palms[:, 4:], axis=0) / dt[:, None]
-        inputs[:n, 9:] = self.rig
+        inputs[:n, 9:-1], inputs[:n, -1] = self.rig, self.pad_length
         inputs[n:] = inputs[0]
         return inputs
 
@@ -91,7 +92,8 @@ class Record:
         inputs = np.ones((rows, CONTACT_INPUTS))
         n = len(self.contact_step)
         inputs[:n, 0], inputs[:n, 1] = self.dt[self.contact_step], self.contact_offset
-        inputs[:n, 2], inputs[:n, 3:] = self.contact_pad, self.contact_palms[:, :2]
+        inputs[:n, 2], inputs[:n, 3:-1] = self.contact_pad, self.contact_palms[:, :4]
+        inputs[:n, -1] = self.pad_length
         return inputs
 
     def force_inputs(self, rows: int) -> FloatArray:
@@ -99,7 +101,7 @@ class Record:
         inputs = np.ones((rows, FORCE_INPUTS))
         n = len(self.force_step)
         inputs[:n, 0], inputs[:n, 1], inputs[:n, 2] = self.dt[self.force_step], self.force_offset, self.force_pad
-        inputs[:n, 3:9], inputs[:n, 9:] = self.force_palms, self.rig
+        inputs[:n, 3:9], inputs[:n, 9:-1], inputs[:n, -1] = self.force_palms, self.rig, self.pad_length
         return inputs
 
 
@@ -136,7 +138,7 @@ def lay_out(
     level = _running_median(force, pad)
     force_variance = rig.force_variance(level)
     return Record(
-        t, path.at(t), rig_inputs(rig),
+        t, path.at(t), rig_inputs(rig), rig.pad_length,
         step, offset, pad, palms, value, variance, weight,
         step[pressed], offset[pressed], pad[pressed], palms[pressed], force[pressed], force_variance[pressed],
         weight[pressed],

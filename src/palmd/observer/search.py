@@ -100,7 +100,7 @@ class Search:
         stretch = self._stretch
         first = [sample for sample in stretch.pads if sample.t_sample < stretch.start + FIRST_LOOK_S]
         phi2 = self.path.at(np.array([sample.t_sample for sample in first]))[:, 1]
-        return prior_of(first, np.tan(phi2 / 2))
+        return prior_of(first, np.tan(phi2 / 2), self._rig.calibration)
 
     def rested(self, t: float) -> float:
         """For how long the palms have rested at `t` (s)."""

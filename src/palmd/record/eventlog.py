@@ -14,13 +14,23 @@ from pathlib import Path
 from typing import Any, BinaryIO, TextIO
 
 from palmd.devices.pad import MARGIN_MM
-from palmd.events import Event, PadSample, PalmSample, RigDescription
+from palmd.events import Calibration, Event, PadSample, PalmSample, RigDescription
 
 VERSION = 1
 MAX_LINE_BYTES = 1 << 20
 MAX_BACKWARD_S = 1.0  # an event that comes late is one thing, another run in the same file another
 MAX_GAP_S = 600.0
 _MAX_LENGTH_M = 1.0
+CALIBRATION_KEYS = {
+    "zero": "zero_m",
+    "scale": "scale",
+    "angle": "angle_rad",
+    "standoff": "standoff_m",
+    "lag": "lag_s",
+    "gravity": "gravity_rad",
+    "sagitta": "sagitta_m",
+}
+"""How a log calls the fields of `Calibration`."""
 
 Line = dict[str, Any]
 
@@ -188,7 +198,17 @@ def _rig(line: Line) -> RigDescription:
         force_scale_std=_positive(rig, "force_scale_std"),
         force_gain_std=_not_negative(rig, "force_gain_std", default.force_gain_std),
         force_resolution=_not_negative(rig, "force_resolution_n", default.force_resolution),
+        calibration=_calibration(rig),
     )
+
+
+def _calibration(rig: Line) -> Calibration:
+    """How well the rig is known; where the log does not say so, as well as one is that has been calibrated."""
+    if rig.get("calibration_sd") is None:
+        return Calibration()
+    told, default = _block(rig, "calibration_sd"), Calibration()
+    values = {name: _not_negative(told, key, getattr(default, name)) for name, key in CALIBRATION_KEYS.items()}
+    return Calibration(**values)
 
 
 def _block(line: Line, key: str) -> Line:
@@ -263,6 +283,7 @@ def header_line(rig: RigDescription) -> Line:
             "force_gain_std": rig.force_gain_std,
             "palm_angle_noise_rad": rig.palm_angle_noise,
             "force_resolution_n": rig.force_resolution,
+            "calibration_sd": {key: getattr(rig.calibration, name) for name, key in CALIBRATION_KEYS.items()},
         },
     }
 

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from palmd.events import FloatArray
+from palmd.model.smoothing import RIG_NAMES
 from palmd.observer.mass import MassEstimator
 from palmd.observer.reconstruct import Reconstruction
 from palmd.observer.visits import Marks, kept_by_band, kept_by_visits
@@ -35,9 +36,15 @@ def as_line(answer: Reconstruction, at_rest: MassEstimator) -> dict[str, Any]:
         "mass_sd_kg": _number(answer.mass_sd),
         "mass_rest_kg": _number(at_rest.value),
         "mass_rest_sd_kg": _number(at_rest.sd),
+        "rig": _rig(answer) or None,
         "trajectory": _trajectory(answer),
         "seconds": _number(answer.seconds),
     }
+
+
+def _rig(answer: Reconstruction) -> dict[str, dict[str, float | None]]:
+    told = zip(RIG_NAMES, answer.rig.tolist(), answer.rig_sd.tolist(), strict=False)
+    return {name: {"value": _number(value), "sd": _number(sd)} for name, value, sd in told}
 
 
 def _trajectory(answer: Reconstruction) -> dict[str, list[float | None]] | None:

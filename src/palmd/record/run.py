@@ -109,7 +109,7 @@ class Run:
         """What the smoother beside the loop had to say, with the time (s) of the tick in which it was heard."""
         for message in self.messages(IMPROVEMENT.name):
             fields = message.fields
-            if "established" not in fields:
+            if "spread" not in fields:
                 raise RunError(
                     f"{self.path}: its smoother's answers tell less than those of this palmd, which cannot check them;"
                     f" `palmd estimate {self.path}` runs the smoother anew"
@@ -118,7 +118,11 @@ class Run:
                 x = np.array(fields["x"], dtype=np.float64)
                 covariance = np.array(fields["covariance"], dtype=np.float64).reshape(len(x), -1)
                 touched = np.array(fields["touched"], dtype=np.bool_)
-                told = Improvement(fields["t_s"], x, covariance, fields["frame"], fields["established"], touched)
+                rig = np.array(fields["rig"], dtype=np.float64)
+                spread = np.array(fields["spread"], dtype=np.float64).reshape(len(x), -1)
+                told = Improvement(
+                    fields["t_s"], x, covariance, fields["frame"], fields["established"], touched, rig, spread
+                )
                 yield fields["t_tick_s"], told
             except (KeyError, ValueError, TypeError) as error:
                 raise RunError(f"{self.path}: {IMPROVEMENT.name}, message {message.sequence}: {error!r}") from None

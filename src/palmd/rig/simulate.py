@@ -53,6 +53,7 @@ _ANGLE_COLUMNS = ("phi1_rad", "phi2_rad")
 _COLUMNS = ("t", "psi_rad", "omega0_rad_s", "r1_m", "r2_m", "s1_m", "s2_m", *_ANGLE_COLUMNS, "f1_n", "f2_n")
 _PAD_MARGIN_M = 3e-3
 _TURNED_RAD = 0.3
+_CALIBRATION = ("zero_m", "scale", "angle_rad", "standoff_m", "lag_s", "gravity_rad", "sagitta_m")
 _MIN_FORCE = 0.1  # m/s²: below it the contact is as good as lost
 
 
@@ -222,6 +223,7 @@ def _log_lines(
         hinge["palm1_length_m"] = scene.hinge.palm1_length
     pad = {"length_m": PAD_LENGTH, "noise_m": _PAD_NOISE_M, "resolution_m": _PAD_RESOLUTION_M}
     rig = {"gravity_m_s2": 9.81, "hinge": hinge, "pad": pad, "force_scale_std": _FORCE_SCALE_STD}
+    rig["calibration_sd"] = dict.fromkeys(_CALIBRATION, 0.0)  # it is exactly as described
     yield {"palmd_log": 1, "rig": rig}
     duration = float(history[-1, 0])
     events = list(_palm_lines(scene, history, rng))

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from palmd.config import AdeptConfig, Config, PadsConfig, VersaPadConfig
+from palmd.config import AdeptConfig, Config, PadsConfig, RigConfig, VersaPadConfig
 from palmd.devices.actuator import ArmState, Pose
 from palmd.devices.armlink import CONTROLLER_NEWLINE
 from palmd.events import PalmMotion
@@ -46,9 +46,13 @@ _IDENTITY_S = 0.5
 
 
 def default_config() -> Config:
-    """The contract's defaults, for a rig started without a configuration."""
-    pads = PadsConfig(palm1=VersaPadConfig(port="pad1"), palm2=VersaPadConfig(port="pad2"))
-    return Config(pads=pads, arm=AdeptConfig(port="arm"))
+    """The contract's defaults, for a rig started without a configuration, and exactly as described."""
+    pad1, pad2 = (
+        VersaPadConfig(port=port, zero_sd_mm=0, scale_sd=0, standoff_sd_mm=0, sagitta_sd_mm=0, lag_sd_ms=0)
+        for port in ("pad1", "pad2")
+    )
+    pads = PadsConfig(palm1=pad1, palm2=pad2)
+    return Config(rig=RigConfig(angle_sd_deg=0.0, gravity_sd_deg=0.0), pads=pads, arm=AdeptConfig(port="arm"))
 
 
 class World:

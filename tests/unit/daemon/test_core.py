@@ -373,7 +373,9 @@ class Improved(Fake):
     @property
     def answered(self):
         return (
-            Improvement(0.04, np.arange(3.0), np.eye(3), 2, True, np.ones(72, dtype=bool))
+            Improvement(
+                0.04, np.arange(3.0), np.eye(3), 2, True, np.ones(72, dtype=bool), np.zeros(12), np.zeros((3, 12))
+            )
             if len(self.ticks) == 4
             else None
         )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from palmd.model import shape
-from palmd.model.smoothing import CONSTANTS, ORDER, C
+from palmd.model.smoothing import CONSTANTS, ORDER, RIG_CONSTANTS, C
 from palmd.observer.coverage import NORMAL_BINS
 from palmd.observer.factor import Factor
 from palmd.observer.matching import Felt, _of_any_small_turn, _weight, _weights, matched
@@ -18,7 +18,7 @@ NOWHERE = np.zeros(NORMAL_BINS, dtype=np.bool_)
 
 
 def a_prior():
-    sd = np.concatenate([[0.12, 0.1, 0.35, 3e-4, 1.5], shape.prior_sd(RADIUS, ORDER)])
+    sd = np.concatenate([[0.12, 0.1, 0.35, 3e-4, 1.5], np.full(RIG_CONSTANTS, 1e-4), shape.prior_sd(RADIUS, ORDER)])
     sd[C.SHAPE] = 0.1 * RADIUS
     mean = np.zeros(CONSTANTS)
     mean[C.SHAPE] = RADIUS
@@ -35,7 +35,7 @@ def felt(p, middle, width, sd=SD):
     theta = middle + np.linspace(-width, width, 60)
     rows = np.zeros((60, CONSTANTS))
     rows[:, C.SHAPE :] = shape.basis(theta, ORDER) / sd
-    rows = np.vstack([rows, np.diag([20.0, 100.0, 10.0, 1e3, 300.0] + [0.0] * (2 * ORDER + 1))[:5]])
+    rows = np.vstack([rows, np.diag([20.0, 100.0, 10.0, 1e3, 300.0] + [0.0] * (CONSTANTS - 5))[:5]])
     values = rows @ p + RANDOM.standard_normal(len(rows))
     matrix = rows.T @ rows
     about = p + 1e-6 * RANDOM.standard_normal(CONSTANTS)

@@ -132,7 +132,9 @@ def test_psi_goes_on_without_a_jump_when_an_improvement_takes_the_lead(run: Run)
 
 def test_an_improvement_from_before_the_present_object_is_not_taken(run: Run) -> None:
     n = shape_map.size(ORDER)
-    stale = Improvement(-1.0, np.zeros(n), np.eye(n), 1, True, np.zeros(NORMAL_BINS, dtype=np.bool_))
+    stale = Improvement(
+        -1.0, np.zeros(n), np.eye(n), 1, True, np.zeros(NORMAL_BINS, dtype=np.bool_), np.zeros(12), np.zeros((n, 12))
+    )
     watcher = observer.make("shape", run.rig, smoothing=Scripted(1.0, stale))
     assert isinstance(watcher, SmoothedObserver)
     for _ in ticks(run, watcher):

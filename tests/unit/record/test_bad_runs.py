@@ -112,7 +112,7 @@ def test_an_improvement_that_makes_no_sense_is_told_in_one_line(tmp_path):
     with path.open("wb") as stream:
         writer = RunWriter(stream, run.preface, 0, compressed=False)
         fields = {"t_tick_s": 0.0, "t_s": 0.0, "x": [1.0, 2.0], "covariance": [1.0]}
-        fields |= {"frame": 1, "established": True, "touched": [0]}
+        fields |= {"frame": 1, "established": True, "touched": [0], "rig": [], "spread": [1.0, 2.0]}
         writer.write(recorded.message(IMPROVEMENT.name, fields, 0))
         writer.finish()
     with pytest.raises(RunError, match=f"^{path}: {IMPROVEMENT.name}, message 0: "):
