@@ -55,7 +55,8 @@ class SmoothedRun:
 
     converged: False rather than wrong, then `reason` says why, and outline and trajectory may be missing. chi2: per
     reading. trajectory: `t_s psi_rad omega0_rad_s r1_m r2_m`. rho_m: radius of gyration. mu: friction. mass_rest_kg:
-    mass as weighed while the object lay still, which needs no outline. `…_sd…`: one-sigma.
+    mass as weighed while the object lay still, which needs no outline. `…_sd…`: one-sigma. rig: what the run tells of
+    the rig's own constants, `{name: {value, sd}}`, empty where it had nothing to find.
     """
 
     converged: bool
@@ -71,6 +72,7 @@ class SmoothedRun:
     mass_sd_kg: float
     mass_rest_kg: float
     mass_rest_sd_kg: float
+    rig: Mapping[str, Mapping[str, float]]
     seconds: float
 
     def outline_xy(self) -> FloatArray:
@@ -121,6 +123,7 @@ def reconstruct(log: RunData | str | os.PathLike[str], seed: int = 0) -> Smoothe
         reason=line["reason"] or "",
         outline=None if line["h_m"] is None else outline_of(line, math.nan),
         trajectory=_trajectory(line["trajectory"]),
+        rig=line["rig"] or {},
         **{name: math.nan if line[name] is None else line[name] for name in _NUMBERS},
     )
 
