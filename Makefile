@@ -14,8 +14,7 @@ demo: build  ## an emulated rig, the daemon, an unknown object: live estimates u
 	@$(BIN)/palmd demo $(DEMO_ARGS)
 
 test: dev lint  ## all tests, linters, types and import contracts
-	$(BIN)/python -m pytest -q -n 2 -m "not rig and not system and not bench"
-	$(BIN)/python -m pytest -q -m "rig or system"
+	@$(BIN)/python tools/run_tests.py
 
 system: dev  ## only the services, under a systemd of their own (skipped unless root may boot one)
 	$(BIN)/python -m pytest -q -m system

@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from palmd.api import (
+        DataTable,
         EstimatedRun,
         Events,
         Live,
-        Outline,
+        OutlineData,
         PalmdError,
-        Run,
+        RunData,
         SmoothedRun,
-        Table,
         connect,
         estimate,
         open,
@@ -32,14 +32,14 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "DataTable",
     "EstimatedRun",
     "Events",
     "Live",
-    "Outline",
+    "OutlineData",
     "PalmdError",
-    "Run",
+    "RunData",
     "SmoothedRun",
-    "Table",
     "connect",
     "estimate",
     "open",

@@ -77,7 +77,7 @@ class Calibration:
 
     `zero` and `scale` of the readings, `standoff` of the pad's surface from the hinge line, `sagitta` of its bow, `lag`
     of its time stamps, `angle` of φ1 and φ2, `gravity` of its direction. The defaults are those of a rig after
-    docs/calibration.md.
+    docs/start/calibration.md.
     """
 
     zero: float = 1e-4

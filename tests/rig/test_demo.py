@@ -105,7 +105,7 @@ def test_it_runs_beside_busy_ports_and_ends_by_itself_with_a_summary(demo):
     status, out, err = running.end()
     assert (status, bool(SUMMARY.fullmatch(out))) == (0, True), out + err
     assert "palmd top --address tcp://127.0.0.1:" in err
-    assert " 7 s  tracking" in err
+    assert re.search(r" [4-7] s  tracking", err), err
     (path,) = (running.here / "runs").iterdir()
     assert f"recorded in {path}\n" in err
     run = read_run(path)

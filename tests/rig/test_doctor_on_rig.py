@@ -15,9 +15,6 @@ pytestmark = pytest.mark.rig
 GENTLE = {"rate_deg_s": 60, "acceleration_deg_s2": 300}  # so that one cycle's clamp is within reach of the test
 
 
-RIG_LATE_MS = 8.0  # half a cycle
-
-
 class Rig:
     def __init__(self, folder):
         settings = {"pads": {"palm1": {"port": "a"}, "palm2": {"port": "b"}}, "arm": {"port": "c"}, "limits": GENTLE}
@@ -43,6 +40,14 @@ def rig(tmp_path_factory):
     rig.close()
 
 
+@pytest.fixture
+def own_rig(tmp_path):
+    """For a test that may leave the arm in a fault."""
+    rig = Rig(tmp_path)
+    yield rig
+    rig.close()
+
+
 def doctor(*arguments):
     return subprocess.run(
         [sys.executable, "-P", "-m", "palmd", "doctor", *map(str, arguments)],
@@ -50,25 +55,12 @@ def doctor(*arguments):
     )  # fmt: skip
 
 
-def test_the_emulated_arm_conforms(tmp_path):
-    """On a busy machine the rig is late as no controller is; it says so itself, and the test begins anew."""
-    for number in range(3):
-        (folder := tmp_path / str(number)).mkdir()
-        rig = Rig(folder)
-        try:
-            done = doctor("--arm-conformance", rig.config, "--yes")
-            status = rig.hand.do("status")
-        finally:
-            rig.close()
-        assert done.returncode in (0, 3), done.stderr
-        assert "Traceback" not in done.stderr
-        if done.returncode == 0 or status["latest_ms"] < RIG_LATE_MS:
-            break
-    else:
-        pytest.skip(f"this machine keeps the emulated rig from its work for {status['latest_ms']:.0f} ms")
-    assert done.returncode == 0, done.stdout + done.stderr
+def test_the_emulated_arm_conforms(own_rig):
+    done = doctor("--arm-conformance", own_rig.config, "--yes")
+    assert "Traceback" not in done.stderr
+    assert done.returncode == 0, f"{done.stdout}{done.stderr}rig: {own_rig.hand.do('status')}"
     assert f"{len(CHECKS)} of {len(CHECKS)} checks passed" in done.stdout
-    assert status["arm_state"] == "R"
+    assert own_rig.hand.do("status")["arm_state"] == "R"
 
 
 def test_without_leave_nothing_is_told_to_track(rig):

@@ -5,19 +5,19 @@ from __future__ import annotations
 from palmd.api.answers import EstimatedRun, SmoothedRun, estimate, reconstruct
 from palmd.api.errors import PalmdError
 from palmd.api.live import Live, connect
-from palmd.api.outline import Outline
-from palmd.api.runs import Events, Run, open
-from palmd.api.table import Table
+from palmd.api.outline import OutlineData
+from palmd.api.runs import Events, RunData, open
+from palmd.api.table import DataTable
 
 __all__ = [
+    "DataTable",
     "EstimatedRun",
     "Events",
     "Live",
-    "Outline",
+    "OutlineData",
     "PalmdError",
-    "Run",
+    "RunData",
     "SmoothedRun",
-    "Table",
     "connect",
     "estimate",
     "open",

@@ -13,9 +13,9 @@ import numpy as np
 
 from palmd import observer as observers
 from palmd.api.errors import PalmdError, as_palmd_error
-from palmd.api.outline import Outline, last_of, outline_of
-from palmd.api.runs import Run, open
-from palmd.api.table import Table, table_of
+from palmd.api.outline import OutlineData, last_of, outline_of
+from palmd.api.runs import RunData, open
+from palmd.api.table import DataTable, table_of
 from palmd.blas import one_thread
 from palmd.events import FloatArray
 from palmd.messages import estimate_fields, shape_fields
@@ -35,12 +35,12 @@ class EstimatedRun:
     a second. verdict: which of the stored outlines the object is, None without any.
     """
 
-    estimates: Table
-    outlines: tuple[Outline, ...]
+    estimates: DataTable
+    outlines: tuple[OutlineData, ...]
     verdict: Verdict | None
 
     @property
-    def outline(self) -> Outline:
+    def outline(self) -> OutlineData:
         """The last outline; PalmdError when there is none."""
         return last_of(self.outlines, "the estimate")
 
@@ -55,14 +55,15 @@ class SmoothedRun:
 
     converged: False rather than wrong, then `reason` says why, and outline and trajectory may be missing. chi2: per
     reading. trajectory: `t_s psi_rad omega0_rad_s r1_m r2_m`. rho_m: radius of gyration. mu: friction. mass_rest_kg:
-    mass as weighed while the object lay still, which needs no outline. `…_sd…`: one-sigma.
+    mass as weighed while the object lay still, which needs no outline. `…_sd…`: one-sigma. rig: what the run tells of
+    the rig's own constants, `{name: {value, sd}}`, empty where it had nothing to find.
     """
 
     converged: bool
     reason: str
     chi2: float
-    outline: Outline | None
-    trajectory: Table
+    outline: OutlineData | None
+    trajectory: DataTable
     rho_m: float
     rho_sd_m: float
     mu: float
@@ -71,6 +72,7 @@ class SmoothedRun:
     mass_sd_kg: float
     mass_rest_kg: float
     mass_rest_sd_kg: float
+    rig: Mapping[str, Mapping[str, float]]
     seconds: float
 
     def outline_xy(self) -> FloatArray:
@@ -82,7 +84,7 @@ class SmoothedRun:
 
 @one_thread()
 def estimate(
-    log: Run | str | os.PathLike[str],
+    log: RunData | str | os.PathLike[str],
     observer: observers.ObserverName = "shape",
     shape: str | os.PathLike[str] | None = None,
 ) -> EstimatedRun:
@@ -108,8 +110,8 @@ def estimate(
 
 
 @one_thread()
-def reconstruct(log: Run | str | os.PathLike[str], seed: int = 0) -> SmoothedRun:
-    """Outline and motion from a whole run at once; takes about a second for ten seconds of readings.
+def reconstruct(log: RunData | str | os.PathLike[str], seed: int = 0) -> SmoothedRun:
+    """OutlineData and motion from a whole run at once; takes about a second for ten seconds of readings.
 
     Deterministic for a given `seed` (of the blind start). Raises PalmdError for a log that cannot be used, never for
     what its readings say.
@@ -121,6 +123,7 @@ def reconstruct(log: Run | str | os.PathLike[str], seed: int = 0) -> SmoothedRun
         reason=line["reason"] or "",
         outline=None if line["h_m"] is None else outline_of(line, math.nan),
         trajectory=_trajectory(line["trajectory"]),
+        rig=line["rig"] or {},
         **{name: math.nan if line[name] is None else line[name] for name in _NUMBERS},
     )
 
@@ -132,11 +135,11 @@ _NUMBERS = (
 _TIME = {"t": "t_s"}
 
 
-def _trajectory(columns: Mapping[str, list[Any]] | None) -> Table:
+def _trajectory(columns: Mapping[str, list[Any]] | None) -> DataTable:
     """Columns as a table; empty ones where there is no trajectory."""
     told = columns or {name: [] for name in ("t", "psi_rad", "omega0_rad_s", "r1_m", "r2_m")}
-    return Table({_TIME.get(name, name): np.array(values, dtype=np.float64) for name, values in told.items()})
+    return DataTable({_TIME.get(name, name): np.array(values, dtype=np.float64) for name, values in told.items()})
 
 
-def _opened(log: Run | str | os.PathLike[str]) -> Run:
-    return log if isinstance(log, Run) else open(log)
+def _opened(log: RunData | str | os.PathLike[str]) -> RunData:
+    return log if isinstance(log, RunData) else open(log)

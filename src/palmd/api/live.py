@@ -31,7 +31,7 @@ class Live:
         """Raises PalmdError for what is no address."""
         self._publish, self._key = publish, key
         with as_palmd_error():
-            self._client = CommandClient(command, key=key)
+            self._client = CommandClient(command, key=key, now_or_never=True)
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
         return self.estimates()

@@ -15,7 +15,7 @@ from palmd.polygon import closed_outline, turned
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Outline:
+class OutlineData:
     """A convex outline as support function h about the centre of mass, on n normals spread evenly over a full turn.
 
     theta_rad (n): the outward normals in the object's frame. h_m, h_sd_m (n): support function, one-sigma. touched (n):
@@ -36,13 +36,13 @@ class Outline:
         return np.asarray(closed_outline(self.theta_rad, self.h_m) @ turned(psi_rad) + np.array(com_m))
 
 
-def outline_of(fields: Mapping[str, Any], t_s: float) -> Outline:
+def outline_of(fields: Mapping[str, Any], t_s: float) -> OutlineData:
     """The outline in the fields of `palm/shape`, or of a reconstruction's result."""
     theta, h, h_sd = (np.array(fields[name], dtype=np.float64) for name in ("theta_rad", "h_m", "h_sd_m"))
-    return Outline(t_s, theta, h, h_sd, np.array(fields["touched"], dtype=np.bool_))
+    return OutlineData(t_s, theta, h, h_sd, np.array(fields["touched"], dtype=np.bool_))
 
 
-def last_of(outlines: tuple[Outline, ...], what: str) -> Outline:
+def last_of(outlines: tuple[OutlineData, ...], what: str) -> OutlineData:
     """The last outline; PalmdError when there is none."""
     if not outlines:
         raise PalmdError(f"{what}: no outline in it: nothing was felt for long enough")

@@ -9,8 +9,8 @@ from functools import cached_property
 from pathlib import Path
 
 from palmd.api.errors import PalmdError, as_palmd_error
-from palmd.api.outline import Outline, last_of, outline_of
-from palmd.api.table import Table, table_of
+from palmd.api.outline import OutlineData, last_of, outline_of
+from palmd.api.table import DataTable, table_of
 from palmd.events import Event, FloatArray, PadLift, RigDescription
 from palmd.messages import Fields
 from palmd.quantities import CONTACT, ESTIMATE, SHAPE
@@ -26,11 +26,11 @@ class Events:
     angles as measured, and the rates and accelerations of the plan.
     """
 
-    pads: Table
-    palms: Table
+    pads: DataTable
+    palms: DataTable
 
 
-class Run:
+class RunData:
     """A run as it lies on the disk; each table is read when it is first asked for, and kept."""
 
     def __init__(self, path: Path) -> None:
@@ -41,7 +41,7 @@ class Run:
             self._log = read_log(path) if self._recording is None else None
 
     def __repr__(self) -> str:
-        return f"<palmd.Run {self.path}>"
+        return f"<palmd.RunData {self.path}>"
 
     @cached_property
     def log(self) -> EventLog:
@@ -67,7 +67,7 @@ class Run:
         with as_palmd_error():
             return {topic: survey.count for topic, survey in self._recording.survey().items()}
 
-    def table(self, topic: str) -> Table:
+    def table(self, topic: str) -> DataTable:
         """All messages of a topic, with `t_s`: the time they hold for (s), on the clock of the events.
 
         Raises PalmdError where there are none.
@@ -79,24 +79,24 @@ class Run:
         return table
 
     @cached_property
-    def estimates(self) -> Table:
+    def estimates(self) -> DataTable:
         """What the daemon said, tick by tick: the fields of `palm/estimate`."""
         return self.table(ESTIMATE.name)
 
     @cached_property
-    def contacts(self) -> Table:
+    def contacts(self) -> DataTable:
         """What the pads said last, tick by tick: the fields of `palm/contact`."""
         return self.table(CONTACT.name)
 
     @cached_property
-    def outlines(self) -> tuple[Outline, ...]:
+    def outlines(self) -> tuple[OutlineData, ...]:
         """Every outline that the daemon gave, in order of time."""
         with as_palmd_error():
             messages = self._recorded(SHAPE.name).messages(SHAPE.name)
             return tuple(outline_of(fields, fields["mono_ns"] * 1e-9) for fields in (each.fields for each in messages))
 
     @property
-    def outline(self) -> Outline:
+    def outline(self) -> OutlineData:
         """The last outline; PalmdError when there is none."""
         return last_of(self.outlines, str(self.path))
 
@@ -119,12 +119,12 @@ class Run:
         return self._recording
 
 
-def open(path: str | os.PathLike[str]) -> Run:
+def open(path: str | os.PathLike[str]) -> RunData:
     """The recorded run (MCAP) or event log (JSON lines) in a file; what it is shows in its first bytes.
 
     Raises PalmdError when it cannot be used. Quick: tables are read when they are asked for.
     """
-    return Run(Path(path))
+    return RunData(Path(path))
 
 
 def _timed(fields: Fields) -> Fields:

@@ -15,7 +15,7 @@ Column = npt.NDArray[Any]
 _BLANK: dict[type, Any] = {float: np.nan, bool: False, str: "", list: []}
 
 
-class Table(Mapping[str, Column]):
+class DataTable(Mapping[str, Column]):
     """A mapping from names to NumPy arrays of one length: `table["psi_rad"]`, `dict(table)`, `table.to_pandas()`.
 
     Names end in their unit (SI). Numbers are float64 with NaN for "no value", truth values bool, texts and lists of
@@ -53,14 +53,14 @@ class Table(Mapping[str, Column]):
         return pandas.DataFrame({name: list(column) if column.ndim > 1 else column for name, column in self.items()})
 
     def __repr__(self) -> str:
-        return f"<Table of {self.rows} rows: {', '.join(self._columns)}>"
+        return f"<DataTable of {self.rows} rows: {', '.join(self._columns)}>"
 
 
-def table_of(messages: Iterable[Mapping[str, Any]]) -> Table:
+def table_of(messages: Iterable[Mapping[str, Any]]) -> DataTable:
     """Rows of a table from messages; what a message lacks has no value in its row."""
     rows = [dict(flat(dict(message))) for message in messages]
     names = dict.fromkeys(name for row in rows for name in row)
-    return Table({name: _column([row.get(name) for row in rows]) for name in names})
+    return DataTable({name: _column([row.get(name) for row in rows]) for name in names})
 
 
 def _column(values: list[Any]) -> Column:
