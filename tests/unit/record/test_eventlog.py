@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from palmd.events import PadLift, PadSample, PalmSample, RigDescription
+from palmd.events import Calibration, PadLift, PadSample, PalmSample, RigDescription
 from palmd.record.eventlog import LogError, read_log, write_log
 from palmd.rig.simulate import simulate_log
 
@@ -57,6 +57,7 @@ def test_golden_lines(log):
     assert run.rig == RigDescription(
         gravity=9.81, hinge="arc", palm1_length=0.11, base=(0.11, 0.0), pad_length=0.0555, pad_noise=1e-4,
         pad_resolution=1.27e-4, palm_angle_noise=2e-4, force_scale_std=0.05, force_resolution=0.02,
+        calibration=Calibration(),  # where the log does not say how well the rig is known
     )  # fmt: skip
     assert run.notes == ()
 
