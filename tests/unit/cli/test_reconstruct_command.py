@@ -21,7 +21,7 @@ SECONDS = 2.5
 FIELDS = {
     *("converged", "reason", "chi2", "theta_rad", "h_m", "h_sd_m", "touched", "rho_m", "rho_sd_m", "mu", "mu_sd"),
     *("visits", "kept_paper", "kept_band", "mass_rest_kg", "mass_rest_sd_kg"),
-    *("mass_kg", "mass_sd_kg", "trajectory", "seconds"),
+    *("mass_kg", "mass_sd_kg", "trajectory", "seconds", "rig"),
 }
 
 
@@ -31,6 +31,7 @@ def answer(**changes):
     values |= {"visits": 2 * (theta < 0.5) + (theta < 1.0)}
     values |= {"touched": theta < 1.0, "rho": 0.014, "rho_sd": 1e-3, "mu": 0.1, "mu_sd": 0.01, "mass": nan}
     values |= {"mass_sd": nan, "t": t, "psi": t, "omega0": 2 * t, "r1": t, "r2": t, "reason": "", "seconds": 1.5}
+    values |= {"rig": np.arange(12.0), "rig_sd": np.full(12, 0.5)}
     return Reconstruction(**values | changes)
 
 
@@ -41,7 +42,7 @@ def unweighed():
 def nothing():
     none = np.zeros(0)
     absent = dict.fromkeys(("chi2", "rho", "rho_sd", "mu", "mu_sd"), math.nan)
-    columns = dict.fromkeys(("t", "psi", "omega0", "r1", "r2"), none)
+    columns = dict.fromkeys(("t", "psi", "omega0", "r1", "r2", "rig", "rig_sd"), none)
     return answer(
         converged=False, h=None, h_sd=None, touched=None, visits=None, reason="too little", **absent, **columns
     )
@@ -60,6 +61,8 @@ def test_the_result_has_the_fields_of_the_contract():
     assert set(line["kept_paper"]) == set(line["kept_band"]) == {0, 1}
     assert line["mass_kg"] is line["mass_sd_kg"] is None
     assert (line["rho_m"], line["mu_sd"], line["seconds"]) == (0.014, 0.01, 1.5)
+    assert line["rig"]["pad2_zero_m"] == {"value": 1.0, "sd": 0.5}
+    assert len(line["rig"]) == 12
     assert line["trajectory"] == {
         "t": [0.1, 0.2], "psi_rad": [0.1, 0.2], "omega0_rad_s": [0.2, 0.4], "r1_m": [0.1, 0.2], "r2_m": [0.1, 0.2]
     }  # fmt: skip
