@@ -105,7 +105,7 @@ def test_ports_speak_the_protocols_and_truth_is_published():
             host = ArmHost(38400)
             deadline = time.monotonic() + 5.0
             while host.state is None and time.monotonic() < deadline:
-                arm.write(host.poll(time.monotonic(), None))
+                arm.write(host.poll(time.monotonic(), None).data)
                 select.select([arm.fileno()], [], [], 0.01)
                 host.feed(arm.read(4096), time.monotonic())
             assert host.state == "R"

@@ -162,7 +162,8 @@ def test_friction_in_other_coordinates_is_the_same_belief() -> None:
     x[mu], x[dither] = 12.0, 7000.0  # B, w
     P = np.diag(sd**2)
     P[np.ix_([mu, dither], [mu, dither])] = [[0.04, 2.0], [2.0, 400.0]]
-    mean, covariance = _as_shape_map(x, P)
+    mean, J = _as_shape_map(x)
+    covariance = J @ P @ J.T
     drawn = np.random.default_rng(0).multivariate_normal(
         x[[mu, dither]], P[np.ix_([mu, dither], [mu, dither])], 200_000
     )
