@@ -44,6 +44,7 @@ def pytest_runtest_protocol(item, nextitem):
         reports = runtestprotocol(item, nextitem=nextitem, log=False)
         if not left or pressure.share() < patience.BUSY_SHARE or not any(report.failed for report in reports):
             break
+        item.config.get_terminal_writer().line(f"\n{item.nodeid}: tried again: others keep the processors")
         patience.until_quiet(WAIT_S)
     for report in reports:
         item.ihook.pytest_runtest_logreport(report=report)
