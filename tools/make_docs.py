@@ -96,7 +96,7 @@ def _rows(action: argparse.Action, parser: argparse.ArgumentParser) -> Iterator[
     if isinstance(action, argparse._SubParsersAction):
         for each in action._choices_actions:
             words = [_spelt(one) for one in action.choices[each.dest]._actions if one.dest != "help"]
-            yield f"`{' '.join([each.dest, *words])}`", each.help or ""
+            yield f"`{' '.join([each.dest, *words])}`".replace("|", "\\|"), each.help or ""
     elif action.dest != "help" and action.help is not argparse.SUPPRESS:
         yield f"`{_spelt(action)}`", _meaning(action, parser).replace("|", "\\|")
 

@@ -61,9 +61,9 @@ class Process(Child):
         self.send(number)
         return self._process.wait(within_s)
 
-    def wait(self):
+    def wait(self, within_s=GENEROUS_S):
         """The exit status, once it ends by itself."""
-        return self._process.wait(GENEROUS_S)
+        return self._process.wait(within_s)
 
     def kill(self):
         """Whatever it does, it is gone."""

@@ -41,7 +41,7 @@ def coverage(bench):
 
 def explorer_number(bench):
     """The process number of the daemon's explorer."""
-    daemon = bench.daemon._popen.pid
+    daemon = bench.daemon.number
     children = Path(f"/proc/{daemon}/task/{daemon}/children").read_text(encoding="ascii").split()
     (number,) = (int(child) for child in children if b"explorer_process" in Path(f"/proc/{child}/cmdline").read_bytes())
     return number

@@ -13,7 +13,7 @@ NAMES = ("pad1-mute", "controller-estop", "address-taken", "page-killed")
 def test_some_faults(tmp_path):  # a short name: it is part of the path of a socket
     process = Process(tmp_path, "bench", "faults", "--only", *NAMES, "-o", tmp_path)
     try:
-        status = process._popen.wait(100)
+        status = process.wait(100)
     finally:
         process.kill()
     lines = [json.loads(line) for line in (tmp_path / "runs.jsonl").read_text().splitlines()]

@@ -15,7 +15,7 @@ def soaked(folder):
     folder.mkdir()
     process = Process(folder, "bench", "soak", "--seconds", "25", "--seed", SEED, "-o", folder)
     try:
-        status = process._popen.wait(150)
+        status = process.wait(150)
     finally:
         process.kill()
     rows = [json.loads(line) for line in (folder / "soak.jsonl").read_text().splitlines()]

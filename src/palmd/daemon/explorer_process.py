@@ -12,7 +12,7 @@ from palmd.events import RigDescription
 log = logging.getLogger(__name__)
 
 HIGH_WATER = 10  # questions on their way: a second
-NICENESS = 5  # the palms stand while it thinks: before the smoother, after the loop
+NICENESS = 2  # the palms stand while it thinks: before the smoother, after the loop
 
 
 class ExplorerProcess:

@@ -25,7 +25,7 @@ BATCH_S = 0.05  # of events that go out in one message
 HIGH_WATER = 100  # messages on their way: five seconds
 KEPT_EVENTS = 1000  # for a process that does not take them: some four seconds; packing them takes 1 ms
 SHARE = 0.5  # of one core that the process takes at most, and that only before it has found anything
-NICENESS = 10
+NICENESS = 3  # after the loop, but not so far behind others that its answers come too late
 
 _KINDS: tuple[type[PadSample] | type[PadLift] | type[PalmSample], ...] = (PadSample, PadLift, PalmSample)
 

@@ -16,7 +16,7 @@ from palmd.observer.bank_observer import BankObserver, finite
 from palmd.observer.filter_catchup import FilterCatchUp
 from palmd.observer.incremental import IncrementalSmoother, Session
 
-MEMORY_S = 8.0  # how long after its time an improvement can still be taken in
+MEMORY_S = 30.0  # how long after its time an improvement can still be taken in: on a busy machine answers come late
 EVENTS_PER_TICK = 14  # beyond those that come in a tick, that a newcomer reads
 
 
