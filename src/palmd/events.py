@@ -76,7 +76,8 @@ class Calibration:
     """One-sigma of what each of the rig's constants is off by: of each pad, of each palm's angle, of gravity; SI units.
 
     `zero` and `scale` of the readings, `standoff` of the pad's surface from the hinge line, `sagitta` of its bow, `lag`
-    of its time stamps, `angle` of φ1 and φ2, `gravity` of its direction. The defaults are those of a rig after
+    of its time stamps, `angle` of φ1 and φ2, `gravity` of its direction, `force`: of what a reading moves by with the
+    contact's force (m/N). `friction`: of (μ1 − μ2)/(μ1 + μ2) of the palms. The defaults are those of a rig after
     docs/start/calibration.md.
     """
 
@@ -87,9 +88,11 @@ class Calibration:
     lag: float = 2e-3
     gravity: float = math.radians(0.2)
     sagitta: float = 3e-5
+    friction: float = 0.3
+    force: float = 5e-5
 
 
-PERFECT = Calibration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+PERFECT = Calibration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """Of a rig that is exactly as described."""
 
 

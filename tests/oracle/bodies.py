@@ -12,7 +12,7 @@ import numpy as np
 ORDER = 12
 # ln ρ, B, w, c, ln m, the rig's constants, coefficients of h, and maybe more: the smoother's order
 LN_RHO, DRAG, SATURATION, DAMPING, LN_MASS, RIG = range(6)
-SHAPE = RIG + 12
+SHAPE = RIG + 15
 CONSTANTS = SHAPE + 2 * ORDER + 1
 
 
@@ -72,14 +72,15 @@ class Bodies:
             -alpha[0] * math.cos(phi[0]) + omega[0] ** 2 * math.sin(phi[0]),
         ])  # fmt: skip
         rho, dither = np.exp(self.p[LN_RHO]), self.p[SATURATION] ** -0.5
-        mu = self.p[DRAG] * dither
+        mean, asymmetry = self.p[DRAG] * dither, self.p[RIG + 12]
+        friction = (mean * (1.0 + asymmetry), mean * (1.0 - asymmetry))
         count = psi.size
         A, b = np.zeros((count, 3, 3)), np.zeros((count, 3))
         A[:, :2, 2] = -with_spin.T
         A[:, 2, 2] = -(rho**2)
         b[:, :2] = (still + hinge[:, None]).T + np.array([0.0, self.gravity])
         b[:, 2] = self.p[DAMPING] * omega0
-        for i in range(2):
+        for i, mu in enumerate(friction):
             arm = -h[i] * n[i][:, None] + slope[i] * t[i][:, None]
             spun = np.stack([-omega0 * arm[1], omega0 * arm[0]])
             slip = t[i] @ (c_dot + spun)  # the palm's own points move across t

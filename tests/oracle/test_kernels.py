@@ -10,7 +10,7 @@ from palmd.model import extended, sensitivity, shape, shape_map
 from palmd.model.integrate import exponential_step
 from palmd.model.outputs import NAMED
 
-RIG = [9.81, 0.12, 0.12, 0.0]
+RIG = [9.81, 0.12, 0.12, 0.0, 0.1]
 PALMS = [0.7, 1.5, 0.4, -0.3, 1.0, -2.0]
 JERK = [3.0, -4.0]
 

@@ -13,7 +13,8 @@ from scipy.optimize import root
 from palmd.model import smoothing
 from palmd.model.shape import prior_sd
 
-RIG = [9.81, 0.12, 0.12, 0.0, 0.0555]  # and the pads' length
+RIG = [9.81, 0.12, 0.12, 0.0, 0.0, 0.0555]  # and the pads' length
+FORCE = 0.8  # N
 LENGTH = RIG[-1]
 PALMS = np.array([0.7, 1.5, 0.4, -0.3, 1.0, -2.0])
 JERK = np.array([3.0, -4.0])
@@ -26,6 +27,7 @@ def _constants(seed: int = 0, mu: float = 0.15, dither: float = 0.012) -> np.nda
     p[[LN_RHO, DRAG, SATURATION, DAMPING, LN_MASS]] = np.log(0.014), mu / dither, dither**-2.0, 3e-4, np.log(0.16)
     p[SHAPE:] = 0.5 * prior_sd(0.02, ORDER) * np.random.default_rng(seed).standard_normal(2 * ORDER + 1)
     p[SHAPE] = 0.02
+    p[bodies.RIG + 12] = 0.2 * (mu > 0)  # the palms' friction differs
     return p
 
 
@@ -54,7 +56,9 @@ def _differences(f, y: np.ndarray, scale: np.ndarray) -> np.ndarray:
     return np.array(columns).T
 
 
-RIG_SD = np.repeat([1e-4, 3e-3, 3e-5, 2e-3, 2e-4, 2e-3], 2)  # as a calibrated rig is known
+RIG_SD = np.append(
+    np.repeat([1e-4, 3e-3, 3e-5, 2e-3, 2e-4, 2e-3], 2), [0.3, 5e-5, 5e-5]
+)  # as a calibrated rig is known
 SCALE = np.concatenate([[0.1, 10.0, 1e3, 1e-4, 0.1], RIG_SD, np.full(2 * ORDER + 1, 1e-3)])
 
 
@@ -83,7 +87,7 @@ def test_jacobian_of_the_step(mu: float, relative: float) -> None:
 @pytest.mark.parametrize("name", ["contact", "force"])
 def test_gradient_of_a_reading(name: str, pad: int) -> None:
     kernel = smoothing.contact_function() if name == "contact" else smoothing.force_function()
-    z = [DT, 0.002, pad, *PALMS[:4], LENGTH] if name == "contact" else [DT, 0.002, pad, *PALMS, *RIG]
+    z = [DT, 0.002, pad, *PALMS[:4], FORCE, LENGTH] if name == "contact" else [DT, 0.002, pad, *PALMS, *RIG]
     y = np.concatenate([NODES.ravel(), _constants()])
     scale = np.concatenate([[0.1, 1.0, 0.1, 1.0], SCALE])
 
@@ -133,7 +137,7 @@ def test_a_reading_is_taken_where_the_cubic_between_the_nodes_is(t: float, pad: 
     cubic = CubicHermiteSpline([0.0, DT], NODES[:, 0], NODES[:, 1])
     psi, omega0 = np.array([cubic(t)]), np.array([cubic(t, 1)])
     twin = Bodies(p[:, None], RIG[0], RIG[1])
-    s, _ = _reading(smoothing.contact_function(), NODES, p, [DT, t, pad, *PALMS[:4], LENGTH])
+    s, _ = _reading(smoothing.contact_function(), NODES, p, [DT, t, pad, *PALMS[:4], FORCE, LENGTH])
     assert s.item() == pytest.approx(twin.contacts(PALMS, psi)[pad - 1].item(), abs=1e-12)
     force, _ = _reading(smoothing.force_function(), NODES, p, [DT, t, pad, *PALMS, *RIG])
     assert force.item() == pytest.approx(0.16 * twin.forces_and_spin(PALMS, psi, omega0)[pad - 1].item(), rel=1e-9)
@@ -173,13 +177,15 @@ def _touch(p: np.ndarray, phi: tuple[float, float], psi: float) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(4))
 def test_a_pads_reading_on_a_rig_that_is_not_as_described(pad: int, seed: int) -> None:
     p = _constants(2)
-    p[bodies.RIG : SHAPE] = RIG_SD * np.random.default_rng(seed).standard_normal(12)
-    zero, scale, _, lag = p[bodies.RIG + np.array([0, 2, 4, 6]) + pad - 1]
+    p[bodies.RIG : SHAPE] = RIG_SD * np.random.default_rng(seed).standard_normal(15)
+    zero, scale, _, lag, by_force = p[bodies.RIG + np.array([0, 2, 4, 6, 13]) + pad - 1]
     t = 0.003
     psi = CubicHermiteSpline([0.0, DT], NODES[:, 0], NODES[:, 1])(t - lag)
     then = PALMS[:2] - lag * PALMS[2:4]
-    reading, _ = _reading(smoothing.contact_function(), NODES, p, [DT, t, pad, *PALMS[:4], LENGTH])
-    assert reading.item() == pytest.approx(zero + (1 + scale) * _touch(p, then, psi)[pad - 1], abs=1e-6)
+    reading, _ = _reading(smoothing.contact_function(), NODES, p, [DT, t, pad, *PALMS[:4], FORCE, LENGTH])
+    assert reading.item() == pytest.approx(
+        zero + by_force * FORCE + (1 + scale) * _touch(p, then, psi)[pad - 1], abs=1e-6
+    )
 
 
 def test_batches_serve_what_the_single_kernels_give() -> None:

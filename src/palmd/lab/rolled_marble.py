@@ -17,7 +17,7 @@ def rolled(
     """What the host decodes, each packet read as its last byte arrives; the same arguments, the same packets."""
     rng = np.random.default_rng(seed)
     marble = Marble(config.length_mm * 1e-3, rng)
-    pad = PadEmulator(config, options, lambda _s: 0.0, rng, 0.0)
+    pad = PadEmulator(config, options, lambda _s, _force: 0.0, rng, 0.0)
     decoder = VersaPadDecoder(config.baud, PressureFormat(**config.pressure.model_dump()))
     packets: list[PadPacket] = []
     while (t := pad.due) < seconds:

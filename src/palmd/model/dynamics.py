@@ -43,7 +43,7 @@ class Palms:
 
 @dataclass(frozen=True, slots=True)
 class BodyConstants:
-    """Radius of gyration ρ (m), friction coefficient μ, dither speed u_d (m/s), damping c (m²/s)."""
+    """Radius of gyration ρ (m), friction coefficient μ (the palms' mean), dither speed u_d (m/s), damping c (m²/s)."""
 
     rho: SX
     mu: SX
@@ -73,10 +73,12 @@ def newton_euler(palms: Palms, omega0: SX, one: Contact, two: Contact, body: Bod
     """Solve the three linear equations of docs/theory/theory.md for α0, f1, f2.
 
     Two of them say that the object keeps touching (n_i·a prescribed by the contact's motion), the third is
-    ρ²α0 = Σ f_i (x_i × F_i) − c ω0 with F_i = n_i − μ σ(u_i) t_i and σ(u) = u/√(u² + u_d²).
+    ρ²α0 = Σ f_i (x_i × F_i) − c ω0 with F_i = n_i − μ_i σ(u_i) t_i and σ(u) = u/√(u² + u_d²).
+    `rig` is (g, L1, x, y, a): μ1 = (1 + a) μ, μ2 = (1 − a) μ.
     Valid while f1, f2 > 0.
     """
     c = solve_from_normals(palms.phi1, palms.phi2, one.r, two.r)
+    friction = (body.mu * (1 + rig[4]), body.mu * (1 - rig[4]))
     rates = (palms.omega1, palms.omega12)
     accelerations = (palms.alpha1, palms.alpha12)
     tangents = (tangent(palms.phi1, 1), tangent(palms.phi12, 2))
@@ -89,11 +91,11 @@ def newton_euler(palms: Palms, omega0: SX, one: Contact, two: Contact, body: Bod
 
     g_eff = effective_gravity(palms, rig)
     forces, needed, torques = [], [], []
-    for k, w, a, t, n in zip(contacts, rates, accelerations, tangents, normals, strict=True):
+    for k, mu, w, a, t, n in zip(contacts, friction, rates, accelerations, tangents, normals, strict=True):
         slip = ca.dot(t, c_dot) + omega0 * k.r
         sigma = slip / ca.sqrt(slip**2 + body.dither**2)
-        forces.append(n - body.mu * sigma * t)
-        torques.append(-(k.r * body.mu * sigma + k.d))
+        forces.append(n - mu * sigma * t)
+        torques.append(-(k.r * mu * sigma + k.d))
         # n_i·a without its α0 term, less what gravity already gives
         needed.append(
             (k.v - k.r) * (w - omega0) ** 2

@@ -15,17 +15,17 @@ NAMED = (
 )  # fmt: skip
 """Names as in `events.Estimate`, SI; f1, f2 here are per unit mass (m/s²), COM in the world frame."""
 
-RIG_INPUTS = 4
+RIG_INPUTS = 5
 
 
 def rig_inputs(rig: RigDescription) -> FloatArray:
-    """What the kernels are told of the rig at run time: g, hinge arm (0 when the hinge is fixed), base x, y.
+    """What the kernels are told of the rig: g, hinge arm (0 when it is fixed), base x, y, friction asymmetry (0).
 
     Inputs rather than constants, so that one compiled library serves every rig.
     """
     arm = rig.palm1_length if rig.hinge == "arc" else 0.0
     base = rig.base if rig.hinge == "arc" else (0.0, 0.0)
-    return np.array([rig.gravity, arm, *base])
+    return np.array([rig.gravity, arm, *base, 0.0])
 
 
 def named_outputs(palms: Palms, omega0: SX, psi: SX, one: Contact, two: Contact, body: BodyConstants, rig: SX) -> SX:

@@ -39,15 +39,16 @@ class C(IntEnum):
     DAMPING = 3
     LN_MASS = 4
     RIG = 5
-    SHAPE = 17
+    SHAPE = 20
 
 
 class R(IntEnum):
     """Index of each constant of the rig, from `C.RIG` on: by how much it is off from what it is taken for; SI units.
 
-    A pad reads ZERO + (1 + SCALE) s of a contact at s, as it was LAG ago. Its surface lies STANDOFF above the hinge
-    line, on the object's side, and is an arc that is SAGITTA higher in the pad's middle than at its ends. TILT is φ1's
-    error, gravity's direction included, TURN that of φ2. Where each pad has its own, pad 2's follows pad 1's.
+    A pad reads ZERO + FORCE f + (1 + SCALE) s of a contact at s under a force f (N), as it was LAG ago. Its surface
+    lies STANDOFF above the hinge line, on the object's side, and is an arc that is SAGITTA higher in the pad's middle
+    than at its ends. TILT is φ1's error, gravity's direction included, TURN that of φ2. Palm 1's friction is
+    (1 + FRICTION) μ and palm 2's (1 − FRICTION) μ. Where each pad has its own, pad 2's follows pad 1's.
     """
 
     ZERO = 0
@@ -57,17 +58,20 @@ class R(IntEnum):
     STANDOFF = 8
     TILT = 10
     TURN = 11
+    FRICTION = 12
+    FORCE = 13
 
 
-RIG_CONSTANTS = 12
+RIG_CONSTANTS = 15
 RIG_NAMES = (
     *("pad1_zero_m", "pad2_zero_m", "pad1_scale", "pad2_scale", "pad1_sagitta_m", "pad2_sagitta_m"),
     *("pad1_lag_s", "pad2_lag_s", "pad1_standoff_m", "pad2_standoff_m", "phi1_rad", "phi2_rad"),
+    *("friction_asymmetry", "pad1_force_m_per_n", "pad2_force_m_per_n"),
 )
 RIG = slice(C.RIG, C.SHAPE)
 CONSTANTS = C.SHAPE + 2 * ORDER + 1
 STEP_INPUTS = 1 + PALM_INPUTS + 2 + RIG_INPUTS + 1  # dt, palms, jerk, rig, the pads' length
-CONTACT_INPUTS = 3 + 5  # dt, time into the step, pad, φ1, φ2, their rates, the pad's length
+CONTACT_INPUTS = 3 + 6  # dt, time into the step, pad, φ1, φ2, their rates, force, the pad's length
 FORCE_INPUTS = 3 + PALM_INPUTS + RIG_INPUTS + 1  # dt, time into the step, pad, palms, rig, the pads' length
 
 BATCH = 64
@@ -98,6 +102,7 @@ def _motion(psi: SX, omega0: SX, p: SX, palms: Palms, rig: SX, length: SX) -> Mo
     phi1, phi2, one, two = _felt(palms.phi1, palms.phi2, psi, p, length)
     dither = 1.0 / ca.sqrt(p[C.SATURATION])
     body = BodyConstants(ca.exp(p[C.LN_RHO]), p[C.DRAG] * dither, dither, p[C.DAMPING])
+    rig = ca.vertcat(rig[:-1], p[RIG][R.FRICTION])
     return newton_euler(replace(palms, phi1=phi1, phi2=phi2), omega0, one, two, body, rig)
 
 
@@ -125,7 +130,7 @@ def _between(a: SX, b: SX, dt: SX, t: SX) -> tuple[SX, SX]:
 
 
 def contact_function() -> ca.Function:
-    """(x_k, x_k+1, p, [dt, t, pad, φ1, φ2, ω1, ω2, L]) → (that pad's reading, its gradient in (x_k, x_k+1, p))."""
+    """(x_k, x_k+1, p, [dt, t, pad, φ1, φ2, ω1, ω2, force, L]) → (its reading, its gradient in (x_k, x_k+1, p))."""
     a, b, p = SX.sym("a", NODE), SX.sym("b", NODE), SX.sym("p", CONSTANTS)
     z = SX.sym("z", CONTACT_INPUTS)
     rig = p[RIG]
@@ -136,9 +141,9 @@ def contact_function() -> ca.Function:
 
     lag = own(R.LAG)
     psi, _ = _between(a, b, z[0], z[1] - lag)
-    _, phi2, one, two = _felt(z[3] - lag * z[5], z[4] - lag * z[6], psi, p, z[7])
+    _, phi2, one, two = _felt(z[3] - lag * z[5], z[4] - lag * z[6], psi, p, z[8])
     s1, s2 = readings(phi2, one, two)
-    reading = own(R.ZERO) + (1 + own(R.SCALE)) * ca.if_else(first, s1, s2)
+    reading = own(R.ZERO) + own(R.FORCE) * z[7] + (1 + own(R.SCALE)) * ca.if_else(first, s1, s2)
     J = ca.jacobian(reading, ca.vertcat(a, b, p))
     return ca.Function("contact", [a, b, p, z], [reading, J], ["a", "b", "p", "z"], ["s", "J"])
 

@@ -11,6 +11,7 @@ import numpy as np
 from palmd.events import FloatArray, PadSample, PalmSample, RigDescription
 from palmd.model import extended, shape, shape_map
 from palmd.model.outputs import NAMED, RIG_INPUTS, rig_inputs
+from palmd.model.smoothing import R
 from palmd.observer import prior
 from palmd.observer.bank import SCORE_MEMORY_S, Bank, Belief
 from palmd.observer.palms import PLAN_RATE_SD, PalmTracker
@@ -293,9 +294,7 @@ class ShapeFilters:
         self._x, self._P = np.zeros(n), np.zeros((n, n))
         self._x_next, self._P_next = np.zeros(n), np.zeros((n, n))
         self._u = np.zeros(shape_map.PREDICTION_INPUTS)
-        self._u[9:] = self._rig
         self._v = np.zeros(shape_map.PALM_INPUTS + RIG_INPUTS)
-        self._v[shape_map.PALM_INPUTS :] = self._rig
         self._y, self._J = np.zeros(len(NAMED)), np.zeros((n, len(NAMED)))
         self._predict = library.bind("predict", [self._x, self._P, self._u], [self._x_next, self._P_next])
         self._named = library.bind("named", [self._x_next, self._v], [self._y, self._J])
@@ -341,7 +340,7 @@ class ShapeFilters:
         return Belief(slice(Z.LN_RHO, self.bank.n), mean, sd)
 
     def predict(self, t: float, dt: float, palms: PalmTracker) -> None:
-        self.bank.predict(dt, self._palms_at(t, palms), palms.jerk, self._rig)
+        self.bank.predict(dt, self._palms_at(t, palms), palms.jerk, self._rig_now())
 
     def fuse_pad(self, sample: PadSample, variance: float, palms: PalmTracker) -> None:
         phi1, phi2 = self._palms_at(sample.t_sample, palms)[:2]
@@ -361,6 +360,7 @@ class ShapeFilters:
     def named(self, member: int, t: float, dt: float, palms: PalmTracker) -> tuple[FloatArray, FloatArray]:
         self._x[:], self._P[:] = self.bank.x[member], self._whole(member)
         self._u[0], self._u[1:7], self._u[7:9] = dt, self._palms_at(t, palms), palms.jerk
+        self._u[9:] = self._v[shape_map.PALM_INPUTS :] = self._rig_now()
         self._predict()
         self._v[: shape_map.PALM_INPUTS] = self._palms_at(t + dt, palms)
         self._named()
@@ -371,7 +371,7 @@ class ShapeFilters:
         return self._y.copy(), cov
 
     def all_named(self, t: float, palms: PalmTracker) -> FloatArray:
-        return self.bank.values(self._palms_at(t, palms), self._rig)
+        return self.bank.values(self._palms_at(t, palms), self._rig_now())
 
     def outline(self, member: int) -> tuple[FloatArray, FloatArray]:
         at = shape_map.Z.SHAPE
@@ -383,6 +383,10 @@ class ShapeFilters:
 
     def belief(self, member: int) -> tuple[FloatArray, FloatArray]:
         return self.bank.x[member].copy(), self.bank.P[member].copy()
+
+    def _rig_now(self) -> FloatArray:
+        self._rig[-1] = self.rig_error.values[R.FRICTION]
+        return self._rig
 
     def _palms_at(self, t: float, palms: PalmTracker) -> FloatArray:
         motion = palms.at(t)

@@ -11,7 +11,7 @@ import numpy as np
 from palmd.events import Calibration, Event, FloatArray, PadSample, RigDescription
 from palmd.model import shape
 from palmd.model.shape_map import Z
-from palmd.model.smoothing import CONSTANTS, ORDER, RIG, C
+from palmd.model.smoothing import CONSTANTS, ORDER, RIG, C, R
 from palmd.observer import prior
 from palmd.observer.bank_observer import BankObserver
 from palmd.observer.factor import Prior
@@ -42,10 +42,19 @@ class FirstGuess:
 
 
 def blind_starts(
-    events: Sequence[Event], rig: RigDescription, begin: float, seconds: float, seed: int, size: int = BANK
+    events: Sequence[Event],
+    rig: RigDescription,
+    begin: float,
+    seconds: float,
+    seed: int,
+    asymmetry: float = 0.0,
 ) -> list[FirstGuess]:
-    """Every filter of a bank that has read `events` until `seconds` after `begin` (s), likeliest first; maybe none."""
-    filters = ShapeFilters(rig, size)
+    """Every filter of a bank that has read `events` until `seconds` after `begin` (s), likeliest first; maybe none.
+
+    `asymmetry` of the palms' friction, (μ1 − μ2)/(μ1 + μ2), is taken for granted.
+    """
+    filters = ShapeFilters(rig, BANK)
+    filters.rig_error.values[R.FRICTION] = asymmetry
     observer = BankObserver(filters, rig, seed)
     end = begin + seconds
     times: list[float] = []
@@ -64,7 +73,7 @@ def blind_starts(
     same = [state for state in states if len(state) == len(states[-1])]  # filters keep their places until one goes
     trajectories = np.array([state[:, [Z.PSI, Z.OMEGA0]] for state in same])
     at = at[-len(same) :]
-    return [FirstGuess(float(score[i]), at, trajectories[:, i], constants_of(states[-1][i])) for i in order]
+    return [FirstGuess(float(score[i]), at, trajectories[:, i], constants_of(states[-1][i], asymmetry)) for i in order]
 
 
 def prior_of(pads: Sequence[PadSample], tangents: FloatArray, calibration: Calibration) -> Prior:
@@ -90,16 +99,17 @@ def rig_sd(calibration: Calibration) -> FloatArray:
     """One-sigma of each constant of the rig, in the order of `model.smoothing.R`."""
     c = calibration
     each = [c.zero, c.scale, c.sagitta, c.lag, c.standoff]
-    return np.array([*np.repeat(each, 2), math.hypot(c.angle, c.gravity), c.angle])
+    return np.array([*np.repeat(each, 2), math.hypot(c.angle, c.gravity), c.angle, c.friction, c.force, c.force])
 
 
-def constants_of(x: FloatArray) -> FloatArray:
+def constants_of(x: FloatArray, asymmetry: float = 0.0) -> FloatArray:
     """The smoother's constants of a state of `model.shape_map`, of whatever order, which knows nothing of the mass."""
     p = np.zeros(CONSTANTS)
     p[[C.LN_RHO, C.DAMPING]] = x[[Z.LN_RHO, Z.DAMPING]]
     dither = math.exp(x[Z.LN_DITHER])
     p[C.DRAG], p[C.SATURATION] = x[Z.MU] / dither, dither**-2.0
     p[C.LN_MASS] = math.log(MASS_KG)
+    p[C.RIG + R.FRICTION] = asymmetry
     outline = x[Z.SHAPE :]
     p[C.SHAPE : C.SHAPE + len(outline)] = outline
     return p

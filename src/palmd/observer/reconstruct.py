@@ -28,7 +28,7 @@ from palmd.observer.matching import Felt, matched
 from palmd.observer.outline import directions, made_convex, normal_angles, outline_of
 from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
 from palmd.observer.search import Minima, Search, beyond_question, doubt
-from palmd.observer.seeker import ATTEMPTS
+from palmd.observer.seeker import attempts_for
 from palmd.observer.smoother import Fit, Smoother
 from palmd.observer.visits import Counts, visits_of
 
@@ -147,8 +147,8 @@ def _part(stretch: DataSegment, rig: RigDescription, seed: int) -> _Part | None:
     """The best that any attempt finds in a stretch, None when nothing is."""
     search = Search(stretch, rig)
     best: _Part | None = None
-    for number, (seconds, starts) in enumerate(ATTEMPTS):
-        finding = search.blind(seconds, starts, seed)
+    for number, attempt in enumerate(attempts_for(rig)):
+        finding = search.blind(attempt, seed)
         if finding is None:
             continue
         part = _refined(search, finding, stretch, rig)

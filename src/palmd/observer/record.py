@@ -28,7 +28,7 @@ class Record:
     """Nodes at times `t` (K + 1), the palms there, and each reading with the step it falls into.
 
     `palms` (K + 1, 6): φ1, φ2, ω1, ω2, α1, α2. Readings are in order of time; `*_offset` is the time into the step,
-    `*_weight` what each counts, 1 but at rest.
+    `*_weight` what each counts, 1 but at rest. `contact_force` is 0 where a pad gives none.
     """
 
     t: FloatArray
@@ -39,6 +39,7 @@ class Record:
     contact_offset: FloatArray
     contact_pad: FloatArray
     contact_palms: FloatArray
+    contact_force: FloatArray
     contact_value: FloatArray
     contact_variance: FloatArray
     contact_weight: FloatArray
@@ -70,7 +71,7 @@ class Record:
         return Record(
             self.t[first : last + 1], self.palms[first : last + 1], self.rig, self.pad_length,
             self.contact_step[c] - first, self.contact_offset[c], self.contact_pad[c], self.contact_palms[c],
-            self.contact_value[c], self.contact_variance[c], self.contact_weight[c],
+            self.contact_force[c], self.contact_value[c], self.contact_variance[c], self.contact_weight[c],
             self.force_step[f] - first, self.force_offset[f], self.force_pad[f], self.force_palms[f],
             self.force_value[f], self.force_variance[f], self.force_weight[f],
         )  # fmt: skip
@@ -92,8 +93,8 @@ class Record:
         inputs = np.ones((rows, CONTACT_INPUTS))
         n = len(self.contact_step)
         inputs[:n, 0], inputs[:n, 1] = self.dt[self.contact_step], self.contact_offset
-        inputs[:n, 2], inputs[:n, 3:-1] = self.contact_pad, self.contact_palms[:, :4]
-        inputs[:n, -1] = self.pad_length
+        inputs[:n, 2], inputs[:n, 3:7] = self.contact_pad, self.contact_palms[:, :4]
+        inputs[:n, 7], inputs[:n, 8] = self.contact_force, self.pad_length
         return inputs
 
     def force_inputs(self, rows: int) -> FloatArray:
@@ -139,7 +140,7 @@ def lay_out(
     force_variance = rig.force_variance(level)
     return Record(
         t, path.at(t), rig_inputs(rig), rig.pad_length,
-        step, offset, pad, palms, value, variance, weight,
+        step, offset, pad, palms, np.nan_to_num(force), value, variance, weight,
         step[pressed], offset[pressed], pad[pressed], palms[pressed], force[pressed], force_variance[pressed],
         weight[pressed],
     )  # fmt: skip

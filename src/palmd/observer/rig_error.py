@@ -31,7 +31,8 @@ class RigError:
     def corrected(self, sample: PadSample, phi2: float) -> float:
         """The distance (m) that the pad would tell, had it no error and lay on the hinge line; φ2 as in `angles`."""
         i, v = sample.pad - 1, self.values
-        s = (sample.s - v[R.ZERO + i]) / (1.0 + v[R.SCALE + i])
+        pushed = v[R.FORCE + i] * (sample.force or 0.0)
+        s = (sample.s - v[R.ZERO + i] - pushed) / (1.0 + v[R.SCALE + i])
         self._s[i] = float(s)
         own, other = (v[R.STANDOFF + k] + 4.0 * v[R.SAGITTA + k] * self._u(k) ** 2 for k in (i, 1 - i))
         return float(s - (own * np.cos(phi2) + other) / np.sin(phi2))

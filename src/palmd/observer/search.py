@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -62,6 +63,14 @@ class Minima:
         return Minima(record, (cut,))
 
 
+class Attempt(NamedTuple):
+    """Of a blind search: what a bank of one friction asymmetry reads (s), and how many filters are started from."""
+
+    seconds: float
+    starts: int
+    asymmetry: float = 0.0
+
+
 class Search:
     """One stretch: its layout and what is known beforehand. Not for use inside the loop."""
 
@@ -106,11 +115,12 @@ class Search:
         """For how long the palms have rested at `t` (s)."""
         return float(self.path.resting(np.array([t]), RESTING_RAD_S, self._resting_since)[0])
 
-    def blind(self, seconds: float, count: int, seed: int) -> Minima | None:
-        """Start from the `count` likeliest of a bank that has read the first `seconds`; None if that leads nowhere."""
+    def blind(self, attempt: Attempt, seed: int) -> Minima | None:
+        """Start from the likeliest of a bank that has read the first seconds; None if that leads nowhere."""
         begin = self.record.t[0]
-        record = self.record.until(begin + seconds)
-        starts = blind_starts(self._stretch.events(), self._rig, begin, seconds, seed)[:count]
+        record = self.record.until(begin + attempt.seconds)
+        found = blind_starts(self._stretch.events(), self._rig, begin, attempt.seconds, seed, attempt.asymmetry)
+        starts = found[: attempt.starts]
         return self._grown_from(record, [start.guess(record.t) for start in starts]) if starts else None
 
     def resumed(self, guesses: Sequence[Guess]) -> Minima | None:

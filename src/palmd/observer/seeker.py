@@ -9,15 +9,20 @@ from palmd.model.smoothing import ORDER
 from palmd.observer.data_segment import DataSegment
 from palmd.observer.follower import PATIENCE, Answer
 from palmd.observer.normal_equations import Guess
-from palmd.observer.search import Minima, Search, doubt, merged, still
+from palmd.observer.search import Attempt, Minima, Search, doubt, merged, still
 
 LEAST_S = 1.0  # of readings, before which the bank is as good
 STILL_KEPT_S = 2.0  # of readings at rest, when those and what came before tell nothing
-# Of each blind search: seconds that a bank reads, and how many of its filters the smoother starts from.
-ATTEMPTS = ((2.0, 3), (3.5, 4), (1.2, 8), (5.0, 4))
+_ATTEMPTS = (Attempt(2.0, 3), Attempt(3.5, 4), Attempt(1.2, 8), Attempt(5.0, 4))
+_UNEQUAL = tuple(Attempt(seconds, 4, a) for seconds in (2.0, 3.5) for a in (0.5, -0.5))
 HINT_SD = 1e-4  # m, of the outline's coefficients
 CHALLENGE = 2.0  # by how much the record grows from one blind search to the next
 LONGEST_S, KEPT_S = 30.0, 15.0  # of readings in which nothing has been found, and that are kept then
+
+
+def attempts_for(rig: RigDescription) -> tuple[Attempt, ...]:
+    """The blind searches one after the other; where the palms' friction may differ the last begin from that."""
+    return _ATTEMPTS + _UNEQUAL if rig.calibration.friction else _ATTEMPTS
 
 
 class Seeker:
@@ -55,14 +60,16 @@ class Seeker:
             finding = search.placed(hint, HINT_SD**2 * np.eye(2 * ORDER + 1))
         if finding is None or seconds >= self._challenge_s or doubt(finding.fits[0], finding):
             # a window that has grown may have been led into a valley next to the right one
-            reads_s, starts = ATTEMPTS[self._failed % len(ATTEMPTS)]
+            attempts = attempts_for(self._rig)
+            attempt = attempts[self._failed % len(attempts)]
             self._seed += 1
-            finding = merged(finding, search.blind(min(reads_s, seconds), starts, self._seed))
+            attempt = attempt._replace(seconds=min(attempt.seconds, seconds))
+            finding = merged(finding, search.blind(attempt, self._seed))
             self._challenge_s = CHALLENGE * seconds
         self._start, self._guesses = stretch.start, tuple(fit.guess for fit in finding.fits) if finding else ()
         self._doubtful = finding is None or bool(doubt(finding.fits[0], finding))
         if finding is None or self._doubtful:
-            self._failed += seconds > ATTEMPTS[0][0]
+            self._failed += seconds > _ATTEMPTS[0].seconds
             if seconds > LONGEST_S:
                 self.needs_from = stretch.end - KEPT_S
             return None

@@ -9,12 +9,12 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO, TextIO
 
 from palmd.devices.pad import MARGIN_MM
-from palmd.events import Calibration, Event, PadSample, PalmSample, RigDescription
+from palmd.events import PERFECT, Calibration, Event, PadSample, PalmSample, RigDescription
 
 VERSION = 1
 MAX_LINE_BYTES = 1 << 20
@@ -29,6 +29,8 @@ CALIBRATION_KEYS = {
     "lag": "lag_s",
     "gravity": "gravity_rad",
     "sagitta": "sagitta_m",
+    "friction": "friction",
+    "force": "force_m_per_n",
 }
 """How a log calls the fields of `Calibration`."""
 
@@ -207,6 +209,8 @@ def _calibration(rig: Line) -> Calibration:
     if rig.get("calibration_sd") is None:
         return Calibration()
     told, default = _block(rig, "calibration_sd"), Calibration()
+    if not any(told.values()):  # whoever declares a rig perfect says so of its palms' friction only by name
+        default = replace(PERFECT, friction=default.friction)
     values = {name: _not_negative(told, key, getattr(default, name)) for name, key in CALIBRATION_KEYS.items()}
     return Calibration(**values)
 

@@ -73,11 +73,11 @@ class PadEmulator:
         self,
         config: VersaPadConfig,
         options: PadOptions,
-        error_m: Callable[[float], float],
+        error_m: Callable[[float, float], float],
         rng: np.random.Generator,
         t: float,
     ) -> None:
-        """`error_m` is the reading's error (m) at a distance (m); the pad's clock starts soon after t (s)."""
+        """`error_m`: a reading's error (m) by distance (m) and force (N); the pad's clock starts soon after t (s)."""
         pressure = config.pressure
         self.packets = 0
         self._config, self._options, self._error_m, self._rng = config, options, error_m, rng
@@ -102,7 +102,7 @@ class PadEmulator:
             return encode_packet(0, 0, 0, in_use=False, pressure_format=self._format)
         self._touched = True
         total = sum(press.force for press in felt)
-        counts = self._counts(sum(press.s * press.force for press in felt) / total)
+        counts = self._counts(sum(press.s * press.force for press in felt) / total, total)
         across = self._counts_across(sum(press.across * press.force for press in felt) / total)
         x, y = (counts, across) if self._config.axis == "x" else (across, counts)
         self.packets += 1
@@ -116,9 +116,9 @@ class PadEmulator:
         band = 1 + int(self._rng.choice(3, p=BAND_WEIGHTS))
         return max(self._packet_s, band * self._packet_s + float(self._rng.normal(0.0, BAND_JITTER_S)))
 
-    def _counts(self, s: float) -> int:
+    def _counts(self, s: float, force: float) -> int:
         options, config = self._options, self._config
-        seen_mm = (s + self._error_m(s) + float(self._rng.normal(0.0, options.noise_m))) * 1e3
+        seen_mm = (s + self._error_m(s, force) + float(self._rng.normal(0.0, options.noise_m))) * 1e3
         counts = round(config.sign * (seen_mm - config.zero_mm) * config.counts_per_mm)
         return min(max(counts, COUNT_MIN), COUNT_MAX)
 

@@ -65,6 +65,7 @@ class PlantOptions:
     friction_law: smoothed by dither, or hard `coulomb`. hinge_travels: false pins the hinge of an arc rig.
     lag_s: the palms move this much later than the plan says. pad_bias_m: constant reading error of each pad.
     pad_bow_m: reading error of each pad's middle against its ends, a half sine along the pad.
+    pad_force_m_per_n: by which a reading moves with the contact's force. friction_asymmetry: (μ1 − μ2)/(μ1 + μ2).
     """
 
     friction_law: FrictionLaw = "dither"
@@ -72,10 +73,13 @@ class PlantOptions:
     lag_s: float = 0.0
     pad_bias_m: PadPair = (0.0, 0.0)
     pad_bow_m: PadPair = (0.0, 0.0)
+    pad_force_m_per_n: PadPair = (0.0, 0.0)
+    friction_asymmetry: float = 0.0
 
-    def pad_error_m(self, pad: int, s: float) -> float:
-        """Reading error (m) of pad 1 or 2 at distance s (m) from the hinge."""
-        return self.pad_bias_m[pad - 1] + self.pad_bow_m[pad - 1] * math.sin(math.pi * s / PAD_LENGTH)
+    def pad_error_m(self, pad: int, s: float, force: float) -> float:
+        """Reading error (m) of pad 1 or 2 at distance s (m) from the hinge, under a force (N)."""
+        bow = self.pad_bow_m[pad - 1] * math.sin(math.pi * s / PAD_LENGTH)
+        return self.pad_bias_m[pad - 1] + bow + self.pad_force_m_per_n[pad - 1] * force
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,6 +183,7 @@ class Plant:
         self.hinge = hinge if options.hinge_travels else Hinge("fixed", hinge.palm1_length, hinge.base)
         self.surface = surface
         self.law = options.friction_law
+        self._friction1, self._friction2 = 1.0 + options.friction_asymmetry, 1.0 - options.friction_asymmetry
         self.gravity = gravity
         self.reach = reach
         self.fallen = True
@@ -358,7 +363,7 @@ class Plant:
                 + _DRIFT_RATE * (2.0 * rate + _DRIFT_RATE * (normal - h1))
             )  # fmt: skip
             # slip of the body's material along t1 relative to the palm's, at the contact x1 = −h·n1 + h′·t1
-            k1 = self._friction(c1 * ux + s1 * uy + w * h1 + w1 * (normal - h1))
+            k1 = self._friction1 * self._friction(c1 * ux + s1 * uy + w * h1 + w1 * (normal - h1))
             f1x, f1y = -s1 - k1 * c1, c1 - k1 * s1
             m1 = h1p - k1 * h1
         if on2:
@@ -372,7 +377,7 @@ class Plant:
                 - h2pp * spin * spin - h2p * (al12 - damping)
                 + _DRIFT_RATE * (2.0 * rate + _DRIFT_RATE * (normal - h2))
             )  # fmt: skip
-            k2 = self._friction(-c12 * ux - s12 * uy + w * h2 + w12 * (normal - h2))
+            k2 = self._friction2 * self._friction(-c12 * ux - s12 * uy + w * h2 + w12 * (normal - h2))
             f2x, f2y = s12 + k2 * c12, -c12 + k2 * s12
             m2 = h2p - k2 * h2
         ax, ay, al = 0.0, -g, damping

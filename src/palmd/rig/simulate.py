@@ -53,7 +53,17 @@ _ANGLE_COLUMNS = ("phi1_rad", "phi2_rad")
 _COLUMNS = ("t", "psi_rad", "omega0_rad_s", "r1_m", "r2_m", "s1_m", "s2_m", *_ANGLE_COLUMNS, "f1_n", "f2_n")
 _PAD_MARGIN_M = 3e-3
 _TURNED_RAD = 0.3
-_CALIBRATION = ("zero_m", "scale", "angle_rad", "standoff_m", "lag_s", "gravity_rad", "sagitta_m")
+_CALIBRATION = (
+    "zero_m",
+    "scale",
+    "angle_rad",
+    "standoff_m",
+    "lag_s",
+    "gravity_rad",
+    "sagitta_m",
+    "friction",
+    "force_m_per_n",
+)
 _MIN_FORCE = 0.1  # m/s²: below it the contact is as good as lost
 
 
@@ -271,7 +281,7 @@ def _pad_lines(
     force = np.interp(times, history[:, 0], history[:, 8 + pad])
     felt = np.isfinite(s)
     times, s, force = times[felt], s[felt], force[felt]
-    s += np.array([options.pad_error_m(pad, float(true)) for true in s])
+    s += np.array([options.pad_error_m(pad, *true) for true in zip(s.tolist(), force.tolist(), strict=True)])
     s = s + rng.normal(0.0, _PAD_NOISE_M, len(s))
     force = force * (1.0 + rng.normal(0.0, _FORCE_SCALE_STD, len(s)))
     s = np.round(s / _PAD_RESOLUTION_M) * _PAD_RESOLUTION_M

@@ -380,8 +380,8 @@ class World:
             case "swap", True:
                 self.new_object()
 
-    def _pad_error(self, number: int) -> Callable[[float], float]:
-        return lambda s: self._options.pad_error_m(number, s)
+    def _pad_error(self, number: int) -> Callable[[float, float], float]:
+        return lambda s, force: self._options.pad_error_m(number, s, force)
 
 
 def arm_limits(config: Config) -> ArmLimits:

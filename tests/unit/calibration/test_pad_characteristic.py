@@ -213,7 +213,7 @@ def test_the_marble_covers_the_pad_smoothly_and_not_too_fast():
 
 
 def test_across_is_felt_within_the_pad_only_and_merges_by_force():
-    emulator = PadEmulator(CONFIG, PadOptions(noise_m=0.0), lambda _s: 0.0, np.random.default_rng(0), 0.0)
+    emulator = PadEmulator(CONFIG, PadOptions(noise_m=0.0), lambda _s, _force: 0.0, np.random.default_rng(0), 0.0)
     assert emulator.report(0.1, [Press(0.028, 1.0, across=0.0199)]) == b""
     both = [Press(0.028, 1.0, across=0.0127), Press(0.028, 0.25, across=0.0)]
     (told,) = VersaPadDecoder(9600).feed(emulator.report(0.2, both), 1.0)

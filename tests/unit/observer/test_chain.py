@@ -9,7 +9,7 @@ from palmd.observer import chain as chain_module
 from palmd.observer.chain import Chain
 from palmd.observer.data_segment import longest_segment
 from palmd.observer.normal_equations import Guess
-from palmd.observer.search import NOISE, Search
+from palmd.observer.search import NOISE, Attempt, Search
 from palmd.observer.smoother import Smoother
 
 STEPS = 100  # a second
@@ -20,7 +20,7 @@ def smoothed():
     """A search and what it found on six seconds."""
     run = simulated("friction", 7, 6.0)
     search = Search(longest_segment(run.events), run.rig)
-    finding = search.blind(2.0, 3, seed=0)
+    finding = search.blind(Attempt(2.0, 3), seed=0)
     assert finding is not None
     assert len(finding.record.t) == len(search.record.t)
     return search, finding

@@ -9,6 +9,7 @@ import pytest
 from simulated import Run, is_pad, pads_changed, palms_changed, simulated, swapped
 
 from palmd.events import PadLift, PadSample, PalmSample
+from palmd.model.smoothing import R
 from palmd.observer.reconstruct import Reconstruction, reconstruct
 from palmd.rig.plant import PlantOptions
 from palmd.score import score_outline
@@ -277,3 +278,26 @@ def test_a_window_that_ends_on_the_wrong_side_of_an_unstable_pose_is_seen_and_sh
     answer = reconstruct(run.events, run.rig)
     assert answer.converged, answer.reason
     assert e_h(answer, run) < RIGHT_M
+
+
+@pytest.mark.parametrize(("seed", "asymmetry"), [(41, 0.33), (43, -0.667)])
+def test_palms_of_unequal_friction_are_told_apart(seed, asymmetry):
+    run = simulated("friction", seed, 12.0, PlantOptions(friction_asymmetry=asymmetry))
+    rig = replace(run.rig, calibration=replace(run.rig.calibration, friction=0.3))
+    answer = reconstruct(run.events, rig)
+    assert answer.converged, answer.reason
+    assert e_h(answer, run) < 3 * band(answer) < RIGHT_M
+    found, sd = answer.rig[R.FRICTION], answer.rig_sd[R.FRICTION]
+    assert abs(found - asymmetry) < 3 * sd < 0.1
+
+
+def test_readings_that_move_with_force_are_told_and_cost_little():
+    shift = 2e-4
+    run = simulated("friction", 42, 12.0, PlantOptions(pad_force_m_per_n=(shift, 0.0)))
+    rig = replace(run.rig, calibration=replace(run.rig.calibration, force=1e-4))
+    answer = reconstruct(run.events, rig)
+    assert answer.converged, answer.reason
+    assert e_h(answer, run) < 3 * band(answer) < RIGHT_M
+    found, sd = answer.rig[R.FORCE : R.FORCE + 2], answer.rig_sd[R.FORCE : R.FORCE + 2]
+    assert (np.abs(found - [shift, 0.0]) < 3 * sd).all()
+    assert sd[0] < shift / 5

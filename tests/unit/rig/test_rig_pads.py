@@ -10,7 +10,7 @@ from palmd.rig.pads import PadEmulator, PadOptions, Press
 QUIET = PadOptions(noise_m=0.0, force_noise=0.0, force_drift=0.0, hysteresis=0.0)
 
 
-def pad(config=None, options=QUIET, error=lambda _s: 0.0, seed=0):
+def pad(config=None, options=QUIET, error=lambda _s, _force: 0.0, seed=0):
     return PadEmulator(config or VersaPadConfig(port="p"), options, error, np.random.default_rng(seed), 0.0)
 
 
@@ -60,7 +60,7 @@ def test_off_the_pad_is_no_contact():
 
 
 def test_reading_error_is_added():
-    packet = packets(pad(error=lambda s: 0.1 * s).report(0.1, [Press(0.037, 1.0)]))[0]
+    packet = packets(pad(error=lambda s, _force: 0.1 * s).report(0.1, [Press(0.037, 1.0)]))[0]
     assert packet.x_counts == round((40.7 - 28.0) * 7.874)
 
 

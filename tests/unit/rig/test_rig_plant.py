@@ -214,6 +214,6 @@ def test_stable_poses_are_minima_of_the_height():
 
 def test_pad_error_is_bias_and_bow():
     options = PlantOptions(pad_bias_m=(1e-3, 0.0), pad_bow_m=(0.0, 2e-3))
-    assert options.pad_error_m(1, 0.03) == 1e-3
-    assert options.pad_error_m(2, 0.0555 / 2) == pytest.approx(2e-3)
-    assert options.pad_error_m(2, 0.0) == 0.0
+    assert options.pad_error_m(1, 0.03, 1.0) == 1e-3
+    assert options.pad_error_m(2, 0.0555 / 2, 1.0) == pytest.approx(2e-3)
+    assert options.pad_error_m(2, 0.0, 1.0) == 0.0
