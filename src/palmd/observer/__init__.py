@@ -8,7 +8,8 @@ from typing import Literal, get_args
 from palmd.events import RigDescription
 from palmd.model.smoothing import ORDER
 from palmd.observer.bank_observer import BankObserver, SmoothedFilters
-from palmd.observer.filters import ExtendedFilters, ShapeFilters
+from palmd.observer.filters.extended import ExtendedFilters
+from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.quasistatic import QuasistaticObserver
 from palmd.observer.recogniser import Recogniser
 from palmd.observer.smoothed_observer import Simulated, SmoothedObserver, Smoothing

@@ -35,7 +35,8 @@ from palmd.model.outputs import NAMED, rig_inputs
 from palmd.observer.answer import answer, no_answer
 from palmd.observer.bank import Bank, Belief, Snapshot
 from palmd.observer.coverage import NORMAL_BINS, Coverage, Marks, contact_bins, turned_marks
-from palmd.observer.filters import LONGEST_STEP_S, Filters, ShapeFilters, carry, smoother_outline
+from palmd.observer.filters.base import LONGEST_STEP_S, Filters, carry
+from palmd.observer.filters.shape_map import ShapeFilters, smoother_outline
 from palmd.observer.mass import MassEstimator, resting_forces
 from palmd.observer.object_memory import KnownObject, ObjectMemory
 from palmd.observer.observability import Observability

@@ -9,7 +9,8 @@ import numpy as np
 
 from palmd.events import Event, FloatArray, Improvement, PadSample, PalmSample, RigDescription
 from palmd.model.smoothing import ORDER
-from palmd.observer.filters import ShapeFilters, carry
+from palmd.observer.filters.base import carry
+from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.palms import PalmTracker
 
 LEAST_READINGS = 30  # by which a newcomer is judged before it joins

@@ -22,7 +22,7 @@ from palmd.model.compiled import BLOCK
 from palmd.model.outputs import NAMED
 from palmd.observer.bank import Belief
 from palmd.observer.bank_observer import NIS_RANGE, PLAUSIBLE, BankObserver
-from palmd.observer.filters import ShapeFilters
+from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.outline_prior import MOST_STARTS, kin_variance, stored
 from palmd.outlinefile import Outline
 

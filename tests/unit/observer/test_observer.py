@@ -13,7 +13,8 @@ from palmd.events import Estimate, Event, PadLift, PadSample, PalmSample, RigDes
 from palmd.model import compiled, shape_map
 from palmd.model import shape as modelled
 from palmd.observer.bank_observer import BankObserver
-from palmd.observer.filters import ExtendedFilters, ShapeFilters
+from palmd.observer.filters.extended import ExtendedFilters
+from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.palms import PalmTracker
 from palmd.observer.prior import blind_start
 from palmd.rig.simulate import simulate_log

@@ -7,7 +7,7 @@ from simulated import simulated
 from palmd import observer
 from palmd.model import shape_map
 from palmd.model.shape import basis
-from palmd.observer.filters import Optimism
+from palmd.observer.filters.base import Optimism
 
 
 def fed(seconds=4.5, optimism=None):

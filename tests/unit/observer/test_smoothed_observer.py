@@ -18,7 +18,8 @@ from palmd.model.smoothing import ORDER
 from palmd.observer.bank_observer import BankObserver
 from palmd.observer.coverage import NORMAL_BINS
 from palmd.observer.filter_catchup import LEAD_S, FilterCatchUp
-from palmd.observer.filters import LONGEST_STEP_S, ShapeFilters
+from palmd.observer.filters.base import LONGEST_STEP_S
+from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.incremental import IncrementalSmoother, Session
 from palmd.observer.palms import PalmTracker
 from palmd.observer.smoothed_observer import MEMORY_S, Simulated, SmoothedObserver, period

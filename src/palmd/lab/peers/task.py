@@ -16,7 +16,7 @@ from palmd.model import shape, shape_map
 from palmd.model.outputs import rig_inputs
 from palmd.observer import prior
 from palmd.observer.bank_observer import CAUTION, CAUTION_S
-from palmd.observer.filters import LONGEST_STEP_S
+from palmd.observer.filters.base import LONGEST_STEP_S
 from palmd.observer.palms import PalmTracker
 
 StartName = Literal["good", "blind"]
