@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from palmd.observer.matching import Felt
 from palmd.observer.outline import made_convex, normal_angles
 from palmd.observer.seeker import Seeker
 from palmd.observer.smoother import Smoother
+from palmd.observer.smoothing import Session
 
 FOUND_S = 8.0  # of readings, after which what has been found is beyond question
 ARCHIVED = 4  # objects that were taken away
@@ -37,18 +37,6 @@ _FROM = np.concatenate(
     ]
 ).astype(np.intp)
 _OUTLINE = slice(shape_map.Z.SHAPE, None)
-
-
-@dataclass(frozen=True, slots=True)
-class Session:
-    """Which object is on the palms, counted from 1, and since when (s, inf while there is none).
-
-    `hint`: the state of `model.shape_map` that a bank of filters has settled on, if it has.
-    """
-
-    object_count: int
-    begun: float
-    hint: FloatArray | None = None
 
 
 NO_SESSION = Session(0, math.inf)

@@ -34,13 +34,14 @@ from palmd.events import (
 from palmd.model import quasistatic as qs
 from palmd.model import shape
 from palmd.model.outputs import NAMED
-from palmd.observer.answer import answer, no_answer
-from palmd.observer.bank_observer import DIRECTIONS, GONE_S, SILENCE_S, finite
-from palmd.observer.coverage import NORMAL_BINS, Coverage
+from palmd.observer.answer import BIN_OF_THETA, THETA, answer, no_answer
+from palmd.observer.contacts import GONE_S, PADS, Contacts, finite
+from palmd.observer.coverage import Coverage
 from palmd.observer.local_fit import HALF_WIDTH_S, Readings
 from palmd.observer.mass import MassEstimator, resting_forces
 from palmd.observer.multi_start import BLOCKS, MultiStart, Spread
 from palmd.observer.prior import GYRATION, GYRATION_SD, RADIUS_SD
+from palmd.observer.validity import Evidence, Thresholds, settled
 
 STEP_S = 0.01
 LAG_S = 0.1
@@ -56,15 +57,13 @@ WIDTH_SDS, LEAST_WIDTH_M = 3.0, 5e-4
 RADIUS_OFF_M, TURN_OFF_RAD, SPIN_OFF_RAD_S = 1.0e-3, 0.35, 0.5
 FITTED = 0.6  # of a reading's one-sigma that is left in the smoothed value at the end of the record
 PALM_RATE_SD = 5e-3  # rad/s
-SETTLED_M, SETTLED_S = 2.5e-3, 2.0
 # Readings that stray further from their smooth course than this have jumped, and so has the object; a conflict above
 # the other for so long is no friction. Either way it is begun anew.
 JUMP_M = 5e-4
 AGREEING_M, LOST_FOR_S = 1.5e-3, 0.3
+SETTLED = Thresholds(age_s=2.0, radius_sd_m=2.5e-3, disagreement_m=AGREEING_M)
 
-_THETA = np.linspace(0.0, 2 * np.pi, DIRECTIONS, endpoint=False)
-_ROWS = shape.basis(_THETA)
-_BIN_OF_THETA = (_THETA / (2 * np.pi) * NORMAL_BINS).astype(np.intp)
+_ROWS = shape.basis(THETA)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +93,7 @@ class QuasistaticObserver:
 
     name = "quasistatic"
     backend = "numpy"
+    improvements = 0
 
     def __init__(self, rig: RigDescription):
         """Deterministic for given events and times."""
@@ -106,6 +106,7 @@ class QuasistaticObserver:
         """Back to the very beginning, as if nothing had been fed."""
         self.object_count = 0
         self.late_dropped = 0
+        self._contacts = Contacts()
         self._palms = Readings(4 * HALF_WIDTH_S)
         self._pads = {1: Readings(4 * HALF_WIDTH_S), 2: Readings(4 * HALF_WIDTH_S)}
         self._stop()
@@ -124,7 +125,7 @@ class QuasistaticObserver:
     def feed(self, event: Event) -> None:
         """Take one event; one too late to matter is counted and dropped."""
         if isinstance(event, PadLift):
-            self._lifted.add(event.pad)
+            self._contacts.lift(event.pad)
             return
         if not finite(event) or event.t_sample < self._t_node - HALF_WIDTH_S:
             self.late_dropped += 1
@@ -134,15 +135,13 @@ class QuasistaticObserver:
             self._palms_seen = max(self._palms_seen, event.t_sample)
         else:
             self._pads[event.pad].add(event.t_sample, event.s)
-            if event.t_sample >= self._last_seen(event.pad):
-                self._last[event.pad] = event
-                self._lifted.discard(event.pad)
-        if math.isinf(self._t_first) and len(self._last) == 2 and self._palms_seen > -math.inf:
+            self._contacts.read(event)
+        if math.isinf(self._t_first) and min(self._contacts.quietest, self._palms_seen) > -math.inf:
             self._t_first = event.t_sample
 
     def estimate(self, t: float) -> Estimate:
         """The likeliest beginnings' answer for time `t` (s); never raises, NaN where unknown."""
-        if t - min(self._palms_seen, self._last_seen(1), self._last_seen(2)) > GONE_S and self._last:
+        if t - min(self._palms_seen, self._contacts.quietest) > GONE_S and self._contacts.any:
             self._stop()
         self._advance(t)
         found, present = self._found, self._felt(t)
@@ -150,20 +149,28 @@ class QuasistaticObserver:
             return no_answer(t, self.name, self.object_count, None if present is None else _motion(present[0]))
         now, _ = present
         y, sd = self._named(t, now, found)
-        touching = not self._lifted and all(t - self._last_seen(pad) < SILENCE_S for pad in (1, 2))
-        sharp = max(sd[0], sd[1]) < SETTLED_M and found.conflict < AGREEING_M
         if found.conflict < AGREEING_M:
             self._t_agreed = t
         elif t - self._t_agreed > LOST_FOR_S:
             self._forget(t)
             return no_answer(t, self.name, self.object_count, _motion(now))
-        settled = bool(touching and sharp and np.isfinite(y[:11]).all() and t - self._t_first > SETTLED_S)
-        for pad, f in zip((1, 2), resting_forces(self._rig.gravity, np.array([now.phi1, now.phi2])), strict=True):
-            self._mass.weigh(self._last.get(pad), f)
-        if settled:
+        evidence = Evidence(
+            touching=self._contacts.touching(t),
+            palms_known=True,
+            resumed_for_s=math.inf,
+            finite=bool(np.isfinite(y[:11]).all()),
+            consistent=True,
+            age_s=t - self._t_first,
+            radius_sd_m=max(sd[0], sd[1]),
+            disagreement_m=found.conflict,
+        )
+        valid = settled(evidence, SETTLED)
+        for pad, f in zip(PADS, resting_forces(self._rig.gravity, np.array([now.phi1, now.phi2])), strict=True):
+            self._mass.weigh(self._contacts.last(pad), f)
+        if valid:
             self._marks.mark(t, 0, y, lambda: np.zeros(1))
         told = answer(
-            t, settled, self.name, self.object_count, y, sd, self._mass, math.nan, math.nan, self._marks.fraction
+            t, valid, self.name, self.object_count, y, sd, self._mass, math.nan, math.nan, self._marks.fraction
         )
         return dataclasses.replace(told, e_f=found.e_f, e_c=found.e_c)
 
@@ -174,7 +181,10 @@ class QuasistaticObserver:
             return None
         coefficients, covariance = self._leader.outline(found.best)
         variance = ((_ROWS @ covariance) * _ROWS).sum(axis=1) + float(found.sds[:2].max()) ** 2
-        return ShapeEstimate(t, _THETA, _ROWS @ coefficients, np.sqrt(variance), self._marks.marks[_BIN_OF_THETA])
+        return ShapeEstimate(t, THETA, _ROWS @ coefficients, np.sqrt(variance), self._marks.marks[BIN_OF_THETA])
+
+    def improve(self, t: float) -> None:
+        """There is no smoother."""
 
     @property
     def foresees(self) -> bool:
@@ -185,12 +195,14 @@ class QuasistaticObserver:
         """None: what it knows is not enough to foresee a motion."""
         return None
 
+    def identify(self, t: float) -> None:
+        """Nothing is stored to choose from."""
+
     # ---- the even grid and the sets of beginnings on it
 
     def _stop(self) -> None:
         """The object has left the palms, or the readings have gaps: nothing read until now counts any more."""
-        self._last: dict[int, PadSample] = {}
-        self._lifted: set[int] = set()
+        self._contacts.clear()
         self._palms_seen = -math.inf
         self._palms.clear()
         for readings in self._pads.values():
@@ -210,10 +222,6 @@ class QuasistaticObserver:
         self._rounds = 0
         self._mass = MassEstimator(rig.force_scale_std, rig.force_resolution, rig.force_gain_std)
         self._marks = Coverage()
-
-    def _last_seen(self, pad: int) -> float:
-        sample = self._last.get(pad)
-        return -math.inf if sample is None else sample.t_sample
 
     def _felt(self, t: float) -> tuple[qs.QuasistaticReadings, float] | None:
         """What is felt at `t`, and how far pads' readings stray from it (m); None where they are too few."""

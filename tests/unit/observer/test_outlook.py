@@ -15,7 +15,7 @@ def fed(seconds=4.5, optimism=None):
     run = simulated("nominal", 2, 5.0)
     mine = observer.make("shape", run.rig)
     if optimism is not None:
-        mine._filters.optimism = optimism
+        mine._fusion.filters.optimism = optimism
     t = run.events[0].t_sample
     for event in run.events:
         if event.t_sample > run.events[0].t_sample + seconds:

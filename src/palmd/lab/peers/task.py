@@ -15,8 +15,8 @@ from palmd.events import Event, FloatArray, PadSample, PalmMotion, PalmSample, R
 from palmd.model import shape, shape_map
 from palmd.model.outputs import rig_inputs
 from palmd.observer import prior
-from palmd.observer.bank_observer import CAUTION, CAUTION_S
 from palmd.observer.filters.base import LONGEST_STEP_S
+from palmd.observer.fusion import CAUTION, CAUTION_S
 from palmd.observer.palms import PalmTracker
 
 StartName = Literal["good", "blind"]
@@ -127,7 +127,7 @@ class PeerStart:
 
 
 def task_from(rig: RigDescription, events: Iterable[Event]) -> PeerTask:
-    """The events of a run as readings, cut as `observer.bank_observer` cuts them; ValueError if nothing is touched."""
+    """The events of a run as readings, cut as `observer.fusion` cuts them; ValueError if nothing is touched."""
     tracker, rig_values = PalmTracker(rig.palm_angle_noise), rig_inputs(rig)
     variance = rig.reading_variance
     last: dict[int, PadSample] = {}

@@ -36,6 +36,10 @@ class Optimism:
         return 1.0 + self.excess * math.exp(-age / self.lasts_s)
 
 
+REALISTIC = Optimism(0.0, 1.0)
+"""Of filters that go on from what has been linearised well."""
+
+
 class Filters(Protocol):
     """A bank and what it takes to feed it; all safe inside the loop but the construction (it may compile C)."""
 
@@ -43,6 +47,8 @@ class Filters(Protocol):
     bank: Bank
     order: int  # harmonics of its outlines
     fuses_palms: bool  # whether reports of the palms are readings; else the palms' motion is an input
+    rolls_out: bool  # whether its state is the one that `model.rollout` foretells motions with
+    spread: FloatArray | None  # what the rig's constants leave open of a state that a smoother vouches for
     optimism: Optimism
     curvature: FloatArray  # rows that map the state to v (m) on `CURVATURE_NORMALS` normals
 

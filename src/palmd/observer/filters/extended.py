@@ -33,6 +33,8 @@ class ExtendedFilters:
     name = "extended"
     order = shape.HARMONICS
     fuses_palms = True
+    rolls_out = False
+    spread: FloatArray | None = None
     optimism = Optimism(1.2, 3.0)
 
     def __init__(self, rig: RigDescription, size: int):

@@ -34,6 +34,9 @@ def smoother_outline(x: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArr
     return x[low] - gain @ x[high], P[low, low] - gain @ P[high, low]
 
 
+BLIND_OPTIMISM = Optimism(1.0, 0.7)
+
+
 class ShapeFilters:
     """Filters on the whole outline (`model.shape_map`), of `order` harmonics; the palms' angles are inputs.
 
@@ -43,9 +46,18 @@ class ShapeFilters:
 
     name = "shape"
     fuses_palms = False
-    optimism = Optimism(1.0, 0.7)
+    rolls_out = True
 
-    def __init__(self, rig: RigDescription, size: int, memory_s: float = SCORE_MEMORY_S, order: int = shape.HARMONICS):
+    def __init__(
+        self,
+        rig: RigDescription,
+        size: int,
+        memory_s: float = SCORE_MEMORY_S,
+        order: int = shape.HARMONICS,
+        optimism: Optimism = BLIND_OPTIMISM,
+    ):
+        """Binds `size` filters' kernels; may compile C. `memory_s` as in `Bank`."""
+        self.optimism = optimism
         library = shape_map.library(order)
         inputs = (shape_map.PREDICTION_INPUTS, shape_map.PALM_INPUTS + RIG_INPUTS, len(NAMED))
         n = shape_map.size(order)
