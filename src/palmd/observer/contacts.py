@@ -36,7 +36,6 @@ class Contacts:
     def clear(self) -> None:
         """The object has left: nothing read until now counts any more."""
         self._last.clear()
-        self._lifted.clear()
 
     def last(self, pad: int) -> PadSample | None:
         """The pad's latest reading by its own time."""

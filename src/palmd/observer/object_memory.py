@@ -1,4 +1,4 @@
-"""What is kept of an object when the palms lose it, and how it is known again.
+"""What is kept of an object when the palms lose it, for re-initialisation when it is put back.
 
 A settled map (outline, ρ, friction, damping, with their covariance) outlives the contact. At the next start most of
 the bank begins with it, at the orientations ψ that give the first two readings best; the rest begins blind, and the

@@ -25,7 +25,7 @@ from palmd.observer.filters.base import Filters
 from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.fusion import PLAUSIBLE, Pruning
 from palmd.observer.hypotheses import Verdict
-from palmd.observer.outline_prior import MOST_STARTS, kin_variance, stored
+from palmd.observer.outline_prior import MOST_STARTS, deviation_variance, stored
 from palmd.observer.track import Track
 from palmd.observer.validity import identified, surprised
 from palmd.outlinefile import Outline
@@ -82,7 +82,7 @@ class Recogniser:
         """What is stored, and of twins how far they may deviate."""
         belief = self.filters.constants(track.start)
         variance = np.diagonal(self._stored.P, axis1=1, axis2=2)[self._which]
-        variance = variance + np.outer(self._twin, kin_variance(track.start.mean_radius))
+        variance = variance + np.outer(self._twin, deviation_variance(track.start.mean_radius))
         return Belief(belief.which, self._stored.x[self._which], np.sqrt(variance))
 
     def renumber(self, kept: npt.NDArray[np.intp]) -> None:
@@ -125,7 +125,7 @@ class Recogniser:
         likely = order[bank.score[order] > bank.score[order[0]] - PLAUSIBLE][: min(TWINS, bank.size // 2)]
         places = order[::-1][: len(likely)]
         bank.x[places] = bank.x[likely]
-        bank.P[places] = bank.P[likely] + np.diag(kin_variance(track.start.mean_radius))
+        bank.P[places] = bank.P[likely] + np.diag(deviation_variance(track.start.mean_radius))
         bank.score[places], bank.nis[places] = bank.score[likely], bank.nis[likely]
         self._which[places], self._twin[places] = self._which[likely], True
         self._twinned = True

@@ -49,10 +49,12 @@ def test_old_readings_fade_by_less():
     bank, forgetting = begun()
     forgetting.step(bank, 0.25, 0.25, belief)
     assert bank.faded[0][1] == pytest.approx(STRENGTH * 0.25 / (FIRST_AGE_S + 0.25))
+    forgetting.t_faded[:] = 3.0
+    assert [forgetting.step(bank, t, t, belief) for t in (3.29, 3.35)] == [None, 0], "a tenth of the age apart"
     forgetting.t_faded[:] = 10.0
     assert forgetting.step(bank, 10.0 + 0.9 * AT_LEAST_EVERY_S, 10.0, belief) is None
     forgetting.step(bank, 10.5, 10.5, belief)
-    assert bank.faded[1][1] == pytest.approx(STRENGTH * 0.5 / (FIRST_AGE_S + 10.5))
+    assert bank.faded[-1][1] == pytest.approx(STRENGTH * 0.5 / (FIRST_AGE_S + 10.5))
 
 
 def test_what_was_known_before_fades_as_if_it_were_older():
