@@ -8,7 +8,7 @@ from typing import Literal, get_args
 from palmd.events import RigDescription
 from palmd.model.smoothing import ORDER
 from palmd.observer.bank_observer import BankObserver
-from palmd.observer.filters.base import REALISTIC
+from palmd.observer.filters.base import NOT_OVERCONFIDENT
 from palmd.observer.filters.extended import ExtendedFilters
 from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.handover import Handover
@@ -51,7 +51,7 @@ def make(
     filters = ShapeFilters(rig, SHAPE_BANK)
     if smoothing is None:
         return BankObserver(filters, rig, seed)
-    known, single = (ShapeFilters(rig, size, order=ORDER, optimism=REALISTIC) for size in (KNOWN_BANK, 1))
+    known, single = (ShapeFilters(rig, size, order=ORDER, overconfidence=NOT_OVERCONFIDENT) for size in (KNOWN_BANK, 1))
     smoothed = SmoothedFilters(known, single)
     hypotheses = ReturningObject(rig, filters, smoothed)
     link = SmootherLink(smoothing, rig, Handover(rig, filters, smoothed, hypotheses))

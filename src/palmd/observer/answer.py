@@ -57,20 +57,20 @@ def no_answer(t: float, observer: str, object_count: int, palms: PalmMotion | No
 
 
 def outline_answer(
-    t: float, coefficients: FloatArray, cov: FloatArray, marks: Marks, too_sure: float, radius_sd: float
+    t: float, coefficients: FloatArray, cov: FloatArray, marks: Marks, inflation: float, radius_sd: float
 ) -> ShapeEstimate:
     """The outline of coefficients (m) with their covariance (m²) on `DIRECTIONS` normals.
 
-    `too_sure` multiplies its one-sigma; `radius_sd` (m) is added, unknown on every normal alike.
+    `inflation` multiplies its one-sigma; `radius_sd` (m) is added, unknown on every normal alike.
     """
     touched = marks[BIN_OF_THETA]
-    h_sd = gauge_free_sd(THETA, THETA[touched], coefficients, cov) * too_sure
+    h_sd = gauge_free_sd(THETA, THETA[touched], coefficients, cov) * inflation
     h_sd = np.hypot(h_sd, radius_sd)
     return ShapeEstimate(t, THETA, _direction_rows(len(coefficients)) @ coefficients, h_sd, touched)
 
 
 def outlook(
-    t: float, filters: Filters, rivals: npt.NDArray[np.intp], marks: Marks, too_sure: float,
+    t: float, filters: Filters, rivals: npt.NDArray[np.intp], marks: Marks, inflation: float,
     random: np.random.Generator, object_count: int,
 ) -> Outlook | None:  # fmt: skip
     """The leader's state, its plausible `rivals`', and draws from its belief; takes a fraction of a millisecond.
@@ -86,13 +86,13 @@ def outlook(
     except np.linalg.LinAlgError:
         return None
     others = [number for number in rivals if number != best][:RIVALS]
-    drawn = state + too_sure * random.standard_normal((SAMPLES - len(others), len(state))) @ root.T
+    drawn = state + inflation * random.standard_normal((SAMPLES - len(others), len(state))) @ root.T
     samples = np.vstack([*(filters.as_shape_map(other) for other in others), drawn])
     for constant in (shape_map.Z.MU, shape_map.Z.DAMPING):
         samples[:, constant] = np.abs(samples[:, constant])
     outline = P[_SHAPE, _SHAPE]
     rows = bin_rows(len(outline))
-    h_sd = too_sure * np.sqrt(np.maximum(((rows @ outline) * rows).sum(axis=1), 0.0))
+    h_sd = inflation * np.sqrt(np.maximum(((rows @ outline) * rows).sum(axis=1), 0.0))
     return Outlook(t, np.vstack([state, samples]), marks.copy(), h_sd, object_count)
 
 

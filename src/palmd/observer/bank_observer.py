@@ -208,7 +208,7 @@ class BankObserver:
             return None
         coefficients, cov = fusion.filters.outline(fusion.bank.best())
         radius_sd = 0.0 if fusion.carries else track.radius_sd
-        return outline_answer(t, coefficients, cov, track.coverage.marks, self._too_sure(track, t), radius_sd)
+        return outline_answer(t, coefficients, cov, track.coverage.marks, self._inflation(track, t), radius_sd)
 
     @property
     def foresees(self) -> bool:
@@ -220,9 +220,9 @@ class BankObserver:
         fusion, track = self._fusion, self._session.track
         if track is None or not track.predictable:
             return None
-        too_sure = self._too_sure(track, t)
+        inflation = self._inflation(track, t)
         marks, count = track.coverage.marks, self._session.object_count
-        return outlook(t, fusion.filters, fusion.rivals(), marks, too_sure, self._draws, count)
+        return outlook(t, fusion.filters, fusion.rivals(), marks, inflation, self._draws, count)
 
     def identify(self, t: float) -> ObjectEstimate | None:
         """Which stored object it is at `t` (s), None before anything is felt or where none are stored."""
@@ -240,7 +240,7 @@ class BankObserver:
             self._observability.sample(fusion.t, state, motion, fusion.palms.jerk)
         disagreement = self._disagreement(best, fusion.rivals())
         sd = np.sqrt(np.maximum(np.diagonal(cov), 0.0) + disagreement**2)
-        sd *= self._too_sure(track, t)
+        sd *= self._inflation(track, t)
         if not fusion.carries:
             sd[_RADII] = np.hypot(sd[_RADII], track.radius_sd)
         return y, sd, disagreement
@@ -268,6 +268,6 @@ class BankObserver:
             disagreement_m=max(disagreement[_R1], disagreement[_R2]),
         )
 
-    def _too_sure(self, track: Track, t: float) -> float:
+    def _inflation(self, track: Track, t: float) -> float:
         """What to multiply one-sigmas with at `t` (s)."""
-        return self._fusion.filters.optimism.factor(track.age(t))
+        return self._fusion.filters.overconfidence.factor(track.age(t))

@@ -22,7 +22,7 @@ from palmd.observer.prior import BlindStart
 # Palms not reported for longer are not known: a controller that does not track is asked each 0.1 s only.
 PALMS_UNKNOWN_S = 0.15
 # The first readings are fused about a blind guess: they weigh little at first.
-CAUTION, CAUTION_S = 20.0, 0.3
+EARLY_NOISE, EARLY_S = 20.0, 0.3
 PLAUSIBLE = 12.0  # nats below the best
 _PSI = NAMED.index("psi")
 
@@ -111,7 +111,7 @@ class Fusion:
         self.history.clear()
         if t > self.t:
             self._move_to(t)
-        self.filters.doubt(gap)
+        self.filters.inflate(gap)
 
     def add(self, event: PadSample | PalmSample) -> None:
         """Fuse one event; one too late for that is counted and dropped, and so is one from before the track."""
@@ -138,8 +138,8 @@ class Fusion:
         self._forget()
         if isinstance(event, PadSample):
             age = event.t_sample - self.t_start
-            caution = 1.0 if self.carries else 1.0 + CAUTION * math.exp(-age / CAUTION_S)
-            self.filters.fuse_pad(event, caution * self._rig.reading_variance, self.palms)
+            inflation = 1.0 if self.carries else 1.0 + EARLY_NOISE * math.exp(-age / EARLY_S)
+            self.filters.fuse_pad(event, inflation * self._rig.reading_variance, self.palms)
         else:
             self.filters.fuse_palms(event, self._rig.palm_angle_noise**2)
 

@@ -16,7 +16,15 @@ import numpy.typing as npt
 from palmd.events import FloatArray, PalmMotion
 from palmd.model import shape, shape_map
 from palmd.observer import prior
-from palmd.observer.object_memory import APART, DIRECTIONS, PSI_SD, SAME, SPIN_SD, orientation_likelihood, reading_rows
+from palmd.observer.object_memory import (
+    APART,
+    DIRECTIONS,
+    PSI_SD,
+    SAME_CHI2,
+    SPIN_SD,
+    orientation_likelihood,
+    reading_rows,
+)
 from palmd.outlinefile import Outline
 
 LEAST_SD = 5e-6  # m, of each coefficient: no file is better than that
@@ -54,7 +62,7 @@ class OutlinePrior:
         """Whether the outline of each state `x` (size, 21) is beyond what is believed of object `which` (size)."""
         change = x[:, _OUTLINE] - self.x[which, _OUTLINE]
         distance = np.einsum("fi,fij,fj->f", change, self.information[which], change)
-        strayed: npt.NDArray[np.bool_] = distance > SAME
+        strayed: npt.NDArray[np.bool_] = distance > SAME_CHI2
         return strayed
 
     def starts(self, s1: float, s2: float, palms: PalmMotion, variance: float, count: int) -> Starts:

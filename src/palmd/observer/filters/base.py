@@ -21,8 +21,8 @@ GUESSED_ACCELERATION_SD = 2.0  # rad/s², of palms and object while the palms' m
 
 
 @dataclass(frozen=True, slots=True)
-class Optimism:
-    """How much too sure a young filter is: its true errors are 1 + excess · exp(−age/lasts_s) of its own sigmas.
+class Overconfidence:
+    """How overconfident a young filter is: its true errors are 1 + excess · exp(−age/lasts_s) of its own sigmas.
 
     Linearising about a blind guess costs more than a covariance can know. Measured over simulated runs of the kind
     `nominal`, as the root mean square of error over sigma, r1 and r2, by age.
@@ -36,7 +36,7 @@ class Optimism:
         return 1.0 + self.excess * math.exp(-age / self.lasts_s)
 
 
-REALISTIC = Optimism(0.0, 1.0)
+NOT_OVERCONFIDENT = Overconfidence(0.0, 1.0)
 """Of filters that go on from what has been linearised well."""
 
 
@@ -49,7 +49,7 @@ class Filters(Protocol):
     fuses_palms: bool  # whether reports of the palms are readings; else the palms' motion is an input
     rolls_out: bool  # whether its state is the one that `model.rollout` foretells motions with
     spread: FloatArray | None  # what the rig's constants leave open of a state that a smoother vouches for
-    optimism: Optimism
+    overconfidence: Overconfidence
     curvature: FloatArray  # rows that map the state to v (m) on `CURVATURE_NORMALS` normals
 
     def start(self, start: BlindStart, palms: PalmTracker, t: float) -> None:
@@ -73,7 +73,7 @@ class Filters(Protocol):
     def fuse_palms(self, sample: PalmSample, angle_variance: float) -> None:
         """Fuse one report of the palms; only where `fuses_palms`."""
 
-    def doubt(self, gap: float) -> None:
+    def inflate(self, gap: float) -> None:
         """Widen what moves after `gap` seconds through which the palms' motion was not reported but guessed."""
 
     def named(self, member: int, t: float, dt: float, palms: PalmTracker) -> tuple[FloatArray, FloatArray]:

@@ -15,7 +15,7 @@ from palmd.observer.filters.base import (
     CURVATURE_NORMALS,
     GUESSED_ACCELERATION_SD,
     SMALLEST_RADIUS_M,
-    Optimism,
+    Overconfidence,
     curvature_rows,
     pad_update,
 )
@@ -35,7 +35,7 @@ class ExtendedFilters:
     fuses_palms = True
     rolls_out = False
     spread: FloatArray | None = None
-    optimism = Optimism(1.2, 3.0)
+    overconfidence = Overconfidence(1.2, 3.0)
 
     def __init__(self, rig: RigDescription, size: int):
         library = extended.library()
@@ -126,7 +126,7 @@ class ExtendedFilters:
             self.bank.update("update_omega1", sample.omega1, PLAN_RATE_SD**2, scored=False)
             self.bank.update("update_omega2", sample.omega2, PLAN_RATE_SD**2, scored=False)
 
-    def doubt(self, gap: float) -> None:
+    def inflate(self, gap: float) -> None:
         X = extended.X
         variance = np.zeros(extended.N)
         variance[[X.OMEGA0, X.OMEGA1, X.OMEGA2]] = (GUESSED_ACCELERATION_SD * gap) ** 2

@@ -15,7 +15,7 @@ from palmd.observer.filters.base import (
     CURVATURE_NORMALS,
     GUESSED_ACCELERATION_SD,
     SMALLEST_RADIUS_M,
-    Optimism,
+    Overconfidence,
     curvature_rows,
     pad_update,
 )
@@ -34,7 +34,7 @@ def smoother_outline(x: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArr
     return x[low] - gain @ x[high], P[low, low] - gain @ P[high, low]
 
 
-BLIND_OPTIMISM = Optimism(1.0, 0.7)
+BLIND_OVERCONFIDENCE = Overconfidence(1.0, 0.7)
 
 
 class ShapeFilters:
@@ -54,10 +54,10 @@ class ShapeFilters:
         size: int,
         memory_s: float = SCORE_MEMORY_S,
         order: int = shape.HARMONICS,
-        optimism: Optimism = BLIND_OPTIMISM,
+        overconfidence: Overconfidence = BLIND_OVERCONFIDENCE,
     ):
         """Binds `size` filters' kernels; may compile C. `memory_s` as in `Bank`."""
-        self.optimism = optimism
+        self.overconfidence = overconfidence
         library = shape_map.library(order)
         inputs = (shape_map.PREDICTION_INPUTS, shape_map.PALM_INPUTS + RIG_INPUTS, len(NAMED))
         n = shape_map.size(order)
@@ -125,7 +125,7 @@ class ShapeFilters:
     def fuse_palms(self, sample: PalmSample, angle_variance: float) -> None:
         raise NotImplementedError("the palms' motion is an input of the shape map")
 
-    def doubt(self, gap: float) -> None:
+    def inflate(self, gap: float) -> None:
         Z = shape_map.Z
         variance = np.zeros(self.bank.n)
         variance[Z.OMEGA0] = (GUESSED_ACCELERATION_SD * gap) ** 2
