@@ -1,4 +1,4 @@
-"""A stretch of readings laid out as arrays on a grid of nodes, ready for the smoother. Pure."""
+"""A segment of readings laid out as arrays on a grid of nodes, ready for the smoother. Pure."""
 
 from __future__ import annotations
 
