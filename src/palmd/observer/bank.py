@@ -60,7 +60,7 @@ class Bank:
         inputs: tuple[int, int, int],
         memory_s: float = SCORE_MEMORY_S,
     ):
-        """Bind the kernels `predict`, `values` and those in `updates` (name → length of tsuccessor last input).
+        """Bind the kernels `predict`, `values` and those in `updates` (name → length of their last input).
 
         `inputs` are the lengths of the last inputs of `predict` and `values`, and the number of values. Scores fade
         with the time constant `memory_s`. A bank of one filter has kernels of its own.
@@ -136,7 +136,7 @@ class Bank:
         return self._nis[: self.size]
 
     def refill(self) -> None:
-        """All filters active again, with equal scores; tsuccessor states are the caller's to set."""
+        """All filters active again, with equal scores; their states are the caller's to set."""
         self._blocks = self.full_size // self.block
         self._score[:] = 0.0
         self._nis[:] = 1.0
@@ -173,9 +173,9 @@ class Bank:
     def fade(self, block: int, fraction: float, prior: Belief) -> None:
         """Forget `fraction` of what the readings have taught the filters of one block, but not the prior.
 
-        Readings fused about a poor first guess have bent the filters by more than tsuccessor covariances admit;
+        Readings fused about a poor first guess have bent the filters by more than their covariances admit;
         forgetting some of the past all along lets later, better linearised readings mend it. The covariance
-        grows by 1 + fraction, and the constants are told tsuccessor prior again with just the weight that this took
+        grows by 1 + fraction, and the constants are told their prior again with just the weight that this took
         from it. Takes a tenth of a millisecond: for now and then, not for every event.
         """
         members = self.members(block)
