@@ -147,11 +147,19 @@ class Bank:
         self._u[1:] = np.concatenate(inputs)
         self._call(self._predict)
         self._side = 1 - self._side
-        self.score[:] *= math.exp(-dt / self._memory_s)
 
-    def update(self, name: str, value: float, variance: float, *inputs: float, scored: bool = True) -> None:
-        """Fuse one scalar reading into every filter; `scored` says whether it counts in the score."""
-        self._z[name][:] = (value, variance, GATE, *inputs)
+    def age_scores(self, seconds: float) -> None:
+        """Let what the readings so far have scored weigh less."""
+        self.score[:] *= math.exp(-seconds / self._memory_s)
+
+    def update(
+        self, name: str, value: float, variance: float, *inputs: float, repeated: float = 1.0, scored: bool = True
+    ) -> None:
+        """Fuse one scalar reading into every filter, one of `repeated` that share one error.
+
+        `scored` says whether it counts in the score.
+        """
+        self._z[name][:] = (value, variance, GATE, repeated, *inputs)
         self._call(self._updates[name])
         self._side = 1 - self._side
         outcome = self._outcome[: self.size]

@@ -64,7 +64,7 @@ class FilterCatchUp:
                 sample = self._filters.rig_error.on_time(event)
                 if sample.t_sample >= self._t:
                     self._move_to(sample.t_sample)
-                    self._filters.fuse_pad(sample, self._variance, self._palms)
+                    self._filters.fuse_pad(sample, self._variance, self._palms, self._palms.repeated)
                     self._read += 1
         return not self._waiting and self._read >= LEAST_READINGS
 

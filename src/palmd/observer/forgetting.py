@@ -30,10 +30,11 @@ class Forgetting:
         blind = self.prior_age_s.reshape(len(self.t_faded), -1).min(axis=1) == 0.0
         self.t_faded = np.where(blind | everywhere, t, np.inf)
 
-    def step(self, bank: Bank, t: float, age_s: float, constants: Callable[[], Belief]) -> int | None:
+    def step(self, bank: Bank, t: float, age_s: float, repeated: float, constants: Callable[[], Belief]) -> int | None:
         """Let one block forget if it is time: one by one, so that no tick pays for all. Which it was, if any.
 
-        `constants` gives what was believed of the filters' constants at the start.
+        Readings of one place, each one of `repeated`, push out as much less of those before. `constants` gives what was
+        believed of the filters' constants at the start.
         """
         block = int(self.t_faded[: bank.blocks].argmin())
         since = t - self.t_faded[block]
@@ -41,7 +42,7 @@ class Forgetting:
             return None
         surprise = max(0.0, bank.nis[bank.best()] - SURPRISING_NIS)
         learnt = age_s + float(self.prior_age_s[bank.members(block)].min())
-        fraction = STRENGTH * since / (FIRST_AGE_S + learnt) * (1.0 + STRENGTH_BY_SURPRISE * surprise)
+        fraction = STRENGTH * since / repeated / (FIRST_AGE_S + learnt) * (1.0 + STRENGTH_BY_SURPRISE * surprise)
         bank.fade(block, min(fraction, 1.0), constants())
         self.t_faded[block] = t
         return block

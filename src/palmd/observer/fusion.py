@@ -14,7 +14,7 @@ from palmd.events import FloatArray, PadSample, PalmSample, RigDescription
 from palmd.model.outputs import NAMED
 from palmd.observer.bank import Bank, Belief
 from palmd.observer.filters.base import Filters, carry
-from palmd.observer.forgetting import Forgetting
+from palmd.observer.forgetting import SURPRISING_NIS, Forgetting
 from palmd.observer.history import Fused, History
 from palmd.observer.palms import PalmTracker
 from palmd.observer.prior import BlindStart
@@ -139,13 +139,13 @@ class Fusion:
         if isinstance(event, PadSample):
             age = event.t_sample - self.t_start
             inflation = 1.0 if self.carries else 1.0 + EARLY_NOISE * math.exp(-age / EARLY_S)
-            self.filters.fuse_pad(event, inflation * self._rig.reading_variance, self.palms)
+            self.filters.fuse_pad(event, inflation * self._rig.reading_variance, self.palms, self._repeated)
         else:
             self.filters.fuse_palms(event, self._rig.palm_angle_noise**2)
 
     def _forget(self) -> None:
         age = self.t - self.t_start
-        block = self.forgetting.step(self.bank, self.t, age, self._beliefs.constants)
+        block = self.forgetting.step(self.bank, self.t, age, self._repeated, self._beliefs.constants)
         if block is None:
             return
         self.make_convex(block)
@@ -157,7 +157,14 @@ class Fusion:
 
     def _move_to(self, t: float) -> None:
         carry(self.filters, self.t, t, self.palms)
+        self.bank.age_scores((t - self.t) / self._repeated)
         self.t = t
+
+    @property
+    def _repeated(self) -> float:
+        """Of how many readings of the present place one is; of 1 where they surprise: the object has been moved."""
+        surprised = self.bank.nis[self.bank.best()] > SURPRISING_NIS
+        return 1.0 if surprised else self.palms.repeated
 
     def make_convex(self, block: int) -> bool:
         """Whether the outlines of a block's filters are; those that are not are bent towards it."""

@@ -23,7 +23,8 @@ from palmd.observer.first_guess import blind_starts, prior_of
 from palmd.observer.normal_equations import Guess, ProcessNoise
 from palmd.observer.object_memory import likely_orientations
 from palmd.observer.palm_path import smoothed_path
-from palmd.observer.record import RESTING_RAD_S, Record, lay_out
+from palmd.observer.palms import RESTING_RAD_S
+from palmd.observer.record import Record, lay_out
 from palmd.observer.smoother import Fit, Smoother
 
 SPACING_S = 0.01  # of the nodes while looking for the answer

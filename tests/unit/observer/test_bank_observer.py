@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from simulated import simulated
 
 from palmd import observer
 from palmd.events import Estimate, Event, PadLift, PadSample, PalmSample, RigDescription
@@ -522,3 +523,24 @@ def test_the_virtual_machine_gives_the_same_answer(nominal: tuple, tmp_path, mon
     a, b = fast.estimate(events[149].t_sample), slow.estimate(events[149].t_sample)
     assert a.r1 == pytest.approx(b.r1, rel=1e-6)
     assert a.sd["r1"] == pytest.approx(b.sd["r1"], rel=1e-6)
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("friction", 43), ("rig", 2)])
+def test_the_outline_stays_what_it_was_while_the_palms_rest(kind: str, seed: int) -> None:
+    run = simulated(kind, seed, 30.0, rests=((10.0, 30.0),))
+    bank = observer.make("shape", run.rig)
+    events = sorted(run.events, key=lambda event: event.t_sample)
+    before, moved = None, []
+    for tick in range(100, 2950):
+        t = 0.01 * tick
+        while events and events[0].t_sample <= t:
+            bank.feed(events.pop(0))
+        estimate = bank.estimate(t)
+        if t > 12.0 and tick % 50 == 0:
+            told = bank.shape(t)
+            assert estimate.valid
+            assert told is not None
+            before = before or told
+            difference = (told.h - before.h)[before.touched] / before.h_sd[before.touched]
+            moved.append(math.sqrt(float(np.mean(difference**2))))
+    assert max(moved) < 1.0

@@ -178,7 +178,7 @@ def test_a_newcomer_arrives_where_a_filter_that_had_always_been_there_stands(run
             for begin, end in itertools.pairwise(np.linspace(t, event.t_sample, steps + 1)):
                 filters.predict(begin, end - begin, palms)
             t = event.t_sample
-            filters.fuse_pad(event, variance, palms)
+            filters.fuse_pad(event, variance, palms, palms.repeated)
     filters.predict(t, until - t, palms)
     sd = np.sqrt(np.diagonal(P))
     assert np.all(np.abs(filters.bank.x[0] - x) < 1e-3 * sd)

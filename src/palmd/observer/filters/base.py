@@ -67,8 +67,8 @@ class Filters(Protocol):
     def predict(self, t: float, dt: float, palms: PalmTracker) -> None:
         """Move the bank from `t` to `t + dt`."""
 
-    def fuse_pad(self, sample: PadSample, variance: float, palms: PalmTracker) -> None:
-        """Fuse one contact reading."""
+    def fuse_pad(self, sample: PadSample, variance: float, palms: PalmTracker, repeated: float) -> None:
+        """Fuse one contact reading, one of `repeated` that share one error."""
 
     def fuse_palms(self, sample: PalmSample, angle_variance: float) -> None:
         """Fuse one report of the palms; only where `fuses_palms`."""

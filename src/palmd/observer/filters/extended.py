@@ -39,7 +39,7 @@ class ExtendedFilters:
 
     def __init__(self, rig: RigDescription, size: int):
         library = extended.library()
-        updates = {f"update_{state.name.lower()}": 3 for state in extended.MEASURED}
+        updates = {f"update_{state.name.lower()}": extended.UPDATE_INPUTS for state in extended.MEASURED}
         inputs = (extended.PREDICTION_INPUTS, 2 + RIG_INPUTS, len(NAMED))
         self.bank = Bank(library, size, extended.N, updates, inputs)
         self._rig = rig_inputs(rig)
@@ -115,9 +115,9 @@ class ExtendedFilters:
     def predict(self, t: float, dt: float, palms: PalmTracker) -> None:
         self.bank.predict(dt, palms.at(t)[4:], palms.jerk, self._rig)
 
-    def fuse_pad(self, sample: PadSample, variance: float, palms: PalmTracker) -> None:
+    def fuse_pad(self, sample: PadSample, variance: float, palms: PalmTracker, repeated: float) -> None:
         del palms  # the palms' angles are part of the state
-        self.bank.update(pad_update(sample.pad), sample.s, variance)
+        self.bank.update(pad_update(sample.pad), sample.s, variance, repeated=repeated)
 
     def fuse_palms(self, sample: PalmSample, angle_variance: float) -> None:
         self.bank.update("update_phi1", sample.phi1, angle_variance, scored=False)

@@ -61,7 +61,9 @@ class ShapeFilters:
         library = shape_map.library(order)
         inputs = (shape_map.PREDICTION_INPUTS, shape_map.PALM_INPUTS + RIG_INPUTS, len(NAMED))
         n = shape_map.size(order)
-        self.bank = Bank(library, size, n, {"update_s1": 5, "update_s2": 5}, inputs, memory_s)
+        self.bank = Bank(
+            library, size, n, dict.fromkeys(("update_s1", "update_s2"), shape_map.UPDATE_INPUTS), inputs, memory_s
+        )
         self.order = order
         self._rig = rig_inputs(rig)
         self._x, self._P = np.zeros(n), np.zeros((n, n))
@@ -117,10 +119,10 @@ class ShapeFilters:
     def predict(self, t: float, dt: float, palms: PalmTracker) -> None:
         self.bank.predict(dt, self._palms_at(t, palms), palms.jerk, self._rig)
 
-    def fuse_pad(self, sample: PadSample, variance: float, palms: PalmTracker) -> None:
+    def fuse_pad(self, sample: PadSample, variance: float, palms: PalmTracker, repeated: float) -> None:
         phi1, phi2 = self._palms_at(sample.t_sample, palms)[:2]
         s = self.rig_error.corrected(sample, phi2)
-        self.bank.update(pad_update(sample.pad), s, variance, phi1, phi2)
+        self.bank.update(pad_update(sample.pad), s, variance, phi1, phi2, repeated=repeated)
 
     def fuse_palms(self, sample: PalmSample, angle_variance: float) -> None:
         raise NotImplementedError("the palms' motion is an input of the shape map")
