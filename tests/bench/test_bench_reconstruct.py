@@ -7,8 +7,9 @@ import pytest
 from benchtable import PARTS, machine, percentiles, show
 
 from palmd.events import PadSample, PalmSample, RigDescription
-from palmd.observer.incremental import IncrementalSmoother, Session
+from palmd.observer.incremental import IncrementalSmoother
 from palmd.observer.reconstruct import reconstruct
+from palmd.observer.smoothing import Session
 from palmd.rig.shapes import KINDS
 from palmd.rig.simulate import simulate_log
 

@@ -30,6 +30,11 @@ def white_jerk(dt: float) -> FloatArray:
     )
 
 
+# Readings of one place share what the pad is wrong about there, its rounding above all: while the palms rest they weigh
+# less and less, one half after such a time.
+RESTING_RAD_S, SHARED_AFTER_S = 2e-3, 1.0
+
+
 class PalmTracker:
     """A Kalman filter on (φ, ω, α) of each palm, with the plan's rates and accelerations where they are told.
 
@@ -45,6 +50,7 @@ class PalmTracker:
         self._plan: tuple[float, float, float] | None = None  # t, α1, α2
         self.jerk = np.zeros(2)
         self._liveliest = 0.0  # the largest jerk lately
+        self._t_moved = 0.0  # when the palms turned last
 
     @property
     def known(self) -> bool:
@@ -55,6 +61,11 @@ class PalmTracker:
     def t(self) -> float:
         """Time of the last report; -inf before the first."""
         return -np.inf if self._t is None else self._t
+
+    @property
+    def repeated(self) -> float:
+        """How many readings of a pad share one error: 1 while the palms move, the more the longer they rest."""
+        return 1.0 + (self.t - self._t_moved) / SHARED_AFTER_S if self.known else 1.0
 
     def sd(self, t: float) -> tuple[FloatArray, FloatArray]:
         """One-sigma of both angles (rad) and of both rates (rad/s) at `t` (s).
@@ -94,6 +105,8 @@ class PalmTracker:
         else:
             self.jerk[:] = 0.0
             self._plan = None
+        if np.abs(self._state[:, 1]).max() > RESTING_RAD_S:
+            self._t_moved = sample.t_sample
 
     def at(self, t: float) -> FloatArray:
         """(φ1, φ2, ω1, ω2, α1, α2) at `t`, seconds on the samples' clock."""
@@ -119,7 +132,7 @@ class PalmTracker:
         return PalmMotion(*(float(v) for v in self.at(t)))
 
     def _begin(self, sample: PalmSample) -> None:
-        self._t = sample.t_sample
+        self._t = self._t_moved = sample.t_sample
         self._state[:] = [
             [sample.phi1, sample.omega1 or 0.0, sample.alpha1 or 0.0],
             [sample.phi2, sample.omega2 or 0.0, sample.alpha2 or 0.0],

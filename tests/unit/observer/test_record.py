@@ -70,4 +70,4 @@ def test_kernel_inputs_are_padded_with_what_can_be_evaluated():
         assert np.isfinite(inputs).all()
         assert (inputs[:, 0] > 0).all()
     assert record.step_inputs(64)[:10, 0] == pytest.approx(0.01)
-    assert record.step_inputs(64)[0, 9:].tolist() == [9.81, 0.0, 0.0, 0.0, RIG.pad_length]
+    assert record.step_inputs(64)[0, 9:].tolist() == [9.81, 0.0, 0.0, 0.0, 0.0, RIG.pad_length]

@@ -15,8 +15,8 @@ from palmd.events import Event, FloatArray, PadSample, PalmMotion, PalmSample, R
 from palmd.model import shape, shape_map
 from palmd.model.outputs import rig_inputs
 from palmd.observer import prior
-from palmd.observer.bank_observer import CAUTION, CAUTION_S
-from palmd.observer.filters import LONGEST_STEP_S
+from palmd.observer.filters.base import LONGEST_STEP_S
+from palmd.observer.fusion import EARLY_NOISE, EARLY_S
 from palmd.observer.palms import PalmTracker
 
 StartName = Literal["good", "blind"]
@@ -127,7 +127,7 @@ class PeerStart:
 
 
 def task_from(rig: RigDescription, events: Iterable[Event]) -> PeerTask:
-    """The events of a run as readings, cut as `observer.bank_observer` cuts them; ValueError if nothing is touched."""
+    """The events of a run as readings, cut as `observer.fusion` cuts them; ValueError if nothing is touched."""
     tracker, rig_values = PalmTracker(rig.palm_angle_noise), rig_inputs(rig)
     variance = rig.reading_variance
     last: dict[int, PadSample] = {}
@@ -146,9 +146,9 @@ def task_from(rig: RigDescription, events: Iterable[Event]) -> PeerTask:
                 continue
             moves = _moves(t, event.t_sample, tracker, rig_values)
             t = event.t_sample
-            caution = 1.0 + CAUTION * math.exp(-(t - t_start) / CAUTION_S)
+            inflation = 1.0 + EARLY_NOISE * math.exp(-(t - t_start) / EARLY_S)
             forces = (_force(last[1]), _force(last[2]))
-            readings.append(Reading(t, event.pad, event.s, caution * variance, tracker.at(t), moves, forces))
+            readings.append(Reading(t, event.pad, event.s, inflation * variance, tracker.at(t), moves, forces))
     if first is None or not readings:
         raise ValueError("both pads and the palms must have been read for there to be anything to estimate")
     return PeerTask(rig, t_start, *first, tuple(readings))
