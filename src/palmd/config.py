@@ -29,7 +29,8 @@ from pydantic import (
     field_validator,
 )
 
-from palmd.events import Calibration, RigDescription
+from palmd.system.description import PadSensor, RigDescription
+from palmd.system.mechanism import PALMS
 
 BAUDS = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)
 SEGMENT_KINDS = ("move", "rate", "hold_s", "sine", "explore")
@@ -251,6 +252,10 @@ class PadsConfig(Strict):
             raise ValueError(f"port {palm2.port} is already that of palm1")
         return palm2
 
+    def each(self) -> tuple[PadConfig, ...]:
+        """The pads in the order of their palms."""
+        return tuple(getattr(self, f"palm{palm}") for palm in PALMS)
+
 
 class AdeptConfig(Strict):
     """The serial line of an Adept controller, and where its arm's base stands in the world frame."""
@@ -372,7 +377,7 @@ class Config(Strict):
     @classmethod
     def _own_port(cls, arm: ArmConfig, info: ValidationInfo) -> ArmConfig:
         pads: PadsConfig | None = info.data.get("pads")
-        if pads is not None and arm.port in (pads.palm1.port, pads.palm2.port):
+        if pads is not None and arm.port in [pad.port for pad in pads.each()]:
             raise ValueError(f"port {arm.port} is already that of a pad")
         return arm
 
@@ -393,27 +398,30 @@ PRESSURE_GAIN_STD = 0.03
 
 
 def rig_description(config: Config) -> RigDescription:
-    """What an observer must know of the configured rig (SI); where the pads differ, the worse one counts."""
-    pads = (config.pads.palm1, config.pads.palm2)
+    """What an observer must know of the configured rig (SI)."""
     return RigDescription(
         gravity=config.rig.gravity_m_s2,
         hinge=config.rig.hinge,
         palm1_length=config.rig.palm1_length_mm * 1e-3,
         base=(config.rig.base_mm[0] * 1e-3, config.rig.base_mm[1] * 1e-3),
-        pad_length=min(pad.length_mm for pad in pads) * 1e-3,
-        pad_noise=max(pad.noise_mm for pad in pads) * 1e-3,
-        pad_resolution=1e-3 / min(pad.counts_per_mm for pad in pads),
-        force_resolution=max(pad.newtons_per_count for pad in pads),
+        angle_sd=math.radians(config.rig.angle_sd_deg),
+        gravity_sd=math.radians(config.rig.gravity_sd_deg),
+        pads=tuple(_sensor(pad) for pad in config.pads.each()),
+    )
+
+
+def _sensor(pad: PadConfig) -> PadSensor:
+    return PadSensor(
+        length=pad.length_mm * 1e-3,
+        noise=pad.noise_mm * 1e-3,
+        resolution=1e-3 / pad.counts_per_mm,
+        force_resolution=pad.newtons_per_count,
         force_gain_std=PRESSURE_GAIN_STD,
-        calibration=Calibration(
-            zero=max(pad.zero_sd_mm for pad in pads) * 1e-3,
-            scale=max(pad.scale_sd for pad in pads),
-            angle=math.radians(config.rig.angle_sd_deg),
-            standoff=max(pad.standoff_sd_mm for pad in pads) * 1e-3,
-            lag=max(pad.lag_sd_ms for pad in pads) * 1e-3,
-            gravity=math.radians(config.rig.gravity_sd_deg),
-            sagitta=max(pad.sagitta_sd_mm for pad in pads) * 1e-3,
-        ),
+        zero_sd=pad.zero_sd_mm * 1e-3,
+        scale_sd=pad.scale_sd,
+        standoff_sd=pad.standoff_sd_mm * 1e-3,
+        sagitta_sd=pad.sagitta_sd_mm * 1e-3,
+        lag_sd=pad.lag_sd_ms * 1e-3,
     )
 
 

@@ -15,7 +15,6 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 Pad = Literal[1, 2]
-HingeMode = Literal["arc", "fixed"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,55 +68,6 @@ class PalmMotion:
     omega2: float = 0.0
     alpha1: float = 0.0
     alpha2: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class Calibration:
-    """One-sigma of what each of the rig's constants is off by: of each pad, of each palm's angle, of gravity; SI units.
-
-    `zero` and `scale` of the readings, `standoff` of the pad's surface from the hinge line, `sagitta` of its bow, `lag`
-    of its time stamps, `angle` of φ1 and φ2, `gravity` of its direction. The defaults are those of a rig after
-    docs/start/calibration.md.
-    """
-
-    zero: float = 1e-4
-    scale: float = 3e-3
-    angle: float = math.radians(0.1)
-    standoff: float = 2e-4
-    lag: float = 2e-3
-    gravity: float = math.radians(0.2)
-    sagitta: float = 3e-5
-
-
-PERFECT = Calibration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-"""Of a rig that is exactly as described."""
-
-
-@dataclass(frozen=True, slots=True)
-class RigDescription:
-    """What an observer must know of the rig: gravity, hinge, and how good the sensors are (SI units)."""
-
-    gravity: float = 9.81
-    hinge: HingeMode = "arc"
-    palm1_length: float = 0.12
-    base: tuple[float, float] = (0.12, 0.0)  # of palm 1's far end, where an arc hinge is fixed to the world
-    pad_length: float = 0.0555
-    pad_noise: float = 1e-4
-    pad_resolution: float = 1.27e-4
-    palm_angle_noise: float = 2e-4
-    force_scale_std: float = 0.05  # relative, of each reading by itself
-    force_gain_std: float = 0.0  # relative, of all of a pad's readings together; it may drift
-    force_resolution: float = 0.02
-    calibration: Calibration = PERFECT
-
-    @property
-    def reading_variance(self) -> float:
-        """Of one contact reading: its noise and what rounding to the pad's resolution adds (m²)."""
-        return self.pad_noise**2 + self.pad_resolution**2 / 12
-
-    def force_variance(self, force: FloatArray) -> FloatArray:
-        """Of readings of a true `force` (N) by themselves, rounding included; without what a gain adds (N²)."""
-        return (self.force_scale_std * force) ** 2 + self.force_resolution**2 / 12
 
 
 @dataclass(frozen=True, slots=True)

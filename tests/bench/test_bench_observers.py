@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from benchtable import PARTS, machine, percentiles, show
 
-from palmd.events import PadSample, PalmSample, RigDescription
+from palmd.events import PadSample, PalmSample
 from palmd.model import compiled, extended, shape_map
 from palmd.observer import EXTENDED_BANK, SHAPE_BANK, QuasistaticObserver
 from palmd.observer.bank_observer import BankObserver
 from palmd.observer.filters import ExtendedFilters, ShapeFilters
 from palmd.rig.simulate import simulate_log
+from palmd.system.description import RigDescription
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(300)]
 

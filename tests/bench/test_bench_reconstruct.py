@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from benchtable import PARTS, machine, percentiles, show
 
-from palmd.events import PadSample, PalmSample, RigDescription
+from palmd.events import PadSample, PalmSample
 from palmd.observer.incremental import IncrementalSmoother, Session
 from palmd.observer.reconstruct import reconstruct
 from palmd.rig.shapes import KINDS
 from palmd.rig.simulate import simulate_log
+from palmd.system.description import RigDescription
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(300)]
 

@@ -8,10 +8,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
-from palmd.events import FloatArray, PalmSample, RigDescription
+from palmd.events import FloatArray, PalmSample
 from palmd.observer.palm_path import smoothed_path
 from palmd.record.resultfile import Result
 from palmd.record.track import LEAST_ROWS, Track
+from palmd.system.description import RigDescription
 
 GAP_S = 0.1  # of the reconstruction: nothing is made up across more
 

@@ -160,7 +160,7 @@ def _run(task: ExploringTask) -> ExploringRow:
     reachable = _reachable(config, true_h)
     wireless.start()
     before = wireless.world.status()["contact_losses"]
-    watch = ExplorationWatch(reachable, rig.pad_length, wireless.t)
+    watch = ExplorationWatch(reachable, tuple(pad.length for pad in rig.pads), wireless.t)
     ended_s = _watched(wireless, watch, task.seconds)
     status = wireless.world.status()
     told = wireless.core.exploring.told() if explores else None

@@ -10,13 +10,14 @@ import math
 
 import numpy as np
 
-from palmd.events import FloatArray, PalmMotion, RigDescription
+from palmd.events import FloatArray, PalmMotion
 from palmd.model import shape, shape_map
 from palmd.model.outputs import NAMED, rig_inputs
 from palmd.observer import prior
 from palmd.observer.observability import SAMPLE_S, WINDOW_S, Observability
 from palmd.rig.plant import stable_poses
 from palmd.rig.shapes import random_body
+from palmd.system.description import RigDescription
 
 PHI1_RAD, PHI2_RAD = math.radians(40.0), math.radians(95.0)
 """The palms' pose in mid-second."""
@@ -33,7 +34,7 @@ def told(omega1: float, omega2: float, seed: int = 1) -> float:
     begin = PalmMotion(PHI1_RAD - omega1 * WINDOW_S / 2, PHI2_RAD - omega2 * WINDOW_S / 2, omega1, omega2)
     x = _object_at(begin, seed)
     predict, named = (shape_map.library().functions[name] for name in ("predict", "named"))
-    follower = Observability(rig_inputs(rig), rig.reading_variance)
+    follower = Observability(rig_inputs(rig), rig.reading_variances)
     forces = [NAMED.index("f1"), NAMED.index("f2")]
     palms = np.array([begin.phi1, begin.phi2, omega1, omega2, 0.0, 0.0])
     for step in range(round(WINDOW_S / SAMPLE_S) + 1):

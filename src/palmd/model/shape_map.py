@@ -12,11 +12,12 @@ from functools import cache
 import casadi as ca
 
 from palmd.model.compiled import Library, densified, load, mapped_over_block
-from palmd.model.contact import SX, Contact, normal_directions, readings
+from palmd.model.contact import SX, Contact, readings
 from palmd.model.dynamics import BodyConstants, Palms, newton_euler
 from palmd.model.integrate import exponential_step
 from palmd.model.outputs import RIG_INPUTS, named_outputs
 from palmd.model.shape import HARMONICS, contact_at
+from palmd.system.mechanism import normal_directions
 
 
 class Z(IntEnum):
@@ -45,7 +46,7 @@ Q_PSI = 1e-4**2  # rad²/s
 
 
 def _contacts(x: SX, palms: Palms) -> tuple[Contact, Contact]:
-    theta1, theta2 = normal_directions(palms.phi1, palms.phi2, x[Z.PSI])
+    theta1, theta2 = normal_directions((palms.phi1, palms.phi2), x[Z.PSI])
     coefficients = x[Z.SHAPE :]
     return contact_at(theta1, coefficients), contact_at(theta2, coefficients)
 

@@ -15,17 +15,18 @@ from typing import Literal
 import numpy as np
 
 from palmd.config import ExploreGoal
-from palmd.events import FloatArray, Outlook, RigDescription
+from palmd.events import FloatArray, Outlook
 from palmd.model import shape_map
 from palmd.model.outputs import rig_inputs
 from palmd.model.shape import basis
-from palmd.model.stable_poses import normals
 from palmd.motion import candidates
 from palmd.motion.limits import MotionLimits, problems, ranges
 from palmd.motion.reach import arcs, reach, surface_limits, why_not
 from palmd.motion.roadmap import Roadmap, TimeToGo
 from palmd.motion.rollout_predictor import BINS, Bools, Moves, Prediction, RolloutPredictor, goodness
 from palmd.motion.segments import Angles, Move
+from palmd.system.description import RigDescription
+from palmd.system.mechanism import normal_directions
 
 LOOPS, SINGLE_MOVES, MUTATED = 104, 56, 32  # sequences tried
 MOVES, HORIZON_S = 5, 8.0  # of each: a round and a bit more, looked at so far ahead
@@ -271,7 +272,8 @@ def _first_move(tried: Moves, number: int) -> Move:
 def _spread(states: FloatArray, pose: FloatArray) -> float:
     """How far the states disagree about the radii at the palms' pose (rad): the largest one-sigma (m)."""
     psi = states[:, shape_map.Z.PSI]
-    radii = [(basis(theta) * states[:, shape_map.Z.SHAPE :]).sum(axis=1) for theta in normals(pose[0], pose[1], psi)]
+    normals = normal_directions([np.asarray(angle) for angle in pose], psi)
+    radii = [(basis(theta) * states[:, shape_map.Z.SHAPE :]).sum(axis=1) for theta in normals]
     return float(np.std(radii, axis=1).max())
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 from palmd.config import Config
 from palmd.events import PalmMotion
+from palmd.system.mechanism import hinge_position
 
 LEAST_OPENING = math.radians(1.0)  # nearer than this to φ2 = 0 or π the arm cannot turn the palms
 
@@ -54,10 +55,7 @@ class RigGeometry:
 
     def hinge(self, phi1: float) -> tuple[float, float]:
         """O in the world frame (m) for palm 1 at phi1 (rad)."""
-        return (
-            self.base_x - self.palm1_length * math.cos(phi1),
-            self.base_y - self.palm1_length * math.sin(phi1),
-        )
+        return hinge_position((self.base_x, self.base_y), self.palm1_length, phi1)
 
     def arm_pose(self, phi1: float, phi2: float) -> tuple[float, float, float]:
         """Position x, y (m, arm coordinates) and tool angle t (rad, in (−π, π]) for palm angles (rad).

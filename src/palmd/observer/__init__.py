@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal, get_args
 
-from palmd.events import RigDescription
 from palmd.model.smoothing import ORDER
 from palmd.observer.bank_observer import BankObserver, SmoothedFilters
 from palmd.observer.filters import ExtendedFilters, ShapeFilters
@@ -13,6 +12,7 @@ from palmd.observer.quasistatic import QuasistaticObserver
 from palmd.observer.recogniser import Recogniser
 from palmd.observer.smoothed_observer import Simulated, SmoothedObserver, Smoothing
 from palmd.outlinefile import Outline
+from palmd.system.description import RigDescription
 
 ObserverName = Literal["shape", "extended", "quasistatic"]
 OBSERVERS: tuple[str, ...] = get_args(ObserverName)

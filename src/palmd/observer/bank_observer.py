@@ -27,7 +27,6 @@ from palmd.events import (
     PadSample,
     PalmMotion,
     PalmSample,
-    RigDescription,
     ShapeEstimate,
 )
 from palmd.model import shape, shape_map
@@ -43,6 +42,7 @@ from palmd.observer.outline import gauge_free_sd
 from palmd.observer.palms import PalmTracker
 from palmd.observer.prior import blind_start, shape_map_sd
 from palmd.observer.rig_error import RigError, circle_spread
+from palmd.system.description import RigDescription
 
 SILENCE_S = 0.1  # a pad silent for longer does not vouch for a contact
 HEARD_AGAIN_S = 0.05  # of readings after such a silence, by which it shows whether they are of the same object
@@ -110,14 +110,14 @@ class BankObserver:
         self._filters = self._blind = filters
         self._smoothed = smoothed
         self._rig = rig
-        self._rig_error = RigError(rig.pad_length)
+        self._rig_error = RigError(tuple(pad.length for pad in rig.pads))
         if smoothed is not None:
             assert isinstance(filters, ShapeFilters)
             for each in (filters, *smoothed):
                 each.rig_error = self._rig_error
         self._seed = seed
-        self._pad_variance = rig.reading_variance
-        self._observability = Observability(rig_inputs(rig), self._pad_variance)
+        self._pad_variances = rig.reading_variances
+        self._observability = Observability(rig_inputs(rig), self._pad_variances)
         everyone = [filters, *(smoothed or ())]
         self._blank = {id(each): [each.bank.blank() for _ in range(HISTORY)] for each in everyone}
         self._use(filters)
@@ -358,8 +358,7 @@ class BankObserver:
         self._t_unlikely: float | None = None
 
     def _new_mass(self) -> MassEstimator:
-        rig = self._rig
-        return MassEstimator(rig.force_scale_std, rig.force_resolution, rig.force_gain_std)
+        return MassEstimator(self._rig.pads)
 
     def _try_to_start(self, t: float) -> None:
         fresh = all(abs(t - self._last_seen(pad)) < SILENCE_S for pad in (1, 2))
@@ -397,7 +396,7 @@ class BankObserver:
             self.object_count += 1
             self._frame = None
             return
-        psi = known.orientations(s1, s2, palms, self._pad_variance, count)
+        psi = known.orientations(s1, s2, palms, self._pad_variances, count)
         self._filters.start_known(known.x, known.believed(), psi, self._palms, t)
         self._experience[:count] = EXPERIENCE_S
 
@@ -528,7 +527,7 @@ class BankObserver:
         if isinstance(event, PadSample):
             age = event.t_sample - self._t_start
             caution = 1.0 if self._carrying else 1.0 + CAUTION * math.exp(-age / CAUTION_S)
-            self._filters.fuse_pad(event, caution * self._pad_variance, self._palms)
+            self._filters.fuse_pad(event, caution * float(self._pad_variances[event.pad - 1]), self._palms)
         else:
             self._filters.fuse_palms(event, self._rig.palm_angle_noise**2)
 

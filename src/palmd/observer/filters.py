@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from palmd.events import FloatArray, PadSample, PalmSample, RigDescription
+from palmd.events import FloatArray, PadSample, PalmSample
 from palmd.model import extended, shape, shape_map
 from palmd.model.outputs import NAMED, RIG_INPUTS, rig_inputs
 from palmd.observer import prior
@@ -16,6 +16,7 @@ from palmd.observer.bank import SCORE_MEMORY_S, Bank, Belief
 from palmd.observer.palms import PLAN_RATE_SD, PalmTracker
 from palmd.observer.prior import BlindStart
 from palmd.observer.rig_error import RigError
+from palmd.system.description import RigDescription
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,7 +302,7 @@ class ShapeFilters:
         self._named = library.bind("named", [self._x_next, self._v], [self._y, self._J])
         self.curvature = np.zeros((CURVATURE_NORMALS, n))
         self.curvature[:, shape_map.Z.SHAPE :] = _curvature(order)
-        self.rig_error = RigError(rig.pad_length)
+        self.rig_error = RigError(tuple(pad.length for pad in rig.pads))
         self.spread: FloatArray | None = None
 
     def start(self, start: BlindStart, palms: PalmTracker, t: float) -> None:

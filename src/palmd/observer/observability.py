@@ -39,11 +39,11 @@ class Observability:
     `sample` takes some 20 µs each `SAMPLE_S`, and a tenth of a millisecond more when a block is full.
     """
 
-    def __init__(self, rig: FloatArray, reading_variance: float):
-        """`rig` are the kernels' inputs for it, `reading_variance` is in m²; may compile C."""
+    def __init__(self, rig: FloatArray, reading_variances: FloatArray):
+        """`rig` are the kernels' inputs for it, `reading_variances` of each pad are in m²; may compile C."""
         n = shape_map.N
         library = sensitivity.library()
-        self._weight = 1.0 / reading_variance
+        self._weights = 1.0 / reading_variances
         self._x, self._J = np.zeros(n), np.zeros((n, sensitivity.AIMED_AT))
         # CasADi stores by columns: these are the transposes
         self._T = [np.zeros((n, sensitivity.MOVING)) for _ in range(2)]
@@ -85,7 +85,7 @@ class Observability:
         else:
             self._u[0] = dt
             self._u[-2:] = self._readings
-            self._u[-2:] *= self._weight
+            self._u[-2:] *= self._weights
             self._gather[self._side]()
             self._side = 1 - self._side
             self._filled_s += dt

@@ -19,18 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palmd.events import (
-    Estimate,
-    Event,
-    FloatArray,
-    Outlook,
-    PadLift,
-    PadSample,
-    PalmMotion,
-    PalmSample,
-    RigDescription,
-    ShapeEstimate,
-)
+from palmd.events import Estimate, Event, FloatArray, Outlook, PadLift, PadSample, PalmMotion, PalmSample, ShapeEstimate
 from palmd.model import quasistatic as qs
 from palmd.model import shape
 from palmd.model.outputs import NAMED
@@ -41,6 +30,8 @@ from palmd.observer.local_fit import HALF_WIDTH_S, Readings
 from palmd.observer.mass import MassEstimator, resting_forces
 from palmd.observer.multi_start import BLOCKS, MultiStart, Spread
 from palmd.observer.prior import GYRATION, GYRATION_SD, RADIUS_SD
+from palmd.system.description import RigDescription
+from palmd.system.mechanism import hinge_position
 
 STEP_S = 0.01
 LAG_S = 0.1
@@ -199,7 +190,6 @@ class QuasistaticObserver:
 
     def _forget(self, t: float) -> None:
         """What has been integrated has led astray; begin anew with the readings from `t` (s) on."""
-        rig = self._rig
         self._t_first, self._t_node, self._t_agreed = t, -math.inf, math.inf
         self._nodes: deque[_Node] = deque(maxlen=round(WINDOW_S / STEP_S))
         self._leader: MultiStart | None = None
@@ -208,7 +198,7 @@ class QuasistaticObserver:
         self._ahead: deque[qs.QuasistaticReadings] = deque()  # of the follower
         self._level = 0  # ticks for which it has been where the leader is
         self._rounds = 0
-        self._mass = MassEstimator(rig.force_scale_std, rig.force_resolution, rig.force_gain_std)
+        self._mass = MassEstimator(self._rig.pads)
         self._marks = Coverage()
 
     def _last_seen(self, pad: int) -> float:
@@ -332,7 +322,8 @@ class QuasistaticObserver:
         rho = GYRATION * mean
         f1, f2 = resting_forces(self._rig.gravity, np.array([now.phi1, now.phi2]))
         com_x, com_y = _centre(self._rig, float(now.phi1), float(now.phi2), r1, r2)
-        s_sd, phi_sd = FITTED * math.sqrt(self._rig.reading_variance), FITTED * self._rig.palm_angle_noise
+        s1_sd, s2_sd = (FITTED * math.sqrt(pad.reading_variance) for pad in self._rig.pads)
+        phi_sd = FITTED * self._rig.palm_angle_noise
         values = {
             "r1": r1, "r2": r2, "omega0": omega0, "s1": now.s1, "s2": now.s2,
             "phi1": now.phi1, "omega1": now.omega1, "phi2": now.phi2, "omega2": now.omega2,
@@ -340,7 +331,7 @@ class QuasistaticObserver:
         }  # fmt: skip
         sds = {
             "r1": radius_sd[0], "r2": radius_sd[1], "omega0": math.hypot(found.sds[3], SPIN_OFF_RAD_S),
-            "s1": s_sd, "s2": s_sd, "phi1": phi_sd, "omega1": PALM_RATE_SD, "phi2": phi_sd, "omega2": PALM_RATE_SD,
+            "s1": s1_sd, "s2": s2_sd, "phi1": phi_sd, "omega1": PALM_RATE_SD, "phi2": phi_sd, "omega2": PALM_RATE_SD,
             "rho": math.hypot(GYRATION_SD * rho, GYRATION * mean_sd), "psi": math.hypot(found.sds[2], TURN_OFF_RAD),
         }  # fmt: skip
         y = np.array([values.get(name, math.nan) for name in NAMED])
@@ -368,7 +359,5 @@ def _centre(rig: RigDescription, phi1: float, phi2: float, r1: float, r2: float)
     phi12 = phi1 + phi2
     x = (r1 * math.cos(phi12) + r2 * math.cos(phi1)) / math.sin(phi2)
     y = (r1 * math.sin(phi12) + r2 * math.sin(phi1)) / math.sin(phi2)
-    if rig.hinge == "arc":
-        x += rig.base[0] - rig.palm1_length * math.cos(phi1)
-        y += rig.base[1] - rig.palm1_length * math.sin(phi1)
-    return x, y
+    hinge_x, hinge_y = hinge_position(*rig.arc, phi1)
+    return x + hinge_x, y + hinge_y

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from palmd.events import DECIDED, FloatArray, ObjectEstimate, PalmMotion, RigDescription
+from palmd.events import DECIDED, FloatArray, ObjectEstimate, PalmMotion
 from palmd.model.compiled import BLOCK
 from palmd.model.outputs import NAMED
 from palmd.observer.bank import Belief
@@ -25,6 +25,7 @@ from palmd.observer.bank_observer import NIS_RANGE, PLAUSIBLE, BankObserver
 from palmd.observer.filters import ShapeFilters
 from palmd.observer.outline_prior import MOST_STARTS, kin_variance, stored
 from palmd.outlinefile import Outline
+from palmd.system.description import RigDescription
 
 BANK = 96  # filters at most: what a tick has time for
 TWINS, TWIN_AGE_S = 16, 0.6
@@ -61,7 +62,7 @@ class Recogniser(BankObserver):
 
     def _start_known(self, s1: float, s2: float, palms: PalmMotion, t: float) -> None:
         self.object_count += 1
-        starts = self._stored.starts(s1, s2, palms, self._pad_variance, self._bank.size)
+        starts = self._stored.starts(s1, s2, palms, self._pad_variances, self._bank.size)
         self._filters.start_known(starts.x, starts.P, starts.psi, self._palms, t)
         self._bank.drop(np.arange(self._bank.size) >= len(starts.which))
         self._which = np.resize(starts.which, self._bank.size)

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.blas import one_thread
-from palmd.events import Event, FloatArray, RigDescription
+from palmd.events import Event, FloatArray
 from palmd.model import shape
 from palmd.model.smoothing import CONSTANTS, ORDER, RIG, C
 from palmd.observer.chain import Chain
@@ -31,6 +31,7 @@ from palmd.observer.search import Minima, Search, beyond_question, doubt
 from palmd.observer.seeker import ATTEMPTS
 from palmd.observer.smoother import Fit, Smoother
 from palmd.observer.visits import Counts, visits_of
+from palmd.system.description import RigDescription
 
 SPACING_S = 0.005  # of the nodes in the end
 LEAST_S = 1.0
@@ -165,7 +166,7 @@ def _refined(search: Search, finding: Minima, stretch: DataSegment, rig: RigDesc
     record = lay_out(stretch.pads, search.path, rig, stretch.start, stretch.end, SPACING_S)
     guess = best.guess.on(finding.record.t, record.t)
     level = np.maximum(Smoother(search.library, record, search.prior).forces(guess), LEAST_FORCE_N)
-    record = replace(record, force_variance=rig.force_variance(level))
+    record = replace(record, force_variance=rig.force_variances(level, record.force_pad))
     fit = Smoother(search.library, record, search.prior).fit(guess, best.noise)
     return _Part(stretch, search, search.prior, fit, record, doubt(fit, finding))
 
@@ -260,13 +261,13 @@ def _weighed(main: _Part, rig: RigDescription, answered: Marginal) -> tuple[floa
     if len(main.record.force_value):
         mass = math.exp(answered.mean.p[C.LN_MASS])
         return mass, mass * math.sqrt(answered.covariance[C.LN_MASS, C.LN_MASS])
-    believed, stretch, search = replace(rig, force_gain_std=0.0), main.stretch, main.search
+    believed, stretch, search = rig.with_pads(force_gain_std=0.0), main.stretch, main.search
     record = lay_out(stretch.pads, search.path, believed, stretch.start, stretch.end, SPACING_S)
     unit = np.where(np.arange(CONSTANTS) == C.LN_MASS, 0.0, answered.mean.p)
     per_mass = Smoother(search.library, record, search.prior).forces(replace(answered.mean, p=unit))
-    scales = MassEstimator(rig.force_scale_std, rig.force_resolution, rig.force_gain_std)
-    for force, f in zip(record.force_value, per_mass, strict=True):
-        scales.feed(float(force), float(f))
+    scales = MassEstimator(rig.pads)
+    for pad, force, f in zip(record.force_pad, record.force_value, per_mass, strict=True):
+        scales.feed(int(pad), float(force), float(f))
     return scales.value, scales.sd
 
 

@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from palmd.events import Calibration, FloatArray, PadSample, RigDescription
+from palmd.events import FloatArray, PadSample
 from palmd.model.smoothing import RIG_CONSTANTS, R
+from palmd.system.description import RigDescription
 
 
 @dataclass(slots=True)
 class RigError:
     """Estimates in the order of `model.smoothing.R`; zeros leave everything as it is. Safe inside the loop."""
 
-    pad_length: float
+    pad_lengths: tuple[float, ...]
     values: FloatArray = field(default_factory=lambda: np.zeros(RIG_CONSTANTS))
     _s: list[float] = field(default_factory=lambda: [0.0, 0.0])  # of each pad's last contact, corrected (m)
 
     def angles(self) -> tuple[float, float]:
         """By how much φ1 and φ2 of the surfaces that are touched exceed those that are reported (rad)."""
-        slopes = [4.0 * self.values[R.SAGITTA + i] / self.pad_length * (1.0 - 2.0 * self._u(i)) for i in range(2)]
+        slopes = [
+            4.0 * self.values[R.SAGITTA + i] / length * (1.0 - 2.0 * self._u(i))
+            for i, length in enumerate(self.pad_lengths)
+        ]
         return float(self.values[R.TILT] + slopes[0]), float(self.values[R.TURN] - slopes[0] - slopes[1])
 
     def on_time(self, sample: PadSample) -> PadSample:
@@ -37,7 +42,7 @@ class RigError:
         return float(s - (own * np.cos(phi2) + other) / np.sin(phi2))
 
     def _u(self, pad: int) -> float:
-        return self._s[pad] / self.pad_length
+        return self._s[pad] / self.pad_lengths[pad]
 
 
 def circle_spread(rig: RigDescription, s1: float, s2: float, phi2: float) -> float:
@@ -45,8 +50,12 @@ def circle_spread(rig: RigDescription, s1: float, s2: float, phi2: float) -> flo
 
     For before a smoother has told how they and the outline hang together.
     """
-    c: Calibration = rig.calibration
+    one, two = rig.pads
     tangent = float(np.tan(phi2 / 2))
-    of_s = np.hypot([c.zero, c.scale * s1], [c.scale * s2, c.zero]) * tangent / 2
-    of_phi2 = (s1 + s2) / 4 * (1 + tangent**2) * c.angle
-    return float(np.linalg.norm([*of_s, of_phi2, c.standoff / np.sqrt(2.0), c.sagitta]))
+    of_s = np.hypot([one.zero_sd, one.scale_sd * s1], [two.scale_sd * s2, two.zero_sd]) * tangent / 2
+    of_phi2 = (s1 + s2) / 4 * (1 + tangent**2) * rig.angle_sd
+    standoff, sagitta = (
+        math.sqrt((a * a + b * b) / 2)
+        for a, b in ((one.standoff_sd, two.standoff_sd), (one.sagitta_sd, two.sagitta_sd))
+    )
+    return float(np.linalg.norm([*of_s, of_phi2, standoff / np.sqrt(2.0), sagitta]))

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from palmd.events import FloatArray, PalmMotion, RigDescription
+from palmd.events import FloatArray, PalmMotion
 from palmd.model import shape, smoothing
 from palmd.model.smoothing import NODE, ORDER, C
 from palmd.observer.data_segment import DataSegment
@@ -25,6 +25,7 @@ from palmd.observer.object_memory import likely_orientations
 from palmd.observer.palm_path import smoothed_path
 from palmd.observer.record import RESTING_RAD_S, Record, lay_out
 from palmd.observer.smoother import Fit, Smoother
+from palmd.system.description import RigDescription
 
 SPACING_S = 0.01  # of the nodes while looking for the answer
 FIRST_LOOK_S = 0.3  # readings that tell the object's size
@@ -100,7 +101,7 @@ class Search:
         stretch = self._stretch
         first = [sample for sample in stretch.pads if sample.t_sample < stretch.start + FIRST_LOOK_S]
         phi2 = self.path.at(np.array([sample.t_sample for sample in first]))[:, 1]
-        return prior_of(first, np.tan(phi2 / 2), self._rig.calibration)
+        return prior_of(first, np.tan(phi2 / 2), self._rig)
 
     def rested(self, t: float) -> float:
         """For how long the palms have rested at `t` (s)."""
@@ -145,7 +146,7 @@ class Search:
         first = [[sample for sample in self._stretch.pads if sample.pad == pad][:FIRST_READINGS] for pad in (1, 2)]
         s1, s2 = (float(np.mean([sample.s for sample in samples])) for samples in first)
         palms = PalmMotion(*self.path.at(np.array([first[0][0].t_sample]))[0].tolist())
-        return likely_orientations(outline, covariance, s1, s2, palms, self._rig.reading_variance, ORIENTATIONS)
+        return likely_orientations(outline, covariance, s1, s2, palms, self._rig.reading_variances, ORIENTATIONS)
 
     def _grown_from(self, record: Record, guesses: Sequence[Guess]) -> Minima | None:
         fits = self._fits(record, guesses)

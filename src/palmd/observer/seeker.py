@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from palmd.events import FloatArray, RigDescription
+from palmd.events import FloatArray
 from palmd.model.smoothing import ORDER
 from palmd.observer.data_segment import DataSegment
 from palmd.observer.follower import PATIENCE, Answer
 from palmd.observer.normal_equations import Guess
 from palmd.observer.search import Minima, Search, doubt, merged, still
+from palmd.system.description import RigDescription
 
 LEAST_S = 1.0  # of readings, before which the bank is as good
 STILL_KEPT_S = 2.0  # of readings at rest, when those and what came before tell nothing

@@ -11,10 +11,11 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Protocol
 
-from palmd.events import Estimate, Event, Improvement, Outlook, PadLift, RigDescription, ShapeEstimate
+from palmd.events import Estimate, Event, Improvement, Outlook, PadLift, ShapeEstimate
 from palmd.observer.bank_observer import BankObserver, finite
 from palmd.observer.filter_catchup import FilterCatchUp
 from palmd.observer.incremental import IncrementalSmoother, Session
+from palmd.system.description import RigDescription
 
 MEMORY_S = 30.0  # how long after its time an improvement can still be taken in: on a busy machine answers come late
 EVENTS_PER_TICK = 14  # beyond those that come in a tick, that a newcomer reads

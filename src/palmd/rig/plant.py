@@ -19,8 +19,9 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from palmd.events import HingeMode, PalmMotion
+from palmd.events import PalmMotion
 from palmd.rig.shapes import Body, Kind
+from palmd.system.description import HingeMode
 
 PadPair = tuple[float, float]
 FrictionLaw = Literal["dither", "coulomb"]

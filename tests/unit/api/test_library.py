@@ -159,7 +159,7 @@ def test_a_recorded_run_gives_topics_as_tables(recording):
     assert run.contacts["touch2"].tolist() == [True] * 3
     np.testing.assert_allclose(run.contacts["t_s"], [0.0, 0.01, 0.02])
     assert run.table("rig/truth")["psi_rad"].shape == (5,)
-    assert run.rig.pad_length == 0.0555
+    assert [pad.length for pad in run.rig.pads] == [0.0555, 0.0555]
     with pytest.raises(palmd.PalmdError, match=f"holds no {ESTIMATE.name}; there are .*{CONTACT.name}"):
         run.estimates  # noqa: B018
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from palmd.cli import main
-from palmd.events import PalmMotion, RigDescription
+from palmd.events import PalmMotion
 from palmd.lab import codistributions, last_second, observability_maps
 from palmd.model.outputs import rig_inputs
 from palmd.model.paper import CASES, POINT, codistribution
@@ -19,6 +19,7 @@ from palmd.observer import prior
 from palmd.observer.observability import SAMPLE_S, Observability
 from palmd.rig.plant import FrictionSurface, Hinge, Plant, stable_poses
 from palmd.rig.shapes import random_body
+from palmd.system.description import RigDescription
 
 STEP_S = 5e-4
 
@@ -165,7 +166,7 @@ def _along_the_plant(omega1: float, omega2: float) -> float:
     plant = Plant(body, Hinge("fixed", base=(0.0, 0.0)), FrictionSurface(prior.FRICTION, prior.DITHER, prior.DAMPING))
     plant.place(at(0.0), psi=0.0)
     rig = RigDescription(hinge="fixed")
-    follower = Observability(rig_inputs(rig), rig.reading_variance)
+    follower = Observability(rig_inputs(rig), rig.reading_variances)
     one, two = plant.contacts()
     start = prior.blind_start(one.s, two.s, at(0.0), 1, True, np.random.default_rng(0))
     follower.begin(0.0, prior.shape_map_sd(start))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from palmd.console.errors import BAD_INPUT, CliError
-from palmd.events import PadSample, PalmSample, RigDescription
+from palmd.events import PadSample, PalmSample
 from palmd.lab import bench_peers
 from palmd.lab.peers import contest, generated, horizon, newton, plain_model
 from palmd.lab.peers import task as task_module
@@ -24,6 +24,7 @@ from palmd.model.dynamics import BodyConstants, Palms, newton_euler
 from palmd.model.outputs import RIG_INPUTS, rig_inputs
 from palmd.record.eventlog import write_log
 from palmd.rig.simulate import simulate_log
+from palmd.system.description import RigDescription
 
 SECONDS = 1.5
 SAME_FORMULA = 1e-9

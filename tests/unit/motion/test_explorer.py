@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from palmd.config import ExploreGoal, LimitsConfig
-from palmd.events import Outlook, PalmMotion, RigDescription
+from palmd.events import Outlook, PalmMotion
 from palmd.model import shape, shape_map
 from palmd.motion.check import motion_limits
 from palmd.motion.explorer import STUCK_S, Explorer, UnderWay
@@ -17,6 +17,7 @@ from palmd.motion.segments import Move
 from palmd.rig.plant import Hinge, Plant, random_surface, stable_poses
 from palmd.rig.shapes import random_body
 from palmd.rig.world import default_config
+from palmd.system.description import RigDescription
 
 LIMITS = motion_limits(default_config())
 POSE = (math.radians(45.0), math.radians(90.0))

@@ -6,13 +6,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from palmd.events import PalmMotion, RigDescription
+from palmd.events import PalmMotion
 from palmd.model import shape, shape_map
 from palmd.model.outputs import rig_inputs
 from palmd.motion.rollout_predictor import BINS, CALL_S, Moves, RolloutPredictor
 from palmd.motion.segments import Move
 from palmd.rig.plant import Hinge, Plant, random_surface, stable_poses
 from palmd.rig.shapes import random_body
+from palmd.system.description import RigDescription
 
 START = np.radians((45.0, 90.0))
 ROUTE = np.radians([(52.0, 88.0), (40.0, 97.0), (58.0, 84.0)])

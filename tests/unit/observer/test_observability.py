@@ -9,7 +9,7 @@ import pytest
 
 from palmd import observer
 from palmd.config import PlanSpec
-from palmd.events import PadSample, PalmMotion, PalmSample, RigDescription
+from palmd.events import PadSample, PalmMotion, PalmSample
 from palmd.harness.wireless import Wireless
 from palmd.model import sensitivity, shape, shape_map
 from palmd.model.outputs import rig_inputs
@@ -19,6 +19,7 @@ from palmd.rig.plant import FrictionSurface, Hinge, Plant, stable_poses
 from palmd.rig.shapes import random_body
 from palmd.rig.simulate import simulate_log
 from palmd.rig.world import default_config
+from palmd.system.description import RigDescription
 
 SINE = {"phi1_deg": 25, "phi2_deg": 10}
 STEP_S = 5e-4
@@ -82,7 +83,7 @@ def _along(mu: float, seed: int) -> tuple[float, float]:
     x = np.zeros(shape_map.N)
     x[Z.SHAPE :] = np.linalg.lstsq(shape.basis(theta), body.support.sample(theta), rcond=None)[0]
     x[Z.LN_RHO], x[Z.MU], x[Z.LN_DITHER], x[Z.DAMPING] = math.log(body.rho), mu, math.log(2e-3), 2e-4
-    follower = Observability(rig_inputs(RigDescription(hinge="fixed")), 1.2e-8)
+    follower = Observability(rig_inputs(RigDescription(hinge="fixed")), np.full(2, 1.2e-8))
     one, two = plant.contacts()
     start = blind_start(one.s, two.s, _palms(0.0), 8, True, np.random.default_rng(0))
     follower.begin(0.0, shape_map_sd(start))
@@ -113,7 +114,7 @@ def test_it_falls_when_the_object_turns_along_with_the_palms(seed: int) -> None:
 
 
 def test_silent_pads_tell_nothing() -> None:
-    follower = Observability(rig_inputs(RigDescription(hinge="fixed")), 1.2e-8)
+    follower = Observability(rig_inputs(RigDescription(hinge="fixed")), np.full(2, 1.2e-8))
     start = blind_start(0.02, 0.02, PalmMotion(0.8, 1.6), 8, True, np.random.default_rng(0))
     follower.begin(0.0, shape_map_sd(start))
     assert shape_map_sd(start)[shape_map.Z.MU] == FRICTION_SD
@@ -127,7 +128,7 @@ def test_silent_pads_tell_nothing() -> None:
 def test_its_blocks_make_up_the_whole_window() -> None:
     """Ten short blocks chained, against one long one: the same second, the same number."""
     rig, variance = rig_inputs(RigDescription(hinge="fixed")), 1.2e-8
-    follower = Observability(rig, variance)
+    follower = Observability(rig, np.full(2, variance))
     start = blind_start(0.02, 0.02, PalmMotion(0.8, 1.6), 8, True, np.random.default_rng(0))
     follower.begin(0.0, shape_map_sd(start))
     Z, kernels = shape_map.Z, sensitivity.library().functions
@@ -152,7 +153,7 @@ def test_its_blocks_make_up_the_whole_window() -> None:
 
 def test_a_gap_between_samples_ends_the_window() -> None:
     """Across a gap the trajectory is not known: only what came since counts, the last number standing meanwhile."""
-    follower = Observability(rig_inputs(RigDescription(hinge="fixed")), 1.2e-8)
+    follower = Observability(rig_inputs(RigDescription(hinge="fixed")), np.full(2, 1.2e-8))
     start = blind_start(0.02, 0.02, PalmMotion(0.8, 1.6), 8, True, np.random.default_rng(0))
     follower.begin(0.0, shape_map_sd(start))
     x = np.zeros(shape_map.N)

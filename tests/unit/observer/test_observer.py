@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from palmd import observer
-from palmd.events import Estimate, Event, PadLift, PadSample, PalmSample, RigDescription
+from palmd.events import Estimate, Event, PadLift, PadSample, PalmSample
 from palmd.model import compiled, shape_map
 from palmd.model import shape as modelled
 from palmd.observer.bank_observer import BankObserver
@@ -17,6 +17,7 @@ from palmd.observer.filters import ExtendedFilters, ShapeFilters
 from palmd.observer.palms import PalmTracker
 from palmd.observer.prior import blind_start
 from palmd.rig.simulate import simulate_log
+from palmd.system.description import PadSensor, RigDescription
 
 
 def _run(kind: str, seed: int, duration_s: float) -> tuple[RigDescription, list[Event], dict]:
@@ -521,3 +522,24 @@ def test_the_virtual_machine_gives_the_same_answer(nominal: tuple, tmp_path, mon
     a, b = fast.estimate(events[149].t_sample), slow.estimate(events[149].t_sample)
     assert a.r1 == pytest.approx(b.r1, rel=1e-6)
     assert a.sd["r1"] == pytest.approx(b.sd["r1"], rel=1e-6)
+
+
+@pytest.mark.parametrize("name", FILTER_BANKS)
+def test_the_noisy_pad_is_believed_less_and_it_matters_which_one_that_is(nominal, name) -> None:
+    """One pad five times as noisy: told which one, the estimate is nearer to the truth than told the other one."""
+    rig, events, truth = nominal
+    random = np.random.default_rng(5)
+    quiet, noisy = PadSensor(), PadSensor(noise=5e-4)
+    pads = {1: (noisy, quiet), 2: (quiet, noisy)}
+    for bad in pads:
+        heard = [
+            replace(event, s=event.s + random.normal(0.0, noisy.noise))
+            if isinstance(event, PadSample) and event.pad == bad
+            else event
+            for event in events
+        ]
+        misses = []
+        for told in (bad, 3 - bad):
+            estimates = _replay(observer.make(name, replace(rig, pads=pads[told])), heard)[-200:]
+            misses.append(np.hypot(*(_errors(estimates, truth, f"r{palm}_m") for palm in (1, 2))))
+        assert np.median(misses[0]) < 0.7 * np.median(misses[1])

@@ -5,10 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from palmd.events import PadSample, PalmMotion, PalmSample, RigDescription
+from palmd.events import PadSample, PalmMotion, PalmSample
 from palmd.observer.static_mass import mass_at_rest
 from palmd.rig.plant import Hinge, Plant, random_surface, stable_poses
 from palmd.rig.shapes import random_body
+from palmd.system.description import RigDescription
 
 RIG = RigDescription(hinge="fixed")
 

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from palmd import observer
-from palmd.events import Event, FloatArray, PadSample, RigDescription
+from palmd.events import Event, FloatArray, PadSample
 from palmd.lab.peers import generated, horizon, newton
 from palmd.lab.peers.filterpy_filters import FilterpyExtended, FilterpyUnscented
 from palmd.lab.peers.functions import functions
@@ -23,6 +23,7 @@ from palmd.model.outputs import rig_inputs
 from palmd.observer.bank import Bank
 from palmd.observer.filters import ShapeFilters
 from palmd.score import score_outline
+from palmd.system.description import RigDescription
 
 OWN, BANK = "palmd: one filter", "palmd: the bank"
 _NORMALS = 360
