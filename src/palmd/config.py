@@ -30,7 +30,7 @@ from pydantic import (
 )
 
 from palmd.system.description import PadSensor, RigDescription
-from palmd.system.mechanism import PALMS
+from palmd.system.mechanism import JOINTS, PALMS
 
 BAUDS = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)
 SEGMENT_KINDS = ("move", "rate", "hold_s", "sine", "explore")
@@ -169,6 +169,11 @@ class RigConfig(Strict):
     gravity_sd_deg: Annotated[NotNegative, Field(le=10)] = 0.2
     """How well gravity's direction is known, one sigma."""
 
+    @property
+    def palm_lengths_mm(self) -> tuple[float, ...]:
+        """Of each palm."""
+        return tuple(getattr(self, f"palm{palm}_length_mm") for palm in PALMS)
+
 
 class PressureConfig(Strict):
     """Where a pad's packet carries the pressure: (packet[byte] & mask) >> shift, inverted or not."""
@@ -254,7 +259,12 @@ class PadsConfig(Strict):
 
     def each(self) -> tuple[PadConfig, ...]:
         """The pads in the order of their palms."""
-        return tuple(getattr(self, f"palm{palm}") for palm in PALMS)
+        return tuple(map(self.of, PALMS))
+
+    def of(self, palm: int) -> PadConfig:
+        """The pad of the palm of that number."""
+        pad: PadConfig = getattr(self, f"palm{palm}")
+        return pad
 
 
 class AdeptConfig(Strict):
@@ -289,6 +299,11 @@ class LimitsConfig(Strict):
     """Of each palm angle."""
     acceleration_deg_s2: Annotated[FiniteFloat, Field(gt=0, le=50000)] = 900.0
     """Of each palm angle."""
+
+    @property
+    def angles_deg(self) -> tuple[tuple[float, float], ...]:
+        """Of each joint."""
+        return tuple(getattr(self, f"{joint}_deg") for joint in JOINTS)
 
 
 class LoopConfig(Strict):
@@ -449,7 +464,15 @@ SwingFrequencies = Annotated[
 Repeat = Annotated[int | Literal["forever"], PlainValidator(_repeat)]
 
 
-class PalmAngles(Strict):
+class JointValues(Strict):
+    """One value for each joint."""
+
+    def each(self) -> tuple[float | None, ...]:
+        """Them, in the order of the joints."""
+        return tuple(getattr(self, name) for name in type(self).model_fields)
+
+
+class PalmAngles(JointValues):
     """Where palm angles shall go; an angle that is left out stays."""
 
     phi1_deg: FiniteFloat | None = None
@@ -465,7 +488,7 @@ class PalmAngles(Strict):
         return value
 
 
-class PalmRates(Strict):
+class PalmRates(JointValues):
     """Constant rates of the palm angles; zero where left out."""
 
     phi1_deg_s: FiniteFloat = 0.0
@@ -474,7 +497,7 @@ class PalmRates(Strict):
     """Of φ2."""
 
 
-class PalmAmplitudes(Strict):
+class PalmAmplitudes(JointValues):
     """Amplitudes about the pose where a sine starts; zero where left out, negative for opposite phase."""
 
     phi1_deg: Annotated[FiniteFloat, Field(ge=-90, le=90)] = 0.0
@@ -494,7 +517,7 @@ class MoveSpec(Strict):
     @field_validator("move")
     @classmethod
     def _goes_somewhere(cls, move: PalmAngles) -> PalmAngles:
-        if move.phi1_deg is None and move.phi2_deg is None:
+        if all(angle is None for angle in move.each()):
             raise ValueError("needs phi1_deg, phi2_deg or both")
         return move
 
@@ -510,14 +533,14 @@ class RateSpec(Strict):
     @field_validator("rate")
     @classmethod
     def _turns(cls, rate: PalmRates) -> PalmRates:
-        if rate.phi1_deg_s == 0.0 and rate.phi2_deg_s == 0.0:
+        if not any(rate.each()):
             raise ValueError("needs a rate other than 0 for phi1_deg_s or phi2_deg_s")
         return rate
 
     @field_validator("until")
     @classmethod
     def _one_end(cls, until: PalmAngles) -> PalmAngles:
-        if (until.phi1_deg is None) == (until.phi2_deg is None):
+        if sum(angle is not None for angle in until.each()) != 1:
             raise ValueError("needs exactly one of phi1_deg, phi2_deg")
         return until
 

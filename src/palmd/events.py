@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
-Pad = Literal[1, 2]
+Joints = tuple[float, ...]
+"""One value for each joint, in their order."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +25,7 @@ class PadSample:
     """
 
     t_sample: float
-    pad: Pad
+    pad: int
     s: float
     force: float | None = None
 
@@ -35,24 +35,26 @@ class PadLift:
     """The object has left palm `pad`: no reading is valid until the next `PadSample` of that pad."""
 
     t_sample: float
-    pad: Pad
+    pad: int
 
 
 @dataclass(frozen=True, slots=True)
 class PalmSample:
-    """The palms' angles as measured (rad), with the motion plan's rates (rad/s) and accelerations (rad/s²).
+    """The joint angles as measured (rad), with the motion plan's rates (rad/s) and accelerations (rad/s²).
 
-    phi1 is measured from the world X axis to palm 1, phi2 from palm 1 to palm 2. Rates and accelerations are
-    None where no plan is known; the observer then estimates the rates from the angles alone.
+    In the order of `system.mechanism.JOINTS`. Rates and accelerations are None where no plan is known, of all joints;
+    the observer then estimates the rates from the angles alone.
     """
 
     t_sample: float
-    phi1: float
-    phi2: float
-    omega1: float | None = None
-    omega2: float | None = None
-    alpha1: float | None = None
-    alpha2: float | None = None
+    angles: Joints
+    rates: Joints | None = None
+    accelerations: Joints | None = None
+
+    @property
+    def told(self) -> Joints:
+        """Every number that it tells of the joints."""
+        return (*self.angles, *(self.rates or ()), *(self.accelerations or ()))
 
 
 Event = PadSample | PadLift | PalmSample
@@ -60,14 +62,17 @@ Event = PadSample | PadLift | PalmSample
 
 @dataclass(frozen=True, slots=True)
 class PalmMotion:
-    """Palm angles (rad), rates (rad/s) and accelerations (rad/s²) at one instant of a motion."""
+    """Joint angles (rad), rates (rad/s) and accelerations (rad/s²) at one instant of a motion."""
 
-    phi1: float
-    phi2: float
-    omega1: float = 0.0
-    omega2: float = 0.0
-    alpha1: float = 0.0
-    alpha2: float = 0.0
+    angles: Joints
+    rates: Joints
+    accelerations: Joints
+
+    @classmethod
+    def at_rest(cls, angles: Joints) -> PalmMotion:
+        """Standing at these joint angles (rad)."""
+        still = (0.0,) * len(angles)
+        return cls(angles, still, still)
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,8 +5,9 @@ import time
 import numpy as np
 import pytest
 from benchtable import PARTS, machine, percentiles, show
+from palms import palm_sample
 
-from palmd.events import PadSample, PalmSample
+from palmd.events import PadSample
 from palmd.observer.incremental import IncrementalSmoother, Session
 from palmd.observer.reconstruct import reconstruct
 from palmd.rig.shapes import KINDS
@@ -26,7 +27,7 @@ def log_of(kind, seed):
         if "pad" in line:
             events.append(PadSample(line["t"], line["pad"], line["s_m"], line["force_n"]))
         else:
-            events.append(PalmSample(line["t"], *line["palms"].values()))
+            events.append(palm_sample(line))
     return events, RigDescription(hinge=hinge["mode"], palm1_length=hinge.get("palm1_length_m", 0.12))
 
 

@@ -55,9 +55,9 @@ def within(most: float) -> Callable[[str], float]:
     return number
 
 
-def pads(config: Config) -> tuple[PadConfig, PadConfig]:
+def pads(config: Config) -> tuple[PadConfig, ...]:
     """Both pads' sections."""
-    return config.pads.palm1, config.pads.palm2
+    return config.pads.each()
 
 
 @contextmanager

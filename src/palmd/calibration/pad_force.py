@@ -82,7 +82,7 @@ class _Rests:
         return _Rests(self.c1[some], self.c2[some], self.phi1[some], self.phi2[some])
 
 
-def pad_forces(events: Iterable[Event], configs: tuple[PadConfig, PadConfig], weight_n: float, poses: int) -> Forces:
+def pad_forces(events: Iterable[Event], configs: tuple[PadConfig, ...], weight_n: float, poses: int) -> Forces:
     """Both pads from at least LEAST_ROUNDS rounds of so many poses; `configs` are those the daemon ran with.
 
     Raises CylinderError for readings that do not suffice.

@@ -49,9 +49,7 @@ class PadScale:
     spoilt: int
 
 
-def pad_scales(
-    events: Iterable[Event], configs: tuple[PadConfig, PadConfig], radius_m: float
-) -> tuple[PadScale, PadScale]:
+def pad_scales(events: Iterable[Event], configs: tuple[PadConfig, ...], radius_m: float) -> tuple[PadScale, PadScale]:
     """Both pads; `configs` are those the daemon ran with. Raises CylinderError for readings that do not suffice."""
     first, second = readings(events, configs)
     return _scale(1, first, radius_m), _scale(2, second, radius_m)

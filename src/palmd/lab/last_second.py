@@ -31,12 +31,13 @@ def told(omega1: float, omega2: float, seed: int = 1) -> float:
     NaN when the object leaves a palm on the way. Takes some 20 ms; may compile C.
     """
     rig = RigDescription(hinge="fixed")
-    begin = PalmMotion(PHI1_RAD - omega1 * WINDOW_S / 2, PHI2_RAD - omega2 * WINDOW_S / 2, omega1, omega2)
+    angles = (PHI1_RAD - omega1 * WINDOW_S / 2, PHI2_RAD - omega2 * WINDOW_S / 2)
+    begin = PalmMotion(angles, (omega1, omega2), (0.0, 0.0))
     x = _object_at(begin, seed)
     predict, named = (shape_map.library().functions[name] for name in ("predict", "named"))
     follower = Observability(rig_inputs(rig), rig.reading_variances)
     forces = [NAMED.index("f1"), NAMED.index("f2")]
-    palms = np.array([begin.phi1, begin.phi2, omega1, omega2, 0.0, 0.0])
+    palms = np.array([*begin.angles, *begin.rates, *begin.accelerations])
     for step in range(round(WINDOW_S / SAMPLE_S) + 1):
         t = step * SAMPLE_S
         values = np.asarray(named(x, [*palms, *rig_inputs(rig)])[0]).ravel()

@@ -39,7 +39,7 @@ AWAY = math.radians(10.0)  # a first move that is to be one on the road
 REACH_EVERY_S = 4.0
 # As long as the radii at the contacts are not known better, the palms keep to gentle moves far from the pads' ends.
 CAREFUL_M = 2.5e-4
-CAREFUL_PHI1, CAREFUL_PHI2 = (math.radians(22.0), math.radians(75.0)), (math.radians(66.0), math.radians(118.0))
+CAREFUL_ANGLES = (math.radians(22.0), math.radians(75.0)), (math.radians(66.0), math.radians(118.0))
 CAREFUL_RATE = math.radians(100.0)
 STUCK_S = 40.0  # without anything new
 
@@ -78,8 +78,7 @@ class Explorer:
         self._goal = goal
         self._careful = replace(
             limits,
-            phi1=_within(CAREFUL_PHI1, limits.phi1),
-            phi2=_within(CAREFUL_PHI2, limits.phi2),
+            angles=tuple(_within(wish, limit) for wish, limit in zip(CAREFUL_ANGLES, limits.angles, strict=True)),
             rate=min(CAREFUL_RATE, limits.rate),
         )
         self._random = np.random.default_rng(seed)
@@ -284,4 +283,4 @@ def _within(wish: tuple[float, float], limit: tuple[float, float]) -> tuple[floa
 
 
 def _pose(angles: FloatArray) -> Angles:
-    return float(angles[0]), float(angles[1])
+    return tuple(angles.tolist())

@@ -7,9 +7,9 @@ import math
 from palmd.events import Estimate, FloatArray, PalmMotion
 from palmd.model.outputs import NAMED
 from palmd.observer.mass import MassEstimator
+from palmd.system.mechanism import JOINT_RATES, JOINTS
 
 _FORCES = ("f1", "f2")
-_PALMS = ("phi1", "phi2", "omega1", "omega2")
 _UNKNOWN = dict.fromkeys((*NAMED, "mass", "nis", "observability"), math.nan)
 _UNKNOWN_SD = dict.fromkeys((*NAMED, "mass"), math.nan)
 
@@ -34,7 +34,7 @@ def answer(
 
 def no_answer(t: float, observer: str, object_count: int, palms: PalmMotion | None) -> Estimate:
     """The estimate when nothing is known but, perhaps, the palms; NaN elsewhere."""
-    known = {} if palms is None else {name: getattr(palms, name) for name in _PALMS}
+    known = {} if palms is None else dict(zip((*JOINTS, *JOINT_RATES), (*palms.angles, *palms.rates), strict=True))
     return Estimate(
         t=t, valid=False, observer=observer, object_count=object_count, touched=0.0,
         sd=dict(_UNKNOWN_SD), **{**_UNKNOWN, **known},

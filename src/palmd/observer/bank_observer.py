@@ -43,6 +43,7 @@ from palmd.observer.palms import PalmTracker
 from palmd.observer.prior import blind_start, shape_map_sd
 from palmd.observer.rig_error import RigError, circle_spread
 from palmd.system.description import RigDescription
+from palmd.system.mechanism import PALMS
 
 SILENCE_S = 0.1  # a pad silent for longer does not vouch for a contact
 HEARD_AGAIN_S = 0.05  # of readings after such a silence, by which it shows whether they are of the same object
@@ -79,8 +80,8 @@ _SHAPE = slice(shape_map.Z.SHAPE, None)
 SAMPLES, RIVALS = 6, 3  # in an outlook: of what the object may be besides, and how many of them rivals at most
 ROUGH_SD, ROUGH_AGE_S = 3e-3, 0.6  # m, of r1 and r2; s
 _BIN_OF_THETA = (_THETA / (2 * np.pi) * NORMAL_BINS).astype(np.intp)
-_RADII = [NAMED.index("r1"), NAMED.index("r2")]
-_R1, _R2, _F1, _F2, _PSI = (NAMED.index(name) for name in ("r1", "r2", "f1", "f2", "psi"))
+_RADII, _FORCES = ([NAMED.index(f"{what}{palm}") for palm in PALMS] for what in "rf")
+_PSI = NAMED.index("psi")
 
 
 @dataclass(slots=True)
@@ -150,9 +151,9 @@ class BankObserver:
         """
         for i in range(2 * HISTORY):
             t = i * 0.01
-            self.feed(PalmSample(t, 0.8, 1.6, 0.0, 0.0, 0.0, 0.0))
-            self.feed(PadSample(t, 1, 0.02, 1.0))
-            self.feed(PadSample(t, 2, 0.02, 1.0))
+            self.feed(PalmSample(t, (0.8, 1.6), (0.0, 0.0), (0.0, 0.0)))
+            for pad in PALMS:
+                self.feed(PadSample(t, pad, 0.02, 1.0))
             self.estimate(t)
             self.shape(t)
         self.reset()
@@ -269,7 +270,7 @@ class BankObserver:
 
     def estimate(self, t: float) -> Estimate:
         """The most likely filter's answer for time `t` ≥ the last event (s); never raises, NaN where unknown."""
-        gone = t - min(self._palms.t, self._last_seen(1), self._last_seen(2)) > GONE_S
+        gone = t - min(self._palms.t, *map(self._last_seen, PALMS)) > GONE_S
         if self._running and (gone or self._bank.lost()):
             self._stop()
         if not self._running:
@@ -295,8 +296,8 @@ class BankObserver:
             settled = self._decided(t, best, settled)
             best = self._bank.best()  # another bank may have taken over
         if settled:
-            self._mass.weigh(self._last.get(1), float(y[_F1]))
-            self._mass.weigh(self._last.get(2), float(y[_F2]))
+            for pad, force in zip(PALMS, _FORCES, strict=True):
+                self._mass.weigh(self._last.get(pad), float(y[force]))
             self._marks.mark(t, best, y, self._all_psi)
             self._keep(t, best)
         self._valid = settled
@@ -361,7 +362,7 @@ class BankObserver:
         return MassEstimator(self._rig.pads)
 
     def _try_to_start(self, t: float) -> None:
-        fresh = all(abs(t - self._last_seen(pad)) < SILENCE_S for pad in (1, 2))
+        fresh = all(abs(t - self._last_seen(pad)) < SILENCE_S for pad in PALMS)
         if fresh and self._palms_known(t):
             self._t_begun = t
             self._begin(t)
@@ -375,7 +376,7 @@ class BankObserver:
         known = self._memory.recall()
         self._use(self._smoothed.again if self._smoothed and known and known.smoothed else self._blind)
         size, order = self._bank.full_size, self._filters.order
-        self._blind_radius_sd = circle_spread(self._rig, one.s, two.s, palms.phi2)
+        self._blind_radius_sd = circle_spread(self._rig, one.s, two.s, palms.angles[1])
         self._start = blind_start(one.s, two.s, palms, size, self._starts == 1, random, order)
         self._bank.refill()
         self._filters.start(self._start, self._palms, t)
@@ -408,7 +409,7 @@ class BankObserver:
         known, score, blind = self._candidate, self._bank.score, self._experience == 0.0
         if known is None:
             return settled
-        for pad, f in zip((1, 2), resting_forces(self._rig.gravity, self._palms.at(t)), strict=True):
+        for pad, f in zip(PALMS, resting_forces(self._rig.gravity, self._palms.at(t)), strict=True):
             self._rough_mass.weigh(self._last.get(pad), f)
         likely = not blind[best]
         alike = known.weighs(self._rough_mass.value) and (not likely or known.resembles(self._filters.belief(best)[0]))
@@ -583,16 +584,16 @@ class BankObserver:
         return differences
 
     def _settled(self, t: float, best: int, sd: FloatArray, spread: FloatArray) -> bool:
-        touching = not self._lifted and all(t - self._last_seen(pad) < SILENCE_S for pad in (1, 2))
+        touching = not self._lifted and all(t - self._last_seen(pad) < SILENCE_S for pad in PALMS)
         felt = touching and self._palms_known(t) and t - self._heard_again > HEARD_AGAIN_S
         consistent = NIS_RANGE[0] < self._bank.nis[best] < NIS_RANGE[1]
-        sharp = max(sd[_R1], sd[_R2]) < SETTLED_SD and max(spread[_R1], spread[_R2]) < AGREEMENT
+        sharp = sd[_RADII].max() < SETTLED_SD and spread[_RADII].max() < AGREEMENT
         return bool(felt and consistent and sharp and t - self._t_start > MIN_AGE_S)
 
     def _rough(self, t: float, sd: FloatArray) -> bool:
         """Whether the answer, rivals included, is known well enough to foresee what a motion will do."""
-        old, touching = t - self._t_start > ROUGH_AGE_S, all(t - self._last_seen(pad) < SILENCE_S for pad in (1, 2))
-        return bool(self._running and old and touching and max(sd[_R1], sd[_R2]) < ROUGH_SD)
+        old, touching = t - self._t_start > ROUGH_AGE_S, all(t - self._last_seen(pad) < SILENCE_S for pad in PALMS)
+        return bool(self._running and old and touching and sd[_RADII].max() < ROUGH_SD)
 
     def _all_psi(self) -> FloatArray:
         return self._filters.all_named(self._t, self._palms)[:, _PSI]
@@ -625,6 +626,5 @@ def finite(event: PadSample | PalmSample) -> bool:
     if isinstance(event, PadSample):
         values = (event.t_sample, event.s, event.force or 0.0)
     else:
-        told = (event.omega1, event.omega2, event.alpha1, event.alpha2)
-        values = (event.t_sample, event.phi1, event.phi2, *(v or 0.0 for v in told))
+        values = (event.t_sample, *event.told)
     return all(map(math.isfinite, values))

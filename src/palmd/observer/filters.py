@@ -17,6 +17,7 @@ from palmd.observer.palms import PLAN_RATE_SD, PalmTracker
 from palmd.observer.prior import BlindStart
 from palmd.observer.rig_error import RigError
 from palmd.system.description import RigDescription
+from palmd.system.mechanism import JOINT_RATES, JOINTS
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,11 +218,10 @@ class ExtendedFilters:
         self.bank.update(_pad_update(sample.pad), sample.s, variance)
 
     def fuse_palms(self, sample: PalmSample, angle_variance: float) -> None:
-        self.bank.update("update_phi1", sample.phi1, angle_variance, scored=False)
-        self.bank.update("update_phi2", sample.phi2, angle_variance, scored=False)
-        if sample.omega1 is not None and sample.omega2 is not None:
-            self.bank.update("update_omega1", sample.omega1, PLAN_RATE_SD**2, scored=False)
-            self.bank.update("update_omega2", sample.omega2, PLAN_RATE_SD**2, scored=False)
+        for joint, angle in zip(JOINTS, sample.angles, strict=True):
+            self.bank.update(f"update_{joint}", angle, angle_variance, scored=False)
+        for joint, rate in zip(JOINT_RATES, sample.rates or (), strict=False):
+            self.bank.update(f"update_{joint}", rate, PLAN_RATE_SD**2, scored=False)
 
     def doubt(self, gap: float) -> None:
         X = extended.X
@@ -366,7 +366,7 @@ class ShapeFilters:
         self._v[: shape_map.PALM_INPUTS] = self._palms_at(t + dt, palms)
         self._named()
         cov = self._J.T @ self._P_next @ self._J
-        for name, sd in zip(("phi1", "phi2", "omega1", "omega2"), np.ravel(palms.sd(t + dt)), strict=True):
+        for name, sd in zip((*JOINTS, *JOINT_RATES), np.ravel(palms.sd(t + dt)), strict=True):
             i = NAMED.index(name)
             cov[i, i] += sd**2
         return self._y.copy(), cov

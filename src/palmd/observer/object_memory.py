@@ -96,9 +96,9 @@ def likely_orientations(
 
 def reading_rows(palms: PalmMotion, order: int = shape.HARMONICS) -> tuple[FloatArray, FloatArray]:
     """Rows that map coefficients to s1 and to s2 of an object at each of `DIRECTIONS` orientations ψ, evenly from 0."""
-    theta1, theta2 = normal_directions((np.asarray(palms.phi1), np.asarray(palms.phi2)), _PSI)
+    theta1, theta2 = normal_directions([np.asarray(angle) for angle in palms.angles], _PSI)
     r1, r2 = shape.basis(theta1, order), shape.basis(theta2, order)
-    cos, sin = math.cos(palms.phi2), math.sin(palms.phi2)
+    cos, sin = math.cos(palms.angles[1]), math.sin(palms.angles[1])
     rows1 = (r1 * cos + r2) / sin - shape.tangential_basis(theta1, order)  # (3.13)
     rows2 = (r2 * cos + r1) / sin + shape.tangential_basis(theta2, order)  # (3.14)
     return rows1, rows2

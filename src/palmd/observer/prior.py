@@ -57,7 +57,7 @@ def blind_start(
     For a circle of radius r both readings are r / tan(φ2/2), from (3.13) with d = 0. `at_rest` says that the
     object has just been put down; otherwise it may be turning. Orientation is gauge: 0 at the start.
     """
-    mean_radius = (s1 + s2) / 2 * math.tan(palms.phi2 / 2)
+    mean_radius = (s1 + s2) / 2 * math.tan(palms.angles[1] / 2)
     shape_sd = shape.prior_sd(mean_radius, order)
     shape_sd[0] = RADIUS_SD * mean_radius
     coefficients = SCATTER * shape_sd * random.standard_normal((size, len(shape_sd)))

@@ -29,9 +29,10 @@ from palmd.observer.coverage import NORMAL_BINS, Coverage
 from palmd.observer.local_fit import HALF_WIDTH_S, Readings
 from palmd.observer.mass import MassEstimator, resting_forces
 from palmd.observer.multi_start import BLOCKS, MultiStart, Spread
+from palmd.observer.palms import STILL
 from palmd.observer.prior import GYRATION, GYRATION_SD, RADIUS_SD
 from palmd.system.description import RigDescription
-from palmd.system.mechanism import hinge_position
+from palmd.system.mechanism import PALMS, hinge_position
 
 STEP_S = 0.01
 LAG_S = 0.1
@@ -98,16 +99,16 @@ class QuasistaticObserver:
         self.object_count = 0
         self.late_dropped = 0
         self._palms = Readings(4 * HALF_WIDTH_S)
-        self._pads = {1: Readings(4 * HALF_WIDTH_S), 2: Readings(4 * HALF_WIDTH_S)}
+        self._pads = {pad: Readings(4 * HALF_WIDTH_S) for pad in PALMS}
         self._stop()
 
     def warm_up(self) -> None:
         """Pay the costs of first calls now; ends with a `reset`."""
         for i in range(100):
             t = i * 0.01
-            self.feed(PalmSample(t, 0.8, 1.6))
-            self.feed(PadSample(t, 1, 0.02, 1.0))
-            self.feed(PadSample(t, 2, 0.02, 1.0))
+            self.feed(PalmSample(t, (0.8, 1.6)))
+            for pad in PALMS:
+                self.feed(PadSample(t, pad, 0.02, 1.0))
             self.estimate(t)
             self.shape(t)
         self.reset()
@@ -121,19 +122,19 @@ class QuasistaticObserver:
             self.late_dropped += 1
             return
         if isinstance(event, PalmSample):
-            self._palms.add(event.t_sample, event.phi1, event.phi2)
+            self._palms.add(event.t_sample, *event.angles)
             self._palms_seen = max(self._palms_seen, event.t_sample)
         else:
             self._pads[event.pad].add(event.t_sample, event.s)
             if event.t_sample >= self._last_seen(event.pad):
                 self._last[event.pad] = event
                 self._lifted.discard(event.pad)
-        if math.isinf(self._t_first) and len(self._last) == 2 and self._palms_seen > -math.inf:
+        if math.isinf(self._t_first) and len(self._last) == len(PALMS) and self._palms_seen > -math.inf:
             self._t_first = event.t_sample
 
     def estimate(self, t: float) -> Estimate:
         """The likeliest beginnings' answer for time `t` (s); never raises, NaN where unknown."""
-        if t - min(self._palms_seen, self._last_seen(1), self._last_seen(2)) > GONE_S and self._last:
+        if t - min(self._palms_seen, *map(self._last_seen, PALMS)) > GONE_S and self._last:
             self._stop()
         self._advance(t)
         found, present = self._found, self._felt(t)
@@ -141,7 +142,7 @@ class QuasistaticObserver:
             return no_answer(t, self.name, self.object_count, None if present is None else _motion(present[0]))
         now, _ = present
         y, sd = self._named(t, now, found)
-        touching = not self._lifted and all(t - self._last_seen(pad) < SILENCE_S for pad in (1, 2))
+        touching = not self._lifted and all(t - self._last_seen(pad) < SILENCE_S for pad in PALMS)
         sharp = max(sd[0], sd[1]) < SETTLED_M and found.conflict < AGREEING_M
         if found.conflict < AGREEING_M:
             self._t_agreed = t
@@ -149,7 +150,7 @@ class QuasistaticObserver:
             self._forget(t)
             return no_answer(t, self.name, self.object_count, _motion(now))
         settled = bool(touching and sharp and np.isfinite(y[:11]).all() and t - self._t_first > SETTLED_S)
-        for pad, f in zip((1, 2), resting_forces(self._rig.gravity, np.array([now.phi1, now.phi2])), strict=True):
+        for pad, f in zip(PALMS, resting_forces(self._rig.gravity, np.array([now.phi1, now.phi2])), strict=True):
             self._mass.weigh(self._last.get(pad), f)
         if settled:
             self._marks.mark(t, 0, y, lambda: np.zeros(1))
@@ -351,7 +352,8 @@ def _read_off(leader: MultiStart, felt: qs.QuasistaticReadings, weights: FloatAr
 
 
 def _motion(felt: qs.QuasistaticReadings) -> PalmMotion:
-    return PalmMotion(float(felt.phi1), float(felt.phi2), float(felt.omega1), float(felt.omega2))
+    angles, rates = (float(felt.phi1), float(felt.phi2)), (float(felt.omega1), float(felt.omega2))
+    return PalmMotion(angles, rates, STILL)
 
 
 def _centre(rig: RigDescription, phi1: float, phi2: float, r1: float, r2: float) -> tuple[float, float]:

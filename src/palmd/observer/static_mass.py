@@ -33,14 +33,14 @@ def mass_at_rest(events: Iterable[Event], rig: RigDescription) -> MassEstimator:
     return weighed
 
 
-def _spans(events: Iterable[Event]) -> Iterable[tuple[FloatArray, tuple[FloatArray, FloatArray]]]:
-    """Reports (t, φ1, φ2) and both pads' readings (t, s, force or NaN) of each `SPAN_S` that has enough of all."""
+def _spans(events: Iterable[Event]) -> Iterable[tuple[FloatArray, tuple[FloatArray, ...]]]:
+    """Reports (t, angles) and all pads' readings (t, s, force or NaN) of each `SPAN_S` that has enough of all."""
     samples = [event for event in events if isinstance(event, PadSample | PalmSample)]
     numbers = [int((sample.t_sample - samples[0].t_sample) // SPAN_S) for sample in samples]
     for number in sorted(set(numbers)):
         some = [sample for sample, n in zip(samples, numbers, strict=True) if n == number]
-        palms = np.array([(e.t_sample, e.phi1, e.phi2) for e in some if isinstance(e, PalmSample)])
-        one, two = (
+        palms = np.array([(e.t_sample, *e.angles) for e in some if isinstance(e, PalmSample)])
+        pads = tuple(
             np.array(
                 [
                     (e.t_sample, e.s, np.nan if e.force is None else e.force)
@@ -50,13 +50,15 @@ def _spans(events: Iterable[Event]) -> Iterable[tuple[FloatArray, tuple[FloatArr
             )
             for pad in PALMS
         )
-        if min(len(palms), len(one), len(two)) >= LEAST_READINGS:
-            yield palms, (one, two)
+        if min(map(len, (palms, *pads))) >= LEAST_READINGS:
+            yield palms, pads
 
 
-def _still(palms: FloatArray, pads: tuple[FloatArray, FloatArray]) -> bool:
+def _still(palms: FloatArray, pads: tuple[FloatArray, ...]) -> bool:
     contacts = all(abs(_slope(readings[:, 0], readings[:, 1])) < STILL_M_S for readings in pads)
-    return contacts and all(abs(_slope(palms[:, 0], palms[:, column])) < STILL_RAD_S for column in (1, 2))
+    return contacts and all(
+        abs(_slope(palms[:, 0], palms[:, column])) < STILL_RAD_S for column in range(1, palms.shape[1])
+    )
 
 
 def _slope(t: FloatArray, values: FloatArray) -> float:

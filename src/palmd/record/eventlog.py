@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, TextIO
 
 from palmd.devices.pad import MARGIN_MM
-from palmd.events import Event, PadSample, PalmSample
+from palmd.events import Event, Joints, PadSample, PalmSample
 from palmd.system.description import AS_CALIBRATED, PadSensor, RigDescription
 from palmd.system.mechanism import PALMS
 
@@ -33,6 +33,11 @@ CALIBRATION_KEYS = {
     "sagitta_sd": "sagitta_m",
 }
 """How a log calls the `_sd` of `RigDescription` and `PadSensor`."""
+
+_ANGLES, _RATES, _ACCELERATIONS = (
+    [f"{what}{palm}_{unit}" for palm in PALMS]
+    for what, unit in (("phi", "rad"), ("omega", "rad_s"), ("alpha", "rad_s2"))
+)
 
 Line = dict[str, Any]
 
@@ -150,12 +155,12 @@ def _decoded(raw: bytes) -> Line:
 
 def _pad_sample(t: float, line: Line) -> PadSample:
     pad = line["pad"]
-    if type(pad) is not int or pad not in (1, 2):
-        raise _BadLineError(f"pad must be 1 or 2, got {_shown(pad)}")
+    if type(pad) is not int or pad not in PALMS:
+        raise _BadLineError(f"pad must be {' or '.join(map(str, PALMS))}, got {_shown(pad)}")
     s = _number(line, "s_m")
     if abs(s) > _MAX_LENGTH_M:
         raise _BadLineError(f"s_m is {s:g}, which is no place on a palm; it is in metres")
-    return PadSample(t, 1 if pad == 1 else 2, s, _optional(line, "force_n"))
+    return PadSample(t, pad, s, _optional(line, "force_n"))
 
 
 def _palm_sample(t: float, palms: Line) -> PalmSample:
@@ -164,15 +169,14 @@ def _palm_sample(t: float, palms: Line) -> PalmSample:
         raise _BadLineError(f"phi1_rad is {phi1:g}, more than a full turn; it is in radians")
     if not 0.0 < phi2 < math.pi:
         raise _BadLineError(f"phi2_rad is {phi2:g}; the angle between the palms lies between 0 and pi")
-    return PalmSample(
-        t,
-        phi1,
-        phi2,
-        _optional(palms, "omega1_rad_s"),
-        _optional(palms, "omega2_rad_s"),
-        _optional(palms, "alpha1_rad_s2"),
-        _optional(palms, "alpha2_rad_s2"),
-    )
+    return PalmSample(t, (phi1, phi2), _joints(palms, _RATES), _joints(palms, _ACCELERATIONS))
+
+
+def _joints(palms: Line, names: Sequence[str]) -> Joints | None:
+    """The plan's values of all joints, None where one is missing."""
+    told = [_optional(palms, name) for name in names]
+    known = tuple(value for value in told if value is not None)
+    return known if len(known) == len(names) else None
 
 
 def _rig(line: Line) -> RigDescription:
@@ -339,10 +343,9 @@ def event_line(event: Event) -> Line | None:
         fields = {"pad": event.pad, "s_m": event.s, "force_n": event.force}
         return {"t": event.t_sample} | _told(fields)
     if isinstance(event, PalmSample):
-        angles = {"phi1_rad": event.phi1, "phi2_rad": event.phi2}
-        rates = {"omega1_rad_s": event.omega1, "omega2_rad_s": event.omega2}
-        accelerations = {"alpha1_rad_s2": event.alpha1, "alpha2_rad_s2": event.alpha2}
-        return {"t": event.t_sample, "palms": _told(angles | rates | accelerations)}
+        told = ((_ANGLES, event.angles), (_RATES, event.rates), (_ACCELERATIONS, event.accelerations))
+        palms = {name: value for names, values in told for name, value in zip(names, values or (), strict=False)}
+        return {"t": event.t_sample, "palms": palms}
     return None
 
 

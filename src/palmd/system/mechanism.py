@@ -19,6 +19,12 @@ PALMS = (1, 2)
 JOINTS = tuple(f"phi{palm}" for palm in PALMS)
 """What the joint angles are called, in the order of every joint vector."""
 
+HELD_BY = ("hinged to the base", "the arm holds")
+"""How people tell the palms apart: what is at each one's far end."""
+
+JOINT_RATES = tuple(f"omega{palm}" for palm in PALMS)
+"""What their rates are called."""
+
 _BEHIND = (0.5 * math.pi, 1.5 * math.pi)  # by which the outward normal of what touches a palm lies behind its direction
 
 

@@ -37,7 +37,7 @@ def recording(tmp_path_factory):
     """A recorded run with contacts and outlines besides what `recorded` has."""
     file, _ = recorded.begun(tmp_path_factory.mktemp("runs"))
     for i in range(3):
-        contact = contact_fields(PadView(s=0.01 * i), PadView(touch=True), 0.02)
+        contact = contact_fields((PadView(s=0.01 * i), PadView(touch=True)), 0.02)
         file.write(recorded.message(CONTACT.name, contact, i, 0.01 * i))
         shape = {"theta_rad": np.radians(np.arange(0, 360, 2)).tolist(), "h_sd_m": [1e-4] * 180, "touched": [0, 1] * 90}
         file.write(recorded.message(SHAPE.name, shape | {"h_m": [0.01 * (i + 1)] * 180}, i, 0.01 * i))

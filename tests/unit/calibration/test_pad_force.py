@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -48,13 +49,13 @@ def rested(rounds=2, *, held=lambda _: 0.0, offset_n=(0.0, 0.0), creep=0.0, chan
         forces = balanced(phi1_deg, phi2_deg, held(rng) * WEIGHT_N * min(share(phi1_deg, phi2_deg)))
         angles = (math.radians(phi1_deg), math.radians(phi2_deg))
         for k in range(100):
-            events.append(PalmSample(t + 0.01 * k, *angles, 0.0, 0.0, 0.0, 0.0))
+            events.append(PalmSample(t + 0.01 * k, angles, (0.0, 0.0), (0.0, 0.0)))
             for pad, true in enumerate(TRUE, 1):
                 pressed = max(forces[pad - 1] - offset_n[pad - 1], 0.0)
                 counts = round(gains[pad - 1] * pressed / true.newtons_per_count)
                 events.append(PadSample(t + 0.01 * k, pad, 0.028, counts * FINE[0].newtons_per_count))
         for k in range(10):  # on the way to the next
-            events.append(PalmSample(t + 1.0 + 0.01 * k, *angles, 0.3, 0.0, 0.0, 0.0))
+            events.append(PalmSample(t + 1.0 + 0.01 * k, angles, (0.3, 0.0), (0.0, 0.0)))
             events += [PadSample(t + 1.0 + 0.01 * k, pad, 0.028, FINE[0].newtons_per_count) for pad in (1, 2)]
         t += 1.5
     return pad_forces(change(events), FINE, WEIGHT_N, rests)
@@ -152,9 +153,7 @@ def test_too_few_rests_are_refused():
 def test_palms_that_did_not_tip_are_refused():
     def upright(events):
         return [
-            PalmSample(each.t_sample, math.radians(45.0), math.radians(90.0), *[each.omega1] * 4)
-            if isinstance(each, PalmSample)
-            else each
+            replace(each, angles=(math.radians(45.0), math.radians(90.0))) if isinstance(each, PalmSample) else each
             for each in events
         ]
 

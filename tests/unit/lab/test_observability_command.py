@@ -159,7 +159,7 @@ def _along_the_plant(omega1: float, omega2: float) -> float:
 
     def at(t: float) -> PalmMotion:
         phi1 = last_second.PHI1_RAD + omega1 * (t - 0.5)
-        return PalmMotion(phi1, last_second.PHI2_RAD + omega2 * (t - 0.5), omega1, omega2)
+        return PalmMotion((phi1, last_second.PHI2_RAD + omega2 * (t - 0.5)), (omega1, omega2), (0.0, 0.0))
 
     body = random_body("nominal", np.random.default_rng(1))
     body = body.turned(stable_poses(body, at(0.0))[0])
@@ -176,7 +176,7 @@ def _along_the_plant(omega1: float, omega2: float) -> float:
         x[:2] = plant.state.psi, plant.state.omega0
         if k % round(SAMPLE_S / STEP_S) == 0:
             palms = at(t)
-            follower.sample(t, x, np.array([palms.phi1, palms.phi2, omega1, omega2, 0.0, 0.0]), np.zeros(2))
+            follower.sample(t, x, np.array([*palms.angles, omega1, omega2, 0.0, 0.0]), np.zeros(2))
         if k % 20 == 0:
             follower.count(1)
             follower.count(2)

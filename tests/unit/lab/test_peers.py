@@ -8,6 +8,7 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
+from palms import palm_sample
 
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.events import PadSample, PalmSample
@@ -51,7 +52,7 @@ def events_of(lines):
         if "pad" in line:
             yield PadSample(line["t"], line["pad"], line["s_m"], line["force_n"])
         elif "palms" in line:
-            yield PalmSample(line["t"], *line["palms"].values())
+            yield palm_sample(line)
 
 
 def run_of(kind, seed=101, seconds=SECONDS):
@@ -170,7 +171,7 @@ def test_readings_are_cut_into_short_causal_steps(run):
 
 def test_a_run_that_feels_nothing_is_refused():
     with pytest.raises(ValueError, match="both pads"):
-        task_from(RigDescription(), [PalmSample(0.0, 0.7, 1.6), PadSample(0.1, 1, 0.02, 0.5)])
+        task_from(RigDescription(), [PalmSample(0.0, (0.7, 1.6)), PadSample(0.1, 1, 0.02, 0.5)])
 
 
 def test_the_truth_knows_what_was_touched(nominal):
@@ -257,7 +258,7 @@ def test_both_forms_of_the_papers_dynamics_are_one():
     q = ca.DM([0.02, 0.021, 0.9, 0.019, 0.022, 0.025, 0.018])
     palms = Palms(*(ca.SX(v) for v in PALMS))
     rho, rig = ca.SX(0.014), ca.SX(RIG)
-    d1, d2 = offsets(palms.phi2, *(q[i] for i in (0, 1, 3, 4)))
+    d1, d2 = offsets(palms.angles[1], *(q[i] for i in (0, 1, 3, 4)))
     body = BodyConstants(rho, ca.SX(0), ca.SX(1), ca.SX(0))
     motion = newton_euler(palms, ca.SX(q[2]), Contact(q[0], d1, q[5]), Contact(q[1], d2, q[6]), body, rig)
     forces = ca.vertcat(motion.f1, motion.f2)

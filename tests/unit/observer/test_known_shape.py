@@ -20,7 +20,7 @@ from palmd.record.replay import replay
 from palmd.rig.shapes import KINDS, random_body
 
 Z = shape_map.Z
-PALMS = PalmMotion(0.75, 1.6)
+PALMS = PalmMotion.at_rest((0.75, 1.6))
 
 
 def outline_of(body, h_sd=2e-5):
@@ -69,7 +69,7 @@ def test_the_constants_are_those_of_the_file_or_of_any_object():
 def test_it_starts_at_the_poses_that_give_the_readings(psi):
     outlines = library("friction", 2, 6)[1]
     belief = stored(outlines)
-    _, rows = shape.contact_rows(PALMS.phi1 - psi, PALMS.phi2)
+    _, rows = shape.contact_rows(PALMS.angles[0] - psi, PALMS.angles[1])
     s1, s2 = rows @ belief.x[4, Z.SHAPE :]
     starts = belief.starts(s1, s2, PALMS, 1.2e-8, 96)
     assert len(starts.which) == len(starts.psi) == len(starts.x) == 96

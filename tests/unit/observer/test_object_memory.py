@@ -15,7 +15,7 @@ from palmd.observer.object_memory import DIRECTIONS, DOUBT, KnownObject, ObjectM
 from palmd.system.description import PadSensor
 
 Z = shape_map.Z
-PALMS = PalmMotion(0.75, 1.6)
+PALMS = PalmMotion.at_rest((0.75, 1.6))
 
 
 def _known(sd: float = 2e-5, mass: float = 0.2) -> KnownObject:
@@ -31,7 +31,7 @@ def _known(sd: float = 2e-5, mass: float = 0.2) -> KnownObject:
 @pytest.mark.parametrize("psi", [0.3, 2.0, 4.4])
 def test_the_orientations_begin_with_those_that_give_the_readings(psi: float) -> None:
     known = _known()
-    _, rows = shape.contact_rows(PALMS.phi1 - psi, PALMS.phi2)
+    _, rows = shape.contact_rows(PALMS.angles[0] - psi, PALMS.angles[1])
     s1, s2 = rows @ known.x[Z.SHAPE :]
     chosen = known.orientations(s1, s2, PALMS, np.array([1.2e-8, 1.2e-8]), 24)
     assert len(set(chosen)) == 24

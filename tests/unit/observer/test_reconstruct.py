@@ -130,7 +130,7 @@ def test_without_forces_there_is_no_mass(run):
 
 
 def test_without_the_plan_the_angles_are_enough(run):
-    bare = palms_changed(run.events, lambda sample: PalmSample(sample.t_sample, sample.phi1, sample.phi2))
+    bare = palms_changed(run.events, lambda sample: PalmSample(sample.t_sample, sample.angles))
     answer = reconstruct(bare, run.rig)
     assert answer.converged, answer.reason
     assert e_h(answer, run) < RIGHT_M
@@ -216,7 +216,7 @@ def test_absurd_values_among_the_others_do_no_harm(run, bad):
     spoilt = [
         *run.events,
         *(PadSample(1.0 + k / 10 + 1e-4, 1, bad, bad) for k in range(3)),
-        *(PalmSample(2.0 + k / 10 + 1e-4, 0.7, 1.6, bad, 0.0) for k in range(3) if not math.isfinite(bad)),
+        *(PalmSample(2.0 + k / 10 + 1e-4, (0.7, 1.6), (bad, 0.0)) for k in range(3) if not math.isfinite(bad)),
     ]
     assert honest(reconstruct(spoilt, run.rig), run)
 
@@ -234,7 +234,7 @@ def test_an_object_at_rest_on_palms_at_rest_tells_nothing(run, noise):
     dice = random.Random(2)
     still = pads_changed(run.events, lambda sample: replace(sample, s=0.02 + dice.gauss(0.0, noise), force=1.0))
     answer = reconstruct(
-        palms_changed(still, lambda sample: PalmSample(sample.t_sample, 0.75, 1.6, 0.0, 0.0, 0.0, 0.0)), run.rig
+        palms_changed(still, lambda sample: PalmSample(sample.t_sample, (0.75, 1.6), (0.0, 0.0), (0.0, 0.0))), run.rig
     )
     assert not answer.converged
     assert answer.reason

@@ -9,7 +9,9 @@ from palmd.observer.record import lay_out
 from palmd.system.description import PadSensor, RigDescription
 
 RIG = RigDescription(hinge="fixed")
-PATH = smoothed_path([PalmSample(0.016 * k, 0.7 + 0.2 * 0.016 * k, 1.6, 0.2, 0.0, 0.0, 0.0) for k in range(80)], 2e-4)
+PATH = smoothed_path(
+    [PalmSample(0.016 * k, (0.7 + 0.2 * 0.016 * k, 1.6), (0.2, 0.0), (0.0, 0.0)) for k in range(80)], 2e-4
+)
 
 
 def pads(*times, force=1.0):

@@ -52,7 +52,7 @@ def test_golden_lines(log):
     run = read_log(log(HEADER, PAD, PALMS, '{"t":0.005,"pad":2,"s_m":0.02}'))
     assert run.events == (
         PadSample(0.0031, 1, 0.0213, 0.31),
-        PalmSample(0.004, 0.7, 1.6, 0.1, -0.2, 3.0, -4.5),
+        PalmSample(0.004, (0.7, 1.6), (0.1, -0.2), (3.0, -4.5)),
         PadSample(0.005, 2, 0.02, None),
     )
     pad = PadSensor(length=0.0555, noise=1e-4, resolution=1.27e-4, force_scale_std=0.05, force_resolution=0.02)
@@ -78,7 +78,7 @@ def test_rates_and_forces_may_be_missing_or_null(log):
             '{"t":0,"pad":2,"s_m":0.02,"force_n":null}',
         )
     )
-    assert run.events == (PalmSample(0.0, 0.7, 1.6), PadSample(0.0, 2, 0.02))
+    assert run.events == (PalmSample(0.0, (0.7, 1.6)), PadSample(0.0, 2, 0.02))
 
 
 def test_truth_never_becomes_an_event_and_what_is_unknown_is_ignored(log):
@@ -213,7 +213,12 @@ def test_any_bytes_are_read_or_refused(tmp_path, noise, start, length):
 finite = st.floats(-1e3, 1e3)
 events = st.one_of(
     st.builds(PadSample, st.floats(0, 1), st.sampled_from([1, 2]), st.floats(1e-4, 0.055), st.none() | finite),
-    st.builds(PalmSample, st.floats(0, 1), st.floats(0, 3), st.floats(0.1, 3), *(st.none() | finite for _ in range(4))),
+    st.builds(
+        PalmSample,
+        st.floats(0, 1),
+        st.tuples(st.floats(0, 3), st.floats(0.1, 3)),
+        *(st.none() | st.tuples(finite, finite),) * 2,
+    ),
 )
 sensors = st.builds(PadSensor, length=st.just(0.0555), noise=st.floats(1e-6, 1), force_resolution=st.floats(0, 1))
 rigs = st.builds(

@@ -78,7 +78,7 @@ def entries(task: PeerTask, truth: PeerTruth) -> tuple[Entry, ...]:
     windows = cache(newton.window)
     rig = rig_inputs(task.rig)
     palms = task.palms
-    first = np.array([palms.phi1, palms.phi2, palms.omega1, palms.omega2, palms.alpha1, palms.alpha2])
+    first = np.array([*palms.angles, *palms.rates, *palms.accelerations])
 
     def newtons(form: newton.Form) -> Callable[[PeerStart], Peer]:
         return lambda start: newton.NewtonObserver(windows(form), start, first, rig, truth.mass)

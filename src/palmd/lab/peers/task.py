@@ -42,7 +42,7 @@ class Reading:
     """
 
     t: float
-    pad: Literal[1, 2]
+    pad: int
     value: float
     variance: float
     palms: FloatArray
