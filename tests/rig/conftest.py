@@ -16,6 +16,7 @@ from harness import Bench
 TRIES = 4
 WAIT_S = 60.0
 _NICE = -10
+_MISTAKES = ("AttributeError", "ImportError", "ModuleNotFoundError", "NameError", "SyntaxError", "TypeError")
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -33,6 +34,12 @@ def pytest_collection_modifyitems(items):
             item.add_marker(pytest.mark.timeout(TRIES * (seconds + WAIT_S)), append=False)
 
 
+def _from_want_of_time(report):
+    """Whether a test has failed in a way that more time might have mended; a mistake in its code it does not."""
+    crash = getattr(report.longrepr, "reprcrash", None)
+    return report.failed and not (crash and crash.message.startswith(_MISTAKES))
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_protocol(item, nextitem):
     """Try again what failed beside other work; only the last try is reported."""
@@ -42,8 +49,9 @@ def pytest_runtest_protocol(item, nextitem):
     for left in reversed(range(TRIES)):
         pressure = patience.Pressure()
         reports = runtestprotocol(item, nextitem=nextitem, log=False)
-        if not left or pressure.share() < patience.BUSY_SHARE or not any(report.failed for report in reports):
+        if not left or pressure.share() < patience.BUSY_SHARE or not any(map(_from_want_of_time, reports)):
             break
+        item.config.get_terminal_writer().line(f"\n{item.nodeid}: tried again: others keep the processors")
         patience.until_quiet(WAIT_S)
     for report in reports:
         item.ihook.pytest_runtest_logreport(report=report)
