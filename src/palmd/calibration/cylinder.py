@@ -24,6 +24,7 @@ from palmd.config import PadConfig
 from palmd.events import Event, FloatArray, PadSample, PalmSample
 from palmd.motion.limits import PHI12_MAX, MotionLimits
 from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE, Angles
+from palmd.system.mechanism import PALMS
 
 PAD_MARGIN_M = 5e-3  # so much of a pad's end is left alone: its zero may be that far off
 LEAST_TRAVEL_M = 0.010
@@ -57,8 +58,8 @@ class CylinderReadings:
     t: FloatArray
     counts: FloatArray
     pressure: FloatArray
-    phi1: FloatArray
-    phi2: FloatArray
+    first: FloatArray
+    opening: FloatArray
     rate: FloatArray
 
 
@@ -86,7 +87,7 @@ def readings(events: Iterable[Event], configs: Sequence[PadConfig]) -> tuple[Cyl
             if isinstance(event, PalmSample) and event.rates is not None
         ]
     ).reshape(-1, 4)
-    first, second = (_samples(events, number) for number in (1, 2))
+    first, second = (_samples(events, number) for number in PALMS)
     return (
         _readings(1, first, second[:, 0], palms, configs[0]),
         _readings(2, second, first[:, 0], palms, configs[1]),

@@ -57,7 +57,7 @@ def pad_scales(events: Iterable[Event], configs: tuple[PadConfig, ...], radius_m
 
 def _scale(number: int, found: CylinderReadings, radius_m: float) -> PadScale:
     slow = found.rate <= _SLOW_ENOUGH
-    s, counts = contact_m(radius_m, found.phi2[slow]) * 1e3, found.counts[slow]
+    s, counts = contact_m(radius_m, found.opening[slow]) * 1e3, found.counts[slow]
     if len(s) < LEAST_READINGS:
         raise CylinderError(
             f"pad {number}: {len(s)} readings while both pads were touched, of at least {LEAST_READINGS}:"

@@ -15,7 +15,7 @@ FRESH_S = 0.05
 
 
 class SwapWatch:
-    """Compares ln(F1/F2) as pressed with ln(f1/f2) = ln(sin φ12 / sin φ1), the contact forces at rest.
+    """Compares ln(F1/F2) as pressed with their log at rest, ln(sin φ12 / sin φ1), the contact forces at rest.
 
     Gains of the pads shift the first by a constant, the object's shape and motion disturb it a little; neither turns
     its sense. Right pads give a slope of about +1 of the one on the other, swapped pads about −1.
@@ -38,10 +38,10 @@ class SwapWatch:
         if palms is None or not 0.0 < dt < 1.0 or len(self._force) < len(PALMS):
             return
         (t1, force1), (t2, force2) = (self._force[pad] for pad in PALMS)
-        phi1, phi12 = directions(palms.angles)
-        if t - min(t1, t2) > FRESH_S or not (0.0 < phi1 < math.pi and 0.0 < phi12 < math.pi):
+        first, second = directions(palms.angles)
+        if t - min(t1, t2) > FRESH_S or not (0.0 < first < math.pi and 0.0 < second < math.pi):
             return
-        x, y = math.log(force1 / force2), math.log(math.sin(phi12) / math.sin(phi1))
+        x, y = math.log(force1 / force2), math.log(math.sin(second) / math.sin(first))
         # exponentially weighted means and products; the sums keep their scale, so that any number of ticks will do
         fading = math.exp(-dt / MEMORY_S)
         self._weight = self._weight * fading + dt

@@ -45,7 +45,7 @@ def told(omega1: float, omega2: float, seed: int = 1) -> float:
             return math.nan
         if step == 0:
             s1, s2 = values[NAMED.index("s1")], values[NAMED.index("s2")]
-            start = prior.blind_start(s1, s2, begin, 1, True, np.random.default_rng(0))
+            start = prior.blind_start((s1, s2), begin, 1, True, np.random.default_rng(0))
             follower.begin(t, prior.shape_map_sd(start))
         follower.sample(t, x, palms, np.zeros(2))
         for _ in range(round((t + SAMPLE_S) * PAD_RATE_HZ) - round(t * PAD_RATE_HZ)):

@@ -17,7 +17,7 @@ from palmd.model.dynamics import BodyConstants, Palms, newton_euler
 from palmd.model.integrate import exponential_step
 from palmd.model.outputs import RIG_INPUTS, named_outputs
 from palmd.model.shape import HARMONICS, contact_at
-from palmd.system.mechanism import normal_directions
+from palmd.system.mechanism import PALMS, normal_directions
 
 
 class Z(IntEnum):
@@ -132,7 +132,7 @@ def values_function(order: int = HARMONICS) -> ca.Function:
 @cache
 def library(order: int = HARMONICS) -> Library:
     """Kernels for blocks of shape maps and, without `_block`, for one: predict, update_s1, update_s2, values; named."""
-    pads = [update_function(f"update_s{pad}", pad, order) for pad in (1, 2)]
+    pads = [update_function(f"update_s{pad}", pad, order) for pad in PALMS]
     kernels = [predict_function(order), *pads, values_function(order)]
     single = [*kernels, named_function(order)]
     name = "shape_map" if order == HARMONICS else f"shape_map{order}"

@@ -13,9 +13,8 @@ from dataclasses import dataclass, field, replace
 from palmd.config import LimitsConfig
 from palmd.events import Joints, PalmMotion
 from palmd.motion.kinematics import RigGeometry
-from palmd.system.mechanism import JOINTS, directions
+from palmd.system.mechanism import JOINTS, OPENING, directions
 
-OPENING = JOINTS.index("phi2")  # the joint between the palms
 PHI12_MAX = math.radians(172.0)  # two contacts need φ12 < 180°; here it must stay below this
 SMALL_RADIUS = 0.010  # an object no smaller than this shall find pad under it
 PAD_MARGIN = 0.002

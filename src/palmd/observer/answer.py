@@ -7,9 +7,8 @@ import math
 from palmd.events import Estimate, FloatArray, PalmMotion
 from palmd.model.outputs import NAMED
 from palmd.observer.mass import MassEstimator
-from palmd.system.mechanism import JOINT_RATES, JOINTS
+from palmd.system.mechanism import FORCES, JOINT_RATES, JOINTS
 
-_FORCES = ("f1", "f2")
 _UNKNOWN = dict.fromkeys((*NAMED, "mass", "nis", "observability"), math.nan)
 _UNKNOWN_SD = dict.fromkeys((*NAMED, "mass"), math.nan)
 
@@ -22,7 +21,7 @@ def answer(
     values = dict(zip(NAMED, (float(v) for v in y), strict=True))
     sds = dict(zip(NAMED, (float(v) for v in sd), strict=True))
     m, m_sd = mass.value, mass.sd
-    for name in _FORCES:
+    for name in FORCES:
         f = values[name]
         values[name], sds[name] = m * f, math.hypot(m * sds[name], m_sd * f)
     sds["mass"] = m_sd

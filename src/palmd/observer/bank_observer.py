@@ -376,8 +376,8 @@ class BankObserver:
         known = self._memory.recall()
         self._use(self._smoothed.again if self._smoothed and known and known.smoothed else self._blind)
         size, order = self._bank.full_size, self._filters.order
-        self._blind_radius_sd = circle_spread(self._rig, one.s, two.s, palms.angles[1])
-        self._start = blind_start(one.s, two.s, palms, size, self._starts == 1, random, order)
+        self._blind_radius_sd = circle_spread(self._rig, (one.s, two.s), palms.angles[1])
+        self._start = blind_start((one.s, two.s), palms, size, self._starts == 1, random, order)
         self._bank.refill()
         self._filters.start(self._start, self._palms, t)
         self._experience = np.zeros(self._bank.size)
@@ -397,7 +397,7 @@ class BankObserver:
             self.object_count += 1
             self._frame = None
             return
-        psi = known.orientations(s1, s2, palms, self._pad_variances, count)
+        psi = known.orientations((s1, s2), palms, self._pad_variances, count)
         self._filters.start_known(known.x, known.believed(), psi, self._palms, t)
         self._experience[:count] = EXPERIENCE_S
 

@@ -7,15 +7,16 @@ from collections.abc import Sequence
 
 from palmd.events import FloatArray, PadSample
 from palmd.system.description import PadSensor
+from palmd.system.mechanism import OPENING
 
 
 def resting_forces(gravity: float, palms: FloatArray) -> tuple[float, float]:
-    """f1 = g sin φ12 / sin φ2, f2 = g sin φ1 / sin φ2 (m/s²) of any object at rest without friction.
+    """g sin φ12 / sin φ2 and g sin φ1 / sin φ2 (m/s²): the forces on any object at rest without friction.
 
-    `palms` begins with φ1, φ2 (rad). In motion and with friction right to several percent. Safe inside the loop.
+    `palms` begins with the joint angles (rad). In motion and with friction right to several percent. Safe in the loop.
     """
-    phi1, phi2 = float(palms[0]), float(palms[1])
-    return gravity * math.sin(phi1 + phi2) / math.sin(phi2), gravity * math.sin(phi1) / math.sin(phi2)
+    first, opening = float(palms[0]), float(palms[OPENING])
+    return gravity * math.sin(first + opening) / math.sin(opening), gravity * math.sin(first) / math.sin(opening)
 
 
 class MassEstimator:

@@ -1,9 +1,9 @@
 """How much the last second of readings tells by itself: the smallest singular value of a scaled Gramian.
 
-Let x0 be the shape map's state a second ago, G the information about it in the readings since, z = (r1, r2, s1, s2) of
+Let x0 be the shape map's state a second ago, G the information about it in the readings since, z = (radii, contacts) of
 that instant and J = ∂z/∂x0. Before anything is felt z has the covariance C0 = J P0 Jᵀ, and from that second alone
 C = J (P0⁻¹ + G)⁻¹ Jᵀ. The number is the smallest singular value of (C0^½ C⁻¹ C0^½ − 1)^½: prior one-sigma over
-the error with which that second tells the combination of z that it tells worst. s1, s2 are read; so the worst is what
+the error with which that second tells the combination of z that it tells worst. contacts are read; so the worst is what
 motion has to tell, above 1 in lively motion and near 0 when palms and object rest or the object turns along with them.
 """
 

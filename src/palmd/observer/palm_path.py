@@ -110,13 +110,13 @@ def _quintic(a: FloatArray, b: FloatArray, step: FloatArray, t: FloatArray) -> F
     """φ, ω, α at `t` into steps from a to b, each (n, 3, joints) of φ, ω, α: the quintic through both ends."""
     h, u = step[:, None], (t / step)[:, None]
     # in the normalised time u, with ends' derivatives scaled by the step
-    p0, v0, a0 = a[:, 0], a[:, 1] * h, a[:, 2] * h**2
-    p1, v1, a1 = b[:, 0], b[:, 1] * h, b[:, 2] * h**2
-    miss_p, miss_v, miss_a = p1 - p0 - v0 - a0 / 2, v1 - v0 - a0, a1 - a0
+    p0, rate0, a0 = a[:, 0], a[:, 1] * h, a[:, 2] * h**2
+    p1, rate1, a1 = b[:, 0], b[:, 1] * h, b[:, 2] * h**2
+    miss_p, miss_v, miss_a = p1 - p0 - rate0 - a0 / 2, rate1 - rate0 - a0, a1 - a0
     c3 = 10 * miss_p - 4 * miss_v + miss_a / 2
     c4 = -15 * miss_p + 7 * miss_v - miss_a
     c5 = 6 * miss_p - 3 * miss_v + miss_a / 2
-    phi = p0 + u * (v0 + u * (a0 / 2 + u * (c3 + u * (c4 + u * c5))))
-    omega = (v0 + u * (a0 + u * (3 * c3 + u * (4 * c4 + u * 5 * c5)))) / h
+    phi = p0 + u * (rate0 + u * (a0 / 2 + u * (c3 + u * (c4 + u * c5))))
+    omega = (rate0 + u * (a0 + u * (3 * c3 + u * (4 * c4 + u * 5 * c5)))) / h
     alpha = (a0 + u * (6 * c3 + u * (12 * c4 + u * 20 * c5))) / h**2
     return np.stack([phi, omega, alpha], axis=1)

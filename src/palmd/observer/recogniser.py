@@ -62,7 +62,7 @@ class Recogniser(BankObserver):
 
     def _start_known(self, s1: float, s2: float, palms: PalmMotion, t: float) -> None:
         self.object_count += 1
-        starts = self._stored.starts(s1, s2, palms, self._pad_variances, self._bank.size)
+        starts = self._stored.starts((s1, s2), palms, self._pad_variances, self._bank.size)
         self._filters.start_known(starts.x, starts.P, starts.psi, self._palms, t)
         self._bank.drop(np.arange(self._bank.size) >= len(starts.which))
         self._which = np.resize(starts.which, self._bank.size)

@@ -50,8 +50,8 @@ class Reconstruction:
     theta, h, h_sd, touched, visits: 360 normals (rad), support function and its one-sigma (m), whether a palm touched
     there, and how many separate times.
     rig, rig_sd: the rig's constants, as in `model.smoothing.R`, and their one-sigma.
-    t, psi, omega0, r1, r2: the trajectory at the nodes. `chi2` is per contact reading. `reason` says why not, when
-    not `converged`.
+    t, psi, omega0, radii (one row a palm): the trajectory at the nodes. `chi2` is per contact reading. `reason` says
+    why not, when not `converged`.
     """
 
     converged: bool
@@ -72,8 +72,7 @@ class Reconstruction:
     t: FloatArray
     psi: FloatArray
     omega0: FloatArray
-    r1: FloatArray
-    r2: FloatArray
+    radii: FloatArray
     reason: str
     seconds: float
 
@@ -231,7 +230,7 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
     rho = math.exp(p[C.LN_RHO])
     mass, mass_sd = _weighed(main, rig, answered)
     everywhere = np.concatenate(normals)
-    radii = [shape.basis(everywhere[:, i], ORDER) @ p[C.SHAPE :] for i in range(2)]
+    radii = [shape.basis(everywhere[:, i], ORDER) @ p[C.SHAPE :] for i in range(everywhere.shape[1])]
     t, psi, omega0 = (
         np.concatenate(columns)
         for columns in zip(*((part.record.t, part.psi, part.omega0) for part in parts), strict=True)
@@ -242,7 +241,7 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
         visits=np.sum([visits_of(each) for each in normals], axis=0),
         rho=rho, rho_sd=rho * float(sd[C.LN_RHO]), mu=answered.mu, mu_sd=answered.mu_sd,
         mass=mass, mass_sd=mass_sd, rig=p[RIG], rig_sd=sd[RIG],
-        t=t, psi=psi, omega0=omega0, r1=radii[0], r2=radii[1],
+        t=t, psi=psi, omega0=omega0, radii=np.stack(radii),
         reason=reason, seconds=time.perf_counter() - begun,
     )  # fmt: skip
 
@@ -276,5 +275,5 @@ def _nothing(reason: str, begun: float, chi2: float = math.nan) -> Reconstructio
     nan = math.nan
     return Reconstruction(
         False, chi2, directions(), None, None, None, None, nan, nan, nan, nan, nan, nan,
-        none, none, none, none, none, none, none, reason, time.perf_counter() - begun,
+        none, none, none, none, none, none, reason, time.perf_counter() - begun,
     )  # fmt: skip

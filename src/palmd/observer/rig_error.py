@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -33,29 +34,29 @@ class RigError:
         lag = float(self.values[R.LAG + sample.pad - 1])
         return replace(sample, t_sample=sample.t_sample - lag) if lag else sample
 
-    def corrected(self, sample: PadSample, phi2: float) -> float:
+    def corrected(self, sample: PadSample, opening: float) -> float:
         """The distance (m) that the pad would tell, had it no error and lay on the hinge line; φ2 as in `angles`."""
         i, v = sample.pad - 1, self.values
         s = (sample.s - v[R.ZERO + i]) / (1.0 + v[R.SCALE + i])
         self._s[i] = float(s)
         own, other = (v[R.STANDOFF + k] + 4.0 * v[R.SAGITTA + k] * self._u(k) ** 2 for k in (i, 1 - i))
-        return float(s - (own * np.cos(phi2) + other) / np.sin(phi2))
+        return float(s - (own * np.cos(opening) + other) / np.sin(opening))
 
     def _u(self, pad: int) -> float:
         return self._s[pad] / self.pad_lengths[pad]
 
 
-def circle_spread(rig: RigDescription, s1: float, s2: float, phi2: float) -> float:
-    """One-sigma (m) that the rig's constants leave of a circle's radius r = (s1 + s2)/2 · tan(φ2/2).
+def circle_spread(rig: RigDescription, contacts: Sequence[float], opening: float) -> float:
+    """One-sigma (m) that the rig's constants leave of a circle's radius r = s · tan(φ2/2), s the mean of both contacts.
 
     For before a smoother has told how they and the outline hang together.
     """
-    one, two = rig.pads
-    tangent = float(np.tan(phi2 / 2))
-    of_s = np.hypot([one.zero_sd, one.scale_sd * s1], [two.scale_sd * s2, two.zero_sd]) * tangent / 2
-    of_phi2 = (s1 + s2) / 4 * (1 + tangent**2) * rig.angle_sd
+    (one, two), (first, second) = rig.pads, contacts
+    tangent = float(np.tan(opening / 2))
+    of_s = np.hypot([one.zero_sd, one.scale_sd * first], [two.scale_sd * second, two.zero_sd]) * tangent / 2
+    of_angle = (first + second) / 4 * (1 + tangent**2) * rig.angle_sd
     standoff, sagitta = (
         math.sqrt((a * a + b * b) / 2)
         for a, b in ((one.standoff_sd, two.standoff_sd), (one.sagitta_sd, two.sagitta_sd))
     )
-    return float(np.linalg.norm([*of_s, of_phi2, standoff / np.sqrt(2.0), sagitta]))
+    return float(np.linalg.norm([*of_s, of_angle, standoff / np.sqrt(2.0), sagitta]))

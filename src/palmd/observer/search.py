@@ -27,7 +27,7 @@ from palmd.observer.palms import motion_of
 from palmd.observer.record import RESTING_RAD_S, Record, lay_out
 from palmd.observer.smoother import Fit, Smoother
 from palmd.system.description import RigDescription
-from palmd.system.mechanism import PALMS
+from palmd.system.mechanism import OPENING, PALMS
 
 SPACING_S = 0.01  # of the nodes while looking for the answer
 FIRST_LOOK_S = 0.3  # readings that tell the object's size
@@ -102,8 +102,8 @@ class Search:
         """What is believed of the object before anything but its first readings."""
         stretch = self._stretch
         first = [sample for sample in stretch.pads if sample.t_sample < stretch.start + FIRST_LOOK_S]
-        phi2 = self.path.at(np.array([sample.t_sample for sample in first]))[:, 1]
-        return prior_of(first, np.tan(phi2 / 2), self._rig)
+        opening = self.path.at(np.array([sample.t_sample for sample in first]))[:, OPENING]
+        return prior_of(first, np.tan(opening / 2), self._rig)
 
     def rested(self, t: float) -> float:
         """For how long the palms have rested at `t` (s)."""
@@ -146,9 +146,9 @@ class Search:
     def _orientations(self, outline: FloatArray, covariance: FloatArray) -> FloatArray:
         """ψ of an object that has just been put down, by the first readings of both pads."""
         first = [[sample for sample in self._stretch.pads if sample.pad == pad][:FIRST_READINGS] for pad in PALMS]
-        s1, s2 = (float(np.mean([sample.s for sample in samples])) for samples in first)
+        contacts = [float(np.mean([sample.s for sample in samples])) for samples in first]
         palms = motion_of(self.path.at(np.array([first[0][0].t_sample]))[0])
-        return likely_orientations(outline, covariance, s1, s2, palms, self._rig.reading_variances, ORIENTATIONS)
+        return likely_orientations(outline, covariance, contacts, palms, self._rig.reading_variances, ORIENTATIONS)
 
     def _grown_from(self, record: Record, guesses: Sequence[Guess]) -> Minima | None:
         fits = self._fits(record, guesses)

@@ -16,7 +16,7 @@ from typing import Any, BinaryIO, TextIO
 from palmd.devices.pad import MARGIN_MM
 from palmd.events import Event, Joints, PadSample, PalmSample
 from palmd.system.description import AS_CALIBRATED, PadSensor, RigDescription
-from palmd.system.mechanism import PALMS
+from palmd.system.mechanism import OPENING, PALMS
 
 VERSION = 1
 MAX_LINE_BYTES = 1 << 20
@@ -164,12 +164,13 @@ def _pad_sample(t: float, line: Line) -> PadSample:
 
 
 def _palm_sample(t: float, palms: Line) -> PalmSample:
-    phi1, phi2 = _number(palms, "phi1_rad"), _number(palms, "phi2_rad")
-    if abs(phi1) > math.tau:
-        raise _BadLineError(f"phi1_rad is {phi1:g}, more than a full turn; it is in radians")
-    if not 0.0 < phi2 < math.pi:
-        raise _BadLineError(f"phi2_rad is {phi2:g}; the angle between the palms lies between 0 and pi")
-    return PalmSample(t, (phi1, phi2), _joints(palms, _RATES), _joints(palms, _ACCELERATIONS))
+    angles = tuple(_number(palms, name) for name in _ANGLES)
+    for name, angle in zip(_ANGLES, angles, strict=True):
+        if name == _ANGLES[OPENING] and not 0.0 < angle < math.pi:
+            raise _BadLineError(f"{name} is {angle:g}; the angle between the palms lies between 0 and pi")
+        if abs(angle) > math.tau:
+            raise _BadLineError(f"{name} is {angle:g}, more than a full turn; it is in radians")
+    return PalmSample(t, angles, _joints(palms, _RATES), _joints(palms, _ACCELERATIONS))
 
 
 def _joints(palms: Line, names: Sequence[str]) -> Joints | None:

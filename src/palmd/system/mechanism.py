@@ -19,11 +19,26 @@ PALMS = (1, 2)
 JOINTS = tuple(f"phi{palm}" for palm in PALMS)
 """What the joint angles are called, in the order of every joint vector."""
 
+SIDES = (1.0, -1.0)
+"""On which side of each palm's direction the object is: 1 to its left, -1 to its right."""
+
+RADII, CONTACTS, FORCES = (tuple(f"{what}{palm}" for palm in PALMS) for what in "rsf")
+"""What is called the distance of each palm from the centre of mass, its contact's from the hinge, and its force."""
+
 HELD_BY = ("hinged to the base", "the arm holds")
 """How people tell the palms apart: what is at each one's far end."""
 
+JOINT_MEANINGS = ("palm 1 from the world X axis", "palm 2 from palm 1")
+"""What they are, in words."""
+
+OPENING = 1
+"""Which of them is the angle between the palms."""
+
 JOINT_RATES = tuple(f"omega{palm}" for palm in PALMS)
 """What their rates are called."""
+
+ENDS = (*(f"pad{palm}" for palm in PALMS), "arm")
+"""What hangs on a line of its own: each palm's pad, and the arm that turns the palms."""
 
 _BEHIND = (0.5 * math.pi, 1.5 * math.pi)  # by which the outward normal of what touches a palm lies behind its direction
 

@@ -168,7 +168,7 @@ def _along_the_plant(omega1: float, omega2: float) -> float:
     rig = RigDescription(hinge="fixed")
     follower = Observability(rig_inputs(rig), rig.reading_variances)
     one, two = plant.contacts()
-    start = prior.blind_start(one.s, two.s, at(0.0), 1, True, np.random.default_rng(0))
+    start = prior.blind_start((one.s, two.s), at(0.0), 1, True, np.random.default_rng(0))
     follower.begin(0.0, prior.shape_map_sd(start))
     x = last_second._object_at(at(0.0), 1)
     for k in range(2001):

@@ -86,7 +86,7 @@ def _along(mu: float, seed: int) -> tuple[float, float]:
     x[Z.LN_RHO], x[Z.MU], x[Z.LN_DITHER], x[Z.DAMPING] = math.log(body.rho), mu, math.log(2e-3), 2e-4
     follower = Observability(rig_inputs(RigDescription(hinge="fixed")), np.full(2, 1.2e-8))
     one, two = plant.contacts()
-    start = blind_start(one.s, two.s, _palms(0.0), 8, True, np.random.default_rng(0))
+    start = blind_start((one.s, two.s), _palms(0.0), 8, True, np.random.default_rng(0))
     follower.begin(0.0, shape_map_sd(start))
     values, slips = [], []
     for k in range(8000):
@@ -116,7 +116,7 @@ def test_it_falls_when_the_object_turns_along_with_the_palms(seed: int) -> None:
 
 def test_silent_pads_tell_nothing() -> None:
     follower = Observability(rig_inputs(RigDescription(hinge="fixed")), np.full(2, 1.2e-8))
-    start = blind_start(0.02, 0.02, PalmMotion.at_rest((0.8, 1.6)), 8, True, np.random.default_rng(0))
+    start = blind_start((0.02, 0.02), PalmMotion.at_rest((0.8, 1.6)), 8, True, np.random.default_rng(0))
     follower.begin(0.0, shape_map_sd(start))
     assert shape_map_sd(start)[shape_map.Z.MU] == FRICTION_SD
     x = np.zeros(shape_map.N)
@@ -130,7 +130,7 @@ def test_its_blocks_make_up_the_whole_window() -> None:
     """Ten short blocks chained, against one long one: the same second, the same number."""
     rig, variance = rig_inputs(RigDescription(hinge="fixed")), 1.2e-8
     follower = Observability(rig, np.full(2, variance))
-    start = blind_start(0.02, 0.02, PalmMotion.at_rest((0.8, 1.6)), 8, True, np.random.default_rng(0))
+    start = blind_start((0.02, 0.02), PalmMotion.at_rest((0.8, 1.6)), 8, True, np.random.default_rng(0))
     follower.begin(0.0, shape_map_sd(start))
     Z, kernels = shape_map.Z, sensitivity.library().functions
     x = np.zeros(shape_map.N)
@@ -155,7 +155,7 @@ def test_its_blocks_make_up_the_whole_window() -> None:
 def test_a_gap_between_samples_ends_the_window() -> None:
     """Across a gap the trajectory is not known: only what came since counts, the last number standing meanwhile."""
     follower = Observability(rig_inputs(RigDescription(hinge="fixed")), np.full(2, 1.2e-8))
-    start = blind_start(0.02, 0.02, PalmMotion.at_rest((0.8, 1.6)), 8, True, np.random.default_rng(0))
+    start = blind_start((0.02, 0.02), PalmMotion.at_rest((0.8, 1.6)), 8, True, np.random.default_rng(0))
     follower.begin(0.0, shape_map_sd(start))
     x = np.zeros(shape_map.N)
     x[shape_map.Z.LN_RHO], x[shape_map.Z.LN_DITHER], x[shape_map.Z.SHAPE] = math.log(0.014), math.log(0.01), 0.02

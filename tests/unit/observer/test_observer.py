@@ -307,7 +307,7 @@ def test_the_filters_curvature_is_that_of_their_outline(kind: type) -> None:
     filters = kind(RigDescription(hinge="fixed"), 8)
     palms = PalmTracker(2e-4)
     palms.feed(PalmSample(0.0, (0.8, 1.6), (0.0, 0.0), (0.0, 0.0)))
-    start = blind_start(0.02, 0.021, palms.motion(0.0), 8, True, np.random.default_rng(1))
+    start = blind_start((0.02, 0.021), palms.motion(0.0), 8, True, np.random.default_rng(1))
     filters.start(start, palms, 0.0)
     theta, step = np.linspace(0, 2 * np.pi, 72, endpoint=False), 1e-4
     for member in range(8):
@@ -322,7 +322,7 @@ def test_a_hollow_outline_is_bent_to_the_mean_of_what_is_convex() -> None:
     filters = ShapeFilters(RigDescription(), 8)
     palms = PalmTracker(2e-4)
     palms.feed(PalmSample(0.0, (0.8, 1.6), (0.0, 0.0), (0.0, 0.0)))
-    filters.start(blind_start(0.02, 0.021, palms.motion(0.0), 8, True, np.random.default_rng(1)), palms, 0.0)
+    filters.start(blind_start((0.02, 0.021), palms.motion(0.0), 8, True, np.random.default_rng(1)), palms, 0.0)
     bank, rows = filters.bank, filters.curvature
     bank.x[:, shape_map.Z.SHAPE + 5 :] = 0.0
     assert bank.lift(0, rows), "nothing hollow, nothing done"

@@ -73,7 +73,7 @@ def test_every_kind_of_run_is_reconstructed_within_its_error_bars(kind):
     assert np.std(psi) < 0.01
     assert np.sqrt(np.mean((answer.omega0 - np.interp(answer.t, truth.t, truth.omega0)) ** 2)) < 0.1
     r1 = truth_radius(run, answer.t)
-    assert np.sqrt(np.mean((answer.r1 - r1) ** 2)) < 1.5e-4
+    assert np.sqrt(np.mean((answer.radii[0] - r1) ** 2)) < 1.5e-4
     assert on.mean() == pytest.approx(true_touched(run, answer), abs=0.02)
 
 

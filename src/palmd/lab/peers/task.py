@@ -185,7 +185,7 @@ def radii(x: FloatArray, reading: Reading) -> FloatArray:
 
 
 def _prior(task: PeerTask) -> tuple[FloatArray, FloatArray]:
-    belief = prior.blind_start(task.s1, task.s2, task.palms, 1, True, np.random.default_rng(0))
+    belief = prior.blind_start((task.s1, task.s2), task.palms, 1, True, np.random.default_rng(0))
     Z = shape_map.Z
     x, sd = np.zeros(shape_map.N), np.zeros(shape_map.N)
     x[Z.LN_RHO], x[Z.MU] = math.log(prior.GYRATION * belief.mean_radius), prior.FRICTION
