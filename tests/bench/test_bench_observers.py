@@ -11,7 +11,8 @@ from palmd.events import PadSample
 from palmd.model import compiled, extended, shape_map
 from palmd.observer import EXTENDED_BANK, SHAPE_BANK, QuasistaticObserver
 from palmd.observer.bank_observer import BankObserver
-from palmd.observer.filters import ExtendedFilters, ShapeFilters
+from palmd.observer.filters.extended import ExtendedFilters
+from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.rig.simulate import simulate_log
 from palmd.system.description import RigDescription
 

@@ -8,8 +8,9 @@ from benchtable import PARTS, machine, percentiles, show
 from palms import palm_sample
 
 from palmd.events import PadSample
-from palmd.observer.incremental import IncrementalSmoother, Session
+from palmd.observer.incremental import IncrementalSmoother
 from palmd.observer.reconstruct import reconstruct
+from palmd.observer.smoothing import Session
 from palmd.rig.shapes import KINDS
 from palmd.rig.simulate import simulate_log
 from palmd.system.description import RigDescription

@@ -4,8 +4,10 @@ import threading
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager
 
+from silent_observer import SilentObserver
+
 from palmd.daemon.bus import Bus
-from palmd.daemon.core import Core, unknown_estimate
+from palmd.daemon.core import Core
 from palmd.daemon.lifecycle import State
 from palmd.rig.pads import GOOD_PADS
 from palmd.rig.world import STEP_S, World
@@ -25,24 +27,6 @@ class AtOnce(Executor):
         return future
 
 
-class _Deaf:
-    """An observer that knows nothing: a calibration needs none."""
-
-    name, object_count, late_dropped, foresees = "deaf", 0, 0, False
-
-    def feed(self, event):
-        pass
-
-    def estimate(self, t):
-        return unknown_estimate(t, self)
-
-    def shape(self, _t):
-        return None
-
-    def outlook(self, _t):
-        return None
-
-
 @contextmanager
 def running(real, config, seed, body, crossed=False, pad_options=GOOD_PADS):
     """A rig as `real` says with `body` on its palms, and a daemon on it as `config` says; the world, for mischief.
@@ -51,7 +35,7 @@ def running(real, config, seed, body, crossed=False, pad_options=GOOD_PADS):
     """
     plug = {"pad1": "pad2", "pad2": "pad1"} if crossed else {}
     world = World(real, seed, body=body, pad_options=pad_options)
-    core = Core(config, _Deaf(), AtOnce())
+    core = Core(config, SilentObserver(), AtOnce())
     bus, over = Bus(config.bus.publish, config.bus.command), threading.Event()
     ready = threading.Event()
     for end in ("pad1", "pad2", "arm"):

@@ -156,7 +156,7 @@ def test_an_update_is_the_textbooks(model) -> None:
 
     h = _differences(predicted, x)
     value = float(predicted(x)[0] + 8e-5)
-    x_next, P_next, score = (_array(v) for v in update(x, P, [value, R, 16.0, *extra]))
+    x_next, P_next, score = (_array(v) for v in update(x, P, [value, R, 16.0, 1.0, *extra]))
     S = float((h @ P @ h.T)[0, 0]) + R
     assert x_next.ravel() == pytest.approx(x + (P @ h.T).ravel() / S * 8e-5, rel=1e-6, abs=1e-12)
     wanted = P - P @ h.T @ h @ P / S
@@ -164,6 +164,11 @@ def test_an_update_is_the_textbooks(model) -> None:
     assert (np.linalg.eigvalsh(P_next) > 0).all()
     nis = (8e-5) ** 2 / S
     assert score.ravel() == pytest.approx([-0.5 * (np.log(S) + nis), nis], rel=1e-6)
+    one_of_nine = [_array(v) for v in update(x, P, [value, R, 16.0, 9.0, *extra])]
+    weak = [_array(v) for v in update(x, P, [value, 9.0 * R, 16.0, 1.0, *extra])]
+    assert one_of_nine[0] == pytest.approx(weak[0], rel=1e-9)
+    assert one_of_nine[1] == pytest.approx(weak[1], rel=1e-9)
+    assert one_of_nine[2].ravel() == pytest.approx([score.ravel()[0] / 9.0, nis], rel=1e-6)
 
 
 @pytest.mark.parametrize("model", [extended, shape_map], ids=["extended", "shape_map"])
@@ -177,10 +182,10 @@ def test_an_outlier_moves_the_state_no_more_than_a_reading_on_the_gate(model) ->
     _, readings = shape.contact_rows(PALMS[0] - 0.2, PALMS[1])
     at = readings[0] @ _shape_state(np.random.default_rng(7))[shape_map.Z.SHAPE :]
     gate, R = 16.0, 1.1e-8
-    far = _array(update(x, P, [at + 5e-3, R, gate, *extra])[0]).ravel() - x
-    on_the_gate = _array(update(x, P, [at + 5e-3, R, 1e9, *extra])[0]).ravel() - x
+    far = _array(update(x, P, [at + 5e-3, R, gate, 1.0, *extra])[0]).ravel() - x
+    on_the_gate = _array(update(x, P, [at + 5e-3, R, 1e9, 1.0, *extra])[0]).ravel() - x
     assert np.linalg.norm(far) < 0.7 * np.linalg.norm(on_the_gate)
-    P_far = _array(update(x, P, [at + 0.5, R, gate, *extra])[1])
+    P_far = _array(update(x, P, [at + 0.5, R, gate, 1.0, *extra])[1])
     assert P_far == pytest.approx(P, rel=1e-3, abs=1e-3 * np.abs(P).max()), "a wild reading teaches nothing"
 
 

@@ -7,6 +7,7 @@ import sys
 from collections import UserList
 
 import pytest
+from silent_observer import SilentObserver
 from simulated import simulated
 from threadpoolctl import threadpool_info, threadpool_limits
 
@@ -70,7 +71,7 @@ class Watched(UserList):
         return iter(self.data)
 
 
-class Watch:
+class Watch(SilentObserver):
     """An observer that only notes the threads."""
 
     def __init__(self):

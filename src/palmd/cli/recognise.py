@@ -7,12 +7,12 @@ import json
 from collections.abc import Iterator
 from pathlib import Path
 
+from palmd import observer
 from palmd.cli.logs import STDOUT, opened, read
 from palmd.cli.outlines import read_outlines
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import Progress
 from palmd.events import ObjectEstimate
-from palmd.observer import Recogniser
 from palmd.record.eventlog import EventLog
 from palmd.record.recognition import as_line, table, verdict
 from palmd.record.replay import replay, tick_count
@@ -29,7 +29,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Prints the table after the last event; CliError when log or library cannot be used, or nothing was felt."""
     outlines = read_outlines(arguments.library)
     log = read(arguments.log)
-    found = verdict(_estimates(log, Recogniser(outlines, log.rig)))
+    found = verdict(_estimates(log, observer.make("shape", log.rig, outlines=outlines)))
     if found is None:
         raise CliError(BAD_INPUT, f"{arguments.log}: the object never touched both palms: nothing to recognise")
     if arguments.output != STDOUT:
@@ -40,7 +40,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _estimates(log: EventLog, recogniser: Recogniser) -> Iterator[ObjectEstimate]:
+def _estimates(log: EventLog, recogniser: observer.Observer) -> Iterator[ObjectEstimate]:
     with Progress("recognising", tick_count(log), "ticks") as progress:
         for tick in replay(log, recogniser):
             estimate = recogniser.identify(tick.t)

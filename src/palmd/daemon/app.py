@@ -151,9 +151,11 @@ def _explorer(config: Config, stack: ExitStack) -> ExplorerProcess | None:
     return explorer
 
 
-def _counters(smoother: SmootherProcess | None, estimator: object, explorer: ExplorerProcess | None) -> Fields:
+def _counters(
+    smoother: SmootherProcess | None, estimator: observer.Observer, explorer: ExplorerProcess | None
+) -> Fields:
     return {
-        "smoother_improvements": estimator.improvements if isinstance(estimator, observer.SmoothedObserver) else 0,
+        "smoother_improvements": estimator.improvements,
         "smoother_starts": smoother.starts if smoother else 0,
         "smoother_dropped": smoother.dropped if smoother else 0,
         "explorer_starts": explorer.starts if explorer else 0,

@@ -14,7 +14,6 @@ import math
 from collections.abc import Callable, Iterable
 from concurrent.futures import Executor
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 from palmd.config import Config
 from palmd.daemon.commands import Reply, Request
@@ -30,7 +29,7 @@ from palmd.daemon.swap import SwapWatch
 from palmd.devices.actuator import ArmState
 from palmd.devices.pad import PadDriver, make_pad
 from palmd.devices.port import DevicePort
-from palmd.events import Estimate, Event, Improvement, ObjectEstimate, Outlook, PadSample, ShapeEstimate
+from palmd.events import Estimate, Event, Improvement, ObjectEstimate, PadSample, ShapeEstimate
 from palmd.faults import FaultMonitor
 from palmd.messages import (
     Fields,
@@ -46,6 +45,7 @@ from palmd.messages import (
 )
 from palmd.motion.check import motion_limits
 from palmd.motion.kinematics import RigGeometry
+from palmd.observer.observer import Observer
 from palmd.quantities import CONTACT, ESTIMATE, EVENTS, IMPROVEMENT, MOTION, OBJECT, SHAPE, STATE, Topic
 from palmd.system.mechanism import PALMS
 
@@ -60,55 +60,6 @@ OUTSIDE = math.radians(1.0)
 
 def _always() -> bool:
     return True
-
-
-class Observer(Protocol):
-    """What the core asks of an observer (`palmd.observer.make`)."""
-
-    @property
-    def name(self) -> str:
-        """As in estimates."""
-
-    @property
-    def object_count(self) -> int:
-        """Counts up when a new object is begun."""
-
-    @property
-    def late_dropped(self) -> int:
-        """Events that could not be fused."""
-
-    def feed(self, event: Event) -> None:
-        """Take one event."""
-
-    def estimate(self, t: float) -> Estimate:
-        """The answer for time `t` (s)."""
-
-    def shape(self, t: float) -> ShapeEstimate | None:
-        """The outline, None before anything is felt."""
-
-    @property
-    def foresees(self) -> bool:
-        """Whether there is an outlook, of an estimate that need not be valid yet."""
-
-    def outlook(self, t: float) -> Outlook | None:
-        """What is known for choosing motions, None unless it `foresees`."""
-
-
-@runtime_checkable
-class RecognisingObserver(Observer, Protocol):
-    """An observer that has stored outlines to choose from."""
-
-    def identify(self, t: float) -> ObjectEstimate | None:
-        """Which object it is, None before anything is felt."""
-
-
-@runtime_checkable
-class SmoothingObserver(Observer, Protocol):
-    """An observer with a smoother beside the loop."""
-
-    @property
-    def answered(self) -> Improvement | None:
-        """What the smoother had to say in the last estimate."""
 
 
 class Core:
@@ -142,7 +93,6 @@ class Core:
             self.arm, self.setpoints, self.exploring, self.faults, aside, plan, plans, autostart=config.autostart
         )
         self._observer = observer
-        self._improved = observer if isinstance(observer, SmoothingObserver) else None
         self._estimate = unknown_estimate(-math.inf, observer)
         self._shape: ShapeEstimate | None = None
         self._object: ObjectEstimate | None = None
@@ -236,14 +186,12 @@ class Core:
                 if not between():
                     self._events = events[number:]
                     break
+            self._answered = self._observer.improve(t)
             self._estimate = self._observer.estimate(t)
-            if self._improved is not None:
-                self._answered = self._improved.answered
             if t - self._t_shape >= SLOW_TOPIC_S - _EARLY_S:
                 between()
                 self._shape = self._observer.shape(t)
-                if isinstance(self._observer, RecognisingObserver):
-                    self._object = self._observer.identify(t)
+                self._object = self._observer.identify(t)
                 self._t_shape = t
         except Exception:  # whatever is wrong with a model, the arm must be stopped in good order
             if not self._observer_failed:

@@ -18,8 +18,8 @@ import numpy as np
 from palmd.daemon.worker import WorkerProcess, give_back_memory, meet
 from palmd.events import Event, Improvement, PadLift, PadSample, PalmSample
 from palmd.model import shape_map, smoothing
-from palmd.observer.incremental import IncrementalSmoother, Session
-from palmd.observer.smoothed_observer import period
+from palmd.observer.incremental import IncrementalSmoother
+from palmd.observer.smoothing import Session, period
 from palmd.system.description import PadSensor, RigDescription
 
 BATCH_S = 0.05  # of events that go out in one message

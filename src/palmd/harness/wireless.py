@@ -16,7 +16,7 @@ import msgpack
 from palmd import observer
 from palmd.config import Config, PlanSpec, rig_description
 from palmd.daemon.commands import parse
-from palmd.daemon.core import Core, Observer
+from palmd.daemon.core import Core
 from palmd.daemon.exploration_requests import Decider, InlineExplorer, Source
 from palmd.daemon.lifecycle import State
 from palmd.daemon.planner import Plan
@@ -24,8 +24,7 @@ from palmd.faults import Severity
 from palmd.messages import Fields
 from palmd.motion.check import motion_limits
 from palmd.motion.plan import compile_plan
-from palmd.observer import ObserverName
-from palmd.observer.smoothed_observer import Smoothing
+from palmd.observer import Observer, ObserverName, Smoothing
 from palmd.rig.pads import GOOD_PADS, PadOptions
 from palmd.rig.plant import AS_ASSUMED, PlantOptions
 from palmd.rig.shapes import Kind

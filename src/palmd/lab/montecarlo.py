@@ -28,7 +28,7 @@ from palmd.lab.simulated import simulated
 from palmd.observer.bound import cramer_rao
 from palmd.observer.reconstruct import reconstruct
 from palmd.record.eventlog import EventLog
-from palmd.record.replay import ReplayObserver, replay
+from palmd.record.replay import replay
 from palmd.rig.shapes import KINDS, Kind
 
 TICKS_PER_SHAPE = 10
@@ -79,7 +79,7 @@ def _run(task: MonteCarloTask) -> MonteCarloRow:
     return row_of(task.kind, task.seed, truth, answer, outline, bound, causal)
 
 
-def answers(log: EventLog, told: Line, watcher: ReplayObserver) -> Answers:
+def answers(log: EventLog, told: Line, watcher: observer.Observer) -> Answers:
     """Everything that the observer says of the run, tick by tick, against the truth that was `told`."""
     true_h = np.array(told["h_m"])
     t, valid, r, sd, e_h, latest = [], [], [], [], [], math.nan

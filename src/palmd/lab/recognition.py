@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from palmd import observer
 from palmd.events import Estimate, FloatArray, ObjectEstimate
 from palmd.lab.montecarlo_summary import quantile
 from palmd.lab.siblings import as_stored, siblings
 from palmd.lab.simulated import simulated
 from palmd.lab.table import aligned
-from palmd.observer import Recogniser
 from palmd.record.recognition import NONE_OF_THESE, verdict
 from palmd.record.replay import replay
 from palmd.rig.shapes import KINDS, Kind
@@ -83,7 +83,7 @@ def _run(task: RecognitionTask) -> RecognitionRow:
     none = task.seed % NONE_EVERY == NONE_EVERY - 1
     chosen = COUNT if none else int(random.integers(COUNT))
     log, told = simulated(task.kind, task.seed, task.seconds, bodies[chosen])
-    recogniser = Recogniser(outlines, log.rig)
+    recogniser = observer.make("shape", log.rig, outlines=outlines)
     estimates: list[ObjectEstimate] = []
     valid: list[Estimate] = []
     for tick in replay(log, recogniser):

@@ -46,6 +46,7 @@ class X(IntEnum):
 MOVING = X.RHO  # states before this one move; the rest are constants of the object
 N = X.CURVATURE + 2 * HARMONICS - 1
 PREDICTION_INPUTS = 5 + RIG_INPUTS
+UPDATE_INPUTS = 4
 MEASURED = (X.S1, X.S2, X.PHI1, X.PHI2, X.OMEGA1, X.OMEGA2)
 
 # What the model leaves out, as white noise on the rates; small, so that it matters over seconds only.
@@ -122,23 +123,24 @@ def predict_function() -> ca.Function:
 
 
 def update_function(name: str, state: int) -> ca.Function:
-    """(x, P, [value, variance, gate]) → (x, P, [log-likelihood, NIS]) for one scalar reading of one state.
+    """(x, P, [value, variance, gate, repeated]) → (x, P, [log-likelihood, NIS]) for one scalar reading of one state.
 
     Joseph form, so P stays symmetric positive definite. A reading beyond `gate` (in innovation²) has its variance
     inflated until it sits on the gate: an outlier moves the state little, and a filter that has lost the object
-    is not locked out. The likelihood is the honest one, bounded far outside the gate.
+    is not locked out. The likelihood is the honest one, bounded far outside the gate. A reading that is one of
+    `repeated` weighs as in `model.shape_map`.
     """
-    x, P, z = SX.sym("x", N), SX.sym("P", N, N), SX.sym("z", 3)
-    value, variance, gate = ca.vertsplit(z)
+    x, P, z = SX.sym("x", N), SX.sym("P", N, N), SX.sym("z", UPDATE_INPUTS)
+    value, variance, gate, repeated = ca.vertsplit(z)
     innovation = value - x[state]
     spread = P[state, state]
     nis = innovation**2 / (spread + variance)
-    S = ca.fmax(spread + variance, innovation**2 / gate)
+    S = ca.fmax(spread + repeated * variance, innovation**2 / gate)
     k = P[:, state] / S
     # (I − k hᵀ) P (I − k hᵀ)ᵀ + k R kᵀ, written out for h a unit vector
     cross = k @ P[state, :]
     P_next = P - cross - cross.T + (k @ k.T) * S
-    score = -0.5 * (ca.log(spread + variance) + ca.fmin(nis, 4 * gate))
+    score = -0.5 * (ca.log(spread + variance) + ca.fmin(nis, 4 * gate)) / repeated
     outputs = [x + k * innovation, ca.triu2symm(ca.triu(P_next)), ca.vertcat(score, nis)]
     return ca.Function(name, [x, P, z], outputs, ["x", "P", "z"], ["x_next", "P_next", "score"])
 

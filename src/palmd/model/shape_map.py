@@ -40,6 +40,7 @@ def size(order: int) -> int:
 N = size(HARMONICS)
 PALM_INPUTS = 6  # φ1, φ2, ω1, ω2, α1, α2
 PREDICTION_INPUTS = 3 + PALM_INPUTS + RIG_INPUTS
+UPDATE_INPUTS = 6
 
 Q_OMEGA0 = 0.02**2  # (rad/s)²/s, what the model leaves out
 Q_PSI = 1e-4**2  # rad²/s
@@ -90,25 +91,26 @@ def predict_function(order: int = HARMONICS) -> ca.Function:
 
 
 def update_function(name: str, pad: int, order: int = HARMONICS) -> ca.Function:
-    """(x, P, [value, variance, gate, φ1, φ2]) → (x, P, [log-likelihood, NIS]) for one reading of `pad`.
+    """(x, P, [value, variance, gate, repeated, φ1, φ2]) → (x, P, [log-likelihood, NIS]) for one reading of `pad`.
 
-    Joseph form; the variance of a reading beyond the gate is inflated until it sits on the gate.
+    Joseph form; the variance of a reading beyond the gate is inflated until it sits on the gate. It is one of
+    `repeated` that share one error, and weighs as much less; its NIS is told as if it were the only one.
     """
     n = size(order)
-    x, P, z = SX.sym("x", n), SX.sym("P", n, n), SX.sym("z", 5)
-    value, variance, gate = z[0], z[1], z[2]
-    palms = Palms(z[3], z[4], SX(0), SX(0), SX(0), SX(0))
+    x, P, z = SX.sym("x", n), SX.sym("P", n, n), SX.sym("z", UPDATE_INPUTS)
+    value, variance, gate, repeated = z[0], z[1], z[2], z[3]
+    palms = Palms(z[4], z[5], SX(0), SX(0), SX(0), SX(0))
     predicted = readings(palms.phi2, *_contacts(x, palms))[pad - 1]
     h = ca.jacobian(predicted, x)
     innovation = value - predicted
     Ph = P @ h.T
     spread = h @ Ph
     nis = innovation**2 / (spread + variance)
-    S = ca.fmax(spread + variance, innovation**2 / gate)
+    S = ca.fmax(spread + repeated * variance, innovation**2 / gate)
     k = Ph / S
     cross = k @ Ph.T
     P_next = P - cross - cross.T + (k @ k.T) * S
-    score = -0.5 * (ca.log(spread + variance) + ca.fmin(nis, 4 * gate))
+    score = -0.5 * (ca.log(spread + variance) + ca.fmin(nis, 4 * gate)) / repeated
     outputs = [x + k * innovation, ca.triu2symm(ca.triu(P_next)), ca.vertcat(score, nis)]
     return ca.Function(name, [x, P, z], outputs, ["x", "P", "z"], ["x_next", "P_next", "score"])
 

@@ -6,29 +6,27 @@ from collections.abc import Sequence
 from typing import Literal, get_args
 
 from palmd.model.smoothing import ORDER
-from palmd.observer.bank_observer import BankObserver, SmoothedFilters
-from palmd.observer.filters import ExtendedFilters, ShapeFilters
+from palmd.observer.bank_observer import BankObserver
+from palmd.observer.filters.base import NOT_OVERCONFIDENT
+from palmd.observer.filters.extended import ExtendedFilters
+from palmd.observer.filters.shape_map import ShapeFilters
+from palmd.observer.handover import Handover
+from palmd.observer.observer import Observer
 from palmd.observer.quasistatic import QuasistaticObserver
 from palmd.observer.recogniser import Recogniser
-from palmd.observer.smoothed_observer import Simulated, SmoothedObserver, Smoothing
+from palmd.observer.returning_object import ReturningObject, SmoothedFilters
+from palmd.observer.simulated_smoother import Simulated
+from palmd.observer.smoother_link import SmootherLink
+from palmd.observer.smoothing import Smoothing
 from palmd.outlinefile import Outline
 from palmd.system.description import RigDescription
 
 ObserverName = Literal["shape", "extended", "quasistatic"]
 OBSERVERS: tuple[str, ...] = get_args(ObserverName)
 
-__all__ = [
-    "OBSERVERS",
-    "BankObserver",
-    "ObserverName",
-    "QuasistaticObserver",
-    "Recogniser",
-    "Simulated",
-    "SmoothedObserver",
-    "make",
-]
+__all__ = ["OBSERVERS", "Observer", "ObserverName", "Simulated", "Smoothing", "make"]
 
-EXTENDED_BANK, SHAPE_BANK, AGAIN_BANK = 24, 32, 24  # multiples of model.compiled.BLOCK
+EXTENDED_BANK, SHAPE_BANK, KNOWN_BANK = 24, 32, 24  # multiples of model.compiled.BLOCK
 
 
 def make(
@@ -37,7 +35,7 @@ def make(
     seed: int = 0,
     smoothing: Smoothing | None = None,
     outlines: Sequence[Outline] = (),
-) -> BankObserver | SmoothedObserver | Recogniser | QuasistaticObserver:
+) -> Observer:
     """The observer called `name` for `rig`; takes seconds when its C has to be compiled first.
 
     `smoothing` says where the smoother of a shape map runs; without it there is none, nor for other observers. With
@@ -48,9 +46,13 @@ def make(
     if name == "extended":
         return BankObserver(ExtendedFilters(rig, EXTENDED_BANK), rig, seed)
     if outlines:
-        return Recogniser(outlines, rig, seed)
+        recogniser = Recogniser(outlines, rig)
+        return BankObserver(recogniser.filters, rig, seed, recogniser)
     filters = ShapeFilters(rig, SHAPE_BANK)
     if smoothing is None:
         return BankObserver(filters, rig, seed)
-    smoothed = SmoothedFilters(ShapeFilters(rig, AGAIN_BANK, order=ORDER), ShapeFilters(rig, 1, order=ORDER))
-    return SmoothedObserver(BankObserver(filters, rig, seed, smoothed), rig, smoothing)
+    known, single = (ShapeFilters(rig, size, order=ORDER, overconfidence=NOT_OVERCONFIDENT) for size in (KNOWN_BANK, 1))
+    smoothed = SmoothedFilters(known, single)
+    hypotheses = ReturningObject(rig, filters, smoothed)
+    link = SmootherLink(smoothing, rig, Handover(rig, filters, smoothed, hypotheses))
+    return BankObserver(filters, rig, seed, hypotheses, link)

@@ -1,13 +1,28 @@
-"""From a filter's numbers to the published estimate. Pure, safe inside the loop."""
+"""From a filter's numbers to what is published: estimate, outline, outlook. Pure, safe inside the loop."""
 
 from __future__ import annotations
 
 import math
+from functools import cache
 
-from palmd.events import Estimate, FloatArray, PalmMotion
+import numpy as np
+import numpy.typing as npt
+
+from palmd.events import Estimate, FloatArray, Outlook, PalmMotion, ShapeEstimate
+from palmd.model import shape, shape_map
 from palmd.model.outputs import NAMED
+from palmd.observer.coverage import NORMAL_BINS, Marks
+from palmd.observer.filters.base import Filters
 from palmd.observer.mass import MassEstimator
+from palmd.observer.outline import gauge_free_sd
 from palmd.system.mechanism import FORCES, JOINT_RATES, JOINTS
+
+DIRECTIONS = 180  # of the published outline
+THETA: FloatArray = np.linspace(0.0, 2 * np.pi, DIRECTIONS, endpoint=False)
+BIN_OF_THETA = (THETA / (2 * np.pi) * NORMAL_BINS).astype(np.intp)
+SAMPLES, RIVALS = 6, 3  # in an outlook: of what the object may be besides, and how many of them rivals at most
+_BINS = np.linspace(0.0, 2 * np.pi, NORMAL_BINS, endpoint=False) + np.pi / NORMAL_BINS
+_SHAPE = slice(shape_map.Z.SHAPE, None)
 
 _UNKNOWN = dict.fromkeys((*NAMED, "mass", "nis", "observability"), math.nan)
 _UNKNOWN_SD = dict.fromkeys((*NAMED, "mass"), math.nan)
@@ -38,3 +53,55 @@ def no_answer(t: float, observer: str, object_count: int, palms: PalmMotion | No
         t=t, valid=False, observer=observer, object_count=object_count, touched=0.0,
         sd=dict(_UNKNOWN_SD), **{**_UNKNOWN, **known},
     )  # fmt: skip
+
+
+def outline_answer(
+    t: float, coefficients: FloatArray, cov: FloatArray, marks: Marks, inflation: float, radius_sd: float
+) -> ShapeEstimate:
+    """The outline of coefficients (m) with their covariance (m²) on `DIRECTIONS` normals.
+
+    `inflation` multiplies its one-sigma; `radius_sd` (m) is added, unknown on every normal alike.
+    """
+    touched = marks[BIN_OF_THETA]
+    h_sd = gauge_free_sd(THETA, THETA[touched], coefficients, cov) * inflation
+    h_sd = np.hypot(h_sd, radius_sd)
+    return ShapeEstimate(t, THETA, _direction_rows(len(coefficients)) @ coefficients, h_sd, touched)
+
+
+def outlook(
+    t: float, filters: Filters, rivals: npt.NDArray[np.intp], marks: Marks, inflation: float,
+    random: np.random.Generator, object_count: int,
+) -> Outlook | None:  # fmt: skip
+    """The leader's state, its plausible `rivals`', and draws from its belief; takes a fraction of a millisecond.
+
+    None where the filters' state is none that motions are foretold with, or the belief cannot be drawn from.
+    """
+    if not filters.rolls_out:
+        return None
+    bank, best = filters.bank, filters.bank.best()
+    state, P = filters.as_shape_map(best), bank.P[best]
+    try:
+        root = np.linalg.cholesky(P + np.diag(np.full(len(P), 1e-16)))[: shape_map.N, : shape_map.N]
+    except np.linalg.LinAlgError:
+        return None
+    others = [number for number in rivals if number != best][:RIVALS]
+    drawn = state + inflation * random.standard_normal((SAMPLES - len(others), len(state))) @ root.T
+    samples = np.vstack([*(filters.as_shape_map(other) for other in others), drawn])
+    for constant in (shape_map.Z.MU, shape_map.Z.DAMPING):
+        samples[:, constant] = np.abs(samples[:, constant])
+    outline = P[_SHAPE, _SHAPE]
+    rows = bin_rows(len(outline))
+    h_sd = inflation * np.sqrt(np.maximum(((rows @ outline) * rows).sum(axis=1), 0.0))
+    return Outlook(t, np.vstack([state, samples]), marks.copy(), h_sd, object_count)
+
+
+@cache
+def _direction_rows(coefficients: int) -> FloatArray:
+    """Values of the outline's harmonics on the published directions."""
+    return shape.basis(THETA, (coefficients - 1) // 2)
+
+
+@cache
+def bin_rows(coefficients: int) -> FloatArray:
+    """Values of the outline's harmonics in the middles of the bins of normals."""
+    return shape.basis(_BINS, (coefficients - 1) // 2)

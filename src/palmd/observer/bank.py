@@ -1,8 +1,8 @@
-"""A bank of Kalman filters run side by side in generated C, scored by how well each foresaw the readings.
+"""A bank of Kalman filters run side by side in generated C, each weighed by how well it predicted the readings.
 
 One filter started blind is lost in a third of the starts whatever its tuning; of many started from samples of the
 prior some land in the right basin, and the readings tell which. The bank knows nothing of the model: it holds
-arrays, calls the kernels, keeps the scores, and drops the hopeless.
+arrays, calls the kernels, keeps the scores, and prunes what is unlikely.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from palmd.model.compiled import BLOCK, BoundCall, Library
 from palmd.observer.cutoff import cut_off
 
 GATE = 16.0  # innovation² beyond which a reading is an outlier: 4 sigma
-SCORE_MEMORY_S = 2.0  # longer, and early luck keeps a filter in the lead that has since gone wrong
+SCORE_MEMORY_S = 2.0  # longer, and what was likely early leads after it has gone wrong
 NIS_READINGS = 50.0  # readings over which each filter's mean NIS is taken
 LOST_SCORE = -math.inf
 
@@ -46,9 +46,9 @@ class Belief:
 class Bank:
     """Filters with `n` states each: mean `x` (size, n), covariance `P` (size, n, n), log-score, mean NIS.
 
-    `size` is a multiple of the kernels' block; it shrinks when `prune` drops hopeless filters and is back at its
+    `size` is a multiple of the kernels' block; it shrinks when `prune` drops unlikely filters and is back at its
     full value after `refill`. All methods are safe inside the loop: nothing grows, nothing blocks, and a filter that
-    has become non-finite is out of the race and never read.
+    has become non-finite is inactive and never read.
     """
 
     def __init__(
@@ -103,12 +103,12 @@ class Bank:
 
     @property
     def size(self) -> int:
-        """How many filters are in the race."""
+        """How many filters are active."""
         return self._blocks * self.block
 
     @property
     def blocks(self) -> int:
-        """How many blocks of filters are in the race."""
+        """How many blocks of filters are active."""
         return self._blocks
 
     def members(self, block: int) -> slice:
@@ -136,7 +136,7 @@ class Bank:
         return self._nis[: self.size]
 
     def refill(self) -> None:
-        """All filters back into the race, with equal scores; their states are the caller's to set."""
+        """All filters active again, with equal scores; their states are the caller's to set."""
         self._blocks = self.full_size // self.block
         self._score[:] = 0.0
         self._nis[:] = 1.0
@@ -147,11 +147,19 @@ class Bank:
         self._u[1:] = np.concatenate(inputs)
         self._call(self._predict)
         self._side = 1 - self._side
-        self.score[:] *= math.exp(-dt / self._memory_s)
 
-    def update(self, name: str, value: float, variance: float, *inputs: float, scored: bool = True) -> None:
-        """Fuse one scalar reading into every filter; `scored` says whether it counts in the race."""
-        self._z[name][:] = (value, variance, GATE, *inputs)
+    def age_scores(self, seconds: float) -> None:
+        """Let what the readings so far have scored weigh less."""
+        self.score[:] *= math.exp(-seconds / self._memory_s)
+
+    def update(
+        self, name: str, value: float, variance: float, *inputs: float, repeated: float = 1.0, scored: bool = True
+    ) -> None:
+        """Fuse one scalar reading into every filter, one of `repeated` that share one error.
+
+        `scored` says whether it counts in the score.
+        """
+        self._z[name][:] = (value, variance, GATE, repeated, *inputs)
         self._call(self._updates[name])
         self._side = 1 - self._side
         outcome = self._outcome[: self.size]
@@ -222,7 +230,7 @@ class Bank:
         return order[: self.size]
 
     def drop(self, members: npt.NDArray[np.bool_]) -> None:
-        """Take some filters out of the race for good."""
+        """Make some filters inactive for good."""
         self.score[members] = LOST_SCORE
 
     def best(self) -> int:
@@ -257,10 +265,10 @@ class Bank:
             call()
 
     def _park(self, sound: npt.NDArray[np.bool_]) -> None:
-        """Take filters that have become non-finite out of the race, with a finite state so that no NaN spreads."""
+        """Take filters that have become inactive, with a finite state so that no NaN spreads."""
         if sound.any():
-            heir = int(np.argmax(np.where(sound, self.score, -np.inf)))
-            self.x[~sound], self.P[~sound] = self.x[heir], self.P[heir]
+            successor = int(np.argmax(np.where(sound, self.score, -np.inf)))
+            self.x[~sound], self.P[~sound] = self.x[successor], self.P[successor]
         else:
             self.x[:], self.P[:] = 0.0, np.eye(self.n)
         self._outcome[: self.size][~sound] = 0.0

@@ -63,11 +63,11 @@ def cramer_rao(events: Sequence[Event], rig: RigDescription, truth: Truth, theta
     `theta`: normals (rad) in the truth's gauge; as in every published outline, the error of the orientation itself is
     no part of the band. Raises ValueError where there is nothing to reconstruct.
     """
-    stretch = longest_segment(events)
-    if stretch is None:
+    segment = longest_segment(events)
+    if segment is None:
         raise ValueError("there is no time at which both pads and the arm report")
-    search = Search(stretch, rig)
-    record = lay_out(stretch.pads, search.path, rig, stretch.start, stretch.end, SPACING_S)
+    search = Search(segment, rig)
+    record = lay_out(segment.pads, search.path, rig, segment.start, segment.end, SPACING_S)
     guess = _true_guess(truth, search.prior, record.t)
     expected = _expected(record, Smoother(search.library, record, search.prior), rig, guess)
     smoother = Smoother(search.library, expected, search.prior)

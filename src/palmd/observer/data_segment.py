@@ -63,12 +63,12 @@ def data_segments(events: Sequence[Event], pad_gap_s: float = PAD_GAP_S) -> list
         else:
             palms.append(event)
     close()
-    return [stretch for stretch in found if stretch is not None]
+    return [segment for segment in found if segment is not None]
 
 
 def longest_segment(events: Sequence[Event]) -> DataSegment | None:
     """The longest one, None if there is no time at all at which both pads and the arm report."""
-    return max(data_segments(events), key=lambda stretch: stretch.end - stretch.start, default=None)
+    return max(data_segments(events), key=lambda segment: segment.end - segment.start, default=None)
 
 
 def _trimmed(pads: list[PadSample], palms: list[PalmSample]) -> DataSegment | None:

@@ -1,4 +1,4 @@
-"""An improved filter on its way into a running bank: it must first read what came since the time it is about."""
+"""A filter from a smoother's posterior on its way to the present: it must first read what came since that time."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ import numpy as np
 
 from palmd.events import Event, FloatArray, Improvement, PadSample, PalmSample
 from palmd.model.smoothing import ORDER
-from palmd.observer.filters import ShapeFilters, carry
+from palmd.observer.filters.base import carry
+from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.palms import PalmTracker
 from palmd.system.description import RigDescription
 
-LEAST_READINGS = 30  # by which a newcomer is judged before it joins
+LEAST_READINGS = 30  # by which it is judged before it takes part
 LEAD_S = 0.3  # of the arm's reports before that time, from which the palms' motion is known
 
 
@@ -64,12 +65,13 @@ class FilterCatchUp:
                 sample = self._filters.rig_error.on_time(event)
                 if sample.t_sample >= self._t:
                     self._move_to(sample.t_sample)
-                    self._filters.fuse_pad(sample, float(self._variances[sample.pad - 1]), self._palms)
+                    variance = float(self._variances[sample.pad - 1])
+                    self._filters.fuse_pad(sample, variance, self._palms, self._palms.repeated)
                     self._read += 1
         return not self._waiting and self._read >= LEAST_READINGS
 
     def state_at(self, t: float) -> tuple[FloatArray, FloatArray, float]:
-        """(mean, covariance, mean NIS since the beginning) at `t` (s); ends its work."""
+        """(mean, covariance, mean NIS since then) at `t` (s); ends its work."""
         self._move_to(max(t, self._t))
         self.active = False
         bank = self._filters.bank

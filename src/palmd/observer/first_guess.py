@@ -15,7 +15,7 @@ from palmd.model.smoothing import CONSTANTS, ORDER, RIG, C
 from palmd.observer import prior
 from palmd.observer.bank_observer import BankObserver
 from palmd.observer.factor import Prior
-from palmd.observer.filters import ShapeFilters
+from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.normal_equations import Guess
 from palmd.system.description import RigDescription
 

@@ -1,6 +1,6 @@
 """A known object, smoothed on: the latest readings by their trajectory, everything older as a chain of information.
 
-What is open, i.e. in no segment of the chain yet, is smoothed again with each answer, and its beginning is closed as it
+What is open, i.e. in no segment of the chain yet, is smoothed again with each answer, and its start is closed as it
 grows. What was felt of the same object before it was taken away joins the chain. Not for use inside the loop.
 """
 
@@ -22,7 +22,7 @@ from palmd.observer.search import NOISE, Minima, Search, explained
 from palmd.system.description import RigDescription
 
 PATIENCE = 2  # windows that may fail: an answer that hard to find comes too late
-LEAST_S = 1.0  # of readings at the end of a stretch that are worth an iteration
+LEAST_S = 1.0  # of readings at the end of a segment that are worth an iteration
 OPEN_S = 1.5  # of the latest readings at least that no segment holds
 LOST_S = 6.0  # of readings that what is known does not explain, after which the object is sought anew
 TAIL_S = 0.5  # before an object was lost: it may have been held already
@@ -67,15 +67,15 @@ class Follower:
         """Earlier readings are of no use any more (s)."""
         return self._open.start
 
-    def smoothed(self, stretch: DataSegment) -> Answer | None:
-        """With the readings of `stretch`, as far as they have come; None while they are in doubt."""
-        answer = self._smoothed(stretch, self._open.guess)
+    def smoothed(self, segment: DataSegment) -> Answer | None:
+        """With the readings of `segment`, as far as they have come; None while they are in doubt."""
+        answer = self._smoothed(segment, self._open.guess)
         if answer is None:
-            self.lost = stretch.end - self._open.start > LOST_S
+            self.lost = segment.end - self._open.start > LOST_S
             return None
         guess = answer.finding.fits[0].guess
         if self._chain.renew(guess.p, guess.x[0]):
-            answer = self._smoothed(stretch, guess) or answer
+            answer = self._smoothed(segment, guess) or answer
         self._go_on(answer)
         return answer
 
@@ -103,9 +103,9 @@ class Follower:
         """What the chain tells of the object."""
         return Felt(self._chain.told(self._open.guess.p), self._closed)
 
-    def _smoothed(self, stretch: DataSegment, guess: Guess) -> Answer | None:
+    def _smoothed(self, segment: DataSegment, guess: Guess) -> Answer | None:
         present = self._open
-        search = Search(stretch, self._rig, PATIENCE, self._chain.known(guess.p), present.start, present.resting_since)
+        search = Search(segment, self._rig, PATIENCE, self._chain.known(guess.p), present.start, present.resting_since)
         finding = search.followed(Guess(guess.x[: len(search.record.t)], guess.p))
         # palms at rest are no reason for doubt here
         if finding is None or not (finding.fits[0].settled and explained(finding.fits[0], finding.record)):

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from palmd.observer.matching import Felt
 from palmd.observer.outline import made_convex, normal_angles
 from palmd.observer.seeker import Seeker
 from palmd.observer.smoother import Smoother
+from palmd.observer.smoothing import Session
 from palmd.system.description import RigDescription
 
 FOUND_S = 8.0  # of readings, after which what has been found is beyond question
@@ -38,18 +38,6 @@ _FROM = np.concatenate(
     ]
 ).astype(np.intp)
 _OUTLINE = slice(shape_map.Z.SHAPE, None)
-
-
-@dataclass(frozen=True, slots=True)
-class Session:
-    """Which object is on the palms, counted from 1, and since when (s, inf while there is none).
-
-    `hint`: the state of `model.shape_map` that a bank of filters has settled on, if it has.
-    """
-
-    object_count: int
-    begun: float
-    hint: FloatArray | None = None
 
 
 NO_SESSION = Session(0, math.inf)
@@ -97,34 +85,34 @@ class IncrementalSmoother:
         found = data_segments(self._events)
         if not found or math.isinf(self._session.begun):
             return None
-        stretch = found[-1]
-        if self._follower is not None and stretch.start > self._follower.needs_from + LEAD_S:
+        segment = found[-1]
+        if self._follower is not None and segment.start > self._follower.needs_from + LEAD_S:
             self._end(found[:-1])  # the arm was silent for a moment
-        answer = self._sought(stretch) if self._follower is None else self._followed(stretch, self._follower)
+        answer = self._sought(segment) if self._follower is None else self._followed(segment, self._follower)
         return None if answer is None else self._improvement(answer)
 
-    def _sought(self, stretch: DataSegment) -> Answer | None:
-        answer = self._found = self._seeker.sought(stretch, self._hint)
+    def _sought(self, segment: DataSegment) -> Answer | None:
+        answer = self._found = self._seeker.sought(segment, self._hint)
         self._drop_before(self._seeker.needs_from)
-        if answer is None or not (self._archive or stretch.end - stretch.start >= FOUND_S):
+        if answer is None or not (self._archive or segment.end - segment.start >= FOUND_S):
             return answer
         follower = Follower(self._rig, answer)
         if self._joined(follower):
-            answer = follower.smoothed(stretch) or answer
-        elif stretch.end - stretch.start < FOUND_S:
+            answer = follower.smoothed(segment) or answer
+        elif segment.end - segment.start < FOUND_S:
             return answer
         self._follower = follower
         self._drop_before(follower.needs_from)
         return answer
 
-    def _followed(self, stretch: DataSegment, follower: Follower) -> Answer | None:
-        answer = follower.smoothed(stretch)
+    def _followed(self, segment: DataSegment, follower: Follower) -> Answer | None:
+        answer = follower.smoothed(segment)
         if follower.lost:
             self._end([])
-            self._drop_before(stretch.end - LEAD_S)
+            self._drop_before(segment.end - LEAD_S)
             return None
         if answer is not None and self._joined(follower):
-            answer = follower.smoothed(stretch)
+            answer = follower.smoothed(segment)
         self._drop_before(follower.needs_from)
         return answer
 

@@ -1,9 +1,9 @@
-"""Which beginning of the quasistatic system is right: many integrated side by side, judged by what they lead to.
+"""Multi-start: which initial conditions of the quasistatic system are right, by what each of many leads to.
 
 The paper searches the initial conditions with the least sum of e_f and e_c (3.36, 3.37). But along a solution e_f keeps
 its first value, and e_c is zero up to noise: of the two unknown radii these two tell only one, and leave the mean free.
-What tells it is the outline: a normal that is touched again must be found where it was, by either palm. So a beginning
-is judged by e_f, by how badly one outline fits all its radii and offsets (the conflict), and by what is believed of
+What tells it is the outline: a normal that is touched again must be found where it was, by either palm. So each is
+judged by e_f, by how badly one outline fits all its radii and offsets (the conflict), and by what is believed of
 objects beforehand.
 """
 
@@ -21,14 +21,14 @@ from palmd.model.adams import AdamsBashforthMoulton
 from palmd.observer.prior import RADIUS_SD
 from palmd.system.mechanism import normal_directions
 
-MEANS, BALANCES = 24, 9  # of the grid of beginnings
+MEANS, BALANCES = 24, 9  # of the grid of initial conditions
 BLOCKS = 8  # judged one at a time, so that no tick pays for all
 BALANCE_SD = 1e-3  # m, of e_f: what friction and inertia make of a model without them, from the emulated rig
 # How sharply one outline is asked for, against what is believed of it: m, and s for which an error keeps its sign.
 NOTED_SD, ERROR_LASTS_S = 5e-4, 0.3
 # How many independent readings a conflict is worth: few, since what causes it is the model, all along.
 WORTH = 4.0
-LEAST_CONFLICT = 5e-5  # m, of a right beginning: the readings' noise, smoothed
+LEAST_CONFLICT = 5e-5  # m, of a right initial condition: the readings' noise, smoothed
 SOFTENING_M = 1e-3  # what the readings' noise makes of a rate, against how fast objects turn
 NOTED_EVERY = 5  # steps
 MOST_RADIUS_M = 0.15
@@ -37,7 +37,7 @@ _K = shape.COEFFICIENTS
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """What a set of beginnings is drawn over: mean radius and balance e_f, about a centre (m)."""
+    """What a set of initial conditions is drawn over: mean radius and balance e_f, about a centre (m)."""
 
     mean: float
     mean_width: float
@@ -45,7 +45,7 @@ class Spread:
     balance_width: float
 
     def grid(self) -> tuple[FloatArray, FloatArray]:
-        """Mean radius and balance of each beginning, evenly over centre ± width: (MEANS · BALANCES,) both."""
+        """Mean radius and balance of each initial condition, evenly over centre ± width: (MEANS · BALANCES,) both."""
         means = self.mean + np.linspace(-self.mean_width, self.mean_width, MEANS)
         balances = self.balance + np.linspace(-self.balance_width, self.balance_width, BALANCES)
         a, b = np.meshgrid(means, balances, indexing="ij")
@@ -53,7 +53,7 @@ class Spread:
 
 
 class MultiStart:
-    """Trajectories from a grid of beginnings. Every call takes bounded time and is safe inside the loop."""
+    """Trajectories from a grid of initial conditions. Every call takes bounded time and is safe inside the loop."""
 
     def __init__(
         self,
@@ -99,7 +99,7 @@ class MultiStart:
         """Integrate one step, from what is felt `here` to what is felt `there`, and take note of the outline."""
         if self.steps % NOTED_EVERY == 0:
             self._note(here)
-        with np.errstate(all="ignore"):  # a beginning that runs away is put back below, for good
+        with np.errstate(all="ignore"):  # an initial condition that runs away is put back below, for good
             self.state = self._adams.step(
                 self.state,
                 lambda y: qs.rates(here, y, self.softening),
@@ -112,7 +112,7 @@ class MultiStart:
         self.steps += 1
 
     def judge(self) -> None:
-        """Renew the conflict of the next of `BLOCKS` blocks of beginnings."""
+        """Renew the conflict of the next of `BLOCKS` blocks of initial conditions."""
         n = len(self.mean) // BLOCKS
         block = slice(self._block * n, (self._block + 1) * n)
         fit = np.linalg.solve(self._information[block], self._told[block][..., None])[..., 0]
@@ -125,11 +125,11 @@ class MultiStart:
 
     @property
     def judged(self) -> bool:
-        """Whether every beginning has been judged."""
+        """Whether every start has been judged."""
         return self.judgements >= BLOCKS
 
     def weights(self) -> FloatArray:
-        """How likely each beginning is, (n,), summing to 1; NaN when all have run away. Only once `judged`."""
+        """How likely each initial condition is, (n,), summing to 1; NaN when all have run away. Only once `judged`."""
         conflict = np.where(self._away, np.inf, np.maximum(self.conflict, LEAST_CONFLICT))
         least = conflict.min()
         if not math.isfinite(least):
@@ -139,7 +139,7 @@ class MultiStart:
         return np.asarray(weights / weights.sum())
 
     def outline(self, number: int) -> tuple[FloatArray, FloatArray]:
-        """Coefficients (m) and covariance (m²) of the outline of beginning `number`."""
+        """Coefficients (m) and covariance (m²) of the outline of initial condition `number`."""
         covariance = np.linalg.inv(self._information[number])
         return covariance @ self._told[number], covariance
 

@@ -1,4 +1,4 @@
-"""What is kept of an object when the palms lose it, and how it is known again.
+"""What is kept of an object when the palms lose it, for re-initialisation when it is put back.
 
 A settled map (outline, ρ, friction, damping, with their covariance) outlives the contact. At the next start most of
 the bank begins with it, at the orientations ψ that give the first two readings best; the rest begins blind, and the
@@ -21,15 +21,15 @@ from palmd.system.mechanism import OPENING, normal_directions
 
 KEEP_EVERY_S = 0.5
 # What filters have learnt from a blind start is believed with this times its variance, and m of its outline more.
-DOUBT, DOUBT_SD = 2.0, 1e-5
+INFLATION, INFLATION_SD_M = 2.0, 1e-5
 DIRECTIONS = 120  # orientations looked at
 APART = 2  # directions on either side of a chosen one that are not chosen
 PSI_SD = 0.06  # rad, of a filter about its orientation
 SPIN_SD = 1.0  # rad/s, of an object just put down
 # How far the same object's outline strays from what was kept, in one-sigma squared; measured: median 0.7, most 23.
-SAME = 25.0
-SAME_SMOOTHED = 60.0  # where nothing has been widened: up to some 25 directions that are felt for the first time
-SAME_WEIGHT = 0.1  # relative, between its mass and the one that resting forces give
+SAME_CHI2 = 25.0
+SAME_CHI2_SMOOTHED = 60.0  # where nothing has been widened: up to some 25 directions that are felt for the first time
+SAME_MASS = 0.1  # relative, between its mass and the one that resting forces give
 
 _PSI: FloatArray = np.arange(DIRECTIONS, dtype=np.float64) * (2 * math.pi / DIRECTIONS)
 _CONSTANTS, _OUTLINE = slice(shape_map.Z.LN_RHO, None), slice(shape_map.Z.SHAPE, None)
@@ -54,13 +54,13 @@ class KnownObject:
         return self.spread is not None
 
     def believed(self) -> FloatArray:
-        """The covariance of the constants, unless smoothed widened by `DOUBT`; ψ, ω0 as of what is put down anyhow."""
+        """The covariance of the constants, unless smoothed inflated; ψ, ω0 as of what is put down anyhow."""
         Z = shape_map.Z
         P = np.zeros_like(self.P)
         P[_CONSTANTS, _CONSTANTS] = self.P[_CONSTANTS, _CONSTANTS]
         if not self.smoothed:
-            P *= DOUBT
-            P[_OUTLINE, _OUTLINE] += np.eye(len(self.x) - shape_map.Z.SHAPE) * DOUBT_SD**2
+            P *= INFLATION
+            P[_OUTLINE, _OUTLINE] += np.eye(len(self.x) - shape_map.Z.SHAPE) * INFLATION_SD_M**2
         P[Z.PSI, Z.PSI], P[Z.OMEGA0, Z.OMEGA0] = PSI_SD**2, SPIN_SD**2
         return P
 
@@ -76,11 +76,11 @@ class KnownObject:
         """Whether the outline of state `x`, in the same gauge, is this one within what was believed of it."""
         change = x[_OUTLINE] - self.x[_OUTLINE]
         distance = change @ np.linalg.solve(self.believed()[_OUTLINE, _OUTLINE], change)
-        return bool(distance < (SAME_SMOOTHED if self.smoothed else SAME))
+        return bool(distance < (SAME_CHI2_SMOOTHED if self.smoothed else SAME_CHI2))
 
     def weighs(self, mass: float) -> bool:
         """Whether `mass` (kg) may be this object's; NaN, where the pads give no forces, may."""
-        return not abs(mass / self.mass.value - 1.0) > SAME_WEIGHT
+        return not abs(mass / self.mass.value - 1.0) > SAME_MASS
 
 
 def likely_orientations(

@@ -16,7 +16,15 @@ import numpy.typing as npt
 from palmd.events import FloatArray, PalmMotion
 from palmd.model import shape, shape_map
 from palmd.observer import prior
-from palmd.observer.object_memory import APART, DIRECTIONS, PSI_SD, SAME, SPIN_SD, orientation_likelihood, reading_rows
+from palmd.observer.object_memory import (
+    APART,
+    DIRECTIONS,
+    PSI_SD,
+    SAME_CHI2,
+    SPIN_SD,
+    orientation_likelihood,
+    reading_rows,
+)
 from palmd.outlinefile import Outline
 
 LEAST_SD = 5e-6  # m, of each coefficient: no file is better than that
@@ -24,8 +32,10 @@ LEAST_RHO_SD = 5e-3  # relative
 # An object that slides and one that sticks move too differently for one filter: each pose starts with either.
 FRICTIONS = ((0.0, 0.02), (0.12, 0.08))  # mean and one-sigma
 MOST_STARTS = DIRECTIONS // (APART + 1) * len(FRICTIONS)  # of one outline
-KIN = 0.1  # how far another object deviates at least, of what is believed of any: more, and small ones go unnoticed
-KIN_RADIUS = 3e-3  # relative
+DEVIATION = (
+    0.1  # how far another object deviates at least, of what is believed of any: more, and small ones go unnoticed
+)
+DEVIATION_OF_RADIUS = 3e-3  # relative
 _OUTLINE = slice(shape_map.Z.SHAPE, None)
 
 
@@ -52,7 +62,7 @@ class OutlinePrior:
         """Whether the outline of each state `x` (size, 21) is beyond what is believed of object `which` (size)."""
         change = x[:, _OUTLINE] - self.x[which, _OUTLINE]
         distance = np.einsum("fi,fij,fj->f", change, self.information[which], change)
-        strayed: npt.NDArray[np.bool_] = distance > SAME
+        strayed: npt.NDArray[np.bool_] = distance > SAME_CHI2
         return strayed
 
     def starts(self, contacts: Sequence[float], palms: PalmMotion, variances: FloatArray, count: int) -> Starts:
@@ -125,9 +135,9 @@ def outline_covariance(outline: Outline) -> FloatArray:
     return cov
 
 
-def kin_variance(mean_radius: float) -> FloatArray:
+def deviation_variance(mean_radius: float) -> FloatArray:
     """By which each state of another object of the same sort may differ (21), SI; `mean_radius` in m."""
     variance = np.zeros(shape_map.N)
-    variance[_OUTLINE] = (KIN * shape.prior_sd(mean_radius)) ** 2
-    variance[shape_map.Z.SHAPE] = (KIN_RADIUS * mean_radius) ** 2
+    variance[_OUTLINE] = (DEVIATION * shape.prior_sd(mean_radius)) ** 2
+    variance[shape_map.Z.SHAPE] = (DEVIATION_OF_RADIUS * mean_radius) ** 2
     return variance

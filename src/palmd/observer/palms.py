@@ -32,6 +32,11 @@ def white_jerk(dt: float) -> FloatArray:
     )
 
 
+# Readings of one place share what the pad is wrong about there, its rounding above all: while the palms rest they weigh
+# less and less, one half after such a time.
+RESTING_RAD_S, SHARED_AFTER_S = 2e-3, 1.0
+
+
 def motion_of(values: FloatArray) -> PalmMotion:
     """The joints' angles, rates and accelerations, one after the other, as a value with names."""
     angles, rates, accelerations = (tuple(each) for each in values.reshape(3, -1).tolist())
@@ -53,6 +58,7 @@ class PalmTracker:
         self._plan: tuple[float, Joints] | None = None  # t, α
         self.jerk = np.zeros(len(JOINTS))
         self._liveliest = 0.0  # the largest jerk lately
+        self._t_moved = 0.0  # when the palms turned last
 
     @property
     def known(self) -> bool:
@@ -63,6 +69,11 @@ class PalmTracker:
     def t(self) -> float:
         """Time of the last report; -inf before the first."""
         return -np.inf if self._t is None else self._t
+
+    @property
+    def repeated(self) -> float:
+        """How many readings of a pad share one error: 1 while the palms move, the more the longer they rest."""
+        return 1.0 + (self.t - self._t_moved) / SHARED_AFTER_S if self.known else 1.0
 
     def sd(self, t: float) -> tuple[FloatArray, FloatArray]:
         """One-sigma of both angles (rad) and of both rates (rad/s) at `t` (s).
@@ -102,6 +113,8 @@ class PalmTracker:
         else:
             self.jerk[:] = 0.0
             self._plan = None
+        if np.abs(self._state[:, 1]).max() > RESTING_RAD_S:
+            self._t_moved = sample.t_sample
 
     def at(self, t: float) -> FloatArray:
         """Angles, rates and accelerations of all joints at `t`, seconds on the samples' clock."""
@@ -121,7 +134,7 @@ class PalmTracker:
         return motion_of(self.at(t))
 
     def _begin(self, sample: PalmSample) -> None:
-        self._t = sample.t_sample
+        self._t = self._t_moved = sample.t_sample
         self._state[:] = np.transpose([sample.angles, sample.rates or STILL, sample.accelerations or STILL])
         rate_sd = FIRST_RATE_SD if sample.rates is None else PLAN_RATE_SD
         acceleration_sd = FIRST_ACCELERATION_SD if sample.accelerations is None else PLAN_ACCELERATION_SD

@@ -1,9 +1,9 @@
-"""The paper's quasistatic observer (CMU-CS-01-107, chapter 3), live: (3.33)–(3.35) integrated from the best beginning.
+"""The paper's quasistatic observer (CMU-CS-01-107, chapter 3), live: (3.33)–(3.35) from the best initial values.
 
 What is felt is smoothed by local cubics `LAG_S` behind the present, so that the rates which drive the system come
-from readings on both sides. Many beginnings are integrated side by side (`observer.multi_start`). From time to time a
-narrower set is drawn about the likeliest ones, integrated again from the stored past, a few steps a tick, and takes
-over. A set begins `WINDOW_S` ago at most: what was integrated longer has drifted.
+from readings on both sides. Many initial conditions are integrated side by side (`observer.multi_start`). From
+time to time a narrower set is drawn about the likeliest ones, integrated again from the stored past, a few steps a
+tick, and takes over. A set begins `WINDOW_S` ago at most: what was integrated longer has drifted.
 
 It knows no friction and no inertia. Of objects that friction holds off balance it tells the radii to a millimetre or
 two and hardly the motion, and says so in its standard deviations; the shape observer is the one to use. Published with
@@ -19,20 +19,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palmd.events import Estimate, Event, FloatArray, Outlook, PadLift, PadSample, PalmMotion, PalmSample, ShapeEstimate
+from palmd.events import Estimate, Event, Outlook, PadLift, PadSample, PalmMotion, PalmSample, ShapeEstimate
 from palmd.model import quasistatic as qs
 from palmd.model import shape
-from palmd.model.outputs import NAMED
-from palmd.observer.answer import answer, no_answer
-from palmd.observer.bank_observer import DIRECTIONS, GONE_S, SILENCE_S, finite
-from palmd.observer.coverage import NORMAL_BINS, Coverage
+from palmd.observer.answer import BIN_OF_THETA, THETA, answer, no_answer
+from palmd.observer.contacts import GONE_S, Contacts, finite
+from palmd.observer.coverage import Coverage
 from palmd.observer.local_fit import HALF_WIDTH_S, Readings
 from palmd.observer.mass import MassEstimator, resting_forces
 from palmd.observer.multi_start import BLOCKS, MultiStart, Spread
 from palmd.observer.palms import STILL
-from palmd.observer.prior import GYRATION, GYRATION_SD, RADIUS_SD
+from palmd.observer.prior import RADIUS_SD
+from palmd.observer.quasistatic_answer import Leading, named, read_off
+from palmd.observer.validity import Evidence, Thresholds, settled
 from palmd.system.description import RigDescription
-from palmd.system.mechanism import PALMS, hinge_position
+from palmd.system.mechanism import PALMS
 
 STEP_S = 0.01
 LAG_S = 0.1
@@ -40,23 +41,17 @@ FIRST_S = 0.05  # after the first readings, where they can be smoothed
 WINDOW_S = 20.0
 STEPS_A_TICK = 3  # of the set that leads, when ticks were late
 STEPS_BEHIND = 4  # a tick, of the set that catches up
-ROUNDS_S = (2.0, 4.0, 8.0)  # after the beginning, when a narrower set is drawn; then each `ROUND_EVERY_S`
+ROUNDS_S = (2.0, 4.0, 8.0)  # after the start, when a narrower set is drawn; then each `ROUND_EVERY_S`
 ROUND_EVERY_S = 8.0
 FIRST_WIDTH, FIRST_BALANCE_M = 3 * RADIUS_SD, 2.5e-3  # of the circle's radius; e_f
 WIDTH_SDS, LEAST_WIDTH_M = 3.0, 5e-4
-# What remains about the best beginning, from the emulated rig: friction and inertia, which are not in the model.
-RADIUS_OFF_M, TURN_OFF_RAD, SPIN_OFF_RAD_S = 1.0e-3, 0.35, 0.5
-FITTED = 0.6  # of a reading's one-sigma that is left in the smoothed value at the end of the record
-PALM_RATE_SD = 5e-3  # rad/s
-SETTLED_M, SETTLED_S = 2.5e-3, 2.0
 # Readings that stray further from their smooth course than this have jumped, and so has the object; a conflict above
 # the other for so long is no friction. Either way it is begun anew.
 JUMP_M = 5e-4
 AGREEING_M, LOST_FOR_S = 1.5e-3, 0.3
+SETTLED = Thresholds(age_s=2.0, radius_sd_m=2.5e-3, disagreement_m=AGREEING_M)
 
-_THETA = np.linspace(0.0, 2 * np.pi, DIRECTIONS, endpoint=False)
-_ROWS = shape.basis(_THETA)
-_BIN_OF_THETA = (_THETA / (2 * np.pi) * NORMAL_BINS).astype(np.intp)
+_ROWS = shape.basis(THETA)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,23 +64,12 @@ class _Node:
     psi: float
 
 
-@dataclass(frozen=True, slots=True)
-class _Answer:
-    """The leading set at its last node: mean and one-sigma of r1, r2, ψ and ψ̇, errors of the likeliest beginning."""
-
-    values: FloatArray
-    sds: FloatArray
-    e_f: float
-    e_c: float
-    conflict: float
-    best: int
-
-
 class QuasistaticObserver:
     """Events in, estimates out. `feed` and `estimate` take bounded time and are safe inside the loop."""
 
     name = "quasistatic"
     backend = "numpy"
+    improvements = 0
 
     def __init__(self, rig: RigDescription):
         """Deterministic for given events and times."""
@@ -95,11 +79,12 @@ class QuasistaticObserver:
         self.reset()
 
     def reset(self) -> None:
-        """Back to the very beginning, as if nothing had been fed."""
+        """Back to the very start, as if nothing had been fed."""
         self.object_count = 0
         self.late_dropped = 0
+        self._contacts = Contacts()
         self._palms = Readings(4 * HALF_WIDTH_S)
-        self._pads = {pad: Readings(4 * HALF_WIDTH_S) for pad in PALMS}
+        self._pads = {1: Readings(4 * HALF_WIDTH_S), 2: Readings(4 * HALF_WIDTH_S)}
         self._stop()
 
     def warm_up(self) -> None:
@@ -116,7 +101,7 @@ class QuasistaticObserver:
     def feed(self, event: Event) -> None:
         """Take one event; one too late to matter is counted and dropped."""
         if isinstance(event, PadLift):
-            self._lifted.add(event.pad)
+            self._contacts.lift(event.pad)
             return
         if not finite(event) or event.t_sample < self._t_node - HALF_WIDTH_S:
             self.late_dropped += 1
@@ -126,47 +111,56 @@ class QuasistaticObserver:
             self._palms_seen = max(self._palms_seen, event.t_sample)
         else:
             self._pads[event.pad].add(event.t_sample, event.s)
-            if event.t_sample >= self._last_seen(event.pad):
-                self._last[event.pad] = event
-                self._lifted.discard(event.pad)
-        if math.isinf(self._t_first) and len(self._last) == len(PALMS) and self._palms_seen > -math.inf:
+            self._contacts.read(event)
+        if math.isinf(self._t_first) and min(self._contacts.quietest, self._palms_seen) > -math.inf:
             self._t_first = event.t_sample
 
     def estimate(self, t: float) -> Estimate:
-        """The likeliest beginnings' answer for time `t` (s); never raises, NaN where unknown."""
-        if t - min(self._palms_seen, *map(self._last_seen, PALMS)) > GONE_S and self._last:
+        """The likeliest initial conditions' answer for time `t` (s); never raises, NaN where unknown."""
+        if t - min(self._palms_seen, self._contacts.quietest) > GONE_S and self._contacts.any:
             self._stop()
         self._advance(t)
         found, present = self._found, self._felt(t)
         if found is None or present is None:
             return no_answer(t, self.name, self.object_count, None if present is None else _motion(present[0]))
         now, _ = present
-        y, sd = self._named(t, now, found)
-        touching = not self._lifted and all(t - self._last_seen(pad) < SILENCE_S for pad in PALMS)
-        sharp = max(sd[0], sd[1]) < SETTLED_M and found.conflict < AGREEING_M
+        y, sd = named(self._rig, self._nodes[-1].felt, found, now, t - self._t_node)
         if found.conflict < AGREEING_M:
             self._t_agreed = t
         elif t - self._t_agreed > LOST_FOR_S:
             self._forget(t)
             return no_answer(t, self.name, self.object_count, _motion(now))
-        settled = bool(touching and sharp and np.isfinite(y[:11]).all() and t - self._t_first > SETTLED_S)
+        evidence = Evidence(
+            touching=self._contacts.touching(t),
+            palms_known=True,
+            resumed_for_s=math.inf,
+            finite=bool(np.isfinite(y[:11]).all()),
+            consistent=True,
+            age_s=t - self._t_first,
+            radius_sd_m=max(sd[0], sd[1]),
+            disagreement_m=found.conflict,
+        )
+        valid = settled(evidence, SETTLED)
         for pad, f in zip(PALMS, resting_forces(self._rig.gravity, np.array([now.phi1, now.phi2])), strict=True):
-            self._mass.weigh(self._last.get(pad), f)
-        if settled:
+            self._mass.weigh(self._contacts.last(pad), f)
+        if valid:
             self._marks.mark(t, 0, y, lambda: np.zeros(1))
         told = answer(
-            t, settled, self.name, self.object_count, y, sd, self._mass, math.nan, math.nan, self._marks.fraction
+            t, valid, self.name, self.object_count, y, sd, self._mass, math.nan, math.nan, self._marks.fraction
         )
         return dataclasses.replace(told, e_f=found.e_f, e_c=found.e_c)
 
     def shape(self, t: float) -> ShapeEstimate | None:
-        """The outline of the likeliest beginning on `DIRECTIONS` normals, None before there is one."""
+        """The outline of the likeliest initial condition on `DIRECTIONS` normals, None before there is one."""
         found = self._found
         if found is None or self._leader is None:
             return None
         coefficients, covariance = self._leader.outline(found.best)
         variance = ((_ROWS @ covariance) * _ROWS).sum(axis=1) + float(found.sds[:2].max()) ** 2
-        return ShapeEstimate(t, _THETA, _ROWS @ coefficients, np.sqrt(variance), self._marks.marks[_BIN_OF_THETA])
+        return ShapeEstimate(t, THETA, _ROWS @ coefficients, np.sqrt(variance), self._marks.marks[BIN_OF_THETA])
+
+    def improve(self, t: float) -> None:
+        """There is no smoother."""
 
     @property
     def foresees(self) -> bool:
@@ -177,12 +171,14 @@ class QuasistaticObserver:
         """None: what it knows is not enough to foresee a motion."""
         return None
 
-    # ---- the even grid and the sets of beginnings on it
+    def identify(self, t: float) -> None:
+        """Nothing is stored to choose from."""
+
+    # ---- the even grid and the sets of initial conditions on it
 
     def _stop(self) -> None:
         """The object has left the palms, or the readings have gaps: nothing read until now counts any more."""
-        self._last: dict[int, PadSample] = {}
-        self._lifted: set[int] = set()
+        self._contacts.clear()
         self._palms_seen = -math.inf
         self._palms.clear()
         for readings in self._pads.values():
@@ -194,17 +190,13 @@ class QuasistaticObserver:
         self._t_first, self._t_node, self._t_agreed = t, -math.inf, math.inf
         self._nodes: deque[_Node] = deque(maxlen=round(WINDOW_S / STEP_S))
         self._leader: MultiStart | None = None
-        self._found: _Answer | None = None
+        self._found: Leading | None = None
         self._follower: MultiStart | None = None
         self._ahead: deque[qs.QuasistaticReadings] = deque()  # of the follower
         self._level = 0  # ticks for which it has been where the leader is
         self._rounds = 0
         self._mass = MassEstimator(self._rig.pads)
         self._marks = Coverage()
-
-    def _last_seen(self, pad: int) -> float:
-        sample = self._last.get(pad)
-        return -math.inf if sample is None else sample.t_sample
 
     def _felt(self, t: float) -> tuple[qs.QuasistaticReadings, float] | None:
         """What is felt at `t`, and how far pads' readings stray from it (m); None where they are too few."""
@@ -268,7 +260,7 @@ class QuasistaticObserver:
         if not np.isfinite(weights).all():  # nothing leads anywhere
             self._forget(self._t_node + LAG_S)
             return
-        self._found = found = _read_off(leader, felt, weights)
+        self._found = found = read_off(leader, felt, weights)
         r1, r2, psi = found.values[:3].tolist()
         self._nodes.append(_Node(felt, (r1 + r2) / 2, float(weights @ leader.balance), psi))
 
@@ -289,7 +281,7 @@ class QuasistaticObserver:
             self._leader, self._follower = self._follower, None
 
     def _draw(self, leader: MultiStart) -> None:
-        """A set about the likeliest beginnings, from the oldest node that is kept."""
+        """A set about the likeliest initial conditions, from the oldest node that is kept."""
         first, weights = self._nodes[0], leader.weights()
         balance, mean_then = float(weights @ leader.balance), float(weights @ leader.mean)
         mean = mean_then if leader.steps == len(self._nodes) - 1 else first.mean
@@ -307,59 +299,7 @@ class QuasistaticObserver:
         later = self._rounds - len(ROUNDS_S)
         return ROUNDS_S[self._rounds] if later < 0 else ROUNDS_S[-1] + (later + 1) * ROUND_EVERY_S
 
-    # ---- reading off
-
-    def _named(self, t: float, now: qs.QuasistaticReadings, found: _Answer) -> tuple[FloatArray, FloatArray]:
-        """Values and one-sigmas of `NAMED` at `t`, from the last node on at its rates."""
-        r1, r2, psi, omega0 = found.values.tolist()
-        node = self._nodes[-1].felt
-        ahead = t - self._t_node
-        d1, d2 = qs.offsets(node, r1, r2)
-        r1 -= float(d1 * (node.omega1 - omega0)) * ahead  # (3.33)
-        r2 -= float(d2 * (node.omega12 - omega0)) * ahead  # (3.34)
-        psi += omega0 * ahead
-        radius_sd = np.hypot(found.sds[:2], RADIUS_OFF_M)
-        mean, mean_sd = (r1 + r2) / 2, float(radius_sd.mean())
-        rho = GYRATION * mean
-        f1, f2 = resting_forces(self._rig.gravity, np.array([now.phi1, now.phi2]))
-        com_x, com_y = _centre(self._rig, float(now.phi1), float(now.phi2), r1, r2)
-        s1_sd, s2_sd = (FITTED * math.sqrt(pad.reading_variance) for pad in self._rig.pads)
-        phi_sd = FITTED * self._rig.palm_angle_noise
-        values = {
-            "r1": r1, "r2": r2, "omega0": omega0, "s1": now.s1, "s2": now.s2,
-            "phi1": now.phi1, "omega1": now.omega1, "phi2": now.phi2, "omega2": now.omega2,
-            "rho": rho, "psi": psi, "f1": f1, "f2": f2, "com_x": com_x, "com_y": com_y,
-        }  # fmt: skip
-        sds = {
-            "r1": radius_sd[0], "r2": radius_sd[1], "omega0": math.hypot(found.sds[3], SPIN_OFF_RAD_S),
-            "s1": s1_sd, "s2": s2_sd, "phi1": phi_sd, "omega1": PALM_RATE_SD, "phi2": phi_sd, "omega2": PALM_RATE_SD,
-            "rho": math.hypot(GYRATION_SD * rho, GYRATION * mean_sd), "psi": math.hypot(found.sds[2], TURN_OFF_RAD),
-        }  # fmt: skip
-        y = np.array([values.get(name, math.nan) for name in NAMED])
-        return y, np.array([sds.get(name, math.nan) for name in NAMED])
-
-
-def _read_off(leader: MultiStart, felt: qs.QuasistaticReadings, weights: FloatArray) -> _Answer:
-    rates = qs.rates(felt, leader.state, leader.softening)
-    each = np.concatenate([leader.state[:3], rates[2:3]])
-    mean = each @ weights
-    sd = np.sqrt(((each - mean[:, None]) ** 2) @ weights)
-    best = int(np.argmax(weights))
-    r1, r2 = leader.state[:2, best].tolist()
-    e_c = np.hypot(*qs.closure_error(felt, leader.state[:, best]))
-    e_f = qs.balance_error(felt, r1, r2)
-    return _Answer(mean, sd, float(e_f), float(e_c), float(leader.conflict[best]), best)
-
 
 def _motion(felt: qs.QuasistaticReadings) -> PalmMotion:
     angles, rates = (float(felt.phi1), float(felt.phi2)), (float(felt.omega1), float(felt.omega2))
     return PalmMotion(angles, rates, STILL)
-
-
-def _centre(rig: RigDescription, phi1: float, phi2: float, r1: float, r2: float) -> tuple[float, float]:
-    """The centre of mass (m, world frame): n1·c = r1, n2·c = r2 from the hinge, itself on an arc or fixed."""
-    phi12 = phi1 + phi2
-    x = (r1 * math.cos(phi12) + r2 * math.cos(phi1)) / math.sin(phi2)
-    y = (r1 * math.sin(phi12) + r2 * math.sin(phi1)) / math.sin(phi2)
-    hinge_x, hinge_y = hinge_position(*rig.arc, phi1)
-    return x + hinge_x, y + hinge_y

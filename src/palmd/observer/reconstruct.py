@@ -36,7 +36,7 @@ from palmd.system.description import RigDescription
 SPACING_S = 0.005  # of the nodes in the end
 LEAST_S = 1.0
 SUSPICIOUS_GAP_S = 0.08  # between readings, in which an object may have been changed for another
-MOST_PARTS = 20  # stretches of one log that are looked at
+MOST_PARTS = 20  # segments of one log that are looked at
 # RMS of the outline's one-sigma where touched, were the rig known, above which there is no outline to speak of.
 SHARP_M = 1.5e-4
 _OUTLINE = slice(C.SHAPE, CONSTANTS)
@@ -79,7 +79,7 @@ class Reconstruction:
 
 @one_thread()
 def reconstruct(events: Sequence[Event], rig: RigDescription, seed: int = 0) -> Reconstruction:
-    """Smooth the longest stretch of `events` in which both palms feel the object, and others if they are of the same.
+    """Smooth the longest segment of `events` in which both palms feel the object, and others if they are of the same.
 
     Deterministic for a given seed. Takes about a second for ten seconds of readings. Never raises for what the readings
     say: a record that tells too little, or contradicts the model, comes back with `converged` False and the reason.
@@ -100,16 +100,16 @@ def reconstruct(events: Sequence[Event], rig: RigDescription, seed: int = 0) -> 
         return _nothing(NO_ANSWER, begun)
     if main.reason:
         return _result(main, (), rig, begun)
-    parts = [main, *(_part(stretch, rig, seed) for stretch in found[1:MOST_PARTS])]
+    parts = [main, *(_part(segment, rig, seed) for segment in found[1:MOST_PARTS])]
     main, others = _longest_together([part for part in parts if part is not None and not part.reason])
     return _result(main, others, rig, begun)
 
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """A stretch, what is known of the object before it, and the best fit of it; `reason`: why that is in doubt."""
+    """A segment, what is known of the object before it, and the best fit of it; `reason`: why that is in doubt."""
 
-    stretch: DataSegment
+    segment: DataSegment
     search: Search
     known: Prior
     fit: Fit
@@ -128,30 +128,30 @@ class _Part:
 
 @dataclass(frozen=True, slots=True)
 class _Joined:
-    """A stretch's motion, ψ in the gauge of the one that the others were joined to."""
+    """A segment's motion, ψ in the gauge of the one that the others were joined to."""
 
     record: Record
     psi: FloatArray
     omega0: FloatArray
 
 
-def _length(stretch: DataSegment) -> float:
-    return stretch.end - stretch.start
+def _length(segment: DataSegment) -> float:
+    return segment.end - segment.start
 
 
 def _by_length(found: Sequence[DataSegment]) -> list[DataSegment]:
-    return sorted((stretch for stretch in found if _length(stretch) >= LEAST_S), key=_length, reverse=True)
+    return sorted((segment for segment in found if _length(segment) >= LEAST_S), key=_length, reverse=True)
 
 
-def _part(stretch: DataSegment, rig: RigDescription, seed: int) -> _Part | None:
-    """The best that any attempt finds in a stretch, None when nothing is."""
-    search = Search(stretch, rig)
+def _part(segment: DataSegment, rig: RigDescription, seed: int) -> _Part | None:
+    """The best that any attempt finds in a segment, None when nothing is."""
+    search = Search(segment, rig)
     best: _Part | None = None
     for number, (seconds, starts) in enumerate(ATTEMPTS):
         finding = search.blind(seconds, starts, seed)
         if finding is None:
             continue
-        part = _refined(search, finding, stretch, rig)
+        part = _refined(search, finding, segment, rig)
         if best is None or part.fit.cost < best.fit.cost:
             best = part
         if not best.reason and (number > 0 or beyond_question(best.fit, best.record)):
@@ -159,15 +159,15 @@ def _part(stretch: DataSegment, rig: RigDescription, seed: int) -> _Part | None:
     return best
 
 
-def _refined(search: Search, finding: Minima, stretch: DataSegment, rig: RigDescription) -> _Part:
+def _refined(search: Search, finding: Minima, segment: DataSegment, rig: RigDescription) -> _Part:
     """The best fit again on finer nodes, each force's noise taken from the model's force instead of its neighbours'."""
     best = finding.fits[0]
-    record = lay_out(stretch.pads, search.path, rig, stretch.start, stretch.end, SPACING_S)
+    record = lay_out(segment.pads, search.path, rig, segment.start, segment.end, SPACING_S)
     guess = best.guess.on(finding.record.t, record.t)
     level = np.maximum(Smoother(search.library, record, search.prior).forces(guess), LEAST_FORCE_N)
     record = replace(record, force_variance=rig.force_variances(level, record.force_pad))
     fit = Smoother(search.library, record, search.prior).fit(guess, best.noise)
-    return _Part(stretch, search, search.prior, fit, record, doubt(fit, finding))
+    return _Part(segment, search, search.prior, fit, record, doubt(fit, finding))
 
 
 def _longest_together(parts: Sequence[_Part]) -> tuple[_Part, list[_Joined]]:
@@ -175,7 +175,7 @@ def _longest_together(parts: Sequence[_Part]) -> tuple[_Part, list[_Joined]]:
     left, best, longest = list(parts), (parts[0], list[_Joined]()), 0.0
     while left:
         main, others = left.pop(0), list[_Joined]()
-        lasts = _length(main.stretch)
+        lasts = _length(main.segment)
         waiting = list(left)
         while waiting:
             part = waiting.pop(0)
@@ -184,7 +184,7 @@ def _longest_together(parts: Sequence[_Part]) -> tuple[_Part, list[_Joined]]:
                 main, other = joined
                 others.append(other)
                 left = [each for each in left if each is not part]
-                lasts += _length(part.stretch)
+                lasts += _length(part.segment)
                 waiting = list(left)  # more of the outline is known now that they may overlap with
         if lasts > longest:
             best, longest = (main, others), lasts
@@ -260,8 +260,8 @@ def _weighed(main: _Part, rig: RigDescription, answered: Marginal) -> tuple[floa
     if len(main.record.force_value):
         mass = math.exp(answered.mean.p[C.LN_MASS])
         return mass, mass * math.sqrt(answered.covariance[C.LN_MASS, C.LN_MASS])
-    believed, stretch, search = rig.with_pads(force_gain_std=0.0), main.stretch, main.search
-    record = lay_out(stretch.pads, search.path, believed, stretch.start, stretch.end, SPACING_S)
+    believed, segment, search = rig.with_pads(force_gain_std=0.0), main.segment, main.search
+    record = lay_out(segment.pads, search.path, believed, segment.start, segment.end, SPACING_S)
     unit = np.where(np.arange(CONSTANTS) == C.LN_MASS, 0.0, answered.mean.p)
     per_mass = Smoother(search.library, record, search.prior).forces(replace(answered.mean, p=unit))
     scales = MassEstimator(rig.pads)

@@ -1,4 +1,4 @@
-"""A stretch of readings laid out as arrays on a grid of nodes, ready for the smoother. Pure."""
+"""A segment of readings laid out as arrays on a grid of nodes, ready for the smoother. Pure."""
 
 from __future__ import annotations
 
@@ -13,16 +13,13 @@ from palmd.events import FloatArray, PadSample
 from palmd.model.outputs import rig_inputs
 from palmd.model.smoothing import CONTACT_INPUTS, FORCE_INPUTS, STEP_INPUTS
 from palmd.observer.palm_path import PalmPath
+from palmd.observer.palms import RESTING_RAD_S, SHARED_AFTER_S
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import PALMS
 
 IntArray = npt.NDArray[np.intp]
 
 LEAST_FORCE_N = 0.05  # below it a pressure tells little more than that something touches
-# Readings of one place share what the pad is wrong about there, its rounding above all: while the palms rest they weigh
-# less and less, one half after such a time.
-SHARED_AFTER_S = 1.0
-RESTING_RAD_S = 2e-3
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,7 @@
-"""The search for the trajectory and the outline behind a stretch of readings: blind or from an earlier answer.
+"""The search for the trajectory and the outline behind a segment of readings: blind or from an earlier answer.
 
 A bank of filters reads the first seconds and says where a solution may lie; the smoother goes there, and its window
-then grows over the stretch, with rivals kept as long as they explain the readings nearly as well.
+then grows over the segment, with rivals kept as long as they explain the readings nearly as well.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from palmd.observer.first_guess import blind_starts, prior_of
 from palmd.observer.normal_equations import Guess, ProcessNoise
 from palmd.observer.object_memory import likely_orientations
 from palmd.observer.palm_path import smoothed_path
-from palmd.observer.palms import motion_of
-from palmd.observer.record import RESTING_RAD_S, Record, lay_out
+from palmd.observer.palms import RESTING_RAD_S, motion_of
+from palmd.observer.record import Record, lay_out
 from palmd.observer.smoother import Fit, Smoother
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import OPENING, PALMS
@@ -66,28 +66,28 @@ class Minima:
 
 
 class Search:
-    """One stretch: its layout and what is known beforehand. Not for use inside the loop."""
+    """One segment: its layout and what is known beforehand. Not for use inside the loop."""
 
     def __init__(
         self,
-        stretch: DataSegment,
+        segment: DataSegment,
         rig: RigDescription,
         patience: int = PATIENCE,
         known: Knowledge | None = None,
         start: float | None = None,
         resting_since: float = math.inf,
     ):
-        """Lays out the stretch's readings from `start` (s) on; compiles the smoother the first time.
+        """Lays out the segment's readings from `start` (s) on; compiles the smoother the first time.
 
         `known` is about the constants and the first node, by default the blind prior. `patience` is how many windows in
         all a search may find unexplained, and try again with a shorter one. `resting_since` as in `lay_out`.
         """
         self._rig = rig
         self._patience = patience
-        self._stretch = stretch
-        start = stretch.start if start is None else start
-        self.path = smoothed_path(stretch.palms, rig.palm_angle_noise)
-        self.record = lay_out(stretch.pads, self.path, rig, start, stretch.end, SPACING_S, resting_since)
+        self._segment = segment
+        start = segment.start if start is None else start
+        self.path = smoothed_path(segment.palms, rig.palm_angle_noise)
+        self.record = lay_out(segment.pads, self.path, rig, start, segment.end, SPACING_S, resting_since)
         self.library = smoothing.library()
         self._known = known
         self._resting_since = resting_since
@@ -100,8 +100,8 @@ class Search:
     @cached_property
     def prior(self) -> Prior:
         """What is believed of the object before anything but its first readings."""
-        stretch = self._stretch
-        first = [sample for sample in stretch.pads if sample.t_sample < stretch.start + FIRST_LOOK_S]
+        segment = self._segment
+        first = [sample for sample in segment.pads if sample.t_sample < segment.start + FIRST_LOOK_S]
         opening = self.path.at(np.array([sample.t_sample for sample in first]))[:, OPENING]
         return prior_of(first, np.tan(opening / 2), self._rig)
 
@@ -113,11 +113,11 @@ class Search:
         """Start from the `count` likeliest of a bank that has read the first `seconds`; None if that leads nowhere."""
         begin = self.record.t[0]
         record = self.record.until(begin + seconds)
-        starts = blind_starts(self._stretch.events(), self._rig, begin, seconds, seed)[:count]
+        starts = blind_starts(self._segment.events(), self._rig, begin, seconds, seed)[:count]
         return self._grown_from(record, [start.guess(record.t) for start in starts]) if starts else None
 
     def resumed(self, guesses: Sequence[Guess]) -> Minima | None:
-        """Go on from what was found on a shorter part of the same stretch; None if that leads nowhere."""
+        """Go on from what was found on a shorter part of the same segment; None if that leads nowhere."""
         return self._grown_from(self.record.steps(len(guesses[0].x) - 1), guesses)
 
     def followed(self, guess: Guess) -> Minima | None:
@@ -145,7 +145,7 @@ class Search:
 
     def _orientations(self, outline: FloatArray, covariance: FloatArray) -> FloatArray:
         """ψ of an object that has just been put down, by the first readings of both pads."""
-        first = [[sample for sample in self._stretch.pads if sample.pad == pad][:FIRST_READINGS] for pad in PALMS]
+        first = [[sample for sample in self._segment.pads if sample.pad == pad][:FIRST_READINGS] for pad in PALMS]
         contacts = [float(np.mean([sample.s for sample in samples])) for samples in first]
         palms = motion_of(self.path.at(np.array([first[0][0].t_sample]))[0])
         return likely_orientations(outline, covariance, contacts, palms, self._rig.reading_variances, ORIENTATIONS)
@@ -181,7 +181,7 @@ class Search:
         return self.record.until(max(longer.t[step], now + LEAST_GROWTH_S))
 
     def _fits(self, record: Record, guesses: Sequence[Guess]) -> tuple[Fit, ...]:
-        """The distinct minima that the guesses lead to, best first, without those that are out of the race."""
+        """The distinct minima that the guesses lead to, best first, without those too unlikely to be kept."""
         smoother = Smoother(self.library, record, self.known)
         return _distinct([smoother.fit(guess, NOISE) for guess in guesses])
 
@@ -194,7 +194,7 @@ def _astray(residuals: FloatArray) -> npt.NDArray[np.bool_]:
 
 
 def merged(one: Minima | None, other: Minima | None) -> Minima | None:
-    """What two searches of the same stretch have found between them."""
+    """What two searches of the same segment have found between them."""
     if one is None or other is None:
         return one or other
     return Minima(one.record, _distinct([*one.fits, *other.fits]))

@@ -35,20 +35,20 @@ class Seeker:
         self._doubtful = True
         self.needs_from = -float("inf")
 
-    def sought(self, stretch: DataSegment, hint: FloatArray | None) -> Answer | None:
-        """What all readings of `stretch` tell; None while that is in doubt. `needs_from`: those before are useless.
+    def sought(self, segment: DataSegment, hint: FloatArray | None) -> Answer | None:
+        """What all readings of `segment` tell; None while that is in doubt. `needs_from`: those before are useless.
 
         `hint`: constants that a live filter has settled on, in whatever gauge.
         """
-        seconds = stretch.end - stretch.start
+        seconds = segment.end - segment.start
         if seconds < LEAST_S:
             return None
-        search = Search(stretch, self._rig, PATIENCE)
-        if still(search.record) or (self._doubtful and search.rested(stretch.end) > STILL_KEPT_S):
-            self.needs_from = stretch.end - STILL_KEPT_S
+        search = Search(segment, self._rig, PATIENCE)
+        if still(search.record) or (self._doubtful and search.rested(segment.end) > STILL_KEPT_S):
+            self.needs_from = segment.end - STILL_KEPT_S
             return None
         finding: Minima | None = None
-        if self._guesses and stretch.start == self._start:
+        if self._guesses and segment.start == self._start:
             finding = search.resumed(self._guesses)
         else:
             self._challenge_s = 0.0
@@ -60,11 +60,11 @@ class Seeker:
             self._seed += 1
             finding = merged(finding, search.blind(min(reads_s, seconds), starts, self._seed))
             self._challenge_s = CHALLENGE * seconds
-        self._start, self._guesses = stretch.start, tuple(fit.guess for fit in finding.fits) if finding else ()
+        self._start, self._guesses = segment.start, tuple(fit.guess for fit in finding.fits) if finding else ()
         self._doubtful = finding is None or bool(doubt(finding.fits[0], finding))
         if finding is None or self._doubtful:
             self._failed += seconds > ATTEMPTS[0][0]
             if seconds > LONGEST_S:
-                self.needs_from = stretch.end - KEPT_S
+                self.needs_from = segment.end - KEPT_S
             return None
         return Answer(search, finding)

@@ -18,7 +18,7 @@ from palmd import __version__, observer
 from palmd.blas import one_thread
 from palmd.events import Event, Improvement
 from palmd.messages import Fields, estimate_fields
-from palmd.observer.incremental import Session
+from palmd.observer.smoothing import Session
 from palmd.quantities import ESTIMATE, EVENTS, LOOP
 from palmd.record.run import Run, RunError
 from palmd.record.tables import flat
@@ -81,6 +81,7 @@ class Recheck:
             with one_thread():
                 for event in tick.events:
                     self._observer.feed(event)
+                self._observer.improve(tick.t)
                 now = estimate_fields(self._observer.estimate(tick.t))
             t_ns = round(tick.t * 1e9)
             while recorded is not None and recorded["mono_ns"] < t_ns:

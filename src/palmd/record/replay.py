@@ -5,38 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 from palmd.blas import one_thread
-from palmd.events import Estimate, Event, ObjectEstimate, ShapeEstimate
+from palmd.events import Estimate, ObjectEstimate, ShapeEstimate
 from palmd.messages import estimate_fields, object_fields, shape_fields, stamp
+from palmd.observer.observer import Observer
 from palmd.record.eventlog import EventLog
 from palmd.record.jsonvalues import or_none
 
 PERIOD_S = 0.01
 TICKS_PER_SHAPE = 100
 _SAME_TIME_S = 1e-9
-
-
-class ReplayObserver(Protocol):
-    """What a replay needs of an observer."""
-
-    def feed(self, event: Event) -> None:
-        """Take one event."""
-
-    def estimate(self, t: float) -> Estimate:
-        """The answer for time t (s)."""
-
-    def shape(self, t: float) -> ShapeEstimate | None:
-        """The outline, None before anything is felt."""
-
-
-@runtime_checkable
-class ReplayRecogniser(ReplayObserver, Protocol):
-    """An observer that has outlines to choose from."""
-
-    def identify(self, t: float) -> ObjectEstimate | None:
-        """Which object it is, None before anything is felt."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,10 +36,9 @@ def tick_count(log: EventLog) -> int:
     return max(1, math.ceil((span - _SAME_TIME_S) / PERIOD_S))
 
 
-def replay(log: EventLog, observer: ReplayObserver) -> Iterator[Tick]:
+def replay(log: EventLog, observer: Observer) -> Iterator[Tick]:
     """The observer's answers at t0 + k·10 ms, each from events up to that time only, in the file's order."""
     t0 = log.events[0].t_sample
-    recogniser = observer if isinstance(observer, ReplayRecogniser) else None
     waiting = iter(log.events)
     event = next(waiting, None)
     for number in range(1, tick_count(log) + 1):
@@ -69,9 +48,10 @@ def replay(log: EventLog, observer: ReplayObserver) -> Iterator[Tick]:
             while event is not None and event.t_sample <= t + _SAME_TIME_S:
                 observer.feed(event)
                 event = next(waiting, None)
+            observer.improve(t)
             estimate = observer.estimate(t)
             if number % TICKS_PER_SHAPE == 0:
-                shape, identified = observer.shape(t), recogniser.identify(t) if recogniser else None
+                shape, identified = observer.shape(t), observer.identify(t)
         yield Tick(number, t, estimate, shape, identified)
 
 

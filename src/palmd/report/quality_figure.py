@@ -10,7 +10,7 @@ from matplotlib.figure import FigureBase
 
 from palmd.events import FloatArray
 from palmd.observer.bank import NIS_READINGS
-from palmd.observer.bank_observer import NIS_RANGE
+from palmd.observer.validity import NIS_RANGE
 from palmd.quantities import ESTIMATE, drawn
 from palmd.report.axes import (
     BLACK,

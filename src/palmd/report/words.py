@@ -9,7 +9,7 @@ from datetime import datetime
 
 import numpy as np
 
-from palmd.observer.bank_observer import NIS_RANGE
+from palmd.observer.validity import NIS_RANGE
 from palmd.quantities import ESTIMATE, MOTION
 from palmd.record.metadata import CONFIG
 from palmd.report.errors import OBJECTS_OWN, SDS, STATE, Errors, against, body_at, inside, last_outlines, normalised

@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from silent_observer import SilentObserver
 
 from palmd import observer
 from palmd.cli import main
@@ -26,7 +27,7 @@ def estimate_at(t, **changes):
     return Estimate(**values | changes)
 
 
-class Spy:
+class Spy(SilentObserver):
     """An observer that only remembers what it was told before it was asked."""
 
     def __init__(self):

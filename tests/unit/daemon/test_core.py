@@ -6,6 +6,7 @@ from random import Random
 
 import numpy as np
 import pytest
+from silent_observer import SilentObserver
 from virtual_rig import AtOnce
 
 from palmd.config import ExploreGoal, ExploreSpec, PlanSpec
@@ -38,7 +39,7 @@ SHORT = PlanSpec.model_validate(
 )
 
 
-class Fake:
+class Fake(SilentObserver):
     """An observer that only listens."""
 
     name, object_count, late_dropped = "fake", 1, 0
@@ -68,15 +69,9 @@ class Fake:
         sd = dict.fromkeys(NAMED_STATE, 1e-3)
         return Estimate(t=t, valid=self.valid, observer="fake", object_count=1, sd=sd, **values)
 
-    def shape(self, _t):
-        return None
-
     @property
     def foresees(self):
         return self.valid
-
-    def outlook(self, _t):
-        return None
 
 
 class Clock:
@@ -370,13 +365,12 @@ def test_every_tick_publishes_just_what_the_observer_was_fed(running):
 class Improved(Fake):
     """An observer with a smoother beside it that answers in the third estimate."""
 
-    @property
-    def answered(self):
+    def improve(self, _t):
         return (
             Improvement(
                 0.04, np.arange(3.0), np.eye(3), 2, True, np.ones(72, dtype=bool), np.zeros(12), np.zeros((3, 12))
             )
-            if len(self.ticks) == 4
+            if len(self.ticks) == 3
             else None
         )
 

@@ -10,10 +10,11 @@ import pytest
 import zmq
 from hypothesis import given
 from hypothesis import strategies as st
+from silent_observer import SilentObserver
 
 from palmd.config import AdeptConfig, Config, PadsConfig, VersaPadConfig
 from palmd.daemon.bus import Bus
-from palmd.daemon.core import Core, unknown_estimate
+from palmd.daemon.core import Core
 from palmd.daemon.loop import Loop, next_deadline
 from palmd.daemon.systemd import Notifier
 from palmd.devices.armlink import Ack, ArmState, HelloReply, Pose, Query, encode_reply, parse_command
@@ -42,28 +43,6 @@ def test_work_that_fits_skips_nothing():
     assert next_deadline(5.0, 5.021, PERIOD) == (pytest.approx(5.03), 2)
 
 
-class Deaf:
-    """An observer that knows nothing."""
-
-    name, object_count, late_dropped = "deaf", 0, 0
-
-    def feed(self, event):
-        pass
-
-    def estimate(self, t):
-        return unknown_estimate(t, self)
-
-    def shape(self, _t):
-        return None
-
-    @property
-    def foresees(self):
-        return False
-
-    def outlook(self, _t):
-        return None
-
-
 class Wires:
     """A loop in a thread, and the far ends of its wires."""
 
@@ -79,7 +58,7 @@ class Wires:
             "pad2": Port("pad2", str(folder / "pad2"), 9600, retry_s=0.05),
             "arm": Port("arm", str(folder / "arm"), 38400, retry_s=0.05),
         }
-        self.observer = Deaf()
+        self.observer = SilentObserver()
         self.aside = ThreadPoolExecutor(1)
         self.bus = Bus(f"ipc://{folder}/p", f"ipc://{folder}/c")
         self.core = Core(config, self.observer, self.aside)

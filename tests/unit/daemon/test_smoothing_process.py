@@ -19,7 +19,8 @@ from palmd import blas
 from palmd.daemon import smoothing, worker
 from palmd.daemon.smoothing import SmootherProcess
 from palmd.events import Improvement, PadLift
-from palmd.observer.incremental import IncrementalSmoother, Session
+from palmd.observer.incremental import IncrementalSmoother
+from palmd.observer.smoothing import Session
 
 PATIENCE_S = 60.0
 SESSION = Session(1, 0.0)

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from silent_observer import SilentObserver
 
 from palmd.events import Estimate, ShapeEstimate
 from palmd.lab import montecarlo, montecarlo_figure, runs
@@ -204,7 +205,7 @@ def test_only_valid_ticks_of_the_last_five_seconds_are_averaged():
     assert told.nees_r == pytest.approx(5.0)
 
 
-class Oracle:
+class Oracle(SilentObserver):
     """An observer that knows r1 and r2 to 0.1 mm from the first tick, and the outline from 0.6 s."""
 
     def __init__(self, truth, turn=0.4):

@@ -258,7 +258,7 @@ def test_both_forms_of_the_papers_dynamics_are_one():
     q = ca.DM([0.02, 0.021, 0.9, 0.019, 0.022, 0.025, 0.018])
     palms = Palms(*(ca.SX(v) for v in PALMS))
     rho, rig = ca.SX(0.014), ca.SX(RIG)
-    d1, d2 = offsets(palms.angles[1], *(q[i] for i in (0, 1, 3, 4)))
+    d1, d2 = offsets(palms.phi2, *(q[i] for i in (0, 1, 3, 4)))
     body = BodyConstants(rho, ca.SX(0), ca.SX(1), ca.SX(0))
     motion = newton_euler(palms, ca.SX(q[2]), Contact(q[0], d1, q[5]), Contact(q[1], d2, q[6]), body, rig)
     forces = ca.vertcat(motion.f1, motion.f2)

@@ -12,8 +12,9 @@ from palmd.events import FloatArray, Improvement, PadSample
 from palmd.model import shape, shape_map
 from palmd.model.smoothing import ORDER
 from palmd.observer.coverage import NORMAL_BINS
-from palmd.observer.incremental import IncrementalSmoother, Session, _as_shape_map
+from palmd.observer.incremental import IncrementalSmoother, _as_shape_map
 from palmd.observer.outline import gauge_free_sd
+from palmd.observer.smoothing import Session
 from palmd.score import score_outline
 
 THETA: FloatArray = (np.arange(NORMAL_BINS) + 0.5) * (2 * np.pi / NORMAL_BINS)

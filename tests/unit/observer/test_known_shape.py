@@ -158,7 +158,7 @@ def test_late_readings_change_next_to_nothing():
     assert swapped > 20
     answers = []
     for order in (events, late):
-        watcher = Recogniser(outlines, run.log.rig)
+        watcher = observer.make("shape", run.log.rig, outlines=outlines)
         for i, event in enumerate(order):
             watcher.feed(event)
             if i % 10 == 9:
@@ -176,5 +176,5 @@ def test_late_readings_change_next_to_nothing():
 def test_the_bank_has_an_upper_bound():
     outlines = library("friction", 2, 6)[1]
     rig = run_with(library("friction", 12, 2)[0][0], "friction", 12, 3.0).log.rig
-    assert Recogniser(outlines[:1], rig)._bank.full_size == MOST_STARTS
-    assert Recogniser(outlines, rig)._bank.full_size == BANK
+    assert Recogniser(outlines[:1], rig).filters.bank.full_size == MOST_STARTS
+    assert Recogniser(outlines, rig).filters.bank.full_size == BANK

@@ -11,7 +11,7 @@ from palmd.events import PalmMotion
 from palmd.model import shape, shape_map
 from palmd.observer.coverage import NORMAL_BINS, Coverage
 from palmd.observer.mass import MassEstimator, resting_forces
-from palmd.observer.object_memory import DIRECTIONS, DOUBT, KnownObject, ObjectMemory
+from palmd.observer.object_memory import DIRECTIONS, INFLATION, KnownObject, ObjectMemory
 from palmd.system.description import PadSensor
 
 Z = shape_map.Z
@@ -45,7 +45,7 @@ def test_an_outline_is_the_same_within_what_was_believed_of_it() -> None:
     known = _known()
     strayed = known.x.copy()
     sd = math.sqrt(known.believed()[-1, -1])
-    assert sd > math.sqrt(DOUBT) * 2e-5
+    assert sd > math.sqrt(INFLATION) * 2e-5
     strayed[-1] += 4 * sd
     assert known.resembles(strayed)
     strayed[-1] += 2 * sd

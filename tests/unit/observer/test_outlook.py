@@ -7,15 +7,15 @@ from simulated import simulated
 from palmd import observer
 from palmd.model import shape_map
 from palmd.model.shape import basis
-from palmd.observer.filters import Optimism
+from palmd.observer.filters.base import Overconfidence
 
 
-def fed(seconds=4.5, optimism=None):
+def fed(seconds=4.5, overconfidence=None):
     """A shape observer after so many seconds of the same run, and the time; it may take its youth more seriously."""
     run = simulated("nominal", 2, 5.0)
     mine = observer.make("shape", run.rig)
-    if optimism is not None:
-        mine._filters.optimism = optimism
+    if overconfidence is not None:
+        mine._fusion.filters.overconfidence = overconfidence
     t = run.events[0].t_sample
     for event in run.events:
         if event.t_sample > run.events[0].t_sample + seconds:
@@ -54,7 +54,10 @@ def test_looking_does_not_change_the_estimate():
 
 def test_what_may_be_besides_is_spread_as_widely_as_the_error_bars_say():
     """A young filter is too sure of itself: samples must not take it at its word, nor may the band."""
-    (sure, t), (doubtful, _) = fed(optimism=Optimism(0.0, 1.0)), fed(optimism=Optimism(2.0, 1e9))
+    (sure, t), (doubtful, _) = (
+        fed(overconfidence=Overconfidence(0.0, 1.0)),
+        fed(overconfidence=Overconfidence(2.0, 1e9)),
+    )
     one, other = sure.outlook(t), doubtful.outlook(t)
     np.testing.assert_array_equal(one.states[0], other.states[0])
     drawn = slice(-3, None)

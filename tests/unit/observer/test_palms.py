@@ -65,3 +65,14 @@ def test_standing_palms_are_as_sharp_as_their_reports():
     assert angle_sd == pytest.approx([7e-5, 7e-5], abs=5e-5)
     assert (rate_sd < 5e-3).all()
     assert math.isfinite(tracker.at(tracker.t + 0.01)[0])
+
+
+def test_readings_repeat_one_another_while_the_palms_rest():
+    tracker = PalmTracker(2e-4)
+    assert tracker.repeated == 1.0
+    for k in range(200):
+        omega = 0.3 if k < 100 else 0.0
+        tracker.feed(PalmSample(0.016 * k, (0.7 + 0.3 * 0.016 * min(k, 100), 1.6), (omega, 0.0), (0.0, 0.0)))
+        if k < 100:
+            assert tracker.repeated == 1.0
+    assert tracker.repeated == pytest.approx(1.0 + 100 * 0.016, abs=0.05)

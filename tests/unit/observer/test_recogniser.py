@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from library import THETA, library, run_with
 
+from palmd import observer
 from palmd.daemon.core import Core
 from palmd.events import DECIDED, ObjectEstimate, PadSample
 from palmd.lab import recognition
@@ -18,7 +19,7 @@ from palmd.lab.recognition import RecognitionRow, RecognitionTask
 from palmd.lab.siblings import LEAST_M, MOST_M, RADIUS_RANGE, difference
 from palmd.messages import object_fields, stamp, validate
 from palmd.observer.outline_prior import stored
-from palmd.observer.recogniser import NONE, Recogniser
+from palmd.observer.recogniser import NONE
 from palmd.quantities import OBJECT
 from palmd.record.recognition import NONE_OF_THESE, as_line, table, verdict
 from palmd.record.replay import lines, replay
@@ -38,7 +39,7 @@ def test_the_right_one_of_many_is_found_within_three_seconds(kind, seed):
     bodies, outlines = library(kind, seed, 8)
     chosen = seed % 8
     run = run_with(bodies[chosen], kind, seed, 3.0)
-    recogniser = Recogniser(outlines, run.log.rig)
+    recogniser = observer.make("shape", run.log.rig, outlines=outlines)
     told = []
     for tick in replay(run.log, recogniser):
         told.append(recogniser.identify(tick.t))
@@ -55,7 +56,7 @@ def test_the_right_one_of_many_is_found_within_three_seconds(kind, seed):
 def test_a_sibling_that_is_not_stored_is_none_of_them(kind, seed):
     bodies, outlines = library(kind, seed, 8)
     run = run_with(bodies[0], kind, seed, 4.0)
-    recogniser = Recogniser(outlines[1:], run.log.rig)
+    recogniser = observer.make("shape", run.log.rig, outlines=outlines[1:])
     found = verdict(e for tick in replay(run.log, recogniser) if (e := recogniser.identify(tick.t)) is not None)
     assert found.said == NONE_OF_THESE
 
@@ -63,7 +64,7 @@ def test_a_sibling_that_is_not_stored_is_none_of_them(kind, seed):
 def test_before_the_twins_begin_none_has_its_prior():
     bodies, outlines = library("friction", 22, 8)
     run = run_with(bodies[6], "friction", 22, 3.0)
-    recogniser = Recogniser(outlines, run.log.rig)
+    recogniser = observer.make("shape", run.log.rig, outlines=outlines)
     for tick in itertools.islice(replay(run.log, recogniser), 50):
         assert not tick.estimate.valid
     assert recogniser.identify(0.5).none == pytest.approx(NONE)
@@ -72,7 +73,7 @@ def test_before_the_twins_begin_none_has_its_prior():
 def test_nothing_is_said_before_anything_is_felt():
     bodies, outlines = library("friction", 22, 8)
     run = run_with(bodies[6], "friction", 22, 3.0)
-    recogniser = Recogniser(outlines, run.log.rig)
+    recogniser = observer.make("shape", run.log.rig, outlines=outlines)
     assert recogniser.identify(0.0) is None
     recogniser.warm_up()
     assert recogniser.identify(0.0) is None
@@ -81,7 +82,7 @@ def test_nothing_is_said_before_anything_is_felt():
 def test_no_name_is_given_while_nothing_foresees_the_readings():
     bodies, outlines = library("friction", 22, 8)
     run = run_with(bodies[6], "friction", 22, 3.0)
-    recogniser, random = Recogniser(outlines, run.log.rig), np.random.default_rng(4)
+    recogniser, random = observer.make("shape", run.log.rig, outlines=outlines), np.random.default_rng(4)
     before, during = set(), []
     for event in run.log.events:
         t = event.t_sample
@@ -141,7 +142,7 @@ def test_the_daemon_publishes_it_ten_times_a_second():
     outlines = library("friction", 22, 8)[1]
     bodies = library("friction", 22, 8)[0]
     run = run_with(bodies[6], "friction", 22, 3.0)
-    recogniser = Recogniser(outlines, run.log.rig)
+    recogniser = observer.make("shape", run.log.rig, outlines=outlines)
     with ThreadPoolExecutor(1) as aside:
         core = Core(default_config(), recogniser, aside)
         waiting, published = list(reversed(run.log.events)), []
@@ -157,7 +158,9 @@ def test_the_daemon_publishes_it_ten_times_a_second():
 def test_a_replay_tells_it_each_second():
     bodies, outlines = library("friction", 22, 8)
     run = run_with(bodies[6], "friction", 22, 3.0)
-    told = [line for tick in replay(run.log, Recogniser(outlines, run.log.rig)) for line in lines(tick)]
+    told = [
+        line for tick in replay(run.log, observer.make("shape", run.log.rig, outlines=outlines)) for line in lines(tick)
+    ]
     objects = [line for line in told if isinstance(line.get("object"), dict)]
     assert [line["t"] for line in objects] == pytest.approx([1.0, 2.0])
     assert objects[-1]["object"]["best"] == outlines[6].name

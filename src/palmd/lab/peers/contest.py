@@ -21,7 +21,7 @@ from palmd.lab.peers.task import LostError, PeerStart, PeerTask, PeerTruth, Read
 from palmd.model import shape
 from palmd.model.outputs import rig_inputs
 from palmd.observer.bank import Bank
-from palmd.observer.filters import ShapeFilters
+from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.score import score_outline
 from palmd.system.description import RigDescription
 

@@ -26,8 +26,8 @@ class GeneratedFilter:
         n = shape_map.N
         self._x, self._P = [start.x.copy(), np.zeros(n)], [start.P.copy(), np.zeros((n, n))]
         self._side = 0  # kernels write into the other side's arrays, which then become the current ones
-        self._u, self._z = np.zeros(shape_map.PREDICTION_INPUTS), np.zeros(5)
-        self._z[2] = gate
+        self._u, self._z = np.zeros(shape_map.PREDICTION_INPUTS), np.zeros(shape_map.UPDATE_INPUTS)
+        self._z[2:4] = gate, 1.0  # each reading by itself
         outcome = np.zeros(2)
         sides = [(self._x[a], self._P[a], self._x[1 - a], self._P[1 - a]) for a in range(2)]
         self._predict = [kernels.bind("predict", [x, P, self._u], [x2, P2]) for x, P, x2, P2 in sides]
@@ -53,7 +53,7 @@ class GeneratedFilter:
             self._predict[self._side]()
             self._side = 1 - self._side
         z, palms = self._z, reading.palms
-        z[0], z[1], z[3], z[4] = reading.value, reading.variance, palms[0], palms[1]
+        z[:2], z[4:] = (reading.value, reading.variance), palms[:2]
         self._update[reading.pad][self._side]()
         self._side = 1 - self._side
         return True

@@ -15,8 +15,8 @@ from palmd.events import Event, FloatArray, PadSample, PalmMotion, PalmSample
 from palmd.model import shape, shape_map
 from palmd.model.outputs import rig_inputs
 from palmd.observer import prior
-from palmd.observer.bank_observer import CAUTION, CAUTION_S
-from palmd.observer.filters import LONGEST_STEP_S
+from palmd.observer.filters.base import LONGEST_STEP_S
+from palmd.observer.fusion import EARLY_NOISE, EARLY_S
 from palmd.observer.palms import PalmTracker
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import normal_directions
@@ -129,7 +129,7 @@ class PeerStart:
 
 
 def task_from(rig: RigDescription, events: Iterable[Event]) -> PeerTask:
-    """The events of a run as readings, cut as `observer.bank_observer` cuts them; ValueError if nothing is touched."""
+    """The events of a run as readings, cut as `observer.fusion` cuts them; ValueError if nothing is touched."""
     tracker, rig_values = PalmTracker(rig.palm_angle_noise), rig_inputs(rig)
     variances = rig.reading_variances
     last: dict[int, PadSample] = {}
@@ -148,9 +148,9 @@ def task_from(rig: RigDescription, events: Iterable[Event]) -> PeerTask:
                 continue
             moves = _moves(t, event.t_sample, tracker, rig_values)
             t = event.t_sample
-            caution = 1.0 + CAUTION * math.exp(-(t - t_start) / CAUTION_S)
+            inflation = 1.0 + EARLY_NOISE * math.exp(-(t - t_start) / EARLY_S)
             forces = (_force(last[1]), _force(last[2]))
-            variance = caution * float(variances[event.pad - 1])
+            variance = inflation * float(variances[event.pad - 1])
             readings.append(Reading(t, event.pad, event.s, variance, tracker.at(t), moves, forces))
     if first is None or not readings:
         raise ValueError("both pads and the palms must have been read for there to be anything to estimate")

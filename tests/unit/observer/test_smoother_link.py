@@ -15,13 +15,14 @@ from palmd import observer
 from palmd.events import Estimate, Event, FloatArray, Improvement, PadSample, PalmSample
 from palmd.model import shape, shape_map
 from palmd.model.smoothing import ORDER
-from palmd.observer.bank_observer import BankObserver
 from palmd.observer.coverage import NORMAL_BINS
 from palmd.observer.filter_catchup import LEAD_S, FilterCatchUp
-from palmd.observer.filters import LONGEST_STEP_S, ShapeFilters
-from palmd.observer.incremental import IncrementalSmoother, Session
+from palmd.observer.filters.base import LONGEST_STEP_S
+from palmd.observer.filters.shape_map import ShapeFilters
+from palmd.observer.incremental import IncrementalSmoother
 from palmd.observer.palms import PalmTracker
-from palmd.observer.smoothed_observer import MEMORY_S, Simulated, SmoothedObserver, period
+from palmd.observer.smoother_link import MEMORY_S
+from palmd.observer.smoothing import Session, period
 from palmd.system.description import RigDescription
 
 KIND, SEED = "rig", 4
@@ -58,7 +59,7 @@ def answer(run: Run, end: float, rig: RigDescription | None = None) -> Improveme
     return smoother.answer()
 
 
-def ticks(run: Run, watcher: BankObserver | SmoothedObserver) -> Iterator[tuple[float, Estimate]]:
+def ticks(run: Run, watcher: observer.Observer) -> Iterator[tuple[float, Estimate]]:
     """A causal replay."""
     waiting = iter(run.events)
     event = next(waiting, None)
@@ -67,6 +68,7 @@ def ticks(run: Run, watcher: BankObserver | SmoothedObserver) -> Iterator[tuple[
         while event is not None and event.t_sample <= t:
             watcher.feed(event)
             event = next(waiting, None)
+        watcher.improve(t)
         yield t, watcher.estimate(t)
 
 
@@ -79,7 +81,7 @@ def radii(run: Run, t: float) -> FloatArray:
     return shape.basis(np.array([theta1, theta1 + phi2 - math.pi]), 30) @ outline
 
 
-def radius_errors(run: Run, watcher: BankObserver | SmoothedObserver, since: float) -> FloatArray:
+def radius_errors(run: Run, watcher: observer.Observer, since: float) -> FloatArray:
     errors = []
     for t, estimate in ticks(run, watcher):
         if t >= since:
@@ -89,7 +91,7 @@ def radius_errors(run: Run, watcher: BankObserver | SmoothedObserver, since: flo
 
 def test_the_improved_observer_is_nearer_the_truth_than_the_bank_alone(run: Run) -> None:
     alone = radius_errors(run, observer.make("shape", run.rig), 3.0)
-    improved = radius_errors(run, observer.make("shape", run.rig, smoothing=Simulated(run.rig)), 3.0)
+    improved = radius_errors(run, observer.make("shape", run.rig, smoothing=observer.Simulated(run.rig)), 3.0)
     rms = math.sqrt(np.mean(improved**2))
     assert rms < 0.1e-3
     assert rms < 1.05 * math.sqrt(np.mean(alone**2))
@@ -100,7 +102,7 @@ def test_an_object_that_another_takes_the_place_of_within_a_moment_is_told_from_
     at, gap, end = 9.0, 0.2, 14.0
     _, second, events = swapped("rig", seed, at, gap, end)
     run = replace(second, events=events)
-    watcher = observer.make("shape", run.rig, smoothing=Simulated(run.rig))
+    watcher = observer.make("shape", run.rig, smoothing=observer.Simulated(run.rig))
     for t, estimate in ticks(run, watcher):
         if t > at + gap and estimate.valid:
             assert np.abs([estimate.r1, estimate.r2] - radii(run, t)).max() < 0.3e-3
@@ -110,7 +112,7 @@ def test_an_object_that_another_takes_the_place_of_within_a_moment_is_told_from_
 
 def test_the_same_log_gives_the_same_estimates(run: Run) -> None:
     first, second = (
-        [estimate for _, estimate in ticks(run, observer.make("shape", run.rig, smoothing=Simulated(run.rig)))]
+        [estimate for _, estimate in ticks(run, observer.make("shape", run.rig, smoothing=observer.Simulated(run.rig)))]
         for _ in range(2)
     )
     assert repr(first) == repr(second)  # NaN equals itself there
@@ -122,7 +124,6 @@ def test_psi_goes_on_without_a_jump_when_an_improvement_takes_the_lead(run: Run)
     assert improvement is not None
     smoothing = Scripted(end + 0.05, improvement)
     watcher = observer.make("shape", run.rig, smoothing=smoothing)
-    assert isinstance(watcher, SmoothedObserver)
     psi = np.array([[t, estimate.psi, estimate.omega0] for t, estimate in ticks(run, watcher) if 2.5 < t < 4.0])
     assert watcher.improvements == 1
     assert smoothing.count >= len(run.events) - 2  # all but those after the last tick
@@ -137,7 +138,6 @@ def test_an_improvement_from_before_the_present_object_is_not_taken(run: Run) ->
         -1.0, np.zeros(n), np.eye(n), 1, True, np.zeros(NORMAL_BINS, dtype=np.bool_), np.zeros(12), np.zeros((n, 12))
     )
     watcher = observer.make("shape", run.rig, smoothing=Scripted(1.0, stale))
-    assert isinstance(watcher, SmoothedObserver)
     for _ in ticks(run, watcher):
         pass
     assert watcher.improvements == 0
@@ -150,7 +150,6 @@ def test_an_improvement_that_its_own_readings_contradict_is_turned_away(run: Run
     wrong = right.x.copy()
     wrong[6] += 3e-3  # 3 mm larger
     watcher = observer.make("shape", run.rig, smoothing=Scripted(end, replace(right, x=wrong)))
-    assert isinstance(watcher, SmoothedObserver)
     errors = radius_errors(run, watcher, 4.0)
     assert watcher.improvements == 0
     assert np.abs(errors).max() < 0.5e-3
@@ -180,7 +179,7 @@ def test_a_newcomer_arrives_where_a_filter_that_had_always_been_there_stands(run
             for begin, end in itertools.pairwise(np.linspace(t, event.t_sample, steps + 1)):
                 filters.predict(begin, end - begin, palms)
             t = event.t_sample
-            filters.fuse_pad(event, variance, palms)
+            filters.fuse_pad(event, variance, palms, palms.repeated)
     filters.predict(t, until - t, palms)
     sd = np.sqrt(np.diagonal(P))
     assert np.all(np.abs(filters.bank.x[0] - x) < 1e-3 * sd)
@@ -203,13 +202,12 @@ def test_improvements_are_sharper_the_more_was_read(run: Run) -> None:
 def test_events_without_a_time_do_not_pile_up(run: Run) -> None:
     smoothing = Scripted(math.inf, None)
     watcher = observer.make("shape", run.rig, smoothing=smoothing)
-    assert isinstance(watcher, SmoothedObserver)
     watcher.feed(PadSample(math.nan, 1, 0.02))
     for k in range(2000):
         watcher.feed(PadSample(0.01 * k, 1, 0.02))
     watcher.feed(PadSample(20.0, 2, math.nan))
-    watcher.estimate(20.0)
-    assert len(watcher._recent) <= 100 * MEMORY_S
+    watcher.improve(20.0)
+    assert len(watcher._link._recent) <= 100 * MEMORY_S
     assert smoothing.count == 2000
     assert watcher.late_dropped == 2
 
@@ -221,7 +219,7 @@ def test_the_smoother_runs_ever_more_rarely() -> None:
 
 
 def test_a_simulated_smoother_answers_after_its_latency(run: Run) -> None:
-    simulated_smoother = Simulated(run.rig, latency_s=0.5)
+    simulated_smoother = observer.Simulated(run.rig, latency_s=0.5)
     simulated_smoother.submit(3.0, Session(1, 0.0), [event for event in run.events if event.t_sample <= 3.0])
     assert simulated_smoother.collect(3.4) is None
     assert simulated_smoother.collect(3.51) is not None

@@ -1,0 +1,1 @@
+"""One file for each kind of filter that a bank can hold: its state, its prior, its kernels."""

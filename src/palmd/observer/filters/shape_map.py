@@ -1,0 +1,172 @@
+"""Filters on the whole outline (`model.shape_map`): kernels, prior, the rig's constants that they are corrected by."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from palmd.events import FloatArray, PadSample, PalmSample
+from palmd.model import shape, shape_map
+from palmd.model.outputs import NAMED, RIG_INPUTS, rig_inputs
+from palmd.observer import prior
+from palmd.observer.bank import SCORE_MEMORY_S, Bank, Belief
+from palmd.observer.filters.base import (
+    CURVATURE_NORMALS,
+    GUESSED_ACCELERATION_SD,
+    SMALLEST_RADIUS_M,
+    Overconfidence,
+    curvature_rows,
+    pad_update,
+)
+from palmd.observer.palms import PalmTracker
+from palmd.observer.prior import BlindStart
+from palmd.observer.rig_error import RigError
+from palmd.system.description import RigDescription
+from palmd.system.mechanism import JOINT_RATES, JOINTS, OPENING
+
+
+def smoother_outline(x: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The belief (mean x, covariance P) about a shape map of more than `HARMONICS` harmonics, if it had no more.
+
+    Where the outline has been felt it is much the same; merely leaving harmonics out would bend it there too.
+    """
+    low, high = slice(0, shape_map.N), slice(shape_map.N, None)
+    gain = np.linalg.solve(P[high, high], P[high, low]).T
+    return x[low] - gain @ x[high], P[low, low] - gain @ P[high, low]
+
+
+BLIND_OVERCONFIDENCE = Overconfidence(1.0, 0.7)
+
+
+class ShapeFilters:
+    """Filters on the whole outline (`model.shape_map`), of `order` harmonics; the palms' angles are inputs.
+
+    Readings and angles are taken as `rig_error` corrects them. Beliefs are those of filters to which that is right;
+    what is told, `named` and `outline`, has the covariance spread·spreadᵀ besides.
+    """
+
+    name = "shape"
+    fuses_palms = False
+    rolls_out = True
+
+    def __init__(
+        self,
+        rig: RigDescription,
+        size: int,
+        memory_s: float = SCORE_MEMORY_S,
+        order: int = shape.HARMONICS,
+        overconfidence: Overconfidence = BLIND_OVERCONFIDENCE,
+    ):
+        """Binds `size` filters' kernels; may compile C. `memory_s` as in `Bank`."""
+        self.overconfidence = overconfidence
+        library = shape_map.library(order)
+        inputs = (shape_map.PREDICTION_INPUTS, shape_map.PALM_INPUTS + RIG_INPUTS, len(NAMED))
+        n = shape_map.size(order)
+        self.bank = Bank(
+            library, size, n, dict.fromkeys(("update_s1", "update_s2"), shape_map.UPDATE_INPUTS), inputs, memory_s
+        )
+        self.order = order
+        self._rig = rig_inputs(rig)
+        self._x, self._P = np.zeros(n), np.zeros((n, n))
+        self._x_next, self._P_next = np.zeros(n), np.zeros((n, n))
+        self._u = np.zeros(shape_map.PREDICTION_INPUTS)
+        self._u[9:] = self._rig
+        self._v = np.zeros(shape_map.PALM_INPUTS + RIG_INPUTS)
+        self._v[shape_map.PALM_INPUTS :] = self._rig
+        self._y, self._J = np.zeros(len(NAMED)), np.zeros((n, len(NAMED)))
+        self._predict = library.bind("predict", [self._x, self._P, self._u], [self._x_next, self._P_next])
+        self._named = library.bind("named", [self._x_next, self._v], [self._y, self._J])
+        self.curvature = np.zeros((CURVATURE_NORMALS, n))
+        self.curvature[:, shape_map.Z.SHAPE :] = curvature_rows(order)
+        self.rig_error = RigError(tuple(pad.length for pad in rig.pads))
+        self.spread: FloatArray | None = None
+
+    def start(self, start: BlindStart, palms: PalmTracker, t: float) -> None:
+        del palms, t  # the palms are not part of the state
+        Z = shape_map.Z
+        x, P = self.bank.x, self.bank.P
+        x[:] = 0.0
+        x[:, Z.OMEGA0], x[:, Z.LN_RHO], x[:, Z.MU] = start.omega0, np.log(start.rho), start.mu
+        x[:, Z.LN_DITHER], x[:, Z.DAMPING] = start.ln_dither, start.damping
+        x[:, Z.SHAPE :] = start.coefficients
+        sd = np.zeros(self.bank.n)
+        sd[Z.OMEGA0], sd[Z.LN_RHO] = start.own_omega0_sd, start.own_rho_sd / start.rho.mean()
+        sd[Z.MU], sd[Z.LN_DITHER], sd[Z.DAMPING] = (
+            start.own_mu_sd,
+            start.own_ln_dither_sd,
+            start.own_damping_sd,
+        )
+        sd[Z.SHAPE :] = start.own_shape_sd
+        P[:] = np.diag(sd**2)
+
+    def start_known(self, x: FloatArray, P: FloatArray, psi: FloatArray, palms: PalmTracker, t: float) -> None:
+        del palms, t  # the palms are not part of the state
+        Z = shape_map.Z
+        self.bank.x[: len(psi)], self.bank.P[: len(psi)] = x, P
+        self.bank.x[: len(psi), Z.PSI], self.bank.x[: len(psi), Z.OMEGA0] = psi, 0.0
+
+    def constants(self, start: BlindStart) -> Belief:
+        Z = shape_map.Z
+        mean, sd = np.zeros((self.bank.size, self.bank.n)), np.zeros(self.bank.n)
+        ln_ratio = math.log(prior.GYRATION)
+        mean[:, Z.LN_RHO] = np.log(np.maximum(self.bank.x[:, Z.SHAPE], SMALLEST_RADIUS_M)) + ln_ratio
+        mean[:, Z.MU], mean[:, Z.LN_DITHER] = prior.FRICTION, math.log(prior.DITHER)
+        mean[:, Z.DAMPING], mean[:, Z.SHAPE] = prior.DAMPING, start.mean_radius
+        sd[Z.LN_RHO], sd[Z.MU] = prior.GYRATION_SD, prior.FRICTION_SD
+        sd[Z.LN_DITHER], sd[Z.DAMPING] = prior.LN_DITHER_SD, prior.DAMPING_SD
+        sd[Z.SHAPE :] = start.shape_sd
+        return Belief(slice(Z.LN_RHO, self.bank.n), mean, sd)
+
+    def predict(self, t: float, dt: float, palms: PalmTracker) -> None:
+        self.bank.predict(dt, self._palms_at(t, palms), palms.jerk, self._rig)
+
+    def fuse_pad(self, sample: PadSample, variance: float, palms: PalmTracker, repeated: float) -> None:
+        angles = self._palms_at(sample.t_sample, palms)[: len(JOINTS)]
+        s = self.rig_error.corrected(sample, angles[OPENING])
+        self.bank.update(pad_update(sample.pad), s, variance, *angles, repeated=repeated)
+
+    def fuse_palms(self, sample: PalmSample, angle_variance: float) -> None:
+        raise NotImplementedError("the palms' motion is an input of the shape map")
+
+    def inflate(self, gap: float) -> None:
+        Z = shape_map.Z
+        variance = np.zeros(self.bank.n)
+        variance[Z.OMEGA0] = (GUESSED_ACCELERATION_SD * gap) ** 2
+        variance[Z.PSI] = (GUESSED_ACCELERATION_SD * gap**2 / 2) ** 2
+        self.bank.P[:] += np.diag(variance)
+
+    def named(self, member: int, t: float, dt: float, palms: PalmTracker) -> tuple[FloatArray, FloatArray]:
+        self._x[:], self._P[:] = self.bank.x[member], self._whole(member)
+        self._u[0], self._u[1:7], self._u[7:9] = dt, self._palms_at(t, palms), palms.jerk
+        self._predict()
+        self._v[: shape_map.PALM_INPUTS] = self._palms_at(t + dt, palms)
+        self._named()
+        cov = self._J.T @ self._P_next @ self._J
+        for name, sd in zip((*JOINTS, *JOINT_RATES), np.ravel(palms.sd(t + dt)), strict=True):
+            i = NAMED.index(name)
+            cov[i, i] += sd**2
+        return self._y.copy(), cov
+
+    def all_named(self, t: float, palms: PalmTracker) -> FloatArray:
+        return self.bank.values(self._palms_at(t, palms), self._rig)
+
+    def outline(self, member: int) -> tuple[FloatArray, FloatArray]:
+        at = shape_map.Z.SHAPE
+        return self.bank.x[member, at:].copy(), self._whole(member)[at:, at:].copy()
+
+    def as_shape_map(self, member: int) -> FloatArray:
+        x, P = self.bank.x[member], self.bank.P[member]
+        return x if len(x) == shape_map.N else smoother_outline(x, P)[0]
+
+    def belief(self, member: int) -> tuple[FloatArray, FloatArray]:
+        return self.bank.x[member].copy(), self.bank.P[member].copy()
+
+    def _palms_at(self, t: float, palms: PalmTracker) -> FloatArray:
+        motion = palms.at(t)
+        motion[:2] += self.rig_error.angles()
+        return motion
+
+    def _whole(self, member: int) -> FloatArray:
+        P: FloatArray = self.bank.P[member]
+        return P if self.spread is None else P + self.spread @ self.spread.T

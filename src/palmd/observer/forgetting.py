@@ -1,0 +1,48 @@
+"""Exponential forgetting: readings lose weight as a power of their age, so that the first do not bend the answer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.observer.bank import Bank, Belief
+
+STRENGTH, FIRST_AGE_S, EVERY_S, AT_LEAST_EVERY_S = 1.5, 0.2, 0.2, 0.5
+# Readings that keep surprising the best filter make it forget faster.
+SURPRISING_NIS, STRENGTH_BY_SURPRISE = 1.4, 20.0
+
+
+class Forgetting:
+    """When each block of a bank has last forgotten, and how much older its filters are than the track.
+
+    `t_faded`: (blocks,) in s, inf for a block that never forgets. `prior_age_s`: (size,), 0 of a filter that began
+    blind.
+    """
+
+    def __init__(self, bank: Bank):
+        self.t_faded: FloatArray = np.full(bank.blocks, np.inf)
+        self.prior_age_s: FloatArray = np.zeros(bank.size)
+
+    def begin(self, t: float, everywhere: bool) -> None:
+        """Forget from `t` (s) on: in all blocks, or only in those with a filter that began blind."""
+        blind = self.prior_age_s.reshape(len(self.t_faded), -1).min(axis=1) == 0.0
+        self.t_faded = np.where(blind | everywhere, t, np.inf)
+
+    def step(self, bank: Bank, t: float, age_s: float, repeated: float, constants: Callable[[], Belief]) -> int | None:
+        """Let one block forget if it is time: one by one, so that no tick pays for all. Which it was, if any.
+
+        Readings of one place, each one of `repeated`, push out as much less of those before. `constants` gives what was
+        believed of the filters' constants at the start.
+        """
+        block = int(self.t_faded[: bank.blocks].argmin())
+        since = t - self.t_faded[block]
+        if since < min(max(EVERY_S, age_s / 10), AT_LEAST_EVERY_S):
+            return None
+        surprise = max(0.0, bank.nis[bank.best()] - SURPRISING_NIS)
+        learnt = age_s + float(self.prior_age_s[bank.members(block)].min())
+        fraction = STRENGTH * since / repeated / (FIRST_AGE_S + learnt) * (1.0 + STRENGTH_BY_SURPRISE * surprise)
+        bank.fade(block, min(fraction, 1.0), constants())
+        self.t_faded[block] = t
+        return block

@@ -1,0 +1,156 @@
+"""Whether the object on the palms is the last one, put back, or a new one: re-initialisation from what is remembered.
+
+Most of the bank begins with the remembered map, the rest blind, and the readings decide between them. Until then
+nothing is valid, so that nobody sees the count of objects change to and fro.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from palmd.events import FloatArray
+from palmd.model.outputs import NAMED
+from palmd.observer.bank import Belief
+from palmd.observer.coverage import Coverage, contact_bins
+from palmd.observer.filters.base import Filters
+from palmd.observer.filters.shape_map import ShapeFilters
+from palmd.observer.fusion import Fusion, Pruning
+from palmd.observer.hypotheses import Verdict
+from palmd.observer.mass import MassEstimator, resting_forces
+from palmd.observer.object_memory import KnownObject, ObjectMemory
+from palmd.observer.track import Track
+from palmd.system.description import RigDescription
+from palmd.system.mechanism import PALMS
+
+KNOWN_SHARE = 0.75  # of the bank, for filters that begin with the remembered object
+PRIOR_AGE_S = 4.0  # by which these forget as if they were older
+LOOKED_AT_S, UNDECIDED_S = 0.5, 3.0  # after which what is not the known object, or may not be, is begun as a new one
+BAYES_FACTOR = 3.0  # nats by which blind filters lead when it is not
+SAME_POSE_RAD = 0.1  # from which on an object lies another way round
+_PSI = NAMED.index("psi")
+
+
+class SmoothedFilters(NamedTuple):
+    """Filters for objects that a smoother vouches for: a bank to find a `known` one, and a `single` that carries it."""
+
+    known: ShapeFilters
+    single: ShapeFilters
+
+
+class ReturningObject:
+    """Hypotheses of an observer that remembers the last object; `candidate` is what it may be again."""
+
+    pruning = Pruning(margin=100.0, age_s=4.0)  # no filter comes back from there
+
+    def __init__(self, rig: RigDescription, blind: Filters, smoothed: SmoothedFilters | None = None):
+        """`smoothed`: for an observer with a smoother at its side."""
+        self._rig = rig
+        self._blind = blind
+        self._smoothed = smoothed
+        self.reset()
+
+    @property
+    def banks(self) -> Sequence[Filters]:
+        """All that are ever used, the one for objects never felt before first."""
+        return [self._blind, *(self._smoothed or ())]
+
+    def reset(self) -> None:
+        """As if no object had ever been felt."""
+        self.memory = ObjectMemory()
+        self.candidate: KnownObject | None = None
+
+    def choose(self) -> Filters:
+        """The bank that the next object is to be begun with."""
+        known = self.memory.recall()
+        return self._smoothed.known if self._smoothed and known and known.smoothed else self._blind
+
+    def begin(self, track: Track, t: float) -> bool:
+        """Let the bank's first filters begin from what is remembered, at the likeliest orientations."""
+        rig, fusion, bank = self._rig, track.fusion, track.fusion.bank
+        self._rough_mass = MassEstimator(rig.pads)
+        count = int(bank.full_size // bank.block * KNOWN_SHARE) * bank.block
+        known = self.candidate = self.memory.recall() if count else None
+        if known is not None:
+            psi = known.orientations(track.first_contacts, track.palms, rig.reading_variances, count)
+            fusion.filters.start_known(known.x, known.believed(), psi, fusion.palms, t)
+            fusion.forgetting.prior_age_s[:count] = PRIOR_AGE_S
+        # what a smoother vouches for has been linearised well: only what begins blind has to forget
+        fusion.forgetting.begin(t, everywhere=known is None or not known.smoothed)
+        return known is None
+
+    def constants(self, track: Track) -> Belief:
+        """What was believed of each filter's constants at the start."""
+        return track.fusion.filters.constants(track.start)
+
+    def renumber(self, kept: npt.NDArray[np.intp]) -> None:
+        """Nothing to do: a filter's hypothesis is told by its prior age."""
+
+    def apart(self, differences: FloatArray) -> FloatArray:
+        """All but those of ψ: each filter has its own gauge."""
+        differences[:, _PSI] = 0.0
+        return differences
+
+    def decide(self, track: Track, t: float, settled: bool) -> Verdict:
+        """Accept or reject that it is the candidate; with none there is nothing to decide."""
+        known, fusion, bank = self.candidate, track.fusion, track.fusion.bank
+        if known is None:
+            return Verdict.DECIDED
+        for pad, f in zip(PALMS, resting_forces(self._rig.gravity, fusion.palms.at(t)), strict=True):
+            self._rough_mass.weigh(track.contacts.last(pad), f)
+        best, blind = bank.best(), fusion.forgetting.prior_age_s == 0.0
+        likely = not blind[best]
+        x, P = fusion.filters.belief(best)
+        alike = known.weighs(self._rough_mass.value) and (not likely or known.resembles(x))
+        if likely and alike and (not known.smoothed or _where_felt(known, fusion, best)):
+            if not settled or (known.smoothed and not (_one_pose(fusion, best) or track.age(t) > UNDECIDED_S)):
+                return Verdict.OPEN
+            self.accept(track)
+            if known.spread is not None and self._smoothed is not None:
+                track.lead_with(self._smoothed.single, x, P, float(bank.nis[best]), known.touched, known.spread)
+            else:
+                track.coverage = Coverage(known.touched, best)
+                bank.drop(blind)
+            return Verdict.DECIDED
+        clear = not alike or bank.score[blind].max() - bank.score[~blind].max() > BAYES_FACTOR
+        if track.age(t) <= (LOOKED_AT_S if clear else UNDECIDED_S):
+            return Verdict.OPEN
+        self.memory.forget()
+        return Verdict.REJECTED
+
+    def accept(self, track: Track) -> None:
+        """It is the candidate, if there is one."""
+        if self.candidate is not None:
+            track.mass, self.candidate = self.candidate.mass, None
+
+    def keep(self, track: Track, t: float) -> None:
+        """Remember the map, for when the object is lost and put back."""
+        if self.memory.due(t):
+            filters = track.fusion.filters
+            x, P = filters.belief(filters.bank.best())
+            self.memory.keep(t, KnownObject(x, P, track.coverage.marks.copy(), track.mass, filters.spread))
+
+    def lost(self, track: Track) -> None:
+        """What was known of the object, if it was, has led astray."""
+        if track.fusion.forgetting.prior_age_s.any() or (self._smoothed and not track.fusion.carries):
+            self.memory.forget()
+
+    def identify(self, t: float, object_count: int) -> None:
+        """Nothing is stored to choose from."""
+
+
+def _where_felt(known: KnownObject, fusion: Fusion, best: int) -> bool:
+    """Whether the likeliest filter touches the known outline where that was felt: elsewhere any outline fits."""
+    return bool(known.touched[contact_bins(fusion.named()[best])].all())
+
+
+def _one_pose(fusion: Fusion, best: int) -> bool:
+    """Whether the plausible filters that began from what is known agree on how it lies."""
+    rivals = [number for number in fusion.rivals() if fusion.forgetting.prior_age_s[number] > 0.0]
+    psi = fusion.psi()
+    apart = np.remainder(psi[rivals] - psi[best] + math.pi, math.tau) - math.pi
+    return bool(np.abs(apart).max() < SAME_POSE_RAD)

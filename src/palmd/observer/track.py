@@ -1,0 +1,47 @@
+"""The object on the palms, from when it is begun until it is lost: what it began with, what has been found of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from palmd.events import FloatArray, PalmMotion
+from palmd.observer.contacts import Contacts
+from palmd.observer.coverage import Coverage, Marks
+from palmd.observer.filters.shape_map import ShapeFilters
+from palmd.observer.fusion import Fusion
+from palmd.observer.mass import MassEstimator
+from palmd.observer.prior import BlindStart
+
+
+@dataclass(slots=True)
+class Track:
+    """One object, on palms at `palms` when it was begun, with the pads' readings `first_contacts` (m).
+
+    radius_sd: what the rig's constants leave of its radius (m) until a smoother has told more. valid, predictable: of
+    the last estimate. t_unlikely: since when (s) all filters have been surprised, None while they are not.
+    """
+
+    fusion: Fusion
+    contacts: Contacts
+    first_contacts: Sequence[float]
+    palms: PalmMotion
+    start: BlindStart
+    radius_sd: float
+    mass: MassEstimator
+    coverage: Coverage
+    valid: bool = False
+    predictable: bool = False
+    t_unlikely: float | None = None
+
+    def age(self, t: float) -> float:
+        """How long ago its filters began, at `t` (s)."""
+        return t - self.fusion.t_start
+
+    def lead_with(
+        self, filters: ShapeFilters, x: FloatArray, P: FloatArray, nis: float, touched: Marks, spread: FloatArray
+    ) -> None:
+        """One filter, which a smoother vouches for, takes the place of all others; it has the leader's gauge."""
+        filters.spread = spread
+        self.coverage = Coverage(touched, 0)
+        self.fusion.lead_with(filters, x, P, nis)

@@ -1,0 +1,72 @@
+"""When an estimate is valid: one rule for every observer, from evidence to judgement. Pure.
+
+An estimate is valid when it is `settled`, its outline is convex, and it is decided which object it is of: none was
+expected, or the hypothesis that it is a known one was accepted (`identified`, where outlines are stored).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from palmd.events import DECIDED
+
+NIS_RANGE = (0.2, 2.0)  # of the running mean, to be called consistent
+RESUMED_FOR_S = 0.05  # of readings after a silence, by which it shows whether they are of the same object
+SURE = 0.99  # the probability from which on an object is identified, until it falls below `DECIDED`
+LOST_NIS = 3.0
+PREDICTABLE_SD_M, PREDICTABLE_AGE_S = 3e-3, 0.6  # of r1 and r2
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What one estimate rests on.
+
+    touching: both pads vouch for a contact, since `resumed_for_s`. palms_known: so do reports of the palms. finite: of
+    all values. consistent: the readings are as the model predicts. age_s: since the object was begun. radius_sd_m: the
+    larger of r1's and r2's. disagreement_m: among rival hypotheses, or of the readings about one outline.
+    """
+
+    touching: bool
+    palms_known: bool
+    resumed_for_s: float
+    finite: bool
+    consistent: bool
+    age_s: float
+    radius_sd_m: float
+    disagreement_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Thresholds:
+    """How old, how sharp and how much agreed on an observer's answer has to be."""
+
+    age_s: float
+    radius_sd_m: float
+    disagreement_m: float
+
+
+def settled(evidence: Evidence, least: Thresholds) -> bool:
+    """Whether the numbers can be taken at their word, whichever object they are of."""
+    felt = evidence.touching and evidence.palms_known and evidence.resumed_for_s > RESUMED_FOR_S
+    sharp = evidence.radius_sd_m < least.radius_sd_m and evidence.disagreement_m < least.disagreement_m
+    return bool(evidence.finite and felt and evidence.consistent and sharp and evidence.age_s > least.age_s)
+
+
+def consistent(nis: float) -> bool:
+    """Whether a filter's running mean of the normalised innovation squared is that of a right model."""
+    return bool(NIS_RANGE[0] < nis < NIS_RANGE[1])
+
+
+def surprised(nis: float) -> bool:
+    """Whether the readings are beyond what any filter foresees."""
+    return bool(nis > NIS_RANGE[1])
+
+
+def identified(probability: float, before: bool) -> bool:
+    """Whether an object of this probability is the one, given whether it was `before`: with hysteresis."""
+    return probability >= (DECIDED if before else SURE)
+
+
+def predictable(finite: bool, read_lately: bool, age_s: float, radius_sd_m: float) -> bool:
+    """Whether an answer that may not be valid yet is known well enough to foresee what a motion will do."""
+    return bool(finite and read_lately and age_s > PREDICTABLE_AGE_S and radius_sd_m < PREDICTABLE_SD_M)

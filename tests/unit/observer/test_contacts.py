@@ -1,0 +1,80 @@
+"""What the pads tell of the contacts."""
+
+import math
+
+import pytest
+
+from palmd.events import PadSample, PalmSample
+from palmd.observer.contacts import SILENCE_S, Contacts, finite
+
+
+def read(*samples):
+    contacts = Contacts()
+    for t, pad in samples:
+        contacts.read(PadSample(t, pad, 0.02))
+    return contacts
+
+
+def test_a_contact_needs_both_pads_lately():
+    assert not read((1.0, 1)).touching(1.0)
+    both = read((1.0, 1), (1.05, 2))
+    assert both.touching(1.0 + 0.9 * SILENCE_S)
+    assert not both.touching(1.0 + 1.1 * SILENCE_S)
+    assert both.quietest == 1.0
+
+
+def test_before_the_first_reading_nothing_was_seen():
+    contacts = Contacts()
+    assert contacts.quietest == contacts.resumed == contacts.last_seen(2) == -math.inf
+    assert contacts.last(1) is None
+    assert not contacts.any
+
+
+def test_a_lifted_pad_touches_again_once_it_is_read():
+    contacts = read((1.0, 1), (1.0, 2))
+    contacts.lift(2)
+    assert not contacts.touching(1.01)
+    assert contacts.read_lately(1.01)
+    contacts.read(PadSample(1.02, 2, 0.02))
+    assert contacts.touching(1.02)
+
+
+def test_an_older_reading_changes_nothing():
+    contacts = read((1.0, 1), (1.0, 2))
+    contacts.lift(1)
+    contacts.read(PadSample(0.99, 1, 0.03))
+    assert contacts.last(1).t_sample == 1.0
+    assert not contacts.touching(1.0)
+
+
+def test_it_tells_since_when_a_pad_is_read_again():
+    contacts = read((1.0, 1), (1.0, 2), (1.05, 1))
+    assert contacts.resumed == 1.0
+    contacts.read(PadSample(1.05 + 1.1 * SILENCE_S, 1, 0.02))
+    assert contacts.resumed == pytest.approx(1.05 + 1.1 * SILENCE_S)
+
+
+def test_a_reading_may_be_of_a_moment_later_than_what_it_is_asked_for():
+    contacts = read((1.05, 1), (1.0, 2))
+    assert contacts.read_about(1.0)
+    assert not contacts.read_about(1.05 - 1.1 * SILENCE_S)
+
+
+def test_what_has_left_is_forgotten():
+    contacts = read((1.0, 1), (1.0, 2))
+    contacts.lift(1)
+    contacts.clear()
+    assert contacts.last(2) is None
+    contacts.read(PadSample(1.01, 1, 0.02))
+    contacts.read(PadSample(1.01, 2, 0.02))
+    assert contacts.touching(1.01)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_one_number_that_is_none_spoils_an_event(bad):
+    assert finite(PadSample(1.0, 1, 0.02))
+    assert finite(PalmSample(1.0, (0.8, 1.6)))
+    assert not finite(PadSample(bad, 1, 0.02))
+    assert not finite(PadSample(1.0, 1, 0.02, bad))
+    assert not finite(PalmSample(1.0, (0.8, bad)))
+    assert not finite(PalmSample(1.0, (0.8, 1.6), (bad, 0.0)))

@@ -1,0 +1,54 @@
+"""Going back for a late event: to the bank as it was, and no further than there is memory for."""
+
+import numpy as np
+import pytest
+
+from palmd.events import PadSample
+from palmd.observer.filters.shape_map import ShapeFilters
+from palmd.observer.history import EVENTS, Fused, History
+from palmd.system.description import RigDescription
+
+
+@pytest.fixture(scope="module")
+def bank():
+    return ShapeFilters(RigDescription(), 8).bank
+
+
+def lived(bank, count):
+    """A history of events at 1, 2, … s, before each of which all states were that number."""
+    history = History([bank])
+    history.use(bank)
+    bank.refill()
+    for t in range(1, count + 1):
+        bank.x[:] = t
+        before = history.snapshot()
+        bank.remember(before)
+        history.add(Fused(float(t), PadSample(float(t), 1, 0.02), t - 1.0, np.zeros(1), before))
+    bank.x[:] = np.nan
+    return history
+
+
+def test_what_came_after_is_undone_and_told_in_its_order(bank):
+    undone = lived(bank, 5).undo(2.5, bank)
+    assert [entry.event.t_sample for entry in undone] == [3.0, 4.0, 5.0]
+    assert np.all(bank.x == 3.0)
+
+
+def test_an_undone_event_is_gone(bank):
+    history = lived(bank, 5)
+    history.undo(2.5, bank)
+    assert history.undo(4.5, bank) is None
+
+
+def test_only_so_many_events_can_be_undone(bank):
+    history = lived(bank, EVENTS + 3)
+    assert history.undo(2.5, bank) is None
+    assert np.all(np.isnan(bank.x)), "what is too late changes nothing"
+    assert len(history.undo(3.5, bank)) == EVENTS
+
+
+def test_a_cleared_history_cannot_be_undone(bank):
+    history = lived(bank, 5)
+    history.clear()
+    assert history.undo(2.5, bank) is None
+    assert len({id(history.snapshot()) for _ in range(EVENTS)}) == EVENTS, "no memory is lost"

@@ -1,0 +1,78 @@
+"""One rule for `valid`: every single piece of evidence can withhold it."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from palmd.events import DECIDED
+from palmd.observer.validity import (
+    NIS_RANGE,
+    PREDICTABLE_AGE_S,
+    PREDICTABLE_SD_M,
+    RESUMED_FOR_S,
+    SURE,
+    Evidence,
+    Thresholds,
+    consistent,
+    identified,
+    predictable,
+    settled,
+)
+
+LEAST = Thresholds(age_s=0.4, radius_sd_m=3e-4, disagreement_m=2e-4)
+GOOD = Evidence(
+    touching=True,
+    palms_known=True,
+    resumed_for_s=1.0,
+    finite=True,
+    consistent=True,
+    age_s=1.0,
+    radius_sd_m=1e-4,
+    disagreement_m=1e-4,
+)
+
+
+def test_with_all_the_evidence_it_is_settled():
+    assert settled(GOOD, LEAST)
+
+
+@pytest.mark.parametrize(
+    "missing",
+    [
+        {"touching": False},
+        {"palms_known": False},
+        {"resumed_for_s": RESUMED_FOR_S},
+        {"finite": False},
+        {"consistent": False},
+        {"age_s": 0.4},
+        {"radius_sd_m": 3e-4},
+        {"radius_sd_m": math.nan},
+        {"disagreement_m": 2e-4},
+        {"disagreement_m": math.nan},
+    ],
+)
+def test_without_any_one_piece_it_is_not(missing):
+    assert not settled(replace(GOOD, **missing), LEAST)
+
+
+def test_readings_may_neither_surprise_nor_agree_too_well():
+    assert consistent(1.0)
+    assert not any(consistent(nis) for nis in (*NIS_RANGE, 0.1, 3.0, math.nan))
+
+
+def test_an_object_is_identified_with_hysteresis():
+    between = (SURE + DECIDED) / 2
+    assert identified(SURE, before=False)
+    assert not identified(between, before=False)
+    assert identified(between, before=True)
+    assert not identified(DECIDED - 1e-3, before=True)
+
+
+def test_a_motion_can_be_foretold_by_an_answer_that_is_not_settled_yet():
+    sharp, old = 0.9 * PREDICTABLE_SD_M, 1.1 * PREDICTABLE_AGE_S
+    assert predictable(finite=True, read_lately=True, age_s=old, radius_sd_m=sharp)
+    assert not predictable(finite=False, read_lately=True, age_s=old, radius_sd_m=sharp)
+    assert not predictable(finite=True, read_lately=False, age_s=old, radius_sd_m=sharp)
+    assert not predictable(finite=True, read_lately=True, age_s=PREDICTABLE_AGE_S, radius_sd_m=sharp)
+    assert not predictable(finite=True, read_lately=True, age_s=old, radius_sd_m=PREDICTABLE_SD_M)
