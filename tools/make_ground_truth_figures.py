@@ -27,7 +27,7 @@ def as_result(answer: Reconstruction) -> Result:
     if answer.h is None or answer.h_sd is None or answer.touched is None:
         raise SystemExit(f"no outline: {answer.reason}")
     return Result(
-        answer.t, answer.psi, answer.r1, answer.r2, answer.theta, answer.h, answer.h_sd, answer.touched
+        answer.t, answer.psi, answer.radii, answer.theta, answer.h, answer.h_sd, answer.touched
     )  # fmt: skip
 
 

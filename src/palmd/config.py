@@ -29,7 +29,8 @@ from pydantic import (
     field_validator,
 )
 
-from palmd.events import Calibration, RigDescription
+from palmd.system.description import PadSensor, RigDescription
+from palmd.system.mechanism import JOINTS, PALMS
 
 BAUDS = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)
 SEGMENT_KINDS = ("move", "rate", "hold_s", "sine", "explore")
@@ -167,6 +168,13 @@ class RigConfig(Strict):
     """How well the palms' angles are known, one sigma; this and the other `_sd` are as calibration leaves a rig."""
     gravity_sd_deg: Annotated[NotNegative, Field(le=10)] = 0.2
     """How well gravity's direction is known, one sigma."""
+    friction_asymmetry_sd: Annotated[NotNegative, Field(le=1)] = 0.3
+    """How alike the palms rub: one sigma of (μ1 − μ2)/(μ1 + μ2); 0 where both surely have one friction."""
+
+    @property
+    def palm_lengths_mm(self) -> tuple[float, ...]:
+        """Of each palm."""
+        return tuple(getattr(self, f"palm{palm}_length_mm") for palm in PALMS)
 
 
 class PressureConfig(Strict):
@@ -211,6 +219,8 @@ class PadBase(Strict):
     """By how much the pad's middle may be higher than its ends, one sigma."""
     lag_sd_ms: Annotated[NotNegative, Field(le=100)] = 2.0
     """How well the time of a reading is known, one sigma."""
+    force_sd_mm_per_n: Annotated[NotNegative, Field(le=10)] = 0.05
+    """By how much a reading may move with the contact's force, one sigma."""
 
 
 class VersaPadConfig(PadBase):
@@ -251,6 +261,15 @@ class PadsConfig(Strict):
             raise ValueError(f"port {palm2.port} is already that of palm1")
         return palm2
 
+    def each(self) -> tuple[PadConfig, ...]:
+        """The pads in the order of their palms."""
+        return tuple(map(self.of, PALMS))
+
+    def of(self, palm: int) -> PadConfig:
+        """The pad of the palm of that number."""
+        pad: PadConfig = getattr(self, f"palm{palm}")
+        return pad
+
 
 class AdeptConfig(Strict):
     """The serial line of an Adept controller, and where its arm's base stands in the world frame."""
@@ -284,6 +303,11 @@ class LimitsConfig(Strict):
     """Of each palm angle."""
     acceleration_deg_s2: Annotated[FiniteFloat, Field(gt=0, le=50000)] = 900.0
     """Of each palm angle."""
+
+    @property
+    def angles_deg(self) -> tuple[tuple[float, float], ...]:
+        """Of each joint."""
+        return tuple(getattr(self, f"{joint}_deg") for joint in JOINTS)
 
 
 class LoopConfig(Strict):
@@ -372,7 +396,7 @@ class Config(Strict):
     @classmethod
     def _own_port(cls, arm: ArmConfig, info: ValidationInfo) -> ArmConfig:
         pads: PadsConfig | None = info.data.get("pads")
-        if pads is not None and arm.port in (pads.palm1.port, pads.palm2.port):
+        if pads is not None and arm.port in [pad.port for pad in pads.each()]:
             raise ValueError(f"port {arm.port} is already that of a pad")
         return arm
 
@@ -393,27 +417,32 @@ PRESSURE_GAIN_STD = 0.03
 
 
 def rig_description(config: Config) -> RigDescription:
-    """What an observer must know of the configured rig (SI); where the pads differ, the worse one counts."""
-    pads = (config.pads.palm1, config.pads.palm2)
+    """What an observer must know of the configured rig (SI)."""
     return RigDescription(
         gravity=config.rig.gravity_m_s2,
         hinge=config.rig.hinge,
         palm1_length=config.rig.palm1_length_mm * 1e-3,
         base=(config.rig.base_mm[0] * 1e-3, config.rig.base_mm[1] * 1e-3),
-        pad_length=min(pad.length_mm for pad in pads) * 1e-3,
-        pad_noise=max(pad.noise_mm for pad in pads) * 1e-3,
-        pad_resolution=1e-3 / min(pad.counts_per_mm for pad in pads),
-        force_resolution=max(pad.newtons_per_count for pad in pads),
+        angle_sd=math.radians(config.rig.angle_sd_deg),
+        gravity_sd=math.radians(config.rig.gravity_sd_deg),
+        friction_sd=config.rig.friction_asymmetry_sd,
+        pads=tuple(_sensor(pad) for pad in config.pads.each()),
+    )
+
+
+def _sensor(pad: PadConfig) -> PadSensor:
+    return PadSensor(
+        length=pad.length_mm * 1e-3,
+        noise=pad.noise_mm * 1e-3,
+        resolution=1e-3 / pad.counts_per_mm,
+        force_resolution=pad.newtons_per_count,
         force_gain_std=PRESSURE_GAIN_STD,
-        calibration=Calibration(
-            zero=max(pad.zero_sd_mm for pad in pads) * 1e-3,
-            scale=max(pad.scale_sd for pad in pads),
-            angle=math.radians(config.rig.angle_sd_deg),
-            standoff=max(pad.standoff_sd_mm for pad in pads) * 1e-3,
-            lag=max(pad.lag_sd_ms for pad in pads) * 1e-3,
-            gravity=math.radians(config.rig.gravity_sd_deg),
-            sagitta=max(pad.sagitta_sd_mm for pad in pads) * 1e-3,
-        ),
+        zero_sd=pad.zero_sd_mm * 1e-3,
+        scale_sd=pad.scale_sd,
+        standoff_sd=pad.standoff_sd_mm * 1e-3,
+        sagitta_sd=pad.sagitta_sd_mm * 1e-3,
+        lag_sd=pad.lag_sd_ms * 1e-3,
+        force_sd=pad.force_sd_mm_per_n * 1e-3,
     )
 
 
@@ -441,7 +470,15 @@ SwingFrequencies = Annotated[
 Repeat = Annotated[int | Literal["forever"], PlainValidator(_repeat)]
 
 
-class PalmAngles(Strict):
+class JointValues(Strict):
+    """One value for each joint."""
+
+    def each(self) -> tuple[float | None, ...]:
+        """Them, in the order of the joints."""
+        return tuple(getattr(self, name) for name in type(self).model_fields)
+
+
+class PalmAngles(JointValues):
     """Where palm angles shall go; an angle that is left out stays."""
 
     phi1_deg: FiniteFloat | None = None
@@ -457,7 +494,7 @@ class PalmAngles(Strict):
         return value
 
 
-class PalmRates(Strict):
+class PalmRates(JointValues):
     """Constant rates of the palm angles; zero where left out."""
 
     phi1_deg_s: FiniteFloat = 0.0
@@ -466,7 +503,7 @@ class PalmRates(Strict):
     """Of φ2."""
 
 
-class PalmAmplitudes(Strict):
+class PalmAmplitudes(JointValues):
     """Amplitudes about the pose where a sine starts; zero where left out, negative for opposite phase."""
 
     phi1_deg: Annotated[FiniteFloat, Field(ge=-90, le=90)] = 0.0
@@ -486,7 +523,7 @@ class MoveSpec(Strict):
     @field_validator("move")
     @classmethod
     def _goes_somewhere(cls, move: PalmAngles) -> PalmAngles:
-        if move.phi1_deg is None and move.phi2_deg is None:
+        if all(angle is None for angle in move.each()):
             raise ValueError("needs phi1_deg, phi2_deg or both")
         return move
 
@@ -502,14 +539,14 @@ class RateSpec(Strict):
     @field_validator("rate")
     @classmethod
     def _turns(cls, rate: PalmRates) -> PalmRates:
-        if rate.phi1_deg_s == 0.0 and rate.phi2_deg_s == 0.0:
+        if not any(rate.each()):
             raise ValueError("needs a rate other than 0 for phi1_deg_s or phi2_deg_s")
         return rate
 
     @field_validator("until")
     @classmethod
     def _one_end(cls, until: PalmAngles) -> PalmAngles:
-        if (until.phi1_deg is None) == (until.phi2_deg is None):
+        if sum(angle is not None for angle in until.each()) != 1:
             raise ValueError("needs exactly one of phi1_deg, phi2_deg")
         return until
 

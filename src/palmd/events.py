@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
-Pad = Literal[1, 2]
-HingeMode = Literal["arc", "fixed"]
+Joints = tuple[float, ...]
+"""One value for each joint, in their order."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +25,7 @@ class PadSample:
     """
 
     t_sample: float
-    pad: Pad
+    pad: int
     s: float
     force: float | None = None
 
@@ -36,24 +35,26 @@ class PadLift:
     """The object has left palm `pad`: no reading is valid until the next `PadSample` of that pad."""
 
     t_sample: float
-    pad: Pad
+    pad: int
 
 
 @dataclass(frozen=True, slots=True)
 class PalmSample:
-    """The palms' angles as measured (rad), with the motion plan's rates (rad/s) and accelerations (rad/s²).
+    """The joint angles as measured (rad), with the motion plan's rates (rad/s) and accelerations (rad/s²).
 
-    phi1 is measured from the world X axis to palm 1, phi2 from palm 1 to palm 2. Rates and accelerations are
-    None where no plan is known; the observer then estimates the rates from the angles alone.
+    In the order of `system.mechanism.JOINTS`. Rates and accelerations are None where no plan is known, of all joints;
+    the observer then estimates the rates from the angles alone.
     """
 
     t_sample: float
-    phi1: float
-    phi2: float
-    omega1: float | None = None
-    omega2: float | None = None
-    alpha1: float | None = None
-    alpha2: float | None = None
+    angles: Joints
+    rates: Joints | None = None
+    accelerations: Joints | None = None
+
+    @property
+    def told(self) -> Joints:
+        """Every number that it tells of the joints."""
+        return (*self.angles, *(self.rates or ()), *(self.accelerations or ()))
 
 
 Event = PadSample | PadLift | PalmSample
@@ -61,66 +62,17 @@ Event = PadSample | PadLift | PalmSample
 
 @dataclass(frozen=True, slots=True)
 class PalmMotion:
-    """Palm angles (rad), rates (rad/s) and accelerations (rad/s²) at one instant of a motion."""
+    """Joint angles (rad), rates (rad/s) and accelerations (rad/s²) at one instant of a motion."""
 
-    phi1: float
-    phi2: float
-    omega1: float = 0.0
-    omega2: float = 0.0
-    alpha1: float = 0.0
-    alpha2: float = 0.0
+    angles: Joints
+    rates: Joints
+    accelerations: Joints
 
-
-@dataclass(frozen=True, slots=True)
-class Calibration:
-    """One-sigma of what each of the rig's constants is off by: of each pad, of each palm's angle, of gravity; SI units.
-
-    `zero` and `scale` of the readings, `standoff` of the pad's surface from the hinge line, `sagitta` of its bow, `lag`
-    of its time stamps, `angle` of φ1 and φ2, `gravity` of its direction, `force`: of what a reading moves by with the
-    contact's force (m/N). `friction`: of (μ1 − μ2)/(μ1 + μ2) of the palms. The defaults are those of a rig after
-    docs/start/calibration.md.
-    """
-
-    zero: float = 1e-4
-    scale: float = 3e-3
-    angle: float = math.radians(0.1)
-    standoff: float = 2e-4
-    lag: float = 2e-3
-    gravity: float = math.radians(0.2)
-    sagitta: float = 3e-5
-    friction: float = 0.3
-    force: float = 5e-5
-
-
-PERFECT = Calibration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-"""Of a rig that is exactly as described."""
-
-
-@dataclass(frozen=True, slots=True)
-class RigDescription:
-    """What an observer must know of the rig: gravity, hinge, and how good the sensors are (SI units)."""
-
-    gravity: float = 9.81
-    hinge: HingeMode = "arc"
-    palm1_length: float = 0.12
-    base: tuple[float, float] = (0.12, 0.0)  # of palm 1's far end, where an arc hinge is fixed to the world
-    pad_length: float = 0.0555
-    pad_noise: float = 1e-4
-    pad_resolution: float = 1.27e-4
-    palm_angle_noise: float = 2e-4
-    force_scale_std: float = 0.05  # relative, of each reading by itself
-    force_gain_std: float = 0.0  # relative, of all of a pad's readings together; it may drift
-    force_resolution: float = 0.02
-    calibration: Calibration = PERFECT
-
-    @property
-    def reading_variance(self) -> float:
-        """Of one contact reading: its noise and what rounding to the pad's resolution adds (m²)."""
-        return self.pad_noise**2 + self.pad_resolution**2 / 12
-
-    def force_variance(self, force: FloatArray) -> FloatArray:
-        """Of readings of a true `force` (N) by themselves, rounding included; without what a gain adds (N²)."""
-        return (self.force_scale_std * force) ** 2 + self.force_resolution**2 / 12
+    @classmethod
+    def at_rest(cls, angles: Joints) -> PalmMotion:
+        """Standing at these joint angles (rad)."""
+        still = (0.0,) * len(angles)
+        return cls(angles, still, still)
 
 
 @dataclass(frozen=True, slots=True)

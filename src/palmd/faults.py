@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
 
+from palmd.system.mechanism import PALMS
+
 
 class Severity(StrEnum):
     """What a fault does, from mild to grave: say so; work on with less; hold the motion; stop the arm."""
@@ -241,7 +243,7 @@ FAULTS: tuple[Fault, ...] = (
         "pads-swapped",
         Severity.DEGRADE,
         "the pressures move the wrong way between the pads as the palms turn: the pads are swapped",
-        "exchange pads.palm1.port and pads.palm2.port in the configuration, or the plugs; "
+        f"exchange {' and '.join(f'pads.palm{palm}.port' for palm in PALMS)} in the configuration, or the plugs; "
         "until then no estimate is called valid",
     ),
     Fault(

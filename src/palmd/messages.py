@@ -8,9 +8,9 @@ loop.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 from palmd.config import Config, config_hash
 from palmd.events import (
@@ -26,6 +26,7 @@ from palmd.events import (
 )
 from palmd.faults import Fault
 from palmd.quantities import ESTIMATE, EVENTS, SCHEMA, STAMP, TICK, UNITS, Kind, Topic
+from palmd.system.mechanism import JOINTS, PALMS
 
 Fields = dict[str, Any]
 
@@ -86,7 +87,8 @@ def object_fields(estimate: ObjectEstimate) -> Fields:
     }
 
 
-_NONE = (math.nan,) * 8
+_NONE = (math.nan,) * len(JOINTS)
+_NO_PALMS = _NONE * 3  # angles, rates, accelerations
 
 
 def events_fields(t: float, events: Iterable[Event]) -> Fields:
@@ -104,20 +106,20 @@ def events_of(fields: Mapping[str, Any]) -> tuple[Event, ...]:
 def _event_row(event: Event) -> tuple[float, ...]:
     if isinstance(event, PadSample):
         force = math.nan if event.force is None else event.force
-        return (event.pad, event.t_sample, event.s, force, *_NONE[:6])
+        return (event.pad, event.t_sample, event.s, force, *_NO_PALMS)
     if isinstance(event, PadLift):
-        return (-event.pad, event.t_sample, *_NONE)
-    planned = (event.omega1, event.omega2, event.alpha1, event.alpha2)
-    rates = [math.nan if value is None else value for value in planned]
-    return (0, event.t_sample, *_NONE[:2], event.phi1, event.phi2, *rates)
+        return (-event.pad, event.t_sample, math.nan, math.nan, *_NO_PALMS)
+    planned = (*(event.rates or _NONE), *(event.accelerations or _NONE))
+    return (0, event.t_sample, math.nan, math.nan, *event.angles, *planned)
 
 
-def _event(source: int, t: float, s: float, force: float, phi1: float, phi2: float, *rates: float) -> Event:
+def _event(source: int, t: float, s: float, force: float, *palms: float) -> Event:
     if source == 0:
-        return PalmSample(t, phi1, phi2, *(None if math.isnan(rate) else rate for rate in rates))
-    if abs(source) not in (1, 2):
-        raise ValueError(f"source is {source}; it is 0, 1, 2, -1 or -2")
-    pad: Literal[1, 2] = 1 if abs(source) == 1 else 2
+        angles, *planned = (palms[i : i + len(JOINTS)] for i in range(0, len(palms), len(JOINTS)))
+        return PalmSample(t, angles, *(None if any(map(math.isnan, each)) else each for each in planned))
+    if abs(source) not in PALMS:
+        raise ValueError(f"source is {source}; it is 0, or the number of a palm, negative where its contact has ended")
+    pad = abs(source)
     return PadLift(t, pad) if source < 0 else PadSample(t, pad, s, None if math.isnan(force) else force)
 
 
@@ -147,21 +149,20 @@ class PadView:
     batch: bool = False
 
 
-def contact_fields(pad1: PadView, pad2: PadView, arm_age: float) -> Fields:
-    """`palm/contact`; `arm_age` in s, NaN for none."""
+def contact_fields(pads: Sequence[PadView], arm_age: float) -> Fields:
+    """`palm/contact` of the palms' pads; `arm_age` in s, NaN for none."""
+    numbered = tuple(zip(PALMS, pads, strict=True))
     return {
-        "s1_m": pad1.s,
-        "s2_m": pad2.s,
-        "pressure1": pad1.pressure,
-        "pressure2": pad2.pressure,
-        "age1_ms": pad1.age * 1e3,
-        "age2_ms": pad2.age * 1e3,
+        **{f"s{palm}_m": pad.s for palm, pad in numbered},
+        **{f"pressure{palm}": pad.pressure for palm, pad in numbered},
+        **{f"age{palm}_ms": pad.age * 1e3 for palm, pad in numbered},
         "arm_age_ms": arm_age * 1e3,
-        "touch1": pad1.touch,
-        "touch2": pad2.touch,
-        "batch1": pad1.batch,
-        "batch2": pad2.batch,
+        **{f"touch{palm}": pad.touch for palm, pad in numbered},
+        **{f"batch{palm}": pad.batch for palm, pad in numbered},
     }
+
+
+_COMMANDED, _ACTUAL = ([f"{joint}{end}" for joint in JOINTS] for end in ("_cmd_rad", "_rad"))
 
 
 def motion_fields(
@@ -174,10 +175,8 @@ def motion_fields(
 ) -> Fields:
     """`palm/motion`."""
     return {
-        "phi1_cmd_rad": math.nan if commanded is None else commanded.phi1,
-        "phi2_cmd_rad": math.nan if commanded is None else commanded.phi2,
-        "phi1_rad": math.nan if actual is None else actual.phi1,
-        "phi2_rad": math.nan if actual is None else actual.phi2,
+        **dict(zip(_COMMANDED, _NONE if commanded is None else commanded.angles, strict=True)),
+        **dict(zip(_ACTUAL, _NONE if actual is None else actual.angles, strict=True)),
         "plan": plan,
         "segment": segment,
         "progress": progress,
@@ -199,10 +198,9 @@ def state_fields(state: str, faults: Iterable[Fault]) -> Fields:
 def info_fields(version: str, observer: str, config: Config) -> Fields:
     """`palm/info`: who runs, and the rig as configured, lengths and limits included, for whoever draws it."""
     rig, limits = config.rig, config.limits
-    pads = (config.pads.palm1, config.pads.palm2)
-    lengths_mm = {"palm1": rig.palm1_length_mm, "palm2": rig.palm2_length_mm}
-    lengths_mm |= {f"pad{i}": pad.length_mm for i, pad in enumerate(pads, 1)}
-    ranges_deg = {"phi1": limits.phi1_deg, "phi2": limits.phi2_deg}
+    lengths_mm = {f"palm{palm}": length for palm, length in zip(PALMS, rig.palm_lengths_mm, strict=True)}
+    lengths_mm |= {f"pad{palm}": pad.length_mm for palm, pad in zip(PALMS, config.pads.each(), strict=True)}
+    ranges_deg = dict(zip(JOINTS, limits.angles_deg, strict=True))
     return {
         "version": version,
         "schema": SCHEMA,

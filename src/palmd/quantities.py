@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from palmd.events import DECIDED
+from palmd.system.mechanism import ENDS, JOINT_MEANINGS, PALMS
 
 SCHEMA = 1
 
@@ -86,7 +87,7 @@ class Quantity:
     unit: as published, empty for what has none. role: `derived` has a one-sigma in the message's `sd`, `named` must
     besides be finite, one-sigma included, in an estimate that says `valid`. chart: name of the `Chart` it is drawn in.
     source: the attribute of what it is taken from, SI. glance: whether it is among the few that are shown at a glance.
-    palm: 1 or 2 for what belongs to one palm. digits: where its unit's are not enough or too many.
+    palm: its number for what belongs to one palm, else 0. digits: where its unit's are not enough or too many.
     """
 
     name: str
@@ -98,7 +99,7 @@ class Quantity:
     role: Role = "plain"
     source: str = ""
     glance: bool = False
-    palm: Literal[0, 1, 2] = 0
+    palm: int = 0
     digits: int | None = None
 
     @property
@@ -161,6 +162,17 @@ def drawn(topic: Topic, *, tab: Tab | None = None, chart: str | None = None) -> 
             yield from (quantity for quantity in topic.quantities if quantity.chart == each.name)
 
 
+def of_each_palm(*rows: Quantity) -> Iterator[Quantity]:
+    """The rows for one palm after the other: `{}` is its number, `{sub}` a small one, `{angle}` its joint in words."""
+    for palm, angle in zip(PALMS, JOINT_MEANINGS, strict=True):
+        for row in rows:
+            texts = {name: getattr(row, name) for name in ("name", "meaning", "symbol", "source")}
+            sub = chr(ord("₀") + palm)
+            yield replace(
+                row, palm=palm, **{name: text.format(palm, sub=sub, angle=angle) for name, text in texts.items()}
+            )
+
+
 STAMP = (
     Quantity("v", "number", "", "schema version"),
     Quantity("timestamp", "number", "s", "Unix time when it was sent"),
@@ -178,35 +190,26 @@ ESTIMATE = Topic(
         Quantity("observer", "text", "", "which observer it comes from", source="observer"),
         Quantity("object", "number", "", "counts up when a new object is begun", "object", "object",
                  source="object_count"),
-        Quantity("r1_m", "number", "m", "distance of palm 1 from the centre of mass",
-                 "r₁", "distance", "named", "r1", glance=True, palm=1),
-        Quantity("r2_m", "number", "m", "distance of palm 2 from the centre of mass",
-                 "r₂", "distance", "named", "r2", glance=True, palm=2),
+        *of_each_palm(Quantity("r{}_m", "number", "m", "distance of palm {} from the centre of mass",
+                               "r{sub}", "distance", "named", "r{}", glance=True)),
         Quantity("omega0_rad_s", "number", "rad/s", "angular rate of the object",
                  "ω₀", "rate", "named", "omega0", glance=True),
-        Quantity("s1_m", "number", "m", "contact on palm 1, from the hinge",
-                 "s₁", "contact", "named", "s1", glance=True, palm=1),
-        Quantity("s2_m", "number", "m", "contact on palm 2, from the hinge",
-                 "s₂", "contact", "named", "s2", glance=True, palm=2),
-        Quantity("phi1_rad", "number", "rad", "palm 1 from the world X axis",
-                 "φ₁", "angles", "named", "phi1", palm=1),
-        Quantity("omega1_rad_s", "number", "rad/s", "rate of phi1", "ω₁", "rates", "named", "omega1", palm=1),
-        Quantity("phi2_rad", "number", "rad", "palm 2 from palm 1", "φ₂", "angles", "named", "phi2", palm=2),
-        Quantity("omega2_rad_s", "number", "rad/s", "rate of phi2", "ω₂", "rates", "named", "omega2", palm=2),
+        *of_each_palm(Quantity("s{}_m", "number", "m", "contact on palm {}, from the hinge",
+                               "s{sub}", "contact", "named", "s{}", glance=True)),
+        *of_each_palm(
+            Quantity("phi{}_rad", "number", "rad", "{angle}", "φ{sub}", "angles", "named", "phi{}"),
+            Quantity("omega{}_rad_s", "number", "rad/s", "rate of phi{}", "ω{sub}", "rates", "named", "omega{}"),
+        ),
         Quantity("rho_m", "number", "m", "radius of gyration", "ρ", "gyration", "named", "rho", glance=True),
         Quantity("psi_rad", "number", "rad",
                  "turn of the object since the first fused measurement, or from a stored outline",
                  "ψ", "turn", "named", "psi", glance=True),
-        Quantity("v1_m", "number", "m", "radius of curvature of the outline at contact 1",
-                 "v₁", "", "derived", "v1", palm=1),
-        Quantity("v2_m", "number", "m", "radius of curvature of the outline at contact 2",
-                 "v₂", "", "derived", "v2", palm=2),
+        *of_each_palm(Quantity("v{}_m", "number", "m", "radius of curvature of the outline at contact {}",
+                               "v{sub}", "", "derived", "v{}")),
         Quantity("mu", "number", "", "friction", "μ", "friction", "derived", "mu", glance=True),
         Quantity("mass_kg", "number", "kg", "mass of the object", "m", "mass", "derived", "mass", glance=True),
-        Quantity("f1_n", "number", "N", "normal force of contact 1", "f₁", "force", "derived", "f1", glance=True,
-                 palm=1),
-        Quantity("f2_n", "number", "N", "normal force of contact 2", "f₂", "force", "derived", "f2", glance=True,
-                 palm=2),
+        *of_each_palm(Quantity("f{}_n", "number", "N", "normal force of contact {}",
+                               "f{sub}", "force", "derived", "f{}", glance=True)),
         Quantity("com_x_m", "number", "m", "centre of mass, world frame", "x", "", "derived", "com_x"),
         Quantity("com_y_m", "number", "m", "centre of mass, world frame", "y", "", "derived", "com_y", glance=True),
         Quantity("sd", "sds", "", "one-sigma of each field that it names, in that field's unit"),
@@ -248,19 +251,13 @@ CONTACT = Topic(
     100.0,
     "every tick",
     (
-        Quantity("s1_m", "number", "m", "last reading of pad 1, from the hinge; none while untouched",
-                 chart="contact", palm=1),
-        Quantity("s2_m", "number", "m", "last reading of pad 2, from the hinge; none while untouched",
-                 chart="contact", palm=2),
-        Quantity("pressure1", "number", "", "last pressure of pad 1, counts", chart="pressure", palm=1),
-        Quantity("pressure2", "number", "", "last pressure of pad 2, counts", chart="pressure", palm=2),
-        Quantity("age1_ms", "number", "ms", "age of pad 1's last packet", "pad 1", "age", palm=1, digits=0),
-        Quantity("age2_ms", "number", "ms", "age of pad 2's last packet", "pad 2", "age", palm=2, digits=0),
+        *of_each_palm(Quantity("s{}_m", "number", "m", "last reading of pad {}, from the hinge; none while untouched",
+                               chart="contact")),
+        *of_each_palm(Quantity("pressure{}", "number", "", "last pressure of pad {}, counts", chart="pressure")),
+        *of_each_palm(Quantity("age{}_ms", "number", "ms", "age of pad {}'s last packet", "pad {}", "age", digits=0)),
         Quantity("arm_age_ms", "number", "ms", "age of the arm's last report", "arm", "age", digits=0),
-        Quantity("touch1", "bool", "", "whether pad 1 is touched"),
-        Quantity("touch2", "bool", "", "whether pad 2 is touched"),
-        Quantity("batch1", "bool", "", "whether pad 1's last packet came with others in one read"),
-        Quantity("batch2", "bool", "", "whether pad 2's last packet came with others in one read"),
+        *of_each_palm(Quantity("touch{}", "bool", "", "whether pad {} is touched")),
+        *of_each_palm(Quantity("batch{}", "bool", "", "whether pad {}'s last packet came with others in one read")),
     ),
 )  # fmt: skip
 MOTION = Topic(
@@ -268,10 +265,9 @@ MOTION = Topic(
     100.0,
     "every tick",
     (
-        Quantity("phi1_cmd_rad", "number", "rad", "commanded; none unless tracking", "φ₁", "angles", palm=1, digits=2),
-        Quantity("phi2_cmd_rad", "number", "rad", "commanded; none unless tracking", "φ₂", "angles", palm=2, digits=2),
-        Quantity("phi1_rad", "number", "rad", "actual, from the arm's last report", "φ₁", palm=1, digits=2),
-        Quantity("phi2_rad", "number", "rad", "actual, from the arm's last report", "φ₂", palm=2, digits=2),
+        *of_each_palm(Quantity("phi{}_cmd_rad", "number", "rad", "commanded; none unless tracking",
+                               "φ{sub}", "angles", digits=2)),
+        *of_each_palm(Quantity("phi{}_rad", "number", "rad", "actual, from the arm's last report", "φ{sub}", digits=2)),
         Quantity("plan", "text", "", "name of the plan, empty without one"),
         Quantity("segment", "number", "", "number of the plan's segment from 0; -1 when no plan is being run"),
         Quantity("progress", "number", "",
@@ -307,7 +303,7 @@ LOOP = Topic(
         Quantity("lateness_ms", "numbers", "ms", "how late each tick of the last second began, in their order"),
         *(
             Quantity(f"{port}_*", "number", "", f"what has passed on the {port} port since the start, by cause")
-            for port in ("pad1", "pad2", "arm")
+            for port in ENDS
         ),
         Quantity("bus_*", "number", "", "what has passed on the bus since the start"),
         Quantity("lag_ms", "number", "ms", "by how much the arm follows its set-points, estimated"),
@@ -334,9 +330,9 @@ INFO = Topic(
         Quantity("hinge", "text", "", "what joins the palms: arc or fixed"),
         Quantity("gravity_m_s2", "number", "m/s²", "in the plane of the palms"),
         Quantity("base_m", "numbers", "m", "far end of palm 1, where an arc hinge is fixed: x and y, world frame"),
-        *(Quantity(f"palm{i}_length_m", "number", "m", f"palm {i}, from the hinge to its far end") for i in (1, 2)),
-        *(Quantity(f"pad{i}_length_m", "number", "m", f"pad {i}, from the hinge on") for i in (1, 2)),
-        *(Quantity(f"phi{i}_limits_rad", "numbers", "rad", f"least and largest phi{i}") for i in (1, 2)),
+        *of_each_palm(Quantity("palm{}_length_m", "number", "m", "palm {}, from the hinge to its far end")),
+        *of_each_palm(Quantity("pad{}_length_m", "number", "m", "pad {}, from the hinge on")),
+        *of_each_palm(Quantity("phi{}_limits_rad", "numbers", "rad", "least and largest phi{}")),
         Quantity("rate_limit_rad_s", "number", "rad/s", "of each palm angle"),
         Quantity("acceleration_limit_rad_s2", "number", "rad/s²", "of each palm angle"),
     ),
@@ -358,12 +354,9 @@ EVENTS = Topic(
         Quantity("t_sample_s", "numbers", "s", "when it was true, CLOCK_MONOTONIC"),
         Quantity("s_m", "numbers", "m", "of a reading: contact, from the hinge"),
         Quantity("force_n", "numbers", "N", "of a reading: normal force"),
-        *(Quantity(f"phi{i}_rad", "numbers", "rad", f"of the palms: phi{i} as measured") for i in (1, 2)),
-        *(Quantity(f"omega{i}_rad_s", "numbers", "rad/s", f"of the palms: rate of phi{i}, planned") for i in (1, 2)),
-        *(
-            Quantity(f"alpha{i}_rad_s2", "numbers", "rad/s²", f"of the palms: acceleration of phi{i}, planned")
-            for i in (1, 2)
-        ),
+        *of_each_palm(Quantity("phi{}_rad", "numbers", "rad", "of the palms: phi{} as measured")),
+        *of_each_palm(Quantity("omega{}_rad_s", "numbers", "rad/s", "of the palms: rate of phi{}, planned")),
+        *of_each_palm(Quantity("alpha{}_rad_s2", "numbers", "rad/s²", "of the palms: acceleration of phi{}, planned")),
     ),
 )
 IMPROVEMENT = Topic(
@@ -392,10 +385,16 @@ TRUTH = Topic(
     (
         *(
             replace(ESTIMATE[name], chart="", role="plain", source="", glance=False)
-            for name in ("psi_rad", "omega0_rad_s", "r1_m", "r2_m", "s1_m", "s2_m", "phi1_rad", "phi2_rad",
-                         "omega1_rad_s", "omega2_rad_s", "com_x_m", "com_y_m", "f1_n", "f2_n")
+            for name in (
+                "psi_rad",
+                "omega0_rad_s",
+                *(name.format(palm) for name in ("r{}_m", "s{}_m", "phi{}_rad", "omega{}_rad_s") for palm in PALMS),
+                "com_x_m",
+                "com_y_m",
+                *map("f{}_n".format, PALMS),
+            )
         ),
-        *(Quantity(f"contact{i}", "bool", "", f"whether the object touches palm {i}") for i in (1, 2)),
+        *of_each_palm(Quantity("contact{}", "bool", "", "whether the object touches palm {}")),
         Quantity("object", "number", "", "counts up when another object is put on the palms"),
         Quantity("arm_state", "text", "", "the controller's state letter"),
     ),

@@ -50,7 +50,7 @@ def test_zero_and_scale():
 def test_newtons_per_count():
     plan, rests = tipping_plan(RADIUS_M, LIMITS, ROUNDS)
     found = [pad_forces(heard(plan, seed), CONFIGURED, 9.81 * MASS_KG, rests) for seed in range(SEEDS)]
-    pads = [(pad, real) for each in found for pad, real in zip((each.pad1, each.pad2), REAL, strict=True)]
+    pads = [(pad, real) for each in found for pad, real in zip(each.pads, REAL, strict=True)]
     gain = np.array([pad.newtons_per_count / real.newtons_per_count - 1.0 for pad, real in pads]) * 100
     sd = np.array([pad.newtons_per_count_sd / pad.newtons_per_count for pad, _ in pads]) * 100
     show(TITLE, COLUMNS, [row("newtons_per_count, %", gain, sd)])

@@ -5,14 +5,16 @@ import time
 import numpy as np
 import pytest
 from benchtable import PARTS, machine, percentiles, show
+from palms import palm_sample
 
-from palmd.events import PadSample, PalmSample, RigDescription
+from palmd.events import PadSample
 from palmd.model import compiled, extended, shape_map
 from palmd.observer import EXTENDED_BANK, SHAPE_BANK, QuasistaticObserver
 from palmd.observer.bank_observer import BankObserver
 from palmd.observer.filters.extended import ExtendedFilters
 from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.rig.simulate import simulate_log
+from palmd.system.description import RigDescription
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(300)]
 
@@ -31,7 +33,7 @@ def events_of(lines):
         if "pad" in line:
             yield PadSample(line["t"], line["pad"], line["s_m"], line["force_n"])
         elif "palms" in line:
-            yield PalmSample(line["t"], *line["palms"].values())
+            yield palm_sample(line)
 
 
 @pytest.fixture(scope="module")

@@ -5,13 +5,15 @@ import time
 import numpy as np
 import pytest
 from benchtable import PARTS, machine, percentiles, show
+from palms import palm_sample
 
-from palmd.events import PadSample, PalmSample, RigDescription
+from palmd.events import PadSample
 from palmd.observer.incremental import IncrementalSmoother
 from palmd.observer.reconstruct import reconstruct
 from palmd.observer.smoothing import Session
 from palmd.rig.shapes import KINDS
 from palmd.rig.simulate import simulate_log
+from palmd.system.description import RigDescription
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(300)]
 
@@ -26,7 +28,7 @@ def log_of(kind, seed):
         if "pad" in line:
             events.append(PadSample(line["t"], line["pad"], line["s_m"], line["force_n"]))
         else:
-            events.append(PalmSample(line["t"], *line["palms"].values()))
+            events.append(palm_sample(line))
     return events, RigDescription(hinge=hinge["mode"], palm1_length=hinge.get("palm1_length_m", 0.12))
 
 

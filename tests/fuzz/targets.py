@@ -154,7 +154,7 @@ def plan(data: bytes) -> None:
         trajectory = compile_plan(spec, _LIMITS)
         for tau in (0.0, 0.3, 0.5 * min(trajectory.duration, 100.0), min(trajectory.duration, 1e4)):
             motion = trajectory.at(tau)
-            assert not _LIMITS.violations(motion.phi1, motion.phi2)
+            assert not _LIMITS.violations(motion.angles)
 
 
 def _check_places(path: Path, error: ConfigError) -> None:

@@ -26,7 +26,7 @@ def errors(found, true=TRUE):
 
 def gain_errors(found, true=TRUE):
     """Of both pads' newtons_per_count, relative."""
-    pads = zip((found.pad1, found.pad2), true, strict=True)
+    pads = zip(found.pads, true, strict=True)
     return [each.newtons_per_count / pad.newtons_per_count - 1.0 for each, pad in pads]
 
 

@@ -29,7 +29,7 @@ def events(number):
     """What the observer is fed in a tick: something of each kind, and in the third tick nothing."""
     t = 0.1 * number + 1 / 3
     pads = [PadSample(t, 1, 0.02 / 3, 0.5), PadSample(t, 2, 0.03, None), PadLift(t + 1e-3, 2)]
-    palms = [PalmSample(t + 2e-3, 0.5, 1.5, 0.1, None, -0.2, math.pi), PalmSample(t + 3e-3, 0.5, 1.5)]
+    palms = [PalmSample(t + 2e-3, (0.5, 1.5), None, (-0.2, math.pi)), PalmSample(t + 3e-3, (0.5, 1.5))]
     return [] if number == 3 else pads + palms
 
 

@@ -49,4 +49,4 @@ def rolled(rng, pad, phi1_deg, phi2_deg, g, yaw_error, t0=0.0, resistance=0.003,
 
 
 def standing(phi1_deg, phi2_deg):
-    return PalmSample(0.0, math.radians(phi1_deg), math.radians(phi2_deg))
+    return PalmSample(0.0, (math.radians(phi1_deg), math.radians(phi2_deg)))

@@ -11,12 +11,13 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from palmd.events import Event, PadSample, PalmSample, RigDescription
+from palmd.events import Event, PadSample, PalmSample
 from palmd.observer.bound import Truth
 from palmd.record.eventlog import read_log
 from palmd.rig.plant import AS_ASSUMED, PlantOptions
 from palmd.rig.shapes import Body, random_body
 from palmd.rig.simulate import simulate_log
+from palmd.system.description import RigDescription
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 
 from palmd.config import PlanSpec, VersaPadConfig
 from palmd.devices.versapad import PadCalibration, PadReceiver
-from palmd.events import Event, Pad, PalmSample
+from palmd.events import Event, PalmSample
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import compile_plan
 from palmd.rig.pads import GOOD_PADS, PadEmulator, PadOptions, Press
@@ -20,7 +20,7 @@ from palmd.rig.shapes import cylinder
 STEP_S = 2e-3  # the cylinder goes slowly
 ARM_S = 0.016
 ANGLE_NOISE_RAD = 1.5e-4
-PADS: tuple[Pad, Pad] = (1, 2)
+PADS = (1, 2)
 
 
 def turned(
@@ -60,8 +60,10 @@ def turned(
         if t >= t_arm:
             t_arm += ARM_S
             noise1, noise2 = rng.normal(0.0, ANGLE_NOISE_RAD, 2).tolist()
-            rates = (palms.omega1, palms.omega2, palms.alpha1, palms.alpha2)
-            events.append(PalmSample(t, palms.phi1 + noise1, palms.phi2 + phi2_error_rad + noise2, *rates))
+            phi1, phi2 = palms.angles
+            events.append(
+                PalmSample(t, (phi1 + noise1, phi2 + phi2_error_rad + noise2), palms.rates, palms.accelerations)
+            )
         for pad, host, contact in zip(pads, hosts, plant.contacts(), strict=True):
             if t >= pad.due:
                 presses = [Press(contact.s, contact.force)] if contact.touching else []
@@ -69,7 +71,7 @@ def turned(
     return events
 
 
-def _receiver(number: Pad, config: VersaPadConfig) -> PadReceiver:
+def _receiver(number: int, config: VersaPadConfig) -> PadReceiver:
     calibration = PadCalibration(
         number,
         config.zero_mm,

@@ -86,14 +86,15 @@ def test_the_bound_is_that_of_single_shooting(kind: str, seed: int, tmp_path: Pa
     paths = CubicHermiteSpline(times, psi, omega0)
     predicted, sigma = [], []
     for sample in stretch.pads:
+        pad = log.rig.pads[sample.pad - 1]
         (palms,) = search.path.at(np.array([sample.t_sample]))
         at, spin = paths(sample.t_sample), paths(sample.t_sample, 1)
         predicted.append(bodies.contacts(palms, at)[sample.pad - 1])
-        sigma.append(math.hypot(log.rig.pad_noise, log.rig.pad_resolution / math.sqrt(12)))
+        sigma.append(math.hypot(pad.noise, pad.resolution / math.sqrt(12)))
         if sample.force is not None and sample.force > 0.05:
             force = np.exp(both[LN_MASS]) * bodies.forces_and_spin(palms, at, spin)[sample.pad - 1]
             predicted.append(force)
-            sigma.append(math.hypot(log.rig.force_scale_std * force[0], log.rig.force_resolution / math.sqrt(12)))
+            sigma.append(math.hypot(pad.force_scale_std * force[0], pad.force_resolution / math.sqrt(12)))
     y = np.array(predicted)
     J = (y[:, 1 : SPIN + 2] - y[:, SPIN + 2 :]) / (2 * step) / np.array(sigma)[:, None]
     believed = np.array([_believed(column, prior) for column in both.T]).T

@@ -30,7 +30,7 @@ def test_the_balance_error_is_zero_in_every_stable_pose_of_the_emulated_rig():
     rng = np.random.default_rng(3)
     for phi1, phi2 in ((0.5, 1.4), (0.8, 1.7), (1.1, 1.2)):
         body = random_body("friction", rng)
-        for psi in stable_poses(body, PalmMotion(phi1, phi2)):
+        for psi in stable_poses(body, PalmMotion.at_rest((phi1, phi2))):
             (h1, g1, _), (h2, g2, _) = (
                 body.support.at(phi1 - psi - math.pi / 2),
                 body.support.at(phi1 + phi2 - psi - 3 * math.pi / 2),

@@ -61,7 +61,7 @@ def test_the_same_poses_as_the_plant_finds(kind):
         one = body(seed, kind)
         for _ in range(10):
             phi1, phi2 = palms(rng)
-            theirs = sorted(plant.stable_poses(one, PalmMotion(phi1, phi2)))
+            theirs = sorted(plant.stable_poses(one, PalmMotion.at_rest((phi1, phi2))))
             assert stable_poses(outline(one, 40), phi1, phi2) == pytest.approx(theirs, abs=PLANT_PSI)
 
 
@@ -72,7 +72,7 @@ def test_let_go_with_damping_the_plant_rests_at_the_minimum_of_its_basin(seed):
     phi1, phi2 = 0.7, 1.5
     start = rng.uniform(0, 2 * np.pi)
     rig = slow_plant(one)
-    still = PalmMotion(phi1, phi2)
+    still = PalmMotion.at_rest((phi1, phi2))
     rig.place(still, start)
     for _ in range(6000):
         rig.advance(still, still, 5e-4)
@@ -90,7 +90,7 @@ def test_a_jump_ends_where_the_plant_falls(seed):
     falls = np.flatnonzero(found.jumped.any(axis=0))
     assert len(falls) >= 2
     steps = 8000
-    path = [PalmMotion(*phi) for phi in np.transpose(closing(2 * steps + 1))]
+    path = [PalmMotion.at_rest(tuple(phi)) for phi in np.transpose(closing(2 * steps + 1))]
     for column in falls:
         rig = slow_plant(one)
         rig.place(path[0], start[column])

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
+from palms import motion_of
 
 from palmd.config import PlanSpec
 from palmd.events import PalmMotion
@@ -19,8 +20,10 @@ from palmd.motion.trajectory_executor import MotionError, TrajectoryExecutor
 
 def _limits(roomier_deg: float = 0.0) -> MotionLimits:
     return MotionLimits(
-        phi1=(math.radians(6 - roomier_deg), math.radians(150 + roomier_deg)),
-        phi2=(math.radians(35 - roomier_deg), math.radians(155 + roomier_deg)),
+        angles=(
+            (math.radians(6 - roomier_deg), math.radians(150 + roomier_deg)),
+            (math.radians(35 - roomier_deg), math.radians(155 + roomier_deg)),
+        ),
         rate=math.radians(120),
         acceleration=math.radians(900),
         pad_length=0.0555,
@@ -89,7 +92,11 @@ def trajectories(draw: st.DrawFn) -> Trajectory:
 
 
 def _pairs(motion: PalmMotion) -> tuple[tuple[float, float, float], ...]:
-    return (motion.phi1, motion.omega1, motion.alpha1), (motion.phi2, motion.omega2, motion.alpha2)
+    return (motion.angles[0], motion.rates[0], motion.accelerations[0]), (
+        motion.angles[1],
+        motion.rates[1],
+        motion.accelerations[1],
+    )
 
 
 @settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.filter_too_much, HealthCheck.too_slow])
@@ -109,7 +116,7 @@ def test_derivatives_belong_together_and_limits_hold_everywhere(trajectory: Traj
             if inside:
                 assert (c - a) / (2 * h) == pytest.approx(vb, abs=1e-4)
                 assert (vc - va) / (2 * h) == pytest.approx(ab, abs=0.02)
-        assert not ROOMY.violations(here.phi1, here.phi2)
+        assert not ROOMY.violations(here.angles)
 
 
 commands = st.lists(
@@ -140,7 +147,7 @@ def test_command_keeps_rate_and_acceleration_whatever_is_asked(
     dt: float, trajectory: Trajectory, commands: list[tuple[int, str]]
 ) -> None:
     executor = TrajectoryExecutor(LIMITS)
-    executor.stand(*START)
+    executor.stand(START)
     executor.start(trajectory)
     t = 0.0
     command = [executor.advance(t)]
@@ -151,10 +158,10 @@ def test_command_keeps_rate_and_acceleration_whatever_is_asked(
         _obey(executor, wish, trajectory)
     worst = 0.0
     for a, b, c in zip(command, command[1:], command[2:], strict=False):
-        for before, here, after in ((a.phi1, b.phi1, c.phi1), (a.phi2, b.phi2, c.phi2)):
+        for before, here, after in ((a.angles[0], b.angles[0], c.angles[0]), (a.angles[1], b.angles[1], c.angles[1])):
             assert abs(after - here) <= LIMITS.rate * dt * (1 + 1e-6)
             worst = max(worst, abs(after - 2 * here + before) / (dt * dt))
-        assert not ROOMY.violations(b.phi1, b.phi2)
+        assert not ROOMY.violations(b.angles)
     assert worst <= LIMITS.acceleration * 1.001
 
 
@@ -169,7 +176,7 @@ offsets = st.floats(-1.0, 1.0)
     st.floats(math.radians(2), math.radians(178)),
 )
 def test_arm_pose_and_palm_angles_are_inverses(geometry: RigGeometry, phi1: float, phi2: float) -> None:
-    x, y, t = geometry.arm_pose(phi1, phi2)
+    x, y, t = geometry.arm_pose((phi1, phi2))
     back1, back2 = geometry.palm_angles(x, y)
     assert math.remainder(back1 - phi1, math.tau) == pytest.approx(0.0, abs=1e-7)
     assert back2 == pytest.approx(phi2, abs=1e-7)
@@ -186,9 +193,11 @@ angle = st.floats(-4.0, 4.0) | st.sampled_from([math.nan, math.inf, -math.inf])
     st.floats(0.0, 0.1),
 )
 def test_clamped_steps_never_leave_the_limits_or_exceed_the_rate(wishes: list[tuple[float, float]], dt: float) -> None:
-    last = PalmMotion(*START)
+    last = PalmMotion.at_rest(START)
     for wish in wishes:
-        sent = LIMITS.clamp_step(last, PalmMotion(*wish), dt)
-        assert not LIMITS.violations(sent.phi1, sent.phi2)
-        assert max(abs(sent.phi1 - last.phi1), abs(sent.phi2 - last.phi2)) <= LIMITS.rate * dt + 1e-12
+        sent = LIMITS.clamp_step(last, motion_of(wish), dt)
+        assert not LIMITS.violations(sent.angles)
+        assert (
+            max(abs(sent.angles[0] - last.angles[0]), abs(sent.angles[1] - last.angles[1])) <= LIMITS.rate * dt + 1e-12
+        )
         last = sent

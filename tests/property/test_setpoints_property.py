@@ -5,6 +5,7 @@ import math
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from palms import motion_of
 
 from palmd.config import AdeptConfig, Config, PadsConfig, PlanSpec, VersaPadConfig
 from palmd.daemon.setpoints import LONGEST_STEP_S, SetPoints
@@ -21,7 +22,7 @@ CONFIG = Config(
 )
 GEOMETRY = RigGeometry.from_config(CONFIG)
 LIMITS = motion_limits(CONFIG)
-HERE = PalmMotion(math.radians(45.0), math.radians(90.0))
+HERE = PalmMotion.at_rest((math.radians(45.0), math.radians(90.0)))
 SPEC = PlanSpec.model_validate(
     {
         "name": "lively",
@@ -41,17 +42,17 @@ class Rogue(Hold):
 
     def at(self, t: float) -> PalmMotion:
         jumps = (0.8, 7.0, -3.0, math.nan, 1e9, math.inf, 2.9)
-        return PalmMotion(jumps[int(t * 40) % 7], jumps[int(t * 23) % 7], 50.0, -50.0, 1e4, 1e4)
+        return PalmMotion((jumps[int(t * 40) % 7], jumps[int(t * 23) % 7]), (50.0, -50.0), (1e4, 1e4))
 
 
 def rogue() -> Trajectory:
     checked = compile_plan(
         PlanSpec.model_validate({"name": "rogue", "segments": [{"hold_s": 5.0}]}),
         LIMITS,
-        (HERE.phi1, HERE.phi2),
+        HERE.angles,
     )
     (one,) = checked.rounds
-    segment = Rogue((HERE.phi1, HERE.phi2), one.duration)
+    segment = Rogue(HERE.angles, one.duration)
     object.__setattr__(one, "segments", (segment,))
     return checked
 
@@ -83,12 +84,12 @@ def do(setpoints: SetPoints, what: str, how, t: float) -> bool:
             case "put_away":
                 setpoints.put_away()
             case "jog":
-                setpoints.jog(*how, t)
+                setpoints.jog(how, t)
             case "displaced":
-                setpoints.displaced(PalmMotion(*how), 0.0)
+                setpoints.displaced(motion_of(how), 0.0)
                 return True
             case "stand":
-                setpoints.stand(PalmMotion(*how), 0.0, t)
+                setpoints.stand(motion_of(how), 0.0, t)
                 return True
     return False
 
@@ -103,7 +104,7 @@ def test_guard(script, random):
         if what == "pause":
             t += how
         elif do(setpoints, what, how, t):
-            last, t_last = PalmMotion(*how), t
+            last, t_last = motion_of(how), t
         for _ in range(cycles):
             t += period
             pose = setpoints.target(t)
@@ -112,10 +113,10 @@ def test_guard(script, random):
                 continue  # the line had no room for it
             setpoints.sent(t)
             phi1, phi2 = GEOMETRY.palm_angles(pose.x_m, pose.y_m)
-            assert LIMITS.phi1[0] - 1e-9 <= phi1 <= LIMITS.phi1[1] + 1e-9
-            assert LIMITS.phi2[0] - 1e-9 <= phi2 <= LIMITS.phi2[1] + 1e-9
+            assert LIMITS.angles[0][0] - 1e-9 <= phi1 <= LIMITS.angles[0][1] + 1e-9
+            assert LIMITS.angles[1][0] - 1e-9 <= phi2 <= LIMITS.angles[1][1] + 1e-9
             assert phi1 + phi2 < PHI12_MAX
-            step = max(abs(phi1 - last.phi1), abs(phi2 - last.phi2))
+            step = max(abs(phi1 - last.angles[0]), abs(phi2 - last.angles[1]))
             room = LIMITS.rate * min(max(t - t_last, period), LONGEST_STEP_S)
             assert step <= room + 1e-9
-            last, t_last = PalmMotion(phi1, phi2), t
+            last, t_last = PalmMotion.at_rest((phi1, phi2)), t

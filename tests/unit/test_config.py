@@ -172,14 +172,17 @@ def test_hash_follows_the_effective_values_only() -> None:
     assert len(config_hash(config())) == 64
 
 
-def test_rig_description_takes_the_worse_of_the_pads() -> None:
+def test_rig_description_tells_each_pad_by_itself() -> None:
     pads = {
-        "palm1": {"port": "/dev/a", "length_mm": 50.0, "counts_per_mm": 4.0},
-        "palm2": {"port": "/dev/b", "newtons_per_count": 0.05},
+        "palm1": {"port": "/dev/a", "length_mm": 50.0, "counts_per_mm": 4.0, "zero_sd_mm": 0.2},
+        "palm2": {"port": "/dev/b", "newtons_per_count": 0.05, "noise_mm": 0.3, "lag_sd_ms": 5.0},
     }
     rig = rig_description(config(pads=pads, rig={"palm1_length_mm": 110}))
-    assert (rig.hinge, rig.palm1_length, rig.pad_length) == ("arc", 0.11, 0.05)
-    assert (rig.pad_resolution, rig.force_resolution) == (0.00025, 0.05)
+    assert (rig.hinge, rig.palm1_length, [pad.length for pad in rig.pads]) == ("arc", 0.11, [0.05, 0.0555])
+    assert [pad.noise for pad in rig.pads] == [1e-4, 3e-4]
+    assert [pad.resolution for pad in rig.pads] == [0.00025, 1e-3 / 7.874]
+    assert [pad.force_resolution for pad in rig.pads] == [0.02, 0.05]
+    assert [(pad.zero_sd, pad.lag_sd) for pad in rig.pads] == [(2e-4, 2e-3), (1e-4, 5e-3)]
 
 
 def test_plan_forms() -> None:

@@ -83,12 +83,12 @@ def built():
         ESTIMATE: estimate_fields(an_estimate()),
         SHAPE: shape_fields(shape),
         OBJECT: object_fields(ObjectEstimate(1.0, ("bolt", "nut"), np.array([0.97, 0.01]), 0.02, 1)),
-        CONTACT: contact_fields(PadView(0.02, 17, 0.004, True, False), PadView(), math.nan),
-        MOTION: motion_fields(PalmMotion(0.5, 1.5), None, "rock", 1, 0.25, "T"),
+        CONTACT: contact_fields((PadView(0.02, 17, 0.004, True, False), PadView()), math.nan),
+        MOTION: motion_fields(PalmMotion.at_rest((0.5, 1.5)), None, "rock", 1, 0.25, "T"),
         STATE: state_fields("hold", [TABLE["pad1-port"], TABLE["vm-backend"]]),
         LOOP: loop,
         INFO: info_fields("0.1.0", "shape", default_config()),
-        EVENTS: events_fields(1.0, [PadSample(0.99, 1, 0.02), PadLift(0.995, 2), PalmSample(0.98, 0.5, 1.5)]),
+        EVENTS: events_fields(1.0, [PadSample(0.99, 1, 0.02), PadLift(0.995, 2), PalmSample(0.98, (0.5, 1.5))]),
         IMPROVEMENT: improvement_fields(
             1.0,
             Improvement(
@@ -204,10 +204,11 @@ def test_validate_misses_what_is_missing():
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
 MAYBE = st.none() | NUMBERS
 PADS = st.sampled_from([1, 2])
+JOINTS = st.tuples(NUMBERS, NUMBERS)
 EVENT = st.one_of(
     st.builds(PadSample, NUMBERS, PADS, NUMBERS, MAYBE),
     st.builds(PadLift, NUMBERS, PADS),
-    st.builds(PalmSample, NUMBERS, NUMBERS, NUMBERS, MAYBE, MAYBE, MAYBE, MAYBE),
+    st.builds(PalmSample, NUMBERS, JOINTS, st.none() | JOINTS, st.none() | JOINTS),
 )
 
 

@@ -11,11 +11,12 @@ from pathlib import Path
 from palmd.api.errors import PalmdError, as_palmd_error
 from palmd.api.outline import OutlineData, last_of, outline_of
 from palmd.api.table import DataTable, table_of
-from palmd.events import Event, FloatArray, PadLift, RigDescription
+from palmd.events import Event, FloatArray, PadLift
 from palmd.messages import Fields
 from palmd.quantities import CONTACT, ESTIMATE, SHAPE
 from palmd.record import run as recorded
 from palmd.record.eventlog import EventLog, event_line, read_log
+from palmd.system.description import RigDescription
 
 
 @dataclass(frozen=True, slots=True)

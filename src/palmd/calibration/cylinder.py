@@ -21,9 +21,10 @@ from typing import Any
 import numpy as np
 
 from palmd.config import PadConfig
-from palmd.events import Event, FloatArray, Pad, PadSample, PalmSample
+from palmd.events import Event, FloatArray, PadSample, PalmSample
 from palmd.motion.limits import PHI12_MAX, MotionLimits
 from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE, Angles
+from palmd.system.mechanism import PALMS
 
 PAD_MARGIN_M = 5e-3  # so much of a pad's end is left alone: its zero may be that far off
 LEAST_TRAVEL_M = 0.010
@@ -57,8 +58,8 @@ class CylinderReadings:
     t: FloatArray
     counts: FloatArray
     pressure: FloatArray
-    phi1: FloatArray
-    phi2: FloatArray
+    first: FloatArray
+    opening: FloatArray
     rate: FloatArray
 
 
@@ -73,9 +74,7 @@ def normal_forces(weight_n: float, phi1: FloatArray, phi2: FloatArray) -> tuple[
     return np.asarray(share * np.sin(phi1 + phi2)), np.asarray(share * np.sin(phi1))
 
 
-def readings(
-    events: Iterable[Event], configs: tuple[PadConfig, PadConfig]
-) -> tuple[CylinderReadings, CylinderReadings]:
+def readings(events: Iterable[Event], configs: Sequence[PadConfig]) -> tuple[CylinderReadings, CylinderReadings]:
     """Both pads' readings in counts again; `configs` are those with which the daemon made millimetres of them.
 
     Raises CylinderError for readings that were not made with them.
@@ -83,12 +82,12 @@ def readings(
     events = list(events)
     palms = np.array(
         [
-            (event.t_sample, event.phi1, event.phi2, max(abs(event.omega1), abs(event.omega2)))
+            (event.t_sample, *event.angles, max(map(abs, event.rates)))
             for event in events
-            if isinstance(event, PalmSample) and event.omega1 is not None and event.omega2 is not None
+            if isinstance(event, PalmSample) and event.rates is not None
         ]
     ).reshape(-1, 4)
-    first, second = (_samples(events, number) for number in (1, 2))
+    first, second = (_samples(events, number) for number in PALMS)
     return (
         _readings(1, first, second[:, 0], palms, configs[0]),
         _readings(2, second, first[:, 0], palms, configs[1]),
@@ -143,8 +142,8 @@ def opening_range(radius_m: float, limits: MotionLimits) -> tuple[float, float]:
     """The least and greatest phi2 (rad) with both contacts well on the pads; the first is larger if there is none."""
     least = 2.0 * math.atan(radius_m / (limits.pad_length - PAD_MARGIN_M))
     most = 2.0 * math.atan(radius_m / PAD_MARGIN_M)
-    steepest = PHI12_MAX - limits.phi1[0] - 3.0 * _ROOM
-    return max(least, limits.phi2[0] + _ROOM), min(most, limits.phi2[1] - _ROOM, steepest)
+    steepest = PHI12_MAX - limits.angles[0][0] - 3.0 * _ROOM
+    return max(least, limits.angles[1][0] + _ROOM), min(most, limits.angles[1][1] - _ROOM, steepest)
 
 
 def _upright(phi2: float, limits: MotionLimits) -> Angles:
@@ -153,8 +152,8 @@ def _upright(phi2: float, limits: MotionLimits) -> Angles:
 
 def _within(phi1: float, phi2: float, limits: MotionLimits) -> float:
     """The phi1 next to it that the limits allow."""
-    most = min(limits.phi1[1], PHI12_MAX - phi2 - _ROOM) - _ROOM
-    return max(min(phi1, most), limits.phi1[0] + _ROOM)
+    most = min(limits.angles[0][1], PHI12_MAX - phi2 - _ROOM) - _ROOM
+    return max(min(phi1, most), limits.angles[0][0] + _ROOM)
 
 
 def _tipped(phi2: float, limits: MotionLimits) -> tuple[float, float]:
@@ -172,7 +171,7 @@ def _too_little(radius_m: float, limits: MotionLimits, travel_m: float) -> str:
         f"a cylinder of {radius_m * 1e3:g} mm radius can be moved by {travel_m * 1e3:.1f} mm along the pads;"
         f" {LEAST_TRAVEL_M * 1e3:g} mm is the least"
     )
-    if float(contact_m(radius_m, np.asarray(limits.phi2[1]))) > limits.pad_length - PAD_MARGIN_M - LEAST_TRAVEL_M:
+    if float(contact_m(radius_m, np.asarray(limits.angles[1][1]))) > limits.pad_length - PAD_MARGIN_M - LEAST_TRAVEL_M:
         return f"{told}: the radius is too large for these pads and limits.phi2_deg"
     return f"{told}: take a larger cylinder, or widen limits.phi1_deg and limits.phi2_deg"
 
@@ -205,7 +204,7 @@ def _samples(events: Iterable[Event], number: int) -> FloatArray:
 
 
 def _readings(
-    number: Pad, own: FloatArray, other: FloatArray, palms: FloatArray, config: PadConfig
+    number: int, own: FloatArray, other: FloatArray, palms: FloatArray, config: PadConfig
 ) -> CylinderReadings:
     fresh = (_nearest(own[:, 0], other) <= FRESH_S) & (_nearest(own[:, 0], palms[:, 0]) <= FRESH_S)
     t, s, force = own[fresh].T

@@ -23,6 +23,7 @@ from palmd.harness.operator import PlanRun, Status, can_move, why
 from palmd.harness.processes import StopRequest
 from palmd.messages import events_of
 from palmd.quantities import CONTACT, EVENTS
+from palmd.system.mechanism import PALMS
 
 FIRST_TOUCH_S = 30.0
 """How long it may take until the cylinder lies on both palms."""
@@ -55,9 +56,9 @@ def within(most: float) -> Callable[[str], float]:
     return number
 
 
-def pads(config: Config) -> tuple[PadConfig, PadConfig]:
+def pads(config: Config) -> tuple[PadConfig, ...]:
     """Both pads' sections."""
-    return config.pads.palm1, config.pads.palm2
+    return config.pads.each()
 
 
 @contextmanager
@@ -102,8 +103,9 @@ def heard(arguments: argparse.Namespace, config: Config, plan: Mapping[str, Any]
         if "pads-swapped" in status["faults"]:
             raise CliError(
                 RIG_FAILED,
-                "the pressures move the wrong way as the V is tipped: the pads are swapped; exchange pads.palm1.port"
-                " and pads.palm2.port, start the daemon anew, and calibrate again",
+                "the pressures move the wrong way as the V is tipped: the pads are swapped; exchange"
+                f" {' and '.join(f'pads.palm{palm}.port' for palm in PALMS)}, start the daemon anew, and calibrate"
+                " again",
             )
         return events
 
@@ -158,6 +160,6 @@ def _wait_for_touch(subscriber: Subscriber, address: str, stop: StopRequest) -> 
 
 def _untouched(touched: tuple[bool, bool]) -> str:
     if any(touched):
-        feels, lacks = (1, 2) if touched[0] else (2, 1)
+        feels, lacks = PALMS if touched[0] else PALMS[::-1]
         return f"the cylinder is felt on palm {feels} and not on palm {lacks}"
     return "nothing has touched the pads"

@@ -18,6 +18,7 @@ from palmd.calibration.pad_force import LEAST_ROUNDS, Forces, pad_forces
 from palmd.console.configured import configured
 from palmd.console.errors import BAD_INPUT, RIG_FAILED
 from palmd.motion.check import motion_limits
+from palmd.system.mechanism import PALMS
 
 FORMAT = 1
 ROUNDS = 8
@@ -68,7 +69,7 @@ def table(found: Forces) -> str:
         f" ({pad.newtons_per_count_sd / pad.newtons_per_count:.1%})\n"
         f"  offset            {pad.offset_n:.3f} ± {pad.offset_sd_n:.3f} N\n"
         f"  left              {pad.share_left:.1%} of the force in a rest"
-        for number, pad in enumerate((found.pad1, found.pad2), 1)
+        for number, pad in zip(PALMS, found.pads, strict=True)
     ]
     return "\n".join([head, *rows])
 
@@ -80,7 +81,7 @@ def remarks(found: Forces) -> Iterator[str]:
             f"friction bears {found.friction:.0%} of the normal force at rest: the gains do not depend on it, but wipe"
             " cylinder and pads, and see that nothing but the palms holds the cylinder"
         )
-    for number, pad in enumerate((found.pad1, found.pad2), 1):
+    for number, pad in zip(PALMS, found.pads, strict=True):
         if abs(pad.offset_n) > max(_NOTICEABLE_OFFSET_N, _SURE * pad.offset_sd_n):
             yield (
                 f"pad {number}: its pressure is zero at {pad.offset_n:.2f} N, not at nothing: weigh an object like"
@@ -96,7 +97,7 @@ def called_for(found: Forces) -> dict[str, dict[str, Any]]:
     """What the configuration should say, palm by palm."""
     return {
         f"palm{number}": {"newtons_per_count": round(pad.newtons_per_count, 5)}
-        for number, pad in enumerate((found.pad1, found.pad2), 1)
+        for number, pad in zip(PALMS, found.pads, strict=True)
     }
 
 

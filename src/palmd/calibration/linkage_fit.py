@@ -168,6 +168,6 @@ def _jacobian(poses: FloatArray, x: FloatArray) -> FloatArray:
 def _spans(poses: FloatArray, x: FloatArray) -> tuple[float, float, float]:
     """Through which angles palm 1, palm 2 and the opening between them went (rad)."""
     dx, dy = _hinge_from_base(poses, x)
-    palm1 = np.unwrap(np.arctan2(-dy, -dx))  # the hinge is at B − L1·u, so palm 1 points from it to B
-    palm2 = np.unwrap(poses[:, 2])
-    return float(np.ptp(palm1)), float(np.ptp(palm2)), float(np.ptp(palm2 - palm1))
+    first = np.unwrap(np.arctan2(-dy, -dx))  # the hinge is at B − L1·u, so palm 1 points from it to B
+    second = np.unwrap(poses[:, 2])
+    return float(np.ptp(first)), float(np.ptp(second)), float(np.ptp(second - first))

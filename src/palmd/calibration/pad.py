@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from palmd.calibration.files import not_written, plain, provenance, writable, write
 from palmd.calibration.pad_characteristic import AxisCharacteristic, PadCharacteristic, TooLittleError, characterise
@@ -20,6 +20,7 @@ from palmd.console.extras import drawing
 from palmd.console.progress import Progress
 from palmd.devices.pad import PadDriver, PadReport, make_pad
 from palmd.devices.port import PortWaiter
+from palmd.system.mechanism import PALMS
 from palmd.yamlfile import ConfigError, load_config
 
 FIRST_TOUCH_S = 15.0
@@ -36,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("config", type=Path, metavar="CONFIG", help="the rig's configuration, palmd.yaml")
     add("--characterise", action="store_true", help=argparse.SUPPRESS)  # was needed once
-    add("--pad", type=int, choices=(1, 2), required=True, help="of palm 1 or palm 2")
+    add("--pad", type=int, choices=PALMS, required=True, help="of palm 1 or palm 2")
     add(
         "--seconds",
         type=seconds_within(2.0, 600.0),
@@ -128,12 +129,12 @@ def _axis_row(axis: AxisCharacteristic) -> str:
     )
 
 
-def _pad_config(path: Path, pad: Literal[1, 2]) -> PadConfig:
+def _pad_config(path: Path, pad: int) -> PadConfig:
     try:
         pads = load_config(path).pads
     except ConfigError as error:
         raise CliError(BAD_INPUT, str(error)) from None
-    return pads.palm1 if pad == 1 else pads.palm2
+    return pads.of(pad)
 
 
 def _listen(name: str, config: PadConfig, pad: PadDriver, seconds: float) -> list[PadReport]:

@@ -60,10 +60,9 @@ class PadForce:
 
 @dataclass(frozen=True, slots=True)
 class Forces:
-    """Both pads; `friction` is the largest share of a normal force that friction at rest bears (mean over poses)."""
+    """Of both pads; `friction` is the largest share of a normal force that friction at rest bears (mean over poses)."""
 
-    pad1: PadForce
-    pad2: PadForce
+    pads: tuple[PadForce, PadForce]
     friction: float
     rests: int
     rounds: int
@@ -82,7 +81,7 @@ class _Rests:
         return _Rests(self.c1[some], self.c2[some], self.phi1[some], self.phi2[some])
 
 
-def pad_forces(events: Iterable[Event], configs: tuple[PadConfig, PadConfig], weight_n: float, poses: int) -> Forces:
+def pad_forces(events: Iterable[Event], configs: tuple[PadConfig, ...], weight_n: float, poses: int) -> Forces:
     """Both pads from at least LEAST_ROUNDS rounds of so many poses; `configs` are those the daemon ran with.
 
     Raises CylinderError for readings that do not suffice.
@@ -110,7 +109,7 @@ def pad_forces(events: Iterable[Event], configs: tuple[PadConfig, PadConfig], we
         _pad(number, rests, rounds, weight_n, float(gains[number]), float(sds[number]), pads[number])
         for number in (0, 1)
     )
-    return Forces(pad1, pad2, friction, len(rests.c1), rounds)
+    return Forces((pad1, pad2), friction, len(rests.c1), rounds)
 
 
 def _parts(rests: _Rests, rounds: int) -> list[_Rests]:
@@ -168,7 +167,7 @@ def _rests(pad1: CylinderReadings, pad2: CylinderReadings) -> _Rests:
     rows = []
     for begin, end in _still(pad1):
         means = [
-            (float(pad.pressure[some].mean()), float(pad.phi1[some].mean()), float(pad.phi2[some].mean()))
+            (float(pad.pressure[some].mean()), float(pad.first[some].mean()), float(pad.opening[some].mean()))
             for pad in (pad1, pad2)
             if np.sum(some := (pad.t >= begin) & (pad.t <= end)) >= _LEAST_READINGS
         ]

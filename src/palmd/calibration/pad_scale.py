@@ -49,9 +49,7 @@ class PadScale:
     spoilt: int
 
 
-def pad_scales(
-    events: Iterable[Event], configs: tuple[PadConfig, PadConfig], radius_m: float
-) -> tuple[PadScale, PadScale]:
+def pad_scales(events: Iterable[Event], configs: tuple[PadConfig, ...], radius_m: float) -> tuple[PadScale, PadScale]:
     """Both pads; `configs` are those the daemon ran with. Raises CylinderError for readings that do not suffice."""
     first, second = readings(events, configs)
     return _scale(1, first, radius_m), _scale(2, second, radius_m)
@@ -59,7 +57,7 @@ def pad_scales(
 
 def _scale(number: int, found: CylinderReadings, radius_m: float) -> PadScale:
     slow = found.rate <= _SLOW_ENOUGH
-    s, counts = contact_m(radius_m, found.phi2[slow]) * 1e3, found.counts[slow]
+    s, counts = contact_m(radius_m, found.opening[slow]) * 1e3, found.counts[slow]
     if len(s) < LEAST_READINGS:
         raise CylinderError(
             f"pad {number}: {len(s)} readings while both pads were touched, of at least {LEAST_READINGS}:"

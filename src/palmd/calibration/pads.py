@@ -67,7 +67,7 @@ def table(found: Scales) -> str:
 
 def remarks(found: Scales, config: Config) -> Iterator[str]:
     """What a person should look into."""
-    before: tuple[PadConfig, PadConfig] = cylinder_session.pads(config)
+    before: tuple[PadConfig, ...] = cylinder_session.pads(config)
     ratios = [pad.counts_per_mm / old.counts_per_mm for pad, old in zip(found, before, strict=True)]
     if min(abs(ratio - 1.0) for ratio in ratios) > _OFF_ALIKE and abs(ratios[0] - ratios[1]) < _ALIKE:
         yield (

@@ -26,6 +26,7 @@ from typing import Literal
 import numpy as np
 
 from palmd.events import Event, FloatArray, PadLift, PadSample, PalmSample
+from palmd.system.mechanism import PALMS, directions
 
 RollerKind = Literal["ball", "cylinder"]
 INERTIA: Mapping[RollerKind, float] = MappingProxyType({"ball": 7.0 / 5.0, "cylinder": 3.0 / 2.0})
@@ -62,7 +63,7 @@ class Roll:
     They begin before it was let go, where it lay at `rest` (m).
     """
 
-    pad: Literal[1, 2]
+    pad: int
     phi: float
     rest: float
     t: FloatArray
@@ -73,7 +74,7 @@ class Roll:
 class Acceleration:
     """What (2) makes of a roll: the acceleration (m/s²) with its one sigma; rms is what it leaves (m)."""
 
-    pad: Literal[1, 2]
+    pad: int
     phi: float
     a: float
     a_sd: float
@@ -110,13 +111,13 @@ def find_rolls(events: Sequence[Event]) -> tuple[list[Roll], int]:
     A roll is what one pad reports while the other one is silent, going down without coming back. Its ends are left
     out: at the top a hand lets go, at the bottom the roller meets the other palm. Without a PalmSample there is none.
     """
-    angles = [(event.phi1, event.phi1 + event.phi2) for event in events if isinstance(event, PalmSample)]
+    angles = [directions(event.angles) for event in events if isinstance(event, PalmSample)]
     if not angles:
         return [], 0
     phi = np.mean(np.array(angles), axis=0)
     rolls: list[Roll] = []
     short = 0
-    for pad in (1, 2):
+    for pad in PALMS:
         other = np.array([each.t_sample for each in events if isinstance(each, PadSample) and each.pad != pad])
         for t, s in _touches(events, pad):
             for begin, top, end in _descents(s):
@@ -200,7 +201,7 @@ def causes(too_short: int, rough: int, strange: int) -> Counter[str]:
 
 def _refuse_too_few(rolls: Sequence[Acceleration]) -> None:
     spread = 0.0
-    for pad in (1, 2):
+    for pad in PALMS:
         slopes = [slope(pad, roll.phi) for roll in rolls if roll.pad == pad]
         if len(slopes) < LEAST_PER_PALM:
             raise TooFewRollsError(

@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 from palmd.bus.command_client import CommandClient
 from palmd.bus.subscriber import Subscriber
@@ -39,7 +39,7 @@ _LEAST_STEEPER_DEG = 6.0
 class Slope:
     """Where the palms stand while it rolls on one of them."""
 
-    pad: Literal[1, 2]
+    pad: int
     phi1_deg: float
     phi2_deg: float
     rolls: int
@@ -121,7 +121,7 @@ class RollingSession:
     def _stand(self, where: Slope, had: int, progress: Progress) -> list[Acceleration]:
         """The good rolls besides those that we had, until they are enough or the arm is commanded no longer."""
         _tell(f"{where}: lay the roller at the upper end of palm {where.pad} and let go, {where.rolls - had} times")
-        pad = self._config.pads.palm1 if where.pad == 1 else self._config.pads.palm2
+        pad = self._config.pads.of(where.pad)
         events: list[Event] = []
         good: list[Acceleration] = []
         too_short = rough = 0

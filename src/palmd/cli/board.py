@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from palmd.bus.subscriber import Message
 from palmd.quantities import CONTACT, ESTIMATE, INFO, LOOP, MOTION, STATE, Quantity, Topic, drawn
+from palmd.system.mechanism import ENDS, JOINTS, PALMS
 
 Style = Literal["plain", "title", "good", "bad", "warning", "faint"]
 
@@ -123,7 +124,7 @@ def _estimate(e: Mapping[str, Any]) -> Iterator[BoardRow]:
 
 
 def _contact(c: Mapping[str, Any]) -> Iterator[BoardRow]:
-    for pad in (1, 2):
+    for pad in PALMS:
         touch = bool(c.get(f"touch{pad}"))
         batch = ", several packets in one read" if c.get(f"batch{pad}") else ""
         place, age = CONTACT[f"s{pad}_m"], CONTACT[f"age{pad}_ms"]
@@ -138,10 +139,10 @@ def _contact(c: Mapping[str, Any]) -> Iterator[BoardRow]:
 
 
 def _motion(m: Mapping[str, Any]) -> Iterator[BoardRow]:
-    for palm in (1, 2):
-        actual, commanded = (MOTION[f"phi{palm}{what}_rad"] for what in ("", "_cmd"))
+    for joint in JOINTS:
+        actual, commanded = (MOTION[f"{joint}{what}_rad"] for what in ("", "_cmd"))
         yield BoardRow(
-            f"phi{palm}   {_shown(m, actual):>7}{actual.shown.unit}"
+            f"{joint}   {_shown(m, actual):>7}{actual.shown.unit}"
             f"  commanded {_shown(m, commanded):>7}{commanded.shown.unit}"
         )
     plan = m.get("plan") or "none"
@@ -159,7 +160,7 @@ def _loop(fields: Mapping[str, Any]) -> Iterator[BoardRow]:
     for name in ("lateness", "work"):
         values = (f"{q.symbol} {_shown(fields, q):>6} {q.shown.unit}" for q in drawn(LOOP, chart=name))
         yield BoardRow(f"{name:10}{'  '.join(values)}")
-    for port in ("pad1", "pad2", "arm"):
+    for port in ENDS:
         yield from _troubles(port, fields)
 
 

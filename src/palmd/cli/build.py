@@ -18,8 +18,8 @@ def add_arguments(_parser: argparse.ArgumentParser) -> None:
 def run(_arguments: argparse.Namespace) -> int:
     """Makes each observer once; takes seconds for what is not in the cache yet."""
     from palmd import observer
-    from palmd.events import RigDescription
     from palmd.model import rollout, smoothing
+    from palmd.system.description import RigDescription
 
     def backend_of(name: observer.ObserverName) -> str:
         return observer.make(name, RigDescription()).backend

@@ -7,7 +7,7 @@ import json
 import math
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from palmd.bus.command_client import CommandClient
 from palmd.bus.link import COMMAND, add_key, credentials
 from palmd.console.errors import BAD_INPUT, USAGE, CliError
 from palmd.daemon.commands import COMMANDS, REQUEST_BYTES_MAX
+from palmd.system.mechanism import JOINTS
 
 PLAN_BYTES_MAX = REQUEST_BYTES_MAX // 2
 
@@ -42,19 +43,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                 help="the plan (YAML), or the name of one that lies beside the daemon's configured plan",
             )
         elif name == "jog":
-            for i in (1, 2):
+            for joint in JOINTS:
                 chosen.add_argument(
-                    f"--phi{i}-deg", type=_angle, default=0.0, metavar="DEG", help=f"by how much to turn phi{i}"
+                    f"--{joint}-deg", type=_angle, default=0.0, metavar="DEG", help=f"by how much to turn {joint}"
                 )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Asks once, or for a jog until the palms have turned; CliError when refused or unanswered."""
-    if arguments.command == "jog" and arguments.phi1_deg == arguments.phi2_deg == 0.0:
-        raise CliError(USAGE, "ctl jog: by how much? give --phi1-deg, --phi2-deg or both, such as --phi1-deg 1")
+    whole_deg = {f"{joint}_deg": getattr(arguments, f"{joint}_deg", 0.0) for joint in JOINTS}
+    if arguments.command == "jog" and not any(whole_deg.values()):
+        options = [f"--{joint}-deg" for joint in JOINTS]
+        wanted = f"give {', '.join(options)} or both, such as {options[0]} 1"
+        raise CliError(USAGE, f"ctl jog: by how much? {wanted}")
     with CommandClient(arguments.address, key=credentials(arguments)) as client:
         if arguments.command == "jog":
-            reply = _jog(client, arguments.phi1_deg, arguments.phi2_deg)
+            reply = _jog(client, whole_deg)
         elif arguments.command == "plan":
             reply = client.ask("plan", _plan(arguments.path))
         else:
@@ -128,16 +132,16 @@ def _recorded(
     return f"{text}: {problem}" if problem else f"{text}, {age_s:.0f} s ago"
 
 
-def _jog(client: CommandClient, phi1_deg: float, phi2_deg: float) -> dict[str, Any]:
+def _jog(client: CommandClient, whole_deg: Mapping[str, float]) -> dict[str, Any]:
     """Turns the palms by small steps, as a hand on the dead-man's handle would; letting go of it stops them.
 
     The first step tells the whole wish: one that cannot be granted to its end is not begun.
     """
     reply: dict[str, Any] = {}
-    whole = {"whole_phi1_deg": phi1_deg, "whole_phi2_deg": phi2_deg}
-    for step1, step2 in jog_steps(phi1_deg, phi2_deg):
+    whole = {f"whole_{name}": angle for name, angle in whole_deg.items()}
+    for step in jog_steps(*whole_deg.values()):
         t_next = time.monotonic() + JOG_EVERY_S
-        reply = client.ask("jog", {"phi1_deg": step1, "phi2_deg": step2, **whole})
+        reply = client.ask("jog", {**dict(zip(whole_deg, step, strict=True)), **whole})
         whole = {}
         if not reply["ok"]:
             break
@@ -145,13 +149,13 @@ def _jog(client: CommandClient, phi1_deg: float, phi2_deg: float) -> dict[str, A
     return reply
 
 
-def jog_steps(phi1_deg: float, phi2_deg: float) -> Iterator[tuple[float, float]]:
-    """Equal steps that add up to the two angles, and then empty ones for as long as the palms need to arrive."""
-    count = max(1, math.ceil(max(abs(phi1_deg), abs(phi2_deg)) / JOG_STEP_DEG))
+def jog_steps(*whole_deg: float) -> Iterator[tuple[float, ...]]:
+    """Equal steps that add up to the angles, and then empty ones for as long as the palms need to arrive."""
+    count = max(1, math.ceil(max(map(abs, whole_deg)) / JOG_STEP_DEG))
     for _ in range(count):
-        yield phi1_deg / count, phi2_deg / count
+        yield tuple(angle / count for angle in whole_deg)
     for _ in range(round(JOG_ARRIVING_S / JOG_EVERY_S)):
-        yield 0.0, 0.0
+        yield (0.0,) * len(whole_deg)
 
 
 def _angle(text: str) -> float:

@@ -25,6 +25,7 @@ from palmd.bus.subscriber import Subscriber
 from palmd.config import LimitsConfig
 from palmd.console.configured import configured, usual
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
+from palmd.system.mechanism import JOINTS
 
 EVERY_S = 0.05
 STEP_DEG = 0.4
@@ -37,7 +38,7 @@ SILENCE_S = 2.0
 
 STEPS = {b"\x1b[C": (1, 0), b"\x1b[D": (-1, 0), b"\x1b[A": (0, 1), b"\x1b[B": (0, -1),
          b"\x1bOC": (1, 0), b"\x1bOD": (-1, 0), b"\x1bOA": (0, 1), b"\x1bOB": (0, -1)}  # fmt: skip
-"""What terminals send for the arrows, and how they turn phi1 and phi2."""
+"""What terminals send for the arrows, and how they turn the joints."""
 
 ASKS = {b"a": "arm", b"s": "stop"}
 HELP = "arrows: ← → palm 1, ↑ ↓ palm 2, only while held    a: arm   s: stop   q: end"
@@ -85,7 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Runs until q; CliError without a terminal or a daemon. Stops what it has armed."""
     config = configured(usual(arguments.config))
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
-        raise CliError(BAD_INPUT, "jog needs a terminal, for its keys; elsewhere: palmd ctl jog --phi1-deg 1")
+        raise CliError(BAD_INPUT, f"jog needs a terminal, for its keys; elsewhere: palmd ctl jog --{JOINTS[0]}-deg 1")
     command, publish = arguments.address or config.bus.command, arguments.publish or config.bus.publish
     with CommandClient(command) as client, Subscriber(publish, topics=("palm/motion", "palm/state")) as subscriber:
         client.ask("status")
@@ -145,9 +146,9 @@ class _Jogging:
 def line(motion: dict[str, Any], state: dict[str, Any], limits: LimitsConfig, said: str) -> str:
     """Angles with their limits, state and faults, and what the daemon has against the last wish."""
     parts = []
-    for i, bounds in ((1, limits.phi1_deg), (2, limits.phi2_deg)):
-        angle = math.degrees(motion.get(f"phi{i}_rad", math.nan))
-        parts.append(f"phi{i} {angle:6.1f}° ({bounds[0]:g} to {bounds[1]:g})")
+    for joint, bounds in zip(JOINTS, limits.angles_deg, strict=True):
+        angle = math.degrees(motion.get(f"{joint}_rad", math.nan))
+        parts.append(f"{joint} {angle:6.1f}° ({bounds[0]:g} to {bounds[1]:g})")
     words = [str(state.get("state", "")), *state.get("faults", ()), *([said] if said else [])]
     return "   ".join([*parts, *words])
 

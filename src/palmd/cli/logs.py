@@ -48,8 +48,8 @@ def _calibration_sd(text: str) -> tuple[str, float]:
 def read(path: Path, calibration_sd: Sequence[tuple[str, float]] = ()) -> EventLog:
     """The log at `path`, its notes told on standard error; CliError when it cannot be used.
 
-    `calibration_sd`: fields of `Calibration` in place of the log's own. What the file is shows in its first bytes; one
-    that is named as a recording is taken for one even so.
+    `calibration_sd`: as `RigDescription.known_to` takes them, in place of the log's own. What the file is shows in its
+    first bytes; one that is named as a recording is taken for one even so.
     """
     try:
         log = read_run(path).event_log() if is_recording(path) else read_log(path)
@@ -57,7 +57,7 @@ def read(path: Path, calibration_sd: Sequence[tuple[str, float]] = ()) -> EventL
         raise CliError(BAD_INPUT, str(error)) from None
     for note in log.notes:
         print(note, file=sys.stderr)
-    return replace(log, rig=replace(log.rig, calibration=replace(log.rig.calibration, **dict(calibration_sd))))
+    return replace(log, rig=log.rig.known_to(dict(calibration_sd)))
 
 
 @contextlib.contextmanager

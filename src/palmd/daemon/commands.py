@@ -9,6 +9,7 @@ from typing import Any, Literal
 import msgpack
 
 from palmd.keys import Role
+from palmd.system.mechanism import JOINTS
 
 REQUEST_BYTES_MAX = 64 * 1024
 
@@ -58,18 +59,18 @@ COMMANDS: dict[str, CommandSpec] = {
     "jog": CommandSpec(
         "turns the palms by small steps, for as long as the next one comes within 200 ms",
         tuple(
-            Argument(f"phi{i}_deg", "number", f"step of phi{i}", low=-JOG_STEP_MAX_DEG, high=JOG_STEP_MAX_DEG)
-            for i in (1, 2)
+            Argument(f"{joint}_deg", "number", f"step of {joint}", low=-JOG_STEP_MAX_DEG, high=JOG_STEP_MAX_DEG)
+            for joint in JOINTS
         )
         + tuple(
             Argument(
-                f"whole_phi{i}_deg",
+                f"whole_{joint}_deg",
                 "number",
-                f"what this step of phi{i} and those to come add up to: all of it must be possible",
+                f"what this step of {joint} and those to come add up to: all of it must be possible",
                 low=-JOG_WHOLE_MAX_DEG,
                 high=JOG_WHOLE_MAX_DEG,
             )
-            for i in (1, 2)
+            for joint in JOINTS
         ),
     ),
     "recorder": CommandSpec(

@@ -47,6 +47,7 @@ from palmd.motion.check import motion_limits
 from palmd.motion.kinematics import RigGeometry
 from palmd.observer.observer import Observer
 from palmd.quantities import CONTACT, ESTIMATE, EVENTS, IMPROVEMENT, MOTION, OBJECT, SHAPE, STATE, Topic
+from palmd.system.mechanism import PALMS
 
 log = logging.getLogger(__name__)
 
@@ -81,8 +82,7 @@ class Core:
         """
         geometry = RigGeometry.from_config(config)
         self.pads: dict[EndName, PadDriver] = {
-            "pad1": make_pad(1, config.pads.palm1),
-            "pad2": make_pad(2, config.pads.palm2),
+            f"pad{palm}": make_pad(palm, pad) for palm, pad in zip(PALMS, config.pads.each(), strict=True)
         }
         self.arm = ArmDriver(config, geometry)
         self.setpoints = SetPoints(geometry, motion_limits(config))
@@ -229,11 +229,7 @@ class Core:
             (ESTIMATE, estimate_fields(self._estimate)),
             (
                 CONTACT,
-                contact_fields(
-                    self.pads["pad1"].view(t),
-                    self.pads["pad2"].view(t),
-                    age if math.isfinite(age) else math.nan,
-                ),
+                contact_fields([pad.view(t) for pad in self.pads.values()], age if math.isfinite(age) else math.nan),
             ),
             (
                 MOTION,
@@ -347,10 +343,8 @@ class Core:
         actual = self.arm.actual
         if actual is None:
             return False
-        (low1, high1), (low2, high2) = self.setpoints.limits.phi1, self.setpoints.limits.phi2
-        return not (
-            low1 - OUTSIDE <= actual.phi1 <= high1 + OUTSIDE and low2 - OUTSIDE <= actual.phi2 <= high2 + OUTSIDE
-        )
+        each = zip(actual.angles, self.setpoints.limits.angles, strict=True)
+        return not all(low - OUTSIDE <= angle <= high + OUTSIDE for angle, (low, high) in each)
 
     def _rig_up(self, t: float) -> bool:
         return (

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from dataclasses import replace
 
 from palmd.config import Config
 from palmd.daemon.latency_estimator import LatencyEstimator
 from palmd.devices.actuator import ArmReport, ArmState, make_actuator
 from palmd.events import PalmMotion, PalmSample
 from palmd.motion.kinematics import PoseError, RigGeometry
+from palmd.system.mechanism import JOINTS
 
-EndName = Literal["pad1", "pad2", "arm"]
+EndName = str
+"""`arm`, or `pad` and the number of its palm."""
 
 RESTING = frozenset({ArmState.READY, ArmState.POWER_OFF, ArmState.UNCALIBRATED, ArmState.FAULT, ArmState.ESTOP})
 """States in which the controller lets the arm stand, once it has come to rest."""
@@ -57,22 +59,22 @@ class ArmDriver:
     def _sample(self, report: ArmReport) -> PalmSample | None:
         """The palms at a report; rates and accelerations are the plan's, zero at rest, None where unknown."""
         try:
-            phi1, phi2 = self._geometry.palm_angles(report.pose.x_m, report.pose.y_m)
+            angles = self._geometry.palm_angles(report.pose.x_m, report.pose.y_m)
         except PoseError:
             self.bad_poses += 1
             return None
         t = report.t_sample
-        self.lag.observe(t, phi1, phi2)
+        self.lag.observe(t, angles)
         meant = self._meant(t, report.state)
         if meant is None:
-            self.actual = PalmMotion(phi1, phi2)
-            return PalmSample(t, phi1, phi2)
-        self.actual = PalmMotion(phi1, phi2, meant.omega1, meant.omega2, meant.alpha1, meant.alpha2)
-        return PalmSample(t, phi1, phi2, meant.omega1, meant.omega2, meant.alpha1, meant.alpha2)
+            self.actual = PalmMotion.at_rest(angles)
+            return PalmSample(t, angles)
+        self.actual = replace(meant, angles=angles)
+        return PalmSample(t, angles, meant.rates, meant.accelerations)
 
     def _meant(self, t: float, state: ArmState) -> PalmMotion | None:
         """What the arm is meant to do at `t` (s); only its rates count."""
-        still = PalmMotion(0.0, 0.0)
+        still = PalmMotion.at_rest((0.0,) * len(JOINTS))
         if state in RESTING:
             return still if t - self._t_moving > COMING_TO_REST_S else None
         self._t_moving = t

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from palmd.config import ExploreGoal
-from palmd.events import Outlook, RigDescription
+from palmd.events import Outlook
 from palmd.motion.excitation import rock
 from palmd.motion.explorer import Decision, Explorer, UnderWay
 from palmd.motion.limits import MotionLimits
 from palmd.motion.segments import Angles, Move
+from palmd.system.description import RigDescription
 
 LATENCY_S = 0.3  # what a decision takes in a run without wires
 

@@ -7,7 +7,7 @@ import pickle  # between a process and its own child, on a socket in a folder of
 
 from palmd.daemon.exploration_requests import Decider, ExplorationAnswer, Question
 from palmd.daemon.worker import WorkerProcess, give_back_memory, meet
-from palmd.events import RigDescription
+from palmd.system.description import RigDescription
 
 log = logging.getLogger(__name__)
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
-from palmd.events import PalmMotion
+from palmd.events import Joints, PalmMotion
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import check_way
 
@@ -21,9 +22,9 @@ class Jog:
     def __init__(self, pose: PalmMotion, limits: MotionLimits, t: float) -> None:
         """Begin at rest at `pose` at `t` (s)."""
         self._limits = limits
-        self._q = [pose.phi1, pose.phi2]
-        self._v = [0.0, 0.0]
-        self._goal = [pose.phi1, pose.phi2]
+        self._q = list(pose.angles)
+        self._v = [0.0] * len(self._q)
+        self._goal = list(pose.angles)
         self._t = t
         self._t_alive = t
         self._rate = min(RATE, limits.rate)
@@ -32,24 +33,24 @@ class Jog:
     @property
     def moving(self) -> bool:
         """Whether the palms are under way."""
-        return self._v != [0.0, 0.0] or self._goal != self._q
+        return any(self._v) or self._goal != self._q
 
     @property
     def motion(self) -> PalmMotion:
         """Where the palms are meant to be, and how fast."""
-        return PalmMotion(*self._q, *self._v)
+        return replace(PalmMotion.at_rest(tuple(self._q)), rates=tuple(self._v))
 
-    def check(self, whole1: float, whole2: float) -> None:
+    def check(self, whole: Joints) -> None:
         """Raises PoseError if steps that add up to so much (rad) would leave the limits; takes about a millisecond."""
-        check_way((self._goal[0], self._goal[1]), (self._goal[0] + whole1, self._goal[1] + whole2), self._limits)
+        end = tuple(goal + way for goal, way in zip(self._goal, whole, strict=True))
+        check_way(tuple(self._goal), end, self._limits)
 
-    def step(self, step1: float, step2: float, t: float) -> list[str]:
+    def step(self, steps: Joints, t: float) -> list[str]:
         """Shift the goal (rad) at `t` (s); returns what speaks against it, and then changes nothing."""
         goal = [
-            min(max(goal + step, q - LEAD), q + LEAD)
-            for goal, step, q in zip(self._goal, (step1, step2), self._q, strict=True)
+            min(max(goal + step, q - LEAD), q + LEAD) for goal, step, q in zip(self._goal, steps, self._q, strict=True)
         ]
-        problems = self._limits.violations(*goal)
+        problems = self._limits.violations(tuple(goal))
         if not problems:
             self._goal = goal
             self._t_alive = t
@@ -59,7 +60,7 @@ class Jog:
         """The motion at `t` (s)."""
         dt, self._t = min(max(t - self._t, 0.0), 0.02), max(t, self._t)
         alive = t - self._t_alive <= DEAD_MAN_S
-        for i in range(2):
+        for i in range(len(self._q)):
             self._advance_one(i, dt, alive)
         return self.motion
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from palmd.events import PalmMotion
+from palmd.events import Joints, PalmMotion
 
 START_S, LONGEST_S = 0.040, 0.100
 MEMORY = 24  # set-points: 0.38 s at 16 ms
@@ -36,13 +36,14 @@ class LatencyEstimator:
         """What the arm was meant to do at `t_sample` (s), the lag allowed for; None where not commanded."""
         return self._commanded(t_sample - self.lag_s)
 
-    def observe(self, t_sample: float, phi1: float, phi2: float) -> None:
-        """Learn from the actual palm angles (rad) at `t_sample` (s)."""
+    def observe(self, t_sample: float, angles: Joints) -> None:
+        """Learn from the actual joint angles (rad) at `t_sample` (s)."""
         meant = self.motion(t_sample)
         if meant is None:
             return
-        speed = meant.omega1**2 + meant.omega2**2
-        misfit = meant.omega1 * (phi1 - meant.phi1) + meant.omega2 * (phi2 - meant.phi2)
+        speed = sum(omega**2 for omega in meant.rates)
+        each = zip(meant.rates, angles, meant.angles, strict=True)
+        misfit = sum(omega * (actual - wanted) for omega, actual, wanted in each)
         self._information = max(FORGETTING * self._information, PRIOR_INFORMATION) + speed
         self.lag_s = min(max(self.lag_s - misfit / self._information, 0.0), LONGEST_S)
 
@@ -59,11 +60,8 @@ class LatencyEstimator:
 def _between(before: tuple[float, PalmMotion], after: tuple[float, PalmMotion], t: float) -> PalmMotion:
     (t0, a), (t1, b) = before, after
     w = (t - t0) / (t1 - t0) if t1 > t0 else 1.0
-    return PalmMotion(
-        a.phi1 + w * (b.phi1 - a.phi1),
-        a.phi2 + w * (b.phi2 - a.phi2),
-        a.omega1 + w * (b.omega1 - a.omega1),
-        a.omega2 + w * (b.omega2 - a.omega2),
-        a.alpha1 + w * (b.alpha1 - a.alpha1),
-        a.alpha2 + w * (b.alpha2 - a.alpha2),
+    angles, rates, accelerations = (
+        tuple(x + w * (y - x) for x, y in zip(one, other, strict=True))
+        for one, other in ((a.angles, b.angles), (a.rates, b.rates), (a.accelerations, b.accelerations))
     )
+    return PalmMotion(angles, rates, accelerations)

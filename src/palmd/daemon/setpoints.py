@@ -18,7 +18,7 @@ from palmd.motion.kinematics import PoseError, RigGeometry, wrapped
 from palmd.motion.limits import MotionLimits, Workspace
 from palmd.motion.plan import PlanPlace, Trajectory
 from palmd.motion.segments import Angles
-from palmd.motion.trajectory_executor import MotionError, TrajectoryExecutor
+from palmd.motion.trajectory_executor import UNKNOWN, MotionError, TrajectoryExecutor
 
 LONGEST_STEP_S = 0.032
 """Two cycles: what one set-point may make up for when the one before was not sent."""
@@ -42,7 +42,7 @@ class SetPoints:
         self._off_path = False
         self._twist = 0.0  # of the tool against palm 2 (rad), as found; it is taken back gently
         self._t_sent = -math.inf
-        self._next = PalmMotion(math.nan, math.nan)
+        self._next = PalmMotion.at_rest(UNKNOWN)
         self._jog: Jog | None = None
         self.limits = limits
         self._executor = TrajectoryExecutor(limits)
@@ -61,7 +61,7 @@ class SetPoints:
         inside = self.nearest(pose)
         where = pose if _distance(inside, pose) > _OUTSIDE else inside
         try:
-            return self.limits.violations(where.phi1, where.phi2)
+            return self.limits.violations(where.angles)
         except PoseError as error:
             return [str(error)]
 
@@ -70,7 +70,7 @@ class SetPoints:
     def stand(self, actual: PalmMotion, tool: float, t: float) -> None:
         """The arm follows from now on, `t` (s); stand where it is, its tool at the angle `tool` (rad)."""
         inside = self.nearest(actual)
-        self._executor.stand(inside.phi1, inside.phi2)
+        self._executor.stand(inside.angles)
         self._begin_at(actual, tool)
         self._t_sent = t
         self._jog = None
@@ -79,7 +79,7 @@ class SetPoints:
     def leave(self) -> None:
         """The arm no longer follows; the plan is put away."""
         if self.commanded is not None:
-            self._executor.stand(math.nan, math.nan)
+            self._executor.stand(UNKNOWN)
             self.commanded = None
             self._jog = None
 
@@ -119,7 +119,7 @@ class SetPoints:
         """Forget the plan that is held."""
         self._executor.stop()
 
-    def jog(self, step1: float, step2: float, t: float, whole: Angles | None = None) -> None:
+    def jog(self, steps: Angles, t: float, whole: Angles | None = None) -> None:
         """Shift the palms by small steps (rad) at `t` (s); raises MotionError when that cannot be, and changes nothing.
 
         whole: what this step and those to come add up to (rad), where it is known: then all of it must be possible.
@@ -131,8 +131,8 @@ class SetPoints:
         jog = Jog(self._executor.motion, self.limits, t) if self._jog is None else self._jog
         try:
             if whole is not None:
-                jog.check(*whole)
-            problems = jog.step(step1, step2, t)
+                jog.check(whole)
+            problems = jog.step(steps, t)
         except PoseError as error:
             problems = [str(error)]
         if problems:
@@ -200,7 +200,7 @@ class SetPoints:
         pose = self._pose(motion)
         if pose is None:
             self.violated = True
-            motion = PalmMotion(before.phi1, before.phi2)
+            motion = PalmMotion.at_rest(before.angles)
             pose = self._pose(motion, anywhere=True)
         self._next = motion
         return pose
@@ -213,7 +213,7 @@ class SetPoints:
     def _pose(self, motion: PalmMotion, *, anywhere: bool = False) -> Pose | None:
         """The arm's pose for a motion; None where it is singular or outside the arm's workspace."""
         try:
-            x, y, tool = self.geometry.arm_pose(motion.phi1, motion.phi2)
+            x, y, tool = self.geometry.arm_pose(motion.angles)
         except PoseError:
             return None
         pose = Pose(x, y, wrapped(tool + self._twist))
@@ -224,15 +224,15 @@ class SetPoints:
         return pose if inside else None
 
     def _begin_at(self, actual: PalmMotion, tool: float) -> None:
-        self.commanded = PalmMotion(actual.phi1, actual.phi2)
-        straight = self.geometry.arm_pose(actual.phi1, actual.phi2)[2]
+        self.commanded = PalmMotion.at_rest(actual.angles)
+        straight = self.geometry.arm_pose(actual.angles)[2]
         self._twist = wrapped(tool - straight)
 
     def _end_jog(self) -> None:
         if self._jog is not None:
             if self._jog.moving:
                 raise MotionError("the palms are being jogged")
-            self._executor.stand(self._jog.motion.phi1, self._jog.motion.phi2)
+            self._executor.stand(self._jog.motion.angles)
             self._jog = None
 
     def _settle(self) -> None:
@@ -245,5 +245,5 @@ class SetPoints:
 
 def _distance(a: PalmMotion, b: PalmMotion) -> float:
     """The larger difference of the palm angles (rad); infinite where one is not a number."""
-    d = max(abs(a.phi1 - b.phi1), abs(a.phi2 - b.phi2))
-    return d if d == d else math.inf
+    apart = [abs(one - other) for one, other in zip(a.angles, b.angles, strict=True)]
+    return math.inf if any(map(math.isnan, apart)) else max(apart)

@@ -16,10 +16,11 @@ import msgpack
 import numpy as np
 
 from palmd.daemon.worker import WorkerProcess, give_back_memory, meet
-from palmd.events import Calibration, Event, Improvement, PadLift, PadSample, PalmSample, RigDescription
+from palmd.events import Event, Improvement, PadLift, PadSample, PalmSample
 from palmd.model import shape_map, smoothing
 from palmd.observer.incremental import IncrementalSmoother
 from palmd.observer.smoothing import Session, period
+from palmd.system.description import PadSensor, RigDescription
 
 BATCH_S = 0.05  # of events that go out in one message
 HIGH_WATER = 100  # messages on their way: five seconds
@@ -116,6 +117,5 @@ def serve(address: str, rig: str) -> None:
 
 
 def _rig_of(fields: dict[str, Any]) -> RigDescription:
-    values: dict[str, Any] = {name: tuple(each) if isinstance(each, list) else each for name, each in fields.items()}
-    values["calibration"] = Calibration(**fields["calibration"])
-    return RigDescription(**values)
+    pads = tuple(PadSensor(**pad) for pad in fields["pads"])
+    return RigDescription(**fields | {"base": tuple(fields["base"]), "pads": pads})

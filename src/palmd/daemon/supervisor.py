@@ -24,6 +24,7 @@ from palmd.faults import Fault, FaultMonitor, Severity
 from palmd.motion.limits import Workspace
 from palmd.motion.segments import Angles
 from palmd.motion.trajectory_executor import MotionError
+from palmd.system.mechanism import JOINTS
 
 log = logging.getLogger(__name__)
 
@@ -213,7 +214,7 @@ class Supervisor:
         if plan.explores and not self._exploring.possible:
             raise RefusedError("exploring needs an outline to go by: set observer.primary to shape")
         assert commanded is not None, "the arm follows"
-        limits, start = setpoints.limits, (commanded.phi1, commanded.phi2)
+        limits, start = setpoints.limits, commanded.angles
         if plan.serves(limits, start):
             self._run(plan)
             return self._told()
@@ -254,8 +255,7 @@ class Supervisor:
         plans, limits, actual = self._plans, self._setpoints.limits, self._arm.actual
         start: Angles | None = None
         if actual is not None:
-            inside = self._setpoints.nearest(actual)
-            start = (inside.phi1, inside.phi2)
+            start = self._setpoints.nearest(actual).angles
         if text is None:
             self._begin(request, lambda: plans.load(name, limits, start), self._adopt)
         else:
@@ -270,7 +270,7 @@ class Supervisor:
     def _jog(self, request: Request, t: float) -> dict[str, Any]:
         self._refuse_unless_commanded()
         told = any(name.startswith("whole_") for name in request.args)
-        self._setpoints.jog(*_turn(request, ""), t, _turn(request, "whole_") if told else None)
+        self._setpoints.jog(_turn(request, ""), t, _turn(request, "whole_") if told else None)
         return self._told()
 
     def _told(self) -> dict[str, Any]:
@@ -417,8 +417,7 @@ class Supervisor:
 
 def _turn(jog: Request, of: str) -> Angles:
     """By how much a jog turns the palms (rad): its step, or the whole of which that is the first."""
-    phi1_deg, phi2_deg = (jog.args.get(f"{of}phi{i}_deg", 0.0) for i in (1, 2))
-    return math.radians(phi1_deg), math.radians(phi2_deg)
+    return tuple(math.radians(jog.args.get(f"{of}{joint}_deg", 0.0)) for joint in JOINTS)
 
 
 def _named(state: ArmState | None) -> str:

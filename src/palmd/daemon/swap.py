@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from palmd.events import PadSample, PalmMotion
+from palmd.system.mechanism import PALMS, directions
 
 MEMORY_S = 8.0
 ENOUGH_S = 3.0  # of both pads pressed, before anything is said
@@ -14,7 +15,7 @@ FRESH_S = 0.05
 
 
 class SwapWatch:
-    """Compares ln(F1/F2) as pressed with ln(f1/f2) = ln(sin φ12 / sin φ1), the contact forces at rest.
+    """Compares ln(F1/F2) as pressed with their log at rest, ln(sin φ12 / sin φ1), the contact forces at rest.
 
     Gains of the pads shift the first by a constant, the object's shape and motion disturb it a little; neither turns
     its sense. Right pads give a slope of about +1 of the one on the other, swapped pads about −1.
@@ -34,13 +35,13 @@ class SwapWatch:
     def look(self, t: float, palms: PalmMotion | None) -> None:
         """Judge anew at `t` (s), once a tick."""
         dt, self._t = t - self._t, t
-        if palms is None or not 0.0 < dt < 1.0 or len(self._force) < 2:
+        if palms is None or not 0.0 < dt < 1.0 or len(self._force) < len(PALMS):
             return
-        (t1, force1), (t2, force2) = self._force[1], self._force[2]
-        phi12 = palms.phi1 + palms.phi2
-        if t - min(t1, t2) > FRESH_S or not (0.0 < palms.phi1 < math.pi and 0.0 < phi12 < math.pi):
+        (t1, force1), (t2, force2) = (self._force[pad] for pad in PALMS)
+        first, second = directions(palms.angles)
+        if t - min(t1, t2) > FRESH_S or not (0.0 < first < math.pi and 0.0 < second < math.pi):
             return
-        x, y = math.log(force1 / force2), math.log(math.sin(phi12) / math.sin(palms.phi1))
+        x, y = math.log(force1 / force2), math.log(math.sin(second) / math.sin(first))
         # exponentially weighted means and products; the sums keep their scale, so that any number of ticks will do
         fading = math.exp(-dt / MEMORY_S)
         self._weight = self._weight * fading + dt

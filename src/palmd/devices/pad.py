@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from palmd.config import PadConfig
-from palmd.events import Pad, PadLift, PadSample
+from palmd.events import PadLift, PadSample
 from palmd.messages import PadView
 
 if TYPE_CHECKING:
@@ -94,11 +94,11 @@ class PadDriver(Protocol):
         """What has passed since the start, by cause."""
 
 
-PadFactory = Callable[[Pad, Any], PadDriver]
+PadFactory = Callable[[int, Any], PadDriver]
 """Takes the pad's number and its kind's configuration."""
 
 
-def make_pad(number: Pad, config: PadConfig) -> PadDriver:
+def make_pad(number: int, config: PadConfig) -> PadDriver:
     """The driver of a configured pad."""
     factory: PadFactory = importlib.import_module(f"palmd.devices.pads.{config.kind}").DRIVER
     return factory(number, config)
@@ -115,9 +115,9 @@ class TouchTracker:
     START_REPORTS = 1.6
     MAX_REPORTS = 2.5
 
-    def __init__(self, pad: Pad, report_s: float) -> None:
+    def __init__(self, pad: int, report_s: float) -> None:
         """`report_s` is how long a report takes on the line, at least (s)."""
-        self._pad: Pad = pad
+        self._pad: int = pad
         self._shortest_s = report_s
         self._longest_s = self.MAX_REPORTS * report_s
         self._mean_s = self.START_REPORTS * report_s

@@ -18,7 +18,7 @@ from typing import Literal
 
 from palmd.devices.arrival import FirstByteClock, byte_time
 from palmd.devices.pad import MARGIN_MM, PadReport, TouchTracker
-from palmd.events import Pad, PadLift, PadSample
+from palmd.events import PadLift, PadSample
 
 PACKET_BYTES = 6
 HEADER_MASK, HEADER = 0xC3, 0xC0
@@ -237,7 +237,7 @@ class PadCalibration:
     cannot be a contact. `pressure_max` is the pressure format's full scale.
     """
 
-    pad: Pad
+    pad: int
     zero_mm: float
     counts_per_mm: float
     newtons_per_count: float

@@ -12,6 +12,7 @@ from palmd.config import Config
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.doctor import machine, ports
 from palmd.doctor.finding import Finding
+from palmd.system.mechanism import PALMS
 from palmd.yamlfile import ConfigError, load_config
 
 
@@ -43,7 +44,7 @@ def findings(path: Path) -> Iterator[Finding]:
     yield plan(config, path)
     status = daemon(config)
     yield bus(config, status)
-    for name, pad in (("pad 1", config.pads.palm1), ("pad 2", config.pads.palm2)):
+    for name, pad in ((f"pad {palm}", config.pads.of(palm)) for palm in PALMS):
         yield from ports.pad_findings(name, pad, status, path)
     yield from ports.arm_findings(config, status, path)
     yield machine.real_time()

@@ -6,14 +6,12 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from palmd.config import PadConfig, PadsConfig
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.devices.pad import PadReport, make_pad
 from palmd.devices.port import PortWaiter
-
-Palm = Literal[1, 2]
+from palmd.system.mechanism import HELD_BY, PALMS
 
 TOUCH_WITHIN_S = 20.0
 LIFTED_S = 0.5
@@ -30,7 +28,7 @@ _LOOK_S = 0.02
 class FingerStroke:
     """A finger that slid over a pad from the hinge outwards: the reports' counts, in order."""
 
-    heard_on: Palm  # by the configuration
+    heard_on: int  # by the configuration
     x: tuple[int, ...]
     y: tuple[int, ...]
 
@@ -44,7 +42,7 @@ class FingerStroke:
 class _Listener:
     """One pad's port, and what has come from it."""
 
-    def __init__(self, palm: Palm, pad: PadConfig) -> None:
+    def __init__(self, palm: int, pad: PadConfig) -> None:
         """Opens it; CliError when it cannot be opened."""
         t = time.monotonic()
         self.palm = palm
@@ -73,11 +71,13 @@ def examine_pads(path: Path, pads: PadsConfig) -> int:
     listeners: list[_Listener] = []
     strokes: list[FingerStroke] = []
     try:
-        for palm, pad in ((1, pads.palm1), (2, pads.palm2)):
-            listeners.append(_Listener(1 if palm == 1 else 2, pad))
-        for palm, where in ((1, "palm 1, the one hinged to the base"), (2, "palm 2, the one the arm holds")):
+        for palm in PALMS:
+            listeners.append(_Listener(palm, pads.of(palm)))
+        for palm, held in zip(PALMS, HELD_BY, strict=True):
+            which = f"palm {palm}, the one {held}"
             print(
-                f"{where}: put a finger on its pad near the hinge between the palms, slide outwards, lift", flush=True
+                f"{which}: put a finger on its pad near the hinge between the palms, slide outwards, lift",
+                flush=True,
             )
             strokes.append(_stroke(palm, listeners))
     finally:
@@ -95,7 +95,7 @@ def examine_pads(path: Path, pads: PadsConfig) -> int:
 def _stroke(palm: int, listeners: Sequence[_Listener]) -> FingerStroke:
     """The next one, on whichever pad it comes; on both at once is a mistake."""
     waiter = PortWaiter([listener.port for listener in listeners])
-    heard: dict[Palm, list[PadReport]] = {listener.palm: [] for listener in listeners}
+    heard: dict[int, list[PadReport]] = {listener.palm: [] for listener in listeners}
     t = time.monotonic()
     t_end = t + TOUCH_WITHIN_S
     while t < t_end:
@@ -122,14 +122,12 @@ def changes(strokes: Sequence[FingerStroke], pads: PadsConfig) -> Iterator[str]:
 
     CliError where the strokes do not tell: both on one pad, or neither along x nor along y.
     """
-    if strokes[0].heard_on == strokes[1].heard_on:
+    if len({stroke.heard_on for stroke in strokes}) < len(strokes):
         raise CliError(RIG_FAILED, f"both strokes were heard on pads.palm{strokes[0].heard_on}: start again")
-    configured = {1: pads.palm1, 2: pads.palm2}
-    swapped = strokes[0].heard_on == 2
-    for palm, stroke in zip((1, 2), strokes, strict=True):
-        pad = configured[palm]
-        if swapped:
-            yield f"  pads.palm{palm}: port: {configured[stroke.heard_on].port}    # the pads are swapped"
+    for palm, stroke in zip(PALMS, strokes, strict=True):
+        pad = pads.of(palm)
+        if stroke.heard_on != palm:
+            yield f"  pads.palm{palm}: port: {pads.of(stroke.heard_on).port}    # the pads are swapped"
         axis, sign = _direction(palm, stroke)
         if axis != pad.axis:
             yield f"  pads.palm{palm}: axis: {axis}    # the other one lies across the palm"

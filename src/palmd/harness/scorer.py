@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from palmd.score import LAST_S, WRONG_M, OutlineScore, score_shape
+from palmd.system.mechanism import RADII
 
-COMPARED = ("r1_m", "r2_m", "omega0_rad_s")
+COMPARED = (*(f"{name}_m" for name in RADII), "omega0_rad_s")
 """What is compared with the truth at each valid tick."""
 
 _NOTHING = dict.fromkeys(("rho_m", "mu", "mass_kg"), math.nan)
@@ -52,7 +53,7 @@ class Scorer:
         """The values of `COMPARED` at t (s) of a valid tick, and their truth."""
         errors = [a - b for a, b in zip(estimated, true, strict=True)]
         self._errors.append((t, *errors))
-        self._wrong += max(map(abs, errors[:2])) > WRONG_M
+        self._wrong += max(map(abs, errors[: len(RADII)])) > WRONG_M
 
     @property
     def settling_s(self) -> float:
@@ -66,15 +67,15 @@ class Scorer:
 
     @property
     def wrong_share(self) -> float:
-        """Of the valid ticks: r1 or r2 is off by more than `WRONG_M`."""
+        """Of the valid ticks: a radius is off by more than `WRONG_M`."""
         return _share(self._wrong, self._valid)
 
     def rms(self) -> tuple[float, float]:
-        """Of r1 and r2 together (m), and of ω0 (rad/s), over the valid ticks of the last `LAST_S`."""
+        """Of the radii together (m), and of ω0 (rad/s), over the valid ticks of the last `LAST_S`."""
         if not self._errors:
             return math.nan, math.nan
-        _, r1, r2, omega0 = np.mean(np.square(self._errors), axis=0).tolist()
-        return math.sqrt((r1 + r2) / 2.0), math.sqrt(omega0)
+        _, *radii, omega0 = np.mean(np.square(self._errors), axis=0).tolist()
+        return math.sqrt(sum(radii) / len(radii)), math.sqrt(omega0)
 
     def constants(self, true: Mapping[str, Any]) -> tuple[float, float, float]:
         """Errors of the last valid tick against a rig/object: of ρ and mass relative, of μ absolute."""

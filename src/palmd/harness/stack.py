@@ -19,6 +19,7 @@ from palmd.bus.subscriber import Message, Subscriber
 from palmd.config import BusConfig, Config
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.harness.processes import Child
+from palmd.system.mechanism import ENDS, PALMS
 
 START_S = 240.0  # compiling the observers on a slow machine
 BUILDING_AFTER_S = 3.0
@@ -197,7 +198,7 @@ def not_started(child: Child) -> CliError:
 
 # ------------------------------------------------------------------------------------- addresses, configuration
 
-_NO_PORTS = {name: name for name in ("pad1", "pad2", "arm")}
+_NO_PORTS = {name: name for name in ENDS}
 
 
 def as_yaml(config: Config, bus: BusConfig, rig: dict[str, Any], runs: Path | None = None) -> str:
@@ -205,8 +206,8 @@ def as_yaml(config: Config, bus: BusConfig, rig: dict[str, Any], runs: Path | No
     values = config.model_dump(mode="json") | {"bus": bus.model_dump(mode="json")}
     if runs is not None:
         values["record"]["directory"] = str(runs)
-    values["pads"]["palm1"]["port"] = rig["pad1"]
-    values["pads"]["palm2"]["port"] = rig["pad2"]
+    for palm in PALMS:
+        values["pads"][f"palm{palm}"]["port"] = rig[f"pad{palm}"]
     values["arm"]["port"] = rig["arm"]
     if values["plan"] is None:
         del values["plan"]

@@ -87,7 +87,7 @@ class Wireless:
         self.core = Core(config, estimator, _AtOnce(), plan, explorer=explorer)
         self._steps = 0
         self._steps_per_tick = round(1.0 / (config.loop.rate_hz * STEP_S))
-        for end in ("pad1", "pad2", "arm"):
+        for end in self.core.ports():
             self.core.opened(end, self.t)
 
     @property

@@ -8,10 +8,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
-from palmd.events import FloatArray, PalmSample, RigDescription
+from palmd.events import FloatArray, PalmSample
 from palmd.observer.palm_path import smoothed_path
 from palmd.record.resultfile import Result
 from palmd.record.track import LEAST_ROWS, Track
+from palmd.system.description import RigDescription
 
 GAP_S = 0.1  # of the reconstruction: nothing is made up across more
 
@@ -33,15 +34,17 @@ def motion_of(result: Result, rig: RigDescription | None, palms: list[PalmSample
     if rig is None or not palms:
         return KnownMotion(result.t, result.psi, None, None)
     angles = smoothed_path(palms, rig.palm_angle_noise).at(result.t)[:, :2]
-    com = com_of(angles, result.r1, result.r2, rig)
+    com = com_of(angles, result.radii, rig)
     return KnownMotion(result.t, result.psi, com, np.stack([angles[:, 0], angles.sum(axis=1)], axis=1))
 
 
-def com_of(angles: FloatArray, r1: FloatArray, r2: FloatArray, rig: RigDescription) -> FloatArray:
+def com_of(angles: FloatArray, radii: FloatArray, rig: RigDescription) -> FloatArray:
     """The centre of mass in the world (n, 2), m: n1·c′ = r1, n2·c′ = r2 about the hinge O = B − L1 t1(φ1) of an arc.
 
-    angles (n, 2): φ1, φ2 (rad). Since n1·t2 = −sin φ2 and n2·t1 = sin φ2, c′ = (r2 t1 − r1 t2) / sin φ2.
+    angles (n, 2): φ1, φ2 (rad); radii (2, n): r1, r2. Since n1·t2 = −sin φ2 and n2·t1 = sin φ2,
+    c′ = (r2 t1 − r1 t2) / sin φ2.
     """
+    r1, r2 = radii
     phi1, phi12 = angles[:, 0], angles.sum(axis=1)
     t1 = np.stack([np.cos(phi1), np.sin(phi1)], axis=1)
     t2 = -np.stack([np.cos(phi12), np.sin(phi12)], axis=1)

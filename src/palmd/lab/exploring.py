@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,9 +19,9 @@ from palmd.harness.wireless import Wireless
 from palmd.lab.exploring_plans import STRATEGIES, Strategy, plan
 from palmd.lab.exploring_watch import EDGE_M, ExplorationWatch
 from palmd.model import shape
-from palmd.model.stable_surface import SurfaceLimits, stable_surface
+from palmd.model.stable_surface import stable_surface
 from palmd.motion.check import motion_limits
-from palmd.motion.limits import PHI12_MAX
+from palmd.motion.reach import surface_limits
 from palmd.motion.rollout_predictor import BINS, Bools
 from palmd.observer import Simulated
 from palmd.rig.shapes import KINDS, Kind
@@ -160,7 +160,7 @@ def _run(task: ExploringTask) -> ExploringRow:
     reachable = _reachable(config, true_h)
     wireless.start()
     before = wireless.world.status()["contact_losses"]
-    watch = ExplorationWatch(reachable, rig.pad_length, wireless.t)
+    watch = ExplorationWatch(reachable, tuple(pad.length for pad in rig.pads), wireless.t)
     ended_s = _watched(wireless, watch, task.seconds)
     status = wireless.world.status()
     told = wireless.core.exploring.told() if explores else None
@@ -213,8 +213,6 @@ def _watched(wireless: Wireless, watch: ExplorationWatch, seconds: float) -> flo
 def _reachable(config: Config, true_h: FloatArray) -> Bools:
     """The bins of normals that palms touch in any stable pose of the true outline, short of the pads' ends."""
     limits = motion_limits(config)
-    where = SurfaceLimits(
-        limits.phi1, (limits.bounds[1].low, limits.bounds[1].high), PHI12_MAX, limits.pad_length, EDGE_M
-    )
+    where = replace(surface_limits(limits), margin=EDGE_M)
     surface = stable_surface(shape.coefficients_of(true_h, HARMONICS), where, bins=BINS)
     return np.asarray(surface.reach.any(axis=0), dtype=np.bool_)

@@ -14,6 +14,7 @@ from palmd.messages import Fields
 from palmd.motion.rollout_predictor import BINS, Bools
 from palmd.quantities import ESTIMATE, SHAPE
 from palmd.score import OutlineScore, score_shape
+from palmd.system.mechanism import JOINTS, PALMS, normal_directions
 
 EDGE_M = 5e-4
 """A contact nearer to a pad's end than this has reached it."""
@@ -31,7 +32,7 @@ class ExplorationWatch:
     """
 
     reachable: Bools
-    pad_length_m: float
+    pad_lengths_m: tuple[float, ...]
     t_start: float
     touched: Bools = field(default_factory=lambda: np.zeros(BINS, dtype=np.bool_))
     curve: list[float] = field(default_factory=list)
@@ -73,12 +74,11 @@ class ExplorationWatch:
         return score_shape(self.shape, true_h, all_normals=True)
 
     def _touch(self, truth: dict[str, Any]) -> None:
-        self.on_both = truth["contact1"] and truth["contact2"]
+        self.on_both = all(truth[f"contact{palm}"] for palm in PALMS)
         self.parted += not self.on_both
-        psi, phi1 = truth["psi_rad"], truth["phi1_rad"]
-        theta1, theta2 = phi1 - psi - math.pi / 2, phi1 + truth["phi2_rad"] - psi - 3 * math.pi / 2  # (3.1)
-        for number, theta in ((1, theta1), (2, theta2)):
+        normals = normal_directions([truth[f"{joint}_rad"] for joint in JOINTS], truth["psi_rad"])
+        for number, theta, length_m in zip(PALMS, normals, self.pad_lengths_m, strict=True):
             if truth[f"contact{number}"]:
                 self.touched[math.floor(theta / _BIN_RAD) % BINS] = True
                 s = truth[f"s{number}_m"]
-                self.at_edge += not EDGE_M < s < self.pad_length_m - EDGE_M
+                self.at_edge += not EDGE_M < s < length_m - EDGE_M

@@ -10,13 +10,14 @@ import math
 
 import numpy as np
 
-from palmd.events import FloatArray, PalmMotion, RigDescription
+from palmd.events import FloatArray, PalmMotion
 from palmd.model import shape, shape_map
 from palmd.model.outputs import NAMED, rig_inputs
 from palmd.observer import prior
 from palmd.observer.observability import SAMPLE_S, WINDOW_S, Observability
 from palmd.rig.plant import stable_poses
 from palmd.rig.shapes import random_body
+from palmd.system.description import RigDescription
 
 PHI1_RAD, PHI2_RAD = math.radians(40.0), math.radians(95.0)
 """The palms' pose in mid-second."""
@@ -30,12 +31,13 @@ def told(omega1: float, omega2: float, seed: int = 1) -> float:
     NaN when the object leaves a palm on the way. Takes some 20 ms; may compile C.
     """
     rig = RigDescription(hinge="fixed")
-    begin = PalmMotion(PHI1_RAD - omega1 * WINDOW_S / 2, PHI2_RAD - omega2 * WINDOW_S / 2, omega1, omega2)
+    angles = (PHI1_RAD - omega1 * WINDOW_S / 2, PHI2_RAD - omega2 * WINDOW_S / 2)
+    begin = PalmMotion(angles, (omega1, omega2), (0.0, 0.0))
     x = _object_at(begin, seed)
     predict, named = (shape_map.library().functions[name] for name in ("predict", "named"))
-    follower = Observability(rig_inputs(rig), rig.reading_variance)
+    follower = Observability(rig_inputs(rig), rig.reading_variances)
     forces = [NAMED.index("f1"), NAMED.index("f2")]
-    palms = np.array([begin.phi1, begin.phi2, omega1, omega2, 0.0, 0.0])
+    palms = np.array([*begin.angles, *begin.rates, *begin.accelerations])
     for step in range(round(WINDOW_S / SAMPLE_S) + 1):
         t = step * SAMPLE_S
         values = np.asarray(named(x, [*palms, *rig_inputs(rig)])[0]).ravel()
@@ -43,7 +45,7 @@ def told(omega1: float, omega2: float, seed: int = 1) -> float:
             return math.nan
         if step == 0:
             s1, s2 = values[NAMED.index("s1")], values[NAMED.index("s2")]
-            start = prior.blind_start(s1, s2, begin, 1, True, np.random.default_rng(0))
+            start = prior.blind_start((s1, s2), begin, 1, True, np.random.default_rng(0))
             follower.begin(t, prior.shape_map_sd(start))
         follower.sample(t, x, palms, np.zeros(2))
         for _ in range(round((t + SAMPLE_S) * PAD_RATE_HZ) - round(t * PAD_RATE_HZ)):

@@ -188,7 +188,8 @@ def _smoother(log: EventLog, told: dict[str, Any]) -> Method | None:
     if not answer.converged or answer.h is None or answer.touched is None:
         return None
     none = np.full(len(answer.t), math.nan)
-    trace = Trace(answer.t, answer.r1, answer.r2, answer.psi, answer.omega0, none, none)
+    one, two = answer.radii
+    trace = Trace(answer.t, one, two, answer.psi, answer.omega0, none, none)
     return _method(trace, answer.theta, answer.h, answer.touched, told)
 
 

@@ -18,7 +18,8 @@ from scipy.optimize import nnls
 
 from palmd.events import FloatArray
 from palmd.model.shape import basis, harmonic_of_coefficient, tangential_basis
-from palmd.model.stable_poses import centre_of_rotation, normals
+from palmd.model.stable_poses import centre_of_rotation
+from palmd.system.mechanism import normal_directions
 
 ORDER = 24
 _SHARPEST = 0.1  # of the mean radius: the smallest radius of curvature allowed
@@ -61,7 +62,7 @@ def ambiguous_outline(
     r = np.stack([height * np.cos(phi1) - x * np.sin(phi1), x * np.sin(phi12) - height * np.cos(phi12)])
     d1 = (r[0] * np.cos(phi2) + r[1]) / np.sin(phi2) - s1
     d2 = s2 - (r[1] * np.cos(phi2) + r[0]) / np.sin(phi2)
-    theta = np.concatenate(normals(np.asarray(phi1), np.asarray(phi2), psi))
+    theta = np.concatenate(normal_directions((np.asarray(phi1), np.asarray(phi2)), psi))
     mean_radius = float(r.mean())
 
     rows = basis(theta, order)

@@ -52,8 +52,3 @@ def readings(phi2: SX, one: Contact, two: Contact) -> tuple[SX, SX]:
     s1 = (one.r * ca.cos(phi2) + two.r) / ca.sin(phi2) - one.d
     s2 = (two.r * ca.cos(phi2) + one.r) / ca.sin(phi2) + two.d
     return s1, s2
-
-
-def normal_directions(phi1: SX, phi2: SX, psi: SX) -> tuple[SX, SX]:
-    """(θ1, θ2), the outward normals at the contacts in the object's frame (3.1)."""
-    return phi1 - psi - ca.pi / 2, phi1 + phi2 - psi - 3 * ca.pi / 2

@@ -15,11 +15,12 @@ from functools import cache
 import casadi as ca
 
 from palmd.model.compiled import Library, densified, load, mapped_over_block
-from palmd.model.contact import SX, Contact, normal_directions, offsets
+from palmd.model.contact import SX, Contact, offsets
 from palmd.model.dynamics import BodyConstants, Palms, newton_euler
 from palmd.model.integrate import exponential_step
 from palmd.model.outputs import RIG_INPUTS, named_outputs
 from palmd.model.shape import COEFFICIENTS, HARMONICS, contact_at, harmonics
+from palmd.system.mechanism import normal_directions
 
 
 class X(IntEnum):
@@ -69,7 +70,7 @@ def _palms(x: SX, alpha1: SX, alpha2: SX) -> Palms:
 
 def _contacts(x: SX) -> tuple[Contact, Contact]:
     d1, d2 = offsets(x[X.PHI2], x[X.R1], x[X.R2], x[X.S1], x[X.S2])
-    theta1, theta2 = normal_directions(x[X.PHI1], x[X.PHI2], x[X.PSI])
+    theta1, theta2 = normal_directions((x[X.PHI1], x[X.PHI2]), x[X.PSI])
     v1 = _curvature_at(theta1, x[X.CURVATURE :])
     v2 = _curvature_at(theta2, x[X.CURVATURE :])
     return Contact(x[X.R1], d1, v1), Contact(x[X.R2], d2, v2)
@@ -171,7 +172,7 @@ def outline_function() -> ca.Function:
     for k in range(2, HARMONICS + 1):
         h[2 * k - 1] = x[X.CURVATURE + 2 * k - 3] / (1 - k**2)
         h[2 * k] = x[X.CURVATURE + 2 * k - 2] / (1 - k**2)
-    theta = normal_directions(x[X.PHI1], x[X.PHI2], x[X.PSI])
+    theta = normal_directions((x[X.PHI1], x[X.PHI2]), x[X.PSI])
     rest, rows = [], []
     for angle, contact in zip(theta, _contacts(x), strict=True):
         known = contact_at(angle, h)

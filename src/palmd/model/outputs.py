@@ -5,9 +5,10 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from palmd.events import FloatArray, RigDescription
+from palmd.events import FloatArray
 from palmd.model.contact import SX, Contact, readings, solve_from_normals, tangent
 from palmd.model.dynamics import BodyConstants, Palms, newton_euler
+from palmd.system.description import RigDescription
 
 NAMED = (
     "r1", "r2", "omega0", "s1", "s2", "phi1", "omega1", "phi2", "omega2", "rho",
@@ -23,8 +24,7 @@ def rig_inputs(rig: RigDescription) -> FloatArray:
 
     Inputs rather than constants, so that one compiled library serves every rig.
     """
-    arm = rig.palm1_length if rig.hinge == "arc" else 0.0
-    base = rig.base if rig.hinge == "arc" else (0.0, 0.0)
+    base, arm = rig.arc
     return np.array([rig.gravity, arm, *base, 0.0])
 
 

@@ -11,12 +11,13 @@ from functools import cache
 import casadi as ca
 
 from palmd.model.compiled import Library, densified, load
-from palmd.model.contact import SX, Contact, normal_directions, readings
+from palmd.model.contact import SX, Contact, readings
 from palmd.model.dynamics import BodyConstants, Palms, newton_euler
 from palmd.model.integrate import exponential_step
 from palmd.model.outputs import RIG_INPUTS
 from palmd.model.shape import contact_at
 from palmd.model.shape_map import N, Z
+from palmd.system.mechanism import normal_directions
 
 COLUMNS = 32
 SUBSTEPS = 4
@@ -36,7 +37,7 @@ def palms_on(move: SX, t: SX) -> Palms:
 
 
 def _contacts(x: SX, palms: Palms) -> tuple[Contact, Contact]:
-    theta1, theta2 = normal_directions(palms.phi1, palms.phi2, x[Z.PSI])
+    theta1, theta2 = normal_directions((palms.phi1, palms.phi2), x[Z.PSI])
     return contact_at(theta1, x[Z.SHAPE :]), contact_at(theta2, x[Z.SHAPE :])
 
 
@@ -56,7 +57,7 @@ def _step_function() -> ca.Function:
     after, palms = ca.vertcat(moving, x[2:]), palms_on(move, SX(STEP_S))
     one, two = _contacts(after, palms)
     motion = newton_euler(palms, moving[1], one, two, body, rig)
-    normals = normal_directions(palms.phi1, palms.phi2, moving[Z.PSI])
+    normals = normal_directions((palms.phi1, palms.phi2), moving[Z.PSI])
     told = ca.vertcat(moving, motion.f1, motion.f2, *readings(palms.phi2, one, two), *normals)
     return ca.Function("step", [x, move, rig], [after, told])
 

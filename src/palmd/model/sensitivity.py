@@ -12,11 +12,12 @@ from functools import cache
 import casadi as ca
 
 from palmd.model.compiled import Library, densified, load
-from palmd.model.contact import SX, Contact, normal_directions, readings
+from palmd.model.contact import SX, Contact, readings
 from palmd.model.dynamics import BodyConstants, Palms, newton_euler
 from palmd.model.integrate import exponential_step
 from palmd.model.shape import contact_at
 from palmd.model.shape_map import PALM_INPUTS, PREDICTION_INPUTS, N, Z, palms_after
+from palmd.system.mechanism import normal_directions
 
 GATHER_INPUTS = PREDICTION_INPUTS + 2
 MOVING = 2  # ψ and ω0
@@ -24,7 +25,7 @@ AIMED_AT = 4  # r1, r2, s1, s2
 
 
 def _contacts(x: SX, phi1: SX, phi2: SX) -> tuple[Contact, Contact]:
-    theta1, theta2 = normal_directions(phi1, phi2, x[Z.PSI])
+    theta1, theta2 = normal_directions((phi1, phi2), x[Z.PSI])
     return contact_at(theta1, x[Z.SHAPE :]), contact_at(theta2, x[Z.SHAPE :])
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model.contact import SX, Contact
+from palmd.system.mechanism import normal_directions
 
 HARMONICS = 7
 COEFFICIENTS = 2 * HARMONICS + 1
@@ -53,7 +54,7 @@ def contact_rows(phi1: float, phi2: float) -> tuple[FloatArray, FloatArray]:
 
     (3.13) and (3.14), linear in the outline.
     """
-    theta = np.array([phi1 - np.pi / 2, phi1 + phi2 - 3 * np.pi / 2])
+    theta = np.array(normal_directions((phi1, phi2), 0.0))
     r, d = basis(theta), tangential_basis(theta)
     lever = (r * np.cos(phi2) + r[::-1]) / np.sin(phi2)
     return r, lever + np.array([[-1.0], [1.0]]) * d

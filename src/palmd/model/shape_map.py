@@ -12,11 +12,12 @@ from functools import cache
 import casadi as ca
 
 from palmd.model.compiled import Library, densified, load, mapped_over_block
-from palmd.model.contact import SX, Contact, normal_directions, readings
+from palmd.model.contact import SX, Contact, readings
 from palmd.model.dynamics import BodyConstants, Palms, newton_euler
 from palmd.model.integrate import exponential_step
 from palmd.model.outputs import RIG_INPUTS, named_outputs
 from palmd.model.shape import HARMONICS, contact_at
+from palmd.system.mechanism import PALMS, normal_directions
 
 
 class Z(IntEnum):
@@ -46,7 +47,7 @@ Q_PSI = 1e-4**2  # rad²/s
 
 
 def _contacts(x: SX, palms: Palms) -> tuple[Contact, Contact]:
-    theta1, theta2 = normal_directions(palms.phi1, palms.phi2, x[Z.PSI])
+    theta1, theta2 = normal_directions((palms.phi1, palms.phi2), x[Z.PSI])
     coefficients = x[Z.SHAPE :]
     return contact_at(theta1, coefficients), contact_at(theta2, coefficients)
 
@@ -133,7 +134,7 @@ def values_function(order: int = HARMONICS) -> ca.Function:
 @cache
 def library(order: int = HARMONICS) -> Library:
     """Kernels for blocks of shape maps and, without `_block`, for one: predict, update_s1, update_s2, values; named."""
-    pads = [update_function(f"update_s{pad}", pad, order) for pad in (1, 2)]
+    pads = [update_function(f"update_s{pad}", pad, order) for pad in PALMS]
     kernels = [predict_function(order), *pads, values_function(order)]
     single = [*kernels, named_function(order)]
     name = "shape_map" if order == HARMONICS else f"shape_map{order}"

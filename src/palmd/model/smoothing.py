@@ -15,12 +15,13 @@ from functools import cache
 import casadi as ca
 
 from palmd.model.compiled import Library, densified, load
-from palmd.model.contact import SX, Contact, normal_directions, readings
+from palmd.model.contact import SX, Contact, readings
 from palmd.model.dynamics import BodyConstants, Motion, Palms, newton_euler
 from palmd.model.integrate import exponential_step
 from palmd.model.outputs import RIG_INPUTS
 from palmd.model.shape import contact_at
 from palmd.model.shape_map import PALM_INPUTS, palms_after
+from palmd.system.mechanism import normal_directions
 
 ORDER = 12  # harmonics of the outline: more than the live observer's, for ellipses and flat sides
 NODE = 2  # ψ, ω0
@@ -70,15 +71,15 @@ RIG_NAMES = (
 )
 RIG = slice(C.RIG, C.SHAPE)
 CONSTANTS = C.SHAPE + 2 * ORDER + 1
-STEP_INPUTS = 1 + PALM_INPUTS + 2 + RIG_INPUTS + 1  # dt, palms, jerk, rig, the pads' length
-CONTACT_INPUTS = 3 + 6  # dt, time into the step, pad, φ1, φ2, their rates, force, the pad's length
-FORCE_INPUTS = 3 + PALM_INPUTS + RIG_INPUTS + 1  # dt, time into the step, pad, palms, rig, the pads' length
+STEP_INPUTS = 1 + PALM_INPUTS + 2 + RIG_INPUTS + 2  # dt, palms, jerk, rig, the pads' lengths
+CONTACT_INPUTS = 3 + 7  # dt, time into the step, pad, φ1, φ2, their rates, force, the pads' lengths
+FORCE_INPUTS = 3 + PALM_INPUTS + RIG_INPUTS + 2  # dt, time into the step, pad, palms, rig, the pads' lengths
 
 BATCH = 64
 """Steps or readings that one call of a `NAME_batch` kernel serves, all with the same constants."""
 
 
-def _felt(phi1: SX, phi2: SX, psi: SX, p: SX, length: SX) -> tuple[SX, SX, Contact, Contact]:
+def _felt(phi1: SX, phi2: SX, psi: SX, p: SX, lengths: SX) -> tuple[SX, SX, Contact, Contact]:
     """(φ1, φ2) of the planes that the palms' surfaces are where they touch, and the contacts as seen from their hinge.
 
     Where a bowed surface touches it is a plane, turned by its slope there and set off from the hinge.
@@ -87,19 +88,21 @@ def _felt(phi1: SX, phi2: SX, psi: SX, p: SX, length: SX) -> tuple[SX, SX, Conta
     phi1, phi2 = phi1 + rig[R.TILT], phi2 + rig[R.TURN]
 
     def contacts(phi1: SX, phi2: SX, above1: SX, above2: SX) -> tuple[Contact, Contact]:
-        theta1, theta2 = normal_directions(phi1, phi2, psi)
+        theta1, theta2 = normal_directions((phi1, phi2), psi)
         one, two = contact_at(theta1, h), contact_at(theta2, h)
         return replace(one, r=one.r + rig[R.STANDOFF] + above1), replace(two, r=two.r + rig[R.STANDOFF + 1] + above2)
 
     s1, s2 = readings(phi2, *contacts(phi1, phi2, SX(0), SX(0)))
-    slope1, slope2 = (4 * rig[R.SAGITTA + i] / length * (1 - 2 * s / length) for i, s in enumerate((s1, s2)))
-    above1, above2 = (4 * rig[R.SAGITTA + i] * (s / length) ** 2 for i, s in enumerate((s1, s2)))  # height less s·slope
+    slope1, slope2 = (4 * rig[R.SAGITTA + i] / lengths[i] * (1 - 2 * s / lengths[i]) for i, s in enumerate((s1, s2)))
+    above1, above2 = (
+        4 * rig[R.SAGITTA + i] * (s / lengths[i]) ** 2 for i, s in enumerate((s1, s2))
+    )  # height less s·slope
     phi1, phi2 = phi1 + slope1, phi2 - slope1 - slope2
     return phi1, phi2, *contacts(phi1, phi2, above1, above2)
 
 
-def _motion(psi: SX, omega0: SX, p: SX, palms: Palms, rig: SX, length: SX) -> Motion:
-    phi1, phi2, one, two = _felt(palms.phi1, palms.phi2, psi, p, length)
+def _motion(psi: SX, omega0: SX, p: SX, palms: Palms, rig: SX, lengths: SX) -> Motion:
+    phi1, phi2, one, two = _felt(palms.phi1, palms.phi2, psi, p, lengths)
     dither = 1.0 / ca.sqrt(p[C.SATURATION])
     body = BodyConstants(ca.exp(p[C.LN_RHO]), p[C.DRAG] * dither, dither, p[C.DAMPING])
     rig = ca.vertcat(rig[:-1], p[RIG][R.FRICTION])
@@ -107,16 +110,16 @@ def _motion(psi: SX, omega0: SX, p: SX, palms: Palms, rig: SX, length: SX) -> Mo
 
 
 def step_function() -> ca.Function:
-    """(x_k, p, [dt, φ1 … α2, jerk1, jerk2, rig, L]) → (x after dt, its Jacobian in (x_k, p))."""
+    """(x_k, p, [dt, φ1 … α2, jerk1, jerk2, rig, L1, L2]) → (x after dt, its Jacobian in (x_k, p))."""
     x, p, u = SX.sym("x", NODE), SX.sym("p", CONSTANTS), SX.sym("u", STEP_INPUTS)
-    dt, palms, jerk, rig, length = u[0], u[1:7], u[7:9], u[9:-1], u[-1]
+    dt, palms, jerk, rig, lengths = u[0], u[1:7], u[7:9], u[9:-2], u[-2:]
     y = ca.vertcat(x, p)
 
     def rates(moving: SX, t: SX) -> SX:
-        now = _motion(moving[0], moving[1], p, palms_after(palms, jerk, t), rig, length)
+        now = _motion(moving[0], moving[1], p, palms_after(palms, jerk, t), rig, lengths)
         return ca.vertcat(moving[1], now.alpha0)
 
-    damping = ca.jacobian(_motion(x[0], x[1], p, palms_after(palms, jerk, SX(0)), rig, length).alpha0, x[1])
+    damping = ca.jacobian(_motion(x[0], x[1], p, palms_after(palms, jerk, SX(0)), rig, lengths).alpha0, x[1])
     moved, J = exponential_step(rates, y, dt, [0, 1], 1, damping)
     return ca.Function("step", [x, p, u], [moved, J], ["x", "p", "u"], ["x_next", "J"])
 
@@ -130,7 +133,7 @@ def _between(a: SX, b: SX, dt: SX, t: SX) -> tuple[SX, SX]:
 
 
 def contact_function() -> ca.Function:
-    """(x_k, x_k+1, p, [dt, t, pad, φ1, φ2, ω1, ω2, force, L]) → (its reading, its gradient in (x_k, x_k+1, p))."""
+    """(x_k, x_k+1, p, [dt, t, pad, φ1, φ2, ω1, ω2, force, L1, L2]) → (its reading, its gradient in (x_k, x_k+1, p))."""
     a, b, p = SX.sym("a", NODE), SX.sym("b", NODE), SX.sym("p", CONSTANTS)
     z = SX.sym("z", CONTACT_INPUTS)
     rig = p[RIG]
@@ -141,7 +144,7 @@ def contact_function() -> ca.Function:
 
     lag = own(R.LAG)
     psi, _ = _between(a, b, z[0], z[1] - lag)
-    _, phi2, one, two = _felt(z[3] - lag * z[5], z[4] - lag * z[6], psi, p, z[8])
+    _, phi2, one, two = _felt(z[3] - lag * z[5], z[4] - lag * z[6], psi, p, z[8:])
     s1, s2 = readings(phi2, one, two)
     reading = own(R.ZERO) + own(R.FORCE) * z[7] + (1 + own(R.SCALE)) * ca.if_else(first, s1, s2)
     J = ca.jacobian(reading, ca.vertcat(a, b, p))
@@ -149,12 +152,12 @@ def contact_function() -> ca.Function:
 
 
 def force_function() -> ca.Function:
-    """(x_k, x_k+1, p, [dt, t, pad, φ1 … α2, rig, L]) → (force of that pad in N, its gradient in (x_k, x_k+1, p))."""
+    """(x_k, x_k+1, p, [dt, t, pad, φ1 … α2, rig, L1, L2]) → (its force in N, the gradient in (x_k, x_k+1, p))."""
     a, b, p = SX.sym("a", NODE), SX.sym("b", NODE), SX.sym("p", CONSTANTS)
     z = SX.sym("z", FORCE_INPUTS)
     psi, omega0 = _between(a, b, z[0], z[1])
     palms = palms_after(z[3 : 3 + PALM_INPUTS], SX.zeros(2), SX(0))
-    motion = _motion(psi, omega0, p, palms, z[3 + PALM_INPUTS : -1], z[-1])
+    motion = _motion(psi, omega0, p, palms, z[3 + PALM_INPUTS : -2], z[-2:])
     force = ca.exp(p[C.LN_MASS]) * ca.if_else(z[2] < 1.5, motion.f1, motion.f2)
     J = ca.jacobian(force, ca.vertcat(a, b, p))
     return ca.Function("force", [a, b, p, z], [force, J], ["a", "b", "p", "z"], ["f", "J"])

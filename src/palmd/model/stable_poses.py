@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.model.shape import basis, harmonic_of_coefficient, tangential_basis
+from palmd.system.mechanism import normal_directions
 
 ComplexArray = npt.NDArray[np.complex128]
 IntArray = npt.NDArray[np.intp]
@@ -96,11 +97,6 @@ class Followed:
     jumped: BoolArray
 
 
-def normals(phi1: FloatArray, phi2: FloatArray, psi: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(θ1, θ2), the outward normals at the contacts in the object's frame (rad): (3.1)."""
-    return phi1 - psi - np.pi / 2, phi1 + phi2 - psi - 3 * np.pi / 2
-
-
 def outline_at(coefficients: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """r = h, d = −h′ and v = h + h″ (m) of the outline at normals of any shape; any odd number of coefficients."""
     order = (len(coefficients) - 1) // 2
@@ -114,7 +110,7 @@ def outline_at(coefficients: FloatArray, theta: FloatArray) -> tuple[FloatArray,
 
 def touch(coefficients: FloatArray, phi1: FloatArray, phi2: FloatArray, psi: FloatArray) -> Touch:
     """Contacts and readings of poses, stable or not, that broadcast against each other: (3.1), (3.13), (3.14)."""
-    theta1, theta2 = normals(phi1, phi2, psi)
+    theta1, theta2 = normal_directions((phi1, phi2), psi)
     r1, d1, v1 = outline_at(coefficients, theta1)
     r2, d2, v2 = outline_at(coefficients, theta2)
     cos, sin = np.cos(phi2), np.sin(phi2)
@@ -147,7 +143,7 @@ def height_series(coefficients: FloatArray, phi1: FloatArray, phi2: FloatArray) 
         raise ValueError("palms hold an object only with phi1 > 0, phi2 > 0 and phi1 + phi2 < 180°")
     z = np.concatenate([coefficients[:1] + 0j, coefficients[1::2] - 1j * coefficients[2::2]])
     ik = 1j * np.arange(len(z))
-    theta1, theta2 = normals(phi1, phi2, np.zeros(()))
+    theta1, theta2 = normal_directions((phi1, phi2), np.zeros(()))
     one = (np.sin(phi12) / np.sin(phi2))[..., None] * np.exp(ik * theta1[..., None])
     two = (np.sin(phi1) / np.sin(phi2))[..., None] * np.exp(ik * theta2[..., None])
     return cast(ComplexArray, z * (one + two))

@@ -24,10 +24,10 @@ from palmd.model.stable_poses import (
     IntArray,
     basins,
     nearest_turn,
-    normals,
     outline_at,
     touch,
 )
+from palmd.system.mechanism import normal_directions
 
 PHI1_COUNT = 60
 PHI2_COUNT = 50
@@ -238,7 +238,7 @@ def _components(
     """(component of each point, reach, winds), the components sorted by their reach, then by their size."""
     graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(len(psi), len(psi))).tocsr()
     count, component = connected_components(graph, directed=False)
-    reach = _reach(normals(phi1, phi2, psi), links, component, count, bins)
+    reach = _reach(normal_directions((phi1, phi2), psi), links, component, count, bins)
     size = np.bincount(component, minlength=count)
     order = np.lexsort((-size, -reach.sum(axis=1)))
     rank = np.empty(count, dtype=np.intp)
@@ -247,9 +247,7 @@ def _components(
     return component, reach[order], _winds(graph, psi, links, component, count)
 
 
-def _reach(
-    theta: tuple[FloatArray, FloatArray], links: IntArray, component: IntArray, count: int, bins: int
-) -> BoolArray:
+def _reach(theta: tuple[FloatArray, ...], links: IntArray, component: IntArray, count: int, bins: int) -> BoolArray:
     """Bins of normals between both ends of each link, and those of each point, (count, bins)."""
     width = 2 * np.pi / bins
     ends = np.concatenate([links, np.repeat(np.arange(len(component)), 2).reshape(-1, 2)])

@@ -42,9 +42,9 @@ def loops(random: np.random.Generator, start: FloatArray, count: int, length: in
     angle = random.uniform(0.0, 2 * np.pi, count)[:, None] + random.choice([-1.0, 1.0], count)[:, None] * (
         np.arange(length) * (np.pi / 2)
     )
-    phi1 = middle1[:, None] + half1[:, None] * np.cos(angle)
+    first = middle1[:, None] + half1[:, None] * np.cos(angle)
     phi12 = middle12[:, None] + half12[:, None] * np.sin(angle)
-    ends = _inside(np.stack([phi1, phi12 - phi1], axis=-1), limits)
+    ends = _inside(np.stack([first, phi12 - first], axis=-1), limits)
     return timed(start, ends, _rates(random, count, limits)[:, None], limits)
 
 
@@ -135,8 +135,8 @@ def _rates(random: np.random.Generator, count: int, limits: MotionLimits) -> Flo
 
 def range_of(limits: MotionLimits) -> tuple[FloatArray, FloatArray]:
     """The lowest and the highest palm angles (φ1, φ2) (rad) that moves end at; the middle of what is too narrow."""
-    low = np.array([limits.phi1[0], limits.bounds[1].low])
-    high = np.array([limits.phi1[1], limits.bounds[1].high])
+    joints = limits.bounds[: len(limits.angles)]
+    low, high = np.array([bound.low for bound in joints]), np.array([bound.high for bound in joints])
     margin = np.minimum(POSE_MARGIN, (high - low) / 2)
     low, high = low + margin, high - margin
     return low, np.maximum(low, high)
@@ -146,6 +146,6 @@ def _inside(poses: FloatArray, limits: MotionLimits) -> FloatArray:
     """The poses, those outside of the limits brought to their edge (…, 2)."""
     low, high = range_of(limits)
     top = PHI12_MAX - POSE_MARGIN
-    phi1 = np.clip(poses[..., 0], low[0], min(high[0], top - low[1]))
-    phi2 = np.clip(poses[..., 1], low[1], np.minimum(high[1], top - phi1))
-    return np.stack([phi1, phi2], axis=-1)
+    first = np.clip(poses[..., 0], low[0], min(high[0], top - low[1]))
+    opening = np.clip(poses[..., 1], low[1], np.minimum(high[1], top - first))
+    return np.stack([first, opening], axis=-1)

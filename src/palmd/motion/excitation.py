@@ -9,13 +9,13 @@ from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import approach
 from palmd.motion.segments import Angles, Move
 
-# From the centre, degrees of phi1 and phi2, one after the other: both palms turn, with and against each other.
+# From the centre, degrees of both joints, one after the other: both palms turn, with and against each other.
 CORNERS_DEG: tuple[Angles, ...] = ((6.0, 3.0), (-6.0, -3.0), (6.0, -3.0), (-6.0, 3.0))
 
 
 def rock(here: Angles, centre: Angles, limits: MotionLimits) -> Move | None:
     """The move from `here` to the next corner about `centre` (rad); None where none is left. Not for the loop."""
-    corners = [(centre[0] + math.radians(a), centre[1] + math.radians(b)) for a, b in CORNERS_DEG]
+    corners = [tuple(at + math.radians(way) for at, way in zip(centre, each, strict=True)) for each in CORNERS_DEG]
     if here in corners:
         turn = corners.index(here)
         corners = corners[turn + 1 :] + corners[:turn]

@@ -63,6 +63,5 @@ class Exploration:
     def cut(self, t: float) -> None:
         """Drop what was to come after t (s) and stand where it is then: only while nothing moves along this path."""
         if t < self.end:
-            motion = self.at(t)
-            here = (motion.phi1, motion.phi2)
+            here = self.at(t).angles
             self._moves = [(t, Move(here, here, 0.0))]

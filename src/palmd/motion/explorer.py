@@ -15,17 +15,18 @@ from typing import Literal
 import numpy as np
 
 from palmd.config import ExploreGoal
-from palmd.events import FloatArray, Outlook, RigDescription
+from palmd.events import FloatArray, Outlook
 from palmd.model import shape_map
 from palmd.model.outputs import rig_inputs
 from palmd.model.shape import basis
-from palmd.model.stable_poses import normals
 from palmd.motion import candidates
 from palmd.motion.limits import MotionLimits, problems, ranges
 from palmd.motion.reach import arcs, reach, surface_limits, why_not
 from palmd.motion.roadmap import Roadmap, TimeToGo
 from palmd.motion.rollout_predictor import BINS, Bools, Moves, Prediction, RolloutPredictor, goodness
 from palmd.motion.segments import Angles, Move
+from palmd.system.description import RigDescription
+from palmd.system.mechanism import normal_directions
 
 LOOPS, SINGLE_MOVES, MUTATED = 104, 56, 32  # sequences tried
 MOVES, HORIZON_S = 5, 8.0  # of each: a round and a bit more, looked at so far ahead
@@ -38,7 +39,7 @@ AWAY = math.radians(10.0)  # a first move that is to be one on the road
 REACH_EVERY_S = 4.0
 # As long as the radii at the contacts are not known better, the palms keep to gentle moves far from the pads' ends.
 CAREFUL_M = 2.5e-4
-CAREFUL_PHI1, CAREFUL_PHI2 = (math.radians(22.0), math.radians(75.0)), (math.radians(66.0), math.radians(118.0))
+CAREFUL_ANGLES = (math.radians(22.0), math.radians(75.0)), (math.radians(66.0), math.radians(118.0))
 CAREFUL_RATE = math.radians(100.0)
 STUCK_S = 40.0  # without anything new
 
@@ -77,8 +78,7 @@ class Explorer:
         self._goal = goal
         self._careful = replace(
             limits,
-            phi1=_within(CAREFUL_PHI1, limits.phi1),
-            phi2=_within(CAREFUL_PHI2, limits.phi2),
+            angles=tuple(_within(wish, limit) for wish, limit in zip(CAREFUL_ANGLES, limits.angles, strict=True)),
             rate=min(CAREFUL_RATE, limits.rate),
         )
         self._random = np.random.default_rng(seed)
@@ -271,7 +271,8 @@ def _first_move(tried: Moves, number: int) -> Move:
 def _spread(states: FloatArray, pose: FloatArray) -> float:
     """How far the states disagree about the radii at the palms' pose (rad): the largest one-sigma (m)."""
     psi = states[:, shape_map.Z.PSI]
-    radii = [(basis(theta) * states[:, shape_map.Z.SHAPE :]).sum(axis=1) for theta in normals(pose[0], pose[1], psi)]
+    normals = normal_directions([np.asarray(angle) for angle in pose], psi)
+    radii = [(basis(theta) * states[:, shape_map.Z.SHAPE :]).sum(axis=1) for theta in normals]
     return float(np.std(radii, axis=1).max())
 
 
@@ -282,4 +283,4 @@ def _within(wish: tuple[float, float], limit: tuple[float, float]) -> tuple[floa
 
 
 def _pose(angles: FloatArray) -> Angles:
-    return float(angles[0]), float(angles[1])
+    return tuple(angles.tolist())

@@ -14,7 +14,8 @@ import math
 from dataclasses import dataclass
 
 from palmd.config import Config
-from palmd.events import PalmMotion
+from palmd.events import Joints, PalmMotion
+from palmd.system.mechanism import directions, hinge_position
 
 LEAST_OPENING = math.radians(1.0)  # nearer than this to φ2 = 0 or π the arm cannot turn the palms
 
@@ -54,16 +55,14 @@ class RigGeometry:
 
     def hinge(self, phi1: float) -> tuple[float, float]:
         """O in the world frame (m) for palm 1 at phi1 (rad)."""
-        return (
-            self.base_x - self.palm1_length * math.cos(phi1),
-            self.base_y - self.palm1_length * math.sin(phi1),
-        )
+        return hinge_position((self.base_x, self.base_y), self.palm1_length, phi1)
 
-    def arm_pose(self, phi1: float, phi2: float) -> tuple[float, float, float]:
-        """Position x, y (m, arm coordinates) and tool angle t (rad, in (−π, π]) for palm angles (rad).
+    def arm_pose(self, angles: Joints) -> tuple[float, float, float]:
+        """Position x, y (m, arm coordinates) and tool angle t (rad, in (−π, π]) for joint angles (rad).
 
         Raises PoseError where the palms are shut or stretched out, or not finite. Safe in the loop.
         """
+        phi1, phi2 = angles
         _check_opening(phi2)
         phi12 = phi1 + phi2
         hinge_x, hinge_y = self.hinge(phi1)
@@ -72,7 +71,7 @@ class RigGeometry:
         cos_yaw, sin_yaw = math.cos(self.arm_yaw), math.sin(self.arm_yaw)
         return cos_yaw * dx + sin_yaw * dy, cos_yaw * dy - sin_yaw * dx, wrapped(phi12 - self.arm_yaw)
 
-    def palm_angles(self, x: float, y: float) -> tuple[float, float]:
+    def palm_angles(self, x: float, y: float) -> Joints:
         """Palm angles phi1 in (−π, π], phi2 in (0, π) (rad) for an arm position x, y (m, arm coordinates).
 
         Raises PoseError for a position out of palm 2's reach or singular. Safe in the loop.
@@ -95,17 +94,18 @@ class RigGeometry:
 
     def tip_speed_acceleration(self, motion: PalmMotion) -> tuple[float, float]:
         """Speed (m/s) and acceleration (m/s²) of E, the point that the arm holds, as magnitudes."""
-        phi12 = motion.phi1 + motion.phi2
-        omega12, alpha12 = motion.omega1 + motion.omega2, motion.alpha1 + motion.alpha2
-        c1, s1 = self.palm1_length * math.cos(motion.phi1), self.palm1_length * math.sin(motion.phi1)
-        c2, s2 = self.palm2_length * math.cos(phi12), self.palm2_length * math.sin(phi12)
-        speed = math.hypot(s1 * motion.omega1 - s2 * omega12, c2 * omega12 - c1 * motion.omega1)
-        centre1, centre2 = motion.omega1**2, omega12**2
-        acceleration = math.hypot(
-            s1 * motion.alpha1 + c1 * centre1 - s2 * alpha12 - c2 * centre2,
-            -c1 * motion.alpha1 + s1 * centre1 + c2 * alpha12 - s2 * centre2,
-        )
-        return speed, acceleration
+        turned, turning, speeding = map(directions, (motion.angles, motion.rates, motion.accelerations))
+        velocity, acceleration = [0.0, 0.0], [0.0, 0.0]
+        # from B to the hinge along palm 1, and from there along palm 2
+        for length, angle, omega, alpha in zip(
+            (-self.palm1_length, self.palm2_length), turned, turning, speeding, strict=True
+        ):
+            along, across = length * math.cos(angle), length * math.sin(angle)
+            velocity[0] -= across * omega
+            velocity[1] += along * omega
+            acceleration[0] -= across * alpha + along * omega**2
+            acceleration[1] += along * alpha - across * omega**2
+        return math.hypot(*velocity), math.hypot(*acceleration)
 
 
 def wrapped(angle: float) -> float:

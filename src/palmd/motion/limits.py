@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from palmd.config import LimitsConfig
-from palmd.events import PalmMotion
+from palmd.events import Joints, PalmMotion
 from palmd.motion.kinematics import RigGeometry
+from palmd.system.mechanism import JOINTS, OPENING, directions
 
 PHI12_MAX = math.radians(172.0)  # two contacts need φ12 < 180°; here it must stay below this
 SMALL_RADIUS = 0.010  # an object no smaller than this shall find pad under it
@@ -79,7 +80,7 @@ class Workspace:
 
     def values(self, motion: PalmMotion) -> tuple[float, ...]:
         """Position, speed and acceleration of the arm; raises PoseError at a singular pose."""
-        x, y, _ = self.geometry.arm_pose(motion.phi1, motion.phi2)
+        x, y, _ = self.geometry.arm_pose(motion.angles)
         return (x, y, *self.geometry.tip_speed_acceleration(motion))
 
 
@@ -87,12 +88,12 @@ class Workspace:
 class MotionLimits:
     """All limits of the palms' motion (rad, rad/s, rad/s², m); rate and acceleration hold for each angle.
 
+    angles: the lowest and the highest of each joint.
     pad_length: how far along a palm, from the hinge, a contact is felt. workspace: None while no arm has said
     what it can do.
     """
 
-    phi1: tuple[float, float]
-    phi2: tuple[float, float]
+    angles: tuple[tuple[float, float], ...]
     rate: float
     acceleration: float
     pad_length: float
@@ -101,16 +102,16 @@ class MotionLimits:
 
     def __post_init__(self) -> None:
         top = PHI12_MAX - _BELOW
-        bounds = [
-            QuantityLimit("phi1", "°", _DEGREES, *self.phi1),
-            self._opening_bound(),
-            QuantityLimit("phi1 + phi2", "°", _DEGREES, 0.0, top, gain=2.0, high_words="it must stay below"),
-        ]
+        bounds = [QuantityLimit(joint, "°", _DEGREES, *ends) for joint, ends in zip(JOINTS, self.angles, strict=True)]
+        bounds[OPENING] = self._opening_bound()
+        bounds.append(
+            QuantityLimit(" + ".join(JOINTS), "°", _DEGREES, 0.0, top, gain=2.0, high_words="it must stay below")
+        )
         for order, kind, unit, most in (
             (1, "rate", "°/s", self.rate),
             (2, "acceleration", "°/s²", self.acceleration),
         ):
-            bounds += [QuantityLimit(f"the {kind} of phi{i}", unit, _DEGREES, -most, most, order) for i in (1, 2)]
+            bounds += [QuantityLimit(f"the {kind} of {joint}", unit, _DEGREES, -most, most, order) for joint in JOINTS]
         if self.workspace is not None:
             bounds += self.workspace.bounds()
         object.__setattr__(self, "bounds", tuple(bounds))
@@ -121,8 +122,7 @@ class MotionLimits:
     ) -> MotionLimits:
         """The configured limits in SI; pad_length in m."""
         return cls(
-            phi1=(math.radians(limits.phi1_deg[0]), math.radians(limits.phi1_deg[1])),
-            phi2=(math.radians(limits.phi2_deg[0]), math.radians(limits.phi2_deg[1])),
+            angles=tuple((math.radians(low), math.radians(high)) for low, high in limits.angles_deg),
             rate=math.radians(limits.rate_deg_s),
             acceleration=math.radians(limits.acceleration_deg_s2),
             pad_length=pad_length,
@@ -130,33 +130,25 @@ class MotionLimits:
         )
 
     def _opening_bound(self) -> QuantityLimit:
-        """phi2's bound: a circle of radius r touches both palms at r/tan(φ2/2), which must be on the pads."""
+        """The opening's bound: a circle of radius r touches both palms at r/tan(φ2/2), which must be on the pads."""
         pads_end = 2.0 * math.atan(SMALL_RADIUS / max(self.pad_length - PAD_MARGIN, PAD_MARGIN))
-        if pads_end <= self.phi2[0]:
-            return QuantityLimit("phi2", "°", _DEGREES, *self.phi2)
+        joint, (low, high) = JOINTS[OPENING], self.angles[OPENING]
+        if pads_end <= low:
+            return QuantityLimit(joint, "°", _DEGREES, low, high)
         words = f"even an object of {SMALL_RADIUS * 1e3:g} mm radius leaves the pads below"
-        return QuantityLimit("phi2", "°", _DEGREES, pads_end, self.phi2[1], low_words=words)
+        return QuantityLimit(joint, "°", _DEGREES, pads_end, high, low_words=words)
 
     def values(self, motion: PalmMotion) -> tuple[float, ...]:
         """The quantities bounded by `bounds`, in that order; raises PoseError at a singular pose."""
         arm = self.workspace.values(motion) if self.workspace else ()
-        return (
-            motion.phi1,
-            motion.phi2,
-            motion.phi1 + motion.phi2,
-            motion.omega1,
-            motion.omega2,
-            motion.alpha1,
-            motion.alpha2,
-            *arm,
-        )
+        return (*motion.angles, directions(motion.angles)[-1], *motion.rates, *motion.accelerations, *arm)
 
-    def violations(self, phi1: float, phi2: float) -> list[str]:
-        """What is wrong with standing at these palm angles (rad), in words; empty when nothing is.
+    def violations(self, angles: Joints) -> list[str]:
+        """What is wrong with standing at these joint angles (rad), in words; empty when nothing is.
 
         Raises PoseError at a singular pose when a workspace is known. Safe in the loop.
         """
-        return [text for _, text in problems(self.bounds, ranges([self.values(PalmMotion(phi1, phi2))]))]
+        return [text for _, text in problems(self.bounds, ranges([self.values(PalmMotion.at_rest(angles))]))]
 
     def clamp_step(self, previous: PalmMotion, wanted: PalmMotion, dt: float) -> PalmMotion:
         """The last guard before a set-point: `wanted`, inside the angle limits and one step of rate·dt.
@@ -165,22 +157,18 @@ class MotionLimits:
         too long shrink alike, so that the direction stays; non-finite wishes are answered by standing still.
         From outside the limits the way back is taken at the rate limit. Safe in the loop.
         """
-        if not (math.isfinite(wanted.phi1) and math.isfinite(wanted.phi2)):
-            return PalmMotion(previous.phi1, previous.phi2)
-        phi1 = min(max(wanted.phi1, self.phi1[0]), self.phi1[1])
-        phi2 = min(max(wanted.phi2, self.phi2[0]), self.phi2[1], PHI12_MAX - _BELOW - phi1)
-        step1, step2 = phi1 - previous.phi1, phi2 - previous.phi2
-        longest = max(abs(step1), abs(step2))
+        if not all(map(math.isfinite, wanted.angles)):
+            return PalmMotion.at_rest(previous.angles)
+        inside = [min(max(angle, low), high) for angle, (low, high) in zip(wanted.angles, self.angles, strict=True)]
+        inside[OPENING] = min(inside[OPENING], PHI12_MAX - _BELOW - sum(inside[:OPENING]))
+        steps = [angle - before for angle, before in zip(inside, previous.angles, strict=True)]
+        longest = max(map(abs, steps))
         room = self.rate * dt
-        if phi1 == wanted.phi1 and phi2 == wanted.phi2 and longest <= room:
+        if tuple(inside) == wanted.angles and longest <= room:
             return wanted
         share = 1.0 if longest <= room else room / longest
-        return PalmMotion(
-            previous.phi1 + share * step1,
-            previous.phi2 + share * step2,
-            share * step1 / dt if dt > 0.0 else 0.0,
-            share * step2 / dt if dt > 0.0 else 0.0,
-        )
+        clamped = PalmMotion.at_rest(tuple(b + share * step for b, step in zip(previous.angles, steps, strict=True)))
+        return replace(clamped, rates=tuple(share * step / dt for step in steps)) if dt > 0.0 else clamped
 
 
 def ranges(values: Iterable[tuple[float, ...]]) -> list[tuple[float, float]]:

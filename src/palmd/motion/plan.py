@@ -20,6 +20,7 @@ from palmd.config import (
     DitherSpec,
     ExploreSpec,
     HoldSpec,
+    JointValues,
     MoveSpec,
     PalmAngles,
     PlanSpec,
@@ -40,6 +41,7 @@ from palmd.motion.segments import (
     Move,
     Sine,
 )
+from palmd.system.mechanism import JOINTS
 
 HOME: Angles = (
     math.radians(45.0),
@@ -127,12 +129,9 @@ class Trajectory:
             return motion
         extra = self.dither.at(tau)
         return PalmMotion(
-            motion.phi1 + extra.phi1,
-            motion.phi2 + extra.phi2,
-            motion.omega1 + extra.omega1,
-            motion.omega2 + extra.omega2,
-            motion.alpha1 + extra.alpha1,
-            motion.alpha2 + extra.alpha2,
+            _sum(motion.angles, extra.angles),
+            _sum(motion.rates, extra.rates),
+            _sum(motion.accelerations, extra.accelerations),
         )
 
     def place(self, tau: float) -> PlanPlace:
@@ -196,10 +195,11 @@ def check_way(start: Angles, end: Angles, limits: MotionLimits) -> None:
 
 def home(limits: MotionLimits) -> Angles:
     """HOME, or the angles nearest to it that the limits allow."""
-    return (
-        min(max(HOME[0], limits.phi1[0]), limits.phi1[1]),
-        min(max(HOME[1], limits.phi2[0]), limits.phi2[1]),
-    )
+    return tuple(min(max(angle, low), high) for angle, (low, high) in zip(HOME, limits.angles, strict=True))
+
+
+def _sum(one: Angles, other: Angles) -> Angles:
+    return tuple(a + b for a, b in zip(one, other, strict=True))
 
 
 class _SegmentError(ValueError):
@@ -231,7 +231,7 @@ class _Compiler:
             begin = pose
             segments, pose = self._round(begin, first=not rounds)
             rounds.append(Round.of(segments))
-            drift = max(abs(pose[0] - begin[0]), abs(pose[1] - begin[1]))
+            drift = max(abs(now - then) for now, then in zip(pose, begin, strict=True))
             settled = drift < _SAME_POSE and (lead_in == 0.0 or len(rounds) > 1)
             if not settled and len(rounds) >= self._most_rounds(count):
                 if count > MAX_DRIFTING_ROUNDS:
@@ -283,12 +283,12 @@ class _Compiler:
         return Exploration(pose, spec.explore), pose
 
     def _constant_rate(self, spec: RateSpec, pose: Angles) -> tuple[ConstantRate, Angles]:
-        rate = (math.radians(spec.rate.phi1_deg_s), math.radians(spec.rate.phi2_deg_s))
-        axis = 0 if spec.until.phi1_deg is not None else 1
-        name = ("phi1", "phi2")[axis]
+        rate = _radians(spec.rate)
+        axis = next(i for i, angle in enumerate(spec.until.each()) if angle is not None)
+        name = JOINTS[axis]
         until = _target(spec.until, pose)[axis]
         way, speed = until - pose[axis], rate[axis]
-        end = (until, pose[1]) if axis == 0 else (pose[0], until)
+        end = (*pose[:axis], until, *pose[axis + 1 :])
         here = f"it starts at {math.degrees(pose[axis]):.6g}°"
         if way * speed <= 0.0:
             turning = f"turns at {math.degrees(speed):g}°/s"
@@ -307,8 +307,8 @@ class _Compiler:
         if duration > MAX_DURATION_S:
             raise _SegmentError(f"takes {duration:.3g} s, more than {MAX_DURATION_S:g} s", end)
         cruise = duration - ramp
-        other = pose[1 - axis] + rate[1 - axis] * cruise
-        end = (until, other) if axis == 0 else (other, until)
+        gone = [angle + each * cruise for angle, each in zip(pose, rate, strict=True)]
+        end = (*gone[:axis], until, *gone[axis + 1 :])
         return ConstantRate(pose, rate, ramp, duration), end
 
     def _check(self, index: int, segment: MotionSegment, *, first: bool) -> None:
@@ -365,9 +365,9 @@ class _Compiler:
             return (0.0, 0.0, 0.0)
         swings = [dither.at(t) for t in dither.sample_times()]
         peaks = (
-            max(abs(swing.phi1) for swing in swings),
-            max(abs(swing.omega1) for swing in swings),
-            max(abs(swing.alpha1) for swing in swings),
+            max(abs(swing.angles[0]) for swing in swings),  # of all joints alike
+            max(abs(swing.rates[0]) for swing in swings),
+            max(abs(swing.accelerations[0]) for swing in swings),
         )
         fits = True
         for bound in self.limits.bounds:
@@ -383,10 +383,13 @@ class _Compiler:
 
 def _target(angles: PalmAngles, pose: Angles) -> Angles:
     """The named angles (rad), with the pose's for those left out."""
-    return (
-        pose[0] if angles.phi1_deg is None else math.radians(angles.phi1_deg),
-        pose[1] if angles.phi2_deg is None else math.radians(angles.phi2_deg),
-    )
+    wanted = zip(angles.each(), pose, strict=True)
+    return tuple(here if degrees is None else math.radians(degrees) for degrees, here in wanted)
+
+
+def _radians(values: JointValues) -> Angles:
+    """Of each joint; zero where left out."""
+    return tuple(math.radians(degrees or 0.0) for degrees in values.each())
 
 
 def _label(spec: SegmentSpec) -> str:
@@ -397,8 +400,8 @@ def _sine(spec: SineSpec, pose: Angles) -> Sine:
     slowest = min(spec.frequency_hz)
     return Sine(
         centre=pose,
-        amplitude=(math.radians(spec.sine.phi1_deg), math.radians(spec.sine.phi2_deg)),
-        angular_frequency=(math.tau * spec.frequency_hz[0], math.tau * spec.frequency_hz[1]),
+        amplitude=_radians(spec.sine),
+        angular_frequency=tuple(math.tau * each for each in spec.frequency_hz),
         grow=min(1.0 / slowest, 0.5 * spec.duration_s, SWING_GROW_MAX),
         duration=spec.duration_s,
     )
@@ -409,7 +412,8 @@ def _dither(spec: DitherSpec | None, duration: float) -> Sine | None:
     if spec is None or duration < 2.0 * DITHER_GROW:
         return None
     amplitude, w = math.radians(spec.amplitude_deg), math.tau * spec.frequency_hz
-    return Sine((0.0, 0.0), (amplitude, amplitude), (w, w), DITHER_GROW, duration)
+    joints = len(JOINTS)
+    return Sine((0.0,) * joints, (amplitude,) * joints, (w,) * joints, DITHER_GROW, duration)
 
 
 def _way(start: Angles, end: Angles, limits: MotionLimits) -> tuple[Move, list[tuple[float, float]]]:

@@ -11,14 +11,13 @@ from palmd.model.stable_surface import SurfaceLimits, stable_surface
 from palmd.motion.limits import PHI12_MAX, MotionLimits
 from palmd.motion.rollout_predictor import BINS, MARGIN_M, Bools
 
-ANY_PHI1, ANY_PHI2, ANY_LENGTH_M = (0.02, 2.9), (0.1, 2.95), 0.5  # as if there were no limits
+ANYWHERE, ANY_LENGTH_M = ((0.02, 2.9), (0.1, 2.95)), 0.5  # as if there were no limits
 
 
 def surface_limits(limits: MotionLimits) -> SurfaceLimits:
     """What the palms may do, as far as it matters for where an object can lie."""
-    return SurfaceLimits(
-        limits.phi1, (limits.bounds[1].low, limits.bounds[1].high), PHI12_MAX, limits.pad_length, MARGIN_M
-    )
+    first, opening = ((bound.low, bound.high) for bound in limits.bounds[: len(limits.angles)])
+    return SurfaceLimits(first, opening, PHI12_MAX, limits.pad_length, MARGIN_M)
 
 
 def reach(outline: FloatArray, limits: SurfaceLimits) -> Bools:
@@ -30,9 +29,9 @@ def why_not(out: Bools, outline: FloatArray, limits: SurfaceLimits) -> list[str]
     """In words, why the bins `out` of the outline are out of reach: what would have to be wider to reach them."""
     told = []
     for wider, why in (
-        (replace(limits, phi1=ANY_PHI1, phi2=ANY_PHI2), "the limits of the palm angles"),
+        (SurfaceLimits(*ANYWHERE, PHI12_MAX, limits.pad_length, limits.margin), "the limits of the palm angles"),
         (replace(limits, pad_length=ANY_LENGTH_M), "the pads' length"),
-        (SurfaceLimits(ANY_PHI1, ANY_PHI2, PHI12_MAX, ANY_LENGTH_M, 0.0), "these limits and the pads' length together"),
+        (SurfaceLimits(*ANYWHERE, PHI12_MAX, ANY_LENGTH_M, 0.0), "these limits and the pads' length together"),
     ):
         opened = out & reach(outline, wider) if out.any() else out
         if opened.any():

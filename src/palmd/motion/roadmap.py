@@ -130,10 +130,10 @@ def _poses(limits: MotionLimits, radius: float) -> FloatArray:
     top = PHI12_MAX - POSE_MARGIN
     closed = max(low[1], 2.0 * math.atan(radius / (limits.pad_length - MARGIN_M)) + POSE_MARGIN)
     poses = []
-    for phi1 in np.linspace(low[0], max(min(high[0], top - closed), low[0]), GRID):
-        opened = max(min(high[1], top - phi1), closed)
+    for first in np.linspace(low[0], max(min(high[0], top - closed), low[0]), GRID):
+        opened = max(min(high[1], top - first), closed)
         count = 1 + math.ceil((opened - closed) / STEP - 0.5)
-        poses += [(phi1, phi2) for phi2 in np.linspace(opened, closed, count)]
+        poses += [(first, opening) for opening in np.linspace(opened, closed, count)]
     return np.array(poses)
 
 

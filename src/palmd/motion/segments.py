@@ -9,18 +9,18 @@ S(u) = 10u³ − 15u⁴ + 6u⁵, whose first two derivatives vanish at both ends
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from palmd.events import PalmMotion
+from palmd.events import Joints, PalmMotion
 
 PEAK_RATE = 15.0 / 8.0  # largest S′
 PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)  # largest |S″|
 _SAMPLES = 64  # of one blend or one period, when a piece is checked
 _SWING_SAMPLES = 6000  # at most, of a long sine; by then it has shown all it does
 
-Angles = tuple[float, float]
+Angles = Joints
 
 
 class MotionSegment(Protocol):
@@ -51,6 +51,15 @@ def blend(u: float) -> tuple[float, float, float]:
     )
 
 
+def _along(start: Angles, direction: Sequence[float], way: float, speed: float, change: float) -> PalmMotion:
+    """The motion at `way` from `start` on the straight line in `direction`, at that speed and change of speed."""
+    return PalmMotion(
+        tuple(angle + each * way for angle, each in zip(start, direction, strict=True)),
+        tuple(each * speed for each in direction),
+        tuple(each * change for each in direction),
+    )
+
+
 def _spread(begin: float, end: float, count: int) -> Iterator[float]:
     return (begin + (end - begin) * i / count for i in range(count + 1))
 
@@ -64,7 +73,7 @@ class Hold:
 
     def at(self, t: float) -> PalmMotion:  # noqa: ARG002
         """The pose, at rest."""
-        return PalmMotion(*self.pose)
+        return PalmMotion.at_rest(self.pose)
 
     def sample_times(self) -> Iterator[float]:
         """One is enough."""
@@ -82,18 +91,12 @@ class Move:
     def at(self, t: float) -> PalmMotion:
         """φ = start + (end − start)·S(t/T)."""
         if t >= self.duration:
-            return PalmMotion(*self.end)
+            return PalmMotion.at_rest(self.end)
         s, s_dot, s_ddot = blend(t / self.duration)
         s_dot /= self.duration
         s_ddot /= self.duration * self.duration
-        way1, way2 = self.end[0] - self.start[0], self.end[1] - self.start[1]
-        return PalmMotion(
-            self.start[0] + way1 * s,
-            self.start[1] + way2 * s,
-            way1 * s_dot,
-            way2 * s_dot,
-            way1 * s_ddot,
-            way2 * s_ddot,
+        return _along(
+            self.start, [end - start for start, end in zip(self.start, self.end, strict=True)], s, s_dot, s_ddot
         )
 
     def sample_times(self) -> Iterator[float]:
@@ -125,15 +128,7 @@ class ConstantRate:
             slope /= -self.ramp
         else:
             speed, slope, way = 1.0, 0.0, t - 0.5 * self.ramp
-        rate1, rate2 = self.rate
-        return PalmMotion(
-            self.start[0] + rate1 * way,
-            self.start[1] + rate2 * way,
-            rate1 * speed,
-            rate2 * speed,
-            rate1 * slope,
-            rate2 * slope,
-        )
+        return _along(self.start, self.rate, way, speed, slope)
 
     def sample_times(self) -> Iterator[float]:
         """Both ramps and the way between."""
@@ -160,18 +155,13 @@ class Sine:
             slope = -slope
         slope /= self.grow
         curve /= self.grow * self.grow
-        w1, w2 = self.angular_frequency
-        sin1, cos1 = math.sin(w1 * t), math.cos(w1 * t)
-        sin2, cos2 = (sin1, cos1) if w1 == w2 else (math.sin(w2 * t), math.cos(w2 * t))
-        a1, a2 = self.amplitude
-        return PalmMotion(
-            self.centre[0] + a1 * envelope * sin1,
-            self.centre[1] + a2 * envelope * sin2,
-            a1 * (slope * sin1 + envelope * w1 * cos1),
-            a2 * (slope * sin2 + envelope * w2 * cos2),
-            a1 * ((curve - envelope * w1 * w1) * sin1 + 2.0 * slope * w1 * cos1),
-            a2 * ((curve - envelope * w2 * w2) * sin2 + 2.0 * slope * w2 * cos2),
-        )
+        angles, rates, accelerations = [], [], []
+        for centre, a, w in zip(self.centre, self.amplitude, self.angular_frequency, strict=True):
+            sin, cos = math.sin(w * t), math.cos(w * t)
+            angles.append(centre + a * envelope * sin)
+            rates.append(a * (slope * sin + envelope * w * cos))
+            accelerations.append(a * ((curve - envelope * w * w) * sin + 2.0 * slope * w * cos))
+        return PalmMotion(tuple(angles), tuple(rates), tuple(accelerations))
 
     def sample_times(self) -> Iterator[float]:
         """Growing in, as much of the swing as tells something new, and dying away."""

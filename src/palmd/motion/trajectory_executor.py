@@ -15,8 +15,10 @@ from palmd.motion.exploration import Exploration
 from palmd.motion.kinematics import PoseError
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import PlanPlace, Trajectory, approach
-from palmd.motion.segments import Move
+from palmd.motion.segments import Angles, Move
+from palmd.system.mechanism import JOINTS
 
+UNKNOWN: Angles = (math.nan,) * len(JOINTS)
 LONGEST_STEP = 0.020  # s; after a longer pause between calls the motion is late, it never catches up
 _AT_REST = 1e-9  # rad/s; below this a palm angle does not limit how the path's speed changes
 _SPEED_RATE_MAX = 1000.0  # 1/s; where the path stands, its speed may change within a step
@@ -35,9 +37,9 @@ class TrajectoryExecutor:
     def __init__(self, limits: MotionLimits) -> None:
         self._limits = limits
         self._t = math.nan
-        self._motion = PalmMotion(math.nan, math.nan)
+        self._motion = PalmMotion.at_rest(UNKNOWN)
         self._trajectory: Trajectory | None = None
-        self._approach = Move((math.nan, math.nan), (math.nan, math.nan), 0.0)
+        self._approach = Move(UNKNOWN, UNKNOWN, 0.0)
         self._tau = 0.0
         self._speed = 0.0
         self._wanted_speed = 0.0
@@ -86,9 +88,9 @@ class TrajectoryExecutor:
             return None
         return self._trajectory.exploration(self._tau - lead)
 
-    def stand(self, phi1: float, phi2: float) -> None:
+    def stand(self, angles: Angles) -> None:
         """Begin anew at the pose (rad) where the palms are. No motion: only while the arm follows nothing."""
-        self._motion = PalmMotion(phi1, phi2)
+        self._motion = PalmMotion.at_rest(angles)
         self._drop()
 
     def start(self, trajectory: Trajectory) -> None:
@@ -98,9 +100,9 @@ class TrajectoryExecutor:
         """
         if self.moving:
             raise MotionError("the palms are moving: hold or stop them first")
-        if math.isnan(self._motion.phi1):
+        present = self._motion.angles
+        if any(map(math.isnan, present)):
             raise MotionError("the palms' pose is not known")
-        present = (self._motion.phi1, self._motion.phi2)
         try:
             self._approach = approach(present, trajectory.start, self._limits, trajectory.lead_in)
         except PoseError as error:
@@ -180,7 +182,7 @@ class TrajectoryExecutor:
     def _limited(self, speed_rate: float, planned: PalmMotion, speed: float) -> float:
         """u̇ cut, but not reversed, so that |α·u² + ω·u̇| stays within the acceleration limit on both palms."""
         most = self._limits.acceleration
-        for omega, alpha in ((planned.omega1, planned.alpha1), (planned.omega2, planned.alpha2)):
+        for omega, alpha in zip(planned.rates, planned.accelerations, strict=True):
             if abs(omega) > _AT_REST:
                 used = alpha * speed * speed
                 room = (most - math.copysign(used, used * omega * speed_rate)) / abs(omega)
@@ -195,13 +197,11 @@ class TrajectoryExecutor:
         planned = self._plan_motion(trajectory, tau)
         if speed == 1.0 and speed_rate == 0.0:
             return planned
+        each = zip(planned.rates, planned.accelerations, strict=True)
         return PalmMotion(
-            planned.phi1,
-            planned.phi2,
-            planned.omega1 * speed,
-            planned.omega2 * speed,
-            planned.alpha1 * speed * speed + planned.omega1 * speed_rate,
-            planned.alpha2 * speed * speed + planned.omega2 * speed_rate,
+            planned.angles,
+            tuple(omega * speed for omega in planned.rates),
+            tuple(alpha * speed * speed + omega * speed_rate for omega, alpha in each),
         )
 
     def _drop(self) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal, get_args
 
-from palmd.events import RigDescription
 from palmd.model.smoothing import ORDER
 from palmd.observer.bank_observer import BankObserver
 from palmd.observer.filters.base import NOT_OVERCONFIDENT
@@ -20,6 +19,7 @@ from palmd.observer.simulated_smoother import Simulated
 from palmd.observer.smoother_link import SmootherLink
 from palmd.observer.smoothing import Smoothing
 from palmd.outlinefile import Outline
+from palmd.system.description import RigDescription
 
 ObserverName = Literal["shape", "extended", "quasistatic"]
 OBSERVERS: tuple[str, ...] = get_args(ObserverName)

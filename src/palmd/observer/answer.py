@@ -15,6 +15,7 @@ from palmd.observer.coverage import NORMAL_BINS, Marks
 from palmd.observer.filters.base import Filters
 from palmd.observer.mass import MassEstimator
 from palmd.observer.outline import gauge_free_sd
+from palmd.system.mechanism import FORCES, JOINT_RATES, JOINTS
 
 DIRECTIONS = 180  # of the published outline
 THETA: FloatArray = np.linspace(0.0, 2 * np.pi, DIRECTIONS, endpoint=False)
@@ -23,8 +24,6 @@ SAMPLES, RIVALS = 6, 3  # in an outlook: of what the object may be besides, and 
 _BINS = np.linspace(0.0, 2 * np.pi, NORMAL_BINS, endpoint=False) + np.pi / NORMAL_BINS
 _SHAPE = slice(shape_map.Z.SHAPE, None)
 
-_FORCES = ("f1", "f2")
-_PALMS = ("phi1", "phi2", "omega1", "omega2")
 _UNKNOWN = dict.fromkeys((*NAMED, "mass", "nis", "observability"), math.nan)
 _UNKNOWN_SD = dict.fromkeys((*NAMED, "mass"), math.nan)
 
@@ -37,7 +36,7 @@ def answer(
     values = dict(zip(NAMED, (float(v) for v in y), strict=True))
     sds = dict(zip(NAMED, (float(v) for v in sd), strict=True))
     m, m_sd = mass.value, mass.sd
-    for name in _FORCES:
+    for name in FORCES:
         f = values[name]
         values[name], sds[name] = m * f, math.hypot(m * sds[name], m_sd * f)
     sds["mass"] = m_sd
@@ -49,7 +48,7 @@ def answer(
 
 def no_answer(t: float, observer: str, object_count: int, palms: PalmMotion | None) -> Estimate:
     """The estimate when nothing is known but, perhaps, the palms; NaN elsewhere."""
-    known = {} if palms is None else {name: getattr(palms, name) for name in _PALMS}
+    known = {} if palms is None else dict(zip((*JOINTS, *JOINT_RATES), (*palms.angles, *palms.rates), strict=True))
     return Estimate(
         t=t, valid=False, observer=observer, object_count=object_count, touched=0.0,
         sd=dict(_UNKNOWN_SD), **{**_UNKNOWN, **known},

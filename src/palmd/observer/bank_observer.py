@@ -20,7 +20,6 @@ from palmd.events import (
     PadLift,
     PadSample,
     PalmSample,
-    RigDescription,
     ShapeEstimate,
 )
 from palmd.model.outputs import NAMED, rig_inputs
@@ -37,10 +36,11 @@ from palmd.observer.smoother_link import SmootherLink
 from palmd.observer.smoothing import Session
 from palmd.observer.track import Track
 from palmd.observer.validity import Evidence, Thresholds, consistent, predictable, settled
+from palmd.system.description import RigDescription
+from palmd.system.mechanism import FORCES, PALMS, RADII
 
 SETTLED = Thresholds(age_s=0.4, radius_sd_m=3e-4, disagreement_m=3e-4)
-_RADII = [NAMED.index("r1"), NAMED.index("r2")]
-_R1, _R2, _F1, _F2 = (NAMED.index(name) for name in ("r1", "r2", "f1", "f2"))
+_RADII, _FORCES = ([NAMED.index(name) for name in names] for names in (RADII, FORCES))
 
 
 class BankObserver:
@@ -66,7 +66,7 @@ class BankObserver:
         self._link = link
         self._hypotheses = hypotheses or ReturningObject(rig, filters)
         self._fusion = Fusion(rig, self._hypotheses.banks)
-        self._observability = Observability(rig_inputs(rig), rig.reading_variance)
+        self._observability = Observability(rig_inputs(rig), rig.reading_variances)
         self.reset()
 
     def reset(self) -> None:
@@ -88,9 +88,9 @@ class BankObserver:
         """
         for i in range(2 * EVENTS):
             t = i * 0.01
-            self.feed(PalmSample(t, 0.8, 1.6, 0.0, 0.0, 0.0, 0.0))
-            self.feed(PadSample(t, 1, 0.02, 1.0))
-            self.feed(PadSample(t, 2, 0.02, 1.0))
+            self.feed(PalmSample(t, (0.8, 1.6), (0.0, 0.0), (0.0, 0.0)))
+            for pad in PALMS:
+                self.feed(PadSample(t, pad, 0.02, 1.0))
             self.estimate(t)
             self.shape(t)
         self.reset()
@@ -189,8 +189,8 @@ class BankObserver:
         best = fusion.bank.best()  # another bank may have taken over
         track = session.track or track  # another object may have been begun
         if valid:
-            track.mass.weigh(self._contacts.last(1), float(y[_F1]))
-            track.mass.weigh(self._contacts.last(2), float(y[_F2]))
+            for pad, force in zip(PALMS, _FORCES, strict=True):
+                track.mass.weigh(self._contacts.last(pad), float(y[force]))
             track.coverage.mark(t, best, y, fusion.psi)
             self._hypotheses.keep(track, t)
         lately = session.track is not None and self._contacts.read_lately(t)
@@ -264,8 +264,8 @@ class BankObserver:
             finite=bool(np.isfinite(y).all() and np.isfinite(sd).all()),
             consistent=consistent(float(fusion.bank.nis[fusion.bank.best()])),
             age_s=track.age(t),
-            radius_sd_m=max(sd[_R1], sd[_R2]),
-            disagreement_m=max(disagreement[_R1], disagreement[_R2]),
+            radius_sd_m=float(sd[_RADII].max()),
+            disagreement_m=float(disagreement[_RADII].max()),
         )
 
     def _inflation(self, track: Track, t: float) -> float:

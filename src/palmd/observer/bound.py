@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from palmd.events import Event, FloatArray, RigDescription
+from palmd.events import Event, FloatArray
 from palmd.model import shape
 from palmd.model.smoothing import CONSTANTS, ORDER, C
 from palmd.observer.data_segment import longest_segment
@@ -24,6 +24,7 @@ from palmd.observer.reconstruct import SPACING_S
 from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
 from palmd.observer.search import NOISE, Search
 from palmd.observer.smoother import Smoother
+from palmd.system.description import RigDescription
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,4 +98,6 @@ def _expected(record: Record, smoother: Smoother, rig: RigDescription, guess: Gu
     """The record with every reading at its expectation, so that none is weighed down as an outlier."""
     contacts = record.contact_value - smoother.residuals(guess) * np.sqrt(record.contact_variance)
     forces = np.maximum(smoother.forces(guess), LEAST_FORCE_N)
-    return replace(record, contact_value=contacts, force_value=forces, force_variance=rig.force_variance(forces))
+    return replace(
+        record, contact_value=contacts, force_value=forces, force_variance=rig.force_variances(forces, record.force_pad)
+    )

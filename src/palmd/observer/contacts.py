@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from palmd.events import PadSample, PalmSample
+from palmd.system.mechanism import PALMS
 
-PADS = (1, 2)
 SILENCE_S = 0.1  # a pad silent for longer does not vouch for a contact
 GONE_S = 0.4  # a pad silent for longer: the object has left the palms
 
@@ -46,6 +46,10 @@ class Contacts:
         sample = self._last.get(pad)
         return -math.inf if sample is None else sample.t_sample
 
+    def all(self) -> list[PadSample]:
+        """The latest reading of each pad that has been read, in the order of the palms."""
+        return [self._last[pad] for pad in PALMS if pad in self._last]
+
     @property
     def any(self) -> bool:
         """Whether any pad has been read."""
@@ -54,15 +58,15 @@ class Contacts:
     @property
     def quietest(self) -> float:
         """When the pad that has been silent for longer was read last (s), -inf before both were."""
-        return min(self.last_seen(pad) for pad in PADS)
+        return min(self.last_seen(pad) for pad in PALMS)
 
     def read_lately(self, t: float) -> bool:
         """Whether both pads were read shortly before `t` (s)."""
-        return all(t - self.last_seen(pad) < SILENCE_S for pad in PADS)
+        return all(t - self.last_seen(pad) < SILENCE_S for pad in PALMS)
 
     def read_about(self, t: float) -> bool:
         """Whether both pads were read shortly before or after `t` (s)."""
-        return all(abs(t - self.last_seen(pad)) < SILENCE_S for pad in PADS)
+        return all(abs(t - self.last_seen(pad)) < SILENCE_S for pad in PALMS)
 
     def touching(self, t: float) -> bool:
         """Whether both pads vouch for a contact at `t` (s)."""
@@ -71,10 +75,5 @@ class Contacts:
 
 def finite(event: PadSample | PalmSample) -> bool:
     """Whether every number that the event tells is one."""
-    values: tuple[float, ...]
-    if isinstance(event, PadSample):
-        values = (event.t_sample, event.s, event.force or 0.0)
-    else:
-        told = (event.omega1, event.omega2, event.alpha1, event.alpha2)
-        values = (event.t_sample, event.phi1, event.phi2, *(v or 0.0 for v in told))
-    return all(map(math.isfinite, values))
+    told = (event.s, event.force or 0.0) if isinstance(event, PadSample) else event.told
+    return all(map(math.isfinite, (event.t_sample, *told)))

@@ -11,11 +11,12 @@ import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.model.outputs import NAMED
+from palmd.system.mechanism import JOINTS, normal_directions
 
 NORMAL_BINS = 72
 RECENT_S = 10.0
 _WIDTH = 2 * math.pi / NORMAL_BINS
-_PSI, _PHI1, _PHI2 = (NAMED.index(name) for name in ("psi", "phi1", "phi2"))
+_PSI, _ANGLES = NAMED.index("psi"), [NAMED.index(joint) for joint in JOINTS]
 
 Marks = npt.NDArray[np.bool_]
 
@@ -27,7 +28,7 @@ class Coverage:
         """`marks` made before, in the gauge of filter `leader`; none by default."""
         self.marks: Marks = np.zeros(NORMAL_BINS, dtype=np.bool_) if marks is None else marks.copy()
         self._leader = leader
-        self._last_normals: tuple[float, float] | None = None
+        self._last_normals: tuple[float, ...] | None = None
         self._recent: deque[tuple[float, int]] = deque()  # when (s) which bin was marked first
 
     def mark(self, t: float, leader: int, y: FloatArray, all_psi: Callable[[], FloatArray]) -> None:
@@ -79,10 +80,9 @@ class Coverage:
         self._leader, self._last_normals = leader, None
 
 
-def _normals(y: FloatArray) -> tuple[float, float]:
+def _normals(y: FloatArray) -> tuple[float, ...]:
     """θ1, θ2 (3.1) in rad, on any branch, from values of `NAMED`."""
-    theta1 = float(y[_PHI1] - y[_PSI]) - math.pi / 2
-    return theta1, theta1 + float(y[_PHI2]) - math.pi
+    return normal_directions(y[_ANGLES].tolist(), float(y[_PSI]))
 
 
 def contact_bins(y: FloatArray) -> list[int]:

@@ -7,9 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from palmd.events import Event, PadLift, PadSample, PalmSample
+from palmd.system.mechanism import PALMS
 
 PAD_GAP_S = 0.4  # a pad silent for longer: the object may have left the palm
 ARM_GAP_S = 0.3  # the palms' motion is not guessed across more
+ARM = 0  # among the numbers of the pads
 LEAD_S = 0.5  # of the arm's reports before both pads feel the object
 
 
@@ -43,15 +45,15 @@ def data_segments(events: Sequence[Event], pad_gap_s: float = PAD_GAP_S) -> list
         pads.clear()
         palms.clear()
 
-    last = {1: -math.inf, 2: -math.inf, "arm": -math.inf}
+    limits = dict.fromkeys(PALMS, pad_gap_s) | {ARM: ARM_GAP_S}
+    last = dict.fromkeys(limits, -math.inf)
     for event in ordered:
         if isinstance(event, PadLift):
             close()
             continue
-        source = event.pad if isinstance(event, PadSample) else "arm"
+        source = event.pad if isinstance(event, PadSample) else ARM
         if event.t_sample == last[source]:
             continue  # the same reading twice, or two that contradict each other: one counts
-        limits = {1: pad_gap_s, 2: pad_gap_s, "arm": ARM_GAP_S}
         if any(event.t_sample - t > limits[key] for key, t in last.items() if t > -math.inf):
             close()
             last = dict.fromkeys(last, -math.inf)
@@ -70,11 +72,11 @@ def longest_segment(events: Sequence[Event]) -> DataSegment | None:
 
 
 def _trimmed(pads: list[PadSample], palms: list[PalmSample]) -> DataSegment | None:
-    """What lies between the first time at which all three have reported and the last at which all still do.
+    """What lies between the first time at which all have reported and the last at which all still do.
 
     The arm's reports of a moment before that stay: they tell how the palms moved at the start.
     """
-    sources = [[sample.t_sample for sample in pads if sample.pad == number] for number in (1, 2)]
+    sources = [[sample.t_sample for sample in pads if sample.pad == number] for number in PALMS]
     sources.append([sample.t_sample for sample in palms])
     if not all(sources):
         return None
@@ -89,7 +91,7 @@ def _place(event: Event) -> tuple[float, ...]:
     if isinstance(event, PadSample):
         return event.t_sample, 1, event.pad, event.s
     if isinstance(event, PalmSample):
-        return event.t_sample, 2, event.phi1, event.phi2
+        return event.t_sample, 2, *event.angles
     return event.t_sample, 0, event.pad
 
 
@@ -97,7 +99,5 @@ def _finite(event: Event) -> bool:
     if isinstance(event, PadSample):
         return math.isfinite(event.t_sample) and math.isfinite(event.s)
     if isinstance(event, PalmSample):
-        plan = (event.omega1, event.omega2, event.alpha1, event.alpha2)
-        told = (value for value in plan if value is not None)
-        return all(map(math.isfinite, (event.t_sample, event.phi1, event.phi2, *told)))
+        return all(map(math.isfinite, (event.t_sample, *event.told)))
     return math.isfinite(event.t_sample)

@@ -7,11 +7,12 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from palmd.events import Event, FloatArray, Improvement, PadSample, PalmSample, RigDescription
+from palmd.events import Event, FloatArray, Improvement, PadSample, PalmSample
 from palmd.model.smoothing import ORDER
 from palmd.observer.filters.base import carry
 from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.palms import PalmTracker
+from palmd.system.description import RigDescription
 
 LEAST_READINGS = 30  # by which it is judged before it takes part
 LEAD_S = 0.3  # of the arm's reports before that time, from which the palms' motion is known
@@ -26,7 +27,7 @@ class FilterCatchUp:
     def __init__(self, rig: RigDescription):
         """Binds its own block of kernels."""
         self._filters = ShapeFilters(rig, 1, order=ORDER)
-        self._variance = rig.reading_variance
+        self._variances = rig.reading_variances
         self._angle_noise = rig.palm_angle_noise
         self._waiting: deque[Event] = deque()
         self._palms = PalmTracker(self._angle_noise)
@@ -64,7 +65,8 @@ class FilterCatchUp:
                 sample = self._filters.rig_error.on_time(event)
                 if sample.t_sample >= self._t:
                     self._move_to(sample.t_sample)
-                    self._filters.fuse_pad(sample, self._variance, self._palms, self._palms.repeated)
+                    variance = float(self._variances[sample.pad - 1])
+                    self._filters.fuse_pad(sample, variance, self._palms, self._palms.repeated)
                     self._read += 1
         return not self._waiting and self._read >= LEAST_READINGS
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palmd.events import Calibration, Event, FloatArray, PadSample, RigDescription
+from palmd.events import Event, FloatArray, PadSample
 from palmd.model import shape
 from palmd.model.shape_map import Z
 from palmd.model.smoothing import CONSTANTS, ORDER, RIG, C, R
@@ -17,6 +17,7 @@ from palmd.observer.bank_observer import BankObserver
 from palmd.observer.factor import Prior
 from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.normal_equations import Guess
+from palmd.system.description import RigDescription
 
 BANK = 64
 SPACING_S = 0.01  # of the remembered trajectories
@@ -76,8 +77,8 @@ def blind_starts(
     return [FirstGuess(float(score[i]), at, trajectories[:, i], constants_of(states[-1][i], asymmetry)) for i in order]
 
 
-def prior_of(pads: Sequence[PadSample], tangents: FloatArray, calibration: Calibration) -> Prior:
-    """The blind belief about the smoother's constants, of a rig known as well as `calibration` says.
+def prior_of(pads: Sequence[PadSample], tangents: FloatArray, rig: RigDescription) -> Prior:
+    """The blind belief about the smoother's constants, of a rig known as well as `rig` says.
 
     `tangents` holds tan(φ2/2) at each reading: for a circle both readings are its radius over that (3.13), so the
     mean of s·tan(φ2/2) over the first readings tells about how large the object is.
@@ -91,15 +92,15 @@ def prior_of(pads: Sequence[PadSample], tangents: FloatArray, calibration: Calib
     mean[C.LN_MASS], sd[C.LN_MASS] = math.log(MASS_KG), LN_MASS_SD
     sd[C.SHAPE :] = shape.prior_sd(radius, ORDER)
     mean[C.SHAPE], sd[C.SHAPE] = radius, prior.RADIUS_SD * radius
-    sd[RIG] = np.maximum(rig_sd(calibration), KNOWN)
+    sd[RIG] = np.maximum(rig_sd(rig), KNOWN)
     return Prior(mean, sd, prior.SPIN_MOVING_SD)
 
 
-def rig_sd(calibration: Calibration) -> FloatArray:
+def rig_sd(rig: RigDescription) -> FloatArray:
     """One-sigma of each constant of the rig, in the order of `model.smoothing.R`."""
-    c = calibration
-    each = [c.zero, c.scale, c.sagitta, c.lag, c.standoff]
-    return np.array([*np.repeat(each, 2), math.hypot(c.angle, c.gravity), c.angle, c.friction, c.force, c.force])
+    of_pads = [[pad.zero_sd, pad.scale_sd, pad.sagitta_sd, pad.lag_sd, pad.standoff_sd] for pad in rig.pads]
+    of_angles = math.hypot(rig.angle_sd, rig.gravity_sd), rig.angle_sd
+    return np.array([*np.transpose(of_pads).ravel(), *of_angles, rig.friction_sd, *(pad.force_sd for pad in rig.pads)])
 
 
 def constants_of(x: FloatArray, asymmetry: float = 0.0) -> FloatArray:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palmd.events import RigDescription
 from palmd.observer.chain import SEGMENT_S, Chain
 from palmd.observer.coverage import marks_of
 from palmd.observer.data_segment import DataSegment
@@ -20,6 +19,7 @@ from palmd.observer.matching import Felt, matched
 from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import normal_angles
 from palmd.observer.search import NOISE, Minima, Search, explained
+from palmd.system.description import RigDescription
 
 PATIENCE = 2  # windows that may fail: an answer that hard to find comes too late
 LEAST_S = 1.0  # of readings at the end of a segment that are worth an iteration

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from palmd.events import FloatArray, PadSample, PalmSample, RigDescription
+from palmd.events import FloatArray, PadSample, PalmSample
 from palmd.model.outputs import NAMED
 from palmd.observer.bank import Bank, Belief
 from palmd.observer.filters.base import Filters, carry
@@ -18,6 +18,7 @@ from palmd.observer.forgetting import SURPRISING_NIS, Forgetting
 from palmd.observer.history import Fused, History
 from palmd.observer.palms import PalmTracker
 from palmd.observer.prior import BlindStart
+from palmd.system.description import RigDescription
 
 # Palms not reported for longer are not known: a controller that does not track is asked each 0.1 s only.
 PALMS_UNKNOWN_S = 0.15
@@ -58,6 +59,7 @@ class Fusion:
     def __init__(self, rig: RigDescription, banks: Sequence[Filters]):
         """`banks` are all that will ever be used, the first one at first."""
         self._rig = rig
+        self._variances = rig.reading_variances
         self._first = banks[0]
         self.history = History([filters.bank for filters in banks])
         self.reset()
@@ -139,7 +141,7 @@ class Fusion:
         if isinstance(event, PadSample):
             age = event.t_sample - self.t_start
             inflation = 1.0 if self.carries else 1.0 + EARLY_NOISE * math.exp(-age / EARLY_S)
-            self.filters.fuse_pad(event, inflation * self._rig.reading_variance, self.palms, self._repeated)
+            self.filters.fuse_pad(event, inflation * float(self._variances[event.pad - 1]), self.palms, self._repeated)
         else:
             self.filters.fuse_palms(event, self._rig.palm_angle_noise**2)
 

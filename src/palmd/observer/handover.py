@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from palmd.events import FloatArray, Improvement, RigDescription
+from palmd.events import FloatArray, Improvement
 from palmd.model import shape, shape_map
 from palmd.observer.answer import bin_rows
 from palmd.observer.coverage import Marks, turned_marks
@@ -15,6 +15,7 @@ from palmd.observer.fusion import Fusion
 from palmd.observer.returning_object import SAME_POSE_RAD, ReturningObject, SmoothedFilters
 from palmd.observer.rig_error import RigError
 from palmd.observer.track import Track
+from palmd.system.description import RigDescription
 
 WORSE_NIS = 0.35  # over some 30 readings: two sigmas
 PRIOR_ODDS = 6.0  # nats by which a filter from a smoother leads at first: its readings were weighed together
@@ -30,7 +31,7 @@ class Handover:
         """`blind` and `smoothed` are the filters of `hypotheses`; from now on they share one estimate of the rig."""
         self._hypotheses = hypotheses
         self._single = smoothed.single
-        self.rig_error = RigError(rig.pad_length)
+        self.rig_error = RigError(tuple(pad.length for pad in rig.pads))
         for filters in (blind, *smoothed):
             filters.rig_error = self.rig_error
         self.reset()

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from palmd.events import Event, FloatArray, Improvement, PalmSample, RigDescription
+from palmd.events import Event, FloatArray, Improvement, PalmSample
 from palmd.model import shape_map, smoothing
 from palmd.model.smoothing import CONSTANTS, ORDER, RIG, C
 from palmd.observer.coverage import marks_of
@@ -25,6 +25,7 @@ from palmd.observer.outline import made_convex, normal_angles
 from palmd.observer.seeker import Seeker
 from palmd.observer.smoother import Smoother
 from palmd.observer.smoothing import Session
+from palmd.system.description import RigDescription
 
 FOUND_S = 8.0  # of readings, after which what has been found is beyond question
 ARCHIVED = 4  # objects that were taken away

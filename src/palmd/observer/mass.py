@@ -3,27 +3,29 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from palmd.events import FloatArray, PadSample
+from palmd.system.description import PadSensor
+from palmd.system.mechanism import OPENING
 
 
 def resting_forces(gravity: float, palms: FloatArray) -> tuple[float, float]:
-    """f1 = g sin φ12 / sin φ2, f2 = g sin φ1 / sin φ2 (m/s²) of any object at rest without friction.
+    """g sin φ12 / sin φ2 and g sin φ1 / sin φ2 (m/s²): the forces on any object at rest without friction.
 
-    `palms` begins with φ1, φ2 (rad). In motion and with friction right to several percent. Safe inside the loop.
+    `palms` begins with the joint angles (rad). In motion and with friction right to several percent. Safe in the loop.
     """
-    phi1, phi2 = float(palms[0]), float(palms[1])
-    return gravity * math.sin(phi1 + phi2) / math.sin(phi2), gravity * math.sin(phi1) / math.sin(phi2)
+    first, opening = float(palms[0]), float(palms[OPENING])
+    return gravity * math.sin(first + opening) / math.sin(opening), gravity * math.sin(first) / math.sin(opening)
 
 
 class MassEstimator:
-    """Weighted least squares of F = m f over all readings of both pads; safe inside the loop."""
+    """Weighted least squares of F = m f over all readings of all pads; safe inside the loop."""
 
-    def __init__(self, force_scale_std: float, force_resolution: float, force_gain_std: float = 0.0):
-        """As in `RigDescription`: of one reading, relative and in N, and relative of all of a pad's together."""
-        self._gain_variance = force_gain_std**2 / 2  # of the mean of two pads
-        self._scale_std = force_scale_std
-        self._rounding_variance = force_resolution**2 / 12
+    def __init__(self, pads: Sequence[PadSensor]):
+        """How well each palm's pad tells forces."""
+        self._pads = tuple(pads)
+        self._gain_variance = sum(pad.force_gain_std**2 for pad in pads) / len(pads) ** 2  # of the mean of all pads
         self._information = 0.0  # 1/kg²
         self._weighted = 0.0
         self._t_sample: dict[int, float] = {}  # of each pad's last reading weighed
@@ -33,15 +35,15 @@ class MassEstimator:
         if sample is None or sample.force is None or self._t_sample.get(sample.pad) == sample.t_sample:
             return
         self._t_sample[sample.pad] = sample.t_sample
-        self.feed(sample.force, f)
+        self.feed(sample.pad, sample.force, f)
 
-    def feed(self, force: float, f: float) -> None:
-        """Take one reading: `force` in N against the model's `f` in m/s²; f ≤ 0 tells nothing."""
+    def feed(self, pad: int, force: float, f: float) -> None:
+        """Take one reading of `pad`: `force` in N against the model's `f` in m/s²; f ≤ 0 tells nothing."""
         if f <= 0:
             return
         # the noise grows with the true force, so it is the model's, not the reading's, that must weigh
         expected = (self.value if self._information else force / f) * f
-        variance = (self._scale_std * expected) ** 2 + self._rounding_variance
+        variance = float(self._pads[pad - 1].force_variance(expected))
         self._information += f * f / variance
         self._weighted += f * force / variance
 

@@ -18,8 +18,8 @@ from palmd.events import FloatArray
 from palmd.model import quasistatic as qs
 from palmd.model import shape
 from palmd.model.adams import AdamsBashforthMoulton
-from palmd.model.stable_poses import normals
 from palmd.observer.prior import RADIUS_SD
+from palmd.system.mechanism import normal_directions
 
 MEANS, BALANCES = 24, 9  # of the grid of initial conditions
 BLOCKS = 8  # judged one at a time, so that no tick pays for all
@@ -145,7 +145,7 @@ class MultiStart:
 
     def _note(self, felt: qs.QuasistaticReadings) -> None:
         r1, r2, psi = self.state[:3]
-        theta = np.stack(normals(np.asarray(felt.phi1), np.asarray(felt.phi2), psi), axis=1)
+        theta = np.stack(normal_directions((np.asarray(felt.phi1), np.asarray(felt.phi2)), psi), axis=1)
         d = np.stack(qs.offsets(felt, r1, r2), axis=1)
         flat = theta.ravel()
         rows = np.concatenate(

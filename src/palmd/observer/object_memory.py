@@ -8,6 +8,7 @@ readings decide between them.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ from palmd.events import FloatArray, PalmMotion
 from palmd.model import shape, shape_map
 from palmd.observer.coverage import Marks
 from palmd.observer.mass import MassEstimator
+from palmd.system.mechanism import OPENING, normal_directions
 
 KEEP_EVERY_S = 0.5
 # What filters have learnt from a blind start is believed with this times its variance, and m of its outline more.
@@ -62,10 +64,12 @@ class KnownObject:
         P[Z.PSI, Z.PSI], P[Z.OMEGA0, Z.OMEGA0] = PSI_SD**2, SPIN_SD**2
         return P
 
-    def orientations(self, s1: float, s2: float, palms: PalmMotion, variance: float, count: int) -> FloatArray:
-        """The `count` likeliest ψ (rad) apart from each other, given the first readings (m) and their variance (m²)."""
+    def orientations(
+        self, contacts: Sequence[float], palms: PalmMotion, variances: FloatArray, count: int
+    ) -> FloatArray:
+        """The `count` likeliest ψ (rad) apart from each other, given the first readings (m) and `variances` (m²)."""
         return likely_orientations(
-            self.x[_OUTLINE], self.believed()[_OUTLINE, _OUTLINE], s1, s2, palms, variance, count
+            self.x[_OUTLINE], self.believed()[_OUTLINE, _OUTLINE], contacts, palms, variances, count
         )
 
     def resembles(self, x: FloatArray) -> bool:
@@ -80,11 +84,16 @@ class KnownObject:
 
 
 def likely_orientations(
-    coefficients: FloatArray, P: FloatArray, s1: float, s2: float, palms: PalmMotion, variance: float, count: int
+    coefficients: FloatArray,
+    P: FloatArray,
+    contacts: Sequence[float],
+    palms: PalmMotion,
+    variances: FloatArray,
+    count: int,
 ) -> FloatArray:
     """The `count` likeliest ψ (rad) apart from each other of an outline; arguments as of `orientation_likelihood`."""
     rows = reading_rows(palms, (len(coefficients) - 1) // 2)
-    likelihood = orientation_likelihood(coefficients, P, s1, s2, rows, variance)
+    likelihood = orientation_likelihood(coefficients, P, contacts, rows, variances)
     chosen = []
     for _ in range(count):
         best = int(np.argmax(likelihood))
@@ -94,34 +103,32 @@ def likely_orientations(
 
 
 def reading_rows(palms: PalmMotion, order: int = shape.HARMONICS) -> tuple[FloatArray, FloatArray]:
-    """Rows that map coefficients to s1 and to s2 of an object at each of `DIRECTIONS` orientations ψ, evenly from 0."""
-    theta1: FloatArray = palms.phi1 - math.pi / 2 - _PSI
-    theta2: FloatArray = palms.phi1 + palms.phi2 - 3 * math.pi / 2 - _PSI
-    r1, r2 = shape.basis(theta1, order), shape.basis(theta2, order)
-    cos, sin = math.cos(palms.phi2), math.sin(palms.phi2)
-    rows1 = (r1 * cos + r2) / sin - shape.tangential_basis(theta1, order)  # (3.13)
-    rows2 = (r2 * cos + r1) / sin + shape.tangential_basis(theta2, order)  # (3.14)
+    """Rows that map coefficients to each pad's reading at each of `DIRECTIONS` orientations ψ, evenly from 0."""
+    theta1, theta2 = normal_directions([np.asarray(angle) for angle in palms.angles], _PSI)
+    one, two = shape.basis(theta1, order), shape.basis(theta2, order)
+    cos, sin = math.cos(palms.angles[OPENING]), math.sin(palms.angles[OPENING])
+    rows1 = (one * cos + two) / sin - shape.tangential_basis(theta1, order)  # (3.13)
+    rows2 = (two * cos + one) / sin + shape.tangential_basis(theta2, order)  # (3.14)
     return rows1, rows2
 
 
 def orientation_likelihood(
     coefficients: FloatArray,
     P: FloatArray,
-    s1: float,
-    s2: float,
+    contacts: Sequence[float],
     rows: tuple[FloatArray, FloatArray],
-    variance: float,
+    variances: FloatArray,
 ) -> FloatArray:
     """Log-likelihood (DIRECTIONS) of two readings (m) of one instant, with `rows` of `reading_rows`.
 
-    The outline's coefficients (m) have the covariance `P`, ψ is within `PSI_SD` of each orientation, a reading's
-    variance is in m².
+    The outline's coefficients (m) have the covariance `P`, ψ is within `PSI_SD` of each orientation, the
+    readings' `variances` are in m².
     """
     rows1, rows2 = rows
-    error1, error2 = s1 - rows1 @ coefficients, s2 - rows2 @ coefficients
+    error1, error2 = (s - each @ coefficients for s, each in zip(contacts, rows, strict=True))
     slope1, slope2 = _slope(error1), _slope(error2)
-    S11 = ((rows1 @ P) * rows1).sum(axis=1) + (slope1 * PSI_SD) ** 2 + variance
-    S22 = ((rows2 @ P) * rows2).sum(axis=1) + (slope2 * PSI_SD) ** 2 + variance
+    S11 = ((rows1 @ P) * rows1).sum(axis=1) + (slope1 * PSI_SD) ** 2 + variances[0]
+    S22 = ((rows2 @ P) * rows2).sum(axis=1) + (slope2 * PSI_SD) ** 2 + variances[1]
     S12 = ((rows1 @ P) * rows2).sum(axis=1) + slope1 * slope2 * PSI_SD**2
     det = S11 * S22 - S12**2
     misfit = (S22 * error1**2 - 2 * S12 * error1 * error2 + S11 * error2**2) / det

@@ -1,9 +1,9 @@
 """How much the last second of readings tells by itself: the smallest singular value of a scaled Gramian.
 
-Let x0 be the shape map's state a second ago, G the information about it in the readings since, z = (r1, r2, s1, s2) of
+Let x0 be the shape map's state a second ago, G the information about it in the readings since, z = (radii, contacts) of
 that instant and J = ∂z/∂x0. Before anything is felt z has the covariance C0 = J P0 Jᵀ, and from that second alone
 C = J (P0⁻¹ + G)⁻¹ Jᵀ. The number is the smallest singular value of (C0^½ C⁻¹ C0^½ − 1)^½: prior one-sigma over
-the error with which that second tells the combination of z that it tells worst. s1, s2 are read; so the worst is what
+the error with which that second tells the combination of z that it tells worst. contacts are read; so the worst is what
 motion has to tell, above 1 in lively motion and near 0 when palms and object rest or the object turns along with them.
 """
 
@@ -39,11 +39,11 @@ class Observability:
     `sample` takes some 20 µs each `SAMPLE_S`, and a tenth of a millisecond more when a block is full.
     """
 
-    def __init__(self, rig: FloatArray, reading_variance: float):
-        """`rig` are the kernels' inputs for it, `reading_variance` is in m²; may compile C."""
+    def __init__(self, rig: FloatArray, reading_variances: FloatArray):
+        """`rig` are the kernels' inputs for it, `reading_variances` of each pad are in m²; may compile C."""
         n = shape_map.N
         library = sensitivity.library()
-        self._weight = 1.0 / reading_variance
+        self._weights = 1.0 / reading_variances
         self._x, self._J = np.zeros(n), np.zeros((n, sensitivity.AIMED_AT))
         # CasADi stores by columns: these are the transposes
         self._T = [np.zeros((n, sensitivity.MOVING)) for _ in range(2)]
@@ -85,7 +85,7 @@ class Observability:
         else:
             self._u[0] = dt
             self._u[-2:] = self._readings
-            self._u[-2:] *= self._weight
+            self._u[-2:] *= self._weights
             self._gather[self._side]()
             self._side = 1 - self._side
             self._filled_s += dt

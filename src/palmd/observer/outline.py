@@ -13,6 +13,7 @@ import numpy.typing as npt
 from palmd.events import FloatArray
 from palmd.model import shape
 from palmd.observer.cutoff import cut_off
+from palmd.system.mechanism import JOINTS, normal_directions
 
 DIRECTIONS = 360
 HOLLOW_M = 1e-6  # of v, up to which an outline passes for convex
@@ -36,8 +37,7 @@ def directions() -> FloatArray:
 
 def normal_angles(palms: FloatArray, psi: FloatArray) -> FloatArray:
     """θ1, θ2 (3.1) for palms (n, ≥ 2) holding φ1, φ2 and orientations psi (n): (n, 2), not wrapped."""
-    first = palms[:, 0] - psi - math.pi / 2
-    return np.stack([first, first + palms[:, 1] - math.pi], axis=1)
+    return np.stack(normal_directions(palms[:, : len(JOINTS)].T, psi), axis=1)
 
 
 def outline_of(coefficients: FloatArray, covariance: FloatArray, normals: Sequence[FloatArray]) -> OutlineEstimate:

@@ -65,13 +65,13 @@ class OutlinePrior:
         strayed: npt.NDArray[np.bool_] = distance > SAME_CHI2
         return strayed
 
-    def starts(self, s1: float, s2: float, palms: PalmMotion, variance: float, count: int) -> Starts:
+    def starts(self, contacts: Sequence[float], palms: PalmMotion, variances: FloatArray, count: int) -> Starts:
         """The likeliest poses, with either friction, at most `count` filters in all.
 
-        s1, s2: the first readings (m) and their `variance` (m²). Poses of one object are apart from each other.
+        contacts: the first readings (m) and their `variances` (m²). Poses of one object are apart from each other.
         Takes some milliseconds for twenty objects: once, when one has been put down.
         """
-        which, psi = self._poses(s1, s2, palms, variance, count // len(FRICTIONS))
+        which, psi = self._poses(contacts, palms, variances, count // len(FRICTIONS))
         mu, mu_sd = np.repeat(FRICTIONS, len(which), axis=0).T
         which, psi = np.tile(which, len(FRICTIONS)), np.tile(psi, len(FRICTIONS))
         x, P, Z = self.x[which], self.P[which], shape_map.Z
@@ -79,12 +79,12 @@ class OutlinePrior:
         return Starts(which, x, P, psi)
 
     def _poses(
-        self, s1: float, s2: float, palms: PalmMotion, variance: float, count: int
+        self, contacts: Sequence[float], palms: PalmMotion, variances: FloatArray, count: int
     ) -> tuple[npt.NDArray[np.intp], FloatArray]:
         rows = reading_rows(palms)
         likelihood = np.stack(
             [
-                orientation_likelihood(x[_OUTLINE], P[_OUTLINE, _OUTLINE], s1, s2, rows, variance)
+                orientation_likelihood(x[_OUTLINE], P[_OUTLINE, _OUTLINE], contacts, rows, variances)
                 for x, P in zip(self.x, self.P, strict=True)
             ]
         )

@@ -17,6 +17,7 @@ from palmd.observer.palms import (
     TOLD_JERK,
     white_jerk,
 )
+from palmd.system.mechanism import JOINTS
 
 UNTOLD_JERK = 20.0  # rad/s³/√Hz where no plan is told: follows a planned stop; more only lets more noise through
 _DRIFT = np.diag([0.0, 1e-8, 1e-8])
@@ -24,13 +25,13 @@ _DRIFT = np.diag([0.0, 1e-8, 1e-8])
 
 @dataclass(frozen=True, slots=True)
 class PalmPath:
-    """Smoothed reports at times `t` (n): `state` (n, 3, 2) holds φ, ω, α (rad, rad/s, rad/s²) of both palms."""
+    """Smoothed reports at times `t` (n): `state` (n, 3, joints) holds φ, ω, α (rad, rad/s, rad/s²) of each joint."""
 
     t: FloatArray
     state: FloatArray
 
     def at(self, times: FloatArray) -> FloatArray:
-        """(φ1, φ2, ω1, ω2, α1, α2) at each of `times` (s): (len(times), 6).
+        """Angles, rates and accelerations of all joints at each of `times` (s): (len(times), 3·joints).
 
         Between reports the quintic that fits both neighbours; outside of them at constant acceleration.
         """
@@ -69,17 +70,17 @@ def smoothed_path(samples: Sequence[PalmSample], angle_noise: float) -> PalmPath
         raise ValueError("no report of the palms")
     t = np.array([sample.t_sample for sample in samples])
     n = len(t)
-    x, P = np.zeros((n, 3, 2)), np.zeros((n, 3, 3))
-    x_pred, P_pred = np.zeros((n, 3, 2)), np.zeros((n, 3, 3))
+    x, P = np.zeros((n, 3, len(JOINTS))), np.zeros((n, 3, 3))
+    x_pred, P_pred = np.zeros((n, 3, len(JOINTS))), np.zeros((n, 3, 3))
     transitions = np.zeros((n, 3, 3))
     for k, sample in enumerate(samples):
         if k == 0:
-            x_pred[0, 0] = sample.phi1, sample.phi2
+            x_pred[0, 0] = sample.angles
             P_pred[0] = np.diag([1.0, FIRST_RATE_SD**2, FIRST_ACCELERATION_SD**2])
         else:
             dt = t[k] - t[k - 1]
             F = transitions[k] = np.array([[1.0, dt, dt**2 / 2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
-            jerk = UNTOLD_JERK if sample.alpha1 is None else TOLD_JERK
+            jerk = UNTOLD_JERK if sample.accelerations is None else TOLD_JERK
             x_pred[k] = F @ x[k - 1]
             P_pred[k] = F @ P[k - 1] @ F.T + white_jerk(dt) * jerk**2 + _DRIFT * dt
         x[k], P[k] = _fused(x_pred[k], P_pred[k], sample, angle_noise)
@@ -91,31 +92,31 @@ def smoothed_path(samples: Sequence[PalmSample], angle_noise: float) -> PalmPath
 
 def _fused(x: FloatArray, P: FloatArray, sample: PalmSample, angle_noise: float) -> tuple[FloatArray, FloatArray]:
     readings = (
-        (sample.phi1, sample.phi2, angle_noise),
-        (sample.omega1, sample.omega2, PLAN_RATE_SD),
-        (sample.alpha1, sample.alpha2, PLAN_ACCELERATION_SD),
+        (sample.angles, angle_noise),
+        (sample.rates, PLAN_RATE_SD),
+        (sample.accelerations, PLAN_ACCELERATION_SD),
     )
-    for row, (one, two, sd) in enumerate(readings):
-        if one is None or two is None:
+    for row, (values, sd) in enumerate(readings):
+        if values is None:
             continue
         spread = P[row, row] + sd**2
         gain = P[:, row] / spread
-        x = x + np.outer(gain, np.array([one, two]) - x[row])
+        x = x + np.outer(gain, np.array(values) - x[row])
         P = P - np.outer(gain, gain) * spread
     return x, P
 
 
 def _quintic(a: FloatArray, b: FloatArray, step: FloatArray, t: FloatArray) -> FloatArray:
-    """φ, ω, α at `t` into steps from a to b, each (n, 3, 2) of φ, ω, α: the quintic through both ends."""
+    """φ, ω, α at `t` into steps from a to b, each (n, 3, joints) of φ, ω, α: the quintic through both ends."""
     h, u = step[:, None], (t / step)[:, None]
     # in the normalised time u, with ends' derivatives scaled by the step
-    p0, v0, a0 = a[:, 0], a[:, 1] * h, a[:, 2] * h**2
-    p1, v1, a1 = b[:, 0], b[:, 1] * h, b[:, 2] * h**2
-    miss_p, miss_v, miss_a = p1 - p0 - v0 - a0 / 2, v1 - v0 - a0, a1 - a0
+    p0, rate0, a0 = a[:, 0], a[:, 1] * h, a[:, 2] * h**2
+    p1, rate1, a1 = b[:, 0], b[:, 1] * h, b[:, 2] * h**2
+    miss_p, miss_v, miss_a = p1 - p0 - rate0 - a0 / 2, rate1 - rate0 - a0, a1 - a0
     c3 = 10 * miss_p - 4 * miss_v + miss_a / 2
     c4 = -15 * miss_p + 7 * miss_v - miss_a
     c5 = 6 * miss_p - 3 * miss_v + miss_a / 2
-    phi = p0 + u * (v0 + u * (a0 / 2 + u * (c3 + u * (c4 + u * c5))))
-    omega = (v0 + u * (a0 + u * (3 * c3 + u * (4 * c4 + u * 5 * c5)))) / h
+    phi = p0 + u * (rate0 + u * (a0 / 2 + u * (c3 + u * (c4 + u * c5))))
+    omega = (rate0 + u * (a0 + u * (3 * c3 + u * (4 * c4 + u * 5 * c5)))) / h
     alpha = (a0 + u * (6 * c3 + u * (12 * c4 + u * 20 * c5))) / h**2
     return np.stack([phi, omega, alpha], axis=1)

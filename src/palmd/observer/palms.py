@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from palmd.events import FloatArray, PalmMotion, PalmSample
+from palmd.events import FloatArray, Joints, PalmMotion, PalmSample
+from palmd.system.mechanism import JOINTS
 
 JERK = 200.0  # rad/s³/√Hz, of palms whose plan is not told: enough to follow a planned stop
 TOLD_JERK = 1.0  # rad/s³/√Hz, of palms whose plan is
@@ -17,6 +18,7 @@ CHANGED = 0.2  # of the jerks of the last second: how far a change of the plan s
 JERK_MEMORY_S = 1.0
 FORGOTTEN_S = 0.5  # after which what was known of the motion helps no more
 FIRST_RATE_SD, FIRST_ACCELERATION_SD = 0.5, 5.0
+STILL = (0.0,) * len(JOINTS)
 
 
 def white_jerk(dt: float) -> FloatArray:
@@ -35,6 +37,12 @@ def white_jerk(dt: float) -> FloatArray:
 RESTING_RAD_S, SHARED_AFTER_S = 2e-3, 1.0
 
 
+def motion_of(values: FloatArray) -> PalmMotion:
+    """The joints' angles, rates and accelerations, one after the other, as a value with names."""
+    angles, rates, accelerations = (tuple(each) for each in values.reshape(3, -1).tolist())
+    return PalmMotion(angles, rates, accelerations)
+
+
 class PalmTracker:
     """A Kalman filter on (φ, ω, α) of each palm, with the plan's rates and accelerations where they are told.
 
@@ -45,10 +53,10 @@ class PalmTracker:
         """`angle_noise` is the one-sigma of a measured palm angle (rad)."""
         self._angle_variance = angle_noise**2
         self._t: float | None = None
-        self._state = np.zeros((2, 3))  # palm × (φ, ω, α)
+        self._state = np.zeros((len(JOINTS), 3))  # palm × (φ, ω, α)
         self._P = np.zeros((3, 3))  # the same for both palms: they are read and told together
-        self._plan: tuple[float, float, float] | None = None  # t, α1, α2
-        self.jerk = np.zeros(2)
+        self._plan: tuple[float, Joints] | None = None  # t, α
+        self.jerk = np.zeros(len(JOINTS))
         self._liveliest = 0.0  # the largest jerk lately
         self._t_moved = 0.0  # when the palms turned last
 
@@ -86,22 +94,22 @@ class PalmTracker:
         dt = sample.t_sample - self._t
         if dt < 0:
             return
-        self._state = self.at(sample.t_sample).reshape(3, 2).T.copy()
+        self._state = self.at(sample.t_sample).reshape(3, len(JOINTS)).T.copy()
         F = np.array([[1.0, dt, dt**2 / 2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
-        told = sample.alpha1 is not None
+        told = sample.accelerations is not None
         jerk = TOLD_JERK if told else JERK
         self._P = F @ self._P @ F.T + white_jerk(dt) * jerk**2 + np.diag([0.0, 1e-8, 1e-8]) * dt
         self._t = sample.t_sample
         self._liveliest = max(float(np.abs(self.jerk).max()), self._liveliest * math.exp(-dt / JERK_MEMORY_S))
-        self._fuse(0, (sample.phi1, sample.phi2), self._angle_variance)
-        if sample.omega1 is not None and sample.omega2 is not None:
-            self._fuse(1, (sample.omega1, sample.omega2), PLAN_RATE_SD**2)
-        if sample.alpha1 is not None and sample.alpha2 is not None:
-            self._fuse(2, (sample.alpha1, sample.alpha2), PLAN_ACCELERATION_SD**2)
+        self._fuse(0, sample.angles, self._angle_variance)
+        if sample.rates is not None:
+            self._fuse(1, sample.rates, PLAN_RATE_SD**2)
+        if sample.accelerations is not None:
+            self._fuse(2, sample.accelerations, PLAN_ACCELERATION_SD**2)
             if self._plan is not None and sample.t_sample > self._plan[0]:
-                step = sample.t_sample - self._plan[0]
-                self.jerk[:] = (sample.alpha1 - self._plan[1]) / step, (sample.alpha2 - self._plan[2]) / step
-            self._plan = (sample.t_sample, sample.alpha1, sample.alpha2)
+                t_before, before = self._plan
+                self.jerk[:] = np.subtract(sample.accelerations, before) / (sample.t_sample - t_before)
+            self._plan = (sample.t_sample, sample.accelerations)
         else:
             self.jerk[:] = 0.0
             self._plan = None
@@ -109,44 +117,35 @@ class PalmTracker:
             self._t_moved = sample.t_sample
 
     def at(self, t: float) -> FloatArray:
-        """(φ1, φ2, ω1, ω2, α1, α2) at `t`, seconds on the samples' clock."""
+        """Angles, rates and accelerations of all joints at `t`, seconds on the samples' clock."""
         # plain floats: several times faster than arrays of three
         dt = t - self.t
-        (phi1, omega1, alpha1), (phi2, omega2, alpha2) = self._state.tolist()
-        jerk1, jerk2 = self.jerk.tolist()
         half = dt * dt / 2
         sixth = half * dt / 3
-        return np.array(
-            [
-                phi1 + dt * omega1 + half * alpha1 + sixth * jerk1,
-                phi2 + dt * omega2 + half * alpha2 + sixth * jerk2,
-                omega1 + dt * alpha1 + half * jerk1,
-                omega2 + dt * alpha2 + half * jerk2,
-                alpha1 + dt * jerk1,
-                alpha2 + dt * jerk2,
-            ]
-        )
+        angles, rates, accelerations = [], [], []
+        for (phi, omega, alpha), jerk in zip(self._state.tolist(), self.jerk.tolist(), strict=True):
+            angles.append(phi + dt * omega + half * alpha + sixth * jerk)
+            rates.append(omega + dt * alpha + half * jerk)
+            accelerations.append(alpha + dt * jerk)
+        return np.array([*angles, *rates, *accelerations])
 
     def motion(self, t: float) -> PalmMotion:
         """The same as a value with names."""
-        return PalmMotion(*(float(v) for v in self.at(t)))
+        return motion_of(self.at(t))
 
     def _begin(self, sample: PalmSample) -> None:
         self._t = self._t_moved = sample.t_sample
-        self._state[:] = [
-            [sample.phi1, sample.omega1 or 0.0, sample.alpha1 or 0.0],
-            [sample.phi2, sample.omega2 or 0.0, sample.alpha2 or 0.0],
-        ]
-        rate_sd = FIRST_RATE_SD if sample.omega1 is None else PLAN_RATE_SD
-        acceleration_sd = FIRST_ACCELERATION_SD if sample.alpha1 is None else PLAN_ACCELERATION_SD
+        self._state[:] = np.transpose([sample.angles, sample.rates or STILL, sample.accelerations or STILL])
+        rate_sd = FIRST_RATE_SD if sample.rates is None else PLAN_RATE_SD
+        acceleration_sd = FIRST_ACCELERATION_SD if sample.accelerations is None else PLAN_ACCELERATION_SD
         self._P[:] = np.diag([self._angle_variance, rate_sd**2, acceleration_sd**2])
         self._plan = None
-        if sample.alpha1 is not None and sample.alpha2 is not None:
-            self._plan = (sample.t_sample, sample.alpha1, sample.alpha2)
+        if sample.accelerations is not None:
+            self._plan = (sample.t_sample, sample.accelerations)
         self.jerk[:] = 0.0
         self._liveliest = 0.0
 
-    def _fuse(self, state: int, values: tuple[float, float], variance: float) -> None:
+    def _fuse(self, state: int, values: Joints, variance: float) -> None:
         spread = self._P[state, state] + variance
         k = self._P[:, state] / spread
         self._state += np.outer(np.asarray(values) - self._state[:, state], k)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from palmd.events import FloatArray, PalmMotion
 from palmd.model import shape, shape_map
+from palmd.system.mechanism import OPENING
 
 # Of the belief's variance, how much goes into where the filters start, the rest being each filter's own.
 SCATTER = 0.7
@@ -44,20 +46,19 @@ class BlindStart:
 
 
 def blind_start(
-    s1: float,
-    s2: float,
+    contacts: Sequence[float],
     palms: PalmMotion,
     size: int,
     at_rest: bool,
     random: np.random.Generator,
     order: int = shape.HARMONICS,
 ) -> BlindStart:
-    """Draw `size` starts, outlines of `order` harmonics, about the circle that would give the readings s1, s2 (m).
+    """Draw `size` starts, outlines of `order` harmonics, about the circle that would give the readings `contacts` (m).
 
     For a circle of radius r both readings are r / tan(φ2/2), from (3.13) with d = 0. `at_rest` says that the
     object has just been put down; otherwise it may be turning. Orientation is gauge: 0 at the start.
     """
-    mean_radius = (s1 + s2) / 2 * math.tan(palms.phi2 / 2)
+    mean_radius = sum(contacts) / len(contacts) * math.tan(palms.angles[OPENING] / 2)
     shape_sd = shape.prior_sd(mean_radius, order)
     shape_sd[0] = RADIUS_SD * mean_radius
     coefficients = SCATTER * shape_sd * random.standard_normal((size, len(shape_sd)))

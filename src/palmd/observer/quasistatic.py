@@ -19,28 +19,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palmd.events import (
-    Estimate,
-    Event,
-    Outlook,
-    PadLift,
-    PadSample,
-    PalmMotion,
-    PalmSample,
-    RigDescription,
-    ShapeEstimate,
-)
+from palmd.events import Estimate, Event, Outlook, PadLift, PadSample, PalmMotion, PalmSample, ShapeEstimate
 from palmd.model import quasistatic as qs
 from palmd.model import shape
 from palmd.observer.answer import BIN_OF_THETA, THETA, answer, no_answer
-from palmd.observer.contacts import GONE_S, PADS, Contacts, finite
+from palmd.observer.contacts import GONE_S, Contacts, finite
 from palmd.observer.coverage import Coverage
 from palmd.observer.local_fit import HALF_WIDTH_S, Readings
 from palmd.observer.mass import MassEstimator, resting_forces
 from palmd.observer.multi_start import BLOCKS, MultiStart, Spread
+from palmd.observer.palms import STILL
 from palmd.observer.prior import RADIUS_SD
 from palmd.observer.quasistatic_answer import Leading, named, read_off
 from palmd.observer.validity import Evidence, Thresholds, settled
+from palmd.system.description import RigDescription
+from palmd.system.mechanism import PALMS
 
 STEP_S = 0.01
 LAG_S = 0.1
@@ -98,9 +91,9 @@ class QuasistaticObserver:
         """Pay the costs of first calls now; ends with a `reset`."""
         for i in range(100):
             t = i * 0.01
-            self.feed(PalmSample(t, 0.8, 1.6))
-            self.feed(PadSample(t, 1, 0.02, 1.0))
-            self.feed(PadSample(t, 2, 0.02, 1.0))
+            self.feed(PalmSample(t, (0.8, 1.6)))
+            for pad in PALMS:
+                self.feed(PadSample(t, pad, 0.02, 1.0))
             self.estimate(t)
             self.shape(t)
         self.reset()
@@ -114,7 +107,7 @@ class QuasistaticObserver:
             self.late_dropped += 1
             return
         if isinstance(event, PalmSample):
-            self._palms.add(event.t_sample, event.phi1, event.phi2)
+            self._palms.add(event.t_sample, *event.angles)
             self._palms_seen = max(self._palms_seen, event.t_sample)
         else:
             self._pads[event.pad].add(event.t_sample, event.s)
@@ -148,7 +141,7 @@ class QuasistaticObserver:
             disagreement_m=found.conflict,
         )
         valid = settled(evidence, SETTLED)
-        for pad, f in zip(PADS, resting_forces(self._rig.gravity, np.array([now.phi1, now.phi2])), strict=True):
+        for pad, f in zip(PALMS, resting_forces(self._rig.gravity, np.array([now.phi1, now.phi2])), strict=True):
             self._mass.weigh(self._contacts.last(pad), f)
         if valid:
             self._marks.mark(t, 0, y, lambda: np.zeros(1))
@@ -194,7 +187,6 @@ class QuasistaticObserver:
 
     def _forget(self, t: float) -> None:
         """What has been integrated has led astray; begin anew with the readings from `t` (s) on."""
-        rig = self._rig
         self._t_first, self._t_node, self._t_agreed = t, -math.inf, math.inf
         self._nodes: deque[_Node] = deque(maxlen=round(WINDOW_S / STEP_S))
         self._leader: MultiStart | None = None
@@ -203,7 +195,7 @@ class QuasistaticObserver:
         self._ahead: deque[qs.QuasistaticReadings] = deque()  # of the follower
         self._level = 0  # ticks for which it has been where the leader is
         self._rounds = 0
-        self._mass = MassEstimator(rig.force_scale_std, rig.force_resolution, rig.force_gain_std)
+        self._mass = MassEstimator(self._rig.pads)
         self._marks = Coverage()
 
     def _felt(self, t: float) -> tuple[qs.QuasistaticReadings, float] | None:
@@ -309,4 +301,5 @@ class QuasistaticObserver:
 
 
 def _motion(felt: qs.QuasistaticReadings) -> PalmMotion:
-    return PalmMotion(float(felt.phi1), float(felt.phi2), float(felt.omega1), float(felt.omega2))
+    angles, rates = (float(felt.phi1), float(felt.phi2)), (float(felt.omega1), float(felt.omega2))
+    return PalmMotion(angles, rates, STILL)

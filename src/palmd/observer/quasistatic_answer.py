@@ -7,12 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palmd.events import FloatArray, RigDescription
+from palmd.events import FloatArray
 from palmd.model import quasistatic as qs
 from palmd.model.outputs import NAMED
 from palmd.observer.mass import resting_forces
 from palmd.observer.multi_start import MultiStart
 from palmd.observer.prior import GYRATION, GYRATION_SD
+from palmd.system.description import RigDescription
+from palmd.system.mechanism import hinge_position
 
 # What remains about the best initial condition, from the emulated rig: friction and inertia are not in the model.
 RADIUS_OFF_M, TURN_OFF_RAD, SPIN_OFF_RAD_S = 1.0e-3, 0.35, 0.5
@@ -59,7 +61,8 @@ def named(
     rho = GYRATION * mean
     f1, f2 = resting_forces(rig.gravity, np.array([now.phi1, now.phi2]))
     com_x, com_y = _centre(rig, float(now.phi1), float(now.phi2), r1, r2)
-    s_sd, phi_sd = FITTED * math.sqrt(rig.reading_variance), FITTED * rig.palm_angle_noise
+    s1_sd, s2_sd = (FITTED * math.sqrt(pad.reading_variance) for pad in rig.pads)
+    phi_sd = FITTED * rig.palm_angle_noise
     values = {
         "r1": r1, "r2": r2, "omega0": omega0, "s1": now.s1, "s2": now.s2,
         "phi1": now.phi1, "omega1": now.omega1, "phi2": now.phi2, "omega2": now.omega2,
@@ -67,7 +70,7 @@ def named(
     }  # fmt: skip
     sds = {
         "r1": radius_sd[0], "r2": radius_sd[1], "omega0": math.hypot(found.sds[3], SPIN_OFF_RAD_S),
-        "s1": s_sd, "s2": s_sd, "phi1": phi_sd, "omega1": PALM_RATE_SD, "phi2": phi_sd, "omega2": PALM_RATE_SD,
+        "s1": s1_sd, "s2": s2_sd, "phi1": phi_sd, "omega1": PALM_RATE_SD, "phi2": phi_sd, "omega2": PALM_RATE_SD,
         "rho": math.hypot(GYRATION_SD * rho, GYRATION * mean_sd), "psi": math.hypot(found.sds[2], TURN_OFF_RAD),
     }  # fmt: skip
     y = np.array([values.get(name, math.nan) for name in NAMED])
@@ -79,7 +82,5 @@ def _centre(rig: RigDescription, phi1: float, phi2: float, r1: float, r2: float)
     phi12 = phi1 + phi2
     x = (r1 * math.cos(phi12) + r2 * math.cos(phi1)) / math.sin(phi2)
     y = (r1 * math.sin(phi12) + r2 * math.sin(phi1)) / math.sin(phi2)
-    if rig.hinge == "arc":
-        x += rig.base[0] - rig.palm1_length * math.cos(phi1)
-        y += rig.base[1] - rig.palm1_length * math.sin(phi1)
-    return x, y
+    hinge_x, hinge_y = hinge_position(*rig.arc, phi1)
+    return x + hinge_x, y + hinge_y

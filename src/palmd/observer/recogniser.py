@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from palmd.events import FloatArray, ObjectEstimate, RigDescription
+from palmd.events import FloatArray, ObjectEstimate
 from palmd.model.compiled import BLOCK
 from palmd.model.outputs import NAMED
 from palmd.observer.bank import Bank, Belief
@@ -29,6 +29,7 @@ from palmd.observer.outline_prior import MOST_STARTS, deviation_variance, stored
 from palmd.observer.track import Track
 from palmd.observer.validity import identified, surprised
 from palmd.outlinefile import Outline
+from palmd.system.description import RigDescription
 
 BANK = 96  # filters at most: what a tick has time for
 TWINS, TWIN_AGE_S = 16, 0.6
@@ -47,7 +48,7 @@ class Recogniser:
     def __init__(self, outlines: Sequence[Outline], rig: RigDescription):
         """Raises ValueError when there is no outline."""
         self._stored = stored(outlines)
-        self._variance = rig.reading_variance
+        self._variances = rig.reading_variances
         size = min(BANK, math.ceil(MOST_STARTS * len(outlines) / BLOCK) * BLOCK)
         self.filters = ShapeFilters(rig, size, memory_s=math.inf)
         self.reset()
@@ -71,7 +72,7 @@ class Recogniser:
         """Let all filters begin with stored outlines; always a new object."""
         self.reset()
         bank = self.filters.bank
-        starts = self._stored.starts(track.s1, track.s2, track.palms, self._variance, bank.size)
+        starts = self._stored.starts(track.first_contacts, track.palms, self._variances, bank.size)
         self.filters.start_known(starts.x, starts.P, starts.psi, track.fusion.palms, t)
         bank.drop(np.arange(bank.size) >= len(starts.which))
         self._which = np.resize(starts.which, bank.size)

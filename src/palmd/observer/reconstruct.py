@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.blas import one_thread
-from palmd.events import Event, FloatArray, RigDescription
+from palmd.events import Event, FloatArray
 from palmd.model import shape
 from palmd.model.smoothing import CONSTANTS, ORDER, RIG, C
 from palmd.observer.chain import Chain
@@ -31,6 +31,7 @@ from palmd.observer.search import Minima, Search, beyond_question, doubt
 from palmd.observer.seeker import attempts_for
 from palmd.observer.smoother import Fit, Smoother
 from palmd.observer.visits import Counts, visits_of
+from palmd.system.description import RigDescription
 
 SPACING_S = 0.005  # of the nodes in the end
 LEAST_S = 1.0
@@ -49,8 +50,8 @@ class Reconstruction:
     theta, h, h_sd, touched, visits: 360 normals (rad), support function and its one-sigma (m), whether a palm touched
     there, and how many separate times.
     rig, rig_sd: the rig's constants, as in `model.smoothing.R`, and their one-sigma.
-    t, psi, omega0, r1, r2: the trajectory at the nodes. `chi2` is per contact reading. `reason` says why not, when
-    not `converged`.
+    t, psi, omega0, radii (one row a palm): the trajectory at the nodes. `chi2` is per contact reading. `reason` says
+    why not, when not `converged`.
     """
 
     converged: bool
@@ -71,8 +72,7 @@ class Reconstruction:
     t: FloatArray
     psi: FloatArray
     omega0: FloatArray
-    r1: FloatArray
-    r2: FloatArray
+    radii: FloatArray
     reason: str
     seconds: float
 
@@ -165,7 +165,7 @@ def _refined(search: Search, finding: Minima, segment: DataSegment, rig: RigDesc
     record = lay_out(segment.pads, search.path, rig, segment.start, segment.end, SPACING_S)
     guess = best.guess.on(finding.record.t, record.t)
     level = np.maximum(Smoother(search.library, record, search.prior).forces(guess), LEAST_FORCE_N)
-    record = replace(record, force_variance=rig.force_variance(level))
+    record = replace(record, force_variance=rig.force_variances(level, record.force_pad))
     fit = Smoother(search.library, record, search.prior).fit(guess, best.noise)
     return _Part(segment, search, search.prior, fit, record, doubt(fit, finding))
 
@@ -230,7 +230,7 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
     rho = math.exp(p[C.LN_RHO])
     mass, mass_sd = _weighed(main, rig, answered)
     everywhere = np.concatenate(normals)
-    radii = [shape.basis(everywhere[:, i], ORDER) @ p[C.SHAPE :] for i in range(2)]
+    radii = [shape.basis(everywhere[:, i], ORDER) @ p[C.SHAPE :] for i in range(everywhere.shape[1])]
     t, psi, omega0 = (
         np.concatenate(columns)
         for columns in zip(*((part.record.t, part.psi, part.omega0) for part in parts), strict=True)
@@ -241,7 +241,7 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
         visits=np.sum([visits_of(each) for each in normals], axis=0),
         rho=rho, rho_sd=rho * float(sd[C.LN_RHO]), mu=answered.mu, mu_sd=answered.mu_sd,
         mass=mass, mass_sd=mass_sd, rig=p[RIG], rig_sd=sd[RIG],
-        t=t, psi=psi, omega0=omega0, r1=radii[0], r2=radii[1],
+        t=t, psi=psi, omega0=omega0, radii=np.stack(radii),
         reason=reason, seconds=time.perf_counter() - begun,
     )  # fmt: skip
 
@@ -260,13 +260,13 @@ def _weighed(main: _Part, rig: RigDescription, answered: Marginal) -> tuple[floa
     if len(main.record.force_value):
         mass = math.exp(answered.mean.p[C.LN_MASS])
         return mass, mass * math.sqrt(answered.covariance[C.LN_MASS, C.LN_MASS])
-    believed, segment, search = replace(rig, force_gain_std=0.0), main.segment, main.search
+    believed, segment, search = rig.with_pads(force_gain_std=0.0), main.segment, main.search
     record = lay_out(segment.pads, search.path, believed, segment.start, segment.end, SPACING_S)
     unit = np.where(np.arange(CONSTANTS) == C.LN_MASS, 0.0, answered.mean.p)
     per_mass = Smoother(search.library, record, search.prior).forces(replace(answered.mean, p=unit))
-    scales = MassEstimator(rig.force_scale_std, rig.force_resolution, rig.force_gain_std)
-    for force, f in zip(record.force_value, per_mass, strict=True):
-        scales.feed(float(force), float(f))
+    scales = MassEstimator(rig.pads)
+    for pad, force, f in zip(record.force_pad, record.force_value, per_mass, strict=True):
+        scales.feed(int(pad), float(force), float(f))
     return scales.value, scales.sd
 
 
@@ -275,5 +275,5 @@ def _nothing(reason: str, begun: float, chi2: float = math.nan) -> Reconstructio
     nan = math.nan
     return Reconstruction(
         False, chi2, directions(), None, None, None, None, nan, nan, nan, nan, nan, nan,
-        none, none, none, none, none, none, none, reason, time.perf_counter() - begun,
+        none, none, none, none, none, none, reason, time.perf_counter() - begun,
     )  # fmt: skip

@@ -9,11 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from palmd.events import FloatArray, PadSample, RigDescription
+from palmd.events import FloatArray, PadSample
 from palmd.model.outputs import rig_inputs
 from palmd.model.smoothing import CONTACT_INPUTS, FORCE_INPUTS, STEP_INPUTS
 from palmd.observer.palm_path import PalmPath
 from palmd.observer.palms import RESTING_RAD_S, SHARED_AFTER_S
+from palmd.system.description import RigDescription
+from palmd.system.mechanism import PALMS
 
 IntArray = npt.NDArray[np.intp]
 
@@ -31,7 +33,7 @@ class Record:
     t: FloatArray
     palms: FloatArray
     rig: FloatArray
-    pad_length: float
+    pad_lengths: FloatArray
     contact_step: IntArray
     contact_offset: FloatArray
     contact_pad: FloatArray
@@ -66,7 +68,7 @@ class Record:
         c = slice(*np.searchsorted(self.contact_step, (first, last)))
         f = slice(*np.searchsorted(self.force_step, (first, last)))
         return Record(
-            self.t[first : last + 1], self.palms[first : last + 1], self.rig, self.pad_length,
+            self.t[first : last + 1], self.palms[first : last + 1], self.rig, self.pad_lengths,
             self.contact_step[c] - first, self.contact_offset[c], self.contact_pad[c], self.contact_palms[c],
             self.contact_force[c], self.contact_value[c], self.contact_variance[c], self.contact_weight[c],
             self.force_step[f] - first, self.force_offset[f], self.force_pad[f], self.force_palms[f],
@@ -81,7 +83,7 @@ class Record:
         inputs[:n, 0] = dt
         inputs[:n, 1:7] = self.palms[:-1]
         inputs[:n, 7:9] = np.diff(self.palms[:, 4:], axis=0) / dt[:, None]
-        inputs[:n, 9:-1], inputs[:n, -1] = self.rig, self.pad_length
+        inputs[:n, 9:-2], inputs[:n, -2:] = self.rig, self.pad_lengths
         inputs[n:] = inputs[0]
         return inputs
 
@@ -91,7 +93,7 @@ class Record:
         n = len(self.contact_step)
         inputs[:n, 0], inputs[:n, 1] = self.dt[self.contact_step], self.contact_offset
         inputs[:n, 2], inputs[:n, 3:7] = self.contact_pad, self.contact_palms[:, :4]
-        inputs[:n, 7], inputs[:n, 8] = self.contact_force, self.pad_length
+        inputs[:n, 7], inputs[:n, 8:] = self.contact_force, self.pad_lengths
         return inputs
 
     def force_inputs(self, rows: int) -> FloatArray:
@@ -99,7 +101,7 @@ class Record:
         inputs = np.ones((rows, FORCE_INPUTS))
         n = len(self.force_step)
         inputs[:n, 0], inputs[:n, 1], inputs[:n, 2] = self.dt[self.force_step], self.force_offset, self.force_pad
-        inputs[:n, 3:9], inputs[:n, 9:-1], inputs[:n, -1] = self.force_palms, self.rig, self.pad_length
+        inputs[:n, 3:9], inputs[:n, 9:-2], inputs[:n, -2:] = self.force_palms, self.rig, self.pad_lengths
         return inputs
 
 
@@ -124,19 +126,24 @@ def lay_out(
     inside = [sample for sample in pads if start <= sample.t_sample <= t[-1]]
     times = np.array([sample.t_sample for sample in inside])
     pad = np.array([sample.pad for sample in inside], dtype=np.float64)
+    which = pad.astype(np.intp) - 1
     value = np.array([sample.s for sample in inside])
     force = np.array([np.nan if sample.force is None else sample.force for sample in inside])
     step = np.clip(np.searchsorted(t, times, side="right") - 1, 0, steps - 1)
     offset = times - t[step]
     palms = path.at(times) if len(times) else np.zeros((0, 6))
-    variance = np.full(len(times), rig.reading_variance)
+    variance = rig.reading_variances[which]
     weight: FloatArray = 1.0 / (1.0 + path.resting(times, RESTING_RAD_S, resting_since) / SHARED_AFTER_S)
     # the noise grows with the true force; neighbours in time tell it better than the reading itself
-    pressed = np.isfinite(force) & (force > LEAST_FORCE_N) & (rig.force_gain_std == 0.0)
+    pressed = (
+        np.isfinite(force)
+        & (force > LEAST_FORCE_N)
+        & (np.array([sensor.force_gain_std for sensor in rig.pads])[which] == 0.0)
+    )
     level = _running_median(force, pad)
-    force_variance = rig.force_variance(level)
+    force_variance = rig.force_variances(level, pad)
     return Record(
-        t, path.at(t), rig_inputs(rig), rig.pad_length,
+        t, path.at(t), rig_inputs(rig), np.array([sensor.length for sensor in rig.pads]),
         step, offset, pad, palms, np.nan_to_num(force), value, variance, weight,
         step[pressed], offset[pressed], pad[pressed], palms[pressed], force[pressed], force_variance[pressed],
         weight[pressed],
@@ -145,7 +152,7 @@ def lay_out(
 
 def _running_median(force: FloatArray, pad: FloatArray, width: int = 15) -> FloatArray:
     level = force.copy()
-    for number in (1.0, 2.0):
+    for number in PALMS:
         mine = np.flatnonzero((pad == number) & np.isfinite(force))
         if len(mine):
             padded = np.pad(force[mine], width // 2, mode="edge")

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from palmd.events import FloatArray, RigDescription
+from palmd.events import FloatArray
 from palmd.model.outputs import NAMED
 from palmd.observer.bank import Belief
 from palmd.observer.coverage import Coverage, contact_bins
@@ -24,6 +24,8 @@ from palmd.observer.hypotheses import Verdict
 from palmd.observer.mass import MassEstimator, resting_forces
 from palmd.observer.object_memory import KnownObject, ObjectMemory
 from palmd.observer.track import Track
+from palmd.system.description import RigDescription
+from palmd.system.mechanism import PALMS
 
 KNOWN_SHARE = 0.75  # of the bank, for filters that begin with the remembered object
 PRIOR_AGE_S = 4.0  # by which these forget as if they were older
@@ -70,11 +72,11 @@ class ReturningObject:
     def begin(self, track: Track, t: float) -> bool:
         """Let the bank's first filters begin from what is remembered, at the likeliest orientations."""
         rig, fusion, bank = self._rig, track.fusion, track.fusion.bank
-        self._rough_mass = MassEstimator(rig.force_scale_std, rig.force_resolution, rig.force_gain_std)
+        self._rough_mass = MassEstimator(rig.pads)
         count = int(bank.full_size // bank.block * KNOWN_SHARE) * bank.block
         known = self.candidate = self.memory.recall() if count else None
         if known is not None:
-            psi = known.orientations(track.s1, track.s2, track.palms, rig.reading_variance, count)
+            psi = known.orientations(track.first_contacts, track.palms, rig.reading_variances, count)
             fusion.filters.start_known(known.x, known.believed(), psi, fusion.palms, t)
             fusion.forgetting.prior_age_s[:count] = PRIOR_AGE_S
         # what a smoother vouches for has been linearised well: only what begins blind has to forget
@@ -98,7 +100,7 @@ class ReturningObject:
         known, fusion, bank = self.candidate, track.fusion, track.fusion.bank
         if known is None:
             return Verdict.DECIDED
-        for pad, f in zip((1, 2), resting_forces(self._rig.gravity, fusion.palms.at(t)), strict=True):
+        for pad, f in zip(PALMS, resting_forces(self._rig.gravity, fusion.palms.at(t)), strict=True):
             self._rough_mass.weigh(track.contacts.last(pad), f)
         best, blind = bank.best(), fusion.forgetting.prior_age_s == 0.0
         likely = not blind[best]

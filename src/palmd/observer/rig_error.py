@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from palmd.events import Calibration, FloatArray, PadSample, RigDescription
+from palmd.events import FloatArray, PadSample
 from palmd.model.smoothing import RIG_CONSTANTS, R
+from palmd.system.description import RigDescription
 
 
 @dataclass(slots=True)
 class RigError:
     """Estimates in the order of `model.smoothing.R`; zeros leave everything as it is. Safe inside the loop."""
 
-    pad_length: float
+    pad_lengths: tuple[float, ...]
     values: FloatArray = field(default_factory=lambda: np.zeros(RIG_CONSTANTS))
     _s: list[float] = field(default_factory=lambda: [0.0, 0.0])  # of each pad's last contact, corrected (m)
 
     def angles(self) -> tuple[float, float]:
         """By how much φ1 and φ2 of the surfaces that are touched exceed those that are reported (rad)."""
-        slopes = [4.0 * self.values[R.SAGITTA + i] / self.pad_length * (1.0 - 2.0 * self._u(i)) for i in range(2)]
+        slopes = [
+            4.0 * self.values[R.SAGITTA + i] / length * (1.0 - 2.0 * self._u(i))
+            for i, length in enumerate(self.pad_lengths)
+        ]
         return float(self.values[R.TILT] + slopes[0]), float(self.values[R.TURN] - slopes[0] - slopes[1])
 
     def on_time(self, sample: PadSample) -> PadSample:
@@ -28,26 +34,30 @@ class RigError:
         lag = float(self.values[R.LAG + sample.pad - 1])
         return replace(sample, t_sample=sample.t_sample - lag) if lag else sample
 
-    def corrected(self, sample: PadSample, phi2: float) -> float:
+    def corrected(self, sample: PadSample, opening: float) -> float:
         """The distance (m) that the pad would tell, had it no error and lay on the hinge line; φ2 as in `angles`."""
         i, v = sample.pad - 1, self.values
         pushed = v[R.FORCE + i] * (sample.force or 0.0)
         s = (sample.s - v[R.ZERO + i] - pushed) / (1.0 + v[R.SCALE + i])
         self._s[i] = float(s)
         own, other = (v[R.STANDOFF + k] + 4.0 * v[R.SAGITTA + k] * self._u(k) ** 2 for k in (i, 1 - i))
-        return float(s - (own * np.cos(phi2) + other) / np.sin(phi2))
+        return float(s - (own * np.cos(opening) + other) / np.sin(opening))
 
     def _u(self, pad: int) -> float:
-        return self._s[pad] / self.pad_length
+        return self._s[pad] / self.pad_lengths[pad]
 
 
-def circle_spread(rig: RigDescription, s1: float, s2: float, phi2: float) -> float:
-    """One-sigma (m) that the rig's constants leave of a circle's radius r = (s1 + s2)/2 · tan(φ2/2).
+def circle_spread(rig: RigDescription, contacts: Sequence[float], opening: float) -> float:
+    """One-sigma (m) that the rig's constants leave of a circle's radius r = s · tan(φ2/2), s the mean of both contacts.
 
     For before a smoother has told how they and the outline hang together.
     """
-    c: Calibration = rig.calibration
-    tangent = float(np.tan(phi2 / 2))
-    of_s = np.hypot([c.zero, c.scale * s1], [c.scale * s2, c.zero]) * tangent / 2
-    of_phi2 = (s1 + s2) / 4 * (1 + tangent**2) * c.angle
-    return float(np.linalg.norm([*of_s, of_phi2, c.standoff / np.sqrt(2.0), c.sagitta]))
+    (one, two), (first, second) = rig.pads, contacts
+    tangent = float(np.tan(opening / 2))
+    of_s = np.hypot([one.zero_sd, one.scale_sd * first], [two.scale_sd * second, two.zero_sd]) * tangent / 2
+    of_angle = (first + second) / 4 * (1 + tangent**2) * rig.angle_sd
+    standoff, sagitta = (
+        math.sqrt((a * a + b * b) / 2)
+        for a, b in ((one.standoff_sd, two.standoff_sd), (one.sagitta_sd, two.sagitta_sd))
+    )
+    return float(np.linalg.norm([*of_s, of_angle, standoff / np.sqrt(2.0), sagitta]))

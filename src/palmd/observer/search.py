@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from palmd.events import FloatArray, PalmMotion, RigDescription
+from palmd.events import FloatArray
 from palmd.model import shape, smoothing
 from palmd.model.smoothing import NODE, ORDER, C
 from palmd.observer.data_segment import DataSegment
@@ -24,9 +24,11 @@ from palmd.observer.first_guess import blind_starts, prior_of
 from palmd.observer.normal_equations import Guess, ProcessNoise
 from palmd.observer.object_memory import likely_orientations
 from palmd.observer.palm_path import smoothed_path
-from palmd.observer.palms import RESTING_RAD_S
+from palmd.observer.palms import RESTING_RAD_S, motion_of
 from palmd.observer.record import Record, lay_out
 from palmd.observer.smoother import Fit, Smoother
+from palmd.system.description import RigDescription
+from palmd.system.mechanism import OPENING, PALMS
 
 SPACING_S = 0.01  # of the nodes while looking for the answer
 FIRST_LOOK_S = 0.3  # readings that tell the object's size
@@ -109,8 +111,8 @@ class Search:
         """What is believed of the object before anything but its first readings."""
         segment = self._segment
         first = [sample for sample in segment.pads if sample.t_sample < segment.start + FIRST_LOOK_S]
-        phi2 = self.path.at(np.array([sample.t_sample for sample in first]))[:, 1]
-        return prior_of(first, np.tan(phi2 / 2), self._rig.calibration)
+        opening = self.path.at(np.array([sample.t_sample for sample in first]))[:, OPENING]
+        return prior_of(first, np.tan(opening / 2), self._rig)
 
     def rested(self, t: float) -> float:
         """For how long the palms have rested at `t` (s)."""
@@ -153,10 +155,10 @@ class Search:
 
     def _orientations(self, outline: FloatArray, covariance: FloatArray) -> FloatArray:
         """ψ of an object that has just been put down, by the first readings of both pads."""
-        first = [[sample for sample in self._segment.pads if sample.pad == pad][:FIRST_READINGS] for pad in (1, 2)]
-        s1, s2 = (float(np.mean([sample.s for sample in samples])) for samples in first)
-        palms = PalmMotion(*self.path.at(np.array([first[0][0].t_sample]))[0].tolist())
-        return likely_orientations(outline, covariance, s1, s2, palms, self._rig.reading_variance, ORIENTATIONS)
+        first = [[sample for sample in self._segment.pads if sample.pad == pad][:FIRST_READINGS] for pad in PALMS]
+        contacts = [float(np.mean([sample.s for sample in samples])) for samples in first]
+        palms = motion_of(self.path.at(np.array([first[0][0].t_sample]))[0])
+        return likely_orientations(outline, covariance, contacts, palms, self._rig.reading_variances, ORIENTATIONS)
 
     def _grown_from(self, record: Record, guesses: Sequence[Guess]) -> Minima | None:
         fits = self._fits(record, guesses)
@@ -253,7 +255,7 @@ def still(record: Record) -> bool:
     """Whether the palms stand and every reading of a pad is the same to its noise."""
     if np.ptp(record.palms[:, :2], axis=0).max() > STILL_RAD:
         return False
-    for pad in (1.0, 2.0):
+    for pad in PALMS:
         mine = record.contact_pad == pad
         values, variance = record.contact_value[mine], record.contact_variance[mine]
         if len(values) and not _consistent(float(np.mean((values - values.mean()) ** 2 / variance)), len(values)):

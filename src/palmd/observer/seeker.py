@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from palmd.events import FloatArray, RigDescription
+from palmd.events import FloatArray
 from palmd.model.smoothing import ORDER
 from palmd.observer.data_segment import DataSegment
 from palmd.observer.follower import PATIENCE, Answer
 from palmd.observer.normal_equations import Guess
 from palmd.observer.search import Attempt, Minima, Search, doubt, merged, still
+from palmd.system.description import RigDescription
 
 LEAST_S = 1.0  # of readings, before which the bank is as good
 STILL_KEPT_S = 2.0  # of readings at rest, when those and what came before tell nothing
@@ -22,7 +23,7 @@ LONGEST_S, KEPT_S = 30.0, 15.0  # of readings in which nothing has been found, a
 
 def attempts_for(rig: RigDescription) -> tuple[Attempt, ...]:
     """The blind searches one after the other; where the palms' friction may differ the last begin from that."""
-    return _ATTEMPTS + _UNEQUAL if rig.calibration.friction else _ATTEMPTS
+    return _ATTEMPTS + _UNEQUAL if rig.friction_sd else _ATTEMPTS
 
 
 class Seeker:

@@ -7,7 +7,6 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from palmd.events import PadSample, RigDescription
 from palmd.observer.bank import Belief
 from palmd.observer.contacts import Contacts
 from palmd.observer.coverage import Coverage
@@ -19,6 +18,8 @@ from palmd.observer.prior import blind_start, shape_map_sd
 from palmd.observer.rig_error import circle_spread
 from palmd.observer.track import Track
 from palmd.observer.validity import LOST_NIS
+from palmd.system.description import RigDescription
+from palmd.system.mechanism import OPENING, PALMS
 
 LOSS_AGE_S, LOST_FOR_S = 0.4, 0.4
 
@@ -57,25 +58,25 @@ class ObjectSession:
 
     def try_to_begin(self, t: float) -> None:
         """Begin at `t` (s) if both pads and the palms are told of then."""
-        one, two = self._contacts.last(1), self._contacts.last(2)
-        if one and two and self._contacts.read_about(t) and self._fusion.palms_known(t):
+        if self._contacts.read_about(t) and self._fusion.palms_known(t):
             self._t_begun = t
-            self._begin(t, one, two)
+            self._begin(t)
 
-    def _begin(self, t: float, one: PadSample, two: PadSample) -> None:
+    def _begin(self, t: float) -> None:
         """Begin with what lies on the palms since `begun`, as the hypotheses say or blind."""
         self._starts += 1
         rig, fusion, filters = self._rig, self._fusion, self._hypotheses.choose()
         palms = fusion.palms.motion(t)
+        contacts = [sample.s for sample in self._contacts.all()]
         start = blind_start(
-            one.s, two.s, palms, filters.bank.full_size, self._starts == 1,
+            contacts, palms, filters.bank.full_size, self._starts == 1,
             np.random.default_rng([self._seed, self._starts]), filters.order,
         )  # fmt: skip
         fusion.begin(filters, start, self, t)
         track = self.track = Track(
-            fusion, self._contacts, one.s, two.s, palms, start,
-            radius_sd=circle_spread(rig, one.s, two.s, palms.phi2),
-            mass=MassEstimator(rig.force_scale_std, rig.force_resolution, rig.force_gain_std),
+            fusion, self._contacts, contacts, palms, start,
+            radius_sd=circle_spread(rig, contacts, palms.angles[OPENING]),
+            mass=MassEstimator(rig.pads),
             coverage=Coverage(),
         )  # fmt: skip
         self.object_count += self._hypotheses.begin(track, t)
@@ -92,9 +93,8 @@ class ObjectSession:
         if track is None or self._is_lost(track, t):
             return False
         verdict = self._hypotheses.decide(track, t, settled)
-        one, two = self._contacts.last(1), self._contacts.last(2)
-        if verdict is Verdict.REJECTED and one and two:
-            self._begin(t, one, two)
+        if verdict is Verdict.REJECTED and len(self._contacts.all()) == len(PALMS):
+            self._begin(t)
         return settled and verdict is Verdict.DECIDED
 
     def _is_lost(self, track: Track, t: float) -> bool:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from palmd.events import Event, Improvement, RigDescription
+from palmd.events import Event, Improvement
 from palmd.observer.incremental import IncrementalSmoother
 from palmd.observer.smoothing import Session, period
+from palmd.system.description import RigDescription
 
 
 class Simulated:

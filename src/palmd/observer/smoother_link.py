@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections import deque
 
-from palmd.events import Event, FloatArray, Improvement, PadSample, RigDescription
+from palmd.events import Event, FloatArray, Improvement, PadSample
 from palmd.observer.filter_catchup import FilterCatchUp
 from palmd.observer.handover import Handover
 from palmd.observer.smoothing import Session, Smoothing
 from palmd.observer.track import Track
+from palmd.system.description import RigDescription
 
 MEMORY_S = 30.0  # how long after its time an improvement can still be taken in: on a busy machine answers come late
 EVENTS_PER_TICK = 14  # beyond those that come in a tick, that a filter reads while it catches up

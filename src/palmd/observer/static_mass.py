@@ -6,8 +6,10 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from palmd.events import Event, FloatArray, PadSample, PalmSample, RigDescription
+from palmd.events import Event, FloatArray, PadSample, PalmSample
 from palmd.observer.mass import MassEstimator, resting_forces
+from palmd.system.description import RigDescription
+from palmd.system.mechanism import PALMS
 
 SPAN_S = 0.5  # looked at as one: still, or not
 STILL_M_S, STILL_RAD_S = 1.5e-3, 0.01  # of contacts, of palm angles
@@ -20,25 +22,25 @@ def mass_at_rest(events: Iterable[Event], rig: RigDescription) -> MassEstimator:
     With a0 = 0 in (4.5), m g = −(Fc1 + Fc2): each pad's force is m f of `resting_forces`. Friction is left out, which
     a dither makes right on average; without dither a body that sticks may be off by a share of μ.
     """
-    weighed = MassEstimator(rig.force_scale_std, rig.force_resolution, rig.force_gain_std)
+    weighed = MassEstimator(rig.pads)
     for palms, pads in _spans(events):
         if not _still(palms, pads):
             continue
         angles = palms[:, 1:].mean(axis=0)
-        for readings, f in zip(pads, resting_forces(rig.gravity, angles), strict=True):
+        for pad, readings, f in zip(PALMS, pads, resting_forces(rig.gravity, angles), strict=True):
             for force in readings[np.isfinite(readings[:, 2]), 2]:
-                weighed.feed(float(force), f)
+                weighed.feed(pad, float(force), f)
     return weighed
 
 
-def _spans(events: Iterable[Event]) -> Iterable[tuple[FloatArray, tuple[FloatArray, FloatArray]]]:
-    """Reports (t, φ1, φ2) and both pads' readings (t, s, force or NaN) of each `SPAN_S` that has enough of all."""
+def _spans(events: Iterable[Event]) -> Iterable[tuple[FloatArray, tuple[FloatArray, ...]]]:
+    """Reports (t, angles) and all pads' readings (t, s, force or NaN) of each `SPAN_S` that has enough of all."""
     samples = [event for event in events if isinstance(event, PadSample | PalmSample)]
     numbers = [int((sample.t_sample - samples[0].t_sample) // SPAN_S) for sample in samples]
     for number in sorted(set(numbers)):
         some = [sample for sample, n in zip(samples, numbers, strict=True) if n == number]
-        palms = np.array([(e.t_sample, e.phi1, e.phi2) for e in some if isinstance(e, PalmSample)])
-        one, two = (
+        palms = np.array([(e.t_sample, *e.angles) for e in some if isinstance(e, PalmSample)])
+        pads = tuple(
             np.array(
                 [
                     (e.t_sample, e.s, np.nan if e.force is None else e.force)
@@ -46,15 +48,17 @@ def _spans(events: Iterable[Event]) -> Iterable[tuple[FloatArray, tuple[FloatArr
                     if isinstance(e, PadSample) and e.pad == pad
                 ]
             )
-            for pad in (1, 2)
+            for pad in PALMS
         )
-        if min(len(palms), len(one), len(two)) >= LEAST_READINGS:
-            yield palms, (one, two)
+        if min(map(len, (palms, *pads))) >= LEAST_READINGS:
+            yield palms, pads
 
 
-def _still(palms: FloatArray, pads: tuple[FloatArray, FloatArray]) -> bool:
+def _still(palms: FloatArray, pads: tuple[FloatArray, ...]) -> bool:
     contacts = all(abs(_slope(readings[:, 0], readings[:, 1])) < STILL_M_S for readings in pads)
-    return contacts and all(abs(_slope(palms[:, 0], palms[:, column])) < STILL_RAD_S for column in (1, 2))
+    return contacts and all(
+        abs(_slope(palms[:, 0], palms[:, column])) < STILL_RAD_S for column in range(1, palms.shape[1])
+    )
 
 
 def _slope(t: FloatArray, values: FloatArray) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from palmd.events import FloatArray, PalmMotion
@@ -15,7 +16,7 @@ from palmd.observer.prior import BlindStart
 
 @dataclass(slots=True)
 class Track:
-    """One object, on palms at `palms` when it was begun, with the pads' readings `s1` and `s2` (m).
+    """One object, on palms at `palms` when it was begun, with the pads' readings `first_contacts` (m).
 
     radius_sd: what the rig's constants leave of its radius (m) until a smoother has told more. valid, predictable: of
     the last estimate. t_unlikely: since when (s) all filters have been surprised, None while they are not.
@@ -23,8 +24,7 @@ class Track:
 
     fusion: Fusion
     contacts: Contacts
-    s1: float
-    s2: float
+    first_contacts: Sequence[float]
     palms: PalmMotion
     start: BlindStart
     radius_sd: float

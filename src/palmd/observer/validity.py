@@ -14,7 +14,7 @@ NIS_RANGE = (0.2, 2.0)  # of the running mean, to be called consistent
 RESUMED_FOR_S = 0.05  # of readings after a silence, by which it shows whether they are of the same object
 SURE = 0.99  # the probability from which on an object is identified, until it falls below `DECIDED`
 LOST_NIS = 3.0
-PREDICTABLE_SD_M, PREDICTABLE_AGE_S = 3e-3, 0.6  # of r1 and r2
+PREDICTABLE_SD_M, PREDICTABLE_AGE_S = 3e-3, 0.6  # of the radii
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +23,7 @@ class Evidence:
 
     touching: both pads vouch for a contact, since `resumed_for_s`. palms_known: so do reports of the palms. finite: of
     all values. consistent: the readings are as the model predicts. age_s: since the object was begun. radius_sd_m: the
-    larger of r1's and r2's. disagreement_m: among rival hypotheses, or of the readings about one outline.
+    largest of the radii's. disagreement_m: among rival hypotheses, or of the readings about one outline.
     """
 
     touching: bool

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO, TextIO
 
 from palmd.devices.pad import MARGIN_MM
-from palmd.events import PERFECT, Calibration, Event, PadSample, PalmSample, RigDescription
+from palmd.events import Event, Joints, PadSample, PalmSample
+from palmd.system.description import AS_CALIBRATED, PadSensor, RigDescription
+from palmd.system.mechanism import OPENING, PALMS
 
 VERSION = 1
 MAX_LINE_BYTES = 1 << 20
@@ -22,17 +24,22 @@ MAX_BACKWARD_S = 1.0  # an event that comes late is one thing, another run in th
 MAX_GAP_S = 600.0
 _MAX_LENGTH_M = 1.0
 CALIBRATION_KEYS = {
-    "zero": "zero_m",
-    "scale": "scale",
-    "angle": "angle_rad",
-    "standoff": "standoff_m",
-    "lag": "lag_s",
-    "gravity": "gravity_rad",
-    "sagitta": "sagitta_m",
-    "friction": "friction",
-    "force": "force_m_per_n",
+    "zero_sd": "zero_m",
+    "scale_sd": "scale",
+    "angle_sd": "angle_rad",
+    "standoff_sd": "standoff_m",
+    "lag_sd": "lag_s",
+    "gravity_sd": "gravity_rad",
+    "sagitta_sd": "sagitta_m",
+    "friction_sd": "friction",
+    "force_sd": "force_m_per_n",
 }
-"""How a log calls the fields of `Calibration`."""
+"""How a log calls the `_sd` of `RigDescription` and `PadSensor`."""
+
+_ANGLES, _RATES, _ACCELERATIONS = (
+    [f"{what}{palm}_{unit}" for palm in PALMS]
+    for what, unit in (("phi", "rad"), ("omega", "rad_s"), ("alpha", "rad_s2"))
+)
 
 Line = dict[str, Any]
 
@@ -90,7 +97,7 @@ class _Reader:
                 line = _decoded(raw)
                 if rig is None:
                     rig = _rig(line)
-                    longest = rig.pad_length + MARGIN_MM * 1e-3
+                    longest = [pad.length + MARGIN_MM * 1e-3 for pad in rig.pads]
                 else:
                     events += self._events(line, longest)
             except _BadLineError as error:
@@ -107,7 +114,7 @@ class _Reader:
                 notes.append(f"{self._path}: {count} {what} left out")
         return EventLog(rig, tuple(events), tuple(notes))
 
-    def _events(self, line: Line, longest: float) -> Iterator[Event]:
+    def _events(self, line: Line, longest: Sequence[float]) -> Iterator[Event]:
         if "truth" in line:
             return
         if "pad" not in line and "palms" not in line:
@@ -117,7 +124,7 @@ class _Reader:
         self._check_order(t)
         if "pad" in line:
             sample = _pad_sample(t, line)
-            if 0.0 < sample.s <= longest:
+            if 0.0 < sample.s <= longest[sample.pad - 1]:
                 yield sample
             else:
                 self._off_pad += 1
@@ -150,29 +157,29 @@ def _decoded(raw: bytes) -> Line:
 
 def _pad_sample(t: float, line: Line) -> PadSample:
     pad = line["pad"]
-    if type(pad) is not int or pad not in (1, 2):
-        raise _BadLineError(f"pad must be 1 or 2, got {_shown(pad)}")
+    if type(pad) is not int or pad not in PALMS:
+        raise _BadLineError(f"pad must be {' or '.join(map(str, PALMS))}, got {_shown(pad)}")
     s = _number(line, "s_m")
     if abs(s) > _MAX_LENGTH_M:
         raise _BadLineError(f"s_m is {s:g}, which is no place on a palm; it is in metres")
-    return PadSample(t, 1 if pad == 1 else 2, s, _optional(line, "force_n"))
+    return PadSample(t, pad, s, _optional(line, "force_n"))
 
 
 def _palm_sample(t: float, palms: Line) -> PalmSample:
-    phi1, phi2 = _number(palms, "phi1_rad"), _number(palms, "phi2_rad")
-    if abs(phi1) > math.tau:
-        raise _BadLineError(f"phi1_rad is {phi1:g}, more than a full turn; it is in radians")
-    if not 0.0 < phi2 < math.pi:
-        raise _BadLineError(f"phi2_rad is {phi2:g}; the angle between the palms lies between 0 and pi")
-    return PalmSample(
-        t,
-        phi1,
-        phi2,
-        _optional(palms, "omega1_rad_s"),
-        _optional(palms, "omega2_rad_s"),
-        _optional(palms, "alpha1_rad_s2"),
-        _optional(palms, "alpha2_rad_s2"),
-    )
+    angles = tuple(_number(palms, name) for name in _ANGLES)
+    for name, angle in zip(_ANGLES, angles, strict=True):
+        if name == _ANGLES[OPENING] and not 0.0 < angle < math.pi:
+            raise _BadLineError(f"{name} is {angle:g}; the angle between the palms lies between 0 and pi")
+        if abs(angle) > math.tau:
+            raise _BadLineError(f"{name} is {angle:g}, more than a full turn; it is in radians")
+    return PalmSample(t, angles, _joints(palms, _RATES), _joints(palms, _ACCELERATIONS))
+
+
+def _joints(palms: Line, names: Sequence[str]) -> Joints | None:
+    """The plan's values of all joints, None where one is missing."""
+    told = [_optional(palms, name) for name in names]
+    known = tuple(value for value in told if value is not None)
+    return known if len(known) == len(names) else None
 
 
 def _rig(line: Line) -> RigDescription:
@@ -182,37 +189,64 @@ def _rig(line: Line) -> RigDescription:
     if line["palmd_log"] != VERSION or type(line["palmd_log"]) is not int:
         raise _BadLineError(f"palmd_log is {_shown(line['palmd_log'])}; this palmd reads version {VERSION}")
     rig = _block(line, "rig")
-    hinge, pad = _block(rig, "hinge"), _block(rig, "pad")
+    hinge, default = _block(rig, "hinge"), RigDescription()
     mode = hinge.get("mode")
     if mode not in ("fixed", "arc"):
         raise _BadLineError(f"hinge.mode must be fixed or arc, got {_shown(mode)}")
-    default = RigDescription()
     length = _positive(hinge, "palm1_length_m") if mode == "arc" else default.palm1_length
-    return RigDescription(
+    sds = _sds(rig, _default_sds(rig))
+    common = _sensor(rig, _block(rig, "pad"), PadSensor())
+    described = RigDescription(
         gravity=_positive(rig, "gravity_m_s2"),
         hinge=mode,
         palm1_length=length,
         base=(length, 0.0),
-        pad_length=_positive(pad, "length_m"),
-        pad_noise=_positive(pad, "noise_m"),
-        pad_resolution=_not_negative(pad, "resolution_m"),
         palm_angle_noise=_positive(rig, "palm_angle_noise_rad", default.palm_angle_noise),
-        force_scale_std=_positive(rig, "force_scale_std"),
-        force_gain_std=_not_negative(rig, "force_gain_std", default.force_gain_std),
-        force_resolution=_not_negative(rig, "force_resolution_n", default.force_resolution),
-        calibration=_calibration(rig),
+        pads=(common,) * len(PALMS),
+    ).known_to(sds)
+    own = rig.get("pads")
+    if own is None:
+        return described
+    if not isinstance(own, list) or len(own) != len(PALMS) or not all(isinstance(each, dict) for each in own):
+        raise _BadLineError(f"pads must be a list of {len(PALMS)} objects, one for each palm")
+    return replace(described, pads=tuple(map(_own_sensor, own, described.pads)))
+
+
+def _sensor(line: Line, pad: Line, default: PadSensor) -> PadSensor:
+    """A pad's sensor, its reach and noise from the block `pad`, the rest from `line`."""
+    return replace(
+        default,
+        length=_positive(pad, "length_m"),
+        noise=_positive(pad, "noise_m"),
+        resolution=_not_negative(pad, "resolution_m"),
+        force_scale_std=_positive(line, "force_scale_std"),
+        force_gain_std=_not_negative(line, "force_gain_std", default.force_gain_std),
+        force_resolution=_not_negative(line, "force_resolution_n", default.force_resolution),
     )
 
 
-def _calibration(rig: Line) -> Calibration:
-    """How well the rig is known; where the log does not say so, as well as one is that has been calibrated."""
-    if rig.get("calibration_sd") is None:
-        return Calibration()
-    told, default = _block(rig, "calibration_sd"), Calibration()
-    if not any(told.values()):  # whoever declares a rig perfect says so of its palms' friction only by name
-        default = replace(PERFECT, friction=default.friction)
-    values = {name: _not_negative(told, key, getattr(default, name)) for name, key in CALIBRATION_KEYS.items()}
-    return Calibration(**values)
+def _default_sds(rig: Line) -> Mapping[str, float]:
+    """What goes for constants of which the log says nothing: as calibrated, or known if all that it names are.
+
+    How alike the palms rub is no matter of calibration: whoever means it says so by name.
+    """
+    told = _block(rig, "calibration_sd") if rig.get("calibration_sd") is not None else {}
+    if not told or any(told.values()):
+        return AS_CALIBRATED
+    return dict.fromkeys(AS_CALIBRATED, 0.0) | {"friction_sd": AS_CALIBRATED["friction_sd"]}
+
+
+def _own_sensor(line: Line, common: PadSensor) -> PadSensor:
+    """What one entry of `pads` says of its pad; how well its constants are known is as of all where left out."""
+    own = _sensor(line, line, common)
+    of_pad = {name: getattr(common, name) for name in CALIBRATION_KEYS if hasattr(common, name)}
+    return replace(own, **_sds(line, of_pad))
+
+
+def _sds(line: Line, default: Mapping[str, float]) -> dict[str, float]:
+    """How well constants are known; what `line` does not say is as in `default`."""
+    told = _block(line, "calibration_sd") if line.get("calibration_sd") is not None else {}
+    return {name: _not_negative(told, CALIBRATION_KEYS[name], each) for name, each in default.items()}
 
 
 def _block(line: Line, key: str) -> Line:
@@ -272,24 +306,49 @@ def write_log(stream: TextIO, rig: RigDescription, events: Iterable[Event]) -> N
 
 
 def header_line(rig: RigDescription) -> Line:
-    """The first line of a log. Where an arc hinge's fixed end lies is not told: logs put it at (L1, 0)."""
+    """The first line of a log. Where an arc hinge's fixed end lies is not told: logs put it at (L1, 0).
+
+    Where the pads differ, `pads` has each one's own and the rest the worse of both, for readers that take them alike.
+    """
     hinge: Line = {"mode": rig.hinge}
     if rig.hinge == "arc":
         hinge["palm1_length_m"] = rig.palm1_length
-    pad = {"length_m": rig.pad_length, "noise_m": rig.pad_noise, "resolution_m": rig.pad_resolution}
-    return {
-        "palmd_log": VERSION,
-        "rig": {
-            "gravity_m_s2": rig.gravity,
-            "hinge": hinge,
-            "pad": pad,
-            "force_scale_std": rig.force_scale_std,
-            "force_gain_std": rig.force_gain_std,
-            "palm_angle_noise_rad": rig.palm_angle_noise,
-            "force_resolution_n": rig.force_resolution,
-            "calibration_sd": {key: getattr(rig.calibration, name) for name, key in CALIBRATION_KEYS.items()},
-        },
+    pads = [_pad_line(pad) for pad in rig.pads]
+    worst = {key: (min if key == "length_m" else max)(pad[key] for pad in pads) for key in pads[0]}
+    sds = {key: _told_sd(rig, name) for name, key in CALIBRATION_KEYS.items()}
+    described: Line = {
+        "gravity_m_s2": rig.gravity,
+        "hinge": hinge,
+        "pad": {key: worst.pop(key) for key in ("length_m", "noise_m", "resolution_m")},
+        "force_scale_std": worst.pop("force_scale_std"),
+        "force_gain_std": worst.pop("force_gain_std"),
+        "palm_angle_noise_rad": rig.palm_angle_noise,
+        **worst,
+        "calibration_sd": sds,
     }
+    if any(pad != rig.pads[0] for pad in rig.pads):
+        of_pad = {name: key for name, key in CALIBRATION_KEYS.items() if hasattr(rig.pads[0], name)}
+        described["pads"] = [
+            line | {"calibration_sd": {key: getattr(pad, name) for name, key in of_pad.items()}}
+            for line, pad in zip(pads, rig.pads, strict=True)
+        ]
+    return {"palmd_log": VERSION, "rig": described}
+
+
+def _pad_line(pad: PadSensor) -> Line:
+    return {
+        "length_m": pad.length,
+        "noise_m": pad.noise,
+        "resolution_m": pad.resolution,
+        "force_scale_std": pad.force_scale_std,
+        "force_gain_std": pad.force_gain_std,
+        "force_resolution_n": pad.force_resolution,
+    }
+
+
+def _told_sd(rig: RigDescription, name: str) -> float:
+    """How well the rig's constant is known; the worse one where it is each pad's own."""
+    return float(getattr(rig, name)) if hasattr(rig, name) else max(getattr(pad, name) for pad in rig.pads)
 
 
 def event_line(event: Event) -> Line | None:
@@ -298,10 +357,9 @@ def event_line(event: Event) -> Line | None:
         fields = {"pad": event.pad, "s_m": event.s, "force_n": event.force}
         return {"t": event.t_sample} | _told(fields)
     if isinstance(event, PalmSample):
-        angles = {"phi1_rad": event.phi1, "phi2_rad": event.phi2}
-        rates = {"omega1_rad_s": event.omega1, "omega2_rad_s": event.omega2}
-        accelerations = {"alpha1_rad_s2": event.alpha1, "alpha2_rad_s2": event.alpha2}
-        return {"t": event.t_sample, "palms": _told(angles | rates | accelerations)}
+        told = ((_ANGLES, event.angles), (_RATES, event.rates), (_ACCELERATIONS, event.accelerations))
+        palms = {name: value for names, values in told for name, value in zip(names, values or (), strict=False)}
+        return {"t": event.t_sample, "palms": palms}
     return None
 
 

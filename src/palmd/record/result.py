@@ -10,6 +10,7 @@ from palmd.model.smoothing import RIG_NAMES
 from palmd.observer.mass import MassEstimator
 from palmd.observer.reconstruct import Reconstruction
 from palmd.observer.visits import Marks, kept_by_band, kept_by_visits
+from palmd.system.mechanism import RADII
 
 
 def as_line(answer: Reconstruction, at_rest: MassEstimator) -> dict[str, Any]:
@@ -54,8 +55,7 @@ def _trajectory(answer: Reconstruction) -> dict[str, list[float | None]] | None:
         "t": _numbers(answer.t),
         "psi_rad": _numbers(answer.psi),
         "omega0_rad_s": _numbers(answer.omega0),
-        "r1_m": _numbers(answer.r1),
-        "r2_m": _numbers(answer.r2),
+        **{f"{name}_m": _numbers(values) for name, values in zip(RADII, answer.radii, strict=False)},
     }
 
 

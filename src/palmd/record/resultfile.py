@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray
+from palmd.system.mechanism import RADII
 
 Bools = npt.NDArray[np.bool_]
 
@@ -22,15 +23,14 @@ class ResultError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What a reconstruction tells, from its file: trajectory t (s), psi (rad), r1, r2 (m), and the outline.
+    """What a reconstruction tells, from its file: trajectory t (s), psi (rad), radii (m, of each palm), the outline.
 
     theta, h, h_sd, touched: the outline's normals (rad), support function and its one-sigma (m), marks of touch.
     """
 
     t: FloatArray
     psi: FloatArray
-    r1: FloatArray
-    r2: FloatArray
+    radii: FloatArray
     theta: FloatArray
     h: FloatArray
     h_sd: FloatArray
@@ -53,15 +53,15 @@ def read_result(path: Path) -> Result:
         raise ResultError(f"{path}: is no result of a reconstruction: it has no trajectory")
     if not isinstance(told["trajectory"], dict):
         raise ResultError(f"{path}: the reconstruction has no trajectory: {told.get('reason') or 'not converged'}")
-    columns = [_column(path, told["trajectory"], name) for name in ("t", "psi_rad", "r1_m", "r2_m")]
+    columns = [_column(path, told["trajectory"], name) for name in ("t", "psi_rad", *(f"{name}_m" for name in RADII))]
     outline = [_column(path, told, name) for name in ("theta_rad", "h_m", "h_sd_m", "touched")]
     for group, names in ((columns, "trajectory"), (outline, "theta_rad, h_m, h_sd_m and touched")):
         if len({len(column) for column in group}) > 1 or len(group[0]) < 2:
             raise ResultError(f"{path}: {names} must be lists of one length, of two or more")
     if not (np.diff(columns[0]) > 0).all():
         raise ResultError(f"{path}: trajectory.t must increase")
-    (t, psi, r1, r2), (theta, h, h_sd, touched) = columns, outline
-    return Result(t, psi, r1, r2, theta, h, h_sd, touched != 0.0)
+    (t, psi, *radii), (theta, h, h_sd, touched) = columns, outline
+    return Result(t, psi, np.stack(radii), theta, h, h_sd, touched != 0.0)
 
 
 def _column(path: Path, told: dict[str, Any], name: str) -> FloatArray:

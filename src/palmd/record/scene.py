@@ -35,7 +35,7 @@ class SceneWatch:
 
     def __init__(self, config: Config) -> None:
         self._geometry = RigGeometry.from_config(config)
-        self._pads = [pad.length_mm * 1e-3 for pad in (config.pads.palm1, config.pads.palm2)]
+        self._pads = [pad.length_mm * 1e-3 for pad in config.pads.each()]
         self._estimate: Fields = {}
 
     def take(self, topic: str, fields: Fields) -> Scene | None:

@@ -11,6 +11,7 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.polygon import normals
 from palmd.report.series import OutlineAt, Series
+from palmd.system.mechanism import CONTACTS, JOINTS, RADII, SIDES, directions
 
 
 def points(theta: FloatArray, h: FloatArray) -> FloatArray:
@@ -36,25 +37,24 @@ class DrawnPose:
     """One estimate as it stands on the palms, seen from the hinge: angles (rad), points (2,) in m."""
 
     t: float
-    phi1: float
-    phi12: float
+    directions: tuple[float, ...]  # of the palms
     psi: float
     centre: FloatArray
-    contact1: FloatArray
-    contact2: FloatArray
+    contacts: tuple[FloatArray, ...]
 
 
 def pose_at(series: Series, number: int) -> DrawnPose:
-    """The estimate of that number: n1·c = r1, n2·c = r2; contacts at s1 t1 and −s2 t2 (section 3.1)."""
+    """The estimate of that number: n_i·c = r_i; contacts s_i along each palm (section 3.1)."""
     t, estimate = series.estimate.t, series.estimate
-    phi1, phi2, psi, r1, r2, s1, s2 = (
-        float(estimate[name][number]) for name in ("phi1_rad", "phi2_rad", "psi_rad", "r1_m", "r2_m", "s1_m", "s2_m")
+    angles, radii, places = (
+        [float(estimate[f"{name}_{unit}"][number]) for name in names]
+        for names, unit in ((JOINTS, "rad"), (RADII, "m"), (CONTACTS, "m"))
     )
-    phi12 = phi1 + phi2
-    along1, along2 = (np.array([math.cos(angle), math.sin(angle)]) for angle in (phi1, phi12))
-    inward = np.array([[-along1[1], along1[0]], [along2[1], -along2[0]]])
-    centre = np.linalg.solve(inward, np.array([r1, r2])) if math.sin(phi2) else np.full(2, math.nan)
-    return DrawnPose(float(t[number]), phi1, phi12, psi, centre, s1 * along1, s2 * along2)
+    psi, palms = float(estimate["psi_rad"][number]), directions(angles)
+    along = [np.array([math.cos(angle), math.sin(angle)]) for angle in palms]
+    inward = np.array([side * np.array([-way[1], way[0]]) for side, way in zip(SIDES, along, strict=True)])
+    centre = np.linalg.solve(inward, np.array(radii)) if math.sin(angles[-1]) else np.full(2, math.nan)
+    return DrawnPose(float(t[number]), palms, psi, centre, tuple(s * way for s, way in zip(places, along, strict=True)))
 
 
 def felt_points(series: Series, numbers: Iterable[int]) -> FloatArray:
@@ -62,7 +62,7 @@ def felt_points(series: Series, numbers: Iterable[int]) -> FloatArray:
     felt = []
     for number in numbers:
         pose = pose_at(series, int(number))
-        both = np.stack([pose.contact1, pose.contact2], axis=1) - pose.centre[:, None]
+        both = np.stack(pose.contacts, axis=1) - pose.centre[:, None]
         felt.append(turned(both, -pose.psi))
     return np.concatenate(felt, axis=1) if felt else np.zeros((2, 0))
 

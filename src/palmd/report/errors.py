@@ -14,6 +14,7 @@ from palmd.events import FloatArray
 from palmd.quantities import ESTIMATE, TRUTH, truth_of
 from palmd.report.series import CONSTANTS, SD, OutlineAt, Series, TrueBody
 from palmd.score import OutlineScore, score_outline, support_at
+from palmd.system.mechanism import JOINTS, RADII
 
 SDS = 2.0
 """How many one-sigmas every band has to both sides."""
@@ -21,7 +22,7 @@ SDS = 2.0
 STATE = tuple(quantity.name for quantity in ESTIMATE.quantities if quantity.role == "named")
 """The named state and ψ, as published."""
 
-OBJECTS_OWN = ("r1_m", "r2_m", "omega0_rad_s")
+OBJECTS_OWN = (*(f"{name}_m" for name in RADII), "omega0_rad_s")
 """What neither pads nor arm measure."""
 
 _MOVING = tuple(quantity.name for quantity in ESTIMATE.quantities if truth_of(quantity) is TRUTH)
@@ -75,7 +76,7 @@ def errors_of(series: Series) -> Errors | None:
         for name in CONSTANTS:
             true[name] = np.array([body.constants[name] for body in series.bodies])[number]
     error = {name: series.estimate[name] - values for name, values in true.items()}
-    for name in ("phi1_rad", "phi2_rad"):
+    for name in (f"{joint}_rad" for joint in JOINTS):
         error[name] = _wrapped(error[name])
     error["psi_rad"], gauge = _without_gauge(series, error["psi_rad"])
     true["psi_rad"] = true["psi_rad"] + gauge

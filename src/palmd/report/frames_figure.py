@@ -11,6 +11,7 @@ from matplotlib.figure import FigureBase
 from palmd.report.axes import BLACK, BLUE, GREY, ORANGE
 from palmd.report.body import closed, felt_points, frames, outline_known, points, pose_at, turned
 from palmd.report.series import Series
+from palmd.system.mechanism import RADII
 
 MOST, COLUMNS = 12, 4
 ROW_IN = 1.2
@@ -40,7 +41,7 @@ def draw_frames(figure: FigureBase, series: Series) -> None:
 
 def _frame(axes: Axes, series: Series, number: int) -> None:
     pose = pose_at(series, number)
-    for angle, contact in ((pose.phi1, pose.contact1), (pose.phi12, pose.contact2)):
+    for angle, contact in zip(pose.directions, pose.contacts, strict=True):
         axes.plot([0, _PALM_MM * math.cos(angle)], [0, _PALM_MM * math.sin(angle)], color=GREY, linewidth=1.6,
                   solid_capstyle="round")  # fmt: skip
         axes.plot(*contact * 1e3, "o", color=ORANGE, markersize=3.0, zorder=4)
@@ -62,8 +63,8 @@ def _reach(series: Series, numbers: tuple[int, ...]) -> tuple[tuple[float, float
     ends = [(0.0, 0.0)]
     for number in numbers:
         pose = pose_at(series, number)
-        ends += [(_PALM_MM * math.cos(angle), _PALM_MM * math.sin(angle)) for angle in (pose.phi1, pose.phi12)]
-        radius = 1.1e3 * max(float(series.estimate[name][number]) for name in ("r1_m", "r2_m"))
+        ends += [(_PALM_MM * math.cos(angle), _PALM_MM * math.sin(angle)) for angle in pose.directions]
+        radius = 1.1e3 * max(float(series.estimate[name][number]) for name in map("{}_m".format, RADII))
         ends += [tuple(pose.centre * 1e3 + side * radius) for side in (-1.0, 1.0)]
     low, high = np.min(ends, axis=0) - 3.0, np.max(ends, axis=0) + 3.0
     return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))

@@ -7,8 +7,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 from matplotlib.patches import Patch
 
+from palmd.quantities import MOTION
 from palmd.report.axes import BLACK, BLUE, GREEN, GREY, ORANGE, PINK, bars, in_view, line, over_time
 from palmd.report.series import FaultSpell, Series, Spell
+from palmd.system.mechanism import PALMS
 
 STATES = {
     "idle": "#d9d9d9", "ready": "#56b4e9", "tracking": GREEN, "hold": "#e69f00", "fault": ORANGE, "stopping": "#f0e442",
@@ -30,14 +32,14 @@ def draw_motion(figure: FigureBase, series: Series) -> None:
     """Angles, how far the arm is behind them, and below on the same time states and faults as bars."""
     count = bar_rows(series)
     grid = figure.subplots(4, 1, sharex=True, height_ratios=(1.3, 1.3, 1.0, 0.24 * count))
-    for axes, palm in zip(grid[:2], (1, 2), strict=True):
+    for axes, palm in zip(grid, PALMS, strict=False):
         t = series.motion.t
         commanded, actual = (np.degrees(series.motion[f"phi{palm}{what}_rad"]) for what in ("_cmd", ""))
         line(axes, t, actual, color=BLUE, linewidth=1.2, label="actual")
         line(axes, t, commanded, color=BLACK, linewidth=0.7, linestyle=(0, (4, 2)), label="commanded")
         line(grid[2], t, actual - commanded, color=(BLUE, ORANGE)[palm - 1], linewidth=0.7, label=f"palm {palm}")
         in_view(axes, actual, commanded, least=1.0)
-        axes.set_ylabel(f"φ{'₁₂'[palm - 1]} (°)")
+        axes.set_ylabel(MOTION[f"phi{palm}_rad"].label)
     grid[0].legend(loc="lower left", bbox_to_anchor=(0.0, 0.99), ncols=2, borderaxespad=0.0)
     grid[2].set_ylabel("actual −\ncommanded (°)")
     grid[2].legend(loc="upper right", ncols=2)

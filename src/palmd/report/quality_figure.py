@@ -90,7 +90,7 @@ def draw_consistency(figure: FigureBase, series: Series, errors: Errors | None) 
 
 def draw_coverage(figure: FigureBase, series: Series) -> None:
     """What share of the normals was touched, and how well the whole outline is known."""
-    touched, known = figure.subplots(1, 2)
+    touched, known = figure.subplots(ncols=2)
     line(touched, series.estimate.t, 100 * series.estimate["touched"], color=BLUE)
     touched.set(ylabel="touched normals (%)", ylim=(0.0, 102.0))
     t = np.array([outline.t for outline in series.outlines])

@@ -10,10 +10,11 @@ from datetime import datetime
 import numpy as np
 
 from palmd.observer.validity import NIS_RANGE
-from palmd.quantities import ESTIMATE
+from palmd.quantities import ESTIMATE, MOTION
 from palmd.record.metadata import CONFIG
 from palmd.report.errors import OBJECTS_OWN, SDS, STATE, Errors, against, body_at, inside, last_outlines, normalised
 from palmd.report.series import SD, OutlineAt, Series, Spell
+from palmd.system.mechanism import JOINTS
 
 _CAUSES = ("pad1_", "pad2_", "arm_", "bus_", "smoother_", "explorer_")
 
@@ -103,12 +104,12 @@ def under_state(series: Series) -> str:
     valid = np.flatnonzero(series.valid)
     if not len(valid):
         return "No estimate was called valid: the lines are grey, and nobody vouches for them."
-    r1, r2, omega0 = (
+    *radii, omega0 = (
         f"{_small(name, float(series.estimate[SD + name][valid[-1]]))} for {ESTIMATE[name].symbol}"
         for name in OBJECTS_OWN
     )
     return (
-        f"At the last valid tick ({series.estimate.t[valid[-1]]:.1f} s) one sd is {r1}, {r2} "
+        f"At the last valid tick ({series.estimate.t[valid[-1]]:.1f} s) one sd is {', '.join(radii)} "
         f"and {omega0}; grey times have no valid estimate."
     )
 
@@ -138,12 +139,11 @@ def under_errors(series: Series, errors: Errors) -> str:
 def under_motion(series: Series) -> str:
     """What the palms did, and what went wrong meanwhile."""
     motion = series.motion
-    if not np.isfinite(motion["phi1_rad"]).any():
+    if not np.isfinite(motion[f"{JOINTS[0]}_rad"]).any():
         return "The arm told no angles."
     ranges = ", ".join(
-        f"φ{'₁₂'[palm - 1]} {np.degrees(np.nanmin(motion[f'phi{palm}_rad'])):.0f}–"
-        f"{np.degrees(np.nanmax(motion[f'phi{palm}_rad'])):.0f}°"
-        for palm in (1, 2)
+        f"{MOTION[name].symbol} {np.degrees(np.nanmin(motion[name])):.0f}–{np.degrees(np.nanmax(motion[name])):.0f}°"
+        for name in (f"{joint}_rad" for joint in JOINTS)
     )
     tracking = sum(spell.end - spell.begin for spell in series.states if spell.what == "tracking")
     codes = {fault.code for fault in series.faults}

@@ -38,7 +38,7 @@ from palmd.devices.armlink import LineReader
 from palmd.devices.versapad import VersaPadDecoder
 from palmd.messages import stamp
 from palmd.quantities import BODY, RIG_TOPICS, TRUTH, Topic
-from palmd.rig.fault_injection import INJECTABLE_FAULTS, PORTS, InjectionError, PortName, order, parse
+from palmd.rig.fault_injection import INJECTABLE_FAULTS, PADS, PORTS, InjectionError, PortName, order, parse
 from palmd.rig.line import PtyLine
 from palmd.rig.roller import KINDS as ROLLERS
 from palmd.rig.shapes import KINDS, Body, cylinder
@@ -48,7 +48,7 @@ from palmd.yamlfile import ConfigError, load_config
 
 PERIOD_S = 1e-3
 TRUTH_S, OBJECT_S, PARENT_S = 1.0 / TRUTH.rate_hz, 1.0 / BODY.rate_hz, 0.5
-MARBLES: dict[str, tuple[PortName, ...]] = {"1": ("pad1",), "2": ("pad2",), "both": ("pad1", "pad2")}
+MARBLES: dict[str, tuple[PortName, ...]] = {pad.removeprefix("pad"): (pad,) for pad in PADS} | {"both": PADS}
 _LATE_S, _STALLED_S = 2e-3, 20e-3
 
 
@@ -159,8 +159,7 @@ class RigProcess:
             port: PtyLine(folder / port, world.bauds[port], noise) for port in PORTS
         }
         self._listeners: dict[PortName, Listener] = {
-            "pad1": Listener(VersaPadDecoder(world.bauds["pad1"])),
-            "pad2": Listener(VersaPadDecoder(world.bauds["pad2"])),
+            **{pad: Listener(VersaPadDecoder(world.bauds[pad])) for pad in PADS},
             "arm": Listener(LineReader(world.bauds["arm"])),
         }
         self._poll = select.poll()

@@ -79,7 +79,7 @@ class Linkage:
         ay = s * x[2] + c * y[2] - l1 * omega1**2 * s1 + l2 * omega12**2 * s12
         alpha1 = -(ax * c12 + ay * s12) / (l1 * sin_phi2)
         alpha12 = -(ax * c1 + ay * s1) / (l2 * sin_phi2)
-        return PalmMotion(phi1, phi2, omega1, omega12 - omega1, alpha1, alpha12 - alpha1)
+        return PalmMotion((phi1, phi2), (omega1, omega12 - omega1), (alpha1, alpha12 - alpha1))
 
     def _angles_from_base(self, dx: float, dy: float) -> tuple[float, float] | None:
         l1, l2 = self.palm1_length, self.palm2_length

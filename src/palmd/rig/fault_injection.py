@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 import numpy as np
 
-PortName = Literal["pad1", "pad2", "arm"]
-PORTS: tuple[PortName, ...] = get_args(PortName)
-PADS: tuple[PortName, ...] = ("pad1", "pad2")
+from palmd.system.mechanism import PALMS
+
+PortName = str
+"""`arm`, or `pad` and the number of its palm."""
+PADS: tuple[PortName, ...] = tuple(f"pad{palm}" for palm in PALMS)
 ARM: tuple[PortName, ...] = ("arm",)
+PORTS: tuple[PortName, ...] = PADS + ARM
 
 
 @dataclass(frozen=True, slots=True)

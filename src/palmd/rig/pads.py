@@ -22,6 +22,7 @@ from palmd.devices.versapad import (
     PressureFormat,
     encode_packet,
 )
+from palmd.system.mechanism import PALMS
 
 PACKET_S = 0.00625  # at 9600 baud; a faster line does not make the pad measure faster
 BAND_WEIGHTS = (0.64, 0.20, 0.16)  # with the jitter cut off below one packet time, mean 10.0 and s.d. 4.7 ms
@@ -56,14 +57,14 @@ class Press:
     across: float = 0.0
 
 
-def versapads(config: Config) -> tuple[VersaPadConfig, VersaPadConfig]:
-    """Both pads of a configuration; ValueError for one of a kind that is not emulated here."""
+def versapads(config: Config) -> tuple[VersaPadConfig, ...]:
+    """The pads of a configuration; ValueError for one of a kind that is not emulated here."""
     pads: list[VersaPadConfig] = []
-    for name, pad in (("palm1", config.pads.palm1), ("palm2", config.pads.palm2)):
+    for palm, pad in zip(PALMS, config.pads.each(), strict=True):
         if not isinstance(pad, VersaPadConfig):
-            raise ValueError(f"pads.{name}.kind: the emulated rig has pads of kind versapad only, not {pad.kind}")
+            raise ValueError(f"pads.palm{palm}.kind: the emulated rig has pads of kind versapad only, not {pad.kind}")
         pads.append(pad)
-    return pads[0], pads[1]
+    return tuple(pads)
 
 
 class PadEmulator:

@@ -19,10 +19,11 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from palmd.events import HingeMode, PalmMotion
+from palmd.events import PalmMotion
 from palmd.rig.shapes import Body, Kind
+from palmd.system.description import HingeMode
 
-PadPair = tuple[float, float]
+PadPair = tuple[float, ...]
 FrictionLaw = Literal["dither", "coulomb"]
 
 PAD_LENGTH = 0.0555  # m, from the hinge outwards
@@ -144,8 +145,8 @@ def random_surface(kind: Kind, rng: np.random.Generator) -> FrictionSurface:
 
 def palm_frame(hinge: Hinge, palms: PalmMotion) -> PalmFrame:
     """Everything the equations need of the palms at one instant."""
-    phi1, w1, a1 = palms.phi1, palms.omega1, palms.alpha1
-    phi12 = phi1 + palms.phi2
+    (phi1, phi2), (w1, w2), (a1, a2) = palms.angles, palms.rates, palms.accelerations
+    phi12 = phi1 + phi2
     c1, s1 = math.cos(phi1), math.sin(phi1)
     ox, oy = hinge.base
     vox = voy = aox = aoy = 0.0
@@ -157,7 +158,7 @@ def palm_frame(hinge: Hinge, palms: PalmMotion) -> PalmFrame:
         aox, aoy = length * (a1 * s1 + w1 * w1 * c1), length * (w1 * w1 * s1 - a1 * c1)
     return PalmFrame(
         c1, s1, math.cos(phi12), math.sin(phi12), phi1 - 0.5 * math.pi, phi12 + 0.5 * math.pi,
-        w1, w1 + palms.omega2, a1, a1 + palms.alpha2, ox, oy, vox, voy, aox, aoy,
+        w1, w1 + w2, a1, a1 + a2, ox, oy, vox, voy, aox, aoy,
     )  # fmt: skip
 
 
@@ -189,7 +190,7 @@ class Plant:
         self.fallen = True
         self.state = BodyState(0.0, 0.0, 0.0)
         self._on1 = self._on2 = False
-        self._frame = palm_frame(self.hinge, PalmMotion(0.8, 1.6))
+        self._frame = palm_frame(self.hinge, PalmMotion.at_rest((0.8, 1.6)))
         self._rates: _Rates = (0.0, 0.0, 0.0, 0.0, 0.0)
 
     # -- placing and looking ------------------------------------------------------------------------------

@@ -29,7 +29,7 @@ _Phase = Literal["away", "held", "rolling", "lying"]
 class Roller:
     """Rolls without slipping as long as the palms stand still; as soon as they move, the hand has it."""
 
-    def __init__(self, kind: RollerKind, gravity: float, reach: tuple[float, float], rng: np.random.Generator) -> None:
+    def __init__(self, kind: RollerKind, gravity: float, reach: tuple[float, ...], rng: np.random.Generator) -> None:
         """`gravity` in m/s² along −Y, `reach` the pads' lengths (m); the same generator, the same hand."""
         self._inertia = 1.0 + KINDS[kind]
         self._gravity, self._reach, self._rng = gravity, reach, rng
@@ -41,7 +41,7 @@ class Roller:
 
     def advance(self, t: float, palms: PalmMotion) -> None:
         """Live on to t (s) with the palms as they are then."""
-        if abs(palms.omega1) + abs(palms.omega2) > _RESTING_RAD_S:
+        if sum(map(abs, palms.rates)) > _RESTING_RAD_S:
             self._begin("away", t, _AWAY_S)
         elif self._phase == "rolling":
             self._roll(t, palms)
@@ -91,8 +91,8 @@ class Roller:
             return [], []
         weight = _MASS_KG * self._gravity
         if self._phase == "lying":
-            s, sin_phi2 = _wedge(palms), math.sin(palms.phi2)
-            forces = (math.sin(palms.phi1 + palms.phi2), math.sin(palms.phi1))
+            s, sin_phi2 = _wedge(palms), math.sin(palms.angles[1])
+            forces = (math.sin(sum(palms.angles)), math.sin(palms.angles[0]))
             first, second = ([Press(s, weight * force / sin_phi2)] for force in forces)
             return first, second
         finger = _FINGER_N if self._phase == "held" else 0.0
@@ -102,9 +102,10 @@ class Roller:
 
 def _slopes(palms: PalmMotion) -> tuple[float, float]:
     """How steeply each palm falls towards the hinge (rad)."""
-    return palms.phi1, math.pi - palms.phi1 - palms.phi2
+    first, opening = palms.angles
+    return first, math.pi - first - opening
 
 
 def _wedge(palms: PalmMotion) -> float:
     """How far from the hinge it touches both palms (m)."""
-    return _RADIUS_M / math.tan(0.5 * palms.phi2)
+    return _RADIUS_M / math.tan(0.5 * palms.angles[1])

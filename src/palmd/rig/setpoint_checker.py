@@ -38,13 +38,9 @@ class SetPointChecker:
             self.outside_limits += 1
             self._last = None
             return
-        phi1, phi2 = angles
-        self.outside_limits += not (
-            _within(phi1, self.limits.phi1_deg)
-            and _within(phi2, self.limits.phi2_deg)
-            and phi1 + phi2 < _MOST_PHI12 + _TOLERANCE
-        )
-        tool_error = abs(turn(pose.t_rad - (phi1 + phi2 - self.linkage.yaw)))
+        inside = all(map(_within, angles, self.limits.angles_deg))
+        self.outside_limits += not (inside and sum(angles) < _MOST_PHI12 + _TOLERANCE)
+        tool_error = abs(turn(pose.t_rad - (sum(angles) - self.linkage.yaw)))
         self.largest_tool_error_rad = max(self.largest_tool_error_rad, tool_error)
         if self._last is not None and t - self._last[0] < _SEPARATE_S:
             t_last, before = self._last

@@ -36,6 +36,7 @@ from palmd.rig.plant import (
     stable_poses,
 )
 from palmd.rig.shapes import KINDS, Body, Kind, random_body
+from palmd.system.mechanism import JOINTS, PALMS
 
 Line = dict[str, Any]
 
@@ -49,7 +50,7 @@ _BAND_JITTER_S = 0.002
 _PAD_NOISE_M, _PAD_RESOLUTION_M = 1e-4, 1.27e-4
 _FORCE_SCALE_STD, _FORCE_RESOLUTION_N = 0.05, 0.02
 _PALM_NOISE_RAD = 2e-4
-_ANGLE_COLUMNS = ("phi1_rad", "phi2_rad")
+_ANGLE_COLUMNS = tuple(f"{joint}_rad" for joint in JOINTS)
 _COLUMNS = ("t", "psi_rad", "omega0_rad_s", "r1_m", "r2_m", "s1_m", "s2_m", *_ANGLE_COLUMNS, "f1_n", "f2_n")
 _PAD_MARGIN_M = 3e-3
 _TURNED_RAD = 0.3
@@ -118,7 +119,7 @@ class Rocking:
         """Angles, rates, accelerations of both palms at t (s)."""
         phi1, omega1, alpha1 = self.palm1.at(t)
         phi2, omega2, alpha2 = self.palm2.at(t)
-        return PalmMotion(phi1, phi2, omega1, omega2, alpha1, alpha2)
+        return PalmMotion((phi1, phi2), (omega1, omega2), (alpha1, alpha2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +197,7 @@ def _run(
         if any(begin <= t < end for begin, end in absences):
             away = True
             nothing = [math.nan] * 5
-            rows.append((t, plant.state.psi, *nothing, palms.phi1, palms.phi2, math.nan, math.nan))
+            rows.append((t, plant.state.psi, *nothing, *palms.angles, math.nan, math.nan))
             palms = rocking.at(t + STEP_S - lag)
             continue
         if away:
@@ -209,8 +210,8 @@ def _run(
             return None
         r1, r2 = plant.radii()
         q = plant.state
-        angles, forces = (palms.phi1, palms.phi2), (contact1.force, contact2.force)
-        rows.append((t, q.psi, q.omega0, r1, r2, contact1.s, contact2.s, *angles, *forces))
+        forces = (contact1.force, contact2.force)
+        rows.append((t, q.psi, q.omega0, r1, r2, contact1.s, contact2.s, *palms.angles, *forces))
         middle = rocking.at(t + 0.5 * STEP_S - lag)
         palms = rocking.at(t + STEP_S - lag)
         plant.advance(middle, palms, STEP_S)
@@ -237,7 +238,7 @@ def _log_lines(
     yield {"palmd_log": 1, "rig": rig}
     duration = float(history[-1, 0])
     events = list(_palm_lines(scene, history, rng))
-    for number in (1, 2):
+    for number in PALMS:
         times = _sample_times(scene.kind, duration, rng)
         events += _pad_lines(number, times, history, options, rng)
     yield from sorted(events, key=lambda line: float(line["t"]))
@@ -248,15 +249,12 @@ def _palm_lines(scene: SimulatedRun, history: FloatArray, rng: np.random.Generat
     for i in range(int(history[-1, 0] / _ARM_PERIOD_S)):
         t = i * _ARM_PERIOD_S
         plan = scene.rocking.at(t)
-        phi1, phi2 = (float(np.interp(t, history[:, 0], history[:, column])) for column in (7, 8))
+        angles = [float(np.interp(t, history[:, 0], history[:, column])) for column in (7, 8)]
         noise = rng.normal(0.0, _PALM_NOISE_RAD, 2)
         palms = {
-            "phi1_rad": round(phi1 + float(noise[0]), 7),
-            "phi2_rad": round(phi2 + float(noise[1]), 7),
-            "omega1_rad_s": round(plan.omega1, 7),
-            "omega2_rad_s": round(plan.omega2, 7),
-            "alpha1_rad_s2": round(plan.alpha1, 7),
-            "alpha2_rad_s2": round(plan.alpha2, 7),
+            **{name: round(phi + float(off), 7) for name, phi, off in zip(_ANGLE_COLUMNS, angles, noise, strict=True)},
+            **{f"omega{palm}_rad_s": round(omega, 7) for palm, omega in zip(PALMS, plan.rates, strict=True)},
+            **{f"alpha{palm}_rad_s2": round(alpha, 7) for palm, alpha in zip(PALMS, plan.accelerations, strict=True)},
         }
         yield {"t": round(t, 6), "palms": palms}
 

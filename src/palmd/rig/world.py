@@ -7,6 +7,7 @@ process with the daemon's pure step. The same seed and the same bytes in give th
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Collection
 from typing import Any
@@ -16,7 +17,7 @@ import numpy as np
 from palmd.config import AdeptConfig, Config, PadsConfig, RigConfig, VersaPadConfig
 from palmd.devices.actuator import ArmState, Pose
 from palmd.devices.armlink import CONTROLLER_NEWLINE
-from palmd.events import PalmMotion
+from palmd.events import Joints, PalmMotion
 from palmd.rig.arm import Linkage, Servo, turn
 from palmd.rig.controller import BREAK_RECEIVED, CYCLE_S, ArmLimits, Controller
 from palmd.rig.fault_injection import PADS, PORTS, FaultOrder, PortName, Switchboard
@@ -29,6 +30,7 @@ from palmd.rig.roller import Roller, RollerKind
 from palmd.rig.setpoint_checker import SetPointChecker
 from palmd.rig.shapes import Body, Kind, random_body
 from palmd.rig.tally import HostLines, Said
+from palmd.system.mechanism import JOINT_RATES, JOINTS, PALMS
 
 STEP_S = 5e-4
 _STEPS_PER_CYCLE = round(CYCLE_S / STEP_S)
@@ -47,12 +49,16 @@ _IDENTITY_S = 0.5
 
 def default_config() -> Config:
     """The contract's defaults, for a rig started without a configuration, and exactly as described."""
-    pad1, pad2 = (
-        VersaPadConfig(port=port, zero_sd_mm=0, scale_sd=0, standoff_sd_mm=0, sagitta_sd_mm=0, lag_sd_ms=0)
-        for port in ("pad1", "pad2")
+    constants = ("zero_sd_mm", "scale_sd", "standoff_sd_mm", "sagitta_sd_mm", "lag_sd_ms", "force_sd_mm_per_n")
+    known: dict[str, Any] = dict.fromkeys(constants, 0)
+    pads = PadsConfig(
+        **{f"palm{palm}": VersaPadConfig(port=pad, **known) for palm, pad in zip(PALMS, PADS, strict=True)}
     )
-    pads = PadsConfig(palm1=pad1, palm2=pad2)
-    return Config(rig=RigConfig(angle_sd_deg=0.0, gravity_sd_deg=0.0), pads=pads, arm=AdeptConfig(port="arm"))
+    return Config(
+        rig=RigConfig(angle_sd_deg=0.0, gravity_sd_deg=0.0, friction_asymmetry_sd=0.0),
+        pads=pads,
+        arm=AdeptConfig(port="arm"),
+    )
 
 
 class World:
@@ -93,8 +99,7 @@ class World:
         self._servos = [Servo(r, lag) for r in (home.x_m, home.y_m, home.t_rad)]
         self._next_cycle = int(self._rng.integers(_STEPS_PER_CYCLE))
         self._palms = self._palms_at(t)
-        pad1, pad2 = versapads(config)
-        self._pad_configs: dict[PortName, VersaPadConfig] = {"pad1": pad1, "pad2": pad2}
+        self._pad_configs: dict[PortName, VersaPadConfig] = dict(zip(PADS, versapads(config), strict=True))
         self._pads: dict[PortName, PadEmulator] = {
             name: PadEmulator(pad, pad_options, self._pad_error(number), self._rng, t)
             for number, (name, pad) in enumerate(self._pad_configs.items(), 1)
@@ -106,7 +111,8 @@ class World:
         }
         self._roller = roller and Roller(roller, config.rig.gravity_m_s2, self._reach(), np.random.default_rng(seed))
         self._hand = Hand(config.limits, self._home) if by_hand else None
-        self.bauds: dict[PortName, int] = {"pad1": pad1.baud, "pad2": pad2.baud, "arm": config.arm.baud}
+        self.bauds: dict[PortName, int] = {name: pad.baud for name, pad in self._pad_configs.items()}
+        self.bauds["arm"] = config.arm.baud
         self._out: dict[PortName, Wire] = {port: Wire(self.bauds[port]) for port in PORTS}
         self._in = Wire(config.arm.baud)
         self._said: dict[PortName, Said] = {port: Said() for port in PORTS}
@@ -162,25 +168,18 @@ class World:
     def truth(self) -> dict[str, Any]:
         """What is really there at `t`, as `rig/truth` tells it."""
         q, palms = self.plant.state, self._palms
-        contact1, contact2 = self.plant.contacts()
-        r1, r2 = self.plant.radii()
+        contacts = tuple(zip(PALMS, self.plant.contacts(), strict=True))
         return {
             "psi_rad": q.psi,
             "omega0_rad_s": q.omega0,
-            "r1_m": r1,
-            "r2_m": r2,
-            "s1_m": contact1.s,
-            "s2_m": contact2.s,
-            "phi1_rad": palms.phi1,
-            "phi2_rad": palms.phi2,
-            "omega1_rad_s": palms.omega1,
-            "omega2_rad_s": palms.omega2,
+            **{f"r{palm}_m": r for palm, r in zip(PALMS, self.plant.radii(), strict=True)},
+            **{f"s{palm}_m": contact.s for palm, contact in contacts},
+            **{f"{joint}_rad": angle for joint, angle in zip(JOINTS, palms.angles, strict=True)},
+            **{f"{joint}_rad_s": rate for joint, rate in zip(JOINT_RATES, palms.rates, strict=True)},
             "com_x_m": q.x,
             "com_y_m": q.y,
-            "f1_n": contact1.force,
-            "f2_n": contact2.force,
-            "contact1": contact1.touching,
-            "contact2": contact2.touching,
+            **{f"f{palm}_n": contact.force for palm, contact in contacts},
+            **{f"contact{palm}": contact.touching for palm, contact in contacts},
             "object": self.objects,
             "arm_state": str(self._controller.state),
         }
@@ -216,8 +215,7 @@ class World:
             "falls": self.falls,
             "jams": self.jams,
             "mischief": self.mischief.names(),
-            "pad1_packets": self._pads["pad1"].packets,
-            "pad2_packets": self._pads["pad2"].packets,
+            **{f"{name}_packets": pad.packets for name, pad in self._pads.items()},
             "crc_errors": self._controller.reader.counters.crc_errors,
             **{f"{port}_{what}": n for port, said in self._said.items() for what, n in said.as_dict().items()},
             **{f"{port}_bytes_waiting": wire.waiting for port, wire in self._out.items()},
@@ -298,7 +296,7 @@ class World:
         palms = self._linkage.motion(x, y)
         if palms is None:  # the linkage is at its stop: the palms stay where they were
             self.jams += 1
-            return PalmMotion(self._palms.phi1, self._palms.phi2)
+            return PalmMotion.at_rest(self._palms.angles)
         return palms
 
     # -- the body and the hands that move it --------------------------------------------------------------
@@ -316,9 +314,8 @@ class World:
         )
         self.objects += 1
 
-    def _reach(self) -> tuple[float, float]:
-        pads = self.config.pads
-        return pads.palm1.length_mm * 1e-3, pads.palm2.length_mm * 1e-3
+    def _reach(self) -> tuple[float, ...]:
+        return tuple(pad.length_mm * 1e-3 for pad in self.config.pads.each())
 
     def _put_on_palms(self) -> None:
         """Puts the body in one of its stable poses on the pads; where there is none, tries again later."""
@@ -340,9 +337,9 @@ class World:
         self._t_place = self.t + _AWAY_S
 
     def _note_contacts(self, was_on: bool) -> None:
-        contact1, contact2 = self.plant.touching
-        self.contact_losses += (self._touching[0] and not contact1) + (self._touching[1] and not contact2)
-        self._touching = (contact1, contact2)
+        touching = self.plant.touching
+        self.contact_losses += sum(was and not now for was, now in zip(self._touching, touching, strict=True))
+        self._touching = touching
         self.falls += was_on and self.plant.fallen
 
     def _presses(self, name: PortName) -> list[Press]:
@@ -365,9 +362,7 @@ class World:
             case "power_off", True:
                 controller.switch_power_off()
             case "manual", True:
-                controller.switch_to_manual(
-                    self._linkage.pose(*_jogged(self._palms.phi1, self._palms.phi2, self._home))
-                )
+                controller.switch_to_manual(self._linkage.pose(*_jogged(self._palms.angles, self._home)))
             case (("estop" | "power_off" | "manual"), False):
                 controller.make_ready()
             case "break", True:
@@ -391,10 +386,9 @@ def arm_limits(config: Config) -> ArmLimits:
     """
     linkage, limits = Linkage.from_config(config), config.limits
     poses = [
-        linkage.pose(math.radians(phi1), math.radians(phi2))
-        for phi1 in np.linspace(*limits.phi1_deg, 40)
-        for phi2 in np.linspace(*limits.phi2_deg, 40)
-        if phi1 + phi2 < _MOST_PHI12_DEG
+        linkage.pose(*map(math.radians, angles))
+        for angles in itertools.product(*(np.linspace(low, high, 40).tolist() for low, high in limits.angles_deg))
+        if sum(angles) < _MOST_PHI12_DEG
     ]
     xs, ys = [p.x_m for p in poses], [p.y_m for p in poses]
     omega, alpha = math.radians(limits.rate_deg_s), math.radians(limits.acceleration_deg_s2)
@@ -409,17 +403,16 @@ def arm_limits(config: Config) -> ArmLimits:
     )
 
 
-def _jogged(phi1: float, phi2: float, home: tuple[float, float]) -> tuple[float, float]:
+def _jogged(angles: Joints, home: Joints) -> Joints:
     """Where an operator jogs the palms to (rad): a little nearer to home, or off it; so never out of the limits."""
-    way = (home[0] - phi1, home[1] - phi2)
+    way = [goal - angle for goal, angle in zip(home, angles, strict=True)]
     far, step = max(map(abs, way)), math.radians(_JOG_DEG)
     if far < step:
-        return phi1 + step, phi2
-    return phi1 + step / far * way[0], phi2 + step / far * way[1]
+        return (angles[0] + step, *angles[1:])
+    return tuple(angle + step / far * each for angle, each in zip(angles, way, strict=True))
 
 
-def _home(config: Config) -> tuple[float, float]:
+def _home(config: Config) -> Joints:
     """Where the arm stands before anybody has commanded it (rad): as near to 45°, 90° as the limits allow."""
-    ranges = (config.limits.phi1_deg, config.limits.phi2_deg)
-    phi1, phi2 = (min(max(home, low), high) for home, (low, high) in zip(_HOME_DEG, ranges, strict=True))
-    return math.radians(phi1), math.radians(phi2)
+    each = zip(_HOME_DEG, config.limits.angles_deg, strict=True)
+    return tuple(math.radians(min(max(home, low), high)) for home, (low, high) in each)

@@ -37,7 +37,7 @@ def recording(tmp_path_factory):
     """A recorded run with contacts and outlines besides what `recorded` has."""
     file, _ = recorded.begun(tmp_path_factory.mktemp("runs"))
     for i in range(3):
-        contact = contact_fields(PadView(s=0.01 * i), PadView(touch=True), 0.02)
+        contact = contact_fields((PadView(s=0.01 * i), PadView(touch=True)), 0.02)
         file.write(recorded.message(CONTACT.name, contact, i, 0.01 * i))
         shape = {"theta_rad": np.radians(np.arange(0, 360, 2)).tolist(), "h_sd_m": [1e-4] * 180, "touched": [0, 1] * 90}
         file.write(recorded.message(SHAPE.name, shape | {"h_m": [0.01 * (i + 1)] * 180}, i, 0.01 * i))
@@ -159,7 +159,7 @@ def test_a_recorded_run_gives_topics_as_tables(recording):
     assert run.contacts["touch2"].tolist() == [True] * 3
     np.testing.assert_allclose(run.contacts["t_s"], [0.0, 0.01, 0.02])
     assert run.table("rig/truth")["psi_rad"].shape == (5,)
-    assert run.rig.pad_length == 0.0555
+    assert [pad.length for pad in run.rig.pads] == [0.0555, 0.0555]
     with pytest.raises(palmd.PalmdError, match=f"holds no {ESTIMATE.name}; there are .*{CONTACT.name}"):
         run.estimates  # noqa: B018
 

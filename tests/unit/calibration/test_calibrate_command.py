@@ -286,11 +286,11 @@ def test_its_help_names_the_calibrations(capsys):
     assert all(f"{name} {each.help}" in told for name, each in below("calibrate").items())
 
 
-def test_the_worse_pad_s_noise_is_the_observer_s(configured):
+def test_each_pad_s_noise_is_the_observer_s(configured):
     config = load_config(configured())
-    assert rig_description(config).pad_noise == 1e-4
+    assert [pad.noise for pad in rig_description(config).pads] == [1e-4, 1e-4]
     pads = {
         name: pad.model_copy(update={"noise_mm": mm}) for (name, pad), mm in zip(config.pads, (0.2, 0.3), strict=True)
     }
-    worse = config.model_copy(update={"pads": config.pads.model_copy(update=pads)})
-    assert rig_description(worse).pad_noise == pytest.approx(3e-4)
+    differing = config.model_copy(update={"pads": config.pads.model_copy(update=pads)})
+    assert [pad.noise for pad in rig_description(differing).pads] == pytest.approx([2e-4, 3e-4])

@@ -105,7 +105,7 @@ class Daemon:
         phi1, phi2 = self.poses[-1]
         palm = 1 if phi1 < 40.0 else 2
         felt, self._t = rolled(self._rng, palm, phi1, phi2, G, YAW_ERROR, self._t)
-        return [PalmSample(self._t, math.radians(phi1), math.radians(phi2)), *felt]
+        return [PalmSample(self._t, (math.radians(phi1), math.radians(phi2))), *felt]
 
 
 @contextmanager
@@ -173,7 +173,7 @@ def test_all_slopes_are_checked_before_the_first_is_gone_to(path, capsys):
     slow = config.limits.model_copy(update={"rate_deg_s": 1.0, "acceleration_deg_s2": 1.0})
     slow_limits = motion_limits(config.model_copy(update={"limits": slow}))
     ends = compile_plan(daemon.plans[0], slow_limits).rounds[0].segments
-    assert [round(math.degrees(each.at(each.duration).phi1)) for each in ends] == [8, 26, 41, 59]
+    assert [round(math.degrees(each.at(each.duration).angles[0])) for each in ends] == [8, 26, 41, 59]
 
 
 def test_taken_over_the_palms_base_stays_for_the_arm_and_the_hash_is_the_sections(path):

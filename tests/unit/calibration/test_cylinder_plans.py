@@ -25,14 +25,14 @@ def motion(plan, limits):
 @pytest.mark.parametrize("radius_mm", [16.0, 20.0, 25.0, 30.0])
 def test_the_contacts_go_slowly_over_the_pads_both_ways(radius_mm, limits):
     poses = motion(turning_plan(radius_mm * 1e-3, limits), limits)
-    s = contact_m(radius_mm * 1e-3, np.array([pose.phi2 for pose in poses]))
+    s = contact_m(radius_mm * 1e-3, np.array([pose.angles[1] for pose in poses]))
     assert s.min() > PAD_MARGIN_M - 1e-4
     assert s.max() < limits.pad_length - PAD_MARGIN_M + 1e-4
     assert np.ptp(s) > 0.010
-    assert max(max(abs(pose.omega1), abs(pose.omega2)) for pose in poses) < 1.001 * SLOW_RAD_S
-    opening = [pose.omega2 for pose in poses]
+    assert max(max(map(abs, pose.rates)) for pose in poses) < 1.001 * SLOW_RAD_S
+    opening = [pose.rates[1] for pose in poses]
     assert min(opening) < -0.05 < 0.05 < max(opening)
-    least = min(min(share(math.degrees(pose.phi1), math.degrees(pose.phi2))) for pose in poses[::50])
+    least = min(min(share(math.degrees(pose.angles[0]), math.degrees(pose.angles[1]))) for pose in poses[::50])
     assert least > 0.1, "both palms bear something of the weight"
 
 

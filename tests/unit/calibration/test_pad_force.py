@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -48,13 +49,13 @@ def rested(rounds=2, *, held=lambda _: 0.0, offset_n=(0.0, 0.0), creep=0.0, chan
         forces = balanced(phi1_deg, phi2_deg, held(rng) * WEIGHT_N * min(share(phi1_deg, phi2_deg)))
         angles = (math.radians(phi1_deg), math.radians(phi2_deg))
         for k in range(100):
-            events.append(PalmSample(t + 0.01 * k, *angles, 0.0, 0.0, 0.0, 0.0))
+            events.append(PalmSample(t + 0.01 * k, angles, (0.0, 0.0), (0.0, 0.0)))
             for pad, true in enumerate(TRUE, 1):
                 pressed = max(forces[pad - 1] - offset_n[pad - 1], 0.0)
                 counts = round(gains[pad - 1] * pressed / true.newtons_per_count)
                 events.append(PadSample(t + 0.01 * k, pad, 0.028, counts * FINE[0].newtons_per_count))
         for k in range(10):  # on the way to the next
-            events.append(PalmSample(t + 1.0 + 0.01 * k, *angles, 0.3, 0.0, 0.0, 0.0))
+            events.append(PalmSample(t + 1.0 + 0.01 * k, angles, (0.3, 0.0), (0.0, 0.0)))
             events += [PadSample(t + 1.0 + 0.01 * k, pad, 0.028, FINE[0].newtons_per_count) for pad in (1, 2)]
         t += 1.5
     return pad_forces(change(events), FINE, WEIGHT_N, rests)
@@ -74,8 +75,8 @@ def test_the_frictionless_forces_balance_the_weight():
 def test_without_friction_the_gains_are_exact():
     found = rested()
     assert np.abs(gain_errors(found, TRUE)).max() < 2e-4
-    assert (found.friction, found.pad1.share_left, found.pad2.share_left) == pytest.approx((0, 0, 0), abs=1e-3)
-    assert (found.pad1.offset_n, found.pad2.offset_n) == pytest.approx((0, 0), abs=1e-3)
+    assert (found.friction, found.pads[0].share_left, found.pads[1].share_left) == pytest.approx((0, 0, 0), abs=1e-3)
+    assert (found.pads[0].offset_n, found.pads[1].offset_n) == pytest.approx((0, 0), abs=1e-3)
     assert (found.rests, found.rounds) == (64, 2)
 
 
@@ -86,12 +87,12 @@ def test_friction_that_nobody_knows_changes_nothing(held):
     found = rested(held=held)
     assert np.abs(gain_errors(found, TRUE)).max() < 5e-4
     assert found.friction > 0.1
-    assert min(found.pad1.share_left, found.pad2.share_left) > 0.1
+    assert min(found.pads[0].share_left, found.pads[1].share_left) > 0.1
 
 
 def test_the_creep_between_rounds_is_the_sd():
     found = rested(rounds=40, creep=0.03)
-    for pad, error in zip((found.pad1, found.pad2), gain_errors(found, TRUE), strict=True):
+    for pad, error in zip(found.pads, gain_errors(found, TRUE), strict=True):
         share_sd = pad.newtons_per_count_sd / pad.newtons_per_count
         assert share_sd == pytest.approx(1.25 * 0.03 / math.sqrt(40), rel=0.3)
         assert abs(error) < 4.0 * share_sd
@@ -99,8 +100,8 @@ def test_the_creep_between_rounds_is_the_sd():
 
 def test_a_pad_that_feels_nothing_of_the_first_newtons_is_told():
     found = rested(offset_n=(0.15, 0.0))
-    assert found.pad1.offset_n == pytest.approx(0.15, abs=2e-3)
-    assert found.pad2.offset_n == pytest.approx(0.0, abs=2e-3)
+    assert found.pads[0].offset_n == pytest.approx(0.15, abs=2e-3)
+    assert found.pads[1].offset_n == pytest.approx(0.0, abs=2e-3)
 
 
 def test_the_plant_s_weight_is_weighed_in_spite_of_its_friction_and_hysteresis():
@@ -110,7 +111,7 @@ def test_the_plant_s_weight_is_weighed_in_spite_of_its_friction_and_hysteresis()
         steady = PadOptions(force_drift=0.0)
         events = turned(plan, LIMITS, REAL, CONFIGURED, RADIUS_M, MASS_KG, seed, pad_options=steady)
         found = pad_forces(events, CONFIGURED, WEIGHT_N, rests)
-        assert found.pad1.saturated == found.pad2.saturated == 0
+        assert found.pads[0].saturated == found.pads[1].saturated == 0
         errors += gain_errors(found)
     assert np.abs(errors).max() < 0.005
     assert abs(np.mean(errors)) < 0.0025, "a hysteresis of 2 % is averaged"
@@ -137,7 +138,7 @@ def test_a_rest_at_full_scale_is_left_out():
         ]
 
     found = rested(rounds=3, change=saturate)
-    assert found.pad2.saturated == 600
+    assert found.pads[1].saturated == 600
     assert found.rests == 90
     assert np.abs(gain_errors(found, TRUE)).max() < 1e-3
 
@@ -152,9 +153,7 @@ def test_too_few_rests_are_refused():
 def test_palms_that_did_not_tip_are_refused():
     def upright(events):
         return [
-            PalmSample(each.t_sample, math.radians(45.0), math.radians(90.0), *[each.omega1] * 4)
-            if isinstance(each, PalmSample)
-            else each
+            replace(each, angles=(math.radians(45.0), math.radians(90.0))) if isinstance(each, PalmSample) else each
             for each in events
         ]
 

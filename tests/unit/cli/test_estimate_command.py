@@ -11,11 +11,12 @@ from silent_observer import SilentObserver
 
 from palmd import observer
 from palmd.cli import main
-from palmd.events import Estimate, PadSample, RigDescription, ShapeEstimate
+from palmd.events import Estimate, PadSample, ShapeEstimate
 from palmd.quantities import ESTIMATE, SHAPE, STAMP
 from palmd.record.eventlog import EventLog, read_log
 from palmd.record.replay import lines, replay, tick_count
 from palmd.rig.simulate import simulate_log
+from palmd.system.description import RigDescription
 
 SECONDS = 3.0
 

@@ -16,6 +16,7 @@ from palmd.observer.outline import directions
 from palmd.observer.reconstruct import Reconstruction
 from palmd.record.result import as_line
 from palmd.rig.simulate import simulate_log
+from palmd.system.description import PadSensor
 
 SECONDS = 2.5
 FIELDS = {
@@ -36,7 +37,7 @@ def answer(**changes):
 
 
 def unweighed():
-    return MassEstimator(0.05, 0.02)
+    return MassEstimator((PadSensor(), PadSensor()))
 
 
 def nothing():

@@ -38,8 +38,8 @@ def estimate(**changes):
 MESSAGES = {
     ESTIMATE: estimate(),
     STATE: state_fields("hold", [TABLE["pad1-lifted"], TABLE["no-realtime"]]),
-    CONTACT: contact_fields(PadView(0.021, 45, 0.006, True), PadView(age=3.0, batch=True), 0.011),
-    MOTION: motion_fields(PalmMotion(0.5, 1.5), PalmMotion(0.49, 1.51), "rock", 1, 0.34, "T"),
+    CONTACT: contact_fields((PadView(0.021, 45, 0.006, True), PadView(age=3.0, batch=True)), 0.011),
+    MOTION: motion_fields(PalmMotion.at_rest((0.5, 1.5)), PalmMotion.at_rest((0.49, 1.51)), "rock", 1, 0.34, "T"),
     LOOP: {"ticks": 1234, "overruns": 2, "lateness_p50_ms": 0.05, "work_p99_ms": 1.5, "rss_mb": 80.2, "backend": "c",
            "pad1_bytes": 9000, "pad1_bad_header": 3, "pad1_port_losses": 1, "pad2_bytes": 8000, "pad2_bad_header": 0},
     INFO: info_fields("0.1.0", "shape", default_config()),

@@ -421,7 +421,7 @@ def test_a_recorder_that_cannot_write_is_told_and_stops_nothing(running):
 
 def test_what_there_is_no_time_for_waits_for_the_next_tick_in_its_order(ready):
     core, fed = ready.core, ready.observer.events
-    samples = [PalmSample(ready.t + i * 1e-4, 0.8, 1.6) for i in range(7)]
+    samples = [PalmSample(ready.t + i * 1e-4, (0.8, 1.6)) for i in range(7)]
     core._events = samples[::-1]
     before = len(fed)
     counts = []
@@ -776,13 +776,13 @@ def test_the_plans_rates_come_with_the_palms_angles_allowing_for_the_lag(running
     assert 0.030 < running.core.arm.lag.lag_s < 0.060
     palms = [event for event in running.observer.events if isinstance(event, PalmSample)][-60:]
     for a, b, c in zip(palms, palms[1:], palms[2:], strict=False):
-        slope = (c.phi1 - a.phi1) / (c.t_sample - a.t_sample)
-        assert b.omega1 == pytest.approx(slope, abs=0.05)
+        slope = (c.angles[0] - a.angles[0]) / (c.t_sample - a.t_sample)
+        assert b.rates[0] == pytest.approx(slope, abs=0.05)
 
 
 def test_a_standing_arm_is_told_to_stand(ready):
     palms = [event for event in ready.observer.events if isinstance(event, PalmSample)]
-    assert (palms[-1].omega1, palms[-1].alpha2) == (0.0, 0.0)
+    assert (palms[-1].rates[0], palms[-1].accelerations[1]) == (0.0, 0.0)
 
 
 def test_counters_are_told_by_port(running):

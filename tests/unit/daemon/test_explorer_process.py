@@ -16,10 +16,10 @@ from palmd.config import ExploreGoal, LimitsConfig
 from palmd.daemon import worker
 from palmd.daemon.exploration_requests import Decider, ExplorationAnswer, ExplorationTask, Question
 from palmd.daemon.explorer_process import HIGH_WATER, ExplorerProcess
-from palmd.events import RigDescription
 from palmd.motion.explorer import UnderWay
 from palmd.motion.limits import MotionLimits
 from palmd.motion.segments import Move
+from palmd.system.description import RigDescription
 
 PATIENCE_S = 60.0
 FEW = HIGH_WATER // 2

@@ -38,7 +38,7 @@ CONFIG = Config(
     pads=PadsConfig(palm1=VersaPadConfig(port="a"), palm2=VersaPadConfig(port="b")), arm=AdeptConfig(port="c")
 )
 LIMITS = motion_limits(CONFIG)
-HERE = PalmMotion(math.radians(45.0), math.radians(90.0))
+HERE = PalmMotion.at_rest((math.radians(45.0), math.radians(90.0)))
 WAY = math.radians(10.0)
 
 Decide = Callable[[Question], Decision | None]
@@ -47,7 +47,7 @@ Decide = Callable[[Question], Decision | None]
 def onwards(question: Question) -> Decision:
     """To and fro between two poses, for ever."""
     start = question.under_way.move.end
-    step = WAY if start[0] < HERE.phi1 + 0.5 * WAY else -WAY
+    step = WAY if start[0] < HERE.angles[0] + 0.5 * WAY else -WAY
     return Decision("move", Move(start, (start[0] + step, start[1]), 0.8), "goes on", coverage=0.5, reachable=0.9)
 
 
@@ -95,13 +95,13 @@ class Stage:
         self.spec = PlanSpec.model_validate(
             {"name": "out", "segments": [{"explore": {"time_limit_s": time_limit_s, "coverage": 0.9}}]}
         )
-        self.setpoints.stand(HERE, self.geometry.arm_pose(HERE.phi1, HERE.phi2)[2], self.t)
+        self.setpoints.stand(HERE, self.geometry.arm_pose(HERE.angles)[2], self.t)
         self.start()
 
     def start(self) -> None:
         here = self.setpoints.commanded
         assert here is not None
-        self.setpoints.start(compile_plan(self.spec, LIMITS, (here.phi1, here.phi2)))
+        self.setpoints.start(compile_plan(self.spec, LIMITS, here.angles))
 
     @property
     def t(self) -> float:
@@ -133,12 +133,12 @@ class Stage:
 
 
 def moves(motion: PalmMotion) -> bool:
-    return motion.omega1 != 0.0 or motion.omega2 != 0.0
+    return motion.rates[0] != 0.0 or motion.rates[1] != 0.0
 
 
 def stands(stage: Stage, seconds: float = 0.3) -> bool:
     motions = list(stage.go(seconds))
-    return len({(motion.phi1, motion.phi2) for motion in motions}) == 1
+    return len({motion.angles for motion in motions}) == 1
 
 
 def test_it_goes_from_move_to_move_without_a_rest_and_never_jumps() -> None:
@@ -147,7 +147,7 @@ def test_it_goes_from_move_to_move_without_a_rest_and_never_jumps() -> None:
     resting = [not moves(motion) for motion in motions[round(0.4 / 0.016) :]]
     at_a_time = [len(list(run)) for rests, run in itertools.groupby(resting) if rests]
     assert max(at_a_time, default=0) <= 1  # the instant between two of them
-    rates = [abs(b.phi1 - a.phi1) / 0.016 for a, b in itertools.pairwise(motions)]
+    rates = [abs(b.angles[0] - a.angles[0]) / 0.016 for a, b in itertools.pairwise(motions)]
     assert 1.7 * WAY / 0.8 < max(rates) < 2.0 * WAY / 0.8
     assert stage.setpoints.interventions == 0
     assert stage.exploring.told() == {"coverage": 0.5, "reachable": 0.9, "reason": "goes on"}
@@ -214,7 +214,7 @@ def test_the_newest_decision_counts() -> None:
 
     stage.source.decide = wavering
     list(stage.go(0.5))
-    assert all(motion.phi2 == pytest.approx(HERE.phi2, abs=1e-9) for motion in stage.go(5.0))
+    assert all(motion.angles[1] == pytest.approx(HERE.angles[1], abs=1e-9) for motion in stage.go(5.0))
 
 
 def test_without_decisions_it_finishes_the_move_stands_and_says_so() -> None:
@@ -255,7 +255,7 @@ def test_a_decision_of_an_earlier_exploration_is_not_followed() -> None:
     list(stage.go(0.3))
     stage.source.decide = lambda _: None
     assert not stage.setpoints.moving
-    left = ExplorationAnswer(stage.t, 1, Move((HERE.phi1, HERE.phi2), (HERE.phi1, HERE.phi2), 0.0), 1, Decision("done"))
+    left = ExplorationAnswer(stage.t, 1, Move(HERE.angles, HERE.angles, 0.0), 1, Decision("done"))
     stage.start()
     stage.source.answers = [left]
     list(stage.go(0.4))
@@ -268,14 +268,14 @@ def test_an_unsafe_move_is_stopped_on_its_path_dropped_and_another_one_followed(
     list(stage.go(0.6))
     stage.source.decide = lambda _: Decision("unsafe", reason="it would slip")
     stood = stage.after(0.7)
-    assert HERE.phi1 + 0.05 * WAY < stood.phi1 < HERE.phi1 + 0.95 * WAY
+    assert HERE.angles[0] + 0.05 * WAY < stood.angles[0] < HERE.angles[0] + 0.95 * WAY
     assert stands(stage)
     assert stage.reason() == "it would slip"
     asked = stage.source.questions[-1].under_way.move
     assert (asked.start, asked.duration) == (asked.end, 0.0)
-    assert asked.end[0] == pytest.approx(stood.phi1)
+    assert asked.end[0] == pytest.approx(stood.angles[0])
     stage.source.decide = onwards
-    steps = [abs(b.phi1 - a.phi1) for a, b in itertools.pairwise([stood, *stage.go(1.0)])]
+    steps = [abs(b.angles[0] - a.angles[0]) for a, b in itertools.pairwise([stood, *stage.go(1.0)])]
     assert 0.0 < max(steps) < LIMITS.rate * 0.016
     assert moves(stage.motions[-1])
 
@@ -312,7 +312,7 @@ def test_done_ends_it_when_the_move_in_hand_is_over() -> None:
     assert not stage.setpoints.moving
     assert stage.setpoints.exploration is None
     assert not stage.setpoints.held
-    assert stage.motions[-1].phi1 == pytest.approx(HERE.phi1 + WAY)
+    assert stage.motions[-1].angles[0] == pytest.approx(HERE.angles[0] + WAY)
     assert stage.exploring.told() == {"coverage": 0.96, "reachable": 0.9, "reason": "all that can be reached"}
     stage.source.decide = onwards
     assert stands(stage)
@@ -347,7 +347,7 @@ def test_losing_the_estimate_for_a_moment_changes_nothing_for_longer_drops_the_m
     stage.valid = False
     stood = stage.after(LOST_S + 0.3)
     assert stands(stage)
-    assert stood.phi1 < 1.0
+    assert stood.angles[0] < 1.0
     assert "lost" in stage.reason()
     stage.valid = True
     assert moves(stage.after(0.5))
@@ -363,9 +363,9 @@ def test_a_blind_start_rocks_the_object_gently_until_there_is_an_estimate() -> N
     assert stands(stage, BLIND_S)
     list(stage.go(0.3))
     rocked = list(stage.go(6.0))
-    reach = max(abs(motion.phi1 - HERE.phi1) for motion in rocked)
+    reach = max(abs(motion.angles[0] - HERE.angles[0]) for motion in rocked)
     assert reach == pytest.approx(math.radians(6.0), abs=1e-3)
-    assert max(abs(motion.omega1) for motion in rocked) < 0.3 * LIMITS.rate
+    assert max(abs(motion.rates[0]) for motion in rocked) < 0.3 * LIMITS.rate
     assert sum(not moves(motion) for motion in rocked) < 0.1 * len(rocked)
     stage.valid = True
     list(stage.go(1.2))
@@ -393,13 +393,13 @@ def test_a_hold_drops_the_move_and_start_goes_on_from_there() -> None:
     stage.setpoints.resume()
     list(stage.go(0.4))
     begun = stage.source.questions[-1].under_way.move
-    assert begun.start == pytest.approx((stood.phi1, stood.phi2))
+    assert begun.start == pytest.approx(stood.angles)
     assert moves(stage.after(0.3))
 
 
 def test_a_guide_without_a_process_answers_a_fixed_time_after_the_question() -> None:
     inline = InlineExplorer(Decider(rig_description(CONFIG)), latency_s=0.3)
-    here = (HERE.phi1, HERE.phi2)
+    here = HERE.angles
     task = ExplorationTask(1, Stage().spec.segments[-1].explore, LIMITS)  # type: ignore[union-attr]
     first = Question(5.0, task, None, UnderWay(Move(here, here, 0.0), 9.0))
     inline.ask(first)

@@ -21,7 +21,7 @@ CONFIG = Config(
 )
 GEOMETRY = RigGeometry.from_config(CONFIG)
 LIMITS = motion_limits(CONFIG)
-HERE = PalmMotion(math.radians(45.0), math.radians(90.0))
+HERE = PalmMotion.at_rest((math.radians(45.0), math.radians(90.0)))
 
 
 def trajectory(phi1_deg=60.0, then_phi1_deg=None):
@@ -32,7 +32,7 @@ def trajectory(phi1_deg=60.0, then_phi1_deg=None):
 
 
 def tool_of(motion: PalmMotion) -> float:
-    return GEOMETRY.arm_pose(motion.phi1, motion.phi2)[2]
+    return GEOMETRY.arm_pose(motion.angles)[2]
 
 
 class Drive:
@@ -50,13 +50,13 @@ class Drive:
             self.t += CYCLE
             pose = self.setpoints.target(self.t)
             motion = self.setpoints.sent(self.t)
-            assert (pose.x_m, pose.y_m) == pytest.approx(GEOMETRY.arm_pose(motion.phi1, motion.phi2)[:2])
+            assert (pose.x_m, pose.y_m) == pytest.approx(GEOMETRY.arm_pose(motion.angles)[:2])
             sent.append(motion)
         return sent
 
 
 def test_stands_where_the_arm_is():
-    assert all(motion.phi1 == pytest.approx(HERE.phi1) for motion in Drive().go(0.2))
+    assert all(motion.angles[0] == pytest.approx(HERE.angles[0]) for motion in Drive().go(0.2))
 
 
 def test_runs_a_plan_to_its_end():
@@ -64,7 +64,7 @@ def test_runs_a_plan_to_its_end():
     drive.setpoints.start(trajectory())
     assert drive.setpoints.moving
     motions = drive.go(3.0)
-    assert math.degrees(motions[-1].phi1) == pytest.approx(60.0)
+    assert math.degrees(motions[-1].angles[0]) == pytest.approx(60.0)
     assert not drive.setpoints.moving
     assert drive.setpoints.interventions == 0
 
@@ -76,10 +76,10 @@ def test_hold_waits_and_resume_goes_on():
     drive.setpoints.hold()
     drive.go(0.3)
     a, *_, b = drive.go(0.2)
-    assert a.phi1 == b.phi1
+    assert a.angles[0] == b.angles[0]
     assert drive.setpoints.held
     drive.setpoints.resume()
-    assert math.degrees(drive.go(3.0)[-1].phi1) == pytest.approx(60.0)
+    assert math.degrees(drive.go(3.0)[-1].angles[0]) == pytest.approx(60.0)
 
 
 def test_a_freeze_ends_by_itself_but_not_under_a_hold():
@@ -89,15 +89,15 @@ def test_a_freeze_ends_by_itself_but_not_under_a_hold():
     drive.setpoints.freeze(True)
     drive.go(0.3)
     a, *_, b = drive.go(0.1)
-    assert a.phi1 == b.phi1
+    assert a.angles[0] == b.angles[0]
     drive.setpoints.hold()
     drive.setpoints.freeze(False)
-    assert drive.go(0.2)[-1].phi1 == b.phi1
+    assert drive.go(0.2)[-1].angles[0] == b.angles[0]
     drive.setpoints.freeze(True)
     drive.setpoints.resume()
-    assert drive.go(0.2)[-1].phi1 == b.phi1
+    assert drive.go(0.2)[-1].angles[0] == b.angles[0]
     drive.setpoints.freeze(False)
-    assert math.degrees(drive.go(3.0)[-1].phi1) == pytest.approx(60.0)
+    assert math.degrees(drive.go(3.0)[-1].angles[0]) == pytest.approx(60.0)
 
 
 def test_a_pause_holds_until_it_ends_and_not_longer_than_a_hold():
@@ -111,27 +111,27 @@ def test_a_pause_holds_until_it_ends_and_not_longer_than_a_hold():
     drive.setpoints.pause(False)
     assert drive.setpoints.held
     drive.setpoints.resume()
-    assert math.degrees(drive.go(3.0)[-1].phi1) == pytest.approx(60.0)
+    assert math.degrees(drive.go(3.0)[-1].angles[0]) == pytest.approx(60.0)
 
 
 def test_a_displaced_arm_walks_back_gently_and_then_goes_on():
     drive = Drive()
     drive.setpoints.start(trajectory())
     before = drive.go(0.5)[-1]
-    actual = PalmMotion(before.phi1 - math.radians(5.0), before.phi2 + math.radians(3.0))
+    actual = PalmMotion.at_rest((before.angles[0] - math.radians(5.0), before.angles[1] + math.radians(3.0)))
     drive.setpoints.displaced(actual, tool_of(actual))
     motions = [actual, *drive.go(0.1)]
-    steps = [b.phi1 - a.phi1 for a, b in itertools.pairwise(motions)]
+    steps = [b.angles[0] - a.angles[0] for a, b in itertools.pairwise(motions)]
     assert max(map(abs, steps)) <= 0.25 * LIMITS.rate * CYCLE * (1 + 1e-9)
-    assert drive.setpoints.commanded.phi1 > actual.phi1
-    assert math.degrees(drive.go(4.0)[-1].phi1) == pytest.approx(60.0)
+    assert drive.setpoints.commanded.angles[0] > actual.angles[0]
+    assert math.degrees(drive.go(4.0)[-1].angles[0]) == pytest.approx(60.0)
 
 
 def test_the_path_waits_for_a_displaced_arm():
     drive = Drive()
     drive.setpoints.start(trajectory(phi1_deg=45.0, then_phi1_deg=60.0))
     before = drive.go(1.4)[-1]
-    actual = PalmMotion(before.phi1, before.phi2 + math.radians(15.0))
+    actual = PalmMotion.at_rest((before.angles[0], before.angles[1] + math.radians(15.0)))
     drive.setpoints.displaced(actual, tool_of(actual))
     drive.go(0.2)
     waiting = drive.setpoints.place
@@ -157,22 +157,22 @@ def test_a_twisted_tool_is_turned_back_gently():
 
 def test_outside_the_limits_it_may_not_stand_and_its_noise_is_allowed_for():
     setpoints = SetPoints(GEOMETRY, LIMITS)
-    low = LIMITS.phi1[0]
+    low = LIMITS.angles[0][0]
     assert setpoints.may_stand(HERE) == []
-    assert setpoints.may_stand(PalmMotion(low - math.radians(0.02), HERE.phi2)) == []
-    (problem,) = setpoints.may_stand(PalmMotion(low - math.radians(0.1), HERE.phi2))
+    assert setpoints.may_stand(PalmMotion.at_rest((low - math.radians(0.02), HERE.angles[1]))) == []
+    (problem,) = setpoints.may_stand(PalmMotion.at_rest((low - math.radians(0.1), HERE.angles[1])))
     assert "phi1 falls to 5.9°" in problem
 
 
 def test_outside_the_arms_workspace_nothing_goes():
     drive = Drive()
-    x, y, _ = GEOMETRY.arm_pose(HERE.phi1, HERE.phi2)
+    x, y, _ = GEOMETRY.arm_pose(HERE.angles)
     drive.setpoints.leave()
     drive.setpoints.learn(Workspace(GEOMETRY, x - 0.005, x + 0.005, y - 0.005, y + 0.005, 2.0, 50.0))
     drive.setpoints.stand(HERE, tool_of(HERE), drive.t)
     drive.setpoints.start(trajectory(then_phi1_deg=60.0, phi1_deg=45.0))
     motions = drive.go(3.0)
-    xs = [GEOMETRY.arm_pose(motion.phi1, motion.phi2)[0] for motion in motions]
+    xs = [GEOMETRY.arm_pose(motion.angles)[0] for motion in motions]
     assert max(abs(each - x) for each in xs) <= 0.005
     assert drive.setpoints.violated
 
@@ -192,7 +192,7 @@ def test_after_leaving_there_is_no_target():
 def jogged(drive, steps, every=0.048, phi1_deg=0.5):
     motions = []
     for _ in range(steps):
-        drive.setpoints.jog(math.radians(phi1_deg), 0.0, drive.t)
+        drive.setpoints.jog((math.radians(phi1_deg), 0.0), drive.t)
         motions += drive.go(every)
     return motions
 
@@ -200,28 +200,28 @@ def jogged(drive, steps, every=0.048, phi1_deg=0.5):
 def test_jog_moves_while_the_steps_come_and_stops_soon_after():
     drive = Drive()
     motions = jogged(drive, 20)
-    went = motions[-1].phi1 - HERE.phi1
+    went = motions[-1].angles[0] - HERE.angles[0]
     assert math.degrees(went) > 5.0
     assert drive.setpoints.moving
     after = drive.go(DEAD_MAN_S + 0.2)
-    assert math.degrees(after[-1].phi1 - motions[-1].phi1) < 2.5
+    assert math.degrees(after[-1].angles[0] - motions[-1].angles[0]) < 2.5
     assert not drive.setpoints.moving
-    assert drive.go(0.5)[-1].phi1 == after[-1].phi1
+    assert drive.go(0.5)[-1].angles[0] == after[-1].angles[0]
 
 
 def test_jog_gives_up_its_goal_when_the_steps_cease():
     drive = Drive()
     for _ in range(8):
-        drive.setpoints.jog(math.radians(0.5), 0.0, drive.t)
+        drive.setpoints.jog((math.radians(0.5), 0.0), drive.t)
     drive.go(DEAD_MAN_S)
     assert drive.setpoints.moving
     rest = drive.go(0.15)[-1]
     assert not drive.setpoints.moving
-    assert math.degrees(rest.phi1 - HERE.phi1) < 1.9
+    assert math.degrees(rest.angles[0] - HERE.angles[0]) < 1.9
 
 
 def test_jog_is_gentle():
-    rates = [abs(motion.omega1) for motion in jogged(Drive(), 30)]
+    rates = [abs(motion.rates[0]) for motion in jogged(Drive(), 30)]
     assert math.degrees(max(rates)) <= 10.0 + 1e-9
     changes = [abs(b - a) for a, b in itertools.pairwise(rates)]
     assert math.degrees(max(changes)) <= 100.0 * CYCLE + 1e-9
@@ -229,19 +229,19 @@ def test_jog_is_gentle():
 
 def test_jog_reaches_its_goal_and_rests_there():
     drive = Drive()
-    drive.setpoints.jog(math.radians(0.3), math.radians(-0.1), drive.t)
+    drive.setpoints.jog((math.radians(0.3), math.radians(-0.1)), drive.t)
     drive.go(0.15)
-    drive.setpoints.jog(0.0, 0.0, drive.t)
+    drive.setpoints.jog((0.0, 0.0), drive.t)
     last = drive.go(0.19)[-1]
-    assert math.degrees(last.phi1 - HERE.phi1) == pytest.approx(0.3, abs=1e-6)
-    assert math.degrees(last.phi2 - HERE.phi2) == pytest.approx(-0.1, abs=1e-6)
+    assert math.degrees(last.angles[0] - HERE.angles[0]) == pytest.approx(0.3, abs=1e-6)
+    assert math.degrees(last.angles[1] - HERE.angles[1]) == pytest.approx(-0.1, abs=1e-6)
 
 
 def test_jog_never_leaves_the_limits():
-    drive = Drive(PalmMotion(math.radians(7.0), math.radians(90.0)))
+    drive = Drive(PalmMotion.at_rest((math.radians(7.0), math.radians(90.0))))
     with pytest.raises(MotionError, match="phi1 falls to"):
         jogged(drive, 20, phi1_deg=-0.5)
-    assert drive.go(1.0)[-1].phi1 >= LIMITS.phi1[0]
+    assert drive.go(1.0)[-1].angles[0] >= LIMITS.angles[0][0]
 
 
 BOX = Workspace(GEOMETRY, 0.20, 0.40, -0.07, 0.072, 1.0, 10.0)  # the way by (-39, -54) leaves it and comes back
@@ -251,9 +251,9 @@ def jogged_by(drive, way, *, whole):
     """Steps that add up to a way (rad), `whole` told with the first one or not; the last motion."""
     steps = 150
     for number in range(steps):
-        drive.setpoints.jog(way[0] / steps, way[1] / steps, drive.t, way if whole and number == 0 else None)
+        drive.setpoints.jog((way[0] / steps, way[1] / steps), drive.t, way if whole and number == 0 else None)
         drive.go(0.064)
-    drive.setpoints.jog(0.0, 0.0, drive.t)
+    drive.setpoints.jog((0.0, 0.0), drive.t)
     return drive.go(0.19)[-1]
 
 
@@ -270,7 +270,7 @@ def test_a_jog_is_refused_with_its_first_step_or_goes_all_the_way(workspace, way
         with pytest.raises(MotionError):  # and rightly so
             jogged_by(drive, way, whole=False)
     else:
-        assert (last.phi1, last.phi2) == pytest.approx((HERE.phi1 + way[0], HERE.phi2 + way[1]), abs=1e-6)
+        assert last.angles == pytest.approx((HERE.angles[0] + way[0], HERE.angles[1] + way[1]), abs=1e-6)
         assert drive.setpoints.interventions == 0
 
 
@@ -279,7 +279,7 @@ def test_jog_and_plan_keep_out_of_each_others_way():
     drive.setpoints.start(trajectory())
     drive.go(0.3)
     with pytest.raises(MotionError, match="hold it first"):
-        drive.setpoints.jog(0.001, 0.0, drive.t)
+        drive.setpoints.jog((0.001, 0.0), drive.t)
     drive.setpoints.hold()
     drive.go(0.5)
     jogged(drive, 3)
@@ -287,10 +287,10 @@ def test_jog_and_plan_keep_out_of_each_others_way():
         drive.setpoints.start(trajectory())
     drive.go(1.0)
     drive.setpoints.start(trajectory())
-    assert math.degrees(drive.go(4.0)[-1].phi1) == pytest.approx(60.0)
+    assert math.degrees(drive.go(4.0)[-1].angles[0]) == pytest.approx(60.0)
     assert drive.setpoints.interventions == 0
 
 
 def test_jog_needs_an_arm_that_follows():
     with pytest.raises(MotionError, match="does not follow"):
-        SetPoints(GEOMETRY, LIMITS).jog(0.001, 0.0, 0.0)
+        SetPoints(GEOMETRY, LIMITS).jog((0.001, 0.0), 0.0)

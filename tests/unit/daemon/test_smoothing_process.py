@@ -101,7 +101,7 @@ def test_it_ends_with_its_parent(tmp_path: Path) -> None:
         """
         import os, sys
         from palmd.daemon.smoothing import SmootherProcess
-        from palmd.events import RigDescription
+        from palmd.system.description import RigDescription
         process = SmootherProcess(RigDescription())
         print(process._process._process.pid, flush=True)
         os.kill(os.getpid(), 9)

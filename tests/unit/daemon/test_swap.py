@@ -23,7 +23,7 @@ def _watch(gains: tuple[float, float], swapped: bool, swing: float, seconds: flo
             felt.reverse()
         watch.feed(PadSample(t, 1, 0.02, felt[0]))
         watch.feed(PadSample(t, 2, 0.02, felt[1]))
-        watch.look(t, PalmMotion(phi1, phi2))
+        watch.look(t, PalmMotion.at_rest((phi1, phi2)))
     return watch
 
 
@@ -46,5 +46,5 @@ def test_readings_without_force_or_palms_are_ignored() -> None:
     for i in range(1000):
         watch.feed(PadSample(i * 0.01, 1, 0.02, None))
         watch.feed(PadSample(i * 0.01, 2, 0.02, 0.0))
-        watch.look(i * 0.01, None if i % 2 else PalmMotion(0.8, 1.6))
+        watch.look(i * 0.01, None if i % 2 else PalmMotion.at_rest((0.8, 1.6)))
     assert not watch.swapped

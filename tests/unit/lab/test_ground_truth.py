@@ -37,7 +37,7 @@ def arm(log):
 def exact(truth):
     """A reconstruction without errors."""
     t, psi, r1, r2, theta, h = (np.array(truth[name]) for name in ("t", "psi_rad", "r1_m", "r2_m", "theta_rad", "h_m"))
-    return Result(t, psi, r1, r2, theta, h, np.full(360, 1e-5), theta < 2.0)
+    return Result(t, psi, np.stack([r1, r2]), theta, h, np.full(360, 1e-5), theta < 2.0)
 
 
 def track_of(tmp_path, run, camera=CAMERA, keep=slice(None), without=(), seed=0):
@@ -191,7 +191,7 @@ def test_what_cannot_be_compared_is_refused_with_the_reason(tmp_path, run):
 def test_a_motion_that_repeats_itself_or_stands_still_tells_no_clock(swing, told):
     t = np.arange(0.0, 12.0, 0.01)
     ones = np.full(360, 0.02)
-    result = Result(t, swing * np.sin(4.0 * t), 0 * t, 0 * t, np.radians(np.arange(360)), ones, ones, ones > 0)
+    result = Result(t, swing * np.sin(4.0 * t), np.zeros((2, len(t))), np.radians(np.arange(360)), ones, ones, ones > 0)
     seen = np.arange(3.0, 9.0, 0.03)
     noise = np.random.default_rng(0).normal(0.0, 5e-3, len(seen))
     nothing = np.full((len(seen), 2), np.nan)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from palmd.cli import main
-from palmd.events import PalmMotion, RigDescription
+from palmd.events import PalmMotion
 from palmd.lab import codistributions, last_second, observability_maps
 from palmd.model.outputs import rig_inputs
 from palmd.model.paper import CASES, POINT, codistribution
@@ -19,6 +19,7 @@ from palmd.observer import prior
 from palmd.observer.observability import SAMPLE_S, Observability
 from palmd.rig.plant import FrictionSurface, Hinge, Plant, stable_poses
 from palmd.rig.shapes import random_body
+from palmd.system.description import RigDescription
 
 STEP_S = 5e-4
 
@@ -158,16 +159,16 @@ def _along_the_plant(omega1: float, omega2: float) -> float:
 
     def at(t: float) -> PalmMotion:
         phi1 = last_second.PHI1_RAD + omega1 * (t - 0.5)
-        return PalmMotion(phi1, last_second.PHI2_RAD + omega2 * (t - 0.5), omega1, omega2)
+        return PalmMotion((phi1, last_second.PHI2_RAD + omega2 * (t - 0.5)), (omega1, omega2), (0.0, 0.0))
 
     body = random_body("nominal", np.random.default_rng(1))
     body = body.turned(stable_poses(body, at(0.0))[0])
     plant = Plant(body, Hinge("fixed", base=(0.0, 0.0)), FrictionSurface(prior.FRICTION, prior.DITHER, prior.DAMPING))
     plant.place(at(0.0), psi=0.0)
     rig = RigDescription(hinge="fixed")
-    follower = Observability(rig_inputs(rig), rig.reading_variance)
+    follower = Observability(rig_inputs(rig), rig.reading_variances)
     one, two = plant.contacts()
-    start = prior.blind_start(one.s, two.s, at(0.0), 1, True, np.random.default_rng(0))
+    start = prior.blind_start((one.s, two.s), at(0.0), 1, True, np.random.default_rng(0))
     follower.begin(0.0, prior.shape_map_sd(start))
     x = last_second._object_at(at(0.0), 1)
     for k in range(2001):
@@ -175,7 +176,7 @@ def _along_the_plant(omega1: float, omega2: float) -> float:
         x[:2] = plant.state.psi, plant.state.omega0
         if k % round(SAMPLE_S / STEP_S) == 0:
             palms = at(t)
-            follower.sample(t, x, np.array([palms.phi1, palms.phi2, omega1, omega2, 0.0, 0.0]), np.zeros(2))
+            follower.sample(t, x, np.array([*palms.angles, omega1, omega2, 0.0, 0.0]), np.zeros(2))
         if k % 20 == 0:
             follower.count(1)
             follower.count(2)

@@ -8,9 +8,10 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
+from palms import palm_sample
 
 from palmd.console.errors import BAD_INPUT, CliError
-from palmd.events import PadSample, PalmSample, RigDescription
+from palmd.events import PadSample, PalmSample
 from palmd.lab import bench_peers
 from palmd.lab.peers import contest, generated, horizon, newton, plain_model
 from palmd.lab.peers import task as task_module
@@ -24,6 +25,7 @@ from palmd.model.dynamics import BodyConstants, Palms, newton_euler
 from palmd.model.outputs import RIG_INPUTS, rig_inputs
 from palmd.record.eventlog import write_log
 from palmd.rig.simulate import simulate_log
+from palmd.system.description import RigDescription
 
 SECONDS = 1.5
 SAME_FORMULA = 1e-9
@@ -50,7 +52,7 @@ def events_of(lines):
         if "pad" in line:
             yield PadSample(line["t"], line["pad"], line["s_m"], line["force_n"])
         elif "palms" in line:
-            yield PalmSample(line["t"], *line["palms"].values())
+            yield palm_sample(line)
 
 
 def run_of(kind, seed=101, seconds=SECONDS):
@@ -169,7 +171,7 @@ def test_readings_are_cut_into_short_causal_steps(run):
 
 def test_a_run_that_feels_nothing_is_refused():
     with pytest.raises(ValueError, match="both pads"):
-        task_from(RigDescription(), [PalmSample(0.0, 0.7, 1.6), PadSample(0.1, 1, 0.02, 0.5)])
+        task_from(RigDescription(), [PalmSample(0.0, (0.7, 1.6)), PadSample(0.1, 1, 0.02, 0.5)])
 
 
 def test_the_truth_knows_what_was_touched(nominal):

@@ -50,7 +50,7 @@ def test_many_stable_poses_with_equal_readings_of_a_convex_object(count):
 @pytest.mark.parametrize("count", [2, 5])
 def test_the_plant_reads_the_same_and_stays(count):
     found = many_poses(count)
-    palms = PalmMotion(found.phi1, found.phi2)
+    palms = PalmMotion.at_rest((found.phi1, found.phi2))
     rig = plant.Plant(
         body(found.coefficients), plant.Hinge("fixed", base=(0.0, 0.0)), plant.FrictionSurface(damping=2e-3)
     )

@@ -27,7 +27,7 @@ def limits_of(config: Config, strength: float = 1.0) -> MotionLimits:
         strength * allowed.v_max, strength * allowed.a_max,
     )  # fmt: skip
     plain = motion_limits(config)
-    return MotionLimits(plain.phi1, plain.phi2, plain.rate, plain.acceleration, plain.pad_length, workspace)
+    return MotionLimits(plain.angles, plain.rate, plain.acceleration, plain.pad_length, workspace)
 
 
 NARROW = default_config().model_copy(
@@ -59,7 +59,8 @@ def test_no_limit_is_ever_left(kind, limits):
 
 @pytest.mark.parametrize(("width_deg", "middle_deg"), [(0.0, 45.0), (0.5, 45.25), (3.0, 46.5), (3.5, 46.75)])
 def test_a_range_too_narrow_for_its_margins_is_its_middle(width_deg, middle_deg):
-    limits = MotionLimits(tuple(np.radians((45.0, 45.0 + width_deg))), tuple(np.radians((60.0, 120.0))), 1.0, 9.0, 0.05)
+    angles = np.radians(((45.0, 45.0 + width_deg), (60.0, 120.0)))
+    limits = MotionLimits(tuple(map(tuple, angles.tolist())), 1.0, 9.0, 0.05)
     low, high = candidates.range_of(limits)
     assert (low <= high).all()
     assert (low + high) / 2 == pytest.approx(np.radians((middle_deg, 90.0)))
@@ -99,5 +100,5 @@ def test_a_lower_rate_takes_longer_and_the_acceleration_is_kept():
     assert slow.durations[0, 0] == pytest.approx(15 / 8 * 30.0 / 20.0, abs=0.04)
     assert fast.durations[0, 0] == pytest.approx(15 / 8 * 30.0 / 80.0, abs=0.04)
     peak = Move(tuple(start), tuple(ends[0, 0]), float(hasty.durations[0, 0]))
-    most = max(abs(peak.at(t).alpha1) for t in np.linspace(0.0, peak.duration, 200))
+    most = max(abs(peak.at(t).accelerations[0]) for t in np.linspace(0.0, peak.duration, 200))
     assert 0.5 * limits.acceleration < most <= limits.acceleration

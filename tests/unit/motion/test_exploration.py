@@ -25,7 +25,7 @@ def exploration() -> Exploration:
 
 def angles(explored: Exploration, t: float) -> Angles:
     motion = explored.at(t)
-    return motion.phi1, motion.phi2
+    return motion.angles
 
 
 def test_stands_where_it_begins_until_a_move_is_decided() -> None:
@@ -60,7 +60,7 @@ def test_a_move_waits_for_the_end_of_the_one_before() -> None:
     assert explored.at(3.25) == second.at(0.25)
     motions = [explored.at(2.0 + 0.01 * i) for i in range(170)]
     for a, b in itertools.pairwise(motions):  # no jump, and the rates are those of the angles
-        assert b.phi1 - a.phi1 == pytest.approx(0.005 * (a.omega1 + b.omega1), abs=1e-5)
+        assert b.angles[0] - a.angles[0] == pytest.approx(0.005 * (a.rates[0] + b.rates[0]), abs=1e-5)
 
 
 def test_a_move_from_elsewhere_is_refused_and_changes_nothing() -> None:
@@ -105,13 +105,13 @@ def test_rocking_is_gentle_goes_round_its_corners_and_back() -> None:
         move = rock(here, HERE, LIMITS)
         assert move is not None
         assert (move.start, move.end) == (here, pytest.approx(corner))
-        fastest = max(max(abs(m.omega1), abs(m.omega2)) for m in map(move.at, move.sample_times()))
+        fastest = max(max(map(abs, m.rates)) for m in map(move.at, move.sample_times()))
         assert 0.0 < fastest <= 0.25 * LIMITS.rate * 1.001
         here = move.end
 
 
 def test_rocking_leaves_out_corners_beyond_the_limits_and_gives_up_without_any() -> None:
-    edge = (LIMITS.phi1[0] + math.radians(1.0), 1.6)
+    edge = (LIMITS.angles[0][0] + math.radians(1.0), 1.6)
     here = edge
     for _ in range(4):
         move = rock(here, edge, LIMITS)
@@ -119,5 +119,5 @@ def test_rocking_leaves_out_corners_beyond_the_limits_and_gives_up_without_any()
         assert move.end[0] > edge[0]
         here = move.end
     low = math.radians(45.0)
-    narrow = MotionLimits((low, low + 0.05), (1.5, 1.55), LIMITS.rate, LIMITS.acceleration, LIMITS.pad_length)
+    narrow = MotionLimits(((low, low + 0.05), (1.5, 1.55)), LIMITS.rate, LIMITS.acceleration, LIMITS.pad_length)
     assert rock((low + 0.02, 1.52), (low + 0.02, 1.52), narrow) is None

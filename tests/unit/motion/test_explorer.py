@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from palmd.config import ExploreGoal, LimitsConfig
-from palmd.events import Outlook, PalmMotion, RigDescription
+from palmd.events import Outlook, PalmMotion
 from palmd.model import shape, shape_map
 from palmd.motion.check import motion_limits
 from palmd.motion.explorer import STUCK_S, Explorer, UnderWay
@@ -17,6 +17,7 @@ from palmd.motion.segments import Move
 from palmd.rig.plant import Hinge, Plant, random_surface, stable_poses
 from palmd.rig.shapes import random_body
 from palmd.rig.world import default_config
+from palmd.system.description import RigDescription
 
 LIMITS = motion_limits(default_config())
 POSE = (math.radians(45.0), math.radians(90.0))
@@ -31,7 +32,7 @@ def lying(seed=2, mu=0.15):
     random = np.random.default_rng([seed, 5])
     body = random_body("rig", random)
     state = np.zeros(shape_map.N)
-    state[shape_map.Z.PSI] = stable_poses(body, PalmMotion(*POSE))[0]
+    state[shape_map.Z.PSI] = stable_poses(body, PalmMotion.at_rest(POSE))[0]
     state[shape_map.Z.LN_RHO], state[shape_map.Z.MU] = math.log(body.rho), mu
     state[shape_map.Z.LN_DITHER] = math.log(0.012)
     theta = np.arange(360) * (math.tau / 360)
@@ -82,7 +83,7 @@ def test_what_it_does_shows_new_normals_on_the_plant():
     surface = random_surface("rig", random)
     plant = Plant(body, Hinge("arc"), surface)
     states = lying(mu=surface.mu).copy()
-    plant.place(PalmMotion(*POSE), states[0, 0])
+    plant.place(PalmMotion.at_rest(POSE), states[0, 0])
     mine, under_way, touched, t = explorer(), STANDING, NOTHING.copy(), 0.0
     for _ in range(6):
         states[:, :2] = plant.state.psi, plant.state.omega0
@@ -95,7 +96,7 @@ def test_what_it_does_shows_new_normals_on_the_plant():
             palms = move.at((step + 1) * 1e-3)
             plant.advance(move.at((step + 0.5) * 1e-3), palms, 1e-3)
             assert plant.touching == (True, True)
-            for normal in (palms.phi1 - math.pi / 2, palms.phi1 + palms.phi2 - 1.5 * math.pi):
+            for normal in (palms.angles[0] - math.pi / 2, palms.angles[0] + palms.angles[1] - 1.5 * math.pi):
                 touched[math.floor((normal - plant.state.psi) / (math.tau / BINS)) % BINS] = True
         t += move.duration
         under_way = UnderWay(move, move.duration)

@@ -18,14 +18,14 @@ GEOMETRY = RigGeometry(0.12, 0.0, 0.12, 0.12, -0.3, 0.0, 0.0)
 def test_the_shipped_rig_at_45_and_90_degrees() -> None:
     # O = (120 − 84.853, −84.853), E = O + 120·(−0.7071, 0.7071) = (−49.706, 0); the arm stands at −300.
     assert GEOMETRY.hinge(math.radians(45)) == pytest.approx((0.0351472, -0.0848528), abs=1e-7)
-    x, y, t = GEOMETRY.arm_pose(math.radians(45), math.radians(90))
+    x, y, t = GEOMETRY.arm_pose((math.radians(45), math.radians(90)))
     assert (x, y) == pytest.approx((0.2502944, 0.0), abs=1e-7)
     assert math.degrees(t) == pytest.approx(135.0)
 
 
 def test_yaw_turns_the_arms_coordinates_and_the_tool_angle() -> None:
     turned = RigGeometry(0.12, 0.0, 0.12, 0.12, -0.3, 0.1, math.radians(90))
-    x, y, t = turned.arm_pose(math.radians(45), math.radians(90))
+    x, y, t = turned.arm_pose((math.radians(45), math.radians(90)))
     # E − base = (250.294, −100); in axes turned by +90° that is x′ = y, y′ = −x.
     assert (x, y) == pytest.approx((-0.1, -0.2502944), abs=1e-7)
     assert math.degrees(t) == pytest.approx(45.0)
@@ -38,7 +38,7 @@ def test_inverse_against_complex_numbers_with_unequal_palms() -> None:
         tip = complex(0.1, 0.02) - cmath.rect(0.13, phi1) + cmath.rect(0.09, phi1 + phi2)
         seen = (tip - complex(0.4, -0.3)) * cmath.exp(1j * math.radians(120))
         assert rig.palm_angles(seen.real, seen.imag) == pytest.approx((phi1, phi2), abs=1e-12)
-        assert rig.arm_pose(phi1, phi2)[:2] == pytest.approx((seen.real, seen.imag), abs=1e-12)
+        assert rig.arm_pose((phi1, phi2))[:2] == pytest.approx((seen.real, seen.imag), abs=1e-12)
 
 
 @pytest.mark.parametrize("x", [0.42 + 0.2401, 0.42 - 0.2401, 5.0, math.nan, math.inf])
@@ -56,7 +56,7 @@ def test_singular_positions_are_refused_from_both_sides(reach: float) -> None:
 @pytest.mark.parametrize("phi2_deg", [0.0, 0.9, 179.1, 180.0, -90.0, math.nan])
 def test_singular_palm_angles_are_refused(phi2_deg: float) -> None:
     with pytest.raises(PoseError, match="phi2 must be 1° to 179°"):
-        GEOMETRY.arm_pose(1.0, math.radians(phi2_deg))
+        GEOMETRY.arm_pose((1.0, math.radians(phi2_deg)))
 
 
 def test_tip_speed_and_acceleration_are_the_derivatives_of_the_position() -> None:
@@ -64,8 +64,8 @@ def test_tip_speed_and_acceleration_are_the_derivatives_of_the_position() -> Non
         return 0.8 + 0.9 * t - 1.5 * t * t, 1.6 - 0.7 * t + 2.0 * t * t
 
     h = 1e-4
-    (x0, y0, _), (x1, y1, _), (x2, y2, _) = (GEOMETRY.arm_pose(*pose(t)) for t in (-h, 0.0, h))
-    speed, acceleration = GEOMETRY.tip_speed_acceleration(PalmMotion(*pose(0.0), 0.9, -0.7, -3.0, 4.0))
+    (x0, y0, _), (x1, y1, _), (x2, y2, _) = (GEOMETRY.arm_pose(pose(t)) for t in (-h, 0.0, h))
+    speed, acceleration = GEOMETRY.tip_speed_acceleration(PalmMotion(pose(0.0), (0.9, -0.7), (-3.0, 4.0)))
     assert speed == pytest.approx(math.hypot(x2 - x0, y2 - y0) / (2 * h), rel=1e-5)
     assert acceleration == pytest.approx(math.hypot(x2 - 2 * x1 + x0, y2 - 2 * y1 + y0) / h**2, rel=1e-5)
 

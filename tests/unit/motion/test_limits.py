@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
+from palms import motion_of
 
 from palmd.config import LimitsConfig
 from palmd.events import PalmMotion
@@ -41,18 +42,18 @@ def rad(*degrees: float) -> tuple[float, ...]:
     ],
 )
 def test_violations_name_value_and_bound(phi1_deg: float, phi2_deg: float, said: list[str]) -> None:
-    assert LIMITS.violations(*rad(phi1_deg, phi2_deg)) == said
+    assert LIMITS.violations(tuple(rad(phi1_deg, phi2_deg))) == said
 
 
 def test_nan_is_never_within_limits() -> None:
-    assert LIMITS.violations(math.nan, 1.5)
+    assert LIMITS.violations((math.nan, 1.5))
 
 
 def test_where_even_a_small_object_leaves_the_pads() -> None:
     # r/tan(φ2/2) = 53.5 mm for r = 10 mm at φ2 = 21.2°; only limits wider than that make it matter.
     wide = MotionLimits.from_config(LimitsConfig(phi2_deg=(5.0, 155.0)), pad_length=0.0555)
-    assert wide.violations(*rad(45, 22)) == []
-    assert wide.violations(*rad(45, 20)) == [
+    assert wide.violations(tuple(rad(45, 22))) == []
+    assert wide.violations(tuple(rad(45, 20))) == [
         "phi2 falls to 20°, even an object of 10 mm radius leaves the pads below 21.1746°"
     ]
 
@@ -60,33 +61,33 @@ def test_where_even_a_small_object_leaves_the_pads() -> None:
 def test_workspace_of_the_arm_counts_too() -> None:
     workspace = Workspace(GEOMETRY, 0.1, 0.26, -0.2, 0.2, 0.5, 5.0)
     limits = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555, workspace=workspace)
-    assert limits.violations(*rad(45, 90)) == []  # x = 250.3 mm
-    (said,) = limits.violations(*rad(45, 80))
+    assert limits.violations(tuple(rad(45, 90))) == []  # x = 250.3 mm
+    (said,) = limits.violations(tuple(rad(45, 80)))
     assert said.startswith("the arm's x reaches 26")
     assert said.endswith(", the limit is 260 mm")
 
 
 def test_clamp_passes_what_is_allowed_unchanged() -> None:
-    wanted = PalmMotion(*rad(45.5, 90.5, 50, 50, 3, 4))
-    assert LIMITS.clamp_step(PalmMotion(*rad(45, 90)), wanted, 0.016) is wanted
+    wanted = motion_of(rad(45.5, 90.5, 50, 50, 3, 4))
+    assert LIMITS.clamp_step(motion_of(rad(45, 90)), wanted, 0.016) is wanted
 
 
 def test_clamp_shortens_a_long_step_along_its_direction() -> None:
-    sent = LIMITS.clamp_step(PalmMotion(*rad(45, 90)), PalmMotion(*rad(55, 85)), 0.016)
+    sent = LIMITS.clamp_step(motion_of(rad(45, 90)), motion_of(rad(55, 85)), 0.016)
     # 120°/s for 16 ms is 1.92° for the longer of the two.
-    assert (sent.phi1, sent.phi2) == pytest.approx(rad(46.92, 89.04))
-    assert (sent.omega1, sent.omega2) == pytest.approx(rad(120, -60))
+    assert sent.angles == pytest.approx(rad(46.92, 89.04))
+    assert sent.rates == pytest.approx(rad(120, -60))
 
 
 def test_clamp_keeps_the_sum_below_its_bound_and_stands_still_for_nan() -> None:
-    near = PalmMotion(*rad(81, 90.5))
-    sent = LIMITS.clamp_step(near, PalmMotion(*rad(82, 91)), 0.016)
-    assert math.degrees(sent.phi1 + sent.phi2) <= 172.0
-    assert not LIMITS.violations(sent.phi1, sent.phi2)
-    assert LIMITS.clamp_step(near, PalmMotion(math.nan, 1.0), 0.016) == PalmMotion(near.phi1, near.phi2)
+    near = motion_of(rad(81, 90.5))
+    sent = LIMITS.clamp_step(near, motion_of(rad(82, 91)), 0.016)
+    assert math.degrees(sent.angles[0] + sent.angles[1]) <= 172.0
+    assert not LIMITS.violations(sent.angles)
+    assert LIMITS.clamp_step(near, PalmMotion.at_rest((math.nan, 1.0)), 0.016) == PalmMotion.at_rest(near.angles)
 
 
 def test_clamp_comes_back_from_outside_no_faster_than_the_rate() -> None:
-    outside = PalmMotion(*rad(170, 90))
-    sent = LIMITS.clamp_step(outside, PalmMotion(*rad(45, 90)), 0.016)
-    assert math.degrees(outside.phi1 - sent.phi1) == pytest.approx(1.92)
+    outside = motion_of(rad(170, 90))
+    sent = LIMITS.clamp_step(outside, motion_of(rad(45, 90)), 0.016)
+    assert math.degrees(outside.angles[0] - sent.angles[0]) == pytest.approx(1.92)

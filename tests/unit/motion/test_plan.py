@@ -34,7 +34,7 @@ def refused(*segments: dict[str, Any], limits: MotionLimits = LIMITS, **rest: An
 
 def degrees(trajectory: Trajectory, tau: float) -> tuple[float, float]:
     motion = trajectory.at(tau)
-    return math.degrees(motion.phi1), math.degrees(motion.phi2)
+    return math.degrees(motion.angles[0]), math.degrees(motion.angles[1])
 
 
 def test_a_first_move_is_left_to_the_approach_and_made_in_every_later_round() -> None:
@@ -53,7 +53,7 @@ def test_a_first_move_is_left_to_the_approach_and_made_in_every_later_round() ->
 def test_rate_segment_runs_at_its_rate_and_stops_at_until() -> None:
     trajectory = made(HOME_MOVE, {"rate": {"phi1_deg_s": -10, "phi2_deg_s": 4}, "until": {"phi2_deg": 94}})
     middle = trajectory.at(trajectory.duration / 2)
-    assert (math.degrees(middle.omega1), math.degrees(middle.omega2)) == pytest.approx((-10, 4))
+    assert (math.degrees(middle.rates[0]), math.degrees(middle.rates[1])) == pytest.approx((-10, 4))
     assert degrees(trajectory, trajectory.duration) == pytest.approx((35, 94))
 
 
@@ -113,7 +113,7 @@ def test_dither_rides_on_the_whole_plan_and_begins_and_ends_at_rest() -> None:
     trajectory = made(HOME_MOVE, {"hold_s": 3.0}, dither={"amplitude_deg": 0.1, "frequency_hz": 10})
     for end in (0.0, 3.0):
         motion = trajectory.at(end)
-        assert (motion.omega1, motion.alpha2) == pytest.approx((0, 0), abs=1e-9)
+        assert (motion.rates[0], motion.accelerations[1]) == pytest.approx((0, 0), abs=1e-9)
     # Crest of the 16th swing: a quarter period past 1.5 s.
     assert degrees(trajectory, 1.525) == pytest.approx((45.1, 90.1))
 
@@ -263,7 +263,7 @@ def test_where_an_exploration_begins_is_checked() -> None:
 
 def test_approach_is_gentle_takes_its_least_time_and_stays_within_limits() -> None:
     far = approach(HOME, (math.radians(75), math.radians(90)), LIMITS, 0.5)
-    fastest = max(far.at(t).omega1 for t in far.sample_times())
+    fastest = max(far.at(t).rates[0] for t in far.sample_times())
     assert math.degrees(fastest) == pytest.approx(30.0, rel=1e-3)  # a quarter of 120°/s
     assert approach(HOME, (0.8, 1.58), LIMITS, 4.0).duration == 4.0
     assert approach(HOME, HOME, LIMITS, 0.0).duration == 0.0

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from palmd.config import ExploreGoal
-from palmd.events import Outlook, RigDescription
+from palmd.events import Outlook
 from palmd.model import shape, shape_map
 from palmd.model.outputs import rig_inputs
 from palmd.motion import candidates
@@ -20,6 +20,7 @@ from palmd.motion.segments import Move
 from palmd.rig.plant import random_surface
 from palmd.rig.shapes import random_body
 from palmd.rig.world import World, default_config
+from palmd.system.description import RigDescription
 
 LIMITS = motion_limits(default_config())
 PREDICTOR = RolloutPredictor(rig_inputs(RigDescription()))

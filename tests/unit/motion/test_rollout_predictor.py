@@ -6,13 +6,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from palmd.events import PalmMotion, RigDescription
+from palmd.events import PalmMotion
 from palmd.model import shape, shape_map
 from palmd.model.outputs import rig_inputs
 from palmd.motion.rollout_predictor import BINS, CALL_S, Moves, RolloutPredictor
 from palmd.motion.segments import Move
 from palmd.rig.plant import Hinge, Plant, random_surface, stable_poses
 from palmd.rig.shapes import random_body
+from palmd.system.description import RigDescription
 
 START = np.radians((45.0, 90.0))
 ROUTE = np.radians([(52.0, 88.0), (40.0, 97.0), (58.0, 84.0)])
@@ -29,7 +30,7 @@ def thing(kind, seed):
     """A body and a surface, a place for the body to lie, and the shape map's state of both."""
     random = np.random.default_rng([seed, 3])
     body, surface = random_body(kind, random), random_surface(kind, random)
-    psi = stable_poses(body, PalmMotion(*START))[0]
+    psi = stable_poses(body, PalmMotion.at_rest(START))[0]
     state = np.zeros(shape_map.N)
     state[shape_map.Z.PSI] = psi
     state[shape_map.Z.LN_RHO], state[shape_map.Z.MU] = math.log(body.rho), surface.mu
@@ -42,7 +43,7 @@ def thing(kind, seed):
 def driven(body, surface, psi, hinge):
     """What the plant does on the route: ψ and ω0 after each move, bins touched, least force (m/s²), contacts (m)."""
     plant = Plant(body, Hinge(hinge), surface)
-    plant.place(PalmMotion(*START), psi)
+    plant.place(PalmMotion.at_rest(START), psi)
     here, ends, bins, force, contacts = START, [], set(), math.inf, []
     for end, duration in zip(ROUTE, DURATIONS, strict=True):
         move = Move(tuple(here), tuple(end), duration)
@@ -52,7 +53,7 @@ def driven(body, surface, psi, hinge):
             one, two = plant.contacts()
             force = min(force, one.force / body.mass, two.force / body.mass)
             contacts += [one.s, two.s]
-            normals = (palms.phi1 - math.pi / 2, palms.phi1 + palms.phi2 - 1.5 * math.pi)
+            normals = (palms.angles[0] - math.pi / 2, palms.angles[0] + palms.angles[1] - 1.5 * math.pi)
             bins |= {math.floor((normal - plant.state.psi) / (math.tau / BINS)) % BINS for normal in normals}
         here = end
         ends.append((plant.state.psi, plant.state.omega0))
@@ -95,7 +96,7 @@ def test_a_move_seen_from_its_middle_ends_where_it_was_to_end():
     np.testing.assert_array_equal(plant_like.psi, whole.psi)
     body, surface, psi, _ = thing("friction", 4)
     plant = Plant(body, Hinge("arc"), surface)
-    plant.place(PalmMotion(*START), psi)
+    plant.place(PalmMotion.at_rest(START), psi)
     for step in range(round(begun / FINE_S)):
         plant.advance(short.at((step + 0.5) * FINE_S), short.at((step + 1) * FINE_S), FINE_S)
     middle = state.copy()

@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from palms import palm_sample
 from simulated import simulated
 
 from palmd import observer
-from palmd.events import Estimate, Event, PadLift, PadSample, PalmSample, RigDescription
+from palmd.events import Estimate, Event, PadLift, PadSample, PalmSample
 from palmd.model import compiled, shape_map
 from palmd.model import shape as modelled
 from palmd.observer.bank_observer import BankObserver
@@ -19,6 +20,7 @@ from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.palms import PalmTracker
 from palmd.observer.prior import blind_start
 from palmd.rig.simulate import simulate_log
+from palmd.system.description import PadSensor, RigDescription
 
 
 def _run(kind: str, seed: int, duration_s: float) -> tuple[RigDescription, list[Event], dict]:
@@ -30,9 +32,7 @@ def _run(kind: str, seed: int, duration_s: float) -> tuple[RigDescription, list[
         if "pad" in line:
             events.append(PadSample(line["t"], line["pad"], line["s_m"], line["force_n"]))
         elif "palms" in line:
-            p = line["palms"]
-            names = ("phi1_rad", "phi2_rad", "omega1_rad_s", "omega2_rad_s", "alpha1_rad_s2", "alpha2_rad_s2")
-            events.append(PalmSample(line["t"], *(p[n] for n in names)))
+            events.append(palm_sample(line))
     return rig, events, truth
 
 
@@ -111,7 +111,9 @@ def test_before_two_touches_it_says_nothing_and_never_lies(nominal: tuple) -> No
     estimates = _replay(watcher, one_pad)
     assert not any(e.valid for e in estimates)
     assert all(math.isnan(e.r1) for e in estimates)
-    assert estimates[-1].phi1 == pytest.approx(events[-1].phi1 if isinstance(events[-1], PalmSample) else 0.8, abs=1)
+    assert estimates[-1].phi1 == pytest.approx(
+        events[-1].angles[0] if isinstance(events[-1], PalmSample) else 0.8, abs=1
+    )
     assert watcher.shape(1.0) is None
 
 
@@ -179,7 +181,7 @@ def test_non_finite_events_change_nothing(nominal: tuple, bad: float) -> None:
         if i % 50 == 0:
             dirty.feed(PadSample(event.t_sample, 1, bad))
             dirty.feed(PadSample(bad, 2, 0.02))
-            dirty.feed(PalmSample(event.t_sample, bad, 1.5))
+            dirty.feed(PalmSample(event.t_sample, (bad, 1.5)))
     t = events[399].t_sample
     assert dirty.estimate(t) == clean.estimate(t)
 
@@ -306,8 +308,8 @@ def test_a_bank_too_small_to_share_always_begins_blind(nominal: tuple) -> None:
 def test_the_filters_curvature_is_that_of_their_outline(kind: type) -> None:
     filters = kind(RigDescription(hinge="fixed"), 8)
     palms = PalmTracker(2e-4)
-    palms.feed(PalmSample(0.0, 0.8, 1.6, 0.0, 0.0, 0.0, 0.0))
-    start = blind_start(0.02, 0.021, palms.motion(0.0), 8, True, np.random.default_rng(1))
+    palms.feed(PalmSample(0.0, (0.8, 1.6), (0.0, 0.0), (0.0, 0.0)))
+    start = blind_start((0.02, 0.021), palms.motion(0.0), 8, True, np.random.default_rng(1))
     filters.start(start, palms, 0.0)
     theta, step = np.linspace(0, 2 * np.pi, 72, endpoint=False), 1e-4
     for member in range(8):
@@ -321,8 +323,8 @@ def test_a_hollow_outline_is_bent_to_the_mean_of_what_is_convex() -> None:
     """Against sampling: of the states believed in, those with v ≥ 0 at the lowest normal."""
     filters = ShapeFilters(RigDescription(), 8)
     palms = PalmTracker(2e-4)
-    palms.feed(PalmSample(0.0, 0.8, 1.6, 0.0, 0.0, 0.0, 0.0))
-    filters.start(blind_start(0.02, 0.021, palms.motion(0.0), 8, True, np.random.default_rng(1)), palms, 0.0)
+    palms.feed(PalmSample(0.0, (0.8, 1.6), (0.0, 0.0), (0.0, 0.0)))
+    filters.start(blind_start((0.02, 0.021), palms.motion(0.0), 8, True, np.random.default_rng(1)), palms, 0.0)
     bank, rows = filters.bank, filters.curvature
     bank.x[:, shape_map.Z.SHAPE + 5 :] = 0.0
     assert bank.lift(0, rows), "nothing hollow, nothing done"
@@ -480,7 +482,7 @@ def test_constant_readings_never_become_a_settled_claim_of_motion() -> None:
     events: list[Event] = []
     for i in range(600):
         t = i * 0.01
-        events += [PalmSample(t, 0.78, 1.57, 0.0, 0.0, 0.0, 0.0), PadSample(t, 1, 0.02), PadSample(t, 2, 0.02)]
+        events += [PalmSample(t, (0.78, 1.57), (0.0, 0.0), (0.0, 0.0)), PadSample(t, 1, 0.02), PadSample(t, 2, 0.02)]
     for estimate in _replay(observer.make("shape", rig), events):
         assert not estimate.valid or max(estimate.sd["r1"], estimate.sd["r2"]) < 4e-4
     assert not estimate.valid
@@ -488,7 +490,7 @@ def test_constant_readings_never_become_a_settled_claim_of_motion() -> None:
 
 def test_without_plan_rates_the_angles_alone_will_do(nominal: tuple) -> None:
     rig, events, truth = nominal
-    bare = [PalmSample(e.t_sample, e.phi1, e.phi2) if isinstance(e, PalmSample) else e for e in events]
+    bare = [PalmSample(e.t_sample, e.angles) if isinstance(e, PalmSample) else e for e in events]
     late = [e for e in _replay(observer.make("shape", rig), bare) if e.t > 4.0]
     assert np.sqrt(np.mean(_errors(late, truth, "r1_m") ** 2)) < 5e-4
 
@@ -544,3 +546,23 @@ def test_the_outline_stays_what_it_was_while_the_palms_rest(kind: str, seed: int
             difference = (told.h - before.h)[before.touched] / before.h_sd[before.touched]
             moved.append(math.sqrt(float(np.mean(difference**2))))
     assert max(moved) < 1.0
+
+
+def test_the_noisy_pad_is_believed_less_and_it_matters_which_one_that_is(nominal) -> None:
+    """One pad five times as noisy: told which one, the estimate is nearer to the truth than told the other one."""
+    rig, events, truth = nominal
+    random = np.random.default_rng(5)
+    quiet, noisy = PadSensor(), PadSensor(noise=5e-4)
+    pads = {1: (noisy, quiet), 2: (quiet, noisy)}
+    for bad in pads:
+        heard = [
+            replace(event, s=event.s + random.normal(0.0, noisy.noise))
+            if isinstance(event, PadSample) and event.pad == bad
+            else event
+            for event in events
+        ]
+        misses = []
+        for told in (bad, 3 - bad):
+            estimates = _replay(observer.make("shape", replace(rig, pads=pads[told])), heard)[-200:]
+            misses.append(np.hypot(*(_errors(estimates, truth, f"r{palm}_m") for palm in (1, 2))))
+        assert np.median(misses[0]) < 0.7 * np.median(misses[1])

@@ -73,8 +73,8 @@ def test_what_has_left_is_forgotten():
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_one_number_that_is_none_spoils_an_event(bad):
     assert finite(PadSample(1.0, 1, 0.02))
-    assert finite(PalmSample(1.0, 0.8, 1.6))
+    assert finite(PalmSample(1.0, (0.8, 1.6)))
     assert not finite(PadSample(bad, 1, 0.02))
     assert not finite(PadSample(1.0, 1, 0.02, bad))
-    assert not finite(PalmSample(1.0, 0.8, bad))
-    assert not finite(PalmSample(1.0, 0.8, 1.6, bad))
+    assert not finite(PalmSample(1.0, (0.8, bad)))
+    assert not finite(PalmSample(1.0, (0.8, 1.6), (bad, 0.0)))

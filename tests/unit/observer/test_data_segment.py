@@ -17,7 +17,7 @@ def run(start=0.0, end=3.0, without=()):
         t = k / 100
         silent = {source for source, first, last in without if first < t < last}
         if "arm" not in silent:
-            events.append(PalmSample(t, 0.7 + 0.1 * t, 1.6))
+            events.append(PalmSample(t, (0.7 + 0.1 * t, 1.6)))
         events += [PadSample(t, pad, 0.02 + 0.001 * t) for pad in (1, 2) if pad not in silent]
     return events
 
@@ -72,7 +72,7 @@ def test_next_to_nothing_is_none(events):
 
 
 def test_order_and_repetition_do_not_matter():
-    events = [*run(), PadSample(1.0, 1, 0.05), PalmSample(1.0, 0.9, 1.7)]  # two that contradict others
+    events = [*run(), PadSample(1.0, 1, 0.05), PalmSample(1.0, (0.9, 1.7))]  # two that contradict others
     wanted = longest_segment(events)
     twice = [event for event in events for _ in range(2)]
     for mixed in (events[::-1], twice, random.Random(0).sample(events, len(events))):
@@ -82,6 +82,6 @@ def test_order_and_repetition_do_not_matter():
 
 
 def test_what_is_no_number_is_left_out():
-    bad = [PadSample(1.004, 1, math.nan), PadSample(math.nan, 1, 0.02), PalmSample(1.004, math.inf, 1.6)]
-    bad += [PalmSample(1.004, 0.7, 1.6, omega1=math.nan, omega2=0.0), PalmSample(1.004, 0.7, 1.6, alpha1=math.inf)]
+    bad = [PadSample(1.004, 1, math.nan), PadSample(math.nan, 1, 0.02), PalmSample(1.004, (math.inf, 1.6))]
+    bad += [PalmSample(1.004, (0.7, 1.6), (math.nan, 0.0)), PalmSample(1.004, (0.7, 1.6), None, (math.inf, 0.0))]
     assert longest_segment([*bad, *run()]) == longest_segment(run())

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from palmd.events import PadSample, RigDescription
+from palmd.events import PadSample
 from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.history import EVENTS, Fused, History
+from palmd.system.description import RigDescription
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,10 @@ from palmd.model import shape, shape_map
 from palmd.observer.coverage import NORMAL_BINS, Coverage
 from palmd.observer.mass import MassEstimator, resting_forces
 from palmd.observer.object_memory import DIRECTIONS, INFLATION, KnownObject, ObjectMemory
+from palmd.system.description import PadSensor
 
 Z = shape_map.Z
-PALMS = PalmMotion(0.75, 1.6)
+PALMS = PalmMotion.at_rest((0.75, 1.6))
 
 
 def _known(sd: float = 2e-5, mass: float = 0.2) -> KnownObject:
@@ -22,17 +23,17 @@ def _known(sd: float = 2e-5, mass: float = 0.2) -> KnownObject:
     x = np.zeros(shape_map.N)
     x[Z.SHAPE :] = random.standard_normal(shape.COEFFICIENTS) * shape.prior_sd(0.02)
     x[Z.SHAPE], x[Z.LN_RHO] = 0.02, math.log(0.014)
-    weighed = MassEstimator(0.05, 0.02)
-    weighed.feed(mass * 5.0, 5.0)
+    weighed = MassEstimator((PadSensor(), PadSensor()))
+    weighed.feed(1, mass * 5.0, 5.0)
     return KnownObject(x, np.eye(shape_map.N) * sd**2, Coverage().marks, weighed)
 
 
 @pytest.mark.parametrize("psi", [0.3, 2.0, 4.4])
 def test_the_orientations_begin_with_those_that_give_the_readings(psi: float) -> None:
     known = _known()
-    _, rows = shape.contact_rows(PALMS.phi1 - psi, PALMS.phi2)
+    _, rows = shape.contact_rows(PALMS.angles[0] - psi, PALMS.angles[1])
     s1, s2 = rows @ known.x[Z.SHAPE :]
-    chosen = known.orientations(s1, s2, PALMS, 1.2e-8, 24)
+    chosen = known.orientations((s1, s2), PALMS, np.array([1.2e-8, 1.2e-8]), 24)
     assert len(set(chosen)) == 24
     apart = np.abs(np.angle(np.exp(1j * (chosen[:, None] - chosen[None, :]))))
     assert apart[~np.eye(24, dtype=bool)].min() > 2.5 * 2 * math.pi / DIRECTIONS

@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 import pytest
+from palms import palm_sample
 
 from palmd import observer
 from palmd.config import PlanSpec
-from palmd.events import PadSample, PalmMotion, PalmSample, RigDescription
+from palmd.events import PadSample, PalmMotion
 from palmd.harness.wireless import Wireless
 from palmd.model import sensitivity, shape, shape_map
 from palmd.model.outputs import rig_inputs
@@ -19,6 +20,7 @@ from palmd.rig.plant import FrictionSurface, Hinge, Plant, stable_poses
 from palmd.rig.shapes import random_body
 from palmd.rig.simulate import simulate_log
 from palmd.rig.world import default_config
+from palmd.system.description import RigDescription
 
 SINE = {"phi1_deg": 25, "phi2_deg": 10}
 STEP_S = 5e-4
@@ -67,7 +69,7 @@ def _palms(t: float) -> PalmMotion:
     """Both palms tilt as one: φ2 does not change."""
     k, amplitude = math.pi, 0.2 * min(t, 1.0) ** 2
     sin, cos = amplitude * math.sin(k * t), amplitude * math.cos(k * t)
-    return PalmMotion(0.75 + sin, 1.6, k * cos, 0.0, -(k**2) * sin, 0.0)
+    return PalmMotion((0.75 + sin, 1.6), (k * cos, 0.0), (-(k**2) * sin, 0.0))
 
 
 def _along(mu: float, seed: int) -> tuple[float, float]:
@@ -82,9 +84,9 @@ def _along(mu: float, seed: int) -> tuple[float, float]:
     x = np.zeros(shape_map.N)
     x[Z.SHAPE :] = np.linalg.lstsq(shape.basis(theta), body.support.sample(theta), rcond=None)[0]
     x[Z.LN_RHO], x[Z.MU], x[Z.LN_DITHER], x[Z.DAMPING] = math.log(body.rho), mu, math.log(2e-3), 2e-4
-    follower = Observability(rig_inputs(RigDescription(hinge="fixed")), 1.2e-8)
+    follower = Observability(rig_inputs(RigDescription(hinge="fixed")), np.full(2, 1.2e-8))
     one, two = plant.contacts()
-    start = blind_start(one.s, two.s, _palms(0.0), 8, True, np.random.default_rng(0))
+    start = blind_start((one.s, two.s), _palms(0.0), 8, True, np.random.default_rng(0))
     follower.begin(0.0, shape_map_sd(start))
     values, slips = [], []
     for k in range(8000):
@@ -93,12 +95,12 @@ def _along(mu: float, seed: int) -> tuple[float, float]:
         if k % 20 == 0:
             x[Z.PSI], x[Z.OMEGA0] = plant.state.psi, plant.state.omega0
             if follower.due(t):
-                at = np.array([palms.phi1, palms.phi2, palms.omega1, palms.omega2, palms.alpha1, palms.alpha2])
+                at = np.array([*palms.angles, *palms.rates, *palms.accelerations])
                 follower.sample(t, x, at, np.zeros(2))
             follower.count(1)
             follower.count(2)
             values.append(follower.value())
-            slips.append(palms.omega1 - plant.state.omega0)
+            slips.append(palms.rates[0] - plant.state.omega0)
         plant.advance(_palms(t + STEP_S / 2), _palms(t + STEP_S), STEP_S)
     assert all(plant.touching)
     return float(np.median(values[200:])), float(np.sqrt(np.mean(np.square(slips[100:]))))
@@ -113,8 +115,8 @@ def test_it_falls_when_the_object_turns_along_with_the_palms(seed: int) -> None:
 
 
 def test_silent_pads_tell_nothing() -> None:
-    follower = Observability(rig_inputs(RigDescription(hinge="fixed")), 1.2e-8)
-    start = blind_start(0.02, 0.02, PalmMotion(0.8, 1.6), 8, True, np.random.default_rng(0))
+    follower = Observability(rig_inputs(RigDescription(hinge="fixed")), np.full(2, 1.2e-8))
+    start = blind_start((0.02, 0.02), PalmMotion.at_rest((0.8, 1.6)), 8, True, np.random.default_rng(0))
     follower.begin(0.0, shape_map_sd(start))
     assert shape_map_sd(start)[shape_map.Z.MU] == FRICTION_SD
     x = np.zeros(shape_map.N)
@@ -127,8 +129,8 @@ def test_silent_pads_tell_nothing() -> None:
 def test_its_blocks_make_up_the_whole_window() -> None:
     """Ten short blocks chained, against one long one: the same second, the same number."""
     rig, variance = rig_inputs(RigDescription(hinge="fixed")), 1.2e-8
-    follower = Observability(rig, variance)
-    start = blind_start(0.02, 0.02, PalmMotion(0.8, 1.6), 8, True, np.random.default_rng(0))
+    follower = Observability(rig, np.full(2, variance))
+    start = blind_start((0.02, 0.02), PalmMotion.at_rest((0.8, 1.6)), 8, True, np.random.default_rng(0))
     follower.begin(0.0, shape_map_sd(start))
     Z, kernels = shape_map.Z, sensitivity.library().functions
     x = np.zeros(shape_map.N)
@@ -152,8 +154,8 @@ def test_its_blocks_make_up_the_whole_window() -> None:
 
 def test_a_gap_between_samples_ends_the_window() -> None:
     """Across a gap the trajectory is not known: only what came since counts, the last number standing meanwhile."""
-    follower = Observability(rig_inputs(RigDescription(hinge="fixed")), 1.2e-8)
-    start = blind_start(0.02, 0.02, PalmMotion(0.8, 1.6), 8, True, np.random.default_rng(0))
+    follower = Observability(rig_inputs(RigDescription(hinge="fixed")), np.full(2, 1.2e-8))
+    start = blind_start((0.02, 0.02), PalmMotion.at_rest((0.8, 1.6)), 8, True, np.random.default_rng(0))
     follower.begin(0.0, shape_map_sd(start))
     x = np.zeros(shape_map.N)
     x[shape_map.Z.LN_RHO], x[shape_map.Z.LN_DITHER], x[shape_map.Z.SHAPE] = math.log(0.014), math.log(0.01), 0.02
@@ -185,7 +187,7 @@ def test_it_is_finite_in_every_valid_tick_after_the_first_second_and_nan_before(
         if "pad" in line:
             watcher.feed(PadSample(line["t"], line["pad"], line["s_m"]))
         else:
-            watcher.feed(PalmSample(line["t"], *line["palms"].values()))
+            watcher.feed(palm_sample(line))
     assert all(math.isnan(e.observability) for e in seen if e.t < 1.0)
     assert all(math.isfinite(e.observability) for e in seen if e.t > 1.13)
     assert any(e.valid for e in seen if e.t > 1.13)

@@ -20,18 +20,18 @@ def reports(noise=NOISE, seed=0):
     for k in range(375):
         t = 0.016 * k
         plan = ROCKING.at(t)
-        phi1, phi2 = np.array([plan.phi1, plan.phi2]) + noise * random.standard_normal(2)
-        yield PalmSample(t, phi1, phi2, plan.omega1, plan.omega2, plan.alpha1, plan.alpha2)
+        phi1, phi2 = plan.angles + noise * random.standard_normal(2)
+        yield PalmSample(t, (phi1, phi2), plan.rates, plan.accelerations)
 
 
 def true_motion(times):
     plans = [ROCKING.at(t) for t in times]
-    return np.array([[p.phi1, p.phi2, p.omega1, p.omega2, p.alpha1, p.alpha2] for p in plans])
+    return np.array([[*p.angles, *p.rates, *p.accelerations] for p in plans])
 
 
 def untold(sample, rates=False):
-    plan = {} if rates else {"omega1": None, "omega2": None}
-    return replace(sample, alpha1=None, alpha2=None, **plan)
+    plan = {} if rates else {"rates": None}
+    return replace(sample, accelerations=None, **plan)
 
 
 @pytest.mark.parametrize(
@@ -78,7 +78,7 @@ def test_outside_the_reports_the_acceleration_stays():
 
 
 def test_one_report_is_enough_and_none_is_not():
-    (at,) = smoothed_path([PalmSample(0.0, 0.7, 1.6)], NOISE).at(np.array([0.0]))
+    (at,) = smoothed_path([PalmSample(0.0, (0.7, 1.6))], NOISE).at(np.array([0.0]))
     assert at[:2] == pytest.approx([0.7, 1.6], abs=1e-6)
     assert math.hypot(*at[2:]) == 0.0
     with pytest.raises(ValueError, match="no report"):

@@ -30,13 +30,18 @@ def normalised(duration, age=0.012, seed=3):
     random = np.random.default_rng(seed)
 
     def really(t):
-        return float(np.mean([at(t + u).phi1 for u in np.linspace(-0.5, 0.5, 25) * ROUNDED_S]))
+        return float(np.mean([at(t + u).angles[0] for u in np.linspace(-0.5, 0.5, 25) * ROUNDED_S]))
 
     tracker, squares = PalmTracker(NOISE), []
     for t in np.arange(0.5, seconds, REPORT_S):
         plan = at(t)
         tracker.feed(
-            PalmSample(t, really(t) + NOISE * random.standard_normal(), 1.5, plan.omega1, 0.0, plan.alpha1, 0.0)
+            PalmSample(
+                t,
+                (really(t) + NOISE * random.standard_normal(), 1.5),
+                (plan.rates[0], 0.0),
+                (plan.accelerations[0], 0.0),
+            )
         )
         angle_sd, rate_sd = tracker.sd(t + age)
         guess = tracker.at(t + age)
@@ -55,7 +60,7 @@ def test_its_error_bars_hold_on_brisk_moves_of_an_arm_that_rounds_them_off(durat
 def test_standing_palms_are_as_sharp_as_their_reports():
     tracker = PalmTracker(NOISE)
     for number in range(200):
-        tracker.feed(PalmSample(number * REPORT_S, 0.5, 1.5, 0.0, 0.0, 0.0, 0.0))
+        tracker.feed(PalmSample(number * REPORT_S, (0.5, 1.5), (0.0, 0.0), (0.0, 0.0)))
     angle_sd, rate_sd = tracker.sd(tracker.t + 0.01)
     assert angle_sd == pytest.approx([7e-5, 7e-5], abs=5e-5)
     assert (rate_sd < 5e-3).all()
@@ -67,7 +72,7 @@ def test_readings_repeat_one_another_while_the_palms_rest():
     assert tracker.repeated == 1.0
     for k in range(200):
         omega = 0.3 if k < 100 else 0.0
-        tracker.feed(PalmSample(0.016 * k, 0.7 + 0.3 * 0.016 * min(k, 100), 1.6, omega, 0.0, 0.0, 0.0))
+        tracker.feed(PalmSample(0.016 * k, (0.7 + 0.3 * 0.016 * min(k, 100), 1.6), (omega, 0.0), (0.0, 0.0)))
         if k < 100:
             assert tracker.repeated == 1.0
     assert tracker.repeated == pytest.approx(1.0 + 100 * 0.016, abs=0.3)

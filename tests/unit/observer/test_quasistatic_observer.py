@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from simulated import simulated
 
-from palmd.events import Event, PadLift, PadSample, PalmSample, RigDescription
+from palmd.events import Event, PadLift, PadSample, PalmSample
 from palmd.lab.balanced import BalancedRun, balanced_run
 from palmd.messages import estimate_fields, sound, stamp, validate
 from palmd.observer.multi_start import BLOCKS, MultiStart, Spread
 from palmd.observer.quasistatic import QuasistaticObserver
 from palmd.quantities import ESTIMATE
+from palmd.system.description import RigDescription
 
 LUMP = np.array([0.020, 0.0015, -0.001, 0.004, 0.0, 0.0004, 0.0005])
 RIG = RigDescription(hinge="fixed")
@@ -30,7 +31,7 @@ def events_of(run: BalancedRun, noise_m: float, seed: int = 0, mass: float = 0.1
     events: list[Event] = []
     for k, t in enumerate(run.t.tolist()):
         phi1, phi2 = run.phi1[k], run.phi2[k]
-        events.append(PalmSample(t, phi1 + rng.normal(0, 2e-4), phi2 + rng.normal(0, 2e-4)))
+        events.append(PalmSample(t, (phi1 + rng.normal(0, 2e-4), phi2 + rng.normal(0, 2e-4))))
         forces = 9.81 * math.sin(phi1 + phi2) / math.sin(phi2), 9.81 * math.sin(phi1) / math.sin(phi2)
         for pad, s, f in ((1, run.contacts.s1[k], forces[0]), (2, run.contacts.s2[k], forces[1])):
             events.append(PadSample(t + 1e-4 * pad, pad, s + rng.normal(0, noise_m), mass * f))
@@ -167,7 +168,7 @@ def test_bad_events_are_counted_and_change_nothing():
     for i, event in enumerate(events):
         broken.append(event)
         if i % 50 == 0 and isinstance(event, PalmSample):
-            broken.append(dataclasses.replace(event, phi1=math.nan))
+            broken.append(dataclasses.replace(event, angles=(math.nan, event.angles[1])))
             broken.append(PadSample(event.t_sample, 1, math.inf))
     told = list(replayed(broken, observer, 3.0))[-1]
     assert observer.late_dropped == len(broken) - len(events) > 0
@@ -180,7 +181,7 @@ def test_constant_readings_and_parallel_palms_do_not_raise():
         events: list[Event] = []
         for k in range(400):
             t = k * 0.01
-            events += [PalmSample(t, 0.8, phi2), PadSample(t, 1, 0.02), PadSample(t, 2, 0.02)]
+            events += [PalmSample(t, (0.8, phi2)), PadSample(t, 1, 0.02), PadSample(t, 2, 0.02)]
         for estimate in replayed(events, observer, 4.0):
             assert not estimate.valid or sound(estimate)
         observer.reset()

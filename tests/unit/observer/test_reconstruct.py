@@ -74,7 +74,7 @@ def test_every_kind_of_run_is_reconstructed_within_its_error_bars(kind):
     assert np.std(psi) < 0.01
     assert np.sqrt(np.mean((answer.omega0 - np.interp(answer.t, truth.t, truth.omega0)) ** 2)) < 0.1
     r1 = truth_radius(run, answer.t)
-    assert np.sqrt(np.mean((answer.r1 - r1) ** 2)) < 1.5e-4
+    assert np.sqrt(np.mean((answer.radii[0] - r1) ** 2)) < 1.5e-4
     assert on.mean() == pytest.approx(true_touched(run, answer), abs=0.02)
 
 
@@ -131,7 +131,7 @@ def test_without_forces_there_is_no_mass(run):
 
 
 def test_without_the_plan_the_angles_are_enough(run):
-    bare = palms_changed(run.events, lambda sample: PalmSample(sample.t_sample, sample.phi1, sample.phi2))
+    bare = palms_changed(run.events, lambda sample: PalmSample(sample.t_sample, sample.angles))
     answer = reconstruct(bare, run.rig)
     assert answer.converged, answer.reason
     assert e_h(answer, run) < RIGHT_M
@@ -217,7 +217,7 @@ def test_absurd_values_among_the_others_do_no_harm(run, bad):
     spoilt = [
         *run.events,
         *(PadSample(1.0 + k / 10 + 1e-4, 1, bad, bad) for k in range(3)),
-        *(PalmSample(2.0 + k / 10 + 1e-4, 0.7, 1.6, bad, 0.0) for k in range(3) if not math.isfinite(bad)),
+        *(PalmSample(2.0 + k / 10 + 1e-4, (0.7, 1.6), (bad, 0.0)) for k in range(3) if not math.isfinite(bad)),
     ]
     assert honest(reconstruct(spoilt, run.rig), run)
 
@@ -235,7 +235,7 @@ def test_an_object_at_rest_on_palms_at_rest_tells_nothing(run, noise):
     dice = random.Random(2)
     still = pads_changed(run.events, lambda sample: replace(sample, s=0.02 + dice.gauss(0.0, noise), force=1.0))
     answer = reconstruct(
-        palms_changed(still, lambda sample: PalmSample(sample.t_sample, 0.75, 1.6, 0.0, 0.0, 0.0, 0.0)), run.rig
+        palms_changed(still, lambda sample: PalmSample(sample.t_sample, (0.75, 1.6), (0.0, 0.0), (0.0, 0.0))), run.rig
     )
     assert not answer.converged
     assert answer.reason
@@ -283,7 +283,7 @@ def test_a_window_that_ends_on_the_wrong_side_of_an_unstable_pose_is_seen_and_sh
 @pytest.mark.parametrize(("seed", "asymmetry"), [(41, 0.33), (43, -0.667)])
 def test_palms_of_unequal_friction_are_told_apart(seed, asymmetry):
     run = simulated("friction", seed, 12.0, PlantOptions(friction_asymmetry=asymmetry))
-    rig = replace(run.rig, calibration=replace(run.rig.calibration, friction=0.3))
+    rig = replace(run.rig, friction_sd=0.3)
     answer = reconstruct(run.events, rig)
     assert answer.converged, answer.reason
     assert e_h(answer, run) < 3 * band(answer) < RIGHT_M
@@ -294,7 +294,7 @@ def test_palms_of_unequal_friction_are_told_apart(seed, asymmetry):
 def test_readings_that_move_with_force_are_told_and_cost_little():
     shift = 2e-4
     run = simulated("friction", 42, 12.0, PlantOptions(pad_force_m_per_n=(shift, 0.0)))
-    rig = replace(run.rig, calibration=replace(run.rig.calibration, force=1e-4))
+    rig = run.rig.with_pads(force_sd=1e-4)
     answer = reconstruct(run.events, rig)
     assert answer.converged, answer.reason
     assert e_h(answer, run) < 3 * band(answer) < RIGHT_M

@@ -3,12 +3,15 @@
 import numpy as np
 import pytest
 
-from palmd.events import PadSample, PalmSample, RigDescription
+from palmd.events import PadSample, PalmSample
 from palmd.observer.palm_path import smoothed_path
 from palmd.observer.record import lay_out
+from palmd.system.description import PadSensor, RigDescription
 
 RIG = RigDescription(hinge="fixed")
-PATH = smoothed_path([PalmSample(0.016 * k, 0.7 + 0.2 * 0.016 * k, 1.6, 0.2, 0.0, 0.0, 0.0) for k in range(80)], 2e-4)
+PATH = smoothed_path(
+    [PalmSample(0.016 * k, (0.7 + 0.2 * 0.016 * k, 1.6), (0.2, 0.0), (0.0, 0.0)) for k in range(80)], 2e-4
+)
 
 
 def pads(*times, force=1.0):
@@ -41,6 +44,17 @@ def test_noise_of_contacts_and_forces():
     assert record.force_variance == pytest.approx((0.05 * 2.0) ** 2 + 0.02**2 / 12)
 
 
+def test_each_pad_has_its_own_noise_and_its_own_gain():
+    worse = PadSensor(noise=5e-4, force_scale_std=0.1, force_gain_std=0.03, length=0.04)
+    samples = pads(*np.arange(0.0, 0.1, 0.01), force=2.0)
+    record = laid(samples, rig=RigDescription(hinge="fixed", pads=(PadSensor(), worse)))
+    assert record.contact_variance[:2] == pytest.approx([1e-8 + 1.27e-4**2 / 12, 25e-8 + 1.27e-4**2 / 12])
+    assert set(record.force_pad) == {1.0}, "the forces of a pad whose gain drifts are left out, the other's are not"
+    assert record.contact_inputs(64)[0, -2:].tolist() == [0.0555, 0.04]
+    steady = RigDescription(hinge="fixed", pads=(PadSensor(), PadSensor(force_scale_std=0.1)))
+    assert laid(samples, rig=steady).force_variance[:2] == pytest.approx([0.01 + 0.02**2 / 12, 0.04 + 0.02**2 / 12])
+
+
 def test_a_wild_force_does_not_tell_its_own_noise():
     samples = pads(*np.arange(0.0, 0.1, 0.005), force=2.0)
     samples[6] = PadSample(samples[6].t_sample, samples[6].pad, 0.02, 2000.0)
@@ -70,4 +84,4 @@ def test_kernel_inputs_are_padded_with_what_can_be_evaluated():
         assert np.isfinite(inputs).all()
         assert (inputs[:, 0] > 0).all()
     assert record.step_inputs(64)[:10, 0] == pytest.approx(0.01)
-    assert record.step_inputs(64)[0, 9:].tolist() == [9.81, 0.0, 0.0, 0.0, 0.0, RIG.pad_length]
+    assert record.step_inputs(64)[0, 9:].tolist() == [9.81, 0.0, 0.0, 0.0, 0.0, 0.0555, 0.0555]

@@ -12,7 +12,7 @@ import pytest
 from simulated import Run, simulated, swapped
 
 from palmd import observer
-from palmd.events import Estimate, Event, FloatArray, Improvement, PadSample, PalmSample, RigDescription
+from palmd.events import Estimate, Event, FloatArray, Improvement, PadSample, PalmSample
 from palmd.model import shape, shape_map
 from palmd.model.smoothing import ORDER
 from palmd.observer.coverage import NORMAL_BINS
@@ -23,6 +23,7 @@ from palmd.observer.incremental import IncrementalSmoother
 from palmd.observer.palms import PalmTracker
 from palmd.observer.smoother_link import MEMORY_S
 from palmd.observer.smoothing import Session, period
+from palmd.system.description import RigDescription
 
 KIND, SEED = "rig", 4
 TICK_S = 0.01
@@ -169,7 +170,7 @@ def test_a_newcomer_arrives_where_a_filter_that_had_always_been_there_stands(run
     filters.bank.refill()
     filters.bank.x[:], filters.bank.P[:] = improvement.x, improvement.P
     t = improvement.t
-    variance = run.rig.pad_noise**2 + run.rig.pad_resolution**2 / 12
+    variance = run.rig.pads[0].noise ** 2 + run.rig.pads[0].resolution ** 2 / 12
     for event in recent:
         if isinstance(event, PalmSample) and event.t_sample > improvement.t - LEAD_S:
             palms.feed(event)

@@ -5,10 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from palmd.events import PadSample, PalmMotion, PalmSample, RigDescription
+from palmd.events import PadSample, PalmMotion, PalmSample
 from palmd.observer.static_mass import mass_at_rest
 from palmd.rig.plant import Hinge, Plant, random_surface, stable_poses
 from palmd.rig.shapes import random_body
+from palmd.system.description import RigDescription
 
 RIG = RigDescription(hinge="fixed")
 
@@ -17,7 +18,7 @@ def lying(seconds: float, seed: int, turning: float = 0.0, forces: bool = True):
     """An object that has come to rest in the emulated plant, and what the pads say of it."""
     rng = np.random.default_rng(seed)
     body = random_body("friction", rng)
-    palms = PalmMotion(0.7, 1.6)
+    palms = PalmMotion.at_rest((0.7, 1.6))
     plant = Plant(body, Hinge("fixed"), random_surface("friction", rng))
     plant.place(palms, psi=stable_poses(body, palms)[0])
     for _ in range(400):
@@ -25,7 +26,7 @@ def lying(seconds: float, seed: int, turning: float = 0.0, forces: bool = True):
     events = []
     for k in range(round(seconds / 0.01)):
         t = k * 0.01
-        events.append(PalmSample(t, 0.7 + turning * t + rng.normal(0, 2e-4), 1.6 + rng.normal(0, 2e-4)))
+        events.append(PalmSample(t, (0.7 + turning * t + rng.normal(0, 2e-4), 1.6 + rng.normal(0, 2e-4))))
         for pad, contact in zip((1, 2), plant.contacts(), strict=True):
             force = contact.force * (1 + rng.normal(0, 0.05)) if forces else None
             events.append(PadSample(t, pad, contact.s + rng.normal(0, 1e-4), force))
@@ -57,7 +58,7 @@ def test_only_the_spans_at_rest_count():
     still, true = lying(1.0, 2)
     moving = [
         PadSample(e.t_sample + 1.0, e.pad, e.s + 0.01 * e.t_sample, 9.0) if isinstance(e, PadSample)
-        else PalmSample(e.t_sample + 1.0, e.phi1, e.phi2)
+        else PalmSample(e.t_sample + 1.0, e.angles)
         for e in still
     ]  # fmt: skip
     assert mass_at_rest(still + moving, RIG).value == pytest.approx(true, rel=0.01)

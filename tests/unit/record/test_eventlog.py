@@ -10,9 +10,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from palmd.events import Calibration, PadLift, PadSample, PalmSample, RigDescription
-from palmd.record.eventlog import LogError, read_log, write_log
+from palmd.events import PadLift, PadSample, PalmSample
+from palmd.record.eventlog import LogError, header_line, read_log, write_log
 from palmd.rig.simulate import simulate_log
+from palmd.system.description import AS_CALIBRATED, PadSensor, RigDescription
 
 HEADER = (
     '{"palmd_log":1,"rig":{"gravity_m_s2":9.81,"hinge":{"mode":"arc","palm1_length_m":0.11},'
@@ -51,14 +52,13 @@ def test_golden_lines(log):
     run = read_log(log(HEADER, PAD, PALMS, '{"t":0.005,"pad":2,"s_m":0.02}'))
     assert run.events == (
         PadSample(0.0031, 1, 0.0213, 0.31),
-        PalmSample(0.004, 0.7, 1.6, 0.1, -0.2, 3.0, -4.5),
+        PalmSample(0.004, (0.7, 1.6), (0.1, -0.2), (3.0, -4.5)),
         PadSample(0.005, 2, 0.02, None),
     )
+    pad = PadSensor(length=0.0555, noise=1e-4, resolution=1.27e-4, force_scale_std=0.05, force_resolution=0.02)
     assert run.rig == RigDescription(
-        gravity=9.81, hinge="arc", palm1_length=0.11, base=(0.11, 0.0), pad_length=0.0555, pad_noise=1e-4,
-        pad_resolution=1.27e-4, palm_angle_noise=2e-4, force_scale_std=0.05, force_resolution=0.02,
-        calibration=Calibration(),  # where the log does not say how well the rig is known
-    )  # fmt: skip
+        gravity=9.81, hinge="arc", palm1_length=0.11, base=(0.11, 0.0), palm_angle_noise=2e-4, pads=(pad, pad)
+    ).known_to(AS_CALIBRATED)  # where the log does not say how well the rig is known  # fmt: skip
     assert run.notes == ()
 
 
@@ -67,7 +67,7 @@ def test_what_a_header_may_add_and_leave_out(log):
     header["rig"] |= {"palm_angle_noise_rad": 1e-3, "force_resolution_n": 0.0, "palm2_length_m": 0.2, "colour": "red"}
     rig = read_log(log(json.dumps(header), PAD)).rig
     assert rig.hinge == "fixed"
-    assert (rig.palm_angle_noise, rig.force_resolution) == (1e-3, 0.0)
+    assert (rig.palm_angle_noise, [pad.force_resolution for pad in rig.pads]) == (1e-3, [0.0, 0.0])
 
 
 def test_rates_and_forces_may_be_missing_or_null(log):
@@ -78,7 +78,7 @@ def test_rates_and_forces_may_be_missing_or_null(log):
             '{"t":0,"pad":2,"s_m":0.02,"force_n":null}',
         )
     )
-    assert run.events == (PalmSample(0.0, 0.7, 1.6), PadSample(0.0, 2, 0.02))
+    assert run.events == (PalmSample(0.0, (0.7, 1.6)), PadSample(0.0, 2, 0.02))
 
 
 def test_truth_never_becomes_an_event_and_what_is_unknown_is_ignored(log):
@@ -213,14 +213,20 @@ def test_any_bytes_are_read_or_refused(tmp_path, noise, start, length):
 finite = st.floats(-1e3, 1e3)
 events = st.one_of(
     st.builds(PadSample, st.floats(0, 1), st.sampled_from([1, 2]), st.floats(1e-4, 0.055), st.none() | finite),
-    st.builds(PalmSample, st.floats(0, 1), st.floats(0, 3), st.floats(0.1, 3), *(st.none() | finite for _ in range(4))),
+    st.builds(
+        PalmSample,
+        st.floats(0, 1),
+        st.tuples(st.floats(0, 3), st.floats(0.1, 3)),
+        *(st.none() | st.tuples(finite, finite),) * 2,
+    ),
 )
+sensors = st.builds(PadSensor, length=st.just(0.0555), noise=st.floats(1e-6, 1), force_resolution=st.floats(0, 1))
 rigs = st.builds(
     RigDescription,
     gravity=st.floats(0.1, 20),
     hinge=st.sampled_from(["arc", "fixed"]),
     palm_angle_noise=st.floats(1e-6, 1),
-    force_resolution=st.floats(0, 1),
+    pads=st.tuples(sensors, sensors),
 )
 
 
@@ -236,3 +242,21 @@ def test_what_is_written_is_read_again(tmp_path, rig, run, length):
     read = read_log(path)
     assert read.rig == rig
     assert read.events == tuple(run)
+
+
+def test_pads_that_differ_come_back_as_they_were(log):
+    one, two = PadSensor(), PadSensor(0.04, 3e-4, 2e-4, 0.1, 0.03, 0.05, 2e-4, 1e-3, 3e-4, 4e-5, 5e-3)
+    rig = RigDescription(palm1_length=0.11, base=(0.11, 0.0), angle_sd=1e-3, pads=(one, two))
+    header = header_line(rig)
+    assert header["rig"]["pad"] == {"length_m": 0.04, "noise_m": 3e-4, "resolution_m": 2e-4}, "for who knows no other"
+    assert read_log(log(json.dumps(header), PAD)).rig == rig
+    alike = header_line(replace(rig, pads=(two, two)))
+    assert "pads" not in alike["rig"]
+    assert read_log(log(json.dumps(alike), PAD)).rig.pads == (two, two)
+
+
+@pytest.mark.parametrize("pads", [{}, [{}], [{"length_m": 0.05}, 3], [{"length_m": 0.05}, {"length_m": 0.05}]])
+def test_pads_that_are_no_pads_are_refused(log, pads):
+    header = json.loads(HEADER)
+    header["rig"]["pads"] = pads
+    assert ":1: " in refused(log(json.dumps(header), PAD))

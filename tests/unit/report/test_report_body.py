@@ -25,21 +25,21 @@ def test_outline_of_a_circle_beside_the_centre_of_mass(count):
 def test_centre_is_r_away_from_each_palm_and_contacts_lie_on_them(series):
     pose = pose_at(series, 101)
     for angle, r, s, contact in (
-        (pose.phi1, series.estimate["r1_m"][101], 0.03, pose.contact1),
-        (pose.phi12, series.estimate["r2_m"][101], 0.031, pose.contact2),
+        (pose.directions[0], series.estimate["r1_m"][101], 0.03, pose.contacts[0]),
+        (pose.directions[1], series.estimate["r2_m"][101], 0.031, pose.contacts[1]),
     ):
         along = np.array([np.cos(angle), np.sin(angle)])
         assert abs(along[0] * pose.centre[1] - along[1] * pose.centre[0]) == pytest.approx(r)
         assert contact == pytest.approx(s * along)
     # between the palms, not behind one of them
-    assert pose.phi1 < np.arctan2(pose.centre[1], pose.centre[0]) < pose.phi12
+    assert pose.directions[0] < np.arctan2(pose.centre[1], pose.centre[0]) < pose.directions[1]
 
 
 def test_felt_points_are_the_contacts_turned_back(series):
     felt = felt_points(series, (101,))
     pose = pose_at(series, 101)
     back = turned(felt, pose.psi) + pose.centre[:, None]
-    assert back == pytest.approx(np.stack([pose.contact1, pose.contact2], axis=1))
+    assert back == pytest.approx(np.stack(pose.contacts, axis=1))
 
 
 def test_frames_are_valid_rising_and_reach_from_the_first_to_the_last(series):

@@ -40,10 +40,10 @@ def test_rates_and_accelerations_against_differences():
     for t in (0.1, 0.5, 1.3):
         palms = LINKAGE.motion(*axes(t))
         assert palms is not None
-        assert palms.omega1 == pytest.approx(0.6 * math.cos(2.0 * t), abs=1e-5)
-        assert palms.omega2 == pytest.approx(-0.6 * math.sin(3.0 * t), abs=1e-5)
-        assert palms.alpha1 == pytest.approx(-1.2 * math.sin(2.0 * t), abs=1e-4)
-        assert palms.alpha2 == pytest.approx(-1.8 * math.cos(3.0 * t), abs=1e-4)
+        assert palms.rates[0] == pytest.approx(0.6 * math.cos(2.0 * t), abs=1e-5)
+        assert palms.rates[1] == pytest.approx(-0.6 * math.sin(3.0 * t), abs=1e-5)
+        assert palms.accelerations[0] == pytest.approx(-1.2 * math.sin(2.0 * t), abs=1e-4)
+        assert palms.accelerations[1] == pytest.approx(-1.8 * math.cos(3.0 * t), abs=1e-4)
 
 
 def test_out_of_reach_is_none():

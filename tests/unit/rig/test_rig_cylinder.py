@@ -23,7 +23,7 @@ def test_it_is_a_disc_of_even_density():
 
 def test_it_rests_at_any_angle():
     for phi2 in (0.8, 1.6, 2.4):
-        assert stable_poses(BODY, PalmMotion(0.6, phi2)) == [0.0]
+        assert stable_poses(BODY, PalmMotion.at_rest((0.6, phi2))) == [0.0]
 
 
 def test_it_lies_still_on_both_palms_and_comes_back():

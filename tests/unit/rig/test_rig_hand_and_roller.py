@@ -1,6 +1,7 @@
 """The hand that swings the palms, and the roller that is laid on them, on the emulated rig."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -49,7 +50,7 @@ def test_by_hand_the_arm_is_in_manual_mode_and_reports_where_it_is_led():
 
 
 def motion(phi1_deg, phi2_deg, **rates):
-    return PalmMotion(math.radians(phi1_deg), math.radians(phi2_deg), **rates)
+    return replace(PalmMotion.at_rest((math.radians(phi1_deg), math.radians(phi2_deg))), **rates)
 
 
 def heard(palms, seconds=20.0, kind="ball", pad=0, seed=1):
@@ -81,7 +82,7 @@ def test_it_rolls_down_the_gentler_palm_as_fast_as_it_must(kind, share, pad, pal
 
 
 def test_it_is_taken_away_while_the_palms_move_and_not_laid_on_steep_ones():
-    moving = heard(lambda t: motion(12.0, 110.0, omega1=0.1 if 5.0 < t < 10.0 else 0.0))
+    moving = heard(lambda t: motion(12.0, 110.0, rates=(0.1 if 5.0 < t < 10.0 else 0.0, 0.0)))
     assert len(moving)
     assert not ((moving[:, 0] > 5.0) & (moving[:, 0] < 10.9)).any()
     assert len(heard(motion(45.0, 90.0))) == 0

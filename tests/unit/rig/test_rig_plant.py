@@ -16,7 +16,7 @@ G = 9.81
 STEP = 5e-4
 FIXED = Hinge("fixed", base=(0.0, 0.0))
 REFERENCE = json.loads((Path(__file__).parents[2] / "data" / "rig_reference.json").read_text())["runs"]
-AT_REST = PalmMotion(0.7, 1.6)
+AT_REST = PalmMotion.at_rest((0.7, 1.6))
 
 
 def body(seed: int = 0) -> Body:
@@ -35,7 +35,7 @@ def run(plant: Plant, palms: PalmMotion, seconds: float) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_static_forces_and_geometry(seed):
     plant = Plant(body(seed), FIXED, FrictionSurface(mu=0.2))
-    phi1, phi2 = AT_REST.phi1, AT_REST.phi2
+    phi1, phi2 = AT_REST.angles
     plant.place(AT_REST, stable_poses(plant.body, AT_REST)[0])
     contact1, contact2 = plant.contacts()
     mass = plant.body.mass
@@ -112,13 +112,13 @@ def test_palms_that_drop_away_let_go_and_catch_again():
     """The palms turn down faster than the body can fall; then they stop and it lands on them."""
     plant = Plant(disc(), FIXED, FrictionSurface(mu=0.1))
     phi1, rate, dt = 0.7, 0.0, STEP
-    plant.place(PalmMotion(phi1, 1.7), 0.0)
+    plant.place(PalmMotion.at_rest((phi1, 1.7)), 0.0)
     lost = 0
     for k in range(1000):
         alpha = -900.0 if k < 16 else 900.0 if k < 32 else 0.0
-        middle = PalmMotion(phi1 + rate * dt / 2 + alpha * dt**2 / 8, 1.7, rate + alpha * dt / 2, 0.0, alpha)
+        middle = PalmMotion((phi1 + rate * dt / 2 + alpha * dt**2 / 8, 1.7), (rate + alpha * dt / 2, 0.0), (alpha, 0.0))
         phi1, rate = phi1 + rate * dt + alpha * dt**2 / 2, rate + alpha * dt
-        plant.advance(middle, PalmMotion(phi1, 1.7, rate, 0.0, alpha), dt)
+        plant.advance(middle, PalmMotion((phi1, 1.7), (rate, 0.0), (alpha, 0.0)), dt)
         lost += plant.touching != (True, True)
     assert lost > 5
     assert plant.touching == (True, True)
@@ -145,7 +145,7 @@ def test_a_landing_loses_energy_and_does_not_bounce():
 
 def test_a_body_beyond_the_pad_falls_off_and_can_be_put_back():
     plant = Plant(disc(), FIXED, FrictionSurface(), reach=(0.0555, 0.0555))
-    narrow = PalmMotion(0.9, 0.6)  # wedged far out: s = r / tan(phi2 / 2) = 65 mm
+    narrow = PalmMotion.at_rest((0.9, 0.6))  # wedged far out: s = r / tan(phi2 / 2) = 65 mm
     plant.place(narrow, 0.0)
     assert plant.fallen
     assert plant.touching == (False, False)
@@ -158,7 +158,7 @@ def test_a_body_beyond_the_pad_falls_off_and_can_be_put_back():
 
 def test_a_body_that_lands_beyond_the_pad_falls_off():
     plant = Plant(disc(), FIXED, FrictionSurface())
-    flat = PalmMotion(0.2, 2.0)
+    flat = PalmMotion.at_rest((0.2, 2.0))
     plant.place(flat, 0.0)
     assert not plant.fallen
     plant.state.vx, plant.state.vy = 0.8, 0.5  # thrown over the end of palm 1

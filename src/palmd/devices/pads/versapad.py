@@ -13,7 +13,7 @@ from palmd.devices.health import Share
 from palmd.devices.pad import PadFactory
 from palmd.devices.port import DevicePort, Port
 from palmd.devices.versapad import PadCalibration, PadPacket, PadReceiver, PressureFormat
-from palmd.events import Pad, PadLift, PadSample
+from palmd.events import PadLift, PadSample
 from palmd.messages import PadView
 
 log = logging.getLogger(__name__)
@@ -26,7 +26,7 @@ BATCHED_SHARE, BATCHED_LEAST = 0.5, 10
 class VersaPad:
     """One pad's line; see `PadDriver`. `in_break` says whether its start-up wants the line in break."""
 
-    def __init__(self, number: Pad, config: VersaPadConfig) -> None:
+    def __init__(self, number: int, config: VersaPadConfig) -> None:
         """Nothing is opened yet."""
         pressure = PressureFormat(
             config.pressure.byte, config.pressure.mask, config.pressure.shift, config.pressure.invert
@@ -45,7 +45,7 @@ class VersaPad:
         self.in_break = False
         self.parted: Literal["lifted", "silent"] | None = None
         self._receiver = PadReceiver(calibration, config.baud, pressure)
-        self._number: Pad = number
+        self._number: int = number
         self._config = config
         self._s = math.nan
         self._handshake: Handshake | None = None

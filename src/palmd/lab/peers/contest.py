@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from palmd import observer
-from palmd.events import Event, FloatArray, PadSample, RigDescription
+from palmd.events import Event, FloatArray, PadSample
 from palmd.lab.peers import generated, horizon, newton
 from palmd.lab.peers.filterpy_filters import FilterpyExtended, FilterpyUnscented
 from palmd.lab.peers.functions import functions
@@ -23,6 +23,7 @@ from palmd.model.outputs import rig_inputs
 from palmd.observer.bank import Bank
 from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.score import score_outline
+from palmd.system.description import RigDescription
 
 OWN, BANK = "palmd: one filter", "palmd: the bank"
 _NORMALS = 360
@@ -77,7 +78,7 @@ def entries(task: PeerTask, truth: PeerTruth) -> tuple[Entry, ...]:
     windows = cache(newton.window)
     rig = rig_inputs(task.rig)
     palms = task.palms
-    first = np.array([palms.phi1, palms.phi2, palms.omega1, palms.omega2, palms.alpha1, palms.alpha2])
+    first = np.array([*palms.angles, *palms.rates, *palms.accelerations])
 
     def newtons(form: newton.Form) -> Callable[[PeerStart], Peer]:
         return lambda start: newton.NewtonObserver(windows(form), start, first, rig, truth.mass)

@@ -11,13 +11,15 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from palmd.events import Event, FloatArray, PadSample, PalmMotion, PalmSample, RigDescription
+from palmd.events import Event, FloatArray, PadSample, PalmMotion, PalmSample
 from palmd.model import shape, shape_map
 from palmd.model.outputs import rig_inputs
 from palmd.observer import prior
 from palmd.observer.filters.base import LONGEST_STEP_S
 from palmd.observer.fusion import EARLY_NOISE, EARLY_S
 from palmd.observer.palms import PalmTracker
+from palmd.system.description import RigDescription
+from palmd.system.mechanism import normal_directions
 
 StartName = Literal["good", "blind"]
 GOOD = 0.1
@@ -40,7 +42,7 @@ class Reading:
     """
 
     t: float
-    pad: Literal[1, 2]
+    pad: int
     value: float
     variance: float
     palms: FloatArray
@@ -112,7 +114,7 @@ class PeerTruth:
     def touched(self, theta: FloatArray) -> npt.NDArray[np.bool_]:
         """Which of the normals `theta` (rad) lie in a bin that either palm has touched."""
         bins = np.zeros(_BINS, dtype=np.bool_)
-        for angle in (self.phi1 - self.psi - np.pi / 2, self.phi1 + self.phi2 - self.psi - 3 * np.pi / 2):
+        for angle in normal_directions((self.phi1, self.phi2), self.psi):
             bins[_bin(angle)] = True
         return bins[_bin(theta)]
 
@@ -129,7 +131,7 @@ class PeerStart:
 def task_from(rig: RigDescription, events: Iterable[Event]) -> PeerTask:
     """The events of a run as readings, cut as `observer.fusion` cuts them; ValueError if nothing is touched."""
     tracker, rig_values = PalmTracker(rig.palm_angle_noise), rig_inputs(rig)
-    variance = rig.reading_variance
+    variances = rig.reading_variances
     last: dict[int, PadSample] = {}
     readings: list[Reading] = []
     t = t_start = math.inf
@@ -148,7 +150,8 @@ def task_from(rig: RigDescription, events: Iterable[Event]) -> PeerTask:
             t = event.t_sample
             inflation = 1.0 + EARLY_NOISE * math.exp(-(t - t_start) / EARLY_S)
             forces = (_force(last[1]), _force(last[2]))
-            readings.append(Reading(t, event.pad, event.s, inflation * variance, tracker.at(t), moves, forces))
+            variance = inflation * float(variances[event.pad - 1])
+            readings.append(Reading(t, event.pad, event.s, variance, tracker.at(t), moves, forces))
     if first is None or not readings:
         raise ValueError("both pads and the palms must have been read for there to be anything to estimate")
     return PeerTask(rig, t_start, *first, tuple(readings))
@@ -182,7 +185,7 @@ def radii(x: FloatArray, reading: Reading) -> FloatArray:
 
 
 def _prior(task: PeerTask) -> tuple[FloatArray, FloatArray]:
-    belief = prior.blind_start(task.s1, task.s2, task.palms, 1, True, np.random.default_rng(0))
+    belief = prior.blind_start((task.s1, task.s2), task.palms, 1, True, np.random.default_rng(0))
     Z = shape_map.Z
     x, sd = np.zeros(shape_map.N), np.zeros(shape_map.N)
     x[Z.LN_RHO], x[Z.MU] = math.log(prior.GYRATION * belief.mean_radius), prior.FRICTION

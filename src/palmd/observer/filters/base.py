@@ -25,7 +25,7 @@ class Overconfidence:
     """How overconfident a young filter is: its true errors are 1 + excess · exp(−age/lasts_s) of its own sigmas.
 
     Linearising about a blind guess costs more than a covariance can know. Measured over simulated runs of the kind
-    `nominal`, as the root mean square of error over sigma, r1 and r2, by age.
+    `nominal`, as the root mean square of error over sigma, of both radii, by age.
     """
 
     excess: float

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from palmd.events import FloatArray, PadSample, PalmSample, RigDescription
+from palmd.events import FloatArray, PadSample, PalmSample
 from palmd.model import extended, shape, shape_map
 from palmd.model.outputs import NAMED, RIG_INPUTS, rig_inputs
 from palmd.observer import prior
@@ -21,6 +21,8 @@ from palmd.observer.filters.base import (
 )
 from palmd.observer.palms import PLAN_RATE_SD, PalmTracker
 from palmd.observer.prior import BlindStart
+from palmd.system.description import RigDescription
+from palmd.system.mechanism import JOINT_RATES, JOINTS
 
 GUESSED_SLIDING_SD_M_S, GUESSED_ROLLING_SD_M_S = 1e-2, 3e-3  # m/s, of s and of r while the palms' motion is guessed
 OUTLINE_SD_M = 1e-4  # m, of an outline put together from radii, curvature and what both contacts say of its centre
@@ -120,11 +122,10 @@ class ExtendedFilters:
         self.bank.update(pad_update(sample.pad), sample.s, variance, repeated=repeated)
 
     def fuse_palms(self, sample: PalmSample, angle_variance: float) -> None:
-        self.bank.update("update_phi1", sample.phi1, angle_variance, scored=False)
-        self.bank.update("update_phi2", sample.phi2, angle_variance, scored=False)
-        if sample.omega1 is not None and sample.omega2 is not None:
-            self.bank.update("update_omega1", sample.omega1, PLAN_RATE_SD**2, scored=False)
-            self.bank.update("update_omega2", sample.omega2, PLAN_RATE_SD**2, scored=False)
+        for joint, angle in zip(JOINTS, sample.angles, strict=True):
+            self.bank.update(f"update_{joint}", angle, angle_variance, scored=False)
+        for joint, rate in zip(JOINT_RATES, sample.rates or (), strict=False):
+            self.bank.update(f"update_{joint}", rate, PLAN_RATE_SD**2, scored=False)
 
     def inflate(self, gap: float) -> None:
         X = extended.X

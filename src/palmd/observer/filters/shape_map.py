@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from palmd.events import FloatArray, PadSample, PalmSample, RigDescription
+from palmd.events import FloatArray, PadSample, PalmSample
 from palmd.model import shape, shape_map
 from palmd.model.outputs import NAMED, RIG_INPUTS, rig_inputs
 from palmd.model.smoothing import R
@@ -23,6 +23,8 @@ from palmd.observer.filters.base import (
 from palmd.observer.palms import PalmTracker
 from palmd.observer.prior import BlindStart
 from palmd.observer.rig_error import RigError
+from palmd.system.description import RigDescription
+from palmd.system.mechanism import JOINT_RATES, JOINTS, OPENING
 
 
 def smoother_outline(x: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -76,7 +78,7 @@ class ShapeFilters:
         self._named = library.bind("named", [self._x_next, self._v], [self._y, self._J])
         self.curvature = np.zeros((CURVATURE_NORMALS, n))
         self.curvature[:, shape_map.Z.SHAPE :] = curvature_rows(order)
-        self.rig_error = RigError(rig.pad_length)
+        self.rig_error = RigError(tuple(pad.length for pad in rig.pads))
         self.spread: FloatArray | None = None
 
     def start(self, start: BlindStart, palms: PalmTracker, t: float) -> None:
@@ -119,9 +121,9 @@ class ShapeFilters:
         self.bank.predict(dt, self._palms_at(t, palms), palms.jerk, self._rig_now())
 
     def fuse_pad(self, sample: PadSample, variance: float, palms: PalmTracker, repeated: float) -> None:
-        phi1, phi2 = self._palms_at(sample.t_sample, palms)[:2]
-        s = self.rig_error.corrected(sample, phi2)
-        self.bank.update(pad_update(sample.pad), s, variance, phi1, phi2, repeated=repeated)
+        angles = self._palms_at(sample.t_sample, palms)[: len(JOINTS)]
+        s = self.rig_error.corrected(sample, angles[OPENING])
+        self.bank.update(pad_update(sample.pad), s, variance, *angles, repeated=repeated)
 
     def fuse_palms(self, sample: PalmSample, angle_variance: float) -> None:
         raise NotImplementedError("the palms' motion is an input of the shape map")
@@ -141,7 +143,7 @@ class ShapeFilters:
         self._v[: shape_map.PALM_INPUTS] = self._palms_at(t + dt, palms)
         self._named()
         cov = self._J.T @ self._P_next @ self._J
-        for name, sd in zip(("phi1", "phi2", "omega1", "omega2"), np.ravel(palms.sd(t + dt)), strict=True):
+        for name, sd in zip((*JOINTS, *JOINT_RATES), np.ravel(palms.sd(t + dt)), strict=True):
             i = NAMED.index(name)
             cov[i, i] += sd**2
         return self._y.copy(), cov

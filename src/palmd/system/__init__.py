@@ -1,0 +1,1 @@
+"""What the rig is: its mechanism, its palms, its sensors, and how all of them are called."""

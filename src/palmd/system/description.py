@@ -1,0 +1,109 @@
+"""The rig as observers know it: gravity, the hinge, and each palm's pad with how well it reads. SI units."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.system.mechanism import PALMS
+
+HingeMode = Literal["arc", "fixed"]
+
+
+@dataclass(frozen=True, slots=True)
+class PadSensor:
+    """The pad of one flat palm: how far it reaches from the hinge, its noise, and how well its constants are known.
+
+    The `_sd` are one-sigma of what each constant is off by: `zero` and `scale` of the readings, `standoff` of its
+    surface from the hinge line, `sagitta` of its bow, `lag` of its time stamps, `force` of what a reading moves by with
+    the contact's force (m/N). By default it is exactly as described.
+    """
+
+    length: float = 0.0555
+    noise: float = 1e-4
+    resolution: float = 1.27e-4
+    force_scale_std: float = 0.05  # relative, of each reading by itself
+    force_gain_std: float = 0.0  # relative, of all readings together; it may drift
+    force_resolution: float = 0.02
+    zero_sd: float = 0.0
+    scale_sd: float = 0.0
+    standoff_sd: float = 0.0
+    sagitta_sd: float = 0.0
+    lag_sd: float = 0.0
+    force_sd: float = 0.0
+
+    @property
+    def reading_variance(self) -> float:
+        """Of one contact reading: its noise and what rounding to the resolution adds (m²)."""
+        return self.noise**2 + self.resolution**2 / 12
+
+    def force_variance(self, force: FloatArray | float) -> FloatArray | float:
+        """Of readings of a true `force` (N) by themselves, rounding included; without what a gain adds (N²)."""
+        return (self.force_scale_std * force) ** 2 + self.force_resolution**2 / 12
+
+
+@dataclass(frozen=True, slots=True)
+class RigDescription:
+    """What an observer must know of the rig; by default it is exactly as described.
+
+    pads: one for each palm. base: of palm 1's far end, where an arc hinge is fixed to the world. angle_sd, gravity_sd:
+    one-sigma of what each palm's angle and gravity's direction are off by, all along; friction_sd: of the asymmetry
+    (μ1 − μ2)/(μ1 + μ2) of the palms' friction.
+    """
+
+    gravity: float = 9.81
+    hinge: HingeMode = "arc"
+    palm1_length: float = 0.12
+    base: tuple[float, float] = (0.12, 0.0)
+    palm_angle_noise: float = 2e-4
+    angle_sd: float = 0.0
+    gravity_sd: float = 0.0
+    friction_sd: float = 0.0
+    pads: tuple[PadSensor, ...] = tuple(PadSensor() for _ in PALMS)
+
+    @property
+    def arc(self) -> tuple[tuple[float, float], float]:
+        """Centre (m, world) and radius (m) of the hinge's way, for `hinge_position`; (0, 0) and 0 if it is fixed."""
+        return (self.base, self.palm1_length) if self.hinge == "arc" else ((0.0, 0.0), 0.0)
+
+    @property
+    def reading_variances(self) -> FloatArray:
+        """Of one contact reading of each pad (m²)."""
+        return np.array([pad.reading_variance for pad in self.pads])
+
+    def force_variances(self, force: FloatArray, pad: FloatArray) -> FloatArray:
+        """`PadSensor.force_variance` of readings of true forces (N), each of the pad of that number (N²)."""
+        variance = np.empty_like(force)
+        for number, sensor in zip(PALMS, self.pads, strict=True):
+            mine = pad == number
+            variance[mine] = sensor.force_variance(force[mine])
+        return variance
+
+    def with_pads(self, **values: float) -> RigDescription:
+        """The same rig with these fields of every pad."""
+        return replace(self, pads=tuple(replace(pad, **values) for pad in self.pads))
+
+    def known_to(self, sds: Mapping[str, float]) -> RigDescription:
+        """The same rig with these `_sd`, which are those of every pad where they are a pad's."""
+        of_pads = {name: sd for name, sd in sds.items() if hasattr(PadSensor, name)}
+        own: dict[str, Any] = {name: sd for name, sd in sds.items() if name not in of_pads}
+        return replace(self.with_pads(**of_pads), **own)
+
+
+AS_CALIBRATED: Mapping[str, float] = {
+    "zero_sd": 1e-4,
+    "scale_sd": 3e-3,
+    "angle_sd": math.radians(0.1),
+    "standoff_sd": 2e-4,
+    "lag_sd": 2e-3,
+    "gravity_sd": math.radians(0.2),
+    "sagitta_sd": 3e-5,
+    "force_sd": 5e-5,
+    "friction_sd": 0.3,
+}
+"""How well a rig is known after docs/start/calibration.md."""
