@@ -56,8 +56,9 @@ class Handover:
         if bank.lost() or undecided or nis > bank.nis[best] + WORSE_NIS:
             return False
         frame = (object_count, answer.frame)
-        if fusion.carries and not (frame == self._frame or _as_sharp(P, fusion, track.coverage.marks)):
-            return False  # it has been found anew, from the latest readings alone
+        anew = frame != self._frame if fusion.carries else track.valid and not answer.established
+        if anew and not _as_sharp(P, fusion, track.coverage.marks):
+            return False  # it has been found from the latest readings alone, and more is known
         if frame != self._frame:
             self._frame, self._turn = frame, float(bank.x[best, shape_map.Z.PSI] - x[shape_map.Z.PSI])
         x, P, spread = _turned(x, P, answer.spread, self._turn)
@@ -84,9 +85,10 @@ class Handover:
 
 def _as_sharp(P: FloatArray, fusion: Fusion, touched: Marks) -> bool:
     """Whether covariance `P` tells the outline as well as the leader's does, where it has been touched."""
-    rows = bin_rows(P.shape[-1] - shape_map.Z.SHAPE)[touched]
-    own = fusion.bank.P[fusion.bank.best()]
-    variance = [((rows @ each[_SHAPE, _SHAPE]) * rows).sum() for each in (P, own)]
+    variance = []
+    for outline in (P[_SHAPE, _SHAPE], fusion.bank.P[fusion.bank.best()][_SHAPE, _SHAPE]):
+        rows = bin_rows(len(outline))[touched]
+        variance.append(((rows @ outline) * rows).sum())
     return bool(variance[0] <= variance[1])
 
 

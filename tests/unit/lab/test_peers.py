@@ -114,7 +114,7 @@ def test_the_c_sees_what_the_numpy_twin_sees(kernels, pad):
     s, row = plain_model.reading_row(x, *PALMS[:2], pad)
     x_c, P_c, score = np.zeros(n), np.zeros((n, n)), np.zeros(2)
     for off in (0.0, 1e-3):
-        z = np.array([s + off, 1e-8, math.inf, *PALMS[:2]])
+        z = np.array([s + off, 1e-8, math.inf, 1.0, *PALMS[:2]])
         kernels.bind(f"update_s{pad}", [x, np.eye(n), z], [x_c, P_c, score])()
         assert x_c - x == pytest.approx(row * off / (row @ row + 1e-8), rel=SAME_FORMULA, abs=1e-14)
 

@@ -1,0 +1,50 @@
+"""Which of a smoother's answers the loop's filters take in."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from palmd.events import Improvement
+from palmd.model import shape_map
+from palmd.model.smoothing import ORDER, RIG_CONSTANTS
+from palmd.observer.coverage import NORMAL_BINS
+from palmd.observer.handover import Handover, SmoothedFilters
+from palmd.system.description import RigDescription
+
+N, SMOOTHED_N = shape_map.N, shape_map.size(ORDER)
+OWN_SD = 1e-5  # of the bank's outlines (m)
+TOUCHED = np.arange(NORMAL_BINS) < 20
+
+
+def track(valid):
+    bank = SimpleNamespace(
+        n=N, size=2, x=np.zeros((2, N)), P=np.tile(OWN_SD**2 * np.eye(N), (2, 1, 1)), score=np.array([0.0, -3.0]),
+        nis=np.ones(2), best=lambda: 0, lost=lambda: False,
+    )  # fmt: skip
+    forgetting = SimpleNamespace(prior_age_s=np.ones(2))
+    history = SimpleNamespace(clear=lambda: None)
+    fusion = SimpleNamespace(bank=bank, carries=False, forgetting=forgetting, history=history)
+    return SimpleNamespace(fusion=fusion, valid=valid, coverage=SimpleNamespace(marks=TOUCHED))
+
+
+def answered(sd, valid):
+    """Whether an answer of that one-sigma (m) that nothing has confirmed joins a bank, and the bank."""
+    filters = SimpleNamespace()
+    handover = Handover(
+        RigDescription(), SimpleNamespace(), SmoothedFilters(filters, filters), SimpleNamespace(candidate=None)
+    )
+    now, P = track(valid), sd**2 * np.eye(SMOOTHED_N)
+    answer = Improvement(
+        1.0, np.zeros(SMOOTHED_N), P, 1, False, TOUCHED, np.zeros(RIG_CONSTANTS), np.zeros((SMOOTHED_N, RIG_CONSTANTS))
+    )
+    return handover.take_in(now, 1, answer, np.zeros(SMOOTHED_N), P, nis=1.0), now.fusion.bank
+
+
+@pytest.mark.parametrize(("sd", "valid", "taken"), [(2e-5, True, False), (5e-6, True, True), (2e-5, False, True)])
+def test_an_answer_that_tells_less_than_a_valid_bank_is_not_taken_in(sd, valid, taken):
+    took, bank = answered(sd, valid)
+    assert took is taken
+    assert (bank.score[1] > bank.score[0]) is np.bool_(taken)
