@@ -18,7 +18,6 @@ from palmd.model.stable_poses import (
     follow,
     height,
     nearest_turn,
-    normals,
     outline_at,
     stable_poses,
     touch,
@@ -26,6 +25,7 @@ from palmd.model.stable_poses import (
 from palmd.model.stable_surface import Surface, SurfaceLimits, inside_boundary, point_at, stable_surface
 from palmd.rig import plant
 from palmd.rig.shapes import KINDS, Body, random_body
+from palmd.system.mechanism import normal_directions
 
 LIMITS = SurfaceLimits()
 ROUND = [(0.15, 0.7), (2.2, 0.7), (0.15, 2.7), (0.15, 0.7)]  # rad, a loop near the limits of the palm angles
@@ -150,7 +150,7 @@ def test_the_printed_equations_hold():
         assert centre_of_mass(at, phi1)[1] == pytest.approx(here.y, abs=1e-14)
         assert apart[0] == pytest.approx(here.slope, abs=1e-14)
 
-        theta1 = normals(phi1, phi2, psi)[0]
+        theta1 = normal_directions((phi1, phi2), psi)[0]
         n, t = np.array([np.cos(theta1), np.sin(theta1)]), np.array([np.sin(theta1), -np.cos(theta1)])
         x1 = at.r1 * n + at.d1 * t
         r2, d2 = -at.s1 * np.sin(phi2), at.s1 * np.cos(phi2) - at.s2  # generalized, (3.6)

@@ -7,11 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from palmd.events import Improvement, RigDescription
+from palmd.events import Improvement
 from palmd.model import shape_map
 from palmd.model.smoothing import ORDER, RIG_CONSTANTS
 from palmd.observer.coverage import NORMAL_BINS
 from palmd.observer.handover import Handover, SmoothedFilters
+from palmd.system.description import RigDescription
 
 N, SMOOTHED_N = shape_map.N, shape_map.size(ORDER)
 OWN_SD = 1e-5  # of the bank's outlines (m)
