@@ -100,7 +100,7 @@ def test_prediction_integrates_the_drift() -> None:
     x = _extended_state(_shape_state(np.random.default_rng(1)))
     moved = _array(extended.predict_function()(x, np.zeros((extended.N,) * 2), EXTENDED_U)[0]).ravel()
     n, dt = 400, EXTENDED_U[0]
-    s, a1, a2, g = ca.SX.sym("s", extended.N), ca.SX.sym("a"), ca.SX.sym("b"), ca.SX.sym("g", 4)
+    s, a1, a2, g = ca.SX.sym("s", extended.N), ca.SX.sym("a"), ca.SX.sym("b"), ca.SX.sym("g", len(RIG))
     function = ca.Function("rates", [s, a1, a2, g], [extended.drift(s, a1, a2, g)])
 
     def rates(state: np.ndarray, t: float) -> np.ndarray:

@@ -31,8 +31,16 @@ def answer(**changes):
     values = {"converged": True, "chi2": 1.0, "theta": theta, "h": 0.02 + 0 * theta, "h_sd": 1e-5 + 0 * theta}
     values |= {"visits": 2 * (theta < 0.5) + (theta < 1.0)}
     values |= {"touched": theta < 1.0, "rho": 0.014, "rho_sd": 1e-3, "mu": 0.1, "mu_sd": 0.01, "mass": nan}
-    values |= {"mass_sd": nan, "t": t, "psi": t, "omega0": 2 * t, "r1": t, "r2": t, "reason": "", "seconds": 1.5}
-    values |= {"rig": np.arange(12.0), "rig_sd": np.full(12, 0.5)}
+    values |= {
+        "mass_sd": nan,
+        "t": t,
+        "psi": t,
+        "omega0": 2 * t,
+        "radii": np.stack([t, t]),
+        "reason": "",
+        "seconds": 1.5,
+    }
+    values |= {"rig": np.arange(15.0), "rig_sd": np.full(15, 0.5)}
     return Reconstruction(**values | changes)
 
 
@@ -43,7 +51,8 @@ def unweighed():
 def nothing():
     none = np.zeros(0)
     absent = dict.fromkeys(("chi2", "rho", "rho_sd", "mu", "mu_sd"), math.nan)
-    columns = dict.fromkeys(("t", "psi", "omega0", "r1", "r2", "rig", "rig_sd"), none)
+    columns = dict.fromkeys(("t", "psi", "omega0", "rig", "rig_sd"), none)
+    columns["radii"] = np.zeros((2, 0))
     return answer(
         converged=False, h=None, h_sd=None, touched=None, visits=None, reason="too little", **absent, **columns
     )
@@ -63,7 +72,7 @@ def test_the_result_has_the_fields_of_the_contract():
     assert line["mass_kg"] is line["mass_sd_kg"] is None
     assert (line["rho_m"], line["mu_sd"], line["seconds"]) == (0.014, 0.01, 1.5)
     assert line["rig"]["pad2_zero_m"] == {"value": 1.0, "sd": 0.5}
-    assert len(line["rig"]) == 12
+    assert len(line["rig"]) == 15
     assert line["trajectory"] == {
         "t": [0.1, 0.2], "psi_rad": [0.1, 0.2], "omega0_rad_s": [0.2, 0.4], "r1_m": [0.1, 0.2], "r2_m": [0.1, 0.2]
     }  # fmt: skip

@@ -28,7 +28,7 @@ from palmd.rig.world import default_config
 
 def test_a_run_explores_more_than_the_open_loop_plans_and_is_told_in_full():
     """Eight seconds of each on the same object, the smoother beside the first."""
-    explored, *others = (exploring.run(ExploringTask("odd", 3, strategy, 8.0)) for strategy in STRATEGIES)
+    explored, *others = (exploring.run(ExploringTask("odd", 5, strategy, 8.0)) for strategy in STRATEGIES)
     assert [row.error for row in (explored, *others)] == ["", "", ""]
     assert explored.coverage > 0.35
     assert all(row.coverage < explored.coverage for row in others)
@@ -79,7 +79,7 @@ def instant(t, psi, contacts=(True, True), s=(0.02, 0.03), valid=True):
 
 
 def watch(**how):
-    return ExplorationWatch(np.ones(BINS, dtype=np.bool_), 0.0555, t_start=100.0, **how)
+    return ExplorationWatch(np.ones(BINS, dtype=np.bool_), (0.0555, 0.0555), t_start=100.0, **how)
 
 
 def test_the_bins_of_both_normals_are_touched_where_there_is_contact():
@@ -95,7 +95,7 @@ def test_the_bins_of_both_normals_are_touched_where_there_is_contact():
 def test_time_to_enough_counts_what_can_be_reached():
     reachable = np.zeros(BINS, dtype=np.bool_)
     reachable[50:60] = True
-    mine = ExplorationWatch(reachable, 0.0555, t_start=100.0)
+    mine = ExplorationWatch(reachable, (0.0555, 0.0555), t_start=100.0)
     for k in range(400):  # ψ falls by 10° a second: θ1 goes from 298° up, through the bins from 59 on
         mine.take(instant(100.0 + 0.01 * k, psi=math.radians(45.0 - 0.15 * k)))
     # bin 50 is touched when θ1 = 298.6° − 45° + 15°/s · t comes to 250°: at once; bin 59 at 295° after 2.76 s

@@ -110,7 +110,7 @@ def test_clocks_may_be_any_distance_apart(tmp_path, run, offset):
 def test_records_that_overlap_in_part_are_enough(tmp_path, run):
     late = np.arange(240) >= 90
     result = exact(run[1])
-    early = replace(result, **{name: getattr(result, name)[:650] for name in ("t", "psi", "r1", "r2")})
+    early = replace(result, **{name: getattr(result, name)[..., :650] for name in ("t", "psi", "radii")})
     found = comparison(run, track_of(tmp_path, run, keep=late), early)
     assert abs(offset_error(found, CAMERA)) < 5e-3
     assert found.t[0] == pytest.approx(3.0, abs=0.1)
@@ -124,7 +124,7 @@ def test_gaps_are_left_out_and_told(tmp_path, run):
     blind = replace(track, angle=np.where(np.arange(180) % 7 == 3, np.nan, track.angle))
     result = exact(run[1])
     hole = (result.t < 5.0) | (result.t > 6.0)
-    holed = replace(result, **{name: getattr(result, name)[hole] for name in ("t", "psi", "r1", "r2")})
+    holed = replace(result, **{name: getattr(result, name)[..., hole] for name in ("t", "psi", "radii")})
     found = comparison(run, blind, holed)
     assert abs(offset_error(found, CAMERA)) < 5e-3
     camera, mine = found.left_out

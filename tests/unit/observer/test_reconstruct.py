@@ -33,7 +33,7 @@ def honest(answer: Reconstruction, run: Run) -> bool:
 
 
 def same(one: Reconstruction, other: Reconstruction) -> bool:
-    columns = ("h", "h_sd", "touched", "t", "psi", "omega0", "r1", "r2")
+    columns = ("h", "h_sd", "touched", "t", "psi", "omega0", "radii")
     numbers = ("converged", "chi2", "rho", "rho_sd", "mu", "mu_sd", "mass", "mass_sd", "reason")
     return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in columns) and all(
         getattr(one, name) == getattr(other, name) for name in numbers
