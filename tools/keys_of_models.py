@@ -18,7 +18,7 @@ from palmd.config import Strict
 
 UNITS = {
     "counts_per_mm": "counts/mm", "newtons_per_count": "N/count", "_m_s2": "m/s²", "_deg_s2": "°/s²", "_deg_s": "°/s",
-    "_deg": "°", "_mm": "mm", "_hz": "Hz", "_s": "s", "baud": "bit/s",
+    "_deg": "°", "_mm": "mm", "_mm_per_n": "mm/N", "_hz": "Hz", "_ms": "ms", "_s": "s", "baud": "bit/s",
 }  # fmt: skip
 BOUNDS = ((at.Gt, "gt", ">"), (at.Ge, "ge", "≥"), (at.Lt, "lt", "<"), (at.Le, "le", "≤"))
 
@@ -54,12 +54,11 @@ def keys(model: type[Strict], path: str = "") -> Iterator[Key]:
         alike.setdefault(model_in(field.annotation), []).append(name)
     for name, field in model.model_fields.items():
         inner = model_in(field.annotation)
-        if inner is not None:
-            if name == alike[inner][0]:
-                yield from keys(inner, f"{path}{', '.join(alike[inner])}.")
-        else:
+        if inner is None or isinstance(field.default, str):  # a word may stand for the block
             unit = next((unit for end, unit in UNITS.items() if name.endswith(end)), "")
             yield Key(path + name, unit, _default(field), _allowed(field), _text(model, name))
+        if inner is not None and name == alike[inner][0]:
+            yield from keys(inner, f"{path}{', '.join(alike[inner])}.")
 
 
 def _text(model: type[Strict], name: str) -> str:
@@ -70,7 +69,8 @@ def _text(model: type[Strict], name: str) -> str:
 
 def model_in(kind: Any) -> type[Strict] | None:
     """The model that a type is, or may be."""
-    for each in (kind, *get_args(kind)):
+    parts = (get_args(each)[0] if get_origin(each) is Annotated else each for each in get_args(kind))
+    for each in (kind, *parts):
         if isinstance(each, type) and issubclass(each, Strict):
             return each
     return None

@@ -18,6 +18,7 @@ OTHERS = ("-n", "2", "--dist", "worksteal", *(f"--ignore={folder}" for folder in
 
 def main(arguments: list[str]) -> int:
     """0 when all have passed; `arguments` go to both halves."""
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # some hundred processes import the same
     with tempfile.TemporaryFile("w+") as told:
         others = subprocess.Popen(
             [*PYTEST, *OTHERS, *arguments], stdout=told, stderr=told, preexec_fn=lambda: os.nice(NICE)

@@ -151,6 +151,48 @@ def _that_can_be_driven(hinge: object) -> object:
     return hinge
 
 
+class PadImperfectionsConfig(Strict):
+    """By how much the emulated pad of one palm is off from what it is taken for."""
+
+    zero_mm: Annotated[FiniteFloat, Field(ge=-10, le=10)] = 0.0
+    """What it reads more, everywhere."""
+    scale: Annotated[FiniteFloat, Field(ge=-0.2, le=0.2)] = 0.0
+    """What it reads more, as a share of the distance from the hinge."""
+    standoff_mm: Annotated[FiniteFloat, Field(ge=-10, le=10)] = 0.0
+    """How far its surface lies above the hinge line, on the object's side."""
+    sagitta_mm: Annotated[FiniteFloat, Field(ge=-5, le=5)] = 0.0
+    """By how much its middle is higher than its ends."""
+    lag_ms: Annotated[FiniteFloat, Field(ge=-10, le=100)] = 0.0
+    """How late its readings are."""
+    force_mm_per_n: Annotated[FiniteFloat, Field(ge=-10, le=10)] = 0.0
+    """What it reads more under each newton."""
+
+
+class ImperfectionsConfig(Strict):
+    """Of the emulated rig: by how much its constants are off from what they are taken for."""
+
+    palm1: PadImperfectionsConfig = PadImperfectionsConfig()
+    """The pad of palm 1."""
+    palm2: PadImperfectionsConfig = PadImperfectionsConfig()
+    """The pad of palm 2."""
+    phi1_deg: Annotated[FiniteFloat, Field(ge=-10, le=10)] = 0.0
+    """True palm 1 above what the arm's pose tells."""
+    phi2_deg: Annotated[FiniteFloat, Field(ge=-10, le=10)] = 0.0
+    """The same of the angle between the palms."""
+    gravity_deg: Annotated[FiniteFloat, Field(ge=-10, le=10)] = 0.0
+    """By how much the table tips: palm 1 is that much steeper against gravity."""
+    friction_asymmetry: Annotated[FiniteFloat, Field(gt=-1, lt=1)] = 0.0
+    """(μ1 − μ2)/(μ1 + μ2) of the palms' friction."""
+
+
+Drawn = Literal["none", "calibrated"]
+"""Imperfections of the emulated rig that need not be written out: none at all, or drawn from how well it is known."""
+
+
+def _imperfections_kind(value: Any) -> str:
+    return "<values>" if isinstance(value, dict | ImperfectionsConfig) else "<word>"
+
+
 class RigConfig(Strict):
     """Gravity and the palms' linkage, in the world frame."""
 
@@ -170,6 +212,11 @@ class RigConfig(Strict):
     """How well gravity's direction is known, one sigma."""
     friction_asymmetry_sd: Annotated[NotNegative, Field(le=1)] = 0.3
     """How alike the palms rub: one sigma of (μ1 − μ2)/(μ1 + μ2); 0 where both surely have one friction."""
+    imperfections: Annotated[
+        Annotated[Drawn, Tag("<word>")] | Annotated[ImperfectionsConfig, Tag("<values>")],
+        Discriminator(_imperfections_kind),
+    ] = Field(default="none", exclude=True)  # excluded: the daemon's rig is the same whatever the emulated one is
+    """Of the emulated rig alone: `none`, drawn from all the `_sd` (`calibrated`), or a block of what is off."""
 
     @property
     def palm_lengths_mm(self) -> tuple[float, ...]:

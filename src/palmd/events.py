@@ -134,10 +134,11 @@ class ShapeEstimate:
 class Improvement:
     """A smoother's belief about the shape map's state at time `t` (s): mean x, and covariance P were `rig` right.
 
-    rig: (12,) the rig's constants as in `model.smoothing.R`; what is not known of them adds spread·spreadᵀ to P, with
-    spread (n, 12). The outline has the smoother's harmonics. `frame` is another when it has another gauge than before.
-    `established`: what was found has proved true for so long that no rival needs to be kept. touched: (72,) as in
-    `Outlook`.
+    rig, rig_sd: (15,) the rig's constants as in `model.smoothing.R` and their one-sigma; what is not known of them adds
+    spread·spreadᵀ to P, with spread (n, 15). contradicted: (15,) by how many sigmas each is not what it was taken for,
+    0 where nothing speaks against it. The outline has the smoother's harmonics. `frame` is another when it has another
+    gauge than before. `established`: what was found has proved true for so long that no rival needs to be kept.
+    touched: (72,) as in `Outlook`.
     """
 
     t: float
@@ -147,7 +148,9 @@ class Improvement:
     established: bool
     touched: npt.NDArray[np.bool_]
     rig: FloatArray
+    rig_sd: FloatArray
     spread: FloatArray
+    contradicted: FloatArray
 
 
 DECIDED = 0.95
@@ -181,6 +184,7 @@ class Outlook:
     states: (K, 21) of `model.shape_map`, SI, the likeliest first, then samples of what the object may be besides, all
     in the first one's gauge. touched, h_sd: (72,) for the bins of outward normals, bin 0 beginning at θ = 0, whether a
     palm has been there and the outline's one-sigma (m) at the bin's middle. `object_count` as in the estimate.
+    rig: what the rig's constants are off by, in the order of `model.smoothing.R`; None: nothing is known of it.
     """
 
     t: float
@@ -188,3 +192,4 @@ class Outlook:
     touched: npt.NDArray[np.bool_]
     h_sd: FloatArray
     object_count: int
+    rig: FloatArray | None = None

@@ -261,6 +261,12 @@ FAULTS: tuple[Fault, ...] = (
         debounce_s=2.0,
     ),
     Fault(
+        "rig-contradicted",
+        Severity.NOTE,
+        "the readings contradict what the configuration says of the rig; estimates go by the readings",
+        "palm/rig, the page and palmd top say what is off and what to do about it",
+    ),
+    Fault(
         "samples-too-late",
         Severity.DEGRADE,
         "samples arrive too late to be of use to the observer",

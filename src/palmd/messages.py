@@ -16,6 +16,7 @@ from palmd.config import Config, config_hash
 from palmd.events import (
     Estimate,
     Event,
+    FloatArray,
     Improvement,
     ObjectEstimate,
     PadLift,
@@ -25,8 +26,9 @@ from palmd.events import (
     ShapeEstimate,
 )
 from palmd.faults import Fault
-from palmd.quantities import ESTIMATE, EVENTS, SCHEMA, STAMP, TICK, UNITS, Kind, Topic
+from palmd.quantities import ESTIMATE, EVENTS, SCHEMA, STAMP, TICK, TOPICS, UNITS, Kind, Topic
 from palmd.system.mechanism import JOINTS, PALMS
+from palmd.system.rig_constants import RIG_NAMES, said_off
 
 Fields = dict[str, Any]
 
@@ -36,6 +38,7 @@ NAMED_STATE = tuple(q.source for q in ESTIMATE.quantities if q.role == "named")
 """What must be finite, one-sigma included, in an estimate that says `valid`."""
 
 _SD_NAMES = {source: name for name, source in _UNCERTAIN}
+_WITH_SD = {quantity.name for topic in TOPICS for quantity in topic.quantities if quantity.uncertain}
 _EVENT_COLUMNS = tuple(quantity.name for quantity in EVENTS.quantities if quantity is not TICK)
 
 
@@ -134,7 +137,22 @@ def improvement_fields(t_tick: float, answer: Improvement) -> Fields:
         "established": answer.established,
         "touched": answer.touched.astype(int).tolist(),
         "rig": answer.rig.tolist(),
+        "rig_sd": answer.rig_sd.tolist(),
         "spread": answer.spread.ravel().tolist(),
+        "contradicted": answer.contradicted.tolist(),
+    }
+
+
+def rig_fields(values: FloatArray, sds: FloatArray, priors: FloatArray, contradicted: FloatArray) -> Fields:
+    """`palm/rig` of the rig's constants, each in the order of `RIG_TABLE`.
+
+    Their estimates, one-sigma now and beforehand, and by how many sigmas they contradict what was believed.
+    """
+    return {
+        **dict(zip(RIG_NAMES, values.tolist(), strict=True)),
+        "sd": dict(zip(RIG_NAMES, sds.tolist(), strict=True)),
+        "prior_sd": priors.tolist(),
+        "off": said_off(values, sds, priors, contradicted),
     }
 
 
@@ -234,7 +252,7 @@ def _is_text(value: object) -> bool:
 
 
 def _is_sds(value: object) -> bool:
-    return isinstance(value, dict) and all(name in _SD_NAMES.values() and _is_number(sd) for name, sd in value.items())
+    return isinstance(value, dict) and all(name in _WITH_SD and _is_number(sd) for name, sd in value.items())
 
 
 _CHECKS: dict[Kind, Callable[[object], bool]] = {

@@ -31,8 +31,6 @@ ROUGH_M = 3e-4  # RMS distance of points from their smooth fit: more is a corner
 OPEN = 3.0  # typical gaps (the ninetieth percentile) that a closed curve has at most between two points
 MAX_BYTES = 64_000_000
 
-Bounds = tuple[float, float]
-
 
 class OutlineError(Exception):
     """An outline that cannot be used; its text is one line `file: what is wrong and what to do`."""

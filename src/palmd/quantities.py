@@ -13,6 +13,7 @@ from typing import Literal
 
 from palmd.events import DECIDED
 from palmd.system.mechanism import ENDS, JOINT_MEANINGS, PALMS
+from palmd.system.rig_constants import RIG_TABLE
 
 SCHEMA = 1
 
@@ -371,11 +372,24 @@ IMPROVEMENT = Topic(
         Quantity("frame", "number", "", "another when the outline has another gauge than in the answer before"),
         Quantity("established", "bool", "", "whether it has proved true for so long that no rival is kept"),
         Quantity("touched", "numbers", "", "0 or 1 for each of 72 bins of outward normals, the first beginning at 0"),
-        Quantity("rig", "numbers", "SI", "what the rig's constants are off by, in the order of a result's `rig`"),
+        Quantity("rig", "numbers", "SI", "what the rig's constants are off by, in the order of `palm/rig`"),
+        Quantity("rig_sd", "numbers", "SI", "one-sigma of each"),
         Quantity("spread", "numbers", "SI", "the covariance is larger by spread·spreadᵀ, since `rig` is not sure"),
+        Quantity("contradicted", "numbers", "", "by how many sigmas each of `rig` is not what it was taken for, or 0"),
     ),
 )
-TOPICS: tuple[Topic, ...] = (ESTIMATE, SHAPE, OBJECT, CONTACT, MOTION, STATE, LOOP, INFO, EVENTS, IMPROVEMENT)
+RIG = Topic(
+    "palm/rig",
+    1.0,
+    "and when the smoother beside the loop has answered",
+    (
+        *(Quantity(constant.name, "number", constant.unit, constant.meaning, role="derived") for constant in RIG_TABLE),
+        Quantity("sd", "sds", "", "one-sigma of each of them; until readings have told it, that of the configuration"),
+        Quantity("prior_sd", "numbers", "SI", "one-sigma of each by the configuration, in the order of these rows"),
+        Quantity("off", "texts", "", "in words, what readings have told to be off beyond doubt, and what to do"),
+    ),
+)
+TOPICS: tuple[Topic, ...] = (ESTIMATE, SHAPE, OBJECT, CONTACT, MOTION, STATE, LOOP, INFO, EVENTS, IMPROVEMENT, RIG)
 """What the daemon publishes."""
 
 TRUTH = Topic(
@@ -429,4 +443,4 @@ def truth_of(quantity: Quantity) -> Topic | None:
     return None
 
 
-UNITS = "SI; each name ends in its unit: _m _rad _rad_s _kg _n _s _ms _ns _hz _mb"
+UNITS = "SI; each name ends in its unit: _m _rad _rad_s _kg _n _s _ms _ns _hz _mb _m_per_n"

@@ -14,6 +14,7 @@ import numpy as np
 from palmd.events import Event, PadSample, PalmSample
 from palmd.observer.bound import Truth
 from palmd.record.eventlog import read_log
+from palmd.rig.imperfections import PERFECT, Imperfections
 from palmd.rig.plant import AS_ASSUMED, PlantOptions
 from palmd.rig.shapes import Body, random_body
 from palmd.rig.simulate import simulate_log
@@ -37,8 +38,12 @@ def simulated(
     rests: tuple[tuple[float, float], ...] = (),
     absences: tuple[tuple[float, float], ...] = (),
     body: Body | None = None,
+    imperfections: Imperfections = PERFECT,
 ) -> Run:
-    lines, told = simulate_log(kind, seed, seconds, options, body, rests=rests, absences=absences)
+    """Of a rig that passes for a perfect one, whatever it is."""
+    lines, told = simulate_log(
+        kind, seed, seconds, options, body, rests=rests, absences=absences, imperfections=imperfections
+    )
     with TemporaryDirectory() as folder:
         path = Path(folder) / "run.jsonl"
         path.write_text("".join(json.dumps(line) + "\n" for line in lines))

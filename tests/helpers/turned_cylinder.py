@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from functools import partial
 from typing import Any
@@ -14,7 +15,7 @@ from palmd.events import Event, PalmSample
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import compile_plan
 from palmd.rig.pads import GOOD_PADS, PadEmulator, PadOptions, Press
-from palmd.rig.plant import AS_ASSUMED, Hinge, Plant, PlantOptions, random_surface
+from palmd.rig.plant import PAD_LENGTH, Hinge, Plant, random_surface
 from palmd.rig.shapes import cylinder
 
 STEP_S = 2e-3  # the cylinder goes slowly
@@ -32,23 +33,23 @@ def turned(
     mass_kg: float,
     seed: int,
     *,
-    options: PlantOptions = AS_ASSUMED,
+    bend_m: tuple[float, float] = (0.0, 0.0),
     pad_options: PadOptions = GOOD_PADS,
     late_s: float = 0.0,
     phi2_error_rad: float = 0.0,
 ) -> list[Event]:
     """What a daemon that believes the pads are as `configured` gives its observer; the same arguments, the same events.
 
-    The pads' times are `late_s` too late, and the arm tells a phi2 that is too large by `phi2_error_rad`. Raises
-    PlanError for a plan that the limits do not allow.
+    Each pad reads its middle by `bend_m` more than its ends. The pads' times are `late_s` too late, and the arm tells a
+    phi2 that is too large by `phi2_error_rad`. Raises PlanError for a plan that the limits do not allow.
     """
     rng = np.random.default_rng(seed)
     trajectory = compile_plan(PlanSpec.model_validate(plan), limits)
-    plant = Plant(cylinder(radius_m, mass_kg), Hinge(), random_surface("rig", rng), options=options)
+    plant = Plant(cylinder(radius_m, mass_kg), Hinge(), random_surface("rig", rng))
     plant.place(trajectory.at(0.0), 0.0)
     pads = [
-        PadEmulator(config, pad_options, partial(options.pad_error_m, number), rng, 0.0)
-        for number, config in zip(PADS, real, strict=True)
+        PadEmulator(config, pad_options, partial(_bent, bend), rng, 0.0)
+        for bend, config in zip(bend_m, real, strict=True)
     ]
     hosts = [_receiver(number, config) for number, config in zip(PADS, configured, strict=True)]
     events: list[Event] = []
@@ -69,6 +70,10 @@ def turned(
                 presses = [Press(contact.s, contact.force)] if contact.touching else []
                 events += host.feed(pad.report(t, presses), t + late_s)
     return events
+
+
+def _bent(bend: float, s: float, _force: float) -> float:
+    return bend * math.sin(math.pi * s / PAD_LENGTH)
 
 
 def _receiver(number: int, config: VersaPadConfig) -> PadReceiver:

@@ -7,11 +7,12 @@ machine that had time for it has failed.
 
 import contextlib
 import os
+import sys
 
 import patience
 import pytest
 from _pytest.runner import runtestprotocol
-from harness import Bench
+from harness import LEAST_WORK, Bench
 
 TRIES = 4
 WAIT_S = 60.0
@@ -51,7 +52,7 @@ def pytest_runtest_protocol(item, nextitem):
         reports = runtestprotocol(item, nextitem=nextitem, log=False)
         if not left or pressure.share() < patience.BUSY_SHARE or not any(map(_from_want_of_time, reports)):
             break
-        item.config.get_terminal_writer().line(f"\n{item.nodeid}: tried again: others keep the processors")
+        print(f"\n{item.nodeid}: tried again: others keep the processors", file=sys.__stderr__)
         patience.until_quiet(WAIT_S)
     for report in reports:
         item.ihook.pytest_runtest_logreport(report=report)
@@ -59,8 +60,8 @@ def pytest_runtest_protocol(item, nextitem):
     return True
 
 
-def _bench(folder):
-    bench = Bench(folder)
+def _bench(folder, **changes):
+    bench = Bench(folder, **changes)
     yield bench
     bench.close()
 
@@ -75,3 +76,9 @@ def bench(tmp_path_factory):
 def own_bench(tmp_path):
     """A daemon on a rig that nobody else uses."""
     yield from _bench(tmp_path)
+
+
+@pytest.fixture
+def light_bench(tmp_path):
+    """The same, for a test to which its observer does not matter."""
+    yield from _bench(tmp_path, **LEAST_WORK)

@@ -4,26 +4,27 @@ Nothing here sleeps for a fixed time or asserts one: whoever waits names a condi
 how long a slow machine may take until it holds.
 """
 
-import contextlib
-import json
 import signal
 import socket
 import time
 from collections import Counter
+from contextlib import ExitStack
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import msgpack
-import yaml
 import zmq
 
 from palmd.bus.command_client import CommandClient
+from palmd.config import Config
 from palmd.harness.processes import Child
+from palmd.harness.stack import Stack
 
 GENEROUS_S = 20.0
 _LOOK_S = 0.02
+EVERYTHING = 1_000_000  # more messages than are ever waiting
 
 RATE_DEG_S = 80.0
+LEAST_WORK = {"observer": {"primary": "quasistatic"}}  # none to compile or load, no processes beside it
 RESTING_RAD_S = 1e-3
 PLAN = """\
 name: lively
@@ -35,14 +36,13 @@ segments:
 
 
 class Process(Child):
-    """One palmd command; what it says is kept in `folder`. It cannot outlive us."""
+    """One palmd command, with what a test asks of it."""
 
-    def __init__(self, folder, *arguments):
-        number = len(list(folder.glob("*.err")))
-        super().__init__([*map(str, arguments)], folder, label=f"{arguments[0]}{number}")
+    def __init__(self, arguments, folder, environment=None):
+        super().__init__([*map(str, arguments)], folder, environment)
 
     @property
-    def said(self):
+    def all_said(self):
         """Its standard error up to now."""
         return self._err.read_text(encoding="utf-8", errors="replace")
 
@@ -50,22 +50,22 @@ class Process(Child):
     def alive(self):
         return self.status is None
 
-    def first_line(self):
+    def first_line(self, patience_s=GENEROUS_S, *more):
         """The first line of its standard output."""
-        line = super().first_line(GENEROUS_S)
-        assert line is not None, f"it says nothing; it ended with {self.status}: {self.said}"
+        line = super().first_line(patience_s, *more)
+        assert line is not None, f"it says nothing; it ended with {self.status}: {self.all_said}"
         return line
 
     def end(self, number=signal.SIGTERM, within_s=GENEROUS_S):
         """Send a signal, and return the exit status."""
         self.send(number)
-        return self._process.wait(within_s)
+        return self.wait(within_s)
 
     def wait(self, within_s=GENEROUS_S):
         """The exit status, once it ends by itself."""
         return self._process.wait(within_s)
 
-    def kill(self):
+    def stop(self, *_patience_s):
         """Whatever it does, it is gone."""
         self._process.kill()
         self._process.wait()
@@ -96,7 +96,7 @@ class Client(CommandClient):
 
 @dataclass
 class Heard:
-    """What has been heard since the last `Listener.forget`: the last message of each topic, and what passed by."""
+    """What has been heard since the last `Bench.forget`: the last message of each topic, and what passed by."""
 
     latest: dict = field(default_factory=dict)
     counts: Counter = field(default_factory=Counter)
@@ -117,62 +117,35 @@ class Heard:
     def ticks(self):
         return self.counts["palm/estimate"]
 
-
-class Listener:
-    """Subscribes to everything; `heard` is up to date whenever a condition is asked."""
-
-    def __init__(self, address):
-        self._context = zmq.Context()
-        self._socket = self._context.socket(zmq.SUB)
-        self._socket.linger = 0
-        self._socket.rcvhwm = 0
-        self._socket.connect(address)
-        self._socket.subscribe(b"palm/")
-        self.heard = Heard()
-
-    def forget(self):
-        """Begin anew, but for what the last messages said."""
-        self.drain()
-        self.heard = Heard(latest=self.heard.latest)
-
-    def frames(self, wait_s):
-        """The next message as it came, None if there is none in time."""
-        return self._socket.recv_multipart() if self._socket.poll(wait_s * 1e3) else None
-
-    def drain(self, wait_s=0.0):
-        """Take in what has come."""
-        while (frames := self.frames(wait_s)) is not None:
-            self._take(frames[0].decode(), msgpack.unpackb(frames[1]))
-            wait_s = 0.0
-
-    def _take(self, topic, fields):
-        heard = self.heard
-        heard.latest[topic] = fields
-        heard.counts[topic] += 1
+    def take(self, topic, fields):
+        self.latest[topic] = fields
+        self.counts[topic] += 1
         if topic == "palm/state":
-            heard.faults |= zip(fields["faults"], fields["severities"], strict=True)
-            heard.since = dict.fromkeys(fields["faults"], fields["mono_ns"] * 1e-9) | heard.since
-            if heard.states[-1:] != [fields["state"]]:
-                heard.states.append(fields["state"])
-
-    def close(self):
-        self._context.destroy(linger=0)
+            self.faults |= zip(fields["faults"], fields["severities"], strict=True)
+            self.since = dict.fromkeys(fields["faults"], fields["mono_ns"] * 1e-9) | self.since
+            if self.states[-1:] != [fields["state"]]:
+                self.states.append(fields["state"])
 
 
-class Bench:
+class Bench(Stack):
     """A rig, and a daemon on its ports; `folder` holds configuration, plan and output.
 
-    The configured ports are links of steady names, as udev makes them; a rig that is started anew gets them.
+    The configured ports are links of steady names, as udev makes them; a rig that is started anew has the same.
     """
+
+    child = Process
+    topics = ("palm/",)
 
     def __init__(self, folder, seed=3, record=False, **changes):
         """`changes` go into the daemon's configuration and not into the rig's; `record` has it start its recorder."""
-        self.folder = folder
-        self.config = folder / "palmd.yaml"
-        self.ports = {name: folder / name for name in ("pad1", "pad2", "arm")}
+        self.folder, self.heard = folder, Heard()
+        self.ports = {name: folder / "ports" / name for name in ("pad1", "pad2", "arm")}
         self._seed, self._stalls = seed, 0
-        self._closing = []
+        pad1, pad2, arm = ({"port": str(port)} for port in self.ports.values())
+        limits = {"phi1_deg": [20, 70], "phi2_deg": [75, 105], "rate_deg_s": RATE_DEG_S}
+        self._settings = {"pads": {"palm1": pad1, "palm2": pad2}, "arm": arm, "limits": limits, "plan": "lively.yaml"}
         (folder / "lively.yaml").write_text(PLAN)
+        super().__init__(folder, Config.model_validate(self._settings))
         try:
             self.start_rig()
             self.start_daemon(record, **changes)
@@ -180,52 +153,35 @@ class Bench:
             self.close()
             raise
 
-    def _settings(self):
-        pad1, pad2, arm = ({"port": str(self.ports[name])} for name in ("pad1", "pad2", "arm"))
-        limits = {"phi1_deg": [20, 70], "phi2_deg": [75, 105], "rate_deg_s": RATE_DEG_S}
-        return {"pads": {"palm1": pad1, "palm2": pad2}, "arm": arm, "limits": limits, "plan": "lively.yaml"}
-
     def start_rig(self):
-        """The emulated rig, and the links to its ports."""
-        config = self.folder / "rig.yaml"
-        config.write_text(yaml.safe_dump(self._settings()))
-        self.rig = self._closes(Process(self.folder, "rig", config, "--seed", self._seed), Process.kill)
-        found = json.loads(self.rig.first_line())
-        for name, link in self.ports.items():
-            link.unlink(missing_ok=True)
-            link.symlink_to(found[name])
-        self._truth, self._rig_folder = found["truth"], Path(found["arm"]).parent
-        self.hand = self._closes(Client(found["control"]), Client.close)
+        super().start_rig("--seed", self._seed, "--ports", self.folder / "ports")
 
     def start_daemon(self, record=False, **changes):
         """The daemon, with sockets of its own, and its recorder if that is wanted."""
-        publish, self.command = (f"tcp://127.0.0.1:{port}" for port in free_ports(2))
-        settings = self._settings() | {"bus": {"publish": publish, "command": self.command}}
-        self.config.write_text(yaml.safe_dump(merged(settings, changes)))
-        quietly = () if record else ("--no-record",)
-        self.daemon = self._closes(Process(self.folder, "run", self.config, *quietly), Process.kill)
-        self.client = self._closes(Client(self.command), Client.close)
-        self.stranger = self._closes(Client(self.command), Client.close)
-        self.listener = self._closes(Listener(publish), Listener.close)
-
-    def _closes(self, thing, how):
-        self._closing.append((how, thing))
-        return thing
+        publish, command = (f"tcp://127.0.0.1:{port}" for port in free_ports(2))
+        settings = self._settings | {"bus": {"publish": publish, "command": command}}
+        self.configure(Config.model_validate(merged(settings, changes)))
+        self.begin_daemon(record)
+        life = self._lives["daemon"]
+        self.client, self.stranger = (life.enter_context(Client(self.bus.command)) for _ in range(2))
+        self.heard = Heard()
 
     def close(self):
         """Everything ends; the rig tidies up if it can."""
-        if hasattr(self, "hand") and self.rig.alive:
-            assert self.rig.end() == 0
-            assert not self._rig_folder.exists()
-        while self._closing:
-            how, thing = self._closing.pop()
-            how(thing)
-
-    # what the daemon says
+        rig = self.children.get("rig")
+        status = rig.end() if rig and rig.alive else 0
+        self.__exit__(None, None, None)
+        assert status == 0
 
     @property
-    def heard(self):
-        return self.listener.heard
+    def daemon(self):
+        return self.children["daemon"]
+
+    @property
+    def rig(self):
+        return self.children["rig"]
+
+    # what the daemon says
 
     @property
     def motion(self):
@@ -233,23 +189,29 @@ class Bench:
 
     def forget(self):
         """From here on anew."""
-        self._stalls = self.status()["stalls"]
-        self.listener.forget()
+        self._stalls = self.rig_status()["stalls"]
+        self.drain()
+        self.heard = Heard(latest=self.heard.latest)
+
+    def drain(self, wait_s=0.0):
+        """Take in what has come; when there is nothing, what comes first within wait_s."""
+        for topic, payload, *_ in self.subscriber.frames(EVERYTHING, wait_s):
+            self.heard.take(topic.decode(), msgpack.unpackb(payload))
 
     def until(self, condition, what):
         """Listen until `condition(heard)` is true; the daemon must live."""
 
         def look():
-            self.listener.drain(_LOOK_S)
-            assert self.daemon.alive, f"the daemon ended: {self.daemon.said}"
+            self.drain(_LOOK_S)
+            assert self.daemon.alive, f"the daemon ended: {self.daemon.all_said}"
             return self.heard.state is not None and condition(self.heard)
 
         def story():
             heard = self.heard
-            rig = self.hand.ask("status") if self.rig.alive else "gone"
+            rig = self.rig_status() if self.rig.alive else "gone"
             return (
                 f"{what}; state {heard.state}, faults {heard.active}, passed: {heard.states}, {heard.faults}\n"
-                f"rig: {rig}\n{self.daemon.said[-3000:]}"
+                f"rig: {rig}\n{self.daemon.all_said[-3000:]}"
             )
 
         return wait(look, story, pause_s=0.0)
@@ -314,23 +276,19 @@ class Bench:
 
     # what the rig says
 
-    def status(self):
-        """What it has counted."""
-        return self.hand.do("status")
-
     def until_rig(self, condition, what):
         """Until what the rig has counted is so; returns it."""
-        return wait(lambda: (status := self.status()) and condition(status) and status, what)
+        return wait(lambda: (status := self.rig_status()) and condition(status) and status, what)
 
     def stalled(self):
         """Whether a slow machine has kept the rig from its work since the last `forget`, as if it were silent."""
-        return self.status()["stalls"] > self._stalls
+        return self.rig_status()["stalls"] > self._stalls
 
     def truth(self):
         """What is really there now."""
         with zmq.Context() as context, context.socket(zmq.SUB) as socket:
             socket.linger = 0
-            socket.connect(self._truth)
+            socket.connect(self.told["truth"])
             socket.subscribe(b"rig/truth")
             assert socket.poll(GENEROUS_S * 1e3), "no truth"
             return msgpack.unpackb(socket.recv_multipart()[1])
@@ -348,11 +306,11 @@ class Bench:
 
     def judge(self):
         """What must hold whatever happens: the arm was only sent what is allowed, and nothing came unforeseen."""
-        status = self.status()
+        status = self.rig_status()
         assert status["setpoints_outside_limits"] == 0
         assert status["largest_rate_deg_s"] <= RATE_DEG_S * 1.02
         assert status.get("refused_610", 0) == 0
-        assert "Traceback" not in self.daemon.said
+        assert "Traceback" not in self.daemon.all_said
         assert not {"tick-error", "estimate-not-finite", "limits-violated"} & self.heard.faults.keys()
         return status
 
@@ -377,7 +335,7 @@ def wait(look, what, pause_s=_LOOK_S, patience_s=GENEROUS_S):
 
 def free_ports(count):
     """Numbers of TCP ports that nobody has."""
-    with contextlib.ExitStack() as stack:
+    with ExitStack() as stack:
         sockets = [stack.enter_context(socket.socket()) for _ in range(count)]
         for each in sockets:
             each.bind(("127.0.0.1", 0))

@@ -9,7 +9,7 @@ import sys
 import msgpack
 import pytest
 import serial
-from harness import PLAN, Bench
+from harness import LEAST_WORK, PLAN, Bench
 
 pytestmark = pytest.mark.rig
 
@@ -69,11 +69,11 @@ def test_a_bad_file_is_told_with_its_place(tmp_path, command, name):
 
 def test_a_missing_port_is_named_and_taken_when_it_comes(start, tmp_path):
     port = tmp_path / "not-yet"
-    bench = start(pads={"palm1": {"port": str(port)}})
+    bench = start(pads={"palm1": {"port": str(port)}}, **LEAST_WORK)
     bench.until_faults("pad1-port")
     bench.until(lambda _: bench.motion["arm_state"] == "R", "the arm, which is there")
     bench.until(lambda heard: heard.latest["palm/contact"]["touch2"], "pad 2, which is there")
-    assert f"no such port {port}" in bench.daemon.said
+    assert f"no such port {port}" in bench.daemon.all_said
     assert bench.heard.state == "idle"
     refused = bench.client.ask("arm")
     assert "it must be ready" in refused["error"]
@@ -83,14 +83,14 @@ def test_a_missing_port_is_named_and_taken_when_it_comes(start, tmp_path):
 
 
 def test_a_port_that_another_process_holds_is_named_and_taken_when_it_is_let_go(start):
-    bench = start()
+    bench = start(**LEAST_WORK)
     bench.until_state("ready")
     bench.daemon.end()
     with serial.Serial(str(bench.ports["arm"]), 38400, exclusive=True):
-        bench.start_daemon()
+        bench.start_daemon(**LEAST_WORK)
         bench.until_faults("arm-port")
         bench.until(lambda heard: heard.latest["palm/contact"]["touch1"], "pad 1, which is free")
-        assert f"{bench.ports['arm']} is held by another process" in bench.daemon.said
+        assert f"{bench.ports['arm']} is held by another process" in bench.daemon.all_said
         assert bench.heard.state == "idle"
     bench.ready()
 
@@ -105,12 +105,14 @@ def test_a_wrong_baud_is_told_and_nothing_moves(start):
     hints = "".join(bench.heard.latest["palm/state"]["hints"])
     assert "arm.baud" in hints
     assert "check its baud" in hints
-    assert bench.status()["starts"] == 0
+    assert bench.rig_status()["starts"] == 0
     bench.judge()
 
 
 def test_swapped_pads_are_told(start, tmp_path):
-    bench = start(pads={"palm1": {"port": str(tmp_path / "pad2")}, "palm2": {"port": str(tmp_path / "pad1")}})
+    bench = start(
+        pads={"palm1": {"port": str(tmp_path / "ports/pad2")}, "palm2": {"port": str(tmp_path / "ports/pad1")}}
+    )
     bench.run_plan()
     bench.until(lambda heard: heard.faults.keys() & {"pads-swapped"} or heard.ticks > SWAPPED_TICKS, "some seconds")
     assert "pads-swapped" in bench.heard.faults
@@ -136,7 +138,7 @@ def test_a_bad_plan_is_refused_and_changes_nothing(bench, text, what, by_name):
     refused = bench.client.ask("plan", path="bad.yaml")
     assert refused["ok"] is False
     assert f"bad.yaml{by_name}" in refused["error"]
-    told = palmd("ctl", "plan", path, "--address", bench.command)
+    told = palmd("ctl", "plan", path, "--address", bench.bus.command)
     assert told.returncode == 1
     assert f"{path}{what}" in told.stderr
     after, stands = bench.client.do("status"), bench.truth()
@@ -152,12 +154,12 @@ def test_a_jog_that_cannot_go_all_the_way_moves_nothing(bench):
     bench.client.do("arm")
     bench.until_state("tracking")
     stood = bench.at_rest()
-    told = palmd("ctl", "jog", "--phi1-deg", "90", "--address", bench.command)
+    told = palmd("ctl", "jog", "--phi1-deg", "90", "--address", bench.bus.command)
     assert told.returncode == 1
     assert "jog refused: phi1 reaches" in told.stderr
     stands = bench.truth()
     assert max(abs(stands[phi] - stood[phi]) for phi in ("phi1_rad", "phi2_rad")) < 1e-3
-    told = palmd("ctl", "jog", "--phi2-deg", "-2", "--address", bench.command)
+    told = palmd("ctl", "jog", "--phi2-deg", "-2", "--address", bench.bus.command)
     assert told.returncode == 0, told.stderr
     assert math.degrees(bench.at_rest()["phi2_rad"] - stood["phi2_rad"]) == pytest.approx(-2.0, abs=0.2)
     bench.judge()
@@ -206,7 +208,7 @@ def test_strangers_on_the_command_socket_change_nothing(bench):
             reply = bench.client.reply()
             assert reply["ok"] is False
             assert 0 < len(reply["error"]) < 300
-        bench.listener.drain()
+        bench.drain()
     with_nobody_listening = bench.stranger.socket
     for frames in messages:
         with_nobody_listening.send_multipart(frames)

@@ -14,13 +14,13 @@ pytestmark = pytest.mark.rig
 @pytest.fixture
 def rig(tmp_path):
     """What the rig says of itself, a marble on its first pad only; and a configuration with its ports."""
-    process = Process(tmp_path, "rig", "--marble", "1", "--seed", "5")
+    process = Process(["rig", "--marble", "1", "--seed", "5"], tmp_path)
     found = json.loads(process.first_line())
     config = tmp_path / "palmd.yaml"
     pads = {"palm1": {"port": found["pad1"]}, "palm2": {"port": found["pad2"]}}
     config.write_text(yaml.safe_dump({"pads": pads, "arm": {"port": found["arm"]}}))
     yield process, config
-    process.kill()
+    process.stop()
 
 
 def calibrate(config, *arguments):

@@ -1,7 +1,6 @@
 """`palmd calibrate arm`, then `palmd calibrate gravity`, on a rig that is not what the configuration says."""
 
 import cmath
-import json
 import math
 import subprocess
 import sys
@@ -9,6 +8,9 @@ import sys
 import pytest
 import yaml
 from harness import Client, Process, free_ports, wait
+
+from palmd.config import Config
+from palmd.harness.stack import Stack
 
 pytestmark = pytest.mark.rig
 
@@ -18,44 +20,35 @@ TRUE_ARM = {"base_x_mm": -300.0, "base_y_mm": 20.0, "base_yaw_deg": 2.0}
 ATTEMPTS = 5  # where a busy machine has kept the rig from its work
 
 
+class Stand(Stack):
+    child = Process
+
+
 @pytest.fixture
-def rig(tmp_path):
-    """Starts the true rig with more arguments on steady ports; what it says of itself, and what talks to it."""
-    ports = tmp_path / "ports"
-    ports.mkdir()
-    started = []
-
-    def start(*arguments):
-        config = written(tmp_path / "real.yaml", TRUE_RIG, TRUE_ARM)
-        process = Process(tmp_path, "rig", config, "--ports", ports, "--seed", 4, *arguments)
-        hand = Client(json.loads(process.first_line())["control"])
-        started.append((process, hand))
-        return hand
-
-    yield start
-    for process, hand in started:
-        hand.close()
-        process.kill()
+def stack(tmp_path):
+    """The true rig, yet to be started, and what else a test starts."""
+    with Stand(tmp_path, configured(TRUE_RIG, TRUE_ARM)) as stack:
+        yield stack
 
 
-def written(path, rig, arm, **more):
-    """A configuration with the rig's ports."""
-    ports = path.parent / "ports"
-    pads = {f"palm{i}": {"port": str(ports / f"pad{i}")} for i in (1, 2)}
-    settings = {"rig": {"base_mm": list(BASE_MM), **rig}, "pads": pads, "arm": {"port": str(ports / "arm"), **arm}}
-    path.write_text(yaml.safe_dump(settings | more))
-    return path
+def configured(rig, arm):
+    publish, command = (f"tcp://127.0.0.1:{port}" for port in free_ports(2))
+    pads = {f"palm{i}": {"port": f"pad{i}"} for i in (1, 2)}
+    return Config.model_validate(
+        {"rig": {"base_mm": list(BASE_MM), **rig}, "pads": pads, "arm": {"port": "arm", **arm}}
+        | {"bus": {"publish": publish, "command": command}}
+    )
 
 
-def calibrate(hand, *arguments, mend=lambda: None):
+def calibrate(stack, *arguments, mend=lambda: None):
     """Until the rig was not kept from its work, or it has succeeded; `mend` makes up for what that has done."""
     for attempt in range(ATTEMPTS):
-        stalls = hand.do("status")["stalls"]
+        stalls = stack.rig_status()["stalls"]
         done = subprocess.run(
             [sys.executable, "-P", "-m", "palmd", "calibrate", *map(str, arguments)],
             capture_output=True, text=True, timeout=240, check=False,
         )  # fmt: skip
-        if done.returncode == 0 or hand.do("status")["stalls"] == stalls:
+        if done.returncode == 0 or stack.rig_status()["stalls"] == stalls:
             break
         print(f"attempt {attempt}: {done.stderr}")
         mend()
@@ -88,11 +81,11 @@ def palm_base():
     return offset * cmath.exp(-1j * math.radians(TRUE_ARM["base_yaw_deg"]))
 
 
-def test_the_arm_is_found_while_a_hand_swings_it(rig, tmp_path, palm_base):
-    hand = rig("--by-hand")
+def test_the_arm_is_found_while_a_hand_swings_it(stack, tmp_path, palm_base):
+    stack.start_rig("--by-hand", "--seed", "4")
     wrong = {"palm1_length_mm": 123.0, "palm2_length_mm": 117.0}
-    config = written(tmp_path / "my.yaml", wrong, {"base_x_mm": -308.0, "base_y_mm": 14.0, "base_yaw_deg": 0.0})
-    calibrate(hand, "arm", config, "--seconds", 16)
+    stack.configure(configured(wrong, {"base_x_mm": -308.0, "base_y_mm": 14.0, "base_yaw_deg": 0.0}), stack.told)
+    calibrate(stack, "arm", stack.path, "--seconds", 16)
     result = yaml.safe_load((tmp_path / "calibration/arm.yaml").read_text())
     found, called_for = result["found"], result["configuration"]
     assert called_for["rig"]["palm1_length_mm"] == pytest.approx(120.0, abs=0.2)
@@ -106,22 +99,16 @@ def test_the_arm_is_found_while_a_hand_swings_it(rig, tmp_path, palm_base):
     assert found["rms_mm"] < 0.05
 
 
-def test_gravity_and_yaw_are_found_with_a_ball(rig, tmp_path, palm_base):
-    hand = rig("--roller", "ball")
-    publish, command = (f"tcp://127.0.0.1:{port}" for port in free_ports(2))
-    wrong = TRUE_RIG | {"gravity_m_s2": 9.9}
-    config = written(
-        tmp_path / "my.yaml", wrong, base_for(0.0, palm_base), bus={"publish": publish, "command": command}
-    )
-    daemon, client = Process(tmp_path, "run", config, "--no-record"), Client(command)
-    try:
+def test_gravity_and_yaw_are_found_with_a_ball(stack, tmp_path, palm_base):
+    stack.start_rig("--roller", "ball", "--seed", "4")
+    stack.configure(configured(TRUE_RIG | {"gravity_m_s2": 9.9}, base_for(0.0, palm_base)), stack.told)
+    stack.begin_daemon()
+    with Client(stack.bus.command) as client:
         ready(client)
-        calibrate(hand, "gravity", config, "--rolls", 8, "--clear", 0.4, mend=lambda: ready(client))
+        arguments = ("gravity", stack.path, "--rolls", 8, "--clear", 0.4)
+        calibrate(stack, *arguments, mend=lambda: ready(client))
         assert client.do("status")["state"] == "ready"
-    finally:
-        client.close()
-        daemon.kill()
-    assert "Traceback" not in daemon.said
+    assert "Traceback" not in stack.children["daemon"].all_said
     result = yaml.safe_load((tmp_path / "calibration/gravity.yaml").read_text())
     found, called_for = result["found"], result["configuration"]
     assert found["yaw_error_deg"] == pytest.approx(2.0, abs=0.1)

@@ -1,12 +1,14 @@
 """Pads and forces calibrated by a cylinder: real rig, daemon and command, a rig that is not as the daemon believes."""
 
-import json
 import subprocess
 import sys
 
 import pytest
 import yaml
-from harness import Client, Process, free_ports, wait
+from harness import LEAST_WORK, Client, Process, free_ports, wait
+
+from palmd.config import Config
+from palmd.harness.stack import Stack
 
 pytestmark = [pytest.mark.rig, pytest.mark.timeout(600)]
 
@@ -17,27 +19,23 @@ REAL = {
 LIMITS = {"phi1_deg": [20, 70], "phi2_deg": [70, 110]}
 
 
-class Stand:
+class Stand(Stack):
     """A rig with a cylinder on its palms, and a daemon that believes the defaults."""
 
+    child = Process
+
     def __init__(self, folder):
-        real, ports = folder / "REAL.yaml", folder / "ports"
-        ports.mkdir()
+        real = folder / "REAL.yaml"
         real.write_text(yaml.safe_dump({"pads": REAL, "arm": {"port": "arm"}, "limits": LIMITS}))
-        self.rig = Process(folder, "rig", real, "--cylinder", "20,100", "--seed", "7", "--ports", ports)
-        self.hand = Client(json.loads(self.rig.first_line())["control"])
+        ports = {"pads": {"palm1": {"port": "pad1"}, "palm2": {"port": "pad2"}}, "arm": {"port": "arm"}}
         publish, command = (f"tcp://127.0.0.1:{port}" for port in free_ports(2))
-        self.config = folder / "my.yaml"
-        settings = {
-            "pads": {f"palm{n}": {"port": str(ports / f"pad{n}")} for n in (1, 2)},
-            "arm": {"port": str(ports / "arm")},
-            "limits": LIMITS,
-            "observer": {"primary": "quasistatic"},  # the least work: none is needed
-            "bus": {"publish": publish, "command": command},
-        }
-        self.config.write_text(yaml.safe_dump(settings))
-        self.daemon = Process(folder, "run", self.config, "--no-record")
-        self.client = Client(command)
+        bus = {"bus": {"publish": publish, "command": command}}
+        believed = Config.model_validate(ports | bus | LEAST_WORK | {"limits": LIMITS})
+        super().__init__(folder, believed)
+        self.start_rig("--cylinder", "20,100", "--seed", "7", config=real)
+        self.configure(believed, self.told)
+        self.begin_daemon()
+        self.client = self._lives["daemon"].enter_context(Client(self.bus.command))
 
     def _ready(self):
         def ready():
@@ -53,7 +51,7 @@ class Stand:
     def calibrated(self, name, *arguments):
         """What the command stored; an operator goes on after a hold for which the machine is to blame."""
         self._ready()
-        command = [sys.executable, "-P", "-m", "palmd", "calibrate", name, self.config, "--radius-mm", "20"]
+        command = [sys.executable, "-P", "-m", "palmd", "calibrate", name, self.path, "--radius-mm", "20"]
         with subprocess.Popen([*map(str, command), *arguments], stdout=-1, stderr=-1, text=True) as process:
             while process.poll() is None:
                 if self.client.do("status")["state"] == "hold":
@@ -63,21 +61,14 @@ class Stand:
                 except subprocess.TimeoutExpired:
                     continue
         assert process.returncode == 0, err
-        assert f"{self.config}: write in pads.palm2: " in out
-        return yaml.safe_load((self.config.parent / f"calibration/{name}.yaml").read_text())
-
-    def close(self):
-        for each in (self.client, self.hand):
-            each.close()
-        for each in (self.daemon, self.rig):
-            each.kill()
+        assert f"{self.path}: write in pads.palm2: " in out
+        return yaml.safe_load((self.path.parent / f"calibration/{name}.yaml").read_text())
 
 
 @pytest.fixture(scope="module")
 def stand(tmp_path_factory):
-    stand = Stand(tmp_path_factory.mktemp("cylinder"))
-    yield stand
-    stand.close()
+    with Stand(tmp_path_factory.mktemp("cylinder")) as stand:
+        yield stand
 
 
 def test_pads_that_are_not_as_configured_are_found(stand):
@@ -86,7 +77,7 @@ def test_pads_that_are_not_as_configured_are_found(stand):
         assert found[palm]["zero_mm"] == pytest.approx(real["zero_mm"], abs=0.05)
         assert found[palm]["counts_per_mm"] == pytest.approx(real["counts_per_mm"], rel=0.003)
         assert found[palm]["sign"] == real.get("sign", 1)
-    assert stand.hand.do("status")["setpoints_outside_limits"] == 0
+    assert stand.rig_status()["setpoints_outside_limits"] == 0
 
 
 def test_forces_that_are_20_percent_off_are_found(stand):

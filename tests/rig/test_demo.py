@@ -20,10 +20,10 @@ pytestmark = pytest.mark.rig
 
 SUMMARY = re.compile(
     r"palmd demo: seed 3, shape observer settled after \d+\.\d s, outline \d+ µm RMS \(\d+\.\d\d%\) on \d+% touched "
-    r"normals, whole outline within \d+\.\d{3} mm \(largest sd \d+\.\d{3} mm\), r \d\.\d{3} mm, "
+    r"normals \(sd \d+ µm\), whole outline within \d+\.\d{3} mm \(largest sd \d+\.\d{3} mm\), r \d\.\d{3} mm, "
     r"omega0 \d\.\d{3} rad/s, "
     r"rho [+-]\d+\.\d%, mu \d\.\d\d \(true \d\.\d\d\), mass [+-]\d+\.\d%, ticks \d+, late > 2 ms \d+\.\d\d%, "
-    r"work p99 \d+\.\d ms\n"
+    r"work p99 \d+\.\d ms, rig off as calibration leaves one\n"
 )
 
 

@@ -19,7 +19,7 @@ class Rig:
     def __init__(self, folder):
         settings = {"pads": {"palm1": {"port": "a"}, "palm2": {"port": "b"}}, "arm": {"port": "c"}, "limits": GENTLE}
         (folder / "rig.yaml").write_text(yaml.safe_dump(settings))
-        self._process = Process(folder, "rig", folder / "rig.yaml", "--seed", 3)
+        self._process = Process(["rig", folder / "rig.yaml", "--seed", 3], folder)
         self.found = json.loads(self._process.first_line())
         self.hand = Client(self.found["control"])
         bus = {"publish": f"ipc://{folder}/publish", "command": f"ipc://{folder}/command"}
@@ -30,7 +30,7 @@ class Rig:
 
     def close(self):
         self.hand.close()
-        self._process.kill()
+        self._process.stop()
 
 
 @pytest.fixture(scope="module")

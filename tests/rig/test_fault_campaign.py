@@ -11,12 +11,12 @@ NAMES = ("pad1-mute", "controller-estop", "address-taken", "page-killed")
 
 
 def test_some_faults(tmp_path):  # a short name: it is part of the path of a socket
-    process = Process(tmp_path, "bench", "faults", "--only", *NAMES, "-o", tmp_path)
+    process = Process(["bench", "faults", "--only", *NAMES, "-o", tmp_path], tmp_path)
     try:
         status = process.wait(100)
     finally:
-        process.kill()
+        process.stop()
     lines = [json.loads(line) for line in (tmp_path / "runs.jsonl").read_text().splitlines()]
-    assert {line["name"]: line["differs"] for line in lines} == {name: [] for name in NAMES}, process.said
+    assert {line["name"]: line["differs"] for line in lines} == {name: [] for name in NAMES}, process.all_said
     assert status == 0
-    assert "4 of 4 rows did as promised" in (tmp_path / "bench0.out").read_text()
+    assert "4 of 4 rows did as promised" in (tmp_path / "bench.out").read_text()

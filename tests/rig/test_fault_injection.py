@@ -4,6 +4,7 @@ import signal
 from dataclasses import dataclass
 
 import pytest
+from harness import LEAST_WORK
 
 from palmd.faults import TABLE
 from palmd.rig.fault_injection import INJECTABLE_FAULTS
@@ -83,7 +84,7 @@ def test_the_daemon_does_what_the_table_says(bench, case):
     bench.run_plan()
     bench.forget()
     for port in case.ports:
-        bench.hand.do("mischief", name=case.name, port=port, strength=case.strength)
+        bench.ask_rig("mischief", name=case.name, port=port, strength=case.strength)
     bench.until_faults(*case.expected)
     if case.state != "tracking":
         bench.until_state(case.state)
@@ -92,7 +93,7 @@ def test_the_daemon_does_what_the_table_says(bench, case):
     grave = {code for code, severity in bench.heard.faults.items() if severity in GRAVE}
     assert grave <= {*case.expected, *case.may} or bench.stalled()
 
-    bench.hand.do("calm", name=case.name)
+    bench.ask_rig("calm", name=case.name)
     passing = [code for code in case.expected if TABLE[code].latch == "no"]
     bench.until_gone(*passing, *both("untouched"))
     if bench.heard.state == "fault":
@@ -104,14 +105,14 @@ def test_the_daemon_does_what_the_table_says(bench, case):
 
 
 def stands_still_until_it_is_reset(bench, latched):
-    before = bench.status()
+    before = bench.rig_status()
     bench.ticks(20)
     assert bench.heard.state == "fault"
     assert bench.heard.active >= set(latched)
     refused = bench.client.ask("arm")
     assert not refused["ok"]
     assert "it must be ready" in refused["error"]
-    after = bench.status()
+    after = bench.rig_status()
     assert after["arm_state"] not in ("T", "H")
     assert (after["starts"], after["resets"], after["accepted"]) == tuple(
         before[what] for what in ("starts", "resets", "accepted")
@@ -123,7 +124,7 @@ def stands_still_until_it_is_reset(bench, latched):
 def stands_still_until_it_is_started(bench):
     bench.at_rest()
     bench.ticks(20)
-    assert (bench.heard.state, bench.status()["arm_state"]) == ("hold", "T")
+    assert (bench.heard.state, bench.rig_status()["arm_state"]) == ("hold", "T")
     bench.client.do("start")
 
 
@@ -132,7 +133,7 @@ def test_silence_is_noticed_in_time(bench, port, code, promised_s):
     bench.run_plan()
     bench.forget()
     before = bench.truth()["mono_ns"] * 1e-9
-    bench.hand.do("mischief", name="mute", port=port, for_s=0.5)
+    bench.ask_rig("mischief", name="mute", port=port, for_s=0.5)
     bench.until_faults(code)
     assert bench.heard.since[code] - before < 3 * promised_s
     bench.until_gone(code) if port != "arm" else bench.ready()
@@ -143,7 +144,7 @@ def test_after_a_short_silence_the_arm_is_caught_up_with_gently(bench):
     bench.run_plan()
     bench.forget()
     for _ in range(SILENCES):
-        bench.hand.do("mischief", name="mute", port="arm", for_s=0.09)
+        bench.ask_rig("mischief", name="mute", port="arm", for_s=0.09)
         bench.ticks(40)
         bench.moving()
     assert bench.heard.faults.get("arm-held") == "degrade"
@@ -154,25 +155,25 @@ def test_after_a_short_silence_the_arm_is_caught_up_with_gently(bench):
 def test_the_operator_may_go_on_while_a_pad_is_late(bench):
     """Only the change tears a hole into what a pad says; what is as late as ever does not hold the motion."""
     bench.run_plan()
-    bench.hand.do("mischief", name="late", port="pad1", strength=0.2)
+    bench.ask_rig("mischief", name="late", port="pad1", strength=0.2)
     bench.until_state("hold")
     bench.until_gone("pad1-silent")
     bench.client.do("start")
     bench.moving()
-    bench.hand.do("calm", name="late")
+    bench.ask_rig("calm", name="late")
 
 
 def test_an_emergency_stop_is_not_reset_from_here(bench):
     bench.run_plan()
-    bench.hand.do("mischief", name="estop")
+    bench.ask_rig("mischief", name="estop")
     bench.until_state("fault")
     refused = bench.client.ask("reset")
     assert (refused["ok"], "release it at the arm" in refused["error"]) == (False, True)
     status = bench.client.do("status")
     assert (status["state"], status["arm_state"]) == ("fault", "X")
     assert "-621" in status["arm_error"] or "emergency" in status["arm_error"].lower()
-    assert (bench.status()["arm_state"], bench.heard.state) == ("X", "fault")
-    bench.hand.do("calm", name="estop")
+    assert (bench.rig_status()["arm_state"], bench.heard.state) == ("X", "fault")
+    bench.ask_rig("calm", name="estop")
     bench.ready()
     bench.judge()
 
@@ -180,7 +181,7 @@ def test_an_emergency_stop_is_not_reset_from_here(bench):
 def test_another_object_is_another_object(bench):
     bench.run_plan()
     before = bench.heard.latest["palm/estimate"]["object"]
-    bench.hand.do("mischief", name="swap")
+    bench.ask_rig("mischief", name="swap")
     bench.until_state("hold")
     bench.until(lambda heard: heard.latest["palm/estimate"]["object"] > before, "a new object")
 
@@ -201,13 +202,13 @@ def test_a_daemon_that_was_stopped_for_a_second_does_not_make_up_for_it(bench):
     bench.judge()
 
 
-def test_a_killed_daemon_leaves_an_arm_that_holds_and_the_next_one_moves_nothing(own_bench):
-    bench = own_bench
+def test_a_killed_daemon_leaves_an_arm_that_holds_and_the_next_one_moves_nothing(light_bench):
+    bench = light_bench
     bench.run_plan()
     assert bench.daemon.end(signal.SIGKILL) == -signal.SIGKILL
     before = bench.until_rig(lambda status: status["arm_state"] == "F", "the controller to give up")
     stood = bench.at_rest()
-    bench.start_daemon(plan=None)
+    bench.start_daemon(plan=None, **LEAST_WORK)
     bench.until_state("ready", "fault")
     bench.until_faults("arm-fault")
     bench.ticks(100)
@@ -225,8 +226,8 @@ def test_a_killed_daemon_leaves_an_arm_that_holds_and_the_next_one_moves_nothing
     assert bench.until_rig(lambda status: status["arm_state"] == "T", "tracking")["resets"] == before["resets"] + 1
 
 
-def test_a_daemon_asked_to_end_brings_the_arm_to_a_stop(own_bench):
-    bench = own_bench
+def test_a_daemon_asked_to_end_brings_the_arm_to_a_stop(light_bench):
+    bench = light_bench
     bench.run_plan()
     t = bench.truth()["mono_ns"]
     assert bench.daemon.end(signal.SIGTERM) == 0
@@ -236,9 +237,9 @@ def test_a_daemon_asked_to_end_brings_the_arm_to_a_stop(own_bench):
     bench.at_rest()
     bench.judge()
 
-    bench.start_daemon()
+    bench.start_daemon(**LEAST_WORK)
     bench.run_plan()
-    bench.hand.do("mischief", name="mute", port="arm")
+    bench.ask_rig("mischief", name="mute", port="arm")
     t = bench.truth()["mono_ns"]
     assert bench.daemon.end(signal.SIGTERM) == 3  # nobody has confirmed that the arm stands
     assert (bench.truth()["mono_ns"] - t) * 1e-9 < 2 * 2.0
@@ -246,17 +247,17 @@ def test_a_daemon_asked_to_end_brings_the_arm_to_a_stop(own_bench):
     bench.judge()
 
 
-def test_a_rig_that_goes_and_comes_back(own_bench):
-    bench = own_bench
+def test_a_rig_that_goes_and_comes_back(light_bench):
+    bench = light_bench
     bench.run_plan()
     bench.forget()
-    bench.rig.kill()
+    bench.rig.stop()
     bench.until_faults("pad1-port", "pad2-port", "arm-port")
     bench.until_state("fault")
     bench.ticks(100)
     for name, path in bench.ports.items():
-        assert f"{name}: " in bench.daemon.said
-        assert str(path) in bench.daemon.said
+        assert f"{name}: " in bench.daemon.all_said
+        assert str(path) in bench.daemon.all_said
     assert bench.client.do("status")["arm_linked"] is False
     bench.start_rig()
     bench.until_gone("pad1-port", "pad2-port")

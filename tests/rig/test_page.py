@@ -139,18 +139,18 @@ def driver():
 
 @pytest.fixture
 def demo(tmp_path):
-    process = Process(tmp_path, "demo", "--no-browser", "--no-record", "--seed", "3")
+    process = Process(["demo", "--no-browser", "--no-record", "--seed", "3"], tmp_path)
     yield process
-    process.kill()
+    process.stop()
 
 
 @pytest.fixture
 def page(driver, demo):
     def url():
-        assert demo.alive, demo.said
-        return re.search(r"http://127\.0\.0\.1:\d+/#token=\S+", demo.said)
+        assert demo.alive, demo.all_said
+        return re.search(r"http://127\.0\.0\.1:\d+/#token=\S+", demo.all_said)
 
-    page = Page(driver, wait(url, lambda: demo.said)[0])
+    page = Page(driver, wait(url, lambda: demo.all_said)[0])
     page.resize(*LAPTOP)
     page.open()
     page.until(lambda: not page.shows("stale"), "anything")
@@ -165,7 +165,7 @@ def child(demo, command):
             line = (entry / "cmdline").read_bytes().split(b"\0") if (entry / "cmdline").exists() else []
             if command.encode() in line and parent(entry) == demo.number:
                 return int(entry.name)
-    raise AssertionError(f"no {command} among the demo's processes: {demo.said}")
+    raise AssertionError(f"no {command} among the demo's processes: {demo.all_said}")
 
 
 def parent(entry):
@@ -270,7 +270,7 @@ def test_its_outline_is_the_supports_envelope(driver, tmp_path):
           done([[...x], [...y]]);
         });
     """
-    server = Process(tmp_path, "view", "--no-browser", "--port", "0")
+    server = Process(["view", "--no-browser", "--port", "0"], tmp_path)
     try:
         driver.get(server.first_line())
         points = np.array(driver.execute_async_script(text, theta.tolist(), h.tolist()))

@@ -43,7 +43,7 @@ def test_a_run_is_kept_from_its_first_message_to_its_last_whether_the_daemon_end
     path = path_of_the_run(recorded)
     recorded.ticks(300)
     assert recorded.daemon.end() == 0
-    recorded.listener.drain(0.5)
+    recorded.drain(0.5)
     heard = recorded.heard.latest
     run = packed(path)
     assert run.complete
@@ -66,17 +66,17 @@ def test_a_run_is_kept_from_its_first_message_to_its_last_whether_the_daemon_end
     second = path_of_the_run(recorded)
     assert second != path
     recorded.ticks(50)
-    recorded.daemon.kill()
+    recorded.daemon.stop()
     found = packed(second).survey()["palm/estimate"]
     assert found.count >= 50
     assert (found.first, found.missing) == (0, 0)
 
 
-def test_a_recorder_that_is_killed_loses_next_to_nothing_and_harms_nobody(own_bench, tmp_path):
-    recorder = own_bench._closes(Process(tmp_path, "record", own_bench.config), Process.kill)
-    path = path_of_the_run(own_bench)
-    own_bench.ticks(100)
-    seen = own_bench.heard.latest["palm/events"]["seq"]
+def test_a_recorder_that_is_killed_loses_next_to_nothing_and_harms_nobody(light_bench, tmp_path):
+    recorder = light_bench.begin("recorder", "record", light_bench.path)
+    path = path_of_the_run(light_bench)
+    light_bench.ticks(100)
+    seen = light_bench.heard.latest["palm/events"]["seq"]
     time.sleep(LOST_AT_MOST_S)
     recorder.end(signal.SIGKILL)
     run = read_run(path)
@@ -85,32 +85,32 @@ def test_a_recorder_that_is_killed_loses_next_to_nothing_and_harms_nobody(own_be
     assert last.first + last.count > seen
     assert last.missing == 0
 
-    own_bench.until_faults("recorder-silent")
+    light_bench.until_faults("recorder-silent")
     done = subprocess.run([sys.executable, "-m", "palmd", "recover", path], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert f"{path}: {sum(1 for _ in run.messages())} messages of" in done.stdout
     assert is_packed(path)
 
-    second = own_bench._closes(Process(tmp_path, "record", own_bench.config), Process.kill)
-    own_bench.until_gone("recorder-silent")
-    other = path_of_the_run(own_bench)
+    second = light_bench.begin("recorder", "record", light_bench.path)
+    light_bench.until_gone("recorder-silent")
+    other = path_of_the_run(light_bench)
     assert other != path
     assert second.end() == 0
     assert read_run(other).complete
-    own_bench.judge()
+    light_bench.judge()
 
 
-def test_a_directory_that_cannot_be_written_is_a_fault_and_no_more(own_bench, tmp_path):
+def test_a_directory_that_cannot_be_written_is_a_fault_and_no_more(light_bench, tmp_path):
     (tmp_path / "runs").write_text("in the way")
-    recorder = own_bench._closes(Process(tmp_path, "record", own_bench.config), Process.kill)
-    own_bench.until_faults("recorder-failed")
-    status = own_bench.client.do("status")["recorder"]
+    recorder = light_bench.begin("recorder", "record", light_bench.path)
+    light_bench.until_faults("recorder-failed")
+    status = light_bench.client.do("status")["recorder"]
     assert status["problem"] == f"{tmp_path / 'runs'}: File exists"
     assert "path" not in status
-    own_bench.ticks(100)
-    own_bench.judge()
+    light_bench.ticks(100)
+    light_bench.judge()
     assert recorder.end() == 0
-    assert recorder.said.count("File exists") == 1
+    assert recorder.all_said.count("File exists") == 1
 
 
 def test_a_recorder_without_a_daemon_waits_and_leaves_no_file(tmp_path):
@@ -118,10 +118,10 @@ def test_a_recorder_without_a_daemon_waits_and_leaves_no_file(tmp_path):
         "pads: {palm1: {port: a}, palm2: {port: b}}\narm: {port: c}\n"
         f"bus: {{publish: 'ipc://{tmp_path}/p', command: 'ipc://{tmp_path}/c'}}\n"
     )
-    recorder = Process(tmp_path, "record", tmp_path / "palmd.yaml")
+    recorder = Process(["record", tmp_path / "palmd.yaml"], tmp_path)
     try:
         assert recorder.first_line() == f"listening to ipc://{tmp_path}/p"
         assert recorder.end() == 0
     finally:
-        recorder.kill()
+        recorder.stop()
     assert not (tmp_path / "runs").exists()

@@ -21,7 +21,7 @@ MOVING = ("arm", "start", "jog", "plan", "reset", "hold", "stop")
 
 @pytest.fixture
 def guarded(tmp_path):
-    """A daemon with keys on a rig, a recorder beside it; the bench's own client and listener have no key."""
+    """A daemon with keys on a rig, a recorder beside it; the bench's own client and subscriber have no key."""
     own = tmp_path / "keys"
     keys.make_pair(own, "server")
     for name in ("ann", "desk", "stranger"):
@@ -45,8 +45,8 @@ def test_only_who_has_a_key_hears_and_moves_anything(guarded, tmp_path):
 
     def palmd(*arguments):
         """Exit status and output of a command."""
-        process = Process(tmp_path, *arguments)
-        return process.wait(), process.said, process._out.read_text()
+        process = Process(arguments, tmp_path)
+        return process.wait(), process.all_said, process._out.read_text()
 
     with (
         CommandClient(command, 10.0, key("ann")) as operator,
@@ -54,8 +54,8 @@ def test_only_who_has_a_key_hears_and_moves_anything(guarded, tmp_path):
         CommandClient(command, 10.0, key("stranger")) as unknown,
         Subscriber(publish, topics=("palm/",), key=key("stranger")) as eavesdropper,
         Subscriber(publish, topics=("palm/",)) as passer_by,
+        Client(command) as plain,
     ):
-        plain = guarded._closes(Client(command), Client.close)
         status = lambda: operator.ask("status")["result"]  # noqa: E731
         wait(lambda: guarded.daemon.alive and operator.ask("status")["ok"], "an answer", pause_s=0.1)
         wait(lambda: status()["state"] == "ready", "ready", pause_s=0.1)
@@ -75,7 +75,7 @@ def test_only_who_has_a_key_hears_and_moves_anything(guarded, tmp_path):
         assert loop is not None
         assert loop["bus_turned_away"] >= 2
         assert status()["state"] == "ready"
-        assert guarded.status()["largest_step_mm"] == 0.0
+        assert guarded.rig_status()["largest_step_mm"] == 0.0
         wait(lambda: status().get("recorder"), "the recorder's own key", pause_s=0.1)
 
         desk = ("--key", tmp_path / "desk.key_secret")
@@ -83,12 +83,12 @@ def test_only_who_has_a_key_hears_and_moves_anything(guarded, tmp_path):
         assert json.loads(seen)["result"]["state"] == "ready"
         assert palmd("ctl", "arm", "--address", command, "--key", tmp_path / "ann.key_secret")[0] == 0
         assert operator.ask("start")["ok"]
-        wait(lambda: guarded.status()["largest_step_mm"] > 0.0, "the arm moving")
+        wait(lambda: guarded.rig_status()["largest_step_mm"] > 0.0, "the arm moving")
 
         nothing = time.monotonic()
         assert list(eavesdropper.until(nothing)) == list(passer_by.until(nothing)) == []
         assert not any(stranger.poll(0) for stranger in (plain.socket, unknown._socket))
-    assert not guarded.listener.frames(0.0)
+    assert not list(guarded.subscriber.frames(1))
     assert guarded.daemon.end() == 0
     recorded = wait(lambda: list(guarded.folder.glob("runs/*.mcap")), "a recording")
     assert recorded[0].stat().st_size > 10_000

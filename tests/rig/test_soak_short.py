@@ -13,11 +13,11 @@ SEED = 170  # a lost port, damaged bytes on two lines, another object, a page
 def soaked(folder):
     """Exit status, what was done and the findings by name."""
     folder.mkdir()
-    process = Process(folder, "bench", "soak", "--seconds", "25", "--seed", SEED, "-o", folder)
+    process = Process(["bench", "soak", "--seconds", "25", "--seed", SEED, "-o", folder], folder)
     try:
         status = process.wait(150)
     finally:
-        process.kill()
+        process.stop()
     rows = [json.loads(line) for line in (folder / "soak.jsonl").read_text().splitlines()]
     findings = {row["name"]: row for row in rows if row["row"] == "finding"}
     return status, [row for row in rows if row["row"] == "doing"], findings

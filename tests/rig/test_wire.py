@@ -25,6 +25,7 @@ RATES_HZ = {  # far wider than promised, for a slow machine; never faster than p
     "palm/state": (5.0, 20.0),
     "palm/loop": (0.5, 1.2),
     "palm/info": (0.5, 1.2),
+    "palm/rig": (0.5, 6.0),  # and the smoother answers four times a second at most
 }
 STAMP = re.compile(rb"\d{10,}\.\d{3,}")
 PLOTTED_TEXT = 100  # PlotJuggler leaves out longer strings
@@ -42,12 +43,11 @@ def wire(bench):
 
 
 def heard(bench):
-    bench.listener.drain()
+    bench.drain()
     found = collections.defaultdict(list)
     end = time.monotonic() + SECONDS
     while time.monotonic() < end:
-        frames = bench.listener.frames(0.05)
-        if frames is not None:
+        for frames in bench.subscriber.frames(1, 0.05):
             found[frames[0].decode("ascii")].append((frames, msgpack.unpackb(frames[1], strict_map_key=True)))
     return found
 

@@ -31,13 +31,27 @@ from palmd.messages import (
     info_fields,
     motion_fields,
     object_fields,
+    rig_fields,
     shape_fields,
     sound,
     stamp,
     state_fields,
     validate,
 )
-from palmd.quantities import CONTACT, ESTIMATE, EVENTS, IMPROVEMENT, INFO, LOOP, MOTION, OBJECT, SHAPE, STATE, TOPICS
+from palmd.quantities import (
+    CONTACT,
+    ESTIMATE,
+    EVENTS,
+    IMPROVEMENT,
+    INFO,
+    LOOP,
+    MOTION,
+    OBJECT,
+    RIG,
+    SHAPE,
+    STATE,
+    TOPICS,
+)
 from palmd.rig.world import default_config
 
 # As CONTRACTS section 4 has them, written out here a second time.
@@ -62,6 +76,9 @@ def an_estimate(**changes) -> Estimate:
     extra = {"nis": 1.0, "observability": math.nan, "touched": 0.5}
     estimate = Estimate(t=1.0, valid=True, observer="shape", object_count=2, sd=sd, **values, **extra)
     return dataclasses.replace(estimate, **changes)
+
+
+ZEROS = np.zeros(15)
 
 
 def built():
@@ -92,9 +109,19 @@ def built():
         IMPROVEMENT: improvement_fields(
             1.0,
             Improvement(
-                0.8, np.arange(3.0), np.eye(3), 1, False, np.zeros(72, dtype=bool), np.zeros(12), np.zeros((3, 12))
+                0.8,
+                np.arange(3.0),
+                np.eye(3),
+                1,
+                False,
+                np.zeros(72, dtype=bool),
+                ZEROS,
+                ZEROS,
+                np.zeros((3, 15)),
+                ZEROS,
             ),
         ),
+        RIG: rig_fields(np.full(15, 1e-3), np.full(15, 1e-4), np.full(15, 1e-3), ZEROS),
     }
 
 
@@ -229,3 +256,9 @@ def test_events_of_other_fields_are_refused():
         events_of(fields | {"s_m": [0.02]})
     with pytest.raises(KeyError):
         events_of({"source": []})
+
+
+def test_a_one_sigma_of_what_has_none_is_seen():
+    fields = stamp(built()[RIG], 1.7e9, 12.5, 7)
+    fields["sd"]["pad3_zero_m"] = 1.0
+    assert validate(RIG, fields)

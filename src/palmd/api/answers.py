@@ -111,7 +111,7 @@ def estimate(
 
 @one_thread()
 def reconstruct(log: RunData | str | os.PathLike[str], seed: int = 0) -> SmoothedRun:
-    """OutlineData and motion from a whole run at once; takes about a second for ten seconds of readings.
+    """Outline and motion from a whole run at once; takes about a second for ten seconds of readings.
 
     Deterministic for a given `seed` (of the blind start). Raises PalmdError for a log that cannot be used, never for
     what its readings say.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from palmd.bus.subscriber import Message
-from palmd.quantities import CONTACT, ESTIMATE, INFO, LOOP, MOTION, STATE, Quantity, Topic, drawn
+from palmd.quantities import CONTACT, ESTIMATE, INFO, LOOP, MOTION, RIG, STATE, Quantity, Topic, drawn
 from palmd.system.mechanism import ENDS, JOINTS, PALMS
 
 Style = Literal["plain", "title", "good", "bad", "warning", "faint"]
@@ -68,6 +68,7 @@ def frame(board: Board, t: float) -> list[BoardRow]:
     if silence > LOOP.stale_s:
         rows.append(BoardRow(f"no data from {board.address} for {silence:.0f} s; what follows is old", "bad"))
     rows += _faults(board)
+    rows += [BoardRow(f"  rig     {said}", "warning") for said in board.fields(RIG).get("off", ())]
     for topic, block in (
         (ESTIMATE, _estimate),
         (CONTACT, _contact),

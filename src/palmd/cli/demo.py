@@ -1,6 +1,7 @@
 """An emulated rig, the daemon and the live page together, in closed loop on an object that palmd knows nothing about.
 
-The palms explore until the outline is complete, and then stand. Progress goes to standard error, and in the end one
+The rig is as far off from its configuration as calibration leaves one, drawn by the seed (`--perfect`: not at all). The
+palms explore until the outline is complete, and then stand. Progress goes to standard error, and in the end one
 line that compares the estimate with the rig's truth to standard output. Without --seconds it runs until Ctrl-C.
 """
 
@@ -24,6 +25,7 @@ from palmd.harness.comparison import Comparison
 from palmd.harness.operator import Operator
 from palmd.harness.processes import StopRequest
 from palmd.harness.stack import Stack
+from palmd.rig.imperfections import perfect
 from palmd.rig.shapes import KINDS
 from palmd.yamlfile import ConfigError, load_config
 
@@ -32,6 +34,7 @@ LOOK_S = 0.1
 PROGRESS_S = 1.0
 RECORDED_S = 300.0  # to pack the recording of many hours
 RUNS = Path("runs")
+_WORLDS = {"none": "perfect", "calibrated": "off as calibration leaves one"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, help="which object and noise; default: a random one, printed")
     parser.add_argument("--kind", choices=KINDS, default="rig", help="what sort of object (default: %(default)s)")
     parser.add_argument("--no-record", action="store_true", help=f"keep no recording; else it goes to {RUNS}/ here")
+    parser.add_argument("--perfect", action="store_true", help="a rig that is exactly as configured, which is known")
     parser.add_argument("--config", type=Path, default=shipped("demo.yaml"), help="rig and plan; default: as shipped")
 
 
@@ -53,13 +57,15 @@ def run(arguments: argparse.Namespace) -> int:
         config = load_config(arguments.config)
     except ConfigError as error:
         raise CliError(BAD_INPUT, str(error)) from None
+    if arguments.perfect:
+        config = perfect(config)
     seed = [] if arguments.seed is None else ["--seed", str(arguments.seed)]
     with StopRequest() as stop, tempfile.TemporaryDirectory(prefix="palmd-demo-") as name, ExitStack() as leaving:
         stack = leaving.enter_context(Stack(Path(name), config, RUNS.absolute(), give_up=lambda: stop.made, tell=_tell))
-        begun = stack.start_rig("--kind", arguments.kind, *seed, config=arguments.config)
+        begun = stack.start_rig("--kind", arguments.kind, *seed)
         if not (begun and stack.start(record=not arguments.no_record)):
             return 0  # the end was asked for before anything began
-        comparison = Comparison(stack.told["seed"])
+        comparison = Comparison(stack.told["seed"], _WORLDS.get(str(config.rig.imperfections), "off as configured"))
         page = stack.page if stack.start_page() else None
         if page is None and not stop.made:
             _tell(f"no live page: {stack.children.pop('page').said() or 'it did not start'}")

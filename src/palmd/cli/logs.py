@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import TextIO
 
 from palmd.console.errors import BAD_INPUT, CliError
-from palmd.record.eventlog import CALIBRATION_KEYS, EventLog, LogError, read_log
+from palmd.record.eventlog import EventLog, LogError, read_log
 from palmd.record.run import RunError, is_recording, read_run
+from palmd.system.description import CALIBRATION_KEYS
 
 STDOUT = Path("-")
 

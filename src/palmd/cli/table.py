@@ -69,6 +69,11 @@ COMMANDS = (
         "calibrate force", "calibration.force", "both touchpads: newtons per count, by the weight of that cylinder"
     ),
     Command(
+        "calibrate self",
+        "calibration.self_calibration",
+        "the pads' zeros and the arm's yaw, from recorded runs with any objects",
+    ),
+    Command(
         "observability",
         "lab.observability",
         "what the paper's systems can observe: rank and conditioning, maps over the rates",

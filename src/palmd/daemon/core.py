@@ -15,7 +15,9 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import Executor
 from pathlib import Path
 
-from palmd.config import Config
+import numpy as np
+
+from palmd.config import Config, rig_description
 from palmd.daemon.commands import Reply, Request
 from palmd.daemon.diagnostics import LOOK_S, ArmDiagnostics, LoopDiagnostics, NisDiagnostics, PadDiagnostics
 from palmd.daemon.drivers import ArmDriver, EndName
@@ -39,6 +41,7 @@ from palmd.messages import (
     improvement_fields,
     motion_fields,
     object_fields,
+    rig_fields,
     shape_fields,
     sound,
     state_fields,
@@ -46,8 +49,9 @@ from palmd.messages import (
 from palmd.motion.check import motion_limits
 from palmd.motion.kinematics import RigGeometry
 from palmd.observer.observer import Observer
-from palmd.quantities import CONTACT, ESTIMATE, EVENTS, IMPROVEMENT, MOTION, OBJECT, SHAPE, STATE, Topic
+from palmd.quantities import CONTACT, ESTIMATE, EVENTS, IMPROVEMENT, MOTION, OBJECT, RIG, SHAPE, STATE, Topic
 from palmd.system.mechanism import PALMS
+from palmd.system.rig_constants import prior_sds
 
 log = logging.getLogger(__name__)
 
@@ -100,6 +104,9 @@ class Core:
         self._events: list[Event] = []
         self._fed: list[Event] = []
         self._answered: Improvement | None = None
+        self._rig_priors = prior_sds(rig_description(config))
+        self._rig, self._rig_sds = np.zeros_like(self._rig_priors), self._rig_priors
+        self._contradicted = np.zeros_like(self._rig_priors)
         self._notes = frozenset(notes)
         self._passing: set[str] = set()  # conditions seen since the last decision
         self._pad_watches = {name: PadDiagnostics(name) for name in self.pads}
@@ -107,7 +114,7 @@ class Core:
         self._loop_watch = LoopDiagnostics()
         self._nis_watch = NisDiagnostics()
         self._swap = SwapWatch()
-        self._t_look = self._t_state = self._t_shape = -math.inf
+        self._t_look = self._t_state = self._t_shape = self._t_rig = -math.inf
         self._told: tuple[object, object] = (None, None)
 
     @property
@@ -246,6 +253,11 @@ class Core:
         ]
         if self._answered is not None:
             messages.append((IMPROVEMENT, improvement_fields(t, self._answered)))
+            self._rig, self._rig_sds = self._answered.rig, self._answered.rig_sd
+            self._contradicted = self._answered.contradicted
+        if self._answered is not None or t - self._t_rig >= 1.0 / RIG.rate_hz - _EARLY_S:
+            self._t_rig = t
+            messages.append((RIG, rig_fields(self._rig, self._rig_sds, self._rig_priors, self._contradicted)))
         told = (self.state, self.faults.active)
         if told != self._told or t - self._t_state >= SLOW_TOPIC_S - _EARLY_S:
             self._told, self._t_state = told, t
@@ -330,6 +342,8 @@ class Core:
             present.add("limits-violated")
         if self._swap.swapped:
             present.add("pads-swapped")
+        if self._contradicted.any():
+            present.add("rig-contradicted")
         if self.supervisor.plan_refused:
             present.add("plan-refused")
         if self.exploring.silent:

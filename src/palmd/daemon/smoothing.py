@@ -66,11 +66,11 @@ class SmootherProcess:
         del t  # it is ready when it is here
         newest: Improvement | None = None
         for message in self._process.received():
-            when, mean, covariance, frame, established, touched, rig, spread = msgpack.unpackb(message)
-            x = np.frombuffer(mean)
-            square, beyond = (np.frombuffer(told).reshape(len(x), -1) for told in (covariance, spread))
+            when, frame, established, touched, *arrays = msgpack.unpackb(message)
+            x, covariance, rig, rig_sd, spread, against = map(np.frombuffer, arrays)
+            square, beyond = (told.reshape(len(x), -1) for told in (covariance, spread))
             marks = np.frombuffer(touched, dtype=np.bool_)
-            newest = Improvement(when, x, square, frame, established, marks, np.frombuffer(rig), beyond)
+            newest = Improvement(when, x, square, frame, established, marks, rig, rig_sd, beyond, against)
         return newest
 
     def close(self) -> None:
@@ -108,11 +108,8 @@ def serve(address: str, rig: str) -> None:
             next_one = max(started + period(smoother.elapsed_s), ended + (ended - started) * (1.0 / SHARE - 1.0))
             if improvement is not None:
                 a = improvement
-                mean, covariance, touched, constants, spread = (
-                    each.tobytes() for each in (a.x, a.P, a.touched, a.rig, a.spread)
-                )
-                told = [a.t, mean, covariance, a.frame, a.established, touched, constants, spread]
-                socket.send(msgpack.packb(told))
+                arrays = (each.tobytes() for each in (a.touched, a.x, a.P, a.rig, a.rig_sd, a.spread, a.contradicted))
+                socket.send(msgpack.packb([a.t, a.frame, a.established, *arrays]))
             give_back_memory()
 
 

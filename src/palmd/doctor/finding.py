@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-Verdict = Literal["ok", "missing", "cannot tell"]
+Verdict = Literal["ok", "missing", "off", "cannot tell"]
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that palmd needs: how it stands, and the command that mends it, if there is one."""
+    """One thing that palmd needs: how it stands, and the command that mends it, if there is one.
+
+    `off`: readings tell that it is not as configured.
+    """
 
     what: str
     verdict: Verdict

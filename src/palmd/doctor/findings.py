@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from palmd.config import Config
+from palmd.config import Config, from_here
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.doctor import machine, ports
 from palmd.doctor.finding import Finding
 from palmd.system.mechanism import PALMS
 from palmd.yamlfile import ConfigError, load_config
+
+RIG_WITHIN_S = 1.5
+"""How long a daemon may take to say what it knows of the rig: it does each second."""
 
 
 def examine_all(path: Path) -> int:
@@ -23,7 +27,7 @@ def examine_all(path: Path) -> int:
         print(finding.line(), flush=True)
         verdicts.append(finding.verdict)
     counts = ", ".join(
-        f"{verdicts.count(each)} {each}" for each in ("ok", "missing", "cannot tell") if each in verdicts
+        f"{verdicts.count(each)} {each}" for each in ("ok", "missing", "off", "cannot tell") if each in verdicts
     )
     print(counts)
     return 0 if set(verdicts) == {"ok"} else BAD_INPUT
@@ -47,6 +51,8 @@ def findings(path: Path) -> Iterator[Finding]:
     for name, pad in ((f"pad {palm}", config.pads.of(palm)) for palm in PALMS):
         yield from ports.pad_findings(name, pad, status, path)
     yield from ports.arm_findings(config, status, path)
+    if status is not None:
+        yield from rig(config)
     yield machine.real_time()
     yield machine.locked_memory()
     yield machine.runs(config.record.directory)
@@ -75,6 +81,23 @@ def daemon(config: Config) -> dict[str, Any] | None:
         result: dict[str, Any] | None = reply.get("result")
         return result if reply["ok"] else {}
     return None
+
+
+def rig(config: Config) -> Iterator[Finding]:
+    """What a running daemon's smoother has found the rig to be off by."""
+    from palmd.bus.subscriber import Subscriber
+    from palmd.quantities import RIG
+
+    with Subscriber(from_here(config.bus.publish), topics=(RIG.name,)) as subscriber:
+        message = next(subscriber.until(time.monotonic() + RIG_WITHIN_S), None)
+    if message is None:
+        yield Finding("rig's constants", "cannot tell", f"nothing is heard of them from {config.bus.publish}")
+        return
+    said = message.fields["off"]
+    if not said:
+        yield Finding("rig's constants", "ok", "no reading says that one is off")
+    for each in said:
+        yield Finding("rig's constants", "off", *each.split(": ", 1))
 
 
 def bus(config: Config, status: dict[str, Any] | None) -> Finding:

@@ -23,9 +23,9 @@ PERIOD_S = 0.01
 class Comparison:
     """Takes the messages of both as they come; needs the same memory however long it runs."""
 
-    def __init__(self, seed: int) -> None:
-        """`seed` is the rig's, to be named in the summary."""
-        self._seed = seed
+    def __init__(self, seed: int, rig: str) -> None:
+        """The rig's `seed`, and how far off it is, in words: to be named in the summary."""
+        self._seed, self._rig = seed, rig
         self._scorer = Scorer()
         self._state: Mapping[str, Any] = {}
         self._object: Mapping[str, Any] | None = None
@@ -104,10 +104,12 @@ class Comparison:
         parts = [f"seed {self._seed}", self._settling()]
         score, everywhere = self._score(), self._score(all_normals=True)
         if score is not None and everywhere is not None and self._scorer.shape is not None:
-            sd = max(self._scorer.shape["h_sd_m"])
+            sd, touched = (np.array(self._scorer.shape[name]) for name in ("h_sd_m", "touched"))
+            band = math.sqrt(np.mean(sd[touched > 0] ** 2))
             parts += [
-                f"outline {score.e_h * 1e6:.0f} µm RMS ({score.relative:.2%}) on {score.touched:.0%} touched normals",
-                f"whole outline within {everywhere.max_error * 1e3:.3f} mm (largest sd {sd * 1e3:.3f} mm)",
+                f"outline {score.e_h * 1e6:.0f} µm RMS ({score.relative:.2%}) on {score.touched:.0%} touched normals"
+                f" (sd {band * 1e6:.0f} µm)",
+                f"whole outline within {everywhere.max_error * 1e3:.3f} mm (largest sd {sd.max() * 1e3:.3f} mm)",
             ]
         r, omega0 = self._scorer.rms()
         if not math.isnan(r):
@@ -120,6 +122,7 @@ class Comparison:
             f"ticks {self._ticks}",
             f"late > {LATE_S * 1e3:g} ms {self._punctuality.late_share(self._ticks):.2%}",
             f"work p99 {float(np.median(self._work_p99_ms or [math.nan])):.1f} ms",
+            f"rig {self._rig}",
         ]
         return "palmd demo: " + ", ".join(parts)
 

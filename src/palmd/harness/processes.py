@@ -56,16 +56,10 @@ class Child:
     Its daemon has no keys, so neither has it one.
     """
 
-    def __init__(
-        self, arguments: list[str], folder: Path, environment: Mapping[str, str] | None = None, label: str = ""
-    ) -> None:
-        """`arguments` begin with the command's name, which its files bear too unless there is a `label`.
-
-        `environment` comes on top of ours.
-        """
+    def __init__(self, arguments: list[str], folder: Path, environment: Mapping[str, str] | None = None) -> None:
+        """`arguments` begin with the command's name, which its files bear too; `environment` comes on top of ours."""
         self.name = arguments[0]
-        label = label or self.name
-        self._out, self._err = folder / f"{label}.out", folder / f"{label}.err"
+        self._out, self._err = folder / f"{self.name}.out", folder / f"{self.name}.err"
         with self._out.open("wb") as out, self._err.open("wb") as err:
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "palmd", *arguments],

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 import yaml
 import zmq
@@ -38,6 +38,9 @@ class Stack:
     `told` is the rig's JSON line, `path` the daemon's configuration; `client` and `subscriber` are the daemon's, and
     the latter hears the rig's truth too.
     """
+
+    child: ClassVar[type[Child]] = Child
+    topics: ClassVar[tuple[str, ...]] = ("palm/", "rig/")
 
     told: dict[str, Any]
     bus: BusConfig
@@ -83,17 +86,20 @@ class Stack:
         self._count += 1
         folder = self._folder / f"{self._count}-{name}"
         folder.mkdir()
-        child = Child(list(arguments), folder, environment)
+        child = self.child(list(arguments), folder, environment)
         life.callback(child.stop)
         return child
 
     # ---- starting ----------------------------------------------------------------------------------------
 
     def start_rig(self, *arguments: str, config: Path | None = None) -> bool:
-        """Configured as its daemon is, unless a file is given; False when given up, CliError when there is no rig."""
+        """As a file says, by default as its daemon's configuration, imperfections besides.
+
+        False when given up, CliError when there is no rig.
+        """
         if config is None:
             config = self._folder / "rig.yaml"
-            config.write_text(as_yaml(self._config, self._config.bus, _NO_PORTS), encoding="utf-8")
+            config.write_text(as_yaml(self._config, self._config.bus, _NO_PORTS, emulated=True), encoding="utf-8")
         child = self.children["rig"] = self.begin("rig", "rig", str(config), *arguments)
         line = child.first_line(START_S, self._give_up)
         if self._give_up():
@@ -110,9 +116,7 @@ class Stack:
         Somebody else may take the addresses while the daemon starts: then at others.
         """
         for _ in range(ATTEMPTS):
-            self.bus = free_addresses(self._config.bus)
-            self.path = self._folder / "palmd.yaml"
-            self.path.write_text(as_yaml(self._config, self.bus, self.told, self._runs), encoding="utf-8")
+            self.configure(self._config, self.told)
             if record:
                 self.start_recorder()
             self.begin_daemon()
@@ -124,12 +128,18 @@ class Stack:
                 break
         raise not_started(self.children["daemon"])
 
-    def begin_daemon(self, **environment: str) -> None:
-        """A daemon as configured by `start`, whoever hears it."""
-        self.children["daemon"] = self.begin("daemon", "run", str(self.path), "--no-record", **environment)
+    def configure(self, config: Config, ports: Mapping[str, str] | None = None) -> None:
+        """What `begin_daemon` goes by: at addresses that are free, on other `ports` (by pad1, pad2, arm) if need be."""
+        self.bus = free_addresses(config.bus)
+        self.path = self._folder / "palmd.yaml"
+        self.path.write_text(as_yaml(config, self.bus, ports, self._runs), encoding="utf-8")
+
+    def begin_daemon(self, records: bool = False, /, **environment: str) -> None:
+        """A daemon as it is configured, whoever hears it; it may start a recorder of its own."""
+        quietly = () if records else ("--no-record",)
+        self.children["daemon"] = self.begin("daemon", "run", str(self.path), *quietly, **environment)
         life = self._lives["daemon"]
-        topics = ("palm/", "rig/")
-        self.subscriber = life.enter_context(Subscriber(self.bus.publish, self.told["truth"], topics=topics))
+        self.subscriber = life.enter_context(Subscriber(self.bus.publish, self.told["truth"], topics=self.topics))
         self.client = life.enter_context(CommandClient(self.bus.command, ANSWER_S))
 
     def until_heard(self, hear: Callable[[Message], None] = lambda _message: None) -> bool:
@@ -201,14 +211,28 @@ def not_started(child: Child) -> CliError:
 _NO_PORTS = {name: name for name in ENDS}
 
 
-def as_yaml(config: Config, bus: BusConfig, rig: dict[str, Any], runs: Path | None = None) -> str:
-    """The configuration with the rig's ports, the addresses that are free, and the folder of recordings."""
+def as_yaml(
+    config: Config,
+    bus: BusConfig,
+    ports: Mapping[str, str] | None = None,
+    runs: Path | None = None,
+    *,
+    emulated: bool = False,
+) -> str:
+    """The configuration with these addresses and, if given, these ports and this folder of recordings.
+
+    What the emulated rig is off by only stands in its own (`emulated`): a daemon is not told.
+    """
     values = config.model_dump(mode="json") | {"bus": bus.model_dump(mode="json")}
+    if emulated:
+        asked = config.rig.imperfections
+        values["rig"]["imperfections"] = asked if isinstance(asked, str) else asked.model_dump()
     if runs is not None:
         values["record"]["directory"] = str(runs)
-    for palm in PALMS:
-        values["pads"][f"palm{palm}"]["port"] = rig[f"pad{palm}"]
-    values["arm"]["port"] = rig["arm"]
+    if ports is not None:
+        for palm in PALMS:
+            values["pads"][f"palm{palm}"]["port"] = ports[f"pad{palm}"]
+        values["arm"]["port"] = ports["arm"]
     if values["plan"] is None:
         del values["plan"]
     return yaml.safe_dump(values, allow_unicode=True)

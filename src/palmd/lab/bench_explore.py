@@ -15,6 +15,7 @@ from palmd.lab.exploring_summary import remarks, table
 from palmd.lab.rows import ROWS, Sink, collected, on_this_machine, rewrite
 from palmd.lab.scoring import as_line
 from palmd.rig.shapes import KINDS
+from palmd.rig.simulate import CALIBRATION
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,13 +27,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--seconds", type=seconds, default=60.0, metavar="S", help="how long each may take (default: %(default)s)")
     add("-o", "--output", type=Path, default=Path("explore"), metavar="FOLDER",
         help=f"for {ROWS} and the figure, which are overwritten (default: %(default)s)")  # fmt: skip
+    add("--imperfections", choices=CALIBRATION, default="none", help="of the rig, drawn (default: %(default)s)")
     add("--jobs", type=count, metavar="J", help="processes on this machine (default: one a processor)")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Interrupted, it ends with what is finished until then; CliError when it cannot begin."""
     kinds = KINDS if arguments.kind == ALL else (arguments.kind,)
-    tasks = exploring.tasks_of(kinds, arguments.seed, arguments.runs, arguments.seconds)
+    tasks = exploring.tasks_of(
+        kinds, arguments.seed, arguments.runs, arguments.seconds, imperfections=arguments.imperfections
+    )
     path = arguments.output / ROWS
     finished, status = collected(
         "exploring",

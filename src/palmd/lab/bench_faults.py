@@ -24,6 +24,7 @@ from palmd.lab.fault_stand import Stand
 from palmd.lab.fault_wireless import provoke
 from palmd.lab.rows import ROWS as FILE
 from palmd.lab.rows import terminable, writable, write
+from palmd.rig.imperfections import perfect
 from palmd.yamlfile import load_config, load_plan
 
 PLAN = "plans/lively.yaml"
@@ -88,7 +89,7 @@ class _Campaign(ExitStack):
     def _on_stand(self, row: FaultRow) -> Reaction:
         if self._stand is None:
             folder = Path(self.enter_context(tempfile.TemporaryDirectory(prefix="palmd-faults-")))
-            config = load_config(shipped("demo.yaml")).model_copy(update={"plan": shipped(PLAN)})
+            config = perfect(load_config(shipped("demo.yaml"))).model_copy(update={"plan": shipped(PLAN)})
             self._stand = self.enter_context(Stand(folder, config, self._seed))
         reaction = self._stand.provoke(row)
         if not self._stand.usable:

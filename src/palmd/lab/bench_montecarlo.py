@@ -16,6 +16,7 @@ from palmd.lab.montecarlo_summary import remarks, summaries, table
 from palmd.lab.rows import ROWS, Sink, collected, on_this_machine, rewrite
 from palmd.lab.scoring import MonteCarloRow, as_line
 from palmd.rig.shapes import KINDS
+from palmd.rig.simulate import CALIBRATION
 
 ALL = "all"
 
@@ -30,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("-o", "--output", type=Path, default=Path("montecarlo"), metavar="FOLDER",
         help=f"for {ROWS} and the figure, which are overwritten (default: %(default)s)")  # fmt: skip
     add("--causal", action=argparse.BooleanOptionalAction, default=True, help="also through the daemon's observer")
+    add("--imperfections", choices=CALIBRATION, default="none", help="of the rig, drawn (default: %(default)s)")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--jobs", type=count, metavar="J", help="processes on this machine (default: one a processor)")
     where.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster, such as tcp://127.0.0.1:8786")
@@ -38,7 +40,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Interrupted, it ends with what is finished until then; CliError when it cannot begin."""
     kinds = KINDS if arguments.kind == ALL else (arguments.kind,)
-    tasks = montecarlo.tasks_of(kinds, arguments.seed, arguments.runs, arguments.seconds, arguments.causal)
+    tasks = montecarlo.tasks_of(
+        kinds, arguments.seed, arguments.runs, arguments.seconds, arguments.causal, arguments.imperfections
+    )
     path = arguments.output / ROWS
     finished, status = collected(
         "Monte Carlo",

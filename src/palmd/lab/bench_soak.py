@@ -35,6 +35,7 @@ from palmd.lab.soak_slopes import leaks
 from palmd.lab.soak_stand import PLANS, SoakStand
 from palmd.record.recheck import Recheck
 from palmd.record.run import RunError, read_run
+from palmd.rig.imperfections import perfect
 from palmd.rig.pads import versapads
 from palmd.yamlfile import load_config
 
@@ -57,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Raises CliError when a process does not start, ends, or the palms cannot be brought to move."""
     number = secrets.randbelow(2**31) if arguments.seed is None else arguments.seed
     print(f"seed {number}", flush=True)
-    config = load_config(shipped("demo.yaml")).model_copy(update={"plan": shipped(PLANS[0])})
+    config = perfect(load_config(shipped("demo.yaml"))).model_copy(update={"plan": shipped(PLANS[0])})
     with terminable(), ExitStack() as stack:
         stream = writable(stack, arguments.output / FILE)
         write(stream, [{"row": "soak", "seed": number, "seconds": arguments.seconds}])

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from palmd.config import Config, ExploreGoal, rig_description
+from palmd.config import Config, Drawn, ExploreGoal, rig_description
 from palmd.daemon.exploration_requests import Decider, ExplorationAnswer, InlineExplorer, Question
 from palmd.events import FloatArray
 from palmd.harness.wireless import Wireless
@@ -43,6 +43,7 @@ class ExploringTask:
     strategy: Strategy
     seconds: float = 60.0
     band_mm: float | None = None
+    imperfections: Drawn = "none"
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,14 +96,19 @@ class ExploringRow:
 
 
 def tasks_of(
-    kinds: Iterable[Kind], first_seed: int, count: int, seconds: float, band_mm: float | None = None
+    kinds: Iterable[Kind],
+    first_seed: int,
+    count: int,
+    seconds: float,
+    band_mm: float | None = None,
+    imperfections: Drawn = "none",
 ) -> list[ExploringTask]:
     """So many objects of each kind, each with every strategy.
 
     No two kinds share a seed: here, where the hinge always travels, friction and rig are the same kind of thing.
     """
     return [
-        ExploringTask(kind, first_seed + len(KINDS) * i + KINDS.index(kind), strategy, seconds, band_mm)
+        ExploringTask(kind, first_seed + len(KINDS) * i + KINDS.index(kind), strategy, seconds, band_mm, imperfections)
         for i in range(count)
         for kind in kinds
         for strategy in STRATEGIES
@@ -142,7 +148,7 @@ class _Timed(Decider):
 
 def _run(task: ExploringTask) -> ExploringRow:
     begin = time.process_time()
-    config = default_config()
+    config = default_config(task.imperfections)
     rig = rig_description(config)
     explores = task.strategy == "explore"
     goal = ExploreGoal(coverage=GOAL, band_mm=task.band_mm, time_limit_s=task.seconds)

@@ -25,6 +25,7 @@ from palmd.harness.stack import START_S, Stack, not_started
 from palmd.lab import load
 from palmd.lab.lateness_summary import Case, TickLateness, table
 from palmd.lab.wakeups import Meter
+from palmd.rig.imperfections import perfect
 from palmd.yamlfile import load_config
 
 SEED = 3
@@ -42,10 +43,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Ctrl-C ends it with what is measured until then; raises CliError when rig or daemon do not start."""
     cases: list[Case] = []
     by: set[str] = set()
-    config = load_config(shipped("demo.yaml")).model_copy(update={"plan": shipped("plans/lively.yaml")})
+    config = perfect(load_config(shipped("demo.yaml"))).model_copy(update={"plan": shipped("plans/lively.yaml")})
     with StopRequest() as stop, tempfile.TemporaryDirectory(prefix="palmd-latency-") as name, ExitStack() as leaving:
         stack = leaving.enter_context(Stack(Path(name), config, give_up=lambda: stop.made))
-        if not (stack.start_rig("--seed", str(SEED), config=shipped("demo.yaml")) and stack.start(record=False)):
+        if not (stack.start_rig("--seed", str(SEED)) and stack.start(record=False)):
             return 0
         bench = _Bench(Path(name), stack, 1.0 / config.loop.rate_hz)
         bench.listen_until(lambda: bench.operator.moves or stop.made, START_S)

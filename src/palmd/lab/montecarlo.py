@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palmd import observer
+from palmd.config import Drawn
 from palmd.events import FloatArray, ShapeEstimate
 from palmd.lab.scoring import (
     Answers,
@@ -36,17 +37,20 @@ TICKS_PER_SHAPE = 10
 
 @dataclass(frozen=True, slots=True)
 class MonteCarloTask:
-    """One run to do: the kind and seed of `simulate_log`, how long (s), and whether to replay it causally too."""
+    """One run to do: as `simulated` takes it, lasting so many seconds, and whether to replay it causally too."""
 
     kind: Kind
     seed: int
     seconds: float = 10.0
     causal: bool = True
+    imperfections: Drawn = "none"
 
 
-def tasks_of(kinds: Iterable[Kind], first_seed: int, runs: int, seconds: float, causal: bool) -> list[MonteCarloTask]:
+def tasks_of(
+    kinds: Iterable[Kind], first_seed: int, runs: int, seconds: float, causal: bool, imperfections: Drawn = "none"
+) -> list[MonteCarloTask]:
     """So many runs of each kind, all kinds with the same seeds."""
-    return [MonteCarloTask(kind, first_seed + i, seconds, causal) for i in range(runs) for kind in kinds]
+    return [MonteCarloTask(kind, first_seed + i, seconds, causal, imperfections) for i in range(runs) for kind in kinds]
 
 
 def run(task: MonteCarloTask) -> MonteCarloRow:
@@ -68,7 +72,7 @@ def in_order(rows: Iterable[MonteCarloRow]) -> list[MonteCarloRow]:
 
 
 def _run(task: MonteCarloTask) -> MonteCarloRow:
-    log, told = simulated(task.kind, task.seed, task.seconds)
+    log, told = simulated(task.kind, task.seed, task.seconds, imperfections=task.imperfections)
     truth = truth_of(told)
     # The estimators' own seeds stay at their defaults, so that the commands give the same answers on the same log.
     answer = reconstruct(log.events, log.rig)

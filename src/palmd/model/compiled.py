@@ -96,8 +96,8 @@ BLOCK = 8
 
 
 def mapped_over_block(function: ca.Function) -> ca.Function:
-    """`NAME_block`: the function applied to `BLOCK` filters side by side, all with the same last input."""
-    return densified(function).map(f"{function.name()}_block", "serial", BLOCK, [function.n_in() - 1], [])
+    """`NAME_block`: the densified function applied to `BLOCK` filters side by side, all with the same last input."""
+    return function.map(f"{function.name()}_block", "serial", BLOCK, [function.n_in() - 1], [])
 
 
 def load(name: str, functions: Sequence[ca.Function], cache: Path | None = None) -> Library:

@@ -187,7 +187,7 @@ def outline_function() -> ca.Function:
 @cache
 def library() -> Library:
     """Kernels for blocks of filters (predict, update_*, values), and for one of them: predict, named, outline."""
-    predict = predict_function()
-    blocks = [predict, *(update_function(f"update_{s.name.lower()}", s) for s in MEASURED), values_function()]
-    single = [predict, named_function(), outline_function()]
-    return load("extended", [*(mapped_over_block(f) for f in blocks), *(densified(f) for f in single)])
+    updates = (update_function(f"update_{s.name.lower()}", s) for s in MEASURED)
+    blocks = [densified(f) for f in (predict_function(), *updates, values_function())]
+    single = [blocks[0], densified(named_function()), densified(outline_function())]
+    return load("extended", [*map(mapped_over_block, blocks), *single])

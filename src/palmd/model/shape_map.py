@@ -135,7 +135,6 @@ def values_function(order: int = HARMONICS) -> ca.Function:
 def library(order: int = HARMONICS) -> Library:
     """Kernels for blocks of shape maps and, without `_block`, for one: predict, update_s1, update_s2, values; named."""
     pads = [update_function(f"update_s{pad}", pad, order) for pad in PALMS]
-    kernels = [predict_function(order), *pads, values_function(order)]
-    single = [*kernels, named_function(order)]
+    kernels = [densified(f) for f in (predict_function(order), *pads, values_function(order))]
     name = "shape_map" if order == HARMONICS else f"shape_map{order}"
-    return load(name, [*(mapped_over_block(f) for f in kernels), *(densified(f) for f in single)])
+    return load(name, [*map(mapped_over_block, kernels), *kernels, densified(named_function(order))])

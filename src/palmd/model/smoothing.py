@@ -22,6 +22,7 @@ from palmd.model.outputs import RIG_INPUTS
 from palmd.model.shape import contact_at
 from palmd.model.shape_map import PALM_INPUTS, palms_after
 from palmd.system.mechanism import normal_directions
+from palmd.system.rig_constants import RIG_NAMES
 
 ORDER = 12  # harmonics of the outline: more than the live observer's, for ellipses and flat sides
 NODE = 2  # ψ, ω0
@@ -50,6 +51,7 @@ class R(IntEnum):
     lies STANDOFF above the hinge line, on the object's side, and is an arc that is SAGITTA higher in the pad's middle
     than at its ends. TILT is φ1's error, gravity's direction included, TURN that of φ2. Palm 1's friction is
     (1 + FRICTION) μ and palm 2's (1 − FRICTION) μ. Where each pad has its own, pad 2's follows pad 1's.
+    `system.rig_constants` has their names.
     """
 
     ZERO = 0
@@ -63,12 +65,7 @@ class R(IntEnum):
     FORCE = 13
 
 
-RIG_CONSTANTS = 15
-RIG_NAMES = (
-    *("pad1_zero_m", "pad2_zero_m", "pad1_scale", "pad2_scale", "pad1_sagitta_m", "pad2_sagitta_m"),
-    *("pad1_lag_s", "pad2_lag_s", "pad1_standoff_m", "pad2_standoff_m", "phi1_rad", "phi2_rad"),
-    *("friction_asymmetry", "pad1_force_m_per_n", "pad2_force_m_per_n"),
-)
+RIG_CONSTANTS = len(RIG_NAMES)
 RIG = slice(C.RIG, C.SHAPE)
 CONSTANTS = C.SHAPE + 2 * ORDER + 1
 STEP_INPUTS = 1 + PALM_INPUTS + 2 + RIG_INPUTS + 2  # dt, palms, jerk, rig, the pads' lengths

@@ -135,8 +135,7 @@ def _rates(random: np.random.Generator, count: int, limits: MotionLimits) -> Flo
 
 def range_of(limits: MotionLimits) -> tuple[FloatArray, FloatArray]:
     """The lowest and the highest palm angles (φ1, φ2) (rad) that moves end at; the middle of what is too narrow."""
-    joints = limits.bounds[: len(limits.angles)]
-    low, high = np.array([bound.low for bound in joints]), np.array([bound.high for bound in joints])
+    low, high = np.array([(bound.low, bound.high) for bound in limits.joint_bounds]).T
     margin = np.minimum(POSE_MARGIN, (high - low) / 2)
     low, high = low + margin, high - margin
     return low, np.maximum(low, high)

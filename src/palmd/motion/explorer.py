@@ -98,6 +98,8 @@ class Explorer:
             self._forget()
         if math.isnan(self._t_begin):
             self._t_begin = outlook.t
+        if outlook.rig is not None:
+            self._predictor.correct(outlook.rig)
         self._see(outlook)
         coverage, reachable = self._coverage(outlook.touched), float(self._reach.mean())
         ended = self._ended(outlook, coverage)

@@ -129,6 +129,11 @@ class MotionLimits:
             workspace=workspace,
         )
 
+    @property
+    def joint_bounds(self) -> tuple[QuantityLimit, ...]:
+        """Of `bounds` those of the joints, in their order."""
+        return self.bounds[: len(self.angles)]
+
     def _opening_bound(self) -> QuantityLimit:
         """The opening's bound: a circle of radius r touches both palms at r/tan(φ2/2), which must be on the pads."""
         pads_end = 2.0 * math.atan(SMALL_RADIUS / max(self.pad_length - PAD_MARGIN, PAD_MARGIN))

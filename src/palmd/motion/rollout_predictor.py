@@ -11,6 +11,7 @@ import numpy.typing as npt
 from palmd.events import FloatArray
 from palmd.model import rollout, shape_map
 from palmd.model.rollout import COLUMNS, MOVE_INPUTS, STEP_S, SUBSTEPS, TOLD
+from palmd.model.smoothing import R
 
 CALL_S = SUBSTEPS * STEP_S
 """Moves last whole multiples of this."""
@@ -65,11 +66,17 @@ class RolloutPredictor:
 
     def __init__(self, rig: FloatArray):
         """`rig` as `model.outputs.rig_inputs` gives it; takes seconds when its C has to be compiled first."""
+        self._rig, self._angles = rig, np.zeros(2)
         self._x = np.zeros((COLUMNS, shape_map.N))
         self._move = np.zeros((COLUMNS, MOVE_INPUTS))
         self._moved = np.zeros((COLUMNS, 2))
         self._told = np.zeros((COLUMNS, SUBSTEPS, TOLD))
         self._roll = rollout.library().bind("roll_batch", [self._x, self._move, rig], [self._moved, self._told])
+
+    def correct(self, off: FloatArray) -> None:
+        """Foretell from now on for a rig whose constants are `off` by so much, in the order of `model.smoothing.R`."""
+        self._rig[-1] = off[R.FRICTION]
+        self._angles = off[[R.TILT, R.TURN]]
 
     def of(self, states: FloatArray, moves: Moves, elapsed: float = 0.0, horizon_s: float = math.inf) -> Prediction:
         """From `states` (N, 21), or one for all (21,), at rest or `elapsed` seconds into the first move.
@@ -95,6 +102,7 @@ class RolloutPredictor:
         ends, durations = moves.ends[filled], moves.durations[filled]
         finished = np.cumsum(durations, axis=1) - elapsed
         points = np.concatenate([np.broadcast_to(moves.start, (COLUMNS, 1, 2)), ends], axis=1)
+        points += self._angles
         calls = max(int(np.ceil((min(finished[:, -1].max(), horizon_s) - 1e-9) / CALL_S)), 1)
         told = np.empty((COLUMNS, calls * SUBSTEPS, TOLD))
         leg_of = np.empty((COLUMNS, calls), dtype=np.intp)

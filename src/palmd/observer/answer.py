@@ -70,7 +70,7 @@ def outline_answer(
 
 def outlook(
     t: float, filters: Filters, rivals: npt.NDArray[np.intp], marks: Marks, inflation: float,
-    random: np.random.Generator, object_count: int,
+    random: np.random.Generator, object_count: int, rig: FloatArray | None,
 ) -> Outlook | None:  # fmt: skip
     """The leader's state, its plausible `rivals`', and draws from its belief; takes a fraction of a millisecond.
 
@@ -92,7 +92,7 @@ def outlook(
     outline = P[_SHAPE, _SHAPE]
     rows = bin_rows(len(outline))
     h_sd = inflation * np.sqrt(np.maximum(((rows @ outline) * rows).sum(axis=1), 0.0))
-    return Outlook(t, np.vstack([state, samples]), marks.copy(), h_sd, object_count)
+    return Outlook(t, np.vstack([state, samples]), marks.copy(), h_sd, object_count, rig)
 
 
 @cache

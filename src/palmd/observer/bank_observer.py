@@ -222,7 +222,8 @@ class BankObserver:
             return None
         inflation = self._inflation(track, t)
         marks, count = track.coverage.marks, self._session.object_count
-        return outlook(t, fusion.filters, fusion.rivals(), marks, inflation, self._draws, count)
+        rig = None if self._link is None else self._link.rig_off
+        return outlook(t, fusion.filters, fusion.rivals(), marks, inflation, self._draws, count, rig)
 
     def identify(self, t: float) -> ObjectEstimate | None:
         """Which stored object it is at `t` (s), None before anything is felt or where none are stored."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model.compiled import Library
-from palmd.model.smoothing import CONSTANTS, NODE
+from palmd.model.smoothing import CONSTANTS, NODE, RIG
 from palmd.observer.factor import SIZE, Factor, Knowledge
 from palmd.observer.normal_equations import Guess, ProcessNoise, Residuals
 from palmd.observer.record import Record
@@ -25,6 +25,7 @@ READINGS_KEPT = 60  # segments whose readings are kept: two minutes
 RELINEARISED = 12  # segments at most in one call: the cost of an answer is bounded
 NEAR = 2.0  # squared sigmas of a segment's own readings by which p and its ends may move
 INNER_STEPS = 2  # of Newton's, of a segment's nodes when its ends and the constants have moved
+MOST_SETTLING = 6  # iterations, when something else is believed than before
 _NODE = slice(CONSTANTS, SIZE)
 
 
@@ -52,6 +53,7 @@ class Chain:
         self._prior = prior
         self._base: Factor | None = None  # of the segments that have been folded, and the prior
         self._learnt: Factor | None = None
+        self._revised: Factor | None = None  # by how much the prior of the rig's constants has changed, all along
         self._kept = kept
         self._segments: list[Segment] = []
 
@@ -65,6 +67,14 @@ class Chain:
         """Take what other readings tell of the constants."""
         self._learnt = told if self._learnt is None else self._learnt.plus(told)
 
+    def revise(self, by: FloatArray) -> None:
+        """Believe something else of the rig's constants than the prior did: their precision changes `by` so much."""
+        nowhere, matrix = np.zeros(CONSTANTS), np.zeros((CONSTANTS, CONSTANTS))
+        matrix[RIG, RIG] = np.diag(by)
+        change = Factor(nowhere, 0.0, matrix, nowhere, self._prior.scale)
+        self.learn(change)
+        self._revised = change if self._revised is None else self._revised.plus(change)
+
     def known(self, p: FloatArray) -> Factor:
         """What all of this says of the constants and of the last node, expanded at `p`; the prior included."""
         return self._forward(p)[-1]
@@ -77,7 +87,8 @@ class Chain:
         """What was believed of the constants beforehand, expanded at `p`."""
         first = np.zeros(NODE)
         at = self._prior.terms(p, first)
-        return Factor(np.concatenate([p, first]), at.cost, at.matrix, at.side, self._prior.scale).without(_NODE)
+        prior = Factor(np.concatenate([p, first]), at.cost, at.matrix, at.side, self._prior.scale).without(_NODE)
+        return prior if self._revised is None else prior.plus(self._revised)
 
     def renew(self, p: FloatArray, x: FloatArray) -> int:
         """Linearise anew what is too far from the constants `p` and the last node `x`; how many segments that were.
@@ -92,6 +103,16 @@ class Chain:
             moved[0], moved[-1] = ends[i][CONSTANTS:-NODE], ends[i][-NODE:]
             self._segments[i] = self._linearised(segment.record, Guess(moved, p), INNER_STEPS)
         return len(stale)
+
+    def settle(self, p: FloatArray) -> FloatArray:
+        """The constants that all of this tells, everything being linearised anew on the way there from `p`."""
+        for _ in range(MOST_SETTLING):
+            known = self.known(p)
+            by = known.solved(known.side)
+            p = p + by[:CONSTANTS]
+            if not self.renew(p, known.about[_NODE] + by[_NODE]):
+                break
+        return p
 
     def _linearised(self, record: Record, guess: Guess, steps: int = 0) -> Segment:
         residuals = Residuals(self._library, record)

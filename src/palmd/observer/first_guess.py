@@ -24,7 +24,6 @@ SPACING_S = 0.01  # of the remembered trajectories
 MASS_KG, LN_MASS_SD = 0.15, 1.5
 # Wider than the live observer's belief: a ring (ratio 1) and a body with a heavy core must stay possible.
 LN_GYRATION_SD = 0.12
-KNOWN = 1e-9  # one-sigma, in SI units, of what is exactly as described: small, and a number to divide by
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,8 +76,8 @@ def blind_starts(
     return [FirstGuess(float(score[i]), at, trajectories[:, i], constants_of(states[-1][i], asymmetry)) for i in order]
 
 
-def prior_of(pads: Sequence[PadSample], tangents: FloatArray, rig: RigDescription) -> Prior:
-    """The blind belief about the smoother's constants, of a rig known as well as `rig` says.
+def prior_of(pads: Sequence[PadSample], tangents: FloatArray, rig_sd: FloatArray) -> Prior:
+    """The blind belief about the smoother's constants; `rig_sd` is that of the rig's.
 
     `tangents` holds tan(φ2/2) at each reading: for a circle both readings are its radius over that (3.13), so the
     mean of s·tan(φ2/2) over the first readings tells about how large the object is.
@@ -92,15 +91,8 @@ def prior_of(pads: Sequence[PadSample], tangents: FloatArray, rig: RigDescriptio
     mean[C.LN_MASS], sd[C.LN_MASS] = math.log(MASS_KG), LN_MASS_SD
     sd[C.SHAPE :] = shape.prior_sd(radius, ORDER)
     mean[C.SHAPE], sd[C.SHAPE] = radius, prior.RADIUS_SD * radius
-    sd[RIG] = np.maximum(rig_sd(rig), KNOWN)
+    sd[RIG] = rig_sd
     return Prior(mean, sd, prior.SPIN_MOVING_SD)
-
-
-def rig_sd(rig: RigDescription) -> FloatArray:
-    """One-sigma of each constant of the rig, in the order of `model.smoothing.R`."""
-    of_pads = [[pad.zero_sd, pad.scale_sd, pad.sagitta_sd, pad.lag_sd, pad.standoff_sd] for pad in rig.pads]
-    of_angles = math.hypot(rig.angle_sd, rig.gravity_sd), rig.angle_sd
-    return np.array([*np.transpose(of_pads).ravel(), *of_angles, rig.friction_sd, *(pad.force_sd for pad in rig.pads)])
 
 
 def constants_of(x: FloatArray, asymmetry: float = 0.0) -> FloatArray:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from palmd.observer.matching import Felt, matched
 from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import normal_angles
 from palmd.observer.search import NOISE, Minima, Search, explained
-from palmd.system.description import RigDescription
+from palmd.observer.smoother import Smoother
 
 PATIENCE = 2  # windows that may fail: an answer that hard to find comes too late
 LEAST_S = 1.0  # of readings at the end of a segment that are worth an iteration
@@ -54,10 +54,11 @@ class Follower:
     `touched`: on which normals. `lost`: the readings contradict what is known.
     """
 
-    def __init__(self, rig: RigDescription, found: Answer):
+    def __init__(self, found: Answer):
         """`found` has the readings so far."""
-        self._rig = rig
+        self._rig = found.search.rig
         self._chain = Chain(found.search.library, NOISE, found.search.known)
+        self._belief = found.search.belief
         self._closed = self.touched = marks_of(np.zeros((0, 2)))
         self.lost = False
         self._go_on(found)
@@ -76,6 +77,9 @@ class Follower:
         guess = answer.finding.fits[0].guess
         if self._chain.renew(guess.p, guess.x[0]):
             answer = self._smoothed(segment, guess) or answer
+        likely = self._revised(answer)
+        if likely is not None:
+            answer = self._smoothed(segment, likely) or answer
         self._go_on(answer)
         return answer
 
@@ -103,9 +107,20 @@ class Follower:
         """What the chain tells of the object."""
         return Felt(self._chain.told(self._open.guess.p), self._closed)
 
+    def _revised(self, answer: Answer) -> Guess | None:
+        """From where to go on when the readings tell that the rig is not what it is taken for; None when they don't."""
+        search, fit = answer.search, answer.finding.fits[0]
+        before = self._belief
+        self._belief = before.after(Smoother(search.library, answer.finding.record, search.known), fit)
+        if np.array_equal(self._belief.sd, before.sd):
+            return None
+        self._chain.revise(self._belief.sd**-2.0 - before.sd**-2.0)
+        return replace(fit.guess, p=self._chain.settle(self._belief.within(fit.guess).p))
+
     def _smoothed(self, segment: DataSegment, guess: Guess) -> Answer | None:
         present = self._open
-        search = Search(segment, self._rig, PATIENCE, self._chain.known(guess.p), present.start, present.resting_since)
+        known = self._chain.known(guess.p)
+        search = Search(segment, self._rig, PATIENCE, known, present.start, present.resting_since, belief=self._belief)
         finding = search.followed(Guess(guess.x[: len(search.record.t)], guess.p))
         # palms at rest are no reason for doubt here
         if finding is None or not (finding.fits[0].settled and explained(finding.fits[0], finding.record)):

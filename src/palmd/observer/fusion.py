@@ -112,7 +112,7 @@ class Fusion:
         """The palms are reported again at `t` (s) after `gap` seconds: go on from a guess of what was between."""
         self.history.clear()
         if t > self.t:
-            self._move_to(t)
+            self._move_to(t, self._repeated)
         self.filters.inflate(gap)
 
     def add(self, event: PadSample | PalmSample) -> None:
@@ -136,18 +136,19 @@ class Fusion:
         before = self.history.snapshot()
         self.bank.remember(before)
         self.history.add(Fused(event.t_sample, event, self.t, self.forgetting.t_faded.copy(), before))
-        self._move_to(event.t_sample)
-        self._forget()
+        repeated = self._repeated
+        self._move_to(event.t_sample, repeated)
+        self._forget(repeated)
         if isinstance(event, PadSample):
             age = event.t_sample - self.t_start
             inflation = 1.0 if self.carries else 1.0 + EARLY_NOISE * math.exp(-age / EARLY_S)
-            self.filters.fuse_pad(event, inflation * float(self._variances[event.pad - 1]), self.palms, self._repeated)
+            self.filters.fuse_pad(event, inflation * float(self._variances[event.pad - 1]), self.palms, repeated)
         else:
             self.filters.fuse_palms(event, self._rig.palm_angle_noise**2)
 
-    def _forget(self) -> None:
+    def _forget(self, repeated: float) -> None:
         age = self.t - self.t_start
-        block = self.forgetting.step(self.bank, self.t, age, self._repeated, self._beliefs.constants)
+        block = self.forgetting.step(self.bank, self.t, age, repeated, self._beliefs.constants)
         if block is None:
             return
         self.make_convex(block)
@@ -157,9 +158,9 @@ class Fusion:
             self.forgetting.prior_age_s = self.forgetting.prior_age_s[kept]
             self._beliefs.renumber(kept)
 
-    def _move_to(self, t: float) -> None:
+    def _move_to(self, t: float, repeated: float) -> None:
         carry(self.filters, self.t, t, self.palms)
-        self.bank.age_scores((t - self.t) / self._repeated)
+        self.bank.age_scores((t - self.t) / repeated)
         self.t = t
 
     @property

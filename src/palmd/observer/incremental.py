@@ -96,7 +96,7 @@ class IncrementalSmoother:
         self._drop_before(self._seeker.needs_from)
         if answer is None or not (self._archive or segment.end - segment.start >= FOUND_S):
             return answer
-        follower = Follower(self._rig, answer)
+        follower = Follower(answer)
         if self._joined(follower):
             answer = follower.smoothed(segment) or answer
         elif segment.end - segment.start < FOUND_S:
@@ -127,7 +127,7 @@ class IncrementalSmoother:
         follower = self._follower
         if follower is None and self._found is not None:
             found = self._found.finding.until(float(self._found.finding.record.t[-1]) - TAIL_S)
-            follower = Follower(self._rig, Answer(self._found.search, found)) if found is not None else None
+            follower = Follower(Answer(self._found.search, found)) if found is not None else None
         if follower is not None:
             if felt and self._follower is not None:
                 follower.end(felt[0])
@@ -162,7 +162,10 @@ class IncrementalSmoother:
         else:
             touched = marks_of(normal_angles(record.palms, best.guess.x[:, 0]))
         established = self._follower is not None
-        return Improvement(float(record.t[-1]), x, P, self._frame, established, touched, everything[RIG], spread)
+        against = answer.search.belief.contradicted
+        rig, rig_sd = everything[RIG], np.sqrt(np.diagonal(posterior.covariance)[RIG])
+        t = float(record.t[-1])
+        return Improvement(t, x, P, self._frame, established, touched, rig, rig_sd, spread, against)
 
 
 def given_the_rig(y: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -43,6 +43,11 @@ def motion_of(values: FloatArray) -> PalmMotion:
     return PalmMotion(angles, rates, accelerations)
 
 
+def repetitions(rested_s: FloatArray | float) -> FloatArray | float:
+    """How many readings of a pad share one error when the palms have rested for so long: 1 while they move."""
+    return 1.0 + rested_s / SHARED_AFTER_S
+
+
 class PalmTracker:
     """A Kalman filter on (φ, ω, α) of each palm, with the plan's rates and accelerations where they are told.
 
@@ -72,8 +77,8 @@ class PalmTracker:
 
     @property
     def repeated(self) -> float:
-        """How many readings of a pad share one error: 1 while the palms move, the more the longer they rest."""
-        return 1.0 + (self.t - self._t_moved) / SHARED_AFTER_S if self.known else 1.0
+        """The `repetitions` of what is read now."""
+        return float(repetitions(self.t - self._t_moved)) if self.known else 1.0
 
     def sd(self, t: float) -> tuple[FloatArray, FloatArray]:
         """One-sigma of both angles (rad) and of both rates (rad/s) at `t` (s).

@@ -20,11 +20,13 @@ from palmd.model import shape
 from palmd.model.smoothing import CONSTANTS, ORDER, RIG, C
 from palmd.observer.chain import Chain
 from palmd.observer.coverage import marks_of
+from palmd.observer.criticism import RigBelief
 from palmd.observer.data_segment import DataSegment, data_segments
 from palmd.observer.factor import Prior
 from palmd.observer.marginal import Marginal, marginalised
 from palmd.observer.mass import MassEstimator
 from palmd.observer.matching import Felt, matched
+from palmd.observer.noise import with_scatter
 from palmd.observer.outline import directions, made_convex, normal_angles, outline_of
 from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
 from palmd.observer.search import Minima, Search, beyond_question, doubt
@@ -36,6 +38,7 @@ from palmd.system.description import RigDescription
 SPACING_S = 0.005  # of the nodes in the end
 LEAST_S = 1.0
 SUSPICIOUS_GAP_S = 0.08  # between readings, in which an object may have been changed for another
+MOST_REVISIONS = 4  # of what is believed of the rig
 MOST_PARTS = 20  # segments of one log that are looked at
 # RMS of the outline's one-sigma where touched, were the rig known, above which there is no outline to speak of.
 SHARP_M = 1.5e-4
@@ -49,7 +52,8 @@ class Reconstruction:
 
     theta, h, h_sd, touched, visits: 360 normals (rad), support function and its one-sigma (m), whether a palm touched
     there, and how many separate times.
-    rig, rig_sd: the rig's constants, as in `model.smoothing.R`, and their one-sigma.
+    rig, rig_covariance: the rig's constants, as in `model.smoothing.R`, and their covariance; none where empty.
+    contradicted: by how many sigmas each of them is not what it was taken for, 0 where nothing speaks against that.
     t, psi, omega0, radii (one row a palm): the trajectory at the nodes. `chi2` is per contact reading. `reason` says
     why not, when not `converged`.
     """
@@ -68,13 +72,19 @@ class Reconstruction:
     mass: float
     mass_sd: float
     rig: FloatArray
-    rig_sd: FloatArray
+    rig_covariance: FloatArray
+    contradicted: FloatArray
     t: FloatArray
     psi: FloatArray
     omega0: FloatArray
     radii: FloatArray
     reason: str
     seconds: float
+
+    @property
+    def rig_sd(self) -> FloatArray:
+        """One-sigma of the rig's constants."""
+        return np.sqrt(np.diagonal(self.rig_covariance))
 
 
 @one_thread()
@@ -114,11 +124,17 @@ class _Part:
     known: Prior
     fit: Fit
     record: Record
+    belief: RigBelief
     reason: str
+
+    @property
+    def blind(self) -> Prior:
+        """What was believed of any object, on this rig as the segment tells it to be."""
+        return replace(self.known, told=None)
 
     def felt(self) -> Felt:
         """What its readings tell of the object, and those that have been joined to it."""
-        chain = Chain(self.search.library, self.fit.noise, self.search.prior)
+        chain = Chain(self.search.library, self.fit.noise, self.blind)
         if self.known.told is not None:
             chain.learn(self.known.told)
         chain.append(self.record, self.fit.guess)
@@ -145,9 +161,12 @@ def _by_length(found: Sequence[DataSegment]) -> list[DataSegment]:
 
 def _part(segment: DataSegment, rig: RigDescription, seed: int) -> _Part | None:
     """The best that any attempt finds in a segment, None when nothing is."""
-    search = Search(segment, rig)
+    rig = with_scatter(rig, segment.pads)
+    believing = Search(segment, rig)
+    doubting = Search(segment, rig, belief=believing.belief.suspended())
     best: _Part | None = None
     for number, attempt in enumerate(attempts_for(rig)):
+        search = doubting if attempt.free else believing
         finding = search.blind(attempt, seed)
         if finding is None:
             continue
@@ -160,14 +179,26 @@ def _part(segment: DataSegment, rig: RigDescription, seed: int) -> _Part | None:
 
 
 def _refined(search: Search, finding: Minima, segment: DataSegment, rig: RigDescription) -> _Part:
-    """The best fit again on finer nodes, each force's noise taken from the model's force instead of its neighbours'."""
-    best = finding.fits[0]
+    """The best fit again on finer nodes, each force's noise taken from the model's force instead of its neighbours'.
+
+    Constants of the rig that the readings contradict are given free.
+    """
+    best, prior, belief = finding.fits[0], search.prior, search.belief
     record = lay_out(segment.pads, search.path, rig, segment.start, segment.end, SPACING_S)
     guess = best.guess.on(finding.record.t, record.t)
-    level = np.maximum(Smoother(search.library, record, search.prior).forces(guess), LEAST_FORCE_N)
+    level = np.maximum(Smoother(search.library, record, prior).forces(guess), LEAST_FORCE_N)
     record = replace(record, force_variance=rig.force_variances(level, record.force_pad))
-    fit = Smoother(search.library, record, search.prior).fit(guess, best.noise)
-    return _Part(segment, search, search.prior, fit, record, doubt(fit, finding))
+    smoother = Smoother(search.library, record, prior)
+    fit = smoother.fit(guess, best.noise)
+    for _ in range(MOST_REVISIONS):
+        then = belief.after(smoother, fit)
+        if np.array_equal(then.sd, belief.sd):
+            break
+        belief = then
+        prior = replace(prior, sd=np.concatenate([prior.sd[: C.RIG], belief.sd, prior.sd[C.SHAPE :]]))
+        smoother = Smoother(search.library, record, prior)
+        fit = smoother.fit(belief.within(fit.guess), fit.noise)
+    return _Part(segment, search, prior, fit, record, belief, doubt(fit, finding))
 
 
 def _longest_together(parts: Sequence[_Part]) -> tuple[_Part, list[_Joined]]:
@@ -194,7 +225,7 @@ def _longest_together(parts: Sequence[_Part]) -> tuple[_Part, list[_Joined]]:
 def _joined(main: _Part, part: _Part) -> tuple[_Part, _Joined] | None:
     """`main` with what `part` tells besides; None unless that is of the same object beyond doubt."""
     p = main.fit.guess.p
-    prior = Chain(main.search.library, main.fit.noise, main.search.prior).prior(p)
+    prior = Chain(main.search.library, main.fit.noise, main.blind).prior(p)
     found = matched(part.felt(), main.felt(), prior)
     if found is None:
         return None
@@ -240,7 +271,8 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
         theta=outline.theta, h=outline.h, h_sd=outline.h_sd, touched=outline.touched,
         visits=np.sum([visits_of(each) for each in normals], axis=0),
         rho=rho, rho_sd=rho * float(sd[C.LN_RHO]), mu=answered.mu, mu_sd=answered.mu_sd,
-        mass=mass, mass_sd=mass_sd, rig=p[RIG], rig_sd=sd[RIG],
+        mass=mass, mass_sd=mass_sd, rig=p[RIG], rig_covariance=covariance[RIG, RIG],
+        contradicted=main.belief.contradicted,
         t=t, psi=psi, omega0=omega0, radii=np.stack(radii),
         reason=reason, seconds=time.perf_counter() - begun,
     )  # fmt: skip
@@ -275,5 +307,5 @@ def _nothing(reason: str, begun: float, chi2: float = math.nan) -> Reconstructio
     nan = math.nan
     return Reconstruction(
         False, chi2, directions(), None, None, None, None, nan, nan, nan, nan, nan, nan,
-        none, none, none, none, none, none, reason, time.perf_counter() - begun,
+        none, np.zeros((0, 0)), none, none, none, none, none, reason, time.perf_counter() - begun,
     )  # fmt: skip

@@ -13,7 +13,7 @@ from palmd.events import FloatArray, PadSample
 from palmd.model.outputs import rig_inputs
 from palmd.model.smoothing import CONTACT_INPUTS, FORCE_INPUTS, STEP_INPUTS
 from palmd.observer.palm_path import PalmPath
-from palmd.observer.palms import RESTING_RAD_S, SHARED_AFTER_S
+from palmd.observer.palms import RESTING_RAD_S, repetitions
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import PALMS
 
@@ -133,7 +133,7 @@ def lay_out(
     offset = times - t[step]
     palms = path.at(times) if len(times) else np.zeros((0, 6))
     variance = rig.reading_variances[which]
-    weight: FloatArray = 1.0 / (1.0 + path.resting(times, RESTING_RAD_S, resting_since) / SHARED_AFTER_S)
+    weight: FloatArray = np.asarray(1.0 / repetitions(path.resting(times, RESTING_RAD_S, resting_since)))
     # the noise grows with the true force; neighbours in time tell it better than the reading itself
     pressed = (
         np.isfinite(force)

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from palmd.events import FloatArray
 from palmd.model import shape, smoothing
 from palmd.model.smoothing import NODE, ORDER, C
+from palmd.observer.criticism import RigBelief
 from palmd.observer.data_segment import DataSegment
 from palmd.observer.factor import Knowledge, Prior
 from palmd.observer.first_guess import blind_starts, prior_of
@@ -67,11 +68,15 @@ class Minima:
 
 
 class Attempt(NamedTuple):
-    """Of a blind search: what a bank of one friction asymmetry reads (s), and how many filters are started from."""
+    """Of a blind search: what a bank of one friction asymmetry reads (s), and how many filters are started from.
+
+    `free`: nothing that is believed of the rig's constants is taken at its word.
+    """
 
     seconds: float
     starts: int
     asymmetry: float = 0.0
+    free: bool = False
 
 
 class Search:
@@ -85,13 +90,15 @@ class Search:
         known: Knowledge | None = None,
         start: float | None = None,
         resting_since: float = math.inf,
+        belief: RigBelief | None = None,
     ):
         """Lays out the segment's readings from `start` (s) on; compiles the smoother the first time.
 
         `known` is about the constants and the first node, by default the blind prior. `patience` is how many windows in
         all a search may find unexplained, and try again with a shorter one. `resting_since` as in `lay_out`.
+        `belief` in the rig is by default what its description says.
         """
-        self._rig = rig
+        self.rig = rig
         self._patience = patience
         self._segment = segment
         start = segment.start if start is None else start
@@ -100,6 +107,7 @@ class Search:
         self.library = smoothing.library()
         self._known = known
         self._resting_since = resting_since
+        self.belief = belief or RigBelief.of(rig)
 
     @property
     def known(self) -> Knowledge:
@@ -112,7 +120,7 @@ class Search:
         segment = self._segment
         first = [sample for sample in segment.pads if sample.t_sample < segment.start + FIRST_LOOK_S]
         opening = self.path.at(np.array([sample.t_sample for sample in first]))[:, OPENING]
-        return prior_of(first, np.tan(opening / 2), self._rig)
+        return prior_of(first, np.tan(opening / 2), self.belief.sd)
 
     def rested(self, t: float) -> float:
         """For how long the palms have rested at `t` (s)."""
@@ -122,7 +130,7 @@ class Search:
         """Start from the likeliest of a bank that has read the first seconds; None if that leads nowhere."""
         begin = self.record.t[0]
         record = self.record.until(begin + attempt.seconds)
-        found = blind_starts(self._segment.events(), self._rig, begin, attempt.seconds, seed, attempt.asymmetry)
+        found = blind_starts(self._segment.events(), self.rig, begin, attempt.seconds, seed, attempt.asymmetry)
         starts = found[: attempt.starts]
         return self._grown_from(record, [start.guess(record.t) for start in starts]) if starts else None
 
@@ -158,7 +166,7 @@ class Search:
         first = [[sample for sample in self._segment.pads if sample.pad == pad][:FIRST_READINGS] for pad in PALMS]
         contacts = [float(np.mean([sample.s for sample in samples])) for samples in first]
         palms = motion_of(self.path.at(np.array([first[0][0].t_sample]))[0])
-        return likely_orientations(outline, covariance, contacts, palms, self._rig.reading_variances, ORIENTATIONS)
+        return likely_orientations(outline, covariance, contacts, palms, self.rig.reading_variances, ORIENTATIONS)
 
     def _grown_from(self, record: Record, guesses: Sequence[Guess]) -> Minima | None:
         fits = self._fits(record, guesses)

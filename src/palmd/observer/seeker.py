@@ -6,24 +6,32 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model.smoothing import ORDER
+from palmd.observer.criticism import RigBelief
 from palmd.observer.data_segment import DataSegment
 from palmd.observer.follower import PATIENCE, Answer
+from palmd.observer.noise import with_scatter
 from palmd.observer.normal_equations import Guess
 from palmd.observer.search import Attempt, Minima, Search, doubt, merged, still
+from palmd.observer.smoother import Smoother
 from palmd.system.description import RigDescription
 
 LEAST_S = 1.0  # of readings, before which the bank is as good
 STILL_KEPT_S = 2.0  # of readings at rest, when those and what came before tell nothing
 _ATTEMPTS = (Attempt(2.0, 3), Attempt(3.5, 4), Attempt(1.2, 8), Attempt(5.0, 4))
 _UNEQUAL = tuple(Attempt(seconds, 4, a) for seconds in (2.0, 3.5) for a in (0.5, -0.5))
+_FREE = (Attempt(2.0, 4, free=True), Attempt(3.5, 4, free=True))
+MOST_REVISIONS = 4  # of what is believed of the rig, in one answer
 HINT_SD = 1e-4  # m, of the outline's coefficients
 CHALLENGE = 2.0  # by how much the record grows from one blind search to the next
 LONGEST_S, KEPT_S = 30.0, 15.0  # of readings in which nothing has been found, and that are kept then
 
 
 def attempts_for(rig: RigDescription) -> tuple[Attempt, ...]:
-    """The blind searches one after the other; where the palms' friction may differ the last begin from that."""
-    return _ATTEMPTS + _UNEQUAL if rig.friction_sd else _ATTEMPTS
+    """The blind searches one after the other; some begin with palms that rub unequally, where they may.
+
+    The last are for rigs that are not what they are taken for.
+    """
+    return _ATTEMPTS + _UNEQUAL * bool(rig.friction_sd) + _FREE
 
 
 class Seeker:
@@ -35,6 +43,7 @@ class Seeker:
         self._seed = seed
         self._start: float | None = None
         self._guesses: tuple[Guess, ...] = ()
+        self._belief = RigBelief.of(rig)
         self._challenge_s = 0.0
         self._failed = 0
         self._doubtful = True
@@ -48,7 +57,8 @@ class Seeker:
         seconds = segment.end - segment.start
         if seconds < LEAST_S:
             return None
-        search = Search(segment, self._rig, PATIENCE)
+        rig = with_scatter(self._rig, segment.pads)
+        search = Search(segment, rig, PATIENCE, belief=self._belief)
         if still(search.record) or (self._doubtful and search.rested(segment.end) > STILL_KEPT_S):
             self.needs_from = segment.end - STILL_KEPT_S
             return None
@@ -65,8 +75,12 @@ class Seeker:
             attempt = attempts[self._failed % len(attempts)]
             self._seed += 1
             attempt = attempt._replace(seconds=min(attempt.seconds, seconds))
+            if finding is None and attempt.free:
+                search = Search(segment, rig, PATIENCE, belief=self._belief.suspended())
             finding = merged(finding, search.blind(attempt, self._seed))
             self._challenge_s = CHALLENGE * seconds
+        if finding is not None:
+            search, finding = self._criticised(segment, search, finding)
         self._start, self._guesses = segment.start, tuple(fit.guess for fit in finding.fits) if finding else ()
         self._doubtful = finding is None or bool(doubt(finding.fits[0], finding))
         if finding is None or self._doubtful:
@@ -75,3 +89,20 @@ class Seeker:
                 self.needs_from = segment.end - KEPT_S
             return None
         return Answer(search, finding)
+
+    def _criticised(self, segment: DataSegment, search: Search, finding: Minima) -> tuple[Search, Minima]:
+        """The search and what it finds once the rig is taken for what the readings tell."""
+        for _ in range(MOST_REVISIONS):
+            if doubt(finding.fits[0], finding):
+                break
+            smoother = Smoother(search.library, finding.record, search.known)
+            self._belief = search.belief.after(smoother, finding.fits[0])
+            if np.array_equal(self._belief.sd, search.belief.sd):
+                break
+            anew = Search(segment, search.rig, PATIENCE, belief=self._belief)
+            found = anew.resumed([self._belief.within(fit.guess) for fit in finding.fits])
+            if found is None:
+                self._belief = search.belief
+                break
+            search, finding = anew, found
+        return search, finding

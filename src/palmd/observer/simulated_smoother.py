@@ -12,10 +12,7 @@ from palmd.system.description import RigDescription
 
 
 class Simulated:
-    """The smoother as it would run beside the loop, for replays.
-
-    Deterministic: what is ready when depends on the log's time alone.
-    """
+    """A `Smoothing` that is deterministic; see the module."""
 
     def __init__(self, rig: RigDescription, seed: int = 0, latency_s: float = 0.2):
         """Each run of the smoother is taken to last `latency_s` of the log's time."""

@@ -43,6 +43,11 @@ class SmootherLink:
         """The reading at the time of what it tells, as far as the smoother knows its lag."""
         return self._handover.rig_error.on_time(sample)
 
+    @property
+    def rig_off(self) -> FloatArray:
+        """What the rig's constants are off by, as the smoother has told it."""
+        return self._handover.rig_error.values.copy()
+
     def hear(self, event: Event) -> None:
         """Take one event."""
         self._batch.append(event)

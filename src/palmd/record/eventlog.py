@@ -15,7 +15,7 @@ from typing import Any, BinaryIO, TextIO
 
 from palmd.devices.pad import MARGIN_MM
 from palmd.events import Event, Joints, PadSample, PalmSample
-from palmd.system.description import AS_CALIBRATED, PadSensor, RigDescription
+from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, PadSensor, RigDescription
 from palmd.system.mechanism import OPENING, PALMS
 
 VERSION = 1
@@ -23,19 +23,6 @@ MAX_LINE_BYTES = 1 << 20
 MAX_BACKWARD_S = 1.0  # an event that comes late is one thing, another run in the same file another
 MAX_GAP_S = 600.0
 _MAX_LENGTH_M = 1.0
-CALIBRATION_KEYS = {
-    "zero_sd": "zero_m",
-    "scale_sd": "scale",
-    "angle_sd": "angle_rad",
-    "standoff_sd": "standoff_m",
-    "lag_sd": "lag_s",
-    "gravity_sd": "gravity_rad",
-    "sagitta_sd": "sagitta_m",
-    "friction_sd": "friction",
-    "force_sd": "force_m_per_n",
-}
-"""How a log calls the `_sd` of `RigDescription` and `PadSensor`."""
-
 _ANGLES, _RATES, _ACCELERATIONS = (
     [f"{what}{palm}_{unit}" for palm in PALMS]
     for what, unit in (("phi", "rad"), ("omega", "rad_s"), ("alpha", "rad_s2"))
@@ -230,8 +217,8 @@ def _default_sds(rig: Line) -> Mapping[str, float]:
 
     How alike the palms rub is no matter of calibration: whoever means it says so by name.
     """
-    told = _block(rig, "calibration_sd") if rig.get("calibration_sd") is not None else {}
-    if not told or any(told.values()):
+    told = [sd for sd in _calibration_sd(rig).values() if sd is not None]
+    if not told or any(told):
         return AS_CALIBRATED
     return dict.fromkeys(AS_CALIBRATED, 0.0) | {"friction_sd": AS_CALIBRATED["friction_sd"]}
 
@@ -245,8 +232,12 @@ def _own_sensor(line: Line, common: PadSensor) -> PadSensor:
 
 def _sds(line: Line, default: Mapping[str, float]) -> dict[str, float]:
     """How well constants are known; what `line` does not say is as in `default`."""
-    told = _block(line, "calibration_sd") if line.get("calibration_sd") is not None else {}
+    told = _calibration_sd(line)
     return {name: _not_negative(told, CALIBRATION_KEYS[name], each) for name, each in default.items()}
+
+
+def _calibration_sd(line: Line) -> Line:
+    return {} if line.get("calibration_sd") is None else _block(line, "calibration_sd")
 
 
 def _block(line: Line, key: str) -> Line:

@@ -6,11 +6,11 @@ import math
 from typing import Any
 
 from palmd.events import FloatArray
-from palmd.model.smoothing import RIG_NAMES
 from palmd.observer.mass import MassEstimator
 from palmd.observer.reconstruct import Reconstruction
 from palmd.observer.visits import Marks, kept_by_band, kept_by_visits
 from palmd.system.mechanism import RADII
+from palmd.system.rig_constants import RIG_NAMES
 
 
 def as_line(answer: Reconstruction, at_rest: MassEstimator) -> dict[str, Any]:
@@ -38,6 +38,7 @@ def as_line(answer: Reconstruction, at_rest: MassEstimator) -> dict[str, Any]:
         "mass_rest_kg": _number(at_rest.value),
         "mass_rest_sd_kg": _number(at_rest.sd),
         "rig": _rig(answer) or None,
+        "contradicted": _contradicted(answer) if len(answer.rig) else None,
         "trajectory": _trajectory(answer),
         "seconds": _number(answer.seconds),
     }
@@ -46,6 +47,11 @@ def as_line(answer: Reconstruction, at_rest: MassEstimator) -> dict[str, Any]:
 def _rig(answer: Reconstruction) -> dict[str, dict[str, float | None]]:
     told = zip(RIG_NAMES, answer.rig.tolist(), answer.rig_sd.tolist(), strict=False)
     return {name: {"value": _number(value), "sd": _number(sd)} for name, value, sd in told}
+
+
+def _contradicted(answer: Reconstruction) -> dict[str, float]:
+    named = zip(RIG_NAMES, answer.contradicted.tolist(), strict=False)
+    return {name: sigmas for name, sigmas in named if sigmas}
 
 
 def _trajectory(answer: Reconstruction) -> dict[str, list[float | None]] | None:

@@ -120,10 +120,11 @@ class Run:
                 covariance = np.array(fields["covariance"], dtype=np.float64).reshape(len(x), -1)
                 touched = np.array(fields["touched"], dtype=np.bool_)
                 rig = np.array(fields["rig"], dtype=np.float64)
+                rig_sd = np.array(fields.get("rig_sd", ()), dtype=np.float64)
                 spread = np.array(fields["spread"], dtype=np.float64).reshape(len(x), -1)
-                told = Improvement(
-                    fields["t_s"], x, covariance, fields["frame"], fields["established"], touched, rig, spread
-                )
+                against = np.array(fields.get("contradicted", ()), dtype=np.float64)
+                t, frame, established = fields["t_s"], fields["frame"], fields["established"]
+                told = Improvement(t, x, covariance, frame, established, touched, rig, rig_sd, spread, against)
                 yield fields["t_tick_s"], told
             except (KeyError, ValueError, TypeError) as error:
                 raise RunError(f"{self.path}: {IMPROVEMENT.name}, message {message.sequence}: {error!r}") from None

@@ -12,7 +12,20 @@ import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.messages import Fields
-from palmd.quantities import BODY, CONTACT, ESTIMATE, IMPROVEMENT, LOOP, MOTION, SHAPE, STATE, TRUTH, Topic, truth_of
+from palmd.quantities import (
+    BODY,
+    CONTACT,
+    ESTIMATE,
+    IMPROVEMENT,
+    LOOP,
+    MOTION,
+    RIG,
+    SHAPE,
+    STATE,
+    TRUTH,
+    Topic,
+    truth_of,
+)
 from palmd.record.mcapfile import RunError, Tail
 from palmd.record.run import Run, Survey
 
@@ -88,7 +101,8 @@ class Series:
     """A run as arrays; times in s since its first message.
 
     `faults` are in the order in which they came, `improvements` the times of the smoother's answers, `counts` the
-    last `palm/loop`, `torn_bytes` what was left out at the end of an unfinished file.
+    last `palm/loop`, `torn_bytes` what was left out at the end of an unfinished file. rig_off: what the last `palm/rig`
+    says to be off, None without one.
     """
 
     run: Run
@@ -109,6 +123,7 @@ class Series:
     faults: tuple[FaultSpell, ...]
     improvements: FloatArray
     counts: Mapping[str, float]
+    rig_off: tuple[str, ...] | None
 
     @property
     def valid(self) -> Bools:
@@ -198,6 +213,7 @@ class _RunReader:
             MOTION.name: self._take_motion,
             STATE.name: self._take_state,
             LOOP.name: self._take_loop,
+            RIG.name: self._take_rig,
             IMPROVEMENT.name: lambda t, _: self._improvements.append(t),
             TRUTH.name: self._numbers(TRUTH),
             BODY.name: self._take_body,
@@ -209,6 +225,7 @@ class _RunReader:
         self._number, self._valid = 0, False
         self._outlines: list[OutlineAt] = []
         self._bodies: list[TrueBody] = []
+        self._rig_off: tuple[str, ...] | None = None
         self._states, self._arm_states, self._segments = _Spells(), _Spells(), _Spells()
         self._standing: dict[str, FaultSpell] = {}
         self._faults: list[FaultSpell] = []
@@ -248,6 +265,7 @@ class _RunReader:
             faults=tuple(sorted(faults, key=lambda spell: spell.begin)),
             improvements=np.array(self._improvements),
             counts={name: float(column[-1]) for name, column in loop.columns.items()},
+            rig_off=self._rig_off,
         )
 
     def _numbers(self, topic: Topic) -> Callable[[float, Fields], None]:
@@ -285,6 +303,9 @@ class _RunReader:
     def _take_loop(self, t: float, fields: Fields) -> None:
         numbers = [(name, float(value)) for name, value in fields.items() if isinstance(value, int | float)]
         self._columns[LOOP.name].add(t, numbers)
+
+    def _take_rig(self, _: float, fields: Fields) -> None:
+        self._rig_off = tuple(fields["off"])
 
     def _take_body(self, t: float, fields: Fields) -> None:
         h = np.array(fields["h_m"], dtype=np.float64)

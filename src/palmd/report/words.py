@@ -245,6 +245,11 @@ def faults(series: Series) -> Table:
     return Table(("at (s)", "for (s)", "severity", "fault", "what to do"), rows)
 
 
+def rig(series: Series) -> Table:
+    """What of the rig the readings have told to be off, by the end of the run; only of a run that tells."""
+    return Table(("what is off beyond doubt, in the end",), tuple((said,) for said in series.rig_off or ()))
+
+
 def topics(series: Series) -> Table:
     """How many messages of each topic there are."""
     rows = []

@@ -6,13 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palmd.system.mechanism import PALMS
+from palmd.system.mechanism import ENDS
 
 PortName = str
 """`arm`, or `pad` and the number of its palm."""
-PADS: tuple[PortName, ...] = tuple(f"pad{palm}" for palm in PALMS)
-ARM: tuple[PortName, ...] = ("arm",)
-PORTS: tuple[PortName, ...] = PADS + ARM
+PORTS: tuple[PortName, ...] = ENDS
+PADS, ARM = PORTS[:-1], PORTS[-1:]
 
 
 @dataclass(frozen=True, slots=True)

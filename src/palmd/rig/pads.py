@@ -74,14 +74,14 @@ class PadEmulator:
         self,
         config: VersaPadConfig,
         options: PadOptions,
-        error_m: Callable[[float, float], float],
+        reading_error_m: Callable[[float, float], float],
         rng: np.random.Generator,
         t: float,
     ) -> None:
-        """`error_m`: a reading's error (m) by distance (m) and force (N); the pad's clock starts soon after t (s)."""
+        """`reading_error_m`: by distance (m) and force (N); the pad's clock starts soon after t (s)."""
         pressure = config.pressure
         self.packets = 0
-        self._config, self._options, self._error_m, self._rng = config, options, error_m, rng
+        self._config, self._options, self._reading_error_m, self._rng = config, options, reading_error_m, rng
         self._format = PressureFormat(pressure.byte, pressure.mask, pressure.shift, pressure.invert)
         self._packet_s = max(PACKET_S, PACKET_BYTES * 10.0 / config.baud)
         self._t_last = t
@@ -119,7 +119,7 @@ class PadEmulator:
 
     def _counts(self, s: float, force: float) -> int:
         options, config = self._options, self._config
-        seen_mm = (s + self._error_m(s, force) + float(self._rng.normal(0.0, options.noise_m))) * 1e3
+        seen_mm = (s + self._reading_error_m(s, force) + float(self._rng.normal(0.0, options.noise_m))) * 1e3
         counts = round(config.sign * (seen_mm - config.zero_mm) * config.counts_per_mm)
         return min(max(counts, COUNT_MIN), COUNT_MAX)
 

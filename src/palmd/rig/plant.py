@@ -7,19 +7,23 @@ unilateral constraint on the gap
     γ(c, ψ, t) = n·(c − O) − h(θ),   θ = angle(−n) − ψ,
 
 whose second derivative, set to zero, gives the normal force. Friction opposes the slip of the body's
-material on the palm; on a vibrated palm it grows smoothly through zero slip. World frame: gravity along −Y,
-SI units; forces are per unit mass (m/s²) inside and in newtons in what is reported.
+material on the palm; on a vibrated palm it grows smoothly through zero slip. A palm whose surface is bowed or lies
+off the hinge line is the line that touches the surface where the body does: the gap is stationary in where that is.
+Left out are the square of its slope, and κṡ² in γ̈, of a bow of 0.1 mm 3e-3 m/s² at 0.1 m/s. World frame: gravity
+along −Y, SI units; forces are per unit mass (m/s²) inside and in newtons in what is reported.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from palmd.events import PalmMotion
+from palmd.rig.imperfections import PERFECT, Imperfections
 from palmd.rig.shapes import Body, Kind
 from palmd.system.description import HingeMode
 
@@ -30,6 +34,7 @@ PAD_LENGTH = 0.0555  # m, from the hinge outwards
 _COULOMB_SLIP = 1e-3  # m/s: the hard law's linear part, as steep as a 0.5 ms step allows
 _DRIFT_RATE = 80.0  # 1/s: numerical drift of a closed gap is pulled back at this rate, critically damped
 _SOFT_BLOW = 0.02  # m/s: below it a blow closes both contacts, or they would chatter for ever
+_SEATINGS = 4  # until planes and contacts of bowed palms agree, each a hundred times better than the last
 _LEVEL = 1e-9  # m: a COM that turning lifts by no more rests at any angle
 _LOST_DISTANCE = 0.25  # m from the hinge: an object this far is on the floor
 
@@ -61,26 +66,15 @@ class FrictionSurface:
 
 @dataclass(frozen=True, slots=True)
 class PlantOptions:
-    """Where the emulated rig departs from what the observer takes for granted; the defaults depart nowhere.
+    """Where the emulated rig departs from the laws that the observer takes for granted; the defaults depart nowhere.
 
     friction_law: smoothed by dither, or hard `coulomb`. hinge_travels: false pins the hinge of an arc rig.
-    lag_s: the palms move this much later than the plan says. pad_bias_m: constant reading error of each pad.
-    pad_bow_m: reading error of each pad's middle against its ends, a half sine along the pad.
-    pad_force_m_per_n: by which a reading moves with the contact's force. friction_asymmetry: (μ1 − μ2)/(μ1 + μ2).
+    lag_s: the palms move this much later than the plan says.
     """
 
     friction_law: FrictionLaw = "dither"
     hinge_travels: bool = True
     lag_s: float = 0.0
-    pad_bias_m: PadPair = (0.0, 0.0)
-    pad_bow_m: PadPair = (0.0, 0.0)
-    pad_force_m_per_n: PadPair = (0.0, 0.0)
-    friction_asymmetry: float = 0.0
-
-    def pad_error_m(self, pad: int, s: float, force: float) -> float:
-        """Reading error (m) of pad 1 or 2 at distance s (m) from the hinge, under a force (N)."""
-        bow = self.pad_bow_m[pad - 1] * math.sin(math.pi * s / PAD_LENGTH)
-        return self.pad_bias_m[pad - 1] + bow + self.pad_force_m_per_n[pad - 1] * force
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +106,8 @@ class PalmFrame(NamedTuple):
     """All the equations need of the palms at one instant; a tuple, as it is unpacked 8000 times a second.
 
     Cosine and sine of both palms' directions (φ1, φ12), the directions of the body's outward normals at the
-    contacts, the palms' rates and accelerations, and the hinge's place, velocity and acceleration. SI, world.
+    contacts, the palms' rates and accelerations, the hinge's place, velocity and acceleration, and how far each palm's
+    plane lies over the hinge, on the object's side. SI, world.
     """
 
     c1: float
@@ -131,9 +126,13 @@ class PalmFrame(NamedTuple):
     voy: float
     aox: float
     aoy: float
+    above1: float
+    above2: float
 
 
 _Rates = tuple[float, float, float, float, float]  # ax, ay, alpha0, f1, f2
+_Planes = tuple[tuple[float, float], tuple[float, float]]  # of each palm: slope (rad), height over the hinge (m)
+_FLAT: _Planes = ((0.0, 0.0), (0.0, 0.0))
 
 
 def random_surface(kind: Kind, rng: np.random.Generator) -> FrictionSurface:
@@ -143,10 +142,10 @@ def random_surface(kind: Kind, rng: np.random.Generator) -> FrictionSurface:
     return FrictionSurface(mu=float(rng.uniform(0.04, 0.25)), dither=float(rng.uniform(8e-3, 20e-3)))
 
 
-def palm_frame(hinge: Hinge, palms: PalmMotion) -> PalmFrame:
-    """Everything the equations need of the palms at one instant."""
+def palm_frame(hinge: Hinge, palms: PalmMotion, planes: _Planes = _FLAT) -> PalmFrame:
+    """Everything the equations need of the palms, and of the planes that touch them, at one instant."""
     (phi1, phi2), (w1, w2), (a1, a2) = palms.angles, palms.rates, palms.accelerations
-    phi12 = phi1 + phi2
+    (slope1, above1), (slope2, above2) = planes
     c1, s1 = math.cos(phi1), math.sin(phi1)
     ox, oy = hinge.base
     vox = voy = aox = aoy = 0.0
@@ -156,9 +155,12 @@ def palm_frame(hinge: Hinge, palms: PalmMotion) -> PalmFrame:
         oy -= length * s1
         vox, voy = length * w1 * s1, -length * w1 * c1
         aox, aoy = length * (a1 * s1 + w1 * w1 * c1), length * (w1 * w1 * s1 - a1 * c1)
+    phi1, phi12 = phi1 + slope1, phi1 + phi2 - slope2
+    if slope1:
+        c1, s1 = math.cos(phi1), math.sin(phi1)
     return PalmFrame(
         c1, s1, math.cos(phi12), math.sin(phi12), phi1 - 0.5 * math.pi, phi12 + 0.5 * math.pi,
-        w1, w1 + w2, a1, a1 + a2, ox, oy, vox, voy, aox, aoy,
+        w1, w1 + w2, a1, a1 + a2, ox, oy, vox, voy, aox, aoy, above1, above2,
     )  # fmt: skip
 
 
@@ -177,14 +179,19 @@ class Plant:
         surface: FrictionSurface,
         *,
         options: PlantOptions = AS_ASSUMED,
+        imperfections: Imperfections = PERFECT,
         gravity: float = 9.81,
         reach: PadPair = (PAD_LENGTH, PAD_LENGTH),
     ) -> None:
+        """The palms are told where they are, not what they are said to be: angles and gravity are their giver's."""
         self.body = body
         self.hinge = hinge if options.hinge_travels else Hinge("fixed", hinge.palm1_length, hinge.base)
         self.surface = surface
         self.law = options.friction_law
-        self._friction1, self._friction2 = 1.0 + options.friction_asymmetry, 1.0 - options.friction_asymmetry
+        self._friction1, self._friction2 = 1.0 + imperfections.friction, 1.0 - imperfections.friction
+        self._pads = imperfections.pads
+        self._bowed = any(pad.sagitta for pad in self._pads)
+        self._planes = self._planes_at([0.5 * length for length in reach], reach)
         self.gravity = gravity
         self.reach = reach
         self.fallen = True
@@ -197,9 +204,11 @@ class Plant:
 
     def place(self, palms: PalmMotion, psi: float, omega0: float = 0.0) -> None:
         """Puts the body on both palms at angle psi (rad), turning at omega0 (rad/s), both gaps closed."""
-        frame = self._frame = palm_frame(self.hinge, palms)
-        x, y = _seat(self.body, frame, psi)
-        state = self.state = BodyState(x, y, psi, 0.0, 0.0, omega0)
+        for _ in range(_SEATINGS if self._bowed else 1):
+            frame = self._frame = palm_frame(self.hinge, palms, self._planes)
+            x, y = _seat(self.body, frame, psi)
+            state = self.state = BodyState(x, y, psi, 0.0, 0.0, omega0)
+            self._follow_the_surfaces()
         rate1, rate2 = self._gap_rates(frame, state)
         state.vx, state.vy = _cross_solve(frame, -rate1, -rate2)
         self._on1 = self._on2 = True
@@ -218,6 +227,17 @@ class Plant:
         _, _, _, f1, f2 = self._rates
         mass = self.body.mass
         return PlantContact(self._on1, s1, mass * f1), PlantContact(self._on2, s2, mass * f2)
+
+    def contact_rates(self) -> tuple[float, float]:
+        """How fast both contacts go along the palms, away from the hinge (m/s)."""
+        q, at = self.state, self.body.support.at
+        c1, s1, c12, s12, out1, out2, w1, w12, _, _, ox, oy, vox, voy, *_ = self._frame
+        rx, ry, ux, uy = q.x - ox, q.y - oy, q.vx - vox, q.vy - voy
+        h1pp, h2pp = at(out1 - q.psi)[2], at(out2 - q.psi)[2]
+        return (
+            c1 * ux + s1 * uy + w1 * (c1 * ry - s1 * rx) + h1pp * (w1 - q.omega0),
+            c12 * ux + s12 * uy - w12 * (s12 * rx - c12 * ry) - h2pp * (w12 - q.omega0),
+        )
 
     def radii(self) -> tuple[float, float]:
         """r1 and r2 (m): the support function at both contact normals."""
@@ -241,12 +261,13 @@ class Plant:
     def advance(self, middle: PalmMotion, end: PalmMotion, dt: float) -> None:
         """One Runge–Kutta step of dt seconds; `middle` and `end` are the palms half-way and at its end."""
         if self.fallen:
-            self._frame = palm_frame(self.hinge, end)
+            self._frame = palm_frame(self.hinge, end, self._planes)
             return
+        self._follow_the_surfaces()
         q = self.state
         x, y, psi, vx, vy, w = q.x, q.y, q.psi, q.vx, q.vy, q.omega0
         half, sixth = 0.5 * dt, dt / 6.0
-        mid, last = palm_frame(self.hinge, middle), palm_frame(self.hinge, end)
+        mid, last = palm_frame(self.hinge, middle, self._planes), palm_frame(self.hinge, end, self._planes)
         ax1, ay1, al1, _, _ = self._rates
         vx2, vy2, w2 = vx + half * ax1, vy + half * ay1, w + half * al1
         ax2, ay2, al2, _, _ = self._solve(mid, x + half * vx, y + half * vy, psi + half * w, vx2, vy2, w2)
@@ -262,6 +283,18 @@ class Plant:
         q.omega0 = w + sixth * (al1 + 2.0 * (al2 + al3) + al4)
         self._frame = last
         self._settle_contacts()
+
+    def _follow_the_surfaces(self) -> None:
+        """Where they are bowed, takes the planes that touch them where the body is nearest."""
+        if self._bowed:
+            self._planes = self._planes_at(_contact_distances(self.body, self._frame, self.state), self.reach)
+
+    def _planes_at(self, distances: Iterable[float], reach: PadPair) -> _Planes:
+        one, two = (
+            pad.tangent_plane(min(max(s, 0.0), length), length)
+            for pad, s, length in zip(self._pads, distances, reach, strict=True)
+        )
+        return one, two
 
     def _settle_contacts(self) -> None:
         """Makes the contacts agree with gaps and forces, and leaves the accelerations for the next step."""
@@ -320,7 +353,7 @@ class Plant:
         self._on1, self._on2 = self._on1 and rate1 <= 1e-9, self._on2 and rate2 <= 1e-9
 
     def _gap_rates(self, frame: PalmFrame, q: BodyState) -> tuple[float, float]:
-        c1, s1, c12, s12, out1, out2, w1, w12, _, _, ox, oy, vox, voy, _, _ = frame
+        c1, s1, c12, s12, out1, out2, w1, w12, _, _, ox, oy, vox, voy, *_ = frame
         rx, ry, ux, uy = q.x - ox, q.y - oy, q.vx - vox, q.vy - voy
         _, h1_slope, _ = self.body.support.at(out1 - q.psi)
         _, h2_slope, _ = self.body.support.at(out2 - q.psi)
@@ -342,7 +375,7 @@ class Plant:
         The gaps' second derivatives are linear in the forces, γ̈ = A·f + b, and are asked to be zero up to the
         drift correction; friction enters A because it is proportional to the normal force.
         """
-        c1, s1, c12, s12, out1, out2, w1, w12, al1, al12, ox, oy, vox, voy, aox, aoy = frame
+        c1, s1, c12, s12, out1, out2, w1, w12, al1, al12, ox, oy, vox, voy, aox, aoy, above1, above2 = frame
         g = self.gravity
         rho2 = self.body.rho**2
         surface = self.surface
@@ -361,7 +394,7 @@ class Plant:
             b1 = (
                 c1 * gy - s1 * gx - 2.0 * w1 * (c1 * ux + s1 * uy) - al1 * along - w1 * w1 * normal
                 - h1pp * spin * spin - h1p * (al1 - damping)
-                + _DRIFT_RATE * (2.0 * rate + _DRIFT_RATE * (normal - h1))
+                + _DRIFT_RATE * (2.0 * rate + _DRIFT_RATE * (normal - h1 - above1))
             )  # fmt: skip
             # slip of the body's material along t1 relative to the palm's, at the contact x1 = −h·n1 + h′·t1
             k1 = self._friction1 * self._friction(c1 * ux + s1 * uy + w * h1 + w1 * (normal - h1))
@@ -376,7 +409,7 @@ class Plant:
             b2 = (
                 s12 * gx - c12 * gy + 2.0 * w12 * (c12 * ux + s12 * uy) + al12 * along - w12 * w12 * normal
                 - h2pp * spin * spin - h2p * (al12 - damping)
-                + _DRIFT_RATE * (2.0 * rate + _DRIFT_RATE * (normal - h2))
+                + _DRIFT_RATE * (2.0 * rate + _DRIFT_RATE * (normal - h2 - above2))
             )  # fmt: skip
             k2 = self._friction2 * self._friction(-c12 * ux - s12 * uy + w * h2 + w12 * (normal - h2))
             f2x, f2y = s12 + k2 * c12, -c12 + k2 * s12
@@ -421,7 +454,8 @@ def _cross_solve(frame: PalmFrame, a: float, b: float) -> tuple[float, float]:
 
 def _seat(body: Body, frame: PalmFrame, psi: float) -> tuple[float, float]:
     """Where the COM is when the body touches both palms at angle psi."""
-    x, y = _cross_solve(frame, body.support.at(frame.out1 - psi)[0], body.support.at(frame.out2 - psi)[0])
+    one, two = body.support.at(frame.out1 - psi)[0], body.support.at(frame.out2 - psi)[0]
+    x, y = _cross_solve(frame, one + frame.above1, two + frame.above2)
     return frame.ox + x, frame.oy + y
 
 
@@ -430,8 +464,8 @@ def _gaps(body: Body, frame: PalmFrame, q: BodyState) -> tuple[float, float]:
     c1, s1, c12, s12, out1, out2 = frame[:6]
     rx, ry = q.x - frame.ox, q.y - frame.oy
     return (
-        c1 * ry - s1 * rx - body.support.at(out1 - q.psi)[0],
-        s12 * rx - c12 * ry - body.support.at(out2 - q.psi)[0],
+        c1 * ry - s1 * rx - body.support.at(out1 - q.psi)[0] - frame.above1,
+        s12 * rx - c12 * ry - body.support.at(out2 - q.psi)[0] - frame.above2,
     )
 
 

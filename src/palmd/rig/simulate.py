@@ -17,14 +17,16 @@ import argparse
 import json
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from palmd.config import Drawn
 from palmd.events import FloatArray, PalmMotion
+from palmd.rig.imperfections import Imperfections, PadImperfection, drawn
 from palmd.rig.plant import (
     AS_ASSUMED,
     PAD_LENGTH,
@@ -36,6 +38,7 @@ from palmd.rig.plant import (
     stable_poses,
 )
 from palmd.rig.shapes import KINDS, Body, Kind, random_body
+from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, RigDescription
 from palmd.system.mechanism import JOINTS, PALMS
 
 Line = dict[str, Any]
@@ -54,21 +57,14 @@ _ANGLE_COLUMNS = tuple(f"{joint}_rad" for joint in JOINTS)
 _COLUMNS = ("t", "psi_rad", "omega0_rad_s", "r1_m", "r2_m", "s1_m", "s2_m", *_ANGLE_COLUMNS, "f1_n", "f2_n")
 _PAD_MARGIN_M = 3e-3
 _TURNED_RAD = 0.3
-_CALIBRATION = (
-    "zero_m",
-    "scale",
-    "angle_rad",
-    "standoff_m",
-    "lag_s",
-    "gravity_rad",
-    "sagitta_m",
-    "friction",
-    "force_m_per_n",
-)
 _MIN_FORCE = 0.1  # m/s²: below it the contact is as good as lost
 
 
 Span = tuple[float, float]
+
+PERFECTLY_KNOWN: Mapping[str, float] = dict.fromkeys(AS_CALIBRATED, 0.0)
+CALIBRATION: Mapping[Drawn, Mapping[str, float]] = {"none": PERFECTLY_KNOWN, "calibrated": AS_CALIBRATED}
+"""What the rig's imperfections are drawn from, by what commands call it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +84,8 @@ class Rock:
         """Angle, rate and acceleration (rad, rad/s, rad/s²) at t ≥ 0 (s); at rest before."""
         w, dw, ddw = _eased(t)
         for begin, end in self.rests:
+            if not begin < t < end + 1.0:
+                continue  # v = 1, and it does not change
             out, back = _eased(t - begin), _eased(t - end)
             v, dv, ddv = (b - a for a, b in zip(out, back, strict=True))
             v += 1.0
@@ -131,6 +129,11 @@ class SimulatedRun:
     hinge: Hinge
     surface: FrictionSurface
     rocking: Rocking
+    imperfections: Imperfections
+
+    def palms_at(self, t: float) -> PalmMotion:
+        """Where the palms really are at t (s): off from the plan by the rig's imperfections."""
+        return self.imperfections.true_palms(self.rocking.at(t))
 
 
 def simulate_log(
@@ -142,22 +145,31 @@ def simulate_log(
     *,
     rests: tuple[Span, ...] = (),
     absences: tuple[Span, ...] = (),
+    imperfections: Imperfections | None = None,
+    calibration_sd: Mapping[str, float] = PERFECTLY_KNOWN,
 ) -> tuple[list[Line], Line]:
     """A run of the kind as event-log lines (header first), and its truth; the same seed, the same run.
+
+    The rig is as far off as `imperfections` say, else as drawn, by the seed too, from the one-sigma `calibration_sd`
+    (named as in `AS_CALIBRATED`), which the header tells in either case; by default it is perfect.
 
     Scenes in which a contact would be lost, or come near a pad's end, are drawn again. `body` is what lies on the
     palms, a random one of the kind by default. In each of `rests` the palms stand. In each of `absences` the object is
     away, and is then put back in a stable pose, turned by at least `_TURNED_RAD` where there is one.
     """
     rng = np.random.default_rng([KINDS.index(kind), seed])
+    known = RigDescription().known_to(calibration_sd)
+    off = drawn(known, KINDS.index(kind), seed) if imperfections is None else imperfections
     while True:
-        scene = _draw(kind, rng, body, rests)
+        scene = _draw(kind, rng, body, rests, off)
         history = _run(scene, duration_s, options, absences)
         if history is not None:
-            return list(_log_lines(scene, history, options, rng)), _truth(scene, history)
+            return list(_log_lines(scene, history, calibration_sd, rng)), _truth(scene, history)
 
 
-def _draw(kind: Kind, rng: np.random.Generator, body: Body | None, rests: tuple[Span, ...]) -> SimulatedRun:
+def _draw(
+    kind: Kind, rng: np.random.Generator, body: Body | None, rests: tuple[Span, ...], imperfections: Imperfections
+) -> SimulatedRun:
     """A scene of the kind, its body turned so that ψ starts at 0."""
     if body is None:
         body = random_body(kind, rng)
@@ -171,9 +183,9 @@ def _draw(kind: Kind, rng: np.random.Generator, body: Body | None, rests: tuple[
     if kind == "rig":
         length = float(rng.uniform(0.09, 0.15))
         hinge = Hinge("arc", length, (length, 0.0))
-    poses = stable_poses(body, rocking.at(0.0))
+    poses = stable_poses(body, imperfections.true_palms(rocking.at(0.0)))
     psi = poses[int(rng.integers(len(poses)))] + release
-    return SimulatedRun(kind, body.turned(psi), hinge, surface, rocking)
+    return SimulatedRun(kind, body.turned(psi), hinge, surface, rocking, imperfections)
 
 
 def _rock(rng: np.random.Generator, mean: Span, amplitude: Span, frequency: Span, rests: tuple[Span, ...]) -> Rock:
@@ -185,9 +197,9 @@ def _run(
     scene: SimulatedRun, duration_s: float, options: PlantOptions, absences: tuple[Span, ...]
 ) -> FloatArray | None:
     """Rows of `_COLUMNS` each 0.5 ms, NaN for what there is not while the object is away; None if contact was lost."""
-    plant = Plant(scene.body, scene.hinge, scene.surface, options=options)
-    lag, rocking = options.lag_s, scene.rocking
-    palms = rocking.at(-lag)
+    plant = Plant(scene.body, scene.hinge, scene.surface, options=options, imperfections=scene.imperfections)
+    lag = options.lag_s
+    palms = scene.palms_at(-lag)
     plant.place(palms, psi=0.0)
     rows = []
     low, high, least = _PAD_MARGIN_M, PAD_LENGTH - _PAD_MARGIN_M, _MIN_FORCE * scene.body.mass
@@ -198,7 +210,7 @@ def _run(
             away = True
             nothing = [math.nan] * 5
             rows.append((t, plant.state.psi, *nothing, *palms.angles, math.nan, math.nan))
-            palms = rocking.at(t + STEP_S - lag)
+            palms = scene.palms_at(t + STEP_S - lag)
             continue
         if away:
             away = False
@@ -212,8 +224,8 @@ def _run(
         q = plant.state
         forces = (contact1.force, contact2.force)
         rows.append((t, q.psi, q.omega0, r1, r2, contact1.s, contact2.s, *palms.angles, *forces))
-        middle = rocking.at(t + 0.5 * STEP_S - lag)
-        palms = rocking.at(t + STEP_S - lag)
+        middle = scene.palms_at(t + 0.5 * STEP_S - lag)
+        palms = scene.palms_at(t + STEP_S - lag)
         plant.advance(middle, palms, STEP_S)
     return np.array(rows)
 
@@ -226,7 +238,7 @@ def _put_back(plant: Plant, body: Body, palms: PalmMotion) -> None:
 
 
 def _log_lines(
-    scene: SimulatedRun, history: FloatArray, options: PlantOptions, rng: np.random.Generator
+    scene: SimulatedRun, history: FloatArray, calibration_sd: Mapping[str, float], rng: np.random.Generator
 ) -> Iterator[Line]:
     """The header, then palms and pads in time order with their noise and rounding."""
     hinge: Line = {"mode": scene.hinge.mode}
@@ -234,22 +246,24 @@ def _log_lines(
         hinge["palm1_length_m"] = scene.hinge.palm1_length
     pad = {"length_m": PAD_LENGTH, "noise_m": _PAD_NOISE_M, "resolution_m": _PAD_RESOLUTION_M}
     rig = {"gravity_m_s2": 9.81, "hinge": hinge, "pad": pad, "force_scale_std": _FORCE_SCALE_STD}
-    rig["calibration_sd"] = dict.fromkeys(_CALIBRATION, 0.0)  # it is exactly as described
+    rig["calibration_sd"] = {key: calibration_sd[name] for name, key in CALIBRATION_KEYS.items()}
     yield {"palmd_log": 1, "rig": rig}
     duration = float(history[-1, 0])
     events = list(_palm_lines(scene, history, rng))
     for number in PALMS:
         times = _sample_times(scene.kind, duration, rng)
-        events += _pad_lines(number, times, history, options, rng)
+        events += _pad_lines(number, times, history, scene.imperfections.pads[number - 1], rng)
     yield from sorted(events, key=lambda line: float(line["t"]))
 
 
 def _palm_lines(scene: SimulatedRun, history: FloatArray, rng: np.random.Generator) -> Iterator[Line]:
     """The arm's reports: measured angles, the plan's own rates and accelerations."""
-    for i in range(int(history[-1, 0] / _ARM_PERIOD_S)):
-        t = i * _ARM_PERIOD_S
+    off = scene.imperfections.true_palms(PalmMotion.at_rest((0.0, 0.0))).angles
+    times = np.arange(int(history[-1, 0] / _ARM_PERIOD_S)) * _ARM_PERIOD_S
+    true = [np.interp(times, history[:, 0], history[:, 7 + i]) for i in range(len(JOINTS))]
+    for t, *reported in zip(times.tolist(), *(each.tolist() for each in true), strict=True):
         plan = scene.rocking.at(t)
-        angles = [float(np.interp(t, history[:, 0], history[:, column])) for column in (7, 8)]
+        angles = [angle - error for angle, error in zip(reported, off, strict=True)]
         noise = rng.normal(0.0, _PALM_NOISE_RAD, 2)
         palms = {
             **{name: round(phi + float(off), 7) for name, phi, off in zip(_ANGLE_COLUMNS, angles, noise, strict=True)},
@@ -272,14 +286,14 @@ def _sample_times(kind: Kind, duration: float, rng: np.random.Generator) -> Floa
 
 
 def _pad_lines(
-    pad: int, times: FloatArray, history: FloatArray, options: PlantOptions, rng: np.random.Generator
+    pad: int, times: FloatArray, history: FloatArray, off: PadImperfection, rng: np.random.Generator
 ) -> Iterator[Line]:
-    """One pad's readings with bias, bow, noise and rounding."""
-    s = np.interp(times, history[:, 0], history[:, 4 + pad])
+    """One pad's readings with its errors, noise and rounding."""
+    s = np.interp(times - off.lag, history[:, 0], history[:, 4 + pad])
     force = np.interp(times, history[:, 0], history[:, 8 + pad])
     felt = np.isfinite(s)
     times, s, force = times[felt], s[felt], force[felt]
-    s += np.array([options.pad_error_m(pad, *true) for true in zip(s.tolist(), force.tolist(), strict=True)])
+    s += np.array([off.reading_error_m(*true) for true in zip(s.tolist(), force.tolist(), strict=True)])
     s = s + rng.normal(0.0, _PAD_NOISE_M, len(s))
     force = force * (1.0 + rng.normal(0.0, _FORCE_SCALE_STD, len(s)))
     s = np.round(s / _PAD_RESOLUTION_M) * _PAD_RESOLUTION_M
@@ -302,6 +316,7 @@ def _truth(scene: SimulatedRun, history: FloatArray) -> Line:
         "damping_m2_s": scene.surface.damping,
         "theta_rad": theta.tolist(),
         "h_m": scene.body.support.sample(theta).tolist(),
+        "rig": scene.imperfections.constants(),
     } | dict(zip(_COLUMNS, columns, strict=True))
 
 
@@ -311,9 +326,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--kind", choices=KINDS, default="nominal")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument(
+        "--imperfections", choices=CALIBRATION, default="none", help="of the rig, drawn (default: %(default)s)"
+    )
     parser.add_argument("-o", "--output", type=Path, required=True, help="the log, *.jsonl")
     options = parser.parse_args(arguments)
-    lines, truth = simulate_log(options.kind, options.seed, options.seconds)
+    sds = CALIBRATION[options.imperfections]
+    lines, truth = simulate_log(options.kind, options.seed, options.seconds, calibration_sd=sds)
     options.output.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
     options.output.with_suffix(".truth.json").write_text(json.dumps(truth), encoding="utf-8")
     return 0

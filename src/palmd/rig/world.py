@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
 
-from palmd.config import AdeptConfig, Config, PadsConfig, RigConfig, VersaPadConfig
+from palmd.config import AdeptConfig, Config, Drawn, PadsConfig, RigConfig, VersaPadConfig
 from palmd.devices.actuator import ArmState, Pose
 from palmd.devices.armlink import CONTROLLER_NEWLINE
 from palmd.events import Joints, PalmMotion
@@ -22,6 +22,7 @@ from palmd.rig.arm import Linkage, Servo, turn
 from palmd.rig.controller import BREAK_RECEIVED, CYCLE_S, ArmLimits, Controller
 from palmd.rig.fault_injection import PADS, PORTS, FaultOrder, PortName, Switchboard
 from palmd.rig.hand import Hand
+from palmd.rig.imperfections import configured, perfect
 from palmd.rig.line import Wire
 from palmd.rig.marble import Marble
 from palmd.rig.pads import GOOD_PADS, PadEmulator, PadOptions, Press, versapads
@@ -47,18 +48,11 @@ _IDENTITY = b"VPEMU1\r"
 _IDENTITY_S = 0.5
 
 
-def default_config() -> Config:
-    """The contract's defaults, for a rig started without a configuration, and exactly as described."""
-    constants = ("zero_sd_mm", "scale_sd", "standoff_sd_mm", "sagitta_sd_mm", "lag_sd_ms", "force_sd_mm_per_n")
-    known: dict[str, Any] = dict.fromkeys(constants, 0)
-    pads = PadsConfig(
-        **{f"palm{palm}": VersaPadConfig(port=pad, **known) for palm, pad in zip(PALMS, PADS, strict=True)}
-    )
-    return Config(
-        rig=RigConfig(angle_sd_deg=0.0, gravity_sd_deg=0.0, friction_asymmetry_sd=0.0),
-        pads=pads,
-        arm=AdeptConfig(port="arm"),
-    )
+def default_config(imperfections: Drawn = "none") -> Config:
+    """The defaults, for a rig without a configuration: exactly as described, or as calibration leaves one."""
+    pads = PadsConfig(**{f"palm{palm}": VersaPadConfig(port=pad) for palm, pad in zip(PALMS, PADS, strict=True)})
+    config = Config(rig=RigConfig(imperfections=imperfections), pads=pads, arm=AdeptConfig(port="arm"))
+    return perfect(config) if imperfections == "none" else config
 
 
 class World:
@@ -80,14 +74,15 @@ class World:
     ) -> None:
         """At rest at t (s), a random body of the kind, or `body`, in a stable pose.
 
-        With `marbles` there is no body on the palms: a marble rolls over each of these pads instead. With `roller` it
-        is one that rolls down a gently sloping palm; with `by_hand` the arm is in manual mode and a hand swings the
-        empty palms.
+        The configuration's `rig.imperfections` say how far the rig is off from the rest of it. With `marbles` there is
+        no body on the palms: a marble rolls over each of these pads instead. With `roller` it is one that rolls down a
+        gently sloping palm; with `by_hand` the arm is in manual mode and a hand swings the empty palms.
         """
         self.config, self.seed, self.kind = config, seed, kind
         self.mischief = Switchboard()
         self.contact_losses = self.falls = self.objects = self.jams = 0
         self._options, self._body = options, body
+        self.imperfections = configured(config, seed)
         self._rng = np.random.default_rng(seed)
         self._t_start, self._steps = t, 0
         self._linkage = Linkage.from_config(config)
@@ -101,8 +96,8 @@ class World:
         self._palms = self._palms_at(t)
         self._pad_configs: dict[PortName, VersaPadConfig] = dict(zip(PADS, versapads(config), strict=True))
         self._pads: dict[PortName, PadEmulator] = {
-            name: PadEmulator(pad, pad_options, self._pad_error(number), self._rng, t)
-            for number, (name, pad) in enumerate(self._pad_configs.items(), 1)
+            name: PadEmulator(pad, pad_options, off.reading_error_m, self._rng, t)
+            for (name, pad), off in zip(self._pad_configs.items(), self.imperfections.pads, strict=True)
         }
         self._marbles = {
             name: Marble(pad.length_mm * 1e-3, np.random.default_rng((seed, number)))
@@ -167,7 +162,7 @@ class World:
 
     def truth(self) -> dict[str, Any]:
         """What is really there at `t`, as `rig/truth` tells it."""
-        q, palms = self.plant.state, self._palms
+        q, palms = self.plant.state, self._true_palms
         contacts = tuple(zip(PALMS, self.plant.contacts(), strict=True))
         return {
             "psi_rad": q.psi,
@@ -231,7 +226,8 @@ class World:
         t = self.t
         middle, end = self._palms_at(t + 0.5 * STEP_S), self._palms_at(t + STEP_S)
         was_on = not self.plant.fallen
-        self.plant.advance(middle, end, STEP_S)
+        true_palms = self.imperfections.true_palms
+        self.plant.advance(true_palms(middle), true_palms(end), STEP_S)
         self._palms = end
         self._steps += 1
         t = self.t
@@ -241,7 +237,7 @@ class World:
         if self._t_place is not None and t >= self._t_place:
             self._put_on_palms()
         if self._roller:
-            self._roller.advance(t, self._palms)
+            self._roller.advance(t, self._true_palms)
         arrived = self._in.take(t)
         if arrived:
             self._say("arm", self._controller.feed(arrived, t, self._actual_pose(t)), t)
@@ -249,7 +245,8 @@ class World:
             self._arm_cycle(t)
         for name, pad in self._pads.items():
             if t >= pad.due:
-                self._say(name, pad.report(t, self._presses(name)), t)
+                late = max(self.imperfections.pads[PADS.index(name)].lag, 0.0)
+                self._say(name, pad.report(t, self._presses(name)), t + late)
 
     def _arm_cycle(self, t: float) -> None:
         """The controller's cycle; the servos then follow the path it lays for the next 16 ms."""
@@ -291,7 +288,12 @@ class World:
         holds = self._controller.state is ArmState.HOLD
         self._judge.hear(pose, t, Pose(x, y, turn(angle)) if holds else None)
 
+    @property
+    def _true_palms(self) -> PalmMotion:
+        return self.imperfections.true_palms(self._palms)
+
     def _palms_at(self, t: float) -> PalmMotion:
+        """As the arm's pose tells them."""
         x, y = self._servos[0].at(t), self._servos[1].at(t)
         palms = self._linkage.motion(x, y)
         if palms is None:  # the linkage is at its stop: the palms stay where they were
@@ -309,6 +311,7 @@ class World:
             Hinge("arc", rig.palm1_length_mm * 1e-3, base),
             random_surface(self.kind, self._rng),
             options=self._options,
+            imperfections=self.imperfections,
             gravity=rig.gravity_m_s2,
             reach=self._reach(),
         )
@@ -322,9 +325,9 @@ class World:
         if self._marbles or self._roller or self._hand:
             self._t_place = None
             return
-        poses = stable_poses(self.plant.body, self._palms)
+        poses = stable_poses(self.plant.body, self._true_palms)
         for i in self._rng.permutation(len(poses)):
-            self.plant.place(self._palms, poses[i])
+            self.plant.place(self._true_palms, poses[i])
             contacts = self.plant.contacts()
             if all(
                 contact.touching and _PAD_END_M < contact.s < reach - _PAD_END_M
@@ -348,8 +351,10 @@ class World:
         elif self._roller:
             presses = self._roller.presses(PADS.index(name))
         else:
-            contact = self.plant.contacts()[PADS.index(name)]
-            presses = [Press(contact.s, contact.force)] if contact.touching else []
+            i = PADS.index(name)
+            contact, early = self.plant.contacts()[i], max(-self.imperfections.pads[i].lag, 0.0)
+            s = contact.s + early * self.plant.contact_rates()[i] if early else contact.s
+            presses = [Press(s, contact.force)] if contact.touching else []
         finger = self.mischief.strength("touch", name)
         return [*presses, Press(_FINGER_M, finger)] if finger > 0.0 else presses
 
@@ -374,9 +379,6 @@ class World:
                 self._put_on_palms()
             case "swap", True:
                 self.new_object()
-
-    def _pad_error(self, number: int) -> Callable[[float, float], float]:
-        return lambda s, force: self._options.pad_error_m(number, s, force)
 
 
 def arm_limits(config: Config) -> ArmLimits:

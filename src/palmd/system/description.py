@@ -94,6 +94,15 @@ class RigDescription:
         own: dict[str, Any] = {name: sd for name, sd in sds.items() if name not in of_pads}
         return replace(self.with_pads(**of_pads), **own)
 
+    def known_as(self, other: RigDescription) -> RigDescription:
+        """The same rig with the `_sd` of another, each pad's own."""
+
+        def sds(of: RigDescription | PadSensor) -> dict[str, Any]:
+            return {name: getattr(of, name) for name in CALIBRATION_KEYS if hasattr(of, name)}
+
+        pads = tuple(replace(mine, **sds(theirs)) for mine, theirs in zip(self.pads, other.pads, strict=True))
+        return replace(self, pads=pads, **sds(other))
+
 
 AS_CALIBRATED: Mapping[str, float] = {
     "zero_sd": 1e-4,
@@ -107,3 +116,16 @@ AS_CALIBRATED: Mapping[str, float] = {
     "friction_sd": 0.3,
 }
 """How well a rig is known after docs/start/calibration.md."""
+
+CALIBRATION_KEYS = {
+    "zero_sd": "zero_m",
+    "scale_sd": "scale",
+    "angle_sd": "angle_rad",
+    "standoff_sd": "standoff_m",
+    "lag_sd": "lag_s",
+    "gravity_sd": "gravity_rad",
+    "sagitta_sd": "sagitta_m",
+    "friction_sd": "friction",
+    "force_sd": "force_m_per_n",
+}
+"""How a log calls the `_sd` of `RigDescription` and `PadSensor`."""

@@ -11,7 +11,6 @@ from palmd.calibration.cylinder import CylinderError, contact_m, turning_plan
 from palmd.calibration.pad_scale import pad_scales
 from palmd.events import PadSample, PalmSample
 from palmd.rig.pads import PadOptions
-from palmd.rig.plant import PlantOptions
 
 RADIUS_M, MASS_KG = 0.02, 0.1
 PLAN = turning_plan(RADIUS_M, LIMITS)
@@ -71,7 +70,7 @@ def test_a_wrong_radius_is_a_wrong_scale_of_both_pads(events):
 
 
 def test_a_bow_of_one_pad_is_told_of_that_pad():
-    bowed = pad_scales(heard(options=PlantOptions(pad_bow_m=(0.0, 4e-4))), CONFIGURED, RADIUS_M)
+    bowed = pad_scales(heard(bend_m=(0.0, 4e-4)), CONFIGURED, RADIUS_M)
     assert bowed[0].bend_mm < 0.03
     assert bowed[1].bend_mm > 0.1 > 10 * bowed[1].bend_sd_mm
 

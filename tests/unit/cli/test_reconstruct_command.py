@@ -22,7 +22,7 @@ SECONDS = 2.5
 FIELDS = {
     *("converged", "reason", "chi2", "theta_rad", "h_m", "h_sd_m", "touched", "rho_m", "rho_sd_m", "mu", "mu_sd"),
     *("visits", "kept_paper", "kept_band", "mass_rest_kg", "mass_rest_sd_kg"),
-    *("mass_kg", "mass_sd_kg", "trajectory", "seconds", "rig"),
+    *("mass_kg", "mass_sd_kg", "trajectory", "seconds", "rig", "contradicted"),
 }
 
 
@@ -40,7 +40,7 @@ def answer(**changes):
         "reason": "",
         "seconds": 1.5,
     }
-    values |= {"rig": np.arange(15.0), "rig_sd": np.full(15, 0.5)}
+    values |= {"rig": np.arange(15.0), "rig_covariance": np.eye(15) / 4, "contradicted": 6.0 * (np.arange(15) == 1)}
     return Reconstruction(**values | changes)
 
 
@@ -51,8 +51,8 @@ def unweighed():
 def nothing():
     none = np.zeros(0)
     absent = dict.fromkeys(("chi2", "rho", "rho_sd", "mu", "mu_sd"), math.nan)
-    columns = dict.fromkeys(("t", "psi", "omega0", "rig", "rig_sd"), none)
-    columns["radii"] = np.zeros((2, 0))
+    columns = dict.fromkeys(("t", "psi", "omega0", "rig"), none)
+    columns |= {"radii": np.zeros((2, 0)), "rig_covariance": np.zeros((0, 0))}
     return answer(
         converged=False, h=None, h_sd=None, touched=None, visits=None, reason="too little", **absent, **columns
     )
@@ -73,6 +73,7 @@ def test_the_result_has_the_fields_of_the_contract():
     assert (line["rho_m"], line["mu_sd"], line["seconds"]) == (0.014, 0.01, 1.5)
     assert line["rig"]["pad2_zero_m"] == {"value": 1.0, "sd": 0.5}
     assert len(line["rig"]) == 15
+    assert line["contradicted"] == {"pad2_zero_m": 6.0}
     assert line["trajectory"] == {
         "t": [0.1, 0.2], "psi_rad": [0.1, 0.2], "omega0_rad_s": [0.2, 0.4], "r1_m": [0.1, 0.2], "r2_m": [0.1, 0.2]
     }  # fmt: skip

@@ -14,6 +14,7 @@ import termios
 import threading
 import time
 
+import numpy as np
 import pytest
 
 from palmd.bus.subscriber import Message
@@ -23,8 +24,16 @@ from palmd.cli.top import painted
 from palmd.daemon.bus import Bus
 from palmd.events import Estimate, PalmMotion
 from palmd.faults import TABLE
-from palmd.messages import PadView, contact_fields, estimate_fields, info_fields, motion_fields, state_fields
-from palmd.quantities import CONTACT, ESTIMATE, INFO, LOOP, MOTION, STATE
+from palmd.messages import (
+    PadView,
+    contact_fields,
+    estimate_fields,
+    info_fields,
+    motion_fields,
+    rig_fields,
+    state_fields,
+)
+from palmd.quantities import CONTACT, ESTIMATE, INFO, LOOP, MOTION, RIG, STATE
 from palmd.rig.world import default_config
 
 
@@ -79,6 +88,19 @@ def test_faults_come_with_their_hints_and_gravity():
     assert hold == BoardRow(f"  hold    pad1-lifted: {TABLE['pad1-lifted'].hint}", "bad")
     (note,) = [row for row in rows if "no-realtime" in row.text]
     assert note.style == "faint"
+
+
+def test_what_is_off_of_the_rig_stands_below_the_faults():
+    shown = board()
+    before = len(frame(shown, 100.1))
+    off = rig_fields(np.array([3e-4, *[0.0] * 14]), np.full(15, 3e-5), np.full(15, 1e-4), np.zeros(15))
+    shown.take(Message(RIG.name, off, 100.0))
+    rows = frame(shown, 100.1)
+    assert len(rows) == before + 1
+    (row,) = [row for row in rows if row.text.startswith("  rig     ")]
+    assert row == BoardRow(
+        "  rig     pad 1's zero seems +0.30 ± 0.03 mm off: palmd calibrate self finds its zero_mm", "warning"
+    )
 
 
 def test_what_is_old_is_said_to_be_old():

@@ -18,7 +18,7 @@ from palmd.events import Estimate, Improvement, PadLift, PadSample, PalmSample
 from palmd.messages import NAMED_STATE, events_of, stamp, validate
 from palmd.motion.check import motion_limits
 from palmd.motion.plan import compile_plan
-from palmd.quantities import EVENTS, IMPROVEMENT
+from palmd.quantities import EVENTS, IMPROVEMENT, RIG, STATE
 from palmd.rig.fault_injection import INJECTABLE_FAULTS, order
 from palmd.rig.world import STEP_S, World, default_config
 
@@ -362,13 +362,27 @@ def test_every_tick_publishes_just_what_the_observer_was_fed(running):
         assert validate(EVENTS, stamp(dict(fields), 0.0, 0.0, 0)) == []
 
 
+OFF, OFF_SD = np.zeros(15), np.full(15, 1e-2)
+OFF[1], OFF_SD[1] = 3e-4, 3e-5
+AGAINST = 6.0 * (OFF != 0.0)
+
+
 class Improved(Fake):
     """An observer with a smoother beside it that answers in the third estimate."""
 
     def improve(self, _t):
         return (
             Improvement(
-                0.04, np.arange(3.0), np.eye(3), 2, True, np.ones(72, dtype=bool), np.zeros(12), np.zeros((3, 12))
+                0.04,
+                np.arange(3.0),
+                np.eye(3),
+                2,
+                True,
+                np.ones(72, dtype=bool),
+                OFF,
+                OFF_SD,
+                np.zeros((3, 15)),
+                AGAINST,
             )
             if len(self.ticks) == 3
             else None
@@ -387,6 +401,34 @@ def test_an_improvement_is_published_in_the_tick_that_heard_it():
     assert validate(IMPROVEMENT, stamp(fields, 0.0, 0.0, 0)) == []
     observer.failing = True
     assert IMPROVEMENT not in dict(core.step(0.04))
+
+
+def test_the_rigs_constants_are_published_when_the_smoother_has_answered_and_each_second():
+    config = default_config()
+    pads = config.pads.model_copy(update={"palm2": config.pads.palm2.model_copy(update={"zero_sd_mm": 0.1})})
+    core = Core(config.model_copy(update={"pads": pads}), Improved(), AtOnce())
+    told = {t: dict(core.step(t)).get(RIG) for t in (0.01, 0.02, 0.03, 0.04, 0.9, 1.03, 1.04)}
+    assert [t for t, fields in told.items() if fields] == [0.01, 0.03, 1.03]
+    first, now, again = (told[t] for t in (0.01, 0.03, 1.03))
+    assert (first["pad2_zero_m"], first["off"]) == (0.0, [])
+    assert list(first["sd"].values()) == first["prior_sd"] == now["prior_sd"]
+    assert now["sd"]["pad2_zero_m"] == 3e-5
+    assert now["prior_sd"][1] == pytest.approx(1e-4)
+    assert now["off"] == ["pad 2's zero seems +0.30 ± 0.03 mm off: palmd calibrate self finds its zero_mm"]
+    assert again == now
+
+
+def test_readings_that_contradict_the_configuration_are_a_fault_that_stops_nothing():
+    core = Core(default_config(), Improved(), AtOnce())
+    told = {t: dict(core.step(t)).get(STATE) for t in (0.01, 0.02, 0.03, 0.04)}
+    heard = {
+        code: severity
+        for fields in told.values()
+        if fields
+        for code, severity in zip(fields["faults"], fields["severities"], strict=True)
+    }
+    assert "rig-contradicted" not in told[0.01]["faults"]
+    assert heard["rig-contradicted"] == "note"
 
 
 RECORDED = {"bytes": 1000.0, "messages": 10.0, "lost": 0.0, "path": "runs/a.mcap"}

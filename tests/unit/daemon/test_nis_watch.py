@@ -4,11 +4,10 @@ import math
 
 import pytest
 
-from palmd.config import PlanSpec
+from palmd.config import ImperfectionsConfig, PlanSpec
 from palmd.daemon.diagnostics import NIS_MEMORY_S, NisDiagnostics
 from palmd.faults import TABLE, Severity
 from palmd.harness.wireless import Wireless
-from palmd.rig.plant import AS_ASSUMED, PlantOptions
 from palmd.rig.world import default_config
 
 CODE = "estimate-inconsistent"
@@ -63,17 +62,19 @@ def test_its_row_says_what_to_do():
 
 
 @pytest.mark.parametrize(
-    ("seed", "options", "alarm"),
+    ("seed", "off", "alarm"),
     [
-        (1, AS_ASSUMED, False),
-        (3, AS_ASSUMED, False),
-        (1, PlantOptions(pad_bias_m=(2e-3, -2e-3)), True),
-        (3, PlantOptions(pad_bias_m=(2e-3, -2e-3)), True),
-        (3, PlantOptions(pad_bow_m=(1e-3, -1e-3)), True),
+        (1, {}, False),
+        (3, {}, False),
+        (1, {"palm1": {"zero_mm": 2}, "palm2": {"zero_mm": -2}}, True),
+        (3, {"palm1": {"zero_mm": 2}, "palm2": {"zero_mm": -2}}, True),
+        (3, {"palm1": {"sagitta_mm": 1}, "palm2": {"sagitta_mm": -1}}, True),
     ],
 )
-def test_it_comes_when_the_pads_are_not_as_configured_and_else_not(seed, options, alarm):
-    run = Wireless(default_config(), ROCK, seed, options=options)
+def test_it_comes_when_the_pads_are_not_as_configured_and_else_not(seed, off, alarm):
+    config = default_config()
+    rig = config.rig.model_copy(update={"imperfections": ImperfectionsConfig.model_validate(off)})
+    run = Wireless(config.model_copy(update={"rig": rig}), ROCK, seed)
     run.start()
     raised = any(CODE in [fault.code for fault in run.core.faults.active] for _ in run.run(15.0))
     assert raised == alarm

@@ -25,6 +25,7 @@ from palmd.devices.versapad import encode_packet
 from palmd.doctor import machine, ports
 from palmd.doctor.arm import told
 from palmd.doctor.findings import bus, daemon, findings, plan
+from palmd.quantities import RIG
 from palmd.yamlfile import load_config
 
 CONFIG = """\
@@ -254,11 +255,13 @@ def test_bus_is_free_or_somebody_elses(path):
 
 
 def test_a_daemon_that_has_the_ports_is_asked_instead(path, tmp_path):
+    off = ["pad 1's zero seems +0.30 ± 0.03 mm off: mend it"]
     status = {"state": "ready", "faults": ["pad1-port", "arm-link-lost"], "arm_state": "R"}
     server, over = Bus(f"ipc://{tmp_path}/publish", f"ipc://{tmp_path}/command"), threading.Event()
 
     def serve():
         while not over.wait(0.002):
+            server.publish(RIG, {"off": off}, 0.0, 0.0)
             for request in server.receive():
                 server.reply(Reply(request, None, status))
 
@@ -274,6 +277,8 @@ def test_a_daemon_that_has_the_ports_is_asked_instead(path, tmp_path):
     assert "state ready" in seen["bus"].says
     assert (seen["pad 1 talks"].verdict, seen["pad 2 talks"].verdict) == ("missing", "ok")
     assert "arm-link-lost" in seen["arm answers"].says
+    rig = seen["rig's constants"]
+    assert (rig.verdict, rig.says, rig.mend) == ("off", "pad 1's zero seems +0.30 ± 0.03 mm off", "mend it")
 
 
 # -- ports -----------------------------------------------------------------------------------------------------

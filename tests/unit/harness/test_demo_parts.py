@@ -112,21 +112,22 @@ def run_for(comparison, seconds, settles=0.0, begin=100.0, error=0.0):
 
 
 def test_the_summary_compares_with_the_truth():
-    comparison = Comparison(7)
+    comparison = Comparison(7, "perfect")
     run_for(comparison, 4.0, settles=2.1, error=1e-4)
     tell(comparison, "palm/loop", work_p99_ms=1.25)
     assert comparison.settled
     told = comparison.summary()
     assert told.startswith("palmd demo: seed 7, shape observer settled after 2.1 s, outline 0 µm RMS (0.00%) on 16% t")
+    assert "touched normals (sd 40 µm), whole" in told
     assert "whole outline within 0.300 mm (largest sd 0.080 mm)" in told
     assert "r 0.071 mm, omega0 0.100 rad/s" in told  # 0.1 mm in one of two
     assert "rho +10.0%, mu 0.11 (true 0.12), mass -1.0%" in told
-    assert told.endswith("ticks 400, late > 2 ms 0.00%, work p99 1.2 ms")
+    assert told.endswith("ticks 400, late > 2 ms 0.00%, work p99 1.2 ms, rig perfect")
     assert "\n" not in told
 
 
 def test_without_a_valid_estimate_nothing_is_claimed():
-    comparison = Comparison(7)
+    comparison = Comparison(7, "perfect")
     run_for(comparison, 2.0, settles=99.0)
     assert not comparison.settled
     told = comparison.summary()
@@ -137,7 +138,7 @@ def test_without_a_valid_estimate_nothing_is_claimed():
 
 
 def test_an_estimate_before_the_motion_does_not_settle_anything():
-    comparison = Comparison(7)
+    comparison = Comparison(7, "perfect")
     tell(comparison, "palm/estimate", 99.0, valid=True, observer="shape", r1_m=0.0, r2_m=0.0, omega0_rad_s=0.0)
     comparison.started(100.0)
     tell(comparison, "palm/estimate", 99.9, valid=True, observer="shape", r1_m=0.0, r2_m=0.0, omega0_rad_s=0.0)
@@ -145,7 +146,7 @@ def test_an_estimate_before_the_motion_does_not_settle_anything():
 
 
 def test_progress_names_state_and_grave_faults():
-    comparison = Comparison(7)
+    comparison = Comparison(7, "perfect")
     run_for(comparison, 1.0)
     tell(comparison, "palm/state", state="hold", faults=["a", "b"], severities=["hold", "note"], hints=["", ""])
     told = comparison.progress(103.2)
@@ -155,7 +156,7 @@ def test_progress_names_state_and_grave_faults():
 
 
 def test_memory_does_not_grow():
-    comparison = Comparison(7)
+    comparison = Comparison(7, "perfect")
     run_for(comparison, 8.0)
     assert sum(len(value) for value in vars(comparison).values() if hasattr(value, "__len__")) < 800
 
@@ -208,7 +209,11 @@ def test_the_daemons_configuration_is_the_rigs_with_its_ports(tmp_path):
     assert mine.bus == bus
     assert mine.plan == config.plan
     assert mine.plan.is_file()
-    assert (mine.rig, mine.limits, mine.observer) == (config.rig, config.limits, config.observer)
+    assert (mine.limits, mine.observer) == (config.limits, config.observer)
+    assert mine.rig == config.rig.model_copy(update={"imperfections": "none"})  # a daemon is not told
+    path.write_text(as_yaml(config, bus, {"pad1": "/dev/a", "pad2": "/dev/b", "arm": "/dev/c"}, emulated=True))
+    assert load_config(path).rig == config.rig
+    assert config.rig.imperfections == "calibrated"
 
 
 def test_what_is_shipped_is_good():
@@ -219,4 +224,4 @@ def test_what_is_shipped_is_good():
 
 
 def test_a_summary_can_be_made_of_nothing():
-    assert "never settled" in Comparison(1).summary()
+    assert "never settled" in Comparison(1, "perfect").summary()

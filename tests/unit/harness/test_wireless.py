@@ -31,7 +31,7 @@ def wireless(seed, **how):
     return Wireless(default_config(), ROCK, seed, **how)
 
 
-def bits(seed, seconds=5.0):
+def bits(seed, seconds=2.5):
     """Everything that a run says and everything that is true in it, to the last bit."""
     run = wireless(seed)
     run.start()

@@ -36,6 +36,7 @@ from palmd.observer.bound import Bound
 from palmd.observer.reconstruct import Reconstruction
 from palmd.record.eventlog import read_log
 from palmd.rig.simulate import simulate_log
+from palmd.system.description import AS_CALIBRATED
 
 THETA = np.arange(360) * (math.tau / 360)
 T = np.arange(301) * 0.01
@@ -67,7 +68,7 @@ def answer(**changes):
         "converged": True, "chi2": 1.0, "theta": THETA, "h": support(THETA + 0.7), "h_sd": np.full(360, 1e-5),
         "touched": THETA < 2.0, "rho": 0.014, "rho_sd": 1e-3, "mu": 0.2, "mu_sd": 0.1, "mass": 0.1, "mass_sd": 0.01,
         "t": t, "psi": np.sin(4.0 * t) + 0.7, "omega0": 4.0 * np.cos(4.0 * t), "radii": np.stack([t, t]), "reason": "",
-        "seconds": 1.5, "visits": None, "rig": np.zeros(15), "rig_sd": np.zeros(15),
+        "seconds": 1.5, "visits": None, "rig": np.zeros(15), "rig_covariance": np.eye(15), "contradicted": np.zeros(15),
     }  # fmt: skip
     return Reconstruction(**values | changes)
 
@@ -284,6 +285,16 @@ def test_the_daemons_observer_is_replayed_unless_it_is_not_wanted(monkeypatch):
     assert row.error == ""
     assert 0.3 < row.causal.first_valid_s <= row.causal.converged_after_s < 3.0
     assert row.causal.r_rms_m < 1e-4
+
+
+def test_a_rig_may_be_as_calibration_leaves_one(monkeypatch):
+    read = []
+    monkeypatch.setattr(montecarlo, "reconstruct", lambda _, rig: read.append(rig) or answer(**NO_SHAPE))
+    monkeypatch.setattr(montecarlo, "cramer_rao", lambda *_: BOUND)
+    for word in ("none", "calibrated"):
+        (task,) = montecarlo.tasks_of(("nominal",), 1, 1, 1.0, False, word)
+        assert montecarlo.run(task).error == ""
+    assert [rig.pads[0].zero_sd for rig in read] == [0.0, AS_CALIBRATED["zero_sd"]]
 
 
 def test_what_raises_becomes_a_row(monkeypatch):

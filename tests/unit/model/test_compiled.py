@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from palmd.model import compiled
-from palmd.model.compiled import BLOCK, load, mapped_over_block
+from palmd.model.compiled import BLOCK, densified, load, mapped_over_block
 
 
 def _function() -> ca.Function:
@@ -112,7 +112,7 @@ def test_an_output_may_not_be_written_over_an_input(tmp_path: Path) -> None:
 
 
 def test_a_mapped_function_treats_each_filter_by_itself(tmp_path: Path) -> None:
-    library = load("toy", [mapped_over_block(_function())], tmp_path)
+    library = load("toy", [mapped_over_block(densified(_function()))], tmp_path)
     x = np.arange(3.0 * BLOCK).reshape(BLOCK, 3)
     y = np.zeros((BLOCK, 3))
     library.bind("f_block", [x, np.array([0.5])], [y, np.zeros((BLOCK, 3, 3))])()

@@ -9,8 +9,10 @@ import pytest
 from palmd.events import PalmMotion
 from palmd.model import shape, shape_map
 from palmd.model.outputs import rig_inputs
+from palmd.model.smoothing import RIG_CONSTANTS, R
 from palmd.motion.rollout_predictor import BINS, CALL_S, Moves, RolloutPredictor
 from palmd.motion.segments import Move
+from palmd.rig.imperfections import PERFECT, Imperfections
 from palmd.rig.plant import Hinge, Plant, random_surface, stable_poses
 from palmd.rig.shapes import random_body
 from palmd.system.description import RigDescription
@@ -40,16 +42,16 @@ def thing(kind, seed):
     return body, surface, psi, state
 
 
-def driven(body, surface, psi, hinge):
+def driven(body, surface, psi, hinge, off=PERFECT):
     """What the plant does on the route: ψ and ω0 after each move, bins touched, least force (m/s²), contacts (m)."""
-    plant = Plant(body, Hinge(hinge), surface)
-    plant.place(PalmMotion.at_rest(START), psi)
+    plant = Plant(body, Hinge(hinge), surface, imperfections=off)
+    plant.place(off.true_palms(PalmMotion.at_rest(START)), psi)
     here, ends, bins, force, contacts = START, [], set(), math.inf, []
     for end, duration in zip(ROUTE, DURATIONS, strict=True):
         move = Move(tuple(here), tuple(end), duration)
         for step in range(round(duration / FINE_S)):
-            palms = move.at((step + 1) * FINE_S)
-            plant.advance(move.at((step + 0.5) * FINE_S), palms, FINE_S)
+            palms = off.true_palms(move.at((step + 1) * FINE_S))
+            plant.advance(off.true_palms(move.at((step + 0.5) * FINE_S)), palms, FINE_S)
             one, two = plant.contacts()
             force = min(force, one.force / body.mass, two.force / body.mass)
             contacts += [one.s, two.s]
@@ -133,3 +135,15 @@ def test_an_object_thrown_off_is_foreseen_to_lose_a_contact():
     _, _, _, state = thing("friction", 1)
     hasty = Moves(START, np.radians([[[45.0, 150.0]]]), np.array([[0.12]]))
     assert predictor("arc").of(state, hasty).least_force[0, 0] < 0.0
+
+
+def test_what_is_known_of_the_rig_is_foreseen_with():
+    body, surface, psi, state = thing("friction", 4)
+    tilt, turn, asymmetry = math.radians(1.5), math.radians(-1.0), 0.6
+    ends, *_ = driven(body, surface, psi, "arc", Imperfections(angles=(tilt, turn), friction=asymmetry))
+    mine, moves = RolloutPredictor(rig_inputs(RigDescription())), Moves(START, ROUTE[None], np.array([DURATIONS]))
+    assert np.abs(mine.of(state, moves).psi[0] - ends[:, 0]).max() > 0.02
+    off = np.zeros(RIG_CONSTANTS)
+    off[[R.TILT, R.TURN, R.FRICTION]] = tilt, turn, asymmetry
+    mine.correct(off)
+    np.testing.assert_allclose(mine.of(state, moves).psi[0], ends[:, 0], atol=3e-3)

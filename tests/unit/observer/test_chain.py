@@ -11,6 +11,7 @@ from palmd.observer.data_segment import longest_segment
 from palmd.observer.normal_equations import Guess
 from palmd.observer.search import NOISE, Attempt, Search
 from palmd.observer.smoother import Smoother
+from palmd.system.description import RigDescription
 
 STEPS = 100  # a second
 
@@ -107,3 +108,31 @@ def test_an_hour_needs_no_more_memory_than_two_minutes(smoothed):
     for _ in range(50):
         chain.append(piece, Guess(guess.x[: STEPS + 1], guess.p))
     assert len(chain._segments) == 5
+
+
+@pytest.mark.parametrize("kept", [60, 2], ids=["kept", "folded"])
+def test_another_belief_in_the_rig_is_as_if_it_had_been_held_from_the_beginning(smoothed, kept):
+    search, finding = smoothed
+    p = finding.fits[0].guess.p
+    doubting = Search(
+        longest_segment(simulated("friction", 7, 6.0).events), RigDescription(), belief=search.belief.suspended()
+    )
+    late, early = cut(smoothed, kept), cut((doubting, finding), kept)
+    late.revise(doubting.belief.sd**-2.0 - search.belief.sd**-2.0)
+    scale = np.sqrt(np.diagonal(early.known(p).matrix))
+    for of in (Chain.known, Chain.told, Chain.prior):
+        one, other = of(late, p).matrix, of(early, p).matrix
+        of_these = np.outer(scale, scale)[: len(one), : len(one)]
+        assert one / of_these == pytest.approx(other / of_these, abs=1e-5)
+
+
+def test_a_chain_settles_where_its_readings_are_when_another_belief_is_held(smoothed):
+    """From constants that are wrong: everything is linearised anew on the way."""
+    p = smoothed[1].fits[0].guess.p
+    covariance = np.linalg.inv(cut(smoothed).known(p).matrix)[:CONSTANTS, :CONSTANTS]
+    sd = np.sqrt(np.diagonal(covariance))
+    wrong = p + 80.0 * covariance[:, C.SHAPE + 2] / sd[C.SHAPE + 2]
+    chain = cut(smoothed, at=wrong)
+    once = chain.known(wrong)
+    stepped = wrong + once.solved(once.side)[:CONSTANTS]
+    assert (np.abs(chain.settle(wrong) - p) / sd).max() < 0.2 < (np.abs(stepped - p) / sd).max()

@@ -38,7 +38,15 @@ def answered(sd, valid):
     )
     now, P = track(valid), sd**2 * np.eye(SMOOTHED_N)
     answer = Improvement(
-        1.0, np.zeros(SMOOTHED_N), P, 1, False, TOUCHED, np.zeros(RIG_CONSTANTS), np.zeros((SMOOTHED_N, RIG_CONSTANTS))
+        1.0,
+        np.zeros(SMOOTHED_N),
+        P,
+        1,
+        False,
+        TOUCHED,
+        *np.zeros((2, RIG_CONSTANTS)),
+        np.zeros((SMOOTHED_N, RIG_CONSTANTS)),
+        np.zeros(RIG_CONSTANTS),
     )
     return handover.take_in(now, 1, answer, np.zeros(SMOOTHED_N), P, nis=1.0), now.fusion.bank
 

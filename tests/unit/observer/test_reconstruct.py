@@ -11,6 +11,7 @@ from simulated import Run, is_pad, pads_changed, palms_changed, simulated, swapp
 from palmd.events import PadLift, PadSample, PalmSample
 from palmd.model.smoothing import R
 from palmd.observer.reconstruct import Reconstruction, reconstruct
+from palmd.rig.imperfections import Imperfections, PadImperfection
 from palmd.rig.plant import PlantOptions
 from palmd.score import score_outline
 
@@ -260,16 +261,16 @@ def test_pads_with_clocks_of_their_own_are_not_claimed_wrongly():
 
 
 @pytest.mark.parametrize(
-    "options",
+    "off",
     [
-        PlantOptions(pad_bow_m=(1e-3, -1e-3)),
-        PlantOptions(lag_s=0.02),
-        PlantOptions(pad_bias_m=(0.0, 1e-3)),
+        {"imperfections": Imperfections((PadImperfection(sagitta=1e-3), PadImperfection(sagitta=-1e-3)))},
+        {"options": PlantOptions(lag_s=0.02)},
+        {"imperfections": Imperfections((PadImperfection(), PadImperfection(zero=1e-3)))},
     ],
     ids=["bow", "lag", "bias"],
 )
-def test_a_rig_that_is_not_as_described(options):
-    run = simulated("nominal", 1, 3.0, options)
+def test_a_rig_that_is_not_as_described(off):
+    run = simulated("nominal", 1, 3.0, **off)
     assert honest(reconstruct(run.events, run.rig), run)
 
 
@@ -282,7 +283,7 @@ def test_a_window_that_ends_on_the_wrong_side_of_an_unstable_pose_is_seen_and_sh
 
 @pytest.mark.parametrize(("seed", "asymmetry"), [(41, 0.33), (43, -0.667)])
 def test_palms_of_unequal_friction_are_told_apart(seed, asymmetry):
-    run = simulated("friction", seed, 12.0, PlantOptions(friction_asymmetry=asymmetry))
+    run = simulated("friction", seed, 12.0, imperfections=Imperfections(friction=asymmetry))
     rig = replace(run.rig, friction_sd=0.3)
     answer = reconstruct(run.events, rig)
     assert answer.converged, answer.reason
@@ -293,7 +294,8 @@ def test_palms_of_unequal_friction_are_told_apart(seed, asymmetry):
 
 def test_readings_that_move_with_force_are_told_and_cost_little():
     shift = 2e-4
-    run = simulated("friction", 42, 12.0, PlantOptions(pad_force_m_per_n=(shift, 0.0)))
+    off = Imperfections((PadImperfection(force=shift), PadImperfection()))
+    run = simulated("friction", 42, 12.0, imperfections=off)
     rig = run.rig.with_pads(force_sd=1e-4)
     answer = reconstruct(run.events, rig)
     assert answer.converged, answer.reason

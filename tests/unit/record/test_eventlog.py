@@ -70,6 +70,24 @@ def test_what_a_header_may_add_and_leave_out(log):
     assert (rig.palm_angle_noise, [pad.force_resolution for pad in rig.pads]) == (1e-3, [0.0, 0.0])
 
 
+@pytest.mark.parametrize(
+    ("told", "zero", "lag", "friction"),
+    [
+        (None, 1e-4, 2e-3, 0.3),
+        ({"zero_m": None}, 1e-4, 2e-3, 0.3),
+        ({"zero_m": 3e-4}, 3e-4, 2e-3, 0.3),
+        ({"zero_m": 0.0, "scale": 0}, 0.0, 0.0, 0.3),
+        ({"zero_m": 0.0, "friction": 0.0}, 0.0, 0.0, 0.0),
+    ],
+    ids=["nothing", "null", "one", "known", "known alike"],
+)
+def test_what_a_log_does_not_say_of_the_rigs_constants(log, told, zero, lag, friction):
+    header = json.loads(FIXED)
+    header["rig"]["calibration_sd"] = told
+    rig = read_log(log(json.dumps(header), PAD)).rig
+    assert (rig.pads[0].zero_sd, rig.pads[1].lag_sd, rig.friction_sd) == (zero, lag, friction)
+
+
 def test_rates_and_forces_may_be_missing_or_null(log):
     run = read_log(
         log(

@@ -92,12 +92,18 @@ def test_an_unfinished_run_says_so(tmp_path):
     assert "was not finished" in note
 
 
+RIG_SD = np.linspace(1.0, 2.0, 15)
+AGAINST = np.linspace(-9.0, 9.0, 15)
+
+
 def test_improvements_come_back_with_their_ticks(tmp_path):
     x, covariance = np.array([1 / 3, math.pi]), np.array([[1.0, 0.1], [0.1, 2.0]]) / 7
     touched = np.arange(72) % 3 == 0
     message = recorded.message(
         IMPROVEMENT.name,
-        improvement_fields(1 / 7, Improvement(0.1, x, covariance, 3, True, touched, np.arange(12.0), np.ones((2, 12)))),
+        improvement_fields(
+            1 / 7, Improvement(0.1, x, covariance, 3, True, touched, np.arange(15.0), RIG_SD, np.ones((2, 15)), AGAINST)
+        ),
         0,
     )
     ((t, improvement),) = read_run(written(tmp_path / "run.mcap", [message])).improvements()
@@ -106,13 +112,18 @@ def test_improvements_come_back_with_their_ticks(tmp_path):
     assert improvement.P.tobytes() == covariance.tobytes()
     assert (improvement.frame, improvement.established) == (3, True)
     assert np.array_equal(improvement.touched, touched)
-    assert np.array_equal(improvement.rig, np.arange(12.0))
-    assert np.array_equal(improvement.spread, np.ones((2, 12)))
+    assert np.array_equal(improvement.contradicted, AGAINST)
+    assert np.array_equal(improvement.rig, np.arange(15.0))
+    assert np.array_equal(improvement.rig_sd, RIG_SD)
+    assert np.array_equal(improvement.spread, np.ones((2, 15)))
 
 
 def test_answers_of_an_earlier_smoother_are_refused_with_what_to_do(tmp_path):
     fields = improvement_fields(
-        1 / 7, Improvement(0.1, np.zeros(2), np.eye(2), 3, True, np.zeros(72), np.zeros(12), np.ones((2, 12)))
+        1 / 7,
+        Improvement(
+            0.1, np.zeros(2), np.eye(2), 3, True, np.zeros(72), np.zeros(15), RIG_SD, np.ones((2, 15)), AGAINST
+        ),
     )
     for name in ("frame", "established", "touched", "rig", "spread"):
         del fields[name]

@@ -15,7 +15,8 @@ from matplotlib.figure import Figure
 
 from palmd import report as room
 from palmd.cli import main
-from palmd.quantities import ESTIMATE, LOOP
+from palmd.messages import rig_fields
+from palmd.quantities import ESTIMATE, LOOP, RIG
 from palmd.record.run import read_run
 from palmd.report.html import as_html
 from palmd.report.pdf import as_pdf
@@ -155,6 +156,17 @@ def test_nothing_but_estimates(tmp_path):
     assert titles(made)[-3:] == ["Faults", "Messages", "Configuration"]
     assert not {"Motion", "Loop"} & set(titles(made))
     draw(made)
+
+
+def test_what_is_off_of_the_rig_in_the_end(tmp_path):
+    messages = [*reported.told(1.0)]
+    sds, none = np.full(15, 1.0), np.zeros(15)
+    off, not_off = (rig_fields(np.full(15, value), sds, 2.0 * sds, none) for value in (9.0, 0.0))
+    for said, count in (([off], 15), ([off, not_off], 0)):
+        made = report(tmp_path, [*messages, *((RIG.name, fields, 1.0, i) for i, fields in enumerate(said))])
+        (section,) = [section for section in made.sections if section.title == "Rig"]
+        assert len(section.parts[0].rows) == count
+        draw(made)
 
 
 def test_numbers_that_are_not_known(tmp_path):

@@ -210,10 +210,3 @@ def test_stable_poses_are_minima_of_the_height():
         assert height(psi) < min(height(psi - 1e-3), height(psi + 1e-3))
     lowest = min(height(psi) for psi in np.linspace(0.0, math.tau, 500))
     assert height(poses[0]) <= lowest
-
-
-def test_pad_error_is_bias_and_bow():
-    options = PlantOptions(pad_bias_m=(1e-3, 0.0), pad_bow_m=(0.0, 2e-3))
-    assert options.pad_error_m(1, 0.03, 1.0) == 1e-3
-    assert options.pad_error_m(2, 0.0555 / 2, 1.0) == pytest.approx(2e-3)
-    assert options.pad_error_m(2, 0.0, 1.0) == 0.0

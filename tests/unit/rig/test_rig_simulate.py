@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from palmd.rig.imperfections import Imperfections, PadImperfection
 from palmd.rig.plant import PlantOptions
 from palmd.rig.shapes import KINDS
 from palmd.rig.simulate import Rock, main, simulate_log
@@ -98,7 +99,8 @@ def test_the_same_seed_gives_the_same_run():
 
 
 def test_departures_show_in_the_log():
-    biased, truth = simulate_log("rig", 4, 3.0, PlantOptions(pad_bias_m=(0.0, 1e-3)))
+    biased_pad = Imperfections((PadImperfection(), PadImperfection(zero=1e-3)))
+    biased, truth = simulate_log("rig", 4, 3.0, imperfections=biased_pad)
     error = column(biased, 2, "s_m") - np.interp(column(biased, 2, "t"), truth["t"], truth["s2_m"])
     assert error.mean() == pytest.approx(1e-3, abs=3e-5)
     lagging, truth = simulate_log("rig", 4, 3.0, PlantOptions(lag_s=0.05))
@@ -125,3 +127,15 @@ def test_command_line_writes_log_and_truth(tmp_path):
     lines = [json.loads(line) for line in out.read_text().splitlines()]
     truth = json.loads((tmp_path / "run.truth.json").read_text())
     assert (lines, truth) == simulate_log("odd", 3, 0.5)
+
+
+def test_a_palm_that_rests_eases_out_and_back_whatever_rests_are_over_or_to_come():
+    rock = Rock(0.7, 0.5, 0.3, 0.1, ((2.0, 4.0), (7.0, 9.0)))
+    t, step = np.arange(1.5, 11.0, 0.01), 1e-5
+    angle, rate, acceleration = np.array([rock.at(each) for each in t]).T
+    before, after = (np.array([rock.at(each + off) for each in t]).T for off in (-step, step))
+    assert rate == pytest.approx((after[0] - before[0]) / (2 * step), abs=1e-6)
+    assert acceleration == pytest.approx((after[1] - before[1]) / (2 * step), abs=1e-3)
+    resting = ((t > 3.01) & (t < 3.99)) | ((t > 8.01) & (t < 8.99))
+    assert (angle[resting] == 0.7).all()
+    assert (np.abs(angle[~resting] - 0.7)).max() > 0.4

@@ -16,6 +16,7 @@ const GRAVE = new Set(["hold", "stop"]);
 export function showReadouts(store, now, fps) {
   showState(store);
   showFaults(store.get("palm/state"));
+  showRig(store.get("palm/rig"));
   showNumbers(store, now, fps);
 }
 
@@ -33,18 +34,28 @@ function showState(store) {
 }
 
 function showFaults({ faults = [], severities = [], hints = [] }) {
-  const list = document.getElementById("faults");
-  const told = JSON.stringify([faults, severities]);
-  if (list.dataset.told === told) return;
-  list.dataset.told = told;
-  list.replaceChildren(...faults.map((code, i) => {
-    const row = element("li", "fault", "");
-    row.dataset.severity = severities[i];
-    row.append(element("span", "severity", severities[i]), element("strong", "", code), element("span", "hint", hints[i]));
-    return row;
-  }));
+  showRows("faults", faults.map((code, i) => [severities[i], element("strong", "", code), element("span", "hint", hints[i])]));
   document.getElementById("no-faults").hidden = faults.length > 0;
   set("grave", faults.filter((_, i) => GRAVE.has(severities[i])).join(", "));
+}
+
+/** What readings have told of the rig to be off. */
+function showRig({ off = [] }) {
+  showRows("rig-off", off.map((said) => ["rig", element("span", "", said)]));
+}
+
+/** Rows of a kind and what stands behind it; the list is only touched where it changes. */
+function showRows(id, rows) {
+  const list = document.getElementById(id);
+  const told = JSON.stringify(rows.map(([kind, ...parts]) => [kind, ...parts.map((part) => part.textContent)]));
+  if (list.dataset.told === told) return;
+  list.dataset.told = told;
+  list.replaceChildren(...rows.map(([kind, ...parts]) => {
+    const row = element("li", "fault", "");
+    row.dataset.severity = kind;
+    row.append(element("span", "severity", kind), ...parts);
+    return row;
+  }));
 }
 
 function showNumbers(store, now, fps) {

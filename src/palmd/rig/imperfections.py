@@ -1,0 +1,141 @@
+"""Where the emulated rig is not what its configuration says: the true errors of its constants, set or drawn. Pure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from typing import TypeVar
+
+import numpy as np
+
+from palmd.config import Config, PadImperfectionsConfig, Strict, rig_description
+from palmd.events import PalmMotion
+from palmd.system.description import CALIBRATION_KEYS, RigDescription
+from palmd.system.mechanism import PALMS
+
+Section = TypeVar("Section", bound=Strict)
+
+_MOST_SIGMAS = 3.0  # what calibration leaves is never further off than this
+_MOST_ASYMMETRY = 0.9  # of a drawn friction: both palms rub
+_STREAM = 17  # of a seed's random numbers, so that the same seed has the same object with and without imperfections
+
+
+@dataclass(frozen=True, slots=True)
+class PadImperfection:
+    """By how much one palm's pad is off from what it is taken for; SI units, signs as of the smoother's constants.
+
+    It reads zero + force·f + (1 + scale)·s of a contact at s under a force f (N), as it was `lag` ago. Its surface lies
+    `standoff` above the hinge line, on the object's side, and is a parabola that is `sagitta` higher in the pad's
+    middle than at its ends.
+    """
+
+    zero: float = 0.0
+    scale: float = 0.0
+    sagitta: float = 0.0
+    lag: float = 0.0
+    standoff: float = 0.0
+    force: float = 0.0
+
+    def reading_error_m(self, s: float, force: float) -> float:
+        """A reading less the contact's true distance `s` (m) from the hinge, under a force (N); without the lag."""
+        return self.zero + self.scale * s + self.force * force
+
+    def tangent_plane(self, s: float, length: float) -> tuple[float, float]:
+        """What touches the surface, of that length (m), at s (m): its slope (rad) and its height over the hinge (m)."""
+        u = s / length
+        return 4.0 * self.sagitta / length * (1.0 - 2.0 * u), self.standoff + 4.0 * self.sagitta * u * u
+
+
+@dataclass(frozen=True, slots=True)
+class Imperfections:
+    """The true errors of every constant of the rig that the smoother estimates; by default there are none.
+
+    True φ1 and φ2 exceed those that are told by `angles` (rad), and where the table tips, φ1 above the horizontal by
+    `gravity` (rad) more; the two are one to whoever feels. friction: (μ1 − μ2)/(μ1 + μ2).
+    """
+
+    pads: tuple[PadImperfection, ...] = tuple(PadImperfection() for _ in PALMS)
+    angles: tuple[float, float] = (0.0, 0.0)
+    gravity: float = 0.0
+    friction: float = 0.0
+
+    def true_palms(self, told: PalmMotion) -> PalmMotion:
+        """Where the palms really are, from what is told of them."""
+        tilt, turn = self.angles[0] + self.gravity, self.angles[1]
+        if tilt == turn == 0.0:
+            return told
+        phi1, phi2 = told.angles
+        return replace(told, angles=(phi1 + tilt, phi2 + turn))
+
+    def constants(self) -> dict[str, float]:
+        """By the names that results give the rig's constants."""
+        of_pads = {CALIBRATION_KEYS[f"{each.name}_sd"]: each.name for each in fields(PadImperfection)}
+        return {
+            f"pad{palm}_{told}": getattr(pad, name)
+            for told, name in of_pads.items()
+            for palm, pad in zip(PALMS, self.pads, strict=True)
+        } | {
+            "phi1_rad": self.angles[0] + self.gravity,
+            "phi2_rad": self.angles[1],
+            "friction_asymmetry": self.friction,
+        }
+
+
+PERFECT = Imperfections()
+"""A rig that is as it is described."""
+
+
+def drawn(rig: RigDescription, *seed: int) -> Imperfections:
+    """A rig as good as `rig` says by its `_sd`: every error normal with that one-sigma, cut at three of them."""
+    random = np.random.default_rng([*seed, _STREAM])
+
+    def error(sd: float) -> float:
+        return sd * float(np.clip(random.standard_normal(), -_MOST_SIGMAS, _MOST_SIGMAS))
+
+    return Imperfections(
+        tuple(
+            PadImperfection(**{each.name: error(getattr(pad, f"{each.name}_sd")) for each in fields(PadImperfection)})
+            for pad in rig.pads
+        ),
+        (error(rig.angle_sd), error(rig.angle_sd)),
+        error(rig.gravity_sd),
+        min(max(error(rig.friction_sd), -_MOST_ASYMMETRY), _MOST_ASYMMETRY),
+    )
+
+
+def configured(config: Config, seed: int) -> Imperfections:
+    """What `rig.imperfections` asks for; `calibrated` is drawn by `seed` from the configuration's own `_sd`."""
+    asked = config.rig.imperfections
+    if asked == "none":
+        return PERFECT
+    if asked == "calibrated":
+        return drawn(rig_description(config), seed)
+    return Imperfections(
+        (_pad(asked.palm1), _pad(asked.palm2)),
+        (math.radians(asked.phi1_deg), math.radians(asked.phi2_deg)),
+        math.radians(asked.gravity_deg),
+        asked.friction_asymmetry,
+    )
+
+
+def perfect(config: Config) -> Config:
+    """The configuration of a rig that is exactly as described, which is known."""
+    pads = {f"palm{palm}": _known(pad) for palm, pad in zip(PALMS, config.pads.each(), strict=True)}
+    rig = _known(config.rig).model_copy(update={"imperfections": "none"})
+    return config.model_copy(update={"rig": rig, "pads": config.pads.model_copy(update=pads)})
+
+
+def _known(section: Section) -> Section:
+    """With every `_sd` at zero."""
+    return section.model_copy(update={name: 0.0 for name in type(section).model_fields if "_sd" in name})
+
+
+def _pad(asked: PadImperfectionsConfig) -> PadImperfection:
+    return PadImperfection(
+        zero=asked.zero_mm * 1e-3,
+        scale=asked.scale,
+        sagitta=asked.sagitta_mm * 1e-3,
+        lag=asked.lag_ms * 1e-3,
+        standoff=asked.standoff_mm * 1e-3,
+        force=asked.force_mm_per_n * 1e-3,
+    )

@@ -1,0 +1,133 @@
+"""What a rig is not: named when readings contradict it, estimated from then on, and never named without cause."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+from simulated import Run, palms_changed, simulated
+
+from palmd.events import PadSample, PalmSample
+from palmd.model.smoothing import RIG_CONSTANTS, R
+from palmd.observer.criticism import CONTRADICTED, FREE_SD, contradicted
+from palmd.observer.incremental import IncrementalSmoother
+from palmd.observer.reconstruct import reconstruct
+from palmd.observer.smoothing import Session
+from palmd.score import score_outline
+from palmd.system.description import AS_CALIBRATED, RigDescription
+from palmd.system.rig_constants import RIG_NAMES, prior_sds
+
+CALIBRATED = prior_sds(RigDescription().known_to(AS_CALIBRATED))
+EXACT = np.full(RIG_CONSTANTS, 1e-7)
+
+
+class Linear:
+    """Readings of the rig's constants through a random mixture of them, and what a prior makes of such readings."""
+
+    def __init__(self, seed: int, readings: int = 60) -> None:
+        self.random = np.random.default_rng(seed)
+        self.design = self.random.standard_normal((readings, RIG_CONSTANTS)) / CALIBRATED
+
+    def posterior(self, true: np.ndarray, sd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        heard = self.design @ true + self.random.standard_normal(len(self.design))
+        covariance = np.linalg.inv(self.design.T @ self.design + np.diag(sd**-2.0))
+        return covariance @ self.design.T @ heard, covariance
+
+
+@pytest.mark.parametrize("sd", [CALIBRATED, EXACT], ids=["calibrated", "exact"])
+def test_a_rig_drawn_from_its_prior_contradicts_it_as_often_as_the_limit_says(sd, monkeypatch):
+    linear = Linear(1)
+    monkeypatch.setattr("palmd.observer.criticism.CONTRADICTED", 1e-6)
+    z = []
+    for _ in range(300):
+        values, covariance = linear.posterior(linear.random.standard_normal(RIG_CONSTANTS) * sd, sd)
+        z.append(np.abs(contradicted(values, covariance, sd, sd)).max())
+    # the largest of fifteen standard normals, somewhat dependent: never beyond the limit, and rarely beyond 3.5
+    assert max(z) < CONTRADICTED
+    assert np.mean(np.array(z) > 3.5) < 0.03
+
+
+def test_a_score_is_standard_normal_where_the_prior_is_true():
+    linear, z = Linear(2), []
+    for _ in range(400):
+        values, covariance = linear.posterior(linear.random.standard_normal(RIG_CONSTANTS) * CALIBRATED, CALIBRATED)
+        z.append(values[R.LAG] / math.sqrt(CALIBRATED[R.LAG] ** 2 - covariance[R.LAG, R.LAG]))
+    assert kstest(z, "norm").pvalue > 1e-3
+
+
+@pytest.mark.parametrize("sd", [CALIBRATED, EXACT], ids=["calibrated", "exact"])
+@pytest.mark.parametrize("wrong", range(RIG_CONSTANTS), ids=RIG_NAMES)
+def test_the_one_that_is_off_is_named_alone(sd, wrong):
+    linear = Linear(100 + wrong)
+    true = linear.random.standard_normal(RIG_CONSTANTS) * sd
+    true[wrong] += 9.0 * CALIBRATED[wrong]
+    found = contradicted(*linear.posterior(true, sd), sd, sd)
+    assert np.flatnonzero(found).tolist() == [wrong]
+    assert found[wrong] > 0.0
+
+
+def test_what_is_free_already_contradicts_nothing_and_both_ways_of_asking_agree():
+    linear = Linear(3)
+    true = np.zeros(RIG_CONSTANTS)
+    true[[R.ZERO, R.TURN]] = 8.0 * CALIBRATED[[R.ZERO, R.TURN]]
+    free = np.maximum(CALIBRATED, FREE_SD)
+    values, covariance = linear.posterior(true, free)
+    assert not contradicted(values, covariance, free, free).any()
+    assert np.flatnonzero(contradicted(values, covariance, free, CALIBRATED)).tolist() == [R.ZERO, R.TURN]
+
+
+def off_by(run: Run, zero_m: float) -> list[PadSample | PalmSample]:
+    """The run's events as a rig tells them whose pad 1 has another zero than is believed."""
+    return [
+        replace(event, s=event.s + zero_m) if isinstance(event, PadSample) and event.pad == 1 else event
+        for event in run.events
+    ]
+
+
+def test_a_zero_that_is_off_is_named_and_no_longer_moves_the_outline():
+    run = simulated("friction", 42, 20.0)
+    answer = reconstruct(off_by(run, 3e-4), run.rig)
+    assert answer.converged, answer.reason
+    assert [RIG_NAMES[i] for i in np.flatnonzero(answer.contradicted)] == ["pad1_zero_m"]
+    assert abs(answer.rig[R.ZERO] - 3e-4) < 3 * answer.rig_sd[R.ZERO] < 1.5e-4
+    assert score_outline(answer.theta, answer.h, answer.touched, run.truth.h).e_h < 4e-5
+
+
+def test_a_rig_far_from_what_it_is_taken_for_is_found_all_the_same():
+    """Nothing explains these readings on the rig as it is told to be."""
+    run = simulated("friction", 41, 12.0)
+    events = palms_changed(
+        run.events, lambda event: replace(event, angles=(event.angles[0], event.angles[1] - math.radians(1)))
+    )
+    answer = reconstruct(events, run.rig)
+    assert answer.converged, answer.reason
+    assert [RIG_NAMES[i] for i in np.flatnonzero(answer.contradicted)] == ["phi2_rad"]
+    assert abs(answer.rig[R.TURN] - math.radians(1)) < 3 * answer.rig_sd[R.TURN]
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("nominal", 1), ("friction", 43), ("rig", 2)])
+def test_nothing_is_named_on_a_rig_that_is_as_told(kind, seed):
+    run = simulated(kind, seed, 10.0)
+    for rig in (run.rig, run.rig.known_to(AS_CALIBRATED)):
+        assert not reconstruct(run.events, rig).contradicted.any()
+
+
+def test_a_smoother_beside_the_loop_names_it_too_and_mends_what_it_knew():
+    """The contradiction shows when much has been felt: all of that is seen anew, with what is known now."""
+    run = simulated("friction", 41, 16.0)
+    smoother, events = IncrementalSmoother(run.rig), off_by(run, 3e-4)
+    answers, fed = [], 0
+    for t in np.arange(1.0, 16.0, 1.0):
+        until = next((i for i, event in enumerate(events) if event.t_sample > t), len(events))
+        smoother.add(Session(1, 0.0), events[fed:until])
+        fed = until
+        answers.append(smoother.answer())
+    told = [answer for answer in answers if answer is not None]
+    named = [answer for answer in told if answer.contradicted.any()]
+    assert named, "never contradicted"
+    # at first it may be the scales instead; in the end it can be nothing else
+    assert all(answer.contradicted[R.ZERO] > 3.0 for answer in named)
+    assert [RIG_NAMES[i] for i in np.flatnonzero(told[-1].contradicted)] == ["pad1_zero_m"]
+    assert told[-1].established
+    assert abs(told[-1].rig[R.ZERO] - 3e-4) < 3 * told[-1].rig_sd[R.ZERO] < 2e-4

@@ -1,0 +1,236 @@
+"""What the emulated rig is off by: its geometry by another formula, its signs by what is reconstructed, the draws."""
+
+import json
+import math
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from simulated import simulated
+
+from palmd.config import ImperfectionsConfig, rig_description
+from palmd.events import PalmMotion
+from palmd.observer.reconstruct import reconstruct
+from palmd.rig.imperfections import PERFECT, Imperfections, PadImperfection, configured, drawn
+from palmd.rig.plant import PAD_LENGTH, FrictionSurface, Hinge, Plant, stable_poses
+from palmd.rig.shapes import cylinder, random_body
+from palmd.rig.simulate import PERFECTLY_KNOWN, Rock, Rocking, main, simulate_log
+from palmd.rig.world import default_config
+from palmd.score import score_outline
+from palmd.system.description import AS_CALIBRATED, RigDescription
+from palmd.system.rig_constants import RIG_NAMES
+from palmd.yamlfile import ConfigError, load_config
+
+RADIUS = 0.02
+STEP = 5e-4
+CALIBRATED = RigDescription().known_to(AS_CALIBRATED)
+
+
+def of_pad(number, **off):
+    return Imperfections(tuple(PadImperfection(**(off if palm == number else {})) for palm in (1, 2)))
+
+
+# --------------------------------------------------------------------------------------------------- the plant
+
+
+def nearest(plant, palms, pads, number):
+    """Of a palm's surface to the body's centre: the distance (m), and where that is (m), by trying all of it."""
+    ox, oy = plant.hinge.at(palms.angles[0])
+    angle = palms.angles[0] if number == 1 else sum(palms.angles)
+    s = np.linspace(0.0, PAD_LENGTH, 200_001)
+    pad = pads[number - 1]
+    height = (1.0 if number == 1 else -1.0) * (pad.standoff + 4.0 * pad.sagitta * s * (PAD_LENGTH - s) / PAD_LENGTH**2)
+    x = ox + s * math.cos(angle) - height * math.sin(angle)
+    y = oy + s * math.sin(angle) + height * math.cos(angle)
+    distance = np.hypot(plant.state.x - x, plant.state.y - y)
+    return distance.min(), s[distance.argmin()]
+
+
+@pytest.mark.parametrize(
+    "pads",
+    [
+        (PadImperfection(standoff=1e-3), PadImperfection()),
+        (PadImperfection(sagitta=5e-4), PadImperfection(sagitta=-3e-4)),
+        (PadImperfection(), PadImperfection(standoff=-5e-4, sagitta=5e-4)),
+    ],
+    ids=["standoff", "both bowed", "both of palm 2"],
+)
+def test_a_cylinder_stays_on_surfaces_that_are_bowed_and_off_the_hinge_line(pads):
+    rocking = Rocking(Rock(0.7, 0.4, 0.7, 0.3), Rock(1.6, 0.25, 0.8, 1.0))
+    plant = Plant(cylinder(RADIUS, 0.1), Hinge(), FrictionSurface(mu=0.2), imperfections=Imperfections(pads))
+    plant.place(rocking.at(0.0), 0.0)
+    for k in range(3001):
+        palms = rocking.at(k * STEP)
+        if k % 300 == 0:
+            for number, contact in enumerate(plant.contacts(), 1):
+                distance, where = nearest(plant, palms, pads, number)
+                assert contact.touching
+                assert distance == pytest.approx(RADIUS, abs=2e-7)
+                assert contact.s == pytest.approx(where, abs=3e-5)  # of s·slope², and the finest step of the search
+        plant.advance(rocking.at((k + 0.5) * STEP), rocking.at((k + 1) * STEP), STEP)
+
+
+def test_contacts_go_as_fast_as_they_are_told_to():
+    rocking = Rocking(Rock(0.7, 0.4, 0.7, 0.3), Rock(1.6, 0.25, 0.8, 1.0))
+    plant = Plant(random_body("rig", np.random.default_rng(2)), Hinge(), FrictionSurface(mu=0.2))
+    plant.place(rocking.at(0.0), stable_poses(plant.body, rocking.at(0.0))[0])
+    s, rates = [], []
+    for k in range(1500):
+        s.append([contact.s for contact in plant.contacts()])
+        rates.append(plant.contact_rates())
+        plant.advance(rocking.at((k + 0.5) * STEP), rocking.at((k + 1) * STEP), STEP)
+    np.testing.assert_allclose(np.gradient(np.array(s), STEP, axis=0)[5:-5], np.array(rates)[5:-5], atol=2e-4)
+    assert np.abs(rates).max() > 0.02
+
+
+# ----------------------------------------------------------------------------------- what an estimator makes of it
+
+ZERO, LAG, FORCE, SAGITTA, SCALE = 3e-4, 6e-3, 1.5e-4, 1.5e-4, 0.02
+TURNED, TIPPED, ASYMMETRY = math.radians(0.4), math.radians(0.5), 0.33
+TOLD = {
+    "pads, friction and gravity": (
+        Imperfections(
+            (PadImperfection(zero=ZERO, force=-FORCE, lag=-LAG), PadImperfection(zero=ZERO, force=FORCE, lag=LAG)),
+            gravity=TIPPED,
+            friction=ASYMMETRY,
+        ),
+        {"zero_sd": ZERO, "force_sd": FORCE, "lag_sd": LAG, "gravity_sd": TIPPED, "friction_sd": ASYMMETRY},
+    ),
+    "bows and the second angle": (
+        Imperfections((PadImperfection(sagitta=SAGITTA), PadImperfection(sagitta=-SAGITTA)), (0.0, -TURNED)),
+        {"sagitta_sd": SAGITTA, "angle_sd": TURNED},
+    ),
+}
+
+
+def answer_to(off, **known):
+    """What is made of a run on a rig that is off by this, where all else is known."""
+    run = simulated("friction", 44, 12.0, imperfections=off)
+    return run, reconstruct(run.events, run.rig.known_to(PERFECTLY_KNOWN | known))
+
+
+def is_told(answer, name, true):
+    """Within its error bars, which are too small for the other sign."""
+    told, sd = (float(each[RIG_NAMES.index(name)]) for each in (answer.rig, answer.rig_sd))
+    return abs(told - true) < 3.0 * sd and abs(true) > 2.5 * sd
+
+
+@pytest.mark.parametrize(("off", "known"), TOLD.values(), ids=TOLD)
+def test_what_a_rig_is_off_by_is_what_is_told(off, known):
+    _, answer = answer_to(off, **known)
+    assert answer.converged, answer.reason
+    assert [name for name, true in off.constants().items() if true and not is_told(answer, name, true)] == []
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_the_scale_of_one_pad_is_told_where_the_others_is_known(number):
+    off = of_pad(number, scale=-SCALE)
+    run = simulated("friction", 44, 12.0, imperfections=off)
+    pads = [replace(pad, scale_sd=SCALE * (palm == number)) for palm, pad in zip((1, 2), run.rig.pads, strict=True)]
+    answer = reconstruct(run.events, replace(run.rig, pads=tuple(pads)))
+    assert answer.converged, answer.reason
+    assert is_told(answer, f"pad{number}_scale", -SCALE)
+
+
+@pytest.mark.parametrize(
+    ("off", "known"),
+    [
+        (of_pad(1, standoff=4e-4), {"standoff_sd": 4e-4}),
+        (Imperfections((PadImperfection(scale=0.01),) * 2), {"scale_sd": 0.01}),
+    ],
+    ids=["standoff", "magnification"],
+)
+def test_what_no_touch_tells_the_band_covers(off, known):
+    run, answer = answer_to(off, **known)
+    assert answer.converged, answer.reason
+    error = score_outline(answer.theta, answer.h, answer.touched, run.truth.h).e_h
+    band = math.sqrt(np.mean(answer.h_sd[answer.touched] ** 2))
+    assert 2e-5 < error < 2.0 * band
+
+
+def test_names_are_the_results():
+    assert set(PERFECT.constants()) == set(RIG_NAMES)
+
+
+# --------------------------------------------------------------------------------------------------- the draws
+
+
+def test_draws_are_as_wide_as_the_rig_is_known_and_the_same_for_the_same_seed():
+    draws = [drawn(CALIBRATED, seed) for seed in range(400)]
+    assert draws[3] == drawn(CALIBRATED, 3)
+    for each in fields(PadImperfection):
+        values = [getattr(pad, each.name) for off in draws for pad in off.pads]
+        sd = AS_CALIBRATED[f"{each.name}_sd"]
+        assert np.std(values) == pytest.approx(sd, rel=0.12)
+        assert abs(np.mean(values)) < 0.15 * sd
+        assert max(map(abs, values)) <= 3.0 * sd
+    for name, values in {
+        "angle_sd": [angle for off in draws for angle in off.angles],
+        "gravity_sd": [off.gravity for off in draws],
+        "friction_sd": [off.friction for off in draws],
+    }.items():
+        assert np.std(values) == pytest.approx(AS_CALIBRATED[name], rel=0.15)
+    assert drawn(RigDescription(), 3) == PERFECT
+
+
+# ------------------------------------------------------------------------------------------ logs, configurations
+
+
+def test_a_log_tells_how_well_its_rig_is_known_and_its_truth_what_it_is_off_by(tmp_path):
+    out = tmp_path / "run.jsonl"
+    assert main(["--seed", "3", "--seconds", "0.5", "--imperfections", "calibrated", "-o", str(out)]) == 0
+    header = json.loads(out.read_text().splitlines()[0])
+    truth = json.loads((tmp_path / "run.truth.json").read_text())
+    assert header["rig"]["calibration_sd"]["zero_m"] == AS_CALIBRATED["zero_sd"]
+    assert truth["rig"] == drawn(CALIBRATED, 0, 3).constants()
+    assert all(truth["rig"].values())
+    header, *_ = simulate_log("nominal", 3, 0.5)[0]
+    assert set(header["rig"]["calibration_sd"].values()) == {0.0}
+
+
+def test_the_same_seed_has_the_same_object_whatever_the_rig_is_off_by():
+    perfect, other = (
+        simulate_log("rig", 4, 0.5, calibration_sd=known)[1] for known in (PERFECTLY_KNOWN, AS_CALIBRATED)
+    )
+    assert (perfect["mass_kg"], perfect["rho_m"], perfect["mu"]) == (other["mass_kg"], other["rho_m"], other["mu"])
+    assert perfect["phi1_rad"][0] == pytest.approx(other["phi1_rad"][0] - other["rig"]["phi1_rad"], abs=1e-9)
+
+
+def asking(imperfections):
+    config = default_config()
+    return config.model_copy(update={"rig": config.rig.model_copy(update={"imperfections": imperfections})})
+
+
+def test_a_configuration_asks_in_units_of_the_workshop():
+    block = {"palm2": {"zero_mm": 0.3, "lag_ms": -2, "force_mm_per_n": 0.1}, "phi1_deg": 1, "gravity_deg": -0.5}
+    off = configured(asking(ImperfectionsConfig.model_validate(block)), 1)
+    assert off == Imperfections(
+        (PadImperfection(), PadImperfection(zero=3e-4, lag=-2e-3, force=1e-4)),
+        (math.radians(1.0), 0.0),
+        math.radians(-0.5),
+    )
+    told = off.true_palms(PalmMotion.at_rest((0.5, 1.0))).angles
+    assert told == pytest.approx((0.5 + math.radians(0.5), 1.0))
+    assert configured(asking("none"), 1) == PERFECT
+    assert configured(asking("calibrated"), 1) == PERFECT  # this one says that all is known
+    known = asking("calibrated")
+    loose = known.model_copy(update={"pads": type(known.pads)(palm1={"port": "a"}, palm2={"port": "b"})})
+    assert configured(loose, 1) == drawn(rig_description(loose), 1)
+    assert configured(loose, 1).pads[0].zero != 0.0
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ("perfect", "4:18: rig.imperfections: must be one of none or calibrated; got the text perfect"),
+        ("{palm1: {zero_m: 1}}", "4:27: rig.imperfections.palm1.zero_m: unknown key; is zero_mm meant?"),
+        ("{friction_asymmetry: 1}", "4:39: rig.imperfections.friction_asymmetry: must be less than 1; got 1"),
+    ],
+)
+def test_a_slip_is_said_once(tmp_path, asked, said):
+    path = tmp_path / "rig.yaml"
+    ports = "pads: {palm1: {port: a}, palm2: {port: b}}\narm: {port: c}\n"
+    path.write_text(f"{ports}rig:\n  imperfections: {asked}\n")
+    with pytest.raises(ConfigError) as caught:
+        load_config(path)
+    assert str(caught.value) == f"{path}:{said}"
