@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from palmd.model import extended, sensitivity, shape, shape_map
+from palmd.model import extended, sensitivity, shape, shape_map, smoothing
 from palmd.model.integrate import exponential_step
 from palmd.model.outputs import NAMED
 
@@ -240,6 +240,28 @@ def test_the_step_is_of_fourth_order() -> None:
     exact = after(2000)
     errors = [np.abs(after(n) - exact).max() for n in (20, 40)]
     assert errors[0] / errors[1] > 11, "halving the step must cut the error by 16 or more"
+
+
+def test_the_smoothers_step_has_its_own_jacobian_where_friction_is_stiff() -> None:
+    """A smoother with another's creeps, and stops short of the likeliest."""
+    random, C = np.random.default_rng(7), smoothing.C
+    p = np.zeros(smoothing.CONSTANTS)
+    p[[C.LN_RHO, C.DRAG, C.SATURATION, C.DAMPING]] = np.log(0.013), 20.0, 7500.0, 2e-4
+    p[C.SHAPE : C.SHAPE + shape.COEFFICIENTS] = _coefficients(random)
+    u = np.array([0.01, *PALMS, *JERK, *RIG, 0.12, 0.12])
+    step = smoothing.step_function()
+    x = np.array([0.2, 0.5])
+    J = _array(step(x, p, u)[1])
+    scale = np.concatenate([[1e-5, 1e-4, 1e-5, 1e-3, 1.0, 1e-8], np.full(smoothing.CONSTANTS - 4, 1e-7)])
+    numeric = np.zeros_like(J)
+    for i, h in enumerate(scale):
+        ends = []
+        for sign in (1.0, -1.0):
+            y = np.concatenate([x, p])
+            y[i] += sign * h
+            ends.append(_array(step(y[:2], y[2:], u)[0]).ravel())
+        numeric[:, i] = (ends[0] - ends[1]) / (2 * h)
+    assert pytest.approx(numeric, rel=1e-4, abs=1e-8) == J
 
 
 def test_the_gathered_information_is_that_of_the_readings_about_the_beginning() -> None:

@@ -21,8 +21,8 @@ def exponential_step(rates: Rates, x: SX, dt: SX, moving: Sequence[int], stiff: 
     """(the moving states after dt, their Jacobian in the whole state x).
 
     `rates(y, t)` gives ẏ of the moving states, t seconds into the step; `stiff` is the position in them of the one
-    whose own rate ∂ẏ/∂y is about `rate` (1/s) at the start. That rate is a parameter of the method, not of the
-    model: the step is of fourth order for any value of it, so it is left out when the step is differentiated.
+    whose own rate ∂ẏ/∂y is about `rate` (1/s) at the start. The step is of fourth order for any value of it; where it
+    is stiff the step still depends on it, and so does its Jacobian.
     """
     frozen = SX.sym("rate")
     linear = SX(len(moving), 1)
@@ -44,8 +44,9 @@ def exponential_step(rates: Rates, x: SX, dt: SX, moving: Sequence[int], stiff: 
     n3 = rest(c, dt)
     w0, w1, w2 = (dt * _elementwise(weight, z) for weight in (_weight_first, _weight_middle, _weight_last))
     moved = full * y + w0 * n0 + 2 * w1 * (n1 + n2) + w2 * n3
-    result, jacobian = ca.substitute([moved, ca.jacobian(moved, x)], [frozen], [rate])
-    return result, jacobian
+    at_rate = ca.substitute([moved, ca.jacobian(moved, x), ca.jacobian(moved, frozen)], [frozen], [rate])
+    result, directly, by_rate = at_rate
+    return result, directly + by_rate @ ca.jacobian(rate, x)
 
 
 def _elementwise(f: Callable[[SX], SX], z: SX) -> SX:
