@@ -244,19 +244,27 @@ def beyond_question(fit: Fit, record: Record) -> bool:
 
 def doubt(fit: Fit, finding: Minima) -> str:
     """Why `fit`, the best of `finding` or a refinement of it, cannot be taken at its word; empty when it can."""
-    if still(finding.record):
+    return unfit(fit, finding.record) or ("another outline explains the readings as well" if rivalled(finding) else "")
+
+
+def unfit(fit: Fit, record: Record) -> str:
+    """Why `fit` is no explanation of the readings, whatever else is one; empty when it is."""
+    if still(record):
         return "nothing moves: readings at rest tell nothing of the outline"
     if not fit.settled:
         return "the iteration has not settled"
-    if not explained(fit, finding.record):
+    if not explained(fit, record):
         chi2 = f"chi2 {fit.chi2:.2f}, of the forces {fit.force_chi2:.2f}"
         effort = f"process noise {fit.slack:.0f}, prior {fit.strain:.0f}, readings astray {fit.astray}"
         return f"no likely object and motion explain the readings to their noise: {chi2}; {effort}"
     if fit.outliers > MOST_OUTLIERS:
         return f"{fit.outliers:.0%} of the readings are outliers"
-    if any(rival.cost < finding.fits[0].cost + DOUBT for rival in finding.fits[1:]):
-        return "another outline explains the readings as well"
     return ""
+
+
+def rivalled(finding: Minima) -> bool:
+    """Whether other outlines explain the readings as well as the best: later ones will tell."""
+    return any(rival.cost < finding.fits[0].cost + DOUBT for rival in finding.fits[1:])
 
 
 def still(record: Record) -> bool:

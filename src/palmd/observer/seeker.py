@@ -11,7 +11,7 @@ from palmd.observer.data_segment import DataSegment
 from palmd.observer.follower import PATIENCE, Answer
 from palmd.observer.noise import with_scatter
 from palmd.observer.normal_equations import Guess
-from palmd.observer.search import Attempt, Minima, Search, doubt, merged, still
+from palmd.observer.search import Attempt, Minima, Search, doubt, merged, still, unfit
 from palmd.observer.smoother import Smoother
 from palmd.system.description import RigDescription
 
@@ -69,7 +69,7 @@ class Seeker:
             self._challenge_s = 0.0
         if finding is None and hint is not None:
             finding = search.placed(hint, HINT_SD**2 * np.eye(2 * ORDER + 1))
-        if finding is None or seconds >= self._challenge_s or doubt(finding.fits[0], finding):
+        if finding is None or seconds >= self._challenge_s or unfit(finding.fits[0], finding.record):
             # a window that has grown may have been led into a valley next to the right one
             attempts = attempts_for(self._rig)
             attempt = attempts[self._failed % len(attempts)]
