@@ -19,7 +19,7 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.model.smoothing import RIG, RIG_CONSTANTS
 from palmd.observer.normal_equations import Guess
-from palmd.observer.smoother import Fit, Smoother
+from palmd.observer.smoother import Posterior
 from palmd.system.description import AS_CALIBRATED, RigDescription
 from palmd.system.rig_constants import prior_sds
 
@@ -27,6 +27,7 @@ CONTRADICTED = 4.5  # z: 1 of 10,000 clean rigs has one of 15 constants beyond i
 STILL = 3.0  # and what has been contradicted is still
 KNOWN = 1e-7  # one-sigma, in SI units, of what is exactly as described: small, and a number to divide by
 RIVAL_NATS, MOST_TOGETHER = 5.0, 3  # of explanations as likely, and of constants that are off at a time
+MOST_REVISIONS = 4  # of what is believed of the rig, in one answer
 NOISE = 1e-14  # of a precision against the prior's: what is left when one is taken from the other
 NOTHING: FloatArray = np.zeros(RIG_CONSTANTS)
 FREE_SD: FloatArray = 10.0 * prior_sds(RigDescription().known_to(AS_CALIBRATED))
@@ -55,16 +56,17 @@ class RigBelief:
         """For the moment nothing is taken at its word."""
         return replace(self, sd=np.maximum(self.told, FREE_SD))
 
-    def after(self, smoother: Smoother, fit: Fit) -> RigBelief:
-        """What a `fit` under this belief leaves of it: what it contradicts is free, what it no longer does is as told.
+    def after(self, p: FloatArray, posterior: Posterior | None) -> RigBelief:
+        """What constants `p` found under this belief leave of it; the same where they are no minimum.
 
-        The same where it is no minimum.
+        What they contradict is free, what they no longer contradict is as told.
         """
+        if posterior is None:
+            return self
         try:
-            covariance = smoother.posterior(fit).covariance[RIG, RIG]
-            found = contradicted(fit.guess.p[RIG], covariance, self.sd, self.told, self.contradicted)
+            found = contradicted(p[RIG], posterior.covariance[RIG, RIG], self.sd, self.told, self.contradicted)
         except np.linalg.LinAlgError:
-            found = self.contradicted
+            return self
         return replace(self, contradicted=found, sd=freed(self.told, found))
 
     def within(self, guess: Guess) -> Guess:
@@ -108,9 +110,9 @@ def _with_rivals(
         return np.where(believed < FREE_SD, np.where(found != 0.0, found, z), 0.0)
     sets: list[tuple[int, ...]] = list(combinations(open_to_doubt.tolist(), int(size)))
     likely = [_log_likelihood(told, pull, freed(believed, _marked(each)) ** -2.0) for each in sets]
-    together = found.copy()
+    together, likeliest = found.copy(), max(likely)
     for each, value in zip(sets, likely, strict=True):
-        if value > max(likely) - RIVAL_NATS:
+        if value > likeliest - RIVAL_NATS:
             for k in each:
                 together[k] = found[k] or z[k]
     return together

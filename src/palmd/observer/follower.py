@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from palmd.observer.matching import Felt, matched
 from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import normal_angles
 from palmd.observer.search import NOISE, Minima, Search, explained
-from palmd.observer.smoother import Smoother
+from palmd.observer.smoother import Posterior, Smoother
 
 PATIENCE = 2  # windows that may fail: an answer that hard to find comes too late
 LEAST_S = 1.0  # of readings at the end of a segment that are worth an iteration
@@ -28,12 +29,18 @@ LOST_S = 6.0  # of readings that what is known does not explain, after which the
 TAIL_S = 0.5  # before an object was lost: it may have been held already
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Answer:
-    """What was found, and the search that found it: with what it went by, it tells how sure it is."""
+    """What was found, and the search that found it."""
 
     search: Search
     finding: Minima
+
+    @cached_property
+    def posterior(self) -> Posterior | None:
+        """How sure the best fit is of itself, by what the search went by; None where it is no minimum."""
+        smoother = Smoother(self.search.library, self.finding.record, self.search.known)
+        return smoother.sureness(self.finding.fits[0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,9 +116,9 @@ class Follower:
 
     def _revised(self, answer: Answer) -> Guess | None:
         """From where to go on when the readings tell that the rig is not what it is taken for; None when they don't."""
-        search, fit = answer.search, answer.finding.fits[0]
+        fit = answer.finding.fits[0]
         before = self._belief
-        self._belief = before.after(Smoother(search.library, answer.finding.record, search.known), fit)
+        self._belief = before.after(fit.guess.p, answer.posterior)
         if np.array_equal(self._belief.sd, before.sd):
             return None
         self._chain.revise(self._belief.sd**-2.0 - before.sd**-2.0)

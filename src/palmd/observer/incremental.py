@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from palmd.events import Event, FloatArray, Improvement, PalmSample
-from palmd.model import shape_map, smoothing
+from palmd.model import shape_map
 from palmd.model.smoothing import CONSTANTS, ORDER, RIG, C
 from palmd.observer.coverage import marks_of
 from palmd.observer.data_segment import LEAD_S, DataSegment, data_segments
@@ -23,7 +23,6 @@ from palmd.observer.follower import TAIL_S, Answer, Follower
 from palmd.observer.matching import Felt
 from palmd.observer.outline import made_convex, normal_angles
 from palmd.observer.seeker import Seeker
-from palmd.observer.smoother import Smoother
 from palmd.observer.smoothing import Session
 from palmd.system.description import RigDescription
 
@@ -54,7 +53,6 @@ class IncrementalSmoother:
         """`seed` draws where blind searches start."""
         self._rig = rig
         self._seed = seed
-        self._library = smoothing.library()
         self._session = NO_SESSION
         self._hint: FloatArray | None = None
         self._events: list[Event] = []
@@ -150,9 +148,8 @@ class IncrementalSmoother:
 
     def _improvement(self, answer: Answer) -> Improvement | None:
         record, best = answer.finding.record, answer.finding.fits[0]
-        try:
-            posterior = Smoother(self._library, record, answer.search.known).posterior(best)
-        except np.linalg.LinAlgError:
+        posterior = answer.posterior
+        if posterior is None:
             return None
         everything = np.concatenate([best.guess.p, best.guess.x[-1]])
         x, P, spread = given_the_rig(everything, posterior.covariance)

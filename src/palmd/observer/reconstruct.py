@@ -20,7 +20,7 @@ from palmd.model import shape
 from palmd.model.smoothing import CONSTANTS, ORDER, RIG, C
 from palmd.observer.chain import Chain
 from palmd.observer.coverage import marks_of
-from palmd.observer.criticism import RigBelief
+from palmd.observer.criticism import MOST_REVISIONS, RigBelief
 from palmd.observer.data_segment import DataSegment, data_segments
 from palmd.observer.factor import Prior
 from palmd.observer.marginal import Marginal, marginalised
@@ -38,7 +38,6 @@ from palmd.system.description import RigDescription
 SPACING_S = 0.005  # of the nodes in the end
 LEAST_S = 1.0
 SUSPICIOUS_GAP_S = 0.08  # between readings, in which an object may have been changed for another
-MOST_REVISIONS = 4  # of what is believed of the rig
 MOST_PARTS = 20  # segments of one log that are looked at
 # RMS of the outline's one-sigma where touched, were the rig known, above which there is no outline to speak of.
 SHARP_M = 1.5e-4
@@ -191,7 +190,7 @@ def _refined(search: Search, finding: Minima, segment: DataSegment, rig: RigDesc
     smoother = Smoother(search.library, record, prior)
     fit = smoother.fit(guess, best.noise)
     for _ in range(MOST_REVISIONS):
-        then = belief.after(smoother, fit)
+        then = belief.after(fit.guess.p, smoother.sureness(fit))
         if np.array_equal(then.sd, belief.sd):
             break
         belief = then

@@ -6,13 +6,12 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model.smoothing import ORDER
-from palmd.observer.criticism import RigBelief
+from palmd.observer.criticism import MOST_REVISIONS, RigBelief
 from palmd.observer.data_segment import DataSegment
 from palmd.observer.follower import PATIENCE, Answer
 from palmd.observer.noise import with_scatter
 from palmd.observer.normal_equations import Guess
 from palmd.observer.search import Attempt, Minima, Search, doubt, merged, still, unfit
-from palmd.observer.smoother import Smoother
 from palmd.system.description import RigDescription
 
 LEAST_S = 1.0  # of readings, before which the bank is as good
@@ -20,7 +19,6 @@ STILL_KEPT_S = 2.0  # of readings at rest, when those and what came before tell 
 _ATTEMPTS = (Attempt(2.0, 3), Attempt(3.5, 4), Attempt(1.2, 8), Attempt(5.0, 4))
 _UNEQUAL = tuple(Attempt(seconds, 4, a) for seconds in (2.0, 3.5) for a in (0.5, -0.5))
 _FREE = (Attempt(2.0, 4, free=True), Attempt(3.5, 4, free=True))
-MOST_REVISIONS = 4  # of what is believed of the rig, in one answer
 HINT_SD = 1e-4  # m, of the outline's coefficients
 CHALLENGE = 2.0  # by how much the record grows from one blind search to the next
 LONGEST_S, KEPT_S = 30.0, 15.0  # of readings in which nothing has been found, and that are kept then
@@ -79,24 +77,25 @@ class Seeker:
                 search = Search(segment, rig, PATIENCE, belief=self._belief.suspended())
             finding = merged(finding, search.blind(attempt, self._seed))
             self._challenge_s = CHALLENGE * seconds
-        if finding is not None:
-            search, finding = self._criticised(segment, search, finding)
-        self._start, self._guesses = segment.start, tuple(fit.guess for fit in finding.fits) if finding else ()
-        self._doubtful = finding is None or bool(doubt(finding.fits[0], finding))
-        if finding is None or self._doubtful:
+        answer = None if finding is None else self._criticised(segment, Answer(search, finding))
+        self._start, self._guesses = segment.start, ()
+        if answer is not None:
+            self._guesses = tuple(fit.guess for fit in answer.finding.fits)
+        self._doubtful = answer is None or bool(doubt(answer.finding.fits[0], answer.finding))
+        if self._doubtful:
             self._failed += seconds > _ATTEMPTS[0].seconds
             if seconds > LONGEST_S:
                 self.needs_from = segment.end - KEPT_S
             return None
-        return Answer(search, finding)
+        return answer
 
-    def _criticised(self, segment: DataSegment, search: Search, finding: Minima) -> tuple[Search, Minima]:
-        """The search and what it finds once the rig is taken for what the readings tell."""
+    def _criticised(self, segment: DataSegment, answer: Answer) -> Answer:
+        """What is found once the rig is taken for what the readings tell."""
         for _ in range(MOST_REVISIONS):
+            search, finding = answer.search, answer.finding
             if doubt(finding.fits[0], finding):
                 break
-            smoother = Smoother(search.library, finding.record, search.known)
-            self._belief = search.belief.after(smoother, finding.fits[0])
+            self._belief = search.belief.after(finding.fits[0].guess.p, answer.posterior)
             if np.array_equal(self._belief.sd, search.belief.sd):
                 break
             anew = Search(segment, search.rig, PATIENCE, belief=self._belief)
@@ -104,5 +103,5 @@ class Seeker:
             if found is None:
                 self._belief = search.belief
                 break
-            search, finding = anew, found
-        return search, finding
+            answer = Answer(anew, found)
+        return answer
