@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from improvements import improvement
 
 from palmd.events import (
     Estimate,
-    Improvement,
     ObjectEstimate,
     PadLift,
     PadSample,
@@ -106,21 +106,7 @@ def built():
         LOOP: loop,
         INFO: info_fields("0.1.0", "shape", default_config()),
         EVENTS: events_fields(1.0, [PadSample(0.99, 1, 0.02), PadLift(0.995, 2), PalmSample(0.98, (0.5, 1.5))]),
-        IMPROVEMENT: improvement_fields(
-            1.0,
-            Improvement(
-                0.8,
-                np.arange(3.0),
-                np.eye(3),
-                1,
-                False,
-                np.zeros(72, dtype=bool),
-                ZEROS,
-                ZEROS,
-                np.zeros((3, 15)),
-                ZEROS,
-            ),
-        ),
+        IMPROVEMENT: improvement_fields(1.0, improvement(np.arange(3.0), np.eye(3), t=0.8)),
         RIG: rig_fields(np.full(15, 1e-3), np.full(15, 1e-4), np.full(15, 1e-3), ZEROS),
     }
 

@@ -6,6 +6,7 @@ from random import Random
 
 import numpy as np
 import pytest
+from improvements import improvement
 from silent_observer import SilentObserver
 from virtual_rig import AtOnce
 
@@ -14,7 +15,7 @@ from palmd.daemon.commands import Request
 from palmd.daemon.core import Core
 from palmd.daemon.exploring import OVERTIME_S
 from palmd.daemon.planner import Plan
-from palmd.events import Estimate, Improvement, PadLift, PadSample, PalmSample
+from palmd.events import Estimate, PadLift, PadSample, PalmSample
 from palmd.messages import NAMED_STATE, events_of, stamp, validate
 from palmd.motion.check import motion_limits
 from palmd.motion.plan import compile_plan
@@ -371,22 +372,15 @@ class Improved(Fake):
     """An observer with a smoother beside it that answers in the third estimate."""
 
     def improve(self, _t):
-        return (
-            Improvement(
-                0.04,
-                np.arange(3.0),
-                np.eye(3),
-                2,
-                True,
-                np.ones(72, dtype=bool),
-                OFF,
-                OFF_SD,
-                np.zeros((3, 15)),
-                AGAINST,
-            )
-            if len(self.ticks) == 3
-            else None
-        )
+        told = {
+            "t": 0.04,
+            "frame": 2,
+            "touched": np.ones(72, dtype=bool),
+            "rig": OFF,
+            "rig_sd": OFF_SD,
+            "contradicted": AGAINST,
+        }
+        return improvement(np.arange(3.0), np.eye(3), **told) if len(self.ticks) == 3 else None
 
 
 def test_an_improvement_is_published_in_the_tick_that_heard_it():

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from improvements import improvement
 
-from palmd.events import Improvement
 from palmd.model import shape_map
-from palmd.model.smoothing import ORDER, RIG_CONSTANTS
+from palmd.model.smoothing import ORDER
 from palmd.observer.coverage import NORMAL_BINS
 from palmd.observer.handover import Handover, SmoothedFilters
 from palmd.system.description import RigDescription
@@ -37,17 +37,7 @@ def answered(sd, valid):
         RigDescription(), SimpleNamespace(), SmoothedFilters(filters, filters), SimpleNamespace(candidate=None)
     )
     now, P = track(valid), sd**2 * np.eye(SMOOTHED_N)
-    answer = Improvement(
-        1.0,
-        np.zeros(SMOOTHED_N),
-        P,
-        1,
-        False,
-        TOUCHED,
-        *np.zeros((2, RIG_CONSTANTS)),
-        np.zeros((SMOOTHED_N, RIG_CONSTANTS)),
-        np.zeros(RIG_CONSTANTS),
-    )
+    answer = improvement(np.zeros(SMOOTHED_N), P, established=False, touched=TOUCHED)
     return handover.take_in(now, 1, answer, np.zeros(SMOOTHED_N), P, nis=1.0), now.fusion.bank
 
 

@@ -9,13 +9,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from improvements import improvement
 from simulated import Run, simulated, swapped
 
 from palmd import observer
 from palmd.events import Estimate, Event, FloatArray, Improvement, PadSample, PalmSample
 from palmd.model import shape, shape_map
 from palmd.model.smoothing import ORDER
-from palmd.observer.coverage import NORMAL_BINS
 from palmd.observer.filter_catchup import LEAD_S, FilterCatchUp
 from palmd.observer.filters.base import LONGEST_STEP_S
 from palmd.observer.filters.shape_map import ShapeFilters
@@ -134,17 +134,7 @@ def test_psi_goes_on_without_a_jump_when_an_improvement_takes_the_lead(run: Run)
 
 def test_an_improvement_from_before_the_present_object_is_not_taken(run: Run) -> None:
     n = shape_map.size(ORDER)
-    stale = Improvement(
-        -1.0,
-        np.zeros(n),
-        np.eye(n),
-        1,
-        True,
-        np.zeros(NORMAL_BINS, dtype=np.bool_),
-        *np.zeros((2, 15)),
-        np.zeros((n, 15)),
-        np.zeros(15),
-    )
+    stale = improvement(np.zeros(n), np.eye(n), t=-1.0)
     watcher = observer.make("shape", run.rig, smoothing=Scripted(1.0, stale))
     for _ in ticks(run, watcher):
         pass

@@ -6,9 +6,10 @@ import math
 import numpy as np
 import pytest
 import recorded
+from improvements import improvement
 
 from palmd.config import rig_description
-from palmd.events import Improvement, PadSample
+from palmd.events import PadSample
 from palmd.messages import improvement_fields
 from palmd.quantities import ESTIMATE, EVENTS, IMPROVEMENT
 from palmd.record.mcapfile import Preface, RunWriter
@@ -102,29 +103,35 @@ def test_improvements_come_back_with_their_ticks(tmp_path):
     message = recorded.message(
         IMPROVEMENT.name,
         improvement_fields(
-            1 / 7, Improvement(0.1, x, covariance, 3, True, touched, np.arange(15.0), RIG_SD, np.ones((2, 15)), AGAINST)
+            1 / 7,
+            improvement(
+                x,
+                covariance,
+                t=0.1,
+                frame=3,
+                touched=touched,
+                rig=np.arange(15.0),
+                rig_sd=RIG_SD,
+                spread=np.ones((2, 15)),
+                contradicted=AGAINST,
+            ),
         ),
         0,
     )
-    ((t, improvement),) = read_run(written(tmp_path / "run.mcap", [message])).improvements()
-    assert (t, improvement.t) == (1 / 7, 0.1)
-    assert improvement.x.tobytes() == x.tobytes()
-    assert improvement.P.tobytes() == covariance.tobytes()
-    assert (improvement.frame, improvement.established) == (3, True)
-    assert np.array_equal(improvement.touched, touched)
-    assert np.array_equal(improvement.contradicted, AGAINST)
-    assert np.array_equal(improvement.rig, np.arange(15.0))
-    assert np.array_equal(improvement.rig_sd, RIG_SD)
-    assert np.array_equal(improvement.spread, np.ones((2, 15)))
+    ((t, answer),) = read_run(written(tmp_path / "run.mcap", [message])).improvements()
+    assert (t, answer.t) == (1 / 7, 0.1)
+    assert answer.x.tobytes() == x.tobytes()
+    assert answer.P.tobytes() == covariance.tobytes()
+    assert (answer.frame, answer.established) == (3, True)
+    assert np.array_equal(answer.touched, touched)
+    assert np.array_equal(answer.contradicted, AGAINST)
+    assert np.array_equal(answer.rig, np.arange(15.0))
+    assert np.array_equal(answer.rig_sd, RIG_SD)
+    assert np.array_equal(answer.spread, np.ones((2, 15)))
 
 
 def test_answers_of_an_earlier_smoother_are_refused_with_what_to_do(tmp_path):
-    fields = improvement_fields(
-        1 / 7,
-        Improvement(
-            0.1, np.zeros(2), np.eye(2), 3, True, np.zeros(72), np.zeros(15), RIG_SD, np.ones((2, 15)), AGAINST
-        ),
-    )
+    fields = improvement_fields(1 / 7, improvement(np.zeros(2), np.eye(2)))
     for name in ("frame", "established", "touched", "rig", "spread"):
         del fields[name]
     run = read_run(written(tmp_path / "run.mcap", [recorded.message(IMPROVEMENT.name, fields, 0)]))
