@@ -134,8 +134,9 @@ class ShapeEstimate:
 class Improvement:
     """A smoother's belief about the shape map's state at time `t` (s): mean x, and covariance P were `rig` right.
 
-    rig, rig_sd: (15,) the rig's constants as in `model.smoothing.R` and their one-sigma; what is not known of them adds
-    spread·spreadᵀ to P, with spread (n, 15). contradicted: (15,) by how many sigmas each is not what it was taken for,
+    rig, rig_sd: (15,) the rig's constants as in `model.smoothing.R` and their one-sigma. spread: (n + 15, 15), what is
+    not known of them as independent one-sigma steps: what each moves of the state, so that spread·spreadᵀ adds to P,
+    and then of the constants themselves. contradicted: (15,) by how many sigmas each is not what it was taken for,
     0 where nothing speaks against it. The outline has the smoother's harmonics. `frame` is another when it has another
     gauge than before. `established`: what was found has proved true for so long that no rival needs to be kept.
     touched: (72,) as in `Outlook`.
@@ -185,6 +186,8 @@ class Outlook:
     in the first one's gauge. touched, h_sd: (72,) for the bins of outward normals, bin 0 beginning at θ = 0, whether a
     palm has been there and the outline's one-sigma (m) at the bin's middle. `object_count` as in the estimate.
     rig: what the rig's constants are off by, in the order of `model.smoothing.R`; None: nothing is known of it.
+    rig_spread: (40, 15) what is not known of them, as of `Improvement`: what each step moves of the outline's 25
+    coefficients, then of the constants; None until a smoother vouches for the outline.
     """
 
     t: float
@@ -193,3 +196,4 @@ class Outlook:
     h_sd: FloatArray
     object_count: int
     rig: FloatArray | None = None
+    rig_spread: FloatArray | None = None

@@ -374,7 +374,7 @@ IMPROVEMENT = Topic(
         Quantity("touched", "numbers", "", "0 or 1 for each of 72 bins of outward normals, the first beginning at 0"),
         Quantity("rig", "numbers", "SI", "what the rig's constants are off by, in the order of `palm/rig`"),
         Quantity("rig_sd", "numbers", "SI", "one-sigma of each"),
-        Quantity("spread", "numbers", "SI", "the covariance is larger by spread·spreadᵀ, since `rig` is not sure"),
+        Quantity("spread", "numbers", "SI", "what one-sigma steps of what is open of `rig` move: state, then `rig`"),
         Quantity("contradicted", "numbers", "", "by how many sigmas each of `rig` is not what it was taken for, or 0"),
     ),
 )

@@ -21,7 +21,7 @@ def improvement(x: FloatArray, P: FloatArray, **told: Any) -> Improvement:
         "touched": np.zeros(NORMAL_BINS, dtype=np.bool_),
         "rig": nothing,
         "rig_sd": nothing,
-        "spread": np.zeros((len(x), RIG_CONSTANTS)),
+        "spread": np.zeros((len(x) + RIG_CONSTANTS, RIG_CONSTANTS)),
         "contradicted": nothing,
     }
     return Improvement(x=x, P=P, **(rest | told))

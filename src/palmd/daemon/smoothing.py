@@ -68,7 +68,7 @@ class SmootherProcess:
         for message in self._process.received():
             when, frame, established, touched, *arrays = msgpack.unpackb(message)
             x, covariance, rig, rig_sd, spread, against = map(np.frombuffer, arrays)
-            square, beyond = (told.reshape(len(x), -1) for told in (covariance, spread))
+            square, beyond = covariance.reshape(len(x), -1), spread.reshape(-1, len(rig))
             marks = np.frombuffer(touched, dtype=np.bool_)
             newest = Improvement(when, x, square, frame, established, marks, rig, rig_sd, beyond, against)
         return newest

@@ -38,6 +38,20 @@ def tangential_basis(theta: FloatArray, order: int = HARMONICS) -> FloatArray:
     return rows
 
 
+def gauge_free_basis(theta: FloatArray, touched: FloatArray, coefficients: FloatArray) -> FloatArray:
+    """Rows mapping small errors of `coefficients` to those of h on `theta`, whatever the orientation.
+
+    h(θ) − h′(θ)·ε, ε the rotation by least squares over the normals `touched` (rad), if there are any.
+    """
+    order = (len(coefficients) - 1) // 2
+    free = basis(theta, order)
+    if len(touched):
+        slope = -tangential_basis(touched, order) @ coefficients
+        turn = slope @ basis(touched, order) / max(float(slope @ slope), 1e-30)
+        free = free + np.outer(tangential_basis(theta, order) @ coefficients, turn)
+    return free
+
+
 def coefficients_of(h: FloatArray, order: int = HARMONICS) -> FloatArray:
     """Coefficients (m) up to harmonic `order` of a support function given on evenly spaced normals from 0.
 

@@ -22,6 +22,7 @@ from palmd.model.shape import basis
 from palmd.motion import candidates
 from palmd.motion.limits import MotionLimits, problems, ranges
 from palmd.motion.reach import arcs, reach, surface_limits, why_not
+from palmd.motion.rig_information import RigCost, RigInformation, rig_cost
 from palmd.motion.roadmap import Roadmap, TimeToGo
 from palmd.motion.rollout_predictor import BINS, Bools, Moves, Prediction, RolloutPredictor, goodness
 from palmd.motion.segments import Angles, Move
@@ -42,6 +43,10 @@ CAREFUL_M = 2.5e-4
 CAREFUL_ANGLES = (math.radians(22.0), math.radians(75.0)), (math.radians(66.0), math.radians(118.0))
 CAREFUL_RATE = math.radians(100.0)
 STUCK_S = 40.0  # without anything new
+# When all is touched it goes on for the rig's constants: until what touch would tell of them costs less than this share
+# of the band, no sequence tried lowers the cost's square by so much of it in a second any more, or this time is over.
+RIG_SHARE, RIG_RATE, RIG_S = 0.1, 0.05, 15.0
+ANSWER_S = 2.0  # until a smoother has told what a motion was good for
 
 Kind = Literal["move", "wait", "safe", "unsafe", "done"]
 
@@ -83,6 +88,7 @@ class Explorer:
         )
         self._random = np.random.default_rng(seed)
         self._predictor = RolloutPredictor(rig_inputs(rig))
+        self._information = RigInformation(rig)
         self._surface_limits = surface_limits(limits)
         self._t_begin = math.nan
         self._object_count = 0
@@ -102,7 +108,9 @@ class Explorer:
             self._predictor.correct(outlook.rig)
         self._see(outlook)
         coverage, reachable = self._coverage(outlook.touched), float(self._reach.mean())
-        ended = self._ended(outlook, coverage)
+        seen = coverage >= self._goal.coverage and self._sharp(outlook)
+        open_rig = self._open_rig(outlook) if seen else None
+        ended = self._ended(outlook, coverage, seen and open_rig is None)
         if ended:
             return Decision("done", None, ended, coverage, reachable)
         states, touched, safe = self._after(outlook, under_way)
@@ -115,7 +123,14 @@ class Explorer:
         wanted = self._wanted(outlook, touched)
         to_go = None if careful else self._time_to_go(states[0], wanted)
         tried = self._tried(start, self._careful if careful else self._limits, to_go)
-        move = self._choose(states, tried, wanted, to_go)
+        foreseen = self._predictor.of(states[0], tried, 0.0, HORIZON_S)
+        if open_rig is None:
+            score = self._score(foreseen, tried, wanted, to_go)
+        else:
+            score = self._rig_score(outlook, open_rig, foreseen, tried)
+            if 0.0 < score.max() < RIG_RATE:
+                return Decision("done", None, self._enough(outlook, coverage), coverage, reachable)
+        move = self._choose(states, tried, foreseen, score.max(axis=1), to_go if open_rig is None else None)
         if move is None:
             return Decision("wait", None, "no safe motion found yet", coverage, reachable)
         return Decision("move", move, "", coverage, reachable)
@@ -125,6 +140,7 @@ class Explorer:
     def _forget(self) -> None:
         self._reach: Bools = np.ones(BINS, dtype=np.bool_)
         self._t_seen = self._t_new = -math.inf
+        self._t_seen_all = math.inf
         self._most = 0
         self._kept: Moves | None = None
         self._roadmap: Roadmap | None = None
@@ -150,16 +166,29 @@ class Explorer:
             worth = np.maximum(worth, np.clip(over, 0.0, 1.0))
         return np.where(self._reach, worth, 0.0)
 
-    def _ended(self, outlook: Outlook, coverage: float) -> str:
+    def _sharp(self, outlook: Outlook) -> bool:
         band = self._goal.band_mm
-        sharp = band is None or bool((outlook.h_sd[self._reach] < band * 1e-3).all())
-        if coverage >= self._goal.coverage and sharp:
-            return f"{coverage:.0%} of what can be reached is touched{self._told(outlook)}"
+        return band is None or bool((outlook.h_sd[self._reach] < band * 1e-3).all())
+
+    def _open_rig(self, outlook: Outlook) -> RigCost | None:
+        """What is open of the rig's constants and touch would tell; None where that is little beside the whole band."""
+        cost = rig_cost(outlook, self._reach)
+        if cost is None or cost.sd < RIG_SHARE * cost.band_sd:
+            return None
+        self._t_seen_all = min(self._t_seen_all, outlook.t)
+        return cost if outlook.t - self._t_seen_all < RIG_S else None
+
+    def _ended(self, outlook: Outlook, coverage: float, enough: bool) -> str:
+        if enough:
+            return self._enough(outlook, coverage)
         if outlook.t - self._t_begin > self._goal.time_limit_s:
             return f"the time limit of {self._goal.time_limit_s:g} s is over{self._told(outlook)}"
-        if outlook.t - self._t_new > STUCK_S and sharp:
+        if outlook.t - self._t_new > STUCK_S and self._sharp(outlook):
             return f"nothing new for {STUCK_S:g} s{self._told(outlook)}"
         return ""
+
+    def _enough(self, outlook: Outlook, coverage: float) -> str:
+        return f"{coverage:.0%} of what can be reached is touched{self._told(outlook)}"
 
     def _told(self, outlook: Outlook) -> str:
         """Which arcs of the outward normal were not touched, and which cannot be, and why."""
@@ -188,9 +217,10 @@ class Explorer:
         self._roadmap.renew(state, RENEWED if self._roadmap.complete else MADE)
         return self._roadmap.time_to(wanted > 0.0) if self._roadmap.complete else None
 
-    def _choose(self, states: FloatArray, tried: Moves, wanted: FloatArray, to_go: TimeToGo | None) -> Move | None:
-        foreseen = self._predictor.of(states[0], tried, 0.0, HORIZON_S)
-        score = self._score(foreseen, tried, wanted, to_go).max(axis=1)
+    def _choose(
+        self, states: FloatArray, tried: Moves, foreseen: Prediction, score: FloatArray, to_go: TimeToGo | None
+    ) -> Move | None:
+        """The first move of the sequence with the best `score` (N,) that is safe."""
         for number in np.argsort(-score, kind="stable")[:CHECKED]:
             move = _first_move(tried, int(number))
             if np.isfinite(score[number]) and self._safe_for_all(states, move):
@@ -244,6 +274,12 @@ class Explorer:
             on_the_road = np.where(goes, 1.0 / (time_s + to_go.at(tried.ends, foreseen.psi)), 0.0)
             score = np.where(score > 0.0, score, on_the_road)
         return np.where(self._goodness(foreseen) > 1.0, score, -np.inf)
+
+    def _rig_score(self, outlook: Outlook, cost: RigCost, foreseen: Prediction, tried: Moves) -> FloatArray:
+        """By which share of its square each beginning lowers `cost` in a second (N, k), −inf where it is not safe."""
+        time_s = np.cumsum(tried.durations, axis=1) + ANSWER_S
+        told = cost.share_told(self._information.of(outlook, cost, foreseen.path, tried.durations))
+        return np.where(self._goodness(foreseen) > 1.0, told / time_s, -np.inf)
 
     def _safe_for_all(self, states: FloatArray, move: Move) -> bool:
         """Whether no sample of the object loses a contact on the move, nor if the palms then stand still."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -43,7 +43,8 @@ class Prediction:
     """What comes of each sequence, up to the end of each of its moves.
 
     touched: (N, k, BINS), where palms have been since the beginning. least_force: (N, k), m/s². nearest, farthest:
-    (N, k), of both contacts from the hinge, m. psi, omega0: (N, k) at the end of each move.
+    (N, k), of both contacts from the hinge, m. psi, omega0: (N, k) at the end of each move. path: (N, T, TOLD) what
+    `model.rollout` tells after each `CALL_S`, NaN after what was looked at.
     """
 
     touched: Bools
@@ -52,6 +53,7 @@ class Prediction:
     farthest: FloatArray
     psi: FloatArray
     omega0: FloatArray
+    path: FloatArray
 
 
 def goodness(foreseen: Prediction, pad_length: float) -> FloatArray:
@@ -91,6 +93,8 @@ class RolloutPredictor:
             for some in (order[i : i + COLUMNS] for i in range(0, n, COLUMNS))
         ]
         back = np.argsort(order, kind="stable")
+        longest = max(part.path.shape[1] for part in parts)
+        parts = [replace(part, path=_lengthened(part.path, longest)) for part in parts]
         return Prediction(
             *(np.concatenate([getattr(part, name) for part in parts])[back] for name in Prediction.__slots__)
         )
@@ -148,4 +152,9 @@ def _foreseen(told: FloatArray, leg: npt.NDArray[np.intp], finished: FloatArray,
         np.maximum.accumulate(farthest, axis=1),
         told[each, last, 0],
         told[each, last, 1],
+        told[:, SUBSTEPS - 1 :: SUBSTEPS],
     )
+
+
+def _lengthened(path: FloatArray, length: int) -> FloatArray:
+    return np.pad(path, ((0, 0), (0, length - path.shape[1]), (0, 0)), constant_values=np.nan)

@@ -92,7 +92,8 @@ def outlook(
     outline = P[_SHAPE, _SHAPE]
     rows = bin_rows(len(outline))
     h_sd = inflation * np.sqrt(np.maximum(((rows @ outline) * rows).sum(axis=1), 0.0))
-    return Outlook(t, np.vstack([state, samples]), marks.copy(), h_sd, object_count, rig)
+    spread = None if filters.spread is None else filters.spread[_SHAPE].copy()
+    return Outlook(t, np.vstack([state, samples]), marks.copy(), h_sd, object_count, rig, spread)
 
 
 @cache

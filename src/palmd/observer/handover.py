@@ -98,4 +98,4 @@ def _turned(x: FloatArray, P: FloatArray, spread: FloatArray, turn: float) -> tu
     matrix[_SHAPE, _SHAPE] = shape.turned(turn, (len(x) - shape_map.Z.SHAPE - 1) // 2)
     moved = matrix @ x
     moved[shape_map.Z.PSI] += turn
-    return moved, matrix @ P @ matrix.T, matrix @ spread
+    return moved, matrix @ P @ matrix.T, np.vstack([matrix @ spread[: len(x)], spread[len(x) :]])

@@ -168,14 +168,15 @@ class IncrementalSmoother:
 def given_the_rig(y: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The shape map's state of (constants, last node) y: mean, covariance given the rig's constants, and its spread.
 
-    Their covariance being L Lᵀ, spread = cov(state, rig) L⁻ᵀ, so that covariance + spread·spreadᵀ is the whole one.
+    Their covariance being L Lᵀ, spread = cov(state, rig) L⁻ᵀ over L, so that with the state's rows of it
+    covariance + spread·spreadᵀ is the whole one.
     """
     x, J = _as_shape_map(y[_FROM])
     scale = np.sqrt(np.diagonal(covariance)[RIG])
     root = np.linalg.cholesky(covariance[RIG, RIG] / np.outer(scale, scale))
     spread = J @ np.linalg.solve(root, covariance[RIG, _FROM] / scale[:, None]).T
     P = J @ covariance[np.ix_(_FROM, _FROM)] @ J.T - spread @ spread.T
-    return x, (P + P.T) / 2, spread
+    return x, (P + P.T) / 2, np.vstack([spread, scale[:, None] * root])
 
 
 def _as_shape_map(x: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -76,12 +76,7 @@ def gauge_free_sd(
     Orientation is gauge: the band is that of h after the rotation that fits the touched part best, so the error of
     ψ(0) is no part of it: h(θ) − h′(θ)·ε, ε the rotation by least squares over touched normals.
     """
-    order = _order(coefficients)
-    free = shape.basis(theta, order)
-    if len(touched):
-        slope = -shape.tangential_basis(touched, order) @ coefficients
-        turn = slope @ shape.basis(touched, order) / max(float(slope @ slope), 1e-30)
-        free = free + np.outer(shape.tangential_basis(theta, order) @ coefficients, turn)
+    free = shape.gauge_free_basis(theta, touched, coefficients)
     variance: FloatArray = ((free @ covariance) * free).sum(axis=1)
     return np.sqrt(np.maximum(variance, 0.0))
 

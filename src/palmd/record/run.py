@@ -121,7 +121,7 @@ class Run:
                 touched = np.array(fields["touched"], dtype=np.bool_)
                 rig = np.array(fields["rig"], dtype=np.float64)
                 rig_sd = np.array(fields.get("rig_sd", ()), dtype=np.float64)
-                spread = np.array(fields["spread"], dtype=np.float64).reshape(len(x), -1)
+                spread = np.array(fields["spread"], dtype=np.float64).reshape(-1, len(rig))
                 against = np.array(fields.get("contradicted", ()), dtype=np.float64)
                 t, frame, established = fields["t_s"], fields["frame"], fields["established"]
                 told = Improvement(t, x, covariance, frame, established, touched, rig, rig_sd, spread, against)

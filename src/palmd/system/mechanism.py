@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from itertools import accumulate
+from itertools import accumulate, pairwise
 from typing import Any, TypeVar
 
 Value = TypeVar("Value")  # what can be added: floats, arrays, symbols
@@ -52,6 +52,13 @@ def normal_directions(joints: Iterable[Value], psi: Value) -> tuple[Value, ...]:
     """θ1, θ2: the outward normals at the contacts in the object's frame, which is turned by `psi` (rad): (3.1)."""
     angles: tuple[Any, ...] = directions(joints)
     return tuple(angle - psi - behind for angle, behind in zip(angles, _BEHIND, strict=True))
+
+
+def joints_at(normals: Iterable[Value], psi: Value) -> tuple[Value, ...]:
+    """The joint angles whose `normal_directions` these are."""
+    given: Any = normals
+    angles: list[Any] = [normal + psi + behind for normal, behind in zip(given, _BEHIND, strict=True)]
+    return (angles[0], *(angle - before for before, angle in pairwise(angles)))
 
 
 def hinge_position(base: tuple[float, float], arm: float, phi1: float) -> tuple[float, float]:

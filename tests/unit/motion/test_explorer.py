@@ -1,6 +1,7 @@
 """The explorer's decisions: the same for the same seed, inside the limits, and honest about why it ends."""
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -9,8 +10,9 @@ import pytest
 from palmd.config import ExploreGoal, LimitsConfig
 from palmd.events import Outlook, PalmMotion
 from palmd.model import shape, shape_map
+from palmd.model.smoothing import ORDER, RIG_CONSTANTS, R
 from palmd.motion.check import motion_limits
-from palmd.motion.explorer import STUCK_S, Explorer, UnderWay
+from palmd.motion.explorer import RIG_S, STUCK_S, Explorer, UnderWay
 from palmd.motion.limits import MotionLimits, problems, ranges
 from palmd.motion.rollout_predictor import BINS
 from palmd.motion.segments import Move
@@ -187,3 +189,37 @@ def test_limits_that_leave_next_to_no_room_are_kept_too(phi1_deg, phi2_deg):
         if decision.move is not None:
             motion = [limits.values(decision.move.at(t)) for t in np.linspace(0.0, decision.move.duration, 50)]
             assert problems(limits.bounds, ranges(motion)) == []
+
+
+def open_rig(constant, off):
+    """Outlook with all touched, and one constant of the rig that is known to `off` alone, and with it the radius."""
+    spread = np.zeros((2 * ORDER + 1 + RIG_CONSTANTS, RIG_CONSTANTS))
+    spread[0, 0], spread[2 * ORDER + 1 + constant, 0] = 5e-5, off
+    everything = np.ones(BINS, dtype=np.bool_)
+    return replace(outlook(touched=everything), rig=np.zeros(RIG_CONSTANTS), rig_spread=spread)
+
+
+def test_with_all_touched_it_goes_on_for_what_touch_tells_of_the_rig():
+    ajar = open_rig(R.TURN, math.radians(0.1))
+    mine = explorer()
+    decision = mine.decide(ajar, STANDING)
+    assert decision.kind == "move"
+    assert decision.move.end != decision.move.start
+    later = replace(ajar, t=ajar.t + RIG_S)
+    assert mine.decide(later, STANDING).kind == "done"  # no longer than that
+    assert explorer().decide(replace(ajar, touched=NOTHING), STANDING).kind == "move"
+    known = replace(ajar, rig_spread=0.01 * ajar.rig_spread)
+    assert explorer().decide(replace(known, h_sd=np.full(BINS, 1e-4)), STANDING).kind == "done"
+
+
+def test_for_what_no_touch_tells_of_the_rig_it_does_not_go_on():
+    decision = explorer().decide(open_rig(R.STANDOFF, 5e-5), STANDING)
+    assert decision.kind == "done"
+    assert "100%" in decision.reason
+
+
+def test_it_is_done_when_no_motion_tells_more_of_the_rig():
+    """What moves the readings by a thousandth of their noise costs more than all else, and yet is not to be had."""
+    ajar = open_rig(R.TURN, math.radians(0.1))
+    ajar = replace(ajar, rig_spread=0.002 * ajar.rig_spread, h_sd=np.full(BINS, 1e-9))
+    assert explorer().decide(ajar, STANDING).kind == "done"

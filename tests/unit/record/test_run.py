@@ -95,6 +95,7 @@ def test_an_unfinished_run_says_so(tmp_path):
 
 RIG_SD = np.linspace(1.0, 2.0, 15)
 AGAINST = np.linspace(-9.0, 9.0, 15)
+SPREAD = np.arange(17.0 * 15).reshape(17, 15)  # of two states and the rig's constants
 
 
 def test_improvements_come_back_with_their_ticks(tmp_path):
@@ -112,7 +113,7 @@ def test_improvements_come_back_with_their_ticks(tmp_path):
                 touched=touched,
                 rig=np.arange(15.0),
                 rig_sd=RIG_SD,
-                spread=np.ones((2, 15)),
+                spread=SPREAD,
                 contradicted=AGAINST,
             ),
         ),
@@ -127,7 +128,7 @@ def test_improvements_come_back_with_their_ticks(tmp_path):
     assert np.array_equal(answer.contradicted, AGAINST)
     assert np.array_equal(answer.rig, np.arange(15.0))
     assert np.array_equal(answer.rig_sd, RIG_SD)
-    assert np.array_equal(answer.spread, np.ones((2, 15)))
+    assert np.array_equal(answer.spread, SPREAD)
 
 
 def test_answers_of_an_earlier_smoother_are_refused_with_what_to_do(tmp_path):

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from palmd.system.mechanism import JOINTS, PALMS, directions, hinge_position, normal_directions
+from palmd.system.mechanism import JOINTS, PALMS, directions, hinge_position, joints_at, normal_directions
 
 
 def test_joints_and_palms_belong_together():
@@ -29,6 +29,10 @@ def test_the_outward_normals_point_into_the_palms():
     for theta, angle, side in zip(normal_directions(joints, psi), directions(joints), (1, -1), strict=True):
         into = (side * math.sin(angle), -side * math.cos(angle))
         assert (math.cos(theta + psi), math.sin(theta + psi)) == pytest.approx(into)
+
+
+def test_the_joints_are_read_off_the_normals_again():
+    assert joints_at(normal_directions((0.7, 1.6), 0.3), 0.3) == pytest.approx((0.7, 1.6))
 
 
 def test_floats_arrays_and_symbols_give_the_same_bits():

@@ -173,4 +173,7 @@ class ShapeFilters:
 
     def _whole(self, member: int) -> FloatArray:
         P: FloatArray = self.bank.P[member]
-        return P if self.spread is None else P + self.spread @ self.spread.T
+        if self.spread is None:
+            return P
+        steps = self.spread[: len(P)]
+        return P + steps @ steps.T
