@@ -45,7 +45,7 @@ CAREFUL_RATE = math.radians(100.0)
 STUCK_S = 40.0  # without anything new
 # When all is touched it goes on for the rig's constants: until what touch would tell of them costs less than this share
 # of the band, no sequence tried lowers the cost's square by so much of it in a second any more, or this time is over.
-RIG_SHARE, RIG_RATE, RIG_S = 0.1, 0.05, 15.0
+RIG_SHARE, RIG_RATE, RIG_S = 0.1, 0.03, 15.0
 ANSWER_S = 2.0  # until a smoother has told what a motion was good for
 
 Kind = Literal["move", "wait", "safe", "unsafe", "done"]

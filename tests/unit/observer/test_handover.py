@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from improvements import improvement
 
-from palmd.model import shape_map
-from palmd.model.smoothing import ORDER
+from palmd.model import shape, shape_map
+from palmd.model.smoothing import ORDER, RIG_CONSTANTS
 from palmd.observer.coverage import NORMAL_BINS
-from palmd.observer.handover import Handover, SmoothedFilters
+from palmd.observer.handover import Handover, SmoothedFilters, _turned
 from palmd.system.description import RigDescription
 
 N, SMOOTHED_N = shape_map.N, shape_map.size(ORDER)
@@ -46,3 +46,14 @@ def test_an_answer_that_tells_less_than_a_valid_bank_is_not_taken_in(sd, valid, 
     took, bank = answered(sd, valid)
     assert took is taken
     assert (bank.score[1] > bank.score[0]) is np.bool_(taken)
+
+
+def test_in_another_gauge_the_outline_turns_and_the_rigs_constants_stay():
+    random = np.random.default_rng(1)
+    x, spread = random.standard_normal(SMOOTHED_N), random.standard_normal((SMOOTHED_N + RIG_CONSTANTS, RIG_CONSTANTS))
+    moved, _, turned = _turned(x, np.eye(SMOOTHED_N), spread, 0.3)
+    assert moved[shape_map.Z.PSI] == x[shape_map.Z.PSI] + 0.3
+    assert np.array_equal(turned[SMOOTHED_N:], spread[SMOOTHED_N:])
+    at = slice(shape_map.Z.SHAPE, SMOOTHED_N)
+    theta = np.linspace(0.0, 6.0, 50)
+    assert np.allclose(shape.basis(theta + 0.3, ORDER) @ spread[at], shape.basis(theta, ORDER) @ turned[at])

@@ -10,9 +10,9 @@ from simulated import Run, simulated
 
 from palmd.events import FloatArray, Improvement, PadSample
 from palmd.model import shape, shape_map
-from palmd.model.smoothing import ORDER
+from palmd.model.smoothing import CONSTANTS, ORDER, RIG, C
 from palmd.observer.coverage import NORMAL_BINS
-from palmd.observer.incremental import IncrementalSmoother, _as_shape_map
+from palmd.observer.incremental import _FROM, IncrementalSmoother, _as_shape_map, given_the_rig
 from palmd.observer.outline import gauge_free_sd
 from palmd.observer.smoothing import Session
 from palmd.score import score_outline
@@ -171,3 +171,18 @@ def test_friction_in_other_coordinates_is_the_same_belief() -> None:
     there = np.column_stack([drawn[:, 0] / np.sqrt(drawn[:, 1]), -0.5 * np.log(drawn[:, 1])])
     assert mean[[mu, dither]] == pytest.approx(there.mean(axis=0), rel=1e-3)
     assert covariance[np.ix_([mu, dither], [mu, dither])] == pytest.approx(np.cov(there.T), rel=0.02)
+
+
+def test_what_the_rig_leaves_open_and_the_rest_are_the_whole_covariance() -> None:
+    """Of state and constants together: their own, and what they have in common."""
+    random = np.random.default_rng(1)
+    y = np.zeros(CONSTANTS + 2)
+    y[C.SATURATION], y[C.SHAPE] = 1e4, 0.02
+    root = random.standard_normal((len(y), len(y)))
+    covariance = root @ root.T
+    x, P, spread = given_the_rig(y, covariance)
+    _, J = _as_shape_map(y[_FROM])
+    of_state, of_rig = spread[: len(x)], spread[len(x) :]
+    assert np.allclose(P + of_state @ of_state.T, J @ covariance[np.ix_(_FROM, _FROM)] @ J.T)
+    assert np.allclose(of_state @ of_rig.T, J @ covariance[_FROM, RIG])
+    assert np.allclose(of_rig @ of_rig.T, covariance[RIG, RIG])

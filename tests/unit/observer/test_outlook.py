@@ -7,6 +7,7 @@ from simulated import simulated
 from palmd import observer
 from palmd.model import shape_map
 from palmd.model.shape import basis
+from palmd.model.smoothing import RIG_CONSTANTS
 from palmd.observer.filters.base import Overconfidence
 
 
@@ -65,3 +66,15 @@ def test_what_may_be_besides_is_spread_as_widely_as_the_error_bars_say():
     keeps_sign = [i for i in range(shape_map.N) if i not in (shape_map.Z.MU, shape_map.Z.DAMPING)]
     np.testing.assert_allclose(farther[:, keeps_sign], 3.0 * away[:, keeps_sign], rtol=1e-6)
     np.testing.assert_allclose(other.h_sd, 3.0 * one.h_sd)
+
+
+def test_what_the_rig_leaves_open_goes_along_once_a_smoother_vouches_for_it():
+    mine, t = fed()
+    assert mine.outlook(t).rig_spread is None
+    filters = mine._fusion.filters
+    spread = np.random.default_rng(1).standard_normal((filters.bank.n + RIG_CONSTANTS, RIG_CONSTANTS))
+    _, before = filters.outline(0)
+    filters.spread = spread
+    np.testing.assert_array_equal(mine.outlook(t).rig_spread, spread[shape_map.Z.SHAPE :])
+    of_outline = spread[shape_map.Z.SHAPE : filters.bank.n]
+    np.testing.assert_allclose(filters.outline(0)[1], before + of_outline @ of_outline.T)
