@@ -22,6 +22,7 @@ from palmd.model import shape
 from palmd.model.stable_surface import stable_surface
 from palmd.motion.check import motion_limits
 from palmd.motion.reach import surface_limits
+from palmd.motion.rig_information import rig_cost
 from palmd.motion.rollout_predictor import BINS, Bools
 from palmd.observer import Simulated
 from palmd.rig.shapes import KINDS, Kind
@@ -54,11 +55,12 @@ class ExploringRow:
     limits show; coverage: touched share of these, curve: the same at each full second; of_all: touched share of all.
     enough_s, valid_s: when coverage was 0.95, when the estimate was first valid, from the start on; ended_s: when the
     exploration ended by itself, and the reason it gave. hausdorff, e_h: error of the last valid outline over all
-    normals, largest and RMS; band: the largest sd that it claimed. losses: of a contact, how often; parted_s,
-    edge_s: how long not both touched, and how long a contact was at a pad's end. recovered: whether at the end both
-    touch and the estimate is valid. outside, refused: set-points outside the limits, and refused by the controller.
-    decision: processor time (ms); seconds: processor time of the whole run (s). None of the estimates' numbers are
-    told of the open-loop plans, which have no smoother.
+    normals, largest and RMS; band: the largest sd that it claimed. open_rig: what touch would still have told of the
+    rig's constants when it was last asked for a motion (RMS over the touched normals). losses: of a contact, how often;
+    parted_s, edge_s: how long not both touched, and how long a contact was at a pad's end. recovered: whether at the
+    end both touch and the estimate is valid. outside, refused: set-points outside the limits, and refused by the
+    controller. decision: processor time (ms); seconds: processor time of the whole run (s). None of the estimates'
+    numbers are told of the open-loop plans, which have no smoother.
     """
 
     kind: Kind
@@ -75,6 +77,7 @@ class ExploringRow:
     hausdorff_m: float = math.nan
     e_h_m: float = math.nan
     band_m: float = math.nan
+    open_rig_m: float = math.nan
     losses: int = 0
     falls: int = 0
     parted_s: float = 0.0
@@ -134,15 +137,18 @@ def failed(task: ExploringTask, error: BaseException) -> ExploringRow:
 
 
 class _Timed(Decider):
-    """A decider that notes the processor time of each decision (ms)."""
+    """A decider that notes the processor time of each decision (ms), and what is open of the rig's constants (m)."""
 
     spent_ms: list[float]
+    open_rig_m: float
 
     def answer(self, question: Question) -> ExplorationAnswer:
         begin = time.process_time()
         answer = super().answer(question)
         if question.outlook is not None:
             self.spent_ms.append((time.process_time() - begin) * 1e3)
+            cost = rig_cost(question.outlook, question.outlook.touched)
+            self.open_rig_m = math.nan if cost is None else cost.sd
         return answer
 
 
@@ -153,7 +159,7 @@ def _run(task: ExploringTask) -> ExploringRow:
     explores = task.strategy == "explore"
     goal = ExploreGoal(coverage=GOAL, band_mm=task.band_mm, time_limit_s=task.seconds)
     decider = _Timed(rig, task.seed)
-    decider.spent_ms = []
+    decider.spent_ms, decider.open_rig_m = [], math.nan
     wireless = Wireless(
         config,
         plan(task.strategy, config, goal, task.seed),
@@ -186,6 +192,7 @@ def _run(task: ExploringTask) -> ExploringRow:
         hausdorff_m=score.max_error if score else math.nan,
         e_h_m=score.e_h if score else math.nan,
         band_m=max(watch.shape["h_sd_m"]) if explores and watch.shape else math.nan,
+        open_rig_m=decider.open_rig_m,
         losses=status["contact_losses"] - before,
         falls=status["falls"],
         parted_s=watch.parted * tick_s,

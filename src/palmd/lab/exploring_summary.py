@@ -105,6 +105,7 @@ def _lines() -> Iterable[tuple[str, Callable[[Sequence[ExploringRow]], str]]]:
     yield "ended by itself after, median / p90 (s)", _quantiles(lambda row: row.ended_s)
     yield "whole outline: largest error, median / p90 (mm)", _quantiles(lambda row: row.hausdorff_m, 1e3)
     yield "whole outline: RMS, median / p90 (µm)", _quantiles(lambda row: row.e_h_m, 1e6)
+    yield "open of the rig though touch tells it, median / p90 (µm)", _quantiles(lambda row: row.open_rig_m, 1e6)
     yield "contact lost or pad's end reached (runs)", _count(lambda row: row.mishap)
     yield "of these not recovered", _count(lambda row: row.mishap and not row.recovered)
     yield "limits or workspace violated (runs)", _count(lambda row: row.outside + row.refused > 0)

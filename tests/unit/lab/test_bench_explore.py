@@ -143,7 +143,7 @@ def row(strategy="explore", seed=0, **numbers):
 
 
 def test_the_table_counts_what_is_missing_as_never():
-    rows = [row(seed=s) for s in range(3)] + [row(seed=3, enough_s=math.nan, coverage=0.4)]
+    rows = [row(seed=s, open_rig_m=1.5e-5) for s in range(3)] + [row(seed=3, enough_s=math.nan, coverage=0.4)]
     rows += [row("random", enough_s=math.nan, coverage=0.3)]
     told = {line.split("  ")[0]: line.split("  ")[-1].strip() for line in table(rows).splitlines()}
     assert told["explore: touched 95 % (% of objects)"] == "75.0"
@@ -151,6 +151,7 @@ def test_the_table_counts_what_is_missing_as_never():
     assert told["explore: time to 95 %, median / p90 (s)"] == "12 / ∞"
     assert told["random: time to 95 %, median / p90 (s)"] == "∞ / ∞"
     assert told["whole outline: largest error, median / p90 (mm)"] == "0.03 / 0.03"
+    assert told["open of the rig though touch tells it, median / p90 (µm)"] == "15 / ∞"
     assert told["systematic: touched 95 % (% of objects)"] == "–"
 
 
