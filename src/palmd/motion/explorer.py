@@ -133,6 +133,8 @@ class Explorer:
         move = self._choose(states, tried, foreseen, score.max(axis=1), to_go if open_rig is None else None)
         if move is None:
             return Decision("wait", None, "no safe motion found yet", coverage, reachable)
+        if open_rig is not None:
+            self._expect(outlook, open_rig, states[0], move)
         return Decision("move", move, "", coverage, reachable)
 
     # ---- what is known, and what is wanted
@@ -141,6 +143,8 @@ class Explorer:
         self._reach: Bools = np.ones(BINS, dtype=np.bool_)
         self._t_seen = self._t_new = -math.inf
         self._t_seen_all = math.inf
+        self._steps: FloatArray = np.zeros(0)  # of the rig's constants, by the smoother's latest answer
+        self._expected: FloatArray | float = 0.0  # information that no answer of a smoother has in it yet
         self._most = 0
         self._kept: Moves | None = None
         self._roadmap: Roadmap | None = None
@@ -277,9 +281,18 @@ class Explorer:
 
     def _rig_score(self, outlook: Outlook, cost: RigCost, foreseen: Prediction, tried: Moves) -> FloatArray:
         """By which share of its square each beginning lowers `cost` in a second (N, k), −inf where it is not safe."""
+        if not np.array_equal(cost.steps, self._steps):
+            self._steps, self._expected = cost.steps, 0.0
         time_s = np.cumsum(tried.durations, axis=1) + ANSWER_S
-        told = cost.share_told(self._information.of(outlook, cost, foreseen.path, tried.durations))
+        information = self._information.of(outlook, cost, foreseen.path, tried.durations)
+        told = cost.share_told(information, self._expected)
         return np.where(self._goodness(foreseen) > 1.0, told / time_s, -np.inf)
+
+    def _expect(self, outlook: Outlook, cost: RigCost, state: FloatArray, move: Move) -> None:
+        """Count what the move will tell as told, until a smoother says what it has."""
+        moves = Moves(np.array(move.start), np.array([[move.end]]), np.array([[move.duration]]))
+        path = self._predictor.of(state, moves).path
+        self._expected = self._expected + self._information.of(outlook, cost, path, moves.durations)[0, 0]
 
     def _safe_for_all(self, states: FloatArray, move: Move) -> bool:
         """Whether no sample of the object loses a contact on the move, nor if the palms then stand still."""

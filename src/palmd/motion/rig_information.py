@@ -43,10 +43,12 @@ class RigCost:
         """What they leave open of the outline: RMS of its one-sigma (m)."""
         return float(np.sqrt(np.trace(self.cost)))
 
-    def share_told(self, information: FloatArray) -> FloatArray:
-        """By which share of the mean square `information` (…, m, m) lowers it."""
-        left = np.linalg.inv(np.eye(len(self.cost)) + information)
-        share: FloatArray = 1.0 - np.einsum("...ij,ji->...", left, self.cost) / np.trace(self.cost)
+    def share_told(self, information: FloatArray, before: FloatArray | float = 0.0) -> FloatArray:
+        """By which share of the mean square `information` (…, m, m) lowers what is left of it by that of `before`."""
+        known = np.eye(len(self.cost)) + before
+        now = np.einsum("ij,ji->", np.linalg.inv(known), self.cost)
+        then = np.einsum("...ij,ji->...", np.linalg.inv(known + information), self.cost)
+        share: FloatArray = (now - then) / np.trace(self.cost)
         return share
 
 
