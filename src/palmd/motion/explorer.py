@@ -44,7 +44,8 @@ CAREFUL_ANGLES = (math.radians(22.0), math.radians(75.0)), (math.radians(66.0), 
 CAREFUL_RATE = math.radians(100.0)
 STUCK_S = 40.0  # without anything new
 # When all is touched it goes on for the rig's constants: until what touch would tell of them costs less than this share
-# of the band, no sequence tried lowers the cost's square by so much of it in a second any more, or this time is over.
+# of the band, no sequence tried lowers the cost's square by so much of it in a second any more when a smoother has just
+# answered, or this time is over.
 RIG_SHARE, RIG_RATE, RIG_S = 0.1, 0.03, 15.0
 ANSWER_S = 2.0  # until a smoother has told what a motion was good for
 
@@ -128,7 +129,7 @@ class Explorer:
             score = self._score(foreseen, tried, wanted, to_go)
         else:
             score = self._rig_score(outlook, open_rig, foreseen, tried)
-            if 0.0 < score.max() < RIG_RATE:
+            if not np.any(self._expected) and 0.0 < score.max() < RIG_RATE:
                 return Decision("done", None, self._enough(outlook, coverage), coverage, reachable)
         move = self._choose(states, tried, foreseen, score.max(axis=1), to_go if open_rig is None else None)
         if move is None:
