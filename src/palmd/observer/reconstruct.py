@@ -29,7 +29,7 @@ from palmd.observer.matching import Felt, matched
 from palmd.observer.noise import with_scatter
 from palmd.observer.outline import directions, made_convex, normal_angles, outline_of
 from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
-from palmd.observer.search import Minima, Search, beyond_question, doubt
+from palmd.observer.search import Minima, Search, beyond_question, doubt, minima
 from palmd.observer.seeker import attempts_for
 from palmd.observer.smoother import Fit, Smoother
 from palmd.observer.visits import Counts, visits_of
@@ -127,6 +127,11 @@ class _Part:
     reason: str
 
     @property
+    def surprise(self) -> float:
+        """−2 log-likelihood up to a constant: fits go by forces of different noise."""
+        return self.fit.cost + float(np.log(self.record.force_variance).sum())
+
+    @property
     def blind(self) -> Prior:
         """What was believed of any object, on this rig as the segment tells it to be."""
         return replace(self.known, told=None)
@@ -170,7 +175,7 @@ def _part(segment: DataSegment, rig: RigDescription, seed: int) -> _Part | None:
         if finding is None:
             continue
         part = _refined(search, finding, segment, rig)
-        if best is None or part.fit.cost < best.fit.cost:
+        if best is None or part.surprise < best.surprise:
             best = part
         if not best.reason and (number > 0 or beyond_question(best.fit, best.record)):
             break
@@ -187,8 +192,9 @@ def _refined(search: Search, finding: Minima, segment: DataSegment, rig: RigDesc
     guess = best.guess.on(finding.record.t, record.t)
     level = np.maximum(Smoother(search.library, record, prior).forces(guess), LEAST_FORCE_N)
     record = replace(record, force_variance=rig.force_variances(level, record.force_pad))
+    finer = minima(search.library, record, prior, [guess], best.noise)
+    record, fit = finer.record, finer.fits[0]
     smoother = Smoother(search.library, record, prior)
-    fit = smoother.fit(guess, best.noise)
     for _ in range(MOST_REVISIONS):
         then = belief.after(fit.guess.p, smoother.sureness(fit))
         if np.array_equal(then.sd, belief.sd):
