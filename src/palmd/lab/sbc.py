@@ -13,20 +13,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Container, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy.interpolate import CubicHermiteSpline
 
-from palmd.lab.scoring import Bools, Line, OutlineErrors, outline_errors, truth_of
+from palmd.events import FloatArray
+from palmd.lab.scoring import Bools, Line, outline_errors, truth_of
 from palmd.lab.simulated import simulated
 from palmd.observer.bound import Truth
 from palmd.observer.reconstruct import Reconstruction, reconstruct
 from palmd.rig.shapes import KINDS, Kind
+from palmd.score import support_at
 from palmd.system.rig_constants import RIG_NAMES
 
 NORMALS = 8  # of the outline that are asked, of those touched and of the others
+_FLAT_M2 = 1e-30  # Σ h′² of a circle, which no rotation changes
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,9 +59,9 @@ class SbcRow:
     """A run in numbers; NaN for what there is not.
 
     error: what was raised, then nothing else is known. converged, reason, chi2: as `reconstruct` says. e_h, h_sd: RMS
-    over the touched normals of the outline's error after the best rotation, and of its one-sigma. beyond: the most by
-    which a touched normal's error exceeds its one-sigma; worst_z: the most in one-sigmas. rotated: by how much the best
-    rotation of the outline is not that between the ψ of both. rig_distance2: squared Mahalanobis distance of all the
+    over the touched normals of the outline's error, as `gauge_free_error` has it, and of its one-sigma; best_e_h: of
+    the error after the best rotation of all, as `palmd.score` has it. beyond: the most by which a touched normal's
+    error exceeds its one-sigma; worst_z: the most in one-sigmas. rig_distance2: squared Mahalanobis distance of all the
     rig's true constants, χ² of as many. beliefs: of each quantity. contradicted: the constants so named, in sigmas,
     though the rig is as it is described.
     """
@@ -73,10 +75,10 @@ class SbcRow:
     chi2: float = math.nan
     touched: float = math.nan
     e_h_m: float = math.nan
+    best_e_h_m: float = math.nan
     h_sd_m: float = math.nan
     beyond_m: float = math.nan
     worst_z: float = math.nan
-    rotated_rad: float = math.nan
     rig_distance2: float = math.nan
     beliefs: Mapping[str, Belief] = field(default_factory=dict)
     contradicted: Mapping[str, float] = field(default_factory=dict)
@@ -116,40 +118,47 @@ def in_order(rows: Iterable[SbcRow]) -> list[SbcRow]:
 
 def row_of(task: SbcTask, told: Line, answer: Reconstruction) -> SbcRow:
     """What an answer believes beside what the simulator `told` of the truth."""
+    row = SbcRow(task.kind, task.seed, task.seconds, reason=answer.reason, chi2=float(answer.chi2))
     truth = truth_of(told)
-    outline = outline_errors(answer, truth)
-    if outline is None:
-        return SbcRow(task.kind, task.seed, task.seconds, reason=answer.reason, chi2=answer.chi2)
-    at = outline.touched
-    error, sd = outline.error[at], outline.h_sd[at]
-    psi = CubicHermiteSpline(truth.t, truth.psi, truth.omega0)(answer.t[[0, -1]])
+    scored = outline_errors(answer, truth)
+    if scored is None or answer.h is None:
+        return row
+    first, last = CubicHermiteSpline(truth.t, truth.psi, truth.omega0)(answer.t[[0, -1]]).tolist()
+    error = gauge_free_error(answer.theta, answer.h, truth.h, float(answer.psi[0]) - first, scored.touched)
+    at = scored.touched
     true_rig = np.array([told["rig"][name] for name in RIG_NAMES])
     off = true_rig - answer.rig
-    return SbcRow(
-        task.kind,
-        task.seed,
-        task.seconds,
+    normals = np.column_stack([answer.h - error, answer.h, scored.h_sd])
+    return replace(
+        row,
         converged=bool(answer.converged),
-        reason=answer.reason,
-        chi2=float(answer.chi2),
-        touched=outline.score.touched,
-        e_h_m=outline.score.e_h,
-        h_sd_m=float(np.sqrt(np.mean(sd**2))),
-        beyond_m=float(np.max(np.abs(error) - sd)),
-        worst_z=float(np.max(np.abs(error) / sd)),
-        rotated_rad=math.remainder(outline.score.rotation - float(answer.psi[0] - psi[0]), math.tau),
+        touched=scored.score.touched,
+        e_h_m=_rms(error[at]),
+        best_e_h_m=scored.score.e_h,
+        h_sd_m=_rms(scored.h_sd[at]),
+        beyond_m=float(np.max(np.abs(error[at]) - scored.h_sd[at])),
+        worst_z=float(np.max(np.abs(error[at]) / scored.h_sd[at])),
         rig_distance2=float(off @ np.linalg.solve(answer.rig_covariance, off)),
-        beliefs=_of_scalars(answer, truth, float(psi[1] - psi[0]))
-        | {
-            name: Belief(*each)
-            for name, *each in zip(
-                RIG_NAMES, true_rig.tolist(), answer.rig.tolist(), answer.rig_sd.tolist(), strict=True
-            )
-        }
-        | _of_normals("touched", outline, answer, at)
-        | _of_normals("untouched", outline, answer, ~at),
+        beliefs=_of_scalars(answer, truth, last - first)
+        | _beliefs(RIG_NAMES, np.column_stack([true_rig, answer.rig, answer.rig_sd]))
+        | _of_normals("touched", normals[at])
+        | _of_normals("untouched", normals[~at]),
         contradicted={name: z for name, z in zip(RIG_NAMES, answer.contradicted.tolist(), strict=True) if z != 0.0},
     )
+
+
+def gauge_free_error(
+    theta: FloatArray, h: FloatArray, true_h: FloatArray, rotation: float, touched: Bools
+) -> FloatArray:
+    """ĥ(θ) − h(θ + rotation) − ĥ′(θ) ε (m), ε the small rotation by least squares over the touched normals.
+
+    That is what `h_sd` is the one-sigma of, to first order: see `observer.outline.gauge_free_sd`. The `rotation`
+    between the frames is that of ψ (rad). theta, h: on evenly spaced normals from 0.
+    """
+    error = h - support_at(true_h, theta + rotation)
+    slope = np.fft.irfft(1j * np.arange(len(h) // 2 + 1) * np.fft.rfft(h), len(h))
+    across = slope[touched]
+    return np.asarray(error - slope * float(across @ error[touched]) / max(float(across @ across), _FLAT_M2))
 
 
 def _of_scalars(answer: Reconstruction, truth: Truth, turned_rad: float) -> dict[str, Belief]:
@@ -166,20 +175,19 @@ def _logarithm(true: float, mean: float, sd: float) -> Belief:
     return Belief(math.log(true), math.log(mean), sd / mean)
 
 
-def _of_normals(name: str, outline: OutlineErrors, answer: Reconstruction, among: Bools) -> dict[str, Belief]:
-    """h on `NORMALS` normals spread evenly over those `among` which to choose, after the best rotation."""
-    indices = np.flatnonzero(among)
-    if len(indices) < NORMALS or answer.h is None:
-        return {}
-    chosen = indices[_middles(len(indices))]
-    h = answer.h[chosen]
-    columns = zip((h - outline.error[chosen]).tolist(), h.tolist(), outline.h_sd[chosen].tolist(), strict=True)
-    return {f"h_{name}_{number}_m": Belief(*each) for number, each in enumerate(columns, 1)}
+def _of_normals(name: str, normals: FloatArray) -> dict[str, Belief]:
+    """Of `NORMALS` spread evenly over those from which to choose, rows of (true h, h, its one-sigma)."""
+    chosen = np.floor((np.arange(NORMALS) + 0.5) * len(normals) / NORMALS).astype(np.intp)
+    names = [f"h_{name}_{number}_m" for number in range(1, NORMALS + 1)]
+    return _beliefs(names, normals[chosen]) if len(normals) >= NORMALS else {}
 
 
-def _middles(size: int) -> npt.NDArray[np.intp]:
-    """The middles of `NORMALS` equal parts of so many."""
-    return np.floor((np.arange(NORMALS) + 0.5) * size / NORMALS).astype(np.intp)
+def _beliefs(names: Iterable[str], rows: FloatArray) -> dict[str, Belief]:
+    return {name: Belief(*row) for name, row in zip(names, rows.tolist(), strict=True)}
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 # ------------------------------------------------------------------------------------------------ written

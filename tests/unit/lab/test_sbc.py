@@ -12,8 +12,10 @@ from scipy import stats
 
 from palmd.cli import main
 from palmd.lab import runs, sbc
-from palmd.lab.sbc import Belief, SbcRow, SbcTask, as_line, row_from, row_of
+from palmd.lab.sbc import Belief, SbcRow, SbcTask, as_line, gauge_free_error, row_from, row_of
 from palmd.lab.sbc_summary import TOGETHER, Count, Uniformity, crooked, far, report, seeds, uniformities, wrong
+from palmd.model.shape import basis
+from palmd.observer.outline import gauge_free_sd
 from palmd.rig.imperfections import drawn
 from palmd.system.description import AS_CALIBRATED, RigDescription
 from palmd.system.rig_constants import RIG_NAMES, prior_sds
@@ -121,11 +123,37 @@ def test_a_perfect_answer_believes_the_truth_whatever_its_gauge():
     assert row.task == TASK
     assert row.converged
     assert row.e_h_m < 1e-8
-    assert row.rotated_rad == pytest.approx(0.0, abs=1e-4)
     assert row.rig_distance2 == 0.0
     assert row.contradicted == {}
     assert {*RIG_NAMES, "ln_rho", "ln_mass", "mu", "turned_rad", "h_touched_1_m", "h_untouched_8_m"} < {*row.beliefs}
     assert max(abs(belief.z) for belief in row.beliefs.values()) < 1e-2
+
+
+def test_a_wrong_part_of_the_outline_that_fits_by_a_turn_is_wrong():
+    """The score looks for the best rotation of all; what ψ says of the motion is part of what is believed."""
+    row = row_of(TASK, told(), answer(h=support(THETA + 1.0), psi=answer().psi))
+    assert row.best_e_h_m < 1e-8
+    assert row.e_h_m > 1e-5
+    assert far(row)
+
+
+def test_a_small_turn_of_the_whole_is_no_error():
+    turned = support(THETA + 0.7 + 1e-3)
+    assert np.abs(turned - support(THETA + 0.7)).max() > 1e-6
+    assert np.abs(gauge_free_error(THETA, turned, support(THETA), 0.7, THETA < 2.0)).max() < 5e-9
+
+
+def test_the_errors_one_sigma_is_what_reconstruct_says():
+    """Outlines drawn from a posterior: the band is `observer.outline`'s, the error this study's."""
+    order, random = 5, np.random.default_rng(2)
+    mean = np.array([0.02, 0.0, 0.0, 8e-4, 2e-4, 3e-4, 1e-4, 5e-5, 4e-5, 3e-5, 2e-5])
+    root = 1e-6 * random.standard_normal((len(mean), len(mean)))
+    touched = THETA < 2.0
+    h_sd = gauge_free_sd(THETA, THETA[touched], mean, root @ root.T)
+    h = basis(THETA, order) @ mean
+    true = [h + basis(THETA, order) @ root @ random.standard_normal(len(mean)) for _ in range(4000)]
+    z = np.array([gauge_free_error(THETA, h, each, 0.0, touched) for each in true]) / h_sd
+    np.testing.assert_allclose(z.std(axis=0), 1.0, atol=0.05)
 
 
 def test_z_of_known_size():
