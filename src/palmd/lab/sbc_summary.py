@@ -7,7 +7,6 @@ Smirnov's test, each quantity by itself over the runs, which are independent.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -101,9 +100,10 @@ def crooked(told: dict[str, Uniformity]) -> list[str]:
 
 
 def report(rows: Sequence[SbcRow]) -> str:
-    """For each kind of run its seeds, its claims, and a line for each quantity; then the runs to look at."""
-    kinds = [(kind, [row for row in rows if row.kind == kind]) for kind in KINDS]
-    parts = [_of_kind(kind, of_kind) for kind, of_kind in kinds if of_kind]
+    """For each kind of run and for all: seeds, claims, a line for each quantity; then the runs to look at."""
+    kinds: list[tuple[str, Sequence[SbcRow]]] = [(kind, [row for row in rows if row.kind == kind]) for kind in KINDS]
+    kinds = [each for each in kinds if each[1]]
+    parts = [_of_kind(*each) for each in ([*kinds, ("all kinds", rows)] if len(kinds) > 1 else kinds)]
     return "\n\n".join(parts + ["\n".join(remarks(rows))] * bool(remarks(rows)))
 
 
@@ -126,7 +126,7 @@ def _remarks(row: SbcRow) -> list[str]:
 def _of_kind(kind: str, rows: Sequence[SbcRow]) -> str:
     claimed = claims(rows)
     lines = [f"{kind}: seeds {seeds(row.seed for row in rows)}"]
-    lines.append(f"  claimed: {_share(Count(len(claimed), len(rows)))}")
+    lines.append(f"  claimed: {len(claimed)} of {len(rows)}")
     refusals = Counter(row.error or row.reason for row in rows if not row.converged)
     lines += [f"  not claimed: {count}: {why}" for why, count in refusals.most_common()]
     lines += [
@@ -173,5 +173,6 @@ def seeds(numbers: Iterable[int]) -> str:
 
 
 def _share(count: Count) -> str:
-    limit = math.ceil(1e3 * count.at_most) / 10.0
-    return f"{count.such} of {count.of} (below {limit:.1f} % with {100.0 * CONFIDENCE:g} % confidence)"
+    return (
+        f"{count.such} of {count.of} (at most {100.0 * count.at_most:.2g} %, with {100.0 * CONFIDENCE:g} % confidence)"
+    )

@@ -90,9 +90,9 @@ def test_the_report_tells_seeds_claims_and_what_to_look_at():
     ]
     text = report(rows)
     assert "rig: seeds 0–999, 1001–1003\n" in text
-    assert "claimed: 1001 of 1003 (" in text
+    assert "claimed: 1001 of 1003\n" in text
     assert "not claimed: 1: too little\n" in text
-    assert "0.3 mm off beyond its band: 1 of 1001 (below 0.5 %" in text
+    assert "0.3 mm off beyond its band: 1 of 1001 (at most 0.47 %" in text
     assert text.endswith(
         "rig 1002: ValueError: no ground\n"
         "rig 1003: claimed, and 0.40 mm off beyond its band\n"
@@ -101,6 +101,12 @@ def test_the_report_tells_seeds_claims_and_what_to_look_at():
     )
     (line,) = [line for line in text.splitlines() if line.startswith("mu ")]
     assert not line.endswith("not uniform")
+
+
+def test_all_kinds_are_told_together_where_there_are_several():
+    rows = [SbcRow("nominal", seed, 10.0, converged=True, beliefs={"mu": Belief(0.5, 0.0, 1.0)}) for seed in (1, 2)]
+    assert "all kinds" not in report(rows)
+    assert "all kinds: seeds 1–3\n  claimed: 3 of 3\n" in report([*rows, claimed(0.1, 3)])
 
 
 def test_seeds_in_words():
