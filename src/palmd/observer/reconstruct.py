@@ -54,7 +54,7 @@ class Reconstruction:
     rig, rig_covariance: the rig's constants, as in `model.smoothing.R`, and their covariance; none where empty.
     contradicted: by how many sigmas each of them is not what it was taken for, 0 where nothing speaks against that.
     t, psi, omega0, radii (one row a palm): the trajectory at the nodes. `chi2` is per contact reading. `reason` says
-    why not, when not `converged`.
+    why not, when not `converged`. turned_sd: one-sigma of psi[-1] − psi[0] (rad), where the record is of one segment.
     """
 
     converged: bool
@@ -79,6 +79,7 @@ class Reconstruction:
     radii: FloatArray
     reason: str
     seconds: float
+    turned_sd: float = math.nan
 
     @property
     def rig_sd(self) -> FloatArray:
@@ -280,6 +281,7 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
         contradicted=main.belief.contradicted,
         t=t, psi=psi, omega0=omega0, radii=np.stack(radii),
         reason=reason, seconds=time.perf_counter() - begun,
+        turned_sd=math.nan if others else float(sd[CONSTANTS]),  # ψ is 0 at the first node: gauge
     )  # fmt: skip
 
 
