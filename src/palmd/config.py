@@ -183,6 +183,8 @@ class ImperfectionsConfig(Strict):
     """By how much the table tips: palm 1 is that much steeper against gravity."""
     friction_asymmetry: Annotated[FiniteFloat, Field(gt=-1, lt=1)] = 0.0
     """(μ1 − μ2)/(μ1 + μ2) of the palms' friction."""
+    vibration_m_s2: Annotated[FiniteFloat, Field(ge=0, le=5)] = 0.0
+    """RMS acceleration with which the table shakes up and down."""
 
 
 Drawn = Literal["none", "calibrated"]

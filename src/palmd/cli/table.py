@@ -88,6 +88,11 @@ COMMANDS = (
         "random objects reconstructed blind, scored against their truth and the Cramér–Rao bound",
     ),
     Command(
+        "bench sbc",
+        "lab.bench_sbc",
+        "simulation-based calibration: whether blind reconstructions are as sure as they may be",
+    ),
+    Command(
         "bench explore", "lab.bench_explore", "unknown objects explored in the emulated rig, beside open-loop plans"
     ),
     Command(

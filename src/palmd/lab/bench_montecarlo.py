@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from concurrent.futures import Executor
-from contextlib import ExitStack
 from pathlib import Path
 
 from palmd.console.arguments import count, seconds, seed
-from palmd.console.errors import BAD_INPUT, CliError
-from palmd.console.extras import drawing, missing, only_without
-from palmd.lab import montecarlo, runs
+from palmd.console.extras import drawing
+from palmd.lab import montecarlo, workers
 from palmd.lab.montecarlo_summary import remarks, summaries, table
-from palmd.lab.rows import ROWS, Sink, collected, on_this_machine, rewrite
+from palmd.lab.rows import ROWS, Sink, collected, rewrite
 from palmd.lab.scoring import MonteCarloRow, as_line
 from palmd.rig.shapes import KINDS
 from palmd.rig.simulate import CALIBRATION
@@ -32,9 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"for {ROWS} and the figure, which are overwritten (default: %(default)s)")  # fmt: skip
     add("--causal", action=argparse.BooleanOptionalAction, default=True, help="also through the daemon's observer")
     add("--imperfections", choices=CALIBRATION, default="none", help="of the rig, drawn (default: %(default)s)")
-    where = parser.add_mutually_exclusive_group()
-    where.add_argument("--jobs", type=count, metavar="J", help="processes on this machine (default: one a processor)")
-    where.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster, such as tcp://127.0.0.1:8786")
+    workers.add_arguments(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -49,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
         tasks,
         montecarlo.run,
         montecarlo.failed,
-        lambda stack: _workers(stack, arguments),
+        workers.asked_for(arguments),
         Sink[MonteCarloRow](path, as_line),
     )
     if finished:
@@ -68,16 +63,3 @@ def _conclude(rows: Sequence[MonteCarloRow], path: Path) -> None:
 def _figure(rows: Sequence[MonteCarloRow], folder: Path) -> list[Path]:
     figure = drawing("palmd.lab.montecarlo_figure")
     return figure.save(rows, folder) if figure else []
-
-
-def _workers(stack: ExitStack, arguments: argparse.Namespace) -> Executor:
-    address = arguments.scheduler
-    if address is None:
-        return on_this_machine(arguments.jobs)(stack)
-    try:
-        return stack.enter_context(runs.cluster(address))
-    except ModuleNotFoundError as error:
-        only_without("distributed", error)
-        raise missing("--scheduler", "Dask", "lab") from None
-    except (OSError, ValueError) as error:
-        raise CliError(BAD_INPUT, f"no Dask scheduler at {address}: {error}") from None

@@ -27,10 +27,11 @@ Row = TypeVar("Row")
 
 @dataclass(frozen=True)
 class Sink(Generic[Row]):
-    """Where each row goes as soon as it is finished: a study takes hours."""
+    """Where each row goes as soon as it is finished: a study takes hours. `append`: after those that are there."""
 
     path: Path
     as_line: Callable[[Row], dict[str, Any]]
+    append: bool = False
 
 
 def collected(
@@ -50,7 +51,7 @@ def collected(
     try:
         with terminable(), ExitStack() as stack:
             executor = workers(stack)
-            stream = None if sink is None else writable(stack, sink.path)
+            stream = None if sink is None else writable(stack, sink.path, sink.append)
             progress = stack.enter_context(Progress(what, len(tasks), "runs"))
             for row in runs.finished(executor, work, failed, tasks):
                 if sink is not None and stream is not None:
@@ -68,11 +69,11 @@ def on_this_machine(jobs: int | None) -> Callable[[ExitStack], Executor]:
     return lambda stack: stack.enter_context(runs.local(jobs or os.cpu_count() or 1))
 
 
-def writable(stack: ExitStack, path: Path) -> TextIO:
-    """The file, empty, in a folder that is made; CliError when that cannot be."""
+def writable(stack: ExitStack, path: Path, append: bool = False) -> TextIO:
+    """The file, empty unless it is to `append` to, in a folder that is made; CliError when that cannot be."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        return stack.enter_context(path.open("w", encoding="utf-8"))
+        return stack.enter_context(path.open("a" if append else "w", encoding="utf-8"))
     except OSError as error:
         raise CliError(BAD_INPUT, f"{path}: cannot be written: {error.strerror or error}") from None
 

@@ -14,7 +14,7 @@ import casadi as ca
 from palmd.model.contact import SX
 
 Rates = Callable[[SX, SX], SX]
-SMALL = 0.3  # |rate · step| below which the coefficients' series beats their closed form
+SMALL = 0.2  # |rate · step| below which the coefficients' series, its derivative too, beats their closed form
 
 
 def exponential_step(rates: Rates, x: SX, dt: SX, moving: Sequence[int], stiff: int, rate: SX) -> tuple[SX, SX]:

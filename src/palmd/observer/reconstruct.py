@@ -29,7 +29,7 @@ from palmd.observer.matching import Felt, matched
 from palmd.observer.noise import with_scatter
 from palmd.observer.outline import directions, made_convex, normal_angles, outline_of
 from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
-from palmd.observer.search import Minima, Search, beyond_question, doubt
+from palmd.observer.search import Minima, Search, beyond_question, doubt, minima
 from palmd.observer.seeker import attempts_for
 from palmd.observer.smoother import Fit, Smoother
 from palmd.observer.visits import Counts, visits_of
@@ -54,7 +54,7 @@ class Reconstruction:
     rig, rig_covariance: the rig's constants, as in `model.smoothing.R`, and their covariance; none where empty.
     contradicted: by how many sigmas each of them is not what it was taken for, 0 where nothing speaks against that.
     t, psi, omega0, radii (one row a palm): the trajectory at the nodes. `chi2` is per contact reading. `reason` says
-    why not, when not `converged`.
+    why not, when not `converged`. turned_sd: one-sigma of psi[-1] − psi[0] (rad), where the record is of one segment.
     """
 
     converged: bool
@@ -79,6 +79,7 @@ class Reconstruction:
     radii: FloatArray
     reason: str
     seconds: float
+    turned_sd: float = math.nan
 
     @property
     def rig_sd(self) -> FloatArray:
@@ -127,6 +128,11 @@ class _Part:
     reason: str
 
     @property
+    def surprise(self) -> float:
+        """−2 log-likelihood up to a constant: fits go by forces of different noise."""
+        return self.fit.cost + float(np.log(self.record.force_variance).sum())
+
+    @property
     def blind(self) -> Prior:
         """What was believed of any object, on this rig as the segment tells it to be."""
         return replace(self.known, told=None)
@@ -170,7 +176,7 @@ def _part(segment: DataSegment, rig: RigDescription, seed: int) -> _Part | None:
         if finding is None:
             continue
         part = _refined(search, finding, segment, rig)
-        if best is None or part.fit.cost < best.fit.cost:
+        if best is None or part.surprise < best.surprise:
             best = part
         if not best.reason and (number > 0 or beyond_question(best.fit, best.record)):
             break
@@ -187,8 +193,9 @@ def _refined(search: Search, finding: Minima, segment: DataSegment, rig: RigDesc
     guess = best.guess.on(finding.record.t, record.t)
     level = np.maximum(Smoother(search.library, record, prior).forces(guess), LEAST_FORCE_N)
     record = replace(record, force_variance=rig.force_variances(level, record.force_pad))
+    finer = minima(search.library, record, prior, [guess], best.noise)
+    record, fit = finer.record, finer.fits[0]
     smoother = Smoother(search.library, record, prior)
-    fit = smoother.fit(guess, best.noise)
     for _ in range(MOST_REVISIONS):
         then = belief.after(fit.guess.p, smoother.sureness(fit))
         if np.array_equal(then.sd, belief.sd):
@@ -274,6 +281,7 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
         contradicted=main.belief.contradicted,
         t=t, psi=psi, omega0=omega0, radii=np.stack(radii),
         reason=reason, seconds=time.perf_counter() - begun,
+        turned_sd=math.nan if others else float(sd[CONSTANTS]),  # ψ is 0 at the first node: gauge
     )  # fmt: skip
 
 

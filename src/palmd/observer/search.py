@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.model import shape, smoothing
+from palmd.model.compiled import Library
 from palmd.model.smoothing import NODE, ORDER, C
 from palmd.observer.criticism import RigBelief
 from palmd.observer.data_segment import DataSegment
@@ -44,6 +45,7 @@ DOUBT = 9.0  # and up to which it makes the answer ambiguous
 DIFFERENT_M = 1e-4  # RMS of the outlines' difference from which two fits are rivals rather than the same
 CHI2_SIGMAS, CHI2_SLACK = 3.0, 0.02
 SECOND_OPINION_SIGMAS = 0.5
+MOST_FORCE_CHI2 = 4.0  # of forces that are noisier than described: by twice, and something else is wrong
 MOST_OUTLIERS = 0.2
 MOST_SLACK = 0.25  # of the cost, for each contact reading: more, and the motion is not one of the model's
 MOST_STRAIN = 60.0  # of the cost, from some thirty constants and their prior
@@ -143,9 +145,9 @@ class Search:
         smoother = Smoother(self.library, self.record, self.known)
         start = smoother.completed(guess)
         if not _astray(smoother.residuals(start)).any():
-            fit = smoother.fit(start, NOISE)
-            if explained(fit, self.record):
-                return Minima(self.record, (fit,))
+            found = self._minima(self.record, [start])
+            if explained(found.fits[0], found.record):
+                return found
         return self.resumed([guess])
 
     def placed(self, p: FloatArray, covariance: FloatArray) -> Minima | None:
@@ -169,23 +171,21 @@ class Search:
         return likely_orientations(outline, covariance, contacts, palms, self.rig.reading_variances, ORIENTATIONS)
 
     def _grown_from(self, record: Record, guesses: Sequence[Guess]) -> Minima | None:
-        fits = self._fits(record, guesses)
-        if len(record.t) < len(self.record.t) and not explained(fits[0], record):
+        found = self._minima(record, guesses)
+        if len(record.t) < len(self.record.t) and not explained(found.fits[0], found.record):
             return None
         failures = 0
-        while len(record.t) < len(self.record.t):
-            now, known = float(record.t[-1]), [fit.guess for fit in fits]
-            longer = self._longer(record, fits[0])
-            found = self._fits(longer, known)
+        while len(found.record.t) < len(self.record.t):
+            now, known = float(found.record.t[-1]), [fit.guess for fit in found.fits]
+            longer = self._minima(self._longer(found.record, found.fits[0]), known)
             # near an unstable equilibrium a long window ends on the wrong side of it
-            while not explained(found[0], longer):
-                step, failures = float(longer.t[-1]) - now, failures + 1
+            while not explained(longer.fits[0], longer.record):
+                step, failures = float(longer.record.t[-1]) - now, failures + 1
                 if step < 1.5 * LEAST_GROWTH_S or failures > self._patience:
-                    return Minima(longer, found) if len(longer.t) == len(self.record.t) else None
-                longer = self.record.until(now + max(step / 2, LEAST_GROWTH_S))
-                found = self._fits(longer, known)
-            record, fits = longer, found
-        return Minima(record, fits)
+                    return longer if len(longer.record.t) == len(self.record.t) else None
+                longer = self._minima(self.record.until(now + max(step / 2, LEAST_GROWTH_S)), known)
+            found = longer
+        return found
 
     def _longer(self, record: Record, fit: Fit) -> Record:
         """A longer window, as far as the fit foretells the readings to come: beyond that it would be led astray."""
@@ -198,10 +198,30 @@ class Search:
         step = longer.contact_step[int(np.argmax(gone))]
         return self.record.until(max(longer.t[step], now + LEAST_GROWTH_S))
 
-    def _fits(self, record: Record, guesses: Sequence[Guess]) -> tuple[Fit, ...]:
-        """The distinct minima that the guesses lead to, best first, without those too unlikely to be kept."""
-        smoother = Smoother(self.library, record, self.known)
-        return _distinct([smoother.fit(guess, NOISE) for guess in guesses])
+    def _minima(self, record: Record, guesses: Sequence[Guess]) -> Minima:
+        return minima(self.library, record, self.known, guesses, NOISE)
+
+    def merged(self, one: Minima | None, other: Minima | None) -> Minima | None:
+        """What two searches of the whole segment have found between them."""
+        if one is None or other is None:
+            return one or other
+        if np.array_equal(one.record.force_variance, other.record.force_variance):
+            return Minima(one.record, _distinct([*one.fits, *other.fits]))
+        return self._minima(self.record, [fit.guess for fit in (*one.fits, *other.fits)])
+
+
+def minima(library: Library, record: Record, known: Knowledge, guesses: Sequence[Guess], noise: ProcessNoise) -> Minima:
+    """The distinct minima that the guesses lead to, best first, without those too unlikely to be kept.
+
+    Forces are as noisy as they scatter about the best.
+    """
+    smoother = Smoother(library, record, known)
+    fits = _distinct([smoother.fit(guess, noise) for guess in guesses])
+    noisier = _with_scatter_of_forces(record, fits[0])
+    if noisier is not record:
+        smoother = Smoother(library, noisier, known)
+        fits = _distinct([smoother.fit(fit.guess, noise) for fit in fits])
+    return Minima(noisier, fits)
 
 
 def _astray(residuals: FloatArray) -> npt.NDArray[np.bool_]:
@@ -211,11 +231,16 @@ def _astray(residuals: FloatArray) -> npt.NDArray[np.bool_]:
     return gone
 
 
-def merged(one: Minima | None, other: Minima | None) -> Minima | None:
-    """What two searches of the same segment have found between them."""
-    if one is None or other is None:
-        return one or other
-    return Minima(one.record, _distinct([*one.fits, *other.fits]))
+def _with_scatter_of_forces(record: Record, fit: Fit) -> Record:
+    """The record, its forces as noisy as they scatter about a fit that explains the contacts, if more than described.
+
+    Whatever shakes the table shakes the forces long before it moves a contact.
+    """
+    forces = len(record.force_value)
+    described = not forces or _consistent(fit.force_chi2, forces)
+    if described or not _consistent(fit.chi2, len(record.contact_value)):
+        return record
+    return replace(record, force_variance=min(fit.force_chi2, MOST_FORCE_CHI2) * record.force_variance)
 
 
 def _distinct(fits: Sequence[Fit]) -> tuple[Fit, ...]:

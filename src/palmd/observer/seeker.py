@@ -11,7 +11,7 @@ from palmd.observer.data_segment import DataSegment
 from palmd.observer.follower import PATIENCE, Answer
 from palmd.observer.noise import with_scatter
 from palmd.observer.normal_equations import Guess
-from palmd.observer.search import Attempt, Minima, Search, doubt, merged, still, unfit
+from palmd.observer.search import Attempt, Minima, Search, doubt, still, unfit
 from palmd.system.description import RigDescription
 
 LEAST_S = 1.0  # of readings, before which the bank is as good
@@ -75,7 +75,7 @@ class Seeker:
             attempt = attempt._replace(seconds=min(attempt.seconds, seconds))
             if finding is None and attempt.free:
                 search = Search(segment, rig, PATIENCE, belief=self._belief.suspended())
-            finding = merged(finding, search.blind(attempt, self._seed))
+            finding = search.merged(finding, search.blind(attempt, self._seed))
             self._challenge_s = CHALLENGE * seconds
         answer = None if finding is None else self._criticised(segment, Answer(search, finding))
         self._start, self._guesses = segment.start, ()

@@ -48,16 +48,18 @@ class PadImperfection:
 
 @dataclass(frozen=True, slots=True)
 class Imperfections:
-    """The true errors of every constant of the rig that the smoother estimates; by default there are none.
+    """The true errors of every constant of the rig that the smoother estimates, and vibration; by default none.
 
     True φ1 and φ2 exceed those that are told by `angles` (rad), and where the table tips, φ1 above the horizontal by
-    `gravity` (rad) more; the two are one to whoever feels. friction: (μ1 − μ2)/(μ1 + μ2).
+    `gravity` (rad) more; the two are one to whoever feels. friction: (μ1 − μ2)/(μ1 + μ2). The table shakes up and down
+    with an acceleration of `vibration` (m/s², RMS).
     """
 
     pads: tuple[PadImperfection, ...] = tuple(PadImperfection() for _ in PALMS)
     angles: tuple[float, float] = (0.0, 0.0)
     gravity: float = 0.0
     friction: float = 0.0
+    vibration: float = 0.0
 
     def true_palms(self, told: PalmMotion) -> PalmMotion:
         """Where the palms really are, from what is told of them."""
@@ -115,6 +117,7 @@ def configured(config: Config, seed: int) -> Imperfections:
         (math.radians(asked.phi1_deg), math.radians(asked.phi2_deg)),
         math.radians(asked.gravity_deg),
         asked.friction_asymmetry,
+        asked.vibration_m_s2,
     )
 
 

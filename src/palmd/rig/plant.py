@@ -132,6 +132,7 @@ class PalmFrame(NamedTuple):
 
 _Rates = tuple[float, float, float, float, float]  # ax, ay, alpha0, f1, f2
 _Planes = tuple[tuple[float, float], tuple[float, float]]  # of each palm: slope (rad), height over the hinge (m)
+_SHAKING_HZ = (13.7, 24.1, 37.9)  # of a lab's floor and machines, with equal shares
 _FLAT: _Planes = ((0.0, 0.0), (0.0, 0.0))
 
 
@@ -193,6 +194,8 @@ class Plant:
         self._bowed = any(pad.sagitta for pad in self._pads)
         self._planes = self._planes_at([0.5 * length for length in reach], reach)
         self.gravity = gravity
+        self._shake = imperfections.vibration * math.sqrt(2.0 / len(_SHAKING_HZ))
+        self._t = 0.0
         self.reach = reach
         self.fallen = True
         self.state = BodyState(0.0, 0.0, 0.0)
@@ -264,6 +267,7 @@ class Plant:
             self._frame = palm_frame(self.hinge, end, self._planes)
             return
         self._follow_the_surfaces()
+        self._t += dt
         q = self.state
         x, y, psi, vx, vy, w = q.x, q.y, q.psi, q.vx, q.vy, q.omega0
         half, sixth = 0.5 * dt, dt / 6.0
@@ -377,6 +381,8 @@ class Plant:
         """
         c1, s1, c12, s12, out1, out2, w1, w12, al1, al12, ox, oy, vox, voy, aox, aoy, above1, above2 = frame
         g = self.gravity
+        if self._shake:  # as felt on the table
+            g += self._shake * sum(math.sin(math.tau * f * self._t) for f in _SHAKING_HZ)
         rho2 = self.body.rho**2
         surface = self.surface
         damping = -surface.damping * w / rho2

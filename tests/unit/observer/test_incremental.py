@@ -118,7 +118,7 @@ def test_while_nothing_lies_there_nothing_piles_up() -> None:
 
 def test_palms_at_rest_from_the_start_are_waited_through() -> None:
     """A minute of standing still before the first motion costs nothing, and does not blind the search."""
-    run = simulated("friction", 700, 26.0, rests=((0.0, 18.0),))
+    run = simulated("friction", 700, 26.0, rests=((-1.0, 18.0),))  # no first second of motion either
     beside, session = Beside(run), Session(1, 0.0)
     assert beside.until(18.0, session) is None
     answer = beside.until(25.0, session)

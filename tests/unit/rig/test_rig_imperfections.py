@@ -83,6 +83,19 @@ def test_contacts_go_as_fast_as_they_are_told_to():
     assert np.abs(rates).max() > 0.02
 
 
+def test_what_lies_on_a_table_that_shakes_presses_as_much_more_and_less():
+    plant = Plant(cylinder(RADIUS, 0.1), Hinge(), FrictionSurface(mu=0.2), imperfections=Imperfections(vibration=0.3))
+    palms = PalmMotion.at_rest((math.pi / 4, math.pi / 2))
+    plant.place(palms, 0.0)
+    presses = []
+    for _ in range(6000):
+        plant.advance(palms, palms, STEP)
+        presses.append([contact.force for contact in plant.contacts()])
+    felt = np.sum(presses, axis=1) / math.sqrt(2.0) / 0.1  # m/s², both palms at 45°
+    assert felt.mean() == pytest.approx(9.81, abs=0.02)
+    assert felt.std() == pytest.approx(0.3, rel=0.05)
+
+
 # ----------------------------------------------------------------------------------- what an estimator makes of it
 
 ZERO, LAG, FORCE, SAGITTA, SCALE = 3e-4, 6e-3, 1.5e-4, 1.5e-4, 0.02

@@ -1,0 +1,213 @@
+"""Simulation-based calibration: what one blind reconstruction believes of each quantity, beside the truth.
+
+A rig's constants are drawn from the very prior that `reconstruct` goes by, an object and its motion as the simulator's
+kinds have them, and a record is simulated and reconstructed. Were both priors the same and the posterior right, the
+truth's rank in the posterior would be uniform over many draws (Talts et al. 2018, arXiv:1804.06788); here the posterior
+is Gaussian and the rank Φ(z), z = (truth − mean)/sd. Whether a run is claimed depends on its readings alone, so ranks
+of claimed runs should be uniform as well. The object's priors are not the same: outline, ρ, friction and mass come from
+narrower or other families than those believed. So a quantity that readings hardly tell has ranks that crowd about the
+middle, or to one side, without its band being wrong.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Container, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from palmd.events import FloatArray
+from palmd.lab.scoring import Bools, Line, outline_errors, truth_of
+from palmd.lab.simulated import simulated
+from palmd.observer.bound import Truth
+from palmd.observer.reconstruct import Reconstruction, reconstruct
+from palmd.rig.shapes import KINDS, Kind
+from palmd.score import support_at
+from palmd.system.rig_constants import RIG_NAMES
+
+NORMALS = 8  # of the outline that are asked, of those touched and of the others
+_FLAT_M2 = 1e-30  # Σ h′² of a circle, which no rotation changes
+
+
+@dataclass(frozen=True, slots=True)
+class SbcTask:
+    """One run to do: as `simulated` takes it, lasting so many seconds."""
+
+    kind: Kind
+    seed: int
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Belief:
+    """A quantity's true value, and the mean and one-sigma of its Gaussian posterior; SI units."""
+
+    true: float
+    mean: float
+    sd: float
+
+    @property
+    def z(self) -> float:
+        """(truth − mean)/sd, standard normal where the posterior is right."""
+        return (self.true - self.mean) / self.sd
+
+
+@dataclass(frozen=True, slots=True)
+class SbcRow:
+    """A run in numbers; NaN for what there is not.
+
+    error: what was raised, then nothing else is known. converged, reason, chi2: as `reconstruct` says. e_h, h_sd: RMS
+    over the touched normals of the outline's error, as `gauge_free_error` has it, and of its one-sigma; best_e_h: of
+    the error after the best rotation of all, as `palmd.score` has it. beyond: the most by which a touched normal's
+    error exceeds its one-sigma; worst_z: the most in one-sigmas. rig_distance2: squared Mahalanobis distance of all the
+    rig's true constants, χ² of as many. beliefs: of each quantity. contradicted: the constants so named, in sigmas,
+    though the rig is as it is described.
+    """
+
+    kind: Kind
+    seed: int
+    seconds: float
+    error: str = ""
+    converged: bool = False
+    reason: str = ""
+    chi2: float = math.nan
+    touched: float = math.nan
+    e_h_m: float = math.nan
+    best_e_h_m: float = math.nan
+    h_sd_m: float = math.nan
+    beyond_m: float = math.nan
+    worst_z: float = math.nan
+    rig_distance2: float = math.nan
+    beliefs: Mapping[str, Belief] = field(default_factory=dict)
+    contradicted: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def task(self) -> SbcTask:
+        """What was asked for."""
+        return SbcTask(self.kind, self.seed, self.seconds)
+
+
+def tasks_of(
+    kinds: Iterable[Kind], first_seed: int, runs: int, seconds: float, done: Container[SbcTask] = ()
+) -> list[SbcTask]:
+    """So many runs of each kind, all kinds with the same seeds, without those that are done."""
+    tasks = [SbcTask(kind, first_seed + i, seconds) for i in range(runs) for kind in kinds]
+    return [task for task in tasks if task not in done]
+
+
+def run(task: SbcTask) -> SbcRow:
+    """Simulate, reconstruct and compare; what raises becomes a row that says so."""
+    try:
+        log, told = simulated(task.kind, task.seed, task.seconds, imperfections="calibrated")
+        return row_of(task, told, reconstruct(log.events, log.rig))
+    except Exception as error:
+        return failed(task, error)
+
+
+def failed(task: SbcTask, error: BaseException) -> SbcRow:
+    """The row of a run that came to nothing."""
+    return SbcRow(task.kind, task.seed, task.seconds, error=f"{type(error).__name__}: {error}")
+
+
+def in_order(rows: Iterable[SbcRow]) -> list[SbcRow]:
+    """By kind and seed, whichever was finished first."""
+    return sorted(rows, key=lambda row: (KINDS.index(row.kind), row.seed))
+
+
+def row_of(task: SbcTask, told: Line, answer: Reconstruction) -> SbcRow:
+    """What an answer believes beside what the simulator `told` of the truth."""
+    row = SbcRow(task.kind, task.seed, task.seconds, reason=answer.reason, chi2=float(answer.chi2))
+    truth = truth_of(told)
+    scored = outline_errors(answer, truth)
+    if scored is None or answer.h is None:
+        return row
+    first, last = CubicHermiteSpline(truth.t, truth.psi, truth.omega0)(answer.t[[0, -1]]).tolist()
+    error = gauge_free_error(answer.theta, answer.h, truth.h, float(answer.psi[0]) - first, scored.touched)
+    at = scored.touched
+    true_rig = np.array([told["rig"][name] for name in RIG_NAMES])
+    off = true_rig - answer.rig
+    normals = np.column_stack([answer.h - error, answer.h, scored.h_sd])
+    return replace(
+        row,
+        converged=bool(answer.converged),
+        touched=scored.score.touched,
+        e_h_m=_rms(error[at]),
+        best_e_h_m=scored.score.e_h,
+        h_sd_m=_rms(scored.h_sd[at]),
+        beyond_m=float(np.max(np.abs(error[at]) - scored.h_sd[at])),
+        worst_z=float(np.max(np.abs(error[at]) / scored.h_sd[at])),
+        rig_distance2=float(off @ np.linalg.solve(answer.rig_covariance, off)),
+        beliefs=_of_scalars(answer, truth, last - first)
+        | _beliefs(RIG_NAMES, np.column_stack([true_rig, answer.rig, answer.rig_sd]))
+        | _of_normals("touched", normals[at])
+        | _of_normals("untouched", normals[~at]),
+        contradicted={name: z for name, z in zip(RIG_NAMES, answer.contradicted.tolist(), strict=True) if z != 0.0},
+    )
+
+
+def gauge_free_error(
+    theta: FloatArray, h: FloatArray, true_h: FloatArray, rotation: float, touched: Bools
+) -> FloatArray:
+    """ĥ(θ) − h(θ + rotation) − ĥ′(θ) ε (m), ε the small rotation by least squares over the touched normals.
+
+    That is what `h_sd` is the one-sigma of, to first order: see `observer.outline.gauge_free_sd`. The `rotation`
+    between the frames is that of ψ (rad). theta, h: on evenly spaced normals from 0.
+    """
+    error = h - support_at(true_h, theta + rotation)
+    slope = np.fft.irfft(1j * np.arange(len(h) // 2 + 1) * np.fft.rfft(h), len(h))
+    across = slope[touched]
+    return np.asarray(error - slope * float(across @ error[touched]) / max(float(across @ across), _FLAT_M2))
+
+
+def _of_scalars(answer: Reconstruction, truth: Truth, turned_rad: float) -> dict[str, Belief]:
+    """ρ and mass as logarithms, in which the smoother's posterior is Gaussian; μ where there is friction."""
+    found = {
+        "ln_rho": _logarithm(truth.rho, answer.rho, answer.rho_sd),
+        "ln_mass": _logarithm(truth.mass, answer.mass, answer.mass_sd),
+        "turned_rad": Belief(turned_rad, float(answer.psi[-1] - answer.psi[0]), answer.turned_sd),
+    }
+    return found | {"mu": Belief(truth.mu, answer.mu, answer.mu_sd)} if truth.mu else found
+
+
+def _logarithm(true: float, mean: float, sd: float) -> Belief:
+    return Belief(math.log(true), math.log(mean), sd / mean)
+
+
+def _of_normals(name: str, normals: FloatArray) -> dict[str, Belief]:
+    """Of `NORMALS` spread evenly over those from which to choose, rows of (true h, h, its one-sigma)."""
+    chosen = np.floor((np.arange(NORMALS) + 0.5) * len(normals) / NORMALS).astype(np.intp)
+    names = [f"h_{name}_{number}_m" for number in range(1, NORMALS + 1)]
+    return _beliefs(names, normals[chosen]) if len(normals) >= NORMALS else {}
+
+
+def _beliefs(names: Iterable[str], rows: FloatArray) -> dict[str, Belief]:
+    return {name: Belief(*row) for name, row in zip(names, rows.tolist(), strict=True)}
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+# ------------------------------------------------------------------------------------------------ written
+
+
+def as_line(row: SbcRow) -> Line:
+    """The row as a JSON object; a number that is none becomes None."""
+    line = {name: _plain(getattr(row, name)) for name in SbcRow.__slots__}
+    line["beliefs"] = {name: [_plain(x) for x in (b.true, b.mean, b.sd)] for name, b in row.beliefs.items()}
+    return line | {"contradicted": dict(row.contradicted)}
+
+
+def row_from(line: Line) -> SbcRow:
+    """What `as_line` made; raises TypeError or ValueError for what it did not make."""
+    plain = {name: math.nan if value is None else value for name, value in line.items()}
+    beliefs = {
+        name: Belief(*(math.nan if x is None else float(x) for x in each)) for name, each in line["beliefs"].items()
+    }
+    return SbcRow(**plain | {"beliefs": beliefs})
+
+
+def _plain(value: object) -> object:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
