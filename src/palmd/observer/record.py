@@ -27,7 +27,8 @@ class Record:
     """Nodes at times `t` (K + 1), the palms there, and each reading with the step it falls into.
 
     `palms` (K + 1, 6): φ1, φ2, ω1, ω2, α1, α2. Readings are in order of time; `*_offset` is the time into the step,
-    `*_weight` what each counts, 1 but at rest. `contact_force` is 0 where a pad gives none.
+    `*_weight` what each counts, 1 but at rest. `contact_force` is a running median of the readings,
+    0 where a pad gives none.
     """
 
     t: FloatArray
@@ -134,17 +135,18 @@ def lay_out(
     palms = path.at(times) if len(times) else np.zeros((0, 6))
     variance = rig.reading_variances[which]
     weight: FloatArray = np.asarray(1.0 / repetitions(path.resting(times, RESTING_RAD_S, resting_since)))
-    # the noise grows with the true force; neighbours in time tell it better than the reading itself
     pressed = (
         np.isfinite(force)
         & (force > LEAST_FORCE_N)
         & (np.array([sensor.force_gain_std for sensor in rig.pads])[which] == 0.0)
     )
+    # neighbours in time tell the true force better than the reading itself, whose noise would pull to 0 what is told
+    # of a contact's dependence on it
     level = _running_median(force, pad)
     force_variance = rig.force_variances(level, pad)
     return Record(
         t, path.at(t), rig_inputs(rig), np.array([sensor.length for sensor in rig.pads]),
-        step, offset, pad, palms, np.nan_to_num(force), value, variance, weight,
+        step, offset, pad, palms, np.nan_to_num(level), value, variance, weight,
         step[pressed], offset[pressed], pad[pressed], palms[pressed], force[pressed], force_variance[pressed],
         weight[pressed],
     )  # fmt: skip

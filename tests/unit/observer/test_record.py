@@ -85,3 +85,13 @@ def test_kernel_inputs_are_padded_with_what_can_be_evaluated():
         assert (inputs[:, 0] > 0).all()
     assert record.step_inputs(64)[:10, 0] == pytest.approx(0.01)
     assert record.step_inputs(64)[0, 9:].tolist() == [9.81, 0.0, 0.0, 0.0, 0.0, 0.0555, 0.0555]
+
+
+def test_what_presses_a_contact_is_told_by_neighbours_in_time():
+    """The reading's own noise would pull to 0 what is told of a contact's dependence on its force."""
+    random = np.random.default_rng(1)
+    times = np.arange(0.0, 1.0, 0.005)
+    noisy = [PadSample(t, 1 + k % 2, 0.02, 1.0 + 0.05 * random.standard_normal()) for k, t in enumerate(times)]
+    record = laid(noisy, end=1.0)
+    assert np.std(record.contact_force) < 0.5 * np.std(record.force_value)
+    assert record.contact_force.mean() == pytest.approx(1.0, abs=0.02)
