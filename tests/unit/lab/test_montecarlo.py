@@ -323,7 +323,7 @@ def test_the_number_of_processes_changes_nothing(locally):
 def test_a_cluster_gives_the_same(locally):
     distributed = pytest.importorskip("distributed")
     with (
-        distributed.LocalCluster(1, threads_per_worker=2, processes=False, dashboard_address=None) as dask,
+        distributed.LocalCluster(1, threads_per_worker=2, processes=False, dashboard_address=":0") as dask,
         runs.cluster(dask.scheduler_address) as executor,
     ):
         assert lines_of(executor) == locally
@@ -331,7 +331,7 @@ def test_a_cluster_gives_the_same(locally):
 
 def test_a_cluster_forgets_what_is_undone():
     distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(1, threads_per_worker=1, processes=False, dashboard_address=None) as dask:
+    with distributed.LocalCluster(1, threads_per_worker=1, processes=False, dashboard_address=":0") as dask:
         with runs.cluster(dask.scheduler_address) as executor:
             results = runs.finished(executor, time.sleep, told_failed, [0.0, *[0.3] * 100])
             assert next(results) is None
@@ -341,7 +341,7 @@ def test_a_cluster_forgets_what_is_undone():
 def test_a_failure_far_away_is_a_result():
     distributed = pytest.importorskip("distributed")
     with (
-        distributed.LocalCluster(1, threads_per_worker=1, processes=False, dashboard_address=None) as dask,
+        distributed.LocalCluster(1, threads_per_worker=1, processes=False, dashboard_address=":0") as dask,
         runs.cluster(dask.scheduler_address) as executor,
     ):
         assert set(runs.finished(executor, math.sqrt, told_failed, [4.0, -1.0])) == {2.0, "-1.0: ValueError"}
