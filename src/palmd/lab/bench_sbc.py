@@ -69,12 +69,19 @@ def _done(path: Path, seconds: float) -> dict[SbcTask, SbcRow]:
     if not path.exists():
         return {}
     try:
-        rows = [row_from(json.loads(line)) for line in path.read_text(encoding="utf-8").splitlines()]
+        lines = path.read_bytes().splitlines()
     except OSError as error:
         raise CliError(BAD_INPUT, f"{path}: cannot be read: {error.strerror or error}") from None
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise CliError(BAD_INPUT, f"{path}: is no file of this study: {error}") from None
+    rows = [_row(line, path, number) for number, line in enumerate(lines, 1)]
     other = next((row for row in rows if row.seconds != seconds), None)
     if other is not None:
         raise CliError(BAD_INPUT, f"{path}: has runs of {other.seconds:g} s, not {seconds:g} s")
     return {row.task: row for row in rows}
+
+
+def _row(line: bytes, path: Path, number: int) -> SbcRow:
+    try:
+        return row_from(json.loads(line))
+    except (AttributeError, KeyError, TypeError, ValueError):
+        mend = f"line {number} is no run; remove it, or take another file"
+        raise CliError(BAD_INPUT, f"{path}: is no file of this study: {mend}") from None

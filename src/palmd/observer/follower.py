@@ -40,7 +40,7 @@ class Answer:
     def posterior(self) -> Posterior | None:
         """How sure the best fit is of itself, by what the search went by; None where it is no minimum."""
         smoother = Smoother(self.search.library, self.finding.record, self.search.known)
-        return smoother.sureness(self.finding.fits[0])
+        return smoother.posterior_if_any(self.finding.fits[0])
 
 
 @dataclass(frozen=True, slots=True)

@@ -128,7 +128,7 @@ class _Part:
     reason: str
 
     @property
-    def surprise(self) -> float:
+    def deviance(self) -> float:
         """−2 log-likelihood up to a constant: fits go by forces of different noise."""
         return self.fit.cost + float(np.log(self.record.force_variance).sum())
 
@@ -176,7 +176,7 @@ def _part(segment: DataSegment, rig: RigDescription, seed: int) -> _Part | None:
         if finding is None:
             continue
         part = _refined(search, finding, segment, rig)
-        if best is None or part.surprise < best.surprise:
+        if best is None or part.deviance < best.deviance:
             best = part
         if not best.reason and (number > 0 or beyond_question(best.fit, best.record)):
             break
@@ -197,7 +197,7 @@ def _refined(search: Search, finding: Minima, segment: DataSegment, rig: RigDesc
     record, fit = finer.record, finer.fits[0]
     smoother = Smoother(search.library, record, prior)
     for _ in range(MOST_REVISIONS):
-        then = belief.after(fit.guess.p, smoother.sureness(fit))
+        then = belief.after(fit.guess.p, smoother.posterior_if_any(fit))
         if np.array_equal(then.sd, belief.sd):
             break
         belief = then

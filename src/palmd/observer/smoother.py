@@ -149,7 +149,7 @@ class Smoother:
         normaliser = steps * (math.log(noise.psi) + math.log(noise.omega0))
         return Posterior((covariance + covariance.T) / 2, -0.5 * (now.cost + log_det + normaliser))
 
-    def sureness(self, fit: Fit) -> Posterior | None:
+    def posterior_if_any(self, fit: Fit) -> Posterior | None:
         """As `posterior`; None where the fit is no minimum."""
         try:
             return self.posterior(fit)

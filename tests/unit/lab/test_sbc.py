@@ -293,3 +293,16 @@ def test_runs_that_last_otherwise_are_another_study(done, tmp_path, capsys):
     assert bench(path, "--runs", "1", "--seconds", "5") == 0
     assert bench(path, "--runs", "2") == 1
     assert capsys.readouterr().err == f"{path}: has runs of 5 s, not 10 s\n"
+
+
+def test_a_line_that_was_cut_off_is_told_by_its_number(done, tmp_path, capsys):
+    """As a machine that lost its power leaves one."""
+    path = tmp_path / "file.jsonl"
+    assert bench(path, "--runs", "2") == 0
+    left = path.read_text()[:-40]
+    path.write_text(left)
+    done.clear()
+    assert bench(path, "--runs", "3") == 1
+    assert "line 2 is no run; remove it" in capsys.readouterr().err
+    assert not done
+    assert path.read_text() == left
