@@ -29,6 +29,7 @@ from pydantic import (
     field_validator,
 )
 
+from palmd.events import ObserverName
 from palmd.system.description import PadSensor, RigDescription
 from palmd.system.mechanism import JOINTS, PALMS
 
@@ -369,7 +370,7 @@ class LoopConfig(Strict):
 class ObserverConfig(Strict):
     """Which observer gives the published estimate."""
 
-    primary: Literal["shape", "extended", "quasistatic"] = "shape"
+    primary: ObserverName = "shape"
     """Whose estimate is published."""
     smoother: bool = True
     """Beside the loop, in a process of its own; for the shape map of an unknown outline only."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +16,8 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 Joints = tuple[float, ...]
 """One value for each joint, in their order."""
+ObserverName = Literal["shape", "extended", "quasistatic"]
+"""What observers there are, the usual one first."""
 
 
 @dataclass(frozen=True, slots=True)

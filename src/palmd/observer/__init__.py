@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, get_args
+from typing import get_args
 
+from palmd.events import ObserverName
 from palmd.model.smoothing import ORDER
 from palmd.observer.bank_observer import BankObserver
 from palmd.observer.filters.base import NOT_OVERCONFIDENT
@@ -21,7 +22,6 @@ from palmd.observer.smoothing import Smoothing
 from palmd.outlinefile import Outline
 from palmd.system.description import RigDescription
 
-ObserverName = Literal["shape", "extended", "quasistatic"]
 OBSERVERS: tuple[str, ...] = get_args(ObserverName)
 
 __all__ = ["OBSERVERS", "Observer", "ObserverName", "Simulated", "Smoothing", "make"]
