@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
+import os
 import sys
 import tempfile
 import time
@@ -154,7 +155,7 @@ CASES = {
 
 @contextmanager
 def _beside(work: Callable[..., None], *arguments: str) -> Iterator[None]:
-    process = multiprocessing.get_context("spawn").Process(target=work, args=arguments, daemon=True)
+    process = multiprocessing.get_context("spawn").Process(target=work, args=(os.getpid(), *arguments), daemon=True)
     process.start()
     try:
         yield

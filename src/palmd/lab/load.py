@@ -1,6 +1,7 @@
 """What else a machine may have to do: processes that keep its processors, its disk or its network busy.
 
-Each function is a process of its own; it goes on until it is ended, or whoever started it is gone.
+Each function is a process of its own; it goes on until it is ended, or `starter`, the process number of whoever started
+it, is no longer its parent.
 """
 
 from __future__ import annotations
@@ -24,17 +25,16 @@ LOOPS = 100_000
 HEARD_S = 0.5
 
 
-def processor() -> None:
+def processor(starter: int) -> None:
     """One core, all of it."""
-    starter = os.getppid()
     while os.getppid() == starter:
         for _ in range(LOOPS):
             pass
 
 
-def disk(folder: str) -> None:
+def disk(starter: int, folder: str) -> None:
     """Blocks written and brought to the disk, over and over in one file of 64 MB that has no name."""
-    starter, block = os.getppid(), os.urandom(BLOCK_BYTES)
+    block = os.urandom(BLOCK_BYTES)
     with tempfile.TemporaryFile(dir=folder, buffering=0) as file:
         while os.getppid() == starter:
             file.seek(0)
@@ -43,9 +43,8 @@ def disk(folder: str) -> None:
                 os.fdatasync(file.fileno())
 
 
-def network() -> None:
+def network(starter: int) -> None:
     """Datagrams on the loopback interface, as fast as they go."""
-    starter = os.getppid()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as end, socket.socket(type=socket.SOCK_DGRAM) as start:
         end.bind(("127.0.0.1", 0))
         start.connect(end.getsockname())
@@ -56,9 +55,9 @@ def network() -> None:
                 start.send(datagram)
 
 
-def browser(page: str) -> None:
+def browser(starter: int, page: str) -> None:
     """A live page's socket, read as a browser reads it that only watches."""
-    starter, address = os.getppid(), urlsplit(page).netloc
+    address = urlsplit(page).netloc
     with (
         contextlib.suppress(WebSocketException, OSError),
         connect(f"ws://{address}/socket", origin=Origin(f"http://{address}"), compression=None) as stream,

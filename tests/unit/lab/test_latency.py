@@ -74,18 +74,21 @@ def test_a_timer_that_fails_gives_nothing(tmp_path, monkeypatch):
     meter.close()
 
 
-@pytest.mark.parametrize("work", ["processor()", "disk({folder!r})", "network()"])
-def test_a_load_keeps_busy_until_its_starter_is_gone(work, tmp_path):
-    call = work.format(folder=str(tmp_path))
+@pytest.mark.parametrize("work", ["processor({starter})", "disk({starter}, {folder!r})", "network({starter})"])
+@pytest.mark.parametrize("alive_s", [0.0, 1.0])  # gone before the load has begun, or while it is busy
+def test_a_load_keeps_busy_until_its_starter_is_gone(work, alive_s, tmp_path):
+    call = work.format(starter="int(sys.argv[1])", folder=str(tmp_path))
     starter = (
-        "import subprocess, sys, time\n"
-        f"load = subprocess.Popen([sys.executable, '-c', {f'from {load.__name__} import *; {call}'!r}])\n"
-        "time.sleep(1.0)\n"
-        "print(load.pid, load.poll(), open(f'/proc/{load.pid}/stat').read().split()[13])\n"
+        "import os, subprocess, sys, time\n"
+        f"program = {f'import sys; from {load.__name__} import *; {call}'!r}\n"
+        "command = [sys.executable, '-c', program, str(os.getpid())]\n"
+        "load = subprocess.Popen(command)\n"
+        f"time.sleep({alive_s})\n"
+        "print(load.pid, load.poll())\n"
     )
     said = subprocess.run([sys.executable, "-c", starter], capture_output=True, text=True, check=True)
     assert said.stderr == ""
-    pid, status, _ = said.stdout.split()
+    pid, status = said.stdout.split()
     assert status == "None"
     gone = "import os, sys, time\nwhile os.path.exists(f'/proc/{sys.argv[1]}'): time.sleep(0.02)"
     subprocess.run([sys.executable, "-c", gone, pid], timeout=30, check=True)
