@@ -57,7 +57,7 @@ class Handover:
             return False
         frame = (object_count, answer.frame)
         anew = frame != self._frame if fusion.carries else track.valid and not answer.established
-        if anew and not _as_sharp(P, fusion, track.coverage.marks):
+        if anew and not _as_sharp(P, answer.spread, fusion, track.coverage.marks):
             return False  # it has been found from the latest readings alone, and more is known
         if frame != self._frame:
             self._frame, self._turn = frame, float(bank.x[best, shape_map.Z.PSI] - x[shape_map.Z.PSI])
@@ -83,13 +83,22 @@ class Handover:
         return touched | track.coverage.since(answer.t, best, track.fusion.psi)
 
 
-def _as_sharp(P: FloatArray, fusion: Fusion, touched: Marks) -> bool:
-    """Whether covariance `P` tells the outline as well as the leader's does, where it has been touched."""
-    variance = []
-    for outline in (P[_SHAPE, _SHAPE], fusion.bank.P[fusion.bank.best()][_SHAPE, _SHAPE]):
-        rows = bin_rows(len(outline))[touched]
-        variance.append(((rows @ outline) * rows).sum())
-    return bool(variance[0] <= variance[1])
+def _as_sharp(P: FloatArray, spread: FloatArray, fusion: Fusion, touched: Marks) -> bool:
+    """Whether covariance `P` tells the outline as well as the leader's does, where it has been touched.
+
+    What the rig's constants leave open, `spread` of P, counts where the leader allows for it too: reading on, its
+    filter becomes surer of the outline given these constants, but no surer of them.
+    """
+    left_open = spread[: len(P)] if fusion.carries else np.zeros((len(P), 0))
+    answered = (P + left_open @ left_open.T)[_SHAPE, _SHAPE]
+    _, led = fusion.filters.outline(fusion.bank.best())
+    return _uncertainty(answered, touched) <= _uncertainty(led, touched)
+
+
+def _uncertainty(outline: FloatArray, touched: Marks) -> float:
+    """Of h (m²), added up over the normals touched."""
+    rows = bin_rows(len(outline))[touched]
+    return float(((rows @ outline) * rows).sum())
 
 
 def _turned(x: FloatArray, P: FloatArray, spread: FloatArray, turn: float) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -16,29 +16,38 @@ from palmd.system.description import RigDescription
 
 N, SMOOTHED_N = shape_map.N, shape_map.size(ORDER)
 OWN_SD = 1e-5  # of the bank's outlines (m)
+SHAPE = slice(shape_map.Z.SHAPE, None)
 TOUCHED = np.arange(NORMAL_BINS) < 20
 
 
-def track(valid):
+def track(valid, left_open_m=None):
+    """A bank that leads, or, with what the rig's constants leave open of its outline, an answer's filter alone."""
     bank = SimpleNamespace(
         n=N, size=2, x=np.zeros((2, N)), P=np.tile(OWN_SD**2 * np.eye(N), (2, 1, 1)), score=np.array([0.0, -3.0]),
         nis=np.ones(2), best=lambda: 0, lost=lambda: False,
     )  # fmt: skip
     forgetting = SimpleNamespace(prior_age_s=np.ones(2))
     history = SimpleNamespace(clear=lambda: None)
-    fusion = SimpleNamespace(bank=bank, carries=False, forgetting=forgetting, history=history)
+    size = shape.COEFFICIENTS if left_open_m is None else SMOOTHED_N - shape_map.Z.SHAPE
+    outline = np.zeros(size), (OWN_SD**2 + (left_open_m or 0.0) ** 2) * np.eye(size)
+    filters = SimpleNamespace(outline=lambda _: outline)
+    carries = left_open_m is not None
+    fusion = SimpleNamespace(bank=bank, filters=filters, carries=carries, forgetting=forgetting, history=history)
     return SimpleNamespace(fusion=fusion, valid=valid, coverage=SimpleNamespace(marks=TOUCHED))
+
+
+def handover():
+    filters = SimpleNamespace()
+    return Handover(
+        RigDescription(), SimpleNamespace(), SmoothedFilters(filters, filters), SimpleNamespace(candidate=None)
+    )
 
 
 def answered(sd, valid):
     """Whether an answer of that one-sigma (m) that nothing has confirmed joins a bank, and the bank."""
-    filters = SimpleNamespace()
-    handover = Handover(
-        RigDescription(), SimpleNamespace(), SmoothedFilters(filters, filters), SimpleNamespace(candidate=None)
-    )
     now, P = track(valid), sd**2 * np.eye(SMOOTHED_N)
     answer = improvement(np.zeros(SMOOTHED_N), P, established=False, touched=TOUCHED)
-    return handover.take_in(now, 1, answer, np.zeros(SMOOTHED_N), P, nis=1.0), now.fusion.bank
+    return handover().take_in(now, 1, answer, np.zeros(SMOOTHED_N), P, nis=1.0), now.fusion.bank
 
 
 @pytest.mark.parametrize(("sd", "valid", "taken"), [(2e-5, True, False), (5e-6, True, True), (2e-5, False, True)])
@@ -46,6 +55,16 @@ def test_an_answer_that_tells_less_than_a_valid_bank_is_not_taken_in(sd, valid, 
     took, bank = answered(sd, valid)
     assert took is taken
     assert (bank.score[1] > bank.score[0]) is np.bool_(taken)
+
+
+@pytest.mark.parametrize(("left_open_m", "taken"), [(1.0e-4, True), (1.5e-4, False)])
+def test_an_answer_found_anew_tells_more_where_it_leaves_less_open_of_the_rig(left_open_m, taken):
+    """Given the rig's constants its filter is less sure than one that has read on from an older answer."""
+    now, P = track(valid=True, left_open_m=1.2e-4), (1.2 * OWN_SD) ** 2 * np.eye(SMOOTHED_N)
+    spread = np.zeros((SMOOTHED_N + RIG_CONSTANTS, SMOOTHED_N))
+    np.fill_diagonal(spread[SHAPE, SHAPE], left_open_m)
+    answer = improvement(np.zeros(SMOOTHED_N), P, established=False, touched=TOUCHED, spread=spread)
+    assert handover().take_in(now, 1, answer, np.zeros(SMOOTHED_N), P, nis=1.0) is taken
 
 
 def test_in_another_gauge_the_outline_turns_and_the_rigs_constants_stay():
