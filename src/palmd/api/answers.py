@@ -22,7 +22,7 @@ from palmd.messages import estimate_fields, shape_fields
 from palmd.observer.reconstruct import reconstruct as smoothed
 from palmd.observer.static_mass import mass_at_rest
 from palmd.outlinefile import read_library
-from palmd.record.recognition import Verdict, verdict
+from palmd.record.recognition import Recognition, verdict
 from palmd.record.replay import replay
 from palmd.record.result import as_line
 
@@ -37,7 +37,7 @@ class EstimatedRun:
 
     estimates: DataTable
     outlines: tuple[OutlineData, ...]
-    verdict: Verdict | None
+    verdict: Recognition | None
 
     @property
     def outline(self) -> OutlineData:

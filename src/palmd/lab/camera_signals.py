@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from palmd.events import FloatArray, PalmSample
 from palmd.observer.palm_path import smoothed_path
 from palmd.record.resultfile import Result
-from palmd.record.track import LEAST_ROWS, Track
+from palmd.record.track import LEAST_ROWS, CameraTrack
 from palmd.system.description import RigDescription
 
 GAP_S = 0.1  # of the reconstruction: nothing is made up across more
@@ -57,7 +57,7 @@ def com_of(angles: FloatArray, radii: FloatArray, rig: RigDescription) -> FloatA
 class Signals:
     """Both records as functions of time."""
 
-    def __init__(self, motion: KnownMotion, track: Track) -> None:
+    def __init__(self, motion: KnownMotion, track: CameraTrack) -> None:
         self.motion, self.track = motion, track
         self.psi = CubicSpline(motion.t, motion.psi)
         self.com = None if motion.com is None else CubicSpline(motion.t, motion.com)

@@ -17,7 +17,7 @@ from palmd.lab.camera_frame import CameraFit, Clock, Frame, rms, wrapped
 from palmd.lab.camera_signals import KnownMotion, Signals
 from palmd.outlinefile import Outline
 from palmd.record.resultfile import Result
-from palmd.record.track import LEAST_ROWS, Track
+from palmd.record.track import LEAST_ROWS, CameraTrack
 from palmd.score import score_outline, support_at
 
 MOST_OFFSET_SD_S = 0.1
@@ -70,7 +70,7 @@ class CameraComparison:
     left_out: tuple[str, ...]
 
 
-def compared(result: Result, motion: KnownMotion, track: Track, outline: Outline | None) -> CameraComparison:
+def compared(result: Result, motion: KnownMotion, track: CameraTrack, outline: Outline | None) -> CameraComparison:
     """Clock and frame by least squares, then the errors; raises GroundTruthError when no clock or frame can be told.
 
     First a scan over all offsets of the clock with the angles alone, each against its own constant; then all
@@ -115,7 +115,7 @@ def _outline_errors(result: Result, outline: Outline) -> CameraOutlineErrors:
     return CameraOutlineErrors(score.e_h, score.max_error, p90, score.touched, score.rotation)
 
 
-def _left_out(track: Track, signals: Signals, clock: Clock) -> list[str]:
+def _left_out(track: CameraTrack, signals: Signals, clock: Clock) -> list[str]:
     t = clock.log_time(track.t[signals.seen])
     first, last = float(signals.motion.t[0]), float(signals.motion.t[-1])
     inside = t[(t >= first) & (t <= last)]

@@ -41,7 +41,7 @@ class SbcTask:
 
 
 @dataclass(frozen=True, slots=True)
-class Belief:
+class MarginalPosterior:
     """A quantity's true value, and the mean and one-sigma of its Gaussian posterior; SI units."""
 
     true: float
@@ -80,7 +80,7 @@ class SbcRow:
     beyond_m: float = math.nan
     worst_z: float = math.nan
     rig_distance2: float = math.nan
-    beliefs: Mapping[str, Belief] = field(default_factory=dict)
+    beliefs: Mapping[str, MarginalPosterior] = field(default_factory=dict)
     contradicted: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -161,29 +161,29 @@ def gauge_free_error(
     return np.asarray(error - slope * float(across @ error[touched]) / max(float(across @ across), _FLAT_M2))
 
 
-def _of_scalars(answer: Reconstruction, truth: Truth, turned_rad: float) -> dict[str, Belief]:
+def _of_scalars(answer: Reconstruction, truth: Truth, turned_rad: float) -> dict[str, MarginalPosterior]:
     """ρ and mass as logarithms, in which the smoother's posterior is Gaussian; μ where there is friction."""
     found = {
         "ln_rho": _logarithm(truth.rho, answer.rho, answer.rho_sd),
         "ln_mass": _logarithm(truth.mass, answer.mass, answer.mass_sd),
-        "turned_rad": Belief(turned_rad, float(answer.psi[-1] - answer.psi[0]), answer.turned_sd),
+        "turned_rad": MarginalPosterior(turned_rad, float(answer.psi[-1] - answer.psi[0]), answer.turned_sd),
     }
-    return found | {"mu": Belief(truth.mu, answer.mu, answer.mu_sd)} if truth.mu else found
+    return found | {"mu": MarginalPosterior(truth.mu, answer.mu, answer.mu_sd)} if truth.mu else found
 
 
-def _logarithm(true: float, mean: float, sd: float) -> Belief:
-    return Belief(math.log(true), math.log(mean), sd / mean)
+def _logarithm(true: float, mean: float, sd: float) -> MarginalPosterior:
+    return MarginalPosterior(math.log(true), math.log(mean), sd / mean)
 
 
-def _of_normals(name: str, normals: FloatArray) -> dict[str, Belief]:
+def _of_normals(name: str, normals: FloatArray) -> dict[str, MarginalPosterior]:
     """Of `NORMALS` spread evenly over those from which to choose, rows of (true h, h, its one-sigma)."""
     chosen = np.floor((np.arange(NORMALS) + 0.5) * len(normals) / NORMALS).astype(np.intp)
     names = [f"h_{name}_{number}_m" for number in range(1, NORMALS + 1)]
     return _beliefs(names, normals[chosen]) if len(normals) >= NORMALS else {}
 
 
-def _beliefs(names: Iterable[str], rows: FloatArray) -> dict[str, Belief]:
-    return {name: Belief(*row) for name, row in zip(names, rows.tolist(), strict=True)}
+def _beliefs(names: Iterable[str], rows: FloatArray) -> dict[str, MarginalPosterior]:
+    return {name: MarginalPosterior(*row) for name, row in zip(names, rows.tolist(), strict=True)}
 
 
 def _rms(values: FloatArray) -> float:
@@ -204,7 +204,8 @@ def row_from(line: Line) -> SbcRow:
     """What `as_line` made; raises TypeError or ValueError for what it did not make."""
     plain = {name: math.nan if value is None else value for name, value in line.items()}
     beliefs = {
-        name: Belief(*(math.nan if x is None else float(x) for x in each)) for name, each in line["beliefs"].items()
+        name: MarginalPosterior(*(math.nan if x is None else float(x) for x in each))
+        for name, each in line["beliefs"].items()
     }
     return SbcRow(**plain | {"beliefs": beliefs})
 

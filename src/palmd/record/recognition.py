@@ -15,7 +15,7 @@ NONE_OF_THESE = "none of these"
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class Recognition:
     """What was said at the end of a run.
 
     names, probability: of each stored outline; none: of none of them. said: the name that has at least `DECIDED`,
@@ -29,7 +29,7 @@ class Verdict:
     decided: float
 
 
-def verdict(estimates: Iterable[ObjectEstimate]) -> Verdict | None:
+def verdict(estimates: Iterable[ObjectEstimate]) -> Recognition | None:
     """The verdict of a run's estimates, in their order; None when there is none."""
     told = list(estimates)
     if not told:
@@ -41,14 +41,14 @@ def verdict(estimates: Iterable[ObjectEstimate]) -> Verdict | None:
             if _said(estimate) != said:
                 break
             decided = estimate.t
-    return Verdict(last.names, last.probability, last.none, said, decided)
+    return Recognition(last.names, last.probability, last.none, said, decided)
 
 
 def _said(estimate: ObjectEstimate) -> str:
     return NONE_OF_THESE if estimate.none >= DECIDED else estimate.best
 
 
-def as_line(verdict: Verdict) -> dict[str, Any]:
+def as_line(verdict: Recognition) -> dict[str, Any]:
     """The verdict as a JSON object; `best` is empty for none of them, and `decided_s` None when nothing was decided."""
     return {
         "names": list(verdict.names),
@@ -59,7 +59,7 @@ def as_line(verdict: Verdict) -> dict[str, Any]:
     }
 
 
-def table(verdict: Verdict) -> str:
+def table(verdict: Recognition) -> str:
     """Names and probabilities, the likeliest first, and a line about the decision."""
     order = np.argsort(-verdict.probability, kind="stable")
     rows = [(verdict.names[i], float(verdict.probability[i])) for i in order]

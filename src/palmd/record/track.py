@@ -26,7 +26,7 @@ class TrackError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Track:
+class CameraTrack:
     """n rows at times `t` (s) of the camera's clock; NaN where the camera saw nothing.
 
     mark (n, 2): place of the object's mark (m). angle (n): of the object's arrow, palms (n, 2): of palm 1 and palm 2,
@@ -43,7 +43,7 @@ class _BadRowError(ValueError):
     """What is wrong with one line."""
 
 
-def read_track(path: Path) -> Track:
+def read_track(path: Path) -> CameraTrack:
     """The track in a CSV file; raises TrackError. Not for the loop.
 
     The header names the columns, in any order: `t_s,object_x_mm,object_y_mm,object_angle_deg`, and where the camera
@@ -65,7 +65,7 @@ def read_track(path: Path) -> Track:
         raise TrackError(f"{path}: {problem}")
     seen = _seen(table)
     mark = np.where(seen[:, None], table[:, 1:3] * 1e-3, np.nan)
-    return Track(table[:, 0], mark, np.where(seen, np.radians(table[:, 3]), np.nan), np.radians(table[:, 4:6]))
+    return CameraTrack(table[:, 0], mark, np.where(seen, np.radians(table[:, 3]), np.nan), np.radians(table[:, 4:6]))
 
 
 def _table(path: Path, stream: TextIO) -> FloatArray:

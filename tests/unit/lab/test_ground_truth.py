@@ -14,7 +14,7 @@ from palmd.lab.ground_truth import compared
 from palmd.lab.simulated import simulated
 from palmd.outlinefile import Outline
 from palmd.record.resultfile import Result
-from palmd.record.track import Track, TrackError, read_track
+from palmd.record.track import CameraTrack, TrackError, read_track
 
 MOST_SDS = 4.0
 CAMERA = Camera()
@@ -195,7 +195,7 @@ def test_a_motion_that_repeats_itself_or_stands_still_tells_no_clock(swing, told
     seen = np.arange(3.0, 9.0, 0.03)
     noise = np.random.default_rng(0).normal(0.0, 5e-3, len(seen))
     nothing = np.full((len(seen), 2), np.nan)
-    track = Track(seen, nothing, swing * np.sin(4.0 * seen) + noise, nothing)
+    track = CameraTrack(seen, nothing, swing * np.sin(4.0 * seen) + noise, nothing)
     with pytest.raises(GroundTruthError, match=told):
         compared(result, motion_of(result, None, []), track, None)
 

@@ -12,7 +12,7 @@ from scipy import stats
 
 from palmd.cli import main
 from palmd.lab import runs, sbc
-from palmd.lab.sbc import Belief, SbcRow, SbcTask, as_line, gauge_free_error, row_from, row_of
+from palmd.lab.sbc import MarginalPosterior, SbcRow, SbcTask, as_line, gauge_free_error, row_from, row_of
 from palmd.lab.sbc_summary import TOGETHER, Count, Uniformity, crooked, far, report, seeds, uniformities, wrong
 from palmd.model.shape import basis
 from palmd.observer.outline import gauge_free_sd
@@ -36,7 +36,9 @@ def test_z_of_even_ranks_are_uniform_to_half_a_step():
 
 
 def claimed(z, seed=0, **changes):
-    return SbcRow("rig", seed, 10.0, converged=True, rig_distance2=15.0, beliefs={"mu": Belief(z, 0.0, 1.0)}, **changes)
+    return SbcRow(
+        "rig", seed, 10.0, converged=True, rig_distance2=15.0, beliefs={"mu": MarginalPosterior(z, 0.0, 1.0)}, **changes
+    )
 
 
 def study(z):
@@ -64,7 +66,11 @@ def test_the_rigs_constants_are_told_together_too():
 
 
 def test_refused_runs_and_what_is_no_number_do_not_count():
-    rows = [claimed(0.5), claimed(math.nan, 1), SbcRow("rig", 2, 10.0, beliefs={"mu": Belief(9.0, 0.0, 1.0)})]
+    rows = [
+        claimed(0.5),
+        claimed(math.nan, 1),
+        SbcRow("rig", 2, 10.0, beliefs={"mu": MarginalPosterior(9.0, 0.0, 1.0)}),
+    ]
     assert uniformities(rows)["mu"].runs == 1
 
 
@@ -104,7 +110,10 @@ def test_the_report_tells_seeds_claims_and_what_to_look_at():
 
 
 def test_all_kinds_are_told_together_where_there_are_several():
-    rows = [SbcRow("nominal", seed, 10.0, converged=True, beliefs={"mu": Belief(0.5, 0.0, 1.0)}) for seed in (1, 2)]
+    rows = [
+        SbcRow("nominal", seed, 10.0, converged=True, beliefs={"mu": MarginalPosterior(0.5, 0.0, 1.0)})
+        for seed in (1, 2)
+    ]
     assert "all kinds" not in report(rows)
     assert "all kinds: seeds 1–3\n  claimed: 3 of 3\n" in report([*rows, claimed(0.1, 3)])
 
@@ -239,7 +248,9 @@ def done(monkeypatch):
 
     def quick(task):
         tasks.append(task)
-        return SbcRow(*(task.kind, task.seed, task.seconds), converged=True, beliefs={"mu": Belief(0.1, 0.0, 1.0)})
+        return SbcRow(
+            *(task.kind, task.seed, task.seconds), converged=True, beliefs={"mu": MarginalPosterior(0.1, 0.0, 1.0)}
+        )
 
     monkeypatch.setattr(runs, "local", threads)
     monkeypatch.setattr(sbc, "run", quick)
