@@ -229,6 +229,12 @@ class LogEntry:
     lasted_s: float
     text: str
 
+    @property
+    def line(self) -> str:
+        """It in one line, without its time."""
+        head = {"state": "", "fault": f"{self.name}: ", "command": f"{self.name}, by {self.who}: "}
+        return head.get(self.kind, f"{self.kind}: ") + self.text
+
 
 _LOG_COLUMNS = tuple(quantity.name for quantity in LOG.quantities)
 

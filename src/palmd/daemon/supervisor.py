@@ -22,6 +22,7 @@ from palmd.daemon.recorder_watch import RecorderWatch
 from palmd.daemon.setpoints import SetPoints
 from palmd.devices.actuator import ArmState, Reach
 from palmd.faults import Fault, FaultMonitor, Severity
+from palmd.messages import log_fields
 from palmd.motion.limits import Workspace
 from palmd.motion.segments import Angles
 from palmd.motion.trajectory_executor import MotionError
@@ -185,11 +186,8 @@ class Supervisor:
             "arm_state": str(host.state or ""),
             "arm_error": host.error,
             "arm_linked": host.linked(t),
-            "log": [
-                {"age_s": t - entry.t_s, "kind": entry.kind, "name": entry.name, "severity": entry.severity}
-                | {"who": entry.who, "text": entry.text}
-                for entry in self._journal.entries[-LOG_TOLD:]
-            ],
+            "t_s": t,
+            "log": log_fields(self._journal.entries[-LOG_TOLD:]),
         }
         told = {"explored": explored, "recorder": recorder}
         return status | {name: what for name, what in told.items() if what is not None}
