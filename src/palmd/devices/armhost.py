@@ -132,7 +132,7 @@ class ArmHost:
         self.last_error: int | None = None
         self.refusal: str | None = None
         self.unlinked = "the controller has not answered yet"
-        self._bytes_at_ack = 0
+        self._bytes_at_ack = self._lines_at_ack = 0
         self._t_ack = -math.inf
         self._t_alive = -math.inf
         self._t_hello = -math.inf
@@ -163,9 +163,9 @@ class ArmHost:
         return t - self._t_ack
 
     @property
-    def bytes_unanswering(self) -> int:
-        """How many bytes have come since the last report."""
-        return self.counters.line.bytes - self._bytes_at_ack
+    def unanswering(self) -> tuple[int, int]:
+        """How many bytes, and how many whole lines, have come since the last report."""
+        return self.counters.line.bytes - self._bytes_at_ack, self.counters.line.lines - self._lines_at_ack
 
     @property
     def tracking(self) -> bool:
@@ -240,7 +240,7 @@ class ArmHost:
         self.counters.ack_latency_max_ms = max(self.counters.ack_latency_max_ms, latency_ms)
         self.state, self.pose = ack.state, ack.pose
         self._t_ack = self._t_alive = t_first
-        self._bytes_at_ack = self.counters.line.bytes
+        self._bytes_at_ack, self._lines_at_ack = self.counters.line.bytes, self.counters.line.lines
         if self._timer is not None:
             if kind is SetPoint:
                 self._timer.answered(t_first)

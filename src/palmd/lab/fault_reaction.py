@@ -206,8 +206,8 @@ def _cells(row: FaultRow, reactions: Sequence[Reaction]) -> list[str]:
 
 
 def judgements(results: Iterable[tuple[FaultRow, Sequence[Reaction]]]) -> list[Judgement]:
-    """What the recordings answered."""
-    return [one.why for _, some in results for one in some if one.why is not None]
+    """What the recordings answered, of provocations that came to what they should; others have another cause."""
+    return [one.why for row, some in results for one in some if one.why is not None and not differences(row, one)]
 
 
 def _why(reactions: Sequence[Reaction]) -> str:

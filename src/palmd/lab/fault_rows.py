@@ -76,8 +76,8 @@ Act = RowFault | Pause | Kill | FullDisk | TakenAddress | ClockStep | BrokenObse
 class FaultRow:
     """One cause and its effect: `faults` must come, with these severities, and no grave ones but those in `may`.
 
-    `why` holds what `palmd why` may answer of the recording alone, by the names of causes. `goal_s` bounds the time from
-    the cause to the arm standing still where the state is not tracking; infinite where somebody else moves the arm.
+    `why` holds what `palmd why` may answer of the recording alone, by the names of causes. `goal_s` bounds the time
+    from the cause to the arm standing still where the state is not tracking; infinite where somebody else moves it.
     """
 
     name: str
@@ -244,7 +244,7 @@ ROWS: tuple[FaultRow, ...] = (
         "200 ms without a set-point",
         RowFault("mute", "arm", for_s=0.2),
         "fault",
-        ("arm-watchdog",),
+        ("arm-watchdog", "arm-mute"),
         (("arm-fault", "stop"),),
         ("arm-left-tracking", "arm-link-lost"),
         HOST_DEAD_S,

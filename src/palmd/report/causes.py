@@ -37,7 +37,10 @@ NEAR_S = 0.6
 """A cause is looked for so long before its effect."""
 
 ARM_QUIET_S = 0.1  # without an answer: six of its cycles
-FOREIGN_SHARE, DAMAGED_SHARE = 0.8, 0.05  # of what came that was no packet, or no intact line
+FOREIGN_SHARE = 0.8  # of what came that was no packet
+LINE_BYTES = 30  # of an answer of the arm, its line end included
+ALIEN_LINES = 3.0  # of what is none of ours, a line end is so much rarer
+_LINE = ("arm_port_bytes_read", "arm_lines", "arm_crc_errors", "arm_unframed")
 SPOKE_BYTES = 24  # too few may be the rest of a packet
 TOGETHER_S = 0.15  # both pads left within so long: the object was lifted
 CONTROLLER_WATCHDOG_MS, SETPOINT_MS = 160, 16
@@ -142,7 +145,7 @@ class _Stall:
 def _by_stall(case: RunCase, code: str, stall: _Stall, t: float) -> bool:
     """Whether a loop that stood still explains a fault: what it says was not so before."""
     if code.endswith("-silent"):
-        before = [when for when in case.closeup.readings.get(int(code[3]), []) if when <= t]
+        before = [true for fed, true in case.closeup.readings.get(int(code[3]), []) if fed <= t]
         return bool(before) and before[-1] > stall.begin - STALL_READING_S
     if code == "arm-fault":
         entry = case.logged("fault", code, t)
@@ -237,27 +240,25 @@ def _controller(case: RunCase, code: str, t: float) -> StopCause:
 
 def _link(case: RunCase, code: str, t: float) -> StopCause:
     """The arm does not answer: nothing comes, or nothing that can be read."""
-    names = ("arm_port_bytes_read", "arm_lines", "arm_crc_errors", "arm_unframed", "arm_overlong")
     age_ms = _oldest(case, "arm_age_ms", t)
     evidence = [
         Clue("palm/contact", f"the arm's last answer was {age_ms:.0f} ms old; after 250 ms the link counts as lost")
     ]
-    came, whole, damaged, alien = 0.0, 0.0, 0.0, 0.0
-    for at in (t - 0.25, t):
-        gained = case.course.gained(at, *names)
-        if gained is None:
-            continue
-        read, lines, *bad = (gained[2][name] for name in names)
-        told = f"{read:.0f} bytes came, {lines:.0f} whole lines, {sum(bad):.0f} damaged {_between(case, gained)}"
-        if all(told != each.what for each in evidence):
-            evidence.append(Clue("palm/loop", told))
-            came, whole, damaged, alien = came + read, whole + lines, damaged + bad[0], alien + bad[1] + bad[2]
+    windows = {gained[0]: gained for at in (t - 0.25, t, t + 1.0) if (gained := case.course.gained(at, *_LINE))}
+    excess = ends = 0.0
+    for gained in windows.values():
+        read, whole, wrong, alien = (gained[2][name] for name in _LINE)
+        told = (
+            f"{read:.0f} bytes came, {whole:.0f} whole lines, {wrong:.0f} of a wrong checksum, {alien:.0f} without any"
+        )
+        evidence.append(Clue("palm/loop", f"{told} {_between(case, gained)}"))
+        ends += wrong + alien
+        excess = max(excess, read - LINE_BYTES * whole)
     said = _said(case, code, t)
-    speaks = damaged + alien > max(2.0, DAMAGED_SHARE * whole) or _bytes_since(said) > SPOKE_BYTES
-    if not speaks:
+    if _bytes_since(said) < SPOKE_BYTES and (said or max(excess - LINE_BYTES, ends - 1.0) <= 0.0):
         return StopCause("mute", "arm", "nothing came from the arm's controller any more", (*evidence, *said))
-    if damaged > alien:
-        sentence = "what came from the arm's controller was damaged: hardly a line had its checksum right"
+    if ends > 1.0 and excess < ALIEN_LINES * LINE_BYTES * ends:  # lines end where they should
+        sentence = "what came from the arm's controller was damaged: its lines came, and hardly one of them whole"
         return StopCause("damaged", "arm", sentence, (*evidence, *said))
     sentence = "what came from the arm's line was no answer: another device, or another baud rate"
     return StopCause("foreign", "arm", sentence, (*evidence, *said))
@@ -266,7 +267,7 @@ def _link(case: RunCase, code: str, t: float) -> StopCause:
 def _lifted(case: RunCase, code: str, t: float) -> StopCause:
     end = code.removesuffix("-lifted")
     number = int(end[-1])
-    lifts = {pad: [when for when in times if abs(when - t) < NEAR_S] for pad, times in case.closeup.lifts.items()}
+    lifts = {pad: [true for _, true in told if abs(true - t) < NEAR_S] for pad, told in case.closeup.lifts.items()}
     here = min(lifts.get(number, [t]), key=lambda when: abs(when - t))
     others = [pad for pad, times in lifts.items() if pad != number and any(abs(w - here) < TOGETHER_S for w in times)]
     evidence = [
@@ -306,7 +307,7 @@ def _silent(case: RunCase, code: str, t: float) -> StopCause:
 
 def _ages(case: RunCase, pad: int, t: float) -> tuple[Clue, ...]:
     """How old the pad's last reading was at `t`, and how old it might be."""
-    before = [when for when in case.closeup.readings.get(pad, []) if when <= t]
+    before = [true for fed, true in case.closeup.readings.get(pad, []) if fed <= t]
     if len(before) < SILENT_INTERVALS:
         return ()
     mean_ms = fmean(b - a for a, b in pairwise(before[-20:])) * 1e3
@@ -323,8 +324,10 @@ def _oldest(case: RunCase, name: str, t: float) -> float:
 
 
 def _bytes_since(said: Sequence[Clue]) -> int:
-    """How many bytes the daemon says have come since the last good packet or answer."""
+    """How many bytes, and no whole line, the daemon says have come since the last good packet or answer."""
     for each in said:
+        if "whole lines" in each.what and "with 0 whole lines" not in each.what:
+            return 0
         words = each.what.split(" bytes have come since")[0].split()
         if " bytes have come since" in each.what and words[-1].isdigit():
             return int(words[-1])

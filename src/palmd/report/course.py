@@ -71,14 +71,17 @@ class Course:
 
 @dataclass(slots=True)
 class Closeup:
-    """Every tick of a few seconds: `contact` and `motion` by the ticks' times, `readings` of each pad with when they
-    were true, `lifts` the ends of its contacts; `numbers` are the ticks' own, which count on where none is missing."""
+    """Every tick of a few seconds: `contact` and `motion` by the ticks' times.
+
+    `readings` of each pad and `lifts`, the ends of its contacts, are told by when they were fed and when they were
+    true; `numbers` are the ticks' own, which count on where none is missing.
+    """
 
     contact: list[tuple[float, Fields]] = field(default_factory=list)
     motion: list[tuple[float, Fields]] = field(default_factory=list)
     numbers: list[int] = field(default_factory=list)
-    readings: dict[int, list[float]] = field(default_factory=dict)
-    lifts: dict[int, list[float]] = field(default_factory=dict)
+    readings: dict[int, list[tuple[float, float]]] = field(default_factory=dict)
+    lifts: dict[int, list[tuple[float, float]]] = field(default_factory=dict)
 
     def last_motion(self, t: float) -> Fields:
         """The last `palm/motion` up to `t`; empty before the first."""
@@ -127,7 +130,7 @@ def closeup_of(run: Run, t: float) -> Closeup:
             for source, t_sample in zip(fields["source"], fields["t_sample_s"], strict=True):
                 kept = found.readings if source > 0 else found.lifts
                 if source:
-                    kept.setdefault(abs(int(source)), []).append(float(t_sample))
+                    kept.setdefault(abs(int(source)), []).append((when, float(t_sample)))
     return found
 
 

@@ -16,8 +16,11 @@ _COMMANDED = ("tracking", "hold")
 _ACTS = {"hold": ("hold", "stop"), "fault": ("stop",), "ready": (), "idle": ()}
 _HAPPENED = {"hold": "the motion was held", "fault": "the arm was stopped", "ready": "the arm was stopped",
              "idle": "the rig was gone"}  # fmt: skip
-TOGETHER_S = 0.05
-"""Faults that come within so long after the first belong to it."""
+OTHERS = 8
+"""So many of the other times are listed."""
+
+END_S = 0.05
+"""So long before its end, the end is what a question is about."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +99,9 @@ def stops(course: Course) -> Iterator[Standstill]:
 def lines(run: Run, answer: Explanation) -> Iterator[str]:
     """The answer in plain words."""
     cause = answer.cause
-    if answer.happened:
+    if answer.happened and answer.cause.kind in ("died", "cut"):
+        yield f"{run.path.name}: at {answer.since:.2f} s {answer.happened} (state {answer.state})"
+    elif answer.happened:
         until = "to the end" if math.isinf(answer.until) else f"until {answer.until:.2f} s"
         yield f"{run.path.name}: at {answer.since:.2f} s {answer.happened}, {until} (state {answer.state})"
     else:
@@ -109,8 +114,10 @@ def lines(run: Run, answer: Explanation) -> Iterator[str]:
         yield f"{'' if number else 'fault':10}{code}, stood for {seconds:.2f} s" + (f": {text}" if text else "")
     if answer.hint:
         yield f"do        {answer.hint}"
-    for number, (t, what) in enumerate(answer.others):
+    for number, (t, what) in enumerate(answer.others[-OTHERS:]):
         yield f"{'' if number else 'besides':10}--at {t:.2f}  {what}"
+    if len(answer.others) > OTHERS:
+        yield f"{'':10}and {len(answer.others) - OTHERS} before"
 
 
 def _asked(course: Course, found: tuple[Standstill, ...], t: float | None) -> Standstill | None:
@@ -126,7 +133,7 @@ def _not_stopped(run: Run, course: Course, t: float, others: tuple[tuple[float, 
     told = course.at(t) or course.told[0]
     case = RunCase(course, closeup_of(run, min(t, course.end)), run.config)
     rel = t - course.begin
-    if t >= course.end - TOGETHER_S and told.state in _COMMANDED:
+    if t >= course.end - END_S and told.state in _COMMANDED:
         happened = "the recording ends"
         return Explanation(rel, told.state, happened, course.end - course.begin, math.inf, of_end(case), (), "", others)
     if told.state == "tracking":

@@ -65,8 +65,10 @@ class Adept(ArmHost):
         return f"its line A says state {self.state} ({self.state.name})" + (f", error {self.error}" * bool(self.error))
 
     def _silence(self, t: float, limit_s: float) -> str:
-        since = self.bytes_unanswering
-        came = f"{since} bytes have come since, which answer nothing" if since else "not a byte has come since"
+        count, lines = self.unanswering
+        came = (
+            f"{count} bytes have come since, with {lines} whole lines in them" if count else "not a byte has come since"
+        )
         return f"its last answer is {self.age(t) * 1e3:.0f} ms old, the limit is {limit_s * 1e3:.0f} ms; {came}"
 
     def counts(self) -> dict[str, float]:
