@@ -58,7 +58,8 @@ def messages() -> str:
         parts.append(table(head, [(f"`{f.name}`", f.unit, f.meaning) for f in topic.quantities]))
     parts.append(
         "\n## Commands\n\nOne msgpack map `{id, cmd, args}` to the command socket, and one back: "
-        "`{id, ok, error?, result?}`.\nWhat is refused has moved nothing.\n\n"
+        "`{id, ok, error?, result?}`.\nWhat is refused has moved nothing. `from`, printable text that may stand beside "
+        "them, says who asks: the log tells it.\n\n"
     )
     rows = [(f"`{name}`", spec.does, _arguments(spec)) for name, spec in COMMANDS.items()]
     parts.append(table(("command", "does", "args"), rows))

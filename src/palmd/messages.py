@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from palmd.config import Config, config_hash
 from palmd.events import (
@@ -26,7 +26,7 @@ from palmd.events import (
     ShapeEstimate,
 )
 from palmd.faults import Fault
-from palmd.quantities import ESTIMATE, EVENTS, SCHEMA, STAMP, TICK, TOPICS, UNITS, Kind, Topic
+from palmd.quantities import ESTIMATE, EVENTS, LOG, SCHEMA, STAMP, TICK, TOPICS, UNITS, Kind, Topic
 from palmd.system.mechanism import JOINTS, PALMS
 from palmd.system.rig_constants import RIG_NAMES, said_off
 
@@ -211,6 +211,43 @@ def state_fields(state: str, faults: Iterable[Fault]) -> Fields:
         "severities": [str(fault.severity) for fault in faults],
         "hints": [fault.hint for fault in faults],
     }
+
+
+LogKind = Literal["palmd", "state", "fault", "command", "plan", "exploration", "object", "rig"]
+
+
+@dataclass(frozen=True, slots=True)
+class LogEntry:
+    """One thing that happened at `t_s` (s), by the columns of `palm/log`; `lasted_s` is NaN for what is not over."""
+
+    number: int
+    t_s: float
+    kind: LogKind
+    name: str
+    severity: str
+    who: str
+    lasted_s: float
+    text: str
+
+    @property
+    def line(self) -> str:
+        """It in one line, without its time."""
+        head = {"state": "", "fault": f"{self.name}: ", "command": f"{self.name}, by {self.who}: "}
+        return head.get(self.kind, f"{self.kind}: ") + self.text
+
+
+_LOG_COLUMNS = tuple(quantity.name for quantity in LOG.quantities)
+
+
+def log_fields(entries: Iterable[LogEntry]) -> Fields:
+    """`palm/log`."""
+    rows = tuple(entries)
+    return {name: [getattr(entry, name) for entry in rows] for name in _LOG_COLUMNS}
+
+
+def entries_of(fields: Mapping[str, Any]) -> tuple[LogEntry, ...]:
+    """The entries that `log_fields` was given; raises KeyError, ValueError for other fields."""
+    return tuple(LogEntry(*row) for row in zip(*(fields[name] for name in _LOG_COLUMNS), strict=True))
 
 
 def info_fields(version: str, observer: str, config: Config) -> Fields:

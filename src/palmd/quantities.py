@@ -389,7 +389,25 @@ RIG = Topic(
         Quantity("off", "texts", "", "in words, what readings have told to be off beyond doubt, and what to do"),
     ),
 )
-TOPICS: tuple[Topic, ...] = (ESTIMATE, SHAPE, OBJECT, CONTACT, MOTION, STATE, LOOP, INFO, EVENTS, IMPROVEMENT, RIG)
+LOG_ENTRIES = 100
+LOG = Topic(
+    "palm/log",
+    1.0,
+    "and with each new entry, 10 Hz at most",
+    (
+        Quantity("number", "numbers", "",
+                 f"of each of the last {LOG_ENTRIES} entries, in their order, counted from 0 since the daemon's start"),
+        Quantity("t_s", "numbers", "s", "when it was, CLOCK_MONOTONIC"),
+        Quantity("kind", "texts", "", "what it is about: palmd, state, fault, command, plan, exploration, object, rig"),
+        Quantity("name", "texts", "",
+                 "the state come to, the code of the fault, the command; else begun, over, stopping, known, lost …"),
+        Quantity("severity", "texts", "", "of a fault: note, degrade, hold or stop; else empty"),
+        Quantity("who", "texts", "", "who gave the command that it comes from; else empty"),
+        Quantity("lasted_s", "numbers", "s", "of what is over: how long it had lasted; else none"),
+        Quantity("text", "texts", "", "in plain words, with the cause: which byte, which age, which limit"),
+    ),
+)  # fmt: skip
+TOPICS: tuple[Topic, ...] = (ESTIMATE, SHAPE, OBJECT, CONTACT, MOTION, STATE, LOOP, INFO, EVENTS, IMPROVEMENT, RIG, LOG)
 """What the daemon publishes."""
 
 TRUTH = Topic(

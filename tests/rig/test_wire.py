@@ -25,6 +25,7 @@ RATES_HZ = {  # far wider than promised, for a slow machine; never faster than p
     "palm/state": (5.0, 20.0),
     "palm/loop": (0.5, 1.2),
     "palm/info": (0.5, 1.2),
+    "palm/log": (0.5, 10.5),
     "palm/rig": (0.5, 6.0),  # and the smoother answers four times a second at most
 }
 STAMP = re.compile(rb"\d{10,}\.\d{3,}")

@@ -22,13 +22,16 @@ from palmd.events import (
 from palmd.faults import TABLE
 from palmd.messages import (
     NAMED_STATE,
+    LogEntry,
     PadView,
     contact_fields,
+    entries_of,
     estimate_fields,
     events_fields,
     events_of,
     improvement_fields,
     info_fields,
+    log_fields,
     motion_fields,
     object_fields,
     rig_fields,
@@ -44,6 +47,7 @@ from palmd.quantities import (
     EVENTS,
     IMPROVEMENT,
     INFO,
+    LOG,
     LOOP,
     MOTION,
     OBJECT,
@@ -79,6 +83,11 @@ def an_estimate(**changes) -> Estimate:
 
 
 ZEROS = np.zeros(15)
+ENTRIES = (
+    LogEntry(7, 0.98, "fault", "pad1-silent", "hold", "", math.nan, "pad 1 fell silent: its last packet is 61 ms old"),
+    LogEntry(8, 0.98, "state", "hold", "", "", math.nan, "tracking -> hold: fault pad1-silent"),
+    LogEntry(9, 0.99, "fault", "pad1-silent", "", "", 0.01, "over after 0.01 s"),
+)
 
 
 def built():
@@ -108,6 +117,7 @@ def built():
         EVENTS: events_fields(1.0, [PadSample(0.99, 1, 0.02), PadLift(0.995, 2), PalmSample(0.98, (0.5, 1.5))]),
         IMPROVEMENT: improvement_fields(1.0, improvement(np.arange(3.0), np.eye(3), t=0.8)),
         RIG: rig_fields(np.full(15, 1e-3), np.full(15, 1e-4), np.full(15, 1e-3), ZEROS),
+        LOG: log_fields(ENTRIES),
     }
 
 
@@ -121,6 +131,12 @@ def test_every_topic_is_built_as_its_table_says():
 def test_the_contracts_fields_are_there(topic):
     """There may be more: whoever does not know them skips them."""
     assert set(CONTRACT[topic.name].split()) <= set(built()[topic])
+
+
+def test_entries_of_the_log_come_back_as_they_were():
+    fields = msgpack.unpackb(msgpack.packb(log_fields(ENTRIES)))
+    assert repr(entries_of(fields)) == repr(ENTRIES)
+    assert entries_of(log_fields(())) == ()
 
 
 def test_sd_is_named_like_the_fields_it_belongs_to():

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
+import os
+import pwd
+import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import msgpack
@@ -75,4 +80,18 @@ class CommandClient(Link):
 
 
 def _request(number: int, command: str, args: Mapping[str, Any] | None) -> bytes:
-    return bytes(msgpack.packb({"id": number, "cmd": command, "args": dict(args or {})}))
+    return bytes(msgpack.packb({"id": number, "cmd": command, "args": dict(args or {}), "from": own_name()}))
+
+
+@functools.cache
+def own_name() -> str:
+    """What this program tells of itself: `palmd ctl of ann, process 4711`."""
+    program = Path(sys.argv[0]).name or "python"
+    if program in ("palmd", "__main__.py"):
+        program = " ".join(["palmd", *(word for word in sys.argv[1:2] if word.isalpha())])
+    try:
+        user = pwd.getpwuid(os.getuid()).pw_name
+    except KeyError:
+        user = f"user {os.getuid()}"
+    name = f"{program[:40]} of {user[:30]}, process {os.getpid()}"
+    return "".join(letter if letter.isprintable() else "?" for letter in name)

@@ -8,12 +8,14 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from palmd.bus.subscriber import Message
-from palmd.quantities import CONTACT, ESTIMATE, INFO, LOOP, MOTION, RIG, STATE, Quantity, Topic, drawn
+from palmd.messages import entries_of
+from palmd.quantities import CONTACT, ESTIMATE, INFO, LOG, LOOP, MOTION, RIG, STATE, Quantity, Topic, drawn
 from palmd.system.mechanism import ENDS, JOINTS, PALMS
 
 Style = Literal["plain", "title", "good", "bad", "warning", "faint"]
 
 _CELLS = 3  # a row
+_LOGGED = 6  # entries of the log
 _PASSING = ("bytes", "packets", "lines", "acks", "setpoints", "bytes_read", "bytes_written", "opens")
 _STATE_STYLES: dict[str, Style] = {"tracking": "good", "hold": "warning", "fault": "bad"}
 _SEVERITY_STYLES: dict[str, Style] = {"stop": "bad", "hold": "bad", "degrade": "warning", "note": "faint"}
@@ -74,6 +76,7 @@ def frame(board: Board, t: float) -> list[BoardRow]:
         (CONTACT, _contact),
         (MOTION, _motion),
         (LOOP, _loop),
+        (LOG, _log),
     ):
         fields = board.fields(topic)
         if fields:
@@ -163,6 +166,20 @@ def _loop(fields: Mapping[str, Any]) -> Iterator[BoardRow]:
         yield BoardRow(f"{name:10}{'  '.join(values)}")
     for port in ENDS:
         yield from _troubles(port, fields)
+
+
+def _log(fields: Mapping[str, Any]) -> Iterator[BoardRow]:
+    t = fields["mono_ns"] * 1e-9
+    for entry in entries_of(fields)[-_LOGGED:]:
+        yield BoardRow(f"{ago(t - entry.t_s)}  {entry.line}", _SEVERITY_STYLES.get(entry.severity, "plain"))
+
+
+def ago(seconds: float) -> str:
+    """How long ago something was, in a few letters of equal length."""
+    for most, unit_s, unit in ((100.0, 1.0, "s"), (6000.0, 60.0, "min")):
+        if seconds < most:
+            return f"{seconds / unit_s:5.1f} {unit:3} ago"
+    return f"{seconds / 3600.0:5.1f} h   ago"
 
 
 def _troubles(port: str, fields: Mapping[str, Any]) -> Iterator[BoardRow]:

@@ -8,14 +8,14 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import msgpack
 import zmq
 
 from palmd.daemon.commands import COMMANDS, CommandError, Reply, Request, parse, reply_fields
 from palmd.daemon.zap_auth import ZapAuthenticator
-from palmd.keys import Role, ServerKeys
+from palmd.keys import Member, ServerKeys
 from palmd.messages import Fields, stamp
 from palmd.quantities import Topic
 
@@ -95,8 +95,9 @@ class Bus:
                 self.counters.malformed += 1
                 self._send(route, reply_fields(error.id, str(error)))
                 continue
-            if self._may(request, frames[-1]):
-                requests.append(request)
+            member = None if self._door is None else self._door.member(frames[-1])
+            if self._door is None or (member is not None and member.role.covers(COMMANDS[request.name].role)):
+                requests.append(replace(request, who=_who(request, member, frames[-1])))
             else:
                 self.counters.forbidden += 1
                 self._send(route, reply_fields(request.id, f"{request.name} refused: your key may only watch"))
@@ -134,10 +135,6 @@ class Bus:
         self._context.destroy()
         self._door = None
 
-    def _may(self, request: Request, frame: zmq.Frame) -> bool:
-        role = Role.OPERATE if self._door is None else self._door.role(frame)
-        return role is not None and role.covers(COMMANDS[request.name].role)
-
     def _bound(self, kind: int, address: str, key: str) -> zmq.Socket[bytes]:
         socket = self._context.socket(kind)
         self._sockets.append(socket)
@@ -162,6 +159,19 @@ class Bus:
             self._commands.send_multipart((*route, msgpack.packb(fields)), zmq.NOBLOCK)
         except zmq.ZMQError:
             self.counters.replies_lost += 1
+
+
+def _who(request: Request, member: Member | None, frame: zmq.Frame) -> str:
+    """Who gave a command: the key's name, which is proven, and what the program says of itself, which is not."""
+    said = request.who
+    if member is not None:
+        return f"{member.name}, by {said}" if said else member.name
+    if said:
+        return said
+    try:
+        return f"a program at {frame.get('Peer-Address')}"
+    except zmq.ZMQError:
+        return "a program"
 
 
 def _opened(frames: list[bytes]) -> tuple[tuple[bytes, ...], list[bytes]]:

@@ -15,6 +15,7 @@ REQUEST_BYTES_MAX = 64 * 1024
 
 _SCALARS = (str, bytes, int, float, bool, type(None))
 _ID_LENGTH_MAX = 256
+SENDER_LENGTH_MAX = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +38,11 @@ class CommandSpec:
     arguments: tuple[Argument, ...] = ()
     by_hand: bool = True  # whether people give it
     role: Role = Role.OPERATE  # what a client with a key needs
+
+    @property
+    def told(self) -> bool:
+        """Whether `palm/log` tells that it was given."""
+        return self.by_hand and self.role is Role.OPERATE
 
 
 JOG_STEP_MAX_DEG = 0.5
@@ -89,12 +95,16 @@ COMMANDS: dict[str, CommandSpec] = {
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """A valid command. `route` leads back to who sent it and means nothing here; None for nobody."""
+    """A valid command. `route` leads back to who sent it and means nothing here; None for nobody.
+
+    `who` is the sender in words: what it says of itself, and its key's name where there are keys.
+    """
 
     name: str
     args: dict[str, Any] = field(default_factory=dict)
     id: Any = None
     route: tuple[bytes, ...] | None = None
+    who: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +139,7 @@ def reply_fields(id: Any, error: str | None, result: dict[str, Any] | None = Non
 
 
 def parse(payload: bytes, route: tuple[bytes, ...] | None = None) -> Request:
-    """The request in a msgpack map `{id, cmd, args}`; raises CommandError for anything else."""
+    """The request in a msgpack map `{id, cmd, args, from?}`; raises CommandError for anything else."""
     if len(payload) > REQUEST_BYTES_MAX:
         raise CommandError(f"a command has {REQUEST_BYTES_MAX} bytes at most, not {len(payload)}")
     try:
@@ -139,14 +149,16 @@ def parse(payload: bytes, route: tuple[bytes, ...] | None = None) -> Request:
     if not isinstance(message, dict):
         raise CommandError(f"expected a map {{id, cmd, args}}, got {_named(message)}")
     id = _identity(message.get("id"))
-    unknown = [key for key in message if key not in ("id", "cmd", "args")]
+    unknown = [key for key in message if key not in ("id", "cmd", "args", "from")]
     if unknown:
-        raise CommandError(f"unknown key {_shown(unknown[0])}; a command has id, cmd, args", id)
+        raise CommandError(f"unknown key {_shown(unknown[0])}; a command has id, cmd, args, from", id)
     name = message.get("cmd")
     if not isinstance(name, str) or name not in COMMANDS:
         raise CommandError(f"unknown command {_shown(name)}; there are {', '.join(COMMANDS)}", id)
-    args = message.get("args")
-    return Request(name, _arguments(name, {} if args is None else args, id), id, route)
+    args, who = message.get("args"), message.get("from", "")
+    if not isinstance(who, str) or len(who) > SENDER_LENGTH_MAX or not who.isprintable():
+        raise CommandError(f"from must be printable text of {SENDER_LENGTH_MAX} characters at most", id)
+    return Request(name, _arguments(name, {} if args is None else args, id), id, route, who)
 
 
 def _identity(id: Any) -> Any:

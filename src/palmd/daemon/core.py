@@ -17,12 +17,14 @@ from pathlib import Path
 
 import numpy as np
 
+from palmd import __version__
 from palmd.config import Config, rig_description
 from palmd.daemon.commands import Reply, Request
 from palmd.daemon.diagnostics import LOOK_S, ArmDiagnostics, LoopDiagnostics, NisDiagnostics, PadDiagnostics
 from palmd.daemon.drivers import ArmDriver, EndName
 from palmd.daemon.exploration_requests import Source
 from palmd.daemon.exploring import Exploring, Senses
+from palmd.daemon.journal import FaultNotes, Journal, MotionNotes, ObjectNotes, RigNotes
 from palmd.daemon.lifecycle import COMMANDED, State
 from palmd.daemon.planner import Plan, PlanFolder
 from palmd.daemon.setpoints import SetPoints
@@ -39,6 +41,7 @@ from palmd.messages import (
     estimate_fields,
     events_fields,
     improvement_fields,
+    log_fields,
     motion_fields,
     object_fields,
     rig_fields,
@@ -49,9 +52,9 @@ from palmd.messages import (
 from palmd.motion.check import motion_limits
 from palmd.motion.kinematics import RigGeometry
 from palmd.observer.observer import Observer
-from palmd.quantities import CONTACT, ESTIMATE, EVENTS, IMPROVEMENT, MOTION, OBJECT, RIG, SHAPE, STATE, Topic
-from palmd.system.mechanism import PALMS
-from palmd.system.rig_constants import prior_sds
+from palmd.quantities import CONTACT, ESTIMATE, EVENTS, IMPROVEMENT, LOG, MOTION, OBJECT, RIG, SHAPE, STATE, Topic
+from palmd.system.mechanism import JOINTS, PALMS
+from palmd.system.rig_constants import prior_sds, said_off
 
 log = logging.getLogger(__name__)
 
@@ -91,10 +94,19 @@ class Core:
         self.arm = ArmDriver(config, geometry)
         self.setpoints = SetPoints(geometry, motion_limits(config))
         self.faults = FaultMonitor()
+        self.journal = Journal()
         self.exploring = Exploring(self.setpoints, explorer)
         plans = PlanFolder(None if config.plan is None else config.plan.parent, folder)
         self.supervisor = Supervisor(
-            self.arm, self.setpoints, self.exploring, self.faults, aside, plan, plans, autostart=config.autostart
+            self.arm,
+            self.setpoints,
+            self.exploring,
+            self.faults,
+            self.journal,
+            aside,
+            plan,
+            plans,
+            autostart=config.autostart,
         )
         self._observer = observer
         self._estimate = unknown_estimate(-math.inf, observer)
@@ -114,7 +126,12 @@ class Core:
         self._loop_watch = LoopDiagnostics()
         self._nis_watch = NisDiagnostics()
         self._swap = SwapWatch()
-        self._t_look = self._t_state = self._t_shape = self._t_rig = -math.inf
+        self._ports: dict[EndName, DevicePort] = {}
+        self._failure = ""
+        self._fault_notes, self._object_notes = FaultNotes(self.journal), ObjectNotes(self.journal)
+        self._rig_notes, self._motion_notes = RigNotes(self.journal), MotionNotes(self.journal)
+        self._t_look = self._t_state = self._t_shape = self._t_rig = self._t_log = -math.inf
+        self._logged = 0
         self._told: tuple[object, object] = (None, None)
 
     @property
@@ -127,7 +144,8 @@ class Core:
     def ports(self) -> dict[EndName, DevicePort]:
         """What the devices are behind, shut."""
         pads = {name: pad.port() for name, pad in self.pads.items()}
-        return pads | {"arm": self.arm.host.port()}
+        self._ports = pads | {"arm": self.arm.host.port()}
+        return self._ports
 
     def opened(self, end: EndName, t: float) -> None:
         """A port has been opened at `t` (s)."""
@@ -180,6 +198,9 @@ class Core:
         have fallen due. When it says that there is no more time, what is left is for the next tick: bytes that
         were held up come all at once, and each sets the observer back to its own time.
         """
+        self.journal.t = t
+        if not self.journal.count:
+            self.journal.add("palmd", "begun", f"palmd {__version__} begins, state {self.state}")
         for pad in self.pads.values():
             self._events += pad.poll(t)
         events, self._events = sorted(self._events, key=_sample_time), []
@@ -200,10 +221,11 @@ class Core:
                 self._shape = self._observer.shape(t)
                 self._object = self._observer.identify(t)
                 self._t_shape = t
-        except Exception:  # whatever is wrong with a model, the arm must be stopped in good order
+        except Exception as error:  # whatever is wrong with a model, the arm must be stopped in good order
             if not self._observer_failed:
                 log.exception("the observer failed; this is told once")
             self._observer_failed = True
+            self._failure = repr(error)
             self._passing.add("tick-error")
             self._estimate = unknown_estimate(t, self._observer)
         self._swap.look(t, self.arm.actual)
@@ -215,18 +237,26 @@ class Core:
 
     def handle(self, request: Request, t: float) -> None:
         """Do what a valid command asks at `t` (s), or refuse; the answer comes with `replies`."""
+        self.journal.t = t
         self.supervisor.handle(request, t)
 
     def decide(self, t: float) -> None:
         """Faults, state and motion at `t` (s)."""
         under_way = self.setpoints.moving or self.setpoints.held
+        self.journal.t = t
         self.faults.update(self._conditions(t, under_way), t, armed=self.supervisor.armed)
+        self._fault_notes.look(self.faults.active, t, self._evidence)
         self._passing.clear()
         self.supervisor.settle(t, up=self._rig_up(t))
         plan = self.supervisor.plan
         if plan is not None and plan.explores:
             self.exploring.prepare()
         self.exploring.step(t, self._senses(t))
+        self._motion_notes.look(
+            self.exploring.under_way, self.exploring.reason, self.supervisor.plan_name, self.setpoints.over, t
+        )
+        untouched = [palm for palm, pad in zip(PALMS, self.pads.values(), strict=True) if not pad.touching]
+        self._object_notes.look(self._estimate.object_count, self._estimate.valid, untouched, self._estimate.nis, t)
 
     def report(self, t: float) -> list[tuple[Topic, Fields]]:
         """What to publish at `t` (s)."""
@@ -255,6 +285,7 @@ class Core:
             messages.append((IMPROVEMENT, improvement_fields(t, self._answered)))
             self._rig, self._rig_sds = self._answered.rig, self._answered.rig_sd
             self._contradicted = self._answered.contradicted
+            self._rig_notes.look(self._contradicted, self._said_off)
         if self._answered is not None or t - self._t_rig >= 1.0 / RIG.rate_hz - _EARLY_S:
             self._t_rig = t
             messages.append((RIG, rig_fields(self._rig, self._rig_sds, self._rig_priors, self._contradicted)))
@@ -268,6 +299,10 @@ class Core:
         if self._object is not None:
             messages.append((OBJECT, object_fields(self._object)))
             self._object = None
+        news, since = self.journal.count != self._logged, t - self._t_log
+        if since >= (SLOW_TOPIC_S if news else 1.0 / LOG.rate_hz) - _EARLY_S:
+            self._logged, self._t_log = self.journal.count, t
+            messages.append((LOG, log_fields(self.journal.entries)))
         return messages
 
     def replies(self) -> list[Reply]:
@@ -285,17 +320,19 @@ class Core:
 
     # ---- beside the ticks --------------------------------------------------------------------------------
 
-    def overran(self, t: float) -> None:
-        """The tick at `t` (s) came so late that others had to be skipped."""
-        self._loop_watch.overran(t)
+    def overran(self, t: float, late_s: float) -> None:
+        """The tick that ended at `t` (s) did so `late_s` after its deadline, so that others had to be skipped."""
+        self._loop_watch.overran(t, late_s)
 
-    def fail(self, t: float) -> None:
+    def fail(self, t: float, error: Exception) -> None:
         """The tick at `t` (s) raised something unexpected: make for standing still with as little as can be."""
+        self._failure = repr(error)
         self.faults.update({"tick-error"}, t, armed=True)
         self.supervisor.fall()
 
     def close(self) -> None:
         """Make for a planned stop, and take no more commands that move."""
+        self.journal.add("palmd", "stopping", "palmd was told to end: a planned stop")
         self.supervisor.close()
 
     @property
@@ -352,6 +389,48 @@ class Core:
         if self.setpoints.moving and touching and not self._estimate.valid:
             present.add("estimate-lost")
         return present
+
+    def _evidence(self, code: str, t: float) -> str:
+        """What speaks for a fault that has come up at `t` (s), in words; empty where there is no more to say."""
+        end, _, condition = code.partition("-")
+        if end in self._ports and condition == "port":
+            return self._ports[end].error or ""
+        if end in self.pads:
+            return self.pads[end].evidence(condition, t)
+        match code:
+            case "tick-error":
+                return self._failure
+            case "estimate-not-finite" | "estimate-lost":
+                return (
+                    f"at this tick its NIS is {self._estimate.nis:.2f}, its object number {self._estimate.object_count}"
+                )
+            case "limits-violated":
+                return self._angles_told()
+            case "loop-overrun" | "loop-overruns" | "samples-too-late":
+                return self._loop_watch.evidence(code)
+            case "plan-refused":
+                return self.supervisor.refusal
+            case "estimate-inconsistent":
+                return self._nis_watch.evidence
+            case "rig-contradicted":
+                return "; ".join(self._said_off())
+            case "recorder-failed" | "recorder-silent":
+                return self.supervisor.recorder.evidence(code, t)
+        return self.arm.host.evidence(condition, t) if end == "arm" else ""
+
+    def _said_off(self) -> list[str]:
+        return said_off(self._rig, self._rig_sds, self._rig_priors, self._contradicted)
+
+    def _angles_told(self) -> str:
+        actual = self.arm.actual
+        if actual is None:
+            return ""
+        each = zip(JOINTS, actual.angles, self.setpoints.limits.angles, strict=True)
+        deg = math.degrees
+        return ", ".join(
+            f"{joint} is {deg(angle):.1f}°, its limits are {deg(low):g}° and {deg(high):g}°"
+            for joint, angle, (low, high) in each
+        )
 
     def _outside(self) -> bool:
         actual = self.arm.actual

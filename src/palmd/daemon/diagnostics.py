@@ -77,16 +77,18 @@ class ArmDiagnostics:
 
 
 class LoopDiagnostics:
-    """Missed deadlines, and samples that came too late."""
+    """Missed deadlines, the last by `late_s`, and samples that came too late."""
 
     def __init__(self) -> None:
         self._overruns: deque[float] = deque(maxlen=OVERRUNS_MOST)
         self._late = Share(0.0, 5)
         self._too_late = False
+        self.late_s = 0.0
 
-    def overran(self, t: float) -> None:
-        """The tick at `t` (s) came so late that others were skipped."""
+    def overran(self, t: float, late_s: float) -> None:
+        """The tick that ended at `t` (s) did so `late_s` after its deadline, so that others were skipped."""
         self._overruns.append(t)
+        self.late_s = late_s
 
     def conditions(self, t: float, late_dropped: int, look: bool) -> Iterator[str]:
         """The codes that hold at `t` (s)."""
@@ -99,6 +101,13 @@ class LoopDiagnostics:
             if len(self._overruns) == OVERRUNS_MOST and t - self._overruns[0] <= OVERRUN_MEMORY_S:
                 yield "loop-overruns"
 
+    def evidence(self, code: str) -> str:
+        """What speaks for one of its codes."""
+        if code == "samples-too-late":
+            return f"{self._late.spoilt} in the last {LOOK_S:g} s"
+        often = f"{OVERRUNS_MOST} times within {OVERRUN_MEMORY_S:g} s, " if code == "loop-overruns" else ""
+        return f"{often}the last time a tick ended {self.late_s * 1e3:.0f} ms after its deadline"
+
 
 class NisDiagnostics:
     """Whether an observer's normalised innovations squared, 1 on average when the model is right, stay outside a band.
@@ -109,6 +118,12 @@ class NisDiagnostics:
     def __init__(self) -> None:
         self._mean = 1.0
         self._t = math.inf
+
+    @property
+    def evidence(self) -> str:
+        """What speaks for its code."""
+        low, high = NIS_BAND
+        return f"their mean squared miss is {self._mean:.2f} of what is expected, the limits are {low:g} and {high:g}"
 
     def conditions(self, nis: float, moving: bool, t: float) -> Iterator[str]:
         """The codes that hold at `t` (s); `nis` is NaN while no observer runs.

@@ -67,10 +67,20 @@ class Exploring:
         """Whether there is anybody to decide."""
         return self._source is not None
 
+    @property
+    def under_way(self) -> Exploration | None:
+        """The exploration in hand."""
+        return self._exploration
+
     def prepare(self) -> None:
         """A plan that explores is in hand: have everything ready before it moves."""
         if self._source is not None:
             self._source.prepare()
+
+    @property
+    def reason(self) -> str:
+        """Why the present exploration, or the last one, is where it is."""
+        return self._reason
 
     def told(self) -> dict[str, Any] | None:
         """How far the present exploration is, or the last one came, and why it stands; None before the first."""

@@ -116,7 +116,7 @@ class Loop:
             self.statistics.tick(begun - deadline, ended - begun + self._busy_s, skipped)
             self._busy_s = 0.0
             if skipped:
-                self._core.overran(ended)
+                self._core.overran(ended, ended - deadline)
             elif healthy:
                 self._notifier.healthy(ended)
             deadline = next_one
@@ -167,8 +167,8 @@ class Loop:
             if data:
                 try:
                     self._core.receive(end, data, t)
-                except Exception:
-                    self._fail(t)
+                except Exception as error:
+                    self._fail(t, error)
             if not port.is_open and end in self._known_open:
                 self._lost(end, t)
 
@@ -178,8 +178,8 @@ class Loop:
             return
         try:
             data = self._core.transmit(t)
-        except Exception:
-            self._fail(t)
+        except Exception as error:
+            self._fail(t, error)
             return
         if data:
             self._arm_port.write(data)
@@ -197,8 +197,8 @@ class Loop:
         for part in self._parts:
             try:
                 part(t)
-            except Exception:
-                self._fail(t)
+            except Exception as error:
+                self._fail(t, error)
                 healthy = False
             self._write()
         return healthy
@@ -236,11 +236,11 @@ class Loop:
             self._bus.publish(LOOP, self._loop_fields(), t, timestamp)
             self._bus.publish(INFO, dict(self._info), t, timestamp)
 
-    def _fail(self, t: float) -> None:
+    def _fail(self, t: float, error: Exception) -> None:
         if not self._failed:
             self._failed = True
             log.exception("unexpected error in the control loop; this is told once")
-        self._core.fail(t)
+        self._core.fail(t, error)
 
     def _open_ports(self, t: float) -> None:
         """Try the shut ports again, and let pads do there what their start-up wants."""

@@ -28,6 +28,11 @@ class RecorderWatch:
         elif "problem" in self._told:
             yield "recorder-failed"
 
+    def evidence(self, code: str, t: float) -> str:
+        """What speaks for one of its codes at `t`."""
+        silent = f"it was last heard {t - self._t:.1f} s ago, the limit is {SILENT_S:g} s"
+        return silent if code == "recorder-silent" else str(self._told.get("problem", ""))
+
     def last(self, t: float) -> dict[str, Any] | None:
         """What it said last, and how long ago; None when it was never heard."""
         return None if math.isnan(self._t) else {**self._told, "age_s": t - self._t}

@@ -12,15 +12,17 @@ from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from typing import Any
 
-from palmd.daemon.commands import Reply, Request
+from palmd.daemon.commands import COMMANDS, Reply, Request
 from palmd.daemon.drivers import RESTING, ArmDriver
 from palmd.daemon.exploring import Exploring
+from palmd.daemon.journal import Journal
 from palmd.daemon.lifecycle import COMMANDED, State, Trigger, next_state
 from palmd.daemon.planner import Plan, PlanFolder, plan_in
 from palmd.daemon.recorder_watch import RecorderWatch
 from palmd.daemon.setpoints import SetPoints
 from palmd.devices.actuator import ArmState, Reach
 from palmd.faults import Fault, FaultMonitor, Severity
+from palmd.messages import log_fields
 from palmd.motion.limits import Workspace
 from palmd.motion.segments import Angles
 from palmd.motion.trajectory_executor import MotionError
@@ -32,6 +34,12 @@ ARMING_S = 1.0
 RESET_S = 1.0
 SETTLED_S = 1.0
 """How long the rig must be up before `autostart` arms it."""
+
+LOG_TOLD = 8
+"""So many of the last entries of the log are told with the status."""
+
+JOG_PAUSE_S = 1.0
+"""Steps that follow each other sooner are one jog, and told as one."""
 
 _AUTOSTART_ID = "autostart"
 
@@ -46,7 +54,7 @@ class _Job:
 
     request: Request
     future: Future[Plan]
-    done: Callable[[Plan], None]
+    done: Callable[[Plan, Request], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +75,7 @@ class Supervisor:
         setpoints: SetPoints,
         exploring: Exploring,
         faults: FaultMonitor,
+        journal: Journal,
         aside: Executor,
         plan: Plan | None,
         plans: PlanFolder,
@@ -77,6 +86,7 @@ class Supervisor:
         self.state = State.IDLE
         self.plan = plan
         self.plan_refused = False
+        self.refusal = ""
         self.at_rest = True
         self.replies: list[Reply] = []
         self.recorder = RecorderWatch()
@@ -84,6 +94,7 @@ class Supervisor:
         self._setpoints = setpoints
         self._exploring = exploring
         self._faults = faults
+        self._journal = journal
         self._aside = aside
         self._plans = plans
         self._autostart = ["arm", "start"] if autostart else []
@@ -93,6 +104,7 @@ class Supervisor:
         self._resetting: _Wait | None = None
         self._job: _Job | None = None
         self._t_up = math.inf
+        self._t_jog = -math.inf
         self._commands: dict[str, Callable[[Request, float], dict[str, Any] | None]] = {
             "status": self._status,
             "arm": self._start_arming,
@@ -135,23 +147,24 @@ class Supervisor:
             if self.state in COMMANDED or self._faults.latched(Severity.STOP):
                 self.fall()
         elif self.state is State.TRACKING and self._faults.standing(Severity.HOLD):
-            self._change(Trigger.HOLD)
+            self._change(Trigger.HOLD, f"fault {self._standing(Severity.HOLD)}")
             self._setpoints.hold()
-        self._change(Trigger.RIG_UP if up else Trigger.RIG_DOWN)
+        trigger = Trigger.RIG_UP if up else Trigger.RIG_DOWN
+        self._change(trigger, str(trigger))
         self._t_up = min(self._t_up, t) if up else math.inf
         self._enforce(t)
         self._start_by_itself(t)
 
     def fall(self) -> None:
         """A stop fault: a planned stop, whatever is going on."""
-        self._change(Trigger.STOP_FAULT)
+        self._change(Trigger.STOP_FAULT, f"fault {self._standing(Severity.STOP)}")
         self._stand_down("a fault came up; see status")
 
     def close(self) -> None:
         """Make for a planned stop, and take no more commands that move."""
         self._closing = True
         self._autostart.clear()
-        self._change(Trigger.STOP)
+        self._change(Trigger.STOP, "palmd is stopping")
         self._stand_down("palmd is stopping")
 
     # ---- commands ----------------------------------------------------------------------------------------
@@ -173,6 +186,8 @@ class Supervisor:
             "arm_state": str(host.state or ""),
             "arm_error": host.error,
             "arm_linked": host.linked(t),
+            "t_s": t,
+            "log": log_fields(self._journal.entries[-LOG_TOLD:]),
         }
         told = {"explored": explored, "recorder": recorder}
         return status | {name: what for name, what in told.items() if what is not None}
@@ -204,7 +219,7 @@ class Supervisor:
         self._refuse_faults(Severity.HOLD)
         if self.state is State.HOLD and setpoints.held:
             setpoints.resume()
-            self._change(Trigger.START)
+            self._change(Trigger.START, "start", request)
             return self._told()
         if setpoints.moving or setpoints.held:
             raise RefusedError("the palms are moving already")
@@ -216,28 +231,28 @@ class Supervisor:
         assert commanded is not None, "the arm follows"
         limits, start = setpoints.limits, commanded.angles
         if plan.serves(limits, start):
-            self._run(plan)
+            self._run(plan, request)
             return self._told()
         self._begin(request, lambda: plan.compiled(limits, start), self._run)
         return None
 
-    def _run(self, plan: Plan) -> None:
+    def _run(self, plan: Plan, request: Request) -> None:
         self._refuse_unless_commanded()
         self._refuse_faults(Severity.HOLD)
         self._setpoints.start(plan.trajectory)
         self.plan = plan
         self.plan_refused = False
-        self._change(Trigger.START)
+        self._change(Trigger.START, "start", request)
 
-    def _hold(self, _request: Request, _t: float) -> dict[str, Any]:
+    def _hold(self, request: Request, _t: float) -> dict[str, Any]:
         self._refuse_unless_commanded()
-        self._change(Trigger.HOLD)
+        self._change(Trigger.HOLD, "hold", request)
         self._setpoints.hold()
         return self._told()
 
-    def _stop(self, _request: Request, _t: float) -> dict[str, Any]:
+    def _stop(self, request: Request, _t: float) -> dict[str, Any]:
         self._autostart.clear()
-        self._change(Trigger.STOP)
+        self._change(Trigger.STOP, "stop", request)
         self._stand_down("stop came first")
         return self._told()
 
@@ -261,7 +276,7 @@ class Supervisor:
         else:
             self._begin(request, lambda: plan_in(text, name, limits, start), self._adopt)
 
-    def _adopt(self, plan: Plan) -> None:
+    def _adopt(self, plan: Plan, _request: Request) -> None:
         self._refuse_while_moving()
         self._setpoints.put_away()
         self.plan = plan
@@ -295,7 +310,7 @@ class Supervisor:
 
     # ---- what comes of them later ------------------------------------------------------------------------
 
-    def _begin(self, request: Request, work: Callable[[], Plan], done: Callable[[Plan], None]) -> None:
+    def _begin(self, request: Request, work: Callable[[], Plan], done: Callable[[Plan, Request], None]) -> None:
         if self._job is not None:
             raise RefusedError("another plan is still being checked")
         self._job = _Job(request, self._aside.submit(work), done)
@@ -308,11 +323,12 @@ class Supervisor:
         try:
             plan = job.future.result()
         except Exception as error:  # a plan from outside may be wrong in any way; the loop goes on
-            self.plan_refused |= job.done == self._run
+            if job.done == self._run:
+                self.plan_refused, self.refusal = True, str(error)
             self._answer(job.request, f"{job.request.name} refused: {error}")
             return
         try:
-            job.done(plan)
+            job.done(plan, job.request)
         except (RefusedError, MotionError) as error:
             self._answer(job.request, f"{job.request.name} refused: {error}")
         else:
@@ -326,7 +342,7 @@ class Supervisor:
             self._stand_down("a fault came up; see status")
         elif host.tracking:
             self._arming = None
-            self._change(Trigger.ARMED)
+            self._change(Trigger.ARMED, "arm", wait.request)
             self._answer(wait.request, None, self._told())
         elif not host.busy:
             self._arming = None
@@ -347,7 +363,7 @@ class Supervisor:
             why = "; ".join(f"{fault.text}: {fault.hint}" for fault in left)
             self._answer(wait.request, f"reset refused: {why}")
         else:
-            self._change(Trigger.CLEARED)
+            self._change(Trigger.CLEARED, "reset", wait.request)
             cleared = [fault.code for fault in wait.faults if fault not in self._faults.active]
             self._answer(wait.request, None, {**self._told(), "cleared": cleared})
 
@@ -399,20 +415,34 @@ class Supervisor:
         if (self._autostart[0] == "arm" and ready and t - self._t_up >= SETTLED_S) or (
             self._autostart[0] == "start" and self.state is State.TRACKING and self._setpoints.commanded
         ):
-            self.handle(Request(self._autostart.pop(0), id=_AUTOSTART_ID), t)
+            self.handle(Request(self._autostart.pop(0), id=_AUTOSTART_ID, who="autostart"), t)
 
-    def _change(self, trigger: Trigger) -> bool:
-        state = next_state(self.state, trigger)
-        if state is None:
-            return False
-        self.state = state
-        return True
+    def _change(self, trigger: Trigger, why: str, request: Request | None = None) -> None:
+        before, self.state = self.state, next_state(self.state, trigger) or self.state
+        if self.state is not before:
+            who = "" if request is None else request.who or "somebody"
+            by = f", by {who}" if who else ""
+            self._journal.add("state", str(self.state), f"{before} -> {self.state}: {why}{by}", who=who)
+
+    def _standing(self, severity: Severity) -> str:
+        return ", ".join(fault.code for fault in self._faults.standing(severity))
 
     def _answer(self, request: Request, error: str | None, result: dict[str, Any] | None = None) -> None:
         if error is not None and request.id == _AUTOSTART_ID and request.route is None:
             self._autostart.clear()
             log.warning("autostart: %s", error)
+        self._tell(request, "done" if error is None else error)
         self.replies.append(Reply(request, error, result))
+
+    def _tell(self, request: Request, outcome: str) -> None:
+        """Have the log tell what was asked for and what became of it; of a jog, that it has begun."""
+        if not COMMANDS[request.name].told:
+            return
+        if request.name == "jog":
+            t_before, self._t_jog = self._t_jog, self._journal.t
+            if self._t_jog - t_before < JOG_PAUSE_S:
+                return
+        self._journal.add("command", request.name, outcome, who=request.who or "somebody")
 
 
 def _turn(jog: Request, of: str) -> Angles:

@@ -16,7 +16,7 @@ import zmq
 from zmq.utils import z85
 
 from palmd.daemon import realtime
-from palmd.keys import Role, ServerKeys
+from palmd.keys import Member, ServerKeys
 
 log = logging.getLogger(__name__)
 
@@ -77,14 +77,13 @@ class ZapAuthenticator:
         report.connect(address)
         self._reports.append(report)
 
-    def role(self, frame: zmq.Frame) -> Role | None:
-        """The role of who sent a message that has come through a guarded socket."""
+    def member(self, frame: zmq.Frame) -> Member | None:
+        """Who sent a message that has come through a guarded socket."""
         try:
             public = frame.get("User-Id")
         except zmq.ZMQError:
             return None
-        member = self._keys.members.get(str(public).encode())
-        return None if member is None else member.role
+        return self._keys.members.get(str(public).encode())
 
     def close(self) -> None:
         """End the thread; reports may come on, unread, until the context is destroyed."""

@@ -135,6 +135,9 @@ class Actuator(Protocol):
     def health(self, look: bool) -> Iterator[str]:
         """The conditions of the line that hold, without the arm's name; with `look` counters are judged anew."""
 
+    def evidence(self, condition: str, t: float) -> str:
+        """What speaks for a condition at `t` (s), without the arm's name: which line, age, limit. May be empty."""
+
     def counts(self) -> dict[str, float]:
         """What has passed since the start, by cause."""
 

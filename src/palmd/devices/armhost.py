@@ -117,7 +117,7 @@ class ArmHost:
 
     `state` and `pose` are the last reported ones, None while unknown; `commanded` is the last set-point sent
     since tracking began. `last_error` is the code of the last error line, until a start or reset succeeds.
-    `refusal` says why the last request came to nothing, else None.
+    `refusal` says why the last request came to nothing, else None; `unlinked` how the last link ended.
     """
 
     def __init__(self, baud: int) -> None:
@@ -131,6 +131,8 @@ class ArmHost:
         self.commanded: Pose | None = None
         self.last_error: int | None = None
         self.refusal: str | None = None
+        self.unlinked = "the controller has not answered yet"
+        self._bytes_at_ack = self._lines_at_ack = 0
         self._t_ack = -math.inf
         self._t_alive = -math.inf
         self._t_hello = -math.inf
@@ -159,6 +161,11 @@ class ArmHost:
     def age(self, t: float) -> float:
         """Return how old (s) the last report is at `t` (s); infinite before the first."""
         return t - self._t_ack
+
+    @property
+    def unanswering(self) -> tuple[int, int]:
+        """How many bytes, and how many whole lines, have come since the last report."""
+        return self.counters.line.bytes - self._bytes_at_ack, self.counters.line.lines - self._lines_at_ack
 
     @property
     def tracking(self) -> bool:
@@ -233,6 +240,7 @@ class ArmHost:
         self.counters.ack_latency_max_ms = max(self.counters.ack_latency_max_ms, latency_ms)
         self.state, self.pose = ack.state, ack.pose
         self._t_ack = self._t_alive = t_first
+        self._bytes_at_ack, self._lines_at_ack = self.counters.line.bytes, self.counters.line.lines
         if self._timer is not None:
             if kind is SetPoint:
                 self._timer.answered(t_first)
@@ -380,6 +388,7 @@ class ArmHost:
     def _unlink(self, reason: str) -> None:
         if self._pending is not None:
             self.refusal = f"{_VERB[self._pending.kind]} came to nothing: {reason}"
+        self.unlinked = reason
         self._pending = None
         self._timer = None
         self._doubt = False

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 
 class Share:
-    """The share of bad ones among what two counters have gained since the last look."""
+    """The share of bad ones among what two counters have gained since the last look; `spoilt` of `gained` then."""
 
     def __init__(self, most: float, least: int) -> None:
         """Too many are more than the share `most`, among `least` or more."""
+        self.gained = self.spoilt = 0
         self._most, self._least = most, least
         self._all = self._bad = 0
 
     def exceeded(self, total: int, bad: int) -> bool:
         """Whether there were too many; the counters only ever grow."""
-        gained, spoilt = total - self._all, bad - self._bad
+        self.gained, self.spoilt = total - self._all, bad - self._bad
         self._all, self._bad = total, bad
-        return gained >= self._least and spoilt > self._most * gained
+        return self.gained >= self._least and self.spoilt > self._most * self.gained

@@ -90,6 +90,9 @@ class PadDriver(Protocol):
     def health(self, look: bool) -> Iterator[str]:
         """The conditions of the fault table that hold, without the pad's name; with `look` counters are judged anew."""
 
+    def evidence(self, condition: str, t: float) -> str:
+        """What speaks for a condition at `t` (s), without the pad's name: which byte, age, limit. May be empty."""
+
     def counts(self) -> dict[str, int]:
         """What has passed since the start, by cause."""
 

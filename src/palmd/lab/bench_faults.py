@@ -1,6 +1,7 @@
 """Every fault provoked on the emulated rig, with real processes: what comes of it, and how soon the arm stands.
 
-Exit status 1 when a row does otherwise than it must. How soon the arm stands is told beside the goal, and no reason
+What happened was recorded, and `palmd why` is asked of the recording. Exit status 1 when a row does otherwise than it
+must, or fewer than 95 % of the answers are right. How soon the arm stands is told beside the goal, and no reason
 for status 1: that is a matter of the machine as well.
 """
 
@@ -28,6 +29,7 @@ from palmd.rig.imperfections import perfect
 from palmd.yamlfile import load_config, load_plan
 
 PLAN = "plans/lively.yaml"
+RECORDINGS = "recordings"
 STARVED_TRIES = 3  # for a row that differs while the machine kept the rig from its work
 
 
@@ -38,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--times", type=count, default=1, metavar="N", help="how often each is provoked (default: %(default)s)")
     add("--seed", type=seed, default=3, help="which object and noise (default: %(default)s)")
     add("-o", "--output", type=Path, default=Path("faults"), metavar="FOLDER",
-        help=f"for {FILE}, which is overwritten (default: %(default)s)")  # fmt: skip
+        help=f"for {FILE}, which is overwritten, and the {RECORDINGS} (default: %(default)s)")  # fmt: skip
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -47,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     results: list[tuple[FaultRow, Sequence[Reaction]]] = []
     with terminable(), ExitStack() as stack:
         stream = writable(stack, arguments.output / FILE)
-        campaign = stack.enter_context(_Campaign(arguments.seed))
+        campaign = stack.enter_context(_Campaign(arguments.seed, (arguments.output / RECORDINGS).absolute()))
         progress = stack.enter_context(Progress("faults", len(rows) * arguments.times, "provocations"))
         for row in rows:
             reactions: list[Reaction] = []
@@ -65,9 +67,9 @@ def run(arguments: argparse.Namespace) -> int:
 class _Campaign(ExitStack):
     """Has a stand as soon as a row needs one, and another one when that has become useless."""
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, runs: Path) -> None:
         super().__init__()
-        self._seed = seed
+        self._seed, self._runs = seed, runs
         self._stand: Stand | None = None
 
     def provoke(self, row: FaultRow) -> Reaction:
@@ -82,7 +84,7 @@ class _Campaign(ExitStack):
     def _without_wires(self, row: FaultRow, act: BrokenObserver) -> Reaction:
         logging.disable(logging.ERROR)  # the traceback of the error that is wanted
         try:
-            return provoke(row, act.how, load_plan(shipped(PLAN)), self._seed)
+            return provoke(row, act.how, load_plan(shipped(PLAN)), self._seed, self._runs)
         finally:
             logging.disable(logging.NOTSET)
 
@@ -90,7 +92,7 @@ class _Campaign(ExitStack):
         if self._stand is None:
             folder = Path(self.enter_context(tempfile.TemporaryDirectory(prefix="palmd-faults-")))
             config = perfect(load_config(shipped("demo.yaml"))).model_copy(update={"plan": shipped(PLAN)})
-            self._stand = self.enter_context(Stand(folder, config, self._seed))
+            self._stand = self.enter_context(Stand(folder, config, self._seed, self._runs))
         reaction = self._stand.provoke(row)
         if not self._stand.usable:
             self.close()

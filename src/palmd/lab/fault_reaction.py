@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from statistics import median
 from typing import Any
 
 from palmd.lab.fault_rows import HOST_ALIVE_S, HOST_DEAD_S, FaultRow
+from palmd.lab.fault_why import Judgement, enough
 from palmd.lab.table import aligned
 
 STANDING_RAD_S = math.radians(0.5)
@@ -53,8 +54,9 @@ class Reaction:
     """What came of a cause; times in seconds from it, NaN for what did not happen.
 
     `state` is the gravest one it came to. `noticed_s` is when the first of the row's faults was told, `still_s` when
-    the arm stood and `turned_rad` by how much a palm had turned until then. `wrong` says what else was not as it must
-    be, `starved` whether the machine kept the rig from its work meanwhile.
+    the arm stood and `turned_rad` by how much a palm had turned until then, `came_s` when it came to its state. `wrong`
+    says what else was not as it must be, `starved` whether the machine kept the rig from its work meanwhile, `why` what
+    the recording answers, None before it was asked.
     """
 
     faults: dict[str, str]
@@ -64,6 +66,8 @@ class Reaction:
     turned_rad: float = math.nan
     wrong: tuple[str, ...] = ()
     starved: bool = False
+    came_s: float = math.nan
+    why: Judgement | None = None
 
 
 @dataclass(slots=True)
@@ -89,8 +93,9 @@ class ReactionWatch:
         faults = {code: kind for told in after for code, kind in told.faults.items() if code not in before}
         noticed = next((told.t - t_cause for told in after if row.codes & told.faults.keys()), math.nan)
         state = max((told.state for told in after), key=_gravity, default="")
+        came = next((told.t - t_cause for told in after if told.state == state), math.nan)
         still_s, turned = standstill([one for one in self.turning if one.t >= t_cause], t_cause)
-        return Reaction(faults, state, noticed, still_s, turned, tuple(wrong), starved)
+        return Reaction(faults, state, noticed, still_s, turned, tuple(wrong), starved, came)
 
 
 _TURNING = (("phi", "rad"), ("omega", "rad_s"))
@@ -152,13 +157,14 @@ def as_line(row: FaultRow, reaction: Reaction) -> dict[str, Any]:
         "goal_ms": round(row.goal_s * 1e3) if stopped and math.isfinite(row.goal_s) else None,
         "turned_deg": _rounded(math.degrees(reaction.turned_rad)) if stopped else None,
         "starved": reaction.starved,
+        "why": None if reaction.why is None else asdict(reaction.why),
         "differs": differences(row, reaction),
     }
 
 
 def table(results: Sequence[tuple[FaultRow, Sequence[Reaction]]]) -> str:
     """One line a row: what must come and what came, medians of the times (ms), and the verdict."""
-    head = ("row", ("expected", "observed", "noticed", "still", "worst", "goal", "verdict"))
+    head = ("row", ("expected", "observed", "noticed", "still", "worst", "goal", "why", "verdict"))
     return aligned([head, *((row.name, _cells(row, reactions)) for row, reactions in results)])
 
 
@@ -174,6 +180,10 @@ def summary(results: Sequence[tuple[FaultRow, Sequence[Reaction]]]) -> str:
                 f"cause to standstill, {whose}: median {_ms(median(times))} ms, worst {_ms(max(times))} ms; "
                 f"{within} of {len(times)} within {_ms(goal_s)} ms"
             )
+    told = judgements(results)
+    if told:
+        full, bare = (sum(each) for each in zip(*((one.right, one.right_without_log) for one in told), strict=True))
+        lines.append(f"palmd why is right of {full} of {len(told)} provocations, without palm/log of {bare}")
     return "\n".join(lines)
 
 
@@ -190,8 +200,21 @@ def _cells(row: FaultRow, reactions: Sequence[Reaction]) -> list[str]:
         _ms(median(still)) if still else "-",
         _ms(max(still)) if still else "-",
         _ms(row.goal_s) if still and math.isfinite(row.goal_s) else "-",
+        _why(reactions),
         "; ".join(dict.fromkeys(differs)) or "as promised",
     ]
+
+
+def judgements(results: Iterable[tuple[FaultRow, Sequence[Reaction]]]) -> list[Judgement]:
+    """What the recordings answered, of provocations that came to what they should; others have another cause."""
+    return [one.why for row, some in results for one in some if one.why is not None and not differences(row, one)]
+
+
+def _why(reactions: Sequence[Reaction]) -> str:
+    """The answers of `palmd why`, and how many of them are right."""
+    told = [one.why for one in reactions if one.why is not None]
+    names = ", ".join(dict.fromkeys(one.with_log for one in told))
+    return f"{sum(one.right for one in told)}/{len(told)} {names}" if told else "-"
 
 
 def _stopped(reaction: Reaction) -> bool:
@@ -211,5 +234,6 @@ def _rounded(value: float) -> float | None:
 
 
 def all_as_promised(results: Iterable[tuple[FaultRow, Sequence[Reaction]]]) -> bool:
-    """Whether no row differs."""
-    return not any(differences(row, one) for row, reactions in results for one in reactions)
+    """Whether no row differs, and the recordings tell why."""
+    results = [*results]
+    return enough(judgements(results)) and not any(differences(row, one) for row, some in results for one in some)

@@ -76,14 +76,15 @@ Act = RowFault | Pause | Kill | FullDisk | TakenAddress | ClockStep | BrokenObse
 class FaultRow:
     """One cause and its effect: `faults` must come, with these severities, and no grave ones but those in `may`.
 
-    `goal_s` bounds the time from the cause to the arm standing still where the state is not tracking; infinite where
-    somebody else moves the arm.
+    `why` holds what `palmd why` may answer of the recording alone, by the names of causes. `goal_s` bounds the time
+    from the cause to the arm standing still where the state is not tracking; infinite where somebody else moves it.
     """
 
     name: str
     cause: str
     act: Act
     state: State
+    why: tuple[str, ...]
     faults: tuple[tuple[str, str], ...] = ()
     may: tuple[str, ...] = ()
     goal_s: float = HOST_ALIVE_S
@@ -98,24 +99,33 @@ def _pad(pad: PortName) -> tuple[FaultRow, ...]:
     silent, garbled, port = f"{pad}-silent", f"{pad}-garbled", f"{pad}-port"
     late = (silent, f"{pad}-lifted")
     return (
-        FaultRow(f"{pad}-dead", "its port disappears", RowFault("unplug", pad), "hold", ((port, "hold"),)),
+        FaultRow(f"{pad}-dead", "its port disappears", RowFault("unplug", pad), "hold", (port,), ((port, "hold"),)),
         FaultRow(
             f"{pad}-garbled",
             "a fifth of its bytes are damaged",
             RowFault("garble", pad, 0.2),
             "tracking",
+            ("nothing", f"{pad}-damaged"),
             ((garbled, "degrade"),),
             late,
         ),
         FaultRow(
-            f"{pad}-late", "what it says comes 200 ms late", RowFault("late", pad, 0.2), "hold", ((silent, "hold"),)
+            f"{pad}-late",
+            "what it says comes 200 ms late",
+            RowFault("late", pad, 0.2),
+            "hold",
+            (f"{pad}-mute",),
+            ((silent, "hold"),),
         ),
-        FaultRow(f"{pad}-mute", "it falls silent", RowFault("mute", pad), "hold", ((silent, "hold"),)),
+        FaultRow(
+            f"{pad}-mute", "it falls silent", RowFault("mute", pad), "hold", (f"{pad}-mute",), ((silent, "hold"),)
+        ),
         FaultRow(
             f"{pad}-replaced",
             "its port comes back under another number",
             RowFault("unplug", pad, for_s=0.5),
             "hold",
+            (port,),
             ((port, "hold"),),
             (silent,),  # from the opening to the first packet
         ),
@@ -124,6 +134,7 @@ def _pad(pad: PortName) -> tuple[FaultRow, ...]:
             "another device speaks at its port",
             RowFault("misbaud", pad),
             "hold",
+            (f"{pad}-foreign",),
             ((silent, "hold"), (garbled, "degrade")),
         ),
     )
@@ -138,6 +149,7 @@ ROWS: tuple[FaultRow, ...] = (
         "the object is lifted off",
         RowFault("lift"),
         "hold",
+        ("lifted",),
         (("pad1-lifted", "hold"), ("pad2-lifted", "hold")),
     ),
     FaultRow(
@@ -145,6 +157,7 @@ ROWS: tuple[FaultRow, ...] = (
         "its port disappears",
         RowFault("unplug", "arm"),
         "fault",
+        ("arm-port",),
         (("arm-port", "stop"),),
         ("arm-link-lost", "arm-fault"),
     ),
@@ -153,6 +166,7 @@ ROWS: tuple[FaultRow, ...] = (
         "a fifth of its line's bytes are damaged",
         RowFault("garble", "arm", 0.2),
         "fault",
+        ("arm-damaged",),
         (_LOST,),
         ("arm-fault", "arm-left-tracking"),
     ),
@@ -161,6 +175,7 @@ ROWS: tuple[FaultRow, ...] = (
         "what it says comes 120 ms late",
         RowFault("late", "arm", 0.12),
         "tracking",
+        ("arm-late",),
         (("arm-late", "degrade"),),
     ),
     FaultRow(
@@ -168,6 +183,7 @@ ROWS: tuple[FaultRow, ...] = (
         "it falls silent",
         RowFault("mute", "arm"),
         "fault",
+        ("arm-mute",),
         (("arm-late", "degrade"), _LOST),
         ("arm-fault",),
     ),
@@ -176,6 +192,7 @@ ROWS: tuple[FaultRow, ...] = (
         "its port comes back under another number",
         RowFault("unplug", "arm", for_s=0.5),
         "fault",
+        ("arm-port",),
         (("arm-port", "stop"),),
         ("arm-link-lost", "arm-fault"),
     ),
@@ -184,6 +201,7 @@ ROWS: tuple[FaultRow, ...] = (
         "another device speaks at its port",
         RowFault("misbaud", "arm"),
         "fault",
+        ("arm-foreign",),
         (_LOST,),
         ("arm-fault",),
     ),
@@ -192,18 +210,32 @@ ROWS: tuple[FaultRow, ...] = (
         "a break on the arm's line",
         RowFault("break", "arm"),
         "fault",
+        ("arm-break",),
         (("arm-fault", "stop"),),
         ("arm-left-tracking",),
     ),
-    FaultRow("controller-estop", "the e-stop is pressed", RowFault("estop", "arm"), "fault", (("arm-estop", "stop"),)),
     FaultRow(
-        "controller-power-off", "arm power goes", RowFault("power_off", "arm"), "fault", (("arm-power-off", "stop"),)
+        "controller-estop",
+        "the e-stop is pressed",
+        RowFault("estop", "arm"),
+        "fault",
+        ("arm-estop",),
+        (("arm-estop", "stop"),),
+    ),
+    FaultRow(
+        "controller-power-off",
+        "arm power goes",
+        RowFault("power_off", "arm"),
+        "fault",
+        ("arm-power-off",),
+        (("arm-power-off", "stop"),),
     ),
     FaultRow(
         "controller-manual",
         "the operator takes the arm and jogs it",
         RowFault("manual", "arm"),
         "fault",
+        ("arm-manual",),
         (("arm-manual", "stop"),),
         goal_s=math.inf,
     ),
@@ -212,6 +244,7 @@ ROWS: tuple[FaultRow, ...] = (
         "200 ms without a set-point",
         RowFault("mute", "arm", for_s=0.2),
         "fault",
+        ("arm-watchdog", "arm-mute"),
         (("arm-fault", "stop"),),
         ("arm-left-tracking", "arm-link-lost"),
         HOST_DEAD_S,
@@ -221,6 +254,7 @@ ROWS: tuple[FaultRow, ...] = (
         "the daemon is stopped for 50 ms",
         Pause("daemon", 0.05),
         "tracking",
+        ("stalled",),
         (("loop-overrun", "note"),),
     ),
     FaultRow(
@@ -228,6 +262,7 @@ ROWS: tuple[FaultRow, ...] = (
         "the daemon is stopped for 300 ms",
         Pause("daemon", 0.3),
         "fault",
+        ("stalled",),
         (("arm-fault", "stop"), ("loop-overrun", "note")),
         ("arm-left-tracking", "arm-link-lost", "pad1-silent", "pad2-silent"),
         HOST_DEAD_S,
@@ -237,29 +272,48 @@ ROWS: tuple[FaultRow, ...] = (
         "the daemon is killed, and another one started",
         Kill("daemon"),
         "ready",
+        ("died",),
         (("arm-fault", "stop"),),
         goal_s=HOST_DEAD_S,
     ),
-    FaultRow("observer-raises", "the observer raises", BrokenObserver("raises"), "fault", (("tick-error", "stop"),)),
+    FaultRow(
+        "observer-raises",
+        "the observer raises",
+        BrokenObserver("raises"),
+        "fault",
+        ("failed",),
+        (("tick-error", "stop"),),
+    ),
     FaultRow(
         "observer-nan",
         "the observer calls NaN valid",
         BrokenObserver("nan"),
         "fault",
+        ("not-finite",),
         (("estimate-not-finite", "stop"),),
     ),
-    FaultRow("disk-full", "the recorder cannot write", FullDisk(), "tracking", (("recorder-failed", "note"),)),
-    FaultRow("recorder-killed", "the recorder is killed", Kill("recorder"), "tracking", (("recorder-silent", "note"),)),
+    FaultRow(
+        "disk-full", "the recorder cannot write", FullDisk(), "tracking", ("cut",), (("recorder-failed", "note"),)
+    ),
+    FaultRow(
+        "recorder-killed",
+        "the recorder is killed",
+        Kill("recorder"),
+        "tracking",
+        ("cut",),
+        (("recorder-silent", "note"),),
+    ),
     FaultRow(
         "recorder-stuck",
         "the recorder is stopped for 5 s",
         Pause("recorder", 5.0),
         "tracking",
+        ("nothing",),
         (("recorder-silent", "note"),),
     ),
-    FaultRow("page-killed", "the live page is killed", Kill("page"), "tracking"),
-    FaultRow("page-stuck", "the live page is stopped for 3 s", Pause("page", 3.0), "tracking"),
-    FaultRow("address-taken", "a second daemon wants the same addresses", TakenAddress(), "tracking"),
-    FaultRow("clock-step", "the wall clock is set back by an hour", ClockStep(-3600.0), "tracking"),
+    FaultRow("page-killed", "the live page is killed", Kill("page"), "tracking", ("nothing",)),
+    FaultRow("page-stuck", "the live page is stopped for 3 s", Pause("page", 3.0), "tracking", ("nothing",)),
+    FaultRow("address-taken", "a second daemon wants the same addresses", TakenAddress(), "tracking", ("nothing",)),
+    FaultRow("clock-step", "the wall clock is set back by an hour", ClockStep(-3600.0), "tracking", ("nothing",)),
 )
 NAMES = tuple(row.name for row in ROWS)

@@ -6,6 +6,7 @@ import os
 import resource
 import signal
 import time
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -17,6 +18,7 @@ from palmd.harness.operator import Operator
 from palmd.harness.stack import START_S, Stack, not_started
 from palmd.lab.fault_reaction import Reaction, ReactionWatch, Turning, complete
 from palmd.lab.fault_rows import Act, ClockStep, FaultRow, FullDisk, Kill, Pause, RowFault, TakenAddress
+from palmd.lab.fault_why import ask, asked_at
 from palmd.record.mcapfile import RunError
 from palmd.record.run import read_run
 
@@ -42,10 +44,10 @@ class Stand:
     `usable` is False once the palms could not be brought to move again.
     """
 
-    def __init__(self, folder: Path, config: Config, seed: int) -> None:
-        """`folder` takes configurations, output and recordings; `config` has the plan that is run."""
+    def __init__(self, folder: Path, config: Config, seed: int, runs: Path) -> None:
+        """`folder` takes configurations and output, `runs` the recordings; `config` has the plan that is run."""
         self._folder, self._seed = folder, seed
-        self._stack = Stack(folder, config)
+        self._stack = Stack(folder, config, runs)
         self._operator = Operator()
         self.usable = True
 
@@ -128,7 +130,8 @@ class Stand:
             wrong.append(str(error).splitlines()[0])
         wrong += _lost(kept) if _concerns_recording(row.act) else []
         starved = self._stack.rig_status()["stalls"] > before["stalls"]
-        return watch.reaction(row, t_cause, wrong, starved=starved)
+        seen = replace(watch.reaction(row, t_cause, wrong, starved=starved), came_s=reaction.came_s)
+        return replace(seen, why=ask(row, Path(kept["path"]), asked_at(row, t_cause, seen.noticed_s, seen.came_s)))
 
     def _watch(self, row: FaultRow, watch: ReactionWatch, t_cause: float) -> Reaction:
         """Look on until all that the row promises has come, and a little longer."""

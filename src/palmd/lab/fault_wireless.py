@@ -4,14 +4,23 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import time
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
 from typing import Any, Literal
 
+import msgpack
+
 from palmd import observer
-from palmd.config import PlanSpec, rig_description
+from palmd.config import Config, PlanSpec, rig_description
 from palmd.events import Estimate
-from palmd.harness.wireless import Wireless
+from palmd.harness.wireless import Instant, Wireless
 from palmd.lab.fault_reaction import Reaction, ReactionWatch
 from palmd.lab.fault_rows import FaultRow
+from palmd.lab.fault_why import ask, asked_at
+from palmd.messages import stamp
+from palmd.record.recording import Ended, Recording
 from palmd.rig.world import default_config
 
 BREAKS_AFTER_S = 3.0
@@ -40,21 +49,48 @@ class _Breakable:
         return dataclasses.replace(estimate, valid=True, r1=math.nan) if self.how == "nan" else estimate
 
 
-def provoke(row: FaultRow, how: Literal["raises", "nan"], spec: PlanSpec, seed: int) -> Reaction:
-    """Run the plan, break the observer while the palms turn, and look on."""
+def provoke(row: FaultRow, how: Literal["raises", "nan"], spec: PlanSpec, seed: int, folder: Path) -> Reaction:
+    """Run the plan, break the observer while the palms turn, look on, and ask the recording in `folder` why."""
     config = default_config()
+    config = config.model_copy(update={"record": config.record.model_copy(update={"directory": folder})})
     breakable = _Breakable(observer.make("shape", rig_description(config), seed))
     run = Wireless(config, spec, seed, estimator=breakable)
     run.start()
-    for _ in run.run(BREAKS_AFTER_S):
-        pass
+    recorder = _Recorder(config)
+    for instant in run.run(BREAKS_AFTER_S):
+        recorder.take(instant)
     watch = ReactionWatch()
     t_cause = run.t
     breakable.how = how
     while run.t < t_cause + WATCHED_S:
         instant = run.tick()
+        recorder.take(instant)
         stamped = {"mono_ns": instant.t * 1e9}
         watch.take("rig/truth", instant.truth | stamped)
         if "palm/state" in instant.messages:
             watch.take("palm/state", dict(instant.messages["palm/state"]) | stamped)
-    return watch.reaction(row, t_cause)
+    seen = watch.reaction(row, t_cause)
+    return replace(seen, why=ask(row, recorder.finish(), asked_at(row, t_cause, seen.noticed_s, seen.came_s)))
+
+
+class _Recorder:
+    """Records a run without wires as the recorder would."""
+
+    def __init__(self, config: Config) -> None:
+        self._ended: list[Ended] = []
+        self._recording = Recording(config, self._ended.append)
+        self._numbers: Counter[str] = Counter()
+        self._t_begun = time.time()
+
+    def take(self, instant: Instant) -> None:
+        """All that was published in a tick."""
+        now = self._t_begun + instant.t
+        for topic, fields in instant.messages.items():
+            payload = msgpack.packb(stamp(dict(fields), now, instant.t, self._numbers[topic]))
+            self._numbers[topic] += 1
+            self._recording.take([topic.encode(), payload, b""], now)
+
+    def finish(self) -> Path:
+        """The recording."""
+        self._recording.finish()
+        return self._ended[-1].path

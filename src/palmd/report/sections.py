@@ -73,6 +73,7 @@ def report_of(series: Series) -> Report:
         Section("Coverage", _coverage(series)),
         Section("Loop", _loop(series)),
         Section("Faults", (words.faults(series),)),
+        Section("Log", (words.log(series),) if series.log else ()),
         Section("Rig", () if series.rig_off is None else (words.rig(series),)),
         Section("Messages", (words.topics(series),)),
         Section("Configuration", (Listing(words.configuration(series)),)),

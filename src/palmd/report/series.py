@@ -11,12 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray
-from palmd.messages import Fields
+from palmd.messages import Fields, LogEntry, entries_of
 from palmd.quantities import (
     BODY,
     CONTACT,
     ESTIMATE,
     IMPROVEMENT,
+    LOG,
     LOOP,
     MOTION,
     RIG,
@@ -100,9 +101,9 @@ class FaultSpell:
 class Series:
     """A run as arrays; times in s since its first message.
 
-    `faults` are in the order in which they came, `improvements` the times of the smoother's answers, `counts` the
-    last `palm/loop`, `torn_bytes` what was left out at the end of an unfinished file. rig_off: what the last `palm/rig`
-    says to be off, None without one.
+    `faults` are in the order in which they came, `log` the entries of `palm/log`, `improvements` the times of the
+    smoother's answers, `counts` the last `palm/loop`, `torn_bytes` what was left out at the end of an unfinished file.
+    rig_off: what the last `palm/rig` says to be off, None without one.
     """
 
     run: Run
@@ -121,6 +122,7 @@ class Series:
     arm_states: tuple[Spell, ...]
     segments: tuple[Spell, ...]
     faults: tuple[FaultSpell, ...]
+    log: tuple[LogEntry, ...]
     improvements: FloatArray
     counts: Mapping[str, float]
     rig_off: tuple[str, ...] | None
@@ -214,6 +216,7 @@ class _RunReader:
             STATE.name: self._take_state,
             LOOP.name: self._take_loop,
             RIG.name: self._take_rig,
+            LOG.name: self._take_log,
             IMPROVEMENT.name: lambda t, _: self._improvements.append(t),
             TRUTH.name: self._numbers(TRUTH),
             BODY.name: self._take_body,
@@ -229,6 +232,7 @@ class _RunReader:
         self._states, self._arm_states, self._segments = _Spells(), _Spells(), _Spells()
         self._standing: dict[str, FaultSpell] = {}
         self._faults: list[FaultSpell] = []
+        self._log: list[LogEntry] = []
         self._improvements = array("d")
         self._estimated = _names(ESTIMATE)
         self._moved = _names(MOTION)
@@ -263,6 +267,7 @@ class _RunReader:
             arm_states=self._arm_states.until(end),
             segments=self._segments.until(end),
             faults=tuple(sorted(faults, key=lambda spell: spell.begin)),
+            log=tuple(self._log),
             improvements=np.array(self._improvements),
             counts={name: float(column[-1]) for name, column in loop.columns.items()},
             rig_off=self._rig_off,
@@ -299,6 +304,11 @@ class _RunReader:
             self._faults.append(replace(self._standing.pop(code), end=t, stands=False))
         for code, (severity, hint) in told.items():
             self._standing.setdefault(code, FaultSpell(code, severity, hint, t, t))
+
+    def _take_log(self, _: float, fields: Fields) -> None:
+        told = self._log[-1].number if self._log else -1
+        begin_s = (self._begin_ns or 0) * 1e-9
+        self._log += [replace(entry, t_s=entry.t_s - begin_s) for entry in entries_of(fields) if entry.number > told]
 
     def _take_loop(self, t: float, fields: Fields) -> None:
         numbers = [(name, float(value)) for name, value in fields.items() if isinstance(value, int | float)]

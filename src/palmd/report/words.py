@@ -245,6 +245,12 @@ def faults(series: Series) -> Table:
     return Table(("at (s)", "for (s)", "severity", "fault", "what to do"), rows)
 
 
+def log(series: Series) -> Table:
+    """What has happened, as the daemon logged it; only of a run that has a log."""
+    rows = tuple((f"{entry.t_s:.2f}", entry.kind, entry.severity, entry.line) for entry in series.log)
+    return Table(("at (s)", "about", "severity", "what"), rows)
+
+
 def rig(series: Series) -> Table:
     """What of the rig the readings have told to be off, by the end of the run; only of a run that tells."""
     return Table(("what is off beyond doubt, in the end",), tuple((said,) for said in series.rig_off or ()))

@@ -722,23 +722,23 @@ def test_a_valid_estimate_that_is_not_finite_is_not_published_as_valid(running):
 
 
 def test_a_failed_tick_stops_the_arm_at_once(running):
-    running.core.fail(running.t)
+    running.core.fail(running.t, RuntimeError("broken"))
     assert running.state == "fault"
     assert running.core.transmit(running.t).startswith(b"P")
 
 
 def test_after_a_failed_tick_the_arm_comes_to_rest(running):
-    running.core.fail(running.t)
+    running.core.fail(running.t, RuntimeError("broken"))
     running.go(0.5)
     assert running.last("palm/motion")["arm_state"] == "R"
 
 
 def test_repeated_overruns_stop_a_single_one_does_not(running):
-    running.core.overran(running.t)
+    running.core.overran(running.t, 0.02)
     running.go(0.05)
     assert (running.state, running.faults) == ("tracking", ["loop-overrun"])
     for _ in range(10):
-        running.core.overran(running.t)
+        running.core.overran(running.t, 0.02)
     running.go(0.05)
     assert running.state == "fault"
     assert running.faults[0] == "loop-overruns"
@@ -859,7 +859,7 @@ def test_whatever_happens_the_arm_gets_no_bad_set_point(seed):
             case "stall":
                 bench.stall(random.uniform(0.02, 0.4))
             case "fail":
-                bench.core.fail(bench.t)
+                bench.core.fail(bench.t, RuntimeError("broken"))
         bench.go(random.uniform(0.05, 0.3))
         if random.random() < 0.7:  # an operator who keeps at it
             bench.plug(*(set(ENDS) - bench.open))

@@ -28,7 +28,13 @@ from palmd.rig.fault_injection import PORTS
 from palmd.yamlfile import load_plan
 
 ROW = FaultRow(
-    "mute", "it falls silent", RowFault("mute", "pad1"), "hold", (("pad1-silent", "hold"),), ("pad1-lifted",)
+    "mute",
+    "it falls silent",
+    RowFault("mute", "pad1"),
+    "hold",
+    ("pad1-mute",),
+    (("pad1-silent", "hold"),),
+    ("pad1-lifted",),
 )
 GOOD = Reaction({"pad1-silent": "hold", "pad1-garbled": "degrade"}, "hold", 0.05, 0.1, 0.02)
 
@@ -137,9 +143,10 @@ def test_it_is_told_in_a_table_and_in_lines():
         "still",
         "worst",
         "goal",
+        "why",
         "verdict",
     ]
-    assert text.splitlines()[1].split()[-5:] == ["50", "150", "200", f"{HOST_ALIVE_S * 1e3:.0f}", "something"]
+    assert text.splitlines()[1].split()[-6:] == ["50", "150", "200", f"{HOST_ALIVE_S * 1e3:.0f}", "-", "something"]
     assert "median 150 ms, worst 200 ms; 0 of 2 within 60 ms" in summary([(ROW, [GOOD, slow])])
     line = json.loads(json.dumps(as_line(ROW, replace(GOOD, noticed_s=math.nan)), allow_nan=False))
     assert (line["noticed_ms"], line["still_ms"], line["goal_ms"], line["differs"]) == (None, 100.0, 60, [])
@@ -149,7 +156,9 @@ def test_it_is_told_in_a_table_and_in_lines():
 
 
 @pytest.mark.parametrize("row", [row for row in ROWS if isinstance(row.act, BrokenObserver)], ids=lambda row: row.name)
-def test_an_observer_that_breaks_stops_the_arm(row):
-    reaction = provoke(row, row.act.how, load_plan(shipped("plans/lively.yaml")), seed=3)
+def test_an_observer_that_breaks_stops_the_arm_and_the_recording_tells_why(row, tmp_path):
+    reaction = provoke(row, row.act.how, load_plan(shipped("plans/lively.yaml")), seed=3, folder=tmp_path)
     assert differences(row, reaction) == []
     assert reaction.noticed_s <= 0.011
+    assert reaction.why.right, reaction.why
+    assert reaction.why.right_without_log, reaction.why

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from palmd.config import AdeptConfig
 from palmd.devices.actuator import ActuatorFactory, Reach
-from palmd.devices.armhost import ArmHost
+from palmd.devices.armhost import FAULT_S, FREEZE_S, ArmHost
 from palmd.devices.armlink import error_text
 from palmd.devices.health import Share
 from palmd.devices.port import Port
@@ -48,6 +48,28 @@ class Adept(ArmHost):
             spoilt = line.crc_errors + line.unframed + line.overlong
             self._verdicts = ("garbled",) if self._damaged.exceeded(line.lines + spoilt, spoilt) else ()
         yield from self._verdicts
+
+    def evidence(self, condition: str, t: float) -> str:
+        """What speaks for a condition at `t` (s)."""
+        match condition:
+            case "late":
+                return self._silence(t, FREEZE_S)
+            case "link-lost":
+                return f"{self.unlinked}: {self._silence(t, FAULT_S)}"
+            case "mute":
+                return f"{self.counters.line.bytes} bytes have come since the start"
+            case "garbled":
+                return f"{self._damaged.spoilt} of {self._damaged.gained} lines since the last look"
+        if self.state is None:
+            return ""
+        return f"its line A says state {self.state} ({self.state.name})" + (f", error {self.error}" * bool(self.error))
+
+    def _silence(self, t: float, limit_s: float) -> str:
+        count, lines = self.unanswering
+        came = (
+            f"{count} bytes have come since, with {lines} whole lines in them" if count else "not a byte has come since"
+        )
+        return f"its last answer is {self.age(t) * 1e3:.0f} ms old, the limit is {limit_s * 1e3:.0f} ms; {came}"
 
     def counts(self) -> dict[str, float]:
         """What has passed on the link since the start."""

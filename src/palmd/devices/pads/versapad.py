@@ -10,9 +10,9 @@ from typing import Literal, cast
 from palmd.config import VersaPadConfig
 from palmd.devices.handshake import Handshake
 from palmd.devices.health import Share
-from palmd.devices.pad import PadFactory
+from palmd.devices.pad import SILENT_INTERVALS, PadFactory
 from palmd.devices.port import DevicePort, Port
-from palmd.devices.versapad import PadCalibration, PadPacket, PadReceiver, PressureFormat
+from palmd.devices.versapad import IN_USE, PadCalibration, PadPacket, PadReceiver, PressureFormat
 from palmd.events import PadLift, PadSample
 from palmd.messages import PadView
 
@@ -48,6 +48,7 @@ class VersaPad:
         self._number: int = number
         self._config = config
         self._s = math.nan
+        self._bytes_at_packet = 0
         self._handshake: Handshake | None = None
         self._unanswered: str | None = None
         self._held = False  # in break, as the port has been told
@@ -102,7 +103,11 @@ class VersaPad:
     def feed(self, data: bytes, t: float) -> list[PadSample | PadLift]:
         """Take bytes read at `t` (s)."""
         self._shake(data, t)
+        counters = self._receiver.counters
+        packets = counters.packets
         events = self._receiver.feed(data, t)
+        if counters.packets > packets:
+            self._bytes_at_packet = counters.bytes
         for event in events:
             if isinstance(event, PadLift):
                 self._part(event, "lifted")
@@ -136,9 +141,37 @@ class VersaPad:
         if self._unanswered is not None:
             yield "handshake"
 
+    def evidence(self, condition: str, t: float) -> str:
+        """What speaks for a condition at `t` (s)."""
+        match condition:
+            case "silent":
+                limit_ms = SILENT_INTERVALS * self._receiver.touch.mean_interval_s * 1e3
+                return f"{self._last_packet(t)}, the limit is {limit_ms:.0f} ms; {self._bytes_since()}"
+            case "lifted":
+                return f"{self._last_packet(t)} and says so: bit {IN_USE:#04x} (in use) of its first byte is 0"
+            case "untouched":
+                return f"{self._last_packet(t)}; {self._bytes_since()}"
+            case "garbled":
+                return f"{self._garbled.spoilt} of {self._garbled.gained} bytes since the last look"
+            case "out-of-range":
+                return f"{self._astray.spoilt} of {self._astray.gained} packets since the last look"
+            case "batched":
+                return f"{self._batched.spoilt} of {self._batched.gained} packets since the last look"
+            case "handshake":
+                return self._unanswered or ""
+        return ""
+
     def counts(self) -> dict[str, int]:
         """What has passed since the start, by cause."""
         return self._receiver.counters.as_dict()
+
+    def _last_packet(self, t: float) -> str:
+        latest = self._receiver.latest
+        return "no packet has come yet" if latest is None else f"its last packet is {_ago(t - latest.t_first)} old"
+
+    def _bytes_since(self) -> str:
+        count = self._receiver.counters.bytes - self._bytes_at_packet
+        return f"{count} bytes have come since, which are no packet" if count else "not a byte has come since"
 
     def _judged(self) -> Iterator[str]:
         counters = self._receiver.counters
@@ -164,6 +197,10 @@ class VersaPad:
     def _part(self, lift: PadLift, how: Literal["lifted", "silent"]) -> PadLift:
         self._s, self.parted = math.nan, how
         return lift
+
+
+def _ago(seconds: float) -> str:
+    return f"{seconds * 1e3:.0f} ms" if seconds < 1.0 else f"{seconds:.1f} s"
 
 
 DRIVER: PadFactory = VersaPad

@@ -1,0 +1,53 @@
+"""What made a recorded run hold or stop, in plain words with the evidence: which byte, which age, which limit.
+
+Asked without a time it tells of the last time that it was held or stopped, and lists the others.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from palmd.console.errors import BAD_INPUT, CliError
+from palmd.record.jsonvalues import or_none
+from palmd.record.run import RunError, read_run
+from palmd.report.why import Explanation, explain, lines
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    parser.add_argument("run", type=Path, metavar="RUN", help="a recorded run (.mcap), finished or not")
+    parser.add_argument(
+        "--at", type=_time, metavar="T", help="seconds since its first message, as in reports (default: the last stop)"
+    )
+    parser.add_argument("--json", action="store_true", help="print the answer as JSON")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Prints the answer; CliError for an unusable run, or a time that is not in it."""
+    try:
+        recording = read_run(arguments.run)
+        answer = explain(recording, arguments.at)
+        print(
+            json.dumps(as_json(answer), ensure_ascii=False) if arguments.json else "\n".join(lines(recording, answer))
+        )
+    except (RunError, OSError) as error:
+        raise CliError(BAD_INPUT, str(error)) from None
+    return 0
+
+
+def as_json(answer: Explanation) -> dict[str, Any]:
+    """The answer's fields; null for a time that has not come."""
+    told = asdict(answer) | {"cause": asdict(answer.cause) | {"name": answer.cause.name}}
+    return {name: or_none(value) for name, value in told.items()}
+
+
+def _time(text: str) -> float:
+    seconds = float(text)
+    if not 0.0 <= seconds < math.inf:
+        raise argparse.ArgumentTypeError(f"must be a time in the run, 0 or more, not {text}")
+    return seconds

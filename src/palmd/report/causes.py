@@ -1,0 +1,420 @@
+"""What made it hold or stop, from a run's course and the ticks around: a cause with its evidence. Pure.
+
+A fault says what was noticed; the cause is what lies behind it: a pad that is silent may be mute, speak another
+language, or have been kept waiting by palmd itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from statistics import fmean
+from typing import Literal
+
+from palmd.config import Config
+from palmd.devices.pad import SILENT_INTERVALS
+from palmd.faults import TABLE
+from palmd.messages import Fields, LogEntry
+from palmd.report.course import Closeup, Course, StateChange
+from palmd.system.mechanism import JOINTS
+
+CauseKind = Literal[
+    "port", "mute", "foreign", "damaged", "lifted", "stalled", "watchdog", "break", "estop", "power-off", "manual",
+    "uncalibrated", "controller", "left", "late", "failed", "not-finite", "limits", "overruns", "command", "ended",
+    "rig-gone", "fault", "before", "died", "cut", "over", "idle", "nothing",
+]  # fmt: skip
+
+STALL_S = 0.1
+"""Ticks that are so far apart make pads look silent, and the controller (48 ms) go without set-points."""
+
+PAUSE_S = 0.04
+"""And ticks so far apart make the controller hold for a moment."""
+
+STALLED_BEFORE_S, STALL_READING_S = 0.1, 0.03
+NEAR_S = 0.6
+"""A cause is looked for so long before its effect."""
+
+ARM_QUIET_S = 0.1  # without an answer: six of its cycles
+FOREIGN_SHARE = 0.8  # of what came that was no packet
+LINE_BYTES = 30  # of an answer of the arm, its line end included
+ALIEN_LINES = 3.0  # of what is none of ours, a line end is so much rarer
+_LINE = ("arm_port_bytes_read", "arm_lines", "arm_crc_errors", "arm_unframed")
+SPOKE_BYTES = 24  # too few may be the rest of a packet
+TOGETHER_S = 0.15  # both pads left within so long: the object was lifted
+CONTROLLER_WATCHDOG_MS, SETPOINT_MS = 160, 16
+
+_STATES: dict[str, tuple[CauseKind, str]] = {
+    "arm-estop": ("estop", "the arm's emergency stop was pressed"),
+    "arm-power-off": ("power-off", "arm power went off"),
+    "arm-manual": ("manual", "somebody took the arm: its controller went to manual mode"),
+    "arm-uncalibrated": ("uncalibrated", "the arm's controller lost its calibration"),
+    "arm-left-tracking": ("left", "the arm's controller stopped following by itself"),
+}
+_OWN: dict[str, tuple[CauseKind, str]] = {
+    "tick-error": ("failed", "palmd itself failed: an unexpected error in its control loop"),
+    "estimate-not-finite": ("not-finite", "palmd's observer called an estimate valid that was not finite"),
+    "limits-violated": ("limits", "the palms were outside their limits, or the motion wanted to leave them"),
+    "loop-overruns": ("overruns", "palmd's control loop kept missing its deadline"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Clue:
+    """One thing that speaks for a cause, and the topic of the recording that it stands in."""
+
+    where: str
+    what: str
+
+
+@dataclass(frozen=True, slots=True)
+class StopCause:
+    """What lies behind: its kind, whose it is (`pad1`, `arm`, or empty), one sentence, and what speaks for it."""
+
+    kind: CauseKind
+    end: str
+    sentence: str
+    evidence: tuple[Clue, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """CauseKind and whose, in one word."""
+        return f"{self.end}-{self.kind}" if self.end else self.kind
+
+
+@dataclass(frozen=True, slots=True)
+class RunCase:
+    """All there is to judge by: the run's course, the ticks around, the configuration."""
+
+    course: Course
+    closeup: Closeup
+    config: Config
+
+    def rel(self, t: float) -> str:
+        """A time as people are told it."""
+        return f"{t - self.course.begin:.2f} s"
+
+    def logged(self, kind: str, name: str, t: float) -> LogEntry | None:
+        """The log's entry of that kind and name nearest before `t`, as it came; None where there is none."""
+        each = (entry for entry in reversed(self.course.log) if entry.kind == kind and entry.name == name)
+        return next(
+            (entry for entry in each if math.isnan(entry.lasted_s) and t - NEAR_S < entry.t_s <= t + 0.02), None
+        )
+
+
+# ---------------------------------------------------------------------------------------------------- of a fault
+
+
+def of_fault(case: RunCase, codes: Sequence[str], t: float) -> StopCause:
+    """What lies behind the faults that came up at `t` and act; the first that explains them, with its evidence."""
+    stall = _stall(case, t, STALL_S)
+    if stall is not None and all(_by_stall(case, code, stall, t) for code in codes):
+        return stall.cause
+    order: tuple[tuple[Callable[[str], bool], Callable[[RunCase, str, float], StopCause]], ...] = (
+        (lambda code: code in _OWN, _own),
+        (lambda code: code.endswith("-port"), _port),
+        (lambda code: code in _STATES and code != "arm-left-tracking", _arm_state),
+        (lambda code: code == "arm-fault", _controller),
+        (lambda code: code == "arm-link-lost", _link),
+        (lambda code: code.endswith("-lifted"), _lifted),
+        (lambda code: code.endswith("-silent"), _silent),
+        (lambda code: code in _STATES, _arm_state),
+    )
+    for fits, told in order:
+        for code in codes:
+            if fits(code):
+                return told(case, code, t)
+    code = codes[0]
+    return StopCause("fault", "", TABLE[code].text if code in TABLE else code, _said(case, code, t))
+
+
+def _said(case: RunCase, code: str, t: float) -> tuple[Clue, ...]:
+    """What the daemon itself gave as its evidence."""
+    entry = case.logged("fault", code, t)
+    return () if entry is None else (Clue("palm/log", f"{code}: {entry.text}"),)
+
+
+@dataclass(frozen=True, slots=True)
+class _Stall:
+    begin: float
+    end: float
+    cause: StopCause
+
+
+def _by_stall(case: RunCase, code: str, stall: _Stall, t: float) -> bool:
+    """Whether a loop that stood still explains a fault: what it says was not so before."""
+    if code.endswith("-silent"):
+        before = [true for fed, true in case.closeup.readings.get(int(code[3]), []) if fed <= t]
+        return bool(before) and before[-1] > stall.begin - STALL_READING_S
+    if code == "arm-fault":
+        entry = case.logged("fault", code, t)
+        return entry is None or "-0600" in entry.text or "error" not in entry.text
+    return code in ("arm-link-lost", "arm-left-tracking", "loop-overruns")
+
+
+def _stall(case: RunCase, t: float, least_s: float) -> _Stall | None:
+    """Whether palmd's own loop stood still just before `t`: a long step between ticks none of which is missing."""
+    ticks = case.closeup.motion
+    numbered = zip(pairwise(ticks), pairwise(case.closeup.numbers), strict=True)
+    for ((t0, _), (t1, _)), (number0, number1) in numbered:
+        if t1 - t0 >= least_s and t - STALLED_BEFORE_S < t1 <= t + 0.02 and number1 == number0 + 1:
+            said = (
+                f"ticks {number0} and {number1} are {(t1 - t0) * 1e3:.0f} ms apart, at {case.rel(t0)} and "
+                f"{case.rel(t1)}; the period is {1e3 / case.config.loop.rate_hz:.0f} ms"
+            )
+            sentence = (
+                f"palmd itself stood still for {(t1 - t0) * 1e3:.0f} ms: it got no processor, so no set-point went "
+                "out and nothing was read"
+            )
+            evidence = (Clue("palm/motion", said), *_said(case, "loop-overrun", t1))
+            return _Stall(t0, t1, StopCause("stalled", "", sentence, evidence))
+    return None
+
+
+def _own(case: RunCase, code: str, t: float) -> StopCause:
+    kind, sentence = _OWN[code]
+    evidence = [*_said(case, code, t)]
+    motion = case.closeup.last_motion(t)
+    if code == "limits-violated" and motion:
+        angles = ", ".join(f"{joint} {math.degrees(motion[f'{joint}_rad']):.1f}°" for joint in JOINTS)
+        evidence.append(Clue("palm/motion", f"the palms stood at {angles}"))
+    return StopCause(kind, "", sentence, tuple(evidence or [Clue("palm/state", f"{code} stood from {case.rel(t)}")]))
+
+
+def _port(case: RunCase, code: str, t: float) -> StopCause:
+    end = code.removesuffix("-port")
+    evidence = [*_said(case, code, t)]
+    gained = case.course.gained(t, f"{end}_port_losses")
+    if gained is not None and gained[2][f"{end}_port_losses"]:
+        evidence.append(Clue("palm/loop", f"{end}_port_losses grew {_between(case, gained)}"))
+    device = (case.config.arm if end == "arm" else getattr(case.config.pads, f"palm{end[-1]}")).port
+    sentence = f"the serial port of {_named(end)} was gone: {device} could not be read any more"
+    return StopCause("port", end, sentence, (*evidence, Clue("palm/state", f"{code} from {case.rel(t)} on")))
+
+
+def _arm_state(case: RunCase, code: str, t: float) -> StopCause:
+    kind, sentence = _STATES[code]
+    return StopCause(kind, "arm", sentence, (*_letter(case, t), *_said(case, code, t)))
+
+
+def _letter(case: RunCase, t: float) -> tuple[Clue, ...]:
+    """When the controller's state letter changed last, up to `t`."""
+    letters = [(when, fields["arm_state"]) for when, fields in case.closeup.motion if when <= t + 0.02]
+    for (_, before), (when, now) in reversed([*pairwise(letters)]):
+        if before != now:
+            said = f"the controller's state letter went from {before or 'unknown'} to {now or 'unknown'}"
+            return (Clue("palm/motion", f"{said} at {case.rel(when)}"),)
+    return ()
+
+
+def _controller(case: RunCase, code: str, t: float) -> StopCause:
+    """The controller has latched a fault: by its own code, or by how long the line was dead before."""
+    entry = case.logged("fault", code, t)
+    said = "" if entry is None else entry.text
+    evidence = (*_letter(case, t), *_said(case, code, t))
+    if "-0504" in said:
+        return StopCause(
+            "break", "arm", "there was a break on the arm's line: its controller latched error -504", evidence
+        )
+    line = _link(case, code, t)
+    if line.kind in ("damaged", "foreign"):
+        return line
+    silent_ms = _oldest(case, "arm_age_ms", t)
+    if silent_ms >= ARM_QUIET_S * 1e3 or "-0600" in said:
+        quiet = Clue("palm/contact", f"the arm's last answer was up to {silent_ms:.0f} ms old before that")
+        sentence = (
+            f"the arm's controller had no set-point for {CONTROLLER_WATCHDOG_MS} ms, stopped and latched error -600: "
+            f"the line was dead, while palmd sent one every {SETPOINT_MS} ms"
+        )
+        return StopCause("watchdog", "arm", sentence, (quiet, *evidence))
+    if said:
+        return StopCause("controller", "arm", "the arm's controller latched a fault of its own", evidence)
+    return StopCause(
+        "controller",
+        "arm",
+        "the arm's controller latched a fault while the line was alive: a break, or its own",
+        evidence,
+    )
+
+
+def _link(case: RunCase, code: str, t: float) -> StopCause:
+    """The arm does not answer: nothing comes, or nothing that can be read."""
+    age_ms = _oldest(case, "arm_age_ms", t)
+    evidence = [
+        Clue("palm/contact", f"the arm's last answer was {age_ms:.0f} ms old; after 250 ms the link counts as lost")
+    ]
+    windows = {gained[0]: gained for at in (t - 0.25, t, t + 1.0) if (gained := case.course.gained(at, *_LINE))}
+    excess = ends = 0.0
+    for gained in windows.values():
+        read, whole, wrong, alien = (gained[2][name] for name in _LINE)
+        told = (
+            f"{read:.0f} bytes came, {whole:.0f} whole lines, {wrong:.0f} of a wrong checksum, {alien:.0f} without any"
+        )
+        evidence.append(Clue("palm/loop", f"{told} {_between(case, gained)}"))
+        ends += wrong + alien
+        excess = max(excess, read - LINE_BYTES * whole)
+    said = _said(case, code, t)
+    if _bytes_since(said) < SPOKE_BYTES and (said or max(excess - LINE_BYTES, ends - 1.0) <= 0.0):
+        return StopCause("mute", "arm", "nothing came from the arm's controller any more", (*evidence, *said))
+    if ends > 1.0 and excess < ALIEN_LINES * LINE_BYTES * ends:  # lines end where they should
+        sentence = "what came from the arm's controller was damaged: its lines came, and hardly one of them whole"
+        return StopCause("damaged", "arm", sentence, (*evidence, *said))
+    sentence = "what came from the arm's line was no answer: another device, or another baud rate"
+    return StopCause("foreign", "arm", sentence, (*evidence, *said))
+
+
+def _lifted(case: RunCase, code: str, t: float) -> StopCause:
+    end = code.removesuffix("-lifted")
+    number = int(end[-1])
+    lifts = {pad: [true for _, true in told if abs(true - t) < NEAR_S] for pad, told in case.closeup.lifts.items()}
+    here = min(lifts.get(number, [t]), key=lambda when: abs(when - t))
+    others = [pad for pad, times in lifts.items() if pad != number and any(abs(w - here) < TOGETHER_S for w in times)]
+    evidence = [
+        Clue("palm/events", f"pad {pad} told the end of its contact at {case.rel(when)}")
+        for pad, times in sorted(lifts.items()) for when in times[-1:]
+    ]  # fmt: skip
+    said = [each for pad in sorted({number, *others}) for each in _said(case, f"pad{pad}-lifted", t)]
+    if others:
+        return StopCause("lifted", "", "the object left both pads at once: it was lifted off", (*evidence, *said))
+    sentence = f"the object left pad {number}: the pad said so itself, by the bit for in use of its first byte"
+    return StopCause("lifted", end, sentence, (*evidence, *said))
+
+
+def _silent(case: RunCase, code: str, t: float) -> StopCause:
+    """A pad says nothing, or nothing that is a packet."""
+    end = code.removesuffix("-silent")
+    evidence = [*_ages(case, int(end[-1]), t)]
+    said = _said(case, code, t)
+    names = (f"{end}_bytes", f"{end}_packets", f"{end}_bytes_discarded")
+    worst = 0.0
+    for at in (t, t + 1.0):  # the second in which it fell silent, and the next one, which tells more
+        gained = case.course.gained(at, *names)
+        if gained is None:
+            continue
+        came, packets, discarded = (gained[2][name] for name in names)
+        told = f"{came:.0f} bytes came, {packets:.0f} packets, {discarded:.0f} bytes in none {_between(case, gained)}"
+        evidence.append(Clue("palm/loop", told))
+        worst = discarded / came if min(came, discarded) >= SPOKE_BYTES else 0.0
+    if _bytes_since(said) < SPOKE_BYTES and (said or worst == 0.0):
+        return StopCause("mute", end, f"nothing came from pad {end[-1]} any more", (*evidence, *said))
+    if worst > FOREIGN_SHARE or worst == 0.0:
+        sentence = f"what came from pad {end[-1]}'s line was no packet: another device, or another baud rate"
+        return StopCause("foreign", end, sentence, (*evidence, *said))
+    sentence = f"so much of what pad {end[-1]} said was damaged that five packets in a row were missing"
+    return StopCause("damaged", end, sentence, (*evidence, *said))
+
+
+def _ages(case: RunCase, pad: int, t: float) -> tuple[Clue, ...]:
+    """How old the pad's last reading was at `t`, and how old it might be."""
+    before = [true for fed, true in case.closeup.readings.get(pad, []) if fed <= t]
+    if len(before) < SILENT_INTERVALS:
+        return ()
+    mean_ms = fmean(b - a for a, b in pairwise(before[-20:])) * 1e3
+    told = (
+        f"pad {pad}'s last reading was at {case.rel(before[-1])}, {(t - before[-1]) * 1e3:.0f} ms before; "
+        f"they had come every {mean_ms:.0f} ms, and the limit is {SILENT_INTERVALS} intervals"
+    )
+    return (Clue("palm/events", told),)
+
+
+def _oldest(case: RunCase, name: str, t: float) -> float:
+    ages = [float(fields[name]) for when, fields in case.closeup.contact if t - NEAR_S < when <= t + 0.02]
+    return max((age for age in ages if math.isfinite(age)), default=math.nan)
+
+
+def _bytes_since(said: Sequence[Clue]) -> int:
+    """How many bytes, and no whole line, the daemon says have come since the last good packet or answer."""
+    for each in said:
+        if "whole lines" in each.what and "with 0 whole lines" not in each.what:
+            return 0
+        words = each.what.split(" bytes have come since")[0].split()
+        if " bytes have come since" in each.what and words[-1].isdigit():
+            return int(words[-1])
+    return 0
+
+
+def _between(case: RunCase, gained: tuple[float, float, object]) -> str:
+    return f"between {case.rel(gained[0])} and {case.rel(gained[1])}"
+
+
+def _named(end: str) -> str:
+    return "the arm" if end == "arm" else f"pad {end[-1]}"
+
+
+# ------------------------------------------------------------------------------------------------ without a fault
+
+
+def of_no_fault(case: RunCase, before: StateChange, now: StateChange) -> StopCause:
+    """What changed the state at `now` though no fault acts: a command, the end of palmd, the rig that went."""
+    entry = case.logged("state", now.state, now.t)
+    evidence = () if entry is None else (Clue("palm/log", entry.text),)
+    stopping = case.logged("palmd", "stopping", now.t)
+    if stopping is not None:
+        return StopCause("ended", "", "palmd was told to end, and stopped the arm", (Clue("palm/log", stopping.text),))
+    if entry is not None and entry.who:
+        return StopCause("command", "", f"{entry.text.split(': ')[-1]}: somebody wanted it so", evidence)
+    if now.state == "idle":
+        return StopCause("rig-gone", "", "a port or the arm's link was gone while the arm was not commanded", evidence)
+    command = {"hold": "hold", "ready": "stop"}.get(now.state, "command")
+    sentence = f"no fault acted: somebody gave the command {command}" + (", or palmd was ended" * (command == "stop"))
+    said = f"{before.state} -> {now.state} at {case.rel(now.t)}, and no fault that holds or stops"
+    return StopCause("command", "", sentence, (*evidence, Clue("palm/state", said)))
+
+
+def of_end(case: RunCase) -> StopCause:
+    """The recording ends while the palms moved: the daemon has died, or its recorder."""
+    course, last = case.course, case.course.end
+    motion: Fields = case.closeup.last_motion(math.inf)
+    evidence = [
+        Clue("palm/motion", f"its last message, at {case.rel(last)}, is in the middle of "
+                                f"{motion.get('plan') or 'no plan'}, the arm in state {motion.get('arm_state')}")
+    ]  # fmt: skip
+    if any(entry.name == "stopping" for entry in course.log[-3:]):
+        return StopCause("ended", "", "palmd was told to end", tuple(evidence))
+    if course.complete:
+        evidence.append(Clue("the file", "it was finished by its recorder, which heard nothing more of the daemon"))
+        sentence = (
+            "the daemon said nothing more, and no word of ending: it was killed or has crashed; the arm's controller, "
+            f"without set-points, holds after 48 ms and latches error -600 after {CONTROLLER_WATCHDOG_MS} ms"
+        )
+        return StopCause("died", "", sentence, tuple(evidence))
+    evidence.append(Clue("the file", "nobody has finished it"))
+    sentence = (
+        "the recording breaks off, and tells of nothing that held or stopped it: its recorder was killed or could not "
+        "write, or the machine went; or it is still being written"
+    )
+    return StopCause("cut", "", sentence, tuple(evidence))
+
+
+def of_tracking(case: RunCase, told: StateChange, t: float) -> StopCause:
+    """The state is tracking at `t`: the palms move, pause for the arm, or have nothing to do."""
+    standing = tuple(
+        Clue("palm/state", f"{code} ({severity}) stood; it holds nothing") for code, severity in told.faults.items()
+    )
+    late = next((code for code in ("arm-late", "arm-held") if code in told.faults), None)
+    stall = _stall(case, t, PAUSE_S) if "loop-overrun" in told.faults else None
+    age_ms = _oldest(case, "arm_age_ms", t)
+    if stall is not None and (late is None or age_ms < (stall.end - stall.begin + 0.06) * 1e3):
+        return stall.cause
+    if late is not None:
+        age = Clue("palm/contact", f"the arm's last answer was {age_ms:.0f} ms old; after 80 ms the motion pauses")
+        sentence = "the motion paused, and went on by itself: the arm's answers came late"
+        return StopCause("late", "arm", sentence, (age, *_said(case, late, t)))
+    motion = case.closeup.last_motion(t)
+    if motion and motion["segment"] < 0:
+        over = next((entry for entry in reversed(case.course.log) if entry.kind == "plan" and entry.t_s <= t), None)
+        if over is not None:
+            return StopCause("over", "", over.text, (Clue("palm/log", f"at {case.rel(over.t_s)}"), *standing))
+        return StopCause(
+            "idle", "", "the palms stand because no plan is being run: it is over, or not started", standing
+        )
+    moves = (
+        f"palmd was tracking, in segment {motion['segment']} of {motion['plan']}" if motion else "palmd was tracking"
+    )
+    logged = tuple(each for code in told.faults for each in _said(case, code, t + NEAR_S))
+    steps = tuple(
+        Clue("timestamps", f"the wall clock was set by {by:+.0f} s at {case.rel(when)}; nothing goes by it")
+        for when, by in case.course.clock_steps if abs(when - t) < 5.0
+    )  # fmt: skip
+    return StopCause("nothing", "", f"nothing held or stopped it: {moves}", (*standing, *logged, *steps))

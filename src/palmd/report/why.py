@@ -1,0 +1,156 @@
+"""`palmd why`: what made a recorded run hold or stop, in plain words with the evidence, from the recording alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+from palmd.faults import TABLE
+from palmd.record.run import Run
+from palmd.report.causes import RunCase, StopCause, of_end, of_fault, of_no_fault, of_tracking
+from palmd.report.course import Course, StateChange, closeup_of, course_of
+
+_COMMANDED = ("tracking", "hold")
+_ACTS = {"hold": ("hold", "stop"), "fault": ("stop",), "ready": (), "idle": ()}
+_HAPPENED = {"hold": "the motion was held", "fault": "the arm was stopped", "ready": "the arm was stopped",
+             "idle": "the rig was gone"}  # fmt: skip
+OTHERS = 8
+"""So many of the other times are listed."""
+
+END_S = 0.05
+"""So long before its end, the end is what a question is about."""
+
+
+@dataclass(frozen=True, slots=True)
+class Standstill:
+    """The state that ended the motion, what stood before, and until when (s) it did not go on; infinite for the end."""
+
+    before: StateChange
+    now: StateChange
+    until: float
+
+    @property
+    def codes(self) -> tuple[str, ...]:
+        """Of the faults that act in that state."""
+        return self.now.grave(*_ACTS.get(self.now.state, ()))
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """Why it stood at `t` (s since the run's first message), or that it did not.
+
+    happened: in words, what was done, and `since` when (s) until when. cause: what lies behind. standing: the faults
+    that stood then and how long (s) each; hint: what to do. others: the other times at which it was held or stopped.
+    """
+
+    t: float
+    state: str
+    happened: str
+    since: float
+    until: float
+    cause: StopCause
+    standing: tuple[tuple[str, float], ...]
+    hint: str
+    others: tuple[tuple[float, str], ...]
+
+
+def explain(run: Run, at: float | None = None) -> Explanation:
+    """Why it was held or stopped at `at` (s since the first message); without a time: the last time that it was.
+
+    Raises RunError for a run that tells no state, OSError.
+    """
+    course = course_of(run)
+    return answer(run, course, None if at is None else course.begin + at)
+
+
+def answer(run: Run, course: Course, t: float | None) -> Explanation:
+    """The same of a run whose course is known; `t` on its clock."""
+    found = tuple(stops(course))
+    stop = _asked(course, found, t)
+    others = tuple((each.now.t - course.begin, _in_short(each)) for each in found if each is not stop)
+    if stop is None:
+        return _not_stopped(run, course, course.end if t is None else t, others)
+    case = RunCase(course, closeup_of(run, stop.now.t), run.config)
+    cause = of_fault(case, stop.codes, stop.now.t) if stop.codes else of_no_fault(case, stop.before, stop.now)
+    return Explanation(
+        (stop.now.t if t is None else t) - course.begin,
+        stop.now.state,
+        _HAPPENED.get(stop.now.state, stop.now.state),
+        stop.now.t - course.begin,
+        stop.until - course.begin,
+        cause,
+        tuple((code, _stood(course, code, stop.now.t)) for code in stop.codes),
+        "; ".join(dict.fromkeys(stop.now.hints[code] for code in stop.codes)),
+        others,
+    )
+
+
+def stops(course: Course) -> Iterator[Standstill]:
+    """Every time that what was commanded came to stand, or a fault came up while it stood."""
+    for number, (before, now) in enumerate(pairwise(course.told), 1):
+        came_to_stand = before.state in _COMMANDED and now.state in ("ready", "idle")
+        if before.state != now.state and (now.state in ("hold", "fault") or came_to_stand):
+            after = (later.t for later in course.told[number + 1 :] if later.state == "tracking")
+            yield Standstill(before, now, next(after, math.inf))
+
+
+def lines(run: Run, answer: Explanation) -> Iterator[str]:
+    """The answer in plain words."""
+    cause = answer.cause
+    if answer.happened and answer.cause.kind in ("died", "cut"):
+        yield f"{run.path.name}: at {answer.since:.2f} s {answer.happened} (state {answer.state})"
+    elif answer.happened:
+        until = "to the end" if math.isinf(answer.until) else f"until {answer.until:.2f} s"
+        yield f"{run.path.name}: at {answer.since:.2f} s {answer.happened}, {until} (state {answer.state})"
+    else:
+        yield f"{run.path.name}: at {answer.t:.2f} s, state {answer.state}"
+    yield f"why       {cause.sentence}"
+    for number, each in enumerate(cause.evidence):
+        yield f"{'' if number else 'evidence':10}{each.where}: {each.what}"
+    for number, (code, seconds) in enumerate(answer.standing):
+        text = TABLE[code].text if code in TABLE else ""
+        yield f"{'' if number else 'fault':10}{code}, stood for {seconds:.2f} s" + (f": {text}" if text else "")
+    if answer.hint:
+        yield f"do        {answer.hint}"
+    for number, (t, what) in enumerate(answer.others[-OTHERS:]):
+        yield f"{'' if number else 'besides':10}--at {t:.2f}  {what}"
+    if len(answer.others) > OTHERS:
+        yield f"{'':10}and {len(answer.others) - OTHERS} before"
+
+
+def _asked(course: Course, found: tuple[Standstill, ...], t: float | None) -> Standstill | None:
+    """The stop that is asked about: that in which `t` lies, or the last one; None where it went on, or broke off."""
+    if t is None:
+        moving = course.told[-1].state in _COMMANDED and course.complete
+        return None if moving or not found else found[-1]
+    lies = [stop for stop in found if stop.now.t <= t < stop.until]
+    return lies[-1] if lies and t <= course.end + 1.0 else None
+
+
+def _not_stopped(run: Run, course: Course, t: float, others: tuple[tuple[float, str], ...]) -> Explanation:
+    told = course.at(t) or course.told[0]
+    case = RunCase(course, closeup_of(run, min(t, course.end)), run.config)
+    rel = t - course.begin
+    if t >= course.end - END_S and told.state in _COMMANDED:
+        happened = "the recording ends"
+        return Explanation(rel, told.state, happened, course.end - course.begin, math.inf, of_end(case), (), "", others)
+    if told.state == "tracking":
+        return Explanation(rel, told.state, "", rel, rel, of_tracking(case, told, t), (), "", others)
+    cause = StopCause("before", "", f"it had not been commanded yet: the state was {told.state}")
+    grave = told.grave("hold", "stop")
+    if grave:
+        cause = of_fault(case, grave, told.t)
+    standing = tuple((code, _stood(course, code, told.t)) for code in grave)
+    return Explanation(rel, told.state, "", rel, rel, cause, standing, "; ".join(told.hints[c] for c in grave), others)
+
+
+def _stood(course: Course, code: str, t: float) -> float:
+    """How long (s) the fault that came up at `t` stood, up to the run's end at most."""
+    after = [told for told in course.told if told.t >= t]
+    return next((told.t for told in after if code not in told.faults), course.end) - t
+
+
+def _in_short(stop: Standstill) -> str:
+    return f"{_HAPPENED.get(stop.now.state, stop.now.state)}: {', '.join(stop.codes) or 'no fault'}"
