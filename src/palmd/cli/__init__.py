@@ -58,8 +58,9 @@ def _asked_for(argv: Sequence[str] | None) -> tuple[ModuleType, argparse.Namespa
 
 def _take_any_terminal() -> None:
     """A terminal or pipe that is not UTF-8 gets a ? for what it cannot show, instead of a traceback."""
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
 def _start_logging() -> None:

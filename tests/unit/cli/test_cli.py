@@ -1,6 +1,7 @@
 """The command line as a whole: its table, exit statuses, how quick it is, log lines, the progress bar."""
 
 import importlib
+import importlib.metadata
 import io
 import logging
 import os
@@ -13,7 +14,8 @@ import palmd
 from palmd import cli
 from palmd.cli.table import COMMANDS, below, loaded
 from palmd.console.errors import CliError
-from palmd.console.progress import Progress
+from palmd.console.extras import install_line
+from palmd.console.progress import Progress, working
 from palmd.logformat import JournalFormatter, is_journal
 
 
@@ -66,6 +68,15 @@ def test_help_on_any_terminal(encoding):
     assert "see: palmd COMMAND --help" in " ".join(done.stdout.decode(encoding).split())
 
 
+def test_errors_on_any_terminal(tmp_path):
+    plan = tmp_path / "plan.yaml"
+    plan.write_text("name: x\nsegments: [{move: {phi1_deg: 200}, duration_s: 1.0}]\n")
+    command = [sys.executable, "-m", "palmd", "check", str(plan)]
+    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(command, env=environment, capture_output=True, check=False)
+    assert b"phi1 reaches 200?, the limit is 150?" in done.stderr
+
+
 def test_data_on_standard_output_are_utf_8_on_any_terminal(tmp_path):
     program = (
         "import pathlib; from palmd.cli import logs, main; main(['keys', 'list'])\n"
@@ -96,7 +107,7 @@ def test_a_package_that_only_the_laboratory_needs_is_told_when_it_is_missing(mon
 
     monkeypatch.setattr(importlib, "import_module", not_there)
     assert cli.main(["bench", "peers"]) == 1
-    told = "palmd bench peers needs filterpy, which is not installed: pip install 'palmd[lab]'\n"
+    told = f"palmd bench peers needs filterpy, which is not installed: {install_line('filterpy', 'lab')}\n"
     assert capsys.readouterr().err == told
     with pytest.raises(ModuleNotFoundError):
         cli.main(["run"])
@@ -218,3 +229,46 @@ def test_the_bar_stays_away_otherwise(monkeypatch):
             progress.at(100)
         assert stream.getvalue() == ""
         now[0] = 100.0
+
+
+@pytest.mark.parametrize(("encoding", "cells"), [("utf-8", "█" * 15 + "░" * 15), ("ascii", "#" * 15 + "." * 15)])
+def test_the_bar_on_a_terminal_of_another_encoding(monkeypatch, encoding, cells):
+    now = [100.0]
+    monkeypatch.setattr("palmd.console.progress.time.monotonic", lambda: now[0])
+    terminal = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
+    terminal.isatty = lambda: True
+    with Progress("work", 200, "ticks", terminal) as progress:
+        now[0] = 102.0
+        progress.at(100)
+    assert cells in terminal.buffer.getvalue().decode(encoding)
+
+
+def test_what_has_no_measure_is_named_while_it_lasts():
+    terminal = Terminal()
+    with working("reading run.mcap", terminal):
+        assert terminal.getvalue() == "\rreading run.mcap ..."
+    assert terminal.getvalue().endswith("\r\x1b[K")
+    with working("reading run.mcap", pipe := io.StringIO()):
+        pass
+    assert pipe.getvalue() == ""
+
+
+# ---------------------------------------------------------------------------------------- optional packages
+
+
+def test_a_missing_package_is_told_with_the_exact_line_to_type(monkeypatch, tmp_path):
+    def declared(_name):
+        return ["numpy>=1.26", "matplotlib>=3.8; extra == 'report'", 'matplotlib>=3.8; extra == "lab"',
+                "filterpy>=2.0; extra == 'lab'"]  # fmt: skip
+
+    monkeypatch.setattr("importlib.metadata.requires", declared)
+    monkeypatch.setattr(sys, "executable", str(tmp_path / ".venv/bin/python"))
+    assert install_line("matplotlib", "report") == f"{tmp_path}/.venv/bin/python -m pip install 'matplotlib>=3.8'"
+    monkeypatch.chdir(tmp_path)
+    assert install_line("filterpy", "lab") == ".venv/bin/python -m pip install 'matplotlib>=3.8' 'filterpy>=2.0'"
+
+    def none(_name):
+        raise importlib.metadata.PackageNotFoundError
+
+    monkeypatch.setattr("importlib.metadata.requires", none)  # palmd from its sources
+    assert install_line("matplotlib", "report") == ".venv/bin/python -m pip install matplotlib"
