@@ -37,8 +37,8 @@ class Progress:
         self._next = time.monotonic() + _EVERY_S
         self._shown = True
         filled = _WIDTH * done // self._total
-        full, empty = _cells(self._stream)
-        bar = full * filled + empty * (_WIDTH - filled)
+        cells = _cells(self._stream)
+        bar = cells[0] * filled + cells[1] * (_WIDTH - filled)
         self._stream.write(f"\r{self._what} {bar} {100 * done // self._total:3d} % of {self._total} {self._unit}")
         self._stream.flush()
 

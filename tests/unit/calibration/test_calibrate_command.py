@@ -175,9 +175,8 @@ def test_without_matplotlib_the_result_is_stored_all_the_same(configured, monkey
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     config = configured()
     assert calibrate(config) == 0
-    assert (
-        capsys.readouterr().err == f"no figure: matplotlib is not installed: {install_line('matplotlib', 'report')}\n"
-    )
+    told = f"no figure: matplotlib is not installed: {install_line('matplotlib', 'report')}\n"
+    assert capsys.readouterr().err == told
     assert [path.name for path in (config.parent / "calibration").iterdir()] == ["pad1.yaml"]
 
 

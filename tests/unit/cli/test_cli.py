@@ -3,6 +3,7 @@
 import importlib
 import importlib.metadata
 import io
+import json
 import logging
 import os
 import subprocess
@@ -165,6 +166,52 @@ def test_check_tells_all_errors_at_once(tmp_path, capsys):
     err = capsys.readouterr().err.splitlines()
     assert len(err) == 3
     assert sum(line.startswith(f"{bad}:") for line in err) == 2
+
+
+def test_check_tells_programs_in_json(tmp_path, capsys):
+    good, bad = tmp_path / "good.yaml", tmp_path / "bad.yaml"
+    good.write_text("name: x\nsegments: [{hold_s: 1.0}]\n")
+    bad.write_text("name: x\nsegments: [{hold_s: -1.0}]\n")
+    assert cli.main(["check", str(good), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"good": True, "problems": []}
+    assert cli.main(["check", str(bad), "--json"]) == 1
+    told = capsys.readouterr()
+    text = "segments.0.hold_s: must be more than 0; got -1.0"
+    assert json.loads(told.out)["problems"] == [{"file": str(bad), "line": 2, "column": 21, "text": text}]
+    assert told.err == ""
+    (tmp_path / "o.json").write_text("{}")
+    assert cli.main(["check", str(tmp_path / "o.json"), "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["problems"][0]["file"] == str(tmp_path / "o.json")
+
+
+def test_check_draws_what_a_plan_does(tmp_path, capsys, monkeypatch):
+    plan, picture = tmp_path / "plan.yaml", tmp_path / "out.svg"
+    plan.write_text(
+        "name: fast\nrepeat: 2\nsegments:\n  - {move: {phi1_deg: 45, phi2_deg: 90}, duration_s: 2.0}\n"
+        "  - {move: {phi1_deg: 70}, duration_s: 0.5}\n"
+    )
+    assert cli.main(["check", str(plan), "--draw", str(picture)]) == 0
+    told = capsys.readouterr().out.splitlines()
+    assert told == [f"{plan}: good", f"{picture}: 3 s; nearest to its limit: phi1 + phi2 135 to 160 of 0 to 172°"]
+    assert "<svg" in picture.read_text()
+    first = picture.read_bytes()
+    assert cli.main(["check", str(plan), "--draw", str(picture), "--json"]) == 0
+    assert picture.read_bytes() == first
+    capsys.readouterr()
+    for argv, error in (
+        ([str(plan), "--draw", "out.txt"], "out.txt: a picture is .svg, .pdf, .png; name it so"),
+        ([str(plan), str(plan), "--draw", str(picture)], "there are 2 plans and 0 configurations"),
+        ([str(plan), "--draw", str(tmp_path / "none/out.svg")], "cannot be written: No such file or directory"),
+    ):
+        assert cli.main(["check", *argv]) == 1
+        assert error in capsys.readouterr().err
+    for module in ("palmd.report.plan_figure", "palmd.report.axes"):
+        monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert cli.main(["check", str(plan), "--draw", str(picture)]) == 1
+    assert f"--draw needs matplotlib, which is not installed: {install_line('matplotlib', 'report')}" in (
+        capsys.readouterr().err
+    )
 
 
 def test_run_refuses_a_missing_configuration(tmp_path, capsys):
