@@ -12,7 +12,7 @@ from types import ModuleType
 
 from palmd import __version__, blas
 from palmd.cli.table import Command, below, loaded, parser_of, said
-from palmd.console.arguments import one_of
+from palmd.console.arguments import Parser, one_of
 from palmd.console.errors import USAGE, CliError
 from palmd.logformat import formatter
 
@@ -75,7 +75,7 @@ def _listed(commands: Mapping[str, Command]) -> str:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="palmd",
         description="An unknown planar object on two touchpad palms, reconstructed live.",
         epilog="commands:\n"
@@ -92,7 +92,7 @@ def _parser() -> argparse.ArgumentParser:
 def _group_parser(command: Command) -> argparse.ArgumentParser:
     """For a command that consists of others: which of them."""
     names = below(command.name)
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog=f"palmd {command.name}",
         description=command.help,
         epilog="names:\n" + _listed(names),

@@ -65,9 +65,9 @@ def problem(error: str) -> dict[str, str | int | None]:
 def _draw(files: Sequence[Path], output: Path, *, quiet: bool) -> None:
     """The picture of the one plan among the files, on the rig of the one configuration among them, else as shipped."""
     from palmd.console.shipped import shipped
-    from palmd.motion.check import is_plan, motion_limits
+    from palmd.motion.check import motion_limits
     from palmd.motion.plan import compile_plan
-    from palmd.yamlfile import load_config, load_plan, read_document
+    from palmd.yamlfile import is_plan, load_config, load_plan, read_document
 
     plans = [path for path in files if is_plan(read_document(path))]
     configs = [path for path in files if path not in plans]

@@ -16,7 +16,7 @@ from palmd.motion.plan import PlanError, Trajectory, compile_plan
 from palmd.motion.segments import Angles
 from palmd.outlinefile import OutlineError, read_library
 from palmd.plausibility import implausible
-from palmd.yamlfile import ConfigError, Document, parse, read_document
+from palmd.yamlfile import ConfigError, Document, is_plan, parse, read_document
 
 DEFAULT_PAD_LENGTH_MM: float = PadBase.model_fields["length_mm"].default
 
@@ -44,11 +44,6 @@ def compiled(document: Document, spec: PlanSpec, limits: MotionLimits, start: An
         raise document.error(
             [(document.place(loc), f"{'.'.join(map(str, loc))}: {text}") for loc, text in error.problems]
         ) from None
-
-
-def is_plan(document: Document) -> bool:
-    """Whether it means to be a motion plan: what has `segments` does, however wrong it is otherwise."""
-    return isinstance(document.data, dict) and "segments" in document.data
 
 
 def check_files(paths: Sequence[Path]) -> list[str]:
@@ -149,17 +144,18 @@ def _plan_named(document: Document, config: Config, errors: list[str], *, given:
     except OSError:  # whoever reads it tells why
         return [config.plan]
     if not there:
-        near = difflib.get_close_matches(config.plan.name, _plans_beside(config.plan), n=1)
-        meant = f"; is {config.plan.parent / near[0]} meant?" if near else ""
+        beside = {each.stem: each for each in _plans_beside(config.plan)}
+        near = difflib.get_close_matches(config.plan.stem, beside, n=1)
+        meant = f"; is {beside[near[0]]} meant?" if near else ""
         errors.append(document.line(document.place(("plan",)), f"plan: {config.plan} does not exist{meant}"))
         return []
     resolved = config.plan.resolve()
     return [] if any(path.resolve() == resolved for path in given) else [config.plan]
 
 
-def _plans_beside(plan: Path) -> list[str]:
+def _plans_beside(plan: Path) -> list[Path]:
     try:
-        return sorted(each.name for each in plan.parent.iterdir() if each.suffix in (".yaml", ".yml"))
+        return sorted(each for each in plan.parent.iterdir() if each.suffix in (".yaml", ".yml"))
     except OSError:
         return []
 
