@@ -50,7 +50,7 @@ $(VENV)/bin/python:
 	@$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.run-installed: requirements.lock pyproject.toml | $(VENV)/bin/python
-	@echo "installing palmd (some 160 MB the first time)…"
+	@echo "installing palmd (some 180 MB the first time)…"
 	@$(PIP) install --require-hashes -r requirements.lock
 	@$(PIP) install --no-deps --no-build-isolation -e .
 	@touch $@
@@ -61,8 +61,8 @@ $(VENV)/.dev-installed: requirements-dev.lock $(VENV)/.run-installed
 	@touch $@
 
 lock: $(VENV)/bin/python  ## renew both lock files (needs uv)
-	uv pip compile -q pyproject.toml --extra build --universal --python-version 3.11 --generate-hashes --no-header -o requirements.lock
-	uv pip compile -q pyproject.toml --extra build --extra dev --universal --python-version 3.11 --generate-hashes --no-header -o requirements-dev.lock
+	uv pip compile -q pyproject.toml --extra build --extra report --universal --python-version 3.11 --generate-hashes --no-header -o requirements.lock
+	uv pip compile -q pyproject.toml --extra build --extra report --extra dev --universal --python-version 3.11 --generate-hashes --no-header -o requirements-dev.lock
 
 wheelhouse: setup  ## everything needed to install on a machine without network, in wheelhouse/
 	$(PIP) download --require-hashes -r requirements.lock -d wheelhouse

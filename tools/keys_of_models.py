@@ -14,22 +14,19 @@ from pydantic import AfterValidator, PlainValidator
 from pydantic.fields import FieldInfo
 
 from palmd import config
-from palmd.config import Strict
+from palmd.config import Plausible, Strict, unit_of
 
-UNITS = {
-    "counts_per_mm": "counts/mm", "newtons_per_count": "N/count", "_m_s2": "m/s²", "_deg_s2": "°/s²", "_deg_s": "°/s",
-    "_deg": "°", "_mm": "mm", "_mm_per_n": "mm/N", "_hz": "Hz", "_ms": "ms", "_s": "s", "baud": "bit/s",
-}  # fmt: skip
 BOUNDS = ((at.Gt, "gt", ">"), (at.Ge, "ge", "≥"), (at.Lt, "lt", "<"), (at.Le, "le", "≤"))
 
 
 class Key(NamedTuple):
-    """One key as a row: path, unit, default, what is allowed, meaning."""
+    """One key as a row: path, unit, default, what is allowed, what is usual, meaning."""
 
     path: str
     unit: str
     default: str
     allowed: str
+    usual: str
     meaning: str
 
 
@@ -55,8 +52,8 @@ def keys(model: type[Strict], path: str = "") -> Iterator[Key]:
     for name, field in model.model_fields.items():
         inner = model_in(field.annotation)
         if inner is None or isinstance(field.default, str):  # a word may stand for the block
-            unit = next((unit for end, unit in UNITS.items() if name.endswith(end)), "")
-            yield Key(path + name, unit, _default(field), _allowed(field), _text(model, name))
+            usual = next((str(each) for each in field.metadata if isinstance(each, Plausible)), "")
+            yield Key(path + name, unit_of(name), _default(field), _allowed(field), usual, _text(model, name))
         if inner is not None and name == alike[inner][0]:
             yield from keys(inner, f"{path}{', '.join(alike[inner])}.")
 
@@ -113,19 +110,27 @@ def _rules(kind: Any, metadata: Sequence[Any]) -> Iterator[str]:
 
 # --------------------------------------------------------------------------------------------------- pages
 
-HEAD = ("key", "unit", "default", "allowed", "meaning")
 
-
-def rows(found: Iterable[Key]) -> list[tuple[str, ...]]:
-    return [(f"`{key.path}`", key.unit, f"`{key.default}`", key.allowed, key.meaning) for key in found]
+def table(found: Iterable[Key]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Head and rows; without the column of what is usual where no key has any."""
+    keys = list(found)
+    usual = any(key.usual for key in keys)
+    head = ("key", "unit", "default", "allowed", *(["usual"] if usual else []), "meaning")
+    rows = [
+        (f"`{key.path}`", key.unit, f"`{key.default}`", key.allowed, *([key.usual] if usual else []), key.meaning)
+        for key in keys
+    ]
+    return head, rows
 
 
 CONFIGURATION = """\
 # Configuration
 
 One YAML file says what the rig is; `config/palmd.yaml` is one to copy. Keys not named here are refused, and so is a
-value outside what is allowed: `palmd check FILE` says so with file, line and column, all errors at once. *needed*
-stands where there is no default. A path is relative to the folder of the file it stands in.
+value outside what is allowed: `palmd check FILE` says so with file, line and column, all errors at once. It also asks
+whether a value is meant whose size (of two, the larger) is far from what is *usual*, as after a slip of unit; the
+daemon takes it all the same. *needed* stands where there is no default. A path is relative to the folder of the file it
+stands in.
 """
 PLANS = """\
 # Motion plans

@@ -162,17 +162,17 @@ def configuration() -> str:
             single += [key for key in keys_of_models.keys(Config) if key.path == name]
             continue
         parts.append(f"\n## `{name}`\n\n{section.__doc__}\n\n")
-        parts.append(table(keys_of_models.HEAD, keys_of_models.rows(keys_of_models.keys(section))))
-    parts.append("\n## Beside the sections\n\n" + table(keys_of_models.HEAD, keys_of_models.rows(single)))
+        parts.append(table(*keys_of_models.table(keys_of_models.keys(section))))
+    parts.append("\n## Beside the sections\n\n" + table(*keys_of_models.table(single)))
     return "".join(parts)
 
 
 def plans() -> str:
-    parts = [keys_of_models.PLANS, "\n", table(keys_of_models.HEAD, keys_of_models.rows(keys_of_models.keys(PlanSpec)))]
+    parts = [keys_of_models.PLANS, "\n", table(*keys_of_models.table(keys_of_models.keys(PlanSpec)))]
     for segment in SEGMENTS:
         kind = next(iter(segment.model_fields))
         parts.append(f"\n## `{kind}`\n\n{segment.__doc__}\n\n")
-        parts.append(table(keys_of_models.HEAD, keys_of_models.rows(keys_of_models.keys(segment))))
+        parts.append(table(*keys_of_models.table(keys_of_models.keys(segment))))
     return "".join(parts)
 
 

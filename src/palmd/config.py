@@ -11,6 +11,7 @@ import ipaddress
 import json
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 from urllib.parse import urlsplit
@@ -124,6 +125,42 @@ def _ipv4(host: str | None) -> ipaddress.IPv4Address | None:
         return None
 
 
+UNITS = {
+    "counts_per_mm": "counts/mm", "newtons_per_count": "N/count", "_m_s2": "m/s²", "_deg_s2": "°/s²", "_deg_s": "°/s",
+    "_deg": "°", "_mm": "mm", "_mm_per_n": "mm/N", "_hz": "Hz", "_ms": "ms", "_s": "s", "baud": "bit/s",
+}  # fmt: skip
+"""By how a key ends."""
+
+
+def unit_of(key: str) -> str:
+    """The unit in a key's name, nothing for one without."""
+    return next((unit for end, unit in UNITS.items() if key.endswith(end)), "")
+
+
+def size(value: float | tuple[float, ...]) -> float:
+    """Of a value without its sign, or of the larger one of several."""
+    return max(map(abs, value)) if isinstance(value, tuple) else abs(value)
+
+
+@dataclass(frozen=True, slots=True)
+class Plausible:
+    """What rigs of this kind have: `low` to `high` in size, or 0 where `or_zero`; of two values the larger counts.
+
+    Another value is taken all the same by whoever reads the configuration. `palmd check` asks whether it is meant.
+    """
+
+    low: float
+    high: float
+    or_zero: bool = False
+
+    def holds(self, value: float | tuple[float, ...]) -> bool:
+        """Whether a value, or the larger of two, is one of these."""
+        return self.low <= size(value) <= self.high or (self.or_zero and size(value) == 0.0)
+
+    def __str__(self) -> str:
+        return ("0, or " if self.or_zero else "") + f"{self.low:g} to {self.high:g}"
+
+
 Positive = Annotated[FiniteFloat, Field(gt=0)]
 NotNegative = Annotated[FiniteFloat, Field(ge=0)]
 Baud = Annotated[int, _one_of(*BAUDS)]
@@ -199,19 +236,19 @@ def _imperfections_kind(value: Any) -> str:
 class RigConfig(Strict):
     """Gravity and the palms' linkage, in the world frame."""
 
-    gravity_m_s2: Annotated[FiniteFloat, Field(gt=0, le=30)] = 9.81
+    gravity_m_s2: Annotated[FiniteFloat, Field(gt=0, le=30), Plausible(0.1, 12)] = 9.81
     """In the plane of the palms: 9.81 · sin(tilt of the table)."""
     hinge: Annotated[Literal["arc"], BeforeValidator(_that_can_be_driven)] = "arc"
     """`arc`: palm 1 is hinged to B, the arm holds the far end of palm 2."""
-    base_mm: Pair = (120.0, 0.0)
+    base_mm: Annotated[Pair, Plausible(5, 2000, or_zero=True)] = (120.0, 0.0)
     """B, the fixed hinge at the far end of palm 1, in the world frame."""
-    palm1_length_mm: Annotated[FiniteFloat, Field(gt=0, le=2000)] = 120.0
+    palm1_length_mm: Annotated[FiniteFloat, Field(gt=0, le=2000), Plausible(20, 1000)] = 120.0
     """From the hinge between the palms to B."""
-    palm2_length_mm: Annotated[FiniteFloat, Field(gt=0, le=2000)] = 120.0
+    palm2_length_mm: Annotated[FiniteFloat, Field(gt=0, le=2000), Plausible(20, 1000)] = 120.0
     """From the hinge between the palms to where the arm holds palm 2."""
-    angle_sd_deg: Annotated[NotNegative, Field(le=10)] = 0.1
+    angle_sd_deg: Annotated[NotNegative, Field(le=10), Plausible(0.001, 3, or_zero=True)] = 0.1
     """How well the palms' angles are known, one sigma; this and the other `_sd` are as calibration leaves a rig."""
-    gravity_sd_deg: Annotated[NotNegative, Field(le=10)] = 0.2
+    gravity_sd_deg: Annotated[NotNegative, Field(le=10), Plausible(0.001, 5, or_zero=True)] = 0.2
     """How well gravity's direction is known, one sigma."""
     friction_asymmetry_sd: Annotated[NotNegative, Field(le=1)] = 0.3
     """How alike the palms rub: one sigma of (μ1 − μ2)/(μ1 + μ2); 0 where both surely have one friction."""
@@ -249,27 +286,27 @@ class PadBase(Strict):
     """Which of the pad's axes lies along the palm."""
     sign: Annotated[int, _one_of(1, -1)] = 1
     """1 where the counts grow away from the hinge."""
-    zero_mm: Annotated[FiniteFloat, Field(ge=-1000, le=1000)] = 28.0
+    zero_mm: Annotated[FiniteFloat, Field(ge=-1000, le=1000), Plausible(0.1, 300, or_zero=True)] = 28.0
     """Distance from the hinge of the place where the pad counts 0."""
-    counts_per_mm: Annotated[FiniteFloat, Field(gt=0, le=1000)] = 7.874
+    counts_per_mm: Annotated[FiniteFloat, Field(gt=0, le=1000), Plausible(0.5, 150)] = 7.874
     """The pad's scale; 200 counts per inch."""
-    newtons_per_count: Positive = 0.02
+    newtons_per_count: Annotated[Positive, Plausible(0.0005, 0.5)] = 0.02
     """What one count of pressure is worth."""
-    length_mm: Annotated[FiniteFloat, Field(gt=0, le=1000)] = 55.5
+    length_mm: Annotated[FiniteFloat, Field(gt=0, le=1000), Plausible(10, 500)] = 55.5
     """How far from the hinge the pad reaches."""
-    noise_mm: Annotated[FiniteFloat, Field(gt=0, le=5)] = 0.1
+    noise_mm: Annotated[FiniteFloat, Field(gt=0, le=5), Plausible(0.002, 2)] = 0.1
     """One sigma of a position, its rounding not counted."""
-    zero_sd_mm: Annotated[NotNegative, Field(le=10)] = 0.1
+    zero_sd_mm: Annotated[NotNegative, Field(le=10), Plausible(0.001, 5, or_zero=True)] = 0.1
     """How well the zero is known, one sigma."""
-    scale_sd: Annotated[NotNegative, Field(le=0.2)] = 0.003
+    scale_sd: Annotated[NotNegative, Field(le=0.2), Plausible(0.00001, 0.05, or_zero=True)] = 0.003
     """How well the scale is known, one sigma, as a share of it."""
-    standoff_sd_mm: Annotated[NotNegative, Field(le=10)] = 0.2
+    standoff_sd_mm: Annotated[NotNegative, Field(le=10), Plausible(0.001, 5, or_zero=True)] = 0.2
     """By how much the pad's surface may lie off the hinge line, one sigma; no motion tells it."""
-    sagitta_sd_mm: Annotated[NotNegative, Field(le=5)] = 0.03
+    sagitta_sd_mm: Annotated[NotNegative, Field(le=5), Plausible(0.001, 2, or_zero=True)] = 0.03
     """By how much the pad's middle may be higher than its ends, one sigma."""
-    lag_sd_ms: Annotated[NotNegative, Field(le=100)] = 2.0
+    lag_sd_ms: Annotated[NotNegative, Field(le=100), Plausible(0.05, 50, or_zero=True)] = 2.0
     """How well the time of a reading is known, one sigma."""
-    force_sd_mm_per_n: Annotated[NotNegative, Field(le=10)] = 0.05
+    force_sd_mm_per_n: Annotated[NotNegative, Field(le=10), Plausible(0.0005, 2, or_zero=True)] = 0.05
     """By how much a reading may move with the contact's force, one sigma."""
 
 
@@ -345,13 +382,13 @@ ArmConfig = AdeptConfig
 class LimitsConfig(Strict):
     """What the palms may do; the same rate and acceleration hold for each palm angle."""
 
-    phi1_deg: AngleRange = (6.0, 150.0)
+    phi1_deg: Annotated[AngleRange, Plausible(10, 180)] = (6.0, 150.0)
     """Palm 1 from the world X axis."""
-    phi2_deg: OpeningRange = (35.0, 155.0)
+    phi2_deg: Annotated[OpeningRange, Plausible(10, 180)] = (35.0, 155.0)
     """Palm 2 from palm 1."""
-    rate_deg_s: Annotated[FiniteFloat, Field(gt=0, le=2000)] = 120.0
+    rate_deg_s: Annotated[FiniteFloat, Field(gt=0, le=2000), Plausible(3, 720)] = 120.0
     """Of each palm angle."""
-    acceleration_deg_s2: Annotated[FiniteFloat, Field(gt=0, le=50000)] = 900.0
+    acceleration_deg_s2: Annotated[FiniteFloat, Field(gt=0, le=50000), Plausible(20, 20000)] = 900.0
     """Of each palm angle."""
 
     @property
@@ -363,7 +400,7 @@ class LimitsConfig(Strict):
 class LoopConfig(Strict):
     """The control loop."""
 
-    rate_hz: Annotated[FiniteFloat, Field(ge=10, le=1000)] = 100.0
+    rate_hz: Annotated[FiniteFloat, Field(ge=10, le=1000), Plausible(20, 500)] = 100.0
     """How many ticks a second."""
 
 

@@ -32,6 +32,10 @@ class KeysError(Exception):
     """A key that cannot be used, made or listed; one line that names the file and what to do."""
 
 
+class KeysClosedError(KeysError):
+    """A key that this user may not read."""
+
+
 class Role(StrEnum):
     """What a client may do: watch the topics and ask for the status, or give every command."""
 
@@ -203,6 +207,8 @@ def _read(path: Path, forbidden: int = 0) -> dict[str, str]:
             content = file.read(FILE_BYTES_MAX + 1)
     except FileNotFoundError:
         raise KeysError(f"{path}: no such file; palmd keys new makes one") from None
+    except PermissionError as error:
+        raise KeysClosedError(f"{path}: cannot be read ({error.strerror})") from None
     except OSError as error:
         raise KeysError(f"{path}: cannot be read ({error.strerror})") from None
     values: dict[str, str] = {}

@@ -94,6 +94,11 @@ def read_document(path: Path, text: str | None = None) -> Document:
     return document
 
 
+def is_plan(document: Document) -> bool:
+    """Whether it means to be a motion plan: what has `segments` does, however wrong it is otherwise."""
+    return isinstance(document.data, dict) and "segments" in document.data
+
+
 def parse(document: Document, model: type[Model]) -> Model:
     """The document as a checked model; raises ConfigError with everything that is wrong with it."""
     problems = list(document.problems)
@@ -111,7 +116,11 @@ def parse(document: Document, model: type[Model]) -> Model:
 
 def load_config(path: Path) -> Config:
     """The configuration in a file; raises ConfigError."""
-    return parse(read_document(path), Config)
+    document = read_document(path)
+    if is_plan(document):
+        text = "this is a motion plan; wanted is a configuration, which may name it (plan: FILE)"
+        raise document.error([(Place(), text)])
+    return parse(document, Config)
 
 
 def load_plan(path: Path) -> PlanSpec:

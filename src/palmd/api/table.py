@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.api.errors import PalmdError
+from palmd.console.extras import install_line
 from palmd.record.tables import flat
 
 Column = npt.NDArray[Any]
@@ -49,7 +50,8 @@ class DataTable(Mapping[str, Column]):
         try:
             import pandas
         except ModuleNotFoundError:
-            raise PalmdError("a data frame needs pandas, which is not installed: pip install 'palmd[pandas]'") from None
+            line = install_line("pandas", "pandas")
+            raise PalmdError(f"a data frame needs pandas, which is not installed: {line}") from None
         return pandas.DataFrame({name: list(column) if column.ndim > 1 else column for name, column in self.items()})
 
     def __repr__(self) -> str:

@@ -70,7 +70,7 @@ class Link:
             except zmq.ZMQError as error:
                 self.close()
                 raise CliError(
-                    BAD_INPUT, f"{address}: not an address ({error.strerror}); it looks like {PUBLISH}"
+                    BAD_INPUT, f"{address}: not an address ({_reason(error)}); one looks like {PUBLISH}"
                 ) from None
 
     def close(self) -> None:
@@ -98,3 +98,8 @@ def unpacked(payload: bytes) -> dict[str, Any] | None:
     except Exception:  # msgpack raises half a dozen kinds for bytes that are not its own
         return None
     return fields if isinstance(fields, dict) else None
+
+
+def _reason(error: zmq.ZMQError) -> str:
+    """What the library has against it, without the address again."""
+    return str(error.strerror).partition(" (addr=")[0]

@@ -12,7 +12,7 @@ from types import ModuleType
 
 from palmd import __version__, blas
 from palmd.cli.table import Command, below, loaded, parser_of, said
-from palmd.console.arguments import one_of
+from palmd.console.arguments import Parser, one_of
 from palmd.console.errors import USAGE, CliError
 from palmd.logformat import formatter
 
@@ -58,8 +58,9 @@ def _asked_for(argv: Sequence[str] | None) -> tuple[ModuleType, argparse.Namespa
 
 def _take_any_terminal() -> None:
     """A terminal or pipe that is not UTF-8 gets a ? for what it cannot show, instead of a traceback."""
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
 def _start_logging() -> None:
@@ -74,7 +75,7 @@ def _listed(commands: Mapping[str, Command]) -> str:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="palmd",
         description="An unknown planar object on two touchpad palms, reconstructed live.",
         epilog="commands:\n"
@@ -91,7 +92,7 @@ def _parser() -> argparse.ArgumentParser:
 def _group_parser(command: Command) -> argparse.ArgumentParser:
     """For a command that consists of others: which of them."""
     names = below(command.name)
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog=f"palmd {command.name}",
         description=command.help,
         epilog="names:\n" + _listed(names),

@@ -1,18 +1,32 @@
-"""Validates configurations, motion plans and stored outlines; a plan's limits are those of the configurations given."""
+"""Validates configurations, motion plans and stored outlines; a plan's limits are those of the configurations given.
+
+What a configuration names is checked with it, and values that can hardly be meant are asked about. `--draw` makes a
+picture of what a plan does: angles and rates within their limits, where the palms go, and which limit is nearest.
+"""
 
 from __future__ import annotations
 
 import argparse
+import json
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
 from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.extras import missing, only_without
+
+PICTURES = (".svg", ".pdf", ".png")
+_PLACED = re.compile(r"(.*?):(\d+):(\d+): (.*)", re.DOTALL)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     parser.add_argument(
         "files", nargs="+", type=Path, metavar="FILE", help="a configuration or a plan (YAML), an outline (.json, .csv)"
+    )
+    parser.add_argument("--json", action="store_true", help="print what is wrong as one JSON map")
+    parser.add_argument(
+        "--draw", type=Path, metavar="OUT.svg", help="a picture of what the one plan among FILE does (or .pdf, .png)"
     )
 
 
@@ -21,13 +35,58 @@ def run(arguments: argparse.Namespace) -> int:
     from palmd.motion.check import check_files
     from palmd.outlinefile import SUFFIXES
 
+    if arguments.draw is not None and arguments.draw.suffix.lower() not in PICTURES:
+        raise CliError(BAD_INPUT, f"{arguments.draw}: a picture is {', '.join(PICTURES)}; name it so")
     outlines = [path for path in arguments.files if path.suffix.lower() in SUFFIXES]
     errors = check_files([path for path in arguments.files if path not in outlines]) + _outline_errors(outlines)
+    if arguments.json:
+        print(json.dumps({"good": not errors, "problems": [problem(each) for each in errors]}, indent=2))
+        if errors:
+            return BAD_INPUT
     if errors:
         raise CliError(BAD_INPUT, "\n".join(errors))
-    for path in arguments.files:
-        print(f"{path}: good")
+    if not arguments.json:
+        for path in arguments.files:
+            print(f"{path}: good")
+    if arguments.draw is not None:
+        _draw([path for path in arguments.files if path not in outlines], arguments.draw, quiet=arguments.json)
     return 0
+
+
+def problem(error: str) -> dict[str, str | int | None]:
+    """An error line as a map; line and column are None where none is told."""
+    placed = _PLACED.fullmatch(error)
+    if placed is None:
+        path, _, text = error.partition(": ")
+        return {"file": path, "line": None, "column": None, "text": text}
+    return {"file": placed[1], "line": int(placed[2]), "column": int(placed[3]), "text": placed[4]}
+
+
+def _draw(files: Sequence[Path], output: Path, *, quiet: bool) -> None:
+    """The picture of the one plan among the files, on the rig of the one configuration among them, else as shipped."""
+    from palmd.console.shipped import shipped
+    from palmd.motion.check import motion_limits
+    from palmd.motion.plan import compile_plan
+    from palmd.yamlfile import is_plan, load_config, load_plan, read_document
+
+    plans = [path for path in files if is_plan(read_document(path))]
+    configs = [path for path in files if path not in plans]
+    if len(plans) != 1 or len(configs) > 1:
+        what = f"there are {len(plans)} plans and {len(configs)} configurations"
+        raise CliError(BAD_INPUT, f"--draw: give one plan, and its configuration if it is not the shipped one: {what}")
+    try:
+        from palmd.report.plan_figure import save
+    except ModuleNotFoundError as error:
+        only_without("matplotlib", error)
+        raise missing("--draw", "matplotlib", "report") from None
+    config = load_config(configs[0] if configs else shipped("palmd.yaml"))
+    limits = motion_limits(config)
+    try:
+        said = save(compile_plan(load_plan(plans[0]), limits), limits, config, output)
+    except OSError as error:
+        raise CliError(BAD_INPUT, f"{output}: cannot be written: {error.strerror or error}") from None
+    if not quiet:
+        print(f"{output}: {said}")
 
 
 def _outline_errors(paths: Sequence[Path]) -> list[str]:

@@ -11,7 +11,7 @@ from palmd import observer
 from palmd.cli.logs import add_calibration_argument, opened, read
 from palmd.cli.outlines import read_outlines
 from palmd.console.errors import BAD_INPUT, CliError
-from palmd.console.progress import Progress
+from palmd.console.progress import Progress, working
 from palmd.outlinefile import Outline
 from palmd.record.eventlog import EventLog
 from palmd.record.replay import lines, replay, tick_count
@@ -49,7 +49,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _replay(log: EventLog, name: observer.ObserverName, outlines: tuple[Outline, ...], stream: TextIO) -> None:
-    watcher = observer.make(name, log.rig, smoothing=observer.Simulated(log.rig), outlines=outlines)
+    with working(f"preparing the {name} observer"):
+        watcher = observer.make(name, log.rig, smoothing=observer.Simulated(log.rig), outlines=outlines)
     with Progress(f"{name} observer", tick_count(log), "ticks") as progress:
         for tick in replay(log, watcher):
             for line in lines(tick):

@@ -111,5 +111,6 @@ def _seconds(text: str) -> float:
 def _within(text: str, most: float) -> float:
     value = float(text)
     if not 0.0 < value <= most:
-        raise argparse.ArgumentTypeError(f"must be more than 0 and at most {most:g}, got {text}")
+        share = "; is a share of 1 meant, such as 0.95?" if most == 1.0 and 1.0 < value <= 100.0 else ""
+        raise argparse.ArgumentTypeError(f"must be more than 0 and at most {most:g}, got {text}{share}")
     return value

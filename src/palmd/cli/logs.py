@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TextIO
 
 from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.progress import working
 from palmd.record.eventlog import EventLog, LogError, read_log
 from palmd.record.run import RunError, is_recording, read_run
 from palmd.system.description import CALIBRATION_KEYS
@@ -53,7 +54,8 @@ def read(path: Path, calibration_sd: Sequence[tuple[str, float]] = ()) -> EventL
     first bytes; one that is named as a recording is taken for one even so.
     """
     try:
-        log = read_run(path).event_log() if is_recording(path) else read_log(path)
+        with working(f"reading {path}"):
+            log = read_run(path).event_log() if is_recording(path) else read_log(path)
     except (LogError, RunError) as error:
         raise CliError(BAD_INPUT, str(error)) from None
     for note in log.notes:

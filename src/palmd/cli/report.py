@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"a recording; or the word {PAPER}: figures 3.6, 3.8 to 3.11 and 3.15 (for a recording of that name: "
         f"./{PAPER})",
     )
-    parser.add_argument("logs", nargs="*", type=Path, metavar="LOG", help=f"for {PAPER}: {_LOGS}")
+    parser.add_argument("logs", nargs="*", type=Path, default=[], metavar="LOG", help=f"for {PAPER}: {_LOGS}")
     parser.add_argument(
         "-o",
         "--output",

@@ -7,6 +7,7 @@ import importlib
 from types import ModuleType
 from typing import NamedTuple
 
+from palmd.console.arguments import Parser
 from palmd.console.extras import missing
 
 
@@ -144,6 +145,6 @@ def loaded(command: Command) -> ModuleType:
 
 def parser_of(command: Command, module: ModuleType) -> argparse.ArgumentParser:
     """What takes the arguments of a command that has a module."""
-    parser = argparse.ArgumentParser(prog=f"palmd {command.name}", description=module.__doc__)
+    parser = Parser(prog=f"palmd {command.name}", description=module.__doc__)
     module.add_arguments(parser)
     return parser

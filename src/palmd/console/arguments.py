@@ -5,9 +5,33 @@ from __future__ import annotations
 import argparse
 import difflib
 import math
+import re
 from collections.abc import Callable, Collection
+from typing import NoReturn
 
 _SHORTEST_S = 0.5
+_NO_VALUE = re.compile(r"invalid (\w+) value: (.*)$")
+_NO_CHOICE = re.compile(r"invalid choice: (.*) \(choose from (.*)\)$")
+_WHOLE = ("int", "count", "seed")
+
+
+class Parser(argparse.ArgumentParser):
+    """Says what is wrong with an argument in the user's words, where argparse speaks of its own types and choices."""
+
+    def error(self, message: str) -> NoReturn:
+        """Ends with usage, the message and status 2."""
+        message = _NO_VALUE.sub(lambda m: f"must be {_kind(m[1])}, got {m[2]}", message)
+        super().error(_NO_CHOICE.sub(lambda m: no_such(m[1].strip("'"), re.findall(r"[^', ]+", m[2])), message))
+
+
+def _kind(converter: str) -> str:
+    return "a whole number" if converter in _WHOLE else "a number"
+
+
+def no_such(text: str, names: Collection[str]) -> str:
+    """That it is none of the names, and which may be meant, or which there are."""
+    near = difflib.get_close_matches(text, names, n=1)
+    return f"there is no {text!r}; " + (f"is {near[0]} meant?" if near else f"there are {', '.join(names)}")
 
 
 def one_of(names: Collection[str]) -> Callable[[str], str]:
@@ -16,10 +40,7 @@ def one_of(names: Collection[str]) -> Callable[[str], str]:
     def name(text: str) -> str:
         if text in names:
             return text
-        near = difflib.get_close_matches(text, names, n=1)
-        raise argparse.ArgumentTypeError(
-            f"there is no {text!r}; " + (f"is {near[0]} meant?" if near else f"there are {', '.join(names)}")
-        )
+        raise argparse.ArgumentTypeError(no_such(text, names))
 
     return name
 
@@ -44,7 +65,7 @@ def seconds(text: str) -> float:
     """A duration that leaves something to see (s)."""
     value = float(text)
     if not _SHORTEST_S <= value < math.inf:
-        raise argparse.ArgumentTypeError(f"{value:g} s is no duration from {_SHORTEST_S:g} s")
+        raise argparse.ArgumentTypeError(f"must be {_SHORTEST_S:g} s or more, got {text}")
     return value
 
 

@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 import importlib
+import importlib.metadata
+import os
+import re
+import shlex
 import sys
+from collections.abc import Sequence
+from pathlib import Path
 from types import ModuleType
 
 from palmd.console.errors import BAD_INPUT, CliError
@@ -17,7 +23,25 @@ def only_without(package: str, error: ModuleNotFoundError) -> None:
 
 def missing(what: str, package: str, extra: str) -> CliError:
     """What cannot be done without an optional package, and what installs it."""
-    return CliError(BAD_INPUT, f"{what} needs {package}, which is not installed: pip install 'palmd[{extra}]'")
+    return CliError(BAD_INPUT, f"{what} needs {package}, which is not installed: {install_line(package, extra)}")
+
+
+def install_line(package: str, extra: str) -> str:
+    """What to type for an extra's packages to be in this environment, whatever palmd itself was installed from."""
+    python = Path(sys.executable)
+    if python.is_relative_to(Path.cwd()):
+        python = Path(os.curdir) / python.relative_to(Path.cwd())
+    return shlex.join([str(python), "-m", "pip", "install", *(_requirements(extra) or [package])])
+
+
+def _requirements(extra: str) -> Sequence[str]:
+    """What an extra consists of, as palmd's own metadata say; nothing where it runs without any."""
+    try:
+        declared = importlib.metadata.requires("palmd") or []
+    except importlib.metadata.PackageNotFoundError:
+        return ()
+    wanted = re.compile(rf"extra\s*==\s*['\"]{re.escape(extra)}['\"]")
+    return [each.partition(";")[0].strip() for each in declared if wanted.search(each)]
 
 
 def drawing(module: str) -> ModuleType | None:
@@ -26,5 +50,5 @@ def drawing(module: str) -> ModuleType | None:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
         only_without("matplotlib", error)
-        print("no figure: matplotlib is not installed (pip install 'palmd[report]')", file=sys.stderr)
+        print(f"no figure: matplotlib is not installed: {install_line('matplotlib', 'report')}", file=sys.stderr)
         return None

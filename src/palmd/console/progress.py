@@ -1,15 +1,19 @@
-"""A progress bar for work that takes a while, on a terminal only."""
+"""A progress bar for work that takes a while, and a word where it has no measure; on a terminal only."""
 
 from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import TracebackType
 from typing import TextIO
 
 _QUIET_S = 1.0
 _EVERY_S = 0.1
 _WIDTH = 30
+_CELLS, _PLAIN_CELLS = "█░", "#."
+_ERASED = "\r\x1b[K"
 
 
 class Progress:
@@ -33,7 +37,8 @@ class Progress:
         self._next = time.monotonic() + _EVERY_S
         self._shown = True
         filled = _WIDTH * done // self._total
-        bar = "█" * filled + "░" * (_WIDTH - filled)
+        cells = _cells(self._stream)
+        bar = cells[0] * filled + cells[1] * (_WIDTH - filled)
         self._stream.write(f"\r{self._what} {bar} {100 * done // self._total:3d} % of {self._total} {self._unit}")
         self._stream.flush()
 
@@ -41,5 +46,30 @@ class Progress:
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         if self._shown:
-            self._stream.write("\r\x1b[K")
+            self._stream.write(_ERASED)
             self._stream.flush()
+
+
+@contextmanager
+def working(what: str, stream: TextIO | None = None) -> Iterator[None]:
+    """Says what is being done while it is, for work that cannot tell how far it has come."""
+    stream = stream or sys.stderr
+    if not stream.isatty():
+        yield
+        return
+    stream.write(f"\r{what} ...")
+    stream.flush()
+    try:
+        yield
+    finally:
+        stream.write(_ERASED)
+        stream.flush()
+
+
+def _cells(stream: TextIO) -> str:
+    """How a part that is done looks, and one that is not, on this terminal."""
+    try:
+        _CELLS.encode(stream.encoding or "utf-8")
+    except UnicodeEncodeError:
+        return _PLAIN_CELLS
+    return _CELLS

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from palmd.config import ExploreSpec, MoveSpec, PlanSpec
-from palmd.motion.check import compiled, is_plan
+from palmd.motion.check import compiled
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import Trajectory, compile_plan
 from palmd.motion.segments import Angles
-from palmd.yamlfile import ConfigError, Document, parse, read_document
+from palmd.yamlfile import ConfigError, Document, is_plan, parse, read_document
 
 
 @dataclass(frozen=True, slots=True)

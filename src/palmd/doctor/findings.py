@@ -13,8 +13,9 @@ from palmd.config import Config, from_here
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.doctor import machine, ports
 from palmd.doctor.finding import Finding
+from palmd.plausibility import implausible
 from palmd.system.mechanism import PALMS
-from palmd.yamlfile import ConfigError, load_config
+from palmd.yamlfile import ConfigError, load_config, read_document
 
 RIG_WITHIN_S = 1.5
 """How long a daemon may take to say what it knows of the rig: it does each second."""
@@ -41,10 +42,14 @@ def findings(path: Path) -> Iterator[Finding]:
     yield machine.observers()
     try:
         config = load_config(path)
+        odd = implausible(read_document(path), config)
     except ConfigError as error:
         yield Finding("configuration", "missing", str(error).splitlines()[0], f"palmd check {path}")
         return
-    yield Finding("configuration", "ok", str(path))
+    if odd:
+        yield Finding("configuration", "off", odd[0], f"palmd check {path}")
+    else:
+        yield Finding("configuration", "ok", str(path))
     yield plan(config, path)
     status = daemon(config)
     yield bus(config, status)

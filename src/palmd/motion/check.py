@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from pydantic import ValidationError
 
 from palmd.config import Config, LimitsConfig, PadBase, PlanSpec
+from palmd.console.folders import nearest
+from palmd.keys import KeysClosedError, KeysError, server_keys
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import PlanError, Trajectory, compile_plan
 from palmd.motion.segments import Angles
 from palmd.outlinefile import OutlineError, read_library
-from palmd.yamlfile import ConfigError, Document, parse, read_document
+from palmd.plausibility import implausible
+from palmd.yamlfile import ConfigError, Document, is_plan, parse, read_document
 
 DEFAULT_PAD_LENGTH_MM: float = PadBase.model_fields["length_mm"].default
 
@@ -42,17 +46,12 @@ def compiled(document: Document, spec: PlanSpec, limits: MotionLimits, start: An
         ) from None
 
 
-def is_plan(document: Document) -> bool:
-    """Whether it means to be a motion plan: what has `segments` does, however wrong it is otherwise."""
-    return isinstance(document.data, dict) and "segments" in document.data
-
-
 def check_files(paths: Sequence[Path]) -> list[str]:
     """Everything wrong with these configurations and plans, as `file:line:col: what`; empty when all is well.
 
     A file with `segments` is a plan, checked within the limits of every configuration given beside it, else
-    the defaults. The plan that a configuration names is checked too where it exists. A plan that does not
-    begin with a move is taken to begin at HOME: only the rig knows better.
+    the defaults. What a configuration names (plan, stored outlines, keys, the folder of the runs) is checked too. A
+    plan that does not begin with a move is taken to begin at HOME: only the rig knows better.
     """
     errors: list[str] = []
     documents = _documents(paths, errors)
@@ -69,8 +68,11 @@ def check_files(paths: Sequence[Path]) -> list[str]:
         else:
             limits.append(motion_limits(config))
             blind += [document] if config.observer.primary != "shape" else []
+            errors += implausible(document, config)
             errors += _outline_errors(document, config)
-            plans += _documents(_plan_named(config, given=paths), errors)
+            errors += _keys_errors(document, config)
+            errors += _folder_errors(document, config)
+            plans += _documents(_plan_named(document, config, errors, given=paths), errors)
     for document in plans:
         errors += _plan_errors(document, limits)
         errors += _blind_errors(document, blind)
@@ -106,16 +108,56 @@ def _blind_errors(plan: Document, blind: Iterable[Document]) -> list[str]:
     return [config.line(config.place(("observer", "primary")), text) for config in blind]
 
 
-def _plan_named(config: Config, *, given: Sequence[Path]) -> list[Path]:
+def _keys_errors(document: Document, config: Config) -> list[str]:
+    """What is wrong with the folder of keys that a configuration names, unless it is closed to this user."""
+    if config.bus.keys is None:
+        return []
+    try:
+        server_keys(config.bus.keys)
+    except KeysClosedError:  # the service's own: `palmd doctor` tells what its user may do
+        return []
+    except KeysError as error:
+        return [document.line(document.place(("bus", "keys")), f"bus.keys: {error}")]
+    return []
+
+
+def _folder_errors(document: Document, config: Config) -> list[str]:
+    """Whether runs can be put where a configuration says; its folder is made when it is needed."""
+    place = document.place(("record", "directory"))
+    try:
+        there = nearest(config.record.directory)
+    except PermissionError:  # the service's own, most often: `palmd doctor` tells what its user may do
+        return []
+    except OSError as error:
+        return [document.line(place, f"record.directory: {config.record.directory}: {error.strerror}")]
+    if not there.is_dir():
+        return [document.line(place, f"record.directory: {there} is no folder: nothing could be recorded")]
+    return []
+
+
+def _plan_named(document: Document, config: Config, errors: list[str], *, given: Sequence[Path]) -> list[Path]:
+    """The plan that a configuration names, unless it is one of those given; one that is not there is an error."""
     if config.plan is None:
         return []
     try:
-        if not config.plan.is_file():
-            return []
+        there = config.plan.exists()
     except OSError:  # whoever reads it tells why
         return [config.plan]
+    if not there:
+        beside = {each.stem: each for each in _plans_beside(config.plan)}
+        near = difflib.get_close_matches(config.plan.stem, beside, n=1)
+        meant = f"; is {beside[near[0]]} meant?" if near else ""
+        errors.append(document.line(document.place(("plan",)), f"plan: {config.plan} does not exist{meant}"))
+        return []
     resolved = config.plan.resolve()
     return [] if any(path.resolve() == resolved for path in given) else [config.plan]
+
+
+def _plans_beside(plan: Path) -> list[Path]:
+    try:
+        return sorted(each for each in plan.parent.iterdir() if each.suffix in (".yaml", ".yml"))
+    except OSError:
+        return []
 
 
 def _default_limits() -> MotionLimits:

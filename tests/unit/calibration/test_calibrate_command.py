@@ -14,6 +14,7 @@ from palmd.calibration.pad_characteristic import characterise
 from palmd.cli import main
 from palmd.cli.table import below
 from palmd.config import VersaPadConfig, config_hash, rig_description
+from palmd.console.extras import install_line
 from palmd.devices.port import Port
 from palmd.devices.versapad import encode_packet
 from palmd.lab.rolled_marble import rolled
@@ -174,7 +175,8 @@ def test_without_matplotlib_the_result_is_stored_all_the_same(configured, monkey
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     config = configured()
     assert calibrate(config) == 0
-    assert capsys.readouterr().err == "no figure: matplotlib is not installed (pip install 'palmd[report]')\n"
+    told = f"no figure: matplotlib is not installed: {install_line('matplotlib', 'report')}\n"
+    assert capsys.readouterr().err == told
     assert [path.name for path in (config.parent / "calibration").iterdir()] == ["pad1.yaml"]
 
 

@@ -1,7 +1,9 @@
 """The command line as a whole: its table, exit statuses, how quick it is, log lines, the progress bar."""
 
 import importlib
+import importlib.metadata
 import io
+import json
 import logging
 import os
 import subprocess
@@ -13,7 +15,8 @@ import palmd
 from palmd import cli
 from palmd.cli.table import COMMANDS, below, loaded
 from palmd.console.errors import CliError
-from palmd.console.progress import Progress
+from palmd.console.extras import install_line
+from palmd.console.progress import Progress, working
 from palmd.logformat import JournalFormatter, is_journal
 
 
@@ -66,6 +69,15 @@ def test_help_on_any_terminal(encoding):
     assert "see: palmd COMMAND --help" in " ".join(done.stdout.decode(encoding).split())
 
 
+def test_errors_on_any_terminal(tmp_path):
+    plan = tmp_path / "plan.yaml"
+    plan.write_text("name: x\nsegments: [{move: {phi1_deg: 200}, duration_s: 1.0}]\n")
+    command = [sys.executable, "-m", "palmd", "check", str(plan)]
+    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(command, env=environment, capture_output=True, check=False)
+    assert b"phi1 reaches 200?, the limit is 150?" in done.stderr
+
+
 def test_data_on_standard_output_are_utf_8_on_any_terminal(tmp_path):
     program = (
         "import pathlib; from palmd.cli import logs, main; main(['keys', 'list'])\n"
@@ -96,7 +108,7 @@ def test_a_package_that_only_the_laboratory_needs_is_told_when_it_is_missing(mon
 
     monkeypatch.setattr(importlib, "import_module", not_there)
     assert cli.main(["bench", "peers"]) == 1
-    told = "palmd bench peers needs filterpy, which is not installed: pip install 'palmd[lab]'\n"
+    told = f"palmd bench peers needs filterpy, which is not installed: {install_line('filterpy', 'lab')}\n"
     assert capsys.readouterr().err == told
     with pytest.raises(ModuleNotFoundError):
         cli.main(["run"])
@@ -154,6 +166,52 @@ def test_check_tells_all_errors_at_once(tmp_path, capsys):
     err = capsys.readouterr().err.splitlines()
     assert len(err) == 3
     assert sum(line.startswith(f"{bad}:") for line in err) == 2
+
+
+def test_check_tells_programs_in_json(tmp_path, capsys):
+    good, bad = tmp_path / "good.yaml", tmp_path / "bad.yaml"
+    good.write_text("name: x\nsegments: [{hold_s: 1.0}]\n")
+    bad.write_text("name: x\nsegments: [{hold_s: -1.0}]\n")
+    assert cli.main(["check", str(good), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"good": True, "problems": []}
+    assert cli.main(["check", str(bad), "--json"]) == 1
+    told = capsys.readouterr()
+    text = "segments.0.hold_s: must be more than 0; got -1.0"
+    assert json.loads(told.out)["problems"] == [{"file": str(bad), "line": 2, "column": 21, "text": text}]
+    assert told.err == ""
+    (tmp_path / "o.json").write_text("{}")
+    assert cli.main(["check", str(tmp_path / "o.json"), "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["problems"][0]["file"] == str(tmp_path / "o.json")
+
+
+def test_check_draws_what_a_plan_does(tmp_path, capsys, monkeypatch):
+    plan, picture = tmp_path / "plan.yaml", tmp_path / "out.svg"
+    plan.write_text(
+        "name: fast\nrepeat: 2\nsegments:\n  - {move: {phi1_deg: 45, phi2_deg: 90}, duration_s: 2.0}\n"
+        "  - {move: {phi1_deg: 70}, duration_s: 0.5}\n"
+    )
+    assert cli.main(["check", str(plan), "--draw", str(picture)]) == 0
+    told = capsys.readouterr().out.splitlines()
+    assert told == [f"{plan}: good", f"{picture}: 3 s; nearest to its limit: phi1 + phi2 135 to 160 of 0 to 172°"]
+    assert "<svg" in picture.read_text()
+    first = picture.read_bytes()
+    assert cli.main(["check", str(plan), "--draw", str(picture), "--json"]) == 0
+    assert picture.read_bytes() == first
+    capsys.readouterr()
+    for argv, error in (
+        ([str(plan), "--draw", "out.txt"], "out.txt: a picture is .svg, .pdf, .png; name it so"),
+        ([str(plan), str(plan), "--draw", str(picture)], "there are 2 plans and 0 configurations"),
+        ([str(plan), "--draw", str(tmp_path / "none/out.svg")], "cannot be written: No such file or directory"),
+    ):
+        assert cli.main(["check", *argv]) == 1
+        assert error in capsys.readouterr().err
+    for module in ("palmd.report.plan_figure", "palmd.report.axes"):
+        monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert cli.main(["check", str(plan), "--draw", str(picture)]) == 1
+    assert f"--draw needs matplotlib, which is not installed: {install_line('matplotlib', 'report')}" in (
+        capsys.readouterr().err
+    )
 
 
 def test_run_refuses_a_missing_configuration(tmp_path, capsys):
@@ -218,3 +276,46 @@ def test_the_bar_stays_away_otherwise(monkeypatch):
             progress.at(100)
         assert stream.getvalue() == ""
         now[0] = 100.0
+
+
+@pytest.mark.parametrize(("encoding", "cells"), [("utf-8", "█" * 15 + "░" * 15), ("ascii", "#" * 15 + "." * 15)])
+def test_the_bar_on_a_terminal_of_another_encoding(monkeypatch, encoding, cells):
+    now = [100.0]
+    monkeypatch.setattr("palmd.console.progress.time.monotonic", lambda: now[0])
+    terminal = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
+    terminal.isatty = lambda: True
+    with Progress("work", 200, "ticks", terminal) as progress:
+        now[0] = 102.0
+        progress.at(100)
+    assert cells in terminal.buffer.getvalue().decode(encoding)
+
+
+def test_what_has_no_measure_is_named_while_it_lasts():
+    terminal = Terminal()
+    with working("reading run.mcap", terminal):
+        assert terminal.getvalue() == "\rreading run.mcap ..."
+    assert terminal.getvalue().endswith("\r\x1b[K")
+    with working("reading run.mcap", pipe := io.StringIO()):
+        pass
+    assert pipe.getvalue() == ""
+
+
+# ---------------------------------------------------------------------------------------- optional packages
+
+
+def test_a_missing_package_is_told_with_the_exact_line_to_type(monkeypatch, tmp_path):
+    def declared(_name):
+        return ["numpy>=1.26", "matplotlib>=3.8; extra == 'report'", 'matplotlib>=3.8; extra == "lab"',
+                "filterpy>=2.0; extra == 'lab'"]  # fmt: skip
+
+    monkeypatch.setattr("importlib.metadata.requires", declared)
+    monkeypatch.setattr(sys, "executable", str(tmp_path / ".venv/bin/python"))
+    assert install_line("matplotlib", "report") == f"{tmp_path}/.venv/bin/python -m pip install 'matplotlib>=3.8'"
+    monkeypatch.chdir(tmp_path)
+    assert install_line("filterpy", "lab") == ".venv/bin/python -m pip install 'matplotlib>=3.8' 'filterpy>=2.0'"
+
+    def none(_name):
+        raise importlib.metadata.PackageNotFoundError
+
+    monkeypatch.setattr("importlib.metadata.requires", none)  # palmd from its sources
+    assert install_line("matplotlib", "report") == ".venv/bin/python -m pip install matplotlib"

@@ -147,7 +147,7 @@ def test_what_a_reset_has_cleared_is_told_and_that_there_was_nothing():
 def test_only_what_people_do_can_be_asked(capsys):
     with pytest.raises(SystemExit):
         main(["ctl", "recorder"])
-    assert "invalid choice: 'recorder'" in capsys.readouterr().err
+    assert "there is no 'recorder'; there are status, arm, " in capsys.readouterr().err
 
 
 def test_a_refusal_is_told_and_ends_with_1(tmp_path, capsys):

@@ -155,6 +155,16 @@ def test_observers_of_who_has_no_home(monkeypatch):
     assert "has no home" in machine.observers().says
 
 
+def test_a_value_that_can_hardly_be_meant_is_off(tmp_path, capsys):
+    path = tmp_path / "palmd.yaml"
+    ports = "pads: {palm1: {port: /dev/none1, zero_mm: 0.028}, palm2: {port: /dev/none2}}\narm: {port: /dev/none3}\n"
+    path.write_text(ports)
+    assert main(["doctor", str(path)]) == 1
+    [line] = [line for line in capsys.readouterr().out.splitlines() if " configuration " in line]
+    assert line.startswith("off ")
+    assert line.endswith(f"is 28 mm meant?: palmd check {path}")
+
+
 def test_an_installed_configuration_that_may_not_be_read_is_not_passed_over(monkeypatch, tmp_path):
     folder = tmp_path / "etc"
     folder.mkdir()

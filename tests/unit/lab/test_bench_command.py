@@ -14,6 +14,7 @@ import pytest
 
 from palmd.cli import main
 from palmd.cli.table import below, loaded
+from palmd.console.extras import install_line
 from palmd.lab import bench_montecarlo, montecarlo, runs
 from palmd.lab.scoring import MonteCarloRow
 
@@ -43,11 +44,11 @@ def test_help_names_every_bench(capsys):
         ((), "NAME"),
         (("dance",), "dance"),
         (("montecarlo", "--runs", "0"), "0 is less than 1"),
-        (("montecarlo", "--runs", "x"), "invalid count value: 'x'"),
+        (("montecarlo", "--runs", "x"), "must be a whole number, got 'x'"),
         (("montecarlo", "--seed", "-1"), "-1 is negative"),
-        (("montecarlo", "--seconds", "0.1"), "0.1 s is no duration"),
-        (("montecarlo", "--seconds", "nan"), "nan s is no duration"),
-        (("montecarlo", "--kind", "strange"), "invalid choice"),
+        (("montecarlo", "--seconds", "0.1"), "must be 0.5 s or more, got 0.1"),
+        (("montecarlo", "--seconds", "nan"), "must be 0.5 s or more, got nan"),
+        (("montecarlo", "--kind", "strange"), "there is no 'strange'"),
         (("montecarlo", "--jobs", "2", "--scheduler", "tcp://127.0.0.1:1"), "not allowed with"),
     ],
 )
@@ -119,7 +120,7 @@ def test_without_matplotlib_there_is_no_figure_and_one_line_says_so(quickly, tmp
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert main(["bench", "montecarlo", "--kind", "odd", "--runs", "2", "-o", str(tmp_path)]) == 0
     out, err = capsys.readouterr()
-    assert err == "no figure: matplotlib is not installed (pip install 'palmd[report]')\n"
+    assert err == f"no figure: matplotlib is not installed: {install_line('matplotlib', 'report')}\n"
     assert out.splitlines()[-1] == f"written: {tmp_path / 'runs.jsonl'}"
     assert len(written(tmp_path)) == 2
 
@@ -205,7 +206,8 @@ def test_a_scheduler_that_is_not_there_is_one_line_and_earlier_rows_stay(address
 def test_a_cluster_needs_dask(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert main(["bench", "montecarlo", "--scheduler", "tcp://127.0.0.1:1", "-o", str(tmp_path)]) == 1
-    assert capsys.readouterr().err == "--scheduler needs Dask, which is not installed: pip install 'palmd[lab]'\n"
+    told = f"--scheduler needs Dask, which is not installed: {install_line('distributed', 'lab')}\n"
+    assert capsys.readouterr().err == told
 
 
 def test_a_folder_that_cannot_be_is_one_line(quickly, tmp_path, capsys):

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from palmd.cli import main
+from palmd.console.extras import install_line
 from palmd.events import PalmMotion
 from palmd.lab import codistributions, last_second, observability_maps
 from palmd.model.outputs import rig_inputs
@@ -80,7 +81,8 @@ def test_without_matplotlib_only_the_figure_is_refused(
     monkeypatch.delattr("palmd.lab.observability_maps")
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert main(["observability", "--states", "5", "-o", str(tmp_path)]) == 1
-    assert capsys.readouterr().err == "-o needs matplotlib, which is not installed: pip install 'palmd[lab]'\n"
+    expected = f"-o needs matplotlib, which is not installed: {install_line('matplotlib', 'lab')}\n"
+    assert capsys.readouterr().err == expected
     assert told(capsys, "--states", "5")
 
 

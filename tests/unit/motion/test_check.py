@@ -10,6 +10,7 @@ from shut import shut
 
 from palmd.config import LimitsConfig
 from palmd.daemon.planner import read_plan
+from palmd.keys import make_pair
 from palmd.motion.check import check_files, load_trajectory, motion_limits
 from palmd.motion.limits import MotionLimits
 from palmd.yamlfile import ConfigError, load_config
@@ -79,8 +80,38 @@ def test_the_plan_that_a_configuration_names_is_checked_once(tmp_path: Path) -> 
     config, plan = write(tmp_path, palmd=PORTS + "limits: {phi1_deg: [6, 70]}\nplan: rock.yaml\n", rock=ROCK)
     assert len(check_files([config])) == 1
     assert len(check_files([config, plan])) == 1
+
+
+def test_a_plan_that_is_named_and_does_not_exist_is_told_where_it_is_named(tmp_path: Path) -> None:
+    config, plan = write(tmp_path, palmd=PORTS + "plan: rok.yaml\n", rock=ROCK)
+    expected = f"{config}:3:7: plan: {tmp_path / 'rok.yaml'} does not exist"
+    assert check_files([config]) == [f"{expected}; is {plan} meant?"]
     plan.unlink()
+    assert check_files([config]) == [expected]
+    config.write_text(PORTS + "plan: nowhere/rock.yaml\n")
+    assert check_files([config]) == [f"{config}:3:7: plan: {tmp_path / 'nowhere/rock.yaml'} does not exist"]
+
+
+def test_what_the_daemon_would_find_in_the_keys_and_the_runs_folder_is_found(tmp_path: Path) -> None:
+    more = "bus: {keys: keys}\nrecord: {directory: palmd.yaml/runs}\n"
+    (config,) = write(tmp_path, palmd=PORTS + more)
+    assert check_files([config]) == [
+        f"{config}:3:13: bus.keys: {tmp_path}/keys/server.key_secret: no such file; palmd keys new makes one",
+        f"{config}:4:21: record.directory: {config} is no folder: nothing could be recorded",
+    ]
+    make_pair(tmp_path / "keys", "server")
+    config.write_text(PORTS + "bus: {keys: keys}\n")
     assert check_files([config]) == []
+
+
+def test_keys_that_are_the_services_own_are_no_error_of_the_configuration() -> None:
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        folder.chmod(0o755)
+        (config,) = write(folder, palmd=PORTS + "bus: {keys: keys}\n")
+        make_pair(folder / "keys", "server")
+        with shut(folder / "keys"):
+            assert check_files([config]) == []
 
 
 def test_an_exploration_comes_last_and_once_and_its_place_in_the_file_is_told_otherwise(tmp_path: Path) -> None:

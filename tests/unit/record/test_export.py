@@ -14,6 +14,7 @@ import recorded
 from mcap.reader import make_reader
 
 from palmd.cli import main
+from palmd.console.extras import install_line
 from palmd.events import PadLift
 from palmd.motion.kinematics import RigGeometry
 from palmd.record.eventlog import read_log
@@ -336,7 +337,8 @@ def test_without_rerun_it_is_said(tmp_path, capsys, monkeypatch):
     monkeypatch.delitem(sys.modules, "palmd.record.export_rerun", raising=False)
     assert main(["export", str(lived.path()), "-o", str(tmp_path / "run.rrd")]) == 1
     assert (
-        capsys.readouterr().err == "the form rrd needs rerun-sdk, which is not installed: pip install 'palmd[rerun]'\n"
+        capsys.readouterr().err
+        == f"the form rrd needs rerun-sdk, which is not installed: {install_line('rerun-sdk', 'rerun')}\n"
     )
     assert list(tmp_path.iterdir()) == []
 

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from palmd import report as room
 from palmd.cli import main
+from palmd.console.extras import install_line
 from palmd.messages import rig_fields
 from palmd.quantities import ESTIMATE, LOOP, RIG
 from palmd.record.run import read_run
@@ -253,7 +254,8 @@ def test_without_matplotlib_it_says_so(tmp_path, monkeypatch, capsys):
         monkeypatch.setitem(sys.modules, name, None)
     assert main(["report", str(path()), "-o", str(tmp_path / "report.html")]) == 1
     assert (
-        capsys.readouterr().err == "the report needs matplotlib, which is not installed: pip install 'palmd[report]'\n"
+        capsys.readouterr().err
+        == f"the report needs matplotlib, which is not installed: {install_line('matplotlib', 'report')}\n"
     )
     assert not (tmp_path / "report.html").exists()
 

@@ -1,0 +1,51 @@
+"""What a plan makes of its limits."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from palmd.config import LimitsConfig, PlanSpec
+from palmd.motion.limits import MotionLimits
+from palmd.motion.plan import compile_plan
+from palmd.motion.usage import sampled, usage
+
+LIMITS = MotionLimits.from_config(LimitsConfig(rate_deg_s=100.0), pad_length=0.0555)
+START = {"move": {"phi1_deg": 45, "phi2_deg": 90}, "duration_s": 2.0}
+
+
+def plan(*segments: dict[str, object], repeat: int | str = 1):
+    return compile_plan(
+        PlanSpec.model_validate({"name": "x", "repeat": repeat, "segments": [START, *segments]}), LIMITS
+    )
+
+
+def test_the_limit_most_used_comes_first_and_says_by_how_much() -> None:
+    motion = sampled(plan({"move": {"phi1_deg": 25}, "duration_s": 0.5}))
+    used = usage(motion, LIMITS)
+    assert used == sorted(used, key=lambda each: -each.share)
+    rate = next(each for each in used if each.bound.what == "the rate of phi1")
+    assert rate.share == pytest.approx(15 / 8 * 20 / 0.5 / 100, rel=1e-3)  # a minimum-jerk move's peak
+    assert rate.told() == "the rate of phi1 75 of 100°/s"
+    still = next(each for each in used if each.bound.what == "the rate of phi2")
+    assert still.share == 0.0
+    pose = next(each for each in used if each.bound.what == "phi1")
+    assert pose.share == pytest.approx((78 - 25) / 72)
+    assert pose.told() == "phi1 25 to 45 of 6 to 150°"
+
+
+@pytest.mark.parametrize(
+    ("segment", "repeat", "seconds", "whole"),
+    [
+        ({"hold_s": 1.0}, 1, 1.0, True),
+        ({"hold_s": 1.0}, "forever", 4.0, False),  # two rounds, of which the first needs no way to its start
+        ({"hold_s": 600.0}, 1, 120.0, False),
+        ({"explore": {}}, 1, 0.0, False),
+    ],
+)
+def test_what_goes_on_is_looked_at_for_a_while(segment, repeat, seconds: float, whole: bool) -> None:
+    motion = sampled(plan(segment, repeat=repeat))
+    assert motion.t[-1] == pytest.approx(seconds)
+    assert motion.whole is whole
+    assert motion.angles[0] == pytest.approx([math.radians(45), math.radians(90)])
