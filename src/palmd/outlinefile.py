@@ -67,9 +67,9 @@ def read_outline(path: Path) -> Outline:
     JSON: `theta_rad`, evenly spaced round the full circle from any start, and `h_m`; optional `h_sd_m`, `rho_m`,
     `rho_sd_m`, `mass_kg`, `mass_sd_kg`, `name`. Other keys are ignored, so that the result of a reconstruction and a
     simulator's truth are outlines; one that says `converged: false` is not.
-    CSV: a line `x_mm,y_mm`, then points in order round the object, either way. Comment lines `# com_mm: x, y`,
-    `# rho_mm: …`, `# mass_kg: …` tell what the points do not; without them the body is a uniform lamina. Noise is
-    averaged by a least-squares fit (`polygon.fitted`).
+    CSV: a line `x_mm,y_mm`, then points in order round the object, either way; further columns are ignored.
+    Comment lines `# com_mm: x, y`, `# rho_mm: …`, `# mass_kg: …` tell what the points do not; without them the body
+    is a uniform lamina. Noise is averaged by a least-squares fit (`polygon.fitted`).
     """
     try:
         text = _text(path)
@@ -243,7 +243,7 @@ def _from_csv(stem: str, text: str) -> Outline:
 
 
 def _table(text: str) -> _Table:
-    header, rows, lines = False, [], []
+    header, rows, lines = 0, [], []
     comments: dict[str, tuple[list[float], int]] = {}
     for number, line in enumerate(text.splitlines(), 1):
         if not line.strip():
@@ -253,11 +253,12 @@ def _table(text: str) -> _Table:
             if key.strip() in _COMMENTS:
                 comments[key.strip()] = _numbers(value, _COMMENTS[key.strip()], number), number
         elif not header:
-            if [cell.strip() for cell in line.split(",")] != ["x_mm", "y_mm"]:
+            names = [cell.strip() for cell in line.split(",")]
+            if names[:2] != ["x_mm", "y_mm"]:
                 raise _RefusalError(f"the header must be x_mm,y_mm, got {line.strip()[:40]}", str(number))
-            header = True
+            header = len(names)
         else:
-            rows.append(_numbers(line, 2, number))
+            rows.append(_numbers(line, header, number)[:2])
             lines.append(number)
     return _Table(np.array(rows).reshape(-1, 2), lines, comments)
 

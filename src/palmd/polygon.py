@@ -47,10 +47,19 @@ def normals(theta: FloatArray) -> FloatArray:
 
 
 def boundary(h: FloatArray) -> FloatArray:
-    """The outline's own points (360, 2) in m: x = h n + h′ dn/dθ, h′ of the trigonometric interpolation."""
-    theta = degrees()
-    slope = np.fft.irfft(1j * np.append(np.arange(180), 0) * np.fft.rfft(h), len(h))
+    """The outline's own points (n, 2) in m: x = h n + h′ dn/dθ, h′ of the trigonometric interpolation.
+
+    h (m) is told on n normals from 0 on, evenly spaced round the full circle, n even.
+    """
+    n = len(h)
+    theta = np.arange(n, dtype=np.float64) * (math.tau / n)
+    slope = np.fft.irfft(1j * np.append(np.arange(n // 2), 0) * np.fft.rfft(h), n)
     return np.asarray(h[:, None] * normals(theta) + slope[:, None] * normals(theta + math.pi / 2))
+
+
+def resampled(h: FloatArray, n: int) -> FloatArray:
+    """A support function on n normals that begin with the same one, interpolated trigonometrically; n is even."""
+    return np.asarray(np.fft.irfft(np.fft.rfft(h), n) * (n / len(h)))
 
 
 def closed_outline(theta: FloatArray, h: FloatArray) -> FloatArray:
@@ -58,8 +67,7 @@ def closed_outline(theta: FloatArray, h: FloatArray) -> FloatArray:
 
     The first and last point have the normal theta[0] (rad); between the samples it is interpolated trigonometrically.
     """
-    on_degrees = np.fft.irfft(np.fft.rfft(h), 360) * (360 / len(h))
-    points = boundary(on_degrees) @ turned(float(theta[0]))
+    points = boundary(resampled(h, 360)) @ turned(float(theta[0]))
     return np.concatenate([points, points[:1]])
 
 

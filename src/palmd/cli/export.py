@@ -1,4 +1,8 @@
-"""Writes a recorded run in the form of other programs: event log, CSV, MCAP with JSON, or for rerun."""
+"""Writes a recorded run in the form of other programs: event log, CSV, MCAP with JSON, for rerun, CAD.
+
+A drawing (.svg, .dxf, .csv) is of the last valid outline, in mm, with its band; or of a RESULT.json that
+`palmd reconstruct` has written.
+"""
 
 from __future__ import annotations
 
@@ -7,24 +11,26 @@ import itertools
 import sys
 from pathlib import Path
 
+from palmd.cli.drawings import curves_of_result, drawing, write_drawing
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.extras import missing, only_without
 from palmd.console.progress import Progress
-from palmd.record.export import FORMS, ExportError, export, form_of, passes
+from palmd.record.export import DRAWINGS, FORMS, ExportError, export, form_of, passes
 from palmd.record.length import message_count
 from palmd.record.run import RunError, read_run
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
-    parser.add_argument("run", type=Path, metavar="RUN", help="a recorded run (.mcap)")
+    parser.add_argument("run", type=Path, metavar="RUN", help="a recorded run (.mcap), or a RESULT.json")
     parser.add_argument(
         "-o",
         "--output",
         type=Path,
         required=True,
         metavar="FILE|FOLDER",
-        help=".jsonl event log; folder or .zip CSV, a table for each topic; .mcap messages in JSON; .rrd for rerun",
+        help=".jsonl event log; folder or .zip CSV, a table for each topic; .mcap messages in JSON; .rrd for rerun; "
+        "the outline: .svg, .dxf drawings, .csv points, x and y in mm",
     )
     parser.add_argument("--as", dest="form", choices=FORMS, help="the form, where the name does not tell it")
 
@@ -35,6 +41,13 @@ def run(arguments: argparse.Namespace) -> int:
     form = arguments.form or form_of(target)
     if form is None:
         raise CliError(BAD_INPUT, f"{target}: the name does not tell the form; add --as {'|'.join(FORMS)}")
+    if source.suffix.lower() == ".json":
+        if form not in DRAWINGS:
+            raise CliError(BAD_INPUT, f"{source}: of a result only the outline is exported: .svg, .dxf or .csv")
+        write_drawing(curves_of_result(source), target, drawing(DRAWINGS[form]), source)
+        return 0
+    if form in DRAWINGS:
+        drawing(DRAWINGS[form])
     try:
         recording = read_run(source)
         count = itertools.count(1)

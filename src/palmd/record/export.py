@@ -7,14 +7,31 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal, get_args
 
+import numpy as np
+
+from palmd.messages import Fields
+from palmd.quantities import ESTIMATE, SHAPE
 from palmd.record.export_csv import write_csv, write_zip
 from palmd.record.export_json import write_json
 from palmd.record.export_log import write_log
+from palmd.record.outline_curves import OutlineCurves, curves_of
+from palmd.record.outline_files import Writer, writer_of
 from palmd.record.run import Run, RunError, read_run
 
-Form = Literal["log", "csv", "mcap-json", "rrd"]
+Form = Literal["log", "csv", "mcap-json", "rrd", "svg", "dxf", "points"]
 FORMS: tuple[Form, ...] = get_args(Form)
-_SUFFIXES: dict[str, Form] = {".jsonl": "log", ".zip": "csv", "": "csv", ".mcap": "mcap-json", ".rrd": "rrd"}
+_SUFFIXES: dict[str, Form] = {
+    ".jsonl": "log",
+    ".zip": "csv",
+    "": "csv",
+    ".mcap": "mcap-json",
+    ".rrd": "rrd",
+    ".svg": "svg",
+    ".dxf": "dxf",
+    ".csv": "points",
+}
+DRAWINGS: dict[Form, str] = {"svg": ".svg", "dxf": ".dxf", "points": ".csv"}
+"""The forms of one outline, and the suffix of each."""
 _TWICE = ("csv", "mcap-json")
 """The forms that a run must be read through beforehand for."""
 
@@ -37,7 +54,7 @@ def export(run: Run, target: Path, form: Form, done: Callable[[], None]) -> None
     """Write `run` to `target`; `done` is called after each message of each pass.
 
     A file that is there is replaced unless it is a recording; a folder must be empty. Raises ExportError, RunError,
-    OSError, and ModuleNotFoundError without rerun; there is then no part of an output.
+    OSError, and ModuleNotFoundError without rerun or ezdxf; there is then no part of an output.
     """
     if _is_recording(target):
         raise ExportError(f"{target}: is a recorded run, which an export does not replace; export to another file")
@@ -74,3 +91,28 @@ def _writer(form: Form, target: Path) -> Callable[[Run, Path, Callable[[], None]
             from palmd.record.export_rerun import write_rerun  # an optional extra, and a large one
 
             return write_rerun
+        case "svg" | "dxf" | "points":
+            drawn = writer_of(DRAWINGS[form])
+            return lambda run, path, done: _write_outline(drawn, run, path, done)
+
+
+def _write_outline(drawn: Writer, run: Run, path: Path, done: Callable[[], None]) -> None:
+    path.write_bytes(drawn(last_outline(run, done)))
+
+
+def last_outline(run: Run, done: Callable[[], None]) -> OutlineCurves:
+    """The last outline of a run whose estimate was valid; raises ExportError when there is none."""
+    estimate: Fields | None = None
+    found: tuple[Fields, Fields] | None = None
+    for message in run.messages():
+        if message.topic == ESTIMATE.name:
+            estimate = message.fields
+        elif message.topic == SHAPE.name and estimate is not None and estimate["valid"]:
+            found = message.fields, estimate
+        done()
+    if found is None:
+        raise ExportError(f"{run.path}: no outline in it was ever called valid: there is nothing to draw")
+    shape, told = found
+    theta, h, h_sd, touched = (np.array(shape[name]) for name in ("theta_rad", "h_m", "h_sd_m", "touched"))
+    name = f"{run.path.stem}, object {told['object']}, as it was known at the end"
+    return curves_of(name, theta, h, h_sd, touched > 0, rho_m=told["rho_m"], mass_kg=told["mass_kg"])

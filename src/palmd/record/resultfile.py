@@ -26,6 +26,7 @@ class Result:
     """What a reconstruction tells, from its file: trajectory t (s), psi (rad), radii (m, of each palm), the outline.
 
     theta, h, h_sd, touched: the outline's normals (rad), support function and its one-sigma (m), marks of touch.
+    rho (m), mass (kg): NaN where there is none.
     """
 
     t: FloatArray
@@ -35,6 +36,8 @@ class Result:
     h: FloatArray
     h_sd: FloatArray
     touched: Bools
+    rho: float = math.nan
+    mass: float = math.nan
 
 
 def read_result(path: Path) -> Result:
@@ -61,7 +64,12 @@ def read_result(path: Path) -> Result:
     if not (np.diff(columns[0]) > 0).all():
         raise ResultError(f"{path}: trajectory.t must increase")
     (t, psi, *radii), (theta, h, h_sd, touched) = columns, outline
-    return Result(t, psi, np.stack(radii), theta, h, h_sd, touched != 0.0)
+    rho, mass = (_number_or_nan(told.get(name)) for name in ("rho_m", "mass_kg"))
+    return Result(t, psi, np.stack(radii), theta, h, h_sd, touched != 0.0, rho, mass)
+
+
+def _number_or_nan(value: object) -> float:
+    return float(value) if isinstance(value, int | float) else math.nan
 
 
 def _column(path: Path, told: dict[str, Any], name: str) -> FloatArray:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable
 from html import escape
+from importlib.resources import files
 from io import StringIO
 
 from palmd.report.axes import styled
-from palmd.report.sections import Listing, Plate, Report, Section, drawn
+from palmd.report.sections import Listing, Plate, Player, Report, Section, drawn
 from palmd.report.words import Table
 
 _CSS = """
@@ -23,8 +25,15 @@ th, td { text-align: left; vertical-align: top; padding: .15em .9em .15em 0; bor
   overflow-wrap: anywhere; }
 .facts th { font-weight: 600; white-space: nowrap; }
 pre { font-size: .78em; line-height: 1.3; white-space: pre-wrap; }
+#player canvas { display: block; } #player p { font-size: .92em; }
+#player .controls { display: flex; gap: .8em; margin: .5em 0; } #player input { flex: 1; }
+#player button { font: inherit; min-width: 5em; padding: .3em .8em; }
+#player dl { columns: 2; font-variant-numeric: tabular-nums; }
+#player dt { color: #555; font-size: .85em; break-after: avoid; }
+#player dd { margin: 0 0 .4em; overflow-wrap: anywhere; }
 @page { margin: 15mm; }
-@media print { body { margin: 0; padding: 0; max-width: none; font-size: 10pt; } h2 { break-after: avoid; }
+@media print { #player { display: none; }
+  body { margin: 0; padding: 0; max-width: none; font-size: 10pt; } h2 { break-after: avoid; }
   tr { break-inside: avoid; } }
 """
 _PLAIN = {"Date": None, "Creator": None, "Format": None, "Type": None}  # no metadata: nothing of it is of this run
@@ -41,6 +50,8 @@ def as_html(report: Report, at: Callable[[int], None] = lambda _: None) -> str:
                 number += 1
                 body.append(_figure(part, section, number))
                 at(number)
+            elif isinstance(part, Player):
+                body.append(_player(part))
             else:
                 body.append(_table(part) if isinstance(part, Table) else _listing(part))
         body.append("</section>")
@@ -69,6 +80,21 @@ def _embedded(svg: str, prefix: str, name: str) -> str:
     drawing = re.sub(r'href="#', f'href="#{prefix}', drawing)
     drawing = drawing.replace("url(#", f"url(#{prefix}")
     return drawing.replace("<svg", f'<svg role="img" aria-label="{escape(name)}"', 1)
+
+
+def _player(player: Player) -> str:
+    """Two canvases and what moves them. Shown by its own script only: without scripts the figures below stand alone."""
+    data = json.dumps(player.data, allow_nan=False, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
+    script = files("palmd.report").joinpath("player.js").read_text(encoding="utf-8")
+    return (
+        '<div id="player" hidden>\n<div><canvas role="img" aria-label="palms, object and contacts"></canvas></div>\n'
+        '<p class="controls"><button type="button">Play</button>'
+        '<input type="range" min="0" max="0" value="0" aria-label="time"></p>\n'
+        '<div><canvas role="img" aria-label="touched share, states and faults over time"></canvas></div>\n<dl></dl>\n'
+        f"<p>{escape(player.sentence)}</p>\n</div>\n"
+        f'<script type="application/json" id="player-data">{data}</script>\n<script>\n{script}</script>\n'
+        "<noscript><p>The run can be played back here where scripts are allowed.</p></noscript>"
+    )
 
 
 def _facts(facts: tuple[tuple[str, str], ...]) -> str:

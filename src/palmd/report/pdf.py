@@ -11,7 +11,7 @@ from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
 from palmd.report.axes import WIDTH_IN, styled
-from palmd.report.sections import Plate, Report
+from palmd.report.sections import Plate, Player, Report
 from palmd.report.words import Table
 
 _PAGE_IN = (8.27, 11.69)
@@ -60,6 +60,8 @@ def _blocks(report: Report) -> Iterator[_PageBlock]:
     for section in report.sections:
         heading = section.title
         for part in section.parts:
+            if isinstance(part, Player):  # paper does not move
+                continue
             if isinstance(part, Plate):
                 number += 1
                 caption = textwrap.wrap(f"Figure {number}. {part.sentence}", _WORDS)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 from matplotlib.figure import Figure, FigureBase
 
@@ -16,6 +17,7 @@ from palmd.report.frames_figure import MOST, ROW_IN, draw_frames, rows
 from palmd.report.loop_figure import draw_loop
 from palmd.report.motion_figure import bar_rows, draw_motion
 from palmd.report.outline_figure import Found, draw_felt, draw_outline
+from palmd.report.player_data import player_data
 from palmd.report.quality_figure import draw_consistency, draw_coverage, draw_forces
 from palmd.report.series import Series
 from palmd.report.state_figure import draw_errors, draw_state
@@ -38,11 +40,19 @@ class Listing:
 
 
 @dataclass(frozen=True, slots=True)
+class Player:
+    """The run to be played back where that can be, and the sentence under it; `data` as `player_data` tells it."""
+
+    data: dict[str, Any]
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True)
 class Section:
     """A heading and what belongs under it."""
 
     title: str
-    parts: tuple[Plate | words.Table | Listing, ...]
+    parts: tuple[Plate | words.Table | Listing | Player, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +74,7 @@ def report_of(series: Series) -> Report:
     errors = errors_of(series)
     judged = errors if series.valid.any() else None
     sections = [
+        Section("Playback", _player(series)),
         Section("Outline", _outlines(series)),
         Section("Reconstruction through time", _frames(series)),
         Section("State", _state(series, errors, judged)),
@@ -86,6 +97,11 @@ def drawn(plate: Plate) -> Figure:
     figure = Figure(figsize=(WIDTH_IN, plate.height_in), layout="constrained")
     plate.draw(figure)
     return figure
+
+
+def _player(series: Series) -> tuple[Player, ...]:
+    data = player_data(series)
+    return () if data is None else (Player(data, words.under_player(series)),)
 
 
 def _outlines(series: Series) -> tuple[Plate, ...]:

@@ -63,6 +63,16 @@ def outcome(series: Series) -> str:
     return "; ".join([*told, *(_outline_told(series, outline, several=len(outlines) > 1) for outline in outlines)])
 
 
+def under_player(series: Series) -> str:
+    """About the run that can be played back."""
+    truth = " Dashed: the truth, turned to fit the last outline." if series.bodies else ""
+    return (
+        "Seen from the hinge: palms grey, contacts orange, the outline as it was known then, bold where touched, "
+        "coloured by its one-sigma: dark blue up to 20 µm, blue up to 50 µm, orange up to 200 µm, brown beyond; "
+        f"none without a valid estimate.{truth} Below: touched share, states, faults (red)."
+    )
+
+
 def under_outline(series: Series, outline: OutlineAt) -> str:
     """About the outline at its time."""
     name = f"Object {outline.number} at {outline.t:.1f} s" + ("" if outline.valid else ", never called valid")

@@ -124,6 +124,26 @@ def test_the_command_writes_one_result(log, result):
     assert trajectory["t"][-1] == pytest.approx(SECONDS, abs=0.06)
 
 
+@pytest.mark.usefixtures("result")
+def test_an_outline_for_cad_is_that_of_the_result(log, tmp_path, capsys):
+    direct, converted = tmp_path / "direct.csv", tmp_path / "converted.csv"
+    assert main(["reconstruct", str(log), "-o", str(direct)]) == 0
+    assert "outline ±" in capsys.readouterr().err
+    assert main(["export", str(log.with_name("result.json")), "-o", str(converted)]) == 0
+    assert direct.read_text().splitlines()[1:] == converted.read_text().splitlines()[1:]
+    copy = tmp_path / "log.csv"
+    copy.write_bytes(log.read_bytes())
+    assert main(["reconstruct", str(copy), "-o", str(copy)]) == 1
+    assert "is what the outline is made of" in capsys.readouterr().err
+
+
+def test_a_reconstruction_without_an_outline_draws_none(log, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("palmd.cli.reconstruct.reconstruct", lambda *_: nothing())
+    assert main(["reconstruct", str(log), "-o", str(tmp_path / "o.svg")]) == 1
+    assert "not converged: too little: there is no outline to draw" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_standard_output_summary_and_notes(log, result, tmp_path, capsys):
     cut = tmp_path / "cut.jsonl"
     cut.write_bytes(log.read_bytes() + b'{"t":2.4,"pad":1,"s')

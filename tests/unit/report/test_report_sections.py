@@ -90,7 +90,11 @@ def test_page_is_whole_and_needs_nothing_from_elsewhere(page):
     read = Page(page)
     assert read.open == []
     assert read.tags.count("svg") == read.tags.count("figure") == 10
-    assert not {"script", "link", "img", "iframe", "object"} & set(read.tags)
+    assert not {"link", "img", "iframe", "object"} & set(read.tags)
+    assert read.tags.count("script") == 2  # the run's data, and what plays them back
+    assert not re.search(
+        r"fetch\(|XMLHttp|WebSocket|import\b", "".join(re.findall("<script>(.*?)</script>", page, re.S))
+    )
     assert len(read.ids) == len(set(read.ids))
     assert {reference.lstrip("#") for reference in read.references} <= set(read.ids)
     assert all(reference.startswith("#") for reference in read.references)

@@ -1,0 +1,88 @@
+"""An outline as curves in millimetres, for CAD: itself, its band, what of it was not touched. Pure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from palmd.events import FloatArray
+from palmd.polygon import boundary, normals, resampled, turned
+
+Bools = npt.NDArray[np.bool_]
+
+SDS = 2.0
+"""How many one-sigmas the band has to both sides."""
+_NORMALS = 720  # a chord is then off a side of 200 mm radius by 2 µm
+
+
+@dataclass(frozen=True, slots=True)
+class OutlineCurves:
+    """Points (n, 2) in mm of three closed curves, counter-clockwise, the first point not repeated.
+
+    They are in the object's own frame: its centre of mass is the origin, its turn about it is arbitrary. outer, inner:
+    `SDS` one-sigmas to either side along each point's normal. normal (n,): that normal's direction (rad). sd (n,):
+    one-sigma in mm. touched (n,). rho_mm, mass_kg: NaN where not told.
+    """
+
+    name: str
+    outline: FloatArray
+    outer: FloatArray
+    inner: FloatArray
+    normal: FloatArray
+    sd: FloatArray
+    touched: Bools
+    rho_mm: float = math.nan
+    mass_kg: float = math.nan
+
+    @property
+    def untouched(self) -> tuple[FloatArray, ...]:
+        """The arcs (k, 2) in mm that no palm has touched, with the touched points that they end at."""
+        n = len(self.touched)
+        if not self.touched.any():
+            return (np.concatenate([self.outline, self.outline[:1]]),)
+        begins = np.flatnonzero(self.touched & ~np.roll(self.touched, -1))
+        ends = np.flatnonzero(self.touched & ~np.roll(self.touched, 1))
+        arcs = []
+        for begin in begins.tolist():
+            length = int(np.min((ends - begin - 1) % n)) + 1
+            arcs.append(self.outline[np.arange(begin, begin + length + 1) % n])
+        return tuple(arcs)
+
+    @property
+    def said(self) -> tuple[str, ...]:
+        """What a reader of the file must know."""
+        return (
+            f"palmd: {self.name}",
+            "units: mm; origin: the object's centre of mass; its turn about it is arbitrary",
+            f"band: {SDS:g} one-sigmas to either side, along the normal",
+            f"touched: {np.mean(self.touched):.1%} of the normals; the rest is what the body's smoothness lets expect",
+        )
+
+
+def curves_of(
+    name: str,
+    theta: FloatArray,
+    h: FloatArray,
+    h_sd: FloatArray,
+    touched: Bools,
+    *,
+    rho_m: float = math.nan,
+    mass_kg: float = math.nan,
+) -> OutlineCurves:
+    """The curves of a support function h (m) on normals theta (rad), evenly spaced round the full circle.
+
+    h_sd (m), touched: on the same normals.
+    """
+    fine: FloatArray = np.arange(_NORMALS, dtype=np.float64) * (math.tau / _NORMALS)  # from theta[0] on
+    points = boundary(resampled(h, _NORMALS)) @ turned(float(theta[0])) * 1e3
+    coarse = np.arange(len(h)) * (math.tau / len(h))
+    sd = np.interp(fine, coarse, h_sd, period=math.tau) * 1e3
+    nearest = np.rint(fine / math.tau * len(h)).astype(int) % len(h)
+    normal: FloatArray = (fine + float(theta[0])) % math.tau
+    reach = (SDS * sd)[:, None] * normals(normal)
+    return OutlineCurves(
+        name, points, points + reach, points - reach, normal, sd, touched[nearest], rho_m * 1e3, mass_kg
+    )

@@ -1,0 +1,123 @@
+"""The run played back on the report's page: what it is told, and that the page plays it, by itself, in a browser."""
+
+import json
+import math
+import re
+import shutil
+
+import numpy as np
+import pytest
+import reported
+from selenium import webdriver
+from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.wait import WebDriverWait
+
+from palmd.cli import main
+from palmd.record.run import read_run
+from palmd.report import player_data as player
+from palmd.report.body import pose_at
+from palmd.report.series import series_of
+
+
+def series(folder, **how):
+    run = read_run(reported.write(folder, reported.told(2.5, **how)))
+    return series_of(run, run.survey())
+
+
+def column(told, name):
+    return [row[told["columns"].index(name)] for row in told["frames"]]
+
+
+def test_frames_are_the_estimates_at_their_times(tmp_path):
+    read = series(tmp_path, second_from=1.5)
+    told = player.player_data(read)
+    t = column(told, "t")
+    assert t == sorted(set(t))
+    assert max(np.diff(t)) <= 60
+    for number in (0, len(t) // 2, len(t) - 1):
+        estimate = int(np.argmin(np.abs(read.estimate.t - t[number] * 1e-3)))
+        pose = pose_at(read, estimate)
+        assert column(told, "way2")[number] == pytest.approx(1e3 * pose.directions[-1], abs=1)
+        assert [column(told, "x")[number], column(told, "y")[number]] == pytest.approx(1e6 * pose.centre, abs=1)
+        assert column(told, "valid")[number] == read.valid[estimate]
+    assert told["truth"].keys() == {"1", "2"}
+    json.dumps(told, allow_nan=False)
+
+
+def test_an_outline_is_never_shown_before_it_was_known_nor_for_another_object(tmp_path):
+    read = series(tmp_path, second_from=1.5)
+    told = player.player_data(read)
+    times = {i: outline.t for i, outline in enumerate(read.outlines)}
+    for t, number in zip(column(told, "t"), column(told, "outline"), strict=True):
+        if number >= 0:
+            assert times[number] * 1e3 <= t + 1
+            assert told["outlines"][number]["object"] == (1 if t < 1500 else 2)
+    assert len({number for number in column(told, "outline") if number >= 0}) > 5
+
+
+def test_long_runs_are_thinned(tmp_path, monkeypatch):
+    monkeypatch.setattr(player, "MOST_FRAMES", 20)
+    monkeypatch.setattr(player, "MOST_OUTLINES", 3)
+    told = player.player_data(series(tmp_path))
+    assert len(told["frames"]) <= 20
+    assert len(told["outlines"]) == 3
+
+
+def test_a_run_without_outlines_or_truth_still_plays(tmp_path):
+    told = player.player_data(series(tmp_path, observer="extended", shapes=False, truths=False))
+    assert told["outlines"] == []
+    assert told["truth"] == {}
+    assert set(column(told, "outline")) == {-1}
+
+
+def test_hints_cannot_break_out_of_the_page(tmp_path):
+    source = reported.write(tmp_path, reported.told(2.5))
+    assert main(["report", str(source), "-o", str(tmp_path / "r.html")]) == 0
+    text = (tmp_path / "r.html").read_text()
+    data = re.search(r'id="player-data">(.*?)</script>', text, re.DOTALL)[1]
+    assert "<" not in data
+    assert any("<" in hint for _, _, hint in json.loads(data)["faults"])
+
+
+@pytest.fixture
+def browser():
+    chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
+    if chromium is None or driver is None:
+        pytest.skip("needs chromium and chromedriver")
+    options = webdriver.ChromeOptions()
+    options.binary_location = chromium
+    for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--window-size=800,900"):
+        options.add_argument(argument)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    with webdriver.Chrome(options=options, service=Service(driver)) as started:
+        yield started
+
+
+def words(browser):
+    cells = browser.find_elements(By.CSS_SELECTOR, "#player dt, #player dd")
+    return dict(zip((c.text for c in cells[::2]), (c.text for c in cells[1::2]), strict=True))
+
+
+def test_the_page_is_scrubbed_through_from_a_file_by_keyboard(browser, tmp_path):
+    source = reported.write(tmp_path, reported.told(2.5, second_from=1.5))
+    assert main(["report", str(source), "-o", str(tmp_path / "r.html")]) == 0
+    browser.get((tmp_path / "r.html").as_uri())
+    slider = browser.find_element(By.CSS_SELECTOR, "#player input")
+    picture = "return document.querySelector('#player canvas').toDataURL()"
+    slider.send_keys(Keys.HOME)
+    first, seen = words(browser), browser.execute_script(picture)
+    slider.send_keys(Keys.END)
+    last = words(browser)
+    assert float(first["time"].split()[0]) < 0.1
+    assert float(last["time"].split()[0]) == pytest.approx(2.5, abs=0.1)
+    assert browser.execute_script(picture) != seen
+    slider.send_keys(Keys.ARROW_LEFT)
+    assert words(browser)["time"] != last["time"]
+    assert math.isfinite(float(last["touched"].split()[0]))
+    slider.send_keys(Keys.HOME)
+    button = browser.find_element(By.CSS_SELECTOR, "#player button")
+    button.send_keys(Keys.SPACE)
+    WebDriverWait(browser, 60).until(lambda b: words(b)["time"] != first["time"])
+    assert [line for line in browser.get_log("browser") if line["level"] == "SEVERE"] == []
