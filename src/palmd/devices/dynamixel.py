@@ -1,0 +1,370 @@
+"""DYNAMIXEL Protocol 2.0, both directions: packets, their stuffing and checksum, and the X series' registers.
+
+    FF FF FD 00 | id | length, 2 bytes | instruction | parameters | CRC-16, 2 bytes
+
+Numbers are little-endian. `length` counts what follows it. Where FF FF FD would stand between the length and the CRC, an
+FD is put behind it (stuffing), so that a header is nowhere but at the start of a packet. A servo's answer has the
+instruction 55 and its first parameter is an error; that of a fast sync read is one packet of all servos, unstuffed.
+Everything here is pure and safe inside the 100 Hz loop. Source: ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0 and X series.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from enum import IntEnum
+from typing import NamedTuple
+
+from palmd.devices.arrival import FirstByteClock
+
+HEADER = b"\xff\xff\xfd\x00"
+BROADCAST = 0xFE
+ID_MAX = 252
+LONGEST = 512
+"""What `length` may say: far more than any packet on the bus, far less than garbage may make of it."""
+
+_HEAD_BYTES = 7  # up to and with the length
+_STUFFED, _PLAIN = b"\xff\xff\xfd\xfd", b"\xff\xff\xfd"
+
+
+class Instruction(IntEnum):
+    """What a packet asks, or that it is an answer."""
+
+    PING = 0x01
+    READ = 0x02
+    WRITE = 0x03
+    REBOOT = 0x08
+    STATUS = 0x55
+    SYNC_READ = 0x82
+    SYNC_WRITE = 0x83
+    FAST_SYNC_READ = 0x8A
+
+
+class Register(NamedTuple):
+    """An entry of a servo's control table: where it begins, how many bytes it has, whether they have a sign."""
+
+    address: int
+    size: int
+    signed: bool = False
+
+    @property
+    def end(self) -> int:
+        """The address after it."""
+        return self.address + self.size
+
+    def encode(self, value: int) -> bytes:
+        """Its bytes. Raises OverflowError for what it cannot hold."""
+        return value.to_bytes(self.size, "little", signed=self.signed)
+
+
+MODEL = Register(0, 2)
+FIRMWARE = Register(6, 1)
+ID = Register(7, 1)
+BAUD = Register(8, 1)
+RETURN_DELAY = Register(9, 1)  # 2 µs
+DRIVE_MODE = Register(10, 1)  # 1 reversed, 4 profiles by time
+OPERATING_MODE = Register(11, 1)  # 3 position
+HOMING_OFFSET = Register(20, 4, True)
+TEMPERATURE_LIMIT = Register(31, 1)  # °C
+MAX_POSITION = Register(48, 4)
+MIN_POSITION = Register(52, 4)
+SHUTDOWN = Register(63, 1)
+TORQUE = Register(64, 1)
+STATUS_LEVEL = Register(68, 1)  # 2: every instruction is answered
+HARDWARE_ERROR = Register(70, 1)
+WATCHDOG = Register(98, 1, True)  # 20 ms; 0 off, -1 tripped
+PROFILE_ACCELERATION = Register(108, 4)
+PROFILE_VELOCITY = Register(112, 4)  # ms where profiles go by time
+GOAL = Register(116, 4, True)
+TICK = Register(120, 2)  # ms
+MOVING = Register(122, 1)
+LOAD = Register(126, 2, True)  # 0.1 %
+VELOCITY = Register(128, 4, True)  # 0.229 /min
+POSITION = Register(132, 4, True)  # counts
+VOLTAGE = Register(144, 2)  # 0.1 V
+TEMPERATURE = Register(146, 1)  # °C
+
+COUNTS_PER_TURN = 4096
+TABLE_BYTES = 147
+VELOCITY_UNIT_RPM = 0.229
+EEPROM_END = 64
+"""Registers below this address keep their values without power, and are locked while the torque is on."""
+
+ALERT = 0x80
+"""Bit of an answer's error: the servo has a hardware error, told by its register."""
+
+ERRORS: Mapping[int, str] = {
+    1: "the instruction failed",
+    2: "no such instruction",
+    3: "the checksum was wrong",
+    4: "the value is out of range",
+    5: "the data are too long or too short",
+    6: "the value is beyond its limit",
+    7: "the register cannot be read or written now",
+}
+"""The other bits of an answer's error, in words."""
+
+
+class HardwareError(IntEnum):
+    """Bits of the hardware error register."""
+
+    VOLTAGE = 0x01
+    HOT = 0x04
+    ENCODER = 0x08
+    SHOCK = 0x10
+    OVERLOAD = 0x20
+
+
+def _table() -> tuple[int, ...]:
+    def entry(byte: int) -> int:
+        crc = byte << 8
+        for _ in range(8):
+            crc = (crc << 1) ^ 0x8005 if crc & 0x8000 else crc << 1
+        return crc & 0xFFFF
+
+    return tuple(map(entry, range(256)))
+
+
+_CRC = _table()
+
+
+def crc16(data: bytes, crc: int = 0) -> int:
+    """CRC-16, polynomial 8005, not reflected, begun at `crc`."""
+    for byte in data:
+        crc = (crc << 8 & 0xFF00) ^ _CRC[crc >> 8 ^ byte]
+    return crc
+
+
+def stuffed(body: bytes) -> bytes:
+    """Instruction and parameters as they go on the wire."""
+    return body.replace(_PLAIN, _STUFFED)
+
+
+def unstuffed(body: bytes) -> bytes:
+    """What `stuffed` was given."""
+    return body.replace(_STUFFED, _PLAIN)
+
+
+def encode(servo: int, instruction: Instruction, parameters: bytes = b"") -> bytes:
+    """The packet to (or, with STATUS, from) a servo; `BROADCAST` is for all. Raises ValueError where it cannot be."""
+    if not (0 <= servo <= ID_MAX or servo == BROADCAST):
+        raise ValueError(f"a servo's id is 0 to {ID_MAX}, not {servo}")
+    return _framed(servo, stuffed(bytes((instruction,)) + parameters))
+
+
+def _framed(servo: int, body: bytes) -> bytes:
+    if len(body) + 2 > LONGEST:
+        raise ValueError(f"a packet's length is at most {LONGEST}, not {len(body) + 2}")
+    packet = HEADER + struct.pack("<BH", servo, len(body) + 2) + body
+    return packet + struct.pack("<H", crc16(packet))
+
+
+def ping(servo: int) -> bytes:
+    """Asks for model and firmware."""
+    return encode(servo, Instruction.PING)
+
+
+def read(servo: int, address: int, size: int) -> bytes:
+    """Asks one servo for `size` bytes of its table."""
+    return encode(servo, Instruction.READ, struct.pack("<HH", address, size))
+
+
+def write(servo: int, register: Register, value: int) -> bytes:
+    """Sets one register of one servo."""
+    return encode(servo, Instruction.WRITE, struct.pack("<H", register.address) + register.encode(value))
+
+
+def reboot(servo: int) -> bytes:
+    """Starts a servo anew, which clears its hardware errors and whatever was not in EEPROM."""
+    return encode(servo, Instruction.REBOOT)
+
+
+def sync_write(register: Register, values: Mapping[int, int]) -> bytes:
+    """Sets one register of several servos, by id; never answered, so a refusal is silent."""
+    data = b"".join(bytes((servo,)) + register.encode(value) for servo, value in values.items())
+    return encode(BROADCAST, Instruction.SYNC_WRITE, struct.pack("<HH", register.address, register.size) + data)
+
+
+def sync_read(address: int, size: int, servos: Iterable[int], *, fast: bool = False) -> bytes:
+    """Asks several servos for `size` bytes of their tables; they answer in this order, all in one packet if `fast`."""
+    instruction = Instruction.FAST_SYNC_READ if fast else Instruction.SYNC_READ
+    return encode(BROADCAST, instruction, struct.pack("<HH", address, size) + bytes(servos))
+
+
+@dataclass(frozen=True, slots=True)
+class Packet:
+    """One packet without stuffing; `t_first` is when its first byte arrived (s). `parameters` have no error in them."""
+
+    t_first: float
+    servo: int
+    instruction: int
+    error: int
+    parameters: bytes
+
+    @property
+    def is_status(self) -> bool:
+        """Whether it is an answer."""
+        return self.instruction == Instruction.STATUS
+
+
+def encode_status(servo: int, error: int, parameters: bytes = b"") -> bytes:
+    """A servo's answer."""
+    return encode(servo, Instruction.STATUS, bytes((error,)) + parameters)
+
+
+def encode_fast_status(answers: Iterable[tuple[int, int, bytes]]) -> bytes:
+    """The answer of all servos to a fast sync read, from (id, error, data) of each.
+
+    Each servo adds the CRC of all that stands before it in the packet, the last one's is the packet's own.
+    """
+    each = [bytes((error, servo)) + data for servo, error, data in answers]
+    length = 1 + sum(len(part) + 2 for part in each)
+    packet = HEADER + struct.pack("<BHB", BROADCAST, length, Instruction.STATUS)
+    for part in each:
+        packet += part
+        packet += struct.pack("<H", crc16(packet))
+    return packet
+
+
+def fast_answers(packet: Packet, servos: Iterable[int], size: int) -> dict[int, Packet]:
+    """The single answers in that to a fast sync read of `size` bytes, by id; empty where it is not of these servos."""
+    whole = bytes((packet.error,)) + packet.parameters
+    found: dict[int, Packet] = {}
+    for number, servo in enumerate(servos):
+        part = whole[number * (size + 4) : (number + 1) * (size + 4)]
+        if len(part) < size + 2 or part[1] != servo:
+            return {}
+        found[servo] = Packet(packet.t_first, servo, packet.instruction, part[0], part[2 : 2 + size])
+    return found
+
+
+@dataclass(slots=True)
+class BusCounters:
+    """What a bus has brought; `bytes` are those of packets, discarded ones and those pending.
+
+    `crc_errors` counts packets whose checksum is wrong, `discarded` bytes that became part of no packet.
+    """
+
+    bytes: int = 0
+    packets: int = 0
+    crc_errors: int = 0
+    discarded: int = 0
+
+    def as_dict(self) -> dict[str, int]:
+        """Every count by name."""
+        return asdict(self)
+
+
+class PacketReader:
+    """Turns a bus's bytes into packets; garbage is counted and nothing else."""
+
+    def __init__(self, baud: int) -> None:
+        """`baud` in bit/s dates the bytes. Raises ValueError if it is not positive."""
+        self.counters = BusCounters()
+        self._clock = FirstByteClock(baud)
+        self._bytes = bytearray()
+        self._t_read: list[tuple[int, float]] = []  # of each read in hand: where in `_bytes` it ends, and when
+
+    @property
+    def pending(self) -> int:
+        """How many bytes are in hand."""
+        return len(self._bytes)
+
+    def feed(self, data: bytes, t_recv: float) -> list[Packet]:
+        """Take the bytes read at `t_recv` (s, monotonic) and return the packets they complete."""
+        if not data:
+            return []
+        self.counters.bytes += len(data)
+        self._bytes += data
+        self._t_read.append((len(self._bytes), t_recv))
+        return self._found()
+
+    def give_up(self) -> list[Packet]:
+        """No more comes of the packet in hand: the packets that it hid."""
+        if not self._bytes:
+            return []
+        self._drop(1)
+        found = self._found()
+        while self._bytes:
+            self._drop(1)
+            found += self._found()
+        return found
+
+    def reset(self) -> None:
+        """Discard what is in hand, for the line has been interrupted."""
+        self._drop(len(self._bytes))
+
+    def _found(self) -> list[Packet]:
+        found: list[Packet] = []
+        while (size := self._at_packet()) is not None:
+            raw = bytes(self._bytes[:size])
+            if crc16(raw[:-2]) != int.from_bytes(raw[-2:], "little"):
+                self.counters.crc_errors += 1
+                self._drop(1)
+                continue
+            found.append(self._packet(raw))
+            self.counters.packets += 1
+            self._take(size)
+        return found
+
+    def _at_packet(self) -> int | None:
+        """The size of the packet at the front, all of it there; None while it is not. Drops what cannot be one."""
+        while True:
+            start = self._bytes.find(HEADER[:1])
+            self._drop(len(self._bytes) if start < 0 else start)
+            head = bytes(self._bytes[: len(HEADER)])
+            if not HEADER.startswith(head):
+                self._drop(1)
+                continue
+            if len(self._bytes) < _HEAD_BYTES:
+                return None
+            length = int.from_bytes(self._bytes[5:_HEAD_BYTES], "little")
+            if not 3 <= length <= LONGEST:
+                self._drop(1)
+                continue
+            size = _HEAD_BYTES + length
+            return size if len(self._bytes) >= size else None
+
+    def _packet(self, raw: bytes) -> Packet:
+        servo, instruction, body = raw[4], raw[7], raw[7:-2]
+        if not (servo == BROADCAST and instruction == Instruction.STATUS):  # not that of a fast sync read
+            body = unstuffed(body)
+        answers = instruction == Instruction.STATUS and len(body) > 1
+        return Packet(
+            self._t_first(), servo, instruction, body[1] if answers else 0, body[2:] if answers else body[1:]
+        )
+
+    def _t_first(self) -> float:
+        """When the byte at the front arrived: no read can be earlier than its bytes took on the line."""
+        (end, t_recv), *later = self._t_read
+        self._clock.begin(t_recv, end - 1)
+        for end, t_recv in later:
+            self._clock.more(t_recv, end - 1)
+        return self._clock.end()
+
+    def _drop(self, count: int) -> None:
+        self.counters.discarded += count
+        self._take(count)
+
+    def _take(self, count: int) -> None:
+        if count:
+            del self._bytes[:count]
+            self._t_read = [(end - count, t) for end, t in self._t_read if end > count]
+
+
+class Registers:
+    """A stretch of one servo's table as read: `registers[POSITION]` is a number."""
+
+    def __init__(self, address: int, data: bytes) -> None:
+        self._address, self._data = address, data
+
+    def __contains__(self, register: Register) -> bool:
+        return self._address <= register.address and register.end <= self._address + len(self._data)
+
+    def __getitem__(self, register: Register) -> int:
+        """Raises KeyError for a register that was not read."""
+        if register not in self:
+            raise KeyError(register)
+        start = register.address - self._address
+        return int.from_bytes(self._data[start : start + register.size], "little", signed=register.signed)
