@@ -32,7 +32,7 @@ from palmd.devices.actuator import ArmState
 from palmd.devices.pad import PadDriver, make_pad
 from palmd.devices.port import DevicePort
 from palmd.events import Estimate, Event, Improvement, ObjectEstimate, PadSample, ShapeEstimate
-from palmd.faults import FaultMonitor
+from palmd.faults import FaultMonitor, Severity
 from palmd.messages import (
     Fields,
     contact_fields,
@@ -92,10 +92,11 @@ class Core:
         self.setpoints = SetPoints(geometry, motion_limits(config))
         self.faults = FaultMonitor()
         self.exploring = Exploring(self.setpoints, explorer)
-        plans = PlanFolder(None if config.plan is None else config.plan.parent, folder)
+        plans = PlanFolder.of(config, folder)
         self.supervisor = Supervisor(
             self.arm, self.setpoints, self.exploring, self.faults, aside, plan, plans, autostart=config.autostart
         )
+        self._in_state: tuple[State, float, str] = (self.state, math.nan, "")  # since when (s), and why
         self._observer = observer
         self._estimate = unknown_estimate(-math.inf, observer)
         self._shape: ShapeEstimate | None = None
@@ -261,7 +262,7 @@ class Core:
         told = (self.state, self.faults.active)
         if told != self._told or t - self._t_state >= SLOW_TOPIC_S - _EARLY_S:
             self._told, self._t_state = told, t
-            messages.append((STATE, state_fields(str(self.state), self.faults.active)))
+            messages.append((STATE, self._state_fields(t)))
         if self._shape is not None:
             messages.append((SHAPE, shape_fields(self._shape)))
             self._shape = None
@@ -269,6 +270,25 @@ class Core:
             messages.append((OBJECT, object_fields(self._object)))
             self._object = None
         return messages
+
+    def _state_fields(self, t: float) -> Fields:
+        state, since, cause = self._in_state
+        if state is not self.state or math.isnan(since):
+            state, since = self.state, t
+            cause = self.supervisor.cause + (self._evidence(t) if state in (State.HOLD, State.FAULT) else "")
+            self._in_state = (state, since, cause)
+        return state_fields(str(state), self.faults.active, cause, t - since, self.exploring.explored)
+
+    def _evidence(self, t: float) -> str:
+        """How old what a pad or the arm last said is at `t` (s), where that is what holds or stops the palms."""
+        codes = [fault.code for severity in (Severity.HOLD, Severity.STOP) for fault in self.faults.standing(severity)]
+        ages = {name: pad.view(t).age for name, pad in self.pads.items()} | {"arm": self.arm.host.age(t)}
+        told = [
+            f"{name.replace('pad', 'pad ')} last heard {age * 1e3:.0f} ms before"
+            for name, age in ages.items()
+            if math.isfinite(age) and any(code.startswith(f"{name}-") for code in codes)
+        ]
+        return f" ({', '.join(told)})" if told else ""
 
     def replies(self) -> list[Reply]:
         """The answers that have come due since the last call."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from typing import Any
@@ -77,6 +77,7 @@ class Supervisor:
         self.state = State.IDLE
         self.plan = plan
         self.plan_refused = False
+        self.cause = ""
         self.at_rest = True
         self.replies: list[Reply] = []
         self.recorder = RecorderWatch()
@@ -134,8 +135,8 @@ class Supervisor:
         if self._faults.standing(Severity.STOP):
             if self.state in COMMANDED or self._faults.latched(Severity.STOP):
                 self.fall()
-        elif self.state is State.TRACKING and self._faults.standing(Severity.HOLD):
-            self._change(Trigger.HOLD)
+        elif self.state is State.TRACKING and (holding := self._faults.standing(Severity.HOLD)):
+            self._change(Trigger.HOLD, _told(holding))
             self._setpoints.hold()
         self._change(Trigger.RIG_UP if up else Trigger.RIG_DOWN)
         self._t_up = min(self._t_up, t) if up else math.inf
@@ -144,14 +145,14 @@ class Supervisor:
 
     def fall(self) -> None:
         """A stop fault: a planned stop, whatever is going on."""
-        self._change(Trigger.STOP_FAULT)
+        self._change(Trigger.STOP_FAULT, _told(self._faults.standing(Severity.STOP)))
         self._stand_down("a fault came up; see status")
 
     def close(self) -> None:
         """Make for a planned stop, and take no more commands that move."""
         self._closing = True
         self._autostart.clear()
-        self._change(Trigger.STOP)
+        self._change(Trigger.STOP, "palmd is stopping")
         self._stand_down("palmd is stopping")
 
     # ---- commands ----------------------------------------------------------------------------------------
@@ -231,13 +232,13 @@ class Supervisor:
 
     def _hold(self, _request: Request, _t: float) -> dict[str, Any]:
         self._refuse_unless_commanded()
-        self._change(Trigger.HOLD)
+        self._change(Trigger.HOLD, "hold was asked for")
         self._setpoints.hold()
         return self._told()
 
     def _stop(self, _request: Request, _t: float) -> dict[str, Any]:
         self._autostart.clear()
-        self._change(Trigger.STOP)
+        self._change(Trigger.STOP, "stop was asked for")
         self._stand_down("stop came first")
         return self._told()
 
@@ -401,10 +402,12 @@ class Supervisor:
         ):
             self.handle(Request(self._autostart.pop(0), id=_AUTOSTART_ID), t)
 
-    def _change(self, trigger: Trigger) -> bool:
+    def _change(self, trigger: Trigger, cause: str = "") -> bool:
         state = next_state(self.state, trigger)
         if state is None:
             return False
+        if state is not self.state:
+            self.cause = cause or str(trigger)
         self.state = state
         return True
 
@@ -418,6 +421,10 @@ class Supervisor:
 def _turn(jog: Request, of: str) -> Angles:
     """By how much a jog turns the palms (rad): its step, or the whole of which that is the first."""
     return tuple(math.radians(jog.args.get(f"{of}{joint}_deg", 0.0)) for joint in JOINTS)
+
+
+def _told(faults: Iterable[Fault]) -> str:
+    return "; ".join(fault.text for fault in faults)
 
 
 def _named(state: ArmState | None) -> str:
