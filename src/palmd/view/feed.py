@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from palmd.bus.subscriber import Subscriber
 from palmd.keys import Credentials
-from palmd.quantities import CONTACT, ESTIMATE, INFO, LOOP, MOTION, OBJECT, RIG, RIG_TOPICS, SHAPE, STATE
+from palmd.quantities import CONTACT, ESTIMATE, INFO, LOOP, MOTION, OBJECT, REPLAY, RIG, RIG_TOPICS, SHAPE, STATE
 
 Payload = tuple[str, bytes]
 """A topic and its payload, a msgpack map as it came."""
 
-TOPICS = tuple(topic.name for topic in (ESTIMATE, SHAPE, OBJECT, CONTACT, MOTION, STATE, LOOP, INFO, RIG, *RIG_TOPICS))
+TOPICS = tuple(
+    topic.name for topic in (ESTIMATE, SHAPE, OBJECT, CONTACT, MOTION, STATE, LOOP, INFO, RIG, REPLAY, *RIG_TOPICS)
+)
 """What the page shows; the other topics are not even sent to us."""
 
 QUEUED_MESSAGES = 1000  # two seconds' worth, should we be held up
