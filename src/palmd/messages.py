@@ -27,7 +27,7 @@ from palmd.events import (
 )
 from palmd.faults import Fault
 from palmd.quantities import ESTIMATE, EVENTS, LOG, SCHEMA, STAMP, TICK, TOPICS, UNITS, Kind, Topic
-from palmd.system.mechanism import JOINTS, PALMS
+from palmd.system.mechanism import JOINTS, PALMS, SIDES
 from palmd.system.rig_constants import RIG_NAMES, said_off
 
 Fields = dict[str, Any]
@@ -202,14 +202,41 @@ def motion_fields(
     }
 
 
-def state_fields(state: str, faults: Iterable[Fault]) -> Fields:
-    """`palm/state`."""
+@dataclass(frozen=True, slots=True)
+class Explored:
+    """How far an exploration is, or has come: shares of normals as in `palm/state`, NaN for none."""
+
+    running: bool = False
+    seconds: float = math.nan
+    coverage: float = math.nan
+    goal: float = math.nan
+    reachable: float = math.nan
+    reason: str = ""
+
+
+def state_fields(
+    state: str,
+    faults: Iterable[Fault],
+    cause: str = "",
+    since_s: float = 0.0,
+    explored: Explored = Explored(),
+) -> Fields:
+    """`palm/state`; what `cause` brought the state about `since_s` seconds ago."""
     faults = tuple(faults)
     return {
         "state": state,
         "faults": [fault.code for fault in faults],
         "severities": [str(fault.severity) for fault in faults],
         "hints": [fault.hint for fault in faults],
+        "texts": [fault.text for fault in faults],
+        "cause": cause,
+        "since_s": since_s,
+        "exploring": explored.running,
+        "explored_s": explored.seconds,
+        "coverage": explored.coverage,
+        "coverage_goal": explored.goal,
+        "reachable": explored.reachable,
+        "reason": explored.reason,
     }
 
 
@@ -250,7 +277,7 @@ def entries_of(fields: Mapping[str, Any]) -> tuple[LogEntry, ...]:
     return tuple(LogEntry(*row) for row in zip(*(fields[name] for name in _LOG_COLUMNS), strict=True))
 
 
-def info_fields(version: str, observer: str, config: Config) -> Fields:
+def info_fields(version: str, observer: str, config: Config, plans: Iterable[str] = ()) -> Fields:
     """`palm/info`: who runs, and the rig as configured, lengths and limits included, for whoever draws it."""
     rig, limits = config.rig, config.limits
     lengths_mm = {f"palm{palm}": length for palm, length in zip(PALMS, rig.palm_lengths_mm, strict=True)}
@@ -270,6 +297,10 @@ def info_fields(version: str, observer: str, config: Config) -> Fields:
         **{f"{name}_limits_rad": [math.radians(angle) for angle in ends] for name, ends in ranges_deg.items()},
         "rate_limit_rad_s": math.radians(limits.rate_deg_s),
         "acceleration_limit_rad_s2": math.radians(limits.acceleration_deg_s2),
+        "palms": list(PALMS),
+        "joints": list(JOINTS),
+        "sides": list(SIDES),
+        "plans": list(plans),
     }
 
 

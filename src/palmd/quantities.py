@@ -47,8 +47,8 @@ _SHOWN = {
 class Chart:
     """Quantities that are drawn in one picture, those whose `chart` has this name.
 
-    As a strip of the live page its axis spans at least `span` shown units, from `low` on where that is given; without
-    a span the page has no strip of it.
+    As a strip of the live page, in the `group`, its axis spans at least `span` shown units, from `low` on where that is
+    given; without a span the page has no strip of it. good: from where to where, in shown units, all is well.
     """
 
     name: str
@@ -56,18 +56,27 @@ class Chart:
     title: str
     span: float | None = None
     low: float | None = None
+    group: str = ""
+    good: tuple[float, float] | None = None
+
+
+NIS_BAND = (0.4, 1.5)
+"""Where the mean of an honest observer's NIS lies: 2 % of readings wrong by centimetres bring an honest 1 to 1.3."""
+
+_ON_IT, _PALMS, _TRUST = "Object", "Palms", "Trust"
 
 
 CHARTS = (
-    Chart("distance", "state", "Distance of the palms from the centre of mass", 0.5),
-    Chart("rate", "state", "Angular rate of the object", 10.0),
-    Chart("contact", "state", "Contacts, from the hinge", 2.0),
-    Chart("gyration", "state", "Radius of gyration", 1.0),
-    Chart("angles", "state", "Palm angles", 4.0),
-    Chart("rates", "state", "Palm rates", 4.0),
+    Chart("distance", "state", "Distance of the palms from the centre of mass", 0.5, group=_ON_IT),
+    Chart("rate", "state", "Angular rate of the object", 10.0, group=_ON_IT),
+    Chart("contact", "state", "Contacts, from the hinge", 2.0, group=_ON_IT),
+    Chart("gyration", "state", "Radius of gyration", 1.0, group=_ON_IT),
+    Chart("angles", "state", "Palm angles", 4.0, group=_PALMS),
+    Chart("rates", "state", "Palm rates", 4.0, group=_PALMS),
     Chart("turn", "state", "Turn of the object"),
-    Chart("nis", "trust", "Normalised innovation squared: 1 when readings and model agree", 1.0, 0.0),
-    Chart("observability", "trust", "Observability: above 1 when the last second alone tells all", 1.0, 0.0),
+    Chart("nis", "trust", "Normalised innovation squared: 1 when readings and model agree", 1.0, 0.0, _TRUST, NIS_BAND),
+    Chart("observability", "trust", "Observability: above 1 when the last second alone tells all", 1.0, 0.0, _TRUST,
+          (1.0, math.inf)),
     Chart("touched", "trust", "Touched, valid"),
     Chart("object", "trust", "Number of the object"),
     Chart("force", "forces", "Normal force"),
@@ -78,7 +87,7 @@ CHARTS = (
     Chart("work", "loop", "Work"),
     Chart("age", "loop", "Age of the readings"),
     Chart("missed", "loop", "Ticks skipped, readings dropped"),
-)
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,6 +294,19 @@ STATE = Topic(
         Quantity("faults", "texts", "", "codes of the faults that stand, latched ones included"),
         Quantity("severities", "texts", "", "note, degrade, hold or stop, one for each fault"),
         Quantity("hints", "texts", "", "what to do, one for each fault"),
+        Quantity("texts", "texts", "", "what is the matter, one for each fault"),
+        Quantity(
+            "cause", "text", "", "what has brought the state about, in words; empty when nothing has since the start"
+        ),
+        Quantity("since_s", "number", "s", "for how long it has been in that state"),
+        Quantity(
+            "exploring", "bool", "", "whether an exploration is going on; what follows is about it, else the last"
+        ),
+        Quantity("explored_s", "number", "s", "how long it has taken, holds left out; none before the first"),
+        Quantity("coverage", "number", "", "share touched of the normals that can be reached; none while unknown"),
+        Quantity("coverage_goal", "number", "", "the share at which it is done"),
+        Quantity("reachable", "number", "", "share of all normals that can be reached; none while unknown"),
+        Quantity("reason", "text", "", "why it stands or why it is over, in words; empty while it goes on"),
     ),
 )
 LOOP = Topic(
@@ -334,6 +356,10 @@ INFO = Topic(
         *of_each_palm(Quantity("palm{}_length_m", "number", "m", "palm {}, from the hinge to its far end")),
         *of_each_palm(Quantity("pad{}_length_m", "number", "m", "pad {}, from the hinge on")),
         *of_each_palm(Quantity("phi{}_limits_rad", "numbers", "rad", "least and largest phi{}")),
+        Quantity("palms", "numbers", "", "the palms' numbers, which stand in the names of their quantities"),
+        Quantity("joints", "texts", "", "the joint that turns each palm against the one before, as in <joint>_rad"),
+        Quantity("sides", "numbers", "", "where the object is, seen along each palm from the hinge: 1 left, -1 right"),
+        Quantity("plans", "texts", "", "the plans that lie beside the configured one, as the plan command takes them"),
         Quantity("rate_limit_rad_s", "number", "rad/s", "of each palm angle"),
         Quantity("acceleration_limit_rad_s2", "number", "rad/s²", "of each palm angle"),
     ),
@@ -449,6 +475,17 @@ BODY = Topic(
         Quantity("damping_m2_s", "number", "m²/s", "damping of its turning, per unit mass"),
     ),
 )
+REPLAY = Topic(
+    "replay/run",
+    1.0,
+    "",
+    (
+        Quantity("path", "text", "", "the recorded run that is being published again"),
+        Quantity("speed", "number", "", "times the recorded pace"),
+    ),
+)
+"""What `palmd replay` publishes besides, so that nobody takes an old run for what is going on."""
+
 RIG_TOPICS: tuple[Topic, ...] = (TRUTH, BODY)
 """What an emulated rig publishes besides: what is really there."""
 

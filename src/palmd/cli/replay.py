@@ -21,6 +21,7 @@ from palmd.console.progress import Progress
 from palmd.harness.processes import StopRequest
 from palmd.quantities import EVENTS
 from palmd.record.length import message_count
+from palmd.record.mcapfile import RawMessage
 from palmd.record.player import SETTLE_S, Publisher, RepublishError, pause, play
 from palmd.record.recheck import Difference, Recheck
 from palmd.record.run import Run, RunError, read_run
@@ -54,12 +55,17 @@ def run(arguments: argparse.Namespace) -> int:
 def _publish(recording: Run, address: str, speed: float, *, loop: bool) -> None:
     total = message_count(recording)
     publisher = Publisher(address)
+
+    def send(message: RawMessage) -> None:
+        publisher.announce(recording.path, speed)
+        publisher.send(message)
+
     try:
         with StopRequest() as stop:
             pause(time.monotonic() + SETTLE_S, lambda: stop.made)
             while not stop.made:
                 with Progress("replay", total, "messages") as progress:
-                    play(recording.messages(), speed, publisher.send, lambda: stop.made, progress.at)
+                    play(recording.messages(), speed, send, lambda: stop.made, progress.at)
                 if not loop:
                     break
     finally:

@@ -14,7 +14,7 @@ import signal
 
 from palmd.bus.link import COMMAND, PUBLISH, add_key, credentials
 from palmd.cli.browser import open_page
-from palmd.daemon.lifecycle import TRANSITIONS, Trigger
+from palmd.daemon.lifecycle import TRANSITIONS, State, Trigger
 from palmd.view.server import Settings, serve_page
 
 PORT = 8787
@@ -25,7 +25,10 @@ TRIGGERS = {
     "stop": Trigger.STOP,
     "reset": Trigger.CLEARED,
 }
-"""The page's commands, and what each would trigger."""
+"""The page's buttons, and what each would trigger."""
+
+FORMS = {"jog": (State.TRACKING, State.HOLD), "plan": (State.READY, State.TRACKING, State.HOLD)}
+"""Its other commands, which change no state, and the states in which they apply."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,10 +58,11 @@ def run(arguments: argparse.Namespace) -> int:
 
 def allowed() -> dict[str, list[str]]:
     """The states in which each of the page's commands applies, from the daemon's own table."""
-    return {
+    buttons = {
         command: [str(state) for state, trigger in TRANSITIONS if trigger is triggered]
         for command, triggered in TRIGGERS.items()
     }
+    return buttons | {command: [str(state) for state in states] for command, states in FORMS.items()}
 
 
 async def _serve(settings: Settings, browser: bool) -> None:

@@ -20,7 +20,7 @@ from palmd.daemon.bus import Bus, BusError
 from palmd.daemon.core import Core
 from palmd.daemon.explorer_process import ExplorerProcess
 from palmd.daemon.loop import Loop
-from palmd.daemon.planner import Plan, read_plan
+from palmd.daemon.planner import Plan, PlanFolder, read_plan
 from palmd.daemon.smoothing import SmootherProcess
 from palmd.daemon.systemd import Notifier
 from palmd.keys import KeysError, server_keys
@@ -112,7 +112,7 @@ def _run(
         notifier,
         rate_hz=config.loop.rate_hz,
         backend=estimator.backend,
-        info=info_fields(__version__, estimator.name, config),
+        info=info_fields(__version__, estimator.name, config, PlanFolder.of(config, folder).names()),
         counters=lambda: _counters(smoother, estimator, explorer),
     )
     if recorded:

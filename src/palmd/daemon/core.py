@@ -34,7 +34,7 @@ from palmd.devices.actuator import ArmState
 from palmd.devices.pad import PadDriver, make_pad
 from palmd.devices.port import DevicePort
 from palmd.events import Estimate, Event, Improvement, ObjectEstimate, PadSample, ShapeEstimate
-from palmd.faults import FaultMonitor
+from palmd.faults import FaultMonitor, Severity
 from palmd.messages import (
     Fields,
     contact_fields,
@@ -96,7 +96,7 @@ class Core:
         self.faults = FaultMonitor()
         self.journal = Journal()
         self.exploring = Exploring(self.setpoints, explorer)
-        plans = PlanFolder(None if config.plan is None else config.plan.parent, folder)
+        plans = PlanFolder.of(config, folder)
         self.supervisor = Supervisor(
             self.arm,
             self.setpoints,
@@ -108,6 +108,7 @@ class Core:
             plans,
             autostart=config.autostart,
         )
+        self._in_state: tuple[State, float, str] = (self.state, math.nan, "")  # since when (s), and why
         self._observer = observer
         self._estimate = unknown_estimate(-math.inf, observer)
         self._shape: ShapeEstimate | None = None
@@ -292,7 +293,7 @@ class Core:
         told = (self.state, self.faults.active)
         if told != self._told or t - self._t_state >= SLOW_TOPIC_S - _EARLY_S:
             self._told, self._t_state = told, t
-            messages.append((STATE, state_fields(str(self.state), self.faults.active)))
+            messages.append((STATE, self._state_fields(t)))
         if self._shape is not None:
             messages.append((SHAPE, shape_fields(self._shape)))
             self._shape = None
@@ -304,6 +305,20 @@ class Core:
             self._logged, self._t_log = self.journal.count, t
             messages.append((LOG, log_fields(self.journal.entries)))
         return messages
+
+    def _state_fields(self, t: float) -> Fields:
+        state, since, cause = self._in_state
+        if state is not self.state or math.isnan(since):
+            state, since = self.state, t
+            cause = self.supervisor.cause + (self._grounds(t) if state in (State.HOLD, State.FAULT) else "")
+            self._in_state = (state, since, cause)
+        return state_fields(str(state), self.faults.active, cause, t - since, self.exploring.explored)
+
+    def _grounds(self, t: float) -> str:
+        """What speaks at `t` (s) for the faults that hold or stop the palms."""
+        codes = [fault.code for severity in (Severity.HOLD, Severity.STOP) for fault in self.faults.standing(severity)]
+        told = "; ".join(filter(None, (self._evidence(code, t) for code in codes)))
+        return f" ({told})" if told else ""
 
     def replies(self) -> list[Reply]:
         """The answers that have come due since the last call."""

@@ -10,11 +10,12 @@ from palmd.daemon.drivers import ArmDriver
 from palmd.devices.actuator import ArmState
 from palmd.devices.health import Share
 from palmd.devices.pad import PadDriver
+from palmd.quantities import NIS_BAND
 
 LOOK_S = 0.5
 """How often the counters are judged; a verdict stands until the next."""
 
-NIS_BAND, NIS_MEMORY_S = (0.4, 1.5), 2.0  # 2 % of readings wrong by centimetres bring an honest 1 to 1.3
+NIS_MEMORY_S = 2.0
 OVERRUNS_MOST, OVERRUN_MEMORY_S = 10, 1.0
 
 _BY_STATE = {

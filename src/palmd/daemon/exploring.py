@@ -16,6 +16,7 @@ from typing import Any
 from palmd.daemon.exploration_requests import ExplorationAnswer, ExplorationTask, Question, Source
 from palmd.daemon.setpoints import SetPoints
 from palmd.events import Outlook
+from palmd.messages import Explored
 from palmd.motion.exploration import Exploration
 from palmd.motion.explorer import UnderWay
 from palmd.motion.segments import Move
@@ -57,6 +58,7 @@ class Exploring:
         self._exploration: Exploration | None = None
         self._run = 0
         self._coverage = self._reachable = math.nan
+        self._seconds = math.nan
         self._reason = ""
         self._next: tuple[Move, bool] | None = None  # and whether it rocks
         self._rocking = self._halting = self._ending = False
@@ -92,6 +94,12 @@ class Exploring:
             "reason": self._reason,
         }
 
+    @property
+    def explored(self) -> Explored:
+        """What `palm/state` says of it."""
+        running, goal = self._exploration is not None, math.nan if self._run == 0 else self._task.goal.coverage
+        return Explored(running, self._seconds, self._coverage, goal, self._reachable, self._reason)
+
     def step(self, t: float, senses: Senses) -> None:
         """One tick at `t` (s)."""
         found, source = self._setpoints.exploration, self._source
@@ -101,6 +109,7 @@ class Exploring:
         exploration, tau = found
         if exploration is not self._exploration:
             self._begin(exploration, t)
+        self._seconds = tau
         answer = source.collect(t)
         if self._halting or not senses.tracking:
             self._stand(exploration, tau, t)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
-from palmd.config import ExploreSpec, MoveSpec, PlanSpec
+from palmd.config import Config, ExploreSpec, MoveSpec, PlanSpec
 from palmd.motion.check import compiled
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import Trajectory, compile_plan
@@ -70,6 +71,11 @@ class PlanFolder:
     folder: Path | None
     base: Path
 
+    @classmethod
+    def of(cls, config: Config, base: Path) -> Self:
+        """That of a configuration in the folder `base`."""
+        return cls(None if config.plan is None else config.plan.parent, base)
+
     def load(self, name: str, limits: MotionLimits, start: Angles | None) -> Plan:
         """The plan in the file called `name`; not for the loop. Raises ConfigError, as `read_plan`.
 
@@ -89,6 +95,15 @@ class PlanFolder:
             raise _no_plan(name)
         return _plan(replace(document, path=Path(name)), limits, start)
 
+    def names(self) -> list[str]:
+        """What plans there are, as `load` takes them, in the order of the alphabet; not for the loop."""
+        if self.folder is None:
+            return []
+        with contextlib.suppress(OSError):
+            names = sorted(path.name for path in self.folder.iterdir())
+            return [name for name in names if (path := self._file(name)) is not None and _holds_plan(path)]
+        return []
+
     def _file(self, name: str) -> Path | None:
         if self.folder is None:
             return None
@@ -99,6 +114,12 @@ class PlanFolder:
                 if path.parent == inside and path.is_file():
                     return path
         return None
+
+
+def _holds_plan(path: Path) -> bool:
+    with contextlib.suppress(OSError, ConfigError):
+        return path.suffix in (".yaml", ".yml") and is_plan(read_document(path))
+    return False
 
 
 def _no_plan(name: str) -> ConfigError:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from typing import Any
@@ -87,6 +87,7 @@ class Supervisor:
         self.plan = plan
         self.plan_refused = False
         self.refusal = ""
+        self.cause = ""
         self.at_rest = True
         self.replies: list[Reply] = []
         self.recorder = RecorderWatch()
@@ -146,8 +147,8 @@ class Supervisor:
         if self._faults.standing(Severity.STOP):
             if self.state in COMMANDED or self._faults.latched(Severity.STOP):
                 self.fall()
-        elif self.state is State.TRACKING and self._faults.standing(Severity.HOLD):
-            self._change(Trigger.HOLD, f"fault {self._standing(Severity.HOLD)}")
+        elif self.state is State.TRACKING and (holding := self._faults.standing(Severity.HOLD)):
+            self._change(Trigger.HOLD, _told(holding))
             self._setpoints.hold()
         trigger = Trigger.RIG_UP if up else Trigger.RIG_DOWN
         self._change(trigger, str(trigger))
@@ -157,7 +158,7 @@ class Supervisor:
 
     def fall(self) -> None:
         """A stop fault: a planned stop, whatever is going on."""
-        self._change(Trigger.STOP_FAULT, f"fault {self._standing(Severity.STOP)}")
+        self._change(Trigger.STOP_FAULT, _told(self._faults.standing(Severity.STOP)))
         self._stand_down("a fault came up; see status")
 
     def close(self) -> None:
@@ -246,13 +247,13 @@ class Supervisor:
 
     def _hold(self, request: Request, _t: float) -> dict[str, Any]:
         self._refuse_unless_commanded()
-        self._change(Trigger.HOLD, "hold", request)
+        self._change(Trigger.HOLD, "hold was asked for", request)
         self._setpoints.hold()
         return self._told()
 
     def _stop(self, request: Request, _t: float) -> dict[str, Any]:
         self._autostart.clear()
-        self._change(Trigger.STOP, "stop", request)
+        self._change(Trigger.STOP, "stop was asked for", request)
         self._stand_down("stop came first")
         return self._told()
 
@@ -421,11 +422,8 @@ class Supervisor:
         before, self.state = self.state, next_state(self.state, trigger) or self.state
         if self.state is not before:
             who = "" if request is None else request.who or "somebody"
-            by = f", by {who}" if who else ""
-            self._journal.add("state", str(self.state), f"{before} -> {self.state}: {why}{by}", who=who)
-
-    def _standing(self, severity: Severity) -> str:
-        return ", ".join(fault.code for fault in self._faults.standing(severity))
+            self.cause = f"{why}, by {who}" if who else why
+            self._journal.add("state", str(self.state), f"{before} -> {self.state}: {self.cause}", who=who)
 
     def _answer(self, request: Request, error: str | None, result: dict[str, Any] | None = None) -> None:
         if error is not None and request.id == _AUTOSTART_ID and request.route is None:
@@ -448,6 +446,10 @@ class Supervisor:
 def _turn(jog: Request, of: str) -> Angles:
     """By how much a jog turns the palms (rad): its step, or the whole of which that is the first."""
     return tuple(math.radians(jog.args.get(f"{of}{joint}_deg", 0.0)) for joint in JOINTS)
+
+
+def _told(faults: Iterable[Fault]) -> str:
+    return "; ".join(fault.text for fault in faults)
 
 
 def _named(state: ArmState | None) -> str:

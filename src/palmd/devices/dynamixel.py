@@ -331,9 +331,7 @@ class PacketReader:
         if not (servo == BROADCAST and instruction == Instruction.STATUS):  # not that of a fast sync read
             body = unstuffed(body)
         answers = instruction == Instruction.STATUS and len(body) > 1
-        return Packet(
-            self._t_first(), servo, instruction, body[1] if answers else 0, body[2:] if answers else body[1:]
-        )
+        return Packet(self._t_first(), servo, instruction, body[1] if answers else 0, body[2:] if answers else body[1:])
 
     def _t_first(self) -> float:
         """When the byte at the front arrived: no read can be earlier than its bytes took on the line."""

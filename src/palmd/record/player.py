@@ -2,15 +2,21 @@
 
 Nothing in a message is changed, so `timestamp`, `mono_ns`, `seq` and the third frame tell when the run was, not when
 it is replayed: what a subscriber draws or stores from it lies where it belongs, beside other records of that day.
+One topic more, `replay/run`, says that it is a replay.
 """
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 
+import msgpack
 import zmq
 
+from palmd.messages import stamp
+from palmd.quantities import REPLAY
 from palmd.record.mcapfile import RawMessage
 from palmd.record.recording import SILENT_S
 
@@ -31,6 +37,7 @@ class Publisher:
 
     def __init__(self, address: str) -> None:
         """`address` is a ZeroMQ address; raises RepublishError when it cannot be had."""
+        self._t_announce, self._seq = -math.inf, -1
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.PUB)
         self._socket.setsockopt(zmq.LINGER, _LAST_WORDS_MS)
@@ -48,6 +55,15 @@ class Publisher:
     def send(self, message: RawMessage) -> None:
         """Send one message as it was sent; raises RunError when it is damaged."""
         self._socket.send_multipart(frames(message))
+
+    def announce(self, path: Path, speed: float) -> None:
+        """Say that what is published is a recorded run, once a second at most."""
+        now = time.monotonic()
+        if now >= self._t_announce:
+            self._t_announce = now + 1.0 / REPLAY.rate_hz
+            self._seq += 1
+            said = stamp({"path": path.name, "speed": speed}, time.time(), now, self._seq)
+            self._socket.send_multipart((REPLAY.frame, msgpack.packb(said), b"%.6f" % time.time()))
 
     def close(self) -> None:
         """Let go of the address once the last messages have left, or have had a second to."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from palmd.bus.command_client import CommandClient
@@ -31,9 +32,9 @@ class PageCommands:
         """Whether somebody takes commands at the address."""
         return self._client.open
 
-    def send(self, command: str, t: float) -> int | None:
+    def send(self, command: str, args: Mapping[str, str | int | float], t: float) -> int | None:
         """The number under which the answer to `command` will come, None when nobody takes it; t in s."""
-        number = self._client.post(command)
+        number = self._client.post(command, args)
         if number is not None:
             self._deadlines[number] = t + TIMEOUT_S
         return number

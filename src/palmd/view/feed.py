@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from palmd.bus.subscriber import Subscriber
 from palmd.keys import Credentials
-from palmd.quantities import CONTACT, ESTIMATE, INFO, LOG, LOOP, MOTION, OBJECT, RIG, RIG_TOPICS, SHAPE, STATE
+from palmd.quantities import CONTACT, ESTIMATE, INFO, LOG, LOOP, MOTION, OBJECT, REPLAY, RIG, RIG_TOPICS, SHAPE, STATE
 
 Payload = tuple[str, bytes]
 """A topic and its payload, a msgpack map as it came."""
 
 TOPICS = tuple(
-    topic.name for topic in (ESTIMATE, SHAPE, OBJECT, CONTACT, MOTION, STATE, LOOP, INFO, RIG, LOG, *RIG_TOPICS)
+    topic.name for topic in (ESTIMATE, SHAPE, OBJECT, CONTACT, MOTION, STATE, LOOP, INFO, RIG, LOG, REPLAY, *RIG_TOPICS)
 )
 """What the page shows; the other topics are not even sent to us."""
 

@@ -172,7 +172,7 @@ class _Server:
         elif order.command not in self._settings.allowed:
             client.tell(wire.answer(order, "the page has no such command"))
         else:
-            number = self._commands.send(order.command, asyncio.get_running_loop().time())
+            number = self._commands.send(order.command, order.args, asyncio.get_running_loop().time())
             if number is None:
                 client.tell(wire.answer(order, f"nobody takes commands at {self._settings.command}"))
             else:

@@ -2,27 +2,33 @@
 
 To the page: text frames are JSON maps `{hello: …}` and `{answer: …}`; binary frames are batches, a msgpack list
 `[frame, lost, commandable, [[topic, payload], …]]` with each payload as the daemon sent it, so that nothing is decoded
-on the way. From the page: JSON maps, first `{token}`, then `{id, cmd}`.
+on the way. From the page: JSON maps, first `{token}`, then `{id, cmd}`, with `args` where the command has some.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, cast
 
 import msgpack
 
 from palmd.view.feed import Payload
 
+Argument = str | int | float
+
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """A command as the page asks for it; `id` is the page's own and comes back with the answer."""
+    """A command as the page asks for it; `id` is the page's own and comes back with the answer.
+
+    What the arguments may be the daemon knows.
+    """
 
     id: int
     command: str
+    args: dict[str, Argument] = field(default_factory=dict)
 
 
 def batch(frame: int, lost: int, commandable: bool, messages: Iterable[Payload]) -> bytes:
@@ -54,7 +60,17 @@ def order_in(text: str | bytes) -> Order | None:
     message = _map(text)
     if message is None or type(message.get("id")) is not int or not isinstance(message.get("cmd"), str):
         return None
-    return Order(message["id"], message["cmd"])
+    args = message.get("args", {})
+    if not isinstance(args, dict) or not all(map(_is_argument, (*args, *args.values()))):
+        return None
+    return Order(message["id"], message["cmd"], args)
+
+
+def _is_argument(value: object) -> bool:
+    """Whether msgpack can carry it: text of whole characters, or a number that is not too long."""
+    if isinstance(value, str):
+        return not any("\ud800" <= letter <= "\udfff" for letter in value)
+    return isinstance(value, float) or (isinstance(value, int) and abs(value) < 1 << 53)
 
 
 def _map(text: str | bytes) -> dict[str, Any] | None:

@@ -17,7 +17,8 @@ import recorded
 import zmq
 
 from palmd.cli import main
-from palmd.quantities import ESTIMATE, EVENTS, IMPROVEMENT
+from palmd.messages import validate
+from palmd.quantities import ESTIMATE, EVENTS, IMPROVEMENT, REPLAY
 from palmd.record.mcapfile import Preface, RawMessage, RunWriter
 from palmd.record.metadata import METADATA
 from palmd.record.player import frames, offsets, play
@@ -135,11 +136,13 @@ def test_a_run_without_its_beginning_cannot_be_checked(tmp_path, capsys):
 
 
 @contextlib.contextmanager
-def subscriber(address):
+def subscriber(address, *topics):
+    """Of these topics, by default of all that a run may hold."""
     with zmq.Context() as context, context.socket(zmq.SUB) as socket:
         socket.linger, socket.rcvhwm, socket.reconnect_ivl = 0, 0, 5
         socket.connect(address)
-        socket.subscribe(b"")
+        for topic in topics or (b"palm/", b"rig/"):
+            socket.subscribe(topic)
         yield socket
 
 
@@ -219,6 +222,21 @@ def test_usage_errors(arguments, told, capsys):
         main(["replay", "run.mcap", *arguments])
     assert caught.value.code == 2
     assert told in capsys.readouterr().err
+
+
+def test_a_replay_says_that_it_is_one_once_a_second(tmp_path):
+    address = f"ipc://{tmp_path}/publish"
+    with subscriber(address, b"replay/") as socket:
+        assert main(["replay", str(lived.path()), "--speed", "2", "--publish", address]) == 0
+        found = heard(socket, 1)
+        while socket.poll(0):
+            found += heard(socket, 1)
+    assert 1 <= len(found) <= 4  # the run has 3 s
+    for heard_frames in found:
+        assert plotjuggler.problems(heard_frames) == []
+        told = msgpack.unpackb(heard_frames[1])
+        assert validate(REPLAY, told) == []
+        assert (heard_frames[0], told["path"], told["speed"]) == (b"replay/run", lived.path().name, 2.0)
 
 
 def test_a_loop_goes_on_until_ctrl_c(tmp_path):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 from random import Random
 
 import numpy as np
@@ -562,6 +563,7 @@ def test_a_lost_pad_holds_the_motion_within_100_ms(running, trick, how, fault):
     assert running.t - t < 0.1
     running.go(0.4)
     assert fault in running.faults
+    assert re.search(rf"pad {fault[3]}.* \(its last packet is .* old.*\)", running.last("palm/state")["cause"])
     here = running.commanded()
     assert running.go(0.2).commanded() == here
     running.check_the_arm()
@@ -578,6 +580,9 @@ def test_a_pad_unplugged_holds_at_once_and_goes_on_only_when_asked(running):
     running.plug("pad1")
     running.go(0.3)
     assert (running.state, running.faults) == ("hold", [])
+    told = running.last("palm/state")
+    assert told["cause"].startswith("the serial port of pad 1 is not open")  # though it has been again for long
+    assert 0.15 < told["since_s"] < 0.45
     running.do("start")
     assert running.state == "tracking"
 

@@ -154,6 +154,8 @@ def test_it_goes_from_move_to_move_without_a_rest_and_never_jumps() -> None:
     place = stage.setpoints.place
     assert place is not None
     assert place.progress == 0.5
+    assert stage.exploring.explored.running
+    assert stage.exploring.explored.seconds == pytest.approx(8.0, abs=0.1)
 
 
 def test_it_asks_on_a_grid_and_about_the_last_move_only() -> None:
@@ -314,6 +316,9 @@ def test_done_ends_it_when_the_move_in_hand_is_over() -> None:
     assert not stage.setpoints.held
     assert stage.motions[-1].angles[0] == pytest.approx(HERE.angles[0] + WAY)
     assert stage.exploring.told() == {"coverage": 0.96, "reachable": 0.9, "reason": "all that can be reached"}
+    explored = stage.exploring.explored
+    assert (explored.running, explored.coverage, explored.goal, explored.reachable) == (False, 0.96, 0.9, 0.9)
+    assert 0.6 < explored.seconds < 1.4
     stage.source.decide = onwards
     assert stands(stage)
     stage.start()

@@ -47,6 +47,12 @@ def test_a_plan_is_found_by_its_name_and_from_the_configurations_folder(etc, nam
     assert plans(etc).load(name, LIMITS, None).name == "rock"
 
 
+def test_what_lies_there_and_can_be_loaded_is_named(etc):
+    (etc / "plans/key.yaml").write_text("secret: 1\n")
+    assert plans(etc).names() == ["far.yaml", "link.yaml", "rock.yaml"]
+    assert PlanFolder(None, etc).names() == PlanFolder(etc / "none", etc).names() == []
+
+
 def test_a_plan_is_found_by_its_whole_path(etc):
     assert plans(etc).load(str(etc / "plans/rock.yaml"), LIMITS, None).name == "rock"
 

@@ -1,30 +1,34 @@
 // The page: what comes goes into the store, and the store is drawn.
 
+import { ByHand } from "./byhand.js";
 import { Commands } from "./commands.js";
 import { Connection } from "./connection.js";
-import { describe, layOut, set, showReadouts } from "./readouts.js";
+import { showHero, summary } from "./hero.js";
+import { describe, layOut, showReadouts } from "./readouts.js";
 import { Scene } from "./scene.js";
 import { Store } from "./store.js";
 import { Strips } from "./strips.js";
+import { element, set } from "./text.js";
 import { onColours } from "./theme.js";
 
 const READOUT_MS = 100;
 const DESCRIBE_MS = 3000;
 const CALM_MS = 100; // between pictures for those who want less motion
 
-layOut(document.getElementById("told"));
+layOut();
 const store = new Store();
 const scene = new Scene(document.getElementById("scene"));
 const strips = new Strips(document.getElementById("strips"));
 const calm = matchMedia("(prefers-reduced-motion: reduce)");
 let connected = false;
+let ended = false; // by whoever served the page
 let hello = null;
 let drawnAt = -Infinity;
 let frames = [];
 
 const connection = new Connection({
   hello(said) {
-    [connected, hello] = [true, said];
+    [connected, ended, hello] = [true, false, said];
     commands.greet(said);
   },
   messages(came) {
@@ -37,12 +41,14 @@ const connection = new Connection({
   answer(said) {
     commands.answer(said);
   },
-  lost() {
-    connected = false;
+  lost(over) {
+    if (over) showSummary();
+    [connected, ended] = [false, ended || over];
     commands.greet(null);
   },
 });
 const commands = new Commands(document.getElementById("commands"), connection);
+const byHand = new ByHand(document.getElementById("by-hand"), commands);
 
 function draw(now) {
   requestAnimationFrame(draw);
@@ -57,32 +63,46 @@ function draw(now) {
 function tell() {
   const now = performance.now();
   const stale = !connected || store.stale(now);
+  const replayed = store.replayed(now);
   frames = frames.filter((t) => t > now - 1000);
-  showReadouts(store, now, frames.length);
-  strips.tell(store);
-  commands.offer(store, stale);
-  showLegend(now);
+  document.getElementById("replay").hidden = !replayed;
+  commands.offer(store, stale, replayed);
+  byHand.offer(store, stale);
   showStaleness(now, stale);
+  if (ended) return; // what was known in the end stays
+  showReadouts(store, now, frames.length);
+  showHero(store, now);
+  const truthful = store.truthful(now);
+  strips.tell(store, truthful);
+  showLegend(truthful);
 }
 
-function showLegend(now) {
-  document.getElementById("key-truth").hidden = !store.truthful(now);
-  set("magnification", `×${scene.factor}`);
+function showLegend(truthful) {
+  document.getElementById("key-truth").hidden = document.getElementById("lanes").hidden = !truthful;
+  set("magnification", scene.factor ? `×${scene.factor}` : "");
 }
 
 /** What is old is said to be, and looks it. */
 function showStaleness(now, stale) {
-  document.body.classList.toggle("stale", stale);
-  const banner = document.getElementById("stale");
-  banner.hidden = !stale;
-  if (!stale) return;
   const heard = Number.isFinite(store.palmAt);
-  set("stale-why", !connected ? "Stale: no connection to palmd view, trying again."
+  document.body.classList.toggle("stale", stale && !ended);
+  document.getElementById("ended").hidden = !ended;
+  document.getElementById("stale").hidden = !stale;
+  if (!stale) return;
+  set("stale-why", ended ? "Over: whoever served this page has ended it."
+    : !connected ? "Stale: no connection to palmd view, trying again."
     : heard ? "Stale: palmd says nothing." : `Waiting for a palmd at ${hello.publish}.`);
   set("stale-age", heard ? `The picture is ${((now - store.palmAt) / 1000).toFixed(0)} s old.` : "");
 }
 
-document.getElementById("magnify").addEventListener("change", ({ target }) => scene.setMagnified(target.checked));
+/** What has come of it, in the end. */
+function showSummary() {
+  set("ended-title", store.has("rig/object") ? "The demo has ended" : "palmd view has ended");
+  document.getElementById("summary").replaceChildren(...summary(store, store.palmAt).flatMap(([what, found]) =>
+    [element("dt", "", what), element("dd", "", found)]));
+}
+
+document.getElementById("magnify").addEventListener("change", ({ target }) => scene.setLens(target.checked));
 onColours(() => {
   scene.outdated = true;
   strips.recolour();

@@ -1,10 +1,11 @@
 // The command buttons: which of them apply, the second press that arm and start need, keys, and the answers.
 
-import { set } from "./readouts.js";
+import { set } from "./text.js";
 
 const CONFIRM_MS = 3000;
 const DOUBLE_CLICK_MS = 350; // two presses within it are one
 const ANSWER_MS = 2500; // the server itself gives up after 2 s
+const MOVED = ["T", "H", "D"]; // the arm's states in which there is something to stop
 const GUARDED = new Set(["arm", "start"]);
 const KEYS = { a: "arm", s: "start", h: "hold", Escape: "stop", r: "reset" };
 
@@ -17,7 +18,9 @@ export class Commands {
   #confirming = null; // the command whose second press is awaited
   #confirmSince = 0;
   #confirmTimer = 0;
-  #waiting = new Map(); // timers of unanswered commands
+  #waiting = new Map(); // of unanswered commands: {timer, told}
+  #arming = false;
+  #replayed = false;
   #next = 1;
 
   constructor(container, connection) {
@@ -44,30 +47,62 @@ export class Commands {
     this.#commandable = commandable;
   }
 
-  /** Enables what applies in this state of the daemon; a guess from stale data is none. */
-  offer(store, stale) {
+  /** Whether a command of that name can be given now: never by data that are stale or old. */
+  applies(command, state, stale) {
+    return Boolean(this.#hello?.operator && this.#commandable && !stale && !this.#replayed
+      && this.#hello.allowed[command]?.includes(state));
+  }
+
+  get operator() {
+    return Boolean(this.#hello?.operator);
+  }
+
+  /** Enables what does something in this state of the daemon. Stop does whenever that state is not known, too. */
+  offer(store, stale, replayed) {
+    this.#replayed = replayed;
     const { state } = store.get("palm/state");
-    const { segment = -1 } = store.get("palm/motion");
+    const { segment = -1, plan, arm_state: arm } = store.get("palm/motion");
+    const idle = {
+      start: state === "tracking" && (segment >= 0 || !plan),
+      hold: state === "hold",
+      stop: !this.#arming && !["tracking", "hold"].includes(state) && !MOVED.includes(arm),
+    };
     for (const [command, button] of this.#buttons) {
-      const moving = command === "start" && state === "tracking" && segment >= 0;
-      const applies = command === "stop"
-        || (!stale && this.#commandable && !moving && this.#hello?.allowed[command]?.includes(state));
-      button.disabled = !(this.#hello?.operator && applies);
+      const applies = command === "stop" && (stale || this.#arming || MOVED.includes(arm)) ? this.operator && !replayed
+        : this.applies(command, state, stale) && !idle[command];
+      button.disabled = !applies;
       if (button.disabled && this.#confirming === command) {
         this.#forget();
         this.#say("", false);
       }
     }
-    if (this.#hello?.operator) {
-      set("authority", this.#commandable ? "" : `Nobody takes commands at ${this.#hello.command}.`);
+    if (this.operator) {
+      set("authority", replayed ? "A recorded run is shown: there is nothing to command."
+        : this.#commandable ? "" : `Nobody takes commands at ${this.#hello.command}.`);
     }
+  }
+
+  /** Gives a command with its arguments; `told`, if any, gets the error or null instead of the page's line. */
+  give(command, args = {}, told = null) {
+    const id = this.#next++;
+    if (!this.#connection.order(id, command, args)) {
+      this.#say(`${command}: not sent, there is no connection`, true);
+      return false;
+    }
+    if (!told) this.#say(`${command}…`, false);
+    const silence = { id, cmd: command, error: "no answer from palmd view" };
+    this.#waiting.set(id, { told, timer: setTimeout(() => this.answer(silence), ANSWER_MS) });
+    return true;
   }
 
   /** What became of a command. */
   answer({ id, cmd, error }) {
-    clearTimeout(this.#waiting.get(id));
+    const { told, timer } = this.#waiting.get(id) ?? {};
+    clearTimeout(timer);
     this.#waiting.delete(id);
-    this.#say(error === null ? `${cmd}: done` : `${cmd}: ${error}`, error !== null);
+    if (cmd === "arm") this.#arming = false;
+    if (told) told(error);
+    else this.#say(error === null ? `${cmd}: done` : `${cmd}: ${error}`, error !== null);
   }
 
   #press(command) {
@@ -77,7 +112,7 @@ export class Commands {
       this.#confirming = command;
       this.#confirmSince = performance.now();
       this.#buttons.get(command).classList.add("confirming");
-      this.#label(command, `Press again to ${command}`);
+      this.#label(command, "Press again");
       this.#say(`${command} moves the arm: press again within 3 s`, false);
       this.#confirmTimer = setTimeout(() => {
         this.#forget();
@@ -86,20 +121,15 @@ export class Commands {
       return;
     }
     this.#forget();
-    const id = this.#next++;
-    if (!this.#connection.order(id, command)) {
-      this.#say(`${command}: not sent, there is no connection`, true);
-      return;
-    }
-    this.#say(`${command}…`, false);
-    const silence = { id, cmd: command, error: "no answer from palmd view" };
-    this.#waiting.set(id, setTimeout(() => this.answer(silence), ANSWER_MS));
+    this.#arming = this.give(command) && command === "arm";
   }
 
   #key(event) {
     if (event.ctrlKey || event.metaKey || event.altKey || event.repeat) return;
+    if (event.key !== "Escape" && event.target.matches("input, select, textarea")) return; // somebody writes
     const command = KEYS[event.key.length === 1 ? event.key.toLowerCase() : event.key];
-    if (!command || this.#buttons.get(command).disabled) return;
+    const sure = command === "stop" && this.operator; // what the page thinks of the state may be wrong
+    if (!command || (this.#buttons.get(command).disabled && !sure)) return;
     event.preventDefault();
     this.#press(command);
   }

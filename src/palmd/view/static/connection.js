@@ -3,6 +3,7 @@
 import { decode } from "./msgpack.js";
 
 const AGAIN_MS = [250, 500, 1000, 2000];
+const GOING_AWAY = 1001; // the server has been ended, not lost
 const TOKEN = "palmd-token";
 
 /** The token from the address, kept for this tab so that a reload still has it; null for none. */
@@ -15,7 +16,7 @@ function token() {
   return sessionStorage.getItem(TOKEN);
 }
 
-/** `on` has hello(map), messages([[topic, map]…]), batch({commandable, lost}), answer(map), lost(). */
+/** `on` has hello(map), messages([[topic, map]…]), batch({commandable, lost}), answer(map), lost(ended). */
 export class Connection {
   #on;
   #token = token();
@@ -32,9 +33,9 @@ export class Connection {
   }
 
   /** Sends a command; false when there is no connection to send it on. */
-  order(id, cmd) {
+  order(id, cmd, args) {
     if (this.#socket?.readyState !== WebSocket.OPEN) return false;
-    this.#socket.send(JSON.stringify({ id, cmd }));
+    this.#socket.send(JSON.stringify({ id, cmd, args }));
     return true;
   }
 
@@ -43,8 +44,8 @@ export class Connection {
     socket.binaryType = "arraybuffer";
     socket.onopen = () => socket.send(JSON.stringify({ token: this.#token }));
     socket.onmessage = ({ data }) => this.#take(data);
-    socket.onclose = () => {
-      this.#on.lost();
+    socket.onclose = ({ code }) => {
+      this.#on.lost(code === GOING_AWAY);
       setTimeout(() => this.#open(), AGAIN_MS[Math.min(this.#attempt++, AGAIN_MS.length - 1)]);
     };
     this.#socket = socket;

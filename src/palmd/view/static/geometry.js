@@ -1,18 +1,27 @@
 // Palms, contacts and outlines. Pure. Lengths in m, angles in rad, world axes; equation numbers are CMU-CS-01-107's.
 
-/** Along palm `number` away from the hinge (t1, −t2), and its normal towards the object (n1, n2): unit vectors. */
-export function palm(number, phi1, phi2) {
-  const angle = number === 1 ? phi1 : phi1 + phi2;
-  const along = [Math.cos(angle), Math.sin(angle)];
-  const normal = number === 1 ? [-along[1], along[0]] : [along[1], -along[0]];
-  return { along, normal };
+/** Each palm away from the hinge (t1, −t2), and its normal towards the object (n1, n2): unit vectors. */
+export function posture(palms, joints) {
+  let angle = 0;
+  return palms.map(({ side }, i) => {
+    angle += joints[i];
+    const along = [Math.cos(angle), Math.sin(angle)];
+    return { along, normal: [-side * along[1], side * along[0]] };
+  });
 }
 
-/** The centre of mass from the hinge: n1·c = r1, n2·c = r2. */
-export function centreFromRadii(phi1, phi2, r1, r2) {
-  const [n1, n2] = [palm(1, phi1, phi2).normal, palm(2, phi1, phi2).normal];
-  const determinant = n1[0] * n2[1] - n1[1] * n2[0];
-  return [(n2[1] * r1 - n1[1] * r2) / determinant, (n1[0] * r2 - n2[0] * r1) / determinant];
+/** The centre of mass from the hinge, n·c = r for every palm, in least squares; null where the palms do not tell it. */
+export function centreFromRadii(posture, radii) {
+  let [xx, xy, yy, x, y] = [0, 0, 0, 0, 0];
+  posture.forEach(({ normal: [nx, ny] }, i) => {
+    xx += nx * nx;
+    xy += nx * ny;
+    yy += ny * ny;
+    x += nx * radii[i];
+    y += ny * radii[i];
+  });
+  const determinant = xx * yy - xy * xy;
+  return determinant > 1e-9 ? [(yy * x - xy * y) / determinant, (xx * y - xy * x) / determinant] : null;
 }
 
 /** The outline in the object's frame from its support function: x = h n + h′ n′ (section 3.1), with the normals and h. */
@@ -47,11 +56,10 @@ export function turn(angle) {
 }
 
 /**
- * How many times larger than they are errors may be drawn so that the largest of `errors` (m) stays within `room` (m).
+ * How many times larger than it is an error (m) may be drawn so that it stays within `room` (m).
  * It grows beyond `before` only when there is room to spare, so that it does not flicker.
  */
-export function magnification(errors, room, before) {
-  const most = room / Math.max(...errors);
-  const largest = (limit) => [100, 50, 20, 10, 5, 2].find((factor) => factor <= limit) ?? 1;
-  return Math.min(largest(most), Math.max(before, largest(most / 1.3)));
+export function magnification(error, room, before) {
+  const largest = (limit) => [200, 100, 50, 20, 10].find((factor) => factor <= limit) ?? 5;
+  return Math.min(largest(room / error), Math.max(before, largest(room / error / 1.3)));
 }

@@ -2,8 +2,9 @@
 
 const table = await (await fetch("quantities.json")).json();
 
-export const STRIPS = table.strips; // charts of the estimate: {title, names, unit, factor, digits, span, low}
+export const STRIPS = table.strips; // charts of the estimate: {title, group, names, unit, factor, digits, span, low, good}
 export const TOLD = table.told; // what of the estimate is told as a number: {name, title}
+export const AGES = table.ages; // of what was heard last, in palm/contact: {name, title, palm}
 export const ESTIMATE = table.shown["palm/estimate"];
 
 /** How old (ms) a topic's last message may be. */
@@ -14,4 +15,12 @@ export function staleMs(topic) {
 /** How a quantity of a topic is shown: {symbol, meaning, unit, factor, digits, uncertain, truth, colour}. */
 export function shown(topic, name) {
   return table.shown[topic][name];
+}
+
+/** The palms as `palm/info` describes them: [{number, joint, side, lengthM, padM}], from the hinge on. */
+export function palmsOf(info) {
+  const { palms, joints, sides } = info.palms ? info : table.system;
+  return palms.map((number, i) => ({
+    number, joint: joints[i], side: sides[i], lengthM: info[`palm${number}_length_m`], padM: info[`pad${number}_length_m`],
+  }));
 }

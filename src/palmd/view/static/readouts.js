@@ -1,6 +1,7 @@
-// State, faults, ages and punctuality in words and numbers. The page's text is only touched where it changes.
+// State, faults, ages and punctuality in words and numbers.
 
-import { ESTIMATE, shown, TOLD } from "./quantities.js";
+import { AGES, ESTIMATE, palmsOf, shown, TOLD } from "./quantities.js";
+import { element, number, row, set } from "./text.js";
 
 const STATES = {
   idle: "waiting for the rig",
@@ -11,13 +12,30 @@ const STATES = {
 };
 
 const GRAVE = new Set(["hold", "stop"]);
+const TIMES = { lateness: "how late a tick begins", work: "work a tick" };
+const PARTS = ["p50", "p99", "max"];
 
 /** Shows what `store` knows at `now` (ms); `fps` is how often the scene was drawn in the last second. */
 export function showReadouts(store, now, fps) {
   showState(store);
   showFaults(store.get("palm/state"));
   showRig(store.get("palm/rig"));
-  showNumbers(store, now, fps);
+  showObject(store, now);
+  showHealth(store, now, fps);
+}
+
+/** Rows for what the tables tell. */
+export function layOut() {
+  document.getElementById("told").append(...TOLD.map(({ name, title }) => {
+    const { symbol, meaning, unit } = ESTIMATE[name];
+    const line = row(title, { id: `told-${name}` }, { id: `sd-${name}` }, { text: unit, words: true }, { id: `off-${name}` });
+    line.firstChild.append(" ", Object.assign(element("span", "symbol", symbol), { title: meaning }));
+    return line;
+  }));
+  document.getElementById("ages").append(row("palmd", { id: "age-data" }, { id: "says-data", text: "", words: true }),
+    ...AGES.map(({ name, title }) => row(title, { id: `age-${name}` }, { id: `says-${name}`, text: "", words: true })));
+  document.getElementById("times").append(...Object.entries(TIMES).map(([what, title]) =>
+    row(title, ...PARTS.map((part) => ({ id: `${what}-${part}` })))));
 }
 
 function showState(store) {
@@ -27,7 +45,7 @@ function showState(store) {
   document.getElementById("state").dataset.state = state ?? "unknown";
   set("state-means", STATES[state] ?? "");
   const object = store.get("palm/object");
-  const recognised = object.best ? `: ${object.best}, ${share(Math.max(...object.probability))}` : "";
+  const recognised = object.best ? `: ${object.best}, ${number(Math.max(...object.probability) * 100, 0, "%")}` : "";
   set("object", estimate.object === undefined ? "" : `object ${estimate.object}${recognised}`);
   set("validity", !("valid" in estimate) ? "" : estimate.valid ? "estimate valid" : "not settled yet");
   document.getElementById("validity").dataset.valid = String(Boolean(estimate.valid));
@@ -51,86 +69,59 @@ function showRows(id, rows) {
   if (list.dataset.told === told) return;
   list.dataset.told = told;
   list.replaceChildren(...rows.map(([kind, ...parts]) => {
-    const row = element("li", "fault", "");
-    row.dataset.severity = kind;
-    row.append(element("span", "severity", kind), ...parts);
-    return row;
+    const entry = element("li", "fault");
+    entry.dataset.severity = kind;
+    entry.append(element("span", "severity", kind), ...parts);
+    return entry;
   }));
 }
 
-function showNumbers(store, now, fps) {
-  const topics = ["estimate", "contact", "motion", "loop"];
-  const [estimate, contact, motion, loop] = topics.map((name) => store.get(`palm/${name}`));
-  const age = now - store.palmAt;
-  set("age-data", number(age, 0, "ms"));
-  for (const pad of [1, 2]) {
-    const touch = contact[`touch${pad}`] === undefined ? "" : contact[`touch${pad}`] ? "touched" : "untouched";
-    set(`age-pad${pad}`, `${told("palm/contact", contact, `age${pad}_ms`)} ${touch}`);
+function showObject(store, now) {
+  const estimate = store.get("palm/estimate");
+  const truthful = store.truthful(now);
+  for (const { name } of TOLD) {
+    const { factor, digits, truth } = ESTIMATE[name];
+    const value = estimate.valid ? estimate[name] : NaN;
+    set(`told-${name}`, number(value * factor, digits));
+    set(`sd-${name}`, number(Number.isFinite(value) ? estimate.sd?.[name] * factor : NaN, digits));
+    set(`off-${name}`, truthful && truth ? number((value - store.get(truth)[name]) * factor, digits) : "–");
   }
-  set("age-arm", `${told("palm/contact", contact, "arm_age_ms")}${motion.arm_state ? ` state ${motion.arm_state}` : ""}`);
-  for (const what of ["lateness", "work"]) {
-    set(what, ["p50", "p99", "max"].map((part) => told("palm/loop", loop, `${what}_${part}_ms`)).join(" / "));
-  }
-  set("ticks", loop.ticks === undefined ? "–" : `${loop.ticks}, ${loop.overruns} skipped`);
-  set("process", loop.rss_mb === undefined ? "–" : `${told("palm/loop", loop, "rss_mb")}, ${loop.backend} models`);
-  for (const { name } of TOLD) set(name, pair(estimate, name));
-  set("touched", share(estimate.touched));
+  const motion = store.get("palm/motion");
   const running = motion.segment >= 0;
   set("plan", motion.plan ? `${motion.plan}${running ? `, segment ${motion.segment + 1}` : ", not running"}` : "none");
   document.getElementById("progress").value = running ? motion.progress : 0;
+}
+
+function showHealth(store, now, fps) {
+  const [contact, motion, loop] = ["contact", "motion", "loop"].map((name) => store.get(`palm/${name}`));
+  set("age-data", number(now - store.palmAt, 0));
+  for (const { name, palm } of AGES) {
+    const { factor, digits } = shown("palm/contact", name);
+    set(`age-${name}`, number(contact[name] * factor, digits));
+    const touch = contact[`touch${palm}`];
+    set(`says-${name}`, palm ? touch === undefined ? "" : touch ? "touched" : "untouched"
+      : motion.arm_state ? `state ${motion.arm_state}` : "");
+  }
+  for (const what of Object.keys(TIMES)) {
+    for (const part of PARTS) {
+      const { factor, digits } = shown("palm/loop", `${what}_${part}_ms`);
+      set(`${what}-${part}`, number(loop[`${what}_${part}_ms`] * factor, digits));
+    }
+  }
+  set("ticks", loop.ticks === undefined ? "–" : `${loop.ticks}, ${loop.overruns} skipped`);
+  const { factor, digits, unit } = shown("palm/loop", "rss_mb");
+  set("process", loop.rss_mb === undefined ? "–" : `${number(loop.rss_mb * factor, digits, unit)}, ${loop.backend} models`);
   set("fps", number(fps, 0, "per s"));
-  const version = store.get("palm/info").version;
-  set("version", version ? `palmd ${version}, ${store.get("palm/info").observer} observer` : "");
+  const { version, observer } = store.get("palm/info");
+  set("version", version ? `palmd ${version}, ${observer} observer` : "");
 }
 
 /** A summary of the picture for those who cannot see it. */
 export function describe(store) {
   const estimate = store.get("palm/estimate");
   if (!estimate.valid) return "Palms and object; the estimate has not settled.";
-  const say = (name) => told("palm/estimate", estimate, name);
-  return `Palms at ${say("phi1_rad")} and ${say("phi2_rad")}, centre of mass ${say("r1_m")} and ${say("r2_m")} from `
-    + `them, touched over ${share(estimate.touched)} of the outline, contact forces ${say("f1_n")} and ${say("f2_n")}.`;
-}
-
-/** Rows for what of the estimate is told as numbers alone, before the first row of `list`. */
-export function layOut(list) {
-  list.prepend(...TOLD.flatMap(({ name, title }) => {
-    const { symbol, meaning } = ESTIMATE[name];
-    const term = Object.assign(element("dt", "", `${title} ${symbol}`), { title: meaning });
-    return [term, Object.assign(element("dd", "", "–"), { id: name })];
-  }));
-}
-
-/** A quantity among the fields of its topic, with its unit. */
-function told(topic, fields, name) {
-  const { factor, digits, unit } = shown(topic, name);
-  return number(fields[name] * factor, digits, unit);
-}
-
-/** A valid estimate with its sigma. */
-function pair(estimate, name) {
-  const { factor, digits, unit } = ESTIMATE[name];
-  if (!estimate.valid || !Number.isFinite(estimate[name])) return "–";
-  const sd = estimate.sd?.[name];
-  return number(estimate[name] * factor, digits)
-    + (Number.isFinite(sd) ? ` ± ${number(sd * factor, digits)}` : "") + (unit && ` ${unit}`);
-}
-
-function share(value) {
-  return number(value * 100, 0, "%");
-}
-
-/** A number with its unit and a proper minus sign, a dash for none. */
-export function number(value, digits, unit = "") {
-  if (!Number.isFinite(value)) return "–";
-  return value.toFixed(digits).replace(/^-(?=[0.]*$)/, "").replace("-", "−") + (unit && ` ${unit}`);
-}
-
-export function set(id, text) {
-  const place = document.getElementById(id);
-  if (place.textContent !== text) place.textContent = text;
-}
-
-function element(name, className, text) {
-  return Object.assign(document.createElement(name), { className, textContent: text });
+  const say = (name) => number(estimate[name] * ESTIMATE[name].factor, ESTIMATE[name].digits, ESTIMATE[name].unit);
+  const palms = palmsOf(store.get("palm/info")).map(({ number: palm, joint }) => `Palm ${palm} at ${say(`${joint}_rad`)}, `
+    + `${say(`r${palm}_m`)} from the centre of mass, pressed with ${say(`f${palm}_n`)}.`);
+  return `${palms.join(" ")} Touched over ${number(estimate.touched * 100, 0, "%")} of the outline.`;
 }

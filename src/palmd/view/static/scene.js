@@ -1,22 +1,26 @@
 // The palms, the object as estimated, and the rig's truth, drawn in mm with the hinge at rest and gravity down.
 
-import { at, centreFromRadii, magnification, outline, palm } from "./geometry.js";
-import { seconds } from "./store.js";
-import { colours } from "./theme.js";
+import { centreFromRadii, outline, posture } from "./geometry.js";
+import { CLASSES_M, classOf } from "./knowledge.js";
+import { Lens } from "./lens.js";
+import { dash, line, place, ring } from "./paths.js";
+import { palmsOf } from "./quantities.js";
+import { colours, ofPalm } from "./theme.js";
+import { offTruth, truthAt } from "./truth.js";
 
 const VIEW = { width: 2.7, height: 1.66, below: 0.235 }; // what is seen, in pads, and how much of it lies below the hinge
 const SOME_PAD_MM = 55.5; // what is seen while nobody has told how long the pads are
 const THICK_MM = 3.2;
 const FORCE_MM_PER_N = 12;
 const GRID_MM = 10;
-const BAND_SDS = 2;
-const BAND_ROOM_M = 4e-3; // how thick a magnified band may be drawn
+const WIDTHS = [3.4, 2.8, 2.2, 1.6, 1]; // of the outline, for each class of its error
 const MM = 1e3;
 
 export class Scene {
-  factor = 1; // by which errors are drawn larger than they are
   outdated = true; // whether to draw again even if nothing new is known
-  #magnified = true;
+  #lens = new Lens();
+  #lensOn = false;
+  #pointer = null; // CSS pixels in the canvas; null while there is none
   #scale = 1; // pixels per mm
   #below = 0; // mm that are seen below the hinge
   #canvas;
@@ -33,41 +37,56 @@ export class Scene {
     this.#context = canvas.getContext("2d");
     new ResizeObserver(() => this.#resize()).observe(canvas);
     this.#resize();
+    canvas.addEventListener("pointermove", ({ offsetX, offsetY }) => this.#point([offsetX, offsetY]));
+    canvas.addEventListener("pointerleave", () => this.#point(null));
   }
 
-  /** Whether errors are drawn larger than they are. */
-  setMagnified(magnified) {
-    this.#magnified = magnified;
-    this.#shape = null;
+  /** By how much the lens magnifies at the moment; 0 while it shows nothing. */
+  get factor() {
+    return this.#lensOn ? this.#lens.factor : 0;
+  }
+
+  /** Whether the lens is looked through. */
+  setLens(on) {
+    this.#lensOn = on;
     this.outdated = true;
+  }
+
+  #point(place) {
+    this.#pointer = place;
+    this.outdated ||= this.#lensOn;
   }
 
   /** Draws what `store` knows at `now` (ms). */
   draw(store, now) {
     const estimate = store.get("palm/estimate");
-    const motion = store.get("palm/motion");
-    const pose = poseOf(estimate, motion);
-    const rig = store.get("palm/info");
+    const palms = palmsOf(store.get("palm/info"));
+    const joints = jointsOf(palms, estimate, store.get("palm/motion"));
     this.outdated = false;
-    this.#begin(Math.max(rig.pad1_length_m ?? 0, rig.pad2_length_m ?? 0) * MM || SOME_PAD_MM);
-    if (!pose) return;
-    const truth = store.truthful(now) ? truthAt(store, seconds(estimate)) : null;
-    const centre = known(estimate, "r1_m", "r2_m")
-      ? centreFromRadii(pose.phi1, pose.phi2, estimate.r1_m, estimate.r2_m) : null;
+    this.#lens.factor = 0;
+    this.#begin(Math.max(...palms.map(({ padM }) => padM ?? 0)) * MM || SOME_PAD_MM);
+    if (!joints) return;
+    const stance = posture(palms, joints);
+    const radii = palms.map(({ number }) => estimate[`r${number}_m`]);
+    const centre = radii.every(Number.isFinite) ? centreFromRadii(stance, radii) : null;
     const hinge = centre && known(estimate, "com_x_m", "com_y_m")
       ? [estimate.com_x_m - centre[0], estimate.com_y_m - centre[1]] : null;
     this.#drawGrid(hinge);
-    if (centre && Number.isFinite(estimate.psi_rad)) {
-      this.#learnShape(store.get("palm/shape"));
-      if (this.#paths) this.#drawObject(estimate, centre);
-      if (this.#points && truth && hinge) this.#drawTruth(store.get("rig/object"), truth, estimate, centre, hinge);
-    }
+    const truth = hinge && store.truthful(now) ? truthAt(store, estimate) : null;
+    const turned = centre && Number.isFinite(estimate.psi_rad);
+    if (turned) this.#learnShape(store.get("palm/shape"));
+    if (turned && this.#paths) this.#drawObject(estimate, centre);
+    if (truth) this.#drawTruth(store.get("rig/object"), truth, hinge);
     const contact = store.get("palm/contact");
-    for (const number of [1, 2]) this.#drawPalm(number, pose, rig);
+    palms.forEach((palm, i) => this.#drawPalm(palm, stance[i]));
     this.#drawHinge();
-    for (const number of [1, 2]) this.#drawContact(number, pose, estimate, contact);
+    const contacts = palms.map((palm, i) => this.#drawContact(palm, stance[i], estimate, contact));
     if (centre) this.#drawCentre(centre, estimate.psi_rad);
     this.#drawScale();
+    if (this.#lensOn && turned && this.#paths && estimate.valid) {
+      const off = truth && offTruth(this.#points, store.get("rig/object"), truth, estimate);
+      this.#drawLens(estimate, centre, off, contacts.find(Boolean));
+    }
   }
 
   // -- outlines ---------------------------------------------------------------------------------------------------
@@ -76,68 +95,51 @@ export class Scene {
     if (shape === this.#shape || !shape.h_m) return;
     this.#shape = shape;
     this.#points = outline(shape.theta_rad, shape.h_m);
-    const errors = shape.h_sd_m.map((sd) => BAND_SDS * sd);
-    this.factor = this.#magnified ? magnification(errors, BAND_ROOM_M, this.factor) : 1;
-    const half = errors.map((error) => error * this.factor);
-    const band = ring(this.#points, half);
-    band.addPath(ring(this.#points, half.map((width) => -width)));
-    this.#paths = { body: ring(this.#points), band, ...arcs(this.#points, shape.touched) };
+    this.#paths = { body: ring(this.#points), arcs: arcs(this.#points, shape.h_sd_m) };
   }
 
   #drawObject(estimate, centre) {
-    const { body, band, touched, rest } = this.#paths;
     const context = this.#context;
     context.save();
     context.translate(centre[0] * MM, centre[1] * MM);
     context.rotate(estimate.psi_rad);
     context.globalAlpha = estimate.valid ? 1 : 0.45;
     context.fillStyle = colours["estimate-fill"];
-    context.fill(body);
-    context.fillStyle = colours.band;
-    context.fill(band, "evenodd");
-    context.strokeStyle = colours.estimate;
-    context.lineJoin = "round";
-    context.lineWidth = this.#thin(1.2);
-    context.globalAlpha *= 0.45;
-    context.stroke(rest);
-    context.globalAlpha = estimate.valid ? 1 : 0.45;
-    context.lineWidth = this.#thin(2.6);
-    context.stroke(touched);
+    context.fill(this.#paths.body);
+    context.lineCap = "round";
+    this.#paths.arcs.forEach((path, error) => {
+      context.strokeStyle = colours[`error${error}`];
+      context.lineWidth = this.#thin(WIDTHS[error]);
+      context.stroke(path);
+    });
     context.restore();
   }
 
-  /** The truth, dashed. Magnified, its distance from the estimate along each normal is, and its place is the estimate's. */
-  #drawTruth(object, truth, estimate, centre, hinge) {
+  /** The truth in its own place, dashed. */
+  #drawTruth(object, truth, hinge) {
     const context = this.#context;
-    context.save();
-    if (this.factor === 1) {
-      if (object.h_m !== this.#truthShape) {
-        this.#truthShape = object.h_m;
-        this.#truthPath = ring(outline(object.theta_rad, object.h_m));
-      }
-      context.translate((truth.com_x_m - hinge[0]) * MM, (truth.com_y_m - hinge[1]) * MM);
-      context.rotate(truth.psi_rad);
-      this.#dash(this.#truthPath);
-    } else {
-      const points = this.#points;
-      const turned = estimate.psi_rad - truth.psi_rad;
-      const off = Array.from(points.theta, (theta, i) => {
-        const error = at(object.h_m, theta + turned) - points.h[i];
-        return Math.max(-points.h[i] / 2, Math.min(points.h[i] / 2, error * this.factor));
-      });
-      context.translate(centre[0] * MM, centre[1] * MM);
-      context.rotate(estimate.psi_rad);
-      this.#dash(ring(points, off));
+    if (object.h_m !== this.#truthShape) {
+      this.#truthShape = object.h_m;
+      this.#truthPath = ring(outline(object.theta_rad, object.h_m));
     }
+    context.save();
+    context.translate((truth.com_x_m - hinge[0]) * MM, (truth.com_y_m - hinge[1]) * MM);
+    context.rotate(truth.psi_rad);
+    dash(context, this.#truthPath, this.#thin(1));
     context.restore();
   }
 
-  #dash(path) {
-    const context = this.#context;
-    context.strokeStyle = colours.truth;
-    context.lineWidth = this.#thin(1.5);
-    context.setLineDash([this.#thin(6), this.#thin(4)]);
-    context.stroke(path);
+  /** The outline where the pointer is nearest to it, else at the first contact, else at its first normal. */
+  #drawLens(estimate, centre, off, contact) {
+    const { ratio, width, height } = this.#pixels;
+    const pointed = this.#pointer && [
+      (this.#pointer[0] * ratio - width / 2) / this.#scale,
+      (height - this.#pointer[1] * ratio) / this.#scale - this.#below,
+    ];
+    this.#lens.draw(this.#context, {
+      points: this.#points, sds: this.#shape.h_sd_m, off, centre, psi: estimate.psi_rad, target: pointed ?? contact,
+      screen: { ratio, width, height, scale: this.#scale, below: this.#below },
+    });
   }
 
   #drawCentre([x, y], psi) {
@@ -169,10 +171,9 @@ export class Scene {
   // -- palms ------------------------------------------------------------------------------------------------------
 
   /** The palm in its length, which may lead out of the picture, and the pad on it; no pad while its length is unknown. */
-  #drawPalm(number, pose, rig) {
-    const { along, normal } = palm(number, pose.phi1, pose.phi2);
-    const length = (rig[`palm${number}_length_m`] ?? 1) * MM;
-    const pad = (rig[`pad${number}_length_m`] ?? 0) * MM;
+  #drawPalm({ number, lengthM, padM }, { along, normal }) {
+    const length = (lengthM ?? 1) * MM;
+    const pad = (padM ?? 0) * MM;
     const context = this.#context;
     context.save();
     context.transform(...along, ...normal, 0, 0); // x along the surface, y towards the object
@@ -180,10 +181,10 @@ export class Scene {
     context.beginPath();
     context.roundRect(0, -THICK_MM, length, THICK_MM, [0, 0.8, 0.8, 0]);
     context.fill();
-    context.fillStyle = colours[`palm${number}`];
+    context.fillStyle = ofPalm(number);
     context.fillRect(0.5, -THICK_MM * 0.42, pad, THICK_MM * 0.42);
     context.restore();
-    this.#label(`palm ${number}`, pad || SOME_PAD_MM, along, normal, colours[`palm${number}`]);
+    this.#label(`palm ${number}`, pad || SOME_PAD_MM, along, normal, ofPalm(number));
   }
 
   #drawHinge() {
@@ -198,21 +199,21 @@ export class Scene {
     context.fill();
   }
 
-  #drawContact(number, pose, estimate, contact) {
-    const { along, normal } = palm(number, pose.phi1, pose.phi2);
-    const colour = colours[`palm${number}`];
+  /** Where the object touches the palm, with its force; the place (mm), null for none. */
+  #drawContact({ number }, { along, normal }, estimate, contact) {
     const context = this.#context;
     const s = estimate.valid ? estimate[`s${number}_m`] : contact[`s${number}_m`];
-    if (!contact[`touch${number}`] || !Number.isFinite(s)) return;
+    if (!contact[`touch${number}`] || !Number.isFinite(s)) return null;
     const point = [along[0] * s * MM, along[1] * s * MM];
-    this.#drawForce(estimate[`f${number}_n`], point, normal, colour);
+    this.#drawForce(estimate[`f${number}_n`], point, normal, ofPalm(number));
     context.beginPath();
     context.arc(...point, this.#thin(5), 0, 2 * Math.PI);
-    context.fillStyle = colour;
+    context.fillStyle = ofPalm(number);
     context.fill();
     context.lineWidth = this.#thin(1.8);
     context.strokeStyle = colours.panel;
     context.stroke();
+    return point;
   }
 
   /** Below the surface, `s` mm from the hinge. */
@@ -322,56 +323,26 @@ export class Scene {
   }
 }
 
-/** The palms' angles: as estimated, else as the arm reports them; null for none. */
-function poseOf(estimate, motion) {
-  for (const told of [estimate, motion]) {
-    if (known(told, "phi1_rad", "phi2_rad")) return { phi1: told.phi1_rad, phi2: told.phi2_rad };
-  }
-  return null;
-}
-
-/** What the rig says of the estimate's own instant: both come at 100 Hz, but not at the same times. */
-function truthAt(store, t) {
-  const place = store.truths.place(t);
-  const latest = store.get("rig/truth");
-  if (!place) return latest;
-  const between = (name) => store.truths.between(name, place);
-  return { psi_rad: between("psi_rad"), com_x_m: between("com_x_m"), com_y_m: between("com_y_m") };
+/** The joints' angles (rad): as estimated, else as the arm reports them; null for none. */
+function jointsOf(palms, ...tellers) {
+  const names = palms.map(({ joint }) => `${joint}_rad`);
+  const teller = tellers.find((fields) => known(fields, ...names));
+  return teller ? names.map((name) => teller[name]) : null;
 }
 
 function known(fields, ...names) {
   return names.every((name) => Number.isFinite(fields[name]));
 }
 
-/** A closed path (mm) through the outline's points, each moved by `off` (m) along its normal. */
-function ring(points, off) {
-  const path = new Path2D();
-  for (let i = 0; i < points.x.length; i++) path.lineTo(...place(points, i, off?.[i] ?? 0));
-  path.closePath();
-  return path;
-}
-
-/** The parts of the outline where `touched` is 1, and the rest. */
-function arcs(points, felt) {
-  const touched = new Path2D();
-  const rest = new Path2D();
-  const count = felt.length;
+/** The parts of the outline by the class of their one-sigma, the best known first. */
+function arcs(points, sds) {
+  const paths = [...CLASSES_M, Infinity].map(() => new Path2D());
+  const count = sds.length;
   for (let i = 0; i < count; i++) {
     const next = (i + 1) % count;
-    const path = felt[i] && felt[next] ? touched : rest;
+    const path = paths[classOf(Math.max(sds[i], sds[next]))];
     path.moveTo(...place(points, i, 0));
     path.lineTo(...place(points, next, 0));
   }
-  return { touched, rest };
-}
-
-function place(points, i, off) {
-  return [(points.x[i] + off * points.nx[i]) * MM, (points.y[i] + off * points.ny[i]) * MM];
-}
-
-function line(context, from, to) {
-  context.beginPath();
-  context.moveTo(...from);
-  context.lineTo(...to);
-  context.stroke();
+  return paths;
 }

@@ -56,6 +56,11 @@ export class Store {
     return this.age("rig/truth", now) < 2 * staleMs("rig/truth") && this.has("rig/object");
   }
 
+  /** Whether what comes is a recorded run. */
+  replayed(now) {
+    return this.age("replay/run", now) < staleMs("replay/run");
+  }
+
   #takeEstimate(fields) {
     const known = fields.valid ? (name) => fields[name] ?? NaN : () => NaN;
     const sd = fields.valid ? (name) => fields.sd?.[name] ?? NaN : () => NaN;

@@ -1,0 +1,101 @@
+// What an operator does besides the buttons: jogs under a dead man's switch, chooses a plan.
+
+import { palmsOf } from "./quantities.js";
+import { element, number, set } from "./text.js";
+
+const STEP_DEG = 0.4; // 8 degrees a second, as `palmd jog`
+const EVERY_MS = 50; // the daemon brakes when the next step is 200 ms late
+const UNANSWERED_MOST = 3; // a line that is held up may not move the palms later
+
+export class ByHand {
+  #commands;
+  #section;
+  #pads = document.getElementById("jog");
+  #plans = document.getElementById("plans");
+  #told = ""; // the palms and plans that are laid out
+  #timer = 0;
+  #unanswered = 0;
+
+  constructor(section, commands) {
+    [this.#section, this.#commands] = [section, commands];
+    document.getElementById("load").addEventListener("click", () => commands.give("plan", { path: this.#plans.value }));
+    for (const end of ["blur", "visibilitychange", "pointerup", "pointercancel"]) {
+      (end === "visibilitychange" ? document : window).addEventListener(end, () => this.#letGo());
+    }
+  }
+
+  /** Lays out what `store` knows of the rig, and enables what applies. */
+  offer(store, stale) {
+    const info = store.get("palm/info");
+    const motion = store.get("palm/motion");
+    const { state } = store.get("palm/state");
+    this.#section.hidden = !this.#commands.operator;
+    this.#layOut(info);
+    const moving = state === "tracking" && motion.segment >= 0;
+    const jogs = this.#commands.applies("jog", state, stale) && !moving;
+    for (const button of this.#pads.querySelectorAll("button")) button.disabled = !jogs;
+    if (!jogs) this.#letGo();
+    set("jog-says", jogs ? "" : moving ? "hold the plan first" : "arm first");
+    document.getElementById("load").disabled = !this.#plans.value || moving || !this.#commands.applies("plan", state, stale);
+    for (const { joint } of palmsOf(info)) set(`jog-${joint}`, number((motion[`${joint}_rad`] * 180) / Math.PI, 1, "°"));
+  }
+
+  #layOut(info) {
+    const { plans = [] } = info;
+    const palms = palmsOf(info);
+    const told = JSON.stringify([plans, palms.map(({ joint }) => joint)]);
+    if (told === this.#told) return;
+    this.#told = told;
+    this.#plans.replaceChildren(...plans.map((name) => new Option(name)));
+    this.#pads.replaceChildren(...palms.flatMap(({ number: palm, joint }) => [
+      element("span", "jogged", `palm ${palm}`),
+      this.#handle(joint, -1, `Turn palm ${palm} back while held`, "−"),
+      Object.assign(element("output", "number", "–"), { id: `jog-${joint}` }),
+      this.#handle(joint, 1, `Turn palm ${palm} on while held`, "+"),
+    ]));
+  }
+
+  /** A button that turns a joint for as long as it is held down, by pointer, space or enter. */
+  #handle(joint, way, label, text) {
+    const button = Object.assign(element("button", "handle", text), { type: "button", disabled: true });
+    button.setAttribute("aria-label", label);
+    const hold = () => this.#hold({ [`${joint}_deg`]: way * STEP_DEG });
+    button.addEventListener("pointerdown", (event) => event.button === 0 && hold());
+    button.addEventListener("keydown", (event) => {
+      if (event.key !== " " && event.key !== "Enter") return;
+      event.preventDefault();
+      if (!event.repeat) hold();
+    });
+    for (const end of ["keyup", "blur", "pointerleave"]) button.addEventListener(end, () => this.#letGo());
+    button.addEventListener("contextmenu", (event) => event.preventDefault()); // a long touch is no menu
+    return button;
+  }
+
+  #hold(args) {
+    this.#letGo();
+    const step = () => {
+      if (this.#unanswered >= UNANSWERED_MOST) return;
+      this.#unanswered += 1;
+      const sent = this.#commands.give("jog", args, (error) => {
+        this.#unanswered -= 1;
+        if (error) this.#refused(error);
+      });
+      if (!sent) {
+        this.#unanswered -= 1;
+        this.#letGo();
+      }
+    };
+    this.#timer = setInterval(step, EVERY_MS);
+    step();
+  }
+
+  #refused(error) {
+    this.#letGo();
+    document.getElementById("answer").classList.add("bad");
+    set("answer", error);
+  }
+
+  #letGo() {
+    clearInterval(this.#timer);
+  }
+}

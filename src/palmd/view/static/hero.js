@@ -1,0 +1,55 @@
+// The figures that matter, large: how much of the outline is known, how well, the mass, and what is going on.
+
+import { accuracy, activity, error, percent, small } from "./knowledge.js";
+import { ESTIMATE } from "./quantities.js";
+import { number, set } from "./text.js";
+
+/** Shows what `store` knows at `now` (ms). */
+export function showHero(store, now) {
+  const estimate = store.get("palm/estimate");
+  const { coverage, reachable } = store.get("palm/state");
+  const { words, reason, kind } = activity(store);
+  set("words", words);
+  set("reason", reason ?? "");
+  document.getElementById("going-on").dataset.kind = kind;
+  set("known", Number.isFinite(estimate.touched) ? number(estimate.touched * 100, 0) : "–");
+  document.getElementById("known-bar").value = estimate.touched || 0;
+  set("known-of", Number.isFinite(coverage) ? `${percent(coverage)} of what can be reached`
+    + (reachable < 0.995 ? `, which is ${percent(reachable)}` : "") : "");
+  showAccuracy(accuracy(store), error(store, now));
+  showMass(estimate, store.truthful(now) ? store.get("rig/object").mass_kg : NaN);
+}
+
+function showAccuracy({ typical, worst }, off) {
+  const [value, unit] = small(typical);
+  set("typical", Number.isFinite(typical) ? `± ${value}` : value);
+  set("typical-unit", unit);
+  const [most, its] = small(worst);
+  set("worst", Number.isFinite(worst) ? `worst ± ${most} ${its}` : "");
+  set("off-truth", Number.isFinite(off.typical) ? `truth: ${small(off.typical).join(" ")} off, worst ${small(off.worst).join(" ")}` : "");
+}
+
+function showMass({ valid, mass_kg: mass, sd }, truth) {
+  const { factor, digits, unit } = ESTIMATE.mass_kg;
+  const known = valid && Number.isFinite(mass);
+  set("mass", known ? number(mass * factor, digits) : "–");
+  set("mass-unit", unit);
+  set("mass-sd", known && Number.isFinite(sd?.mass_kg) ? `± ${number(sd.mass_kg * factor, digits, unit)}` : "");
+  set("mass-truth", known && Number.isFinite(truth) ? `truth: ${number((mass - truth) * factor, digits, unit)} off` : "");
+}
+
+/** What has come of it, once nothing more will: [[what, how much]]. */
+export function summary(store, now) {
+  const estimate = store.get("palm/estimate");
+  const { words } = activity(store);
+  const well = accuracy(store);
+  const off = error(store, now);
+  const { factor, digits, unit } = ESTIMATE.mass_kg;
+  return [
+    ["at last", words],
+    ["outline known", percent(estimate.touched)],
+    ["accuracy", `± ${small(well.typical).join(" ")}, worst ± ${small(well.worst).join(" ")}`],
+    ["off the rig’s truth", Number.isFinite(off.typical) ? `${small(off.typical).join(" ")}, worst ${small(off.worst).join(" ")}` : "–"],
+    ["mass", estimate.valid ? number(estimate.mass_kg * factor, digits, unit) : "–"],
+  ];
+}

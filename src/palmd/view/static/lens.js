@@ -1,0 +1,115 @@
+// A magnifying glass in the scene's corner: a small piece of the outline as it is, band and truth, so many times larger.
+
+import { magnification } from "./geometry.js";
+import { classOf } from "./knowledge.js";
+import { dash, line, place, ring } from "./paths.js";
+import { colours } from "./theme.js";
+
+const RADIUS = 84; // CSS pixels, less in a small picture
+const SMALLEST = 0.17; // of the picture's height
+const MARGIN = 10;
+const BAND_SDS = 2;
+const BAND_SHARE = 0.45; // of the radius that half the band may fill
+const MM = 1e3;
+
+export class Lens {
+  factor = 0; // by which it magnifies; 0 while it shows nothing
+  #before = 5;
+
+  /**
+   * `points` of the outline in the object's frame with one-sigma `sds` (m) and, where the rig tells it, `off` (m), by which
+   * the truth lies outside of it; the frame is at `centre` (m) turned by `psi` (rad). It shows what is nearest to `target` (mm).
+   */
+  draw(context, { points, sds, off, centre, psi, target, screen }) {
+    const { ratio, width, height, scale, below } = screen;
+    const nearest = nearestTo(points, centre, psi, target);
+    const radius = Math.min(RADIUS * ratio, SMALLEST * height + 20 * ratio);
+    this.factor = this.#before = magnification(BAND_SDS * sds[nearest] * MM * scale, BAND_SHARE * radius, this.#before);
+    const [x, y] = [width - radius - MARGIN * ratio, radius + MARGIN * ratio]; // upper right, where no palm is
+    const [px, py] = world(points, centre, psi, nearest);
+    const seen = [px * scale + width / 2, height - (py + below) * scale];
+    context.save();
+    context.setTransform(1, 0, 0, 1, 0, 0);
+    this.#drawRim(context, [x, y], radius, seen, ratio);
+    context.translate(x, y);
+    context.scale(scale * this.factor, -scale * this.factor);
+    context.rotate(psi);
+    context.translate(...place(points, nearest, 0).map((each) => -each));
+    const thin = ratio / (scale * this.factor);
+    const near = pieceOf(points, nearest, radius / (scale * this.factor) / MM);
+    const band = near.map((i) => place(points, i, BAND_SDS * sds[i]))
+      .concat(near.toReversed().map((i) => place(points, i, -BAND_SDS * sds[i])));
+    context.fillStyle = colours.band;
+    context.fill(path(band));
+    context.strokeStyle = colours[`error${classOf(sds[nearest])}`];
+    context.lineWidth = 2.4 * thin;
+    context.stroke(ring(points));
+    if (off) dash(context, ring(points, off), thin);
+    context.restore();
+    this.#drawFactor(context, [x, y], radius, ratio);
+  }
+
+  /** What is seen through it, a line to the place, and from here on nothing outside of it. */
+  #drawRim(context, [x, y], radius, seen, ratio) {
+    const away = Math.hypot(seen[0] - x, seen[1] - y);
+    context.strokeStyle = context.fillStyle = colours.ink;
+    context.lineWidth = 1.2 * ratio;
+    if (away > radius) {
+      line(context, [x + ((seen[0] - x) / away) * radius, y + ((seen[1] - y) / away) * radius], seen);
+    }
+    context.beginPath();
+    context.arc(...seen, 2.5 * ratio, 0, 2 * Math.PI);
+    context.fill();
+    context.beginPath();
+    context.arc(x, y, radius, 0, 2 * Math.PI);
+    context.fillStyle = colours.panel;
+    context.fill();
+    context.stroke();
+    context.clip();
+  }
+
+  #drawFactor(context, [x, y], radius, ratio) {
+    context.save();
+    context.setTransform(1, 0, 0, 1, 0, 0);
+    context.font = `650 ${14 * ratio}px system-ui, sans-serif`;
+    context.textAlign = "center";
+    context.fillStyle = colours.ink;
+    context.fillText(`×${this.factor}`, x, y + radius + 16 * ratio);
+    context.restore();
+  }
+}
+
+/** Where a point of the outline is (mm, from the hinge). */
+function world(points, [cx, cy], psi, i) {
+  const [cos, sin] = [Math.cos(psi), Math.sin(psi)];
+  const [x, y] = [points.x[i], points.y[i]];
+  return [(cx + cos * x - sin * y) * MM, (cy + sin * x + cos * y) * MM];
+}
+
+function nearestTo(points, centre, psi, target) {
+  if (!target) return 0;
+  let [nearest, least] = [0, Infinity];
+  for (let i = 0; i < points.x.length; i++) {
+    const [x, y] = world(points, centre, psi, i);
+    const away = Math.hypot(x - target[0], y - target[1]);
+    if (away < least) [nearest, least] = [i, away];
+  }
+  return nearest;
+}
+
+/** The numbers of the points around `middle`, in their order, as far as `reach` (m) and one beyond. */
+function pieceOf(points, middle, reach) {
+  const count = points.x.length;
+  const far = (i) => Math.hypot(points.x[i] - points.x[middle], points.y[i] - points.y[middle]) > reach;
+  let [first, last] = [1, 1];
+  while (first < count / 2 && !far((middle + count - first) % count)) first += 1;
+  while (last < count / 2 && !far((middle + last) % count)) last += 1;
+  return Array.from({ length: first + last + 1 }, (_, i) => (middle + count - first + i) % count);
+}
+
+function path(points) {
+  const found = new Path2D();
+  for (const point of points) found.lineTo(...point);
+  found.closePath();
+  return found;
+}
