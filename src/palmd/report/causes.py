@@ -7,7 +7,7 @@ language, or have been kept waiting by palmd itself.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from statistics import fmean
@@ -375,8 +375,9 @@ def of_end(case: RunCase) -> StopCause:
     if course.complete:
         evidence.append(Clue("the file", "it was finished by its recorder, which heard nothing more of the daemon"))
         sentence = (
-            "the daemon said nothing more, and no word of ending: it was killed or has crashed; the arm's controller, "
-            f"without set-points, holds after 48 ms and latches error -600 after {CONTROLLER_WATCHDOG_MS} ms"
+            "the daemon said nothing more, and no word of ending: it was killed or has crashed, unless its recorder "
+            "alone was told to end; without set-points the arm's controller holds after 48 ms and latches error -600 "
+            f"after {CONTROLLER_WATCHDOG_MS} ms"
         )
         return StopCause("died", "", sentence, tuple(evidence))
     evidence.append(Clue("the file", "nobody has finished it"))
@@ -387,13 +388,22 @@ def of_end(case: RunCase) -> StopCause:
     return StopCause("cut", "", sentence, tuple(evidence))
 
 
-def of_tracking(case: RunCase, told: StateChange, t: float) -> StopCause:
-    """The state is tracking at `t`: the palms move, pause for the arm, or have nothing to do."""
+def _moves(case: RunCase, t: float) -> bool:
+    """Whether the palms were told to be elsewhere within the last quarter of a second."""
+    told = [
+        tuple(fields[f"{joint}_cmd_rad"] for joint in JOINTS)
+        for when, fields in case.closeup.motion if t - 0.25 < when <= t
+    ]  # fmt: skip
+    return len(set(told)) > 1
+
+
+def of_tracking(case: RunCase, faults: Mapping[str, str], t: float) -> StopCause:
+    """The state is tracking at `t`, with these faults of late: the palms move, pause for the arm, or have no plan."""
     standing = tuple(
-        Clue("palm/state", f"{code} ({severity}) stood; it holds nothing") for code, severity in told.faults.items()
+        Clue("palm/state", f"{code} ({severity}) stood; it holds nothing") for code, severity in faults.items()
     )
-    late = next((code for code in ("arm-late", "arm-held") if code in told.faults), None)
-    stall = _stall(case, t, PAUSE_S) if "loop-overrun" in told.faults else None
+    late = next((code for code in ("arm-late", "arm-held") if code in faults), None)
+    stall = _stall(case, t, PAUSE_S) if "loop-overrun" in faults else None
     age_ms = _oldest(case, "arm_age_ms", t)
     if stall is not None and (late is None or age_ms < (stall.end - stall.begin + 0.06) * 1e3):
         return stall.cause
@@ -402,17 +412,18 @@ def of_tracking(case: RunCase, told: StateChange, t: float) -> StopCause:
         sentence = "the motion paused, and went on by itself: the arm's answers came late"
         return StopCause("late", "arm", sentence, (age, *_said(case, late, t)))
     motion = case.closeup.last_motion(t)
-    if motion and motion["segment"] < 0:
-        over = next((entry for entry in reversed(case.course.log) if entry.kind == "plan" and entry.t_s <= t), None)
-        if over is not None:
-            return StopCause("over", "", over.text, (Clue("palm/log", f"at {case.rel(over.t_s)}"), *standing))
-        return StopCause(
-            "idle", "", "the palms stand because no plan is being run: it is over, or not started", standing
-        )
+    if motion and not _moves(case, t):
+        over = [entry for entry in case.course.log if entry.kind == "plan" and entry.t_s <= t]
+        started = [entry for entry in case.course.log if entry.name == "start" and entry.t_s <= t]
+        if over and (not started or over[-1].number > started[-1].number):
+            when = Clue("palm/log", f"at {case.rel(over[-1].t_s)}")
+            return StopCause("over", "", over[-1].text, (when, *standing))
+        if motion["segment"] < 0 or motion["progress"] >= 1.0:
+            return StopCause("idle", "", "the palms stand because no plan is being run: over, or not started", standing)
     moves = (
         f"palmd was tracking, in segment {motion['segment']} of {motion['plan']}" if motion else "palmd was tracking"
     )
-    logged = tuple(each for code in told.faults for each in _said(case, code, t + NEAR_S))
+    logged = tuple(each for code in faults for each in _said(case, code, t + NEAR_S))
     steps = tuple(
         Clue("timestamps", f"the wall clock was set by {by:+.0f} s at {case.rel(when)}; nothing goes by it")
         for when, by in case.course.clock_steps if abs(when - t) < 5.0

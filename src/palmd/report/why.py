@@ -19,6 +19,9 @@ _HAPPENED = {"hold": "the motion was held", "fault": "the arm was stopped", "rea
 OTHERS = 8
 """So many of the other times are listed."""
 
+RECENT_S = 0.25
+"""So long after a fault has gone, it is told of motion that goes on."""
+
 END_S = 0.05
 """So long before its end, the end is what a question is about."""
 
@@ -57,7 +60,7 @@ class Explanation:
 
 
 def explain(run: Run, at: float | None = None) -> Explanation:
-    """Why it was held or stopped at `at` (s since the first message); without a time: the last time that it was.
+    """Why it was held or stopped at `at` (s since the first message); without a time: the last time by a fault.
 
     Raises RunError for a run that tells no state, OSError.
     """
@@ -121,10 +124,15 @@ def lines(run: Run, answer: Explanation) -> Iterator[str]:
 
 
 def _asked(course: Course, found: tuple[Standstill, ...], t: float | None) -> Standstill | None:
-    """The stop that is asked about: that in which `t` lies, or the last one; None where it went on, or broke off."""
+    """The stop that is asked about: that in which `t` lies; None where it went on, or broke off.
+
+    Without a time: the last one by a fault, else the last one at all; none where the run ends in motion.
+    """
     if t is None:
-        moving = course.told[-1].state in _COMMANDED and course.complete
-        return None if moving or not found else found[-1]
+        if course.told[-1].state == "tracking":
+            return None
+        by_fault = [stop for stop in found if stop.codes]
+        return next(reversed(by_fault or found), None)
     lies = [stop for stop in found if stop.now.t <= t < stop.until]
     return lies[-1] if lies and t <= course.end + 1.0 else None
 
@@ -137,7 +145,9 @@ def _not_stopped(run: Run, course: Course, t: float, others: tuple[tuple[float, 
         happened = "the recording ends"
         return Explanation(rel, told.state, happened, course.end - course.begin, math.inf, of_end(case), (), "", others)
     if told.state == "tracking":
-        return Explanation(rel, told.state, "", rel, rel, of_tracking(case, told, t), (), "", others)
+        recent = [each for each in course.told if t - RECENT_S < each.t <= t]
+        faults = {code: severity for each in (told, *recent) for code, severity in each.faults.items()}
+        return Explanation(rel, told.state, "", rel, rel, of_tracking(case, faults, t), (), "", others)
     cause = StopCause("before", "", f"it had not been commanded yet: the state was {told.state}")
     grave = told.grave("hold", "stop")
     if grave:
