@@ -70,7 +70,8 @@ def provoke(row: FaultRow, how: Literal["raises", "nan"], spec: PlanSpec, seed: 
         if "palm/state" in instant.messages:
             watch.take("palm/state", dict(instant.messages["palm/state"]) | stamped)
     seen = watch.reaction(row, t_cause)
-    return replace(seen, why=ask(row, recorder.finish(), asked_at(row, t_cause, seen.noticed_s, seen.came_s)))
+    t_asked = asked_at(row, t_cause, seen.noticed_s, seen.came_s)
+    return replace(seen, why=ask(row, recorder.finish(), t_cause, t_asked))
 
 
 class WirelessRecorder:
