@@ -184,8 +184,8 @@ def summary(results: Sequence[tuple[FaultRow, Sequence[Reaction]]]) -> str:
     if told:
         full, bare = (sum(each) for each in zip(*((one.right, one.right_without_log) for one in told), strict=True))
         spoilt = sum(len(some) for _, some in results) - len(told)
-        right = f"palmd why is right of {full} of {len(told)} provocations, without palm/log of {bare}"
-        lines.append(f"{right}; {spoilt} were spoilt")
+        share = f"{full} of {len(told)} provocations, without palm/log of {bare}"
+        lines.append(f"palmd why is right of {share}; {spoilt} were spoilt")
     return "\n".join(lines)
 
 
