@@ -1,6 +1,6 @@
 """What made a recorded run hold or stop, in plain words with the evidence: which byte, which age, which limit.
 
-Asked without a time it tells of the last time that it was held or stopped, and lists the others.
+Asked without a time it tells of the last time that a fault held or stopped it, and lists the others.
 """
 
 from __future__ import annotations
@@ -22,7 +22,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     parser.add_argument("run", type=Path, metavar="RUN", help="a recorded run (.mcap), finished or not")
     parser.add_argument(
-        "--at", type=_time, metavar="T", help="seconds since its first message, as in reports (default: the last stop)"
+        "--at",
+        type=_time,
+        metavar="T",
+        help="seconds since its first message, as in reports (default: the last time by a fault)",
     )
     parser.add_argument("--json", action="store_true", help="print the answer as JSON")
 

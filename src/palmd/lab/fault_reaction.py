@@ -183,7 +183,9 @@ def summary(results: Sequence[tuple[FaultRow, Sequence[Reaction]]]) -> str:
     told = judgements(results)
     if told:
         full, bare = (sum(each) for each in zip(*((one.right, one.right_without_log) for one in told), strict=True))
-        lines.append(f"palmd why is right of {full} of {len(told)} provocations, without palm/log of {bare}")
+        spoilt = sum(len(some) for _, some in results) - len(told)
+        share = f"{full} of {len(told)} provocations, without palm/log of {bare}"
+        lines.append(f"palmd why is right of {share}; {spoilt} were spoilt")
     return "\n".join(lines)
 
 
@@ -206,8 +208,13 @@ def _cells(row: FaultRow, reactions: Sequence[Reaction]) -> list[str]:
 
 
 def judgements(results: Iterable[tuple[FaultRow, Sequence[Reaction]]]) -> list[Judgement]:
-    """What the recordings answered, of provocations that came to what they should; others have another cause."""
-    return [one.why for row, some in results for one in some if one.why is not None and not differences(row, one)]
+    """What the recordings answered, of provocations that came to what they should; spoilt ones have another cause."""
+    return [
+        one.why
+        for row, some in results
+        for one in some
+        if one.why is not None and not one.why.spoilt and not differences(row, one)
+    ]
 
 
 def _why(reactions: Sequence[Reaction]) -> str:

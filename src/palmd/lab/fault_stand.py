@@ -131,7 +131,8 @@ class Stand:
         wrong += _lost(kept) if _concerns_recording(row.act) else []
         starved = self._stack.rig_status()["stalls"] > before["stalls"]
         seen = replace(watch.reaction(row, t_cause, wrong, starved=starved), came_s=reaction.came_s)
-        return replace(seen, why=ask(row, Path(kept["path"]), asked_at(row, t_cause, seen.noticed_s, seen.came_s)))
+        t_asked = asked_at(row, t_cause, seen.noticed_s, seen.came_s)
+        return replace(seen, why=ask(row, Path(kept["path"]), t_cause, t_asked))
 
     def _watch(self, row: FaultRow, watch: ReactionWatch, t_cause: float) -> Reaction:
         """Look on until all that the row promises has come, and a little longer."""

@@ -21,16 +21,19 @@ GOAL = 0.95
 class Judgement:
     """What was answered, with the log and without it as in runs of before there was one, by the causes' names.
 
-    `recording` is the file that was asked, about `at_s` (s since its first message).
+    `recording` is the file that was asked about `at_s`; the cause was at `cause_s` (s since its first message). A
+    provocation is spoilt when something else had held the motion by then.
     """
 
     recording: str
+    cause_s: float
     at_s: float
     with_log: str
     without_log: str
     sentence: str
     right: bool
     right_without_log: bool
+    spoilt: bool = False
 
 
 def asked_at(row: FaultRow, t_cause: float, noticed_s: float, came_s: float) -> float:
@@ -44,17 +47,25 @@ def asked_at(row: FaultRow, t_cause: float, noticed_s: float, came_s: float) -> 
     return t_cause + (after + AFTER_S if math.isfinite(after) else UNNOTICED_S)
 
 
-def ask(row: FaultRow, path: Path, t: float) -> Judgement:
+def ask(row: FaultRow, path: Path, t_cause: float, t: float) -> Judgement:
     """The answer of the recording in a file about the time `t` (s, monotonic clock), judged by the row."""
     try:
         run = read_run(path)
         course = course_of(run)
         full, bare = (answer(run, each, t) for each in (course, replace(course, log=())))
     except (RunError, OSError) as error:
-        return Judgement(path.name, math.nan, "", "", str(error), False, False)
-    at_s = round(t - course.begin, 3)
+        return Judgement(path.name, math.nan, math.nan, "", "", str(error), False, False)
+    before = course.at(t_cause)
     return Judgement(
-        path.name, at_s, full.cause.name, bare.cause.name, full.cause.sentence, _right(row, full), _right(row, bare)
+        path.name,
+        round(t_cause - course.begin, 3),
+        round(t - course.begin, 3),
+        full.cause.name,
+        bare.cause.name,
+        full.cause.sentence,
+        _right(row, full),
+        _right(row, bare),
+        spoilt=before is None or before.state != "tracking",
     )
 
 

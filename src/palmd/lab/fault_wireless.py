@@ -19,7 +19,7 @@ from palmd.harness.wireless import Instant, Wireless
 from palmd.lab.fault_reaction import Reaction, ReactionWatch
 from palmd.lab.fault_rows import FaultRow
 from palmd.lab.fault_why import ask, asked_at
-from palmd.messages import stamp
+from palmd.messages import Fields, stamp
 from palmd.record.recording import Ended, Recording
 from palmd.rig.world import default_config
 
@@ -56,7 +56,7 @@ def provoke(row: FaultRow, how: Literal["raises", "nan"], spec: PlanSpec, seed: 
     breakable = _Breakable(observer.make("shape", rig_description(config), seed))
     run = Wireless(config, spec, seed, estimator=breakable)
     run.start()
-    recorder = _Recorder(config)
+    recorder = WirelessRecorder(config)
     for instant in run.run(BREAKS_AFTER_S):
         recorder.take(instant)
     watch = ReactionWatch()
@@ -70,10 +70,11 @@ def provoke(row: FaultRow, how: Literal["raises", "nan"], spec: PlanSpec, seed: 
         if "palm/state" in instant.messages:
             watch.take("palm/state", dict(instant.messages["palm/state"]) | stamped)
     seen = watch.reaction(row, t_cause)
-    return replace(seen, why=ask(row, recorder.finish(), asked_at(row, t_cause, seen.noticed_s, seen.came_s)))
+    t_asked = asked_at(row, t_cause, seen.noticed_s, seen.came_s)
+    return replace(seen, why=ask(row, recorder.finish(), t_cause, t_asked))
 
 
-class _Recorder:
+class WirelessRecorder:
     """Records a run without wires as the recorder would."""
 
     def __init__(self, config: Config) -> None:
@@ -84,11 +85,15 @@ class _Recorder:
 
     def take(self, instant: Instant) -> None:
         """All that was published in a tick."""
-        now = self._t_begun + instant.t
         for topic, fields in instant.messages.items():
-            payload = msgpack.packb(stamp(dict(fields), now, instant.t, self._numbers[topic]))
-            self._numbers[topic] += 1
-            self._recording.take([topic.encode(), payload, b""], now)
+            self.publish(topic, fields, instant.t)
+
+    def publish(self, topic: str, fields: Fields, t: float) -> None:
+        """One message of the tick at `t` (s)."""
+        now = self._t_begun + t
+        payload = msgpack.packb(stamp(dict(fields), now, t, self._numbers[topic]))
+        self._numbers[topic] += 1
+        self._recording.take([topic.encode(), payload, b""], now)
 
     def finish(self) -> Path:
         """The recording."""

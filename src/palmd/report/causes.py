@@ -7,7 +7,7 @@ language, or have been kept waiting by palmd itself.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from statistics import fmean
@@ -33,15 +33,16 @@ PAUSE_S = 0.04
 """And ticks so far apart make the controller hold for a moment."""
 
 STALLED_BEFORE_S, STALL_READING_S = 0.1, 0.03
-NEAR_S = 0.6
+NEAR_S, SOON_S = 0.6, 0.05
 """A cause is looked for so long before its effect."""
 
 ARM_QUIET_S = 0.1  # without an answer: six of its cycles
-FOREIGN_SHARE = 0.8  # of what came that was no packet
 LINE_BYTES = 30  # of an answer of the arm, its line end included
 ALIEN_LINES = 3.0  # of what is none of ours, a line end is so much rarer
 _LINE = ("arm_port_bytes_read", "arm_lines", "arm_crc_errors", "arm_unframed")
-SPOKE_BYTES = 24  # too few may be the rest of a packet
+SPOKE_BYTES, SPOKE_LINE_BYTES = 8, 31  # fewer may be the rest of a packet, or of a line
+DISCARDED_BYTES = 24  # of a second, in which a few may be lost at any time
+BABBLE_S = 0.2  # of bytes without a packet: somebody else speaks
 TOGETHER_S = 0.15  # both pads left within so long: the object was lifted
 CONTROLLER_WATCHDOG_MS, SETPOINT_MS = 160, 16
 
@@ -99,7 +100,7 @@ class RunCase:
         """The log's entry of that kind and name nearest before `t`, as it came; None where there is none."""
         each = (entry for entry in reversed(self.course.log) if entry.kind == kind and entry.name == name)
         return next(
-            (entry for entry in each if math.isnan(entry.lasted_s) and t - NEAR_S < entry.t_s <= t + 0.02), None
+            (entry for entry in each if math.isnan(entry.lasted_s) and t - NEAR_S < entry.t_s <= t + SOON_S), None
         )
 
 
@@ -255,7 +256,7 @@ def _link(case: RunCase, code: str, t: float) -> StopCause:
         ends += wrong + alien
         excess = max(excess, read - LINE_BYTES * whole)
     said = _said(case, code, t)
-    if _bytes_since(said) < SPOKE_BYTES and (said or max(excess - LINE_BYTES, ends - 1.0) <= 0.0):
+    if _bytes_since(said) < SPOKE_LINE_BYTES and (said or max(excess - LINE_BYTES, ends - 1.0) <= 0.0):
         return StopCause("mute", "arm", "nothing came from the arm's controller any more", (*evidence, *said))
     if ends > 1.0 and excess < ALIEN_LINES * LINE_BYTES * ends:  # lines end where they should
         sentence = "what came from the arm's controller was damaged: its lines came, and hardly one of them whole"
@@ -287,18 +288,18 @@ def _silent(case: RunCase, code: str, t: float) -> StopCause:
     evidence = [*_ages(case, int(end[-1]), t)]
     said = _said(case, code, t)
     names = (f"{end}_bytes", f"{end}_packets", f"{end}_bytes_discarded")
-    worst = 0.0
-    for at in (t, t + 1.0):  # the second in which it fell silent, and the next one, which tells more
+    lost = 0.0
+    for at in (t, t + 1.0):
         gained = case.course.gained(at, *names)
         if gained is None:
             continue
         came, packets, discarded = (gained[2][name] for name in names)
         told = f"{came:.0f} bytes came, {packets:.0f} packets, {discarded:.0f} bytes in none {_between(case, gained)}"
         evidence.append(Clue("palm/loop", told))
-        worst = discarded / came if min(came, discarded) >= SPOKE_BYTES else 0.0
-    if _bytes_since(said) < SPOKE_BYTES and (said or worst == 0.0):
+        lost = max(lost, discarded)
+    if _bytes_since(said) < SPOKE_BYTES if said else lost < DISCARDED_BYTES:
         return StopCause("mute", end, f"nothing came from pad {end[-1]} any more", (*evidence, *said))
-    if worst > FOREIGN_SHARE or worst == 0.0:
+    if case.course.stood(code, t) >= BABBLE_S:
         sentence = f"what came from pad {end[-1]}'s line was no packet: another device, or another baud rate"
         return StopCause("foreign", end, sentence, (*evidence, *said))
     sentence = f"so much of what pad {end[-1]} said was damaged that five packets in a row were missing"
@@ -375,8 +376,9 @@ def of_end(case: RunCase) -> StopCause:
     if course.complete:
         evidence.append(Clue("the file", "it was finished by its recorder, which heard nothing more of the daemon"))
         sentence = (
-            "the daemon said nothing more, and no word of ending: it was killed or has crashed; the arm's controller, "
-            f"without set-points, holds after 48 ms and latches error -600 after {CONTROLLER_WATCHDOG_MS} ms"
+            "the daemon said nothing more, and no word of ending: it was killed or has crashed, unless its recorder "
+            "alone was told to end; without set-points the arm's controller holds after 48 ms and latches error -600 "
+            f"after {CONTROLLER_WATCHDOG_MS} ms"
         )
         return StopCause("died", "", sentence, tuple(evidence))
     evidence.append(Clue("the file", "nobody has finished it"))
@@ -387,13 +389,22 @@ def of_end(case: RunCase) -> StopCause:
     return StopCause("cut", "", sentence, tuple(evidence))
 
 
-def of_tracking(case: RunCase, told: StateChange, t: float) -> StopCause:
-    """The state is tracking at `t`: the palms move, pause for the arm, or have nothing to do."""
+def _moves(case: RunCase, t: float) -> bool:
+    """Whether the palms were told to be elsewhere within the last quarter of a second."""
+    told = [
+        tuple(fields[f"{joint}_cmd_rad"] for joint in JOINTS)
+        for when, fields in case.closeup.motion if t - 0.25 < when <= t
+    ]  # fmt: skip
+    return len(set(told)) > 1
+
+
+def of_tracking(case: RunCase, faults: Mapping[str, str], t: float) -> StopCause:
+    """The state is tracking at `t`, with these faults of late: the palms move, pause for the arm, or have no plan."""
     standing = tuple(
-        Clue("palm/state", f"{code} ({severity}) stood; it holds nothing") for code, severity in told.faults.items()
+        Clue("palm/state", f"{code} ({severity}) stood; it holds nothing") for code, severity in faults.items()
     )
-    late = next((code for code in ("arm-late", "arm-held") if code in told.faults), None)
-    stall = _stall(case, t, PAUSE_S) if "loop-overrun" in told.faults else None
+    late = next((code for code in ("arm-late", "arm-held") if code in faults), None)
+    stall = _stall(case, t, PAUSE_S) if "loop-overrun" in faults else None
     age_ms = _oldest(case, "arm_age_ms", t)
     if stall is not None and (late is None or age_ms < (stall.end - stall.begin + 0.06) * 1e3):
         return stall.cause
@@ -402,17 +413,18 @@ def of_tracking(case: RunCase, told: StateChange, t: float) -> StopCause:
         sentence = "the motion paused, and went on by itself: the arm's answers came late"
         return StopCause("late", "arm", sentence, (age, *_said(case, late, t)))
     motion = case.closeup.last_motion(t)
-    if motion and motion["segment"] < 0:
-        over = next((entry for entry in reversed(case.course.log) if entry.kind == "plan" and entry.t_s <= t), None)
-        if over is not None:
-            return StopCause("over", "", over.text, (Clue("palm/log", f"at {case.rel(over.t_s)}"), *standing))
-        return StopCause(
-            "idle", "", "the palms stand because no plan is being run: it is over, or not started", standing
-        )
+    if motion and not _moves(case, t):
+        over = [entry for entry in case.course.log if entry.kind == "plan" and entry.t_s <= t]
+        started = [entry for entry in case.course.log if entry.name == "start" and entry.t_s <= t]
+        if over and (not started or over[-1].number > started[-1].number):
+            when = Clue("palm/log", f"at {case.rel(over[-1].t_s)}")
+            return StopCause("over", "", over[-1].text, (when, *standing))
+        if motion["segment"] < 0 or motion["progress"] >= 1.0:
+            return StopCause("idle", "", "the palms stand because no plan is being run: over, or not started", standing)
     moves = (
         f"palmd was tracking, in segment {motion['segment']} of {motion['plan']}" if motion else "palmd was tracking"
     )
-    logged = tuple(each for code in told.faults for each in _said(case, code, t + NEAR_S))
+    logged = tuple(each for code in faults for each in _said(case, code, t + NEAR_S))
     steps = tuple(
         Clue("timestamps", f"the wall clock was set by {by:+.0f} s at {case.rel(when)}; nothing goes by it")
         for when, by in case.course.clock_steps if abs(when - t) < 5.0

@@ -58,6 +58,12 @@ class Course:
         """What was told last up to `t`, None before the first."""
         return next((told for told in reversed(self.told) if told.t <= t), None)
 
+    def stood(self, code: str, t: float) -> float:
+        """How long (s) the fault stood that stands at `t` or comes soon after, up to the run's end at most."""
+        later = [told for told in self.told if told.t >= t]
+        came = next((told.t for told in later if code in told.faults), self.end)
+        return next((told.t for told in later if told.t > came and code not in told.faults), self.end) - came
+
     def gained(self, t: float, *names: str) -> tuple[float, float, dict[str, float]] | None:
         """By how much counters of `palm/loop` grew over the second in which `t` lies: from, to, growth by name.
 

@@ -19,22 +19,32 @@ _HAPPENED = {"hold": "the motion was held", "fault": "the arm was stopped", "rea
 OTHERS = 8
 """So many of the other times are listed."""
 
+TOGETHER_S = 0.05
+"""Faults that come within so long after the state has changed belong to it."""
+
+RECENT_S = 0.25
+"""So long after a fault has gone, it is told of motion that goes on."""
+
 END_S = 0.05
 """So long before its end, the end is what a question is about."""
 
 
 @dataclass(frozen=True, slots=True)
 class Standstill:
-    """The state that ended the motion, what stood before, and until when (s) it did not go on; infinite for the end."""
+    """The state that ended the motion, what stood before, and until when (s) it did not go on; infinite for the end.
+
+    `hints` tell what to do, by the codes of the faults that act in that state.
+    """
 
     before: StateChange
     now: StateChange
     until: float
+    hints: dict[str, str]
 
     @property
     def codes(self) -> tuple[str, ...]:
-        """Of the faults that act in that state."""
-        return self.now.grave(*_ACTS.get(self.now.state, ()))
+        """Of those faults."""
+        return tuple(self.hints)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +67,7 @@ class Explanation:
 
 
 def explain(run: Run, at: float | None = None) -> Explanation:
-    """Why it was held or stopped at `at` (s since the first message); without a time: the last time that it was.
+    """Why it was held or stopped at `at` (s since the first message); without a time: the last time by a fault.
 
     Raises RunError for a run that tells no state, OSError.
     """
@@ -81,8 +91,8 @@ def answer(run: Run, course: Course, t: float | None) -> Explanation:
         stop.now.t - course.begin,
         stop.until - course.begin,
         cause,
-        tuple((code, _stood(course, code, stop.now.t)) for code in stop.codes),
-        "; ".join(dict.fromkeys(stop.now.hints[code] for code in stop.codes)),
+        tuple((code, course.stood(code, stop.now.t)) for code in stop.codes),
+        "; ".join(dict.fromkeys(stop.hints.values())),
         others,
     )
 
@@ -93,7 +103,14 @@ def stops(course: Course) -> Iterator[Standstill]:
         came_to_stand = before.state in _COMMANDED and now.state in ("ready", "idle")
         if before.state != now.state and (now.state in ("hold", "fault") or came_to_stand):
             after = (later.t for later in course.told[number + 1 :] if later.state == "tracking")
-            yield Standstill(before, now, next(after, math.inf))
+            acting = _ACTS.get(now.state, ())
+            hints = {
+                code: told.hints[code]
+                for told in course.told[number:]
+                if told.t - now.t < TOGETHER_S
+                for code in told.grave(*acting)
+            }
+            yield Standstill(before, now, next(after, math.inf), hints)
 
 
 def lines(run: Run, answer: Explanation) -> Iterator[str]:
@@ -121,10 +138,15 @@ def lines(run: Run, answer: Explanation) -> Iterator[str]:
 
 
 def _asked(course: Course, found: tuple[Standstill, ...], t: float | None) -> Standstill | None:
-    """The stop that is asked about: that in which `t` lies, or the last one; None where it went on, or broke off."""
+    """The stop that is asked about: that in which `t` lies; None where it went on, or broke off.
+
+    Without a time: the last one by a fault, else the last one at all; none where the run ends in motion.
+    """
     if t is None:
-        moving = course.told[-1].state in _COMMANDED and course.complete
-        return None if moving or not found else found[-1]
+        if course.told[-1].state == "tracking":
+            return None
+        by_fault = [stop for stop in found if stop.codes]
+        return next(reversed(by_fault or found), None)
     lies = [stop for stop in found if stop.now.t <= t < stop.until]
     return lies[-1] if lies and t <= course.end + 1.0 else None
 
@@ -137,19 +159,15 @@ def _not_stopped(run: Run, course: Course, t: float, others: tuple[tuple[float, 
         happened = "the recording ends"
         return Explanation(rel, told.state, happened, course.end - course.begin, math.inf, of_end(case), (), "", others)
     if told.state == "tracking":
-        return Explanation(rel, told.state, "", rel, rel, of_tracking(case, told, t), (), "", others)
+        recent = [each for each in course.told if t - RECENT_S < each.t <= t]
+        faults = {code: severity for each in (told, *recent) for code, severity in each.faults.items()}
+        return Explanation(rel, told.state, "", rel, rel, of_tracking(case, faults, t), (), "", others)
     cause = StopCause("before", "", f"it had not been commanded yet: the state was {told.state}")
     grave = told.grave("hold", "stop")
     if grave:
         cause = of_fault(case, grave, told.t)
-    standing = tuple((code, _stood(course, code, told.t)) for code in grave)
+    standing = tuple((code, course.stood(code, told.t)) for code in grave)
     return Explanation(rel, told.state, "", rel, rel, cause, standing, "; ".join(told.hints[c] for c in grave), others)
-
-
-def _stood(course: Course, code: str, t: float) -> float:
-    """How long (s) the fault that came up at `t` stood, up to the run's end at most."""
-    after = [told for told in course.told if told.t >= t]
-    return next((told.t for told in after if code not in told.faults), course.end) - t
 
 
 def _in_short(stop: Standstill) -> str:

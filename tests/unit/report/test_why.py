@@ -1,0 +1,220 @@
+"""`palmd why`: what is done to the daemon's real core, without wires, is told from the recording alone."""
+
+import json
+import math
+from dataclasses import replace
+
+import pytest
+from recorded import config as recorded_config
+from silent_observer import SilentObserver
+
+from palmd.cli import main
+from palmd.config import PlanSpec
+from palmd.daemon.commands import Request
+from palmd.harness.wireless import Wireless
+from palmd.lab.fault_wireless import WirelessRecorder
+from palmd.record.run import RunError, read_run
+from palmd.report.course import course_of
+from palmd.report.why import answer, explain, lines
+from palmd.rig.fault_injection import order
+from palmd.rig.world import STEP_S, default_config
+
+SWING = PlanSpec.model_validate(
+    {
+        "name": "swing",
+        "repeat": "forever",
+        "segments": [
+            {"move": {"phi1_deg": 45, "phi2_deg": 90}, "duration_s": 0.3},
+            {"sine": {"phi1_deg": 12, "phi2_deg": 4}, "frequency_hz": 0.5, "duration_s": 20},
+        ],
+    }
+)
+SHORT = PlanSpec.model_validate(
+    {"name": "short", "segments": [{"rate": {"phi1_deg_s": 20}, "until": {"phi1_deg": 55}}]}
+)
+
+
+class Silent(SilentObserver):
+    name, object_count, late_dropped = "silent", 0, 0
+
+
+class Rig(Wireless):
+    """A rig whose every tick is recorded, with the counters that the loop adds once a second."""
+
+    def __init__(self, folder, spec=SWING):
+        config = default_config()
+        config = config.model_copy(update={"record": config.record.model_copy(update={"directory": folder})})
+        super().__init__(config, spec, 3, estimator=Silent())
+        self.recorder = WirelessRecorder(config)
+        self.ticks = 0
+
+    def tick(self):
+        instant = super().tick()
+        self.recorder.take(instant)
+        if self.ticks % 100 == 0:
+            counts = self.core.counters()
+            self.recorder.publish("palm/loop", counts | {"arm_port_bytes_read": counts["arm_bytes"]}, self.t)
+        self.ticks += 1
+        return instant
+
+    def go(self, seconds):
+        t_end = self.t + seconds
+        while self.t < t_end - STEP_S / 2:
+            self.tick()
+
+    def play(self, name, port=None, strength=None):
+        self.world.mischief.add(order(name, self.t, port, strength))
+
+    def give(self, name, who=""):
+        self.core.handle(Request(name, who=who), self.t)
+
+    def stall(self, seconds):
+        """The daemon gets no processor for a while."""
+        self._steps += round(seconds / STEP_S)
+        for end, data in self.world.advance(self.t).items():
+            if data:
+                self.core.receive(end, data, self.t)
+        self.core.overran(self.t, seconds)
+
+
+def run_of(folder, act, seconds=1.7, spec=SWING):
+    """What a swinging rig records to which something is done after a second, and when (s) that was."""
+    rig = Rig(folder, spec)
+    rig.start()
+    rig.go(1.0)
+    t = rig.t
+    act(rig)
+    rig.go(seconds)
+    return read_run(rig.recorder.finish()), t
+
+
+PROVOKED = {
+    "pad1-mute": lambda rig: rig.play("mute", "pad1"),
+    "pad2-foreign": lambda rig: rig.play("misbaud", "pad2"),
+    "pad2-port": lambda rig: rig.core.lost("pad2", rig.t),
+    "lifted": lambda rig: rig.play("lift"),
+    "arm-mute": lambda rig: rig.play("mute", "arm"),
+    "arm-foreign": lambda rig: rig.play("misbaud", "arm"),
+    "arm-damaged": lambda rig: rig.play("garble", "arm", 0.2),
+    "arm-late": lambda rig: rig.play("late", "arm", 0.12),
+    "arm-estop": lambda rig: rig.play("estop", "arm"),
+    "stalled": lambda rig: rig.stall(0.3),
+    "failed": lambda rig: rig.core.fail(rig.t, ZeroDivisionError("a defect")),
+    "command": lambda rig: rig.give("hold", "ann"),
+    "nothing": lambda _rig: None,
+}
+LATER_S = {"arm-late": 0.2}
+WITHOUT_LOG = {"arm-foreign": "arm-mute"}  # a handful of bytes are lost among the good ones of that second
+
+
+@pytest.mark.parametrize("name", PROVOKED)
+def test_the_cause_is_told_with_its_evidence_also_without_a_log(name, tmp_path):
+    run, t = run_of(tmp_path, PROVOKED[name])
+    course = course_of(run)
+    for each in (course, replace(course, log=())):
+        told = answer(run, each, t + LATER_S.get(name, 0.5))
+        wanted = {name} if each.log else {name, WITHOUT_LOG.get(name)}
+        assert told.cause.name in wanted, "\n".join(lines(run, told))
+        assert told.cause.evidence or name == "nothing"
+        text = "\n".join(lines(run, told))
+        assert "nan" not in text
+        assert "inf" not in text
+
+
+def test_a_break_is_told_by_the_controllers_own_code(tmp_path):
+    run, t = run_of(tmp_path, lambda rig: rig.play("break", "arm"))
+    told = explain(run, t + 0.5 - course_of(run).begin)
+    assert told.cause.name == "arm-break"
+    assert any("-0504" in clue.what for clue in told.cause.evidence)
+
+
+def test_which_age_and_which_limit(tmp_path):
+    run, _ = run_of(tmp_path, PROVOKED["pad1-mute"])
+    told = explain(run)
+    (reading,) = (clue.what for clue in told.cause.evidence if clue.where == "palm/events")
+    assert "the limit is 5 intervals" in reading
+    (logged,) = (clue.what for clue in told.cause.evidence if clue.where == "palm/log")
+    assert "not a byte has come since" in logged
+    assert told.standing[0][0] == "pad1-silent"
+    assert "pad's cable" in told.hint
+
+
+def test_who_held_it_is_told_where_there_is_a_log(tmp_path):
+    run, _ = run_of(tmp_path, PROVOKED["command"])
+    assert "hold, by ann" in explain(run).cause.sentence
+    course = course_of(run)
+    assert "somebody gave the command hold" in answer(run, replace(course, log=()), None).cause.sentence
+
+
+def test_a_fault_of_a_moment_is_told_although_it_is_over(tmp_path):
+    def blink(rig):
+        rig.play("mute", "pad1")
+        while rig.core.state != "hold":
+            rig.tick()
+        rig.world.mischief.cancel("mute", "pad1")
+
+    run, _ = run_of(tmp_path, blink)
+    told = explain(run)
+    ((code, seconds),) = told.standing
+    assert (told.cause.name, code) == ("pad1-mute", "pad1-silent")
+    assert seconds < 0.1
+
+
+def test_when_it_has_gone_on_the_question_is_about_what_was_then(tmp_path):
+    def hold_and_go_on(rig):
+        rig.give("hold", "ann")
+        rig.go(0.5)
+        rig.give("start", "ann")
+
+    run, t = run_of(tmp_path, hold_and_go_on)
+    begin = course_of(run).begin
+    assert explain(run, t + 0.3 - begin).cause.name == "command"
+    later = explain(run, t + 1.5 - begin)
+    assert later.cause.name == "nothing"
+    assert len(later.others) == 1
+    assert explain(run, 0.01).cause.name == "before"
+
+
+def test_a_plan_that_is_over_and_an_end_that_was_asked_for(tmp_path):
+    run, t = run_of(tmp_path, lambda _rig: None, spec=SHORT)
+    begin = course_of(run).begin
+    assert "has run its course" in explain(run, t + 1.6 - begin).cause.sentence
+    run, _ = run_of(tmp_path / "ended", lambda rig: rig.core.close())
+    assert explain(run).cause.name == "ended"
+
+
+def test_a_daemon_that_has_died_and_a_recording_that_was_cut(tmp_path):
+    rig = Rig(tmp_path)
+    rig.start()
+    rig.go(2.0)
+    rig.recorder._recording.flush(0.0)
+    cut = next(tmp_path.glob("*.mcap"))
+    assert explain(read_run(cut), 60.0).cause.name == "cut"
+    assert explain(read_run(rig.recorder.finish()), 60.0).cause.name == "died"
+
+
+def test_the_command_prints_it_in_words_and_as_json(tmp_path, capsys):
+    run, _ = run_of(tmp_path, PROVOKED["pad1-mute"])
+    assert main(["why", str(run.path)]) == 0
+    said = capsys.readouterr().out
+    assert "the motion was held" in said
+    assert "why       nothing came from pad 1 any more" in said
+    assert main(["why", str(run.path), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["cause"]["name"] == "pad1-mute"
+    assert told["until"] is None
+
+
+@pytest.mark.parametrize("t", ["-1", "nan", "soon"])
+def test_a_time_that_is_none_is_a_usage_error(t, tmp_path, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["why", "x.mcap", f"--at={t}"])
+    assert ended.value.code == 2
+    assert "--at" in capsys.readouterr().err
+
+
+def test_a_run_without_states_is_told_so(tmp_path):
+    recorder = WirelessRecorder(recorded_config(tmp_path))
+    recorder.publish("palm/contact", {"s1_m": math.nan}, 0.0)
+    with pytest.raises(RunError, match="holds no palm/state"):
+        explain(read_run(recorder.finish()))
