@@ -20,7 +20,9 @@ from palmd.daemon.planner import Plan, PlanFolder, plan_in
 from palmd.daemon.recorder_watch import RecorderWatch
 from palmd.daemon.setpoints import SetPoints
 from palmd.devices.actuator import ArmState, Reach
+from palmd.events import Estimate
 from palmd.faults import Fault, FaultMonitor, Severity
+from palmd.messages import estimate_at_a_glance
 from palmd.motion.limits import Workspace
 from palmd.motion.segments import Angles
 from palmd.motion.trajectory_executor import MotionError
@@ -79,6 +81,7 @@ class Supervisor:
         self.plan_refused = False
         self.at_rest = True
         self.replies: list[Reply] = []
+        self.estimate: Estimate | None = None
         self.recorder = RecorderWatch()
         self._arm = arm
         self._setpoints = setpoints
@@ -174,6 +177,10 @@ class Supervisor:
             "arm_error": host.error,
             "arm_linked": host.linked(t),
         }
+        if self.estimate is not None:
+            status["estimate"] = estimate_at_a_glance(self.estimate)
+        if self._arm.actual is not None:
+            status |= {f"{joint}_rad": angle for joint, angle in zip(JOINTS, self._arm.actual.angles, strict=True)}
         told = {"explored": explored, "recorder": recorder}
         return status | {name: what for name, what in told.items() if what is not None}
 
