@@ -115,6 +115,7 @@ COMMANDS = (
         "what is missing and how to mend it; the arm's controller and the pads put to the test",
     ),
     Command("build", "cli.build", "compile the observers now; the first run does it otherwise"),
+    Command("completion", "cli.completion", "what has a shell complete palmd's commands, options and files"),
     Command("install", "cli.install", "services of this palmd for systemd: units, account, udev rules"),
 )
 """In the order in which `palmd --help` lists them; this table alone names the modules of `palmd.lab`."""
