@@ -35,6 +35,7 @@ _shtab_palmd_commands() {
     report:'a recorded run as a page or PDF to print; paper: the runs of CMU-CS-01-107 again'
     rig:'the emulated rig alone, its ports on pseudo-terminals'
     run:'the daemon'
+    runs:'recordings listed, searched, compared, grouped by object'
     top:'live status of a running daemon in this terminal'
     view:'live page of a running daemon for browsers on this machine'
   )
@@ -654,6 +655,21 @@ _shtab_palmd_run_options=(
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_run_defaults_added=0
 
+_shtab_palmd_runs_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--search[only runs that have every WORD in name, time, object, plan, fault or note]:WORD:"
+  "--since[only runs from this day on, such as 2026-11-23]:DATE:"
+  "--objects[group the runs by the object that was recognised]"
+  "--compare[these runs side by side\; a beginning of the name is enough]:RUN:"
+  "--note[write a note beside a run]:('RUN', 'TEXT'):"
+  "--rebuild[read every recording again]"
+  "--json[print the runs as JSON, SI]"
+  ":of the recordings (default\: runs\/ here, else that of the installed configuration):_files"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_palmd_runs_defaults_added=0
+
 _shtab_palmd_top_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[where the daemon publishes (default\: tcp\:\/\/127.0.0.1\:9872)]:address:"
@@ -721,6 +737,7 @@ _shtab_palmd() {
         report) _arguments -C -s $_shtab_palmd_report_options ;;
         rig) _arguments -C -s $_shtab_palmd_rig_options ;;
         run) _arguments -C -s $_shtab_palmd_run_options ;;
+        runs) _arguments -C -s $_shtab_palmd_runs_options ;;
         top) _arguments -C -s $_shtab_palmd_top_options ;;
         view) _arguments -C -s $_shtab_palmd_view_options ;;
       esac

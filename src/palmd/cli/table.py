@@ -27,6 +27,7 @@ COMMANDS = (
     Command("demo", "cli.demo", "emulated rig and daemon together: an unknown object, live estimates"),
     Command("run", "cli.run", "the daemon"),
     Command("record", "cli.record", "keep what a daemon publishes: one file a run"),
+    Command("runs", "cli.runs", "recordings listed, searched, compared, grouped by object"),
     Command("recover", "cli.recover", "make a whole recording of one that was cut off"),
     Command("rig", "cli.rig", "the emulated rig alone, its ports on pseudo-terminals"),
     Command("ctl", "cli.ctl", "tell a running daemon what to do: status, arm, start, hold, stop, reset, plan, jog"),

@@ -18,7 +18,7 @@ def completed(*words: str) -> list[str]:
     """What bash offers for the last word."""
     program = (
         f"source {shipped('shell/palmd.bash')}\n"
-        f"COMP_WORDS=({' '.join(words)} {'' if words[-1] else chr(39) * 2}); COMP_CWORD=$(( ${{#COMP_WORDS[@]}} - 1 ))\n"
+        f"COMP_WORDS=({' '.join(words)}); COMP_CWORD={len(words) - 1}\n"
         "_shtab_palmd palmd\n"
         'printf "%s\\n" "${COMPREPLY[@]}"'
     )
