@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import keys_of_models
 import layouts
+import shell_files
 
 from palmd.cli.table import COMMANDS as TABLE
 from palmd.cli.table import Command, loaded, parser_of, said
@@ -188,16 +190,21 @@ PAGES = {
     "docs/theory/errata.md": paper_errata,
 }
 LAYOUTS = {"config/plotjuggler.xml": layouts.plotjuggler, "config/foxglove.json": layouts.foxglove}
+SHELL = {path: functools.partial(shell_files.completion, shell) for shell, path in shell_files.SHELLS.items()}
+SHELL |= {shell_files.MANUAL: shell_files.manual}
 
 
 def main() -> int:
     stale = []
-    made = {name: NOTE + page() for name, page in PAGES.items()} | {name: make() for name, make in LAYOUTS.items()}
+    made = {name: NOTE + page() for name, page in PAGES.items()} | {
+        name: make() for name, make in (LAYOUTS | SHELL).items()
+    }
     for name, text in made.items():
         path = ROOT / name
         if not path.exists() or path.read_text() != text:
             stale.append(name)
             if "--check" not in sys.argv:
+                path.parent.mkdir(exist_ok=True)
                 path.write_text(text)
     if stale and "--check" in sys.argv:
         print(f"out of date: {', '.join(stale)}; run: make docs", file=sys.stderr)

@@ -69,6 +69,19 @@ def estimate_fields(estimate: Estimate) -> Fields:
     return fields
 
 
+def estimate_at_a_glance(estimate: Estimate) -> Fields:
+    """Of `palm/estimate` what people look at first, as the status tells it; None for what has no value."""
+    fields = estimate_fields(estimate)
+    names = ["valid", "observer", "object", "touched", "nis", "observability"]
+    names += [each.name for each in ESTIMATE.quantities if each.glance]
+    told = {name: _or_none(fields[name]) for name in names}
+    return told | {"sd": {name: sd for name, sd in fields["sd"].items() if name in told and math.isfinite(sd)}}
+
+
+def _or_none(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 def shape_fields(shape: ShapeEstimate) -> Fields:
     """`palm/shape`."""
     return {

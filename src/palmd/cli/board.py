@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+import textwrap
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -15,7 +17,12 @@ from palmd.system.mechanism import ENDS, JOINTS, PALMS
 Style = Literal["plain", "title", "good", "bad", "warning", "faint"]
 
 _CELLS = 3  # a row
-_LOGGED = 6  # entries of the log
+_LOGGED = 6  # entries of the log, the latest first: of these the last find room last
+_INDENT = 10
+_RATE_OVER_S = 3.0
+_MOST_COUNTED = 1000
+_SHORT = {"omega0": "w0", "mass": "m", "com_x": "x", "com_y": "y"}
+_TRUST = {"nis": "nis", "observability": "obs"}
 _PASSING = ("bytes", "packets", "lines", "acks", "setpoints", "bytes_read", "bytes_written", "opens")
 _STATE_STYLES: dict[str, Style] = {"tracking": "good", "hold": "warning", "fault": "bad"}
 _SEVERITY_STYLES: dict[str, Style] = {"stop": "bad", "hold": "bad", "degrade": "warning", "note": "faint"}
@@ -30,12 +37,13 @@ class BoardRow:
 
 
 class Board:
-    """The last message of each topic."""
+    """The last message of each topic, and how often they come."""
 
     def __init__(self, address: str) -> None:
         """`address` is where they come from."""
         self.address = address
         self._last: dict[str, Message] = {}
+        self._times: dict[str, deque[float]] = {}
 
     @property
     def heard(self) -> bool:
@@ -45,6 +53,15 @@ class Board:
     def take(self, message: Message) -> None:
         """One message."""
         self._last[message.topic] = message
+        self._times.setdefault(message.topic, deque(maxlen=_MOST_COUNTED)).append(message.t_recv)
+
+    def channels(self, t: float) -> list[tuple[str, float, float]]:
+        """Of every topic heard: its name, its messages a second (NaN before two), its age (s), at t (s)."""
+        return [(name, self._rate(name, t), t - message.t_recv) for name, message in sorted(self._last.items())]
+
+    def _rate(self, name: str, t: float) -> float:
+        times = [each for each in self._times[name] if each > t - _RATE_OVER_S]
+        return (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 and times[-1] > times[0] else math.nan
 
     def fields(self, topic: Topic) -> Mapping[str, Any]:
         """The last message of a topic, empty before the first."""
@@ -72,7 +89,7 @@ def frame(board: Board, t: float) -> list[BoardRow]:
     rows += _faults(board)
     rows += [BoardRow(f"  rig     {said}", "warning") for said in board.fields(RIG).get("off", ())]
     for topic, block in (
-        (ESTIMATE, _estimate),
+        (ESTIMATE, estimate),
         (CONTACT, _contact),
         (MOTION, _motion),
         (LOOP, _loop),
@@ -83,7 +100,26 @@ def frame(board: Board, t: float) -> list[BoardRow]:
             age = board.age(topic, t)
             old = f"  {age:.1f} s old" if age > topic.stale_s else ""
             rows += [BoardRow(""), *_titled(topic.name.removeprefix("palm/"), old, block(fields))]
-    return rows
+    return [*rows, BoardRow(""), *_titled("topics", "", _channels(board, t))]
+
+
+def fitted(rows: Sequence[BoardRow], columns: int, lines: int) -> list[BoardRow]:
+    """The rows for a terminal of this size: long ones go on below, and of too many first the blank and the faint go."""
+    shown = [BoardRow(part, row.style) for row in rows for part in _wrapped(row.text, columns)]
+    for spare in (lambda row: not row.text, lambda row: row.style == "faint"):
+        for index in reversed(range(len(shown))):
+            if len(shown) > lines and spare(shown[index]):
+                del shown[index]
+    if len(shown) > lines:
+        more = len(shown) - lines + 1
+        shown = [*shown[: lines - 1], BoardRow(f"... {more} more lines: make the terminal higher", "warning")]
+    return shown
+
+
+def _wrapped(text: str, columns: int) -> list[str]:
+    if len(text) <= columns or columns <= 2 * _INDENT:
+        return [text[:columns]]
+    return textwrap.wrap(text, columns, subsequent_indent=" " * _INDENT, break_on_hyphens=False)
 
 
 def _head(board: Board) -> BoardRow:
@@ -103,34 +139,40 @@ def _faults(board: Board) -> Iterator[BoardRow]:
 def _titled(title: str, old: str, rows: Iterable[BoardRow]) -> Iterator[BoardRow]:
     """The block with its title in front of the first row, and how old it is behind."""
     for number, row in enumerate(rows):
-        text = f"{'' if number else title:10}{row.text}{'' if number else old}"
+        text = f"{'' if number else title:{_INDENT}}{row.text}{'' if number else old}"
         yield BoardRow(text, "bad" if old else row.style)
 
 
-def _estimate(e: Mapping[str, Any]) -> Iterator[BoardRow]:
+def estimate(e: Mapping[str, Any]) -> Iterator[BoardRow]:
+    """What is known of the object, how far it can be trusted, and its numbers with their one-sigma."""
     valid = bool(e.get("valid"))
     word = "valid" if valid else "not valid"
-    trust = ", ".join(f"{name} {_shown(e, ESTIMATE[name])}" for name in ("nis", "observability"))
+    trust = ", ".join(f"{word} {_shown(e, ESTIMATE[name])}" for name, word in _TRUST.items())
     yield BoardRow(
-        f"{word}, {e.get('observer', '')} observer, object {e.get('object', 0)}, touched {_share(e.get('touched'))}, "
-        f"{trust}",
+        f"{word}, {e.get('observer', '')}, object {e.get('object', 0)}, touched {_share(e.get('touched'))}, {trust}",
         "good" if valid else "warning",
     )
     style: Style = "plain" if valid else "faint"
+    for row in _values(e):
+        yield BoardRow(row, style)
+
+
+def _values(e: Mapping[str, Any]) -> Iterator[str]:
+    """What of an estimate is shown at a glance, with its one-sigma, in rows of equal cells."""
     cells = [
-        f"{quantity.source.replace('_', ' '):7}{_shown(e, quantity):>9}"
-        f" ±{_shown(e.get('sd', {}), quantity)} {quantity.shown.unit}"
+        f"{_SHORT.get(quantity.source, quantity.source):4}{_shown(e, quantity):>7}"
+        f" ±{_shown(e.get('sd') or {}, quantity)} {quantity.shown.unit}"
         for quantity in ESTIMATE.quantities
         if quantity.glance
     ]
     for first in range(0, len(cells), _CELLS):
-        yield BoardRow("".join(f"{cell:29}" for cell in cells[first : first + _CELLS]).rstrip(), style)
+        yield "".join(f"{cell:24}" for cell in cells[first : first + _CELLS]).rstrip()
 
 
 def _contact(c: Mapping[str, Any]) -> Iterator[BoardRow]:
     for pad in PALMS:
         touch = bool(c.get(f"touch{pad}"))
-        batch = ", several packets in one read" if c.get(f"batch{pad}") else ""
+        batch = ", batched" if c.get(f"batch{pad}") else ""  # several packets in one read
         place, age = CONTACT[f"s{pad}_m"], CONTACT[f"age{pad}_ms"]
         yield BoardRow(
             f"pad {pad}  {'touched' if touch else 'untouched':10}{_shown(c, place):>7} {place.shown.unit}"
@@ -143,12 +185,12 @@ def _contact(c: Mapping[str, Any]) -> Iterator[BoardRow]:
 
 
 def _motion(m: Mapping[str, Any]) -> Iterator[BoardRow]:
+    angles = []
     for joint in JOINTS:
         actual, commanded = (MOTION[f"{joint}{what}_rad"] for what in ("", "_cmd"))
-        yield BoardRow(
-            f"{joint}   {_shown(m, actual):>7}{actual.shown.unit}"
-            f"  commanded {_shown(m, commanded):>7}{commanded.shown.unit}"
-        )
+        unit = actual.shown.unit
+        angles.append(f"{joint} {_shown(m, actual):>7}{unit} commanded {_shown(m, commanded):>7}{unit}")
+    yield BoardRow("   ".join(angles))
     plan = m.get("plan") or "none"
     segment = m.get("segment", -1)
     where = f", segment {segment}, {_share(m.get('progress'))}" if segment >= 0 else ", not running"
@@ -162,16 +204,16 @@ def _loop(fields: Mapping[str, Any]) -> Iterator[BoardRow]:
         f"{fields.get('backend', '')} backend, {_shown(fields, rss)} {rss.shown.unit}"
     )
     for name in ("lateness", "work"):
-        values = (f"{q.symbol} {_shown(fields, q):>6} {q.shown.unit}" for q in drawn(LOOP, chart=name))
-        yield BoardRow(f"{name:10}{'  '.join(values)}")
+        shown = (f"{q.symbol} {_shown(fields, q):>6} {q.shown.unit}" for q in drawn(LOOP, chart=name))
+        yield BoardRow(f"{name:10}{'  '.join(shown)}")
     for port in ENDS:
         yield from _troubles(port, fields)
 
 
 def _log(fields: Mapping[str, Any]) -> Iterator[BoardRow]:
     t = fields["mono_ns"] * 1e-9
-    for entry in entries_of(fields)[-_LOGGED:]:
-        yield BoardRow(f"{ago(t - entry.t_s)}  {entry.line}", _SEVERITY_STYLES.get(entry.severity, "plain"))
+    for entry in reversed(entries_of(fields)[-_LOGGED:]):
+        yield BoardRow(f"{ago(t - entry.t_s)}  {entry.line}", _SEVERITY_STYLES.get(entry.severity, "faint"))
 
 
 def ago(seconds: float) -> str:
@@ -180,6 +222,21 @@ def ago(seconds: float) -> str:
         if seconds < most:
             return f"{seconds / unit_s:5.1f} {unit:3} ago"
     return f"{seconds / 3600.0:5.1f} h   ago"
+
+
+def _channels(board: Board, t: float) -> Iterator[BoardRow]:
+    """How often each topic comes, and how long ago it came last."""
+    cells = [
+        f"{name.removeprefix('palm/'):10}{_number(rate, 1.0, 0):>3}/s{_age(age):>7}"
+        for name, rate, age in board.channels(t)
+    ]
+    for first in range(0, len(cells), _CELLS):
+        yield BoardRow("".join(f"{cell:23}" for cell in cells[first : first + _CELLS]).rstrip(), "faint")
+
+
+def _age(seconds: float) -> str:
+    """In few letters."""
+    return f"{max(seconds, 0.0) * 1e3:.0f} ms" if seconds < 1.0 else f"{seconds:.0f} s"
 
 
 def _troubles(port: str, fields: Mapping[str, Any]) -> Iterator[BoardRow]:

@@ -13,7 +13,7 @@ from typing import Any
 
 from palmd.bus.command_client import CommandClient
 from palmd.bus.link import COMMAND, add_key, credentials
-from palmd.cli.board import ago
+from palmd.cli.board import ago, estimate
 from palmd.console.errors import BAD_INPUT, USAGE, CliError
 from palmd.daemon.commands import COMMANDS, REQUEST_BYTES_MAX
 from palmd.messages import entries_of
@@ -107,6 +107,13 @@ def told(command: str, result: dict[str, Any]) -> str:
         "" if result["arm_linked"] else ", does not answer"
     )
     lines = [f"state   {result['state']}", f"plan    {plan}"]
+    angles = [f"{joint} {math.degrees(result[f'{joint}_rad']):.1f}°" for joint in JOINTS if f"{joint}_rad" in result]
+    if angles:
+        lines.append(f"angles  {', '.join(angles)}")
+    if "estimate" in result:
+        lines += [
+            f"{'' if number else 'object':8}{row.text}" for number, row in enumerate(estimate(result["estimate"]))
+        ]
     if "explored" in result:
         lines.append(f"        explored {_explored(**result['explored'])}")
     if "recorder" in result:

@@ -9,6 +9,7 @@ import argparse
 import math
 import os
 import select
+import shutil
 import sys
 import termios
 import time
@@ -132,7 +133,9 @@ class _Jogging:
             self._latest[message.topic], self._t_heard = message.fields, time.monotonic()
         if time.monotonic() - self._t_heard > SILENCE_S:
             raise CliError(RIG_FAILED, f"nothing from the daemon for {SILENCE_S:g} s: see palmd ctl status")
-        text = line(self._latest.get("palm/motion", {}), self._latest.get("palm/state", {}), self._limits, self._said)
+        motion, state = (self._latest.get(topic, {}) for topic in ("palm/motion", "palm/state"))
+        columns = shutil.get_terminal_size().columns
+        text = line(motion, state, self._limits, self._said, columns)
         sys.stdout.write(f"\r{text}\x1b[K")
         sys.stdout.flush()
         return False
@@ -143,14 +146,16 @@ class _Jogging:
         return "" if reply["ok"] else str(reply.get("error"))
 
 
-def line(motion: dict[str, Any], state: dict[str, Any], limits: LimitsConfig, said: str) -> str:
-    """Angles with their limits, state and faults, and what the daemon has against the last wish."""
+def line(motion: dict[str, Any], state: dict[str, Any], limits: LimitsConfig, said: str, columns: int) -> str:
+    """Angles, state and faults in one row of the terminal; the limits too, unless the last wish was refused."""
     parts = []
     for joint, bounds in zip(JOINTS, limits.angles_deg, strict=True):
-        angle = math.degrees(motion.get(f"{joint}_rad", math.nan))
-        parts.append(f"{joint} {angle:6.1f}° ({bounds[0]:g} to {bounds[1]:g})")
-    words = [str(state.get("state", "")), *state.get("faults", ()), *([said] if said else [])]
-    return "   ".join([*parts, *words])
+        angle = motion.get(f"{joint}_rad", math.nan)
+        shown = f"{math.degrees(angle):.1f}" if math.isfinite(angle) else "–"
+        parts.append(f"{joint} {shown:>5}°" + ("" if said else f" ({bounds[0]:g} to {bounds[1]:g})"))
+    words = [str(state.get("state", "")), *([said] if said else []), *state.get("faults", ())]
+    text = "  ".join([*parts, *words])
+    return text if len(text) < columns else text[: max(columns - 2, 0)] + "…"
 
 
 def _pressed(keys: int) -> bytes:

@@ -27,6 +27,7 @@ COMMANDS = (
     Command("demo", "cli.demo", "emulated rig and daemon together: an unknown object, live estimates"),
     Command("run", "cli.run", "the daemon"),
     Command("record", "cli.record", "keep what a daemon publishes: one file a run"),
+    Command("runs", "cli.runs", "recordings listed, searched, compared, grouped by object"),
     Command("recover", "cli.recover", "make a whole recording of one that was cut off"),
     Command("rig", "cli.rig", "the emulated rig alone, its ports on pseudo-terminals"),
     Command("ctl", "cli.ctl", "tell a running daemon what to do: status, arm, start, hold, stop, reset, plan, jog"),
@@ -116,6 +117,7 @@ COMMANDS = (
         "what is missing and how to mend it; the arm's controller and the pads put to the test",
     ),
     Command("build", "cli.build", "compile the observers now; the first run does it otherwise"),
+    Command("completion", "cli.completion", "what has a shell complete palmd's commands, options and files"),
     Command("install", "cli.install", "services of this palmd for systemd: units, account, udev rules"),
 )
 """In the order in which `palmd --help` lists them; this table alone names the modules of `palmd.lab`."""

@@ -21,12 +21,13 @@ from types import FrameType
 from palmd.bus.command_client import TIMEOUT_S
 from palmd.bus.link import PUBLISH, add_key, credentials, silent
 from palmd.bus.subscriber import Subscriber
-from palmd.cli.board import Board, BoardRow, frame
+from palmd.cli.board import Board, BoardRow, fitted, frame
 from palmd.keys import Credentials
 
 REDRAW_S = 0.1
 PLAIN_S = 1.0
 ONCE_S = 1.2  # long enough for the topics of 1 Hz
+_WIDE, _HIGH = 1000, 1000
 _ENTER, _LEAVE = "\x1b[?1049h\x1b[?25l", "\x1b[?25h\x1b[?1049l"
 _COLOURS = {"plain": "", "title": "1", "good": "32", "bad": "31;1", "warning": "33", "faint": "2"}
 
@@ -69,9 +70,9 @@ def _plain(board: Board, subscriber: Subscriber) -> None:
 
 
 def _print(board: Board) -> None:
-    columns = shutil.get_terminal_size().columns if sys.stdout.isatty() else 1000
-    for row in frame(board, time.monotonic()):
-        print(row.text[:columns].rstrip())
+    columns = shutil.get_terminal_size().columns if sys.stdout.isatty() else _WIDE
+    for row in fitted(frame(board, time.monotonic()), columns, _HIGH):
+        print(row.text.rstrip())
 
 
 def _live(board: Board, subscriber: Subscriber) -> None:
@@ -121,7 +122,7 @@ def _interrupt(_signal: int, _frame: FrameType | None) -> None:
 
 
 def painted(rows: list[BoardRow], columns: int, lines: int) -> str:
-    """The rows for a terminal of this size, drawn over what was there; what does not fit is cut off."""
-    shown = rows[:lines]
-    drawn = [f"\x1b[{_COLOURS[row.style]}m{row.text[:columns]}\x1b[m\x1b[K" for row in shown]
+    """The rows for a terminal of this size, drawn over what was there."""
+    shown = fitted(rows, columns, lines)
+    drawn = [f"\x1b[{_COLOURS[row.style]}m{row.text}\x1b[m\x1b[K" for row in shown]
     return "\x1b[H" + "\n".join(drawn) + "\x1b[J"

@@ -49,7 +49,7 @@ JOG_STEP_MAX_DEG = 0.5
 JOG_WHOLE_MAX_DEG = 180.0
 
 COMMANDS: dict[str, CommandSpec] = {
-    "status": CommandSpec("tells state, faults and plan", role=Role.WATCH),
+    "status": CommandSpec("tells state, faults, plan, angles and estimate", role=Role.WATCH),
     "arm": CommandSpec("from ready: starts tracking and stands at the present pose"),
     "start": CommandSpec("blends to the plan's start and runs it; goes on after a hold"),
     "hold": CommandSpec("stops the motion along its path; tracking goes on"),

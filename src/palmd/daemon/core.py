@@ -239,6 +239,7 @@ class Core:
     def handle(self, request: Request, t: float) -> None:
         """Do what a valid command asks at `t` (s), or refuse; the answer comes with `replies`."""
         self.journal.t = t
+        self.supervisor.estimate = self._estimate
         self.supervisor.handle(request, t)
 
     def decide(self, t: float) -> None:

@@ -21,8 +21,9 @@ from palmd.daemon.planner import Plan, PlanFolder, plan_in
 from palmd.daemon.recorder_watch import RecorderWatch
 from palmd.daemon.setpoints import SetPoints
 from palmd.devices.actuator import ArmState, Reach
+from palmd.events import Estimate
 from palmd.faults import Fault, FaultMonitor, Severity
-from palmd.messages import log_fields
+from palmd.messages import estimate_at_a_glance, log_fields
 from palmd.motion.limits import Workspace
 from palmd.motion.segments import Angles
 from palmd.motion.trajectory_executor import MotionError
@@ -90,6 +91,7 @@ class Supervisor:
         self.cause = ""
         self.at_rest = True
         self.replies: list[Reply] = []
+        self.estimate: Estimate | None = None
         self.recorder = RecorderWatch()
         self._arm = arm
         self._setpoints = setpoints
@@ -190,6 +192,10 @@ class Supervisor:
             "t_s": t,
             "log": log_fields(self._journal.entries[-LOG_TOLD:]),
         }
+        if self.estimate is not None:
+            status["estimate"] = estimate_at_a_glance(self.estimate)
+        if self._arm.actual is not None:
+            status |= {f"{joint}_rad": angle for joint, angle in zip(JOINTS, self._arm.actual.angles, strict=True)}
         told = {"explored": explored, "recorder": recorder}
         return status | {name: what for name, what in told.items() if what is not None}
 

@@ -81,6 +81,17 @@ def test_status_reads_well(tmp_path, capsys):
     ]
 
 
+def test_status_tells_angles_and_estimate():
+    seen = {"valid": True, "observer": "shape", "object": 2, "touched": 0.34, "nis": 0.98, "observability": None}
+    seen |= {"r1_m": 0.02103, "mu": None, "sd": {"r1_m": 1.2e-5}}
+    lines = told("status", STATUS | {"phi1_rad": 0.5, "phi2_rad": 1.5, "estimate": seen}).splitlines()
+    assert lines[2:5] == [
+        "angles  phi1 28.6°, phi2 85.9°",
+        "object  valid, shape, object 2, touched 34 %, nis 0.98, obs –",
+        "        r1    21.03 ±0.01 mm    r2        – ±– mm       w0        – ±– °/s",
+    ]
+
+
 def test_status_of_a_rig_that_is_not_there():
     nothing = {"plan": "", "segment": -1, "arm_state": "", "arm_error": "−600 link lost", "arm_linked": False}
     assert told("status", STATUS | nothing | {"state": "idle"}).splitlines()[:4] == [

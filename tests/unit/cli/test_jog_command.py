@@ -65,12 +65,28 @@ def test_the_line_shows_angles_limits_and_what_is_wrong():
         {"phi1_rad": 0.5, "phi2_rad": 1.5},
         {"state": "hold", "faults": ["pad1-lifted"]},
         LimitsConfig(),
-        "jog refused: too far",
+        "",
+        100,
     )
-    assert "28.6° (6 to 150)" in text
-    assert "85.9° (35 to 155)" in text
-    assert text.endswith("hold   pad1-lifted   jog refused: too far")
-    assert "nan" in line({}, {}, LimitsConfig(), "")
+    assert text == "phi1  28.6° (6 to 150)  phi2  85.9° (35 to 155)  hold  pad1-lifted"
+
+
+REFUSED = "jog refused: phi1 reaches 150.4°, the limit is 150°"
+
+
+def test_the_line_stays_one_line_and_shows_a_refusal_first_and_no_nan():
+    motion, state = {"phi1_rad": 0.5, "phi2_rad": 1.5}, {"state": "tracking", "faults": ["pad1-lifted", "pad2-lifted"]}
+    text = line(motion, state, LimitsConfig(), REFUSED, 80)
+    assert text.startswith("phi1  28.6°  phi2  85.9°  tracking  jog refused: phi1 reaches 150.4°, the lim")
+    assert len(text) < 80
+    assert text.endswith("…")
+    for columns in (0, 1, 2, 20, 79):
+        assert len(line(motion, state, LimitsConfig(), REFUSED, columns)) <= max(columns - 1, 1)
+    nothing = line({}, {}, LimitsConfig(), "", 80)
+    assert "nan" not in nothing
+    assert nothing.startswith("phi1     –° (6 to 150)  phi2     –° (35 to 155)")
+    nan = line({"phi1_rad": math.nan, "phi2_rad": math.nan}, {}, LimitsConfig(), "", 80)
+    assert nan == nothing
 
 
 def test_without_a_terminal_it_says_what_else_there_is(capsys):

@@ -66,4 +66,4 @@ def test_record_refuses_what_is_no_configuration_and_no_address(tmp_path, capsys
     assert main(["record", str(config), "--truth", "somewhere"]) == 1
     told = capsys.readouterr().err
     assert told.startswith("somewhere: not an address (")
-    assert told.endswith("; it looks like tcp://127.0.0.1:9872\n")
+    assert told.endswith("; one looks like tcp://127.0.0.1:9872\n")

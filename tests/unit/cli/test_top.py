@@ -19,7 +19,7 @@ import pytest
 
 from palmd.bus.subscriber import Message
 from palmd.cli import main
-from palmd.cli.board import Board, BoardRow, frame
+from palmd.cli.board import Board, BoardRow, fitted, frame
 from palmd.cli.top import painted
 from palmd.daemon.bus import Bus
 from palmd.events import Estimate, PalmMotion
@@ -69,12 +69,12 @@ def text(rows):
 def test_a_frame_tells_everything():
     told = text(frame(board(), 100.1))
     assert "palmd 0.1.0  HOLD  tcp://127.0.0.1:9872" in told
-    assert "valid, shape observer, object 2, touched 34 %, nis 0.98, observability –" in told
-    assert "r1         21.03 ±0.01 mm" in told
-    assert "r2             – ±– mm" in told
+    assert "valid, shape, object 2, touched 34 %, nis 0.98, obs –" in told
+    assert "r1    21.03 ±0.01 mm" in told
+    assert "r2        – ±– mm" in told
     assert "pad 1  touched     21.00 mm  pressure  45  age    6 ms" in told
-    assert "pad 2  untouched       – mm  pressure   –  age 3000 ms, several packets in one read" in told
-    assert "phi1     28.07°  commanded   28.65°" in told
+    assert "pad 2  untouched       – mm  pressure   –  age 3000 ms, batched" in told
+    assert "phi1   28.07° commanded   28.65°   phi2   86.52° commanded   85.94°" in told
     assert "arm    T   plan rock, segment 1, 34 %" in told
     assert "ticks 1234, overruns 2, c backend, 80 MB" in told
     assert "pad1      bad_header 3, losses 1" in told
@@ -96,7 +96,7 @@ def test_what_is_off_of_the_rig_stands_below_the_faults():
     off = rig_fields(np.array([3e-4, *[0.0] * 14]), np.full(15, 3e-5), np.full(15, 1e-4), np.zeros(15))
     shown.take(Message(RIG.name, off, 100.0))
     rows = frame(shown, 100.1)
-    assert len(rows) == before + 1
+    assert len(rows) == before + 2  # and one more of the topics
     (row,) = [row for row in rows if row.text.startswith("  rig     ")]
     assert row == BoardRow(
         "  rig     pad 1's zero seems +0.30 ± 0.03 mm off: palmd calibrate self finds its zero_mm", "warning"
@@ -107,7 +107,7 @@ def test_what_is_old_is_said_to_be_old():
     shown = board()
     shown.take(Message(LOOP.name, MESSAGES[LOOP], 101.5))
     told = text(frame(shown, 102.0))
-    assert told.count("2.0 s old") == 3
+    assert told.count("2.0 s old") == 3  # of the topics that come often
     assert "no data" not in told
     assert "no data from tcp://127.0.0.1:9872 for 9 s; what follows is old" in text(frame(shown, 110.5))
 
@@ -125,12 +125,40 @@ def test_any_topic_alone_and_empty_makes_a_frame(topic):
     assert frame(empty, 100.0)
 
 
-def test_painting_cuts_to_the_terminal():
-    rows = [BoardRow("a" * 50, "bad"), BoardRow("second"), BoardRow("third")]
-    drawn = painted(rows, columns=10, lines=2)
+def test_everything_is_seen_on_80_by_24():
+    """Two faults, one thing off, troubles on a port, every topic with its rate and age: nothing is cut."""
+    shown = Board("tcp://127.0.0.1:9872")
+    off = rig_fields(np.array([3e-4, *[0.0] * 14]), np.full(15, 3e-5), np.full(15, 1e-4), np.zeros(15))
+    for tick in range(200):
+        for topic, fields in MESSAGES.items():
+            if topic.rate_hz > 50 or tick % 100 == 0:
+                shown.take(Message(topic.name, fields, 100.0 + tick * 0.01))
+    shown.take(Message(RIG.name, off, 102.0))
+    rows = frame(shown, 102.1)
+    seen = fitted(rows, 80, 24)
+    assert len(seen) <= 24
+    assert max(len(row.text) for row in seen) <= 80
+    words = " ".join(" ".join(row.text for row in seen).split())
+    for row in rows:
+        assert " ".join(row.text.split()) in words
+    assert "contact 100/s 110 ms" in words
+    assert "info 1/s 1 s" in words
+    assert "rig –/s 100 ms" in words
+
+
+def test_painting_fits_the_terminal():
+    rows = [BoardRow("a" * 50, "bad"), BoardRow(""), BoardRow("second"), BoardRow("minor", "faint"), BoardRow("third")]
+    drawn = painted(rows, columns=10, lines=3)
     assert drawn.startswith("\x1b[H\x1b[31;1m" + "a" * 10 + "\x1b[m\x1b[K\n")
-    assert drawn.endswith("second\x1b[m\x1b[K\x1b[J")
-    assert "third" not in drawn
+    assert drawn.endswith("third\x1b[m\x1b[K\x1b[J")
+    assert "minor" not in drawn
+    (first, last) = fitted(rows, columns=80, lines=2)
+    assert (first.style, last.text) == ("bad", "... 2 more lines: make the terminal higher")
+    long = BoardRow("  hold    pad1-lifted: put the object back, then start goes on")
+    assert [row.text for row in fitted([long], 40, 5)] == [
+        "  hold    pad1-lifted: put the object",
+        "          back, then start goes on",
+    ]
 
 
 # ------------------------------------------------------------------------------------------------ the command

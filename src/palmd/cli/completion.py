@@ -1,0 +1,27 @@
+"""Prints what has a shell complete palmd's commands, options and files; each session sources it.
+
+bash: `source <(palmd completion bash)` in ~/.bashrc. zsh: the same in ~/.zshrc, after `compinit`. The manual page
+lies beside these files: `palmd completion man` prints where, for `man -l`.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+from palmd.console.shipped import shipped
+
+SHELLS = ("bash", "zsh")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    parser.add_argument("shell", choices=(*SHELLS, "man"), help="which shell; or man: where the manual page is")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Prints the script, or the path of the manual page."""
+    if arguments.shell == "man":
+        print(shipped("shell/palmd.1"))
+    else:
+        print(shipped(f"shell/palmd.{arguments.shell}").read_text(encoding="utf-8"), end="")
+    return 0

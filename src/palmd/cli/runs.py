@@ -1,0 +1,183 @@
+"""Lists, searches and compares recordings: object, time, fault, accuracy, note.
+
+Each recording is read once; what was found lies in a small index beside them, which may be deleted at any time. A note
+lies beside its recording, in a file of the same name that ends in .note.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import shutil
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from palmd.console.configured import configured, usual
+from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.progress import Progress
+from palmd.record.index import IndexedRun, annotate, indexed
+
+HERE = Path("runs")
+NOT_RECOGNISED = "not recognised"
+_WIDE = 1000
+_HEAD = ("run", "for", "object", "touched", "outline ±", "worst ±", "mass", "faults and notes")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    add = parser.add_argument
+    add("folder", nargs="?", type=Path, metavar="FOLDER",
+        help=f"of the recordings (default: {HERE}/ here, else that of the installed configuration)")  # fmt: skip
+    add("--search", nargs="+", default=[], metavar="WORD",
+        help="only runs that have every WORD in name, time, object, plan, fault or note")  # fmt: skip
+    add("--since", metavar="DATE", help="only runs from this day on, such as 2026-11-23")
+    add("--objects", action="store_true", help="group the runs by the object that was recognised")
+    add("--compare", nargs="+", metavar="RUN", help="these runs side by side; a beginning of the name is enough")
+    add("--note", nargs=2, metavar=("RUN", "TEXT"), help="write a note beside a run")
+    add("--rebuild", action="store_true", help="read every recording again")
+    add("--json", action="store_true", help="print the runs as JSON, SI")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Raises CliError for a folder that cannot be read, and for a run that is not there."""
+    folder = arguments.folder or (HERE if HERE.is_dir() else configured(usual(None)).record.directory)
+    found = _indexed(folder, rebuild=arguments.rebuild)
+    if arguments.note:
+        return _write_note(folder, found, *arguments.note)
+    if arguments.compare:
+        shown = [_named(found, name, folder) for name in arguments.compare]
+    else:
+        shown = [each for each in found if matches(each, arguments.search, arguments.since or "")]
+    if arguments.json:
+        print(json.dumps([_plain(each) for each in shown], indent=2))
+    elif arguments.compare:
+        print("\n".join(compared(shown)))
+    elif arguments.objects:
+        print("\n".join(grouped(shown)))
+    else:
+        print("\n".join(_cut(table(shown))))
+        count = f"{len(shown)} of {len(found)}" if len(shown) < len(found) else f"{len(found)}"
+        print(f"{count} run{'' if len(found) == 1 else 's'} in {folder}")
+    return 0
+
+
+def _indexed(folder: Path, *, rebuild: bool) -> list[IndexedRun]:
+    bars: list[Progress] = []
+
+    def progress(done: int, total: int) -> None:
+        if not bars:
+            bars.append(Progress("reading", total, "runs").__enter__())
+        bars[0].at(done)
+
+    try:
+        return indexed(folder, rebuild=rebuild, progress=progress)
+    except OSError as error:
+        raise CliError(BAD_INPUT, f"{folder}: {error.strerror or error}") from None
+    finally:
+        for bar in bars:
+            bar.__exit__(None, None, None)
+
+
+def _write_note(folder: Path, found: Sequence[IndexedRun], name: str, text: str) -> int:
+    path = folder / _named(found, name, folder).name
+    try:
+        print(f"written: {annotate(path, text)}")
+    except OSError as error:
+        raise CliError(BAD_INPUT, f"{path}: no note can be written: {error.strerror or error}") from None
+    return 0
+
+
+def _named(found: Sequence[IndexedRun], name: str, folder: Path) -> IndexedRun:
+    """The one run whose name begins so; CliError where there is none, or several."""
+    wanted = Path(name).name
+    hits = [each for each in found if each.name.startswith(wanted)]
+    exact = [each for each in hits if each.name == wanted]
+    if len(exact or hits) != 1:
+        text = f"{len(hits)} runs begin so; write more of the name" if hits else f"there is no such run in {folder}"
+        raise CliError(BAD_INPUT, f"{name}: {text}")
+    return (exact or hits)[0]
+
+
+def matches(run: IndexedRun, words: Sequence[str], since: str) -> bool:
+    """Whether a run has every word somewhere, whatever its case, and is not from before that day. Pure."""
+    told = run.summary
+    text = " ".join((run.name, told.started, told.object or NOT_RECOGNISED, *told.plans, *told.faults, *told.notes,
+                     told.problem)).lower()  # fmt: skip
+    return all(word.lower() in text for word in words) and (told.started or run.name) >= since
+
+
+def table(runs: Sequence[IndexedRun]) -> Iterator[str]:
+    """A line a run under a head, in columns. Pure."""
+    rows = [_HEAD, *map(_row, runs)]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(_HEAD))]
+    for row in rows:
+        yield "  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
+
+
+def _row(run: IndexedRun) -> tuple[str, ...]:
+    told = run.summary
+    last = [*told.faults, *(f'"{note}"' for note in told.notes), *([told.problem] if told.problem else [])]
+    if not told.complete and not told.problem:
+        last.append("not finished")
+    return (
+        run.name.removesuffix(".mcap"),
+        _number(told.seconds, 1.0, " s", 0),
+        told.object or "–",
+        _number(told.touched, 100.0, " %", 0),
+        _number(told.sd_m, 1e6, " µm", 0),
+        _number(told.worst_sd_m, 1e6, " µm", 0),
+        _number(told.mass_kg, 1e3, " g", 1),
+        ", ".join(last),
+    )
+
+
+def compared(runs: Sequence[IndexedRun]) -> Iterator[str]:
+    """One column a run. Pure."""
+    columns = [_HEAD, *map(_row, runs)]
+    columns = [(*column[:-1], *_plans(run)) for column, run in zip(columns, (None, *runs), strict=True)]
+    widths = [max(map(len, column)) for column in columns]
+    for row in zip(*columns, strict=True):
+        yield "  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
+
+
+def _plans(run: IndexedRun | None) -> tuple[str, ...]:
+    """The last rows of a comparison: their heads without a run."""
+    if run is None:
+        return ("plans", "faults", "notes")
+    told = run.summary
+    return (", ".join(told.plans), ", ".join(told.faults) or "none", "; ".join(told.notes) or told.problem)
+
+
+def grouped(runs: Sequence[IndexedRun]) -> Iterator[str]:
+    """The runs under the name of the object that each was recognised as, most often seen first. Pure."""
+    groups: dict[str, list[IndexedRun]] = {}
+    for each in runs:
+        groups.setdefault(each.summary.object or NOT_RECOGNISED, []).append(each)
+    for name, members in sorted(groups.items(), key=lambda item: (item[0] == NOT_RECOGNISED, -len(item[1]), item[0])):
+        best = min(
+            (each.summary.worst_sd_m for each in members if math.isfinite(each.summary.worst_sd_m)), default=math.nan
+        )
+        masses = [each.summary.mass_kg for each in members if math.isfinite(each.summary.mass_kg)]
+        mass = f", mass {_number(min(masses), 1e3, '', 1)} to {_number(max(masses), 1e3, ' g', 1)}" if masses else ""
+        count = f"{len(members)} run" + ("" if len(members) == 1 else "s")
+        yield f"{name}: {count}, outline within ±{_number(best, 1e6, ' µm', 0)} at best{mass}"
+        yield from (f"  {line}" for line in list(table(members))[1:])
+
+
+def _number(value: float, factor: float, unit: str, digits: int) -> str:
+    return f"{value * factor:.{digits}f}{unit}" if math.isfinite(value) else "–"
+
+
+def _cut(lines: Iterator[str]) -> Iterator[str]:
+    columns = shutil.get_terminal_size().columns if sys.stdout.isatty() else _WIDE
+    return (line[:columns] for line in lines)
+
+
+def _plain(run: IndexedRun) -> dict[str, Any]:
+    told = asdict(run.summary)
+    values = {name: None if value != value else value for name, value in told.items()}
+    return {"run": run.name, "size_bytes": run.size_bytes} | values

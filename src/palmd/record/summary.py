@@ -1,0 +1,116 @@
+"""What a list of runs tells of one: when, how long, which object, how well known, what went wrong, notes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palmd.messages import Fields
+from palmd.quantities import ESTIMATE, MOTION, OBJECT, SHAPE, STATE
+from palmd.record.mcapfile import RunError
+from palmd.record.recognition import NONE_OF_THESE
+from palmd.record.run import read_run
+
+LOG = "palm/log"
+NOTE = "note"
+_GRAVE = ("hold", "stop")
+_EVERY = 10  # of the topics that come each tick: nothing here is told more finely
+
+
+@dataclass(frozen=True, slots=True)
+class RunSummary:
+    """A recording in a few words; NaN and empty for what it does not tell.
+
+    object: the stored outline it was recognised as, `NONE_OF_THESE`, or empty. touched: share of the normals, in the
+    end. sd_m, worst_sd_m: of the outline in the end, median and largest. faults: codes of those that held or stopped.
+    problem: why it cannot be used.
+    """
+
+    started: str = ""
+    seconds: float = math.nan
+    complete: bool = False
+    plans: tuple[str, ...] = ()
+    object: str = ""
+    objects: int = 0
+    touched: float = math.nan
+    sd_m: float = math.nan
+    worst_sd_m: float = math.nan
+    mass_kg: float = math.nan
+    faults: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    problem: str = ""
+
+
+def summary_of(path: Path) -> RunSummary:
+    """Reads the recording once through; one that cannot be used says why."""
+    try:
+        run = read_run(path)
+        seen = _Seen()
+        for message in run.messages():
+            seen.take(message.topic, message.log_time_ns, message.sequence, message)
+        return seen.summary(run.metadata.get("started", ""), complete=run.complete)
+    except RunError as error:
+        return RunSummary(problem=str(error).removeprefix(f"{path}: "))
+    except OSError as error:
+        return RunSummary(problem=error.strerror or str(error))
+
+
+class _Seen:
+    """What has been read so far."""
+
+    def __init__(self) -> None:
+        self._begin_ns = self._end_ns = 0
+        self._plans: dict[str, None] = {}
+        self._faults: dict[str, None] = {}
+        self._notes: dict[str, None] = {}
+        self._last: dict[str, Any] = {}
+        self._valid: Fields = {}
+
+    def take(self, topic: str, t_ns: int, number: int, message: Any) -> None:
+        """One message; only what is needed is unpacked."""
+        self._begin_ns, self._end_ns = self._begin_ns or t_ns, t_ns
+        if topic in (SHAPE.name, OBJECT.name):
+            self._last[topic] = message
+        elif topic == STATE.name:
+            fields = message.fields
+            grave = zip(fields.get("faults", ()), fields.get("severities", ()), strict=False)
+            self._faults |= {code: None for code, severity in grave if severity in _GRAVE}
+        elif topic == LOG:
+            self._hear(message.fields)
+        elif number % _EVERY == 0 and topic == MOTION.name:
+            plan = message.fields.get("plan")
+            self._plans |= {plan: None} if plan else {}
+        elif number % _EVERY == 0 and topic == ESTIMATE.name:
+            fields = message.fields
+            self._valid = fields if fields.get("valid") else self._valid
+
+    def _hear(self, log: Mapping[str, Any]) -> None:
+        for kind, name, text in zip(*(log.get(each, ()) for each in ("kind", "name", "text")), strict=False):
+            if NOTE in (kind, name):
+                self._notes[text] = None
+
+    def summary(self, started: str, *, complete: bool) -> RunSummary:
+        """Of all that was read."""
+        shape, recognised = (
+            self._last[each].fields if each in self._last else {} for each in (SHAPE.name, OBJECT.name)
+        )
+        sds = np.array([each for each in shape.get("h_sd_m", ()) if math.isfinite(each)])
+        return RunSummary(
+            started=started,
+            seconds=(self._end_ns - self._begin_ns) * 1e-9,
+            complete=complete,
+            plans=tuple(self._plans),
+            object=recognised.get("best") or (NONE_OF_THESE if recognised.get("none", 0.0) > 0.5 else ""),
+            objects=int(self._valid.get("object", 0)),
+            touched=float(np.mean(shape["touched"])) if shape.get("touched") else math.nan,
+            sd_m=float(np.median(sds)) if len(sds) else math.nan,
+            worst_sd_m=float(sds.max()) if len(sds) else math.nan,
+            mass_kg=float(self._valid.get("mass_kg", math.nan)),
+            faults=tuple(self._faults),
+            notes=tuple(self._notes),
+        )

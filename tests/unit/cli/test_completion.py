@@ -1,0 +1,48 @@
+"""Completion in a real bash, and the manual page: both know every command of the table."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from palmd.cli import main
+from palmd.cli.table import COMMANDS, below
+from palmd.console.shipped import shipped
+
+
+def completed(*words: str) -> list[str]:
+    """What bash offers for the last word."""
+    program = (
+        f"source {shipped('shell/palmd.bash')}\n"
+        f"COMP_WORDS=({' '.join(words)}); COMP_CWORD={len(words) - 1}\n"
+        "_shtab_palmd palmd\n"
+        'printf "%s\\n" "${COMPREPLY[@]}"'
+    )
+    done = subprocess.run(["bash", "-c", program], capture_output=True, text=True, check=False)
+    return done.stdout.split()
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash")
+def test_bash_completes_commands_options_and_choices() -> None:
+    assert set(completed("palmd", "rec")) == {"record", "recover", "reconstruct", "recognise"}
+    assert set(completed("palmd", "calibrate", "pa")) == {"pad", "pads"}
+    assert set(completed("palmd", "ctl", "st")) == {"status", "start", "stop"}
+    assert completed("palmd", "check", "--dr") == ["--draw"]
+
+
+def test_the_manual_page_tells_of_every_command(capsys) -> None:
+    assert main(["completion", "man"]) == 0
+    page = Path(capsys.readouterr().out.strip()).read_text()
+    told = set(re.findall(r"^\.SS palmd (.*)$", page, re.MULTILINE))
+    assert told == {each.name for each in COMMANDS if each.module} - {"report paper"}
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh"])
+def test_the_script_is_printed(shell: str, capsys) -> None:
+    assert main(["completion", shell]) == 0
+    script = capsys.readouterr().out
+    assert all(name in script for name in below())

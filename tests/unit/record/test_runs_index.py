@@ -1,0 +1,176 @@
+"""Recordings as a collection: what is told of each, the index that is always rebuilt, and `palmd runs`."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+from recorded import BEGIN, begun, config, message
+
+from palmd.cli import main
+from palmd.cli.runs import matches
+from palmd.quantities import ESTIMATE, MOTION, OBJECT, SHAPE, STATE
+from palmd.record import index
+from palmd.record.index import NAME, IndexedRun, annotate, indexed
+from palmd.record.metadata import preface
+from palmd.record.runfile import RunFile
+from palmd.record.summary import RunSummary, summary_of
+
+HELD = {"faults": ["pad1-silent", "no-realtime"], "severities": ["hold", "note"], "state": "hold", "hints": ["", ""]}
+SHAPED = {"theta_rad": [0.0, 1.0, 2.0], "h_m": [0.02] * 3, "h_sd_m": [1e-5, 2e-5, 9e-5], "touched": [1, 1, 0]}
+
+
+def recording(folder: Path, *extra: tuple[str, dict], old: bool = True) -> Path:
+    """A finished recording with these messages."""
+    file = RunFile(folder, preface(config(folder), BEGIN.isoformat()), BEGIN)
+    for number, (topic, fields) in enumerate(extra):
+        file.write(message(topic, fields, 10 * number, 0.5 * number))
+    file.finish()
+    if old:
+        os.utime(file.path, (1e9, 1e9))
+    return file.path
+
+
+def told(best: str = "", mass_kg: float = 0.2) -> list[tuple[str, dict]]:
+    """What a daemon says in a run in which it is held once."""
+    return [
+        (MOTION.name, {"plan": "rock"}),
+        (STATE.name, HELD),
+        (ESTIMATE.name, {"valid": True, "object": 2, "mass_kg": mass_kg}),
+        (SHAPE.name, SHAPED),
+        (OBJECT.name, {"names": ["cup"], "probability": [0.9], "none": 0.0, "best": best}),
+        (STATE.name, {"faults": [], "severities": [], "state": "ready", "hints": []}),
+    ]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Three recordings: two of a cup, one that is no recording."""
+    for number, best in enumerate(("cup", "cup")):
+        recording(tmp_path / "x", *told(best)).rename(tmp_path / f"2026-11-2{number}T10-00-00Z.mcap")
+        (tmp_path / "x").rmdir()
+    (tmp_path / "2026-11-22T10-00-00Z.mcap").write_text("hello")
+    os.utime(tmp_path / "2026-11-22T10-00-00Z.mcap", (1e9, 1e9))
+    return tmp_path
+
+
+def test_a_run_is_told_in_a_few_words(tmp_path: Path) -> None:
+    found = summary_of(recording(tmp_path, *told("cup")))
+    assert found == RunSummary(
+        started=BEGIN.isoformat(),
+        seconds=pytest.approx(2.5),
+        complete=True,
+        plans=("rock",),
+        object="cup",
+        objects=2,
+        touched=pytest.approx(2 / 3),
+        sd_m=2e-5,
+        worst_sd_m=9e-5,
+        mass_kg=0.2,
+        faults=("pad1-silent",),
+    )
+
+
+def test_a_note_in_the_log_is_told(tmp_path: Path) -> None:
+    log = {"kind": ["note", "fault", "command"], "name": ["", "x", "note"], "text": ["cup moved", "no", "again"]}
+    assert summary_of(recording(tmp_path, ("palm/log", log), ("palm/log", log))).notes == ("cup moved", "again")
+
+
+def test_what_is_unfinished_or_no_recording_says_so(tmp_path: Path) -> None:
+    file, _ = begun(tmp_path)
+    assert summary_of(file.path).complete is False
+    (tmp_path / "x.mcap").write_text("hello")
+    assert summary_of(tmp_path / "x.mcap").problem == "is no MCAP file"
+
+
+def test_a_recording_is_read_once_and_again_when_it_has_changed(folder: Path, monkeypatch) -> None:
+    first = indexed(folder)
+    assert [each.name[:10] for each in first] == ["2026-11-22", "2026-11-21", "2026-11-20"]
+    read: list[str] = []
+    monkeypatch.setattr(index, "summary_of", lambda path: read.append(path.name) or summary_of(path))
+    assert repr(indexed(folder)) == repr(first)
+    assert read == []
+    os.utime(folder / first[1].name, (2e9, 1.1e9))
+    indexed(folder)
+    assert read == [first[1].name]
+    (folder / first[0].name).unlink()
+    assert len(indexed(folder)) == 2
+    assert len(json.loads((folder / NAME).read_text())["runs"]) == 2
+
+
+@pytest.mark.parametrize("damage", ["", "[]", '{"format": 0}', '{"format": 1, "runs": [{"name": "x"}]}', "\x00"])
+def test_the_index_is_rebuilt_whatever_has_become_of_it(folder: Path, damage: str) -> None:
+    first = indexed(folder)
+    (folder / NAME).write_text(damage)
+    assert repr(indexed(folder)) == repr(first)
+    (folder / NAME).unlink()
+    assert repr(indexed(folder, rebuild=True)) == repr(first)
+
+
+def test_what_is_being_recorded_is_listed_and_read_later(tmp_path: Path) -> None:
+    path = recording(tmp_path, *told(), old=False)
+    (now,) = indexed(tmp_path)
+    assert now.summary.problem == "is being recorded"
+    os.utime(path, (1e9, 1e9))
+    (later,) = indexed(tmp_path)
+    assert later.summary.problem == ""
+
+
+def test_the_command_lists_searches_groups_and_compares(folder: Path, capsys) -> None:
+    assert main(["runs", str(folder)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert " ".join(lines[0].split()) == "run for object touched outline ± worst ± mass faults and notes"
+    assert " ".join(lines[1].split()) == "2026-11-22T10-00-00Z – – – – – – is no MCAP file"
+    assert " ".join(lines[2].split()) == "2026-11-21T10-00-00Z 2 s cup 67 % 20 µm 90 µm 200.0 g pad1-silent"
+    assert lines[-1] == f"3 runs in {folder}"
+    assert main(["runs", str(folder), "--note", "2026-11-21", "with oil"]) == 0
+    capsys.readouterr()
+    assert main(["runs", str(folder), "--search", "OIL", "cup", "pad1-"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1].endswith('200.0 g  pad1-silent, "with oil"')
+    assert lines[2] == f"1 of 3 runs in {folder}"
+    assert main(["runs", str(folder), "--objects"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "cup: 2 runs, outline within ±90 µm at best, mass 200.0 to 200.0 g"
+    assert lines[3] == "not recognised: 1 run, outline within ±– at best"
+    assert main(["runs", str(folder), "--compare", "2026-11-20", "2026-11-21"]) == 0
+    rows = {line.split("  ")[0]: line for line in capsys.readouterr().out.splitlines()}
+    assert rows["notes"].endswith("with oil")
+    assert rows["faults"].count("pad1-silent") == 2
+    assert main(["runs", str(folder), "--json", "--search", "oil"]) == 0
+    (only,) = json.loads(capsys.readouterr().out)
+    assert (only["run"], only["worst_sd_m"], only["notes"]) == ("2026-11-21T10-00-00Z.mcap", 9e-5, ["with oil"])
+
+
+@pytest.mark.parametrize(
+    ("argv", "told"),
+    [
+        (["--compare", "2026"], "2026: 3 runs begin so; write more of the name"),
+        (["--note", "2027", "x"], "2027: there is no such run in "),
+    ],
+)
+def test_a_run_that_is_not_one_is_told(folder: Path, argv: list[str], told: str, capsys) -> None:
+    assert main(["runs", str(folder), *argv]) == 1
+    assert capsys.readouterr().err.startswith(told)
+    assert main(["runs", str(folder / "nowhere")]) == 1
+    assert capsys.readouterr().err == f"{folder / 'nowhere'}: No such file or directory\n"
+
+
+def test_days_and_words() -> None:
+    run = IndexedRun("2026-11-21T10-00-00Z.mcap", 1, 1, RunSummary(started="2026-11-21T10:00:00+00:00", object="cup"))
+    assert matches(run, ["CUP", "2026-11"], "2026-11-21")
+    assert not matches(run, ["CUP", "saucer"], "")
+    assert not matches(run, [], "2026-11-22")
+
+
+def test_a_note_replaces_the_one_that_was_there_and_the_recording_stays_as_it_is(folder: Path) -> None:
+    path = folder / "2026-11-21T10-00-00Z.mcap"
+    before = path.read_bytes()
+    for text in ("one", "two\nlines "):
+        annotate(path, text)
+    assert indexed(folder)[1].summary.notes == ("two lines",)
+    assert path.read_bytes() == before
+    shutil.rmtree(folder)
