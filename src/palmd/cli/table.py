@@ -103,6 +103,11 @@ COMMANDS = (
     ),
     Command("bench peers", "lab.bench_peers", "palmd's estimators beside general-purpose ones"),
     Command(
+        "bench field",
+        "lab.bench_field",
+        "the field's benchmark: 200 runs with their truth, baselines, a scorer for anybody's results",
+    ),
+    Command(
         "bench faults",
         "lab.bench_faults",
         "every fault provoked on the emulated rig: what comes of it, how soon the arm stands",

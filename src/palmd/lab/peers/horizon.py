@@ -86,10 +86,10 @@ def program(model: Functions) -> ca.Function:
 
 
 class MovingHorizon:
-    """Solves anew each `EVERY_S`; a solution that IPOPT does not vouch for is counted and not taken."""
+    """Solves anew each `every_s`; a solution that IPOPT does not vouch for is counted and not taken."""
 
-    def __init__(self, model: Functions, solver: ca.Function, start: PeerStart):
-        self._model, self._solver = model, solver
+    def __init__(self, model: Functions, solver: ca.Function, start: PeerStart, every_s: float = EVERY_S):
+        self._model, self._solver, self._every_s = model, solver, every_s
         self._mean, self._P = start.x.copy(), start.P.copy()  # arrival: what is known at the window's beginning
         self._nodes: deque[Node] = deque()
         self._path: deque[FloatArray] = deque([start.x.copy()])  # the state before each node and after the last
@@ -110,7 +110,7 @@ class MovingHorizon:
             self._path.append(array(self._model.move(self._path[-1], u)))
         while len(self._nodes) > NODES:
             self._leave()
-        if reading.t - self._t_solved < EVERY_S:
+        if reading.t - self._t_solved < self._every_s:
             return False
         self._t_solved = reading.t
         self._solve()
@@ -132,7 +132,7 @@ class MovingHorizon:
     @property
     def remark(self) -> str:
         """How many windows were solved and how many were not."""
-        return f"one solution each {EVERY_S * 1e3:g} ms, {self.failed} of {self.solved + self.failed} failed"
+        return f"one solution each {self._every_s * 1e3:g} ms, {self.failed} of {self.solved + self.failed} failed"
 
     def _leave(self) -> None:
         """The oldest node leaves the window: the arrival filter takes it, linearised about the window's solution."""
