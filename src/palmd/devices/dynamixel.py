@@ -2,8 +2,8 @@
 
     FF FF FD 00 | id | length, 2 bytes | instruction | parameters | CRC-16, 2 bytes
 
-Numbers are little-endian. `length` counts what follows it. Where FF FF FD would stand between the length and the CRC, an
-FD is put behind it (stuffing), so that a header is nowhere but at the start of a packet. A servo's answer has the
+Numbers are little-endian. `length` counts what follows it. Where FF FF FD would stand between the length and the CRC,
+an FD is put behind it (stuffing), so that a header is nowhere but at the start of a packet. A servo's answer has the
 instruction 55 and its first parameter is an error; that of a fast sync read is one packet of all servos, unstuffed.
 Everything here is pure and safe inside the 100 Hz loop. Source: ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0 and X series.
 """
@@ -331,9 +331,7 @@ class PacketReader:
         if not (servo == BROADCAST and instruction == Instruction.STATUS):  # not that of a fast sync read
             body = unstuffed(body)
         answers = instruction == Instruction.STATUS and len(body) > 1
-        return Packet(
-            self._t_first(), servo, instruction, body[1] if answers else 0, body[2:] if answers else body[1:]
-        )
+        return Packet(self._t_first(), servo, instruction, body[1] if answers else 0, body[2:] if answers else body[1:])
 
     def _t_first(self) -> float:
         """When the byte at the front arrived: no read can be earlier than its bytes took on the line."""
@@ -368,3 +366,7 @@ class Registers:
             raise KeyError(register)
         start = register.address - self._address
         return int.from_bytes(self._data[start : start + register.size], "little", signed=register.signed)
+
+    def get(self, register: Register) -> int | None:
+        """None for a register that was not read."""
+        return self[register] if register in self else None  # noqa: SIM401

@@ -66,9 +66,7 @@ def test_packets_are_those_of_the_manual(packet, manual):
 
 
 def test_an_answer_of_ordinary_numbers_is_stuffed_and_read_back():
-    raw = bytes.fromhex(
-        "FF FF FD 00 01 15 00 55 00 E8 03 01 01 00 00 FF FF FD FD FF FF FF 63 08 00 00 62 A2"
-    )
+    raw = bytes.fromhex("FF FF FD 00 01 15 00 55 00 E8 03 01 01 00 00 FF FF FD FD FF FF FF 63 08 00 00 62 A2")
     (packet,) = PacketReader(BAUD).feed(raw, 0.0)
     registers = Registers(120, packet.parameters)
     assert (registers[VELOCITY], registers[POSITION]) == (-3, 2147)
