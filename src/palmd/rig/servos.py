@@ -31,7 +31,8 @@ STEP_RAD_S = math.radians(360.0)  # how fast a servo goes to a goal without a pr
 REBOOT_S = 0.4
 PLAY_S = 0.010  # in which a palm falls from one end of the play to the other
 PALM_KG, PALM_CENTRE_M = 0.040, 0.045
-RUB_N_M = 1e-3  # what the joint's friction holds against
+RUB_N_M = 2e-3  # what friction in the joint holds against
+GREASE_S = 0.030  # in which a moment makes itself felt through the gears
 GRAVITY = 9.81
 
 _RAD = math.tau / dxl.COUNTS_PER_TURN
@@ -241,8 +242,9 @@ class ServoArm:
         self._plays = (Play(width, -1, t), Play(width, 1, t))
         self._reader = PacketReader(arm.baud)
         self._in = Wire(arm.baud)
+        self._moments = [0.0, 0.0]
         self._instructions = self._goals = self._outside = 0
-        self._now = t
+        self._now = self._t_felt = t
 
     @property
     def state(self) -> ArmState:
@@ -280,13 +282,15 @@ class ServoArm:
         """Weight and the object push each palm to one end of its play."""
         first, second = palms.angles[0], palms.angles[0] + palms.angles[1]
         weight = PALM_KG * GRAVITY * PALM_CENTRE_M
-        signs = (-1.0, 1.0)
-        for play, sign, angle, contact in zip(self._plays, signs, (first, second), contacts, strict=True):
+        signs, share = (-1.0, 1.0), (t - self._t_felt) / GREASE_S
+        self._t_felt = t
+        for i, (sign, angle, contact) in enumerate(zip(signs, (first, second), contacts, strict=True)):
             moment = -weight * math.cos(angle)
             if contact.touching:
                 moment += sign * contact.s * contact.force
-            if abs(moment) > RUB_N_M:
-                play.push(1 if moment > 0.0 else -1, t)
+            self._moments[i] += min(share, 1.0) * (moment - self._moments[i])
+            if abs(self._moments[i]) > RUB_N_M:
+                self._plays[i].push(1 if self._moments[i] > 0.0 else -1, t)
 
     def play(self, order: FaultOrder, begins: bool, palms: Joints) -> None:  # noqa: ARG002
         """What is done to the servos: always to palm 1's."""

@@ -153,8 +153,8 @@ def test_a_strip_goes_from_bytes_to_events():
 def test_a_strip_that_falls_silent_while_touched_is_told():
     driver = strip()
     driver.feed(encode(5460, 250, 0), 1.0)
-    assert list(driver.poll(1.03)) == []
-    assert len(driver.poll(1.1)) == 1
+    assert list(driver.poll(1.05)) == []
+    assert len(driver.poll(1.14)) == 1
     assert driver.parted == "silent"
 
 

@@ -8,15 +8,18 @@ from typing import Literal
 
 from palmd.config import StripConfig
 from palmd.devices.health import Share
-from palmd.devices.pad import MARGIN_MM, PadFactory, TouchTracker
+from palmd.devices.pad import MARGIN_MM, SILENT_INTERVALS, PadFactory, TouchTracker
 from palmd.devices.port import DevicePort, Port
-from palmd.devices.strip import FORCE_MAX, TOUCHED_S, StripDecoder, StripPacket
+from palmd.devices.strip import FORCE_MAX, StripDecoder, StripPacket
 from palmd.events import PadLift, PadSample
 from palmd.messages import PadView
 
 GARBLED_SHARE, GARBLED_LEAST = 0.2, 24  # bytes
 ASTRAY_SHARE, ASTRAY_LEAST = 0.2, 10  # packets
 BATCHED_SHARE, BATCHED_LEAST = 0.5, 10
+
+SILENT_S = 0.080
+"""A strip that was touched and says nothing for so long has gone: it talks even when it is not touched."""
 
 
 class Strip:
@@ -30,7 +33,7 @@ class Strip:
         self.parted: Literal["lifted", "silent"] | None = None
         self._number, self._config = number, config
         self._decoder = StripDecoder(config.baud)
-        self._touch = TouchTracker(number, TOUCHED_S)
+        self._touch = TouchTracker(number, SILENT_S / SILENT_INTERVALS)
         self._latest: StripPacket | None = None
         self._s = math.nan
         self._garbled = Share(GARBLED_SHARE, GARBLED_LEAST)
