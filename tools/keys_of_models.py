@@ -51,14 +51,42 @@ def keys(model: type[Strict], path: str = "") -> Iterator[Key]:
         alike.setdefault(model_in(field.annotation), []).append(name)
     for name, field in model.model_fields.items():
         inner = model_in(field.annotation)
+        if len(kinds_in(field.annotation)) > 1:
+            if name == alike[inner][0]:
+                yield from keys_by_kind(kinds_in(field.annotation), f"{path}{', '.join(alike[inner])}.")
+            continue
         if inner is None or isinstance(field.default, str):  # a word may stand for the block
             usual = next((str(each) for each in field.metadata if isinstance(each, Plausible)), "")
-            yield Key(path + name, unit_of(name), _default(field), _allowed(field), usual, _text(model, name))
+            yield Key(path + name, unit_of(name), _default(field), _allowed(field), usual, text(model, name))
         if inner is not None and name == alike[inner][0]:
             yield from keys(inner, f"{path}{', '.join(alike[inner])}.")
 
 
-def _text(model: type[Strict], name: str) -> str:
+def keys_by_kind(kinds: Sequence[type[Strict]], path: str = "") -> Iterator[Key]:
+    """Of models told apart by `kind`: what all have alike once, then each kind's own behind its name."""
+    named = {get_args(kind.model_fields["kind"].annotation)[0]: list(keys(kind, path)) for kind in kinds}
+    usual = next(iter(named))
+    yield Key(f"{path}kind", "", usual, ", ".join(named), "", "What kind of device it is.")
+    shared = [key for key in named[usual] if all(key in found for found in named.values())]
+    yield from shared
+    for name, found in named.items():
+        own = [key for key in found if key not in shared and key.path != f"{path}kind"]
+        yield from (key._replace(meaning=f"*{name}*: {key.meaning}") for key in own)
+
+
+def kinds_in(kind: Any) -> list[type[Strict]]:
+    """The models of a union of kinds; empty where it is none."""
+    if get_origin(kind) is Annotated:
+        return kinds_in(get_args(kind)[0])
+    if get_origin(kind) not in (Union, types.UnionType):
+        return []
+    parts = [get_args(each)[0] if get_origin(each) is Annotated else each for each in get_args(kind)]
+    return [
+        each for each in parts if isinstance(each, type) and issubclass(each, Strict) and "kind" in each.model_fields
+    ]
+
+
+def text(model: type[Strict], name: str) -> str:
     """Of the class that has the key, which may be one that the model is built on."""
     own = next(each for each in model.__mro__ if name in vars(each).get("__annotations__", {}))
     return TEXTS[own.__name__, name]

@@ -159,7 +159,11 @@ def configuration() -> str:
     parts = [keys_of_models.CONFIGURATION]
     single = []
     for name, field in Config.model_fields.items():
-        section = keys_of_models.model_in(field.annotation)
+        section, kinds = keys_of_models.model_in(field.annotation), keys_of_models.kinds_in(field.annotation)
+        if kinds:
+            parts.append(f"\n## `{name}`\n\n{keys_of_models.text(Config, name)}\n\n")
+            parts.append(table(*keys_of_models.table(keys_of_models.keys_by_kind(kinds))))
+            continue
         if section is None:
             single += [key for key in keys_of_models.keys(Config) if key.path == name]
             continue

@@ -31,10 +31,11 @@ from pydantic import (
 )
 
 from palmd.events import ObserverName
-from palmd.system.description import PadSensor, RigDescription
+from palmd.system.description import HingeMode, PadSensor, RigDescription
 from palmd.system.mechanism import JOINTS, PALMS
 
 BAUDS = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)
+SERVO_BAUDS = (115200, 1000000, 2000000, 3000000, 4000000)
 SEGMENT_KINDS = ("move", "rate", "hold_s", "sine", "explore")
 MAX_DURATION_S = 3600.0
 
@@ -164,6 +165,7 @@ class Plausible:
 Positive = Annotated[FiniteFloat, Field(gt=0)]
 NotNegative = Annotated[FiniteFloat, Field(ge=0)]
 Baud = Annotated[int, _one_of(*BAUDS)]
+ServoBaud = Annotated[int, _one_of(*SERVO_BAUDS)]
 PortPath = Annotated[str, Field(min_length=1)]
 Pair = Annotated[tuple[FiniteFloat, FiniteFloat], Field(strict=False)]  # a YAML list is not a tuple
 OpeningRange = Annotated[Pair, AfterValidator(_rising_within(1.0, 179.0))]
@@ -181,12 +183,14 @@ class Strict(BaseModel):
 # ---------------------------------------------------------------------------------------------- configuration
 
 
-def _that_can_be_driven(hinge: object) -> object:
-    if hinge == "fixed":
-        raise ValueError(
-            "no actuator drives a fixed hinge, which is for theory and event logs; an arm needs hinge: arc"
-        )
-    return hinge
+def _by_kind(usual: str) -> Callable[[Any], str]:
+    """The tag of a union of kinds, in angle brackets so that it never looks like a key of the file."""
+
+    def tag(value: Any) -> str:
+        kind = value.get("kind", usual) if isinstance(value, dict) else getattr(value, "kind", usual)
+        return f"<{kind}>"
+
+    return tag
 
 
 class PadImperfectionsConfig(Strict):
@@ -238,10 +242,10 @@ class RigConfig(Strict):
 
     gravity_m_s2: Annotated[FiniteFloat, Field(gt=0, le=30), Plausible(0.1, 12)] = 9.81
     """In the plane of the palms: 9.81 · sin(tilt of the table)."""
-    hinge: Annotated[Literal["arc"], BeforeValidator(_that_can_be_driven)] = "arc"
-    """`arc`: palm 1 is hinged to B, the arm holds the far end of palm 2."""
+    hinge: Literal["arc", "fixed"] = "arc"
+    """`arc`: palm 1 is hinged to B, an arm holds the far end of palm 2; `fixed`: both turn about one axis."""
     base_mm: Annotated[Pair, Plausible(5, 2000, or_zero=True)] = (120.0, 0.0)
-    """B, the fixed hinge at the far end of palm 1, in the world frame."""
+    """B, the fixed hinge at the far end of palm 1, in the world frame; of an arc hinge only."""
     palm1_length_mm: Annotated[FiniteFloat, Field(gt=0, le=2000), Plausible(20, 1000)] = 120.0
     """From the hinge between the palms to B."""
     palm2_length_mm: Annotated[FiniteFloat, Field(gt=0, le=2000), Plausible(20, 1000)] = 120.0
@@ -328,8 +332,53 @@ class VersaPadConfig(PadBase):
         return 6 * (10.0 / self.baud)
 
 
-PadConfig = VersaPadConfig
-"""The kinds of touchpads: `of_kind(A, B, …)` once there are several."""
+class StripConfig(PadBase):
+    """A force-sensing strip read by a microcontroller on a USB serial port: `tools/strip/`."""
+
+    kind: Literal["strip"]
+    """What kind of pad it is."""
+    zero_mm: Annotated[FiniteFloat, Field(ge=-1000, le=1000), Plausible(0.1, 300, or_zero=True)] = -1.5
+    """Distance from the hinge of the place where the strip counts 0."""
+    counts_per_mm: Annotated[FiniteFloat, Field(gt=0, le=1000), Plausible(5, 1000)] = 273.0
+    """The strip's scale: 16383 counts over 60 mm."""
+    newtons_per_count: Annotated[Positive, Plausible(0.00005, 0.05)] = 0.002
+    """What one count of force is worth."""
+    noise_mm: Annotated[FiniteFloat, Field(gt=0, le=5), Plausible(0.002, 2)] = 0.15
+    """One sigma of a position, its rounding not counted."""
+    baud: Baud = 115200
+    """Of the serial line; without meaning on a board whose own USB it is."""
+
+    @property
+    def report_s(self) -> float:
+        """How far apart reports are (s)."""
+        return 0.005
+
+
+class EvdevConfig(PadBase):
+    """Any touch device that the kernel's input layer knows: `/dev/input/by-path/…`."""
+
+    kind: Literal["evdev"]
+    """What kind of pad it is."""
+    pressure: bool = True
+    """Whether the device's pressure is a force; `false`: no mass and no forces are claimed."""
+
+    @property
+    def report_s(self) -> float:
+        """How far apart reports are while the contact moves (s)."""
+        return 0.01
+
+
+PadConfig = Annotated[
+    Annotated[VersaPadConfig, Tag("<versapad>")]
+    | Annotated[StripConfig, Tag("<strip>")]
+    | Annotated[EvdevConfig, Tag("<evdev>")],
+    Discriminator(
+        _by_kind("versapad"),
+        custom_error_type="kind",
+        custom_error_message="kind must be one of versapad, strip, evdev",
+    ),
+]
+"""The kinds of touchpads."""
 
 
 class PadsConfig(Strict):
@@ -374,8 +423,88 @@ class AdeptConfig(Strict):
     base_yaw_deg: Annotated[FiniteFloat, Field(ge=-360, le=360)] = 0.0
     """By how much the arm's own x axis is turned from the world's."""
 
+    @property
+    def hinge(self) -> HingeMode:
+        """Which hinge it can drive."""
+        return "arc"
 
-ArmConfig = AdeptConfig
+    @property
+    def angle_noise_rad(self) -> float:
+        """One sigma of a palm's reported angle by itself."""
+        return 2e-4
+
+    @property
+    def play_sd_deg(self) -> float:
+        """One sigma of what play adds to a palm's angle, all along."""
+        return 0.0
+
+
+class ServoConfig(Strict):
+    """One servo, which turns one palm against the base."""
+
+    id: Annotated[int, Field(ge=0, le=252)]
+    """Its number on the bus; new ones are all 1."""
+    sign: Annotated[int, _one_of(1, -1)] = 1
+    """1 where its counts grow with the palm's direction, counted anticlockwise from the world X axis."""
+    centre_deg: Annotated[FiniteFloat, Field(ge=-180, le=360)] = 90.0
+    """The palm's direction where the servo counts 2048, the middle of its turn."""
+    range_deg: AngleRange = (2.0, 178.0)
+    """The palm's directions that the servo itself allows."""
+
+
+class DynamixelConfig(Strict):
+    """Two DYNAMIXEL servos of the X series on one bus, palm 1's and palm 2's, about a fixed hinge."""
+
+    kind: Literal["dynamixel"]
+    """What kind of actuator it is."""
+    port: PortPath
+    """The serial port to the bus."""
+    baud: ServoBaud = 1000000
+    """Of the bus; servos leave the factory with 57600, too slow for a hundred cycles a second."""
+    servo1: ServoConfig = ServoConfig(id=1)
+    """The servo of palm 1."""
+    servo2: ServoConfig = ServoConfig(id=2, sign=-1)
+    """The servo of palm 2, which faces the other one."""
+    backlash_deg: Annotated[NotNegative, Field(le=5)] = 0.25
+    """Play of the gears between servo and palm, from end to end."""
+    angle_noise_deg: Annotated[Positive, Field(le=1)] = 0.04
+    """One sigma of a servo's angle by itself: a count is 0.088°, and flickers."""
+
+    @field_validator("servo2")
+    @classmethod
+    def _own_id(cls, servo2: ServoConfig, info: ValidationInfo) -> ServoConfig:
+        servo1: ServoConfig | None = info.data.get("servo1")
+        if servo1 is not None and servo1.id == servo2.id:
+            raise ValueError(f"id {servo2.id} is already that of servo1")
+        return servo2
+
+    @property
+    def angle_noise_rad(self) -> float:
+        """One sigma of a palm's reported angle by itself."""
+        return math.radians(self.angle_noise_deg)
+
+    @property
+    def servos(self) -> tuple[ServoConfig, ...]:
+        """In the order of their palms."""
+        return tuple(getattr(self, f"servo{palm}") for palm in PALMS)
+
+    @property
+    def hinge(self) -> HingeMode:
+        """Which hinge it can drive."""
+        return "fixed"
+
+    @property
+    def play_sd_deg(self) -> float:
+        """One sigma of what play adds to a palm's angle: weight holds it at one end, nobody knows at which."""
+        return 0.5 * self.backlash_deg
+
+
+ArmConfig = Annotated[
+    Annotated[AdeptConfig, Tag("<adept>")] | Annotated[DynamixelConfig, Tag("<dynamixel>")],
+    Discriminator(
+        _by_kind("adept"), custom_error_type="kind", custom_error_message="kind must be one of adept, dynamixel"
+    ),
+]
 """The kinds of actuators."""
 
 
@@ -487,6 +616,14 @@ class Config(Strict):
             raise ValueError(f"port {arm.port} is already that of a pad")
         return arm
 
+    @field_validator("arm")
+    @classmethod
+    def _own_hinge(cls, arm: ArmConfig, info: ValidationInfo) -> ArmConfig:
+        rig: RigConfig | None = info.data.get("rig")
+        if rig is not None and rig.hinge != arm.hinge:
+            raise ValueError(f"kind {arm.kind} drives hinge: {arm.hinge}, but rig.hinge is {rig.hinge}")
+        return arm
+
 
 def from_here(address: str) -> str:
     """Where a program on the daemon's own machine connects to what the daemon binds at `address`."""
@@ -510,7 +647,8 @@ def rig_description(config: Config) -> RigDescription:
         hinge=config.rig.hinge,
         palm1_length=config.rig.palm1_length_mm * 1e-3,
         base=(config.rig.base_mm[0] * 1e-3, config.rig.base_mm[1] * 1e-3),
-        angle_sd=math.radians(config.rig.angle_sd_deg),
+        palm_angle_noise=config.arm.angle_noise_rad,
+        angle_sd=math.radians(math.hypot(config.rig.angle_sd_deg, config.arm.play_sd_deg)),
         gravity_sd=math.radians(config.rig.gravity_sd_deg),
         friction_sd=config.rig.friction_asymmetry_sd,
         pads=tuple(_sensor(pad) for pad in config.pads.each()),

@@ -99,7 +99,17 @@ def _pad(number: int) -> tuple[Fault, ...]:
             f"pad {number} did not answer its start-up with an identity",
             "check the pad's power, cable and baud, or configure handshake: none",
         ),
+        Fault(
+            f"{pad}-foreign-clock",
+            Severity.DEGRADE,
+            f"pad {number}'s events are not stamped by this machine's monotonic clock",
+            "read the device itself and not a copy of its events; their times are taken from when they arrive",
+        ),
     )
+
+
+def _servo(what: str, text: str, hint: str) -> Fault:
+    return Fault(f"arm-servo-{what}", Severity.STOP, text, hint, latch="armed", clears="reset")
 
 
 FAULTS: tuple[Fault, ...] = (
@@ -224,6 +234,39 @@ FAULTS: tuple[Fault, ...] = (
         Severity.DEGRADE,
         "more than a twentieth of the lines from the arm are damaged",
         "check arm.baud against the controller, then cable and shield",
+    ),
+    _servo(
+        "set-up",
+        "a servo cannot be used as it is; status says which and why",
+        "do what status says, then reset; palmd doctor looks at every setting",
+    ),
+    _servo(
+        "overload",
+        "a servo was overloaded and has let go",
+        "see what blocks or loads its palm, then reset starts the servo anew",
+    ),
+    _servo("hot", "a servo is too hot and has let go", "let it cool down, lighten the palms, then reset"),
+    _servo(
+        "voltage",
+        "a servo's supply is out of range",
+        "check the power supply, its plug and the length of its cable, then reset",
+    ),
+    _servo("encoder", "a servo's encoder fails", "reset; exchange the servo if it comes again"),
+    _servo("shock", "a servo's circuit has had a shock", "check supply and ground, then reset"),
+    _servo(
+        "watchdog",
+        "a servo had no instruction for 100 ms and stopped by itself",
+        "take load off this machine, set the adapter's latency timer to 1 ms, then reset",
+    ),
+    _servo(
+        "refused",
+        "a servo does not take the goals it is sent",
+        "see that no other program writes to the servos, then reset; palmd doctor compares their limits",
+    ),
+    _servo(
+        "restarted",
+        "a servo has let go, or has started anew and lost its settings",
+        "check its supply and cable, hold the palms, then reset",
     ),
     *_pad(1),
     *_pad(2),

@@ -28,8 +28,9 @@ from palmd.record.eventlog import LogError, read_log
 from palmd.record.mcapfile import RunError, is_packed
 from palmd.record.run import read_run
 from palmd.record.runfile import pack
+from palmd.rig.adept_arm import arm_limits
 from palmd.rig.controller import Controller
-from palmd.rig.world import World, arm_limits, default_config
+from palmd.rig.world import World, default_config
 from palmd.view import http_guard, wire
 from palmd.view.files import File
 from palmd.yamlfile import ConfigError, load_config, load_plan

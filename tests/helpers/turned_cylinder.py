@@ -14,7 +14,7 @@ from palmd.devices.versapad import PadCalibration, PadReceiver
 from palmd.events import Event, PalmSample
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import compile_plan
-from palmd.rig.pads import GOOD_PADS, PadEmulator, PadOptions, Press
+from palmd.rig.pads import GOOD_PADS, PadOptions, Press, VersaPadEmulator
 from palmd.rig.plant import PAD_LENGTH, Hinge, Plant, random_surface
 from palmd.rig.shapes import cylinder
 
@@ -48,7 +48,7 @@ def turned(
     plant = Plant(cylinder(radius_m, mass_kg), Hinge(), random_surface("rig", rng))
     plant.place(trajectory.at(0.0), 0.0)
     pads = [
-        PadEmulator(config, pad_options, partial(_bent, bend), rng, 0.0)
+        VersaPadEmulator(config, pad_options, partial(_bent, bend), rng, 0.0)
         for bend, config in zip(bend_m, real, strict=True)
     ]
     hosts = [_receiver(number, config) for number, config in zip(PADS, configured, strict=True)]

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from palms import motion_of
 
 from palmd.config import AdeptConfig, Config, PadsConfig, PlanSpec, VersaPadConfig
+from palmd.daemon.poses import ArcPoses
 from palmd.daemon.setpoints import LONGEST_STEP_S, SetPoints
 from palmd.events import PalmMotion
 from palmd.motion.check import motion_limits
@@ -21,6 +22,7 @@ CONFIG = Config(
     pads=PadsConfig(palm1=VersaPadConfig(port="a"), palm2=VersaPadConfig(port="b")), arm=AdeptConfig(port="c")
 )
 GEOMETRY = RigGeometry.from_config(CONFIG)
+POSES = ArcPoses(GEOMETRY)
 LIMITS = motion_limits(CONFIG)
 HERE = PalmMotion.at_rest((math.radians(45.0), math.radians(90.0)))
 SPEC = PlanSpec.model_validate(
@@ -86,10 +88,10 @@ def do(setpoints: SetPoints, what: str, how, t: float) -> bool:
             case "jog":
                 setpoints.jog(how, t)
             case "displaced":
-                setpoints.displaced(motion_of(how), 0.0)
+                setpoints.displaced(motion_of(how), POSES.pose(HERE.angles))
                 return True
             case "stand":
-                setpoints.stand(motion_of(how), 0.0, t)
+                setpoints.stand(motion_of(how), POSES.pose(HERE.angles), t)
                 return True
     return False
 
@@ -97,8 +99,8 @@ def do(setpoints: SetPoints, what: str, how, t: float) -> bool:
 @settings(max_examples=150, deadline=None)
 @given(st.lists(st.tuples(acts, st.integers(0, 12), st.floats(0.012, 0.030)), max_size=25), st.randoms())
 def test_guard(script, random):
-    setpoints, t = SetPoints(GEOMETRY, LIMITS), 100.0
-    setpoints.stand(HERE, 0.0, t)
+    setpoints, t = SetPoints(POSES, LIMITS), 100.0
+    setpoints.stand(HERE, POSES.pose(HERE.angles), t)
     last, t_last = HERE, t
     for (what, how), cycles, period in script:
         if what == "pause":

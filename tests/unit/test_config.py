@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,8 @@ def config(folder: Path = Path("/etc/palmd"), **rest: Any) -> Config:
 def faults(**rest: Any) -> list[tuple[str, str]]:
     with pytest.raises(ValidationError) as caught:
         config(**rest)
-    return [(".".join(map(str, fault["loc"])), fault["msg"]) for fault in caught.value.errors()]
+    named = [([str(part) for part in fault["loc"]], fault["msg"]) for fault in caught.value.errors()]
+    return [(".".join(part for part in loc if not part.startswith("<")), text) for loc, text in named]
 
 
 def test_only_the_ports_have_no_default_and_the_defaults_are_the_shipped_rig() -> None:
@@ -124,8 +126,10 @@ def test_things_that_must_differ() -> None:
         ({"rig": {"gravity_m_s2": True}}, "rig.gravity_m_s2"),
         ({"rig": {"base_mm": [1.0, float("nan")]}}, "rig.base_mm.1"),
         ({"rig": {"hinge": "Arc"}}, "rig.hinge"),
-        ({"rig": {"hinge": "fixed"}}, "rig.hinge"),
-        ({"arm": {"port": "/dev/c", "kind": "scara"}}, "arm.kind"),
+        ({"rig": {"hinge": "fixed"}}, "arm"),
+        ({"arm": {"port": "/dev/c", "kind": "scara"}}, "arm"),
+        ({"arm": {"port": "/dev/c", "kind": "dynamixel"}}, "arm"),
+        ({"arm": {"port": "/dev/c", "kind": "dynamixel", "servo1": {"id": 253}}}, "arm.servo1.id"),
         ({"limits": {"phi1_deg": [150, 6]}}, "limits.phi1_deg"),
         ({"limits": {"phi1_deg": [6, 6]}}, "limits.phi1_deg"),
         ({"limits": {"phi1_deg": [-1, 150]}}, "limits.phi1_deg"),
@@ -144,10 +148,30 @@ def test_what_is_wrong_is_found_where_it_stands(section: dict[str, Any], name: s
     assert [fault[0] for fault in faults(**section)] == [name]
 
 
-def test_a_fixed_hinge_is_refused_in_one_sentence() -> None:
-    ((name, text),) = faults(rig={"hinge": "fixed"})
-    assert name == "rig.hinge"
-    assert "an arm needs hinge: arc" in text
+def test_a_hinge_that_the_actuator_does_not_drive_is_refused_in_one_sentence() -> None:
+    ((_, text),) = faults(rig={"hinge": "fixed"})
+    assert "kind adept drives hinge: arc, but rig.hinge is fixed" in text
+    ((_, text),) = faults(arm={"port": "/dev/c", "kind": "dynamixel"})
+    assert "kind dynamixel drives hinge: fixed, but rig.hinge is arc" in text
+
+
+def test_kinds_are_told_when_one_is_not_known() -> None:
+    pads = {"palm1": {"port": "/dev/a", "kind": "pad"}, "palm2": {"port": "/dev/b"}}
+    ((name, text),) = faults(pads=pads)
+    assert (name, text) == ("pads.palm1", "kind must be one of versapad, strip, evdev")
+
+
+def test_play_makes_an_angle_less_sure() -> None:
+    made = config(rig={"hinge": "fixed"}, arm={"port": "/dev/c", "kind": "dynamixel"})
+    rig = rig_description(made)
+    assert math.degrees(rig.angle_sd) == pytest.approx(math.hypot(0.1, 0.125))
+    assert math.degrees(rig.palm_angle_noise) == pytest.approx(0.04)
+    assert rig_description(config()).palm_angle_noise == 2e-4
+
+
+def test_two_servos_cannot_have_one_id() -> None:
+    ((name, text),) = faults(arm={"port": "/dev/c", "kind": "dynamixel", "servo2": {"id": 1}})
+    assert (name, text) == ("arm.servo2", "Value error, id 1 is already that of servo1")
 
 
 def test_the_kind_of_a_device_may_be_left_out_and_changes_no_hash() -> None:

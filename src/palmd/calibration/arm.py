@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from palmd.calibration.files import plain, provenance, writable, write
-from palmd.calibration.linkage import arm_base, changed, found, lines
+from palmd.calibration.linkage import arm_base, changed, found, held_by, lines
 from palmd.calibration.linkage_fit import LinkageFit, TooLittleSwingError, fit_linkage
 from palmd.config import Config
 from palmd.console.arguments import seconds_within
@@ -57,6 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Writes nothing before all is measured; CliError when the input is wrong or the poses say too little."""
     config = configured(arguments.config)
     folder = writable(arguments.output or arguments.config.parent / "calibration")
+    held_by(config)
     poses = _listen(config, arguments.seconds)
     try:
         fit = fit_linkage(np.array([(pose.x_m, pose.y_m, pose.t_rad) for pose in poses]).reshape(-1, 3))
@@ -107,7 +108,7 @@ def called_for(fit: LinkageFit, config: Config) -> dict[str, dict[str, float]]:
             "palm1_length_mm": round(fit.palm1_length * 1e3, 3),
             "palm2_length_mm": round(fit.palm2_length * 1e3, 3),
         },
-        "arm": arm_base(config, (fit.base_x * 1e3, fit.base_y * 1e3), config.arm.base_yaw_deg),
+        "arm": arm_base(config, (fit.base_x * 1e3, fit.base_y * 1e3), held_by(config).base_yaw_deg),
     }
 
 

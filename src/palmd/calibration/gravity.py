@@ -17,7 +17,7 @@ from palmd.bus.command_client import CommandClient
 from palmd.bus.link import COMMAND, PUBLISH, add_key, credentials
 from palmd.bus.subscriber import Subscriber
 from palmd.calibration.files import plain, provenance, writable, write
-from palmd.calibration.linkage import arm_base, changed, found, lines, palm_base_in_arm
+from palmd.calibration.linkage import arm_base, changed, found, held_by, lines, palm_base_in_arm
 from palmd.calibration.rolling_fit import (
     INERTIA,
     LEAST_PER_PALM,
@@ -154,7 +154,7 @@ def remarks(fit: GravityFit, kind: RollerKind) -> list[str]:
 
 def called_for(fit: GravityFit, config: Config) -> dict[str, dict[str, float]]:
     """What the configuration should say, by section: the yaw is turned about the palms' base, which stays."""
-    yaw_deg = round(config.arm.base_yaw_deg + math.degrees(fit.delta), 4)
+    yaw_deg = round(held_by(config).base_yaw_deg + math.degrees(fit.delta), 4)
     return {
         "rig": {"gravity_m_s2": round(fit.g, 4)},
         "arm": {**arm_base(config, palm_base_in_arm(config), yaw_deg), "base_yaw_deg": yaw_deg},

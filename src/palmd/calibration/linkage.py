@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from palmd.config import ArmConfig, Config, RigConfig, Strict
+from palmd.config import AdeptConfig, ArmConfig, Config, RigConfig, Strict
+from palmd.console.errors import BAD_INPUT, CliError
 
 
 class Sections(Strict):
@@ -12,6 +13,17 @@ class Sections(Strict):
 
     rig: RigConfig
     arm: ArmConfig
+
+
+def held_by(config: Config) -> AdeptConfig:
+    """The arm that holds the palms; CliError where servos turn them, which have no linkage to calibrate."""
+    if not isinstance(config.arm, AdeptConfig):
+        raise CliError(
+            BAD_INPUT,
+            f"arm.kind {config.arm.kind} turns the palms about a fixed hinge, which has no linkage to calibrate:"
+            " palmd calibrate self finds the servos' centre_deg",
+        )
+    return config.arm
 
 
 def changed(config: Config, rig: dict[str, float], arm: dict[str, float]) -> Sections:
@@ -29,8 +41,9 @@ def lines(called_for: dict[str, dict[str, float]]) -> str:
 
 def palm_base_in_arm(config: Config) -> tuple[float, float]:
     """B in arm coordinates (mm) as configured: R(−yaw)·(B − base)."""
-    yaw = math.radians(config.arm.base_yaw_deg)
-    dx, dy = config.rig.base_mm[0] - config.arm.base_x_mm, config.rig.base_mm[1] - config.arm.base_y_mm
+    arm = held_by(config)
+    yaw = math.radians(arm.base_yaw_deg)
+    dx, dy = config.rig.base_mm[0] - arm.base_x_mm, config.rig.base_mm[1] - arm.base_y_mm
     return math.cos(yaw) * dx + math.sin(yaw) * dy, math.cos(yaw) * dy - math.sin(yaw) * dx
 
 

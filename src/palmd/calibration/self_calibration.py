@@ -19,7 +19,7 @@ import numpy as np
 from palmd.calibration.files import plain, provenance, writable, write
 from palmd.calibration.linkage import arm_base, lines, palm_base_in_arm
 from palmd.calibration.self_fit import RigFit, combined
-from palmd.config import Config, rig_description
+from palmd.config import Config, DynamixelConfig, rig_description
 from palmd.console.arguments import seed
 from palmd.console.configured import configured
 from palmd.console.errors import BAD_INPUT, CliError
@@ -128,10 +128,15 @@ def called_for(fit: RigFit, config: Config) -> Sections:
             zero_mm = (pad.zero_mm - float(off[zero]) * 1e3) / stretch
             sections[f"pads.palm{palm}"] = {"zero_mm": round(zero_mm, 3)} | values
     if fit.told[R.TILT]:
-        yaw_deg = round(config.arm.base_yaw_deg + math.degrees(off[R.TILT]), 4)
         gravity_sd_deg = min(_rounded_up(math.degrees(sds[R.TILT])), config.rig.gravity_sd_deg)
         sections["rig"] = {"gravity_sd_deg": gravity_sd_deg}
-        sections["arm"] = {**arm_base(config, palm_base_in_arm(config), yaw_deg), "base_yaw_deg": yaw_deg}
+        if isinstance(config.arm, DynamixelConfig):
+            for palm, servo in zip(PALMS, config.arm.servos, strict=True):
+                centre_deg = round(servo.centre_deg + math.degrees(off[R.TILT]), 4)
+                sections[f"arm.servo{palm}"] = {"centre_deg": centre_deg}
+        else:
+            yaw_deg = round(config.arm.base_yaw_deg + math.degrees(off[R.TILT]), 4)
+            sections["arm"] = {**arm_base(config, palm_base_in_arm(config), yaw_deg), "base_yaw_deg": yaw_deg}
     return sections
 
 

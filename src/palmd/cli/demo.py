@@ -34,6 +34,7 @@ LOOK_S = 0.1
 PROGRESS_S = 1.0
 RECORDED_S = 300.0  # to pack the recording of many hours
 RUNS = Path("runs")
+RIGS = {"adept": "demo.yaml", "tabletop": "tabletop.yaml"}
 _WORLDS = {"none": "perfect", "calibrated": "off as calibration leaves one"}
 
 
@@ -45,7 +46,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--kind", choices=KINDS, default="rig", help="what sort of object (default: %(default)s)")
     parser.add_argument("--no-record", action="store_true", help=f"keep no recording; else it goes to {RUNS}/ here")
     parser.add_argument("--perfect", action="store_true", help="a rig that is exactly as configured, which is known")
-    parser.add_argument("--config", type=Path, default=shipped("demo.yaml"), help="rig and plan; default: as shipped")
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--rig", choices=RIGS, default="adept", help="an arm and VersaPads, or strips and servos")
+    which.add_argument("--config", type=Path, help="rig and plan; default: as shipped")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -54,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
     Raises CliError when the rig or the daemon fail.
     """
     try:
-        config = load_config(arguments.config)
+        config = load_config(arguments.config or shipped(RIGS[arguments.rig]))
     except ConfigError as error:
         raise CliError(BAD_INPUT, str(error)) from None
     if arguments.perfect:

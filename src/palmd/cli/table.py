@@ -74,7 +74,7 @@ COMMANDS = (
     Command(
         "calibrate self",
         "calibration.self_calibration",
-        "the pads' zeros and the arm's yaw, from recorded runs with any objects",
+        "the pads' zeros and the palms' angles, from recorded runs with any objects",
     ),
     Command(
         "observability",
@@ -121,6 +121,7 @@ COMMANDS = (
         "doctor.command",
         "what is missing and how to mend it; the arm's controller and the pads put to the test",
     ),
+    Command("init", "cli.init", "ask what the rig is made of, and write a configuration of it"),
     Command("build", "cli.build", "compile the observers now; the first run does it otherwise"),
     Command("completion", "cli.completion", "what has a shell complete palmd's commands, options and files"),
     Command("install", "cli.install", "services of this palmd for systemd: units, account, udev rules"),

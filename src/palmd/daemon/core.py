@@ -27,6 +27,7 @@ from palmd.daemon.exploring import Exploring, Senses
 from palmd.daemon.journal import FaultNotes, Journal, MotionNotes, ObjectNotes, RigNotes
 from palmd.daemon.lifecycle import COMMANDED, State
 from palmd.daemon.planner import Plan, PlanFolder
+from palmd.daemon.poses import make_poses
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.supervisor import Supervisor
 from palmd.daemon.swap import SwapWatch
@@ -50,7 +51,6 @@ from palmd.messages import (
     state_fields,
 )
 from palmd.motion.check import motion_limits
-from palmd.motion.kinematics import RigGeometry
 from palmd.observer.observer import Observer
 from palmd.quantities import CONTACT, ESTIMATE, EVENTS, IMPROVEMENT, LOG, MOTION, OBJECT, RIG, SHAPE, STATE, Topic
 from palmd.system.mechanism import JOINTS, PALMS
@@ -87,12 +87,12 @@ class Core:
         `folder` is the configuration's. `explorer` decides where explorations go; without one, plans that explore are
         refused.
         """
-        geometry = RigGeometry.from_config(config)
+        poses = make_poses(config)
         self.pads: dict[EndName, PadDriver] = {
             f"pad{palm}": make_pad(palm, pad) for palm, pad in zip(PALMS, config.pads.each(), strict=True)
         }
-        self.arm = ArmDriver(config, geometry)
-        self.setpoints = SetPoints(geometry, motion_limits(config))
+        self.arm = ArmDriver(config, poses)
+        self.setpoints = SetPoints(poses, motion_limits(config))
         self.faults = FaultMonitor()
         self.journal = Journal()
         self.exploring = Exploring(self.setpoints, explorer)
@@ -181,9 +181,9 @@ class Core:
         if not host.tracking or host.pose is None or actual is None:
             return host.poll(t, None).data
         if setpoints.commanded is None:
-            setpoints.stand(actual, host.pose.t_rad, t)
+            setpoints.stand(actual, host.pose, t)
         if host.state is ArmState.HOLD:
-            setpoints.displaced(actual, host.pose.t_rad)
+            setpoints.displaced(actual, host.pose)
         target = setpoints.target(t)
         sent = host.poll(t, target)
         if target is not None and sent.setpoint == target:

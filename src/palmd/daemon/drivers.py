@@ -7,9 +7,10 @@ from dataclasses import replace
 
 from palmd.config import Config
 from palmd.daemon.latency_estimator import LatencyEstimator
+from palmd.daemon.poses import Poses
 from palmd.devices.actuator import ArmReport, ArmState, make_actuator
 from palmd.events import PalmMotion, PalmSample
-from palmd.motion.kinematics import PoseError, RigGeometry
+from palmd.motion.kinematics import PoseError
 from palmd.system.mechanism import JOINTS
 
 EndName = str
@@ -24,14 +25,14 @@ COMING_TO_REST_S = 0.3
 class ArmDriver:
     """The arm's line. `actual` are the palm angles of the last report, None before; rates are the plan's."""
 
-    def __init__(self, config: Config, geometry: RigGeometry) -> None:
+    def __init__(self, config: Config, poses: Poses) -> None:
         self.host = make_actuator(config.arm)
         self.lag = LatencyEstimator()
         self.is_open = False
         self.linked_since_open = False
         self.actual: PalmMotion | None = None
         self.bad_poses = 0
-        self._geometry = geometry
+        self._poses = poses
         self._t_moving = -math.inf
 
     def opened(self) -> None:
@@ -59,7 +60,7 @@ class ArmDriver:
     def _sample(self, report: ArmReport) -> PalmSample | None:
         """The palms at a report; rates and accelerations are the plan's, zero at rest, None where unknown."""
         try:
-            angles = self._geometry.palm_angles(report.pose.x_m, report.pose.y_m)
+            angles = self._poses.angles(report.pose)
         except PoseError:
             self.bad_poses += 1
             return None

@@ -11,10 +11,11 @@ import dataclasses
 import math
 
 from palmd.daemon.jog import Jog
-from palmd.devices.actuator import Pose
+from palmd.daemon.poses import Poses
+from palmd.devices.actuator import Place, Pose
 from palmd.events import PalmMotion
 from palmd.motion.exploration import Exploration
-from palmd.motion.kinematics import PoseError, RigGeometry, wrapped
+from palmd.motion.kinematics import PoseError
 from palmd.motion.limits import MotionLimits, Workspace
 from palmd.motion.plan import PlanPlace, Trajectory
 from palmd.motion.segments import Angles
@@ -31,8 +32,8 @@ _OUTSIDE = math.radians(0.03)  # how far outside the limits a pose may be for it
 class SetPoints:
     """See the module. `commanded` is the motion of the last set-point, None while the arm is not commanded."""
 
-    def __init__(self, geometry: RigGeometry, limits: MotionLimits) -> None:
-        self.geometry = geometry
+    def __init__(self, poses: Poses, limits: MotionLimits) -> None:
+        self.poses = poses
         self.commanded: PalmMotion | None = None
         self.interventions = 0
         self.violated = False
@@ -67,11 +68,11 @@ class SetPoints:
 
     # What to do
 
-    def stand(self, actual: PalmMotion, tool: float, t: float) -> None:
-        """The arm follows from now on, `t` (s); stand where it is, its tool at the angle `tool` (rad)."""
+    def stand(self, actual: PalmMotion, pose: Place, t: float) -> None:
+        """The arm follows from now on, `t` (s); stand where it is, its tool as in its `pose`."""
         inside = self.nearest(actual)
         self._executor.stand(inside.angles)
-        self._begin_at(actual, tool)
+        self._begin_at(actual, pose)
         self._t_sent = t
         self._jog = None
         self._frozen = self._held = self._paused = self._off_path = self.violated = False
@@ -141,9 +142,9 @@ class SetPoints:
             self._executor.stop()
             self._jog = jog
 
-    def displaced(self, actual: PalmMotion, tool: float) -> None:
-        """The arm did not follow: begin again at its actual pose, its tool at the angle `tool` (rad)."""
-        self._begin_at(actual, tool)
+    def displaced(self, actual: PalmMotion, pose: Place) -> None:
+        """The arm did not follow: begin again where it is, its tool as in its `pose`."""
+        self._begin_at(actual, pose)
         self._off_path = True
         self._settle()
 
@@ -181,7 +182,7 @@ class SetPoints:
 
     # Set-points
 
-    def target(self, t: float) -> Pose | None:
+    def target(self, t: float) -> Place | None:
         """The set-point for `t` (s); tell with `sent` that it went out. None before `stand`."""
         before = self.commanded
         if before is None:
@@ -210,23 +211,21 @@ class SetPoints:
         self.commanded, self._t_sent = self._next, t
         return self._next
 
-    def _pose(self, motion: PalmMotion, *, anywhere: bool = False) -> Pose | None:
+    def _pose(self, motion: PalmMotion, *, anywhere: bool = False) -> Place | None:
         """The arm's pose for a motion; None where it is singular or outside the arm's workspace."""
         try:
-            x, y, tool = self.geometry.arm_pose(motion.angles)
+            pose = self.poses.pose(motion.angles, self._twist)
         except PoseError:
             return None
-        pose = Pose(x, y, wrapped(tool + self._twist))
         box = self.limits.workspace
-        if anywhere or box is None:
+        if anywhere or box is None or not isinstance(pose, Pose):
             return pose
         inside = box.x_min <= pose.x_m <= box.x_max and box.y_min <= pose.y_m <= box.y_max
         return pose if inside else None
 
-    def _begin_at(self, actual: PalmMotion, tool: float) -> None:
+    def _begin_at(self, actual: PalmMotion, pose: Place) -> None:
         self.commanded = PalmMotion.at_rest(actual.angles)
-        straight = self.geometry.arm_pose(actual.angles)[2]
-        self._twist = wrapped(tool - straight)
+        self._twist = self.poses.twist(pose, actual.angles)
 
     def _end_jog(self) -> None:
         if self._jog is not None:

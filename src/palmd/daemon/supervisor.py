@@ -24,7 +24,6 @@ from palmd.devices.actuator import ArmState, Reach
 from palmd.events import Estimate
 from palmd.faults import Fault, FaultMonitor, Severity
 from palmd.messages import estimate_at_a_glance, log_fields
-from palmd.motion.limits import Workspace
 from palmd.motion.segments import Angles
 from palmd.motion.trajectory_executor import MotionError
 from palmd.system.mechanism import JOINTS
@@ -391,17 +390,7 @@ class Supervisor:
         if reach is None or reach == self._reach or self.armed:
             return
         self._reach = reach
-        self._setpoints.learn(
-            Workspace(
-                self._setpoints.geometry,
-                reach.x_min_m,
-                reach.x_max_m,
-                reach.y_min_m,
-                reach.y_max_m,
-                reach.v_max_m_s,
-                reach.a_max_m_s2,
-            )
-        )
+        self._setpoints.learn(self._setpoints.poses.workspace(reach))
 
     def _enforce(self, t: float) -> None:
         """Keep the arm to what the state allows, whatever has happened."""

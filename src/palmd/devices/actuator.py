@@ -13,6 +13,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from palmd.config import ArmConfig
+from palmd.events import Joints
 
 if TYPE_CHECKING:
     from palmd.devices.port import DevicePort
@@ -42,12 +43,23 @@ class Pose:
 
 
 @dataclass(frozen=True, slots=True)
+class JointPose:
+    """The joint angles (rad), where the actuator turns the palms themselves."""
+
+    joints_rad: Joints
+
+
+Place = Pose | JointPose
+"""What an actuator is told, and tells: where its tool shall be, or the joints themselves."""
+
+
+@dataclass(frozen=True, slots=True)
 class ArmReport:
-    """The controller's state and the arm's actual pose at `t_sample` (s), the first byte's arrival."""
+    """The controller's state and the actual pose at `t_sample` (s), the first byte's arrival."""
 
     t_sample: float
     state: ArmState
-    pose: Pose
+    pose: Place
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,19 +78,22 @@ class Sent(NamedTuple):
     """What goes out: the bytes, and the set-point among them, None when there is none."""
 
     data: bytes
-    setpoint: Pose | None = None
+    setpoint: Place | None = None
 
 
 class Actuator(Protocol):
     """The host's side of one controller: bytes in and out, reports. Pure but for `port`; safe in the loop.
 
-    `state` and `pose` are the last reported ones, None while unknown. `refusal` says why the last request came to
-    nothing, else None.
+    `state` is the last reported one, None while unknown. `refusal` says why the last request came to nothing, else
+    None.
     """
 
     state: ArmState | None
-    pose: Pose | None
     refusal: str | None
+
+    @property
+    def pose(self) -> Place | None:
+        """The last one reported, None while unknown."""
 
     @property
     def reach(self) -> Reach | None:
@@ -129,7 +144,7 @@ class Actuator(Protocol):
     def due(self) -> float:
         """When (s) `poll` next has something to do; always after the time of the last `poll`."""
 
-    def poll(self, t: float, target: Pose | None) -> Sent:
+    def poll(self, t: float, target: Place | None) -> Sent:
         """What to write at `t` (s), `target` being where the arm should be, if tracking; None: the last set-point."""
 
     def health(self, look: bool) -> Iterator[str]:

@@ -2,8 +2,8 @@
 
     FF FF FD 00 | id | length, 2 bytes | instruction | parameters | CRC-16, 2 bytes
 
-Numbers are little-endian. `length` counts what follows it. Where FF FF FD would stand between the length and the CRC, an
-FD is put behind it (stuffing), so that a header is nowhere but at the start of a packet. A servo's answer has the
+Numbers are little-endian. `length` counts what follows it. Where FF FF FD would stand between the length and the CRC,
+an FD is put behind it (stuffing), so that a header is nowhere but at the start of a packet. A servo's answer has the
 instruction 55 and its first parameter is an error; that of a fast sync read is one packet of all servos, unstuffed.
 Everything here is pure and safe inside the 100 Hz loop. Source: ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0 and X series.
 """
@@ -366,3 +366,7 @@ class Registers:
             raise KeyError(register)
         start = register.address - self._address
         return int.from_bytes(self._data[start : start + register.size], "little", signed=register.signed)
+
+    def get(self, register: Register) -> int | None:
+        """None for a register that was not read."""
+        return self[register] if register in self else None  # noqa: SIM401

@@ -78,8 +78,8 @@ class PadDriver(Protocol):
     def feed(self, data: bytes, t: float) -> list[PadSample | PadLift]:
         """The events in the bytes read at `t` (s)."""
 
-    def poll(self, t: float) -> list[PadLift]:
-        """The lift-off that silence tells of at `t` (s), if it does; once a tick."""
+    def poll(self, t: float) -> Sequence[PadSample | PadLift]:
+        """What silence tells of at `t` (s): a lift-off, or that the contact stays where it is; once a tick."""
 
     def reports(self, data: bytes, t: float) -> Sequence[PadReport]:
         """The reports in the bytes read at `t` (s), uncalibrated: instead of `feed`, for bring-up and calibration."""

@@ -36,7 +36,7 @@ def _examined(path: str, line: ArmLine, talk: Talk, sure: bool) -> list[CheckRes
     try:
         for check in CHECKS:
             if check.tracks and not sure:
-                sure = _confirmed()
+                sure = confirmed(_QUESTION)
                 if not sure:
                     break
             results.append(line.play(examine(check, talk)))
@@ -68,10 +68,11 @@ def _summary(path: str, results: list[CheckResult]) -> int:
     return RIG_FAILED if counts["failed"] else BAD_INPUT if left else 0
 
 
-def _confirmed() -> bool:
+def confirmed(question: str) -> bool:
+    """Whether the person at the terminal types yes; nobody there is no."""
     if not sys.stdin.isatty():
         return False
     try:
-        return input(_QUESTION).strip().lower() == "yes"
+        return input(question).strip().lower() == "yes"
     except EOFError:
         return False

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from palmd.config import Config, PadConfig
+from palmd.config import Config, DynamixelConfig, PadConfig
 from palmd.doctor.finding import Finding
 from palmd.doctor.machine import user
 
@@ -46,6 +46,10 @@ def arm_findings(config: Config, status: dict[str, Any] | None, path: Path) -> I
     if status is not None:
         faults = [fault for fault in status.get("faults", ()) if fault.startswith("arm")]
         yield _by_daemon("arm answers", faults, f"the daemon hears it, state {status.get('arm_state')}")
+    elif isinstance(config.arm, DynamixelConfig):
+        from palmd.doctor import servos
+
+        yield from servos.findings(config.arm)
     else:
         yield arm_answers(config.arm.port, config.arm.baud, path)
 

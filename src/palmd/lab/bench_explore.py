@@ -28,6 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("-o", "--output", type=Path, default=Path("explore"), metavar="FOLDER",
         help=f"for {ROWS} and the figure, which are overwritten (default: %(default)s)")  # fmt: skip
     add("--imperfections", choices=CALIBRATION, default="none", help="of the rig, drawn (default: %(default)s)")
+    add("--config", type=Path, help="the rig, with its imperfections; default: VersaPads and an arm")
     add("--jobs", type=count, metavar="J", help="processes on this machine (default: one a processor)")
 
 
@@ -35,7 +36,12 @@ def run(arguments: argparse.Namespace) -> int:
     """Interrupted, it ends with what is finished until then; CliError when it cannot begin."""
     kinds = KINDS if arguments.kind == ALL else (arguments.kind,)
     tasks = exploring.tasks_of(
-        kinds, arguments.seed, arguments.runs, arguments.seconds, imperfections=arguments.imperfections
+        kinds,
+        arguments.seed,
+        arguments.runs,
+        arguments.seconds,
+        imperfections=arguments.imperfections,
+        config=arguments.config,
     )
     path = arguments.output / ROWS
     finished, status = collected(

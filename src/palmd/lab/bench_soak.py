@@ -19,7 +19,7 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from palmd.config import Config
+from palmd.config import Config, VersaPadConfig
 from palmd.console.arguments import seconds, seed
 from palmd.console.errors import BAD_INPUT
 from palmd.console.progress import Progress
@@ -36,7 +36,6 @@ from palmd.lab.soak_stand import PLANS, SoakStand
 from palmd.record.recheck import Recheck
 from palmd.record.run import RunError, read_run
 from palmd.rig.imperfections import perfect
-from palmd.rig.pads import versapads
 from palmd.yamlfile import load_config
 
 FILE = "soak.jsonl"
@@ -87,13 +86,13 @@ def _soak(
     slopes = leaks(watch.processes, t_begin, arguments.seconds)
     end, rig, daemon = stand.come_to_rest()
     write(stream, [{"row": "counts", "rig": rig, "daemon": {name: _plain(value) for name, value in daemon.items()}}])
-    pad1, pad2 = versapads(config)
+    baud1, baud2 = (pad.baud for pad in config.pads.each() if isinstance(pad, VersaPadConfig))
     return [
         *slopes,
         told("lateness", "real-time priority", float(real_time)),
         *late,
-        *pad("pad1", rig, daemon, pad1.baud),
-        *pad("pad2", rig, daemon, pad2.baud),
+        *pad("pad1", rig, daemon, baud1),
+        *pad("pad2", rig, daemon, baud2),
         *arm(rig, daemon, config.arm.baud),
         between("counters", "malformed commands sent and not counted", stand.nonsense - daemon["bus_malformed"], 0, 0),
         told("counters", "rig stalls", rig["stalls"]),

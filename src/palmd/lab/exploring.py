@@ -9,6 +9,7 @@ import math
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from palmd.motion.rollout_predictor import BINS, Bools
 from palmd.observer import Simulated
 from palmd.rig.shapes import KINDS, Kind
 from palmd.rig.world import default_config
+from palmd.yamlfile import load_config
 
 GOAL = 1.0
 """The share of the normals to reach that the study asks for: more than it judges by, as both are counted in bins."""
@@ -45,6 +47,8 @@ class ExploringTask:
     seconds: float = 60.0
     band_mm: float | None = None
     imperfections: Drawn = "none"
+    config: Path | None = None
+    """Of the rig, its imperfections included; None: the default one with these imperfections."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,13 +109,16 @@ def tasks_of(
     seconds: float,
     band_mm: float | None = None,
     imperfections: Drawn = "none",
+    config: Path | None = None,
 ) -> list[ExploringTask]:
     """So many objects of each kind, each with every strategy.
 
     No two kinds share a seed: here, where the hinge always travels, friction and rig are the same kind of thing.
     """
     return [
-        ExploringTask(kind, first_seed + len(KINDS) * i + KINDS.index(kind), strategy, seconds, band_mm, imperfections)
+        ExploringTask(
+            kind, first_seed + len(KINDS) * i + KINDS.index(kind), strategy, seconds, band_mm, imperfections, config
+        )
         for i in range(count)
         for kind in kinds
         for strategy in STRATEGIES
@@ -154,7 +161,7 @@ class _Timed(Decider):
 
 def _run(task: ExploringTask) -> ExploringRow:
     begin = time.process_time()
-    config = default_config(task.imperfections)
+    config = load_config(task.config) if task.config else default_config(task.imperfections)
     rig = rig_description(config)
     explores = task.strategy == "explore"
     goal = ExploreGoal(coverage=GOAL, band_mm=task.band_mm, time_limit_s=task.seconds)

@@ -8,7 +8,7 @@ from palmd.config import VersaPadConfig
 from palmd.devices.arrival import byte_time
 from palmd.devices.versapad import PACKET_BYTES, PadCounters, PadPacket, PressureFormat, VersaPadDecoder
 from palmd.rig.marble import Marble
-from palmd.rig.pads import GOOD_PADS, PadEmulator, PadOptions
+from palmd.rig.pads import GOOD_PADS, PadOptions, VersaPadEmulator
 
 
 def rolled(
@@ -17,7 +17,7 @@ def rolled(
     """What the host decodes, each packet read as its last byte arrives; the same arguments, the same packets."""
     rng = np.random.default_rng(seed)
     marble = Marble(config.length_mm * 1e-3, rng)
-    pad = PadEmulator(config, options, lambda _s, _force: 0.0, rng, 0.0)
+    pad = VersaPadEmulator(config, options, lambda _s, _force: 0.0, rng, 0.0)
     decoder = VersaPadDecoder(config.baud, PressureFormat(**config.pressure.model_dump()))
     packets: list[PadPacket] = []
     while (t := pad.due) < seconds:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from palmd.config import Config
+from palmd.config import AdeptConfig, Config
 from palmd.events import Joints, PalmMotion
 from palmd.system.mechanism import directions, hinge_position
 
@@ -41,16 +41,19 @@ class RigGeometry:
 
     @classmethod
     def from_config(cls, config: Config) -> RigGeometry:
-        """The configured geometry in SI."""
+        """The configured geometry in SI; raises PoseError for a rig whose actuator holds no palm's end."""
+        arm = config.arm
+        if not isinstance(arm, AdeptConfig):
+            raise PoseError(f"a rig with arm.kind: {arm.kind} has no arm that holds palm 2's end")
         base_x_mm, base_y_mm = config.rig.base_mm
         return cls(
             base_x=base_x_mm * 1e-3,
             base_y=base_y_mm * 1e-3,
             palm1_length=config.rig.palm1_length_mm * 1e-3,
             palm2_length=config.rig.palm2_length_mm * 1e-3,
-            arm_x=config.arm.base_x_mm * 1e-3,
-            arm_y=config.arm.base_y_mm * 1e-3,
-            arm_yaw=math.radians(config.arm.base_yaw_deg),
+            arm_x=arm.base_x_mm * 1e-3,
+            arm_y=arm.base_y_mm * 1e-3,
+            arm_yaw=math.radians(arm.base_yaw_deg),
         )
 
     def hinge(self, phi1: float) -> tuple[float, float]:

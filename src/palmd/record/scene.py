@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palmd.config import Config
+from palmd.config import Config, rig_description
 from palmd.events import FloatArray
 from palmd.messages import Fields
-from palmd.motion.kinematics import RigGeometry
 from palmd.polygon import closed_outline, turned
 from palmd.quantities import ESTIMATE, SHAPE
+from palmd.system.mechanism import hinge_position
 
 _PLACE = ("phi1_rad", "phi2_rad", "psi_rad", "com_x_m", "com_y_m")
 
@@ -34,7 +34,7 @@ class SceneWatch:
     """Makes a scene of each outline that has an estimate of the same tick before it, with a place in it."""
 
     def __init__(self, config: Config) -> None:
-        self._geometry = RigGeometry.from_config(config)
+        self._arc = rig_description(config).arc
         self._pads = [pad.length_mm * 1e-3 for pad in config.pads.each()]
         self._estimate: Fields = {}
 
@@ -47,7 +47,7 @@ class SceneWatch:
             return None
         if not all(math.isfinite(told[name]) for name in _PLACE):
             return None
-        hinge = np.array(self._geometry.hinge(told["phi1_rad"]))
+        hinge = np.array(hinge_position(*self._arc, told["phi1_rad"]))
         angles = (told["phi1_rad"], told["phi1_rad"] + told["phi2_rad"])
         tips = [
             hinge + length * np.array([math.cos(angle), math.sin(angle)])

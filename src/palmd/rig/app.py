@@ -34,8 +34,6 @@ import msgpack
 import numpy as np
 import zmq
 
-from palmd.devices.armlink import LineReader
-from palmd.devices.versapad import VersaPadDecoder
 from palmd.messages import stamp
 from palmd.quantities import BODY, RIG_TOPICS, TRUTH, Topic
 from palmd.rig.fault_injection import INJECTABLE_FAULTS, PADS, PORTS, InjectionError, PortName, order, parse
@@ -158,10 +156,7 @@ class RigProcess:
         self._lines: dict[PortName, PtyLine] = {
             port: PtyLine(folder / port, world.bauds[port], noise) for port in PORTS
         }
-        self._listeners: dict[PortName, Listener] = {
-            **{pad: Listener(VersaPadDecoder(world.bauds[pad])) for pad in PADS},
-            "arm": Listener(LineReader(world.bauds["arm"])),
-        }
+        self._listeners: dict[PortName, Listener] = {port: Listener(world.listener(port)) for port in PORTS}
         self._poll = select.poll()
         for line in self._lines.values():
             self._move_plug(line)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from palmd.config import Config
+from palmd.config import AdeptConfig, Config
 from palmd.devices.actuator import Pose
 from palmd.events import PalmMotion
 
@@ -30,8 +30,10 @@ class Linkage:
 
     @classmethod
     def from_config(cls, config: Config) -> Linkage:
-        """The configured linkage."""
+        """The configured linkage; raises ValueError where no arm holds the palms."""
         rig, arm = config.rig, config.arm
+        if not isinstance(arm, AdeptConfig):
+            raise ValueError(f"arm.kind {arm.kind} has no linkage")
         return cls(
             (rig.base_mm[0] * 1e-3, rig.base_mm[1] * 1e-3),
             rig.palm1_length_mm * 1e-3,

@@ -13,9 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
+from palmd.config import BAUDS, SERVO_BAUDS
+
 READ_BYTES = 4096
 _OSPEED = 5
-_BAUD_OF = {getattr(termios, f"B{baud}"): baud for baud in (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)}
+_BAUD_OF = {getattr(termios, f"B{baud}"): baud for baud in sorted({*BAUDS, *SERVO_BAUDS})}
 _FLUSHED = 0x01  # TIOCPKT_FLUSHREAD: the host has flushed its input, as it does on opening
 
 
@@ -58,7 +60,8 @@ class PtyLine:
     at another baud than the device's come out as noise.
     """
 
-    def __init__(self, link: Path, baud: int, rng: np.random.Generator) -> None:
+    def __init__(self, link: Path, baud: int | None, rng: np.random.Generator) -> None:
+        """Without a `baud` it stands for a device that is no serial line."""
         self.path = link
         self.bytes_sent = 0
         self.bytes_lost = 0
@@ -129,7 +132,7 @@ class PtyLine:
         return said[:written]
 
     def _as_heard(self, data: bytes) -> bytes:
-        if not data or self._master is None or self._host_baud() == self._baud:
+        if not data or self._master is None or self._baud is None or self._host_baud() == self._baud:
             return data
         return bytes(self._rng.integers(0, 256, len(data), dtype=np.uint8))
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from typing import Any, Protocol
 
 from palmd.devices.armlink import LineReader
-from palmd.devices.versapad import VersaPadDecoder
 
 
 @dataclass(slots=True)
@@ -57,10 +57,28 @@ class HostLines:
         return counts | self._reader.counters.as_dict()
 
 
+class Decoder(Protocol):
+    """What a host of any kind of device takes bytes in with."""
+
+    @property
+    def counters(self) -> Any:
+        """What it has counted, with `as_dict`."""
+
+    @property
+    def pending(self) -> int:
+        """How many bytes of an incomplete message are in hand."""
+
+    def feed(self, data: bytes, t_recv: float) -> Any:
+        """Take the bytes read at `t_recv` (s)."""
+
+    def reset(self) -> None:
+        """The line has been interrupted."""
+
+
 class Listener:
     """What a host that misses nothing makes of the bytes that a terminal has taken."""
 
-    def __init__(self, decoder: VersaPadDecoder | LineReader) -> None:
+    def __init__(self, decoder: Decoder) -> None:
         """`decoder` is a new one of the kind that the host has."""
         self._decoder = decoder
 
@@ -74,4 +92,5 @@ class Listener:
 
     def as_dict(self) -> dict[str, int]:
         """Every count by name, and `pending` bytes."""
-        return self._decoder.counters.as_dict() | {"pending": self._decoder.pending}
+        counts: dict[str, int] = self._decoder.counters.as_dict()
+        return counts | {"pending": self._decoder.pending}

@@ -9,7 +9,7 @@ from palmd.calibration.pad_characteristic import TooLittleError, characterise
 from palmd.config import VersaPadConfig
 from palmd.devices.versapad import PadPacket, VersaPadDecoder, encode_packet
 from palmd.lab.rolled_marble import rolled
-from palmd.rig.pads import ACROSS_JITTER_COUNTS, PACKET_S, PadEmulator, PadOptions, Press
+from palmd.rig.pads import ACROSS_JITTER_COUNTS, PACKET_S, PadOptions, Press, VersaPadEmulator
 
 CONFIG = VersaPadConfig(port="p")
 SECONDS = 20.0
@@ -213,7 +213,7 @@ def test_the_marble_covers_the_pad_smoothly_and_not_too_fast():
 
 
 def test_across_is_felt_within_the_pad_only_and_merges_by_force():
-    emulator = PadEmulator(CONFIG, PadOptions(noise_m=0.0), lambda _s, _force: 0.0, np.random.default_rng(0), 0.0)
+    emulator = VersaPadEmulator(CONFIG, PadOptions(noise_m=0.0), lambda _s, _force: 0.0, np.random.default_rng(0), 0.0)
     assert emulator.report(0.1, [Press(0.028, 1.0, across=0.0199)]) == b""
     both = [Press(0.028, 1.0, across=0.0127), Press(0.028, 0.25, across=0.0)]
     (told,) = VersaPadDecoder(9600).feed(emulator.report(0.2, both), 1.0)

@@ -24,11 +24,11 @@ from palmd.daemon.exploring import (
     Exploring,
     Senses,
 )
+from palmd.daemon.poses import make_poses
 from palmd.daemon.setpoints import SetPoints
 from palmd.events import Outlook, PalmMotion
 from palmd.motion.check import motion_limits
 from palmd.motion.explorer import Decision, UnderWay
-from palmd.motion.kinematics import RigGeometry
 from palmd.motion.plan import compile_plan
 from palmd.motion.segments import Move
 
@@ -84,8 +84,8 @@ class Stage:
     """Set-points that all go out, and an exploration begun in it."""
 
     def __init__(self, decide: Decide = onwards, time_limit_s: float = 1000.0) -> None:
-        self.geometry = RigGeometry.from_config(CONFIG)
-        self.setpoints = SetPoints(self.geometry, LIMITS)
+        self.poses = make_poses(CONFIG)
+        self.setpoints = SetPoints(self.poses, LIMITS)
         self.source = Scripted(decide)
         self.exploring = Exploring(self.setpoints, self.source)
         self.steps = 5000
@@ -95,7 +95,7 @@ class Stage:
         self.spec = PlanSpec.model_validate(
             {"name": "out", "segments": [{"explore": {"time_limit_s": time_limit_s, "coverage": 0.9}}]}
         )
-        self.setpoints.stand(HERE, self.geometry.arm_pose(HERE.angles)[2], self.t)
+        self.setpoints.stand(HERE, self.poses.pose(HERE.angles), self.t)
         self.start()
 
     def start(self) -> None:

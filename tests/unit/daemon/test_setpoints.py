@@ -7,6 +7,7 @@ import pytest
 
 from palmd.config import AdeptConfig, Config, PadsConfig, PlanSpec, VersaPadConfig
 from palmd.daemon.jog import DEAD_MAN_S
+from palmd.daemon.poses import ArcPoses
 from palmd.daemon.setpoints import SetPoints
 from palmd.events import PalmMotion
 from palmd.motion.check import motion_limits
@@ -20,6 +21,7 @@ CONFIG = Config(
     pads=PadsConfig(palm1=VersaPadConfig(port="a"), palm2=VersaPadConfig(port="b")), arm=AdeptConfig(port="c")
 )
 GEOMETRY = RigGeometry.from_config(CONFIG)
+POSES = ArcPoses(GEOMETRY)
 LIMITS = motion_limits(CONFIG)
 HERE = PalmMotion.at_rest((math.radians(45.0), math.radians(90.0)))
 
@@ -39,10 +41,10 @@ class Drive:
     """Set-points that are all sent, one each cycle."""
 
     def __init__(self, pose=HERE, workspace=None):
-        self.setpoints = SetPoints(GEOMETRY, LIMITS)
+        self.setpoints = SetPoints(POSES, LIMITS)
         self.setpoints.learn(workspace)
         self.t = 10.0
-        self.setpoints.stand(pose, tool_of(pose), self.t)
+        self.setpoints.stand(pose, POSES.pose(pose.angles), self.t)
 
     def go(self, seconds):
         sent = []
@@ -119,7 +121,7 @@ def test_a_displaced_arm_walks_back_gently_and_then_goes_on():
     drive.setpoints.start(trajectory())
     before = drive.go(0.5)[-1]
     actual = PalmMotion.at_rest((before.angles[0] - math.radians(5.0), before.angles[1] + math.radians(3.0)))
-    drive.setpoints.displaced(actual, tool_of(actual))
+    drive.setpoints.displaced(actual, POSES.pose(actual.angles))
     motions = [actual, *drive.go(0.1)]
     steps = [b.angles[0] - a.angles[0] for a, b in itertools.pairwise(motions)]
     assert max(map(abs, steps)) <= 0.25 * LIMITS.rate * CYCLE * (1 + 1e-9)
@@ -132,7 +134,7 @@ def test_the_path_waits_for_a_displaced_arm():
     drive.setpoints.start(trajectory(phi1_deg=45.0, then_phi1_deg=60.0))
     before = drive.go(1.4)[-1]
     actual = PalmMotion.at_rest((before.angles[0], before.angles[1] + math.radians(15.0)))
-    drive.setpoints.displaced(actual, tool_of(actual))
+    drive.setpoints.displaced(actual, POSES.pose(actual.angles))
     drive.go(0.2)
     waiting = drive.setpoints.place
     drive.go(0.2)
@@ -144,7 +146,7 @@ def test_the_path_waits_for_a_displaced_arm():
 def test_a_twisted_tool_is_turned_back_gently():
     drive = Drive()
     twist = math.radians(4.0)
-    drive.setpoints.stand(HERE, tool_of(HERE) + twist, drive.t)
+    drive.setpoints.stand(HERE, POSES.pose(HERE.angles, twist), drive.t)
     tools = [tool_of(HERE) + twist]
     for _ in range(40):
         drive.t += CYCLE
@@ -156,7 +158,7 @@ def test_a_twisted_tool_is_turned_back_gently():
 
 
 def test_outside_the_limits_it_may_not_stand_and_its_noise_is_allowed_for():
-    setpoints = SetPoints(GEOMETRY, LIMITS)
+    setpoints = SetPoints(POSES, LIMITS)
     low = LIMITS.angles[0][0]
     assert setpoints.may_stand(HERE) == []
     assert setpoints.may_stand(PalmMotion.at_rest((low - math.radians(0.02), HERE.angles[1]))) == []
@@ -169,7 +171,7 @@ def test_outside_the_arms_workspace_nothing_goes():
     x, y, _ = GEOMETRY.arm_pose(HERE.angles)
     drive.setpoints.leave()
     drive.setpoints.learn(Workspace(GEOMETRY, x - 0.005, x + 0.005, y - 0.005, y + 0.005, 2.0, 50.0))
-    drive.setpoints.stand(HERE, tool_of(HERE), drive.t)
+    drive.setpoints.stand(HERE, POSES.pose(HERE.angles), drive.t)
     drive.setpoints.start(trajectory(then_phi1_deg=60.0, phi1_deg=45.0))
     motions = drive.go(3.0)
     xs = [GEOMETRY.arm_pose(motion.angles)[0] for motion in motions]
@@ -293,4 +295,4 @@ def test_jog_and_plan_keep_out_of_each_others_way():
 
 def test_jog_needs_an_arm_that_follows():
     with pytest.raises(MotionError, match="does not follow"):
-        SetPoints(GEOMETRY, LIMITS).jog((0.001, 0.0), 0.0)
+        SetPoints(POSES, LIMITS).jog((0.001, 0.0), 0.0)

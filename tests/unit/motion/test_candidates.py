@@ -12,7 +12,8 @@ from palmd.motion.check import motion_limits
 from palmd.motion.kinematics import RigGeometry
 from palmd.motion.limits import MotionLimits, Workspace, problems, ranges
 from palmd.motion.segments import Move
-from palmd.rig.world import arm_limits, default_config
+from palmd.rig.adept_arm import arm_limits
+from palmd.rig.world import default_config
 
 DRAWS = 500
 KINDS = (candidates.loops, candidates.single_moves)

@@ -5,13 +5,13 @@ import pytest
 
 from palmd.config import PressureConfig, VersaPadConfig
 from palmd.devices.versapad import VersaPadDecoder
-from palmd.rig.pads import PadEmulator, PadOptions, Press
+from palmd.rig.pads import PadOptions, Press, VersaPadEmulator
 
 QUIET = PadOptions(noise_m=0.0, force_noise=0.0, force_drift=0.0, hysteresis=0.0)
 
 
 def pad(config=None, options=QUIET, error=lambda _s, _force: 0.0, seed=0):
-    return PadEmulator(config or VersaPadConfig(port="p"), options, error, np.random.default_rng(seed), 0.0)
+    return VersaPadEmulator(config or VersaPadConfig(port="p"), options, error, np.random.default_rng(seed), 0.0)
 
 
 def packets(data):

@@ -9,10 +9,11 @@ from palmd.devices.armhost import ArmHost
 from palmd.devices.armlink import ArmState, Pose
 from palmd.devices.versapad import PadCalibration, PadReceiver
 from palmd.events import PadLift, PadSample
+from palmd.rig.adept_arm import arm_limits
 from palmd.rig.arm import Linkage
 from palmd.rig.fault_injection import order
 from palmd.rig.plant import PlantOptions
-from palmd.rig.world import World, arm_limits, default_config
+from palmd.rig.world import World, default_config
 
 CONFIG = default_config()
 LINKAGE = Linkage.from_config(CONFIG)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from palmd.config import AdeptConfig
-from palmd.devices.actuator import ActuatorFactory, Reach
+from palmd.devices.actuator import ActuatorFactory, Place, Pose, Reach, Sent
 from palmd.devices.armhost import FAULT_S, FREEZE_S, ArmHost
 from palmd.devices.armlink import error_text
 from palmd.devices.health import Share
@@ -36,6 +36,10 @@ class Adept(ArmHost):
     def error(self) -> str:
         """The code of the last error line, and what it means."""
         return "" if self.last_error is None else error_text(self.last_error)
+
+    def poll(self, t: float, target: Place | None) -> Sent:
+        """As `ArmHost.poll`; it takes poses of the tool only."""
+        return super().poll(t, target if isinstance(target, Pose) else None)
 
     def port(self) -> Port:
         """The serial line."""

@@ -1,0 +1,165 @@
+"""Asks what your rig is made of and writes a configuration of it, checked.
+
+Enter takes what stands in brackets. Nothing is opened, nothing moves; what a rig measures is for `palmd calibrate`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.shipped import shipped
+
+STANDARD_GRAVITY = 9.81
+PLAN = "plans/explore.yaml"
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """One question: what it asks, what Enter means, and what an answer may be; `read` raises ValueError for others."""
+
+    text: str
+    usual: str
+    read: Callable[[str], Any] = str
+
+
+def one_of(meanings: Mapping[str, str]) -> Callable[[str], str]:
+    """Of some words; their first letters will do where they tell them apart."""
+
+    def read(answer: str) -> str:
+        found = [word for word in meanings if word.startswith(answer.lower())]
+        if len(found) != 1:
+            raise ValueError(f"one of {', '.join(meanings)}")
+        return found[0]
+
+    return read
+
+
+def number(low: float, high: float) -> Callable[[str], float]:
+    """Of a range."""
+
+    def read(answer: str) -> float:
+        value = float(answer)
+        if not low <= value <= high:
+            raise ValueError
+        return value
+
+    def said(answer: str) -> float:
+        try:
+            return read(answer)
+        except ValueError:
+            raise ValueError(f"a number from {low:g} to {high:g}") from None
+
+    return said
+
+
+PADS = {
+    "versapad": "Interlink VersaPads on serial lines",
+    "strip": "force-sensing strips with palmd's firmware",
+    "evdev": "touch devices that Linux knows",
+}
+ARMS = {"adept": "an Adept arm that holds palm 2", "dynamixel": "two servos about a fixed axis"}
+PORTS = {"versapad": "/dev/palmd-pad{}", "strip": "/dev/palmd-pad{}", "evdev": "/dev/input/by-path/palmd-pad{}"}
+
+
+def questions(answers: Mapping[str, Any]) -> Iterator[tuple[str, Question]]:
+    """Each with its key; what comes later may depend on the `answers` so far."""
+    yield "pads", Question(f"The pads are\n{_listed(PADS)}", "strip", one_of(PADS))
+    for palm in (1, 2):
+        yield f"pad{palm}", Question(f"Pad {palm} is at", PORTS[answers["pads"]].format(palm))
+    if answers["pads"] == "evdev":
+        yield "counts_per_mm", Question("Its units for each mm (palmd doctor tells what the kernel says)", "10",
+                                        number(1e-3, 1000))  # fmt: skip
+        yield "pressure", Question("Does it tell a pressure, yes or no", "no", one_of({"yes": "", "no": ""}))
+    yield "arm", Question(f"The palms are turned by\n{_listed(ARMS)}", "dynamixel", one_of(ARMS))
+    yield "port", Question("It is at", "/dev/palmd-arm")
+    if answers["arm"] == "adept":
+        for palm in (1, 2):
+            yield f"palm{palm}", Question(f"Palm {palm} is so many mm long", "120", number(10, 2000))
+    yield "tilt", Question("The palms' plane is tilted from the horizontal by so many degrees (90: upright)", "90",
+                           number(1, 90))  # fmt: skip
+
+
+def _listed(words: Mapping[str, str]) -> str:
+    return "\n".join(f"  {word:10} {meaning}" for word, meaning in words.items()) + "\nWhich"
+
+
+def configuration(answers: Mapping[str, Any]) -> dict[str, Any]:
+    """What the answers come to, as it stands in the file; what has its default is left out."""
+    rig: dict[str, Any] = {}
+    if answers["tilt"] != 90.0:
+        rig["gravity_m_s2"] = round(STANDARD_GRAVITY * math.sin(math.radians(answers["tilt"])), 4)
+    arm: dict[str, Any] = {"kind": answers["arm"], "port": answers["port"]}
+    if answers["arm"] == "dynamixel":
+        rig["hinge"] = "fixed"
+    else:
+        lengths = {f"palm{palm}_length_mm": answers[f"palm{palm}"] for palm in (1, 2)}
+        rig |= lengths | {"base_mm": [lengths["palm1_length_mm"], 0.0]}
+    pad: dict[str, Any] = {"kind": answers["pads"]}
+    if answers["pads"] == "evdev":
+        pad |= {"zero_mm": 0.0, "counts_per_mm": answers["counts_per_mm"], "pressure": answers["pressure"] == "yes"}
+    pads = {f"palm{palm}": pad | {"port": answers[f"pad{palm}"]} for palm in (1, 2)}
+    return {"rig": rig, "pads": pads, "arm": arm, "plan": PLAN}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    parser.add_argument("output", nargs="?", type=Path, default=Path("palmd.yaml"), metavar="FILE",
+                        help="the configuration to write (default: %(default)s)")  # fmt: skip
+    parser.add_argument("--force", action="store_true", help="write over what is there")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Writes the configuration, and the exploring plan beside it; CliError when nothing can be written."""
+    path: Path = arguments.output
+    if path.exists() and not arguments.force:
+        raise CliError(BAD_INPUT, f"{path} is there already: name another file, or give --force")
+    answers: dict[str, Any] = {}
+    for key, question in questions(answers):
+        answers[key] = _asked(question)
+    try:
+        _write(path, configuration(answers))
+    except OSError as error:
+        raise CliError(BAD_INPUT, f"{path}: {error.strerror}") from None
+    _checked(path)
+    print(f"written: {path}\nnext:    palmd doctor {path}")
+    return 0
+
+
+def _asked(question: Question) -> Any:
+    """The answer; asked again until it is one, CliError when nobody answers."""
+    while True:
+        print(f"{question.text} [{question.usual}]: ", end="", flush=True, file=sys.stderr)
+        line = sys.stdin.readline()
+        if not line:
+            print(file=sys.stderr)
+            raise CliError(BAD_INPUT, "nobody answers: palmd init asks at a terminal, or takes a line for each answer")
+        try:
+            return question.read(line.strip() or question.usual)
+        except ValueError as error:
+            print(f"  it must be {error}", file=sys.stderr)
+
+
+def _write(path: Path, values: Mapping[str, Any]) -> None:
+    plan = path.parent / PLAN
+    plan.parent.mkdir(parents=True, exist_ok=True)
+    if not plan.exists():
+        plan.write_text(shipped(PLAN).read_text(encoding="utf-8"), encoding="utf-8")
+    head = "# Written by palmd init. All keys and their defaults: docs/configuration.md\n"
+    text = yaml.safe_dump(dict(values), sort_keys=False, default_flow_style=None, width=120)
+    path.write_text(head + text, encoding="utf-8")
+
+
+def _checked(path: Path) -> None:
+    from palmd.motion.check import check_files
+
+    if errors := check_files([path]):
+        raise CliError(BAD_INPUT, "\n".join(errors))

@@ -1,0 +1,92 @@
+"""What the actuator is told for joint angles, and what its reports say of them: one for each kind of mechanism. Pure.
+
+An arm that holds the far end of palm 2 takes the pose of its tool; servos that turn the palms themselves take angles.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from palmd.config import Config
+from palmd.devices.actuator import JointPose, Place, Pose, Reach
+from palmd.events import Joints
+from palmd.motion.kinematics import PoseError, RigGeometry, wrapped
+from palmd.motion.limits import Workspace
+
+
+class Poses(Protocol):
+    """Joint angles (rad) and the actuator's poses; a tool may be twisted against palm 2 (rad)."""
+
+    def pose(self, angles: Joints, twist: float = 0.0) -> Place:
+        """For these joint angles; raises PoseError where there is none."""
+
+    def angles(self, pose: Place) -> Joints:
+        """That belong to a pose; raises PoseError where none do."""
+
+    def twist(self, pose: Place, angles: Joints) -> float:
+        """Of the tool in a pose against palm 2 at these joint angles."""
+
+    def workspace(self, reach: Reach) -> Workspace | None:
+        """What the actuator's own limits are to a motion, None where they are no more than those of the joints."""
+
+
+class ArcPoses:
+    """Of an arm that holds palm 2's far end, where palm 1 is hinged to the base."""
+
+    def __init__(self, geometry: RigGeometry) -> None:
+        self.geometry = geometry
+
+    def pose(self, angles: Joints, twist: float = 0.0) -> Pose:
+        """The tool's, in arm coordinates."""
+        x, y, tool = self.geometry.arm_pose(angles)
+        return Pose(x, y, wrapped(tool + twist))
+
+    def angles(self, pose: Place) -> Joints:
+        """From the tool's place alone."""
+        if not isinstance(pose, Pose):
+            raise PoseError("the arm reports no place of its tool")
+        return self.geometry.palm_angles(pose.x_m, pose.y_m)
+
+    def twist(self, pose: Place, angles: Joints) -> float:
+        """As the gripper holds the palm."""
+        straight = self.geometry.arm_pose(angles)[2]
+        return wrapped(pose.t_rad - straight) if isinstance(pose, Pose) else 0.0
+
+    def workspace(self, reach: Reach) -> Workspace:
+        """A box for the tool, its speed and acceleration."""
+        return Workspace(
+            self.geometry,
+            reach.x_min_m,
+            reach.x_max_m,
+            reach.y_min_m,
+            reach.y_max_m,
+            reach.v_max_m_s,
+            reach.a_max_m_s2,
+        )
+
+
+class JointPoses:
+    """Of servos that turn the palms themselves about a fixed hinge."""
+
+    def pose(self, angles: Joints, twist: float = 0.0) -> JointPose:  # noqa: ARG002
+        """The joint angles themselves."""
+        return JointPose(angles)
+
+    def angles(self, pose: Place) -> Joints:
+        """The joint angles themselves."""
+        if not isinstance(pose, JointPose):
+            raise PoseError("the actuator reports no joint angles")
+        return pose.joints_rad
+
+    def twist(self, pose: Place, angles: Joints) -> float:  # noqa: ARG002
+        """There is no tool."""
+        return 0.0
+
+    def workspace(self, reach: Reach) -> Workspace | None:  # noqa: ARG002
+        """There is no tool."""
+        return None
+
+
+def make_poses(config: Config) -> Poses:
+    """Of the configured mechanism."""
+    return ArcPoses(RigGeometry.from_config(config)) if config.arm.hinge == "arc" else JointPoses()

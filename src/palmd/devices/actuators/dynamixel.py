@@ -1,0 +1,51 @@
+"""`kind: dynamixel`: two DYNAMIXEL servos on one bus, which turn the palms about a fixed hinge."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from palmd.config import DynamixelConfig
+from palmd.devices.actuator import ActuatorFactory, Reach
+from palmd.devices.health import Share
+from palmd.devices.port import Port
+from palmd.devices.servohost import ServoHost
+
+DAMAGED_SHARE, DAMAGED_LEAST = 0.05, 10  # packets
+TABLED = frozenset({"voltage", "hot", "encoder", "shock", "overload", "watchdog", "refused", "restarted", "set-up"})
+
+
+class Dynamixel(ServoHost):
+    """The host of the servos on its serial line; see `Actuator`."""
+
+    def __init__(self, config: DynamixelConfig) -> None:
+        """Nothing is opened yet."""
+        super().__init__(config.baud, config.servos)
+        self._config = config
+        self._damaged = Share(DAMAGED_SHARE, DAMAGED_LEAST)
+        self._verdicts: tuple[str, ...] = ()
+
+    @property
+    def reach(self) -> Reach | None:
+        """None: a servo's limits are angles, and are set from the configuration."""
+        return None
+
+    def port(self) -> Port:
+        """The serial line."""
+        return Port("arm", self._config.port, self._config.baud)
+
+    def health(self, look: bool) -> Iterator[str]:
+        """What is wrong with servos, and whether too many packets are damaged."""
+        if look:
+            bus, missed = self.counters.bus, self.counters.missed
+            self._verdicts = (
+                ("garbled",) if self._damaged.exceeded(bus.packets + missed, bus.crc_errors + missed) else ()
+            )
+        yield from self._verdicts
+        yield from (f"servo-{code}" for code in self.trouble if code in TABLED)
+
+    def counts(self) -> dict[str, float]:
+        """What has passed on the bus since the start."""
+        return self.counters.as_dict()
+
+
+DRIVER: ActuatorFactory = Dynamixel

@@ -1,0 +1,146 @@
+"""`kind: evdev`: any touch device that the kernel's input layer knows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Literal
+
+from palmd.config import EvdevConfig
+from palmd.devices.evdev import EvdevReader
+from palmd.devices.evdevport import EvdevPort
+from palmd.devices.health import Share
+from palmd.devices.pad import MARGIN_MM, PadFactory, PadReport
+from palmd.devices.port import DevicePort
+from palmd.events import PadLift, PadSample
+from palmd.messages import PadView
+
+STILL_S = 0.030
+"""A contact that has said nothing for so long is where it was: it is said again, as often as this."""
+
+ASTRAY_SHARE, ASTRAY_LEAST = 0.2, 10  # frames
+FOREIGN_SHARE, FOREIGN_LEAST = 0.2, 10
+
+
+class Evdev:
+    """One input device; see `PadDriver`."""
+
+    starting = False
+
+    def __init__(self, number: int, config: EvdevConfig) -> None:
+        """Nothing is opened yet."""
+        self.is_open = False
+        self.touching = False
+        self.parted: Literal["lifted", "silent"] | None = None
+        self._number, self._config = number, config
+        self._reader = EvdevReader()
+        self._latest: PadReport | None = None
+        self._sample: PadSample | None = None
+        self._state = b""  # the device's own account of itself, when it was asked
+        self._astray = Share(ASTRAY_SHARE, ASTRAY_LEAST)
+        self._foreign = Share(FOREIGN_SHARE, FOREIGN_LEAST)
+        self._verdicts: tuple[str, ...] = ()
+
+    @property
+    def complaint(self) -> str | None:
+        """That it speaks, but not of a touch."""
+        counters = self._reader.counters
+        if counters.frames and self._latest is None:
+            return f"{counters.frames} events, but no touch among them: is {self._config.port} the touch device?"
+        return None
+
+    def port(self) -> EvdevPort:
+        """The input device."""
+        return EvdevPort(f"pad{self._number}", self._config.port)
+
+    def opened(self, t: float) -> None:  # noqa: ARG002
+        """The device has been opened; what already touches it is asked for."""
+        self.is_open = True
+        self._reader.forget()
+
+    def lost(self, t: float) -> list[PadLift]:
+        """The device has gone at `t` (s)."""
+        self.is_open = False
+        self._reader.reset()
+        return self._part(t, "silent")
+
+    def tend(self, port: DevicePort) -> None:
+        """Ask the device for its state where that is not known."""
+        if self._reader.wants_state and isinstance(port, EvdevPort):
+            self._state = port.snapshot()
+            self._reader.wants_state = False
+
+    def feed(self, data: bytes, t: float) -> list[PadSample | PadLift]:
+        """Take what was read at `t` (s)."""
+        dropped = self._reader.counters.dropped
+        reports = self._reader.feed(data, t)
+        events: list[PadSample | PadLift] = []
+        if self._reader.counters.dropped > dropped and not reports:
+            events += self._part(t, "silent")  # until the device has told its state: a lift-off may be lost
+        for report in reports:
+            self._latest = report
+            if not report.in_use:
+                events += self._part(report.t_first, "lifted")
+            elif (sample := self._calibrated(report)) is not None:
+                self.touching, self.parted, self._sample = True, None, sample
+                events.append(sample)
+        return events
+
+    def poll(self, t: float) -> list[PadSample | PadLift]:
+        """What the device said of its state, or that the contact is where it was at `t` (s). Once a tick."""
+        if self._state:
+            state, self._state = self._state, b""
+            return self.feed(state, t)
+        last = self._sample
+        if not self.touching or last is None or t - last.t_sample < STILL_S:
+            return []
+        self._sample = PadSample(t, last.pad, last.s, last.force)
+        return [self._sample]
+
+    def reports(self, data: bytes, t: float) -> list[PadReport]:
+        """The reports in what was read at `t` (s)."""
+        return self._reader.feed(data, t)
+
+    def view(self, t: float) -> PadView:
+        """What is to be told of the pad at `t` (s)."""
+        latest, sample = self._latest, self._sample
+        if latest is None:
+            return PadView()
+        s = sample.s if sample is not None and self.touching else math.nan
+        return PadView(s, latest.pressure, t - latest.t_first, self.touching, latest.batched)
+
+    def health(self, look: bool) -> Iterator[str]:
+        """The conditions that hold, without the pad's name."""
+        if look:
+            self._verdicts = tuple(self._judged())
+        yield from self._verdicts
+
+    def counts(self) -> dict[str, int]:
+        """What has passed since the start, by cause."""
+        return self._reader.counters.as_dict()
+
+    def _calibrated(self, report: PadReport) -> PadSample | None:
+        config = self._config
+        counts = report.x_counts if config.axis == "x" else report.y_counts
+        s_mm = config.zero_mm + config.sign * counts / config.counts_per_mm
+        if not 0.0 < s_mm <= config.length_mm + MARGIN_MM:
+            self._reader.counters.out_of_range += 1
+            return None
+        force = report.pressure * config.newtons_per_count if config.pressure else None
+        return PadSample(report.t_first, self._number, s_mm * 1e-3, force)
+
+    def _judged(self) -> Iterator[str]:
+        counters = self._reader.counters
+        if self._astray.exceeded(counters.frames, counters.out_of_range):
+            yield "out-of-range"
+        if self._foreign.exceeded(counters.frames, counters.foreign_clock):
+            yield "foreign-clock"
+
+    def _part(self, t: float, how: Literal["lifted", "silent"]) -> list[PadLift]:
+        if not self.touching:
+            return []
+        self.touching, self._sample, self.parted = False, None, how
+        return [PadLift(t, self._number)]
+
+
+DRIVER: PadFactory = Evdev

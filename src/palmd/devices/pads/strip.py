@@ -1,0 +1,140 @@
+"""`kind: strip`: a force-sensing strip read by a microcontroller on a USB serial port."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Literal
+
+from palmd.config import StripConfig
+from palmd.devices.health import Share
+from palmd.devices.pad import MARGIN_MM, SILENT_INTERVALS, PadFactory, TouchTracker
+from palmd.devices.port import DevicePort, Port
+from palmd.devices.strip import FORCE_MAX, StripDecoder, StripPacket
+from palmd.events import PadLift, PadSample
+from palmd.messages import PadView
+
+GARBLED_SHARE, GARBLED_LEAST = 0.2, 24  # bytes
+ASTRAY_SHARE, ASTRAY_LEAST = 0.2, 10  # packets
+BATCHED_SHARE, BATCHED_LEAST = 0.5, 10
+
+SILENT_S = 0.080
+"""A strip that was touched and says nothing for so long has gone: it talks even when it is not touched."""
+
+
+class Strip:
+    """One strip's line; see `PadDriver`."""
+
+    starting = False
+
+    def __init__(self, number: int, config: StripConfig) -> None:
+        """Nothing is opened yet."""
+        self.is_open = False
+        self.parted: Literal["lifted", "silent"] | None = None
+        self._number, self._config = number, config
+        self._decoder = StripDecoder(config.baud)
+        self._touch = TouchTracker(number, SILENT_S / SILENT_INTERVALS)
+        self._latest: StripPacket | None = None
+        self._s = math.nan
+        self._garbled = Share(GARBLED_SHARE, GARBLED_LEAST)
+        self._astray = Share(ASTRAY_SHARE, ASTRAY_LEAST)
+        self._batched = Share(BATCHED_SHARE, BATCHED_LEAST)
+        self._verdicts: tuple[str, ...] = ()
+
+    @property
+    def touching(self) -> bool:
+        """Whether the object touches the strip, as far as is known."""
+        return self._touch.touching
+
+    @property
+    def complaint(self) -> str | None:
+        """That what came was no report, or of another version."""
+        counters = self._decoder.counters
+        if counters.strange:
+            return "its firmware is of another version than palmd: flash that of tools/strip"
+        if counters.discarded:
+            return f"{counters.discarded} bytes, but no report among them: is it a strip with palmd's firmware?"
+        return None
+
+    def port(self) -> Port:
+        """The serial line."""
+        return Port(f"pad{self._number}", self._config.port, self._config.baud)
+
+    def opened(self, t: float) -> None:  # noqa: ARG002
+        """The port has been opened; the firmware talks by itself."""
+        self.is_open = True
+
+    def lost(self, t: float) -> list[PadLift]:
+        """The port has gone at `t` (s)."""
+        self.is_open = False
+        self._decoder.reset()
+        lift = self._touch.poll(math.inf)
+        return [] if lift is None else [self._part(PadLift(t, self._number), "silent")]
+
+    def tend(self, port: DevicePort) -> None:
+        """There is no start-up."""
+
+    def feed(self, data: bytes, t: float) -> list[PadSample | PadLift]:
+        """Take bytes read at `t` (s)."""
+        events: list[PadSample | PadLift] = []
+        for packet in self._decoder.feed(data, t):
+            self._latest = packet
+            lift = self._touch.report(packet)
+            if lift is not None:
+                events.append(self._part(lift, "lifted"))
+            elif packet.in_use and (sample := self._sample(packet)) is not None:
+                self._s, self.parted = sample.s, None
+                events.append(sample)
+        return events
+
+    def poll(self, t: float) -> list[PadSample | PadLift]:
+        """The loss of touch that silence tells of at `t` (s). Once a tick."""
+        lift = self._touch.poll(t)
+        return [] if lift is None else [self._part(lift, "silent")]
+
+    def reports(self, data: bytes, t: float) -> list[StripPacket]:
+        """The packets in the bytes read at `t` (s), touched ones and the last one before."""
+        return self._decoder.feed(data, t)
+
+    def view(self, t: float) -> PadView:
+        """What is to be told of the strip at `t` (s)."""
+        latest = self._latest
+        if latest is None:
+            return PadView()
+        return PadView(self._s, latest.pressure, t - latest.t_first, self.touching, latest.batched)
+
+    def health(self, look: bool) -> Iterator[str]:
+        """The conditions that hold, without the pad's name."""
+        if look:
+            self._verdicts = tuple(self._judged())
+        yield from self._verdicts
+
+    def counts(self) -> dict[str, int]:
+        """What has passed since the start, by cause."""
+        return self._decoder.counters.as_dict()
+
+    def _sample(self, packet: StripPacket) -> PadSample | None:
+        config = self._config
+        s_mm = config.zero_mm + config.sign * packet.x_counts / config.counts_per_mm
+        if not 0.0 < s_mm <= config.length_mm + MARGIN_MM:
+            self._decoder.counters.out_of_range += 1
+            return None
+        bounded = packet.saturated or packet.pressure >= FORCE_MAX  # then it is only a lower bound
+        force = None if bounded else packet.pressure * config.newtons_per_count
+        return PadSample(packet.t_first, self._number, s_mm * 1e-3, force)
+
+    def _judged(self) -> Iterator[str]:
+        counters = self._decoder.counters
+        if self._garbled.exceeded(counters.bytes, counters.discarded):
+            yield "garbled"
+        if self._astray.exceeded(counters.packets, counters.out_of_range):
+            yield "out-of-range"
+        if self._batched.exceeded(counters.packets, 2 * counters.batches):
+            yield "batched"
+
+    def _part(self, lift: PadLift, how: Literal["lifted", "silent"]) -> PadLift:
+        self._s, self.parted = math.nan, how
+        return lift
+
+
+DRIVER: PadFactory = Strip

@@ -1,0 +1,651 @@
+"""The host's side of a bus of servos: what to ask them when, and what their answers mean.
+
+A pure state machine. The caller gives it the bytes read and their time, and asks it what to write at the times `due()`
+names:
+
+    greeting (ping until all answer) -> setting up (registers compared, set, read back) -> standing (read 20 times a s)
+    standing -> arming (goal := present, torque and watchdog on) -> following (goals and readings every cycle)
+    following -> stopping (the goals come to rest, and are held) -> standing
+
+Goals go out by Sync Write, which is never answered: whether a servo took its goal is seen in the goal that it reports a
+cycle later, and so are a tripped watchdog, a restart and a torque that is off. Whatever takes several questions is a
+script, a generator that yields what to ask and is given the answer. Nothing that comes down the line raises.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from enum import Enum, auto
+
+from palmd.config import ServoConfig
+from palmd.devices import dynamixel as dxl
+from palmd.devices.actuator import ArmReport, ArmState, JointPose, Place, Sent
+from palmd.devices.arrival import byte_time
+from palmd.devices.dynamixel import BusCounters, HardwareError, Packet, PacketReader, Register, Registers
+
+FREEZE_S = 0.080
+"""Without a reading for so long the motion should stand still."""
+
+LOST_S = 0.250
+"""Without a reading for so long the bus is lost."""
+
+GREET_S = 0.250
+STANDING_S = 0.050
+ANSWER_S = 0.040
+"""A USB adapter may hold an answer for 16 ms; twice that is no answer."""
+
+TRIES = 4
+WATCHDOG_UNITS = 5
+WATCHDOG_S = WATCHDOG_UNITS * 0.020
+"""Without an instruction for so long a servo stops by itself."""
+
+PERIODS_S = (0.010, 0.020, 0.040)
+MOST_SHARE = 0.5
+"""Of a period that the bus may be busy."""
+
+PROFILE_PERIODS = 1.2
+"""A servo takes so many periods to go to a goal, evenly: more than one, so that it never stops to wait for the next."""
+
+STOP_RAD_S2 = math.radians(900.0)
+LOOK_EVERY = 10  # cycles, after which the torque and the hardware errors are read too
+MISSES_MOST = 3  # cycles in a row in which a goal may not have been taken: each may have been spoilt on the line
+REBOOT_S = 0.9
+
+CYCLE_SPAN = (dxl.WATCHDOG.address, dxl.POSITION.end - dxl.WATCHDOG.address)
+LOOK_SPAN = (dxl.TORQUE.address, dxl.TEMPERATURE.end - dxl.TORQUE.address)
+
+RADIANS_PER_COUNT = math.tau / dxl.COUNTS_PER_TURN
+CENTRE = dxl.COUNTS_PER_TURN // 2
+
+MODELS: Mapping[int, str] = {
+    1020: "XM430-W350",
+    1030: "XM430-W210",
+    1060: "XL430-W250",
+    1070: "XC430-W150",
+    1080: "XC430-W240",
+}
+"""Servos that are known to stop when their watchdog trips, and to have the registers that are used here."""
+
+TRIPS_WITHOUT_STOPPING: Mapping[int, str] = {
+    1190: "XL330-M077",
+    1200: "XL330-M288",
+    1220: "XC330-T181",
+    1230: "XC330-T288",
+}
+
+_SHUTDOWN = HardwareError.HOT | HardwareError.SHOCK | HardwareError.OVERLOAD
+_KEPT = ("refused", "restarted", "watchdog", "set-up")  # that no reading shows to be over
+_SAID = {
+    HardwareError.VOLTAGE: ("voltage", "its supply is out of range"),
+    HardwareError.HOT: ("hot", "it is too hot"),
+    HardwareError.ENCODER: ("encoder", "its encoder fails"),
+    HardwareError.SHOCK: ("shock", "its circuit has had a shock"),
+    HardwareError.OVERLOAD: ("overload", "it was overloaded"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Ask:
+    """A question to one servo, whose answer has so many bytes."""
+
+    packet: bytes
+    servo: int
+    size: int
+    tries: int = TRIES
+
+    def fits(self, packet: Packet) -> bool:
+        """Whether a packet may be the answer, a refusal included."""
+        return packet.servo == self.servo and (len(packet.parameters) == self.size or bool(packet.error & ~dxl.ALERT))
+
+
+class SetUpError(Exception):
+    """A servo cannot be used as it is; says why and what to do."""
+
+
+Script = Generator[Ask, Packet, None]
+
+
+class Phase(Enum):
+    """What the host is doing."""
+
+    GREETING = auto()
+    SETTING_UP = auto()
+    STANDING = auto()
+    ARMING = auto()
+    FOLLOWING = auto()
+    STOPPING = auto()
+    RESETTING = auto()
+
+
+@dataclass(slots=True)
+class ServoCounters:
+    """What has passed on the bus since the start.
+
+    `readings` are cycles in which all servos answered, `missed` those in which one did not; `refused_goals` goals that
+    a servo did not report back, `registers_set` settings that were not as they should be, `bad_targets` targets beyond
+    a servo's range, `unmatched` answers that nothing waits for, `losses` silences of 250 ms.
+    """
+
+    bus: BusCounters = field(default_factory=BusCounters)
+    goals: int = 0
+    readings: int = 0
+    missed: int = 0
+    skipped_periods: int = 0
+    refused_goals: int = 0
+    registers_set: int = 0
+    bad_targets: int = 0
+    unmatched: int = 0
+    retries: int = 0
+    losses: int = 0
+    answer_latency_max_ms: float = 0.0
+
+    def as_dict(self) -> dict[str, float]:
+        """Return every count by name, those of the bus included."""
+        counts = asdict(self)
+        return {**counts.pop("bus"), **counts}
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """One servo: which, and how its counts are its palm's direction (rad, from the world X axis)."""
+
+    number: int
+    id: int
+    sign: int
+    centre_rad: float
+    low: int
+    high: int
+
+    @classmethod
+    def from_config(cls, number: int, config: ServoConfig) -> Axis:
+        """The configured servo of the palm of that number."""
+        plain = cls(number, config.id, config.sign, math.radians(config.centre_deg), 0, dxl.COUNTS_PER_TURN - 1)
+        ends = sorted(plain.counts(math.radians(end)) for end in config.range_deg)
+        low, high = max(ends[0], 0), min(ends[1], dxl.COUNTS_PER_TURN - 1)
+        return cls(number, config.id, config.sign, plain.centre_rad, low, high)
+
+    def counts(self, direction_rad: float) -> int:
+        """Of a palm's direction, rounded."""
+        return CENTRE + self.sign * round((direction_rad - self.centre_rad) / RADIANS_PER_COUNT)
+
+    def direction(self, counts: int) -> float:
+        """Of the palm (rad)."""
+        return self.centre_rad + self.sign * (counts - CENTRE) * RADIANS_PER_COUNT
+
+    def settings(self) -> tuple[tuple[Register, int], ...]:
+        """What must be so before the torque goes on, in the order in which it can be set."""
+        return (
+            (dxl.RETURN_DELAY, 0),
+            (dxl.OPERATING_MODE, 3),
+            (dxl.DRIVE_MODE, 4),
+            (dxl.HOMING_OFFSET, 0),
+            (dxl.SHUTDOWN, _SHUTDOWN),
+            (dxl.MIN_POSITION, self.low),
+            (dxl.MAX_POSITION, self.high),
+            (dxl.STATUS_LEVEL, 2),
+        )
+
+
+@dataclass(slots=True)
+class _Cycle:
+    """What a Sync Read has asked for, and what has come of it."""
+
+    t_sent: float
+    address: int
+    size: int
+    found: dict[int, Packet] = field(default_factory=dict)
+
+
+class ServoHost:
+    """Speaks to the servos of one bus, palm 1's first; see the module's text.
+
+    `state` is the last reported one, None while unknown. `refusal` says why the last request came to nothing, else
+    None.
+    """
+
+    def __init__(self, baud: int, servos: Sequence[ServoConfig]) -> None:
+        """`baud` in bit/s."""
+        self.axes = tuple(Axis.from_config(number, servo) for number, servo in enumerate(servos, 1))
+        self._ids = tuple(axis.id for axis in self.axes)
+        self.period_s = cycle_period(baud, len(self.axes))
+        self.profile_ms = round(PROFILE_PERIODS * self.period_s * 1e3)
+        self._reader = PacketReader(baud)
+        self.counters = ServoCounters(bus=self._reader.counters)
+        self.state: ArmState | None = None
+        self.refusal: str | None = None
+        self.trouble: dict[str, str] = {}
+        """What is wrong, by the code of the fault table without the arm's name."""
+        self.firmware: dict[int, int] = {}
+        self.models: dict[int, int] = {}
+        self.looks: dict[int, Registers] = {}
+        """The last long reading of each servo."""
+        self._phase = Phase.GREETING
+        self._pose: JointPose | None = None
+        self._t_pose = -math.inf
+        self._script: Script | None = None
+        self._ask: Ask | None = None
+        self._t_asked = -math.inf
+        self._tries = 0
+        self._t_slot = -math.inf
+        self._cycle: _Cycle | None = None
+        self._cycles = 0
+        self._goals: tuple[float, ...] = ()  # directions (rad) that were sent last
+        self._rates: tuple[float, ...] = ()  # rad/s
+        self._sent_counts: list[dict[int, int]] = []  # of the last cycles, the latest last
+        self._missed_goals: dict[int, int] = {}
+        self._t_now = -math.inf
+        self._armed_at = -math.inf
+
+    # What the caller may ask
+
+    @property
+    def pose(self) -> JointPose | None:
+        """The last one reported, None while unknown."""
+        return self._pose
+
+    def linked(self, t: float) -> bool:
+        """Whether all servos have been set up and their last reading is at most 250 ms old at `t` (s)."""
+        return self.state is not None and self.age(t) <= LOST_S
+
+    def lost(self, t: float) -> bool:
+        """Whether not."""
+        return not self.linked(t)
+
+    def frozen(self, t: float) -> bool:
+        """Whether, while following, no reading has come for 80 ms at `t` (s): motion should halt."""
+        return self.tracking and self.age(t) > FREEZE_S
+
+    def age(self, t: float) -> float:
+        """How old (s) the last reading of all is at `t` (s); infinite before the first."""
+        return t - self._t_pose
+
+    @property
+    def tracking(self) -> bool:
+        """Whether goals are being sent."""
+        return self._phase is Phase.FOLLOWING
+
+    @property
+    def busy(self) -> bool:
+        """Whether a request is still under way."""
+        return self._phase in (Phase.ARMING, Phase.RESETTING, Phase.STOPPING)
+
+    @property
+    def error(self) -> str:
+        """What is wrong, in words; empty when nothing is."""
+        return "; ".join(self.trouble.values())
+
+    # What the caller may want
+
+    def want_tracking(self) -> None:
+        """Ask for tracking: goals follow by themselves, the first at the actual pose."""
+        if self._phase is not Phase.STANDING:
+            self.refusal = None if self.tracking else "start refused: the servos are not ready"
+        elif self.trouble:
+            self.refusal = f"start refused: {self.error}"
+        else:
+            self.refusal = None
+            self._begin(Phase.ARMING, self._arming())
+
+    def want_stop(self) -> None:
+        """Ask for a planned stop: the goals come to rest, and the servos hold them."""
+        if self._phase is Phase.FOLLOWING:
+            self._phase = Phase.STOPPING
+            self.state = ArmState.DECELERATING
+        elif self._phase is Phase.ARMING:
+            self._stand()
+
+    def request_reset(self) -> None:
+        """Ask for what is latched to be cleared: servos with a hardware error start anew, watchdogs are cleared."""
+        if self._phase is Phase.STANDING:
+            self.refusal = None
+            self._begin(Phase.RESETTING, self._resetting())
+        else:
+            self.refusal = "reset refused: the servos are not standing"
+
+    def disconnected(self) -> None:
+        """The port is gone: begin with greeting when bytes flow again."""
+        self._reader.reset()
+        self._unlink("the port was lost")
+
+    # In
+
+    def feed(self, data: bytes, t_recv: float) -> list[ArmReport]:
+        """Take the bytes read at `t_recv` (s, monotonic) and return the reports they complete."""
+        return self._take(self._reader.feed(data, t_recv))
+
+    def _take(self, packets: list[Packet]) -> list[ArmReport]:
+        reports: list[ArmReport] = []
+        for packet in packets:
+            if not packet.is_status:
+                continue  # an adapter that echoes what the host says
+            if self._ask is not None and self._tries and self._ask.fits(packet):
+                self._answered(packet)
+            elif (report := self._read(packet)) is not None:
+                reports.append(report)
+        return reports
+
+    def _read(self, packet: Packet) -> ArmReport | None:
+        """One servo's answer to the Sync Read under way; a report when it was the last."""
+        cycle = self._cycle
+        if cycle is None or packet.servo not in self._ids or len(packet.parameters) != cycle.size:
+            self.counters.unmatched += 1
+            return None
+        cycle.found[packet.servo] = packet
+        if len(cycle.found) < len(self.axes):
+            return None
+        self._cycle = None
+        self.counters.readings += 1
+        t_first = min(each.t_first for each in cycle.found.values())
+        latency_ms = (packet.t_first - cycle.t_sent) * 1e3
+        self.counters.answer_latency_max_ms = max(self.counters.answer_latency_max_ms, latency_ms)
+        registers = {servo: Registers(cycle.address, each.parameters) for servo, each in cycle.found.items()}
+        if cycle.address == LOOK_SPAN[0]:
+            self.looks = registers
+        self._judge(registers, {servo: each.error for servo, each in cycle.found.items()})
+        directions = [axis.direction(registers[axis.id][dxl.POSITION]) for axis in self.axes]
+        joints = tuple(here - before for here, before in zip(directions, [0.0, *directions], strict=False))
+        self._pose, self._t_pose = JointPose(joints), t_first
+        return ArmReport(t_first, self._reported_state(), self._pose)
+
+    def _reported_state(self) -> ArmState:
+        if self.trouble:
+            state = ArmState.FAULT
+        elif self._phase is Phase.FOLLOWING:
+            state = ArmState.TRACKING
+        elif self._phase is Phase.STOPPING:
+            state = ArmState.DECELERATING
+        else:
+            state = ArmState.READY
+        self.state = state
+        return state
+
+    def _judge(self, registers: Mapping[int, Registers], errors: Mapping[int, int]) -> None:
+        """Find what is wrong with servos that follow, and what hardware errors there are."""
+        found: dict[str, str] = {}
+        for axis in self.axes:
+            at = registers[axis.id]
+            if dxl.HARDWARE_ERROR in at:
+                for bit, (code, words) in _SAID.items():
+                    if at[dxl.HARDWARE_ERROR] & bit:
+                        found[code] = f"servo {axis.number}: {words}"
+            elif errors[axis.id] & dxl.ALERT and not self.trouble:
+                found["alert"] = f"servo {axis.number} raises a hardware alert"
+            if dxl.WATCHDOG in at and at[dxl.WATCHDOG] < 0:
+                found["watchdog"] = f"servo {axis.number} had no instruction for {WATCHDOG_S * 1e3:.0f} ms and stopped"
+            if self._phase in (Phase.FOLLOWING, Phase.STOPPING) and not found:
+                found |= self._strayed(axis, at)
+        if found:
+            self._fall(found)
+        elif dxl.HARDWARE_ERROR in next(iter(registers.values())):
+            self.trouble = {code: text for code, text in self.trouble.items() if code in _KEPT}
+
+    def _strayed(self, axis: Axis, at: Registers) -> dict[str, str]:
+        """What a servo that ought to follow does instead."""
+        if dxl.TORQUE in at and not at[dxl.TORQUE]:
+            return {"restarted": f"servo {axis.number} has let go: its torque is off"}
+        if at[dxl.PROFILE_VELOCITY] != self.profile_ms:
+            return {"restarted": f"servo {axis.number} has lost its settings: it has started anew"}
+        if any(at[dxl.GOAL] == sent[axis.id] for sent in self._sent_counts):
+            self._missed_goals[axis.id] = 0
+            return {}
+        self.counters.refused_goals += 1
+        misses = self._missed_goals[axis.id] = self._missed_goals.get(axis.id, 0) + 1
+        if misses < MISSES_MOST:
+            return {}
+        sent = self._sent_counts[-1][axis.id]
+        return {"refused": f"servo {axis.number} does not take its goals: it has {at[dxl.GOAL]}, {sent} was sent"}
+
+    def _fall(self, found: dict[str, str]) -> None:
+        """Something is wrong: no more goals."""
+        if "alert" in self.trouble:
+            self.trouble.pop("alert")
+        self.trouble = self.trouble | found
+        if self._phase in (Phase.FOLLOWING, Phase.STOPPING):
+            self._stand()
+
+    # Out
+
+    def due(self) -> float:
+        """When (s) `poll` next has something to do; always after the time of the last `poll`."""
+        if self._ask is not None:
+            if self._tries:
+                return self._t_asked + ANSWER_S
+            return -math.inf if self._cycle is None else self._cycle.t_sent + ANSWER_S
+        return self._t_slot
+
+    def poll(self, t: float, target: Place | None) -> Sent:
+        """What to write at `t` (s, monotonic), `target` being where the palms should be, if tracking."""
+        self._t_now = t
+        if self.state is not None and self._script is None and self.age(t) > LOST_S:
+            self.counters.losses += 1
+            self._unlink("the servos do not answer")
+        if t < self.due():
+            return Sent(b"")
+        if self._ask is not None:
+            return Sent(self._put(t))
+        if self._phase is Phase.GREETING:
+            self._t_slot = t + GREET_S
+            self._begin(Phase.SETTING_UP, self._setting_up())
+            return Sent(self._put(t))
+        return self._next_cycle(t, target)
+
+    def _next_cycle(self, t: float, target: Place | None) -> Sent:
+        if self._cycle is not None:
+            self.counters.missed += 1
+            self._cycle = None
+        for _ in self._reader.give_up():
+            self.counters.unmatched += 1
+        moving = self._phase in (Phase.FOLLOWING, Phase.STOPPING)
+        period = self.period_s if moving else STANDING_S
+        missed = max(0, math.floor((t - self._t_slot) / period)) if math.isfinite(self._t_slot) else 0
+        self.counters.skipped_periods += missed if moving else 0
+        self._t_slot = self._t_slot + (missed + 1) * period if math.isfinite(self._t_slot) else t + period
+        self._cycles += 1
+        out, setpoint = b"", None
+        if self._phase is Phase.FOLLOWING:
+            out, setpoint = self._follow(target)
+        elif self._phase is Phase.STOPPING:
+            out = self._slow_down()
+        look = not moving or self._cycles % LOOK_EVERY == 0
+        address, size = LOOK_SPAN if look else CYCLE_SPAN
+        self._cycle = _Cycle(t, address, size)
+        return Sent(out + dxl.sync_read(address, size, self._ids), setpoint)
+
+    def _follow(self, target: Place | None) -> tuple[bytes, Place | None]:
+        goals, setpoint = self._goals, None
+        if isinstance(target, JointPose) and all(map(math.isfinite, target.joints_rad)):
+            goals, setpoint = tuple(_summed(target.joints_rad)), target
+        return self._send_goals(goals), setpoint
+
+    def _slow_down(self) -> bytes:
+        """The next goals on the way to rest."""
+        slower = tuple(math.copysign(max(abs(w) - STOP_RAD_S2 * self.period_s, 0.0), w) for w in self._rates)
+        goals = tuple(goal + w * self.period_s for goal, w in zip(self._goals, slower, strict=True))
+        out = self._send_goals(goals)
+        self._rates = slower
+        if not any(slower):
+            self._begin(Phase.STOPPING, self._standing_down())
+        return out
+
+    def _send_goals(self, goals: tuple[float, ...]) -> bytes:
+        self._rates = tuple((new - old) / self.period_s for new, old in zip(goals, self._goals, strict=True))
+        self._goals = goals
+        counts = {}
+        for axis, goal in zip(self.axes, goals, strict=True):
+            wanted = axis.counts(goal)
+            counts[axis.id] = min(max(wanted, axis.low), axis.high)
+            self.counters.bad_targets += counts[axis.id] != wanted
+        self._sent_counts = [*self._sent_counts[-3:], counts]
+        self.counters.goals += 1
+        return dxl.sync_write(dxl.GOAL, counts)
+
+    # Scripts
+
+    def _begin(self, phase: Phase, script: Script) -> None:
+        self._phase, self._script = phase, script
+        self._resume(None)
+
+    def _resume(self, answer: Packet | None) -> None:
+        assert self._script is not None
+        try:
+            self._ask = next(self._script) if answer is None else self._script.send(answer)
+            self._tries = 0
+        except StopIteration:
+            self._ask = self._script = None
+        except SetUpError as failure:
+            self._ask = self._script = None
+            self.trouble = {"set-up": str(failure)}
+            self.refusal = str(failure)
+            self._stand()
+
+    def _put(self, t: float) -> bytes:
+        """Ask, again if need be; after as many tries as there are, give up."""
+        ask = self._ask
+        assert ask is not None
+        self._cycle = None
+        self._reader.give_up()
+        if self._tries >= ask.tries:
+            self._unlink(f"servo {ask.servo} does not answer")
+            self._t_slot = t + GREET_S
+            return b""
+        self.counters.retries += self._tries > 0
+        self._tries += 1
+        self._t_asked = t
+        return ask.packet
+
+    def _answered(self, packet: Packet) -> None:
+        self._t_asked = -math.inf
+        self._resume(packet)
+
+    def _setting_up(self) -> Script:
+        for axis in self.axes:
+            answer = yield _ping(axis, tries=1)
+            if len(answer.parameters) >= 3:
+                self.models[axis.id] = int.from_bytes(answer.parameters[:2], "little")
+                self.firmware[axis.id] = answer.parameters[2]
+        for axis in self.axes:
+            self._check_model(axis)
+            whole = yield _read(axis, 0, dxl.TABLE_BYTES)
+            registers = Registers(0, whole.parameters)
+            wrong = [(register, value) for register, value in axis.settings() if registers.get(register) != value]
+            if any(register.address < dxl.EEPROM_END for register, _ in wrong) and registers.get(dxl.TORQUE):
+                yield _write(axis, dxl.TORQUE, 0)
+            for register, value in wrong:
+                self.counters.registers_set += 1
+                yield _write(axis, register, value)
+                answer = yield _read(axis, register.address, register.size)
+                found = Registers(register.address, answer.parameters).get(register)
+                if found != value:
+                    raise SetUpError(
+                        f"servo {axis.number} keeps {found} in register {register.address}, {value} is needed: switch"
+                        " its power off and on, and see that no other program writes to it"
+                    )
+            yield _write(axis, dxl.WATCHDOG, 0)
+        self.trouble = {}
+        self._stand()
+
+    def _check_model(self, axis: Axis) -> None:
+        model = self.models.get(axis.id, 0)
+        if model in TRIPS_WITHOUT_STOPPING:
+            raise SetUpError(
+                f"servo {axis.number} is an {TRIPS_WITHOUT_STOPPING[model]}, whose watchdog trips without stopping it:"
+                " use a servo of the 430 size"
+            )
+        if model not in MODELS:
+            raise SetUpError(
+                f"servo {axis.number} says it is of model {model}, which palmd does not know; it knows"
+                f" {', '.join(MODELS.values())}"
+            )
+
+    def _arming(self) -> Script:
+        directions = []
+        for axis in self.axes:
+            profile = ((dxl.PROFILE_ACCELERATION, 0), (dxl.PROFILE_VELOCITY, self.profile_ms))
+            for register, value in ((dxl.WATCHDOG, 0), *profile):
+                yield _write(axis, register, value)
+            answer = yield _read(axis, *LOOK_SPAN)
+            registers = Registers(LOOK_SPAN[0], answer.parameters)
+            here = registers[dxl.GOAL] if registers[dxl.TORQUE] else registers[dxl.POSITION]
+            here = min(max(here, axis.low), axis.high)
+            yield _write(axis, dxl.GOAL, here)
+            yield _write(axis, dxl.TORQUE, 1)
+            answer = yield _read(axis, *LOOK_SPAN)
+            registers = Registers(LOOK_SPAN[0], answer.parameters)
+            for register, value in ((dxl.GOAL, here), (dxl.TORQUE, 1), (dxl.PROFILE_VELOCITY, self.profile_ms)):
+                if registers[register] != value:
+                    self.refusal = (
+                        f"start refused: servo {axis.number} has {registers[register]} in register {register.address},"
+                        f" {value} was sent"
+                    )
+                    self._stand()
+                    return
+            directions.append(axis.direction(here))
+        for axis in self.axes:
+            yield _write(axis, dxl.WATCHDOG, WATCHDOG_UNITS)
+        self._goals, self._rates = tuple(directions), (0.0,) * len(directions)
+        self._sent_counts = [{axis.id: axis.counts(d) for axis, d in zip(self.axes, directions, strict=True)}]
+        self._missed_goals = {}
+        self._phase, self.state = Phase.FOLLOWING, ArmState.TRACKING
+        self._t_slot = self._t_now
+
+    def _standing_down(self) -> Script:
+        for axis in self.axes:
+            yield _write(axis, dxl.WATCHDOG, 0)
+        self._stand()
+
+    def _resetting(self) -> Script:
+        wounded = [axis for axis in self.axes if axis.id in self.looks and self.looks[axis.id][dxl.HARDWARE_ERROR]]
+        for axis in wounded:
+            yield Ask(dxl.reboot(axis.id), axis.id, 0)
+        for axis in wounded:
+            yield _ping(axis, tries=round(REBOOT_S / ANSWER_S))
+        yield from self._setting_up()
+
+    def _stand(self) -> None:
+        """No goals from now on; the servos are read at leisure."""
+        self._phase = Phase.STANDING
+        self._script = self._ask = None
+        self._t_slot = self._t_now
+        if self.state is not None:
+            self.state = ArmState.FAULT if self.trouble else ArmState.READY
+
+    def _unlink(self, reason: str) -> None:
+        if self.busy:
+            self.refusal = f"it came to nothing: {reason}"
+        self._script = self._ask = self._cycle = None
+        self._phase = Phase.GREETING
+        self._t_slot = -math.inf
+        self.state = self._pose = None
+        self.trouble = {}
+
+
+def cycle_period(baud: int, servos: int) -> float:
+    """The shortest period (s) in which a cycle leaves half of the bus free."""
+    goals = len(dxl.sync_write(dxl.GOAL, dict.fromkeys(range(servos), 0)))
+    asked = len(dxl.sync_read(*CYCLE_SPAN, range(servos)))
+    told = servos * len(dxl.encode_status(0, 0, bytes(CYCLE_SPAN[1])))
+    busy = (goals + asked + told) * byte_time(baud)
+    return next((period for period in PERIODS_S if busy <= MOST_SHARE * period), PERIODS_S[-1])
+
+
+def _ping(axis: Axis, tries: int) -> Ask:
+    return Ask(dxl.ping(axis.id), axis.id, 3, tries)
+
+
+def _read(axis: Axis, address: int, size: int) -> Ask:
+    return Ask(dxl.read(axis.id, address, size), axis.id, size)
+
+
+def _write(axis: Axis, register: Register, value: int) -> Ask:
+    return Ask(dxl.write(axis.id, register, value), axis.id, 0)
+
+
+def _summed(joints: Sequence[float]) -> list[float]:
+    """Of joint angles the palms' directions."""
+    total, out = 0.0, []
+    for joint in joints:
+        total += joint
+        out.append(total)
+    return out

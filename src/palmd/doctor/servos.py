@@ -1,0 +1,78 @@
+"""The servos of a rig: what doctor says of them, and their conformance check by check."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+
+from palmd.config import DynamixelConfig
+from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
+from palmd.devices.actuator import make_actuator
+from palmd.devices.servoconformance import CHECKS, STEP_COUNTS, PortTalk, ServoResult, examine
+from palmd.devices.servohost import ServoHost
+from palmd.doctor.arm import confirmed
+from palmd.doctor.finding import Finding
+
+LOOKED_AT = CHECKS[:7]
+"""What doctor looks at when it is asked for nothing in particular: nothing is changed by it."""
+
+_QUESTION = (
+    f"The next checks turn the torque on; the last moves each palm by up to {STEP_COUNTS * 360 / 4096:.0f}°. Are the\n"
+    "palms free, nobody within reach, and a hand on the supply's switch? Then type yes: "
+)
+
+
+def findings(arm: DynamixelConfig) -> Iterator[Finding]:
+    """One line for each thing that each servo must be."""
+    try:
+        with _talk(arm) as talk:
+            for result in examine(talk, talk.axes, LOOKED_AT):
+                yield Finding(
+                    _name(result), "ok" if result.outcome == "passed" else "missing", result.seen, result.mend
+                )
+    except OSError as error:
+        yield Finding("servos", "missing", str(error))
+
+
+def examine_servos(arm: DynamixelConfig, sure: bool) -> int:
+    """Makes every check that is allowed, prints each; returns the exit status, CliError where the port cannot be had.
+
+    sure: what turns the torque on needs no question.
+    """
+    results: list[ServoResult] = []
+    moving = False
+    try:
+        with _talk(arm) as talk:
+            still = [check for check in CHECKS if not check.moves]
+            results += _told(examine(talk, talk.axes, still))
+            if not any(result.outcome == "failed" for result in results):
+                moving = sure or confirmed(_QUESTION)
+            if moving:
+                results += _told(examine(talk, talk.axes, [check for check in CHECKS if check.moves]))
+    except OSError as error:
+        raise CliError(RIG_FAILED, str(error)) from None
+    failed = sum(result.outcome == "failed" for result in results)
+    print(f"{arm.port}: {len(results) - failed} of {len(results)} checks passed, {failed} failed")
+    if not moving and not failed:
+        print("what turns the torque on was left out: give --yes, or answer yes", file=sys.stderr)
+    return RIG_FAILED if failed else 0 if moving else BAD_INPUT
+
+
+def _talk(arm: DynamixelConfig) -> PortTalk:
+    host = make_actuator(arm)
+    assert isinstance(host, ServoHost)
+    return PortTalk(host, arm.baud, arm.port)
+
+
+def _told(results: Iterator[ServoResult]) -> list[ServoResult]:
+    made = []
+    for result in results:
+        word = "pass" if result.outcome == "passed" else "FAIL"
+        mend = f"\n         mend      {result.mend}" if result.mend else ""
+        print(f"{result.number:2} {word}  {_name(result)}: {result.clause}\n         {result.seen}{mend}", flush=True)
+        made.append(result)
+    return made
+
+
+def _name(result: ServoResult) -> str:
+    return f"servo {result.servo}" if result.servo else "servos"

@@ -1,0 +1,56 @@
+"""What the emulated world asks of whatever turns its palms: an arm that holds palm 2's end, or servos. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol
+
+from palmd.devices.actuator import ArmState
+from palmd.events import Joints, PalmMotion
+from palmd.rig.fault_injection import FaultOrder
+from palmd.rig.plant import Hinge, PlantContact
+from palmd.rig.tally import Decoder
+
+
+class Utterance(NamedTuple):
+    """Bytes that the device says, from `t` (s) on; so many messages of its protocol."""
+
+    data: bytes
+    t: float
+    messages: int = 1
+
+
+class Actuator(Protocol):
+    """The far side of the actuator's line, and the palms that it turns. Times are seconds of the world's clock."""
+
+    baud: int
+    hinge: Hinge
+    jams: int
+
+    @property
+    def state(self) -> ArmState:
+        """As a host would be told."""
+
+    def palms_at(self, t: float) -> PalmMotion:
+        """Where the palms are and how they move, as the actuator has them; t (s) no earlier than the last step."""
+
+    def receive(self, heard: bytes, spoilt: bytes, t: float) -> None:
+        """The host has written `heard` at t (s), of which `spoilt` is left on the line."""
+
+    def step(self, t: float) -> Sequence[Utterance]:
+        """Lives on to t (s) and says what there is to say."""
+
+    def feel(self, palms: PalmMotion, contacts: Sequence[PlantContact], t: float) -> None:
+        """What presses on the palms at t (s)."""
+
+    def play(self, order: FaultOrder, begins: bool, palms: Joints) -> None:
+        """Mischief that is an act rather than a state of the line; `palms` are where they stand (rad)."""
+
+    def hold_by_hand(self, palms: Joints) -> None:
+        """A hand turns the palms, which the actuator allows; ValueError where it does not."""
+
+    def status(self) -> dict[str, Any]:
+        """Counts for end-to-end checks."""
+
+    def listener(self) -> Decoder:
+        """A new decoder of what it says."""

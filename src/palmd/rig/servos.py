@@ -1,0 +1,397 @@
+"""The emulated servo bus: two DYNAMIXEL servos behind one line, their gears' play, and the palms that they turn. Pure.
+
+Each servo is its control table and a shaft: EEPROM that the torque locks, profiles by time, a watchdog that stops it,
+hardware errors that only a restart clears, an encoder of 4096 counts a turn that flickers. Sync Writes are never
+answered, answers follow one another after the return delay of each.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from palmd.config import Config, DynamixelConfig, ServoConfig
+from palmd.devices import dynamixel as dxl
+from palmd.devices.actuator import ArmState
+from palmd.devices.dynamixel import BROADCAST, HardwareError, Instruction, Packet, PacketReader, Register
+from palmd.events import Joints, PalmMotion
+from palmd.rig.actuators import Utterance
+from palmd.rig.arm import Servo
+from palmd.rig.fault_injection import FaultOrder
+from palmd.rig.line import Wire
+from palmd.rig.plant import Hinge, PlantContact
+
+MODEL_NUMBER, FIRMWARE_VERSION = 1060, 46
+FLICKER_COUNTS = 0.5
+SHAFT_LAG_S = 0.020
+STEP_RAD_S = math.radians(360.0)  # how fast a servo goes to a goal without a profile
+REBOOT_S = 0.4
+PLAY_S = 0.010  # in which a palm falls from one end of the play to the other
+PALM_KG, PALM_CENTRE_M = 0.040, 0.045
+RUB_N_M = 2e-3  # what friction in the joint holds against
+GREASE_S = 0.030  # in which a moment makes itself felt through the gears
+GRAVITY = 9.81
+
+_RAD = math.tau / dxl.COUNTS_PER_TURN
+_READ_ONLY_FROM, _READ_ONLY_BELOW = dxl.TICK.address, dxl.ID.address
+_FACTORY = {
+    dxl.MODEL: MODEL_NUMBER, dxl.FIRMWARE: FIRMWARE_VERSION, dxl.RETURN_DELAY: 250, dxl.OPERATING_MODE: 3,
+    dxl.TEMPERATURE_LIMIT: 72, dxl.MAX_POSITION: 4095, dxl.SHUTDOWN: 52, dxl.STATUS_LEVEL: 2, dxl.VOLTAGE: 120,
+    dxl.TEMPERATURE: 35,
+}  # fmt: skip
+_TROUBLES = {
+    "overload": HardwareError.OVERLOAD,
+    "overheat": HardwareError.HOT,
+    "undervoltage": HardwareError.VOLTAGE,
+}
+_FAILED, _UNKNOWN, _RANGE, _LENGTH, _LIMIT, _ACCESS = 1, 2, 4, 5, 6, 7
+
+
+class Play:
+    """A palm between the two ends of its gears' play: it settles, critically damped, at the end it is pushed to."""
+
+    def __init__(self, width: float, side: int, t: float) -> None:
+        """`width` from end to end (rad); at rest at one end at t (s)."""
+        self._half, self._side, self._t = 0.5 * width, side, t
+        self._k = 4.0 / PLAY_S
+        self._a = self._b = 0.0
+
+    def push(self, side: int, t: float) -> None:
+        """Towards one end (1 or -1) from t (s) on."""
+        if side == self._side:
+            return
+        offset, rate, _ = self.at(t)
+        self._t, self._side = t, side
+        self._a = offset - side * self._half
+        self._b = rate + self._k * self._a
+
+    def at(self, t: float) -> tuple[float, float, float]:
+        """Offset, its rate and acceleration (rad, s) at t (s)."""
+        tau = t - self._t
+        decay = math.exp(-self._k * tau)
+        swing, b = (self._a + self._b * tau) * decay, self._b * decay
+        k = self._k
+        return self._side * self._half + swing, b - k * swing, k * (k * swing - 2.0 * b)
+
+
+class EmulatedServo:
+    """One servo: control table and shaft. `counts` grow with the palm's direction as configured."""
+
+    def __init__(
+        self, config: ServoConfig, direction: float, baud_code: int, rng: np.random.Generator, t: float
+    ) -> None:
+        """Standing with its palm at `direction` (rad), as it comes from the factory but for id and baud."""
+        self.id = config.id
+        self.refusals = 0
+        self._config, self._rng, self._baud_code = config, rng, baud_code
+        self._eeprom: bytes | None = None
+        self._shaft = Servo(self._counts(direction), SHAFT_LAG_S)
+        self._t_there = -math.inf  # when the profile under way ends
+        self._t_heard = t
+        self._t_awake = t
+        self._start()
+
+    def _counts(self, direction: float) -> float:
+        return 2048 + self._config.sign * (direction - math.radians(self._config.centre_deg)) / _RAD
+
+    def _start(self) -> None:
+        table = bytearray(dxl.TABLE_BYTES)
+        self._table = table
+        for register, value in {**_FACTORY, dxl.ID: self.id, dxl.BAUD: self._baud_code}.items():
+            self._set(register, value)
+        if self._eeprom is not None:
+            table[: dxl.EEPROM_END] = self._eeprom
+
+    def get(self, register: Register) -> int:
+        """A register's value."""
+        return dxl.Registers(0, bytes(self._table))[register]
+
+    def _set(self, register: Register, value: int) -> None:
+        self._table[register.address : register.end] = register.encode(value)
+
+    @property
+    def torque(self) -> bool:
+        """Whether it holds its goal."""
+        return bool(self.get(dxl.TORQUE))
+
+    @property
+    def tripped(self) -> bool:
+        """Whether its watchdog has stopped it."""
+        return self.get(dxl.WATCHDOG) < 0
+
+    def at(self, t: float) -> tuple[float, float, float]:
+        """The palm's direction (rad), rate and acceleration, but for the play."""
+        x, v, a = self._shaft.at(t)
+        scale = self._config.sign * _RAD
+        return math.radians(self._config.centre_deg) + scale * (x - 2048), scale * v, scale * a
+
+    def step(self, t: float) -> None:
+        """The profile's end, and the watchdog."""
+        if t >= self._t_there:
+            self._stop(t)
+        units = self.get(dxl.WATCHDOG)
+        if units > 0 and t - self._t_heard > units * 0.020:
+            self._set(dxl.WATCHDOG, -1)
+            self._set(dxl.PROFILE_ACCELERATION, 0)
+            self._set(dxl.PROFILE_VELOCITY, 0)
+            self._stop(t)
+
+    def _stop(self, t: float) -> None:
+        self._shaft.follow(t, 0.0)
+        self._t_there = math.inf
+
+    def hurt(self, error: HardwareError, t: float) -> None:
+        """A hardware error; where the mask says so, it lets go."""
+        self._set(dxl.HARDWARE_ERROR, self.get(dxl.HARDWARE_ERROR) | error)
+        if self.get(dxl.SHUTDOWN) & error:
+            self._set(dxl.TORQUE, 0)
+            self._stop(t)
+
+    def restart(self, t: float, silent_s: float = REBOOT_S) -> None:
+        """As after `reboot`, or without power for a while: RAM is wiped, and it is silent for so long."""
+        self._eeprom = bytes(self._table[: dxl.EEPROM_END])
+        self._start()
+        self._stop(t)
+        self._t_awake = t + silent_s
+
+    def awake(self, t: float) -> bool:
+        """Whether it hears and speaks."""
+        return t >= self._t_awake
+
+    @property
+    def delay_s(self) -> float:
+        """Between a question's last byte and the answer's first."""
+        return self.get(dxl.RETURN_DELAY) * 2e-6
+
+    @property
+    def error(self) -> int:
+        """The bit of every answer that tells of a hardware error."""
+        return dxl.ALERT if self.get(dxl.HARDWARE_ERROR) else 0
+
+    def heard(self, t: float) -> None:
+        """An instruction has come at t (s)."""
+        self._t_heard = t
+
+    def read(self, address: int, size: int, t: float) -> bytes:
+        """A stretch of the table as it is at t (s)."""
+        x, v, _ = self._shaft.at(t)
+        self._set(dxl.POSITION, round(x + float(self._rng.normal(0.0, FLICKER_COUNTS))))
+        self._set(dxl.VELOCITY, round(v / dxl.COUNTS_PER_TURN * 60.0 / dxl.VELOCITY_UNIT_RPM))
+        self._set(dxl.TICK, int(t * 1e3) % 32768)
+        self._set(dxl.MOVING, int(abs(v) > 1.0))
+        return bytes(self._table[address : address + size])
+
+    def write(self, address: int, data: bytes, t: float) -> int:
+        """Sets registers; the error that the answer tells, 0 when it is done."""
+        end = address + len(data)
+        if address < _READ_ONLY_BELOW or end > _READ_ONLY_FROM:
+            return self._refuse(_ACCESS)
+        if address < dxl.EEPROM_END and self.torque:
+            return self._refuse(_ACCESS)
+        if address == dxl.GOAL.address:
+            return self._aim(int.from_bytes(data, "little", signed=True), t)
+        if address == dxl.TORQUE.address and data[0] and self.get(dxl.HARDWARE_ERROR) & self.get(dxl.SHUTDOWN):
+            return self._refuse(_FAILED)
+        before = self.torque
+        self._table[address:end] = data
+        if self.torque and not before:
+            self._aim(self.get(dxl.GOAL), t)  # where it was told last, wherever that is
+        elif before and not self.torque:
+            self._stop(t)
+        return 0
+
+    def _aim(self, goal: int, t: float) -> int:
+        if self.tripped:
+            return self._refuse(_RANGE)
+        if not self.get(dxl.MIN_POSITION) <= goal <= self.get(dxl.MAX_POSITION):
+            return self._refuse(_LIMIT)
+        self._set(dxl.GOAL, goal)
+        if self.torque:
+            way = goal - self._shaft.goal(t)
+            by_time = self.get(dxl.DRIVE_MODE) & 4
+            span = self.get(dxl.PROFILE_VELOCITY) * 1e-3 if by_time else 0.0
+            span = span or max(abs(way) * _RAD / STEP_RAD_S, 1e-3)
+            self._shaft.follow(t, way / span)
+            self._t_there = t + span
+        return 0
+
+    def _refuse(self, error: int) -> int:
+        self.refusals += 1
+        return error
+
+
+class ServoArm:
+    """Both servos on their bus; see `rig.actuators.Actuator`."""
+
+    def __init__(self, config: Config, arm: DynamixelConfig, home: Joints, rng: np.random.Generator, t: float) -> None:
+        """At rest at `home` (rad) at t (s), without torque."""
+        self.baud = arm.baud
+        self.hinge = Hinge("fixed", config.rig.palm1_length_mm * 1e-3, (0.0, 0.0))
+        self.jams = 0
+        self._rng = rng
+        directions = (home[0], home[0] + home[1])
+        code = {115200: 2, 1000000: 3, 2000000: 4, 3000000: 5, 4000000: 6}[arm.baud]
+        self._servos = tuple(
+            EmulatedServo(servo, direction, code, rng, t)
+            for servo, direction in zip(arm.servos, directions, strict=True)
+        )
+        width = math.radians(arm.backlash_deg)
+        self._plays = (Play(width, -1, t), Play(width, 1, t))
+        self._reader = PacketReader(arm.baud)
+        self._in = Wire(arm.baud)
+        self._moments = [0.0, 0.0]
+        self._instructions = self._goals = self._outside = 0
+        self._now = self._t_felt = t
+
+    @property
+    def state(self) -> ArmState:
+        """What a host would make of the registers."""
+        if any(servo.get(dxl.HARDWARE_ERROR) or servo.tripped for servo in self._servos):
+            return ArmState.FAULT
+        return ArmState.TRACKING if all(servo.get(dxl.WATCHDOG) > 0 for servo in self._servos) else ArmState.READY
+
+    def palms_at(self, t: float) -> PalmMotion:
+        """With the play."""
+        (d1, w1, a1), (d2, w2, a2) = (
+            tuple(x + y for x, y in zip(servo.at(t), play.at(t), strict=True))
+            for servo, play in zip(self._servos, self._plays, strict=True)
+        )
+        return PalmMotion((d1, d2 - d1), (w1, w2 - w1), (a1, a2 - a1))
+
+    def receive(self, heard: bytes, spoilt: bytes, t: float) -> None:  # noqa: ARG002
+        """What the host has written, as the line leaves it."""
+        self._in.send(spoilt, t)
+
+    def step(self, t: float) -> Sequence[Utterance]:
+        """Servos hear, move, and answer in turn."""
+        self._now = t
+        for servo in self._servos:
+            servo.step(t)
+        said: list[Utterance] = []
+        if arrived := self._in.take(t):
+            for packet in self._reader.feed(arrived, t):
+                if not packet.is_status:
+                    self._instructions += 1
+                    said += self._obey(packet, t)
+        return said
+
+    def feel(self, palms: PalmMotion, contacts: Sequence[PlantContact], t: float) -> None:
+        """Weight and the object push each palm to one end of its play."""
+        first, second = palms.angles[0], palms.angles[0] + palms.angles[1]
+        weight = PALM_KG * GRAVITY * PALM_CENTRE_M
+        signs, share = (-1.0, 1.0), (t - self._t_felt) / GREASE_S
+        self._t_felt = t
+        for i, (sign, angle, contact) in enumerate(zip(signs, (first, second), contacts, strict=True)):
+            moment = -weight * math.cos(angle)
+            if contact.touching:
+                moment += sign * contact.s * contact.force
+            self._moments[i] += min(share, 1.0) * (moment - self._moments[i])
+            if abs(self._moments[i]) > RUB_N_M:
+                self._plays[i].push(1 if self._moments[i] > 0.0 else -1, t)
+
+    def play(self, order: FaultOrder, begins: bool, palms: Joints) -> None:  # noqa: ARG002
+        """What is done to the servos: always to palm 1's."""
+        t = self._now
+        match order.name, begins:
+            case (("estop" | "power_off"), False):
+                for servo in self._servos:
+                    servo.restart(t)
+            case (("estop" | "power_off"), True):
+                for servo in self._servos:
+                    servo.restart(t, math.inf)
+            case (("overload" | "overheat" | "undervoltage"), True):
+                self._servos[0].hurt(_TROUBLES[order.name], t)
+            case "brownout", True:
+                self._servos[0].restart(t)
+
+    def hold_by_hand(self, palms: Joints) -> None:  # noqa: ARG002
+        """Servos are not swung by hand to be calibrated."""
+        raise ValueError("--by-hand is for a rig with an arm: servos need no linkage to be calibrated")
+
+    def status(self) -> dict[str, Any]:
+        """Counts of the bus."""
+        return {
+            "crc_errors": self._reader.counters.crc_errors,
+            "instructions": self._instructions,
+            "setpoints": self._goals,
+            "setpoints_outside_limits": self._outside,
+            "refusals": sum(servo.refusals for servo in self._servos),
+        }
+
+    def listener(self) -> PacketReader:
+        """Of its answers."""
+        return PacketReader(self.baud)
+
+    # -- the bus ------------------------------------------------------------------------------------------
+
+    def _obey(self, packet: Packet, t: float) -> list[Utterance]:
+        asked = [servo for servo in self._servos if servo.awake(t) and packet.servo in (servo.id, BROADCAST)]
+        for servo in asked:
+            servo.heard(t)
+        data = packet.parameters
+        match packet.instruction:
+            case Instruction.SYNC_WRITE if len(data) >= 4:
+                self._sync_write(asked, data, t)
+                return []
+            case Instruction.SYNC_READ | Instruction.FAST_SYNC_READ if len(data) >= 4:
+                return self._sync_read(asked, data, t, fast=packet.instruction == Instruction.FAST_SYNC_READ)
+        said = []
+        t_free = t
+        for servo in asked:
+            answer = self._answer(servo, packet, t)
+            if answer is not None:
+                t_free += servo.delay_s
+                said.append(Utterance(answer, t_free))
+        return said
+
+    def _answer(self, servo: EmulatedServo, packet: Packet, t: float) -> bytes | None:
+        data, error, out = packet.parameters, 0, b""
+        match packet.instruction:
+            case Instruction.PING:
+                out = servo.read(dxl.MODEL.address, 2, t) + servo.read(dxl.FIRMWARE.address, 1, t)
+            case Instruction.READ if len(data) == 4:
+                address, size = int.from_bytes(data[:2], "little"), int.from_bytes(data[2:], "little")
+                if address + size > dxl.TABLE_BYTES:
+                    error = _ACCESS
+                else:
+                    out = servo.read(address, size, t)
+            case Instruction.WRITE if len(data) > 2:
+                error = servo.write(int.from_bytes(data[:2], "little"), data[2:], t)
+            case Instruction.REBOOT:
+                answer = dxl.encode_status(servo.id, 0)
+                servo.restart(t)
+                return answer
+            case Instruction.READ | Instruction.WRITE:
+                error = _LENGTH
+            case _:
+                error = _UNKNOWN
+        if packet.servo == BROADCAST and packet.instruction != Instruction.PING:
+            return None
+        return dxl.encode_status(servo.id, error | servo.error, out)
+
+    def _sync_write(self, asked: Sequence[EmulatedServo], data: bytes, t: float) -> None:
+        address, size = int.from_bytes(data[:2], "little"), int.from_bytes(data[2:4], "little")
+        parts = [data[i : i + size + 1] for i in range(4, len(data), size + 1)]
+        values = {part[0]: part[1:] for part in parts if len(part) == size + 1}
+        self._goals += address == dxl.GOAL.address
+        for servo in asked:
+            if servo.id in values:
+                before = servo.refusals
+                servo.write(address, values[servo.id], t)
+                self._outside += address == dxl.GOAL.address and servo.refusals > before and not servo.tripped
+
+    def _sync_read(self, asked: Sequence[EmulatedServo], data: bytes, t: float, *, fast: bool) -> list[Utterance]:
+        address, size = int.from_bytes(data[:2], "little"), int.from_bytes(data[2:4], "little")
+        in_turn = [servo for each in data[4:] for servo in asked if servo.id == each]
+        t_free, said = t, []
+        answers = [(servo.id, servo.error, servo.read(address, size, t)) for servo in in_turn]
+        for servo, (_, error, out) in zip(in_turn, answers, strict=True):
+            t_free += servo.delay_s
+            if not fast:
+                said.append(Utterance(dxl.encode_status(servo.id, error, out), t_free))
+        if fast and answers:
+            said.append(Utterance(dxl.encode_fast_status(answers), t_free))
+        return said

@@ -1,0 +1,59 @@
+"""An emulated force-sensing strip behind its microcontroller. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from palmd.config import StripConfig
+from palmd.devices.strip import FORCE_MAX, POSITION_MAX, TOUCHED_S, UNTOUCHED_S, StripDecoder, encode
+from palmd.rig.pads import PadEmulator, PadOptions
+
+JITTER_S = 1e-4
+
+
+class StripEmulator(PadEmulator):
+    """A strip: reports at an even rate, slower ones while it is not touched; as noisy as configured."""
+
+    def __init__(
+        self,
+        config: StripConfig,
+        options: PadOptions,
+        reading_error_m: Callable[[float, float], float],
+        rng: np.random.Generator,
+        t: float,
+    ) -> None:
+        """See `PadEmulator`."""
+        self.baud = config.baud
+        self._sequence = 0
+        self._t_said = t
+        super().__init__(
+            config, options, reading_error_m, rng, t, counts=(0, POSITION_MAX), full_scale=FORCE_MAX,
+            shortest_s=TOUCHED_S - 5 * JITTER_S, noise_m=config.noise_mm * 1e-3,
+        )  # fmt: skip
+
+    def listener(self) -> StripDecoder:
+        """Of its packets."""
+        return StripDecoder(self._line_baud)
+
+    @property
+    def _line_baud(self) -> int:
+        assert self.baud is not None, "a strip is on a line"
+        return self.baud
+
+    def _interval(self) -> float:
+        return TOUCHED_S + float(self._rng.normal(0.0, JITTER_S))
+
+    def _touch(self, t: float, counts: int, across: int, pressure: int) -> bytes:  # noqa: ARG002
+        return self._said(counts, pressure, touched=True)
+
+    def _untouched(self, t: float, lifted: bool) -> bytes:
+        if not (lifted or t - self._t_said >= UNTOUCHED_S):
+            return b""
+        self._t_said = t
+        return self._said(0, 0, touched=False)
+
+    def _said(self, position: int, force: int, *, touched: bool) -> bytes:
+        self._sequence = (self._sequence + 1) % 256
+        return encode(position, force, self._sequence, touched=touched, saturated=force >= FORCE_MAX)

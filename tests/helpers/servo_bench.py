@@ -1,0 +1,76 @@
+"""The servos' host and their emulated bus in one loop without wires: half a millisecond a step."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from palmd.config import Config
+from palmd.devices.actuator import ArmReport, JointPose, make_actuator
+from palmd.rig.fault_injection import FaultOrder
+from palmd.rig.line import Wire
+from palmd.rig.servos import ServoArm
+
+STEP_S = 5e-4
+HOME = (math.radians(45.0), math.radians(90.0))
+
+
+def tabletop(**arm) -> Config:
+    """A rig with two servos."""
+    return Config.model_validate(
+        {
+            "rig": {"hinge": "fixed"},
+            "pads": {"palm1": {"kind": "strip", "port": "a"}, "palm2": {"kind": "strip", "port": "b"}},
+            "arm": {"kind": "dynamixel", "port": "c"} | arm,
+        }
+    )
+
+
+class ServoBench:
+    """`host` is what the daemon has, `rig` the servos; `spoil` is given what goes to the host."""
+
+    def __init__(self, config: Config | None = None, spoil: Callable[[bytes], bytes] = bytes, **arm) -> None:
+        config = config or tabletop(**arm)
+        self.t = 0.0
+        self.host = make_actuator(config.arm)
+        self.rig = ServoArm(config, config.arm, HOME, np.random.default_rng(1), 0.0)
+        self.reports: list[ArmReport] = []
+        self.sent = 0
+        self.target: Callable[[float], tuple[float, float]] | None = None
+        self.deaf = False
+        self._spoil = spoil
+        self._out = Wire(config.arm.baud)
+
+    def go(self, seconds: float, until: Callable[[], bool] = lambda: False) -> ServoBench:
+        """Live for so long, or until something holds."""
+        t_end = self.t + seconds
+        while self.t < t_end and not until():
+            self.t += STEP_S
+            t = self.t
+            for said in self.rig.step(t):
+                self._out.send(self._spoil(said.data), said.t)
+            if (data := self._out.take(t)) and not self.deaf:
+                self.reports += self.host.feed(data, t)
+            if not self.deaf and t >= self.host.due():
+                place = JointPose(self.target(t)) if self.target and self.host.tracking else None
+                sent = self.host.poll(t, place)
+                self.sent += sent.setpoint is not None
+                self.rig.receive(sent.data, sent.data, t)
+        return self
+
+    def armed(self) -> ServoBench:
+        """Following, at home unless there is a target."""
+        self.go(1.0, lambda: self.host.linked(self.t))
+        self.host.want_tracking()
+        return self.go(0.5, lambda: self.host.tracking)
+
+    def play(self, name: str, begins: bool = True) -> None:
+        """Mischief with the servos."""
+        self.rig.play(FaultOrder(name, "arm", 1.0, self.t, math.inf), begins, HOME)
+
+    @property
+    def speed(self) -> float:
+        """Of the faster palm (rad/s)."""
+        return max(map(abs, self.rig.palms_at(self.t).rates))

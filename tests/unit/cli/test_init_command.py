@@ -1,0 +1,78 @@
+"""`palmd init`: every rig that it can be told of comes out as a configuration that loads."""
+
+import io
+import itertools
+
+import pytest
+
+from palmd.cli import main
+from palmd.yamlfile import load_config
+
+
+def init(monkeypatch, path, lines, *arguments):
+    monkeypatch.setattr("sys.stdin", io.StringIO("".join(f"{line}\n" for line in lines)))
+    return main(["init", str(path), *arguments])
+
+
+def lines(pads, arm, tilt="90"):
+    of_pads = ["20", "y"] if pads == "evdev" else []
+    of_arm = ["100", "110"] if arm == "adept" else []
+    return [pads, "/dev/a", "/dev/b", *of_pads, arm, "/dev/c", *of_arm, tilt]
+
+
+@pytest.mark.parametrize(
+    ("pads", "arm"), list(itertools.product(("versapad", "strip", "evdev"), ("adept", "dynamixel")))
+)
+def test_every_rig_loads(monkeypatch, tmp_path, pads, arm):
+    assert init(monkeypatch, tmp_path / "new/my.yaml", lines(pads, arm)) == 0
+    config = load_config(tmp_path / "new/my.yaml")
+    assert {pad.kind for pad in config.pads.each()} == {pads}
+    assert (config.arm.kind, config.rig.hinge) == (arm, "arc" if arm == "adept" else "fixed")
+    assert [pad.port for pad in config.pads.each()] == ["/dev/a", "/dev/b"]
+    assert config.plan.is_file()
+    if arm == "adept":
+        assert (config.rig.palm_lengths_mm, config.rig.base_mm) == ((100.0, 110.0), (100.0, 0.0))
+    if pads == "evdev":
+        assert (config.pads.palm1.counts_per_mm, config.pads.palm1.pressure) == (20.0, True)
+
+
+def test_enter_takes_what_is_usual(monkeypatch, tmp_path):
+    assert init(monkeypatch, tmp_path / "my.yaml", [""] * 20) == 0
+    config = load_config(tmp_path / "my.yaml")
+    assert (config.pads.palm1.kind, config.arm.kind) == ("strip", "dynamixel")
+    assert config.rig.gravity_m_s2 == 9.81
+
+
+def test_a_tilted_table_pulls_less(monkeypatch, tmp_path):
+    init(monkeypatch, tmp_path / "my.yaml", lines("strip", "dynamixel", tilt="30"))
+    assert load_config(tmp_path / "my.yaml").rig.gravity_m_s2 == pytest.approx(4.905)
+
+
+def test_a_bad_answer_is_asked_again_and_says_why(monkeypatch, tmp_path, capsys):
+    answers = ["pads", "s", "/dev/a", "/dev/b", "d", "/dev/c", "steep", "200", "45"]
+    assert init(monkeypatch, tmp_path / "my.yaml", answers) == 0
+    said = capsys.readouterr().err
+    assert "it must be one of versapad, strip, evdev" in said
+    assert said.count("it must be a number from 1 to 90") == 2
+
+
+def test_it_writes_over_nothing(monkeypatch, tmp_path, capsys):
+    path = tmp_path / "my.yaml"
+    path.write_text("mine")
+    assert init(monkeypatch, path, [""] * 20) == 1
+    assert "is there already" in capsys.readouterr().err
+    assert path.read_text() == "mine"
+    assert init(monkeypatch, path, [""] * 20, "--force") == 0
+
+
+def test_two_pads_at_one_port_are_refused(monkeypatch, tmp_path, capsys):
+    answers = lines("strip", "dynamixel")
+    answers[2] = answers[1]
+    assert init(monkeypatch, tmp_path / "my.yaml", answers) == 1
+    assert "is already that of palm1" in capsys.readouterr().err
+
+
+def test_without_anybody_it_ends(monkeypatch, tmp_path, capsys):
+    assert init(monkeypatch, tmp_path / "my.yaml", []) == 1
+    assert "nobody answers" in capsys.readouterr().err
+    assert not (tmp_path / "my.yaml").exists()

@@ -1,0 +1,222 @@
+"""Input events: frames, what is told and what is not, and all that a driver of a touch device must live with."""
+
+import math
+import os
+import pty
+import time
+import tty
+from itertools import pairwise
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from palmd.config import EvdevConfig
+from palmd.devices import evdev
+from palmd.devices.evdev import RECORD, EvdevReader, encode
+from palmd.devices.evdevport import EvdevPort
+from palmd.devices.pad import make_pad
+from palmd.events import PadLift, PadSample
+
+SYN = (evdev.EV_SYN, evdev.SYN_REPORT, 0)
+DROPPED = (evdev.EV_SYN, evdev.SYN_DROPPED, 0)
+DOWN, UP = (evdev.EV_KEY, evdev.BTN_TOUCH, 1), (evdev.EV_KEY, evdev.BTN_TOUCH, 0)
+
+
+def x(value):
+    return (evdev.EV_ABS, evdev.ABS_X, value)
+
+
+def y(value):
+    return (evdev.EV_ABS, evdev.ABS_Y, value)
+
+
+def pressure(value):
+    return (evdev.EV_ABS, evdev.ABS_PRESSURE, value)
+
+
+def mt(code, value):
+    return (evdev.EV_ABS, code, value)
+
+
+def pad(**values):
+    driver = make_pad(1, EvdevConfig(kind="evdev", port="a", zero_mm=0.0, counts_per_mm=10.0, **values))
+    driver.opened(0.0)
+    return driver
+
+
+def test_a_record_is_that_of_the_kernel():
+    told = "0C 00 00 00 00 00 00 00 4E 46 05 00 00 00 00 00 03 00 00 00 34 02 00 00"
+    assert encode([x(564)], 12.345678) == bytes.fromhex(told)
+    assert RECORD.size == 24
+
+
+def test_only_what_has_changed_is_told_and_the_rest_is_remembered():
+    driver = pad()
+    (first,) = driver.feed(encode([DOWN, x(200), y(7), pressure(20), SYN], 1.0), 1.001)
+    assert (first.t_sample, first.s, first.force) == (1.0, pytest.approx(0.020), pytest.approx(0.4))
+    (second,) = driver.feed(encode([y(9), SYN], 1.01), 1.011)
+    assert (second.s, second.force) == (first.s, first.force)
+
+
+def test_silence_is_not_lift_off_and_a_still_contact_is_said_again():
+    driver = pad()
+    driver.feed(encode([DOWN, x(200), y(7), SYN], 1.0), 1.001)
+    said = [event for i in range(500) for event in driver.poll(1.0 + 0.01 * i)]
+    assert driver.touching
+    assert all(isinstance(event, PadSample) and event.s == pytest.approx(0.020) for event in said)
+    assert max(b.t_sample - a.t_sample for a, b in pairwise(said)) < 0.1, "before it counts as silent"
+    (lift,) = driver.feed(encode([UP, SYN], 6.5), 6.5)
+    assert isinstance(lift, PadLift)
+    assert driver.parted == "lifted"
+    assert list(driver.poll(7.0)) == []
+
+
+def test_without_pressure_no_force_is_claimed():
+    (sample,) = pad(pressure=False).feed(encode([DOWN, x(200), y(7), SYN], 1.0), 1.0)
+    assert sample.force is None
+
+
+def test_a_lift_off_lost_in_an_overflow_is_not_missed():
+    driver = pad()
+    driver.feed(encode([DOWN, x(200), y(7), SYN], 1.0), 1.0)
+    events = driver.feed(encode([x(210), DROPPED, x(220), SYN], 1.1), 1.1)
+    assert [type(event) for event in events] == [PadLift]
+    assert driver.parted == "silent"
+    assert driver.feed(encode([y(8), SYN], 1.11), 1.11) == [], "the place along the palm is not known"
+    (again,) = driver.feed(encode([DOWN, x(230), y(8), SYN], 1.12), 1.12)
+    assert again.s == pytest.approx(0.023)
+
+
+class Device(EvdevPort):
+    """A device that can be asked for its state."""
+
+    def __init__(self, state):
+        super().__init__("pad1", "nowhere")
+        self.state, self.asked = state, 0
+
+    def snapshot(self):
+        self.asked += 1
+        return self.state
+
+
+def test_what_touches_already_when_it_is_opened_is_asked_for_once():
+    driver, device = pad(), Device(encode([DOWN, x(200), y(7), SYN], 1.0))
+    for i in range(5):
+        driver.tend(device)
+        driver.poll(1.0 + 0.01 * i)
+    assert device.asked == 1
+    assert driver.touching
+
+
+def test_after_an_overflow_the_state_is_asked_for_again():
+    driver, device = pad(), Device(encode([DOWN, x(200), y(7), SYN], 1.0))
+    driver.tend(device)
+    driver.poll(1.0)
+    driver.feed(encode([DROPPED, SYN], 1.1), 1.1)
+    device.state = encode([UP, x(200), SYN], 1.1)
+    driver.tend(device)
+    driver.poll(1.1)
+    assert device.asked == 2
+    assert not driver.touching
+
+
+def test_of_two_fingers_the_first_counts_until_it_leaves():
+    reader = EvdevReader()
+    first = [mt(0x2F, 0), mt(0x39, 40), mt(0x35, 100), mt(0x36, 5)]
+    second = [mt(0x2F, 1), mt(0x39, 41), mt(0x35, 300), mt(0x36, 5)]
+    (one,) = reader.feed(encode([*first, SYN], 1.0), 1.0)
+    (both,) = reader.feed(encode([*second, SYN], 1.1), 1.1)
+    (left,) = reader.feed(encode([mt(0x2F, 0), mt(0x39, -1), SYN], 1.2), 1.2)
+    (none,) = reader.feed(encode([mt(0x2F, 1), mt(0x39, -1), SYN], 1.3), 1.3)
+    assert [one.x_counts, both.x_counts, left.x_counts] == [100, 100, 300]
+    assert not none.in_use
+    assert reader.counters.extra_contacts == 1
+
+
+def test_another_id_without_a_lift_is_another_contact():
+    reader = EvdevReader()
+    reader.feed(encode([mt(0x39, 1), mt(0x35, 100), mt(0x36, 5), SYN], 1.0), 1.0)
+    reader.feed(encode([mt(0x2F, 1), mt(0x39, 2), mt(0x35, 200), mt(0x36, 5), SYN], 1.1), 1.1)
+    (report,) = reader.feed(encode([mt(0x2F, 0), mt(0x39, 3), mt(0x35, 150), SYN], 1.2), 1.2)
+    assert report.x_counts == 200, "the older of those that are left"
+
+
+def test_another_clock_is_noticed_and_not_believed():
+    driver = pad()
+    for i in range(20):
+        (sample,) = driver.feed(encode([DOWN, x(200 + i), y(7), SYN], 1.7e9 + i), 5.0 + 0.01 * i)
+        assert sample.t_sample == 5.0 + 0.01 * i
+    assert list(driver.health(True)) == ["foreign-clock"]
+
+
+def test_places_beyond_the_pad_are_counted_and_no_contact():
+    driver = pad()
+    assert driver.feed(encode([DOWN, x(2000), y(7), SYN], 1.0), 1.0) == []
+    assert driver.counts()["out_of_range"] == 1
+
+
+@given(st.data())
+def test_every_split_gives_the_same(data):
+    frames = data.draw(st.lists(st.tuples(st.integers(0, 500), st.booleans()), max_size=6))
+    stream = b"".join(
+        encode([DOWN if down else UP, x(at), y(1), SYN], 1.0 + 0.01 * i) for i, (at, down) in enumerate(frames)
+    )
+    edges = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=6)))
+    whole, cut = EvdevReader(), EvdevReader()
+    expected = whole.feed(stream, 1.1)
+    found = [p for a, b in zip([0, *edges], [*edges, len(stream)], strict=True) for p in cut.feed(stream[a:b], 1.1)]
+    assert found == expected
+    assert cut.counters.frames == len(frames)
+
+
+@given(st.binary(max_size=300))
+def test_no_bytes_whatever_make_it_raise(data):
+    driver = pad()
+    for event in driver.feed(data, 1.0):
+        assert math.isfinite(event.t_sample)
+    driver.lost(2.0)
+
+
+@pytest.fixture
+def terminal():
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    yield master, os.ttyname(slave)
+    for fd in (master, slave):
+        os.close(fd)
+
+
+def test_the_same_records_are_read_from_a_terminal(terminal):
+    master, path = terminal
+    port, driver = EvdevPort("pad1", path), pad()
+    assert port.poll_open(0.0)
+    assert port.read() == b""
+    t = time.monotonic()
+    os.write(master, encode([DOWN, x(200), y(7), SYN], t))
+    (sample,) = driver.feed(port.read(), time.monotonic())
+    assert sample.t_sample == pytest.approx(t, abs=1e-5)
+    assert port.snapshot() == b""
+    port.close()
+    assert not port.is_open
+
+
+def test_a_device_that_is_not_there_is_told_and_tried_again(tmp_path):
+    port = EvdevPort("pad1", str(tmp_path / "event9"))
+    assert not port.poll_open(0.0)
+    assert "no such device" in port.error
+    os.mkfifo(tmp_path / "event9")
+    assert not port.poll_open(0.1), "not before its time"
+    assert port.poll_open(0.6)
+    port.close()
+
+
+def test_a_device_that_goes_is_shut(terminal):
+    port = EvdevPort("pad1", terminal[1])
+    port.poll_open(0.0)
+    port._fd, kept = os.open("/dev/null", os.O_RDONLY), port._fd
+    os.close(kept)
+    assert port.read() == b""
+    assert not port.is_open
+    assert "was lost" in port.error
+    assert port.counters.losses == 1

@@ -1,0 +1,102 @@
+"""The servos' conformance: emulated ones that have been set up pass, and each deviation is found by its own check."""
+
+import pytest
+from servo_bench import ServoBench
+
+from palmd.devices import dynamixel as dxl
+from palmd.devices.servoconformance import CHECKS, examine
+from palmd.rig.line import Wire
+
+
+class BenchTalk:
+    """A `Talk` with the emulated servos, in their own time."""
+
+    def __init__(self, bench, late_s=0.0):
+        self.bench, self.late_s = bench, late_s
+        self.baud = 1_000_000
+        self.axes = bench.host.axes
+        self._out = Wire(self.baud)
+
+    def ask(self, packet, patience_s=0.04, answers=1):
+        bench, reader, found = self.bench, dxl.PacketReader(self.baud), []
+        t_sent = bench.t
+        bench.rig.receive(packet, packet, bench.t)
+        while len(found) < answers and bench.t < t_sent + patience_s:
+            bench.t += 5e-4
+            for said in bench.rig.step(bench.t):
+                self._out.send(said.data, said.t + self.late_s)
+            found += [(each, bench.t - t_sent) for each in reader.feed(self._out.take(bench.t), bench.t)]
+        return found
+
+    def wait(self, seconds):
+        for _ in range(round(seconds / 5e-4)):
+            self.bench.t += 5e-4
+            self.bench.rig.step(self.bench.t)
+
+
+@pytest.fixture
+def bench():
+    return ServoBench().go(1.0)
+
+
+def failures(talk):
+    return {result.number: result for result in examine(talk, talk.axes) if result.outcome == "failed"}
+
+
+def test_servos_that_palmd_has_set_up_pass_every_check(bench):
+    talk = BenchTalk(bench)
+    results = list(examine(talk, talk.axes))
+    assert [result for result in results if result.outcome != "passed"] == []
+    assert len(results) == 2 * (len(CHECKS) - 1) + 1
+    assert not any(servo.torque for servo in bench.rig._servos), "and are left without torque"
+
+
+def test_servos_as_they_come_from_the_factory_need_settings():
+    talk = BenchTalk(ServoBench())
+    found = failures(talk)
+    assert set(found) == {5, 9, 12}, "the limits and the profile by time are among them"
+    assert "register 9 is 250, 0 is needed" in found[5].seen
+    assert "palmd run sets it" in found[5].mend
+
+
+@pytest.mark.parametrize(
+    ("register", "value", "check", "says"),
+    [
+        (dxl.MODEL, 1200, 2, "trips without stopping"),
+        (dxl.MODEL, 311, 2, "model 311"),
+        (dxl.HARDWARE_ERROR, 0x20, 4, "hardware error 0x20"),
+        (dxl.VOLTAGE, 74, 4, "7.4 V"),
+        (dxl.TEMPERATURE, 68, 4, "68 °C"),
+        (dxl.HOMING_OFFSET, -512, 5, "register 20 is -512"),
+    ],
+)
+def test_a_register_that_is_wrong_is_found(bench, register, value, check, says):
+    bench.rig._servos[1]._set(register, value)
+    found = failures(BenchTalk(bench))
+    assert found[check].servo == 2
+    assert says in found[check].seen
+    assert found[check].mend
+
+
+def test_an_adapter_that_holds_answers_back_is_found(bench):
+    found = failures(BenchTalk(bench, late_s=0.016))
+    assert "latency timer" in found[1].mend
+    assert 7 in found
+
+
+def test_a_servo_that_is_not_there_is_asked_once(bench):
+    bench.rig._servos[0].restart(bench.t, silent_s=1e9)
+    talk = BenchTalk(bench)
+    results = list(examine(talk, talk.axes))
+    first = [result for result in results if result.servo == 1]
+    assert [result.number for result in first] == [1]
+    assert "id 1 does not answer at 1000000 bit/s" in first[0].seen
+
+
+def test_a_servo_that_goes_on_when_nobody_speaks_is_found(bench):
+    """As those of the 330 size: the watchdog's register says that it has tripped, and the servo goes to its goal."""
+    servo = bench.rig._servos[0]
+    stop, servo._stop = servo._stop, lambda t: stop(t) if t >= servo._t_there else None
+    found = failures(BenchTalk(bench))
+    assert set(found) == {12}
+    assert "do not use it" in found[12].mend

@@ -1,0 +1,211 @@
+"""The servos' host on the emulated bus: set up, armed, following, stopped; and all that servos do instead."""
+
+import math
+import random
+
+import pytest
+from servo_bench import HOME, ServoBench
+
+from palmd.devices import dynamixel as dxl
+from palmd.devices.actuator import ArmState
+from palmd.devices.servohost import LOST_S, cycle_period
+
+
+def swing(t):
+    return (HOME[0] + 0.3 * math.sin(3.0 * t), HOME[1] + 0.2 * math.sin(4.0 * t))
+
+
+def following(**how):
+    bench = ServoBench(**how).armed()
+    assert bench.host.tracking
+    t0, start = bench.t, bench.reports[-1].pose.joints_rad
+
+    def path(t):
+        grown = min((t - t0) / 0.5, 1.0)
+        return tuple(s + grown * (w - h) for s, w, h in zip(start, swing(t), swing(t0), strict=True))
+
+    bench.target = path
+    return bench
+
+
+def test_it_sets_what_the_factory_left_and_nothing_twice():
+    bench = ServoBench().go(1.0)
+    assert bench.host.state is ArmState.READY
+    assert bench.host.counters.registers_set == 8, "return delay, drive mode and both limits of each"
+    for servo, axis in zip(bench.rig._servos, bench.host.axes, strict=True):
+        assert all(servo.get(register) == value for register, value in axis.settings())
+        assert not servo.torque
+    bench.host.disconnected()
+    bench.go(1.0)
+    assert bench.host.state is ArmState.READY
+    assert bench.host.counters.registers_set == 8
+
+
+def test_the_pose_is_that_of_the_palms_but_for_play_and_counts():
+    bench = ServoBench().go(1.0)
+    assert bench.reports[-1].pose.joints_rad == pytest.approx(HOME, abs=math.radians(0.4))
+    assert 15 < len([r for r in bench.reports if r.t_sample > 0.2]) < 18, "twenty times a second"
+
+
+def test_it_arms_where_it_stands_and_follows():
+    bench = following()
+    before = bench.rig.palms_at(bench.t).angles
+    bench.go(0.02)
+    assert bench.rig.palms_at(bench.t).angles == pytest.approx(before, abs=math.radians(0.3))
+    bench.go(2.0)
+    lag = min(
+        (max(abs(a - b) for a, b in zip(bench.target(bench.t - d / 1e3), bench.rig.palms_at(bench.t).angles,
+                                        strict=True)), d)
+        for d in range(80)
+    )  # fmt: skip
+    assert lag[0] < math.radians(0.3), "but for the play"
+    assert 15 < lag[1] < 45
+    assert bench.host.counters.missed == bench.host.counters.refused_goals == 0
+    assert bench.reports[-1].state is ArmState.TRACKING
+    assert bench.sent == pytest.approx(202, abs=3), "a hundred a second"
+
+
+def test_a_planned_stop_comes_to_rest_and_holds():
+    bench = following().go(1.1)
+    assert bench.speed > 0.3
+    bench.host.want_stop()
+    bench.go(0.3)
+    assert bench.host.state is ArmState.READY
+    assert bench.speed < 1e-3
+    assert all(servo.torque and servo.get(dxl.WATCHDOG) == 0 for servo in bench.rig._servos)
+    bench.go(1.0)
+    assert bench.host.state is ArmState.READY
+    assert bench.armed().host.tracking, "and arms again"
+
+
+def test_servos_stop_when_the_host_dies_and_the_host_hears_of_it_when_it_is_back():
+    bench = following().go(1.1)
+    assert bench.speed > 0.3
+    bench.deaf, t_died = True, bench.t
+    bench.go(1.0, lambda: bench.speed < 1e-2)
+    assert bench.t - t_died < 0.150
+    bench.go(0.3)
+    bench.deaf = False
+    bench.go(0.5)
+    assert bench.host.state is ArmState.READY, "a silence of more than 250 ms ends the link; it begins anew"
+    assert not bench.host.tracking
+
+
+def test_a_short_silence_trips_the_watchdog_which_is_told_and_reset():
+    bench = following().go(0.5)
+    bench.deaf = True
+    bench.go(0.150)
+    bench.deaf = False
+    bench.go(0.05)
+    assert "watchdog" in bench.host.trouble
+    assert bench.host.state is ArmState.FAULT
+    assert not bench.host.tracking
+    bench.go(0.5)
+    assert bench.host.state is ArmState.FAULT, "until it is reset"
+    bench.host.request_reset()
+    bench.go(0.5)
+    assert (bench.host.state, bench.host.error) == (ArmState.READY, "")
+    assert bench.armed().host.tracking
+
+
+@pytest.mark.parametrize(("name", "code"), [("overload", "overload"), ("overheat", "hot"), ("undervoltage", "voltage")])
+def test_a_hardware_error_is_named_within_a_tenth_of_a_second_and_reset_restarts_the_servo(name, code):
+    bench = following().go(1.0)
+    bench.play(name)
+    t = bench.t
+    bench.go(0.2, lambda: code in bench.host.trouble)
+    assert bench.t - t < 0.1
+    assert not bench.host.tracking
+    assert list(bench.host.health(False)) == [f"servo-{code}"]
+    bench.go(0.2)
+    bench.host.request_reset()
+    assert bench.host.busy
+    bench.go(1.0, lambda: not bench.host.busy)
+    bench.go(0.1)
+    assert (bench.host.state, bench.host.error) == (ArmState.READY, "")
+    assert bench.armed().host.tracking
+
+
+def test_a_servo_that_starts_anew_while_it_follows_is_noticed():
+    bench = following().go(1.0)
+    bench.play("brownout")
+    bench.go(1.0)
+    assert not bench.host.tracking
+    assert bench.host.state in (ArmState.FAULT, ArmState.READY)
+
+
+def test_a_goal_that_is_not_taken_is_noticed_by_reading_it_back():
+    bench = following().go(1.0)
+    servo = bench.rig._servos[1]
+    servo._set(dxl.MAX_POSITION, servo.get(dxl.GOAL))
+    servo._set(dxl.MIN_POSITION, servo.get(dxl.GOAL))
+    bench.go(0.06)
+    assert "does not take its goals" in bench.host.error
+    assert not bench.host.tracking
+
+
+def test_a_spoilt_line_costs_cycles_and_no_more():
+    dice = random.Random(3)
+
+    def spoil(data):
+        if dice.random() > 0.05:
+            return data
+        spoilt = bytearray(data)
+        spoilt[dice.randrange(len(spoilt))] ^= 1 << dice.randrange(8)
+        return bytes(spoilt)
+
+    bench = following(spoil=spoil).go(5.0)
+    assert bench.host.tracking
+    assert 10 < bench.host.counters.missed < 100
+    assert bench.host.counters.refused_goals == 0
+
+
+def test_the_end_of_the_bus_is_the_end_of_the_link():
+    bench = following().go(0.5)
+    bench.play("power_off")
+    t = bench.t
+    bench.go(0.4, lambda: bench.host.lost(bench.t))
+    assert LOST_S - 0.02 < bench.t - t < LOST_S + 0.02
+    bench.play("power_off", begins=False)
+    bench.go(2.0)
+    assert bench.host.state is ArmState.READY
+
+
+def test_a_servo_whose_watchdog_does_not_stop_it_is_refused():
+    bench = ServoBench()
+    bench.rig._servos[1]._set(dxl.MODEL, 1200)
+    bench.go(1.0)
+    assert "XL330-M288, whose watchdog trips without stopping it" in bench.host.refusal
+    assert not bench.host.linked(bench.t) or bench.host.state is ArmState.FAULT
+    bench.host.want_tracking()
+    assert not bench.go(0.3).host.tracking
+
+
+def test_goals_beyond_a_servos_range_are_kept_inside_and_counted():
+    bench = following()
+    bench.target = lambda _t: (math.radians(-30.0), HOME[1])
+    bench.go(0.5)
+    assert bench.host.counters.bad_targets > 10
+    assert bench.host.counters.refused_goals == 0
+    assert bench.host.tracking
+
+
+@pytest.mark.parametrize(("baud", "period_s"), [(115200, 0.040), (1_000_000, 0.010), (4_000_000, 0.010)])
+def test_a_cycle_leaves_half_of_the_bus_free(baud, period_s):
+    assert cycle_period(baud, 2) == period_s
+
+
+def test_at_a_slow_bus_it_still_follows():
+    bench = following(baud=115200).go(2.0)
+    assert bench.host.tracking
+    assert bench.host.counters.missed == 0
+
+
+def test_no_bytes_whatever_make_it_raise():
+    dice = random.Random(9)
+    bench = following().go(0.2)
+    for _ in range(300):
+        bench.host.feed(
+            bytes(dice.choice((0xFF, 0xFD, 0, 0x55, 1, 2, dice.randrange(256))) for _ in range(40)), bench.t
+        )
+        bench.go(0.005)

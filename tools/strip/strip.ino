@@ -1,0 +1,71 @@
+/* The board's side, for anything that speaks Arduino and has 12-bit inputs: which pin does what, and nothing else.
+ *
+ * The strip has two ends of its drive line and a sense line; R0 (10 kOhm) joins the sense line to PIN_LOAD.
+ * Readings as in the maker's integration guide: position with both ends driven and the sense line free, force with one end
+ * driven, the other read, and the sense line loaded by R0.
+ */
+#include "strip.h"
+
+const int PIN_END1 = A0, PIN_SENSE = A1, PIN_END2 = A2, PIN_LOAD = A3;
+const unsigned SETTLE_US = 20;
+
+static struct strip strip;
+
+static void drive(int pin, int level)
+{
+    pinMode(pin, OUTPUT);
+    digitalWrite(pin, level);
+}
+
+static void discharge()
+{
+    for (int pin : {PIN_END1, PIN_SENSE, PIN_END2, PIN_LOAD})
+        drive(pin, LOW);
+    delayMicroseconds(SETTLE_US);
+}
+
+static uint16_t position_sum()
+{
+    discharge();
+    drive(PIN_END1, LOW); /* the end at the hinge: counts grow away from it */
+    drive(PIN_END2, HIGH);
+    pinMode(PIN_LOAD, INPUT);
+    pinMode(PIN_SENSE, INPUT);
+    delayMicroseconds(SETTLE_US);
+    uint16_t sum = 0;
+    for (int i = 0; i < STRIP_POSITION_READS; i++)
+        sum += analogRead(PIN_SENSE);
+    return sum;
+}
+
+static void force(struct strip_readings *readings)
+{
+    discharge();
+    drive(PIN_END1, HIGH);
+    drive(PIN_LOAD, LOW);
+    pinMode(PIN_END2, INPUT);
+    pinMode(PIN_SENSE, INPUT);
+    delayMicroseconds(SETTLE_US);
+    readings->drive = analogRead(PIN_END2);
+    readings->sense = analogRead(PIN_SENSE);
+}
+
+void setup()
+{
+    Serial.begin(115200);
+    analogReadResolution(12);
+}
+
+void loop()
+{
+    if (!strip_due(&strip, micros()))
+        return;
+    struct strip_readings readings;
+    force(&readings);
+    readings.position_sum = position_sum();
+    uint32_t sampled_us = micros();
+    uint8_t packet[STRIP_PACKET_BYTES];
+    uint8_t count = strip_take(&strip, readings, sampled_us, micros(), packet);
+    if (count && Serial.availableForWrite() >= count)
+        Serial.write(packet, count); /* else the host does not listen: the packet is lost, the next one is newer */
+}
