@@ -10,7 +10,7 @@
 
 _shtab_palmd_commands() {
   local _commands=(
-    bench:'studies of many runs: montecarlo, sbc, explore, recognise, peers, faults, soak'
+    bench:'studies of many runs: montecarlo, sbc, explore, recognise, peers, field, faults, soak'
     build:'compile the observers now; the first run does it otherwise'
     calibrate:'measure what the configuration must know: pad, arm, gravity, pads, force, self'
     check:'find what is wrong with configurations and motion plans'
@@ -22,6 +22,7 @@ _shtab_palmd_commands() {
     estimate:'an event log or a recorded run through the daemon'"'"'s observer'
     explore:'have a running daemon find the whole outline of what lies on the palms'
     export:'a recorded run as event log, CSV, MCAP with JSON, or for rerun'
+    init:'ask what the rig is made of, and write a configuration of it'
     install:'services of this palmd for systemd: units, account, udev rules'
     jog:'turn the palms by the arrow keys, for as long as one is held'
     keys:'who may listen to a daemon and command it: new, allow, revoke, list'
@@ -38,6 +39,7 @@ _shtab_palmd_commands() {
     runs:'recordings listed, searched, compared, grouped by object'
     top:'live status of a running daemon in this terminal'
     view:'live page of a running daemon for browsers on this machine'
+    why:'what made a recorded run hold or stop, in plain words with the evidence'
   )
   _describe 'palmd commands' _commands
 }
@@ -46,6 +48,7 @@ _shtab_palmd_bench_commands() {
   local _commands=(
     explore:'unknown objects explored in the emulated rig, beside open-loop plans'
     faults:'every fault provoked on the emulated rig: what comes of it, how soon the arm stands'
+    field:'the field'"'"'s benchmark: 200 runs with their truth, baselines, a scorer for anybody'"'"'s results'
     montecarlo:'random objects reconstructed blind, scored against their truth and the Cramér–Rao bound'
     peers:'palmd'"'"'s estimators beside general-purpose ones'
     recognise:'which of twenty similar objects lies on the palms, or none of them'
@@ -62,7 +65,7 @@ _shtab_palmd_calibrate_commands() {
     gravity:'gravity and the arm'"'"'s yaw, with a ball or cylinder that rolls down the palms'
     pad:'one touchpad: noise, resolution, timing, dead band, with a marble rolled over it'
     pads:'both touchpads: zero, scale, sign, with a turned cylinder between the palms'
-    self:'the pads'"'"' zeros and the arm'"'"'s yaw, from recorded runs with any objects'
+    self:'the pads'"'"' zeros and the palms'"'"' angles, from recorded runs with any objects'
   )
   _describe 'palmd calibrate commands' _commands
 }
@@ -123,6 +126,7 @@ _shtab_palmd_bench_explore_options=(
   "--seconds[how long each may take (default\: 60.0)]:S:"
   {-o,--output}"[for runs.jsonl and the figure, which are overwritten (default\: explore)]:FOLDER:_files"
   "--imperfections[of the rig, drawn (default\: none)]:imperfections:(none calibrated)"
+  "--config[the rig, with its imperfections\; default\: VersaPads and an arm]:config:_files"
   "--jobs[processes on this machine (default\: one a processor)]:J:"
 )
 
@@ -134,11 +138,26 @@ _shtab_palmd_bench_faults_options=(
   "--only[these rows alone\; there are pad1-dead, pad1-garbled, pad1-late, pad1-mute, pad1-replaced, pad1-foreign, pad2-dead, pad2-garbled, pad2-late, pad2-mute, pad2-replaced, pad2-foreign, object-lifted, arm-dead, arm-garbled, arm-late, arm-mute, arm-replaced, arm-foreign, controller-break, controller-estop, controller-power-off, controller-manual, controller-watchdog, daemon-paused-50, daemon-paused-300, daemon-killed, observer-raises, observer-nan, disk-full, recorder-killed, recorder-stuck, page-killed, page-stuck, address-taken, clock-step]:NAME:(pad1-dead pad1-garbled pad1-late pad1-mute pad1-replaced pad1-foreign pad2-dead pad2-garbled pad2-late pad2-mute pad2-replaced pad2-foreign object-lifted arm-dead arm-garbled arm-late arm-mute arm-replaced arm-foreign controller-break controller-estop controller-power-off controller-manual controller-watchdog daemon-paused-50 daemon-paused-300 daemon-killed observer-raises observer-nan disk-full recorder-killed recorder-stuck page-killed page-stuck address-taken clock-step)"
   "--times[how often each is provoked (default\: 1)]:N:"
   "--seed[which object and noise (default\: 3)]:seed:"
-  {-o,--output}"[for runs.jsonl, which is overwritten (default\: faults)]:FOLDER:_files"
+  {-o,--output}"[for runs.jsonl, which is overwritten, and the recordings (default\: faults)]:FOLDER:_files"
 )
 
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_bench_faults_defaults_added=0
+
+_shtab_palmd_bench_field_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--runs[how many (default\: 200)]:N:"
+  "--seed[the first run\'s (default\: 0)]:FIRST:"
+  "--seconds[how long each lasts (default\: 5)]:S:"
+  "--results[score these too\: your own method\'s]:FILE:_files"
+  "--no-baselines[make the runs, and score what is there, without the baselines]"
+  {-o,--output}"[(default\: field)]:FOLDER:_files"
+  "--jobs[processes on this machine (default\: one a processor)]:J:"
+  "--scheduler[of a Dask cluster, such as tcp\:\/\/127.0.0.1\:8786]:ADDRESS:"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_palmd_bench_field_defaults_added=0
 
 _shtab_palmd_bench_montecarlo_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -418,6 +437,7 @@ _shtab_palmd_demo_options=(
   "--kind[what sort of object (default\: rig)]:kind:(nominal friction rig odd)"
   "--no-record[keep no recording\; else it goes to runs\/ here]"
   "--perfect[a rig that is exactly as configured, which is known]"
+  "--rig[an arm and VersaPads, or strips and servos]:rig:(adept tabletop)"
   "--config[rig and plan\; default\: as shipped]:config:_files"
 )
 
@@ -427,9 +447,10 @@ _shtab_palmd_demo_defaults_added=0
 _shtab_palmd_doctor_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--arm-conformance[check by check, whether the arm\'s controller keeps the contract of the link]"
+  "--actuator-conformance[the same of whatever turns the palms, an arm or servos]"
   "--touch[which pad is which, and which way round\: by touching them]"
   "--port[of the arm, instead of the configured one]:PATH:"
-  "--baud[of the arm, instead of the configured one]:baud:(1200 2400 4800 9600 19200 38400 57600 115200)"
+  "--baud[of the arm, instead of the configured one]:baud:(1200 2400 4800 9600 19200 38400 57600 115200 1000000 2000000 3000000 4000000)"
   "--yes[the arm may move\: do not ask]"
   ":the rig\'s configuration (default\: \/etc\/palmd\/palmd.yaml, else as shipped):_files"
 )
@@ -464,13 +485,22 @@ _shtab_palmd_explore_defaults_added=0
 
 _shtab_palmd_export_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  {-o,--output}"[.jsonl event log\; folder or .zip CSV, a table for each topic\; .mcap messages in JSON\; .rrd for rerun]:FILE|FOLDER:_files"
-  "--as[the form, where the name does not tell it]:form:(log csv mcap-json rrd)"
-  ":a recorded run (.mcap):_files"
+  {-o,--output}"[.jsonl event log\; folder or .zip CSV, a table for each topic\; .mcap messages in JSON\; .rrd for rerun\; the outline\: .svg, .dxf drawings, .csv points, x and y in mm]:FILE|FOLDER:_files"
+  "--as[the form, where the name does not tell it]:form:(log csv mcap-json rrd svg dxf points)"
+  ":a recorded run (.mcap), or a RESULT.json:_files"
 )
 
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_export_defaults_added=0
+
+_shtab_palmd_init_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--force[write over what is there]"
+  ":the configuration to write (default\: palmd.yaml):_files"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_palmd_init_defaults_added=0
 
 _shtab_palmd_install_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -580,7 +610,7 @@ _shtab_palmd_recognise_defaults_added=0
 
 _shtab_palmd_reconstruct_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  {-o,--output}"[- for standard output]:RESULT.json:_files"
+  {-o,--output}"[- for standard output\; .svg, .dxf, .csv\: the outline as a drawing or points, x and y in mm]:RESULT.json:_files"
   "--seed[of the blind start (default\: 0)]:N:"
   "--calibration-sd[one-sigma of the rig\'s constants, instead of the log\'s\: zero_m, scale, angle_rad, standoff_m, lag_s, gravity_rad, sagitta_m, friction, force_m_per_n]:KEY=VALUE:"
   ":an event log (JSON lines) or a recorded run (.mcap):_files"
@@ -693,6 +723,16 @@ _shtab_palmd_view_options=(
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_view_defaults_added=0
 
+_shtab_palmd_why_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--at[seconds since its first message, as in reports (default\: the last time by a fault)]:T:"
+  "--json[print the answer as JSON]"
+  ":a recorded run (.mcap), finished or not:_files"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_palmd_why_defaults_added=0
+
 
 _shtab_palmd() {
   local context state line curcontext="$curcontext" one_or_more='(*)' remainder='(-)*:' default='*::: :->palmd'
@@ -724,6 +764,7 @@ _shtab_palmd() {
         estimate) _arguments -C -s $_shtab_palmd_estimate_options ;;
         explore) _arguments -C -s $_shtab_palmd_explore_options ;;
         export) _arguments -C -s $_shtab_palmd_export_options ;;
+        init) _arguments -C -s $_shtab_palmd_init_options ;;
         install) _arguments -C -s $_shtab_palmd_install_options ;;
         jog) _arguments -C -s $_shtab_palmd_jog_options ;;
         keys) _shtab_palmd_keys ;;
@@ -740,6 +781,7 @@ _shtab_palmd() {
         runs) _arguments -C -s $_shtab_palmd_runs_options ;;
         top) _arguments -C -s $_shtab_palmd_top_options ;;
         view) _arguments -C -s $_shtab_palmd_view_options ;;
+        why) _arguments -C -s $_shtab_palmd_why_options ;;
       esac
   esac
 }
@@ -764,6 +806,7 @@ _shtab_palmd_bench() {
       case $line[1] in
         explore) _arguments -C -s $_shtab_palmd_bench_explore_options ;;
         faults) _arguments -C -s $_shtab_palmd_bench_faults_options ;;
+        field) _arguments -C -s $_shtab_palmd_bench_field_options ;;
         montecarlo) _arguments -C -s $_shtab_palmd_bench_montecarlo_options ;;
         peers) _arguments -C -s $_shtab_palmd_bench_peers_options ;;
         recognise) _arguments -C -s $_shtab_palmd_bench_recognise_options ;;

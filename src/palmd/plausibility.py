@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from palmd.config import Config, Plausible, size, unit_of
+from palmd.config import AdeptConfig, Config, Plausible, RigConfig, size, unit_of
 from palmd.system.mechanism import PALMS
 from palmd.yamlfile import Document, Loc
 
@@ -91,23 +91,28 @@ def odd(key: str, value: Value, usual: Plausible, default: Value) -> str:
 
 def _odd_rig(config: Config) -> Iterator[tuple[Loc, str]]:
     """What only several keys together tell."""
-    arm_mm = (config.arm.base_x_mm, config.arm.base_y_mm)
-    away_mm = math.dist(arm_mm, config.rig.base_mm)
-    if away_mm < ARM_NEAREST_MM:
-        text = (
-            f"the arm's base would be {away_mm:.3g} mm from where palm 1 is hinged (rig.base_mm), and no arm works"
-            f" nearer to its base than {ARM_NEAREST_MM:g} mm"
-        )
-        metres = tuple(1e3 * each for each in arm_mm)
-        if ARM_NEAREST_MM <= math.dist(metres, config.rig.base_mm) <= 1e4:
-            text += f"; is {metres[0]:g} mm meant?"
-        yield ("arm", "base_x_mm"), text
+    if isinstance(config.arm, AdeptConfig):
+        yield from _odd_base(config.arm, config.rig)
     for palm, length_mm in zip(PALMS, config.rig.palm_lengths_mm, strict=True):
         pad = config.pads.of(palm)
         if pad.length_mm > length_mm:
             whole = f"a palm of {length_mm:g} mm (rig.palm{palm}_length_mm)"
             text = f"the pad would reach {pad.length_mm:g} mm along {whole}"
             yield ("pads", f"palm{palm}", "length_mm"), text
+
+
+def _odd_base(arm: AdeptConfig, rig: RigConfig) -> Iterator[tuple[Loc, str]]:
+    arm_mm = (arm.base_x_mm, arm.base_y_mm)
+    away_mm = math.dist(arm_mm, rig.base_mm)
+    if away_mm < ARM_NEAREST_MM:
+        text = (
+            f"the arm's base would be {away_mm:.3g} mm from where palm 1 is hinged (rig.base_mm), and no arm works"
+            f" nearer to its base than {ARM_NEAREST_MM:g} mm"
+        )
+        metres = tuple(1e3 * each for each in arm_mm)
+        if ARM_NEAREST_MM <= math.dist(metres, rig.base_mm) <= 1e4:
+            text += f"; is {metres[0]:g} mm meant?"
+        yield ("arm", "base_x_mm"), text
 
 
 def _written(value: Value, unit: str) -> str:

@@ -17,3 +17,13 @@ class Share:
         self.gained, self.spoilt = total - self._all, bad - self._bad
         self._all, self._bad = total, bad
         return self.gained >= self._least and self.spoilt > self._most * self.gained
+
+
+def ago(seconds: float) -> str:
+    """An age in words."""
+    return f"{seconds * 1e3:.0f} ms" if seconds < 1.0 else f"{seconds:.1f} s"
+
+
+def last_report(t_last: float | None, t: float) -> str:
+    """How old the last report, of `t_last` (s), is at `t` (s)."""
+    return "no packet has come yet" if t_last is None else f"its last packet is {ago(t - t_last)} old"

@@ -8,7 +8,7 @@ from palmd.config import DynamixelConfig
 from palmd.devices.actuator import ActuatorFactory, Reach
 from palmd.devices.health import Share
 from palmd.devices.port import Port
-from palmd.devices.servohost import ServoHost
+from palmd.devices.servohost import FREEZE_S, LOST_S, ServoHost
 
 DAMAGED_SHARE, DAMAGED_LEAST = 0.05, 10  # packets
 TABLED = frozenset({"voltage", "hot", "encoder", "shock", "overload", "watchdog", "refused", "restarted", "set-up"})
@@ -42,6 +42,18 @@ class Dynamixel(ServoHost):
             )
         yield from self._verdicts
         yield from (f"servo-{code}" for code in self.trouble if code in TABLED)
+
+    def evidence(self, condition: str, t: float) -> str:
+        """What speaks for a condition at `t` (s)."""
+        match condition:
+            case "late" | "link-lost":
+                limit_s = FREEZE_S if condition == "late" else LOST_S
+                return f"all servos answered last {self.age(t) * 1e3:.0f} ms ago, the limit is {limit_s * 1e3:.0f} ms"
+            case "mute":
+                return f"{self.counters.bus.bytes} bytes have come since the start"
+            case "garbled":
+                return f"{self._damaged.spoilt} of {self._damaged.gained} packets since the last look"
+        return self.trouble.get(condition.removeprefix("servo-"), "")
 
     def counts(self) -> dict[str, float]:
         """What has passed on the bus since the start."""

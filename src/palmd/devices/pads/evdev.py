@@ -9,7 +9,7 @@ from typing import Literal
 from palmd.config import EvdevConfig
 from palmd.devices.evdev import EvdevReader
 from palmd.devices.evdevport import EvdevPort
-from palmd.devices.health import Share
+from palmd.devices.health import Share, last_report
 from palmd.devices.pad import MARGIN_MM, PadFactory, PadReport
 from palmd.devices.port import DevicePort
 from palmd.events import PadLift, PadSample
@@ -114,6 +114,22 @@ class Evdev:
         if look:
             self._verdicts = tuple(self._judged())
         yield from self._verdicts
+
+    def evidence(self, condition: str, t: float) -> str:
+        """What speaks for a condition at `t` (s)."""
+        last = last_report(None if self._latest is None else self._latest.t_first, t)
+        match condition:
+            case "silent":
+                return f"{last}; then the device went, or the kernel dropped what it had said"
+            case "lifted":
+                return f"{last} and says so"
+            case "untouched":
+                return last
+            case "out-of-range":
+                return f"{self._astray.spoilt} of {self._astray.gained} frames since the last look"
+            case "foreign-clock":
+                return f"{self._foreign.spoilt} of {self._foreign.gained} frames since the last look"
+        return ""
 
     def counts(self) -> dict[str, int]:
         """What has passed since the start, by cause."""

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Literal
 
 from palmd.config import StripConfig
-from palmd.devices.health import Share
+from palmd.devices.health import Share, last_report
 from palmd.devices.pad import MARGIN_MM, SILENT_INTERVALS, PadFactory, TouchTracker
 from palmd.devices.port import DevicePort, Port
 from palmd.devices.strip import FORCE_MAX, StripDecoder, StripPacket
@@ -108,6 +108,24 @@ class Strip:
         if look:
             self._verdicts = tuple(self._judged())
         yield from self._verdicts
+
+    def evidence(self, condition: str, t: float) -> str:
+        """What speaks for a condition at `t` (s)."""
+        last = last_report(None if self._latest is None else self._latest.t_first, t)
+        match condition:
+            case "silent":
+                return f"{last}, the limit is {SILENT_S * 1e3:.0f} ms"
+            case "lifted":
+                return f"{last} and says so"
+            case "untouched":
+                return last
+            case "garbled":
+                return f"{self._garbled.spoilt} of {self._garbled.gained} bytes since the last look"
+            case "out-of-range":
+                return f"{self._astray.spoilt} of {self._astray.gained} packets since the last look"
+            case "batched":
+                return f"{self._batched.spoilt} of {self._batched.gained} packets since the last look"
+        return ""
 
     def counts(self) -> dict[str, int]:
         """What has passed since the start, by cause."""

@@ -9,7 +9,7 @@ from typing import Literal, cast
 
 from palmd.config import VersaPadConfig
 from palmd.devices.handshake import Handshake
-from palmd.devices.health import Share
+from palmd.devices.health import Share, last_report
 from palmd.devices.pad import SILENT_INTERVALS, PadFactory
 from palmd.devices.port import DevicePort, Port
 from palmd.devices.versapad import IN_USE, PadCalibration, PadPacket, PadReceiver, PressureFormat
@@ -167,7 +167,7 @@ class VersaPad:
 
     def _last_packet(self, t: float) -> str:
         latest = self._receiver.latest
-        return "no packet has come yet" if latest is None else f"its last packet is {_ago(t - latest.t_first)} old"
+        return last_report(None if latest is None else latest.t_first, t)
 
     def _bytes_since(self) -> str:
         count = self._receiver.counters.bytes - self._bytes_at_packet
@@ -197,10 +197,6 @@ class VersaPad:
     def _part(self, lift: PadLift, how: Literal["lifted", "silent"]) -> PadLift:
         self._s, self.parted = math.nan, how
         return lift
-
-
-def _ago(seconds: float) -> str:
-    return f"{seconds * 1e3:.0f} ms" if seconds < 1.0 else f"{seconds:.1f} s"
 
 
 DRIVER: PadFactory = VersaPad
