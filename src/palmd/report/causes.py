@@ -257,7 +257,7 @@ def _link(case: RunCase, code: str, t: float) -> StopCause:
         ends += wrong + alien
         excess = max(excess, read - LINE_BYTES * whole)
     said = _said(case, code, t)
-    if _bytes_since(said) < SPOKE_LINE_BYTES and (said or max(excess - LINE_BYTES, ends - 1.0) <= 0.0):
+    if _bytes_since(said) < SPOKE_LINE_BYTES and excess <= LINE_BYTES and ends <= 1.0:
         return StopCause("mute", "arm", "nothing came from the arm's controller any more", (*evidence, *said))
     if ends > 1.0 and excess < ALIEN_LINES * LINE_BYTES * ends:  # lines end where they should
         sentence = "what came from the arm's controller was damaged: its lines came, and hardly one of them whole"
