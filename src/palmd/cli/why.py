@@ -35,9 +35,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         recording = read_run(arguments.run)
         answer = explain(recording, arguments.at)
-        print(
-            json.dumps(as_json(answer), ensure_ascii=False) if arguments.json else "\n".join(lines(recording, answer))
-        )
+        print(json.dumps(as_json(answer), ensure_ascii=False) if arguments.json else "\n".join(lines(answer)))
     except (RunError, OSError) as error:
         raise CliError(BAD_INPUT, str(error)) from None
     return 0

@@ -23,7 +23,7 @@ from palmd.system.mechanism import JOINTS
 CauseKind = Literal[
     "port", "mute", "foreign", "damaged", "lifted", "stalled", "watchdog", "break", "estop", "power-off", "manual",
     "uncalibrated", "controller", "left", "late", "failed", "not-finite", "limits", "overruns", "command", "ended",
-    "rig-gone", "fault", "before", "died", "cut", "over", "idle", "nothing",
+    "rig-gone", "fault", "before", "died", "cut", "goes-on", "over", "idle", "nothing",
 ]  # fmt: skip
 
 STALL_S = 0.1
@@ -34,6 +34,7 @@ PAUSE_S = 0.04
 
 STALLED_BEFORE_S, STALL_READING_S = 0.1, 0.03
 NEAR_S, SOON_S = 0.6, 0.05
+BREAK_S = 15.0  # after its end, within which the next recording tells what was wrong
 """A cause is looked for so long before its effect."""
 
 ARM_QUIET_S = 0.1  # without an answer: six of its cycles
@@ -256,7 +257,7 @@ def _link(case: RunCase, code: str, t: float) -> StopCause:
         ends += wrong + alien
         excess = max(excess, read - LINE_BYTES * whole)
     said = _said(case, code, t)
-    if _bytes_since(said) < SPOKE_LINE_BYTES and (said or max(excess - LINE_BYTES, ends - 1.0) <= 0.0):
+    if _bytes_since(said) < SPOKE_LINE_BYTES and excess <= LINE_BYTES and ends <= 1.0:
         return StopCause("mute", "arm", "nothing came from the arm's controller any more", (*evidence, *said))
     if ends > 1.0 and excess < ALIEN_LINES * LINE_BYTES * ends:  # lines end where they should
         sentence = "what came from the arm's controller was damaged: its lines came, and hardly one of them whole"
@@ -387,6 +388,19 @@ def of_end(case: RunCase) -> StopCause:
         "write, or the machine went; or it is still being written"
     )
     return StopCause("cut", "", sentence, tuple(evidence))
+
+
+def of_break(case: RunCase, later: str, log: Sequence[LogEntry]) -> StopCause:
+    """The recording ends while the palms moved, and another one, whose log is given, goes on from it."""
+    missed = [entry for entry in log if entry.name in ("recorder-failed", "recorder-silent") and not entry.who]
+    said = tuple(
+        Clue("palm/log", f"at {case.rel(entry.t_s)} {entry.line}")
+        for entry in missed if -NEAR_S < entry.t_s - case.course.end < BREAK_S
+    )  # fmt: skip
+    if said:
+        sentence = f"the recorder could not go on writing; palmd did, and {later} goes on from here"
+        return StopCause("cut", "", sentence, said)
+    return StopCause("goes-on", "", f"nothing held or stopped it: {later} goes on from here, ask that one")
 
 
 def _moves(case: RunCase, t: float) -> bool:

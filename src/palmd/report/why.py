@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
 from palmd.faults import TABLE
-from palmd.record.run import Run
-from palmd.report.causes import RunCase, StopCause, of_end, of_fault, of_no_fault, of_tracking
+from palmd.record.run import Run, RunError, read_run
+from palmd.record.runfile import SUFFIX
+from palmd.report.causes import RunCase, StopCause, of_break, of_end, of_fault, of_no_fault, of_tracking
 from palmd.report.course import Course, StateChange, closeup_of, course_of
 
 _COMMANDED = ("tracking", "hold")
@@ -25,8 +27,8 @@ TOGETHER_S = 0.05
 RECENT_S = 0.25
 """So long after a fault has gone, it is told of motion that goes on."""
 
-END_S = 0.05
-"""So long before its end, the end is what a question is about."""
+END_S, GAP_S = 0.05, 0.5
+"""So long before its end, the end is what a question is about; and so much may be missing before the next file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,10 +53,12 @@ class Standstill:
 class Explanation:
     """Why it stood at `t` (s since the run's first message), or that it did not.
 
-    happened: in words, what was done, and `since` when (s) until when. cause: what lies behind. standing: the faults
-    that stood then and how long (s) each; hint: what to do. others: the other times at which it was held or stopped.
+    recording: the file that tells it, the one that was asked or one that goes on from it. happened: in words, what was
+    done, and `since` when (s) until when. cause: what lies behind. standing: the faults that acted and how long (s)
+    each stood; hint: what to do. others: the other times at which it was held or stopped.
     """
 
+    recording: str
     t: float
     state: str
     happened: str
@@ -85,6 +89,7 @@ def answer(run: Run, course: Course, t: float | None) -> Explanation:
     case = RunCase(course, closeup_of(run, stop.now.t), run.config)
     cause = of_fault(case, stop.codes, stop.now.t) if stop.codes else of_no_fault(case, stop.before, stop.now)
     return Explanation(
+        run.path.name,
         (stop.now.t if t is None else t) - course.begin,
         stop.now.state,
         _HAPPENED.get(stop.now.state, stop.now.state),
@@ -113,16 +118,16 @@ def stops(course: Course) -> Iterator[Standstill]:
             yield Standstill(before, now, next(after, math.inf), hints)
 
 
-def lines(run: Run, answer: Explanation) -> Iterator[str]:
+def lines(answer: Explanation) -> Iterator[str]:
     """The answer in plain words."""
     cause = answer.cause
-    if answer.happened and answer.cause.kind in ("died", "cut"):
-        yield f"{run.path.name}: at {answer.since:.2f} s {answer.happened} (state {answer.state})"
+    if answer.happened and answer.cause.kind in ("died", "cut", "goes-on"):
+        yield f"{answer.recording}: at {answer.since:.2f} s {answer.happened} (state {answer.state})"
     elif answer.happened:
         until = "to the end" if math.isinf(answer.until) else f"until {answer.until:.2f} s"
-        yield f"{run.path.name}: at {answer.since:.2f} s {answer.happened}, {until} (state {answer.state})"
+        yield f"{answer.recording}: at {answer.since:.2f} s {answer.happened}, {until} (state {answer.state})"
     else:
-        yield f"{run.path.name}: at {answer.t:.2f} s, state {answer.state}"
+        yield f"{answer.recording}: at {answer.t:.2f} s, state {answer.state}"
     yield f"why       {cause.sentence}"
     for number, each in enumerate(cause.evidence):
         yield f"{'' if number else 'evidence':10}{each.where}: {each.what}"
@@ -156,18 +161,39 @@ def _not_stopped(run: Run, course: Course, t: float, others: tuple[tuple[float, 
     case = RunCase(course, closeup_of(run, min(t, course.end)), run.config)
     rel = t - course.begin
     if t >= course.end - END_S and told.state in _COMMANDED:
-        happened = "the recording ends"
-        return Explanation(rel, told.state, happened, course.end - course.begin, math.inf, of_end(case), (), "", others)
+        later = _successor(run)
+        if later is None:
+            cause = of_end(case)
+        else:
+            goes_on = course_of(later)
+            if t >= goes_on.begin - GAP_S and t > course.end:
+                return answer(later, goes_on, t)
+            cause = of_break(case, later.path.name, goes_on.log)
+        since = course.end - course.begin
+        return Explanation(run.path.name, rel, told.state, "the recording ends", since, math.inf, cause, (), "", others)
     if told.state == "tracking":
         recent = [each for each in course.told if t - RECENT_S < each.t <= t]
         faults = {code: severity for each in (told, *recent) for code, severity in each.faults.items()}
-        return Explanation(rel, told.state, "", rel, rel, of_tracking(case, faults, t), (), "", others)
+        return Explanation(run.path.name, rel, told.state, "", rel, rel, of_tracking(case, faults, t), (), "", others)
     cause = StopCause("before", "", f"it had not been commanded yet: the state was {told.state}")
     grave = told.grave("hold", "stop")
     if grave:
         cause = of_fault(case, grave, told.t)
     standing = tuple((code, course.stood(code, told.t)) for code in grave)
-    return Explanation(rel, told.state, "", rel, rel, cause, standing, "; ".join(told.hints[c] for c in grave), others)
+    return Explanation(
+        run.path.name, rel, told.state, "", rel, rel, cause, standing, "; ".join(told.hints[c] for c in grave), others
+    )
+
+
+def _successor(run: Run) -> Run | None:
+    """The recording beside it that says it goes on from this one; None without any."""
+    for path in sorted(run.path.parent.glob(f"*{SUFFIX}")):
+        if path.name > run.path.name:
+            with contextlib.suppress(RunError):
+                later = read_run(path)
+                if later.metadata.get("continues") == run.path.name:
+                    return later
+    return None
 
 
 def _in_short(stop: Standstill) -> str:

@@ -42,7 +42,7 @@ class Rig:
         self.bus = Bus("tcp://127.0.0.1:*", "tcp://127.0.0.1:*", keys.server_keys(self.own))
         self.publish, self.command = (socket.last_endpoint.decode() for socket in self.bus._sockets)
         self.context = zmq.Context()
-        self.granted, self.clients = [], []
+        self.granted, self.whos, self.clients = [], [], []
 
     def make(self, name):
         keys.make_pair(self.folder, name)
@@ -65,6 +65,7 @@ class Rig:
         """What the loop does with the bus in a tick."""
         for request in self.bus.receive():
             self.granted.append(request.name)
+            self.whos.append(request.who)
             self.bus.reply(Reply(request, None, {}))
         self.bus.publish(STATE, state_fields("idle", []), 0.0, 0.0)
 
@@ -105,6 +106,14 @@ def test_roles_get_what_the_table_says_and_no_more(rig):
     for command in COMMANDS:
         assert rig.ask(operator, command)["ok"]
     assert rig.granted[1:] == list(COMMANDS)
+
+
+def test_who_asks_is_the_keys_name_whatever_the_program_says(rig):
+    operator = rig.client(zmq.DEALER, rig.credentials("ann"))
+    operator.send(msgpack.packb({"id": 1, "cmd": "arm", "from": "bob"}))
+    operator.send(msgpack.packb({"id": 2, "cmd": "arm"}))
+    rig.until(lambda: len(rig.whos) == 2)
+    assert rig.whos == ["ann, by bob", "ann"]
 
 
 def test_both_roles_and_the_daemons_own_recorder_hear_what_is_published(rig):

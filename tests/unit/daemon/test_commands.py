@@ -40,6 +40,9 @@ def test_arguments_are_passed_on():
         (packed(id=3, cmd="fly"), 3, "unknown command 'fly'; there are status, arm"),
         (packed(id=3, cmd=["arm"]), 3, "unknown command a list"),
         (packed(id=3, cmd="arm", force=True), 3, "unknown key 'force'"),
+        (packed(id=3, cmd="arm", **{"from": 5}), 3, "from must be printable text"),
+        (packed(id=3, cmd="arm", **{"from": "ann\n12:00 stop, by bob"}), 3, "from must be printable text"),
+        (packed(id=3, cmd="arm", **{"from": "x" * 101}), 3, "100 characters at most"),
         (packed(id=3, cmd="arm", args=[1]), 3, "args must be a map"),
         (packed(id=3, cmd="arm", args={"now": 1}), 3, "unknown argument 'now'; it takes none"),
         (packed(id=3, cmd="jog", args={"phi1_deg": "1"}), 3, "phi1_deg must be a finite number, got '1'"),
@@ -60,6 +63,11 @@ def test_malformed(payload, id, complaint):
         parse(payload)
     assert caught.value.id == id
     assert len(str(caught.value)) < 300
+
+
+def test_who_asks_is_what_it_says_of_itself():
+    assert parse(packed(id=3, cmd="arm", **{"from": "palmd ctl of ann"})).who == "palmd ctl of ann"
+    assert parse(packed(id=3, cmd="arm")).who == ""
 
 
 def test_a_large_request_is_refused_unread():

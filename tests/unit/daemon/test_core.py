@@ -17,7 +17,7 @@ from palmd.daemon.core import Core
 from palmd.daemon.exploring import OVERTIME_S
 from palmd.daemon.planner import Plan
 from palmd.events import Estimate, PadLift, PadSample, PalmSample
-from palmd.messages import NAMED_STATE, events_of, stamp, validate
+from palmd.messages import NAMED_STATE, entries_of, events_of, stamp, validate
 from palmd.motion.check import motion_limits
 from palmd.motion.plan import compile_plan
 from palmd.quantities import EVENTS, IMPROVEMENT, RIG, STATE
@@ -209,6 +209,12 @@ def running(ready):
     ready.do("arm")
     ready.do("start")
     return ready.go(1.0)
+
+
+def logged(bench, kind=""):
+    """The log's last message, as whoever comes late has it."""
+    bench.go(0.2)
+    return [entry for entry in entries_of(bench.last("palm/log")) if kind in ("", entry.kind)]
 
 
 # ---- from idle to a running plan
@@ -873,3 +879,70 @@ def test_whatever_happens_the_arm_gets_no_bad_set_point(seed):
                 bench.go(0.1)
     bench.check_the_arm()
     assert bench.world.status()["setpoints"] > 50
+
+
+# ---- the log
+
+
+def test_the_log_tells_who_did_what_and_what_came_of_it(running):
+    running.core.handle(Request("hold", who="ann"), running.t)
+    running.go(0.5)
+    running.core.handle(Request("jog", {"phi1_deg": -0.4, "whole_phi1_deg": -90.0}, who="bob"), running.t)
+    entries = logged(running)
+    assert entries[0].line.startswith("palmd: palmd ")
+    assert [entry.line for entry in entries if entry.kind == "state"] == [
+        "idle -> ready: all ports open and the arm has said hello",
+        "ready -> tracking: arm, by somebody",
+        "tracking -> hold: hold, by ann",
+    ]
+    assert [(entry.name, entry.who) for entry in entries if entry.kind == "command"] == [
+        ("arm", "somebody"),
+        ("start", "somebody"),
+        ("hold", "ann"),
+        ("jog", "bob"),
+    ]
+    assert "jog refused" in entries[-1].text
+    assert [entry.number for entry in entries] == list(range(len(entries)))
+
+
+def test_a_jog_is_told_once(ready):
+    ready.do("arm")
+    for _ in range(30):
+        ready.do("jog", phi1_deg=0.1)
+        ready.go(0.05)
+    assert [entry.name for entry in logged(ready, "command")] == ["arm", "jog"]
+
+
+def test_a_fault_that_stood_for_a_tick_is_told_with_its_cause_after_it_has_gone(running):
+    running.play("mute", port="pad1")
+    running.go(0.5, lambda: running.state == "hold")
+    running.world.mischief.cancel("mute", "pad1")
+    running.go(0.3)
+    assert running.faults == []
+    came, went = logged(running, "fault")
+    assert (came.name, came.severity) == ("pad1-silent", "hold")
+    assert "the limit is" in came.text
+    assert "not a byte has come since" in came.text
+    assert went.lasted_s < 0.1
+    assert [entry.text for entry in logged(running, "state")][-1] == "tracking -> hold: fault pad1-silent"
+
+
+def test_the_status_tells_the_last_of_the_log(running):
+    status = running.do("status")
+    entries = entries_of(status["log"])
+    assert entries[-1].name == "start"
+    assert 0.9 < status["t_s"] - entries[-1].t_s < 1.1
+
+
+def test_the_log_stays_small_whatever_comes(running):
+    for i in range(500):
+        running.core.handle(Request("plan", {"path": f"{i}.yaml"}, who="x" * 100), running.t)
+    running.core.replies()
+    assert len(logged(running)) <= 100
+
+
+def test_a_failed_tick_is_told_with_its_error(running):
+    running.core.fail(running.t, ZeroDivisionError("a defect"))
+    (entry,) = logged(running, "fault")
+    assert "ZeroDivisionError('a defect')" in entry.text
+    assert logged(running, "state")[-1].text == "tracking -> fault: fault tick-error"

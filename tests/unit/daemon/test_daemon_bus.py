@@ -1,11 +1,13 @@
 """The daemon's sockets, with real clients."""
 
+import os
 import time
 
 import msgpack
 import pytest
 import zmq
 
+from palmd.bus.command_client import CommandClient, own_name
 from palmd.daemon import bus as daemon_bus
 from palmd.daemon.bus import COMMANDS_PER_TICK, PUBLISHED_HIGH_WATER, Bus, BusError
 from palmd.daemon.commands import Reply
@@ -72,6 +74,18 @@ def test_dealer_client_gets_its_answer_in_one_frame(rig):
     rig.bus.reply(Reply(request, "arm refused: no"))
     (frame,) = client.recv_multipart()
     assert msgpack.unpackb(frame) == {"id": "x", "ok": False, "error": "arm refused: no"}
+
+
+def test_who_asks_is_what_it_says_of_itself_or_where_it_is(rig):
+    client = rig.client(zmq.DEALER, rig.command)
+    client.send(call(id=1, cmd="arm", **{"from": "my script"}))
+    client.send(call(id=2, cmd="arm"))
+    with CommandClient(rig.command, 1.0) as named:
+        named.post("arm")
+        whos = [request.who for request in rig.received(3)]
+    assert {"my script", own_name()} < set(whos)
+    assert sum(who.startswith("a program") for who in whos) == 1
+    assert own_name().endswith(f"process {os.getpid()}")
 
 
 @pytest.mark.parametrize(

@@ -114,9 +114,9 @@ def test_the_cause_is_told_with_its_evidence_also_without_a_log(name, tmp_path):
     for each in (course, replace(course, log=())):
         told = answer(run, each, t + LATER_S.get(name, 0.5))
         wanted = {name} if each.log else {name, WITHOUT_LOG.get(name)}
-        assert told.cause.name in wanted, "\n".join(lines(run, told))
+        assert told.cause.name in wanted, "\n".join(lines(told))
         assert told.cause.evidence or name == "nothing"
-        text = "\n".join(lines(run, told))
+        text = "\n".join(lines(told))
         assert "nan" not in text
         assert "inf" not in text
 
@@ -191,6 +191,23 @@ def test_a_daemon_that_has_died_and_a_recording_that_was_cut(tmp_path):
     cut = next(tmp_path.glob("*.mcap"))
     assert explain(read_run(cut), 60.0).cause.name == "cut"
     assert explain(read_run(rig.recorder.finish()), 60.0).cause.name == "died"
+
+
+def test_a_later_time_is_told_by_the_file_that_goes_on(tmp_path):
+    rig = Rig(tmp_path)
+    rig.start()
+    rig.go(1.0)
+    rig.recorder._recording.finish()
+    t = rig.t
+    rig.play("mute", "pad1")
+    rig.go(1.0)
+    rig.recorder.finish()
+    first, second = map(read_run, sorted(tmp_path.glob("*.mcap")))
+    told = explain(first, t + 0.5 - course_of(first).begin)
+    assert (told.recording, told.cause.name) == (second.path.name, "pad1-mute")
+    told = explain(first)
+    assert (told.recording, told.cause.name) == (first.path.name, "goes-on")
+    assert second.path.name in told.cause.sentence
 
 
 def test_the_command_prints_it_in_words_and_as_json(tmp_path, capsys):
