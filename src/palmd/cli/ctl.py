@@ -13,7 +13,6 @@ from typing import Any
 
 from palmd.bus.command_client import CommandClient
 from palmd.bus.link import COMMAND, add_key, credentials
-from palmd.cli.board import estimate
 from palmd.console.errors import BAD_INPUT, USAGE, CliError
 from palmd.daemon.commands import COMMANDS, REQUEST_BYTES_MAX
 from palmd.system.mechanism import JOINTS
@@ -110,6 +109,8 @@ def told(command: str, result: dict[str, Any]) -> str:
     if angles:
         lines.append(f"angles  {', '.join(angles)}")
     if "estimate" in result:
+        from palmd.cli.board import estimate  # which loads NumPy: `--help` comes without
+
         lines += [
             f"{'' if number else 'object':8}{row.text}" for number, row in enumerate(estimate(result["estimate"]))
         ]
