@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 import math
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from palmd.cli.logs import add_calibration_argument, opened, read
 from palmd.console.arguments import seed
+from palmd.console.progress import working
 from palmd.observer.reconstruct import Reconstruction, reconstruct
 from palmd.observer.static_mass import mass_at_rest
 from palmd.record.result import as_line
@@ -30,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Writes nothing before the answer is there; CliError when the log cannot be used."""
     log = read(arguments.log, arguments.calibration_sd)
-    with _said("reconstructing…"):
+    with working("reconstructing"):
         answer = reconstruct(log.events, log.rig, arguments.seed)
         at_rest = mass_at_rest(log.events, log.rig)
     with opened(arguments.output, arguments.log) as stream:
@@ -55,16 +54,3 @@ def summary(answer: Reconstruction) -> str:
         f"{answer.seconds:.1f} s",
     ]
     return ", ".join(parts)
-
-
-@contextlib.contextmanager
-def _said(text: str) -> Iterator[None]:
-    """Shows the text meanwhile, on a terminal only."""
-    if not sys.stderr.isatty():
-        yield
-        return
-    print(text, end="", file=sys.stderr, flush=True)
-    try:
-        yield
-    finally:
-        print("\r\x1b[K", end="", file=sys.stderr, flush=True)
