@@ -177,5 +177,6 @@ segments:
 
 Segments are joined by blends within the acceleration limit, so that angles and rates are always continuous. A plan
 that leaves the limits, the workspace or the pads, that opens the palms to φ1 + φ2 ≥ 172°, or whose blends the limits
-leave no room for, is refused before anything moves, with the place in the file: `palmd check CONFIG PLAN`.
+leave no room for, is refused before anything moves, with the place in the file: `palmd check CONFIG PLAN`. With
+`--draw out.svg` that draws what the plan does.
 """

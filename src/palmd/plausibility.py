@@ -59,7 +59,8 @@ def implausible(document: Document, config: Config) -> list[str]:
     """What should be looked at again, each with its place: `file:line:col: what`; a default is always plausible."""
     told = {loc: text for loc, text in _odd_values(config) if loc in document.values}
     told |= {loc: text for loc, text in _odd_rig(config) if loc in document.values and loc not in told}
-    return [document.line(document.place(loc), f"{'.'.join(map(str, loc))}: {text}") for loc, text in told.items()]
+    placed = sorted((document.place(loc), f"{'.'.join(map(str, loc))}: {text}") for loc, text in told.items())
+    return [document.line(place, text) for place, text in placed]
 
 
 def _odd_values(model: BaseModel, around: Loc = ()) -> Iterator[tuple[Loc, str]]:

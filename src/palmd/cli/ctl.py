@@ -13,10 +13,8 @@ from typing import Any
 
 from palmd.bus.command_client import CommandClient
 from palmd.bus.link import COMMAND, add_key, credentials
-from palmd.cli.board import ago, estimate
 from palmd.console.errors import BAD_INPUT, USAGE, CliError
 from palmd.daemon.commands import COMMANDS, REQUEST_BYTES_MAX
-from palmd.messages import entries_of
 from palmd.system.mechanism import JOINTS
 
 PLAN_BYTES_MAX = REQUEST_BYTES_MAX // 2
@@ -111,6 +109,8 @@ def told(command: str, result: dict[str, Any]) -> str:
     if angles:
         lines.append(f"angles  {', '.join(angles)}")
     if "estimate" in result:
+        from palmd.cli.board import estimate  # which loads NumPy: `--help` comes without
+
         lines += [
             f"{'' if number else 'object':8}{row.text}" for number, row in enumerate(estimate(result["estimate"]))
         ]
@@ -123,6 +123,9 @@ def told(command: str, result: dict[str, Any]) -> str:
         lines.append(f"        {result['arm_error']}")
     faults = zip(result["faults"], result["severities"], result["hints"], strict=True)
     lines += [f"fault   {code} ({severity}): {hint}" for code, severity, hint in faults]
+    from palmd.cli.board import ago
+    from palmd.messages import entries_of
+
     entries = entries_of(result["log"]) if "log" in result else ()
     told = (f"{ago(result['t_s'] - entry.t_s)}  {entry.line}" for entry in entries)
     lines += [f"{'' if number else 'log':8}{line}" for number, line in enumerate(told)]

@@ -7,11 +7,9 @@ RESULT.json too.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 import math
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +17,7 @@ import numpy as np
 from palmd.cli.drawings import curves_of_answer, drawing, write_drawing
 from palmd.cli.logs import add_calibration_argument, opened, read
 from palmd.console.arguments import seed
+from palmd.console.progress import working
 from palmd.observer.reconstruct import Reconstruction, reconstruct
 from palmd.observer.static_mass import mass_at_rest
 from palmd.record.outline_files import SUFFIXES
@@ -45,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
     suffix = arguments.output.suffix.lower()
     made = drawing(suffix) if suffix in SUFFIXES else None
     log = read(arguments.log, arguments.calibration_sd)
-    with _said("reconstructing…"):
+    with working("reconstructing"):
         answer = reconstruct(log.events, log.rig, arguments.seed)
         at_rest = mass_at_rest(log.events, log.rig)
     if made is not None:
@@ -73,16 +72,3 @@ def summary(answer: Reconstruction) -> str:
         f"{answer.seconds:.1f} s",
     ]
     return ", ".join(parts)
-
-
-@contextlib.contextmanager
-def _said(text: str) -> Iterator[None]:
-    """Shows the text meanwhile, on a terminal only."""
-    if not sys.stderr.isatty():
-        yield
-        return
-    print(text, end="", file=sys.stderr, flush=True)
-    try:
-        yield
-    finally:
-        print("\r\x1b[K", end="", file=sys.stderr, flush=True)

@@ -16,7 +16,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from palmd.console.configured import configured, usual
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import Progress
 from palmd.record.index import IndexedRun, annotate, indexed
@@ -44,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Raises CliError for a folder that cannot be read, and for a run that is not there."""
-    folder = arguments.folder or (HERE if HERE.is_dir() else configured(usual(None)).record.directory)
+    folder = arguments.folder or (HERE if HERE.is_dir() else _configured())
     found = _indexed(folder, rebuild=arguments.rebuild)
     if arguments.note:
         return _write_note(folder, found, *arguments.note)
@@ -63,6 +62,12 @@ def run(arguments: argparse.Namespace) -> int:
         count = f"{len(shown)} of {len(found)}" if len(shown) < len(found) else f"{len(found)}"
         print(f"{count} run{'' if len(found) == 1 else 's'} in {folder}")
     return 0
+
+
+def _configured() -> Path:
+    from palmd.console.configured import configured, usual
+
+    return configured(usual(None)).record.directory
 
 
 def _indexed(folder: Path, *, rebuild: bool) -> list[IndexedRun]:

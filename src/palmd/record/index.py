@@ -12,14 +12,37 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from palmd.record.runfile import SUFFIX
-from palmd.record.summary import RunSummary, summary_of
+from palmd.record import SUFFIX
 
 NAME = ".palmd-runs.json"
 FORMAT = 1
 NOTE_SUFFIX = ".note"
 LIVE_S = 3.0
 """A file that was written to so lately is being recorded: it is listed, and read when it is finished."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunSummary:
+    """A recording in a few words; NaN and empty for what it does not tell.
+
+    object: the stored outline it was recognised as, `NONE_OF_THESE`, or empty. touched: share of the normals, in the
+    end. sd_m, worst_sd_m: of the outline in the end, median and largest. faults: codes of those that held or stopped.
+    problem: why it cannot be used.
+    """
+
+    started: str = ""
+    seconds: float = math.nan
+    complete: bool = False
+    plans: tuple[str, ...] = ()
+    object: str = ""
+    objects: int = 0
+    touched: float = math.nan
+    sd_m: float = math.nan
+    worst_sd_m: float = math.nan
+    mass_kg: float = math.nan
+    faults: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    problem: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +74,7 @@ def indexed(
     stale = [each for each in files if not _is(known.get(each[0]), each)]
     for number, (name, size, mtime_ns) in enumerate(stale, 1):
         live = time.time_ns() - mtime_ns < LIVE_S * 1e9
-        summary = RunSummary(problem="is being recorded") if live else summary_of(folder / name)
+        summary = RunSummary(problem="is being recorded") if live else _read_through(folder / name)
         known[name] = IndexedRun(name, size, 0 if live else mtime_ns, summary)
         if progress is not None:
             progress(number, len(stale))
@@ -66,6 +89,12 @@ def annotate(recording: Path, note: str) -> Path:
     path = recording.with_suffix(NOTE_SUFFIX)
     path.write_text(f"{note.strip()}\n", encoding="utf-8")
     return path
+
+
+def _read_through(recording: Path) -> RunSummary:
+    from palmd.record.summary import summary_of  # what reads recordings takes longer to load than an index
+
+    return summary_of(recording)
 
 
 def _files(folder: Path) -> Iterator[tuple[str, int, int]]:

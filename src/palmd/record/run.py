@@ -17,10 +17,10 @@ from palmd.events import Event, Improvement
 from palmd.messages import events_of
 from palmd.outlinefile import Outline, OutlineError, read_library
 from palmd.quantities import EVENTS, IMPROVEMENT, SCHEMA, Topic
+from palmd.record import SUFFIX
 from palmd.record.eventlog import EventLog
 from palmd.record.mcapfile import MAGIC, Preface, RawMessage, RunError, Tail, is_finished, read_messages, read_preface
 from palmd.record.metadata import CONFIG, METADATA, OUTLINES, RIG
-from palmd.record.runfile import SUFFIX
 from palmd.system.description import RigDescription
 
 __all__ = ["FedTick", "Run", "RunError", "Survey", "is_recording", "read_run"]

@@ -9,10 +9,10 @@ from datetime import UTC, datetime
 from io import BytesIO
 from pathlib import Path
 
+from palmd.record import SUFFIX
 from palmd.record.mcapfile import Preface, RawMessage, RunWriter, Tail, read_messages, read_preface
 
 NAME = "%Y-%m-%dT%H-%M-%SZ"
-SUFFIX = ".mcap"
 _MOST_OF_ONE_SECOND = 100
 
 

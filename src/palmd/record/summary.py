@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 
 from palmd.messages import Fields
 from palmd.quantities import ESTIMATE, MOTION, OBJECT, SHAPE, STATE
+from palmd.record.index import RunSummary
 from palmd.record.mcapfile import RunError
 from palmd.record.recognition import NONE_OF_THESE
 from palmd.record.run import read_run
@@ -20,30 +20,6 @@ LOG = "palm/log"
 NOTE = "note"
 _GRAVE = ("hold", "stop")
 _EVERY = 10  # of the topics that come each tick: nothing here is told more finely
-
-
-@dataclass(frozen=True, slots=True)
-class RunSummary:
-    """A recording in a few words; NaN and empty for what it does not tell.
-
-    object: the stored outline it was recognised as, `NONE_OF_THESE`, or empty. touched: share of the normals, in the
-    end. sd_m, worst_sd_m: of the outline in the end, median and largest. faults: codes of those that held or stopped.
-    problem: why it cannot be used.
-    """
-
-    started: str = ""
-    seconds: float = math.nan
-    complete: bool = False
-    plans: tuple[str, ...] = ()
-    object: str = ""
-    objects: int = 0
-    touched: float = math.nan
-    sd_m: float = math.nan
-    worst_sd_m: float = math.nan
-    mass_kg: float = math.nan
-    faults: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-    problem: str = ""
 
 
 def summary_of(path: Path) -> RunSummary:

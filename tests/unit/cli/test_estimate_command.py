@@ -1,5 +1,6 @@
 """`palmd estimate`: causal replay, its lines, its output files, what it refuses."""
 
+import io
 import json
 import math
 import subprocess
@@ -228,3 +229,15 @@ def test_a_reader_that_goes_away_is_no_fault(simulated):
         process.stdout.close()
         assert process.stderr.read() == b""
     assert process.returncode == 0
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def test_on_a_terminal_it_says_what_it_is_doing_before_there_is_a_measure(simulated, tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "stderr", terminal := Terminal())
+    assert main(["estimate", str(simulated), "-o", str(tmp_path / "out.jsonl"), "--observer", "quasistatic"]) == 0
+    said = [each.strip() for each in terminal.getvalue().replace("\x1b[K", "").split("\r") if each.strip()]
+    assert said[:2] == [f"reading {simulated} ...", "preparing the quasistatic observer ..."]

@@ -231,7 +231,7 @@ def test_a_terminal_is_told_that_it_takes_a_while(log, tmp_path):
     shown = os.read(ours, 10_000).decode()
     os.close(theirs)
     os.close(ours)
-    assert shown.startswith("reconstructing…\r\x1b[K")
+    assert shown.startswith(f"\rreading {short} ...\r\x1b[K\rreconstructing ...\r\x1b[K")
     assert "not converged" in shown
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -14,10 +16,10 @@ from palmd.cli import main
 from palmd.cli.runs import matches
 from palmd.quantities import ESTIMATE, MOTION, OBJECT, SHAPE, STATE
 from palmd.record import index
-from palmd.record.index import NAME, IndexedRun, annotate, indexed
+from palmd.record.index import NAME, IndexedRun, RunSummary, annotate, indexed
 from palmd.record.metadata import preface
 from palmd.record.runfile import RunFile
-from palmd.record.summary import RunSummary, summary_of
+from palmd.record.summary import summary_of
 
 HELD = {"faults": ["pad1-silent", "no-realtime"], "severities": ["hold", "note"], "state": "hold", "hints": ["", ""]}
 SHAPED = {"theta_rad": [0.0, 1.0, 2.0], "h_m": [0.02] * 3, "h_sd_m": [1e-5, 2e-5, 9e-5], "touched": [1, 1, 0]}
@@ -90,7 +92,7 @@ def test_a_recording_is_read_once_and_again_when_it_has_changed(folder: Path, mo
     first = indexed(folder)
     assert [each.name[:10] for each in first] == ["2026-11-22", "2026-11-21", "2026-11-20"]
     read: list[str] = []
-    monkeypatch.setattr(index, "summary_of", lambda path: read.append(path.name) or summary_of(path))
+    monkeypatch.setattr(index, "_read_through", lambda path: read.append(path.name) or summary_of(path))
     assert repr(indexed(folder)) == repr(first)
     assert read == []
     os.utime(folder / first[1].name, (2e9, 1.1e9))
@@ -174,3 +176,13 @@ def test_a_note_replaces_the_one_that_was_there_and_the_recording_stays_as_it_is
     assert indexed(folder)[1].summary.notes == ("two lines",)
     assert path.read_bytes() == before
     shutil.rmtree(folder)
+
+
+def test_a_list_out_of_the_index_loads_nothing_that_reads_recordings(folder: Path) -> None:
+    indexed(folder)
+    program = (
+        f"import sys; from palmd.cli import main; main(['runs', {str(folder)!r}])\n"
+        "sys.exit(bool({'numpy', 'pydantic', 'mcap', 'msgpack', 'yaml'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout.count("2026-11-2")) == (0, 3)
