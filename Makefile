@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test system lint audit bench build docs setup dev lock wheelhouse clean
+.PHONY: help demo test system lint audit bench build docs site setup dev lock wheelhouse clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z]*\):.*##/make \1\t/p' $(MAKEFILE_LIST) | expand -t 18
@@ -33,6 +33,10 @@ bench: dev  ## lateness, work and step times as p50/p99/p99.9/max (needs an idle
 
 docs: dev  ## the pages that are generated from the code's tables
 	$(BIN)/python tools/make_docs.py
+
+site: dev docs  ## the documentation as a site that reads without a network, in build/site (warnings are errors)
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+	@echo "build/site/index.html"
 
 build: setup  ## compile the observers' C once (seconds; skipped without a compiler)
 	@command -v cc >/dev/null || echo "no C compiler: observers run on CasADi's virtual machine; for speed: sudo apt-get install gcc libc6-dev"

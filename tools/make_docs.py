@@ -120,8 +120,11 @@ def _meaning(action: argparse.Action, parser: argparse.ArgumentParser) -> str:
 
 
 def states() -> str:
+    rows = [(f"`{before}`", str(trigger), f"`{after}`") for (before, trigger), after in lifecycle.TRANSITIONS.items()]
     return (
-        f"# Lifecycle\n\nThe daemon's states and every transition there is.\n\n```mermaid\n{lifecycle.diagram()}```\n"
+        f"# Lifecycle\n\nThe daemon's states and every transition there is; it begins in `{lifecycle.State.IDLE}`.\n\n"
+        + table(("from", "on", "to"), rows)
+        + f"\nThe same as a diagram, in Mermaid's language:\n\n```mermaid\n{lifecycle.diagram()}```\n"
     )
 
 

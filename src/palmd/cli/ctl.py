@@ -98,6 +98,9 @@ def told(command: str, result: dict[str, Any]) -> str:
         return f"state {result['state']}, " + (f"cleared: {cleared}" if cleared else "there was nothing to reset")
     if command != "status":
         return ", ".join(f"{name} {value}" for name, value in result.items())
+    from palmd.cli.board import ago, estimate  # which load NumPy: `--help` comes without
+    from palmd.messages import entries_of
+
     plan = result["plan"] or "none"
     if result["segment"] >= 0:
         plan += f", segment {result['segment']} ({result['doing']}), {result['progress']:.0%}"
@@ -109,8 +112,6 @@ def told(command: str, result: dict[str, Any]) -> str:
     if angles:
         lines.append(f"angles  {', '.join(angles)}")
     if "estimate" in result:
-        from palmd.cli.board import estimate  # which loads NumPy: `--help` comes without
-
         lines += [
             f"{'' if number else 'object':8}{row.text}" for number, row in enumerate(estimate(result["estimate"]))
         ]
@@ -123,9 +124,6 @@ def told(command: str, result: dict[str, Any]) -> str:
         lines.append(f"        {result['arm_error']}")
     faults = zip(result["faults"], result["severities"], result["hints"], strict=True)
     lines += [f"fault   {code} ({severity}): {hint}" for code, severity, hint in faults]
-    from palmd.cli.board import ago
-    from palmd.messages import entries_of
-
     entries = entries_of(result["log"]) if "log" in result else ()
     told = (f"{ago(result['t_s'] - entry.t_s)}  {entry.line}" for entry in entries)
     lines += [f"{'' if number else 'log':8}{line}" for number, line in enumerate(told)]

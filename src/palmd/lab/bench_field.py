@@ -91,7 +91,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 def make(task: FieldRun) -> str:
     """Makes a run; an empty text, what `not_made` says otherwise."""
-    written(task.folder, task.seed, task.seconds)
+    try:
+        written(task.folder, task.seed, task.seconds)
+    except Exception as error:
+        return not_made(task, error)
     return ""
 
 
@@ -101,7 +104,14 @@ def not_made(task: FieldRun, error: BaseException) -> str:
 
 
 def estimate(task: FieldEstimate) -> Line:
-    """One line of results, with the processor time that it took."""
+    """One line of results, with the processor time that it took; what raises becomes a line that says so."""
+    try:
+        return _estimated(task)
+    except Exception as error:
+        return not_estimated(task, error)
+
+
+def _estimated(task: FieldEstimate) -> Line:
     from palmd.lab.field_methods import METHODS, warmed_up
 
     warmed_up(task.method)

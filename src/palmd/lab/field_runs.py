@@ -19,11 +19,13 @@ from palmd import observer
 from palmd.config import PlanSpec, rig_description
 from palmd.events import Estimate, Event, Improvement, ObjectEstimate, Outlook, ShapeEstimate
 from palmd.harness.wireless import Instant, Wireless
+from palmd.motion.plan import PlanError
 from palmd.observer import Observer
 from palmd.record.eventlog import Line, event_line, header_line
 from palmd.rig.imperfections import configured
 from palmd.rig.shapes import KINDS, Kind
 from palmd.rig.world import default_config
+from palmd.score import support_at
 
 TRUTH_COLUMNS = ("psi_rad", "omega0_rad_s", "r1_m", "r2_m", "s1_m", "s2_m", "phi1_rad", "phi2_rad")
 _STREAM = 24  # of a seed's random numbers: the plan's, not the world's
@@ -85,7 +87,10 @@ def written(folder: Path, seed: int, seconds: float) -> Path:
 
 
 def made(seed: int, seconds: float) -> tuple[list[Line], dict[str, Any]]:
-    """The log's lines, header first, and the truth; one that loses a contact is not kept. Same seed, same run."""
+    """The log's lines, header first, and the truth; same seed, same run.
+
+    A plan beyond the rig's limits, or one that loses a contact, is drawn again.
+    """
     attempt = 0
     while True:
         drawn = _lived(seed, attempt, seconds)
@@ -116,7 +121,10 @@ def _lived(seed: int, attempt: int, seconds: float) -> tuple[list[Line], dict[st
     rig = rig_description(config)
     ears = _Recorded(observer.make("quasistatic", rig))
     spec = plan_of(seed, attempt)
-    wireless = Wireless(config, spec, seed + _ATTEMPT * attempt, kind=kind_of(seed), estimator=ears)
+    try:
+        wireless = Wireless(config, spec, seed + _ATTEMPT * attempt, kind=kind_of(seed), estimator=ears)
+    except PlanError:
+        return None
     wireless.start()
     begun = wireless.t
     instants = []
@@ -145,10 +153,13 @@ def _short(value: Any) -> Any:
 
 
 def _truth(wireless: Wireless, instants: list[Instant]) -> dict[str, Any]:
-    """The body, and the motion at each tick, in the fields of the reference truth files."""
+    """The body, and the motion at each tick, in the fields of the reference truth files; ψ = 0 at the beginning."""
     body = wireless.world.object_truth()
+    begun = float(instants[0].truth["psi_rad"])
+    h = support_at(np.array(body["h_m"]), np.array(body["theta_rad"]) - begun)
     columns = {name: [_short(each.truth[name]) for each in instants] for name in TRUTH_COLUMNS}
     columns["t"] = [_short(each.t) for each in instants]
     if not all(math.isfinite(value) for column in columns.values() for value in column):
         raise ValueError("the emulated rig told no number")
-    return body | columns
+    columns["psi_rad"] = [_short(psi - begun) for psi in columns["psi_rad"]]
+    return body | columns | {"h_m": [_short(value) for value in h.tolist()]}

@@ -1,0 +1,89 @@
+"""The documentation as a site: built without a warning, asking nobody else for anything, searched from the disk."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from selenium import webdriver
+from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.by import By
+from selenium.webdriver.support.wait import WebDriverWait
+
+ROOT = Path(__file__).parents[2]
+FETCHED = {"script": "src", "link": "href", "img": "src", "iframe": "src", "source": "src", "object": "data"}
+ELSEWHERE = ("http:", "https:", "//")
+
+
+class Page(HTMLParser):
+    """What a browser fetches when it shows the page."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.fetched = []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        told = dict(attrs)
+        if tag in FETCHED and told.get(FETCHED[tag]) and told.get("rel") != "canonical":
+            self.fetched.append(told[FETCHED[tag]])
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)]
+    environment = os.environ | {"PYTHONPATH": str(ROOT / "src"), "NO_MKDOCS_2_WARNING": "1"}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return folder
+
+
+def test_no_page_asks_anybody_else_for_anything(site):
+    pages = sorted(site.rglob("*.html"))
+    assert len(pages) > 60
+    for page in pages:
+        fetched = Page(page.read_text()).fetched
+        assert fetched
+        assert [each for each in fetched if each.startswith(ELSEWHERE)] == [], page
+        for each in fetched:
+            assert page.name == "404.html" or (page.parent / each.partition("?")[0]).exists(), f"{page}: {each}"
+    for sheet in site.rglob("*.css"):
+        assert re.findall(r"(?:@import|url\()\s*[\"']?(?:https?:)?//", sheet.read_text()) == [], sheet
+
+
+def test_the_notebook_is_shown_as_it_runs(site):
+    page = (site / "start/first-notebook.html").read_text()
+    assert re.search(r"valid from .* on, .*% of all ticks", re.sub("<[^>]*>", "", page))
+    assert len(re.findall(r'<img [^>]*src="first-notebook-\d+\.svg"', page)) >= 3
+
+
+def test_the_library_is_told_from_its_docstrings(site):
+    page = re.sub("<[^>]*>", "", (site / "reference/api.html").read_text())
+    for words in ("reconstruct", "Raises", "OutlineData", "DataTable"):
+        assert words in page
+
+
+def test_the_site_is_searched_from_the_disk(site):
+    chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
+    if chromium is None or driver is None:
+        pytest.skip("needs chromium and chromedriver")
+    options = webdriver.ChromeOptions()
+    options.binary_location = chromium
+    for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--window-size=1400,900"):
+        options.add_argument(argument)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    with webdriver.Chrome(options=options, service=Service(driver)) as browser:
+        browser.get((site / "index.html").as_uri())
+        WebDriverWait(browser, 60).until(lambda b: b.find_elements(By.CSS_SELECTOR, "input.md-search__input"))
+        field = browser.find_element(By.CSS_SELECTOR, "input.md-search__input")
+        browser.execute_script("arguments[0].focus()", field)
+        field.send_keys("dead man")
+        results = ".md-search-result__item a"
+        WebDriverWait(browser, 120).until(lambda b: b.find_elements(By.CSS_SELECTOR, results))
+        loud = [line["message"] for line in browser.get_log("browser") if line["level"] == "SEVERE"]
+        assert loud == []
