@@ -22,10 +22,13 @@ ROCK = PlanSpec.model_validate(
     {
         "name": "rock",
         "repeat": "forever",
-        "segments": [{"sine": {"phi1_deg": 15, "phi2_deg": 8}, "frequency_hz": [0.9, 0.7], "duration_s": 60}],
+        "segments": [
+            {"move": {"phi1_deg": 45, "phi2_deg": 90}, "duration_s": 0.5},
+            {"sine": {"phi1_deg": 15, "phi2_deg": 8}, "frequency_hz": [0.9, 0.7], "duration_s": 60},
+        ],
     }
 )
-BEGIN_S = 1.5
+BEGIN_S = 2.0
 STAND_S = 0.200
 STANDING_RAD_S = math.radians(1.0)
 
