@@ -10,7 +10,7 @@
 
 _shtab_palmd_commands() {
   local _commands=(
-    bench:'studies of many runs: montecarlo, sbc, explore, recognise, peers, field, faults, soak'
+    bench:'studies of many runs: montecarlo, sbc, explore, recognise, parts, peers, field, faults, soak'
     build:'compile the observers now; the first run does it otherwise'
     calibrate:'measure what the configuration must know: pad, arm, gravity, pads, force, self'
     check:'find what is wrong with configurations and motion plans'
@@ -50,6 +50,7 @@ _shtab_palmd_bench_commands() {
     faults:'every fault provoked on the emulated rig: what comes of it, how soon the arm stands'
     field:'the field'"'"'s benchmark: 200 runs with their truth, baselines, a scorer for anybody'"'"'s results'
     montecarlo:'random objects reconstructed blind, scored against their truth and the Cramér–Rao bound'
+    parts:'what better or worse sensors and servos would do to the outline'
     peers:'palmd'"'"'s estimators beside general-purpose ones'
     recognise:'which of twenty similar objects lies on the palms, or none of them'
     sbc:'simulation-based calibration: whether blind reconstructions are as sure as they may be'
@@ -174,6 +175,18 @@ _shtab_palmd_bench_montecarlo_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_bench_montecarlo_defaults_added=0
+
+_shtab_palmd_bench_parts_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--runs[how many objects (default\: 8)]:N:"
+  "--kind[what sort of object (default\: rig)]:kind:(nominal friction rig odd)"
+  "--seed[the first object\'s (default\: 0)]:FIRST:"
+  "--seconds[how long each run is (default\: 10.0)]:S:"
+  ":the rig\; default\: strips and servos:_files"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_palmd_bench_parts_defaults_added=0
 
 _shtab_palmd_bench_peers_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -668,7 +681,7 @@ _shtab_palmd_rig_options=(
   "--cylinder[a turned cylinder is the object]:RADIUS_MM,MASS_G:"
   "--roller[it rolls down the gentler palm\; then there is no object]:roller:(ball cylinder)"
   "--by-hand[manual mode\: a hand swings the empty palms]"
-  "*--mischief[what goes wrong\; may be given again\; names\: drop, garble, mute, unplug, late, burst, misbaud, touch, break, estop, power_off, manual, lift, swap]:NAME[@PORT][,strength=X][,after=S][,for=S]:"
+  "*--mischief[what goes wrong\; may be given again\; names\: drop, garble, mute, unplug, late, burst, misbaud, touch, break, estop, power_off, manual, lift, swap, overload, overheat, undervoltage, brownout]:NAME[@PORT][,strength=X][,after=S][,for=S]:"
   "--ports[where its ports are, made if need be\; default\: one of its own]:FOLDER:_files"
   ":palmd.yaml\; default\: as shipped:_files"
 )
@@ -808,6 +821,7 @@ _shtab_palmd_bench() {
         faults) _arguments -C -s $_shtab_palmd_bench_faults_options ;;
         field) _arguments -C -s $_shtab_palmd_bench_field_options ;;
         montecarlo) _arguments -C -s $_shtab_palmd_bench_montecarlo_options ;;
+        parts) _arguments -C -s $_shtab_palmd_bench_parts_options ;;
         peers) _arguments -C -s $_shtab_palmd_bench_peers_options ;;
         recognise) _arguments -C -s $_shtab_palmd_bench_recognise_options ;;
         sbc) _arguments -C -s $_shtab_palmd_bench_sbc_options ;;

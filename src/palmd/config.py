@@ -351,7 +351,7 @@ class StripConfig(PadBase):
     @property
     def report_s(self) -> float:
         """How far apart reports are (s)."""
-        return 0.005
+        return 0.01
 
 
 class EvdevConfig(PadBase):

@@ -20,7 +20,7 @@ enum {
     STRIP_FORCE_MAX = 4095,
     STRIP_ADC_MAX = 4095,
     STRIP_POSITION_READS = 4, /* added up: 14 bits of position from 12 of the input */
-    STRIP_TOUCHED_US = 5000,
+    STRIP_TOUCHED_US = 10000,
     STRIP_UNTOUCHED_US = 50000,
     STRIP_ON = 24, /* counts of force from which on it is touched, and below which it is let go */
     STRIP_OFF = 16

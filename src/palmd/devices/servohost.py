@@ -235,8 +235,8 @@ class ServoHost:
         self._rates: tuple[float, ...] = ()  # rad/s
         self._sent_counts: list[dict[int, int]] = []  # of the last cycles, the latest last
         self._missed_goals: dict[int, int] = {}
-        self._t_now = -math.inf
-        self._armed_at = -math.inf
+        self._t_now = self._t_stood = -math.inf
+        self._reset_untold = False  # a reset has been done, but no reading has come since
 
     # What the caller may ask
 
@@ -269,7 +269,7 @@ class ServoHost:
     @property
     def busy(self) -> bool:
         """Whether a request is still under way."""
-        return self._phase in (Phase.ARMING, Phase.RESETTING, Phase.STOPPING)
+        return self._phase in (Phase.ARMING, Phase.RESETTING, Phase.STOPPING) or self._reset_untold
 
     @property
     def error(self) -> str:
@@ -300,6 +300,7 @@ class ServoHost:
         """Ask for what is latched to be cleared: servos with a hardware error start anew, watchdogs are cleared."""
         if self._phase is Phase.STANDING:
             self.refusal = None
+            self._reset_untold = True
             self._begin(Phase.RESETTING, self._resetting())
         else:
             self.refusal = "reset refused: the servos are not standing"
@@ -336,6 +337,7 @@ class ServoHost:
         if len(cycle.found) < len(self.axes):
             return None
         self._cycle = None
+        self._reset_untold = False
         self.counters.readings += 1
         t_first = min(each.t_first for each in cycle.found.values())
         latency_ms = (packet.t_first - cycle.t_sent) * 1e3
@@ -418,7 +420,8 @@ class ServoHost:
     def poll(self, t: float, target: Place | None) -> Sent:
         """What to write at `t` (s, monotonic), `target` being where the palms should be, if tracking."""
         self._t_now = t
-        if self.state is not None and self._script is None and self.age(t) > LOST_S:
+        silent_s = t - max(self._t_pose, self._t_stood)
+        if self.state is not None and self._script is None and silent_s > LOST_S:
             self.counters.losses += 1
             self._unlink("the servos do not answer")
         if t < self.due():
@@ -607,7 +610,7 @@ class ServoHost:
         """No goals from now on; the servos are read at leisure."""
         self._phase = Phase.STANDING
         self._script = self._ask = None
-        self._t_slot = self._t_now
+        self._t_slot = self._t_stood = self._t_now
         if self.state is not None:
             self.state = ArmState.FAULT if self.trouble else ArmState.READY
 
@@ -616,6 +619,7 @@ class ServoHost:
             self.refusal = f"it came to nothing: {reason}"
         self._script = self._ask = self._cycle = None
         self._phase = Phase.GREETING
+        self._reset_untold = False
         self._t_slot = -math.inf
         self.state = self._pose = None
         self.trouble = {}

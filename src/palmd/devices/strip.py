@@ -1,6 +1,6 @@
 """The protocol of a force-sensing strip behind a microcontroller, both directions: `tools/strip/` is its firmware.
 
-Twelve bytes, every 5 ms while the strip is touched and every 50 ms while it is not, so that silence is a fault and
+Twelve bytes, every 10 ms while the strip is touched and every 50 ms while it is not, so that silence is a fault and
 never a lift-off:
 
     0, 1    A5 5A
@@ -29,7 +29,7 @@ TOUCHED, SATURATED = 0x01, 0x02
 VERSION = 1
 POSITION_MAX, FORCE_MAX, AGE_MAX = 16383, 4095, 0xFFFF
 AGE_UNIT_S = 1e-5
-TOUCHED_S, UNTOUCHED_S = 0.005, 0.050
+TOUCHED_S, UNTOUCHED_S = 0.010, 0.050
 """How far apart packets are."""
 
 _BODY = struct.Struct("<BBHHH")
@@ -48,7 +48,8 @@ class StripCounters:
     """What a strip's line has brought. `bytes == 12 * packets + discarded + bytes pending` at all times.
 
     `crc_errors` counts packets with a wrong checksum, `lost` those that the counter says are missing, `strange` good
-    ones of another version, `batches` reads with several packets, `out_of_range` places that are not on the strip.
+    ones of another version, `batches` reads with several packets, `batched` the packets in them, `out_of_range` places
+    that are not on the strip.
     """
 
     bytes: int = 0
@@ -58,6 +59,7 @@ class StripCounters:
     lost: int = 0
     strange: int = 0
     batches: int = 0
+    batched: int = 0
     out_of_range: int = 0
 
     def as_dict(self) -> dict[str, int]:
@@ -125,6 +127,7 @@ class StripDecoder:
             del hand[:PACKET_BYTES]
         batched = len(found) > 1
         counters.batches += batched
+        counters.batched += batched * len(found)
         packets = [self._packet(body, t_first, t_recv, batched) for t_first, body in found]
         return [packet for packet in packets if packet is not None]
 

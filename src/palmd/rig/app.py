@@ -36,7 +36,16 @@ import zmq
 
 from palmd.messages import stamp
 from palmd.quantities import BODY, RIG_TOPICS, TRUTH, Topic
-from palmd.rig.fault_injection import INJECTABLE_FAULTS, PADS, PORTS, InjectionError, PortName, order, parse
+from palmd.rig.fault_injection import (
+    INJECTABLE_FAULTS,
+    PADS,
+    PORTS,
+    SERVO_FAULTS,
+    InjectionError,
+    PortName,
+    order,
+    parse,
+)
 from palmd.rig.line import PtyLine
 from palmd.rig.roller import KINDS as ROLLERS
 from palmd.rig.shapes import KINDS, Body, cylinder
@@ -65,7 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME[@PORT][,strength=X][,after=S][,for=S]",
-        help=f"what goes wrong; may be given again; names: {', '.join(INJECTABLE_FAULTS)}",
+        help=f"what goes wrong; may be given again; names: {', '.join([*INJECTABLE_FAULTS, *SERVO_FAULTS])}",
     )
     parser.add_argument(
         "--ports", type=Path, metavar="FOLDER", help="where its ports are, made if need be; default: one of its own"
@@ -274,7 +283,7 @@ class RigProcess:
             case "status":
                 return self._status()
             case "tricks":
-                return {name: trick.description for name, trick in INJECTABLE_FAULTS.items()}
+                return {name: trick.description for name, trick in (INJECTABLE_FAULTS | SERVO_FAULTS).items()}
             case "mischief":
                 orders = order(t=t, **args)
                 world.mischief.add(orders)

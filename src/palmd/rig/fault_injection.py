@@ -48,6 +48,19 @@ INJECTABLE_FAULTS: dict[str, InjectableFault] = {
     )
 }
 
+SERVO_FAULTS: dict[str, InjectableFault] = {
+    trick.name: trick
+    for trick in (
+        InjectableFault("overload", "palm 1's servo is overloaded and lets go", ARM),
+        InjectableFault("overheat", "palm 1's servo gets too hot and lets go", ARM),
+        InjectableFault("undervoltage", "palm 1's servo says that its supply is out of range", ARM),
+        InjectableFault("brownout", "palm 1's servo starts anew and has lost its settings", ARM),
+    )
+}
+"""Of a rig that servos turn; on another they do nothing."""
+
+_ALL = INJECTABLE_FAULTS | SERVO_FAULTS
+
 
 class InjectionError(ValueError):
     """A mischief nobody knows, or for a port it cannot be done to."""
@@ -76,9 +89,9 @@ def order(
 
     Without a port it is done to every port it can be done to. Raises InjectionError for what cannot be.
     """
-    trick = INJECTABLE_FAULTS.get(name)
+    trick = _ALL.get(name)
     if trick is None:
-        raise InjectionError(f"no mischief {name!r}; there are {', '.join(INJECTABLE_FAULTS)}")
+        raise InjectionError(f"no mischief {name!r}; there are {', '.join(_ALL)}")
     if port is not None and port not in trick.ports:
         raise InjectionError(f"{name} is for {' or '.join(trick.ports) or 'no port in particular'}, not {port!r}")
     force = trick.strength if strength is None else strength
@@ -117,8 +130,8 @@ class Switchboard:
 
     def cancel(self, name: str, port: str | None) -> None:
         """Forgets what is still to come of a trick, and ends what is on at the next `update`."""
-        if name not in INJECTABLE_FAULTS:
-            raise InjectionError(f"no mischief {name!r}; there are {', '.join(INJECTABLE_FAULTS)}")
+        if name not in _ALL:
+            raise InjectionError(f"no mischief {name!r}; there are {', '.join(_ALL)}")
         self._waiting = [o for o in self._waiting if o.name != name or port not in (None, o.port)]
         for key, active in self._active.items():
             if active.name == name and port in (None, active.port):

@@ -147,7 +147,7 @@ class Strip:
             yield "garbled"
         if self._astray.exceeded(counters.packets, counters.out_of_range):
             yield "out-of-range"
-        if self._batched.exceeded(counters.packets, 2 * counters.batches):
+        if self._batched.exceeded(counters.packets, counters.batched):
             yield "batched"
 
     def _part(self, lift: PadLift, how: Literal["lifted", "silent"]) -> PadLift:
