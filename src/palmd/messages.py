@@ -202,6 +202,11 @@ def motion_fields(
     }
 
 
+def note_fields(t: float, text: str) -> Fields:
+    """`palm/note`, given at `t` (s)."""
+    return {"t_s": t, "text": text}
+
+
 @dataclass(frozen=True, slots=True)
 class Explored:
     """How far an exploration is, or has come: shares of normals as in `palm/state`, NaN for none."""

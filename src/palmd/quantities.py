@@ -415,7 +415,29 @@ RIG = Topic(
         Quantity("off", "texts", "", "in words, what readings have told to be off beyond doubt, and what to do"),
     ),
 )
-TOPICS: tuple[Topic, ...] = (ESTIMATE, SHAPE, OBJECT, CONTACT, MOTION, STATE, LOOP, INFO, EVENTS, IMPROVEMENT, RIG)
+NOTE = Topic(
+    "palm/note",
+    0.0,
+    "when somebody has given one",
+    (
+        Quantity("t_s", "number", "s", "when it was given, CLOCK_MONOTONIC"),
+        Quantity("text", "text", "", "what somebody has to say about this time of the run"),
+    ),
+)
+TOPICS: tuple[Topic, ...] = (
+    ESTIMATE,
+    SHAPE,
+    OBJECT,
+    CONTACT,
+    MOTION,
+    STATE,
+    LOOP,
+    INFO,
+    EVENTS,
+    IMPROVEMENT,
+    RIG,
+    NOTE,
+)
 """What the daemon publishes."""
 
 TRUTH = Topic(

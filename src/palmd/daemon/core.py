@@ -23,7 +23,7 @@ from palmd.daemon.diagnostics import LOOK_S, ArmDiagnostics, LoopDiagnostics, Ni
 from palmd.daemon.drivers import ArmDriver, EndName
 from palmd.daemon.exploration_requests import Source
 from palmd.daemon.exploring import Exploring, Senses
-from palmd.daemon.lifecycle import COMMANDED, State
+from palmd.daemon.lifecycle import COMMANDED, State, Trigger, trigger_between
 from palmd.daemon.planner import Plan, PlanFolder
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.supervisor import Supervisor
@@ -40,6 +40,7 @@ from palmd.messages import (
     events_fields,
     improvement_fields,
     motion_fields,
+    note_fields,
     object_fields,
     rig_fields,
     shape_fields,
@@ -49,7 +50,7 @@ from palmd.messages import (
 from palmd.motion.check import motion_limits
 from palmd.motion.kinematics import RigGeometry
 from palmd.observer.observer import Observer
-from palmd.quantities import CONTACT, ESTIMATE, EVENTS, IMPROVEMENT, MOTION, OBJECT, RIG, SHAPE, STATE, Topic
+from palmd.quantities import CONTACT, ESTIMATE, EVENTS, IMPROVEMENT, MOTION, NOTE, OBJECT, RIG, SHAPE, STATE, Topic
 from palmd.system.mechanism import PALMS
 from palmd.system.rig_constants import prior_sds
 
@@ -60,6 +61,9 @@ _EARLY_S = 1e-3  # ticks jitter; what is due within so much is due now
 
 OUTSIDE = math.radians(1.0)
 """How far outside the limits the palms may be found while commanded."""
+
+
+_ASKED = {Trigger.HOLD: "hold was asked for", Trigger.STOP: "stop was asked for"}
 
 
 def _always() -> bool:
@@ -263,6 +267,7 @@ class Core:
         if told != self._told or t - self._t_state >= SLOW_TOPIC_S - _EARLY_S:
             self._told, self._t_state = told, t
             messages.append((STATE, self._state_fields(t)))
+        messages += [(NOTE, note_fields(said_at, text)) for said_at, text in self.supervisor.taken_notes()]
         if self._shape is not None:
             messages.append((SHAPE, shape_fields(self._shape)))
             self._shape = None
@@ -272,23 +277,28 @@ class Core:
         return messages
 
     def _state_fields(self, t: float) -> Fields:
-        state, since, cause = self._in_state
-        if state is not self.state or math.isnan(since):
-            state, since = self.state, t
-            cause = self.supervisor.cause + (self._evidence(t) if state in (State.HOLD, State.FAULT) else "")
-            self._in_state = (state, since, cause)
-        return state_fields(str(state), self.faults.active, cause, t - since, self.exploring.explored)
+        before, since, cause = self._in_state
+        if self.state is not before or math.isnan(since):
+            since, cause = t, self._cause(before, t)
+            self._in_state = (self.state, since, cause)
+        return state_fields(str(self.state), self.faults.active, cause, t - since, self.exploring.explored)
 
-    def _evidence(self, t: float) -> str:
-        """How old what a pad or the arm last said is at `t` (s), where that is what holds or stops the palms."""
-        codes = [fault.code for severity in (Severity.HOLD, Severity.STOP) for fault in self.faults.standing(severity)]
+    def _cause(self, before: State, t: float) -> str:
+        """What has just brought the state about, in words: the faults, with how old was what was missed at `t` (s)."""
+        trigger = trigger_between(before, self.state)
+        if trigger is None:
+            return ""
+        severity = {Trigger.HOLD: Severity.HOLD, Trigger.STOP_FAULT: Severity.STOP}.get(trigger)
+        faults = () if severity is None else self.faults.standing(severity)
+        if not faults:
+            return _ASKED.get(trigger, str(trigger))
         ages = {name: pad.view(t).age for name, pad in self.pads.items()} | {"arm": self.arm.host.age(t)}
-        told = [
+        missed = [
             f"{name.replace('pad', 'pad ')} last heard {age * 1e3:.0f} ms before"
             for name, age in ages.items()
-            if math.isfinite(age) and any(code.startswith(f"{name}-") for code in codes)
+            if math.isfinite(age) and any(fault.code.startswith(f"{name}-") for fault in faults)
         ]
-        return f" ({', '.join(told)})" if told else ""
+        return "; ".join(fault.text for fault in faults) + (f" ({', '.join(missed)})" if missed else "")
 
     def replies(self) -> list[Reply]:
         """The answers that have come due since the last call."""

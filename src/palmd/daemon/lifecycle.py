@@ -55,6 +55,11 @@ def next_state(state: State, trigger: Trigger) -> State | None:
     return TRANSITIONS.get((state, trigger))
 
 
+def trigger_between(before: State, after: State) -> Trigger | None:
+    """What leads from one state straight to another, None where nothing does."""
+    return next((trigger for (start, trigger), end in TRANSITIONS.items() if (start, end) == (before, after)), None)
+
+
 def diagram() -> str:
     """The table as a Mermaid state diagram, for the documentation."""
     arrows = [f"    {a} --> {b}: {trigger}" for (a, trigger), b in TRANSITIONS.items()]

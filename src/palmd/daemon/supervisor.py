@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from typing import Any
@@ -77,7 +77,6 @@ class Supervisor:
         self.state = State.IDLE
         self.plan = plan
         self.plan_refused = False
-        self.cause = ""
         self.at_rest = True
         self.replies: list[Reply] = []
         self.recorder = RecorderWatch()
@@ -93,6 +92,7 @@ class Supervisor:
         self._arming: _Wait | None = None
         self._resetting: _Wait | None = None
         self._job: _Job | None = None
+        self._notes: list[tuple[float, str]] = []
         self._t_up = math.inf
         self._commands: dict[str, Callable[[Request, float], dict[str, Any] | None]] = {
             "status": self._status,
@@ -103,6 +103,7 @@ class Supervisor:
             "reset": self._reset,
             "plan": self._load_plan,
             "jog": self._jog,
+            "note": self._note,
             "recorder": self._hear_recorder,
         }
 
@@ -135,8 +136,8 @@ class Supervisor:
         if self._faults.standing(Severity.STOP):
             if self.state in COMMANDED or self._faults.latched(Severity.STOP):
                 self.fall()
-        elif self.state is State.TRACKING and (holding := self._faults.standing(Severity.HOLD)):
-            self._change(Trigger.HOLD, _told(holding))
+        elif self.state is State.TRACKING and self._faults.standing(Severity.HOLD):
+            self._change(Trigger.HOLD)
             self._setpoints.hold()
         self._change(Trigger.RIG_UP if up else Trigger.RIG_DOWN)
         self._t_up = min(self._t_up, t) if up else math.inf
@@ -145,14 +146,14 @@ class Supervisor:
 
     def fall(self) -> None:
         """A stop fault: a planned stop, whatever is going on."""
-        self._change(Trigger.STOP_FAULT, _told(self._faults.standing(Severity.STOP)))
+        self._change(Trigger.STOP_FAULT)
         self._stand_down("a fault came up; see status")
 
     def close(self) -> None:
         """Make for a planned stop, and take no more commands that move."""
         self._closing = True
         self._autostart.clear()
-        self._change(Trigger.STOP, "palmd is stopping")
+        self._change(Trigger.STOP)
         self._stand_down("palmd is stopping")
 
     # ---- commands ----------------------------------------------------------------------------------------
@@ -232,13 +233,13 @@ class Supervisor:
 
     def _hold(self, _request: Request, _t: float) -> dict[str, Any]:
         self._refuse_unless_commanded()
-        self._change(Trigger.HOLD, "hold was asked for")
+        self._change(Trigger.HOLD)
         self._setpoints.hold()
         return self._told()
 
     def _stop(self, _request: Request, _t: float) -> dict[str, Any]:
         self._autostart.clear()
-        self._change(Trigger.STOP, "stop was asked for")
+        self._change(Trigger.STOP)
         self._stand_down("stop came first")
         return self._told()
 
@@ -273,6 +274,15 @@ class Supervisor:
         told = any(name.startswith("whole_") for name in request.args)
         self._setpoints.jog(_turn(request, ""), t, _turn(request, "whole_") if told else None)
         return self._told()
+
+    def taken_notes(self) -> list[tuple[float, str]]:
+        """What was noted since the last call, and when (s)."""
+        notes, self._notes = self._notes, []
+        return notes
+
+    def _note(self, request: Request, t: float) -> dict[str, Any]:
+        self._notes.append((t, request.args["text"]))
+        return {}
 
     def _told(self) -> dict[str, Any]:
         return {"state": str(self.state)}
@@ -402,12 +412,10 @@ class Supervisor:
         ):
             self.handle(Request(self._autostart.pop(0), id=_AUTOSTART_ID), t)
 
-    def _change(self, trigger: Trigger, cause: str = "") -> bool:
+    def _change(self, trigger: Trigger) -> bool:
         state = next_state(self.state, trigger)
         if state is None:
             return False
-        if state is not self.state:
-            self.cause = cause or str(trigger)
         self.state = state
         return True
 
@@ -421,10 +429,6 @@ class Supervisor:
 def _turn(jog: Request, of: str) -> Angles:
     """By how much a jog turns the palms (rad): its step, or the whole of which that is the first."""
     return tuple(math.radians(jog.args.get(f"{of}{joint}_deg", 0.0)) for joint in JOINTS)
-
-
-def _told(faults: Iterable[Fault]) -> str:
-    return "; ".join(fault.text for fault in faults)
 
 
 def _named(state: ArmState | None) -> str:

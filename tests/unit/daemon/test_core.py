@@ -546,6 +546,17 @@ def test_an_explorer_that_is_silent_is_told():
     assert bench.go(0.1).faults == []
 
 
+# ---- notes
+
+
+def test_a_note_is_published_with_its_time():
+    bench = Bench().go(0.2)
+    bench.do("note", text="put back by hand")
+    assert [fields for topic, fields in bench.go(0.1).messages if topic.name == "palm/note"] == [
+        {"t_s": pytest.approx(0.2, abs=0.011), "text": "put back by hand"}
+    ]
+
+
 # ---- pads lost
 
 

@@ -1,4 +1,4 @@
-// What an operator does besides the buttons: jogs under a dead man's switch, chooses a plan.
+// What an operator does besides the buttons: jogs under a dead man's switch, chooses a plan, writes notes.
 
 import { palmsOf } from "./quantities.js";
 import { element, number, set } from "./text.js";
@@ -19,6 +19,10 @@ export class ByHand {
   constructor(section, commands) {
     [this.#section, this.#commands] = [section, commands];
     document.getElementById("load").addEventListener("click", () => commands.give("plan", { path: this.#plans.value }));
+    document.getElementById("annotate").addEventListener("submit", (event) => {
+      event.preventDefault();
+      this.#annotate(document.getElementById("note"));
+    });
     for (const end of ["blur", "visibilitychange", "pointerup", "pointercancel"]) {
       (end === "visibilitychange" ? document : window).addEventListener(end, () => this.#letGo());
     }
@@ -37,7 +41,14 @@ export class ByHand {
     if (!jogs) this.#letGo();
     set("jog-says", jogs ? "" : moving ? "hold the plan first" : "arm first");
     document.getElementById("load").disabled = !this.#plans.value || moving || !this.#commands.applies("plan", state, stale);
+    document.getElementById("send-note").disabled = !this.#commands.applies("note", state, stale);
     for (const { joint } of palmsOf(info)) set(`jog-${joint}`, number((motion[`${joint}_rad`] * 180) / Math.PI, 1, "°"));
+  }
+
+  #annotate(note) {
+    if (!note.value.trim()) return;
+    this.#commands.give("note", { text: note.value.trim() });
+    note.value = "";
   }
 
   #layOut(info) {

@@ -66,10 +66,11 @@ export function activity(store) {
 
 function moving(said, { plan, segment, progress }) {
   if (!said.exploring) {
-    return { words: `Running ${plan}: ${percent(progress)}`, reason: `segment ${segment + 1}`, kind: "good" };
+    const far = progress > 0 ? `, ${percent(progress)}` : "";
+    return { words: `Running ${plan}${far}`, reason: `segment ${segment + 1}`, kind: "good" };
   }
-  const far = Number.isFinite(said.coverage) ? percent(said.coverage) : "nothing known yet";
-  return { words: `Exploring, ${said.explored_s.toFixed(0)} s: ${far}`, reason: said.reason, kind: "good" };
+  const far = Number.isFinite(said.coverage) ? `: ${percent(said.coverage)}` : "";
+  return { words: `Exploring, ${said.explored_s.toFixed(0)} s${far}`, reason: said.reason, kind: "good" };
 }
 
 function standingStill({ explored_s: seconds, coverage, coverage_goal: goal, reason, exploring }, { plan }, store) {

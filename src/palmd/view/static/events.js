@@ -1,0 +1,30 @@
+// What has happened lately, by the daemon's log: the newest first, each with how long ago it was and why.
+
+import { element } from "./text.js";
+
+const SHOWN = 12;
+
+/** The last entries of `palm/log` as rows {ago, severity, text}, the newest first; `t` (s) is now by the daemon's clock. Pure. */
+export function lately({ t_s: times = [], kind = [], name = [], severity = [], who = [], text = [] }, t) {
+  return times.map((at, i) => ({
+    ago: `${Math.max(t - at, 0).toFixed(0)} s ago`,
+    severity: severity[i] ?? "",
+    text: `${kind[i]} ${name[i]}${who[i] ? `, by ${who[i]}` : ""}: ${text[i]}`,
+  })).slice(-SHOWN).reverse();
+}
+
+/** Shows them in `section`, which is hidden while there are none. */
+export function showEvents(section, log, t) {
+  const rows = lately(log, t);
+  section.hidden = rows.length === 0;
+  const list = section.querySelector("ol");
+  const told = JSON.stringify(rows);
+  if (list.dataset.told === told) return;
+  list.dataset.told = told;
+  list.replaceChildren(...rows.map(({ ago, severity, text }) => {
+    const row = element("li", "");
+    row.dataset.severity = severity;
+    row.append(element("span", "ago", ago), element("span", "", text));
+    return row;
+  }));
+}
