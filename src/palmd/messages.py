@@ -224,6 +224,7 @@ def state_fields(
     faults: Iterable[Fault],
     cause: str = "",
     since_s: float = 0.0,
+    running: bool = False,
     explored: Explored = Explored(),
 ) -> Fields:
     """`palm/state`; what `cause` brought the state about `since_s` seconds ago."""
@@ -236,6 +237,7 @@ def state_fields(
         "texts": [fault.text for fault in faults],
         "cause": cause,
         "since_s": since_s,
+        "running": running,
         "exploring": explored.running,
         "explored_s": explored.seconds,
         "coverage": explored.coverage,

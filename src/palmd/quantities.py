@@ -299,6 +299,7 @@ STATE = Topic(
             "cause", "text", "", "what has brought the state about, in words; empty when nothing has since the start"
         ),
         Quantity("since_s", "number", "s", "for how long it has been in that state"),
+        Quantity("running", "bool", "", "whether a plan is under way: one that is held or over is not"),
         Quantity(
             "exploring", "bool", "", "whether an exploration is going on; what follows is about it, else the last"
         ),

@@ -120,7 +120,7 @@ class Core:
         self._nis_watch = NisDiagnostics()
         self._swap = SwapWatch()
         self._t_look = self._t_state = self._t_shape = self._t_rig = -math.inf
-        self._told: tuple[object, object] = (None, None)
+        self._told: tuple[object, ...] = ()
 
     @property
     def state(self) -> State:
@@ -263,7 +263,7 @@ class Core:
         if self._answered is not None or t - self._t_rig >= 1.0 / RIG.rate_hz - _EARLY_S:
             self._t_rig = t
             messages.append((RIG, rig_fields(self._rig, self._rig_sds, self._rig_priors, self._contradicted)))
-        told = (self.state, self.faults.active)
+        told = (self.state, self.faults.active, self.setpoints.running)
         if told != self._told or t - self._t_state >= SLOW_TOPIC_S - _EARLY_S:
             self._told, self._t_state = told, t
             messages.append((STATE, self._state_fields(t)))
@@ -281,7 +281,8 @@ class Core:
         if self.state is not before or math.isnan(since):
             since, cause = t, self._cause(before, t)
             self._in_state = (self.state, since, cause)
-        return state_fields(str(self.state), self.faults.active, cause, t - since, self.exploring.explored)
+        running, explored = self.setpoints.running, self.exploring.explored
+        return state_fields(str(self.state), self.faults.active, cause, t - since, running, explored)
 
     def _cause(self, before: State, t: float) -> str:
         """What has just brought the state about, in words: the faults, with how old was what was missed at `t` (s)."""

@@ -1,5 +1,6 @@
 // What an operator does besides the buttons: jogs under a dead man's switch, chooses a plan, writes notes.
 
+import { underWay } from "./knowledge.js";
 import { palmsOf } from "./quantities.js";
 import { element, number, set } from "./text.js";
 
@@ -35,7 +36,7 @@ export class ByHand {
     const { state } = store.get("palm/state");
     this.#section.hidden = !this.#commands.operator;
     this.#layOut(info);
-    const moving = state === "tracking" && motion.segment >= 0;
+    const moving = underWay(store);
     const jogs = this.#commands.applies("jog", state, stale) && !moving;
     for (const button of this.#pads.querySelectorAll("button")) button.disabled = !jogs;
     if (!jogs) this.#letGo();

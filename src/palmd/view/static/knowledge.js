@@ -44,6 +44,12 @@ export function percent(share) {
   return Number.isFinite(share) ? `${(share * 100).toFixed(0)} %` : "–";
 }
 
+/** Whether a plan is under way; runs that are older than the field that says so have the plan's place. */
+export function underWay(store) {
+  const { state, running } = store.get("palm/state");
+  return state === "tracking" && (running ?? store.get("palm/motion").segment >= 0);
+}
+
 /** What is going on and why: {words, reason, kind}; `kind` is good, wait, warn or bad. */
 export function activity(store) {
   const said = store.get("palm/state");
@@ -58,7 +64,7 @@ export function activity(store) {
     case "fault":
       return { words: `Stopped: ${why(said)}`, reason: advice(said, "reset when the cause is gone"), kind: "bad" };
     case "tracking":
-      return motion.segment >= 0 ? moving(said, motion) : standingStill(said, motion, store);
+      return underWay(store) ? moving(said, motion) : standingStill(said, motion, store);
     default:
       return { words: "Nothing is known yet", reason: "", kind: "wait" };
   }
@@ -75,7 +81,7 @@ function moving(said, { plan, segment, progress }) {
 
 function standingStill({ explored_s: seconds, coverage, coverage_goal: goal, reason, exploring }, { plan }, store) {
   if (!Number.isFinite(seconds) || exploring) {
-    return { words: "Standing still, the arm follows", reason: plan && `start runs ${plan}`, kind: "wait" };
+    return { words: "The arm follows, no plan is running", reason: plan && `start runs ${plan}`, kind: "wait" };
   }
   const took = `${percent(coverage)} in ${seconds.toFixed(0)} s`;
   if (!(coverage >= goal)) return { words: `Ended at ${took}`, reason, kind: "warn" };

@@ -1,5 +1,6 @@
 // State, faults, ages and punctuality in words and numbers.
 
+import { underWay } from "./knowledge.js";
 import { AGES, ESTIMATE, palmsOf, shown, shownOfPalm, TOLD } from "./quantities.js";
 import { element, number, row, set } from "./text.js";
 
@@ -87,7 +88,7 @@ function showObject(store, now) {
     set(`off-${name}`, truthful && compared ? number((value - store.get(truth)[name]) * factor, digits) : "–");
   }
   const motion = store.get("palm/motion");
-  const running = motion.segment >= 0;
+  const running = underWay(store) && motion.segment >= 0;
   set("plan", motion.plan ? `${motion.plan}${running ? `, segment ${motion.segment + 1}` : ", not running"}` : "none");
   document.getElementById("progress").value = running ? motion.progress : 0;
 }
