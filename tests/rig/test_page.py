@@ -169,5 +169,5 @@ def test_it_says_so_within_a_second_when_the_daemon_is_gone(page, demo):
     page.until(lambda: page.shows("ended"), "the end of the demo")
     assert page.text("ended-title") == "The demo has ended"
     assert "Over" in page.text("stale-why")
-    assert re.search(r"outline known\d+ %", page.text("summary"))
+    assert re.search(r"outline known\d+\s%", page.text("summary"))
     page.until(lambda: page.enabled() == set(), "no commands without a connection")

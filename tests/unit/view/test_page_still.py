@@ -143,7 +143,7 @@ def test_a_system_of_any_number_of_palms_is_shown_by_its_description(still, bus,
 )
 def test_what_is_going_on_is_said_in_words(still, bus, more, words):
     opened(still, bus, rig_of(2, **more))
-    still.until(lambda: still.text("words") == words, words)
+    still.until(lambda: still.text("words").replace("\u00a0", " ") == words, words)
     assert (still.text("known"), still.text("typical"), still.text("worst")) == ("40", "± 5", "worst ±\u00a05\u00a0µm")
     assert (still.text("mass"), still.text("mass-sd")) == ("150.0", "± 2.0 g")
 
@@ -258,13 +258,14 @@ def test_a_replay_is_called_one_and_cannot_be_commanded(still, bus):
 def test_what_has_happened_is_told_the_newest_first(still, bus):
     now = time.monotonic()
     log = {"number": [0, 1], "t_s": [now - 100.0, now], "kind": ["state", "command"], "name": ["hold", "start"],
-           "severity": ["", ""], "who": ["", "page"], "text": ["fault pad1-silent", "done"]}  # fmt: skip
+           "severity": ["", ""], "who": ["", "page"],
+           "text": ["tracking -> hold: fault pad1-silent", "done"]}  # fmt: skip
     bus.messages = rig_of(2)
     opened(still, bus, bus.messages)
     rows = still.script(
         "const done = arguments; return import('/events.js').then(({ lately }) => lately(done[0], done[1]))", log, now
     )
-    assert [row["text"] for row in rows] == ["command start, by page: done", "state hold: fault pad1-silent"]
+    assert [row["text"] for row in rows] == ["start, by page: done", "tracking -> hold: fault pad1-silent"]
     assert [row["ago"] for row in rows] == ["0 s ago", "100 s ago"]
 
 

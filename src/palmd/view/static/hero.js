@@ -14,7 +14,7 @@ export function showHero(store, now) {
   document.getElementById("going-on").dataset.kind = kind;
   set("known", Number.isFinite(estimate.touched) ? number(estimate.touched * 100, 0) : "–");
   document.getElementById("known-bar").value = estimate.touched || 0;
-  set("known-of", Number.isFinite(coverage) ? `${percent(coverage)} of what can be reached`
+  set("known-of", estimate.valid && Number.isFinite(coverage) ? `${percent(coverage)} of what can be reached`
     + (reachable < 0.995 ? `, which is ${percent(reachable)}` : "") : "");
   showAccuracy(accuracy(store), error(store, now));
   showMass(estimate, store.truthful(now) ? store.get("rig/object").mass_kg : NaN);

@@ -41,7 +41,7 @@ export function small(length) {
 
 /** A share in per cent, a dash for none. */
 export function percent(share) {
-  return Number.isFinite(share) ? `${(share * 100).toFixed(0)} %` : "–";
+  return Number.isFinite(share) ? `${(share * 100).toFixed(0)}\u00a0%` : "–";
 }
 
 /** Whether a plan is under way; runs that are older than the field that says so have the plan's place. */
@@ -86,7 +86,7 @@ function standingStill({ explored_s: seconds, coverage, coverage_goal: goal, rea
   const took = `${percent(coverage)} in ${seconds.toFixed(0)} s`;
   if (!(coverage >= goal)) return { words: `Ended at ${took}`, reason, kind: "warn" };
   const [value, unit] = small(accuracy(store).typical);
-  return { words: `Done: ${took}, ± ${value} ${unit}`, reason, kind: "good" };
+  return { words: `Done: ${took}, ±\u00a0${value}\u00a0${unit}`, reason, kind: "good" };
 }
 
 /** What has brought the state about; runs that are older than that field have their faults. */
