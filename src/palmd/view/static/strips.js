@@ -140,11 +140,12 @@ class Strip {
     return this.#truthful && ESTIMATE[name].truth !== null;
   }
 
-  /** The axis: all there is to see with some air, no less than the least span. */
+  /** The axis: all there is to see with some air, no less than the least span, and where the good zone begins. */
   #extent(columns) {
-    const { span, low } = this.#spec;
+    const { span, low, good } = this.#spec;
     let [least, most] = extremes(columns);
     if (least > most) [least, most] = low === null ? [-span / 2, span / 2] : [low, low + span];
+    if (good) most = Math.max(most, 1.4 * good[0]); // so that one sees where it would be good
     const air = Math.max((most - least) * 0.08, (span - (most - least)) / 2);
     return [low ?? least - air, most + air];
   }
