@@ -80,6 +80,20 @@ class Page:
             hue,
         )
 
+    def object_drawn(self):
+        """How many of the scene's pixels are filled as the object is, thinly, whatever its outline's error."""
+        return self.script(
+            """
+            const scene = document.getElementById("scene");
+            const { data } = scene.getContext("2d").getImageData(0, 0, scene.width, scene.height);
+            let count = 0;
+            for (let i = 0; i < data.length; i += 4) {
+              count += data[i + 3] > 8 && data[i + 3] < 60 && data[i + 1] - data[i] > 40;
+            }
+            return count;
+            """
+        )
+
     def until(self, condition, what, patience_s=GENEROUS_S):
         """What `condition` has come to, once that is something."""
         t_end = time.monotonic() + patience_s

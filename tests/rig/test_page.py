@@ -87,7 +87,7 @@ def parent(entry):
 
 
 def test_it_shows_the_object_and_does_what_is_pressed(page):
-    page.until(lambda: page.drawn("green") > 300, "the outline", SETTLING_S)
+    page.until(lambda: page.object_drawn() > 3000, "the object", SETTLING_S)
     assert page.shows("key-truth")
     assert min(page.drawn("blue"), page.drawn("red")) > 300
     page.until(lambda: float(page.text("fps").split()[0]) > 10, "a moving picture")

@@ -72,7 +72,11 @@ export class ByHand {
     const button = Object.assign(element("button", "handle", text), { type: "button", disabled: true });
     button.setAttribute("aria-label", label);
     const hold = () => this.#hold({ [`${joint}_deg`]: way * STEP_DEG });
-    button.addEventListener("pointerdown", (event) => event.button === 0 && hold());
+    button.addEventListener("pointerdown", ({ button: which, pointerId }) => {
+      if (which !== 0) return;
+      if (button.hasPointerCapture(pointerId)) button.releasePointerCapture(pointerId); // a finger that slips off lets go
+      hold();
+    });
     button.addEventListener("keydown", (event) => {
       if (event.key !== " " && event.key !== "Enter") return;
       event.preventDefault();
