@@ -5,7 +5,7 @@
 #    source ~/.local/share/bash_completion/palmd
 # See also: https://github.com/scop/bash-completion/blob/main/doc/configuration.md
 
-_shtab_palmd_ctl_subparsers=(status arm start hold stop reset plan jog)
+_shtab_palmd_ctl_subparsers=(status arm start hold stop reset plan jog note)
 _shtab_palmd_keys_new_subparsers=(server client)
 _shtab_palmd_keys_subparsers=(new allow revoke list)
 _shtab_palmd_calibrate_subparsers=(pad arm gravity pads force self)
@@ -26,6 +26,7 @@ _shtab_palmd_ctl_stop_option_strings=(-h --help --address --key --json)
 _shtab_palmd_ctl_reset_option_strings=(-h --help --address --key --json)
 _shtab_palmd_ctl_plan_option_strings=(-h --help --address --key --json)
 _shtab_palmd_ctl_jog_option_strings=(-h --help --address --key --json --phi1-deg --phi2-deg)
+_shtab_palmd_ctl_note_option_strings=(-h --help --address --key --json)
 _shtab_palmd_ctl_option_strings=(-h --help)
 _shtab_palmd_top_option_strings=(-h --help --address --key --once)
 _shtab_palmd_view_option_strings=(-h --help --address --command --key --truth --port --no-browser)
@@ -92,6 +93,7 @@ _shtab_palmd_ctl_reset___key_COMPGEN=_shtab_compgen_files
 _shtab_palmd_ctl_plan_pos_0_COMPGEN=_shtab_compgen_files
 _shtab_palmd_ctl_plan___key_COMPGEN=_shtab_compgen_files
 _shtab_palmd_ctl_jog___key_COMPGEN=_shtab_compgen_files
+_shtab_palmd_ctl_note___key_COMPGEN=_shtab_compgen_files
 _shtab_palmd_top___key_COMPGEN=_shtab_compgen_files
 _shtab_palmd_view___key_COMPGEN=_shtab_compgen_files
 _shtab_palmd_jog_pos_0_COMPGEN=_shtab_compgen_files
@@ -181,7 +183,7 @@ _shtab_palmd_demo___rig_choices=(adept tabletop)
 _shtab_palmd_rig___kind_choices=(nominal friction rig odd)
 _shtab_palmd_rig___marble_choices=(1 2 both)
 _shtab_palmd_rig___roller_choices=(ball cylinder)
-_shtab_palmd_ctl_pos_0_choices=(status arm start hold stop reset plan jog)
+_shtab_palmd_ctl_pos_0_choices=(status arm start hold stop reset plan jog note)
 _shtab_palmd_export___as_choices=(log csv mcap-json rrd svg dxf points)
 _shtab_palmd_keys_new_client___role_choices=(watch operate)
 _shtab_palmd_keys_new_pos_0_choices=(server client)
@@ -251,6 +253,9 @@ _shtab_palmd_ctl_plan___json_nargs=0
 _shtab_palmd_ctl_jog__h_nargs=0
 _shtab_palmd_ctl_jog___help_nargs=0
 _shtab_palmd_ctl_jog___json_nargs=0
+_shtab_palmd_ctl_note__h_nargs=0
+_shtab_palmd_ctl_note___help_nargs=0
+_shtab_palmd_ctl_note___json_nargs=0
 _shtab_palmd_ctl_pos_0_nargs=A...
 _shtab_palmd_ctl__h_nargs=0
 _shtab_palmd_ctl___help_nargs=0

@@ -76,6 +76,7 @@ _shtab_palmd_ctl_commands() {
     arm:'from ready: starts tracking and stands at the present pose'
     hold:'stops the motion along its path; tracking goes on'
     jog:'turns the palms by small steps, for as long as the next one comes within 200 ms'
+    note:'writes a note about this time into the recording'
     plan:'loads another plan, validated first; not while moving'
     reset:'clears latched faults that are gone, and a faulted controller; never an e-stop'
     start:'blends to the plan'"'"'s start and runs it; goes on after a hold'
@@ -390,6 +391,17 @@ _shtab_palmd_ctl_jog_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_ctl_jog_defaults_added=0
+
+_shtab_palmd_ctl_note_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--address[the daemon\'s command socket (default\: tcp\:\/\/127.0.0.1\:9873)]:address:"
+  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--json[print the answer as it came]"
+  ":what there is to say about this time of the run:"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_palmd_ctl_note_defaults_added=0
 
 _shtab_palmd_ctl_plan_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -879,6 +891,7 @@ _shtab_palmd_ctl() {
         arm) _arguments -C -s $_shtab_palmd_ctl_arm_options ;;
         hold) _arguments -C -s $_shtab_palmd_ctl_hold_options ;;
         jog) _arguments -C -s $_shtab_palmd_ctl_jog_options ;;
+        note) _arguments -C -s $_shtab_palmd_ctl_note_options ;;
         plan) _arguments -C -s $_shtab_palmd_ctl_plan_options ;;
         reset) _arguments -C -s $_shtab_palmd_ctl_reset_options ;;
         start) _arguments -C -s $_shtab_palmd_ctl_start_options ;;

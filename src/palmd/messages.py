@@ -215,6 +215,11 @@ def motion_fields(
     }
 
 
+def note_fields(t: float, text: str) -> Fields:
+    """`palm/note`, given at `t` (s)."""
+    return {"t_s": t, "text": text}
+
+
 @dataclass(frozen=True, slots=True)
 class Explored:
     """How far an exploration is, or has come: shares of normals as in `palm/state`, NaN for none."""
@@ -232,6 +237,7 @@ def state_fields(
     faults: Iterable[Fault],
     cause: str = "",
     since_s: float = 0.0,
+    running: bool = False,
     explored: Explored = Explored(),
 ) -> Fields:
     """`palm/state`; what `cause` brought the state about `since_s` seconds ago."""
@@ -244,6 +250,7 @@ def state_fields(
         "texts": [fault.text for fault in faults],
         "cause": cause,
         "since_s": since_s,
+        "running": running,
         "exploring": explored.running,
         "explored_s": explored.seconds,
         "coverage": explored.coverage,

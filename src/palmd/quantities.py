@@ -299,6 +299,7 @@ STATE = Topic(
             "cause", "text", "", "what has brought the state about, in words; empty when nothing has since the start"
         ),
         Quantity("since_s", "number", "s", "for how long it has been in that state"),
+        Quantity("running", "bool", "", "whether a plan is under way: one that is held or over is not"),
         Quantity(
             "exploring", "bool", "", "whether an exploration is going on; what follows is about it, else the last"
         ),
@@ -433,7 +434,30 @@ LOG = Topic(
         Quantity("text", "texts", "", "in plain words, with the cause: which byte, which age, which limit"),
     ),
 )  # fmt: skip
-TOPICS: tuple[Topic, ...] = (ESTIMATE, SHAPE, OBJECT, CONTACT, MOTION, STATE, LOOP, INFO, EVENTS, IMPROVEMENT, RIG, LOG)
+NOTE = Topic(
+    "palm/note",
+    0.0,
+    "when somebody has given one",
+    (
+        Quantity("t_s", "number", "s", "when it was given, CLOCK_MONOTONIC"),
+        Quantity("text", "text", "", "what somebody has to say about this time of the run"),
+    ),
+)
+TOPICS: tuple[Topic, ...] = (
+    ESTIMATE,
+    SHAPE,
+    OBJECT,
+    CONTACT,
+    MOTION,
+    STATE,
+    LOOP,
+    INFO,
+    EVENTS,
+    IMPROVEMENT,
+    RIG,
+    NOTE,
+    LOG,
+)
 """What the daemon publishes."""
 
 TRUTH = Topic(

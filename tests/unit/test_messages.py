@@ -33,6 +33,7 @@ from palmd.messages import (
     info_fields,
     log_fields,
     motion_fields,
+    note_fields,
     object_fields,
     rig_fields,
     shape_fields,
@@ -50,6 +51,7 @@ from palmd.quantities import (
     LOG,
     LOOP,
     MOTION,
+    NOTE,
     OBJECT,
     RIG,
     SHAPE,
@@ -116,6 +118,7 @@ def built():
         INFO: info_fields("0.1.0", "shape", default_config()),
         EVENTS: events_fields(1.0, [PadSample(0.99, 1, 0.02), PadLift(0.995, 2), PalmSample(0.98, (0.5, 1.5))]),
         IMPROVEMENT: improvement_fields(1.0, improvement(np.arange(3.0), np.eye(3), t=0.8)),
+        NOTE: note_fields(1.0, "put back"),
         RIG: rig_fields(np.full(15, 1e-3), np.full(15, 1e-4), np.full(15, 1e-3), ZEROS),
         LOG: log_fields(ENTRIES),
     }

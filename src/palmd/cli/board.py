@@ -17,7 +17,7 @@ from palmd.system.mechanism import ENDS, JOINTS, PALMS
 Style = Literal["plain", "title", "good", "bad", "warning", "faint"]
 
 _CELLS = 3  # a row
-_LOGGED = 6  # entries of the log, the latest first: of these the last find room last
+_LOGGED = 4  # entries of the log, the latest first: of these the last find room last
 _INDENT = 10
 _RATE_OVER_S = 3.0
 _MOST_COUNTED = 1000

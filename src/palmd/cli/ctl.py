@@ -42,6 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                 metavar="FILE",
                 help="the plan (YAML), or the name of one that lies beside the daemon's configured plan",
             )
+        elif name == "note":
+            chosen.add_argument("text", metavar="TEXT", help="what there is to say about this time of the run")
         elif name == "jog":
             for joint in JOINTS:
                 chosen.add_argument(
@@ -61,6 +63,8 @@ def run(arguments: argparse.Namespace) -> int:
             reply = _jog(client, whole_deg)
         elif arguments.command == "plan":
             reply = client.ask("plan", _plan(arguments.path))
+        elif arguments.command == "note":
+            reply = client.ask("note", {"text": arguments.text})
         else:
             reply = client.ask(arguments.command)
     if arguments.json:
@@ -96,6 +100,8 @@ def told(command: str, result: dict[str, Any]) -> str:
     if command == "reset" and "cleared" in result:
         cleared = ", ".join(result["cleared"])
         return f"state {result['state']}, " + (f"cleared: {cleared}" if cleared else "there was nothing to reset")
+    if command == "note":
+        return "noted"
     if command != "status":
         return ", ".join(f"{name} {value}" for name, value in result.items())
     from palmd.cli.board import ago, estimate  # which load NumPy: `--help` comes without

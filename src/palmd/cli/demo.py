@@ -128,7 +128,12 @@ def _is_done(client: CommandClient, command: str) -> bool:
 
 
 def _bring_to_rest(stack: Stack) -> None:
-    """A planned stop, then the daemon's end before the rig's; what it estimates meanwhile is not compared."""
+    """A planned stop, then the daemon's end before the rig's; what it estimates meanwhile is not compared.
+
+    The page ends before all that: it shows what has come of it, and not that nothing comes any more.
+    """
+    if "page" in stack.children:
+        stack.children["page"].stop()
     with suppress(CliError):
         stack.client.ask("stop")
     stack.children["daemon"].stop()

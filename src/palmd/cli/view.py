@@ -27,7 +27,7 @@ TRIGGERS = {
 }
 """The page's buttons, and what each would trigger."""
 
-FORMS = {"jog": (State.TRACKING, State.HOLD), "plan": (State.READY, State.TRACKING, State.HOLD)}
+FORMS = {"jog": (State.TRACKING, State.HOLD), "plan": (State.READY, State.TRACKING, State.HOLD), "note": tuple(State)}
 """Its other commands, which change no state, and the states in which they apply."""
 
 

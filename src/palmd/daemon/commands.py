@@ -20,7 +20,7 @@ SENDER_LENGTH_MAX = 100
 
 @dataclass(frozen=True, slots=True)
 class Argument:
-    """One argument of a command; `low` and `high` bound a number."""
+    """One argument of a command; `low` and `high` bound a number, `longest` the characters of a text."""
 
     name: str
     kind: Literal["number", "text"]
@@ -28,6 +28,7 @@ class Argument:
     required: bool = False
     low: float = -math.inf
     high: float = math.inf
+    longest: int = REQUEST_BYTES_MAX
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +79,10 @@ COMMANDS: dict[str, CommandSpec] = {
             )
             for joint in JOINTS
         ),
+    ),
+    "note": CommandSpec(
+        "writes a note about this time into the recording",
+        (Argument("text", "text", "what there is to say; 1000 characters at most", required=True, longest=1000),),
     ),
     "recorder": CommandSpec(
         "tells the daemon how its recorder fares; the recorder does it each second",
@@ -190,6 +195,8 @@ def _problem(argument: Argument, value: Any) -> str | None:
     if argument.kind == "text":
         if not isinstance(value, str) or not value or "\0" in value:
             return f"must be text, got {_shown(value)}"
+        if len(value) > argument.longest:
+            return f"must have {argument.longest} characters at most, not {len(value)}"
     elif isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         return f"must be a finite number, got {_shown(value)}"
     elif not argument.low <= value <= argument.high:

@@ -44,6 +44,7 @@ from palmd.messages import (
     improvement_fields,
     log_fields,
     motion_fields,
+    note_fields,
     object_fields,
     rig_fields,
     shape_fields,
@@ -52,7 +53,7 @@ from palmd.messages import (
 )
 from palmd.motion.check import motion_limits
 from palmd.observer.observer import Observer
-from palmd.quantities import CONTACT, ESTIMATE, EVENTS, IMPROVEMENT, LOG, MOTION, OBJECT, RIG, SHAPE, STATE, Topic
+from palmd.quantities import CONTACT, ESTIMATE, EVENTS, IMPROVEMENT, LOG, MOTION, NOTE, OBJECT, RIG, SHAPE, STATE, Topic
 from palmd.system.mechanism import JOINTS, PALMS
 from palmd.system.rig_constants import prior_sds, said_off
 
@@ -133,7 +134,7 @@ class Core:
         self._rig_notes, self._motion_notes = RigNotes(self.journal), MotionNotes(self.journal)
         self._t_look = self._t_state = self._t_shape = self._t_rig = self._t_log = -math.inf
         self._logged = 0
-        self._told: tuple[object, object] = (None, None)
+        self._told: tuple[object, ...] = ()
 
     @property
     def state(self) -> State:
@@ -291,10 +292,11 @@ class Core:
         if self._answered is not None or t - self._t_rig >= 1.0 / RIG.rate_hz - _EARLY_S:
             self._t_rig = t
             messages.append((RIG, rig_fields(self._rig, self._rig_sds, self._rig_priors, self._contradicted)))
-        told = (self.state, self.faults.active)
+        told = (self.state, self.faults.active, self.setpoints.running)
         if told != self._told or t - self._t_state >= SLOW_TOPIC_S - _EARLY_S:
             self._told, self._t_state = told, t
             messages.append((STATE, self._state_fields(t)))
+        messages += [(NOTE, note_fields(said_at, text)) for said_at, text in self.supervisor.taken_notes()]
         if self._shape is not None:
             messages.append((SHAPE, shape_fields(self._shape)))
             self._shape = None
@@ -313,7 +315,8 @@ class Core:
             state, since = self.state, t
             cause = self.supervisor.cause + (self._grounds(t) if state in (State.HOLD, State.FAULT) else "")
             self._in_state = (state, since, cause)
-        return state_fields(str(state), self.faults.active, cause, t - since, self.exploring.explored)
+        running, explored = self.setpoints.running, self.exploring.explored
+        return state_fields(str(state), self.faults.active, cause, t - since, running, explored)
 
     def _grounds(self, t: float) -> str:
         """What speaks at `t` (s) for the faults that hold or stop the palms."""

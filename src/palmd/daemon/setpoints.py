@@ -156,6 +156,11 @@ class SetPoints:
         return self._executor.moving or (self._jog is not None and self._jog.moving)
 
     @property
+    def running(self) -> bool:
+        """Whether a plan is under way."""
+        return self._executor.moving
+
+    @property
     def held(self) -> bool:
         """Whether a plan is waiting to go on."""
         return self._jog is None and self._executor.held

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from typing import Any
@@ -105,6 +105,7 @@ class Supervisor:
         self._arming: _Wait | None = None
         self._resetting: _Wait | None = None
         self._job: _Job | None = None
+        self._notes: list[tuple[float, str]] = []
         self._t_up = math.inf
         self._t_jog = -math.inf
         self._commands: dict[str, Callable[[Request, float], dict[str, Any] | None]] = {
@@ -116,6 +117,7 @@ class Supervisor:
             "reset": self._reset,
             "plan": self._load_plan,
             "jog": self._jog,
+            "note": self._note,
             "recorder": self._hear_recorder,
         }
 
@@ -148,8 +150,8 @@ class Supervisor:
         if self._faults.standing(Severity.STOP):
             if self.state in COMMANDED or self._faults.latched(Severity.STOP):
                 self.fall()
-        elif self.state is State.TRACKING and (holding := self._faults.standing(Severity.HOLD)):
-            self._change(Trigger.HOLD, _told(holding))
+        elif self.state is State.TRACKING and self._faults.standing(Severity.HOLD):
+            self._change(Trigger.HOLD, self._standing(Severity.HOLD))
             self._setpoints.hold()
         trigger = Trigger.RIG_UP if up else Trigger.RIG_DOWN
         self._change(trigger, str(trigger))
@@ -159,7 +161,7 @@ class Supervisor:
 
     def fall(self) -> None:
         """A stop fault: a planned stop, whatever is going on."""
-        self._change(Trigger.STOP_FAULT, _told(self._faults.standing(Severity.STOP)))
+        self._change(Trigger.STOP_FAULT, self._standing(Severity.STOP))
         self._stand_down("a fault came up; see status")
 
     def close(self) -> None:
@@ -294,6 +296,15 @@ class Supervisor:
         self._setpoints.jog(_turn(request, ""), t, _turn(request, "whole_") if told else None)
         return self._told()
 
+    def taken_notes(self) -> list[tuple[float, str]]:
+        """What was noted since the last call, and when (s)."""
+        notes, self._notes = self._notes, []
+        return notes
+
+    def _note(self, request: Request, t: float) -> dict[str, Any]:
+        self._notes.append((t, request.args["text"]))
+        return {}
+
     def _told(self) -> dict[str, Any]:
         return {"state": str(self.state)}
 
@@ -420,11 +431,15 @@ class Supervisor:
             self.cause = f"{why}, by {who}" if who else why
             self._journal.add("state", str(self.state), f"{before} -> {self.state}: {self.cause}", who=who)
 
+    def _standing(self, severity: Severity) -> str:
+        return "; ".join(fault.text for fault in self._faults.standing(severity))
+
     def _answer(self, request: Request, error: str | None, result: dict[str, Any] | None = None) -> None:
         if error is not None and request.id == _AUTOSTART_ID and request.route is None:
             self._autostart.clear()
             log.warning("autostart: %s", error)
-        self._tell(request, "done" if error is None else error)
+        done = request.args["text"] if request.name == "note" else "done"
+        self._tell(request, done if error is None else error)
         self.replies.append(Reply(request, error, result))
 
     def _tell(self, request: Request, outcome: str) -> None:
@@ -441,10 +456,6 @@ class Supervisor:
 def _turn(jog: Request, of: str) -> Angles:
     """By how much a jog turns the palms (rad): its step, or the whole of which that is the first."""
     return tuple(math.radians(jog.args.get(f"{of}{joint}_deg", 0.0)) for joint in JOINTS)
-
-
-def _told(faults: Iterable[Fault]) -> str:
-    return "; ".join(fault.text for fault in faults)
 
 
 def _named(state: ArmState | None) -> str:

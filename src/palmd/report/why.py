@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from palmd.faults import TABLE
+from palmd.record import SUFFIX
 from palmd.record.run import Run, RunError, read_run
-from palmd.record.runfile import SUFFIX
 from palmd.report.causes import RunCase, StopCause, of_break, of_end, of_fault, of_no_fault, of_tracking
 from palmd.report.course import Course, StateChange, closeup_of, course_of
 

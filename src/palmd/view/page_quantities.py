@@ -38,7 +38,11 @@ def page_quantities() -> dict[str, Any]:
         "shown": {topic.name: _shown(topic.quantities) for topic in (ESTIMATE, CONTACT, MOTION, LOOP)},
         "strips": [_strip(chart) for chart in strips],
         "told": [
-            {"name": quantity.name, "title": titles.get(quantity.chart, quantity.meaning.capitalize())}
+            {
+                "name": quantity.name,
+                "title": titles.get(quantity.chart, quantity.meaning.capitalize()),
+                "compared": truth_of(quantity) is not None and quantity.chart != "turn",  # counted from elsewhere
+            }
             for quantity in ESTIMATE.quantities
             if quantity.glance and quantity.chart not in in_strips
         ],

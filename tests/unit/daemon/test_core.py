@@ -530,11 +530,18 @@ def test_an_exploration_tells_how_it_ends_and_may_be_started_again():
         bench.go(1.0)
         status = bench.do("status")
         assert (status["doing"], status["over"]) == ("explore", False)
+        told = bench.last("palm/state")
+        assert (told["running"], told["exploring"], told["coverage_goal"]) == (True, True, 0.95)
         bench.go(1.5 + OVERTIME_S)
         status = bench.do("status")
         assert status["explored"] == {"coverage": None, "reachable": None, "reason": "the time limit of 2 s is over"}
         assert (status["moving"], status["over"]) == (False, True)
         assert status["state"] == "tracking"
+        told = bench.last("palm/state")
+        assert (told["running"], told["exploring"], told["reason"]) == (False, False, "the time limit of 2 s is over")
+        assert told["explored_s"] > 2.0
+    bench.do("jog", phi1_deg=0.3)
+    assert not bench.go(0.15).last("palm/state")["running"]  # that is no plan
 
 
 def test_an_explorer_that_is_silent_is_told():
@@ -550,6 +557,17 @@ def test_an_explorer_that_is_silent_is_told():
     assert nobody.asked == 0  # there is no outlook
     bench.do("stop")
     assert bench.go(0.1).faults == []
+
+
+# ---- notes
+
+
+def test_a_note_is_published_with_its_time():
+    bench = Bench().go(0.2)
+    bench.do("note", text="put back by hand")
+    assert [fields for topic, fields in bench.go(0.1).messages if topic.name == "palm/note"] == [
+        {"t_s": pytest.approx(0.2, abs=0.011), "text": "put back by hand"}
+    ]
 
 
 # ---- pads lost

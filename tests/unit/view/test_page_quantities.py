@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from palmd.quantities import CHARTS, ESTIMATE
+from palmd.quantities import CHARTS, ESTIMATE, NIS_BAND
 from palmd.view.files import STATIC, page_files
 from palmd.view.page_quantities import page_quantities
 
@@ -29,6 +29,20 @@ def test_strips_are_the_charts_that_have_an_axis():
 def test_what_has_no_strip_is_told_as_a_number():
     told = [each["name"] for each in page_quantities()["told"]]
     assert told == ["psi_rad", "mu", "mass_kg", "f1_n", "f2_n", "com_y_m"]
+
+
+def test_a_strip_says_its_group_and_where_all_is_well():
+    strips = {strip["names"][0]: strip for strip in page_quantities()["strips"]}
+    assert (strips["nis"]["group"], strips["nis"]["good"]) == ("Trust", list(NIS_BAND))
+    assert strips["observability"]["good"] == [1.0, None]
+    assert (strips["phi1_rad"]["group"], strips["phi1_rad"]["good"]) == ("Palms", None)
+    assert all(strip["group"] for strip in strips.values())
+
+
+@pytest.mark.parametrize("path", sorted(STATIC.glob("*.js")), ids=lambda path: path.name)
+def test_no_script_says_how_many_palms_there_are(path):
+    """What belongs to one palm has its number in its name, which only `palm/info` and the table know."""
+    assert re.findall(r"\b(?:palm|pad|phi|omega|touch|age|[rsf])[0-9]+(?:_\w+)?\b|\[1, 2\]", path.read_text()) == []
 
 
 @pytest.mark.parametrize("name", ["store.js", "strips.js"])

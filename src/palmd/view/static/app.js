@@ -3,10 +3,11 @@
 import { ByHand } from "./byhand.js";
 import { Commands } from "./commands.js";
 import { Connection } from "./connection.js";
+import { showEvents } from "./events.js";
 import { showHero, summary } from "./hero.js";
 import { describe, layOut, showReadouts } from "./readouts.js";
 import { Scene } from "./scene.js";
-import { Store } from "./store.js";
+import { seconds, Store } from "./store.js";
 import { Strips } from "./strips.js";
 import { element, set } from "./text.js";
 import { onColours } from "./theme.js";
@@ -72,6 +73,7 @@ function tell() {
   if (ended) return; // what was known in the end stays
   showReadouts(store, now, frames.length);
   showHero(store, now);
+  showEvents(document.getElementById("events"), store.get("palm/log"), seconds(store.get("palm/estimate")));
   const truthful = store.truthful(now);
   strips.tell(store, truthful);
   showLegend(truthful);
@@ -86,6 +88,7 @@ function showLegend(truthful) {
 function showStaleness(now, stale) {
   const heard = Number.isFinite(store.palmAt);
   document.body.classList.toggle("stale", stale && !ended);
+  document.body.classList.toggle("over", ended);
   document.getElementById("ended").hidden = !ended;
   document.getElementById("stale").hidden = !stale;
   if (!stale) return;
@@ -97,6 +100,9 @@ function showStaleness(now, stale) {
 
 /** What has come of it, in the end. */
 function showSummary() {
+  set("state", "over");
+  document.getElementById("state").dataset.state = "unknown";
+  set("state-means", "");
   set("ended-title", store.has("rig/object") ? "The demo has ended" : "palmd view has ended");
   document.getElementById("summary").replaceChildren(...summary(store, store.palmAt).flatMap(([what, found]) =>
     [element("dt", "", what), element("dd", "", found)]));

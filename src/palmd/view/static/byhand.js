@@ -1,5 +1,6 @@
-// What an operator does besides the buttons: jogs under a dead man's switch, chooses a plan.
+// What an operator does besides the buttons: jogs under a dead man's switch, chooses a plan, writes notes.
 
+import { underWay } from "./knowledge.js";
 import { palmsOf } from "./quantities.js";
 import { element, number, set } from "./text.js";
 
@@ -19,6 +20,10 @@ export class ByHand {
   constructor(section, commands) {
     [this.#section, this.#commands] = [section, commands];
     document.getElementById("load").addEventListener("click", () => commands.give("plan", { path: this.#plans.value }));
+    document.getElementById("annotate").addEventListener("submit", (event) => {
+      event.preventDefault();
+      this.#annotate(document.getElementById("note"));
+    });
     for (const end of ["blur", "visibilitychange", "pointerup", "pointercancel"]) {
       (end === "visibilitychange" ? document : window).addEventListener(end, () => this.#letGo());
     }
@@ -31,13 +36,20 @@ export class ByHand {
     const { state } = store.get("palm/state");
     this.#section.hidden = !this.#commands.operator;
     this.#layOut(info);
-    const moving = state === "tracking" && motion.segment >= 0;
+    const moving = underWay(store);
     const jogs = this.#commands.applies("jog", state, stale) && !moving;
     for (const button of this.#pads.querySelectorAll("button")) button.disabled = !jogs;
     if (!jogs) this.#letGo();
     set("jog-says", jogs ? "" : moving ? "hold the plan first" : "arm first");
     document.getElementById("load").disabled = !this.#plans.value || moving || !this.#commands.applies("plan", state, stale);
+    document.getElementById("send-note").disabled = !this.#commands.applies("note", state, stale);
     for (const { joint } of palmsOf(info)) set(`jog-${joint}`, number((motion[`${joint}_rad`] * 180) / Math.PI, 1, "°"));
+  }
+
+  #annotate(note) {
+    if (!note.value.trim()) return;
+    this.#commands.give("note", { text: note.value.trim() });
+    note.value = "";
   }
 
   #layOut(info) {
@@ -60,7 +72,11 @@ export class ByHand {
     const button = Object.assign(element("button", "handle", text), { type: "button", disabled: true });
     button.setAttribute("aria-label", label);
     const hold = () => this.#hold({ [`${joint}_deg`]: way * STEP_DEG });
-    button.addEventListener("pointerdown", (event) => event.button === 0 && hold());
+    button.addEventListener("pointerdown", ({ button: which, pointerId }) => {
+      if (which !== 0) return;
+      if (button.hasPointerCapture(pointerId)) button.releasePointerCapture(pointerId); // a finger that slips off lets go
+      hold();
+    });
     button.addEventListener("keydown", (event) => {
       if (event.key !== " " && event.key !== "Enter") return;
       event.preventDefault();

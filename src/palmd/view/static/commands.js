@@ -1,5 +1,6 @@
 // The command buttons: which of them apply, the second press that arm and start need, keys, and the answers.
 
+import { underWay } from "./knowledge.js";
 import { set } from "./text.js";
 
 const CONFIRM_MS = 3000;
@@ -61,9 +62,9 @@ export class Commands {
   offer(store, stale, replayed) {
     this.#replayed = replayed;
     const { state } = store.get("palm/state");
-    const { segment = -1, plan, arm_state: arm } = store.get("palm/motion");
+    const { plan, arm_state: arm } = store.get("palm/motion");
     const idle = {
-      start: state === "tracking" && (segment >= 0 || !plan),
+      start: state === "tracking" && (underWay(store) || !plan),
       hold: state === "hold",
       stop: !this.#arming && !["tracking", "hold"].includes(state) && !MOVED.includes(arm),
     };

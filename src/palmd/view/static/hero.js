@@ -14,7 +14,7 @@ export function showHero(store, now) {
   document.getElementById("going-on").dataset.kind = kind;
   set("known", Number.isFinite(estimate.touched) ? number(estimate.touched * 100, 0) : "–");
   document.getElementById("known-bar").value = estimate.touched || 0;
-  set("known-of", Number.isFinite(coverage) ? `${percent(coverage)} of what can be reached`
+  set("known-of", estimate.valid && Number.isFinite(coverage) ? `${percent(coverage)} of what can be reached`
     + (reachable < 0.995 ? `, which is ${percent(reachable)}` : "") : "");
   showAccuracy(accuracy(store), error(store, now));
   showMass(estimate, store.truthful(now) ? store.get("rig/object").mass_kg : NaN);
@@ -25,8 +25,8 @@ function showAccuracy({ typical, worst }, off) {
   set("typical", Number.isFinite(typical) ? `± ${value}` : value);
   set("typical-unit", unit);
   const [most, its] = small(worst);
-  set("worst", Number.isFinite(worst) ? `worst ± ${most} ${its}` : "");
-  set("off-truth", Number.isFinite(off.typical) ? `truth: ${small(off.typical).join(" ")} off, worst ${small(off.worst).join(" ")}` : "");
+  set("worst", Number.isFinite(worst) ? `worst ±\u00a0${most}\u00a0${its}` : "");
+  set("off-truth", Number.isFinite(off.typical) ? `truth: ${small(off.typical).join("\u00a0")} off, worst ${small(off.worst).join("\u00a0")}` : "");
 }
 
 function showMass({ valid, mass_kg: mass, sd }, truth) {
@@ -49,7 +49,7 @@ export function summary(store, now) {
     ["at last", words],
     ["outline known", percent(estimate.touched)],
     ["accuracy", `± ${small(well.typical).join(" ")}, worst ± ${small(well.worst).join(" ")}`],
-    ["off the rig’s truth", Number.isFinite(off.typical) ? `${small(off.typical).join(" ")}, worst ${small(off.worst).join(" ")}` : "–"],
+    ["off the rig’s truth", Number.isFinite(off.typical) ? `${small(off.typical).join("\u00a0")}, worst ${small(off.worst).join("\u00a0")}` : "–"],
     ["mass", estimate.valid ? number(estimate.mass_kg * factor, digits, unit) : "–"],
   ];
 }

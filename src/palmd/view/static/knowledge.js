@@ -41,7 +41,13 @@ export function small(length) {
 
 /** A share in per cent, a dash for none. */
 export function percent(share) {
-  return Number.isFinite(share) ? `${(share * 100).toFixed(0)} %` : "–";
+  return Number.isFinite(share) ? `${(share * 100).toFixed(0)}\u00a0%` : "–";
+}
+
+/** Whether a plan is under way; runs that are older than the field that says so have the plan's place. */
+export function underWay(store) {
+  const { state, running } = store.get("palm/state");
+  return state === "tracking" && (running ?? store.get("palm/motion").segment >= 0);
 }
 
 /** What is going on and why: {words, reason, kind}; `kind` is good, wait, warn or bad. */
@@ -58,7 +64,7 @@ export function activity(store) {
     case "fault":
       return { words: `Stopped: ${why(said)}`, reason: advice(said, "reset when the cause is gone"), kind: "bad" };
     case "tracking":
-      return motion.segment >= 0 ? moving(said, motion) : standingStill(said, motion, store);
+      return underWay(store) ? moving(said, motion) : standingStill(said, motion, store);
     default:
       return { words: "Nothing is known yet", reason: "", kind: "wait" };
   }
@@ -66,20 +72,21 @@ export function activity(store) {
 
 function moving(said, { plan, segment, progress }) {
   if (!said.exploring) {
-    return { words: `Running ${plan}: ${percent(progress)}`, reason: `segment ${segment + 1}`, kind: "good" };
+    const far = progress > 0 ? `, ${percent(progress)}` : "";
+    return { words: `Running ${plan}${far}`, reason: `segment ${segment + 1}`, kind: "good" };
   }
-  const far = Number.isFinite(said.coverage) ? percent(said.coverage) : "nothing known yet";
-  return { words: `Exploring, ${said.explored_s.toFixed(0)} s: ${far}`, reason: said.reason, kind: "good" };
+  const far = Number.isFinite(said.coverage) ? `: ${percent(said.coverage)}` : "";
+  return { words: `Exploring, ${said.explored_s.toFixed(0)} s${far}`, reason: said.reason, kind: "good" };
 }
 
 function standingStill({ explored_s: seconds, coverage, coverage_goal: goal, reason, exploring }, { plan }, store) {
   if (!Number.isFinite(seconds) || exploring) {
-    return { words: "Standing still, the arm follows", reason: plan && `start runs ${plan}`, kind: "wait" };
+    return { words: "The arm follows, no plan is running", reason: plan && `start runs ${plan}`, kind: "wait" };
   }
   const took = `${percent(coverage)} in ${seconds.toFixed(0)} s`;
   if (!(coverage >= goal)) return { words: `Ended at ${took}`, reason, kind: "warn" };
   const [value, unit] = small(accuracy(store).typical);
-  return { words: `Done: ${took}, ± ${value} ${unit}`, reason, kind: "good" };
+  return { words: `Done: ${took}, ±\u00a0${value}\u00a0${unit}`, reason, kind: "good" };
 }
 
 /** What has brought the state about; runs that are older than that field have their faults. */

@@ -1,4 +1,4 @@
-// A magnifying glass in the scene's corner: a small piece of the outline as it is, band and truth, so many times larger.
+// A magnifying glass in an upper corner of the scene: a small piece of the outline as it is, band and truth, so many times larger.
 
 import { magnification } from "./geometry.js";
 import { classOf } from "./knowledge.js";
@@ -6,7 +6,7 @@ import { dash, line, place, ring } from "./paths.js";
 import { colours } from "./theme.js";
 
 const RADIUS = 84; // CSS pixels, less in a small picture
-const SMALLEST = 0.17; // of the picture's height
+const SHARE = 0.2; // of the picture's height, at most
 const MARGIN = 10;
 const BAND_SDS = 2;
 const BAND_SHARE = 0.45; // of the radius that half the band may fill
@@ -15,6 +15,7 @@ const MM = 1e3;
 export class Lens {
   factor = 0; // by which it magnifies; 0 while it shows nothing
   #before = 5;
+  #right = true;
 
   /**
    * `points` of the outline in the object's frame with one-sigma `sds` (m) and, where the rig tells it, `off` (m), by which
@@ -23,11 +24,12 @@ export class Lens {
   draw(context, { points, sds, off, centre, psi, target, screen }) {
     const { ratio, width, height, scale, below } = screen;
     const nearest = nearestTo(points, centre, psi, target);
-    const radius = Math.min(RADIUS * ratio, SMALLEST * height + 20 * ratio);
+    const radius = Math.min(RADIUS * ratio, SHARE * height);
     this.factor = this.#before = magnification(BAND_SDS * sds[nearest] * MM * scale, BAND_SHARE * radius, this.#before);
-    const [x, y] = [width - radius - MARGIN * ratio, radius + MARGIN * ratio]; // upper right, where no palm is
     const [px, py] = world(points, centre, psi, nearest);
     const seen = [px * scale + width / 2, height - (py + below) * scale];
+    const y = radius + MARGIN * ratio;
+    const x = this.#besides(centre[0] * MM * scale, y, width);
     context.save();
     context.setTransform(1, 0, 0, 1, 0, 0);
     this.#drawRim(context, [x, y], radius, seen, ratio);
@@ -47,6 +49,12 @@ export class Lens {
     if (off) dash(context, ring(points, off), thin);
     context.restore();
     this.#drawFactor(context, [x, y], radius, ratio);
+  }
+
+  /** Its middle: in the upper corner that is farther from the object, which is `off` to the right of the hinge. */
+  #besides(off, margin, width) {
+    if (Math.abs(off) > 0.1 * width) this.#right = off < 0;
+    return this.#right ? width - margin : margin;
   }
 
   /** What is seen through it, a line to the place, and from here on nothing outside of it. */

@@ -3,7 +3,7 @@
 const table = await (await fetch("quantities.json")).json();
 
 export const STRIPS = table.strips; // charts of the estimate: {title, group, names, unit, factor, digits, span, low, good}
-export const TOLD = table.told; // what of the estimate is told as a number: {name, title}
+export const TOLD = table.told; // what of the estimate is told as a number: {name, title, compared}
 export const AGES = table.ages; // of what was heard last, in palm/contact: {name, title, palm}
 export const ESTIMATE = table.shown["palm/estimate"];
 
@@ -15,6 +15,12 @@ export function staleMs(topic) {
 /** How a quantity of a topic is shown: {symbol, meaning, unit, factor, digits, uncertain, truth, colour}. */
 export function shown(topic, name) {
   return table.shown[topic][name];
+}
+
+/** How a quantity of the estimate is shown, though its palm may be one more than the table has. */
+export function shownOfPalm(name) {
+  const family = (each) => each.replace(/[0-9]+/, "");
+  return ESTIMATE[name] ?? ESTIMATE[Object.keys(ESTIMATE).find((each) => family(each) === family(name))];
 }
 
 /** The palms as `palm/info` describes them: [{number, joint, side, lengthM, padM}], from the hinge on. */

@@ -1,6 +1,7 @@
 // State, faults, ages and punctuality in words and numbers.
 
-import { AGES, ESTIMATE, palmsOf, shown, TOLD } from "./quantities.js";
+import { underWay } from "./knowledge.js";
+import { AGES, ESTIMATE, palmsOf, shown, shownOfPalm, TOLD } from "./quantities.js";
 import { element, number, row, set } from "./text.js";
 
 const STATES = {
@@ -79,15 +80,15 @@ function showRows(id, rows) {
 function showObject(store, now) {
   const estimate = store.get("palm/estimate");
   const truthful = store.truthful(now);
-  for (const { name } of TOLD) {
+  for (const { name, compared } of TOLD) {
     const { factor, digits, truth } = ESTIMATE[name];
     const value = estimate.valid ? estimate[name] : NaN;
     set(`told-${name}`, number(value * factor, digits));
     set(`sd-${name}`, number(Number.isFinite(value) ? estimate.sd?.[name] * factor : NaN, digits));
-    set(`off-${name}`, truthful && truth ? number((value - store.get(truth)[name]) * factor, digits) : "–");
+    set(`off-${name}`, truthful && compared ? number((value - store.get(truth)[name]) * factor, digits) : "–");
   }
   const motion = store.get("palm/motion");
-  const running = motion.segment >= 0;
+  const running = underWay(store) && motion.segment >= 0;
   set("plan", motion.plan ? `${motion.plan}${running ? `, segment ${motion.segment + 1}` : ", not running"}` : "none");
   document.getElementById("progress").value = running ? motion.progress : 0;
 }
@@ -120,7 +121,10 @@ function showHealth(store, now, fps) {
 export function describe(store) {
   const estimate = store.get("palm/estimate");
   if (!estimate.valid) return "Palms and object; the estimate has not settled.";
-  const say = (name) => number(estimate[name] * ESTIMATE[name].factor, ESTIMATE[name].digits, ESTIMATE[name].unit);
+  const say = (name) => {
+    const { factor, digits, unit } = shownOfPalm(name);
+    return number(estimate[name] * factor, digits, unit);
+  };
   const palms = palmsOf(store.get("palm/info")).map(({ number: palm, joint }) => `Palm ${palm} at ${say(`${joint}_rad`)}, `
     + `${say(`r${palm}_m`)} from the centre of mass, pressed with ${say(`f${palm}_n`)}.`);
   return `${palms.join(" ")} Touched over ${number(estimate.touched * 100, 0, "%")} of the outline.`;

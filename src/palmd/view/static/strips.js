@@ -5,7 +5,7 @@ import { element, number } from "./text.js";
 import { SD, WINDOW_S } from "./store.js";
 import { colours } from "./theme.js";
 
-const STRIDE = 2; // 50 samples a second are more than there are pixels
+const STRIDE = 3; // 33 samples a second are as many as there are pixels
 const LANE = 0.36; // of a strip's height, for the difference from the truth
 const STEPS = [1, 2, 5, 10];
 
@@ -57,6 +57,7 @@ class Strip {
   #lane = null; // half the height of the lane in shown units; null without a truth
   #truthful = false;
   #newest = 0;
+  #columns = []; // what was drawn last
 
   constructor(container, spec) {
     this.#spec = spec;
@@ -121,7 +122,8 @@ class Strip {
     }
     this.#range = this.#extent(curves);
     if (this.#lane !== null) this.#lane = tidy(lanes, this.#spec.digits);
-    this.#plot.setData([x, ...curves, ...lanes]);
+    this.#columns = [x, ...curves, ...lanes];
+    this.#plot.setData(this.#columns);
   }
 
   resize() {
@@ -131,17 +133,19 @@ class Strip {
   rebuild() {
     this.#plot.destroy();
     this.#plot = this.#build();
+    if (this.#columns.length === this.#plot.series.length) this.#plot.setData(this.#columns);
   }
 
   #compared(name) {
     return this.#truthful && ESTIMATE[name].truth !== null;
   }
 
-  /** The axis: all there is to see with some air, no less than the least span. */
+  /** The axis: all there is to see with some air, no less than the least span, and where the good zone begins. */
   #extent(columns) {
-    const { span, low } = this.#spec;
+    const { span, low, good } = this.#spec;
     let [least, most] = extremes(columns);
     if (least > most) [least, most] = low === null ? [-span / 2, span / 2] : [low, low + span];
+    if (good) most = Math.max(most, 1.4 * good[0]); // so that one sees where it would be good
     const air = Math.max((most - least) * 0.08, (span - (most - least)) / 2);
     return [low ?? least - air, most + air];
   }

@@ -1,0 +1,140 @@
+"""The live page in a headless browser: what it shows, and how a person presses its buttons."""
+
+import shutil
+import time
+
+import pytest
+from selenium import webdriver
+from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.by import By
+
+GENEROUS_S = 20.0  # for a slow machine
+DOUBLE_CLICK_S = 0.5
+ESCAPE = "\ue00c"
+LAPTOP, SMALL, PHONE, WIDE = (1366, 768), (1024, 625), (375, 740), (2560, 1300)
+SEVERE = "SEVERE"
+
+
+class Page:
+    """The page at an address, in a browser."""
+
+    def __init__(self, driver, url):
+        self.driver, self._url = driver, url
+
+    def open(self, token=True):
+        self.leave()
+        self.errors()  # are those of a page before
+        self.driver.get(self._url if token else self._url.partition("#")[0])
+
+    def leave(self):
+        self.driver.get("about:blank")
+
+    def script(self, text, *arguments):
+        return self.driver.execute_script(text, *arguments)
+
+    def text(self, name):
+        return self.script("return document.getElementById(arguments[0]).textContent", name)
+
+    def shows(self, name):
+        return self.script("return !document.getElementById(arguments[0]).hidden", name)
+
+    def enabled(self):
+        """The commands that can be given."""
+        text = "return [...document.querySelectorAll('#commands button:enabled')].map((b) => b.dataset.command)"
+        found = self.script(text)
+        return set(found)
+
+    def press(self, command):
+        self.driver.find_element(By.CSS_SELECTOR, f"button[data-command={command}]").click()
+
+    def double_click(self, command):
+        """Two clicks at once, which no driver is quick enough for."""
+        text = "const button = document.querySelector(arguments[0]); button.click(); button.click()"
+        self.script(text, f"button[data-command={command}]")
+
+    def press_twice(self, command):
+        """As a person does: not so fast that it might be a double click."""
+        self.press(command)
+        time.sleep(DOUBLE_CLICK_S)
+        self.press(command)
+
+    def key(self, key):
+        self.driver.switch_to.active_element.send_keys(key)
+
+    def drawn(self, hue):
+        """How many of the scene's pixels are green as what is well known, or of a palm: blue, red (orange), purple."""
+        return self.script(
+            """
+            const scene = document.getElementById("scene");
+            const { data } = scene.getContext("2d").getImageData(0, 0, scene.width, scene.height);
+            const orders = { green: [1, 0, 2], blue: [2, 0, 1], red: [0, 1, 2], purple: [2, 1, 0] };
+            const [one, other, third] = orders[arguments[0]];
+            let count = 0;
+            for (let i = 0; i < data.length; i += 4) {
+              const more = [data[i + one] - data[i + other], data[i + one] - data[i + third]];
+              const violet = data[i] > data[i + 1] + 20; // which blue is not
+              count += data[i + 3] > 100 && more[0] > 40 && more[1] > 10 && (one !== 2 || violet === (other === 1));
+            }
+            return count;
+            """,
+            hue,
+        )
+
+    def object_drawn(self):
+        """How many of the scene's pixels are filled as the object is, thinly, whatever its outline's error."""
+        return self.script(
+            """
+            const scene = document.getElementById("scene");
+            const { data } = scene.getContext("2d").getImageData(0, 0, scene.width, scene.height);
+            let count = 0;
+            for (let i = 0; i < data.length; i += 4) {
+              count += data[i + 3] > 8 && data[i + 3] < 60 && data[i + 1] - data[i] > 40;
+            }
+            return count;
+            """
+        )
+
+    def until(self, condition, what, patience_s=GENEROUS_S):
+        """What `condition` has come to, once that is something."""
+        t_end = time.monotonic() + patience_s
+        while not (found := condition()):
+            shown = "return document.body.innerText"
+            assert time.monotonic() < t_end, f"in vain for {what}; it shows: {self.script(shown)}"
+            time.sleep(0.02)
+        return found
+
+    def resize(self, width, height):
+        shape = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
+        self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", shape)
+
+    def scheme(self, scheme):
+        """Light or dark."""
+        features = [{"name": "prefers-color-scheme", "value": scheme}]
+        self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
+
+    def axe(self, source):
+        """What axe-core, its source given, finds to keep people from using the page."""
+        self.script(source)
+        return self.driver.execute_async_script(
+            """
+            const done = arguments[arguments.length - 1];
+            axe.run(document).then(({ violations }) => done(violations.map(({ id, nodes }) =>
+              [id, ...nodes.map(({ target, failureSummary }) => `${target}: ${failureSummary}`)])));
+            """
+        )
+
+    def errors(self):
+        return [entry["message"] for entry in self.driver.get_log("browser") if entry["level"] == SEVERE]
+
+
+def browser():
+    """A browser, to be entered."""
+    chromium, chromedriver = shutil.which("chromium"), shutil.which("chromedriver")
+    if not (chromium and chromedriver):
+        pytest.fail("the live page's test needs a browser: sudo apt-get install chromium chromium-driver")
+    options = webdriver.ChromeOptions()
+    options.binary_location = chromium
+    for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--window-size=1366,768"):
+        options.add_argument(argument)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    return webdriver.Chrome(options=options, service=Service(chromedriver))

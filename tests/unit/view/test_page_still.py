@@ -1,0 +1,297 @@
+"""The live page in a real browser, without a rig: what it makes of what is published, and what its buttons ask for."""
+
+import math
+import re
+import threading
+import time
+from pathlib import Path
+
+import msgpack
+import numpy as np
+import pytest
+import zmq
+from browser_page import DOUBLE_CLICK_S, ESCAPE, LAPTOP, PHONE, SMALL, WIDE, Page, browser
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.keys import Keys
+
+from palmd.harness.processes import Child
+
+IN_VIEW = """
+    const { left, top, right, bottom } = document.querySelector(arguments[0]).getBoundingClientRect();
+    const seen = document.elementFromPoint((left + right) / 2, (top + bottom) / 2);
+    return seen?.closest(arguments[0]) && left >= 0 && right <= innerWidth && top >= 0 && bottom <= innerHeight;
+"""
+AXE = Path(__file__).parents[2] / "tools/axe-core/axe.min.js"
+
+
+@pytest.fixture(scope="module")
+def driver():
+    with browser() as one:
+        yield one
+
+
+class Bus:
+    """A publisher that says the same again and again, and a command socket that grants and remembers everything."""
+
+    def __init__(self):
+        self._context = zmq.Context()
+        self._publisher, self._commands = self._context.socket(zmq.PUB), self._context.socket(zmq.ROUTER)
+        self.publish, self.command = (
+            f"tcp://127.0.0.1:{socket.bind_to_random_port('tcp://127.0.0.1')}"
+            for socket in (self._publisher, self._commands)
+        )
+        self.messages, self.asked = {}, []
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._live)
+        self._thread.start()
+
+    def _live(self):
+        while not self._over.wait(0.02):
+            for topic, fields in list(self.messages.items()):
+                told = msgpack.packb({"mono_ns": time.monotonic_ns(), **fields})
+                self._publisher.send_multipart([topic.encode(), told, b"1.0"])
+            while self._commands.poll(0):
+                *route, request = self._commands.recv_multipart()
+                self.asked.append(msgpack.unpackb(request))
+                self._commands.send_multipart([*route, msgpack.packb({"id": self.asked[-1]["id"], "ok": True})])
+
+    def close(self):
+        self._over.set()
+        self._thread.join()
+        self._context.destroy(linger=0)
+
+
+@pytest.fixture
+def bus():
+    one = Bus()
+    yield one
+    one.close()
+
+
+@pytest.fixture
+def still(driver, bus, tmp_path):
+    """The page of what `bus` says: a rig of any number of palms that stands still, tracking."""
+    where = ["--address", bus.publish, "--command", bus.command]
+    server = Child(["view", "--no-browser", "--port", "0", *where], tmp_path)
+    page = Page(driver, server.first_line(60.0))
+    page.resize(*LAPTOP)
+    yield page
+    page.leave()
+    server.stop()
+    assert (server.status, server.said()) == (0, "")
+
+
+def rig_of(palms, state="tracking", **more):
+    """What a daemon with so many palms says: symmetric about the vertical, a circle of 20 mm on them."""
+    angles = [0.3, *[(math.pi - 0.6) / max(palms - 1, 1)] * (palms - 1)]
+    numbers = range(1, palms + 1)
+    estimate = {"valid": True, "object": 1, "com_x_m": 0.0, "com_y_m": 0.02, "psi_rad": 0.1, "mass_kg": 0.15,
+                "touched": 0.4, "nis": 1.0, "observability": 2.0, "sd": {"mass_kg": 0.002}}  # fmt: skip
+    for number, angle in zip(numbers, angles, strict=True):
+        estimate |= {f"phi{number}_rad": angle, f"r{number}_m": 0.02, f"s{number}_m": 0.03, f"f{number}_n": 0.5}
+    count = 180
+    said = {"state": state, "faults": [], "severities": [], "hints": [], "texts": [], "cause": "arm", "since_s": 4.0,
+            "running": False, "exploring": False, "explored_s": math.nan, "coverage": math.nan,
+            "reason": ""}  # fmt: skip
+    return {
+        "palm/info": {
+            "version": "0", "observer": "shape", "palms": list(numbers), "joints": [f"phi{n}" for n in numbers],
+            "sides": [1.0] * (palms - 1) + [-1.0] if palms > 1 else [1.0], "plans": ["rock.yaml", "swing.yaml"],
+            **{f"palm{n}_length_m": 0.12 for n in numbers}, **{f"pad{n}_length_m": 0.0555 for n in numbers},
+        },
+        "palm/estimate": estimate,
+        "palm/shape": {"theta_rad": [2 * math.pi * i / count for i in range(count)], "h_m": [0.02] * count,
+                       "h_sd_m": [5e-6] * (count // 2) + [2e-4] * (count // 2),
+                       "touched": [1] * (count // 2) + [0] * (count // 2)},
+        "palm/contact": {f"touch{n}": True for n in numbers} | {f"age{n}_ms": 8.0 for n in numbers},
+        "palm/motion": {"plan": "rock", "segment": -1, "progress": 0.0, "arm_state": "T"}
+        | {f"phi{n}_rad": angle for n, angle in zip(numbers, angles, strict=True)},
+        "palm/state": said | more,
+    }  # fmt: skip
+
+
+def opened(page, bus, messages):
+    bus.messages = messages
+    page.open()
+    page.until(lambda: not page.shows("stale"), "anything")
+    return page
+
+
+@pytest.mark.parametrize("palms", [1, 2, 3])
+def test_a_system_of_any_number_of_palms_is_shown_by_its_description(still, bus, palms):
+    opened(still, bus, rig_of(palms))
+    still.until(lambda: still.script("return document.querySelectorAll('#jog button').length") == 2 * palms, "the pads")
+    assert f"palm {palms}" in still.text("jog")
+    still.until(lambda: still.drawn("blue") > 300, "palm 1")
+    assert (still.drawn("red") > 300) == (palms > 1)
+    assert (still.drawn("green") > 100) == (palms > 1)  # one palm does not tell where the object is
+    assert (still.drawn("purple") > 300) == (palms > 2)
+    still.script("return new Promise((done) => setTimeout(done, 3200))")  # the picture has been described meanwhile
+    assert still.errors() == []
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ({"state": "hold", "cause": "pad 1 fell silent"}, "Held: pad 1 fell silent"),
+        ({"state": "fault", "cause": "arm power is off"}, "Stopped: arm power is off"),
+        ({"state": "ready", "cause": "stop was asked for"}, "At rest: the arm is not commanded"),
+        ({"explored_s": 28.2, "coverage": 0.98, "coverage_goal": 0.95}, "Done: 98 % in 28 s, ± 5 µm"),
+        ({"explored_s": 60.0, "coverage": 0.7, "coverage_goal": 0.95}, "Ended at 70 % in 60 s"),
+        ({}, "The arm follows, no plan is running"),
+    ],
+)
+def test_what_is_going_on_is_said_in_words(still, bus, more, words):
+    opened(still, bus, rig_of(2, **more))
+    still.until(lambda: still.text("words").replace("\u00a0", " ") == words, words)
+    assert (still.text("known"), still.text("typical"), still.text("worst")) == ("40", "± 5", "worst ±\u00a05\u00a0µm")
+    assert (still.text("mass"), still.text("mass-sd")) == ("150.0", "± 2.0 g")
+
+
+def test_of_an_estimate_that_is_not_valid_no_figure_and_no_lens_is_shown(still, bus):
+    messages = rig_of(2)
+    opened(still, bus, messages)
+    still.script("document.getElementById('magnify').click()")
+    still.until(lambda: re.fullmatch(r"×\d+", still.text("magnification")), "the lens")
+    messages["palm/estimate"]["valid"] = False
+    still.until(lambda: still.text("magnification") == "", "no lens")
+    assert (still.text("typical"), still.text("mass"), still.text("worst")) == ("–", "–", "")
+
+
+def test_every_button_can_be_pressed_by_keyboard(still, bus):
+    """By tab and space alone; jogging goes on for as long as the key is down, and no longer."""
+    messages = rig_of(2)
+    opened(still, bus, messages)
+
+    def reached(selector):
+        """Whether so many tabs lead there."""
+        for _ in range(40):
+            ActionChains(still.driver).send_keys(Keys.TAB).perform()
+            if still.script("return document.activeElement.matches(arguments[0])", selector):
+                return True
+        return False
+
+    def press(selector, twice=False):
+        still.until(lambda: still.script("return document.querySelector(arguments[0]).matches(':enabled')", selector),
+                    f"{selector} to apply")  # fmt: skip
+        assert reached(selector), selector
+        for _ in range(1 + twice):
+            ActionChains(still.driver).send_keys(Keys.SPACE).perform()
+            time.sleep(DOUBLE_CLICK_S * twice)
+
+    def jogged(joint):
+        """The steps of this joint, once there are some."""
+        steps = [asked["args"] for asked in bus.asked if asked["cmd"] == "jog" and f"{joint}_deg" in asked["args"]]
+        return steps if len(steps) > 3 else []
+
+    def asks(command):
+        still.until(lambda: bus.asked and bus.asked[-1]["cmd"] == command, command)
+
+    press("#load")
+    asks("plan")
+    assert bus.asked[-1]["args"] == {"path": "rock.yaml"}
+    assert reached("#note")
+    ActionChains(still.driver).send_keys("as hold").perform()  # letters that are keys elsewhere
+    press("#send-note")
+    asks("note")
+    assert bus.asked[-1]["args"] == {"text": "as hold"}
+    assert still.text("answer") in ("note…", "note: done")
+    for joint, label in (("phi1", "Turn palm 1 on while held"), ("phi2", "Turn palm 2 back while held")):
+        assert reached(f"[aria-label='{label}']")
+        ActionChains(still.driver).key_down(Keys.SPACE).perform()
+        steps = still.until(lambda joint=joint: jogged(joint), "some steps")
+        ActionChains(still.driver).key_up(Keys.SPACE).perform()
+        assert {abs(step[f"{joint}_deg"]) for step in steps} == {0.4}
+        time.sleep(0.2)  # for what is on its way
+        count = len(bus.asked)
+        time.sleep(0.4)
+        assert len(bus.asked) == count  # nobody holds it any more
+    press("[data-command=hold]")
+    asks("hold")
+    press("[data-command=start]", twice=True)
+    asks("start")
+    press("[data-command=stop]")
+    asks("stop")
+    for state, arm, command in (("ready", "R", "arm"), ("fault", "F", "reset")):
+        messages["palm/state"]["state"], messages["palm/motion"]["arm_state"] = state, arm
+        press(f"[data-command={command}]", twice=command == "arm")
+        asks(command)
+        still.until(lambda: "stop" not in still.enabled(), "nothing to stop")
+    still.key(ESCAPE)  # is heard even so: the page may be wrong
+    asks("stop")
+    assert still.errors() == []
+
+
+@pytest.mark.parametrize("size", [LAPTOP, SMALL, PHONE, WIDE], ids=str)
+def test_state_and_stop_are_in_view_wherever_one_looks(still, bus, size):
+    still.resize(*size)
+    opened(still, bus, rig_of(2))
+    for share in (0.0, 0.5, 1.0):
+        still.script("scrollTo(0, arguments[0] * document.documentElement.scrollHeight)", share)
+        for selector in ("#state", "[data-command=stop]"):
+            assert still.script(IN_VIEW, selector), (selector, share)
+    assert still.script("return document.documentElement.scrollWidth") <= size[0]
+    if size in (LAPTOP, SMALL):  # scene and figures are seen without scrolling
+        still.script("scrollTo(0, 0)")
+        assert still.script(IN_VIEW, "#mass-sd")
+        assert still.script("return document.getElementById('scene').getBoundingClientRect().bottom") <= size[1]
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("size", [LAPTOP, PHONE], ids=str)
+def test_axe_finds_nothing_that_keeps_people_from_using_it(still, bus, size, scheme):
+    still.resize(*size)
+    still.scheme(scheme)
+    opened(still, bus, rig_of(2, state="hold", faults=["pad1-silent"], severities=["hold"], hints=["see"], texts=["x"]))
+    found = still.axe(AXE.read_text())
+    still.scheme("light")
+    assert found == []
+
+
+def test_a_replay_is_called_one_and_cannot_be_commanded(still, bus):
+    opened(still, bus, rig_of(2) | {"replay/run": {"path": "a.mcap", "speed": 1.0}})
+    still.until(lambda: still.shows("replay"), "the badge")
+    still.until(lambda: still.enabled() == set(), "no commands")
+    assert "recorded run" in still.text("authority")
+
+
+def test_what_has_happened_is_told_the_newest_first(still, bus):
+    now = time.monotonic()
+    log = {"number": [0, 1], "t_s": [now - 100.0, now], "kind": ["state", "command"], "name": ["hold", "start"],
+           "severity": ["", ""], "who": ["", "page"],
+           "text": ["tracking -> hold: fault pad1-silent", "done"]}  # fmt: skip
+    bus.messages = rig_of(2)
+    opened(still, bus, bus.messages)
+    rows = still.script(
+        "const done = arguments; return import('/events.js').then(({ lately }) => lately(done[0], done[1]))", log, now
+    )
+    assert [row["text"] for row in rows] == ["start, by page: done", "tracking -> hold: fault pad1-silent"]
+    assert [row["ago"] for row in rows] == ["0 s ago", "100 s ago"]
+
+
+def test_its_outline_is_the_supports_envelope(driver, tmp_path):
+    """x = h n + h′ n′ of an ellipse whose first harmonic is not zero, against the ellipse itself."""
+    a, b, x0, y0 = 0.024, 0.017, 0.002, -0.001
+    theta = np.arange(360) * (2 * np.pi / 360)
+    n = np.array([np.cos(theta), np.sin(theta)])
+    support = np.hypot(a * n[0], b * n[1])
+    h = support + x0 * n[0] + y0 * n[1]
+    text = """
+        const done = arguments[arguments.length - 1];
+        import("/geometry.js").then(({ outline }) => {
+          const { x, y } = outline(arguments[0], arguments[1]);
+          done([[...x], [...y]]);
+        });
+    """
+    server = Child(["view", "--no-browser", "--port", "0"], tmp_path)
+    try:
+        driver.get(server.first_line(60.0))
+        points = np.array(driver.execute_async_script(text, theta.tolist(), h.tolist()))
+    finally:
+        driver.get("about:blank")
+        server.stop()
+    truth = np.array([x0 + a**2 * n[0] / support, y0 + b**2 * n[1] / support])
+    third = np.fft.ifft((1j * np.fft.fftfreq(360, 1 / 360)) ** 3 * np.fft.fft(h)).real
+    assert (
+        np.abs(points - truth).max() < 1.1 * np.abs(third).max() * (2 * np.pi / 360) ** 2 / 6
+    )  # of a central difference
