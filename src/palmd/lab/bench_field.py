@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--runs", type=count, default=200, metavar="N", help="how many (default: %(default)s)")
     add("--seed", type=seed, default=0, metavar="FIRST", help="the first run's (default: %(default)s)")
-    add("--seconds", type=seconds_within(2.0, 60.0), default=5.0, metavar="S",
+    add("--seconds", type=seconds_within(2.0, 60.0), default=4.0, metavar="S",
         help="how long each lasts (default: %(default)g)")  # fmt: skip
     add("--results", type=Path, nargs="+", default=[], metavar="FILE", help="score these too: your own method's")
     add("--no-baselines", action="store_true", help="make the runs, and score what is there, without the baselines")
@@ -77,7 +77,9 @@ def run(arguments: argparse.Namespace) -> int:
     seeds = range(arguments.seed, arguments.seed + arguments.runs)
     print(f"seeds {seeds[0]} to {seeds[-1]}, {arguments.seconds:g} s each")
     hands = workers.asked_for(arguments)
-    wanted = [FieldRun(folder / RUNS, seed, arguments.seconds) for seed in seeds if not _made(folder, seed)]
+    wanted = [
+        FieldRun(folder / RUNS, seed, arguments.seconds) for seed in seeds if not _made(folder, seed, arguments.seconds)
+    ]
     errors, status = collected("runs", wanted, make, not_made, hands)
     if any(errors) or status:
         print("\n".join(filter(None, errors)))
@@ -148,8 +150,16 @@ def _need_filterpy() -> None:
         raise missing("palmd bench field", "filterpy", "lab") from None
 
 
-def _made(folder: Path, seed: int) -> bool:
-    return (folder / RUNS / f"{name_of(seed)}.truth.json").exists()
+def _made(folder: Path, seed: int, seconds: float) -> bool:
+    """Whether the run is there; CliError when it lasts otherwise."""
+    path = folder / RUNS / f"{name_of(seed)}.truth.json"
+    if not path.exists():
+        return False
+    truth = _truth(folder, name_of(seed))
+    lasts = float(truth.t[-1] - truth.t[0])
+    if abs(lasts - seconds) > 0.1:
+        raise CliError(BAD_INPUT, f"{path}: is of a run of {lasts:.1f} s, not {seconds:g} s; take another folder")
+    return True
 
 
 def _conclude(folder: Path, files: Sequence[Path]) -> None:

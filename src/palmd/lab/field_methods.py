@@ -27,6 +27,7 @@ from palmd.observer.reconstruct import reconstruct
 from palmd.polygon import degrees
 from palmd.record.eventlog import EventLog
 from palmd.score import support_at
+from palmd.system.description import RigDescription
 
 Line = dict[str, Any]
 Method = Callable[[EventLog], Line]
@@ -111,6 +112,8 @@ def warmed_up(method: str) -> None:
         _solver(_model())
     if METHODS[method] is paper_window:
         _window("constant")
+    if METHODS[method] is palmd_live:
+        observer.make("shape", RigDescription()).warm_up()
 
 
 def _task(log: EventLog) -> PeerTask:

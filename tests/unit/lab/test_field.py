@@ -111,7 +111,22 @@ def test_the_table_has_medians_of_what_was_told():
 
 
 def bench(folder, *arguments):
-    return main(["bench", "field", "--runs", "1", "--seed", "1", "--no-baselines", "-o", str(folder), *arguments])
+    return main(
+        [
+            "bench",
+            "field",
+            "--runs",
+            "1",
+            "--seed",
+            "1",
+            "--no-baselines",
+            "--seconds",
+            "2.5",
+            "-o",
+            str(folder),
+            *arguments,
+        ]
+    )
 
 
 def test_anybodys_results_are_scored_by_the_command(folder, told, tmp_path, capsys):
@@ -122,6 +137,11 @@ def test_anybodys_results_are_scored_by_the_command(folder, told, tmp_path, caps
     assert "seeds 1 to 1" in out
     assert "mine" in out
     assert json.loads((folder / "scores.json").read_text())[0]["known"] == 1.0
+
+
+def test_runs_of_another_length_are_not_taken_for_these(folder, capsys):
+    assert bench(folder, "--seconds", "3") == 1
+    assert "is of a run of 2.5 s, not 3 s; take another folder" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
