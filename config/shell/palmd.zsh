@@ -150,7 +150,7 @@ _shtab_palmd_bench_field_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--runs[how many (default\: 200)]:N:"
   "--seed[the first run\'s (default\: 0)]:FIRST:"
-  "--seconds[how long each lasts (default\: 5)]:S:"
+  "--seconds[how long each lasts (default\: 4)]:S:"
   "--results[score these too\: your own method\'s]:FILE:_files"
   "--no-baselines[make the runs, and score what is there, without the baselines]"
   {-o,--output}"[(default\: field)]:FOLDER:_files"
