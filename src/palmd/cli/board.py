@@ -93,13 +93,15 @@ def frame(board: Board, t: float) -> list[BoardRow]:
         (CONTACT, _contact),
         (MOTION, _motion),
         (LOOP, _loop),
-        (LOG, _log),
     ):
         fields = board.fields(topic)
         if fields:
             age = board.age(topic, t)
             old = f"  {age:.1f} s old" if age > topic.stale_s else ""
             rows += [BoardRow(""), *_titled(topic.name.removeprefix("palm/"), old, block(fields))]
+    log = board.fields(LOG)
+    if log.get("number"):
+        rows += [BoardRow(""), *_titled("log", "", _log(log, board.age(LOG, t)))]
     return [*rows, BoardRow(""), *_titled("topics", "", _channels(board, t))]
 
 
@@ -210,8 +212,9 @@ def _loop(fields: Mapping[str, Any]) -> Iterator[BoardRow]:
         yield from _troubles(port, fields)
 
 
-def _log(fields: Mapping[str, Any]) -> Iterator[BoardRow]:
-    t = fields["mono_ns"] * 1e-9
+def _log(fields: Mapping[str, Any], age_s: float) -> Iterator[BoardRow]:
+    """The last entries; `age_s` is how long ago the message came."""
+    t = fields["mono_ns"] * 1e-9 + age_s
     for entry in reversed(entries_of(fields)[-_LOGGED:]):
         yield BoardRow(f"{ago(t - entry.t_s)}  {entry.line}", _SEVERITY_STYLES.get(entry.severity, "faint"))
 

@@ -6,6 +6,7 @@ Asked without a time it tells of the last time that a fault held or stopped it, 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import math
 from dataclasses import asdict
@@ -48,7 +49,8 @@ def as_json(answer: Explanation) -> dict[str, Any]:
 
 
 def _time(text: str) -> float:
-    seconds = float(text)
-    if not 0.0 <= seconds < math.inf:
-        raise argparse.ArgumentTypeError(f"must be a time in the run, 0 or more, not {text}")
-    return seconds
+    with contextlib.suppress(ValueError):
+        seconds = float(text)
+        if 0.0 <= seconds < math.inf:
+            return seconds
+    raise argparse.ArgumentTypeError(f"must be a time in the run in s, 0 or more, not {text}")

@@ -27,8 +27,9 @@ TOGETHER_S = 0.05
 RECENT_S = 0.25
 """So long after a fault has gone, it is told of motion that goes on."""
 
-END_S, GAP_S = 0.05, 0.5
-"""So long before its end, the end is what a question is about; and so much may be missing before the next file."""
+END_S, GAP_S, LATE_S = 0.05, 0.5, 1.0
+"""So long before its end, the end is what a question is about; so much may be missing before the next file; and so
+long after it, a question is not about it any more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +74,7 @@ class Explanation:
 def explain(run: Run, at: float | None = None) -> Explanation:
     """Why it was held or stopped at `at` (s since the first message); without a time: the last time by a fault.
 
-    Raises RunError for a run that tells no state, OSError.
+    Raises RunError for a run that tells no state, or ended before that time; OSError.
     """
     course = course_of(run)
     return answer(run, course, None if at is None else course.begin + at)
@@ -153,7 +154,7 @@ def _asked(course: Course, found: tuple[Standstill, ...], t: float | None) -> St
         by_fault = [stop for stop in found if stop.codes]
         return next(reversed(by_fault or found), None)
     lies = [stop for stop in found if stop.now.t <= t < stop.until]
-    return lies[-1] if lies and t <= course.end + 1.0 else None
+    return lies[-1] if lies and t <= course.end + LATE_S else None
 
 
 def _not_stopped(run: Run, course: Course, t: float, others: tuple[tuple[float, str], ...]) -> Explanation:
@@ -171,6 +172,9 @@ def _not_stopped(run: Run, course: Course, t: float, others: tuple[tuple[float, 
             cause = of_break(case, later.path.name, goes_on.log)
         since = course.end - course.begin
         return Explanation(run.path.name, rel, told.state, "the recording ends", since, math.inf, cause, (), "", others)
+    if t > course.end + LATE_S:
+        end = f"{course.end - course.begin:.2f} s"
+        raise RunError(f"{run.path}: there is nothing of {rel:.2f} s in it: it ends after {end}, in state {told.state}")
     if told.state == "tracking":
         recent = [each for each in course.told if t - RECENT_S < each.t <= t]
         faults = {code: severity for each in (told, *recent) for code, severity in each.faults.items()}

@@ -1,6 +1,7 @@
 """`palmd ctl` against the daemon's own command socket: what is asked, what is told, what happens without answer."""
 
 import json
+import math
 import socket
 import threading
 import time
@@ -17,6 +18,7 @@ from palmd.console.errors import CliError
 from palmd.daemon.bus import Bus
 from palmd.daemon.commands import JOG_STEP_MAX_DEG, Reply, Request
 from palmd.daemon.jog import DEAD_MAN_S, RATE
+from palmd.messages import LogEntry, log_fields
 
 STATUS = {
     "state": "hold", "faults": ["pad1-lifted"], "severities": ["hold"], "hints": ["put the object back"],
@@ -147,6 +149,12 @@ def test_how_the_recorder_fares_is_told():
     failed = {"bytes": 0, "messages": 0, "lost": 7, "age_s": 0.4, "problem": "/runs: the disk is full"}
     text = told("status", STATUS | {"recorder": failed})
     assert "record  no file, 0 messages, 0.0 MB, 7 lost: /runs: the disk is full" in text
+
+
+def test_the_last_of_the_log_is_told_with_who_gave_a_command():
+    entry = LogEntry(3, 98.0, "command", "hold", "", "ann, by palmd ctl", math.nan, "done")
+    text = told("status", STATUS | {"t_s": 100.0, "log": log_fields([entry])})
+    assert text.splitlines()[-1] == "log       2.0 s   ago  hold, by ann, by palmd ctl: done"
 
 
 def test_what_a_reset_has_cleared_is_told_and_that_there_was_nothing():

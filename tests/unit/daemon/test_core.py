@@ -942,7 +942,9 @@ def test_a_fault_that_stood_for_a_tick_is_told_with_its_cause_after_it_has_gone(
     assert "the limit is" in came.text
     assert "not a byte has come since" in came.text
     assert went.lasted_s < 0.1
-    assert [entry.text for entry in logged(running, "state")][-1] == "tracking -> hold: pad 1 fell silent while the palms moved"
+    assert [entry.text for entry in logged(running, "state")][
+        -1
+    ] == "tracking -> hold: pad 1 fell silent while the palms moved"
 
 
 def test_the_status_tells_the_last_of_the_log(running):
@@ -963,4 +965,4 @@ def test_a_failed_tick_is_told_with_its_error(running):
     running.core.fail(running.t, ZeroDivisionError("a defect"))
     (entry,) = logged(running, "fault")
     assert "ZeroDivisionError('a defect')" in entry.text
-    assert logged(running, "state")[-1].text .startswith("tracking -> fault: an unexpected error in the control loop")
+    assert logged(running, "state")[-1].text.startswith("tracking -> fault: an unexpected error in the control loop")

@@ -181,6 +181,8 @@ def test_a_plan_that_is_over_and_an_end_that_was_asked_for(tmp_path):
     assert "has run its course" in explain(run, t + 1.6 - begin).cause.sentence
     run, _ = run_of(tmp_path / "ended", lambda rig: rig.core.close())
     assert explain(run).cause.name == "ended"
+    with pytest.raises(RunError, match=r"there is nothing of 60\.00 s in it: it ends after .* in state ready"):
+        explain(run, 60.0)
 
 
 def test_a_daemon_that_has_died_and_a_recording_that_was_cut(tmp_path):
