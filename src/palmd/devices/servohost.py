@@ -49,6 +49,7 @@ PROFILE_PERIODS = 1.2
 """A servo takes so many periods to go to a goal, evenly: more than one, so that it never stops to wait for the next."""
 
 STOP_RAD_S2 = math.radians(900.0)
+WAIT_PERIODS = 1.5  # for an answer, before the next question
 LOOK_EVERY = 10  # cycles, after which the torque and the hardware errors are read too
 MISSES_MOST = 3  # cycles in a row in which a goal may not have been taken: each may have been spoilt on the line
 REBOOT_S = 0.9
@@ -193,6 +194,8 @@ class _Cycle:
     """What a Sync Read has asked for, and what has come of it."""
 
     t_sent: float
+    t_heard: float
+    """When its last byte reached the servos, which is when they look: answers may be held back, questions are not."""
     address: int
     size: int
     found: dict[int, Packet] = field(default_factory=dict)
@@ -211,6 +214,7 @@ class ServoHost:
         self._ids = tuple(axis.id for axis in self.axes)
         self.period_s = cycle_period(baud, len(self.axes))
         self.profile_ms = round(PROFILE_PERIODS * self.period_s * 1e3)
+        self._byte_s = byte_time(baud)
         self._reader = PacketReader(baud)
         self.counters = ServoCounters(bus=self._reader.counters)
         self.state: ArmState | None = None
@@ -339,7 +343,7 @@ class ServoHost:
         self._cycle = None
         self._reset_untold = False
         self.counters.readings += 1
-        t_first = min(each.t_first for each in cycle.found.values())
+        t_sample = cycle.t_heard
         latency_ms = (packet.t_first - cycle.t_sent) * 1e3
         self.counters.answer_latency_max_ms = max(self.counters.answer_latency_max_ms, latency_ms)
         registers = {servo: Registers(cycle.address, each.parameters) for servo, each in cycle.found.items()}
@@ -348,8 +352,8 @@ class ServoHost:
         self._judge(registers, {servo: each.error for servo, each in cycle.found.items()})
         directions = [axis.direction(registers[axis.id][dxl.POSITION]) for axis in self.axes]
         joints = tuple(here - before for here, before in zip(directions, [0.0, *directions], strict=False))
-        self._pose, self._t_pose = JointPose(joints), t_first
-        return ArmReport(t_first, self._reported_state(), self._pose)
+        self._pose, self._t_pose = JointPose(joints), t_sample
+        return ArmReport(t_sample, self._reported_state(), self._pose)
 
     def _reported_state(self) -> ArmState:
         if self.trouble:
@@ -435,11 +439,6 @@ class ServoHost:
         return self._next_cycle(t, target)
 
     def _next_cycle(self, t: float, target: Place | None) -> Sent:
-        if self._cycle is not None:
-            self.counters.missed += 1
-            self._cycle = None
-        for _ in self._reader.give_up():
-            self.counters.unmatched += 1
         moving = self._phase in (Phase.FOLLOWING, Phase.STOPPING)
         period = self.period_s if moving else STANDING_S
         missed = max(0, math.floor((t - self._t_slot) / period)) if math.isfinite(self._t_slot) else 0
@@ -451,10 +450,21 @@ class ServoHost:
             out, setpoint = self._follow(target)
         elif self._phase is Phase.STOPPING:
             out = self._slow_down()
+        if self._cycle is not None and t - self._cycle.t_sent < WAIT_PERIODS * period:
+            return Sent(out, setpoint)  # a late answer must not be taken for that to a later question
+        self._give_up_cycle()
         look = not moving or self._cycles % LOOK_EVERY == 0
         address, size = LOOK_SPAN if look else CYCLE_SPAN
-        self._cycle = _Cycle(t, address, size)
-        return Sent(out + dxl.sync_read(address, size, self._ids), setpoint)
+        out += dxl.sync_read(address, size, self._ids)
+        self._cycle = _Cycle(t, t + len(out) * self._byte_s, address, size)
+        return Sent(out, setpoint)
+
+    def _give_up_cycle(self) -> None:
+        if self._cycle is not None:
+            self.counters.missed += 1
+            self._cycle = None
+        for _ in self._reader.give_up():
+            self.counters.unmatched += 1
 
     def _follow(self, target: Place | None) -> tuple[bytes, Place | None]:
         goals, setpoint = self._goals, None
