@@ -25,7 +25,7 @@ from palmd.view.command_client import PageCommands
 from palmd.view.feed import Feed
 
 GENEROUS_S = 10.0
-ARGS = {"plan": {"path": "x"}, "recorder": {"bytes": 0, "messages": 0, "lost": 0}}
+ARGS = {"plan": {"path": "x"}, "note": {"text": "x"}, "recorder": {"bytes": 0, "messages": 0, "lost": 0}}
 
 
 class Rig:
@@ -140,7 +140,7 @@ def test_a_page_listens_to_a_daemon_with_keys_and_to_a_rig_without(rig):
     with contextlib.closing(feed), contextlib.closing(PageCommands(rig.command, rig.credentials("ann"))) as desk:
         rig.until(both)
         rig.until(lambda: desk.open)
-        desk.send("hold", 0.0)
+        desk.send("hold", {}, 0.0)
         rig.until(lambda: rig.granted == ["hold"])
 
 

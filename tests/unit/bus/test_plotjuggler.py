@@ -14,8 +14,8 @@ import zmq
 
 from palmd.daemon.bus import Bus
 from palmd.events import ObjectEstimate
-from palmd.messages import object_fields
-from palmd.quantities import OBJECT, TOPICS
+from palmd.messages import note_fields, object_fields
+from palmd.quantities import NOTE, OBJECT, TOPICS
 
 LAYOUT = Path(__file__).parents[3] / "config/plotjuggler.xml"
 STAMP = ("v", "timestamp", "mono_ns", "seq")
@@ -29,6 +29,7 @@ def sent():
         if name in topics:
             yield topics[name], {key: value for key, value in fields.items() if key not in STAMP}
     yield OBJECT, object_fields(recognised)
+    yield NOTE, note_fields(1.0, "put back")
 
 
 @pytest.fixture(scope="module")
