@@ -29,8 +29,9 @@ from palmd.record.mcapfile import RunError, is_packed
 from palmd.record.run import read_run
 from palmd.record.runfile import pack
 from palmd.rig.adept_arm import arm_limits
+from palmd.rig.arm import Linkage
 from palmd.rig.controller import Controller
-from palmd.rig.world import World, default_config
+from palmd.rig.world import default_config
 from palmd.view import http_guard, wire
 from palmd.view.files import File
 from palmd.yamlfile import ConfigError, load_config, load_plan
@@ -39,7 +40,7 @@ BAUD = 9600
 _CONFIG = default_config()
 _LIMITS = motion_limits(_CONFIG)
 _ARM = arm_limits(_CONFIG)
-_HOME = World(_CONFIG, 0)._linkage.pose(math.radians(45.0), math.radians(90.0))
+_HOME = Linkage.from_config(_CONFIG).pose(math.radians(45.0), math.radians(90.0))
 _SCALE = PadCalibration(pad=1, zero_mm=28.0, counts_per_mm=7.874, newtons_per_count=0.02)
 _FOLDER = tempfile.TemporaryDirectory(prefix="palmd-fuzz-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None)
 _FILES = {"/": File(b"page", "text/html")}

@@ -8,7 +8,7 @@ import pytest
 from pydantic import Discriminator, Tag
 
 from palmd import config, devices
-from palmd.config import AdeptConfig, VersaPadConfig
+from palmd.config import AdeptConfig, DynamixelConfig, EvdevConfig, StripConfig, VersaPadConfig
 from palmd.devices.actuator import Actuator, ArmState, Pose, Sent, make_actuator
 from palmd.devices.armlink import Ack, HelloReply, encode_reply, parse_command
 from palmd.devices.pad import PadDriver, make_pad
@@ -42,7 +42,13 @@ def test_every_file_has_its_configuration_model_and_the_other_way_round():
 
 @pytest.mark.parametrize(
     ("protocol", "driver"),
-    [(PadDriver, make_pad(2, VersaPadConfig(port="a"))), (Actuator, make_actuator(AdeptConfig(port="b")))],
+    [
+        (PadDriver, make_pad(2, VersaPadConfig(port="a"))),
+        (PadDriver, make_pad(2, StripConfig(kind="strip", port="a"))),
+        (PadDriver, make_pad(2, EvdevConfig(kind="evdev", port="a"))),
+        (Actuator, make_actuator(AdeptConfig(port="b"))),
+        (Actuator, make_actuator(DynamixelConfig(kind="dynamixel", port="b"))),
+    ],
 )
 def test_a_driver_has_all_that_its_protocol_asks_for(protocol, driver):
     assert len(members(protocol)) > 10
