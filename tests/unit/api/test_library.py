@@ -211,7 +211,7 @@ def test_pandas_gets_the_columns(monkeypatch):
 
 def test_without_pandas_it_is_said_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(palmd.PalmdError, match="-m pip install .*pandas"):
+    with pytest.raises(palmd.PalmdError, match=r"-m pip install .*pandas"):
         table_of([{"a": 1.0}]).to_pandas()
 
 

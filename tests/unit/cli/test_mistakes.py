@@ -77,7 +77,7 @@ MISTAKES = {
         "rig --mischief explode",
         1,
         "no mischief 'explode'; there are drop, garble, mute, unplug, late, burst, misbaud, touch, break, estop,"
-        " power_off, manual, lift, swap",
+        " power_off, manual, lift, swap, overload, overheat, undervoltage, brownout",
     ),
     "a file where a folder should be": Mistake(
         "rig --ports notes.txt", 1, "--ports: notes.txt is not a folder", {"notes.txt": "hello\n"}
@@ -210,7 +210,7 @@ MISTAKES = {
         "report run.mcap -o run.doc", 1, "run.doc: a report is .html or .pdf; name it so"
     ),
     "a form of export that there is not": Mistake(
-        "export run.mcap -o run.xls", 1, "run.xls: the name does not tell the form; add --as log|csv|mcap-json|rrd"
+        "export run.mcap -o run.xls", 1, "run.xls: the name does not tell the form; add --as log|csv|mcap-json|rrd|svg|dxf|points"
     ),
     "an outline with other columns": Mistake(
         "check o.csv", 1, "o.csv:1: the header must be x_mm,y_mm, got x,y", {"o.csv": "x,y\n"}

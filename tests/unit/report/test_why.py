@@ -141,7 +141,7 @@ def test_which_age_and_which_limit(tmp_path):
 
 def test_who_held_it_is_told_where_there_is_a_log(tmp_path):
     run, _ = run_of(tmp_path, PROVOKED["command"])
-    assert "hold, by ann" in explain(run).cause.sentence
+    assert "hold was asked for, by ann" in explain(run).cause.sentence
     course = course_of(run)
     assert "somebody gave the command hold" in answer(run, replace(course, log=()), None).cause.sentence
 
