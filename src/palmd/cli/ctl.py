@@ -130,10 +130,18 @@ def told(command: str, result: dict[str, Any]) -> str:
         lines.append(f"        {result['arm_error']}")
     faults = zip(result["faults"], result["severities"], result["hints"], strict=True)
     lines += [f"fault   {code} ({severity}): {hint}" for code, severity, hint in faults]
-    entries = entries_of(result["log"]) if "log" in result else ()
-    told = (f"{ago(result['t_s'] - entry.t_s)}  {entry.line}" for entry in entries)
-    lines += [f"{'' if number else 'log':8}{line}" for number, line in enumerate(told)]
+    lines += [f"{'' if number else 'log':8}{line}" for number, line in enumerate(_logged(result))]
     return "\n".join(lines)
+
+
+def _logged(result: dict[str, Any]) -> list[str]:
+    """The last entries of the log that came with a status."""
+    if "log" not in result:
+        return []
+    from palmd.cli.board import ago
+    from palmd.messages import entries_of
+
+    return [f"{ago(result['t_s'] - entry.t_s)}  {entry.line}" for entry in entries_of(result["log"])]
 
 
 def _explored(coverage: float | None, reachable: float | None, reason: str) -> str:
