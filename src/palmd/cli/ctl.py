@@ -104,8 +104,7 @@ def told(command: str, result: dict[str, Any]) -> str:
         return "noted"
     if command != "status":
         return ", ".join(f"{name} {value}" for name, value in result.items())
-    from palmd.cli.board import ago, estimate  # which load NumPy: `--help` comes without
-    from palmd.messages import entries_of
+    from palmd.cli.board import estimate  # which loads NumPy: `--help` comes without
 
     plan = result["plan"] or "none"
     if result["segment"] >= 0:
