@@ -95,7 +95,9 @@ CAMPAIGN = [
 
 
 @pytest.mark.parametrize(
-    ("pads", "name", "port", "strength", "codes", "state"), CAMPAIGN, ids=lambda value: str(value)[:12]
+    ("pads", "name", "port", "strength", "codes", "state"),
+    CAMPAIGN,
+    ids=["-".join(filter(None, row[:3])) for row in CAMPAIGN],
 )
 def test_campaign(pads, name, port, strength, codes, state):
     run = moving(pads)
