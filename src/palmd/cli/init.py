@@ -17,6 +17,7 @@ import yaml
 
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.shipped import shipped
+from palmd.system.mechanism import PALMS
 
 STANDARD_GRAVITY = 9.81
 PLAN = "plans/explore.yaml"
@@ -73,16 +74,16 @@ PORTS = {"versapad": "/dev/palmd-pad{}", "strip": "/dev/palmd-pad{}", "evdev": "
 def questions(answers: Mapping[str, Any]) -> Iterator[tuple[str, Question]]:
     """Each with its key; what comes later may depend on the `answers` so far."""
     yield "pads", Question(f"The pads are\n{_listed(PADS)}", "strip", one_of(PADS))
-    for palm in (1, 2):
+    for palm in PALMS:
         yield f"pad{palm}", Question(f"Pad {palm} is at", PORTS[answers["pads"]].format(palm))
     if answers["pads"] == "evdev":
-        yield "counts_per_mm", Question("Its units for each mm (palmd doctor tells what the kernel says)", "10",
+        yield "counts_per_mm", Question("Its units for each mm (the resolution of its axis, as evtest tells it)", "10",
                                         number(1e-3, 1000))  # fmt: skip
         yield "pressure", Question("Does it tell a pressure, yes or no", "no", one_of({"yes": "", "no": ""}))
     yield "arm", Question(f"The palms are turned by\n{_listed(ARMS)}", "dynamixel", one_of(ARMS))
     yield "port", Question("It is at", "/dev/palmd-arm")
     if answers["arm"] == "adept":
-        for palm in (1, 2):
+        for palm in PALMS:
             yield f"palm{palm}", Question(f"Palm {palm} is so many mm long", "120", number(10, 2000))
     yield "tilt", Question("The palms' plane is tilted from the horizontal by so many degrees (90: upright)", "90",
                            number(1, 90))  # fmt: skip
@@ -101,12 +102,12 @@ def configuration(answers: Mapping[str, Any]) -> dict[str, Any]:
     if answers["arm"] == "dynamixel":
         rig["hinge"] = "fixed"
     else:
-        lengths = {f"palm{palm}_length_mm": answers[f"palm{palm}"] for palm in (1, 2)}
+        lengths = {f"palm{palm}_length_mm": answers[f"palm{palm}"] for palm in PALMS}
         rig |= lengths | {"base_mm": [lengths["palm1_length_mm"], 0.0]}
     pad: dict[str, Any] = {"kind": answers["pads"]}
     if answers["pads"] == "evdev":
         pad |= {"zero_mm": 0.0, "counts_per_mm": answers["counts_per_mm"], "pressure": answers["pressure"] == "yes"}
-    pads = {f"palm{palm}": pad | {"port": answers[f"pad{palm}"]} for palm in (1, 2)}
+    pads = {f"palm{palm}": pad | {"port": answers[f"pad{palm}"]} for palm in PALMS}
     return {"rig": rig, "pads": pads, "arm": arm, "plan": PLAN}
 
 
