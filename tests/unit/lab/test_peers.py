@@ -220,11 +220,10 @@ def test_the_window_is_solved_and_nothing_counts_twice(nominal, model):
 
 def test_what_leaves_the_window_is_filtered(nominal, model, monkeypatch):
     """Without solutions the window's path is the prediction from the start: about it, the filter of what has left."""
-    monkeypatch.setattr(horizon, "EVERY_S", math.inf)
     monkeypatch.setattr(task_module, "GOOD", 0.02)  # so near that all is linear
     _, _, task, truth = nominal
     start = good(task, truth, np.random.default_rng(3))
-    peer = horizon.MovingHorizon(model, horizon.program(model), start)
+    peer = horizon.MovingHorizon(model, horizon.program(model), start, every_s=math.inf)
     own, filtered = PlainFilter(start), []
     for reading in task.readings:
         peer.step(reading)
