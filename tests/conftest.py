@@ -1,6 +1,9 @@
-"""For all tests: linear algebra has one thread, and Ctrl-C means what it means at a terminal."""
+"""For all tests: linear algebra has one thread, Ctrl-C means what it means at a terminal, none takes the processor."""
 
+import os
 import signal
+
+import pytest
 
 from palmd.blas import one_thread_from_here
 
@@ -10,3 +13,12 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # A shell starts what runs in its background deaf to SIGINT, and that is handed on to every process that a test
     # starts and interrupts. What a handler catches, other programs begin with as usual.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(autouse=True)
+def no_better_than_others():
+    """A command that is run within a test may take real-time priority, and would keep it from the tests beside."""
+    yield
+    policy = os.sched_getscheduler(0)
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    assert policy == os.SCHED_OTHER

@@ -228,6 +228,7 @@ def test_there_are_forty() -> None:
 def test_a_mistake_is_told(name: str, tmp_path: Path, monkeypatch, capsys) -> None:
     typed, status, told, files = MISTAKES[name]
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("palmd.daemon.realtime.prepare", lambda *_: [])
     for path, text in files.items():
         Path(path).parent.mkdir(exist_ok=True)
         Path(path).write_text(text)
