@@ -18,6 +18,10 @@ class Share:
         self._all, self._bad = total, bad
         return self.gained >= self._least and self.spoilt > self._most * self.gained
 
+    def told(self, what: str) -> str:
+        """How many were bad, in words; `what` they are."""
+        return f"{self.spoilt} of {self.gained} {what} since the last look"
+
 
 def ago(seconds: float) -> str:
     """An age in words."""

@@ -63,7 +63,7 @@ class Adept(ArmHost):
             case "mute":
                 return f"{self.counters.line.bytes} bytes have come since the start"
             case "garbled":
-                return f"{self._damaged.spoilt} of {self._damaged.gained} lines since the last look"
+                return self._damaged.told("lines")
         if self.state is None:
             return ""
         return f"its line A says state {self.state} ({self.state.name})" + (f", error {self.error}" * bool(self.error))

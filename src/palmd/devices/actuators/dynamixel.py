@@ -52,7 +52,7 @@ class Dynamixel(ServoHost):
             case "mute":
                 return f"{self.counters.bus.bytes} bytes have come since the start"
             case "garbled":
-                return f"{self._damaged.spoilt} of {self._damaged.gained} packets since the last look"
+                return self._damaged.told("packets")
         return self.trouble.get(condition.removeprefix("servo-"), "")
 
     def counts(self) -> dict[str, float]:

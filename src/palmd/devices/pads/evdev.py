@@ -126,9 +126,9 @@ class Evdev:
             case "untouched":
                 return last
             case "out-of-range":
-                return f"{self._astray.spoilt} of {self._astray.gained} frames since the last look"
+                return self._astray.told("frames")
             case "foreign-clock":
-                return f"{self._foreign.spoilt} of {self._foreign.gained} frames since the last look"
+                return self._foreign.told("frames")
         return ""
 
     def counts(self) -> dict[str, int]:

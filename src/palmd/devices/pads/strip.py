@@ -120,11 +120,11 @@ class Strip:
             case "untouched":
                 return last
             case "garbled":
-                return f"{self._garbled.spoilt} of {self._garbled.gained} bytes since the last look"
+                return self._garbled.told("bytes")
             case "out-of-range":
-                return f"{self._astray.spoilt} of {self._astray.gained} packets since the last look"
+                return self._astray.told("packets")
             case "batched":
-                return f"{self._batched.spoilt} of {self._batched.gained} packets since the last look"
+                return self._batched.told("packets")
         return ""
 
     def counts(self) -> dict[str, int]:

@@ -152,11 +152,11 @@ class VersaPad:
             case "untouched":
                 return f"{self._last_packet(t)}; {self._bytes_since()}"
             case "garbled":
-                return f"{self._garbled.spoilt} of {self._garbled.gained} bytes since the last look"
+                return self._garbled.told("bytes")
             case "out-of-range":
-                return f"{self._astray.spoilt} of {self._astray.gained} packets since the last look"
+                return self._astray.told("packets")
             case "batched":
-                return f"{self._batched.spoilt} of {self._batched.gained} packets since the last look"
+                return self._batched.told("packets")
             case "handshake":
                 return self._unanswered or ""
         return ""
