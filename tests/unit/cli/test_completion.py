@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from palmd.cli import main
+from palmd.cli import completion, main
 from palmd.cli.table import COMMANDS, below
 from palmd.console.shipped import shipped
 
@@ -32,6 +34,20 @@ def test_bash_completes_commands_options_and_choices() -> None:
     assert set(completed("palmd", "calibrate", "pa")) == {"pad", "pads"}
     assert set(completed("palmd", "ctl", "st")) == {"status", "start", "stop"}
     assert completed("palmd", "check", "--dr") == ["--draw"]
+
+
+@pytest.mark.skipif(shutil.which("zsh") is None, reason="there is no zsh")
+def test_zsh_takes_the_script_as_its_help_tells() -> None:
+    told = re.search(r'`eval "\$\((palmd completion zsh)\)"`', inspect.getdoc(completion) or "")
+    assert told
+    program = (
+        "autoload -U compinit; compinit -u -D\n"
+        f'palmd() {{ {sys.executable} -m palmd "$@" }}\n'
+        f'eval "$({told.group(1)})"\n'
+        "print -r -- ${_comps[palmd]} $+functions[_shtab_palmd]"
+    )
+    done = subprocess.run(["zsh", "-f", "-c", program], capture_output=True, text=True, check=False)
+    assert (done.stdout.split(), done.stderr) == (["_shtab_palmd", "1"], "")
 
 
 def test_the_manual_page_tells_of_every_command(capsys) -> None:
