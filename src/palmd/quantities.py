@@ -510,7 +510,17 @@ REPLAY = Topic(
 )
 """What `palmd replay` publishes besides, so that nobody takes an old run for what is going on."""
 
-RIG_TOPICS: tuple[Topic, ...] = (TRUTH, BODY)
+STALL = Topic(
+    "rig/stall",
+    0.0,
+    "when it has stood still for more than 20 ms for want of a processor",
+    (
+        Quantity("t_s", "number", "s", "when it went on, CLOCK_MONOTONIC"),
+        Quantity("lasted_s", "number", "s", "for how long the emulated rig said nothing, which no real one would do"),
+        Quantity("count", "number", "", "of such standstills since its start"),
+    ),
+)
+RIG_TOPICS: tuple[Topic, ...] = (TRUTH, BODY, STALL)
 """What an emulated rig publishes besides: what is really there."""
 
 

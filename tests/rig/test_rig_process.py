@@ -121,6 +121,24 @@ def test_ports_speak_the_protocols_and_truth_is_published():
         assert len(seen[b"rig/object"]["h_m"]) == 360
 
 
+def test_a_rig_that_was_stopped_says_for_how_long():
+    with rig("--seed", "5") as (process, found), zmq.Context() as context, context.socket(zmq.SUB) as truth:
+        truth.linger = 0
+        truth.rcvtimeo = 5000
+        truth.connect(found["truth"])
+        truth.subscribe(b"rig/")
+        truth.recv_multipart()
+        process.send_signal(signal.SIGSTOP)
+        time.sleep(0.15)
+        process.send_signal(signal.SIGCONT)
+        told = []
+        while not told or told[-1]["lasted_s"] < 0.1:  # a busy machine may have had it wait besides
+            topic, payload, _ = truth.recv_multipart()
+            told += [msgpack.unpackb(payload)] if topic == b"rig/stall" else []
+        assert told[-1]["count"] == len(told)
+        assert abs(told[-1]["t_s"] - time.monotonic()) < 5.0
+
+
 def test_control_switches_mischief_and_survives_strangers():
     with rig("--seed", "5", "--kind", "nominal") as (_, found), control(found) as (ask, socket):
         answer = ask("status")

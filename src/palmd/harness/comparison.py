@@ -32,6 +32,8 @@ class Comparison:
         self._truths: deque[tuple[float, ...]] = deque(maxlen=TRUTHS)
         self._waiting: deque[tuple[float, ...]] = deque(maxlen=TRUTHS)  # valid ticks whose truth is to come
         self._punctuality = Punctuality()
+        self._stalled: list[float] = []  # how long each standstill of the emulated rig lasted (s), since the last word
+        self._stalls, self._stalled_s = 0, 0.0
         self._ticks = 0
         self._work_p99_ms: deque[float] = deque(maxlen=LOOPS)
 
@@ -67,6 +69,10 @@ class Comparison:
                 self._compare()
             case "rig/object":
                 self._object = fields
+            case "rig/stall":
+                self._stalled.append(fields["lasted_s"])
+                self._stalls += 1
+                self._stalled_s += fields["lasted_s"]
 
     def _take_estimate(self, fields: Mapping[str, Any]) -> None:
         t = _seconds(fields)
@@ -97,6 +103,9 @@ class Comparison:
             parts.append("lost, looking again" if self.settled else "no valid estimate yet")
         faults = zip(self._state.get("faults", ()), self._state.get("severities", ()), strict=False)
         grave = [fault for fault, severity in faults if severity != "note"]
+        if self._stalled:
+            grave.append(f"(the emulated rig got no processor for {max(self._stalled) * 1e3:.0f} ms)")
+            self._stalled.clear()
         return "  ".join(parts + grave)
 
     def summary(self) -> str:
@@ -124,6 +133,8 @@ class Comparison:
             f"work p99 {float(np.median(self._work_p99_ms or [math.nan])):.1f} ms",
             f"rig {self._rig}",
         ]
+        if self._stalls:
+            parts.append(f"which {self._stalls} times got no processor, for {self._stalled_s:.2f} s in all")
         return "palmd demo: " + ", ".join(parts)
 
     def _settling(self) -> str:

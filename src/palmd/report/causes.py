@@ -22,12 +22,15 @@ from palmd.system.mechanism import JOINTS
 
 CauseKind = Literal[
     "port", "mute", "foreign", "damaged", "lifted", "stalled", "watchdog", "break", "estop", "power-off", "manual",
-    "uncalibrated", "controller", "left", "late", "failed", "not-finite", "limits", "overruns", "command", "ended",
-    "rig-gone", "fault", "before", "died", "cut", "goes-on", "over", "idle", "nothing",
+    "uncalibrated", "controller", "servo", "left", "late", "failed", "not-finite", "limits", "overruns", "command",
+    "ended", "rig-gone", "rig-stalled", "fault", "before", "died", "cut", "goes-on", "over", "idle", "nothing",
 ]  # fmt: skip
 
 STALL_S = 0.1
 """Ticks that are so far apart make pads look silent, and the controller (48 ms) go without set-points."""
+
+RIG_STALL_S = 0.04
+"""And so long without a word of an emulated rig make it look silent, or its controller go without set-points."""
 
 PAUSE_S = 0.04
 """And ticks so far apart make the controller hold for a moment."""
@@ -41,6 +44,8 @@ ARM_QUIET_S = 0.1  # without an answer: six of its cycles
 LINE_BYTES = 30  # of an answer of the arm, its line end included
 ALIEN_LINES = 3.0  # of what is none of ours, a line end is so much rarer
 _LINE = ("arm_port_bytes_read", "arm_lines", "arm_crc_errors", "arm_unframed")
+_BUS = ("arm_bytes", "arm_packets", "arm_crc_errors", "arm_discarded")
+DAMAGED_SHARE, FOREIGN_SHARE = 0.05, 0.5  # of a bus's bytes that are in no packet
 SPOKE_BYTES, SPOKE_LINE_BYTES = 8, 31  # fewer may be the rest of a packet, or of a line
 DISCARDED_BYTES = 24  # of a second, in which a few may be lost at any time
 BABBLE_S = 0.2  # of bytes without a packet: somebody else speaks
@@ -113,10 +118,14 @@ def of_fault(case: RunCase, codes: Sequence[str], t: float) -> StopCause:
     stall = _stall(case, t, STALL_S)
     if stall is not None and all(_by_stall(case, code, stall, t) for code in codes):
         return stall.cause
+    rig = _rig_stall(case, t)
+    if rig is not None and all(_by_rig_stall(code) for code in codes):
+        return rig
     order: tuple[tuple[Callable[[str], bool], Callable[[RunCase, str, float], StopCause]], ...] = (
         (lambda code: code in _OWN, _own),
         (lambda code: code.endswith("-port"), _port),
         (lambda code: code in _STATES and code != "arm-left-tracking", _arm_state),
+        (lambda code: code.startswith("arm-servo-"), _servo),
         (lambda code: code == "arm-fault", _controller),
         (lambda code: code == "arm-link-lost", _link),
         (lambda code: code.endswith("-lifted"), _lifted),
@@ -152,7 +161,7 @@ def _by_stall(case: RunCase, code: str, stall: _Stall, t: float) -> bool:
     if code == "arm-fault":
         entry = case.logged("fault", code, t)
         return entry is None or "-0600" in entry.text or "error" not in entry.text
-    return code in ("arm-link-lost", "arm-left-tracking", "loop-overruns")
+    return code in ("arm-link-lost", "arm-left-tracking", "arm-servo-watchdog", "loop-overruns")
 
 
 def _stall(case: RunCase, t: float, least_s: float) -> _Stall | None:
@@ -172,6 +181,27 @@ def _stall(case: RunCase, t: float, least_s: float) -> _Stall | None:
             evidence = (Clue("palm/motion", said), *_said(case, "loop-overrun", t1))
             return _Stall(t0, t1, StopCause("stalled", "", sentence, evidence))
     return None
+
+
+def _rig_stall(case: RunCase, t: float) -> StopCause | None:
+    """Whether an emulated rig stood still just before `t`, as it says itself."""
+    near = [(end, lasted) for end, lasted in case.closeup.rig_stalls if end - lasted < t < end + NEAR_S]
+    if not near:
+        return None
+    end, lasted = max(near, key=lambda each: each[1])
+    if lasted < RIG_STALL_S:
+        return None
+    sentence = (
+        f"the emulated rig itself stood still for {lasted * 1e3:.0f} ms: it got no processor, so nothing came from "
+        "pads and arm, which a real rig would not do"
+    )
+    said = f"it went on at {case.rel(end)} after {lasted * 1e3:.0f} ms, by its own clock"
+    return StopCause("rig-stalled", "", sentence, (Clue("rig/stall", said),))
+
+
+def _by_rig_stall(code: str) -> bool:
+    """Whether an emulated rig that stood still explains a fault."""
+    return code.endswith("-silent") or code in ("arm-fault", "arm-link-lost", "arm-left-tracking", "arm-servo-watchdog")
 
 
 def _own(case: RunCase, code: str, t: float) -> StopCause:
@@ -240,8 +270,53 @@ def _controller(case: RunCase, code: str, t: float) -> StopCause:
     )
 
 
+def _servo(case: RunCase, code: str, t: float) -> StopCause:
+    """A servo says itself what is wrong with it, or has heard nothing for so long that it stopped."""
+    said = _said(case, code, t)
+    if code != "arm-servo-watchdog":
+        sentence = f"{TABLE[code].text}: the servo says so itself"
+        return StopCause("servo", "arm", sentence, said or (Clue("palm/state", f"{code} from {case.rel(t)} on"),))
+    line = _bus(case, code, t)
+    if line.kind != "late":
+        return line
+    sentence = f"{TABLE[code].text}, while palmd sent it one every cycle: the adapter or the line held them back"
+    return StopCause("watchdog", "arm", sentence, line.evidence)
+
+
 def _link(case: RunCase, code: str, t: float) -> StopCause:
     """The arm does not answer: nothing comes, or nothing that can be read."""
+    return (_bus if case.config.arm.kind == "dynamixel" else _line)(case, code, t)
+
+
+def _bus(case: RunCase, code: str, t: float) -> StopCause:
+    """The same of a bus of servos, whose packets begin with a mark: what comes is theirs, or has none."""
+    age_ms = _oldest(case, "arm_age_ms", t)
+    evidence = [
+        Clue(
+            "palm/contact", f"the servos had answered last {age_ms:.0f} ms before; after 250 ms the bus counts as lost"
+        )
+    ]
+    came = spoilt = marked = 0.0
+    for gained in {g[0]: g for at in (t - 0.25, t, t + 1.0) if (g := case.course.gained(at, *_BUS))}.values():
+        read, packets, wrong, discarded = (gained[2][name] for name in _BUS)
+        told = f"{read:.0f} bytes came, {packets:.0f} whole packets, {wrong:.0f} of a wrong checksum"
+        evidence.append(Clue("palm/loop", f"{told}, {discarded:.0f} bytes in none {_between(case, gained)}"))
+        came, spoilt, marked = came + read, spoilt + discarded, marked + wrong
+    proof = (*evidence, *_said(case, code, t))
+    if not came:
+        return StopCause("mute", "arm", "nothing came from the servos any more", proof)
+    if spoilt > FOREIGN_SHARE * came and not marked:
+        sentence = "what came from the servos' line was no answer: another device, or another baud rate"
+        return StopCause("foreign", "arm", sentence, proof)
+    if spoilt > DAMAGED_SHARE * came:
+        return StopCause("damaged", "arm", "much of what came from the servos was damaged", proof)
+    if code == "arm-link-lost":
+        return StopCause("mute", "arm", "not all servos answered any more", proof)
+    return StopCause("late", "arm", "the servos answered late", proof)
+
+
+def _line(case: RunCase, code: str, t: float) -> StopCause:
+    """The same of a controller's line."""
     age_ms = _oldest(case, "arm_age_ms", t)
     evidence = [
         Clue("palm/contact", f"the arm's last answer was {age_ms:.0f} ms old; after 250 ms the link counts as lost")

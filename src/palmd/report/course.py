@@ -12,7 +12,7 @@ from itertools import pairwise
 from typing import Any
 
 from palmd.messages import Fields, LogEntry, entries_of
-from palmd.quantities import CONTACT, EVENTS, LOG, LOOP, MOTION, STATE
+from palmd.quantities import CONTACT, EVENTS, LOG, LOOP, MOTION, STALL, STATE
 from palmd.record.mcapfile import RawMessage, RunError
 from palmd.record.run import Run
 
@@ -80,7 +80,8 @@ class Closeup:
     """Every tick of a few seconds: `contact` and `motion` by the ticks' times.
 
     `readings` of each pad and `lifts`, the ends of its contacts, are told by when they were fed and when they were
-    true; `numbers` are the ticks' own, which count on where none is missing.
+    true; `numbers` are the ticks' own, which count on where none is missing. `rig_stalls` of an emulated rig: when it
+    went on, and how long (s) it had stood still for want of a processor.
     """
 
     contact: list[tuple[float, Fields]] = field(default_factory=list)
@@ -88,6 +89,7 @@ class Closeup:
     numbers: list[int] = field(default_factory=list)
     readings: dict[int, list[tuple[float, float]]] = field(default_factory=dict)
     lifts: dict[int, list[tuple[float, float]]] = field(default_factory=dict)
+    rig_stalls: list[tuple[float, float]] = field(default_factory=list)
 
     def last_motion(self, t: float) -> Fields:
         """The last `palm/motion` up to `t`; empty before the first."""
@@ -125,13 +127,17 @@ def course_of(run: Run) -> Course:
 def closeup_of(run: Run, t: float) -> Closeup:
     """Every tick around `t`; raises RunError, OSError."""
     found = Closeup()
-    for message, when in _timed(run, CONTACT.name, MOTION.name, EVENTS.name, window=(t - BEFORE_S, t + AFTER_S)):
+    for message, when in _timed(
+        run, CONTACT.name, MOTION.name, EVENTS.name, STALL.name, window=(t - BEFORE_S, t + AFTER_S)
+    ):
         fields = message.fields
         if message.topic == CONTACT.name:
             found.contact.append((when, fields))
         elif message.topic == MOTION.name:
             found.motion.append((when, fields))
             found.numbers.append(message.sequence)
+        elif message.topic == STALL.name:
+            found.rig_stalls.append((float(fields["t_s"]), float(fields["lasted_s"])))
         else:
             for source, t_sample in zip(fields["source"], fields["t_sample_s"], strict=True):
                 kept = found.readings if source > 0 else found.lifts

@@ -35,7 +35,7 @@ import numpy as np
 import zmq
 
 from palmd.messages import stamp
-from palmd.quantities import BODY, RIG_TOPICS, TRUTH, Topic
+from palmd.quantities import BODY, RIG_TOPICS, STALL, TRUTH, Topic
 from palmd.rig.fault_injection import (
     INJECTABLE_FAULTS,
     PADS,
@@ -243,8 +243,10 @@ class RigProcess:
     def _note_lateness(self, late_s: float) -> None:
         self.ticks += 1
         self.late_ticks += late_s > _LATE_S
-        self.stalls += late_s > _STALLED_S  # the daemon may rightly take it for silence
         self.latest_s = max(self.latest_s, late_s)
+        if late_s > _STALLED_S:  # the daemon may rightly take it for silence
+            self.stalls += 1
+            self._publish(STALL, {"t_s": time.monotonic(), "lasted_s": late_s, "count": self.stalls})
 
     # -- sockets ------------------------------------------------------------------------------------------
 

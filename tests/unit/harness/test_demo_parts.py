@@ -111,6 +111,16 @@ def run_for(comparison, seconds, settles=0.0, begin=100.0, error=0.0):
     tell(comparison, "palm/shape", **told)
 
 
+def test_an_emulated_rig_that_stood_still_is_told_once_and_in_the_end():
+    comparison = Comparison(7, "perfect")
+    run_for(comparison, 2.0)
+    tell(comparison, "rig/stall", 101.0, t_s=101.0, lasted_s=0.112, count=1)
+    assert comparison.progress(101.5).endswith("(the emulated rig got no processor for 112 ms)")
+    assert "processor" not in comparison.progress(102.0)
+    tell(comparison, "rig/stall", 102.0, t_s=102.0, lasted_s=0.05, count=2)
+    assert comparison.summary().endswith("rig perfect, which 2 times got no processor, for 0.16 s in all")
+
+
 def test_the_summary_compares_with_the_truth():
     comparison = Comparison(7, "perfect")
     run_for(comparison, 4.0, settles=2.1, error=1e-4)

@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from recorded import config as recorded_config
@@ -18,6 +19,7 @@ from palmd.report.course import course_of
 from palmd.report.why import answer, explain, lines
 from palmd.rig.fault_injection import order
 from palmd.rig.world import STEP_S, default_config
+from palmd.yamlfile import load_config
 
 SWING = PlanSpec.model_validate(
     {
@@ -34,6 +36,9 @@ SHORT = PlanSpec.model_validate(
 )
 
 
+TABLETOP = Path(__file__).parents[3] / "config/tabletop.yaml"
+
+
 class Silent(SilentObserver):
     name, object_count, late_dropped = "silent", 0, 0
 
@@ -41,8 +46,8 @@ class Silent(SilentObserver):
 class Rig(Wireless):
     """A rig whose every tick is recorded, with the counters that the loop adds once a second."""
 
-    def __init__(self, folder, spec=SWING):
-        config = default_config()
+    def __init__(self, folder, spec=SWING, config=None):
+        config = config or default_config()
         config = config.model_copy(update={"record": config.record.model_copy(update={"directory": folder})})
         super().__init__(config, spec, 3, estimator=Silent())
         self.recorder = WirelessRecorder(config)
@@ -76,10 +81,23 @@ class Rig(Wireless):
                 self.core.receive(end, data, self.t)
         self.core.overran(self.t, seconds)
 
+    def starve(self, seconds, says=True):
+        """The emulated rig gets no processor for a while, and says so when it goes on; the daemon lives on."""
+        t_end = self.t + seconds
+        while self.t < t_end - STEP_S / 2:
+            self._steps += self._steps_per_tick
+            for topic, fields in self.core.step(self.t):
+                self.recorder.publish(topic.name, fields, self.t)
+        for end, data in self.world.advance(self.t).items():
+            if data:
+                self.core.receive(end, data, self.t)
+        if says:
+            self.recorder.publish("rig/stall", {"t_s": self.t, "lasted_s": seconds, "count": 1}, self.t)
 
-def run_of(folder, act, seconds=1.7, spec=SWING):
+
+def run_of(folder, act, seconds=1.7, spec=SWING, config=None):
     """What a swinging rig records to which something is done after a second, and when (s) that was."""
-    rig = Rig(folder, spec)
+    rig = Rig(folder, spec, config)
     rig.start()
     rig.go(1.0)
     t = rig.t
@@ -99,6 +117,7 @@ PROVOKED = {
     "arm-late": lambda rig: rig.play("late", "arm", 0.12),
     "arm-estop": lambda rig: rig.play("estop", "arm"),
     "stalled": lambda rig: rig.stall(0.3),
+    "rig-stalled": lambda rig: rig.starve(0.15),
     "failed": lambda rig: rig.core.fail(rig.t, ZeroDivisionError("a defect")),
     "command": lambda rig: rig.give("hold", "ann"),
     "nothing": lambda _rig: None,
@@ -119,6 +138,24 @@ def test_the_cause_is_told_with_its_evidence_also_without_a_log(name, tmp_path):
         text = "\n".join(lines(told))
         assert "nan" not in text
         assert "inf" not in text
+
+
+SERVOS = {
+    "mute": (lambda rig: rig.play("mute", "arm"), "arm-mute"),
+    "misbaud": (lambda rig: rig.play("misbaud", "arm"), "arm-mute"),  # no servo answers what it cannot understand
+    "garble": (lambda rig: rig.play("garble", "arm", 0.02), "arm-damaged"),
+    "overheat": (lambda rig: rig.play("overheat", "arm"), "arm-servo"),
+    "held up": (lambda rig: rig.starve(0.13, says=False), "arm-watchdog"),
+}
+
+
+@pytest.mark.parametrize("provoked", SERVOS)
+def test_the_cause_is_told_of_a_rig_of_servos(provoked, tmp_path):
+    act, name = SERVOS[provoked]
+    run, t = run_of(tmp_path, act, config=load_config(TABLETOP))
+    told = explain(run, t + 0.5 - course_of(run).begin)
+    assert told.cause.name == name, "\n".join(lines(told))
+    assert told.cause.evidence
 
 
 def test_a_break_is_told_by_the_controllers_own_code(tmp_path):

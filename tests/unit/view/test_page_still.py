@@ -148,6 +148,14 @@ def test_what_is_going_on_is_said_in_words(still, bus, more, words):
     assert (still.text("mass"), still.text("mass-sd")) == ("150.0", "± 2.0 g")
 
 
+def test_an_emulated_rig_that_was_starved_is_no_pads_fault(still, bus):
+    messages = rig_of(2, state="hold", cause="pad 1 fell silent")
+    messages["rig/stall"] = {"t_s": 1.0, "lasted_s": 0.112, "count": 3}
+    opened(still, bus, messages)
+    words = "The emulated rig itself got no processor for 112 ms (3 times so far): nothing came from pads and arm."
+    still.until(lambda: still.text("reason").replace("\u00a0", " ").startswith(words), "whose fault it is")
+
+
 def test_of_an_estimate_that_is_not_valid_no_figure_and_no_lens_is_shown(still, bus):
     messages = rig_of(2)
     opened(still, bus, messages)

@@ -4,13 +4,15 @@ import { accuracy, activity, error, percent, small } from "./knowledge.js";
 import { ESTIMATE } from "./quantities.js";
 import { number, set } from "./text.js";
 
+const STARVED_MS = 10000; // for so long it is told
+
 /** Shows what `store` knows at `now` (ms). */
 export function showHero(store, now) {
   const estimate = store.get("palm/estimate");
   const { coverage, reachable } = store.get("palm/state");
   const { words, reason, kind } = activity(store);
   set("words", words);
-  set("reason", reason ?? "");
+  set("reason", [starved(store, now), reason].filter(Boolean).join(" "));
   document.getElementById("going-on").dataset.kind = kind;
   set("known", Number.isFinite(estimate.touched) ? number(estimate.touched * 100, 0) : "–");
   document.getElementById("known-bar").value = estimate.touched || 0;
@@ -18,6 +20,14 @@ export function showHero(store, now) {
     + (reachable < 0.995 ? `, which is ${percent(reachable)}` : "") : "");
   showAccuracy(accuracy(store), error(store, now));
   showMass(estimate, store.truthful(now) ? store.get("rig/object").mass_kg : NaN);
+}
+
+/** What an emulated rig has lately said of itself: it stood still, which no pad and no arm is to blame for. */
+function starved(store, now) {
+  if (store.age("rig/stall", now) > STARVED_MS) return "";
+  const { lasted_s: seconds, count } = store.get("rig/stall");
+  return `The emulated rig itself got no processor for ${(seconds * 1e3).toFixed(0)}\u00a0ms`
+    + `${count > 1 ? ` (${count} times so far)` : ""}: nothing came from pads and arm.`;
 }
 
 function showAccuracy({ typical, worst }, off) {
