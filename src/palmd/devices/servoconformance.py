@@ -13,17 +13,10 @@ from typing import Literal, Protocol
 
 from palmd.devices import dynamixel as dxl
 from palmd.devices.dynamixel import Packet, Registers
-from palmd.devices.servohost import (
-    CENTRE,
-    CYCLE_SPAN,
-    MODELS,
-    TRIPS_WITHOUT_STOPPING,
-    Axis,
-    ServoHost,
-    cycle_period,
-)
+from palmd.devices.servoaxis import CENTRE, Axis
+from palmd.devices.servohost import CYCLE_SPAN, ServoHost, cycle_period
+from palmd.devices.servoscripts import ANSWER_S, MODELS, TRIPS_WITHOUT_STOPPING
 
-ANSWER_S = 0.040
 SOON_S = 0.008
 """An answer later than this is one that an adapter has held back."""
 

@@ -9,7 +9,7 @@ names:
 
 Goals go out by Sync Write, which is never answered: whether a servo took its goal is seen in the goal that it reports a
 cycle later, and so are a tripped watchdog, a restart and a torque that is off. Whatever takes several questions is a
-script, a generator that yields what to ask and is given the answer. Nothing that comes down the line raises.
+script of `servoscripts`. Nothing that comes down the line raises.
 """
 
 from __future__ import annotations
@@ -23,7 +23,20 @@ from palmd.config import ServoConfig
 from palmd.devices import dynamixel as dxl
 from palmd.devices.actuator import ArmReport, ArmState, JointPose, Place, Sent
 from palmd.devices.arrival import byte_time
-from palmd.devices.dynamixel import BusCounters, HardwareError, Packet, PacketReader, Register, Registers
+from palmd.devices.dynamixel import BusCounters, HardwareError, Packet, PacketReader, Registers
+from palmd.devices.servoaxis import Axis
+from palmd.devices.servoscripts import (
+    ANSWER_S,
+    LOOK_SPAN,
+    WATCHDOG_S,
+    Ask,
+    RefusedError,
+    SetUpError,
+    arm,
+    restart,
+    set_up,
+    stand_down,
+)
 
 FREEZE_S = 0.080
 """Without a reading for so long the motion should stand still."""
@@ -33,14 +46,6 @@ LOST_S = 0.250
 
 GREET_S = 0.250
 STANDING_S = 0.050
-ANSWER_S = 0.040
-"""A USB adapter may hold an answer for 16 ms; twice that is no answer."""
-
-TRIES = 4
-WATCHDOG_UNITS = 5
-WATCHDOG_S = WATCHDOG_UNITS * 0.020
-"""Without an instruction for so long a servo stops by itself."""
-
 PERIODS_S = (0.010, 0.020, 0.040)
 MOST_SHARE = 0.5
 """Of a period that the bus may be busy."""
@@ -52,31 +57,9 @@ STOP_RAD_S2 = math.radians(900.0)
 WAIT_PERIODS = 1.5  # for an answer, before the next question
 LOOK_EVERY = 10  # cycles, after which the torque and the hardware errors are read too
 MISSES_MOST = 3  # cycles in a row in which a goal may not have been taken: each may have been spoilt on the line
-REBOOT_S = 0.9
 
 CYCLE_SPAN = (dxl.WATCHDOG.address, dxl.POSITION.end - dxl.WATCHDOG.address)
-LOOK_SPAN = (dxl.TORQUE.address, dxl.TEMPERATURE.end - dxl.TORQUE.address)
 
-RADIANS_PER_COUNT = math.tau / dxl.COUNTS_PER_TURN
-CENTRE = dxl.COUNTS_PER_TURN // 2
-
-MODELS: Mapping[int, str] = {
-    1020: "XM430-W350",
-    1030: "XM430-W210",
-    1060: "XL430-W250",
-    1070: "XC430-W150",
-    1080: "XC430-W240",
-}
-"""Servos that are known to stop when their watchdog trips, and to have the registers that are used here."""
-
-TRIPS_WITHOUT_STOPPING: Mapping[int, str] = {
-    1190: "XL330-M077",
-    1200: "XL330-M288",
-    1220: "XC330-T181",
-    1230: "XC330-T288",
-}
-
-_SHUTDOWN = HardwareError.HOT | HardwareError.SHOCK | HardwareError.OVERLOAD
 _KEPT = ("refused", "restarted", "watchdog", "set-up")  # that no reading shows to be over
 _SAID = {
     HardwareError.VOLTAGE: ("voltage", "its supply is out of range"),
@@ -85,24 +68,6 @@ _SAID = {
     HardwareError.SHOCK: ("shock", "its circuit has had a shock"),
     HardwareError.OVERLOAD: ("overload", "it was overloaded"),
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Ask:
-    """A question to one servo, whose answer has so many bytes."""
-
-    packet: bytes
-    servo: int
-    size: int
-    tries: int = TRIES
-
-    def fits(self, packet: Packet) -> bool:
-        """Whether a packet may be the answer, a refusal included."""
-        return packet.servo == self.servo and (len(packet.parameters) == self.size or bool(packet.error & ~dxl.ALERT))
-
-
-class SetUpError(Exception):
-    """A servo cannot be used as it is; says why and what to do."""
 
 
 Script = Generator[Ask, Packet, None]
@@ -148,47 +113,6 @@ class ServoCounters:
         return {**counts.pop("bus"), **counts}
 
 
-@dataclass(frozen=True, slots=True)
-class Axis:
-    """One servo: which, and how its counts are its palm's direction (rad, from the world X axis)."""
-
-    number: int
-    id: int
-    sign: int
-    centre_rad: float
-    low: int
-    high: int
-
-    @classmethod
-    def from_config(cls, number: int, config: ServoConfig) -> Axis:
-        """The configured servo of the palm of that number."""
-        plain = cls(number, config.id, config.sign, math.radians(config.centre_deg), 0, dxl.COUNTS_PER_TURN - 1)
-        ends = sorted(plain.counts(math.radians(end)) for end in config.range_deg)
-        low, high = max(ends[0], 0), min(ends[1], dxl.COUNTS_PER_TURN - 1)
-        return cls(number, config.id, config.sign, plain.centre_rad, low, high)
-
-    def counts(self, direction_rad: float) -> int:
-        """Of a palm's direction, rounded."""
-        return CENTRE + self.sign * round((direction_rad - self.centre_rad) / RADIANS_PER_COUNT)
-
-    def direction(self, counts: int) -> float:
-        """Of the palm (rad)."""
-        return self.centre_rad + self.sign * (counts - CENTRE) * RADIANS_PER_COUNT
-
-    def settings(self) -> tuple[tuple[Register, int], ...]:
-        """What must be so before the torque goes on, in the order in which it can be set."""
-        return (
-            (dxl.RETURN_DELAY, 0),
-            (dxl.OPERATING_MODE, 3),
-            (dxl.DRIVE_MODE, 4),
-            (dxl.HOMING_OFFSET, 0),
-            (dxl.SHUTDOWN, _SHUTDOWN),
-            (dxl.MIN_POSITION, self.low),
-            (dxl.MAX_POSITION, self.high),
-            (dxl.STATUS_LEVEL, 2),
-        )
-
-
 @dataclass(slots=True)
 class _Cycle:
     """What a Sync Read has asked for, and what has come of it."""
@@ -221,8 +145,6 @@ class ServoHost:
         self.refusal: str | None = None
         self.trouble: dict[str, str] = {}
         """What is wrong, by the code of the fault table without the arm's name."""
-        self.firmware: dict[int, int] = {}
-        self.models: dict[int, int] = {}
         self.looks: dict[int, Registers] = {}
         """The last long reading of each servo."""
         self._phase = Phase.GREETING
@@ -494,7 +416,7 @@ class ServoHost:
         self.counters.goals += 1
         return dxl.sync_write(dxl.GOAL, counts)
 
-    # Scripts
+    # Questions
 
     def _begin(self, phase: Phase, script: Script) -> None:
         self._phase, self._script = phase, script
@@ -507,6 +429,9 @@ class ServoHost:
             self._tries = 0
         except StopIteration:
             self._ask = self._script = None
+        except RefusedError as failure:
+            self.refusal = str(failure)
+            self._stand()
         except SetUpError as failure:
             self._ask = self._script = None
             self.trouble = {"set-up": str(failure)}
@@ -532,88 +457,29 @@ class ServoHost:
         self._t_asked = -math.inf
         self._resume(packet)
 
+    # Scripts
+
     def _setting_up(self) -> Script:
-        for axis in self.axes:
-            answer = yield _ping(axis, tries=1)
-            if len(answer.parameters) >= 3:
-                self.models[axis.id] = int.from_bytes(answer.parameters[:2], "little")
-                self.firmware[axis.id] = answer.parameters[2]
-        for axis in self.axes:
-            self._check_model(axis)
-            whole = yield _read(axis, 0, dxl.TABLE_BYTES)
-            registers = Registers(0, whole.parameters)
-            wrong = [(register, value) for register, value in axis.settings() if registers.get(register) != value]
-            if any(register.address < dxl.EEPROM_END for register, _ in wrong) and registers.get(dxl.TORQUE):
-                yield _write(axis, dxl.TORQUE, 0)
-            for register, value in wrong:
-                self.counters.registers_set += 1
-                yield _write(axis, register, value)
-                answer = yield _read(axis, register.address, register.size)
-                found = Registers(register.address, answer.parameters).get(register)
-                if found != value:
-                    raise SetUpError(
-                        f"servo {axis.number} keeps {found} in register {register.address}, {value} is needed: switch"
-                        " its power off and on, and see that no other program writes to it"
-                    )
-            yield _write(axis, dxl.WATCHDOG, 0)
+        self.counters.registers_set += yield from set_up(self.axes)
         self.trouble = {}
         self._stand()
 
-    def _check_model(self, axis: Axis) -> None:
-        model = self.models.get(axis.id, 0)
-        if model in TRIPS_WITHOUT_STOPPING:
-            raise SetUpError(
-                f"servo {axis.number} is an {TRIPS_WITHOUT_STOPPING[model]}, whose watchdog trips without stopping it:"
-                " use a servo of the 430 size"
-            )
-        if model not in MODELS:
-            raise SetUpError(
-                f"servo {axis.number} says it is of model {model}, which palmd does not know; it knows"
-                f" {', '.join(MODELS.values())}"
-            )
-
     def _arming(self) -> Script:
-        directions = []
-        for axis in self.axes:
-            profile = ((dxl.PROFILE_ACCELERATION, 0), (dxl.PROFILE_VELOCITY, self.profile_ms))
-            for register, value in ((dxl.WATCHDOG, 0), *profile):
-                yield _write(axis, register, value)
-            answer = yield _read(axis, *LOOK_SPAN)
-            registers = Registers(LOOK_SPAN[0], answer.parameters)
-            here = registers[dxl.GOAL] if registers[dxl.TORQUE] else registers[dxl.POSITION]
-            here = min(max(here, axis.low), axis.high)
-            yield _write(axis, dxl.GOAL, here)
-            yield _write(axis, dxl.TORQUE, 1)
-            answer = yield _read(axis, *LOOK_SPAN)
-            registers = Registers(LOOK_SPAN[0], answer.parameters)
-            for register, value in ((dxl.GOAL, here), (dxl.TORQUE, 1), (dxl.PROFILE_VELOCITY, self.profile_ms)):
-                if registers[register] != value:
-                    self.refusal = (
-                        f"start refused: servo {axis.number} has {registers[register]} in register {register.address},"
-                        f" {value} was sent"
-                    )
-                    self._stand()
-                    return
-            directions.append(axis.direction(here))
-        for axis in self.axes:
-            yield _write(axis, dxl.WATCHDOG, WATCHDOG_UNITS)
-        self._goals, self._rates = tuple(directions), (0.0,) * len(directions)
+        directions = yield from arm(self.axes, self.profile_ms)
+        self._goals, self._rates = directions, (0.0,) * len(directions)
         self._sent_counts = [{axis.id: axis.counts(d) for axis, d in zip(self.axes, directions, strict=True)}]
         self._missed_goals = {}
         self._phase, self.state = Phase.FOLLOWING, ArmState.TRACKING
         self._t_slot = self._t_now
 
     def _standing_down(self) -> Script:
-        for axis in self.axes:
-            yield _write(axis, dxl.WATCHDOG, 0)
+        yield from stand_down(self.axes)
         self._stand()
 
     def _resetting(self) -> Script:
-        wounded = [axis for axis in self.axes if axis.id in self.looks and self.looks[axis.id][dxl.HARDWARE_ERROR]]
-        for axis in wounded:
-            yield Ask(dxl.reboot(axis.id), axis.id, 0)
-        for axis in wounded:
-            yield _ping(axis, tries=round(REBOOT_S / ANSWER_S))
+        yield from restart(
+            [axis for axis in self.axes if axis.id in self.looks and self.looks[axis.id][dxl.HARDWARE_ERROR]]
+        )
         yield from self._setting_up()
 
     def _stand(self) -> None:
@@ -642,18 +508,6 @@ def cycle_period(baud: int, servos: int) -> float:
     told = servos * len(dxl.encode_status(0, 0, bytes(CYCLE_SPAN[1])))
     busy = (goals + asked + told) * byte_time(baud)
     return next((period for period in PERIODS_S if busy <= MOST_SHARE * period), PERIODS_S[-1])
-
-
-def _ping(axis: Axis, tries: int) -> Ask:
-    return Ask(dxl.ping(axis.id), axis.id, 3, tries)
-
-
-def _read(axis: Axis, address: int, size: int) -> Ask:
-    return Ask(dxl.read(axis.id, address, size), axis.id, size)
-
-
-def _write(axis: Axis, register: Register, value: int) -> Ask:
-    return Ask(dxl.write(axis.id, register, value), axis.id, 0)
 
 
 def _summed(joints: Sequence[float]) -> list[float]:
