@@ -27,7 +27,7 @@ from palmd.observer.marginal import Marginal, marginalised
 from palmd.observer.mass import MassEstimator
 from palmd.observer.matching import Felt, matched
 from palmd.observer.noise import with_scatter
-from palmd.observer.outline import directions, made_convex, normal_angles, outline_of
+from palmd.observer.outline import directions, felt_normals, made_convex, outline_of
 from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
 from palmd.observer.search import Minima, Search, beyond_question, doubt, minima
 from palmd.observer.seeker import attempts_for
@@ -144,7 +144,7 @@ class _Part:
             chain.learn(self.known.told)
         chain.append(self.record, self.fit.guess)
         p = self.fit.guess.p
-        return Felt(chain.told(p), marks_of(normal_angles(self.record.palms, self.fit.guess.x[:, 0])))
+        return Felt(chain.told(p), marks_of(felt_normals(self.record, self.fit.guess.x[:, 0], p[C.SHAPE :])))
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,7 +255,7 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
     convex = made_convex(everything, covariance, _OUTLINE)
     p = everything[:CONSTANTS]
     parts = sorted([_Joined(record, x[:, 0], x[:, 1]), *others], key=lambda part: float(part.record.t[0]))
-    normals = [normal_angles(part.record.palms, part.psi) for part in parts]
+    normals = [felt_normals(part.record, part.psi, p[C.SHAPE :]) for part in parts]
     outline = outline_of(p[C.SHAPE :], covariance[_OUTLINE, _OUTLINE], normals)
     reason = main.reason
     told = outline_of(p[C.SHAPE :], given_the_rig(covariance), normals)

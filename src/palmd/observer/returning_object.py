@@ -76,7 +76,7 @@ class ReturningObject:
         count = int(bank.full_size // bank.block * KNOWN_SHARE) * bank.block
         known = self.candidate = self.memory.recall() if count else None
         if known is not None:
-            psi = known.orientations(track.first_contacts, track.palms, rig.reading_variances, count)
+            psi = known.orientations(track.first_contacts, track.palms, rig, count)
             fusion.filters.start_known(known.x, known.believed(), psi, fusion.palms, t)
             fusion.forgetting.prior_age_s[:count] = PRIOR_AGE_S
         # what a smoother vouches for has been linearised well: only what begins blind has to forget
@@ -113,7 +113,7 @@ class ReturningObject:
             if known.spread is not None and self._smoothed is not None:
                 track.lead_with(self._smoothed.single, x, P, float(bank.nis[best]), known.touched, known.spread)
             else:
-                track.coverage = Coverage(known.touched, best)
+                track.coverage = Coverage(known.touched, best, self._rig.curvatures)
                 bank.drop(blind)
             return Verdict.DECIDED
         clear = not alike or bank.score[blind].max() - bank.score[~blind].max() > BAYES_FACTOR
@@ -145,7 +145,7 @@ class ReturningObject:
 
 def _where_felt(known: KnownObject, fusion: Fusion, best: int) -> bool:
     """Whether the likeliest filter touches the known outline where that was felt: elsewhere any outline fits."""
-    return bool(known.touched[contact_bins(fusion.named()[best])].all())
+    return bool(known.touched[contact_bins(fusion.named()[best], fusion.curvatures)].all())
 
 
 def _one_pose(fusion: Fusion, best: int) -> bool:
