@@ -43,6 +43,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise CliError(BAD_INPUT, f"--shape needs --observer shape: {arguments.observer} cannot use a stored outline")
     outlines = () if arguments.shape is None else read_outlines(arguments.shape)
     log = read(arguments.log, arguments.calibration_sd)
+    if log.rig.curved and (reason := observer.flat_only(arguments.observer, outlines)):
+        raise CliError(BAD_INPUT, f"{arguments.log}: {reason}")
     with opened(arguments.output, arguments.log) as stream:
         _replay(log, arguments.observer, outlines, stream)
     return 0

@@ -33,6 +33,7 @@ from palmd.observer.search import Minima, Search, beyond_question, doubt, minima
 from palmd.observer.seeker import attempts_for
 from palmd.observer.smoother import Fit, Smoother
 from palmd.observer.visits import Counts, visits_of
+from palmd.system.arcs import MOST_LYING
 from palmd.system.description import RigDescription
 
 SPACING_S = 0.005  # of the nodes in the end
@@ -261,6 +262,8 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
     told = outline_of(p[C.SHAPE :], given_the_rig(covariance), normals)
     if not reason and float(np.sqrt(np.mean(told.h_sd[told.touched] ** 2))) > SHARP_M:
         reason = "the readings tell too little of the outline"
+    if not reason and (lying := most_lying(p[C.SHAPE :], normals, rig.curvatures)) >= MOST_LYING:
+        reason = f"the palms are too concave for the object: kappa v reaches {lying:.2f} where it touches"
     if not reason and not convex:
         reason = "only a hollow outline explains the readings"
     sd = np.sqrt(np.diagonal(covariance))
@@ -292,6 +295,16 @@ def given_the_rig(covariance: FloatArray) -> FloatArray:
     scale = np.sqrt(np.diagonal(covariance)[RIG])
     solved = np.linalg.solve(covariance[RIG, RIG] / np.outer(scale, scale), across / scale[:, None])
     return own - (across / scale[:, None]).T @ solved
+
+
+def most_lying(coefficients: FloatArray, normals: Sequence[FloatArray], curvatures: Sequence[float]) -> float:
+    """The largest κv at a contact: from 1 on an object would lie in its palm, touching twice. 0 on flat palms."""
+    if not any(curvatures):
+        return 0.0
+    bent = coefficients * (1.0 - shape.harmonic_of_coefficient((len(coefficients) - 1) // 2) ** 2)
+    at = np.concatenate(normals)
+    v = [shape.basis(at[:, palm], (len(bent) - 1) // 2) @ bent for palm in range(len(curvatures))]
+    return float(max((kappa * each).max() for kappa, each in zip(curvatures, v, strict=True)))
 
 
 def _weighed(main: _Part, rig: RigDescription, answered: Marginal) -> tuple[float, float]:

@@ -24,6 +24,7 @@ from palmd.observer.hypotheses import Verdict
 from palmd.observer.mass import MassEstimator, resting_forces
 from palmd.observer.object_memory import KnownObject, ObjectMemory
 from palmd.observer.track import Track
+from palmd.system.arcs import tangents
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import PALMS
 
@@ -100,7 +101,10 @@ class ReturningObject:
         known, fusion, bank = self.candidate, track.fusion, track.fusion.bank
         if known is None:
             return Verdict.DECIDED
-        for pad, f in zip(PALMS, resting_forces(self._rig.gravity, fusion.palms.at(t)), strict=True):
+        joints: Sequence[float] = fusion.palms.at(t)[: len(PALMS)].tolist()
+        if self._rig.curved:
+            joints = tangents(joints, track.first_contacts, self._rig.curvatures)
+        for pad, f in zip(PALMS, resting_forces(self._rig.gravity, joints), strict=True):
             self._rough_mass.weigh(track.contacts.last(pad), f)
         best, blind = bank.best(), fusion.forgetting.prior_age_s == 0.0
         likely = not blind[best]
