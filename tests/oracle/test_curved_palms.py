@@ -17,8 +17,7 @@ from palmd.observer.object_memory import DIRECTIONS, readings_on_arcs
 from palmd.rig.curved_plant import CurvedPlant, widest
 from palmd.rig.plant import FrictionSurface, Hinge
 from palmd.rig.shapes import Body, random_body
-from palmd.rig.simulate_curved import hinge_angles
-from palmd.system.arcs import circle_radius, palm_points
+from palmd.system.arcs import circle_radius, joints_of, palm_points
 from palmd.system.description import PadSensor, RigDescription
 
 CURVATURES = [(14.0, 11.5), (-9.0, -14.0), (15.0, 0.0), (-8.0, 12.0), (0.0, -10.0)]
@@ -62,7 +61,7 @@ def _state(body: Body, surface: FrictionSurface, psi: float, omega0: float, orde
 @pytest.mark.parametrize("curvatures", CURVATURES)
 def test_a_second_of_motion_is_that_of_the_plant_which_knows_no_arc_lengths(curvatures: tuple[float, float]) -> None:
     body, surface = _body(3, curvatures), FrictionSurface(0.15, 0.012, 2e-4)
-    phi = hinge_angles(body.support.at(0.0)[0], 0.75, 1.65, curvatures)
+    phi = joints_of(body.support.at(0.0)[0], (0.75, 1.65), curvatures)
     plant = CurvedPlant(body, Hinge("arc"), surface, curvatures)
     plant.place(_plan(0.0, *phi), 0.4, 0.3)
     rig = rig_inputs(_rig(curvatures))
@@ -97,7 +96,7 @@ def test_a_second_of_motion_is_that_of_the_plant_which_knows_no_arc_lengths(curv
 @pytest.mark.parametrize("curvatures", CURVATURES)
 def test_gradients_are_those_of_the_implicit_contact(curvatures: tuple[float, float]) -> None:
     body, surface = _body(5, curvatures), FrictionSurface(0.12, 0.015, 1e-4)
-    phi = hinge_angles(body.support.at(0.0)[0], 0.75, 1.65, curvatures)
+    phi = joints_of(body.support.at(0.0)[0], (0.75, 1.65), curvatures)
     palms, rig = [*phi, 0.4, -0.2, 0.5, 0.3], rig_inputs(_rig(curvatures))
     x = _state(body, surface, 0.3, 0.7)
     named = shape_map.named_function(curved=True)
@@ -150,7 +149,7 @@ def test_nearly_flat_palms_are_flat_ones_to_a_nanometre() -> None:
 def test_the_arrays_find_the_contacts_that_the_kernels_find(curvatures: tuple[float, float], seed: int) -> None:
     body = _body(seed, curvatures)
     h = _coefficients(body, shape.HARMONICS)
-    phi1, phi2 = hinge_angles(body.support.at(0.0)[0], 0.75, 1.65, curvatures)
+    phi1, phi2 = joints_of(body.support.at(0.0)[0], (0.75, 1.65), curvatures)
     psi = np.arange(24) * math.tau / 24
     s = arcs.contacts_on_arcs(h, np.full(24, phi1), np.full(24, phi2), psi, curvatures)
     x = _state(body, FrictionSurface(), 0.0, 0.0)
@@ -168,7 +167,7 @@ def test_the_arrays_find_the_contacts_that_the_kernels_find(curvatures: tuple[fl
 def test_rows_of_orientations_are_gradients_of_readings() -> None:
     curvatures = (14.0, -9.0)
     h = _coefficients(_body(2, curvatures), shape.HARMONICS)
-    palms = PalmMotion.at_rest(hinge_angles(h[0], 0.75, 1.65, curvatures))
+    palms = PalmMotion.at_rest(joints_of(h[0], (0.75, 1.65), curvatures))
     s, rows = readings_on_arcs(palms, h, curvatures)
     change = np.random.default_rng(1).standard_normal(len(h)) * 1e-9
     after, _ = readings_on_arcs(palms, h + change, curvatures)
@@ -187,7 +186,7 @@ def test_a_bowed_pad_off_its_line_reads_as_the_plant_has_it(pad: int) -> None:
     curvatures, sagitta, standoff = (14.0, -9.0), (8e-5, -5e-5), (2e-4, -3e-4)
     body, surface = _body(4, curvatures), FrictionSurface(0.15, 0.012, 2e-4)
     off = Imperfections(tuple(PadImperfection(sagitta=a, standoff=b) for a, b in zip(sagitta, standoff, strict=True)))
-    phi = hinge_angles(body.support.at(0.0)[0], 0.75, 1.65, curvatures)
+    phi = joints_of(body.support.at(0.0)[0], (0.75, 1.65), curvatures)
     plant = CurvedPlant(body, Hinge("arc"), surface, curvatures, imperfections=off)
     motion = replace(PalmMotion.at_rest(phi), rates=(0.4, -0.3), accelerations=(0.5, 0.2))
     plant.place(motion, 0.3, 0.8)
@@ -225,7 +224,7 @@ def test_points_lie_on_circles_through_the_hinge() -> None:
 def test_a_roll_ends_where_steps_of_the_filters_end() -> None:
     curvatures = (14.0, 11.5)
     body, surface = _body(3, curvatures), FrictionSurface(0.15, 0.012, 2e-4)
-    phi = hinge_angles(body.support.at(0.0)[0], 0.75, 1.65, curvatures)
+    phi = joints_of(body.support.at(0.0)[0], (0.75, 1.65), curvatures)
     rig, x = rig_inputs(_rig(curvatures)), _state(body, surface, 0.4, 0.3)
     move = [*phi, phi[0] + 0.2, phi[1] - 0.1, 0.6, 0.1]
     moved, told = (np.asarray(each) for each in rollout.roll_function(curved=True)(x, move, rig))

@@ -14,9 +14,12 @@ more curvature and a slope at the hinge.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
-from palmd.events import PalmMotion
+import numpy as np
+
+from palmd.events import FloatArray, PalmMotion
 from palmd.rig.imperfections import PERFECT, Imperfections
 from palmd.rig.plant import (
     _DRIFT_RATE,
@@ -33,13 +36,16 @@ from palmd.rig.plant import (
     palm_frame,
 )
 from palmd.rig.shapes import Body
-from palmd.system.arcs import MOST_LYING
 
 _STEPS, _BLIND_STEPS = 4, 40  # of Newton's method for the nearest point, from where it was and from anywhere
 _LONGEST_STEP = 0.2  # rad
 _FOUND = 1e-12  # rad
 _SEATING_STEPS, _SEATED_M = 40, 1e-13
 _NORMALS = 720
+_ORIENTATIONS, _LOWEST_RAD = 180, 1e-5
+MOST_LYING = 0.8
+"""κv up to which bodies are put on the palms."""
+_TOUCHING_TWICE = 0.95
 
 
 class _Nearest(NamedTuple):
@@ -90,9 +96,9 @@ class CurvedPlant(Plant):
     ) -> None:
         """Raises ValueError for palms that are too strongly concave for the body: it would touch one twice."""
         worst = max(curvatures) * widest(body)
-        if worst >= MOST_LYING:
+        if worst >= _TOUCHING_TWICE:
             raise ValueError(
-                f"the palms are too concave for the body: kappa v reaches {worst:.2f}, not below {MOST_LYING}"
+                f"the palms are too concave for the body: kappa v reaches {worst:.2f}, not below {_TOUCHING_TWICE}"
             )
         super().__init__(
             body, hinge, surface, options=options, imperfections=imperfections, gravity=gravity, reach=reach
@@ -280,3 +286,27 @@ def widest(body: Body) -> float:
     at = body.support.at
     found = (at(math.tau * i / _NORMALS) for i in range(_NORMALS))
     return max(h + second for h, _, second in found)
+
+
+def stable_on_arcs(body: Body, palms: PalmMotion, curvatures: PadPair) -> list[float]:
+    """The angles ψ in [0, 2π) at which the COM is lowest among its neighbours (rad), lowest of all first."""
+    plant = CurvedPlant(body, Hinge("fixed", base=(0.0, 0.0)), FrictionSurface(), curvatures)
+
+    def height(psi: float) -> float:
+        plant.place(palms, psi)
+        return plant.state.y
+
+    psi: FloatArray = np.linspace(0.0, math.tau, _ORIENTATIONS, endpoint=False)
+    heights = np.array([height(float(each)) for each in psi])
+    lowest = np.flatnonzero((heights < np.roll(heights, 1)) & (heights <= np.roll(heights, -1)))
+    step = math.tau / _ORIENTATIONS
+    return [_lowest(height, float(psi[i]) - step, float(psi[i]) + step) for i in lowest[np.argsort(heights[lowest])]]
+
+
+def _lowest(height: Callable[[float], float], low: float, high: float) -> float:
+    """By golden section to `_LOWEST_RAD`."""
+    golden = (math.sqrt(5.0) - 1.0) / 2.0
+    while high - low > _LOWEST_RAD:
+        a, b = high - golden * (high - low), low + golden * (high - low)
+        low, high = (low, b) if height(a) < height(b) else (a, high)
+    return (0.5 * (low + high)) % math.tau

@@ -20,6 +20,8 @@ Value = TypeVar("Value")
 FLAT = (0.0,) * len(SIDES)
 """The curvatures of flat palms."""
 
+_ITERATIONS = 60
+
 MOST_LYING = 0.95
 """κv from which on an object lies in a cradle rather than on it: the contact runs away, and nothing is claimed."""
 
@@ -42,6 +44,37 @@ def palm_points(joints: Iterable[Value], contacts: Iterable[Value], curvatures: 
         chord = s * np.sinc(half / np.pi)
         points.append(np.stack([chord * np.cos(angle + side * half), chord * np.sin(angle + side * half)], axis=-1))
     return points
+
+
+def opening_at(radius: float, s: float, curvatures: Sequence[float] = FLAT) -> float:
+    """φ2 (rad) at which a circle of that radius touches both palms `s` from the hinge (m).
+
+    Seen from the hinge its centre is at this angle from each palm's direction there; 2 atan(r/s) on flat palms.
+    """
+    if not any(curvatures):
+        return 2.0 * math.atan(radius / s)
+    return sum(_seen_at(radius, s, kappa) for kappa in curvatures)
+
+
+def _seen_at(radius: float, s: float, kappa: float) -> float:
+    x, y = s * float(np.sinc(kappa * s / np.pi)), kappa / 2 * (s * float(np.sinc(kappa * s / (2 * np.pi)))) ** 2
+    return math.atan2(y + radius * math.cos(kappa * s), x - radius * math.sin(kappa * s))
+
+
+def joints_of(
+    radius: float, tangent_joints: Sequence[float], curvatures: Sequence[float] = FLAT
+) -> tuple[float, float]:
+    """φ1, φ2 at which a circle of that radius (m) has the `tangent_joints` β1 and β2 − β1 (rad) at its contacts.
+
+    Its contacts' arc lengths by fixed-point iteration on (3.13), (3.14) with each tangent's height over the hinge.
+    """
+    beta1, opening = tangent_joints
+    s, kappa = np.zeros(2), np.array(curvatures)
+    for _ in range(_ITERATIONS if kappa.any() else 1):
+        above = radius - kappa / 2 * (s * np.sinc(kappa * s / math.tau)) ** 2
+        s = (above * math.cos(opening) + above[::-1]) / math.sin(opening) / np.sinc(kappa * s / np.pi)
+    turn1, turn2 = (kappa * s).tolist()
+    return beta1 - turn1, opening + turn1 + turn2
 
 
 def circle_radius(joints: Sequence[float], contacts: Sequence[float], curvatures: Sequence[float] = FLAT) -> float:
