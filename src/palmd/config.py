@@ -250,6 +250,10 @@ class RigConfig(Strict):
     """From the hinge between the palms to B."""
     palm2_length_mm: Annotated[FiniteFloat, Field(gt=0, le=2000), Plausible(20, 1000)] = 120.0
     """From the hinge between the palms to where the arm holds palm 2."""
+    palm1_curvature_per_m: Annotated[FiniteFloat, Field(ge=-100, le=100), Plausible(1, 20, or_zero=True)] = 0.0
+    """Of the arc that palm 1 is, from the hinge on: 1/radius, > 0 a concave cradle, < 0 a dome, 0 flat."""
+    palm2_curvature_per_m: Annotated[FiniteFloat, Field(ge=-100, le=100), Plausible(1, 20, or_zero=True)] = 0.0
+    """Of the arc that palm 2 is."""
     angle_sd_deg: Annotated[NotNegative, Field(le=10), Plausible(0.001, 3, or_zero=True)] = 0.1
     """How well the palms' angles are known, one sigma; this and the other `_sd` are as calibration leaves a rig."""
     gravity_sd_deg: Annotated[NotNegative, Field(le=10), Plausible(0.001, 5, or_zero=True)] = 0.2
@@ -266,6 +270,11 @@ class RigConfig(Strict):
     def palm_lengths_mm(self) -> tuple[float, ...]:
         """Of each palm."""
         return tuple(getattr(self, f"palm{palm}_length_mm") for palm in PALMS)
+
+    @property
+    def curvatures_per_m(self) -> tuple[float, ...]:
+        """Of each palm."""
+        return tuple(getattr(self, f"palm{palm}_curvature_per_m") for palm in PALMS)
 
 
 class PressureConfig(Strict):
@@ -616,6 +625,27 @@ class Config(Strict):
             raise ValueError(f"port {arm.port} is already that of a pad")
         return arm
 
+    @field_validator("pads")
+    @classmethod
+    def _on_arcs(cls, pads: PadsConfig, info: ValidationInfo) -> PadsConfig:
+        rig: RigConfig | None = info.data.get("rig")
+        for palm, (kappa, pad) in enumerate(zip(rig.curvatures_per_m if rig else (), pads.each(), strict=False), 1):
+            if abs(kappa) * pad.length_mm * 1e-3 > math.pi / 2:
+                raise ValueError(f"rig.palm{palm}_curvature_per_m bends the pad by more than a quarter turn")
+        return pads
+
+    @field_validator("observer")
+    @classmethod
+    def _knows_arcs(cls, observer: ObserverConfig, info: ValidationInfo) -> ObserverConfig:
+        rig: RigConfig | None = info.data.get("rig")
+        if rig is None or not any(rig.curvatures_per_m):
+            return observer
+        if observer.primary != "shape":
+            raise ValueError(f"{observer.primary} knows flat palms only; these are curved: set primary to shape")
+        if observer.shape is not None:
+            raise ValueError("stored outlines are recognised on flat palms only, and these are curved")
+        return observer
+
     @field_validator("arm")
     @classmethod
     def _own_hinge(cls, arm: ArmConfig, info: ValidationInfo) -> ArmConfig:
@@ -651,12 +681,15 @@ def rig_description(config: Config) -> RigDescription:
         angle_sd=math.radians(math.hypot(config.rig.angle_sd_deg, config.arm.play_sd_deg)),
         gravity_sd=math.radians(config.rig.gravity_sd_deg),
         friction_sd=config.rig.friction_asymmetry_sd,
-        pads=tuple(_sensor(pad) for pad in config.pads.each()),
+        pads=tuple(
+            _sensor(pad, kappa) for pad, kappa in zip(config.pads.each(), config.rig.curvatures_per_m, strict=True)
+        ),
     )
 
 
-def _sensor(pad: PadConfig) -> PadSensor:
+def _sensor(pad: PadConfig, curvature: float) -> PadSensor:
     return PadSensor(
+        curvature=curvature,
         length=pad.length_mm * 1e-3,
         noise=pad.noise_mm * 1e-3,
         resolution=1e-3 / pad.counts_per_mm,

@@ -10,7 +10,8 @@ from palmd.model import extended, sensitivity, shape, shape_map, smoothing
 from palmd.model.integrate import exponential_step
 from palmd.model.outputs import NAMED
 
-RIG = [9.81, 0.12, 0.12, 0.0, 0.1]
+FLAT = [0.0, 0.0]
+RIG = [9.81, 0.12, 0.12, 0.0, 0.1, *FLAT]
 PALMS = [0.7, 1.5, 0.4, -0.3, 1.0, -2.0]
 JERK = [3.0, -4.0]
 
@@ -137,7 +138,7 @@ def test_an_update_is_the_textbooks(model) -> None:
     """x + K y and (P⁻¹ + hᵀh/R)⁻¹ in information form, h by differences."""
     random = np.random.default_rng(6)
     x = _shape_state(random)
-    extra = PALMS[:2]
+    extra = [*PALMS[:2], *FLAT]
     if model is extended:
         x, extra = _extended_state(x), []
     P = _spd(len(x), random, np.maximum(np.abs(x), 1e-3) * 1e-3)
@@ -174,7 +175,7 @@ def test_an_update_is_the_textbooks(model) -> None:
 @pytest.mark.parametrize("model", [extended, shape_map], ids=["extended", "shape_map"])
 def test_an_outlier_moves_the_state_no_more_than_a_reading_on_the_gate(model) -> None:
     random = np.random.default_rng(7)
-    x, extra = _shape_state(random), PALMS[:2]
+    x, extra = _shape_state(random), [*PALMS[:2], *FLAT]
     update = shape_map.update_function("update_s1", 1)
     if model is extended:
         x, extra, update = _extended_state(x), [], extended.update_function("update_s1", extended.X.S1)
@@ -305,6 +306,6 @@ def test_the_aim_is_the_gradient_of_radii_and_readings() -> None:
         radii, readings = shape.contact_rows(PALMS[0] - at[shape_map.Z.PSI], PALMS[1])
         return np.concatenate([radii, readings]) @ at[shape_map.Z.SHAPE :]
 
-    J = _array(sensitivity.aim_function()(x, PALMS[:2]))
+    J = _array(sensitivity.aim_function()(x, [*PALMS[:2], *FLAT]))
     assert J.shape == (sensitivity.AIMED_AT, shape_map.N)
     assert pytest.approx(_differences(z, x), abs=1e-8) == J

@@ -15,7 +15,8 @@ from palmd.model.shape import prior_sd
 
 LENGTHS = (0.0555, 0.048)  # of the pads
 FORCE = 0.8  # N
-RIG = [9.81, 0.12, 0.12, 0.0, 0.0, *LENGTHS]
+FLAT = [0.0, 0.0]
+RIG = [9.81, 0.12, 0.12, 0.0, 0.0, *FLAT, *LENGTHS]
 PALMS = np.array([0.7, 1.5, 0.4, -0.3, 1.0, -2.0])
 JERK = np.array([3.0, -4.0])
 DT = 0.005
@@ -87,7 +88,7 @@ def test_jacobian_of_the_step(mu: float, relative: float) -> None:
 @pytest.mark.parametrize("name", ["contact", "force"])
 def test_gradient_of_a_reading(name: str, pad: int) -> None:
     kernel = smoothing.contact_function() if name == "contact" else smoothing.force_function()
-    z = [DT, 0.002, pad, *PALMS[:4], FORCE, *LENGTHS] if name == "contact" else [DT, 0.002, pad, *PALMS, *RIG]
+    z = [DT, 0.002, pad, *PALMS[:4], FORCE, *FLAT, *LENGTHS] if name == "contact" else [DT, 0.002, pad, *PALMS, *RIG]
     y = np.concatenate([NODES.ravel(), _constants()])
     scale = np.concatenate([[0.1, 1.0, 0.1, 1.0], SCALE])
 
@@ -137,7 +138,7 @@ def test_a_reading_is_taken_where_the_cubic_between_the_nodes_is(t: float, pad: 
     cubic = CubicHermiteSpline([0.0, DT], NODES[:, 0], NODES[:, 1])
     psi, omega0 = np.array([cubic(t)]), np.array([cubic(t, 1)])
     twin = Bodies(p[:, None], RIG[0], RIG[1])
-    s, _ = _reading(smoothing.contact_function(), NODES, p, [DT, t, pad, *PALMS[:4], FORCE, *LENGTHS])
+    s, _ = _reading(smoothing.contact_function(), NODES, p, [DT, t, pad, *PALMS[:4], FORCE, *FLAT, *LENGTHS])
     assert s.item() == pytest.approx(twin.contacts(PALMS, psi)[pad - 1].item(), abs=1e-12)
     force, _ = _reading(smoothing.force_function(), NODES, p, [DT, t, pad, *PALMS, *RIG])
     assert force.item() == pytest.approx(0.16 * twin.forces_and_spin(PALMS, psi, omega0)[pad - 1].item(), rel=1e-9)
@@ -183,7 +184,7 @@ def test_a_pads_reading_on_a_rig_that_is_not_as_described(pad: int, seed: int) -
     t = 0.003
     psi = CubicHermiteSpline([0.0, DT], NODES[:, 0], NODES[:, 1])(t - lag)
     then = PALMS[:2] - lag * PALMS[2:4]
-    reading, _ = _reading(smoothing.contact_function(), NODES, p, [DT, t, pad, *PALMS[:4], FORCE, *LENGTHS])
+    reading, _ = _reading(smoothing.contact_function(), NODES, p, [DT, t, pad, *PALMS[:4], FORCE, *FLAT, *LENGTHS])
     assert reading.item() == pytest.approx(
         zero + by_force * FORCE + (1 + scale) * _touch(p, then, psi)[pad - 1], abs=1e-6
     )

@@ -90,10 +90,11 @@ def _unpacked(fields: list[Any]) -> Event:
 
 def serve(address: str, rig: str) -> None:
     """The process's work, for ever: gather readings, smooth, answer; `rig` is the description's fields as JSON."""
-    smoother = IncrementalSmoother(_rig_of(json.loads(rig)))
+    described = _rig_of(json.loads(rig))
+    smoother = IncrementalSmoother(described)
     next_one = 0.0
-    smoothing.library()
-    shape_map.library()
+    smoothing.library(described.curved)
+    shape_map.library(curved=described.curved)
     with meet(address, NICENESS) as socket:
         while True:
             object_count, begun, hint, events = msgpack.unpackb(socket.recv())

@@ -1,12 +1,13 @@
 """Contact geometry of two palms and a convex object, as CasADi expressions (CMU-CS-01-107, chapter 3).
 
 All lengths in m, angles in rad. `phi2` is the angle from palm 1 to palm 2 and must lie in (0, π): at its ends
-the palms are parallel and every formula here divides by sin φ2 = 0.
+the palms are parallel and every formula here divides by sin φ2 = 0. A curved palm is its tangent at the contact
+(`model.touch` finds it): turned against its direction at the hinge, and set off from there.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import casadi as ca
 
@@ -15,11 +16,27 @@ SX = ca.SX
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """What one palm feels: r = h, d = −h′, v = h + h″ at the contact's normal (m)."""
+    """What one palm feels: r = h, d = −h′, v = h + h″ at the contact's normal (m); how the palm lies there.
+
+    curvature: of the palm (1/m, > 0 concave). turn: of its tangent at the contact against its direction at the hinge
+    (rad). above: how far over the hinge that tangent passes (m), on the object's side. A flat palm's are no symbols but
+    zeros, which CasADi leaves out of every expression.
+    """
 
     r: SX
     d: SX
     v: SX
+    curvature: SX = field(default_factory=lambda: SX(0))
+    turn: SX = field(default_factory=lambda: SX(0))
+    above: SX = field(default_factory=lambda: SX(0))
+
+
+def sinc(x: SX) -> SX:
+    """sin x/x, regular at 0."""
+    if x.is_zero():
+        return SX(1)
+    small = ca.fabs(x) < 1e-3
+    return ca.if_else(small, 1 - x**2 / 6 + x**4 / 120, ca.sin(x) / ca.if_else(small, SX(1), x))
 
 
 def tangent(angle: SX, palm: int) -> SX:
@@ -47,8 +64,21 @@ def offsets(phi2: SX, r1: SX, r2: SX, s1: SX, s2: SX) -> tuple[SX, SX]:
     return d1, d2
 
 
+def alongs(phi2: SX, one: Contact, two: Contact) -> tuple[SX, SX]:
+    """How far along both tangents the contacts are from the hinge's feet on them: (3.13) and (3.14)."""
+    phi2, r1, r2 = phi2 + two.turn - one.turn, one.r + one.above, two.r + two.above
+    along1 = (r1 * ca.cos(phi2) + r2) / ca.sin(phi2) - one.d
+    along2 = (r2 * ca.cos(phi2) + r1) / ca.sin(phi2) + two.d
+    return along1, along2
+
+
 def readings(phi2: SX, one: Contact, two: Contact) -> tuple[SX, SX]:
-    """(s1, s2), the distances hinge → contact: (3.13) and (3.14)."""
-    s1 = (one.r * ca.cos(phi2) + two.r) / ca.sin(phi2) - one.d
-    s2 = (two.r * ca.cos(phi2) + one.r) / ca.sin(phi2) + two.d
-    return s1, s2
+    """(s1, s2), the distances hinge → contact along the palms: (3.13) and (3.14); on an arc along = s sinc κs."""
+    along1, along2 = alongs(phi2, one, two)
+    return along1 / sinc(one.turn), along2 / sinc(two.turn)
+
+
+def centre_of_mass(phi1: SX, phi2: SX, one: Contact, two: Contact) -> SX:
+    """The COM as seen from the hinge (m)."""
+    beta1, opening = phi1 + one.turn, phi2 + two.turn - one.turn
+    return solve_from_normals(beta1, opening, one.r + one.above, two.r + two.above)

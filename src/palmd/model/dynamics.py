@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from palmd.model.contact import SX, Contact, normal, solve_from_normals, tangent
+from palmd.model.contact import SX, Contact, centre_of_mass, normal, solve_from_normals, tangent
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,36 +74,41 @@ def newton_euler(palms: Palms, omega0: SX, one: Contact, two: Contact, body: Bod
 
     Two of them say that the object keeps touching (n_i·a prescribed by the contact's motion), the third is
     ρ²α0 = Σ f_i (x_i × F_i) − c ω0 with F_i = n_i − μ_i σ(u_i) t_i and σ(u) = u/√(u² + u_d²).
-    `rig` is (g, L1, x, y, a): μ1 = (1 + a) μ, μ2 = (1 − a) μ.
+    `rig` is (g, L1, x, y, a, …): μ1 = (1 + a) μ, μ2 = (1 − a) μ. Where a palm is curved its tangent at the contact
+    turns at γ = ω ± κ ṡ, and n_i·a has ω(2γ − ω) p·n − κ ṡ² besides (docs/theory/curved.md), p the contact's place.
     Valid while f1, f2 > 0.
     """
-    c = solve_from_normals(palms.phi1, palms.phi2, one.r, two.r)
+    c = centre_of_mass(palms.phi1, palms.phi2, one, two)
     friction = (body.mu * (1 + rig[4]), body.mu * (1 - rig[4]))
     rates = (palms.omega1, palms.omega12)
     accelerations = (palms.alpha1, palms.alpha12)
-    tangents = (tangent(palms.phi1, 1), tangent(palms.phi12, 2))
-    normals = (normal(palms.phi1, 1), normal(palms.phi12, 2))
     contacts = (one, two)
+    tangents = (tangent(palms.phi1 + one.turn, 1), tangent(palms.phi12 + two.turn, 2))
+    normals = (normal(palms.phi1 + one.turn, 1), normal(palms.phi12 + two.turn, 2))
 
     # n_i·ċ = ṙ_i − ω_i e_i·c with e_i = dn_i/dφ_i = −t_i and ṙ_i = −d_i θ̇_i
     along = [-k.d * (w - omega0) + w * ca.dot(t, c) for k, w, t in zip(contacts, rates, tangents, strict=True)]
-    c_dot = solve_from_normals(palms.phi1, palms.phi2, *along)
+    c_dot = solve_from_normals(palms.phi1 + one.turn, palms.phi2 + two.turn - one.turn, *along)
 
     g_eff = effective_gravity(palms, rig)
     forces, needed, torques = [], [], []
     for k, mu, w, a, t, n in zip(contacts, friction, rates, accelerations, tangents, normals, strict=True):
-        slip = ca.dot(t, c_dot) + omega0 * k.r
+        slip = ca.dot(t, c_dot) + omega0 * k.r + w * k.above
+        bending = k.curvature * (slip + k.v * (w - omega0)) / (1 - k.curvature * k.v)  # ± κ ṡ
+        turning = w + bending
         sigma = slip / ca.sqrt(slip**2 + body.dither**2)
         forces.append(n - mu * sigma * t)
         torques.append(-(k.r * mu * sigma + k.d))
         # n_i·a without its α0 term, less what gravity already gives
         needed.append(
-            (k.v - k.r) * (w - omega0) ** 2
+            (k.v - k.r) * (turning - omega0) ** 2
             - k.d * a
-            + 2 * w * ca.dot(t, c_dot)
+            + 2 * turning * ca.dot(t, c_dot)
             + a * ca.dot(t, c)
-            + w**2 * k.r
+            + turning**2 * k.r
             - ca.dot(n, g_eff)
+            + w * (2 * turning - w) * k.above
+            - bending * (slip + k.v * (turning - omega0))
         )
 
     # [n_i·F_j − d_i x_j×F_j/ρ²] f = needed_i − d_i c ω0/ρ², after α0 is eliminated by the torque equation

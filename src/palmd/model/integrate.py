@@ -12,17 +12,21 @@ from collections.abc import Callable, Sequence
 import casadi as ca
 
 from palmd.model.contact import SX
+from palmd.model.touch import Touch
 
 Rates = Callable[[SX, SX], SX]
 SMALL = 0.2  # |rate · step| below which the coefficients' series, its derivative too, beats their closed form
 
 
-def exponential_step(rates: Rates, x: SX, dt: SX, moving: Sequence[int], stiff: int, rate: SX) -> tuple[SX, SX]:
+def exponential_step(
+    rates: Rates, x: SX, dt: SX, moving: Sequence[int], stiff: int, rate: SX, touch: Touch | None = None
+) -> tuple[SX, SX]:
     """(the moving states after dt, their Jacobian in the whole state x).
 
     `rates(y, t)` gives ẏ of the moving states, t seconds into the step; `stiff` is the position in them of the one
     whose own rate ∂ẏ/∂y is about `rate` (1/s) at the start. The step is of fourth order for any value of it; where it
-    is stiff the step still depends on it, and so does its Jacobian.
+    is stiff the step still depends on it, and so does its Jacobian. `touch` is what `rates` and `rate` find contacts
+    by, if they do.
     """
     frozen = SX.sym("rate")
     linear = SX(len(moving), 1)
@@ -44,9 +48,11 @@ def exponential_step(rates: Rates, x: SX, dt: SX, moving: Sequence[int], stiff: 
     n3 = rest(c, dt)
     w0, w1, w2 = (dt * _elementwise(weight, z) for weight in (_weight_first, _weight_middle, _weight_last))
     moved = full * y + w0 * n0 + 2 * w1 * (n1 + n2) + w2 * n3
-    at_rate = ca.substitute([moved, ca.jacobian(moved, x), ca.jacobian(moved, frozen)], [frozen], [rate])
-    result, directly, by_rate = at_rate
-    return result, directly + by_rate @ ca.jacobian(rate, x)
+    touch = touch or Touch()
+    found = touch.thawed(moved, ca.jacobian(moved, x), ca.jacobian(moved, frozen))
+    result, directly, by_rate = ca.substitute(found, [frozen], [rate])
+    moved, J = touch.thawed(result, directly + by_rate @ ca.jacobian(rate, x))
+    return moved, J
 
 
 def _elementwise(f: Callable[[SX], SX], z: SX) -> SX:

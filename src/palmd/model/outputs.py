@@ -6,8 +6,9 @@ import casadi as ca
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.model.contact import SX, Contact, readings, solve_from_normals, tangent
+from palmd.model.contact import SX, Contact, centre_of_mass, readings, tangent
 from palmd.model.dynamics import BodyConstants, Palms, newton_euler
+from palmd.model.touch import Touch
 from palmd.system.description import RigDescription
 
 NAMED = (
@@ -16,16 +17,23 @@ NAMED = (
 )  # fmt: skip
 """Names as in `events.Estimate`, SI; f1, f2 here are per unit mass (m/s²), COM in the world frame."""
 
-RIG_INPUTS = 5
+FRICTION_INPUT, CURVATURE_INPUTS = 4, slice(5, 7)
+"""Where the friction asymmetry and the palms' curvatures are among what the kernels are told of the rig."""
+RIG_INPUTS = 7
 
 
 def rig_inputs(rig: RigDescription) -> FloatArray:
-    """What the kernels are told of the rig: g, hinge arm (0 when it is fixed), base x, y, friction asymmetry (0).
+    """What the kernels are told of the rig: g, hinge arm (0 if fixed), base x, y, friction asymmetry (0), curvatures.
 
-    Inputs rather than constants, so that one compiled library serves every rig.
+    Inputs rather than constants, so that one compiled library serves every rig, and a second one all with curved palms.
     """
     base, arm = rig.arc
-    return np.array([rig.gravity, arm, *base, 0.0])
+    return np.array([rig.gravity, arm, *base, 0.0, *rig.curvatures])
+
+
+def touch_on(rig: SX, curved: bool) -> Touch:
+    """How contacts are found on a rig of these inputs: on its arcs where `curved`, else on flat palms."""
+    return Touch(ca.vertsplit(rig[CURVATURE_INPUTS])) if curved else Touch()
 
 
 def named_outputs(palms: Palms, omega0: SX, psi: SX, one: Contact, two: Contact, body: BodyConstants, rig: SX) -> SX:
@@ -33,7 +41,7 @@ def named_outputs(palms: Palms, omega0: SX, psi: SX, one: Contact, two: Contact,
     s1, s2 = readings(palms.phi2, one, two)
     motion = newton_euler(palms, omega0, one, two, body, rig)
     hinge = rig[2:4] - rig[1] * tangent(palms.phi1, 1)
-    com = hinge + solve_from_normals(palms.phi1, palms.phi2, one.r, two.r)
+    com = hinge + centre_of_mass(palms.phi1, palms.phi2, one, two)
     return ca.vertcat(
         one.r, two.r, omega0, s1, s2, palms.phi1, palms.omega1, palms.phi2, palms.omega2, body.rho,
         psi, one.v, two.v, body.mu, motion.f1, motion.f2, com,

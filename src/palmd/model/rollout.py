@@ -11,12 +11,11 @@ from functools import cache
 import casadi as ca
 
 from palmd.model.compiled import Library, densified, load
-from palmd.model.contact import SX, Contact, readings
-from palmd.model.dynamics import BodyConstants, Palms, newton_euler
+from palmd.model.contact import SX, readings
+from palmd.model.dynamics import Palms, newton_euler
 from palmd.model.integrate import exponential_step
-from palmd.model.outputs import RIG_INPUTS
-from palmd.model.shape import contact_at
-from palmd.model.shape_map import N, Z
+from palmd.model.outputs import RIG_INPUTS, touch_on
+from palmd.model.shape_map import N, Z, body_of, contacts_of, spin_acceleration
 from palmd.system.mechanism import normal_directions
 
 COLUMNS = 32
@@ -36,36 +35,31 @@ def palms_on(move: SX, t: SX) -> Palms:
     return Palms(phi[0], phi[1], omega[0], omega[1], alpha[0], alpha[1])
 
 
-def _contacts(x: SX, palms: Palms) -> tuple[Contact, Contact]:
-    theta1, theta2 = normal_directions((palms.phi1, palms.phi2), x[Z.PSI])
-    return contact_at(theta1, x[Z.SHAPE :]), contact_at(theta2, x[Z.SHAPE :])
-
-
-def _step_function() -> ca.Function:
+def _step_function(curved: bool) -> ca.Function:
     """(x, move, rig) → (x after one step, `TOLD` then)."""
     x, move, rig = SX.sym("x", N), SX.sym("move", MOVE_INPUTS), SX.sym("rig", RIG_INPUTS)
-    body = BodyConstants(ca.exp(x[Z.LN_RHO]), x[Z.MU], ca.exp(x[Z.LN_DITHER]), x[Z.DAMPING])
-
-    def alpha0(state: SX, palms: Palms) -> SX:
-        return newton_euler(palms, state[Z.OMEGA0], *_contacts(state, palms), body, rig).alpha0
+    touch = touch_on(rig, curved)
 
     def rates(moving: SX, t: SX) -> SX:
-        return ca.vertcat(moving[Z.OMEGA0], alpha0(ca.vertcat(moving, x[2:]), palms_on(move, t)))
+        state = ca.vertcat(moving, x[2:])
+        return ca.vertcat(moving[Z.OMEGA0], spin_acceleration(state, palms_on(move, t), rig, touch))
 
-    damping = ca.jacobian(alpha0(x, palms_on(move, SX(0))), x[Z.OMEGA0])
-    moving, _ = exponential_step(rates, x, SX(STEP_S), [Z.PSI, Z.OMEGA0], Z.OMEGA0, damping)
+    damping = ca.jacobian(spin_acceleration(x, palms_on(move, SX(0)), rig, touch), x[Z.OMEGA0])
+    moving, _ = exponential_step(rates, x, SX(STEP_S), [Z.PSI, Z.OMEGA0], Z.OMEGA0, damping, touch)
     after, palms = ca.vertcat(moving, x[2:]), palms_on(move, SX(STEP_S))
-    one, two = _contacts(after, palms)
-    motion = newton_euler(palms, moving[1], one, two, body, rig)
-    normals = normal_directions((palms.phi1, palms.phi2), moving[Z.PSI])
+    touch = touch_on(rig, curved)  # the step's own searches are behind it
+    one, two = contacts_of(after, palms.phi1, palms.phi2, touch)
+    motion = newton_euler(palms, moving[1], one, two, body_of(x), rig)
+    tangents = palms.phi1 + one.turn, palms.phi2 + two.turn - one.turn
+    normals = normal_directions(tangents, moving[Z.PSI])
     told = ca.vertcat(moving, motion.f1, motion.f2, *readings(palms.phi2, one, two), *normals)
-    return ca.Function("step", [x, move, rig], [after, told])
+    return ca.Function("step", [x, move, rig], touch.thawed(after, told))
 
 
-def roll_function() -> ca.Function:
+def roll_function(curved: bool = False) -> ca.Function:
     """(x, move, rig) → (ψ and ω0 after `SUBSTEPS` steps, `TOLD` at the end of each): forces per unit mass, m/s²."""
     x, move, rig = SX.sym("x", N), SX.sym("move", MOVE_INPUTS), SX.sym("rig", RIG_INPUTS)
-    step, state, told = _step_function(), x, []
+    step, state, told = _step_function(curved), x, []
     for number in range(SUBSTEPS):
         state, now = step(state, ca.vertcat(move[:5], move[5] + number * STEP_S), rig)
         told.append(now)
@@ -73,7 +67,7 @@ def roll_function() -> ca.Function:
 
 
 @cache
-def library() -> Library:
+def library(curved: bool = False) -> Library:
     """`roll_batch`: `roll` on `COLUMNS` columns side by side, on the same rig."""
-    roll = densified(roll_function())
-    return load("rollout", [roll.map("roll_batch", "serial", COLUMNS, [2], [])])
+    roll = densified(roll_function(curved))
+    return load("rollout_curved" if curved else "rollout", [roll.map("roll_batch", "serial", COLUMNS, [2], [])])

@@ -15,9 +15,10 @@ from palmd.model.compiled import Library, densified, load, mapped_over_block
 from palmd.model.contact import SX, Contact, readings
 from palmd.model.dynamics import BodyConstants, Palms, newton_euler
 from palmd.model.integrate import exponential_step
-from palmd.model.outputs import RIG_INPUTS, named_outputs
+from palmd.model.outputs import RIG_INPUTS, named_outputs, touch_on
 from palmd.model.shape import HARMONICS, contact_at
-from palmd.system.mechanism import PALMS, normal_directions
+from palmd.model.touch import Touch
+from palmd.system.mechanism import PALMS
 
 
 class Z(IntEnum):
@@ -40,19 +41,19 @@ def size(order: int) -> int:
 N = size(HARMONICS)
 PALM_INPUTS = 6  # φ1, φ2, ω1, ω2, α1, α2
 PREDICTION_INPUTS = 3 + PALM_INPUTS + RIG_INPUTS
-UPDATE_INPUTS = 6
+UPDATE_INPUTS = 8
 
 Q_OMEGA0 = 0.02**2  # (rad/s)²/s, what the model leaves out
 Q_PSI = 1e-4**2  # rad²/s
 
 
-def _contacts(x: SX, palms: Palms) -> tuple[Contact, Contact]:
-    theta1, theta2 = normal_directions((palms.phi1, palms.phi2), x[Z.PSI])
-    coefficients = x[Z.SHAPE :]
-    return contact_at(theta1, coefficients), contact_at(theta2, coefficients)
+def contacts_of(x: SX, phi1: SX, phi2: SX, touch: Touch) -> tuple[Contact, Contact]:
+    """Both contacts of a state on palms at these angles."""
+    return touch.contacts(phi1, phi2, x[Z.PSI], lambda theta, _: contact_at(theta, x[Z.SHAPE :]))
 
 
-def _body(x: SX) -> BodyConstants:
+def body_of(x: SX) -> BodyConstants:
+    """The constants of a state that the motion depends on, but its outline."""
     return BodyConstants(ca.exp(x[Z.LN_RHO]), x[Z.MU], ca.exp(x[Z.LN_DITHER]), x[Z.DAMPING])
 
 
@@ -64,23 +65,25 @@ def palms_after(u: SX, jerk: SX, t: SX) -> Palms:
     return Palms(phi[0], phi[1], omega[0], omega[1], alpha[0], alpha[1])
 
 
-def _alpha0(x: SX, palms: Palms, rig: SX) -> SX:
-    one, two = _contacts(x, palms)
-    return newton_euler(palms, x[Z.OMEGA0], one, two, _body(x), rig).alpha0
+def spin_acceleration(x: SX, palms: Palms, rig: SX, touch: Touch) -> SX:
+    """α0 (rad/s²) of a state."""
+    one, two = contacts_of(x, palms.phi1, palms.phi2, touch)
+    return newton_euler(palms, x[Z.OMEGA0], one, two, body_of(x), rig).alpha0
 
 
-def predict_function(order: int = HARMONICS) -> ca.Function:
+def predict_function(order: int = HARMONICS, curved: bool = False) -> ca.Function:
     """(x, P, [dt, φ1, φ2, ω1, ω2, α1, α2, jerk1, jerk2, rig]) → (x, P) after dt."""
     n = size(order)
     x, P, u = SX.sym("x", n), SX.sym("P", n, n), SX.sym("u", PREDICTION_INPUTS)
     dt, palms, jerk, rig = u[0], u[1:7], u[7:9], u[9:]
+    touch = touch_on(rig, curved)
 
     def rates(moving: SX, t: SX) -> SX:
         state = ca.vertcat(moving, x[2:])
-        return ca.vertcat(moving[Z.OMEGA0], _alpha0(state, palms_after(palms, jerk, t), rig))
+        return ca.vertcat(moving[Z.OMEGA0], spin_acceleration(state, palms_after(palms, jerk, t), rig, touch))
 
-    damping = ca.jacobian(_alpha0(x, palms_after(palms, jerk, SX(0)), rig), x[Z.OMEGA0])
-    moved, J = exponential_step(rates, x, dt, [Z.PSI, Z.OMEGA0], Z.OMEGA0, damping)
+    damping = ca.jacobian(spin_acceleration(x, palms_after(palms, jerk, SX(0)), rig, touch), x[Z.OMEGA0])
+    moved, J = exponential_step(rates, x, dt, [Z.PSI, Z.OMEGA0], Z.OMEGA0, damping, touch)
     x_next = ca.vertcat(moved, x[2:])
     # only two rows of the transition differ from the identity
     top = J @ P
@@ -90,8 +93,8 @@ def predict_function(order: int = HARMONICS) -> ca.Function:
     return ca.Function("predict", [x, P, u], [x_next, P_next], ["x", "P", "u"], ["x_next", "P_next"])
 
 
-def update_function(name: str, pad: int, order: int = HARMONICS) -> ca.Function:
-    """(x, P, [value, variance, gate, repeated, φ1, φ2]) → (x, P, [log-likelihood, NIS]) for one reading of `pad`.
+def update_function(name: str, pad: int, order: int = HARMONICS, curved: bool = False) -> ca.Function:
+    """(x, P, [value, variance, gate, repeated, φ1, φ2, κ1, κ2]) → (x, P, [log-likelihood, NIS]): a reading of `pad`.
 
     Joseph form; the variance of a reading beyond the gate is inflated until it sits on the gate. It is one of
     `repeated` that share one error, and weighs as much less; its NIS is told as if it were the only one.
@@ -99,9 +102,9 @@ def update_function(name: str, pad: int, order: int = HARMONICS) -> ca.Function:
     n = size(order)
     x, P, z = SX.sym("x", n), SX.sym("P", n, n), SX.sym("z", UPDATE_INPUTS)
     value, variance, gate, repeated = z[0], z[1], z[2], z[3]
-    palms = Palms(z[4], z[5], SX(0), SX(0), SX(0), SX(0))
-    predicted = readings(palms.phi2, *_contacts(x, palms))[pad - 1]
-    h = ca.jacobian(predicted, x)
+    touch = Touch(ca.vertsplit(z[6:8])) if curved else Touch()
+    predicted = readings(z[5], *contacts_of(x, z[4], z[5], touch))[pad - 1]
+    predicted, h = touch.thawed(predicted, ca.jacobian(predicted, x))
     innovation = value - predicted
     Ph = P @ h.T
     spread = h @ Ph
@@ -115,26 +118,30 @@ def update_function(name: str, pad: int, order: int = HARMONICS) -> ca.Function:
     return ca.Function(name, [x, P, z], outputs, ["x", "P", "z"], ["x_next", "P_next", "score"])
 
 
-def named_function(order: int = HARMONICS) -> ca.Function:
+def named_function(order: int = HARMONICS, curved: bool = False) -> ca.Function:
     """(x, [φ1 … α2, rig]) → values of `NAMED` and their Jacobian in x."""
     x, u = SX.sym("x", size(order)), SX.sym("u", PALM_INPUTS + RIG_INPUTS)
-    palms = palms_after(u[:PALM_INPUTS], SX.zeros(2), SX(0))
-    one, two = _contacts(x, palms)
-    y = named_outputs(palms, x[Z.OMEGA0], x[Z.PSI], one, two, _body(x), u[PALM_INPUTS:])
-    return ca.Function("named", [x, u], [y, ca.jacobian(y, x)], ["x", "u"], ["y", "J"])
+    palms, rig = palms_after(u[:PALM_INPUTS], SX.zeros(2), SX(0)), u[PALM_INPUTS:]
+    touch = touch_on(rig, curved)
+    one, two = contacts_of(x, palms.phi1, palms.phi2, touch)
+    y = named_outputs(palms, x[Z.OMEGA0], x[Z.PSI], one, two, body_of(x), rig)
+    return ca.Function("named", [x, u], touch.thawed(y, ca.jacobian(y, x)), ["x", "u"], ["y", "J"])
 
 
-def values_function(order: int = HARMONICS) -> ca.Function:
+def values_function(order: int = HARMONICS, curved: bool = False) -> ca.Function:
     """(x, [φ1 … α2, rig]) → values of `NAMED` alone."""
-    named = named_function(order)
+    named = named_function(order, curved)
     x, u = SX.sym("x", size(order)), SX.sym("u", PALM_INPUTS + RIG_INPUTS)
     return ca.Function("values", [x, u], [named(x, u)[0]], ["x", "u"], ["y"])
 
 
 @cache
-def library(order: int = HARMONICS) -> Library:
-    """Kernels for blocks of shape maps and, without `_block`, for one: predict, update_s1, update_s2, values; named."""
-    pads = [update_function(f"update_s{pad}", pad, order) for pad in PALMS]
-    kernels = [densified(f) for f in (predict_function(order), *pads, values_function(order))]
-    name = "shape_map" if order == HARMONICS else f"shape_map{order}"
-    return load(name, [*map(mapped_over_block, kernels), *kernels, densified(named_function(order))])
+def library(order: int = HARMONICS, curved: bool = False) -> Library:
+    """Kernels for blocks of shape maps and, without `_block`, for one: predict, update_s1, update_s2, values; named.
+
+    Those of `curved` palms find each contact by iteration; flat ones are spared that.
+    """
+    pads = [update_function(f"update_s{pad}", pad, order, curved) for pad in PALMS]
+    kernels = [densified(f) for f in (predict_function(order, curved), *pads, values_function(order, curved))]
+    name = ("shape_map" if order == HARMONICS else f"shape_map{order}") + ("_curved" if curved else "")
+    return load(name, [*map(mapped_over_block, kernels), *kernels, densified(named_function(order, curved))])

@@ -18,9 +18,10 @@ from palmd.model.compiled import Library, densified, load
 from palmd.model.contact import SX, Contact, readings
 from palmd.model.dynamics import BodyConstants, Motion, Palms, newton_euler
 from palmd.model.integrate import exponential_step
-from palmd.model.outputs import RIG_INPUTS
+from palmd.model.outputs import CURVATURE_INPUTS, FRICTION_INPUT, RIG_INPUTS, touch_on
 from palmd.model.shape import contact_at
 from palmd.model.shape_map import PALM_INPUTS, palms_after
+from palmd.model.touch import Touch
 from palmd.system.mechanism import normal_directions
 from palmd.system.rig_constants import RIG_NAMES
 
@@ -69,20 +70,22 @@ RIG_CONSTANTS = len(RIG_NAMES)
 RIG = slice(C.RIG, C.SHAPE)
 CONSTANTS = C.SHAPE + 2 * ORDER + 1
 STEP_INPUTS = 1 + PALM_INPUTS + 2 + RIG_INPUTS + 2  # dt, palms, jerk, rig, the pads' lengths
-CONTACT_INPUTS = 3 + 7  # dt, time into the step, pad, φ1, φ2, their rates, force, the pads' lengths
+CONTACT_INPUTS = 3 + 9  # dt, time into the step, pad, φ1, φ2, their rates, force, curvatures, the pads' lengths
 FORCE_INPUTS = 3 + PALM_INPUTS + RIG_INPUTS + 2  # dt, time into the step, pad, palms, rig, the pads' lengths
 
 BATCH = 64
 """Steps or readings that one call of a `NAME_batch` kernel serves, all with the same constants."""
 
 
-def _felt(phi1: SX, phi2: SX, psi: SX, p: SX, lengths: SX) -> tuple[SX, SX, Contact, Contact]:
+def _felt(phi1: SX, phi2: SX, psi: SX, p: SX, lengths: SX, touch: Touch) -> tuple[SX, SX, Contact, Contact]:
     """(φ1, φ2) of the planes that the palms' surfaces are where they touch, and the contacts as seen from their hinge.
 
     Where a bowed surface touches it is a plane, turned by its slope there and set off from the hinge.
     """
     rig, h = p[RIG], p[C.SHAPE :]
     phi1, phi2 = phi1 + rig[R.TILT], phi2 + rig[R.TURN]
+    if not touch.flat:
+        return _felt_on_arcs(phi1, phi2, psi, p, lengths, touch)
 
     def contacts(phi1: SX, phi2: SX, above1: SX, above2: SX) -> tuple[Contact, Contact]:
         theta1, theta2 = normal_directions((phi1, phi2), psi)
@@ -98,26 +101,40 @@ def _felt(phi1: SX, phi2: SX, psi: SX, p: SX, lengths: SX) -> tuple[SX, SX, Cont
     return phi1, phi2, *contacts(phi1, phi2, above1, above2)
 
 
-def _motion(psi: SX, omega0: SX, p: SX, palms: Palms, rig: SX, lengths: SX) -> Motion:
-    phi1, phi2, one, two = _felt(palms.phi1, palms.phi2, psi, p, lengths)
+def _felt_on_arcs(phi1: SX, phi2: SX, psi: SX, p: SX, lengths: SX, touch: Touch) -> tuple[SX, SX, Contact, Contact]:
+    """As `_felt`: a bow is one more curvature and a slope at the hinge, a standoff the outline's own."""
+    rig, h = p[RIG], p[C.SHAPE :]
+    slope1, slope2 = (4 * rig[R.SAGITTA + i] / lengths[i] for i in range(2))
+    bends = [-8 * rig[R.SAGITTA + i] / lengths[i] ** 2 for i in range(2)]
+    phi1, phi2 = phi1 + slope1, phi2 - slope1 - slope2
+
+    def outline(theta: SX, palm: int) -> Contact:
+        contact = contact_at(theta, h)
+        return replace(contact, r=contact.r + rig[R.STANDOFF + palm - 1])
+
+    return phi1, phi2, *touch.contacts(phi1, phi2, psi, outline, bends)
+
+
+def _motion(psi: SX, omega0: SX, p: SX, palms: Palms, rig: SX, lengths: SX, touch: Touch) -> Motion:
+    phi1, phi2, one, two = _felt(palms.phi1, palms.phi2, psi, p, lengths, touch)
     dither = 1.0 / ca.sqrt(p[C.SATURATION])
     body = BodyConstants(ca.exp(p[C.LN_RHO]), p[C.DRAG] * dither, dither, p[C.DAMPING])
-    rig = ca.vertcat(rig[:-1], p[RIG][R.FRICTION])
+    rig = ca.vertcat(rig[:FRICTION_INPUT], p[RIG][R.FRICTION], rig[CURVATURE_INPUTS])
     return newton_euler(replace(palms, phi1=phi1, phi2=phi2), omega0, one, two, body, rig)
 
 
-def step_function() -> ca.Function:
+def step_function(curved: bool = False) -> ca.Function:
     """(x_k, p, [dt, φ1 … α2, jerk1, jerk2, rig, L1, L2]) → (x after dt, its Jacobian in (x_k, p))."""
     x, p, u = SX.sym("x", NODE), SX.sym("p", CONSTANTS), SX.sym("u", STEP_INPUTS)
     dt, palms, jerk, rig, lengths = u[0], u[1:7], u[7:9], u[9:-2], u[-2:]
-    y = ca.vertcat(x, p)
+    y, touch = ca.vertcat(x, p), touch_on(rig, curved)
 
     def rates(moving: SX, t: SX) -> SX:
-        now = _motion(moving[0], moving[1], p, palms_after(palms, jerk, t), rig, lengths)
+        now = _motion(moving[0], moving[1], p, palms_after(palms, jerk, t), rig, lengths, touch)
         return ca.vertcat(moving[1], now.alpha0)
 
-    damping = ca.jacobian(_motion(x[0], x[1], p, palms_after(palms, jerk, SX(0)), rig, lengths).alpha0, x[1])
-    moved, J = exponential_step(rates, y, dt, [0, 1], 1, damping)
+    damping = ca.jacobian(_motion(x[0], x[1], p, palms_after(palms, jerk, SX(0)), rig, lengths, touch).alpha0, x[1])
+    moved, J = exponential_step(rates, y, dt, [0, 1], 1, damping, touch)
     return ca.Function("step", [x, p, u], [moved, J], ["x", "p", "u"], ["x_next", "J"])
 
 
@@ -129,8 +146,8 @@ def _between(a: SX, b: SX, dt: SX, t: SX) -> tuple[SX, SX]:
     return psi, omega0
 
 
-def contact_function() -> ca.Function:
-    """(x_k, x_k+1, p, [dt, t, pad, φ1, φ2, ω1, ω2, force, L1, L2]) → (its reading, its gradient in (x_k, x_k+1, p))."""
+def contact_function(curved: bool = False) -> ca.Function:
+    """(x_k, x_k+1, p, [dt, t, pad, φ1 … ω2, force, κ1 … L2]) → (its reading, the gradient in (x_k, x_k+1, p))."""
     a, b, p = SX.sym("a", NODE), SX.sym("b", NODE), SX.sym("p", CONSTANTS)
     z = SX.sym("z", CONTACT_INPUTS)
     rig = p[RIG]
@@ -139,24 +156,26 @@ def contact_function() -> ca.Function:
     def own(which: R) -> SX:
         return ca.if_else(first, rig[which], rig[which + 1])
 
-    lag = own(R.LAG)
+    lag, touch = own(R.LAG), Touch(ca.vertsplit(z[8:10])) if curved else Touch()
     psi, _ = _between(a, b, z[0], z[1] - lag)
-    _, phi2, one, two = _felt(z[3] - lag * z[5], z[4] - lag * z[6], psi, p, z[8:])
+    _, phi2, one, two = _felt(z[3] - lag * z[5], z[4] - lag * z[6], psi, p, z[10:], touch)
     s1, s2 = readings(phi2, one, two)
     reading = own(R.ZERO) + own(R.FORCE) * z[7] + (1 + own(R.SCALE)) * ca.if_else(first, s1, s2)
-    J = ca.jacobian(reading, ca.vertcat(a, b, p))
+    reading, J = touch.thawed(reading, ca.jacobian(reading, ca.vertcat(a, b, p)))
     return ca.Function("contact", [a, b, p, z], [reading, J], ["a", "b", "p", "z"], ["s", "J"])
 
 
-def force_function() -> ca.Function:
+def force_function(curved: bool = False) -> ca.Function:
     """(x_k, x_k+1, p, [dt, t, pad, φ1 … α2, rig, L1, L2]) → (its force in N, the gradient in (x_k, x_k+1, p))."""
     a, b, p = SX.sym("a", NODE), SX.sym("b", NODE), SX.sym("p", CONSTANTS)
     z = SX.sym("z", FORCE_INPUTS)
     psi, omega0 = _between(a, b, z[0], z[1])
     palms = palms_after(z[3 : 3 + PALM_INPUTS], SX.zeros(2), SX(0))
-    motion = _motion(psi, omega0, p, palms, z[3 + PALM_INPUTS : -2], z[-2:])
+    rig = z[3 + PALM_INPUTS : -2]
+    touch = touch_on(rig, curved)
+    motion = _motion(psi, omega0, p, palms, rig, z[-2:], touch)
     force = ca.exp(p[C.LN_MASS]) * ca.if_else(z[2] < 1.5, motion.f1, motion.f2)
-    J = ca.jacobian(force, ca.vertcat(a, b, p))
+    force, J = touch.thawed(force, ca.jacobian(force, ca.vertcat(a, b, p)))
     return ca.Function("force", [a, b, p, z], [force, J], ["a", "b", "p", "z"], ["f", "J"])
 
 
@@ -166,10 +185,10 @@ def _batched(function: ca.Function) -> ca.Function:
 
 
 @cache
-def library() -> Library:
+def library(curved: bool = False) -> Library:
     """step_batch, contact_batch, force_batch, and `advance`, a step without its Jacobian; made once in a process."""
-    step = step_function()
+    step = step_function(curved)
     x, p, u = (ca.SX.sym(step.name_in(i), *step.size_in(i)) for i in range(step.n_in()))
     advance = ca.Function("advance", [x, p, u], [step(x, p, u)[0]], ["x", "p", "u"], ["x_next"])
-    batches = [_batched(f) for f in (step, contact_function(), force_function())]
-    return load("smoothing", [*batches, densified(advance)])
+    batches = [_batched(f) for f in (step, contact_function(curved), force_function(curved))]
+    return load("smoothing_curved" if curved else "smoothing", [*batches, densified(advance)])

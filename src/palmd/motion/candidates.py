@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.motion.limits import PHI12_MAX, MotionLimits
+from palmd.motion.limits import MotionLimits
 from palmd.motion.rollout_predictor import CALL_S, Moves
 from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE
 
@@ -33,7 +33,7 @@ def loops(random: np.random.Generator, start: FloatArray, count: int, length: in
     """`count` sequences of `length` moves: rounds about a pose near or anywhere, either way, of any size and rate."""
     low, high = range_of(limits)
     middle1 = random.uniform(low[0], high[0], count)
-    top = PHI12_MAX - POSE_MARGIN
+    top = limits.top - POSE_MARGIN
     middle12 = random.uniform(min(low[0] + low[1], top), top, count)
     near = random.random(count) < 0.5
     middle1 = np.where(near, start[0] + random.normal(0.0, NEARBY, count), middle1)
@@ -144,7 +144,7 @@ def range_of(limits: MotionLimits) -> tuple[FloatArray, FloatArray]:
 def _inside(poses: FloatArray, limits: MotionLimits) -> FloatArray:
     """The poses, those outside of the limits brought to their edge (…, 2)."""
     low, high = range_of(limits)
-    top = PHI12_MAX - POSE_MARGIN
+    top = limits.top - POSE_MARGIN
     first = np.clip(poses[..., 0], low[0], min(high[0], top - low[1]))
     opening = np.clip(poses[..., 1], low[1], np.minimum(high[1], top - first))
     return np.stack([first, opening], axis=-1)

@@ -24,7 +24,9 @@ DEFAULT_PAD_LENGTH_MM: float = PadBase.model_fields["length_mm"].default
 def motion_limits(config: Config) -> MotionLimits:
     """The limits that a configuration sets; the arm's workspace is known only when it has said hello."""
     shortest_mm = min(pad.length_mm for pad in config.pads.each())
-    return MotionLimits.from_config(config.limits, pad_length=shortest_mm * 1e-3)
+    return MotionLimits.from_config(
+        config.limits, pad_length=shortest_mm * 1e-3, curvatures=config.rig.curvatures_per_m
+    )
 
 
 def load_trajectory(path: Path, limits: MotionLimits, start: Angles | None = None) -> Trajectory:

@@ -9,6 +9,7 @@ kept as one more sequence for the next. Jumps are foreseen like any other motion
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -17,6 +18,7 @@ import numpy as np
 from palmd.config import ExploreGoal
 from palmd.events import FloatArray, Outlook
 from palmd.model import shape_map
+from palmd.model.arcs import touched_normals
 from palmd.model.outputs import rig_inputs
 from palmd.model.shape import basis
 from palmd.motion import candidates
@@ -26,6 +28,7 @@ from palmd.motion.rig_information import RigCost, RigInformation, rig_cost
 from palmd.motion.roadmap import Roadmap, TimeToGo
 from palmd.motion.rollout_predictor import BINS, Bools, Moves, Prediction, RolloutPredictor, goodness
 from palmd.motion.segments import Angles, Move
+from palmd.system.arcs import joints_of
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import normal_directions
 
@@ -41,6 +44,7 @@ REACH_EVERY_S = 4.0
 # As long as the radii at the contacts are not known better, the palms keep to gentle moves far from the pads' ends.
 CAREFUL_M = 2.5e-4
 CAREFUL_ANGLES = (math.radians(22.0), math.radians(75.0)), (math.radians(66.0), math.radians(118.0))
+CAREFUL_RADIUS_M = 0.02
 CAREFUL_RATE = math.radians(100.0)
 STUCK_S = 40.0  # without anything new
 # When all is touched it goes on for the rig's constants: until what touch would tell of them costs less than this share
@@ -50,6 +54,18 @@ RIG_SHARE, RIG_RATE, RIG_S = 0.1, 0.03, 15.0
 ANSWER_S = 2.0  # until a smoother has told what a motion was good for
 
 Kind = Literal["move", "wait", "safe", "unsafe", "done"]
+
+
+def _careful_angles(curvatures: tuple[float, ...]) -> tuple[tuple[float, float], ...]:
+    """`CAREFUL_ANGLES`, on curved palms those at which a middling object's contacts are as there."""
+    if not any(curvatures):
+        return CAREFUL_ANGLES
+    (first, last), (closed, opened) = CAREFUL_ANGLES
+    middle = (
+        joints_of(CAREFUL_RADIUS_M, ((first + last) / 2, (closed + opened) / 2), curvatures)[0] - (first + last) / 2
+    )
+    narrow, wide = (joints_of(CAREFUL_RADIUS_M, (first, opening), curvatures)[1] for opening in (closed, opened))
+    return (first + middle, last + middle), (narrow, wide)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,9 +98,14 @@ class Explorer:
         """Deterministic for given `seed` and calls; takes seconds when its C has to be compiled first."""
         self._limits = limits
         self._goal = goal
+        self._curvatures, self._curved = (
+            rig.curvatures,
+            rig.curved,
+        )  # then where an object can lie at all is not known: all of it, until nothing is new
+        gentle = _careful_angles(rig.curvatures)
         self._careful = replace(
             limits,
-            angles=tuple(_within(wish, limit) for wish, limit in zip(CAREFUL_ANGLES, limits.angles, strict=True)),
+            angles=tuple(_within(wish, limit) for wish, limit in zip(gentle, limits.angles, strict=True)),
             rate=min(CAREFUL_RATE, limits.rate),
         )
         self._random = np.random.default_rng(seed)
@@ -120,7 +141,7 @@ class Explorer:
         if not choose:
             return Decision("safe", None, "", coverage, reachable)
         start = np.array(under_way.move.end)
-        careful = _spread(states, start) > CAREFUL_M
+        careful = _spread(states, start, self._curvatures) > CAREFUL_M
         wanted = self._wanted(outlook, touched)
         to_go = None if careful else self._time_to_go(states[0], wanted)
         tried = self._tried(start, self._careful if careful else self._limits, to_go)
@@ -158,6 +179,8 @@ class Explorer:
         if outlook.t - self._t_seen < REACH_EVERY_S:
             return
         self._t_seen = outlook.t
+        if self._curved:
+            return
         self._reach = reach(outlook.states[0, shape_map.Z.SHAPE :], self._surface_limits) | outlook.touched
 
     def _coverage(self, touched: Bools) -> float:
@@ -199,7 +222,8 @@ class Explorer:
         """Which arcs of the outward normal were not touched, and which cannot be, and why."""
         left = self._reach & ~outlook.touched
         parts = [f"not touched: {arcs(left)}"] if left.any() else []
-        parts += why_not(~self._reach, outlook.states[0, shape_map.Z.SHAPE :], self._surface_limits)
+        if not self._curved:
+            parts += why_not(~self._reach, outlook.states[0, shape_map.Z.SHAPE :], self._surface_limits)
         return "".join(f"; {part}" for part in parts)
 
     # ---- what will be
@@ -320,10 +344,15 @@ def _first_move(tried: Moves, number: int) -> Move:
     return Move(_pose(tried.start), _pose(tried.ends[number, 0]), float(tried.durations[number, 0]))
 
 
-def _spread(states: FloatArray, pose: FloatArray) -> float:
+def _spread(states: FloatArray, pose: FloatArray, curvatures: tuple[float, ...]) -> float:
     """How far the states disagree about the radii at the palms' pose (rad): the largest one-sigma (m)."""
     psi = states[:, shape_map.Z.PSI]
-    normals = normal_directions([np.asarray(angle) for angle in pose], psi)
+    if any(curvatures):
+        phi1, phi2 = pose[:1], pose[1:2]
+        each = [touched_normals(x[shape_map.Z.SHAPE :], phi1, phi2, x[:1], curvatures) for x in states]
+        normals: Sequence[FloatArray] = [np.concatenate(of_palm) for of_palm in zip(*each, strict=True)]
+    else:
+        normals = normal_directions([np.asarray(angle) for angle in pose], psi)
     radii = [(basis(theta) * states[:, shape_map.Z.SHAPE :]).sum(axis=1) for theta in normals]
     return float(np.std(radii, axis=1).max())
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from palmd.config import LimitsConfig
 from palmd.events import Joints, PalmMotion
 from palmd.motion.kinematics import RigGeometry
+from palmd.system.arcs import FLAT, opening_at
 from palmd.system.mechanism import JOINTS, OPENING, directions
 
 PHI12_MAX = math.radians(172.0)  # two contacts need φ12 < 180°; here it must stay below this
@@ -98,14 +99,17 @@ class MotionLimits:
     acceleration: float
     pad_length: float
     workspace: Workspace | None = None
+    curvatures: tuple[float, ...] = FLAT
     bounds: tuple[QuantityLimit, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        top = PHI12_MAX - _BELOW
         bounds = [QuantityLimit(joint, "°", _DEGREES, *ends) for joint, ends in zip(JOINTS, self.angles, strict=True)]
+        bounds[0] = self._first_bound()
         bounds[OPENING] = self._opening_bound()
         bounds.append(
-            QuantityLimit(" + ".join(JOINTS), "°", _DEGREES, 0.0, top, gain=2.0, high_words="it must stay below")
+            QuantityLimit(
+                " + ".join(JOINTS), "°", _DEGREES, 0.0, self.top - _BELOW, gain=2.0, high_words="it must stay below"
+            )
         )
         for order, kind, unit, most in (
             (1, "rate", "°/s", self.rate),
@@ -118,25 +122,45 @@ class MotionLimits:
 
     @classmethod
     def from_config(
-        cls, limits: LimitsConfig, *, pad_length: float, workspace: Workspace | None = None
+        cls,
+        limits: LimitsConfig,
+        *,
+        pad_length: float,
+        workspace: Workspace | None = None,
+        curvatures: tuple[float, ...] = FLAT,
     ) -> MotionLimits:
-        """The configured limits in SI; pad_length in m."""
+        """The configured limits in SI; pad_length in m, the palms' `curvatures` in 1/m."""
         return cls(
             angles=tuple((math.radians(low), math.radians(high)) for low, high in limits.angles_deg),
             rate=math.radians(limits.rate_deg_s),
             acceleration=math.radians(limits.acceleration_deg_s2),
             pad_length=pad_length,
             workspace=workspace,
+            curvatures=curvatures,
         )
+
+    @property
+    def top(self) -> float:
+        """φ12 stays below it (rad): 172°, and on a dome as much less as its tangent may be steeper on the pad."""
+        return PHI12_MAX + min(0.0, self.curvatures[1]) * self.pad_length
 
     @property
     def joint_bounds(self) -> tuple[QuantityLimit, ...]:
         """Of `bounds` those of the joints, in their order."""
         return self.bounds[: len(self.angles)]
 
+    def _first_bound(self) -> QuantityLimit:
+        """φ1's: where palm 1 is a dome, its tangent must not point below the horizontal anywhere on the pad."""
+        level = -min(0.0, self.curvatures[0]) * self.pad_length
+        low, high = self.angles[0]
+        if level <= low:
+            return QuantityLimit(JOINTS[0], "°", _DEGREES, low, high)
+        words = "palm 1 is a dome, whose end points downwards below"
+        return QuantityLimit(JOINTS[0], "°", _DEGREES, level, high, low_words=words)
+
     def _opening_bound(self) -> QuantityLimit:
         """The opening's bound: a circle of radius r touches both palms at r/tan(φ2/2), which must be on the pads."""
-        pads_end = 2.0 * math.atan(SMALL_RADIUS / max(self.pad_length - PAD_MARGIN, PAD_MARGIN))
+        pads_end = opening_at(SMALL_RADIUS, max(self.pad_length - PAD_MARGIN, PAD_MARGIN), self.curvatures)
         joint, (low, high) = JOINTS[OPENING], self.angles[OPENING]
         if pads_end <= low:
             return QuantityLimit(joint, "°", _DEGREES, low, high)
@@ -165,7 +189,7 @@ class MotionLimits:
         if not all(map(math.isfinite, wanted.angles)):
             return PalmMotion.at_rest(previous.angles)
         inside = [min(max(angle, low), high) for angle, (low, high) in zip(wanted.angles, self.angles, strict=True)]
-        inside[OPENING] = min(inside[OPENING], PHI12_MAX - _BELOW - sum(inside[:OPENING]))
+        inside[OPENING] = min(inside[OPENING], self.top - _BELOW - sum(inside[:OPENING]))
         steps = [angle - before for angle, before in zip(inside, previous.angles, strict=True)]
         longest = max(map(abs, steps))
         room = self.rate * dt

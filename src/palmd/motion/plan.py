@@ -41,12 +41,14 @@ from palmd.motion.segments import (
     Move,
     Sine,
 )
+from palmd.system.arcs import joints_of
 from palmd.system.mechanism import JOINTS
 
 HOME: Angles = (
     math.radians(45.0),
     math.radians(90.0),
 )  # a V about the vertical: assumed when no pose is known
+HOME_RADIUS_M = 0.02
 BLEND_SHARE = 0.5  # of the acceleration limit, for speeding up to a rate and slowing down from it
 APPROACH_SHARE = 0.25  # of the limits, for the way to a plan's beginning: nobody asked for it to be quick
 DITHER_SHARE = 0.8  # of the limits, at most
@@ -194,8 +196,10 @@ def check_way(start: Angles, end: Angles, limits: MotionLimits) -> None:
 
 
 def home(limits: MotionLimits) -> Angles:
-    """HOME, or the angles nearest to it that the limits allow."""
-    return tuple(min(max(angle, low), high) for angle, (low, high) in zip(HOME, limits.angles, strict=True))
+    """HOME, on curved palms where a middling object lies as there, or the angles nearest to it within the limits."""
+    curvatures = limits.curvatures
+    wanted = joints_of(HOME_RADIUS_M, HOME, curvatures) if any(curvatures) else HOME
+    return tuple(min(max(angle, low), high) for angle, (low, high) in zip(wanted, limits.angles, strict=True))
 
 
 def _sum(one: Angles, other: Angles) -> Angles:

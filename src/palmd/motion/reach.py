@@ -17,7 +17,7 @@ ANYWHERE, ANY_LENGTH_M = ((0.02, 2.9), (0.1, 2.95)), 0.5  # as if there were no 
 def surface_limits(limits: MotionLimits) -> SurfaceLimits:
     """What the palms may do, as far as it matters for where an object can lie."""
     first, opening = ((bound.low, bound.high) for bound in limits.joint_bounds)
-    return SurfaceLimits(first, opening, PHI12_MAX, limits.pad_length, MARGIN_M)
+    return SurfaceLimits(first, opening, limits.top, limits.pad_length, MARGIN_M)
 
 
 def reach(outline: FloatArray, limits: SurfaceLimits) -> Bools:

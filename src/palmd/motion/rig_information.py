@@ -81,8 +81,9 @@ class RigInformation:
         self._inputs = np.zeros((BATCH, CONTACT_INPUTS))
         self._inputs[:, 0] = CALL_S
         self._inputs[:, -len(PALMS) :] = [pad.length for pad in rig.pads]
+        self._inputs[:, -2 * len(PALMS) : -len(PALMS)] = rig.curvatures
         self._J = np.zeros((BATCH, 2 * NODE + CONSTANTS))
-        self._contact = smoothing.library().bind(
+        self._contact = smoothing.library(rig.curved).bind(
             "contact_batch", [self._now, self._next, self._p, self._inputs], [np.zeros(BATCH), self._J]
         )
 

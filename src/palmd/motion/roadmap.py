@@ -16,8 +16,9 @@ import numpy.typing as npt
 from palmd.events import FloatArray
 from palmd.model import shape_map
 from palmd.motion.candidates import POSE_MARGIN, RATE_SHARE, range_of, timed
-from palmd.motion.limits import PHI12_MAX, MotionLimits
+from palmd.motion.limits import MotionLimits
 from palmd.motion.rollout_predictor import BINS, MARGIN_M, Bools, RolloutPredictor, goodness
+from palmd.system.arcs import opening_at
 
 GRID = 7  # poses along φ1
 STEP = math.radians(22.0)  # between those along φ2
@@ -127,8 +128,8 @@ class Roadmap:
 def _poses(limits: MotionLimits, radius: float) -> FloatArray:
     """Some poses (P, 2) all over where an object of the mean `radius` (m) may be, the rims included."""
     low, high = range_of(limits)
-    top = PHI12_MAX - POSE_MARGIN
-    closed = max(low[1], 2.0 * math.atan(radius / (limits.pad_length - MARGIN_M)) + POSE_MARGIN)
+    top = limits.top - POSE_MARGIN
+    closed = max(low[1], opening_at(radius, limits.pad_length - MARGIN_M, limits.curvatures) + POSE_MARGIN)
     poses = []
     for first in np.linspace(low[0], max(min(high[0], top - closed), low[0]), GRID):
         opened = max(min(high[1], top - first), closed)

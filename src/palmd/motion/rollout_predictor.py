@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.model import rollout, shape_map
+from palmd.model.outputs import CURVATURE_INPUTS, FRICTION_INPUT
 from palmd.model.rollout import COLUMNS, MOVE_INPUTS, STEP_S, SUBSTEPS, TOLD
 from palmd.model.smoothing import R
 
@@ -73,11 +74,13 @@ class RolloutPredictor:
         self._move = np.zeros((COLUMNS, MOVE_INPUTS))
         self._moved = np.zeros((COLUMNS, 2))
         self._told = np.zeros((COLUMNS, SUBSTEPS, TOLD))
-        self._roll = rollout.library().bind("roll_batch", [self._x, self._move, rig], [self._moved, self._told])
+        self._roll = rollout.library(bool(rig[CURVATURE_INPUTS].any())).bind(
+            "roll_batch", [self._x, self._move, rig], [self._moved, self._told]
+        )
 
     def correct(self, off: FloatArray) -> None:
         """Foretell from now on for a rig whose constants are `off` by so much, in the order of `model.smoothing.R`."""
-        self._rig[-1] = off[R.FRICTION]
+        self._rig[FRICTION_INPUT] = off[R.FRICTION]
         self._angles = off[[R.TILT, R.TURN]]
 
     def of(self, states: FloatArray, moves: Moves, elapsed: float = 0.0, horizon_s: float = math.inf) -> Prediction:

@@ -29,6 +29,13 @@ __all__ = ["OBSERVERS", "Observer", "ObserverName", "Simulated", "Smoothing", "m
 EXTENDED_BANK, SHAPE_BANK, KNOWN_BANK = 24, 32, 24  # multiples of model.compiled.BLOCK
 
 
+def flat_only(name: ObserverName, outlines: Sequence[Outline] = ()) -> str:
+    """Why an observer cannot be had for curved palms; empty where it can."""
+    if name != "shape":
+        return f"the observer {name} knows flat palms only; the observer shape knows curved ones"
+    return "stored outlines are recognised on flat palms only, and these palms are curved" if outlines else ""
+
+
 def make(
     name: ObserverName,
     rig: RigDescription,
@@ -39,8 +46,11 @@ def make(
     """The observer called `name` for `rig`; takes seconds when its C has to be compiled first.
 
     `smoothing` says where the smoother of a shape map runs; without it there is none, nor for other observers. With
-    `outlines`, which are for shape maps only, the object is one of these or none, and needs no smoother.
+    `outlines`, which are for shape maps only, the object is one of these or none, and needs no smoother. Raises
+    ValueError for curved palms where an observer knows flat ones only (`flat_only`).
     """
+    if rig.curved and (reason := flat_only(name, outlines)):
+        raise ValueError(reason)
     if name == "quasistatic":
         return QuasistaticObserver(rig)
     if name == "extended":

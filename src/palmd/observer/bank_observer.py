@@ -36,11 +36,12 @@ from palmd.observer.smoother_link import SmootherLink
 from palmd.observer.smoothing import Session
 from palmd.observer.track import Track
 from palmd.observer.validity import Evidence, Thresholds, consistent, predictable, settled
+from palmd.system.arcs import MOST_LYING
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import FORCES, PALMS, RADII
 
 SETTLED = Thresholds(age_s=0.4, radius_sd_m=3e-4, disagreement_m=3e-4)
-_RADII, _FORCES = ([NAMED.index(name) for name in names] for names in (RADII, FORCES))
+_RADII, _FORCES, _BENDS = ([NAMED.index(name) for name in names] for names in (RADII, FORCES, ("v1", "v2")))
 
 
 class BankObserver:
@@ -263,11 +264,15 @@ class BankObserver:
             palms_known=fusion.palms_known(t),
             resumed_for_s=t - contacts.resumed,
             finite=bool(np.isfinite(y).all() and np.isfinite(sd).all()),
-            consistent=consistent(float(fusion.bank.nis[fusion.bank.best()])),
+            consistent=consistent(float(fusion.bank.nis[fusion.bank.best()])) and self._lies_on(y),
             age_s=track.age(t),
             radius_sd_m=float(sd[_RADII].max()),
             disagreement_m=float(disagreement[_RADII].max()),
         )
+
+    def _lies_on(self, y: FloatArray) -> bool:
+        """Whether the object lies on its palms rather than in one that is as concave as it is round there."""
+        return all(kappa * float(v) < MOST_LYING for kappa, v in zip(self._rig.curvatures, y[_BENDS], strict=True))
 
     def _inflation(self, track: Track, t: float) -> float:
         """What to multiply one-sigmas with at `t` (s)."""

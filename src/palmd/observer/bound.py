@@ -19,7 +19,7 @@ from palmd.model.smoothing import CONSTANTS, ORDER, C
 from palmd.observer.data_segment import longest_segment
 from palmd.observer.factor import Prior, friction_of
 from palmd.observer.normal_equations import Guess
-from palmd.observer.outline import directions, gauge_free_sd, normal_angles, touched_by
+from palmd.observer.outline import directions, felt_normals, gauge_free_sd, touched_by
 from palmd.observer.reconstruct import SPACING_S
 from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
 from palmd.observer.search import NOISE, Search
@@ -74,7 +74,7 @@ def cramer_rao(events: Sequence[Event], rig: RigDescription, truth: Truth, theta
     covariance = smoother.posterior(smoother.fit(guess, NOISE, iterations=0)).covariance
 
     coefficients = guess.p[C.SHAPE :]
-    touched = directions()[touched_by(normal_angles(record.palms, guess.x[:, 0]))]
+    touched = directions()[touched_by(felt_normals(record, guess.x[:, 0], coefficients))]
     of_shape = covariance[C.SHAPE : CONSTANTS, C.SHAPE : CONSTANTS]
     sd = np.sqrt(np.diagonal(covariance))
     return Bound(

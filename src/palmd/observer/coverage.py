@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.model.outputs import NAMED
-from palmd.system.mechanism import JOINTS, normal_directions
+from palmd.system.arcs import FLAT, tangents
+from palmd.system.mechanism import CONTACTS, JOINTS, normal_directions
 
 NORMAL_BINS = 72
 RECENT_S = 10.0
 _WIDTH = 2 * math.pi / NORMAL_BINS
-_PSI, _ANGLES = NAMED.index("psi"), [NAMED.index(joint) for joint in JOINTS]
+_PSI = NAMED.index("psi")
+_ANGLES, _CONTACTS = ([NAMED.index(name) for name in names] for names in (JOINTS, CONTACTS))
 
 Marks = npt.NDArray[np.bool_]
 
@@ -24,8 +26,9 @@ Marks = npt.NDArray[np.bool_]
 class Coverage:
     """Marks on `NORMAL_BINS` normals, in the gauge of the filter that leads; safe inside the loop."""
 
-    def __init__(self, marks: Marks | None = None, leader: int = -1):
-        """`marks` made before, in the gauge of filter `leader`; none by default."""
+    def __init__(self, marks: Marks | None = None, leader: int = -1, curvatures: Sequence[float] = FLAT):
+        """`marks` made before, in the gauge of filter `leader`; none by default. `curvatures` of the palms (1/m)."""
+        self._curvatures = curvatures
         self.marks: Marks = np.zeros(NORMAL_BINS, dtype=np.bool_) if marks is None else marks.copy()
         self._leader = leader
         self._last_normals: tuple[float, ...] | None = None
@@ -38,7 +41,7 @@ class Coverage:
         other names in its gauge.
         """
         self._turn_to(leader, all_psi)
-        normals = _normals(y)
+        normals = _normals(y, self._curvatures)
         for now, before in zip(normals, self._last_normals or normals, strict=True):
             first, last = sorted((now, before))
             for bin_ in range(math.floor(first / _WIDTH), math.floor(last / _WIDTH) + 1):
@@ -80,14 +83,17 @@ class Coverage:
         self._leader, self._last_normals = leader, None
 
 
-def _normals(y: FloatArray) -> tuple[float, ...]:
+def _normals(y: FloatArray, curvatures: Sequence[float]) -> tuple[float, ...]:
     """θ1, θ2 (3.1) in rad, on any branch, from values of `NAMED`."""
-    return normal_directions(y[_ANGLES].tolist(), float(y[_PSI]))
+    joints = y[_ANGLES].tolist()
+    if any(curvatures):
+        joints = tangents(joints, y[_CONTACTS].tolist(), curvatures)
+    return normal_directions(joints, float(y[_PSI]))
 
 
-def contact_bins(y: FloatArray) -> list[int]:
+def contact_bins(y: FloatArray, curvatures: Sequence[float] = FLAT) -> list[int]:
     """The bins in which both contacts are, from values of `NAMED`."""
-    return [math.floor(theta / _WIDTH) % NORMAL_BINS for theta in _normals(y)]
+    return [math.floor(theta / _WIDTH) % NORMAL_BINS for theta in _normals(y, curvatures)]
 
 
 def marks_of(normals: FloatArray) -> Marks:

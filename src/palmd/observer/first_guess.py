@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palmd.events import Event, FloatArray, PadSample
+from palmd.events import Event, FloatArray
 from palmd.model import shape
 from palmd.model.shape_map import Z
 from palmd.model.smoothing import CONSTANTS, ORDER, RIG, C, R
@@ -76,13 +76,11 @@ def blind_starts(
     return [FirstGuess(float(score[i]), at, trajectories[:, i], constants_of(states[-1][i], asymmetry)) for i in order]
 
 
-def prior_of(pads: Sequence[PadSample], tangents: FloatArray, rig_sd: FloatArray) -> Prior:
+def prior_of(radius: float, rig_sd: FloatArray) -> Prior:
     """The blind belief about the smoother's constants; `rig_sd` is that of the rig's.
 
-    `tangents` holds tan(φ2/2) at each reading: for a circle both readings are its radius over that (3.13), so the
-    mean of s·tan(φ2/2) over the first readings tells about how large the object is.
+    `radius` is that of the circle of the first readings (m): about how large the object is.
     """
-    radius = float(np.mean([sample.s * tangent for sample, tangent in zip(pads, tangents, strict=True)]))
     mean, sd = np.zeros(CONSTANTS), np.zeros(CONSTANTS)
     mean[C.LN_RHO], sd[C.LN_RHO] = math.log(prior.GYRATION), LN_GYRATION_SD
     mean[C.DRAG], sd[C.DRAG] = prior.FRICTION, prior.FRICTION_SD

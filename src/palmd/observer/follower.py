@@ -13,12 +13,13 @@ from functools import cached_property
 
 import numpy as np
 
+from palmd.model.smoothing import C
 from palmd.observer.chain import SEGMENT_S, Chain
 from palmd.observer.coverage import marks_of
 from palmd.observer.data_segment import DataSegment
 from palmd.observer.matching import Felt, matched
 from palmd.observer.normal_equations import Guess
-from palmd.observer.outline import normal_angles
+from palmd.observer.outline import felt_normals
 from palmd.observer.search import NOISE, Minima, Search, explained
 from palmd.observer.smoother import Posterior, Smoother
 
@@ -145,11 +146,11 @@ class Follower:
         start = float(record.t[first])
         rested = answer.search.rested(start)
         self._open = _Open(start, Guess(guess.x[first:], guess.p), start - rested if rested else math.inf)
-        self.touched = self._closed | marks_of(normal_angles(record.palms, guess.x[:, 0])[first:])
+        self.touched = self._closed | marks_of(felt_normals(record, guess.x[:, 0], guess.p[C.SHAPE :])[first:])
 
     def _close(self, answer: Answer, first: int, last: int) -> None:
         """The steps from node `first` to node `last` become a segment."""
         record, guess = answer.finding.record.between(first, last), answer.finding.fits[0].guess
         nodes = guess.x[first : last + 1]
         self._chain.append(record, Guess(nodes, guess.p))
-        self._closed = self._closed | marks_of(normal_angles(record.palms, nodes[:, 0]))
+        self._closed = self._closed | marks_of(felt_normals(record, nodes[:, 0], guess.p[C.SHAPE :]))

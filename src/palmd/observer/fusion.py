@@ -60,6 +60,7 @@ class Fusion:
         """`banks` are all that will ever be used, the first one at first."""
         self._rig = rig
         self._variances = rig.reading_variances
+        self.curvatures = rig.curvatures
         self._first = banks[0]
         self.history = History([filters.bank for filters in banks])
         self.reset()

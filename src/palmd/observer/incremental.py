@@ -21,7 +21,7 @@ from palmd.observer.data_segment import LEAD_S, DataSegment, data_segments
 from palmd.observer.first_guess import constants_of
 from palmd.observer.follower import TAIL_S, Answer, Follower
 from palmd.observer.matching import Felt
-from palmd.observer.outline import made_convex, normal_angles
+from palmd.observer.outline import felt_normals, made_convex
 from palmd.observer.seeker import Seeker
 from palmd.observer.smoothing import Session
 from palmd.system.description import RigDescription
@@ -157,7 +157,7 @@ class IncrementalSmoother:
         if self._follower is not None:
             touched = self._follower.touched
         else:
-            touched = marks_of(normal_angles(record.palms, best.guess.x[:, 0]))
+            touched = marks_of(felt_normals(record, best.guess.x[:, 0], best.guess.p[C.SHAPE :]))
         established = self._follower is not None
         against = answer.search.belief.contradicted
         rig, rig_sd = everything[RIG], np.sqrt(np.diagonal(posterior.covariance)[RIG])

@@ -10,10 +10,11 @@ from palmd.system.description import PadSensor
 from palmd.system.mechanism import OPENING
 
 
-def resting_forces(gravity: float, palms: FloatArray) -> tuple[float, float]:
+def resting_forces(gravity: float, palms: Sequence[float] | FloatArray) -> tuple[float, float]:
     """g sin φ12 / sin φ2 and g sin φ1 / sin φ2 (m/s²): the forces on any object at rest without friction.
 
-    `palms` begins with the joint angles (rad). In motion and with friction right to several percent. Safe in the loop.
+    `palms` begins with the joint angles (rad), on curved palms those of the tangents
+    (`system.arcs`). In motion and with friction right to several percent. Safe in the loop.
     """
     first, opening = float(palms[0]), float(palms[OPENING])
     return gravity * math.sin(first + opening) / math.sin(opening), gravity * math.sin(first) / math.sin(opening)

@@ -15,8 +15,12 @@ import numpy as np
 
 from palmd.events import FloatArray, PalmMotion
 from palmd.model import shape, shape_map
+from palmd.model.arcs import contacts_on_arcs
+from palmd.model.touch import LEAST_SLACK
 from palmd.observer.coverage import Marks
 from palmd.observer.mass import MassEstimator
+from palmd.system.arcs import tangents
+from palmd.system.description import RigDescription
 from palmd.system.mechanism import OPENING, normal_directions
 
 KEEP_EVERY_S = 0.5
@@ -64,13 +68,9 @@ class KnownObject:
         P[Z.PSI, Z.PSI], P[Z.OMEGA0, Z.OMEGA0] = PSI_SD**2, SPIN_SD**2
         return P
 
-    def orientations(
-        self, contacts: Sequence[float], palms: PalmMotion, variances: FloatArray, count: int
-    ) -> FloatArray:
-        """The `count` likeliest ψ (rad) apart from each other, given the first readings (m) and `variances` (m²)."""
-        return likely_orientations(
-            self.x[_OUTLINE], self.believed()[_OUTLINE, _OUTLINE], contacts, palms, variances, count
-        )
+    def orientations(self, contacts: Sequence[float], palms: PalmMotion, rig: RigDescription, count: int) -> FloatArray:
+        """The `count` likeliest ψ (rad) apart from each other, given the first readings (m) on a rig."""
+        return likely_orientations(self.x[_OUTLINE], self.believed()[_OUTLINE, _OUTLINE], contacts, palms, rig, count)
 
     def resembles(self, x: FloatArray) -> bool:
         """Whether the outline of state `x`, in the same gauge, is this one within what was believed of it."""
@@ -88,12 +88,16 @@ def likely_orientations(
     P: FloatArray,
     contacts: Sequence[float],
     palms: PalmMotion,
-    variances: FloatArray,
+    rig: RigDescription,
     count: int,
 ) -> FloatArray:
     """The `count` likeliest ψ (rad) apart from each other of an outline; arguments as of `orientation_likelihood`."""
-    rows = reading_rows(palms, (len(coefficients) - 1) // 2)
-    likelihood = orientation_likelihood(coefficients, P, contacts, rows, variances)
+    if rig.curved:
+        predicted, rows = readings_on_arcs(palms, coefficients, rig.curvatures)
+        likelihood = _likelihood(list(predicted), P, contacts, rows, rig.reading_variances)
+    else:
+        rows = reading_rows(palms, (len(coefficients) - 1) // 2)
+        likelihood = orientation_likelihood(coefficients, P, contacts, rows, rig.reading_variances)
     chosen = []
     for _ in range(count):
         best = int(np.argmax(likelihood))
@@ -124,8 +128,37 @@ def orientation_likelihood(
     The outline's coefficients (m) have the covariance `P`, ψ is within `PSI_SD` of each orientation, the
     readings' `variances` are in m².
     """
+    return _likelihood([each @ coefficients for each in rows], P, contacts, rows, variances)
+
+
+def readings_on_arcs(
+    palms: PalmMotion, coefficients: FloatArray, curvatures: Sequence[float]
+) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
+    """Each curved palm's readings of an outline (2, DIRECTIONS), and rows as of `reading_rows` for small changes."""
+    order = (len(coefficients) - 1) // 2
+    phi1, phi2 = (np.full(DIRECTIONS, angle) for angle in palms.angles)
+    s = contacts_on_arcs(coefficients, phi1, phi2, _PSI, curvatures)
+    beta1, opening = tangents((phi1, phi2), s, curvatures)
+    theta = normal_directions((beta1, opening), _PSI)
+    (one, two), (d1, d2) = ([each(angle, order) for angle in theta] for each in (shape.basis, shape.tangential_basis))
+    bend = 1.0 - shape.harmonic_of_coefficient(order) ** 2
+    slack = [
+        np.maximum(1.0 - kappa * (each @ (bend * coefficients)), LEAST_SLACK)[:, None]
+        for kappa, each in zip(curvatures, (one, two), strict=True)
+    ]
+    cos, sin = np.cos(opening)[:, None], np.sin(opening)[:, None]
+    return s, (((one * cos + two) / sin - d1) / slack[0], ((two * cos + one) / sin + d2) / slack[1])
+
+
+def _likelihood(
+    predicted: Sequence[FloatArray],
+    P: FloatArray,
+    contacts: Sequence[float],
+    rows: tuple[FloatArray, FloatArray],
+    variances: FloatArray,
+) -> FloatArray:
     rows1, rows2 = rows
-    error1, error2 = (s - each @ coefficients for s, each in zip(contacts, rows, strict=True))
+    error1, error2 = (s - each for s, each in zip(contacts, predicted, strict=True))
     slope1, slope2 = _slope(error1), _slope(error2)
     S11 = ((rows1 @ P) * rows1).sum(axis=1) + (slope1 * PSI_SD) ** 2 + variances[0]
     S22 = ((rows2 @ P) * rows2).sum(axis=1) + (slope2 * PSI_SD) ** 2 + variances[1]

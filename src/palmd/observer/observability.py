@@ -17,6 +17,7 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model import sensitivity, shape_map
+from palmd.model.outputs import CURVATURE_INPUTS
 
 WINDOW_S = 1.0
 BLOCK_S = 0.1
@@ -41,14 +42,15 @@ class Observability:
 
     def __init__(self, rig: FloatArray, reading_variances: FloatArray):
         """`rig` are the kernels' inputs for it, `reading_variances` of each pad are in m²; may compile C."""
+        curvatures = rig[CURVATURE_INPUTS]
         n = shape_map.N
-        library = sensitivity.library()
+        library = sensitivity.library(bool(curvatures.any()))
         self._weights = 1.0 / reading_variances
         self._x, self._J = np.zeros(n), np.zeros((n, sensitivity.AIMED_AT))
         # CasADi stores by columns: these are the transposes
         self._T = [np.zeros((n, sensitivity.MOVING)) for _ in range(2)]
         self._G = [np.zeros((n, n)) for _ in range(2)]
-        self._u, self._phi = np.zeros(sensitivity.GATHER_INPUTS), np.zeros(2)
+        self._u, self._phi = np.zeros(sensitivity.GATHER_INPUTS), np.array([0.0, 0.0, *curvatures])
         self._u[9:-2] = rig
         self._gather = [
             library.bind("gather", [self._x, self._T[a], self._G[a], self._u], [self._T[1 - a], self._G[1 - a]])
@@ -98,7 +100,7 @@ class Observability:
         self._x[:] = x
         self._u[1:7], self._u[7:9] = palms, jerk
         if self._filled_s == 0.0:
-            self._phi[:] = palms[:2]
+            self._phi[:2] = palms[:2]
             self._aim()
 
     def value(self) -> float:

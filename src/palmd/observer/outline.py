@@ -12,7 +12,10 @@ import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.model import shape
+from palmd.model.arcs import touched_normals
+from palmd.model.outputs import CURVATURE_INPUTS
 from palmd.observer.cutoff import cut_off
+from palmd.observer.record import Record
 from palmd.system.mechanism import JOINTS, normal_directions
 
 DIRECTIONS = 360
@@ -38,6 +41,13 @@ def directions() -> FloatArray:
 def normal_angles(palms: FloatArray, psi: FloatArray) -> FloatArray:
     """θ1, θ2 (3.1) for palms (n, ≥ 2) holding φ1, φ2 and orientations psi (n): (n, 2), not wrapped."""
     return np.stack(normal_directions(palms[:, : len(JOINTS)].T, psi), axis=1)
+
+
+def felt_normals(record: Record, psi: FloatArray, coefficients: FloatArray) -> FloatArray:
+    """The same at a record's nodes (n, 2), for an outline: on curved palms it tells where their tangents touch."""
+    phi1, phi2 = record.palms[:, : len(JOINTS)].T
+    normals = touched_normals(coefficients, phi1, phi2, psi, record.rig[CURVATURE_INPUTS].tolist())
+    return np.stack(normals, axis=1)
 
 
 def outline_of(coefficients: FloatArray, covariance: FloatArray, normals: Sequence[FloatArray]) -> OutlineEstimate:

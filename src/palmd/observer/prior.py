@@ -10,7 +10,7 @@ import numpy as np
 
 from palmd.events import FloatArray, PalmMotion
 from palmd.model import shape, shape_map
-from palmd.system.mechanism import OPENING
+from palmd.system.arcs import FLAT, circle_radius
 
 # Of the belief's variance, how much goes into where the filters start, the rest being each filter's own.
 SCATTER = 0.7
@@ -52,13 +52,14 @@ def blind_start(
     at_rest: bool,
     random: np.random.Generator,
     order: int = shape.HARMONICS,
+    curvatures: Sequence[float] = FLAT,
 ) -> BlindStart:
     """Draw `size` starts, outlines of `order` harmonics, about the circle that would give the readings `contacts` (m).
 
-    For a circle of radius r both readings are r / tan(φ2/2), from (3.13) with d = 0. `at_rest` says that the
-    object has just been put down; otherwise it may be turning. Orientation is gauge: 0 at the start.
+    `at_rest` says that the object has just been put down; otherwise it may be turning. Orientation is gauge: 0 at the
+    start. `curvatures` of the palms (1/m).
     """
-    mean_radius = sum(contacts) / len(contacts) * math.tan(palms.angles[OPENING] / 2)
+    mean_radius = circle_radius(palms.angles, contacts, curvatures)
     shape_sd = shape.prior_sd(mean_radius, order)
     shape_sd[0] = RADIUS_SD * mean_radius
     coefficients = SCATTER * shape_sd * random.standard_normal((size, len(shape_sd)))

@@ -27,12 +27,13 @@ from palmd.observer.marginal import Marginal, marginalised
 from palmd.observer.mass import MassEstimator
 from palmd.observer.matching import Felt, matched
 from palmd.observer.noise import with_scatter
-from palmd.observer.outline import directions, made_convex, normal_angles, outline_of
+from palmd.observer.outline import directions, felt_normals, made_convex, outline_of
 from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
 from palmd.observer.search import Minima, Search, beyond_question, doubt, minima
 from palmd.observer.seeker import attempts_for
 from palmd.observer.smoother import Fit, Smoother
 from palmd.observer.visits import Counts, visits_of
+from palmd.system.arcs import MOST_LYING
 from palmd.system.description import RigDescription
 
 SPACING_S = 0.005  # of the nodes in the end
@@ -144,7 +145,7 @@ class _Part:
             chain.learn(self.known.told)
         chain.append(self.record, self.fit.guess)
         p = self.fit.guess.p
-        return Felt(chain.told(p), marks_of(normal_angles(self.record.palms, self.fit.guess.x[:, 0])))
+        return Felt(chain.told(p), marks_of(felt_normals(self.record, self.fit.guess.x[:, 0], p[C.SHAPE :])))
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,12 +256,14 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
     convex = made_convex(everything, covariance, _OUTLINE)
     p = everything[:CONSTANTS]
     parts = sorted([_Joined(record, x[:, 0], x[:, 1]), *others], key=lambda part: float(part.record.t[0]))
-    normals = [normal_angles(part.record.palms, part.psi) for part in parts]
+    normals = [felt_normals(part.record, part.psi, p[C.SHAPE :]) for part in parts]
     outline = outline_of(p[C.SHAPE :], covariance[_OUTLINE, _OUTLINE], normals)
     reason = main.reason
     told = outline_of(p[C.SHAPE :], given_the_rig(covariance), normals)
     if not reason and float(np.sqrt(np.mean(told.h_sd[told.touched] ** 2))) > SHARP_M:
         reason = "the readings tell too little of the outline"
+    if not reason and (lying := most_lying(p[C.SHAPE :], normals, rig.curvatures)) >= MOST_LYING:
+        reason = f"the palms are too concave for the object: kappa v reaches {lying:.2f} where it touches"
     if not reason and not convex:
         reason = "only a hollow outline explains the readings"
     sd = np.sqrt(np.diagonal(covariance))
@@ -292,6 +295,16 @@ def given_the_rig(covariance: FloatArray) -> FloatArray:
     scale = np.sqrt(np.diagonal(covariance)[RIG])
     solved = np.linalg.solve(covariance[RIG, RIG] / np.outer(scale, scale), across / scale[:, None])
     return own - (across / scale[:, None]).T @ solved
+
+
+def most_lying(coefficients: FloatArray, normals: Sequence[FloatArray], curvatures: Sequence[float]) -> float:
+    """The largest κv at a contact: from 1 on an object would lie in its palm, touching twice. 0 on flat palms."""
+    if not any(curvatures):
+        return 0.0
+    bent = coefficients * (1.0 - shape.harmonic_of_coefficient((len(coefficients) - 1) // 2) ** 2)
+    at = np.concatenate(normals)
+    v = [shape.basis(at[:, palm], (len(bent) - 1) // 2) @ bent for palm in range(len(curvatures))]
+    return float(max((kappa * each).max() for kappa, each in zip(curvatures, v, strict=True)))
 
 
 def _weighed(main: _Part, rig: RigDescription, answered: Marginal) -> tuple[float, float]:

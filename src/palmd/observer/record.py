@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray, PadSample
-from palmd.model.outputs import rig_inputs
+from palmd.model.outputs import CURVATURE_INPUTS, rig_inputs
 from palmd.model.smoothing import CONTACT_INPUTS, FORCE_INPUTS, STEP_INPUTS
 from palmd.observer.palm_path import PalmPath
 from palmd.observer.palms import RESTING_RAD_S, repetitions
@@ -94,7 +94,8 @@ class Record:
         n = len(self.contact_step)
         inputs[:n, 0], inputs[:n, 1] = self.dt[self.contact_step], self.contact_offset
         inputs[:n, 2], inputs[:n, 3:7] = self.contact_pad, self.contact_palms[:, :4]
-        inputs[:n, 7], inputs[:n, 8:] = self.contact_force, self.pad_lengths
+        inputs[:n, 7], inputs[:n, 8:10] = self.contact_force, self.rig[CURVATURE_INPUTS]
+        inputs[:n, 10:] = self.pad_lengths
         return inputs
 
     def force_inputs(self, rows: int) -> FloatArray:

@@ -24,6 +24,7 @@ from palmd.observer.hypotheses import Verdict
 from palmd.observer.mass import MassEstimator, resting_forces
 from palmd.observer.object_memory import KnownObject, ObjectMemory
 from palmd.observer.track import Track
+from palmd.system.arcs import tangents
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import PALMS
 
@@ -76,7 +77,7 @@ class ReturningObject:
         count = int(bank.full_size // bank.block * KNOWN_SHARE) * bank.block
         known = self.candidate = self.memory.recall() if count else None
         if known is not None:
-            psi = known.orientations(track.first_contacts, track.palms, rig.reading_variances, count)
+            psi = known.orientations(track.first_contacts, track.palms, rig, count)
             fusion.filters.start_known(known.x, known.believed(), psi, fusion.palms, t)
             fusion.forgetting.prior_age_s[:count] = PRIOR_AGE_S
         # what a smoother vouches for has been linearised well: only what begins blind has to forget
@@ -100,7 +101,10 @@ class ReturningObject:
         known, fusion, bank = self.candidate, track.fusion, track.fusion.bank
         if known is None:
             return Verdict.DECIDED
-        for pad, f in zip(PALMS, resting_forces(self._rig.gravity, fusion.palms.at(t)), strict=True):
+        joints: Sequence[float] = fusion.palms.at(t)[: len(PALMS)].tolist()
+        if self._rig.curved:
+            joints = tangents(joints, track.first_contacts, self._rig.curvatures)
+        for pad, f in zip(PALMS, resting_forces(self._rig.gravity, joints), strict=True):
             self._rough_mass.weigh(track.contacts.last(pad), f)
         best, blind = bank.best(), fusion.forgetting.prior_age_s == 0.0
         likely = not blind[best]
@@ -113,7 +117,7 @@ class ReturningObject:
             if known.spread is not None and self._smoothed is not None:
                 track.lead_with(self._smoothed.single, x, P, float(bank.nis[best]), known.touched, known.spread)
             else:
-                track.coverage = Coverage(known.touched, best)
+                track.coverage = Coverage(known.touched, best, self._rig.curvatures)
                 bank.drop(blind)
             return Verdict.DECIDED
         clear = not alike or bank.score[blind].max() - bank.score[~blind].max() > BAYES_FACTOR
@@ -145,7 +149,7 @@ class ReturningObject:
 
 def _where_felt(known: KnownObject, fusion: Fusion, best: int) -> bool:
     """Whether the likeliest filter touches the known outline where that was felt: elsewhere any outline fits."""
-    return bool(known.touched[contact_bins(fusion.named()[best])].all())
+    return bool(known.touched[contact_bins(fusion.named()[best], fusion.curvatures)].all())
 
 
 def _one_pose(fusion: Fusion, best: int) -> bool:

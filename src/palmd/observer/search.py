@@ -29,6 +29,7 @@ from palmd.observer.palm_path import smoothed_path
 from palmd.observer.palms import RESTING_RAD_S, motion_of
 from palmd.observer.record import Record, lay_out
 from palmd.observer.smoother import Fit, Smoother
+from palmd.system.arcs import circle_radius
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import OPENING, PALMS
 
@@ -106,7 +107,7 @@ class Search:
         start = segment.start if start is None else start
         self.path = smoothed_path(segment.palms, rig.palm_angle_noise)
         self.record = lay_out(segment.pads, self.path, rig, start, segment.end, SPACING_S, resting_since)
-        self.library = smoothing.library()
+        self.library = smoothing.library(rig.curved)
         self._known = known
         self._resting_since = resting_since
         self.belief = belief or RigBelief.of(rig)
@@ -122,7 +123,11 @@ class Search:
         segment = self._segment
         first = [sample for sample in segment.pads if sample.t_sample < segment.start + FIRST_LOOK_S]
         opening = self.path.at(np.array([sample.t_sample for sample in first]))[:, OPENING]
-        return prior_of(first, np.tan(opening / 2), self.belief.sd)
+        if not self.rig.curved:
+            return prior_of(float(np.mean([sample.s for sample in first] * np.tan(opening / 2))), self.belief.sd)
+        mean = [float(np.mean([sample.s for sample in first if sample.pad == palm])) for palm in PALMS]
+        joints = self.path.at(np.array([segment.start + FIRST_LOOK_S / 2]))[0, : len(PALMS)]
+        return prior_of(circle_radius(joints.tolist(), mean, self.rig.curvatures), self.belief.sd)
 
     def rested(self, t: float) -> float:
         """For how long the palms have rested at `t` (s)."""
@@ -168,7 +173,7 @@ class Search:
         first = [[sample for sample in self._segment.pads if sample.pad == pad][:FIRST_READINGS] for pad in PALMS]
         contacts = [float(np.mean([sample.s for sample in samples])) for samples in first]
         palms = motion_of(self.path.at(np.array([first[0][0].t_sample]))[0])
-        return likely_orientations(outline, covariance, contacts, palms, self.rig.reading_variances, ORIENTATIONS)
+        return likely_orientations(outline, covariance, contacts, palms, self.rig, ORIENTATIONS)
 
     def _grown_from(self, record: Record, guesses: Sequence[Guess]) -> Minima | None:
         found = self._minima(record, guesses)

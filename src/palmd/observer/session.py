@@ -70,14 +70,14 @@ class ObjectSession:
         contacts = [sample.s for sample in self._contacts.all()]
         start = blind_start(
             contacts, palms, filters.bank.full_size, self._starts == 1,
-            np.random.default_rng([self._seed, self._starts]), filters.order,
+            np.random.default_rng([self._seed, self._starts]), filters.order, rig.curvatures,
         )  # fmt: skip
         fusion.begin(filters, start, self, t)
         track = self.track = Track(
             fusion, self._contacts, contacts, palms, start,
             radius_sd=circle_spread(rig, contacts, palms.angles[OPENING]),
             mass=MassEstimator(rig.pads),
-            coverage=Coverage(),
+            coverage=Coverage(curvatures=rig.curvatures),
         )  # fmt: skip
         self.object_count += self._hypotheses.begin(track, t)
         self._observability.begin(t, shape_map_sd(start))

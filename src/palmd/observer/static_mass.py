@@ -8,6 +8,7 @@ import numpy as np
 
 from palmd.events import Event, FloatArray, PadSample, PalmSample
 from palmd.observer.mass import MassEstimator, resting_forces
+from palmd.system.arcs import tangents
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import PALMS
 
@@ -26,7 +27,8 @@ def mass_at_rest(events: Iterable[Event], rig: RigDescription) -> MassEstimator:
     for palms, pads in _spans(events):
         if not _still(palms, pads):
             continue
-        angles = palms[:, 1:].mean(axis=0)
+        contacts = [float(readings[:, 1].mean()) for readings in pads]
+        angles = tangents(palms[:, 1:].mean(axis=0).tolist(), contacts, rig.curvatures)
         for pad, readings, f in zip(PALMS, pads, resting_forces(rig.gravity, angles), strict=True):
             for force in readings[np.isfinite(readings[:, 2]), 2]:
                 weighed.feed(pad, float(force), f)

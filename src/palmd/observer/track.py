@@ -43,5 +43,5 @@ class Track:
     ) -> None:
         """One filter, which a smoother vouches for, takes the place of all others; it has the leader's gauge."""
         filters.spread = spread
-        self.coverage = Coverage(touched, 0)
+        self.coverage = Coverage(touched, 0, self.fusion.curvatures)
         self.fusion.lead_with(filters, x, P, nis)

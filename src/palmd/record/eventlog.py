@@ -27,6 +27,7 @@ _ANGLES, _RATES, _ACCELERATIONS = (
     [f"{what}{palm}_{unit}" for palm in PALMS]
     for what, unit in (("phi", "rad"), ("omega", "rad_s"), ("alpha", "rad_s2"))
 )
+_CURVATURE = "palm{}_curvature_per_m"
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,13 +113,14 @@ def _rig(rig: Line) -> RigDescription:
     length = positive(hinge, "palm1_length_m") if mode == "arc" else default.palm1_length
     sds = _sds(rig, _default_sds(rig))
     common = _sensor(rig, block(rig, "pad"), PadSensor())
+    curvatures = [_curvature(rig, palm, common.length) for palm in PALMS]
     described = RigDescription(
         gravity=positive(rig, "gravity_m_s2"),
         hinge=mode,
         palm1_length=length,
         base=(length, 0.0),
         palm_angle_noise=positive(rig, "palm_angle_noise_rad", default.palm_angle_noise),
-        pads=(common,) * len(PALMS),
+        pads=tuple(replace(common, curvature=kappa) for kappa in curvatures),
     ).known_to(sds)
     own = rig.get("pads")
     if own is None:
@@ -126,6 +128,15 @@ def _rig(rig: Line) -> RigDescription:
     if not isinstance(own, list) or len(own) != len(PALMS) or not all(isinstance(each, dict) for each in own):
         raise BadLineError(f"pads must be a list of {len(PALMS)} objects, one for each palm")
     return replace(described, pads=tuple(map(_own_sensor, own, described.pads)))
+
+
+def _curvature(rig: Line, palm: int, length: float) -> float:
+    """A palm's, 0 where the log says nothing; an arc that bends by more than a quarter turn is no palm."""
+    key = _CURVATURE.format(palm)
+    curvature = number(rig, key) if rig.get(key) is not None else 0.0
+    if abs(curvature) * length > math.pi / 2:
+        raise BadLineError(f"{key} is {curvature:g}, a radius of {1e3 / curvature:.3g} mm; it is in 1/m")
+    return curvature
 
 
 def _sensor(line: Line, pad: Line, default: PadSensor) -> PadSensor:
@@ -198,8 +209,9 @@ def header_line(rig: RigDescription) -> Line:
         "palm_angle_noise_rad": rig.palm_angle_noise,
         **worst,
         "calibration_sd": sds,
+        **{_CURVATURE.format(palm): kappa for palm, kappa in zip(PALMS, rig.curvatures, strict=True) if kappa},
     }
-    if any(pad != rig.pads[0] for pad in rig.pads):
+    if any(replace(pad, curvature=rig.pads[0].curvature) != rig.pads[0] for pad in rig.pads):
         of_pad = {name: key for name, key in CALIBRATION_KEYS.items() if hasattr(rig.pads[0], name)}
         described["pads"] = [
             line | {"calibration_sd": {key: getattr(pad, name) for name, key in of_pad.items()}}

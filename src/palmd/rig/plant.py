@@ -225,8 +225,7 @@ class Plant:
 
     def contacts(self) -> tuple[PlantContact, PlantContact]:
         """Both contacts as they are now; `touching` is false where there is a gap or the body has fallen."""
-        state, frame = self.state, self._frame
-        s1, s2 = _contact_distances(self.body, frame, state)
+        s1, s2 = self._distances()
         _, _, _, f1, f2 = self._rates
         mass = self.body.mass
         return PlantContact(self._on1, s1, mass * f1), PlantContact(self._on2, s2, mass * f2)
@@ -322,21 +321,19 @@ class Plant:
         if self._on1 and self._on2:
             return
         q, frame = self.state, self._frame
-        gap1, gap2 = _gaps(self.body, frame, q)
+        gap1, gap2 = self._gaps(frame, q)
         hit1, hit2 = not self._on1 and gap1 < 0.0, not self._on2 and gap2 < 0.0
         if not (hit1 or hit2):
             return
         self._on1, self._on2 = self._on1 or hit1, self._on2 or hit2
-        dx, dy = _cross_solve(frame, -gap1 if self._on1 else 0.0, -gap2 if self._on2 else 0.0)
+        dx, dy = self._moved_by(frame, q, -gap1 if self._on1 else 0.0, -gap2 if self._on2 else 0.0)
         q.x, q.y = q.x + dx, q.y + dy
         self._impact()
 
     def _impact(self) -> None:
         """Frictionless impulses along the normals of the closed contacts that stop their approach."""
         q, frame = self.state, self._frame
-        (n1x, n1y), (n2x, n2y) = _normals(frame)
-        _, d1, _ = self.body.support.at(frame.out1 - q.psi)
-        _, d2, _ = self.body.support.at(frame.out2 - q.psi)
+        (n1x, n1y, d1), (n2x, n2y, d2) = self._levers(frame, q)
         j = 1.0 / self.body.rho**2
         a11, a22 = 1.0 + d1 * d1 * j, 1.0 + d2 * d2 * j
         a12 = n1x * n2x + n1y * n2y + d1 * d2 * j
@@ -356,6 +353,23 @@ class Plant:
         rate1, rate2 = self._gap_rates(frame, q)
         self._on1, self._on2 = self._on1 and rate1 <= 1e-9, self._on2 and rate2 <= 1e-9
 
+    def _distances(self) -> tuple[float, float]:
+        return _contact_distances(self.body, self._frame, self.state)
+
+    def _gaps(self, frame: PalmFrame, q: BodyState) -> tuple[float, float]:
+        return _gaps(self.body, frame, q)
+
+    def _moved_by(self, frame: PalmFrame, q: BodyState, a: float, b: float) -> tuple[float, float]:
+        """By which way gap 1 grows by `a` and gap 2 by `b` (m)."""
+        del q
+        return _cross_solve(frame, a, b)
+
+    def _levers(self, frame: PalmFrame, q: BodyState) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        """The palms' normals at the contacts, and the torque of a force along each."""
+        (n1x, n1y), (n2x, n2y) = _normals(frame)
+        at, psi = self.body.support.at, q.psi
+        return (n1x, n1y, at(frame.out1 - psi)[1]), (n2x, n2y, at(frame.out2 - psi)[1])
+
     def _gap_rates(self, frame: PalmFrame, q: BodyState) -> tuple[float, float]:
         c1, s1, c12, s12, out1, out2, w1, w12, _, _, ox, oy, vox, voy, *_ = frame
         rx, ry, ux, uy = q.x - ox, q.y - oy, q.vx - vox, q.vy - voy
@@ -367,7 +381,7 @@ class Plant:
 
     def _drop_if_off_the_palms(self) -> None:
         q, frame = self.state, self._frame
-        s1, s2 = _contact_distances(self.body, frame, q)
+        s1, s2 = self._distances()
         off1 = self._on1 and not 0.0 < s1 < self.reach[0]
         off2 = self._on2 and not 0.0 < s2 < self.reach[1]
         if off1 or off2 or math.hypot(q.x - frame.ox, q.y - frame.oy) > _LOST_DISTANCE:
@@ -380,9 +394,7 @@ class Plant:
         drift correction; friction enters A because it is proportional to the normal force.
         """
         c1, s1, c12, s12, out1, out2, w1, w12, al1, al12, ox, oy, vox, voy, aox, aoy, above1, above2 = frame
-        g = self.gravity
-        if self._shake:  # as felt on the table
-            g += self._shake * sum(math.sin(math.tau * f * self._t) for f in _SHAKING_HZ)
+        g = self._gravity_now()
         rho2 = self.body.rho**2
         surface = self.surface
         damping = -surface.damping * w / rho2
@@ -435,6 +447,11 @@ class Plant:
             f2 = -b2 / (1.0 + h2p * m2 / rho2)
             ax, ay, al = f2 * f2x, ay + f2 * f2y, al + f2 * m2 / rho2
         return ax, ay, al, f1, f2
+
+    def _gravity_now(self) -> float:
+        if not self._shake:
+            return self.gravity
+        return self.gravity + self._shake * sum(math.sin(math.tau * f * self._t) for f in _SHAKING_HZ)  # on the table
 
     def _friction(self, slip: float) -> float:
         """Tangential over normal force at a slip speed (m/s): µ·u/√(u²+u_d²), or hard Coulomb's µ·sign u."""

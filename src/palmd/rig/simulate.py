@@ -26,18 +26,21 @@ import numpy as np
 
 from palmd.config import Drawn
 from palmd.events import FloatArray, PalmMotion
+from palmd.rig.curved_plant import CurvedPlant
 from palmd.rig.imperfections import Imperfections, PadImperfection, drawn
 from palmd.rig.plant import (
     AS_ASSUMED,
     PAD_LENGTH,
     FrictionSurface,
     Hinge,
+    PadPair,
     Plant,
     PlantOptions,
     random_surface,
     stable_poses,
 )
 from palmd.rig.shapes import KINDS, Body, Kind, random_body
+from palmd.system.arcs import FLAT
 from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, RigDescription
 from palmd.system.mechanism import JOINTS, PALMS
 
@@ -130,6 +133,15 @@ class SimulatedRun:
     surface: FrictionSurface
     rocking: Rocking
     imperfections: Imperfections
+    curvatures: PadPair = FLAT
+
+    def plant(self, options: PlantOptions) -> Plant:
+        """The emulated body on its palms, not placed yet; raises ValueError for palms too concave for it."""
+        if not any(self.curvatures):
+            return Plant(self.body, self.hinge, self.surface, options=options, imperfections=self.imperfections)
+        return CurvedPlant(
+            self.body, self.hinge, self.surface, self.curvatures, options=options, imperfections=self.imperfections
+        )
 
     def palms_at(self, t: float) -> PalmMotion:
         """Where the palms really are at t (s): off from the plan by the rig's imperfections."""
@@ -162,9 +174,9 @@ def simulate_log(
     off = drawn(known, KINDS.index(kind), seed) if imperfections is None else imperfections
     while True:
         scene = _draw(kind, rng, body, rests, off)
-        history = _run(scene, duration_s, options, absences)
+        history = run_of(scene, duration_s, options, absences)
         if history is not None:
-            return list(_log_lines(scene, history, calibration_sd, rng)), _truth(scene, history)
+            return list(log_lines(scene, history, calibration_sd, rng)), truth_of(scene, history)
 
 
 def _draw(
@@ -174,8 +186,8 @@ def _draw(
     if body is None:
         body = random_body(kind, rng)
     rocking = Rocking(
-        _rock(rng, (0.68, 0.82), (0.35, 0.70), (0.16, 0.38), rests),
-        _rock(rng, (1.50, 1.82), (0.10, 0.28), (0.17, 0.42), rests),
+        rock(rng, (0.68, 0.82), (0.35, 0.70), (0.16, 0.38), rests),
+        rock(rng, (1.50, 1.82), (0.10, 0.28), (0.17, 0.42), rests),
     )
     surface = random_surface(kind, rng)
     release = float(rng.choice((-1.0, 1.0)) * rng.uniform(0.12, 0.5)) if kind == "nominal" else 0.0
@@ -188,16 +200,16 @@ def _draw(
     return SimulatedRun(kind, body.turned(psi), hinge, surface, rocking, imperfections)
 
 
-def _rock(rng: np.random.Generator, mean: Span, amplitude: Span, frequency: Span, rests: tuple[Span, ...]) -> Rock:
+def rock(rng: np.random.Generator, mean: Span, amplitude: Span, frequency: Span, rests: tuple[Span, ...]) -> Rock:
     drawn = [float(rng.uniform(*each)) for each in (mean, amplitude, frequency, (-math.pi, math.pi))]
     return Rock(drawn[0], drawn[1], drawn[2], drawn[3], rests)
 
 
-def _run(
+def run_of(
     scene: SimulatedRun, duration_s: float, options: PlantOptions, absences: tuple[Span, ...]
 ) -> FloatArray | None:
     """Rows of `_COLUMNS` each 0.5 ms, NaN for what there is not while the object is away; None if contact was lost."""
-    plant = Plant(scene.body, scene.hinge, scene.surface, options=options, imperfections=scene.imperfections)
+    plant = scene.plant(options)
     lag = options.lag_s
     palms = scene.palms_at(-lag)
     plant.place(palms, psi=0.0)
@@ -237,7 +249,7 @@ def _put_back(plant: Plant, body: Body, palms: PalmMotion) -> None:
     plant.place(palms, psi=plant.state.psi + (far or turned)[0])
 
 
-def _log_lines(
+def log_lines(
     scene: SimulatedRun, history: FloatArray, calibration_sd: Mapping[str, float], rng: np.random.Generator
 ) -> Iterator[Line]:
     """The header, then palms and pads in time order with their noise and rounding."""
@@ -247,6 +259,7 @@ def _log_lines(
     pad = {"length_m": PAD_LENGTH, "noise_m": _PAD_NOISE_M, "resolution_m": _PAD_RESOLUTION_M}
     rig = {"gravity_m_s2": 9.81, "hinge": hinge, "pad": pad, "force_scale_std": _FORCE_SCALE_STD}
     rig["calibration_sd"] = {key: calibration_sd[name] for name, key in CALIBRATION_KEYS.items()}
+    rig |= _curvature_keys(scene.curvatures)
     yield {"palmd_log": 1, "rig": rig}
     duration = float(history[-1, 0])
     events = list(_palm_lines(scene, history, rng))
@@ -302,7 +315,7 @@ def _pad_lines(
         yield {"t": round(t, 6), "pad": pad, "s_m": round(s_m, 6), "force_n": round(force_n, 2)}
 
 
-def _truth(scene: SimulatedRun, history: FloatArray) -> Line:
+def truth_of(scene: SimulatedRun, history: FloatArray) -> Line:
     """What was really there, in the fields of the reference truth files."""
     theta: FloatArray = np.arange(360, dtype=np.float64) * (math.tau / 360)
     columns = history[::_STEPS_PER_TRUTH].T.tolist()
@@ -317,7 +330,12 @@ def _truth(scene: SimulatedRun, history: FloatArray) -> Line:
         "theta_rad": theta.tolist(),
         "h_m": scene.body.support.sample(theta).tolist(),
         "rig": scene.imperfections.constants(),
+        **_curvature_keys(scene.curvatures),
     } | dict(zip(_COLUMNS, columns, strict=True))
+
+
+def _curvature_keys(curvatures: PadPair) -> dict[str, float]:
+    return {f"palm{palm}_curvature_per_m": kappa for palm, kappa in zip(PALMS, curvatures, strict=True) if kappa}
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,7 @@ from palmd.config import (
 from palmd.events import Joints, PalmMotion
 from palmd.rig.actuators import Actuator
 from palmd.rig.adept_arm import AdeptArm
+from palmd.rig.curved_plant import MOST_LYING, CurvedPlant, stable_on_arcs, widest
 from palmd.rig.evdevs import EvdevEmulator
 from palmd.rig.fault_injection import PADS, PORTS, FaultOrder, PortName, Switchboard
 from palmd.rig.hand import Hand
@@ -40,10 +42,12 @@ from palmd.rig.servos import ServoArm
 from palmd.rig.shapes import Body, Kind, random_body
 from palmd.rig.strips import StripEmulator
 from palmd.rig.tally import Decoder, Said
+from palmd.system.arcs import joints_of
 from palmd.system.mechanism import JOINT_RATES, JOINTS, PALMS
 
 STEP_S = 5e-4
-_HOME_DEG = (45.0, 90.0)
+_HOME_DEG = (45.0, 90.0)  # of flat palms, and of the tangents where a body of the radius touches curved ones
+_HOME_RADIUS_M = 0.02
 _AWAY_S = 1.0  # how long a hand takes to put another object on the palms
 _PAD_END_M = 3e-3
 _FINGER_M = 0.045
@@ -275,8 +279,13 @@ class World:
 
     def _draw_body(self) -> None:
         rig = self.config.rig
-        self.plant = Plant(
-            self._body or random_body(self.kind, self._rng),
+        curvatures = rig.curvatures_per_m
+        body = self._body or random_body(self.kind, self._rng)
+        while not self._body and any(curvatures) and max(curvatures) * widest(body) > MOST_LYING:
+            body = random_body(self.kind, self._rng)  # nobody puts what would lie in a palm on the palms
+        on_arcs = partial(CurvedPlant, curvatures=curvatures)
+        self.plant = (on_arcs if any(curvatures) else Plant)(
+            body,
             self._arm.hinge,
             random_surface(self.kind, self._rng),
             options=self._options,
@@ -294,7 +303,8 @@ class World:
         if self._marbles or self._roller or self._hand:
             self._t_place = None
             return
-        poses = stable_poses(self.plant.body, self._true_palms)
+        body, palms, curvatures = self.plant.body, self._true_palms, self.config.rig.curvatures_per_m
+        poses = stable_on_arcs(body, palms, curvatures) if any(curvatures) else stable_poses(body, palms)
         for i in self._rng.permutation(len(poses)):
             self.plant.place(self._true_palms, poses[i])
             contacts = self.plant.contacts()
@@ -342,5 +352,8 @@ class World:
 
 def _home(config: Config) -> Joints:
     """Where the arm stands before anybody has commanded it (rad): as near to 45°, 90° as the limits allow."""
-    each = zip(_HOME_DEG, config.limits.angles_deg, strict=True)
-    return tuple(math.radians(min(max(home, low), high)) for home, (low, high) in each)
+    wanted: Joints = tuple(map(math.radians, _HOME_DEG))
+    if any(config.rig.curvatures_per_m):
+        wanted = joints_of(_HOME_RADIUS_M, wanted, config.rig.curvatures_per_m)
+    each = zip(wanted, config.limits.angles_deg, strict=True)
+    return tuple(min(max(home, math.radians(low)), math.radians(high)) for home, (low, high) in each)

@@ -17,7 +17,9 @@ HingeMode = Literal["arc", "fixed"]
 
 @dataclass(frozen=True, slots=True)
 class PadSensor:
-    """The pad of one flat palm: how far it reaches from the hinge, its noise, and how well its constants are known.
+    """The pad of one palm: how far it reaches from the hinge, its noise, and how well its constants are known.
+
+    curvature: of the palm that it lies on (1/m): > 0 a concave cradle, 0 flat, < 0 a dome.
 
     The `_sd` are one-sigma of what each constant is off by: `zero` and `scale` of the readings, `standoff` of its
     surface from the hinge line, `sagitta` of its bow, `lag` of its time stamps, `force` of what a reading moves by with
@@ -36,6 +38,7 @@ class PadSensor:
     sagitta_sd: float = 0.0
     lag_sd: float = 0.0
     force_sd: float = 0.0
+    curvature: float = 0.0
 
     @property
     def reading_variance(self) -> float:
@@ -70,6 +73,16 @@ class RigDescription:
     def arc(self) -> tuple[tuple[float, float], float]:
         """Centre (m, world) and radius (m) of the hinge's way, for `hinge_position`; (0, 0) and 0 if it is fixed."""
         return (self.base, self.palm1_length) if self.hinge == "arc" else ((0.0, 0.0), 0.0)
+
+    @property
+    def curvatures(self) -> tuple[float, ...]:
+        """Of each palm (1/m, > 0 concave)."""
+        return tuple(pad.curvature for pad in self.pads)
+
+    @property
+    def curved(self) -> bool:
+        """Whether a palm is not flat."""
+        return any(self.curvatures)
 
     @property
     def reading_variances(self) -> FloatArray:

@@ -12,7 +12,7 @@ from palmd.model import shape, shape_map
 from palmd.observer.coverage import NORMAL_BINS, Coverage
 from palmd.observer.mass import MassEstimator, resting_forces
 from palmd.observer.object_memory import DIRECTIONS, INFLATION, KnownObject, ObjectMemory
-from palmd.system.description import PadSensor
+from palmd.system.description import PadSensor, RigDescription
 
 Z = shape_map.Z
 PALMS = PalmMotion.at_rest((0.75, 1.6))
@@ -33,7 +33,7 @@ def test_the_orientations_begin_with_those_that_give_the_readings(psi: float) ->
     known = _known()
     _, rows = shape.contact_rows(PALMS.angles[0] - psi, PALMS.angles[1])
     s1, s2 = rows @ known.x[Z.SHAPE :]
-    chosen = known.orientations((s1, s2), PALMS, np.array([1.2e-8, 1.2e-8]), 24)
+    chosen = known.orientations((s1, s2), PALMS, RigDescription(), 24)
     assert len(set(chosen)) == 24
     apart = np.abs(np.angle(np.exp(1j * (chosen[:, None] - chosen[None, :]))))
     assert apart[~np.eye(24, dtype=bool)].min() > 2.5 * 2 * math.pi / DIRECTIONS

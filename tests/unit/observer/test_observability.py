@@ -145,7 +145,7 @@ def test_its_blocks_make_up_the_whole_window() -> None:
         follower.count(1)
         follower.count(2)
         if k == 0:
-            aim = np.array(kernels["aim"](x, palms[:2]))
+            aim = np.array(kernels["aim"](x, [*palms[:2], 0.0, 0.0]))
         if k < 40:
             inputs = [dt, *palms, 0.0, 0.0, *rig, 1 / variance, 1 / variance]
             T, G = (np.array(value) for value in kernels["gather"](x, T, G, inputs))

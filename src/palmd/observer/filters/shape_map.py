@@ -8,7 +8,7 @@ import numpy as np
 
 from palmd.events import FloatArray, PadSample, PalmSample
 from palmd.model import shape, shape_map
-from palmd.model.outputs import NAMED, RIG_INPUTS, rig_inputs
+from palmd.model.outputs import FRICTION_INPUT, NAMED, RIG_INPUTS, rig_inputs
 from palmd.model.smoothing import R
 from palmd.observer import prior
 from palmd.observer.bank import SCORE_MEMORY_S, Bank, Belief
@@ -61,14 +61,14 @@ class ShapeFilters:
     ):
         """Binds `size` filters' kernels; may compile C. `memory_s` as in `Bank`."""
         self.overconfidence = overconfidence
-        library = shape_map.library(order)
+        library = shape_map.library(order, rig.curved)
         inputs = (shape_map.PREDICTION_INPUTS, shape_map.PALM_INPUTS + RIG_INPUTS, len(NAMED))
         n = shape_map.size(order)
         self.bank = Bank(
             library, size, n, dict.fromkeys(("update_s1", "update_s2"), shape_map.UPDATE_INPUTS), inputs, memory_s
         )
         self.order = order
-        self._rig = rig_inputs(rig)
+        self._rig, self._curvatures = rig_inputs(rig), rig.curvatures
         self._x, self._P = np.zeros(n), np.zeros((n, n))
         self._x_next, self._P_next = np.zeros(n), np.zeros((n, n))
         self._u = np.zeros(shape_map.PREDICTION_INPUTS)
@@ -123,7 +123,7 @@ class ShapeFilters:
     def fuse_pad(self, sample: PadSample, variance: float, palms: PalmTracker, repeated: float) -> None:
         angles = self._palms_at(sample.t_sample, palms)[: len(JOINTS)]
         s = self.rig_error.corrected(sample, angles[OPENING])
-        self.bank.update(pad_update(sample.pad), s, variance, *angles, repeated=repeated)
+        self.bank.update(pad_update(sample.pad), s, variance, *angles, *self._curvatures, repeated=repeated)
 
     def fuse_palms(self, sample: PalmSample, angle_variance: float) -> None:
         raise NotImplementedError("the palms' motion is an input of the shape map")
@@ -163,7 +163,7 @@ class ShapeFilters:
         return self.bank.x[member].copy(), self.bank.P[member].copy()
 
     def _rig_now(self) -> FloatArray:
-        self._rig[-1] = self.rig_error.values[R.FRICTION]
+        self._rig[FRICTION_INPUT] = self.rig_error.values[R.FRICTION]
         return self._rig
 
     def _palms_at(self, t: float, palms: PalmTracker) -> FloatArray:

@@ -17,7 +17,7 @@ from palmd.record.eventlog import EventLog, TwoPalmsForm
 from palmd.record.outline_curves import OutlineCurves, curves_of
 from palmd.record.replay import Said, as_said, replay, tick_count
 from palmd.record.result import as_line
-from palmd.record.systems import TWO_PALMS, Reconstructed
+from palmd.record.systems import TWO_PALMS, NotYetError, Reconstructed
 
 
 class TwoPalms(TwoPalmsForm):
@@ -40,6 +40,8 @@ class TwoPalms(TwoPalmsForm):
         return tick_count(log)
 
     def estimate(self, log: EventLog, observer: ObserverName, outlines: Sequence[Outline]) -> Iterator[Said]:
+        if log.rig.curved and (reason := observers.flat_only(observer, outlines)):
+            raise NotYetError(reason)
         smoothing = observers.Simulated(log.rig)
         watcher = observers.make(observer, log.rig, smoothing=smoothing, outlines=tuple(outlines))
         return map(as_said, replay(log, watcher))

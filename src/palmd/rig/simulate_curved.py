@@ -1,0 +1,87 @@
+"""Event logs of curved palms with their truth, without wires, in the form of `rig.simulate`:
+
+    cradle     both palms concave, R = 60–90 mm, no friction, released away from rest
+    dome       both convex, R = 60–150 mm, as cradle
+    cfriction  concave, friction with dither, started at rest, irregular samples
+
+The palms' angles are chosen by the tangents at the contacts, which open as flat palms do: 100° on average. A cradle
+turns the contacts' normals more at the same motion, so that it moves by 0.7 of what flat palms do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal, get_args
+
+import numpy as np
+
+from palmd.rig.curved_plant import MOST_LYING, stable_on_arcs, widest
+from palmd.rig.imperfections import Imperfections, drawn
+from palmd.rig.plant import AS_ASSUMED, Hinge, PadPair, PlantOptions, random_surface
+from palmd.rig.shapes import Body, Kind, random_body
+from palmd.rig.simulate import PERFECTLY_KNOWN, Line, Rocking, SimulatedRun, Span, log_lines, rock, run_of, truth_of
+from palmd.system.arcs import joints_of
+from palmd.system.description import RigDescription
+
+CurvedKind = Literal["cradle", "dome", "cfriction"]
+CURVED_KINDS: tuple[CurvedKind, ...] = get_args(CurvedKind)
+
+AMPLITUDE = 0.7  # of what flat palms move by
+_RADII_M: Mapping[CurvedKind, Span] = {"cradle": (0.06, 0.09), "dome": (-0.15, -0.06), "cfriction": (0.06, 0.09)}
+_STREAM = 0x63757276  # of seeds, so that no draw is shared with `rig.simulate`
+
+
+def simulate_curved_log(
+    kind: CurvedKind,
+    seed: int,
+    duration_s: float = 10.0,
+    curvatures: PadPair | None = None,
+    amplitude: float = AMPLITUDE,
+    *,
+    options: PlantOptions = AS_ASSUMED,
+    body: Body | None = None,
+    calibration_sd: Mapping[str, float] = PERFECTLY_KNOWN,
+) -> tuple[list[Line], Line]:
+    """A run as event-log lines (header first), and its truth; the same seed, the same run.
+
+    `curvatures` of the palms (1/m) are drawn by default, and so is the `body`. Scenes in which a contact would be lost,
+    or come near a pad's end, are drawn again, and so are palms that are too concave for the body.
+    """
+    rng = np.random.default_rng([_STREAM, CURVED_KINDS.index(kind), seed])
+    off = drawn(RigDescription().known_to(calibration_sd), _STREAM, seed)
+    while True:
+        scene = draw(kind, rng, curvatures, amplitude, off, body)
+        history = None if scene is None else run_of(scene, duration_s, options, ())
+        if scene is not None and history is not None:
+            return list(log_lines(scene, history, calibration_sd, rng)), truth_of(scene, history)
+
+
+def draw(
+    kind: CurvedKind,
+    rng: np.random.Generator,
+    curvatures: PadPair | None,
+    amplitude: float,
+    imperfections: Imperfections,
+    body: Body | None = None,
+) -> SimulatedRun | None:
+    """A scene, its body turned so that ψ starts at 0; None if the palms are too concave for the body."""
+    flat_kind: Kind = "friction" if kind == "cfriction" else "nominal"
+    body = body or random_body(flat_kind, rng)
+    kappa = curvatures or (1.0 / float(rng.uniform(*_RADII_M[kind])), 1.0 / float(rng.uniform(*_RADII_M[kind])))
+    beta1, opening = float(rng.uniform(0.68, 0.82)), float(rng.uniform(1.50, 1.82))
+    amplitudes = [(amplitude * low, amplitude * high) for low, high in ((0.35, 0.70), (0.10, 0.28))]
+    surface = random_surface(flat_kind, rng)
+    release = float(rng.choice((-1.0, 1.0)) * rng.uniform(0.12, 0.5)) if flat_kind == "nominal" else 0.0
+    if max(kappa) * widest(body) > MOST_LYING:
+        return None
+    phi1, phi2 = joints_of(body.support.at(0.0)[0], (beta1, opening), kappa)
+    rocking = Rocking(
+        rock(rng, (phi1, phi1), amplitudes[0], (0.16, 0.38), ()),
+        rock(rng, (phi2, phi2), amplitudes[1], (0.17, 0.42), ()),
+    )
+    scene = SimulatedRun(flat_kind, body, Hinge("fixed", base=(0.0, 0.0)), surface, rocking, imperfections, kappa)
+    poses = stable_on_arcs(body, scene.palms_at(0.0), kappa)
+    if not poses:
+        return None
+    psi = poses[int(rng.integers(len(poses)))] + release
+    return SimulatedRun(flat_kind, body.turned(psi), scene.hinge, surface, rocking, imperfections, kappa)

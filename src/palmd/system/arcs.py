@@ -1,0 +1,94 @@
+"""Palms that are arcs through the hinge: where their points are, and what of an object's size readings on them tell.
+
+φ1, φ12 are their directions at the hinge, κ their signed curvatures (1/m, > 0 concave, 0 flat), s arc lengths (m).
+Each function takes floats or arrays alike. Pure, safe in the loop.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from typing import Any, TypeVar
+
+import numpy as np
+
+from palmd.system.mechanism import OPENING, SIDES, directions
+
+Value = TypeVar("Value")
+
+FLAT = (0.0,) * len(SIDES)
+"""The curvatures of flat palms."""
+
+_ITERATIONS = 60
+
+MOST_LYING = 0.95
+"""κv from which on an object lies in a cradle rather than on it: the contact runs away, and nothing is claimed."""
+
+
+def tangents(joints: Iterable[Value], contacts: Iterable[Value], curvatures: Sequence[float]) -> tuple[Value, ...]:
+    """The joint angles of flat palms that lie as the palms' tangents at the contacts: β1 and β2 − β1 (rad)."""
+    angles: tuple[Any, ...] = directions(joints)
+    given: Any = contacts
+    turned = [angle + side * kappa * s for angle, side, kappa, s in zip(angles, SIDES, curvatures, given, strict=True)]
+    return (turned[0], *(angle - before for before, angle in pairwise(turned)))
+
+
+def palm_points(joints: Iterable[Value], contacts: Iterable[Value], curvatures: Sequence[float]) -> list[Any]:
+    """Places on the palms as seen from the hinge (m, world), each (…, 2): s sinc(κs/2)·(cos, sin)(φ ± κs/2)."""
+    angles: tuple[Any, ...] = directions(joints)
+    given: Any = contacts
+    points = []
+    for angle, side, kappa, s in zip(angles, SIDES, curvatures, given, strict=True):
+        half = kappa * np.asarray(s) / 2
+        chord = s * np.sinc(half / np.pi)
+        points.append(np.stack([chord * np.cos(angle + side * half), chord * np.sin(angle + side * half)], axis=-1))
+    return points
+
+
+def opening_at(radius: float, s: float, curvatures: Sequence[float] = FLAT) -> float:
+    """φ2 (rad) at which a circle of that radius touches both palms `s` from the hinge (m).
+
+    Seen from the hinge its centre is at this angle from each palm's direction there; 2 atan(r/s) on flat palms.
+    """
+    if not any(curvatures):
+        return 2.0 * math.atan(radius / s)
+    return sum(_seen_at(radius, s, kappa) for kappa in curvatures)
+
+
+def _seen_at(radius: float, s: float, kappa: float) -> float:
+    x, y = s * float(np.sinc(kappa * s / np.pi)), kappa / 2 * (s * float(np.sinc(kappa * s / (2 * np.pi)))) ** 2
+    return math.atan2(y + radius * math.cos(kappa * s), x - radius * math.sin(kappa * s))
+
+
+def joints_of(
+    radius: float, tangent_joints: Sequence[float], curvatures: Sequence[float] = FLAT
+) -> tuple[float, float]:
+    """φ1, φ2 at which a circle of that radius (m) has the `tangent_joints` β1 and β2 − β1 (rad) at its contacts.
+
+    Its contacts' arc lengths by fixed-point iteration on (3.13), (3.14) with each tangent's height over the hinge.
+    """
+    beta1, opening = tangent_joints
+    s, kappa = np.zeros(2), np.array(curvatures)
+    for _ in range(_ITERATIONS if kappa.any() else 1):
+        above = radius - kappa / 2 * (s * np.sinc(kappa * s / math.tau)) ** 2
+        s = (above * math.cos(opening) + above[::-1]) / math.sin(opening) / np.sinc(kappa * s / np.pi)
+    turn1, turn2 = (kappa * s).tolist()
+    return beta1 - turn1, opening + turn1 + turn2
+
+
+def circle_radius(joints: Sequence[float], contacts: Sequence[float], curvatures: Sequence[float] = FLAT) -> float:
+    """Radius (m) of the circle that touches the palms about there.
+
+    On flat palms r / tan(φ2/2) are both readings of a circle, from (3.13) with d = 0; on arcs both tangents' normals,
+    by least squares, lead from the contacts to one centre.
+    """
+    if not any(curvatures):
+        return sum(contacts) / len(contacts) * math.tan(joints[OPENING] / 2)
+    one, two = palm_points(joints, contacts, curvatures)
+    beta = directions(tangents(joints, contacts, curvatures))
+    n1, n2 = (
+        np.stack([-side * np.sin(angle), side * np.cos(angle)], axis=-1)
+        for side, angle in zip(SIDES, beta, strict=True)
+    )
+    return float((two - one) @ (n1 - n2) / ((n1 - n2) @ (n1 - n2)))

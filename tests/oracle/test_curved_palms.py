@@ -1,0 +1,241 @@
+"""The kernels for curved palms against the emulated plant's other form of them, and against the flat ones as κ → 0."""
+
+from __future__ import annotations
+
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from palmd.events import PalmMotion
+from palmd.model import arcs, rollout, sensitivity, shape, shape_map, smoothing
+from palmd.model.contact import SX
+from palmd.model.outputs import NAMED, RIG_INPUTS, rig_inputs
+from palmd.model.shape_map import Z
+from palmd.observer.object_memory import DIRECTIONS, readings_on_arcs
+from palmd.rig.curved_plant import CurvedPlant, widest
+from palmd.rig.plant import FrictionSurface, Hinge
+from palmd.rig.shapes import Body, random_body
+from palmd.system.arcs import circle_radius, joints_of, palm_points
+from palmd.system.description import PadSensor, RigDescription
+
+CURVATURES = [(14.0, 11.5), (-9.0, -14.0), (15.0, 0.0), (-8.0, 12.0), (0.0, -10.0)]
+LENGTH = 0.0555
+
+
+def _rig(curvatures: tuple[float, float], hinge: str = "arc") -> RigDescription:
+    return RigDescription(hinge=hinge, pads=tuple(PadSensor(curvature=kappa) for kappa in curvatures))  # type: ignore[arg-type]
+
+
+def _body(seed: int, curvatures: tuple[float, float]) -> Body:
+    random = np.random.default_rng(seed)
+    while True:
+        body = random_body("friction", random)
+        if max(curvatures) * widest(body) < 0.8:
+            return body
+
+
+def _coefficients(body: Body, order: int) -> np.ndarray:
+    return shape.coefficients_of(body.support.sample(np.arange(360) * math.tau / 360), order)
+
+
+def _plan(t: float, phi1: float, phi2: float) -> PalmMotion:
+    a, b = 0.25, 0.12
+    return PalmMotion(
+        (phi1 + a * math.sin(1.9 * t), phi2 + b * math.sin(1.3 * t)),
+        (1.9 * a * math.cos(1.9 * t), 1.3 * b * math.cos(1.3 * t)),
+        (-(1.9**2) * a * math.sin(1.9 * t), -(1.3**2) * b * math.sin(1.3 * t)),
+    )
+
+
+def _state(body: Body, surface: FrictionSurface, psi: float, omega0: float, order: int = shape.HARMONICS) -> np.ndarray:
+    x = np.zeros(shape_map.size(order))
+    x[[Z.PSI, Z.OMEGA0, Z.LN_RHO, Z.MU, Z.LN_DITHER, Z.DAMPING]] = (
+        psi, omega0, math.log(body.rho), surface.mu, math.log(surface.dither), surface.damping,
+    )  # fmt: skip
+    x[Z.SHAPE :] = _coefficients(body, order)
+    return x
+
+
+@pytest.mark.parametrize("curvatures", CURVATURES)
+def test_a_second_of_motion_is_that_of_the_plant_which_knows_no_arc_lengths(curvatures: tuple[float, float]) -> None:
+    body, surface = _body(3, curvatures), FrictionSurface(0.15, 0.012, 2e-4)
+    phi = joints_of(body.support.at(0.0)[0], (0.75, 1.65), curvatures)
+    plant = CurvedPlant(body, Hinge("arc"), surface, curvatures)
+    plant.place(_plan(0.0, *phi), 0.4, 0.3)
+    rig = rig_inputs(_rig(curvatures))
+    named, predict = (f(shape.HARMONICS, curved=True) for f in (shape_map.named_function, shape_map.predict_function))
+    x, P, dt = _state(body, surface, 0.4, 0.3), np.zeros((shape_map.N,) * 2), 5e-4
+    turned = 0.0
+    for k in range(2000):
+        middle, end = (_plan(t, *phi) for t in ((k + 0.5) * dt, (k + 1) * dt))
+        plant.advance(middle, end, dt)
+        if k % 4 == 3:  # the filters' longer steps
+            start = _plan((k - 3) * dt, *phi)
+            jerk = (np.array(end.accelerations) - np.array(start.accelerations)) / (4 * dt)
+            u = [4 * dt, *start.angles, *start.rates, *start.accelerations, *jerk, *rig]
+            before = x[Z.PSI]
+            x = np.asarray(predict(x, P, u)[0]).ravel()
+            turned += abs(x[Z.PSI] - before)
+    assert all(plant.touching)
+    assert turned > 0.2, "it really moved"
+    assert x[Z.PSI] == pytest.approx(plant.state.psi, abs=2e-6)
+    assert x[Z.OMEGA0] == pytest.approx(plant.state.omega0, abs=2e-5)
+    x[[Z.PSI, Z.OMEGA0]] = plant.state.psi, plant.state.omega0
+    y = dict(
+        zip(NAMED, np.asarray(named(x, [*end.angles, *end.rates, *end.accelerations, *rig])[0]).ravel(), strict=True)
+    )
+    one, two = plant.contacts()
+    assert (y["s1"], y["s2"]) == pytest.approx((one.s, two.s), abs=1e-9)
+    assert (y["r1"], y["r2"]) == pytest.approx(plant.radii(), abs=1e-9)
+    assert (y["com_x"], y["com_y"]) == pytest.approx((plant.state.x, plant.state.y), abs=1e-9)
+    assert (body.mass * y["f1"], body.mass * y["f2"]) == pytest.approx((one.force, two.force), rel=1e-6)
+
+
+@pytest.mark.parametrize("curvatures", CURVATURES)
+def test_gradients_are_those_of_the_implicit_contact(curvatures: tuple[float, float]) -> None:
+    body, surface = _body(5, curvatures), FrictionSurface(0.12, 0.015, 1e-4)
+    phi = joints_of(body.support.at(0.0)[0], (0.75, 1.65), curvatures)
+    palms, rig = [*phi, 0.4, -0.2, 0.5, 0.3], rig_inputs(_rig(curvatures))
+    x = _state(body, surface, 0.3, 0.7)
+    named = shape_map.named_function(curved=True)
+
+    def y(at: np.ndarray) -> np.ndarray:
+        return np.asarray(named(at, [*palms, *rig])[0]).ravel()
+
+    J = np.asarray(named(x, [*palms, *rig])[1])
+    step = np.where(np.arange(len(x)) < Z.SHAPE, 1e-6, 1e-8)
+    wanted = np.column_stack(
+        [(y(x + step * e) - y(x - step * e)) / (2 * s) for e, s in zip(np.eye(len(x)), step, strict=True)]
+    )
+    scale = np.abs(wanted).max(axis=1, keepdims=True) + 1e-9
+    assert (np.abs(J - wanted) / scale).max() < 1e-6
+    aim = np.asarray(sensitivity.aim_function(curved=True)(x, [*phi, *curvatures]))
+    assert aim == pytest.approx(J[[NAMED.index(name) for name in ("r1", "r2", "s1", "s2")]], abs=1e-9)
+    dt = 0.004
+    predict, P = shape_map.predict_function(curved=True), np.eye(len(x)) * 1e-6
+    u = [dt, *palms, 1.0, -2.0, *rig]
+    transition = np.column_stack([
+        (np.asarray(predict(x + s * e, P, u)[0]) - np.asarray(predict(x - s * e, P, u)[0])).ravel() / (2 * s)
+        for e, s in zip(np.eye(len(x)), step, strict=True)
+    ])  # fmt: skip
+    noise = np.zeros_like(P)
+    noise[0, 0], noise[1, 1] = shape_map.Q_PSI * dt, shape_map.Q_OMEGA0 * dt
+    moved = transition @ P @ transition.T + noise
+    assert np.asarray(predict(x, P, u)[1]) == pytest.approx(moved, rel=1e-4, abs=1e-6 * np.abs(moved).max())
+
+
+def test_nearly_flat_palms_are_flat_ones_to_a_nanometre() -> None:
+    body, surface = _body(7, (0.0, 0.0)), FrictionSurface(0.1, 0.01, 1e-4)
+    x, P = _state(body, surface, 0.2, 0.5), np.eye(shape_map.N) * 1e-6
+    palms = [0.7, 1.6, 0.4, -0.2, 0.5, 0.3]
+    flat, arc = (rig_inputs(_rig(curvatures)) for curvatures in ((0.0, 0.0), (1e-9, -1e-9)))
+    straight = shape_map.named_function()(x, [*palms, *flat])
+    bent = shape_map.named_function(curved=True)(x, [*palms, *arc])
+    for one, other in zip(straight, bent, strict=True):
+        one, other = np.asarray(one), np.asarray(other)
+        assert np.abs(one - other).max() < 1e-6 * np.abs(one).max()
+    assert np.asarray(bent[0])[:5].ravel() == pytest.approx(np.asarray(straight[0])[:5].ravel(), abs=1e-9)
+    u = [0.004, *palms, 1.0, -2.0]
+    moved = [
+        np.asarray(shape_map.predict_function(curved=bool(k))(x, P, [*u, *rig])[0]) for k, rig in enumerate((flat, arc))
+    ]
+    assert moved[0] == pytest.approx(moved[1], abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("curvatures", CURVATURES)
+def test_the_arrays_find_the_contacts_that_the_kernels_find(curvatures: tuple[float, float], seed: int) -> None:
+    body = _body(seed, curvatures)
+    h = _coefficients(body, shape.HARMONICS)
+    phi1, phi2 = joints_of(body.support.at(0.0)[0], (0.75, 1.65), curvatures)
+    psi = np.arange(24) * math.tau / 24
+    s = arcs.contacts_on_arcs(h, np.full(24, phi1), np.full(24, phi2), psi, curvatures)
+    x = _state(body, FrictionSurface(), 0.0, 0.0)
+    named = shape_map.named_function(curved=True)
+    for number, angle in enumerate(psi):
+        x[Z.PSI] = angle
+        y = np.asarray(named(x, [phi1, phi2, 0, 0, 0, 0, *rig_inputs(_rig(curvatures))])[0]).ravel()
+        assert y[[NAMED.index("s1"), NAMED.index("s2")]] == pytest.approx(s[:, number], abs=1e-10)
+    circle = np.zeros_like(h)
+    circle[0] = h[0]
+    both = arcs.contacts_on_arcs(circle, np.array([phi1]), np.array([phi2]), np.zeros(1), curvatures)[:, 0].tolist()
+    assert circle_radius((phi1, phi2), both, curvatures) == pytest.approx(h[0], abs=1e-12)
+
+
+def test_rows_of_orientations_are_gradients_of_readings() -> None:
+    curvatures = (14.0, -9.0)
+    h = _coefficients(_body(2, curvatures), shape.HARMONICS)
+    palms = PalmMotion.at_rest(joints_of(h[0], (0.75, 1.65), curvatures))
+    s, rows = readings_on_arcs(palms, h, curvatures)
+    change = np.random.default_rng(1).standard_normal(len(h)) * 1e-9
+    after, _ = readings_on_arcs(palms, h + change, curvatures)
+    assert s.shape == (2, DIRECTIONS)
+    for palm in range(2):
+        assert after[palm] - s[palm] == pytest.approx(rows[palm] @ change, abs=1e-13)
+
+
+@pytest.mark.parametrize("pad", [1, 2])
+def test_a_bowed_pad_off_its_line_reads_as_the_plant_has_it(pad: int) -> None:
+    """The smoother's constants of the rig on arcs, against a plant whose palms are as far off."""
+    from dataclasses import replace
+
+    from palmd.rig.imperfections import Imperfections, PadImperfection
+
+    curvatures, sagitta, standoff = (14.0, -9.0), (8e-5, -5e-5), (2e-4, -3e-4)
+    body, surface = _body(4, curvatures), FrictionSurface(0.15, 0.012, 2e-4)
+    off = Imperfections(tuple(PadImperfection(sagitta=a, standoff=b) for a, b in zip(sagitta, standoff, strict=True)))
+    phi = joints_of(body.support.at(0.0)[0], (0.75, 1.65), curvatures)
+    plant = CurvedPlant(body, Hinge("arc"), surface, curvatures, imperfections=off)
+    motion = replace(PalmMotion.at_rest(phi), rates=(0.4, -0.3), accelerations=(0.5, 0.2))
+    plant.place(motion, 0.3, 0.8)
+    p = np.zeros(smoothing.CONSTANTS)
+    C, R = smoothing.C, smoothing.R
+    p[C.LN_RHO], p[C.DRAG], p[C.SATURATION] = math.log(body.rho), surface.mu / surface.dither, surface.dither**-2.0
+    p[C.DAMPING], p[C.LN_MASS] = surface.damping, math.log(body.mass)
+    p[C.SHAPE :] = _coefficients(body, smoothing.ORDER)
+    for i in range(2):
+        p[C.RIG + R.SAGITTA + i], p[C.RIG + R.STANDOFF + i] = sagitta[i], standoff[i]
+    nodes = [[0.3, 0.8], [0.3 + 0.005 * 0.8, 0.8]]
+    lengths = [LENGTH, LENGTH]
+    z = [0.005, 0.0, pad, *motion.angles, *motion.rates, 0.0, *curvatures, *lengths]
+    s = float(smoothing.contact_function(curved=True)(*nodes, p, z)[0])
+    assert s == pytest.approx(plant.contacts()[pad - 1].s, abs=1e-6)
+    z = [0.005, 0.0, pad, *motion.angles, *motion.rates, *motion.accelerations, *rig_inputs(_rig(curvatures)), *lengths]
+    force = float(smoothing.force_function(curved=True)(*nodes, p, z)[0])
+    assert force == pytest.approx(plant.contacts()[pad - 1].force, rel=5e-3)
+
+
+def test_what_is_too_concave_for_the_body_is_refused() -> None:
+    body = _body(1, (0.0, 0.0))
+    with pytest.raises(ValueError, match="too concave for the body: kappa v reaches"):
+        CurvedPlant(body, Hinge("fixed"), FrictionSurface(), (1.0 / widest(body), 0.0))
+
+
+def test_points_lie_on_circles_through_the_hinge() -> None:
+    one, two = palm_points((0.5, 2.2), (np.linspace(0, 0.05, 5), np.linspace(0, 0.05, 5)), (14.0, -9.0))
+    centre1 = np.array([-math.sin(0.5), math.cos(0.5)]) / 14.0
+    centre2 = np.array([math.sin(2.7), -math.cos(2.7)]) / -9.0
+    assert np.linalg.norm(one - centre1, axis=1) == pytest.approx(np.full(5, 1 / 14.0), abs=1e-15)
+    assert np.linalg.norm(two - centre2, axis=1) == pytest.approx(np.full(5, 1 / 9.0), abs=1e-15)
+
+
+def test_a_roll_ends_where_steps_of_the_filters_end() -> None:
+    curvatures = (14.0, 11.5)
+    body, surface = _body(3, curvatures), FrictionSurface(0.15, 0.012, 2e-4)
+    phi = joints_of(body.support.at(0.0)[0], (0.75, 1.65), curvatures)
+    rig, x = rig_inputs(_rig(curvatures)), _state(body, surface, 0.4, 0.3)
+    move = [*phi, phi[0] + 0.2, phi[1] - 0.1, 0.6, 0.1]
+    moved, told = (np.asarray(each) for each in rollout.roll_function(curved=True)(x, move, rig))
+    predict, P = shape_map.predict_function(curved=True), np.zeros((shape_map.N,) * 2)
+    for k in range(rollout.SUBSTEPS * 4):
+        start, end = (rollout.palms_on(ca.DM(move), SX(0.0025 * j)) for j in (k, k + 1))
+        begin, after = (
+            [float(ca.evalf(v)) for v in (p.phi1, p.phi2, p.omega1, p.omega2, p.alpha1, p.alpha2)] for p in (start, end)
+        )
+        jerk = [(b - a) / 0.0025 for a, b in zip(begin[4:], after[4:], strict=True)]
+        x = np.asarray(predict(x, P, [0.0025, *begin, *jerk, *rig])[0]).ravel()
+    assert moved.ravel() == pytest.approx(x[:2], abs=2e-5), "of steps four times as long"
+    assert told.shape == (rollout.TOLD, rollout.SUBSTEPS)
+    assert rig.shape == (RIG_INPUTS,)
