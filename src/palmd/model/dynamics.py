@@ -9,9 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import casadi as ca
-
-from palmd.model.contact import SX, Contact, normal, solve_from_normals, tangent
+from palmd.model.contact import Contact, normal, solve_from_normals, tangent
+from palmd.model.symbolic import SX, ca
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import casadi as ca
-
-from palmd.model.contact import SX
+from palmd.model.symbolic import SX, ca
 
 Rates = Callable[[SX, SX], SX]
 SMALL = 0.2  # |rate · step| below which the coefficients' series, its derivative too, beats their closed form

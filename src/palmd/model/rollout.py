@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from functools import cache
 
-import casadi as ca
-
-from palmd.model.compiled import Library, densified, load
-from palmd.model.contact import SX, Contact, readings
+from palmd.model.compiled import Library, load
+from palmd.model.contact import Contact, readings
 from palmd.model.dynamics import BodyConstants, Palms, newton_euler
 from palmd.model.integrate import exponential_step
+from palmd.model.kernels import of_columns
 from palmd.model.outputs import RIG_INPUTS
 from palmd.model.shape import contact_at
 from palmd.model.shape_map import N, Z
+from palmd.model.symbolic import SX, ca
 from palmd.system.mechanism import normal_directions
 
 COLUMNS = 32
@@ -74,6 +74,5 @@ def roll_function() -> ca.Function:
 
 @cache
 def library() -> Library:
-    """`roll_batch`: `roll` on `COLUMNS` columns side by side, on the same rig."""
-    roll = densified(roll_function())
-    return load("rollout", [roll.map("roll_batch", "serial", COLUMNS, [2], [])])
+    """`roll_batch`: `roll` on columns, on the same rig."""
+    return load("rollout", lambda: [of_columns(roll_function(), "roll_batch", ["rig"])])

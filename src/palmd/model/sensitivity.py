@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from functools import cache
 
-import casadi as ca
-
-from palmd.model.compiled import Library, densified, load
-from palmd.model.contact import SX, Contact, readings
+from palmd.model.compiled import Library, load
+from palmd.model.contact import Contact, readings
 from palmd.model.dynamics import BodyConstants, Palms, newton_euler
 from palmd.model.integrate import exponential_step
+from palmd.model.kernels import single
 from palmd.model.shape import contact_at
 from palmd.model.shape_map import PALM_INPUTS, PREDICTION_INPUTS, N, Z, palms_after
+from palmd.model.symbolic import SX, ca
 from palmd.system.mechanism import normal_directions
 
 GATHER_INPUTS = PREDICTION_INPUTS + 2
@@ -65,4 +65,4 @@ def aim_function() -> ca.Function:
 @cache
 def library() -> Library:
     """The kernels `gather` and `aim`, for one trajectory."""
-    return load("sensitivity", [densified(f) for f in (gather_function(), aim_function())])
+    return load("sensitivity", lambda: map(single, (gather_function(), aim_function())))

@@ -9,14 +9,14 @@ from __future__ import annotations
 from enum import IntEnum
 from functools import cache
 
-import casadi as ca
-
-from palmd.model.compiled import Library, densified, load, mapped_over_block
-from palmd.model.contact import SX, Contact, readings
+from palmd.model.compiled import Library, load
+from palmd.model.contact import Contact, readings
 from palmd.model.dynamics import BodyConstants, Palms, newton_euler
 from palmd.model.integrate import exponential_step
+from palmd.model.kernels import Kernel, of_columns, single
 from palmd.model.outputs import RIG_INPUTS, named_outputs
 from palmd.model.shape import HARMONICS, contact_at
+from palmd.model.symbolic import SX, ca
 from palmd.system.mechanism import PALMS, normal_directions
 
 
@@ -134,7 +134,11 @@ def values_function(order: int = HARMONICS) -> ca.Function:
 @cache
 def library(order: int = HARMONICS) -> Library:
     """Kernels for blocks of shape maps and, without `_block`, for one: predict, update_s1, update_s2, values; named."""
-    pads = [update_function(f"update_s{pad}", pad, order) for pad in PALMS]
-    kernels = [densified(f) for f in (predict_function(order), *pads, values_function(order))]
-    name = "shape_map" if order == HARMONICS else f"shape_map{order}"
-    return load(name, [*map(mapped_over_block, kernels), *kernels, densified(named_function(order))])
+
+    def kernels() -> list[Kernel]:
+        pads = [update_function(f"update_s{pad}", pad, order) for pad in PALMS]
+        functions = [predict_function(order), *pads, values_function(order)]
+        banks = [of_columns(f, f"{f.name()}_block", [f.name_in(f.n_in() - 1)]) for f in functions]
+        return [*banks, *map(single, functions), single(named_function(order))]
+
+    return load("shape_map" if order == HARMONICS else f"shape_map{order}", kernels)
