@@ -8,7 +8,7 @@ from benchtable import PARTS, machine, percentiles, show
 from palms import palm_sample
 
 from palmd.events import PadSample
-from palmd.model import compiled, extended, shape_map
+from palmd.model import building, compiled, extended, shape_map
 from palmd.observer import EXTENDED_BANK, SHAPE_BANK, QuasistaticObserver
 from palmd.observer.bank_observer import BankObserver
 from palmd.observer.filters.extended import ExtendedFilters
@@ -76,10 +76,11 @@ def test_bench_tick_of_the_observers(run):
 
 def step_time(library, name):
     """One call of a kernel for one filter (µs): the best of several means."""
-    function = library.functions[name]
+    told = library.signatures[name]
     rng = np.random.default_rng(SEED)
-    inputs = [rng.uniform(0.2, 0.9, function.numel_in(i)) for i in range(function.n_in())]
-    outputs = [np.zeros(function.numel_out(i)) for i in range(function.n_out())]
+    columns = [1 if i in told.shared or not told.columns else compiled.LANES for i in range(len(told.inputs))]
+    inputs = [rng.uniform(0.2, 0.9, count * size) for count, (_, size) in zip(columns, told.inputs, strict=True)]
+    outputs = [np.zeros(columns[0] * size) for _, size in told.outputs]
     call = library.bind(name, inputs, outputs)
     best = np.inf
     for _ in range(REPEATS):
@@ -87,7 +88,7 @@ def step_time(library, name):
         for _ in range(CALLS):
             call()
         best = min(best, (time.perf_counter() - begun) / CALLS)
-    return best * 1e6 / (compiled.BLOCK if name.endswith("_block") else 1)
+    return best * 1e6 / (compiled.LANES if name.endswith("_block") else 1)
 
 
 def test_bench_one_step_of_one_filter(monkeypatch):
@@ -97,14 +98,15 @@ def test_bench_one_step_of_one_filter(monkeypatch):
         fast = model.library()
         with monkeypatch.context() as patch:
             patch.delenv("CC", raising=False)
-            patch.setattr(compiled.shutil, "which", lambda _: None)
+            patch.setattr(compiled, "_opened", lambda _: None)
+            patch.setattr(building.shutil, "which", lambda _: None)
             slow = model.library.__wrapped__()  # not the one that is kept
         assert slow.backend == "vm"
         for kernel in ("predict", "update_s1"):
             c, vm = (step_time(library, f"{kernel}_block") for library in (fast, slow))
             rows.append((f"{name} ({model.N} states) {kernel}", c, vm, vm / c))
     backend = "C" if fast.backend == "c" else "no compiler: virtual machine"
-    show(f"one step of one filter, in blocks of {compiled.BLOCK} (µs)", (backend, "virtual machine", "ratio"), rows)
+    show(f"one step of one filter, in blocks of {compiled.LANES} (µs)", (backend, "virtual machine", "ratio"), rows)
     print(f"  {machine()}")
     if fast.backend == "c":
         assert all(ratio > 1.5 for *_, ratio in rows)

@@ -10,9 +10,9 @@ import pytest
 
 from palmd.events import PalmMotion
 from palmd.model import arcs, rollout, sensitivity, shape, shape_map, smoothing
-from palmd.model.contact import SX
 from palmd.model.outputs import NAMED, RIG_INPUTS, rig_inputs
 from palmd.model.shape_map import Z
+from palmd.model.symbolic import SX
 from palmd.observer.object_memory import DIRECTIONS, readings_on_arcs
 from palmd.rig.curved_plant import CurvedPlant, widest
 from palmd.rig.plant import FrictionSurface, Hinge

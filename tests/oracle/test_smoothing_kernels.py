@@ -192,7 +192,7 @@ def test_a_pads_reading_on_a_rig_that_is_not_as_described(pad: int, seed: int) -
 
 def test_batches_serve_what_the_single_kernels_give() -> None:
     library, random = smoothing.library(), np.random.default_rng(0)
-    p, rows = _constants(), smoothing.BATCH
+    p, rows = _constants(), 24
     a, u = np.zeros((rows, 2)), np.tile([DT, *PALMS, *JERK, *RIG], (rows, 1))
     a[:] = NODES[0] + 0.1 * random.standard_normal((rows, 2))
     end, J = np.zeros((rows, 2)), np.zeros((rows, 2 + CONSTANTS, 2))

@@ -48,8 +48,8 @@ class Services:
         """What `palmd install` said; the observers are those that this machine has compiled already."""
         cache = self.machine.path(CACHE)
         cache.mkdir(parents=True, exist_ok=True)
-        for library in cache_directory().glob("*.so"):
-            shutil.copy(library, cache)
+        for each in cache_directory().glob("*-*.*"):
+            shutil.copy(each, cache)
         said = self.machine.run(PALMD, "install")
         config = self.machine.path(CONFIG)
         text = config.read_text().replace("/dev/palmd-", "/run/palmd-rig/").replace("rock.yaml", "lively.yaml")

@@ -1,82 +1,110 @@
-"""CasADi functions as compiled C, bound to fixed arrays and called without copies.
+"""Compiled kernels, bound to fixed arrays and called without copies.
 
-The C of a set of functions is generated, compiled once into a cache keyed by the hash of the C, the compiler
-and its flags, and checked on load against CasADi's own virtual machine on random inputs. Without a compiler
-the virtual machine serves: slower, same numbers.
+Kernels are generated, compiled and checked once (`model.building`) into a cache. What is found there is loaded in a
+millisecond, without CasADi: its name tells the sources, the compiler's flags and the processor that it was made from
+and for, a note beside it its functions and its hash. Without a compiler CasADi's virtual machine serves: slower, the
+same numbers to rounding.
 """
 
 from __future__ import annotations
 
 import ctypes
 import hashlib
+import json
 import logging
 import os
 import platform
-import shutil
 import subprocess
-import tempfile
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-import casadi as ca
 import numpy as np
 
 from palmd.events import FloatArray
 
+if TYPE_CHECKING:
+    from palmd.model.kernels import Kernel
+
 Backend = Literal["c", "vm"]
-FLAGS = ("-O2", "-fPIC", "-shared", "-fno-math-errno", "-ffp-contract=off")
-CHECK_INPUTS = 3
-CHECK_TOLERANCE = 1e-9
+LANES = 8
+"""Columns that stand side by side in a kernel of columns, which serves any multiple of so many."""
+
+EXPORTED = "kernel_"  # before a kernel's name: what a library exports
+# no contraction: the same bits on every processor
+FLAGS = ("-O2", "-march=native", "-fPIC", "-shared", "-fno-math-errno", "-ffp-contract=off", "-Wno-psabi")
 
 log = logging.getLogger(__name__)
+
+Run = Callable[[int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Signature:
+    """A kernel's inputs and outputs: name and size of each, of one column where it is of columns.
+
+    All columns have the `shared` inputs in common.
+    """
+
+    inputs: tuple[tuple[str, int], ...]
+    outputs: tuple[tuple[str, int], ...]
+    columns: bool
+    shared: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Library:
-    """A set of functions ready to be bound, and what runs them: compiled C or CasADi's virtual machine."""
+    """A set of kernels ready to be bound, and what runs them: compiled C or CasADi's virtual machine.
 
-    functions: dict[str, ca.Function]
+    `path` is that of the compiled library.
+    """
+
+    signatures: dict[str, Signature]
     backend: Backend
+    runner: Callable[[str, Sequence[FloatArray], Sequence[FloatArray]], Run]
+    path: Path | None = None
 
     def bind(self, name: str, inputs: Sequence[FloatArray], outputs: Sequence[FloatArray]) -> BoundCall:
-        """A call without arguments that reads `inputs` and writes `outputs` in place, in microseconds.
+        """A call that reads `inputs` and writes `outputs` in place, in microseconds.
 
-        Arrays are C-contiguous float64 of exactly the function's sizes, column-major as CasADi stores
-        matrices; no output may share memory with an input. Raises ValueError otherwise. The returned call is
-        safe inside the loop.
+        Arrays are C-contiguous float64 of exactly the kernel's sizes, matrices column-major as CasADi stores them; of a
+        kernel of columns one column after the other, a multiple of `LANES` of them. No output may share memory with an
+        input. Raises ValueError otherwise. The returned call is safe inside the loop.
         """
-        function = self.functions[name]
-        if (len(inputs), len(outputs)) != (function.n_in(), function.n_out()):
+        told = self.signatures[name]
+        if (len(inputs), len(outputs)) != (len(told.inputs), len(told.outputs)):
             raise ValueError(
-                f"{name} takes {function.n_in()} inputs and {function.n_out()} outputs, "
+                f"{name} takes {len(told.inputs)} inputs and {len(told.outputs)} outputs, "
                 f"got {len(inputs)} and {len(outputs)}"
             )
-        for i, array in enumerate(inputs):
-            _check_array(f"{name} input {function.name_in(i)}", array, function.numel_in(i))
-        for i, array in enumerate(outputs):
-            _check_array(f"{name} output {function.name_out(i)}", array, function.numel_out(i))
+        columns = 1
+        if told.columns:
+            first = next(i for i in range(len(inputs)) if i not in told.shared)
+            columns = inputs[first].size // told.inputs[first][1]
+            if columns < 1 or columns % LANES:
+                raise ValueError(f"{name} takes a multiple of {LANES} columns, got {columns}")
+        for i, (array, (called, size)) in enumerate(zip(inputs, told.inputs, strict=True)):
+            _check_array(f"{name} input {called}", array, size if i in told.shared else columns * size)
+        for array, (called, size) in zip(outputs, told.outputs, strict=True):
+            _check_array(f"{name} output {called}", array, columns * size)
             if any(np.shares_memory(array, other) for other in inputs):
-                raise ValueError(f"{name} output {function.name_out(i)} shares memory with an input")
-        buffer, trigger = function.buffer()
-        for i, array in enumerate(inputs):
-            buffer.set_arg(i, array.data)  # type: ignore[call-arg]  # the stub knows of no default
-        for i, array in enumerate(outputs):
-            buffer.set_res(i, array.data)  # type: ignore[call-arg]
-        return BoundCall(trigger, (buffer, *inputs, *outputs))
+                raise ValueError(f"{name} output {called} shares memory with an input")
+        return BoundCall(self.runner(name, inputs, outputs), columns, (*inputs, *outputs))
 
 
 @dataclass(frozen=True, slots=True)
 class BoundCall:
-    """One function tied to its arrays; holds on to all the memory that the generated code will touch."""
+    """One kernel tied to its arrays; holds on to all the memory that the generated code will touch."""
 
-    trigger: Callable[[], None]
+    run: Run
+    columns: int
     owned: tuple[object, ...]
 
-    def __call__(self) -> None:
-        """Evaluate in place."""
-        self.trigger()
+    def __call__(self, columns: int | None = None) -> None:
+        """Evaluate in place; only the first `columns`, a multiple of `LANES`, where that is given."""
+        self.run(self.columns if columns is None else columns)
 
 
 def _check_array(what: str, array: FloatArray, size: int) -> None:
@@ -84,43 +112,31 @@ def _check_array(what: str, array: FloatArray, size: int) -> None:
         raise ValueError(f"{what}: needs {size} contiguous float64, got {array.size} {array.dtype}")
 
 
-def densified(function: ca.Function) -> ca.Function:
-    """The same function with dense inputs and outputs, so that plain arrays can hold them; shared terms once."""
-    inputs = [ca.SX.sym(function.name_in(i), *function.size_in(i)) for i in range(function.n_in())]
-    outputs = ca.cse([ca.densify(out) for out in function.call(inputs)])
-    return ca.Function(function.name(), inputs, outputs, function.name_in(), function.name_out())
+def load(
+    name: str, kernels: Callable[[], Iterable[Kernel]], folder: Path | None = None, written: Sequence[str] = ()
+) -> Library:
+    """The library called `name` from the cache (or `folder`); what is not there yet is built, from `kernels()`.
 
-
-BLOCK = 8
-"""Filters that one call of a `NAME_block` kernel serves."""
-
-
-def mapped_over_block(function: ca.Function) -> ca.Function:
-    """`NAME_block`: the densified function applied to `BLOCK` filters side by side, all with the same last input."""
-    return function.map(f"{function.name()}_block", "serial", BLOCK, [function.n_in() - 1], [])
-
-
-def load(name: str, functions: Sequence[ca.Function], cache: Path | None = None) -> Library:
-    """Generate, compile (or find in the cache), verify and load `functions` as one library called `name`.
-
-    Takes seconds the first time and milliseconds afterwards; not for use inside the loop. Never raises for
-    want of a compiler or of a writable cache: it falls back to the virtual machine with a warning.
+    `written`: files of C in this package that are compiled with it. Takes seconds the first time and a millisecond
+    afterwards; not for use inside the loop. Never raises for want of a compiler or of a writable cache: it falls back
+    to the virtual machine with a warning.
     """
-    by_name = {function.name(): function for function in functions}
-    compiler = os.environ.get("CC") or next(filter(shutil.which, ("cc", "gcc", "clang")), None)
-    if compiler is None:
-        log.warning("no C compiler: observers run on CasADi's virtual machine (install gcc for speed)")
-        return Library(by_name, "vm")
+    note = (folder or cache_directory()) / f"{name}-{key_of(_sources())}.json"
+    found = _opened(note)
+    if found is not None:
+        return found
+    from palmd.model import building
+
+    made = list(kernels())
     try:
-        library = _compile(name, functions, compiler, cache or cache_directory())
+        if building.build(name, made, [_PACKAGE / each for each in written], note):
+            found = _opened(note)
+        else:
+            log.warning("no C compiler: observers run on CasADi's virtual machine (install gcc for speed)")
     except (OSError, subprocess.CalledProcessError) as error:
         detail = error.stderr.strip() if isinstance(error, subprocess.CalledProcessError) else error
         log.warning("could not compile %s, using CasADi's virtual machine: %s", name, detail)
-        return Library(by_name, "vm")
-    compiled = {key: ca.external(key, str(library)) for key in by_name}
-    for key, function in by_name.items():
-        _check_against_vm(compiled[key], function)
-    return Library(compiled, "c")
+    return found or building.on_the_vm(made)
 
 
 def cache_directory() -> Path:
@@ -131,42 +147,81 @@ def cache_directory() -> Path:
     return (Path(home) if home else Path.home() / ".cache") / "palmd"
 
 
-def _compile(name: str, functions: Sequence[ca.Function], compiler: str, cache: Path) -> Path:
-    cache.mkdir(parents=True, exist_ok=True)
-    version = subprocess.run([compiler, "--version"], check=True, capture_output=True, text=True).stdout
-    with tempfile.TemporaryDirectory(dir=cache) as folder:
-        generator = ca.CodeGenerator(f"{name}.c", {"with_header": False})
-        for function in functions:
-            generator.add(function)
-        source = Path(generator.generate(f"{folder}/"))
-        key = hashlib.sha256()
-        for part in (
-            source.read_bytes(),
-            version.encode(),
-            " ".join(FLAGS).encode(),
-            platform.machine().encode(),
-        ):
-            key.update(part + b"\0")
-        target = cache / f"{name}-{key.hexdigest()[:24]}.so"
-        if not target.exists():
-            built = Path(folder) / "built.so"
-            command = [compiler, *FLAGS, "-o", str(built), str(source), "-lm"]
-            subprocess.run(command, check=True, capture_output=True, text=True)
-            ctypes.CDLL(str(built))  # refuse a library that cannot be loaded before anybody relies on it
-            built.replace(target)
-    return target
+_PACKAGE = Path(__file__).parent
+_SOURCES = (_PACKAGE, _PACKAGE.with_name("system"))
 
 
-def _check_against_vm(compiled: ca.Function, function: ca.Function) -> None:
-    """Raise RuntimeError when the compiled code and the virtual machine disagree on random inputs."""
-    random = np.random.default_rng(0)
-    for _ in range(CHECK_INPUTS):
-        arguments = [random.uniform(0.2, 0.9, function.size_in(i)) for i in range(function.n_in())]
-        for index, (got, wanted) in enumerate(zip(compiled.call(arguments), function.call(arguments), strict=True)):
-            a, b = np.asarray(got), np.asarray(wanted)
-            if not np.allclose(a, b, rtol=CHECK_TOLERANCE, atol=CHECK_TOLERANCE, equal_nan=True):
-                worst = float(np.nanmax(np.abs(a - b)))
-                raise RuntimeError(
-                    f"compiled {function.name()} differs from CasADi's virtual machine in output "
-                    f"{function.name_out(index)} by {worst:.3g}; delete the cache {cache_directory()} and retry"
-                )
+def key_of(source: bytes) -> str:
+    """What tells one build of a source from another."""
+    told = hashlib.sha256(source)
+    for part in (os.environ.get("CC", ""), " ".join(FLAGS), platform.machine(), _processor()):
+        told.update(part.encode() + b"\0")
+    return told.hexdigest()[:24]
+
+
+@cache
+def _sources() -> bytes:
+    """The hash of all that kernels are generated from."""
+    told = hashlib.sha256()
+    for folder in _SOURCES:
+        for path in sorted(folder.iterdir()):
+            if path.suffix in (".py", ".h", ".c"):
+                told.update(path.name.encode() + b"\0" + path.read_bytes())
+    return told.digest()
+
+
+@cache
+def _processor() -> str:
+    """What the processor can do, where the system tells: libraries are made for it."""
+    try:
+        with Path("/proc/cpuinfo").open(encoding="utf-8", errors="replace") as told:
+            return next((line for line in told if line.startswith(("flags", "Features"))), "")
+    except OSError:
+        return platform.processor()
+
+
+def _opened(note: Path) -> Library | None:
+    """The library that a note tells of; None when there is none, or it is not what was built."""
+    try:
+        told = json.loads(note.read_bytes())
+        path = note.with_name(told["library"])
+        if hashlib.sha256(path.read_bytes()).hexdigest() != told["sha256"]:
+            log.warning("%s is not what was built, and is built anew", path)
+            path.unlink()
+            return None
+        compiled = ctypes.CDLL(str(path))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError) as error:
+        log.warning("%s cannot be used, and is built anew: %s", note, error)
+        return None
+    signatures = {name: _signature(fields) for name, fields in told["kernels"].items()}
+
+    def runner(name: str, inputs: Sequence[FloatArray], outputs: Sequence[FloatArray]) -> Run:
+        function = compiled[EXPORTED + name]
+        function.argtypes, function.restype = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_long), None
+        into, out = (_addresses(arrays) for arrays in (inputs, outputs))
+        at, to = ctypes.addressof(into), ctypes.addressof(out)
+
+        def run(columns: int, _held: object = (into, out)) -> None:
+            function(at, to, columns)
+
+        return run
+
+    return Library(signatures, "c", runner, path)
+
+
+def _addresses(arrays: Sequence[FloatArray]) -> ctypes.Array[ctypes.c_void_p]:
+    return (ctypes.c_void_p * len(arrays))(*(array.ctypes.data for array in arrays))
+
+
+def _signature(fields: dict[str, Any]) -> Signature:
+    inputs, outputs = (tuple((name, size) for name, size in fields[key]) for key in ("inputs", "outputs"))
+    return Signature(inputs, outputs, fields["columns"], tuple(fields["shared"]))
+
+
+def note_of(signatures: dict[str, Signature], library: Path) -> str:
+    """What is written beside a library."""
+    kernels = {name: asdict(signature) for name, signature in signatures.items()}
+    sha256 = hashlib.sha256(library.read_bytes()).hexdigest()
+    return json.dumps({"library": library.name, "sha256": sha256, "kernels": kernels})

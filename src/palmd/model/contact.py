@@ -9,9 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import casadi as ca
-
-SX = ca.SX
+from palmd.model.symbolic import SX, ca
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import casadi as ca
-
-from palmd.model.contact import SX, Contact, centre_of_mass, normal, solve_from_normals, tangent
+from palmd.model.contact import Contact, centre_of_mass, normal, solve_from_normals, tangent
+from palmd.model.symbolic import SX, ca
 
 
 @dataclass(frozen=True, slots=True)

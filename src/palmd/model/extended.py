@@ -12,14 +12,14 @@ from __future__ import annotations
 from enum import IntEnum
 from functools import cache
 
-import casadi as ca
-
-from palmd.model.compiled import Library, densified, load, mapped_over_block
-from palmd.model.contact import SX, Contact, offsets
+from palmd.model.compiled import Library, load
+from palmd.model.contact import Contact, offsets
 from palmd.model.dynamics import BodyConstants, Palms, newton_euler
 from palmd.model.integrate import exponential_step
+from palmd.model.kernels import Kernel, of_columns, single
 from palmd.model.outputs import RIG_INPUTS, named_outputs
 from palmd.model.shape import COEFFICIENTS, HARMONICS, contact_at, harmonics
+from palmd.model.symbolic import SX, ca
 from palmd.system.mechanism import normal_directions
 
 
@@ -187,7 +187,11 @@ def outline_function() -> ca.Function:
 @cache
 def library() -> Library:
     """Kernels for blocks of filters (predict, update_*, values), and for one of them: predict, named, outline."""
-    updates = (update_function(f"update_{s.name.lower()}", s) for s in MEASURED)
-    blocks = [densified(f) for f in (predict_function(), *updates, values_function())]
-    single = [blocks[0], densified(named_function()), densified(outline_function())]
-    return load("extended", [*map(mapped_over_block, blocks), *single])
+
+    def kernels() -> list[Kernel]:
+        updates = (update_function(f"update_{s.name.lower()}", s) for s in MEASURED)
+        functions = [predict_function(), *updates, values_function()]
+        banks = [of_columns(f, f"{f.name()}_block", [f.name_in(f.n_in() - 1)]) for f in functions]
+        return [*banks, *map(single, (functions[0], named_function(), outline_function()))]
+
+    return load("extended", kernels)

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import casadi as ca
-
-from palmd.model.contact import SX
+from palmd.model.symbolic import SX, ca
 from palmd.model.touch import Touch
 
 Rates = Callable[[SX, SX], SX]

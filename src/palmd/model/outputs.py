@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.model.contact import SX, Contact, centre_of_mass, readings, tangent
+from palmd.model.contact import Contact, centre_of_mass, readings, tangent
 from palmd.model.dynamics import BodyConstants, Palms, newton_euler
+from palmd.model.symbolic import SX, ca
 from palmd.model.touch import Touch
 from palmd.system.description import RigDescription
 

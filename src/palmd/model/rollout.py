@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from functools import cache
 
-import casadi as ca
-
-from palmd.model.compiled import Library, densified, load
-from palmd.model.contact import SX, readings
+from palmd.model.compiled import Library, load
+from palmd.model.contact import readings
 from palmd.model.dynamics import Palms, newton_euler
 from palmd.model.integrate import exponential_step
+from palmd.model.kernels import of_columns
 from palmd.model.outputs import RIG_INPUTS, touch_on
 from palmd.model.shape_map import N, Z, body_of, contacts_of, spin_acceleration
+from palmd.model.symbolic import SX, ca
 from palmd.system.mechanism import normal_directions
 
 COLUMNS = 32
@@ -68,6 +68,6 @@ def roll_function(curved: bool = False) -> ca.Function:
 
 @cache
 def library(curved: bool = False) -> Library:
-    """`roll_batch`: `roll` on `COLUMNS` columns side by side, on the same rig."""
-    roll = densified(roll_function(curved))
-    return load("rollout_curved" if curved else "rollout", [roll.map("roll_batch", "serial", COLUMNS, [2], [])])
+    """`roll_batch`: `roll` on columns, on the same rig."""
+    name = "rollout_curved" if curved else "rollout"
+    return load(name, lambda: [of_columns(roll_function(curved), "roll_batch", ["rig"])])

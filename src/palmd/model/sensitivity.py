@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from functools import cache
 
-import casadi as ca
-
-from palmd.model.compiled import Library, densified, load
-from palmd.model.contact import SX, readings
+from palmd.model.compiled import Library, load
+from palmd.model.contact import readings
 from palmd.model.integrate import exponential_step
+from palmd.model.kernels import single
 from palmd.model.outputs import touch_on
 from palmd.model.shape_map import (
     PALM_INPUTS,
@@ -24,6 +23,7 @@ from palmd.model.shape_map import (
     palms_after,
     spin_acceleration,
 )
+from palmd.model.symbolic import SX, ca
 from palmd.model.touch import Touch
 
 GATHER_INPUTS = PREDICTION_INPUTS + 2
@@ -69,5 +69,5 @@ def aim_function(curved: bool = False) -> ca.Function:
 @cache
 def library(curved: bool = False) -> Library:
     """The kernels `gather` and `aim`, for one trajectory."""
-    kernels = [densified(f) for f in (gather_function(curved), aim_function(curved))]
-    return load("sensitivity_curved" if curved else "sensitivity", kernels)
+    name = "sensitivity_curved" if curved else "sensitivity"
+    return load(name, lambda: map(single, (gather_function(curved), aim_function(curved))))

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import casadi as ca
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.model.contact import SX, Contact
+from palmd.model.contact import Contact
+from palmd.model.symbolic import SX, ca
 from palmd.system.mechanism import normal_directions
 
 HARMONICS = 7

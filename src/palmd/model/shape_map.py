@@ -9,14 +9,14 @@ from __future__ import annotations
 from enum import IntEnum
 from functools import cache
 
-import casadi as ca
-
-from palmd.model.compiled import Library, densified, load, mapped_over_block
-from palmd.model.contact import SX, Contact, readings
+from palmd.model.compiled import Library, load
+from palmd.model.contact import Contact, readings
 from palmd.model.dynamics import BodyConstants, Palms, newton_euler
 from palmd.model.integrate import exponential_step
+from palmd.model.kernels import Kernel, of_columns, single
 from palmd.model.outputs import RIG_INPUTS, named_outputs, touch_on
 from palmd.model.shape import HARMONICS, contact_at
+from palmd.model.symbolic import SX, ca
 from palmd.model.touch import Touch
 from palmd.system.mechanism import PALMS
 
@@ -141,7 +141,12 @@ def library(order: int = HARMONICS, curved: bool = False) -> Library:
 
     Those of `curved` palms find each contact by iteration; flat ones are spared that.
     """
-    pads = [update_function(f"update_s{pad}", pad, order, curved) for pad in PALMS]
-    kernels = [densified(f) for f in (predict_function(order, curved), *pads, values_function(order, curved))]
+
+    def kernels() -> list[Kernel]:
+        pads = [update_function(f"update_s{pad}", pad, order, curved) for pad in PALMS]
+        functions = [predict_function(order, curved), *pads, values_function(order, curved)]
+        banks = [of_columns(f, f"{f.name()}_block", [f.name_in(f.n_in() - 1)]) for f in functions]
+        return [*banks, *map(single, functions), single(named_function(order, curved))]
+
     name = ("shape_map" if order == HARMONICS else f"shape_map{order}") + ("_curved" if curved else "")
-    return load(name, [*map(mapped_over_block, kernels), *kernels, densified(named_function(order, curved))])
+    return load(name, kernels)

@@ -12,15 +12,15 @@ from dataclasses import replace
 from enum import IntEnum
 from functools import cache
 
-import casadi as ca
-
-from palmd.model.compiled import Library, densified, load
-from palmd.model.contact import SX, Contact, readings
+from palmd.model.compiled import Library, load
+from palmd.model.contact import Contact, readings
 from palmd.model.dynamics import BodyConstants, Motion, Palms, newton_euler
 from palmd.model.integrate import exponential_step
+from palmd.model.kernels import Kernel, of_columns, single
 from palmd.model.outputs import CURVATURE_INPUTS, FRICTION_INPUT, RIG_INPUTS, touch_on
 from palmd.model.shape import contact_at
 from palmd.model.shape_map import PALM_INPUTS, palms_after
+from palmd.model.symbolic import SX, ca
 from palmd.model.touch import Touch
 from palmd.system.mechanism import normal_directions
 from palmd.system.rig_constants import RIG_NAMES
@@ -72,9 +72,6 @@ CONSTANTS = C.SHAPE + 2 * ORDER + 1
 STEP_INPUTS = 1 + PALM_INPUTS + 2 + RIG_INPUTS + 2  # dt, palms, jerk, rig, the pads' lengths
 CONTACT_INPUTS = 3 + 9  # dt, time into the step, pad, φ1, φ2, their rates, force, curvatures, the pads' lengths
 FORCE_INPUTS = 3 + PALM_INPUTS + RIG_INPUTS + 2  # dt, time into the step, pad, palms, rig, the pads' lengths
-
-BATCH = 64
-"""Steps or readings that one call of a `NAME_batch` kernel serves, all with the same constants."""
 
 
 def _felt(phi1: SX, phi2: SX, psi: SX, p: SX, lengths: SX, touch: Touch) -> tuple[SX, SX, Contact, Contact]:
@@ -179,16 +176,15 @@ def force_function(curved: bool = False) -> ca.Function:
     return ca.Function("force", [a, b, p, z], [force, J], ["a", "b", "p", "z"], ["f", "J"])
 
 
-def _batched(function: ca.Function) -> ca.Function:
-    shared = [function.index_in("p")]
-    return densified(function).map(f"{function.name()}_batch", "serial", BATCH, shared, [])
+def _kernels(curved: bool) -> list[Kernel]:
+    step = step_function(curved)
+    x, p, u = (ca.SX.sym(step.name_in(i), *step.size_in(i)) for i in range(step.n_in()))
+    advance = ca.Function("advance", [x, p, u], [step(x, p, u)[0]], ["x", "p", "u"], ["x_next"])
+    batched = (step, contact_function(curved), force_function(curved))
+    return [*(of_columns(f, f"{f.name()}_batch", ["p"]) for f in batched), single(advance)]
 
 
 @cache
 def library(curved: bool = False) -> Library:
-    """step_batch, contact_batch, force_batch, and `advance`, a step without its Jacobian; made once in a process."""
-    step = step_function(curved)
-    x, p, u = (ca.SX.sym(step.name_in(i), *step.size_in(i)) for i in range(step.n_in()))
-    advance = ca.Function("advance", [x, p, u], [step(x, p, u)[0]], ["x", "p", "u"], ["x_next"])
-    batches = [_batched(f) for f in (step, contact_function(curved), force_function(curved))]
-    return load("smoothing_curved" if curved else "smoothing", [*batches, densified(advance)])
+    """step_batch, contact_batch, force_batch, of columns with the same p; `advance`, a step without its Jacobian."""
+    return load("smoothing_curved" if curved else "smoothing", lambda: _kernels(curved))

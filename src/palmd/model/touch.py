@@ -15,9 +15,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-import casadi as ca
-
-from palmd.model.contact import SX, Contact, alongs, sinc
+from palmd.model.contact import Contact, alongs, sinc
+from palmd.model.symbolic import SX, ca
 from palmd.system.mechanism import PALMS, SIDES, normal_directions
 
 Outline = Callable[[SX, int], Contact]

@@ -14,11 +14,12 @@ from scipy.linalg import null_space
 
 from palmd.events import FloatArray, Outlook
 from palmd.model import shape, shape_map, smoothing
-from palmd.model.smoothing import BATCH, CONSTANTS, CONTACT_INPUTS, NODE, ORDER, RIG, RIG_CONSTANTS, C, R
+from palmd.model.smoothing import CONSTANTS, CONTACT_INPUTS, NODE, ORDER, RIG, RIG_CONSTANTS, C, R
 from palmd.motion.rollout_predictor import BINS, CALL_S, Bools
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import PALMS, joints_at
 
+BATCH = 64  # readings in one call
 READING_S = 0.01  # from one reading of a pad to the next
 _NORMALS: FloatArray = (np.arange(BINS, dtype=np.float64) + 0.5) * (2 * np.pi / BINS)
 _OUTLINE = 2 * ORDER + 1

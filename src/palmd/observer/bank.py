@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray
-from palmd.model.compiled import BLOCK, BoundCall, Library
+from palmd.model.compiled import LANES, BoundCall, Library
 from palmd.observer.cutoff import cut_off
 
 GATE = 16.0  # innovation² beyond which a reading is an outlier: 4 sigma
@@ -65,7 +65,7 @@ class Bank:
         `inputs` are the lengths of the last inputs of `predict` and `values`, and the number of values. Scores fade
         with the time constant `memory_s`. A bank of one filter has kernels of its own.
         """
-        self.block = 1 if size == 1 else BLOCK
+        self.block = 1 if size == 1 else LANES
         suffix = "" if size == 1 else "_block"
         blocks = math.ceil(size / self.block)
         self.full_size = blocks * self.block
@@ -81,25 +81,18 @@ class Bank:
         self._u, self._v = np.zeros(inputs[0]), np.zeros(inputs[1])
         self._y = np.zeros((self.full_size, inputs[2]))
         self._z = {name: np.zeros(length) for name, length in updates.items()}
-        in_blocks = [slice(i * self.block, (i + 1) * self.block) for i in range(blocks)]
 
-        def bound(name: str, last: FloatArray, outcome: bool) -> list[list[BoundCall]]:
-            def call(a: int, at: slice) -> BoundCall:
-                outputs = [self._x[1 - a][at], self._P[1 - a][at]]
-                return library.bind(
-                    f"{name}{suffix}",
-                    [self._x[a][at], self._P[a][at], last],
-                    [*outputs, self._outcome[at]] if outcome else outputs,
-                )
+        def bound(name: str, last: FloatArray, outcome: bool) -> list[BoundCall]:
+            def call(a: int) -> BoundCall:
+                outputs = [self._x[1 - a], self._P[1 - a]]
+                inputs = [self._x[a], self._P[a], last]
+                return library.bind(f"{name}{suffix}", inputs, [*outputs, self._outcome] if outcome else outputs)
 
-            return [[call(a, at) for at in in_blocks] for a in range(2)]
+            return [call(a) for a in range(2)]
 
         self._predict = bound("predict", self._u, outcome=False)
         self._updates = {name: bound(name, z, outcome=True) for name, z in self._z.items()}
-        self._values = [
-            [library.bind(f"values{suffix}", [self._x[a][at], self._v], [self._y[at]]) for at in in_blocks]
-            for a in range(2)
-        ]
+        self._values = [library.bind(f"values{suffix}", [self._x[a], self._v], [self._y]) for a in range(2)]
 
     @property
     def size(self) -> int:
@@ -260,9 +253,8 @@ class Bank:
         n = self.size
         self.x[:], self.P[:], self.score[:], self.nis[:] = past.x[:n], past.P[:n], past.score[:n], past.nis[:n]
 
-    def _call(self, kernel: list[list[BoundCall]]) -> None:
-        for call in kernel[self._side][: self._blocks]:
-            call()
+    def _call(self, kernel: list[BoundCall]) -> None:
+        kernel[self._side](self.size)
 
     def _park(self, sound: npt.NDArray[np.bool_]) -> None:
         """Take filters that have become inactive, with a finite state so that no NaN spreads."""

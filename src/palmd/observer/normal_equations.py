@@ -17,8 +17,8 @@ from scipy.linalg import cho_solve_banded, cholesky_banded, solveh_banded
 from scipy.sparse import csr_matrix
 
 from palmd.events import FloatArray
-from palmd.model.compiled import BoundCall, Library
-from palmd.model.smoothing import BATCH, CONSTANTS, NODE
+from palmd.model.compiled import LANES, Library
+from palmd.model.smoothing import CONSTANTS, NODE
 from palmd.observer.factor import Factor, Terms
 from palmd.observer.record import Record
 
@@ -143,7 +143,7 @@ class Residuals:
         self._a = np.zeros((rows, NODE))
         self._end, self._step_jacobian = np.zeros((rows, NODE)), np.zeros((rows, NODE + CONSTANTS, NODE))
         ends = [self._end, self._step_jacobian]
-        self._steps = _bound(library, "step_batch", [self._a], self._p, self._step_inputs, ends)
+        self._steps = library.bind("step_batch", [self._a, self._p, self._step_inputs], ends)
         self._now, self._then, self._u = np.zeros(NODE), np.zeros(NODE), np.zeros(self._step_inputs.shape[1])
         self._one_step = library.bind("advance", [self._now, self._p, self._u], [self._then])
         contacts = record.contact_inputs(_padded(len(record.contact_step)))
@@ -188,8 +188,7 @@ class Residuals:
         steps = len(record.dt)
         self._p[:] = guess.p
         self._a[:steps] = x[:-1]
-        for call in self._steps:
-            call()
+        self._steps()
         contacts = self._contacts.evaluate(x, record.contact_value, record.contact_variance, record.contact_weight)
         forces = self._forces.evaluate(x, record.force_value, record.force_variance, record.force_weight)
         J = self._step_jacobian[:steps].transpose(0, 2, 1).reshape(steps * NODE, NODE + CONSTANTS)
@@ -268,13 +267,12 @@ class _Readings:
         self._step = step
         self._a, self._b = np.zeros((rows, NODE)), np.zeros((rows, NODE))
         self._value, self._gradient = np.zeros(rows), np.zeros((rows, 2 * NODE + CONSTANTS))
-        self._calls = _bound(library, kernel, [self._a, self._b], p, inputs, [self._value, self._gradient])
+        self._call = library.bind(kernel, [self._a, self._b, p, inputs], [self._value, self._gradient])
 
     def predicted(self, x: FloatArray) -> FloatArray:
         n = len(self._step)
         self._a[:n], self._b[:n] = x[self._step], x[self._step + 1]
-        for call in self._calls:
-            call()
+        self._call()
         return self._value[:n].copy()
 
     def evaluate(self, x: FloatArray, values: FloatArray, variance: FloatArray, weight: FloatArray) -> _Evaluated:
@@ -301,14 +299,4 @@ def _longest_run(flags: npt.NDArray[np.bool_]) -> int:
 
 
 def _padded(count: int) -> int:
-    return -(-max(count, 1) // BATCH) * BATCH
-
-
-def _bound(
-    library: Library, name: str, nodes: list[FloatArray], p: FloatArray, inputs: FloatArray, outputs: list[FloatArray]
-) -> list[BoundCall]:
-    rows = len(inputs)
-    slices = [slice(at, at + BATCH) for at in range(0, rows, BATCH)]
-    return [
-        library.bind(name, [*(each[s] for each in nodes), p, inputs[s]], [each[s] for each in outputs]) for s in slices
-    ]
+    return -(-max(count, 1) // LANES) * LANES

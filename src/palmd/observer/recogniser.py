@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray, ObjectEstimate
-from palmd.model.compiled import BLOCK
+from palmd.model.compiled import LANES
 from palmd.model.outputs import NAMED
 from palmd.observer.bank import Bank, Belief
 from palmd.observer.filters.base import Filters
@@ -49,7 +49,7 @@ class Recogniser:
         """Raises ValueError when there is no outline."""
         self._stored = stored(outlines)
         self._variances = rig.reading_variances
-        size = min(BANK, math.ceil(MOST_STARTS * len(outlines) / BLOCK) * BLOCK)
+        size = min(BANK, math.ceil(MOST_STARTS * len(outlines) / LANES) * LANES)
         self.filters = ShapeFilters(rig, size, memory_s=math.inf)
         self.reset()
 

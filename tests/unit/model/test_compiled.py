@@ -1,15 +1,20 @@
-"""Compiled functions: same numbers as the virtual machine, refused arrays, and life without a compiler."""
+"""Compiled kernels: same numbers as the virtual machine, whichever columns are beside; refused arrays; no compiler."""
 
 from __future__ import annotations
 
+import json
+import math
+import subprocess
+import sys
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from palmd.model import compiled
-from palmd.model.compiled import BLOCK, densified, load, mapped_over_block
+from palmd.model import building, compiled, kernels, shape_map, smoothing
+from palmd.model.compiled import LANES, Library, load
+from palmd.model.kernels import of_columns, single
 
 
 def _function() -> ca.Function:
@@ -18,21 +23,87 @@ def _function() -> ca.Function:
     return ca.Function("f", [x, u], [y, ca.densify(ca.jacobian(y, x))], ["x", "u"], ["y", "J"])
 
 
+def toy(folder: Path, name: str = "toy") -> Library:
+    return load(name, lambda: [single(_function()), of_columns(_function(), "f_block", ["u"])], folder)
+
+
+def of_one(expression: ca.SX, x: ca.SX, folder: Path, values: np.ndarray) -> np.ndarray:
+    """What the compiled kernel of columns makes of the values; that of one column must give the same bits."""
+    function = ca.Function("g", [x], [expression])
+    library = load("one", lambda: [single(function), of_columns(function, "gs", [])], folder)
+    assert library.backend == "c"
+    padded = np.resize(values, (-(-len(values) // LANES) * LANES,))
+    many, one, into, out = np.zeros(len(padded)), np.zeros(len(padded)), np.zeros(1), np.zeros(1)
+    library.bind("gs", [padded], [many])()
+    call = library.bind("g", [into], [out])
+    for i, value in enumerate(padded):
+        into[0] = value
+        call()
+        one[i] = out[0]
+    assert many.tobytes() == one.tobytes()
+    return many[: len(values)]
+
+
 def test_compiled_code_gives_the_virtual_machines_numbers(tmp_path: Path) -> None:
-    function = _function()
-    library = load("toy", [function], tmp_path)
+    library = toy(tmp_path)
     assert library.backend == "c"
     x, u, y, J = np.array([0.3, 1.7, -2.0]), np.array([0.9]), np.zeros(3), np.zeros((3, 3))
     library.bind("f", [x, u], [y, J])()
-    wanted = function(x, u)
+    wanted = _function()(x, u)
     assert y == pytest.approx(np.asarray(wanted[0]).ravel(), abs=1e-15)
     assert pytest.approx(np.asarray(wanted[1]), abs=1e-15) == J.T
 
 
+ANGLES = np.concatenate([np.linspace(-7.0, 7.0, 4001), np.arange(1, 400) * (math.pi / 2), [0.0, 1e-300, 9.9e5, -3e5]])
+
+
+@pytest.mark.parametrize(
+    ("operation", "values", "ulps"),
+    [
+        ("sin", ANGLES, 1.5),
+        ("cos", ANGLES, 1.5),
+        ("exp", np.concatenate([np.linspace(-700.0, 700.0, 4001), [0.0, -0.0, 1e-20, 709.7]]), 1.5),
+        ("log", np.concatenate([np.geomspace(1e-307, 1e308, 4001), np.linspace(0.5, 2.0, 2001), [5e-324]]), 1.5),
+    ],
+)
+def test_functions_are_those_of_libm_to_an_ulp(tmp_path: Path, operation: str, values: np.ndarray, ulps: float) -> None:
+    x = ca.SX.sym("x")
+    got = of_one(getattr(ca, operation)(x), x, tmp_path, values)
+    wanted = getattr(np, operation)(values)
+    # the angles' last bits are dropped: near a zero it is the angle's own rounding that counts
+    spacing = np.maximum(np.spacing(np.abs(wanted)), 2.0**-54 * np.spacing(np.abs(values)) if operation != "log" else 0)
+    assert (np.abs(got - wanted) / spacing).max() < ulps
+
+
+def test_what_is_no_number_stays_none(tmp_path: Path) -> None:
+    x = ca.SX.sym("x")
+    nothing = np.array([math.nan, math.inf, -math.inf])
+    for number, (expression, wanted) in enumerate(
+        [
+            (ca.sin(x), [math.nan] * 3),
+            (ca.exp(x), [math.nan, math.inf, 0.0]),
+            (ca.log(x), [math.nan, math.inf, math.nan]),
+            (ca.fmin(x, 1.0), [1.0, 1.0, -math.inf]),
+            (ca.fmax(x, 1.0), [1.0, math.inf, 1.0]),
+            (ca.if_else(x < 0, 2.0, 3.0), [3.0, 3.0, 2.0]),
+        ]
+    ):
+        got = of_one(expression, x, tmp_path / str(number), nothing)
+        assert got == pytest.approx(np.array(wanted), nan_ok=True), expression
+    assert of_one(ca.log(x), x, tmp_path / "log", np.array([0.0, -1.0]))[0] == -math.inf
+    assert np.isnan(of_one(ca.cos(x), x, tmp_path / "far", np.array([1.1e6]))), "too far to tell the angle"
+
+
+def test_pieces_hand_on_what_later_ones_need(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kernels, "PART", 3)
+    x, y, J = np.arange(24.0).reshape(8, 3), np.zeros((8, 3)), np.zeros((8, 3, 3))
+    toy(tmp_path).bind("f_block", [x, np.ones(1)], [y, J])()
+    assert y[5] == pytest.approx(np.asarray(_function()(x[5], 1.0)[0]).ravel(), rel=1e-15)
+
+
 def test_a_bound_call_keeps_its_arrays_alive_and_reads_them_anew_each_time(tmp_path: Path) -> None:
-    library = load("toy", [_function()], tmp_path)
     x, y = np.array([0.0, 2.0, 3.0]), np.zeros(3)
-    call = library.bind("f", [x, np.ones(1)], [y, np.zeros((3, 3))])
+    call = toy(tmp_path).bind("f", [x, np.ones(1)], [y, np.zeros((3, 3))])
     call()
     assert y[1] == 6.0
     x[1] = 5.0
@@ -40,14 +111,33 @@ def test_a_bound_call_keeps_its_arrays_alive_and_reads_them_anew_each_time(tmp_p
     assert y[1] == 15.0
 
 
-def test_the_second_load_compiles_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    load("toy", [_function()], tmp_path)
-    built = list(tmp_path.glob("*.so"))
-    stamp = built[0].stat().st_mtime_ns
-    load("toy", [_function()], tmp_path)
-    assert list(tmp_path.glob("*.so")) == built
-    assert built[0].stat().st_mtime_ns == stamp
-    assert list(tmp_path.iterdir()) == built, "nothing else is left behind"
+def test_the_second_load_builds_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    toy(tmp_path)
+    built = sorted(tmp_path.iterdir())
+    assert sorted(each.suffix for each in built) == [".json", ".so"], "nothing else is left behind"
+    monkeypatch.setattr(building, "build", None)
+    assert toy(tmp_path).backend == "c"
+
+
+def test_what_comes_to_the_same_c_is_not_compiled_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    toy(tmp_path)
+    monkeypatch.setattr(compiled, "_sources", lambda: b"a comment more")
+    monkeypatch.setattr(subprocess, "run", None)
+    assert toy(tmp_path).backend == "c"
+    assert len(list(tmp_path.glob("*.so"))) == 1
+    assert len(list(tmp_path.glob("*.json"))) == 2
+
+
+def test_what_is_built_is_loaded_without_casadi() -> None:
+    """Of every model that a daemon, its smoother or its explorer runs."""
+    from palmd.model import extended, rollout, sensitivity
+
+    models = (shape_map, extended, sensitivity, smoothing, rollout)
+    assert all(model.library().backend == "c" for model in models)
+    names = [model.__name__.rpartition(".")[2] for model in models]
+    code = f"from palmd.model import {', '.join(names)}\n{'; '.join(f'{name}.library()' for name in names)}"
+    check = "import sys; sys.exit(bool({'casadi', 'scipy'} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", f"{code}\n{check}"]).returncode == 0
 
 
 def test_without_a_compiler_the_virtual_machine_serves(
@@ -55,36 +145,60 @@ def test_without_a_compiler_the_virtual_machine_serves(
 ) -> None:
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.setenv("PATH", str(tmp_path))
-    library = load("toy", [_function()], tmp_path)
+    library = toy(tmp_path)
     assert library.backend == "vm"
     assert "install gcc" in caplog.text
     y = np.zeros(3)
     library.bind("f", [np.array([0.3, 1.7, -2.0]), np.array([0.9])], [y, np.zeros((3, 3))])()
     assert y[1] == pytest.approx(-3.4)
+    x, y = np.arange(48.0).reshape(16, 3), np.zeros((16, 3))
+    call = library.bind("f_block", [x, np.ones(1)], [y, np.zeros((16, 3, 3))])
+    call(8)
+    assert y[7, 1] == pytest.approx(22.0 * 23.0)
+    assert not y[8:].any(), "these were not asked for"
+    call()
+    assert y[15, 1] == pytest.approx(46.0 * 47.0)
 
 
 def test_a_compiler_that_fails_is_reported_and_survived(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     broken = tmp_path / "cc"
-    broken.write_text('#!/bin/sh\n[ "$1" = --version ] && exit 0\necho "disk full" >&2\nexit 1\n')
+    broken.write_text('#!/bin/sh\necho "disk full" >&2\nexit 1\n')
     broken.chmod(0o755)
     monkeypatch.setenv("CC", str(broken))
-    assert load("toy", [_function()], tmp_path / "cache").backend == "vm"
+    assert toy(tmp_path / "cache").backend == "vm"
     assert "disk full" in caplog.text
+    monkeypatch.setenv("CC", str(tmp_path / "nowhere"))
+    assert toy(tmp_path / "cache").backend == "vm"
+    assert "nowhere: No such file" in caplog.text
 
 
-def test_wrong_code_in_the_cache_is_refused(tmp_path: Path) -> None:
-    """A library that computes something else must never be used, whatever its name says."""
-    load("toy", [_function()], tmp_path)
+def test_a_library_that_is_not_what_was_built_is_built_anew(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    toy(tmp_path)
     (victim,) = tmp_path.glob("*.so")
-    x, u = ca.SX.sym("x", 3), ca.SX.sym("u", 1)
-    other = ca.Function("f", [x, u], [2 * x, ca.densify(ca.SX.eye(3))], ["x", "u"], ["y", "J"])
-    load("other", [other], tmp_path / "elsewhere")
-    (imposter,) = (tmp_path / "elsewhere").glob("*.so")
-    victim.write_bytes(imposter.read_bytes())
-    with pytest.raises(RuntimeError, match="differs from CasADi's virtual machine"):
-        compiled._check_against_vm(ca.external("f", str(imposter)), _function())
+    sound = victim.read_bytes()
+    victim.unlink()  # not written over: it is loaded in this process
+    victim.write_bytes(sound[: len(sound) // 2])
+    assert toy(tmp_path).backend == "c"
+    assert "is not what was built" in caplog.text
+    (note,) = tmp_path.glob("*.json")
+    note.write_text(json.dumps({"sha256": 3}))
+    assert toy(tmp_path).backend == "c"
+
+
+def test_a_compiler_that_makes_something_else_is_found_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    right = kernels._operations()
+    monkeypatch.setattr(kernels, "_operations", lambda: right | {ca.OP_MUL: "{0} + {1}"})
+    with pytest.raises(RuntimeError, match="compiled f differs from CasADi's virtual machine in output y"):
+        toy(tmp_path)
+    assert not list(tmp_path.glob("*.so"))
+
+
+def test_an_operation_without_c_is_told(tmp_path: Path) -> None:
+    x = ca.SX.sym("x")
+    with pytest.raises(NotImplementedError, match="no C for CasADi's operation"):
+        load("odd", lambda: [single(ca.Function("f", [x], [ca.erf(x)]))], tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -99,22 +213,41 @@ def test_wrong_code_in_the_cache_is_refused(tmp_path: Path) -> None:
 def test_arrays_that_do_not_fit_are_refused(
     tmp_path: Path, inputs: list[np.ndarray], outputs: list[np.ndarray], complaint: str
 ) -> None:
-    library = load("toy", [_function()], tmp_path)
+    library = toy(tmp_path)
     with pytest.raises(ValueError, match=complaint):
         library.bind("f", inputs, outputs)
 
 
 def test_an_output_may_not_be_written_over_an_input(tmp_path: Path) -> None:
-    library = load("toy", [_function()], tmp_path)
+    library = toy(tmp_path)
     shared = np.zeros(3)
     with pytest.raises(ValueError, match="shares memory"):
         library.bind("f", [shared, np.zeros(1)], [shared, np.zeros((3, 3))])
 
 
-def test_a_mapped_function_treats_each_filter_by_itself(tmp_path: Path) -> None:
-    library = load("toy", [mapped_over_block(densified(_function()))], tmp_path)
-    x = np.arange(3.0 * BLOCK).reshape(BLOCK, 3)
-    y = np.zeros((BLOCK, 3))
-    library.bind("f_block", [x, np.array([0.5])], [y, np.zeros((BLOCK, 3, 3))])()
+def test_columns_come_in_whole_lanes(tmp_path: Path) -> None:
+    library = toy(tmp_path)
+    with pytest.raises(ValueError, match="takes a multiple of 8 columns, got 5"):
+        library.bind("f_block", [np.zeros((5, 3)), np.zeros(1)], [np.zeros((5, 3)), np.zeros((5, 3, 3))])
+
+
+def test_a_kernel_of_columns_treats_each_by_itself(tmp_path: Path) -> None:
+    x = np.arange(3.0 * 2 * LANES).reshape(2 * LANES, 3)
+    y = np.zeros((2 * LANES, 3))
+    toy(tmp_path).bind("f_block", [x, np.array([0.5])], [y, np.zeros((2 * LANES, 3, 3))])()
     for row, out in zip(x, y, strict=True):
         assert out == pytest.approx(np.asarray(_function()(row, [0.5])[0]).ravel())
+
+
+@pytest.mark.parametrize("name", ["predict", "update_s1"])
+def test_one_filter_has_the_same_bits_as_one_of_a_bank(name: str) -> None:
+    library, random = shape_map.library(), np.random.default_rng(1)
+    told = library.signatures[name]
+    columns = [random.uniform(0.02, 0.09, (LANES, size)) for _, size in told.inputs[:-1]]
+    last = random.uniform(0.02, 0.09, told.inputs[-1][1])
+    many = [np.zeros((LANES, size)) for _, size in told.outputs]
+    library.bind(f"{name}_block", [*columns, last], many)()
+    for i in (0, 5):
+        one = [np.zeros(size) for _, size in told.outputs]
+        library.bind(name, [*(each[i].copy() for each in columns), last], one)()
+        assert all(a.tobytes() == b[i].tobytes() for a, b in zip(one, many, strict=True))

@@ -132,7 +132,7 @@ def test_its_blocks_make_up_the_whole_window() -> None:
     follower = Observability(rig, np.full(2, variance))
     start = blind_start((0.02, 0.02), PalmMotion.at_rest((0.8, 1.6)), 8, True, np.random.default_rng(0))
     follower.begin(0.0, shape_map_sd(start))
-    Z, kernels = shape_map.Z, sensitivity.library().functions
+    Z, kernels = shape_map.Z, {"aim": sensitivity.aim_function(), "gather": sensitivity.gather_function()}
     x = np.zeros(shape_map.N)
     x[Z.LN_RHO], x[Z.LN_DITHER], x[Z.SHAPE], x[Z.SHAPE + 3] = math.log(0.014), math.log(0.01), 0.02, 1e-3
     T, G, aim = np.eye(2, shape_map.N), np.zeros((shape_map.N,) * 2), None

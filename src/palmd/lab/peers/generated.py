@@ -10,13 +10,14 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.lab.peers.task import PeerStart, Reading, radii
 from palmd.model import shape_map
-from palmd.model.compiled import Library, densified, load
+from palmd.model.compiled import Library, load
+from palmd.model.kernels import single
 
 
 def library() -> Library:
     """`predict`, `update_s1` and `update_s2` of the shape map for one filter; compiles the first time."""
     updates = [shape_map.update_function(f"update_s{pad}", pad) for pad in (1, 2)]
-    return load("shape_map_single", [densified(f) for f in (shape_map.predict_function(), *updates)])
+    return load("shape_map_single", lambda: map(single, (shape_map.predict_function(), *updates)))
 
 
 class GeneratedFilter:

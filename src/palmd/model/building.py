@@ -1,0 +1,161 @@
+"""Kernels compiled into the cache, checked against CasADi's virtual machine; or run by that. Needs CasADi."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.model.compiled import EXPORTED, FLAGS, LANES, Library, Run, Signature, cache_directory, key_of, note_of
+from palmd.model.kernels import Kernel, source
+
+SCALES = 1.0, 0.1, 0.01  # of the random inputs
+WILD = 1e5  # beyond it angles may be no angles any more
+TOLERANCE = 1e-9  # relative, beside what the last bits of the inputs make of the outputs
+LAST_BITS, AS_MUCH = 4e-16, 100.0
+
+
+def build(name: str, kernels: Sequence[Kernel], written: Sequence[Path], note: Path) -> bool:
+    """Generate, compile and check the library `name`; then put it and its `note` into the note's folder.
+
+    What has been compiled from the same C already is left as it is.
+
+    False when there is no compiler. Raises OSError or CalledProcessError when it fails, RuntimeError when what it has
+    made computes something else.
+    """
+    compiler = os.environ.get("CC") or next(filter(shutil.which, ("cc", "gcc", "clang")), None)
+    if compiler is None:
+        return False
+    note.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=note.parent) as folder:
+        files = list(written)
+        for columns in (False, True):
+            text = source(kernels, columns=columns)
+            if text:
+                files.append(Path(folder) / f"{'columns' if columns else 'single'}.c")
+                files[-1].write_text(text, encoding="utf-8")
+        library = note.with_name(f"{name}-{key_of(b''.join(each.read_bytes() for each in files))}.so")
+        if not (library.exists() and _sound(library, kernels)):
+            _compile(compiler, files, kernels, library)
+        told = Path(folder) / "note.json"
+        told.write_text(note_of(_signatures(kernels), library), encoding="utf-8")
+        told.replace(note)
+    return True
+
+
+def _compile(compiler: str, files: Sequence[Path], kernels: Sequence[Kernel], library: Path) -> None:
+    built = files[-1].with_name("built.so")
+    command = [compiler, *FLAGS, "-I", str(Path(__file__).parent), "-o", str(built), *map(str, files), "-lm"]
+    try:
+        subprocess.run(command, check=True, capture_output=True, text=True)
+    except FileNotFoundError as error:
+        raise OSError(f"{compiler}: {error.strerror}") from error
+    _checked(built, kernels)  # refused before anybody relies on it
+    built.replace(library)
+
+
+def _sound(library: Path, kernels: Sequence[Kernel]) -> bool:
+    try:
+        _checked(library, kernels)
+    except (OSError, AttributeError, RuntimeError):
+        return False
+    return True
+
+
+def _checked(library: Path, kernels: Sequence[Kernel]) -> None:
+    compiled = ctypes.CDLL(str(library))
+    for kernel in kernels:
+        check(kernel, compiled)
+
+
+def check(kernel: Kernel, compiled: ctypes.CDLL) -> None:
+    """Raise RuntimeError when the compiled code and the virtual machine disagree on random inputs."""
+    random, vm = np.random.default_rng(0), kernel.on_the_vm
+    for scale in SCALES:
+        inputs = [scale * random.uniform(0.2, 0.9, vm.numel_in(i)) for i in range(vm.n_in())]
+        moved = [each * (1.0 + LAST_BITS * random.choice([-1.0, 1.0], each.shape)) for each in inputs]
+        outputs = [np.zeros(vm.numel_out(i)) for i in range(vm.n_out())]
+        into, out = ((ctypes.c_void_p * len(each))(*(a.ctypes.data for a in each)) for each in (inputs, outputs))
+        compiled[EXPORTED + kernel.name](into, out, ctypes.c_long(LANES if kernel.columns else 1))
+        for index, (got, wanted, near) in enumerate(zip(outputs, _flat(vm, inputs), _flat(vm, moved), strict=True)):
+            with np.errstate(invalid="ignore", over="ignore"):
+                allowed = TOLERANCE * (1.0 + np.abs(wanted)) + AS_MUCH * np.nanmax(np.abs(near - wanted), initial=0.0)
+                calm = np.nanmax(np.abs(wanted), initial=0.0) < WILD
+                wrong = np.isfinite(wanted) & ~(np.abs(got - wanted) <= allowed) & (np.isfinite(got) | calm)
+            if wrong.any():
+                raise RuntimeError(
+                    f"compiled {kernel.name} differs from CasADi's virtual machine in output {vm.name_out(index)} by "
+                    f"{np.abs(got - wanted)[wrong].max():.3g}; delete the cache {cache_directory()} and retry"
+                )
+
+
+def _flat(vm: object, inputs: Sequence[FloatArray]) -> list[FloatArray]:
+    arguments = [np.reshape(each, vm.size_in(i), order="F") for i, each in enumerate(inputs)]  # type: ignore[attr-defined]
+    return [np.asarray(each).ravel(order="F") for each in vm.call(arguments)]  # type: ignore[attr-defined]
+
+
+def _signatures(kernels: Sequence[Kernel]) -> dict[str, Signature]:
+    def of(kernel: Kernel) -> Signature:
+        f = kernel.function
+        return Signature(
+            tuple((f.name_in(i), f.numel_in(i)) for i in range(f.n_in())),
+            tuple((f.name_out(i), f.numel_out(i)) for i in range(f.n_out())),
+            kernel.columns,
+            kernel.shared,
+        )
+
+    return {kernel.name: of(kernel) for kernel in kernels}
+
+
+def on_the_vm(kernels: Sequence[Kernel]) -> Library:
+    """The same on CasADi's virtual machine."""
+    by_name = {kernel.name: kernel for kernel in kernels}
+
+    def runner(name: str, inputs: Sequence[FloatArray], outputs: Sequence[FloatArray]) -> Run:
+        kernel, vm = by_name[name], by_name[name].on_the_vm
+        if not kernel.columns:
+            run = _buffered(vm, inputs, outputs)
+            return lambda _columns: run()
+        some = [i for i in range(len(inputs)) if i not in kernel.shared]
+        columns = inputs[some[0]].size // kernel.function.numel_in(some[0])
+
+        def part(array: FloatArray, at: int) -> FloatArray:
+            size = array.size // columns
+            return array.reshape(-1)[at * size : (at + LANES) * size]
+
+        calls = [
+            _buffered(
+                vm,
+                [part(each, at) if i in some else each for i, each in enumerate(inputs)],
+                [part(each, at) for each in outputs],
+            )
+            for at in range(0, columns, LANES)
+        ]
+
+        def run_columns(wanted: int) -> None:
+            for call in calls[: wanted // LANES]:
+                call()
+
+        return run_columns
+
+    return Library(_signatures(kernels), "vm", runner)
+
+
+def _buffered(vm, inputs, outputs):  # type: ignore[no-untyped-def]
+    buffer, trigger = vm.buffer()
+    for i, array in enumerate(inputs):
+        buffer.set_arg(i, array.data)
+    for i, array in enumerate(outputs):
+        buffer.set_res(i, array.data)
+
+    def run(_held: object = (buffer, inputs, outputs)) -> None:
+        trigger()
+
+    return run
