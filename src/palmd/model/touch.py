@@ -34,9 +34,9 @@ class Touch:
     the implicit function exactly. So `thawed` has to put the search in once all derivatives have been taken.
     """
 
-    def __init__(self, curvatures: Sequence[SX] = (SX(0), SX(0))):
-        """`curvatures` of both palms (1/m); zeros that are no symbols make the palms flat."""
-        self._curvatures = [SX(each) for each in curvatures]
+    def __init__(self, curvatures: Sequence[SX] = ()) -> None:
+        """`curvatures` of both palms (1/m); none, or zeros that are no symbols, make the palms flat."""
+        self._curvatures = [SX(each) for each in curvatures or (0, 0)]
         self.flat = all(each.is_zero() for each in self._curvatures)
         self._frozen: list[tuple[SX, SX]] = []
         self._last: list[SX] = []  # s1, s2 found last
