@@ -42,13 +42,13 @@ class Touch:
         self._last: list[SX] = []  # s1, s2 found last
 
     def contacts(
-        self, phi1: SX, phi2: SX, psi: SX, outline: Outline, bends: Sequence[SX] = (SX(0), SX(0))
+        self, phi1: SX, phi2: SX, psi: SX, outline: Outline, bends: Sequence[SX] = ()
     ) -> tuple[Contact, Contact]:
         """Both contacts of an object turned by `psi`, its `outline` at any normal; `bends` add to the curvatures."""
         if self.flat:
             one, two = map(outline, normal_directions((phi1, phi2), psi), PALMS)
             return one, two
-        curvatures = [kappa + more for kappa, more in zip(self._curvatures, bends, strict=True)]
+        curvatures = [kappa + more for kappa, more in zip(self._curvatures, bends or (0, 0), strict=True)]
 
         def at(s: Sequence[SX]) -> tuple[Contact, Contact]:
             turns = [side * kappa * each for side, kappa, each in zip(SIDES, curvatures, s, strict=True)]
