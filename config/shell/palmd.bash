@@ -12,7 +12,7 @@ _shtab_palmd_calibrate_subparsers=(pad arm gravity pads force self)
 _shtab_palmd_bench_subparsers=(montecarlo sbc explore recognise parts peers field faults soak)
 _shtab_palmd_subparsers=(demo run record runs recover rig ctl top view jog explore replay why export keys check estimate reconstruct recognise calibrate observability compare report bench latency doctor init build completion install)
 
-_shtab_palmd_demo_option_strings=(-h --help --seconds --no-browser --seed --kind --no-record --perfect --rig --config)
+_shtab_palmd_demo_option_strings=(-h --help --seconds --no-browser --seed --kind --no-record --perfect --system --rig --config)
 _shtab_palmd_run_option_strings=(-h --help --no-record)
 _shtab_palmd_record_option_strings=(-h --help --key --truth)
 _shtab_palmd_runs_option_strings=(-h --help --search --since --objects --compare --note --rebuild --json)
@@ -179,6 +179,7 @@ _shtab_palmd_init_pos_0_COMPGEN=_shtab_compgen_files
 _shtab_palmd_install___root_COMPGEN=_shtab_compgen_files
 
 _shtab_palmd_demo___kind_choices=(nominal friction rig odd)
+_shtab_palmd_demo___system_choices=(cradle)
 _shtab_palmd_demo___rig_choices=(adept tabletop)
 _shtab_palmd_rig___kind_choices=(nominal friction rig odd)
 _shtab_palmd_rig___marble_choices=(1 2 both)

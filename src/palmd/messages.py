@@ -314,6 +314,7 @@ def info_fields(version: str, observer: str, config: Config, plans: Iterable[str
         "gravity_m_s2": rig.gravity_m_s2,
         "base_m": [place * 1e-3 for place in rig.base_mm],
         **{f"{name}_length_m": length * 1e-3 for name, length in lengths_mm.items()},
+        **{f"palm{palm}_curvature_per_m": kappa for palm, kappa in zip(PALMS, rig.curvatures_per_m, strict=True)},
         **{f"{name}_limits_rad": [math.radians(angle) for angle in ends] for name, ends in ranges_deg.items()},
         "rate_limit_rad_s": math.radians(limits.rate_deg_s),
         "acceleration_limit_rad_s2": math.radians(limits.acceleration_deg_s2),

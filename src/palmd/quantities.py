@@ -357,6 +357,11 @@ INFO = Topic(
         *of_each_palm(Quantity("palm{}_length_m", "number", "m", "palm {}, from the hinge to its far end")),
         *of_each_palm(Quantity("pad{}_length_m", "number", "m", "pad {}, from the hinge on")),
         *of_each_palm(Quantity("phi{}_limits_rad", "numbers", "rad", "least and largest phi{}")),
+        *of_each_palm(
+            Quantity(
+                "palm{}_curvature_per_m", "number", "1/m", "of the arc that palm {} is: > 0 concave, 0 flat, < 0 convex"
+            )
+        ),
         Quantity("palms", "numbers", "", "the palms' numbers, which stand in the names of their quantities"),
         Quantity("joints", "texts", "", "the joint that turns each palm against the one before, as in <joint>_rad"),
         Quantity("sides", "numbers", "", "where the object is, seen along each palm from the hinge: 1 left, -1 right"),

@@ -35,6 +35,7 @@ PROGRESS_S = 1.0
 RECORDED_S = 300.0  # to pack the recording of many hours
 RUNS = Path("runs")
 RIGS = {"adept": "demo.yaml", "tabletop": "tabletop.yaml"}
+SYSTEMS = {"cradle": "cradle.yaml"}
 _WORLDS = {"none": "perfect", "calibrated": "off as calibration leaves one"}
 
 
@@ -47,6 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-record", action="store_true", help=f"keep no recording; else it goes to {RUNS}/ here")
     parser.add_argument("--perfect", action="store_true", help="a rig that is exactly as configured, which is known")
     which = parser.add_mutually_exclusive_group()
+    which.add_argument("--system", choices=SYSTEMS, help="another kind of palms: cradle, two that are concave")
     which.add_argument("--rig", choices=RIGS, default="adept", help="an arm and VersaPads, or strips and servos")
     which.add_argument("--config", type=Path, help="rig and plan; default: as shipped")
 
@@ -57,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
     Raises CliError when the rig or the daemon fail.
     """
     try:
-        config = load_config(arguments.config or shipped(RIGS[arguments.rig]))
+        config = load_config(arguments.config or shipped(SYSTEMS.get(arguments.system, RIGS[arguments.rig])))
     except ConfigError as error:
         raise CliError(BAD_INPUT, str(error)) from None
     if arguments.perfect:

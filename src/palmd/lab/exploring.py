@@ -231,7 +231,12 @@ def _watched(wireless: Wireless, watch: ExplorationWatch, seconds: float) -> flo
 
 
 def _reachable(config: Config, true_h: FloatArray) -> Bools:
-    """The bins of normals that palms touch in any stable pose of the true outline, short of the pads' ends."""
+    """The bins of normals that palms touch in any stable pose of the true outline, short of the pads' ends.
+
+    On curved palms, whose stable poses have not been mapped, all.
+    """
+    if any(config.rig.curvatures_per_m):
+        return np.ones(BINS, dtype=np.bool_)
     limits = motion_limits(config)
     where = replace(surface_limits(limits), margin=EDGE_M)
     surface = stable_surface(shape.coefficients_of(true_h, HARMONICS), where, bins=BINS)

@@ -61,11 +61,9 @@ def _careful_angles(curvatures: tuple[float, ...]) -> tuple[tuple[float, float],
     if not any(curvatures):
         return CAREFUL_ANGLES
     (first, last), (closed, opened) = CAREFUL_ANGLES
-    middle = (
-        joints_of(CAREFUL_RADIUS_M, ((first + last) / 2, (closed + opened) / 2), curvatures)[0] - (first + last) / 2
-    )
-    narrow, wide = (joints_of(CAREFUL_RADIUS_M, (first, opening), curvatures)[1] for opening in (closed, opened))
-    return (first + middle, last + middle), (narrow, wide)
+    low, high = (joints_of(CAREFUL_RADIUS_M, (first, opening), curvatures) for opening in (closed, opened))
+    turn = (low[0] + high[0]) / 2 - first
+    return (first + turn, last + turn), (low[1], high[1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,10 +96,7 @@ class Explorer:
         """Deterministic for given `seed` and calls; takes seconds when its C has to be compiled first."""
         self._limits = limits
         self._goal = goal
-        self._curvatures, self._curved = (
-            rig.curvatures,
-            rig.curved,
-        )  # then where an object can lie at all is not known: all of it, until nothing is new
+        self._curvatures, self._curved = rig.curvatures, rig.curved
         gentle = _careful_angles(rig.curvatures)
         self._careful = replace(
             limits,
@@ -180,7 +175,7 @@ class Explorer:
             return
         self._t_seen = outlook.t
         if self._curved:
-            return
+            return  # where an object can lie on arcs is not known: anywhere, until nothing new is found
         self._reach = reach(outlook.states[0, shape_map.Z.SHAPE :], self._surface_limits) | outlook.touched
 
     def _coverage(self, touched: Bools) -> float:

@@ -61,14 +61,12 @@ def _seen_at(radius: float, s: float, kappa: float) -> float:
     return math.atan2(y + radius * math.cos(kappa * s), x - radius * math.sin(kappa * s))
 
 
-def joints_of(
-    radius: float, tangent_joints: Sequence[float], curvatures: Sequence[float] = FLAT
-) -> tuple[float, float]:
-    """φ1, φ2 at which a circle of that radius (m) has the `tangent_joints` β1 and β2 − β1 (rad) at its contacts.
+def joints_of(radius: float, touching: Sequence[float], curvatures: Sequence[float] = FLAT) -> tuple[float, float]:
+    """φ1, φ2 at which a circle of that radius (m) is touched by tangents at β1 and β2 = β1 + an opening (rad).
 
     Its contacts' arc lengths by fixed-point iteration on (3.13), (3.14) with each tangent's height over the hinge.
     """
-    beta1, opening = tangent_joints
+    beta1, opening = touching
     s, kappa = np.zeros(2), np.array(curvatures)
     for _ in range(_ITERATIONS if kappa.any() else 1):
         above = radius - kappa / 2 * (s * np.sinc(kappa * s / math.tau)) ** 2

@@ -1,24 +1,34 @@
 // Palms, contacts and outlines. Pure. Lengths in m, angles in rad, world axes; equation numbers are CMU-CS-01-107's.
 
-/** Each palm away from the hinge (t1, −t2), and its normal towards the object (n1, n2): unit vectors. */
+/** Each palm at the hinge: its direction away from there (t1, −t2), its normal towards the object, its curvature (1/m). */
 export function posture(palms, joints) {
   let angle = 0;
-  return palms.map(({ side }, i) => {
+  return palms.map(({ side, curvature }, i) => {
     angle += joints[i];
     const along = [Math.cos(angle), Math.sin(angle)];
-    return { along, normal: [-side * along[1], side * along[0]] };
+    return { along, normal: [-side * along[1], side * along[0]], curvature: curvature ?? 0 };
   });
 }
 
-/** The centre of mass from the hinge, n·c = r for every palm, in least squares; null where the palms do not tell it. */
-export function centreFromRadii(posture, radii) {
+/** The same at the arc length s (m) from the hinge, and where that is (m): a palm bends to its normal's side by κs. */
+export function onPalm({ along, normal, curvature }, s) {
+  if (!curvature) return { point: [along[0] * s, along[1] * s], along, normal };
+  const [cos, sin] = [Math.cos(curvature * s), Math.sin(curvature * s)];
+  const [out, up] = [sin / curvature, (1 - cos) / curvature];
+  const mixed = (a, b) => [a * along[0] + b * normal[0], a * along[1] + b * normal[1]];
+  return { point: mixed(out, up), along: mixed(cos, sin), normal: mixed(-sin, cos) };
+}
+
+/** The centre of mass from the hinge, n·(c − point) = r for every contact, in least squares; null where that is open. */
+export function centreFromRadii(contacts, radii) {
   let [xx, xy, yy, x, y] = [0, 0, 0, 0, 0];
-  posture.forEach(({ normal: [nx, ny] }, i) => {
+  contacts.forEach(({ normal: [nx, ny], point: [px, py] }, i) => {
+    const height = radii[i] + nx * px + ny * py;
     xx += nx * nx;
     xy += nx * ny;
     yy += ny * ny;
-    x += nx * radii[i];
-    y += ny * radii[i];
+    x += nx * height;
+    y += ny * height;
   });
   const determinant = xx * yy - xy * xy;
   return determinant > 1e-9 ? [(yy * x - xy * y) / determinant, (xx * y - xy * x) / determinant] : null;

@@ -28,5 +28,6 @@ export function palmsOf(info) {
   const { palms, joints, sides } = info.palms ? info : table.system;
   return palms.map((number, i) => ({
     number, joint: joints[i], side: sides[i], lengthM: info[`palm${number}_length_m`], padM: info[`pad${number}_length_m`],
+    curvature: info[`palm${number}_curvature_per_m`] ?? 0,
   }));
 }

@@ -1,6 +1,6 @@
 // The palms, the object as estimated, and the rig's truth, drawn in mm with the hinge at rest and gravity down.
 
-import { centreFromRadii, outline, posture } from "./geometry.js";
+import { centreFromRadii, onPalm, outline, posture } from "./geometry.js";
 import { CLASSES_M, classOf } from "./knowledge.js";
 import { Lens } from "./lens.js";
 import { dash, line, place, ring } from "./paths.js";
@@ -13,6 +13,8 @@ const SOME_PAD_MM = 55.5; // what is seen while nobody has told how long the pad
 const THICK_MM = 3.2;
 const FORCE_MM_PER_N = 12;
 const GRID_MM = 10;
+const ARC_POINTS = 32; // that a curved palm is drawn by
+const QUARTER_TURN = Math.PI / 2; // by which its arc turns at most in the picture
 const WIDTHS = [3.4, 2.8, 2.2, 1.6, 1]; // of the outline, for each class of its error
 const MM = 1e3;
 
@@ -68,7 +70,8 @@ export class Scene {
     if (!joints) return;
     const stance = posture(palms, joints);
     const radii = palms.map(({ number }) => estimate[`r${number}_m`]);
-    const centre = radii.every(Number.isFinite) ? centreFromRadii(stance, radii) : null;
+    const touching = palms.map(({ number }, i) => onPalm(stance[i], estimate[`s${number}_m`] || 0));
+    const centre = radii.every(Number.isFinite) ? centreFromRadii(touching, radii) : null;
     const hinge = centre && known(estimate, "com_x_m", "com_y_m")
       ? [estimate.com_x_m - centre[0], estimate.com_y_m - centre[1]] : null;
     this.#drawGrid(hinge);
@@ -171,20 +174,39 @@ export class Scene {
   // -- palms ------------------------------------------------------------------------------------------------------
 
   /** The palm in its length, which may lead out of the picture, and the pad on it; no pad while its length is unknown. */
-  #drawPalm({ number, lengthM, padM }, { along, normal }) {
+  #drawPalm({ number, lengthM, padM }, palm) {
     const length = (lengthM ?? 1) * MM;
     const pad = (padM ?? 0) * MM;
     const context = this.#context;
-    context.save();
-    context.transform(...along, ...normal, 0, 0); // x along the surface, y towards the object
-    context.fillStyle = colours.line;
+    const { along, normal, curvature } = palm;
+    if (curvature) {
+      this.#drawArc(palm, 0, Math.min(length, QUARTER_TURN / Math.abs(curvature) * MM), THICK_MM, colours.line);
+      this.#drawArc(palm, 0.5, pad, THICK_MM * 0.42, ofPalm(number));
+    } else {
+      context.save();
+      context.transform(...along, ...normal, 0, 0); // x along the surface, y towards the object
+      context.fillStyle = colours.line;
+      context.beginPath();
+      context.roundRect(0, -THICK_MM, length, THICK_MM, [0, 0.8, 0.8, 0]);
+      context.fill();
+      context.fillStyle = ofPalm(number);
+      context.fillRect(0.5, -THICK_MM * 0.42, pad, THICK_MM * 0.42);
+      context.restore();
+    }
+    this.#label(`palm ${number}`, pad || SOME_PAD_MM, palm, ofPalm(number));
+  }
+
+  /** A strip below the surface of a curved palm, from one arc length to another (mm). */
+  #drawArc(palm, from, to, thick, colour) {
+    const context = this.#context;
+    const places = Array.from({ length: ARC_POINTS + 1 }, (_, i) => onPalm(palm, (from + ((to - from) * i) / ARC_POINTS) / MM));
     context.beginPath();
-    context.roundRect(0, -THICK_MM, length, THICK_MM, [0, 0.8, 0.8, 0]);
+    for (const { point } of places) context.lineTo(point[0] * MM, point[1] * MM);
+    for (const { point, normal } of places.reverse()) {
+      context.lineTo(point[0] * MM - normal[0] * thick, point[1] * MM - normal[1] * thick);
+    }
+    context.fillStyle = colour;
     context.fill();
-    context.fillStyle = ofPalm(number);
-    context.fillRect(0.5, -THICK_MM * 0.42, pad, THICK_MM * 0.42);
-    context.restore();
-    this.#label(`palm ${number}`, pad || SOME_PAD_MM, along, normal, ofPalm(number));
   }
 
   #drawHinge() {
@@ -200,11 +222,12 @@ export class Scene {
   }
 
   /** Where the object touches the palm, with its force; the place (mm), null for none. */
-  #drawContact({ number }, { along, normal }, estimate, contact) {
+  #drawContact({ number }, palm, estimate, contact) {
     const context = this.#context;
     const s = estimate.valid ? estimate[`s${number}_m`] : contact[`s${number}_m`];
     if (!contact[`touch${number}`] || !Number.isFinite(s)) return null;
-    const point = [along[0] * s * MM, along[1] * s * MM];
+    const { point: place, normal } = onPalm(palm, s);
+    const point = [place[0] * MM, place[1] * MM];
     this.#drawForce(estimate[`f${number}_n`], point, normal, ofPalm(number));
     context.beginPath();
     context.arc(...point, this.#thin(5), 0, 2 * Math.PI);
@@ -217,9 +240,10 @@ export class Scene {
   }
 
   /** Below the surface, `s` mm from the hinge. */
-  #label(text, s, along, normal, colour) {
+  #label(text, s, palm, colour) {
     const out = -THICK_MM - this.#thin(11);
-    this.#write(text, along[0] * s + normal[0] * out, along[1] * s + normal[1] * out, colour, 600);
+    const { point, normal } = onPalm(palm, s / MM);
+    this.#write(text, point[0] * MM + normal[0] * out, point[1] * MM + normal[1] * out, colour, 600);
   }
 
   #drawForce(force, point, normal, colour) {
