@@ -1,7 +1,8 @@
 """What an object will do while the palms move: many motions at once, as generated C.
 
 The same dynamics as `model.shape_map`, without a covariance. The palms' minimum-jerk path is evaluated inside, so
-that one call carries `COLUMNS` columns, each with its own object and its own move, through `SUBSTEPS` steps.
+that one call carries columns, each with its own object and its own move, through `SUBSTEPS` steps. `rollout.c` goes on
+from move to move; its sizes are those here.
 """
 
 from __future__ import annotations
@@ -18,10 +19,10 @@ from palmd.model.shape_map import N, Z, body_of, contacts_of, spin_acceleration
 from palmd.model.symbolic import SX, ca
 from palmd.system.mechanism import normal_directions
 
-COLUMNS = 32
 SUBSTEPS = 4
 STEP_S = 0.01
 MOVE_INPUTS = 6  # φ1, φ2 at the start and at the end, duration, time since the start
+BINS = 72  # of outward normals, bin 0 beginning at θ = 0
 TOLD = 8  # ψ, ω0, f1, f2, s1, s2, θ1, θ2
 
 
@@ -68,6 +69,6 @@ def roll_function(curved: bool = False) -> ca.Function:
 
 @cache
 def library(curved: bool = False) -> Library:
-    """`roll_batch`: `roll` on columns, on the same rig."""
+    """`roll_batch`: `roll` on columns, on the same rig; compiled, `roll_sequences` besides."""
     name = "rollout_curved" if curved else "rollout"
-    return load(name, lambda: [of_columns(roll_function(curved), "roll_batch", ["rig"])])
+    return load(name, lambda: [of_columns(roll_function(curved), "roll_batch", ["rig"])], written=["rollout.c"])

@@ -19,7 +19,9 @@ else:
             return getattr(module, self._name) if self._name else module
 
         def __getattr__(self, name: str) -> Any:
-            return getattr(self._found(), name)
+            value = getattr(self._found(), name)
+            setattr(self, name, value)  # models ask for the same few a hundred thousand times
+            return value
 
         def __call__(self, *arguments: Any) -> Any:
             return self._found()(*arguments)

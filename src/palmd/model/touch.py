@@ -48,7 +48,7 @@ class Touch:
         if self.flat:
             one, two = map(outline, normal_directions((phi1, phi2), psi), PALMS)
             return one, two
-        curvatures = [kappa + more for kappa, more in zip(self._curvatures, bends or (0, 0), strict=True)]
+        curvatures = [kappa + more for kappa, more in zip(self._curvatures, bends or (SX(0), SX(0)), strict=True)]
 
         def at(s: Sequence[SX]) -> tuple[Contact, Contact]:
             turns = [side * kappa * each for side, kappa, each in zip(SIDES, curvatures, s, strict=True)]

@@ -1,8 +1,13 @@
-"""Rollout predictor: what objects will do on sequences of palm moves, many at once. Pure; not for the loop."""
+"""Rollout predictor: what objects will do on sequences of palm moves, many at once. Pure; not for the loop.
+
+Compiled in `model/rollout.c`; its twin in NumPy serves without a compiler, and to check it against.
+"""
 
 from __future__ import annotations
 
+import ctypes
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,16 +15,19 @@ import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.model import rollout, shape_map
+from palmd.model.compiled import LANES
 from palmd.model.outputs import CURVATURE_INPUTS, FRICTION_INPUT
-from palmd.model.rollout import COLUMNS, MOVE_INPUTS, STEP_S, SUBSTEPS, TOLD
+from palmd.model.rollout import MOVE_INPUTS, STEP_S, SUBSTEPS, TOLD
 from palmd.model.smoothing import R
 
 CALL_S = SUBSTEPS * STEP_S
 """Moves last whole multiples of this."""
 
-BINS = 72  # of outward normals, bin 0 beginning at θ = 0
+BINS = rollout.BINS
 _BIN_RAD = 2 * np.pi / BINS
 
+COLUMNS = 4 * LANES  # sequences that the twin rolls side by side
+MOST_MOVES = 16  # of one sequence
 LEAST_FORCE = 0.8  # m/s², of a contact: one that rests has several
 MARGIN_M = 3e-3  # of the contacts from a pad's ends
 
@@ -45,7 +53,7 @@ class Prediction:
 
     touched: (N, k, BINS), where palms have been since the beginning. least_force: (N, k), m/s². nearest, farthest:
     (N, k), of both contacts from the hinge, m. psi, omega0: (N, k) at the end of each move. path: (N, T, TOLD) what
-    `model.rollout` tells after each `CALL_S`, NaN after what was looked at.
+    `model.rollout` tells after each `CALL_S`, NaN after the sequence's end and after what was looked at.
     """
 
     touched: Bools
@@ -64,19 +72,46 @@ def goodness(foreseen: Prediction, pad_length: float) -> FloatArray:
     return how_safe
 
 
+class _Task(ctypes.Structure):
+    """As in `model/rollout.c`."""
+
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("states", "points", "durations", "rig")),
+        *((name, ctypes.c_double) for name in ("elapsed", "horizon")),
+        *((name, ctypes.c_long) for name in ("n", "k", "calls")),
+        *((name, ctypes.c_void_p) for name in Prediction.__slots__),
+    )
+
+
+def _compiled(curved: bool) -> Callable[[_Task], None] | None:
+    """`roll_sequences`; None without a compiler. Raises RuntimeError where its sizes are not the model's."""
+    path = rollout.library(curved).path
+    if path is None:
+        return None
+    library = ctypes.CDLL(str(path))
+    wanted = [LANES, shape_map.N, MOVE_INPUTS, SUBSTEPS, TOLD, BINS, MOST_MOVES]
+    if list((ctypes.c_long * len(wanted)).in_dll(library, "rollout_sizes")) != wanted:
+        raise RuntimeError("model/rollout.c has other sizes than model/rollout.py")
+    roll, library.roll_sequences.restype = library.roll_sequences, None
+    return lambda task: roll(ctypes.byref(task))
+
+
 class RolloutPredictor:
     """Rolls the dynamic model forward; holds the kernel's memory."""
 
-    def __init__(self, rig: FloatArray):
-        """`rig` as `model.outputs.rig_inputs` gives it; takes seconds when its C has to be compiled first."""
+    def __init__(self, rig: FloatArray, *, compiled: bool = True):
+        """`rig` as `model.outputs.rig_inputs` gives it; takes seconds when its C has to be compiled first.
+
+        Not `compiled`: by the twin in NumPy.
+        """
         self._rig, self._angles = rig, np.zeros(2)
+        curved = bool(rig[CURVATURE_INPUTS].any())
+        self._compiled = _compiled(curved) if compiled else None
         self._x = np.zeros((COLUMNS, shape_map.N))
         self._move = np.zeros((COLUMNS, MOVE_INPUTS))
         self._moved = np.zeros((COLUMNS, 2))
         self._told = np.zeros((COLUMNS, SUBSTEPS, TOLD))
-        self._roll = rollout.library(bool(rig[CURVATURE_INPUTS].any())).bind(
-            "roll_batch", [self._x, self._move, rig], [self._moved, self._told]
-        )
+        self._roll = rollout.library(curved).bind("roll_batch", [self._x, self._move, rig], [self._moved, self._told])
 
     def correct(self, off: FloatArray) -> None:
         """Foretell from now on for a rig whose constants are `off` by so much, in the order of `model.smoothing.R`."""
@@ -86,10 +121,15 @@ class RolloutPredictor:
     def of(self, states: FloatArray, moves: Moves, elapsed: float = 0.0, horizon_s: float = math.inf) -> Prediction:
         """From `states` (N, 21), or one for all (21,), at rest or `elapsed` seconds into the first move.
 
-        Moves that end after `horizon_s` are not looked at: their `least_force` is −inf.
+        Moves that end after `horizon_s` are not looked at: their `least_force` is −inf. Raises ValueError for sequences
+        of more than `MOST_MOVES` moves.
         """
-        n = len(moves.durations)
+        n, k = moves.durations.shape
+        if not 0 < k <= MOST_MOVES:
+            raise ValueError(f"a sequence is of 1 to {MOST_MOVES} moves, not {k}")
         states = np.broadcast_to(states, (n, shape_map.N))
+        if self._compiled is not None:
+            return self._of(self._compiled, states, moves, elapsed, horizon_s)
         order = np.argsort(moves.durations.sum(axis=1), kind="stable")  # those side by side end at about the same time
         parts = [
             self._batch(states[some], moves.some(some), elapsed, horizon_s)
@@ -101,6 +141,25 @@ class RolloutPredictor:
         return Prediction(
             *(np.concatenate([getattr(part, name) for part in parts])[back] for name in Prediction.__slots__)
         )
+
+    def _of(
+        self, roll: Callable[[_Task], None], states: FloatArray, moves: Moves, elapsed: float, horizon_s: float
+    ) -> Prediction:
+        n, k = moves.durations.shape
+        before = np.broadcast_to(moves.start, (n, 1, 2))
+        points = np.concatenate([before, moves.ends], axis=1) + self._angles
+        states, durations = np.ascontiguousarray(states), np.ascontiguousarray(moves.durations)
+        longest = min(float(durations.sum(axis=1).max()) - elapsed, horizon_s)
+        calls = max(math.ceil((longest - 1e-9) / CALL_S), 1)
+        foreseen = Prediction(
+            np.zeros((n, k, BINS), dtype=np.bool_),
+            *(np.full((n, k), value) for value in (np.inf, np.inf, -np.inf, 0.0, 0.0)),
+            np.full((n, calls, TOLD), np.nan),
+        )
+        inputs = (each.ctypes.data for each in (states, points, durations, self._rig))
+        told = (getattr(foreseen, name).ctypes.data for name in Prediction.__slots__)
+        roll(_Task(*inputs, elapsed, horizon_s, n, k, calls, *told))
+        return foreseen
 
     def _batch(self, states: FloatArray, moves: Moves, elapsed: float, horizon_s: float) -> Prediction:
         n, k = moves.durations.shape
@@ -146,6 +205,9 @@ def _foreseen(told: FloatArray, leg: npt.NDArray[np.intp], finished: FloatArray,
         nearest[:, number] = np.where(own, low, np.inf).min(axis=1)
         farthest[:, number] = np.where(own, high, -np.inf).max(axis=1)
     last = np.clip(np.ceil(finished / STEP_S - 1e-9).astype(np.intp) - 1, 0, steps - 1)
+    path = told[:, SUBSTEPS - 1 :: SUBSTEPS].copy()
+    path[np.arange(steps // SUBSTEPS) * CALL_S >= finished[:, -1:] - 1e-9] = np.nan
+    path[:, 0] = told[:, SUBSTEPS - 1]
     each = np.arange(n)[:, None]
     lowest[finished > steps * STEP_S + 1e-9] = -np.inf
     return Prediction(
@@ -155,7 +217,7 @@ def _foreseen(told: FloatArray, leg: npt.NDArray[np.intp], finished: FloatArray,
         np.maximum.accumulate(farthest, axis=1),
         told[each, last, 0],
         told[each, last, 1],
-        told[:, SUBSTEPS - 1 :: SUBSTEPS],
+        path,
     )
 
 

@@ -10,7 +10,7 @@ from palmd.events import PalmMotion
 from palmd.model import shape, shape_map
 from palmd.model.outputs import rig_inputs
 from palmd.model.smoothing import RIG_CONSTANTS, R
-from palmd.motion.rollout_predictor import BINS, CALL_S, Moves, RolloutPredictor
+from palmd.motion.rollout_predictor import BINS, CALL_S, MOST_MOVES, Moves, RolloutPredictor
 from palmd.motion.segments import Move
 from palmd.rig.imperfections import PERFECT, Imperfections
 from palmd.rig.plant import Hinge, Plant, random_surface, stable_poses
@@ -147,3 +147,31 @@ def test_what_is_known_of_the_rig_is_foreseen_with():
     off[[R.TILT, R.TURN, R.FRICTION]] = tilt, turn, asymmetry
     mine.correct(off)
     np.testing.assert_allclose(mine.of(state, moves).psi[0], ends[:, 0], atol=3e-3)
+
+
+@pytest.mark.parametrize("elapsed", [0.0, 0.3])
+@pytest.mark.parametrize("horizon_s", [math.inf, 1.5])
+def test_the_compiled_predictor_is_its_twin_in_numpy(elapsed, horizon_s):
+    """Sequences of all lengths, some of which lose the object; their columns change places."""
+    random = np.random.default_rng(4)
+    _, _, _, state = thing("rig", 3)
+    n, k = 37, 4
+    states = np.tile(state, (n, 1))
+    states[:, shape_map.Z.PSI] += 0.2 * random.standard_normal(n)
+    ends = START + 0.5 * random.standard_normal((n, k, 2))
+    moves = Moves(START, ends, CALL_S * random.integers(3, 20, (n, k)))
+    rig = rig_inputs(RigDescription())
+    mine, twin = RolloutPredictor(rig), RolloutPredictor(rig, compiled=False)
+    got, wanted = (each.of(states, moves, elapsed, horizon_s) for each in (mine, twin))
+    assert (wanted.least_force < 0.0).any()
+    assert (wanted.least_force > 0.0).any()
+    for name in type(got).__slots__:
+        a, b = getattr(got, name), getattr(wanted, name)
+        assert a.shape == b.shape, name
+        np.testing.assert_array_equal(a, b, err_msg=name)
+
+
+def test_more_moves_than_there_is_room_for_are_refused():
+    moves = Moves(START, np.zeros((1, MOST_MOVES + 1, 2)), np.ones((1, MOST_MOVES + 1)))
+    with pytest.raises(ValueError, match="of 1 to 16 moves, not 17"):
+        predictor("arc").of(np.zeros(shape_map.N), moves)
