@@ -8,6 +8,7 @@ with a border.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from enum import IntEnum
 from functools import cache
@@ -72,11 +73,14 @@ STEP_INPUTS = 1 + PALM_INPUTS + 2 + RIG_INPUTS + 2  # dt, palms, jerk, rig, the 
 CONTACT_INPUTS = 3 + 7  # dt, time into the step, pad, φ1, φ2, their rates, force, the pads' lengths
 FORCE_INPUTS = 3 + PALM_INPUTS + RIG_INPUTS + 2  # dt, time into the step, pad, palms, rig, the pads' lengths
 
+Outline = Callable[[SX, SX], Contact]
+"""Of the direction of an outward normal and the constants from `C.SHAPE` on, as `model.shape.contact_at`."""
+
 BATCH = 64
 """Steps or readings that one call of a `NAME_batch` kernel serves, all with the same constants."""
 
 
-def _felt(phi1: SX, phi2: SX, psi: SX, p: SX, lengths: SX) -> tuple[SX, SX, Contact, Contact]:
+def _felt(phi1: SX, phi2: SX, psi: SX, p: SX, lengths: SX, outline: Outline) -> tuple[SX, SX, Contact, Contact]:
     """(φ1, φ2) of the planes that the palms' surfaces are where they touch, and the contacts as seen from their hinge.
 
     Where a bowed surface touches it is a plane, turned by its slope there and set off from the hinge.
@@ -86,7 +90,7 @@ def _felt(phi1: SX, phi2: SX, psi: SX, p: SX, lengths: SX) -> tuple[SX, SX, Cont
 
     def contacts(phi1: SX, phi2: SX, above1: SX, above2: SX) -> tuple[Contact, Contact]:
         theta1, theta2 = normal_directions((phi1, phi2), psi)
-        one, two = contact_at(theta1, h), contact_at(theta2, h)
+        one, two = outline(theta1, h), outline(theta2, h)
         return replace(one, r=one.r + rig[R.STANDOFF] + above1), replace(two, r=two.r + rig[R.STANDOFF + 1] + above2)
 
     s1, s2 = readings(phi2, *contacts(phi1, phi2, SX(0), SX(0)))
@@ -98,25 +102,25 @@ def _felt(phi1: SX, phi2: SX, psi: SX, p: SX, lengths: SX) -> tuple[SX, SX, Cont
     return phi1, phi2, *contacts(phi1, phi2, above1, above2)
 
 
-def _motion(psi: SX, omega0: SX, p: SX, palms: Palms, rig: SX, lengths: SX) -> Motion:
-    phi1, phi2, one, two = _felt(palms.phi1, palms.phi2, psi, p, lengths)
+def _motion(psi: SX, omega0: SX, p: SX, palms: Palms, rig: SX, lengths: SX, outline: Outline) -> Motion:
+    phi1, phi2, one, two = _felt(palms.phi1, palms.phi2, psi, p, lengths, outline)
     dither = 1.0 / ca.sqrt(p[C.SATURATION])
     body = BodyConstants(ca.exp(p[C.LN_RHO]), p[C.DRAG] * dither, dither, p[C.DAMPING])
     rig = ca.vertcat(rig[:-1], p[RIG][R.FRICTION])
     return newton_euler(replace(palms, phi1=phi1, phi2=phi2), omega0, one, two, body, rig)
 
 
-def step_function() -> ca.Function:
+def step_function(outline: Outline = contact_at, constants: int = CONSTANTS) -> ca.Function:
     """(x_k, p, [dt, φ1 … α2, jerk1, jerk2, rig, L1, L2]) → (x after dt, its Jacobian in (x_k, p))."""
-    x, p, u = SX.sym("x", NODE), SX.sym("p", CONSTANTS), SX.sym("u", STEP_INPUTS)
+    x, p, u = SX.sym("x", NODE), SX.sym("p", constants), SX.sym("u", STEP_INPUTS)
     dt, palms, jerk, rig, lengths = u[0], u[1:7], u[7:9], u[9:-2], u[-2:]
     y = ca.vertcat(x, p)
 
     def rates(moving: SX, t: SX) -> SX:
-        now = _motion(moving[0], moving[1], p, palms_after(palms, jerk, t), rig, lengths)
+        now = _motion(moving[0], moving[1], p, palms_after(palms, jerk, t), rig, lengths, outline)
         return ca.vertcat(moving[1], now.alpha0)
 
-    damping = ca.jacobian(_motion(x[0], x[1], p, palms_after(palms, jerk, SX(0)), rig, lengths).alpha0, x[1])
+    damping = ca.jacobian(_motion(x[0], x[1], p, palms_after(palms, jerk, SX(0)), rig, lengths, outline).alpha0, x[1])
     moved, J = exponential_step(rates, y, dt, [0, 1], 1, damping)
     return ca.Function("step", [x, p, u], [moved, J], ["x", "p", "u"], ["x_next", "J"])
 
@@ -129,9 +133,9 @@ def _between(a: SX, b: SX, dt: SX, t: SX) -> tuple[SX, SX]:
     return psi, omega0
 
 
-def contact_function() -> ca.Function:
+def contact_function(outline: Outline = contact_at, constants: int = CONSTANTS) -> ca.Function:
     """(x_k, x_k+1, p, [dt, t, pad, φ1, φ2, ω1, ω2, force, L1, L2]) → (its reading, its gradient in (x_k, x_k+1, p))."""
-    a, b, p = SX.sym("a", NODE), SX.sym("b", NODE), SX.sym("p", CONSTANTS)
+    a, b, p = SX.sym("a", NODE), SX.sym("b", NODE), SX.sym("p", constants)
     z = SX.sym("z", CONTACT_INPUTS)
     rig = p[RIG]
     first = z[2] < 1.5
@@ -141,20 +145,20 @@ def contact_function() -> ca.Function:
 
     lag = own(R.LAG)
     psi, _ = _between(a, b, z[0], z[1] - lag)
-    _, phi2, one, two = _felt(z[3] - lag * z[5], z[4] - lag * z[6], psi, p, z[8:])
+    _, phi2, one, two = _felt(z[3] - lag * z[5], z[4] - lag * z[6], psi, p, z[8:], outline)
     s1, s2 = readings(phi2, one, two)
     reading = own(R.ZERO) + own(R.FORCE) * z[7] + (1 + own(R.SCALE)) * ca.if_else(first, s1, s2)
     J = ca.jacobian(reading, ca.vertcat(a, b, p))
     return ca.Function("contact", [a, b, p, z], [reading, J], ["a", "b", "p", "z"], ["s", "J"])
 
 
-def force_function() -> ca.Function:
+def force_function(outline: Outline = contact_at, constants: int = CONSTANTS) -> ca.Function:
     """(x_k, x_k+1, p, [dt, t, pad, φ1 … α2, rig, L1, L2]) → (its force in N, the gradient in (x_k, x_k+1, p))."""
-    a, b, p = SX.sym("a", NODE), SX.sym("b", NODE), SX.sym("p", CONSTANTS)
+    a, b, p = SX.sym("a", NODE), SX.sym("b", NODE), SX.sym("p", constants)
     z = SX.sym("z", FORCE_INPUTS)
     psi, omega0 = _between(a, b, z[0], z[1])
     palms = palms_after(z[3 : 3 + PALM_INPUTS], SX.zeros(2), SX(0))
-    motion = _motion(psi, omega0, p, palms, z[3 + PALM_INPUTS : -2], z[-2:])
+    motion = _motion(psi, omega0, p, palms, z[3 + PALM_INPUTS : -2], z[-2:], outline)
     force = ca.exp(p[C.LN_MASS]) * ca.if_else(z[2] < 1.5, motion.f1, motion.f2)
     J = ca.jacobian(force, ca.vertcat(a, b, p))
     return ca.Function("force", [a, b, p, z], [force, J], ["a", "b", "p", "z"], ["f", "J"])
@@ -168,8 +172,13 @@ def _batched(function: ca.Function) -> ca.Function:
 @cache
 def library() -> Library:
     """step_batch, contact_batch, force_batch, and `advance`, a step without its Jacobian; made once in a process."""
-    step = step_function()
+    return kernels("smoothing")
+
+
+def kernels(name: str, outline: Outline = contact_at, constants: int = CONSTANTS) -> Library:
+    """The same set for another form of outline, with so many constants in all, under a name of its own."""
+    step = step_function(outline, constants)
     x, p, u = (ca.SX.sym(step.name_in(i), *step.size_in(i)) for i in range(step.n_in()))
     advance = ca.Function("advance", [x, p, u], [step(x, p, u)[0]], ["x", "p", "u"], ["x_next"])
-    batches = [_batched(f) for f in (step, contact_function(), force_function())]
-    return load("smoothing", [*batches, densified(advance)])
+    batches = [_batched(f) for f in (step, contact_function(outline, constants), force_function(outline, constants))]
+    return load(name, [*batches, densified(advance)])
