@@ -6,7 +6,7 @@ from pathlib import Path
 
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.extras import missing, only_without
-from palmd.observer.reconstruct import Reconstruction
+from palmd.observer.reconstruction import Reconstruction
 from palmd.record.outline_curves import OutlineCurves, curves_of
 from palmd.record.outline_files import Writer, writer_of
 from palmd.record.resultfile import ResultError, read_result

@@ -18,7 +18,8 @@ from palmd.cli.drawings import curves_of_answer, drawing, write_drawing
 from palmd.cli.logs import add_calibration_argument, opened, read
 from palmd.console.arguments import seed
 from palmd.console.progress import working
-from palmd.observer.reconstruct import Reconstruction, reconstruct
+from palmd.observer.reconstruct import reconstruct
+from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.static_mass import mass_at_rest
 from palmd.record.outline_files import SUFFIXES
 from palmd.record.result import as_line

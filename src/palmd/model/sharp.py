@@ -1,8 +1,8 @@
 """An outline with flat sides: a Fourier series and besides it a few sides, each with its normal and its length.
 
-h(θ) = Fourier(θ) + Σ_j L_j G(θ − θ_j). A flat side of length L whose normal is θ_j is all the radius of curvature that
-there is at one normal: v = L δ(θ − θ_j). G is the support function that this asks for, less what keeps an outline closed
-(its first harmonic) and its mean: G + G″ = δ − cos/π − 1/2π. So that v is finite, a side is passed within the small
+h(θ) = Fourier(θ) + Σ_j L_j G(θ − θ_j). On a flat side of length L and normal θ_j all the radius of curvature is at one
+normal: v = L δ(θ − θ_j). G is the support function that this asks for, less its first harmonic, which an outline that
+closes has none of, and its mean: G + G″ = δ − cos/π − 1/2π. So that v is finite, a side is passed within the small
 angle ε, as the long side of an ellipse with half-axes L/2 and ε L/2 is. Corners are what lies between sides.
 """
 
@@ -68,7 +68,9 @@ def outline_rows(theta: FloatArray, p: FloatArray) -> FloatArray:
 def support(theta: FloatArray, p: FloatArray) -> FloatArray:
     """h (m) on normals `theta` for the constants p."""
     rows = outline_rows(theta, p)
-    h: FloatArray = rows[:, :FOURIER] @ p[C.SHAPE : NORMALS] + rows[:, FOURIER : FOURIER + 2 * SIDES][:, SIDES:] @ p[LENGTHS:WIDTH]
+    h: FloatArray = (
+        rows[:, :FOURIER] @ p[C.SHAPE : NORMALS] + rows[:, FOURIER : FOURIER + 2 * SIDES][:, SIDES:] @ p[LENGTHS:WIDTH]
+    )
     return h
 
 

@@ -1,6 +1,7 @@
 """The normal equations of a record at one trajectory and one set of constants: every reading and every step linearised.
 
-Unknown are the nodes x_k = (ψ, ω0) on a fixed time grid and the constants p of `model.smoothing`, or of a model with more of them after those. The cost is a sum of
+Unknown are the nodes x_k = (ψ, ω0) on a fixed time grid and the constants p of `model.smoothing` (or
+of a model with more of them). The cost is a sum of
 squares: readings about their prediction, each step's end about the next node (process noise). The normal matrix is
 block-tridiagonal in the nodes with a dense border for p. What is known besides (`observer.factor`) is added to it.
 """
@@ -27,13 +28,14 @@ IntArray = npt.NDArray[np.intp]
 GATE = 16.0  # squared normalised residual beyond which a reading's pull falls off: 4 sigma
 BAND = 2 * NODE  # diagonals of the normal matrix in the nodes, from the main one down
 WILD_SPIN = 200.0  # rad/s
+BLOW_SD = np.array([2e-3, 1.5])  # of ψ (rad) and of ω0 (rad/s), within one step
 
 
 @dataclass(frozen=True, slots=True)
 class ProcessNoise:
     """Densities of what the model leaves out: of ψ (rad²/s) and of ω0 ((rad/s)²/s).
 
-    `gate`: squared normalised defect of a step beyond which it is a blow rather than noise, and its pull falls off.
+    `gate`: squared normalised defect of a step beyond which a contact may have jumped, and the motion by `BLOW_SD`.
     """
 
     psi: float
@@ -202,14 +204,8 @@ class Residuals:
         J = self._step_jacobian[:steps].transpose(0, 2, 1).reshape(steps * NODE, NODE + self._constants)
         root = 1.0 / np.sqrt(np.outer(record.dt, [noise.psi, noise.omega0]).ravel())
 
-        if noise.gate < math.inf:
-            nis = ((self._end[:steps] - x[1:]).ravel() * root) ** 2
-            gate = noise.gate * max(1.0, float(np.median(nis)) / 0.455)
-            pull = np.sqrt(np.where(nis > gate, gate / np.maximum(nis, gate), 1.0))
-            blows = float(np.where(nis > gate, gate * np.log(np.maximum(nis, gate) / gate), 0.0).sum())
-            root = root * pull
-        else:
-            blows = 0.0
+        defect = self._end[:steps] - x[1:]
+        root, blows = _quiet_or_blow(defect, root.reshape(-1, NODE), noise)
         # every residual is a row, divided by its one-sigma: first the steps' ends, then the readings
         in_nodes = np.concatenate(
             [
@@ -225,7 +221,7 @@ class Residuals:
                 forces.gradient[:, 2 * NODE :] * forces.root[:, None],
             ]
         )
-        defect = (self._end[:steps] - x[1:]).ravel() * root
+        defect = defect.ravel() * root
         residual = np.concatenate([defect, -contacts.residual * contacts.root, -forces.residual * forces.root])
         sparse = csr_matrix((in_nodes, *self._pattern), shape=(len(residual), x.size))
         across = sparse.T.tocsr()
@@ -240,6 +236,22 @@ class Residuals:
             banded, across @ in_constants, in_constants.T @ in_constants,
             -(across @ residual), -(in_constants.T @ residual),
         )  # fmt: skip
+
+
+def _quiet_or_blow(defect: FloatArray, root: FloatArray, noise: ProcessNoise) -> tuple[FloatArray, float]:
+    """One over the one-sigma of each step's ends (flat), and what the cost has besides their squares.
+
+    Beyond the gate the cost goes on as a logarithm, and as the square of a blow's own size.
+    """
+    nis = (defect * root) ** 2
+    if noise.gate == math.inf:
+        return root.ravel(), 0.0
+    # far from the answer all defects are large: only what stands out from the others is a blow
+    gate = noise.gate * max(1.0, float(np.median(nis)) / 0.455)
+    beyond = nis > gate
+    pull = np.where(beyond, gate / np.maximum(nis, gate), 1.0)
+    cost = np.where(beyond, gate * np.log(np.maximum(nis, gate) / gate), 0.0)
+    return np.sqrt(pull * root**2 + BLOW_SD**-2.0).ravel(), float(cost.sum())
 
 
 def _block(banded: FloatArray, at: int) -> FloatArray:
