@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from palmd.observer.reconstruct import Reconstruction
+from palmd.observer.reconstruction import Reconstruction
 from palmd.system.rig_constants import RIG_NAMES
 
 THETA = np.arange(360) * (math.tau / 360)

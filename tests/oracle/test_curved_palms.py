@@ -200,10 +200,10 @@ def test_a_bowed_pad_off_its_line_reads_as_the_plant_has_it(pad: int) -> None:
     nodes = [[0.3, 0.8], [0.3 + 0.005 * 0.8, 0.8]]
     lengths = [LENGTH, LENGTH]
     z = [0.005, 0.0, pad, *motion.angles, *motion.rates, 0.0, *curvatures, *lengths]
-    s = float(smoothing.contact_function(curved=True)(*nodes, p, z)[0])
+    s = float(smoothing.contact_function(smoothing.Form(curved=True))(*nodes, p, z)[0])
     assert s == pytest.approx(plant.contacts()[pad - 1].s, abs=1e-6)
     z = [0.005, 0.0, pad, *motion.angles, *motion.rates, *motion.accelerations, *rig_inputs(_rig(curvatures)), *lengths]
-    force = float(smoothing.force_function(curved=True)(*nodes, p, z)[0])
+    force = float(smoothing.force_function(smoothing.Form(curved=True))(*nodes, p, z)[0])
     assert force == pytest.approx(plant.contacts()[pad - 1].force, rel=5e-3)
 
 

@@ -25,7 +25,8 @@ from palmd.console.configured import configured
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.model.smoothing import R
 from palmd.observer.criticism import RigBelief, contradicted, freed
-from palmd.observer.reconstruct import Reconstruction, reconstruct
+from palmd.observer.reconstruct import reconstruct
+from palmd.observer.reconstruction import Reconstruction
 from palmd.record.eventlog import EventLog, LogError, read_log
 from palmd.record.run import RunError, is_recording, read_run
 from palmd.system.description import RigDescription

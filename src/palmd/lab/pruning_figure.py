@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from palmd.events import FloatArray
 from palmd.lab.scoring import RIGHT_M, OutlineErrors
-from palmd.observer.reconstruct import Reconstruction
+from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.visits import KEPT_SD_M, KEPT_VISITS, kept_by_band, kept_by_visits
 from palmd.polygon import boundary, degrees, normals
 from palmd.score import support_at

@@ -22,7 +22,8 @@ from palmd.events import FloatArray
 from palmd.lab.scoring import Bools, Line, outline_errors, truth_of
 from palmd.lab.simulated import simulated
 from palmd.observer.bound import Truth
-from palmd.observer.reconstruct import Reconstruction, reconstruct
+from palmd.observer.reconstruct import reconstruct
+from palmd.observer.reconstruction import Reconstruction
 from palmd.rig.shapes import KINDS, Kind
 from palmd.score import support_at
 from palmd.system.rig_constants import RIG_NAMES

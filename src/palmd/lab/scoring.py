@@ -12,7 +12,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from palmd.events import FloatArray
 from palmd.observer.bound import Bound, Truth
-from palmd.observer.reconstruct import Reconstruction
+from palmd.observer.reconstruction import Reconstruction
 from palmd.rig.shapes import Kind
 from palmd.score import LAST_S, WRONG_M, OutlineScore, score_outline, support_at
 

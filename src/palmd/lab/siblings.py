@@ -41,24 +41,31 @@ def siblings(kind: Kind, count: int, rng: np.random.Generator) -> list[Body]:
     bodies: list[Body] = []
     outlines: list[FloatArray] = []
     while len(bodies) < count:
-        body = _varied(base, rng)
-        h = body.support.sample(_THETA)
-        convex = body.support.min_curvature_radius > LEAST_CURVATURE_RADIUS_M
+        support = _varied(_series(base), rng)
+        rho = base.rho * area_moments(support)[3] / area_moments(_series(base))[3]
+        body = Body(base.shape, support, rho, base.mass)
+        h = support.sample(_THETA)
+        convex = support.min_curvature_radius > LEAST_CURVATURE_RADIUS_M
         if convex and all(LEAST_M <= difference(h, other) <= MOST_M for other in outlines):
             bodies.append(body)
             outlines.append(h)
     return bodies
 
 
-def _varied(base: Body, rng: np.random.Generator) -> Body:
-    """The base with other harmonics; its centre of mass stays where it is, ρ goes with the outline."""
-    c = list(base.support.coefficients)
+def _series(body: Body) -> Support:
+    """The outline of a random body, which is always a Fourier series."""
+    if not isinstance(body.support, Support):
+        raise TypeError(f"the outline of a {body.shape} is no Fourier series")
+    return body.support
+
+
+def _varied(base: Support, rng: np.random.Generator) -> Support:
+    """The base with other harmonics; its centre of mass stays where it is."""
+    c = list(base.coefficients)
     c[0] *= 1.0 + float(rng.uniform(-RADIUS_RANGE, RADIUS_RANGE))
     for k, sd in _VARIATION.items():
         c[k] += sd * complex(*rng.standard_normal(2))
-    support = Support.from_coefficients(tuple(c))
-    rho = base.rho * area_moments(support)[3] / area_moments(base.support)[3]
-    return Body(base.shape, support, rho, base.mass)
+    return Support.from_coefficients(tuple(c))
 
 
 def as_stored(body: Body, name: str, rng: np.random.Generator) -> Outline:

@@ -8,7 +8,8 @@ with a border.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cache
 
@@ -73,20 +74,45 @@ STEP_INPUTS = 1 + PALM_INPUTS + 2 + RIG_INPUTS + 2  # dt, palms, jerk, rig, the 
 CONTACT_INPUTS = 3 + 9  # dt, time into the step, pad, φ1, φ2, their rates, force, curvatures, the pads' lengths
 FORCE_INPUTS = 3 + PALM_INPUTS + RIG_INPUTS + 2  # dt, time into the step, pad, palms, rig, the pads' lengths
 
+Outline = Callable[[SX, SX], Contact]
+"""Of the direction of an outward normal and the constants from `C.SHAPE` on, as `model.shape.contact_at`."""
 
-def _felt(phi1: SX, phi2: SX, psi: SX, p: SX, lengths: SX, touch: Touch) -> tuple[SX, SX, Contact, Contact]:
+
+@dataclass(frozen=True, slots=True)
+class Form:
+    """What a set of kernels is for: the form of outline, with how many constants in all, and whether palms are arcs."""
+
+    outline: Outline = contact_at
+    constants: int = CONSTANTS
+    curved: bool = False
+
+
+SMOOTH = Form()
+
+
+@dataclass(frozen=True, slots=True)
+class _Lying:
+    """How an object lies on the palms: its form of outline, how contacts are found, and the pads' lengths (m)."""
+
+    outline: Outline
+    touch: Touch
+    lengths: SX
+
+
+def _felt(phi1: SX, phi2: SX, psi: SX, p: SX, lying: _Lying) -> tuple[SX, SX, Contact, Contact]:
     """(φ1, φ2) of the planes that the palms' surfaces are where they touch, and the contacts as seen from their hinge.
 
     Where a bowed surface touches it is a plane, turned by its slope there and set off from the hinge.
     """
     rig, h = p[RIG], p[C.SHAPE :]
     phi1, phi2 = phi1 + rig[R.TILT], phi2 + rig[R.TURN]
-    if not touch.flat:
-        return _felt_on_arcs(phi1, phi2, psi, p, lengths, touch)
+    if not lying.touch.flat:
+        return _felt_on_arcs(phi1, phi2, psi, p, lying)
+    lengths = lying.lengths
 
     def contacts(phi1: SX, phi2: SX, above1: SX, above2: SX) -> tuple[Contact, Contact]:
         theta1, theta2 = normal_directions((phi1, phi2), psi)
-        one, two = contact_at(theta1, h), contact_at(theta2, h)
+        one, two = lying.outline(theta1, h), lying.outline(theta2, h)
         return replace(one, r=one.r + rig[R.STANDOFF] + above1), replace(two, r=two.r + rig[R.STANDOFF + 1] + above2)
 
     s1, s2 = readings(phi2, *contacts(phi1, phi2, SX(0), SX(0)))
@@ -98,40 +124,40 @@ def _felt(phi1: SX, phi2: SX, psi: SX, p: SX, lengths: SX, touch: Touch) -> tupl
     return phi1, phi2, *contacts(phi1, phi2, above1, above2)
 
 
-def _felt_on_arcs(phi1: SX, phi2: SX, psi: SX, p: SX, lengths: SX, touch: Touch) -> tuple[SX, SX, Contact, Contact]:
+def _felt_on_arcs(phi1: SX, phi2: SX, psi: SX, p: SX, lying: _Lying) -> tuple[SX, SX, Contact, Contact]:
     """As `_felt`: a bow is one more curvature and a slope at the hinge, a standoff the outline's own."""
-    rig, h = p[RIG], p[C.SHAPE :]
+    rig, h, lengths = p[RIG], p[C.SHAPE :], lying.lengths
     slope1, slope2 = (4 * rig[R.SAGITTA + i] / lengths[i] for i in range(2))
     bends = [-8 * rig[R.SAGITTA + i] / lengths[i] ** 2 for i in range(2)]
     phi1, phi2 = phi1 + slope1, phi2 - slope1 - slope2
 
     def outline(theta: SX, palm: int) -> Contact:
-        contact = contact_at(theta, h)
+        contact = lying.outline(theta, h)
         return replace(contact, r=contact.r + rig[R.STANDOFF + palm - 1])
 
-    return phi1, phi2, *touch.contacts(phi1, phi2, psi, outline, bends)
+    return phi1, phi2, *lying.touch.contacts(phi1, phi2, psi, outline, bends)
 
 
-def _motion(psi: SX, omega0: SX, p: SX, palms: Palms, rig: SX, lengths: SX, touch: Touch) -> Motion:
-    phi1, phi2, one, two = _felt(palms.phi1, palms.phi2, psi, p, lengths, touch)
+def _motion(psi: SX, omega0: SX, p: SX, palms: Palms, rig: SX, lying: _Lying) -> Motion:
+    phi1, phi2, one, two = _felt(palms.phi1, palms.phi2, psi, p, lying)
     dither = 1.0 / ca.sqrt(p[C.SATURATION])
     body = BodyConstants(ca.exp(p[C.LN_RHO]), p[C.DRAG] * dither, dither, p[C.DAMPING])
     rig = ca.vertcat(rig[:FRICTION_INPUT], p[RIG][R.FRICTION], rig[CURVATURE_INPUTS])
     return newton_euler(replace(palms, phi1=phi1, phi2=phi2), omega0, one, two, body, rig)
 
 
-def step_function(curved: bool = False) -> ca.Function:
+def step_function(form: Form = SMOOTH) -> ca.Function:
     """(x_k, p, [dt, φ1 … α2, jerk1, jerk2, rig, L1, L2]) → (x after dt, its Jacobian in (x_k, p))."""
-    x, p, u = SX.sym("x", NODE), SX.sym("p", CONSTANTS), SX.sym("u", STEP_INPUTS)
+    x, p, u = SX.sym("x", NODE), SX.sym("p", form.constants), SX.sym("u", STEP_INPUTS)
     dt, palms, jerk, rig, lengths = u[0], u[1:7], u[7:9], u[9:-2], u[-2:]
-    y, touch = ca.vertcat(x, p), touch_on(rig, curved)
+    y, lying = ca.vertcat(x, p), _Lying(form.outline, touch_on(rig, form.curved), lengths)
 
     def rates(moving: SX, t: SX) -> SX:
-        now = _motion(moving[0], moving[1], p, palms_after(palms, jerk, t), rig, lengths, touch)
+        now = _motion(moving[0], moving[1], p, palms_after(palms, jerk, t), rig, lying)
         return ca.vertcat(moving[1], now.alpha0)
 
-    damping = ca.jacobian(_motion(x[0], x[1], p, palms_after(palms, jerk, SX(0)), rig, lengths, touch).alpha0, x[1])
-    moved, J = exponential_step(rates, y, dt, [0, 1], 1, damping, touch)
+    damping = ca.jacobian(_motion(x[0], x[1], p, palms_after(palms, jerk, SX(0)), rig, lying).alpha0, x[1])
+    moved, J = exponential_step(rates, y, dt, [0, 1], 1, damping, lying.touch)
     return ca.Function("step", [x, p, u], [moved, J], ["x", "p", "u"], ["x_next", "J"])
 
 
@@ -143,9 +169,9 @@ def _between(a: SX, b: SX, dt: SX, t: SX) -> tuple[SX, SX]:
     return psi, omega0
 
 
-def contact_function(curved: bool = False) -> ca.Function:
+def contact_function(form: Form = SMOOTH) -> ca.Function:
     """(x_k, x_k+1, p, [dt, t, pad, φ1 … ω2, force, κ1 … L2]) → (its reading, the gradient in (x_k, x_k+1, p))."""
-    a, b, p = SX.sym("a", NODE), SX.sym("b", NODE), SX.sym("p", CONSTANTS)
+    a, b, p = SX.sym("a", NODE), SX.sym("b", NODE), SX.sym("p", form.constants)
     z = SX.sym("z", CONTACT_INPUTS)
     rig = p[RIG]
     first = z[2] < 1.5
@@ -153,38 +179,43 @@ def contact_function(curved: bool = False) -> ca.Function:
     def own(which: R) -> SX:
         return ca.if_else(first, rig[which], rig[which + 1])
 
-    lag, touch = own(R.LAG), Touch(ca.vertsplit(z[8:10])) if curved else Touch()
+    lag, touch = own(R.LAG), Touch(ca.vertsplit(z[8:10])) if form.curved else Touch()
     psi, _ = _between(a, b, z[0], z[1] - lag)
-    _, phi2, one, two = _felt(z[3] - lag * z[5], z[4] - lag * z[6], psi, p, z[10:], touch)
+    _, phi2, one, two = _felt(z[3] - lag * z[5], z[4] - lag * z[6], psi, p, _Lying(form.outline, touch, z[10:]))
     s1, s2 = readings(phi2, one, two)
     reading = own(R.ZERO) + own(R.FORCE) * z[7] + (1 + own(R.SCALE)) * ca.if_else(first, s1, s2)
     reading, J = touch.thawed(reading, ca.jacobian(reading, ca.vertcat(a, b, p)))
     return ca.Function("contact", [a, b, p, z], [reading, J], ["a", "b", "p", "z"], ["s", "J"])
 
 
-def force_function(curved: bool = False) -> ca.Function:
+def force_function(form: Form = SMOOTH) -> ca.Function:
     """(x_k, x_k+1, p, [dt, t, pad, φ1 … α2, rig, L1, L2]) → (its force in N, the gradient in (x_k, x_k+1, p))."""
-    a, b, p = SX.sym("a", NODE), SX.sym("b", NODE), SX.sym("p", CONSTANTS)
+    a, b, p = SX.sym("a", NODE), SX.sym("b", NODE), SX.sym("p", form.constants)
     z = SX.sym("z", FORCE_INPUTS)
     psi, omega0 = _between(a, b, z[0], z[1])
     palms = palms_after(z[3 : 3 + PALM_INPUTS], SX.zeros(2), SX(0))
     rig = z[3 + PALM_INPUTS : -2]
-    touch = touch_on(rig, curved)
-    motion = _motion(psi, omega0, p, palms, rig, z[-2:], touch)
+    touch = touch_on(rig, form.curved)
+    motion = _motion(psi, omega0, p, palms, rig, _Lying(form.outline, touch, z[-2:]))
     force = ca.exp(p[C.LN_MASS]) * ca.if_else(z[2] < 1.5, motion.f1, motion.f2)
     force, J = touch.thawed(force, ca.jacobian(force, ca.vertcat(a, b, p)))
     return ca.Function("force", [a, b, p, z], [force, J], ["a", "b", "p", "z"], ["f", "J"])
 
 
-def _kernels(curved: bool) -> list[Kernel]:
-    step = step_function(curved)
+def _kernels(form: Form) -> list[Kernel]:
+    step = step_function(form)
     x, p, u = (ca.SX.sym(step.name_in(i), *step.size_in(i)) for i in range(step.n_in()))
     advance = ca.Function("advance", [x, p, u], [step(x, p, u)[0]], ["x", "p", "u"], ["x_next"])
-    batched = (step, contact_function(curved), force_function(curved))
+    batched = (step, contact_function(form), force_function(form))
     return [*(of_columns(f, f"{f.name()}_batch", ["p"]) for f in batched), single(advance)]
 
 
 @cache
 def library(curved: bool = False) -> Library:
     """step_batch, contact_batch, force_batch, of columns with the same p; `advance`, a step without its Jacobian."""
-    return load("smoothing_curved" if curved else "smoothing", lambda: _kernels(curved))
+    return kernels("smoothing_curved", Form(curved=True)) if curved else kernels("smoothing", SMOOTH)
+
+
+def kernels(name: str, form: Form) -> Library:
+    """The same set for another form, under a name of its own."""
+    return load(name, lambda: _kernels(form))

@@ -1,6 +1,7 @@
 """The normal equations of a record at one trajectory and one set of constants: every reading and every step linearised.
 
-Unknown are the nodes x_k = (ψ, ω0) on a fixed time grid and the constants p of `model.smoothing`. The cost is a sum of
+Unknown are the nodes x_k = (ψ, ω0) on a fixed time grid and the constants p of `model.smoothing` (or
+of a model with more of them). The cost is a sum of
 squares: readings about their prediction, each step's end about the next node (process noise). The normal matrix is
 block-tridiagonal in the nodes with a dense border for p. What is known besides (`observer.factor`) is added to it.
 """
@@ -18,7 +19,7 @@ from scipy.sparse import csr_matrix
 
 from palmd.events import FloatArray
 from palmd.model.compiled import LANES, Library
-from palmd.model.smoothing import CONSTANTS, NODE
+from palmd.model.smoothing import NODE
 from palmd.observer.factor import Factor, Terms
 from palmd.observer.record import Record
 
@@ -27,19 +28,24 @@ IntArray = npt.NDArray[np.intp]
 GATE = 16.0  # squared normalised residual beyond which a reading's pull falls off: 4 sigma
 BAND = 2 * NODE  # diagonals of the normal matrix in the nodes, from the main one down
 WILD_SPIN = 200.0  # rad/s
+BLOW_SD = np.array([2e-3, 1.5])  # of ψ (rad) and of ω0 (rad/s), within one step
 
 
 @dataclass(frozen=True, slots=True)
 class ProcessNoise:
-    """Densities of what the model leaves out: of ψ (rad²/s) and of ω0 ((rad/s)²/s)."""
+    """Densities of what the model leaves out: of ψ (rad²/s) and of ω0 ((rad/s)²/s).
+
+    `gate`: squared normalised defect of a step beyond which a contact may have jumped, and the motion by `BLOW_SD`.
+    """
 
     psi: float
     omega0: float
+    gate: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
 class Guess:
-    """A point to linearise at: nodes (K + 1, 2) and constants (CONSTANTS)."""
+    """A point to linearise at: nodes (K + 1, 2) and the constants."""
 
     x: FloatArray
     p: FloatArray
@@ -78,20 +84,21 @@ class NormalEquations:
     def knowing(self, known: Terms) -> NormalEquations:
         """With what is known of the constants and the first node."""
         banded, border, node_side = self.banded.copy(), self.border.copy(), self.node_side.copy()
-        of_node = known.matrix[CONSTANTS:, CONSTANTS:]
+        constants = len(self.constant_side)
+        of_node = known.matrix[constants:, constants:]
         for k in range(NODE):
             banded[k, : NODE - k] += of_node.diagonal(-k)
-        border[:NODE] += known.matrix[CONSTANTS:, :CONSTANTS]
-        node_side[:NODE] += known.side[CONSTANTS:]
+        border[:NODE] += known.matrix[constants:, :constants]
+        node_side[:NODE] += known.side[constants:]
         return replace(
             self,
             cost=self.cost + known.cost,
             strain=known.strain,
             banded=banded,
             border=border,
-            corner=self.corner + known.matrix[:CONSTANTS, :CONSTANTS],
+            corner=self.corner + known.matrix[:constants, :constants],
             node_side=node_side,
-            constant_side=self.constant_side + known.side[:CONSTANTS],
+            constant_side=self.constant_side + known.side[:constants],
         )
 
     def summary(self, guess: Guess, scale: FloatArray) -> Factor:
@@ -100,18 +107,19 @@ class NormalEquations:
         For two steps at least. Raises LinAlgError where the readings leave a node in between open.
         """
         inner = slice(NODE, len(self.node_side) - NODE)
-        size = CONSTANTS + 2 * NODE
+        constants = len(self.constant_side)
+        size = constants + 2 * NODE
         across = np.zeros((inner.stop - inner.start, size))
-        across[:, :CONSTANTS] = self.border[inner]
-        across[:NODE, CONSTANTS : CONSTANTS + NODE] = _below(self.banded, 0)
-        across[-NODE:, CONSTANTS + NODE :] = _below(self.banded, len(self.node_side) - 2 * NODE).T
+        across[:, :constants] = self.border[inner]
+        across[:NODE, constants : constants + NODE] = _below(self.banded, 0)
+        across[-NODE:, constants + NODE :] = _below(self.banded, len(self.node_side) - 2 * NODE).T
         matrix, side = np.zeros((size, size)), np.zeros(size)
-        matrix[:CONSTANTS, :CONSTANTS], side[:CONSTANTS] = self.corner, self.constant_side
-        for at, node in ((CONSTANTS, 0), (CONSTANTS + NODE, len(self.node_side) - NODE)):
+        matrix[:constants, :constants], side[:constants] = self.corner, self.constant_side
+        for at, node in ((constants, 0), (constants + NODE, len(self.node_side) - NODE)):
             own, nodes = slice(at, at + NODE), slice(node, node + NODE)
             matrix[own, own], side[own] = _block(self.banded, node), self.node_side[nodes]
-            matrix[own, :CONSTANTS] = self.border[nodes]
-            matrix[:CONSTANTS, own] = self.border[nodes].T
+            matrix[own, :constants] = self.border[nodes]
+            matrix[:constants, own] = self.border[nodes].T
         factor = cholesky_banded(self.banded[:, inner], lower=True, check_finite=False)
         solved = cho_solve_banded((factor, True), np.column_stack([across, self.node_side[inner]]), check_finite=False)
         matrix -= across.T @ solved[:, :-1]
@@ -136,12 +144,13 @@ class Residuals:
 
     def __init__(self, library: Library, record: Record):
         self.record = record
-        self._p = np.zeros(CONSTANTS)
+        constants = self._constants = library.signatures["step_batch"].inputs[1][1]
+        self._p = np.zeros(constants)
         rows = _padded(len(record.dt))
         self._step_inputs = record.step_inputs(rows)
         self._pattern = _pattern(record)
         self._a = np.zeros((rows, NODE))
-        self._end, self._step_jacobian = np.zeros((rows, NODE)), np.zeros((rows, NODE + CONSTANTS, NODE))
+        self._end, self._step_jacobian = np.zeros((rows, NODE)), np.zeros((rows, NODE + constants, NODE))
         ends = [self._end, self._step_jacobian]
         self._steps = library.bind("step_batch", [self._a, self._p, self._step_inputs], ends)
         self._now, self._then, self._u = np.zeros(NODE), np.zeros(NODE), np.zeros(self._step_inputs.shape[1])
@@ -191,9 +200,11 @@ class Residuals:
         self._steps()
         contacts = self._contacts.evaluate(x, record.contact_value, record.contact_variance, record.contact_weight)
         forces = self._forces.evaluate(x, record.force_value, record.force_variance, record.force_weight)
-        J = self._step_jacobian[:steps].transpose(0, 2, 1).reshape(steps * NODE, NODE + CONSTANTS)
+        J = self._step_jacobian[:steps].transpose(0, 2, 1).reshape(steps * NODE, NODE + self._constants)
         root = 1.0 / np.sqrt(np.outer(record.dt, [noise.psi, noise.omega0]).ravel())
 
+        defect = self._end[:steps] - x[1:]
+        root, blows = _quiet_or_blow(defect, root.reshape(-1, NODE), noise)
         # every residual is a row, divided by its one-sigma: first the steps' ends, then the readings
         in_nodes = np.concatenate(
             [
@@ -209,7 +220,7 @@ class Residuals:
                 forces.gradient[:, 2 * NODE :] * forces.root[:, None],
             ]
         )
-        defect = (self._end[:steps] - x[1:]).ravel() * root
+        defect = defect.ravel() * root
         residual = np.concatenate([defect, -contacts.residual * contacts.root, -forces.residual * forces.root])
         sparse = csr_matrix((in_nodes, *self._pattern), shape=(len(residual), x.size))
         across = sparse.T.tocsr()
@@ -217,13 +228,29 @@ class Residuals:
         banded = np.zeros((BAND, x.size))
         for k in range(BAND):
             banded[k, : x.size - k] = normal.diagonal(-k)
-        slack = float(defect @ defect)
+        slack = float(defect @ defect) + blows
         return NormalEquations(
             contacts.cost + forces.cost + slack, contacts.chi2, forces.chi2, slack, 0.0,
             contacts.outliers, contacts.astray,
             banded, across @ in_constants, in_constants.T @ in_constants,
             -(across @ residual), -(in_constants.T @ residual),
         )  # fmt: skip
+
+
+def _quiet_or_blow(defect: FloatArray, root: FloatArray, noise: ProcessNoise) -> tuple[FloatArray, float]:
+    """One over the one-sigma of each step's ends (flat), and what the cost has besides their squares.
+
+    Beyond the gate the cost goes on as a logarithm, and as the square of a blow's own size.
+    """
+    nis = (defect * root) ** 2
+    if noise.gate == math.inf:
+        return root.ravel(), 0.0
+    # far from the answer all defects are large: only what stands out from the others is a blow
+    gate = noise.gate * max(1.0, float(np.median(nis)) / 0.455)
+    beyond = nis > gate
+    pull = np.where(beyond, gate / np.maximum(nis, gate), 1.0)
+    cost = np.where(beyond, gate * np.log(np.maximum(nis, gate) / gate), 0.0)
+    return np.sqrt(pull * root**2 + BLOW_SD**-2.0).ravel(), float(cost.sum())
 
 
 def _block(banded: FloatArray, at: int) -> FloatArray:
@@ -252,7 +279,7 @@ def _pattern(record: Record) -> tuple[IntArray, IntArray]:
 class _Evaluated:
     residual: FloatArray  # value − prediction
     root: FloatArray  # of the weight: one over the one-sigma, less for outliers
-    gradient: FloatArray  # (n, 4 + CONSTANTS)
+    gradient: FloatArray  # (n, 4 + constants)
     cost: float
     chi2: float
     outliers: float
@@ -266,7 +293,7 @@ class _Readings:
         rows = len(inputs)
         self._step = step
         self._a, self._b = np.zeros((rows, NODE)), np.zeros((rows, NODE))
-        self._value, self._gradient = np.zeros(rows), np.zeros((rows, 2 * NODE + CONSTANTS))
+        self._value, self._gradient = np.zeros(rows), np.zeros((rows, 2 * NODE + len(p)))
         self._call = library.bind(kernel, [self._a, self._b, p, inputs], [self._value, self._gradient])
 
     def predicted(self, x: FloatArray) -> FloatArray:

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from palmd.blas import one_thread
 from palmd.events import Event, FloatArray
@@ -28,11 +27,13 @@ from palmd.observer.mass import MassEstimator
 from palmd.observer.matching import Felt, matched
 from palmd.observer.noise import with_scatter
 from palmd.observer.outline import directions, felt_normals, made_convex, outline_of
+from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
 from palmd.observer.search import Minima, Search, beyond_question, doubt, minima
 from palmd.observer.seeker import attempts_for
+from palmd.observer.sharp_reconstruct import sharp_reconstruction
 from palmd.observer.smoother import Fit, Smoother
-from palmd.observer.visits import Counts, visits_of
+from palmd.observer.visits import visits_of
 from palmd.system.arcs import MOST_LYING
 from palmd.system.description import RigDescription
 
@@ -44,48 +45,6 @@ MOST_PARTS = 20  # segments of one log that are looked at
 SHARP_M = 1.5e-4
 _OUTLINE = slice(C.SHAPE, CONSTANTS)
 NO_ANSWER = "no motion of an object was found that explains the readings"
-
-
-@dataclass(frozen=True, slots=True)
-class Reconstruction:
-    """What a record tells; SI units, NaN or None where there is no value.
-
-    theta, h, h_sd, touched, visits: 360 normals (rad), support function and its one-sigma (m), whether a palm touched
-    there, and how many separate times.
-    rig, rig_covariance: the rig's constants, as in `model.smoothing.R`, and their covariance; none where empty.
-    contradicted: by how many sigmas each of them is not what it was taken for, 0 where nothing speaks against that.
-    t, psi, omega0, radii (one row a palm): the trajectory at the nodes. `chi2` is per contact reading. `reason` says
-    why not, when not `converged`. turned_sd: one-sigma of psi[-1] − psi[0] (rad), where the record is of one segment.
-    """
-
-    converged: bool
-    chi2: float
-    theta: FloatArray
-    h: FloatArray | None
-    h_sd: FloatArray | None
-    touched: npt.NDArray[np.bool_] | None
-    visits: Counts | None
-    rho: float
-    rho_sd: float
-    mu: float
-    mu_sd: float
-    mass: float
-    mass_sd: float
-    rig: FloatArray
-    rig_covariance: FloatArray
-    contradicted: FloatArray
-    t: FloatArray
-    psi: FloatArray
-    omega0: FloatArray
-    radii: FloatArray
-    reason: str
-    seconds: float
-    turned_sd: float = math.nan
-
-    @property
-    def rig_sd(self) -> FloatArray:
-        """One-sigma of the rig's constants."""
-        return np.sqrt(np.diagonal(self.rig_covariance))
 
 
 @one_thread()
@@ -107,6 +66,10 @@ def reconstruct(events: Sequence[Event], rig: RigDescription, seed: int = 0) -> 
         )
         if apart is not None and not apart.reason:
             main, found = apart, shorter
+    if (main is None or main.reason) and not rig.curved:
+        with_sides = sharp_reconstruction(Search(found[0], with_scatter(rig, found[0].pads)), begun)
+        if with_sides is not None:
+            return with_sides
     if main is None:
         return _nothing(NO_ANSWER, begun)
     if main.reason:

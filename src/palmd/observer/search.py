@@ -103,7 +103,7 @@ class Search:
         """
         self.rig = rig
         self._patience = patience
-        self._segment = segment
+        self.segment = segment
         start = segment.start if start is None else start
         self.path = smoothed_path(segment.palms, rig.palm_angle_noise)
         self.record = lay_out(segment.pads, self.path, rig, start, segment.end, SPACING_S, resting_since)
@@ -120,7 +120,7 @@ class Search:
     @cached_property
     def prior(self) -> Prior:
         """What is believed of the object before anything but its first readings."""
-        segment = self._segment
+        segment = self.segment
         first = [sample for sample in segment.pads if sample.t_sample < segment.start + FIRST_LOOK_S]
         opening = self.path.at(np.array([sample.t_sample for sample in first]))[:, OPENING]
         if not self.rig.curved:
@@ -137,7 +137,7 @@ class Search:
         """Start from the likeliest of a bank that has read the first seconds; None if that leads nowhere."""
         begin = self.record.t[0]
         record = self.record.until(begin + attempt.seconds)
-        found = blind_starts(self._segment.events(), self.rig, begin, attempt.seconds, seed, attempt.asymmetry)
+        found = blind_starts(self.segment.events(), self.rig, begin, attempt.seconds, seed, attempt.asymmetry)
         starts = found[: attempt.starts]
         return self._grown_from(record, [start.guess(record.t) for start in starts]) if starts else None
 
@@ -170,7 +170,7 @@ class Search:
 
     def _orientations(self, outline: FloatArray, covariance: FloatArray) -> FloatArray:
         """ψ of an object that has just been put down, by the first readings of both pads."""
-        first = [[sample for sample in self._segment.pads if sample.pad == pad][:FIRST_READINGS] for pad in PALMS]
+        first = [[sample for sample in self.segment.pads if sample.pad == pad][:FIRST_READINGS] for pad in PALMS]
         contacts = [float(np.mean([sample.s for sample in samples])) for samples in first]
         palms = motion_of(self.path.at(np.array([first[0][0].t_sample]))[0])
         return likely_orientations(outline, covariance, contacts, palms, self.rig, ORIENTATIONS)

@@ -14,7 +14,7 @@ from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_bande
 
 from palmd.events import FloatArray
 from palmd.model.compiled import Library
-from palmd.model.smoothing import CONSTANTS, NODE, C
+from palmd.model.smoothing import NODE, C
 from palmd.observer.factor import Knowledge
 from palmd.observer.normal_equations import WILD_SPIN, Guess, NormalEquations, ProcessNoise, Residuals
 from palmd.observer.record import Record
@@ -47,7 +47,7 @@ class Fit:
 
 @dataclass(frozen=True, slots=True)
 class Posterior:
-    """Covariance of (constants, last node), (CONSTANTS + 2) square, and the record's log marginal likelihood.
+    """Covariance of (constants, last node), and the record's log marginal likelihood.
 
     The latter is Laplace's approximation up to a constant of the record: it compares process noises and rivals.
     """
@@ -113,7 +113,7 @@ class Smoother:
 
     def _corrected(self, trial: Guess, noise: ProcessNoise, to_beat: float) -> tuple[Guess, NormalEquations] | None:
         """The trial with its nodes solved for again while that helps; None if it does not beat the cost so far."""
-        if not _sane(trial):
+        if not self._sane(trial):
             return None
         then = self.linearised(trial, noise)
         if not math.isfinite(then.cost):
@@ -122,13 +122,26 @@ class Smoother:
             if then.cost < GOOD_ENOUGH * to_beat:
                 break
             better = Guess(trial.x + _solved_nodes(then), trial.p)
-            if not _sane(better):
+            if not self._sane(better):
                 break
             after = self.linearised(better, noise)
             if not after.cost < 0.999 * then.cost:
                 break
             trial, then = better, after
         return (trial, then) if then.cost < to_beat else None
+
+    def _sane(self, guess: Guess) -> bool:
+        """Whether the kernels can be asked there: a lump of 1 to 200 mm that weighs something, no wild spin."""
+        p = guess.p
+        return bool(
+            np.isfinite(guess.x).all()
+            and np.isfinite(p).all()
+            and 1e-3 < p[C.SHAPE] < 0.2
+            and abs(p[C.LN_RHO] - math.log(p[C.SHAPE])) < 3.0
+            and 0.02 < p[C.SATURATION] < 1e10
+            and abs(p[C.LN_MASS]) < 12.0
+            and np.abs(guess.x[:, 1]).max() < WILD_SPIN
+        )
 
     def posterior(self, fit: Fit) -> Posterior:
         """How sure the fit is of itself; raises LinAlgError where it is no minimum."""
@@ -140,9 +153,9 @@ class Smoother:
         last = np.zeros((len(now.node_side), NODE))
         last[-NODE:] = np.eye(NODE)
         solved = cho_solve_banded((factor, True), np.concatenate([now.border, last], axis=1))
-        schur = now.corner - now.border.T @ solved[:, :CONSTANTS]
+        schur = now.corner - now.border.T @ solved[:, :-NODE]
         constants = np.linalg.inv(schur)
-        tail, own = solved[-NODE:, :CONSTANTS], solved[-NODE:, CONSTANTS:]  # x_last = its own − tail · p
+        tail, own = solved[-NODE:, :-NODE], solved[-NODE:, -NODE:]  # x_last = its own − tail · p
         covariance = np.block([[constants, -constants @ tail.T], [-tail @ constants, own + tail @ constants @ tail.T]])
         log_det = 2 * float(np.log(factor[0]).sum()) + float(np.linalg.slogdet(schur)[1])
         steps = len(fit.guess.x) - 1
@@ -178,17 +191,3 @@ def _solved_nodes(now: NormalEquations) -> FloatArray:
     except _UNSOLVABLE:
         step = np.zeros(len(now.node_side))
     return step.reshape(-1, NODE)
-
-
-def _sane(guess: Guess) -> bool:
-    """Whether the kernels can be asked there: a lump of 1 to 200 mm that weighs something, no wild spin."""
-    p = guess.p
-    return bool(
-        np.isfinite(guess.x).all()
-        and np.isfinite(p).all()
-        and 1e-3 < p[C.SHAPE] < 0.2
-        and abs(p[C.LN_RHO] - math.log(p[C.SHAPE])) < 3.0
-        and 0.02 < p[C.SATURATION] < 1e10
-        and abs(p[C.LN_MASS]) < 12.0
-        and np.abs(guess.x[:, 1]).max() < WILD_SPIN
-    )

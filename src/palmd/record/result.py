@@ -7,7 +7,7 @@ from typing import Any
 
 from palmd.events import FloatArray
 from palmd.observer.mass import MassEstimator
-from palmd.observer.reconstruct import Reconstruction
+from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.visits import Marks, kept_by_band, kept_by_visits
 from palmd.system.mechanism import RADII
 from palmd.system.rig_constants import RIG_NAMES

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, Protocol, Self, get_args
 
 import numpy as np
 
@@ -24,6 +24,22 @@ _MAX_HARMONIC = 40  # enough for the flattest ellipse drawn here
 _MIN_CURVATURE_RADIUS = 6.5e-3
 _STRONG_CURVATURE_RADIUS = (2.5e-3, 6.5e-3)
 _HARMONIC_STD = {2: 0.65e-3, 3: 0.28e-3, 4: 0.18e-3, 5: 0.14e-3, 6: 0.08e-3}
+
+
+class Outline(Protocol):
+    """A support function about the COM, however it is kept."""
+
+    def at(self, theta: float) -> tuple[float, float, float]:
+        """h, h′, h″ (m) at the normal theta (rad, any branch)."""
+
+    def sample(self, theta: FloatArray, order: int = 0) -> FloatArray:
+        """The derivative of the given order, up to the second, at many normals at once (m per rad^order)."""
+
+    def turned(self, angle: float) -> Self:
+        """The same outline turned by `angle` (rad, counter-clockwise) in its own frame."""
+
+    def moved(self, dx: float, dy: float) -> Self:
+        """The same outline moved by (dx, dy) metres in its own frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +97,7 @@ class Body:
     """One object: outline about its COM, radius of gyration rho (m), mass (kg)."""
 
     shape: str
-    support: Support
+    support: Outline
     rho: float
     mass: float
 

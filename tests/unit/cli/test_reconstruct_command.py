@@ -13,7 +13,7 @@ import pytest
 from palmd.cli import main
 from palmd.observer.mass import MassEstimator
 from palmd.observer.outline import directions
-from palmd.observer.reconstruct import Reconstruction
+from palmd.observer.reconstruction import Reconstruction
 from palmd.record.result import as_line
 from palmd.rig.simulate import simulate_log
 from palmd.system.description import PadSensor

@@ -10,7 +10,8 @@ from simulated import Run, is_pad, pads_changed, palms_changed, simulated, swapp
 
 from palmd.events import PadLift, PadSample, PalmSample
 from palmd.model.smoothing import R
-from palmd.observer.reconstruct import Reconstruction, reconstruct
+from palmd.observer.reconstruct import reconstruct
+from palmd.observer.reconstruction import Reconstruction
 from palmd.rig.imperfections import Imperfections, PadImperfection
 from palmd.rig.plant import PlantOptions
 from palmd.score import score_outline

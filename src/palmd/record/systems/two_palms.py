@@ -10,7 +10,8 @@ import numpy as np
 
 from palmd import observer as observers
 from palmd.events import ObserverName
-from palmd.observer.reconstruct import Reconstruction, reconstruct
+from palmd.observer.reconstruct import reconstruct
+from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.static_mass import mass_at_rest
 from palmd.outlinefile import Outline
 from palmd.record.eventlog import EventLog, TwoPalmsForm

@@ -1,0 +1,54 @@
+"""What a whole record tells, as every way of reconstructing gives it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from palmd.events import FloatArray
+from palmd.observer.visits import Counts
+
+
+@dataclass(frozen=True, slots=True)
+class Reconstruction:
+    """What a record tells; SI units, NaN or None where there is no value.
+
+    theta, h, h_sd, touched, visits: 360 normals (rad), support function and its one-sigma (m), whether a palm touched
+    there, and how many separate times.
+    rig, rig_covariance: the rig's constants, as in `model.smoothing.R`, and their covariance; none where empty.
+    contradicted: by how many sigmas each of them is not what it was taken for, 0 where nothing speaks against that.
+    t, psi, omega0, radii (one row a palm): the trajectory at the nodes. `chi2` is per contact reading. `reason` says
+    why not, when not `converged`. turned_sd: one-sigma of psi[-1] − psi[0] (rad), where the record is of one segment.
+    """
+
+    converged: bool
+    chi2: float
+    theta: FloatArray
+    h: FloatArray | None
+    h_sd: FloatArray | None
+    touched: npt.NDArray[np.bool_] | None
+    visits: Counts | None
+    rho: float
+    rho_sd: float
+    mu: float
+    mu_sd: float
+    mass: float
+    mass_sd: float
+    rig: FloatArray
+    rig_covariance: FloatArray
+    contradicted: FloatArray
+    t: FloatArray
+    psi: FloatArray
+    omega0: FloatArray
+    radii: FloatArray
+    reason: str
+    seconds: float
+    turned_sd: float = math.nan
+
+    @property
+    def rig_sd(self) -> FloatArray:
+        """One-sigma of the rig's constants."""
+        return np.sqrt(np.diagonal(self.rig_covariance))

@@ -1,0 +1,110 @@
+"""What a record tells of an outline with flat sides and corners: fit, bands and doubts, as `reconstruct` gives them."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.model import sharp
+from palmd.model.sharp import LENGTHS, NORMALS, WIDTH
+from palmd.model.smoothing import RIG, C
+from palmd.observer.factor import friction_of
+from palmd.observer.outline import directions, normal_angles, touched_by
+from palmd.observer.reconstruction import Reconstruction
+from palmd.observer.search import Search, still
+from palmd.observer.sided import Candidate, SidedSearch
+from palmd.observer.visits import visits_of
+
+LEAST_SIDE_M = 1e-3  # a shorter side is none
+SHARP_M = 1.5e-4  # RMS of the outline's one-sigma where touched, above which there is no outline to speak of
+WIDTH_SD = 1.0  # of ln ε: a real side is passed within no angle at all
+MOST_SCATTER, MOST_OUTLIERS = 1.10, 0.05
+DIFFERENT_M, DOUBT = 1e-4, 25.0
+HOLLOW_M = 1.5e-3  # of v between sides, where touched: below minus that it is no convex body
+
+
+def sharp_reconstruction(search: Search, begun: float) -> Reconstruction | None:
+    """The outline with flat sides that explains the segment of `search`, None where none does beyond doubt."""
+    if still(search.record):
+        return None
+    sided = SidedSearch(search)
+    found = sided.found()
+    if not found:
+        return None
+    best = sided.refined(found[0])
+    if _doubtful(best, found):
+        return None
+    try:
+        covariance = sided.posterior(best).covariance
+    except np.linalg.LinAlgError:
+        return None
+    return _told(best, covariance, search, begun)
+
+
+def _doubtful(best: Candidate, found: tuple[Candidate, ...]) -> bool:
+    if not (best.explains and best.scatter < MOST_SCATTER and best.fit.outliers < MOST_OUTLIERS):
+        return True
+    theta = directions()
+    h = sharp.support(theta, found[0].fit.guess.p)
+    touched = touched_by(normal_angles(found[0].record.palms, found[0].fit.guess.x[:, 0]))
+    return any(
+        other.deviance < found[0].deviance + DOUBT
+        and np.sqrt(np.mean((sharp.support(theta, other.fit.guess.p) - h)[touched] ** 2)) > DIFFERENT_M
+        for other in found[1:]
+    )
+
+
+def _told(best: Candidate, covariance: FloatArray, search: Search, begun: float) -> Reconstruction | None:
+    fit, record = best.fit, best.record
+    p, x = fit.guess.p, fit.guess.x
+    normals = normal_angles(record.palms, x[:, 0])
+    theta, touched = directions(), touched_by(normals)
+    h = sharp.support(theta, p)
+    h_sd = _band(theta, theta[touched], p, covariance)
+    if float(np.sqrt(np.mean(h_sd[touched] ** 2))) > SHARP_M:
+        return None
+    mu, mu_sd = friction_of(p, covariance)
+    sd = np.sqrt(np.diagonal(covariance))
+    rho = math.exp(p[C.LN_RHO])
+    weighed = len(record.force_value) > 0
+    mass = math.exp(p[C.LN_MASS]) if weighed else math.nan
+    radii = [sharp.support(each, p) for each in normals.T]
+    return Reconstruction(
+        converged=True, chi2=fit.chi2,
+        theta=theta, h=h, h_sd=h_sd, touched=touched, visits=visits_of(normals),
+        rho=rho, rho_sd=rho * float(sd[C.LN_RHO]), mu=mu, mu_sd=mu_sd,
+        mass=mass, mass_sd=mass * float(sd[C.LN_MASS]), rig=p[RIG], rig_covariance=covariance[RIG, RIG],
+        contradicted=search.belief.contradicted,
+        t=record.t, psi=x[:, 0], omega0=x[:, 1], radii=np.stack(radii),
+        reason="", seconds=time.perf_counter() - begun, turned_sd=float(sd[len(p)]),
+    )  # fmt: skip
+
+
+def _band(theta: FloatArray, touched: FloatArray, p: FloatArray, covariance: FloatArray) -> FloatArray:
+    """One-sigma of h (m) on `theta` after the rotation that fits the `touched` normals best."""
+    step = 1e-4
+    shape = slice(C.SHAPE, len(p))
+    known = covariance[shape, shape].copy()
+    known[-1, -1] += WIDTH_SD**2
+
+    def slope(at: FloatArray) -> FloatArray:
+        return (sharp.support(at + step, p) - sharp.support(at - step, p)) / (2 * step)
+
+    free = sharp.outline_rows(theta, p)
+    there = slope(touched)
+    turn = there @ sharp.outline_rows(touched, p) / max(float(there @ there), 1e-30)
+    free = free - np.outer(slope(theta), turn)
+    variance: FloatArray = ((free @ known) * free).sum(axis=1)
+    return np.sqrt(np.maximum(variance, 0.0))
+
+
+def sides_of(p: FloatArray) -> list[tuple[float, float]]:
+    """Normal (rad) and length (m) of each flat side."""
+    return [
+        (float(normal), float(length))
+        for normal, length in zip(p[NORMALS:LENGTHS], p[LENGTHS:WIDTH], strict=True)
+        if length > LEAST_SIDE_M
+    ]

@@ -1,0 +1,325 @@
+"""The search for an outline with flat sides and corners behind a segment of readings, blind.
+
+What lies on a flat side rides on its palm: ψ follows that palm's angle, while the contact wanders along the side as the
+balance of torques asks. That gives two starts, one a palm, besides those of the bank of filters. The window then grows
+over the segment. Where no motion of the present outline explains what comes next, rivals are born that have one more
+side, at the normal by which either palm feels the object there; the readings choose among them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.model import sharp
+from palmd.model.sharp import CONSTANTS, LENGTHS, NORMALS, SIDES, WIDTH
+from palmd.model.smoothing import NODE, C
+from palmd.observer.factor import Prior
+from palmd.observer.normal_equations import Guess, ProcessNoise
+from palmd.observer.outline import normal_angles
+from palmd.observer.record import Record, lay_out
+from palmd.observer.search import Search
+from palmd.observer.smoother import Fit, Posterior, Smoother
+from palmd.system.mechanism import normal_directions
+
+NOISE = ProcessNoise(1e-10, 1e-5, gate=4.0)
+SPACING_S, FINE_SPACING_S = 0.01, 0.005  # of the nodes, while looking and in the end
+FIRST_S, GROWTH, LEAST_GROWTH_S = 0.4, 1.6, 0.1
+SIDE_M, SIDE_SD_M = 15e-3, 8e-3  # length of a side before it is felt
+BORN_SD_RAD = 0.05
+COARSE = ((0.03, 1.0, math.inf), (0.01, 1.0, math.inf))  # in what angle (rad) a side is passed, noise, gate: at first
+FINE = 0.004  # and in the end
+SHAPE_SD = 2.0  # times that of a smooth lump
+LN_GYRATION, LN_GYRATION_SD = math.log(0.67), 0.12  # of a triangle 0.61, of a square 0.64, of a disc 0.71
+PRICE = 12.0  # of a side more: twice the log-likelihood that it must gain
+ITERATIONS, LAST_ITERATIONS = 15, 25
+MOST_OUTLIERS = 0.10  # of readings, while contacts jump
+SCATTER = 0.455  # median of x², x standard normal
+RIVALS = 4
+MOST_FAILURES = 2  # windows in a row that nothing explains
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """What is believed of a side before the readings speak: its normal (rad, in the object's frame)."""
+
+    normal: float
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A fit of a record by an outline with so many sides."""
+
+    sides: tuple[Side, ...]
+    prior: Prior
+    record: Record
+    fit: Fit
+    scatter: float
+
+    @property
+    def deviance(self) -> float:
+        """Twice the negative log-likelihood up to a constant, with the price of its sides."""
+        return self.fit.cost + PRICE * len(self.sides)
+
+    @property
+    def explains(self) -> bool:
+        """Whether the readings are explained to their noise but for some while a contact jumps."""
+        fit = self.fit
+        n = len(self.record.contact_value)
+        return (
+            math.isfinite(fit.cost)
+            and self.scatter < 1.12 + 4.0 / math.sqrt(n)
+            and fit.outliers < MOST_OUTLIERS
+            and fit.slack < 0.5 * n
+        )
+
+
+class SidedSmoother(Smoother):
+    """The smoother of an outline with sides."""
+
+    def _sane(self, guess: Guess) -> bool:
+        p = guess.p
+        return (
+            super()._sane(guess)
+            and bool(abs(p[C.LN_RHO] - math.log(p[C.SHAPE]) + 0.4) < 1.0)
+            and bool((p[LENGTHS:WIDTH] > -1e-3).all() and (p[LENGTHS:WIDTH] < 0.1).all())
+        )
+
+
+class SidedSearch:
+    """One segment, as `search` has laid it out."""
+
+    def __init__(self, search: Search):
+        self._search = search
+        segment = search.segment
+        self.record = lay_out(segment.pads, search.path, search.rig, segment.start, segment.end, SPACING_S)
+        self._library = sharp.library()
+
+    def found(self, log: Callable[[Candidate], None] | None = None) -> tuple[Candidate, ...]:
+        """The outlines and motions that explain the whole segment best, best first; none if that leads nowhere."""
+        whole = self.record
+        first = whole.until(whole.t[0] + FIRST_S)
+        candidates = [
+            self._fitted(first, sides, guess, coarse=True, gate=math.inf) for sides, guess in self._starts(first)
+        ]
+        best = self._kept(candidates)
+        if not best[0].explains:
+            best = self._kept([*candidates, *self._with_births(candidates, first.t[0])])
+        failures = 0
+        while True:
+            if log:
+                for c in best:
+                    log(c)
+            if best[0].record.t[-1] >= whole.t[-1] - 1e-9:
+                return tuple(best)
+            best = self._kept(self._grown(best, whole))
+            failures = 0 if best[0].explains else failures + 1
+            if failures > MOST_FAILURES:
+                return ()
+
+    def _kept(self, candidates: Sequence[Candidate], margin: float = 60.0) -> list[Candidate]:
+        ordered = sorted(candidates, key=lambda each: each.deviance)
+        kept: list[Candidate] = []
+        for each in ordered:
+            if (
+                len(kept) < RIVALS
+                and (not kept or each.deviance < kept[0].deviance + margin)
+                and not any(_same(each, other) for other in kept)
+            ):
+                kept.append(each)
+        return kept
+
+    def _starts(self, record: Record) -> Iterator[tuple[tuple[Side, ...], Guess]]:
+        phi = record.palms[:, :2]
+        rate = record.palms[:, 2:4]
+        first = normal_directions(tuple(phi[0]), 0.0)
+        for palm in (0, 1):
+            angle, spin = phi[:, : palm + 1].sum(axis=1), rate[:, : palm + 1].sum(axis=1)
+            sides = (Side(float(first[palm])),)
+            yield sides, Guess(np.stack([angle - angle[0], spin], axis=1), self._start(sides))
+        yield (), Guess(np.zeros((len(record.t), NODE)), self._start(()))
+
+    def _start(self, sides: tuple[Side, ...]) -> FloatArray:
+        """The constants most likely before anything is felt."""
+        p = self._prior(sides).mean.copy()
+        dither = math.exp(p[C.SATURATION])
+        p[C.LN_RHO] += math.log(p[C.SHAPE])
+        p[C.DRAG], p[C.SATURATION] = p[C.DRAG] / dither, dither**-2.0
+        return p
+
+    def _grown(self, rivals: Sequence[Candidate], whole: Record) -> list[Candidate]:
+        begin, now = whole.t[0], rivals[0].record.t[-1]
+        until = begin + max(GROWTH * (now - begin), now - begin + LEAST_GROWTH_S)
+        while True:
+            longer = whole.until(until)
+            grown = [self._fitted(longer, each.sides, each.fit.guess) for each in rivals]
+            if not _best(grown).explains:
+                led = [self._by_readings(longer, each.fit.guess) for each in rivals]
+                grown += [self._fitted(longer, each.sides, guess) for each, guess in zip(rivals, led, strict=True)]
+            if _best(grown).explains:
+                return grown
+            if until - now <= 1.01 * LEAST_GROWTH_S or longer.t[-1] - now < LEAST_GROWTH_S * 1.01:
+                break
+            until = now + max((until - now) / 2, LEAST_GROWTH_S)
+        return [*grown, *self._with_births(self._kept(grown, 4000.0), now)]
+
+    def _with_births(self, candidates: Sequence[Candidate], now: float) -> Iterator[Candidate]:
+        for each in candidates:
+            for sides, guess in self._births(each, now):
+                nodes = int(np.searchsorted(each.record.t, now)) + 1
+                if 1 < nodes < len(guess.x):
+                    led = self._by_readings(each.record, Guess(guess.x[:nodes], guess.p))
+                    yield self._fitted(each.record, sides, led, coarse=True)
+                yield self._fitted(each.record, sides, guess, coarse=True)
+
+    def _births(self, candidate: Candidate, now: float) -> Iterator[tuple[tuple[Side, ...], Guess]]:
+        if len(candidate.sides) == SIDES:
+            return
+        record, guess = candidate.record, candidate.fit.guess
+        at = normal_angles(record.palms, guess.x[:, 0])
+        taken = [float(normal) for normal in guess.p[NORMALS : NORMALS + len(candidate.sides)]]
+        for k in (int(np.searchsorted(record.t, now)), len(record.t) - 1):
+            for palm in (0, 1):
+                normal = float(at[k, palm])
+                if any(abs(math.remainder(normal - other, math.tau)) < 0.1 for other in taken):
+                    continue
+                taken.append(normal)
+                sides = (*self._settled(candidate), Side(normal))
+                p = guess.p.copy()
+                p[NORMALS + len(candidate.sides)], p[LENGTHS + len(candidate.sides)] = normal, SIDE_M
+                yield sides, Guess(guess.x, p)
+
+    def refined(self, candidate: Candidate) -> Candidate:
+        """The same on finer nodes, iterated to the end."""
+        search = self._search
+        segment = search.segment
+        record = lay_out(segment.pads, search.path, search.rig, segment.start, segment.end, FINE_SPACING_S)
+        guess = candidate.fit.guess.on(candidate.record.t, record.t)
+        return self._fitted(record, candidate.sides, guess, iterations=LAST_ITERATIONS)
+
+    def posterior(self, candidate: Candidate) -> Posterior:
+        """How sure it is of itself; raises LinAlgError where it is no minimum."""
+        return SidedSmoother(self._library, candidate.record, candidate.prior).posterior(candidate.fit)
+
+    def _by_readings(self, record: Record, guess: Guess) -> Guess:
+        """The guess carried on to the record's end by the readings alone, the outline taken as it is."""
+        known = len(guess.x)
+        if known >= len(record.t):
+            return guess
+        psi = followed(guess.p, record, known - 1, float(guess.x[-1, 0]))
+        x = np.empty((len(record.t), NODE))
+        x[:known] = guess.x
+        x[known:, 0] = psi[1:]
+        x[known:, 1] = np.gradient(psi, record.t[known - 1 :])[1:]
+        return Guess(x, guess.p)
+
+    @staticmethod
+    def _settled(candidate: Candidate) -> tuple[Side, ...]:
+        return tuple(Side(float(candidate.fit.guess.p[NORMALS + j])) for j in range(len(candidate.sides)))
+
+    def _fitted(
+        self,
+        record: Record,
+        sides: tuple[Side, ...],
+        guess: Guess,
+        coarse: bool = False,
+        gate: float = NOISE.gate,
+        iterations: int = ITERATIONS,
+    ) -> Candidate:
+        prior = self._prior(sides)
+        for width, looser, own_gate in (*(COARSE if coarse else ()), (FINE, 1.0, gate)):
+            prior = self._prior(sides, width)
+            p = guess.p.copy()
+            p[WIDTH] = math.log(width)
+            smoother = SidedSmoother(self._library, record, prior)
+            noise = replace(NOISE, psi=looser * NOISE.psi, omega0=looser * NOISE.omega0, gate=own_gate)
+            fit = smoother.fit(Guess(guess.x, p), noise, iterations)
+            guess = fit.guess
+        residual = smoother.residuals(guess)
+        return Candidate(sides, prior, record, fit, float(np.median(residual**2)) / SCATTER)
+
+    def _prior(self, sides: tuple[Side, ...], width: float = FINE) -> Prior:
+        base = self._search.prior
+        mean, sd = np.zeros(CONSTANTS), np.zeros(CONSTANTS)
+        mean[:NORMALS], sd[:NORMALS] = base.mean, base.sd
+        mean[C.LN_RHO], sd[C.LN_RHO] = LN_GYRATION, LN_GYRATION_SD
+        sd[C.SHAPE : NORMALS] *= SHAPE_SD
+        mean[NORMALS:LENGTHS], sd[NORMALS:LENGTHS] = np.arange(SIDES), 0.01
+        sd[LENGTHS:WIDTH] = 1e-8
+        for j, side in enumerate(sides):
+            mean[NORMALS + j], sd[NORMALS + j] = side.normal, BORN_SD_RAD
+            mean[LENGTHS + j], sd[LENGTHS + j] = SIDE_M, SIDE_SD_M
+        mean[WIDTH], sd[WIDTH] = math.log(width), 1e-3
+        return Prior(mean, sd, base.omega0_sd)
+
+
+def _best(candidates: Sequence[Candidate]) -> Candidate:
+    return min(candidates, key=lambda each: each.deviance)
+
+
+def _same(one: Candidate, other: Candidate) -> bool:
+    if len(one.fit.guess.x) != len(other.fit.guess.x) or len(one.sides) != len(other.sides):
+        return False
+    return float(np.abs(one.fit.guess.x[:, 0] - other.fit.guess.x[:, 0]).max()) < 0.02
+
+
+GRID_RAD, REACH, ROAMS = 2.5e-3, 40, 0.9  # of ψ: steps, most of them in one interval, and how far about the start (rad)
+INTERVAL_NODES = 2
+FOLLOW_SD_M, FOLLOW_GATE, FOLLOW_TURN_RAD = 3e-4, 25.0, 0.02
+TABLE = 7200
+
+
+def followed(p: FloatArray, record: Record, start: int, psi0: float) -> FloatArray:
+    """ψ (rad) at the nodes from `start` on, where it is psi0, by the readings and the outline p alone.
+
+    Dynamic programming over a grid: each interval's readings are missed least, turns are dear. No dynamics.
+    """
+    t = record.t[start:]
+    bins = np.arange(0, len(t), INTERVAL_NODES)
+    count = 2 * round(ROAMS / GRID_RAD) + 1
+    grid = np.linspace(psi0 - ROAMS, psi0 + ROAMS, count)
+    angles = np.linspace(0.0, math.tau, TABLE, endpoint=False)
+    h = sharp.support(angles, p)
+    d = -(np.roll(h, -1) - np.roll(h, 1)) * (TABLE / math.tau / 2)
+
+    def at(table: FloatArray, theta: FloatArray) -> FloatArray:
+        position = theta * (TABLE / math.tau)
+        low = np.floor(position)
+        part = position - low
+        i = low.astype(np.intp) % TABLE
+        return table[i] * (1 - part) + table[(i + 1) % TABLE] * part
+
+    mine = record.contact_step >= start
+    which = (record.contact_step[mine] - start) // INTERVAL_NODES
+    phi1, phi2 = record.contact_palms[mine, 0][:, None], record.contact_palms[mine, 1][:, None]
+    one, two = normal_directions((phi1, phi2), grid[None, :])
+    r1, r2 = at(h, one), at(h, two)
+    first = (record.contact_pad[mine] < 1.5)[:, None]
+    lever = np.where(first, r1 * np.cos(phi2) + r2, r2 * np.cos(phi2) + r1) / np.sin(phi2)
+    s = lever + np.where(first, -at(d, one), at(d, two))
+    miss = (record.contact_value[mine][:, None] - s) ** 2 / FOLLOW_SD_M**2
+    miss = np.where(miss > FOLLOW_GATE, FOLLOW_GATE * (1 + np.log(np.maximum(miss, FOLLOW_GATE) / FOLLOW_GATE)), miss)
+    cost = np.zeros((len(bins), len(grid)))
+    np.add.at(cost, np.minimum(which, len(bins) - 1), miss)
+    turn = (np.arange(-REACH, REACH + 1) * GRID_RAD / FOLLOW_TURN_RAD) ** 2
+    best = np.where(np.abs(grid - psi0) < GRID_RAD / 2, 0.0, 1e9)
+    back = np.zeros((len(bins), len(grid)), dtype=np.intp)
+    index = np.arange(len(grid))
+    for b in range(1, len(bins)):
+        padded = np.pad(best, REACH, constant_values=1e12)
+        options = np.lib.stride_tricks.sliding_window_view(padded, 2 * REACH + 1) + turn
+        choice = options.argmin(axis=1)
+        back[b] = np.clip(index + choice - REACH, 0, len(grid) - 1)
+        best = options[index, choice] + cost[b]
+    path = np.zeros(len(bins), dtype=np.intp)
+    path[-1] = int(best.argmin())
+    for b in range(len(bins) - 1, 0, -1):
+        path[b - 1] = back[b, path[b]]
+    middle = np.minimum(bins + INTERVAL_NODES / 2, len(t) - 1)
+    middle[0] = 0
+    psi: FloatArray = np.interp(np.arange(len(t)), middle, grid[path])
+    return psi

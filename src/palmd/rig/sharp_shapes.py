@@ -1,0 +1,139 @@
+"""Convex bodies with corners and flat sides for the emulated rig: exact arcs, or a smooth outline with a chord. Pure.
+
+A corner is an arc of small radius. A flat side is an arc so wide that the body rolls over it within `flat_rad`: what
+lies on a plane has a contact that moves from one end of the side to the other with hardly a turn. A dent cannot be
+felt by a flat palm; its hull has a chord there, which is a flat side of an otherwise smooth outline.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.rig.shapes import Body, Support
+
+FLAT_RAD = 2e-3
+_BOUNDARY = 20_000  # points on the outline from which area and moments are taken
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class ArcSupport:
+    """Arcs one after the other: from normal `starts[j]` on, in [0, 2π), radius `radii[j]` about `centres[j]` (m)."""
+
+    starts: tuple[float, ...]
+    radii: tuple[float, ...]
+    centres: tuple[Point, ...]
+
+    def at(self, theta: float) -> tuple[float, float, float]:
+        """h, h′, h″ (m) at the normal theta (rad, any branch): h = q·u + v on an arc of radius v about q."""
+        j = bisect_right(self.starts, theta % math.tau) - 1
+        (x, y), v = self.centres[j], self.radii[j]
+        c, s = math.cos(theta), math.sin(theta)
+        along = x * c + y * s
+        return along + v, y * c - x * s, -along
+
+    def sample(self, theta: FloatArray, order: int = 0) -> FloatArray:
+        """The derivative of the given order, up to the second, at many normals at once (m per rad^order)."""
+        return np.array([self.at(float(each))[order] for each in theta])
+
+    def turned(self, angle: float) -> ArcSupport:
+        """The same outline turned by `angle` (rad, counter-clockwise) in its own frame."""
+        c, s = math.cos(angle), math.sin(angle)
+        centres = [(c * x - s * y, s * x + c * y) for x, y in self.centres]
+        return _in_order([start + angle for start in self.starts], self.radii, centres)
+
+    def moved(self, dx: float, dy: float) -> ArcSupport:
+        """The same outline moved by (dx, dy) metres in its own frame."""
+        return ArcSupport(self.starts, self.radii, tuple((x + dx, y + dy) for x, y in self.centres))
+
+
+@dataclass(frozen=True, slots=True)
+class ChordSupport:
+    """A smooth outline with a flat side of `length` (m) about the normal `normal` (rad), passed within `width` (rad).
+
+    The side is balanced all around: h gains G with G + G″ = box − cos/π, so that the outline stays closed.
+    """
+
+    smooth: Support
+    normal: float
+    length: float
+    width: float
+
+    def at(self, theta: float) -> tuple[float, float, float]:
+        """h, h′, h″ (m) at the normal theta (rad, any branch)."""
+        h, h1, h2 = self.smooth.at(theta)
+        g, g1, v = self._chord(math.remainder(theta - self.normal, math.tau))
+        return h + g, h1 + g1, h2 + v - g
+
+    def _chord(self, y: float) -> tuple[float, float, float]:
+        """What it adds to h, h′ and h + h″."""
+        c, s, half = math.cos(y), math.sin(y), 0.5 * self.width
+        if abs(y) < half:
+            edge = math.cos(half) / self.width
+            g, g1, box = 1.0 / self.width - edge * c, edge * s, 1.0 / self.width
+        else:
+            rest = 0.5 * math.copysign(math.sin(half) / half, y)
+            g, g1, box = rest * s, rest * c, 0.0
+        return (
+            self.length * (g - y * s / math.tau - c / (2 * math.tau)),
+            self.length * (g1 - (s + y * c) / math.tau + s / (2 * math.tau)),
+            self.length * (box - c / math.pi),
+        )
+
+    def sample(self, theta: FloatArray, order: int = 0) -> FloatArray:
+        """The derivative of the given order, up to the second, at many normals at once (m per rad^order)."""
+        return np.array([self.at(float(each))[order] for each in theta])
+
+    def turned(self, angle: float) -> ChordSupport:
+        """The same outline turned by `angle` (rad, counter-clockwise) in its own frame."""
+        return ChordSupport(self.smooth.turned(angle), self.normal + angle, self.length, self.width)
+
+    def moved(self, dx: float, dy: float) -> ChordSupport:
+        """The same outline moved by (dx, dy) metres in its own frame."""
+        return ChordSupport(self.smooth.moved(dx, dy), self.normal, self.length, self.width)
+
+
+def rounded_polygon(corners: Sequence[Point], radius: float, flat_rad: float = FLAT_RAD) -> ArcSupport:
+    """The hull of discs of `radius` (m) about `corners` (m), counter-clockwise and strictly convex."""
+    starts, radii, centres = [], [], []
+    for here, there in zip(corners, [*corners[1:], corners[0]], strict=True):
+        edge = complex(*there) - complex(*here)
+        normal = math.atan2(-edge.real, edge.imag)
+        wide = radius + abs(edge) / (2 * math.sin(flat_rad / 2))
+        first = normal - flat_rad / 2
+        starts += [first, normal + flat_rad / 2]
+        radii += [wide, radius]
+        out = (radius - wide) * complex(math.cos(first), math.sin(first))
+        centres += [(here[0] + out.real, here[1] + out.imag), there]
+    return _in_order(starts, tuple(radii), centres)
+
+
+def uniform_body(name: str, outline: ArcSupport | ChordSupport, mass: float, com: Point = (0.0, 0.0)) -> Body:
+    """A body of even density, its COM moved by `com` (m) from the area's centroid by a weight that does not show."""
+    theta = np.linspace(0.0, math.tau, _BOUNDARY, endpoint=False) + 1e-5
+    h, h1 = (np.array(each) for each in zip(*((outline.at(float(a))[:2]) for a in theta), strict=True))
+    x, y = h * np.cos(theta) - h1 * np.sin(theta), h * np.sin(theta) + h1 * np.cos(theta)
+    nx, ny = np.roll(x, -1), np.roll(y, -1)
+    cross = x * ny - nx * y
+    area = 0.5 * cross.sum()
+    cx, cy = ((x + nx) * cross).sum() / (6 * area), ((y + ny) * cross).sum() / (6 * area)
+    second = ((x * x + x * nx + nx * nx + y * y + y * ny + ny * ny) * cross).sum() / (12 * area)
+    rho = math.sqrt(second - cx * cx - cy * cy)
+    return Body(name, outline.moved(-cx - com[0], -cy - com[1]), rho, mass)
+
+
+def _in_order(starts: Sequence[float], radii: Sequence[float], centres: Sequence[Point]) -> ArcSupport:
+    """The arcs from the first whose normal is in [0, 2π) on, the last one also before it."""
+    order = sorted(range(len(starts)), key=lambda j: starts[j] % math.tau)
+    last = order[-1]
+    return ArcSupport(
+        (0.0, *(starts[j] % math.tau for j in order)),
+        (radii[last], *(radii[j] for j in order)),
+        (centres[last], *(centres[j] for j in order)),
+    )

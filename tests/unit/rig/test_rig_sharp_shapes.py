@@ -1,0 +1,65 @@
+"""Bodies with corners, flat sides and chords: closed, convex, and as long and as heavy as geometry says."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from palmd.rig.shapes import Support
+from palmd.rig.sharp_shapes import ArcSupport, ChordSupport, rounded_polygon, uniform_body
+
+SQUARE = [(9e-3, 9e-3), (-9e-3, 9e-3), (-9e-3, -9e-3), (9e-3, -9e-3)]
+CIRCLE = Support.from_coefficients((0.02 + 0j,))
+THETA = np.linspace(-4.0, 9.0, 4001)
+
+
+def _outlines() -> list[ArcSupport | ChordSupport]:
+    return [
+        rounded_polygon(SQUARE, 1e-3),
+        rounded_polygon([(0.02, 0.0), (0.0, 0.015), (-0.012, -0.01)], 3e-3),
+        ChordSupport(CIRCLE, 1.3, 10e-3, 2e-3),
+    ]
+
+
+@pytest.mark.parametrize("outline", _outlines())
+def test_h_and_its_slope_are_one_smooth_function_all_around(outline: ArcSupport | ChordSupport) -> None:
+    step = 1e-7
+    for theta in THETA:
+        low, (h, slope, _), high = (outline.at(theta + each)[:3] for each in (-step, 0.0, step))
+        assert (high[0] - low[0]) / (2 * step) == pytest.approx(slope, abs=2e-6)
+        again = outline.at(theta + math.tau)
+        assert again[:2] == pytest.approx((h, slope), abs=1e-12)
+
+
+@pytest.mark.parametrize("outline", _outlines())
+def test_no_normal_is_hollow(outline: ArcSupport | ChordSupport) -> None:
+    assert min(h + h2 for h, _, h2 in (outline.at(theta) for theta in THETA)) > 0.9e-3
+
+
+@pytest.mark.parametrize("outline", _outlines())
+def test_a_turned_outline_is_felt_at_turned_normals(outline: ArcSupport | ChordSupport) -> None:
+    turned = outline.turned(0.7)
+    for theta in THETA[::50]:
+        assert turned.at(theta + 0.7)[:2] == pytest.approx(outline.at(theta)[:2], abs=1e-12)
+
+
+def test_the_hull_of_discs_touches_each_of_them() -> None:
+    outline = rounded_polygon(SQUARE, 1e-3)
+    for theta in THETA:
+        reach = max(x * math.cos(theta) + y * math.sin(theta) for x, y in SQUARE) + 1e-3
+        assert outline.at(theta)[0] == pytest.approx(reach, abs=1e-5)  # a side is passed within 2 mrad
+
+
+def test_a_contact_runs_along_the_whole_chord_with_hardly_a_turn() -> None:
+    outline = ChordSupport(CIRCLE, 1.3, 10e-3, 2e-3)
+    before, after = outline.at(1.299)[1], outline.at(1.301)[1]
+    assert after - before == pytest.approx(10e-3, rel=0.01)
+
+
+def test_a_square_weighs_and_turns_as_a_square_does() -> None:
+    body = uniform_body("square", rounded_polygon(SQUARE, 1e-6), 0.1, com=(1e-3, 0.0))
+    assert body.rho == pytest.approx(18e-3 / math.sqrt(6.0), rel=1e-3)
+    assert body.support.at(0.0)[0] == pytest.approx(8e-3, abs=1e-5)
+    assert body.support.at(math.pi)[0] == pytest.approx(10e-3, abs=1e-5)
