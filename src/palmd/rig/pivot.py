@@ -232,9 +232,13 @@ def _tilt(
 
     def both(plan: list[Callable[[float], Axis]]) -> Callable[[float], Axis]:
         def at(t: float) -> Axis:
-            side = 0 if t <= each + 0.5 * _ROUND_S else sides - 1
-            begin = side * (each + _ROUND_S)
-            return plan[side](min(max(t - begin, 0.0), each))
+            if t <= each or sides == 1:
+                return plan[0](min(t, each))
+            if t >= each + _ROUND_S:
+                return plan[1](min(t - each - _ROUND_S, each))
+            begin, end = plan[0](each)[0], plan[1](0.0)[0]
+            w, dw, ddw = _eased((t - each) / _ROUND_S)
+            return begin + (end - begin) * w, (end - begin) * dw / _ROUND_S, (end - begin) * ddw / _ROUND_S**2
 
         return at
 
@@ -283,7 +287,7 @@ def _float(rng: np.random.Generator, duration: float, off: PivotImperfections, o
     carriage = grasp.body.mass * float(rng.uniform(0.8, 2.0))
     grasp = replace(grasp, carriage=carriage, carriage_damping=carriage * float(rng.uniform(1.0, 2.0)))
     f1, f2 = float(rng.uniform(0.12, 0.3)), float(rng.uniform(0.25, 0.45))
-    a1, a2 = float(rng.uniform(0.006, 0.016)), float(rng.uniform(0.003, 0.008))
+    a1, a2 = float(rng.uniform(0.010, 0.020)), float(rng.uniform(0.004, 0.010))
     p1, p2 = (float(rng.uniform(0.0, math.tau)) for _ in range(2))
 
     def x(t: float) -> Axis:
