@@ -20,6 +20,7 @@ from palmd.observer.pivot.record import TAPS, Record, Rows
 MAX_ITERATIONS = 60
 NEGLIGIBLE = 0.02
 FIRST_DAMPING, LEAST_DAMPING, MAX_DAMPING = 1e-3, 1e-10, 1e8
+CORRECTIONS, GOOD_ENOUGH = 4, 0.9  # of the splines alone, unless the cost falls by a tenth at once
 GATE = 16.0
 _PSI_SCALE = 0.05
 _GAUGE_SD = 1e-5  # of ψ at the first reading, which is 0 by definition
@@ -113,10 +114,13 @@ class Problem:
                 break
             trial = c + step[0], p + step[1]
             then = self.linearised(*trial, soft) if _sane(trial[1]) else None
-            if then is not None and math.isfinite(then.cost) and then.cost > 0.95 * now.cost:
-                better = self._nodes_again(then, trial, soft)  # the splines bend where the constants went straight
-                if better is not None and better[1].cost < then.cost:
-                    trial, then = better
+            for _ in range(CORRECTIONS):  # the splines bend where the constants go straight
+                if then is None or not math.isfinite(then.cost) or then.cost < GOOD_ENOUGH * now.cost:
+                    break
+                better = self._splines_again(then, trial, soft)
+                if better is None or not better[1].cost < 0.999 * then.cost:
+                    break
+                trial, then = better
             if then is None or not then.cost < now.cost:
                 damping = max(damping, 1e-6) * 8.0
                 continue
@@ -125,7 +129,7 @@ class Problem:
             damping = max(damping / 8.0, LEAST_DAMPING)
         return PivotFit(c, p, now.cost, *now.chi2, now.outliers, now.strain, count, settled)
 
-    def _nodes_again(
+    def _splines_again(
         self, then: _Normal, trial: tuple[FloatArray, FloatArray], soft: Softening
     ) -> tuple[tuple[FloatArray, FloatArray], _Normal] | None:
         try:

@@ -23,7 +23,7 @@ from palmd.observer.pivot.starts import Start, believed, float_starts, rigid_sta
 from palmd.system.pivot import PivotEvent, PivotRig, normal_of
 
 STAGES = {
-    "rigid": (Softening(heights=10.0), SHARP),
+    "rigid": (Softening(heights=1e3), Softening(heights=30.0), SHARP),
     "float": (Softening(2.0, 8.0, 2.0, 20.0), Softening(1.0, 2.0, 1.0, 3.0), SHARP),
 }
 EARLY_ITERATIONS = 25

@@ -180,9 +180,12 @@ def _heights(touches: Sequence[Touch], arm: ArmMotion, rig: PivotRig) -> Rows:
         t, z = arm.t[inside], arm.height[inside]
         return _rows(touches, arm, t, z, np.full(len(t), rig.arm_noise**2))
     t = np.concatenate([np.linspace(each.begin, each.end, 2 * (each.count - TAPS) + 3) for each in touches])
-    # the path is smooth: its error is one of all, which the constants have, and here only keeps the splines in place
-    return _rows(touches, arm, t, arm.z.at(t)[0], np.full(len(t), (rig.arm_noise / 10) ** 2))
+    return _rows(touches, arm, t, arm.z.at(t)[0], np.full(len(t), RIGID_SD_M**2))
 
+
+# A rigid gripper's way is smooth, whatever it is off by. Were the splines free to leave it by micrometres, their
+# acceleration would follow the noise of the forces, and an inertia of ten times the true one would explain it.
+RIGID_SD_M = 2e-8
 
 TORQUE_SD_M = 2e-5  # of the lever that the slide's equation of motion leaves open, at each instant
 COLLOCATIONS = 2  # instants in each cell of the spline
