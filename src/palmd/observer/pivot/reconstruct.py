@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Sequence
@@ -167,7 +168,7 @@ def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:
         along = [_ratio_of(covariance, [P.MOMENT + i, P.MASS], p, lambda q: q[0] / q[1]) for i in range(2)]
         com, com_sd = np.array(along).T
         inertia, inertia_sd = _ratio_of(covariance, [P.INERTIA, P.MASS], p, lambda q: q[0] / q[1])
-    motion = record.motion(best.c, rows)
+    motion = record.motion(_unwound(best.c, record), rows)
     claimed = not reason
     return PivotReconstruction(
         converged=claimed, chi2=best.chi2, theta=theta,
@@ -177,6 +178,15 @@ def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:
         moment=p[moment], moment_sd=sd[moment], inertia_kg=p[P.INERTIA], inertia_kg_sd=sd[P.INERTIA],
         t=rows.t, psi=motion[:, 0], omega0=motion[:, 1], reason=reason, seconds=0.0,
     )  # fmt: skip
+
+
+def _unwound(c: FloatArray, record: Record) -> FloatArray:
+    """The splines, each by whole turns as near as can be to the end of the one before."""
+    c = c.copy()
+    for before, touch in itertools.pairwise(record.touches):
+        step = c[touch.coefficients][1] - c[before.coefficients][-2]
+        c[touch.coefficients] -= math.tau * round(step / math.tau)
+    return c
 
 
 def _doubt(

@@ -19,7 +19,7 @@ from scipy.interpolate import BSpline, make_smoothing_spline
 from palmd.events import FloatArray
 from palmd.model import shape
 from palmd.model.pivot import CONSTANTS, ORDER, P, U
-from palmd.observer.pivot.fit import Known
+from palmd.observer.pivot.fit import CENTRE_SD_M, GYRATION, Known
 from palmd.observer.pivot.record import Record, Touch
 from palmd.system.pivot import CALIBRATED, PivotRig
 
@@ -27,6 +27,7 @@ POINTS = 150  # of each touch, that starts are judged by
 LEAST_LEVER_M = 3e-4  # of e, for dz/e
 ROTATIONS = 120
 BEAMS = 5
+LEAST_MASS_KG = 5e-3
 LEAST_SD = 1e-9  # of a constant that is known
 # friction μ, vibration u_d (m/s) that are tried
 FRICTIONS = {"rigid": (0.02, 0.06, 0.1, 0.15, 0.22, 0.32), "float": (0.2, 0.27, 0.33, 0.42, 0.6)}
@@ -52,10 +53,11 @@ def believed(record: Record) -> Known:
     if not rigid and len(record.forces.value):
         mass = max(float(np.median(record.forces.value)) / rig.gravity - rig.carriage_mass, 0.01)
     mean, sd = np.zeros(CONSTANTS), np.zeros(CONSTANTS)
-    mean[P.INERTIA], sd[P.INERTIA] = (4e-5, 8e-5) if rigid else (mass * 0.55 * radius**2, mass * 0.2 * radius**2)
-    sd[P.MOMENT : P.MOMENT + 2] = 4e-3 if rigid else mass * 5e-3
+    # what most bodies are like is believed of moment, inertia and mass together (`likely_body`): here is nothing to add
+    mean[P.INERTIA], sd[P.INERTIA] = mass * radius**2, 10 * mass * radius**2
+    sd[P.MOMENT : P.MOMENT + 2] = 10 * mass * radius
     mean[P.DAMPING], sd[P.DAMPING] = 2e-6, 5e-6
-    mean[P.MASS], sd[P.MASS] = mass, 0.5 * mass
+    mean[P.MASS], sd[P.MASS] = mass, 2.0 * mass
     mean[P.DRAG], sd[P.DRAG] = (8.0, 12.0) if rigid else (25.0, 20.0)
     mean[P.SATURATION], sd[P.SATURATION] = 7e3, 6e3
     sd[P.ZERO : P.SHAPE] = np.maximum(_constants_sd(rig), LEAST_SD)
@@ -173,7 +175,13 @@ def _judged(sides: Sequence[Side], turns: Sequence[float], known: Known) -> tupl
     p = known.mean.copy()
     cost, p[P.SHAPE :] = outline_through(theta, h, e, known)
     force, p[: P.SHAPE] = _weighed(sides, theta, known)
-    return cost + force, p
+    middle = p[P.SHAPE + 1 : P.SHAPE + 3]
+    far = float(np.hypot(*middle))
+    along = float(p[P.MOMENT : P.MOMENT + 2] @ middle) / max(far, 1e-4) ** 2  # the mass, were its centre the middle
+    p[P.MASS] = max(along, LEAST_MASS_KG)
+    across = p[P.MOMENT : P.MOMENT + 2] / p[P.MASS] - middle
+    p[P.INERTIA] = p[P.MASS] * ((GYRATION * p[P.SHAPE]) ** 2 + far**2)
+    return cost + force + float(np.minimum(across @ across / CENTRE_SD_M**2, 100.0)), p
 
 
 def outline_through(
@@ -204,7 +212,7 @@ def _weighed(sides: Sequence[Side], theta: FloatArray, known: Known) -> tuple[fl
     psi = -0.5 * math.pi - theta
     cos, sin, down, along = np.cos(psi), np.sin(psi), u[:, U.GRAVITY] + u[:, U.AZ], u[:, U.AX]
     columns = np.stack([second, cos * down - sin * along, -sin * down - cos * along, rate], axis=1)
-    prior_mean, prior_sd = known.mean[: P.MASS], known.sd[: P.MASS]
+    prior_mean, prior_sd = np.array([4e-5, 0.0, 0.0, 2e-6]), np.array([5e-5, 4e-3, 4e-3, 5e-6])
     slip = u[:, U.VX] + h * rate
     for mu, dither in itertools.product(FRICTIONS["rigid"], DITHERS["rigid"]):
         lever = e - mu * slip / np.hypot(slip, dither) * h
@@ -236,7 +244,8 @@ def _from_paths(
     """Splines through the paths of θ, everything turned so that ψ = 0 at the first reading."""
     c = np.zeros(record.coefficients)
     for touch, t, theta in paths:
-        c[touch.coefficients] = _spline_through(touch, t, -0.5 * math.pi - theta)
+        own = _spline_through(touch, t, -0.5 * math.pi - theta)
+        c[touch.coefficients] = own
     turn = float(c[:3] @ np.array([1.0, 4.0, 1.0]) / 6)
     return Start(c - turn, turned(p, turn), cost)
 
@@ -320,4 +329,7 @@ def _rolled(record: Record, felt: Sequence[_Felt], known: Known, mu: float, dith
     p = known.mean.copy()
     cost, p[P.SHAPE :] = outline_through(theta, h, e, known)
     p[P.DRAG], p[P.SATURATION] = mu / dither, 1 / dither**2
+    middle = p[P.SHAPE + 1 : P.SHAPE + 3]
+    p[P.MOMENT : P.MOMENT + 2] = p[P.MASS] * middle
+    p[P.INERTIA] = p[P.MASS] * ((GYRATION * p[P.SHAPE]) ** 2 + middle @ middle)
     return _from_paths(record, paths, p, cost)
