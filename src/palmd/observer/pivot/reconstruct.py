@@ -241,8 +241,12 @@ def _of(record: Record, number: int) -> npt.NDArray[np.bool_]:
 
 
 def _differs(theta: FloatArray, touched: npt.NDArray[np.bool_], h: FloatArray, rival: PivotFit) -> bool:
-    other = shape.basis(theta, ORDER) @ rival.p[P.SHAPE :]
-    return float(np.sqrt(np.mean((h - other)[touched] ** 2))) > SAME_M  # both have ψ = 0 at the first reading
+    """Whether a rival's outline is another one, turned as little as it may be: both have ψ = 0 at the first reading."""
+    coefficients = rival.p[P.SHAPE :]
+    off = (h - shape.basis(theta, ORDER) @ coefficients)[touched]
+    slope = shape.tangential_basis(theta, ORDER)[touched] @ coefficients
+    off = off - slope * (slope @ off) / max(float(slope @ slope), 1e-30)
+    return float(np.sqrt(np.mean(off**2))) > SAME_M
 
 
 def _ratio_of(covariance: FloatArray, at, p: FloatArray, ratio) -> tuple[float, float]:

@@ -15,6 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import BSpline, make_smoothing_spline
+from scipy.linalg import solveh_banded
+from scipy.sparse import csr_matrix
 
 from palmd.events import FloatArray
 from palmd.model import shape
@@ -261,14 +263,19 @@ def turned(p: FloatArray, turn: float) -> FloatArray:
 
 
 def _spline_through(touch: Touch, t: FloatArray, psi: FloatArray) -> FloatArray:
+    """The touch's coefficients through a path: least squares at three instants of each cell."""
     at = np.linspace(touch.begin, touch.end, 3 * touch.count)
     first, weights = touch.taps(at)
-    A = np.zeros((len(at), touch.count))
-    rows = np.arange(len(at))[:, None]
-    np.add.at(A, (rows, first[:, None] - touch.first + np.arange(weights.shape[2])), weights[:, 0])
-    bend = 1e-3 * np.diff(np.eye(touch.count), 2, axis=0)
-    y = np.concatenate([np.interp(at, t, psi), np.zeros(len(bend))])
-    return np.linalg.lstsq(np.concatenate([A, bend]), y, rcond=None)[0]
+    taps = weights.shape[2]
+    columns = first[:, None] - touch.first + np.arange(taps)
+    pattern = (columns.ravel(), np.arange(0, columns.size + 1, taps))
+    A = csr_matrix((weights[:, 0].ravel(), *pattern), shape=(len(at), touch.count))
+    normal = (A.T @ A).toarray()
+    banded = np.zeros((taps, touch.count))
+    for k in range(taps):
+        banded[k, : touch.count - k] = normal.diagonal(-k)
+    banded[0] += 1e-9
+    return np.asarray(solveh_banded(banded, A.T @ np.interp(at, t, psi), lower=True))
 
 
 # ---------------------------------------------------------------------------------------------------- slide
