@@ -1,9 +1,10 @@
 """Event logs of the pivoting grasp with their truth, without wires: an object turning freely in a gripper over one pad.
 
 The plant knows the outline about the centre of mass and the constraint forces of pivot and contact (Newton–Euler with
-one multiplier each), nothing of the support function about the pivot that observers go by. Pad along world x at y = 0.
+one multiplier each), nothing of the support function about the pivot that observers go by. The pad lies along world x
+at y = 0.
 
-    tilt   the gripper is rigid; each side of the dead centre is touched once, and between the touches the arm goes round
+    tilt   the gripper is rigid; each side of the dead centre is touched once, the arm goes round in between
     float  the gripper slides up and down in a slide of its own weight, while the arm drags it to and fro
 """
 
@@ -159,9 +160,7 @@ def simulate_pivot_log(
     """
     rng = np.random.default_rng([7, PIVOT_KINDS.index(kind), seed])
     while True:
-        run = (
-            _tilt(rng, duration_s, off, sides, odd) if kind == "tilt" else _float(rng, duration_s, off, odd)
-        )
+        run = _tilt(rng, duration_s, off, sides, odd) if kind == "tilt" else _float(rng, duration_s, off, odd)
         if run is not None:
             return _log(run, off, rng), _truth(run)
 
@@ -179,9 +178,7 @@ def _grasp(rng: np.random.Generator, off: PivotImperfections, least: float, most
 # ------------------------------------------------------------------------------------------------------ rigid
 
 
-def _tilt(
-    rng: np.random.Generator, duration: float, off: PivotImperfections, sides: int, odd: bool
-) -> PivotRun | None:
+def _tilt(rng: np.random.Generator, duration: float, off: PivotImperfections, sides: int, odd: bool) -> PivotRun | None:
     grasp = _grasp(rng, off, 5e-3, 9e-3, (0.05, 0.2, 0.0), odd)
     angles = np.linspace(-math.pi, math.pi, 1441)
     heights = np.array([grasp.height(a) for a in angles])
@@ -226,9 +223,7 @@ def _tilt(
             rows.append((begin + t, psi, omega, s, now[0], e, force, 1.0))
     history = np.array(rows)
     history[:, 1] -= turned
-    turned_grasp = replace(
-        grasp, body=grasp.body.turned(turned), pivot=grasp.arm(turned)
-    )
+    turned_grasp = replace(grasp, body=grasp.body.turned(turned), pivot=grasp.arm(turned))
 
     def both(plan: list[Callable[[float], Axis]]) -> Callable[[float], Axis]:
         def at(t: float) -> Axis:
@@ -298,7 +293,7 @@ def _float(rng: np.random.Generator, duration: float, off: PivotImperfections, o
             s, c = math.sin(k * t + p) - math.sin(p), math.cos(k * t + p)
             value += a * w * s
             rate += a * (dw * s + w * k * c)
-            acceleration += a * (ddw * s + 2 * dw * k * c - w * k * k * s)
+            acceleration += a * (ddw * s + 2 * dw * k * c - w * k * k * (s + math.sin(p)))
         return 0.0277 + value, rate, acceleration
 
     psi = float(rng.uniform(-math.pi, math.pi))
@@ -312,7 +307,7 @@ def _float(rng: np.random.Generator, duration: float, off: PivotImperfections, o
         if k % 4 == 0:
             e = grasp.offset(psi)
             s = now[0] + e
-            if not (_LEAST_N < force and _MARGIN_M < s < _PAD_M - _MARGIN_M):
+            if not (force > _LEAST_N and _MARGIN_M < s < _PAD_M - _MARGIN_M):
                 return None
             rows.append((t, psi, omega, s, grasp.height(psi), e, force, 1.0))
         middle, end = x(t + STEP_S / 2), x(t + STEP_S)
@@ -349,7 +344,7 @@ def _log(run: PivotRun, off: PivotImperfections, rng: np.random.Generator) -> li
         "force_scale_std": 0.05,
         "calibration_sd": dict.fromkeys(("zero_m", "scale", "angle_rad", "standoff_m", "lag_s", "gravity_rad"), 0.0),
     }
-    events = []
+    events: list[Line] = []
     for t in np.arange(int(end / _ARM_PERIOD_S)) * _ARM_PERIOD_S:
         x, z = run.x(t), run.z(t) if run.z else (float(np.interp(t, history[:, 0], history[:, 4])), 0.0, 0.0)
         noise = rng.normal(0.0, 2e-5, 2)
@@ -373,7 +368,11 @@ def _log(run: PivotRun, off: PivotImperfections, rng: np.random.Generator) -> li
     force = np.maximum(np.round(force * (1 + rng.normal(0, 0.05 * off.force_noise, len(s))) / 0.02) * 0.02, 0.0)
     for t, s_m, force_n in zip(times.tolist(), s.tolist(), force.tolist(), strict=True):
         events.append({"t": round(t, 6), "pad": 1, "s_m": round(s_m, 6), "force_n": round(force_n, 2)})
-    return [{"palmd_log": 1, "rig": rig}, *sorted(events, key=lambda line: float(line["t"]))]
+    return [{"palmd_log": 1, "rig": rig}, *sorted(events, key=_time_of)]
+
+
+def _time_of(line: Line) -> float:
+    return float(line["t"])
 
 
 def _truth(run: PivotRun) -> Line:

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from palmd.events import FloatArray, PadSample
-from palmd.system.description import AS_CALIBRATED, PadSensor
+from palmd.system.description import PadSensor
 
 Vertical = Literal["rigid", "float"]
 
@@ -53,19 +53,12 @@ class PivotRig:
     carriage_damping: float = 0.0
     arm_noise: float = 2e-5
     angle_sd: float = 0.0
-    pad: PadSensor = PadSensor()
+    pad: PadSensor = field(default_factory=PadSensor)
 
     def known_to(self, sds: Mapping[str, float]) -> PivotRig:
         """The same rig with these `_sd`, as in `RigDescription.known_to`; those that it has no place for are left."""
         of_pad = {name: sd for name, sd in sds.items() if hasattr(PadSensor, name)}
-        own = {"angle_sd": sds["angle_sd"]} if "angle_sd" in sds else {}
-        return replace(self, pad=replace(self.pad, **of_pad), **own)
-
-
-OWN_CONSTANTS = ("zero_sd", "scale_sd", "angle_sd", "standoff_sd", "lag_sd")
-"""Which of the rig's constants are estimated here, of those of `AS_CALIBRATED`."""
-
-CALIBRATED: Mapping[str, float] = {name: AS_CALIBRATED[name] for name in OWN_CONSTANTS}
+        return replace(self, pad=replace(self.pad, **of_pad), angle_sd=sds.get("angle_sd", self.angle_sd))
 
 
 def normal_of(psi: FloatArray) -> FloatArray:

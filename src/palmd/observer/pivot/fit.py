@@ -74,7 +74,7 @@ class PivotFit:
 @dataclass(frozen=True, slots=True)
 class _Normal:
     cost: float
-    chi2: tuple[float, ...]
+    chi2: tuple[float, float, float, float]
     outliers: float
     strain: float
     banded: FloatArray
@@ -99,9 +99,7 @@ class Problem:
         columns = np.concatenate([(each.first[:, None] + np.arange(TAPS)).ravel() for each in rows])
         self._pattern = (columns, np.arange(0, len(columns) + 1, TAPS))
 
-    def fit(
-        self, c: FloatArray, p: FloatArray, soft: Softening = SHARP, iterations: int = MAX_ITERATIONS
-    ) -> PivotFit:
+    def fit(self, c: FloatArray, p: FloatArray, soft: Softening = SHARP, iterations: int = MAX_ITERATIONS) -> PivotFit:
         """Iterate until nothing moves any more; the result may be a local minimum."""
         now = self.linearised(c, p, soft)
         damping, count, settled = FIRST_DAMPING, 0, False
@@ -180,7 +178,7 @@ class Problem:
         c_side[:TAPS] -= gauge_c * gauge
         return _Normal(
             cost,
-            tuple(part[4] for part in parts),
+            (parts[0][4], parts[1][4], parts[2][4], parts[3][4]),
             parts[0][5],
             strain,
             banded,

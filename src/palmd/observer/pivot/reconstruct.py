@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,11 +14,10 @@ import numpy.typing as npt
 from palmd.blas import one_thread
 from palmd.events import FloatArray, PadSample
 from palmd.model import shape
-from palmd.model.compiled import Library
 from palmd.model.pivot import ORDER, P, library
 from palmd.observer.noise import scattered
 from palmd.observer.outline import directions, gauge_free_sd, touched_by
-from palmd.observer.pivot.fit import SHARP, Known, PivotFit, Problem, Softening, with_forces_of
+from palmd.observer.pivot.fit import SHARP, PivotFit, Problem, Softening, with_forces_of
 from palmd.observer.pivot.record import Record, TooLittleError, arm_motion, lay_out
 from palmd.observer.pivot.starts import Start, believed, float_starts, rigid_starts, side_of
 from palmd.system.pivot import PivotEvent, PivotRig, normal_of
@@ -45,7 +44,7 @@ FAR_OFF_PIVOT = 3.0  # sigmas
 class PivotReconstruction:
     """What a run tells; SI units, NaN or None where there is no value.
 
-    theta, hP, hP_sd, touched: 360 normals, support function about the pivot and its one-sigma, whether it was touched
+    theta, h, h_sd, touched: 360 normals, support function about the pivot and its one-sigma, whether it was touched
     there. com: the centre of mass from the pivot, in the body's frame at ψ = 0, and inertia about the pivot per mass;
     both only where the mass is told. moment, inertia_kg: the same times the mass, which force tells without it.
     t, psi, omega0: the trajectory, while touched. reason: why not, when not `converged`.
@@ -54,8 +53,8 @@ class PivotReconstruction:
     converged: bool
     chi2: float
     theta: FloatArray
-    hP: FloatArray | None
-    hP_sd: FloatArray | None
+    h: FloatArray | None
+    h_sd: FloatArray | None
     touched: npt.NDArray[np.bool_] | None
     mu: float
     mu_sd: float
@@ -172,7 +171,7 @@ def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:
     claimed = not reason
     return PivotReconstruction(
         converged=claimed, chi2=best.chi2, theta=theta,
-        hP=h if claimed else None, hP_sd=h_sd if claimed else None, touched=touched if claimed else None,
+        h=h if claimed else None, h_sd=h_sd if claimed else None, touched=touched if claimed else None,
         mu=mu, mu_sd=mu_sd, com=com, com_sd=com_sd, inertia=inertia, inertia_sd=inertia_sd,
         mass=p[P.MASS] if weighed else math.nan, mass_sd=sd[P.MASS] if weighed else math.nan,
         moment=p[moment], moment_sd=sd[moment], inertia_kg=p[P.INERTIA], inertia_kg_sd=sd[P.INERTIA],
@@ -249,11 +248,14 @@ def _differs(theta: FloatArray, touched: npt.NDArray[np.bool_], h: FloatArray, r
     return float(np.sqrt(np.mean(off**2))) > SAME_M
 
 
-def _ratio_of(covariance: FloatArray, at, p: FloatArray, ratio) -> tuple[float, float]:
+def _ratio_of(
+    covariance: FloatArray, at: list[int], p: FloatArray, ratio: Callable[[FloatArray], float]
+) -> tuple[float, float]:
     """A function of some constants, and its one-sigma."""
     q = p[at]
     value = ratio(q)
-    gradient = np.array([(ratio(q + d) - ratio(q - d)) / (2 * d[i]) for i, d in enumerate(np.diag(1e-5 * np.abs(q) + 1e-12))])
+    steps = np.diag(1e-5 * np.abs(q) + 1e-12)
+    gradient = np.array([(ratio(q + d) - ratio(q - d)) / (2 * d[i]) for i, d in enumerate(steps)])
     return value, math.sqrt(max(float(gradient @ covariance[np.ix_(at, at)] @ gradient), 0.0))
 
 

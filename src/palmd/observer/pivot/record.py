@@ -41,7 +41,7 @@ class Rows:
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """One uninterrupted touch from `begin` to `end` (s): a uniform cubic spline of `count` coefficients from `first`."""
+    """One uninterrupted touch (s) and its uniform cubic spline of `count` coefficients, the first of them `first`."""
 
     begin: float
     end: float
@@ -154,7 +154,9 @@ def lay_out(events: Sequence[PivotEvent], arm: ArmMotion, rig: PivotRig) -> Reco
     t = np.array([each.t_sample for each in pressed])
     level = np.maximum(_running_median(force), LEAST_FORCE_N)
     forces = _rows(touches, arm, t, force, np.asarray(rig.pad.force_variance(level)))
-    return Record(rig, tuple(touches), readings, _heights(touches, arm, rig), forces, _torques(touches, arm, rig, force))
+    return Record(
+        rig, tuple(touches), readings, _heights(touches, arm, rig), forces, _torques(touches, arm, rig, force)
+    )
 
 
 def _touches(events: Sequence[PivotEvent], arm: ArmMotion, rig: PivotRig) -> list[list[PadSample]]:
@@ -168,9 +170,7 @@ def _touches(events: Sequence[PivotEvent], arm: ArmMotion, rig: PivotRig) -> lis
         if not parts[-1] or sample.t_sample > parts[-1][-1].t_sample:
             parts[-1].append(sample)
     return [
-        part
-        for part in parts
-        if part[-1].t_sample - part[0].t_sample >= LEAST_TOUCH_S and len(part) >= LEAST_READINGS
+        part for part in parts if part[-1].t_sample - part[0].t_sample >= LEAST_TOUCH_S and len(part) >= LEAST_READINGS
     ]
 
 

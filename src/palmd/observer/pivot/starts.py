@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -23,7 +23,7 @@ from palmd.model import shape
 from palmd.model.pivot import CONSTANTS, ORDER, P, U
 from palmd.observer.pivot.fit import CENTRE_SD_M, GYRATION, Known
 from palmd.observer.pivot.record import Record, Touch
-from palmd.system.pivot import CALIBRATED, PivotRig
+from palmd.system.pivot import PivotRig
 
 POINTS = 150  # of each touch, that starts are judged by
 LEAST_LEVER_M = 3e-4  # of e, for dz/e
@@ -195,7 +195,7 @@ def outline_through(
     y = np.concatenate([h / _HEIGHT_SD, e / _LEVER_SD])
     A, y = A * math.sqrt(share), y * math.sqrt(share)
     normal = A.T @ A + np.diag(1 / sd**2)
-    coefficients = np.linalg.solve(normal, A.T @ y + mean / sd**2)
+    coefficients = np.asarray(np.linalg.solve(normal, A.T @ y + mean / sd**2), dtype=np.float64)
     off, strain = A @ coefficients - y, (coefficients - mean) / sd
     return float(off @ off + strain @ strain), coefficients
 

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from palmd.devices.pad import MARGIN_MM
-from palmd.events import PadSample
+from palmd.events import FloatArray, ObserverName, PadSample
+from palmd.observer.pivot.reconstruct import PivotReconstruction, reconstruct
+from palmd.outlinefile import Outline
 from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
+from palmd.record.outline_curves import OutlineCurves, curves_of
+from palmd.record.replay import Said
+from palmd.record.systems import NotYetError, Reconstructed
 from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, PadSensor
 from palmd.system.pivot import GripperSample, PivotEvent, PivotRig
 
@@ -77,6 +85,110 @@ class PivotForm:
     def log(self, rig: PivotRig, events: tuple[PivotEvent, ...], notes: tuple[str, ...]) -> PivotLog:
         """The run."""
         return PivotLog(rig, events, notes)
+
+
+class Pivot(PivotForm):
+    """See `palmd.record.systems.System`."""
+
+    name = "pivot"
+
+    def known_to(self, log: PivotLog, sds: Mapping[str, float]) -> PivotLog:
+        """The same log of a rig that is known so well."""
+        return replace(log, rig=log.rig.known_to(sds))
+
+    def reconstruct(self, log: PivotLog, seed: int) -> Reconstructed:
+        """Outline about the pivot, motion and friction; `seed` is of no use: all starts are tried."""
+        del seed
+        answer = reconstruct(log.events, log.rig)
+        told = summary(answer) if answer.converged else f"not converged: {answer.reason}"
+        return Reconstructed(as_line(answer, log.rig), told, _drawn(answer), answer.reason)
+
+    def tick_count(self, log: PivotLog) -> int:
+        """None: see `estimate`."""
+        del log
+        return 0
+
+    def estimate(self, log: PivotLog, observer: ObserverName, outlines: Sequence[Outline]) -> Iterator[Said]:
+        """Raises NotYetError."""
+        del log, observer, outlines
+        raise NotYetError("a pivoting grasp has no live observer yet; palmd reconstruct takes its logs")
+
+
+SYSTEM = Pivot()
+
+
+def as_line(answer: PivotReconstruction, rig: PivotRig) -> Line:
+    """The result as `palmd reconstruct` writes it: SI units, the unit in each name, None where there is no value.
+
+    `not_told` says in words what such a run cannot tell.
+    """
+    trajectory = {"t": answer.t, "psi_rad": answer.psi, "omega0_rad_s": answer.omega0}
+    return {
+        "system": SYSTEM.name,
+        "converged": bool(answer.converged),
+        "reason": answer.reason or None,
+        "chi2": _number(answer.chi2),
+        "theta_rad": answer.theta.tolist(),
+        "hP_m": _column(answer.h),
+        "hP_sd_m": _column(answer.h_sd),
+        "touched": None if answer.touched is None else answer.touched.astype(int).tolist(),
+        "mu": _number(answer.mu),
+        "mu_sd": _number(answer.mu_sd),
+        "com_from_pivot_m": _column(answer.com),
+        "com_from_pivot_sd_m": _column(answer.com_sd),
+        "inertia_pivot_m2": _number(answer.inertia),
+        "inertia_pivot_sd_m2": _number(answer.inertia_sd),
+        "mass_kg": _number(answer.mass),
+        "mass_sd_kg": _number(answer.mass_sd),
+        "moment_kg_m": _column(answer.moment),
+        "moment_sd_kg_m": _column(answer.moment_sd),
+        "inertia_pivot_kg_m2": _number(answer.inertia_kg),
+        "inertia_pivot_sd_kg_m2": _number(answer.inertia_kg_sd),
+        "not_told": list(_not_told(rig)),
+        "trajectory": {name: _column(column) for name, column in trajectory.items()} if len(answer.t) else None,
+        "seconds": _number(answer.seconds),
+    }
+
+
+def _not_told(rig: PivotRig) -> Iterator[str]:
+    if rig.vertical == "rigid":
+        yield (
+            "mass: a rigid gripper carries an unknown share of the weight; only mass times centre of mass and the"
+            " inertia about the pivot act on the pad (moment_kg_m, inertia_pivot_kg_m2), so com_from_pivot_m and"
+            " inertia_pivot_m2 have no value"
+        )
+
+
+def summary(answer: PivotReconstruction) -> str:
+    """One line about an answer that has converged: the outline's band where touched (RMS), friction, mass or moment."""
+    if answer.h_sd is None or answer.touched is None or answer.moment is None or answer.moment_sd is None:
+        raise ValueError("there is no outline")
+    band = float(np.sqrt(np.mean(answer.h_sd[answer.touched] ** 2)))
+    moment, moment_sd = float(np.hypot(*answer.moment)), float(answer.moment_sd.max())
+    weighed = (
+        f"mass {answer.mass * 1e3:.1f} ± {answer.mass_sd * 1e3:.1f} g"
+        if math.isfinite(answer.mass)
+        else f"mass times distance from the pivot {moment * 1e6:.1f} ± {moment_sd * 1e6:.1f} g mm, mass not told"
+    )
+    return (
+        f"outline about the pivot ± {band * 1e6:.1f} µm on {np.mean(answer.touched):.0%} of the normals,"
+        f" mu {answer.mu:.4f} ± {answer.mu_sd:.4f}, {weighed}, {answer.seconds:.1f} s"
+    )
+
+
+def _drawn(answer: PivotReconstruction) -> Callable[[str], OutlineCurves] | None:
+    h, h_sd, touched = answer.h, answer.h_sd, answer.touched
+    if h is None or h_sd is None or touched is None:
+        return None
+    return lambda name: curves_of(name, answer.theta, h, h_sd, touched, mass_kg=answer.mass)
+
+
+def _column(values: FloatArray | None) -> list[float | None] | None:
+    return None if values is None else [_number(value) for value in values.tolist()]
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
 
 
 def _gripper_sample(t: float, arm: Line) -> GripperSample:
