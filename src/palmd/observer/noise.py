@@ -30,11 +30,12 @@ def with_scatter(rig: RigDescription, samples: Sequence[PadSample]) -> RigDescri
     pads = []
     for number, pad in zip(PALMS, rig.pads, strict=True):
         mine = [sample for sample in samples if sample.pad == number]
-        pads.append(_scattered(pad, mine) if len(mine) >= LEAST_READINGS else pad)
+        pads.append(scattered(pad, mine) if len(mine) >= LEAST_READINGS else pad)
     return replace(rig, pads=tuple(pads))
 
 
-def _scattered(pad: PadSensor, samples: Sequence[PadSample]) -> PadSensor:
+def scattered(pad: PadSensor, samples: Sequence[PadSample]) -> PadSensor:
+    """The pad as noisy as its readings show; less than is described is not believed."""
     t = np.array([sample.t_sample for sample in samples])
     ratio = _scatter(t, np.array([sample.s for sample in samples])) / np.sqrt(pad.reading_variance)
     if ratio > DEADBAND:

@@ -1,0 +1,127 @@
+"""The pivoting grasp's kernels: what the pad reads, how high the pivot is, with which force, and what torque is left.
+
+Each takes the body's motion (ψ, ω0, α0) at one instant and the constants p, and gives values with their gradient in
+(ψ, ω0, α0, p). About the pivot P the body has inertia I and mass moment M = m·(centre of mass − P), in the body's
+frame; ξ is M turned into the world. Friction is B u/√(1 + w u²) of slip u, as in `model.smoothing`.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import IntEnum
+from functools import cache
+
+import casadi as ca
+
+from palmd.model.compiled import Library, densified, load
+from palmd.model.contact import SX
+from palmd.model.shape import contact_at
+
+ORDER = 10  # harmonics of the outline
+MOTION = 3  # ψ, ω0, α0
+BATCH = 64
+
+
+class P(IntEnum):
+    """Index of each constant; SI units. DRAG is B = μ/u_d (s/m), SATURATION w = 1/u_d² (s²/m²).
+
+    The rig's are by how much it is off: the pad reads ZERO + (1 + SCALE)·place as it was LAG ago, its surface lies
+    STANDOFF too high where the arm's x is 0 and rises by SLOPE.
+    """
+
+    INERTIA = 0  # about P, kg m²
+    MOMENT = 1  # 2: kg m
+    DAMPING = 3  # N m s
+    MASS = 4  # kg
+    DRAG = 5
+    SATURATION = 6
+    ZERO = 7
+    SCALE = 8
+    LAG = 9
+    STANDOFF = 10
+    SLOPE = 11
+    SHAPE = 12
+
+
+CONSTANTS = P.SHAPE + 2 * ORDER + 1
+
+
+class U(IntEnum):
+    """Index of each input: the arm's motion (z: rigid only), gravity, and the slide's mass and damping."""
+
+    X = 0
+    VX = 1
+    AX = 2
+    Z = 3
+    VZ = 4
+    AZ = 5
+    GRAVITY = 6
+    CARRIAGE = 7
+    CARRIAGE_DAMPING = 8
+
+
+INPUTS = len(U)
+
+
+def _body(motion: SX, p: SX) -> tuple[SX, SX, SX, SX, SX]:
+    """(h, h′, h″ about P at the contact, ξx, ξy)."""
+    contact = contact_at(-0.5 * math.pi - motion[0], p[P.SHAPE :])
+    cos, sin = ca.cos(motion[0]), ca.sin(motion[0])
+    mx, my = p[P.MOMENT], p[P.MOMENT + 1]
+    return contact.r, -contact.d, contact.v - contact.r, cos * mx - sin * my, sin * mx + cos * my
+
+
+def _grip(motion: SX, p: SX, u: SX, h: SX) -> SX:
+    """Friction as a share of the normal force: μσ(u), of the slip u = Ẋ + h ω0."""
+    slip = u[U.VX] + h * motion[1]
+    return p[P.DRAG] * slip / ca.sqrt(1 + p[P.SATURATION] * slip**2)
+
+
+def _resisting(motion: SX, p: SX, u: SX, az: SX, xi_x: SX, xi_y: SX) -> SX:
+    """Torque about P that the pad must give: I α0 + ξx (g + z̈) − ξy Ẍ + C ω0."""
+    inertia = p[P.INERTIA] * motion[2] + p[P.DAMPING] * motion[1]
+    return inertia + xi_x * (u[U.GRAVITY] + az) - xi_y * u[U.AX]
+
+
+def _reading(motion: SX, p: SX, u: SX) -> SX:
+    _, e, h2, _, _ = _body(motion, p)
+    lag = p[P.LAG]
+    return p[P.ZERO] + (1 + p[P.SCALE]) * (u[U.X] + e - lag * (u[U.VX] - h2 * motion[1]))
+
+
+def _height(motion: SX, p: SX, u: SX) -> SX:
+    return _body(motion, p)[0] + p[P.STANDOFF] + p[P.SLOPE] * u[U.X]
+
+
+def _rigid_force(motion: SX, p: SX, u: SX) -> SX:
+    h, e, _, xi_x, xi_y = _body(motion, p)
+    return _resisting(motion, p, u, u[U.AZ], xi_x, xi_y) / (e - _grip(motion, p, u, h) * h)
+
+
+def _sliding(motion: SX, p: SX, u: SX) -> tuple[SX, SX]:
+    """(force, torque left over) under a slide of its own weight."""
+    h, e, h2, xi_x, xi_y = _body(motion, p)
+    vz, az = -e * motion[1], -e * motion[2] + h2 * motion[1] ** 2
+    weight = (p[P.MASS] + u[U.CARRIAGE]) * (az + u[U.GRAVITY])
+    force = weight + u[U.CARRIAGE_DAMPING] * vz + xi_x * motion[2] - xi_y * motion[1] ** 2
+    return force, force * (e - _grip(motion, p, u, h) * h) - _resisting(motion, p, u, az, xi_x, xi_y)
+
+
+@cache
+def library() -> Library:
+    """reading, height, rigid_force, slide_force, slide_torque, as `NAME_batch`; made once in a process."""
+    motion, p, u = SX.sym("motion", MOTION), SX.sym("p", CONSTANTS), SX.sym("u", INPUTS)
+    force, torque = _sliding(motion, p, u)
+    values = {
+        "reading": _reading(motion, p, u),
+        "height": _height(motion, p, u),
+        "rigid_force": _rigid_force(motion, p, u),
+        "slide_force": force,
+        "slide_torque": torque,
+    }
+    y = ca.vertcat(motion, p)
+    functions = []
+    for name, value in values.items():
+        one = ca.Function(name, [motion, p, u], [value, ca.jacobian(value, y)], ["motion", "p", "u"], [name, "J"])
+        functions.append(densified(one).map(f"{name}_batch", "serial", BATCH, [1], []))
+    return load("pivot", functions)

@@ -1,0 +1,267 @@
+"""A whole run of the pivoting grasp, seen from its end: outline about the pivot and motion, or an honest refusal."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from palmd.blas import one_thread
+from palmd.events import FloatArray, PadSample
+from palmd.model import shape
+from palmd.model.pivot import ORDER, P, library
+from palmd.observer.noise import scattered
+from palmd.observer.outline import directions, gauge_free_sd, touched_by
+from palmd.observer.pivot.fit import SHARP, PivotFit, Problem, Softening, with_forces_of
+from palmd.observer.pivot.record import Record, TooLittleError, arm_motion, lay_out
+from palmd.observer.pivot.starts import Start, believed, float_starts, rigid_starts, side_of
+from palmd.system.pivot import PivotEvent, PivotRig, normal_of
+
+STAGES = {
+    "rigid": (Softening(heights=1e3), Softening(heights=30.0), SHARP),
+    "float": (Softening(2.0, 8.0, 2.0, 20.0), Softening(1.0, 2.0, 1.0, 3.0), SHARP),
+}
+EARLY_ITERATIONS = 25
+LEAST_LIFT_M = 5e-4  # of the pivot, below which nothing is told of the outline
+DOUBT = 9.0  # of cost, up to which a rival makes the answer ambiguous
+SAME_M = 3e-5  # RMS by which outlines of one body may differ
+SHARP_M = 1.5e-4  # RMS of the outline's one-sigma where touched, above which there is no outline to speak of
+MOST_OUTLIERS = 0.2
+CHI2_SIGMAS, CHI2_SLACK = 4.0, 0.03
+FORCE_SLACK = 0.15  # the forces' noise is told to no more than this
+HEIGHT_CHI2 = {"rigid": 9.0, "float": 1.3}
+TORQUE_CHI2 = 4.0
+HOLLOW_M = 1e-3
+FAR_OFF_PIVOT = 3.0  # sigmas
+
+
+@dataclass(frozen=True, slots=True)
+class PivotReconstruction:
+    """What a run tells; SI units, NaN or None where there is no value.
+
+    theta, h, h_sd, touched: 360 normals, support function about the pivot and its one-sigma, whether it was touched
+    there. com: the centre of mass from the pivot, in the body's frame at ψ = 0, and inertia about the pivot per mass;
+    both only where the mass is told. moment, inertia_kg: the same times the mass, which force tells without it.
+    t, psi, omega0: the trajectory, while touched. reason: why not, when not `converged`.
+    """
+
+    converged: bool
+    chi2: float
+    theta: FloatArray
+    h: FloatArray | None
+    h_sd: FloatArray | None
+    touched: npt.NDArray[np.bool_] | None
+    mu: float
+    mu_sd: float
+    com: FloatArray | None
+    com_sd: FloatArray | None
+    inertia: float
+    inertia_sd: float
+    mass: float
+    mass_sd: float
+    moment: FloatArray | None
+    moment_sd: FloatArray | None
+    inertia_kg: float
+    inertia_kg_sd: float
+    t: FloatArray
+    psi: FloatArray
+    omega0: FloatArray
+    reason: str
+    seconds: float
+
+
+@one_thread()
+def reconstruct(events: Sequence[PivotEvent], rig: PivotRig) -> PivotReconstruction:
+    """Fit the whole run. Deterministic; takes a few seconds. Never raises for what the readings say."""
+    begun = time.perf_counter()
+    try:
+        told = _with_scatter(rig, events)
+        arm = arm_motion(events, told)
+        record = lay_out(events, arm, told)
+        _worth_a_fit(record)
+        fits, problem = _fitted(record)
+        answer = _answer(problem, fits)
+    except TooLittleError as error:
+        return _nothing(str(error), begun)
+    return replace(answer, seconds=time.perf_counter() - begun)
+
+
+def _with_scatter(rig: PivotRig, events: Sequence[PivotEvent]) -> PivotRig:
+    samples = [each for each in events if isinstance(each, PadSample)]
+    return replace(rig, pad=scattered(rig.pad, samples))
+
+
+def _worth_a_fit(record: Record) -> None:
+    """Raises TooLittleError for runs of which no fit is needed to see that they tell no outline."""
+    z = record.heights.value
+    if z.min() <= 0.0:
+        raise TooLittleError(f"the pivot would be {-z.min() * 1e3:.1f} mm below the pad's surface: z contradicts it")
+    lift = float(np.percentile(z, 98) - np.percentile(z, 2))
+    if lift < LEAST_LIFT_M:
+        raise TooLittleError(
+            f"the pivot's height hardly changes ({lift * 1e3:.2f} mm): dragging alone tells nothing of the outline"
+        )
+
+
+def _fitted(record: Record) -> tuple[list[PivotFit], Problem]:
+    """Minima from all starts, the best first, and the problem that they solve."""
+    kernels, known = library(), believed(record)
+    problem = Problem(kernels, record, known)
+    rigid = record.rig.vertical == "rigid"
+    if rigid:
+        sides = [side_of(record, touch) for touch in record.touches]
+        starts = rigid_starts(record, known, sides)
+    else:
+        starts = float_starts(record, known)
+    fits = [_from(problem, start) for start in starts]
+    fits = sorted((fit for fit in fits if math.isfinite(fit.cost)), key=lambda fit: fit.cost)
+    if not fits:
+        raise TooLittleError("no motion of a body was found that explains the readings")
+    problem = with_forces_of(problem, kernels, fits[0])
+    fits = [problem.fit(fit.c, fit.p) for fit in fits]
+    return sorted(fits, key=lambda fit: fit.cost), problem
+
+
+def _from(problem: Problem, start: Start) -> PivotFit:
+    c, p = start.c, start.p
+    stages = STAGES[problem.record.rig.vertical]
+    for soft in stages[:-1]:
+        early = problem.fit(c, p, soft, EARLY_ITERATIONS)
+        if not math.isfinite(early.cost):
+            return early
+        c, p = early.c, early.p
+    return problem.fit(c, p, stages[-1])
+
+
+def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:
+    best, record = fits[0], problem.record
+    theta = directions()
+    rows = record.readings
+    normals = [
+        normal_of(record.motion(best.c, rows)[(rows.t >= touch.begin) & (rows.t <= touch.end), 0])[:, None]
+        for touch in record.touches
+    ]
+    touched = np.logical_or.reduce([touched_by(each) for each in normals])
+    coefficients = best.p[P.SHAPE :]
+    h = shape.basis(theta, ORDER) @ coefficients
+    try:
+        covariance = problem.covariance(best)
+    except np.linalg.LinAlgError:
+        raise TooLittleError("the fit is not a minimum") from None
+    own = covariance[P.SHAPE :, P.SHAPE :]
+    h_sd = gauge_free_sd(theta, theta[touched], coefficients, own)
+    reason = _doubt(record, best, fits[1:], theta, h, h_sd, touched)
+    p = best.p
+    sd = np.sqrt(np.diagonal(covariance))
+    mu, mu_sd = _ratio_of(covariance, [P.DRAG, P.SATURATION], p, lambda q: q[0] / math.sqrt(q[1]))
+    weighed = record.rig.vertical == "float" and len(record.forces.t) > 0
+    moment = slice(P.MOMENT, P.MOMENT + 2)
+    com = com_sd = None
+    inertia = inertia_sd = math.nan
+    if weighed:
+        along = [_ratio_of(covariance, [P.MOMENT + i, P.MASS], p, lambda q: q[0] / q[1]) for i in range(2)]
+        com, com_sd = np.array(along).T
+        inertia, inertia_sd = _ratio_of(covariance, [P.INERTIA, P.MASS], p, lambda q: q[0] / q[1])
+    motion = record.motion(_unwound(best.c, record), rows)
+    claimed = not reason
+    return PivotReconstruction(
+        converged=claimed, chi2=best.chi2, theta=theta,
+        h=h if claimed else None, h_sd=h_sd if claimed else None, touched=touched if claimed else None,
+        mu=mu, mu_sd=mu_sd, com=com, com_sd=com_sd, inertia=inertia, inertia_sd=inertia_sd,
+        mass=p[P.MASS] if weighed else math.nan, mass_sd=sd[P.MASS] if weighed else math.nan,
+        moment=p[moment], moment_sd=sd[moment], inertia_kg=p[P.INERTIA], inertia_kg_sd=sd[P.INERTIA],
+        t=rows.t, psi=motion[:, 0], omega0=motion[:, 1], reason=reason, seconds=0.0,
+    )  # fmt: skip
+
+
+def _unwound(c: FloatArray, record: Record) -> FloatArray:
+    """The splines, each by whole turns as near as can be to the end of the one before."""
+    c = c.copy()
+    for before, touch in itertools.pairwise(record.touches):
+        step = c[touch.coefficients][1] - c[before.coefficients][-2]
+        c[touch.coefficients] -= math.tau * round(step / math.tau)
+    return c
+
+
+def _doubt(
+    record: Record,
+    best: PivotFit,
+    rivals: Sequence[PivotFit],
+    theta: FloatArray,
+    h: FloatArray,
+    h_sd: FloatArray,
+    touched: npt.NDArray[np.bool_],
+) -> str:
+    """Why the best fit cannot be taken at its word; empty when it can."""
+    rig = record.rig
+    if not best.settled:
+        return "the iteration has not settled"
+    readings, forces = len(record.readings.t), len(record.forces.t)
+    fine = [
+        best.chi2 < 1.0 + CHI2_SLACK + CHI2_SIGMAS * math.sqrt(2.0 / readings),
+        best.height_chi2 < HEIGHT_CHI2[rig.vertical],
+        not forces or best.force_chi2 < 1.0 + FORCE_SLACK + CHI2_SIGMAS * math.sqrt(2.0 / forces),
+        best.torque_chi2 < TORQUE_CHI2,
+    ]
+    if not all(fine):
+        told = f"chi2 {best.chi2:.2f}, of the heights {best.height_chi2:.2f}, of the forces {best.force_chi2:.2f}"
+        return f"z and force contradict the readings, or the body does not move as one: {told}"
+    if best.outliers > MOST_OUTLIERS:
+        return f"{best.outliers:.0%} of the readings are outliers"
+    if (h + FAR_OFF_PIVOT * h_sd < 0.0).any():
+        return "the pivot would lie outside the body: z contradicts the readings"
+    if rig.vertical == "rigid":
+        e = record.readings.value - record.readings.inputs[:, 0]
+        if abs(np.sign([np.median(e[_of(record, i)]) for i in range(len(record.touches))]).sum()) == len(
+            record.touches
+        ):
+            return "only one side of the dead centre was touched: touch it on both, and the force tells how they belong"
+        if not forces:
+            return "the pad gives no force: nothing tells how the sides of the dead centre belong together"
+    if float(np.sqrt(np.mean(h_sd[touched] ** 2))) > SHARP_M:
+        return "the readings tell too little of the outline"
+    curvature = shape.basis(theta, ORDER) @ (best.p[P.SHAPE :] * (1 - shape.harmonic_of_coefficient(ORDER) ** 2))
+    if curvature[touched].min() < -HOLLOW_M:
+        return "only a hollow outline explains the readings"
+    for rival in rivals:
+        if rival.cost < best.cost + DOUBT and _differs(theta, touched, h, rival):
+            return "another outline explains the readings as well"
+    return ""
+
+
+def _of(record: Record, number: int) -> npt.NDArray[np.bool_]:
+    touch = record.touches[number]
+    return (record.readings.t >= touch.begin) & (record.readings.t <= touch.end)
+
+
+def _differs(theta: FloatArray, touched: npt.NDArray[np.bool_], h: FloatArray, rival: PivotFit) -> bool:
+    """Whether a rival's outline is another one, turned as little as it may be: both have ψ = 0 at the first reading."""
+    coefficients = rival.p[P.SHAPE :]
+    off = (h - shape.basis(theta, ORDER) @ coefficients)[touched]
+    slope = shape.tangential_basis(theta, ORDER)[touched] @ coefficients
+    off = off - slope * (slope @ off) / max(float(slope @ slope), 1e-30)
+    return float(np.sqrt(np.mean(off**2))) > SAME_M
+
+
+def _ratio_of(
+    covariance: FloatArray, at: list[int], p: FloatArray, ratio: Callable[[FloatArray], float]
+) -> tuple[float, float]:
+    """A function of some constants, and its one-sigma."""
+    q = p[at]
+    value = ratio(q)
+    steps = np.diag(1e-5 * np.abs(q) + 1e-12)
+    gradient = np.array([(ratio(q + d) - ratio(q - d)) / (2 * d[i]) for i, d in enumerate(steps)])
+    return value, math.sqrt(max(float(gradient @ covariance[np.ix_(at, at)] @ gradient), 0.0))
+
+
+def _nothing(reason: str, begun: float) -> PivotReconstruction:
+    nan, none = math.nan, np.zeros(0)
+    return PivotReconstruction(
+        False, nan, directions(), None, None, None, nan, nan, None, None, nan, nan, nan, nan, None, None, nan, nan,
+        none, none, none, reason, time.perf_counter() - begun,
+    )  # fmt: skip

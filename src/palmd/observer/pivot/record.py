@@ -1,0 +1,220 @@
+"""Readings of a pivoting grasp laid out for fitting: touches, the splines of orientation over them, and rows. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from palmd.events import FloatArray, PadSample
+from palmd.model.pivot import INPUTS, U
+from palmd.observer.pivot.arm_path import LEAST_SAMPLES, AxisPath, axis_path
+from palmd.system.pivot import GripperSample, PivotEvent, PivotRig
+
+IntArray = npt.NDArray[np.intp]
+
+TAPS = 4  # spline coefficients that one instant depends on
+SPACING_S = {"rigid": 0.03, "float": 0.012}
+GAP_S = {"rigid": 0.15, "float": 0.5}  # without a reading, after which orientation is anybody's guess
+LEAST_TOUCH_S = 0.4
+LEAST_READINGS = 25
+LEAST_FORCE_N = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Readings of one kind at times t (n): values, variances, the kernels' inputs, and which coefficients they see.
+
+    first: the first of the `TAPS` coefficients; weights (n, 3, TAPS): of them in ψ, ω0, α0.
+    """
+
+    t: FloatArray
+    value: FloatArray
+    variance: FloatArray
+    inputs: FloatArray
+    first: IntArray
+    weights: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Touch:
+    """One uninterrupted touch (s) and its uniform cubic spline of `count` coefficients, the first of them `first`."""
+
+    begin: float
+    end: float
+    first: int
+    count: int
+
+    @property
+    def spacing(self) -> float:
+        """Of the spline's knots (s)."""
+        return (self.end - self.begin) / (self.count - TAPS + 1)
+
+    @property
+    def coefficients(self) -> slice:
+        """Its own among all."""
+        return slice(self.first, self.first + self.count)
+
+    def taps(self, t: FloatArray) -> tuple[IntArray, FloatArray]:
+        """(first coefficient, weights (n, 3, TAPS)) at times t (n) of the touch."""
+        dt = self.spacing
+        at = np.clip((t - self.begin) / dt, 0.0, self.count - TAPS + 1 - 1e-9)
+        cell = np.floor(at).astype(np.intp)
+        u = at - cell
+        value = np.stack([(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3], axis=1) / 6
+        rate = np.stack([-((1 - u) ** 2), 3 * u**2 - 4 * u, -3 * u**2 + 2 * u + 1, u**2], axis=1) / (2 * dt)
+        second = np.stack([1 - u, 3 * u - 2, 1 - 3 * u, u], axis=1) / dt**2
+        return self.first + cell, np.stack([value, rate, second], axis=1)
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """All rows of a run. torques: where the slide's equation of motion must hold; none of a rigid gripper."""
+
+    rig: PivotRig
+    touches: tuple[Touch, ...]
+    readings: Rows
+    heights: Rows
+    forces: Rows
+    torques: Rows
+
+    @property
+    def coefficients(self) -> int:
+        """How many there are of all splines."""
+        return self.touches[-1].first + self.touches[-1].count
+
+    def motion(self, c: FloatArray, rows: Rows) -> FloatArray:
+        """(ψ, ω0, α0) at the rows' times: (n, 3)."""
+        motion: FloatArray = np.einsum("nqk,nk->nq", rows.weights, c[rows.first[:, None] + np.arange(TAPS)])
+        return motion
+
+
+@dataclass(frozen=True, slots=True)
+class ArmMotion:
+    """The pivot's way: x, and z where the gripper is rigid; the measured heights besides."""
+
+    x: AxisPath
+    z: AxisPath
+    t: FloatArray
+    height: FloatArray
+    rig: PivotRig
+
+    def inputs(self, t: FloatArray) -> FloatArray:
+        """The kernels' inputs (n, INPUTS)."""
+        u = np.zeros((len(t), INPUTS))
+        u[:, [U.X, U.VX, U.AX]] = self.x.at(t).T
+        u[:, [U.Z, U.VZ, U.AZ]] = self.z.at(t).T
+        u[:, U.GRAVITY] = self.rig.gravity
+        u[:, U.CARRIAGE], u[:, U.CARRIAGE_DAMPING] = self.rig.carriage_mass, self.rig.carriage_damping
+        return u
+
+
+class TooLittleError(Exception):
+    """A record that tells no outline; the text says why."""
+
+
+def arm_motion(events: Sequence[PivotEvent], rig: PivotRig) -> ArmMotion:
+    """The pivot's way through its samples; raises TooLittleError."""
+    samples = {each.t_sample: each for each in events if isinstance(each, GripperSample)}
+    ordered = [samples[t] for t in sorted(samples)]
+    if len(ordered) < LEAST_SAMPLES:
+        raise TooLittleError("the arm hardly reports where the pivot is")
+    t, x = np.array([(each.t_sample, each.x) for each in ordered]).T
+    heights = [each.z for each in ordered if each.z is not None]
+    if len(heights) < len(ordered):
+        raise TooLittleError("the pivot's height is not measured: without it the size of the outline stays open")
+    z = np.array(heights)
+    noise = rig.arm_noise
+    along_x = axis_path(t, x, [each.vx for each in ordered], [each.ax for each in ordered], noise)
+    along_z = axis_path(t, z, [each.vz for each in ordered], [each.az for each in ordered], noise)
+    return ArmMotion(along_x, along_z, t, z, rig)
+
+
+def lay_out(events: Sequence[PivotEvent], arm: ArmMotion, rig: PivotRig) -> Record:
+    """The record of a run; raises TooLittleError when there is no touch worth a fit."""
+    found = _touches(events, arm, rig)
+    if not found:
+        raise TooLittleError("the pad is nowhere touched for long enough")
+    spacing = SPACING_S[rig.vertical]
+    touches: list[Touch] = []
+    first = 0
+    for samples in found:
+        begin, end = samples[0].t_sample, samples[-1].t_sample
+        count = max(math.ceil((end - begin) / spacing), TAPS) + TAPS - 1
+        touches.append(Touch(begin, end, first, count))
+        first += count
+    pads = [sample for samples in found for sample in samples]
+    t, s = np.array([(each.t_sample, each.s) for each in pads]).T
+    readings = _rows(touches, arm, t, s, np.full(len(t), rig.pad.reading_variance))
+    pressed = [each for each in pads if each.force is not None]
+    force = np.array([each.force for each in pressed], dtype=np.float64)
+    t = np.array([each.t_sample for each in pressed])
+    level = np.maximum(_running_median(force), LEAST_FORCE_N)
+    forces = _rows(touches, arm, t, force, np.asarray(rig.pad.force_variance(level)))
+    return Record(
+        rig, tuple(touches), readings, _heights(touches, arm, rig), forces, _torques(touches, arm, rig, force)
+    )
+
+
+def _touches(events: Sequence[PivotEvent], arm: ArmMotion, rig: PivotRig) -> list[list[PadSample]]:
+    """The pad's readings, parted where it is silent for long, without those that are too short to be of use."""
+    pads = sorted((each for each in events if isinstance(each, PadSample)), key=lambda each: each.t_sample)
+    pads = [each for each in pads if arm.t[0] <= each.t_sample <= arm.t[-1]]
+    parts: list[list[PadSample]] = []
+    for sample in pads:
+        if not parts or sample.t_sample - parts[-1][-1].t_sample > GAP_S[rig.vertical]:
+            parts.append([])
+        if not parts[-1] or sample.t_sample > parts[-1][-1].t_sample:
+            parts[-1].append(sample)
+    return [
+        part for part in parts if part[-1].t_sample - part[0].t_sample >= LEAST_TOUCH_S and len(part) >= LEAST_READINGS
+    ]
+
+
+def _heights(touches: Sequence[Touch], arm: ArmMotion, rig: PivotRig) -> Rows:
+    if rig.vertical == "float":
+        inside = np.logical_or.reduce([(arm.t >= touch.begin) & (arm.t <= touch.end) for touch in touches])
+        t, z = arm.t[inside], arm.height[inside]
+        return _rows(touches, arm, t, z, np.full(len(t), rig.arm_noise**2))
+    t = np.concatenate([np.linspace(each.begin, each.end, 2 * (each.count - TAPS) + 3) for each in touches])
+    return _rows(touches, arm, t, arm.z.at(t)[0], np.full(len(t), RIGID_SD_M**2))
+
+
+# A rigid gripper's way is smooth, whatever it is off by. Were the splines free to leave it by micrometres, their
+# acceleration would follow the noise of the forces, and an inertia of ten times the true one would explain it.
+RIGID_SD_M = 2e-8
+
+TORQUE_SD_M = 2e-5  # of the lever that the slide's equation of motion leaves open, at each instant
+COLLOCATIONS = 2  # instants in each cell of the spline
+
+
+def _torques(touches: Sequence[Touch], arm: ArmMotion, rig: PivotRig, force: FloatArray) -> Rows:
+    none: FloatArray = np.zeros(0)
+    if rig.vertical == "rigid":
+        return _rows(touches, arm, none, none, none)
+    times = []
+    for touch in touches:
+        cells = touch.begin + touch.spacing * np.arange(touch.count - TAPS + 1)
+        times.append(np.add.outer(cells, touch.spacing * np.array([0.2113, 0.7887])).ravel())  # Gauss's
+    t = np.concatenate(times)
+    weight = float(np.median(force)) if len(force) else (rig.carriage_mass + 0.08) * rig.gravity
+    return _rows(touches, arm, t, np.zeros(len(t)), np.full(len(t), (TORQUE_SD_M * weight) ** 2))
+
+
+def _rows(touches: Sequence[Touch], arm: ArmMotion, t: FloatArray, value: FloatArray, variance: FloatArray) -> Rows:
+    first, weights = np.zeros(len(t), dtype=np.intp), np.zeros((len(t), 3, TAPS))
+    for touch in touches:
+        mine = (t >= touch.begin) & (t <= touch.end)
+        first[mine], weights[mine] = touch.taps(t[mine])
+    return Rows(t, value, variance, arm.inputs(t), first, weights)
+
+
+def _running_median(values: FloatArray, reach: int = 10) -> FloatArray:
+    if len(values) <= 2 * reach:
+        return np.full(len(values), float(np.median(values)) if len(values) else 0.0)
+    padded = np.pad(values, reach, mode="edge")
+    medians: FloatArray = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1), axis=1)
+    return medians

@@ -1,0 +1,342 @@
+"""Where a fit of a pivoting grasp begins: orientation from readings alone, then everything linear by least squares.
+
+Rigid gripper: on one side of the dead centre the locus (z, e) is a curve e(z), and dθ = dz/e makes the outline of it;
+how the sides are turned against each other is tried all round, judged by the outline that must close and by the force,
+which sees one centre of mass. Slide: the body rolls but for the slip that its lever e needs.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+from scipy.interpolate import BSpline, make_smoothing_spline
+from scipy.linalg import solveh_banded
+from scipy.sparse import csr_matrix
+
+from palmd.events import FloatArray
+from palmd.model import shape
+from palmd.model.pivot import CONSTANTS, ORDER, P, U
+from palmd.observer.pivot.fit import CENTRE_SD_M, GYRATION, Known
+from palmd.observer.pivot.record import Record, Touch
+from palmd.system.pivot import PivotRig
+
+POINTS = 150  # of each touch, that starts are judged by
+LEAST_LEVER_M = 3e-4  # of e, for dz/e
+ROTATIONS = 120
+BEAMS = 5
+LEAST_MASS_KG = 5e-3
+LEAST_SD = 1e-9  # of a constant that is known
+# friction μ, vibration u_d (m/s) that are tried
+FRICTIONS = {"rigid": (0.02, 0.06, 0.1, 0.15, 0.22, 0.32), "float": (0.2, 0.27, 0.33, 0.42, 0.6)}
+DITHERS = {"rigid": (0.013,), "float": (0.008, 0.013, 0.02)}
+_HEIGHT_SD, _LEVER_SD = 3e-5, 6e-5
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """A point to begin at: coefficients of the splines, constants, and how bad it looks."""
+
+    c: FloatArray
+    p: FloatArray
+    cost: float
+
+
+def believed(record: Record) -> Known:
+    """What is believed of any body, on this rig."""
+    rig = record.rig
+    rigid = rig.vertical == "rigid"
+    radius = float(np.median(record.heights.value))
+    mass = 0.1
+    if not rigid and len(record.forces.value):
+        mass = max(float(np.median(record.forces.value)) / rig.gravity - rig.carriage_mass, 0.01)
+    mean, sd = np.zeros(CONSTANTS), np.zeros(CONSTANTS)
+    # what most bodies are like is believed of moment, inertia and mass together (`likely_body`): here is nothing to add
+    mean[P.INERTIA], sd[P.INERTIA] = mass * radius**2, 10 * mass * radius**2
+    sd[P.MOMENT : P.MOMENT + 2] = 10 * mass * radius
+    mean[P.DAMPING], sd[P.DAMPING] = 2e-6, 5e-6
+    mean[P.MASS], sd[P.MASS] = mass, 2.0 * mass
+    mean[P.DRAG], sd[P.DRAG] = (8.0, 12.0) if rigid else (25.0, 20.0)
+    mean[P.SATURATION], sd[P.SATURATION] = 7e3, 6e3
+    sd[P.ZERO : P.SHAPE] = np.maximum(_constants_sd(rig), LEAST_SD)
+    mean[P.SHAPE] = radius
+    sd[P.SHAPE :] = shape.prior_sd(radius, ORDER)
+    sd[P.SHAPE], sd[P.SHAPE + 1 : P.SHAPE + 3] = 0.4 * radius, 0.4 * radius  # the pivot may be anywhere in the body
+    return Known(mean, sd)
+
+
+def _constants_sd(rig: PivotRig) -> FloatArray:
+    """In the order of `P`: zero, scale, lag, standoff, slope."""
+    return np.array([rig.pad.zero_sd, rig.pad.scale_sd, rig.pad.lag_sd, rig.pad.standoff_sd, rig.angle_sd])
+
+
+# ---------------------------------------------------------------------------------------------------- rigid
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """One touch by its locus: at times t, the normal θ (rad) from an open beginning, h, h′, and the motion.
+
+    side: the sign of e. scatter: standard deviation of the readings about the locus, in sigmas of their noise.
+    """
+
+    touch: Touch
+    t: FloatArray
+    theta: FloatArray
+    h: FloatArray
+    e: FloatArray
+    rate: FloatArray  # of ψ
+    second: FloatArray
+    inputs: FloatArray
+    force: FloatArray
+    force_sd: FloatArray
+    side: float
+    scatter: float
+
+
+def side_of(record: Record, touch: Touch) -> Side:
+    """The touch's locus, smoothed, and the outline that dθ = dz/e makes of it."""
+    rows = record.readings
+    mine = (rows.t >= touch.begin) & (rows.t <= touch.end)
+    u = rows.inputs[mine]
+    z, e = u[:, U.Z], rows.value[mine] - u[:, U.X]
+    curve = _curve(z, e, math.sqrt(record.rig.pad.reading_variance))
+    side = float(np.sign(np.median(e))) or 1.0
+    grid = np.linspace(z.min(), z.max(), 400)
+    lever = side * np.maximum(side * curve(grid), LEAST_LEVER_M)
+    slope = np.gradient(lever, grid)
+    turned = cumulative_trapezoid(1.0 / lever, grid, initial=0.0)
+    index = np.linspace(0, len(z) - 1, POINTS).astype(int)
+    t, at = rows.t[mine][index], z[index]
+    theta, e_at = np.interp(at, grid, turned), np.interp(at, grid, lever)
+    vz, az = u[index, U.VZ], u[index, U.AZ]
+    rate = -vz / e_at
+    second = (e_at * np.interp(at, grid, slope) * rate**2 - az) / e_at
+    spread = (e - curve(z)) / math.sqrt(record.rig.pad.reading_variance)
+    scatter = 1.4826 * float(np.median(np.abs(spread)))
+    forces = record.forces
+    felt = (forces.t >= touch.begin) & (forces.t <= touch.end)
+    force, force_sd = np.full(len(t), np.nan), np.full(len(t), np.inf)
+    if felt.sum() >= 2:
+        force = np.interp(t, forces.t[felt], _eased(forces.value[felt]))
+        share = math.sqrt(min(len(t) / felt.sum(), 1.0))  # each point stands for several readings
+        force_sd = np.interp(t, forces.t[felt], np.sqrt(forces.variance[felt])) * share
+    return Side(touch, t, theta, at, e_at, rate, second, u[index], force, force_sd, side, scatter)
+
+
+def _curve(z: FloatArray, e: FloatArray, noise: float) -> BSpline:
+    """e(z) through readings with outliers: a penalised cubic spline, its weights those of Huber."""
+    low, high = float(z.min()), float(z.max())
+    cells = 14
+    step = max(high - low, 1e-9) / cells
+    knots = low + step * np.arange(-3, cells + 4)
+    A = BSpline.design_matrix(np.clip(z, low, high - 1e-12), knots, 3, extrapolate=True).toarray()
+    bend = np.diff(np.eye(cells + 3), 3, axis=0)
+    weight = np.ones(len(z))
+    coefficients = np.full(cells + 3, float(np.median(e)))
+    for _ in range(6):
+        W = A * weight[:, None]
+        coefficients = np.linalg.solve(W.T @ A + 0.5 * bend.T @ bend + 1e-9 * np.eye(cells + 3), W.T @ e)
+        off = np.abs(e - A @ coefficients)
+        scale = max(noise, 1.4826 * float(np.median(off)))
+        weight = np.minimum(1.0, 2.0 * scale / np.maximum(off, 1e-12)) ** 2
+    return BSpline(knots, coefficients, 3, extrapolate=True)
+
+
+def _eased(values: FloatArray, reach: int = 3) -> FloatArray:
+    """Medians of neighbours: a force without its outliers."""
+    if len(values) <= 2 * reach:
+        return values
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(values, reach, mode="edge"), 2 * reach + 1)
+    return np.asarray(windows.mean(axis=1))
+
+
+def rigid_starts(record: Record, known: Known, sides: Sequence[Side]) -> list[Start]:
+    """The likeliest ways in which the sides may be turned against each other, the best first."""
+    ordered = sorted(sides, key=lambda each: each.touch.begin - each.touch.end)
+    beams: list[tuple[float, tuple[float, ...]]] = [(0.0, (0.0,))]
+    for count in range(2, len(ordered) + 1):
+        found: list[tuple[float, tuple[float, ...]]] = []
+        for _, turns in beams:
+            angles = np.linspace(0.0, math.tau, ROTATIONS, endpoint=False)
+            costs = np.array([_judged(ordered[:count], (*turns, a), known)[0] for a in angles])
+            lowest = np.flatnonzero((costs < np.roll(costs, 1)) & (costs <= np.roll(costs, -1)))
+            found += [(float(costs[i]), (*turns, float(angles[i]))) for i in lowest]
+        beams = sorted(found)[:BEAMS]
+    return [_rigid_start(record, ordered, turns, known) for _, turns in beams]
+
+
+def _judged(sides: Sequence[Side], turns: Sequence[float], known: Known) -> tuple[float, FloatArray]:
+    """(the cost of sides so turned, the constants that fit them best)."""
+    theta = np.concatenate([side.theta + turn for side, turn in zip(sides, turns, strict=True)])
+    h, e = (np.concatenate([getattr(side, name) for side in sides]) for name in "he")
+    p = known.mean.copy()
+    cost, p[P.SHAPE :] = outline_through(theta, h, e, known)
+    force, p[: P.SHAPE] = _weighed(sides, theta, known)
+    middle = p[P.SHAPE + 1 : P.SHAPE + 3]
+    far = float(np.hypot(*middle))
+    along = float(p[P.MOMENT : P.MOMENT + 2] @ middle) / max(far, 1e-4) ** 2  # the mass, were its centre the middle
+    p[P.MASS] = max(along, LEAST_MASS_KG)
+    across = p[P.MOMENT : P.MOMENT + 2] / p[P.MASS] - middle
+    p[P.INERTIA] = p[P.MASS] * ((GYRATION * p[P.SHAPE]) ** 2 + far**2)
+    return cost + force + float(np.minimum(across @ across / CENTRE_SD_M**2, 100.0)), p
+
+
+def outline_through(
+    theta: FloatArray, h: FloatArray, e: FloatArray, known: Known, share: float = 1.0
+) -> tuple[float, FloatArray]:
+    """(cost, coefficients) of the outline with these h and h′ (m) at normals θ; share: of a point's information."""
+    mean, sd = known.mean[P.SHAPE :], known.sd[P.SHAPE :]
+    A = np.concatenate([shape.basis(theta, ORDER) / _HEIGHT_SD, -shape.tangential_basis(theta, ORDER) / _LEVER_SD])
+    y = np.concatenate([h / _HEIGHT_SD, e / _LEVER_SD])
+    A, y = A * math.sqrt(share), y * math.sqrt(share)
+    normal = A.T @ A + np.diag(1 / sd**2)
+    coefficients = np.asarray(np.linalg.solve(normal, A.T @ y + mean / sd**2), dtype=np.float64)
+    off, strain = A @ coefficients - y, (coefficients - mean) / sd
+    return float(off @ off + strain @ strain), coefficients
+
+
+def _weighed(sides: Sequence[Side], theta: FloatArray, known: Known) -> tuple[float, FloatArray]:
+    """(cost, constants before the outline) of the forces, over the frictions that are tried."""
+    rate, second, h, e, force, sd = (
+        np.concatenate([getattr(side, name) for side in sides])
+        for name in ("rate", "second", "h", "e", "force", "force_sd")
+    )
+    u = np.concatenate([side.inputs for side in sides])
+    felt = np.isfinite(force) & (np.abs(e) > 2 * LEAST_LEVER_M)
+    best, constants = math.inf, known.mean[: P.SHAPE].copy()
+    if felt.sum() < 10:
+        return 0.0, constants
+    psi = -0.5 * math.pi - theta
+    cos, sin, down, along = np.cos(psi), np.sin(psi), u[:, U.GRAVITY] + u[:, U.AZ], u[:, U.AX]
+    columns = np.stack([second, cos * down - sin * along, -sin * down - cos * along, rate], axis=1)
+    prior_mean, prior_sd = np.array([4e-5, 0.0, 0.0, 2e-6]), np.array([5e-5, 4e-3, 4e-3, 5e-6])
+    slip = u[:, U.VX] + h * rate
+    for mu, dither in itertools.product(FRICTIONS["rigid"], DITHERS["rigid"]):
+        lever = e - mu * slip / np.hypot(slip, dither) * h
+        fine = felt & (lever * np.sign(e) > LEAST_LEVER_M)
+        if fine.sum() < 0.8 * felt.sum():
+            continue
+        A = columns[fine] / (lever * sd)[fine, None]
+        y = (force / sd)[fine]
+        normal = A.T @ A + np.diag(1 / prior_sd**2)
+        found = np.linalg.solve(normal, A.T @ y + prior_mean / prior_sd**2)
+        off, strain = A @ found - y, (found - prior_mean) / prior_sd
+        cost = float(np.minimum(off**2, 50.0).sum() + strain @ strain)
+        if cost < best:
+            best = cost
+            constants[: P.MASS] = found
+            constants[P.DRAG], constants[P.SATURATION] = mu / dither, 1 / dither**2
+    return best, constants
+
+
+def _rigid_start(record: Record, sides: Sequence[Side], turns: Sequence[float], known: Known) -> Start:
+    cost, p = _judged(sides, turns, known)
+    paths = [(side.touch, side.t, side.theta + turn) for side, turn in zip(sides, turns, strict=True)]
+    return _from_paths(record, paths, p, cost)
+
+
+def _from_paths(
+    record: Record, paths: Sequence[tuple[Touch, FloatArray, FloatArray]], p: FloatArray, cost: float
+) -> Start:
+    """Splines through the paths of θ, everything turned so that ψ = 0 at the first reading."""
+    c = np.zeros(record.coefficients)
+    for touch, t, theta in paths:
+        own = _spline_through(touch, t, -0.5 * math.pi - theta)
+        c[touch.coefficients] = own
+    turn = float(c[:3] @ np.array([1.0, 4.0, 1.0]) / 6)
+    return Start(c - turn, turned(p, turn), cost)
+
+
+def turned(p: FloatArray, turn: float) -> FloatArray:
+    """The same body in a frame from which its orientations look smaller by `turn` (rad): ψ − turn."""
+    p = p.copy()
+    p[P.SHAPE :] = shape.turned(-turn, ORDER) @ p[P.SHAPE :]
+    cos, sin = math.cos(turn), math.sin(turn)
+    mx, my = p[P.MOMENT : P.MOMENT + 2]
+    p[P.MOMENT : P.MOMENT + 2] = cos * mx - sin * my, sin * mx + cos * my
+    return p
+
+
+def _spline_through(touch: Touch, t: FloatArray, psi: FloatArray) -> FloatArray:
+    """The touch's coefficients through a path: least squares at three instants of each cell."""
+    at = np.linspace(touch.begin, touch.end, 3 * touch.count)
+    first, weights = touch.taps(at)
+    taps = weights.shape[2]
+    columns = first[:, None] - touch.first + np.arange(taps)
+    pattern = (columns.ravel(), np.arange(0, columns.size + 1, taps))
+    A = csr_matrix((weights[:, 0].ravel(), *pattern), shape=(len(at), touch.count))
+    normal = (A.T @ A).toarray()
+    banded = np.zeros((taps, touch.count))
+    for k in range(taps):
+        banded[k, : touch.count - k] = normal.diagonal(-k)
+    banded[0] += 1e-9
+    return np.asarray(solveh_banded(banded, A.T @ np.interp(at, t, psi), lower=True))
+
+
+# ---------------------------------------------------------------------------------------------------- slide
+
+
+def float_starts(record: Record, known: Known) -> list[Start]:
+    """The likeliest rolls, one for each friction that is tried, the best first."""
+    paths = [_felt(record, touch) for touch in record.touches]
+    starts = [
+        _rolled(record, paths, known, mu, dither)
+        for mu, dither in itertools.product(FRICTIONS["float"], DITHERS["float"])
+    ]
+    return sorted(starts, key=lambda start: start.cost)[:BEAMS]
+
+
+@dataclass(frozen=True, slots=True)
+class _Felt:
+    """A touch on an even grid: time, height, lever and speed of the arm."""
+
+    touch: Touch
+    t: FloatArray
+    z: FloatArray
+    e: FloatArray
+    vx: FloatArray
+
+
+def _felt(record: Record, touch: Touch) -> _Felt:
+    t = np.linspace(touch.begin, touch.end, max(int((touch.end - touch.begin) / 0.01), 10))
+    smooth = []
+    for rows, own in ((record.heights, 0), (record.readings, 1)):
+        mine = (rows.t >= touch.begin) & (rows.t <= touch.end)
+        value = rows.value[mine] - (rows.inputs[mine, U.X] if own else 0.0)
+        value = _without_outliers(value, math.sqrt(float(rows.variance[mine].mean())))
+        smooth.append(make_smoothing_spline(rows.t[mine], value)(t))
+    x = np.interp(t, record.readings.t, record.readings.inputs[:, U.VX])
+    return _Felt(touch, t, smooth[0], smooth[1], x)
+
+
+def _without_outliers(values: FloatArray, noise: float) -> FloatArray:
+    """The values, each that is far from the median of its neighbours in its place."""
+    reach = 5
+    if len(values) <= 2 * reach:
+        return values
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(values, reach, mode="edge"), 2 * reach + 1)
+    median = np.median(windows, axis=1)
+    cleaned: FloatArray = np.where(np.abs(values - median) > 6 * noise, median, values)
+    return cleaned
+
+
+def _rolled(record: Record, felt: Sequence[_Felt], known: Known, mu: float, dither: float) -> Start:
+    paths = []
+    for each in felt:
+        share = np.clip(each.e / (mu * each.z), -0.97, 0.97)  # of friction, that the lever needs
+        slip = dither * share / np.sqrt(1 - share**2)
+        theta = cumulative_trapezoid((each.vx - slip) / each.z, each.t, initial=0.0)
+        paths.append((each.touch, each.t, theta))
+    theta, h, e = (np.concatenate(parts) for parts in ([p[2] for p in paths], [f.z for f in felt], [f.e for f in felt]))
+    p = known.mean.copy()
+    cost, p[P.SHAPE :] = outline_through(theta, h, e, known)
+    p[P.DRAG], p[P.SATURATION] = mu / dither, 1 / dither**2
+    middle = p[P.SHAPE + 1 : P.SHAPE + 3]
+    p[P.MOMENT : P.MOMENT + 2] = p[P.MASS] * middle
+    p[P.INERTIA] = p[P.MASS] * ((GYRATION * p[P.SHAPE]) ** 2 + middle @ middle)
+    return _from_paths(record, paths, p, cost)

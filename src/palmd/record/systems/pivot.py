@@ -1,0 +1,208 @@
+"""Logs of the pivoting grasp: an object held in a freely turning gripper and dragged over one pad."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from palmd.devices.pad import MARGIN_MM
+from palmd.events import FloatArray, ObserverName, PadSample
+from palmd.observer.pivot.reconstruct import PivotReconstruction, reconstruct
+from palmd.outlinefile import Outline
+from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
+from palmd.record.outline_curves import OutlineCurves, curves_of
+from palmd.record.replay import Said
+from palmd.record.systems import NotYetError, Reconstructed
+from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, PadSensor
+from palmd.system.pivot import GripperSample, PivotEvent, PivotRig
+
+_FARTHEST_M = 1.0
+_PLAN = ("vx_m_s", "ax_m_s2", "vz_m_s", "az_m_s2")
+
+
+@dataclass(frozen=True, slots=True)
+class PivotLog:
+    """A run: the rig, its events in the order of the file, and notes on what was left out of them."""
+
+    rig: PivotRig
+    events: tuple[PivotEvent, ...]
+    notes: tuple[str, ...] = ()
+
+
+class PivotForm:
+    """How logs of the pivoting grasp are read."""
+
+    kinds = ("pad", "arm")
+
+    def rig(self, line: Line) -> PivotRig:
+        """What line 1 says of gripper and pad."""
+        gripper = block(line, "gripper")
+        vertical = gripper.get("vertical")
+        if vertical not in ("rigid", "float"):
+            raise BadLineError(f"gripper.vertical must be rigid or float, got {shown(vertical)}")
+        measured = gripper.get("z_measured", True)
+        if not isinstance(measured, bool):
+            raise BadLineError(f"gripper.z_measured must be true or false, got {shown(measured)}")
+        slides = vertical == "float"
+        default = PivotRig()
+        pad = block(line, "pad")
+        sensor = replace(
+            PadSensor(),
+            length=positive(pad, "length_m"),
+            noise=positive(pad, "noise_m"),
+            resolution=not_negative(pad, "resolution_m"),
+            force_scale_std=positive(line, "force_scale_std"),
+            force_resolution=not_negative(line, "force_resolution_n", PadSensor().force_resolution),
+        )
+        rig = PivotRig(
+            gravity=positive(line, "gravity_m_s2"),
+            vertical=vertical,
+            z_measured=measured,
+            carriage_mass=positive(gripper, "carriage_mass_kg") if slides else 0.0,
+            carriage_damping=not_negative(gripper, "damping_n_s_m", 0.0) if slides else 0.0,
+            arm_noise=positive(line, "arm_noise_m", default.arm_noise),
+            pad=sensor,
+        )
+        return rig.known_to(_calibration_sds(line))
+
+    def events(self, t: float, line: Line, rig: PivotRig) -> Iterator[PivotEvent | None]:
+        """A reading of the pad, or where the arm has the pivot, or both."""
+        if "pad" in line:
+            if type(line["pad"]) is not int or line["pad"] != 1:
+                raise BadLineError(f"pad must be 1: a pivoting grasp has one, got {shown(line['pad'])}")
+            s = number(line, "s_m")
+            if abs(s) > _FARTHEST_M:
+                raise BadLineError(f"s_m is {s:g}, which is no place on a pad; it is in metres")
+            on_it = 0.0 < s <= rig.pad.length + MARGIN_MM * 1e-3
+            yield PadSample(t, 1, s, optional(line, "force_n")) if on_it else None
+        if "arm" in line:
+            yield _gripper_sample(t, block(line, "arm"))
+
+    def log(self, rig: PivotRig, events: tuple[PivotEvent, ...], notes: tuple[str, ...]) -> PivotLog:
+        """The run."""
+        return PivotLog(rig, events, notes)
+
+
+class Pivot(PivotForm):
+    """See `palmd.record.systems.System`."""
+
+    name = "pivot"
+
+    def known_to(self, log: PivotLog, sds: Mapping[str, float]) -> PivotLog:
+        """The same log of a rig that is known so well."""
+        return replace(log, rig=log.rig.known_to(sds))
+
+    def reconstruct(self, log: PivotLog, seed: int) -> Reconstructed:
+        """Outline about the pivot, motion and friction; `seed` is of no use: all starts are tried."""
+        del seed
+        answer = reconstruct(log.events, log.rig)
+        told = summary(answer) if answer.converged else f"not converged: {answer.reason}"
+        return Reconstructed(as_line(answer, log.rig), told, _drawn(answer), answer.reason)
+
+    def tick_count(self, log: PivotLog) -> int:
+        """None: see `estimate`."""
+        del log
+        return 0
+
+    def estimate(self, log: PivotLog, observer: ObserverName, outlines: Sequence[Outline]) -> Iterator[Said]:
+        """Raises NotYetError."""
+        del log, observer, outlines
+        raise NotYetError("a pivoting grasp has no live observer yet; palmd reconstruct takes its logs")
+
+
+SYSTEM = Pivot()
+
+
+def as_line(answer: PivotReconstruction, rig: PivotRig) -> Line:
+    """The result as `palmd reconstruct` writes it: SI units, the unit in each name, None where there is no value.
+
+    `not_told` says in words what such a run cannot tell.
+    """
+    trajectory = {"t": answer.t, "psi_rad": answer.psi, "omega0_rad_s": answer.omega0}
+    return {
+        "system": SYSTEM.name,
+        "converged": bool(answer.converged),
+        "reason": answer.reason or None,
+        "chi2": _number(answer.chi2),
+        "theta_rad": answer.theta.tolist(),
+        "hP_m": _column(answer.h),
+        "hP_sd_m": _column(answer.h_sd),
+        "touched": None if answer.touched is None else answer.touched.astype(int).tolist(),
+        "mu": _number(answer.mu),
+        "mu_sd": _number(answer.mu_sd),
+        "com_from_pivot_m": _column(answer.com),
+        "com_from_pivot_sd_m": _column(answer.com_sd),
+        "inertia_pivot_m2": _number(answer.inertia),
+        "inertia_pivot_sd_m2": _number(answer.inertia_sd),
+        "mass_kg": _number(answer.mass),
+        "mass_sd_kg": _number(answer.mass_sd),
+        "moment_kg_m": _column(answer.moment),
+        "moment_sd_kg_m": _column(answer.moment_sd),
+        "inertia_pivot_kg_m2": _number(answer.inertia_kg),
+        "inertia_pivot_sd_kg_m2": _number(answer.inertia_kg_sd),
+        "not_told": list(_not_told(rig)),
+        "trajectory": {name: _column(column) for name, column in trajectory.items()} if len(answer.t) else None,
+        "seconds": _number(answer.seconds),
+    }
+
+
+def _not_told(rig: PivotRig) -> Iterator[str]:
+    if rig.vertical == "rigid":
+        yield (
+            "mass: a rigid gripper carries an unknown share of the weight; only mass times centre of mass and the"
+            " inertia about the pivot act on the pad (moment_kg_m, inertia_pivot_kg_m2), so com_from_pivot_m and"
+            " inertia_pivot_m2 have no value"
+        )
+
+
+def summary(answer: PivotReconstruction) -> str:
+    """One line about an answer that has converged: the outline's band where touched (RMS), friction, mass or moment."""
+    if answer.h_sd is None or answer.touched is None or answer.moment is None or answer.moment_sd is None:
+        raise ValueError("there is no outline")
+    band = float(np.sqrt(np.mean(answer.h_sd[answer.touched] ** 2)))
+    moment, moment_sd = float(np.hypot(*answer.moment)), float(answer.moment_sd.max())
+    weighed = (
+        f"mass {answer.mass * 1e3:.1f} ± {answer.mass_sd * 1e3:.1f} g"
+        if math.isfinite(answer.mass)
+        else f"mass times distance from the pivot {moment * 1e6:.1f} ± {moment_sd * 1e6:.1f} g mm, mass not told"
+    )
+    return (
+        f"outline about the pivot ± {band * 1e6:.1f} µm on {np.mean(answer.touched):.0%} of the normals,"
+        f" mu {answer.mu:.4f} ± {answer.mu_sd:.4f}, {weighed}, {answer.seconds:.1f} s"
+    )
+
+
+def _drawn(answer: PivotReconstruction) -> Callable[[str], OutlineCurves] | None:
+    h, h_sd, touched = answer.h, answer.h_sd, answer.touched
+    if h is None or h_sd is None or touched is None:
+        return None
+    return lambda name: curves_of(name, answer.theta, h, h_sd, touched, mass_kg=answer.mass)
+
+
+def _column(values: FloatArray | None) -> list[float | None] | None:
+    return None if values is None else [_number(value) for value in values.tolist()]
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _gripper_sample(t: float, arm: Line) -> GripperSample:
+    x, z = number(arm, "x_m"), optional(arm, "z_m")
+    for name, value in (("x_m", x), ("z_m", z)):
+        if value is not None and abs(value) > _FARTHEST_M:
+            raise BadLineError(f"{name} is {value:g}, which is no place near a pad; it is in metres")
+    vx, ax, vz, az = (optional(arm, name) for name in _PLAN)
+    return GripperSample(t, x, z, vx, ax, vz, az)
+
+
+def _calibration_sds(line: Line) -> Mapping[str, float]:
+    """How well the rig's constants are known: as the log says, else as calibrated, or known if all it names are."""
+    told: dict[str, Any] = {} if line.get("calibration_sd") is None else block(line, "calibration_sd")
+    named = [value for value in told.values() if value is not None]
+    default = dict.fromkeys(AS_CALIBRATED, 0.0) if named and not any(named) else AS_CALIBRATED
+    return {name: not_negative(told, CALIBRATION_KEYS[name], each) for name, each in default.items()}
