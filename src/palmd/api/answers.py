@@ -18,13 +18,8 @@ from palmd.api.runs import RunData, open
 from palmd.api.table import DataTable, table_of
 from palmd.blas import one_thread
 from palmd.events import FloatArray
-from palmd.messages import estimate_fields, shape_fields
-from palmd.observer.reconstruct import reconstruct as smoothed
-from palmd.observer.static_mass import mass_at_rest
 from palmd.outlinefile import read_library
 from palmd.record.recognition import Recognition, verdict
-from palmd.record.replay import replay
-from palmd.record.result import as_line
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +51,8 @@ class SmoothedRun:
     converged: False rather than wrong, then `reason` says why, and outline and trajectory may be missing. chi2: per
     reading. trajectory: `t_s psi_rad omega0_rad_s r1_m r2_m`. rho_m: radius of gyration. mu: friction. mass_rest_kg:
     mass as weighed while the object lay still, which needs no outline. `…_sd…`: one-sigma. rig: what the run tells of
-    the rig's own constants, `{name: {value, sd}}`, empty where it had nothing to find.
+    the rig's own constants, `{name: {value, sd}}`, empty where it had nothing to find. told: everything, under the
+    names of `palmd reconstruct`; of another `system` than two palms, what the fields here have no place for.
     """
 
     converged: bool
@@ -74,11 +70,14 @@ class SmoothedRun:
     mass_rest_sd_kg: float
     rig: Mapping[str, Mapping[str, float]]
     seconds: float
+    system: str
+    told: Mapping[str, Any]
 
     def outline_xy(self) -> FloatArray:
         """The outline's points (361, 2) in m, closed, about the centre of mass; PalmdError when there is none."""
         if self.outline is None:
-            raise PalmdError(f"the reconstruction has no outline: {self.reason}")
+            why = self.reason or f"of the system {self.system} told has what there is"
+            raise PalmdError(f"the reconstruction has no outline: {why}")
         return self.outline.xy()
 
 
@@ -97,14 +96,13 @@ def estimate(
         raise PalmdError(f"there is no observer {observer!r}; there are {', '.join(observers.OBSERVERS)}")
     if shape is not None and observer != "shape":
         raise PalmdError(f"a stored outline needs the observer shape: {observer} cannot use one")
-    told = _opened(log).log
+    run = _opened(log)
     with as_palmd_error():
         outlines = () if shape is None else read_library(Path(shape))
-    watcher = observers.make(observer, told.rig, smoothing=observers.Simulated(told.rig), outlines=outlines)
-    ticks = list(replay(told, watcher))
+        ticks = list(run.system.estimate(run.log, observer, outlines))
     return EstimatedRun(
-        table_of({"t_s": tick.t} | estimate_fields(tick.estimate) for tick in ticks),
-        tuple(outline_of(shape_fields(tick.shape), tick.t) for tick in ticks if tick.shape is not None),
+        table_of({"t_s": tick.t} | tick.estimate for tick in ticks),
+        tuple(outline_of(tick.shape, tick.t) for tick in ticks if tick.shape is not None),
         verdict(tick.object for tick in ticks if tick.object is not None),
     )
 
@@ -116,15 +114,17 @@ def reconstruct(log: RunData | str | os.PathLike[str], seed: int = 0) -> Smoothe
     Deterministic for a given `seed` (of the blind start). Raises PalmdError for a log that cannot be used, never for
     what its readings say.
     """
-    told = _opened(log).log
-    line = as_line(smoothed(told.events, told.rig, seed), mass_at_rest(told.events, told.rig))
+    run = _opened(log)
+    line = run.system.reconstruct(run.log, seed).line
     return SmoothedRun(
+        system=run.system.name,
+        told=line,
         converged=line["converged"],
         reason=line["reason"] or "",
-        outline=None if line["h_m"] is None else outline_of(line, math.nan),
+        outline=None if line.get("h_m") is None else outline_of(line, math.nan),
         trajectory=_trajectory(line["trajectory"]),
-        rig=line["rig"] or {},
-        **{name: math.nan if line[name] is None else line[name] for name in _NUMBERS},
+        rig=line.get("rig") or {},
+        **{name: math.nan if line.get(name) is None else line[name] for name in _NUMBERS},
     )
 
 

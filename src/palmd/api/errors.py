@@ -10,6 +10,7 @@ from palmd.keys import KeysError
 from palmd.outlinefile import OutlineError
 from palmd.record.eventlog import LogError
 from palmd.record.run import RunError
+from palmd.record.systems import NotYetError
 
 
 class PalmdError(Exception):
@@ -21,5 +22,5 @@ def as_palmd_error() -> Iterator[None]:
     """Whatever palmd's rooms raise for bad input or a rig that is not there comes out as a PalmdError."""
     try:
         yield
-    except (CliError, KeysError, LogError, OutlineError, RunError) as error:
+    except (CliError, KeysError, LogError, NotYetError, OutlineError, RunError) as error:
         raise PalmdError(str(error)) from None

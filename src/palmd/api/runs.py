@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from palmd.api.errors import PalmdError, as_palmd_error
 from palmd.api.outline import OutlineData, last_of, outline_of
@@ -15,8 +16,8 @@ from palmd.events import Event, FloatArray, PadLift
 from palmd.messages import Fields
 from palmd.quantities import CONTACT, ESTIMATE, SHAPE
 from palmd.record import run as recorded
-from palmd.record.eventlog import EventLog, event_line, read_log
-from palmd.system.description import RigDescription
+from palmd.record.eventlog import EventLog, event_line
+from palmd.record.systems import System, read_log_of_any, system_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,20 +40,28 @@ class RunData:
         self.path = path
         with as_palmd_error():
             self._recording = recorded.read_run(path) if recorded.is_recording(path) else None
-            self._log = read_log(path) if self._recording is None else None
+            self._system: System = system_of(None)
+            self._log: Any = None
+            if self._recording is None:
+                self._system, self._log = read_log_of_any(path)
 
     def __repr__(self) -> str:
         return f"<palmd.RunData {self.path}>"
 
+    @property
+    def system(self) -> System:
+        """Which system it is a run of."""
+        return self._system
+
     @cached_property
-    def log(self) -> EventLog:
-        """The rig and the events as the observers take them; PalmdError for a recording without events."""
+    def log(self) -> Any:
+        """The rig and the events as the system's observers take them; PalmdError for a recording without events."""
         with as_palmd_error():
             return self._log or self._recorded().event_log()
 
     @property
-    def rig(self) -> RigDescription:
-        """What the observer is told of the rig."""
+    def rig(self) -> Any:
+        """What the observer is told of the rig: a `RigDescription` of two palms, or another system's own."""
         return self.log.rig if self._recording is None else self._recording.rig
 
     @property
@@ -108,6 +117,8 @@ class RunData:
     @cached_property
     def events(self) -> Events:
         """What was measured."""
+        if not isinstance(self.log, EventLog):
+            raise PalmdError(f"{self.path}: is a log of the system {self.system.name}: its events are in .log.events")
         rows = [_row(event) for event in self.log.events]
         return Events(*(table_of(row for row in rows if ("pad" in row) is of_pads) for of_pads in (True, False)))
 

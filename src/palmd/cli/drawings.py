@@ -6,7 +6,6 @@ from pathlib import Path
 
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.extras import missing, only_without
-from palmd.observer.reconstruct import Reconstruction
 from palmd.record.outline_curves import OutlineCurves, curves_of
 from palmd.record.outline_files import Writer, writer_of
 from palmd.record.resultfile import ResultError, read_result
@@ -28,15 +27,6 @@ def curves_of_result(path: Path) -> OutlineCurves:
     except ResultError as error:
         raise CliError(BAD_INPUT, str(error)) from None
     return curves_of(path.stem, told.theta, told.h, told.h_sd, told.touched, rho_m=told.rho, mass_kg=told.mass)
-
-
-def curves_of_answer(log: Path, answer: Reconstruction) -> OutlineCurves:
-    """The outline of a reconstruction; CliError when it has not converged."""
-    if answer.h is None or answer.h_sd is None or answer.touched is None:
-        raise CliError(BAD_INPUT, f"{log}: not converged: {answer.reason}: there is no outline to draw")
-    return curves_of(
-        log.stem, answer.theta, answer.h, answer.h_sd, answer.touched, rho_m=answer.rho, mass_kg=answer.mass
-    )
 
 
 def write_drawing(curves: OutlineCurves, target: Path, made: Writer, source: Path) -> None:

@@ -5,16 +5,14 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
-from typing import TextIO
 
 from palmd import observer
-from palmd.cli.logs import add_calibration_argument, opened, read
+from palmd.cli.logs import add_calibration_argument, opened, read_any
 from palmd.cli.outlines import read_outlines
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import Progress, working
-from palmd.outlinefile import Outline
-from palmd.record.eventlog import EventLog
-from palmd.record.replay import lines, replay, tick_count
+from palmd.record.replay import lines
+from palmd.record.systems import NotYetError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,20 +40,21 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.shape is not None and arguments.observer != "shape":
         raise CliError(BAD_INPUT, f"--shape needs --observer shape: {arguments.observer} cannot use a stored outline")
     outlines = () if arguments.shape is None else read_outlines(arguments.shape)
-    log = read(arguments.log, arguments.calibration_sd)
-    with opened(arguments.output, arguments.log) as stream:
-        _replay(log, arguments.observer, outlines, stream)
-    return 0
-
-
-def _replay(log: EventLog, name: observer.ObserverName, outlines: tuple[Outline, ...], stream: TextIO) -> None:
-    with working(f"preparing the {name} observer"):
-        watcher = observer.make(name, log.rig, smoothing=observer.Simulated(log.rig), outlines=outlines)
-    with Progress(f"{name} observer", tick_count(log), "ticks") as progress:
-        for tick in replay(log, watcher):
+    system, log = read_any(arguments.log, arguments.calibration_sd)
+    try:
+        with working(f"preparing the {arguments.observer} observer"):
+            ticks = system.estimate(log, arguments.observer, outlines)
+    except NotYetError as error:
+        raise CliError(BAD_INPUT, f"{arguments.log}: {error}") from None
+    with (
+        opened(arguments.output, arguments.log) as stream,
+        Progress(f"{arguments.observer} observer", system.tick_count(log), "ticks") as progress,
+    ):
+        for tick in ticks:
             for line in lines(tick):
                 stream.write(json.dumps(line, allow_nan=False) + "\n")
             progress.at(tick.number)
+    return 0
 
 
 def _observer(name: str) -> str:

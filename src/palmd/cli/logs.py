@@ -8,14 +8,14 @@ import io
 import math
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import working
-from palmd.record.eventlog import EventLog, LogError, read_log
+from palmd.record.eventlog import EventLog, LogError
 from palmd.record.run import RunError, is_recording, read_run
+from palmd.record.systems import System, read_log_of_any, system_of
 from palmd.system.description import CALIBRATION_KEYS
 
 STDOUT = Path("-")
@@ -47,20 +47,30 @@ def _calibration_sd(text: str) -> tuple[str, float]:
     return names[key], sd
 
 
-def read(path: Path, calibration_sd: Sequence[tuple[str, float]] = ()) -> EventLog:
-    """The log at `path`, its notes told on standard error; CliError when it cannot be used.
+def read(path: Path) -> EventLog:
+    """The log of two palms on a hinge at `path`, its notes told on standard error; CliError when it cannot be used.
 
-    `calibration_sd`: as `RigDescription.known_to` takes them, in place of the log's own. What the file is shows in its
-    first bytes; one that is named as a recording is taken for one even so.
+    What the file is shows in its first bytes; one that is named as a recording is taken for one even so.
+    """
+    system, log = read_any(path)
+    if not isinstance(log, EventLog):
+        raise CliError(BAD_INPUT, f"{path}: is a log of the system {system.name}; this needs two palms on a hinge")
+    return log
+
+
+def read_any(path: Path, calibration_sd: Sequence[tuple[str, float]] = ()) -> tuple[System, Any]:
+    """As `read`, of whichever system, with that system.
+
+    `calibration_sd`: as `RigDescription.known_to` takes them, in place of the log's own.
     """
     try:
         with working(f"reading {path}"):
-            log = read_run(path).event_log() if is_recording(path) else read_log(path)
+            system, log = (system_of(None), read_run(path).event_log()) if is_recording(path) else read_log_of_any(path)
     except (LogError, RunError) as error:
         raise CliError(BAD_INPUT, str(error)) from None
     for note in log.notes:
         print(note, file=sys.stderr)
-    return replace(log, rig=log.rig.known_to(dict(calibration_sd)))
+    return system, system.known_to(log, dict(calibration_sd))
 
 
 @contextlib.contextmanager

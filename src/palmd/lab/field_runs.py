@@ -21,7 +21,8 @@ from palmd.events import Estimate, Event, Improvement, ObjectEstimate, Outlook, 
 from palmd.harness.wireless import Instant, Wireless
 from palmd.motion.plan import PlanError
 from palmd.observer import Observer
-from palmd.record.eventlog import Line, event_line, header_line
+from palmd.record.eventlog import event_line, header_line
+from palmd.record.logline import Line
 from palmd.rig.imperfections import configured
 from palmd.rig.shapes import KINDS, Kind
 from palmd.rig.world import default_config

@@ -9,8 +9,9 @@ from pathlib import Path
 
 from palmd.messages import events_of
 from palmd.quantities import EVENTS, STAMP, TRUTH
-from palmd.record.eventlog import Line, event_line, header_line
+from palmd.record.eventlog import event_line, header_line
 from palmd.record.jsonvalues import or_none
+from palmd.record.logline import Line
 from palmd.record.run import Run
 
 _STAMP = {field.name for field in STAMP}

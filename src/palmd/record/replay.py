@@ -9,7 +9,7 @@ from typing import Any
 
 from palmd.blas import one_thread
 from palmd.events import Estimate, ObjectEstimate, ShapeEstimate
-from palmd.messages import estimate_fields, object_fields, shape_fields, stamp
+from palmd.messages import Fields, estimate_fields, object_fields, shape_fields, stamp
 from palmd.observer.observer import Observer
 from palmd.record.eventlog import EventLog
 from palmd.record.jsonvalues import or_none
@@ -55,15 +55,32 @@ def replay(log: EventLog, observer: Observer) -> Iterator[Tick]:
         yield Tick(number, t, estimate, shape, identified)
 
 
-def lines(tick: Tick) -> Iterator[dict[str, Any]]:
-    """The tick as JSON objects: the fields of palm/estimate, and of palm/shape and palm/object where there are any.
+@dataclass(frozen=True, slots=True)
+class Said:
+    """What the observer of any system says at one tick, as the fields of its own estimate and shape topics."""
+
+    number: int
+    t: float
+    estimate: Fields
+    shape: Fields | None = None
+    object: ObjectEstimate | None = None
+
+
+def as_said(tick: Tick) -> Said:
+    """A tick of two palms, as fields."""
+    shape = None if tick.shape is None else shape_fields(tick.shape)
+    return Said(tick.number, tick.t, estimate_fields(tick.estimate), shape, tick.object)
+
+
+def lines(said: Said) -> Iterator[dict[str, Any]]:
+    """The tick as JSON objects: the fields of the estimate, and of outline and object where there are any.
 
     `t` is the log's own time, and so are the stamps. NaN becomes None.
     """
-    t = round(tick.t, 9)
-    fields = {name: or_none(value) for name, value in estimate_fields(tick.estimate).items()}
-    yield {"t": t} | stamp(fields, t, t, tick.number)
-    if tick.shape is not None:
-        yield {"t": t, "shape": {name: or_none(value) for name, value in shape_fields(tick.shape).items()}}
-    if tick.object is not None:
-        yield {"t": t, "object": object_fields(tick.object)}
+    t = round(said.t, 9)
+    fields = {name: or_none(value) for name, value in said.estimate.items()}
+    yield {"t": t} | stamp(fields, t, t, said.number)
+    if said.shape is not None:
+        yield {"t": t, "shape": {name: or_none(value) for name, value in said.shape.items()}}
+    if said.object is not None:
+        yield {"t": t, "object": object_fields(said.object)}

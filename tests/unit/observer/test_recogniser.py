@@ -22,7 +22,7 @@ from palmd.observer.outline_prior import stored
 from palmd.observer.recogniser import NONE
 from palmd.quantities import OBJECT
 from palmd.record.recognition import NONE_OF_THESE, as_line, table, verdict
-from palmd.record.replay import lines, replay
+from palmd.record.replay import as_said, lines, replay
 from palmd.rig.world import default_config
 from palmd.score import score_outline
 
@@ -159,7 +159,9 @@ def test_a_replay_tells_it_each_second():
     bodies, outlines = library("friction", 22, 8)
     run = run_with(bodies[6], "friction", 22, 3.0)
     told = [
-        line for tick in replay(run.log, observer.make("shape", run.log.rig, outlines=outlines)) for line in lines(tick)
+        line
+        for tick in replay(run.log, observer.make("shape", run.log.rig, outlines=outlines))
+        for line in lines(as_said(tick))
     ]
     objects = [line for line in told if isinstance(line.get("object"), dict)]
     assert [line["t"] for line in objects] == pytest.approx([1.0, 2.0])

@@ -1,0 +1,85 @@
+"""One line of an event log: decoded, and its fields checked one by one. Pure."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from typing import Any
+
+MAX_LINE_BYTES = 1 << 20
+
+Line = dict[str, Any]
+
+
+class BadLineError(ValueError):
+    """What is wrong with one line; who reads the file says which."""
+
+
+def decoded(raw: bytes) -> Line:
+    """The JSON object on a line; raises BadLineError, as everything here does."""
+    if len(raw) > MAX_LINE_BYTES:
+        raise BadLineError(f"the line is longer than {MAX_LINE_BYTES} bytes; an event log has one event a line")
+    try:
+        line = json.loads(raw.decode())
+    except UnicodeDecodeError:
+        raise BadLineError("not text (UTF-8)") from None
+    except (ValueError, RecursionError) as error:
+        what = error.msg if isinstance(error, json.JSONDecodeError) else "numbers or nesting beyond reason"
+        raise BadLineError(f"not JSON: {what}") from None
+    if not isinstance(line, dict):
+        raise BadLineError(f"must be an object {{…}}, got {shown(line)}")
+    return line
+
+
+def block(line: Line, key: str) -> Line:
+    """The object under a key that must be there."""
+    value = line.get(key)
+    if not isinstance(value, dict):
+        raise BadLineError(f"{key} is missing" if value is None else f"{key} must be an object {{…}}")
+    return value
+
+
+def number(line: Line, key: str) -> float:
+    """The finite number under a key that must be there."""
+    value = line.get(key)
+    if (type(value) is float or type(value) is int) and abs(value) < math.inf:
+        try:
+            return float(value)
+        except OverflowError:
+            pass
+    if key not in line:
+        raise BadLineError(f"{key} is missing")
+    raise BadLineError(f"{key} must be a finite number, got {shown(value)}")
+
+
+def optional(line: Line, key: str) -> float | None:
+    """The finite number under a key, None where it is missing or null."""
+    return None if line.get(key) is None else number(line, key)
+
+
+def positive(line: Line, key: str, default: float | None = None) -> float:
+    """A number of more than 0, `default` where it is missing and there is one."""
+    return _bounded(line, key, default, lambda value: value > 0.0, "more than 0")
+
+
+def not_negative(line: Line, key: str, default: float | None = None) -> float:
+    """A number from 0, `default` where it is missing and there is one."""
+    return _bounded(line, key, default, lambda value: value >= 0.0, "at least 0")
+
+
+def _bounded(line: Line, key: str, default: float | None, allowed: Callable[[float], bool], bound: str) -> float:
+    if default is not None and line.get(key) is None:
+        return default
+    value = number(line, key)
+    if not allowed(value):
+        raise BadLineError(f"{key} must be {bound}, got {value:g}")
+    return value
+
+
+def shown(value: object) -> str:
+    """A value as an error message shows it."""
+    if isinstance(value, dict | list):
+        return "an object" if isinstance(value, dict) else "a list"
+    text = json.dumps(value) if not isinstance(value, int) or abs(value) < 10**20 else "a number beyond reason"
+    return text if len(text) <= 40 else text[:37] + "…"

@@ -1,0 +1,70 @@
+"""Two flat palms on a hinge: the system that a log means when it names none."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from palmd import observer as observers
+from palmd.events import ObserverName
+from palmd.observer.reconstruct import Reconstruction, reconstruct
+from palmd.observer.static_mass import mass_at_rest
+from palmd.outlinefile import Outline
+from palmd.record.eventlog import EventLog, TwoPalmsForm
+from palmd.record.outline_curves import OutlineCurves, curves_of
+from palmd.record.replay import Said, as_said, replay, tick_count
+from palmd.record.result import as_line
+from palmd.record.systems import TWO_PALMS, Reconstructed
+
+
+class TwoPalms(TwoPalmsForm):
+    """See `palmd.record.systems.System`."""
+
+    name = TWO_PALMS
+
+    def known_to(self, log: EventLog, sds: Mapping[str, float]) -> EventLog:
+        return replace(log, rig=log.rig.known_to(sds))
+
+    def reconstruct(self, log: EventLog, seed: int) -> Reconstructed:
+        answer = reconstruct(log.events, log.rig, seed)
+        at_rest = mass_at_rest(log.events, log.rig)
+        told = summary(answer) if answer.converged else f"not converged: {answer.reason}"
+        if math.isfinite(at_rest.value):
+            told += f"; at rest {at_rest.value * 1e3:.1f} ± {at_rest.sd * 1e3:.1f} g"
+        return Reconstructed(as_line(answer, at_rest), told, _drawn(answer), answer.reason)
+
+    def tick_count(self, log: EventLog) -> int:
+        return tick_count(log)
+
+    def estimate(self, log: EventLog, observer: ObserverName, outlines: Sequence[Outline]) -> Iterator[Said]:
+        smoothing = observers.Simulated(log.rig)
+        watcher = observers.make(observer, log.rig, smoothing=smoothing, outlines=tuple(outlines))
+        return map(as_said, replay(log, watcher))
+
+
+SYSTEM = TwoPalms()
+
+
+def _drawn(answer: Reconstruction) -> Callable[[str], OutlineCurves] | None:
+    h, h_sd, touched = answer.h, answer.h_sd, answer.touched
+    if h is None or h_sd is None or touched is None:
+        return None
+    return lambda name: curves_of(name, answer.theta, h, h_sd, touched, rho_m=answer.rho, mass_kg=answer.mass)
+
+
+def summary(answer: Reconstruction) -> str:
+    """One line about an answer that has converged: the outline's band where touched (RMS), the body's constants."""
+    if answer.h_sd is None or answer.touched is None:
+        raise ValueError("there is no outline")
+    band = float(np.sqrt(np.mean(answer.h_sd[answer.touched] ** 2)))
+    parts = [
+        f"outline ± {band * 1e6:.1f} µm on {np.mean(answer.touched):.0%} of the normals",
+        f"rho {answer.rho * 1e3:.2f} ± {answer.rho_sd * 1e3:.2f} mm",
+        f"mu {answer.mu:z.4f} ± {answer.mu_sd:.4f}",
+        f"mass {answer.mass * 1e3:.1f} ± {answer.mass_sd * 1e3:.1f} g" if math.isfinite(answer.mass) else "no mass",
+        f"{answer.seconds:.1f} s",
+    ]
+    return ", ".join(parts)
