@@ -9,6 +9,8 @@ H = Σ c_lm |x|^(1−l) S_lm(x).
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -52,15 +54,83 @@ def solid_harmonics(x: SX, order: int) -> SX:
     return ca.vertcat(*(table[degree, m] for degree in range(order + 1) for m in range(-degree, degree + 1)))
 
 
-def point_rows(u: SX, order: int) -> tuple[SX, SX]:
-    """(rows (n,) with h(u) = rows·c, rows (n, 3) with ∇H(u) = rowsᵀc) for |u| = 1; right to first order beside it."""
-    value = solid_harmonics(u, order)
-    outside = SX(1.0 - degrees(order)) * value
-    return value, ca.jacobian(value, u) + outside @ u.T
+@cache
+def derivatives(order: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Dx, Dy, Dz (n, n) with ∂S/∂xᵢ = Dᵢ S: those of degree l are sums of at most two harmonics of degree l − 1."""
+    x = SX.sym("x", 3)
+    value = solid_harmonics(x, order)
+    points = np.random.default_rng(0).normal(size=(4 * order + 8, 3))  # any will do: it is solved exactly
+    at, slope = ca.Function("S", [x], [value, ca.jacobian(value, x)]).map(len(points))(points.T)
+    S, n = np.asarray(at), count(order)
+    slopes = np.asarray(slope).reshape(n, len(points), 3)
+    matrices = np.zeros((3, n, n))
+    for degree in range(1, order + 1):
+        above, below = slice(degree**2, (degree + 1) ** 2), slice((degree - 1) ** 2, degree**2)
+        for i in range(3):
+            matrices[i, above, below] = np.linalg.lstsq(S[below].T, slopes[above, :, i].T, rcond=None)[0].T
+    matrices[np.abs(matrices) < 1e-9] = 0.0
+    return matrices[0], matrices[1], matrices[2]
 
 
-def curvature_row(u: SX, s: SX, order: int) -> SX:
-    """Row (n,) with sᵀ∇²H(u)s = row·c for |u| = 1 and s ⟂ u; right to first order in turns of both and in s."""
-    value = solid_harmonics(u, order)
-    second = ca.jtimes(ca.jtimes(value, u, s), u, s)
-    return second + SX(1.0 - degrees(order)) * value * ca.sumsqr(s)
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """A body at the outward unit normal u, by its coefficients c (n,): columns, as CasADi expressions.
+
+    Everything is right to first order in turns of u, and of s with it. rows: what is linear in c is rows·c.
+    """
+
+    u: SX
+    c: SX
+    order: int
+
+    @property
+    def harmonics(self) -> SX:
+        """Rows (n,) of h."""
+        return solid_harmonics(self.u, self.order)
+
+    def terms(self) -> Terms:
+        """What all else is made of."""
+        S = self.harmonics
+        D = [ca.sparsify(ca.DM(matrix)) for matrix in derivatives(self.order)]
+        G = [each @ S for each in D]
+        outside = ca.DM(1.0 - degrees(self.order))
+        off = outside * self.c
+        return Terms(D, S, G, [each.T @ self.c for each in D], outside * S, ca.dot(off, S), [ca.dot(off, g) for g in G])
+
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """Derivative matrices D, harmonics S, gradients G; c differentiated; (1 − l)S, its sum with c and that one's slope."""
+
+    D: list[ca.DM]
+    S: SX
+    G: list[SX]
+    c_slopes: list[SX]
+    outside: SX
+    level: SX
+    level_slopes: list[SX]
+
+
+def point(surface: Surface, terms: Terms) -> tuple[SX, SX, SX]:
+    """(x = ∇H(u), ∂x/∂u (3, 3), its rows (3, n))."""
+    u = surface.u
+    rows = ca.vertcat(*((g + terms.outside * u[i]).T for i, g in enumerate(terms.G)))
+    return rows @ surface.c, _bend(terms) + u @ ca.horzcat(*terms.level_slopes), rows
+
+
+def curvature(surface: Surface, terms: Terms, s: SX) -> tuple[SX, SX, SX, SX]:
+    """(κ = sᵀ∇²H(u)s for s ⟂ u, ∂κ/∂u (1, 3), ∂κ/∂s (1, 3), its rows (1, n))."""
+    along = sum((s[i] * g for i, g in enumerate(terms.G)), SX(0))
+    twice = sum((s[i] * (d @ along) for i, d in enumerate(terms.D)), SX(0))
+    square = ca.sumsqr(s)
+    rows = (twice + terms.outside * square).T
+    by_u = ca.horzcat(
+        *(ca.dot(c, twice) + square * slope for c, slope in zip(terms.c_slopes, terms.level_slopes, strict=True))
+    )
+    return rows @ surface.c, by_u, 2 * (_bend(terms) @ s).T, rows
+
+
+def _bend(terms: Terms) -> SX:
+    """∇²H on the plane ⟂ u."""
+    second = ca.vertcat(*(ca.horzcat(*(ca.dot(c, g) for g in terms.G)) for c in terms.c_slopes))
+    return second + terms.level * SX.eye(3)

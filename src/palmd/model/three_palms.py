@@ -19,7 +19,7 @@ import casadi as ca
 
 from palmd.model.compiled import Library, densified, load
 from palmd.model.contact import SX
-from palmd.model.spherical import Y00, count, curvature_row, point_rows
+from palmd.model.spherical import Y00, Surface, count, curvature, point
 
 MOMENT = 0.43
 """Λ of a body of radius 1 whose λ is 0: between a shell's 0.577 and what is dense inside; a full sphere has 0.447."""
@@ -134,17 +134,21 @@ def newton_function() -> ca.Function:
 def _local_function(order: int) -> ca.Function:
     """(u, s, c) → (q = (x, κ), ∂q/∂u, ∂q/∂s, ∂q/∂c)."""
     u, s, c = SX.sym("u", 3), SX.sym("s", 3), SX.sym("c", count(order))
-    rows = ca.horzcat(point_rows(u, order)[1], curvature_row(u, s, order)).T
-    q = rows @ c
-    return ca.Function("local", [u, s, c], ca.cse([q, ca.jacobian(q, u), ca.jacobian(q, s), rows]))
+    surface = Surface(u, c, order)
+    terms = surface.terms()
+    x, x_by_u, x_rows = point(surface, terms)
+    kappa, by_u, by_s, rows = curvature(surface, terms, s)
+    outputs = [ca.vertcat(x, kappa), ca.vertcat(x_by_u, by_u), ca.vertcat(SX.zeros(3, 3), by_s), ca.vertcat(x_rows, rows)]
+    return ca.Function("local", [u, s, c], ca.cse([ca.densify(each) for each in outputs]))
 
 
 def _point_function(order: int) -> ca.Function:
     """(u, c) → (x, ∂x/∂u, ∂h/∂c, ∂x/∂c)."""
     u, c = SX.sym("u", 3), SX.sym("c", count(order))
-    value, rows = point_rows(u, order)
-    x = rows.T @ c
-    return ca.Function("point", [u, c], ca.cse([x, ca.jacobian(x, u), value.T, rows.T]))
+    surface = Surface(u, c, order)
+    terms = surface.terms()
+    x, by_u, rows = point(surface, terms)
+    return ca.Function("point", [u, c], ca.cse([ca.densify(each) for each in (x, by_u, terms.S.T, rows)]))
 
 
 def acceleration_function(order: int) -> ca.Function:
@@ -184,13 +188,13 @@ def reading_function(order: int) -> ca.Function:
     """
     n = count(order)
     R, geometry, c = ca.MX.sym("R", 3, 3), ca.MX.sym("geometry", 24), ca.MX.sym("c", n)
-    point = _point_function(order)
+    at = _point_function(order)
     axes = ca.horzcat(geometry[18:21], geometry[21:24])
     value, by_turn, by_c = ca.MX.zeros(2), ca.MX.zeros(2, 3), ca.MX.zeros(2, n)
     for i in range(3):
         normal, lift = geometry[3 * i : 3 * i + 3], axes.T @ geometry[9 + 3 * i : 12 + 3 * i]
         u, u_by_turn = -R.T @ normal, -R.T @ ca.skew(normal)
-        x, by_u, height_rows, rows = point(u, c)
+        x, by_u, height_rows, rows = at(u, c)
         value += lift * ca.dot(u, x)
         by_turn += lift @ (x.T @ u_by_turn)
         by_c += lift @ height_rows

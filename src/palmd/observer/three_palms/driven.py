@@ -20,9 +20,9 @@ from palmd.observer.three_palms.path import JointPath
 from palmd.observer.three_palms.record import Readings
 from palmd.system.three_palms import PALMS, contact_points
 
-ROUNDNESS = 1.5e-3
+ROUNDNESS = 3e-3
 """One-sigma of how far a contact is from where a ball's would be (m)."""
-TOGETHER_S = 0.1
+TOGETHER_S = 0.2
 """For about so long that stays what it is."""
 DRIFT = np.array([1e-8, 1.0])
 """Spectral density of what smoothed contacts make the equations fail by: of ṗ (m²/s), of ω̇ ((rad/s)²/s)."""
