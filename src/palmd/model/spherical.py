@@ -9,6 +9,7 @@ H = Σ c_lm |x|^(1−l) S_lm(x).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
@@ -70,6 +71,21 @@ def derivatives(order: int) -> tuple[FloatArray, FloatArray, FloatArray]:
             matrices[i, above, below] = np.linalg.lstsq(S[below].T, slopes[above, :, i].T, rcond=None)[0].T
     matrices[np.abs(matrices) < 1e-9] = 0.0
     return matrices[0], matrices[1], matrices[2]
+
+
+@cache
+def evaluator(order: int) -> Callable[[FloatArray], tuple[FloatArray, FloatArray]]:
+    """Unit normals (T, 3) → rows of h (T, n), and of the point ∇H (T, 3, n)."""
+    x, n = SX.sym("x", 3), count(order)
+    surface = Surface(x, SX.zeros(n), order)
+    terms = surface.terms()
+    function = ca.Function("rows", [x], ca.cse([ca.densify(terms.S), ca.densify(point(surface, terms)[2].T)]))
+
+    def rows(u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        heights, points = (np.asarray(each) for each in function.map(len(u))(u.T))
+        return heights.T, points.reshape(n, 3, len(u), order="F").transpose(2, 1, 0)
+
+    return rows
 
 
 @dataclass(frozen=True, slots=True)

@@ -113,9 +113,7 @@ def newton_function() -> ca.Function:
     J = turned @ _inertia(body[0], body[1:7]) @ turned.T
     p = palms.inverse @ ca.vertcat(*(-ca.dot(n, each) for n, each in zip(palms.normal, r, strict=True)))
     s = [ca.cross(omega, n) - rate for n, rate in zip(palms.normal, palms.rate, strict=True)]
-    p_rate = palms.inverse @ ca.vertcat(
-        *(-ca.dot(palms.rate[i], p) + ca.dot(r[i], s[i]) for i in range(3))
-    )
+    p_rate = palms.inverse @ ca.vertcat(*(-ca.dot(palms.rate[i], p) + ca.dot(r[i], s[i]) for i in range(3)))
     a = ca.vertcat(
         *(
             -ca.dot(palms.acceleration[i], p)
@@ -138,7 +136,12 @@ def _local_function(order: int) -> ca.Function:
     terms = surface.terms()
     x, x_by_u, x_rows = point(surface, terms)
     kappa, by_u, by_s, rows = curvature(surface, terms, s)
-    outputs = [ca.vertcat(x, kappa), ca.vertcat(x_by_u, by_u), ca.vertcat(SX.zeros(3, 3), by_s), ca.vertcat(x_rows, rows)]
+    outputs = [
+        ca.vertcat(x, kappa),
+        ca.vertcat(x_by_u, by_u),
+        ca.vertcat(SX.zeros(3, 3), by_s),
+        ca.vertcat(x_rows, rows),
+    ]
     return ca.Function("local", [u, s, c], ca.cse([ca.densify(each) for each in outputs]))
 
 
@@ -254,6 +257,3 @@ def library(order: int) -> Library:
 def driven_library() -> Library:
     """`driven_block`."""
     return load("three_palms_driven", [_over_block(densified(driven_function()), 2)])
-
-
-

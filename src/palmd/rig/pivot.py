@@ -159,9 +159,7 @@ def simulate_pivot_log(
     """
     rng = np.random.default_rng([7, PIVOT_KINDS.index(kind), seed])
     while True:
-        run = (
-            _tilt(rng, duration_s, off, sides, odd) if kind == "tilt" else _float(rng, duration_s, off, odd)
-        )
+        run = _tilt(rng, duration_s, off, sides, odd) if kind == "tilt" else _float(rng, duration_s, off, odd)
         if run is not None:
             return _log(run, off, rng), _truth(run)
 
@@ -179,9 +177,7 @@ def _grasp(rng: np.random.Generator, off: PivotImperfections, least: float, most
 # ------------------------------------------------------------------------------------------------------ rigid
 
 
-def _tilt(
-    rng: np.random.Generator, duration: float, off: PivotImperfections, sides: int, odd: bool
-) -> PivotRun | None:
+def _tilt(rng: np.random.Generator, duration: float, off: PivotImperfections, sides: int, odd: bool) -> PivotRun | None:
     grasp = _grasp(rng, off, 5e-3, 9e-3, (0.05, 0.2, 0.0), odd)
     angles = np.linspace(-math.pi, math.pi, 1441)
     heights = np.array([grasp.height(a) for a in angles])
@@ -226,9 +222,7 @@ def _tilt(
             rows.append((begin + t, psi, omega, s, now[0], e, force, 1.0))
     history = np.array(rows)
     history[:, 1] -= turned
-    turned_grasp = replace(
-        grasp, body=grasp.body.turned(turned), pivot=grasp.arm(turned)
-    )
+    turned_grasp = replace(grasp, body=grasp.body.turned(turned), pivot=grasp.arm(turned))
 
     def both(plan: list[Callable[[float], Axis]]) -> Callable[[float], Axis]:
         def at(t: float) -> Axis:

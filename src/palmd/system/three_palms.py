@@ -75,12 +75,8 @@ def palms_at(angle: FloatArray, rate: FloatArray, acceleration: FloatArray) -> P
     def mixed(along_edge: FloatArray, along_up: FloatArray) -> FloatArray:
         return along_edge[:, None] * edge + along_up[:, None] * up
 
-    normal = np.stack(
-        [n1, mixed(np.cos(gamma2), np.sin(gamma2)), mixed(-np.cos(gamma3), np.sin(gamma3))], axis=1
-    )
-    axis_a = np.stack(
-        [edge, mixed(-np.sin(gamma2), np.cos(gamma2)), mixed(np.sin(gamma3), np.cos(gamma3))], axis=1
-    )
+    normal = np.stack([n1, mixed(np.cos(gamma2), np.sin(gamma2)), mixed(-np.cos(gamma3), np.sin(gamma3))], axis=1)
+    axis_a = np.stack([edge, mixed(-np.sin(gamma2), np.cos(gamma2)), mixed(np.sin(gamma3), np.cos(gamma3))], axis=1)
     axis_b = np.stack([up, n1, n1], axis=1)
 
     tilt, tilting = rate[:, :1] * edge, acceleration[:, :1] * edge
@@ -90,9 +86,7 @@ def palms_at(angle: FloatArray, rate: FloatArray, acceleration: FloatArray) -> P
     spin = tilt[:, None] + turn * axle
     spin_rate = tilting[:, None] + turning * axle + turn * np.cross(tilt, n1)[:, None]
     normal_rate = np.cross(spin, normal)
-    return Palms(
-        normal, normal_rate, np.cross(spin_rate, normal) + np.cross(spin, normal_rate), spin, axis_a, axis_b
-    )
+    return Palms(normal, normal_rate, np.cross(spin_rate, normal) + np.cross(spin, normal_rate), spin, axis_a, axis_b)
 
 
 def angles_of(normal: FloatArray) -> FloatArray:

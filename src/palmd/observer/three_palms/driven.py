@@ -49,7 +49,9 @@ class Contacts:
         """(T, 18) contact points (m, world) and their velocities, palm by palm."""
         palms = path.palms(t)
         a, b, a_rate, b_rate = (
-            np.stack([pair[k].derivative(n)(t) for pair in self.curves], axis=1) for n in (0, 1) for k in (0, 1)  # type: ignore[index]
+            np.stack([pair[k].derivative(n)(t) for pair in self.curves], axis=1)
+            for n in (0, 1)
+            for k in (0, 1)  # type: ignore[index]
         )
         points = contact_points(palms, a, b)
         moving = np.cross(palms.spin, points) + contact_points(palms, a_rate, b_rate)
@@ -58,14 +60,16 @@ class Contacts:
 
 @dataclass(frozen=True, slots=True)
 class Belief:
-    """What is believed of a ball-like body: mean and one-sigma of its constants, and of its first spin (rad/s).
+    """What is believed of a ball-like body: mean and one-sigma of its constants, and of its state at the first node.
 
-    The constants are ln ρ (ρ the radius of gyration, m), damping (m²/s), ln μ, ln u_d (ln m/s) and the radius (m).
+    The constants are ln ρ (ρ the radius of gyration, m), damping (m²/s), ln μ, ln u_d (ln m/s) and the radius (m); the
+    state is centre of mass (m) and spin (rad/s).
     """
 
     mean: FloatArray
     sd: FloatArray
-    spin_sd: float
+    state: FloatArray
+    state_sd: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,12 +82,12 @@ class Course:
     constants: FloatArray
     cost: float
 
-    def rotations(self) -> FloatArray:
-        """(K + 1, 3, 3) from 1 at the first node on."""
+    def rotations(self, first: FloatArray | None = None) -> FloatArray:
+        """(K + 1, 3, 3) from `first` (1) at the first node on."""
         h = np.diff(self.t)[:, None]
         one, other = self.omega[:-1], self.omega[1:]
         steps = rotation.exp(0.5 * h * (one + other) + h**2 / 12 * np.cross(other, one))
-        R = [np.eye(3)]
+        R = [np.eye(3) if first is None else first]
         for step in steps:
             R.append(step @ R[-1])
         return np.stack(R)
@@ -110,6 +114,7 @@ def course(
     centres, _ = ball_of(given[:, :9].reshape(-1, 3, 3), palms.normal)
     problem = _Problem(inputs, inputs_mid, given, given_mid, palms.normal, spacing, belief, gravity)
     state = np.concatenate([centres, np.zeros_like(centres)], axis=1)
+    state[0] = belief.state
     constants = belief.mean.copy()
     cost, arrow = problem.evaluate(state, constants)
     damping = 1e-3
@@ -154,8 +159,8 @@ class _Problem:
         left = -identity - h / 6 * (f_state[:-1] + 4 * fm_state @ (0.5 * identity + h / 8 * f_state[:-1]))
         right = identity - h / 6 * (f_state[1:] + 4 * fm_state @ (0.5 * identity - h / 8 * f_state[1:]))
         by = np.zeros((K, 6, 5))
-        by[:, :, :4] = -h / 6 * (
-            f_const[:-1] + f_const[1:] + 4 * (fm_const + h / 8 * fm_state @ (f_const[:-1] - f_const[1:]))
+        by[:, :, :4] = (
+            -h / 6 * (f_const[:-1] + f_const[1:] + 4 * (fm_const + h / 8 * fm_state @ (f_const[:-1] - f_const[1:])))
         )
         arrow = Arrow.empty(K + 1, 5)
         arrow.couple(r, weight[:, None] * left, weight[:, None] * right, weight[:, None] * by)
@@ -172,8 +177,8 @@ class _Problem:
         missed = (constants - self.belief.mean) / self.belief.sd
         arrow.corner += np.diag(self.belief.sd**-2.0)
         arrow.gradient += missed / self.belief.sd
-        spin = state[0, 3:] / self.belief.spin_sd
-        arrow.diagonal[0, 3:, 3:] += np.eye(3) / self.belief.spin_sd**2
-        arrow.nodes_gradient[0, 3:] += spin / self.belief.spin_sd
-        cost = (r**2).sum() + round_weight**2 * (off**2).sum() + (missed**2).sum() + (spin**2).sum()
+        begun = (state[0] - self.belief.state) / self.belief.state_sd
+        arrow.diagonal[0] += np.diag(self.belief.state_sd**-2.0)
+        arrow.nodes_gradient[0] += begun / self.belief.state_sd
+        cost = (r**2).sum() + round_weight**2 * (off**2).sum() + (missed**2).sum() + (begun**2).sum()
         return float(cost), arrow

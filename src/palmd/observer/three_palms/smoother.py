@@ -84,6 +84,28 @@ def order_of(parameters: int) -> int:
     return int(np.sqrt(parameters - BODY)) - 1
 
 
+def at_readings(record: Record, R: FloatArray, omega: FloatArray) -> FloatArray:
+    """(S, 3, 3) rotations at the readings' times, between nodes that turn as R and omega (K + 1, …) say."""
+    return _between(record, R, omega, *_turns(R, omega))
+
+
+def _turns(R: FloatArray, omega: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(K, 3) rotation vectors from each node to the next, and at which rate they end there."""
+    phi = rotation.log(R[1:] @ np.swapaxes(R[:-1], 1, 2))
+    return phi, omega[1:] - 0.5 * np.cross(phi, omega[1:])
+
+
+def _between(record: Record, R: FloatArray, omega: FloatArray, phi: FloatArray, ending: FloatArray) -> FloatArray:
+    k, (there, out, back) = record.interval, (each[:, None] for each in _hermite(record.share))
+    turned = there * phi[k] + record.spacing * (out * omega[:-1][k] + back * ending[k])
+    return rotation.exp(turned) @ R[:-1][k]
+
+
+def _hermite(share: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Weights of the end's value, the beginning's rate and the end's rate in a cubic that begins at 0."""
+    return 3 * share**2 - 2 * share**3, share - 2 * share**2 + share**3, share**3 - share**2
+
+
 class Smoother:
     """The sum of squares of one record, and its minimum."""
 
@@ -101,8 +123,7 @@ class Smoother:
         shared = (p, self._gravity)
         f, force, f_turn, f_omega, f_p = self._acceleration((by_columns(R), omega, record.node_palms), shared)
         f0, f1, w0, w1 = f[:-1], f[1:], omega[:-1], omega[1:]
-        phi = rotation.log(R[1:] @ np.swapaxes(R[:-1], 1, 2))
-        ending = w1 - 0.5 * np.cross(phi, w1)  # rate of the rotation vector from the left node, at the right one
+        phi, ending = _turns(R, omega)
         w_mid = 0.5 * (w0 + w1) + h / 8 * (f0 - f1)
         R_mid = rotation.exp(0.5 * phi + h / 8 * (w0 - ending)) @ R[:-1]
         mid = self._acceleration((by_columns(R_mid), w_mid, record.middle_palms), shared)
@@ -147,7 +168,9 @@ class Smoother:
         arrow.diagonal[0, :3, :3] += 1e12 * np.eye(3)
         arrow.diagonal[0, 3:, 3:] += np.eye(3) / prior.spin_sd**2
         arrow.nodes_gradient[0, 3:] += (omega[0] - prior.spin) / prior.spin_sd**2
-        cost = float((r**2).sum() + off @ prior.information @ off + ((omega[0] - prior.spin) ** 2).sum() / prior.spin_sd**2)
+        cost = float(
+            (r**2).sum() + off @ prior.information @ off + ((omega[0] - prior.spin) ** 2).sum() / prior.spin_sd**2
+        )
         chi2 = float((residual**2).mean()) / noise.reading**2
         return Fit(motion, cost, chi2, force, arrow, residual, 0)
 
@@ -157,14 +180,12 @@ class Smoother:
     ) -> FloatArray:  # fmt: skip
         """Fill in the readings' rows; returns what they miss by (S, 2) (m)."""
         record, h = self._record, self._record.spacing
-        k, tau = record.interval, record.share[:, None]
-        there, out, back = 3 * tau**2 - 2 * tau**3, tau - 2 * tau**2 + tau**3, tau**3 - tau**2
-        turned = there * phi[k] + h * (out * motion.omega[:-1][k] + back * ending[k])
-        R = rotation.exp(turned) @ motion.R[:-1][k]
+        k, (there, out, back) = record.interval, _hermite(record.share)
+        R = _between(record, motion.R, motion.omega, phi, ending)
         y, by_turn, by_c = self._reading((by_columns(R), record.geometry), (motion.p[self._shape],))
         residual = y - record.readings.value
         weight = 1.0 / self._noise.reading
-        tau, there, out, back = (each[:, :, None] for each in (tau, there, out, back))
+        there, out, back = (each[:, None, None] for each in (there, out, back))
         rows = 6 + 2 * record.slot[:, None] + np.arange(2)
         at = (k[:, None], rows)
         r[at] = weight * residual

@@ -22,6 +22,7 @@ from palmd.record.replay import Said
 TWO_PALMS = "two_palms"
 SYSTEMS: Mapping[str, str] = {
     TWO_PALMS: "palmd.record.systems.two_palms",
+    "three_palms": "palmd.record.systems.three_palms",
 }
 """Each system's name and the module that has its `SYSTEM`; a log that names none is of two palms on a hinge."""
 

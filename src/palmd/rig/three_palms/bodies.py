@@ -81,12 +81,10 @@ def _one(random: np.random.Generator) -> tuple[FloatArray, ...]:
         vertices = random.normal(size=(VERTICES, 3))
         vertices /= np.linalg.norm(vertices, axis=1)[:, None]
         vertices *= radius * shares[2] * random.uniform(0.8, 1.2, VERTICES)[:, None]
-        sharpness = random.uniform(5.0, 9.0)
+        sharpness = random.uniform(4.0, 7.5)
         centre = random.normal(0.0, 8e-4, 3)
         ball, none = np.array(radius * shares[0]), np.zeros(3)
-        body = Bodies(
-            ball[None], forms[None], vertices[None], np.array([sharpness]), none[None], np.zeros((1, 3, 3))
-        )
+        body = Bodies(ball[None], forms[None], vertices[None], np.array([sharpness]), none[None], np.zeros((1, 3, 3)))
         u = spread_directions(600)[None]
         if (np.einsum("bvi,bni->bnv", body.vertices, u).max(-1) <= 1e-4).any():
             continue  # the vertices do not surround the middle

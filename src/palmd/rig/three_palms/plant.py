@@ -86,7 +86,9 @@ def accelerations(
     torque = np.cross(r, push)
     wrench = np.concatenate([push, np.einsum("bij,bnj->bni", J_inverse, torque)], axis=-1)
     free = -rubbing.drag[:, None] * state.omega - np.cross(state.omega, np.einsum("bij,bj->bi", J, state.omega))
-    free = np.concatenate([np.tile([0.0, 0.0, -gravity], (len(h), 1)), np.einsum("bij,bj->bi", J_inverse, free)], axis=-1)
+    free = np.concatenate(
+        [np.tile([0.0, 0.0, -gravity], (len(h), 1)), np.einsum("bij,bj->bi", J_inverse, free)], axis=-1
+    )
     wanted = -bias - 2 * PULL * gap_rate - PULL**2 * gap - np.einsum("bni,bi->bn", jacobian, free)
     force = np.linalg.solve(np.einsum("bni,bmi->bnm", jacobian, wrench), wanted[..., None])[..., 0]
     total = free + np.einsum("bn,bni->bi", force, wrench)
