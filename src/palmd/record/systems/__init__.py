@@ -23,6 +23,7 @@ TWO_PALMS = "two_palms"
 SYSTEMS: Mapping[str, str] = {
     TWO_PALMS: "palmd.record.systems.two_palms",
     "pivot": "palmd.record.systems.pivot",
+    "three_palms": "palmd.record.systems.three_palms",
 }
 """Each system's name and the module that has its `SYSTEM`; a log that names none is of two palms on a hinge."""
 

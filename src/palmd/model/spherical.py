@@ -1,0 +1,152 @@
+"""Support functions in real spherical harmonics, orthonormal on the unit sphere, as CasADi expressions.
+
+h(u) = Σ c_lm Y_lm(u), l = 0…L, in the order (0,0), (1,−1), (1,0), (1,1), (2,−2), …; a negative m is the sine's.
+H(x) = |x| h(x/|x|) is homogeneous of degree 1, so that ∇H(u) is the body's point with outward normal u, and ∇²H(u) has
+the null vector u and the two radii of curvature. With the solid harmonics S_lm, homogeneous of degree l,
+H = Σ c_lm |x|^(1−l) S_lm(x).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+import casadi as ca
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.model.contact import SX
+
+Y00 = 1.0 / math.sqrt(4.0 * math.pi)
+
+
+def count(order: int) -> int:
+    """How many coefficients there are up to degree `order`."""
+    return (order + 1) ** 2
+
+
+def degrees(order: int) -> FloatArray:
+    """The degree l of each coefficient."""
+    return np.repeat(np.arange(order + 1.0), 2 * np.arange(order + 1) + 1)
+
+
+def solid_harmonics(x: SX, order: int) -> SX:
+    """S_lm(x) for x in R³, a column in the order of the coefficients."""
+    r2 = ca.sumsqr(x)
+    table: dict[tuple[int, int], SX] = {(0, 0): SX(Y00)}
+    for m in range(1, order + 1):
+        c, s = table[m - 1, m - 1], table.get((m - 1, 1 - m), SX(0))
+        if m == 1:
+            s = SX(0)
+        factor = math.sqrt((2 * m + 1) / (2 * m)) * (math.sqrt(2.0) if m == 1 else 1.0)
+        table[m, m] = factor * (x[0] * c - x[1] * s)
+        table[m, -m] = factor * (x[0] * s + x[1] * c)
+    for size in range(order + 1):
+        for m in {size, -size}:
+            for degree in range(size + 1, order + 1):
+                a = math.sqrt((4 * degree**2 - 1) / (degree**2 - m**2))
+                value = x[2] * table[degree - 1, m]
+                if degree - 2 >= size:
+                    b = math.sqrt(((degree - 1) ** 2 - m**2) / (4 * (degree - 1) ** 2 - 1))
+                    value -= b * r2 * table[degree - 2, m]
+                table[degree, m] = a * value
+    return ca.vertcat(*(table[degree, m] for degree in range(order + 1) for m in range(-degree, degree + 1)))
+
+
+@cache
+def derivatives(order: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Dx, Dy, Dz (n, n) with ∂S/∂xᵢ = Dᵢ S: those of degree l are sums of at most two harmonics of degree l − 1."""
+    x = SX.sym("x", 3)
+    value = solid_harmonics(x, order)
+    points = np.random.default_rng(0).normal(size=(4 * order + 8, 3))  # any will do: it is solved exactly
+    at, slope = ca.Function("S", [x], [value, ca.jacobian(value, x)]).map(len(points))(points.T)
+    S, n = np.asarray(at), count(order)
+    slopes = np.asarray(slope).reshape(n, len(points), 3)
+    matrices = np.zeros((3, n, n))
+    for degree in range(1, order + 1):
+        above, below = slice(degree**2, (degree + 1) ** 2), slice((degree - 1) ** 2, degree**2)
+        for i in range(3):
+            matrices[i, above, below] = np.linalg.lstsq(S[below].T, slopes[above, :, i].T, rcond=None)[0].T
+    matrices[np.abs(matrices) < 1e-9] = 0.0
+    return matrices[0], matrices[1], matrices[2]
+
+
+@cache
+def evaluator(order: int) -> Callable[[FloatArray], tuple[FloatArray, FloatArray]]:
+    """Unit normals (T, 3) → rows of h (T, n), and of the point ∇H (T, 3, n)."""
+    x, n = SX.sym("x", 3), count(order)
+    surface = Surface(x, SX.zeros(n), order)
+    terms = surface.terms()
+    function = ca.Function("rows", [x], ca.cse([ca.densify(terms.S), ca.densify(point(surface, terms)[2].T)]))
+
+    def rows(u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        heights, points = (np.asarray(each) for each in function.map(len(u))(u.T))
+        return heights.T, points.reshape(n, 3, len(u), order="F").transpose(2, 1, 0)
+
+    return rows
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """A body at the outward unit normal u, by its coefficients c (n,): columns, as CasADi expressions.
+
+    Everything is right to first order in turns of u, and of s with it. rows: what is linear in c is rows·c.
+    """
+
+    u: SX
+    c: SX
+    order: int
+
+    @property
+    def harmonics(self) -> SX:
+        """Rows (n,) of h."""
+        return solid_harmonics(self.u, self.order)
+
+    def terms(self) -> Terms:
+        """What all else is made of."""
+        S = self.harmonics
+        D = [ca.sparsify(ca.DM(matrix)) for matrix in derivatives(self.order)]
+        G = [each @ S for each in D]
+        outside = ca.DM(1.0 - degrees(self.order))
+        off = outside * self.c
+        return Terms(D, S, G, [each.T @ self.c for each in D], outside * S, ca.dot(off, S), [ca.dot(off, g) for g in G])
+
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """Derivative matrices D, harmonics S, gradients G; c differentiated; (1 − l)S, its sum with c and that one's slope."""
+
+    D: list[ca.DM]
+    S: SX
+    G: list[SX]
+    c_slopes: list[SX]
+    outside: SX
+    level: SX
+    level_slopes: list[SX]
+
+
+def point(surface: Surface, terms: Terms) -> tuple[SX, SX, SX]:
+    """(x = ∇H(u), ∂x/∂u (3, 3), its rows (3, n))."""
+    u = surface.u
+    rows = ca.vertcat(*((g + terms.outside * u[i]).T for i, g in enumerate(terms.G)))
+    return rows @ surface.c, _bend(terms) + u @ ca.horzcat(*terms.level_slopes), rows
+
+
+def curvature(surface: Surface, terms: Terms, s: SX) -> tuple[SX, SX, SX, SX]:
+    """(κ = sᵀ∇²H(u)s for s ⟂ u, ∂κ/∂u (1, 3), ∂κ/∂s (1, 3), its rows (1, n))."""
+    along = sum((s[i] * g for i, g in enumerate(terms.G)), SX(0))
+    twice = sum((s[i] * (d @ along) for i, d in enumerate(terms.D)), SX(0))
+    square = ca.sumsqr(s)
+    rows = (twice + terms.outside * square).T
+    by_u = ca.horzcat(
+        *(ca.dot(c, twice) + square * slope for c, slope in zip(terms.c_slopes, terms.level_slopes, strict=True))
+    )
+    return rows @ surface.c, by_u, 2 * (_bend(terms) @ s).T, rows
+
+
+def _bend(terms: Terms) -> SX:
+    """∇²H on the plane ⟂ u."""
+    second = ca.vertcat(*(ca.horzcat(*(ca.dot(c, g) for g in terms.G)) for c in terms.c_slopes))
+    return second + terms.level * SX.eye(3)

@@ -1,0 +1,1 @@
+"""The observer of an unknown body between three palms in space."""

@@ -1,0 +1,109 @@
+"""Least squares over a chain of nodes that share parameters: the normal equations have the form of an arrow.
+
+Each node has `STATES` unknowns and is coupled to its neighbours alone; all are coupled to the parameters. The chain is
+eliminated by a banded Cholesky factor, which leaves the parameters' own dense matrix.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from palmd.events import FloatArray
+
+STATES = 6
+
+
+@dataclass(slots=True)
+class Arrow:
+    """Half the Hessian and half the gradient of a sum of squares: K nodes of `STATES` unknowns, m parameters.
+
+    diagonal (K, 6, 6), upper (K−1, 6, 6) from node k to k+1, border (K, 6, m), corner (m, m); gradient (K, 6) and (m,).
+    """
+
+    diagonal: FloatArray
+    upper: FloatArray
+    border: FloatArray
+    corner: FloatArray
+    nodes_gradient: FloatArray
+    gradient: FloatArray
+
+    @classmethod
+    def empty(cls, nodes: int, parameters: int) -> Arrow:
+        """Of nothing yet."""
+        return cls(
+            np.zeros((nodes, STATES, STATES)),
+            np.zeros((nodes - 1, STATES, STATES)),
+            np.zeros((nodes, STATES, parameters)),
+            np.zeros((parameters, parameters)),
+            np.zeros((nodes, STATES)),
+            np.zeros(parameters),
+        )
+
+    def couple(self, r: FloatArray, left: FloatArray, right: FloatArray, by: FloatArray) -> None:
+        """Add whitened residuals r (K−1, 6) between neighbours, with their Jacobians in both nodes and parameters."""
+        left_t, right_t = left.transpose(0, 2, 1), right.transpose(0, 2, 1)
+        self.diagonal[:-1] += left_t @ left
+        self.diagonal[1:] += right_t @ right
+        self.upper += left_t @ right
+        self.border[:-1] += left_t @ by
+        self.border[1:] += right_t @ by
+        self.nodes_gradient[:-1] += (left_t @ r[..., None])[..., 0]
+        self.nodes_gradient[1:] += (right_t @ r[..., None])[..., 0]
+        self._share(r, by)
+
+    def between(self, k: FloatArray, r: FloatArray, left: FloatArray, right: FloatArray, by: FloatArray) -> None:
+        """Add whitened residuals r (S, q) within intervals k (S,), sorted, with Jacobians in both ends and parameters."""
+        left_t, right_t = left.transpose(0, 2, 1), right.transpose(0, 2, 1)
+        np.add.at(self.diagonal, k, left_t @ left)
+        np.add.at(self.diagonal, k + 1, right_t @ right)
+        np.add.at(self.upper, k, left_t @ right)
+        np.add.at(self.border, k, left_t @ by)
+        np.add.at(self.border, k + 1, right_t @ by)
+        np.add.at(self.nodes_gradient, k, (left_t @ r[..., None])[..., 0])
+        np.add.at(self.nodes_gradient, k + 1, (right_t @ r[..., None])[..., 0])
+        self._share(r, by)
+
+    def _share(self, r: FloatArray, by: FloatArray) -> None:
+        flat = by.reshape(-1, by.shape[-1])
+        self.corner += flat.T @ flat
+        self.gradient += flat.T @ r.reshape(-1)
+
+    def solve(self, damping: float) -> tuple[FloatArray, FloatArray]:
+        """(step of the nodes (K, 6), of the parameters (m,)), the diagonals raised by the share `damping`.
+
+        Raises numpy.linalg.LinAlgError where the matrix is not positive definite.
+        """
+        chain, corner = self._factor(damping)
+        K, _, m = self.border.shape
+        sides = np.concatenate([self.border, self.nodes_gradient[..., None]], axis=2).reshape(K * STATES, m + 1)
+        solved = linalg.cho_solve_banded((chain, True), sides, check_finite=False)
+        across = self.border.reshape(K * STATES, m)
+        schur = corner - across.T @ solved[:, :m]
+        step = -linalg.cho_solve(linalg.cho_factor(schur, check_finite=False), self.gradient - across.T @ solved[:, m])
+        return -(solved[:, m] + solved[:, :m] @ step).reshape(K, STATES), step
+
+    def information(self) -> FloatArray:
+        """Of the parameters, whatever the nodes are (m, m)."""
+        chain, corner = self._factor(0.0)
+        K, _, m = self.border.shape
+        across = self.border.reshape(K * STATES, m)
+        told: FloatArray = corner - across.T @ linalg.cho_solve_banded((chain, True), across, check_finite=False)
+        return told
+
+    def _factor(self, damping: float) -> tuple[FloatArray, FloatArray]:
+        """(banded Cholesky factor of the chain, corner), both damped."""
+        K = len(self.diagonal)
+        band = np.zeros((2 * STATES, K, STATES))  # lower form: band[i − j, j]
+        for i in range(STATES):
+            for j in range(STATES):
+                if i >= j:
+                    band[i - j, :, j] = self.diagonal[:, i, j]
+                band[STATES + i - j, :-1, j] = self.upper[:, j, i]
+        band[0] *= 1.0 + damping
+        corner = self.corner.copy()
+        corner[np.diag_indices_from(corner)] *= 1.0 + damping
+        flat = band.reshape(2 * STATES, K * STATES)
+        return linalg.cholesky_banded(flat, lower=True, overwrite_ab=True, check_finite=False), corner

@@ -1,0 +1,84 @@
+"""What is believed of a body before any reading, and what it may be tried with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.model.spherical import Y00, count, degrees
+from palmd.model.three_palms import BODY
+from palmd.observer.three_palms.driven import Belief
+from palmd.observer.three_palms.smoother import Prior
+
+RADIUS_SD = 0.12  # of the radius that the contacts suggest, as a share
+CENTRE_SD = 0.07  # of the centre of mass from the middle, in radii
+ELLIPSE_SD = 0.08  # RMS over the sphere of all harmonics of degree 2, in radii
+FALL = 2.2  # with which power of the degree it falls from there
+LAMBDA_SD = 0.12
+DAMPING_SD = 3e-4  # m²/s
+MU, MU_SD = 0.1, 0.1
+DITHER_M_S, LN_DITHER_SD = 0.01, 0.4
+SPIN_SD = 3.0  # at the beginning (rad/s)
+GYRATION = 0.62  # a body's radius of gyration, in radii
+FRICTIONLESS = 1e-3
+
+
+def shape_variance(radius: float, order: int) -> FloatArray:
+    """Of each coefficient of the outline (m²)."""
+    degree = degrees(order)
+    rms = radius * ELLIPSE_SD * (2.0 / np.maximum(degree, 2.0)) ** FALL
+    variance: FloatArray = 4 * np.pi * rms**2 / (2 * degree + 1)
+    variance[0] = (RADIUS_SD * radius / Y00) ** 2
+    variance[1:4] = 4 * np.pi * (CENTRE_SD * radius) ** 2 / 3
+    return variance
+
+
+def beyond_variance(radius: float, order: int) -> float:
+    """Of the outline's height at a point, from the degrees above `order` (m²)."""
+    degree = np.arange(order + 1.0, 60.0)
+    return float(((radius * ELLIPSE_SD) ** 2 * (2.0 / degree) ** (2 * FALL)).sum())
+
+
+def prior(radius: float, order: int) -> Prior:
+    """Of a body whose contacts suggest this radius (m)."""
+    mean = np.zeros(count(order) + BODY)
+    mean[0] = radius / Y00
+    mean[-2:] = MU, math.log(DITHER_M_S)
+    body_sd = np.array([LAMBDA_SD] * 6 + [DAMPING_SD, MU_SD, LN_DITHER_SD])
+    variance = np.concatenate([shape_variance(radius, order), body_sd**2])
+    return Prior(mean, np.diag(1.0 / variance), np.zeros(3), SPIN_SD)
+
+
+def raised(p: FloatArray, order: int) -> FloatArray:
+    """The same parameters with an outline up to degree `order`, no lower than theirs."""
+    n = len(p) - BODY
+    return np.concatenate([p[:n], np.zeros(count(order) - n), p[n:]])
+
+
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """What a start takes for granted: how much larger than a ball through its contacts the body is, and its friction."""
+
+    larger: float
+    mu: float
+
+    def belief(self, radius: float, centre: FloatArray, spin_sd: float) -> Belief:
+        """For a ball of this radius (m) through the first contacts, about this centre (m)."""
+        own = radius * (1.0 + self.larger)
+        return Belief(
+            np.array([math.log(GYRATION * own), 1e-4, math.log(self.mu), math.log(DITHER_M_S), own]),
+            np.array([0.12, 2e-4, 0.5, LN_DITHER_SD, 0.06 * own]),
+            np.concatenate([centre, np.zeros(3)]),
+            np.array([5e-3] * 3 + [spin_sd] * 3),
+        )
+
+
+def hypotheses() -> Iterator[Hypothesis]:
+    """Those that are tried, the likelier first."""
+    for larger in (0.0, 0.1, 0.2, -0.1):
+        for mu in (0.1, 0.03, FRICTIONLESS):
+            yield Hypothesis(larger, mu)

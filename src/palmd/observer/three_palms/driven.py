@@ -1,0 +1,184 @@
+"""The blind start: what a ball-like body must have done for its contacts to have been where they were felt.
+
+Without any shape the equations of motion tell how centre of mass and spin go on, once the contacts and how they move
+are given; that the body is about round keeps both bounded. No rotation and no shape are in it, so that there is hardly
+a wrong answer to fall into; rotation and shape follow from it by an integral and by linear least squares.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BSpline, make_smoothing_spline
+
+from palmd.events import FloatArray
+from palmd.observer.three_palms import kernels, rotation
+from palmd.observer.three_palms.arrow import Arrow
+from palmd.observer.three_palms.kernels import palm_inputs
+from palmd.observer.three_palms.path import JointPath
+from palmd.observer.three_palms.record import Readings
+from palmd.system.three_palms import PALMS, contact_points
+
+ROUNDNESS = 3e-3
+"""One-sigma of how far a contact is from where a ball's would be (m)."""
+TOGETHER_S = 0.2
+"""For about so long that stays what it is."""
+DRIFT = np.array([1e-8, 1.0])
+"""Spectral density of what smoothed contacts make the equations fail by: of ṗ (m²/s), of ω̇ ((rad/s)²/s)."""
+ITERATIONS = 25
+
+
+@dataclass(frozen=True, slots=True)
+class Contacts:
+    """Smoothed readings: one curve for each pad, t → (a, b) (m)."""
+
+    curves: tuple[BSpline, ...]
+
+    @classmethod
+    def smoothed(cls, readings: Readings) -> Contacts:
+        """Cubic splines whose stiffness is by generalised cross-validation, of each coordinate its own."""
+        curves = []
+        for pad in range(len(PALMS)):
+            mine = readings.pad == pad
+            t, first = np.unique(readings.t[mine], return_index=True)
+            curves.append([make_smoothing_spline(t, readings.value[mine][first, k]) for k in range(2)])
+        return cls(tuple(tuple(pair) for pair in curves))  # type: ignore[arg-type]
+
+    def at(self, path: JointPath, t: FloatArray) -> FloatArray:
+        """(T, 18) contact points (m, world) and their velocities, palm by palm."""
+        palms = path.palms(t)
+        a, b, a_rate, b_rate = (
+            np.stack([pair[k].derivative(n)(t) for pair in self.curves], axis=1)
+            for n in (0, 1)
+            for k in (0, 1)  # type: ignore[index]
+        )
+        points = contact_points(palms, a, b)
+        moving = np.cross(palms.spin, points) + contact_points(palms, a_rate, b_rate)
+        return np.concatenate([points.reshape(-1, 9), moving.reshape(-1, 9)], axis=1)
+
+
+@dataclass(frozen=True, slots=True)
+class Belief:
+    """What is believed of a ball-like body: mean and one-sigma of its constants, and of its state at the first node.
+
+    The constants are ln ρ (ρ the radius of gyration, m), damping (m²/s), ln μ, ln u_d (ln m/s) and the radius (m); the
+    state is centre of mass (m) and spin (rad/s).
+    """
+
+    mean: FloatArray
+    sd: FloatArray
+    state: FloatArray
+    state_sd: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """Centre of mass (K + 1, 3) (m) and spin (K + 1, 3) (rad/s) at the nodes t, the constants, and the cost."""
+
+    t: FloatArray
+    p: FloatArray
+    omega: FloatArray
+    constants: FloatArray
+    cost: float
+
+    def rotations(self, first: FloatArray | None = None) -> FloatArray:
+        """(K + 1, 3, 3) from `first` (1) at the first node on."""
+        h = np.diff(self.t)[:, None]
+        one, other = self.omega[:-1], self.omega[1:]
+        steps = rotation.exp(0.5 * h * (one + other) + h**2 / 12 * np.cross(other, one))
+        R = [np.eye(3) if first is None else first]
+        for step in steps:
+            R.append(step @ R[-1])
+        return np.stack(R)
+
+
+def ball_of(points: FloatArray, normals: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(centres (T, 3), radii (T,)) of the balls that lie nearest to contacts (T, 3 palms, 3) on palms of these normals."""
+    # c_i = p − r n_i, least squares in (p, r)
+    mean_c, mean_n = points.mean(1), normals.mean(1)
+    off_c, off_n = points - mean_c[:, None], normals - mean_n[:, None]
+    r = -(off_c * off_n).sum((1, 2)) / (off_n**2).sum((1, 2))
+    return mean_c + r[:, None] * mean_n, r
+
+
+def course(
+    path: JointPath, contacts: Contacts, start: float, intervals: int, spacing: float, belief: Belief, gravity: float
+) -> Course:
+    """The likeliest course on `intervals` from `start` on."""
+    t = start + spacing * np.arange(intervals + 1)
+    middle = t[:-1] + spacing / 2
+    palms = path.palms(t)
+    given, given_mid = contacts.at(path, t), contacts.at(path, middle)
+    inputs, inputs_mid = palm_inputs(palms), palm_inputs(path.palms(middle))
+    centres, _ = ball_of(given[:, :9].reshape(-1, 3, 3), palms.normal)
+    problem = _Problem(inputs, inputs_mid, given, given_mid, palms.normal, spacing, belief, gravity)
+    state = np.concatenate([centres, np.zeros_like(centres)], axis=1)
+    state[0] = belief.state
+    constants = belief.mean.copy()
+    cost, arrow = problem.evaluate(state, constants)
+    damping = 1e-3
+    for _ in range(ITERATIONS):
+        nodes, step = arrow.solve(damping)
+        trial = problem.evaluate(state + nodes, constants + step)
+        if trial[0] < cost:
+            gained, (cost, arrow) = cost - trial[0], trial
+            state, constants = state + nodes, constants + step
+            damping = max(damping / 5, 1e-9)
+            if gained < 1e-3 * cost:
+                break
+        else:
+            damping *= 8
+            if damping > 1e6:
+                break
+    return Course(t, state[:, :3], state[:, 3:], constants, cost)
+
+
+@dataclass(frozen=True, slots=True)
+class _Problem:
+    """Least squares in centre and spin at the nodes, and constants."""
+
+    inputs: FloatArray
+    inputs_mid: FloatArray
+    given: FloatArray
+    given_mid: FloatArray
+    normals: FloatArray
+    spacing: float
+    belief: Belief
+    gravity: float
+
+    def evaluate(self, state: FloatArray, constants: FloatArray) -> tuple[float, Arrow]:
+        h, K, kernel = self.spacing, len(state) - 1, kernels.driven()
+        shared = (constants[:4], self.gravity)
+        f, f_state, f_const = kernel((state, self.inputs, self.given), shared)
+        mid_state = 0.5 * (state[:-1] + state[1:]) + h / 8 * (f[:-1] - f[1:])
+        fm, fm_state, fm_const = kernel((mid_state, self.inputs_mid, self.given_mid), shared)
+        weight = np.repeat((DRIFT * h) ** -0.5, 3)
+        identity = np.eye(6)
+        r = weight * (state[1:] - state[:-1] - h / 6 * (f[:-1] + 4 * fm + f[1:]))
+        left = -identity - h / 6 * (f_state[:-1] + 4 * fm_state @ (0.5 * identity + h / 8 * f_state[:-1]))
+        right = identity - h / 6 * (f_state[1:] + 4 * fm_state @ (0.5 * identity - h / 8 * f_state[1:]))
+        by = np.zeros((K, 6, 5))
+        by[:, :, :4] = (
+            -h / 6 * (f_const[:-1] + f_const[1:] + 4 * (fm_const + h / 8 * fm_state @ (f_const[:-1] - f_const[1:])))
+        )
+        arrow = Arrow.empty(K + 1, 5)
+        arrow.couple(r, weight[:, None] * left, weight[:, None] * right, weight[:, None] * by)
+
+        # r_i + ρ n_i = 0 for a ball: nine numbers a node, of which neighbours repeat the same
+        round_weight = 1.0 / (ROUNDNESS * np.sqrt(max(TOGETHER_S / h, 1.0)))
+        off = self.given[:, :9].reshape(-1, 3, 3) - state[:, None, :3] + constants[4] * self.normals
+        arrow.diagonal[:, :3, :3] += 3 * round_weight**2 * np.eye(3)
+        arrow.border[:, :3, 4] -= round_weight**2 * self.normals.sum(1)
+        arrow.corner[4, 4] += round_weight**2 * (self.normals**2).sum()
+        arrow.nodes_gradient[:, :3] -= round_weight**2 * off.sum(1)
+        arrow.gradient[4] += round_weight**2 * (off * self.normals).sum()
+
+        missed = (constants - self.belief.mean) / self.belief.sd
+        arrow.corner += np.diag(self.belief.sd**-2.0)
+        arrow.gradient += missed / self.belief.sd
+        begun = (state[0] - self.belief.state) / self.belief.state_sd
+        arrow.diagonal[0] += np.diag(self.belief.state_sd**-2.0)
+        arrow.nodes_gradient[0] += begun / self.belief.state_sd
+        cost = (r**2).sum() + round_weight**2 * (off**2).sum() + (missed**2).sum() + (begun**2).sum()
+        return float(cost), arrow

@@ -1,0 +1,91 @@
+"""The generated kernels applied to many instants at once, as arrays in NumPy's order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.model import three_palms
+from palmd.model.compiled import Library
+from palmd.model.spherical import count
+from palmd.model.three_palms import BLOCK, BODY, PALM_INPUTS
+from palmd.system.three_palms import Palms
+
+
+class Kernel:
+    """One block kernel: `BLOCK` instants a call, looped over as many as there are.
+
+    each: sizes of the inputs that each instant has its own of; shared: of those that all have alike; shapes: of the
+    outputs, (rows, columns) or (rows,). Matrices go in as CasADi stores them, by columns.
+    """
+
+    def __init__(
+        self, library: Library, name: str, each: Sequence[int], shared: Sequence[int], shapes: Sequence[tuple[int, ...]]
+    ) -> None:
+        self._inputs = [np.zeros((BLOCK, size)) for size in each]
+        self._shared = [np.zeros(size) for size in shared]
+        self._outputs = [np.zeros((BLOCK, *shape[::-1])) for shape in shapes]
+        self._call = library.bind(name, [*self._inputs, *self._shared], self._outputs)
+
+    def __call__(self, each: Sequence[FloatArray], shared: Sequence[FloatArray | float]) -> list[FloatArray]:
+        """Outputs (T, *shape) of inputs (T, size) and what they share."""
+        total = len(each[0])
+        for buffer, value in zip(self._shared, shared, strict=True):
+            buffer[:] = value
+        results = [np.empty((total, *buffer.shape[1:])) for buffer in self._outputs]
+        for begin in range(0, total, BLOCK):
+            end = min(begin + BLOCK, total)
+            for buffer, value in zip(self._inputs, each, strict=True):
+                buffer[: end - begin] = value[begin:end]
+            self._call()
+            for result, buffer in zip(results, self._outputs, strict=True):
+                result[begin:end] = buffer[: end - begin]
+        return [np.swapaxes(result, 1, -1) if result.ndim == 3 else result for result in results]
+
+
+def by_columns(R: FloatArray) -> FloatArray:
+    """(T, 9) of matrices (T, 3, 3), as the kernels take them."""
+    return np.ascontiguousarray(np.swapaxes(R, 1, 2)).reshape(-1, 9)
+
+
+def palm_inputs(palms: Palms) -> FloatArray:
+    """(T, `PALM_INPUTS`) of the palms."""
+    kinds = (palms.normal, palms.normal_rate, palms.normal_acceleration, palms.spin)
+    return np.concatenate([kind.reshape(-1, 9) for kind in kinds], axis=1)
+
+
+def reading_geometry(palms: Palms, pad: FloatArray) -> FloatArray:
+    """(T, 24) what a reading of `pad` (T,), 0 to 2, takes of the palms at its time."""
+    inverse = np.linalg.inv(palms.normal)  # rows of N are normals
+    rows = np.arange(len(pad))
+    turn = (pad[:, None] + np.arange(3)) % 3
+    normals = palms.normal[rows[:, None], turn]
+    reciprocals = np.swapaxes(inverse, 1, 2)[rows[:, None], turn]
+    return np.concatenate(
+        [normals.reshape(-1, 9), reciprocals.reshape(-1, 9), palms.axis_a[rows, pad], palms.axis_b[rows, pad]], axis=1
+    )
+
+
+@cache
+def acceleration(order: int) -> Kernel:
+    """(R, ω, palms; p, g) → (ω̇, f, ∂/∂δ, ∂/∂ω, ∂/∂p)."""
+    m = count(order) + BODY
+    shapes = [(3,), (3,), (3, 3), (3, 3), (3, m)]
+    return Kernel(three_palms.library(order), "acceleration_block", (9, 3, PALM_INPUTS), (m, 1), shapes)
+
+
+@cache
+def reading(order: int) -> Kernel:
+    """(R, geometry; c) → (y, ∂y/∂δ, ∂y/∂c)."""
+    n = count(order)
+    return Kernel(three_palms.library(order), "reading_block", (9, 24), (n,), [(2,), (2, 3), (2, n)])
+
+
+@cache
+def driven() -> Kernel:
+    """(state, palms, contacts; constants, g) → (rates, ∂/∂state, ∂/∂constants)."""
+    shapes = [(6,), (6, 6), (6, 4)]
+    return Kernel(three_palms.driven_library(), "driven_block", (6, PALM_INPUTS, 18), (4, 1), shapes)

@@ -1,0 +1,172 @@
+"""A whole record of three palms: the body's shape and motion from a blind start, or an honest refusal."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from palmd.blas import one_thread
+from palmd.events import FloatArray
+from palmd.model.spherical import Y00, count, evaluator
+from palmd.model.three_palms import BODY
+from palmd.observer.three_palms import beliefs
+from palmd.observer.three_palms.driven import Contacts
+from palmd.observer.three_palms.icosphere import icosphere
+from palmd.observer.three_palms.path import JointPath
+from palmd.observer.three_palms.record import Readings
+from palmd.observer.three_palms.search import ORDER, Rival, Task, best, centres_of, inertia, rivals
+from palmd.system.three_palms import PALMS, ThreePalmsRig
+
+LEAST_S = 2.5
+GAP_S = 0.15  # without a reading of a pad or a report of the joints, after which nothing is known to go on
+NEAR = math.cos(math.radians(4.0))
+MOST_CHI2 = 1.15
+MOST_COST = 1.3  # per number read, of readings, equations and beliefs together
+SHARP_M = 1.5e-4
+
+
+@dataclass(frozen=True, slots=True)
+class Reconstruction:
+    """What a record tells; SI units, NaN or None where there is no value. See `docs/theory/three-palms.md`.
+
+    directions (D, 3), triangles (F, 3) between them, h, h_sd, touched (D,); inertia (3, 3) per unit mass; the trajectory
+    t (K,), R (K, 3, 3), omega (K, 3), centre (K, 3). The body's frame has its origin at the centre of mass, and R = 1 at
+    the first node. points: (D, 3) of the surface with these outward normals. `reason` says why, when not `converged`.
+    """
+
+    converged: bool
+    reason: str
+    chi2: float
+    directions: FloatArray
+    triangles: npt.NDArray[np.int64]
+    h: FloatArray | None
+    h_sd: FloatArray | None
+    touched: npt.NDArray[np.bool_] | None
+    points: FloatArray | None
+    inertia: FloatArray | None
+    inertia_sd: FloatArray | None
+    mu: float
+    mu_sd: float
+    mass: float
+    mass_sd: float
+    t: FloatArray
+    R: FloatArray
+    omega: FloatArray
+    centre: FloatArray
+    seconds: float
+
+
+@one_thread()
+def reconstruct(path: JointPath, readings: Readings, rig: ThreePalmsRig) -> Reconstruction:
+    """Smooth the longest stretch in which all three palms feel the body. Never raises for what the readings say."""
+    begun = time.perf_counter()
+    start, end = longest_stretch(path, readings)
+    if end - start < LEAST_S:
+        return _nothing(f"there are no {LEAST_S:g} s in which all three pads and the joints report", begun)
+    inside = readings.within(start, end)
+    task = Task(path, inside, Contacts.smoothed(inside), rig, start, end)
+    ended = best(task, rivals(task))
+    return answer(task, ended, begun)
+
+
+def longest_stretch(path: JointPath, readings: Readings) -> tuple[float, float]:
+    """(start, end) (s) of the longest time in which no pad is silent for long."""
+    breaks = [np.array([path.start, path.end])]
+    silent: list[tuple[float, float]] = []
+    for pad in range(len(PALMS)):
+        t = readings.t[readings.pad == pad]
+        t = np.concatenate([[path.start - 1.0], t[(t >= path.start) & (t <= path.end)], [path.end + 1.0]])
+        gaps = np.flatnonzero(np.diff(t) > GAP_S)
+        silent += [(float(t[k]), float(t[k + 1])) for k in gaps]
+    del breaks
+    best_start, best_end, free = path.start, path.start, path.start
+    for begin, over in [*sorted(silent), (path.end, math.inf)]:
+        if min(begin, path.end) - free > best_end - best_start:
+            best_start, best_end = free, min(begin, path.end)
+        free = max(free, over)
+    return best_start, best_end
+
+
+def answer(task: Task, ended: Sequence[Rival], begun: float) -> Reconstruction:
+    """What the best of the rivals says, and whether it may be believed."""
+    first = ended[0]
+    fit, record, p = first.fit, first.record, first.fit.motion.p
+    n = count(ORDER)
+    directions, triangles = icosphere()
+    rows, point_rows = evaluator(ORDER)(directions)
+    try:
+        covariance = np.linalg.inv(fit.arrow.information())
+    except np.linalg.LinAlgError:
+        return _nothing("the fit is not a minimum", begun, fit.chi2)
+    sd = np.sqrt(np.maximum(np.einsum("di,ij,dj->d", rows, covariance[:n, :n], rows), 0.0))
+    sd = np.sqrt(sd**2 + beliefs.beyond_variance(Y00 * p[0], ORDER))
+    R = fit.motion.R
+    normals = record.node_palms[:, :9].reshape(-1, 3, 3)
+    felt = -np.einsum("tji,tnj->tni", R, normals).reshape(-1, 3)
+    touched = np.zeros(len(directions), dtype=bool)
+    for chunk in np.array_split(felt, max(len(felt) // 1000, 1)):
+        touched |= (directions @ chunk.T).max(axis=1) >= NEAR
+    mass, mass_sd = _mass(task, first)
+    own, own_sd = inertia(p), _inertia_sd(p, covariance)
+    return Reconstruction(
+        converged=not (reason := doubt(task, ended, sd[touched])),
+        reason=reason, chi2=fit.chi2, directions=directions, triangles=triangles,
+        h=rows @ p[:n], h_sd=sd, touched=touched, points=point_rows @ p[:n],
+        inertia=own, inertia_sd=own_sd, mu=float(p[-2]), mu_sd=float(np.sqrt(covariance[-2, -2])),
+        mass=mass, mass_sd=mass_sd, t=record.t, R=R, omega=fit.motion.omega,
+        centre=centres_of(R, record.node_palms, p), seconds=time.perf_counter() - begun,
+    )  # fmt: skip
+
+
+def doubt(task: Task, ended: Sequence[Rival], sd: FloatArray) -> str:
+    """Why the first of the rivals is not to be believed; empty if it is."""
+    first = ended[0]
+    if first.record.t[-1] < task.end - 0.1:
+        return f"what explains the first readings fails after {first.record.t[-1] - task.start:.1f} s"
+    if first.fit.chi2 > MOST_CHI2:
+        return "the readings are not explained to their noise"
+    if first.per_number > MOST_COST:
+        return "no motion by the equations explains the readings"
+    if float(np.sqrt(np.mean(sd**2))) > SHARP_M:
+        return "the readings tell too little of the shape"
+    return ""
+
+
+def _mass(task: Task, rival: Rival) -> tuple[float, float]:
+    """Mass and its one-sigma (kg) by the forces read, NaN without them."""
+    record, readings = rival.record, rival.record.readings
+    told = np.isfinite(readings.force)
+    if not told.any():
+        return math.nan, math.nan
+    k, share, pad = record.interval[told], record.share[told], readings.pad[told]
+    force = rival.fit.force
+    per_mass = (1 - share) * force[k, pad] + share * force[k + 1, pad]
+    good = per_mass > 0.1
+    ratio = readings.force[told][good] / per_mass[good]
+    mass, scatter = float(np.mean(ratio)), task.rig.pad.force_scale_std
+    return mass, mass * scatter / math.sqrt(len(ratio))
+
+
+def _inertia_sd(p: FloatArray, covariance: FloatArray) -> FloatArray:
+    """(3, 3) one-sigma of the inertia's entries (m²)."""
+    index = np.array([0, *range(len(p) - BODY, len(p) - BODY + 6)])
+    slopes = []
+    for i in index:
+        step = 1e-4 * (abs(p[i]) if i == 0 else 1.0)
+        moved = [inertia(p + sign * step * (np.arange(len(p)) == i)) for sign in (1.0, -1.0)]
+        slopes.append((moved[0] - moved[1]) / (2 * step))
+    J = np.stack(slopes)
+    return np.asarray(np.sqrt(np.einsum("aij,ab,bij->ij", J, covariance[np.ix_(index, index)], J)))
+
+
+def _nothing(reason: str, begun: float, chi2: float = math.nan) -> Reconstruction:
+    none, nan = np.zeros((0, 3)), math.nan
+    return Reconstruction(
+        False, reason, chi2, *icosphere(), None, None, None, None, None, None, nan, nan, nan, nan,
+        np.zeros(0), np.zeros((0, 3, 3)), none, none, time.perf_counter() - begun,
+    )  # fmt: skip

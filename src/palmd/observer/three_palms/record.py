@@ -1,0 +1,77 @@
+"""A run as the smoother takes it: the palms on a grid of nodes, and the readings between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from palmd.events import FloatArray
+from palmd.observer.three_palms.kernels import palm_inputs, reading_geometry
+from palmd.observer.three_palms.path import JointPath
+
+Integers = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Readings:
+    """Contact readings in the order of their times t (S,): pad 0 to 2 (S,), value (S, 2) (m), force (S,) N or NaN."""
+
+    t: FloatArray
+    pad: Integers
+    value: FloatArray
+    force: FloatArray
+
+    def within(self, start: float, end: float) -> Readings:
+        """Those of start ≤ t < end."""
+        first, last = np.searchsorted(self.t, [start, end])
+        return Readings(self.t[first:last], self.pad[first:last], self.value[first:last], self.force[first:last])
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """K + 1 nodes `spacing` apart from `start`, and S readings between them.
+
+    node_palms, middle_palms: (K + 1 and K, 36) the palms at the nodes and midway. interval, share, slot: (S,) of each
+    reading: which interval it is in, how far along, and which of the interval's readings it is. geometry: (S, 24).
+    """
+
+    start: float
+    spacing: float
+    node_palms: FloatArray
+    middle_palms: FloatArray
+    readings: Readings
+    interval: Integers
+    share: FloatArray
+    slot: Integers
+    geometry: FloatArray
+
+    @property
+    def t(self) -> FloatArray:
+        """Of the nodes (s)."""
+        return self.start + self.spacing * np.arange(len(self.node_palms))
+
+    @property
+    def slots(self) -> int:
+        """The most readings that an interval has."""
+        return int(self.slot.max()) + 1 if len(self.slot) else 0
+
+
+def lay_out(path: JointPath, readings: Readings, start: float, intervals: int, spacing: float) -> Record:
+    """The record of `intervals` from `start` on (s)."""
+    nodes = start + spacing * np.arange(intervals + 1)
+    inside = readings.within(start, nodes[-1])
+    interval = np.minimum(((inside.t - start) / spacing).astype(np.int64), intervals - 1)
+    first = np.searchsorted(interval, interval)
+    return Record(
+        start,
+        spacing,
+        palm_inputs(path.palms(nodes)),
+        palm_inputs(path.palms(nodes[:-1] + spacing / 2)),
+        inside,
+        interval,
+        (inside.t - nodes[interval]) / spacing,
+        np.arange(len(interval)) - first,
+        reading_geometry(path.palms(inside.t), inside.pad),
+    )

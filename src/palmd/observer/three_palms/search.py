@@ -1,0 +1,191 @@
+"""From a blind start to the motion and body that explain a whole record: rivals in a short window, the best one grown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.model.spherical import Y00, count
+from palmd.observer.three_palms import beliefs, kernels
+from palmd.observer.three_palms.beliefs import Hypothesis
+from palmd.observer.three_palms.driven import Belief, Contacts, Course, ball_of, course
+from palmd.observer.three_palms.kernels import by_columns
+from palmd.observer.three_palms.path import JointPath
+from palmd.observer.three_palms.record import Readings, Record, lay_out
+from palmd.observer.three_palms.smoother import Fit, Motion, Noise, Prior, Smoother, at_readings
+from palmd.system.three_palms import ThreePalmsRig
+
+START_ORDER = 6
+ORDER = 8
+START_S = 3.0
+SPACING_S = 0.02
+LOOSE = ((1.0, 0.1, 1e-5), (0.03, 0.03, 1e-6))
+"""Strengths of the noise that a start is smoothed with first: of spin, by spin, of turn."""
+ROUGH_M = 5e-4  # what readings may miss a first outline by
+KEPT = 3  # rivals that are grown
+GROWTH = 0.5
+LONGEST_STEP_S = 4.0
+SHORTEST_STEP_S = 0.2
+TURN_A_STEP = 1.5  # rad
+LOST = 2.0  # cost per number read, above which a rival is given up
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What is given: the joints' path, all readings with their smoothed course, and the rig."""
+
+    path: JointPath
+    readings: Readings
+    contacts: Contacts
+    rig: ThreePalmsRig
+    start: float
+    end: float
+
+    def record(self, seconds: float) -> Record:
+        """The first `seconds`."""
+        intervals = max(round(min(seconds, self.end - self.start) / SPACING_S - 0.5), 1)
+        return lay_out(self.path, self.readings, self.start, intervals, SPACING_S)
+
+    @property
+    def noise(self) -> Noise:
+        """Of the readings and of what the equations leave out."""
+        return Noise(math.sqrt(self.rig.pad.reading_variance))
+
+
+@dataclass(frozen=True, slots=True)
+class Rival:
+    """A hypothesis, what is believed with it, and the fit that it led to in `record`."""
+
+    hypothesis: Hypothesis
+    radius: float
+    record: Record
+    fit: Fit
+
+    @property
+    def per_number(self) -> float:
+        """Cost per number read."""
+        return self.fit.cost / (2 * len(self.record.readings.t))
+
+
+def rivals(task: Task, seconds: float = START_S) -> list[Rival]:
+    """What each hypothesis leads to in the first `seconds`, the cheapest first."""
+    record = task.record(seconds)
+    given = task.contacts.at(task.path, record.t)
+    centres, radii = ball_of(given[:, :9].reshape(-1, 3, 3), record.node_palms[:, :9].reshape(-1, 3, 3))
+    radius = float(np.median(radii))
+    found = []
+    for hypothesis in beliefs.hypotheses():
+        belief = hypothesis.belief(radius, centres[0], beliefs.SPIN_SD)
+        driven = course(task.path, task.contacts, record.start, len(record.t) - 1, SPACING_S, belief, task.rig.gravity)
+        own = radius * (1.0 + hypothesis.larger)
+        prior = beliefs.prior(own, START_ORDER)
+        motion = first_motion(record, driven, prior)
+        fit = None
+        for spin, by_spin, turn in LOOSE:
+            noise = replace(task.noise, spin=spin, by_spin=by_spin, turn=turn)
+            motion = Smoother(record, prior, noise, task.rig.gravity).fit(motion, 20).motion
+        fit = Smoother(record, prior, task.noise, task.rig.gravity).fit(motion, 25)
+        found.append(Rival(hypothesis, own, record, fit))
+    return sorted(found, key=lambda each: each.fit.cost)
+
+
+def first_motion(record: Record, driven: Course, prior: Prior) -> Motion:
+    """The course with the outline that fits it best, by linear least squares."""
+    R, omega = driven.rotations(), driven.omega
+    p = prior.mean.copy()
+    order = int(math.sqrt(len(p) - 9)) - 1
+    n = count(order)
+    p[-3], p[-2], p[-1] = driven.constants[1], math.exp(driven.constants[2]), driven.constants[3]
+    turned = at_readings(record, R, omega)
+    rows = kernels.reading(order)((by_columns(turned), record.geometry), (np.zeros(n),))[2].reshape(-1, n) / ROUGH_M
+    believed = prior.information[:n, :n]
+    sides = rows.T @ (record.readings.value.reshape(-1) / ROUGH_M) + believed @ prior.mean[:n]
+    p[:n] = np.linalg.solve(rows.T @ rows + believed, sides)
+    return Motion(R, omega, p)
+
+
+def grown(task: Task, rival: Rival) -> Rival:
+    """The rival followed to the end of the record, or to where it is lost."""
+    prior = beliefs.prior(rival.radius, ORDER)
+    motion = replace(rival.fit.motion, p=beliefs.raised(rival.fit.motion.p, ORDER))
+    record = rival.record
+    fit = Smoother(record, prior, task.noise, task.rig.gravity).fit(motion, 15)
+    now = Rival(rival.hypothesis, rival.radius, record, fit)
+    total = len(task.record(task.end - task.start).t)
+    while len(now.record.t) < total and now.per_number < LOST:
+        record, motion = _further(task, now, total)
+        fit = Smoother(record, prior, task.noise, task.rig.gravity).fit(motion, 8)
+        now = Rival(rival.hypothesis, rival.radius, record, fit)
+    return now
+
+
+def _further(task: Task, now: Rival, total: int) -> tuple[Record, Motion]:
+    """A longer record, and the motion carried on in it as the contacts tell."""
+    motion, record = now.fit.motion, now.record
+    have = len(record.t) - 1
+    wanted = min(GROWTH * have * SPACING_S, LONGEST_STEP_S)
+    more = min(max(round(wanted / SPACING_S), 1), total - 1 - have)
+    p = motion.p
+    radius = Y00 * p[0]
+    centre = _centre(motion, record)
+    belief = Belief(
+        np.array([math.log(_gyration(p)), p[-3], math.log(max(p[-2], beliefs.FRICTIONLESS)), p[-1], radius]),
+        np.array([0.02, 1e-6, 0.02, 0.02, 0.02 * radius]),
+        np.concatenate([centre, motion.omega[-1]]),
+        np.array([1e-4] * 3 + [0.05] * 3),
+    )
+    driven = course(task.path, task.contacts, float(record.t[-1]), more, SPACING_S, belief, task.rig.gravity)
+    turned = np.cumsum(np.linalg.norm(driven.omega, axis=1)) * SPACING_S
+    within = int(np.searchsorted(turned, TURN_A_STEP))
+    more = min(more, max(within, round(SHORTEST_STEP_S / SPACING_S)))
+    R = driven.rotations(motion.R[-1])[1 : more + 1]
+    longer = lay_out(task.path, task.readings, task.start, have + more, SPACING_S)
+    return longer, Motion(np.concatenate([motion.R, R]), np.concatenate([motion.omega, driven.omega[1 : more + 1]]), p)
+
+
+def _gyration(p: FloatArray) -> float:
+    """Radius of gyration about a mean axis (m)."""
+    return float(np.sqrt(np.trace(inertia(p)) / 3))
+
+
+def inertia(p: FloatArray) -> FloatArray:
+    """(3, 3) in the body's frame, per unit mass (m²)."""
+    from palmd.model.three_palms import MOMENT
+
+    L = np.zeros((3, 3))
+    L[np.tril_indices(3)] = p[-9:-3]
+    L[np.diag_indices(3)] = np.exp(np.diagonal(L))
+    root = MOMENT * Y00 * p[0] * L
+    moment = root @ root.T
+    return np.asarray(np.trace(moment) * np.eye(3) - moment)
+
+
+def _centre(motion: Motion, record: Record) -> FloatArray:
+    """Of mass at the last node (m, world)."""
+    return centres_of(motion.R[-1:], record.node_palms[-1:], motion.p)[0]
+
+
+def centres_of(R: FloatArray, palms: FloatArray, p: FloatArray) -> FloatArray:
+    """(T, 3) centres of mass (m, world) for rotations (T, 3, 3) between palms (T, 36)."""
+    normals = palms[:, :9].reshape(-1, 3, 3)
+    u = -np.einsum("tji,tnj->tni", R, normals)
+    n = len(p) - 9
+    h = (harmonics(u.reshape(-1, 3), int(math.sqrt(n)) - 1) @ p[:n]).reshape(-1, 3)
+    return np.asarray(np.linalg.solve(normals, h[..., None])[..., 0])
+
+
+def harmonics(u: FloatArray, order: int) -> FloatArray:
+    """(T, n) rows of h at unit normals (T, 3)."""
+    from palmd.model.spherical import evaluator
+
+    return evaluator(order)(u)[0]
+
+
+def best(task: Task, found: Sequence[Rival]) -> list[Rival]:
+    """The cheapest rivals grown to the end, those that got furthest first, then the cheapest."""
+    ended = [grown(task, each) for each in found[:KEPT]]
+    return sorted(ended, key=lambda each: (-len(each.record.t), each.fit.cost))

@@ -1,0 +1,222 @@
+"""Motion and body together from a record: Gauss–Newton with damping on the equations' defects, readings and beliefs.
+
+Unknown are the rotation and spin at each node, and the parameters of `model.three_palms`. Between nodes the equations
+of motion are collocated at both ends and midway (Hermite–Simpson, fourth order, stable however stiff the friction is);
+by how much they fail is noise of a stated strength, so that nothing is ever integrated and a poor guess stays bounded.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.model.spherical import count
+from palmd.model.three_palms import BODY
+from palmd.observer.three_palms import kernels, rotation
+from palmd.observer.three_palms.arrow import Arrow
+from palmd.observer.three_palms.kernels import by_columns
+from palmd.observer.three_palms.record import Record
+
+LARGEST_TURN = 0.5  # of a node in one step (rad)
+SETTLED = 1e-3  # decrease of the cost, as a share of it, below which an iteration is taken to be the last
+GIVE_UP = 1e6  # damping beyond which no step helps
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """What is believed beforehand: of the parameters, mean (m,) and information (m, m); of the first node's spin.
+
+    spin, spin_sd: rad/s. The first node's rotation is the gauge and stays what it is.
+    """
+
+    mean: FloatArray
+    information: FloatArray
+    spin: FloatArray
+    spin_sd: float
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """One-sigma of a reading (m); spectral densities of what the equations leave out.
+
+    spin: (rad/s)²/s; by_spin: added for each |ω|², 1/s; turn: rad²/s.
+    """
+
+    reading: float
+    spin: float = 1e-3
+    by_spin: float = 1e-2
+    turn: float = 1e-7
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Rotations R (K + 1, 3, 3) and spins omega (K + 1, 3), and the parameters p (m,)."""
+
+    R: FloatArray
+    omega: FloatArray
+    p: FloatArray
+
+    def moved(self, nodes: FloatArray, step: FloatArray) -> Motion:
+        """After a step (K + 1, 6) of the nodes and (m,) of the parameters."""
+        return Motion(rotation.exp(nodes[:, :3]) @ self.R, self.omega + nodes[:, 3:], self.p + step)
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """Where the iteration ended: its cost, the readings' own part of it per number read, and the normal equations.
+
+    force: (K + 1, 3) the palms' normal forces per unit mass (m/s²) at the nodes.
+    """
+
+    motion: Motion
+    cost: float
+    chi2: float
+    force: FloatArray
+    arrow: Arrow
+    residual: FloatArray
+    iterations: int
+
+
+def order_of(parameters: int) -> int:
+    """The degree of the outline that so many parameters hold."""
+    return int(np.sqrt(parameters - BODY)) - 1
+
+
+def at_readings(record: Record, R: FloatArray, omega: FloatArray) -> FloatArray:
+    """(S, 3, 3) rotations at the readings' times, between nodes that turn as R and omega (K + 1, …) say."""
+    return _between(record, R, omega, *_turns(R, omega))
+
+
+def _turns(R: FloatArray, omega: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(K, 3) rotation vectors from each node to the next, and at which rate they end there."""
+    phi = rotation.log(R[1:] @ np.swapaxes(R[:-1], 1, 2))
+    return phi, omega[1:] - 0.5 * np.cross(phi, omega[1:])
+
+
+def _between(record: Record, R: FloatArray, omega: FloatArray, phi: FloatArray, ending: FloatArray) -> FloatArray:
+    k, (there, out, back) = record.interval, (each[:, None] for each in _hermite(record.share))
+    turned = there * phi[k] + record.spacing * (out * omega[:-1][k] + back * ending[k])
+    return rotation.exp(turned) @ R[:-1][k]
+
+
+def _hermite(share: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Weights of the end's value, the beginning's rate and the end's rate in a cubic that begins at 0."""
+    return 3 * share**2 - 2 * share**3, share - 2 * share**2 + share**3, share**3 - share**2
+
+
+class Smoother:
+    """The sum of squares of one record, and its minimum."""
+
+    def __init__(self, record: Record, prior: Prior, noise: Noise, gravity: float) -> None:
+        self._record, self._prior, self._noise, self._gravity = record, prior, noise, gravity
+        order = order_of(len(prior.mean))
+        self._shape = slice(0, count(order))
+        self._acceleration, self._reading = kernels.acceleration(order), kernels.reading(order)
+
+    def evaluate(self, motion: Motion) -> Fit:
+        """Cost and normal equations at `motion`."""
+        record, prior, noise, p = self._record, self._prior, self._noise, motion.p
+        K, m, h = len(record.middle_palms), len(p), record.spacing
+        R, omega = motion.R, motion.omega
+        shared = (p, self._gravity)
+        f, force, f_turn, f_omega, f_p = self._acceleration((by_columns(R), omega, record.node_palms), shared)
+        f0, f1, w0, w1 = f[:-1], f[1:], omega[:-1], omega[1:]
+        phi, ending = _turns(R, omega)
+        w_mid = 0.5 * (w0 + w1) + h / 8 * (f0 - f1)
+        R_mid = rotation.exp(0.5 * phi + h / 8 * (w0 - ending)) @ R[:-1]
+        mid = self._acceleration((by_columns(R_mid), w_mid, record.middle_palms), shared)
+        fm, fm_turn, fm_omega, fm_p = mid[0], mid[2], mid[3], mid[4]
+
+        rows = 6 + 2 * record.slots
+        r, by = np.zeros((K, rows)), np.zeros((K, rows, m))
+        left, right = np.zeros((K, rows, 6)), np.zeros((K, rows, 6))
+        spin_weight = ((noise.spin + noise.by_spin * (w_mid**2).sum(1)) * h) ** -0.5
+        turn_weight = (noise.turn * h) ** -0.5
+
+        r[:, :3] = phi - h / 6 * (w0 + 4 * w_mid + w1) - h**2 / 12 * np.cross(w1, w0)
+        left[:, :3, :3] = -rotation.left_inverse(-phi) - h**2 / 12 * f_turn[:-1]
+        left[:, :3, 3:] = -h / 2 * np.eye(3) - h**2 / 12 * (f_omega[:-1] + rotation.skew(w1))
+        right[:, :3, :3] = rotation.left_inverse(phi) + h**2 / 12 * f_turn[1:]
+        right[:, :3, 3:] = -h / 2 * np.eye(3) + h**2 / 12 * (f_omega[1:] + rotation.skew(w0))
+        by[:, :3] = -(h**2) / 12 * (f_p[:-1] - f_p[1:])
+        for block in (r, left, right, by):
+            block[:, :3] *= turn_weight
+
+        eighth = h / 8 * fm_omega
+        r[:, 3:6] = w1 - w0 - h / 6 * (f0 + 4 * fm + f1)
+        left[:, 3:6, :3] = -h / 6 * (f_turn[:-1] + 4 * (0.5 * fm_turn + eighth @ f_turn[:-1]))
+        left[:, 3:6, 3:] = -np.eye(3) - h / 6 * (
+            f_omega[:-1] + 4 * (h / 8 * fm_turn + 0.5 * fm_omega + eighth @ f_omega[:-1])
+        )
+        right[:, 3:6, :3] = -h / 6 * (f_turn[1:] + 4 * (0.5 * fm_turn - eighth @ f_turn[1:]))
+        right[:, 3:6, 3:] = np.eye(3) - h / 6 * (
+            f_omega[1:] + 4 * (-h / 8 * fm_turn + 0.5 * fm_omega - eighth @ f_omega[1:])
+        )
+        by[:, 3:6] = -h / 6 * (f_p[:-1] + f_p[1:] + 4 * (fm_p + eighth @ (f_p[:-1] - f_p[1:])))
+        r[:, 3:6] *= spin_weight[:, None]
+        for block in (left, right, by):
+            block[:, 3:6] *= spin_weight[:, None, None]
+
+        residual = self._read(motion, phi, ending, r, left, right, by)
+        arrow = Arrow.empty(K + 1, m)
+        arrow.couple(r, left, right, by)
+        off = p - prior.mean
+        arrow.corner += prior.information
+        arrow.gradient += prior.information @ off
+        arrow.diagonal[0, :3, :3] += 1e12 * np.eye(3)
+        arrow.diagonal[0, 3:, 3:] += np.eye(3) / prior.spin_sd**2
+        arrow.nodes_gradient[0, 3:] += (omega[0] - prior.spin) / prior.spin_sd**2
+        cost = float(
+            (r**2).sum() + off @ prior.information @ off + ((omega[0] - prior.spin) ** 2).sum() / prior.spin_sd**2
+        )
+        chi2 = float((residual**2).mean()) / noise.reading**2
+        return Fit(motion, cost, chi2, force, arrow, residual, 0)
+
+    def _read(
+        self, motion: Motion, phi: FloatArray, ending: FloatArray,
+        r: FloatArray, left: FloatArray, right: FloatArray, by: FloatArray,
+    ) -> FloatArray:  # fmt: skip
+        """Fill in the readings' rows; returns what they miss by (S, 2) (m)."""
+        record, h = self._record, self._record.spacing
+        k, (there, out, back) = record.interval, _hermite(record.share)
+        R = _between(record, motion.R, motion.omega, phi, ending)
+        y, by_turn, by_c = self._reading((by_columns(R), record.geometry), (motion.p[self._shape],))
+        residual = y - record.readings.value
+        weight = 1.0 / self._noise.reading
+        there, out, back = (each[:, None, None] for each in (there, out, back))
+        rows = 6 + 2 * record.slot[:, None] + np.arange(2)
+        at = (k[:, None], rows)
+        r[at] = weight * residual
+        turn = weight * by_turn
+        left[at] = np.concatenate([(1 - there) * turn, h * out * turn], axis=2)
+        right[at] = np.concatenate([there * turn, h * back * turn], axis=2)
+        by[k[:, None], rows, self._shape] = weight * by_c
+        return residual
+
+    def fit(self, guess: Motion, iterations: int = 30, damping: float = 1e-3) -> Fit:
+        """The minimum that the iteration from `guess` leads to, or where it stands after so many evaluations."""
+        best = self.evaluate(guess)
+        for number in range(iterations):
+            try:
+                nodes, step = best.arrow.solve(damping)
+            except np.linalg.LinAlgError:
+                damping = max(10 * damping, 1e-6)
+                if damping > GIVE_UP:
+                    break
+                continue
+            largest = float(np.abs(nodes[:, :3]).max())
+            shrink = min(1.0, LARGEST_TURN / largest)
+            trial = self.evaluate(best.motion.moved(shrink * nodes, shrink * step))
+            if trial.cost < best.cost:
+                gained = best.cost - trial.cost
+                best = replace(trial, iterations=number + 1)
+                damping = max(damping / 5, 1e-9)
+                if shrink == 1.0 and gained < SETTLED * max(best.cost, 1.0) and damping < 1e-2:
+                    break
+            else:
+                damping *= 8
+                if damping > GIVE_UP:
+                    break
+        return best

@@ -1,0 +1,201 @@
+"""Three flat palms in space: their logs read and reconstructed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from palmd.events import FloatArray, ObserverName
+from palmd.observer.three_palms.path import JointPath, joint_path
+from palmd.observer.three_palms.reconstruct import Reconstruction, reconstruct
+from palmd.observer.three_palms.record import Readings
+from palmd.observer.three_palms.rotation import quaternions
+from palmd.outlinefile import Outline
+from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
+from palmd.record.replay import Said
+from palmd.record.systems import NotYetError, Reconstructed
+from palmd.system.three_palms import JOINTS, MECHANISM, PALMS, SYSTEM as NAME, PadPlane, ThreePalmsRig
+
+EDGE_M = 0.01  # beyond the pad's side that a reading may still lie
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """One contact on pad 1 to 3: both coordinates (m), and the force (N) or NaN."""
+
+    t: float
+    pad: int
+    a: float
+    b: float
+    force: float
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """The joints: measured angles (rad), and the plan's rates and accelerations where told."""
+
+    t: float
+    angle: tuple[float, ...]
+    plan: tuple[tuple[float, ...], tuple[float, ...]] | None
+
+
+@dataclass(frozen=True, slots=True)
+class ThreePalmsLog:
+    """A run: the rig, its events in the order of the file, and notes on what was left out of them."""
+
+    rig: ThreePalmsRig
+    events: tuple[Reading | Report, ...]
+    notes: tuple[str, ...]
+
+
+class ThreePalms:
+    """See `palmd.record.systems.System`."""
+
+    name = NAME
+    kinds = ("pad", "joints")
+
+    def rig(self, line: Line) -> ThreePalmsRig:
+        mechanism = line.get("mechanism")
+        if mechanism != MECHANISM:
+            raise BadLineError(f"rig.mechanism must be {MECHANISM}, got {shown(mechanism)}")
+        pad, default = block(line, "pad"), ThreePalmsRig()
+        return ThreePalmsRig(
+            gravity=positive(line, "gravity_m_s2"),
+            pad=PadPlane(
+                side=positive(pad, "side_m"),
+                noise=positive(pad, "noise_m"),
+                resolution=not_negative(pad, "resolution_m"),
+                force_scale_std=positive(line, "force_scale_std", default.pad.force_scale_std),
+            ),
+            angle_noise=positive(line, "palm_angle_noise_rad", default.angle_noise),
+        )
+
+    def events(self, t: float, line: Line, rig: ThreePalmsRig) -> Iterator[Reading | Report | None]:
+        if "pad" in line:
+            pad = line["pad"]
+            if type(pad) is not int or pad not in PALMS:
+                raise BadLineError(f"pad must be {', '.join(map(str, PALMS[:-1]))} or {PALMS[-1]}, got {shown(pad)}")
+            a, b = number(line, "a_m"), number(line, "b_m")
+            force = optional(line, "force_n")
+            off = max(abs(a), abs(b)) > rig.pad.side + EDGE_M
+            yield None if off else Reading(t, pad, a, b, math.nan if force is None else force)
+        if "joints" in line:
+            joints = block(line, "joints")
+            angle = _joints(joints, "angle_rad")
+            if angle is None:
+                raise BadLineError("angle_rad is missing")
+            rate, acceleration = _joints(joints, "rate_rad_s"), _joints(joints, "acc_rad_s2")
+            yield Report(t, angle, None if rate is None or acceleration is None else (rate, acceleration))
+
+    def log(self, rig: ThreePalmsRig, events: tuple[Any, ...], notes: tuple[str, ...]) -> ThreePalmsLog:
+        return ThreePalmsLog(rig, events, notes)
+
+    def known_to(self, log: ThreePalmsLog, sds: Mapping[str, float]) -> ThreePalmsLog:
+        if any(sds.values()):
+            raise NotYetError("three palms in space are taken to be exactly as described: leave --calibration-sd out")
+        return log
+
+    def reconstruct(self, log: ThreePalmsLog, seed: int) -> Reconstructed:
+        del seed  # nothing is drawn at random
+        joints, readings = laid_out(log)
+        if joints is None:
+            reason = "the joints never report"
+            return Reconstructed({"converged": False, "reason": reason}, f"not converged: {reason}", None, reason)
+        answer = reconstruct(joints, readings, log.rig)
+        told = summary(answer) if answer.converged else f"not converged: {answer.reason}"
+        return Reconstructed(as_line(answer), told, None, answer.reason)
+
+    def tick_count(self, log: ThreePalmsLog) -> int:
+        del log
+        raise NotYetError("there is no live estimate of three palms in space yet; palmd reconstruct has an answer")
+
+    def estimate(self, log: ThreePalmsLog, observer: ObserverName, outlines: Sequence[Outline]) -> Iterator[Said]:
+        del observer, outlines
+        self.tick_count(log)
+        yield from ()
+
+
+SYSTEM = ThreePalms()
+
+
+def _joints(line: Line, key: str) -> tuple[float, ...] | None:
+    values = line.get(key)
+    if values is None:
+        return None
+    if not isinstance(values, list) or len(values) != len(JOINTS):
+        raise BadLineError(f"{key} must be a list of {len(JOINTS)} numbers, got {shown(values)}")
+    return tuple(number({key: value}, key) for value in values)
+
+
+def laid_out(log: ThreePalmsLog) -> tuple[JointPath | None, Readings]:
+    """The joints' path and the readings in the order of their times; None where two reports make no path."""
+    reports = {event.t: event for event in log.events if isinstance(event, Report)}
+    contacts = sorted((event for event in log.events if isinstance(event, Reading)), key=lambda each: each.t)
+    readings = Readings(
+        np.array([each.t for each in contacts]),
+        np.array([each.pad - 1 for each in contacts], dtype=np.int64),
+        np.array([[each.a, each.b] for each in contacts]).reshape(-1, 2),
+        np.array([each.force for each in contacts]),
+    )
+    if len(reports) < 8:
+        return None, readings
+    ordered = [reports[t] for t in sorted(reports)]
+    plans = [each.plan for each in ordered]
+    plan: FloatArray | None = None if any(each is None for each in plans) else np.array(plans)
+    t, angle = np.array([each.t for each in ordered]), np.array([each.angle for each in ordered])
+    return joint_path(t, angle, plan, log.rig.angle_noise), readings
+
+
+def as_line(answer: Reconstruction) -> Line:
+    """The result as `palmd reconstruct` writes it: SI units, the unit in each name, None where there is no value."""
+    shape = answer.h is not None
+    return {
+        "converged": answer.converged,
+        "reason": answer.reason or None,
+        "chi2": _number(answer.chi2),
+        "directions": answer.directions.round(9).tolist(),
+        "triangles": answer.triangles.tolist(),
+        "h_m": _list(answer.h),
+        "h_sd_m": _list(answer.h_sd),
+        "touched": None if answer.touched is None else answer.touched.astype(int).tolist(),
+        "points_m": _list(answer.points),
+        "inertia_m2": _list(answer.inertia),
+        "inertia_sd_m2": _list(answer.inertia_sd),
+        "mu": _number(answer.mu),
+        "mu_sd": _number(answer.mu_sd),
+        "mass_kg": _number(answer.mass),
+        "mass_sd_kg": _number(answer.mass_sd),
+        "trajectory": {
+            "t": answer.t.tolist(),
+            "quat_xyzw": quaternions(answer.R).tolist(),
+            "omega_rad_s": answer.omega.tolist(),
+            "com_m": answer.centre.tolist(),
+        } if shape else None,
+        "seconds": answer.seconds,
+    }  # fmt: skip
+
+
+def summary(answer: Reconstruction) -> str:
+    """One line about an answer that has converged."""
+    if answer.h_sd is None or answer.touched is None:
+        raise ValueError("there is no shape")
+    band = float(np.sqrt(np.mean(answer.h_sd[answer.touched] ** 2)))
+    parts = [
+        f"surface ± {band * 1e6:.0f} µm on {np.mean(answer.touched):.0%} of the directions",
+        f"mu {answer.mu:z.4f} ± {answer.mu_sd:.4f}",
+        f"mass {answer.mass * 1e3:.1f} ± {answer.mass_sd * 1e3:.1f} g" if math.isfinite(answer.mass) else "no mass",
+        f"{answer.seconds:.1f} s",
+    ]
+    return ", ".join(parts)
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _list(values: FloatArray | None) -> list[Any] | None:
+    return None if values is None else values.tolist()

@@ -1,0 +1,220 @@
+"""Runs of the emulated rig without wires: what pads and joints report while bodies move between the palms, and truth."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.rig.three_palms.bodies import Bodies, random_bodies, spread_directions
+from palmd.rig.three_palms.plant import PalmState, Rubbing, State, step
+from palmd.system.three_palms import MECHANISM, PALMS, SYSTEM, ThreePalmsRig, palms_at, readings_of
+
+STEP_S = 2e-3
+REST_POSE = np.array([0.9, 0.8, 0.8])
+SETTLING_S = 2.5
+SETTLING_DRAG = 4e-3
+EASE_S = 1.0  # in which a motion grows in
+SINES = 3
+REPORT_S = 0.016
+PAD_INTERVAL_S, PAD_JITTER_S, LEAST_INTERVAL_S = 0.01, 0.003, 0.004
+TRUTH_EVERY = 10  # steps
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """A kind of run: ranges of μ and drag (m²/s), the joints' amplitude (rad) and highest frequency (Hz).
+
+    spin: one-sigma of the first spin (rad/s), from where the body lies in no equilibrium; 0: it starts at rest.
+    """
+
+    mu: tuple[float, float]
+    drag: tuple[float, float]
+    amplitude: float = 0.3
+    frequency: float = 0.5
+    spin: float = 0.0
+
+
+KINDS: Mapping[str, Kind] = {
+    "friction": Kind((0.05, 0.2), (0.0, 0.0)),
+    "large": Kind((0.05, 0.2), (0.0, 0.0), amplitude=0.55, frequency=0.3),
+    "drag": Kind((0.0, 0.0), (1e-4, 4e-4)),
+    "free": Kind((0.0, 0.0), (0.0, 0.0)),
+    "released": Kind((0.0, 0.0), (0.0, 0.0), spin=1.0),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One body's run: the log's lines, the truth, and how long all palms kept hold of it (s)."""
+
+    lines: list[dict[str, Any]]
+    truth: dict[str, Any]
+    held: float
+
+    def text(self) -> str:
+        """The log as JSON lines."""
+        return "".join(json.dumps(line, separators=(",", ":")) + "\n" for line in self.lines)
+
+
+class _Joints:
+    """Joint angles of B rigs: sines about the rest pose that grow in smoothly."""
+
+    def __init__(self, kind: Kind, count: int, random: np.random.Generator) -> None:
+        shares = random.dirichlet(np.ones(SINES), (count, 3))
+        self._amplitude = kind.amplitude * shares * random.uniform(0.75, 1.0, (count, 3, 1))
+        self._speed = 2 * np.pi * random.uniform(0.2 * kind.frequency, kind.frequency, (count, 3, SINES))
+        self._phase = random.uniform(0, 2 * np.pi, (count, 3, SINES))
+
+    def at(self, t: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Angles, rates, accelerations (B, 3)."""
+        x = min(max(t / EASE_S, 0.0), 1.0)
+        ease = np.array([10 * x**3 - 15 * x**4 + 6 * x**5, 30 * x**2 * (1 - x) ** 2, 60 * x * (1 - x) * (1 - 2 * x)])
+        ease /= EASE_S ** np.arange(3)
+        angle = self._speed * t + self._phase
+        waves = [
+            (self._amplitude * wave).sum(-1)
+            for wave in (np.sin(angle), self._speed * np.cos(angle), -(self._speed**2) * np.sin(angle))
+        ]
+        return (
+            REST_POSE + ease[0] * waves[0],
+            ease[1] * waves[0] + ease[0] * waves[1],
+            ease[2] * waves[0] + 2 * ease[1] * waves[1] + ease[0] * waves[2],
+        )
+
+
+def simulate(kind: str, count: int, seconds: float, seed: int, rig: ThreePalmsRig | None = None) -> list[Run]:
+    """`count` runs of one kind, each another body and motion; deterministic for a seed."""
+    described, what = rig or ThreePalmsRig(), KINDS[kind]
+    random = np.random.default_rng([seed, sum(map(ord, kind))])
+    bodies = random_bodies(count, random)
+    joints = _Joints(what, count, random)
+    rubbing = Rubbing(
+        random.uniform(*what.mu, count), random.uniform(8e-3, 1.2e-2, count), random.uniform(*what.drag, count)
+    )
+    state = _started(bodies, rubbing, what, random, described.gravity)
+
+    def palms(t: float) -> PalmState:
+        each = palms_at(*joints.at(t))
+        return PalmState(each.normal, each.normal_rate, each.normal_acceleration, each.spin)
+
+    steps = round(seconds / STEP_S)
+    points, forces, kept = [], [], []
+    for number in range(steps + 1):
+        if number % TRUTH_EVERY == 0:
+            kept.append(state)
+        state, touch = step(bodies, rubbing, palms, state, number * STEP_S, STEP_S, described.gravity)
+        points.append(touch.point)
+        forces.append(touch.force)
+    return _logs(described, bodies, rubbing, joints, np.stack(points), np.stack(forces), kept, random, (kind, seed))
+
+
+def _started(bodies: Bodies, rubbing: Rubbing, kind: Kind, random: np.random.Generator, gravity: float) -> State:
+    """At rest in one of its stable poses, or off it with some spin; deep friction and drag make it settle."""
+    count = len(bodies.ball)
+    R = np.linalg.qr(random.normal(size=(count, 3, 3)))[0]
+    R *= np.linalg.det(R)[:, None, None]
+    still = np.zeros((count, 3))
+    at = palms_at(np.tile(REST_POSE, (count, 1)), still, still)
+    none = np.zeros((count, 3, 3))
+    pose = PalmState(at.normal, none, none, none)
+    h, _, _ = bodies.support(-np.einsum("bji,bnj->bni", R, at.normal))
+    state = State(np.linalg.solve(at.normal, h[..., None])[..., 0], still, R, still)
+    if kind.spin == 0.0:
+        slow = Rubbing(0 * rubbing.mu, rubbing.dither, np.full(count, SETTLING_DRAG))
+        for _ in range(round(SETTLING_S / STEP_S)):
+            state, _ = step(bodies, slow, lambda _: pose, state, 0.0, STEP_S, gravity)
+        return State(state.p, still, state.R, still)
+    spin = random.normal(0.0, kind.spin, (count, 3))
+    _, x, _ = bodies.support(-np.einsum("bji,bnj->bni", state.R, at.normal))
+    r = np.einsum("bij,bnj->bni", state.R, x)
+    lift = (r * np.cross(spin[:, None], at.normal)).sum(-1)
+    return State(state.p, np.linalg.solve(at.normal, lift[..., None])[..., 0], state.R, spin)
+
+
+def _logs(
+    rig: ThreePalmsRig, bodies: Bodies, rubbing: Rubbing, joints: _Joints,
+    points: FloatArray, forces: FloatArray, kept: list[State], random: np.random.Generator, told: tuple[str, int],
+) -> list[Run]:  # fmt: skip
+    """Readings and truth from what all bodies did at every step."""
+    count, steps = len(bodies.ball), len(points) - 1
+    t = STEP_S * np.arange(steps + 1)
+    motion = [np.stack(each, axis=1) for each in zip(*(joints.at(each) for each in t), strict=True)]
+    truth_t = t[::TRUTH_EVERY]
+    runs = []
+    for b in range(count):
+        lost = np.flatnonzero((forces[:, b] <= 0.0).any(-1) | ~np.isfinite(forces[:, b]).all(-1))
+        held = float(t[lost[0]]) if len(lost) else float(t[-1])
+        mass = float(random.uniform(0.03, 0.15))
+        palms = palms_at(*(each[b] for each in motion))
+        lines = _joint_lines(rig, t, [each[b] for each in motion], random)
+        read = readings_of(palms, points[:, b])
+        for pad in range(len(PALMS)):
+            lines += _pad_lines(rig, pad, t, read[:, pad], mass * forces[:, b, pad], random)
+        lines = sorted((line for line in lines if line["t"] < held), key=lambda line: line["t"])
+        R = np.stack([state.R[b] for state in kept])
+        normals = palms.normal[::TRUTH_EVERY]
+        directions = spread_directions(2000)
+        truth = {
+            "kind": told[0], "seed": told[1], "body": b, "held_s": held,
+            "directions": directions.tolist(),
+            "h_m": bodies.take(np.array([b])).support(directions[None])[0][0].tolist(),
+            "inertia_m2": bodies.inertia[b].tolist(), "mass_kg": mass,
+            "mu": float(rubbing.mu[b]), "dither_m_s": float(rubbing.dither[b]), "drag_m2_s": float(rubbing.drag[b]),
+            "t": truth_t.tolist(),
+            "rotation": R.tolist(),
+            "omega_rad_s": [state.omega[b].tolist() for state in kept],
+            "com_m": [state.p[b].tolist() for state in kept],
+            "normals_body": (-np.einsum("tji,tnj->tni", R, normals)).tolist(),
+        }  # fmt: skip
+        runs.append(Run([header(rig), *lines], truth, held))
+    return runs
+
+
+def header(rig: ThreePalmsRig) -> dict[str, Any]:
+    """Line 1 of a log of this rig, whose constants are exactly as described."""
+    names = ("zero_m", "scale", "angle_rad", "standoff_m", "lag_s", "gravity_rad", "sagitta_m")
+    return {
+        "palmd_log": 1,
+        "rig": {
+            "system": SYSTEM,
+            "mechanism": MECHANISM,
+            "gravity_m_s2": rig.gravity,
+            "pad": {"side_m": rig.pad.side, "noise_m": rig.pad.noise, "resolution_m": rig.pad.resolution},
+            "palm_angle_noise_rad": rig.angle_noise,
+            "force_scale_std": rig.pad.force_scale_std,
+            "calibration_sd": dict.fromkeys(names, 0.0),
+        },
+    }
+
+
+def _joint_lines(
+    rig: ThreePalmsRig, t: FloatArray, motion: list[FloatArray], random: np.random.Generator
+) -> list[dict[str, Any]]:
+    every = round(REPORT_S / STEP_S)
+    angle, rate, acceleration = (each[::every] for each in motion)
+    measured = angle + rig.angle_noise * random.normal(size=angle.shape)
+    return [
+        {"t": float(at), "joints": {"angle_rad": a.tolist(), "rate_rad_s": r.tolist(), "acc_rad_s2": c.tolist()}}
+        for at, a, r, c in zip(t[::every], measured, rate, acceleration, strict=True)
+    ]
+
+
+def _pad_lines(
+    rig: ThreePalmsRig, pad: int, t: FloatArray, read: FloatArray, force: FloatArray, random: np.random.Generator
+) -> list[dict[str, Any]]:
+    gaps = PAD_INTERVAL_S + PAD_JITTER_S * random.normal(size=round(t[-1] / PAD_INTERVAL_S) + 50)
+    times = np.cumsum(np.maximum(gaps, LEAST_INTERVAL_S))
+    times = times[times < t[-1]]
+    resolution = rig.pad.resolution
+    value = np.stack([np.interp(times, t, read[:, k]) for k in range(2)], axis=1)
+    value = resolution * np.round((value + rig.pad.noise * random.normal(size=value.shape)) / resolution)
+    felt = np.interp(times, t, force) * (1.0 + rig.pad.force_scale_std * random.normal(size=times.shape))
+    return [
+        {"t": float(at), "pad": pad + 1, "a_m": float(a), "b_m": float(b), "force_n": float(f)}
+        for at, (a, b), f in zip(times, value, felt, strict=True)
+    ]

@@ -1,0 +1,109 @@
+"""Three flat palms in space: the mechanism of the paper's figure 1.2 (`edge-axis`), and the rig as an observer knows it.
+
+World frame: the apex O of the three palms at the origin, gravity along −z. Palm 1 tilts by β about its bottom edge X
+through O; palms 2 and 3 are carried by it and turn by γ2 and γ3 about the axis through O along its normal n1. All three
+pass through O, so that a point c on palm i has nᵢ·c = 0. Pure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from palmd.events import FloatArray
+
+SYSTEM = "three_palms"
+MECHANISM = "edge-axis"
+PALMS = (1, 2, 3)
+"""The palms' numbers; palm i carries pad i."""
+JOINTS = ("beta", "gamma2", "gamma3")
+"""What the joint angles are called, in the order of every joint vector."""
+
+
+@dataclass(frozen=True, slots=True)
+class PadPlane:
+    """A pad that reads both coordinates of the contact: its side, noise and resolution (m), noise of force readings.
+
+    `force_scale_std` is relative, of each reading by itself.
+    """
+
+    side: float = 0.075
+    noise: float = 1e-4
+    resolution: float = 1.27e-4
+    force_scale_std: float = 0.05
+
+    @property
+    def reading_variance(self) -> float:
+        """Of one coordinate: its noise and what rounding to the resolution adds (m²)."""
+        return self.noise**2 + self.resolution**2 / 12
+
+
+@dataclass(frozen=True, slots=True)
+class ThreePalmsRig:
+    """What an observer knows of the rig: gravity (m/s²), the pads, one-sigma of a reported joint angle (rad)."""
+
+    gravity: float = 9.81
+    pad: PadPlane = PadPlane()
+    angle_noise: float = 2e-4
+
+
+@dataclass(frozen=True, slots=True)
+class Palms:
+    """Where the palms are and how they turn at T instants; arrays (T, 3 palms, 3), SI, world frame.
+
+    normal: unit normals towards the object, with their first and second time derivatives. spin: angular velocity of
+    each palm. axis_a, axis_b: the pad's axes, so that readings (a, b) mean the contact a·axis_a + b·axis_b.
+    """
+
+    normal: FloatArray
+    normal_rate: FloatArray
+    normal_acceleration: FloatArray
+    spin: FloatArray
+    axis_a: FloatArray
+    axis_b: FloatArray
+
+
+def palms_at(angle: FloatArray, rate: FloatArray, acceleration: FloatArray) -> Palms:
+    """The palms for joint angles (rad), rates (rad/s) and accelerations (rad/s²), each (T, 3) = (β, γ2, γ3)."""
+    beta, gamma2, gamma3 = angle.T
+    zero, one = np.zeros_like(beta), np.ones_like(beta)
+    edge = np.stack([one, zero, zero], axis=-1)
+    up = np.stack([zero, np.cos(beta), np.sin(beta)], axis=-1)
+    n1 = np.stack([zero, -np.sin(beta), np.cos(beta)], axis=-1)
+
+    def mixed(along_edge: FloatArray, along_up: FloatArray) -> FloatArray:
+        return along_edge[:, None] * edge + along_up[:, None] * up
+
+    normal = np.stack([n1, mixed(np.cos(gamma2), np.sin(gamma2)), mixed(-np.cos(gamma3), np.sin(gamma3))], axis=1)
+    axis_a = np.stack([edge, mixed(-np.sin(gamma2), np.cos(gamma2)), mixed(np.sin(gamma3), np.cos(gamma3))], axis=1)
+    axis_b = np.stack([up, n1, n1], axis=1)
+
+    tilt, tilting = rate[:, :1] * edge, acceleration[:, :1] * edge
+    turn = np.stack([zero, rate[:, 1], -rate[:, 2]], axis=1)[..., None]
+    turning = np.stack([zero, acceleration[:, 1], -acceleration[:, 2]], axis=1)[..., None]
+    axle = n1[:, None]
+    spin = tilt[:, None] + turn * axle
+    spin_rate = tilting[:, None] + turning * axle + turn * np.cross(tilt, n1)[:, None]
+    normal_rate = np.cross(spin, normal)
+    return Palms(normal, normal_rate, np.cross(spin_rate, normal) + np.cross(spin, normal_rate), spin, axis_a, axis_b)
+
+
+def angles_of(normal: FloatArray) -> FloatArray:
+    """(T, 3) joint angles β, γ2, γ3 (rad) whose palms have these unit normals (T, 3 palms, 3); β in (−π/2, π/2)."""
+    n1, n2, n3 = normal[:, 0], normal[:, 1], normal[:, 2]
+    beta = np.arctan2(-n1[:, 1], n1[:, 2])
+    up = np.stack([np.zeros_like(beta), np.cos(beta), np.sin(beta)], axis=-1)
+    along2, along3 = (n2 * up).sum(-1), (n3 * up).sum(-1)
+    return np.stack([beta, np.arctan2(along2, n2[:, 0]), np.arctan2(along3, -n3[:, 0])], axis=-1)
+
+
+def contact_points(palms: Palms, a: FloatArray, b: FloatArray) -> FloatArray:
+    """(T, 3 palms, 3) contacts (m, world) of readings a, b (T, 3 palms)."""
+    points: FloatArray = a[..., None] * palms.axis_a + b[..., None] * palms.axis_b
+    return points
+
+
+def readings_of(palms: Palms, points: FloatArray) -> FloatArray:
+    """(T, 3 palms, 2) what each pad reads of contacts (T, 3 palms, 3) (m, world)."""
+    return np.stack([(points * palms.axis_a).sum(-1), (points * palms.axis_b).sum(-1)], axis=-1)
