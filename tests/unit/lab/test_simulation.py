@@ -282,7 +282,6 @@ def test_the_command_tells_a_failure_as_one_command(monkeypatch, capsys):
     monkeypatch.setattr(bench_simulate, "drawn", lambda _seed: few)
     arguments = SimpleNamespace(seeds=range(2, 3), fresh=None, keep=None, list=False, unreached=False)
     assert bench_simulate.run(arguments) == 1
-    told = capsys.readouterr().out
-    assert "--seeds 7..7 --keep 2" in told
+    assert "--seeds 7..7 --keep 2" in capsys.readouterr().out
     arguments.keep = bench_simulate._numbers("2")
     assert bench_simulate.run(arguments) == 1
