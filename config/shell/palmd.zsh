@@ -681,7 +681,7 @@ _shtab_palmd_replay_options=(
   "--speed[times the recorded pace (default\: 1)]:X:"
   "--publish[where to (default\: tcp\:\/\/127.0.0.1\:9872)]:ADDRESS:"
   "--loop[begin anew at the end, until Ctrl-C]"
-  "--check[compare with what the observer says now, and end]"
+  "--check[compare with what the observer says now, and with the lifecycle\'s rules]"
   ":a recorded run (.mcap):_files"
 )
 
