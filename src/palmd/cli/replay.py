@@ -1,7 +1,7 @@
 """Publishes a recorded run again, message by message, for the live page and every other subscriber.
 
 With --check nothing is published: the recorded events go through the same observer again, and its estimates are
-compared with the recorded ones, to the last bit.
+compared with the recorded ones, to the last bit; and the lifecycle's rules are applied to what was commanded and done.
 """
 
 from __future__ import annotations
@@ -19,12 +19,15 @@ from palmd.config import LocalAddress
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import Progress
 from palmd.harness.processes import StopRequest
+from palmd.harness.rules import Kept, kept_by
 from palmd.quantities import EVENTS
 from palmd.record.length import message_count
 from palmd.record.mcapfile import RawMessage
 from palmd.record.player import SETTLE_S, Publisher, RepublishError, pause, play
 from palmd.record.recheck import Difference, Recheck
 from palmd.record.run import Run, RunError, read_run
+
+TOLD_BROKEN = 10
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,7 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--publish", type=_address, default=PUBLISH, metavar="ADDRESS", help="where to (default: %(default)s)"
     )
     parser.add_argument("--loop", action="store_true", help="begin anew at the end, until Ctrl-C")
-    parser.add_argument("--check", action="store_true", help="compare with what the observer says now, and end")
+    parser.add_argument(
+        "--check", action="store_true", help="compare with what the observer says now, and with the lifecycle's rules"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -86,8 +91,18 @@ def _check(recording: Run) -> int:
             agree += not tick.differences
             found += tick.differences
             progress.at(tick.number)
-    print("\n".join(_told(recording.path, total, ticks, agree, found)))
-    return BAD_INPUT if found else 0
+    kept = kept_by(recording)
+    print("\n".join(_told(recording.path, total, ticks, agree, found) + _rules_told(kept)))
+    return BAD_INPUT if found or kept.broken else 0
+
+
+def _rules_told(kept: Kept) -> list[str]:
+    """Whether the run has kept the lifecycle's rules, in words."""
+    what = f"{kept.states} states and {kept.entries} entries of the log"
+    if not kept.broken:
+        return [f"the lifecycle's rules hold in {what}"]
+    lines = [f"the lifecycle's rules are broken {len(kept.broken)} times in {what}"]
+    return lines + [f"at {broken}" for broken in kept.broken[:TOLD_BROKEN]]
 
 
 def _told(path: Path, total: int, ticks: int, agree: int, found: list[Difference]) -> list[str]:

@@ -113,6 +113,11 @@ COMMANDS = (
         "lab.bench_faults",
         "every fault provoked on the emulated rig: what comes of it, how soon the arm stands",
     ),
+    Command(
+        "bench simulate",
+        "lab.bench_simulate",
+        "daemon and rig in virtual time with everything that may go wrong at once: what must hold all the same",
+    ),
     Command("bench soak", "lab.bench_soak", "the demo for an hour with random mischief: leaks, lateness, lost packets"),
     Command(
         "latency", "lab.latency", "how late the control loop is on this machine, idle and busy, beside a bare timer"

@@ -51,12 +51,21 @@ class BusCounters:
 class Bus:
     """Both sockets, bound from the beginning; raises BusError when an address cannot be had."""
 
-    def __init__(self, publish: str, command: str, keys: ServerKeys | None = None) -> None:
-        """`publish` and `command` are ZeroMQ addresses; with `keys` only who is listed there comes in, encrypted."""
+    def __init__(
+        self,
+        publish: str,
+        command: str,
+        keys: ServerKeys | None = None,
+        context: zmq.Context[zmq.Socket[bytes]] | None = None,
+    ) -> None:
+        """`publish` and `command` are ZeroMQ addresses; with `keys` only who is listed there comes in, encrypted.
+
+        The sockets are the `context`'s, which `close` ends.
+        """
         self.counters = BusCounters()
         self._seq: dict[str, int] = {}
         self._early: list[Request] = []  # what came before the loop
-        self._context = zmq.Context()
+        self._context = context or zmq.Context()
         self._door = None if keys is None else ZapAuthenticator(self._context, keys)
         self._sockets: list[zmq.Socket[bytes]] = []
         try:

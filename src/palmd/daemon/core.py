@@ -141,6 +141,11 @@ class Core:
         """What the daemon is doing."""
         return self.supervisor.state
 
+    @property
+    def estimate(self) -> Estimate:
+        """The last tick's."""
+        return self._estimate
+
     # ---- the lines ---------------------------------------------------------------------------------------
 
     def ports(self) -> dict[EndName, DevicePort]:

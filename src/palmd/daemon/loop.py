@@ -11,6 +11,7 @@ import logging
 import math
 import time
 from collections.abc import Callable, Mapping
+from typing import Protocol
 
 from palmd.daemon.bus import Bus
 from palmd.daemon.core import Core
@@ -47,6 +48,13 @@ def next_deadline(deadline: float, now: float, period: float) -> tuple[float, in
     return deadline + (skipped + 1) * period, skipped
 
 
+class Waiter(Protocol):
+    """What waits on the ports; see `PortWaiter`."""
+
+    def wait(self, t_deadline: float) -> list[DevicePort]:
+        """The ports where something has come, or none once `t_deadline` (s) has."""
+
+
 class Loop:
     """Runs the core on real ports, sockets and clocks; see the module."""
 
@@ -62,8 +70,13 @@ class Loop:
         info: Fields,
         counters: Callable[[], Fields] = dict,
         clock: Callable[[], float] = time.monotonic,
+        wall: Callable[[], float] = time.time,
+        waiter: Waiter | None = None,
     ) -> None:
-        """`info` is what `palm/info` says, `counters` gives what `palm/loop` says beyond the loop's own."""
+        """`info` is what `palm/info` says, `counters` gives what `palm/loop` says beyond the loop's own.
+
+        `clock` gives the time (s) of all that is done, `wall` that of the calendar; `waiter` waits on the ports.
+        """
         self.statistics = LoopStatistics(rate_hz)
         self._core = core
         self._ports = dict(ports)
@@ -75,11 +88,12 @@ class Loop:
         self._backend = backend
         self._info = info
         self._counters = counters
-        self._clock = clock
-        self._waiter = PortWaiter(list(self._ports.values()), clock)
+        self._clock, self._wall = clock, wall
+        self._waiter: Waiter = waiter or PortWaiter(list(self._ports.values()), clock)
         self._known_open: set[EndName] = set()
         self._stop_wanted = False
         self._t_stop = math.inf
+        self._deadline = -math.inf
         self._arrived: list[tuple[DevicePort, bytes, float]] = []
         self._busy_s = 0.0  # spent on bytes since the last tick
         self._failed = False
@@ -105,24 +119,33 @@ class Loop:
 
     def run(self) -> bool:
         """Tick until asked to stop; returns whether the arm is known to stand in the end."""
-        self._open_ports(self._clock())
-        deadline = self._clock() + self._period
-        while not self._over():
-            self._attend(deadline)
-            begun = self._clock()
-            healthy = self._tick(begun)
-            ended = self._clock()
-            next_one, skipped = next_deadline(deadline, ended, self._period)
-            self.statistics.tick(begun - deadline, ended - begun + self._busy_s, skipped)
-            self._busy_s = 0.0
-            if skipped:
-                self._core.overran(ended, ended - deadline)
-            elif healthy:
-                self._notifier.healthy(ended)
-            deadline = next_one
+        self.begin()
+        while not self.over():
+            self.period()
         return self._core.at_rest
 
-    def _over(self) -> bool:
+    def begin(self) -> None:
+        """Open the ports; the first tick is due a period later."""
+        self._open_ports(self._clock())
+        self._deadline = self._clock() + self._period
+
+    def period(self) -> None:
+        """Attend to the ports until the next tick is due, and do it."""
+        deadline = self._deadline
+        self._attend(deadline)
+        begun = self._clock()
+        healthy = self._tick(begun)
+        ended = self._clock()
+        self._deadline, skipped = next_deadline(deadline, ended, self._period)
+        self.statistics.tick(begun - deadline, ended - begun + self._busy_s, skipped)
+        self._busy_s = 0.0
+        if skipped:
+            self._core.overran(ended, ended - deadline)
+        elif healthy:
+            self._notifier.healthy(ended)
+
+    def over(self) -> bool:
+        """Whether the end was asked for and the arm stands, or has had its time to."""
         if not self._stop_wanted:
             return False
         now = self._clock()
@@ -225,14 +248,14 @@ class Loop:
             self._bus.reply(reply)
 
     def _publish(self, t: float) -> None:
-        timestamp = time.time()
+        timestamp = self._wall()
         for topic, fields in self._core.report(t):
             self._bus.publish(topic, fields, t, timestamp)
 
     def _publish_slowly(self, t: float) -> None:
         if t - self._t_slow >= SLOW_TOPIC_S - 0.5 * self._period:
             self._t_slow = t
-            timestamp = time.time()
+            timestamp = self._wall()
             self._bus.publish(LOOP, self._loop_fields(), t, timestamp)
             self._bus.publish(INFO, dict(self._info), t, timestamp)
 

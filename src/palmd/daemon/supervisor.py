@@ -161,6 +161,7 @@ class Supervisor:
 
     def fall(self) -> None:
         """A stop fault: a planned stop, whatever is going on."""
+        self._autostart.clear()  # who resets it must not be surprised by an arm that moves
         self._change(Trigger.STOP_FAULT, self._standing(Severity.STOP))
         self._stand_down("a fault came up; see status")
 

@@ -49,7 +49,7 @@ class AdeptArm:
         self._rng, self._home = rng, home
         self._linkage = Linkage.from_config(config)
         start = self._linkage.pose(*home)
-        self._judge = SetPointChecker(self._linkage, config.limits)
+        self.judge = SetPointChecker(self._linkage, config.limits)
         self._controller = Controller(arm_limits(config), start, arm.baud, self._hear_setpoint)
         self._servos = [Servo(r, 0.016 + lag_s) for r in (start.x_m, start.y_m, start.t_rad)]
         self._steps_per_cycle = round(CYCLE_S / step_s)
@@ -126,7 +126,7 @@ class AdeptArm:
             "crc_errors": self._controller.reader.counters.crc_errors,
             **{f"host_{what}": n for what, n in self._host_lines.as_dict().items()},
             **self._controller.counters.as_dict(),
-            **self._judge.as_dict(),
+            **self.judge.as_dict(),
         }
 
     def listener(self) -> LineReader:
@@ -142,7 +142,7 @@ class AdeptArm:
     def _hear_setpoint(self, pose: Pose, t: float) -> None:
         x, y, angle = (servo.at(t)[0] for servo in self._servos)
         holds = self._controller.state is ArmState.HOLD
-        self._judge.hear(pose, t, Pose(x, y, turn(angle)) if holds else None)
+        self.judge.hear(pose, t, Pose(x, y, turn(angle)) if holds else None)
 
 
 def arm_limits(config: Config) -> ArmLimits:

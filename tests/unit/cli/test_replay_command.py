@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import math
+import re
 import signal
 import subprocess
 import sys
@@ -17,8 +18,9 @@ import recorded
 import zmq
 
 from palmd.cli import main
+from palmd.harness.rules import kept_by
 from palmd.messages import validate
-from palmd.quantities import ESTIMATE, EVENTS, IMPROVEMENT, REPLAY
+from palmd.quantities import ESTIMATE, EVENTS, IMPROVEMENT, LOG, REPLAY
 from palmd.record.mcapfile import Preface, RawMessage, RunWriter
 from palmd.record.metadata import METADATA
 from palmd.record.player import frames, offsets, play
@@ -81,8 +83,39 @@ def test_check_agrees(capsys):
     count = sum(topic == EVENTS.name for topic, _ in lived.published())
     assert main(["replay", str(lived.path()), "--check"]) == 0
     out, err = capsys.readouterr()
-    assert out == f"{lived.path()}: {count} of {count} ticks agree to the last bit\n"
+    first, second = out.splitlines()
+    assert first == f"{lived.path()}: {count} of {count} ticks agree to the last bit"
+    assert re.fullmatch(r"the lifecycle's rules hold in \d+ states and \d+ entries of the log", second)
     assert err == ""
+
+
+def without_granted(command):
+    """The log tells that this command was refused."""
+
+    def change(message):
+        if message.topic != LOG.name:
+            return message
+        fields = message.fields
+        told = zip(fields["name"], fields["text"], strict=True)
+        fields["text"] = ["no" if name == command and text == "done" else text for name, text in told]
+        return dataclasses.replace(message, payload=msgpack.packb(fields))
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("command", "told"), [("arm", "from ready to tracking though nobody armed"), ("start", "though nobody gave start")]
+)
+def test_what_nobody_granted_breaks_a_rule(tmp_path, capsys, command, told):
+    path = rewritten(tmp_path / "a.mcap", without_granted(command))
+    assert main(["replay", str(path), "--check"]) == 1
+    assert told in capsys.readouterr().out
+
+
+def test_what_the_log_does_not_tell_breaks_no_rule(tmp_path):
+    kept = kept_by(read_run(rewritten(tmp_path / "a.mcap", without(LOG.name))))
+    assert kept.states > 10
+    assert (kept.entries, kept.broken) == (0, ())
 
 
 def test_one_bit_is_found(tmp_path, capsys):

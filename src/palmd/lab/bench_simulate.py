@@ -1,0 +1,149 @@
+"""Daemon and rig in one process on virtual time: everything that may go wrong at once, and what must hold all the same.
+
+One seed draws plan, faults, commands of several clients, damaged bytes, stalls, slow helpers, clock steps and restarts;
+invariants are checked at every tick. A run that breaks one is shrunk to the happenings that matter and told as one
+command, which repeats it bit for bit. Most runs have a light rig and an observer that costs nothing. Exit status 1 when
+an invariant was broken.
+"""
+
+from __future__ import annotations
+
+import argparse
+import secrets
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterable, Sequence
+
+from palmd.console.arguments import seconds
+from palmd.console.errors import BAD_INPUT
+from palmd.console.progress import Progress
+from palmd.lab.simulation.happenings import Scenario, drawn
+from palmd.lab.simulation.reached import Triple, never_reached
+from palmd.lab.simulation.run import Outcome, simulate
+from palmd.lab.simulation.shrink import shrunk
+
+SEEDS_MOST = 1 << 63
+TOLD_MISSING = 40
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The bench's arguments."""
+    add = parser.add_argument
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--seeds", type=_seeds, metavar="A..B", help="from A up to B, both included")
+    which.add_argument(
+        "--fresh", type=seconds, metavar="S", help="seeds nobody has tried, for so many processor seconds; default: 60"
+    )
+    add("--keep", type=_numbers, metavar="N,N…", help="of one seed's happenings only these")
+    add("--list", action="store_true", help="tell a single seed's happenings")
+    add("--unreached", action="store_true", help="tell every (state, fault, command) that was not seen")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Status 1 when an invariant was broken; usage error for happenings of more than one seed."""
+    seeds: Iterable[int] = arguments.seeds if arguments.seeds is not None else _fresh(arguments.fresh or 60.0)
+    single = arguments.seeds is not None and len(arguments.seeds) == 1
+    if (arguments.keep is not None or arguments.list) and not single:
+        print("--keep and --list are for one seed: --seeds A..A", file=sys.stderr)
+        return BAD_INPUT
+    begun = time.process_time()
+    simulated_s, count, failed = 0.0, 0, 0
+    seen: Counter[Triple] = Counter()
+    sometimes: Counter[str] = Counter()
+    total = len(arguments.seeds) if arguments.seeds is not None else 0
+    with Progress("simulate", total, "runs") as progress:
+        for seed in seeds:
+            scenario = drawn(seed)
+            if arguments.keep is not None:
+                scenario = scenario.keeping(arguments.keep)
+            outcome = simulate(scenario)
+            count += 1
+            simulated_s += outcome.simulated_s
+            seen += outcome.seen
+            sometimes += outcome.sometimes
+            if arguments.list:
+                _list(scenario)
+            if outcome.breach is not None:
+                failed += 1
+                _tell(outcome, shrink=arguments.keep is None)
+            elif single:
+                print(f"seed {seed}: every invariant held; digest {outcome.digest}")
+            if total:
+                progress.at(count)
+    spent = time.process_time() - begun
+    print(
+        f"{count} runs, {simulated_s / 3600:.2f} simulated hours, {failed} with a broken invariant; "
+        f"{simulated_s / max(spent, 1e-9):.1f} simulated hours per processor hour"
+    )
+    print(f"sometimes: {', '.join(f'{name} {number}' for name, number in sorted(sometimes.items()))}")
+    _tell_reached(seen, whole=arguments.unreached)
+    return BAD_INPUT if failed else 0
+
+
+def _tell(outcome: Outcome, *, shrink: bool) -> None:
+    scenario, breach = outcome.scenario, outcome.breach
+    assert breach is not None
+    print(f"seed {scenario.seed}: {breach}")
+    if not shrink:
+        print(f"digest {outcome.digest}")
+        return
+
+    def breaks(kept: Sequence[int]) -> bool:
+        again = simulate(scenario.keeping(kept)).breach
+        return again is not None and again.name == breach.name
+
+    least = scenario.keeping(shrunk([n for n in scenario.kept if scenario.happenings[n].t <= breach.t], breaks))
+    print(f"  {len(least.kept)} of {len(scenario.kept)} happenings are enough:")
+    _list(least)
+    kept = ",".join(map(str, least.kept)) or "none"
+    print(f"  palmd bench simulate --seeds {scenario.seed}..{scenario.seed} --keep {kept}", flush=True)
+
+
+def _list(scenario: Scenario) -> None:
+    for number, happening in zip(scenario.kept, scenario.happenings, strict=True):
+        print(f"  {number}: {happening}")
+
+
+def _tell_reached(seen: Counter[Triple], *, whole: bool) -> None:
+    missing, reasons, found = never_reached(seen)
+    print(f"(state, fault, command): {found} of {found + len(missing)} seen")
+    for reason, number in reasons.items():
+        print(f"  {number} cannot be: {reason}")
+    told = missing if whole else missing[:TOLD_MISSING]
+    by_pair: dict[tuple[str, str], list[str]] = {}
+    for state, code, command in told:
+        by_pair.setdefault((state, code), []).append(command)
+    for (state, code), commands in by_pair.items():
+        print(f"  not seen: {state}, {code}: {', '.join(commands)}")
+    if len(told) < len(missing):
+        print(f"  and {len(missing) - len(told)} more: --unreached tells all")
+
+
+def _fresh(for_s: float) -> Iterable[int]:
+    """Seeds from the system's randomness, each told, for so many seconds of processor time."""
+    begun = time.process_time()
+    first = secrets.randbelow(SEEDS_MOST - (1 << 32))
+    print(f"fresh seeds from {first} on", flush=True)
+    seed = first
+    while time.process_time() - begun < for_s:
+        yield seed
+        seed += 1
+
+
+def _seeds(text: str) -> range:
+    first, _, last = text.partition("..")
+    try:
+        found = range(int(first), int(last or first) + 1)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"must be A..B, such as 0..99, got {text}") from None
+    if not found or found[0] < 0:
+        raise argparse.ArgumentTypeError(f"must be A..B with A no larger than B and none negative, got {text}")
+    return found
+
+
+def _numbers(text: str) -> tuple[int, ...]:
+    try:
+        return () if text == "none" else tuple(map(int, text.split(",")))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"must be numbers with commas between, or none, got {text}") from None

@@ -1,0 +1,218 @@
+"""What happens in a simulated run: drawn whole from one seed before it begins, so that any part can be left out. Pure.
+
+Every happening carries all that it needs. A run is repeated bit for bit by its seed and the numbers of the happenings
+that are kept.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import msgpack
+
+from palmd.daemon.commands import COMMANDS, Argument
+from palmd.rig.fault_injection import INJECTABLE_FAULTS, PORTS, PortName
+
+TROUBLE_S, CALM_S = 22.0, 8.0
+"""How long things happen, and how long everything has to be well again after the last one has ended."""
+
+FIRST_S = 0.2
+MOST_CLIENTS = 4
+BURST_S = 0.05
+LONGEST_S = 3.0
+
+Part = Literal["between", "take in", "observe", "decide", "publish"]
+PARTS: tuple[Part, ...] = ("between", "take in", "observe", "decide", "publish")
+
+
+@dataclass(frozen=True, slots=True)
+class Trick:
+    """A mischief of the emulated rig, so strong, for so long."""
+
+    t: float
+    name: str
+    port: PortName | None
+    strength: float
+    for_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """A client's message to the command socket: a command, or anything else."""
+
+    t: float
+    client: int
+    payload: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Stall:
+    """The daemon's process does nothing for so long, in this part of its period."""
+
+    t: float
+    part: Part
+    for_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Bytes:
+    """What the host reads next at a port comes twice, is lost, or is led by stray bytes."""
+
+    t: float
+    port: PortName
+    how: Literal["doubled", "lost", "stray"]
+    stray: bytes = b""
+
+
+@dataclass(frozen=True, slots=True)
+class Slow:
+    """Who works beside the loop takes so long for what it is given within `for_s`."""
+
+    t: float
+    who: Literal["planner", "explorer"]
+    takes_s: float
+    for_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class ClockStep:
+    """The calendar's clock is set by so many seconds."""
+
+    t: float
+    by_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Restart:
+    """The daemon ends, killed or asked to, and another one begins `after_s` later."""
+
+    t: float
+    killed: bool
+    after_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Broken:
+    """The observer raises, calls what is not finite valid, or knows nothing."""
+
+    t: float
+    how: Literal["raises", "nan", "blind"]
+    for_s: float
+
+
+Happening = Trick | Told | Stall | Bytes | Slow | ClockStep | Restart | Broken
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """All that one run is made of. `kept` are the numbers of the `happenings` among those drawn.
+
+    `eager_s` is how long the operator who wants the palms to move takes between looks, `latency_s` how often each
+    port's adapter delivers. `thorough`: with the real observer on the real plant; `recorded`: as the recorder does.
+    `trouble_s` is how long things may happen.
+    """
+
+    seed: int
+    plan: int
+    autostart: bool
+    eager_s: float
+    latency_s: tuple[float, ...]
+    happenings: tuple[Happening, ...]
+    kept: tuple[int, ...]
+    thorough: bool = False
+    recorded: bool = False
+    trouble_s: float = TROUBLE_S
+
+    def keeping(self, kept: Iterable[int]) -> Scenario:
+        """The same with these happenings only, by their numbers among those drawn."""
+        mine = dict(zip(self.kept, self.happenings, strict=True))
+        some = tuple(number for number in sorted(set(kept)) if number in mine)
+        return replace(self, happenings=tuple(mine[number] for number in some), kept=some)
+
+
+PLANS = 4
+THOROUGH_EVERY, RECORDED_EVERY = 64, 16
+"""Of the seeds: one in so many has the real observer and plant, or is recorded."""
+
+
+def drawn(seed: int) -> Scenario:
+    """The run of a seed: the same in every process and on every machine."""
+    rng = random.Random(seed)
+    plan, autostart, eager_s = rng.randrange(PLANS), rng.random() < 0.1, rng.uniform(0.05, 0.8)
+    latency_s = tuple(rng.choice((0.001, 0.002, 0.004)) for _ in PORTS)
+    clients = 1 + rng.randrange(MOST_CLIENTS)
+    found: list[Happening] = []
+    for _ in range(rng.randrange(1, 13)):
+        t = rng.uniform(FIRST_S, TROUBLE_S - LONGEST_S)
+        together = 1 if rng.random() < 0.6 else rng.randrange(2, 6)
+        found += [_one(t + rng.uniform(0.0, BURST_S), rng) for _ in range(together)]
+    for _ in range(rng.randrange(0, 60)):
+        found.append(_told(rng.uniform(FIRST_S, TROUBLE_S), rng.randrange(clients), rng))
+    if rng.random() < 0.1:
+        t = rng.uniform(FIRST_S, TROUBLE_S)
+        found += [_told(t + rng.uniform(0.0, BURST_S), rng.randrange(clients), rng) for _ in range(100)]
+    found.sort(key=lambda each: each.t)
+    happenings = tuple(found)
+    numbers = tuple(range(len(happenings)))
+    thorough, recorded = seed % THOROUGH_EVERY == THOROUGH_EVERY - 1, seed % RECORDED_EVERY == RECORDED_EVERY - 1
+    return Scenario(seed, plan, autostart, eager_s, latency_s, happenings, numbers, thorough, recorded)
+
+
+def _one(t: float, rng: random.Random) -> Happening:
+    """Anything that is no command."""
+    short = rng.choice((0.03, 0.3, 1.0, LONGEST_S))
+    for_s = rng.uniform(0.2, 1.0) * short
+    match rng.choices(("trick", "bytes", "stall", "slow", "clock", "restart", "broken"), (50, 15, 12, 6, 3, 5, 5))[0]:
+        case "trick":
+            trick = INJECTABLE_FAULTS[rng.choice(sorted(INJECTABLE_FAULTS))]
+            port = rng.choice(trick.ports) if trick.ports else None
+            strength = min(trick.strength * rng.choice((0.2, 1.0, 3.0)), 1.0 if trick.name in ("drop", "garble") else 9)
+            return Trick(t, trick.name, port, strength, for_s)
+        case "bytes":
+            stray = rng.randbytes(rng.randrange(1, 40))
+            return Bytes(t, rng.choice(PORTS), rng.choice(("doubled", "lost", "stray")), stray)
+        case "stall":
+            return Stall(t, rng.choice(PARTS), rng.choice((0.004, 0.012, 0.03, 0.06, 0.15, 0.4, 1.2)))
+        case "slow":
+            return Slow(t, rng.choice(("planner", "explorer")), rng.choice((0.05, 0.5, 4.0)), LONGEST_S)
+        case "clock":
+            return ClockStep(t, rng.choice((-3600.0, -0.5, 0.5, 3600.0)))
+        case "restart":
+            return Restart(t, rng.random() < 0.6, rng.uniform(0.0, 1.0))
+    return Broken(t, rng.choice(("raises", "nan", "blind")), for_s)
+
+
+_WEIGHTS = {"status": 2, "arm": 8, "start": 10, "hold": 6, "stop": 4, "reset": 6, "plan": 4, "jog": 10, "note": 1}
+
+
+def _told(t: float, client: int, rng: random.Random) -> Told:
+    name = rng.choices(sorted(COMMANDS), [_WEIGHTS.get(each, 1) for each in sorted(COMMANDS)])[0]
+    args = {each.name: _value(each, rng) for each in COMMANDS[name].arguments if each.required or rng.random() < 0.6}
+    if name == "plan":
+        args = {"path": "sent.yaml", "text": PLAN_TEXTS[rng.randrange(len(PLAN_TEXTS))]}
+    message = {"id": rng.randrange(1 << 30), "cmd": name, "args": args, "from": f"client {client}"}
+    payload: bytes = msgpack.packb(message)
+    if rng.random() < 0.05:
+        cut = bytearray(payload)
+        cut[rng.randrange(len(cut))] ^= 1 << rng.randrange(8)
+        payload = bytes(cut[: rng.randrange(1, len(cut) + 1)])
+    return Told(t, client, payload)
+
+
+def _value(argument: Argument, rng: random.Random) -> object:
+    if argument.kind == "text":
+        return rng.choice(("a word", "ärger", "x" * 90))
+    low, high = max(argument.low, -1e6), min(argument.high, 1e6)
+    return rng.choice((rng.uniform(low, high), 0.02 * low, 0.02 * high, 0.0, high * 1.01))
+
+
+PLAN_TEXTS = (
+    "name: sent\nrepeat: forever\nsegments:\n- move: {phi1_deg: 50, phi2_deg: 85}\n  duration_s: 0.4\n"
+    "- sine: {phi1_deg: 10, phi2_deg: 6}\n  frequency_hz: 0.7\n  duration_s: 5\n",
+    "name: short\nsegments:\n- move: {phi1_deg: 40, phi2_deg: 95}\n  duration_s: 0.5\n",
+    "name: too fast\nsegments:\n- move: {phi1_deg: 100, phi2_deg: 40}\n  duration_s: 0.01\n",
+    "name: [broken\n",
+)

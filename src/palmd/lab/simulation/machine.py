@@ -1,0 +1,340 @@
+"""The machine that the simulated daemon runs on: its clock, ports, sockets and helpers, all in virtual time."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass
+from typing import Any, ParamSpec, Protocol, TypeVar
+
+import zmq
+
+from palmd.daemon.exploration_requests import ExplorationAnswer, Question
+from palmd.devices.port import DevicePort, PortCounters
+from palmd.rig.fault_injection import PORTS, PortName, Switchboard
+
+READING_S = 4e-6
+"""What it costs to look at the clock: so that whoever waits by looking comes to an end."""
+
+RETRY_S = 0.5
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+class FarSide(Protocol):
+    """The emulated rig: `World`, or `LightRig`."""
+
+    mischief: Switchboard
+
+    @property
+    def t(self) -> float:
+        """The time it stands at (s)."""
+
+    def advance(self, t: float) -> dict[PortName, bytes]:
+        """Lives on to t (s); what has come out of the ports."""
+
+    def receive(self, port: PortName, data: bytes) -> None:
+        """What the host has written."""
+
+    def opened(self, port: PortName) -> None:
+        """The host has opened a port."""
+
+    def unplugged(self, port: PortName) -> bool:
+        """Whether its plug has been pulled."""
+
+
+class Clock:
+    """Virtual time (s): the monotonic clock, and by how much the calendar's is ahead of it."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+        self.ahead = 1.7e9
+
+    def __call__(self) -> float:
+        """The time; looking at it takes some."""
+        self.now += READING_S
+        return self.now
+
+    def wall(self) -> float:
+        """Unix time (s)."""
+        return self.now + self.ahead
+
+
+class Cable:
+    """Between the rig's port and the daemon's: bytes the adapter holds, those that the host has ready to read."""
+
+    def __init__(self, every_s: float) -> None:
+        """The adapter delivers once in so many seconds."""
+        self.every_s = every_s
+        self.t_next = 0.0
+        self.held = b""
+        self.ready = b""
+        self.spoil: Callable[[bytes], bytes] | None = None
+
+
+class Machine:
+    """Clock, cables and rig: whoever waits lets the rig live on."""
+
+    def __init__(self, rig: FarSide, step_s: float, latency_s: Sequence[float]) -> None:
+        """The rig lives in steps of `step_s`; `latency_s` is that of each port's adapter."""
+        self.rig = rig
+        self.clock = Clock()
+        self.cables = {port: Cable(each) for port, each in zip(PORTS, latency_s, strict=True)}
+        self._step_s = step_s
+
+    def catch_up(self) -> None:
+        """The rig lives on to the present."""
+        now = self.clock.now
+        if now < self.rig.t + self._step_s:
+            return
+        for port, data in self.rig.advance(now).items():
+            self.cables[port].held += data
+        for cable in self.cables.values():
+            if now < cable.t_next:
+                continue
+            cable.t_next += cable.every_s * (1 + int((now - cable.t_next) / cable.every_s))
+            if cable.held:
+                fresh, cable.held = cable.held, b""
+                if cable.spoil is not None:
+                    fresh, cable.spoil = cable.spoil(fresh), None
+                cable.ready += fresh
+
+    def sleep(self, t_end: float, awake: Callable[[], bool]) -> None:
+        """Until `t_end` (s), or something has woken us."""
+        clock, cables = self.clock, self.cables.values()
+        while not awake():
+            t_next = max(min(cable.t_next for cable in cables), self.rig.t + self._step_s) + 1e-9
+            if t_next > t_end:
+                clock.now = max(clock.now, t_end)
+                return
+            clock.now = max(clock.now, t_next)
+            self.catch_up()
+
+
+class VirtualPort(DevicePort):
+    """The host's end of a cable; see `DevicePort`."""
+
+    def __init__(self, name: PortName, machine: Machine, wrote: Callable[[bytes, float], None]) -> None:
+        """`wrote` is told of all that is written, and when (s)."""
+        self.path = name
+        self.error: str | None = f"{name} has not been opened yet"
+        self.counters = PortCounters()
+        self._machine, self._wrote = machine, wrote
+        self._cable = machine.cables[name]
+        self._open = False
+        self._t_retry = -math.inf
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it can be read and written."""
+        return self._open
+
+    @property
+    def waiting(self) -> bool:
+        """Whether there is something to read, or the plug has gone."""
+        return self._open and (bool(self._cable.ready) or self._machine.rig.unplugged(self.path))
+
+    def fileno(self) -> int:
+        """It has none."""
+        raise ValueError(self.path)
+
+    def poll_open(self, t: float) -> bool:
+        """Open it if a try is due."""
+        if not self._open and t >= self._t_retry:
+            self._t_retry = t + RETRY_S
+            if self._machine.rig.unplugged(self.path):
+                self.error = f"no such port {self.path}"
+            else:
+                self._open, self.error = True, None
+                self.counters.opens += 1
+                self._cable.held = self._cable.ready = b""  # opening flushes
+                self._machine.rig.opened(self.path)
+        return self._open
+
+    def read(self) -> bytes:
+        """What has arrived."""
+        if self._gone():
+            return b""
+        data, self._cable.ready = self._cable.ready, b""
+        self.counters.bytes_read += len(data)
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send it."""
+        self._machine.catch_up()
+        if self._gone():
+            self.counters.bytes_dropped += len(data)
+            return
+        self.counters.bytes_written += len(data)
+        self._wrote(data, self._machine.clock.now)
+        self._machine.rig.receive(self.path, data)
+
+    def close(self) -> None:
+        """Shut it."""
+        self._open = False
+
+    def _gone(self) -> bool:
+        if self._open and self._machine.rig.unplugged(self.path):
+            self._open = False
+            self.error = f"{self.path} was lost"
+            self.counters.losses += 1
+            self._cable.held = self._cable.ready = b""
+        return not self._open
+
+
+class VirtualWaiter:
+    """Waits on ports as `PortWaiter` does."""
+
+    def __init__(self, machine: Machine, ports: Sequence[VirtualPort]) -> None:
+        self._machine, self._ports = machine, ports
+
+    def wait(self, t_deadline: float) -> list[DevicePort]:
+        """The ports where something has come."""
+        self._machine.catch_up()
+        self._machine.sleep(t_deadline, lambda: any(port.waiting for port in self._ports))
+        return [port for port in self._ports if port.waiting]
+
+
+# ------------------------------------------------------------------------------------------------------ sockets
+
+
+@dataclass(slots=True)
+class Frame:
+    """As `zmq.Frame`, as far as the bus looks at it."""
+
+    bytes: bytes
+
+    def get(self, _option: str) -> str:
+        """Where it came from."""
+        return "virtual"
+
+
+class CommandSocket:
+    """The daemon's command socket: what clients have said, and what they are answered."""
+
+    def __init__(self, heard: Callable[[int, bytes], None], answered: Callable[[int, bytes], None]) -> None:
+        """`heard` and `answered` are told of every message when it is taken, and of every answer."""
+        self.waiting: deque[tuple[int, bytes]] = deque()
+        self._heard, self._answered = heard, answered
+
+    def setsockopt(self, *_: Any) -> None:
+        """Nothing to set."""
+
+    def bind(self, _address: str) -> None:
+        """Always there."""
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+    def recv_multipart(self, _flags: int, *, copy: bool) -> list[Frame]:  # noqa: ARG002
+        """The next message; raises zmq.Again."""
+        if not self.waiting:
+            raise zmq.Again
+        client, payload = self.waiting.popleft()
+        self._heard(client, payload)
+        return [Frame(b"%d" % client), Frame(b""), Frame(payload)]
+
+    def send_multipart(self, frames: Sequence[bytes], _flags: int) -> None:
+        """An answer."""
+        self._answered(int(frames[0]), frames[-1])
+
+
+class Publisher:
+    """The daemon's publisher."""
+
+    def __init__(self, said: Callable[[Sequence[bytes]], None]) -> None:
+        """`said` is told of every message's frames."""
+        self._said = said
+
+    def setsockopt(self, *_: Any) -> None:
+        """Nothing to set."""
+
+    def bind(self, _address: str) -> None:
+        """Always there."""
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+    def send_multipart(self, frames: Sequence[bytes], _flags: int) -> None:
+        """A message."""
+        self._said(frames)
+
+
+class Sockets:
+    """A ZeroMQ context whose sockets are these two."""
+
+    def __init__(self, publisher: Publisher, commands: CommandSocket) -> None:
+        self._found = {zmq.PUB: publisher, zmq.ROUTER: commands}
+
+    def socket(self, kind: int) -> Any:
+        """The socket of a kind."""
+        return self._found[zmq.SocketType(kind)]
+
+    def destroy(self) -> None:
+        """Nothing to end."""
+
+
+# ------------------------------------------------------------------------------------------------------ helpers
+
+
+class LateFuture(Future[T]):
+    """Is done when the time has come."""
+
+    def __init__(self, clock: Clock, t_done: float) -> None:
+        super().__init__()
+        self._clock, self._t_done = clock, t_done
+
+    def done(self) -> bool:
+        """Whether it is."""
+        return self._clock.now >= self._t_done
+
+
+class Aside(Executor):
+    """Work beside the loop that takes as long as it is told."""
+
+    def __init__(self, clock: Clock, takes_s: Callable[[], float]) -> None:
+        """`takes_s` says how long what is submitted now takes (s)."""
+        self._clock, self._takes_s = clock, takes_s
+
+    def submit(self, work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        """Done at once, told later."""
+        future: LateFuture[T] = LateFuture(self._clock, self._clock.now + self._takes_s())
+        try:
+            future.set_result(work(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+class Answers(Protocol):
+    """Who decides where an exploration goes."""
+
+    def answer(self, question: Question) -> ExplorationAnswer:
+        """The answer to a question."""
+
+
+class SlowSource:
+    """Decisions for explorations that come as late as they are told to; see `Source`."""
+
+    def __init__(self, decider: Answers, takes_s: Callable[[], float]) -> None:
+        """`takes_s` says how long what is asked now takes (s)."""
+        self._decider, self._takes_s = decider, takes_s
+        self._ready: tuple[float, ExplorationAnswer] | None = None
+
+    def prepare(self) -> None:
+        """Nothing to do."""
+
+    def ask(self, question: Question) -> None:
+        """Decide, and keep it back; a question too many is dropped."""
+        if self._ready is None:
+            self._ready = question.t + self._takes_s(), self._decider.answer(question)
+
+    def collect(self, t: float) -> ExplorationAnswer | None:
+        """What has come by `t` (s)."""
+        if self._ready is None or t < self._ready[0]:
+            return None
+        (_, answer), self._ready = self._ready, None
+        return answer

@@ -1,0 +1,76 @@
+"""Which (state, fault, command) have been seen, and which of them can never be: with the reason. Pure."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+
+from palmd.daemon.commands import COMMANDS
+from palmd.daemon.lifecycle import COMMANDED, State
+from palmd.faults import FAULTS, Fault, Severity
+from palmd.lab.simulation.causes import CAUSES
+
+Triple = tuple[str, str, str]
+
+_NO_LINK = ("arm-mute", "arm-link-lost", "arm-port")
+_NO_PORT = ("pad1-port", "pad2-port")
+_NEEDS_MOTION = ("pad1-silent", "pad2-silent", "pad1-lifted", "pad2-lifted")
+_NEEDS_TRACKING = ("arm-late", "arm-held")
+
+
+def unreachable(state: State, fault: Fault | None) -> str | None:
+    """Why a command can never find this fault in this state, None where it can."""
+    if fault is None:
+        return None
+    code = fault.code
+    if code not in CAUSES:
+        return "nothing in the simulation can cause it: another kind of rig, or the start of the process"
+    if fault.severity is Severity.STOP and state in COMMANDED:
+        return "a stop fault ends tracking in the tick that it comes up in, before the next command is heard"
+    if fault.severity is Severity.HOLD and state is State.TRACKING:
+        return "a hold fault leads to hold in the tick that it comes up in"
+    if code in (*_NO_LINK, *_NO_PORT) and state is State.READY:
+        return "ready is left in the tick in which a port or the link is gone"
+    if code in _NEEDS_TRACKING and state not in COMMANDED:
+        return "it is judged only while set-points are sent"
+    if code == "arm-mute" and state in COMMANDED:
+        return "the link, once found, is not mute but lost"
+    if (
+        code in ("pad1-silent", "pad2-silent", "pad1-lifted", "pad2-lifted", "arm-left-tracking")
+        and state not in COMMANDED
+    ):
+        return "it needs a motion that is under way"
+    if fault.severity is Severity.STOP and fault.latch == "always" and state in (State.IDLE, State.READY):
+        return None
+    return None
+
+
+def rows() -> Iterator[tuple[State, Fault | None, str]]:
+    """Every combination that the tables give."""
+    for state in State:
+        for fault in (None, *FAULTS):
+            for command in COMMANDS:
+                yield state, fault, command
+
+
+def never_reached(seen: Counter[Triple]) -> tuple[list[Triple], dict[str, int], int]:
+    """What was not seen though nothing speaks against it; how many are out of reach, by reason; how many were seen.
+
+    What was seen although it should be out of reach is among the first, marked.
+    """
+    missing: list[Triple] = []
+    reasons: Counter[str] = Counter()
+    found = 0
+    for state, fault, command in rows():
+        code = "none" if fault is None else fault.code
+        why = unreachable(state, fault)
+        was_seen = (str(state), code, command) in seen
+        if why is not None and not was_seen:
+            reasons[why] += 1
+        elif why is not None:
+            missing.append((str(state), code, f"{command} (seen, though: {why})"))
+        elif was_seen:
+            found += 1
+        else:
+            missing.append((str(state), code, command))
+    return missing, dict(reasons), found

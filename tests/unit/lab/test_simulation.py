@@ -1,0 +1,287 @@
+"""The simulation: the same seed the same bits, found seeds, and every invariant seen broken by breaking the daemon."""
+
+import dataclasses
+import math
+from types import SimpleNamespace
+
+import msgpack
+import pytest
+
+from palmd.daemon import supervisor
+from palmd.daemon.bus import Bus
+from palmd.daemon.core import Core
+from palmd.daemon.diagnostics import ArmDiagnostics
+from palmd.daemon.setpoints import SetPoints
+from palmd.daemon.supervisor import Supervisor
+from palmd.devices.armhost import ArmHost
+from palmd.devices.versapad import VersaPadDecoder
+from palmd.faults import FaultMonitor
+from palmd.lab import bench_simulate
+from palmd.lab.simulation import watch
+from palmd.lab.simulation.causes import CAUSES, causes
+from palmd.lab.simulation.happenings import Broken, Scenario, Told, Trick, drawn
+from palmd.lab.simulation.reached import never_reached, rows, unreachable
+from palmd.lab.simulation.run import Simulation, configured, simulate
+from palmd.lab.simulation.shrink import shrunk
+from palmd.lab.simulation.watch import Watch
+from palmd.record.recording import Recording
+
+FOUND = {
+    36: "autostart armed by itself after somebody had reset a fault",
+}
+"""Seeds that broke an invariant once, and what they found."""
+
+
+def told(t, command, client=0, **args):
+    return Told(t, client, msgpack.packb({"id": round(t * 1e3), "cmd": command, "args": args}))
+
+
+def scenario(*happenings, **others):
+    plain = Scenario(7, 1, False, 0.2, (0.004,) * 3, happenings, tuple(range(len(happenings))), trouble_s=6.0)
+    return dataclasses.replace(plain, **others)
+
+
+def test_the_same_seed_gives_the_same_bits_and_another_one_does_not():
+    first, again, other = (simulate(dataclasses.replace(drawn(seed), trouble_s=4.0)) for seed in (3, 3, 4))
+    assert first.digest == again.digest
+    assert first.seen == again.seen
+    assert first.digest != other.digest
+
+
+def test_a_run_without_trouble_has_no_fault_but_that_of_its_beginning():
+    outcome = simulate(scenario())
+    assert outcome.breach is None
+    graver = {name for name in outcome.sometimes if name in CAUSES} - {"pad1-untouched", "pad2-untouched", "arm-mute"}
+    assert not graver
+    assert outcome.sometimes["ready -> tracking"] == 1
+
+
+@pytest.mark.parametrize("seed", FOUND)
+def test_what_was_found_once_stays_mended(seed):
+    assert simulate(drawn(seed)).breach is None
+
+
+# ---- every invariant is broken once, by the daemon broken on purpose
+
+
+def no_rate_limit(monkeypatch):
+    good = SetPoints.target
+
+    def bad(self, t):
+        place = good(self, t)
+        return (
+            place
+            if t < 4.0 or place is None
+            else dataclasses.replace(place, x_m=place.x_m + 0.004 * (t % 0.03 > 0.015))
+        )
+
+    monkeypatch.setattr(SetPoints, "target", bad)
+
+
+def outside_the_limits(monkeypatch):
+    good = SetPoints.target
+
+    def bad(self, t):
+        place = good(self, t)
+        return place if t < 4.0 or place is None else self.poses.pose((math.radians(3.0), math.pi / 2), 0.0)
+
+    monkeypatch.setattr(SetPoints, "target", bad)
+
+
+def deaf_to_stop(monkeypatch):
+    monkeypatch.setattr(Supervisor, "_stand_down", lambda *_: None)
+    monkeypatch.setattr(Supervisor, "_enforce", lambda *_: None)
+
+
+def stop_fault_forgotten(monkeypatch):
+    monkeypatch.setattr(Supervisor, "fall", lambda *_: None)
+
+
+def hold_fault_forgotten(monkeypatch):
+    monkeypatch.setattr(SetPoints, "hold", lambda *_: None)
+
+
+def no_answer_to_hold(monkeypatch):
+    good = Bus.reply
+    monkeypatch.setattr(Bus, "reply", lambda self, reply: None if reply.request.name == "hold" else good(self, reply))
+
+
+def two_answers(monkeypatch):
+    good = Bus.reply
+    monkeypatch.setattr(Bus, "reply", lambda self, reply: (good(self, reply), good(self, reply))[1])
+
+
+def bytes_uncounted(monkeypatch):
+    good = VersaPadDecoder._truncate
+
+    def bad(self):
+        self._partial.clear()
+        good(self)
+
+    monkeypatch.setattr(VersaPadDecoder, "_truncate", bad)
+
+
+def state_without_cause(monkeypatch):
+    good = Core._state_fields
+    monkeypatch.setattr(Core, "_state_fields", lambda self, t: good(self, t) | {"cause": None})
+
+
+def fault_out_of_nothing(monkeypatch):
+    good = ArmDiagnostics.conditions
+
+    def bad(self, arm, t, commanded, look):
+        yield from good(self, arm, t, commanded, look)
+        if t > 5.0:
+            yield "arm-garbled"
+
+    monkeypatch.setattr(ArmDiagnostics, "conditions", bad)
+
+
+def reset_forgotten(monkeypatch):
+    monkeypatch.setattr(FaultMonitor, "reset", lambda *_: False)
+
+
+def armed_again_by_itself(monkeypatch):
+    good = Supervisor.settle
+
+    def bad(self, t, *, up):
+        good(self, t, up=up)
+        if self.state == "ready" and self._arming is None and t > 6.0 and not self._arm.host.busy:
+            self._arm.host.want_tracking()
+            self._arming = supervisor._Wait(supervisor.Request("arm"), t + 1.0, ())
+
+    monkeypatch.setattr(Supervisor, "settle", bad)
+    monkeypatch.setattr(Simulation, "_operate", lambda self, t: t > 1.0 and t < 5.0 and SimulationOperate(self, t))
+
+
+SimulationOperate = Simulation._operate
+
+
+def started_by_itself(monkeypatch):
+    good = Supervisor.settle
+
+    def bad(self, t, *, up):
+        good(self, t, up=up)
+        if t > 6.0 and self._setpoints.held:
+            self._setpoints.resume()
+
+    monkeypatch.setattr(Supervisor, "settle", bad)
+    monkeypatch.setattr(Simulation, "_operate", lambda self, t: t < 4.0 and SimulationOperate(self, t))
+
+
+def messages_lost(monkeypatch):
+    good = Recording.take
+    monkeypatch.setattr(
+        Recording, "take", lambda self, frames, t: None if frames[0] == b"palm/note" else good(self, frames, t)
+    )
+
+
+def never_ready_again(monkeypatch):
+    monkeypatch.setattr(ArmHost, "request_reset", lambda *_: None)
+
+
+def everything_kept(monkeypatch):
+    monkeypatch.setattr(watch, "BULK_MOST", 2000)
+    good = Supervisor.settle
+
+    def bad(self, t, *, up):
+        good(self, t, up=up)
+        self.__dict__.setdefault("_hoard", []).append([t] * 10)
+
+    monkeypatch.setattr(Supervisor, "settle", bad)
+
+
+def nothing_stops_it(monkeypatch):
+    monkeypatch.setattr(watch, "STILL_M", math.inf)  # so that the set-points themselves do not tell
+    hold_fault_forgotten(monkeypatch)
+
+
+ESTOP = Trick(4.0, "estop", "arm", 1.0, 0.5)
+LIFT = Trick(3.0, "lift", None, 1.0, 3.0)
+GARBLE = Trick(2.0, "garble", "pad1", 0.2, 2.0)
+BREAK = Trick(4.0, "break", "arm", 1.0, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("sabotage", "happenings", "broken"),
+    [
+        (no_rate_limit, (), "set-points within the rate"),
+        (outside_the_limits, (), "set-points inside the limits"),
+        (deaf_to_stop, (told(4.0, "stop"),), "no set-point unless armed"),
+        (stop_fault_forgotten, (Broken(4.0, "raises", 0.5),), "a stop fault ends tracking"),
+        (hold_fault_forgotten, (LIFT,), "no motion unless told to move"),
+        (nothing_stops_it, (LIFT,), "a stop comes to a standstill"),
+        (no_answer_to_hold, (told(4.0, "hold"),), "every command is answered"),
+        (two_answers, (), "one answer to one command"),
+        (bytes_uncounted, (GARBLE,), "the counters balance"),
+        (state_without_cause, (), "no message malformed"),
+        (fault_out_of_nothing, (), "every fault has a cause"),
+        (reset_forgotten, (ESTOP,), "a fault ends with its cause"),
+        (never_ready_again, (BREAK,), "a fault ends with its cause"),
+        (armed_again_by_itself, (told(5.0, "stop"),), "no set-point unless armed"),
+        (started_by_itself, (told(4.5, "hold"),), "no motion unless told to move"),
+        (messages_lost, (told(4.0, "note", text="here"),), "the recording holds what was published"),
+        (everything_kept, (), "memory is bounded"),
+    ],
+)
+def test_a_broken_daemon_is_found_out(monkeypatch, sabotage, happenings, broken):
+    run = scenario(*happenings, recorded=sabotage is messages_lost)
+    sabotage(monkeypatch)
+    outcome = simulate(run)
+    assert outcome.breach is not None
+    assert outcome.breach.name == broken
+
+
+def test_a_valid_estimate_that_is_wrong_is_found_out():
+    looker = Watch(configured(False), (), SimpleNamespace(baud=38400), autostart=False)
+    said = SimpleNamespace(valid=True, r1=0.021, r2=0.02, omega0=0.0, sd={"r1": 1e-5, "r2": 1e-5, "omega0": 0.1})
+    looker.compare(SimpleNamespace(estimate=said), {"r1_m": 0.0209, "r2_m": 0.02, "omega0_rad_s": 0.0}, 5.0)
+    assert looker.breach is None
+    looker.compare(SimpleNamespace(estimate=said), {"r1_m": 0.02, "r2_m": 0.02, "omega0_rad_s": 0.0}, 5.0)
+    assert looker.breach.name == "no valid estimate is wrong"
+
+
+# ---- what goes with it
+
+
+def test_shrinking_leaves_only_what_matters():
+    asked = []
+
+    def breaks(kept):
+        asked.append(kept)
+        return {3, 17} <= set(kept)
+
+    assert shrunk(range(40), breaks) == [3, 17]
+    assert len(asked) < 100
+    assert shrunk([1, 2, 3], lambda *_: True) == []
+
+
+def test_a_part_of_a_seeds_happenings_is_the_same_as_in_the_whole():
+    whole = drawn(5)
+    part = whole.keeping((2, 0, 2, 10_000))
+    assert part.kept == (0, 2)
+    assert part.happenings == (whole.happenings[0], whole.happenings[2])
+
+
+def test_every_cause_is_one_that_may_happen():
+    may = {cause.name for seed in range(300) for cause in causes(drawn(seed).happenings)}
+    assert {name for names in CAUSES.values() for name in names} <= may
+
+
+def test_what_was_not_seen_is_told():
+    reachable = [row for row in rows() if unreachable(row[0], row[1]) is None]
+    missing, reasons, found = never_reached({("idle", "none", "status"): 1})
+    assert found == 1
+    assert len(missing) == len(reachable) - 1
+    assert all(reasons)
+
+
+def test_the_command_tells_a_failure_as_one_command(monkeypatch, capsys):
+    deaf_to_stop(monkeypatch)
+    few = scenario(told(3.0, "status"), told(3.5, "hold"), told(4.0, "stop"), told(4.1, "note", text="here"))
+    monkeypatch.setattr(bench_simulate, "drawn", lambda _seed: few)
+    arguments = SimpleNamespace(seeds=range(2, 3), fresh=None, keep=None, list=False, unreached=False)
+    assert bench_simulate.run(arguments) == 1
+    assert "--seeds 7..7 --keep 2" in capsys.readouterr().out
+    arguments.keep = bench_simulate._numbers("2")
+    assert bench_simulate.run(arguments) == 1
