@@ -11,11 +11,10 @@ import math
 from enum import IntEnum
 from functools import cache
 
-import casadi as ca
-
-from palmd.model.compiled import Library, densified, load
-from palmd.model.contact import SX
+from palmd.model.compiled import Library, load
+from palmd.model.kernels import Kernel, of_columns
 from palmd.model.shape import contact_at
+from palmd.model.symbolic import SX, ca
 
 ORDER = 10  # harmonics of the outline
 MOTION = 3  # ψ, ω0, α0
@@ -110,6 +109,10 @@ def _sliding(motion: SX, p: SX, u: SX) -> tuple[SX, SX]:
 @cache
 def library() -> Library:
     """reading, height, rigid_force, slide_force, slide_torque, as `NAME_batch`; made once in a process."""
+    return load("pivot", _kernels)
+
+
+def _kernels() -> list[Kernel]:
     motion, p, u = SX.sym("motion", MOTION), SX.sym("p", CONSTANTS), SX.sym("u", INPUTS)
     force, torque = _sliding(motion, p, u)
     values = {
@@ -120,8 +123,8 @@ def library() -> Library:
         "slide_torque": torque,
     }
     y = ca.vertcat(motion, p)
-    functions = []
+    kernels = []
     for name, value in values.items():
         one = ca.Function(name, [motion, p, u], [value, ca.jacobian(value, y)], ["motion", "p", "u"], [name, "J"])
-        functions.append(densified(one).map(f"{name}_batch", "serial", BATCH, [1], []))
-    return load("pivot", functions)
+        kernels.append(of_columns(one, f"{name}_batch", ["p"]))
+    return kernels

@@ -13,11 +13,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
-import casadi as ca
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.model.contact import SX
+from palmd.model.symbolic import SX, ca
 
 Y00 = 1.0 / math.sqrt(4.0 * math.pi)
 

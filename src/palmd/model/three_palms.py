@@ -11,15 +11,13 @@ Parameters p = (c_lm, λ, damping, μ, ln u_d): `count(order)` + `BODY`. The sec
 
 from __future__ import annotations
 
-
 from dataclasses import dataclass
 from functools import cache
 
-import casadi as ca
-
-from palmd.model.compiled import Library, densified, load
-from palmd.model.contact import SX
+from palmd.model.compiled import Library, load
+from palmd.model.kernels import Kernel, of_columns
 from palmd.model.spherical import Y00, Surface, count, curvature, point
+from palmd.model.symbolic import SX, ca
 
 MOMENT = 0.43
 """Λ of a body of radius 1 whose λ is 0: between a shell's 0.577 and what is dense inside; a full sphere has 0.447."""
@@ -240,20 +238,22 @@ def driven_function() -> ca.Function:
     return ca.Function("driven", [state, inputs, contacts, constants, gravity], outputs)
 
 
-def _over_block(function: ca.Function, shared: int) -> ca.Function:
-    """`function` on `BLOCK` instants side by side, all with the same last `shared` inputs."""
-    last = list(range(function.n_in() - shared, function.n_in()))
-    return function.map(f"{function.name()}_block", "serial", BLOCK, last, [])
+def _over_block(function: ca.Function, shared: int) -> Kernel:
+    """`function` on instants side by side, all with the same last `shared` inputs."""
+    names = function.name_in()
+    return of_columns(function, f"{function.name()}_block", names[len(names) - shared :])
 
 
 @cache
 def library(order: int) -> Library:
     """`acceleration_block` and `reading_block` for outlines up to degree `order`."""
-    kernels = [_over_block(acceleration_function(order), 2), _over_block(reading_function(order), 1)]
-    return load(f"three_palms{order}", kernels)
+    return load(
+        f"three_palms{order}",
+        lambda: [_over_block(acceleration_function(order), 2), _over_block(reading_function(order), 1)],
+    )
 
 
 @cache
 def driven_library() -> Library:
     """`driven_block`."""
-    return load("three_palms_driven", [_over_block(densified(driven_function()), 2)])
+    return load("three_palms_driven", lambda: [_over_block(driven_function(), 2)])

@@ -18,7 +18,8 @@ from palmd.outlinefile import Outline
 from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
 from palmd.record.replay import Said
 from palmd.record.systems import NotYetError, Reconstructed
-from palmd.system.three_palms import JOINTS, MECHANISM, PALMS, SYSTEM as NAME, PadPlane, ThreePalmsRig
+from palmd.system.three_palms import JOINTS, MECHANISM, PALMS, PadPlane, ThreePalmsRig
+from palmd.system.three_palms import SYSTEM as NAME
 
 EDGE_M = 0.01  # beyond the pad's side that a reading may still lie
 
