@@ -7,7 +7,7 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.model.compiled import EXPORTED, FLAGS, LANES, Library, Run, Signature, cache_directory, key_of, note_of
 from palmd.model.kernels import Kernel, source
+from palmd.model.symbolic import ca
 
 SCALES = 1.0, 0.1, 0.01  # of the random inputs
 WILD = 1e5  # beyond it angles may be no angles any more
@@ -96,9 +97,9 @@ def check(kernel: Kernel, compiled: ctypes.CDLL) -> None:
                 )
 
 
-def _flat(vm: object, inputs: Sequence[FloatArray]) -> list[FloatArray]:
-    arguments = [np.reshape(each, vm.size_in(i), order="F") for i, each in enumerate(inputs)]  # type: ignore[attr-defined]
-    return [np.asarray(each).ravel(order="F") for each in vm.call(arguments)]  # type: ignore[attr-defined]
+def _flat(vm: ca.Function, inputs: Sequence[FloatArray]) -> list[FloatArray]:
+    arguments = [each.reshape(vm.size_in(i), order="F") for i, each in enumerate(inputs)]
+    return [np.asarray(each).ravel(order="F") for each in vm.call(arguments)]
 
 
 def _signatures(kernels: Sequence[Kernel]) -> dict[str, Signature]:
@@ -148,12 +149,12 @@ def on_the_vm(kernels: Sequence[Kernel]) -> Library:
     return Library(_signatures(kernels), "vm", runner)
 
 
-def _buffered(vm, inputs, outputs):  # type: ignore[no-untyped-def]
+def _buffered(vm: ca.Function, inputs: Sequence[FloatArray], outputs: Sequence[FloatArray]) -> Callable[[], None]:
     buffer, trigger = vm.buffer()
     for i, array in enumerate(inputs):
-        buffer.set_arg(i, array.data)
+        buffer.set_arg(i, array.data)  # type: ignore[call-arg]  # the stub knows of no default
     for i, array in enumerate(outputs):
-        buffer.set_res(i, array.data)
+        buffer.set_res(i, array.data)  # type: ignore[call-arg]
 
     def run(_held: object = (buffer, inputs, outputs)) -> None:
         trigger()

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.model.contact import SX
+from palmd.model.symbolic import SX
 
 
 @dataclass(frozen=True, slots=True)

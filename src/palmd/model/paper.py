@@ -18,7 +18,8 @@ import casadi as ca
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.model.contact import SX, normal, offsets
+from palmd.model.contact import normal, offsets
+from palmd.model.symbolic import SX
 
 Case = Literal["general", "equal rates", "palm 1 fixed", "palms fixed", "palms fixed, with inputs"]
 CASES: tuple[Case, ...] = get_args(Case)

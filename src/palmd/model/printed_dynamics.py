@@ -9,7 +9,6 @@ from __future__ import annotations
 import casadi as ca
 
 from palmd.model import paper
-from palmd.model.contact import SX
 from palmd.model.equation_check import EquationCheck
 from palmd.model.paper import (
     alpha1,
@@ -35,6 +34,7 @@ from palmd.model.paper import (
     tau1,
     tau2,
 )
+from palmd.model.symbolic import SX
 
 sin, cos, tan, row = ca.sin, ca.cos, ca.tan, ca.horzcat
 

@@ -168,4 +168,4 @@ def _kernels() -> list[Kernel]:
 @cache
 def library() -> Library:
     """step_batch, contact_batch, force_batch, of columns with the same p; `advance`, a step without its Jacobian."""
-    return load("smoothing", _kernels)
+    return load("smoothing", _kernels, written=["normal_equations.c"])

@@ -25,9 +25,10 @@ from palmd.events import FloatArray
 from palmd.lab.peers.functions import array
 from palmd.lab.peers.task import LostError, PeerStart, Reading
 from palmd.model import shape_map
-from palmd.model.contact import SX, Contact, normal, offsets, readings
+from palmd.model.contact import Contact, normal, offsets, readings
 from palmd.model.dynamics import BodyConstants, Palms, effective_gravity, newton_euler
 from palmd.model.outputs import NAMED, RIG_INPUTS
+from palmd.model.symbolic import SX
 
 Form = Literal["eliminated", "constant"]
 NODES = 133  # steps in a window of half a second
