@@ -7,14 +7,15 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.model.compiled import EXPORTED, FLAGS, LANES, Library, Run, Signature, cache_directory, key_of, note_of
+from palmd.model.compiled import EXPORTED, LANES, Library, Run, Signature, cache_directory, key_of
 from palmd.model.kernels import Kernel, source
+from palmd.model.symbolic import ca
 
 SCALES = 1.0, 0.1, 0.01  # of the random inputs
 WILD = 1e5  # beyond it angles may be no angles any more
@@ -22,7 +23,7 @@ TOLERANCE = 1e-9  # relative, beside what the last bits of the inputs make of th
 LAST_BITS, AS_MUCH = 4e-16, 100.0
 
 
-def build(name: str, kernels: Sequence[Kernel], written: Sequence[Path], note: Path) -> bool:
+def build(name: str, kernels: Sequence[Kernel], written: Sequence[Path], flags: Sequence[str], note: Path) -> bool:
     """Generate, compile and check the library `name`; then put it and its `note` into the note's folder.
 
     What has been compiled from the same C already is left as it is.
@@ -41,22 +42,13 @@ def build(name: str, kernels: Sequence[Kernel], written: Sequence[Path], note: P
             if text:
                 files.append(Path(folder) / f"{'columns' if columns else 'single'}.c")
                 files[-1].write_text(text, encoding="utf-8")
-        library = note.with_name(f"{name}-{key_of(b''.join(each.read_bytes() for each in files))}.so")
-        if not (library.exists() and _sound(library, kernels)):
-            _compile(compiler, files, kernels, library)
-        told = Path(folder) / "note.json"
-        told.write_text(note_of(_signatures(kernels), library), encoding="utf-8")
-        told.replace(note)
-    return True
-
-
-def _compile(compiler: str, files: Sequence[Path], kernels: Sequence[Kernel], library: Path) -> None:
-    built = files[-1].with_name("built.so")
-    command = [compiler, *FLAGS, "-I", str(Path(__file__).parent), "-o", str(built), *map(str, files), "-lm"]
+        key = key_of(b"".join(each.read_bytes() for each in files) + " ".join(flags).encode())
+        library = note.with_name(f"{name}-{key}.so")
+    command = [*compiler, "-I", str(Path(__file__).parent), "-o", str(built), *map(str, files), "-lm"]
     try:
         subprocess.run(command, check=True, capture_output=True, text=True)
     except FileNotFoundError as error:
-        raise OSError(f"{compiler}: {error.strerror}") from error
+        raise OSError(f"{compiler[0]}: {error.strerror}") from error
     _checked(built, kernels)  # refused before anybody relies on it
     built.replace(library)
 
@@ -96,9 +88,9 @@ def check(kernel: Kernel, compiled: ctypes.CDLL) -> None:
                 )
 
 
-def _flat(vm: object, inputs: Sequence[FloatArray]) -> list[FloatArray]:
-    arguments = [np.reshape(each, vm.size_in(i), order="F") for i, each in enumerate(inputs)]  # type: ignore[attr-defined]
-    return [np.asarray(each).ravel(order="F") for each in vm.call(arguments)]  # type: ignore[attr-defined]
+def _flat(vm: ca.Function, inputs: Sequence[FloatArray]) -> list[FloatArray]:
+    arguments = [each.reshape(vm.size_in(i), order="F") for i, each in enumerate(inputs)]
+    return [np.asarray(each).ravel(order="F") for each in vm.call(arguments)]
 
 
 def _signatures(kernels: Sequence[Kernel]) -> dict[str, Signature]:
@@ -148,12 +140,12 @@ def on_the_vm(kernels: Sequence[Kernel]) -> Library:
     return Library(_signatures(kernels), "vm", runner)
 
 
-def _buffered(vm, inputs, outputs):  # type: ignore[no-untyped-def]
+def _buffered(vm: ca.Function, inputs: Sequence[FloatArray], outputs: Sequence[FloatArray]) -> Callable[[], None]:
     buffer, trigger = vm.buffer()
     for i, array in enumerate(inputs):
-        buffer.set_arg(i, array.data)
+        buffer.set_arg(i, array.data)  # type: ignore[call-arg]  # the stub knows of no default
     for i, array in enumerate(outputs):
-        buffer.set_res(i, array.data)
+        buffer.set_res(i, array.data)  # type: ignore[call-arg]
 
     def run(_held: object = (buffer, inputs, outputs)) -> None:
         trigger()

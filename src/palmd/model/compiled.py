@@ -113,13 +113,17 @@ def _check_array(what: str, array: FloatArray, size: int) -> None:
 
 
 def load(
-    name: str, kernels: Callable[[], Iterable[Kernel]], folder: Path | None = None, written: Sequence[str] = ()
+    name: str,
+    kernels: Callable[[], Iterable[Kernel]],
+    folder: Path | None = None,
+    written: Sequence[str] = (),
+    flags: Sequence[str] = (),
 ) -> Library:
     """The library called `name` from the cache (or `folder`); what is not there yet is built, from `kernels()`.
 
-    `written`: files of C in this package that are compiled with it. Takes seconds the first time and a millisecond
-    afterwards; not for use inside the loop. Never raises for want of a compiler or of a writable cache: it falls back
-    to the virtual machine with a warning.
+    `written`: files of C in this package that are compiled with it, `flags` besides the usual ones. Takes seconds the
+    first time and a millisecond afterwards; not for use inside the loop. Never raises for want of a compiler or of a
+    writable cache: it falls back to the virtual machine with a warning.
     """
     note = (folder or cache_directory()) / f"{name}-{key_of(_sources())}.json"
     found = _opened(note)
@@ -129,7 +133,7 @@ def load(
 
     made = list(kernels())
     try:
-        if building.build(name, made, [_PACKAGE / each for each in written], note):
+        if building.build(name, made, [_PACKAGE / each for each in written], flags, note):
             found = _opened(note)
         else:
             log.warning("no C compiler: observers run on CasADi's virtual machine (install gcc for speed)")

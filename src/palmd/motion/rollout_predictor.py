@@ -151,11 +151,12 @@ class RolloutPredictor:
         states, durations = np.ascontiguousarray(states), np.ascontiguousarray(moves.durations)
         longest = min(float(durations.sum(axis=1).max()) - elapsed, horizon_s)
         calls = max(math.ceil((longest - 1e-9) / CALL_S), 1)
+        shape = (n, k)
         foreseen = Prediction(
-            np.zeros((n, k, BINS), dtype=np.bool_),
-            *(np.full((n, k), value) for value in (np.inf, np.inf, -np.inf, 0.0, 0.0)),
-            np.full((n, calls, TOLD), np.nan),
-        )
+            touched=np.zeros((n, k, BINS), dtype=np.bool_),
+            least_force=np.full(shape, np.inf), nearest=np.full(shape, np.inf), farthest=np.full(shape, -np.inf),
+            psi=np.zeros(shape), omega0=np.zeros(shape), path=np.full((n, calls, TOLD), np.nan),
+        )  # fmt: skip
         inputs = (each.ctypes.data for each in (states, points, durations, self._rig))
         told = (getattr(foreseen, name).ctypes.data for name in Prediction.__slots__)
         roll(_Task(*inputs, elapsed, horizon_s, n, k, calls, *told))

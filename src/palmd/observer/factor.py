@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from palmd.events import FloatArray
 from palmd.model.smoothing import CONSTANTS, NODE, C
@@ -131,7 +130,7 @@ class Factor:
 
     def solved(self, sides: FloatArray) -> FloatArray:
         """matrix⁻¹ sides; raises LinAlgError where the cost leaves a direction open."""
-        return _solved(self.matrix, sides)
+        return cholesky_solved(self.matrix, sides)
 
     def log_determinant(self) -> float:
         """Of the matrix; raises LinAlgError as `solved`."""
@@ -144,7 +143,7 @@ class Factor:
         gone = np.zeros(len(self.about), dtype=np.bool_)
         gone[dropped] = True
         across = self.matrix[np.ix_(gone, ~gone)]
-        solved = _solved(self.matrix[np.ix_(gone, gone)], np.column_stack([across, self.side[gone]]))
+        solved = cholesky_solved(self.matrix[np.ix_(gone, gone)], np.column_stack([across, self.side[gone]]))
         matrix = self.matrix[np.ix_(~gone, ~gone)] - across.T @ solved[:, :-1]
         return Factor(
             self.about[~gone],
@@ -163,10 +162,14 @@ def friction_of(p: FloatArray, covariance: FloatArray) -> tuple[float, float]:
     return float(p[C.DRAG] * dither), math.sqrt(float(gradient @ covariance[np.ix_(at, at)] @ gradient))
 
 
-def _solved(matrix: FloatArray, sides: FloatArray) -> FloatArray:
-    """By Cholesky's factorisation of the matrix scaled to a unit diagonal: entries differ by twenty powers of ten."""
-    scale = 1.0 / np.sqrt(np.diagonal(matrix))
-    factor = cho_factor(matrix * np.outer(scale, scale), check_finite=False)
+def cholesky_solved(matrix: FloatArray, sides: FloatArray) -> FloatArray:
+    """matrix⁻¹ sides, by Cholesky's factorisation of the matrix scaled to a unit diagonal.
+
+    Entries differ by twenty powers of ten. Raises LinAlgError where there is none.
+    """
+    with np.errstate(invalid="ignore"):
+        scale = 1.0 / np.sqrt(np.diagonal(matrix))
+    root = np.linalg.cholesky(matrix * np.outer(scale, scale))
     column = scale if sides.ndim == 1 else scale[:, None]
-    solved: FloatArray = column * cho_solve(factor, column * sides, check_finite=False)
+    solved: FloatArray = column * np.linalg.solve(root.T, np.linalg.solve(root, column * sides))
     return solved

@@ -1,9 +1,9 @@
 """The normal equations of a record at one trajectory and one set of constants: every reading and every step linearised.
 
-Unknown are the nodes x_k = (ψ, ω0) on a fixed time grid and the constants p of `model.smoothing` (or
-of a model with more of them). The cost is a sum of
-squares: readings about their prediction, each step's end about the next node (process noise). The normal matrix is
-block-tridiagonal in the nodes with a dense border for p. What is known besides (`observer.factor`) is added to it.
+Unknown are the nodes x_k = (ψ, ω0) on a fixed time grid and the constants p of `model.smoothing` (or of a model with
+more of them). The cost is a sum of squares: readings about their prediction, each step's end about the next node
+(process noise). The normal matrix is block-tridiagonal in the nodes with a dense border for p. What is known besides
+(`observer.factor`) is added to it.
 """
 
 from __future__ import annotations
@@ -13,20 +13,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicHermiteSpline
-from scipy.linalg import cho_solve_banded, cholesky_banded, solveh_banded
-from scipy.sparse import csr_matrix
 
 from palmd.events import FloatArray
 from palmd.model.compiled import LANES, Library
 from palmd.model.smoothing import NODE
-from palmd.observer.factor import Factor, Terms
+from palmd.observer.factor import Factor, Terms, cholesky_solved
 from palmd.observer.record import Record
-
-IntArray = npt.NDArray[np.intp]
+from palmd.observer.reduction import Arithmetic, IntArray, ReadingRows, StepRows, arithmetic_of
 
 GATE = 16.0  # squared normalised residual beyond which a reading's pull falls off: 4 sigma
-BAND = 2 * NODE  # diagonals of the normal matrix in the nodes, from the main one down
+NODE_SCALE = np.array([0.05, 0.5])
+"""Lengths in which a step of the nodes is measured by the damping: rad and rad/s."""
+
+NOTHING = np.zeros(NODE)
 WILD_SPIN = 200.0  # rad/s
 BLOW_SD = np.array([2e-3, 1.5])  # of ψ (rad) and of ω0 (rad/s), within one step
 
@@ -52,16 +51,22 @@ class Guess:
 
     def on(self, own: FloatArray, wanted: FloatArray) -> Guess:
         """The same on nodes at other times: `own` are the present ones."""
-        psi = CubicHermiteSpline(own, self.x[:, 0], self.x[:, 1])
-        return Guess(np.stack([psi(wanted), psi(wanted, 1)], axis=1), self.p)
+        at = np.clip(np.searchsorted(own, wanted, side="right") - 1, 0, len(own) - 2)
+        dt = own[at + 1] - own[at]
+        u, (psi, omega0), (then, omega0_then) = (wanted - own[at]) / dt, self.x[at].T, self.x[at + 1].T
+        rise, bend = then - psi, dt * (omega0 + omega0_then)  # cubic Hermite
+        square, cube = 3 * rise - bend - dt * omega0, bend - 2 * rise
+        moved = psi + u * (dt * omega0 + u * (square + u * cube))
+        return Guess(np.stack([moved, omega0 + u * (2 * square + 3 * u * cube) / dt], axis=1), self.p)
 
 
 @dataclass(frozen=True, slots=True)
 class NormalEquations:
-    """At one point: banded (4, 2(K + 1)) lower form, border, corner, right-hand sides, and what the cost is made of.
+    """At one point: the matrix and the right-hand side as in `observer.reduction`, and what the cost is made of.
 
     `slack` is what the steps' noise, `strain` what prior knowledge contributes; `outliers` is the share of contact
     readings beyond the gate, `astray` the longest run of them. χ² is per contact and per force reading, robust.
+    `does`: what assembled them, and solves them.
     """
 
     cost: float
@@ -72,71 +77,108 @@ class NormalEquations:
     outliers: float
     astray: int
     banded: FloatArray
-    border: FloatArray
-    corner: FloatArray
-    node_side: FloatArray
-    constant_side: FloatArray
+    rows: FloatArray
+    whole_corner: FloatArray
+    does: Arithmetic
+
+    @property
+    def border(self) -> FloatArray:
+        """Nodes across constants (2(K + 1), constants)."""
+        return self.rows[:, : self.does.constants]
+
+    @property
+    def corner(self) -> FloatArray:
+        """Constants across constants."""
+        return self.whole_corner[: self.does.constants, : self.does.constants]
+
+    @property
+    def node_side(self) -> FloatArray:
+        """The right-hand side in the nodes."""
+        return self.rows[:, self.does.constants]
+
+    @property
+    def constant_side(self) -> FloatArray:
+        """The right-hand side in the constants."""
+        return self.whole_corner[self.does.constants, : self.does.constants]
 
     def promise(self, step: Guess) -> float:
         """By how much a full Newton step would lower the cost if the problem were linear."""
         return float(self.node_side @ step.x.ravel() + self.constant_side @ step.p)
 
     def knowing(self, known: Terms) -> NormalEquations:
-        """With what is known of the constants and the first node."""
-        banded, border, node_side = self.banded.copy(), self.border.copy(), self.node_side.copy()
-        constants = len(self.constant_side)
-        of_node = known.matrix[constants:, constants:]
+        """With what is known of the constants and the first node; this one's arrays are taken over."""
+        side = self.does.constants  # where the right-hand side stands, after the constants
+        of_node = known.matrix[side:, side:]
         for k in range(NODE):
-            banded[k, : NODE - k] += of_node.diagonal(-k)
-        border[:NODE] += known.matrix[constants:, :constants]
-        node_side[:NODE] += known.side[constants:]
-        return replace(
-            self,
-            cost=self.cost + known.cost,
-            strain=known.strain,
-            banded=banded,
-            border=border,
-            corner=self.corner + known.matrix[:constants, :constants],
-            node_side=node_side,
-            constant_side=self.constant_side + known.side[:constants],
-        )
+            self.banded[k, : NODE - k] += of_node.diagonal(-k)
+        self.rows[:NODE, :side] += known.matrix[side:, :side]
+        self.rows[:NODE, side] += known.side[side:]
+        self.whole_corner[:side, :side] += known.matrix[:side, :side]
+        self.whole_corner[side, :side] += known.side[:side]
+        self.whole_corner[:side, side] += known.side[:side]
+        return replace(self, cost=self.cost + known.cost, strain=known.strain)
+
+    def solved(self, damping: float, scale: FloatArray) -> Guess:
+        """The damped Newton step of everything; raises LinAlgError where there is none.
+
+        A step is measured by `NODE_SCALE`, that of the constants by `scale`.
+        """
+        does, side = self.does, self.does.constants
+        reduced = does.reduced(self.banded, damping / NODE_SCALE**2, self.rows, self.whole_corner)
+        p = cholesky_solved(reduced.left[:side, :side] + np.diag(damping / scale**2), reduced.left[side, :side])
+        by = np.zeros(does.width)
+        by[:side], by[side] = -p, 1.0
+        return Guess(does.back(reduced, by).reshape(-1, NODE), p)
+
+    def nodes_solved(self) -> FloatArray:
+        """The Newton step of the nodes (K + 1, 2) alone; raises LinAlgError where there is none."""
+        return _nodes_solved(self.does, self.banded, self.node_side)
+
+    def posterior(self) -> tuple[FloatArray, float]:
+        """Covariance of (constants, last node), and the matrix's log-determinant; LinAlgError at no minimum."""
+        side = self.does.constants
+        reduced = self.does.reduced(self.banded, NOTHING, self.rows, self.whole_corner)
+        schur = reduced.left[:side, :side]
+        constants = np.linalg.inv(schur)
+        (first, second), below = reduced.factor[0, -NODE:], reduced.factor[1, -NODE]
+        root = np.linalg.inv(np.array([[first, 0.0], [below, second]]))
+        tail, own = root.T @ reduced.rows[-NODE:, :side], root.T @ root  # x_last = its own − tail · p
+        covariance = np.block([[constants, -constants @ tail.T], [-tail @ constants, own + tail @ constants @ tail.T]])
+        log_det = 2 * float(np.log(reduced.factor[0]).sum()) + float(np.linalg.slogdet(schur)[1])
+        return (covariance + covariance.T) / 2, log_det
 
     def summary(self, guess: Guess, scale: FloatArray) -> Factor:
         """The cost as one of (p, first node, last node): the nodes in between are marginalised.
 
         For two steps at least. Raises LinAlgError where the readings leave a node in between open.
         """
-        inner = slice(NODE, len(self.node_side) - NODE)
-        constants = len(self.constant_side)
-        size = constants + 2 * NODE
-        across = np.zeros((inner.stop - inner.start, size))
-        across[:, :constants] = self.border[inner]
-        across[:NODE, constants : constants + NODE] = _below(self.banded, 0)
-        across[-NODE:, constants + NODE :] = _below(self.banded, len(self.node_side) - 2 * NODE).T
-        matrix, side = np.zeros((size, size)), np.zeros(size)
-        matrix[:constants, :constants], side[:constants] = self.corner, self.constant_side
-        for at, node in ((constants, 0), (constants + NODE, len(self.node_side) - NODE)):
-            own, nodes = slice(at, at + NODE), slice(node, node + NODE)
-            matrix[own, own], side[own] = _block(self.banded, node), self.node_side[nodes]
-            matrix[own, :constants] = self.border[nodes]
-            matrix[:constants, own] = self.border[nodes].T
-        factor = cholesky_banded(self.banded[:, inner], lower=True, check_finite=False)
-        solved = cho_solve_banded((factor, True), np.column_stack([across, self.node_side[inner]]), check_finite=False)
-        matrix -= across.T @ solved[:, :-1]
+        n, inner = len(self.rows), slice(NODE, len(self.rows) - NODE)
+        side, width = self.does.constants, self.does.width
+        first, last = slice(width, width + NODE), slice(width + NODE, width + 2 * NODE)
+        rows = np.zeros((n - 2 * NODE, width + LANES))
+        rows[:, :width] = self.rows[inner]
+        rows[:NODE, first] = _below(self.banded, 0)
+        rows[-NODE:, last] = _below(self.banded, n - 2 * NODE).T
+        corner = np.zeros((width + LANES, width + LANES))
+        corner[:width, :width] = self.whole_corner
+        for own, node in ((first, 0), (last, n - NODE)):
+            corner[own, own] = _block(self.banded, node)
+            corner[own, :width] = self.rows[node : node + NODE]
+            corner[:width, own] = self.rows[node : node + NODE].T
+        left = self.does.reduced(self.banded[:, inner], NOTHING, rows, corner).left
+        told = np.concatenate([np.arange(side), np.arange(first.start, last.stop)])
+        cost = self.cost + float(left[side, side] - corner[side, side])
+        matrix = left[np.ix_(told, told)]
         return Factor(
-            np.concatenate([guess.p, guess.x[0], guess.x[-1]]),
-            self.cost - float(self.node_side[inner] @ solved[:, -1]),
-            (matrix + matrix.T) / 2,
-            side - across.T @ solved[:, -1],
-            scale,
+            np.concatenate([guess.p, guess.x[0], guess.x[-1]]), cost, (matrix + matrix.T) / 2, left[side, told], scale
         )
 
     def inner_step(self) -> FloatArray:
         """The Newton step of the nodes (K + 1, 2) while p and both ends stand still."""
-        step = np.zeros(len(self.node_side))
-        inner = slice(NODE, len(step) - NODE)
-        step[inner] = solveh_banded(self.banded[:, inner], self.node_side[inner], lower=True, check_finite=False)
-        return step.reshape(-1, NODE)
+        inner = slice(NODE, len(self.rows) - NODE)
+        step = np.zeros((len(self.rows) // NODE, NODE))
+        step[1:-1] = _nodes_solved(self.does, self.banded[:, inner], self.node_side[inner])
+        return step
 
 
 class Residuals:
@@ -144,11 +186,11 @@ class Residuals:
 
     def __init__(self, library: Library, record: Record):
         self.record = record
-        constants = self._constants = library.signatures["step_batch"].inputs[1][1]
+        self._does = arithmetic_of(library)
+        constants = self._does.constants
         self._p = np.zeros(constants)
         rows = _padded(len(record.dt))
         self._step_inputs = record.step_inputs(rows)
-        self._pattern = _pattern(record)
         self._a = np.zeros((rows, NODE))
         self._end, self._step_jacobian = np.zeros((rows, NODE)), np.zeros((rows, NODE + constants, NODE))
         ends = [self._end, self._step_jacobian]
@@ -189,7 +231,7 @@ class Residuals:
         """The normal equations at `guess`; where anything overflows the cost is infinite and the rest is void."""
         with np.errstate(over="ignore", invalid="ignore"):
             now = self._linearised(guess, noise)
-            sums = now.cost + now.banded.sum() + now.border.sum() + now.corner.sum() + now.node_side.sum()
+            sums = now.cost + now.banded.sum() + now.rows.sum() + now.whole_corner.sum()
         return now if math.isfinite(sums) else replace(now, cost=math.inf)
 
     def _linearised(self, guess: Guess, noise: ProcessNoise) -> NormalEquations:
@@ -200,57 +242,42 @@ class Residuals:
         self._steps()
         contacts = self._contacts.evaluate(x, record.contact_value, record.contact_variance, record.contact_weight)
         forces = self._forces.evaluate(x, record.force_value, record.force_variance, record.force_weight)
-        J = self._step_jacobian[:steps].transpose(0, 2, 1).reshape(steps * NODE, NODE + self._constants)
-        root = 1.0 / np.sqrt(np.outer(record.dt, [noise.psi, noise.omega0]).ravel())
-
-        defect = self._end[:steps] - x[1:]
-        root, blows = _quiet_or_blow(defect, root.reshape(-1, NODE), noise)
-        # every residual is a row, divided by its one-sigma: first the steps' ends, then the readings
-        in_nodes = np.concatenate(
-            [
-                np.column_stack([J[:, :NODE], np.full(len(J), -1.0)]).ravel() * np.repeat(root, NODE + 1),
-                (contacts.gradient[:, : 2 * NODE] * contacts.root[:, None]).ravel(),
-                (forces.gradient[:, : 2 * NODE] * forces.root[:, None]).ravel(),
-            ]
-        )
-        in_constants = np.concatenate(
-            [
-                J[:, NODE:] * root[:, None],
-                contacts.gradient[:, 2 * NODE :] * contacts.root[:, None],
-                forces.gradient[:, 2 * NODE :] * forces.root[:, None],
-            ]
-        )
-        defect = defect.ravel() * root
-        residual = np.concatenate([defect, -contacts.residual * contacts.root, -forces.residual * forces.root])
-        sparse = csr_matrix((in_nodes, *self._pattern), shape=(len(residual), x.size))
-        across = sparse.T.tocsr()
-        normal = across @ sparse
-        banded = np.zeros((BAND, x.size))
-        for k in range(BAND):
-            banded[k, : x.size - k] = normal.diagonal(-k)
-        slack = float(defect @ defect) + blows
+        quiet = 1.0 / np.sqrt(np.outer(record.dt, [noise.psi, noise.omega0]))
+        root, blows = _quiet_or_blow(self._end[:steps] - x[1:], quiet, noise)
+        readings = [
+            ReadingRows(each.step, found.gradient, found.residual, found.root)
+            for each, found in ((self._contacts, contacts), (self._forces, forces))
+        ]
+        steps_rows = StepRows(x, self._end[:steps], self._step_jacobian[:steps], root)
+        made = self._does.assembled(steps_rows, readings)
+        slack = made.slack + blows
         return NormalEquations(
             contacts.cost + forces.cost + slack, contacts.chi2, forces.chi2, slack, 0.0,
-            contacts.outliers, contacts.astray,
-            banded, across @ in_constants, in_constants.T @ in_constants,
-            -(across @ residual), -(in_constants.T @ residual),
+            contacts.outliers, contacts.astray, made.banded, made.rows, made.corner, self._does,
         )  # fmt: skip
 
 
 def _quiet_or_blow(defect: FloatArray, root: FloatArray, noise: ProcessNoise) -> tuple[FloatArray, float]:
-    """One over the one-sigma of each step's ends (flat), and what the cost has besides their squares.
+    """One over the one-sigma of each step's ends (K, 2), and what the cost has besides their squares.
 
     Beyond the gate the cost goes on as a logarithm, and as the square of a blow's own size.
     """
-    nis = (defect * root) ** 2
     if noise.gate == math.inf:
-        return root.ravel(), 0.0
+        return root, 0.0
+    nis = (defect * root) ** 2
     # far from the answer all defects are large: only what stands out from the others is a blow
     gate = noise.gate * max(1.0, float(np.median(nis)) / 0.455)
     beyond = nis > gate
     pull = np.where(beyond, gate / np.maximum(nis, gate), 1.0)
     cost = np.where(beyond, gate * np.log(np.maximum(nis, gate) / gate), 0.0)
-    return np.sqrt(pull * root**2 + BLOW_SD**-2.0).ravel(), float(cost.sum())
+    return np.sqrt(pull * root**2 + BLOW_SD**-2.0), float(cost.sum())
+
+
+def _nodes_solved(does: Arithmetic, banded: FloatArray, side: FloatArray) -> FloatArray:
+    rows, by = np.zeros((len(side), LANES)), np.zeros(LANES)
+    rows[:, 0], by[0] = side, 1.0
+    reduced = does.reduced(banded, NOTHING, rows, np.zeros((LANES, LANES)))
+    return does.back(reduced, by).reshape(-1, NODE)
 
 
 def _block(banded: FloatArray, at: int) -> FloatArray:
@@ -263,16 +290,6 @@ def _block(banded: FloatArray, at: int) -> FloatArray:
 def _below(banded: FloatArray, at: int) -> FloatArray:
     """The block below the node's own: rows of the next node, columns of this one."""
     return np.array([[banded[NODE + i - j, at + j] for j in range(NODE)] for i in range(NODE)])
-
-
-def _pattern(record: Record) -> tuple[IntArray, IntArray]:
-    """Columns and row starts of the residuals' Jacobian in the nodes, as `Residuals` fills it."""
-    k = np.arange(len(record.dt))
-    ends = np.stack([np.stack([2 * k, 2 * k + 1, 2 * k + 2 + i], axis=1) for i in range(NODE)], axis=1)
-    readings = [np.add.outer(NODE * step, np.arange(2 * NODE)) for step in (record.contact_step, record.force_step)]
-    columns = np.concatenate([ends.ravel(), *(each.ravel() for each in readings)])
-    lengths = np.concatenate([np.full(NODE * len(k), NODE + 1), *(np.full(len(each), 2 * NODE) for each in readings)])
-    return columns, np.concatenate([[0], np.cumsum(lengths)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -291,14 +308,14 @@ class _Readings:
 
     def __init__(self, library: Library, kernel: str, step: IntArray, inputs: FloatArray, p: FloatArray):
         rows = len(inputs)
-        self._step = step
+        self.step = step
         self._a, self._b = np.zeros((rows, NODE)), np.zeros((rows, NODE))
         self._value, self._gradient = np.zeros(rows), np.zeros((rows, 2 * NODE + len(p)))
         self._call = library.bind(kernel, [self._a, self._b, p, inputs], [self._value, self._gradient])
 
     def predicted(self, x: FloatArray) -> FloatArray:
-        n = len(self._step)
-        self._a[:n], self._b[:n] = x[self._step], x[self._step + 1]
+        n = len(self.step)
+        self._a[:n], self._b[:n] = x[self.step], x[self.step + 1]
         self._call()
         return self._value[:n].copy()
 

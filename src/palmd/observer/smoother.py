@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_banded, solveh_banded
 
 from palmd.events import FloatArray
 from palmd.model.compiled import Library
@@ -23,9 +22,6 @@ MAX_ITERATIONS = 60
 NEGLIGIBLE = 0.03  # fall of the cost (twice a log-likelihood) that is not worth another iteration
 FIRST_DAMPING, LEAST_DAMPING, MAX_DAMPING = 1e-2, 1e-9, 1e8
 CORRECTIONS, GOOD_ENOUGH = 2, 0.9  # of the nodes alone, unless the cost falls by a tenth at once
-_UNSOLVABLE = (np.linalg.LinAlgError, ValueError)  # the latter is what scipy says of numbers that are not finite
-# Lengths in which a step is measured by the damping: radians and radians per second of the nodes.
-_NODE_SCALE = np.array([0.05, 0.5])
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,18 +145,10 @@ class Smoother:
         now = self.linearised(fit.guess, noise)
         if not math.isfinite(now.cost):
             raise np.linalg.LinAlgError("the fit is beyond all numbers")
-        factor = cholesky_banded(now.banded, lower=True)
-        last = np.zeros((len(now.node_side), NODE))
-        last[-NODE:] = np.eye(NODE)
-        solved = cho_solve_banded((factor, True), np.concatenate([now.border, last], axis=1))
-        schur = now.corner - now.border.T @ solved[:, :-NODE]
-        constants = np.linalg.inv(schur)
-        tail, own = solved[-NODE:, :-NODE], solved[-NODE:, -NODE:]  # x_last = its own − tail · p
-        covariance = np.block([[constants, -constants @ tail.T], [-tail @ constants, own + tail @ constants @ tail.T]])
-        log_det = 2 * float(np.log(factor[0]).sum()) + float(np.linalg.slogdet(schur)[1])
+        covariance, log_det = now.posterior()
         steps = len(fit.guess.x) - 1
         normaliser = steps * (math.log(noise.psi) + math.log(noise.omega0))
-        return Posterior((covariance + covariance.T) / 2, -0.5 * (now.cost + log_det + normaliser))
+        return Posterior(covariance, -0.5 * (now.cost + log_det + normaliser))
 
     def posterior_if_any(self, fit: Fit) -> Posterior | None:
         """As `posterior`; None where the fit is no minimum."""
@@ -171,23 +159,15 @@ class Smoother:
 
 
 def _solved(now: NormalEquations, damping: float, scale: FloatArray) -> Guess | None:
-    banded = now.banded.copy()
-    banded[0] += np.tile(damping / _NODE_SCALE**2, banded.shape[1] // NODE)
     try:
-        factor = cholesky_banded(banded, lower=True, overwrite_ab=True)
-        solved = cho_solve_banded((factor, True), np.column_stack([now.border, now.node_side]))
-        schur = now.corner + np.diag(damping / scale**2) - now.border.T @ solved[:, :-1]
-        p = cho_solve(cho_factor(schur), now.constant_side - now.border.T @ solved[:, -1])
-    except _UNSOLVABLE:
+        return now.solved(damping, scale)
+    except np.linalg.LinAlgError:
         return None
-    x = solved[:, -1] - solved[:, :-1] @ p
-    return Guess(x.reshape(-1, NODE), p)
 
 
 def _solved_nodes(now: NormalEquations) -> FloatArray:
     """The Newton step of the nodes alone, zero where there is none."""
     try:
-        step: FloatArray = solveh_banded(now.banded, now.node_side, lower=True)
-    except _UNSOLVABLE:
-        step = np.zeros(len(now.node_side))
-    return step.reshape(-1, NODE)
+        return now.nodes_solved()
+    except np.linalg.LinAlgError:
+        return np.zeros((len(now.node_side) // NODE, NODE))

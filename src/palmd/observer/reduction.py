@@ -1,0 +1,241 @@
+"""The arithmetic of the smoother's normal equations: assembled, and reduced to the constants.
+
+Compiled in `model/normal_equations.c`; a twin in NumPy and SciPy serves without a compiler, and to check it
+against. Rows are `width` wide: what they are in the constants, then the right-hand side, then zeros. A matrix in the
+nodes is banded, (BAND, n) as LAPACK's lower form. Not for use inside the loop.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from palmd.events import FloatArray
+from palmd.model.compiled import LANES, Library
+from palmd.model.smoothing import NODE
+
+IntArray = npt.NDArray[np.intp]
+
+BAND = 2 * NODE  # diagonals, from the main one down
+
+
+@dataclass(frozen=True, slots=True)
+class StepRows:
+    """Each step's end (K, 2), its Jacobian (K, 2 + constants, 2) and one over its one-sigma (K, 2), at nodes x."""
+
+    x: FloatArray
+    end: FloatArray
+    jacobian: FloatArray
+    root: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class ReadingRows:
+    """Readings of one kind: the step of each, gradient (n, 4 + constants), value − prediction, one over one-sigma."""
+
+    step: IntArray
+    gradient: FloatArray
+    residual: FloatArray
+    root: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Assembled:
+    """banded (BAND, n), rows (n, width), corner (width, width), and the sum of the steps' squares."""
+
+    banded: FloatArray
+    rows: FloatArray
+    corner: FloatArray
+    slack: float
+
+
+@dataclass(frozen=True, slots=True)
+class Reduced:
+    """Cholesky's factor L (BAND, n) of a banded matrix, `rows` = L⁻¹ rows (n, w), and what is left of a corner."""
+
+    factor: FloatArray
+    rows: FloatArray
+    left: FloatArray
+
+
+class Arithmetic(Protocol):
+    """What is compiled, and its twin, for so many `constants`; rows are `width` wide."""
+
+    constants: int
+    width: int
+
+    def assembled(self, steps: StepRows, readings: Sequence[ReadingRows]) -> Assembled:
+        """The normal equations of these residuals."""
+
+    def reduced(self, banded: FloatArray, damping: FloatArray, rows: FloatArray, corner: FloatArray) -> Reduced:
+        """The matrix with `damping` (NODE) on its diagonal factored; corner − rowsᵀ matrix⁻¹ rows is left.
+
+        `rows` (n, w), w a multiple of `LANES`. Raises LinAlgError where the matrix is not positive definite.
+        """
+
+    def back(self, reduced: Reduced, by: FloatArray) -> FloatArray:
+        """L⁻ᵀ (rows · by): the nodes (n)."""
+
+
+class _Steps(ctypes.Structure):
+    _fields_ = (*((name, ctypes.c_void_p) for name in ("x", "end", "jacobian", "root")), ("steps", ctypes.c_long))
+
+
+class _Readings(ctypes.Structure):
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("gradient", "residual", "root", "step")),
+        ("count", ctypes.c_long),
+    )
+
+
+class Compiled:
+    """See `Arithmetic`."""
+
+    def __init__(self, library: ctypes.CDLL, constants: int):
+        """Raises RuntimeError where the library's sizes are not the model's."""
+        self.constants, self.width = constants, _width(constants)
+        wanted = [NODE, constants, self.width]
+        if list((ctypes.c_long * len(wanted)).in_dll(library, "normal_equations_sizes")) != wanted:
+            raise RuntimeError("model/normal_equations.c was compiled for other sizes than the model's")
+        pointer, number = ctypes.c_void_p, ctypes.c_long
+        self._assemble, self._reduce, self._back = library.assemble, library.reduce, library.back
+        self._assemble.argtypes = (pointer, pointer, number, pointer, pointer, pointer)
+        self._assemble.restype = ctypes.c_double
+        self._reduce.argtypes = (pointer, number, number, pointer, pointer, pointer, number, pointer)
+        self._back.argtypes, self._back.restype = (pointer, number, pointer, number, pointer, pointer), None
+
+    def assembled(self, steps: StepRows, readings: Sequence[ReadingRows]) -> Assembled:
+        """See `Arithmetic`."""
+        count, n = len(steps.end), steps.x.size
+        told = _Steps(
+            _at(steps.x, count + 1, NODE), _at(steps.end, count, NODE),
+            _at(steps.jacobian, count, NODE + self.constants, NODE), _at(steps.root, count, NODE), count,
+        )  # fmt: skip
+        kinds = (_Readings * max(len(readings), 1))()
+        for kind, each in zip(kinds, readings, strict=False):
+            kind.count = many = len(each.step)
+            if many and not 0 <= each.step.min() <= each.step.max() < count:
+                raise ValueError("a reading lies in no step")
+            kind.gradient, kind.step = _at(each.gradient, many, 2 * NODE + self.constants), _at(each.step, many)
+            kind.residual, kind.root = _at(each.residual, many), _at(each.root, many)
+        banded, rows, corner = np.zeros((BAND, n)), np.zeros((n, self.width)), np.zeros((self.width, self.width))
+        slack = self._assemble(ctypes.byref(told), kinds, len(readings), _at(banded), _at(rows), _at(corner))
+        return Assembled(banded, rows, corner, slack)
+
+    def reduced(self, banded: FloatArray, damping: FloatArray, rows: FloatArray, corner: FloatArray) -> Reduced:
+        """See `Arithmetic`."""
+        banded = np.ascontiguousarray(banded)
+        n, width = rows.shape
+        if width % LANES:
+            raise ValueError(f"rows are of a multiple of {LANES} columns, not {width}")
+        factor, rows, left = np.zeros((BAND, n)), rows.copy(), corner.copy()
+        result, matrix = (_at(factor), _at(rows), width, _at(left, width, width)), _at(banded, BAND, n)
+        if self._reduce(matrix, n, n, _at(damping, NODE), *result):
+            raise np.linalg.LinAlgError("not positive definite")
+        return Reduced(factor, rows, left)
+
+    def back(self, reduced: Reduced, by: FloatArray) -> FloatArray:
+        """See `Arithmetic`."""
+        n, width = reduced.rows.shape
+        x = np.zeros(n)
+        self._back(_at(reduced.factor), n, _at(reduced.rows), width, _at(by, width), _at(x))
+        return x
+
+
+def _at(array: FloatArray | IntArray, *shape: int) -> int:
+    """The address of an array, of this shape where one is given; ValueError for others, which C would not notice."""
+    if not array.flags.c_contiguous or array.itemsize != 8 or (shape and array.shape != shape):
+        raise ValueError(f"an array is {array.dtype} {array.shape}, not of {shape or 'numbers one after the other'}")
+    return array.ctypes.data
+
+
+class Twin:
+    """See `Arithmetic`: the same in NumPy and SciPy, slowly."""
+
+    def __init__(self, constants: int):
+        self.constants, self.width = constants, _width(constants)
+
+    def assembled(self, steps: StepRows, readings: Sequence[ReadingRows]) -> Assembled:
+        """See `Arithmetic`."""
+        from scipy.sparse import csr_matrix
+
+        count, n = len(steps.end), steps.x.size
+        J = steps.jacobian.transpose(0, 2, 1).reshape(count * NODE, NODE + self.constants)
+        root = steps.root.ravel()
+        # every residual is a row, divided by its one-sigma: first the steps' ends, then the readings
+        in_nodes = [np.column_stack([J[:, :NODE], np.full(len(J), -1.0)]).ravel() * np.repeat(root, NODE + 1)]
+        in_constants = [J[:, NODE:] * root[:, None]]
+        residual = [(steps.end - steps.x[1:]).ravel() * root]
+        slack = float(residual[0] @ residual[0])
+        for each in readings:
+            in_nodes.append((each.gradient[:, : 2 * NODE] * each.root[:, None]).ravel())
+            in_constants.append(each.gradient[:, 2 * NODE :] * each.root[:, None])
+            residual.append(-each.residual * each.root)
+        border, side = np.concatenate(in_constants), np.concatenate(residual)
+        shape = (len(side), n)
+        sparse = csr_matrix((np.concatenate(in_nodes), *_pattern(count, [each.step for each in readings])), shape=shape)
+        across = sparse.T.tocsr()
+        normal = across @ sparse
+        banded, rows, corner = np.zeros((BAND, n)), np.zeros((n, self.width)), np.zeros((self.width, self.width))
+        for k in range(BAND):
+            banded[k, : n - k] = normal.diagonal(-k)
+        m = self.constants
+        rows[:, :m], rows[:, m] = across @ border, -(across @ side)
+        corner[:m, :m] = border.T @ border
+        corner[m, :m] = corner[:m, m] = -(border.T @ side)
+        corner[m, m] = side @ side
+        return Assembled(banded, rows, corner, slack)
+
+    def reduced(self, banded: FloatArray, damping: FloatArray, rows: FloatArray, corner: FloatArray) -> Reduced:
+        """See `Arithmetic`."""
+        from scipy.linalg import cholesky_banded, solve_banded
+
+        damped = banded.copy()
+        damped[0] += np.tile(damping, damped.shape[1] // NODE)
+        try:
+            factor = cholesky_banded(damped, lower=True)
+        except ValueError as error:  # what scipy says of numbers that are not finite
+            raise np.linalg.LinAlgError(str(error)) from error
+        solved = solve_banded((BAND - 1, 0), factor, rows)
+        return Reduced(factor, solved, corner - solved.T @ solved)
+
+    def back(self, reduced: Reduced, by: FloatArray) -> FloatArray:
+        """See `Arithmetic`."""
+        from scipy.linalg import solve_banded
+
+        upper = np.zeros_like(reduced.factor)
+        for k in range(BAND):
+            upper[BAND - 1 - k, k:] = reduced.factor[k, : reduced.factor.shape[1] - k]
+        x: FloatArray = solve_banded((0, BAND - 1), upper, reduced.rows @ by)
+        return x
+
+
+def _pattern(steps: int, readings: Sequence[IntArray]) -> tuple[IntArray, IntArray]:
+    """Columns and row starts of the residuals' Jacobian in the nodes, as `Twin` fills it."""
+    k = np.arange(steps)
+    ends = np.stack([np.stack([2 * k, 2 * k + 1, 2 * k + 2 + i], axis=1) for i in range(NODE)], axis=1)
+    columns = [np.add.outer(NODE * step, np.arange(2 * NODE)) for step in readings]
+    lengths = np.concatenate([np.full(NODE * len(k), NODE + 1), *(np.full(len(each), 2 * NODE) for each in readings)])
+    starts = np.concatenate([[0], np.cumsum(lengths)])
+    return np.concatenate([ends.ravel(), *(each.ravel() for each in columns)]), starts
+
+
+def _width(constants: int) -> int:
+    return -(-(constants + 1) // LANES) * LANES
+
+
+def arithmetic_of(library: Library) -> Arithmetic:
+    """What is compiled with the kernels of a smoother, else its twin."""
+    return _arithmetic(library.path, library.signatures["step_batch"].inputs[1][1])
+
+
+@cache
+def _arithmetic(path: Path | None, constants: int) -> Arithmetic:
+    return Twin(constants) if path is None else Compiled(ctypes.CDLL(str(path)), constants)

@@ -1,0 +1,114 @@
+"""The smoother's arithmetic: what is compiled against its twin in NumPy, and both against the dense matrices."""
+
+import ctypes
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from palmd.model import smoothing
+from palmd.model.smoothing import CONSTANTS, NODE
+from palmd.observer.reduction import BAND, Compiled, ReadingRows, Reduced, StepRows, Twin, arithmetic_of
+
+STEPS = 41
+
+
+def compiled():
+    path = smoothing.library().path
+    assert path is not None
+    return Compiled(ctypes.CDLL(str(path)), CONSTANTS)
+
+
+def residuals(seed=0, counts=(37, 50)):
+    """Steps and readings of two kinds, of sizes as they are met; the last readings lie in the last step."""
+    random = np.random.default_rng(seed)
+    x = random.standard_normal((STEPS + 1, NODE))
+    J = 0.1 * random.standard_normal((STEPS, NODE + CONSTANTS, NODE))
+    J[:, :NODE] += np.eye(NODE)
+    ends = x[1:] + 1e-3 * random.standard_normal((STEPS, NODE))
+    steps = StepRows(x, ends, J, random.uniform(1e2, 1e4, (STEPS, NODE)))
+    kinds = []
+    for count in counts:
+        step = np.sort(random.integers(0, STEPS, count))
+        step[-3:] = STEPS - 1
+        gradient = random.standard_normal((count, 2 * NODE + CONSTANTS))
+        kinds.append(ReadingRows(step, gradient, random.standard_normal(count), random.uniform(0.5, 2.0, count)))
+    return steps, kinds
+
+
+def dense(banded):
+    matrix = np.diag(banded[0])
+    for k in range(1, BAND):
+        part = np.diag(banded[k, :-k], -k)
+        matrix += part + part.T
+    return matrix
+
+
+def test_what_is_compiled_is_used():
+    assert isinstance(arithmetic_of(smoothing.library()), Compiled)
+
+
+@pytest.mark.parametrize("counts", [(37, 50), (5,), ()])
+def test_the_assembled_equations_are_the_twins(counts):
+    steps, kinds = residuals(1, counts)
+    got, wanted = compiled().assembled(steps, kinds), Twin(CONSTANTS).assembled(steps, kinds)
+    assert got.slack == pytest.approx(wanted.slack, rel=1e-12)
+    for name in ("banded", "rows", "corner"):
+        a, b = getattr(got, name), getattr(wanted, name)
+        np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-11 * np.abs(b).max(), err_msg=name)
+    assert not got.rows[:, CONSTANTS + 1 :].any()
+
+
+@pytest.mark.parametrize("does", [compiled, Twin], ids=["compiled", "twin"])
+def test_what_is_left_is_schurs_complement(does):
+    steps, kinds = residuals(2)
+    made = does().assembled(steps, kinds)
+    damping = np.array([3.0, 7.0])
+    reduced = does().reduced(made.banded, damping, made.rows, made.corner)
+    matrix = dense(made.banded) + np.diag(np.tile(damping, STEPS + 1))
+    wanted = made.corner - made.rows.T @ np.linalg.solve(matrix, made.rows)
+    np.testing.assert_allclose(reduced.left, wanted, rtol=1e-7, atol=1e-9 * np.abs(made.corner).max())
+    factor = np.tril(dense(reduced.factor))
+    np.testing.assert_allclose(factor @ factor.T, matrix, rtol=1e-9, atol=1e-9 * np.abs(matrix).max())
+    by = np.random.default_rng(0).standard_normal(compiled().width)
+    np.testing.assert_allclose(does().back(reduced, by), np.linalg.solve(matrix, made.rows @ by), rtol=1e-7, atol=1e-9)
+
+
+def test_reducing_gives_the_twins_numbers_and_leaves_its_inputs_alone():
+    steps, kinds = residuals(3)
+    made = compiled().assembled(steps, kinds)
+    before = [each.copy() for each in (made.banded, made.rows, made.corner)]
+    got, wanted = (
+        each.reduced(made.banded, np.zeros(NODE), made.rows, made.corner) for each in (compiled(), Twin(CONSTANTS))
+    )
+    for a, b in zip(before, (made.banded, made.rows, made.corner), strict=True):
+        np.testing.assert_array_equal(a, b)
+    for name in Reduced.__slots__:
+        a, b = getattr(got, name), getattr(wanted, name)
+        if name == "factor":
+            a, b = np.tril(dense(a)), np.tril(dense(b))
+        np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-9 * np.abs(b).max(), err_msg=name)
+
+
+@pytest.mark.parametrize("does", [compiled, Twin], ids=["compiled", "twin"])
+@pytest.mark.parametrize("wrong", [-1e9, np.nan, np.inf])
+def test_a_matrix_that_is_not_positive_definite_is_refused(does, wrong):
+    steps, kinds = residuals(4)
+    made = does().assembled(steps, kinds)
+    made.banded[0, 9] = wrong
+    with pytest.raises(np.linalg.LinAlgError):
+        does().reduced(made.banded, np.zeros(NODE), made.rows, made.corner)
+
+
+def test_arrays_that_do_not_fit_are_refused():
+    steps, kinds = residuals(5)
+    made, does = compiled().assembled(steps, kinds), compiled()
+    nothing = np.zeros(NODE)
+    with pytest.raises(ValueError, match=r"float64 \(24, 48\), not of \(48, 48\)"):
+        does.reduced(made.banded, nothing, made.rows, made.corner[::2])
+    with pytest.raises(ValueError, match="a multiple of 8 columns, not 46"):
+        does.reduced(made.banded, nothing, made.rows[:, :46], made.corner)
+    with pytest.raises(ValueError, match=r"float32 \(42, 2\)"):
+        does.assembled(replace(steps, x=steps.x.astype(np.float32)), kinds)
+    with pytest.raises(ValueError, match="a reading lies in no step"):
+        does.assembled(steps, [replace(kinds[0], step=kinds[0].step + 1)])
