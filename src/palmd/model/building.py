@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.model.compiled import EXPORTED, LANES, Library, Run, Signature, cache_directory, key_of
+from palmd.model.compiled import EXPORTED, FLAGS, LANES, Library, Run, Signature, cache_directory, key_of, note_of
 from palmd.model.kernels import Kernel, source
 from palmd.model.symbolic import ca
 
@@ -44,6 +44,16 @@ def build(name: str, kernels: Sequence[Kernel], written: Sequence[Path], flags: 
                 files[-1].write_text(text, encoding="utf-8")
         key = key_of(b"".join(each.read_bytes() for each in files) + " ".join(flags).encode())
         library = note.with_name(f"{name}-{key}.so")
+        if not (library.exists() and _sound(library, kernels)):
+            _compile([compiler, *FLAGS, *flags], files, kernels, library)
+        told = Path(folder) / "note.json"
+        told.write_text(note_of(_signatures(kernels), library), encoding="utf-8")
+        told.replace(note)
+    return True
+
+
+def _compile(compiler: Sequence[str], files: Sequence[Path], kernels: Sequence[Kernel], library: Path) -> None:
+    built = files[-1].with_name("built.so")
     command = [*compiler, "-I", str(Path(__file__).parent), "-o", str(built), *map(str, files), "-lm"]
     try:
         subprocess.run(command, check=True, capture_output=True, text=True)
