@@ -19,6 +19,10 @@ def compiled():
     return Compiled(ctypes.CDLL(str(path)), CONSTANTS)
 
 
+def twin():
+    return Twin(CONSTANTS)
+
+
 def residuals(seed=0, counts=(37, 50)):
     """Steps and readings of two kinds, of sizes as they are met; the last readings lie in the last step."""
     random = np.random.default_rng(seed)
@@ -51,7 +55,7 @@ def test_what_is_compiled_is_used():
 @pytest.mark.parametrize("counts", [(37, 50), (5,), ()])
 def test_the_assembled_equations_are_the_twins(counts):
     steps, kinds = residuals(1, counts)
-    got, wanted = compiled().assembled(steps, kinds), Twin(CONSTANTS).assembled(steps, kinds)
+    got, wanted = compiled().assembled(steps, kinds), twin().assembled(steps, kinds)
     assert got.slack == pytest.approx(wanted.slack, rel=1e-12)
     for name in ("banded", "rows", "corner"):
         a, b = getattr(got, name), getattr(wanted, name)
@@ -59,7 +63,7 @@ def test_the_assembled_equations_are_the_twins(counts):
     assert not got.rows[:, CONSTANTS + 1 :].any()
 
 
-@pytest.mark.parametrize("does", [compiled, Twin], ids=["compiled", "twin"])
+@pytest.mark.parametrize("does", [compiled, twin], ids=["compiled", "twin"])
 def test_what_is_left_is_schurs_complement(does):
     steps, kinds = residuals(2)
     made = does().assembled(steps, kinds)
@@ -78,9 +82,7 @@ def test_reducing_gives_the_twins_numbers_and_leaves_its_inputs_alone():
     steps, kinds = residuals(3)
     made = compiled().assembled(steps, kinds)
     before = [each.copy() for each in (made.banded, made.rows, made.corner)]
-    got, wanted = (
-        each.reduced(made.banded, np.zeros(NODE), made.rows, made.corner) for each in (compiled(), Twin(CONSTANTS))
-    )
+    got, wanted = (each.reduced(made.banded, np.zeros(NODE), made.rows, made.corner) for each in (compiled(), twin()))
     for a, b in zip(before, (made.banded, made.rows, made.corner), strict=True):
         np.testing.assert_array_equal(a, b)
     for name in Reduced.__slots__:
@@ -90,7 +92,7 @@ def test_reducing_gives_the_twins_numbers_and_leaves_its_inputs_alone():
         np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-9 * np.abs(b).max(), err_msg=name)
 
 
-@pytest.mark.parametrize("does", [compiled, Twin], ids=["compiled", "twin"])
+@pytest.mark.parametrize("does", [compiled, twin], ids=["compiled", "twin"])
 @pytest.mark.parametrize("wrong", [-1e9, np.nan, np.inf])
 def test_a_matrix_that_is_not_positive_definite_is_refused(does, wrong):
     steps, kinds = residuals(4)
