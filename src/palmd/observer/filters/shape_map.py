@@ -78,7 +78,7 @@ class ShapeFilters:
         self._named = library.bind("named", [self._x_next, self._v], [self._y, self._J])
         self.curvature = np.zeros((CURVATURE_NORMALS, n))
         self.curvature[:, shape_map.Z.SHAPE :] = curvature_rows(order)
-        self.rig_error = RigError(tuple(pad.length for pad in rig.pads))
+        self.rig_error = RigError(tuple(pad.length for pad in rig.pads), rig.curvatures)
         self.spread: FloatArray | None = None
 
     def start(self, start: BlindStart, palms: PalmTracker, t: float) -> None:
@@ -122,7 +122,7 @@ class ShapeFilters:
 
     def fuse_pad(self, sample: PadSample, variance: float, palms: PalmTracker, repeated: float) -> None:
         angles = self._palms_at(sample.t_sample, palms)[: len(JOINTS)]
-        s = self.rig_error.corrected(sample, angles[OPENING])
+        s = self.rig_error.corrected(sample, angles[OPENING], float(self.bank.x[0, shape_map.Z.SHAPE]))
         self.bank.update(pad_update(sample.pad), s, variance, *angles, *self._curvatures, repeated=repeated)
 
     def fuse_palms(self, sample: PalmSample, angle_variance: float) -> None:
