@@ -10,7 +10,7 @@
 
 _shtab_palmd_commands() {
   local _commands=(
-    bench:'studies of many runs: montecarlo, sbc, explore, recognise, parts, peers, field, faults, soak'
+    bench:'studies of many runs: montecarlo, sbc, explore, recognise, curved, parts, peers, field, faults, soak'
     build:'compile the observers now; the first run does it otherwise'
     calibrate:'measure what the configuration must know: pad, arm, gravity, pads, force, self'
     check:'find what is wrong with configurations and motion plans'
@@ -46,6 +46,7 @@ _shtab_palmd_commands() {
 
 _shtab_palmd_bench_commands() {
   local _commands=(
+    curved:'curved palms: reconstructed blind, and how much more they touch'
     explore:'unknown objects explored in the emulated rig, beside open-loop plans'
     faults:'every fault provoked on the emulated rig: what comes of it, how soon the arm stands'
     field:'the field'"'"'s benchmark: 200 runs with their truth, baselines, a scorer for anybody'"'"'s results'
@@ -119,6 +120,20 @@ _shtab_palmd_bench_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_bench_defaults_added=0
+
+_shtab_palmd_bench_curved_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--runs[logs of each kind (default\: 34)]:N:"
+  "--shapes[objects on each curvature (default\: 24)]:N:"
+  "--seed[the first run\'s (default\: 0)]:FIRST:"
+  "--seconds[how long each lasts (default\: 10.0)]:S:"
+  "--only[one half of it\; default\: both]:only:(logs coverage)"
+  "--figure[draw the touched share against curvature\; needs matplotlib]:OUT.svg:_files"
+  "--jobs[processes on this machine (default\: one a processor)]:J:"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_palmd_bench_curved_defaults_added=0
 
 _shtab_palmd_bench_explore_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -830,6 +845,7 @@ _shtab_palmd_bench() {
       (( CURRENT += 1 ))
       curcontext="${curcontext%:*:*}:_shtab_palmd_bench-$line[1]:"
       case $line[1] in
+        curved) _arguments -C -s $_shtab_palmd_bench_curved_options ;;
         explore) _arguments -C -s $_shtab_palmd_bench_explore_options ;;
         faults) _arguments -C -s $_shtab_palmd_bench_faults_options ;;
         field) _arguments -C -s $_shtab_palmd_bench_field_options ;;
