@@ -64,11 +64,10 @@ class ShapeFilters:
         library = shape_map.library(order, rig.curved)
         inputs = (shape_map.PREDICTION_INPUTS, shape_map.PALM_INPUTS + RIG_INPUTS, len(NAMED))
         n = shape_map.size(order)
-        self.bank = Bank(
-            library, size, n, dict.fromkeys(("update_s1", "update_s2"), shape_map.UPDATE_INPUTS), inputs, memory_s
-        )
+        self._rig, self._curvatures = rig_inputs(rig), rig.curvatures if rig.curved else ()
+        update_inputs = shape_map.UPDATE_INPUTS + len(self._curvatures)
+        self.bank = Bank(library, size, n, dict.fromkeys(("update_s1", "update_s2"), update_inputs), inputs, memory_s)
         self.order = order
-        self._rig, self._curvatures = rig_inputs(rig), rig.curvatures
         self._x, self._P = np.zeros(n), np.zeros((n, n))
         self._x_next, self._P_next = np.zeros(n), np.zeros((n, n))
         self._u = np.zeros(shape_map.PREDICTION_INPUTS)
