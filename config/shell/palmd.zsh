@@ -10,7 +10,7 @@
 
 _shtab_palmd_commands() {
   local _commands=(
-    bench:'studies of many runs: montecarlo, sbc, explore, recognise, parts, peers, field, faults, simulate, soak'
+    bench:'studies of many runs: montecarlo, sbc, explore, recognise, curved, parts, peers, field, faults, soak'
     build:'compile the observers now; the first run does it otherwise'
     calibrate:'measure what the configuration must know: pad, arm, gravity, pads, force, self'
     check:'find what is wrong with configurations and motion plans'
@@ -46,6 +46,7 @@ _shtab_palmd_commands() {
 
 _shtab_palmd_bench_commands() {
   local _commands=(
+    curved:'curved palms: reconstructed blind, and how much more they touch'
     explore:'unknown objects explored in the emulated rig, beside open-loop plans'
     faults:'every fault provoked on the emulated rig: what comes of it, how soon the arm stands'
     field:'the field'"'"'s benchmark: 200 runs with their truth, baselines, a scorer for anybody'"'"'s results'
@@ -54,7 +55,6 @@ _shtab_palmd_bench_commands() {
     peers:'palmd'"'"'s estimators beside general-purpose ones'
     recognise:'which of twenty similar objects lies on the palms, or none of them'
     sbc:'simulation-based calibration: whether blind reconstructions are as sure as they may be'
-    simulate:'daemon and rig in virtual time with everything that may go wrong at once: what must hold all the same'
     soak:'the demo for an hour with random mischief: leaks, lateness, lost packets'
   )
   _describe 'palmd bench commands' _commands
@@ -120,6 +120,20 @@ _shtab_palmd_bench_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_bench_defaults_added=0
+
+_shtab_palmd_bench_curved_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--runs[logs of each kind (default\: 34)]:N:"
+  "--shapes[objects on each curvature (default\: 24)]:N:"
+  "--seed[the first run\'s (default\: 0)]:FIRST:"
+  "--seconds[how long each lasts (default\: 10.0)]:S:"
+  "--only[one half of it\; default\: both]:only:(logs coverage)"
+  "--figure[draw the touched share against curvature\; needs matplotlib]:OUT.svg:_files"
+  "--jobs[processes on this machine (default\: one a processor)]:J:"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_palmd_bench_curved_defaults_added=0
 
 _shtab_palmd_bench_explore_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -227,18 +241,6 @@ _shtab_palmd_bench_sbc_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_bench_sbc_defaults_added=0
-
-_shtab_palmd_bench_simulate_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--seeds[from A up to B, both included]:A..B:"
-  "--fresh[seeds nobody has tried, for so many processor seconds\; default\: 60]:S:"
-  "--keep[of one seed\'s happenings only these]:N,N…:"
-  "--list[tell a single seed\'s happenings]"
-  "--unreached[tell every (state, fault, command) that was not seen]"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_bench_simulate_defaults_added=0
 
 _shtab_palmd_bench_soak_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -682,7 +684,7 @@ _shtab_palmd_replay_options=(
   "--speed[times the recorded pace (default\: 1)]:X:"
   "--publish[where to (default\: tcp\:\/\/127.0.0.1\:9872)]:ADDRESS:"
   "--loop[begin anew at the end, until Ctrl-C]"
-  "--check[compare with what the observer says now, and with the lifecycle\'s rules]"
+  "--check[compare with what the observer says now, and end]"
   ":a recorded run (.mcap):_files"
 )
 
@@ -843,6 +845,7 @@ _shtab_palmd_bench() {
       (( CURRENT += 1 ))
       curcontext="${curcontext%:*:*}:_shtab_palmd_bench-$line[1]:"
       case $line[1] in
+        curved) _arguments -C -s $_shtab_palmd_bench_curved_options ;;
         explore) _arguments -C -s $_shtab_palmd_bench_explore_options ;;
         faults) _arguments -C -s $_shtab_palmd_bench_faults_options ;;
         field) _arguments -C -s $_shtab_palmd_bench_field_options ;;
@@ -851,7 +854,6 @@ _shtab_palmd_bench() {
         peers) _arguments -C -s $_shtab_palmd_bench_peers_options ;;
         recognise) _arguments -C -s $_shtab_palmd_bench_recognise_options ;;
         sbc) _arguments -C -s $_shtab_palmd_bench_sbc_options ;;
-        simulate) _arguments -C -s $_shtab_palmd_bench_simulate_options ;;
         soak) _arguments -C -s $_shtab_palmd_bench_soak_options ;;
       esac
   esac

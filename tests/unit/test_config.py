@@ -46,6 +46,23 @@ def test_paths_stand_beside_the_configuration() -> None:
     assert config(Path("/etc/palmd")).plan is None
 
 
+def test_curved_palms_are_what_the_observer_is_told_of() -> None:
+    made = config(rig={"palm1_curvature_per_m": 13.3, "palm2_curvature_per_m": -8.0})
+    assert rig_description(made).curvatures == (13.3, -8.0)
+    assert not rig_description(config()).curved
+
+
+def test_what_cannot_be_had_on_curved_palms_is_refused(tmp_path: Path) -> None:
+    curved = {"palm2_curvature_per_m": 13.3}
+    ((name, text),) = faults(rig=curved, observer={"primary": "extended"})
+    assert name == "observer"
+    assert "extended knows flat palms only; these are curved: set primary to shape" in text
+    ((_, text),) = faults(rig=curved, observer={"shape": str(tmp_path)})
+    assert "stored outlines are recognised on flat palms only" in text
+    ((_, text),) = faults(rig={"palm1_curvature_per_m": 40.0})
+    assert "rig.palm1_curvature_per_m bends the pad by more than a quarter turn" in text
+
+
 def test_models_are_frozen() -> None:
     with pytest.raises(ValidationError):
         config().rig.gravity_m_s2 = 1.0  # type: ignore[misc]

@@ -15,7 +15,7 @@ from palmd.calibration import cylinder_session
 from palmd.calibration.cylinder import tipping_plan
 from palmd.calibration.files import writable
 from palmd.calibration.pad_force import LEAST_ROUNDS, Forces, pad_forces
-from palmd.console.configured import configured
+from palmd.console.configured import with_flat_palms
 from palmd.console.errors import BAD_INPUT, RIG_FAILED
 from palmd.motion.check import motion_limits
 from palmd.system.mechanism import PALMS
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Writes nothing before both pads are known; CliError when the input is wrong or the rig fails."""
-    config = configured(arguments.config)
+    config = with_flat_palms(arguments.config, "the tipped cylinder")
     limits = motion_limits(config)
     weight_n = arguments.mass_g * 1e-3 * config.rig.gravity_m_s2
     with cylinder_session.ending(BAD_INPUT):

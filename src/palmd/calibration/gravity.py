@@ -31,7 +31,7 @@ from palmd.calibration.rolling_fit import (
 )
 from palmd.calibration.rolling_session import RollingSession, slopes_within
 from palmd.config import Config
-from palmd.console.configured import configured
+from palmd.console.configured import with_flat_palms
 from palmd.console.errors import RIG_FAILED, CliError
 from palmd.harness.processes import StopRequest
 from palmd.quantities import EVENTS, INFO
@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Writes nothing before all is measured; CliError when the daemon refuses, or the rolls say too little."""
-    config = configured(arguments.config)
+    config = with_flat_palms(arguments.config, "what rolls down a palm")
     folder = writable(arguments.output or arguments.config.parent / "calibration")
     key = credentials(arguments)
     command, publish = arguments.address or config.bus.command, arguments.listen or config.bus.publish

@@ -16,7 +16,7 @@ from palmd.calibration.cylinder import turning_plan
 from palmd.calibration.files import writable
 from palmd.calibration.pad_scale import PadScale, pad_scales
 from palmd.config import Config, PadConfig
-from palmd.console.configured import configured
+from palmd.console.configured import with_flat_palms
 from palmd.console.errors import BAD_INPUT, RIG_FAILED
 from palmd.motion.check import motion_limits
 
@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Writes nothing before both pads are known; CliError when the input is wrong or the rig fails."""
-    config = configured(arguments.config)
+    config = with_flat_palms(arguments.config, "the turned cylinder")
     radius_m = arguments.radius_mm * 1e-3
     with cylinder_session.ending(BAD_INPUT):
         plan = turning_plan(radius_m, motion_limits(config))

@@ -31,3 +31,11 @@ def configured(path: Path) -> Config:
         return load_config(path)
     except ConfigError as error:
         raise CliError(BAD_INPUT, str(error)) from None
+
+
+def with_flat_palms(path: Path, what: str) -> Config:
+    """`configured`; CliError where palms are curved, which `what` is not made for."""
+    config = configured(path)
+    if any(config.rig.curvatures_per_m):
+        raise CliError(BAD_INPUT, f"{path}: {what} is evaluated on flat palms only, and these are curved")
+    return config

@@ -41,7 +41,7 @@ def size(order: int) -> int:
 N = size(HARMONICS)
 PALM_INPUTS = 6  # φ1, φ2, ω1, ω2, α1, α2
 PREDICTION_INPUTS = 3 + PALM_INPUTS + RIG_INPUTS
-UPDATE_INPUTS = 8
+UPDATE_INPUTS = 6  # and both curvatures, where palms are curved
 
 Q_OMEGA0 = 0.02**2  # (rad/s)²/s, what the model leaves out
 Q_PSI = 1e-4**2  # rad²/s
@@ -94,13 +94,14 @@ def predict_function(order: int = HARMONICS, curved: bool = False) -> ca.Functio
 
 
 def update_function(name: str, pad: int, order: int = HARMONICS, curved: bool = False) -> ca.Function:
-    """(x, P, [value, variance, gate, repeated, φ1, φ2, κ1, κ2]) → (x, P, [log-likelihood, NIS]): a reading of `pad`.
+    """(x, P, [value, variance, gate, repeated, φ1, φ2]) → (x, P, [log-likelihood, NIS]) for one reading of `pad`.
 
     Joseph form; the variance of a reading beyond the gate is inflated until it sits on the gate. It is one of
-    `repeated` that share one error, and weighs as much less; its NIS is told as if it were the only one.
+    `repeated` that share one error, and weighs as much less; its NIS is told as if it were the only one. On `curved`
+    palms κ1, κ2 follow φ2.
     """
     n = size(order)
-    x, P, z = SX.sym("x", n), SX.sym("P", n, n), SX.sym("z", UPDATE_INPUTS)
+    x, P, z = SX.sym("x", n), SX.sym("P", n, n), SX.sym("z", UPDATE_INPUTS + len(PALMS) * curved)
     value, variance, gate, repeated = z[0], z[1], z[2], z[3]
     touch = Touch(ca.vertsplit(z[6:8])) if curved else Touch()
     predicted = readings(z[5], *contacts_of(x, z[4], z[5], touch))[pad - 1]

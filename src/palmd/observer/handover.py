@@ -31,7 +31,7 @@ class Handover:
         """`blind` and `smoothed` are the filters of `hypotheses`; from now on they share one estimate of the rig."""
         self._hypotheses = hypotheses
         self._single = smoothed.single
-        self.rig_error = RigError(tuple(pad.length for pad in rig.pads))
+        self.rig_error = RigError(tuple(pad.length for pad in rig.pads), rig.curvatures)
         for filters in (blind, *smoothed):
             filters.rig_error = self.rig_error
         self.reset()

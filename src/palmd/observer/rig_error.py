@@ -10,6 +10,8 @@ import numpy as np
 
 from palmd.events import FloatArray, PadSample
 from palmd.model.smoothing import RIG_CONSTANTS, R
+from palmd.model.touch import LEAST_SLACK
+from palmd.system.arcs import FLAT
 from palmd.system.description import RigDescription
 
 
@@ -18,6 +20,7 @@ class RigError:
     """Estimates in the order of `model.smoothing.R`; zeros leave everything as it is. Safe inside the loop."""
 
     pad_lengths: tuple[float, ...]
+    curvatures: tuple[float, ...] = FLAT
     values: FloatArray = field(default_factory=lambda: np.zeros(RIG_CONSTANTS))
     _s: list[float] = field(default_factory=lambda: [0.0, 0.0])  # of each pad's last contact, corrected (m)
 
@@ -34,13 +37,20 @@ class RigError:
         lag = float(self.values[R.LAG + sample.pad - 1])
         return replace(sample, t_sample=sample.t_sample - lag) if lag else sample
 
-    def corrected(self, sample: PadSample, opening: float) -> float:
-        """The distance (m) that the pad would tell, had it no error and lay on the hinge line; φ2 as in `angles`."""
+    def corrected(self, sample: PadSample, opening: float, radius: float) -> float:
+        """The distance (m) that the pad would tell, had it no error and lay on the hinge line; φ2 as in `angles`.
+
+        `radius` (m) of the object, about: a curved palm's contact goes by 1/(1 − κ·radius) farther than a flat one's.
+        """
         i, v = sample.pad - 1, self.values
         pushed = v[R.FORCE + i] * (sample.force or 0.0)
         s = (sample.s - v[R.ZERO + i] - pushed) / (1.0 + v[R.SCALE + i])
         self._s[i] = float(s)
         own, other = (v[R.STANDOFF + k] + 4.0 * v[R.SAGITTA + k] * self._u(k) ** 2 for k in (i, 1 - i))
+        kappa = self.curvatures[i]
+        if kappa or self.curvatures[1 - i]:
+            opening -= sum(each * at for each, at in zip(self.curvatures, self._s, strict=True))
+            return float(s - (own * np.cos(opening) + other) / np.sin(opening) / max(1.0 - kappa * radius, LEAST_SLACK))
         return float(s - (own * np.cos(opening) + other) / np.sin(opening))
 
     def _u(self, pad: int) -> float:

@@ -18,6 +18,7 @@ from palmd.observer.prior import blind_start, shape_map_sd
 from palmd.observer.rig_error import circle_spread
 from palmd.observer.track import Track
 from palmd.observer.validity import LOST_NIS
+from palmd.system.arcs import tangents
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import OPENING, PALMS
 
@@ -75,7 +76,7 @@ class ObjectSession:
         fusion.begin(filters, start, self, t)
         track = self.track = Track(
             fusion, self._contacts, contacts, palms, start,
-            radius_sd=circle_spread(rig, contacts, palms.angles[OPENING]),
+            radius_sd=circle_spread(rig, contacts, tangents(palms.angles, contacts, rig.curvatures)[OPENING]),
             mass=MassEstimator(rig.pads),
             coverage=Coverage(curvatures=rig.curvatures),
         )  # fmt: skip

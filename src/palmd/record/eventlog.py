@@ -131,11 +131,12 @@ def _rig(rig: Line) -> RigDescription:
 
 
 def _curvature(rig: Line, palm: int, length: float) -> float:
-    """A palm's, 0 where the log says nothing; an arc that bends by more than a quarter turn is no palm."""
+    """A palm's (1/m), 0 where the log says nothing."""
     key = _CURVATURE.format(palm)
     curvature = number(rig, key) if rig.get(key) is not None else 0.0
     if abs(curvature) * length > math.pi / 2:
-        raise BadLineError(f"{key} is {curvature:g}, a radius of {1e3 / curvature:.3g} mm; it is in 1/m")
+        radius = f"a radius of {1e3 / abs(curvature):.3g} mm"
+        raise BadLineError(f"{key} is {curvature:g}, {radius}, which bends the pad by more than a quarter turn")
     return curvature
 
 

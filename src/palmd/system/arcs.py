@@ -28,6 +28,8 @@ MOST_LYING = 0.95
 
 def tangents(joints: Iterable[Value], contacts: Iterable[Value], curvatures: Sequence[float]) -> tuple[Value, ...]:
     """The joint angles of flat palms that lie as the palms' tangents at the contacts: β1 and β2 − β1 (rad)."""
+    if not any(curvatures):
+        return tuple(joints)
     angles: tuple[Any, ...] = directions(joints)
     given: Any = contacts
     turned = [angle + side * kappa * s for angle, side, kappa, s in zip(angles, SIDES, curvatures, given, strict=True)]

@@ -34,7 +34,7 @@ SAME_FILTER_SD = 1e-6
 """Of one sigma: what rounding may make of it in a whole run."""
 PALMS = np.array([0.7, 1.5, 0.4, -0.3, 1.0, -2.0])
 JERK = [3.0, -4.0]
-RIG = [9.81, 0.12, 0.12, 0.0, 0.0]
+RIG = [9.81, 0.12, 0.12, 0.0, 0.0, 0.0, 0.0]
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,8 @@ from palms import motion_of
 from palmd.config import LimitsConfig
 from palmd.events import PalmMotion
 from palmd.motion.kinematics import RigGeometry
-from palmd.motion.limits import MotionLimits, Workspace
+from palmd.motion.limits import SMALL_RADIUS, MotionLimits, Workspace
+from palmd.system.arcs import circle_radius
 
 LIMITS = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555)
 GEOMETRY = RigGeometry(0.12, 0.0, 0.12, 0.12, -0.3, 0.0, 0.0)
@@ -43,6 +44,25 @@ def rad(*degrees: float) -> tuple[float, ...]:
 )
 def test_violations_name_value_and_bound(phi1_deg: float, phi2_deg: float, said: list[str]) -> None:
     assert LIMITS.violations(tuple(rad(phi1_deg, phi2_deg))) == said
+
+
+@pytest.mark.parametrize("kappa", [13.3, -10.0])
+def test_on_curved_palms_the_tangents_where_an_object_touches_are_limited(kappa: float) -> None:
+    limits = MotionLimits.from_config(
+        LimitsConfig(phi1_deg=(0.0, 150.0), phi2_deg=(5.0, 175.0)), pad_length=0.0555, curvatures=(kappa, kappa)
+    )
+    first, opening, total = limits.bounds[:3]
+    joints = ((math.pi - opening.low) / 2, opening.low)
+    at_the_end = circle_radius(joints, (0.0535, 0.0535), (kappa, kappa))
+    if kappa > 0:
+        assert at_the_end == pytest.approx(SMALL_RADIUS, rel=1e-9), "no small object leaves the pads"
+    else:
+        assert opening.low == pytest.approx(math.radians(5.0)), "domes part by themselves"
+        assert at_the_end > SMALL_RADIUS
+    steepest = -min(kappa, 0.0) * 0.0555
+    assert first.low == pytest.approx(steepest), "or palm 1's end points down"
+    assert total.high == pytest.approx(math.radians(172.0) - steepest, abs=1e-6)
+    assert limits.clamp_step(PalmMotion.at_rest((1.0, 1.5)), PalmMotion.at_rest((1.6, 1.5)), 10.0).angles[1] < 1.5
 
 
 def test_nan_is_never_within_limits() -> None:

@@ -193,6 +193,14 @@ def test_a_bad_line_is_told_with_its_place(log, line, what):
         (HEADER.replace(',"palm1_length_m":0.11', ""), "palm1_length_m is missing"),
         (HEADER.replace('"noise_m":1e-4', '"noise_m":"small"'), 'noise_m must be a finite number, got "small"'),
         (HEADER.replace("1.27e-4", "-1"), "resolution_m must be at least 0, got -1"),
+        (
+            HEADER.replace('"gravity', '"palm1_curvature_per_m":75.0,"gravity'),
+            "palm1_curvature_per_m is 75, a radius of 13.3 mm, which bends the pad by more than a quarter turn",
+        ),
+        (
+            HEADER.replace('"gravity', '"palm2_curvature_per_m":"flat","gravity'),
+            'palm2_curvature_per_m must be a finite number, got "flat"',
+        ),
     ],
 )
 def test_a_bad_header_is_told(log, header, what):
@@ -238,7 +246,13 @@ events = st.one_of(
         *(st.none() | st.tuples(finite, finite),) * 2,
     ),
 )
-sensors = st.builds(PadSensor, length=st.just(0.0555), noise=st.floats(1e-6, 1), force_resolution=st.floats(0, 1))
+sensors = st.builds(
+    PadSensor,
+    length=st.just(0.0555),
+    noise=st.floats(1e-6, 1),
+    force_resolution=st.floats(0, 1),
+    curvature=st.floats(-20, 20),
+)
 rigs = st.builds(
     RigDescription,
     gravity=st.floats(0.1, 20),

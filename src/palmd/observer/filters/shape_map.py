@@ -64,11 +64,10 @@ class ShapeFilters:
         library = shape_map.library(order, rig.curved)
         inputs = (shape_map.PREDICTION_INPUTS, shape_map.PALM_INPUTS + RIG_INPUTS, len(NAMED))
         n = shape_map.size(order)
-        self.bank = Bank(
-            library, size, n, dict.fromkeys(("update_s1", "update_s2"), shape_map.UPDATE_INPUTS), inputs, memory_s
-        )
+        self._rig, self._curvatures = rig_inputs(rig), rig.curvatures if rig.curved else ()
+        update_inputs = shape_map.UPDATE_INPUTS + len(self._curvatures)
+        self.bank = Bank(library, size, n, dict.fromkeys(("update_s1", "update_s2"), update_inputs), inputs, memory_s)
         self.order = order
-        self._rig, self._curvatures = rig_inputs(rig), rig.curvatures
         self._x, self._P = np.zeros(n), np.zeros((n, n))
         self._x_next, self._P_next = np.zeros(n), np.zeros((n, n))
         self._u = np.zeros(shape_map.PREDICTION_INPUTS)
@@ -78,7 +77,7 @@ class ShapeFilters:
         self._named = library.bind("named", [self._x_next, self._v], [self._y, self._J])
         self.curvature = np.zeros((CURVATURE_NORMALS, n))
         self.curvature[:, shape_map.Z.SHAPE :] = curvature_rows(order)
-        self.rig_error = RigError(tuple(pad.length for pad in rig.pads))
+        self.rig_error = RigError(tuple(pad.length for pad in rig.pads), rig.curvatures)
         self.spread: FloatArray | None = None
 
     def start(self, start: BlindStart, palms: PalmTracker, t: float) -> None:
@@ -122,7 +121,7 @@ class ShapeFilters:
 
     def fuse_pad(self, sample: PadSample, variance: float, palms: PalmTracker, repeated: float) -> None:
         angles = self._palms_at(sample.t_sample, palms)[: len(JOINTS)]
-        s = self.rig_error.corrected(sample, angles[OPENING])
+        s = self.rig_error.corrected(sample, angles[OPENING], float(self.bank.x[0, shape_map.Z.SHAPE]))
         self.bank.update(pad_update(sample.pad), s, variance, *angles, *self._curvatures, repeated=repeated)
 
     def fuse_palms(self, sample: PalmSample, angle_variance: float) -> None:

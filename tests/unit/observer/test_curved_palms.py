@@ -1,0 +1,122 @@
+"""Logs of curved palms from a blind start: right within its error bars, or refused in words."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from palmd import observer
+from palmd.cli import main
+from palmd.events import PadSample
+from palmd.model import shape
+from palmd.model.arcs import contacts_on_arcs
+from palmd.model.outputs import NAMED
+from palmd.model.smoothing import R
+from palmd.observer.coverage import NORMAL_BINS, Coverage, contact_bins
+from palmd.observer.reconstruct import most_lying, reconstruct
+from palmd.observer.rig_error import RigError
+from palmd.record.eventlog import read_log
+from palmd.record.replay import replay
+from palmd.rig.simulate_curved import simulate_curved_log
+from palmd.score import score_outline, score_shape
+from palmd.system.arcs import joints_of
+from palmd.system.description import PadSensor, RigDescription
+
+SECONDS = 6.0
+
+
+@pytest.fixture(scope="module")
+def cradle(tmp_path_factory):
+    """A log's path, the log, and its truth."""
+    lines, truth = simulate_curved_log("cfriction", 5, SECONDS)
+    path = tmp_path_factory.mktemp("cradle") / "run.jsonl"
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    return path, read_log(path), truth
+
+
+def test_a_cradles_log_is_reconstructed_blind(cradle):
+    _, log, truth = cradle
+    answer = reconstruct(log.events, log.rig)
+    assert answer.converged, answer.reason
+    score = score_outline(answer.theta, answer.h, answer.touched, np.array(truth["h_m"]))
+    band = float(np.sqrt(np.mean(answer.h_sd[answer.touched] ** 2)))
+    assert score.e_h < max(3e-5, 3 * band)
+    assert abs(answer.mass / truth["mass_kg"] - 1) < 0.02
+    assert abs(answer.rho - truth["rho_m"]) < 4 * answer.rho_sd
+    r1 = np.interp(answer.t, truth["t"], truth["r1_m"])
+    assert np.sqrt(np.mean((answer.radii[0] - r1) ** 2)) < 1e-4, "read at the tangents' normals"
+
+
+def test_taken_for_flat_it_is_not_claimed(cradle):
+    _, log, _ = cradle
+    flat = replace(log.rig, pads=tuple(replace(pad, curvature=0.0) for pad in log.rig.pads))
+    assert not reconstruct(log.events, flat).converged
+
+
+def test_live_it_settles_on_what_is_there(cradle):
+    _, log, truth = cradle
+    watcher = observer.make("shape", log.rig, smoothing=observer.Simulated(log.rig))
+    ticks = list(replay(log, watcher))
+    last = ticks[-1].estimate
+    assert last.valid
+    assert last.object_count == 1
+    t, r1 = truth["t"], truth["r1_m"]
+    off = [tick.estimate.r1 - np.interp(tick.t, t, r1) for tick in ticks if tick.estimate.valid and tick.t > 4.0]
+    assert np.sqrt(np.mean(np.square(off))) < 1e-4
+    drawn = next(tick.shape for tick in reversed(ticks) if tick.shape is not None)
+    told = {"theta_rad": drawn.theta, "h_m": drawn.h, "touched": drawn.touched}
+    assert score_shape(told, truth["h_m"], all_normals=False).e_h < 1e-4
+
+
+@pytest.mark.parametrize("name", ["extended", "quasistatic"])
+def test_observers_of_flat_palms_say_so(cradle, tmp_path, capsys, name):
+    path, log, _ = cradle
+    assert main(["estimate", str(path), "-o", str(tmp_path / "out"), "--observer", name]) == 1
+    told = capsys.readouterr().err
+    assert f"the observer {name} knows flat palms only; the observer shape knows curved ones" in told
+    with pytest.raises(ValueError, match="knows flat palms only"):
+        observer.make(name, log.rig)
+
+
+def test_what_is_touched_is_told_by_the_tangents():
+    curvatures = (14.0, -9.0)
+    h = np.zeros(shape.COEFFICIENTS)
+    h[0] = 0.02
+    joints = joints_of(0.02, (0.7, 1.7), curvatures)
+    s = contacts_on_arcs(h, *(np.array([each]) for each in joints), np.zeros(1), curvatures)[:, 0]
+    y = np.zeros(len(NAMED))
+    for name, value in zip(("phi1", "phi2", "s1", "s2"), (*joints, *s), strict=True):
+        y[NAMED.index(name)] = value
+    wanted = [
+        math.floor(theta / math.tau * NORMAL_BINS) % NORMAL_BINS for theta in (0.7 - math.pi / 2, 2.4 - 1.5 * math.pi)
+    ]
+    assert contact_bins(y, curvatures) == wanted
+    coverage = Coverage(curvatures=curvatures)
+    coverage.mark(0.0, 0, y, lambda: np.zeros(1))
+    assert set(np.flatnonzero(coverage.marks)) == set(wanted)
+
+
+def test_what_lies_in_a_palm_is_known_by_its_radius_of_curvature():
+    h = np.zeros(25)
+    h[0], h[3] = 0.02, -0.001  # v = a0 − 3 a2 cos 2θ
+    assert most_lying(h, [np.array([[0.0, math.pi / 2]])], (40.0, 0.0)) == pytest.approx(40 * 0.023)
+    assert most_lying(h, [np.array([[0.0, math.pi / 2]])], (0.0, 0.0)) == 0.0
+
+
+def test_what_a_standoff_moves_of_a_reading_on_an_arc():
+    curvatures = (14.0, 11.0)
+    rig = RigDescription(pads=tuple(PadSensor(curvature=kappa) for kappa in curvatures))
+    h, off = np.zeros(shape.COEFFICIENTS), 2e-4
+    h[0] = 0.02
+    joints = joints_of(0.02, (0.7, 1.7), curvatures)
+    palms = tuple(np.array([each]) for each in joints)
+    on_the_line = contacts_on_arcs(h, *palms, np.zeros(1), curvatures)[:, 0]
+    h[0] += off  # both pads stand off as if the object were larger
+    there = contacts_on_arcs(h, *palms, np.zeros(1), curvatures)[:, 0]
+    error = RigError(tuple(pad.length for pad in rig.pads), rig.curvatures)
+    error.values[[R.STANDOFF, R.STANDOFF + 1]] = off
+    for _ in range(2):  # each learns where the other is
+        corrected = [error.corrected(PadSample(0.0, pad, there[pad - 1]), joints[1], 0.02) for pad in (1, 2)]
+    assert corrected == pytest.approx(on_the_line, abs=0.05 * abs(there - on_the_line).max())
