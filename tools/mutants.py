@@ -83,9 +83,7 @@ def _tried(module: str, sample: int | None, seed: int) -> tuple[list[str], int]:
         database.add_work_items(chosen)
     _run("exec", "mutants.toml", "mutants.sqlite")
     with use_db(path, WorkDB.Mode.open) as database:
-        survivors = [
-            result.diff or "" for _, result in database.results if result.test_outcome is TestOutcome.SURVIVED
-        ]
+        survivors = [result.diff or "" for _, result in database.results if result.test_outcome is TestOutcome.SURVIVED]
     return survivors, len(chosen)
 
 
