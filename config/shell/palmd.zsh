@@ -232,6 +232,8 @@ _shtab_palmd_bench_simulate_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--seeds[from A up to B, both included]:A..B:"
   "--fresh[seeds nobody has tried, for so many processor seconds\; default\: 60]:S:"
+  "--standstill[instead\: N times each cause that stops the arm, and how soon it stands]:N:"
+  "--clean[instead\: H hours in which nothing happens, and every hold]:H:"
   "--keep[of one seed\'s happenings only these]:N,N…:"
   "--list[tell a single seed\'s happenings]"
   "--unreached[tell every (state, fault, command) that was not seen]"

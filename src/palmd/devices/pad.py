@@ -25,9 +25,10 @@ MARGIN_MM = 1.0
 SILENT_INTERVALS = 5
 """A pad that says nothing for so many mean intervals between reports has been let go."""
 
+DEAD_INTERVALS = 3
 PAUSE_REPORTS, PAUSE_FACTOR, PAUSE_SLACK_S = 400, 1.3, 0.003
-"""Sooner where nothing at all comes, for longer than so many times the longest pause, adapter's latency besides, that
-the pad has made within that many reports."""
+"""Sooner, but never before three mean intervals, where nothing at all comes for longer than so many times the longest
+pause, and a little more for the adapter, that the pad has made within that many reports."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +147,8 @@ class TouchTracker:
     @property
     def patience_s(self) -> float:
         """How long a line may bring nothing at all while the pad is touched."""
-        return min(SILENT_INTERVALS * self._mean_s, PAUSE_FACTOR * max(self._pauses) + PAUSE_SLACK_S)
+        shown_s = max(DEAD_INTERVALS * self._mean_s, PAUSE_FACTOR * max(self._pauses) + PAUSE_SLACK_S)
+        return min(SILENT_INTERVALS * self._mean_s, shown_s)
 
     def heard(self, t: float) -> None:
         """Any bytes were read at `t` (s)."""

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from palmd.lab.simulation.happenings import Broken, Happening, Scenario, Trick
-from palmd.lab.simulation.run import Simulation, quiet
+from palmd.lab.simulation.run import Simulation, quiet, simulate
 from palmd.rig.fault_injection import PADS
 
 STANDS_RAD_S = math.radians(0.5)
@@ -63,9 +63,7 @@ def standstills(times: int, seed: int) -> Iterator[Standstill]:
 
 def clean_holds(hours: float, seed: int) -> tuple[int, float]:
     """How often the motion was held in a run in which nothing happens, and how long it was (h)."""
-    simulation = Simulation(Scenario(seed, LIVELY, False, 0.2, (0.001,) * 3, (), (), trouble_s=hours * 3600.0))
-    with quiet():
-        outcome = simulation.run()
+    outcome = simulate(Scenario(seed, LIVELY, False, 0.2, (0.001,) * 3, (), (), trouble_s=hours * 3600.0))
     return outcome.sometimes["tracking -> hold"] + outcome.sometimes["tracking -> fault"], outcome.simulated_s / 3600.0
 
 
@@ -79,10 +77,10 @@ def _moved(cause: Happening, t: float) -> Happening:
 
 
 def _one(name: str, cause: Happening, seed: int) -> Standstill:
-    simulation = Simulation(Scenario(seed, LIVELY, False, 0.2, (0.001,) * 3, (cause,), (0,)))
     start: tuple[float, ...] = ()
     still = turned = math.nan
     with quiet():
+        simulation = Simulation(Scenario(seed, LIVELY, False, 0.2, (0.001,) * 3, (cause,), (0,)))
         while simulation.machine.clock.now < cause.t + WATCHED_S:
             simulation.step()
             now, palms = simulation.machine.clock.now, simulation.rig.palms()
