@@ -65,6 +65,10 @@ _shtab_palmd_bench_parts_option_strings=(-h --help --runs --kind --seed --second
 _shtab_palmd_bench_peers_option_strings=(-h --help --kind --seed --seconds -o --output)
 _shtab_palmd_bench_field_option_strings=(-h --help --runs --seed --seconds --results --no-baselines -o --output --jobs --scheduler)
 _shtab_palmd_bench_faults_option_strings=(-h --help --only --times --seed -o --output)
+<<<<<<< HEAD
+=======
+_shtab_palmd_bench_simulate_option_strings=(-h --help --seeds --fresh --standstill --clean --keep --list --unreached)
+>>>>>>> wip-trust
 _shtab_palmd_bench_soak_option_strings=(-h --help --seconds --seed -o --output)
 _shtab_palmd_bench_option_strings=(-h --help)
 _shtab_palmd_latency_option_strings=(-h --help --seconds)

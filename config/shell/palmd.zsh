@@ -242,6 +242,23 @@ _shtab_palmd_bench_sbc_options=(
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_bench_sbc_defaults_added=0
 
+<<<<<<< HEAD
+=======
+_shtab_palmd_bench_simulate_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--seeds[from A up to B, both included]:A..B:"
+  "--fresh[seeds nobody has tried, for so many processor seconds\; default\: 60]:S:"
+  "--standstill[instead\: N times each cause that stops the arm, and how soon it stands]:N:"
+  "--clean[instead\: H hours in which nothing happens, and every hold]:H:"
+  "--keep[of one seed\'s happenings only these]:N,N…:"
+  "--list[tell a single seed\'s happenings]"
+  "--unreached[tell every (state, fault, command) that was not seen]"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_palmd_bench_simulate_defaults_added=0
+
+>>>>>>> wip-trust
 _shtab_palmd_bench_soak_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--seconds[how long (default\: 3600)]:N:"

@@ -528,6 +528,8 @@ class LimitsConfig(Strict):
     """Of each palm angle."""
     acceleration_deg_s2: Annotated[FiniteFloat, Field(gt=0, le=50000), Plausible(20, 20000)] = 900.0
     """Of each palm angle."""
+    stop_deceleration_deg_s2: Annotated[FiniteFloat, Field(gt=0, le=50000), Plausible(100, 20000)] | None = None
+    """Of each palm angle when the motion is held, never more than the arm itself allows; left out: as much as that."""
 
     @property
     def angles_deg(self) -> tuple[tuple[float, float], ...]:

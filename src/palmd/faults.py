@@ -363,11 +363,11 @@ class FaultMonitor:
         self._latched: set[str] = set()
         self._shown: set[str] = set()
 
-    def update(self, present: Set[str], t: float, *, armed: bool) -> bool:
+    def update(self, present: Set[str], t: float, *, armed: bool, sure: Set[str] = frozenset()) -> bool:
         """Take the codes whose condition holds at `t` (s); return whether `active` has changed.
 
-        `armed` says whether the arm is commanded, on which some rows' latching depends. Raises KeyError for a
-        code that is not in the table.
+        `armed` says whether the arm is commanded, on which some rows' latching depends; what is `sure` need not hold
+        for any time first. Raises KeyError for a code that is not in the table.
         """
         since = self._since
         for code in [code for code in since if code not in present]:
@@ -375,7 +375,7 @@ class FaultMonitor:
         standing = set()
         for code in present:
             row = TABLE[code]
-            if t - since.setdefault(code, t) >= row.debounce_s:
+            if t - since.setdefault(code, t) >= row.debounce_s or code in sure:
                 standing.add(code)
                 if row.latch == "always" or (armed and row.latch == "armed"):
                     self._latched.add(code)

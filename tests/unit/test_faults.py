@@ -101,3 +101,11 @@ def test_active_is_in_the_tables_order_and_the_same_object_while_nothing_changes
 def test_unknown_code_is_a_defect():
     with pytest.raises(KeyError):
         FaultMonitor().update({"no-such-fault"}, 0.0, armed=False)
+
+
+def test_what_is_sure_needs_no_time():
+    monitor = FaultMonitor()
+    monitor.update({"pad1-lifted", "pad2-lifted"}, 0.0, armed=True)
+    assert monitor.active == ()
+    monitor.update({"pad1-lifted", "pad2-lifted"}, 0.01, armed=True, sure={"pad1-lifted", "pad2-lifted"})
+    assert [fault.code for fault in monitor.active] == ["pad1-lifted", "pad2-lifted"]

@@ -24,6 +24,9 @@ PUBLISHED_HIGH_WATER = 10_000
 """Messages kept for a subscriber that does not take them: some 20 s of all topics, which is 10 MB."""
 LAST_WORDS_MS = 100
 COMMANDS_PER_TICK = 4
+FRAMES_MOST = 4
+"""Of a message that are looked at: a command has its sender's identity, at most one empty frame, and itself."""
+FRAMES_PER_TICK = FRAMES_MOST * COMMANDS_PER_TICK
 MESSAGE_BYTES_MAX = 1 << 20  # ZeroMQ itself turns away a client that sends more
 
 
@@ -65,6 +68,8 @@ class Bus:
         self.counters = BusCounters()
         self._seq: dict[str, int] = {}
         self._early: list[Request] = []  # what came before the loop
+        self._dropping = False  # the rest of a message that is far too long
+        self._frames_left = FRAMES_PER_TICK
         self._context = context or zmq.Context()
         self._door = None if keys is None else ZapAuthenticator(self._context, keys)
         self._sockets: list[zmq.Socket[bytes]] = []
@@ -89,10 +94,10 @@ class Bus:
     def receive(self) -> list[Request]:
         """The valid commands that have come, a few at most; what is malformed is answered here."""
         requests, self._early = self._early, []
+        self._frames_left = FRAMES_PER_TICK
         for _ in range(COMMANDS_PER_TICK):
-            try:
-                frames = self._commands.recv_multipart(zmq.NOBLOCK, copy=False)
-            except zmq.Again:
+            frames = self._taken()
+            if frames is None:
                 break
             self.counters.commands += 1
             route, payloads = _opened([frame.bytes for frame in frames])
@@ -111,6 +116,27 @@ class Bus:
                 self.counters.forbidden += 1
                 self._send(route, reply_fields(request.id, f"{request.name} refused: your key may only watch"))
         return requests
+
+    def _taken(self) -> list[zmq.Frame] | None:
+        """The next message that has come, cut off where it is far too long; None when there is no more for this tick.
+
+        What a tick reads is bounded by frames, for a client may put any number of them into one message: the rest of it
+        is dropped in the ticks to come.
+        """
+        frames: list[zmq.Frame] = []
+        while frames or self._frames_left > 0:
+            try:
+                frame = self._commands.recv(zmq.NOBLOCK, copy=False)
+            except zmq.Again:
+                return None
+            self._frames_left -= 1
+            dropped, more = self._dropping, frame.more
+            if not dropped:
+                frames.append(frame)
+            self._dropping = more and (dropped or len(frames) == FRAMES_MOST)
+            if not dropped and (self._dropping or not more):
+                return frames
+        return None
 
     def await_command(self, name: str, seconds: float) -> None:
         """Wait until a command of that name has come, at most so long: for before the loop begins.

@@ -252,7 +252,10 @@ class Core:
         """Faults, state and motion at `t` (s)."""
         under_way = self.setpoints.moving or self.setpoints.held
         self.journal.t = t
-        self.faults.update(self._conditions(t, under_way), t, armed=self.supervisor.armed)
+        present = self._conditions(t, under_way)
+        lifted = {f"{name}-lifted" for name in self.pads}
+        sure = lifted if lifted <= present else frozenset[str]()  # both pads say so
+        self.faults.update(present, t, armed=self.supervisor.armed, sure=sure)
         self._fault_notes.look(self.faults.active, t, self._evidence)
         self._passing.clear()
         self.supervisor.settle(t, up=self._rig_up(t))

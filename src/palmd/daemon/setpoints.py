@@ -242,7 +242,7 @@ class SetPoints:
     def _settle(self) -> None:
         """Make the executor wait while anything wants it to, and go on when nothing does."""
         if self._held or self._frozen or self._paused or self._off_path:
-            self._executor.hold()
+            self._executor.hold(hard=self._held or self._frozen or self._off_path)
         elif self._executor.held:
             self._executor.resume()
 

@@ -43,6 +43,8 @@ JOG_PAUSE_S = 1.0
 
 _AUTOSTART_ID = "autostart"
 
+_ENDING_MOTION = frozenset({Trigger.HOLD, Trigger.STOP, Trigger.STOP_FAULT})
+
 
 class RefusedError(Exception):
     """A command that cannot be done now; says why and what would help."""
@@ -426,11 +428,20 @@ class Supervisor:
             self.handle(Request(self._autostart.pop(0), id=_AUTOSTART_ID, who="autostart"), t)
 
     def _change(self, trigger: Trigger, why: str, request: Request | None = None) -> None:
+        if trigger in _ENDING_MOTION:
+            self._forget_start(trigger)
         before, self.state = self.state, next_state(self.state, trigger) or self.state
         if self.state is not before:
             who = "" if request is None else request.who or "somebody"
             self.cause = f"{why}, by {who}" if who else why
             self._journal.add("state", str(self.state), f"{before} -> {self.state}: {self.cause}", who=who)
+
+    def _forget_start(self, trigger: Trigger) -> None:
+        """A start whose plan is still being compiled comes to nothing: it was given before what ends the motion."""
+        job = self._job
+        if job is not None and job.done == self._run:
+            self._job = None
+            self._answer(job.request, f"start refused: {trigger} came first")
 
     def _standing(self, severity: Severity) -> str:
         return "; ".join(fault.text for fault in self._faults.standing(severity))

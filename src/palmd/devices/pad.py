@@ -7,6 +7,7 @@ Nothing else knows of it: the daemon, the bring-up and the calibration take what
 from __future__ import annotations
 
 import importlib
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Protocol
@@ -23,6 +24,11 @@ MARGIN_MM = 1.0
 
 SILENT_INTERVALS = 5
 """A pad that says nothing for so many mean intervals between reports has been let go."""
+
+DEAD_INTERVALS = 3
+PAUSE_REPORTS, PAUSE_FACTOR, PAUSE_SLACK_S = 400, 1.3, 0.003
+"""Sooner, but never before three mean intervals, where nothing at all comes for longer than so many times the longest
+pause, and a little more for the adapter, that the pad has made within that many reports."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +116,9 @@ def make_pad(number: int, config: PadConfig) -> PadDriver:
 class TouchTracker:
     """Tells when the object has left a pad that reports while it is touched: a report says so, or silence does.
 
-    Silence of five mean intervals between reports. The mean is a running one, held between one report time (the line
+    Silence of five mean intervals between reports; or a line that is dead for clearly longer than the pad ever paused
+    within its last reports, once there are enough of them: damaged reports still bring bytes, and get the patience of
+    five. The mean is a running one, held between one report time (the line
     cannot do better) and 2.5, so that a mute pad is noticed within 100 ms at 9600 baud whatever came before.
     """
 
@@ -126,6 +134,9 @@ class TouchTracker:
         self._mean_s = self.START_REPORTS * report_s
         self._t_first = 0.0
         self._t_recv = 0.0
+        self._t_byte = -math.inf
+        self._pauses = (math.inf, 0.0)  # the longest of the last whole lot of reports, and of the present one (s)
+        self._reports = 0
         self.touching = False
 
     @property
@@ -133,11 +144,22 @@ class TouchTracker:
         """The running mean of the time between reports."""
         return self._mean_s
 
+    @property
+    def patience_s(self) -> float:
+        """How long a line may bring nothing at all while the pad is touched."""
+        shown_s = max(DEAD_INTERVALS * self._mean_s, PAUSE_FACTOR * max(self._pauses) + PAUSE_SLACK_S)
+        return min(SILENT_INTERVALS * self._mean_s, shown_s)
+
+    def heard(self, t: float) -> None:
+        """Any bytes were read at `t` (s)."""
+        self._t_byte = t
+
     def report(self, report: PadReport) -> PadLift | None:
         """Take a report, in the order received; return the lift-off it reports, if any."""
         if not report.in_use:
             return self._lift(report.t_first)
         if self.touching:
+            self._note_pause(report.t_recv - self._t_recv)
             mean_s = self._mean_s + self.GAIN * (report.t_first - self._t_first - self._mean_s)
             self._mean_s = min(max(mean_s, self._shortest_s), self._longest_s)
         self.touching = True
@@ -147,7 +169,16 @@ class TouchTracker:
     def poll(self, t: float) -> PadLift | None:
         """Return the lift-off if the pad has been silent for too long at time `t` (s), else None."""
         t_silent = self._t_recv + SILENT_INTERVALS * self._mean_s
-        return self._lift(t_silent) if t >= t_silent else None
+        t_dead = math.inf if math.isinf(self._t_byte) else self._t_byte + self.patience_s
+        first = min(t_silent, t_dead)
+        return self._lift(first) if t >= first else None
+
+    def _note_pause(self, pause_s: float) -> None:
+        before, present = self._pauses
+        self._pauses = before, max(present, pause_s)
+        self._reports += 1
+        if self._reports % PAUSE_REPORTS == 0:
+            self._pauses = self._pauses[1], 0.0
 
     def _lift(self, t: float) -> PadLift | None:
         if not self.touching:

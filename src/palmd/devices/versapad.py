@@ -277,6 +277,8 @@ class PadReceiver:
     def feed(self, data: bytes, t_recv: float) -> list[PadSample | PadLift]:
         """Take the bytes read at `t_recv` (s) and return the contacts and lift-offs they report."""
         events: list[PadSample | PadLift] = []
+        if data:
+            self.touch.heard(t_recv)
         for packet in self.decoder.feed(data, t_recv):
             self.latest = packet
             event = self.touch.report(packet) or self._sample(packet)

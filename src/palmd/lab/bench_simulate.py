@@ -9,22 +9,28 @@ an invariant was broken.
 from __future__ import annotations
 
 import argparse
+import math
 import secrets
 import sys
 import time
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from statistics import median
 
-from palmd.console.arguments import seconds
+from palmd.console.arguments import count, seconds
 from palmd.console.errors import BAD_INPUT
 from palmd.console.progress import Progress
 from palmd.lab.simulation.happenings import Scenario, drawn
 from palmd.lab.simulation.reached import Triple, never_reached
 from palmd.lab.simulation.run import Outcome, simulate
 from palmd.lab.simulation.shrink import shrunk
+from palmd.lab.simulation.standstill import clean_holds, standstills
+from palmd.lab.table import aligned
 
 SEEDS_MOST = 1 << 63
 TOLD_MISSING = 40
+STANDSTILL_SEED = 100
+GOAL_MEDIAN_MS, GOAL_WORST_MS = 80, 130
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,6 +41,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     which.add_argument(
         "--fresh", type=seconds, metavar="S", help="seeds nobody has tried, for so many processor seconds; default: 60"
     )
+    which.add_argument(
+        "--standstill",
+        type=count,
+        metavar="N",
+        help="instead: N times each cause that stops the arm, and how soon it stands",
+    )
+    which.add_argument(
+        "--clean", type=float, metavar="H", help="instead: H hours in which nothing happens, and every hold"
+    )
     add("--keep", type=_numbers, metavar="N,N…", help="of one seed's happenings only these")
     add("--list", action="store_true", help="tell a single seed's happenings")
     add("--unreached", action="store_true", help="tell every (state, fault, command) that was not seen")
@@ -42,13 +57,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Status 1 when an invariant was broken; usage error for happenings of more than one seed."""
+    if arguments.standstill is not None:
+        return _standstill(arguments.standstill)
+    if arguments.clean is not None:
+        holds, hours = clean_holds(arguments.clean, STANDSTILL_SEED)
+        print(f"{holds} holds in {hours:.2f} simulated hours in which nothing happened")
+        return BAD_INPUT if holds else 0
     seeds: Iterable[int] = arguments.seeds if arguments.seeds is not None else _fresh(arguments.fresh or 60.0)
     single = arguments.seeds is not None and len(arguments.seeds) == 1
     if (arguments.keep is not None or arguments.list) and not single:
         print("--keep and --list are for one seed: --seeds A..A", file=sys.stderr)
         return BAD_INPUT
     begun = time.process_time()
-    simulated_s, count, failed = 0.0, 0, 0
+    simulated_s, done, failed = 0.0, 0, 0
     seen: Counter[Triple] = Counter()
     sometimes: Counter[str] = Counter()
     total = len(arguments.seeds) if arguments.seeds is not None else 0
@@ -58,7 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
             if arguments.keep is not None:
                 scenario = scenario.keeping(arguments.keep)
             outcome = simulate(scenario)
-            count += 1
+            done += 1
             simulated_s += outcome.simulated_s
             seen += outcome.seen
             sometimes += outcome.sometimes
@@ -70,15 +91,28 @@ def run(arguments: argparse.Namespace) -> int:
             elif single:
                 print(f"seed {seed}: every invariant held; digest {outcome.digest}")
             if total:
-                progress.at(count)
+                progress.at(done)
     spent = time.process_time() - begun
     print(
-        f"{count} runs, {simulated_s / 3600:.2f} simulated hours, {failed} with a broken invariant; "
+        f"{done} runs, {simulated_s / 3600:.2f} simulated hours, {failed} with a broken invariant; "
         f"{simulated_s / max(spent, 1e-9):.1f} simulated hours per processor hour"
     )
     print(f"sometimes: {', '.join(f'{name} {number}' for name, number in sorted(sometimes.items()))}")
     _tell_reached(seen, whole=arguments.unreached)
     return BAD_INPUT if failed else 0
+
+
+def _standstill(times: int) -> int:
+    """How soon the arm stands; the goals are told beside, and no reason for another status."""
+    found: dict[str, list[float]] = {}
+    for one in standstills(times, STANDSTILL_SEED):
+        found.setdefault(one.name, []).append(one.still_s * 1e3)
+    rows = [(name, (f"{median(some):.0f}", f"{max(some):.0f}")) for name, some in found.items()]
+    print(aligned([("cause to standstill, ms", ("median", "worst")), *rows]))
+    every = [still for some in found.values() for still in some]
+    goals = f"goals {GOAL_MEDIAN_MS} and {GOAL_WORST_MS} ms"
+    print(f"together: median {median(every):.0f} ms, worst {max(every):.0f} ms; {goals}")
+    return 0 if not any(map(math.isnan, every)) else BAD_INPUT
 
 
 def _tell(outcome: Outcome, *, shrink: bool) -> None:

@@ -21,6 +21,7 @@ SMALL_RADIUS = 0.010  # an object no smaller than this shall find pad under it
 PAD_MARGIN = 0.002
 _DEGREES = math.degrees(1.0)
 _ROUNDING = 1e-9
+_STOP_SHARE = 0.9  # of the arm's acceleration that a stop uses: set-points come in steps
 _BELOW = 3e-9  # "must stay below" as a bound that may be reached
 
 
@@ -84,6 +85,26 @@ class Workspace:
         x, y, _ = self.geometry.arm_pose(motion.angles)
         return (x, y, *self.geometry.tip_speed_acceleration(motion))
 
+    def hardest_slowing(self, planned: PalmMotion, speed: float) -> float:
+        """As that of `MotionLimits`, by the tip's acceleration alone; 0 where that has no room at all."""
+
+        def squared(slowing: float) -> float:
+            each = zip(planned.rates, planned.accelerations, strict=True)
+            rates = tuple(omega * speed for omega in planned.rates)
+            slowed = tuple(alpha * speed**2 - omega * slowing for omega, alpha in each)
+            return self.geometry.tip_speed_acceleration(PalmMotion(planned.angles, rates, slowed))[1] ** 2
+
+        at_zero, below, above = squared(0.0), squared(-1.0), squared(1.0)
+        a, b, c = (
+            0.5 * (above + below) - at_zero,
+            0.5 * (above - below),
+            at_zero - (_STOP_SHARE * self.acceleration) ** 2,
+        )
+        if a <= 0.0:
+            return math.inf  # the tip does not move with the path
+        discriminant = b * b - 4.0 * a * c
+        return max((-b + math.sqrt(discriminant)) / (2.0 * a), 0.0) if discriminant > 0.0 else 0.0
+
 
 @dataclass(frozen=True, slots=True)
 class MotionLimits:
@@ -91,7 +112,7 @@ class MotionLimits:
 
     angles: the lowest and the highest of each joint.
     pad_length: how far along a palm, from the hinge, a contact is felt. workspace: None while no arm has said
-    what it can do.
+    what it can do. stop_deceleration: of each angle when the motion is held; None: as much as the arm allows.
     """
 
     angles: tuple[tuple[float, float], ...]
@@ -99,7 +120,11 @@ class MotionLimits:
     acceleration: float
     pad_length: float
     workspace: Workspace | None = None
+<<<<<<< HEAD
     curvatures: tuple[float, ...] = FLAT
+=======
+    stop_deceleration: float | None = None
+>>>>>>> wip-trust
     bounds: tuple[QuantityLimit, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -129,14 +154,23 @@ class MotionLimits:
         workspace: Workspace | None = None,
         curvatures: tuple[float, ...] = FLAT,
     ) -> MotionLimits:
+<<<<<<< HEAD
         """The configured limits in SI; pad_length in m, the palms' `curvatures` in 1/m."""
+=======
+        """The configured limits in SI; pad_length in m."""
+        stop = limits.stop_deceleration_deg_s2
+>>>>>>> wip-trust
         return cls(
             angles=tuple((math.radians(low), math.radians(high)) for low, high in limits.angles_deg),
             rate=math.radians(limits.rate_deg_s),
             acceleration=math.radians(limits.acceleration_deg_s2),
             pad_length=pad_length,
             workspace=workspace,
+<<<<<<< HEAD
             curvatures=curvatures,
+=======
+            stop_deceleration=None if stop is None else math.radians(stop),
+>>>>>>> wip-trust
         )
 
     @property
@@ -178,6 +212,24 @@ class MotionLimits:
         Raises PoseError at a singular pose when a workspace is known. Safe in the loop.
         """
         return [text for _, text in problems(self.bounds, ranges([self.values(PalmMotion.at_rest(angles))]))]
+
+    def hardest_slowing(self, planned: PalmMotion, speed: float) -> float:
+        """How fast (1/s²·s) a path's speed may fall to bring the palms to a stand, from `speed`, 1 being as planned.
+
+        With the plan's ω and α the palms then have the accelerations α·u² − ω·s. s is the largest for which these keep
+        to the stops' deceleration and the arm's tip to its own acceleration, whose square is quadratic in s. Safe in
+        the loop.
+        """
+        arm = self.workspace
+        most = self.stop_deceleration if self.stop_deceleration is not None or arm is not None else self.acceleration
+        slowing = math.inf
+        if most is not None:
+            for omega, alpha in zip(planned.rates, planned.accelerations, strict=True):
+                if omega != 0.0:
+                    slowing = min(slowing, (most + math.copysign(alpha * speed**2, alpha * omega)) / abs(omega))
+        if arm is not None:
+            slowing = min(slowing, arm.hardest_slowing(planned, speed))
+        return max(slowing, 0.0)
 
     def clamp_step(self, previous: PalmMotion, wanted: PalmMotion, dt: float) -> PalmMotion:
         """The last guard before a set-point: `wanted`, inside the angle limits and one step of rate·dt.

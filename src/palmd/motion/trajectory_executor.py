@@ -45,6 +45,7 @@ class TrajectoryExecutor:
         self._wanted_speed = 0.0
         self._stopping = False
         self._concluded = False
+        self._hard = False
 
     @property
     def motion(self) -> PalmMotion:
@@ -112,9 +113,10 @@ class TrajectoryExecutor:
         self._speed = self._wanted_speed = 1.0  # at once: the way there begins at rest
         self._stopping = self._concluded = False
 
-    def hold(self) -> None:
-        """Slow down along the path to a stand; `resume` goes on from there."""
+    def hold(self, *, hard: bool = False) -> None:
+        """Slow down along the path to a stand; `resume` goes on from there. `hard`: by the stops' limits."""
         self._wanted_speed = 0.0
+        self._hard = hard
 
     def resume(self) -> None:
         """Speed up along the path again; raises MotionError when no plan is held."""
@@ -171,6 +173,8 @@ class TrajectoryExecutor:
         change = self._wanted_speed - self._speed
         if change == 0.0:
             return 0.0
+        if self._hard and change < 0.0:
+            return self._hard_speed_rate(trajectory, dt)
         speed_rate = math.copysign(_SPEED_RATE_MAX, change)
         for ahead in (0.0, 0.5 * dt, dt):
             duration = min(ahead, abs(change / speed_rate)) if speed_rate != 0.0 else ahead
@@ -178,6 +182,16 @@ class TrajectoryExecutor:
             tau = self._tau + 0.5 * (self._speed + speed) * duration
             speed_rate = self._limited(speed_rate, self._plan_motion(trajectory, tau), speed)
         return speed_rate
+
+    def _hard_speed_rate(self, trajectory: Trajectory, dt: float) -> float:
+        """u̇ (1/s) of a stop: what the stops' limits leave room for at both ends of a step and between."""
+        slowing = _SPEED_RATE_MAX
+        for ahead in (0.0, 0.5 * dt, dt):
+            duration = min(ahead, self._speed / slowing) if slowing > 0.0 else ahead
+            speed = self._speed - slowing * duration
+            tau = self._tau + 0.5 * (self._speed + speed) * duration
+            slowing = min(slowing, self._limits.hardest_slowing(self._plan_motion(trajectory, tau), speed))
+        return -slowing
 
     def _limited(self, speed_rate: float, planned: PalmMotion, speed: float) -> float:
         """u̇ cut, but not reversed, so that |α·u² + ω·u̇| stays within the acceleration limit on both palms."""

@@ -9,7 +9,14 @@ import zmq
 
 from palmd.bus.command_client import CommandClient, own_name
 from palmd.daemon import bus as daemon_bus
-from palmd.daemon.bus import COMMANDS_PER_TICK, PUBLISHED_HIGH_WATER, Bus, BusError
+from palmd.daemon.bus import (
+    COMMANDS_PER_TICK,
+    FRAMES_MOST,
+    FRAMES_PER_TICK,
+    PUBLISHED_HIGH_WATER,
+    Bus,
+    BusError,
+)
 from palmd.daemon.commands import Reply
 from palmd.messages import info_fields, state_fields
 from palmd.quantities import INFO, STATE
@@ -113,6 +120,33 @@ def test_a_flood_is_taken_in_portions(rig):
     portions = [rig.bus.receive() for _ in range(6)]
     assert [len(portion) for portion in portions] == [COMMANDS_PER_TICK] * 5 + [0]
     assert [request.id for portion in portions for request in portion] == list(range(20))
+
+
+def test_a_message_of_very_many_frames_is_taken_in_portions_and_answered_once(rig):
+    client = rig.client(zmq.DEALER, rig.command)
+    client.send_multipart([b""] * 2000)
+    client.send(call(id=7, cmd="status"))
+    portions, requests = 0, []
+    read = rig.bus._commands.recv
+    frames = 0
+
+    def counted(*args, **how):
+        nonlocal frames
+        frame = read(*args, **how)
+        frames += 1
+        return frame
+
+    rig.bus._commands.recv = counted
+    t_end = time.monotonic() + TIMEOUT_MS / 1e3
+    while not requests and time.monotonic() < t_end:
+        before = frames
+        requests += rig.bus.receive()
+        assert frames - before < FRAMES_PER_TICK + FRAMES_MOST
+        portions += frames > before
+    assert [request.id for request in requests] == [7]
+    assert portions >= 2000 // (FRAMES_PER_TICK + FRAMES_MOST)
+    assert rig.bus.counters.malformed == 1
+    assert msgpack.unpackb(client.recv_multipart()[-1])["ok"] is False
 
 
 def test_reply_to_nobody_is_lost_and_nothing_else(rig):

@@ -63,7 +63,7 @@ def reached(nodes, start, without):
 
 @pytest.fixture(scope="module")
 def nodes():
-    return explored(Rig())
+    return explored(Rig(fits=False))
 
 
 def test_every_state_of_the_lifecycle_is_reached(nodes):
@@ -90,6 +90,13 @@ def test_stop_is_possible_everywhere_and_ends_everything(nodes):
         assert after.state not in COMMANDED
         assert not after.tracking
         assert not after.moving
+
+
+def test_after_hold_or_stop_nothing_moves_until_it_is_told_anew(nodes):
+    """Not even a start that was given before, and whose plan had to be compiled first."""
+    after = {node.ways[name] for node in nodes for name in ("hold", "stop") if node.granted[name]}
+    still = [number for number in after if not nodes[number].moving]
+    assert not any(node.moving for node in reached(nodes, still, {"start", "jog"}))
 
 
 def test_from_everywhere_an_operator_gets_the_palms_to_move_again(nodes):

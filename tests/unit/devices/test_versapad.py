@@ -287,3 +287,36 @@ def test_receiver_counts_what_is_off_the_pad() -> None:
     assert pad.counters.out_of_range == 1
     assert pad.latest is not None
     assert isinstance(pad.poll(2.0), PadLift)
+
+
+def alive(intervals: list[float], lots: int = 900) -> tuple[TouchTracker, float]:
+    """A touched pad that has reported at these intervals (s), again and again; and when it did last."""
+    touch, t = TouchTracker(1, 0.00625), 1.0
+    for number in range(lots):
+        t += intervals[number % len(intervals)]
+        touch.heard(t)
+        touch.report(packet(t))
+    return touch, t
+
+
+def test_a_dead_line_is_told_sooner_from_a_pad_that_never_pauses_so_long() -> None:
+    touch, t = alive([0.00625, 0.00625, 0.00625, 0.0125, 0.01875])
+    assert touch.patience_s == pytest.approx(max(3.0 * touch.mean_interval_s, 1.3 * 0.01875 + 0.003))
+    assert touch.poll(t + touch.patience_s - 1e-4) is None
+    assert touch.poll(t + touch.patience_s + 1e-4) is not None
+
+
+def test_a_line_that_still_brings_bytes_has_the_patience_of_five() -> None:
+    touch, t = alive([0.00625, 0.00625, 0.00625, 0.0125, 0.01875])
+    five_s = 5.0 * touch.mean_interval_s
+    touch.heard(t + 0.03)
+    assert five_s - 0.03 < touch.patience_s
+    assert touch.poll(t + five_s - 1e-4) is None
+    assert touch.poll(t + five_s + 1e-4) is not None
+
+
+def test_a_pad_that_has_paused_before_is_waited_for() -> None:
+    pauses, _ = alive([0.01] * 300 + [0.045])
+    assert pauses.patience_s == pytest.approx(5.0 * pauses.mean_interval_s)
+    few, _ = alive([0.01], lots=50)
+    assert few.patience_s == pytest.approx(5.0 * few.mean_interval_s)

@@ -145,8 +145,9 @@ class VersaPad:
         """What speaks for a condition at `t` (s)."""
         match condition:
             case "silent":
-                limit_ms = SILENT_INTERVALS * self._receiver.touch.mean_interval_s * 1e3
-                return f"{self._last_packet(t)}, the limit is {limit_ms:.0f} ms; {self._bytes_since()}"
+                touch, since = self._receiver.touch, self._bytes_since()
+                limit_s = SILENT_INTERVALS * touch.mean_interval_s if self._bytes_come else touch.patience_s
+                return f"{self._last_packet(t)}, the limit is {limit_s * 1e3:.0f} ms; {since}"
             case "lifted":
                 return f"{self._last_packet(t)} and says so: bit {IN_USE:#04x} (in use) of its first byte is 0"
             case "untouched":
@@ -169,8 +170,12 @@ class VersaPad:
         latest = self._receiver.latest
         return last_report(None if latest is None else latest.t_first, t)
 
+    @property
+    def _bytes_come(self) -> int:
+        return self._receiver.counters.bytes - self._bytes_at_packet
+
     def _bytes_since(self) -> str:
-        count = self._receiver.counters.bytes - self._bytes_at_packet
+        count = self._bytes_come
         return f"{count} bytes have come since, which are no packet" if count else "not a byte has come since"
 
     def _judged(self) -> Iterator[str]:

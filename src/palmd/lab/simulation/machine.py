@@ -206,6 +206,7 @@ class Frame:
     """As `zmq.Frame`, as far as the bus looks at it."""
 
     bytes: bytes
+    more: bool
 
     def get(self, _option: str) -> str:
         """Where it came from."""
@@ -219,6 +220,7 @@ class CommandSocket:
         """`heard` and `answered` are told of every message when it is taken, and of every answer."""
         self.waiting: deque[tuple[int, bytes]] = deque()
         self._heard, self._answered = heard, answered
+        self._frames: deque[Frame] = deque()
 
     def setsockopt(self, *_: Any) -> None:
         """Nothing to set."""
@@ -229,13 +231,15 @@ class CommandSocket:
     def close(self) -> None:
         """Nothing to close."""
 
-    def recv_multipart(self, _flags: int, *, copy: bool) -> list[Frame]:  # noqa: ARG002
-        """The next message; raises zmq.Again."""
-        if not self.waiting:
-            raise zmq.Again
-        client, payload = self.waiting.popleft()
-        self._heard(client, payload)
-        return [Frame(b"%d" % client), Frame(b""), Frame(payload)]
+    def recv(self, _flags: int, *, copy: bool) -> Frame:  # noqa: ARG002
+        """The next frame of a message; raises zmq.Again."""
+        if not self._frames:
+            if not self.waiting:
+                raise zmq.Again
+            client, payload = self.waiting.popleft()
+            self._heard(client, payload)
+            self._frames += [Frame(b"%d" % client, True), Frame(b"", True), Frame(payload, False)]
+        return self._frames.popleft()
 
     def send_multipart(self, frames: Sequence[bytes], _flags: int) -> None:
         """An answer."""

@@ -227,16 +227,21 @@ class Simulation:
     def _run(self) -> Outcome:
         clock, watch = self.machine.clock, self.watch
         while clock.now < max(watch.t_trouble, self.scenario.trouble_s) + CALM_S and watch.breach is None:
-            self._let_happen(clock.now)
-            self._operate(clock.now)
-            self.loop.period()
-            self.machine.catch_up()
-            watch.tick(self.core, self.ports, self.rig.palms(), clock.now)
-            if isinstance(self.rig, FullRig):
-                watch.compare(self.core, self.rig.truth(), clock.now)
+            self.step()
         if watch.breach is None:
             self._judge_the_end(clock.now)
         return Outcome(self.scenario, watch.breach, clock.now, watch.digest.hexdigest(), watch.seen, watch.sometimes)
+
+    def step(self) -> None:
+        """One period of the loop."""
+        clock, watch = self.machine.clock, self.watch
+        self._let_happen(clock.now)
+        self._operate(clock.now)
+        self.loop.period()
+        self.machine.catch_up()
+        watch.tick(self.core, self.ports, self.rig.palms(), clock.now)
+        if isinstance(self.rig, FullRig):
+            watch.compare(self.core, self.rig.truth(), clock.now)
 
     def _judge_the_end(self, t: float) -> None:
         self.watch.faults_over(self.core, t)

@@ -41,6 +41,8 @@ VALIDATED_EVERY, COUNTS_EVERY, MEMORY_EVERY = 16, 10, 500
 BULK_MOST = 20_000
 
 WRONG_SDS = 10.0
+WRONG_TICKS = 5
+"""In a row: a body that has just hit or slipped is known to have done so when the next readings are there."""
 WRONG_LEAST = {"r1": 1e-4, "r2": 1e-4, "omega0": 0.5}
 """Of a comparison a tick apart: what the palms may move a body by meanwhile."""
 _COMPARED = {"r1": "r1_m", "r2": "r2_m", "omega0": "omega0_rad_s"}
@@ -73,6 +75,7 @@ class Watch:
         self._autostarts = autostart
         self._rate_most = math.radians(config.limits.rate_deg_s) * 1.01
         self._ticks = 0
+        self._wrong: Counter[str] = Counter()
         self._reader = LineReader(arm.baud)
         self.t_trouble = max([0.0, *(each.t_off for each in causes if math.isfinite(each.t_off))])
         self._begin(0.0)
@@ -82,7 +85,7 @@ class Watch:
         self._asked_to_arm = self._autostart
         self._may_move = False
         self._t_still = t  # since when the palms are to come to a stand
-        self._t_stopped = -math.inf
+        self._t_stopped = self._t_granted = -math.inf
         self._last: Pose | None = None
         self._open: dict[tuple[int, str], list[tuple[float, str, bool]]] = defaultdict(list)
         self._state, self._faults = State.IDLE, frozenset[str]()
@@ -146,12 +149,14 @@ class Watch:
         if not waiting:
             self._break(t, "one answer to one command", f"client {client} was answered {reply} and had not asked")
             return
-        _, name, might_move = waiting.pop(0)
+        t_heard, name, might_move = waiting.pop(0)
         if reply["ok"]:
             self.sometimes[f"{name} granted"] += 1
+            if name in ("start", "jog"):
+                self._t_granted = t
         elif name:
             self.sometimes[f"{name} refused"] += 1
-            if name in ("start", "jog") and not might_move:
+            if name in ("start", "jog") and not might_move and t_heard > self._t_granted:
                 self._may_move = any(each[1] in ("start", "jog") for some in self._open.values() for each in some)
                 self._t_still = min(self._t_still, t)
             if name == "arm" and not any(each[1] == "arm" for some in self._open.values() for each in some):
@@ -299,7 +304,9 @@ class Watch:
         self.sometimes["estimate compared"] += 1
         for name, quantity in _COMPARED.items():
             error, sd = abs(getattr(estimate, name) - truth[quantity]), estimate.sd[name]
-            if error > WRONG_SDS * sd + WRONG_LEAST[name]:
+            wrong = error > WRONG_SDS * sd + WRONG_LEAST[name]
+            self._wrong[name] = self._wrong[name] + 1 if wrong else 0
+            if self._wrong[name] >= WRONG_TICKS:
                 self._break(t, "no valid estimate is wrong", f"{name} is off by {error:.3g}, its sd is {sd:.3g}")
 
     def _look_at_answers(self, t: float) -> None:
