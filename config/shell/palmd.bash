@@ -9,7 +9,7 @@ _shtab_palmd_ctl_subparsers=(status arm start hold stop reset plan jog note)
 _shtab_palmd_keys_new_subparsers=(server client)
 _shtab_palmd_keys_subparsers=(new allow revoke list)
 _shtab_palmd_calibrate_subparsers=(pad arm gravity pads force self)
-_shtab_palmd_bench_subparsers=(montecarlo sbc explore recognise curved parts peers field faults soak)
+_shtab_palmd_bench_subparsers=(montecarlo sbc explore recognise curved parts peers field faults simulate soak)
 _shtab_palmd_subparsers=(demo run record runs recover rig ctl top view jog explore replay why export keys check estimate reconstruct recognise calibrate observability compare report bench latency doctor init build completion install)
 
 _shtab_palmd_demo_option_strings=(-h --help --seconds --no-browser --seed --kind --no-record --perfect --system --rig --config)
@@ -65,10 +65,7 @@ _shtab_palmd_bench_parts_option_strings=(-h --help --runs --kind --seed --second
 _shtab_palmd_bench_peers_option_strings=(-h --help --kind --seed --seconds -o --output)
 _shtab_palmd_bench_field_option_strings=(-h --help --runs --seed --seconds --results --no-baselines -o --output --jobs --scheduler)
 _shtab_palmd_bench_faults_option_strings=(-h --help --only --times --seed -o --output)
-<<<<<<< HEAD
-=======
 _shtab_palmd_bench_simulate_option_strings=(-h --help --seeds --fresh --standstill --clean --keep --list --unreached)
->>>>>>> wip-trust
 _shtab_palmd_bench_soak_option_strings=(-h --help --seconds --seed -o --output)
 _shtab_palmd_bench_option_strings=(-h --help)
 _shtab_palmd_latency_option_strings=(-h --help --seconds)
@@ -209,7 +206,7 @@ _shtab_palmd_bench_curved___only_choices=(logs coverage)
 _shtab_palmd_bench_parts___kind_choices=(nominal friction rig odd)
 _shtab_palmd_bench_peers___kind_choices=(nominal friction rig odd)
 _shtab_palmd_bench_faults___only_choices=(pad1-dead pad1-garbled pad1-late pad1-mute pad1-replaced pad1-foreign pad2-dead pad2-garbled pad2-late pad2-mute pad2-replaced pad2-foreign object-lifted arm-dead arm-garbled arm-late arm-mute arm-replaced arm-foreign controller-break controller-estop controller-power-off controller-manual controller-watchdog daemon-paused-50 daemon-paused-300 daemon-killed observer-raises observer-nan disk-full recorder-killed recorder-stuck page-killed page-stuck address-taken clock-step)
-_shtab_palmd_bench_pos_0_choices=(montecarlo sbc explore recognise curved parts peers field faults soak)
+_shtab_palmd_bench_pos_0_choices=(montecarlo sbc explore recognise curved parts peers field faults simulate soak)
 _shtab_palmd_doctor___baud_choices=(1200 2400 4800 9600 19200 38400 57600 115200 1000000 2000000 3000000 4000000)
 _shtab_palmd_completion_pos_0_choices=(bash zsh man)
 _shtab_palmd_pos_0_choices=(demo run record runs recover rig ctl top view jog explore replay why export keys check estimate reconstruct recognise calibrate observability compare report bench latency doctor init build completion install)
@@ -360,6 +357,10 @@ _shtab_palmd_bench_field___no_baselines_nargs=0
 _shtab_palmd_bench_faults__h_nargs=0
 _shtab_palmd_bench_faults___help_nargs=0
 _shtab_palmd_bench_faults___only_nargs=+
+_shtab_palmd_bench_simulate__h_nargs=0
+_shtab_palmd_bench_simulate___help_nargs=0
+_shtab_palmd_bench_simulate___list_nargs=0
+_shtab_palmd_bench_simulate___unreached_nargs=0
 _shtab_palmd_bench_soak__h_nargs=0
 _shtab_palmd_bench_soak___help_nargs=0
 _shtab_palmd_bench_pos_0_nargs=A...

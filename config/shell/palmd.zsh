@@ -10,7 +10,7 @@
 
 _shtab_palmd_commands() {
   local _commands=(
-    bench:'studies of many runs: montecarlo, sbc, explore, recognise, curved, parts, peers, field, faults, soak'
+    bench:'studies of many runs: montecarlo, sbc, explore, recognise, curved, parts, peers, field, faults, simulate, soak'
     build:'compile the observers now; the first run does it otherwise'
     calibrate:'measure what the configuration must know: pad, arm, gravity, pads, force, self'
     check:'find what is wrong with configurations and motion plans'
@@ -55,6 +55,7 @@ _shtab_palmd_bench_commands() {
     peers:'palmd'"'"'s estimators beside general-purpose ones'
     recognise:'which of twenty similar objects lies on the palms, or none of them'
     sbc:'simulation-based calibration: whether blind reconstructions are as sure as they may be'
+    simulate:'daemon and rig in virtual time with everything that may go wrong at once: what must hold all the same'
     soak:'the demo for an hour with random mischief: leaks, lateness, lost packets'
   )
   _describe 'palmd bench commands' _commands
@@ -242,8 +243,6 @@ _shtab_palmd_bench_sbc_options=(
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_bench_sbc_defaults_added=0
 
-<<<<<<< HEAD
-=======
 _shtab_palmd_bench_simulate_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--seeds[from A up to B, both included]:A..B:"
@@ -258,7 +257,6 @@ _shtab_palmd_bench_simulate_options=(
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_bench_simulate_defaults_added=0
 
->>>>>>> wip-trust
 _shtab_palmd_bench_soak_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--seconds[how long (default\: 3600)]:N:"
@@ -701,7 +699,7 @@ _shtab_palmd_replay_options=(
   "--speed[times the recorded pace (default\: 1)]:X:"
   "--publish[where to (default\: tcp\:\/\/127.0.0.1\:9872)]:ADDRESS:"
   "--loop[begin anew at the end, until Ctrl-C]"
-  "--check[compare with what the observer says now, and end]"
+  "--check[compare with what the observer says now, and with the lifecycle\'s rules]"
   ":a recorded run (.mcap):_files"
 )
 
@@ -871,6 +869,7 @@ _shtab_palmd_bench() {
         peers) _arguments -C -s $_shtab_palmd_bench_peers_options ;;
         recognise) _arguments -C -s $_shtab_palmd_bench_recognise_options ;;
         sbc) _arguments -C -s $_shtab_palmd_bench_sbc_options ;;
+        simulate) _arguments -C -s $_shtab_palmd_bench_simulate_options ;;
         soak) _arguments -C -s $_shtab_palmd_bench_soak_options ;;
       esac
   esac

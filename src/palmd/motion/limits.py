@@ -120,11 +120,8 @@ class MotionLimits:
     acceleration: float
     pad_length: float
     workspace: Workspace | None = None
-<<<<<<< HEAD
     curvatures: tuple[float, ...] = FLAT
-=======
     stop_deceleration: float | None = None
->>>>>>> wip-trust
     bounds: tuple[QuantityLimit, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -154,23 +151,16 @@ class MotionLimits:
         workspace: Workspace | None = None,
         curvatures: tuple[float, ...] = FLAT,
     ) -> MotionLimits:
-<<<<<<< HEAD
         """The configured limits in SI; pad_length in m, the palms' `curvatures` in 1/m."""
-=======
-        """The configured limits in SI; pad_length in m."""
         stop = limits.stop_deceleration_deg_s2
->>>>>>> wip-trust
         return cls(
             angles=tuple((math.radians(low), math.radians(high)) for low, high in limits.angles_deg),
             rate=math.radians(limits.rate_deg_s),
             acceleration=math.radians(limits.acceleration_deg_s2),
             pad_length=pad_length,
             workspace=workspace,
-<<<<<<< HEAD
             curvatures=curvatures,
-=======
             stop_deceleration=None if stop is None else math.radians(stop),
->>>>>>> wip-trust
         )
 
     @property
