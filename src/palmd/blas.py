@@ -36,8 +36,7 @@ def one_thread() -> Iterator[None]:
 
 @functools.cache
 def _libraries() -> ThreadpoolController:
-    import numpy  # noqa: F401  # both bring a library of their own, which can be limited once it is loaded
-    import scipy.linalg  # noqa: F401
+    import numpy  # noqa: F401  # it brings a library of its own, which can be limited once it is loaded
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController().select(user_api="blas")

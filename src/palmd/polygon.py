@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import nnls
 
 from palmd.events import FloatArray
 
@@ -166,6 +165,8 @@ def fitted(points: FloatArray) -> PolygonFit:
 
 def _least_squares(normal: FloatArray, right: FloatArray, bounds: FloatArray) -> FloatArray:
     """The c with the least ½ cᵀN c − gᵀc under B c ≥ 0, by its dual: c = N⁻¹(g + Bᵀλ), λ ≥ 0, a non-negative fit."""
+    from scipy.optimize import nnls  # here: whoever runs beside the loop reads outlines, and fits none
+
     lower = np.linalg.cholesky(normal)
     multipliers, _ = nnls(np.linalg.solve(lower, bounds.T), -np.linalg.solve(lower, right))
     return np.asarray(np.linalg.solve(normal, right + bounds.T @ multipliers))

@@ -14,8 +14,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from palmd.events import FloatArray
 from palmd.model.stable_poses import (
@@ -236,15 +234,15 @@ def _components(
     phi1: FloatArray, phi2: FloatArray, psi: FloatArray, links: IntArray, bins: int
 ) -> tuple[IntArray, BoolArray, BoolArray]:
     """(component of each point, reach, winds), the components sorted by their reach, then by their size."""
-    graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(len(psi), len(psi))).tocsr()
-    count, component = connected_components(graph, directed=False)
+    component, lifted = _trees(psi, links)
+    count = int(component.max(initial=-1)) + 1
     reach = _reach(normal_directions((phi1, phi2), psi), links, component, count, bins)
     size = np.bincount(component, minlength=count)
     order = np.lexsort((-size, -reach.sum(axis=1)))
     rank = np.empty(count, dtype=np.intp)
     rank[order] = np.arange(count)
     component = rank[component]
-    return component, reach[order], _winds(graph, psi, links, component, count)
+    return component, reach[order], _winds(psi, lifted, links, component, count)
 
 
 def _reach(theta: tuple[FloatArray, ...], links: IntArray, component: IntArray, count: int, bins: int) -> BoolArray:
@@ -264,19 +262,35 @@ def _reach(theta: tuple[FloatArray, ...], links: IntArray, component: IntArray, 
     return marked[:, :bins] | marked[:, bins:]
 
 
-def _winds(graph: coo_array, psi: FloatArray, links: IntArray, component: IntArray, count: int) -> BoolArray:
+def _trees(psi: FloatArray, links: IntArray) -> tuple[IntArray, FloatArray]:
+    """The component of each point, and its ψ made continuous along a tree of links from the component's first point."""
+    both = np.concatenate([links, links[:, ::-1]])
+    both = both[np.argsort(both[:, 0], kind="stable")]
+    starts, others = np.searchsorted(both[:, 0], np.arange(len(psi) + 1)).tolist(), both[:, 1].tolist()
+    own, lifted, component, count = psi.tolist(), psi.tolist(), [-1] * len(psi), 0
+    for root in range(len(own)):
+        if component[root] >= 0:
+            continue
+        component[root] = count
+        reached = [root]
+        for point in reached:  # which grows meanwhile: in order of the distance from the root
+            here = lifted[point]
+            for other in others[starts[point] : starts[point + 1]]:
+                if component[other] < 0:
+                    component[other] = count
+                    lifted[other] = own[other] + math.tau * round((here - own[other]) / math.tau)
+                    reached.append(other)
+        count += 1
+    return np.array(component, dtype=np.intp), np.array(lifted)
+
+
+def _winds(psi: FloatArray, lifted: FloatArray, links: IntArray, component: IntArray, count: int) -> BoolArray:
     """Whether a loop of links turns the object once around, for each component.
 
-    ψ is made continuous along a tree of links from one root; a link that closes a loop then shows a whole turn.
+    With ψ continuous along a tree of links (`lifted`) a link that closes a loop then shows a whole turn.
     """
     winds = np.zeros(count, dtype=np.bool_)
     turned = nearest_turn(psi[links[:, 1]], psi[links[:, 0]]) - psi[links[:, 0]]
-    _, roots = np.unique(component, return_index=True)
-    lifted = psi.copy()
-    for root in roots:
-        order, parents = breadth_first_order(graph, root, directed=False)
-        for point in order[1:]:
-            lifted[point] = nearest_turn(psi[point], lifted[parents[point]])
     wrong = np.abs(lifted[links[:, 1]] - lifted[links[:, 0]] - turned) > _WOUND
     winds[component[links[wrong, 0]]] = True
     return winds

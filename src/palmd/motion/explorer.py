@@ -90,7 +90,7 @@ class Decision:
 
 
 class Explorer:
-    """Decides one move at a time. A decision takes some tenths of a second: for a process beside the loop."""
+    """Decides one move at a time. A decision takes some 40 ms of a core: for a process beside the loop."""
 
     def __init__(self, rig: RigDescription, limits: MotionLimits, goal: ExploreGoal, seed: int = 0):
         """Deterministic for given `seed` and calls; takes seconds when its C has to be compiled first."""

@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import null_space
 
 from palmd.events import FloatArray, Outlook
 from palmd.model import shape, shape_map, smoothing
@@ -62,13 +61,20 @@ def rig_cost(outlook: Outlook, normals: Bools) -> RigCost | None:
     never_told = of_rig[[R.STANDOFF, R.STANDOFF + 1, R.SCALE]]
     never_told[-1] += of_rig[R.SCALE + 1]
     size = np.linalg.norm(never_told, axis=1, keepdims=True)
-    others = null_space(never_told / np.maximum(size, np.finfo(float).tiny), rcond=_SAME)
+    others = _null_space(never_told / np.maximum(size, np.finfo(float).tiny))
     steps = np.vstack([of_rig, of_outline]) @ others
     theta = _NORMALS[normals]
     free = shape.gauge_free_basis(theta, theta, _coefficients(outlook))
     moved, whole = free @ steps[RIG_CONSTANTS:], free @ of_outline
     band_sd = np.sqrt(np.mean(outlook.h_sd[normals] ** 2 + (whole**2).sum(axis=1)))
     return RigCost(steps, moved.T @ moved / len(theta), float(band_sd))
+
+
+def _null_space(rows: FloatArray) -> FloatArray:
+    """An orthonormal basis, in columns, of what `rows` map to 0."""
+    _, values, directions = np.linalg.svd(rows)
+    basis: FloatArray = directions[int((values > _SAME * values.max()).sum()) :].T
+    return basis
 
 
 class RigInformation:

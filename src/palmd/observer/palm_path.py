@@ -72,22 +72,29 @@ def smoothed_path(samples: Sequence[PalmSample], angle_noise: float) -> PalmPath
     n = len(t)
     x, P = np.zeros((n, 3, len(JOINTS))), np.zeros((n, 3, 3))
     x_pred, P_pred = np.zeros((n, 3, len(JOINTS))), np.zeros((n, 3, 3))
-    transitions = np.zeros((n, 3, 3))
+    jerk = np.array([UNTOLD_JERK if sample.accelerations is None else TOLD_JERK for sample in samples[1:]])
+    transitions, drift = _steps(np.diff(t), jerk)
     for k, sample in enumerate(samples):
         if k == 0:
             x_pred[0, 0] = sample.angles
             P_pred[0] = np.diag([1.0, FIRST_RATE_SD**2, FIRST_ACCELERATION_SD**2])
         else:
-            dt = t[k] - t[k - 1]
-            F = transitions[k] = np.array([[1.0, dt, dt**2 / 2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
-            jerk = UNTOLD_JERK if sample.accelerations is None else TOLD_JERK
+            F = transitions[k - 1]
             x_pred[k] = F @ x[k - 1]
-            P_pred[k] = F @ P[k - 1] @ F.T + white_jerk(dt) * jerk**2 + _DRIFT * dt
+            P_pred[k] = F @ P[k - 1] @ F.T + drift[k - 1]
         x[k], P[k] = _fused(x_pred[k], P_pred[k], sample, angle_noise)
+    gains = np.linalg.solve(P_pred[1:], transitions @ P[:-1]).swapaxes(1, 2)
     for k in range(n - 2, -1, -1):
-        gain = np.linalg.solve(P_pred[k + 1], transitions[k + 1] @ P[k]).T
-        x[k] += gain @ (x[k + 1] - x_pred[k + 1])
+        x[k] += gains[k] @ (x[k + 1] - x_pred[k + 1])
     return PalmPath(t, x)
+
+
+def _steps(dt: FloatArray, jerk: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What (φ, ω, α) become in each `dt`, and the covariance that white `jerk` adds, each (n, 3, 3)."""
+    transitions = np.tile(np.eye(3), (len(dt), 1, 1))
+    transitions[:, 0, 1] = transitions[:, 1, 2] = dt
+    transitions[:, 0, 2] = dt**2 / 2
+    return transitions, np.moveaxis(white_jerk(dt) * jerk**2, -1, 0) + _DRIFT * dt[:, None, None]
 
 
 def _fused(x: FloatArray, P: FloatArray, sample: PalmSample, angle_noise: float) -> tuple[FloatArray, FloatArray]:
@@ -101,8 +108,8 @@ def _fused(x: FloatArray, P: FloatArray, sample: PalmSample, angle_noise: float)
             continue
         spread = P[row, row] + sd**2
         gain = P[:, row] / spread
-        x = x + np.outer(gain, np.array(values) - x[row])
-        P = P - np.outer(gain, gain) * spread
+        x = x + gain[:, None] * (np.array(values) - x[row])
+        P = P - gain[:, None] * gain * spread
     return x, P
 
 

@@ -21,8 +21,8 @@ FIRST_RATE_SD, FIRST_ACCELERATION_SD = 0.5, 5.0
 STILL = (0.0,) * len(JOINTS)
 
 
-def white_jerk(dt: float) -> FloatArray:
-    """Covariance that white jerk of density 1 adds to (φ, ω, α) in `dt` (s)."""
+def white_jerk(dt: float | FloatArray) -> FloatArray:
+    """Covariance that white jerk of density 1 adds to (φ, ω, α) in `dt` (s): (3, 3), or (3, 3, n) for n of them."""
     return np.array(
         [
             [dt**5 / 20, dt**4 / 8, dt**3 / 6],
@@ -153,6 +153,7 @@ class PalmTracker:
     def _fuse(self, state: int, values: Joints, variance: float) -> None:
         spread = self._P[state, state] + variance
         k = self._P[:, state] / spread
-        self._state += np.outer(np.asarray(values) - self._state[:, state], k)
+        column = k[:, None]  # several times faster than np.outer
+        self._state += (np.asarray(values) - self._state[:, state])[:, None] * k
         row = self._P[state].copy()
-        self._P += np.outer(k, k) * spread - np.outer(k, row) - np.outer(row, k)
+        self._P += column * k * spread - column * row - row[:, None] * k

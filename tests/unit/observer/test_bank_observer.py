@@ -12,7 +12,7 @@ from simulated import simulated
 
 from palmd import observer
 from palmd.events import Estimate, Event, PadLift, PadSample, PalmSample
-from palmd.model import building, shape_map
+from palmd.model import building, compiled, shape_map
 from palmd.model import shape as modelled
 from palmd.observer.bank_observer import BankObserver
 from palmd.observer.filters.extended import ExtendedFilters
@@ -514,11 +514,8 @@ def test_the_virtual_machine_gives_the_same_answer(nominal: tuple, tmp_path, mon
     fast = observer.make("shape", rig)
     _replay(fast, events[:150])
 
-    def fails(*_: object) -> None:
-        raise OSError("no compiler")
-
-    monkeypatch.setattr(building, "build", fails)
-    monkeypatch.setenv("PALMD_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(compiled, "_opened", lambda _: None)
+    monkeypatch.setattr(building, "build", lambda *_: False)
     monkeypatch.setattr(shape_map, "library", shape_map.library.__wrapped__)  # made anew
     slow = observer.make("shape", rig)
     assert (fast.backend, slow.backend) == ("c", "vm")

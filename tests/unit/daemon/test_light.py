@@ -1,0 +1,74 @@
+"""What runs on a rig is small: no process of it loads CasADi or SciPy, and the daemon's locked memory is bounded."""
+
+import subprocess
+import sys
+
+import pytest
+
+from palmd.model import rollout, sensitivity, shape_map, smoothing
+
+PROCESSES = {
+    "daemon": "palmd.daemon.app",
+    "smoother": "palmd.daemon.smoothing",
+    "explorer": "palmd.daemon.explorer_process",
+    "recorder": "palmd.record.recorder",
+    "page": "palmd.view.server",
+    "rig": "palmd.rig.app",
+}
+HEAVY = "found = {'casadi', 'scipy', 'matplotlib', 'pandas'} & set(sys.modules); assert not found, found"
+MOST_MB = 90.0
+
+A_DAEMON = """
+import palmd.daemon.app
+from palmd import observer
+from palmd.daemon import realtime
+from palmd.system.description import RigDescription
+watcher = observer.make("shape", RigDescription())
+watcher.warm_up()
+missing = realtime._lock_memory()
+print(missing or "locked", realtime.rss_mb())
+"""
+A_SMOOTHER = """
+from palmd.observer.reconstruct import reconstruct
+from simulated import simulated
+run = simulated("friction", 1, 3.0)
+assert reconstruct(run.events, run.rig).h is not None
+"""
+AN_EXPLORER = """
+from test_explorer import STANDING, explorer, outlook
+assert explorer().decide(outlook(), STANDING).kind == "move"
+"""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def built():
+    """Whoever builds needs CasADi."""
+    for model in (shape_map, smoothing, sensitivity, rollout):
+        assert model.library().backend == "c"
+
+
+def told(code, *folders):
+    path = [str(each) for each in folders]
+    done = subprocess.run(
+        [sys.executable, "-c", f"import sys\nsys.path[:0] = {path}\n{code}\n{HEAVY}"], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("name", PROCESSES)
+def test_no_process_loads_what_only_building_needs(name):
+    told(f"import {PROCESSES[name]}")
+
+
+@pytest.mark.parametrize("code", [A_SMOOTHER, AN_EXPLORER], ids=["smoother", "explorer"])
+def test_nor_does_its_work(code, request):
+    tests = request.config.rootpath / "tests"
+    told(code, tests / "helpers", tests / "unit/motion")
+
+
+def test_a_daemons_memory_is_bounded():
+    how, _, rss_mb = told(A_DAEMON).strip().rpartition(" ")
+    if how != "locked":
+        pytest.skip(how)
+    assert float(rss_mb) < MOST_MB
