@@ -24,6 +24,7 @@ Outline = Callable[[SX, int], Contact]
 
 BLIND_STEPS, WARM_STEPS = 6, 2
 """Of Newton's method from s = 0, and from where the contacts were a few milliseconds ago."""
+FARTHEST_M = 1.0  # from the hinge, where the search may lead: no palm is longer
 LEAST_SLACK = 0.05  # of 1 − κv: below it the object lies in the palm rather than on it
 
 
@@ -69,7 +70,7 @@ class Touch:
 
         s = self._last or [SX(0), SX(0)]
         for _ in range(WARM_STEPS if self._last else BLIND_STEPS):
-            s = step(s)
+            s = [ca.fmin(ca.fmax(each, -FARTHEST_M), FARTHEST_M) for each in step(s)]
         self._last = [self._freeze(each) for each in s]
         return at(step(self._last, self._freeze))
 
