@@ -30,7 +30,8 @@ EARLY_ITERATIONS = 25
 LEAST_LIFT_M = 5e-4  # of the pivot, below which nothing is told of the outline
 DOUBT = 9.0  # of cost, up to which a rival makes the answer ambiguous
 SAME_M = 3e-5  # RMS by which outlines of one body may differ
-SHARP_M = 1.5e-4  # RMS of the outline's one-sigma where touched, above which there is no outline to speak of
+# RMS of the outline's one-sigma where touched, were the rig known, above which there is no outline to speak of.
+SHARP_M = 1.5e-4
 MOST_OUTLIERS = 0.2
 CHI2_SIGMAS, CHI2_SLACK = 4.0, 0.03
 FORCE_SLACK = 0.15  # the forces' noise is told to no more than this
@@ -155,7 +156,10 @@ def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:
         raise TooLittleError("the fit is not a minimum") from None
     own = covariance[P.SHAPE :, P.SHAPE :]
     h_sd = gauge_free_sd(theta, theta[touched], coefficients, own)
+    told = gauge_free_sd(theta, theta[touched], coefficients, _given_the_rig(covariance))
     reason = _doubt(record, best, fits[1:], theta, h, h_sd, touched)
+    if not reason and float(np.sqrt(np.mean(told[touched] ** 2))) > SHARP_M:
+        reason = "the readings tell too little of the outline"
     p = best.p
     sd = np.sqrt(np.diagonal(covariance))
     mu, mu_sd = _ratio_of(covariance, [P.DRAG, P.SATURATION], p, lambda q: q[0] / math.sqrt(q[1]))
@@ -179,6 +183,16 @@ def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:
     )  # fmt: skip
 
 
+def _given_the_rig(covariance: FloatArray) -> FloatArray:
+    """Of the outline's coefficients, were the rig's constants known."""
+    rig, outline = slice(P.ZERO, P.SHAPE), slice(P.SHAPE, None)
+    across = covariance[rig, outline]
+    scale = np.sqrt(np.diagonal(covariance)[rig])
+    solved = np.linalg.solve(covariance[rig, rig] / np.outer(scale, scale), across / scale[:, None])
+    own: FloatArray = covariance[outline, outline] - (across / scale[:, None]).T @ solved
+    return own
+
+
 def _unwound(c: FloatArray, record: Record) -> FloatArray:
     """The splines, each by whole turns as near as can be to the end of the one before."""
     c = c.copy()
@@ -199,8 +213,6 @@ def _doubt(
 ) -> str:
     """Why the best fit cannot be taken at its word; empty when it can."""
     rig = record.rig
-    if not best.settled:
-        return "the iteration has not settled"
     readings, forces = len(record.readings.t), len(record.forces.t)
     fine = [
         best.chi2 < 1.0 + CHI2_SLACK + CHI2_SIGMAS * math.sqrt(2.0 / readings),
@@ -210,7 +222,9 @@ def _doubt(
     ]
     if not all(fine):
         told = f"chi2 {best.chi2:.2f}, of the heights {best.height_chi2:.2f}, of the forces {best.force_chi2:.2f}"
-        return f"z and force contradict the readings, or the body does not move as one: {told}"
+        return f"z or force contradict the readings, or the body does not move as one rigid body: {told}"
+    if not best.settled:
+        return "the iteration has not settled"
     if best.outliers > MOST_OUTLIERS:
         return f"{best.outliers:.0%} of the readings are outliers"
     if (h + FAR_OFF_PIVOT * h_sd < 0.0).any():
@@ -223,8 +237,6 @@ def _doubt(
             return "only one side of the dead centre was touched: touch it on both, and the force tells how they belong"
         if not forces:
             return "the pad gives no force: nothing tells how the sides of the dead centre belong together"
-    if float(np.sqrt(np.mean(h_sd[touched] ** 2))) > SHARP_M:
-        return "the readings tell too little of the outline"
     curvature = shape.basis(theta, ORDER) @ (best.p[P.SHAPE :] * (1 - shape.harmonic_of_coefficient(ORDER) ** 2))
     if curvature[touched].min() < -HOLLOW_M:
         return "only a hollow outline explains the readings"

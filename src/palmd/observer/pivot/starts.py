@@ -25,7 +25,7 @@ from palmd.observer.pivot.fit import CENTRE_SD_M, GYRATION, Known
 from palmd.observer.pivot.record import Record, Touch
 from palmd.system.pivot import PivotRig
 
-POINTS = 150  # of each touch, that starts are judged by
+POINTS = 100  # of each touch, that starts are judged by
 LEAST_LEVER_M = 3e-4  # of e, for dz/e
 ROTATIONS = 120
 BEAMS = 5
@@ -163,19 +163,29 @@ def rigid_starts(record: Record, known: Known, sides: Sequence[Side]) -> list[St
         found: list[tuple[float, tuple[float, ...]]] = []
         for _, turns in beams:
             angles = np.linspace(0.0, math.tau, ROTATIONS, endpoint=False)
-            costs = np.array([_judged(ordered[:count], (*turns, a), known)[0] for a in angles])
+            # two sides meet nowhere, and the force says the most of how they belong; more of one side overlap
+            judge = _judged if count == 2 else _joined
+            costs = np.array([judge(ordered[:count], (*turns, a), known)[0] for a in angles])
             lowest = np.flatnonzero((costs < np.roll(costs, 1)) & (costs <= np.roll(costs, -1)))
-            found += [(float(costs[i]), (*turns, float(angles[i]))) for i in lowest]
+            lowest = lowest[np.argsort(costs[lowest])][:BEAMS]
+            tried = [(*turns, float(angles[i])) for i in lowest]
+            found += [(_judged(ordered[:count], each, known)[0], each) for each in tried]
         beams = sorted(found)[:BEAMS]
     return [_rigid_start(record, ordered, turns, known) for _, turns in beams]
+
+
+def _joined(sides: Sequence[Side], turns: Sequence[float], known: Known) -> tuple[float, FloatArray]:
+    """(the cost of the outline alone of sides so turned, its coefficients)."""
+    theta = np.concatenate([side.theta + turn for side, turn in zip(sides, turns, strict=True)])
+    h, e = (np.concatenate([getattr(side, name) for side in sides]) for name in "he")
+    return outline_through(theta, h, e, known)
 
 
 def _judged(sides: Sequence[Side], turns: Sequence[float], known: Known) -> tuple[float, FloatArray]:
     """(the cost of sides so turned, the constants that fit them best)."""
     theta = np.concatenate([side.theta + turn for side, turn in zip(sides, turns, strict=True)])
-    h, e = (np.concatenate([getattr(side, name) for side in sides]) for name in "he")
     p = known.mean.copy()
-    cost, p[P.SHAPE :] = outline_through(theta, h, e, known)
+    cost, p[P.SHAPE :] = _joined(sides, turns, known)
     force, p[: P.SHAPE] = _weighed(sides, theta, known)
     middle = p[P.SHAPE + 1 : P.SHAPE + 3]
     far = float(np.hypot(*middle))
