@@ -62,6 +62,9 @@ class PivotImperfections:
     lag: float = 0.0
 
 
+AS_TOLD = PivotImperfections()
+
+
 @dataclass(frozen=True, slots=True)
 class Grasp:
     """A body in the gripper over the pad: pivot (m, from the centre of mass, in the body), carriage kg and N s/m."""
@@ -148,7 +151,7 @@ def simulate_pivot_log(
     kind: PivotKind,
     seed: int,
     duration_s: float = 12.0,
-    off: PivotImperfections = PivotImperfections(),
+    off: PivotImperfections = AS_TOLD,
     *,
     sides: int = 2,
     odd: bool = False,
