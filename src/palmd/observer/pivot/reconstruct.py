@@ -14,7 +14,7 @@ import numpy.typing as npt
 from palmd.blas import one_thread
 from palmd.events import FloatArray, PadSample
 from palmd.model import shape
-from palmd.model.pivot import ORDER, P, library
+from palmd.model.pivot import ORDER, P, U, library
 from palmd.observer.noise import scattered
 from palmd.observer.outline import directions, gauge_free_sd, touched_by
 from palmd.observer.pivot.fit import SHARP, PivotFit, Problem, Softening, with_forces_of
@@ -27,7 +27,8 @@ STAGES = {
     "float": (Softening(2.0, 8.0, 2.0, 20.0), Softening(1.0, 2.0, 1.0, 3.0), SHARP),
 }
 EARLY_ITERATIONS = 25
-LEAST_LIFT_M = 5e-4  # of the pivot, below which nothing is told of the outline
+# Of a rigid gripper's height, and of a slide's way over the pad, below which nothing is told of the outline.
+LEAST_LIFT_M, LEAST_WAY_M = 5e-4, 3e-3
 DOUBT = 9.0  # of cost, up to which a rival makes the answer ambiguous
 SAME_M = 3e-5  # RMS by which outlines of one body may differ
 # RMS of the outline's one-sigma where touched, were the rig known, above which there is no outline to speak of.
@@ -102,8 +103,10 @@ def _worth_a_fit(record: Record) -> None:
     z = record.heights.value
     if z.min() <= 0.0:
         raise TooLittleError(f"the pivot would be {-z.min() * 1e3:.1f} mm below the pad's surface: z contradicts it")
-    lift = float(np.percentile(z, 98) - np.percentile(z, 2))
-    if lift < LEAST_LIFT_M:
+    lift, way = (float(np.percentile(each, 98) - np.percentile(each, 2)) for each in (z, record.heights.inputs[:, U.X]))
+    if record.rig.vertical == "float" and way < LEAST_WAY_M:
+        raise TooLittleError(f"the arm hardly moves ({way * 1e3:.2f} mm): nothing rolls, and nothing is told")
+    if record.rig.vertical == "rigid" and lift < LEAST_LIFT_M:
         raise TooLittleError(
             f"the pivot's height hardly changes ({lift * 1e3:.2f} mm): dragging alone tells nothing of the outline"
         )
