@@ -17,9 +17,9 @@ from palmd.model import shape
 from palmd.model.pivot import ORDER, P, U, library
 from palmd.observer.noise import scattered
 from palmd.observer.outline import directions, gauge_free_sd, touched_by
-from palmd.observer.pivot.fit import SHARP, PivotFit, Problem, Softening, with_forces_of
+from palmd.observer.pivot.fit import MAX_ITERATIONS, SHARP, PivotFit, Problem, Softening, with_forces_of
 from palmd.observer.pivot.record import Record, TooLittleError, arm_motion, lay_out
-from palmd.observer.pivot.starts import Start, believed, float_starts, rigid_starts, side_of
+from palmd.observer.pivot.starts import believed, float_starts, rigid_starts, side_of
 from palmd.system.pivot import PivotEvent, PivotRig, normal_of
 
 STAGES = {
@@ -30,6 +30,7 @@ EARLY_ITERATIONS = 25
 # Of a rigid gripper's height, and of a slide's way over the pad, below which nothing is told of the outline.
 LEAST_LIFT_M, LEAST_WAY_M = 5e-4, 3e-3
 DOUBT = 9.0  # of cost, up to which a rival makes the answer ambiguous
+SAME_RAD = 3e-3  # of the orientation, within which two fits are one
 SAME_M = 3e-5  # RMS by which outlines of one body may differ
 # RMS of the outline's one-sigma where touched, were the rig known, above which there is no outline to speak of.
 SHARP_M = 1.5e-4
@@ -122,24 +123,29 @@ def _fitted(record: Record) -> tuple[list[PivotFit], Problem]:
         starts = rigid_starts(record, known, sides)
     else:
         starts = float_starts(record, known)
-    fits = [_from(problem, start) for start in starts]
-    fits = sorted((fit for fit in fits if math.isfinite(fit.cost)), key=lambda fit: fit.cost)
+    fits = _distinct([_refined(problem, start.c, start.p, STAGES[record.rig.vertical][:-1]) for start in starts])
+    fits = _distinct([_refined(problem, fit.c, fit.p, (SHARP,)) for fit in fits])
     if not fits:
         raise TooLittleError("no motion of a body was found that explains the readings")
     problem = with_forces_of(problem, kernels, fits[0])
-    fits = [problem.fit(fit.c, fit.p) for fit in fits]
-    return sorted(fits, key=lambda fit: fit.cost), problem
+    return _distinct([problem.fit(fit.c, fit.p) for fit in fits]), problem
 
 
-def _from(problem: Problem, start: Start) -> PivotFit:
-    c, p = start.c, start.p
-    stages = STAGES[problem.record.rig.vertical]
-    for soft in stages[:-1]:
-        early = problem.fit(c, p, soft, EARLY_ITERATIONS)
-        if not math.isfinite(early.cost):
-            return early
-        c, p = early.c, early.p
-    return problem.fit(c, p, stages[-1])
+def _refined(problem: Problem, c: FloatArray, p: FloatArray, stages: Sequence[Softening]) -> PivotFit:
+    """The minimum at the end of these stages, each from that of the one before."""
+    fit = problem.fit(c, p, stages[0], EARLY_ITERATIONS if stages[0] is not SHARP else MAX_ITERATIONS)
+    if len(stages) == 1 or not math.isfinite(fit.cost):
+        return fit
+    return _refined(problem, fit.c, fit.p, stages[1:])
+
+
+def _distinct(fits: Sequence[PivotFit]) -> list[PivotFit]:
+    """The minima, the best first, each once."""
+    kept: list[PivotFit] = []
+    for fit in sorted((fit for fit in fits if math.isfinite(fit.cost)), key=lambda fit: fit.cost):
+        if all(float(np.abs(fit.c - other.c).max()) > SAME_RAD for other in kept):
+            kept.append(fit)
+    return kept
 
 
 def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
-from scipy.interpolate import BSpline, make_smoothing_spline
+from scipy.interpolate import BSpline
 from scipy.linalg import solveh_banded
 from scipy.sparse import csr_matrix
 
@@ -25,6 +25,7 @@ from palmd.observer.pivot.fit import CENTRE_SD_M, GYRATION, Known
 from palmd.observer.pivot.record import Record, Touch
 from palmd.system.pivot import PivotRig
 
+FELT_S = 0.05  # of a spline's cells through what a slide feels
 POINTS = 100  # of each touch, that starts are judged by
 LEAST_LEVER_M = 3e-4  # of e, for dz/e
 ROTATIONS = 120
@@ -104,7 +105,7 @@ def side_of(record: Record, touch: Touch) -> Side:
     mine = (rows.t >= touch.begin) & (rows.t <= touch.end)
     u = rows.inputs[mine]
     z, e = u[:, U.Z], rows.value[mine] - u[:, U.X]
-    curve = _curve(z, e, math.sqrt(record.rig.pad.reading_variance))
+    curve = _curve(z, e, math.sqrt(record.rig.pad.reading_variance), float(np.ptp(z)) / 14)
     side = float(np.sign(np.median(e))) or 1.0
     grid = np.linspace(z.min(), z.max(), 400)
     lever = side * np.maximum(side * curve(grid), LEAST_LEVER_M)
@@ -128,20 +129,21 @@ def side_of(record: Record, touch: Touch) -> Side:
     return Side(touch, t, theta, at, e_at, rate, second, u[index], force, force_sd, side, scatter)
 
 
-def _curve(z: FloatArray, e: FloatArray, noise: float) -> BSpline:
-    """e(z) through readings with outliers: a penalised cubic spline, its weights those of Huber."""
-    low, high = float(z.min()), float(z.max())
-    cells = 14
+def _curve(x: FloatArray, y: FloatArray, noise: float, cell: float) -> BSpline:
+    """y(x) through readings with outliers: a penalised cubic spline of such cells, its weights those of Huber."""
+    low, high = float(x.min()), float(x.max())
+    cells = max(math.ceil((high - low) / max(cell, 1e-9)), 1)
     step = max(high - low, 1e-9) / cells
     knots = low + step * np.arange(-3, cells + 4)
-    A = BSpline.design_matrix(np.clip(z, low, high - 1e-12), knots, 3, extrapolate=True).toarray()
+    A = BSpline.design_matrix(np.clip(x, low, high - 1e-12), knots, 3, extrapolate=True).toarray()
     bend = np.diff(np.eye(cells + 3), 3, axis=0)
-    weight = np.ones(len(z))
-    coefficients = np.full(cells + 3, float(np.median(e)))
+    stiff = 0.5 * bend.T @ bend + 1e-9 * np.eye(cells + 3)
+    weight = np.ones(len(x))
+    coefficients = np.full(cells + 3, float(np.median(y)))
     for _ in range(6):
         W = A * weight[:, None]
-        coefficients = np.linalg.solve(W.T @ A + 0.5 * bend.T @ bend + 1e-9 * np.eye(cells + 3), W.T @ e)
-        off = np.abs(e - A @ coefficients)
+        coefficients = np.linalg.solve(W.T @ A + stiff, W.T @ y)
+        off = np.abs(y - A @ coefficients)
         scale = max(noise, 1.4826 * float(np.median(off)))
         weight = np.minimum(1.0, 2.0 * scale / np.maximum(off, 1e-12)) ** 2
     return BSpline(knots, coefficients, 3, extrapolate=True)
@@ -319,7 +321,7 @@ def _felt(record: Record, touch: Touch) -> _Felt:
         mine = (rows.t >= touch.begin) & (rows.t <= touch.end)
         value = rows.value[mine] - (rows.inputs[mine, U.X] if own else 0.0)
         value = _without_outliers(value, math.sqrt(float(rows.variance[mine].mean())))
-        smooth.append(make_smoothing_spline(rows.t[mine], value)(t))
+        smooth.append(_curve(rows.t[mine], value, math.sqrt(float(rows.variance[mine].mean())), FELT_S)(t))
     x = np.interp(t, record.readings.t, record.readings.inputs[:, U.VX])
     return _Felt(touch, t, smooth[0], smooth[1], x)
 
