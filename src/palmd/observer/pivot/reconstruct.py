@@ -15,7 +15,7 @@ from palmd.blas import one_thread
 from palmd.events import FloatArray, PadSample
 from palmd.model import shape
 from palmd.model.pivot import ORDER, P, U, library
-from palmd.observer.noise import scattered
+from palmd.observer.noise import LEAST_READINGS, scattered
 from palmd.observer.outline import directions, gauge_free_sd, touched_by
 from palmd.observer.pivot.fit import MAX_ITERATIONS, SHARP, PivotFit, Problem, Softening, with_forces_of
 from palmd.observer.pivot.record import Record, TooLittleError, arm_motion, lay_out
@@ -91,12 +91,15 @@ def reconstruct(events: Sequence[PivotEvent], rig: PivotRig) -> PivotReconstruct
         answer = _answer(problem, fits)
     except TooLittleError as error:
         return _nothing(str(error), begun)
+    except np.linalg.LinAlgError:
+        return _nothing("no motion of a body was found that explains the readings", begun)
     return replace(answer, seconds=time.perf_counter() - begun)
 
 
 def _with_scatter(rig: PivotRig, events: Sequence[PivotEvent]) -> PivotRig:
-    samples = [each for each in events if isinstance(each, PadSample)]
-    return replace(rig, pad=scattered(rig.pad, samples))
+    at = {each.t_sample: each for each in events if isinstance(each, PadSample)}
+    samples = [at[t] for t in sorted(at)]
+    return replace(rig, pad=scattered(rig.pad, samples)) if len(samples) >= LEAST_READINGS else rig
 
 
 def _worth_a_fit(record: Record) -> None:
