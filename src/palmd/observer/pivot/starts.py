@@ -25,6 +25,9 @@ from palmd.observer.pivot.fit import CENTRE_SD_M, GYRATION, Known
 from palmd.observer.pivot.record import Record, Touch
 from palmd.system.pivot import PivotRig
 
+ROLLS = 4  # rounds of roll and outline
+# One-sigma of a roll's rate, as a share of that without slip and at least (rad/s), and of a height's rate (m/s).
+ROLL_SD, LEAST_RATE_SD, HEIGHT_RATE_SD = 0.3, 0.1, 5e-4
 FELT_S = 0.05  # of a spline's cells through what a slide feels
 POINTS = 100  # of each touch, that starts are judged by
 LEAST_LEVER_M = 3e-4  # of e, for dz/e
@@ -305,11 +308,12 @@ def float_starts(record: Record, known: Known) -> list[Start]:
 
 @dataclass(frozen=True, slots=True)
 class _Felt:
-    """A touch on an even grid: time, height, lever and speed of the arm."""
+    """A touch on an even grid: time, height and its rate, lever, and speed of the arm."""
 
     touch: Touch
     t: FloatArray
     z: FloatArray
+    vz: FloatArray
     e: FloatArray
     vx: FloatArray
 
@@ -321,9 +325,10 @@ def _felt(record: Record, touch: Touch) -> _Felt:
         mine = (rows.t >= touch.begin) & (rows.t <= touch.end)
         value = rows.value[mine] - (rows.inputs[mine, U.X] if own else 0.0)
         value = _without_outliers(value, math.sqrt(float(rows.variance[mine].mean())))
-        smooth.append(_curve(rows.t[mine], value, math.sqrt(float(rows.variance[mine].mean())), FELT_S)(t))
+        smooth.append(_curve(rows.t[mine], value, math.sqrt(float(rows.variance[mine].mean())), FELT_S))
     x = np.interp(t, record.readings.t, record.readings.inputs[:, U.VX])
-    return _Felt(touch, t, smooth[0], smooth[1], x)
+    height, lever = smooth
+    return _Felt(touch, t, height(t), height(t, 1), lever(t), x)
 
 
 def _without_outliers(values: FloatArray, noise: float) -> FloatArray:
@@ -338,17 +343,33 @@ def _without_outliers(values: FloatArray, noise: float) -> FloatArray:
 
 
 def _rolled(record: Record, felt: Sequence[_Felt], known: Known, mu: float, dither: float) -> Start:
-    paths = []
-    for each in felt:
-        share = np.clip(each.e / (mu * each.z), -0.97, 0.97)  # of friction, that the lever needs
-        slip = dither * share / np.sqrt(1 - share**2)
-        theta = cumulative_trapezoid((each.vx - slip) / each.z, each.t, initial=0.0)
-        paths.append((each.touch, each.t, theta))
-    theta, h, e = (np.concatenate(parts) for parts in ([p[2] for p in paths], [f.z for f in felt], [f.e for f in felt]))
+    """The roll with this friction; how far the body's weight is off the pivot comes from the outline so far."""
+    z, e = np.concatenate([each.z for each in felt]), np.concatenate([each.e for each in felt])
     p = known.mean.copy()
-    cost, p[P.SHAPE :] = outline_through(theta, h, e, known)
     p[P.DRAG], p[P.SATURATION] = mu / dither, 1 / dither**2
-    middle = p[P.SHAPE + 1 : P.SHAPE + 3]
-    p[P.MOMENT : P.MOMENT + 2] = p[P.MASS] * middle
-    p[P.INERTIA] = p[P.MASS] * ((GYRATION * p[P.SHAPE]) ** 2 + middle @ middle)
-    return _from_paths(record, paths, p, cost)
+    ends = np.cumsum([len(each.t) for each in felt])[:-1]
+    weight = p[P.MASS] / (p[P.MASS] + record.rig.carriage_mass)
+    off = np.zeros(len(e))  # from the pivot to the centre of mass along the pad
+    best: Start | None = None
+    for _ in range(ROLLS):
+        paths = []
+        for each, own in zip(felt, np.split(off, ends), strict=True):
+            share = np.clip((each.e - weight * own) / (mu * each.z), -0.97, 0.97)  # of friction, that the lever needs
+            slip = dither * share / np.sqrt(1 - share**2)
+            rolled = (each.vx - slip) / each.z
+            # where the lever is long the height tells the rate too: dz = e dθ
+            sure = (ROLL_SD * np.abs(each.vx) / each.z + LEAST_RATE_SD) ** 2 / HEIGHT_RATE_SD**2
+            rate = (rolled + sure * each.e * each.vz) / (1 + sure * each.e**2)
+            theta = cumulative_trapezoid(rate, each.t, initial=0.0)
+            paths.append((each.touch, each.t, theta))
+        theta = np.concatenate([path[2] for path in paths])
+        cost, p[P.SHAPE :] = outline_through(theta, z, e, known)
+        middle = p[P.SHAPE + 1 : P.SHAPE + 3]
+        off = -np.sin(theta) * middle[0] + np.cos(theta) * middle[1]
+        if best is None or cost < best.cost:
+            p[P.MOMENT : P.MOMENT + 2] = p[P.MASS] * middle
+            p[P.INERTIA] = p[P.MASS] * ((GYRATION * p[P.SHAPE]) ** 2 + middle @ middle)
+            best = _from_paths(record, paths, p, cost)
+    if best is None:
+        raise ValueError("no roll was tried")
+    return best
