@@ -10,7 +10,7 @@
 
 _shtab_palmd_commands() {
   local _commands=(
-    bench:'studies of many runs: montecarlo, sbc, explore, recognise, curved, parts, peers, field, faults, simulate, soak'
+    bench:'studies of many runs: montecarlo, sbc, explore, recognise, curved, pivot, parts, peers, field, faults, simulate, soak'
     build:'compile the observers now; the first run does it otherwise'
     calibrate:'measure what the configuration must know: pad, arm, gravity, pads, force, self'
     check:'find what is wrong with configurations and motion plans'
@@ -53,6 +53,7 @@ _shtab_palmd_bench_commands() {
     montecarlo:'random objects reconstructed blind, scored against their truth and the Cramér–Rao bound'
     parts:'what better or worse sensors and servos would do to the outline'
     peers:'palmd'"'"'s estimators beside general-purpose ones'
+    pivot:'objects in a pivoting grasp reconstructed blind: outline about the pivot, friction'
     recognise:'which of twenty similar objects lies on the palms, or none of them'
     sbc:'simulation-based calibration: whether blind reconstructions are as sure as they may be'
     simulate:'daemon and rig in virtual time with everything that may go wrong at once: what must hold all the same'
@@ -216,6 +217,21 @@ _shtab_palmd_bench_peers_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_bench_peers_defaults_added=0
+
+_shtab_palmd_bench_pivot_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--runs[how many of each kind (default\: 100)]:N:"
+  "--kind[what sort of run (default\: all)]:kind:(tilt float all)"
+  "--trouble[with the readings (default\: none)]:trouble:(none outliers gaps noise coulomb)"
+  "--seed[the first run\'s (default\: 0)]:FIRST:"
+  "--seconds[how long each lasts (default\: 12.0)]:S:"
+  {-o,--output}"[a JSON line for each run (default\: pivot.jsonl)]:FILE:_files"
+  "--jobs[processes on this machine (default\: one a processor)]:J:"
+  "--scheduler[of a Dask cluster, such as tcp\:\/\/127.0.0.1\:8786]:ADDRESS:"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_palmd_bench_pivot_defaults_added=0
 
 _shtab_palmd_bench_recognise_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -867,6 +883,7 @@ _shtab_palmd_bench() {
         montecarlo) _arguments -C -s $_shtab_palmd_bench_montecarlo_options ;;
         parts) _arguments -C -s $_shtab_palmd_bench_parts_options ;;
         peers) _arguments -C -s $_shtab_palmd_bench_peers_options ;;
+        pivot) _arguments -C -s $_shtab_palmd_bench_pivot_options ;;
         recognise) _arguments -C -s $_shtab_palmd_bench_recognise_options ;;
         sbc) _arguments -C -s $_shtab_palmd_bench_sbc_options ;;
         simulate) _arguments -C -s $_shtab_palmd_bench_simulate_options ;;

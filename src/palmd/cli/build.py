@@ -18,7 +18,7 @@ def add_arguments(_parser: argparse.ArgumentParser) -> None:
 def run(_arguments: argparse.Namespace) -> int:
     """Makes each observer once; takes seconds for what is not in the cache yet."""
     from palmd import observer
-    from palmd.model import rollout, smoothing
+    from palmd.model import pivot, rollout, smoothing
     from palmd.system.description import RigDescription
 
     def backend_of(name: observer.ObserverName) -> str:
@@ -27,6 +27,7 @@ def run(_arguments: argparse.Namespace) -> int:
     for name in get_args(observer.ObserverName):
         _told(f"{name} observer", partial(backend_of, name))
     _told("smoother", lambda: smoothing.library().backend)
+    _told("pivoting grasp", lambda: pivot.library().backend)
     _told("explorer", lambda: rollout.library().backend)
     return 0
 

@@ -102,6 +102,11 @@ COMMANDS = (
         "bench recognise", "lab.bench_recognise", "which of twenty similar objects lies on the palms, or none of them"
     ),
     Command("bench curved", "lab.bench_curved", "curved palms: reconstructed blind, and how much more they touch"),
+    Command(
+        "bench pivot",
+        "lab.bench_pivot",
+        "objects in a pivoting grasp reconstructed blind: outline about the pivot, friction",
+    ),
     Command("bench parts", "lab.bench_parts", "what better or worse sensors and servos would do to the outline"),
     Command("bench peers", "lab.bench_peers", "palmd's estimators beside general-purpose ones"),
     Command(

@@ -21,7 +21,8 @@ MAX_ITERATIONS = 60
 NEGLIGIBLE = 0.02
 FIRST_DAMPING, LEAST_DAMPING, MAX_DAMPING = 1e-3, 1e-10, 1e8
 CORRECTIONS, GOOD_ENOUGH = 4, 0.9  # of the splines alone, unless the cost falls by a tenth at once
-GATE = 16.0
+GATE = 16.0  # squared normalised residual beyond which a reading's pull falls off: 4 sigma
+WIDE, NARROWER = 1.5, 0.7  # spread of residuals from which the gate is wider, and how much narrower it must come
 # What most bodies are like: how far the centre of mass is off the outline's middle, and the radius of gyration in mean
 # radii with its relative one-sigma (a uniform convex body has 0.70 to 0.72, a ring 1).
 CENTRE_SD_M, GYRATION, GYRATION_SD = 1e-3, 0.707, 0.1
@@ -101,6 +102,7 @@ class Problem:
 
     def fit(self, c: FloatArray, p: FloatArray, soft: Softening = SHARP, iterations: int = MAX_ITERATIONS) -> PivotFit:
         """Iterate until nothing moves any more; the result may be a local minimum."""
+        self._open_gates(c, p, soft)
         now = self.linearised(c, p, soft)
         damping, count, settled = FIRST_DAMPING, 0, False
         while count < iterations and damping < MAX_DAMPING and not settled and math.isfinite(now.cost):
@@ -127,8 +129,24 @@ class Problem:
                 continue
             settled = now.cost - then.cost < NEGLIGIBLE and damping <= FIRST_DAMPING
             (c, p), now = trial, then
+            if self._narrow_gates():
+                settled, now = False, self.linearised(c, p, soft)
             damping = max(damping / 8.0, LEAST_DAMPING)
         return PivotFit(c, p, now.cost, *now.chi2, now.outliers, now.strain, count, settled)
+
+    def _open_gates(self, c: FloatArray, p: FloatArray, soft: Softening) -> None:
+        """Set the gates by how far all residuals are now."""
+        for kernel in self._kernels:
+            kernel.gate = math.inf
+        self.linearised(c, p, soft)
+        self._narrow_gates()
+
+    def _narrow_gates(self) -> bool:
+        """Let outliers be what stands out now, where that has become much less; else no cost would compare."""
+        narrower = [kernel for kernel in self._kernels if kernel.wanted < NARROWER * kernel.gate]
+        for kernel in narrower:
+            kernel.gate = kernel.wanted
+        return bool(narrower)
 
     def _splines_again(
         self, then: _Normal, trial: tuple[FloatArray, FloatArray], soft: Softening
@@ -206,6 +224,7 @@ class Problem:
 
     def covariance(self, fit: PivotFit) -> FloatArray:
         """Of the constants; raises LinAlgError where the fit is no minimum."""
+        self._open_gates(fit.c, fit.p, SHARP)
         now = self.linearised(fit.c, fit.p)
         if not math.isfinite(now.cost):
             raise np.linalg.LinAlgError("the fit is beyond all numbers")
@@ -225,6 +244,7 @@ class _Kernel:
 
     def __init__(self, library: Library, name: str, rows: Rows, p: FloatArray):
         self.rows = rows
+        self.gate = self.wanted = GATE
         n = len(rows.t)
         size = -(-max(n, 1) // BATCH) * BATCH
         self._motion, inputs = np.zeros((size, MOTION)), np.zeros((size, rows.inputs.shape[1]))
@@ -257,7 +277,10 @@ class _Kernel:
         residual = rows.value - self.predicted(motion)
         variance = rows.variance * soft**2
         nis = residual**2 / variance
-        gate = GATE * max(1.0, float(np.median(nis)) / 0.455)
+        # far from the answer all residuals are large: only what stands out from the others is an outlier
+        spread = float(np.median(nis)) / 0.455
+        self.wanted = GATE * spread if spread > WIDE else GATE
+        gate = self.gate
         outlier = nis > gate
         root = np.sqrt(np.where(outlier, gate / np.maximum(nis, gate), 1.0) / variance)
         cost = float(np.where(outlier, gate * (1.0 + np.log(np.maximum(nis, gate) / gate)), nis).sum())

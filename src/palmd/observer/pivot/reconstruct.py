@@ -14,12 +14,12 @@ import numpy.typing as npt
 from palmd.blas import one_thread
 from palmd.events import FloatArray, PadSample
 from palmd.model import shape
-from palmd.model.pivot import ORDER, P, library
-from palmd.observer.noise import scattered
+from palmd.model.pivot import ORDER, P, U, library
+from palmd.observer.noise import LEAST_READINGS, scattered
 from palmd.observer.outline import directions, gauge_free_sd, touched_by
-from palmd.observer.pivot.fit import SHARP, PivotFit, Problem, Softening, with_forces_of
+from palmd.observer.pivot.fit import MAX_ITERATIONS, SHARP, PivotFit, Problem, Softening, with_forces_of
 from palmd.observer.pivot.record import Record, TooLittleError, arm_motion, lay_out
-from palmd.observer.pivot.starts import Start, believed, float_starts, rigid_starts, side_of
+from palmd.observer.pivot.starts import believed, float_starts, rigid_starts, side_of
 from palmd.system.pivot import PivotEvent, PivotRig, normal_of
 
 STAGES = {
@@ -27,10 +27,13 @@ STAGES = {
     "float": (Softening(2.0, 8.0, 2.0, 20.0), Softening(1.0, 2.0, 1.0, 3.0), SHARP),
 }
 EARLY_ITERATIONS = 25
-LEAST_LIFT_M = 5e-4  # of the pivot, below which nothing is told of the outline
+# Of a rigid gripper's height, and of a slide's way over the pad, below which nothing is told of the outline.
+LEAST_LIFT_M, LEAST_WAY_M = 5e-4, 3e-3
 DOUBT = 9.0  # of cost, up to which a rival makes the answer ambiguous
+SAME_RAD = 3e-3  # of the orientation, within which two fits are one
 SAME_M = 3e-5  # RMS by which outlines of one body may differ
-SHARP_M = 1.5e-4  # RMS of the outline's one-sigma where touched, above which there is no outline to speak of
+# RMS of the outline's one-sigma where touched, were the rig known, above which there is no outline to speak of.
+SHARP_M = 1.5e-4
 MOST_OUTLIERS = 0.2
 CHI2_SIGMAS, CHI2_SLACK = 4.0, 0.03
 FORCE_SLACK = 0.15  # the forces' noise is told to no more than this
@@ -88,12 +91,15 @@ def reconstruct(events: Sequence[PivotEvent], rig: PivotRig) -> PivotReconstruct
         answer = _answer(problem, fits)
     except TooLittleError as error:
         return _nothing(str(error), begun)
+    except np.linalg.LinAlgError:
+        return _nothing("no motion of a body was found that explains the readings", begun)
     return replace(answer, seconds=time.perf_counter() - begun)
 
 
 def _with_scatter(rig: PivotRig, events: Sequence[PivotEvent]) -> PivotRig:
-    samples = [each for each in events if isinstance(each, PadSample)]
-    return replace(rig, pad=scattered(rig.pad, samples))
+    at = {each.t_sample: each for each in events if isinstance(each, PadSample)}
+    samples = [at[t] for t in sorted(at)]
+    return replace(rig, pad=scattered(rig.pad, samples)) if len(samples) >= LEAST_READINGS else rig
 
 
 def _worth_a_fit(record: Record) -> None:
@@ -101,8 +107,10 @@ def _worth_a_fit(record: Record) -> None:
     z = record.heights.value
     if z.min() <= 0.0:
         raise TooLittleError(f"the pivot would be {-z.min() * 1e3:.1f} mm below the pad's surface: z contradicts it")
-    lift = float(np.percentile(z, 98) - np.percentile(z, 2))
-    if lift < LEAST_LIFT_M:
+    lift, way = (float(np.percentile(each, 98) - np.percentile(each, 2)) for each in (z, record.heights.inputs[:, U.X]))
+    if record.rig.vertical == "float" and way < LEAST_WAY_M:
+        raise TooLittleError(f"the arm hardly moves ({way * 1e3:.2f} mm): nothing rolls, and nothing is told")
+    if record.rig.vertical == "rigid" and lift < LEAST_LIFT_M:
         raise TooLittleError(
             f"the pivot's height hardly changes ({lift * 1e3:.2f} mm): dragging alone tells nothing of the outline"
         )
@@ -118,24 +126,29 @@ def _fitted(record: Record) -> tuple[list[PivotFit], Problem]:
         starts = rigid_starts(record, known, sides)
     else:
         starts = float_starts(record, known)
-    fits = [_from(problem, start) for start in starts]
-    fits = sorted((fit for fit in fits if math.isfinite(fit.cost)), key=lambda fit: fit.cost)
+    fits = _distinct([_refined(problem, start.c, start.p, STAGES[record.rig.vertical][:-1]) for start in starts])
+    fits = _distinct([_refined(problem, fit.c, fit.p, (SHARP,)) for fit in fits])
     if not fits:
         raise TooLittleError("no motion of a body was found that explains the readings")
     problem = with_forces_of(problem, kernels, fits[0])
-    fits = [problem.fit(fit.c, fit.p) for fit in fits]
-    return sorted(fits, key=lambda fit: fit.cost), problem
+    return _distinct([problem.fit(fit.c, fit.p) for fit in fits]), problem
 
 
-def _from(problem: Problem, start: Start) -> PivotFit:
-    c, p = start.c, start.p
-    stages = STAGES[problem.record.rig.vertical]
-    for soft in stages[:-1]:
-        early = problem.fit(c, p, soft, EARLY_ITERATIONS)
-        if not math.isfinite(early.cost):
-            return early
-        c, p = early.c, early.p
-    return problem.fit(c, p, stages[-1])
+def _refined(problem: Problem, c: FloatArray, p: FloatArray, stages: Sequence[Softening]) -> PivotFit:
+    """The minimum at the end of these stages, each from that of the one before."""
+    fit = problem.fit(c, p, stages[0], EARLY_ITERATIONS if stages[0] is not SHARP else MAX_ITERATIONS)
+    if len(stages) == 1 or not math.isfinite(fit.cost):
+        return fit
+    return _refined(problem, fit.c, fit.p, stages[1:])
+
+
+def _distinct(fits: Sequence[PivotFit]) -> list[PivotFit]:
+    """The minima, the best first, each once."""
+    kept: list[PivotFit] = []
+    for fit in sorted((fit for fit in fits if math.isfinite(fit.cost)), key=lambda fit: fit.cost):
+        if all(float(np.abs(fit.c - other.c).max()) > SAME_RAD for other in kept):
+            kept.append(fit)
+    return kept
 
 
 def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:
@@ -155,7 +168,10 @@ def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:
         raise TooLittleError("the fit is not a minimum") from None
     own = covariance[P.SHAPE :, P.SHAPE :]
     h_sd = gauge_free_sd(theta, theta[touched], coefficients, own)
+    told = gauge_free_sd(theta, theta[touched], coefficients, _given_the_rig(covariance))
     reason = _doubt(record, best, fits[1:], theta, h, h_sd, touched)
+    if not reason and float(np.sqrt(np.mean(told[touched] ** 2))) > SHARP_M:
+        reason = "the readings tell too little of the outline"
     p = best.p
     sd = np.sqrt(np.diagonal(covariance))
     mu, mu_sd = _ratio_of(covariance, [P.DRAG, P.SATURATION], p, lambda q: q[0] / math.sqrt(q[1]))
@@ -179,6 +195,16 @@ def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:
     )  # fmt: skip
 
 
+def _given_the_rig(covariance: FloatArray) -> FloatArray:
+    """Of the outline's coefficients, were the rig's constants known."""
+    rig, outline = slice(P.ZERO, P.SHAPE), slice(P.SHAPE, None)
+    across = covariance[rig, outline]
+    scale = np.sqrt(np.diagonal(covariance)[rig])
+    solved = np.linalg.solve(covariance[rig, rig] / np.outer(scale, scale), across / scale[:, None])
+    own: FloatArray = covariance[outline, outline] - (across / scale[:, None]).T @ solved
+    return own
+
+
 def _unwound(c: FloatArray, record: Record) -> FloatArray:
     """The splines, each by whole turns as near as can be to the end of the one before."""
     c = c.copy()
@@ -199,8 +225,6 @@ def _doubt(
 ) -> str:
     """Why the best fit cannot be taken at its word; empty when it can."""
     rig = record.rig
-    if not best.settled:
-        return "the iteration has not settled"
     readings, forces = len(record.readings.t), len(record.forces.t)
     fine = [
         best.chi2 < 1.0 + CHI2_SLACK + CHI2_SIGMAS * math.sqrt(2.0 / readings),
@@ -210,7 +234,9 @@ def _doubt(
     ]
     if not all(fine):
         told = f"chi2 {best.chi2:.2f}, of the heights {best.height_chi2:.2f}, of the forces {best.force_chi2:.2f}"
-        return f"z and force contradict the readings, or the body does not move as one: {told}"
+        return f"z or force contradict the readings, or the body does not move as one rigid body: {told}"
+    if not best.settled:
+        return "the iteration has not settled"
     if best.outliers > MOST_OUTLIERS:
         return f"{best.outliers:.0%} of the readings are outliers"
     if (h + FAR_OFF_PIVOT * h_sd < 0.0).any():
@@ -223,8 +249,6 @@ def _doubt(
             return "only one side of the dead centre was touched: touch it on both, and the force tells how they belong"
         if not forces:
             return "the pad gives no force: nothing tells how the sides of the dead centre belong together"
-    if float(np.sqrt(np.mean(h_sd[touched] ** 2))) > SHARP_M:
-        return "the readings tell too little of the outline"
     curvature = shape.basis(theta, ORDER) @ (best.p[P.SHAPE :] * (1 - shape.harmonic_of_coefficient(ORDER) ** 2))
     if curvature[touched].min() < -HOLLOW_M:
         return "only a hollow outline explains the readings"

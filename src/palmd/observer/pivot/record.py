@@ -124,7 +124,7 @@ def arm_motion(events: Sequence[PivotEvent], rig: PivotRig) -> ArmMotion:
         raise TooLittleError("the arm hardly reports where the pivot is")
     t, x = np.array([(each.t_sample, each.x) for each in ordered]).T
     heights = [each.z for each in ordered if each.z is not None]
-    if len(heights) < len(ordered):
+    if len(heights) < len(ordered) or not rig.z_measured:
         raise TooLittleError("the pivot's height is not measured: without it the size of the outline stays open")
     z = np.array(heights)
     noise = rig.arm_noise

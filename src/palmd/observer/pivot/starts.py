@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
-from scipy.interpolate import BSpline, make_smoothing_spline
+from scipy.interpolate import BSpline
 from scipy.linalg import solveh_banded
 from scipy.sparse import csr_matrix
 
@@ -25,7 +25,11 @@ from palmd.observer.pivot.fit import CENTRE_SD_M, GYRATION, Known
 from palmd.observer.pivot.record import Record, Touch
 from palmd.system.pivot import PivotRig
 
-POINTS = 150  # of each touch, that starts are judged by
+ROLLS = 4  # rounds of roll and outline
+# One-sigma of a roll's rate, as a share of that without slip and at least (rad/s), and of a height's rate (m/s).
+ROLL_SD, LEAST_RATE_SD, HEIGHT_RATE_SD = 0.3, 0.1, 5e-4
+FELT_S = 0.05  # of a spline's cells through what a slide feels
+POINTS = 100  # of each touch, that starts are judged by
 LEAST_LEVER_M = 3e-4  # of e, for dz/e
 ROTATIONS = 120
 BEAMS = 5
@@ -104,7 +108,7 @@ def side_of(record: Record, touch: Touch) -> Side:
     mine = (rows.t >= touch.begin) & (rows.t <= touch.end)
     u = rows.inputs[mine]
     z, e = u[:, U.Z], rows.value[mine] - u[:, U.X]
-    curve = _curve(z, e, math.sqrt(record.rig.pad.reading_variance))
+    curve = _curve(z, e, math.sqrt(record.rig.pad.reading_variance), float(np.ptp(z)) / 14)
     side = float(np.sign(np.median(e))) or 1.0
     grid = np.linspace(z.min(), z.max(), 400)
     lever = side * np.maximum(side * curve(grid), LEAST_LEVER_M)
@@ -128,20 +132,21 @@ def side_of(record: Record, touch: Touch) -> Side:
     return Side(touch, t, theta, at, e_at, rate, second, u[index], force, force_sd, side, scatter)
 
 
-def _curve(z: FloatArray, e: FloatArray, noise: float) -> BSpline:
-    """e(z) through readings with outliers: a penalised cubic spline, its weights those of Huber."""
-    low, high = float(z.min()), float(z.max())
-    cells = 14
+def _curve(x: FloatArray, y: FloatArray, noise: float, cell: float) -> BSpline:
+    """y(x) through readings with outliers: a penalised cubic spline of such cells, its weights those of Huber."""
+    low, high = float(x.min()), float(x.max())
+    cells = max(math.ceil((high - low) / max(cell, 1e-9)), 1)
     step = max(high - low, 1e-9) / cells
     knots = low + step * np.arange(-3, cells + 4)
-    A = BSpline.design_matrix(np.clip(z, low, high - 1e-12), knots, 3, extrapolate=True).toarray()
+    A = BSpline.design_matrix(np.clip(x, low, high - 1e-12), knots, 3, extrapolate=True).toarray()
     bend = np.diff(np.eye(cells + 3), 3, axis=0)
-    weight = np.ones(len(z))
-    coefficients = np.full(cells + 3, float(np.median(e)))
+    stiff = 0.5 * bend.T @ bend + 1e-9 * np.eye(cells + 3)
+    weight = np.ones(len(x))
+    coefficients = np.full(cells + 3, float(np.median(y)))
     for _ in range(6):
         W = A * weight[:, None]
-        coefficients = np.linalg.solve(W.T @ A + 0.5 * bend.T @ bend + 1e-9 * np.eye(cells + 3), W.T @ e)
-        off = np.abs(e - A @ coefficients)
+        coefficients = np.linalg.solve(W.T @ A + stiff, W.T @ y)
+        off = np.abs(y - A @ coefficients)
         scale = max(noise, 1.4826 * float(np.median(off)))
         weight = np.minimum(1.0, 2.0 * scale / np.maximum(off, 1e-12)) ** 2
     return BSpline(knots, coefficients, 3, extrapolate=True)
@@ -163,19 +168,29 @@ def rigid_starts(record: Record, known: Known, sides: Sequence[Side]) -> list[St
         found: list[tuple[float, tuple[float, ...]]] = []
         for _, turns in beams:
             angles = np.linspace(0.0, math.tau, ROTATIONS, endpoint=False)
-            costs = np.array([_judged(ordered[:count], (*turns, a), known)[0] for a in angles])
+            # two sides meet nowhere, and the force says the most of how they belong; more of one side overlap
+            judge = _judged if count == 2 else _joined
+            costs = np.array([judge(ordered[:count], (*turns, a), known)[0] for a in angles])
             lowest = np.flatnonzero((costs < np.roll(costs, 1)) & (costs <= np.roll(costs, -1)))
-            found += [(float(costs[i]), (*turns, float(angles[i]))) for i in lowest]
+            lowest = lowest[np.argsort(costs[lowest])][:BEAMS]
+            tried = [(*turns, float(angles[i])) for i in lowest]
+            found += [(_judged(ordered[:count], each, known)[0], each) for each in tried]
         beams = sorted(found)[:BEAMS]
     return [_rigid_start(record, ordered, turns, known) for _, turns in beams]
+
+
+def _joined(sides: Sequence[Side], turns: Sequence[float], known: Known) -> tuple[float, FloatArray]:
+    """(the cost of the outline alone of sides so turned, its coefficients)."""
+    theta = np.concatenate([side.theta + turn for side, turn in zip(sides, turns, strict=True)])
+    h, e = (np.concatenate([getattr(side, name) for side in sides]) for name in "he")
+    return outline_through(theta, h, e, known)
 
 
 def _judged(sides: Sequence[Side], turns: Sequence[float], known: Known) -> tuple[float, FloatArray]:
     """(the cost of sides so turned, the constants that fit them best)."""
     theta = np.concatenate([side.theta + turn for side, turn in zip(sides, turns, strict=True)])
-    h, e = (np.concatenate([getattr(side, name) for side in sides]) for name in "he")
     p = known.mean.copy()
-    cost, p[P.SHAPE :] = outline_through(theta, h, e, known)
+    cost, p[P.SHAPE :] = _joined(sides, turns, known)
     force, p[: P.SHAPE] = _weighed(sides, theta, known)
     middle = p[P.SHAPE + 1 : P.SHAPE + 3]
     far = float(np.hypot(*middle))
@@ -293,11 +308,12 @@ def float_starts(record: Record, known: Known) -> list[Start]:
 
 @dataclass(frozen=True, slots=True)
 class _Felt:
-    """A touch on an even grid: time, height, lever and speed of the arm."""
+    """A touch on an even grid: time, height and its rate, lever, and speed of the arm."""
 
     touch: Touch
     t: FloatArray
     z: FloatArray
+    vz: FloatArray
     e: FloatArray
     vx: FloatArray
 
@@ -309,9 +325,10 @@ def _felt(record: Record, touch: Touch) -> _Felt:
         mine = (rows.t >= touch.begin) & (rows.t <= touch.end)
         value = rows.value[mine] - (rows.inputs[mine, U.X] if own else 0.0)
         value = _without_outliers(value, math.sqrt(float(rows.variance[mine].mean())))
-        smooth.append(make_smoothing_spline(rows.t[mine], value)(t))
+        smooth.append(_curve(rows.t[mine], value, math.sqrt(float(rows.variance[mine].mean())), FELT_S))
     x = np.interp(t, record.readings.t, record.readings.inputs[:, U.VX])
-    return _Felt(touch, t, smooth[0], smooth[1], x)
+    height, lever = smooth
+    return _Felt(touch, t, height(t), height(t, 1), lever(t), x)
 
 
 def _without_outliers(values: FloatArray, noise: float) -> FloatArray:
@@ -326,17 +343,33 @@ def _without_outliers(values: FloatArray, noise: float) -> FloatArray:
 
 
 def _rolled(record: Record, felt: Sequence[_Felt], known: Known, mu: float, dither: float) -> Start:
-    paths = []
-    for each in felt:
-        share = np.clip(each.e / (mu * each.z), -0.97, 0.97)  # of friction, that the lever needs
-        slip = dither * share / np.sqrt(1 - share**2)
-        theta = cumulative_trapezoid((each.vx - slip) / each.z, each.t, initial=0.0)
-        paths.append((each.touch, each.t, theta))
-    theta, h, e = (np.concatenate(parts) for parts in ([p[2] for p in paths], [f.z for f in felt], [f.e for f in felt]))
+    """The roll with this friction; how far the body's weight is off the pivot comes from the outline so far."""
+    z, e = np.concatenate([each.z for each in felt]), np.concatenate([each.e for each in felt])
     p = known.mean.copy()
-    cost, p[P.SHAPE :] = outline_through(theta, h, e, known)
     p[P.DRAG], p[P.SATURATION] = mu / dither, 1 / dither**2
-    middle = p[P.SHAPE + 1 : P.SHAPE + 3]
-    p[P.MOMENT : P.MOMENT + 2] = p[P.MASS] * middle
-    p[P.INERTIA] = p[P.MASS] * ((GYRATION * p[P.SHAPE]) ** 2 + middle @ middle)
-    return _from_paths(record, paths, p, cost)
+    ends = np.cumsum([len(each.t) for each in felt])[:-1]
+    weight = p[P.MASS] / (p[P.MASS] + record.rig.carriage_mass)
+    off = np.zeros(len(e))  # from the pivot to the centre of mass along the pad
+    best: Start | None = None
+    for _ in range(ROLLS):
+        paths = []
+        for each, own in zip(felt, np.split(off, ends), strict=True):
+            share = np.clip((each.e - weight * own) / (mu * each.z), -0.97, 0.97)  # of friction, that the lever needs
+            slip = dither * share / np.sqrt(1 - share**2)
+            rolled = (each.vx - slip) / each.z
+            # where the lever is long the height tells the rate too: dz = e dθ
+            sure = (ROLL_SD * np.abs(each.vx) / each.z + LEAST_RATE_SD) ** 2 / HEIGHT_RATE_SD**2
+            rate = (rolled + sure * each.e * each.vz) / (1 + sure * each.e**2)
+            theta = cumulative_trapezoid(rate, each.t, initial=0.0)
+            paths.append((each.touch, each.t, theta))
+        theta = np.concatenate([path[2] for path in paths])
+        cost, p[P.SHAPE :] = outline_through(theta, z, e, known)
+        middle = p[P.SHAPE + 1 : P.SHAPE + 3]
+        off = -np.sin(theta) * middle[0] + np.cos(theta) * middle[1]
+        if best is None or cost < best.cost:
+            p[P.MOMENT : P.MOMENT + 2] = p[P.MASS] * middle
+            p[P.INERTIA] = p[P.MASS] * ((GYRATION * p[P.SHAPE]) ** 2 + middle @ middle)
+            best = _from_paths(record, paths, p, cost)
+    if best is None:
+        raise ValueError("no roll was tried")
+    return best

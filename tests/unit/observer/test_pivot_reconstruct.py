@@ -1,0 +1,196 @@
+"""Reconstruction of a pivoting grasp: what it forgives, what it refuses and in which words; paths, splines, starts."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from palmd.events import PadSample
+from palmd.model.pivot import P
+from palmd.observer.pivot.arm_path import axis_path
+from palmd.observer.pivot.reconstruct import reconstruct
+from palmd.observer.pivot.record import Touch, arm_motion, lay_out
+from palmd.observer.pivot.starts import believed, outline_through, rigid_starts, side_of, turned
+from palmd.record.systems.pivot import PivotForm
+from palmd.rig.pivot import PivotImperfections, simulate_pivot_log
+from palmd.score import score_outline
+from palmd.system.pivot import GripperSample
+
+SEED = 3
+
+
+def events_of(lines):
+    form = PivotForm()
+    rig = form.rig(lines[0]["rig"])
+    found = [event for line in lines[1:] for event in form.events(line["t"], line, rig)]
+    return rig, [event for event in found if event is not None]
+
+
+@pytest.fixture(scope="module")
+def tilt():
+    lines, truth = simulate_pivot_log("tilt", SEED)
+    return *events_of(lines), truth
+
+
+@pytest.fixture(scope="module")
+def slide():
+    lines, truth = simulate_pivot_log("float", SEED)
+    return *events_of(lines), truth
+
+
+def arms(events, change):
+    return [change(each) if isinstance(each, GripperSample) else each for each in events]
+
+
+def pads(events, change):
+    return [change(each) if isinstance(each, PadSample) else each for each in events]
+
+
+def error_of(answer, truth):
+    assert answer.converged, answer.reason
+    return score_outline(answer.theta, answer.h, answer.touched, np.array(truth["hP_m"])).e_h
+
+
+# ------------------------------------------------------------------------------------------------- what is forgiven
+
+
+@pytest.mark.parametrize(
+    "off", [PivotImperfections(outliers=0.1), PivotImperfections(gaps=4), PivotImperfections(noise=2.0)], ids=repr
+)
+def test_spoilt_readings_spoil_no_outline(off):
+    lines, truth = simulate_pivot_log("tilt", SEED, off=off)
+    assert error_of(reconstruct(events_of(lines)[1], events_of(lines)[0]), truth) < 6e-5
+
+
+def test_without_a_plan_the_positions_do(tilt):
+    rig, events, truth = tilt
+    bare = arms(events, lambda arm: replace(arm, vx=None, ax=None, vz=None, az=None))
+    assert error_of(reconstruct(bare, rig), truth) < 6e-5
+
+
+def test_bands_are_wider_on_a_rig_that_is_known_less_well(tilt):
+    rig, events, truth = tilt
+    sure = reconstruct(events, rig)
+    doubting = reconstruct(events, rig.known_to({"standoff_sd": 2e-4}))
+    assert error_of(doubting, truth) < 6e-5
+    wider = np.median(doubting.h_sd[doubting.touched]) / np.median(sure.h_sd[sure.touched])
+    assert wider > 4.0
+    assert np.median(doubting.h_sd[doubting.touched]) == pytest.approx(2e-4, rel=0.2)
+
+
+# --------------------------------------------------------------------------------------------------- what is refused
+
+
+def refused(events, rig):
+    answer = reconstruct(events, rig)
+    assert not answer.converged
+    assert answer.h is answer.h_sd is answer.touched is None
+    return answer.reason
+
+
+def test_one_side_of_the_dead_centre_is_no_shape(tilt):
+    rig, events, _ = tilt
+    first = [event for event in events if event.t_sample < 5.4]
+    assert refused(first, rig).startswith("only one side of the dead centre was touched")
+
+
+def test_a_constant_height_tells_nothing(tilt):
+    rig, events, _ = tilt
+    flat = arms(events, lambda arm: replace(arm, z=0.02, vz=0.0, az=0.0))
+    assert "the pivot's height hardly changes (0.00 mm)" in refused(flat, rig)
+
+
+def test_heights_that_contradict_the_readings(tilt, slide):
+    rig, events, _ = tilt
+    mirrored = arms(events, lambda arm: replace(arm, z=0.045 - arm.z, vz=-arm.vz, az=-arm.az))
+    assert "contradict the readings" in refused(mirrored, rig)
+    deep = arms(events, lambda arm: replace(arm, z=arm.z - 0.03))
+    assert refused(deep, rig).startswith("the pivot would be ")
+    rig, events, _ = slide
+    higher = arms(events, lambda arm: replace(arm, z=arm.z + 0.008))
+    assert "contradict the readings" in refused(higher, rig)  # a body that rolls knows its radius
+
+
+def test_without_force_the_sides_do_not_belong_together(tilt):
+    rig, events, _ = tilt
+    assert refused(pads(events, lambda pad: replace(pad, force=None)), rig).startswith("the pad gives no force")
+
+
+def test_two_objects_are_not_one(tilt):
+    rig, events, _ = tilt
+    other = events_of(simulate_pivot_log("tilt", SEED + 1)[0])[1]
+    both = [each for each in events if each.t_sample < 6.0] + [each for each in other if each.t_sample >= 6.0]
+    assert refused(both, rig)
+
+
+def test_what_is_missing_is_said(tilt, slide):
+    rig, events, _ = tilt
+    assert refused([each for each in events if isinstance(each, PadSample)], rig).startswith("the arm hardly reports")
+    assert refused([each for each in events if isinstance(each, GripperSample)], rig).startswith("the pad is nowhere")
+    rig, events, _ = slide
+    unmeasured = arms(events, lambda arm: replace(arm, z=None))
+    for told in (refused(unmeasured, rig), refused(events, replace(rig, z_measured=False))):
+        assert told.startswith("the pivot's height is not measured")
+    still = arms(events, lambda arm: replace(arm, x=0.02, vx=0.0, ax=0.0))
+    assert refused(still, rig).startswith("the arm hardly moves")
+
+
+# ------------------------------------------------------------------------------------------------------- the parts
+
+
+def test_a_path_follows_its_plan_and_shifts_where_the_arm_was_silent():
+    t = np.arange(0.0, 6.0, 0.016)
+    t = t[(t < 2.0) | (t > 3.0)]
+    true = 0.02 + 0.01 * np.sin(t)
+    rng = np.random.default_rng(0)
+    path = axis_path(t, true + rng.normal(0, 2e-5, len(t)), list(0.01 * np.cos(t)), list(-0.01 * np.sin(t)), 2e-5)
+    at = np.linspace(0.1, 1.9, 50)
+    assert np.abs(path.at(at)[0] - 0.02 - 0.01 * np.sin(at)).max() < 8e-6
+    at = np.linspace(3.1, 5.9, 50)
+    assert np.abs(path.at(at)[0] - 0.02 - 0.01 * np.sin(at)).max() < 8e-6
+    assert np.abs(path.at(at)[2] + 0.01 * np.sin(at)).max() < 1e-5
+
+
+def test_a_touchs_spline_gives_a_cubic_and_its_rates():
+    touch = Touch(1.0, 3.0, 5, 13)
+    knots = 1.0 + touch.spacing * (np.arange(13) - 1)
+    c = np.zeros(18)
+    c[touch.coefficients] = 2.0 + 3.0 * knots  # splines give straight lines exactly
+    t = np.linspace(1.0, 3.0, 7)
+    first, weights = touch.taps(t)
+    psi, omega, alpha = np.einsum("nqk,nk->qn", weights, c[first[:, None] + np.arange(4)])
+    assert psi == pytest.approx(2.0 + 3.0 * t)
+    assert omega == pytest.approx(3.0)
+    assert alpha == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_side_is_known_from_its_readings_alone(tilt):
+    rig, events, truth = tilt
+    record = lay_out(events, arm_motion(events, rig), rig)
+    side = side_of(record, record.touches[0])
+    psi = np.interp(side.t, truth["t"], truth["psi_rad"])
+    off = side.theta + psi
+    assert np.abs(off - np.median(off)).max() < 0.05
+    assert side.side == np.sign(truth["e_m"][10])
+    cost, coefficients = outline_through(side.theta, side.h, side.e, believed(record))
+    assert cost < 300.0
+    assert 0.01 < coefficients[0] < 0.03
+
+
+def test_the_best_start_has_the_sides_turned_aright(tilt):
+    rig, events, truth = tilt
+    record = lay_out(events, arm_motion(events, rig), rig)
+    known = believed(record)
+    start = rigid_starts(record, known, [side_of(record, touch) for touch in record.touches])[0]
+    psi = record.motion(start.c, record.readings)[:, 0]
+    off = (psi - np.interp(record.readings.t, truth["t"], truth["psi_rad"]) + math.pi) % math.tau - math.pi
+    assert np.percentile(np.abs(off), 90) < 0.15
+
+
+def test_a_body_turned_is_the_same_body():
+    p = np.zeros(P.SHAPE + 21)
+    p[P.SHAPE], p[P.SHAPE + 1], p[P.MOMENT] = 0.02, 0.005, 1e-3  # middle and centre of mass lie the same way
+    there = turned(p, 0.7)
+    assert there[P.SHAPE + 1 : P.SHAPE + 3] * 0.2 == pytest.approx(there[P.MOMENT : P.MOMENT + 2])
+    assert turned(there, -0.7) == pytest.approx(p)
