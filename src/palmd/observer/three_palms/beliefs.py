@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +23,7 @@ DAMPING_SD = 3e-4  # m²/s
 MU, MU_SD = 0.1, 0.1
 DITHER_M_S, LN_DITHER_SD = 0.01, 0.4
 SPIN_SD = 3.0  # at the beginning (rad/s)
+REST_SPIN_SD = 0.02  # where it is seen to rest
 GYRATION = 0.62  # a body's radius of gyration, in radii
 FRICTIONLESS = 1e-3
 
@@ -43,14 +44,22 @@ def beyond_variance(radius: float, order: int) -> float:
     return float(((radius * ELLIPSE_SD) ** 2 * (2.0 / degree) ** (2 * FALL)).sum())
 
 
-def prior(radius: float, order: int) -> Prior:
-    """Of a body whose contacts suggest this radius (m)."""
+def prior(radius: float, order: int, spin_sd: float) -> Prior:
+    """Of a body whose contacts suggest this radius (m), with this one-sigma of its first spin (rad/s)."""
     mean = np.zeros(count(order) + BODY)
     mean[0] = radius / Y00
     mean[-2:] = MU, math.log(DITHER_M_S)
     body_sd = np.array([LAMBDA_SD] * 6 + [DAMPING_SD, MU_SD, LN_DITHER_SD])
     variance = np.concatenate([shape_variance(radius, order), body_sd**2])
-    return Prior(mean, np.diag(1.0 / variance), np.zeros(3), SPIN_SD)
+    return Prior(mean, np.diag(1.0 / variance), np.zeros(3), spin_sd)
+
+
+def with_inertia(prior: Prior, sd: float) -> Prior:
+    """The same belief, the inertia's λ taken to be known to `sd`."""
+    information = prior.information.copy()
+    index = np.arange(len(prior.mean) - BODY, len(prior.mean) - BODY + 6)
+    information[index, index] = sd**-2
+    return replace(prior, information=information)
 
 
 def raised(p: FloatArray, order: int) -> FloatArray:
@@ -66,19 +75,20 @@ class Hypothesis:
     larger: float
     mu: float
 
-    def belief(self, radius: float, centre: FloatArray, spin_sd: float) -> Belief:
-        """For a ball of this radius (m) through the first contacts, about this centre (m)."""
+    def belief(self, radius: float, centre: FloatArray, spin_sd: float, still: int) -> Belief:
+        """For a ball of this radius (m) through the first contacts, about this centre (m), at rest for `still` nodes."""
         own = radius * (1.0 + self.larger)
         return Belief(
             np.array([math.log(GYRATION * own), 1e-4, math.log(self.mu), math.log(DITHER_M_S), own]),
-            np.array([0.12, 2e-4, 0.5, LN_DITHER_SD, 0.06 * own]),
+            np.array([0.12, 2e-4, 0.5, LN_DITHER_SD, 0.03 * own]),
             np.concatenate([centre, np.zeros(3)]),
             np.array([5e-3] * 3 + [spin_sd] * 3),
+            max(still, 1),
         )
 
 
 def hypotheses() -> Iterator[Hypothesis]:
     """Those that are tried, the likelier first."""
-    for larger in (0.0, 0.1, 0.2, -0.1):
-        for mu in (0.1, 0.03, FRICTIONLESS):
+    for larger in (0.0, 0.12, -0.12):
+        for mu in (0.1, FRICTIONLESS):
             yield Hypothesis(larger, mu)

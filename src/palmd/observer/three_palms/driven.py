@@ -22,10 +22,13 @@ from palmd.system.three_palms import PALMS, contact_points
 
 ROUNDNESS = 3e-3
 """One-sigma of how far a contact is from where a ball's would be (m)."""
-TOGETHER_S = 0.2
+TOGETHER_S = 1.0
 """For about so long that stays what it is."""
 DRIFT = np.array([1e-8, 1.0])
 """Spectral density of what smoothed contacts make the equations fail by: of ṗ (m²/s), of ω̇ ((rad/s)²/s)."""
+PENALTIES = 10.0 ** np.arange(-8.0, -2.0)
+"""Of ∫f″² in a smoothed contact, of which the one is taken that foretells best (s³)."""
+TRIED = 600  # readings
 ITERATIONS = 25
 
 
@@ -42,7 +45,8 @@ class Contacts:
         for pad in range(len(PALMS)):
             mine = readings.pad == pad
             t, first = np.unique(readings.t[mine], return_index=True)
-            curves.append([make_smoothing_spline(t, readings.value[mine][first, k]) for k in range(2)])
+            value = readings.value[mine][first]
+            curves.append([_smooth(t, value[:, k]) for k in range(2)])
         return cls(tuple(tuple(pair) for pair in curves))  # type: ignore[arg-type]
 
     def at(self, path: JointPath, t: FloatArray) -> FloatArray:
@@ -58,18 +62,35 @@ class Contacts:
         return np.concatenate([points.reshape(-1, 9), moving.reshape(-1, 9)], axis=1)
 
 
+def _smooth(t: FloatArray, value: FloatArray) -> BSpline:
+    """The penalty is chosen on the middle of a long record: it does not depend on the length, and takes long to find."""
+    most = min(len(t), TRIED)
+    first = (len(t) - most) // 2
+    part = slice(first, first + most)
+    scores = [(_missed(t[part], value[part], lam), lam) for lam in PENALTIES]
+    return make_smoothing_spline(t, value, lam=min(scores)[1])
+
+
+def _missed(t: FloatArray, value: FloatArray, lam: float) -> float:
+    """How badly one half of the values is told by the other."""
+    odd = make_smoothing_spline(t[::2], value[::2], lam=lam)
+    even = make_smoothing_spline(t[1::2], value[1::2], lam=lam)
+    return float(((odd(t[1:-1:2]) - value[1:-1:2]) ** 2).sum() + ((even(t[2::2]) - value[2::2]) ** 2).sum())
+
+
 @dataclass(frozen=True, slots=True)
 class Belief:
     """What is believed of a ball-like body: mean and one-sigma of its constants, and of its state at the first node.
 
     The constants are ln ρ (ρ the radius of gyration, m), damping (m²/s), ln μ, ln u_d (ln m/s) and the radius (m); the
-    state is centre of mass (m) and spin (rad/s).
+    state is centre of mass (m) and spin (rad/s). still: at so many of the first nodes its spin is that of the first.
     """
 
     mean: FloatArray
     sd: FloatArray
     state: FloatArray
     state_sd: FloatArray
+    still: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,8 +198,10 @@ class _Problem:
         missed = (constants - self.belief.mean) / self.belief.sd
         arrow.corner += np.diag(self.belief.sd**-2.0)
         arrow.gradient += missed / self.belief.sd
-        begun = (state[0] - self.belief.state) / self.belief.state_sd
-        arrow.diagonal[0] += np.diag(self.belief.state_sd**-2.0)
-        arrow.nodes_gradient[0] += begun / self.belief.state_sd
+        still, sd = self.belief.still, np.tile(self.belief.state_sd, (self.belief.still, 1))
+        sd[1:, :3] = np.inf
+        begun = (state[:still] - self.belief.state) / sd
+        arrow.diagonal[:still] += np.eye(6) * (sd**-2.0)[:, None]
+        arrow.nodes_gradient[:still] += begun / sd
         cost = (r**2).sum() + round_weight**2 * (off**2).sum() + (missed**2).sum() + (begun**2).sum()
         return float(cost), arrow

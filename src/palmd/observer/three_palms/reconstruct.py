@@ -19,7 +19,7 @@ from palmd.observer.three_palms.driven import Contacts
 from palmd.observer.three_palms.icosphere import icosphere
 from palmd.observer.three_palms.path import JointPath
 from palmd.observer.three_palms.record import Readings
-from palmd.observer.three_palms.search import ORDER, Rival, Task, best, centres_of, inertia, rivals
+from palmd.observer.three_palms.search import ORDER, Rival, Task, best, centres_of, inertia
 from palmd.system.three_palms import PALMS, ThreePalmsRig
 
 LEAST_S = 2.5
@@ -70,20 +70,20 @@ def reconstruct(path: JointPath, readings: Readings, rig: ThreePalmsRig) -> Reco
         return _nothing(f"there are no {LEAST_S:g} s in which all three pads and the joints report", begun)
     inside = readings.within(start, end)
     task = Task(path, inside, Contacts.smoothed(inside), rig, start, end)
-    ended = best(task, rivals(task))
+    ended = best(task)
+    if not ended:
+        return _nothing("no motion of a body was found that explains the first readings", begun)
     return answer(task, ended, begun)
 
 
 def longest_stretch(path: JointPath, readings: Readings) -> tuple[float, float]:
     """(start, end) (s) of the longest time in which no pad is silent for long."""
-    breaks = [np.array([path.start, path.end])]
     silent: list[tuple[float, float]] = []
     for pad in range(len(PALMS)):
         t = readings.t[readings.pad == pad]
         t = np.concatenate([[path.start - 1.0], t[(t >= path.start) & (t <= path.end)], [path.end + 1.0]])
         gaps = np.flatnonzero(np.diff(t) > GAP_S)
         silent += [(float(t[k]), float(t[k + 1])) for k in gaps]
-    del breaks
     best_start, best_end, free = path.start, path.start, path.start
     for begin, over in [*sorted(silent), (path.end, math.inf)]:
         if min(begin, path.end) - free > best_end - best_start:

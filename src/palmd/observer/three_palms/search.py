@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,21 +16,26 @@ from palmd.observer.three_palms.kernels import by_columns
 from palmd.observer.three_palms.path import JointPath
 from palmd.observer.three_palms.record import Readings, Record, lay_out
 from palmd.observer.three_palms.smoother import Fit, Motion, Noise, Prior, Smoother, at_readings
-from palmd.system.three_palms import ThreePalmsRig
+from palmd.system.three_palms import PALMS, ThreePalmsRig
 
 START_ORDER = 6
 ORDER = 8
-START_S = 3.0
+STARTS_S = (2.0, 3.0, 1.5)
 SPACING_S = 0.02
 LOOSE = ((1.0, 0.1, 1e-5), (0.03, 0.03, 1e-6))
 """Strengths of the noise that a start is smoothed with first: of spin, by spin, of turn."""
+STIFF = 0.05  # one-sigma of λ meanwhile, lest the inertia explains what the motion does not yet
 ROUGH_M = 5e-4  # what readings may miss a first outline by
 KEPT = 3  # rivals that are grown
 GROWTH = 0.5
 LONGEST_STEP_S = 4.0
 SHORTEST_STEP_S = 0.2
+STILL_RAD_S, STILL_RAD = 0.04, 1e-3  # of the joints, below which a body that rested still rests
+LEAST_REST_S, LONGEST_REST_S = 0.12, 1.0
 TURN_A_STEP = 1.5  # rad
-LOST = 2.0  # cost per number read, above which a rival is given up
+LOST = 1.6  # cost per number read, above which a rival is given up
+HOPELESS = 2.5  # above which a start is not followed at all
+SURE = 1.1  # below which no other start is asked for
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,9 +55,41 @@ class Task:
         return lay_out(self.path, self.readings, self.start, intervals, SPACING_S)
 
     @property
+    def rest(self) -> int:
+        """At how many of the first nodes the body is seen to rest; 0 when it moves from the beginning."""
+        t = self.start + SPACING_S * np.arange(int(LONGEST_REST_S / SPACING_S) + 1)
+        turned = np.abs(self.path.angle(t) - self.path.angle(t[:1])).max(axis=1)
+        still = (np.abs(self.path.rate(t)).max(axis=1) < STILL_RAD_S) & (turned < STILL_RAD)
+        nodes = len(t) if still.all() else int(np.argmin(still))
+        until = self.readings.within(self.start, self.start + max(nodes * SPACING_S, LEAST_REST_S))
+        for pad in range(len(PALMS)):
+            value = until.value[until.pad == pad]
+            half = len(value) // 2
+            if half < 2:
+                return 0
+            moved = value[half:].mean(0) - value[:half].mean(0)
+            if (np.abs(moved) > 4 * self.noise.reading * math.sqrt(2 / half)).any():
+                return 0
+        return nodes
+
+    @property
+    def spin_sd(self) -> float:
+        """One-sigma of the first spin (rad/s)."""
+        return beliefs.REST_SPIN_SD if self.rest else beliefs.SPIN_SD
+
+    @property
     def noise(self) -> Noise:
         """Of the readings and of what the equations leave out."""
         return Noise(math.sqrt(self.rig.pad.reading_variance))
+
+
+    def reaches_end(self, record: Record) -> bool:
+        """Whether a record goes as far as there is anything."""
+        return bool(record.t[-1] > self.end - 2 * SPACING_S)
+
+    def rank(self, rival: Rival) -> tuple[float, float]:
+        """What rivals are sorted by."""
+        return -float(rival.record.t[-1]), rival.fit.cost
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +107,7 @@ class Rival:
         return self.fit.cost / (2 * len(self.record.readings.t))
 
 
-def rivals(task: Task, seconds: float = START_S) -> list[Rival]:
+def rivals(task: Task, seconds: float) -> list[Rival]:
     """What each hypothesis leads to in the first `seconds`, the cheapest first."""
     record = task.record(seconds)
     given = task.contacts.at(task.path, record.t)
@@ -79,15 +115,15 @@ def rivals(task: Task, seconds: float = START_S) -> list[Rival]:
     radius = float(np.median(radii))
     found = []
     for hypothesis in beliefs.hypotheses():
-        belief = hypothesis.belief(radius, centres[0], beliefs.SPIN_SD)
+        belief = hypothesis.belief(radius, centres[0], task.spin_sd, task.rest)
         driven = course(task.path, task.contacts, record.start, len(record.t) - 1, SPACING_S, belief, task.rig.gravity)
         own = radius * (1.0 + hypothesis.larger)
-        prior = beliefs.prior(own, START_ORDER)
+        prior = beliefs.prior(own, START_ORDER, task.spin_sd)
         motion = first_motion(record, driven, prior)
-        fit = None
+        stiff = beliefs.with_inertia(prior, STIFF)
         for spin, by_spin, turn in LOOSE:
             noise = replace(task.noise, spin=spin, by_spin=by_spin, turn=turn)
-            motion = Smoother(record, prior, noise, task.rig.gravity).fit(motion, 20).motion
+            motion = Smoother(record, stiff, noise, task.rig.gravity).fit(motion, 20).motion
         fit = Smoother(record, prior, task.noise, task.rig.gravity).fit(motion, 25)
         found.append(Rival(hypothesis, own, record, fit))
     return sorted(found, key=lambda each: each.fit.cost)
@@ -110,7 +146,7 @@ def first_motion(record: Record, driven: Course, prior: Prior) -> Motion:
 
 def grown(task: Task, rival: Rival) -> Rival:
     """The rival followed to the end of the record, or to where it is lost."""
-    prior = beliefs.prior(rival.radius, ORDER)
+    prior = beliefs.prior(rival.radius, ORDER, task.spin_sd)
     motion = replace(rival.fit.motion, p=beliefs.raised(rival.fit.motion.p, ORDER))
     record = rival.record
     fit = Smoother(record, prior, task.noise, task.rig.gravity).fit(motion, 15)
@@ -185,7 +221,13 @@ def harmonics(u: FloatArray, order: int) -> FloatArray:
     return evaluator(order)(u)[0]
 
 
-def best(task: Task, found: Sequence[Rival]) -> list[Rival]:
-    """The cheapest rivals grown to the end, those that got furthest first, then the cheapest."""
-    ended = [grown(task, each) for each in found[:KEPT]]
-    return sorted(ended, key=lambda each: (-len(each.record.t), each.fit.cost))
+def best(task: Task) -> list[Rival]:
+    """Rivals followed to the end or to where they are lost: who got furthest first, then the cheapest."""
+    ended: list[Rival] = []
+    for seconds in STARTS_S:
+        found = [each for each in rivals(task, seconds)[:KEPT] if each.per_number < HOPELESS]
+        for each in found:
+            ended.append(grown(task, each))
+            if ended[-1].per_number < SURE and task.reaches_end(ended[-1].record):
+                return sorted(ended, key=task.rank)
+    return sorted(ended, key=task.rank)
