@@ -20,19 +20,21 @@ from palmd.system.three_palms import PALMS, ThreePalmsRig
 
 START_ORDER = 6
 ORDER = 8
-STARTS_S = (2.0, 3.0, 1.5)
+STARTS_S = (2.0, 3.0)
 SPACING_S = 0.02
 LOOSE = ((1.0, 0.1, 1e-5), (0.03, 0.03, 1e-6))
 """Strengths of the noise that a start is smoothed with first: of spin, by spin, of turn."""
 STIFF = 0.05  # one-sigma of λ meanwhile, lest the inertia explains what the motion does not yet
 ROUGH_M = 5e-4  # what readings may miss a first outline by
-KEPT = 3  # rivals that are grown
+KEPT = 2  # rivals that are grown
 GROWTH = 0.5
 LONGEST_STEP_S = 4.0
 SHORTEST_STEP_S = 0.2
 STILL_RAD_S, STILL_RAD = 0.04, 1e-3  # of the joints, below which a body that rested still rests
 LEAST_REST_S, LONGEST_REST_S = 0.12, 1.0
 TURN_A_STEP = 1.5  # rad
+SHARES = (1.0, 0.3)  # of the usual growth, which are tried
+FOLLOWED = 1.15  # cost per number read, below which a rival has followed
 LOST = 1.6  # cost per number read, above which a rival is given up
 HOPELESS = 2.5  # above which a start is not followed at all
 SURE = 1.1  # below which no other start is asked for
@@ -121,8 +123,8 @@ def rivals(task: Task, seconds: float) -> list[Rival]:
         prior = beliefs.prior(own, START_ORDER, task.spin_sd)
         motion = first_motion(record, driven, prior)
         stiff = beliefs.with_inertia(prior, STIFF)
-        for spin, by_spin, turn in LOOSE:
-            noise = replace(task.noise, spin=spin, by_spin=by_spin, turn=turn)
+        for strengths in LOOSE:
+            noise = _loosened(task.noise, strengths)
             motion = Smoother(record, stiff, noise, task.rig.gravity).fit(motion, 20).motion
         fit = Smoother(record, prior, task.noise, task.rig.gravity).fit(motion, 25)
         found.append(Rival(hypothesis, own, record, fit))
@@ -153,17 +155,34 @@ def grown(task: Task, rival: Rival) -> Rival:
     now = Rival(rival.hypothesis, rival.radius, record, fit)
     total = len(task.record(task.end - task.start).t)
     while len(now.record.t) < total and now.per_number < LOST:
-        record, motion = _further(task, now, total)
-        fit = Smoother(record, prior, task.noise, task.rig.gravity).fit(motion, 8)
-        now = Rival(rival.hypothesis, rival.radius, record, fit)
+        now = _followed(task, now, prior, total)
     return now
 
 
-def _further(task: Task, now: Rival, total: int) -> tuple[Record, Motion]:
+def _followed(task: Task, now: Rival, prior: Prior, total: int) -> Rival:
+    """The rival on a longer record: by as much as it can follow, or by the least, lost."""
+    longer = now
+    for share in SHARES:
+        record, motion = _further(task, now, total, share)
+        for noise, iterations in ((_loosened(task.noise, LOOSE[-1]), 6), (task.noise, 20)):
+            fit = Smoother(record, prior, noise, task.rig.gravity).fit(motion, iterations)
+            motion = fit.motion
+        longer = Rival(now.hypothesis, now.radius, record, fit)
+        if longer.per_number < max(FOLLOWED, 1.1 * now.per_number):
+            break
+    return longer
+
+
+def _loosened(noise: Noise, strengths: tuple[float, float, float]) -> Noise:
+    spin, by_spin, turn = strengths
+    return replace(noise, spin=spin, by_spin=by_spin, turn=turn)
+
+
+def _further(task: Task, now: Rival, total: int, share: float) -> tuple[Record, Motion]:
     """A longer record, and the motion carried on in it as the contacts tell."""
     motion, record = now.fit.motion, now.record
     have = len(record.t) - 1
-    wanted = min(GROWTH * have * SPACING_S, LONGEST_STEP_S)
+    wanted = share * min(GROWTH * have * SPACING_S, LONGEST_STEP_S)
     more = min(max(round(wanted / SPACING_S), 1), total - 1 - have)
     p = motion.p
     radius = Y00 * p[0]
@@ -176,8 +195,8 @@ def _further(task: Task, now: Rival, total: int) -> tuple[Record, Motion]:
     )
     driven = course(task.path, task.contacts, float(record.t[-1]), more, SPACING_S, belief, task.rig.gravity)
     turned = np.cumsum(np.linalg.norm(driven.omega, axis=1)) * SPACING_S
-    within = int(np.searchsorted(turned, TURN_A_STEP))
-    more = min(more, max(within, round(SHORTEST_STEP_S / SPACING_S)))
+    within = int(np.searchsorted(turned, share * TURN_A_STEP))
+    more = min(more, max(within, round(share * SHORTEST_STEP_S / SPACING_S)))
     R = driven.rotations(motion.R[-1])[1 : more + 1]
     longer = lay_out(task.path, task.readings, task.start, have + more, SPACING_S)
     return longer, Motion(np.concatenate([motion.R, R]), np.concatenate([motion.omega, driven.omega[1 : more + 1]]), p)
