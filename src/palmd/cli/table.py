@@ -101,6 +101,7 @@ COMMANDS = (
     Command(
         "bench recognise", "lab.bench_recognise", "which of twenty similar objects lies on the palms, or none of them"
     ),
+    Command("bench space", "lab.bench_space", "bodies between three palms in space reconstructed blind, with seeds"),
     Command("bench parts", "lab.bench_parts", "what better or worse sensors and servos would do to the outline"),
     Command("bench peers", "lab.bench_peers", "palmd's estimators beside general-purpose ones"),
     Command(

@@ -11,7 +11,6 @@ Parameters p = (c_lm, λ, damping, μ, ln u_d): `count(order)` + `BODY`. The sec
 
 from __future__ import annotations
 
-
 from dataclasses import dataclass
 from functools import cache
 

@@ -302,7 +302,7 @@ def _float(rng: np.random.Generator, duration: float, off: PivotImperfections, o
         if k % 4 == 0:
             e = grasp.offset(psi)
             s = now[0] + e
-            if not (_LEAST_N < force and _MARGIN_M < s < _PAD_M - _MARGIN_M):
+            if not (force > _LEAST_N and _MARGIN_M < s < _PAD_M - _MARGIN_M):
                 return None
             rows.append((t, psi, omega, s, grasp.height(psi), e, force, 1.0))
         middle, end = x(t + STEP_S / 2), x(t + STEP_S)

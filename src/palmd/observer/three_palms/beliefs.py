@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.model.spherical import Y00, count, degrees
@@ -14,10 +15,14 @@ from palmd.model.three_palms import BODY
 from palmd.observer.three_palms.driven import Belief
 from palmd.observer.three_palms.smoother import Prior
 
+Bools = npt.NDArray[np.bool_]
+
 RADIUS_SD = 0.12  # of the radius that the contacts suggest, as a share
 CENTRE_SD = 0.07  # of the centre of mass from the middle, in radii
 ELLIPSE_SD = 0.08  # RMS over the sphere of all harmonics of degree 2, in radii
 FALL = 2.2  # with which power of the degree it falls from there
+BEYOND_8 = 2.5e-3  # RMS of all degrees above 8, in radii; a smooth body has less
+LEFT_WHERE_TOUCHED = 0.4
 LAMBDA_SD = 0.12
 DAMPING_SD = 3e-4  # m²/s
 MU, MU_SD = 0.1, 0.1
@@ -38,10 +43,14 @@ def shape_variance(radius: float, order: int) -> FloatArray:
     return variance
 
 
-def beyond_variance(radius: float, order: int) -> float:
-    """Of the outline's height at a point, from the degrees above `order` (m²)."""
-    degree = np.arange(order + 1.0, 60.0)
-    return float(((radius * ELLIPSE_SD) ** 2 * (2.0 / degree) ** (2 * FALL)).sum())
+def beyond_sd(radius: float, order: int, touched: Bools) -> FloatArray:
+    """(D,) one-sigma of the outline's height from the degrees above `order`, by whether a palm `touched` there (m).
+
+    Readings along a contact curve tell the sum of all degrees there, and leave of what is beyond only a share.
+    """
+    everywhere = BEYOND_8 * radius * (8.0 / order) ** (FALL + 0.5)
+    sd: FloatArray = np.where(touched, LEFT_WHERE_TOUCHED * everywhere, everywhere)
+    return sd
 
 
 def prior(radius: float, order: int, spin_sd: float) -> Prior:
@@ -70,13 +79,13 @@ def raised(p: FloatArray, order: int) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """What a start takes for granted: how much larger than a ball through its contacts the body is, and its friction."""
+    """What a start takes for granted: how much larger than a ball through its contacts it is, and its friction."""
 
     larger: float
     mu: float
 
     def belief(self, radius: float, centre: FloatArray, spin_sd: float, still: int) -> Belief:
-        """For a ball of this radius (m) through the first contacts, about this centre (m), at rest for `still` nodes."""
+        """For a ball of this radius (m) through its contacts, about this centre (m); at rest for `still` nodes."""
         own = radius * (1.0 + self.larger)
         return Belief(
             np.array([math.log(GYRATION * own), 1e-4, math.log(self.mu), math.log(DITHER_M_S), own]),

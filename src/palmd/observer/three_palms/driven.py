@@ -34,9 +34,9 @@ ITERATIONS = 25
 
 @dataclass(frozen=True, slots=True)
 class Contacts:
-    """Smoothed readings: one curve for each pad, t → (a, b) (m)."""
+    """Smoothed readings: for each pad the courses of a and b (m)."""
 
-    curves: tuple[BSpline, ...]
+    curves: tuple[tuple[BSpline, BSpline], ...]
 
     @classmethod
     def smoothed(cls, readings: Readings) -> Contacts:
@@ -46,16 +46,14 @@ class Contacts:
             mine = readings.pad == pad
             t, first = np.unique(readings.t[mine], return_index=True)
             value = readings.value[mine][first]
-            curves.append([_smooth(t, value[:, k]) for k in range(2)])
-        return cls(tuple(tuple(pair) for pair in curves))  # type: ignore[arg-type]
+            curves.append((_smooth(t, value[:, 0]), _smooth(t, value[:, 1])))
+        return cls(tuple(curves))
 
     def at(self, path: JointPath, t: FloatArray) -> FloatArray:
         """(T, 18) contact points (m, world) and their velocities, palm by palm."""
         palms = path.palms(t)
         a, b, a_rate, b_rate = (
-            np.stack([pair[k].derivative(n)(t) for pair in self.curves], axis=1)
-            for n in (0, 1)
-            for k in (0, 1)  # type: ignore[index]
+            np.stack([pair[k].derivative(n)(t) for pair in self.curves], axis=1) for n in (0, 1) for k in (0, 1)
         )
         points = contact_points(palms, a, b)
         moving = np.cross(palms.spin, points) + contact_points(palms, a_rate, b_rate)
@@ -63,7 +61,7 @@ class Contacts:
 
 
 def _smooth(t: FloatArray, value: FloatArray) -> BSpline:
-    """The penalty is chosen on the middle of a long record: it does not depend on the length, and takes long to find."""
+    """The penalty is chosen on the middle of a long record: it does not depend on the length."""
     most = min(len(t), TRIED)
     first = (len(t) - most) // 2
     part = slice(first, first + most)
@@ -115,7 +113,7 @@ class Course:
 
 
 def ball_of(points: FloatArray, normals: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(centres (T, 3), radii (T,)) of the balls that lie nearest to contacts (T, 3 palms, 3) on palms of these normals."""
+    """(centres (T, 3), radii (T,)) of the balls nearest to contacts (T, 3 palms, 3) on palms of these normals."""
     # c_i = p − r n_i, least squares in (p, r)
     mean_c, mean_n = points.mean(1), normals.mean(1)
     off_c, off_n = points - mean_c[:, None], normals - mean_n[:, None]
@@ -127,8 +125,8 @@ def course(
     path: JointPath, contacts: Contacts, start: float, intervals: int, spacing: float, belief: Belief, gravity: float
 ) -> Course:
     """The likeliest course on `intervals` from `start` on."""
-    t = start + spacing * np.arange(intervals + 1)
-    middle = t[:-1] + spacing / 2
+    t: FloatArray = np.asarray(start + spacing * np.arange(intervals + 1), dtype=np.float64)
+    middle: FloatArray = np.asarray(t[:-1] + spacing / 2, dtype=np.float64)
     palms = path.palms(t)
     given, given_mid = contacts.at(path, t), contacts.at(path, middle)
     inputs, inputs_mid = palm_inputs(palms), palm_inputs(path.palms(middle))

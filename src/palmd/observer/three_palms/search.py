@@ -1,4 +1,4 @@
-"""From a blind start to the motion and body that explain a whole record: rivals in a short window, the best one grown."""
+"""From a blind start to the motion and body that explain a record: rivals in a short window, the best ones grown."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.model.spherical import Y00, count
+from palmd.model.spherical import Y00, count, evaluator
+from palmd.model.three_palms import BODY, MOMENT
 from palmd.observer.three_palms import beliefs, kernels
 from palmd.observer.three_palms.beliefs import Hypothesis
 from palmd.observer.three_palms.driven import Belief, Contacts, Course, ball_of, course
@@ -18,7 +19,7 @@ from palmd.observer.three_palms.record import Readings, Record, lay_out
 from palmd.observer.three_palms.smoother import Fit, Motion, Noise, Prior, Smoother, at_readings
 from palmd.system.three_palms import PALMS, ThreePalmsRig
 
-START_ORDER = 6
+START_ORDER = 8
 ORDER = 8
 STARTS_S = (2.0, 3.0)
 SPACING_S = 0.02
@@ -28,6 +29,7 @@ STIFF = 0.05  # one-sigma of λ meanwhile, lest the inertia explains what the mo
 ROUGH_M = 5e-4  # what readings may miss a first outline by
 KEPT = 2  # rivals that are grown
 GROWTH = 0.5
+CURVATURE_EVERY = 5  # contacts
 LONGEST_STEP_S = 4.0
 SHORTEST_STEP_S = 0.2
 STILL_RAD_S, STILL_RAD = 0.04, 1e-3  # of the joints, below which a body that rested still rests
@@ -59,7 +61,7 @@ class Task:
     @property
     def rest(self) -> int:
         """At how many of the first nodes the body is seen to rest; 0 when it moves from the beginning."""
-        t = self.start + SPACING_S * np.arange(int(LONGEST_REST_S / SPACING_S) + 1)
+        t: FloatArray = np.asarray(self.start + SPACING_S * np.arange(int(LONGEST_REST_S / SPACING_S) + 1), np.float64)
         turned = np.abs(self.path.angle(t) - self.path.angle(t[:1])).max(axis=1)
         still = (np.abs(self.path.rate(t)).max(axis=1) < STILL_RAD_S) & (turned < STILL_RAD)
         nodes = len(t) if still.all() else int(np.argmin(still))
@@ -84,7 +86,6 @@ class Task:
         """Of the readings and of what the equations leave out."""
         return Noise(math.sqrt(self.rig.pad.reading_variance))
 
-
     def reaches_end(self, record: Record) -> bool:
         """Whether a record goes as far as there is anything."""
         return bool(record.t[-1] > self.end - 2 * SPACING_S)
@@ -107,6 +108,13 @@ class Rival:
     def per_number(self) -> float:
         """Cost per number read."""
         return self.fit.cost / (2 * len(self.record.readings.t))
+
+    def least_radius(self) -> float:
+        """The smallest radius of curvature where a palm has touched (m); not more than 0 where the body is hollow."""
+        R, p = self.fit.motion.R, self.fit.motion.p
+        normals = self.record.node_palms[:, :9].reshape(-1, 3, 3)
+        u = -np.einsum("tji,tnj->tni", R, normals).reshape(-1, 3)[::CURVATURE_EVERY]
+        return float(curvatures(p[: len(p) - BODY], u).min())
 
 
 def rivals(task: Task, seconds: float) -> list[Rival]:
@@ -209,14 +217,13 @@ def _gyration(p: FloatArray) -> float:
 
 def inertia(p: FloatArray) -> FloatArray:
     """(3, 3) in the body's frame, per unit mass (m²)."""
-    from palmd.model.three_palms import MOMENT
-
     L = np.zeros((3, 3))
     L[np.tril_indices(3)] = p[-9:-3]
     L[np.diag_indices(3)] = np.exp(np.diagonal(L))
     root = MOMENT * Y00 * p[0] * L
     moment = root @ root.T
-    return np.asarray(np.trace(moment) * np.eye(3) - moment)
+    about: FloatArray = np.asarray(np.trace(moment) * np.eye(3) - moment, np.float64)
+    return about
 
 
 def _centre(motion: Motion, record: Record) -> FloatArray:
@@ -229,15 +236,24 @@ def centres_of(R: FloatArray, palms: FloatArray, p: FloatArray) -> FloatArray:
     normals = palms[:, :9].reshape(-1, 3, 3)
     u = -np.einsum("tji,tnj->tni", R, normals)
     n = len(p) - 9
-    h = (harmonics(u.reshape(-1, 3), int(math.sqrt(n)) - 1) @ p[:n]).reshape(-1, 3)
+    h = (evaluator(math.isqrt(n) - 1)(u.reshape(-1, 3))[0] @ p[:n]).reshape(-1, 3)
     return np.asarray(np.linalg.solve(normals, h[..., None])[..., 0])
 
 
-def harmonics(u: FloatArray, order: int) -> FloatArray:
-    """(T, n) rows of h at unit normals (T, 3)."""
-    from palmd.model.spherical import evaluator
-
-    return evaluator(order)(u)[0]
+def curvatures(c: FloatArray, u: FloatArray) -> FloatArray:
+    """(T, 2) radii of curvature (m), the smaller first, at outward unit normals (T, 3)."""
+    order = math.isqrt(len(c)) - 1
+    one = np.cross(u, np.eye(3)[np.abs(u).argmin(axis=1)])
+    one /= np.linalg.norm(one, axis=1)[:, None]
+    axes = np.stack([one, np.cross(u, one)], axis=1)
+    step = 1e-4
+    bend = np.empty((len(u), 2, 2))
+    for k in range(2):
+        ahead, behind = (u + sign * step * axes[:, k] for sign in (1.0, -1.0))
+        ahead, behind = (each / np.linalg.norm(each, axis=1)[:, None] for each in (ahead, behind))
+        slope = (evaluator(order)(ahead)[1] @ c - evaluator(order)(behind)[1] @ c) / (2 * step)
+        bend[:, k] = np.einsum("tki,ti->tk", axes, slope)
+    return np.asarray(np.linalg.eigvalsh(0.5 * (bend + bend.transpose(0, 2, 1))))
 
 
 def best(task: Task) -> list[Rival]:

@@ -18,7 +18,8 @@ from palmd.outlinefile import Outline
 from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
 from palmd.record.replay import Said
 from palmd.record.systems import NotYetError, Reconstructed
-from palmd.system.three_palms import JOINTS, MECHANISM, PALMS, SYSTEM as NAME, PadPlane, ThreePalmsRig
+from palmd.system.three_palms import JOINTS, MECHANISM, PALMS, PadPlane, ThreePalmsRig
+from palmd.system.three_palms import SYSTEM as NAME
 
 EDGE_M = 0.01  # beyond the pad's side that a reading may still lie
 
@@ -107,7 +108,8 @@ class ThreePalms:
             return Reconstructed({"converged": False, "reason": reason}, f"not converged: {reason}", None, reason)
         answer = reconstruct(joints, readings, log.rig)
         told = summary(answer) if answer.converged else f"not converged: {answer.reason}"
-        return Reconstructed(as_line(answer), told, None, answer.reason)
+        mesh = (answer.points, answer.triangles) if answer.converged and answer.points is not None else None
+        return Reconstructed(as_line(answer), told, None, answer.reason, mesh)
 
     def tick_count(self, log: ThreePalmsLog) -> int:
         del log
