@@ -26,8 +26,10 @@ LEAST_S = 2.5
 GAP_S = 0.15  # without a reading of a pad or a report of the joints, after which nothing is known to go on
 NEAR = math.cos(math.radians(4.0))
 MOST_CHI2 = 1.15
-MOST_COST = 1.2  # per number read, of readings, equations and beliefs together
+MOST_COST = 1.12  # per number read, of readings, equations and beliefs together
 SHARP_M = 1.5e-4
+MOST_LAMBDA = 0.5
+"""Of the inertia's λ, which is 0 for a dense ball: beyond it the inertia stands in for something else."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +136,8 @@ def doubt(task: Task, ended: Sequence[Rival], sd: FloatArray) -> str:
         return "the readings are not explained to their noise"
     if first.per_number > MOST_COST:
         return "no motion by the equations explains the readings"
+    if float(np.abs(first.fit.motion.p[-BODY:-3]).max()) > MOST_LAMBDA:
+        return "only an inertia that no such body has explains the readings"
     if first.least_radius() <= 0.0:
         return "only a hollow body explains the readings"
     if float(np.sqrt(np.mean(sd**2))) > SHARP_M:

@@ -19,7 +19,7 @@ from palmd.observer.three_palms.record import Readings, Record, lay_out
 from palmd.observer.three_palms.smoother import Fit, Motion, Noise, Prior, Smoother, at_readings
 from palmd.system.three_palms import PALMS, ThreePalmsRig
 
-START_ORDER = 8
+START_ORDER = 6
 ORDER = 8
 STARTS_S = (2.0, 3.0)
 SPACING_S = 0.02
@@ -228,7 +228,8 @@ def inertia(p: FloatArray) -> FloatArray:
 
 def _centre(motion: Motion, record: Record) -> FloatArray:
     """Of mass at the last node (m, world)."""
-    return centres_of(motion.R[-1:], record.node_palms[-1:], motion.p)[0]
+    centre: FloatArray = centres_of(motion.R[-1:], record.node_palms[-1:], motion.p)[0]
+    return centre
 
 
 def centres_of(R: FloatArray, palms: FloatArray, p: FloatArray) -> FloatArray:
