@@ -10,7 +10,7 @@
 
 _shtab_palmd_commands() {
   local _commands=(
-    bench:'studies of many runs: montecarlo, sbc, explore, recognise, curved, pivot, parts, peers, field, faults, simulate, soak'
+    bench:'studies of many runs: montecarlo, sbc, explore, recognise, curved, pivot, space, parts, peers, field, faults, simulate, soak'
     build:'compile the observers now; the first run does it otherwise'
     calibrate:'measure what the configuration must know: pad, arm, gravity, pads, force, self'
     check:'find what is wrong with configurations and motion plans'
@@ -58,6 +58,7 @@ _shtab_palmd_bench_commands() {
     sbc:'simulation-based calibration: whether blind reconstructions are as sure as they may be'
     simulate:'daemon and rig in virtual time with everything that may go wrong at once: what must hold all the same'
     soak:'the demo for an hour with random mischief: leaks, lateness, lost packets'
+    space:'bodies between three palms in space reconstructed blind, with seeds'
   )
   _describe 'palmd bench commands' _commands
 }
@@ -282,6 +283,18 @@ _shtab_palmd_bench_soak_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_bench_soak_defaults_added=0
+
+_shtab_palmd_bench_space_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--runs[how many of each kind (default\: 8)]:N:"
+  "--kind[what sort of run (default\: all)]:kind:(friction large drag free released all)"
+  "--seed[of bodies and motions (default\: 0)]:N:"
+  "--seconds[how long each lasts (default\: 20.0)]:S:"
+  {-o,--output}"[a JSON line for each run (default\: space.jsonl)]:FILE:_files"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_palmd_bench_space_defaults_added=0
 
 _shtab_palmd_build_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -682,7 +695,7 @@ _shtab_palmd_recognise_defaults_added=0
 
 _shtab_palmd_reconstruct_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  {-o,--output}"[- for standard output\; .svg, .dxf, .csv\: the outline as a drawing or points, x and y in mm]:RESULT.json:_files"
+  {-o,--output}"[- for standard output\; .svg, .dxf, .csv\: the outline as a drawing or points, x and y in mm\; .stl, .ply, .obj\: the surface of a body in space, in mm]:RESULT.json:_files"
   "--seed[of the blind start (default\: 0)]:N:"
   "--calibration-sd[one-sigma of the rig\'s constants, instead of the log\'s\: zero_m, scale, angle_rad, standoff_m, lag_s, gravity_rad, sagitta_m, friction, force_m_per_n]:KEY=VALUE:"
   ":an event log (JSON lines) or a recorded run (.mcap):_files"
@@ -888,6 +901,7 @@ _shtab_palmd_bench() {
         sbc) _arguments -C -s $_shtab_palmd_bench_sbc_options ;;
         simulate) _arguments -C -s $_shtab_palmd_bench_simulate_options ;;
         soak) _arguments -C -s $_shtab_palmd_bench_soak_options ;;
+        space) _arguments -C -s $_shtab_palmd_bench_space_options ;;
       esac
   esac
 }

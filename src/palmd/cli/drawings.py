@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.extras import missing, only_without
 from palmd.record.outline_curves import OutlineCurves, curves_of
 from palmd.record.outline_files import Writer, writer_of
 from palmd.record.resultfile import ResultError, read_result
+
+Drawn = TypeVar("Drawn")  # an outline, or a surface
 
 
 def drawing(suffix: str) -> Writer:
@@ -29,7 +33,7 @@ def curves_of_result(path: Path) -> OutlineCurves:
     return curves_of(path.stem, told.theta, told.h, told.h_sd, told.touched, rho_m=told.rho, mass_kg=told.mass)
 
 
-def write_drawing(curves: OutlineCurves, target: Path, made: Writer, source: Path) -> None:
+def write_drawing(curves: Drawn, target: Path, made: Callable[[Drawn], bytes], source: Path) -> None:
     """Writes the file; CliError when that cannot be, or when it is the `source` itself."""
     try:
         if target.exists() and target.samefile(source):

@@ -1,7 +1,7 @@
 """Reconstructs outline and motion from a whole event log or recorded run at once, offline: one JSON object.
 
 With -o FILE.svg, .dxf or .csv only the outline is written, with its band, in mm; `palmd export` draws it from
-RESULT.json too.
+RESULT.json too. Of a body between three palms, -o FILE.stl, .ply or .obj writes the surface, in mm.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from palmd.cli.logs import add_calibration_argument, opened, read_any
 from palmd.console.arguments import seed
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import working
+from palmd.record.meshfile import MESHES
 from palmd.record.outline_files import SUFFIXES
 
 
@@ -28,7 +29,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         required=True,
         metavar="RESULT.json",
-        help="- for standard output; .svg, .dxf, .csv: the outline as a drawing or points, x and y in mm",
+        help="- for standard output; .svg, .dxf, .csv: the outline as a drawing or points, x and y in mm;"
+        " .stl, .ply, .obj: the surface of a body in space, in mm",
     )
     parser.add_argument("--seed", type=seed, default=0, metavar="N", help="of the blind start (default: %(default)s)")
     add_calibration_argument(parser)
@@ -41,7 +43,12 @@ def run(arguments: argparse.Namespace) -> int:
     system, log = read_any(arguments.log, arguments.calibration_sd)
     with working("reconstructing"):
         answer = system.reconstruct(log, arguments.seed)
-    if made is not None:
+    if (as_mesh := MESHES.get(suffix)) is not None:
+        if answer.mesh is None:
+            why = f"not converged: {answer.reason}" if answer.reason else "a body between two palms has an outline only"
+            raise CliError(BAD_INPUT, f"{arguments.log}: {why}: there is no surface to write")
+        write_drawing(answer.mesh, arguments.output, as_mesh, arguments.log)
+    elif made is not None:
         if answer.curves is None:
             why = f"not converged: {answer.reason}: there is no outline to draw"
             raise CliError(BAD_INPUT, f"{arguments.log}: {why}")

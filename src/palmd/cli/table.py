@@ -107,6 +107,7 @@ COMMANDS = (
         "lab.bench_pivot",
         "objects in a pivoting grasp reconstructed blind: outline about the pivot, friction",
     ),
+    Command("bench space", "lab.bench_space", "bodies between three palms in space reconstructed blind, with seeds"),
     Command("bench parts", "lab.bench_parts", "what better or worse sensors and servos would do to the outline"),
     Command("bench peers", "lab.bench_peers", "palmd's estimators beside general-purpose ones"),
     Command(

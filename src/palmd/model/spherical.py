@@ -115,7 +115,7 @@ class Surface:
 
 @dataclass(frozen=True, slots=True)
 class Terms:
-    """Derivative matrices D, harmonics S, gradients G; c differentiated; (1 − l)S, its sum with c and that one's slope."""
+    """Matrices D, harmonics S, gradients G; c differentiated; (1 − l)S, its sum with c, and that one's slope."""
 
     D: list[ca.DM]
     S: SX

@@ -19,7 +19,7 @@ from palmd.model.kernels import Kernel, of_columns
 from palmd.model.spherical import Y00, Surface, count, curvature, point
 from palmd.model.symbolic import SX, ca
 
-MOMENT = 0.43
+MOMENT = 0.42
 """Λ of a body of radius 1 whose λ is 0: between a shell's 0.577 and what is dense inside; a full sphere has 0.447."""
 BODY = 9
 """λ (6, rows of the lower triangle), damping (m²/s), μ, ln u_d (ln m/s)."""

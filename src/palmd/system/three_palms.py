@@ -1,4 +1,4 @@
-"""Three flat palms in space: the mechanism of the paper's figure 1.2 (`edge-axis`), and the rig as an observer knows it.
+"""Three flat palms in space: the mechanism of the paper's figure 1.2 (`edge-axis`), and the rig as observers know it.
 
 World frame: the apex O of the three palms at the origin, gravity along −z. Palm 1 tilts by β about its bottom edge X
 through O; palms 2 and 3 are carried by it and turn by γ2 and γ3 about the axis through O along its normal n1. All three
@@ -73,7 +73,8 @@ def palms_at(angle: FloatArray, rate: FloatArray, acceleration: FloatArray) -> P
     n1 = np.stack([zero, -np.sin(beta), np.cos(beta)], axis=-1)
 
     def mixed(along_edge: FloatArray, along_up: FloatArray) -> FloatArray:
-        return along_edge[:, None] * edge + along_up[:, None] * up
+        mixture: FloatArray = along_edge[:, None] * edge + along_up[:, None] * up
+        return mixture
 
     normal = np.stack([n1, mixed(np.cos(gamma2), np.sin(gamma2)), mixed(-np.cos(gamma3), np.sin(gamma3))], axis=1)
     axis_a = np.stack([edge, mixed(-np.sin(gamma2), np.cos(gamma2)), mixed(np.sin(gamma3), np.cos(gamma3))], axis=1)

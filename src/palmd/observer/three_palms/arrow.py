@@ -43,7 +43,7 @@ class Arrow:
         )
 
     def couple(self, r: FloatArray, left: FloatArray, right: FloatArray, by: FloatArray) -> None:
-        """Add whitened residuals r (K−1, 6) between neighbours, with their Jacobians in both nodes and parameters."""
+        """Add whitened residuals r (K−1, q) between neighbours, with their Jacobians in both nodes and parameters."""
         left_t, right_t = left.transpose(0, 2, 1), right.transpose(0, 2, 1)
         self.diagonal[:-1] += left_t @ left
         self.diagonal[1:] += right_t @ right
@@ -52,18 +52,6 @@ class Arrow:
         self.border[1:] += right_t @ by
         self.nodes_gradient[:-1] += (left_t @ r[..., None])[..., 0]
         self.nodes_gradient[1:] += (right_t @ r[..., None])[..., 0]
-        self._share(r, by)
-
-    def between(self, k: FloatArray, r: FloatArray, left: FloatArray, right: FloatArray, by: FloatArray) -> None:
-        """Add whitened residuals r (S, q) within intervals k (S,), sorted, with Jacobians in both ends and parameters."""
-        left_t, right_t = left.transpose(0, 2, 1), right.transpose(0, 2, 1)
-        np.add.at(self.diagonal, k, left_t @ left)
-        np.add.at(self.diagonal, k + 1, right_t @ right)
-        np.add.at(self.upper, k, left_t @ right)
-        np.add.at(self.border, k, left_t @ by)
-        np.add.at(self.border, k + 1, right_t @ by)
-        np.add.at(self.nodes_gradient, k, (left_t @ r[..., None])[..., 0])
-        np.add.at(self.nodes_gradient, k + 1, (right_t @ r[..., None])[..., 0])
         self._share(r, by)
 
     def _share(self, r: FloatArray, by: FloatArray) -> None:

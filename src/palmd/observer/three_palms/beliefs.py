@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.model.spherical import Y00, count, degrees
@@ -14,15 +15,20 @@ from palmd.model.three_palms import BODY
 from palmd.observer.three_palms.driven import Belief
 from palmd.observer.three_palms.smoother import Prior
 
+Bools = npt.NDArray[np.bool_]
+
 RADIUS_SD = 0.12  # of the radius that the contacts suggest, as a share
 CENTRE_SD = 0.07  # of the centre of mass from the middle, in radii
 ELLIPSE_SD = 0.08  # RMS over the sphere of all harmonics of degree 2, in radii
 FALL = 2.2  # with which power of the degree it falls from there
+BEYOND_8 = 2.5e-3  # RMS of all degrees above 8, in radii; a smooth body has less
+LEFT_WHERE_TOUCHED = 0.4
 LAMBDA_SD = 0.12
 DAMPING_SD = 3e-4  # m²/s
 MU, MU_SD = 0.1, 0.1
 DITHER_M_S, LN_DITHER_SD = 0.01, 0.4
 SPIN_SD = 3.0  # at the beginning (rad/s)
+REST_SPIN_SD = 0.02  # where it is seen to rest
 GYRATION = 0.62  # a body's radius of gyration, in radii
 FRICTIONLESS = 1e-3
 
@@ -37,20 +43,32 @@ def shape_variance(radius: float, order: int) -> FloatArray:
     return variance
 
 
-def beyond_variance(radius: float, order: int) -> float:
-    """Of the outline's height at a point, from the degrees above `order` (m²)."""
-    degree = np.arange(order + 1.0, 60.0)
-    return float(((radius * ELLIPSE_SD) ** 2 * (2.0 / degree) ** (2 * FALL)).sum())
+def beyond_sd(radius: float, order: int, touched: Bools) -> FloatArray:
+    """(D,) one-sigma of the outline's height from the degrees above `order`, by whether a palm `touched` there (m).
+
+    Readings along a contact curve tell the sum of all degrees there, and leave of what is beyond only a share.
+    """
+    everywhere = BEYOND_8 * radius * (8.0 / order) ** (FALL + 0.5)
+    sd: FloatArray = np.where(touched, LEFT_WHERE_TOUCHED * everywhere, everywhere)
+    return sd
 
 
-def prior(radius: float, order: int) -> Prior:
-    """Of a body whose contacts suggest this radius (m)."""
+def prior(radius: float, order: int, spin_sd: float) -> Prior:
+    """Of a body whose contacts suggest this radius (m), with this one-sigma of its first spin (rad/s)."""
     mean = np.zeros(count(order) + BODY)
     mean[0] = radius / Y00
     mean[-2:] = MU, math.log(DITHER_M_S)
     body_sd = np.array([LAMBDA_SD] * 6 + [DAMPING_SD, MU_SD, LN_DITHER_SD])
     variance = np.concatenate([shape_variance(radius, order), body_sd**2])
-    return Prior(mean, np.diag(1.0 / variance), np.zeros(3), SPIN_SD)
+    return Prior(mean, np.diag(1.0 / variance), np.zeros(3), spin_sd)
+
+
+def with_inertia(prior: Prior, sd: float) -> Prior:
+    """The same belief, the inertia's λ taken to be known to `sd`."""
+    information = prior.information.copy()
+    index = np.arange(len(prior.mean) - BODY, len(prior.mean) - BODY + 6)
+    information[index, index] = sd**-2
+    return replace(prior, information=information)
 
 
 def raised(p: FloatArray, order: int) -> FloatArray:
@@ -61,24 +79,25 @@ def raised(p: FloatArray, order: int) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """What a start takes for granted: how much larger than a ball through its contacts the body is, and its friction."""
+    """What a start takes for granted: how much larger than a ball through its contacts it is, and its friction."""
 
     larger: float
     mu: float
 
-    def belief(self, radius: float, centre: FloatArray, spin_sd: float) -> Belief:
-        """For a ball of this radius (m) through the first contacts, about this centre (m)."""
+    def belief(self, radius: float, centre: FloatArray, spin_sd: float, still: int) -> Belief:
+        """For a ball of this radius (m) through its contacts, about this centre (m); at rest for `still` nodes."""
         own = radius * (1.0 + self.larger)
         return Belief(
             np.array([math.log(GYRATION * own), 1e-4, math.log(self.mu), math.log(DITHER_M_S), own]),
-            np.array([0.12, 2e-4, 0.5, LN_DITHER_SD, 0.06 * own]),
+            np.array([0.12, 2e-4, 0.5, LN_DITHER_SD, 0.03 * own]),
             np.concatenate([centre, np.zeros(3)]),
             np.array([5e-3] * 3 + [spin_sd] * 3),
+            max(still, 1),
         )
 
 
 def hypotheses() -> Iterator[Hypothesis]:
     """Those that are tried, the likelier first."""
-    for larger in (0.0, 0.1, 0.2, -0.1):
-        for mu in (0.1, 0.03, FRICTIONLESS):
+    for larger in (0.0, 0.12, -0.12):
+        for mu in (0.1, FRICTIONLESS):
             yield Hypothesis(larger, mu)

@@ -22,18 +22,21 @@ from palmd.system.three_palms import PALMS, contact_points
 
 ROUNDNESS = 3e-3
 """One-sigma of how far a contact is from where a ball's would be (m)."""
-TOGETHER_S = 0.2
+TOGETHER_S = 1.0
 """For about so long that stays what it is."""
 DRIFT = np.array([1e-8, 1.0])
 """Spectral density of what smoothed contacts make the equations fail by: of ṗ (m²/s), of ω̇ ((rad/s)²/s)."""
+PENALTIES = 10.0 ** np.arange(-8.0, -2.0)
+"""Of ∫f″² in a smoothed contact, of which the one is taken that foretells best (s³)."""
+TRIED = 600  # readings
 ITERATIONS = 25
 
 
 @dataclass(frozen=True, slots=True)
 class Contacts:
-    """Smoothed readings: one curve for each pad, t → (a, b) (m)."""
+    """Smoothed readings: for each pad the courses of a and b (m)."""
 
-    curves: tuple[BSpline, ...]
+    curves: tuple[tuple[BSpline, BSpline], ...]
 
     @classmethod
     def smoothed(cls, readings: Readings) -> Contacts:
@@ -42,20 +45,35 @@ class Contacts:
         for pad in range(len(PALMS)):
             mine = readings.pad == pad
             t, first = np.unique(readings.t[mine], return_index=True)
-            curves.append([make_smoothing_spline(t, readings.value[mine][first, k]) for k in range(2)])
-        return cls(tuple(tuple(pair) for pair in curves))  # type: ignore[arg-type]
+            value = readings.value[mine][first]
+            curves.append((_smooth(t, value[:, 0]), _smooth(t, value[:, 1])))
+        return cls(tuple(curves))
 
     def at(self, path: JointPath, t: FloatArray) -> FloatArray:
         """(T, 18) contact points (m, world) and their velocities, palm by palm."""
         palms = path.palms(t)
         a, b, a_rate, b_rate = (
-            np.stack([pair[k].derivative(n)(t) for pair in self.curves], axis=1)
-            for n in (0, 1)
-            for k in (0, 1)  # type: ignore[index]
+            np.stack([pair[k].derivative(n)(t) for pair in self.curves], axis=1) for n in (0, 1) for k in (0, 1)
         )
         points = contact_points(palms, a, b)
         moving = np.cross(palms.spin, points) + contact_points(palms, a_rate, b_rate)
         return np.concatenate([points.reshape(-1, 9), moving.reshape(-1, 9)], axis=1)
+
+
+def _smooth(t: FloatArray, value: FloatArray) -> BSpline:
+    """The penalty is chosen on the middle of a long record: it does not depend on the length."""
+    most = min(len(t), TRIED)
+    first = (len(t) - most) // 2
+    part = slice(first, first + most)
+    scores = [(_missed(t[part], value[part], lam), lam) for lam in PENALTIES]
+    return make_smoothing_spline(t, value, lam=min(scores)[1])
+
+
+def _missed(t: FloatArray, value: FloatArray, lam: float) -> float:
+    """How badly one half of the values is told by the other."""
+    odd = make_smoothing_spline(t[::2], value[::2], lam=lam)
+    even = make_smoothing_spline(t[1::2], value[1::2], lam=lam)
+    return float(((odd(t[1:-1:2]) - value[1:-1:2]) ** 2).sum() + ((even(t[2::2]) - value[2::2]) ** 2).sum())
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,13 +81,14 @@ class Belief:
     """What is believed of a ball-like body: mean and one-sigma of its constants, and of its state at the first node.
 
     The constants are ln ρ (ρ the radius of gyration, m), damping (m²/s), ln μ, ln u_d (ln m/s) and the radius (m); the
-    state is centre of mass (m) and spin (rad/s).
+    state is centre of mass (m) and spin (rad/s). still: at so many of the first nodes its spin is that of the first.
     """
 
     mean: FloatArray
     sd: FloatArray
     state: FloatArray
     state_sd: FloatArray
+    still: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +113,7 @@ class Course:
 
 
 def ball_of(points: FloatArray, normals: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(centres (T, 3), radii (T,)) of the balls that lie nearest to contacts (T, 3 palms, 3) on palms of these normals."""
+    """(centres (T, 3), radii (T,)) of the balls nearest to contacts (T, 3 palms, 3) on palms of these normals."""
     # c_i = p − r n_i, least squares in (p, r)
     mean_c, mean_n = points.mean(1), normals.mean(1)
     off_c, off_n = points - mean_c[:, None], normals - mean_n[:, None]
@@ -106,8 +125,8 @@ def course(
     path: JointPath, contacts: Contacts, start: float, intervals: int, spacing: float, belief: Belief, gravity: float
 ) -> Course:
     """The likeliest course on `intervals` from `start` on."""
-    t = start + spacing * np.arange(intervals + 1)
-    middle = t[:-1] + spacing / 2
+    t: FloatArray = np.asarray(start + spacing * np.arange(intervals + 1), dtype=np.float64)
+    middle: FloatArray = np.asarray(t[:-1] + spacing / 2, dtype=np.float64)
     palms = path.palms(t)
     given, given_mid = contacts.at(path, t), contacts.at(path, middle)
     inputs, inputs_mid = palm_inputs(palms), palm_inputs(path.palms(middle))
@@ -177,8 +196,10 @@ class _Problem:
         missed = (constants - self.belief.mean) / self.belief.sd
         arrow.corner += np.diag(self.belief.sd**-2.0)
         arrow.gradient += missed / self.belief.sd
-        begun = (state[0] - self.belief.state) / self.belief.state_sd
-        arrow.diagonal[0] += np.diag(self.belief.state_sd**-2.0)
-        arrow.nodes_gradient[0] += begun / self.belief.state_sd
+        still, sd = self.belief.still, np.tile(self.belief.state_sd, (self.belief.still, 1))
+        sd[1:, :3] = np.inf
+        begun = (state[:still] - self.belief.state) / sd
+        arrow.diagonal[:still] += np.eye(6) * (sd**-2.0)[:, None]
+        arrow.nodes_gradient[:still] += begun / sd
         cost = (r**2).sum() + round_weight**2 * (off**2).sum() + (missed**2).sum() + (begun**2).sum()
         return float(cost), arrow

@@ -1,4 +1,4 @@
-"""Directions on the sphere as an icosahedron's, each triangle halved again and again, with the triangles between them."""
+"""Directions evenly spread over the sphere, with triangles between them: an icosahedron's, halved again and again."""
 
 from __future__ import annotations
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
+import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.model import three_palms
@@ -25,17 +26,17 @@ class Kernel:
     def __init__(
         self, library: Library, name: str, each: Sequence[int], shared: Sequence[int], shapes: Sequence[tuple[int, ...]]
     ) -> None:
-        self._inputs = [np.zeros((BLOCK, size)) for size in each]
-        self._shared = [np.zeros(size) for size in shared]
-        self._outputs = [np.zeros((BLOCK, *shape[::-1])) for shape in shapes]
+        self._inputs: list[FloatArray] = [np.zeros((BLOCK, size)) for size in each]
+        self._shared: list[FloatArray] = [np.zeros(size) for size in shared]
+        self._outputs: list[FloatArray] = [np.zeros((BLOCK, *shape[::-1])) for shape in shapes]
         self._call = library.bind(name, [*self._inputs, *self._shared], self._outputs)
 
     def __call__(self, each: Sequence[FloatArray], shared: Sequence[FloatArray | float]) -> list[FloatArray]:
         """Outputs (T, *shape) of inputs (T, size) and what they share."""
         total = len(each[0])
-        for buffer, value in zip(self._shared, shared, strict=True):
-            buffer[:] = value
-        results = [np.empty((total, *buffer.shape[1:])) for buffer in self._outputs]
+        for common, given in zip(self._shared, shared, strict=True):
+            common[:] = given
+        results: list[FloatArray] = [np.empty((total, *buffer.shape[1:])) for buffer in self._outputs]
         for begin in range(0, total, BLOCK):
             end = min(begin + BLOCK, total)
             for buffer, value in zip(self._inputs, each, strict=True):
@@ -57,7 +58,7 @@ def palm_inputs(palms: Palms) -> FloatArray:
     return np.concatenate([kind.reshape(-1, 9) for kind in kinds], axis=1)
 
 
-def reading_geometry(palms: Palms, pad: FloatArray) -> FloatArray:
+def reading_geometry(palms: Palms, pad: npt.NDArray[np.int64]) -> FloatArray:
     """(T, 24) what a reading of `pad` (T,), 0 to 2, takes of the palms at its time."""
     inverse = np.linalg.inv(palms.normal)  # rows of N are normals
     rows = np.arange(len(pad))

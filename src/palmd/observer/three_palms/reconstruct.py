@@ -19,24 +19,27 @@ from palmd.observer.three_palms.driven import Contacts
 from palmd.observer.three_palms.icosphere import icosphere
 from palmd.observer.three_palms.path import JointPath
 from palmd.observer.three_palms.record import Readings
-from palmd.observer.three_palms.search import ORDER, Rival, Task, best, centres_of, inertia, rivals
+from palmd.observer.three_palms.search import ORDER, Rival, Task, best, centres_of, inertia
 from palmd.system.three_palms import PALMS, ThreePalmsRig
 
 LEAST_S = 2.5
 GAP_S = 0.15  # without a reading of a pad or a report of the joints, after which nothing is known to go on
 NEAR = math.cos(math.radians(4.0))
 MOST_CHI2 = 1.15
-MOST_COST = 1.3  # per number read, of readings, equations and beliefs together
+MOST_COST = 1.12  # per number read, of readings, equations and beliefs together
 SHARP_M = 1.5e-4
+MOST_LAMBDA = 0.5
+"""Of the inertia's λ, which is 0 for a dense ball: beyond it the inertia stands in for something else."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reconstruction:
     """What a record tells; SI units, NaN or None where there is no value. See `docs/theory/three-palms.md`.
 
-    directions (D, 3), triangles (F, 3) between them, h, h_sd, touched (D,); inertia (3, 3) per unit mass; the trajectory
-    t (K,), R (K, 3, 3), omega (K, 3), centre (K, 3). The body's frame has its origin at the centre of mass, and R = 1 at
-    the first node. points: (D, 3) of the surface with these outward normals. `reason` says why, when not `converged`.
+    directions (D, 3), triangles (F, 3) between them, h, h_sd, touched (D,); points: (D, 3) of the surface with these
+    outward normals; coefficients: of h, as in `model.spherical`; inertia (3, 3) per unit mass; the trajectory t (K,),
+    R (K, 3, 3), omega (K, 3), centre (K, 3). The body's frame has its origin at the centre of mass, and R = 1 at the
+    first node. `reason`: why not, when not `converged`.
     """
 
     converged: bool
@@ -48,6 +51,7 @@ class Reconstruction:
     h_sd: FloatArray | None
     touched: npt.NDArray[np.bool_] | None
     points: FloatArray | None
+    coefficients: FloatArray | None
     inertia: FloatArray | None
     inertia_sd: FloatArray | None
     mu: float
@@ -70,20 +74,20 @@ def reconstruct(path: JointPath, readings: Readings, rig: ThreePalmsRig) -> Reco
         return _nothing(f"there are no {LEAST_S:g} s in which all three pads and the joints report", begun)
     inside = readings.within(start, end)
     task = Task(path, inside, Contacts.smoothed(inside), rig, start, end)
-    ended = best(task, rivals(task))
+    ended = best(task)
+    if not ended:
+        return _nothing("no motion of a body was found that explains the first readings", begun)
     return answer(task, ended, begun)
 
 
 def longest_stretch(path: JointPath, readings: Readings) -> tuple[float, float]:
     """(start, end) (s) of the longest time in which no pad is silent for long."""
-    breaks = [np.array([path.start, path.end])]
     silent: list[tuple[float, float]] = []
     for pad in range(len(PALMS)):
         t = readings.t[readings.pad == pad]
         t = np.concatenate([[path.start - 1.0], t[(t >= path.start) & (t <= path.end)], [path.end + 1.0]])
         gaps = np.flatnonzero(np.diff(t) > GAP_S)
         silent += [(float(t[k]), float(t[k + 1])) for k in gaps]
-    del breaks
     best_start, best_end, free = path.start, path.start, path.start
     for begin, over in [*sorted(silent), (path.end, math.inf)]:
         if min(begin, path.end) - free > best_end - best_start:
@@ -100,23 +104,23 @@ def answer(task: Task, ended: Sequence[Rival], begun: float) -> Reconstruction:
     directions, triangles = icosphere()
     rows, point_rows = evaluator(ORDER)(directions)
     try:
-        covariance = np.linalg.inv(fit.arrow.information())
+        covariance: FloatArray = np.asarray(np.linalg.inv(fit.arrow.information()), np.float64)
     except np.linalg.LinAlgError:
         return _nothing("the fit is not a minimum", begun, fit.chi2)
     sd = np.sqrt(np.maximum(np.einsum("di,ij,dj->d", rows, covariance[:n, :n], rows), 0.0))
-    sd = np.sqrt(sd**2 + beliefs.beyond_variance(Y00 * p[0], ORDER))
     R = fit.motion.R
     normals = record.node_palms[:, :9].reshape(-1, 3, 3)
     felt = -np.einsum("tji,tnj->tni", R, normals).reshape(-1, 3)
     touched = np.zeros(len(directions), dtype=bool)
     for chunk in np.array_split(felt, max(len(felt) // 1000, 1)):
         touched |= (directions @ chunk.T).max(axis=1) >= NEAR
+    sd = np.sqrt(max(fit.chi2, 1.0) * sd**2 + beliefs.beyond_sd(Y00 * p[0], ORDER, touched) ** 2)
     mass, mass_sd = _mass(task, first)
     own, own_sd = inertia(p), _inertia_sd(p, covariance)
     return Reconstruction(
         converged=not (reason := doubt(task, ended, sd[touched])),
         reason=reason, chi2=fit.chi2, directions=directions, triangles=triangles,
-        h=rows @ p[:n], h_sd=sd, touched=touched, points=point_rows @ p[:n],
+        h=rows @ p[:n], h_sd=sd, touched=touched, points=point_rows @ p[:n], coefficients=p[:n],
         inertia=own, inertia_sd=own_sd, mu=float(p[-2]), mu_sd=float(np.sqrt(covariance[-2, -2])),
         mass=mass, mass_sd=mass_sd, t=record.t, R=R, omega=fit.motion.omega,
         centre=centres_of(R, record.node_palms, p), seconds=time.perf_counter() - begun,
@@ -132,6 +136,10 @@ def doubt(task: Task, ended: Sequence[Rival], sd: FloatArray) -> str:
         return "the readings are not explained to their noise"
     if first.per_number > MOST_COST:
         return "no motion by the equations explains the readings"
+    if float(np.abs(first.fit.motion.p[-BODY:-3]).max()) > MOST_LAMBDA:
+        return "only an inertia that no such body has explains the readings"
+    if first.least_radius() <= 0.0:
+        return "only a hollow body explains the readings"
     if float(np.sqrt(np.mean(sd**2))) > SHARP_M:
         return "the readings tell too little of the shape"
     return ""
@@ -167,6 +175,6 @@ def _inertia_sd(p: FloatArray, covariance: FloatArray) -> FloatArray:
 def _nothing(reason: str, begun: float, chi2: float = math.nan) -> Reconstruction:
     none, nan = np.zeros((0, 3)), math.nan
     return Reconstruction(
-        False, reason, chi2, *icosphere(), None, None, None, None, None, None, nan, nan, nan, nan,
+        False, reason, chi2, *icosphere(), None, None, None, None, None, None, None, nan, nan, nan, nan,
         np.zeros(0), np.zeros((0, 3, 3)), none, none, time.perf_counter() - begun,
     )  # fmt: skip

@@ -50,7 +50,7 @@ class Record:
     @property
     def t(self) -> FloatArray:
         """Of the nodes (s)."""
-        return self.start + self.spacing * np.arange(len(self.node_palms))
+        return np.asarray(self.start + self.spacing * np.arange(len(self.node_palms)), dtype=np.float64)
 
     @property
     def slots(self) -> int:
@@ -60,7 +60,8 @@ class Record:
 
 def lay_out(path: JointPath, readings: Readings, start: float, intervals: int, spacing: float) -> Record:
     """The record of `intervals` from `start` on (s)."""
-    nodes = start + spacing * np.arange(intervals + 1)
+    nodes: FloatArray = np.asarray(start + spacing * np.arange(intervals + 1), dtype=np.float64)
+    middle: FloatArray = np.asarray(nodes[:-1] + spacing / 2, dtype=np.float64)
     inside = readings.within(start, nodes[-1])
     interval = np.minimum(((inside.t - start) / spacing).astype(np.int64), intervals - 1)
     first = np.searchsorted(interval, interval)
@@ -68,7 +69,7 @@ def lay_out(path: JointPath, readings: Readings, start: float, intervals: int, s
         start,
         spacing,
         palm_inputs(path.palms(nodes)),
-        palm_inputs(path.palms(nodes[:-1] + spacing / 2)),
+        palm_inputs(path.palms(middle)),
         inside,
         interval,
         (inside.t - nodes[interval]) / spacing,

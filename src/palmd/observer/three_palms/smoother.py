@@ -20,7 +20,7 @@ from palmd.observer.three_palms.kernels import by_columns
 from palmd.observer.three_palms.record import Record
 
 LARGEST_TURN = 0.5  # of a node in one step (rad)
-SETTLED = 1e-3  # decrease of the cost, as a share of it, below which an iteration is taken to be the last
+SETTLED = 3e-4  # decrease of the cost, as a share of it, below which an iteration is taken to be the last
 GIVE_UP = 1e6  # damping beyond which no step helps
 
 

@@ -16,6 +16,7 @@ from palmd.events import ObserverName
 from palmd.outlinefile import Outline
 from palmd.record.logline import BadLineError, Line, shown
 from palmd.record.logreader import LogForm, read_log_as
+from palmd.record.meshfile import Mesh
 from palmd.record.outline_curves import OutlineCurves
 from palmd.record.replay import Said
 
@@ -32,13 +33,15 @@ SYSTEMS: Mapping[str, str] = {
 class Reconstructed:
     """What a whole log tells: `line` as `palmd reconstruct` writes it, and `told`, one line for people.
 
-    curves: the outline for drawings under a given name, None where there is none; `reason`: then why.
+    curves: the outline for drawings under a given name, None where there is none; `reason`: then why. mesh: the surface
+    of a body in space, None where there is none.
     """
 
     line: Line
     told: str
     curves: Callable[[str], OutlineCurves] | None
     reason: str
+    mesh: Mesh | None = None
 
 
 class System(LogForm, Protocol):

@@ -108,7 +108,8 @@ class ThreePalms:
             return Reconstructed({"converged": False, "reason": reason}, f"not converged: {reason}", None, reason)
         answer = reconstruct(joints, readings, log.rig)
         told = summary(answer) if answer.converged else f"not converged: {answer.reason}"
-        return Reconstructed(as_line(answer), told, None, answer.reason)
+        mesh = (answer.points, answer.triangles) if answer.converged and answer.points is not None else None
+        return Reconstructed(as_line(answer), told, None, answer.reason, mesh)
 
     def tick_count(self, log: ThreePalmsLog) -> int:
         del log

@@ -1,7 +1,8 @@
 """Random convex bodies that no finite set of harmonics holds: sums of a ball, ellipsoids and a rounded polytope.
 
-Each is given by its support function about the centre of mass, H(x) = ρ|x| + Σ √(xᵀAₑx) + (Σ max(0, vⱼ·x)^q)^(1/q) − e·x,
-whose gradient at a unit vector is the point with that outward normal, and whose Hessian has the radii of curvature.
+Each is given by its support function about the centre of mass,
+H(x) = ρ|x| + Σ √(xᵀAₑx) + (Σ max(0, vⱼ·x)^q)^(1/q) − e·x, whose
+gradient at a unit vector is the point with that outward normal, and whose Hessian has the radii of curvature.
 Arrays hold B bodies side by side.
 """
 

@@ -1,4 +1,4 @@
-"""Runs of the emulated rig without wires: what pads and joints report while bodies move between the palms, and truth."""
+"""Runs of the emulated rig without wires: what pads and joints report while bodies move, and the truth."""
 
 from __future__ import annotations
 
@@ -116,14 +116,15 @@ def simulate(kind: str, count: int, seconds: float, seed: int, rig: ThreePalmsRi
 def _started(bodies: Bodies, rubbing: Rubbing, kind: Kind, random: np.random.Generator, gravity: float) -> State:
     """At rest in one of its stable poses, or off it with some spin; deep friction and drag make it settle."""
     count = len(bodies.ball)
-    R = np.linalg.qr(random.normal(size=(count, 3, 3)))[0]
+    R: FloatArray = np.asarray(np.linalg.qr(random.normal(size=(count, 3, 3)))[0], np.float64)
     R *= np.linalg.det(R)[:, None, None]
     still = np.zeros((count, 3))
     at = palms_at(np.tile(REST_POSE, (count, 1)), still, still)
     none = np.zeros((count, 3, 3))
     pose = PalmState(at.normal, none, none, none)
     h, _, _ = bodies.support(-np.einsum("bji,bnj->bni", R, at.normal))
-    state = State(np.linalg.solve(at.normal, h[..., None])[..., 0], still, R, still)
+    centre: FloatArray = np.asarray(np.linalg.solve(at.normal, h[..., None])[..., 0], np.float64)
+    state = State(centre, still, R, still)
     if kind.spin == 0.0:
         slow = Rubbing(0 * rubbing.mu, rubbing.dither, np.full(count, SETTLING_DRAG))
         for _ in range(round(SETTLING_S / STEP_S)):
@@ -133,7 +134,8 @@ def _started(bodies: Bodies, rubbing: Rubbing, kind: Kind, random: np.random.Gen
     _, x, _ = bodies.support(-np.einsum("bji,bnj->bni", state.R, at.normal))
     r = np.einsum("bij,bnj->bni", state.R, x)
     lift = (r * np.cross(spin[:, None], at.normal)).sum(-1)
-    return State(state.p, np.linalg.solve(at.normal, lift[..., None])[..., 0], state.R, spin)
+    velocity: FloatArray = np.asarray(np.linalg.solve(at.normal, lift[..., None])[..., 0], np.float64)
+    return State(state.p, velocity, state.R, spin)
 
 
 def _logs(
@@ -142,7 +144,7 @@ def _logs(
 ) -> list[Run]:  # fmt: skip
     """Readings and truth from what all bodies did at every step."""
     count, steps = len(bodies.ball), len(points) - 1
-    t = STEP_S * np.arange(steps + 1)
+    t: FloatArray = np.asarray(STEP_S * np.arange(steps + 1), np.float64)
     motion = [np.stack(each, axis=1) for each in zip(*(joints.at(each) for each in t), strict=True)]
     truth_t = t[::TRUTH_EVERY]
     runs = []

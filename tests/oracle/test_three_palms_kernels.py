@@ -1,0 +1,123 @@
+"""The kernels of three palms against the emulated rig's constraint forces, which were written apart from them."""
+
+import math
+
+import numpy as np
+import pytest
+
+from palmd.model.spherical import count, evaluator
+from palmd.observer.three_palms import kernels
+from palmd.observer.three_palms.kernels import by_columns, palm_inputs, reading_geometry
+from palmd.observer.three_palms.path import joint_path
+from palmd.observer.three_palms.record import Readings, lay_out
+from palmd.observer.three_palms.search import centres_of, inertia
+from palmd.observer.three_palms.smoother import Motion, Noise, Prior, Smoother
+from palmd.rig.three_palms.bodies import Bodies, spread_directions
+from palmd.rig.three_palms.plant import PalmState, Rubbing, State, accelerations
+from palmd.system.three_palms import palms_at, readings_of
+
+ORDER, GRAVITY = 8, 9.81
+LAMBDA = np.array([-0.1, 0.05, 0.02, -0.04, 0.06, 0.1])
+DAMPING, MU, DITHER = 2e-4, 0.15, 0.011
+
+
+@pytest.fixture(scope="module")
+def parameters():
+    """A smooth body: a ball and a mild ellipsoid, off its middle, which few harmonics hold."""
+    form = np.diag([0.009, 0.0095, 0.0105]) ** 2
+    body = Bodies(
+        np.array([0.009]), np.array([[form]]), np.array([[[1e-9, 0, 0], [-1e-9, 0, 0], [0, 1e-9, 0], [0, -1e-9, 0],
+        [0, 0, 1e-9], [0, 0, -1e-9]]]), np.array([4.0]), np.array([[3e-4, -5e-4, 4e-4]]), np.zeros((1, 3, 3)),
+    )  # fmt: skip
+    u = spread_directions(2000)
+    c = np.linalg.lstsq(evaluator(ORDER)(u)[0], body.support(u[None])[0][0], rcond=None)[0]
+    p = np.concatenate([c, LAMBDA, [DAMPING, MU, math.log(DITHER)]])
+    return p, Bodies(body.ball, body.forms, body.vertices, body.sharpness, body.offset, inertia(p)[None])
+
+
+@pytest.fixture(scope="module")
+def moment():
+    """The palms and a body's rotation and spin at some instants."""
+    random = np.random.default_rng(5)
+    T = 6
+    angle = np.array([0.9, 0.8, 0.8]) + random.uniform(-0.3, 0.3, (T, 3))
+    palms = palms_at(angle, random.normal(0, 0.5, (T, 3)), random.normal(0, 1.0, (T, 3)))
+    R = np.linalg.qr(random.normal(size=(T, 3, 3)))[0]
+    R *= np.linalg.det(R)[:, None, None]
+    return palms, R, random.normal(0, 2.0, (T, 3))
+
+
+def test_accelerations_and_forces_are_those_of_free_bodies_held_by_constraints(parameters, moment):
+    p, body = parameters
+    palms, R, omega = moment
+    alpha, force = kernels.acceleration(ORDER)((by_columns(R), omega, palm_inputs(palms)), (p, GRAVITY))[:2]
+    T = len(R)
+    bodies = Bodies(*(np.repeat(getattr(body, name), T, axis=0) for name in body.__dataclass_fields__))
+    rubbing = Rubbing(*(np.full(T, each) for each in (MU, DITHER, DAMPING)))
+    centre = centres_of(R, palm_inputs(palms), p)
+    _, x, _ = bodies.support(-np.einsum("bji,bnj->bni", R, palms.normal))
+    r = np.einsum("bij,bnj->bni", R, x)
+    turning = palms.normal_rate - np.cross(omega[:, None], palms.normal)
+    moved = -(palms.normal_rate * centre[:, None]).sum(-1) - (r * turning).sum(-1)
+    velocity = np.linalg.solve(palms.normal, moved[..., None])[..., 0]
+    at = PalmState(palms.normal, palms.normal_rate, palms.normal_acceleration, palms.spin)
+    _, spin_rate, touch = accelerations(bodies, rubbing, at, State(centre, velocity, R, omega), GRAVITY)
+    np.testing.assert_allclose(force, touch.force, rtol=1e-5)
+    np.testing.assert_allclose(alpha, spin_rate, rtol=1e-4, atol=1e-2)
+    read = readings_of(palms, centre[:, None] + r)
+    for pad in range(3):
+        geometry = reading_geometry(palms, np.full(T, pad))
+        y = kernels.reading(ORDER)((by_columns(R), geometry), (p[: count(ORDER)],))[0]
+        np.testing.assert_allclose(y, read[:, pad], atol=5e-8)  # what degrees above 8 have of the ellipsoid
+
+
+def test_the_smoothers_gradient_is_that_of_its_cost(parameters):
+    p, _ = parameters
+    random = np.random.default_rng(2)
+    t = 0.016 * np.arange(30)
+    angle = np.tile([0.9, 0.8, 0.8], (30, 1)) + 0.1 * np.sin(3 * t)[:, None]
+    plan = np.stack([0.3 * np.cos(3 * t)[:, None] * np.ones(3), -0.9 * np.sin(3 * t)[:, None] * np.ones(3)], axis=1)
+    times = np.sort(random.uniform(0.01, 0.2, 40))
+    readings = Readings(times, random.integers(0, 3, 40), random.uniform(0.0, 0.02, (40, 2)), np.full(40, np.nan))
+    record = lay_out(joint_path(t, angle, plan, 2e-4), readings, 0.0, 10, 0.02)
+    prior = Prior(p, np.eye(len(p)), np.zeros(3), 1.0)
+    smoother = Smoother(record, prior, Noise(1e-4), GRAVITY)
+    R = np.tile(np.eye(3), (11, 1, 1))
+    motion = Motion(R, np.zeros((11, 3)), p).moved(random.normal(0, 0.02, (11, 6)), 0 * p)
+    nodes, step = (
+        random.normal(size=(11, 6)),
+        random.normal(size=len(p)) * np.r_[np.full(count(ORDER), 1e-4), np.full(9, 1e-2)],
+    )
+    nodes[0, :3] = 0.0  # the gauge
+    arrow = smoother.evaluate(motion).arrow
+    small = 1e-7
+    ahead, behind = (
+        smoother.evaluate(motion.moved(sign * small * nodes, sign * small * step)).cost for sign in (1, -1)
+    )
+    told = 2 * ((arrow.nodes_gradient * nodes).sum() + arrow.gradient @ step)
+    # what the strength of the noise owes to the spin is left out of the gradient, and commutators of large turns
+    assert (ahead - behind) / (2 * small) == pytest.approx(told, rel=2e-2)
+
+
+def test_the_arrow_is_solved_as_a_dense_matrix_is():
+    from palmd.observer.three_palms.arrow import STATES, Arrow
+
+    random = np.random.default_rng(0)
+    K, m, q = 4, 3, 8
+    arrow = Arrow.empty(K, m)
+    left, right = random.normal(size=(2, K - 1, q, STATES))
+    by, r = random.normal(size=(K - 1, q, m)), random.normal(size=(K - 1, q))
+    arrow.couple(r, left, right, by)
+    arrow.diagonal += np.eye(STATES)
+    arrow.corner += np.eye(m)
+    J = np.zeros((K - 1, q, K * STATES + m))
+    for k in range(K - 1):
+        J[k, :, k * STATES : (k + 1) * STATES], J[k, :, (k + 1) * STATES : (k + 2) * STATES] = left[k], right[k]
+    J[:, :, K * STATES :] = by
+    J = J.reshape(-1, K * STATES + m)
+    whole = J.T @ J + np.eye(K * STATES + m)
+    nodes, step = arrow.solve(0.0)
+    np.testing.assert_allclose(
+        np.concatenate([nodes.ravel(), step]), -np.linalg.solve(whole, J.T @ r.ravel()), rtol=1e-9
+    )
+    np.testing.assert_allclose(np.linalg.inv(arrow.information()), np.linalg.inv(whole)[-m:, -m:], rtol=1e-8)

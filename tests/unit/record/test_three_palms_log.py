@@ -1,0 +1,107 @@
+"""Logs of three palms in space: what is read of them, what is refused, and what is written of a body."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from palmd.cli import main
+from palmd.observer.three_palms.icosphere import icosphere
+from palmd.observer.three_palms.path import joint_path
+from palmd.observer.three_palms.reconstruct import longest_stretch
+from palmd.observer.three_palms.record import Readings
+from palmd.record.logreader import LogError
+from palmd.record.meshfile import MESHES
+from palmd.record.systems import read_log_of_any
+from palmd.record.systems.three_palms import laid_out
+from palmd.rig.three_palms.simulate import header
+from palmd.system.three_palms import ThreePalmsRig
+
+
+def joints(t, angle=(0.9, 0.8, 0.8)):
+    return {"t": t, "joints": {"angle_rad": list(angle), "rate_rad_s": [0.0] * 3, "acc_rad_s2": [0.0] * 3}}
+
+
+@pytest.fixture
+def log(tmp_path):
+    """Writes a log with these lines after its header, which is changed by `rig`."""
+
+    def write(*lines, **rig):
+        head = header(ThreePalmsRig())
+        head["rig"] |= rig
+        path = tmp_path / "run.jsonl"
+        path.write_text("".join(json.dumps(line) + "\n" for line in [head, *lines]))
+        return path
+
+    return write
+
+
+def test_both_coordinates_and_the_joints_are_read(log):
+    path = log(
+        *(joints(0.016 * k) for k in range(10)),
+        {"t": 0.15, "pad": 3, "a_m": 0.01, "b_m": -0.02},
+        {"t": 0.151, "pad": 1, "a_m": 0.2, "b_m": 0.0},
+    )
+    system, run = read_log_of_any(path)
+    assert system.name == "three_palms"
+    assert [note.split(": ")[1] for note in run.notes] == ["1 readings off the pad left out"]
+    moved, readings = laid_out(run)
+    assert readings.pad.tolist() == [2]
+    assert readings.value.tolist() == [[0.01, -0.02]]
+    assert math.isnan(readings.force[0])
+    np.testing.assert_allclose(moved.angle(np.array([0.05])), [[0.9, 0.8, 0.8]], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("line", "what"),
+    [
+        ({"t": 0.0, "pad": 4, "a_m": 0.0, "b_m": 0.0}, "pad must be 1, 2 or 3, got 4"),
+        ({"t": 0.0, "pad": 1, "a_m": 0.0}, "b_m is missing"),
+        ({"t": 0.0, "joints": {"angle_rad": [0.1, 0.2]}}, "angle_rad must be a list of 3 numbers"),
+        ({"t": 0.0, "joints": {}}, "angle_rad is missing"),
+    ],
+)
+def test_a_bad_line_is_named(log, line, what):
+    with pytest.raises(LogError, match=f":2: {what}"):
+        read_log_of_any(log(line))
+
+
+def test_another_mechanism_is_refused(log):
+    with pytest.raises(LogError, match=r":1: rig\.mechanism must be edge-axis"):
+        read_log_of_any(log(joints(0.0), mechanism="spider"))
+
+
+def test_what_tells_nothing_is_not_converged(log, tmp_path, capsys):
+    path, out = log(*(joints(0.016 * k) for k in range(200))), tmp_path / "out.json"
+    assert main(["reconstruct", str(path), "-o", str(out)]) == 0
+    told = json.loads(out.read_text())
+    assert told["converged"] is False
+    assert "all three pads" in told["reason"]
+    assert main(["reconstruct", str(path), "-o", str(tmp_path / "out.stl")]) == 1
+    assert "there is no surface to write" in capsys.readouterr().err
+
+
+def test_the_longest_stretch_has_no_silent_pad():
+    t = 0.01 * np.arange(1, 500)
+    path = joint_path(0.016 * np.arange(320), np.zeros((320, 3)), np.zeros((320, 2, 3)), 1e-4)
+    whole = [(at, pad) for at in t for pad in range(3) if not (pad == 1 and 1.0 < at < 1.5)]
+    readings = Readings(
+        np.array([at for at, _ in whole]), np.array([pad for _, pad in whole]),
+        np.zeros((len(whole), 2)), np.zeros(len(whole)),
+    )  # fmt: skip
+    start, end = longest_stretch(path, readings)
+    assert start == pytest.approx(1.5, abs=0.02)
+    assert end == pytest.approx(4.99, abs=0.02)
+
+
+def test_a_mesh_is_closed_and_faces_outwards():
+    points, triangles = icosphere(2)
+    edges = np.concatenate([triangles[:, [i, (i + 1) % 3]] for i in range(3)])
+    assert {tuple(edge) for edge in edges.tolist()} == {(b, a) for a, b in edges.tolist()}
+    corners = points[triangles]
+    volume = np.linalg.det(corners).sum() / 6
+    assert 0.9 * 4 * np.pi / 3 < volume < 4 * np.pi / 3
+    sizes = {suffix: len(made((points, triangles))) for suffix, made in MESHES.items()}
+    assert sizes[".stl"] == 84 + 50 * len(triangles)
+    assert MESHES[".obj"]((points, triangles)).decode().count("\nf ") == len(triangles)
