@@ -39,6 +39,10 @@ def as_line(answer: Reconstruction, at_rest: MassEstimator) -> dict[str, Any]:
         "mass_rest_sd_kg": _number(at_rest.sd),
         "rig": _rig(answer) or None,
         "contradicted": _contradicted(answer) if len(answer.rig) else None,
+        "sides": [
+            {"normal_rad": normal, "length_m": length, "length_sd_m": sd}
+            for normal, length, sd in answer.sides.tolist()
+        ],
         "trajectory": _trajectory(answer),
         "seconds": _number(answer.seconds),
     }

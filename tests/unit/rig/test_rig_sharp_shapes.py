@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from palmd.rig.sharp_shapes import ArcSupport, ChordSupport, rounded_polygon, uniform_body
 from palmd.rig.shapes import Support
+from palmd.rig.sharp_shapes import ArcSupport, ChordSupport, rounded_polygon, uniform_body
 
 SQUARE = [(9e-3, 9e-3), (-9e-3, 9e-3), (-9e-3, -9e-3), (9e-3, -9e-3)]
 CIRCLE = Support.from_coefficients((0.02 + 0j,))
