@@ -28,7 +28,7 @@ from palmd.observer.smoother import Fit, Posterior, Smoother
 from palmd.system.mechanism import normal_directions
 
 NOISE = ProcessNoise(1e-10, 1e-5, gate=4.0)
-SPACING_S = 0.01  # of the nodes, while looking
+SPACING_S = 0.005  # of the nodes, while looking
 BANK_S, BANK_STARTS = 1.0, 3  # seconds that the bank of filters reads, and how many of it are started from
 FIRST_S, GROWTH, LEAST_GROWTH_S = 0.4, 1.6, 0.1
 SIDE_M, SIDE_SD_M = 15e-3, 8e-3  # length of a side before it is felt
@@ -37,14 +37,14 @@ Stage = tuple[float, float]  # the width w of a side (rad), and from where on a 
 CALM: tuple[Stage, ...] = ((0.012, math.inf), (0.004, math.inf), (0.0015, math.inf))
 COARSE: tuple[Stage, ...] = ((0.012, math.inf), (0.004, math.inf), (0.0015, NOISE.gate))
 FINE: tuple[Stage, ...] = ((0.0015, NOISE.gate),)
-LAST = ((0.005, 0.0015), (0.0025, 0.0008))  # spacing of the nodes (s) and width of a side (rad)
+LAST = ((0.0025, 0.0008),)  # spacing of the nodes (s) and width of a side (rad)
 SHAPE_SD = 2.0  # times that of a smooth lump
 LN_GYRATION, LN_GYRATION_SD = math.log(0.67), 0.12  # of a triangle 0.61, of a square 0.64, of a disc 0.71
 PRICE = 12.0  # of a side more: twice the log-likelihood that it must gain
-ITERATIONS, LAST_ITERATIONS = 15, 25
-MOST_OUTLIERS = 0.10  # of readings, while contacts jump
+ITERATIONS, LAST_ITERATIONS = 15, 15
+MOST_SCATTER, MOST_OUTLIERS = 1.25, 0.10  # of the readings, while looking
 SCATTER = 0.455  # median of x², x standard normal
-RIVALS = 4
+RIVALS = 3
 MOST_FAILURES = 2  # windows in a row that nothing explains
 
 
@@ -77,7 +77,7 @@ class Candidate:
         n = len(self.record.contact_value)
         return (
             math.isfinite(fit.cost)
-            and self.scatter < 1.12 + 4.0 / math.sqrt(n)
+            and self.scatter < MOST_SCATTER + 4.0 / math.sqrt(n)
             and fit.outliers < MOST_OUTLIERS
             and fit.slack < 0.5 * n
         )
@@ -124,7 +124,7 @@ class SidedSearch:
             if failures > MOST_FAILURES:
                 return ()
 
-    def _kept(self, candidates: Sequence[Candidate], margin: float = 60.0) -> list[Candidate]:
+    def _kept(self, candidates: Sequence[Candidate], margin: float = 40.0) -> list[Candidate]:
         ordered = sorted(candidates, key=lambda each: each.deviance)
         kept: list[Candidate] = []
         for each in ordered:
@@ -277,7 +277,7 @@ def _same(one: Candidate, other: Candidate) -> bool:
 
 
 GRID_RAD, REACH, ROAMS = 2.5e-3, 40, 0.9  # of ψ: steps, most of them in one interval, and how far about the start (rad)
-INTERVAL_NODES = 2
+INTERVAL_NODES = 3
 FOLLOW_SD_M, FOLLOW_GATE, FOLLOW_TURN_RAD = 3e-4, 25.0, 0.02
 TABLE = 7200
 
