@@ -20,11 +20,12 @@ from palmd.observer.visits import visits_of
 
 LEAST_SIDE_M = 1e-3  # a shorter side is none
 SHARP_M = 1.5e-4  # RMS of the outline's one-sigma where touched, above which there is no outline to speak of
-WIDTH_SD = 1.0  # of ln ε: a real side is passed within no angle at all
 MOST_SCATTER, MOST_OUTLIERS = 1.10, 0.05
 DIFFERENT_M, DOUBT = 1e-4, 25.0
 MOST_SLACK = 0.1  # of the cost, for each contact reading: more, and blows explain what the outline does not
 LEAST_S = 3.0  # of readings
+# What the outline is off by besides, on simulated polygons: contacts that jump are not noise, nor is a side that has a width.
+MODEL_SD_M, OVERCONFIDENCE = 1.5e-5, 1.5
 
 
 def sharp_reconstruction(search: Search, seed: int, begun: float) -> Reconstruction | None:
@@ -69,7 +70,7 @@ def _told(best: Candidate, covariance: FloatArray, search: Search, begun: float)
     normals = normal_angles(record.palms, x[:, 0])
     theta, touched = directions(), touched_by(normals)
     h = sharp.support(theta, p)
-    h_sd = _band(theta, theta[touched], p, covariance)
+    h_sd = np.hypot(OVERCONFIDENCE * _band(theta, theta[touched], p, covariance), MODEL_SD_M)
     if float(np.sqrt(np.mean(h_sd[touched] ** 2))) > SHARP_M:
         return None
     mu, mu_sd = friction_of(p, covariance)
@@ -94,8 +95,7 @@ def _band(theta: FloatArray, touched: FloatArray, p: FloatArray, covariance: Flo
     """One-sigma of h (m) on `theta` after the rotation that fits the `touched` normals best."""
     step = 1e-4
     shape = slice(C.SHAPE, len(p))
-    known = covariance[shape, shape].copy()
-    known[-1, -1] += WIDTH_SD**2
+    known = covariance[shape, shape]
 
     def slope(at: FloatArray) -> FloatArray:
         return (sharp.support(at + step, p) - sharp.support(at - step, p)) / (2 * step)

@@ -33,15 +33,18 @@ BANK_S, BANK_STARTS = 1.0, 3  # seconds that the bank of filters reads, and how 
 FIRST_S, GROWTH, LEAST_GROWTH_S = 0.4, 1.6, 0.1
 SIDE_M, SIDE_SD_M = 15e-3, 8e-3  # length of a side before it is felt
 BORN_SD_RAD = 0.05
-Stage = tuple[float, float]  # the width w of a side (rad), and from where on a defect is a blow
-CALM: tuple[Stage, ...] = ((0.012, math.inf), (0.004, math.inf), (0.0015, math.inf))
-COARSE: tuple[Stage, ...] = ((0.012, math.inf), (0.004, math.inf), (0.0015, NOISE.gate))
-FINE: tuple[Stage, ...] = ((0.0015, NOISE.gate),)
-LAST = ((0.0025, 0.0008),)  # spacing of the nodes (s) and width of a side (rad)
+Stage = tuple[
+    float, float, float
+]  # the width w of a side (rad), ln w's one-sigma, and from where on a defect is a blow
+FIXED = 1e-3
+CALM: tuple[Stage, ...] = ((0.012, FIXED, math.inf), (0.004, FIXED, math.inf), (0.0015, FIXED, math.inf))
+COARSE: tuple[Stage, ...] = ((0.012, FIXED, math.inf), (0.004, FIXED, math.inf), (0.0015, FIXED, NOISE.gate))
+FINE: tuple[Stage, ...] = ((0.0015, 0.4, NOISE.gate),)
+LAST_S, LAST = 0.0025, ((0.0006, FIXED, NOISE.gate), (0.0006, 0.7, NOISE.gate))  # spacing of the nodes (s)
 SHAPE_SD = 2.0  # times that of a smooth lump
 LN_GYRATION, LN_GYRATION_SD = math.log(0.67), 0.12  # of a triangle 0.61, of a square 0.64, of a disc 0.71
 PRICE = 12.0  # of a side more: twice the log-likelihood that it must gain
-ITERATIONS, LAST_ITERATIONS = 15, 15
+ITERATIONS, LAST_ITERATIONS = 25, 12
 MOST_SCATTER, MOST_OUTLIERS = 1.25, 0.10  # of the readings, while looking
 SCATTER = 0.455  # median of x², x standard normal
 RIVALS = 3
@@ -207,11 +210,9 @@ class SidedSearch:
         """The same on finer nodes with sharper sides, iterated to the end."""
         search = self._search
         segment = search.segment
-        for spacing, width in LAST:
-            record = lay_out(segment.pads, search.path, search.rig, segment.start, segment.end, spacing)
-            guess = candidate.fit.guess.on(candidate.record.t, record.t)
-            candidate = self._fitted(record, candidate.sides, guess, ((width, NOISE.gate),), LAST_ITERATIONS)
-        return candidate
+        record = lay_out(segment.pads, search.path, search.rig, segment.start, segment.end, LAST_S)
+        guess = candidate.fit.guess.on(candidate.record.t, record.t)
+        return self._fitted(record, candidate.sides, guess, LAST, LAST_ITERATIONS)
 
     def posterior(self, candidate: Candidate) -> Posterior:
         """How sure it is of itself; raises LinAlgError where it is no minimum."""
@@ -241,17 +242,18 @@ class SidedSearch:
         stages: Sequence[Stage] = FINE,
         iterations: int = ITERATIONS,
     ) -> Candidate:
-        for width, gate in stages:
-            prior = self._prior(sides, width)
+        for width, width_sd, gate in stages:
+            prior = self._prior(sides, width, width_sd)
             p = guess.p.copy()
-            p[WIDTH] = math.log(width)
+            if width_sd == FIXED:
+                p[WIDTH] = math.log(width)
             smoother = SidedSmoother(self._library, record, prior)
             fit = smoother.fit(Guess(guess.x, p), replace(NOISE, gate=gate), iterations)
             guess = fit.guess
         residual = smoother.residuals(guess)
         return Candidate(sides, prior, record, fit, float(np.median(residual**2)) / SCATTER)
 
-    def _prior(self, sides: tuple[Side, ...], width: float = FINE[0][0]) -> Prior:
+    def _prior(self, sides: tuple[Side, ...], width: float = FINE[0][0], width_sd: float = FIXED) -> Prior:
         base = self._search.prior
         mean, sd = np.zeros(CONSTANTS), np.zeros(CONSTANTS)
         mean[:NORMALS], sd[:NORMALS] = base.mean, base.sd
@@ -262,7 +264,7 @@ class SidedSearch:
         for j, side in enumerate(sides):
             mean[NORMALS + j], sd[NORMALS + j] = side.normal, BORN_SD_RAD
             mean[LENGTHS + j], sd[LENGTHS + j] = SIDE_M, SIDE_SD_M
-        mean[WIDTH], sd[WIDTH] = math.log(width), 1e-3
+        mean[WIDTH], sd[WIDTH] = math.log(width), width_sd
         return Prior(mean, sd, base.omega0_sd)
 
 
@@ -278,7 +280,8 @@ def _same(one: Candidate, other: Candidate) -> bool:
 
 GRID_RAD, REACH, ROAMS = 2.5e-3, 40, 0.9  # of ψ: steps, most of them in one interval, and how far about the start (rad)
 INTERVAL_NODES = 3
-FOLLOW_SD_M, FOLLOW_GATE, FOLLOW_TURN_RAD = 3e-4, 25.0, 0.02
+FOLLOW_SD_M, FOLLOW_GATE, FOLLOW_TURN_RAD = 6e-4, 25.0, 0.02
+FOLLOW_WIDTH = 0.008  # of sides (rad), a few of the grid's steps
 TABLE = 7200
 
 
@@ -292,7 +295,9 @@ def followed(p: FloatArray, record: Record, start: int, psi0: float) -> FloatArr
     count = 2 * round(ROAMS / GRID_RAD) + 1
     grid = np.linspace(psi0 - ROAMS, psi0 + ROAMS, count)
     angles = np.linspace(0.0, math.tau, TABLE, endpoint=False)
-    h = sharp.support(angles, p)
+    wide = p.copy()
+    wide[WIDTH] = max(p[WIDTH], math.log(FOLLOW_WIDTH))
+    h = sharp.support(angles, wide)
     d = -(np.roll(h, -1) - np.roll(h, 1)) * (TABLE / math.tau / 2)
 
     def at(table: FloatArray, theta: FloatArray) -> FloatArray:
