@@ -24,7 +24,7 @@ MOST_SCATTER, MOST_OUTLIERS = 1.10, 0.05
 DIFFERENT_M, DOUBT = 1e-4, 25.0
 MOST_SLACK = 0.1  # of the cost, for each contact reading: more, and blows explain what the outline does not
 LEAST_S = 3.0  # of readings
-# What the outline is off by besides, on simulated polygons: contacts that jump are not noise, nor is a side that has a width.
+# What simulated outlines are off by besides: neither contacts that jump nor the width of a side is noise.
 MODEL_SD_M, OVERCONFIDENCE = 1.5e-5, 1.5
 
 
