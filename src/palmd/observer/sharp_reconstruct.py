@@ -25,7 +25,7 @@ DIFFERENT_M, DOUBT = 1e-4, 25.0
 MOST_SLACK = 0.1  # of the cost, for each contact reading: more, and blows explain what the outline does not
 LEAST_S = 3.0  # of readings
 # What simulated outlines are off by besides: neither contacts that jump nor the width of a side is noise.
-MODEL_SD_M, OVERCONFIDENCE = 1.5e-5, 1.5
+MODEL_SD_M, OVERCONFIDENCE = 6e-6, 1.5
 
 
 def sharp_reconstruction(search: Search, seed: int, begun: float) -> Reconstruction | None:
@@ -73,6 +73,7 @@ def _told(best: Candidate, covariance: FloatArray, search: Search, begun: float)
     h_sd = np.hypot(OVERCONFIDENCE * _band(theta, theta[touched], p, covariance), MODEL_SD_M)
     if float(np.sqrt(np.mean(h_sd[touched] ** 2))) > SHARP_M:
         return None
+    covariance = OVERCONFIDENCE**2 * covariance
     mu, mu_sd = friction_of(p, covariance)
     sd = np.sqrt(np.diagonal(covariance))
     rho = math.exp(p[C.LN_RHO])
