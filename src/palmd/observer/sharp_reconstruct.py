@@ -20,7 +20,7 @@ from palmd.observer.visits import visits_of
 
 LEAST_SIDE_M = 1e-3  # a shorter side is none
 SHARP_M = 1.5e-4  # RMS of the outline's one-sigma where touched, above which there is no outline to speak of
-MOST_SCATTER, MOST_OUTLIERS = 1.10, 0.05
+MOST_CHI2, MOST_OUTLIERS = 1.15, 0.05  # of the readings, while contacts jump
 DIFFERENT_M, DOUBT = 1e-4, 25.0
 MOST_SLACK = 0.1  # of the cost, for each contact reading: more, and blows explain what the outline does not
 LEAST_S = 3.0  # of readings
@@ -47,11 +47,12 @@ def sharp_reconstruction(search: Search, seed: int, begun: float) -> Reconstruct
 
 
 def _doubtful(best: Candidate, found: tuple[Candidate, ...]) -> bool:
-    if not (best.explains and best.scatter < MOST_SCATTER and best.fit.outliers < MOST_OUTLIERS):
+    fit = best.fit
+    if not (best.explains and fit.settled and fit.chi2 < MOST_CHI2 and fit.outliers < MOST_OUTLIERS):
         return True
     if (
-        best.fit.slack > MOST_SLACK * len(best.record.contact_value)
-        or not (best.fit.guess.p[LENGTHS:WIDTH] > LEAST_SIDE_M).any()
+        fit.slack > MOST_SLACK * len(best.record.contact_value)
+        or not (fit.guess.p[LENGTHS:WIDTH] > LEAST_SIDE_M).any()
     ):
         return True
     theta = directions()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 
 import numpy as np
 import pytest
@@ -13,8 +14,8 @@ from palmd.model.shape import coefficients_of
 from palmd.model.smoothing import NODE, ORDER, C
 from palmd.observer.data_segment import longest_segment
 from palmd.observer.normal_equations import BLOW_SD, ProcessNoise, _quiet_or_blow
-from palmd.observer.reconstruct import reconstruct
 from palmd.observer.search import Search
+from palmd.observer.sharp_reconstruct import sharp_reconstruction
 from palmd.observer.sided import followed
 from palmd.rig.sharp_shapes import rounded_polygon, uniform_body
 from palmd.score import score_outline
@@ -61,8 +62,9 @@ def test_without_a_gate_every_defect_is_noise():
 def test_a_polygon_that_rides_on_a_palm_is_told_by_its_side_and_its_corner():
     body = uniform_body("hexagon", rounded_polygon(CORNERS, 1e-3), 0.12)
     run = simulated("friction", 5, SECONDS, body=body)
-    answer = reconstruct(run.events, run.rig)
-    assert answer.converged, answer.reason
+    answer = sharp_reconstruction(Search(longest_segment(run.events), run.rig), 0, time.perf_counter())
+    assert answer is not None
+    assert answer.converged
     score = score_outline(answer.theta, answer.h, answer.touched, run.truth.h)
     assert score.e_h < 1e-4
     assert len(answer.sides) >= 1
