@@ -50,10 +50,7 @@ def _doubtful(best: Candidate, found: tuple[Candidate, ...]) -> bool:
     fit = best.fit
     if not (best.explains and fit.settled and fit.chi2 < MOST_CHI2 and fit.outliers < MOST_OUTLIERS):
         return True
-    if (
-        fit.slack > MOST_SLACK * len(best.record.contact_value)
-        or not (fit.guess.p[LENGTHS:WIDTH] > LEAST_SIDE_M).any()
-    ):
+    if fit.slack > MOST_SLACK * len(best.record.contact_value) or not (fit.guess.p[LENGTHS:WIDTH] > LEAST_SIDE_M).any():
         return True
     theta = directions()
     h = sharp.support(theta, found[0].fit.guess.p)
