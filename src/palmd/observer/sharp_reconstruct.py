@@ -48,7 +48,8 @@ def sharp_reconstruction(search: Search, seed: int, begun: float) -> Reconstruct
 
 def _doubtful(best: Candidate, found: tuple[Candidate, ...]) -> bool:
     fit = best.fit
-    if not (best.explains and fit.settled and fit.chi2 < MOST_CHI2 and fit.outliers < MOST_OUTLIERS):
+    explained = fit.chi2 < MOST_CHI2 and fit.force_chi2 < MOST_CHI2 and fit.outliers < MOST_OUTLIERS
+    if not (best.explains and fit.settled and explained):
         return True
     if fit.slack > MOST_SLACK * len(best.record.contact_value) or not (fit.guess.p[LENGTHS:WIDTH] > LEAST_SIDE_M).any():
         return True

@@ -20,7 +20,7 @@ from palmd.observer.sided import followed
 from palmd.rig.sharp_shapes import rounded_polygon, uniform_body
 from palmd.score import score_outline
 
-CORNERS = [(15e-3, 0.0), (9e-3, 12e-3), (-6e-3, 14e-3), (-15e-3, 2e-3), (-7e-3, -13e-3), (8e-3, -12e-3)]
+CORNERS = [(16.1, -4.9), (14.5, 8.0), (0.2, 16.7), (-12.5, 11.1), (-16.8, -6.8), (4.0, -17.2)]  # mm
 SECONDS = 6.0
 
 
@@ -60,8 +60,8 @@ def test_without_a_gate_every_defect_is_noise():
 
 
 def test_a_polygon_that_rides_on_a_palm_is_told_by_its_side_and_its_corner():
-    body = uniform_body("hexagon", rounded_polygon(CORNERS, 1e-3), 0.12)
-    run = simulated("friction", 5, SECONDS, body=body)
+    body = uniform_body("hexagon", rounded_polygon([(x * 1e-3, y * 1e-3) for x, y in CORNERS], 1e-3), 0.2)
+    run = simulated("friction", 2, SECONDS, body=body)
     answer = sharp_reconstruction(Search(longest_segment(run.events), run.rig), 0, time.perf_counter())
     assert answer is not None
     assert answer.converged
