@@ -2,8 +2,9 @@
 
 h(θ) = Fourier(θ) + Σ_j L_j G(θ − θ_j). On a flat side of length L and normal θ_j all the radius of curvature is at one
 normal: v = L δ(θ − θ_j). G is the support function that this asks for, less its first harmonic, which an outline that
-closes has none of, and its mean: G + G″ = δ − cos/π − 1/2π. So that v is finite, a side is passed within the small
-angle ε, as the long side of an ellipse with half-axes L/2 and ε L/2 is. Corners are what lies between sides.
+closes has none of, and its mean: G + G″ = δ − cos/π − 1/2π. So that v is finite, a side is passed within a small
+angle: |y| in the ½ sin|y| behind δ is the soft w·2 ln(2 cosh(y/2w)), and δ a bump about as wide as 4w that falls like
+e^(−|y|/w) and is nowhere negative. Corners are what lies between sides.
 """
 
 from __future__ import annotations
@@ -20,11 +21,11 @@ from palmd.model.shape import basis, contact_at
 from palmd.model.smoothing import ORDER, C, Form, kernels
 from palmd.model.symbolic import SX, ca
 
-SIDES = 6  # at most that one record tells apart
+SIDES = 4  # at most that one record tells apart
 FOURIER = 2 * ORDER + 1
 NORMALS = C.SHAPE + FOURIER
 LENGTHS = NORMALS + SIDES
-WIDTH = LENGTHS + SIDES  # ln ε
+WIDTH = LENGTHS + SIDES  # ln w
 CONSTANTS = WIDTH + 1
 
 
@@ -32,18 +33,17 @@ def outline_at(theta: SX, shape: SX) -> Contact:
     """r, d, v where the outward normal is `theta`; `shape` holds all constants from `C.SHAPE` on."""
     smooth = contact_at(theta, shape[:FOURIER])
     r, d, v = smooth.r, smooth.d, smooth.v
-    flat = ca.exp(shape[WIDTH - C.SHAPE]) ** 2
+    width = ca.exp(shape[WIDTH - C.SHAPE])
     for j in range(SIDES):
         normal, length = shape[NORMALS - C.SHAPE + j], shape[LENGTHS - C.SHAPE + j]
         s, c = ca.sin(theta - normal), ca.cos(theta - normal)
         y = ca.atan2(s, c)
-        ahead = c > 0
-        ellipse = ca.sqrt(s**2 + flat * c**2)
-        half = ca.if_else(ahead, ellipse, ca.fabs(s)) / 2
-        slope = ca.if_else(ahead, s * c * (1 - flat) / ellipse, ca.sign(s) * c) / 2
-        bend = ca.if_else(ahead, flat / ellipse**3, 0) / 2
-        r += length * (half - (2 * y * s + c + 2) / (4 * math.pi))
-        d -= length * (slope - (2 * y * c + s) / (4 * math.pi))
+        away = ca.fabs(y)
+        soft, slope = away + 2 * width * ca.log1p(ca.exp(-away / width)), ca.tanh(y / (2 * width))
+        rise = 1 - slope**2
+        bend = (ca.sin(soft) + ca.cos(soft) / (2 * width)) * rise / 2
+        r += length * (ca.sin(soft) / 2 - (2 * y * s + c + 2) / (4 * math.pi))
+        d -= length * (ca.cos(soft) * slope / 2 - (2 * y * c + s) / (4 * math.pi))
         v += length * (bend - c / math.pi - 1 / (2 * math.pi))
     return Contact(r, d, v)
 
@@ -55,13 +55,13 @@ def outline_rows(theta: FloatArray, p: FloatArray) -> FloatArray:
     width = math.exp(p[WIDTH])
     for j in range(SIDES):
         y = np.arctan2(np.sin(theta - p[NORMALS + j]), np.cos(theta - p[NORMALS + j]))
-        s, c = np.sin(y), np.cos(y)
-        ahead = c > 0
-        ellipse = np.sqrt(s**2 + np.where(ahead, (width * c) ** 2, 1e-30))
-        slope = np.where(ahead, s * c * (1 - width**2) / ellipse, np.sign(s) * c) / 2
-        rows[:, LENGTHS + j - C.SHAPE] = ellipse / 2 - (2 * y * s + c + 2) / (4 * math.pi)
-        rows[:, NORMALS + j - C.SHAPE] = -p[LENGTHS + j] * (slope - (2 * y * c + s) / (4 * math.pi))
-        rows[:, WIDTH - C.SHAPE] += p[LENGTHS + j] * np.where(ahead, (width * c) ** 2 / ellipse, 0.0) / 2
+        s, c, away = np.sin(y), np.cos(y), np.abs(y)
+        decay = np.exp(-away / width)
+        soft, slope = away + 2 * width * np.log1p(decay), np.tanh(y / (2 * width))
+        rows[:, LENGTHS + j - C.SHAPE] = np.sin(soft) / 2 - (2 * y * s + c + 2) / (4 * math.pi)
+        rows[:, NORMALS + j - C.SHAPE] = -p[LENGTHS + j] * (np.cos(soft) * slope / 2 - (2 * y * c + s) / (4 * math.pi))
+        wider = 2 * width * np.log1p(decay) + 2 * away * decay / (1 + decay)
+        rows[:, WIDTH - C.SHAPE] += p[LENGTHS + j] * np.cos(soft) * wider / 2
     return rows
 
 

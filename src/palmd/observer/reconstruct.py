@@ -29,7 +29,7 @@ from palmd.observer.noise import with_scatter
 from palmd.observer.outline import directions, felt_normals, made_convex, outline_of
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
-from palmd.observer.search import Minima, Search, beyond_question, doubt, minima
+from palmd.observer.search import AMBIGUOUS, Minima, Search, beyond_question, doubt, minima
 from palmd.observer.seeker import attempts_for
 from palmd.observer.sharp_reconstruct import sharp_reconstruction
 from palmd.observer.smoother import Fit, Smoother
@@ -66,8 +66,8 @@ def reconstruct(events: Sequence[Event], rig: RigDescription, seed: int = 0) -> 
         )
         if apart is not None and not apart.reason:
             main, found = apart, shorter
-    if (main is None or main.reason) and not rig.curved:
-        with_sides = sharp_reconstruction(Search(found[0], with_scatter(rig, found[0].pads)), begun)
+    if (main is None or main.reason not in ("", AMBIGUOUS)) and not rig.curved:
+        with_sides = sharp_reconstruction(Search(found[0], with_scatter(rig, found[0].pads)), seed, begun)
         if with_sides is not None:
             return with_sides
     if main is None:

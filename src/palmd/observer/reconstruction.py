@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,7 @@ class Reconstruction:
     contradicted: by how many sigmas each of them is not what it was taken for, 0 where nothing speaks against that.
     t, psi, omega0, radii (one row a palm): the trajectory at the nodes. `chi2` is per contact reading. `reason` says
     why not, when not `converged`. turned_sd: one-sigma of psi[-1] − psi[0] (rad), where the record is of one segment.
+    sides: flat sides of the outline that were felt, one a row: outward normal (rad), length and its one-sigma (m).
     """
 
     converged: bool
@@ -47,6 +48,7 @@ class Reconstruction:
     reason: str
     seconds: float
     turned_sd: float = math.nan
+    sides: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def rig_sd(self) -> FloatArray:

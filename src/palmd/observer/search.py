@@ -50,6 +50,7 @@ MOST_FORCE_CHI2 = 4.0  # of forces that are noisier than described: by twice, an
 MOST_OUTLIERS = 0.2
 MOST_SLACK = 0.25  # of the cost, for each contact reading: more, and the motion is not one of the model's
 MOST_STRAIN = 60.0  # of the cost, from some thirty constants and their prior
+AMBIGUOUS = "another outline explains the readings as well"
 STILL_RAD = 5e-3  # palms that move by less tell nothing of what turns with them
 
 
@@ -274,7 +275,7 @@ def beyond_question(fit: Fit, record: Record) -> bool:
 
 def doubt(fit: Fit, finding: Minima) -> str:
     """Why `fit`, the best of `finding` or a refinement of it, cannot be taken at its word; empty when it can."""
-    return unfit(fit, finding.record) or ("another outline explains the readings as well" if rivalled(finding) else "")
+    return unfit(fit, finding.record) or (AMBIGUOUS if rivalled(finding) else "")
 
 
 def unfit(fit: Fit, record: Record) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model import sharp
-from palmd.model.sharp import LENGTHS, NORMALS, WIDTH
+from palmd.model.sharp import LENGTHS, NORMALS, SIDES, WIDTH
 from palmd.model.smoothing import RIG, C
 from palmd.observer.factor import friction_of
 from palmd.observer.outline import directions, normal_angles, touched_by
@@ -20,17 +20,19 @@ from palmd.observer.visits import visits_of
 
 LEAST_SIDE_M = 1e-3  # a shorter side is none
 SHARP_M = 1.5e-4  # RMS of the outline's one-sigma where touched, above which there is no outline to speak of
-WIDTH_SD = 1.0  # of ln ε: a real side is passed within no angle at all
-MOST_SCATTER, MOST_OUTLIERS = 1.10, 0.05
+MOST_CHI2, MOST_OUTLIERS = 1.15, 0.05  # of the readings, while contacts jump
 DIFFERENT_M, DOUBT = 1e-4, 25.0
-HOLLOW_M = 1.5e-3  # of v between sides, where touched: below minus that it is no convex body
+MOST_SLACK = 0.1  # of the cost, for each contact reading: more, and blows explain what the outline does not
+LEAST_S = 3.0  # of readings
+# What simulated outlines are off by besides: neither contacts that jump nor the width of a side is noise.
+MODEL_SD_M, OVERCONFIDENCE = 6e-6, 1.5
 
 
-def sharp_reconstruction(search: Search, begun: float) -> Reconstruction | None:
+def sharp_reconstruction(search: Search, seed: int, begun: float) -> Reconstruction | None:
     """The outline with flat sides that explains the segment of `search`, None where none does beyond doubt."""
-    if still(search.record):
+    if still(search.record) or search.segment.end - search.segment.start < LEAST_S:
         return None
-    sided = SidedSearch(search)
+    sided = SidedSearch(search, seed)
     found = sided.found()
     if not found:
         return None
@@ -45,7 +47,11 @@ def sharp_reconstruction(search: Search, begun: float) -> Reconstruction | None:
 
 
 def _doubtful(best: Candidate, found: tuple[Candidate, ...]) -> bool:
-    if not (best.explains and best.scatter < MOST_SCATTER and best.fit.outliers < MOST_OUTLIERS):
+    fit = best.fit
+    explained = fit.chi2 < MOST_CHI2 and fit.force_chi2 < MOST_CHI2 and fit.outliers < MOST_OUTLIERS
+    if not (best.explains and fit.settled and explained):
+        return True
+    if fit.slack > MOST_SLACK * len(best.record.contact_value) or not (fit.guess.p[LENGTHS:WIDTH] > LEAST_SIDE_M).any():
         return True
     theta = directions()
     h = sharp.support(theta, found[0].fit.guess.p)
@@ -63,9 +69,10 @@ def _told(best: Candidate, covariance: FloatArray, search: Search, begun: float)
     normals = normal_angles(record.palms, x[:, 0])
     theta, touched = directions(), touched_by(normals)
     h = sharp.support(theta, p)
-    h_sd = _band(theta, theta[touched], p, covariance)
+    h_sd = np.hypot(OVERCONFIDENCE * _band(theta, theta[touched], p, covariance), MODEL_SD_M)
     if float(np.sqrt(np.mean(h_sd[touched] ** 2))) > SHARP_M:
         return None
+    covariance = OVERCONFIDENCE**2 * covariance
     mu, mu_sd = friction_of(p, covariance)
     sd = np.sqrt(np.diagonal(covariance))
     rho = math.exp(p[C.LN_RHO])
@@ -80,6 +87,7 @@ def _told(best: Candidate, covariance: FloatArray, search: Search, begun: float)
         contradicted=search.belief.contradicted,
         t=record.t, psi=x[:, 0], omega0=x[:, 1], radii=np.stack(radii),
         reason="", seconds=time.perf_counter() - begun, turned_sd=float(sd[len(p)]),
+        sides=sides_of(p, covariance),
     )  # fmt: skip
 
 
@@ -87,8 +95,7 @@ def _band(theta: FloatArray, touched: FloatArray, p: FloatArray, covariance: Flo
     """One-sigma of h (m) on `theta` after the rotation that fits the `touched` normals best."""
     step = 1e-4
     shape = slice(C.SHAPE, len(p))
-    known = covariance[shape, shape].copy()
-    known[-1, -1] += WIDTH_SD**2
+    known = covariance[shape, shape]
 
     def slope(at: FloatArray) -> FloatArray:
         return (sharp.support(at + step, p) - sharp.support(at - step, p)) / (2 * step)
@@ -101,10 +108,12 @@ def _band(theta: FloatArray, touched: FloatArray, p: FloatArray, covariance: Flo
     return np.sqrt(np.maximum(variance, 0.0))
 
 
-def sides_of(p: FloatArray) -> list[tuple[float, float]]:
-    """Normal (rad) and length (m) of each flat side."""
-    return [
-        (float(normal), float(length))
-        for normal, length in zip(p[NORMALS:LENGTHS], p[LENGTHS:WIDTH], strict=True)
-        if length > LEAST_SIDE_M
+def sides_of(p: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Normal (rad), length and its one-sigma (m) of each flat side, one a row."""
+    sd = np.sqrt(np.diagonal(covariance))
+    rows = [
+        (math.remainder(p[NORMALS + j], math.tau), p[LENGTHS + j], sd[LENGTHS + j])
+        for j in range(SIDES)
+        if p[LENGTHS + j] > LEAST_SIDE_M
     ]
+    return np.array(rows, dtype=np.float64).reshape(-1, 3)

@@ -19,6 +19,7 @@ from palmd.model import sharp
 from palmd.model.sharp import CONSTANTS, LENGTHS, NORMALS, SIDES, WIDTH
 from palmd.model.smoothing import NODE, C
 from palmd.observer.factor import Prior
+from palmd.observer.first_guess import blind_starts
 from palmd.observer.normal_equations import Guess, ProcessNoise
 from palmd.observer.outline import normal_angles
 from palmd.observer.record import Record, lay_out
@@ -27,19 +28,26 @@ from palmd.observer.smoother import Fit, Posterior, Smoother
 from palmd.system.mechanism import normal_directions
 
 NOISE = ProcessNoise(1e-10, 1e-5, gate=4.0)
-SPACING_S, FINE_SPACING_S = 0.01, 0.005  # of the nodes, while looking and in the end
+SPACING_S = 0.005  # of the nodes, while looking
+BANK_S, BANK_STARTS = 1.0, 3  # seconds that the bank of filters reads, and how many of it are started from
 FIRST_S, GROWTH, LEAST_GROWTH_S = 0.4, 1.6, 0.1
 SIDE_M, SIDE_SD_M = 15e-3, 8e-3  # length of a side before it is felt
 BORN_SD_RAD = 0.05
-COARSE = ((0.03, 1.0, math.inf), (0.01, 1.0, math.inf))  # in what angle (rad) a side is passed, noise, gate: at first
-FINE = 0.004  # and in the end
+Stage = tuple[
+    float, float, float
+]  # the width w of a side (rad), ln w's one-sigma, and from where on a defect is a blow
+FIXED = 1e-3
+CALM: tuple[Stage, ...] = ((0.012, FIXED, math.inf), (0.004, FIXED, math.inf), (0.0015, FIXED, math.inf))
+COARSE: tuple[Stage, ...] = ((0.012, FIXED, math.inf), (0.004, FIXED, math.inf), (0.0015, FIXED, NOISE.gate))
+FINE: tuple[Stage, ...] = ((0.0015, 0.4, NOISE.gate),)
+LAST_S, LAST = 0.0025, ((0.0006, FIXED, NOISE.gate), (0.0006, 0.7, NOISE.gate))  # spacing of the nodes (s)
 SHAPE_SD = 2.0  # times that of a smooth lump
 LN_GYRATION, LN_GYRATION_SD = math.log(0.67), 0.12  # of a triangle 0.61, of a square 0.64, of a disc 0.71
 PRICE = 12.0  # of a side more: twice the log-likelihood that it must gain
-ITERATIONS, LAST_ITERATIONS = 15, 25
-MOST_OUTLIERS = 0.10  # of readings, while contacts jump
+ITERATIONS, LAST_ITERATIONS = 25, 30
+MOST_SCATTER, MOST_OUTLIERS = 1.25, 0.10  # of the readings, while looking
 SCATTER = 0.455  # median of x², x standard normal
-RIVALS = 4
+RIVALS = 3
 MOST_FAILURES = 2  # windows in a row that nothing explains
 
 
@@ -72,7 +80,7 @@ class Candidate:
         n = len(self.record.contact_value)
         return (
             math.isfinite(fit.cost)
-            and self.scatter < 1.12 + 4.0 / math.sqrt(n)
+            and self.scatter < MOST_SCATTER + 4.0 / math.sqrt(n)
             and fit.outliers < MOST_OUTLIERS
             and fit.slack < 0.5 * n
         )
@@ -93,8 +101,8 @@ class SidedSmoother(Smoother):
 class SidedSearch:
     """One segment, as `search` has laid it out."""
 
-    def __init__(self, search: Search):
-        self._search = search
+    def __init__(self, search: Search, seed: int = 0):
+        self._search, self._seed = search, seed
         segment = search.segment
         self.record = lay_out(segment.pads, search.path, search.rig, segment.start, segment.end, SPACING_S)
         self._library = sharp.library()
@@ -103,9 +111,7 @@ class SidedSearch:
         """The outlines and motions that explain the whole segment best, best first; none if that leads nowhere."""
         whole = self.record
         first = whole.until(whole.t[0] + FIRST_S)
-        candidates = [
-            self._fitted(first, sides, guess, coarse=True, gate=math.inf) for sides, guess in self._starts(first)
-        ]
+        candidates = [self._fitted(first, sides, guess, CALM) for sides, guess in self._starts(first)]
         best = self._kept(candidates)
         if not best[0].explains:
             best = self._kept([*candidates, *self._with_births(candidates, first.t[0])])
@@ -121,7 +127,7 @@ class SidedSearch:
             if failures > MOST_FAILURES:
                 return ()
 
-    def _kept(self, candidates: Sequence[Candidate], margin: float = 60.0) -> list[Candidate]:
+    def _kept(self, candidates: Sequence[Candidate], margin: float = 40.0) -> list[Candidate]:
         ordered = sorted(candidates, key=lambda each: each.deviance)
         kept: list[Candidate] = []
         for each in ordered:
@@ -141,7 +147,14 @@ class SidedSearch:
             angle, spin = phi[:, : palm + 1].sum(axis=1), rate[:, : palm + 1].sum(axis=1)
             sides = (Side(float(first[palm])),)
             yield sides, Guess(np.stack([angle - angle[0], spin], axis=1), self._start(sides))
-        yield (), Guess(np.zeros((len(record.t), NODE)), self._start(()))
+        still = self._start(())
+        yield (), Guess(np.zeros((len(record.t), NODE)), still)
+        search = self._search
+        for start in blind_starts(search.segment.events(), search.rig, record.t[0], BANK_S, self._seed)[:BANK_STARTS]:
+            guess = start.guess(record.t)
+            p = still.copy()
+            p[:NORMALS] = guess.p
+            yield (), Guess(guess.x, p)
 
     def _start(self, sides: tuple[Side, ...]) -> FloatArray:
         """The constants most likely before anything is felt."""
@@ -173,8 +186,8 @@ class SidedSearch:
                 nodes = int(np.searchsorted(each.record.t, now)) + 1
                 if 1 < nodes < len(guess.x):
                     led = self._by_readings(each.record, Guess(guess.x[:nodes], guess.p))
-                    yield self._fitted(each.record, sides, led, coarse=True)
-                yield self._fitted(each.record, sides, guess, coarse=True)
+                    yield self._fitted(each.record, sides, led, COARSE)
+                yield self._fitted(each.record, sides, guess, COARSE)
 
     def _births(self, candidate: Candidate, now: float) -> Iterator[tuple[tuple[Side, ...], Guess]]:
         if len(candidate.sides) == SIDES:
@@ -194,12 +207,12 @@ class SidedSearch:
                 yield sides, Guess(guess.x, p)
 
     def refined(self, candidate: Candidate) -> Candidate:
-        """The same on finer nodes, iterated to the end."""
+        """The same on finer nodes with sharper sides, iterated to the end."""
         search = self._search
         segment = search.segment
-        record = lay_out(segment.pads, search.path, search.rig, segment.start, segment.end, FINE_SPACING_S)
+        record = lay_out(segment.pads, search.path, search.rig, segment.start, segment.end, LAST_S)
         guess = candidate.fit.guess.on(candidate.record.t, record.t)
-        return self._fitted(record, candidate.sides, guess, iterations=LAST_ITERATIONS)
+        return self._fitted(record, candidate.sides, guess, LAST, LAST_ITERATIONS)
 
     def posterior(self, candidate: Candidate) -> Posterior:
         """How sure it is of itself; raises LinAlgError where it is no minimum."""
@@ -226,23 +239,21 @@ class SidedSearch:
         record: Record,
         sides: tuple[Side, ...],
         guess: Guess,
-        coarse: bool = False,
-        gate: float = NOISE.gate,
+        stages: Sequence[Stage] = FINE,
         iterations: int = ITERATIONS,
     ) -> Candidate:
-        prior = self._prior(sides)
-        for width, looser, own_gate in (*(COARSE if coarse else ()), (FINE, 1.0, gate)):
-            prior = self._prior(sides, width)
+        for width, width_sd, gate in stages:
+            prior = self._prior(sides, width, width_sd)
             p = guess.p.copy()
-            p[WIDTH] = math.log(width)
+            if width_sd == FIXED:
+                p[WIDTH] = math.log(width)
             smoother = SidedSmoother(self._library, record, prior)
-            noise = replace(NOISE, psi=looser * NOISE.psi, omega0=looser * NOISE.omega0, gate=own_gate)
-            fit = smoother.fit(Guess(guess.x, p), noise, iterations)
+            fit = smoother.fit(Guess(guess.x, p), replace(NOISE, gate=gate), iterations)
             guess = fit.guess
         residual = smoother.residuals(guess)
         return Candidate(sides, prior, record, fit, float(np.median(residual**2)) / SCATTER)
 
-    def _prior(self, sides: tuple[Side, ...], width: float = FINE) -> Prior:
+    def _prior(self, sides: tuple[Side, ...], width: float = FINE[0][0], width_sd: float = FIXED) -> Prior:
         base = self._search.prior
         mean, sd = np.zeros(CONSTANTS), np.zeros(CONSTANTS)
         mean[:NORMALS], sd[:NORMALS] = base.mean, base.sd
@@ -253,7 +264,7 @@ class SidedSearch:
         for j, side in enumerate(sides):
             mean[NORMALS + j], sd[NORMALS + j] = side.normal, BORN_SD_RAD
             mean[LENGTHS + j], sd[LENGTHS + j] = SIDE_M, SIDE_SD_M
-        mean[WIDTH], sd[WIDTH] = math.log(width), 1e-3
+        mean[WIDTH], sd[WIDTH] = math.log(width), width_sd
         return Prior(mean, sd, base.omega0_sd)
 
 
@@ -268,8 +279,9 @@ def _same(one: Candidate, other: Candidate) -> bool:
 
 
 GRID_RAD, REACH, ROAMS = 2.5e-3, 40, 0.9  # of ψ: steps, most of them in one interval, and how far about the start (rad)
-INTERVAL_NODES = 2
-FOLLOW_SD_M, FOLLOW_GATE, FOLLOW_TURN_RAD = 3e-4, 25.0, 0.02
+INTERVAL_NODES = 3
+FOLLOW_SD_M, FOLLOW_GATE, FOLLOW_TURN_RAD = 6e-4, 25.0, 0.02
+FOLLOW_WIDTH = 0.008  # of sides (rad), a few of the grid's steps
 TABLE = 7200
 
 
@@ -283,7 +295,9 @@ def followed(p: FloatArray, record: Record, start: int, psi0: float) -> FloatArr
     count = 2 * round(ROAMS / GRID_RAD) + 1
     grid = np.linspace(psi0 - ROAMS, psi0 + ROAMS, count)
     angles = np.linspace(0.0, math.tau, TABLE, endpoint=False)
-    h = sharp.support(angles, p)
+    wide = p.copy()
+    wide[WIDTH] = max(p[WIDTH], math.log(FOLLOW_WIDTH))
+    h = sharp.support(angles, wide)
     d = -(np.roll(h, -1) - np.roll(h, 1)) * (TABLE / math.tau / 2)
 
     def at(table: FloatArray, theta: FloatArray) -> FloatArray:

@@ -39,6 +39,7 @@ def as_line(answer: Reconstruction, at_rest: MassEstimator) -> dict[str, Any]:
         "mass_rest_sd_kg": _number(at_rest.sd),
         "rig": _rig(answer) or None,
         "contradicted": _contradicted(answer) if len(answer.rig) else None,
+        "sides": None if answer.h is None else _sides(answer),
         "trajectory": _trajectory(answer),
         "seconds": _number(answer.seconds),
     }
@@ -81,6 +82,12 @@ def _column(values: FloatArray | None) -> list[float | None] | None:
 
 def _numbers(values: FloatArray) -> list[float | None]:
     return [_number(value) for value in values.tolist()]
+
+
+def _sides(answer: Reconstruction) -> list[dict[str, float]]:
+    return [
+        {"normal_rad": normal, "length_m": length, "length_sd_m": sd} for normal, length, sd in answer.sides.tolist()
+    ]
 
 
 def _number(value: float) -> float | None:

@@ -15,7 +15,7 @@ THETA = np.linspace(-3.0, 6.0, 721)
 STEP = 1e-5
 
 
-def _constants(width: float = 0.004) -> np.ndarray:
+def _constants(width: float = 0.002) -> np.ndarray:
     """A triangle's three sides, 20 mm each, rounded by 4 mm, about its middle."""
     p = np.zeros(sharp.CONSTANTS)
     p[C.SHAPE] = 4e-3 + 3 * 20e-3 / math.tau
@@ -37,7 +37,7 @@ def test_r_d_and_v_are_one_outline() -> None:
     here, low, high = (_contacts(THETA + by, p) for by in (0.0, -STEP, STEP))
     assert here[:, 1] == pytest.approx(-(high[:, 0] - low[:, 0]) / (2 * STEP), abs=2e-6)
     bend = -(high[:, 1] - low[:, 1]) / (2 * STEP)
-    assert here[:, 2] == pytest.approx(here[:, 0] + bend, abs=2e-4 * here[:, 2].max())
+    assert here[:, 2] == pytest.approx(here[:, 0] + bend, abs=1e-3 * here[:, 2].max())
     assert here[:, 0] == pytest.approx(sharp.support(THETA, p), abs=1e-12)
 
 

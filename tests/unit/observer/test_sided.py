@@ -1,0 +1,70 @@
+"""Outlines with flat sides: what the readings alone tell of ψ, what a blow costs, and a polygon from a blind start."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+import pytest
+from simulated import simulated
+
+from palmd.model import sharp
+from palmd.model.shape import coefficients_of
+from palmd.model.smoothing import NODE, ORDER, C
+from palmd.observer.data_segment import longest_segment
+from palmd.observer.normal_equations import BLOW_SD, ProcessNoise, _quiet_or_blow
+from palmd.observer.search import Search
+from palmd.observer.sharp_reconstruct import sharp_reconstruction
+from palmd.observer.sided import followed
+from palmd.rig.sharp_shapes import rounded_polygon, uniform_body
+from palmd.score import score_outline
+
+CORNERS = [(16.1, -4.9), (14.5, 8.0), (0.2, 16.7), (-12.5, 11.1), (-16.8, -6.8), (4.0, -17.2)]  # mm
+SECONDS = 6.0
+
+
+def test_the_readings_of_a_known_outline_tell_how_it_turns():
+    run = simulated("friction", 3, 3.0)
+    search = Search(longest_segment(run.events), run.rig)
+    p = np.zeros(sharp.CONSTANTS)
+    p[C.SHAPE : sharp.NORMALS] = coefficients_of(run.truth.h, ORDER)
+    p[sharp.WIDTH] = math.log(1e-3)
+    record = search.record
+    true = np.interp(record.t, run.truth.t, run.truth.psi)
+    psi = followed(p, record, 50, float(true[50]))
+    assert len(psi) == len(record.t) - 50
+    assert psi == pytest.approx(true[50:], abs=0.05)
+    assert np.ptp(true[50:]) > 0.3
+
+
+def test_a_step_is_quiet_or_a_blow():
+    noise = ProcessNoise(1e-10, 1e-5, gate=4.0)
+    root = np.tile(1.0 / np.sqrt(0.005 * np.array([noise.psi, noise.omega0])), (20, 1))
+    defect = np.zeros((20, NODE))
+    quiet = 1.0 / root[0, 1]
+    defect[7, 1], defect[9, 1] = 1.9 * quiet, 1000.0 * quiet
+    weighed, beyond = _quiet_or_blow(defect, root, noise)
+    weighed = weighed.reshape(-1, NODE)
+    assert weighed[7, 1] == pytest.approx(root[7, 1], rel=1e-6)
+    pulled = (defect * weighed)[9, 1] ** 2
+    assert pulled == pytest.approx(4.0 + (defect[9, 1] / BLOW_SD[1]) ** 2, rel=1e-6)
+    assert beyond == pytest.approx(4.0 * math.log(1000.0**2 / 4.0))
+
+
+def test_without_a_gate_every_defect_is_noise():
+    root = np.full((3, NODE), 2.0)
+    weighed, beyond = _quiet_or_blow(np.full((3, NODE), 1e3), root, ProcessNoise(1.0, 1.0))
+    assert np.array_equal(weighed, root.ravel())
+    assert beyond == 0.0
+
+
+def test_a_polygon_that_rides_on_a_palm_is_told_by_its_side_and_its_corner():
+    body = uniform_body("hexagon", rounded_polygon([(x * 1e-3, y * 1e-3) for x, y in CORNERS], 1e-3), 0.2)
+    run = simulated("friction", 2, SECONDS, body=body)
+    answer = sharp_reconstruction(Search(longest_segment(run.events), run.rig), 0, time.perf_counter())
+    assert answer is not None
+    assert answer.converged
+    score = score_outline(answer.theta, answer.h, answer.touched, run.truth.h)
+    assert score.e_h < 1e-4
+    assert len(answer.sides) >= 1
