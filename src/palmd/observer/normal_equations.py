@@ -15,10 +15,10 @@ import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.model.compiled import LANES, Library
-from palmd.model.smoothing import CONSTANTS, NODE
+from palmd.model.smoothing import NODE
 from palmd.observer.factor import Factor, Terms, cholesky_solved
 from palmd.observer.record import Record
-from palmd.observer.reduction import SIDE, WIDTH, IntArray, ReadingRows, StepRows, arithmetic
+from palmd.observer.reduction import IntArray, ReadingRows, StepRows, arithmetic
 
 GATE = 16.0  # squared normalised residual beyond which a reading's pull falls off: 4 sigma
 NODE_SCALE = np.array([0.05, 0.5])
@@ -72,26 +72,27 @@ class NormalEquations:
     banded: FloatArray
     rows: FloatArray
     whole_corner: FloatArray
+    constants: int
 
     @property
     def border(self) -> FloatArray:
-        """Nodes across constants (2(K + 1), CONSTANTS)."""
-        return self.rows[:, :SIDE]
+        """Nodes across constants (2(K + 1), constants)."""
+        return self.rows[:, : self.constants]
 
     @property
     def corner(self) -> FloatArray:
         """Constants across constants."""
-        return self.whole_corner[:SIDE, :SIDE]
+        return self.whole_corner[: self.constants, : self.constants]
 
     @property
     def node_side(self) -> FloatArray:
         """The right-hand side in the nodes."""
-        return self.rows[:, SIDE]
+        return self.rows[:, self.constants]
 
     @property
     def constant_side(self) -> FloatArray:
         """The right-hand side in the constants."""
-        return self.whole_corner[SIDE, :SIDE]
+        return self.whole_corner[self.constants, : self.constants]
 
     def promise(self, step: Guess) -> float:
         """By how much a full Newton step would lower the cost if the problem were linear."""
@@ -99,14 +100,15 @@ class NormalEquations:
 
     def knowing(self, known: Terms) -> NormalEquations:
         """With what is known of the constants and the first node; this one's arrays are taken over."""
-        of_node = known.matrix[CONSTANTS:, CONSTANTS:]
+        side = self.constants
+        of_node = known.matrix[side:, side:]
         for k in range(NODE):
             self.banded[k, : NODE - k] += of_node.diagonal(-k)
-        self.rows[:NODE, :SIDE] += known.matrix[CONSTANTS:, :CONSTANTS]
-        self.rows[:NODE, SIDE] += known.side[CONSTANTS:]
-        self.whole_corner[:SIDE, :SIDE] += known.matrix[:CONSTANTS, :CONSTANTS]
-        self.whole_corner[SIDE, :SIDE] += known.side[:CONSTANTS]
-        self.whole_corner[:SIDE, SIDE] += known.side[:CONSTANTS]
+        self.rows[:NODE, :side] += known.matrix[side:, :side]
+        self.rows[:NODE, side] += known.side[side:]
+        self.whole_corner[:side, :side] += known.matrix[:side, :side]
+        self.whole_corner[side, :side] += known.side[:side]
+        self.whole_corner[:side, side] += known.side[:side]
         return replace(self, cost=self.cost + known.cost, strain=known.strain)
 
     def solved(self, damping: float, scale: FloatArray) -> Guess:
@@ -114,11 +116,11 @@ class NormalEquations:
 
         A step is measured by `NODE_SCALE`, that of the constants by `scale`.
         """
-        does = arithmetic()
+        does, side = arithmetic(), self.constants
         reduced = does.reduced(self.banded, damping / NODE_SCALE**2, self.rows, self.whole_corner)
-        p = cholesky_solved(reduced.left[:SIDE, :SIDE] + np.diag(damping / scale**2), reduced.left[SIDE, :SIDE])
-        by = np.zeros(WIDTH)
-        by[:SIDE], by[SIDE] = -p, 1.0
+        p = cholesky_solved(reduced.left[:side, :side] + np.diag(damping / scale**2), reduced.left[side, :side])
+        by = np.zeros(self.rows.shape[1])
+        by[:side], by[side] = -p, 1.0
         return Guess(does.back(reduced, by).reshape(-1, NODE), p)
 
     def nodes_solved(self) -> FloatArray:
@@ -128,11 +130,12 @@ class NormalEquations:
     def posterior(self) -> tuple[FloatArray, float]:
         """Covariance of (constants, last node), and the matrix's log-determinant; LinAlgError at no minimum."""
         reduced = arithmetic().reduced(self.banded, NOTHING, self.rows, self.whole_corner)
-        schur = reduced.left[:SIDE, :SIDE]
+        side = self.constants
+        schur = reduced.left[:side, :side]
         constants = np.linalg.inv(schur)
         (first, second), below = reduced.factor[0, -NODE:], reduced.factor[1, -NODE]
         root = np.linalg.inv(np.array([[first, 0.0], [below, second]]))
-        tail, own = root.T @ reduced.rows[-NODE:, :SIDE], root.T @ root  # x_last = its own − tail · p
+        tail, own = root.T @ reduced.rows[-NODE:, :side], root.T @ root  # x_last = its own − tail · p
         covariance = np.block([[constants, -constants @ tail.T], [-tail @ constants, own + tail @ constants @ tail.T]])
         log_det = 2 * float(np.log(reduced.factor[0]).sum()) + float(np.linalg.slogdet(schur)[1])
         return (covariance + covariance.T) / 2, log_det
@@ -142,24 +145,25 @@ class NormalEquations:
 
         For two steps at least. Raises LinAlgError where the readings leave a node in between open.
         """
-        n, inner = len(self.rows), slice(NODE, len(self.rows) - NODE)
-        first, last = slice(WIDTH, WIDTH + NODE), slice(WIDTH + NODE, WIDTH + 2 * NODE)
-        rows = np.zeros((n - 2 * NODE, WIDTH + LANES))
-        rows[:, :WIDTH] = self.rows[inner]
+        (n, width), side = self.rows.shape, self.constants
+        inner = slice(NODE, n - NODE)
+        first, last = slice(width, width + NODE), slice(width + NODE, width + 2 * NODE)
+        rows = np.zeros((n - 2 * NODE, width + LANES))
+        rows[:, :width] = self.rows[inner]
         rows[:NODE, first] = _below(self.banded, 0)
         rows[-NODE:, last] = _below(self.banded, n - 2 * NODE).T
-        corner = np.zeros((WIDTH + LANES, WIDTH + LANES))
-        corner[:WIDTH, :WIDTH] = self.whole_corner
+        corner = np.zeros((width + LANES, width + LANES))
+        corner[:width, :width] = self.whole_corner
         for own, node in ((first, 0), (last, n - NODE)):
             corner[own, own] = _block(self.banded, node)
-            corner[own, :WIDTH] = self.rows[node : node + NODE]
-            corner[:WIDTH, own] = self.rows[node : node + NODE].T
+            corner[own, :width] = self.rows[node : node + NODE]
+            corner[:width, own] = self.rows[node : node + NODE].T
         left = arithmetic().reduced(self.banded[:, inner], NOTHING, rows, corner).left
-        told = np.concatenate([np.arange(CONSTANTS), np.arange(first.start, last.stop)])
-        cost = self.cost + float(left[SIDE, SIDE] - corner[SIDE, SIDE])
+        told = np.concatenate([np.arange(side), np.arange(first.start, last.stop)])
+        cost = self.cost + float(left[side, side] - corner[side, side])
         matrix = left[np.ix_(told, told)]
         return Factor(
-            np.concatenate([guess.p, guess.x[0], guess.x[-1]]), cost, (matrix + matrix.T) / 2, left[SIDE, told], scale
+            np.concatenate([guess.p, guess.x[0], guess.x[-1]]), cost, (matrix + matrix.T) / 2, left[side, told], scale
         )
 
     def inner_step(self) -> FloatArray:
@@ -175,11 +179,12 @@ class Residuals:
 
     def __init__(self, library: Library, record: Record):
         self.record = record
-        self._p = np.zeros(CONSTANTS)
+        _, constants = library.signatures["step_batch"].inputs[1]
+        self._p = np.zeros(constants)
         rows = _padded(len(record.dt))
         self._step_inputs = record.step_inputs(rows)
         self._a = np.zeros((rows, NODE))
-        self._end, self._step_jacobian = np.zeros((rows, NODE)), np.zeros((rows, NODE + CONSTANTS, NODE))
+        self._end, self._step_jacobian = np.zeros((rows, NODE)), np.zeros((rows, NODE + constants, NODE))
         ends = [self._end, self._step_jacobian]
         self._steps = library.bind("step_batch", [self._a, self._p, self._step_inputs], ends)
         self._now, self._then, self._u = np.zeros(NODE), np.zeros(NODE), np.zeros(self._step_inputs.shape[1])
@@ -238,7 +243,7 @@ class Residuals:
         made = arithmetic().assembled(steps_rows, readings)
         return NormalEquations(
             contacts.cost + forces.cost + made.slack, contacts.chi2, forces.chi2, made.slack, 0.0,
-            contacts.outliers, contacts.astray, made.banded, made.rows, made.corner,
+            contacts.outliers, contacts.astray, made.banded, made.rows, made.corner, len(self._p),
         )  # fmt: skip
 
 
@@ -265,7 +270,7 @@ def _below(banded: FloatArray, at: int) -> FloatArray:
 class _Evaluated:
     residual: FloatArray  # value − prediction
     root: FloatArray  # of the weight: one over the one-sigma, less for outliers
-    gradient: FloatArray  # (n, 4 + CONSTANTS)
+    gradient: FloatArray  # (n, 4 + constants)
     cost: float
     chi2: float
     outliers: float
@@ -279,7 +284,7 @@ class _Readings:
         rows = len(inputs)
         self.step = step
         self._a, self._b = np.zeros((rows, NODE)), np.zeros((rows, NODE))
-        self._value, self._gradient = np.zeros(rows), np.zeros((rows, 2 * NODE + CONSTANTS))
+        self._value, self._gradient = np.zeros(rows), np.zeros((rows, 2 * NODE + len(p)))
         self._call = library.bind(kernel, [self._a, self._b, p, inputs], [self._value, self._gradient])
 
     def predicted(self, x: FloatArray) -> FloatArray:

@@ -1,8 +1,8 @@
 """The arithmetic of the smoother's normal equations: assembled, and reduced to the constants.
 
 Compiled in `model/normal_equations.c`; a twin in NumPy and SciPy serves without a compiler, and to check it
-against. Rows are `WIDTH` wide: what they are in the constants, then the right-hand side, then zeros. A matrix in the
-nodes is banded, (BAND, n) as LAPACK's lower form. Not for use inside the loop.
+against. Rows are `wide` enough for what they are in the constants, then the right-hand side, then zeros. A matrix in
+the nodes is banded, (BAND, n) as LAPACK's lower form. Not for use inside the loop.
 """
 
 from __future__ import annotations
@@ -19,28 +19,37 @@ import numpy.typing as npt
 from palmd.events import FloatArray
 from palmd.model import smoothing
 from palmd.model.compiled import LANES
-from palmd.model.smoothing import CONSTANTS, NODE
+from palmd.model.smoothing import NODE
 
 IntArray = npt.NDArray[np.intp]
 
 BAND = 2 * NODE  # diagonals, from the main one down
-SIDE = CONSTANTS
-WIDTH = -(-(CONSTANTS + 1) // LANES) * LANES
+MOST_WIDE = 128
+
+
+def wide(constants: int) -> int:
+    """How wide rows are for so many constants."""
+    return -(-(constants + 1) // LANES) * LANES
 
 
 @dataclass(frozen=True, slots=True)
 class StepRows:
-    """Each step's end (K, 2), its Jacobian (K, 2 + CONSTANTS, 2) and one over its one-sigma (K, 2), at nodes x."""
+    """Each step's end (K, 2), its Jacobian (K, 2 + constants, 2) and one over its one-sigma (K, 2), at nodes x."""
 
     x: FloatArray
     end: FloatArray
     jacobian: FloatArray
     root: FloatArray
 
+    @property
+    def constants(self) -> int:
+        """How many there are."""
+        return int(self.jacobian.shape[1]) - NODE
+
 
 @dataclass(frozen=True, slots=True)
 class ReadingRows:
-    """Readings of one kind: the step of each, gradient (n, 4 + CONSTANTS), value − prediction, one over one-sigma."""
+    """Readings of one kind: the step of each, gradient (n, 4 + constants), value − prediction, one over one-sigma."""
 
     step: IntArray
     gradient: FloatArray
@@ -50,7 +59,7 @@ class ReadingRows:
 
 @dataclass(frozen=True, slots=True)
 class Assembled:
-    """banded (BAND, n), rows (n, WIDTH), corner (WIDTH, WIDTH), and the sum of the steps' squares."""
+    """banded (BAND, n), rows (n, w), corner (w, w), and the sum of the steps' squares."""
 
     banded: FloatArray
     rows: FloatArray
@@ -84,7 +93,10 @@ class Arithmetic(Protocol):
 
 
 class _Steps(ctypes.Structure):
-    _fields_ = (*((name, ctypes.c_void_p) for name in ("x", "end", "jacobian", "root")), ("steps", ctypes.c_long))
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("x", "end", "jacobian", "root")),
+        *((name, ctypes.c_long) for name in ("steps", "constants", "width")),
+    )
 
 
 class _Readings(ctypes.Structure):
@@ -99,7 +111,7 @@ class Compiled:
 
     def __init__(self, library: ctypes.CDLL):
         """Raises RuntimeError where the library's sizes are not the model's."""
-        wanted = [NODE, CONSTANTS, WIDTH]
+        wanted = [NODE, LANES, MOST_WIDE]
         if list((ctypes.c_long * len(wanted)).in_dll(library, "normal_equations_sizes")) != wanted:
             raise RuntimeError("model/normal_equations.c has other sizes than model/smoothing.py")
         pointer, number = ctypes.c_void_p, ctypes.c_long
@@ -111,19 +123,21 @@ class Compiled:
 
     def assembled(self, steps: StepRows, readings: Sequence[ReadingRows]) -> Assembled:
         """See `Arithmetic`."""
-        count, n = len(steps.end), steps.x.size
+        count, n, constants, width = len(steps.end), steps.x.size, steps.constants, wide(steps.constants)
+        if width > MOST_WIDE:
+            raise ValueError(f"there is room for {MOST_WIDE - 1} constants, not {constants}")
         told = _Steps(
             _at(steps.x, count + 1, NODE), _at(steps.end, count, NODE),
-            _at(steps.jacobian, count, NODE + CONSTANTS, NODE), _at(steps.root, count, NODE), count,
+            _at(steps.jacobian, count, NODE + constants, NODE), _at(steps.root, count, NODE), count, constants, width,
         )  # fmt: skip
         kinds = (_Readings * max(len(readings), 1))()
         for kind, each in zip(kinds, readings, strict=False):
             kind.count = many = len(each.step)
             if many and not 0 <= each.step.min() <= each.step.max() < count:
                 raise ValueError("a reading lies in no step")
-            kind.gradient, kind.step = _at(each.gradient, many, 2 * NODE + CONSTANTS), _at(each.step, many)
+            kind.gradient, kind.step = _at(each.gradient, many, 2 * NODE + constants), _at(each.step, many)
             kind.residual, kind.root = _at(each.residual, many), _at(each.root, many)
-        banded, rows, corner = np.zeros((BAND, n)), np.zeros((n, WIDTH)), np.zeros((WIDTH, WIDTH))
+        banded, rows, corner = np.zeros((BAND, n)), np.zeros((n, width)), np.zeros((width, width))
         slack = self._assemble(ctypes.byref(told), kinds, len(readings), _at(banded), _at(rows), _at(corner))
         return Assembled(banded, rows, corner, slack)
 
@@ -161,8 +175,8 @@ class Twin:
         """See `Arithmetic`."""
         from scipy.sparse import csr_matrix
 
-        count, n = len(steps.end), steps.x.size
-        J = steps.jacobian.transpose(0, 2, 1).reshape(count * NODE, NODE + CONSTANTS)
+        count, n, side_at, width = len(steps.end), steps.x.size, steps.constants, wide(steps.constants)
+        J = steps.jacobian.transpose(0, 2, 1).reshape(count * NODE, NODE + side_at)
         root = steps.root.ravel()
         # every residual is a row, divided by its one-sigma: first the steps' ends, then the readings
         in_nodes = [np.column_stack([J[:, :NODE], np.full(len(J), -1.0)]).ravel() * np.repeat(root, NODE + 1)]
@@ -178,13 +192,13 @@ class Twin:
         sparse = csr_matrix((np.concatenate(in_nodes), *_pattern(count, [each.step for each in readings])), shape=shape)
         across = sparse.T.tocsr()
         normal = across @ sparse
-        banded, rows, corner = np.zeros((BAND, n)), np.zeros((n, WIDTH)), np.zeros((WIDTH, WIDTH))
+        banded, rows, corner = np.zeros((BAND, n)), np.zeros((n, width)), np.zeros((width, width))
         for k in range(BAND):
             banded[k, : n - k] = normal.diagonal(-k)
-        rows[:, :SIDE], rows[:, SIDE] = across @ border, -(across @ side)
-        corner[:SIDE, :SIDE] = border.T @ border
-        corner[SIDE, :SIDE] = corner[:SIDE, SIDE] = -(border.T @ side)
-        corner[SIDE, SIDE] = side @ side
+        rows[:, :side_at], rows[:, side_at] = across @ border, -(across @ side)
+        corner[:side_at, :side_at] = border.T @ border
+        corner[side_at, :side_at] = corner[:side_at, side_at] = -(border.T @ side)
+        corner[side_at, side_at] = side @ side
         return Assembled(banded, rows, corner, slack)
 
     def reduced(self, banded: FloatArray, damping: FloatArray, rows: FloatArray, corner: FloatArray) -> Reduced:

@@ -8,9 +8,10 @@ import pytest
 
 from palmd.model import smoothing
 from palmd.model.smoothing import CONSTANTS, NODE
-from palmd.observer.reduction import BAND, SIDE, WIDTH, Compiled, ReadingRows, Reduced, StepRows, Twin, arithmetic
+from palmd.observer.reduction import BAND, Compiled, ReadingRows, Reduced, StepRows, Twin, arithmetic, wide
 
 STEPS = 41
+SIDE, WIDTH = CONSTANTS, wide(CONSTANTS)
 
 
 def compiled():
@@ -19,11 +20,11 @@ def compiled():
     return Compiled(ctypes.CDLL(str(path)))
 
 
-def residuals(seed=0, counts=(37, 50)):
+def residuals(seed=0, counts=(37, 50), constants=CONSTANTS):
     """Steps and readings of two kinds, of sizes as they are met; the last readings lie in the last step."""
     random = np.random.default_rng(seed)
     x = random.standard_normal((STEPS + 1, NODE))
-    J = 0.1 * random.standard_normal((STEPS, NODE + CONSTANTS, NODE))
+    J = 0.1 * random.standard_normal((STEPS, NODE + constants, NODE))
     J[:, :NODE] += np.eye(NODE)
     ends = x[1:] + 1e-3 * random.standard_normal((STEPS, NODE))
     steps = StepRows(x, ends, J, random.uniform(1e2, 1e4, (STEPS, NODE)))
@@ -31,7 +32,7 @@ def residuals(seed=0, counts=(37, 50)):
     for count in counts:
         step = np.sort(random.integers(0, STEPS, count))
         step[-3:] = STEPS - 1
-        gradient = random.standard_normal((count, 2 * NODE + CONSTANTS))
+        gradient = random.standard_normal((count, 2 * NODE + constants))
         kinds.append(ReadingRows(step, gradient, random.standard_normal(count), random.uniform(0.5, 2.0, count)))
     return steps, kinds
 
@@ -48,15 +49,16 @@ def test_what_is_compiled_is_used():
     assert isinstance(arithmetic(), Compiled)
 
 
-@pytest.mark.parametrize("counts", [(37, 50), (5,), ()])
-def test_the_assembled_equations_are_the_twins(counts):
-    steps, kinds = residuals(1, counts)
+@pytest.mark.parametrize(("counts", "constants"), [((37, 50), 45), ((5,), 45), ((), 45), ((37, 50), 60)])
+def test_the_assembled_equations_are_the_twins(counts, constants):
+    steps, kinds = residuals(1, counts, constants)
     got, wanted = compiled().assembled(steps, kinds), Twin().assembled(steps, kinds)
     assert got.slack == pytest.approx(wanted.slack, rel=1e-12)
     for name in ("banded", "rows", "corner"):
         a, b = getattr(got, name), getattr(wanted, name)
         np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-11 * np.abs(b).max(), err_msg=name)
-    assert not got.rows[:, SIDE + 1 :].any()
+    assert got.rows.shape[1] == wide(constants)
+    assert not got.rows[:, constants + 1 :].any()
 
 
 @pytest.mark.parametrize("does", [compiled, Twin], ids=["compiled", "twin"])
@@ -108,5 +110,7 @@ def test_arrays_that_do_not_fit_are_refused():
         does.reduced(made.banded, nothing, made.rows[:, :46], made.corner)
     with pytest.raises(ValueError, match=r"float32 \(42, 2\)"):
         does.assembled(replace(steps, x=steps.x.astype(np.float32)), kinds)
+    with pytest.raises(ValueError, match="there is room for 127 constants, not 130"):
+        does.assembled(*residuals(5, constants=130))
     with pytest.raises(ValueError, match="a reading lies in no step"):
         does.assembled(steps, [replace(kinds[0], step=kinds[0].step + 1)])
