@@ -23,7 +23,7 @@ TOLERANCE = 1e-9  # relative, beside what the last bits of the inputs make of th
 LAST_BITS, AS_MUCH = 4e-16, 100.0
 
 
-def build(name: str, kernels: Sequence[Kernel], written: Sequence[Path], flags: Sequence[str], note: Path) -> bool:
+def build(name: str, kernels: Sequence[Kernel], written: Sequence[Path], note: Path) -> bool:
     """Generate, compile and check the library `name`; then put it and its `note` into the note's folder.
 
     What has been compiled from the same C already is left as it is.
@@ -42,23 +42,22 @@ def build(name: str, kernels: Sequence[Kernel], written: Sequence[Path], flags: 
             if text:
                 files.append(Path(folder) / f"{'columns' if columns else 'single'}.c")
                 files[-1].write_text(text, encoding="utf-8")
-        key = key_of(b"".join(each.read_bytes() for each in files) + " ".join(flags).encode())
-        library = note.with_name(f"{name}-{key}.so")
+        library = note.with_name(f"{name}-{key_of(b''.join(each.read_bytes() for each in files))}.so")
         if not (library.exists() and _sound(library, kernels)):
-            _compile([compiler, *FLAGS, *flags], files, kernels, library)
+            _compile(compiler, files, kernels, library)
         told = Path(folder) / "note.json"
         told.write_text(note_of(_signatures(kernels), library), encoding="utf-8")
         told.replace(note)
     return True
 
 
-def _compile(compiler: Sequence[str], files: Sequence[Path], kernels: Sequence[Kernel], library: Path) -> None:
+def _compile(compiler: str, files: Sequence[Path], kernels: Sequence[Kernel], library: Path) -> None:
     built = files[-1].with_name("built.so")
-    command = [*compiler, "-I", str(Path(__file__).parent), "-o", str(built), *map(str, files), "-lm"]
+    command = [compiler, *FLAGS, "-I", str(Path(__file__).parent), "-o", str(built), *map(str, files), "-lm"]
     try:
         subprocess.run(command, check=True, capture_output=True, text=True)
     except FileNotFoundError as error:
-        raise OSError(f"{compiler[0]}: {error.strerror}") from error
+        raise OSError(f"{compiler}: {error.strerror}") from error
     _checked(built, kernels)  # refused before anybody relies on it
     built.replace(library)
 

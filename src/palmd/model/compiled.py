@@ -117,11 +117,10 @@ def load(
     kernels: Callable[[], Iterable[Kernel]],
     folder: Path | None = None,
     written: Sequence[str] = (),
-    flags: Sequence[str] = (),
 ) -> Library:
     """The library called `name` from the cache (or `folder`); what is not there yet is built, from `kernels()`.
 
-    `written`: files of C in this package that are compiled with it, `flags` besides the usual ones. Takes seconds the
+    `written`: files of C in this package that are compiled with it. Takes seconds the
     first time and a millisecond afterwards; not for use inside the loop. Never raises for want of a compiler or of a
     writable cache: it falls back to the virtual machine with a warning.
     """
@@ -133,7 +132,7 @@ def load(
 
     made = list(kernels())
     try:
-        if building.build(name, made, [_PACKAGE / each for each in written], flags, note):
+        if building.build(name, made, [_PACKAGE / each for each in written], note):
             found = _opened(note)
         else:
             log.warning("no C compiler: observers run on CasADi's virtual machine (install gcc for speed)")

@@ -1,7 +1,7 @@
 /* The smoother's normal equations: assembled from linearised residuals, and reduced to the constants.
 
-   The twin of `observer.normal_equations`, which says what they are. All rows are WIDTH wide: what they are in the
-   constants, then the right-hand side, then zeros. Matrices in the nodes are banded, `band[d * n + i]` being the entry
+   The twin of `observer.normal_equations`, which says what they are. All rows are `width` wide, a multiple of
+   LANES: what they are in the constants, then the right-hand side, then zeros. Matrices in the nodes are banded, `band[d * n + i]` being the entry
    (i + d, i). */
 
 #define LANES 8
@@ -9,21 +9,16 @@
 
 #define NODE 2
 #define BAND 4
-#ifndef CONSTANTS
-#error "compile with -DCONSTANTS=n"
-#endif
-#define SIDE CONSTANTS
-#define GRADIENT (2 * NODE + CONSTANTS)
-#define WIDTH ((CONSTANTS + LANES) / LANES * LANES)
+#define MOST_WIDE 128
 #define NEAR 32
 #define ROWS 4 /* that are added to the corner at a time */
 
-const long normal_equations_sizes[] = {NODE, CONSTANTS, WIDTH};
+const long normal_equations_sizes[] = {NODE, LANES, MOST_WIDE};
 
 typedef struct {
-  double *band, *rows, *corner; /* (BAND, n), (n, WIDTH), (WIDTH, WIDTH), all zero to begin with */
-  long n;
-  double pending[ROWS][WIDTH] __attribute__((aligned(64)));
+  double *band, *rows, *corner; /* (BAND, n), (n, width), (width, width), all zero to begin with */
+  long n, width;
+  double pending[ROWS][MOST_WIDE] __attribute__((aligned(64)));
   int waiting;
 } Sum;
 
@@ -33,9 +28,9 @@ INLINE void store(double *to, lane a) { memcpy(to, &a, sizeof a); }
 /* corner += pendingᵀ pending, its upper triangle by blocks of lanes */
 static void flush(Sum *sum) {
   for (int r = sum->waiting; r < ROWS; r++) memset(sum->pending[r], 0, sizeof sum->pending[r]);
-  for (int i = 0; i < WIDTH; i++) {
-    double *row = sum->corner + i * WIDTH;
-    for (int j = i / LANES * LANES; j < WIDTH; j += LANES) {
+  for (long i = 0; i < sum->width; i++) {
+    double *row = sum->corner + i * sum->width;
+    for (long j = i / LANES * LANES; j < sum->width; j += LANES) {
       lane a = load(row + j);
       for (int r = 0; r < ROWS; r++) a += sum->pending[r][i] * load(sum->pending[r] + j);
       store(row + j, a);
@@ -48,55 +43,56 @@ static void flush(Sum *sum) {
 static void add(Sum *sum, long first, const double *nodes, int count) {
   const double *row = sum->pending[sum->waiting];
   for (int a = 0; a < count; a++) {
-    double *to = sum->rows + (first + a) * WIDTH;
-    for (int j = 0; j < WIDTH; j += LANES) store(to + j, load(to + j) + nodes[a] * load(row + j));
+    double *to = sum->rows + (first + a) * sum->width;
+    for (long j = 0; j < sum->width; j += LANES) store(to + j, load(to + j) + nodes[a] * load(row + j));
     for (int b = 0; b <= a; b++) sum->band[(a - b) * sum->n + first + b] += nodes[a] * nodes[b];
   }
   if (++sum->waiting == ROWS) flush(sum);
 }
 
 typedef struct {
-  const double *x, *end, *jacobian, *root; /* nodes (K + 1, NODE); (K, NODE), (K, NODE + CONSTANTS, NODE); (K, NODE) */
-  long steps;
+  const double *x, *end, *jacobian, *root; /* nodes (K + 1, NODE); (K, NODE), (K, NODE + constants, NODE); (K, NODE) */
+  long steps, constants, width;
 } Steps;
 
 typedef struct {
-  const double *gradient, *residual, *root; /* (count, GRADIENT); value − prediction; one over the one-sigma */
+  const double *gradient, *residual, *root; /* (count, 2 NODE + constants); value − prediction; one over the one-sigma */
   const long *step;
   long count;
 } Readings;
 
 /* What the steps' ends and the readings say; the sum of the steps' squares is returned. */
 double assemble(const Steps *steps, const Readings *kinds, long number, double *band, double *rows, double *corner) {
-  Sum sum = {.band = band, .rows = rows, .corner = corner, .n = NODE * (steps->steps + 1)};
+  const long constants = steps->constants, width = steps->width, n = NODE * (steps->steps + 1);
+  Sum sum = {.band = band, .rows = rows, .corner = corner, .n = n, .width = width};
   double slack = 0.0;
   for (long k = 0; k < steps->steps; k++) {
-    const double *J = steps->jacobian + k * (NODE + CONSTANTS) * NODE;
+    const double *J = steps->jacobian + k * (NODE + constants) * NODE;
     for (int i = 0; i < NODE; i++) {
       const double root = steps->root[k * NODE + i];
       const double miss = (steps->end[k * NODE + i] - steps->x[(k + 1) * NODE + i]) * root;
       double nodes[2 * NODE] = {J[i] * root, J[NODE + i] * root}, *row = sum.pending[sum.waiting];
       nodes[NODE + i] = -root;
-      for (int c = 0; c < CONSTANTS; c++) row[c] = J[(NODE + c) * NODE + i] * root;
-      row[SIDE] = -miss;
-      for (int c = SIDE + 1; c < WIDTH; c++) row[c] = 0.0;
+      for (long c = 0; c < constants; c++) row[c] = J[(NODE + c) * NODE + i] * root;
+      row[constants] = -miss;
+      for (long c = constants + 1; c < width; c++) row[c] = 0.0;
       slack += miss * miss;
       add(&sum, NODE * k, nodes, 2 * NODE);
     }
   }
   for (const Readings *kind = kinds; kind < kinds + number; kind++)
     for (long k = 0; k < kind->count; k++) {
-      const double *gradient = kind->gradient + k * GRADIENT, root = kind->root[k];
+      const double *gradient = kind->gradient + k * (2 * NODE + constants), root = kind->root[k];
       double nodes[2 * NODE], *row = sum.pending[sum.waiting];
       for (int a = 0; a < 2 * NODE; a++) nodes[a] = gradient[a] * root;
-      for (int c = 0; c < CONSTANTS; c++) row[c] = gradient[2 * NODE + c] * root;
-      row[SIDE] = kind->residual[k] * root;
-      for (int c = SIDE + 1; c < WIDTH; c++) row[c] = 0.0;
+      for (long c = 0; c < constants; c++) row[c] = gradient[2 * NODE + c] * root;
+      row[constants] = kind->residual[k] * root;
+      for (long c = constants + 1; c < width; c++) row[c] = 0.0;
       add(&sum, NODE * kind->step[k], nodes, 2 * NODE);
     }
   flush(&sum);
-  for (int i = 0; i < WIDTH; i++)
-    for (int j = 0; j < i; j++) corner[i * WIDTH + j] = corner[j * WIDTH + i];
+  for (long i = 0; i < width; i++)
+    for (long j = 0; j < i; j++) corner[i * width + j] = corner[j * width + i];
   return slack;
 }
 

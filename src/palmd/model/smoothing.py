@@ -218,5 +218,4 @@ def library(curved: bool = False) -> Library:
 
 def kernels(name: str, form: Form) -> Library:
     """The same set for another form, under a name of its own."""
-    flags = [f"-DCONSTANTS={form.constants}"]
-    return load(name, lambda: _kernels(form), written=["normal_equations.c"], flags=flags)
+    return load(name, lambda: _kernels(form), written=["normal_equations.c"])

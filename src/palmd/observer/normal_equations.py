@@ -19,7 +19,7 @@ from palmd.model.compiled import LANES, Library
 from palmd.model.smoothing import NODE
 from palmd.observer.factor import Factor, Terms, cholesky_solved
 from palmd.observer.record import Record
-from palmd.observer.reduction import Arithmetic, IntArray, ReadingRows, StepRows, arithmetic_of
+from palmd.observer.reduction import IntArray, ReadingRows, StepRows, arithmetic
 
 GATE = 16.0  # squared normalised residual beyond which a reading's pull falls off: 4 sigma
 NODE_SCALE = np.array([0.05, 0.5])
@@ -44,7 +44,7 @@ class ProcessNoise:
 
 @dataclass(frozen=True, slots=True)
 class Guess:
-    """A point to linearise at: nodes (K + 1, 2) and the constants."""
+    """A point to linearise at: nodes (K + 1, 2) and constants (CONSTANTS)."""
 
     x: FloatArray
     p: FloatArray
@@ -66,7 +66,6 @@ class NormalEquations:
 
     `slack` is what the steps' noise, `strain` what prior knowledge contributes; `outliers` is the share of contact
     readings beyond the gate, `astray` the longest run of them. χ² is per contact and per force reading, robust.
-    `does`: what assembled them, and solves them.
     """
 
     cost: float
@@ -79,27 +78,27 @@ class NormalEquations:
     banded: FloatArray
     rows: FloatArray
     whole_corner: FloatArray
-    does: Arithmetic
+    constants: int
 
     @property
     def border(self) -> FloatArray:
         """Nodes across constants (2(K + 1), constants)."""
-        return self.rows[:, : self.does.constants]
+        return self.rows[:, : self.constants]
 
     @property
     def corner(self) -> FloatArray:
         """Constants across constants."""
-        return self.whole_corner[: self.does.constants, : self.does.constants]
+        return self.whole_corner[: self.constants, : self.constants]
 
     @property
     def node_side(self) -> FloatArray:
         """The right-hand side in the nodes."""
-        return self.rows[:, self.does.constants]
+        return self.rows[:, self.constants]
 
     @property
     def constant_side(self) -> FloatArray:
         """The right-hand side in the constants."""
-        return self.whole_corner[self.does.constants, : self.does.constants]
+        return self.whole_corner[self.constants, : self.constants]
 
     def promise(self, step: Guess) -> float:
         """By how much a full Newton step would lower the cost if the problem were linear."""
@@ -107,7 +106,7 @@ class NormalEquations:
 
     def knowing(self, known: Terms) -> NormalEquations:
         """With what is known of the constants and the first node; this one's arrays are taken over."""
-        side = self.does.constants  # where the right-hand side stands, after the constants
+        side = self.constants
         of_node = known.matrix[side:, side:]
         for k in range(NODE):
             self.banded[k, : NODE - k] += of_node.diagonal(-k)
@@ -123,21 +122,21 @@ class NormalEquations:
 
         A step is measured by `NODE_SCALE`, that of the constants by `scale`.
         """
-        does, side = self.does, self.does.constants
+        does, side = arithmetic(), self.constants
         reduced = does.reduced(self.banded, damping / NODE_SCALE**2, self.rows, self.whole_corner)
         p = cholesky_solved(reduced.left[:side, :side] + np.diag(damping / scale**2), reduced.left[side, :side])
-        by = np.zeros(does.width)
+        by = np.zeros(self.rows.shape[1])
         by[:side], by[side] = -p, 1.0
         return Guess(does.back(reduced, by).reshape(-1, NODE), p)
 
     def nodes_solved(self) -> FloatArray:
         """The Newton step of the nodes (K + 1, 2) alone; raises LinAlgError where there is none."""
-        return _nodes_solved(self.does, self.banded, self.node_side)
+        return _nodes_solved(self.banded, self.node_side)
 
     def posterior(self) -> tuple[FloatArray, float]:
         """Covariance of (constants, last node), and the matrix's log-determinant; LinAlgError at no minimum."""
-        side = self.does.constants
-        reduced = self.does.reduced(self.banded, NOTHING, self.rows, self.whole_corner)
+        reduced = arithmetic().reduced(self.banded, NOTHING, self.rows, self.whole_corner)
+        side = self.constants
         schur = reduced.left[:side, :side]
         constants = np.linalg.inv(schur)
         (first, second), below = reduced.factor[0, -NODE:], reduced.factor[1, -NODE]
@@ -152,8 +151,8 @@ class NormalEquations:
 
         For two steps at least. Raises LinAlgError where the readings leave a node in between open.
         """
-        n, inner = len(self.rows), slice(NODE, len(self.rows) - NODE)
-        side, width = self.does.constants, self.does.width
+        (n, width), side = self.rows.shape, self.constants
+        inner = slice(NODE, n - NODE)
         first, last = slice(width, width + NODE), slice(width + NODE, width + 2 * NODE)
         rows = np.zeros((n - 2 * NODE, width + LANES))
         rows[:, :width] = self.rows[inner]
@@ -165,7 +164,7 @@ class NormalEquations:
             corner[own, own] = _block(self.banded, node)
             corner[own, :width] = self.rows[node : node + NODE]
             corner[:width, own] = self.rows[node : node + NODE].T
-        left = self.does.reduced(self.banded[:, inner], NOTHING, rows, corner).left
+        left = arithmetic().reduced(self.banded[:, inner], NOTHING, rows, corner).left
         told = np.concatenate([np.arange(side), np.arange(first.start, last.stop)])
         cost = self.cost + float(left[side, side] - corner[side, side])
         matrix = left[np.ix_(told, told)]
@@ -177,7 +176,7 @@ class NormalEquations:
         """The Newton step of the nodes (K + 1, 2) while p and both ends stand still."""
         inner = slice(NODE, len(self.rows) - NODE)
         step = np.zeros((len(self.rows) // NODE, NODE))
-        step[1:-1] = _nodes_solved(self.does, self.banded[:, inner], self.node_side[inner])
+        step[1:-1] = _nodes_solved(self.banded[:, inner], self.node_side[inner])
         return step
 
 
@@ -186,8 +185,7 @@ class Residuals:
 
     def __init__(self, library: Library, record: Record):
         self.record = record
-        self._does = arithmetic_of(library)
-        constants = self._does.constants
+        _, constants = library.signatures["step_batch"].inputs[1]
         self._p = np.zeros(constants)
         rows = _padded(len(record.dt))
         self._step_inputs = record.step_inputs(rows)
@@ -249,11 +247,11 @@ class Residuals:
             for each, found in ((self._contacts, contacts), (self._forces, forces))
         ]
         steps_rows = StepRows(x, self._end[:steps], self._step_jacobian[:steps], root)
-        made = self._does.assembled(steps_rows, readings)
+        made = arithmetic().assembled(steps_rows, readings)
         slack = made.slack + blows
         return NormalEquations(
             contacts.cost + forces.cost + slack, contacts.chi2, forces.chi2, slack, 0.0,
-            contacts.outliers, contacts.astray, made.banded, made.rows, made.corner, self._does,
+            contacts.outliers, contacts.astray, made.banded, made.rows, made.corner, len(self._p),
         )  # fmt: skip
 
 
@@ -273,8 +271,8 @@ def _quiet_or_blow(defect: FloatArray, root: FloatArray, noise: ProcessNoise) ->
     return np.sqrt(pull * root**2 + BLOW_SD**-2.0), float(cost.sum())
 
 
-def _nodes_solved(does: Arithmetic, banded: FloatArray, side: FloatArray) -> FloatArray:
-    rows, by = np.zeros((len(side), LANES)), np.zeros(LANES)
+def _nodes_solved(banded: FloatArray, side: FloatArray) -> FloatArray:
+    does, rows, by = arithmetic(), np.zeros((len(side), LANES)), np.zeros(LANES)
     rows[:, 0], by[0] = side, 1.0
     reduced = does.reduced(banded, NOTHING, rows, np.zeros((LANES, LANES)))
     return does.back(reduced, by).reshape(-1, NODE)

@@ -1,8 +1,8 @@
 """The arithmetic of the smoother's normal equations: assembled, and reduced to the constants.
 
 Compiled in `model/normal_equations.c`; a twin in NumPy and SciPy serves without a compiler, and to check it
-against. Rows are `width` wide: what they are in the constants, then the right-hand side, then zeros. A matrix in the
-nodes is banded, (BAND, n) as LAPACK's lower form. Not for use inside the loop.
+against. Rows are `wide` enough for what they are in the constants, then the right-hand side, then zeros. A matrix in
+the nodes is banded, (BAND, n) as LAPACK's lower form. Not for use inside the loop.
 """
 
 from __future__ import annotations
@@ -11,19 +11,25 @@ import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray
-from palmd.model.compiled import LANES, Library
+from palmd.model import smoothing
+from palmd.model.compiled import LANES
 from palmd.model.smoothing import NODE
 
 IntArray = npt.NDArray[np.intp]
 
 BAND = 2 * NODE  # diagonals, from the main one down
+MOST_WIDE = 128
+
+
+def wide(constants: int) -> int:
+    """How wide rows are for so many constants."""
+    return -(-(constants + 1) // LANES) * LANES
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +40,11 @@ class StepRows:
     end: FloatArray
     jacobian: FloatArray
     root: FloatArray
+
+    @property
+    def constants(self) -> int:
+        """How many there are."""
+        return int(self.jacobian.shape[1]) - NODE
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +59,7 @@ class ReadingRows:
 
 @dataclass(frozen=True, slots=True)
 class Assembled:
-    """banded (BAND, n), rows (n, width), corner (width, width), and the sum of the steps' squares."""
+    """banded (BAND, n), rows (n, w), corner (w, w), and the sum of the steps' squares."""
 
     banded: FloatArray
     rows: FloatArray
@@ -66,10 +77,7 @@ class Reduced:
 
 
 class Arithmetic(Protocol):
-    """What is compiled, and its twin, for so many `constants`; rows are `width` wide."""
-
-    constants: int
-    width: int
+    """What is compiled, and its twin."""
 
     def assembled(self, steps: StepRows, readings: Sequence[ReadingRows]) -> Assembled:
         """The normal equations of these residuals."""
@@ -85,7 +93,10 @@ class Arithmetic(Protocol):
 
 
 class _Steps(ctypes.Structure):
-    _fields_ = (*((name, ctypes.c_void_p) for name in ("x", "end", "jacobian", "root")), ("steps", ctypes.c_long))
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("x", "end", "jacobian", "root")),
+        *((name, ctypes.c_long) for name in ("steps", "constants", "width")),
+    )
 
 
 class _Readings(ctypes.Structure):
@@ -98,12 +109,11 @@ class _Readings(ctypes.Structure):
 class Compiled:
     """See `Arithmetic`."""
 
-    def __init__(self, library: ctypes.CDLL, constants: int):
+    def __init__(self, library: ctypes.CDLL):
         """Raises RuntimeError where the library's sizes are not the model's."""
-        self.constants, self.width = constants, _width(constants)
-        wanted = [NODE, constants, self.width]
+        wanted = [NODE, LANES, MOST_WIDE]
         if list((ctypes.c_long * len(wanted)).in_dll(library, "normal_equations_sizes")) != wanted:
-            raise RuntimeError("model/normal_equations.c was compiled for other sizes than the model's")
+            raise RuntimeError("model/normal_equations.c has other sizes than model/smoothing.py")
         pointer, number = ctypes.c_void_p, ctypes.c_long
         self._assemble, self._reduce, self._back = library.assemble, library.reduce, library.back
         self._assemble.argtypes = (pointer, pointer, number, pointer, pointer, pointer)
@@ -113,19 +123,21 @@ class Compiled:
 
     def assembled(self, steps: StepRows, readings: Sequence[ReadingRows]) -> Assembled:
         """See `Arithmetic`."""
-        count, n = len(steps.end), steps.x.size
+        count, n, constants, width = len(steps.end), steps.x.size, steps.constants, wide(steps.constants)
+        if width > MOST_WIDE:
+            raise ValueError(f"there is room for {MOST_WIDE - 1} constants, not {constants}")
         told = _Steps(
             _at(steps.x, count + 1, NODE), _at(steps.end, count, NODE),
-            _at(steps.jacobian, count, NODE + self.constants, NODE), _at(steps.root, count, NODE), count,
+            _at(steps.jacobian, count, NODE + constants, NODE), _at(steps.root, count, NODE), count, constants, width,
         )  # fmt: skip
         kinds = (_Readings * max(len(readings), 1))()
         for kind, each in zip(kinds, readings, strict=False):
             kind.count = many = len(each.step)
             if many and not 0 <= each.step.min() <= each.step.max() < count:
                 raise ValueError("a reading lies in no step")
-            kind.gradient, kind.step = _at(each.gradient, many, 2 * NODE + self.constants), _at(each.step, many)
+            kind.gradient, kind.step = _at(each.gradient, many, 2 * NODE + constants), _at(each.step, many)
             kind.residual, kind.root = _at(each.residual, many), _at(each.root, many)
-        banded, rows, corner = np.zeros((BAND, n)), np.zeros((n, self.width)), np.zeros((self.width, self.width))
+        banded, rows, corner = np.zeros((BAND, n)), np.zeros((n, width)), np.zeros((width, width))
         slack = self._assemble(ctypes.byref(told), kinds, len(readings), _at(banded), _at(rows), _at(corner))
         return Assembled(banded, rows, corner, slack)
 
@@ -159,15 +171,12 @@ def _at(array: FloatArray | IntArray, *shape: int) -> int:
 class Twin:
     """See `Arithmetic`: the same in NumPy and SciPy, slowly."""
 
-    def __init__(self, constants: int):
-        self.constants, self.width = constants, _width(constants)
-
     def assembled(self, steps: StepRows, readings: Sequence[ReadingRows]) -> Assembled:
         """See `Arithmetic`."""
         from scipy.sparse import csr_matrix
 
-        count, n = len(steps.end), steps.x.size
-        J = steps.jacobian.transpose(0, 2, 1).reshape(count * NODE, NODE + self.constants)
+        count, n, side_at, width = len(steps.end), steps.x.size, steps.constants, wide(steps.constants)
+        J = steps.jacobian.transpose(0, 2, 1).reshape(count * NODE, NODE + side_at)
         root = steps.root.ravel()
         # every residual is a row, divided by its one-sigma: first the steps' ends, then the readings
         in_nodes = [np.column_stack([J[:, :NODE], np.full(len(J), -1.0)]).ravel() * np.repeat(root, NODE + 1)]
@@ -183,14 +192,13 @@ class Twin:
         sparse = csr_matrix((np.concatenate(in_nodes), *_pattern(count, [each.step for each in readings])), shape=shape)
         across = sparse.T.tocsr()
         normal = across @ sparse
-        banded, rows, corner = np.zeros((BAND, n)), np.zeros((n, self.width)), np.zeros((self.width, self.width))
+        banded, rows, corner = np.zeros((BAND, n)), np.zeros((n, width)), np.zeros((width, width))
         for k in range(BAND):
             banded[k, : n - k] = normal.diagonal(-k)
-        m = self.constants
-        rows[:, :m], rows[:, m] = across @ border, -(across @ side)
-        corner[:m, :m] = border.T @ border
-        corner[m, :m] = corner[:m, m] = -(border.T @ side)
-        corner[m, m] = side @ side
+        rows[:, :side_at], rows[:, side_at] = across @ border, -(across @ side)
+        corner[:side_at, :side_at] = border.T @ border
+        corner[side_at, :side_at] = corner[:side_at, side_at] = -(border.T @ side)
+        corner[side_at, side_at] = side @ side
         return Assembled(banded, rows, corner, slack)
 
     def reduced(self, banded: FloatArray, damping: FloatArray, rows: FloatArray, corner: FloatArray) -> Reduced:
@@ -227,15 +235,8 @@ def _pattern(steps: int, readings: Sequence[IntArray]) -> tuple[IntArray, IntArr
     return np.concatenate([ends.ravel(), *(each.ravel() for each in columns)]), starts
 
 
-def _width(constants: int) -> int:
-    return -(-(constants + 1) // LANES) * LANES
-
-
-def arithmetic_of(library: Library) -> Arithmetic:
-    """What is compiled with the kernels of a smoother, else its twin."""
-    return _arithmetic(library.path, library.signatures["step_batch"].inputs[1][1])
-
-
 @cache
-def _arithmetic(path: Path | None, constants: int) -> Arithmetic:
-    return Twin(constants) if path is None else Compiled(ctypes.CDLL(str(path)), constants)
+def arithmetic() -> Arithmetic:
+    """What is compiled, else its twin."""
+    path = smoothing.library().path
+    return Twin() if path is None else Compiled(ctypes.CDLL(str(path)))

@@ -8,26 +8,23 @@ import pytest
 
 from palmd.model import smoothing
 from palmd.model.smoothing import CONSTANTS, NODE
-from palmd.observer.reduction import BAND, Compiled, ReadingRows, Reduced, StepRows, Twin, arithmetic_of
+from palmd.observer.reduction import BAND, Compiled, ReadingRows, Reduced, StepRows, Twin, arithmetic, wide
 
 STEPS = 41
+SIDE, WIDTH = CONSTANTS, wide(CONSTANTS)
 
 
 def compiled():
     path = smoothing.library().path
     assert path is not None
-    return Compiled(ctypes.CDLL(str(path)), CONSTANTS)
+    return Compiled(ctypes.CDLL(str(path)))
 
 
-def twin():
-    return Twin(CONSTANTS)
-
-
-def residuals(seed=0, counts=(37, 50)):
+def residuals(seed=0, counts=(37, 50), constants=CONSTANTS):
     """Steps and readings of two kinds, of sizes as they are met; the last readings lie in the last step."""
     random = np.random.default_rng(seed)
     x = random.standard_normal((STEPS + 1, NODE))
-    J = 0.1 * random.standard_normal((STEPS, NODE + CONSTANTS, NODE))
+    J = 0.1 * random.standard_normal((STEPS, NODE + constants, NODE))
     J[:, :NODE] += np.eye(NODE)
     ends = x[1:] + 1e-3 * random.standard_normal((STEPS, NODE))
     steps = StepRows(x, ends, J, random.uniform(1e2, 1e4, (STEPS, NODE)))
@@ -35,7 +32,7 @@ def residuals(seed=0, counts=(37, 50)):
     for count in counts:
         step = np.sort(random.integers(0, STEPS, count))
         step[-3:] = STEPS - 1
-        gradient = random.standard_normal((count, 2 * NODE + CONSTANTS))
+        gradient = random.standard_normal((count, 2 * NODE + constants))
         kinds.append(ReadingRows(step, gradient, random.standard_normal(count), random.uniform(0.5, 2.0, count)))
     return steps, kinds
 
@@ -49,21 +46,22 @@ def dense(banded):
 
 
 def test_what_is_compiled_is_used():
-    assert isinstance(arithmetic_of(smoothing.library()), Compiled)
+    assert isinstance(arithmetic(), Compiled)
 
 
-@pytest.mark.parametrize("counts", [(37, 50), (5,), ()])
-def test_the_assembled_equations_are_the_twins(counts):
-    steps, kinds = residuals(1, counts)
-    got, wanted = compiled().assembled(steps, kinds), twin().assembled(steps, kinds)
+@pytest.mark.parametrize(("counts", "constants"), [((37, 50), 45), ((5,), 45), ((), 45), ((37, 50), 60)])
+def test_the_assembled_equations_are_the_twins(counts, constants):
+    steps, kinds = residuals(1, counts, constants)
+    got, wanted = compiled().assembled(steps, kinds), Twin().assembled(steps, kinds)
     assert got.slack == pytest.approx(wanted.slack, rel=1e-12)
     for name in ("banded", "rows", "corner"):
         a, b = getattr(got, name), getattr(wanted, name)
         np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-11 * np.abs(b).max(), err_msg=name)
-    assert not got.rows[:, CONSTANTS + 1 :].any()
+    assert got.rows.shape[1] == wide(constants)
+    assert not got.rows[:, constants + 1 :].any()
 
 
-@pytest.mark.parametrize("does", [compiled, twin], ids=["compiled", "twin"])
+@pytest.mark.parametrize("does", [compiled, Twin], ids=["compiled", "twin"])
 def test_what_is_left_is_schurs_complement(does):
     steps, kinds = residuals(2)
     made = does().assembled(steps, kinds)
@@ -74,7 +72,7 @@ def test_what_is_left_is_schurs_complement(does):
     np.testing.assert_allclose(reduced.left, wanted, rtol=1e-7, atol=1e-9 * np.abs(made.corner).max())
     factor = np.tril(dense(reduced.factor))
     np.testing.assert_allclose(factor @ factor.T, matrix, rtol=1e-9, atol=1e-9 * np.abs(matrix).max())
-    by = np.random.default_rng(0).standard_normal(compiled().width)
+    by = np.random.default_rng(0).standard_normal(WIDTH)
     np.testing.assert_allclose(does().back(reduced, by), np.linalg.solve(matrix, made.rows @ by), rtol=1e-7, atol=1e-9)
 
 
@@ -82,7 +80,7 @@ def test_reducing_gives_the_twins_numbers_and_leaves_its_inputs_alone():
     steps, kinds = residuals(3)
     made = compiled().assembled(steps, kinds)
     before = [each.copy() for each in (made.banded, made.rows, made.corner)]
-    got, wanted = (each.reduced(made.banded, np.zeros(NODE), made.rows, made.corner) for each in (compiled(), twin()))
+    got, wanted = (each.reduced(made.banded, np.zeros(NODE), made.rows, made.corner) for each in (compiled(), Twin()))
     for a, b in zip(before, (made.banded, made.rows, made.corner), strict=True):
         np.testing.assert_array_equal(a, b)
     for name in Reduced.__slots__:
@@ -92,7 +90,7 @@ def test_reducing_gives_the_twins_numbers_and_leaves_its_inputs_alone():
         np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-9 * np.abs(b).max(), err_msg=name)
 
 
-@pytest.mark.parametrize("does", [compiled, twin], ids=["compiled", "twin"])
+@pytest.mark.parametrize("does", [compiled, Twin], ids=["compiled", "twin"])
 @pytest.mark.parametrize("wrong", [-1e9, np.nan, np.inf])
 def test_a_matrix_that_is_not_positive_definite_is_refused(does, wrong):
     steps, kinds = residuals(4)
@@ -112,5 +110,7 @@ def test_arrays_that_do_not_fit_are_refused():
         does.reduced(made.banded, nothing, made.rows[:, :46], made.corner)
     with pytest.raises(ValueError, match=r"float32 \(42, 2\)"):
         does.assembled(replace(steps, x=steps.x.astype(np.float32)), kinds)
+    with pytest.raises(ValueError, match="there is room for 127 constants, not 130"):
+        does.assembled(*residuals(5, constants=130))
     with pytest.raises(ValueError, match="a reading lies in no step"):
         does.assembled(steps, [replace(kinds[0], step=kinds[0].step + 1)])
