@@ -267,11 +267,11 @@ class Rig:
         s, host, motion = self.supervisor, self.arm.host, self.motion
         return (
             s.state, s._arming is not None, s._resetting is not None, s._closing, tuple(s._autostart),
-            s._job is not None and s._job.future.ready, s._job is None, s.plan is not None and s.plan.fits,
+            s._job is not None and (s._job.request.name, s._job.future.ready), s.plan is not None and s.plan.fits,
             host.state, host.tracking, host.pending, host.there, self.arm.linked_since_open, self.arm.is_open,
             self.pads_open, self.present, frozenset(self.faults._latched), self.faults.active,
-            motion.commanded is None, motion.moving, motion.held, motion.jogging, motion.over, motion.frozen,
-            math.isinf(s._t_up), s.at_rest, self.rules.armed, self.rules.told,
+            motion.commanded is None, motion.moving, motion.held, motion.jogging,
+            bool(s._autostart) and math.isinf(s._t_up), self.rules.armed, self.rules.told,
         )  # fmt: skip
 
 
@@ -292,7 +292,7 @@ def happenings(rig, commands=tuple(COMMANDS)):
             yield "link", _link
         else:
             yield "silence", _silence
-            for state in (ArmState.READY, ArmState.FAULT, ArmState.ESTOP, ArmState.MANUAL):
+            for state in (ArmState.READY, ArmState.FAULT, ArmState.ESTOP):
                 if host.state is not state:
                     yield f"controller {state.name}", lambda r, state=state: _turn(r, state)
             if host.busy:

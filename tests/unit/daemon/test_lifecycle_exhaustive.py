@@ -10,6 +10,8 @@ from palmd.daemon.lifecycle import COMMANDED, State
 from palmd.faults import FAULTS, FaultMonitor
 from palmd.harness.rules import Rules
 
+pytestmark = pytest.mark.timeout(3600)  # a busy machine takes its time over half a million ticks
+
 FEW = ("arm", "start", "stop", "reset", "hold")
 
 

@@ -15,7 +15,7 @@ STANDS_RAD_S = math.radians(0.5)
 LIVELY = 1
 EARLIEST_S, WATCHED_S = 5.0, 1.2
 LASTS_S = 2.0
-FOR_GOOD_S = 0.2  # of standing: later somebody may have started it again
+FOR_GOOD_S = 0.1  # of standing: later somebody may have started it again
 
 CAUSES: tuple[tuple[str, Happening], ...] = (
     *(

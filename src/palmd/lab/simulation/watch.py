@@ -336,9 +336,9 @@ def bulk(thing: object) -> int:
         elif isinstance(each, list | tuple | set | frozenset | deque):
             total += len(each)
             found += each
-        elif type(each).__module__.startswith(_OWN):
+        elif isinstance(each, Core) or type(each).__module__.startswith(_OWN):
             found.append(getattr(each, "__dict__", None))
     return total
 
 
-_OWN = ("palmd.daemon", "palmd.devices", "palmd.faults", "palmd.motion", "palmd.lab.simulation.run")
+_OWN = ("palmd.daemon", "palmd.devices", "palmd.faults", "palmd.motion")
