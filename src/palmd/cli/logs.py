@@ -15,7 +15,7 @@ from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import working
 from palmd.record.eventlog import EventLog, LogError
 from palmd.record.run import RunError, is_recording, read_run
-from palmd.record.systems import System, read_log_of_any, system_of
+from palmd.record.systems import NotYetError, System, read_log_of_any, system_of
 from palmd.system.description import CALIBRATION_KEYS
 
 STDOUT = Path("-")
@@ -70,7 +70,10 @@ def read_any(path: Path, calibration_sd: Sequence[tuple[str, float]] = ()) -> tu
         raise CliError(BAD_INPUT, str(error)) from None
     for note in log.notes:
         print(note, file=sys.stderr)
-    return system, system.known_to(log, dict(calibration_sd))
+    try:
+        return system, system.known_to(log, dict(calibration_sd))
+    except NotYetError as error:
+        raise CliError(BAD_INPUT, f"{path}: {error}") from None
 
 
 @contextlib.contextmanager

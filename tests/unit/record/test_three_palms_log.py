@@ -82,6 +82,13 @@ def test_what_tells_nothing_is_not_converged(log, tmp_path, capsys):
     assert "there is no surface to write" in capsys.readouterr().err
 
 
+def test_what_cannot_be_done_yet_is_refused_in_one_sentence(log, tmp_path, capsys):
+    path, out = log(joints(0.0)), str(tmp_path / "out")
+    for command, *options in (["estimate"], ["reconstruct", "--calibration-sd", "zero_m=0.001"]):
+        assert main([command, str(path), "-o", out, *options]) == 1
+        assert capsys.readouterr().err.count("\n") == 1
+
+
 def test_the_longest_stretch_has_no_silent_pad():
     t = 0.01 * np.arange(1, 500)
     path = joint_path(0.016 * np.arange(320), np.zeros((320, 3)), np.zeros((320, 2, 3)), 1e-4)

@@ -51,7 +51,10 @@ class System(LogForm, Protocol):
     def name(self) -> str: ...
 
     def known_to(self, log: Any, sds: Mapping[str, float]) -> Any:
-        """The same log of a rig that is known as well as `sds` say, by the names of `CALIBRATION_KEYS`."""
+        """The same log of a rig that is known as well as `sds` say, by the names of `CALIBRATION_KEYS`.
+
+        Raises `NotYetError`.
+        """
         ...
 
     def reconstruct(self, log: Any, seed: int) -> Reconstructed:

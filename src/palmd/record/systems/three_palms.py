@@ -112,13 +112,14 @@ class ThreePalms:
         return Reconstructed(as_line(answer), told, None, answer.reason, mesh)
 
     def tick_count(self, log: ThreePalmsLog) -> int:
+        """None: see `estimate`."""
         del log
-        raise NotYetError("there is no live estimate of three palms in space yet; palmd reconstruct has an answer")
+        return 0
 
     def estimate(self, log: ThreePalmsLog, observer: ObserverName, outlines: Sequence[Outline]) -> Iterator[Said]:
-        del observer, outlines
-        self.tick_count(log)
-        yield from ()
+        """Raises NotYetError."""
+        del log, observer, outlines
+        raise NotYetError("three palms in space have no live observer yet; palmd reconstruct takes their logs")
 
 
 SYSTEM = ThreePalms()

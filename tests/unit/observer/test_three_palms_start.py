@@ -1,0 +1,40 @@
+"""The blind start between three palms: what given contacts tell of the motion, without rotation or shape."""
+
+import math
+
+import numpy as np
+
+from palmd.observer.three_palms import kernels
+from palmd.observer.three_palms.driven import Contacts, ball_of
+from palmd.observer.three_palms.kernels import palm_inputs
+from palmd.record.systems.three_palms import SYSTEM, laid_out
+from palmd.rig.three_palms.simulate import simulate
+from palmd.system.three_palms import palms_at
+
+SECONDS, SPACING = 1.2, 0.02
+
+
+def test_a_ball_is_found_by_its_contacts():
+    angle = np.array([[0.9, 0.8, 0.7]])
+    normal = palms_at(angle, 0 * angle, 0 * angle).normal
+    centre, radius = np.array([0.001, 0.02, 0.03]), 0.02
+    found, radii = ball_of(centre - radius * normal, normal)
+    np.testing.assert_allclose(found, [centre], atol=1e-15)
+    np.testing.assert_allclose(radii, radius, atol=1e-15)
+
+
+def test_given_contacts_tell_how_centre_and_spin_go_on():
+    (run,) = simulate("friction", 1, SECONDS + 0.1, seed=2)
+    truth, (head, *lines) = run.truth, run.lines
+    rig = SYSTEM.rig(head["rig"])
+    events = tuple(event for line in lines for event in SYSTEM.events(line["t"], line, rig))
+    path, readings = laid_out(SYSTEM.log(rig, events, ()))
+    t = np.array(truth["t"])[: round(SECONDS / SPACING)]
+    state = np.concatenate([truth["com_m"], truth["omega_rad_s"]], axis=1)[: len(t)]
+    gyration = math.sqrt(np.trace(truth["inertia_m2"]) / 3)
+    constants = np.array([math.log(gyration), 0.0, math.log(truth["mu"]), math.log(truth["dither_m_s"])])
+    given = (state, palm_inputs(path.palms(t)), Contacts.smoothed(readings).at(path, t))
+    rates = kernels.driven()(given, (constants, rig.gravity))[0]
+    off = (rates - np.gradient(state, t, axis=0))[5:-5]
+    assert np.sqrt(np.mean(off[:, :3] ** 2)) < 1e-4  # m/s
+    assert np.sqrt(np.mean(off[:, 3:] ** 2)) < 5.0  # rad/s²: 40 µm of a contact are 4
