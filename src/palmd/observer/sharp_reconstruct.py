@@ -14,7 +14,7 @@ from palmd.model.smoothing import RIG, C
 from palmd.observer.factor import friction_of
 from palmd.observer.outline import directions, normal_angles, touched_by
 from palmd.observer.reconstruction import Reconstruction
-from palmd.observer.search import Search, still
+from palmd.observer.search import MOST_STRAIN, Search, still
 from palmd.observer.sided import Candidate, SidedSearch
 from palmd.observer.visits import visits_of
 
@@ -22,7 +22,7 @@ LEAST_SIDE_M = 1e-3  # a shorter side is none
 SHARP_M = 1.5e-4  # RMS of the outline's one-sigma where touched, above which there is no outline to speak of
 MOST_CHI2, MOST_OUTLIERS = 1.15, 0.05  # of the readings, while contacts jump
 DIFFERENT_M, DOUBT = 1e-4, 25.0
-MOST_SLACK = 0.1  # of the cost, for each contact reading: more, and blows explain what the outline does not
+MOST_SLACK = 0.02  # of the cost, for each contact reading: more, and blows explain what the outline does not
 LEAST_S = 3.0  # of readings
 # What simulated outlines are off by besides: neither contacts that jump nor the width of a side is noise.
 MODEL_SD_M, OVERCONFIDENCE = 6e-6, 1.5
@@ -48,8 +48,9 @@ def sharp_reconstruction(search: Search, seed: int, begun: float) -> Reconstruct
 
 def _doubtful(best: Candidate, found: tuple[Candidate, ...]) -> bool:
     fit = best.fit
-    explained = fit.chi2 < MOST_CHI2 and fit.force_chi2 < MOST_CHI2 and fit.outliers < MOST_OUTLIERS
-    if not (best.explains and fit.settled and explained):
+    likely = fit.strain < MOST_STRAIN and fit.outliers < MOST_OUTLIERS
+    explained = fit.chi2 < MOST_CHI2 and fit.force_chi2 < MOST_CHI2
+    if not (best.explains and fit.settled and likely and explained):
         return True
     if fit.slack > MOST_SLACK * len(best.record.contact_value) or not (fit.guess.p[LENGTHS:WIDTH] > LEAST_SIDE_M).any():
         return True
