@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test system lint audit bench build docs site setup dev lock wheelhouse clean
+.PHONY: help demo test system lint audit mutants bench build docs site setup dev lock wheelhouse clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z]*\):.*##/make \1\t/p' $(MAKEFILE_LIST) | expand -t 18
@@ -24,6 +24,9 @@ lint: dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+mutants: dev  ## small faults put into what must not fail: do the tests notice? hours; MUTANTS="--sample 20 --seed 1"
+	$(BIN)/python tools/mutants.py $(MUTANTS)
 
 audit: dev  ## known holes in what is locked, as far as PyPI answers
 	$(BIN)/python tools/audit.py requirements.lock requirements-dev.lock

@@ -32,7 +32,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     "daemon/setpoints.py": ("unit/daemon/test_setpoints.py", "property/test_setpoints_property.py"),
     "devices/armlink.py": ("unit/devices/test_armlink.py",),
     "devices/armhost.py": ("unit/devices/test_armhost.py",),
-    "faults.py": ("unit/test_faults.py", "unit/daemon/test_lifecycle_exhaustive.py"),
+    "faults.py": ("unit/test_faults.py",),
     "daemon/supervisor.py": ("unit/daemon/test_core.py", "unit/daemon/test_exploring.py"),
     "keys.py": ("unit/test_keys.py",),
 }

@@ -191,7 +191,22 @@ def commands(draw):
 @settings(max_examples=12, deadline=None, derandomize=True)
 @given(commands())
 def test_what_is_refused_leaves_every_byte_to_the_arm_as_it_was(state, command):
-    name, args = command
+    check(state, *command)
+
+
+ALWAYS = (
+    *((name, {}) for name in ("arm", "start", "hold", "stop", "reset", "status")),
+    *(("jog", {"phi1_deg": step, **whole}) for step in (-0.5, 0.5) for whole in ({}, {"whole_phi1_deg": 200 * step})),
+)
+
+
+@pytest.mark.parametrize("state", STATES, ids=lambda state: state.__name__)
+def test_every_plain_command_in_every_state(state):
+    for name, args in ALWAYS:
+        check(state, name, args)
+
+
+def check(state, name, args):
     asked, left_alone = prepared(state).copy(), prepared(state).copy()
     asked.core.handle(Request(name, args, id=1), asked.t)
     after, without = asked.go(40), left_alone.go(40)

@@ -183,3 +183,11 @@ def test_a_client_needs_the_daemons_public_key(folders, capsys):
 def test_the_key_may_stand_in_the_environment(folders, capsys, monkeypatch):
     monkeypatch.setenv("PALMD_KEY", "mine/nobody.key_secret")
     assert fails(capsys, "ctl", "status").startswith("mine/nobody.key_secret: no such file")
+
+
+@pytest.mark.parametrize(("more", "counts"), [(0, True), (1, False)])
+def test_a_file_that_is_too_long_says_nothing(tmp_path, more, counts):
+    path = tmp_path / "long"
+    said = 'role = "watch"\n'
+    path.write_text(said + "#" * (keys.FILE_BYTES_MAX - len(said) + more), encoding="ascii")
+    assert (keys._read(path) == {"role": "watch"}) is counts
