@@ -697,6 +697,7 @@ _shtab_palmd_reconstruct_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   {-o,--output}"[- for standard output\; .svg, .dxf, .csv\: the outline as a drawing or points, x and y in mm\; .stl, .ply, .obj\: the surface of a body in space, in mm]:RESULT.json:_files"
   "--seed[of the blind start (default\: 0)]:N:"
+  "--sides[where no smooth outline explains the readings, look for one with flat sides and corners\: some ten to sixty seconds more]"
   "--calibration-sd[one-sigma of the rig\'s constants, instead of the log\'s\: zero_m, scale, angle_rad, standoff_m, lag_s, gravity_rad, sagitta_m, friction, force_m_per_n]:KEY=VALUE:"
   ":an event log (JSON lines) or a recorded run (.mcap):_files"
 )

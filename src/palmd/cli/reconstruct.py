@@ -18,6 +18,7 @@ from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import working
 from palmd.record.meshfile import MESHES
 from palmd.record.outline_files import SUFFIXES
+from palmd.record.systems import NotYetError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,6 +34,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         " .stl, .ply, .obj: the surface of a body in space, in mm",
     )
     parser.add_argument("--seed", type=seed, default=0, metavar="N", help="of the blind start (default: %(default)s)")
+    parser.add_argument(
+        "--sides",
+        action="store_true",
+        help="where no smooth outline explains the readings, look for one with flat sides and corners: some ten to"
+        " sixty seconds more",
+    )
     add_calibration_argument(parser)
 
 
@@ -41,8 +48,11 @@ def run(arguments: argparse.Namespace) -> int:
     suffix = arguments.output.suffix.lower()
     made = drawing(suffix) if suffix in SUFFIXES else None
     system, log = read_any(arguments.log, arguments.calibration_sd)
-    with working("reconstructing"):
-        answer = system.reconstruct(log, arguments.seed)
+    try:
+        with working("reconstructing"):
+            answer = system.reconstruct(log, arguments.seed, arguments.sides)
+    except NotYetError as error:
+        raise CliError(BAD_INPUT, f"{arguments.log}: --sides: {error}") from None
     if (as_mesh := MESHES.get(suffix)) is not None:
         if answer.mesh is None:
             why = f"not converged: {answer.reason}" if answer.reason else "a body between two palms has an outline only"

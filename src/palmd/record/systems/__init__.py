@@ -57,8 +57,11 @@ class System(LogForm, Protocol):
         """
         ...
 
-    def reconstruct(self, log: Any, seed: int) -> Reconstructed:
-        """What the whole log tells; never raises for what its readings say."""
+    def reconstruct(self, log: Any, seed: int, sides: bool = False) -> Reconstructed:
+        """What the whole log tells; never raises for what its readings say.
+
+        `sides`: flat sides and corners are looked for where no smooth outline explains them; raises `NotYetError`.
+        """
         ...
 
     def tick_count(self, log: Any) -> int:

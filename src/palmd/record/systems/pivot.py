@@ -96,8 +96,10 @@ class Pivot(PivotForm):
         """The same log of a rig that is known so well."""
         return replace(log, rig=log.rig.known_to(sds))
 
-    def reconstruct(self, log: PivotLog, seed: int) -> Reconstructed:
+    def reconstruct(self, log: PivotLog, seed: int, sides: bool = False) -> Reconstructed:
         """Outline about the pivot, motion and friction; `seed` is of no use: all starts are tried."""
+        if sides:
+            raise NotYetError("flat sides are looked for between two palms only")
         del seed
         answer = reconstruct(log.events, log.rig)
         told = summary(answer) if answer.converged else f"not converged: {answer.reason}"

@@ -100,7 +100,9 @@ class ThreePalms:
             raise NotYetError("three palms in space are taken to be exactly as described: leave --calibration-sd out")
         return log
 
-    def reconstruct(self, log: ThreePalmsLog, seed: int) -> Reconstructed:
+    def reconstruct(self, log: ThreePalmsLog, seed: int, sides: bool = False) -> Reconstructed:
+        if sides:
+            raise NotYetError("flat sides are looked for between two palms only")
         del seed  # nothing is drawn at random
         joints, readings = laid_out(log)
         if joints is None:
