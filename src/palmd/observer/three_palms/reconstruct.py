@@ -27,7 +27,7 @@ GAP_S = 0.15  # without a reading of a pad or a report of the joints, after whic
 NEAR = math.cos(math.radians(4.0))
 MOST_CHI2 = 1.15
 MOST_COST = 1.12  # per number read, of readings, equations and beliefs together
-SHARP_M = 1.5e-4
+SHARP_M = 7e-5
 MOST_LAMBDA = 0.5
 """Of the inertia's λ, which is 0 for a dense ball: beyond it the inertia stands in for something else."""
 
