@@ -84,6 +84,7 @@ def _operations() -> dict[int, str]:
         ca.OP_IF_ELSE_ZERO: "if_else_zero({0}, {1})", ca.OP_TAN: "EACH(tan, {0})", ca.OP_ATAN: "EACH(atan, {0})",
         ca.OP_ATAN2: "EACH2(atan2, {0}, {1})", ca.OP_POW: "EACH2(pow, {0}, {1})",
         ca.OP_CONSTPOW: "EACH2(pow, {0}, {1})", ca.OP_TANH: "EACH(tanh, {0})",
+        ca.OP_LOG1P: "EACH(log1p, {0})",
     }  # fmt: skip
 
 

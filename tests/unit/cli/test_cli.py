@@ -52,7 +52,7 @@ def test_without_a_command_there_is_help(capsys):
         (("rnu",), "there is no 'rnu'; is run meant?"),
         (("recrod", "x.yaml"), "there is no 'recrod'; is record meant?"),
         (("calibrate", "pda"), "there is no 'pda'; is pad meant?"),
-        (("bench", "dance"), "there is no 'dance'; there are montecarlo, "),
+        (("bench", "waltz"), "there is no 'waltz'; there are montecarlo, "),
     ],
 )
 def test_a_slip_is_told_what_may_be_meant(argv, told, capsys):

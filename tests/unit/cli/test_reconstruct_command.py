@@ -141,7 +141,7 @@ def test_an_outline_for_cad_is_that_of_the_result(log, tmp_path, capsys):
 
 
 def test_a_reconstruction_without_an_outline_draws_none(log, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("palmd.record.systems.two_palms.reconstruct", lambda *_: nothing())
+    monkeypatch.setattr("palmd.record.systems.two_palms.reconstruct", lambda *_, **__: nothing())
     assert main(["reconstruct", str(log), "-o", str(tmp_path / "o.svg")]) == 1
     assert "not converged: too little: there is no outline to draw" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
