@@ -13,7 +13,8 @@ help:  ## this list
 demo: build  ## an emulated rig, the daemon, an unknown object: live estimates until Ctrl-C
 	@$(BIN)/palmd demo $(DEMO_ARGS)
 
-test: dev lint build  ## all tests, linters, types and import contracts
+test: dev lint  ## all tests, linters, types and import contracts
+	@$(BIN)/palmd build --all
 	@$(BIN)/python tools/run_tests.py
 
 system: dev  ## only the services, under a systemd of their own (skipped unless root may boot one)

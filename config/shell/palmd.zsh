@@ -298,6 +298,7 @@ _shtab_palmd_bench_space_defaults_added=0
 
 _shtab_palmd_build_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--all[what other systems need too\: curved palms, flat sides, three palms in space\; a minute more]"
 )
 
 # guard to ensure default positional specs are added only once per session
