@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Makes each observer once; takes seconds for what is not in the cache yet."""
     from palmd import observer
-    from palmd.model import pivot, rollout, smoothing
+    from palmd.model import pivot, rollout, shape_map, smoothing
     from palmd.system.description import RigDescription
 
     def backend_of(name: observer.ObserverName) -> str:
@@ -31,6 +31,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     for name in get_args(observer.ObserverName):
         _told(f"{name} observer", partial(backend_of, name))
+    _told("shape observer, with a smoother's harmonics", lambda: shape_map.library(smoothing.ORDER).backend)
     _told("smoother", lambda: smoothing.library().backend)
     _told("pivoting grasp", lambda: pivot.library().backend)
     _told("explorer", lambda: rollout.library().backend)

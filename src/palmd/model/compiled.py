@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
+import importlib
 import json
 import logging
 import os
 import platform
 import subprocess
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
@@ -175,12 +176,11 @@ def _sources() -> bytes:
 
 @cache
 def _processor() -> str:
-    """What the processor can do, where the system tells: libraries are made for it."""
-    try:
-        with Path("/proc/cpuinfo").open(encoding="utf-8", errors="replace") as told:
-            return next((line for line in told if line.startswith(("flags", "Features"))), "")
-    except OSError:
-        return platform.processor()
+    """What the processor can do: libraries are made for it. Asked of NumPy, as a service may not see /proc/cpuinfo."""
+    found: Mapping[str, bool] = getattr(
+        importlib.import_module("numpy._core._multiarray_umath"), "__cpu_features__", {}
+    )
+    return " ".join(sorted(name for name, has in found.items() if has)) or platform.processor()
 
 
 def _opened(note: Path) -> Library | None:
