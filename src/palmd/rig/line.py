@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import math
 import os
 import select
 import termios
@@ -28,6 +29,7 @@ class Wire:
         self.byte_s = 10.0 / baud
         self._bytes: deque[tuple[float, int]] = deque()
         self._t_free = 0.0
+        self._t_next = -math.inf  # of the next burst
 
     def send(self, data: bytes, t: float) -> None:
         """Hands over bytes at t (s); the first one has arrived one byte time later, if the line is free."""
@@ -42,8 +44,12 @@ class Wire:
         """How many bytes have not arrived yet."""
         return len(self._bytes)
 
-    def take(self, t: float) -> bytes:
-        """The bytes that have arrived by t (s)."""
+    def take(self, t: float, burst_s: float = 0.0) -> bytes:
+        """The bytes that have arrived by t (s); held back until `burst_s` after the last burst, where that is not 0."""
+        if burst_s > 0.0:
+            if t < self._t_next:
+                return b""
+            self._t_next = t + burst_s
         waiting = self._bytes
         if not waiting or waiting[0][0] > t:
             return b""

@@ -119,7 +119,6 @@ class World:
         self.bauds["arm"] = self._arm.baud
         self._out: dict[PortName, Wire] = {port: Wire(baud or _NO_LINE_BAUD) for port, baud in self.bauds.items()}
         self._said: dict[PortName, Said] = {port: Said() for port in PORTS}
-        self._next_delivery: dict[PortName, float] = dict.fromkeys(PORTS, -math.inf)
         self._t_place: float | None = None
         self._touching = (False, False)
         self._draw_body()
@@ -264,12 +263,7 @@ class World:
             wire.send(spoilt, t + late)
 
     def _delivered(self, port: PortName, t: float) -> bytes:
-        burst = self.mischief.strength("burst", port)
-        if burst > 0.0:
-            if t < self._next_delivery[port]:
-                return b""
-            self._next_delivery[port] = t + burst
-        return self._out[port].take(t)
+        return self._out[port].take(t, self.mischief.strength("burst", port))
 
     @property
     def _true_palms(self) -> PalmMotion:

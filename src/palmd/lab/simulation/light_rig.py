@@ -54,7 +54,6 @@ class LightRig:
             self._pads[name] = _Pad(pad, GOOD_PADS, error.reading_error_m, self._rng, 0.0)
         bauds = {name: pad.baud or 9600 for name, pad in self._pads.items()} | {"arm": config.arm.baud}
         self._out = {port: Wire(bauds[port]) for port in PORTS}
-        self._next_delivery = dict.fromkeys(PORTS, -math.inf)
         self._t_back: float | None = -math.inf  # when the body lies on the palms again; None while a hand has it
         self._phase = float(self._rng.uniform(0.0, math.tau))
 
@@ -120,9 +119,4 @@ class LightRig:
             self._out[port].send(self.mischief.spoil(port, data, self._rng), t + late)
 
     def _delivered(self, port: PortName, t: float) -> bytes:
-        burst = self.mischief.strength("burst", port)
-        if burst > 0.0:
-            if t < self._next_delivery[port]:
-                return b""
-            self._next_delivery[port] = t + burst
-        return self._out[port].take(t)
+        return self._out[port].take(t, self.mischief.strength("burst", port))
