@@ -17,8 +17,9 @@ from typing import Any
 import msgpack
 import zmq
 
-from palmd.bus.link import Link, silent, unpacked, wait_ms
+from palmd.bus.link import Link, silent, wait_ms
 from palmd.keys import Credentials
+from palmd.messages import unpacked
 
 TIMEOUT_S = 2.0
 

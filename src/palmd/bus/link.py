@@ -9,9 +9,8 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
-import msgpack
 import zmq
 
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
@@ -89,15 +88,6 @@ class Link:
 def wait_ms(t_end: float) -> int:
     """From now until t_end (s, monotonic clock), as ZeroMQ's `poll` takes it."""
     return math.ceil(max(0.0, t_end - time.monotonic()) * 1e3)
-
-
-def unpacked(payload: bytes) -> dict[str, Any] | None:
-    """A msgpack map; None for anything else."""
-    try:
-        fields = msgpack.unpackb(payload)
-    except Exception:  # msgpack raises half a dozen kinds for bytes that are not its own
-        return None
-    return fields if isinstance(fields, dict) else None
 
 
 def _reason(error: zmq.ZMQError) -> str:

@@ -10,8 +10,9 @@ from typing import Any
 
 import zmq
 
-from palmd.bus.link import Link, unpacked, wait_ms
+from palmd.bus.link import Link, wait_ms
 from palmd.keys import Credentials
+from palmd.messages import unpacked
 
 QUEUED_MESSAGES = 20_000  # a minute's, should we be slow
 RECONNECT_MS = 20  # a publisher that begins anew is heard almost from its first message

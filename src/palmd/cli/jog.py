@@ -7,15 +7,9 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
-import select
 import shutil
 import sys
-import termios
 import time
-import tty
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,7 +20,8 @@ from palmd.bus.subscriber import Subscriber
 from palmd.config import LimitsConfig
 from palmd.console.configured import configured, usual
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
-from palmd.system.mechanism import JOINTS
+from palmd.console.keys import pressed, unbuffered
+from palmd.system.mechanism import JOINTS, PALMS
 
 EVERY_S = 0.05
 STEP_DEG = 0.4
@@ -42,7 +37,10 @@ STEPS = {b"\x1b[C": (1, 0), b"\x1b[D": (-1, 0), b"\x1b[A": (0, 1), b"\x1b[B": (0
 """What terminals send for the arrows, and how they turn the joints."""
 
 ASKS = {b"a": "arm", b"s": "stop"}
-HELP = "arrows: ← → palm 1, ↑ ↓ palm 2, only while held    a: arm   s: stop   q: end"
+HELP = (
+    f"arrows: {', '.join(f'{keys} palm {palm}' for keys, palm in zip(('← →', '↑ ↓'), PALMS, strict=True))},"
+    " only while held    a: arm   s: stop   q: end"
+)
 
 
 @dataclass(slots=True)
@@ -92,7 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
     with CommandClient(command) as client, Subscriber(publish, topics=("palm/motion", "palm/state")) as subscriber:
         client.ask("status")
         print(HELP)
-        with _keys(sys.stdin.fileno()) as keys:
+        with unbuffered(sys.stdin.fileno()) as keys:
             _Jogging(client, subscriber, config.limits).until_end(keys)
     return 0
 
@@ -120,7 +118,7 @@ class _Jogging:
 
     def _turn(self, keys: int) -> bool:
         t_next = time.monotonic() + EVERY_S
-        asked = self._handle.pressed(_pressed(keys), time.monotonic())
+        asked = self._handle.pressed(pressed(keys), time.monotonic())
         for each in asked:
             if each == "end":
                 return True
@@ -156,19 +154,3 @@ def line(motion: dict[str, Any], state: dict[str, Any], limits: LimitsConfig, sa
     words = [str(state.get("state", "")), *([said] if said else []), *state.get("faults", ())]
     text = "  ".join([*parts, *words])
     return text if len(text) < columns else text[: max(columns - 2, 0)] + "…"
-
-
-def _pressed(keys: int) -> bytes:
-    ready, _, _ = select.select([keys], [], [], 0)
-    return os.read(keys, 1024) if ready else b""
-
-
-@contextmanager
-def _keys(terminal: int) -> Iterator[int]:
-    """Keys as they are pressed, without echo; the terminal as before in the end."""
-    before = termios.tcgetattr(terminal)
-    try:
-        tty.setcbreak(terminal)
-        yield terminal
-    finally:
-        termios.tcsetattr(terminal, termios.TCSADRAIN, before)

@@ -6,22 +6,19 @@ Ends with q or Ctrl-C. Where standard output is no terminal it prints a plain fr
 from __future__ import annotations
 
 import argparse
-import os
-import select
 import shutil
 import signal
 import sys
-import termios
 import time
-import tty
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from types import FrameType
 
 from palmd.bus.command_client import TIMEOUT_S
 from palmd.bus.link import PUBLISH, add_key, credentials, silent
 from palmd.bus.subscriber import Subscriber
 from palmd.cli.board import Board, BoardRow, fitted, frame
+from palmd.console.keys import pressed, unbuffered
 from palmd.keys import Credentials
 
 REDRAW_S = 0.1
@@ -83,7 +80,7 @@ def _live(board: Board, subscriber: Subscriber) -> None:
             size = shutil.get_terminal_size()
             sys.stdout.write(painted(frame(board, time.monotonic()), size.columns, size.lines))
             sys.stdout.flush()
-            if keys is not None and _pressed(keys) in (b"q", b"Q"):
+            if keys is not None and pressed(keys, 1) in (b"q", b"Q"):
                 return
 
 
@@ -92,29 +89,20 @@ def _listen(board: Board, subscriber: Subscriber, seconds: float) -> None:
         board.take(message)
 
 
-def _pressed(keys: int) -> bytes:
-    ready, _, _ = select.select([keys], [], [], 0)
-    return os.read(keys, 1) if ready else b""
-
-
 @contextmanager
 def _screen(keys: int | None) -> Iterator[None]:
     """The alternate screen with keys unbuffered; restored however it ends."""
-    before = None if keys is None else termios.tcgetattr(keys)
     handler = signal.signal(signal.SIGTERM, _interrupt)
     try:
-        if keys is not None:
-            tty.setcbreak(keys)
-        sys.stdout.write(_ENTER)
-        yield
+        with nullcontext() if keys is None else unbuffered(keys):
+            sys.stdout.write(_ENTER)
+            yield
     except KeyboardInterrupt:
         pass
     finally:
         signal.signal(signal.SIGTERM, handler)
         sys.stdout.write(_LEAVE)
         sys.stdout.flush()
-        if keys is not None and before is not None:
-            termios.tcsetattr(keys, termios.TCSADRAIN, before)
 
 
 def _interrupt(_signal: int, _frame: FrameType | None) -> None:

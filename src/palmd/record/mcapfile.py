@@ -16,14 +16,13 @@ from io import BytesIO
 from pathlib import Path
 from typing import IO, Any, BinaryIO, TypeVar
 
-import msgpack
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Metadata
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import CompressionType, Writer
 
-from palmd.messages import Fields
+from palmd.messages import Fields, unpacked
 from palmd.quantities import SCHEMA, STAMP, TOPICS, Kind, Quantity, Topic
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -59,15 +58,6 @@ class RawMessage:
         if fields is None:
             raise RunError(f"{self.topic}, message {self.sequence}: is no msgpack map; the recording is damaged")
         return fields
-
-
-def unpacked(payload: bytes) -> Fields | None:
-    """The msgpack map in a payload, None where there is none."""
-    try:
-        fields = msgpack.unpackb(payload)
-    except Exception:  # msgpack raises half a dozen kinds for bytes that are not its own
-        return None
-    return fields if isinstance(fields, dict) else None
 
 
 @dataclass(frozen=True, slots=True)

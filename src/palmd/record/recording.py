@@ -14,7 +14,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from palmd.config import Config
-from palmd.record.mcapfile import RawMessage, unpacked
+from palmd.messages import unpacked
+from palmd.record.mcapfile import RawMessage
 from palmd.record.metadata import preface
 from palmd.record.runfile import RunFile
 
