@@ -51,6 +51,7 @@ MOST_OUTLIERS = 0.2
 MOST_SLACK = 0.25  # of the cost, for each contact reading: more, and the motion is not one of the model's
 MOST_STRAIN = 60.0  # of the cost, from some thirty constants and their prior
 AMBIGUOUS = "another outline explains the readings as well"
+NOTHING_MOVES = "nothing moves: readings at rest tell nothing of the outline"
 STILL_RAD = 5e-3  # palms that move by less tell nothing of what turns with them
 
 
@@ -281,7 +282,7 @@ def doubt(fit: Fit, finding: Minima) -> str:
 def unfit(fit: Fit, record: Record) -> str:
     """Why `fit` is no explanation of the readings, whatever else is one; empty when it is."""
     if still(record):
-        return "nothing moves: readings at rest tell nothing of the outline"
+        return NOTHING_MOVES
     if not fit.settled:
         return "the iteration has not settled"
     if not explained(fit, record):

@@ -12,6 +12,7 @@ from palmd.events import PadLift, PadSample, PalmSample
 from palmd.model.smoothing import R
 from palmd.observer.reconstruct import reconstruct
 from palmd.observer.reconstruction import Reconstruction
+from palmd.observer.search import NOTHING_MOVES
 from palmd.rig.imperfections import Imperfections, PadImperfection
 from palmd.rig.plant import PlantOptions
 from palmd.score import score_outline
@@ -240,7 +241,7 @@ def test_an_object_at_rest_on_palms_at_rest_tells_nothing(run, noise):
         palms_changed(still, lambda sample: PalmSample(sample.t_sample, (0.75, 1.6), (0.0, 0.0), (0.0, 0.0))), run.rig
     )
     assert not answer.converged
-    assert answer.reason
+    assert (answer.reason, answer.h) == (NOTHING_MOVES, None)  # it is not even searched for
 
 
 @pytest.mark.parametrize("how", ["swapped", "noise"])
