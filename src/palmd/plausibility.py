@@ -107,8 +107,8 @@ def _odd_base(arm: AdeptConfig, rig: RigConfig) -> Iterator[tuple[Loc, str]]:
     away_mm = math.dist(arm_mm, rig.base_mm)
     if away_mm < ARM_NEAREST_MM:
         text = (
-            f"the arm's base would be {away_mm:.3g} mm from where palm 1 is hinged (rig.base_mm), and no arm works"
-            f" nearer to its base than {ARM_NEAREST_MM:g} mm"
+            f"the arm's base would be {away_mm:.3g} mm from where palm {PALMS[0]} is hinged (rig.base_mm), and no arm"
+            f" works nearer to its base than {ARM_NEAREST_MM:g} mm"
         )
         metres = tuple(1e3 * each for each in arm_mm)
         if ARM_NEAREST_MM <= math.dist(metres, rig.base_mm) <= 1e4:

@@ -353,7 +353,9 @@ INFO = Topic(
         Quantity("units", "text", "", "where the units are"),
         Quantity("hinge", "text", "", "what joins the palms: arc or fixed"),
         Quantity("gravity_m_s2", "number", "m/s²", "in the plane of the palms"),
-        Quantity("base_m", "numbers", "m", "far end of palm 1, where an arc hinge is fixed: x and y, world frame"),
+        Quantity(
+            "base_m", "numbers", "m", f"far end of palm {PALMS[0]}, where an arc hinge is fixed: x and y, world frame"
+        ),
         *of_each_palm(Quantity("palm{}_length_m", "number", "m", "palm {}, from the hinge to its far end")),
         *of_each_palm(Quantity("pad{}_length_m", "number", "m", "pad {}, from the hinge on")),
         *of_each_palm(Quantity("phi{}_limits_rad", "numbers", "rad", "least and largest phi{}")),

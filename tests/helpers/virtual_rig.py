@@ -4,11 +4,10 @@ import threading
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager
 
-from silent_observer import SilentObserver
-
 from palmd.daemon.bus import Bus
 from palmd.daemon.core import Core
 from palmd.daemon.lifecycle import State
+from palmd.lab.silent_observer import SilentObserver
 from palmd.rig.pads import GOOD_PADS
 from palmd.rig.world import STEP_S, World
 

@@ -9,11 +9,11 @@ from palmd.model.spherical import count, evaluator
 from palmd.observer.three_palms import kernels
 from palmd.observer.three_palms.kernels import by_columns, palm_inputs, reading_geometry
 from palmd.observer.three_palms.path import joint_path
-from palmd.observer.three_palms.record import Readings, lay_out
+from palmd.observer.three_palms.record import PadReadings, lay_out
 from palmd.observer.three_palms.search import centres_of, inertia
-from palmd.observer.three_palms.smoother import Motion, Noise, Prior, Smoother
+from palmd.observer.three_palms.smoother import BodyMotion, BodyPrior, BodySmoother, Noise
 from palmd.rig.three_palms.bodies import Bodies, spread_directions
-from palmd.rig.three_palms.plant import PalmState, Rubbing, State, accelerations
+from palmd.rig.three_palms.plant import BodyStates, PalmState, Rubbing, accelerations
 from palmd.system.three_palms import palms_at, readings_of
 
 ORDER, GRAVITY = 8, 9.81
@@ -61,7 +61,7 @@ def test_accelerations_and_forces_are_those_of_free_bodies_held_by_constraints(p
     moved = -(palms.normal_rate * centre[:, None]).sum(-1) - (r * turning).sum(-1)
     velocity = np.linalg.solve(palms.normal, moved[..., None])[..., 0]
     at = PalmState(palms.normal, palms.normal_rate, palms.normal_acceleration, palms.spin)
-    _, spin_rate, touch = accelerations(bodies, rubbing, at, State(centre, velocity, R, omega), GRAVITY)
+    _, spin_rate, touch = accelerations(bodies, rubbing, at, BodyStates(centre, velocity, R, omega), GRAVITY)
     np.testing.assert_allclose(force, touch.force, rtol=1e-5)
     np.testing.assert_allclose(alpha, spin_rate, rtol=1e-4, atol=1e-2)
     read = readings_of(palms, centre[:, None] + r)
@@ -78,12 +78,12 @@ def test_the_smoothers_gradient_is_that_of_its_cost(parameters):
     angle = np.tile([0.9, 0.8, 0.8], (30, 1)) + 0.1 * np.sin(3 * t)[:, None]
     plan = np.stack([0.3 * np.cos(3 * t)[:, None] * np.ones(3), -0.9 * np.sin(3 * t)[:, None] * np.ones(3)], axis=1)
     times = np.sort(random.uniform(0.01, 0.2, 40))
-    readings = Readings(times, random.integers(0, 3, 40), random.uniform(0.0, 0.02, (40, 2)), np.full(40, np.nan))
+    readings = PadReadings(times, random.integers(0, 3, 40), random.uniform(0.0, 0.02, (40, 2)), np.full(40, np.nan))
     record = lay_out(joint_path(t, angle, plan, 2e-4), readings, 0.0, 10, 0.02)
-    prior = Prior(p, np.eye(len(p)), np.zeros(3), 1.0)
-    smoother = Smoother(record, prior, Noise(1e-4), GRAVITY)
+    prior = BodyPrior(p, np.eye(len(p)), np.zeros(3), 1.0)
+    smoother = BodySmoother(record, prior, Noise(1e-4), GRAVITY)
     R = np.tile(np.eye(3), (11, 1, 1))
-    motion = Motion(R, np.zeros((11, 3)), p).moved(random.normal(0, 0.02, (11, 6)), 0 * p)
+    motion = BodyMotion(R, np.zeros((11, 3)), p).moved(random.normal(0, 0.02, (11, 6)), 0 * p)
     nodes, step = (
         random.normal(size=(11, 6)),
         random.normal(size=len(p)) * np.r_[np.full(count(ORDER), 1e-4), np.full(9, 1e-2)],

@@ -7,13 +7,13 @@ import sys
 from collections import UserList
 
 import pytest
-from silent_observer import SilentObserver
 from simulated import simulated
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from palmd.blas import one_thread
 from palmd.cli.table import COMMANDS
 from palmd.events import Estimate
+from palmd.lab.silent_observer import SilentObserver
 from palmd.observer.reconstruct import reconstruct
 from palmd.record.eventlog import EventLog
 from palmd.record.replay import replay

@@ -20,6 +20,7 @@ from palmd.blas import one_thread
 from palmd.events import FloatArray
 from palmd.outlinefile import read_library
 from palmd.record.recognition import Recognition, verdict
+from palmd.system.mechanism import RADII
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,7 +140,7 @@ _TIME = {"t": "t_s"}
 
 def _trajectory(columns: Mapping[str, list[Any]] | None) -> DataTable:
     """Columns as a table; empty ones where there is no trajectory."""
-    told = columns or {name: [] for name in ("t", "psi_rad", "omega0_rad_s", "r1_m", "r2_m")}
+    told = columns or {name: [] for name in ("t", "psi_rad", "omega0_rad_s", *(f"{name}_m" for name in RADII))}
     return DataTable({_TIME.get(name, name): np.array(values, dtype=np.float64) for name, values in told.items()})
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from palmd.calibration.files import not_written, plain, provenance, writable, write
-from palmd.calibration.pad_characteristic import AxisCharacteristic, PadCharacteristic, TooLittleError, characterise
+from palmd.calibration.pad_characteristic import AxisCharacteristic, PadCharacteristic, TooFewReportsError, characterise
 from palmd.config import PadConfig
 from palmd.console.arguments import seconds_within
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("config", type=Path, metavar="CONFIG", help="the rig's configuration, palmd.yaml")
     add("--characterise", action="store_true", help=argparse.SUPPRESS)  # was needed once
-    add("--pad", type=int, choices=PALMS, required=True, help="of palm 1 or palm 2")
+    add("--pad", type=int, choices=PALMS, required=True, help="of which palm")
     add(
         "--seconds",
         type=seconds_within(2.0, 600.0),
@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     packets = _listen(name, config, pad, arguments.seconds)
     try:
         found = characterise(packets, pad.counts(), config)
-    except TooLittleError as error:
+    except TooFewReportsError as error:
         raise CliError(RIG_FAILED, f"{name}: {error}") from None
     print(table(name, found, config))
     for remark in remarks(name, found, config):

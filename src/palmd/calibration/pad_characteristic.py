@@ -43,7 +43,7 @@ Axis = Literal["x", "y"]
 AXES: tuple[Axis, Axis] = ("x", "y")
 
 
-class TooLittleError(ValueError):
+class TooFewReportsError(ValueError):
     """The reports do not suffice; the text says what is missing and what to do."""
 
 
@@ -124,13 +124,13 @@ class PadCharacteristic:
 def characterise(packets: Sequence[PadReport], counts: Mapping[str, int], config: PadConfig) -> PadCharacteristic:
     """Everything about the pad; reports in the order of arrival, and what its driver has counted meanwhile.
 
-    Raises TooLittleError for fewer than LEAST_REPORTS reports, or for too little motion along an axis.
+    Raises TooFewReportsError for fewer than LEAST_REPORTS reports, or for too little motion along an axis.
     """
     touches = strokes(packets, config)
     reports = sum(len(stroke.t) for stroke in touches)
     if reports < LEAST_REPORTS:
         off = sum(packet.in_use for packet in packets) - reports
-        raise TooLittleError(
+        raise TooFewReportsError(
             f"{off} reports are no place on the pad: check axis, sign, zero_mm and counts_per_mm"
             if off > reports
             else f"too few reports ({reports} of at least {LEAST_REPORTS}): roll the marble for longer"
@@ -213,7 +213,7 @@ def _axis_characteristic(touches: Sequence[Stroke], axis: Axis, config: PadConfi
     step = _step_counts(counts)
     left = residuals(touches, axis, step)
     if len(left) < LEAST_WINDOWS:
-        raise TooLittleError(
+        raise TooFewReportsError(
             f"the marble has hardly moved along {axis}: roll it over the whole pad, without lifting it all the time"
         )
     noise, noise_sd = _noise(left, step)

@@ -62,7 +62,7 @@ class PadForce:
 class Forces:
     """Of both pads; `friction` is the largest share of a normal force that friction at rest bears (mean over poses)."""
 
-    pads: tuple[PadForce, PadForce]
+    pads: tuple[PadForce, ...]
     friction: float
     rests: int
     rounds: int
@@ -70,15 +70,17 @@ class Forces:
 
 @dataclass(frozen=True, slots=True)
 class _Rests:
-    """Of each rest: mean pressures (counts), angles (rad), and frictionless forces for a weight of 1 N."""
+    """Of n rests: mean pressures of each pad (2, n) in counts, the first palm's angle and the opening (n) in rad."""
 
-    c1: FloatArray
-    c2: FloatArray
-    phi1: FloatArray
-    phi2: FloatArray
+    counts: FloatArray
+    first: FloatArray
+    opening: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.first)
 
     def __getitem__(self, some: slice) -> _Rests:
-        return _Rests(self.c1[some], self.c2[some], self.phi1[some], self.phi2[some])
+        return _Rests(self.counts[:, some], self.first[some], self.opening[some])
 
 
 def pad_forces(events: Iterable[Event], configs: tuple[PadConfig, ...], weight_n: float, poses: int) -> Forces:
@@ -88,10 +90,10 @@ def pad_forces(events: Iterable[Event], configs: tuple[PadConfig, ...], weight_n
     """
     pads = readings(events, configs)
     rests = _rests(*pads)
-    rounds = round(len(rests.c1) / poses)
-    if rounds < LEAST_ROUNDS or len(rests.c1) < LEAST_ROUNDS * poses - poses // 4:
+    rounds = round(len(rests) / poses)
+    if rounds < LEAST_ROUNDS or len(rests) < LEAST_ROUNDS * poses - poses // 4:
         raise CylinderError(
-            f"the cylinder rested on both pads {len(rests.c1)} times, of {LEAST_ROUNDS * poses} at least: it must lie"
+            f"the cylinder rested on both pads {len(rests)} times, of {LEAST_ROUNDS * poses} at least: it must lie"
             " on both palms all the time, and press less than the pads' full scale"
         )
     wanted = _difference(rests, weight_n)
@@ -105,43 +107,43 @@ def pad_forces(events: Iterable[Event], configs: tuple[PadConfig, ...], weight_n
             "the pressures do not follow the weight as the V is tipped: are the pads swapped, is anything else on them?"
         )
     friction = _friction(rests, weight_n, gains)
-    pad1, pad2 = (
-        _pad(number, rests, rounds, weight_n, float(gains[number]), float(sds[number]), pads[number])
-        for number in (0, 1)
+    each_pad = tuple(
+        _pad(number, rests, rounds, weight_n, float(gain), float(sd), found)
+        for number, (gain, sd, found) in enumerate(zip(gains, sds, pads, strict=True))
     )
-    return Forces((pad1, pad2), friction, len(rests.c1), rounds)
+    return Forces(each_pad, friction, len(rests), rounds)
 
 
 def _parts(rests: _Rests, rounds: int) -> list[_Rests]:
-    edges = np.linspace(0, len(rests.c1), rounds + 1).round().astype(int).tolist()
+    edges = np.linspace(0, len(rests), rounds + 1).round().astype(int).tolist()
     return [rests[slice(low, high)] for low, high in itertools.pairwise(edges)]
 
 
 def _difference(rests: _Rests, weight_n: float) -> FloatArray:
     """N1 − N2 (N)."""
-    return np.asarray(weight_n * np.cos(rests.phi1 + rests.phi2 / 2.0) / np.cos(rests.phi2 / 2.0))
+    return np.asarray(weight_n * np.cos(rests.first + rests.opening / 2.0) / np.cos(rests.opening / 2.0))
 
 
 def _gains(rests: _Rests, weight_n: float) -> FloatArray:
-    n1, n2 = normal_forces(weight_n, rests.phi1, rests.phi2)
-    instruments, regressors = np.stack([n1, -n2]), np.stack([rests.c1, -rests.c2])
-    gains: FloatArray = np.linalg.solve(instruments @ regressors.T, instruments @ _difference(rests, weight_n))
-    return gains
+    signs = np.array([[1.0], [-1.0]])
+    instruments = signs * np.stack(normal_forces(weight_n, rests.first, rests.opening))
+    regressors = signs * rests.counts
+    gains = np.linalg.solve(instruments @ regressors.T, instruments @ _difference(rests, weight_n))
+    return np.asarray(gains, dtype=np.float64)
 
 
 def _friction(rests: _Rests, weight_n: float, gains: FloatArray) -> float:
     """Root mean square of T over the normal force: N1 + N2 = m·g·sin β/sin(φ2/2) − 2T/tan(φ2/2)."""
-    both = gains[0] * rests.c1 + gains[1] * rests.c2
-    half = rests.phi2 / 2.0
-    held = (weight_n * np.sin(rests.phi1 + half) / np.sin(half) - both) * np.tan(half)
+    both = gains[0] * rests.counts[0] + gains[1] * rests.counts[1]
+    half = rests.opening / 2.0
+    held = (weight_n * np.sin(rests.first + half) / np.sin(half) - both) * np.tan(half)
     return float(np.sqrt(np.mean((held / both) ** 2)))
 
 
 def _pad(
     number: int, rests: _Rests, rounds: int, weight_n: float, gain: float, gain_sd: float, found: CylinderReadings
 ) -> PadForce:
-    force = normal_forces(weight_n, rests.phi1, rests.phi2)[number]
-    counts = (rests.c1, rests.c2)[number]
+    force, counts = normal_forces(weight_n, rests.first, rests.opening)[number], rests.counts[number]
     offsets = [_offset(part, number, weight_n) for part in _parts(rests, rounds)]
     return PadForce(
         newtons_per_count=gain,
@@ -157,24 +159,24 @@ def _pad(
 
 def _offset(rests: _Rests, number: int, weight_n: float) -> float:
     """Where the line of the pressures over the frictionless forces crosses zero pressure (N)."""
-    force = normal_forces(weight_n, rests.phi1, rests.phi2)[number]
-    slope, level = np.polyfit(force, (rests.c1, rests.c2)[number], 1)
+    force = normal_forces(weight_n, rests.first, rests.opening)[number]
+    slope, level = np.polyfit(force, rests.counts[number], 1)
     return float(-level / slope)
 
 
-def _rests(pad1: CylinderReadings, pad2: CylinderReadings) -> _Rests:
+def _rests(*pads: CylinderReadings) -> _Rests:
     """The rests in time order; one in which a pad was silent or at full scale is left out."""
     rows = []
-    for begin, end in _still(pad1):
+    for begin, end in _still(pads[0]):
         means = [
             (float(pad.pressure[some].mean()), float(pad.first[some].mean()), float(pad.opening[some].mean()))
-            for pad in (pad1, pad2)
+            for pad in pads
             if np.sum(some := (pad.t >= begin) & (pad.t <= end)) >= _LEAST_READINGS
         ]
-        if len(means) == 2 and all(math.isfinite(pressure) for pressure, _, _ in means):
-            (c1, phi1, phi2), (c2, _, _) = means
-            rows.append((c1, c2, phi1, phi2))
-    return _Rests(*np.array(rows, dtype=np.float64).reshape(-1, 4).T)
+        if len(means) == len(pads) and all(math.isfinite(pressure) for pressure, _, _ in means):
+            rows.append((*(pressure for pressure, _, _ in means), *means[0][1:]))
+    table = np.array(rows, dtype=np.float64).reshape(-1, len(pads) + 2).T
+    return _Rests(table[: len(pads)], *table[len(pads) :])
 
 
 def _still(found: CylinderReadings) -> list[tuple[float, float]]:

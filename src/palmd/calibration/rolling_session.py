@@ -20,6 +20,7 @@ from palmd.harness.operator import can_move, do, leave, load, why
 from palmd.harness.processes import StopRequest
 from palmd.messages import events_of
 from palmd.quantities import EVENTS, INFO
+from palmd.system.mechanism import JOINTS, OPENING, PALMS
 
 LOOK_S = 0.25
 PATIENCE_S = 60.0
@@ -40,34 +41,35 @@ class Slope:
     """Where the palms stand while it rolls on one of them."""
 
     pad: int
-    phi1_deg: float
-    phi2_deg: float
+    angles_deg: tuple[float, float]
     rolls: int
 
     def __str__(self) -> str:
-        falls = self.phi1_deg if self.pad == 1 else 180.0 - self.phi1_deg - self.phi2_deg
+        falls = self.angles_deg[0] if self.pad == PALMS[0] else 180.0 - sum(self.angles_deg)
         return f"palm {self.pad}, {falls:.0f}°"
 
 
 def slopes_within(limits: LimitsConfig, rolls: int) -> Iterator[Slope]:
-    """A gentle and a steep slope of each palm, in the order of phi1; CliError where the limits leave no room."""
-    (low1, high1), (low2, high2) = limits.phi1_deg, limits.phi2_deg
+    """A gentle and a steep slope of each palm, by the first one's angle; CliError where the limits leave no room."""
+    (low1, high1), (low2, high2) = limits.angles_deg
     low1, high1, low2, high2 = low1 + _MARGIN_DEG, high1 - _MARGIN_DEG, low2 + _MARGIN_DEG, high2 - _MARGIN_DEG
-    phi2 = min(max(_OPENING_DEG, low2), high2)
+    opening = min(max(_OPENING_DEG, low2), high2)
     gentle1 = max(_SHALLOW_DEG, low1)
-    steep1 = min(gentle1 + _STEEPER_DEG, high1, _MOST_PHI12_DEG - phi2)
-    gentle2 = min(_MOST_PHI12_DEG - phi2, high1)  # palm 1's angle where palm 2 is gentle
+    steep1 = min(gentle1 + _STEEPER_DEG, high1, _MOST_PHI12_DEG - opening)
+    gentle2 = min(_MOST_PHI12_DEG - opening, high1)  # palm 1's angle where palm 2 is gentle
     steep2 = max(gentle2 - _STEEPER_DEG, low1)
     if min(steep1 - gentle1, gentle2 - steep2) < _LEAST_STEEPER_DEG or low2 > high2:
         raise CliError(
             BAD_INPUT,
-            f"limits: they leave no two slopes {_LEAST_STEEPER_DEG:g}° apart on each palm, at phi2 {phi2:g}°: widen",
+            f"limits: they leave no two slopes {_LEAST_STEEPER_DEG:g}° apart on each palm,"
+            f" at {JOINTS[OPENING]} {opening:g}°: widen",
         )
     few = max(rolls // 3, LEAST_PER_PALM)
-    yield Slope(1, gentle1, phi2, few)
-    yield Slope(1, steep1, phi2, rolls)
-    yield Slope(2, steep2, phi2, rolls)
-    yield Slope(2, gentle2, phi2, few)
+    first, second = PALMS
+    yield Slope(first, (gentle1, opening), few)
+    yield Slope(first, (steep1, opening), rolls)
+    yield Slope(second, (steep2, opening), rolls)
+    yield Slope(second, (gentle2, opening), few)
 
 
 class RollingSession:
@@ -143,7 +145,10 @@ class RollingSession:
     def _load(self, first: Slope, *others: Slope) -> None:
         """A way to a slope, or to several one after the other, so slow that only its poses can be refused."""
         segments = [
-            {"move": {"phi1_deg": each.phi1_deg, "phi2_deg": each.phi2_deg}, "duration_s": duration_s}
+            {
+                "move": {f"{joint}_deg": angle for joint, angle in zip(JOINTS, each.angles_deg, strict=True)},
+                "duration_s": duration_s,
+            }
             for each, duration_s in ((first, 1.0), *((each, TOUR_S) for each in others))
         ]
         load(self._client, {"name": "gravity", "segments": segments})

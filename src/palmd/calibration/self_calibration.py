@@ -38,7 +38,7 @@ Sections = dict[str, dict[str, float]]
 
 # What the readings of a recording depend on, and that its configuration tells.
 _READ_WITH = (
-    *(f"rig.{name}" for name in ("gravity_m_s2", "hinge", "base_mm", "palm1_length_mm", "palm2_length_mm")),
+    *(f"rig.{name}" for name in ("gravity_m_s2", "hinge", "base_mm", *(f"palm{n}_length_mm" for n in PALMS))),
     *(f"pads.palm{n}.{name}" for n in PALMS for name in ("axis", "sign", "zero_mm", "counts_per_mm", "length_mm")),
     *(f"arm.{name}" for name in ("base_x_mm", "base_y_mm", "base_yaw_deg")),
 )
@@ -195,7 +195,7 @@ def _read_with(config: Config) -> dict[str, object]:
 
 def _described(rig: RigDescription) -> dict[str, object]:
     """What an event log says of the rig that a configuration says too: nothing of zeros, scales and yaw."""
-    lengths_m = {"rig.palm1_length_mm": rig.palm1_length}
+    lengths_m = {f"rig.palm{PALMS[0]}_length_mm": rig.palm1_length}
     lengths_m |= {f"pads.palm{palm}.length_mm": pad.length for palm, pad in zip(PALMS, rig.pads, strict=True)}
     lengths_mm = {key: round(length * 1e3, 6) for key, length in lengths_m.items()}
     return {"rig.gravity_m_s2": rig.gravity, "rig.hinge": rig.hinge, **lengths_mm}

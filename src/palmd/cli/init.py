@@ -24,7 +24,7 @@ PLAN = "plans/explore.yaml"
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
+class Prompt:
     """One question: what it asks, what Enter means, and what an answer may be; `read` raises ValueError for others."""
 
     text: str
@@ -67,25 +67,25 @@ PADS = {
     "strip": "force-sensing strips with palmd's firmware",
     "evdev": "touch devices that Linux knows",
 }
-ARMS = {"adept": "an Adept arm that holds palm 2", "dynamixel": "two servos about a fixed axis"}
+ARMS = {"adept": f"an Adept arm that holds palm {PALMS[-1]}", "dynamixel": "two servos about a fixed axis"}
 PORTS = {"versapad": "/dev/palmd-pad{}", "strip": "/dev/palmd-pad{}", "evdev": "/dev/input/by-path/palmd-pad{}"}
 
 
-def questions(answers: Mapping[str, Any]) -> Iterator[tuple[str, Question]]:
+def questions(answers: Mapping[str, Any]) -> Iterator[tuple[str, Prompt]]:
     """Each with its key; what comes later may depend on the `answers` so far."""
-    yield "pads", Question(f"The pads are\n{_listed(PADS)}", "strip", one_of(PADS))
+    yield "pads", Prompt(f"The pads are\n{_listed(PADS)}", "strip", one_of(PADS))
     for palm in PALMS:
-        yield f"pad{palm}", Question(f"Pad {palm} is at", PORTS[answers["pads"]].format(palm))
+        yield f"pad{palm}", Prompt(f"Pad {palm} is at", PORTS[answers["pads"]].format(palm))
     if answers["pads"] == "evdev":
-        yield "counts_per_mm", Question("Its units for each mm (the resolution of its axis, as evtest tells it)", "10",
+        yield "counts_per_mm", Prompt("Its units for each mm (the resolution of its axis, as evtest tells it)", "10",
                                         number(1e-3, 1000))  # fmt: skip
-        yield "pressure", Question("Does it tell a pressure, yes or no", "no", one_of({"yes": "", "no": ""}))
-    yield "arm", Question(f"The palms are turned by\n{_listed(ARMS)}", "dynamixel", one_of(ARMS))
-    yield "port", Question("It is at", "/dev/palmd-arm")
+        yield "pressure", Prompt("Does it tell a pressure, yes or no", "no", one_of({"yes": "", "no": ""}))
+    yield "arm", Prompt(f"The palms are turned by\n{_listed(ARMS)}", "dynamixel", one_of(ARMS))
+    yield "port", Prompt("It is at", "/dev/palmd-arm")
     if answers["arm"] == "adept":
         for palm in PALMS:
-            yield f"palm{palm}", Question(f"Palm {palm} is so many mm long", "120", number(10, 2000))
-    yield "tilt", Question("The palms' plane is tilted from the horizontal by so many degrees (90: upright)", "90",
+            yield f"palm{palm}", Prompt(f"Palm {palm} is so many mm long", "120", number(10, 2000))
+    yield "tilt", Prompt("The palms' plane is tilted from the horizontal by so many degrees (90: upright)", "90",
                            number(1, 90))  # fmt: skip
 
 
@@ -102,8 +102,9 @@ def configuration(answers: Mapping[str, Any]) -> dict[str, Any]:
     if answers["arm"] == "dynamixel":
         rig["hinge"] = "fixed"
     else:
-        lengths = {f"palm{palm}_length_mm": answers[f"palm{palm}"] for palm in PALMS}
-        rig |= lengths | {"base_mm": [lengths["palm1_length_mm"], 0.0]}
+        lengths = [answers[f"palm{palm}"] for palm in PALMS]
+        rig |= {f"palm{palm}_length_mm": length for palm, length in zip(PALMS, lengths, strict=True)}
+        rig["base_mm"] = [lengths[0], 0.0]
     pad: dict[str, Any] = {"kind": answers["pads"]}
     if answers["pads"] == "evdev":
         pad |= {"zero_mm": 0.0, "counts_per_mm": answers["counts_per_mm"], "pressure": answers["pressure"] == "yes"}
@@ -135,7 +136,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _asked(question: Question) -> Any:
+def _asked(question: Prompt) -> Any:
     """The answer; asked again until it is one, CliError when nobody answers."""
     while True:
         print(f"{question.text} [{question.usual}]: ", end="", flush=True, file=sys.stderr)

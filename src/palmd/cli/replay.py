@@ -23,7 +23,7 @@ from palmd.harness.rules import Kept, kept_by
 from palmd.quantities import EVENTS
 from palmd.record.length import message_count
 from palmd.record.mcapfile import RawMessage
-from palmd.record.player import SETTLE_S, Publisher, RepublishError, pause, play
+from palmd.record.player import SETTLE_S, RecordedPublisher, RepublishError, pause, play
 from palmd.record.recheck import Difference, Recheck
 from palmd.record.run import Run, RunError, read_run
 
@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _publish(recording: Run, address: str, speed: float, *, loop: bool) -> None:
     total = message_count(recording)
-    publisher = Publisher(address)
+    publisher = RecordedPublisher(address)
 
     def send(message: RawMessage) -> None:
         publisher.announce(recording.path, speed)

@@ -134,4 +134,4 @@ def _plan(document: Document, limits: MotionLimits, start: Angles | None) -> Pla
 def _begins_anywhere(spec: PlanSpec) -> bool:
     """Whether the plan begins by moving both palms, so that it does not matter where they stand."""
     first = spec.segments[0]
-    return isinstance(first, MoveSpec) and None not in (first.move.phi1_deg, first.move.phi2_deg)
+    return isinstance(first, MoveSpec) and None not in first.move.each()

@@ -37,11 +37,11 @@ class SwapWatch:
         dt, self._t = t - self._t, t
         if palms is None or not 0.0 < dt < 1.0 or len(self._force) < len(PALMS):
             return
-        (t1, force1), (t2, force2) = (self._force[pad] for pad in PALMS)
+        times, (one, two) = zip(*(self._force[pad] for pad in PALMS), strict=True)
         first, second = directions(palms.angles)
-        if t - min(t1, t2) > FRESH_S or not (0.0 < first < math.pi and 0.0 < second < math.pi):
+        if t - min(times) > FRESH_S or not (0.0 < first < math.pi and 0.0 < second < math.pi):
             return
-        x, y = math.log(force1 / force2), math.log(math.sin(second) / math.sin(first))
+        x, y = math.log(one / two), math.log(math.sin(second) / math.sin(first))
         # exponentially weighted means and products; the sums keep their scale, so that any number of ticks will do
         fading = math.exp(-dt / MEMORY_S)
         self._weight = self._weight * fading + dt

@@ -79,7 +79,6 @@ PROFILE_VELOCITY = Register(112, 4)  # ms where profiles go by time
 GOAL = Register(116, 4, True)
 TICK = Register(120, 2)  # ms
 MOVING = Register(122, 1)
-LOAD = Register(126, 2, True)  # 0.1 %
 VELOCITY = Register(128, 4, True)  # 0.229 /min
 POSITION = Register(132, 4, True)  # counts
 VOLTAGE = Register(144, 2)  # 0.1 V
@@ -240,7 +239,7 @@ def fast_answers(packet: Packet, servos: Iterable[int], size: int) -> dict[int, 
 
 
 @dataclass(slots=True)
-class BusCounters:
+class PacketCounters:
     """What a bus has brought; `bytes` are those of packets, discarded ones and those pending.
 
     `crc_errors` counts packets whose checksum is wrong, `discarded` bytes that became part of no packet.
@@ -261,7 +260,7 @@ class PacketReader:
 
     def __init__(self, baud: int) -> None:
         """`baud` in bit/s dates the bytes. Raises ValueError if it is not positive."""
-        self.counters = BusCounters()
+        self.counters = PacketCounters()
         self._clock = FirstByteClock(baud)
         self._bytes = bytearray()
         self._t_read: list[tuple[int, float]] = []  # of each read in hand: where in `_bytes` it ends, and when

@@ -1,7 +1,7 @@
 """Whether the servos on a bus are what palmd needs: numbered checks, each a question or a few to one servo or to all.
 
-A check is a function of a `Talk`, which asks and waits; it returns what it saw, or raises `DeviationError` with what it
-saw instead and what mends it. Those that turn the torque on say so (`moves`).
+A check is a function of a `ServoTalk`, which asks and waits; it returns what it saw, or raises `ServoDeviationError`
+with what it saw instead and what mends it. Those that turn the torque on say so (`moves`).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ WARM_C = 60
 STEP_COUNTS = 46  # 4°
 
 
-class DeviationError(Exception):
+class ServoDeviationError(Exception):
     """Something is not as it ought to be: what was seen, and what mends it."""
 
     def __init__(self, seen: str, mend: str = "") -> None:
@@ -33,7 +33,7 @@ class DeviationError(Exception):
         self.seen, self.mend = seen, mend
 
 
-class Talk(Protocol):
+class ServoTalk(Protocol):
     """A bus to ask."""
 
     baud: int
@@ -50,7 +50,7 @@ class ServoCheck:
     """One check: its clause, whether it turns the torque on, and what does it; of each servo, or (`all`) of the bus."""
 
     clause: str
-    examine: Callable[[Talk, Axis, Sequence[Axis]], str]
+    examine: Callable[[ServoTalk, Axis, Sequence[Axis]], str]
     moves: bool = False
     of_bus: bool = False
 
@@ -67,122 +67,130 @@ class ServoResult:
     mend: str = ""
 
 
-def _answer(talk: Talk, packet: bytes, axis: Axis) -> Packet:
+def _answer(talk: ServoTalk, packet: bytes, axis: Axis) -> Packet:
     answers = talk.ask(packet)
     if not answers:
-        raise DeviationError(
+        raise ServoDeviationError(
             f"id {axis.id} does not answer at {talk.baud} bit/s",
             f"check supply and cable; set id {axis.id} and that speed with the maker's tool, one servo at a time",
         )
     return answers[0][0]
 
 
-def _registers(talk: Talk, axis: Axis) -> Registers:
+def _registers(talk: ServoTalk, axis: Axis) -> Registers:
     answer = _answer(talk, dxl.read(axis.id, 0, dxl.TABLE_BYTES), axis)
     if len(answer.parameters) != dxl.TABLE_BYTES:
-        raise DeviationError(f"{len(answer.parameters)} of {dxl.TABLE_BYTES} bytes of its table", "update its firmware")
+        raise ServoDeviationError(
+            f"{len(answer.parameters)} of {dxl.TABLE_BYTES} bytes of its table", "update its firmware"
+        )
     return Registers(0, answer.parameters)
 
 
-def _answers(talk: Talk, axis: Axis, _axes: Sequence[Axis]) -> str:
+def _answers(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
     _answer(talk, dxl.ping(axis.id), axis)
     spans = sorted(span for _ in range(10) for _, span in talk.ask(dxl.ping(axis.id)))
     if not spans or spans[len(spans) // 2] > SOON_S:
         took = f"{spans[len(spans) // 2] * 1e3:.1f} ms" if spans else "for ever"
-        raise DeviationError(
+        raise ServoDeviationError(
             f"an answer takes {took}",
             "sudo palmd install sets the adapter's latency timer to 1 ms; use a direct USB port",
         )
     return f"id {axis.id} answers in {spans[len(spans) // 2] * 1e3:.1f} ms"
 
 
-def _is_known(talk: Talk, axis: Axis, _axes: Sequence[Axis]) -> str:
+def _is_known(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
     registers = _registers(talk, axis)
     model = registers[dxl.MODEL]
     if model in TRIPS_WITHOUT_STOPPING:
-        raise DeviationError(
+        raise ServoDeviationError(
             f"an {TRIPS_WITHOUT_STOPPING[model]}: its watchdog trips without stopping it", "use a servo of the 430 size"
         )
     if model not in MODELS:
-        raise DeviationError(f"model {model}", f"use one of {', '.join(MODELS.values())}")
+        raise ServoDeviationError(f"model {model}", f"use one of {', '.join(MODELS.values())}")
     return f"{MODELS[model]}, firmware {registers[dxl.FIRMWARE]}"
 
 
-def _is_alone(talk: Talk, axis: Axis, _axes: Sequence[Axis]) -> str:
+def _is_alone(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
     answers = talk.ask(dxl.ping(axis.id), answers=2)
     if len(answers) > 1:
-        raise DeviationError(f"two servos have id {axis.id}", "give one another id, with the other one off the bus")
+        raise ServoDeviationError(
+            f"two servos have id {axis.id}", "give one another id, with the other one off the bus"
+        )
     return f"one servo has id {axis.id}"
 
 
-def _is_well(talk: Talk, axis: Axis, _axes: Sequence[Axis]) -> str:
+def _is_well(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
     registers = _registers(talk, axis)
     volts, degrees = registers[dxl.VOLTAGE] * 0.1, registers[dxl.TEMPERATURE]
     if registers[dxl.HARDWARE_ERROR]:
-        raise DeviationError(f"hardware error {registers[dxl.HARDWARE_ERROR]:#04x}", "palmd ctl reset starts it anew")
+        raise ServoDeviationError(
+            f"hardware error {registers[dxl.HARDWARE_ERROR]:#04x}", "palmd ctl reset starts it anew"
+        )
     if not SUPPLY_V[0] <= volts <= SUPPLY_V[1]:
-        raise DeviationError(f"{volts:.1f} V", f"a supply of {SUPPLY_V[0]:g} to {SUPPLY_V[1]:g} V, with short cables")
+        raise ServoDeviationError(
+            f"{volts:.1f} V", f"a supply of {SUPPLY_V[0]:g} to {SUPPLY_V[1]:g} V, with short cables"
+        )
     if degrees > WARM_C:
-        raise DeviationError(f"{degrees} °C", "let it cool down; lighter palms")
+        raise ServoDeviationError(f"{degrees} °C", "let it cool down; lighter palms")
     return f"{volts:.1f} V, {degrees} °C, no hardware error"
 
 
-def _is_set(talk: Talk, axis: Axis, _axes: Sequence[Axis]) -> str:
+def _is_set(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
     registers = _registers(talk, axis)
     wrong = [(reg.address, registers[reg], value) for reg, value in axis.settings() if registers[reg] != value]
     if wrong:
         said = ", ".join(f"register {address} is {found}, {value} is needed" for address, found, value in wrong)
-        raise DeviationError(said, "palmd run sets it when it opens the bus")
+        raise ServoDeviationError(said, "palmd run sets it when it opens the bus")
     return f"all {len(axis.settings())} settings, limits {axis.low} to {axis.high}"
 
 
-def _is_where_it_may_be(talk: Talk, axis: Axis, _axes: Sequence[Axis]) -> str:
+def _is_where_it_may_be(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
     at = _registers(talk, axis)[dxl.POSITION]
     if not axis.low <= at <= axis.high:
-        raise DeviationError(
+        raise ServoDeviationError(
             f"it counts {at}, outside {axis.low} to {axis.high}",
             f"turn its palm inside by hand; is it mounted so that {CENTRE} is at centre_deg?",
         )
     return f"counts {at}"
 
 
-def _in_turn(talk: Talk, _axis: Axis, axes: Sequence[Axis]) -> str:
+def _in_turn(talk: ServoTalk, _axis: Axis, axes: Sequence[Axis]) -> str:
     ids = [axis.id for axis in axes]
     period_s = cycle_period(talk.baud, len(axes))
     spans = []
     for _ in range(20):
         answers = talk.ask(dxl.sync_read(*CYCLE_SPAN, ids), answers=len(ids))
         if [packet.servo for packet, _ in answers] != ids:
-            raise DeviationError(
+            raise ServoDeviationError(
                 f"answers of {[packet.servo for packet, _ in answers]} to a Sync Read of {ids}", "check cables and ids"
             )
         spans.append(answers[-1][1])
     if (median := sorted(spans)[len(spans) // 2]) > period_s:
-        raise DeviationError(
+        raise ServoDeviationError(
             f"{median * 1e3:.1f} ms for both, and a cycle is {period_s * 1e3:.0f} ms",
             "sudo palmd install for the latency timer; return delay 0; a faster bus",
         )
     return f"both in {median * 1e3:.1f} ms of {period_s * 1e3:.0f} ms"
 
 
-def _ignores_damage(talk: Talk, axis: Axis, _axes: Sequence[Axis]) -> str:
+def _ignores_damage(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
     damaged = bytearray(dxl.ping(axis.id))
     damaged[-1] ^= 0x10
     if any(not packet.error for packet, _ in talk.ask(bytes(damaged))):
-        raise DeviationError("it answers a packet with a wrong checksum", "update its firmware")
+        raise ServoDeviationError("it answers a packet with a wrong checksum", "update its firmware")
     _answer(talk, dxl.ping(axis.id), axis)
     return "a damaged packet is not obeyed, the next one is"
 
 
-def _refuses(talk: Talk, axis: Axis, _axes: Sequence[Axis]) -> str:
+def _refuses(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
     """Without torque; the goal stays what it was."""
     answer = _answer(talk, dxl.write(axis.id, dxl.GOAL, axis.high + 1), axis)
     if not answer.error & ~dxl.ALERT:
-        raise DeviationError("it takes a goal beyond its limit", "update its firmware; palmd run sets the limits")
+        raise ServoDeviationError("it takes a goal beyond its limit", "update its firmware; palmd run sets the limits")
     return f"a goal beyond its limit: {dxl.ERRORS.get(answer.error & 0x7F, 'refused')}"
 
 
-def _watches(talk: Talk, axis: Axis, _axes: Sequence[Axis]) -> str:
+def _watches(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
     """Without torque."""
     _answer(talk, dxl.write(axis.id, dxl.WATCHDOG, 2), axis)
     talk.wait(0.100)
@@ -190,17 +198,17 @@ def _watches(talk: Talk, axis: Axis, _axes: Sequence[Axis]) -> str:
     refused = _answer(talk, dxl.write(axis.id, dxl.GOAL, registers[dxl.GOAL]), axis).error
     _answer(talk, dxl.write(axis.id, dxl.WATCHDOG, 0), axis)
     if registers[dxl.WATCHDOG] != -1:
-        raise DeviationError(
+        raise ServoDeviationError(
             f"after 100 ms of silence register 98 is {registers[dxl.WATCHDOG]}, not -1", "update its firmware"
         )
     if not refused & ~dxl.ALERT:
-        raise DeviationError("it takes goals with its watchdog tripped", "update its firmware")
+        raise ServoDeviationError("it takes goals with its watchdog tripped", "update its firmware")
     if _registers(talk, axis)[dxl.WATCHDOG] != 0:
-        raise DeviationError("a tripped watchdog cannot be cleared", "switch its power off and on")
+        raise ServoDeviationError("a tripped watchdog cannot be cleared", "switch its power off and on")
     return "trips, refuses goals, and is cleared"
 
 
-def _holds(talk: Talk, axis: Axis, _axes: Sequence[Axis]) -> str:
+def _holds(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
     """With torque, where it stands."""
     at = _registers(talk, axis)[dxl.POSITION]
     _answer(talk, dxl.write(axis.id, dxl.GOAL, at), axis)
@@ -212,15 +220,15 @@ def _holds(talk: Talk, axis: Axis, _axes: Sequence[Axis]) -> str:
     finally:
         talk.ask(dxl.write(axis.id, dxl.TORQUE, 0))
     if not locked & ~dxl.ALERT:
-        raise DeviationError("its settings can be written while the torque is on", "update its firmware")
+        raise ServoDeviationError("its settings can be written while the torque is on", "update its firmware")
     if abs(now - at) > STEP_COUNTS:
-        raise DeviationError(
+        raise ServoDeviationError(
             f"it goes from {at} to {now} when the torque comes on", "take the load off; see homing offset"
         )
     return f"stands within {abs(now - at)} counts, settings locked"
 
 
-def _stops_by_itself(talk: Talk, axis: Axis, _axes: Sequence[Axis]) -> str:
+def _stops_by_itself(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
     """With torque: sent on a way of 4° in half a second, then left alone."""
     at = _registers(talk, axis)[dxl.POSITION]
     goal = at + STEP_COUNTS if at + STEP_COUNTS <= axis.high else at - STEP_COUNTS
@@ -242,9 +250,9 @@ def _stops_by_itself(talk: Talk, axis: Axis, _axes: Sequence[Axis]) -> str:
         for register in (dxl.WATCHDOG, dxl.TORQUE):
             talk.ask(dxl.write(axis.id, register, 0))
     if first[dxl.WATCHDOG] != -1:
-        raise DeviationError("its watchdog has not tripped within 250 ms", "update its firmware")
+        raise ServoDeviationError("its watchdog has not tripped within 250 ms", "update its firmware")
     if abs(later[dxl.POSITION] - first[dxl.POSITION]) > 3 or abs(later[dxl.POSITION] - goal) < STEP_COUNTS // 4:
-        raise DeviationError(
+        raise ServoDeviationError(
             f"it went on after its watchdog tripped, from {first[dxl.POSITION]} to {later[dxl.POSITION]}",
             "do not use it: it would not stop when palmd's machine dies",
         )
@@ -267,7 +275,7 @@ CHECKS: tuple[ServoCheck, ...] = (
 )
 
 
-def examine(talk: Talk, axes: Sequence[Axis], checks: Sequence[ServoCheck] = CHECKS) -> Iterator[ServoResult]:
+def examine(talk: ServoTalk, axes: Sequence[Axis], checks: Sequence[ServoCheck] = CHECKS) -> Iterator[ServoResult]:
     """The checks, of each servo in turn; one that does not answer is asked no more."""
     mute: set[int] = set()
     for check in checks:
@@ -280,16 +288,16 @@ def examine(talk: Talk, axes: Sequence[Axis], checks: Sequence[ServoCheck] = CHE
             yield result
 
 
-def _examined(talk: Talk, check: ServoCheck, axis: Axis, axes: Sequence[Axis]) -> ServoResult:
+def _examined(talk: ServoTalk, check: ServoCheck, axis: Axis, axes: Sequence[Axis]) -> ServoResult:
     number, servo = CHECKS.index(check) + 1, 0 if check.of_bus else axis.number
     try:
         return ServoResult(number, servo, check.clause, "passed", check.examine(talk, axis, axes))
-    except DeviationError as deviation:
+    except ServoDeviationError as deviation:
         return ServoResult(number, servo, check.clause, "failed", deviation.seen, deviation.mend)
 
 
 class PortTalk:
-    """A `Talk` on a real port, which is opened and shut by `with`; OSError where it cannot be."""
+    """A `ServoTalk` on a real port, which is opened and shut by `with`; OSError where it cannot be."""
 
     def __init__(self, host: ServoHost, baud: int, port: str) -> None:
         from palmd.devices.port import Port
@@ -307,7 +315,7 @@ class PortTalk:
         self._port.close()
 
     def ask(self, packet: bytes, patience_s: float = ANSWER_S, answers: int = 1) -> list[tuple[Packet, float]]:
-        """See `Talk`."""
+        """See `ServoTalk`."""
         reader = dxl.PacketReader(self.baud)
         while self._port.read():
             pass
@@ -321,5 +329,5 @@ class PortTalk:
         return found
 
     def wait(self, seconds: float) -> None:
-        """See `Talk`."""
+        """See `ServoTalk`."""
         time.sleep(seconds)

@@ -23,14 +23,14 @@ from palmd.config import ServoConfig
 from palmd.devices import dynamixel as dxl
 from palmd.devices.actuator import ArmReport, ArmState, JointPose, Place, Sent
 from palmd.devices.arrival import byte_time
-from palmd.devices.dynamixel import BusCounters, HardwareError, Packet, PacketReader, Registers
+from palmd.devices.dynamixel import HardwareError, Packet, PacketCounters, PacketReader, Registers
 from palmd.devices.servoaxis import Axis
 from palmd.devices.servoscripts import (
     ANSWER_S,
     LOOK_SPAN,
     WATCHDOG_S,
     Ask,
-    RefusedError,
+    ServoRefusedError,
     SetUpError,
     arm,
     restart,
@@ -94,7 +94,7 @@ class ServoCounters:
     a servo's range, `unmatched` answers that nothing waits for, `losses` silences of 250 ms.
     """
 
-    bus: BusCounters = field(default_factory=BusCounters)
+    bus: PacketCounters = field(default_factory=PacketCounters)
     goals: int = 0
     readings: int = 0
     missed: int = 0
@@ -429,7 +429,7 @@ class ServoHost:
             self._tries = 0
         except StopIteration:
             self._ask = self._script = None
-        except RefusedError as failure:
+        except ServoRefusedError as failure:
             self.refusal = str(failure)
             self._stand()
         except SetUpError as failure:

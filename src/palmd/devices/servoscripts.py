@@ -58,7 +58,7 @@ class SetUpError(Exception):
     """A servo cannot be used as it is; says why and what to do."""
 
 
-class RefusedError(Exception):
+class ServoRefusedError(Exception):
     """A servo does not take what it needs before it may move; says which."""
 
 
@@ -104,7 +104,7 @@ def _check_model(axis: Axis, model: int) -> None:
 
 
 def arm(axes: Sequence[Axis], profile_ms: int) -> Generator[Ask, Packet, tuple[float, ...]]:
-    """Has every servo hold where it stands, its watchdog awake; the directions (rad). Raises RefusedError."""
+    """Has every servo hold where it stands, its watchdog awake; the directions (rad). Raises ServoRefusedError."""
     directions = []
     for axis in axes:
         profile = ((dxl.PROFILE_ACCELERATION, 0), (dxl.PROFILE_VELOCITY, profile_ms))
@@ -120,7 +120,7 @@ def arm(axes: Sequence[Axis], profile_ms: int) -> Generator[Ask, Packet, tuple[f
         registers = Registers(LOOK_SPAN[0], answer.parameters)
         for register, value in ((dxl.GOAL, here), (dxl.TORQUE, 1), (dxl.PROFILE_VELOCITY, profile_ms)):
             if registers[register] != value:
-                raise RefusedError(
+                raise ServoRefusedError(
                     f"start refused: servo {axis.number} has {registers[register]} in register {register.address},"
                     f" {value} was sent"
                 )

@@ -12,12 +12,14 @@ import numpy as np
 from palmd.bus.subscriber import Message
 from palmd.harness.scorer import COMPARED, Scorer
 from palmd.score import OutlineScore
+from palmd.system.mechanism import RADII
 
 LOOPS = 300  # of palm/loop, one a second
 TRUTHS = 100
 GRID_TICKS = 100
 LATE_S = 2e-3
 PERIOD_S = 0.01
+_RADII = tuple(f"{name}_m" for name in RADII)
 
 
 class Comparison:
@@ -94,7 +96,8 @@ class Comparison:
         parts = [f"{t - (self.t_started or t):5.0f} s  {self._state.get('state', ''):8}"]
         e = self._scorer.estimate
         if e.get("valid"):
-            parts.append(f"r {e['r1_m'] * 1e3:.2f} {e['r2_m'] * 1e3:.2f} mm")
+            radii = " ".join(f"{e[name] * 1e3:.2f}" for name in _RADII)
+            parts.append(f"r {radii} mm")
             parts.append(f"rho {e['rho_m'] * 1e3:.2f} mm  mu {e['mu']:z.2f}  mass {e['mass_kg'] * 1e3:.0f} g")
             score = self._score()
             if score is not None:

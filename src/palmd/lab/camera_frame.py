@@ -27,7 +27,7 @@ Bools = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
-class Clock:
+class CameraClock:
     """log time = t + offset + drift (t − t_middle), t the camera's; s, and s/s; a drift not looked for is NaN."""
 
     t_middle: float
@@ -43,7 +43,7 @@ class Clock:
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class CameraFrame:
     """The world in the camera's frame: its angle (rad) and place (m); the mark in the object's frame (m); with sds."""
 
     angle: float
@@ -81,16 +81,18 @@ class CameraFit:
     def gauge(self) -> float:
         return float(self._p[2])
 
-    def clock(self) -> Clock:
+    def clock(self) -> CameraClock:
         sd = self._sd_p
         drift, drift_sd = (float(self._p[1]), float(sd[1])) if self._drifts else (math.nan, math.nan)
-        return Clock(self._middle, self._lag + float(self._p[0]), float(sd[0]), drift, drift_sd)
+        return CameraClock(self._middle, self._lag + float(self._p[0]), float(sd[0]), drift, drift_sd)
 
-    def frame(self) -> Frame | None:
+    def frame(self) -> CameraFrame | None:
         if not self._places:
             return None
         p, sd = self._p.tolist(), self._sd_p.tolist()
-        return Frame(math.remainder(p[3], math.tau), sd[3], (p[4], p[5]), (sd[4], sd[5]), (p[6], p[7]), (sd[6], sd[7]))
+        return CameraFrame(
+            math.remainder(p[3], math.tau), sd[3], (p[4], p[5]), (sd[4], sd[5]), (p[6], p[7]), (sd[6], sd[7])
+        )
 
     def place_residual(self) -> FloatArray:
         """How far (m) the mark is from where it was foretold, row by row."""

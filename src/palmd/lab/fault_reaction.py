@@ -36,7 +36,7 @@ class Turning:
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class ToldState:
     """One palm/state: the tick (s), the state, and the faults that stand with their severities."""
 
     t: float
@@ -44,7 +44,7 @@ class Told:
     faults: dict[str, str]
 
     @classmethod
-    def heard(cls, fields: Mapping[str, Any], t: float) -> Told:
+    def heard(cls, fields: Mapping[str, Any], t: float) -> ToldState:
         """Of a palm/state's fields."""
         return cls(t, fields["state"], dict(zip(fields["faults"], fields["severities"], strict=True)))
 
@@ -74,14 +74,14 @@ class Reaction:
 class ReactionWatch:
     """Collects what daemon and rig say; `reaction` looks at what came after the cause."""
 
-    told: list[Told] = field(default_factory=list)
+    told: list[ToldState] = field(default_factory=list)
     turning: list[Turning] = field(default_factory=list)
 
     def take(self, topic: str, fields: dict[str, Any]) -> None:
         """One message of either."""
         t = fields["mono_ns"] * 1e-9
         if topic == "palm/state":
-            self.told.append(Told.heard(fields, t))
+            self.told.append(ToldState.heard(fields, t))
         elif topic == "rig/truth":
             phi, omega = ((fields[f"{name}1_{unit}"], fields[f"{name}2_{unit}"]) for name, unit in _TURNING)
             self.turning.append(Turning(t, phi, omega))

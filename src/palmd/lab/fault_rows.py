@@ -56,7 +56,7 @@ class TakenAddress:
 
 
 @dataclass(frozen=True, slots=True)
-class ClockStep:
+class WallClockStep:
     """The daemon's wall clock, as Python tells it, is set by so many seconds; nobody can set the machine's here."""
 
     seconds: float
@@ -69,7 +69,7 @@ class BrokenObserver:
     how: Literal["raises", "nan"]
 
 
-Act = RowFault | Pause | Kill | FullDisk | TakenAddress | ClockStep | BrokenObserver
+Act = RowFault | Pause | Kill | FullDisk | TakenAddress | WallClockStep | BrokenObserver
 
 
 @dataclass(frozen=True, slots=True)
@@ -314,6 +314,6 @@ ROWS: tuple[FaultRow, ...] = (
     FaultRow("page-killed", "the live page is killed", Kill("page"), "tracking", ("nothing",)),
     FaultRow("page-stuck", "the live page is stopped for 3 s", Pause("page", 3.0), "tracking", ("nothing",)),
     FaultRow("address-taken", "a second daemon wants the same addresses", TakenAddress(), "tracking", ("nothing",)),
-    FaultRow("clock-step", "the wall clock is set back by an hour", ClockStep(-3600.0), "tracking", ("nothing",)),
+    FaultRow("clock-step", "the wall clock is set back by an hour", WallClockStep(-3600.0), "tracking", ("nothing",)),
 )
 NAMES = tuple(row.name for row in ROWS)

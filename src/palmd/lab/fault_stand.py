@@ -17,7 +17,7 @@ from palmd.console.errors import RIG_FAILED, CliError
 from palmd.harness.operator import Operator
 from palmd.harness.stack import START_S, Stack, not_started
 from palmd.lab.fault_reaction import Reaction, ReactionWatch, Turning, complete
-from palmd.lab.fault_rows import Act, ClockStep, FaultRow, FullDisk, Kill, Pause, RowFault, TakenAddress
+from palmd.lab.fault_rows import Act, FaultRow, FullDisk, Kill, Pause, RowFault, TakenAddress, WallClockStep
 from palmd.lab.fault_why import ask, asked_at
 from palmd.record.mcapfile import RunError
 from palmd.record.run import read_run
@@ -111,7 +111,7 @@ class Stand:
 
     def provoke(self, row: FaultRow) -> Reaction:
         """From brisk motion: the cause, what comes of it, its end, and the palms moving again; raises CliError."""
-        if isinstance(row.act, ClockStep):
+        if isinstance(row.act, WallClockStep):
             self._restart_daemon(ReactionWatch(), PYTHONPATH=self._stepped_clock(row.act))
         self.bring_to_motion()
         before, kept = self._stack.rig_status(), self._recorder()
@@ -165,7 +165,7 @@ class Stand:
                 self._limit_recorder(Path(self._recorder()["path"]).stat().st_size)
             case TakenAddress():
                 wrong += self._refused_beside()
-            case ClockStep():
+            case WallClockStep():
                 self._mark.touch()
         return t
 
@@ -185,7 +185,7 @@ class Stand:
             case FullDisk():
                 self._limit_recorder(resource.RLIM_INFINITY)
                 return self._gone("recorder-failed")
-            case ClockStep():
+            case WallClockStep():
                 jumped = self._operator.state["timestamp"] - time.time()
                 self._restart_daemon(ReactionWatch())
                 return [] if abs(jumped - act.seconds) < CLOCKS_AGREE_S else ["the daemon's clock was not set"]
@@ -214,7 +214,7 @@ class Stand:
         _, hard = resource.prlimit(number, resource.RLIMIT_FSIZE)
         resource.prlimit(number, resource.RLIMIT_FSIZE, (size_bytes, hard))
 
-    def _stepped_clock(self, act: ClockStep) -> str:
+    def _stepped_clock(self, act: WallClockStep) -> str:
         """A PYTHONPATH in which the interpreter finds `STEPPED_CLOCK` first."""
         folder = self._folder / "clock"
         folder.mkdir(exist_ok=True)

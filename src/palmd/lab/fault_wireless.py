@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import dataclasses
-import math
 import time
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import msgpack
 
 from palmd import observer
 from palmd.config import Config, PlanSpec, rig_description
-from palmd.events import Estimate
 from palmd.harness.wireless import Instant, Wireless
 from palmd.lab.fault_reaction import Reaction, ReactionWatch
 from palmd.lab.fault_rows import FaultRow
 from palmd.lab.fault_why import ask, asked_at
+from palmd.lab.silent_observer import Breakable
 from palmd.messages import Fields, stamp
 from palmd.record.recording import Ended, Recording
 from palmd.rig.world import default_config
@@ -27,33 +25,11 @@ BREAKS_AFTER_S = 3.0
 WATCHED_S = 1.0
 
 
-class ModelError(Exception):
-    """What a broken model raises."""
-
-
-class _Breakable:
-    """An observer that does its work until it is broken."""
-
-    def __init__(self, sound: Any) -> None:
-        self._sound = sound
-        self.how: Literal["raises", "nan"] | None = None
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._sound, name)
-
-    def estimate(self, t: float) -> Estimate:
-        """As the sound one's, or an error, or NaN that is called valid."""
-        estimate: Estimate = self._sound.estimate(t)
-        if self.how == "raises":
-            raise ModelError("the model is broken")
-        return dataclasses.replace(estimate, valid=True, r1=math.nan) if self.how == "nan" else estimate
-
-
 def provoke(row: FaultRow, how: Literal["raises", "nan"], spec: PlanSpec, seed: int, folder: Path) -> Reaction:
     """Run the plan, break the observer while the palms turn, look on, and ask the recording in `folder` why."""
     config = default_config()
     config = config.model_copy(update={"record": config.record.model_copy(update={"directory": folder})})
-    breakable = _Breakable(observer.make("shape", rig_description(config), seed))
+    breakable = Breakable(observer.make("shape", rig_description(config), seed))
     run = Wireless(config, spec, seed, estimator=breakable)
     run.start()
     recorder = WirelessRecorder(config)

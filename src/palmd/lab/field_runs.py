@@ -15,12 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from palmd import observer
 from palmd.config import PlanSpec, rig_description
-from palmd.events import Estimate, Event, Improvement, ObjectEstimate, Outlook, ShapeEstimate
+from palmd.events import Event
 from palmd.harness.wireless import Instant, Wireless
+from palmd.lab.silent_observer import SilentObserver
 from palmd.motion.plan import PlanError
-from palmd.observer import Observer
 from palmd.record.eventlog import event_line, header_line
 from palmd.record.logline import Line
 from palmd.rig.imperfections import configured
@@ -34,36 +33,14 @@ _ATTEMPT = 100_000  # added to the world's seed when a contact was lost
 _SETTLE_S = 0.6
 
 
-class _Recorded:
-    """An observer that keeps what it is fed."""
+class _Ears(SilentObserver):
+    """It keeps what it is fed."""
 
-    def __init__(self, inner: Observer) -> None:
-        self._inner = inner
+    def __init__(self) -> None:
         self.events: list[Event] = []
-        self.name, self.backend = inner.name, inner.backend
-        self.object_count = self.late_dropped = self.improvements = 0
-        self.foresees = False
-
-    def warm_up(self) -> None:
-        self._inner.warm_up()
 
     def feed(self, event: Event) -> None:
         self.events.append(event)
-
-    def improve(self, _t: float) -> Improvement | None:
-        return None
-
-    def estimate(self, t: float) -> Estimate:
-        return self._inner.estimate(t)
-
-    def shape(self, _t: float) -> ShapeEstimate | None:
-        return None
-
-    def outlook(self, _t: float) -> Outlook | None:
-        return None
-
-    def identify(self, _t: float) -> ObjectEstimate | None:
-        return None
 
 
 def name_of(seed: int) -> str:
@@ -120,7 +97,7 @@ def plan_of(seed: int, attempt: int = 0) -> PlanSpec:
 def _lived(seed: int, attempt: int, seconds: float) -> tuple[list[Line], dict[str, Any]] | None:
     config = default_config("calibrated")
     rig = rig_description(config)
-    ears = _Recorded(observer.make("quasistatic", rig))
+    ears = _Ears()
     spec = plan_of(seed, attempt)
     try:
         wireless = Wireless(config, spec, seed + _ATTEMPT * attempt, kind=kind_of(seed), estimator=ears)

@@ -13,7 +13,7 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.lab.camera_clock import GroundTruthError, scanned
-from palmd.lab.camera_frame import CameraFit, Clock, Frame, rms, wrapped
+from palmd.lab.camera_frame import CameraClock, CameraFit, CameraFrame, rms, wrapped
 from palmd.lab.camera_signals import KnownMotion, Signals
 from palmd.outlinefile import Outline
 from palmd.record.resultfile import Result
@@ -59,8 +59,8 @@ class CameraComparison:
     frame, mark are None without a log. left_out: spans in which nothing is compared, one line each.
     """
 
-    clock: Clock
-    frame: Frame | None
+    clock: CameraClock
+    frame: CameraFrame | None
     psi: CameraErrors
     mark: CameraErrors | None
     outline: CameraOutlineErrors | None
@@ -115,7 +115,7 @@ def _outline_errors(result: Result, outline: Outline) -> CameraOutlineErrors:
     return CameraOutlineErrors(score.e_h, score.max_error, p90, score.touched, score.rotation)
 
 
-def _left_out(track: CameraTrack, signals: Signals, clock: Clock) -> list[str]:
+def _left_out(track: CameraTrack, signals: Signals, clock: CameraClock) -> list[str]:
     t = clock.log_time(track.t[signals.seen])
     first, last = float(signals.motion.t[0]), float(signals.motion.t[-1])
     inside = t[(t >= first) & (t <= last)]

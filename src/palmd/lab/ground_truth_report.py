@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from palmd.lab.camera_frame import Clock, Frame
+from palmd.lab.camera_frame import CameraClock, CameraFrame
 from palmd.lab.ground_truth import CameraComparison, CameraErrors, CameraOutlineErrors
 
 # Digitised from figure 3.15: ψ (rad) and its skill against an object that stands still, outline (m), share touched.
@@ -57,14 +57,14 @@ def as_line(found: CameraComparison) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _clock(clock: Clock) -> str:
+def _clock(clock: CameraClock) -> str:
     drift = "drift not told by so short a record"
     if math.isfinite(clock.drift):
         drift = f"drift {clock.drift * 1e6:.1f} ± {clock.drift_sd * 1e6:.1f} ppm"
     return f"clock: log time = camera time {clock.offset:+.4f} s ± {clock.offset_sd * 1e3:.1f} ms, {drift}"
 
 
-def _frame(frame: Frame) -> str:
+def _frame(frame: CameraFrame) -> str:
     (x, y), (mark_x, mark_y) = frame.place, frame.mark
     return (
         f"frame: the world at ({x * 1e3:.2f}, {y * 1e3:.2f}) mm, turned {math.degrees(frame.angle):.2f} ± "
@@ -73,7 +73,7 @@ def _frame(frame: Frame) -> str:
     )
 
 
-def _frame_line(frame: Frame) -> dict[str, float]:
+def _frame_line(frame: CameraFrame) -> dict[str, float]:
     line = {"angle_rad": frame.angle, "angle_sd_rad": frame.angle_sd}
     for name in ("place", "mark"):
         for axis, value, sd in zip("xy", getattr(frame, name), getattr(frame, f"{name}_sd"), strict=True):

@@ -16,9 +16,9 @@ from palmd import observer
 from palmd.config import Drawn
 from palmd.events import FloatArray, ShapeEstimate
 from palmd.lab.scoring import (
-    Answers,
     Line,
     MonteCarloRow,
+    ObserverAnswers,
     causal_of,
     outline_errors,
     row_of,
@@ -83,7 +83,7 @@ def _run(task: MonteCarloTask) -> MonteCarloRow:
     return row_of(task.kind, task.seed, truth, answer, outline, bound, causal)
 
 
-def answers(log: EventLog, told: Line, watcher: observer.Observer) -> Answers:
+def answers(log: EventLog, told: Line, watcher: observer.Observer) -> ObserverAnswers:
     """Everything that the observer says of the run, tick by tick, against the truth that was `told`."""
     true_h = np.array(told["h_m"])
     t, valid, r, sd, e_h, latest = [], [], [], [], [], math.nan
@@ -98,7 +98,7 @@ def answers(log: EventLog, told: Line, watcher: observer.Observer) -> Answers:
         e_h.append(latest)
     times = np.array(t)
     true_r = np.column_stack([np.interp(times, told["t"], told[name]) for name in ("r1_m", "r2_m")])
-    return Answers(
+    return ObserverAnswers(
         t=times - log.events[0].t_sample,
         valid=np.array(valid, dtype=np.bool_),
         r_error=np.array(r) - true_r,

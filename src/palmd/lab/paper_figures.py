@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from palmd.events import FloatArray
 from palmd.lab.balanced import BalancedRun
 from palmd.lab.paper_published import HARDWARE, SIMULATION
-from palmd.lab.paper_runs import OUTLINE, Method, SideBySide, Simulation, Trace, psi_error, relative_radius_error
+from palmd.lab.paper_runs import OUTLINE, Method, PaperSimulation, SideBySide, Trace, psi_error, relative_radius_error
 from palmd.model import quasistatic as qs
 from palmd.model.shape import coefficients_of
 from palmd.model.stable_poses import outline_at
@@ -24,7 +24,7 @@ _PALM_MM = 60.0
 _SHOWN = slice(None, None, 3)  # one by one they would make a large file
 
 
-def save(simulation: Simulation, sides: Sequence[SideBySide], folder: Path) -> list[Path]:
+def save(simulation: PaperSimulation, sides: Sequence[SideBySide], folder: Path) -> list[Path]:
     """Draws `paper_frames.svg`, `paper_simulation.svg`, `paper_experiment.svg`; the same runs give the same files."""
     figures = {
         "paper_frames": frames_figure(simulation),
@@ -44,12 +44,12 @@ def _styled(draw: Callable[[], Figure]) -> Figure:
         return draw()
 
 
-def frames_figure(simulation: Simulation) -> Figure:
+def frames_figure(simulation: PaperSimulation) -> Figure:
     """Figure 3.9: what has been reconstructed after 20, 40, … readings, palms and contacts."""
     return _styled(lambda: _frames(simulation))
 
 
-def _frames(simulation: Simulation) -> Figure:
+def _frames(simulation: PaperSimulation) -> Figure:
     run, found = simulation.run, simulation.found
     numbers = range(FRAMES_EACH - 1, len(run.t), FRAMES_EACH)
     columns = 5
@@ -77,12 +77,12 @@ def _frames(simulation: Simulation) -> Figure:
     return figure
 
 
-def simulation_figure(simulation: Simulation) -> Figure:
+def simulation_figure(simulation: PaperSimulation) -> Figure:
     """Figures 3.10 and 3.11 in one, and which errors tell the mean radius."""
     return _styled(lambda: _simulation(simulation))
 
 
-def _simulation(simulation: Simulation) -> Figure:
+def _simulation(simulation: PaperSimulation) -> Figure:
     run, found, valley = simulation.run, simulation.found, simulation.valley
     radius_error, psi_off = relative_radius_error(run, found), psi_error(run, found)
     figure = Figure(figsize=(7.5, 8.6), layout="constrained")

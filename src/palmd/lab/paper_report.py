@@ -8,13 +8,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from palmd.lab.paper_published import HARDWARE, SIMULATION
-from palmd.lab.paper_runs import Method, SideBySide, Simulation, psi_error, relative_radius_error
+from palmd.lab.paper_runs import Method, PaperSimulation, SideBySide, psi_error, relative_radius_error
 
 HEAD = ("run", "method", "outline e_h", "of the radius", "r1, r2", "ψ", "touched")
 NONE = "–"
 
 
-def rows(simulation: Simulation, sides: Sequence[SideBySide]) -> list[tuple[str, ...]]:
+def rows(simulation: PaperSimulation, sides: Sequence[SideBySide]) -> list[tuple[str, ...]]:
     """The table's rows under `HEAD`; errors are RMS, the outline's where touched, ψ's without the gauge."""
     run = simulation.run
     table: list[tuple[str, ...]] = [

@@ -60,7 +60,7 @@ class Valley:
 
 
 @dataclass(frozen=True, slots=True)
-class Simulation:
+class PaperSimulation:
     """The paper's simulated run, and what (3.33)–(3.35) make of it.
 
     found: from the beginning with the least conflict. astray: from one in balance whose mean radius is `ASTRAY` too
@@ -74,7 +74,7 @@ class Simulation:
     circle: float  # the radius (m) that a circle would have, where the search begins
 
 
-def paper_simulation() -> Simulation:
+def paper_simulation() -> PaperSimulation:
     """Some two seconds of work."""
     t = np.linspace(0.0, 1.0, READINGS)
     path = eased_path(t, CORNERS)
@@ -89,7 +89,7 @@ def paper_simulation() -> Simulation:
         spread = _narrower(beginnings, weights)
     true = float(run.contacts.r1[0] + run.contacts.r2[0]) / 2
     astray, valley = _valley(run, true, circle)
-    return Simulation(run, _trace(run, states[:, :, best]), astray, valley, circle)
+    return PaperSimulation(run, _trace(run, states[:, :, best]), astray, valley, circle)
 
 
 def _integrated(run: BalancedRun, spread: Spread, circle: float) -> tuple[MultiStart, FloatArray]:

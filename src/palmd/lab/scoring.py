@@ -225,7 +225,7 @@ def _rms(values: FloatArray) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Answers:
+class ObserverAnswers:
     """A causal observer's answers, one a tick: t (s) from the first event, r_error and r_sd (n, 2) in m.
 
     e_h (m): of the latest outline, NaN while there is none of which anything was touched.
@@ -238,7 +238,7 @@ class Answers:
     e_h: FloatArray
 
 
-def causal_of(answers: Answers) -> Causal:
+def causal_of(answers: ObserverAnswers) -> Causal:
     """What came of a causal replay."""
     close = (np.abs(answers.r_error) < CAUSAL_R_M).all(axis=1)
     good = answers.valid & close & (answers.e_h < CAUSAL_OUTLINE_M)

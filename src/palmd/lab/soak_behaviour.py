@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from palmd.lab.fault_reaction import Told
+from palmd.lab.fault_reaction import ToldState
 from palmd.lab.soak import SoakFinding, at_most, between, told
 
 COMMANDED = ("tracking", "hold")
@@ -55,7 +55,7 @@ LATER_CODES = ("estimate-lost", "estimate-inconsistent", "samples-too-late", "pa
 
 
 @dataclass(frozen=True, slots=True)
-class Cause:
+class PossibleCause:
     """Something that may bring faults, from t_on to t_off (s): a mischief of a port, or of the object (no port).
 
     Besides the rig's tricks there are `parted`, the object really left the pad, and those of `HELD_UP`.
@@ -101,7 +101,7 @@ class Counted:
     setpoints: int
 
 
-def unexplained(states: Sequence[Told], causes: Sequence[Cause]) -> list[str]:
+def unexplained(states: Sequence[ToldState], causes: Sequence[PossibleCause]) -> list[str]:
     """Faults above a note that came when nothing had been done that explains them, `code after … s` each."""
     found = []
     for before, now in pairwise(states):
@@ -112,7 +112,7 @@ def unexplained(states: Sequence[Told], causes: Sequence[Cause]) -> list[str]:
     return found
 
 
-def uncalled(states: Sequence[Told], commands: Sequence[GivenCommand]) -> list[str]:
+def uncalled(states: Sequence[ToldState], commands: Sequence[GivenCommand]) -> list[str]:
     """Changes into tracking that nobody had asked for: neither armed nor, after a hold, started."""
     found = []
     for before, now in pairwise(states):
@@ -123,10 +123,10 @@ def uncalled(states: Sequence[Told], commands: Sequence[GivenCommand]) -> list[s
     return found
 
 
-def longest_rest(states: Sequence[Told], t_end: float) -> float:
+def longest_rest(states: Sequence[ToldState], t_end: float) -> float:
     """For how long (s) on end the arm was not tracking at most, until t_end."""
     longest, since = 0.0, math.inf
-    for one in (*states, Told(t_end, "tracking", {})):
+    for one in (*states, ToldState(t_end, "tracking", {})):
         if one.state == "tracking":
             longest, since = max(longest, one.t - since), math.inf
         else:
@@ -134,7 +134,7 @@ def longest_rest(states: Sequence[Told], t_end: float) -> float:
     return longest
 
 
-def commanded_while_not(states: Sequence[Told], counted: Sequence[Counted]) -> int:
+def commanded_while_not(states: Sequence[ToldState], counted: Sequence[Counted]) -> int:
     """Set-points between two counts during which the state allowed none."""
     times = [told.t for told in states]
     total = 0
@@ -147,8 +147,8 @@ def commanded_while_not(states: Sequence[Told], counted: Sequence[Counted]) -> i
 
 
 def behaviour(
-    states: Sequence[Told],
-    causes: Sequence[Cause],
+    states: Sequence[ToldState],
+    causes: Sequence[PossibleCause],
     commands: Sequence[GivenCommand],
     sent: Sequence[Counted],
     accepted: Sequence[Counted],

@@ -17,7 +17,7 @@ QUIET_S = 3.0  # at the beginning, and as much at the end
 
 
 @dataclass(frozen=True, slots=True)
-class Trick:
+class SoakFault:
     """A mischief of the emulated rig."""
 
     name: str
@@ -46,7 +46,7 @@ class Visit:
     for_s: float
 
 
-Act = Trick | Say | Visit
+Act = SoakFault | Say | Visit
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,7 @@ def _act(rng: np.random.Generator) -> Act:
     if kind < 0.6:
         name, ports, strengths, lasts = _TRICKS[int(rng.integers(len(_TRICKS)))]
         port = ports[int(rng.integers(len(ports)))] if ports else None
-        return Trick(name, port, None if strengths is None else _uniform(rng, strengths), _uniform(rng, lasts))
+        return SoakFault(name, port, None if strengths is None else _uniform(rng, strengths), _uniform(rng, lasts))
     if kind < 0.75:
         command, lasts = _SAYINGS[int(rng.integers(len(_SAYINGS)))]
         return Say(command, _uniform(rng, lasts))

@@ -25,8 +25,8 @@ from palmd.console.errors import RIG_FAILED, CliError
 from palmd.console.shipped import shipped
 from palmd.harness.operator import Operator
 from palmd.harness.stack import ANSWER_S, START_S, Stack
-from palmd.lab.soak_behaviour import Cause, GivenCommand
-from palmd.lab.soak_fault_injection import Act, Say, Trick, Visit
+from palmd.lab.soak_behaviour import GivenCommand, PossibleCause
+from palmd.lab.soak_fault_injection import Act, Say, SoakFault, Visit
 from palmd.lab.soak_watch import Process, SoakWatch
 from palmd.view.http_guard import SOCKET
 
@@ -52,7 +52,7 @@ class _Watchmen:
     The kernel hands over the bytes of a terminal in threads like these, on the processor that wrote them.
     """
 
-    def __init__(self, causes: list[Cause]) -> None:
+    def __init__(self, causes: list[PossibleCause]) -> None:
         self._causes = causes
         self._over = threading.Event()
         self._threads = [
@@ -76,7 +76,7 @@ class _Watchmen:
         while not self._over.wait(WATCHED_EVERY_S):
             before, t = t, time.monotonic()
             if t - before > WATCHED_EVERY_S + HELD_UP_S:
-                self._causes.append(Cause("stall", None, before, t))
+                self._causes.append(PossibleCause("stall", None, before, t))
 
 
 class SoakStand:
@@ -193,7 +193,7 @@ class SoakStand:
         elif t - self._t_fallen > FALLEN_S:
             self._t_fallen = t
             self._stack.ask_rig("new_object")
-            self.watch.causes.append(Cause("swap", None, t, t + 1.5))
+            self.watch.causes.append(PossibleCause("swap", None, t, t + 1.5))
         command = self._operator.decide(t)
         if command is not None:
             self._command(command)
@@ -207,12 +207,12 @@ class SoakStand:
     def do(self, act: Act) -> None:
         """Do it, or have it done while we go on; raises CliError when the rig refuses."""
         match act:
-            case Trick():
+            case SoakFault():
                 args = {"name": act.name, "port": act.port, "for_s": act.for_s}
                 if act.strength is not None:
                     args["strength"] = act.strength
                 t_on = float(self._stack.ask_rig("mischief", **args)["t_on_s"])
-                self.watch.causes.append(Cause(act.name, act.port, t_on, t_on + act.for_s))
+                self.watch.causes.append(PossibleCause(act.name, act.port, t_on, t_on + act.for_s))
             case Say(command="plan"):
                 self._change_plan()
                 self._t_hands_on = time.monotonic() + act.for_s
@@ -294,7 +294,7 @@ class SoakStand:
         for port in ("pad1", "pad2", "arm"):
             self._stack.ask_rig("mischief", name="mute", port=port)
         t = time.monotonic()
-        self.watch.causes += [Cause("mute", port, t, t + QUIET_S) for port in ("pad1", "pad2", "arm")]
+        self.watch.causes += [PossibleCause("mute", port, t, t + QUIET_S) for port in ("pad1", "pad2", "arm")]
         t_quiet = t + QUIET_S
         self._wait(lambda: self.watch.t_loop > t_quiet, PATIENCE_S, "palm/loop does not come")
         return end, self._stack.rig_status(), self.watch.loop

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
-from palmd.lab.fault_reaction import Told
-from palmd.lab.soak_behaviour import Cause, Counted, GivenCommand
+from palmd.lab.fault_reaction import ToldState
+from palmd.lab.soak_behaviour import Counted, GivenCommand, PossibleCause
 from palmd.lab.soak_lateness import Second
 from palmd.lab.soak_slopes import ProcessSeries
 
@@ -50,8 +50,8 @@ class SoakWatch:
 
     lengths_m: Mapping[str, float]
     seconds: list[Second] = field(default_factory=list)
-    states: list[Told] = field(default_factory=list)
-    causes: list[Cause] = field(default_factory=list)
+    states: list[ToldState] = field(default_factory=list)
+    causes: list[PossibleCause] = field(default_factory=list)
     commands: list[GivenCommand] = field(default_factory=list)
     sent: list[Counted] = field(default_factory=list)
     accepted: list[Counted] = field(default_factory=list)
@@ -89,7 +89,7 @@ class SoakWatch:
                 before, self.loop = self.loop or fields, fields
                 for pad in self.lengths_m:
                     if fields[f"{pad}_batches"] > before[f"{pad}_batches"]:
-                        self.causes.append(Cause("batch", pad, before["mono_ns"] * 1e-9, t))
+                        self.causes.append(PossibleCause("batch", pad, before["mono_ns"] * 1e-9, t))
                 late = tuple(fields["lateness_ms"])
                 self.seconds.append(Second(t, fields["ticks"], fields["overruns"], late))
                 self.sent.append(Counted(t, fields["arm_setpoints"]))
@@ -102,7 +102,7 @@ class SoakWatch:
         self.accepted.append(Counted(status["clock_s"], status["accepted"]))
         self.on_palms = status["on_palms"]
         if status["stalls"] > self._stalls:
-            self.causes.append(Cause("stall", None, self._t_rig, t))
+            self.causes.append(PossibleCause("stall", None, self._t_rig, t))
         self._stalls, self._t_rig = status["stalls"], t
 
     def waited(self, total_ms: float) -> None:
@@ -127,7 +127,7 @@ class SoakWatch:
 
     def _state(self, fields: dict[str, Any], t: float) -> None:
         self.told = fields
-        now = Told.heard(fields, t)
+        now = ToldState.heard(fields, t)
         if not self.states or (self.states[-1].state, self.states[-1].faults) != (now.state, now.faults):
             self.states.append(now)
 
@@ -138,9 +138,9 @@ class SoakWatch:
         if not felt:
             self._parted.setdefault(pad, t)
         elif pad in self._parted:
-            self.causes.append(Cause("parted", pad, self._parted.pop(pad), t))
+            self.causes.append(PossibleCause("parted", pad, self._parted.pop(pad), t))
 
-    def so_far(self) -> list[Cause]:
+    def so_far(self) -> list[PossibleCause]:
         """The causes, and what still goes on."""
-        open_ones = [Cause("parted", pad, t, float("inf")) for pad, t in self._parted.items()]
+        open_ones = [PossibleCause("parted", pad, t, float("inf")) for pad, t in self._parted.items()]
         return self.causes + open_ones

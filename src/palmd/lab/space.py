@@ -12,9 +12,9 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.model.spherical import evaluator
 from palmd.observer.three_palms import rotation
-from palmd.observer.three_palms.reconstruct import Reconstruction, reconstruct
+from palmd.observer.three_palms.reconstruct import BodyReconstruction, reconstruct
 from palmd.record.systems.three_palms import SYSTEM, laid_out
-from palmd.rig.three_palms.simulate import Run
+from palmd.rig.three_palms.simulate import SimulatedBody
 
 NEAR_DEG = 4.0
 RIGHT_M = 1.5e-4
@@ -51,7 +51,7 @@ class SpaceRow:
         return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in fields.items()}
 
 
-def reconstructed(run: Run) -> SpaceRow:
+def reconstructed(run: SimulatedBody) -> SpaceRow:
     """The run's log reconstructed without its truth, and scored by it."""
     head, *lines = run.lines
     rig = SYSTEM.rig(head["rig"])
@@ -69,7 +69,7 @@ def reconstructed(run: Run) -> SpaceRow:
     return SpaceRow(truth["kind"], truth["seed"], truth["body"], run.held, spin, *said)
 
 
-def errors(answer: Reconstruction, truth: dict[str, Any]) -> tuple[float, float]:
+def errors(answer: BodyReconstruction, truth: dict[str, Any]) -> tuple[float, float]:
     """(RMS error of h (m), mean of (error/sd)²) within `NEAR_DEG` of the contact curves, after the best rotation."""
     if answer.coefficients is None or answer.h_sd is None:
         return math.nan, math.nan

@@ -7,7 +7,9 @@ the palms are parallel and every formula here divides by sin φ2 = 0. A curved p
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 from palmd.model.symbolic import SX, ca
 
@@ -53,6 +55,12 @@ def solve_from_normals(phi1: SX, phi2: SX, along1: SX, along2: SX) -> SX:
     """The plane vector w with n1·w = along1 and n2·w = along2; w is the COM when given r1, r2."""
     n1, n2 = normal(phi1, 1), normal(phi1 + phi2, 2)
     return ca.vertcat(n2[1] * along1 - n1[1] * along2, n1[0] * along2 - n2[0] * along1) / -ca.sin(phi2)
+
+
+def tangent_joints(joints: Sequence[SX], turns: Sequence[SX]) -> tuple[SX, ...]:
+    """The joint angles of flat palms that lie as tangents turned so against the palms: (φ1 + τ1, φ2 + τ2 − τ1)."""
+    rest = (angle + turn - before for angle, (before, turn) in zip(joints[1:], pairwise(turns), strict=True))
+    return (joints[0] + turns[0], *rest)
 
 
 def offsets(phi2: SX, r1: SX, r2: SX, s1: SX, s2: SX) -> tuple[SX, SX]:

@@ -25,6 +25,16 @@ class Palms:
     alpha2: SX
 
     @property
+    def angles(self) -> tuple[SX, SX]:
+        """φ1 and φ2."""
+        return self.phi1, self.phi2
+
+    @property
+    def rates(self) -> tuple[SX, SX]:
+        """ω1 and ω2."""
+        return self.omega1, self.omega2
+
+    @property
     def phi12(self) -> SX:
         """φ1 + φ2, the world angle of palm 2."""
         return self.phi1 + self.phi2
@@ -57,6 +67,11 @@ class Motion:
     alpha0: SX
     f1: SX
     f2: SX
+
+    @property
+    def forces(self) -> tuple[SX, SX]:
+        """f1 and f2."""
+        return self.f1, self.f2
 
 
 def effective_gravity(palms: Palms, rig: SX) -> SX:

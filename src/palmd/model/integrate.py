@@ -36,7 +36,7 @@ def exponential_step(
 
     z = linear * dt
     half, full = ca.exp(z / 2), ca.exp(z)
-    to_middle = dt / 2 * _elementwise(_phi1, z / 2)
+    to_middle = dt / 2 * _elementwise(_exprel, z / 2)
     n0 = rest(y, SX(0))
     a = half * y + to_middle * n0
     n1 = rest(a, dt / 2)
@@ -68,7 +68,7 @@ def _series_or(z: SX, coefficients: list[float], closed: Callable[[SX], SX]) -> 
     return ca.if_else(small, series, closed(ca.if_else(small, SX(1), z)))
 
 
-def _phi1(z: SX) -> SX:
+def _exprel(z: SX) -> SX:
     """(eᶻ − 1)/z."""
     return _series_or(z, [1, 1 / 2, 1 / 6, 1 / 24, 1 / 120, 1 / 720, 1 / 5040], lambda y: (ca.exp(y) - 1) / y)
 

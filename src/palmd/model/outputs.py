@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import chain
+
 import numpy as np
 
 from palmd.events import FloatArray
@@ -10,12 +12,13 @@ from palmd.model.dynamics import BodyConstants, Palms, newton_euler
 from palmd.model.symbolic import SX, ca
 from palmd.model.touch import Touch
 from palmd.system.description import RigDescription
+from palmd.system.mechanism import BENDS, CONTACTS, FORCES, JOINT_RATES, JOINTS, OPENING, RADII
 
 NAMED = (
-    "r1", "r2", "omega0", "s1", "s2", "phi1", "omega1", "phi2", "omega2", "rho",
-    "psi", "v1", "v2", "mu", "f1", "f2", "com_x", "com_y",
+    *RADII, "omega0", *CONTACTS, *chain(*zip(JOINTS, JOINT_RATES, strict=True)), "rho",
+    "psi", *BENDS, "mu", *FORCES, "com_x", "com_y",
 )  # fmt: skip
-"""Names as in `events.Estimate`, SI; f1, f2 here are per unit mass (m/s²), COM in the world frame."""
+"""Names as in `events.Estimate`, SI; forces here are per unit mass (m/s²), COM in the world frame."""
 
 FRICTION_INPUT, CURVATURE_INPUTS = 4, slice(5, 7)
 """Where the friction asymmetry and the palms' curvatures are among what the kernels are told of the rig."""
@@ -38,11 +41,11 @@ def touch_on(rig: SX, curved: bool) -> Touch:
 
 def named_outputs(palms: Palms, omega0: SX, psi: SX, one: Contact, two: Contact, body: BodyConstants, rig: SX) -> SX:
     """Values of `NAMED`, in that order."""
-    s1, s2 = readings(palms.phi2, one, two)
     motion = newton_euler(palms, omega0, one, two, body, rig)
-    hinge = rig[2:4] - rig[1] * tangent(palms.phi1, 1)
-    com = hinge + centre_of_mass(palms.phi1, palms.phi2, one, two)
+    hinge = rig[2:4] - rig[1] * tangent(palms.angles[0], 1)
+    com = hinge + centre_of_mass(*palms.angles, one, two)
     return ca.vertcat(
-        one.r, two.r, omega0, s1, s2, palms.phi1, palms.omega1, palms.phi2, palms.omega2, body.rho,
-        psi, one.v, two.v, body.mu, motion.f1, motion.f2, com,
+        one.r, two.r, omega0, *readings(palms.angles[OPENING], one, two),
+        *chain(*zip(palms.angles, palms.rates, strict=True)), body.rho,
+        psi, one.v, two.v, body.mu, *motion.forces, com,
     )  # fmt: skip

@@ -39,7 +39,7 @@ d1, d2 = offsets(phi2, r1, r2, s1, s2)  # (3.13), (3.14)
 
 
 @dataclass(frozen=True, slots=True)
-class System:
+class PaperSystem:
     """q̇ = f(q) + τ1 g1(q) + τ2 g2(q), y = h(q): (4.1), (4.2)."""
 
     state: SX
@@ -53,7 +53,7 @@ class System:
 class Observed:
     """Functions of the observation space (4.28) of a system, by name, chosen to span its codistribution (4.29)."""
 
-    system: System
+    system: PaperSystem
     functions: dict[str, SX]
 
     def codistribution(self) -> SX:
@@ -96,7 +96,7 @@ def contact_rates(a0: SX, alpha0: SX) -> tuple[SX, SX]:
 
 
 @cache
-def general() -> System:
+def general() -> PaperSystem:
     """Both palms under torque control: (4.13) to (4.22), the fields (4.25), (4.26), the outputs (4.27).
 
     The palms' accelerations and moments of inertia stay symbols: the paper has no law for them.
@@ -108,7 +108,7 @@ def general() -> System:
     )
     torques = ca.vertcat(tau1, tau2)
     inputs = ca.jacobian(rates, torques)
-    return System(
+    return PaperSystem(
         state=ca.vertcat(r1, r2, omega0, s1, s2, phi1, omega1, phi2, omega2, rho),
         drift=ca.substitute(rates, torques, SX.zeros(2)),
         input1=inputs[:, 0],
@@ -117,7 +117,7 @@ def general() -> System:
     )
 
 
-def _restricted(angle: SX | None, resting: Iterable[SX]) -> System:
+def _restricted(angle: SX | None, resting: Iterable[SX]) -> PaperSystem:
     """The general system at constant rates, those `resting` zero, with ρ known and `angle` the one that moves."""
     whole = general()
     zero = ca.vertcat(alpha1, alpha2, *resting)
@@ -126,23 +126,23 @@ def _restricted(angle: SX | None, resting: Iterable[SX]) -> System:
     drift, input1, input2 = (
         ca.substitute(field[rows], zero, SX.zeros(*zero.shape)) for field in (whole.drift, whole.input1, whole.input2)
     )
-    return System(ca.vertcat(*moving), drift, input1, input2, ca.vertcat(*moving[3:]))
+    return PaperSystem(ca.vertcat(*moving), drift, input1, input2, ca.vertcat(*moving[3:]))
 
 
 @cache
-def equal_rates() -> System:
+def equal_rates() -> PaperSystem:
     """Both palms turn at the same constant rate, ω2 = 0 (4.36)."""
     return _restricted(phi1, [omega2])
 
 
 @cache
-def palm1_fixed() -> System:
+def palm1_fixed() -> PaperSystem:
     """Palm 1 stands, palm 2 turns at a constant rate, ω1 = 0 (4.47)."""
     return _restricted(phi2, [omega1])
 
 
 @cache
-def palms_fixed() -> System:
+def palms_fixed() -> PaperSystem:
     """Both palms are held where they are by their torques, ω1 = ω2 = 0 (4.58)."""
     return _restricted(None, [omega1, omega2])
 

@@ -30,6 +30,21 @@ class QuasistaticReadings:
     omega2: Values
 
     @property
+    def joints(self) -> tuple[Values, ...]:
+        """φ1 and φ2."""
+        return self.phi1, self.phi2
+
+    @property
+    def joint_rates(self) -> tuple[Values, ...]:
+        """ω1 and ω2."""
+        return self.omega1, self.omega2
+
+    @property
+    def contacts(self) -> tuple[Values, ...]:
+        """s1 and s2."""
+        return self.s1, self.s2
+
+    @property
     def phi12(self) -> Values:
         """φ1 + φ2."""
         return self.phi1 + self.phi2

@@ -10,14 +10,14 @@ from __future__ import annotations
 from functools import cache
 
 from palmd.model.compiled import Library, load
-from palmd.model.contact import readings
+from palmd.model.contact import readings, tangent_joints
 from palmd.model.dynamics import Palms, newton_euler
 from palmd.model.integrate import exponential_step
 from palmd.model.kernels import of_columns
 from palmd.model.outputs import RIG_INPUTS, touch_on
 from palmd.model.shape_map import N, Z, body_of, contacts_of, spin_acceleration
 from palmd.model.symbolic import SX, ca
-from palmd.system.mechanism import normal_directions
+from palmd.system.mechanism import OPENING, normal_directions
 
 SUBSTEPS = 4
 STEP_S = 0.01
@@ -49,11 +49,10 @@ def _step_function(curved: bool) -> ca.Function:
     moving, _ = exponential_step(rates, x, SX(STEP_S), [Z.PSI, Z.OMEGA0], Z.OMEGA0, damping, touch)
     after, palms = ca.vertcat(moving, x[2:]), palms_on(move, SX(STEP_S))
     touch = touch_on(rig, curved)  # the step's own searches are behind it
-    one, two = contacts_of(after, palms.phi1, palms.phi2, touch)
+    one, two = contacts_of(after, palms.angles, touch)
     motion = newton_euler(palms, moving[1], one, two, body_of(x), rig)
-    tangents = palms.phi1 + one.turn, palms.phi2 + two.turn - one.turn
-    normals = normal_directions(tangents, moving[Z.PSI])
-    told = ca.vertcat(moving, motion.f1, motion.f2, *readings(palms.phi2, one, two), *normals)
+    normals = normal_directions(tangent_joints(palms.angles, (one.turn, two.turn)), moving[Z.PSI])
+    told = ca.vertcat(moving, motion.f1, motion.f2, *readings(palms.angles[OPENING], one, two), *normals)
     return ca.Function("step", [x, move, rig], touch.thawed(after, told))
 
 

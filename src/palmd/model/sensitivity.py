@@ -42,7 +42,7 @@ def gather_function(curved: bool = False) -> ca.Function:
 
     G_next = G
     for reading, weight in zip(
-        readings(palms[1], *contacts_of(x, palms[0], palms[1], touch)), (u[-2], u[-1]), strict=True
+        readings(palms[1], *contacts_of(x, (palms[0], palms[1]), touch)), (u[-2], u[-1]), strict=True
     ):
         row = ca.jacobian(reading, x) @ transition
         G_next = G_next + weight * (row.T @ row)
@@ -61,7 +61,7 @@ def aim_function(curved: bool = False) -> ca.Function:
     """(x, [φ1, φ2, κ1, κ2]) → ∂(r1, r2, s1, s2)/∂x."""
     x, u = SX.sym("x", N), SX.sym("u", AIM_INPUTS)
     touch = Touch(ca.vertsplit(u[2:])) if curved else Touch()
-    one, two = contacts_of(x, u[0], u[1], touch)
+    one, two = contacts_of(x, (u[0], u[1]), touch)
     z = ca.vertcat(one.r, two.r, *readings(u[1], one, two))
     return ca.Function("aim", [x, u], touch.thawed(ca.jacobian(z, x)), ["x", "u"], ["J"])
 

@@ -14,7 +14,7 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.model.contact import Contact
 from palmd.model.symbolic import SX, ca
-from palmd.system.mechanism import normal_directions
+from palmd.system.mechanism import OPENING, normal_directions
 
 HARMONICS = 7
 COEFFICIENTS = 2 * HARMONICS + 1
@@ -63,14 +63,15 @@ def coefficients_of(h: FloatArray, order: int = HARMONICS) -> FloatArray:
     return coefficients
 
 
-def contact_rows(phi1: float, phi2: float) -> tuple[FloatArray, FloatArray]:
-    """(radii, readings): rows mapping coefficients to (r1, r2) and to (s1, s2), for an object at ψ = 0.
+def contact_rows(*joints: float) -> tuple[FloatArray, FloatArray]:
+    """(radii, readings): rows mapping coefficients to both radii and both readings at these joint angles (rad), ψ = 0.
 
     (3.13) and (3.14), linear in the outline.
     """
-    theta = np.array(normal_directions((phi1, phi2), 0.0))
+    theta = np.array(normal_directions(joints, 0.0))
     r, d = basis(theta), tangential_basis(theta)
-    lever = (r * np.cos(phi2) + r[::-1]) / np.sin(phi2)
+    opening = joints[OPENING]
+    lever = (r * np.cos(opening) + r[::-1]) / np.sin(opening)
     return r, lever + np.array([[-1.0], [1.0]]) * d
 
 

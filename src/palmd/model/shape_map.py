@@ -18,7 +18,7 @@ from palmd.model.outputs import RIG_INPUTS, named_outputs, touch_on
 from palmd.model.shape import HARMONICS, contact_at
 from palmd.model.symbolic import SX, ca
 from palmd.model.touch import Touch
-from palmd.system.mechanism import PALMS
+from palmd.system.mechanism import CONTACTS, PALMS
 
 
 class Z(IntEnum):
@@ -42,14 +42,15 @@ N = size(HARMONICS)
 PALM_INPUTS = 6  # φ1, φ2, ω1, ω2, α1, α2
 PREDICTION_INPUTS = 3 + PALM_INPUTS + RIG_INPUTS
 UPDATE_INPUTS = 6  # and both curvatures, where palms are curved
+UPDATES = tuple(f"update_{contact}" for contact in CONTACTS)  # the kernels that take a reading of each pad
 
 Q_OMEGA0 = 0.02**2  # (rad/s)²/s, what the model leaves out
 Q_PSI = 1e-4**2  # rad²/s
 
 
-def contacts_of(x: SX, phi1: SX, phi2: SX, touch: Touch) -> tuple[Contact, Contact]:
+def contacts_of(x: SX, joints: tuple[SX, SX], touch: Touch) -> tuple[Contact, Contact]:
     """Both contacts of a state on palms at these angles."""
-    return touch.contacts(phi1, phi2, x[Z.PSI], lambda theta, _: contact_at(theta, x[Z.SHAPE :]))
+    return touch.contacts(*joints, x[Z.PSI], lambda theta, _: contact_at(theta, x[Z.SHAPE :]))
 
 
 def body_of(x: SX) -> BodyConstants:
@@ -67,7 +68,7 @@ def palms_after(u: SX, jerk: SX, t: SX) -> Palms:
 
 def spin_acceleration(x: SX, palms: Palms, rig: SX, touch: Touch) -> SX:
     """α0 (rad/s²) of a state."""
-    one, two = contacts_of(x, palms.phi1, palms.phi2, touch)
+    one, two = contacts_of(x, palms.angles, touch)
     return newton_euler(palms, x[Z.OMEGA0], one, two, body_of(x), rig).alpha0
 
 
@@ -104,7 +105,7 @@ def update_function(name: str, pad: int, order: int = HARMONICS, curved: bool = 
     x, P, z = SX.sym("x", n), SX.sym("P", n, n), SX.sym("z", UPDATE_INPUTS + len(PALMS) * curved)
     value, variance, gate, repeated = z[0], z[1], z[2], z[3]
     touch = Touch(ca.vertsplit(z[6:8])) if curved else Touch()
-    predicted = readings(z[5], *contacts_of(x, z[4], z[5], touch))[pad - 1]
+    predicted = readings(z[5], *contacts_of(x, (z[4], z[5]), touch))[pad - 1]
     predicted, h = touch.thawed(predicted, ca.jacobian(predicted, x))
     innovation = value - predicted
     Ph = P @ h.T
@@ -124,7 +125,7 @@ def named_function(order: int = HARMONICS, curved: bool = False) -> ca.Function:
     x, u = SX.sym("x", size(order)), SX.sym("u", PALM_INPUTS + RIG_INPUTS)
     palms, rig = palms_after(u[:PALM_INPUTS], SX.zeros(2), SX(0)), u[PALM_INPUTS:]
     touch = touch_on(rig, curved)
-    one, two = contacts_of(x, palms.phi1, palms.phi2, touch)
+    one, two = contacts_of(x, palms.angles, touch)
     y = named_outputs(palms, x[Z.OMEGA0], x[Z.PSI], one, two, body_of(x), rig)
     return ca.Function("named", [x, u], touch.thawed(y, ca.jacobian(y, x)), ["x", "u"], ["y", "J"])
 
@@ -144,7 +145,7 @@ def library(order: int = HARMONICS, curved: bool = False) -> Library:
     """
 
     def kernels() -> list[Kernel]:
-        pads = [update_function(f"update_s{pad}", pad, order, curved) for pad in PALMS]
+        pads = [update_function(name, pad, order, curved) for pad, name in zip(PALMS, UPDATES, strict=True)]
         functions = [predict_function(order, curved), *pads, values_function(order, curved)]
         banks = [of_columns(f, f"{f.name()}_block", [f.name_in(f.n_in() - 1)]) for f in functions]
         return [*banks, *map(single, functions), single(named_function(order, curved))]

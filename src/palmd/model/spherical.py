@@ -33,7 +33,7 @@ def degrees(order: int) -> FloatArray:
 
 def solid_harmonics(x: SX, order: int) -> SX:
     """S_lm(x) for x in R³, a column in the order of the coefficients."""
-    r2 = ca.sumsqr(x)
+    square = ca.sumsqr(x)
     table: dict[tuple[int, int], SX] = {(0, 0): SX(Y00)}
     for m in range(1, order + 1):
         c, s = table[m - 1, m - 1], table.get((m - 1, 1 - m), SX(0))
@@ -49,7 +49,7 @@ def solid_harmonics(x: SX, order: int) -> SX:
                 value = x[2] * table[degree - 1, m]
                 if degree - 2 >= size:
                     b = math.sqrt(((degree - 1) ** 2 - m**2) / (4 * (degree - 1) ** 2 - 1))
-                    value -= b * r2 * table[degree - 2, m]
+                    value -= b * square * table[degree - 2, m]
                 table[degree, m] = a * value
     return ca.vertcat(*(table[degree, m] for degree in range(order + 1) for m in range(-degree, degree + 1)))
 
@@ -76,7 +76,7 @@ def derivatives(order: int) -> tuple[FloatArray, FloatArray, FloatArray]:
 def evaluator(order: int) -> Callable[[FloatArray], tuple[FloatArray, FloatArray]]:
     """Unit normals (T, 3) → rows of h (T, n), and of the point ∇H (T, 3, n)."""
     x, n = SX.sym("x", 3), count(order)
-    surface = Surface(x, SX.zeros(n), order)
+    surface = SphericalSurface(x, SX.zeros(n), order)
     terms = surface.terms()
     function = ca.Function("rows", [x], ca.cse([ca.densify(terms.S), ca.densify(point(surface, terms)[2].T)]))
 
@@ -88,7 +88,7 @@ def evaluator(order: int) -> Callable[[FloatArray], tuple[FloatArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True)
-class Surface:
+class SphericalSurface:
     """A body at the outward unit normal u, by its coefficients c (n,): columns, as CasADi expressions.
 
     Everything is right to first order in turns of u, and of s with it. rows: what is linear in c is rows·c.
@@ -103,18 +103,20 @@ class Surface:
         """Rows (n,) of h."""
         return solid_harmonics(self.u, self.order)
 
-    def terms(self) -> Terms:
+    def terms(self) -> HarmonicTerms:
         """What all else is made of."""
         S = self.harmonics
         D = [ca.sparsify(ca.DM(matrix)) for matrix in derivatives(self.order)]
         G = [each @ S for each in D]
         outside = ca.DM(1.0 - degrees(self.order))
         off = outside * self.c
-        return Terms(D, S, G, [each.T @ self.c for each in D], outside * S, ca.dot(off, S), [ca.dot(off, g) for g in G])
+        return HarmonicTerms(
+            D, S, G, [each.T @ self.c for each in D], outside * S, ca.dot(off, S), [ca.dot(off, g) for g in G]
+        )
 
 
 @dataclass(frozen=True, slots=True)
-class Terms:
+class HarmonicTerms:
     """Matrices D, harmonics S, gradients G; c differentiated; (1 − l)S, its sum with c, and that one's slope."""
 
     D: list[ca.DM]
@@ -126,14 +128,14 @@ class Terms:
     level_slopes: list[SX]
 
 
-def point(surface: Surface, terms: Terms) -> tuple[SX, SX, SX]:
+def point(surface: SphericalSurface, terms: HarmonicTerms) -> tuple[SX, SX, SX]:
     """(x = ∇H(u), ∂x/∂u (3, 3), its rows (3, n))."""
     u = surface.u
     rows = ca.vertcat(*((g + terms.outside * u[i]).T for i, g in enumerate(terms.G)))
     return rows @ surface.c, _bend(terms) + u @ ca.horzcat(*terms.level_slopes), rows
 
 
-def curvature(surface: Surface, terms: Terms, s: SX) -> tuple[SX, SX, SX, SX]:
+def curvature(surface: SphericalSurface, terms: HarmonicTerms, s: SX) -> tuple[SX, SX, SX, SX]:
     """(κ = sᵀ∇²H(u)s for s ⟂ u, ∂κ/∂u (1, 3), ∂κ/∂s (1, 3), its rows (1, n))."""
     along = sum((s[i] * g for i, g in enumerate(terms.G)), SX(0))
     twice = sum((s[i] * (d @ along) for i, d in enumerate(terms.D)), SX(0))
@@ -145,7 +147,7 @@ def curvature(surface: Surface, terms: Terms, s: SX) -> tuple[SX, SX, SX, SX]:
     return rows @ surface.c, by_u, 2 * (_bend(terms) @ s).T, rows
 
 
-def _bend(terms: Terms) -> SX:
+def _bend(terms: HarmonicTerms) -> SX:
     """∇²H on the plane ⟂ u."""
     second = ca.vertcat(*(ca.horzcat(*(ca.dot(c, g) for g in terms.G)) for c in terms.c_slopes))
     return second + terms.level * SX.eye(3)

@@ -16,7 +16,7 @@ from functools import cache
 
 from palmd.model.compiled import Library, load
 from palmd.model.kernels import Kernel, of_columns
-from palmd.model.spherical import Y00, Surface, count, curvature, point
+from palmd.model.spherical import Y00, SphericalSurface, count, curvature, point
 from palmd.model.symbolic import SX, ca
 
 MOMENT = 0.42
@@ -130,7 +130,7 @@ def newton_function() -> ca.Function:
 def _local_function(order: int) -> ca.Function:
     """(u, s, c) → (q = (x, κ), ∂q/∂u, ∂q/∂s, ∂q/∂c)."""
     u, s, c = SX.sym("u", 3), SX.sym("s", 3), SX.sym("c", count(order))
-    surface = Surface(u, c, order)
+    surface = SphericalSurface(u, c, order)
     terms = surface.terms()
     x, x_by_u, x_rows = point(surface, terms)
     kappa, by_u, by_s, rows = curvature(surface, terms, s)
@@ -146,7 +146,7 @@ def _local_function(order: int) -> ca.Function:
 def _point_function(order: int) -> ca.Function:
     """(u, c) → (x, ∂x/∂u, ∂h/∂c, ∂x/∂c)."""
     u, c = SX.sym("u", 3), SX.sym("c", count(order))
-    surface = Surface(u, c, order)
+    surface = SphericalSurface(u, c, order)
     terms = surface.terms()
     x, by_u, rows = point(surface, terms)
     return ca.Function("point", [u, c], ca.cse([ca.densify(each) for each in (x, by_u, terms.S.T, rows)]))

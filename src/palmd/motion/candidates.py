@@ -119,8 +119,9 @@ def _for_the_arm(way: FloatArray, limits: MotionLimits) -> FloatArray:
     """Seconds that the arm needs: its point E moves by L1 dφ1 and L2 dφ12 at most, and is bent by their squares."""
     arm = limits.workspace
     assert arm is not None
-    reach = arm.geometry.palm1_length * np.abs(way[..., 0]) + arm.geometry.palm2_length * np.abs(way.sum(axis=-1))
-    curved = arm.geometry.palm1_length * way[..., 0] ** 2 + arm.geometry.palm2_length * way.sum(axis=-1) ** 2
+    turned = np.cumsum(way, axis=-1)  # of each palm against the world
+    reach = (np.abs(turned) * arm.geometry.palm_lengths).sum(axis=-1)
+    curved = (turned**2 * arm.geometry.palm_lengths).sum(axis=-1)
     by_speed = PEAK_RATE * reach / (RATE_SHARE * arm.speed)
     by_bend = np.sqrt((PEAK_ACCELERATION * reach + PEAK_RATE**2 * curved) / (RATE_SHARE * arm.acceleration))
     needed: FloatArray = np.maximum(by_speed, by_bend)

@@ -343,8 +343,8 @@ def _spread(states: FloatArray, pose: FloatArray, curvatures: tuple[float, ...])
     """How far the states disagree about the radii at the palms' pose (rad): the largest one-sigma (m)."""
     psi = states[:, shape_map.Z.PSI]
     if any(curvatures):
-        phi1, phi2 = pose[:1], pose[1:2]
-        each = [touched_normals(x[shape_map.Z.SHAPE :], phi1, phi2, x[:1], curvatures) for x in states]
+        first, opening = pose[:1], pose[1:2]
+        each = [touched_normals(x[shape_map.Z.SHAPE :], first, opening, x[:1], curvatures) for x in states]
         normals: Sequence[FloatArray] = [np.concatenate(of_palm) for of_palm in zip(*each, strict=True)]
     else:
         normals = normal_directions([np.asarray(angle) for angle in pose], psi)

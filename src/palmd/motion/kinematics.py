@@ -39,6 +39,11 @@ class RigGeometry:
     arm_y: float
     arm_yaw: float
 
+    @property
+    def palm_lengths(self) -> tuple[float, ...]:
+        """From the hinge to each palm's far end (m)."""
+        return self.palm1_length, self.palm2_length
+
     @classmethod
     def from_config(cls, config: Config) -> RigGeometry:
         """The configured geometry in SI; raises PoseError for a rig whose actuator holds no palm's end."""

@@ -14,7 +14,7 @@ from palmd.config import LimitsConfig
 from palmd.events import Joints, PalmMotion
 from palmd.motion.kinematics import RigGeometry
 from palmd.system.arcs import FLAT, opening_at
-from palmd.system.mechanism import JOINTS, OPENING, directions
+from palmd.system.mechanism import JOINTS, OPENING, PALMS, directions
 
 PHI12_MAX = math.radians(172.0)  # two contacts need φ12 < 180°; here it must stay below this
 SMALL_RADIUS = 0.010  # an object no smaller than this shall find pad under it
@@ -72,7 +72,7 @@ class Workspace:
 
     def bounds(self) -> tuple[QuantityLimit, ...]:
         """Of the values that `values` gives, in the same order."""
-        gain = self.geometry.palm1_length + 2.0 * self.geometry.palm2_length
+        gain = sum(turning * length for turning, length in enumerate(self.geometry.palm_lengths, 1))
         return (
             QuantityLimit("the arm's x", " mm", 1e3, self.x_min, self.x_max, 0, gain),
             QuantityLimit("the arm's y", " mm", 1e3, self.y_min, self.y_max, 0, gain),
@@ -179,7 +179,7 @@ class MotionLimits:
         low, high = self.angles[0]
         if level <= low:
             return QuantityLimit(JOINTS[0], "°", _DEGREES, low, high)
-        words = "palm 1 is a dome, whose end points downwards below"
+        words = f"palm {PALMS[0]} is a dome, whose end points downwards below"
         return QuantityLimit(JOINTS[0], "°", _DEGREES, level, high, low_words=words)
 
     def _opening_bound(self) -> QuantityLimit:

@@ -51,7 +51,7 @@ def local_cubic(times: FloatArray, values: FloatArray, t: float) -> LocalFit | N
     return LocalFit(fit[0], fit[1] / HALF_WIDTH_S, misfit)
 
 
-class Readings:
+class RecentReadings:
     """The readings of the last seconds in the order of their own times, of one or more columns."""
 
     def __init__(self, kept_s: float):

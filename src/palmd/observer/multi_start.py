@@ -71,9 +71,8 @@ class MultiStart:
         """
         self.spread = spread
         self.mean, self.balance = spread.grid()
-        r1, r2 = qs.radii_of(felt, self.mean, self.balance)
-        d1, d2 = qs.offsets(felt, r1, r2)
-        self.state = np.stack(np.broadcast_arrays(r1, r2, np.full_like(self.mean, psi), d1, d2))
+        radii = qs.radii_of(felt, self.mean, self.balance)
+        self.state = np.stack(np.broadcast_arrays(*radii, np.full_like(self.mean, psi), *qs.offsets(felt, *radii)))
         self.steps = 0
         self._away = np.zeros(len(self.mean), dtype=np.bool_)
         self._placeholder = np.array([[circle], [circle], [psi], [0.0], [0.0]])
@@ -144,14 +143,14 @@ class MultiStart:
         return covariance @ self._told[number], covariance
 
     def _note(self, felt: qs.QuasistaticReadings) -> None:
-        r1, r2, psi = self.state[:3]
-        theta = np.stack(normal_directions((np.asarray(felt.phi1), np.asarray(felt.phi2)), psi), axis=1)
-        d = np.stack(qs.offsets(felt, r1, r2), axis=1)
+        *radii, psi = self.state[:3]
+        theta = np.stack(normal_directions([np.asarray(angle) for angle in felt.joints], psi), axis=1)
+        d = np.stack(qs.offsets(felt, *radii), axis=1)
         flat = theta.ravel()
         rows = np.concatenate(
             [shape.basis(flat).reshape(-1, 2, _K), shape.tangential_basis(flat).reshape(-1, 2, _K)], axis=1
         )
-        values = np.concatenate([np.stack([r1, r2], axis=1), d], axis=1)
+        values = np.concatenate([np.stack(radii, axis=1), d], axis=1)
         turned = rows.transpose(0, 2, 1)
         self._information += self._weight * (turned @ rows)
         self._told += self._weight * (turned @ values[..., None])[..., 0]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -108,12 +109,16 @@ def likely_orientations(
 
 def reading_rows(palms: PalmMotion, order: int = shape.HARMONICS) -> tuple[FloatArray, FloatArray]:
     """Rows that map coefficients to each pad's reading at each of `DIRECTIONS` orientations ψ, evenly from 0."""
-    theta1, theta2 = normal_directions([np.asarray(angle) for angle in palms.angles], _PSI)
-    one, two = shape.basis(theta1, order), shape.basis(theta2, order)
+    theta = normal_directions([np.asarray(angle) for angle in palms.angles], _PSI)
     cos, sin = math.cos(palms.angles[OPENING]), math.sin(palms.angles[OPENING])
-    rows1 = (one * cos + two) / sin - shape.tangential_basis(theta1, order)  # (3.13)
-    rows2 = (two * cos + one) / sin + shape.tangential_basis(theta2, order)  # (3.14)
-    return rows1, rows2
+    return _reading_rows(theta, cos, sin, order)
+
+
+def _reading_rows(theta: Sequence[FloatArray], cos: Any, sin: Any, order: int) -> tuple[FloatArray, FloatArray]:
+    """(3.13) and (3.14) for contacts whose normals are `theta`, on palms that open with this cosine and sine."""
+    one, two = (shape.basis(each, order) for each in theta)
+    before, after = (shape.tangential_basis(each, order) for each in theta)
+    return (one * cos + two) / sin - before, (two * cos + one) / sin + after
 
 
 def orientation_likelihood(
@@ -136,18 +141,18 @@ def readings_on_arcs(
 ) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
     """Each curved palm's readings of an outline (2, DIRECTIONS), and rows as of `reading_rows` for small changes."""
     order = (len(coefficients) - 1) // 2
-    phi1, phi2 = (np.full(DIRECTIONS, angle) for angle in palms.angles)
-    s = contacts_on_arcs(coefficients, phi1, phi2, _PSI, curvatures)
-    beta1, opening = tangents((phi1, phi2), s, curvatures)
-    theta = normal_directions((beta1, opening), _PSI)
-    (one, two), (d1, d2) = ([each(angle, order) for angle in theta] for each in (shape.basis, shape.tangential_basis))
-    bend = 1.0 - shape.harmonic_of_coefficient(order) ** 2
+    joints = [np.full(DIRECTIONS, angle) for angle in palms.angles]
+    s = contacts_on_arcs(coefficients, joints[0], joints[1], _PSI, curvatures)
+    touched = tangents(joints, s, curvatures)
+    theta = normal_directions(touched, _PSI)
+    bend = (1.0 - shape.harmonic_of_coefficient(order) ** 2) * coefficients
     slack = [
-        np.maximum(1.0 - kappa * (each @ (bend * coefficients)), LEAST_SLACK)[:, None]
-        for kappa, each in zip(curvatures, (one, two), strict=True)
+        np.maximum(1.0 - kappa * (shape.basis(each, order) @ bend), LEAST_SLACK)[:, None]
+        for kappa, each in zip(curvatures, theta, strict=True)
     ]
-    cos, sin = np.cos(opening)[:, None], np.sin(opening)[:, None]
-    return s, (((one * cos + two) / sin - d1) / slack[0], ((two * cos + one) / sin + d2) / slack[1])
+    cos, sin = np.cos(touched[OPENING])[:, None], np.sin(touched[OPENING])[:, None]
+    one, two = _reading_rows(theta, cos, sin, order)
+    return s, (one / slack[0], two / slack[1])
 
 
 def _likelihood(
@@ -157,14 +162,14 @@ def _likelihood(
     rows: tuple[FloatArray, FloatArray],
     variances: FloatArray,
 ) -> FloatArray:
-    rows1, rows2 = rows
-    error1, error2 = (s - each for s, each in zip(contacts, predicted, strict=True))
-    slope1, slope2 = _slope(error1), _slope(error2)
-    S11 = ((rows1 @ P) * rows1).sum(axis=1) + (slope1 * PSI_SD) ** 2 + variances[0]
-    S22 = ((rows2 @ P) * rows2).sum(axis=1) + (slope2 * PSI_SD) ** 2 + variances[1]
-    S12 = ((rows1 @ P) * rows2).sum(axis=1) + slope1 * slope2 * PSI_SD**2
+    one, two = rows
+    off, off_too = (s - each for s, each in zip(contacts, predicted, strict=True))
+    slope, slope_too = _slope(off), _slope(off_too)
+    S11 = ((one @ P) * one).sum(axis=1) + (slope * PSI_SD) ** 2 + variances[0]
+    S22 = ((two @ P) * two).sum(axis=1) + (slope_too * PSI_SD) ** 2 + variances[1]
+    S12 = ((one @ P) * two).sum(axis=1) + slope * slope_too * PSI_SD**2
     det = S11 * S22 - S12**2
-    misfit = (S22 * error1**2 - 2 * S12 * error1 * error2 + S11 * error2**2) / det
+    misfit = (S22 * off**2 - 2 * S12 * off * off_too + S11 * off_too**2) / det
     likelihood: FloatArray = -0.5 * (misfit + np.log(det))
     return likelihood
 

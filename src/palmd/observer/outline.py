@@ -45,8 +45,8 @@ def normal_angles(palms: FloatArray, psi: FloatArray) -> FloatArray:
 
 def felt_normals(record: Record, psi: FloatArray, coefficients: FloatArray) -> FloatArray:
     """The same at a record's nodes (n, 2), for an outline: on curved palms it tells where their tangents touch."""
-    phi1, phi2 = record.palms[:, : len(JOINTS)].T
-    normals = touched_normals(coefficients, phi1, phi2, psi, record.rig[CURVATURE_INPUTS].tolist())
+    joints = record.palms[:, : len(JOINTS)].T
+    normals = touched_normals(coefficients, joints[0], joints[1], psi, record.rig[CURVATURE_INPUTS].tolist())
     return np.stack(normals, axis=1)
 
 

@@ -25,7 +25,7 @@ from palmd.model import shape
 from palmd.observer.answer import BIN_OF_THETA, THETA, answer, no_answer
 from palmd.observer.contacts import GONE_S, Contacts, finite
 from palmd.observer.coverage import Coverage
-from palmd.observer.local_fit import HALF_WIDTH_S, Readings
+from palmd.observer.local_fit import HALF_WIDTH_S, RecentReadings
 from palmd.observer.mass import MassEstimator, resting_forces
 from palmd.observer.multi_start import BLOCKS, MultiStart, Spread
 from palmd.observer.palms import STILL
@@ -33,7 +33,7 @@ from palmd.observer.prior import RADIUS_SD
 from palmd.observer.quasistatic_answer import Leading, named, read_off
 from palmd.observer.validity import Evidence, Thresholds, settled
 from palmd.system.description import RigDescription
-from palmd.system.mechanism import PALMS
+from palmd.system.mechanism import OPENING, PALMS
 
 STEP_S = 0.01
 LAG_S = 0.1
@@ -83,8 +83,8 @@ class QuasistaticObserver:
         self.object_count = 0
         self.late_dropped = 0
         self._contacts = Contacts()
-        self._palms = Readings(4 * HALF_WIDTH_S)
-        self._pads = {1: Readings(4 * HALF_WIDTH_S), 2: Readings(4 * HALF_WIDTH_S)}
+        self._palms = RecentReadings(4 * HALF_WIDTH_S)
+        self._pads = {1: RecentReadings(4 * HALF_WIDTH_S), 2: RecentReadings(4 * HALF_WIDTH_S)}
         self._stop()
 
     def warm_up(self) -> None:
@@ -141,7 +141,7 @@ class QuasistaticObserver:
             disagreement_m=found.conflict,
         )
         valid = settled(evidence, SETTLED)
-        for pad, f in zip(PALMS, resting_forces(self._rig.gravity, np.array([now.phi1, now.phi2])), strict=True):
+        for pad, f in zip(PALMS, resting_forces(self._rig.gravity, np.array(now.joints)), strict=True):
             self._mass.weigh(self._contacts.last(pad), f)
         if valid:
             self._marks.mark(t, 0, y, lambda: np.zeros(1))
@@ -200,15 +200,16 @@ class QuasistaticObserver:
 
     def _felt(self, t: float) -> tuple[qs.QuasistaticReadings, float] | None:
         """What is felt at `t`, and how far pads' readings stray from it (m); None where they are too few."""
-        one, two, palms = self._pads[1].at(t), self._pads[2].at(t), self._palms.at(t)
-        if one is None or two is None or palms is None:
+        pads = [fit for pad in PALMS if (fit := self._pads[pad].at(t)) is not None]
+        palms = self._palms.at(t)
+        if len(pads) < len(PALMS) or palms is None:
             return None
-        (phi1, phi2), (omega1, omega2) = palms.value.tolist(), palms.rate.tolist()
-        if not 0.0 < phi2 < math.pi:
+        angles, rates = palms.value.tolist(), palms.rate.tolist()
+        if not 0.0 < angles[OPENING] < math.pi:
             return None
-        s1, s2, s1_dot, s2_dot = (float(v[0]) for v in (one.value, two.value, one.rate, two.rate))
-        felt = qs.QuasistaticReadings(s1, s2, phi1, phi2, s1_dot, s2_dot, omega1, omega2)
-        return felt, float(max(one.misfit[0], two.misfit[0]))
+        contacts, sliding = [float(pad.value[0]) for pad in pads], [float(pad.rate[0]) for pad in pads]
+        felt = qs.QuasistaticReadings(*contacts, *angles, *sliding, *rates)
+        return felt, float(max(pad.misfit[0] for pad in pads))
 
     def _advance(self, t: float) -> None:
         """Carry the leading set to `t` − `LAG_S`, and the one that follows it a few steps on."""
@@ -243,7 +244,7 @@ class QuasistaticObserver:
         if astray > JUMP_M:
             self._t_first = t
             return
-        self._circle = float((felt.s1 + felt.s2) / 2 * np.tan(felt.phi2 / 2))
+        self._circle = float(sum(felt.contacts) / 2 * np.tan(felt.joints[OPENING] / 2))
         spread = Spread(self._circle, FIRST_WIDTH * self._circle, 0.0, FIRST_BALANCE_M)
         self._leader = MultiStart(spread, felt, 0.0, self._circle, STEP_S)
         self.object_count += 1
@@ -261,8 +262,8 @@ class QuasistaticObserver:
             self._forget(self._t_node + LAG_S)
             return
         self._found = found = read_off(leader, felt, weights)
-        r1, r2, psi = found.values[:3].tolist()
-        self._nodes.append(_Node(felt, (r1 + r2) / 2, float(weights @ leader.balance), psi))
+        *radii, psi = found.values[:3].tolist()
+        self._nodes.append(_Node(felt, sum(radii) / 2, float(weights @ leader.balance), psi))
 
     def _follow(self, leader: MultiStart) -> None:
         """Draw a narrower set when it is time, and let it catch up; it leads when it has."""
@@ -301,5 +302,4 @@ class QuasistaticObserver:
 
 
 def _motion(felt: qs.QuasistaticReadings) -> PalmMotion:
-    angles, rates = (float(felt.phi1), float(felt.phi2)), (float(felt.omega1), float(felt.omega2))
-    return PalmMotion(angles, rates, STILL)
+    return PalmMotion(tuple(map(float, felt.joints)), tuple(map(float, felt.joint_rates)), STILL)

@@ -99,7 +99,7 @@ class _Steps(ctypes.Structure):
     )
 
 
-class _Readings(ctypes.Structure):
+class _ReadingsStruct(ctypes.Structure):
     _fields_ = (
         *((name, ctypes.c_void_p) for name in ("gradient", "residual", "root", "step")),
         ("count", ctypes.c_long),
@@ -130,7 +130,7 @@ class Compiled:
             _at(steps.x, count + 1, NODE), _at(steps.end, count, NODE),
             _at(steps.jacobian, count, NODE + constants, NODE), _at(steps.root, count, NODE), count, constants, width,
         )  # fmt: skip
-        kinds = (_Readings * max(len(readings), 1))()
+        kinds = (_ReadingsStruct * max(len(readings), 1))()
         for kind, each in zip(kinds, readings, strict=False):
             kind.count = many = len(each.step)
             if many and not 0 <= each.step.min() <= each.step.max() < count:

@@ -25,7 +25,7 @@ from palmd.observer.outline import normal_angles
 from palmd.observer.record import Record, lay_out
 from palmd.observer.search import Search
 from palmd.observer.smoother import Fit, Posterior, Smoother
-from palmd.system.mechanism import normal_directions
+from palmd.system.mechanism import JOINTS, OPENING, normal_directions
 
 NOISE = ProcessNoise(1e-10, 1e-5, gate=4.0)
 SPACING_S = 0.005  # of the nodes, while looking
@@ -52,7 +52,7 @@ MOST_FAILURES = 2  # windows in a row that nothing explains
 
 
 @dataclass(frozen=True, slots=True)
-class Side:
+class FlatSide:
     """What is believed of a side before the readings speak: its normal (rad, in the object's frame)."""
 
     normal: float
@@ -62,7 +62,7 @@ class Side:
 class Candidate:
     """A fit of a record by an outline with so many sides."""
 
-    sides: tuple[Side, ...]
+    sides: tuple[FlatSide, ...]
     prior: Prior
     record: Record
     fit: Fit
@@ -139,13 +139,13 @@ class SidedSearch:
                 kept.append(each)
         return kept
 
-    def _starts(self, record: Record) -> Iterator[tuple[tuple[Side, ...], Guess]]:
+    def _starts(self, record: Record) -> Iterator[tuple[tuple[FlatSide, ...], Guess]]:
         phi = record.palms[:, :2]
         rate = record.palms[:, 2:4]
         first = normal_directions(tuple(phi[0]), 0.0)
         for palm in (0, 1):
             angle, spin = phi[:, : palm + 1].sum(axis=1), rate[:, : palm + 1].sum(axis=1)
-            sides = (Side(float(first[palm])),)
+            sides = (FlatSide(float(first[palm])),)
             yield sides, Guess(np.stack([angle - angle[0], spin], axis=1), self._start(sides))
         still = self._start(())
         yield (), Guess(np.zeros((len(record.t), NODE)), still)
@@ -156,7 +156,7 @@ class SidedSearch:
             p[:NORMALS] = guess.p
             yield (), Guess(guess.x, p)
 
-    def _start(self, sides: tuple[Side, ...]) -> FloatArray:
+    def _start(self, sides: tuple[FlatSide, ...]) -> FloatArray:
         """The constants most likely before anything is felt."""
         p = self._prior(sides).mean.copy()
         dither = math.exp(p[C.SATURATION])
@@ -189,7 +189,7 @@ class SidedSearch:
                     yield self._fitted(each.record, sides, led, COARSE)
                 yield self._fitted(each.record, sides, guess, COARSE)
 
-    def _births(self, candidate: Candidate, now: float) -> Iterator[tuple[tuple[Side, ...], Guess]]:
+    def _births(self, candidate: Candidate, now: float) -> Iterator[tuple[tuple[FlatSide, ...], Guess]]:
         if len(candidate.sides) == SIDES:
             return
         record, guess = candidate.record, candidate.fit.guess
@@ -201,7 +201,7 @@ class SidedSearch:
                 if any(abs(math.remainder(normal - other, math.tau)) < 0.1 for other in taken):
                     continue
                 taken.append(normal)
-                sides = (*self._settled(candidate), Side(normal))
+                sides = (*self._settled(candidate), FlatSide(normal))
                 p = guess.p.copy()
                 p[NORMALS + len(candidate.sides)], p[LENGTHS + len(candidate.sides)] = normal, SIDE_M
                 yield sides, Guess(guess.x, p)
@@ -231,13 +231,13 @@ class SidedSearch:
         return Guess(x, guess.p)
 
     @staticmethod
-    def _settled(candidate: Candidate) -> tuple[Side, ...]:
-        return tuple(Side(float(candidate.fit.guess.p[NORMALS + j])) for j in range(len(candidate.sides)))
+    def _settled(candidate: Candidate) -> tuple[FlatSide, ...]:
+        return tuple(FlatSide(float(candidate.fit.guess.p[NORMALS + j])) for j in range(len(candidate.sides)))
 
     def _fitted(
         self,
         record: Record,
-        sides: tuple[Side, ...],
+        sides: tuple[FlatSide, ...],
         guess: Guess,
         stages: Sequence[Stage] = FINE,
         iterations: int = ITERATIONS,
@@ -253,7 +253,7 @@ class SidedSearch:
         residual = smoother.residuals(guess)
         return Candidate(sides, prior, record, fit, float(np.median(residual**2)) / SCATTER)
 
-    def _prior(self, sides: tuple[Side, ...], width: float = FINE[0][0], width_sd: float = FIXED) -> Prior:
+    def _prior(self, sides: tuple[FlatSide, ...], width: float = FINE[0][0], width_sd: float = FIXED) -> Prior:
         base = self._search.prior
         mean, sd = np.zeros(CONSTANTS), np.zeros(CONSTANTS)
         mean[:NORMALS], sd[:NORMALS] = base.mean, base.sd
@@ -309,12 +309,12 @@ def followed(p: FloatArray, record: Record, start: int, psi0: float) -> FloatArr
 
     mine = record.contact_step >= start
     which = (record.contact_step[mine] - start) // INTERVAL_NODES
-    phi1, phi2 = record.contact_palms[mine, 0][:, None], record.contact_palms[mine, 1][:, None]
-    one, two = normal_directions((phi1, phi2), grid[None, :])
-    r1, r2 = at(h, one), at(h, two)
-    first = (record.contact_pad[mine] < 1.5)[:, None]
-    lever = np.where(first, r1 * np.cos(phi2) + r2, r2 * np.cos(phi2) + r1) / np.sin(phi2)
-    s = lever + np.where(first, -at(d, one), at(d, two))
+    joints = [record.contact_palms[mine, joint][:, None] for joint in range(len(JOINTS))]
+    normals = normal_directions(joints, grid[None, :])
+    one, two = (at(h, theta) for theta in normals)
+    before, after = (at(d, theta) for theta in normals)
+    first, cos, sin = (record.contact_pad[mine] < 1.5)[:, None], np.cos(joints[OPENING]), np.sin(joints[OPENING])
+    s = np.where(first, one * cos + two, two * cos + one) / sin + np.where(first, -before, after)
     miss = (record.contact_value[mine][:, None] - s) ** 2 / FOLLOW_SD_M**2
     miss = np.where(miss > FOLLOW_GATE, FOLLOW_GATE * (1 + np.log(np.maximum(miss, FOLLOW_GATE) / FOLLOW_GATE)), miss)
     cost = np.zeros((len(bins), len(grid)))

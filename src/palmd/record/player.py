@@ -32,7 +32,7 @@ class RepublishError(Exception):
     """An address that cannot be had; says why, and what to do."""
 
 
-class Publisher:
+class RecordedPublisher:
     """A publisher of recorded messages; who does not listen in time loses some."""
 
     def __init__(self, address: str) -> None:

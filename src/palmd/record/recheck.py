@@ -43,7 +43,7 @@ class Checked:
     differences: tuple[Difference, ...]
 
 
-class _Recorded:
+class _RecordedAnswers:
     """The smoother's answers in the ticks in which they came."""
 
     def __init__(self, answers: dict[float, Improvement]) -> None:
@@ -64,7 +64,7 @@ class Recheck:
         run.require(EVENTS, ESTIMATE)
         self._run = run
         settings = run.config.observer
-        smoothing = _Recorded(dict(run.improvements())) if settings.smoother else None
+        smoothing = _RecordedAnswers(dict(run.improvements())) if settings.smoother else None
         self._observer = observer.make(settings.primary, run.rig, smoothing=smoothing, outlines=run.outlines())
 
     def ticks(self) -> Iterator[Checked]:

@@ -12,9 +12,10 @@ from palmd.events import FloatArray
 from palmd.messages import Fields
 from palmd.polygon import closed_outline, turned
 from palmd.quantities import ESTIMATE, SHAPE
-from palmd.system.mechanism import hinge_position
+from palmd.system.mechanism import JOINTS, directions, hinge_position
 
-_PLACE = ("phi1_rad", "phi2_rad", "psi_rad", "com_x_m", "com_y_m")
+_JOINTS = tuple(f"{joint}_rad" for joint in JOINTS)
+_PLACE = (*_JOINTS, "psi_rad", "com_x_m", "com_y_m")
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +48,8 @@ class SceneWatch:
             return None
         if not all(math.isfinite(told[name]) for name in _PLACE):
             return None
-        hinge = np.array(hinge_position(*self._arc, told["phi1_rad"]))
-        angles = (told["phi1_rad"], told["phi1_rad"] + told["phi2_rad"])
+        angles = directions(told[joint] for joint in _JOINTS)
+        hinge = np.array(hinge_position(*self._arc, angles[0]))
         tips = [
             hinge + length * np.array([math.cos(angle), math.sin(angle)])
             for length, angle in zip(self._pads, angles, strict=True)

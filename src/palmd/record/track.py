@@ -12,10 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray
+from palmd.system.mechanism import PALMS
 
 TIME = "t_s"
 OBJECT = ("object_x_mm", "object_y_mm", "object_angle_deg")
-PALMS = ("palm1_angle_deg", "palm2_angle_deg")
+ANGLES = tuple(f"palm{palm}_angle_deg" for palm in PALMS)
 LEAST_ROWS = 30
 EXTENT_MM = (0.2, 1000.0)  # over which a mark on an object between palms moves
 MAX_BYTES = 200_000_000
@@ -79,7 +80,7 @@ def _table(path: Path, stream: TextIO) -> FloatArray:
                 table.append(_values(row, columns, table[-1][0] if table else -math.inf))
     except (_BadRowError, csv.Error) as error:
         raise TrackError(f"{path}:{max(rows.line_num, 1)}: {error}") from None
-    return np.array(table).reshape(len(table), 1 + len(OBJECT) + len(PALMS))
+    return np.array(table).reshape(len(table), 1 + len(OBJECT) + len(ANGLES))
 
 
 def _problem(table: FloatArray) -> str:
@@ -108,13 +109,13 @@ def _columns(header: list[str]) -> dict[str, int]:
         if names.count(name) != 1:
             what = "twice" if name in names else "missing"
             raise _BadRowError(f"the column {name} is {what}; the header is {','.join((TIME, *OBJECT))} and more")
-    return {name: names.index(name) for name in (TIME, *OBJECT, *PALMS) if name in names} | {"": len(names)}
+    return {name: names.index(name) for name in (TIME, *OBJECT, *ANGLES) if name in names} | {"": len(names)}
 
 
 def _values(row: list[str], columns: dict[str, int], before: float) -> list[float]:
     if len(row) != columns[""]:
         raise _BadRowError(f"{len(row)} cells under {columns['']} columns")
-    values = [_number(name, row[columns[name]]) if name in columns else math.nan for name in (TIME, *OBJECT, *PALMS)]
+    values = [_number(name, row[columns[name]]) if name in columns else math.nan for name in (TIME, *OBJECT, *ANGLES)]
     if not math.isfinite(values[0]):
         raise _BadRowError(f"{TIME} is missing")
     if values[0] <= before:

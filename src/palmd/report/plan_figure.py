@@ -16,13 +16,14 @@ from palmd.motion.limits import PHI12_MAX, MotionLimits
 from palmd.motion.plan import Trajectory
 from palmd.motion.usage import LimitUsage, Sampled, sampled, usage
 from palmd.report.axes import BLACK, BLUE, GREEN, GREY, ORANGE, WIDTH_IN, line, styled
-from palmd.system.mechanism import JOINTS
+from palmd.system.mechanism import JOINTS, PALMS
 
 _COLOURS = (BLUE, ORANGE)
 _NEAR = 0.9
 _PALMS_DRAWN = 7
 _EDGE = 60
-_GLYPHS = {"phi1": "φ₁", "phi2": "φ₂"}
+_GLYPHS = dict(zip(JOINTS, ("φ₁", "φ₂"), strict=True))
+_DOTTED = (0, (1, 2))
 
 
 def save(trajectory: Trajectory, limits: MotionLimits, config: Config, path: Path) -> str:
@@ -61,7 +62,7 @@ def _drawn(
     _over_time(angles, motion.t, np.degrees(motion.angles), "angle (°)")
     for (low, high), colour in zip(limits.angles, _COLOURS, strict=True):
         for edge in (low, high):
-            angles.axhline(math.degrees(edge), color=colour, linewidth=0.7, linestyle=(0, (1, 2)))
+            angles.axhline(math.degrees(edge), color=colour, linewidth=0.7, linestyle=_DOTTED)
     angles.legend(loc="upper right", ncols=2)
     _over_time(rates, motion.t, np.degrees(motion.rates), "rate (°/s)")
     _limited(rates, math.degrees(limits.rate), np.degrees(motion.rates))
@@ -84,7 +85,7 @@ def _limited(axes: Axes, most: float, values: FloatArray) -> None:
     """The limit to both sides where it is in view of what the plan does."""
     reached = float(np.abs(values).max(initial=0.0))
     for edge in (-most, most):
-        axes.axhline(edge, color=GREY, linewidth=0.8, linestyle=(0, (1, 2)))
+        axes.axhline(edge, color=GREY, linewidth=0.8, linestyle=_DOTTED)
     reach = 1.1 * (most if reached > 0.3 * most else max(reached, 1e-3))
     axes.set_ylim(-reach, reach)
     if reach < most:
@@ -103,7 +104,7 @@ def _places(axes: Axes, motion: Sampled, limits: MotionLimits, geometry: RigGeom
             axes.plot(*np.column_stack(ends), color=colour, alpha=shade, linewidth=1.4)
     axes.plot(*hinge.T, color=BLACK, linewidth=0.8, label="hinge between the palms")
     axes.plot(*tip.T, color=GREEN, linewidth=1.0, label="what the arm holds")
-    axes.plot(*base, "o", color=BLUE, markersize=4, label="B, palm 1's hinge")
+    axes.plot(*base, "o", color=BLUE, markersize=4, label=f"B, palm {PALMS[0]}'s hinge")
     axes.set_aspect("equal", adjustable="datalim")
     axes.set(xlabel="x (mm)", ylabel="y (mm)", title="the palms, darker is later")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2)
@@ -111,13 +112,13 @@ def _places(axes: Axes, motion: Sampled, limits: MotionLimits, geometry: RigGeom
 
 def _hinge(angles: FloatArray, geometry: RigGeometry) -> FloatArray:
     """Of the hinge between the palms, at each pair of angles (rad): x, y (mm, world frame)."""
-    return np.array([geometry.hinge(phi1) for phi1, _ in angles]) * 1e3
+    return np.array([geometry.hinge(first) for first, *_ in angles]) * 1e3
 
 
 def _held(angles: FloatArray, geometry: RigGeometry) -> FloatArray:
     """Of the point that the arm holds, likewise."""
     phi12 = angles.sum(axis=1)
-    reach = geometry.palm2_length * 1e3 * np.column_stack((np.cos(phi12), np.sin(phi12)))
+    reach = geometry.palm_lengths[-1] * 1e3 * np.column_stack((np.cos(phi12), np.sin(phi12)))
     return _hinge(angles, geometry) + reach
 
 
@@ -137,7 +138,7 @@ def _who_limits(axes: Axes, used: list[LimitUsage]) -> None:
     for number, each in enumerate(used):
         colour = ORANGE if each.share > _NEAR else BLUE
         axes.barh(number, min(each.share, 1.2), color=colour, height=0.7)
-    axes.axvline(1.0, color=GREY, linestyle=(0, (1, 2)))
+    axes.axvline(1.0, color=GREY, linestyle=_DOTTED)
     axes.set_yticks(range(len(used)), [each.told() for each in used])
     axes.set_ylim(len(used) - 0.5, -0.5)
     axes.set_xlim(0.0, 1.05)

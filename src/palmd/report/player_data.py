@@ -11,6 +11,7 @@ import numpy as np
 from palmd.report.body import pose_at
 from palmd.report.errors import against, body_at, last_outlines
 from palmd.report.series import SD, OutlineAt, Series, Spell
+from palmd.system.mechanism import CONTACTS, JOINTS, RADII
 
 MOST_FRAMES = 1200
 MOST_OUTLINES = 240
@@ -32,7 +33,7 @@ def player_data(series: Series) -> dict[str, Any] | None:
     estimate = series.estimate
     frames = [_frame(series, int(number), outlines) for number in shown]
     return {
-        "columns": ["t", "way1", "way2", "psi", "x", "y", "s1", "s2", "valid", "outline", "touched", "mass", "mass_sd"],
+        "columns": ["t", "way1", "way2", "psi", "x", "y", *CONTACTS, "valid", "outline", "touched", "mass", "mass_sd"],
         "frames": frames,
         "outlines": [_outline(outline) for outline in outlines],
         "truth": {str(outline.number): told for outline, told in _truths(series)},
@@ -48,7 +49,7 @@ def player_data(series: Series) -> dict[str, Any] | None:
 def _shown(series: Series) -> list[int]:
     """Numbers of the estimates to show: evenly in time, as many as there is use for."""
     t = series.estimate.t
-    names = ("psi_rad", "r1_m", "r2_m", "phi1_rad", "phi2_rad", "s1_m", "s2_m")
+    names = ("psi_rad", *(f"{name}_m" for name in (*RADII, *CONTACTS)), *(f"{joint}_rad" for joint in JOINTS))
     known = np.flatnonzero(np.isfinite(np.sum([series.estimate[name] for name in names], axis=0)))
     if not len(known):
         return []
@@ -61,7 +62,7 @@ def _frame(series: Series, number: int, outlines: tuple[OutlineAt, ...]) -> list
     pose, estimate = pose_at(series, number), series.estimate
     about = int(estimate["object"][number])
     known = [i for i, each in enumerate(outlines) if each.t <= pose.t + 1e-6 and each.number == about]
-    lengths = [*pose.centre, *(float(estimate[name][number]) for name in ("s1_m", "s2_m"))]
+    lengths = [*pose.centre, *(float(estimate[f"{name}_m"][number]) for name in CONTACTS)]
     return [
         round(1e3 * pose.t),
         *(round(1e3 * angle) for angle in (pose.directions[0], pose.directions[-1], pose.psi % math.tau)),

@@ -33,7 +33,7 @@ long after it, a question is not about it any more."""
 
 
 @dataclass(frozen=True, slots=True)
-class Standstill:
+class Interruption:
     """The state that ended the motion, what stood before, and until when (s) it did not go on; infinite for the end.
 
     `hints` tell what to do, by the codes of the faults that act in that state.
@@ -103,7 +103,7 @@ def answer(run: Run, course: Course, t: float | None) -> Explanation:
     )
 
 
-def stops(course: Course) -> Iterator[Standstill]:
+def stops(course: Course) -> Iterator[Interruption]:
     """Every time that what was commanded came to stand, or a fault came up while it stood."""
     for number, (before, now) in enumerate(pairwise(course.told), 1):
         came_to_stand = before.state in _COMMANDED and now.state in ("ready", "idle")
@@ -116,7 +116,7 @@ def stops(course: Course) -> Iterator[Standstill]:
                 if told.t - now.t < TOGETHER_S
                 for code in told.grave(*acting)
             }
-            yield Standstill(before, now, next(after, math.inf), hints)
+            yield Interruption(before, now, next(after, math.inf), hints)
 
 
 def lines(answer: Explanation) -> Iterator[str]:
@@ -143,7 +143,7 @@ def lines(answer: Explanation) -> Iterator[str]:
         yield f"{'':10}and {len(answer.others) - OTHERS} before"
 
 
-def _asked(course: Course, found: tuple[Standstill, ...], t: float | None) -> Standstill | None:
+def _asked(course: Course, found: tuple[Interruption, ...], t: float | None) -> Interruption | None:
     """The stop that is asked about: that in which `t` lies; None where it went on, or broke off.
 
     Without a time: the last one by a fault, else the last one at all; none where the run ends in motion.
@@ -200,5 +200,5 @@ def _successor(run: Run) -> Run | None:
     return None
 
 
-def _in_short(stop: Standstill) -> str:
+def _in_short(stop: Interruption) -> str:
     return f"{_HAPPENED.get(stop.now.state, stop.now.state)}: {', '.join(stop.codes) or 'no fault'}"

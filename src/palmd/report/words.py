@@ -14,9 +14,9 @@ from palmd.quantities import ESTIMATE, MOTION
 from palmd.record.metadata import CONFIG
 from palmd.report.errors import OBJECTS_OWN, SDS, STATE, Errors, against, body_at, inside, last_outlines, normalised
 from palmd.report.series import SD, OutlineAt, Series, Spell
-from palmd.system.mechanism import JOINTS
+from palmd.system.mechanism import ENDS, JOINTS
 
-_CAUSES = ("pad1_", "pad2_", "arm_", "bus_", "smoother_", "explorer_")
+_CAUSES = tuple(f"{end}_" for end in (*ENDS, "bus", "smoother", "explorer"))
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ class Utterance(NamedTuple):
     messages: int = 1
 
 
-class Actuator(Protocol):
+class EmulatedActuator(Protocol):
     """The far side of the actuator's line, and the palms that it turns. Times are seconds of the world's clock."""
 
     baud: int

@@ -30,7 +30,7 @@ _JOG_DEG = 4.0
 
 
 class AdeptArm:
-    """See `Actuator`."""
+    """See `EmulatedActuator`."""
 
     def __init__(
         self,
@@ -44,7 +44,7 @@ class AdeptArm:
     ) -> None:
         """At rest at `home` (rad); `lag_s` is what the servos lag beyond their own."""
         self.baud = arm.baud
-        self.hinge = Hinge("arc", config.rig.palm1_length_mm * 1e-3, _base(config))
+        self.hinge = Hinge("arc", config.rig.palm_lengths_mm[0] * 1e-3, _base(config))
         self.jams = 0
         self._rng, self._home = rng, home
         self._linkage = Linkage.from_config(config)
@@ -158,14 +158,14 @@ def arm_limits(config: Config) -> ArmLimits:
     ]
     xs, ys = [p.x_m for p in poses], [p.y_m for p in poses]
     omega, alpha = math.radians(limits.rate_deg_s), math.radians(limits.acceleration_deg_s2)
-    l1, l2, margin = linkage.palm1_length, linkage.palm2_length, _WORKSPACE_MARGIN_M
+    (inner, outer), margin = linkage.lengths, _WORKSPACE_MARGIN_M
     return ArmLimits(
         min(xs) - margin,
         max(xs) + margin,
         min(ys) - margin,
         max(ys) + margin,
-        v_max=_ROOM * (l1 + 2.0 * l2) * omega,
-        a_max=_ROOM * (l1 * (alpha + omega**2) + l2 * (2.0 * alpha + 4.0 * omega**2)),
+        v_max=_ROOM * (inner + 2.0 * outer) * omega,
+        a_max=_ROOM * (inner * (alpha + omega**2) + outer * (2.0 * alpha + 4.0 * omega**2)),
     )
 
 

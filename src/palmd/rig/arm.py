@@ -28,6 +28,11 @@ class Linkage:
     arm: tuple[float, float]
     yaw: float
 
+    @property
+    def lengths(self) -> tuple[float, float]:
+        """Of the palm that is hinged to the base, and of the one that the arm holds."""
+        return self.palm1_length, self.palm2_length
+
     @classmethod
     def from_config(cls, config: Config) -> Linkage:
         """The configured linkage; raises ValueError where no arm holds the palms."""

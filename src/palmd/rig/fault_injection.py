@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palmd.system.mechanism import ENDS
+from palmd.system.mechanism import ENDS, PALMS
 
 PortName = str
 """`arm`, or `pad` and the number of its palm."""
@@ -51,10 +51,10 @@ INJECTABLE_FAULTS: dict[str, InjectableFault] = {
 SERVO_FAULTS: dict[str, InjectableFault] = {
     trick.name: trick
     for trick in (
-        InjectableFault("overload", "palm 1's servo is overloaded and lets go", ARM),
-        InjectableFault("overheat", "palm 1's servo gets too hot and lets go", ARM),
-        InjectableFault("undervoltage", "palm 1's servo says that its supply is out of range", ARM),
-        InjectableFault("brownout", "palm 1's servo starts anew and has lost its settings", ARM),
+        InjectableFault("overload", f"palm {PALMS[0]}'s servo is overloaded and lets go", ARM),
+        InjectableFault("overheat", f"palm {PALMS[0]}'s servo gets too hot and lets go", ARM),
+        InjectableFault("undervoltage", f"palm {PALMS[0]}'s servo says that its supply is out of range", ARM),
+        InjectableFault("brownout", f"palm {PALMS[0]}'s servo starts anew and has lost its settings", ARM),
     )
 }
 """Of a rig that servos turn; on another they do nothing."""

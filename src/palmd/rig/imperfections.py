@@ -9,9 +9,9 @@ from typing import TypeVar
 import numpy as np
 
 from palmd.config import Config, PadImperfectionsConfig, Strict, rig_description
-from palmd.events import PalmMotion
+from palmd.events import Joints, PalmMotion
 from palmd.system.description import CALIBRATION_KEYS, RigDescription
-from palmd.system.mechanism import PALMS
+from palmd.system.mechanism import JOINTS, PALMS
 
 Section = TypeVar("Section", bound=Strict)
 
@@ -56,18 +56,21 @@ class Imperfections:
     """
 
     pads: tuple[PadImperfection, ...] = tuple(PadImperfection() for _ in PALMS)
-    angles: tuple[float, float] = (0.0, 0.0)
+    angles: Joints = (0.0,) * len(JOINTS)
     gravity: float = 0.0
     friction: float = 0.0
     vibration: float = 0.0
 
     def true_palms(self, told: PalmMotion) -> PalmMotion:
         """Where the palms really are, from what is told of them."""
-        tilt, turn = self.angles[0] + self.gravity, self.angles[1]
-        if tilt == turn == 0.0:
+        if not any(self._off):
             return told
-        phi1, phi2 = told.angles
-        return replace(told, angles=(phi1 + tilt, phi2 + turn))
+        return replace(told, angles=tuple(angle + off for angle, off in zip(told.angles, self._off, strict=True)))
+
+    @property
+    def _off(self) -> Joints:
+        """By how much each joint angle is off against gravity: the first palm's tips with the table."""
+        return self.angles[0] + self.gravity, *self.angles[1:]
 
     def constants(self) -> dict[str, float]:
         """By the names that results give the rig's constants."""
@@ -77,8 +80,7 @@ class Imperfections:
             for told, name in of_pads.items()
             for palm, pad in zip(PALMS, self.pads, strict=True)
         } | {
-            "phi1_rad": self.angles[0] + self.gravity,
-            "phi2_rad": self.angles[1],
+            **{f"{joint}_rad": off for joint, off in zip(JOINTS, self._off, strict=True)},
             "friction_asymmetry": self.friction,
         }
 
@@ -113,8 +115,8 @@ def configured(config: Config, seed: int) -> Imperfections:
     if asked == "calibrated":
         return drawn(rig_description(config), seed)
     return Imperfections(
-        (_pad(asked.palm1), _pad(asked.palm2)),
-        (math.radians(asked.phi1_deg), math.radians(asked.phi2_deg)),
+        tuple(_pad(getattr(asked, f"palm{palm}")) for palm in PALMS),
+        tuple(math.radians(getattr(asked, f"{joint}_deg")) for joint in JOINTS),
         math.radians(asked.gravity_deg),
         asked.friction_asymmetry,
         asked.vibration_m_s2,

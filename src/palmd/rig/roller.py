@@ -9,6 +9,7 @@ import numpy as np
 
 from palmd.events import PalmMotion
 from palmd.rig.pads import Press
+from palmd.system.mechanism import OPENING
 
 RollerKind = Literal["ball", "cylinder"]
 KINDS: dict[RollerKind, float] = {"ball": 2.0 / 5.0, "cylinder": 1.0 / 2.0}
@@ -91,9 +92,9 @@ class Roller:
             return [], []
         weight = _MASS_KG * self._gravity
         if self._phase == "lying":
-            s, sin_phi2 = _wedge(palms), math.sin(palms.angles[1])
+            s, sine = _wedge(palms), math.sin(palms.angles[OPENING])
             forces = (math.sin(sum(palms.angles)), math.sin(palms.angles[0]))
-            first, second = ([Press(s, weight * force / sin_phi2)] for force in forces)
+            first, second = ([Press(s, weight * force / sine)] for force in forces)
             return first, second
         finger = _FINGER_N if self._phase == "held" else 0.0
         press = [Press(self._s, weight * math.cos(_slopes(palms)[self._pad]) + finger)]
@@ -108,4 +109,4 @@ def _slopes(palms: PalmMotion) -> tuple[float, float]:
 
 def _wedge(palms: PalmMotion) -> float:
     """How far from the hinge it touches both palms (m)."""
-    return _RADIUS_M / math.tan(0.5 * palms.angles[1])
+    return _RADIUS_M / math.tan(0.5 * palms.angles[OPENING])

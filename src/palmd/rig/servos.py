@@ -23,6 +23,7 @@ from palmd.rig.arm import Servo
 from palmd.rig.fault_injection import FaultOrder
 from palmd.rig.line import Wire
 from palmd.rig.plant import Hinge, PlantContact
+from palmd.system.mechanism import directions, joints_between
 
 MODEL_NUMBER, FIRMWARE_VERSION = 1060, 46
 FLICKER_COUNTS = 0.5
@@ -224,19 +225,18 @@ class EmulatedServo:
 
 
 class ServoArm:
-    """Both servos on their bus; see `rig.actuators.Actuator`."""
+    """Both servos on their bus; see `rig.actuators.EmulatedActuator`."""
 
     def __init__(self, config: Config, arm: DynamixelConfig, home: Joints, rng: np.random.Generator, t: float) -> None:
         """At rest at `home` (rad) at t (s), without torque."""
         self.baud = arm.baud
-        self.hinge = Hinge("fixed", config.rig.palm1_length_mm * 1e-3, (0.0, 0.0))
+        self.hinge = Hinge("fixed", config.rig.palm_lengths_mm[0] * 1e-3, (0.0, 0.0))
         self.jams = 0
         self._rng = rng
-        directions = (home[0], home[0] + home[1])
         code = {115200: 2, 1000000: 3, 2000000: 4, 3000000: 5, 4000000: 6}[arm.baud]
         self._servos = tuple(
             EmulatedServo(servo, direction, code, rng, t)
-            for servo, direction in zip(arm.servos, directions, strict=True)
+            for servo, direction in zip(arm.servos, directions(home), strict=True)
         )
         width = math.radians(arm.backlash_deg)
         self._plays = (Play(width, -1, t), Play(width, 1, t))
@@ -255,11 +255,11 @@ class ServoArm:
 
     def palms_at(self, t: float) -> PalmMotion:
         """With the play."""
-        (d1, w1, a1), (d2, w2, a2) = (
+        each = (
             tuple(x + y for x, y in zip(servo.at(t), play.at(t), strict=True))
             for servo, play in zip(self._servos, self._plays, strict=True)
         )
-        return PalmMotion((d1, d2 - d1), (w1, w2 - w1), (a1, a2 - a1))
+        return PalmMotion(*map(joints_between, zip(*each, strict=True)))
 
     def receive(self, heard: bytes, spoilt: bytes, t: float) -> None:  # noqa: ARG002
         """What the host has written, as the line leaves it."""

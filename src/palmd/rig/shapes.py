@@ -26,7 +26,7 @@ _STRONG_CURVATURE_RADIUS = (2.5e-3, 6.5e-3)
 _HARMONIC_STD = {2: 0.65e-3, 3: 0.28e-3, 4: 0.18e-3, 5: 0.14e-3, 6: 0.08e-3}
 
 
-class Outline(Protocol):
+class SupportFunction(Protocol):
     """A support function about the COM, however it is kept."""
 
     def at(self, theta: float) -> tuple[float, float, float]:
@@ -97,7 +97,7 @@ class Body:
     """One object: outline about its COM, radius of gyration rho (m), mass (kg)."""
 
     shape: str
-    support: Outline
+    support: SupportFunction
     rho: float
     mass: float
 

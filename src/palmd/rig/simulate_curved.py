@@ -74,10 +74,12 @@ def draw(
     release = float(rng.choice((-1.0, 1.0)) * rng.uniform(0.12, 0.5)) if flat_kind == "nominal" else 0.0
     if max(kappa) * widest(body) > MOST_LYING:
         return None
-    phi1, phi2 = joints_of(body.support.at(0.0)[0], (beta1, opening), kappa)
+    joints = joints_of(body.support.at(0.0)[0], (beta1, opening), kappa)
     rocking = Rocking(
-        rock(rng, (phi1, phi1), amplitudes[0], (0.16, 0.38), ()),
-        rock(rng, (phi2, phi2), amplitudes[1], (0.17, 0.42), ()),
+        *(
+            rock(rng, (angle, angle), span, frequencies, ())
+            for angle, span, frequencies in zip(joints, amplitudes, ((0.16, 0.38), (0.17, 0.42)), strict=True)
+        )
     )
     scene = SimulatedRun(flat_kind, body, Hinge("fixed", base=(0.0, 0.0)), surface, rocking, imperfections, kappa)
     poses = stable_on_arcs(body, scene.palms_at(0.0), kappa)

@@ -9,7 +9,7 @@ from palmd.devices.armlink import LineReader
 
 
 @dataclass(slots=True)
-class Said:
+class DeviceTally:
     """What one device has said, and what mischief made of it before it went on the line.
 
     `messages` are packets or lines; `altered` ones went out with other bytes than they had, `withheld` ones not at all.

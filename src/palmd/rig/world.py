@@ -26,7 +26,7 @@ from palmd.config import (
     VersaPadConfig,
 )
 from palmd.events import Joints, PalmMotion
-from palmd.rig.actuators import Actuator
+from palmd.rig.actuators import EmulatedActuator
 from palmd.rig.adept_arm import AdeptArm
 from palmd.rig.curved_plant import MOST_LYING, CurvedPlant, stable_on_arcs, widest
 from palmd.rig.evdevs import EvdevEmulator
@@ -41,7 +41,7 @@ from palmd.rig.roller import Roller, RollerKind
 from palmd.rig.servos import ServoArm
 from palmd.rig.shapes import Body, Kind, random_body
 from palmd.rig.strips import StripEmulator
-from palmd.rig.tally import Decoder, Said
+from palmd.rig.tally import Decoder, DeviceTally
 from palmd.system.arcs import joints_of
 from palmd.system.mechanism import JOINT_RATES, JOINTS, PALMS
 
@@ -97,7 +97,7 @@ class World:
         self._rng = np.random.default_rng(seed)
         self._t_start, self._steps = t, 0
         self._home = _home(config)
-        self._arm: Actuator = (
+        self._arm: EmulatedActuator = (
             AdeptArm(config, config.arm, self._home, self._rng, step_s=STEP_S, lag_s=options.lag_s)
             if isinstance(config.arm, AdeptConfig)
             else ServoArm(config, config.arm, self._home, self._rng, t)
@@ -118,7 +118,7 @@ class World:
         self.bauds: dict[PortName, int | None] = {name: pad.baud for name, pad in self._pads.items()}
         self.bauds["arm"] = self._arm.baud
         self._out: dict[PortName, Wire] = {port: Wire(baud or _NO_LINE_BAUD) for port, baud in self.bauds.items()}
-        self._said: dict[PortName, Said] = {port: Said() for port in PORTS}
+        self._said: dict[PortName, DeviceTally] = {port: DeviceTally() for port in PORTS}
         self._t_place: float | None = None
         self._touching = (False, False)
         self._draw_body()

@@ -22,8 +22,9 @@ JOINTS = tuple(f"phi{palm}" for palm in PALMS)
 SIDES = (1.0, -1.0)
 """On which side of each palm's direction the object is: 1 to its left, -1 to its right."""
 
-RADII, CONTACTS, FORCES = (tuple(f"{what}{palm}" for palm in PALMS) for what in "rsf")
-"""What is called the distance of each palm from the centre of mass, its contact's from the hinge, and its force."""
+RADII, CONTACTS, FORCES, BENDS = (tuple(f"{what}{palm}" for palm in PALMS) for what in "rsfv")
+"""What is called the distance of each palm from the centre of mass, its contact's from the hinge, its force, and the
+outline's radius of curvature there."""
 
 HELD_BY = ("hinged to the base", "the arm holds")
 """How people tell the palms apart: what is at each one's far end."""
@@ -48,6 +49,12 @@ def directions(joints: Iterable[Value]) -> tuple[Value, ...]:
     return tuple(accumulate(joints))
 
 
+def joints_between(palms: Iterable[Value]) -> tuple[Value, ...]:
+    """The joint angles (rates, accelerations) of palms whose `directions` these are."""
+    angles: list[Any] = list(palms)
+    return (angles[0], *(angle - before for before, angle in pairwise(angles)))
+
+
 def normal_directions(joints: Iterable[Value], psi: Value) -> tuple[Value, ...]:
     """θ1, θ2: the outward normals at the contacts in the object's frame, which is turned by `psi` (rad): (3.1)."""
     angles: tuple[Any, ...] = directions(joints)
@@ -57,8 +64,7 @@ def normal_directions(joints: Iterable[Value], psi: Value) -> tuple[Value, ...]:
 def joints_at(normals: Iterable[Value], psi: Value) -> tuple[Value, ...]:
     """The joint angles whose `normal_directions` these are."""
     given: Any = normals
-    angles: list[Any] = [normal + psi + behind for normal, behind in zip(given, _BEHIND, strict=True)]
-    return (angles[0], *(angle - before for before, angle in pairwise(angles)))
+    return joints_between(normal + psi + behind for normal, behind in zip(given, _BEHIND, strict=True))
 
 
 def hinge_position(base: tuple[float, float], arm: float, phi1: float) -> tuple[float, float]:

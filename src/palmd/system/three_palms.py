@@ -49,7 +49,7 @@ class ThreePalmsRig:
 
 
 @dataclass(frozen=True, slots=True)
-class Palms:
+class PalmPlanes:
     """Where the palms are and how they turn at T instants; arrays (T, 3 palms, 3), SI, world frame.
 
     normal: unit normals towards the object, with their first and second time derivatives. spin: angular velocity of
@@ -64,7 +64,7 @@ class Palms:
     axis_b: FloatArray
 
 
-def palms_at(angle: FloatArray, rate: FloatArray, acceleration: FloatArray) -> Palms:
+def palms_at(angle: FloatArray, rate: FloatArray, acceleration: FloatArray) -> PalmPlanes:
     """The palms for joint angles (rad), rates (rad/s) and accelerations (rad/s²), each (T, 3) = (β, γ2, γ3)."""
     beta, gamma2, gamma3 = angle.T
     zero, one = np.zeros_like(beta), np.ones_like(beta)
@@ -87,24 +87,17 @@ def palms_at(angle: FloatArray, rate: FloatArray, acceleration: FloatArray) -> P
     spin = tilt[:, None] + turn * axle
     spin_rate = tilting[:, None] + turning * axle + turn * np.cross(tilt, n1)[:, None]
     normal_rate = np.cross(spin, normal)
-    return Palms(normal, normal_rate, np.cross(spin_rate, normal) + np.cross(spin, normal_rate), spin, axis_a, axis_b)
+    return PalmPlanes(
+        normal, normal_rate, np.cross(spin_rate, normal) + np.cross(spin, normal_rate), spin, axis_a, axis_b
+    )
 
 
-def angles_of(normal: FloatArray) -> FloatArray:
-    """(T, 3) joint angles β, γ2, γ3 (rad) whose palms have these unit normals (T, 3 palms, 3); β in (−π/2, π/2)."""
-    n1, n2, n3 = normal[:, 0], normal[:, 1], normal[:, 2]
-    beta = np.arctan2(-n1[:, 1], n1[:, 2])
-    up = np.stack([np.zeros_like(beta), np.cos(beta), np.sin(beta)], axis=-1)
-    along2, along3 = (n2 * up).sum(-1), (n3 * up).sum(-1)
-    return np.stack([beta, np.arctan2(along2, n2[:, 0]), np.arctan2(along3, -n3[:, 0])], axis=-1)
-
-
-def contact_points(palms: Palms, a: FloatArray, b: FloatArray) -> FloatArray:
+def contact_points(palms: PalmPlanes, a: FloatArray, b: FloatArray) -> FloatArray:
     """(T, 3 palms, 3) contacts (m, world) of readings a, b (T, 3 palms)."""
     points: FloatArray = a[..., None] * palms.axis_a + b[..., None] * palms.axis_b
     return points
 
 
-def readings_of(palms: Palms, points: FloatArray) -> FloatArray:
+def readings_of(palms: PalmPlanes, points: FloatArray) -> FloatArray:
     """(T, 3 palms, 2) what each pad reads of contacts (T, 3 palms, 3) (m, world)."""
     return np.stack([(points * palms.axis_a).sum(-1), (points * palms.axis_b).sum(-1)], axis=-1)

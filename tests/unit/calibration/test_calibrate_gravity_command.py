@@ -272,7 +272,7 @@ def test_slopes_keep_to_the_limits():
             assert each.phi1_deg + each.phi2_deg < 172.0
     with pytest.raises(CliError, match="limits: they leave no two slopes"):
         list(slopes_within(LimitsConfig(phi1_deg=(45, 50), phi2_deg=(75, 105)), 40))
-    assert str(Slope(2, 41.0, 110.0, 3)) == "palm 2, 29°"
+    assert str(Slope(2, (41.0, 110.0), 3)) == "palm 2, 29°"
 
 
 def test_what_a_person_should_look_into():

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from palmd.calibration.pad_characteristic import TooLittleError, characterise
+from palmd.calibration.pad_characteristic import TooFewReportsError, characterise
 from palmd.config import VersaPadConfig
 from palmd.devices.versapad import PadPacket, VersaPadDecoder, encode_packet
 from palmd.lab.rolled_marble import rolled
@@ -199,7 +199,7 @@ def test_garbage_on_the_line_is_counted_by_cause():
     ],
 )
 def test_too_little_is_refused_with_what_to_do(packets, said):
-    with pytest.raises(TooLittleError, match=said):
+    with pytest.raises(TooFewReportsError, match=said):
         characterise(packets, {}, CONFIG)
 
 

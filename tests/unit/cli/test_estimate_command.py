@@ -8,11 +8,11 @@ import sys
 
 import numpy as np
 import pytest
-from silent_observer import SilentObserver
 
 from palmd import observer
 from palmd.cli import main
 from palmd.events import Estimate, PadSample, ShapeEstimate
+from palmd.lab.silent_observer import SilentObserver
 from palmd.quantities import ESTIMATE, SHAPE, STAMP
 from palmd.record.eventlog import EventLog, read_log
 from palmd.record.replay import as_said, lines, replay, tick_count

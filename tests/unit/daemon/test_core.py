@@ -8,7 +8,7 @@ from random import Random
 import numpy as np
 import pytest
 from improvements import improvement
-from silent_observer import SilentObserver
+from plans import SHORT, SWING
 from virtual_rig import AtOnce
 
 from palmd.config import ExploreGoal, ExploreSpec, PlanSpec
@@ -17,6 +17,7 @@ from palmd.daemon.core import Core
 from palmd.daemon.exploring import OVERTIME_S
 from palmd.daemon.planner import Plan
 from palmd.events import Estimate, PadLift, PadSample, PalmSample
+from palmd.lab.silent_observer import SilentObserver
 from palmd.messages import NAMED_STATE, entries_of, events_of, stamp, validate
 from palmd.motion.check import motion_limits
 from palmd.motion.plan import compile_plan
@@ -26,19 +27,6 @@ from palmd.rig.world import STEP_S, World, default_config
 
 ENDS = ("pad1", "pad2", "arm")
 TICK_STEPS = 20
-SWING = PlanSpec.model_validate(
-    {
-        "name": "swing",
-        "repeat": "forever",
-        "segments": [
-            {"move": {"phi1_deg": 45, "phi2_deg": 90}, "duration_s": 0.3},
-            {"sine": {"phi1_deg": 12, "phi2_deg": 4}, "frequency_hz": 0.5, "duration_s": 20},
-        ],
-    }
-)
-SHORT = PlanSpec.model_validate(
-    {"name": "short", "segments": [{"rate": {"phi1_deg_s": 20}, "until": {"phi1_deg": 55}}]}
-)
 
 
 class Fake(SilentObserver):

@@ -10,7 +10,6 @@ import pytest
 import zmq
 from hypothesis import given
 from hypothesis import strategies as st
-from silent_observer import SilentObserver
 
 from palmd.config import AdeptConfig, Config, PadsConfig, VersaPadConfig
 from palmd.daemon.bus import Bus
@@ -20,6 +19,7 @@ from palmd.daemon.systemd import Notifier
 from palmd.devices.armlink import Ack, ArmState, HelloReply, Pose, Query, encode_reply, parse_command
 from palmd.devices.port import Port
 from palmd.devices.versapad import encode_packet
+from palmd.lab.silent_observer import SilentObserver
 from palmd.messages import info_fields, validate
 from palmd.quantities import TOPICS
 from palmd.rig.world import default_config

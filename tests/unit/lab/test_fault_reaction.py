@@ -12,7 +12,7 @@ from palmd.lab.fault_reaction import (
     STANDING_RAD_S,
     Reaction,
     ReactionWatch,
-    Told,
+    ToldState,
     Turning,
     all_as_promised,
     as_line,
@@ -83,9 +83,9 @@ def test_a_palm_that_turns_back_before_it_stands_has_not_come_to_stand():
 def test_only_what_comes_after_the_cause_counts():
     watch = ReactionWatch(
         told=[
-            Told(99.9, "tracking", {"no-realtime": "note", "pad1-silent": "hold"}),
-            Told(100.05, "hold", {"no-realtime": "note", "pad1-silent": "hold"}),
-            Told(100.15, "tracking", {"arm-late": "degrade"}),
+            ToldState(99.9, "tracking", {"no-realtime": "note", "pad1-silent": "hold"}),
+            ToldState(100.05, "hold", {"no-realtime": "note", "pad1-silent": "hold"}),
+            ToldState(100.15, "tracking", {"arm-late": "degrade"}),
         ],
         turning=turning(1.0, 0.0),
     )

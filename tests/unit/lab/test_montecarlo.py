@@ -16,16 +16,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from answered import NO_SHAPE, THETA, answer, support, told
-from silent_observer import SilentObserver
 
 from palmd.events import Estimate, ShapeEstimate
 from palmd.lab import montecarlo, montecarlo_figure, runs
 from palmd.lab.montecarlo import MonteCarloTask
 from palmd.lab.montecarlo_summary import quantile, remarks, summaries, table
 from palmd.lab.scoring import (
-    Answers,
     Causal,
     MonteCarloRow,
+    ObserverAnswers,
     Scalar,
     as_line,
     causal_of,
@@ -33,6 +32,7 @@ from palmd.lab.scoring import (
     row_of,
     truth_of,
 )
+from palmd.lab.silent_observer import SilentObserver
 from palmd.observer.bound import Bound
 from palmd.record.eventlog import read_log
 from palmd.rig.simulate import simulate_log
@@ -145,7 +145,7 @@ def causal(**changes):
         "t": TICKS, "valid": TICKS > 0.995, "r_error": np.full((1000, 2), 1e-4), "r_sd": np.full((1000, 2), 1e-4),
         "e_h": np.where(TICKS > 1.995, 1e-4, NAN),
     }  # fmt: skip
-    return causal_of(Answers(**values | changes))
+    return causal_of(ObserverAnswers(**values | changes))
 
 
 def test_lasting_convergence_needs_everything_to_the_end():

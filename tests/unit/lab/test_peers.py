@@ -18,7 +18,7 @@ from palmd.lab.peers import task as task_module
 from palmd.lab.peers.filterpy_filters import FilterpyExtended, FilterpyUnscented
 from palmd.lab.peers.functions import array, functions
 from palmd.lab.peers.plain import PlainFilter
-from palmd.lab.peers.task import LostError, PeerTruth, Reading, blind, good, task_from
+from palmd.lab.peers.task import LostError, PeerReading, PeerTruth, blind, good, task_from
 from palmd.model import shape, shape_map
 from palmd.model.contact import Contact, offsets
 from palmd.model.dynamics import BodyConstants, Palms, newton_euler
@@ -277,7 +277,7 @@ def own_readings(start, count):
         u, pad = np.concatenate([[dt], palms, still, RIG]), 1 + k % 2
         q = array(model.step(q, np.concatenate([u, still]), rho))
         palms = np.concatenate([palms[:2] + dt * palms[2:4], palms[2:]])
-        readings.append(Reading((k + 1) * dt, pad, float(q[2 + pad]), 1e-8, palms, (u,), (math.nan, math.nan)))
+        readings.append(PeerReading((k + 1) * dt, pad, float(q[2 + pad]), 1e-8, palms, (u,), (math.nan, math.nan)))
     return readings, q
 
 

@@ -8,10 +8,10 @@ import pytest
 
 from palmd.lab import soak_behaviour as behaviour
 from palmd.lab import soak_counters as counters
-from palmd.lab.fault_reaction import Told
+from palmd.lab.fault_reaction import ToldState
 from palmd.lab.soak import all_met, as_line, at_most, between, table, told
-from palmd.lab.soak_behaviour import Cause, Counted, GivenCommand
-from palmd.lab.soak_fault_injection import QUIET_S, Trick, Visit, draw
+from palmd.lab.soak_behaviour import Counted, GivenCommand, PossibleCause
+from palmd.lab.soak_fault_injection import QUIET_S, SoakFault, Visit, draw
 from palmd.lab.soak_lateness import Second, minutes, punctuality
 from palmd.lab.soak_recording import recorded, replayed
 from palmd.lab.soak_slopes import ProcessSeries, leaks, slope
@@ -236,54 +236,60 @@ def test_what_was_under_way_when_a_port_was_lost_may_be_lost_and_no_more():
 
 # ------------------------------------------------------------------------------------------------------ behaviour
 
-TRACKING, HELD = Told(0.0, "tracking", {}), Told(10.0, "hold", {"pad1-silent": "hold"})
+TRACKING, HELD = ToldState(0.0, "tracking", {}), ToldState(10.0, "hold", {"pad1-silent": "hold"})
 
 
 def test_a_fault_needs_a_cause_of_its_port_at_its_time():
-    mute = Cause("mute", "pad1", 9.0, 11.0)
+    mute = PossibleCause("mute", "pad1", 9.0, 11.0)
     assert behaviour.unexplained([TRACKING, HELD], [mute]) == []
     assert behaviour.unexplained([TRACKING, HELD], []) == ["pad1-silent after 10.0 s"]
     for wrong in (
-        Cause("mute", "pad2", 9.0, 11.0),
-        Cause("mute", "pad1", 10.5, 11.0),
-        Cause("mute", "pad1", 1.0, 2.0),
-        Cause("break", "arm", 9.9, 10.0),
+        PossibleCause("mute", "pad2", 9.0, 11.0),
+        PossibleCause("mute", "pad1", 10.5, 11.0),
+        PossibleCause("mute", "pad1", 1.0, 2.0),
+        PossibleCause("break", "arm", 9.9, 10.0),
     ):
         assert behaviour.unexplained([TRACKING, HELD], [wrong])
 
 
 def test_what_the_machine_held_up_explains_the_pad_and_is_told_apart():
-    kept_back = Cause("batch", "pad1", 9.8, 10.2)
+    kept_back = PossibleCause("batch", "pad1", 9.8, 10.2)
     assert behaviour.unexplained([TRACKING, HELD], [kept_back]) == []
-    assert behaviour.unexplained([TRACKING, HELD], [Cause("batch", "pad2", 9.8, 10.2)])
+    assert behaviour.unexplained([TRACKING, HELD], [PossibleCause("batch", "pad2", 9.8, 10.2)])
     findings = behaviour.behaviour([TRACKING, HELD], [kept_back], [], [], [], "hold")
     assert {one.name: one.value for one in findings}["faults by the machine alone"] == 1
     assert missed(findings) == set()
 
 
 def test_notes_need_no_cause_and_a_standing_fault_comes_once():
-    note = Told(1.0, "tracking", {"loop-overrun": "note"})
+    note = ToldState(1.0, "tracking", {"loop-overrun": "note"})
     assert behaviour.unexplained([TRACKING, note], []) == []
-    assert behaviour.unexplained([HELD, Told(90.0, "fault", {"pad1-silent": "hold"})], []) == []
+    assert behaviour.unexplained([HELD, ToldState(90.0, "fault", {"pad1-silent": "hold"})], []) == []
 
 
 def test_every_trick_explains_something():
     for name, trick in INJECTABLE_FAULTS.items():
         for port in trick.ports or (None,):
-            assert Cause(name, port, 0.0, 1.0)._codes(), name
+            assert PossibleCause(name, port, 0.0, 1.0)._codes(), name
 
 
 def test_tracking_without_a_command_is_seen():
-    ready, again = Told(5.0, "ready", {}), Told(10.0, "tracking", {})
+    ready, again = ToldState(5.0, "ready", {}), ToldState(10.0, "tracking", {})
     assert behaviour.uncalled([TRACKING, ready, again], [GivenCommand(9.5, "arm")]) == []
     assert behaviour.uncalled([TRACKING, ready, again], [GivenCommand(10.01, "arm")]) == []
     assert behaviour.uncalled([TRACKING, ready, again], [GivenCommand(9.5, "start"), GivenCommand(1.0, "arm")])
-    assert behaviour.uncalled([TRACKING, HELD, Told(12.0, "tracking", {})], [GivenCommand(11.9, "start")]) == []
-    assert behaviour.uncalled([TRACKING, HELD, Told(12.0, "tracking", {})], [])
+    assert behaviour.uncalled([TRACKING, HELD, ToldState(12.0, "tracking", {})], [GivenCommand(11.9, "start")]) == []
+    assert behaviour.uncalled([TRACKING, HELD, ToldState(12.0, "tracking", {})], [])
 
 
 def test_an_arm_that_is_left_standing_is_seen():
-    states = [TRACKING, HELD, Told(12.0, "ready", {}), Told(70.0, "tracking", {}), Told(80.0, "ready", {})]
+    states = [
+        TRACKING,
+        HELD,
+        ToldState(12.0, "ready", {}),
+        ToldState(70.0, "tracking", {}),
+        ToldState(80.0, "ready", {}),
+    ]
     assert behaviour.longest_rest(states, 90.0) == pytest.approx(60.0)
     assert behaviour.longest_rest(states, 200.0) == pytest.approx(120.0)
     assert behaviour.longest_rest([TRACKING], 500.0) == 0.0
@@ -292,7 +298,7 @@ def test_an_arm_that_is_left_standing_is_seen():
 
 
 def test_set_points_in_a_state_that_allows_none_are_seen():
-    states = [TRACKING, Told(10.0, "fault", {}), Told(20.0, "tracking", {})]
+    states = [TRACKING, ToldState(10.0, "fault", {}), ToldState(20.0, "tracking", {})]
     counted = [Counted(9.0, 100), Counted(10.4, 140), Counted(11.0, 140), Counted(19.0, 140), Counted(21.0, 200)]
     assert behaviour.commanded_while_not(states, counted) == 0
     counted[3:] = [Counted(19.0, 141), Counted(21.0, 200)]
@@ -355,7 +361,7 @@ def test_the_same_seed_draws_the_same_and_another_one_another():
 
 def test_an_hour_has_every_trick_on_every_port_and_every_visitor():
     acts = [doing.act for doing in draw(np.random.default_rng(1), 10 * HOUR_S)]
-    drawn = {(act.name, act.port) for act in acts if isinstance(act, Trick)}
+    drawn = {(act.name, act.port) for act in acts if isinstance(act, SoakFault)}
     assert drawn == {(name, port) for name, trick in INJECTABLE_FAULTS.items() for port in trick.ports or (None,)}
     assert {act.who for act in acts if isinstance(act, Visit)} == {"listener", "deaf", "page", "asker"}
     assert {port for _, port in drawn} == {*PADS, *ARM, None}
@@ -383,8 +389,8 @@ def test_the_watch_sees_gaps_and_when_the_object_left_a_pad():
     watch.take(truth(1.04, 5, f1_n=0.01))
     assert watch.numbers["rig/truth"].missing == 1
     assert watch.so_far() == [
-        Cause("parted", "pad2", 1.01, 1.03),
-        Cause("parted", "pad1", 1.04, math.inf),
+        PossibleCause("parted", "pad2", 1.01, 1.03),
+        PossibleCause("parted", "pad1", 1.04, math.inf),
     ]
 
 
@@ -393,7 +399,7 @@ def test_the_watch_sees_when_bytes_were_kept_back():
     plain = {"ticks": 1, "overruns": 0, "lateness_ms": [0.1], "arm_setpoints": 1, "pad2_batches": 4}
     for seq, batches in enumerate((7, 7, 8, 8)):
         watch.take(Heard("palm/loop", 5.0 + seq, seq, pad1_batches=batches, **plain))
-    assert watch.causes == [Cause("batch", "pad1", 6.0, 7.0)]
+    assert watch.causes == [PossibleCause("batch", "pad1", 6.0, 7.0)]
 
 
 def test_the_watch_keeps_changes_of_state_and_samples():
@@ -406,5 +412,5 @@ def test_the_watch_keeps_changes_of_state_and_samples():
     status = {"clock_s": 0.9, "accepted": 3, "on_palms": True, "stalls": 0}
     watch.rig(status, 1.0)
     watch.rig(status | {"stalls": 2}, 2.0)
-    assert watch.causes == [Cause("stall", None, 1.0, 2.0)]
+    assert watch.causes == [PossibleCause("stall", None, 1.0, 2.0)]
     assert watch.accepted[0] == Counted(0.9, 3)

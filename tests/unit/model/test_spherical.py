@@ -6,7 +6,7 @@ import pytest
 
 from palmd.model.spherical import (
     Y00,
-    Surface,
+    SphericalSurface,
     count,
     curvature,
     degrees,
@@ -66,7 +66,7 @@ def test_the_point_of_a_normal_is_the_gradient(body):
 
 def test_sensitivities_of_contact_and_curvature(body):
     u_, s_, c_ = ca.SX.sym("u", 3), ca.SX.sym("s", 3), ca.SX.sym("c", count(ORDER))
-    surface = Surface(u_, c_, ORDER)
+    surface = SphericalSurface(u_, c_, ORDER)
     terms = surface.terms()
     f = ca.Function("f", [u_, s_, c_], [*point(surface, terms), *curvature(surface, terms, s_)])
     u, s = np.array([0.48, -0.6, 0.64]), np.array([0.8, 0.64, 0.0])

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from palmd.observer.local_fit import HALF_WIDTH_S, Readings, local_cubic
+from palmd.observer.local_fit import HALF_WIDTH_S, RecentReadings, local_cubic
 
 
 def irregular(n: int, seed: int) -> np.ndarray:
@@ -41,7 +41,7 @@ def test_a_jump_shows_as_misfit():
 def test_too_few_readings_give_none(t):
     few = np.array([0.5, 0.51, 0.52])
     assert local_cubic(few, few[:, None], t) is None
-    assert Readings(1.0).at(t) is None
+    assert RecentReadings(1.0).at(t) is None
 
 
 def test_readings_at_one_instant_give_none():
@@ -51,7 +51,7 @@ def test_readings_at_one_instant_give_none():
 
 def test_late_readings_find_their_place_and_old_ones_are_forgotten():
     t = irregular(60, 3)
-    in_order, shuffled = Readings(2.0), Readings(2.0)
+    in_order, shuffled = RecentReadings(2.0), RecentReadings(2.0)
     for each in t:
         in_order.add(each, each**2)
     for each in np.random.default_rng(4).permutation(t):

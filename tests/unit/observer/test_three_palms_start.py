@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from palmd.observer.three_palms import kernels
-from palmd.observer.three_palms.driven import Contacts, ball_of
+from palmd.observer.three_palms.driven import ContactCurves, ball_of
 from palmd.observer.three_palms.kernels import palm_inputs
 from palmd.record.systems.three_palms import SYSTEM, laid_out
 from palmd.rig.three_palms.simulate import simulate
@@ -33,7 +33,7 @@ def test_given_contacts_tell_how_centre_and_spin_go_on():
     state = np.concatenate([truth["com_m"], truth["omega_rad_s"]], axis=1)[: len(t)]
     gyration = math.sqrt(np.trace(truth["inertia_m2"]) / 3)
     constants = np.array([math.log(gyration), 0.0, math.log(truth["mu"]), math.log(truth["dither_m_s"])])
-    given = (state, palm_inputs(path.palms(t)), Contacts.smoothed(readings).at(path, t))
+    given = (state, palm_inputs(path.palms(t)), ContactCurves.smoothed(readings).at(path, t))
     rates = kernels.driven()(given, (constants, rig.gravity))[0]
     off = (rates - np.gradient(state, t, axis=0))[5:-5]
     assert np.sqrt(np.mean(off[:, :3] ** 2)) < 1e-4  # m/s

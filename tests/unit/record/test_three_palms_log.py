@@ -10,7 +10,7 @@ from palmd.cli import main
 from palmd.observer.three_palms.icosphere import icosphere
 from palmd.observer.three_palms.path import joint_path
 from palmd.observer.three_palms.reconstruct import longest_stretch
-from palmd.observer.three_palms.record import Readings
+from palmd.observer.three_palms.record import PadReadings
 from palmd.record.logreader import LogError
 from palmd.record.meshfile import MESHES
 from palmd.record.systems import read_log_of_any
@@ -93,7 +93,7 @@ def test_the_longest_stretch_has_no_silent_pad():
     t = 0.01 * np.arange(1, 500)
     path = joint_path(0.016 * np.arange(320), np.zeros((320, 3)), np.zeros((320, 2, 3)), 1e-4)
     whole = [(at, pad) for at in t for pad in range(3) if not (pad == 1 and 1.0 < at < 1.5)]
-    readings = Readings(
+    readings = PadReadings(
         np.array([at for at, _ in whole]), np.array([pad for _, pad in whole]),
         np.zeros((len(whole), 2)), np.zeros(len(whole)),
     )  # fmt: skip

@@ -6,35 +6,20 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from plans import SHORT, SWING
 from recorded import config as recorded_config
-from silent_observer import SilentObserver
 
 from palmd.cli import main
-from palmd.config import PlanSpec
 from palmd.daemon.commands import Request
 from palmd.harness.wireless import Wireless
 from palmd.lab.fault_wireless import WirelessRecorder
+from palmd.lab.silent_observer import SilentObserver
 from palmd.record.run import RunError, read_run
 from palmd.report.course import course_of
 from palmd.report.why import answer, explain, lines
 from palmd.rig.fault_injection import order
 from palmd.rig.world import STEP_S, default_config
 from palmd.yamlfile import load_config
-
-SWING = PlanSpec.model_validate(
-    {
-        "name": "swing",
-        "repeat": "forever",
-        "segments": [
-            {"move": {"phi1_deg": 45, "phi2_deg": 90}, "duration_s": 0.3},
-            {"sine": {"phi1_deg": 12, "phi2_deg": 4}, "frequency_hz": 0.5, "duration_s": 20},
-        ],
-    }
-)
-SHORT = PlanSpec.model_validate(
-    {"name": "short", "segments": [{"rate": {"phi1_deg_s": 20}, "until": {"phi1_deg": 55}}]}
-)
-
 
 TABLETOP = Path(__file__).parents[3] / "config/tabletop.yaml"
 

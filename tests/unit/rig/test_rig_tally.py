@@ -6,27 +6,27 @@ import select
 
 import numpy as np
 
-from palmd.devices.armlink import LineReader, Pose, SetPoint, Start, encode_command
+from palmd.devices.armlink import LineReader, Pose, SetPoint, StartTracking, encode_command
 from palmd.devices.versapad import VersaPadDecoder, encode_packet
 from palmd.rig.fault_injection import PORTS, order
 from palmd.rig.line import PtyLine
-from palmd.rig.tally import HostLines, Listener, Said
+from palmd.rig.tally import DeviceTally, HostLines, Listener
 from palmd.rig.world import World, default_config
 
 
 def test_what_was_said_altered_and_withheld_is_told_apart():
-    said = Said()
+    said = DeviceTally()
     said.take(b"abcdef", b"abcdef")
     said.take(b"abcdef", b"abcde")
     said.take(b"abcdef", b"")
     said.take(b"ID\r", b"ID\r", messages=0)
-    assert said == Said(messages=3, altered=1, withheld=1, bytes_said=21, bytes_on_line=14)
+    assert said == DeviceTally(messages=3, altered=1, withheld=1, bytes_said=21, bytes_on_line=14)
 
 
 def test_set_points_are_counted_before_mischief_and_the_touched_ones_among_them():
     lines = HostLines(38400)
     one = encode_command(SetPoint(1, Pose(0.1, 0.2, 0.3)))
-    lines.take(encode_command(Start(0)), encode_command(Start(0)), 0.0)
+    lines.take(encode_command(StartTracking(0)), encode_command(StartTracking(0)), 0.0)
     lines.take(one, one, 0.1)
     lines.take(one, b"", 0.2)
     assert (lines.setpoints, lines.setpoints_touched) == (2, 1)
@@ -56,7 +56,7 @@ def test_every_byte_on_a_line_is_sent_or_still_waiting():
         for port, data in world.advance(step * 1e-3).items():
             out[port] += data
         if step % 100 == 0:
-            world.receive("arm", encode_command(Start(step % 256)))
+            world.receive("arm", encode_command(StartTracking(step % 256)))
     told = world.status()
     for port in PORTS:
         assert told[f"{port}_bytes_on_line"] == len(out[port]) + told[f"{port}_bytes_waiting"], port

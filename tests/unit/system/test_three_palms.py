@@ -3,12 +3,21 @@
 import numpy as np
 import pytest
 
-from palmd.system.three_palms import angles_of, contact_points, palms_at, readings_of
+from palmd.system.three_palms import contact_points, palms_at, readings_of
 
 
 @pytest.fixture
 def random():
     return np.random.default_rng(1)
+
+
+def angles_of(normal):
+    """(T, 3) joint angles β, γ2, γ3 (rad) whose palms have these unit normals (T, 3 palms, 3); β in (−π/2, π/2)."""
+    n1, n2, n3 = normal[:, 0], normal[:, 1], normal[:, 2]
+    beta = np.arctan2(-n1[:, 1], n1[:, 2])
+    up = np.stack([np.zeros_like(beta), np.cos(beta), np.sin(beta)], axis=-1)
+    along2, along3 = (n2 * up).sum(-1), (n3 * up).sum(-1)
+    return np.stack([beta, np.arctan2(along2, n2[:, 0]), np.arctan2(along3, -n3[:, 0])], axis=-1)
 
 
 def moving(t, a, b, c):

@@ -17,7 +17,7 @@ from palmd.lab.peers import generated, horizon, newton
 from palmd.lab.peers.filterpy_filters import FilterpyExtended, FilterpyUnscented
 from palmd.lab.peers.functions import functions
 from palmd.lab.peers.plain import PlainFilter
-from palmd.lab.peers.task import LostError, PeerStart, PeerTask, PeerTruth, Reading, blind, good
+from palmd.lab.peers.task import LostError, PeerReading, PeerStart, PeerTask, PeerTruth, blind, good
 from palmd.model import shape
 from palmd.model.outputs import rig_inputs
 from palmd.observer.bank import Bank
@@ -36,10 +36,10 @@ Tell = Callable[[int], None]
 class Peer(Protocol):
     """One estimator on one run."""
 
-    def step(self, reading: Reading) -> bool:
+    def step(self, reading: PeerReading) -> bool:
         """Predict to the reading and fuse it; False if this was not a whole step, and its time does not count."""
 
-    def radii(self, reading: Reading) -> FloatArray:
+    def radii(self, reading: PeerReading) -> FloatArray:
         """(r1, r2) at the reading just taken (m)."""
 
     def outline(self) -> FloatArray | None:

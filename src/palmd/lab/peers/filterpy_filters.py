@@ -12,7 +12,7 @@ from filterpy.kalman import (  # type: ignore[import-untyped]
 
 from palmd.events import FloatArray
 from palmd.lab.peers.functions import Q_DIAGONAL, Functions, array
-from palmd.lab.peers.task import PeerStart, Reading, radii
+from palmd.lab.peers.task import PeerReading, PeerStart, radii
 from palmd.model import shape_map
 
 ALPHA, BETA, KAPPA = 1.0, 2.0, 0.0
@@ -25,7 +25,7 @@ class _OnShapeMap:
     def __init__(self, model: Functions):
         self._model = model
 
-    def radii(self, reading: Reading) -> FloatArray:
+    def radii(self, reading: PeerReading) -> FloatArray:
         """(r1, r2) (m)."""
         return radii(self.x, reading)
 
@@ -57,7 +57,7 @@ class FilterpyExtended(_OnShapeMap):
         """The state's covariance."""
         return np.asarray(self._filter.P)
 
-    def step(self, reading: Reading) -> bool:
+    def step(self, reading: PeerReading) -> bool:
         """Predict to the reading and fuse it."""
         ekf, model, at = self._filter, self._model, reading.pad - 1
         for u in reading.moves:
@@ -96,7 +96,7 @@ class FilterpyUnscented(_OnShapeMap):
     def x(self) -> FloatArray:
         return np.asarray(self._filter.x)
 
-    def step(self, reading: Reading) -> bool:
+    def step(self, reading: PeerReading) -> bool:
         """Predict to the reading and fuse it."""
         ukf = self._filter
         for u in reading.moves:

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.lab.peers.task import PeerStart, Reading, radii
+from palmd.lab.peers.task import PeerReading, PeerStart, radii
 from palmd.model import shape_map
 from palmd.model.compiled import Library, load
 from palmd.model.kernels import single
@@ -47,7 +47,7 @@ class GeneratedFilter:
         """Its covariance."""
         return self._P[self._side]
 
-    def step(self, reading: Reading) -> bool:
+    def step(self, reading: PeerReading) -> bool:
         """Predict to the reading and fuse it."""
         for u in reading.moves:
             self._u[:] = u
@@ -59,7 +59,7 @@ class GeneratedFilter:
         self._side = 1 - self._side
         return True
 
-    def radii(self, reading: Reading) -> FloatArray:
+    def radii(self, reading: PeerReading) -> FloatArray:
         """(r1, r2) (m)."""
         return radii(self.x, reading)
 

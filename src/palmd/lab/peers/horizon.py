@@ -18,7 +18,7 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.lab.peers.functions import Q_DIAGONAL, Functions, array
-from palmd.lab.peers.task import PeerStart, Reading, radii
+from palmd.lab.peers.task import PeerReading, PeerStart, radii
 from palmd.model import shape_map
 
 NODES = 133  # steps in a window of half a second; two pads at 100 Hz, some gaps cut in two
@@ -101,7 +101,7 @@ class MovingHorizon:
         """The state at the last reading, as `shape_map.Z`."""
         return self._path[-1]
 
-    def step(self, reading: Reading) -> bool:
+    def step(self, reading: PeerReading) -> bool:
         """Take the reading into the window; True when the window has been solved with it."""
         for i, u in enumerate(reading.moves):
             last = i == len(reading.moves) - 1
@@ -116,7 +116,7 @@ class MovingHorizon:
         self._solve()
         return True
 
-    def radii(self, reading: Reading) -> FloatArray:
+    def radii(self, reading: PeerReading) -> FloatArray:
         """(r1, r2) (m)."""
         return radii(self.x, reading)
 

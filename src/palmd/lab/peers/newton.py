@@ -23,7 +23,7 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.lab.peers.functions import array
-from palmd.lab.peers.task import LostError, PeerStart, Reading
+from palmd.lab.peers.task import LostError, PeerReading, PeerStart
 from palmd.model import shape_map
 from palmd.model.contact import Contact, normal, offsets, readings
 from palmd.model.dynamics import BodyConstants, Palms, effective_gravity, newton_euler
@@ -136,7 +136,7 @@ class NewtonObserver:
         self._now = self._q.copy()
         self._nodes: deque[tuple[FloatArray, int, float]] = deque()  # input, pad or 0, reading
 
-    def step(self, reading: Reading) -> bool:
+    def step(self, reading: PeerReading) -> bool:
         """Take the reading into the window and correct the state at its beginning; True once it has been corrected."""
         for i, u in enumerate(reading.moves):
             pad = reading.pad if i == len(reading.moves) - 1 else 0
@@ -151,7 +151,7 @@ class NewtonObserver:
         self._correct()
         return True
 
-    def radii(self, _reading: Reading) -> FloatArray:
+    def radii(self, _reading: PeerReading) -> FloatArray:
         """(r1, r2) (m)."""
         return self._now[:2]
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.lab.peers.plain_model import reading_row, transition
-from palmd.lab.peers.task import PeerStart, Reading, radii
+from palmd.lab.peers.task import PeerReading, PeerStart, radii
 from palmd.model import shape_map
 
 
@@ -19,7 +19,7 @@ class PlainFilter:
         self._q = np.zeros(shape_map.N)
         self._q[:2] = shape_map.Q_PSI, shape_map.Q_OMEGA0
 
-    def step(self, reading: Reading) -> bool:
+    def step(self, reading: PeerReading) -> bool:
         """Predict to the reading and fuse it."""
         for u in reading.moves:
             self.x, F = transition(self.x, u)
@@ -33,7 +33,7 @@ class PlainFilter:
         self.P = keep @ self.P @ keep.T + np.outer(gain, gain) * reading.variance
         return True
 
-    def radii(self, reading: Reading) -> FloatArray:
+    def radii(self, reading: PeerReading) -> FloatArray:
         """(r1, r2) (m)."""
         return radii(self.x, reading)
 

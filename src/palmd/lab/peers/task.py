@@ -34,7 +34,7 @@ class LostError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class PeerReading:
     """One contact reading `value` (m) at `t` (s), and the integration steps that lead to it from the one before.
 
     moves: last inputs of `shape_map.predict_function`, first dt (s). palms: φ1 … α2 at `t`. forces: what each pad
@@ -59,7 +59,7 @@ class PeerTask:
     s1: float
     s2: float
     palms: PalmMotion
-    readings: tuple[Reading, ...]
+    readings: tuple[PeerReading, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +133,7 @@ def task_from(rig: RigDescription, events: Iterable[Event]) -> PeerTask:
     tracker, rig_values = PalmTracker(rig.palm_angle_noise), rig_inputs(rig)
     variances = rig.reading_variances
     last: dict[int, PadSample] = {}
-    readings: list[Reading] = []
+    readings: list[PeerReading] = []
     t = t_start = math.inf
     first: tuple[float, float, PalmMotion] | None = None
     for event in sorted(events, key=lambda event: event.t_sample):
@@ -151,7 +151,7 @@ def task_from(rig: RigDescription, events: Iterable[Event]) -> PeerTask:
             inflation = 1.0 + EARLY_NOISE * math.exp(-(t - t_start) / EARLY_S)
             forces = (_force(last[1]), _force(last[2]))
             variance = inflation * float(variances[event.pad - 1])
-            readings.append(Reading(t, event.pad, event.s, variance, tracker.at(t), moves, forces))
+            readings.append(PeerReading(t, event.pad, event.s, variance, tracker.at(t), moves, forces))
     if first is None or not readings:
         raise ValueError("both pads and the palms must have been read for there to be anything to estimate")
     return PeerTask(rig, t_start, *first, tuple(readings))
@@ -176,7 +176,7 @@ def good(task: PeerTask, truth: PeerTruth, random: np.random.Generator) -> PeerS
     return PeerStart("good", x + sd * random.standard_normal(shape_map.N), np.diag(sd**2))
 
 
-def radii(x: FloatArray, reading: Reading) -> FloatArray:
+def radii(x: FloatArray, reading: PeerReading) -> FloatArray:
     """(r1, r2) of a shape map at a reading's palms (m)."""
     Z = shape_map.Z
     # the rows are for ψ = 0: turn the palms instead of the body

@@ -32,6 +32,7 @@ from palmd.daemon.planner import Plan
 from palmd.daemon.systemd import Notifier
 from palmd.events import PalmMotion
 from palmd.faults import Severity
+from palmd.lab.silent_observer import Breakable
 from palmd.lab.simulation.causes import causes
 from palmd.lab.simulation.happenings import (
     CALM_S,
@@ -47,7 +48,7 @@ from palmd.lab.simulation.happenings import (
     Told,
     Trick,
 )
-from palmd.lab.simulation.light_observer import Breakable, LightObserver
+from palmd.lab.simulation.light_observer import LightObserver
 from palmd.lab.simulation.light_rig import STEP_S, LightRig
 from palmd.lab.simulation.machine import (
     Aside,

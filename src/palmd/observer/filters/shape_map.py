@@ -66,7 +66,7 @@ class ShapeFilters:
         n = shape_map.size(order)
         self._rig, self._curvatures = rig_inputs(rig), rig.curvatures if rig.curved else ()
         update_inputs = shape_map.UPDATE_INPUTS + len(self._curvatures)
-        self.bank = Bank(library, size, n, dict.fromkeys(("update_s1", "update_s2"), update_inputs), inputs, memory_s)
+        self.bank = Bank(library, size, n, dict.fromkeys(shape_map.UPDATES, update_inputs), inputs, memory_s)
         self.order = order
         self._x, self._P = np.zeros(n), np.zeros((n, n))
         self._x_next, self._P_next = np.zeros(n), np.zeros((n, n))

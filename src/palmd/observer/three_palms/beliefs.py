@@ -12,8 +12,8 @@ import numpy.typing as npt
 from palmd.events import FloatArray
 from palmd.model.spherical import Y00, count, degrees
 from palmd.model.three_palms import BODY
-from palmd.observer.three_palms.driven import Belief
-from palmd.observer.three_palms.smoother import Prior
+from palmd.observer.three_palms.driven import BallBelief
+from palmd.observer.three_palms.smoother import BodyPrior
 
 Bools = npt.NDArray[np.bool_]
 
@@ -53,17 +53,17 @@ def beyond_sd(radius: float, order: int, touched: Bools) -> FloatArray:
     return sd
 
 
-def prior(radius: float, order: int, spin_sd: float) -> Prior:
+def prior(radius: float, order: int, spin_sd: float) -> BodyPrior:
     """Of a body whose contacts suggest this radius (m), with this one-sigma of its first spin (rad/s)."""
     mean = np.zeros(count(order) + BODY)
     mean[0] = radius / Y00
     mean[-2:] = MU, math.log(DITHER_M_S)
     body_sd = np.array([LAMBDA_SD] * 6 + [DAMPING_SD, MU_SD, LN_DITHER_SD])
     variance = np.concatenate([shape_variance(radius, order), body_sd**2])
-    return Prior(mean, np.diag(1.0 / variance), np.zeros(3), spin_sd)
+    return BodyPrior(mean, np.diag(1.0 / variance), np.zeros(3), spin_sd)
 
 
-def with_inertia(prior: Prior, sd: float) -> Prior:
+def with_inertia(prior: BodyPrior, sd: float) -> BodyPrior:
     """The same belief, the inertia's λ taken to be known to `sd`."""
     information = prior.information.copy()
     index = np.arange(len(prior.mean) - BODY, len(prior.mean) - BODY + 6)
@@ -84,10 +84,10 @@ class Hypothesis:
     larger: float
     mu: float
 
-    def belief(self, radius: float, centre: FloatArray, spin_sd: float, still: int) -> Belief:
+    def belief(self, radius: float, centre: FloatArray, spin_sd: float, still: int) -> BallBelief:
         """For a ball of this radius (m) through its contacts, about this centre (m); at rest for `still` nodes."""
         own = radius * (1.0 + self.larger)
-        return Belief(
+        return BallBelief(
             np.array([math.log(GYRATION * own), 1e-4, math.log(self.mu), math.log(DITHER_M_S), own]),
             np.array([0.12, 2e-4, 0.5, LN_DITHER_SD, 0.03 * own]),
             np.concatenate([centre, np.zeros(3)]),

@@ -17,7 +17,7 @@ from palmd.observer.three_palms import kernels, rotation
 from palmd.observer.three_palms.arrow import Arrow
 from palmd.observer.three_palms.kernels import palm_inputs
 from palmd.observer.three_palms.path import JointPath
-from palmd.observer.three_palms.record import Readings
+from palmd.observer.three_palms.record import PadReadings
 from palmd.system.three_palms import PALMS, contact_points
 
 ROUNDNESS = 3e-3
@@ -33,13 +33,13 @@ ITERATIONS = 25
 
 
 @dataclass(frozen=True, slots=True)
-class Contacts:
+class ContactCurves:
     """Smoothed readings: for each pad the courses of a and b (m)."""
 
     curves: tuple[tuple[BSpline, BSpline], ...]
 
     @classmethod
-    def smoothed(cls, readings: Readings) -> Contacts:
+    def smoothed(cls, readings: PadReadings) -> ContactCurves:
         """Cubic splines whose stiffness is by generalised cross-validation, of each coordinate its own."""
         curves = []
         for pad in range(len(PALMS)):
@@ -77,7 +77,7 @@ def _missed(t: FloatArray, value: FloatArray, lam: float) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Belief:
+class BallBelief:
     """What is believed of a ball-like body: mean and one-sigma of its constants, and of its state at the first node.
 
     The constants are ln ρ (ρ the radius of gyration, m), damping (m²/s), ln μ, ln u_d (ln m/s) and the radius (m); the
@@ -92,7 +92,7 @@ class Belief:
 
 
 @dataclass(frozen=True, slots=True)
-class Course:
+class DrivenCourse:
     """Centre of mass (K + 1, 3) (m) and spin (K + 1, 3) (rad/s) at the nodes t, the constants, and the cost."""
 
     t: FloatArray
@@ -122,8 +122,14 @@ def ball_of(points: FloatArray, normals: FloatArray) -> tuple[FloatArray, FloatA
 
 
 def course(
-    path: JointPath, contacts: Contacts, start: float, intervals: int, spacing: float, belief: Belief, gravity: float
-) -> Course:
+    path: JointPath,
+    contacts: ContactCurves,
+    start: float,
+    intervals: int,
+    spacing: float,
+    belief: BallBelief,
+    gravity: float,
+) -> DrivenCourse:
     """The likeliest course on `intervals` from `start` on."""
     t: FloatArray = np.asarray(start + spacing * np.arange(intervals + 1), dtype=np.float64)
     middle: FloatArray = np.asarray(t[:-1] + spacing / 2, dtype=np.float64)
@@ -150,7 +156,7 @@ def course(
             damping *= 8
             if damping > 1e6:
                 break
-    return Course(t, state[:, :3], state[:, 3:], constants, cost)
+    return DrivenCourse(t, state[:, :3], state[:, 3:], constants, cost)
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +169,7 @@ class _Problem:
     given_mid: FloatArray
     normals: FloatArray
     spacing: float
-    belief: Belief
+    belief: BallBelief
     gravity: float
 
     def evaluate(self, state: FloatArray, constants: FloatArray) -> tuple[float, Arrow]:

@@ -13,10 +13,10 @@ from palmd.model import three_palms
 from palmd.model.compiled import Library
 from palmd.model.spherical import count
 from palmd.model.three_palms import BLOCK, BODY, PALM_INPUTS
-from palmd.system.three_palms import Palms
+from palmd.system.three_palms import PalmPlanes
 
 
-class Kernel:
+class BlockKernel:
     """One block kernel: `BLOCK` instants a call, looped over as many as there are.
 
     each: sizes of the inputs that each instant has its own of; shared: of those that all have alike; shapes: of the
@@ -52,13 +52,13 @@ def by_columns(R: FloatArray) -> FloatArray:
     return np.ascontiguousarray(np.swapaxes(R, 1, 2)).reshape(-1, 9)
 
 
-def palm_inputs(palms: Palms) -> FloatArray:
+def palm_inputs(palms: PalmPlanes) -> FloatArray:
     """(T, `PALM_INPUTS`) of the palms."""
     kinds = (palms.normal, palms.normal_rate, palms.normal_acceleration, palms.spin)
     return np.concatenate([kind.reshape(-1, 9) for kind in kinds], axis=1)
 
 
-def reading_geometry(palms: Palms, pad: npt.NDArray[np.int64]) -> FloatArray:
+def reading_geometry(palms: PalmPlanes, pad: npt.NDArray[np.int64]) -> FloatArray:
     """(T, 24) what a reading of `pad` (T,), 0 to 2, takes of the palms at its time."""
     inverse = np.linalg.inv(palms.normal)  # rows of N are normals
     rows = np.arange(len(pad))
@@ -71,22 +71,22 @@ def reading_geometry(palms: Palms, pad: npt.NDArray[np.int64]) -> FloatArray:
 
 
 @cache
-def acceleration(order: int) -> Kernel:
+def acceleration(order: int) -> BlockKernel:
     """(R, ω, palms; p, g) → (ω̇, f, ∂/∂δ, ∂/∂ω, ∂/∂p)."""
     m = count(order) + BODY
     shapes = [(3,), (3,), (3, 3), (3, 3), (3, m)]
-    return Kernel(three_palms.library(order), "acceleration_block", (9, 3, PALM_INPUTS), (m, 1), shapes)
+    return BlockKernel(three_palms.library(order), "acceleration_block", (9, 3, PALM_INPUTS), (m, 1), shapes)
 
 
 @cache
-def reading(order: int) -> Kernel:
+def reading(order: int) -> BlockKernel:
     """(R, geometry; c) → (y, ∂y/∂δ, ∂y/∂c)."""
     n = count(order)
-    return Kernel(three_palms.library(order), "reading_block", (9, 24), (n,), [(2,), (2, 3), (2, n)])
+    return BlockKernel(three_palms.library(order), "reading_block", (9, 24), (n,), [(2,), (2, 3), (2, n)])
 
 
 @cache
-def driven() -> Kernel:
+def driven() -> BlockKernel:
     """(state, palms, contacts; constants, g) → (rates, ∂/∂state, ∂/∂constants)."""
     shapes = [(6,), (6, 6), (6, 4)]
-    return Kernel(three_palms.driven_library(), "driven_block", (6, PALM_INPUTS, 18), (4, 1), shapes)
+    return BlockKernel(three_palms.driven_library(), "driven_block", (6, PALM_INPUTS, 18), (4, 1), shapes)

@@ -10,7 +10,7 @@ from scipy.interpolate import BPoly, CubicSpline, make_smoothing_spline
 from scipy.linalg import solveh_banded
 
 from palmd.events import FloatArray
-from palmd.system.three_palms import Palms, palms_at
+from palmd.system.three_palms import PalmPlanes, palms_at
 
 DRIFT = 1e-4
 """By how much the joints may leave the plan they follow, as a random walk (rad/√s)."""
@@ -28,7 +28,7 @@ class JointPath:
     rate: Curve
     acceleration: Curve
 
-    def palms(self, t: FloatArray) -> Palms:
+    def palms(self, t: FloatArray) -> PalmPlanes:
         """The palms at times t (T,)."""
         return palms_at(self.angle(t), self.rate(t), self.acceleration(t))
 

@@ -15,10 +15,10 @@ from palmd.events import FloatArray
 from palmd.model.spherical import Y00, count, evaluator
 from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import beliefs
-from palmd.observer.three_palms.driven import Contacts
+from palmd.observer.three_palms.driven import ContactCurves
 from palmd.observer.three_palms.icosphere import icosphere
 from palmd.observer.three_palms.path import JointPath
-from palmd.observer.three_palms.record import Readings
+from palmd.observer.three_palms.record import PadReadings
 from palmd.observer.three_palms.search import ORDER, Rival, Task, best, centres_of, inertia
 from palmd.system.three_palms import PALMS, ThreePalmsRig
 
@@ -33,7 +33,7 @@ MOST_LAMBDA = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Reconstruction:
+class BodyReconstruction:
     """What a record tells; SI units, NaN or None where there is no value. See `docs/theory/three-palms.md`.
 
     directions (D, 3), triangles (F, 3) between them, h, h_sd, touched (D,); points: (D, 3) of the surface with these
@@ -66,21 +66,21 @@ class Reconstruction:
 
 
 @one_thread()
-def reconstruct(path: JointPath, readings: Readings, rig: ThreePalmsRig) -> Reconstruction:
+def reconstruct(path: JointPath, readings: PadReadings, rig: ThreePalmsRig) -> BodyReconstruction:
     """Smooth the longest stretch in which all three palms feel the body. Never raises for what the readings say."""
     begun = time.perf_counter()
     start, end = longest_stretch(path, readings)
     if end - start < LEAST_S:
         return _nothing(f"there are no {LEAST_S:g} s in which all three pads and the joints report", begun)
     inside = readings.within(start, end)
-    task = Task(path, inside, Contacts.smoothed(inside), rig, start, end)
+    task = Task(path, inside, ContactCurves.smoothed(inside), rig, start, end)
     ended = best(task)
     if not ended:
         return _nothing("no motion of a body was found that explains the first readings", begun)
     return answer(task, ended, begun)
 
 
-def longest_stretch(path: JointPath, readings: Readings) -> tuple[float, float]:
+def longest_stretch(path: JointPath, readings: PadReadings) -> tuple[float, float]:
     """(start, end) (s) of the longest time in which no pad is silent for long."""
     silent: list[tuple[float, float]] = []
     for pad in range(len(PALMS)):
@@ -96,7 +96,7 @@ def longest_stretch(path: JointPath, readings: Readings) -> tuple[float, float]:
     return best_start, best_end
 
 
-def answer(task: Task, ended: Sequence[Rival], begun: float) -> Reconstruction:
+def answer(task: Task, ended: Sequence[Rival], begun: float) -> BodyReconstruction:
     """What the best of the rivals says, and whether it may be believed."""
     first = ended[0]
     fit, record, p = first.fit, first.record, first.fit.motion.p
@@ -117,7 +117,7 @@ def answer(task: Task, ended: Sequence[Rival], begun: float) -> Reconstruction:
     sd = np.sqrt(max(fit.chi2, 1.0) * sd**2 + beliefs.beyond_sd(Y00 * p[0], ORDER, touched) ** 2)
     mass, mass_sd = _mass(task, first)
     own, own_sd = inertia(p), _inertia_sd(p, covariance)
-    return Reconstruction(
+    return BodyReconstruction(
         converged=not (reason := doubt(task, ended, sd[touched])),
         reason=reason, chi2=fit.chi2, directions=directions, triangles=triangles,
         h=rows @ p[:n], h_sd=sd, touched=touched, points=point_rows @ p[:n], coefficients=p[:n],
@@ -172,9 +172,9 @@ def _inertia_sd(p: FloatArray, covariance: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.einsum("aij,ab,bij->ij", J, covariance[np.ix_(index, index)], J)))
 
 
-def _nothing(reason: str, begun: float, chi2: float = math.nan) -> Reconstruction:
+def _nothing(reason: str, begun: float, chi2: float = math.nan) -> BodyReconstruction:
     none, nan = np.zeros((0, 3)), math.nan
-    return Reconstruction(
+    return BodyReconstruction(
         False, reason, chi2, *icosphere(), None, None, None, None, None, None, None, nan, nan, nan, nan,
         np.zeros(0), np.zeros((0, 3, 3)), none, none, time.perf_counter() - begun,
     )  # fmt: skip

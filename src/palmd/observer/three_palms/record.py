@@ -15,7 +15,7 @@ Integers = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
-class Readings:
+class PadReadings:
     """Contact readings in the order of their times t (S,): pad 0 to 2 (S,), value (S, 2) (m), force (S,) N or NaN."""
 
     t: FloatArray
@@ -23,14 +23,14 @@ class Readings:
     value: FloatArray
     force: FloatArray
 
-    def within(self, start: float, end: float) -> Readings:
+    def within(self, start: float, end: float) -> PadReadings:
         """Those of start ≤ t < end."""
         first, last = np.searchsorted(self.t, [start, end])
-        return Readings(self.t[first:last], self.pad[first:last], self.value[first:last], self.force[first:last])
+        return PadReadings(self.t[first:last], self.pad[first:last], self.value[first:last], self.force[first:last])
 
 
 @dataclass(frozen=True, slots=True)
-class Record:
+class BodyRecord:
     """K + 1 nodes `spacing` apart from `start`, and S readings between them.
 
     node_palms, middle_palms: (K + 1 and K, 36) the palms at the nodes and midway. interval, share, slot: (S,) of each
@@ -41,7 +41,7 @@ class Record:
     spacing: float
     node_palms: FloatArray
     middle_palms: FloatArray
-    readings: Readings
+    readings: PadReadings
     interval: Integers
     share: FloatArray
     slot: Integers
@@ -58,14 +58,14 @@ class Record:
         return int(self.slot.max()) + 1 if len(self.slot) else 0
 
 
-def lay_out(path: JointPath, readings: Readings, start: float, intervals: int, spacing: float) -> Record:
+def lay_out(path: JointPath, readings: PadReadings, start: float, intervals: int, spacing: float) -> BodyRecord:
     """The record of `intervals` from `start` on (s)."""
     nodes: FloatArray = np.asarray(start + spacing * np.arange(intervals + 1), dtype=np.float64)
     middle: FloatArray = np.asarray(nodes[:-1] + spacing / 2, dtype=np.float64)
     inside = readings.within(start, nodes[-1])
     interval = np.minimum(((inside.t - start) / spacing).astype(np.int64), intervals - 1)
     first = np.searchsorted(interval, interval)
-    return Record(
+    return BodyRecord(
         start,
         spacing,
         palm_inputs(path.palms(nodes)),

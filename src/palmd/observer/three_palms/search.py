@@ -12,11 +12,11 @@ from palmd.model.spherical import Y00, count, evaluator
 from palmd.model.three_palms import BODY, MOMENT
 from palmd.observer.three_palms import beliefs, kernels
 from palmd.observer.three_palms.beliefs import Hypothesis
-from palmd.observer.three_palms.driven import Belief, Contacts, Course, ball_of, course
+from palmd.observer.three_palms.driven import BallBelief, ContactCurves, DrivenCourse, ball_of, course
 from palmd.observer.three_palms.kernels import by_columns
 from palmd.observer.three_palms.path import JointPath
-from palmd.observer.three_palms.record import Readings, Record, lay_out
-from palmd.observer.three_palms.smoother import Fit, Motion, Noise, Prior, Smoother, at_readings
+from palmd.observer.three_palms.record import BodyRecord, PadReadings, lay_out
+from palmd.observer.three_palms.smoother import BodyFit, BodyMotion, BodyPrior, BodySmoother, Noise, at_readings
 from palmd.system.three_palms import PALMS, ThreePalmsRig
 
 START_ORDER = 6
@@ -47,13 +47,13 @@ class Task:
     """What is given: the joints' path, all readings with their smoothed course, and the rig."""
 
     path: JointPath
-    readings: Readings
-    contacts: Contacts
+    readings: PadReadings
+    contacts: ContactCurves
     rig: ThreePalmsRig
     start: float
     end: float
 
-    def record(self, seconds: float) -> Record:
+    def record(self, seconds: float) -> BodyRecord:
         """The first `seconds`."""
         intervals = max(round(min(seconds, self.end - self.start) / SPACING_S - 0.5), 1)
         return lay_out(self.path, self.readings, self.start, intervals, SPACING_S)
@@ -86,7 +86,7 @@ class Task:
         """Of the readings and of what the equations leave out."""
         return Noise(math.sqrt(self.rig.pad.reading_variance))
 
-    def reaches_end(self, record: Record) -> bool:
+    def reaches_end(self, record: BodyRecord) -> bool:
         """Whether a record goes as far as there is anything."""
         return bool(record.t[-1] > self.end - 2 * SPACING_S)
 
@@ -101,8 +101,8 @@ class Rival:
 
     hypothesis: Hypothesis
     radius: float
-    record: Record
-    fit: Fit
+    record: BodyRecord
+    fit: BodyFit
 
     @property
     def per_number(self) -> float:
@@ -133,13 +133,13 @@ def rivals(task: Task, seconds: float) -> list[Rival]:
         stiff = beliefs.with_inertia(prior, STIFF)
         for strengths in LOOSE:
             noise = _loosened(task.noise, strengths)
-            motion = Smoother(record, stiff, noise, task.rig.gravity).fit(motion, 20).motion
-        fit = Smoother(record, prior, task.noise, task.rig.gravity).fit(motion, 25)
+            motion = BodySmoother(record, stiff, noise, task.rig.gravity).fit(motion, 20).motion
+        fit = BodySmoother(record, prior, task.noise, task.rig.gravity).fit(motion, 25)
         found.append(Rival(hypothesis, own, record, fit))
     return sorted(found, key=lambda each: each.fit.cost)
 
 
-def first_motion(record: Record, driven: Course, prior: Prior) -> Motion:
+def first_motion(record: BodyRecord, driven: DrivenCourse, prior: BodyPrior) -> BodyMotion:
     """The course with the outline that fits it best, by linear least squares."""
     R, omega = driven.rotations(), driven.omega
     p = prior.mean.copy()
@@ -151,7 +151,7 @@ def first_motion(record: Record, driven: Course, prior: Prior) -> Motion:
     believed = prior.information[:n, :n]
     sides = rows.T @ (record.readings.value.reshape(-1) / ROUGH_M) + believed @ prior.mean[:n]
     p[:n] = np.linalg.solve(rows.T @ rows + believed, sides)
-    return Motion(R, omega, p)
+    return BodyMotion(R, omega, p)
 
 
 def grown(task: Task, rival: Rival) -> Rival:
@@ -159,7 +159,7 @@ def grown(task: Task, rival: Rival) -> Rival:
     prior = beliefs.prior(rival.radius, ORDER, task.spin_sd)
     motion = replace(rival.fit.motion, p=beliefs.raised(rival.fit.motion.p, ORDER))
     record = rival.record
-    fit = Smoother(record, prior, task.noise, task.rig.gravity).fit(motion, 15)
+    fit = BodySmoother(record, prior, task.noise, task.rig.gravity).fit(motion, 15)
     now = Rival(rival.hypothesis, rival.radius, record, fit)
     total = len(task.record(task.end - task.start).t)
     while len(now.record.t) < total and now.per_number < LOST:
@@ -167,13 +167,13 @@ def grown(task: Task, rival: Rival) -> Rival:
     return now
 
 
-def _followed(task: Task, now: Rival, prior: Prior, total: int) -> Rival:
+def _followed(task: Task, now: Rival, prior: BodyPrior, total: int) -> Rival:
     """The rival on a longer record: by as much as it can follow, or by the least, lost."""
     longer = now
     for share in SHARES:
         record, motion = _further(task, now, total, share)
         for noise, iterations in ((_loosened(task.noise, LOOSE[-1]), 6), (task.noise, 20)):
-            fit = Smoother(record, prior, noise, task.rig.gravity).fit(motion, iterations)
+            fit = BodySmoother(record, prior, noise, task.rig.gravity).fit(motion, iterations)
             motion = fit.motion
         longer = Rival(now.hypothesis, now.radius, record, fit)
         if longer.per_number < max(FOLLOWED, 1.1 * now.per_number):
@@ -186,7 +186,7 @@ def _loosened(noise: Noise, strengths: tuple[float, float, float]) -> Noise:
     return replace(noise, spin=spin, by_spin=by_spin, turn=turn)
 
 
-def _further(task: Task, now: Rival, total: int, share: float) -> tuple[Record, Motion]:
+def _further(task: Task, now: Rival, total: int, share: float) -> tuple[BodyRecord, BodyMotion]:
     """A longer record, and the motion carried on in it as the contacts tell."""
     motion, record = now.fit.motion, now.record
     have = len(record.t) - 1
@@ -195,7 +195,7 @@ def _further(task: Task, now: Rival, total: int, share: float) -> tuple[Record, 
     p = motion.p
     radius = Y00 * p[0]
     centre = _centre(motion, record)
-    belief = Belief(
+    belief = BallBelief(
         np.array([math.log(_gyration(p)), p[-3], math.log(max(p[-2], beliefs.FRICTIONLESS)), p[-1], radius]),
         np.array([0.02, 1e-6, 0.02, 0.02, 0.02 * radius]),
         np.concatenate([centre, motion.omega[-1]]),
@@ -207,7 +207,9 @@ def _further(task: Task, now: Rival, total: int, share: float) -> tuple[Record, 
     more = min(more, max(within, round(share * SHORTEST_STEP_S / SPACING_S)))
     R = driven.rotations(motion.R[-1])[1 : more + 1]
     longer = lay_out(task.path, task.readings, task.start, have + more, SPACING_S)
-    return longer, Motion(np.concatenate([motion.R, R]), np.concatenate([motion.omega, driven.omega[1 : more + 1]]), p)
+    return longer, BodyMotion(
+        np.concatenate([motion.R, R]), np.concatenate([motion.omega, driven.omega[1 : more + 1]]), p
+    )
 
 
 def _gyration(p: FloatArray) -> float:
@@ -226,7 +228,7 @@ def inertia(p: FloatArray) -> FloatArray:
     return about
 
 
-def _centre(motion: Motion, record: Record) -> FloatArray:
+def _centre(motion: BodyMotion, record: BodyRecord) -> FloatArray:
     """Of mass at the last node (m, world)."""
     centre: FloatArray = centres_of(motion.R[-1:], record.node_palms[-1:], motion.p)[0]
     return centre

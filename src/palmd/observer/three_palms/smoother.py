@@ -17,7 +17,7 @@ from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import kernels, rotation
 from palmd.observer.three_palms.arrow import Arrow
 from palmd.observer.three_palms.kernels import by_columns
-from palmd.observer.three_palms.record import Record
+from palmd.observer.three_palms.record import BodyRecord
 
 LARGEST_TURN = 0.5  # of a node in one step (rad)
 SETTLED = 3e-4  # decrease of the cost, as a share of it, below which an iteration is taken to be the last
@@ -25,7 +25,7 @@ GIVE_UP = 1e6  # damping beyond which no step helps
 
 
 @dataclass(frozen=True, slots=True)
-class Prior:
+class BodyPrior:
     """What is believed beforehand: of the parameters, mean (m,) and information (m, m); of the first node's spin.
 
     spin, spin_sd: rad/s. The first node's rotation is the gauge and stays what it is.
@@ -51,26 +51,26 @@ class Noise:
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class BodyMotion:
     """Rotations R (K + 1, 3, 3) and spins omega (K + 1, 3), and the parameters p (m,)."""
 
     R: FloatArray
     omega: FloatArray
     p: FloatArray
 
-    def moved(self, nodes: FloatArray, step: FloatArray) -> Motion:
+    def moved(self, nodes: FloatArray, step: FloatArray) -> BodyMotion:
         """After a step (K + 1, 6) of the nodes and (m,) of the parameters."""
-        return Motion(rotation.exp(nodes[:, :3]) @ self.R, self.omega + nodes[:, 3:], self.p + step)
+        return BodyMotion(rotation.exp(nodes[:, :3]) @ self.R, self.omega + nodes[:, 3:], self.p + step)
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class BodyFit:
     """Where the iteration ended: its cost, the readings' own part of it per number read, and the normal equations.
 
     force: (K + 1, 3) the palms' normal forces per unit mass (m/s²) at the nodes.
     """
 
-    motion: Motion
+    motion: BodyMotion
     cost: float
     chi2: float
     force: FloatArray
@@ -84,7 +84,7 @@ def order_of(parameters: int) -> int:
     return int(np.sqrt(parameters - BODY)) - 1
 
 
-def at_readings(record: Record, R: FloatArray, omega: FloatArray) -> FloatArray:
+def at_readings(record: BodyRecord, R: FloatArray, omega: FloatArray) -> FloatArray:
     """(S, 3, 3) rotations at the readings' times, between nodes that turn as R and omega (K + 1, …) say."""
     return _between(record, R, omega, *_turns(R, omega))
 
@@ -95,7 +95,7 @@ def _turns(R: FloatArray, omega: FloatArray) -> tuple[FloatArray, FloatArray]:
     return phi, omega[1:] - 0.5 * np.cross(phi, omega[1:])
 
 
-def _between(record: Record, R: FloatArray, omega: FloatArray, phi: FloatArray, ending: FloatArray) -> FloatArray:
+def _between(record: BodyRecord, R: FloatArray, omega: FloatArray, phi: FloatArray, ending: FloatArray) -> FloatArray:
     k, (there, out, back) = record.interval, (each[:, None] for each in _hermite(record.share))
     turned = there * phi[k] + record.spacing * (out * omega[:-1][k] + back * ending[k])
     return rotation.exp(turned) @ R[:-1][k]
@@ -106,16 +106,16 @@ def _hermite(share: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     return 3 * share**2 - 2 * share**3, share - 2 * share**2 + share**3, share**3 - share**2
 
 
-class Smoother:
+class BodySmoother:
     """The sum of squares of one record, and its minimum."""
 
-    def __init__(self, record: Record, prior: Prior, noise: Noise, gravity: float) -> None:
+    def __init__(self, record: BodyRecord, prior: BodyPrior, noise: Noise, gravity: float) -> None:
         self._record, self._prior, self._noise, self._gravity = record, prior, noise, gravity
         order = order_of(len(prior.mean))
         self._shape = slice(0, count(order))
         self._acceleration, self._reading = kernels.acceleration(order), kernels.reading(order)
 
-    def evaluate(self, motion: Motion) -> Fit:
+    def evaluate(self, motion: BodyMotion) -> BodyFit:
         """Cost and normal equations at `motion`."""
         record, prior, noise, p = self._record, self._prior, self._noise, motion.p
         K, m, h = len(record.middle_palms), len(p), record.spacing
@@ -172,10 +172,10 @@ class Smoother:
             (r**2).sum() + off @ prior.information @ off + ((omega[0] - prior.spin) ** 2).sum() / prior.spin_sd**2
         )
         chi2 = float((residual**2).mean()) / noise.reading**2
-        return Fit(motion, cost, chi2, force, arrow, residual, 0)
+        return BodyFit(motion, cost, chi2, force, arrow, residual, 0)
 
     def _read(
-        self, motion: Motion, phi: FloatArray, ending: FloatArray,
+        self, motion: BodyMotion, phi: FloatArray, ending: FloatArray,
         r: FloatArray, left: FloatArray, right: FloatArray, by: FloatArray,
     ) -> FloatArray:  # fmt: skip
         """Fill in the readings' rows; returns what they miss by (S, 2) (m)."""
@@ -195,7 +195,7 @@ class Smoother:
         by[k[:, None], rows, self._shape] = weight * by_c
         return residual
 
-    def fit(self, guess: Motion, iterations: int = 30, damping: float = 1e-3) -> Fit:
+    def fit(self, guess: BodyMotion, iterations: int = 30, damping: float = 1e-3) -> BodyFit:
         """The minimum that the iteration from `guess` leads to, or where it stands after so many evaluations."""
         best = self.evaluate(guess)
         for number in range(iterations):

@@ -11,8 +11,8 @@ import numpy as np
 
 from palmd.events import FloatArray, ObserverName
 from palmd.observer.three_palms.path import JointPath, joint_path
-from palmd.observer.three_palms.reconstruct import Reconstruction, reconstruct
-from palmd.observer.three_palms.record import Readings
+from palmd.observer.three_palms.reconstruct import BodyReconstruction, reconstruct
+from palmd.observer.three_palms.record import PadReadings
 from palmd.observer.three_palms.rotation import quaternions
 from palmd.outlinefile import Outline
 from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
@@ -25,7 +25,7 @@ EDGE_M = 0.01  # beyond the pad's side that a reading may still lie
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class PadReading:
     """One contact on pad 1 to 3: both coordinates (m), and the force (N) or NaN."""
 
     t: float
@@ -36,7 +36,7 @@ class Reading:
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
+class JointReport:
     """The joints: measured angles (rad), and the plan's rates and accelerations where told."""
 
     t: float
@@ -49,7 +49,7 @@ class ThreePalmsLog:
     """A run: the rig, its events in the order of the file, and notes on what was left out of them."""
 
     rig: ThreePalmsRig
-    events: tuple[Reading | Report, ...]
+    events: tuple[PadReading | JointReport, ...]
     notes: tuple[str, ...]
 
 
@@ -75,7 +75,7 @@ class ThreePalms:
             angle_noise=positive(line, "palm_angle_noise_rad", default.angle_noise),
         )
 
-    def events(self, t: float, line: Line, rig: ThreePalmsRig) -> Iterator[Reading | Report | None]:
+    def events(self, t: float, line: Line, rig: ThreePalmsRig) -> Iterator[PadReading | JointReport | None]:
         if "pad" in line:
             pad = line["pad"]
             if type(pad) is not int or pad not in PALMS:
@@ -83,14 +83,14 @@ class ThreePalms:
             a, b = number(line, "a_m"), number(line, "b_m")
             force = optional(line, "force_n")
             off = max(abs(a), abs(b)) > rig.pad.side + EDGE_M
-            yield None if off else Reading(t, pad, a, b, math.nan if force is None else force)
+            yield None if off else PadReading(t, pad, a, b, math.nan if force is None else force)
         if "joints" in line:
             joints = block(line, "joints")
             angle = _joints(joints, "angle_rad")
             if angle is None:
                 raise BadLineError("angle_rad is missing")
             rate, acceleration = _joints(joints, "rate_rad_s"), _joints(joints, "acc_rad_s2")
-            yield Report(t, angle, None if rate is None or acceleration is None else (rate, acceleration))
+            yield JointReport(t, angle, None if rate is None or acceleration is None else (rate, acceleration))
 
     def log(self, rig: ThreePalmsRig, events: tuple[Any, ...], notes: tuple[str, ...]) -> ThreePalmsLog:
         return ThreePalmsLog(rig, events, notes)
@@ -136,11 +136,11 @@ def _joints(line: Line, key: str) -> tuple[float, ...] | None:
     return tuple(number({key: value}, key) for value in values)
 
 
-def laid_out(log: ThreePalmsLog) -> tuple[JointPath | None, Readings]:
+def laid_out(log: ThreePalmsLog) -> tuple[JointPath | None, PadReadings]:
     """The joints' path and the readings in the order of their times; None where two reports make no path."""
-    reports = {event.t: event for event in log.events if isinstance(event, Report)}
-    contacts = sorted((event for event in log.events if isinstance(event, Reading)), key=lambda each: each.t)
-    readings = Readings(
+    reports = {event.t: event for event in log.events if isinstance(event, JointReport)}
+    contacts = sorted((event for event in log.events if isinstance(event, PadReading)), key=lambda each: each.t)
+    readings = PadReadings(
         np.array([each.t for each in contacts]),
         np.array([each.pad - 1 for each in contacts], dtype=np.int64),
         np.array([[each.a, each.b] for each in contacts]).reshape(-1, 2),
@@ -155,7 +155,7 @@ def laid_out(log: ThreePalmsLog) -> tuple[JointPath | None, Readings]:
     return joint_path(t, angle, plan, log.rig.angle_noise), readings
 
 
-def as_line(answer: Reconstruction) -> Line:
+def as_line(answer: BodyReconstruction) -> Line:
     """The result as `palmd reconstruct` writes it: SI units, the unit in each name, None where there is no value."""
     shape = answer.h is not None
     return {
@@ -184,7 +184,7 @@ def as_line(answer: Reconstruction) -> Line:
     }  # fmt: skip
 
 
-def summary(answer: Reconstruction) -> str:
+def summary(answer: BodyReconstruction) -> str:
     """One line about an answer that has converged."""
     if answer.h_sd is None or answer.touched is None:
         raise ValueError("there is no shape")

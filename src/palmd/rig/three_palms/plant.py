@@ -40,7 +40,7 @@ class Rubbing:
 
 
 @dataclass(frozen=True, slots=True)
-class State:
+class BodyStates:
     """Position (B, 3), velocity (B, 3), rotation to the world (B, 3, 3), spin (B, 3)."""
 
     p: FloatArray
@@ -50,7 +50,7 @@ class State:
 
 
 @dataclass(frozen=True, slots=True)
-class Touch:
+class PalmContacts:
     """Contacts (B, 3 palms, 3) (m, world) and their normal forces (B, 3) per unit mass (m/s²)."""
 
     point: FloatArray
@@ -58,8 +58,8 @@ class Touch:
 
 
 def accelerations(
-    bodies: Bodies, rubbing: Rubbing, palms: PalmState, state: State, gravity: float
-) -> tuple[FloatArray, FloatArray, Touch]:
+    bodies: Bodies, rubbing: Rubbing, palms: PalmState, state: BodyStates, gravity: float
+) -> tuple[FloatArray, FloatArray, PalmContacts]:
     """(v̇ (B, 3), ω̇ (B, 3), contacts)."""
     n, R, w = palms.normal, state.R, state.omega[:, None]
     u = -np.einsum("bji,bnj->bni", R, n)
@@ -92,21 +92,21 @@ def accelerations(
     wanted = -bias - 2 * PULL * gap_rate - PULL**2 * gap - np.einsum("bni,bi->bn", jacobian, free)
     force = np.linalg.solve(np.einsum("bni,bmi->bnm", jacobian, wrench), wanted[..., None])[..., 0]
     total = free + np.einsum("bn,bni->bi", force, wrench)
-    return total[:, :3], total[:, 3:], Touch(c, force)
+    return total[:, :3], total[:, 3:], PalmContacts(c, force)
 
 
 def step(
-    bodies: Bodies, rubbing: Rubbing, motion: Motion, state: State, t: float, dt: float, gravity: float
-) -> tuple[State, Touch]:
+    bodies: Bodies, rubbing: Rubbing, motion: Motion, state: BodyStates, t: float, dt: float, gravity: float
+) -> tuple[BodyStates, PalmContacts]:
     """(state after one step of the classical Runge–Kutta method, contacts at its beginning)."""
 
-    def rates(at: State, palms: PalmState) -> tuple[State, Touch]:
+    def rates(at: BodyStates, palms: PalmState) -> tuple[BodyStates, PalmContacts]:
         v_rate, w_rate, touch = accelerations(bodies, rubbing, palms, at, gravity)
         turning = np.cross(at.omega[:, None, :], np.swapaxes(at.R, 1, 2))
-        return State(at.v, v_rate, np.swapaxes(turning, 1, 2), w_rate), touch
+        return BodyStates(at.v, v_rate, np.swapaxes(turning, 1, 2), w_rate), touch
 
-    def moved(by: State, share: float) -> State:
-        return State(*(getattr(state, k) + share * dt * getattr(by, k) for k in ("p", "v", "R", "omega")))
+    def moved(by: BodyStates, share: float) -> BodyStates:
+        return BodyStates(*(getattr(state, k) + share * dt * getattr(by, k) for k in ("p", "v", "R", "omega")))
 
     halfway, ending = motion(t + dt / 2), motion(t + dt)
     k1, touch = rates(state, motion(t))
@@ -114,8 +114,8 @@ def step(
     k3, _ = rates(moved(k2, 0.5), halfway)
     k4, _ = rates(moved(k3, 1.0), ending)
     names = ("p", "v", "R", "omega")
-    mean = State(*((getattr(k1, k) + 2 * getattr(k2, k) + 2 * getattr(k3, k) + getattr(k4, k)) / 6 for k in names))
+    mean = BodyStates(*((getattr(k1, k) + 2 * getattr(k2, k) + 2 * getattr(k3, k) + getattr(k4, k)) / 6 for k in names))
     after = moved(mean, 1.0)
     # one step of Newton's towards the nearest rotation
     R = after.R @ (1.5 * np.eye(3) - 0.5 * np.swapaxes(after.R, 1, 2) @ after.R)
-    return State(after.p, after.v, R, after.omega), touch
+    return BodyStates(after.p, after.v, R, after.omega), touch

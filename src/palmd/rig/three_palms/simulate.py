@@ -11,7 +11,7 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.rig.three_palms.bodies import Bodies, random_bodies, spread_directions
-from palmd.rig.three_palms.plant import PalmState, Rubbing, State, step
+from palmd.rig.three_palms.plant import BodyStates, PalmState, Rubbing, step
 from palmd.system.three_palms import MECHANISM, PALMS, SYSTEM, ThreePalmsRig, palms_at, readings_of
 
 STEP_S = 2e-3
@@ -49,7 +49,7 @@ KINDS: Mapping[str, Kind] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class SimulatedBody:
     """One body's run: the log's lines, the truth, and how long all palms kept hold of it (s)."""
 
     lines: list[dict[str, Any]]
@@ -87,7 +87,7 @@ class _Joints:
         )
 
 
-def simulate(kind: str, count: int, seconds: float, seed: int, rig: ThreePalmsRig | None = None) -> list[Run]:
+def simulate(kind: str, count: int, seconds: float, seed: int, rig: ThreePalmsRig | None = None) -> list[SimulatedBody]:
     """`count` runs of one kind, each another body and motion; deterministic for a seed."""
     described, what = rig or ThreePalmsRig(), KINDS[kind]
     random = np.random.default_rng([seed, sum(map(ord, kind))])
@@ -113,7 +113,7 @@ def simulate(kind: str, count: int, seconds: float, seed: int, rig: ThreePalmsRi
     return _logs(described, bodies, rubbing, joints, np.stack(points), np.stack(forces), kept, random, (kind, seed))
 
 
-def _started(bodies: Bodies, rubbing: Rubbing, kind: Kind, random: np.random.Generator, gravity: float) -> State:
+def _started(bodies: Bodies, rubbing: Rubbing, kind: Kind, random: np.random.Generator, gravity: float) -> BodyStates:
     """At rest in one of its stable poses, or off it with some spin; deep friction and drag make it settle."""
     count = len(bodies.ball)
     R: FloatArray = np.asarray(np.linalg.qr(random.normal(size=(count, 3, 3)))[0], np.float64)
@@ -124,24 +124,24 @@ def _started(bodies: Bodies, rubbing: Rubbing, kind: Kind, random: np.random.Gen
     pose = PalmState(at.normal, none, none, none)
     h, _, _ = bodies.support(-np.einsum("bji,bnj->bni", R, at.normal))
     centre: FloatArray = np.asarray(np.linalg.solve(at.normal, h[..., None])[..., 0], np.float64)
-    state = State(centre, still, R, still)
+    state = BodyStates(centre, still, R, still)
     if kind.spin == 0.0:
         slow = Rubbing(0 * rubbing.mu, rubbing.dither, np.full(count, SETTLING_DRAG))
         for _ in range(round(SETTLING_S / STEP_S)):
             state, _ = step(bodies, slow, lambda _: pose, state, 0.0, STEP_S, gravity)
-        return State(state.p, still, state.R, still)
+        return BodyStates(state.p, still, state.R, still)
     spin = random.normal(0.0, kind.spin, (count, 3))
     _, x, _ = bodies.support(-np.einsum("bji,bnj->bni", state.R, at.normal))
     r = np.einsum("bij,bnj->bni", state.R, x)
     lift = (r * np.cross(spin[:, None], at.normal)).sum(-1)
     velocity: FloatArray = np.asarray(np.linalg.solve(at.normal, lift[..., None])[..., 0], np.float64)
-    return State(state.p, velocity, state.R, spin)
+    return BodyStates(state.p, velocity, state.R, spin)
 
 
 def _logs(
     rig: ThreePalmsRig, bodies: Bodies, rubbing: Rubbing, joints: _Joints,
-    points: FloatArray, forces: FloatArray, kept: list[State], random: np.random.Generator, told: tuple[str, int],
-) -> list[Run]:  # fmt: skip
+    points: FloatArray, forces: FloatArray, kept: list[BodyStates], random: np.random.Generator, told: tuple[str, int],
+) -> list[SimulatedBody]:  # fmt: skip
     """Readings and truth from what all bodies did at every step."""
     count, steps = len(bodies.ball), len(points) - 1
     t: FloatArray = np.asarray(STEP_S * np.arange(steps + 1), np.float64)
@@ -173,7 +173,7 @@ def _logs(
             "com_m": [state.p[b].tolist() for state in kept],
             "normals_body": (-np.einsum("tji,tnj->tni", R, normals)).tolist(),
         }  # fmt: skip
-        runs.append(Run([header(rig), *lines], truth, held))
+        runs.append(SimulatedBody([header(rig), *lines], truth, held))
     return runs
 
 

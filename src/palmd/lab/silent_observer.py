@@ -1,0 +1,72 @@
+"""Observers for studies and tests: one that knows nothing, and one that can be broken."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any, Literal
+
+from palmd.events import Estimate, Event, Improvement, ObjectEstimate, Outlook, ShapeEstimate
+from palmd.observer import Observer
+from palmd.observer.answer import no_answer
+
+
+class SilentObserver:
+    """An `Observer` that says nothing; what another knows, it overrides."""
+
+    name, backend = "silent", "none"
+    object_count = late_dropped = improvements = 0
+    foresees = False
+
+    def warm_up(self) -> None:
+        """Nothing to warm."""
+
+    def feed(self, event: Event) -> None:
+        """Take one event."""
+
+    def improve(self, _t: float) -> Improvement | None:
+        """No smoother."""
+        return None
+
+    def estimate(self, t: float) -> Estimate:
+        """Nothing is known."""
+        return no_answer(t, self.name, self.object_count, None)
+
+    def shape(self, _t: float) -> ShapeEstimate | None:
+        """It knows none."""
+        return None
+
+    def outlook(self, _t: float) -> Outlook | None:
+        """It foresees nothing."""
+        return None
+
+    def identify(self, _t: float) -> ObjectEstimate | None:
+        """No objects are stored."""
+        return None
+
+
+class ModelError(Exception):
+    """What a broken model raises."""
+
+
+class Breakable:
+    """An observer that does its work until it is broken: `how` may be set at any time."""
+
+    def __init__(self, sound: Observer) -> None:
+        self._sound = sound
+        self.how: Literal["raises", "nan", "blind"] | None = None
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._sound, name)
+
+    def estimate(self, t: float) -> Estimate:
+        """As the sound one's; or an error, NaN that is called valid, or nothing."""
+        if self.how == "raises":
+            raise ModelError("the model is broken")
+        estimate = self._sound.estimate(t)
+        match self.how:
+            case "nan":
+                return dataclasses.replace(estimate, valid=True, r1=math.nan)
+            case "blind":
+                return dataclasses.replace(estimate, valid=False)
+        return estimate
