@@ -351,7 +351,7 @@ _shtab_palmd_calibrate_gravity_defaults_added=0
 
 _shtab_palmd_calibrate_pad_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--pad[of palm 1 or palm 2]:pad:(1 2)"
+  "--pad[of which palm]:pad:(1 2)"
   "--seconds[from the first touch (default\: 20.0)]:S:"
   {-o,--output}"[for padN.yaml and padN.svg, which are overwritten (default\: calibration\/ beside CONFIG)]:FOLDER:_files"
   ":the rig\'s configuration, palmd.yaml:_files"
