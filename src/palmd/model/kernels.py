@@ -108,14 +108,14 @@ def _functions(kernel: Kernel) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class _Part:
+class _CodePart:
     """Some instructions: `kept` are those whose value a later part needs, in its register of the work array."""
 
     instructions: range
     kept: frozenset[int]
 
 
-def _parts(f: ca.Function) -> list[_Part]:
+def _parts(f: ca.Function) -> list[_CodePart]:
     n = f.n_instructions()
     written: dict[int, int] = {}  # by which instruction each register was
     kept: set[int] = set()
@@ -126,10 +126,10 @@ def _parts(f: ca.Function) -> list[_Part]:
         if operation != ca.OP_OUTPUT:
             written[f.instruction_output(k)[0]] = k
     ranges = [range(first, min(first + PART, n)) for first in range(0, n, PART)]
-    return [_Part(each, frozenset(k for k in each if k in kept)) for each in ranges]
+    return [_CodePart(each, frozenset(k for k in each if k in kept)) for each in ranges]
 
 
-def _lines(kernel: Kernel, part: _Part) -> list[str]:
+def _lines(kernel: Kernel, part: _CodePart) -> list[str]:
     f = kernel.function
     lines: list[str] = []
     held: dict[int, str] = {}  # by the virtual machine's registers: the names of their values in this part

@@ -38,10 +38,10 @@ from palmd.observer.track import Track
 from palmd.observer.validity import Evidence, Thresholds, consistent, predictable, settled
 from palmd.system.arcs import MOST_LYING
 from palmd.system.description import RigDescription
-from palmd.system.mechanism import BENDS, FORCES, PALMS, RADII
+from palmd.system.mechanism import FORCES, PALMS, RADII
 
 SETTLED = Thresholds(age_s=0.4, radius_sd_m=3e-4, disagreement_m=3e-4)
-_RADII, _FORCES, _BENDS = ([NAMED.index(name) for name in names] for names in (RADII, FORCES, BENDS))
+_RADII, _FORCES, _BENDS = ([NAMED.index(name) for name in names] for names in (RADII, FORCES, ("v1", "v2")))
 
 
 class BankObserver:

@@ -82,7 +82,7 @@ def reconstruct(events: Sequence[Event], rig: RigDescription, seed: int = 0, *, 
 
 
 @dataclass(frozen=True, slots=True)
-class _SegmentFit:
+class _Part:
     """A segment, what is known of the object before it, and the best fit of it; `reason`: why that is in doubt."""
 
     segment: DataSegment
@@ -130,14 +130,14 @@ def _by_length(found: Sequence[DataSegment]) -> list[DataSegment]:
     return sorted((segment for segment in found if _length(segment) >= LEAST_S), key=_length, reverse=True)
 
 
-def _part(segment: DataSegment, rig: RigDescription, seed: int) -> _SegmentFit | None:
+def _part(segment: DataSegment, rig: RigDescription, seed: int) -> _Part | None:
     """The best that any attempt finds in a segment, None when nothing is, or moves."""
     rig = with_scatter(rig, segment.pads)
     believing = Search(segment, rig)
     if still(believing.record):
         return None
     doubting = Search(segment, rig, belief=believing.belief.suspended())
-    best: _SegmentFit | None = None
+    best: _Part | None = None
     for number, attempt in enumerate(attempts_for(rig)):
         search = doubting if attempt.free else believing
         finding = search.blind(attempt, seed)
@@ -151,7 +151,7 @@ def _part(segment: DataSegment, rig: RigDescription, seed: int) -> _SegmentFit |
     return best
 
 
-def _refined(search: Search, finding: Minima, segment: DataSegment, rig: RigDescription) -> _SegmentFit:
+def _refined(search: Search, finding: Minima, segment: DataSegment, rig: RigDescription) -> _Part:
     """The best fit again on finer nodes, each force's noise taken from the model's force instead of its neighbours'.
 
     Constants of the rig that the readings contradict are given free.
@@ -172,10 +172,10 @@ def _refined(search: Search, finding: Minima, segment: DataSegment, rig: RigDesc
         prior = replace(prior, sd=np.concatenate([prior.sd[: C.RIG], belief.sd, prior.sd[C.SHAPE :]]))
         smoother = Smoother(search.library, record, prior)
         fit = smoother.fit(belief.within(fit.guess), fit.noise)
-    return _SegmentFit(segment, search, prior, fit, record, belief, doubt(fit, finding))
+    return _Part(segment, search, prior, fit, record, belief, doubt(fit, finding))
 
 
-def _longest_together(parts: Sequence[_SegmentFit]) -> tuple[_SegmentFit, list[_Joined]]:
+def _longest_together(parts: Sequence[_Part]) -> tuple[_Part, list[_Joined]]:
     """Those parts that are of the same object beyond doubt: of all such sets the one that lasts longest."""
     left, best, longest = list(parts), (parts[0], list[_Joined]()), 0.0
     while left:
@@ -196,7 +196,7 @@ def _longest_together(parts: Sequence[_SegmentFit]) -> tuple[_SegmentFit, list[_
     return best
 
 
-def _joined(main: _SegmentFit, part: _SegmentFit) -> tuple[_SegmentFit, _Joined] | None:
+def _joined(main: _Part, part: _Part) -> tuple[_Part, _Joined] | None:
     """`main` with what `part` tells besides; None unless that is of the same object beyond doubt."""
     p = main.fit.guess.p
     prior = Chain(main.search.library, main.fit.noise, main.blind).prior(p)
@@ -212,7 +212,7 @@ def _joined(main: _SegmentFit, part: _SegmentFit) -> tuple[_SegmentFit, _Joined]
     return replace(main, known=known, fit=fit), _Joined(part.record, nodes[:, 0] + found.turn, nodes[:, 1])
 
 
-def _result(main: _SegmentFit, others: Sequence[_Joined], rig: RigDescription, begun: float) -> Reconstruction:
+def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: float) -> Reconstruction:
     fit, record, library = main.fit, main.record, main.search.library
     try:
         answered = marginalised(library, record, main.known, fit)
@@ -274,7 +274,7 @@ def most_lying(coefficients: FloatArray, normals: Sequence[FloatArray], curvatur
     return float(max((kappa * each).max() for kappa, each in zip(curvatures, v, strict=True)))
 
 
-def _weighed(main: _SegmentFit, rig: RigDescription, answered: Marginal) -> tuple[float, float]:
+def _weighed(main: _Part, rig: RigDescription, answered: Marginal) -> tuple[float, float]:
     """Mass and its one-sigma (kg), NaN without forces: from the fit, or afterwards where the forces were left out."""
     if len(main.record.force_value):
         mass = math.exp(answered.mean.p[C.LN_MASS])
