@@ -19,7 +19,7 @@ from palmd.config import Config, ExploreSpec, HoldSpec, MoveSpec, PlanSpec, Rate
 from palmd.daemon import lifecycle
 from palmd.daemon.commands import COMMANDS, CommandSpec
 from palmd.faults import FAULTS
-from palmd.model import errata
+from palmd.lab.equations import errata
 from palmd.model.notation import SYMBOLS
 from palmd.quantities import STAMP, TOPICS
 from palmd.rig.fault_injection import INJECTABLE_FAULTS, SERVO_FAULTS

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.model.paper import CASES, POINT, Case, codistribution
+from palmd.lab.equations.paper import CASES, POINT, Case, codistribution
 
 LENGTH_M = 0.02
 GRAVITY_M_S2 = 9.81

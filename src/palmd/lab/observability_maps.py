@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from palmd.events import FloatArray
 from palmd.lab import last_second
 from palmd.lab.codistributions import GRAVITY_M_S2, scaled, singular_values
-from palmd.model.paper import POINT, Case, codistribution
+from palmd.lab.equations.paper import POINT, Case, codistribution
 
 NAME = "observability.svg"
 

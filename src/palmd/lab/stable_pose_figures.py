@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D  # type: ignore[import-untyped]
 
 from palmd.events import FloatArray
-from palmd.model.ambiguous import Ambiguous, many_poses
+from palmd.lab.equations.ambiguous import Ambiguous, many_poses
 from palmd.model.shape import coefficients_of
 from palmd.model.stable_poses import basins, centre_of_mass, centre_of_rotation, follow, outline_at, touch
 from palmd.model.stable_surface import Surface, SurfaceLimits, inside_boundary, stable_surface

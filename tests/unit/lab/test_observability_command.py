@@ -14,8 +14,8 @@ from palmd.cli import main
 from palmd.console.extras import install_line
 from palmd.events import PalmMotion
 from palmd.lab import codistributions, last_second, observability_maps
+from palmd.lab.equations.paper import CASES, POINT, codistribution
 from palmd.model.outputs import rig_inputs
-from palmd.model.paper import CASES, POINT, codistribution
 from palmd.observer import prior
 from palmd.observer.observability import SAMPLE_S, Observability
 from palmd.rig.plant import FrictionSurface, Hinge, Plant, stable_poses

@@ -4,7 +4,7 @@ palmd estimates with `model/dynamics.py`, which keeps v1 and v2. The systems her
 the contacts' sliding rates ω1 − ω0 and ω12 − ω0. They serve to check the paper and to ask what can be observed.
 
 All symbols are SI. `gravity` is positive; the scalar g of (4.23) to (4.57) is its negative. The fields of the special
-cases follow from the general ones by substitution; `model/printed_dynamics.py` holds what the paper prints for them.
+cases follow from the general ones by substitution; `printed_dynamics.py` holds what the paper prints for them.
 """
 
 from __future__ import annotations

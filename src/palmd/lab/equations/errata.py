@@ -14,9 +14,9 @@ from typing import Literal
 
 import casadi as ca
 
-from palmd.model import paper, printed_dynamics, printed_geometry, printed_rates
-from palmd.model.equation_check import EquationCheck
-from palmd.model.paper import g, omega0, omega2, phi1, phi2, phi12, r1, r2, s1, s2
+from palmd.lab.equations import paper, printed_dynamics, printed_geometry, printed_rates
+from palmd.lab.equations.equation_check import EquationCheck
+from palmd.lab.equations.paper import g, omega0, omega2, phi1, phi2, phi12, r1, r2, s1, s2
 from palmd.model.symbolic import SX
 
 Certainty = Literal["certain", "likely"]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from palmd.events import PalmMotion
-from palmd.model.ambiguous import ambiguous_outline, many_poses
+from palmd.lab.equations.ambiguous import ambiguous_outline, many_poses
 from palmd.model.stable_poses import (
     centre_of_mass,
     centre_of_rotation,

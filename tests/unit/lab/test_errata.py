@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from palmd.model import errata, paper
+from palmd.lab.equations import errata, paper
 
 ERRATA = errata.errata()
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from palmd.lab.equations.equation_check import EquationCheck
 from palmd.model.contact import normal, solve_from_normals, tangent
-from palmd.model.equation_check import EquationCheck
 from palmd.model.symbolic import SX
 
 sin, cos, tan, dot = ca.sin, ca.cos, ca.tan, ca.dot

@@ -1,16 +1,16 @@
-"""Chapter 4 of CMU-CS-01-107 as printed: the general case and fixed palms, beside what `model/paper.py` derives.
+"""Chapter 4 of CMU-CS-01-107 as printed: the general case and fixed palms, beside what `paper.py` derives.
 
 Fraction bars lost in the text are put back where they must have been; signs and terms stay as they are printed. What
-is wrong here is wrong in the paper, see `model/errata.py`.
+is wrong here is wrong in the paper, see `errata.py`.
 """
 
 from __future__ import annotations
 
 import casadi as ca
 
-from palmd.model import paper
-from palmd.model.equation_check import EquationCheck
-from palmd.model.paper import (
+from palmd.lab.equations import paper
+from palmd.lab.equations.equation_check import EquationCheck
+from palmd.lab.equations.paper import (
     alpha1,
     alpha12,
     d1,
