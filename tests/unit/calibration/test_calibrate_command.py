@@ -6,6 +6,7 @@ import tty
 from dataclasses import replace
 
 import pytest
+import terminals
 import yaml
 
 import palmd.calibration
@@ -38,12 +39,8 @@ def configured(tmp_path):
 
 @pytest.fixture
 def line():
-    """A pseudo-terminal: the far end's descriptor and the port's path."""
-    master, slave = os.openpty()
-    tty.setraw(slave)
-    yield master, os.ttyname(slave)
-    for descriptor in (master, slave):
-        os.close(descriptor)
+    with terminals.line() as ends:
+        yield ends
 
 
 def marble(monkeypatch, **options):

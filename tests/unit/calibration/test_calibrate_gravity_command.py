@@ -267,9 +267,9 @@ def test_slopes_keep_to_the_limits():
         found = list(slopes_within(limits, 40))
         assert [each.rolls for each in found] == [13, 40, 40, 13]
         for each in found:
-            assert phi1[0] < each.phi1_deg < phi1[1]
-            assert phi2[0] < each.phi2_deg < phi2[1]
-            assert each.phi1_deg + each.phi2_deg < 172.0
+            for (low, high), angle in zip((phi1, phi2), each.angles_deg, strict=True):
+                assert low < angle < high
+            assert sum(each.angles_deg) < 172.0
     with pytest.raises(CliError, match="limits: they leave no two slopes"):
         list(slopes_within(LimitsConfig(phi1_deg=(45, 50), phi2_deg=(75, 105)), 40))
     assert str(Slope(2, (41.0, 110.0), 3)) == "palm 2, 29°"

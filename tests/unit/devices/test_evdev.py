@@ -2,12 +2,11 @@
 
 import math
 import os
-import pty
 import time
-import tty
 from itertools import pairwise
 
 import pytest
+import terminals
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -180,11 +179,8 @@ def test_no_bytes_whatever_make_it_raise(data):
 
 @pytest.fixture
 def terminal():
-    master, slave = pty.openpty()
-    tty.setraw(slave)
-    yield master, os.ttyname(slave)
-    for fd in (master, slave):
-        os.close(fd)
+    with terminals.line() as ends:
+        yield ends
 
 
 def test_the_same_records_are_read_from_a_terminal(terminal):

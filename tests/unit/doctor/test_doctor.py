@@ -6,12 +6,12 @@ import subprocess
 import sys
 import threading
 import time
-import tty
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+import terminals
 from shut import shut
 
 from palmd.cli import main
@@ -45,15 +45,12 @@ def path(tmp_path):
 @contextmanager
 def terminal(link):
     """A pseudo-terminal under a steady name; its far end's descriptor."""
-    master, slave = os.openpty()
-    tty.setraw(slave)
-    link.symlink_to(os.ttyname(slave))
-    try:
-        yield master
-    finally:
-        link.unlink()
-        os.close(slave)
-        os.close(master)
+    with terminals.line() as (far, port):
+        link.symlink_to(port)
+        try:
+            yield far
+        finally:
+            link.unlink()
 
 
 def found(path):
@@ -379,12 +376,8 @@ def test_a_container_s_pseudo_terminal_of_the_same_number_is_another_port():
 
 
 def test_who_holds_a_port_is_found(monkeypatch):
-    master, slave = os.openpty()
-    try:
-        assert os.getpid() in [process for process, _ in ports.holders(os.ttyname(slave))]
+    with terminals.line() as (_, port):
+        assert os.getpid() in [process for process, _ in ports.holders(port)]
         assert ports.holders("/dev/ttyNobody") == []
         monkeypatch.setattr(ports, "same_port", lambda *_: False)  # as if all were of a container
-        assert ports.holders(os.ttyname(slave)) == []
-    finally:
-        os.close(master)
-        os.close(slave)
+        assert ports.holders(port) == []

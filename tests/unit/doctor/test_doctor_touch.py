@@ -3,9 +3,9 @@
 import os
 import threading
 import time
-import tty
 
 import pytest
+import terminals
 
 from palmd.cli import main
 from palmd.config import PadsConfig, VersaPadConfig
@@ -49,17 +49,10 @@ def test_strokes_that_tell_nothing(strokes):
 @pytest.fixture
 def rig(tmp_path):
     """Two pads on pseudo-terminals; their far ends and the configuration."""
-    masters, slaves, text = {}, [], ""
-    for palm in (1, 2):
-        masters[palm], slave = os.openpty()
-        tty.setraw(slave)
-        slaves.append(slave)
-        text += f"palm{palm}: {{port: {os.ttyname(slave)}}}, "
-    path = tmp_path / "palmd.yaml"
-    path.write_text(f"pads: {{{text[:-2]}}}\narm: {{port: /dev/none}}\n")
-    yield masters, path
-    for descriptor in (*masters.values(), *slaves):
-        os.close(descriptor)
+    with terminals.line() as (far1, port1), terminals.line() as (far2, port2):
+        path = tmp_path / "palmd.yaml"
+        path.write_text(f"pads: {{palm1: {{port: {port1}}}, palm2: {{port: {port2}}}}}\narm: {{port: /dev/none}}\n")
+        yield {1: far1, 2: far2}, path
 
 
 def slide(master, counts):
