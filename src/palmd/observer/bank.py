@@ -7,9 +7,11 @@ arrays, calls the kernels, keeps the scores, and prunes what is unlikely.
 
 from __future__ import annotations
 
+import ctypes
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -71,12 +73,11 @@ class Bank:
         self.full_size = blocks * self.block
         self.n = n
         self.backend = library.backend
-        self._memory_s = memory_s
-        self._blocks = blocks
+        self.memory_s = memory_s
+        self._now = (ctypes.c_long * 2)(0, blocks)  # which side is current, how many blocks are active: C changes it
         self._x = [np.zeros((self.full_size, n)) for _ in range(2)]
         self._P = [np.zeros((self.full_size, n, n)) for _ in range(2)]
         self._score, self._nis = np.zeros(self.full_size), np.ones(self.full_size)
-        self._side = 0  # kernels write into the other side's arrays, which then become the current ones
         self._outcome = np.zeros((self.full_size, 2))
         self._u, self._v = np.zeros(inputs[0]), np.zeros(inputs[1])
         self._y = np.zeros((self.full_size, inputs[2]))
@@ -97,12 +98,21 @@ class Bank:
     @property
     def size(self) -> int:
         """How many filters are active."""
-        return self._blocks * self.block
+        return self._now[1] * self.block
 
     @property
     def blocks(self) -> int:
         """How many blocks of filters are active."""
-        return self._blocks
+        return self._now[1]
+
+    @property
+    def _side(self) -> int:
+        """Kernels write into the other side's arrays, which then become the current ones."""
+        return self._now[0]
+
+    def memory(self) -> tuple[list[FloatArray], list[FloatArray], FloatArray, FloatArray, FloatArray, Any]:
+        """All that C needs to go on with: both sides' x and P, scores, mean NIS, outcomes; current side and blocks."""
+        return self._x, self._P, self._score, self._nis, self._outcome, self._now
 
     def members(self, block: int) -> slice:
         """The filters of one block."""
@@ -130,7 +140,7 @@ class Bank:
 
     def refill(self) -> None:
         """All filters active again, with equal scores; their states are the caller's to set."""
-        self._blocks = self.full_size // self.block
+        self._now[1] = self.full_size // self.block
         self._score[:] = 0.0
         self._nis[:] = 1.0
 
@@ -139,11 +149,11 @@ class Bank:
         self._u[0] = dt
         self._u[1:] = np.concatenate(inputs)
         self._call(self._predict)
-        self._side = 1 - self._side
+        self._now[0] = 1 - self._now[0]
 
     def age_scores(self, seconds: float) -> None:
         """Let what the readings so far have scored weigh less."""
-        self.score[:] *= math.exp(-seconds / self._memory_s)
+        self.score[:] *= math.exp(-seconds / self.memory_s)
 
     def update(
         self, name: str, value: float, variance: float, *inputs: float, repeated: float = 1.0, scored: bool = True
@@ -154,7 +164,7 @@ class Bank:
         """
         self._z[name][:] = (value, variance, GATE, repeated, *inputs)
         self._call(self._updates[name])
-        self._side = 1 - self._side
+        self._now[0] = 1 - self._now[0]
         outcome = self._outcome[: self.size]
         # a sum is finite only if all its terms are (or they cancel as infinities, which gives NaN)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -214,12 +224,12 @@ class Bank:
         """
         hopeful = int(np.count_nonzero(self.score > self.score.max() - margin))
         blocks = max(1, math.ceil(hopeful / self.block))
-        if blocks == self._blocks:
+        if blocks == self.blocks:
             return None
         order = np.argsort(-self.score, kind="stable")
         for array in (self.x, self.P, self.score, self.nis):
             array[:] = array[order]
-        self._blocks = blocks
+        self._now[1] = blocks
         return order[: self.size]
 
     def drop(self, members: npt.NDArray[np.bool_]) -> None:
@@ -228,7 +238,7 @@ class Bank:
 
     def best(self) -> int:
         """Index of the most likely filter."""
-        return int(np.argmax(self.score))
+        return int(self.score.argmax()) if self.size > 1 else 0
 
     def lost(self) -> bool:
         """Whether not one filter is finite any more."""

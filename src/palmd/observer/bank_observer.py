@@ -236,12 +236,12 @@ class BankObserver:
         """Of `NAMED` at `t` (s): values, one-sigmas, and the share of these that rival hypotheses make."""
         fusion, best = self._fusion, self._fusion.bank.best()
         dt = min(max(t - fusion.t, 0.0), LONGEST_STEP_S * 4)
-        y, cov = fusion.filters.named(best, fusion.t, dt, fusion.palms)
+        y, variance = fusion.filters.named(best, fusion.t, dt, fusion.palms)
         if self._observability.due(fusion.t):
             state, motion = fusion.filters.as_shape_map(best), fusion.palms.at(fusion.t)
             self._observability.sample(fusion.t, state, motion, fusion.palms.jerk)
         disagreement = self._disagreement(best, fusion.rivals())
-        sd = np.sqrt(np.maximum(np.diagonal(cov), 0.0) + disagreement**2)
+        sd = np.sqrt(np.maximum(variance, 0.0) + disagreement**2)
         sd *= self._inflation(track, t)
         if not fusion.carries:
             sd[_RADII] = np.hypot(sd[_RADII], track.radius_sd)
