@@ -1,8 +1,8 @@
 /* What a bank of shape maps computes between two decisions: the palms' motion, readings as they would be on a rig
    without errors, prediction, correction, gates and scores, and late events fused in their own place.
 
-   The twin of `observer.palms`, `observer.rig_error`, `observer.bank`, `observer.history` and `observer.filters.
-   shape_map`, which say what is computed, and why; sizes are those here. Arrays are the caller's, and nothing is kept.
+   The twin of `observer.palms`, `observer.rig_error`, `observer.bank`, `observer.history` and
+   `observer.filters.shape_map`, which say what is computed, and why; sizes are those here. Arrays are the caller's, and nothing is kept.
    The kernels are given by their addresses, so that one file serves banks of any size and order. */
 
 #include <math.h>
@@ -273,6 +273,60 @@ void read_pad(Bank *bank, const Palms *palms, const RigError *rig, const Reading
     bank->score[f] += bank->outcome[2 * f];
     bank->nis[f] += ((nis < GATE ? nis : GATE) - bank->nis[f]) / NIS_READINGS; /* one outlier is no wrong model */
   }
+}
+
+/* forget `fraction` of what the filters of one block have been taught, but not what was believed of the states from
+   `first` up to `last`: `mean` and `variance` (filters, n) */
+void fade(Bank *bank, long block, double fraction, long first, long last, const double *mean, const double *variance) {
+  const long n = bank->n;
+  for (long f = block * bank->block; f < (block + 1) * bank->block; f++) {
+    double *x = bank->x[bank->now[0]] + f * n, *P = bank->P[bank->now[0]] + f * n * n, gain[MOST_STATES], shed[MOST_STATES];
+    for (long i = 0; i < n * n; i++) P[i] *= 1.0 + fraction;
+    for (long state = first; state < last; state++) {
+      const double miss = mean[f * n + state] - x[state];
+      const double spread = P[state * n + state] + variance[f * n + state] / fraction;
+      for (long i = 0; i < n; i++) gain[i] = P[i * n + state] / spread;
+      for (long i = 0; i < n; i++) shed[i] = gain[i] * spread;
+      for (long i = 0; i < n; i++) x[i] += gain[i] * miss;
+      for (long i = 0; i < n; i++)
+        for (long j = 0; j < n; j++) P[i * n + j] -= gain[i] * shed[j];
+    }
+  }
+}
+
+/* the mean of a standard normal above `a`, which is not below 0 */
+static double mills(double a) {
+  if (a > 20.0) return a + 1.0 / a - 2.0 / (a * a * a);
+  return exp(-a * a / 2) / (sqrt(M_PI / 2) * erfc(a / sqrt(2.0)));
+}
+
+/* tell the filters of one block that rows·x is not negative, where the lowest is; how many had to be told */
+long lift(Bank *bank, long block, const double *rows, long count) {
+  const long n = bank->n;
+  long told = 0;
+  for (long f = block * bank->block; f < (block + 1) * bank->block; f++) {
+    double *x = bank->x[bank->now[0]] + f * n, *P = bank->P[bank->now[0]] + f * n * n, Ph[MOST_STATES];
+    double lowest = 0.0, variance = 0.0;
+    const double *row = NULL;
+    for (long r = 0; r < count; r++) {
+      double value = 0.0;
+      for (long i = 0; i < n; i++) value += rows[r * n + i] * x[i];
+      if (value < lowest) lowest = value, row = rows + r * n;
+    }
+    if (!row) continue;
+    told++;
+    for (long i = 0; i < n; i++) {
+      Ph[i] = 0.0;
+      for (long j = 0; j < n; j++) Ph[i] += P[i * n + j] * row[j];
+    }
+    for (long i = 0; i < n; i++) variance += row[i] * Ph[i];
+    if (!(variance > 0.0)) continue;
+    const double sd = sqrt(variance), depth = -lowest / sd, rise = mills(depth);
+    for (long i = 0; i < n; i++) x[i] += Ph[i] * (rise / sd);
+    for (long i = 0; i < n; i++)
+      for (long j = 0; j < n; j++) P[i * n + j] -= Ph[i] * Ph[j] * (rise * (rise - depth) / variance);
+  }
+  return told;
 }
 
 /* NAMED of one filter, from `t` to `t + dt`, and the variance of each; `spread` (n, steps) is what the rig's constants

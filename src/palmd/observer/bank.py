@@ -11,7 +11,7 @@ import ctypes
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,9 @@ import numpy.typing as npt
 from palmd.events import FloatArray
 from palmd.model.compiled import LANES, BoundCall, Library
 from palmd.observer.cutoff import cut_off
+
+if TYPE_CHECKING:
+    from palmd.observer.compiled_fusion import CompiledBank
 
 GATE = 16.0  # innovation² beyond which a reading is an outlier: 4 sigma
 SCORE_MEMORY_S = 2.0  # longer, and what was likely early leads after it has gone wrong
@@ -67,6 +70,7 @@ class Bank:
         `inputs` are the lengths of the last inputs of `predict` and `values`, and the number of values. Scores fade
         with the time constant `memory_s`. A bank of one filter has kernels of its own.
         """
+        self.compiled: CompiledBank | None = None  # what does in C what is done here in NumPy, where there is any
         self.block = 1 if size == 1 else LANES
         suffix = "" if size == 1 else "_block"
         blocks = math.ceil(size / self.block)
@@ -189,6 +193,9 @@ class Bank:
         grows by 1 + fraction, and the constants are told their prior again with just the weight that this took
         from it. Takes a tenth of a millisecond: for now and then, not for every event.
         """
+        if self.compiled is not None:
+            self.compiled.fade(block, fraction, prior)
+            return
         members = self.members(block)
         x, P, mean = self.x[members], self.P[members], prior.mean[members]
         variance = np.broadcast_to(prior.sd, prior.mean.shape)[members] ** 2
@@ -207,6 +214,8 @@ class Bank:
         Mean and variance become those of the normal distribution cut off at 0, exactly. Returns whether every filter
         was found above. A few microseconds when it was, some 20 µs a filter when not.
         """
+        if self.compiled is not None:
+            return self.compiled.lift(block, rows)
         members = self.members(block)
         x, P = self.x[members], self.P[members]
         values = x @ rows.T

@@ -24,7 +24,7 @@ from palmd.observer.palms import motion_of, repetitions
 from palmd.system.mechanism import JOINTS, PALMS
 
 if TYPE_CHECKING:
-    from palmd.observer.bank import Bank
+    from palmd.observer.bank import Bank, Belief
     from palmd.observer.rig_error import RigError
 
 MOST_STATES = 64
@@ -98,6 +98,8 @@ class Routines:
         self.palms_feed = self._bound("palms_feed", pointer, pointer)
         self.carry = self._bound("carry", *of_bank, number, number, number)
         self.read_pad = self._bound("read_pad", *of_bank, pointer, number, number)
+        self.fade = self._bound("fade", pointer, integer, number, integer, integer, pointer, pointer)
+        self.lift = self._bound("lift", pointer, integer, pointer, integer, gives=integer)
         self.named = self._bound("named", *of_bank, integer, number, number, pointer, integer, pointer, pointer)
         self.add = self._bound("add", pointer, *of_bank, pointer, gives=integer)
         self.fuse = self._bound("fuse", pointer, *of_bank, gives=integer)
@@ -203,11 +205,24 @@ class CompiledBank:
         """As `Filters.carry`."""
         self.does.carry(self.address, palms.address, rig.address, t, until, repeated)
 
-    def read(
-        self, rig: CompiledRig, palms: CompiledPalms, sample: PadSample, variance: float, repeated: float
-    ) -> None:
+    def read(self, rig: CompiledRig, palms: CompiledPalms, sample: PadSample, variance: float, repeated: float) -> None:
         """Fuse one contact reading, one of `repeated` that share one error."""
         self.does.read_pad(self.address, palms.address, rig.address, self.reading(sample), variance, repeated)
+
+    def fade(self, block: int, fraction: float, prior: Belief) -> None:
+        """As `Bank.fade`."""
+        first, last, _ = prior.which.indices(self.bank.n)
+        mean = np.ascontiguousarray(prior.mean)
+        variance = np.ascontiguousarray(np.broadcast_to(prior.sd, mean.shape) ** 2)
+        if len(mean) < self.bank.size or mean.shape[1] != self.bank.n:
+            raise ValueError(f"beliefs are of {self.bank.size} filters' {self.bank.n} states, not {mean.shape}")
+        self.does.fade(self.address, block, fraction, first, last, mean.ctypes.data, variance.ctypes.data)
+
+    def lift(self, block: int, rows: FloatArray) -> bool:
+        """As `Bank.lift`."""
+        if not rows.flags.c_contiguous or rows.shape[1] != self.bank.n:
+            raise ValueError(f"rows are of {self.bank.n} states, not {rows.shape}")
+        return self.does.lift(self.address, block, rows.ctypes.data, len(rows)) == 0
 
     def named(
         self, rig: CompiledRig, palms: CompiledPalms, member: int, t: float, dt: float, spread: FloatArray | None

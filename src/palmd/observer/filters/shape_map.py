@@ -87,6 +87,7 @@ class ShapeFilters:
         self.curvature[:, shape_map.Z.SHAPE :] = curvature_rows(order)
         self._routines = Routines(library) if compiled and library.path is not None else None
         self.compiled = None if self._routines is None else CompiledBank(self._routines, self.bank, self._rig)
+        self.bank.compiled = self.compiled
         self.rig_error = RigError(tuple(pad.length for pad in rig.pads), rig.curvatures)
         self.spread: FloatArray | None = None
 
