@@ -27,6 +27,8 @@ GATE = 16.0  # innovation² beyond which a reading is an outlier: 4 sigma
 SCORE_MEMORY_S = 2.0  # longer, and what was likely early leads after it has gone wrong
 NIS_READINGS = 50.0  # readings over which each filter's mean NIS is taken
 LOST_SCORE = -math.inf
+_ONLY = np.zeros(1, dtype=np.intp)
+_ONLY.setflags(write=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,6 +257,8 @@ class Bank:
 
     def plausible(self, margin: float) -> npt.NDArray[np.intp]:
         """Indices of the filters whose score is within `margin` (nats) of the best."""
+        if self.size == 1:
+            return _ONLY
         return np.flatnonzero(self.score > self.score.max() - margin)
 
     def blank(self) -> Snapshot:
