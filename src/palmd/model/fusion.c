@@ -8,6 +8,10 @@
 #include <math.h>
 #include <string.h>
 
+#if defined(__GNUC__) && !defined(__clang__)
+#pragma GCC optimize("O3") /* loops in vector registers; no sum is taken in another order */
+#endif
+
 #define JOINTS 2
 #define MOTION (3 * JOINTS) /* angles, rates, accelerations */
 #define RIG_INPUTS 7
@@ -339,12 +343,12 @@ void named(const Bank *bank, const Palms *palms, const RigError *rig, long membe
   double P[MOST_STATES * MOST_STATES], P_next[MOST_STATES * MOST_STATES], x_next[MOST_STATES], J[MOST_STATES * NAMED];
   double u[1 + MOTION + JOINTS + RIG_INPUTS], angles[JOINTS], rates[JOINTS];
   memcpy(P, given, n * n * sizeof *P);
-  for (long i = 0; i < n && spread; i++)
-    for (long j = 0; j < n; j++) {
-      double sum = 0.0;
-      for (long k = 0; k < steps; k++) sum += spread[i * steps + k] * spread[j * steps + k];
-      P[i * n + j] += sum;
-    }
+  for (long k = 0; k < steps; k++) {
+    double step[MOST_STATES];
+    for (long i = 0; i < n; i++) step[i] = spread[i * steps + k];
+    for (long i = 0; i < n; i++)
+      for (long j = 0; j < n; j++) P[i * n + j] += step[i] * step[j];
+  }
   prediction_inputs(bank, palms, rig, t, dt, u);
   const double *in[] = {x, P, u};
   double *out[] = {x_next, P_next};

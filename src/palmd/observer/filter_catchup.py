@@ -38,8 +38,9 @@ class FilterCatchUp:
         """Start at `improvement.t`; `recent` holds the events since `LEAD_S` before it, and maybe earlier ones."""
         self._palms = self._filters.tracker(self._angle_noise)
         self._filters.rig_error.values[:] = improvement.rig
-        ordered = sorted(recent, key=lambda event: event.t_sample)
-        self._waiting = deque(event for event in ordered if event.t_sample > improvement.t - LEAD_S)
+        since = improvement.t - LEAD_S
+        needed = (event for event in recent if event.t_sample > since)
+        self._waiting = deque(sorted(needed, key=lambda event: event.t_sample))
         while self._waiting and self._waiting[0].t_sample <= improvement.t:
             event = self._waiting.popleft()
             if isinstance(event, PalmSample):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -36,7 +36,7 @@ class RigError:
     def on_time(self, sample: PadSample) -> PadSample:
         """The reading at the time of what it tells."""
         lag = float(self.values[R.LAG + sample.pad - 1])
-        return replace(sample, t_sample=sample.t_sample - lag) if lag else sample
+        return PadSample(sample.t_sample - lag, sample.pad, sample.s, sample.force) if lag else sample
 
     def corrected(self, sample: PadSample, opening: float, radius: float) -> float:
         """The distance (m) that the pad would tell, had it no error and lay on the hinge line; φ2 as in `angles`.
