@@ -10,7 +10,7 @@
 
 _shtab_palmd_commands() {
   local _commands=(
-    bench:'studies of many runs: montecarlo, sbc, explore, recognise, curved, pivot, space, parts, peers, field, faults, simulate, soak'
+    bench:'studies of many runs: montecarlo, sbc, explore, recognise, curved, pivot, space, parts, speed, peers, field, faults, simulate, soak'
     build:'compile the observers now; the first run does it otherwise'
     calibrate:'measure what the configuration must know: pad, arm, gravity, pads, force, self'
     check:'find what is wrong with configurations and motion plans'
@@ -59,6 +59,7 @@ _shtab_palmd_bench_commands() {
     simulate:'daemon and rig in virtual time with everything that may go wrong at once: what must hold all the same'
     soak:'the demo for an hour with random mischief: leaks, lateness, lost packets'
     space:'bodies between three palms in space reconstructed blind, with seeds'
+    speed:'how fast palmd is on this machine, as ratios to references beside it'
   )
   _describe 'palmd bench commands' _commands
 }
@@ -295,6 +296,16 @@ _shtab_palmd_bench_space_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_bench_space_defaults_added=0
+
+_shtab_palmd_bench_speed_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--turns[of each, and its reference (default\: 7)]:N:"
+  "--records[whole records of so many seconds, shortest first (default\: 10 40\; without one\: none)]:S:"
+  "--markdown[as a table for docs\/results\/speed.md]"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_palmd_bench_speed_defaults_added=0
 
 _shtab_palmd_build_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -904,6 +915,7 @@ _shtab_palmd_bench() {
         simulate) _arguments -C -s $_shtab_palmd_bench_simulate_options ;;
         soak) _arguments -C -s $_shtab_palmd_bench_soak_options ;;
         space) _arguments -C -s $_shtab_palmd_bench_space_options ;;
+        speed) _arguments -C -s $_shtab_palmd_bench_speed_options ;;
       esac
   esac
 }

@@ -15,11 +15,14 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController
 
+_alone = False  # whether this is a process of palmd's own, which begins with one thread and keeps to it
 _VARIABLES = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 
 
 def one_thread_from_here() -> None:
     """For a process of palmd's own, before it loads an array library: no other threads, nor in what it starts."""
+    global _alone
+    _alone = True
     os.environ.update(dict.fromkeys(_VARIABLES, "1"))
 
 
@@ -30,6 +33,9 @@ def one_thread() -> Iterator[None]:
     Takes 30 µs. OpenBLAS's threads are the whole process's: where several of Python's threads are in here at once, the
     first one takes them away and gives them back.
     """
+    if _alone:
+        yield
+        return
     with _libraries().limit(limits=1):
         yield
 

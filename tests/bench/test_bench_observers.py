@@ -9,10 +9,11 @@ from palms import palm_sample
 
 from palmd.events import PadSample
 from palmd.model import building, compiled, extended, shape_map
-from palmd.observer import EXTENDED_BANK, SHAPE_BANK, QuasistaticObserver
+from palmd.observer import EXTENDED_BANK, SHAPE_BANK
 from palmd.observer.bank_observer import BankObserver
 from palmd.observer.filters.extended import ExtendedFilters
 from palmd.observer.filters.shape_map import ShapeFilters
+from palmd.observer.quasistatic import QuasistaticObserver
 from palmd.rig.simulate import simulate_log
 from palmd.system.description import RigDescription
 

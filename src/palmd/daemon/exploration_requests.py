@@ -7,8 +7,8 @@ from typing import Protocol
 
 from palmd.config import ExploreGoal
 from palmd.events import Outlook
+from palmd.motion.decisions import Decision, UnderWay
 from palmd.motion.excitation import rock
-from palmd.motion.explorer import Decision, Explorer, UnderWay
 from palmd.motion.limits import MotionLimits
 from palmd.motion.segments import Angles, Move
 from palmd.system.description import RigDescription
@@ -75,6 +75,8 @@ class Decider:
         """The answer to a question; a new task begins with a new explorer."""
         task, outlook, move = question.task, question.outlook, question.under_way.move
         if task.run != self._run:
+            from palmd.motion.explorer import Explorer  # here: who only asks need not load it
+
             self._run = task.run
             self._explorer = Explorer(self._rig, task.limits, task.goal, self._seed)
             self._centre: Angles | None = None  # of the rocking

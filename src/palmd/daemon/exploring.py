@@ -17,8 +17,8 @@ from palmd.daemon.exploration_requests import ExplorationAnswer, ExplorationTask
 from palmd.daemon.setpoints import SetPoints
 from palmd.events import Outlook
 from palmd.messages import Explored
+from palmd.motion.decisions import UnderWay
 from palmd.motion.exploration import Exploration
-from palmd.motion.explorer import UnderWay
 from palmd.motion.segments import Move
 
 log = logging.getLogger(__name__)

@@ -17,8 +17,6 @@ import numpy as np
 
 from palmd.daemon.worker import WorkerProcess, give_back_memory, meet
 from palmd.events import Event, Improvement, PadLift, PadSample, PalmSample
-from palmd.model import shape_map, smoothing
-from palmd.observer.incremental import IncrementalSmoother
 from palmd.observer.smoothing import Session, period
 from palmd.system.description import PadSensor, RigDescription
 
@@ -90,6 +88,10 @@ def _unpacked(fields: list[Any]) -> Event:
 
 def serve(address: str, rig: str) -> None:
     """The process's work, for ever: gather readings, smooth, answer; `rig` is the description's fields as JSON."""
+    # in this process alone: the loop's has no use for them
+    from palmd.model import shape_map, smoothing
+    from palmd.observer.incremental import IncrementalSmoother
+
     described = _rig_of(json.loads(rig))
     smoother = IncrementalSmoother(described)
     next_one = 0.0

@@ -141,7 +141,7 @@ def values_function(order: int = HARMONICS, curved: bool = False) -> ca.Function
 def library(order: int = HARMONICS, curved: bool = False) -> Library:
     """Kernels for blocks of shape maps and, without `_block`, for one: predict, update_s1, update_s2, values; named.
 
-    Those of `curved` palms find each contact by iteration; flat ones are spared that.
+    Those of `curved` palms find each contact by iteration; flat ones are spared that. Compiled, `fusion.c` besides.
     """
 
     def kernels() -> list[Kernel]:
@@ -151,4 +151,4 @@ def library(order: int = HARMONICS, curved: bool = False) -> Library:
         return [*banks, *map(single, functions), single(named_function(order, curved))]
 
     name = ("shape_map" if order == HARMONICS else f"shape_map{order}") + ("_curved" if curved else "")
-    return load(name, kernels)
+    return load(name, kernels, written=["fusion.c"])

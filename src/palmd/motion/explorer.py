@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from palmd.model.arcs import touched_normals
 from palmd.model.outputs import rig_inputs
 from palmd.model.shape import basis
 from palmd.motion import candidates
+from palmd.motion.decisions import Decision, UnderWay
 from palmd.motion.limits import MotionLimits, problems, ranges
 from palmd.motion.reach import arcs, reach, surface_limits, why_not
 from palmd.motion.rig_information import RigCost, RigInformation, rig_cost
@@ -53,8 +53,6 @@ STUCK_S = 40.0  # without anything new
 RIG_SHARE, RIG_RATE, RIG_S = 0.1, 0.03, 15.0
 ANSWER_S = 2.0  # until a smoother has told what a motion was good for
 
-Kind = Literal["move", "wait", "safe", "unsafe", "done"]
-
 
 def _careful_angles(curvatures: tuple[float, ...]) -> tuple[tuple[float, float], ...]:
     """`CAREFUL_ANGLES`, on curved palms those at which a middling object's contacts are as there."""
@@ -64,29 +62,6 @@ def _careful_angles(curvatures: tuple[float, ...]) -> tuple[tuple[float, float],
     low, high = (joints_of(CAREFUL_RADIUS_M, (first, opening), curvatures) for opening in (closed, opened))
     turn = (low[0] + high[0]) / 2 - first
     return (first + turn, last + turn), (low[1], high[1])
-
-
-@dataclass(frozen=True, slots=True)
-class UnderWay:
-    """What the palms are commanded to do: a move, and for how long already (s); at rest when that is its duration."""
-
-    move: Move
-    elapsed: float
-
-
-@dataclass(frozen=True, slots=True)
-class Decision:
-    """What to do next; `safe` says no more than that the move under way may go on.
-
-    move: from where the one under way ends, from rest to rest. reason: in words. coverage: the share touched of the
-    normals that can be reached; reachable: their share of all.
-    """
-
-    kind: Kind
-    move: Move | None = None
-    reason: str = ""
-    coverage: float = math.nan
-    reachable: float = math.nan
 
 
 class Explorer:

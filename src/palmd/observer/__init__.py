@@ -3,28 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from palmd.events import ObserverName
 from palmd.model.smoothing import ORDER
 from palmd.observer.bank_observer import BankObserver
 from palmd.observer.filters.base import NOT_OVERCONFIDENT
-from palmd.observer.filters.extended import ExtendedFilters
 from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.handover import Handover
 from palmd.observer.observer import Observer
-from palmd.observer.quasistatic import QuasistaticObserver
-from palmd.observer.recogniser import Recogniser
 from palmd.observer.returning_object import ReturningObject, SmoothedFilters
-from palmd.observer.simulated_smoother import Simulated
 from palmd.observer.smoother_link import SmootherLink
 from palmd.observer.smoothing import Smoothing
-from palmd.outlinefile import Outline
 from palmd.system.description import RigDescription
+
+if TYPE_CHECKING:
+    from palmd.observer.simulated_smoother import Simulated
+    from palmd.outlinefile import Outline
 
 OBSERVERS: tuple[str, ...] = get_args(ObserverName)
 
 __all__ = ["OBSERVERS", "Observer", "ObserverName", "Simulated", "Smoothing", "make"]
+
+
+def __getattr__(name: str) -> Any:
+    """`Simulated` is loaded when it is wanted: a daemon's smoother is in another process."""
+    if name != "Simulated":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from palmd.observer.simulated_smoother import Simulated
+
+    return Simulated
+
 
 EXTENDED_BANK, SHAPE_BANK, KNOWN_BANK = 24, 32, 24  # multiples of model.compiled.BLOCK
 
@@ -51,11 +60,18 @@ def make(
     """
     if rig.curved and (reason := flat_only(name, outlines)):
         raise ValueError(reason)
+    # each is loaded where it is wanted
     if name == "quasistatic":
+        from palmd.observer.quasistatic import QuasistaticObserver
+
         return QuasistaticObserver(rig)
     if name == "extended":
+        from palmd.observer.filters.extended import ExtendedFilters
+
         return BankObserver(ExtendedFilters(rig, EXTENDED_BANK), rig, seed)
     if outlines:
+        from palmd.observer.recogniser import Recogniser
+
         recogniser = Recogniser(outlines, rig)
         return BankObserver(recogniser.filters, rig, seed, recogniser)
     filters = ShapeFilters(rig, SHAPE_BANK)

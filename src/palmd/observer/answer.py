@@ -33,8 +33,8 @@ def answer(
     y: FloatArray, sd: FloatArray, mass: MassEstimator, nis: float, observability: float, touched: float,
 ) -> Estimate:  # fmt: skip
     """The estimate with values `y` and one-sigmas `sd` of `NAMED` (SI); forces become newtons by F = m f."""
-    values = dict(zip(NAMED, (float(v) for v in y), strict=True))
-    sds = dict(zip(NAMED, (float(v) for v in sd), strict=True))
+    values: dict[str, float] = dict(zip(NAMED, y.tolist(), strict=True))
+    sds: dict[str, float] = dict(zip(NAMED, sd.tolist(), strict=True))
     m, m_sd = mass.value, mass.sd
     for name in FORCES:
         f = values[name]

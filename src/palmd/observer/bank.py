@@ -7,9 +7,11 @@ arrays, calls the kernels, keeps the scores, and prunes what is unlikely.
 
 from __future__ import annotations
 
+import ctypes
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,10 +20,15 @@ from palmd.events import FloatArray
 from palmd.model.compiled import LANES, BoundCall, Library
 from palmd.observer.cutoff import cut_off
 
+if TYPE_CHECKING:
+    from palmd.observer.compiled_fusion import CompiledBank
+
 GATE = 16.0  # innovation² beyond which a reading is an outlier: 4 sigma
 SCORE_MEMORY_S = 2.0  # longer, and what was likely early leads after it has gone wrong
 NIS_READINGS = 50.0  # readings over which each filter's mean NIS is taken
 LOST_SCORE = -math.inf
+_ONLY = np.zeros(1, dtype=np.intp)
+_ONLY.setflags(write=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,18 +72,18 @@ class Bank:
         `inputs` are the lengths of the last inputs of `predict` and `values`, and the number of values. Scores fade
         with the time constant `memory_s`. A bank of one filter has kernels of its own.
         """
+        self.compiled: CompiledBank | None = None  # what does in C what is done here in NumPy, where there is any
         self.block = 1 if size == 1 else LANES
         suffix = "" if size == 1 else "_block"
         blocks = math.ceil(size / self.block)
         self.full_size = blocks * self.block
         self.n = n
         self.backend = library.backend
-        self._memory_s = memory_s
-        self._blocks = blocks
+        self.memory_s = memory_s
+        self._now = (ctypes.c_long * 2)(0, blocks)  # which side is current, how many blocks are active: C changes it
         self._x = [np.zeros((self.full_size, n)) for _ in range(2)]
         self._P = [np.zeros((self.full_size, n, n)) for _ in range(2)]
         self._score, self._nis = np.zeros(self.full_size), np.ones(self.full_size)
-        self._side = 0  # kernels write into the other side's arrays, which then become the current ones
         self._outcome = np.zeros((self.full_size, 2))
         self._u, self._v = np.zeros(inputs[0]), np.zeros(inputs[1])
         self._y = np.zeros((self.full_size, inputs[2]))
@@ -97,12 +104,21 @@ class Bank:
     @property
     def size(self) -> int:
         """How many filters are active."""
-        return self._blocks * self.block
+        return self._now[1] * self.block
 
     @property
     def blocks(self) -> int:
         """How many blocks of filters are active."""
-        return self._blocks
+        return self._now[1]
+
+    @property
+    def _side(self) -> int:
+        """Kernels write into the other side's arrays, which then become the current ones."""
+        return self._now[0]
+
+    def memory(self) -> tuple[list[FloatArray], list[FloatArray], FloatArray, FloatArray, FloatArray, Any]:
+        """All that C needs to go on with: both sides' x and P, scores, mean NIS, outcomes; current side and blocks."""
+        return self._x, self._P, self._score, self._nis, self._outcome, self._now
 
     def members(self, block: int) -> slice:
         """The filters of one block."""
@@ -130,7 +146,7 @@ class Bank:
 
     def refill(self) -> None:
         """All filters active again, with equal scores; their states are the caller's to set."""
-        self._blocks = self.full_size // self.block
+        self._now[1] = self.full_size // self.block
         self._score[:] = 0.0
         self._nis[:] = 1.0
 
@@ -139,11 +155,11 @@ class Bank:
         self._u[0] = dt
         self._u[1:] = np.concatenate(inputs)
         self._call(self._predict)
-        self._side = 1 - self._side
+        self._now[0] = 1 - self._now[0]
 
     def age_scores(self, seconds: float) -> None:
         """Let what the readings so far have scored weigh less."""
-        self.score[:] *= math.exp(-seconds / self._memory_s)
+        self.score[:] *= math.exp(-seconds / self.memory_s)
 
     def update(
         self, name: str, value: float, variance: float, *inputs: float, repeated: float = 1.0, scored: bool = True
@@ -154,7 +170,7 @@ class Bank:
         """
         self._z[name][:] = (value, variance, GATE, repeated, *inputs)
         self._call(self._updates[name])
-        self._side = 1 - self._side
+        self._now[0] = 1 - self._now[0]
         outcome = self._outcome[: self.size]
         # a sum is finite only if all its terms are (or they cancel as infinities, which gives NaN)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -179,6 +195,9 @@ class Bank:
         grows by 1 + fraction, and the constants are told their prior again with just the weight that this took
         from it. Takes a tenth of a millisecond: for now and then, not for every event.
         """
+        if self.compiled is not None:
+            self.compiled.fade(block, fraction, prior)
+            return
         members = self.members(block)
         x, P, mean = self.x[members], self.P[members], prior.mean[members]
         variance = np.broadcast_to(prior.sd, prior.mean.shape)[members] ** 2
@@ -197,6 +216,8 @@ class Bank:
         Mean and variance become those of the normal distribution cut off at 0, exactly. Returns whether every filter
         was found above. A few microseconds when it was, some 20 µs a filter when not.
         """
+        if self.compiled is not None:
+            return self.compiled.lift(block, rows)
         members = self.members(block)
         x, P = self.x[members], self.P[members]
         values = x @ rows.T
@@ -214,12 +235,12 @@ class Bank:
         """
         hopeful = int(np.count_nonzero(self.score > self.score.max() - margin))
         blocks = max(1, math.ceil(hopeful / self.block))
-        if blocks == self._blocks:
+        if blocks == self.blocks:
             return None
         order = np.argsort(-self.score, kind="stable")
         for array in (self.x, self.P, self.score, self.nis):
             array[:] = array[order]
-        self._blocks = blocks
+        self._now[1] = blocks
         return order[: self.size]
 
     def drop(self, members: npt.NDArray[np.bool_]) -> None:
@@ -228,7 +249,7 @@ class Bank:
 
     def best(self) -> int:
         """Index of the most likely filter."""
-        return int(np.argmax(self.score))
+        return int(self.score.argmax()) if self.size > 1 else 0
 
     def lost(self) -> bool:
         """Whether not one filter is finite any more."""
@@ -236,6 +257,8 @@ class Bank:
 
     def plausible(self, margin: float) -> npt.NDArray[np.intp]:
         """Indices of the filters whose score is within `margin` (nats) of the best."""
+        if self.size == 1:
+            return _ONLY
         return np.flatnonzero(self.score > self.score.max() - margin)
 
     def blank(self) -> Snapshot:

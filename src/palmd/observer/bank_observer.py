@@ -7,6 +7,8 @@ It begins blind from a circle when both palms feel the object (`session`), or fr
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -41,7 +43,8 @@ from palmd.system.description import RigDescription
 from palmd.system.mechanism import FORCES, PALMS, RADII
 
 SETTLED = Thresholds(age_s=0.4, radius_sd_m=3e-4, disagreement_m=3e-4)
-_RADII, _FORCES, _BENDS = ([NAMED.index(name) for name in names] for names in (RADII, FORCES, ("v1", "v2")))
+_FORCES, _BENDS = ([NAMED.index(name) for name in names] for names in (FORCES, ("v1", "v2")))
+_RADII = slice(NAMED.index(RADII[0]), NAMED.index(RADII[-1]) + 1)  # one beside the other
 
 
 class BankObserver:
@@ -236,12 +239,12 @@ class BankObserver:
         """Of `NAMED` at `t` (s): values, one-sigmas, and the share of these that rival hypotheses make."""
         fusion, best = self._fusion, self._fusion.bank.best()
         dt = min(max(t - fusion.t, 0.0), LONGEST_STEP_S * 4)
-        y, cov = fusion.filters.named(best, fusion.t, dt, fusion.palms)
+        y, variance = fusion.filters.named(best, fusion.t, dt, fusion.palms)
         if self._observability.due(fusion.t):
             state, motion = fusion.filters.as_shape_map(best), fusion.palms.at(fusion.t)
             self._observability.sample(fusion.t, state, motion, fusion.palms.jerk)
         disagreement = self._disagreement(best, fusion.rivals())
-        sd = np.sqrt(np.maximum(np.diagonal(cov), 0.0) + disagreement**2)
+        sd = np.sqrt(np.maximum(variance, 0.0) + disagreement**2)
         sd *= self._inflation(track, t)
         if not fusion.carries:
             sd[_RADII] = np.hypot(sd[_RADII], track.radius_sd)
@@ -263,7 +266,7 @@ class BankObserver:
             touching=contacts.touching(t),
             palms_known=fusion.palms_known(t),
             resumed_for_s=t - contacts.resumed,
-            finite=bool(np.isfinite(y).all() and np.isfinite(sd).all()),
+            finite=math.isfinite(float(y.sum() + sd.sum())),  # as are all its terms
             consistent=consistent(float(fusion.bank.nis[fusion.bank.best()])) and self._lies_on(y),
             age_s=track.age(t),
             radius_sd_m=float(sd[_RADII].max()),
@@ -272,6 +275,8 @@ class BankObserver:
 
     def _lies_on(self, y: FloatArray) -> bool:
         """Whether the object lies on its palms rather than in one that is as concave as it is round there."""
+        if not self._rig.curved:
+            return True
         return all(kappa * float(v) < MOST_LYING for kappa, v in zip(self._rig.curvatures, y[_BENDS], strict=True))
 
     def _inflation(self, track: Track, t: float) -> float:

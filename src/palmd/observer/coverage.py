@@ -67,7 +67,7 @@ class Coverage:
     @property
     def fraction(self) -> float:
         """Share of the normals that are marked."""
-        return float(self.marks.mean())
+        return float(np.count_nonzero(self.marks)) / NORMAL_BINS
 
     def _turn_to(self, leader: int, all_psi: Callable[[], FloatArray]) -> None:
         if leader == self._leader:

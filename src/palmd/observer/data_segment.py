@@ -46,7 +46,8 @@ def data_segments(events: Sequence[Event], pad_gap_s: float = PAD_GAP_S) -> list
         palms.clear()
 
     limits = dict.fromkeys(PALMS, pad_gap_s) | {ARM: ARM_GAP_S}
-    last = dict.fromkeys(limits, -math.inf)
+    shortest = min(limits.values())
+    last = dict.fromkeys(limits, math.inf)  # when each was heard last; infinity before that
     for event in ordered:
         if isinstance(event, PadLift):
             close()
@@ -54,9 +55,11 @@ def data_segments(events: Sequence[Event], pad_gap_s: float = PAD_GAP_S) -> list
         source = event.pad if isinstance(event, PadSample) else ARM
         if event.t_sample == last[source]:
             continue  # the same reading twice, or two that contradict each other: one counts
-        if any(event.t_sample - t > limits[key] for key, t in last.items() if t > -math.inf):
+        if event.t_sample - min(last.values()) > shortest and any(
+            event.t_sample - t > limits[key] for key, t in last.items()
+        ):
             close()
-            last = dict.fromkeys(last, -math.inf)
+            last = dict.fromkeys(last, math.inf)
         last[source] = event.t_sample
         if isinstance(event, PadSample):
             pads.append(event)

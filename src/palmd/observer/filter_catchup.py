@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterable
 
@@ -9,9 +10,7 @@ import numpy as np
 
 from palmd.events import Event, FloatArray, Improvement, PadSample, PalmSample
 from palmd.model.smoothing import ORDER
-from palmd.observer.filters.base import carry
 from palmd.observer.filters.shape_map import ShapeFilters
-from palmd.observer.palms import PalmTracker
 from palmd.system.description import RigDescription
 
 LEAST_READINGS = 30  # by which it is judged before it takes part
@@ -30,17 +29,18 @@ class FilterCatchUp:
         self._variances = rig.reading_variances
         self._angle_noise = rig.palm_angle_noise
         self._waiting: deque[Event] = deque()
-        self._palms = PalmTracker(self._angle_noise)
+        self._palms = self._filters.tracker(self._angle_noise)
         self._t = -np.inf
         self._read = 0
         self.active = False
 
     def begin(self, improvement: Improvement, recent: Iterable[Event]) -> None:
         """Start at `improvement.t`; `recent` holds the events since `LEAD_S` before it, and maybe earlier ones."""
-        self._palms = PalmTracker(self._angle_noise)
+        self._palms = self._filters.tracker(self._angle_noise)
         self._filters.rig_error.values[:] = improvement.rig
-        ordered = sorted(recent, key=lambda event: event.t_sample)
-        self._waiting = deque(event for event in ordered if event.t_sample > improvement.t - LEAD_S)
+        since = improvement.t - LEAD_S
+        needed = (event for event in recent if event.t_sample > since)
+        self._waiting = deque(sorted(needed, key=lambda event: event.t_sample))
         while self._waiting and self._waiting[0].t_sample <= improvement.t:
             event = self._waiting.popleft()
             if isinstance(event, PalmSample):
@@ -78,5 +78,5 @@ class FilterCatchUp:
         return bank.x[0].copy(), bank.P[0].copy(), float(bank.nis[0])
 
     def _move_to(self, t: float) -> None:
-        carry(self._filters, self._t, t, self._palms)
+        self._filters.carry(self._t, t, self._palms, math.inf)
         self._t = t

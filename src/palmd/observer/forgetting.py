@@ -28,21 +28,30 @@ class Forgetting:
     def begin(self, t: float, everywhere: bool) -> None:
         """Forget from `t` (s) on: in all blocks, or only in those with a filter that began blind."""
         blind = self.prior_age_s.reshape(len(self.t_faded), -1).min(axis=1) == 0.0
-        self.t_faded = np.where(blind | everywhere, t, np.inf)
+        self.t_faded[:] = np.where(blind | everywhere, t, np.inf)  # in place: C reads it there
 
     def step(self, bank: Bank, t: float, age_s: float, repeated: float, constants: Callable[[], Belief]) -> int | None:
-        """Let one block forget if it is time: one by one, so that no tick pays for all. Which it was, if any.
+        """Let the block that is `due` at `t` (s) `forget`. Which it was, if any."""
+        block = self.due(bank, t, age_s)
+        if block is not None:
+            self.forget(bank, block, t, age_s, repeated, constants())
+        return block
 
-        Readings of one place, each one of `repeated`, push out as much less of those before. `constants` gives what was
+    def due(self, bank: Bank, t: float, age_s: float) -> int | None:
+        """Which block is to forget at `t` (s), if any: one by one, so that no tick pays for all."""
+        block = int(self.t_faded[: bank.blocks].argmin())
+        wait = t - self.t_faded[block] < min(max(EVERY_S, age_s / 10), AT_LEAST_EVERY_S)
+        return None if wait else block
+
+    def forget(self, bank: Bank, block: int, t: float, age_s: float, repeated: float, constants: Belief) -> None:
+        """Let a block forget at `t` (s).
+
+        Readings of one place, each one of `repeated`, push out as much less of those before. `constants` are what was
         believed of the filters' constants at the start.
         """
-        block = int(self.t_faded[: bank.blocks].argmin())
         since = t - self.t_faded[block]
-        if since < min(max(EVERY_S, age_s / 10), AT_LEAST_EVERY_S):
-            return None
         surprise = max(0.0, bank.nis[bank.best()] - SURPRISING_NIS)
         learnt = age_s + float(self.prior_age_s[bank.members(block)].min())
         fraction = STRENGTH * since / repeated / (FIRST_AGE_S + learnt) * (1.0 + STRENGTH_BY_SURPRISE * surprise)
-        bank.fade(block, min(fraction, 1.0), constants())
+        bank.fade(block, min(fraction, 1.0), constants)
         self.t_faded[block] = t
-        return block

@@ -13,10 +13,11 @@ import numpy.typing as npt
 from palmd.events import FloatArray, PadSample, PalmSample
 from palmd.model.outputs import NAMED
 from palmd.observer.bank import Bank, Belief
-from palmd.observer.filters.base import Filters, carry
+from palmd.observer.compiled_fusion import CompiledHistory, CompiledPalms
+from palmd.observer.filters.base import Filters
+from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.forgetting import SURPRISING_NIS, Forgetting
 from palmd.observer.history import Fused, History
-from palmd.observer.palms import PalmTracker
 from palmd.observer.prior import BlindStart
 from palmd.system.description import RigDescription
 
@@ -53,7 +54,7 @@ class Beliefs(Protocol):
 class Fusion:
     """See the module; `add` takes bounded time and is safe inside the loop.
 
-    `t`: up to when the bank has been moved; `t_start`: when the present track was begun (s).
+    Events of compiled shape maps are fused in C (`compiled_fusion.CompiledHistory`), others here, by the same rules.
     """
 
     def __init__(self, rig: RigDescription, banks: Sequence[Filters]):
@@ -62,15 +63,38 @@ class Fusion:
         self._variances = rig.reading_variances
         self.curvatures = rig.curvatures
         self._first = banks[0]
-        self.history = History([filters.bank for filters in banks])
+        compiled = [each.compiled for each in banks if isinstance(each, ShapeFilters) and each.compiled is not None]
+        self.history: History | CompiledHistory = (
+            CompiledHistory(compiled, self._variances)
+            if len(compiled) == len(banks)
+            else History([filters.bank for filters in banks])
+        )
         self.reset()
 
     def reset(self) -> None:
         """As if nothing had been fed."""
-        self.palms = PalmTracker(self._rig.palm_angle_noise)
+        self.palms = self._first.tracker(self._rig.palm_angle_noise)
         self.late_dropped = 0
         self.t, self.t_start = -math.inf, math.inf
         self._use(self._first)
+
+    @property
+    def t(self) -> float:
+        """Up to when the bank has been moved (s)."""
+        return self.history.now.t
+
+    @t.setter
+    def t(self, t: float) -> None:
+        self.history.now.t = t
+
+    @property
+    def t_start(self) -> float:
+        """When the present track was begun (s)."""
+        return self.history.now.t_start
+
+    @t_start.setter
+    def t_start(self, t: float) -> None:
+        self.history.now.t_start = t
 
     @property
     def bank(self) -> Bank:
@@ -104,8 +128,11 @@ class Fusion:
     def _use(self, filters: Filters) -> None:
         self.filters = filters
         filters.bank.refill()
-        self.history.use(filters.bank)
         self.forgetting = Forgetting(filters.bank)
+        if isinstance(self.history, History):
+            self.history.use(filters.bank)
+        elif isinstance(filters, ShapeFilters) and filters.compiled is not None:
+            self.history.use(filters.compiled, self.forgetting.t_faded, not self.carries)
 
     # ---- events
 
@@ -122,24 +149,38 @@ class Fusion:
             return
         if event.t_sample < self.t_start:
             return
-        if event.t_sample >= self.t:
-            self._fuse(event)
-            return
-        undone = self.history.undo(event.t_sample, self.bank)
-        if undone is None:
+        if not (self._add(event, self.history) if isinstance(self.history, History) else self._add_compiled(event)):
             self.late_dropped += 1
-            return
-        self.t, self.forgetting.t_faded = undone[0].t_before, undone[0].t_faded
-        for each in (event, *(entry.event for entry in undone)):
-            self._fuse(each)
 
-    def _fuse(self, event: PadSample | PalmSample) -> None:
-        before = self.history.snapshot()
+    def _add_compiled(self, event: PadSample | PalmSample) -> bool:
+        filters, palms, history = self.filters, self.palms, self.history
+        assert isinstance(event, PadSample)
+        assert isinstance(filters, ShapeFilters)
+        assert isinstance(palms, CompiledPalms)
+        assert isinstance(history, CompiledHistory)
+        return history.add(event, filters.compiled_rig, palms, self._forget)
+
+    def _add(self, event: PadSample | PalmSample, history: History) -> bool:
+        if event.t_sample >= self.t:
+            self._fuse(event, history)
+            return True
+        undone = history.undo(event.t_sample, self.bank)
+        if undone is None:
+            return False
+        self.t, self.forgetting.t_faded[:] = undone[0].t_before, undone[0].t_faded
+        for each in (event, *(entry.event for entry in undone)):
+            self._fuse(each, history)
+        return True
+
+    def _fuse(self, event: PadSample | PalmSample, history: History) -> None:
+        before = history.snapshot()
         self.bank.remember(before)
-        self.history.add(Fused(event.t_sample, event, self.t, self.forgetting.t_faded.copy(), before))
+        history.add(Fused(event.t_sample, event, self.t, self.forgetting.t_faded.copy(), before))
         repeated = self._repeated
         self._move_to(event.t_sample, repeated)
-        self._forget(repeated)
+        block = self.forgetting.due(self.bank, self.t, self.t - self.t_start)
+        if block is not None:
+            self._forget(block, repeated)
         if isinstance(event, PadSample):
             age = event.t_sample - self.t_start
             inflation = 1.0 if self.carries else 1.0 + EARLY_NOISE * math.exp(-age / EARLY_S)
@@ -147,11 +188,9 @@ class Fusion:
         else:
             self.filters.fuse_palms(event, self._rig.palm_angle_noise**2)
 
-    def _forget(self, repeated: float) -> None:
+    def _forget(self, block: int, repeated: float) -> None:
         age = self.t - self.t_start
-        block = self.forgetting.step(self.bank, self.t, age, repeated, self._beliefs.constants)
-        if block is None:
-            return
+        self.forgetting.forget(self.bank, block, self.t, age, repeated, self._beliefs.constants())
         self.make_convex(block)
         kept = self.bank.prune(self._beliefs.pruning.margin) if age > self._beliefs.pruning.age_s else None
         if kept is not None:
@@ -160,8 +199,7 @@ class Fusion:
             self._beliefs.renumber(kept)
 
     def _move_to(self, t: float, repeated: float) -> None:
-        carry(self.filters, self.t, t, self.palms)
-        self.bank.age_scores((t - self.t) / repeated)
+        self.filters.carry(self.t, t, self.palms, repeated)
         self.t = t
 
     @property

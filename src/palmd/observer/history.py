@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -23,12 +24,21 @@ class Fused:
     before: Snapshot
 
 
+@dataclass(slots=True)
+class Now:
+    """Up to when the bank has been moved, and when the present track was begun (s)."""
+
+    t: float = -math.inf
+    t_start: float = math.inf
+
+
 class History:
     """The last `EVENTS` fused events of one bank at a time; its memory is allotted at the beginning."""
 
     def __init__(self, banks: Iterable[Bank]):
         """`banks` are all that will ever be used."""
         self._memory = {id(bank): [bank.blank() for _ in range(EVENTS)] for bank in banks}
+        self.now = Now()
         self._fused: list[Fused] = []
         self._spare: list[Snapshot] = []
 

@@ -264,7 +264,7 @@ def _quiet_or_blow(defect: FloatArray, root: FloatArray, noise: ProcessNoise) ->
         return root, 0.0
     nis = (defect * root) ** 2
     # far from the answer all defects are large: only what stands out from the others is a blow
-    gate = noise.gate * max(1.0, float(np.median(nis)) / 0.455)
+    gate = noise.gate * max(1.0, _median(nis.ravel()) / 0.455)
     beyond = nis > gate
     pull = np.where(beyond, gate / np.maximum(nis, gate), 1.0)
     cost = np.where(beyond, gate * np.log(np.maximum(nis, gate) / gate), 0.0)
@@ -322,7 +322,7 @@ class _Readings:
         residual = values - self.predicted(x)
         nis = residual**2 / variance
         # far from the answer all residuals are large: only what stands out from the others is an outlier
-        gate = GATE * max(1.0, float(np.median(nis)) / 0.455) if n else GATE
+        gate = GATE * max(1.0, _median(nis) / 0.455) if n else GATE
         outlier = nis > gate
         root = np.sqrt(np.where(outlier, gate / np.maximum(nis, gate), 1.0) * weight / variance)
         cost = weight * np.where(outlier, gate * (1.0 + np.log(np.maximum(nis, gate) / gate)), nis)
@@ -333,6 +333,15 @@ class _Readings:
         return _Evaluated(
             residual, root, self._gradient[:n], total, chi2 if n else 0.0, outliers, _longest_run(outlier)
         )
+
+
+def _median(values: FloatArray) -> float:
+    """As NumPy's, several times faster: that looks after NaN, which make the cost infinite here all the same."""
+    half = len(values) // 2
+    if len(values) % 2:
+        return float(np.partition(values, half)[half])
+    ordered = np.partition(values, half)
+    return float(ordered[:half].max() + ordered[half]) / 2
 
 
 def _longest_run(flags: npt.NDArray[np.bool_]) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Protocol
 
 import numpy as np
 
@@ -48,10 +49,41 @@ def repetitions(rested_s: FloatArray | float) -> FloatArray | float:
     return 1.0 + rested_s / SHARED_AFTER_S
 
 
+class Palms(Protocol):
+    """The palms' motion by their reports so far; `jerk` (rad/s³) of each joint is the one the plan showed last."""
+
+    jerk: FloatArray
+
+    @property
+    def known(self) -> bool:
+        """Whether a report has come."""
+
+    @property
+    def t(self) -> float:
+        """Time of the last report; -inf before the first."""
+
+    @property
+    def repeated(self) -> float:
+        """The `repetitions` of what is read now."""
+
+    def sd(self, t: float) -> tuple[FloatArray, FloatArray]:
+        """One-sigma of both angles (rad) and of both rates (rad/s) at `t` (s)."""
+
+    def feed(self, sample: PalmSample) -> None:
+        """Fuse one report; reports older than the last one are ignored."""
+
+    def at(self, t: float) -> FloatArray:
+        """Angles, rates and accelerations of all joints at `t`, seconds on the samples' clock."""
+
+    def motion(self, t: float) -> PalmMotion:
+        """The same as a value with names."""
+
+
 class PalmTracker:
     """A Kalman filter on (φ, ω, α) of each palm, with the plan's rates and accelerations where they are told.
 
-    Between reports the jerk is the one the plan showed last. Pure and safe inside the loop.
+    Between reports the jerk is the one the plan showed last. Pure and safe inside the loop. Its twin in C is
+    `compiled_fusion.CompiledPalms`.
     """
 
     def __init__(self, angle_noise: float):

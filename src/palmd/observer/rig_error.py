@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from palmd.model.smoothing import RIG_CONSTANTS, R
 from palmd.model.touch import LEAST_SLACK
 from palmd.system.arcs import FLAT
 from palmd.system.description import RigDescription
+from palmd.system.mechanism import PALMS
 
 
 @dataclass(slots=True)
@@ -22,7 +23,7 @@ class RigError:
     pad_lengths: tuple[float, ...]
     curvatures: tuple[float, ...] = FLAT
     values: FloatArray = field(default_factory=lambda: np.zeros(RIG_CONSTANTS))
-    _s: list[float] = field(default_factory=lambda: [0.0, 0.0])  # of each pad's last contact, corrected (m)
+    s: FloatArray = field(default_factory=lambda: np.zeros(len(PALMS)))  # of each pad's last contact, corrected (m)
 
     def angles(self) -> tuple[float, float]:
         """By how much φ1 and φ2 of the surfaces that are touched exceed those that are reported (rad)."""
@@ -35,7 +36,7 @@ class RigError:
     def on_time(self, sample: PadSample) -> PadSample:
         """The reading at the time of what it tells."""
         lag = float(self.values[R.LAG + sample.pad - 1])
-        return replace(sample, t_sample=sample.t_sample - lag) if lag else sample
+        return PadSample(sample.t_sample - lag, sample.pad, sample.s, sample.force) if lag else sample
 
     def corrected(self, sample: PadSample, opening: float, radius: float) -> float:
         """The distance (m) that the pad would tell, had it no error and lay on the hinge line; φ2 as in `angles`.
@@ -45,16 +46,17 @@ class RigError:
         i, v = sample.pad - 1, self.values
         pushed = v[R.FORCE + i] * (sample.force or 0.0)
         s = (sample.s - v[R.ZERO + i] - pushed) / (1.0 + v[R.SCALE + i])
-        self._s[i] = float(s)
+        self.s[i] = float(s)
         own, other = (v[R.STANDOFF + k] + 4.0 * v[R.SAGITTA + k] * self._u(k) ** 2 for k in (i, 1 - i))
         kappa = self.curvatures[i]
         if kappa or self.curvatures[1 - i]:
-            opening -= sum(each * at for each, at in zip(self.curvatures, self._s, strict=True))
-            return float(s - (own * np.cos(opening) + other) / np.sin(opening) / max(1.0 - kappa * radius, LEAST_SLACK))
-        return float(s - (own * np.cos(opening) + other) / np.sin(opening))
+            opening -= sum(each * at for each, at in zip(self.curvatures, self.s, strict=True))
+            slack = max(1.0 - kappa * radius, LEAST_SLACK)
+            return float(s - (own * math.cos(opening) + other) / math.sin(opening) / slack)
+        return float(s - (own * math.cos(opening) + other) / math.sin(opening))
 
     def _u(self, pad: int) -> float:
-        return self._s[pad] / self.pad_lengths[pad]
+        return float(self.s[pad]) / self.pad_lengths[pad]
 
 
 def circle_spread(rig: RigDescription, contacts: Sequence[float], opening: float) -> float:

@@ -10,8 +10,10 @@ def or_none(value: Any) -> Any:
     """The same value with None for every number that is not finite, in lists and maps too."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {name: or_none(each) for name, each in value.items()}
+    if isinstance(value, dict):  # a plain number needs no call: most are
+        return {
+            name: each if type(each) is float and math.isfinite(each) else or_none(each) for name, each in value.items()
+        }
     if isinstance(value, list):
-        return [or_none(each) for each in value]
+        return [each if type(each) is float and math.isfinite(each) else or_none(each) for each in value]
     return value

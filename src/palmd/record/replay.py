@@ -78,7 +78,7 @@ def lines(said: Said) -> Iterator[dict[str, Any]]:
     `t` is the log's own time, and so are the stamps. NaN becomes None.
     """
     t = round(said.t, 9)
-    fields = {name: or_none(value) for name, value in said.estimate.items()}
+    fields = or_none(said.estimate)
     yield {"t": t} | stamp(fields, t, t, said.number)
     if said.shape is not None:
         yield {"t": t, "shape": {name: or_none(value) for name, value in said.shape.items()}}

@@ -16,7 +16,7 @@ from palmd.config import ExploreGoal, LimitsConfig
 from palmd.daemon import worker
 from palmd.daemon.exploration_requests import Decider, ExplorationAnswer, ExplorationTask, Question
 from palmd.daemon.explorer_process import HIGH_WATER, ExplorerProcess
-from palmd.motion.explorer import UnderWay
+from palmd.motion.decisions import UnderWay
 from palmd.motion.limits import MotionLimits
 from palmd.motion.segments import Move
 from palmd.system.description import RigDescription

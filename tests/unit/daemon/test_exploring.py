@@ -28,7 +28,7 @@ from palmd.daemon.poses import make_poses
 from palmd.daemon.setpoints import SetPoints
 from palmd.events import Outlook, PalmMotion
 from palmd.motion.check import motion_limits
-from palmd.motion.explorer import Decision, UnderWay
+from palmd.motion.decisions import Decision, UnderWay
 from palmd.motion.plan import compile_plan
 from palmd.motion.segments import Move
 

@@ -11,7 +11,7 @@ from palmd.config import PlanSpec, rig_description
 from palmd.daemon.exploration_requests import Decider, InlineExplorer
 from palmd.harness.scorer import Scorer
 from palmd.harness.wireless import Wireless, WirelessError
-from palmd.motion.explorer import Decision
+from palmd.motion.decisions import Decision
 from palmd.motion.segments import Move
 from palmd.rig.fault_injection import order
 from palmd.rig.world import default_config

@@ -12,7 +12,8 @@ from palmd.events import Outlook, PalmMotion
 from palmd.model import shape, shape_map
 from palmd.model.smoothing import ORDER, RIG_CONSTANTS, R
 from palmd.motion.check import motion_limits
-from palmd.motion.explorer import RIG_S, STUCK_S, Explorer, UnderWay
+from palmd.motion.decisions import UnderWay
+from palmd.motion.explorer import RIG_S, STUCK_S, Explorer
 from palmd.motion.limits import MotionLimits, problems, ranges
 from palmd.motion.rollout_predictor import BINS
 from palmd.motion.segments import Move

@@ -12,7 +12,8 @@ from palmd.model import shape, shape_map
 from palmd.model.outputs import rig_inputs
 from palmd.motion import candidates
 from palmd.motion.check import motion_limits
-from palmd.motion.explorer import Explorer, UnderWay
+from palmd.motion.decisions import UnderWay
+from palmd.motion.explorer import Explorer
 from palmd.motion.limits import PHI12_MAX, problems, ranges
 from palmd.motion.roadmap import NEVER_S, ORIENTATIONS, Roadmap
 from palmd.motion.rollout_predictor import BINS, MARGIN_M, Moves, RolloutPredictor, goodness

@@ -12,15 +12,17 @@ from palmd.model.outputs import FRICTION_INPUT, NAMED, RIG_INPUTS, rig_inputs
 from palmd.model.smoothing import R
 from palmd.observer import prior
 from palmd.observer.bank import SCORE_MEMORY_S, Bank, Belief
+from palmd.observer.compiled_fusion import CompiledBank, CompiledPalms, CompiledRig, Routines
 from palmd.observer.filters.base import (
     CURVATURE_NORMALS,
     GUESSED_ACCELERATION_SD,
     SMALLEST_RADIUS_M,
     Overconfidence,
+    carry,
     curvature_rows,
     pad_update,
 )
-from palmd.observer.palms import PalmTracker
+from palmd.observer.palms import Palms, PalmTracker
 from palmd.observer.prior import BlindStart
 from palmd.observer.rig_error import RigError
 from palmd.system.description import RigDescription
@@ -37,6 +39,7 @@ def smoother_outline(x: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArr
     return x[low] - gain @ x[high], P[low, low] - gain @ P[high, low]
 
 
+_JOINTS_AT = [NAMED.index(name) for name in (*JOINTS, *JOINT_RATES)]
 BLIND_OVERCONFIDENCE = Overconfidence(1.0, 0.7)
 
 
@@ -58,8 +61,13 @@ class ShapeFilters:
         memory_s: float = SCORE_MEMORY_S,
         order: int = shape.HARMONICS,
         overconfidence: Overconfidence = BLIND_OVERCONFIDENCE,
+        *,
+        compiled: bool = True,
     ):
-        """Binds `size` filters' kernels; may compile C. `memory_s` as in `Bank`."""
+        """Binds `size` filters' kernels; may compile C. `memory_s` as in `Bank`.
+
+        Not `compiled`: what is done with the kernels is done by the twin in NumPy.
+        """
         self.overconfidence = overconfidence
         library = shape_map.library(order, rig.curved)
         inputs = (shape_map.PREDICTION_INPUTS, shape_map.PALM_INPUTS + RIG_INPUTS, len(NAMED))
@@ -77,10 +85,25 @@ class ShapeFilters:
         self._named = library.bind("named", [self._x_next, self._v], [self._y, self._J])
         self.curvature = np.zeros((CURVATURE_NORMALS, n))
         self.curvature[:, shape_map.Z.SHAPE :] = curvature_rows(order)
+        self._routines = Routines(library) if compiled and library.path is not None else None
+        self.compiled = None if self._routines is None else CompiledBank(self._routines, self.bank, self._rig)
+        self.bank.compiled = self.compiled
         self.rig_error = RigError(tuple(pad.length for pad in rig.pads), rig.curvatures)
         self.spread: FloatArray | None = None
 
-    def start(self, start: BlindStart, palms: PalmTracker, t: float) -> None:
+    @property
+    def rig_error(self) -> RigError:
+        """What readings and angles are corrected by; may be shared with other filters."""
+        return self._rig_error
+
+    @rig_error.setter
+    def rig_error(self, error: RigError) -> None:
+        self._rig_error, self.compiled_rig = error, CompiledRig(error)
+
+    def tracker(self, angle_noise: float) -> Palms:
+        return PalmTracker(angle_noise) if self._routines is None else CompiledPalms(self._routines, angle_noise)
+
+    def start(self, start: BlindStart, palms: Palms, t: float) -> None:
         del palms, t  # the palms are not part of the state
         Z = shape_map.Z
         x, P = self.bank.x, self.bank.P
@@ -98,7 +121,7 @@ class ShapeFilters:
         sd[Z.SHAPE :] = start.own_shape_sd
         P[:] = np.diag(sd**2)
 
-    def start_known(self, x: FloatArray, P: FloatArray, psi: FloatArray, palms: PalmTracker, t: float) -> None:
+    def start_known(self, x: FloatArray, P: FloatArray, psi: FloatArray, palms: Palms, t: float) -> None:
         del palms, t  # the palms are not part of the state
         Z = shape_map.Z
         self.bank.x[: len(psi)], self.bank.P[: len(psi)] = x, P
@@ -116,10 +139,20 @@ class ShapeFilters:
         sd[Z.SHAPE :] = start.shape_sd
         return Belief(slice(Z.LN_RHO, self.bank.n), mean, sd)
 
-    def predict(self, t: float, dt: float, palms: PalmTracker) -> None:
+    def carry(self, t: float, until: float, palms: Palms, repeated: float) -> None:
+        if self.compiled is not None and isinstance(palms, CompiledPalms):
+            self.compiled.carry(self.compiled_rig, palms, t, until, repeated)
+        else:
+            carry(self, t, until, palms, repeated)
+
+    def predict(self, t: float, dt: float, palms: Palms) -> None:
+        """Move the bank from `t` to `t + dt`."""
         self.bank.predict(dt, self._palms_at(t, palms), palms.jerk, self._rig_now())
 
-    def fuse_pad(self, sample: PadSample, variance: float, palms: PalmTracker, repeated: float) -> None:
+    def fuse_pad(self, sample: PadSample, variance: float, palms: Palms, repeated: float) -> None:
+        if self.compiled is not None and isinstance(palms, CompiledPalms):
+            self.compiled.read(self.compiled_rig, palms, sample, variance, repeated)
+            return
         angles = self._palms_at(sample.t_sample, palms)[: len(JOINTS)]
         s = self.rig_error.corrected(sample, angles[OPENING], float(self.bank.x[0, shape_map.Z.SHAPE]))
         self.bank.update(pad_update(sample.pad), s, variance, *angles, *self._curvatures, repeated=repeated)
@@ -134,20 +167,21 @@ class ShapeFilters:
         variance[Z.PSI] = (GUESSED_ACCELERATION_SD * gap**2 / 2) ** 2
         self.bank.P[:] += np.diag(variance)
 
-    def named(self, member: int, t: float, dt: float, palms: PalmTracker) -> tuple[FloatArray, FloatArray]:
+    def named(self, member: int, t: float, dt: float, palms: Palms) -> tuple[FloatArray, FloatArray]:
+        if self.compiled is not None and isinstance(palms, CompiledPalms):
+            spread = None if self.spread is None else self.spread[: self.bank.n]
+            return self.compiled.named(self.compiled_rig, palms, member, t, dt, spread)
         self._x[:], self._P[:] = self.bank.x[member], self._whole(member)
         self._u[0], self._u[1:7], self._u[7:9] = dt, self._palms_at(t, palms), palms.jerk
         self._u[9:] = self._v[shape_map.PALM_INPUTS :] = self._rig_now()
         self._predict()
         self._v[: shape_map.PALM_INPUTS] = self._palms_at(t + dt, palms)
         self._named()
-        cov = self._J.T @ self._P_next @ self._J
-        for name, sd in zip((*JOINTS, *JOINT_RATES), np.ravel(palms.sd(t + dt)), strict=True):
-            i = NAMED.index(name)
-            cov[i, i] += sd**2
-        return self._y.copy(), cov
+        variance = ((self._P_next @ self._J) * self._J).sum(axis=0)
+        variance[_JOINTS_AT] += np.ravel(palms.sd(t + dt)) ** 2
+        return self._y.copy(), variance
 
-    def all_named(self, t: float, palms: PalmTracker) -> FloatArray:
+    def all_named(self, t: float, palms: Palms) -> FloatArray:
         return self.bank.values(self._palms_at(t, palms), self._rig_now())
 
     def outline(self, member: int) -> tuple[FloatArray, FloatArray]:
@@ -165,7 +199,7 @@ class ShapeFilters:
         self._rig[FRICTION_INPUT] = self.rig_error.values[R.FRICTION]
         return self._rig
 
-    def _palms_at(self, t: float, palms: PalmTracker) -> FloatArray:
+    def _palms_at(self, t: float, palms: Palms) -> FloatArray:
         motion = palms.at(t)
         motion[:2] += self.rig_error.angles()
         return motion

@@ -1,0 +1,474 @@
+/* What a bank of shape maps computes between two decisions: the palms' motion, readings as they would be on a rig
+   without errors, prediction, correction, gates and scores, and late events fused in their own place.
+
+   The twin of `observer.palms`, `observer.rig_error`, `observer.bank`, `observer.history` and
+   `observer.filters.shape_map`, which say what is computed, and why; sizes are those here. Arrays are the caller's, and nothing is kept.
+   The kernels are given by their addresses, so that one file serves banks of any size and order. */
+
+#include <math.h>
+#include <string.h>
+
+#if defined(__GNUC__) && !defined(__clang__)
+#pragma GCC optimize("O3") /* loops in vector registers; no sum is taken in another order */
+#endif
+
+#define JOINTS 2
+#define MOTION (3 * JOINTS) /* angles, rates, accelerations */
+#define RIG_INPUTS 7
+#define FRICTION_INPUT 4
+#define NAMED 18
+#define MOST_STATES 64
+#define EVENTS 24 /* that can be undone */
+#define RADIUS 6  /* of the states: the mean radius, and the outline from there on */
+enum { ZERO = 0, SCALE = 2, SAGITTA = 4, STANDOFF = 8, TILT = 10, TURN = 11, FRICTION = 12, FORCE = 13, CONSTANTS = 15 };
+
+const long fusion_sizes[] = {JOINTS,   RIG_INPUTS, FRICTION_INPUT, NAMED, MOST_STATES, EVENTS,   RADIUS, ZERO,
+                             SCALE,    SAGITTA,    STANDOFF,       TILT,  TURN,        FRICTION, FORCE,  CONSTANTS};
+
+typedef void Kernel(const double *const *in, double *const *out, long columns);
+
+/* ---- the palms' motion: `observer.palms` */
+
+typedef struct {
+  double state[JOINTS][3], P[3][3], jerk[JOINTS]; /* of each joint (φ, ω, α); one covariance for all */
+  double t, moved, liveliest;                     /* of the last report, -inf before the first; when they turned last */
+  double plan_t, plan[JOINTS];                    /* the accelerations told last, NaN where none were */
+  double variance;                                /* of a reported angle */
+} Palms;
+
+typedef struct { /* with what is not told NaN */
+  double t, angles[JOINTS], rates[JOINTS], accelerations[JOINTS];
+} Report;
+
+static const double JERK = 200.0, TOLD_JERK = 1.0, PLAN_RATE_SD = 2e-3, PLAN_ACCELERATION_SD = 2e-2;
+static const double ROUNDING_S2 = 6e-5, CHANGED = 0.2, JERK_MEMORY_S = 1.0, FORGOTTEN_S = 0.5;
+static const double FIRST_RATE_SD = 0.5, FIRST_ACCELERATION_SD = 5.0, RESTING_RAD_S = 2e-3, SHARED_AFTER_S = 1.0;
+
+void palms_at(const Palms *palms, double t, double *motion) {
+  const double dt = t - palms->t, half = dt * dt / 2, sixth = half * dt / 3;
+  for (int j = 0; j < JOINTS; j++) {
+    const double *s = palms->state[j], jerk = palms->jerk[j];
+    motion[j] = s[0] + dt * s[1] + half * s[2] + sixth * jerk;
+    motion[JOINTS + j] = s[1] + dt * s[2] + half * jerk;
+    motion[2 * JOINTS + j] = s[2] + dt * jerk;
+  }
+}
+
+/* variances of the angles and of the rates */
+void palms_variance(const Palms *palms, double t, double *angles, double *rates) {
+  const double age = t - palms->t, turned = CHANGED * palms->liveliest;
+  const double phi = turned * (age * age * age) / 6, omega = turned * (age * age) / 2;
+  for (int j = 0; j < JOINTS; j++) {
+    const double late = ROUNDING_S2 * palms->state[j][2], later = ROUNDING_S2 * palms->jerk[j];
+    angles[j] = palms->P[0][0] + late * late + phi * phi;
+    rates[j] = palms->P[1][1] + later * later + omega * omega;
+  }
+}
+
+static void palms_begin(Palms *palms, const Report *report) {
+  const int rates = !isnan(report->rates[0]), accelerations = !isnan(report->accelerations[0]);
+  const double rate_sd = rates ? PLAN_RATE_SD : FIRST_RATE_SD;
+  const double acceleration_sd = accelerations ? PLAN_ACCELERATION_SD : FIRST_ACCELERATION_SD;
+  palms->t = palms->moved = report->t;
+  memset(palms->P, 0, sizeof palms->P);
+  palms->P[0][0] = palms->variance;
+  palms->P[1][1] = rate_sd * rate_sd;
+  palms->P[2][2] = acceleration_sd * acceleration_sd;
+  palms->plan_t = accelerations ? report->t : NAN;
+  palms->liveliest = 0.0;
+  for (int j = 0; j < JOINTS; j++) {
+    palms->state[j][0] = report->angles[j];
+    palms->state[j][1] = rates ? report->rates[j] : 0.0;
+    palms->state[j][2] = accelerations ? report->accelerations[j] : 0.0;
+    palms->plan[j] = report->accelerations[j];
+    palms->jerk[j] = 0.0;
+  }
+}
+
+static void palms_fuse(Palms *palms, int which, const double *values, double variance) {
+  double gain[3], row[3];
+  const double spread = palms->P[which][which] + variance;
+  for (int i = 0; i < 3; i++) {
+    gain[i] = palms->P[i][which] / spread;
+    row[i] = palms->P[which][i];
+  }
+  for (int j = 0; j < JOINTS; j++) {
+    const double miss = values[j] - palms->state[j][which];
+    for (int i = 0; i < 3; i++) palms->state[j][i] += miss * gain[i];
+  }
+  for (int i = 0; i < 3; i++)
+    for (int k = 0; k < 3; k++) palms->P[i][k] += gain[i] * gain[k] * spread - gain[i] * row[k] - row[i] * gain[k];
+}
+
+void palms_feed(Palms *palms, const Report *report) {
+  const double dt = report->t - palms->t;
+  if (!(dt <= FORGOTTEN_S)) { /* the first as well: its time was minus infinity */
+    palms_begin(palms, report);
+    return;
+  }
+  if (dt < 0) return;
+  const int accelerations = !isnan(report->accelerations[0]);
+  double now[MOTION], fastest = 0.0, jerk = accelerations ? TOLD_JERK : JERK, F[3][3] = {{1, dt, dt * dt / 2}, {0, 1, dt}, {0, 0, 1}};
+  palms_at(palms, report->t, now);
+  for (int j = 0; j < JOINTS; j++)
+    for (int i = 0; i < 3; i++) palms->state[j][i] = now[i * JOINTS + j];
+  const double d2 = dt * dt, d3 = d2 * dt, d4 = d2 * d2, d5 = d4 * dt;
+  const double white[3][3] = {{d5 / 20, d4 / 8, d3 / 6}, {d4 / 8, d3 / 3, d2 / 2}, {d3 / 6, d2 / 2, dt}};
+  double left[3][3], P[3][3];
+  for (int i = 0; i < 3; i++)
+    for (int k = 0; k < 3; k++) {
+      left[i][k] = 0.0;
+      for (int m = 0; m < 3; m++) left[i][k] += F[i][m] * palms->P[m][k];
+    }
+  for (int i = 0; i < 3; i++)
+    for (int k = 0; k < 3; k++) {
+      P[i][k] = 0.0;
+      for (int m = 0; m < 3; m++) P[i][k] += left[i][m] * F[k][m];
+      P[i][k] = P[i][k] + white[i][k] * (jerk * jerk) + (i == k && i ? 1e-8 : 0.0) * dt;
+    }
+  memcpy(palms->P, P, sizeof P);
+  palms->t = report->t;
+  for (int j = 0; j < JOINTS; j++) fastest = fmax(fastest, fabs(palms->jerk[j]));
+  palms->liveliest = fmax(fastest, palms->liveliest * exp(-dt / JERK_MEMORY_S));
+  palms_fuse(palms, 0, report->angles, palms->variance);
+  if (!isnan(report->rates[0])) palms_fuse(palms, 1, report->rates, PLAN_RATE_SD * PLAN_RATE_SD);
+  if (accelerations) palms_fuse(palms, 2, report->accelerations, PLAN_ACCELERATION_SD * PLAN_ACCELERATION_SD);
+  const double since = report->t - palms->plan_t;
+  for (int j = 0; j < JOINTS; j++) {
+    if (!accelerations) palms->jerk[j] = 0.0;
+    else if (since > 0) palms->jerk[j] = (report->accelerations[j] - palms->plan[j]) / since;
+    palms->plan[j] = report->accelerations[j];
+    if (fabs(palms->state[j][1]) > RESTING_RAD_S) palms->moved = report->t;
+  }
+  palms->plan_t = accelerations ? report->t : NAN;
+}
+
+/* ---- what the rig's constants are off by: `observer.rig_error` */
+
+typedef struct {
+  const double *values, *lengths, *curvatures; /* CONSTANTS, JOINTS, JOINTS */
+  double *s;                                   /* of each pad's last contact, corrected (m) */
+} RigError;
+
+typedef struct {
+  double t, s, force;
+  long pad;
+} Reading;
+
+static const double LEAST_SLACK = 0.05;
+
+static void surfaces_at(const Palms *palms, const RigError *rig, double t, double *motion) {
+  double slopes[JOINTS];
+  for (int i = 0; i < JOINTS; i++)
+    slopes[i] = 4.0 * rig->values[SAGITTA + i] / rig->lengths[i] * (1.0 - 2.0 * (rig->s[i] / rig->lengths[i]));
+  palms_at(palms, t, motion);
+  motion[0] += rig->values[TILT] + slopes[0];
+  motion[1] += rig->values[TURN] - slopes[0] - slopes[1];
+}
+
+static double corrected(const RigError *rig, const Reading *reading, double opening, double radius) {
+  const double *v = rig->values;
+  const int i = (int)reading->pad - 1;
+  const double s = (reading->s - v[ZERO + i] - v[FORCE + i] * reading->force) / (1.0 + v[SCALE + i]);
+  double height[JOINTS], slack = 1.0;
+  rig->s[i] = s;
+  for (int k = 0; k < JOINTS; k++) {
+    const double u = rig->s[k] / rig->lengths[k];
+    height[k] = v[STANDOFF + k] + 4.0 * v[SAGITTA + k] * (u * u);
+  }
+  if (rig->curvatures[0] != 0.0 || rig->curvatures[1] != 0.0) {
+    opening -= rig->curvatures[0] * rig->s[0] + rig->curvatures[1] * rig->s[1];
+    slack = fmax(1.0 - rig->curvatures[i] * radius, LEAST_SLACK);
+  }
+  return s - (height[i] * cos(opening) + height[1 - i]) / sin(opening) / slack;
+}
+
+/* ---- the bank: `observer.bank`, `observer.filters.shape_map` */
+
+typedef struct {
+  Kernel *predict, *update[JOINTS], *predict_one, *named;
+  double *x[2], *P[2], *score, *nis, *outcome; /* kernels write into the other side's, which then become the current */
+  double *rig;                                 /* RIG_INPUTS */
+  long *now;                                   /* which side is current, how many blocks are active */
+  long n, block;
+  double memory_s;
+} Bank;
+
+static const double GATE = 16.0, NIS_READINGS = 50.0, SURPRISING_NIS = 1.4, LONGEST_STEP_S = 0.0061;
+
+static long size_of(const Bank *bank) { return bank->now[1] * bank->block; }
+
+static long best_of(const Bank *bank) {
+  long best = 0;
+  for (long i = 1; i < size_of(bank); i++)
+    if (bank->score[i] > bank->score[best]) best = i;
+  return best;
+}
+
+static void prediction_inputs(const Bank *bank, const Palms *palms, const RigError *rig, double t, double dt, double *u) {
+  u[0] = dt;
+  surfaces_at(palms, rig, t, u + 1);
+  for (int j = 0; j < JOINTS; j++) u[1 + MOTION + j] = palms->jerk[j];
+  bank->rig[FRICTION_INPUT] = rig->values[FRICTION];
+  memcpy(u + 1 + MOTION + JOINTS, bank->rig, RIG_INPUTS * sizeof *u);
+}
+
+/* the bank from `t` to `until`, in equal steps; its scores lose weight */
+void carry(Bank *bank, const Palms *palms, const RigError *rig, double t, double until, double repeated) {
+  const double gap = until - t, steps = fmax(1.0, ceil(gap / LONGEST_STEP_S));
+  double u[1 + MOTION + JOINTS + RIG_INPUTS];
+  for (double done = 0; done < steps; done++) {
+    const long side = bank->now[0];
+    prediction_inputs(bank, palms, rig, t, gap / steps, u);
+    const double *in[] = {bank->x[side], bank->P[side], u};
+    double *out[] = {bank->x[1 - side], bank->P[1 - side]};
+    bank->predict(in, out, size_of(bank));
+    bank->now[0] = 1 - side;
+    t += gap / steps;
+  }
+  const double kept = exp(-(gap / repeated) / bank->memory_s);
+  for (long i = 0; i < size_of(bank); i++) bank->score[i] *= kept;
+}
+
+/* filters that are no numbers any more become inactive, with a state that is some */
+static void park(Bank *bank) {
+  const long n = bank->n, size = size_of(bank);
+  double *x = bank->x[bank->now[0]], *P = bank->P[bank->now[0]], *outcome = bank->outcome, all = 0.0;
+  long successor = -1;
+  for (long i = 0; i < n * size; i++) all += x[i];
+  for (long i = 0; i < 2 * size; i++) all += outcome[i];
+  if (isfinite(all)) return;
+  char sound[size];
+  for (long f = 0; f < size; f++) {
+    double sum = outcome[2 * f] + outcome[2 * f + 1];
+    for (long i = 0; i < n; i++) sum += x[f * n + i];
+    sound[f] = isfinite(sum);
+    if (sound[f] && (successor < 0 || bank->score[f] > bank->score[successor])) successor = f;
+  }
+  for (long f = 0; f < size; f++) {
+    if (sound[f]) continue;
+    if (successor >= 0) {
+      memcpy(x + f * n, x + successor * n, n * sizeof *x);
+      memcpy(P + f * n * n, P + successor * n * n, n * n * sizeof *P);
+    } else {
+      memset(x + f * n, 0, n * sizeof *x);
+      memset(P + f * n * n, 0, n * n * sizeof *P);
+      for (long i = 0; i < n; i++) P[f * n * n + i * (n + 1)] = 1.0;
+    }
+    outcome[2 * f] = outcome[2 * f + 1] = 0.0;
+    bank->score[f] = -INFINITY;
+  }
+}
+
+/* one reading of a pad into every filter, one of `repeated` that share one error */
+void read_pad(Bank *bank, const Palms *palms, const RigError *rig, const Reading *reading, double variance, double repeated) {
+  const long side = bank->now[0];
+  double motion[MOTION];
+  surfaces_at(palms, rig, reading->t, motion);
+  const double s = corrected(rig, reading, motion[1], bank->x[side][RADIUS]);
+  const double z[] = {s, variance, GATE, repeated, motion[0], motion[1], rig->curvatures[0], rig->curvatures[1]};
+  const double *in[] = {bank->x[side], bank->P[side], z};
+  double *out[] = {bank->x[1 - side], bank->P[1 - side], bank->outcome};
+  bank->update[reading->pad - 1](in, out, size_of(bank));
+  bank->now[0] = 1 - side;
+  park(bank);
+  for (long f = 0; f < size_of(bank); f++) {
+    const double nis = bank->outcome[2 * f + 1];
+    bank->score[f] += bank->outcome[2 * f];
+    bank->nis[f] += ((nis < GATE ? nis : GATE) - bank->nis[f]) / NIS_READINGS; /* one outlier is no wrong model */
+  }
+}
+
+/* forget `fraction` of what the filters of one block have been taught, but not what was believed of the states from
+   `first` up to `last`: `mean` and `variance` (filters, n) */
+void fade(Bank *bank, long block, double fraction, long first, long last, const double *mean, const double *variance) {
+  const long n = bank->n;
+  for (long f = block * bank->block; f < (block + 1) * bank->block; f++) {
+    double *x = bank->x[bank->now[0]] + f * n, *P = bank->P[bank->now[0]] + f * n * n, gain[MOST_STATES], shed[MOST_STATES];
+    for (long i = 0; i < n * n; i++) P[i] *= 1.0 + fraction;
+    for (long state = first; state < last; state++) {
+      const double miss = mean[f * n + state] - x[state];
+      const double spread = P[state * n + state] + variance[f * n + state] / fraction;
+      for (long i = 0; i < n; i++) gain[i] = P[i * n + state] / spread;
+      for (long i = 0; i < n; i++) shed[i] = gain[i] * spread;
+      for (long i = 0; i < n; i++) x[i] += gain[i] * miss;
+      for (long i = 0; i < n; i++)
+        for (long j = 0; j < n; j++) P[i * n + j] -= gain[i] * shed[j];
+    }
+  }
+}
+
+/* the mean of a standard normal above `a`, which is not below 0 */
+static double mills(double a) {
+  if (a > 20.0) return a + 1.0 / a - 2.0 / (a * a * a);
+  return exp(-a * a / 2) / (sqrt(M_PI / 2) * erfc(a / sqrt(2.0)));
+}
+
+/* tell the filters of one block that rows·x is not negative, where the lowest is; how many had to be told */
+long lift(Bank *bank, long block, const double *rows, long count) {
+  const long n = bank->n;
+  long told = 0;
+  for (long f = block * bank->block; f < (block + 1) * bank->block; f++) {
+    double *x = bank->x[bank->now[0]] + f * n, *P = bank->P[bank->now[0]] + f * n * n, Ph[MOST_STATES];
+    double lowest = 0.0, variance = 0.0;
+    const double *row = NULL;
+    for (long r = 0; r < count; r++) {
+      double value = 0.0;
+      for (long i = 0; i < n; i++) value += rows[r * n + i] * x[i];
+      if (value < lowest) lowest = value, row = rows + r * n;
+    }
+    if (!row) continue;
+    told++;
+    for (long i = 0; i < n; i++) {
+      Ph[i] = 0.0;
+      for (long j = 0; j < n; j++) Ph[i] += P[i * n + j] * row[j];
+    }
+    for (long i = 0; i < n; i++) variance += row[i] * Ph[i];
+    if (!(variance > 0.0)) continue;
+    const double sd = sqrt(variance), depth = -lowest / sd, rise = mills(depth);
+    for (long i = 0; i < n; i++) x[i] += Ph[i] * (rise / sd);
+    for (long i = 0; i < n; i++)
+      for (long j = 0; j < n; j++) P[i * n + j] -= Ph[i] * Ph[j] * (rise * (rise - depth) / variance);
+  }
+  return told;
+}
+
+/* NAMED of one filter, from `t` to `t + dt`, and the variance of each; `spread` (n, steps) is what the rig's constants
+   leave open besides */
+void named(const Bank *bank, const Palms *palms, const RigError *rig, long member, double t, double dt,
+           const double *spread, long steps, double *y, double *variance) {
+  enum { PHI = 5, OMEGA = 6 }; /* of joint 1; of joint 2 two further on */
+  const long n = bank->n;
+  const double *x = bank->x[bank->now[0]] + member * n, *given = bank->P[bank->now[0]] + member * n * n;
+  double P[MOST_STATES * MOST_STATES], P_next[MOST_STATES * MOST_STATES], x_next[MOST_STATES], J[MOST_STATES * NAMED];
+  double u[1 + MOTION + JOINTS + RIG_INPUTS], angles[JOINTS], rates[JOINTS];
+  memcpy(P, given, n * n * sizeof *P);
+  for (long k = 0; k < steps; k++) {
+    double step[MOST_STATES];
+    for (long i = 0; i < n; i++) step[i] = spread[i * steps + k];
+    for (long i = 0; i < n; i++)
+      for (long j = 0; j < n; j++) P[i * n + j] += step[i] * step[j];
+  }
+  prediction_inputs(bank, palms, rig, t, dt, u);
+  const double *in[] = {x, P, u};
+  double *out[] = {x_next, P_next};
+  bank->predict_one(in, out, 1);
+  double v[MOTION + RIG_INPUTS];
+  surfaces_at(palms, rig, t + dt, v);
+  memcpy(v + MOTION, bank->rig, RIG_INPUTS * sizeof *v);
+  const double *at[] = {x_next, v};
+  double *told[] = {y, J};
+  bank->named(at, told, 1);
+  for (int i = 0; i < NAMED; i++) variance[i] = 0.0;
+  for (long a = 0; a < n; a++) {
+    double row[NAMED] = {0.0};
+    for (long b = 0; b < n; b++)
+      for (int i = 0; i < NAMED; i++) row[i] += P_next[a * n + b] * J[b * NAMED + i];
+    for (int i = 0; i < NAMED; i++) variance[i] += J[a * NAMED + i] * row[i];
+  }
+  palms_variance(palms, t + dt, angles, rates);
+  for (int j = 0; j < JOINTS; j++) {
+    variance[PHI + 2 * j] += angles[j];
+    variance[OMEGA + 2 * j] += rates[j];
+  }
+}
+
+/* ---- events in the order of their own times: `observer.fusion`, `observer.history` */
+
+typedef struct {
+  Reading reading;
+  double t_before, *faded, *x, *P, *score, *nis; /* the bank before it */
+} Fused;
+
+typedef struct {
+  double t, t_start, repeated; /* up to when the bank has been moved; when the track was begun */
+  double variances[JOINTS];
+  double *faded; /* when each block has forgotten last, infinity for those that never do */
+  long early;    /* whether the first readings are fused about a blind guess */
+  long count, waiting, moved;
+  Fused fused[EVENTS]; /* the first `count` in order of time, and then memory for more */
+  Reading queue[EVENTS + 1];
+} Fusion;
+
+static const double EARLY_NOISE = 20.0, EARLY_S = 0.3, FORGET_EVERY_S = 0.2, FORGET_AT_LEAST_EVERY_S = 0.5;
+
+static void copy(double *to, const double *from, long count) { memcpy(to, from, count * sizeof *to); }
+
+static void remember(Fusion *fusion, const Bank *bank, long blocks) {
+  const long n = bank->n, size = size_of(bank), side = bank->now[0];
+  if (fusion->count == EVENTS) { /* the oldest can no longer be undone */
+    const Fused oldest = fusion->fused[0];
+    memmove(fusion->fused, fusion->fused + 1, (EVENTS - 1) * sizeof oldest);
+    fusion->fused[--fusion->count] = oldest;
+  }
+  Fused *entry = &fusion->fused[fusion->count++];
+  entry->reading = fusion->queue[0];
+  entry->t_before = fusion->t;
+  copy(entry->faded, fusion->faded, blocks);
+  copy(entry->x, bank->x[side], size * n);
+  copy(entry->P, bank->P[side], size * n * n);
+  copy(entry->score, bank->score, size);
+  copy(entry->nis, bank->nis, size);
+}
+
+static int undo(Fusion *fusion, Bank *bank, double t) {
+  const long n = bank->n, size = size_of(bank), side = bank->now[0];
+  long at = fusion->count;
+  while (at > 0 && fusion->fused[at - 1].reading.t > t) at--;
+  if (at == fusion->count || t < fusion->fused[at].t_before) return 0;
+  const Fused *entry = &fusion->fused[at];
+  for (long i = at; i < fusion->count; i++) fusion->queue[1 + i - at] = fusion->fused[i].reading;
+  fusion->waiting += fusion->count - at;
+  fusion->count = at;
+  fusion->t = entry->t_before;
+  copy(fusion->faded, entry->faded, bank->now[1]);
+  copy(bank->x[side], entry->x, size * n);
+  copy(bank->P[side], entry->P, size * n * n);
+  copy(bank->score, entry->score, size);
+  copy(bank->nis, entry->nis, size);
+  return 1;
+}
+
+static long due(const Fusion *fusion, const Bank *bank) {
+  const double age = fusion->t - fusion->t_start;
+  long block = 0;
+  for (long i = 1; i < bank->now[1]; i++)
+    if (fusion->faded[i] < fusion->faded[block]) block = i;
+  const int wait = fusion->t - fusion->faded[block] < fmin(fmax(FORGET_EVERY_S, age / 10), FORGET_AT_LEAST_EVERY_S);
+  return wait ? -1 : block;
+}
+
+/* Fuse what waits. -1 when nothing does any more; else the block that is to forget now, before this is called again. */
+long fuse(Fusion *fusion, Bank *bank, const Palms *palms, const RigError *rig) {
+  while (fusion->waiting) {
+    const Reading *reading = &fusion->queue[0];
+    if (!fusion->moved) {
+      remember(fusion, bank, bank->now[1]);
+      const int surprised = bank->nis[best_of(bank)] > SURPRISING_NIS; /* then it is of another place */
+      fusion->repeated = surprised || palms->t == -INFINITY ? 1.0 : 1.0 + (palms->t - palms->moved) / SHARED_AFTER_S;
+      carry(bank, palms, rig, fusion->t, reading->t, fusion->repeated);
+      fusion->t = reading->t;
+      fusion->moved = 1;
+      const long block = due(fusion, bank);
+      if (block >= 0) return block;
+    }
+    const double age = reading->t - fusion->t_start;
+    const double inflation = fusion->early ? 1.0 + EARLY_NOISE * exp(-age / EARLY_S) : 1.0;
+    read_pad(bank, palms, rig, reading, inflation * fusion->variances[reading->pad - 1], fusion->repeated);
+    fusion->moved = 0;
+    memmove(fusion->queue, fusion->queue + 1, --fusion->waiting * sizeof *reading);
+  }
+  return -1;
+}
+
+/* One more event, which is fused as it comes or, when it is late, in its own place: as `fuse`, or -2 if it is too late. */
+long add(Fusion *fusion, Bank *bank, const Palms *palms, const RigError *rig, const Reading *reading) {
+  fusion->queue[0] = *reading;
+  fusion->waiting = 1;
+  fusion->moved = 0;
+  if (reading->t < fusion->t && !undo(fusion, bank, reading->t)) {
+    fusion->waiting = 0;
+    return -2;
+  }
+  return fuse(fusion, bank, palms, rig);
+}

@@ -1,0 +1,247 @@
+"""What `model/fusion.c` computes against its twin in NumPy: each routine by itself, whole records, late events too."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated import simulated
+
+from palmd.events import PadSample, PalmSample
+from palmd.model import shape_map
+from palmd.model.shape_map import Z
+from palmd.model.smoothing import ORDER, RIG_CONSTANTS
+from palmd.observer.bank import GATE, LOST_SCORE, Belief
+from palmd.observer.bank_observer import BankObserver
+from palmd.observer.compiled_fusion import CompiledHistory, CompiledPalms, Routines
+from palmd.observer.filters.base import pad_update
+from palmd.observer.filters.shape_map import ShapeFilters
+from palmd.observer.history import EVENTS, History
+from palmd.observer.palms import FORGOTTEN_S, PalmTracker
+from palmd.observer.rig_error import RigError
+from palmd.system.description import PadSensor, RigDescription
+
+RIGS = {
+    "flat": RigDescription(),
+    "curved": RigDescription(pads=(PadSensor(curvature=4.0), PadSensor(curvature=-3.0))),
+}
+ROUNDING = 1e-12
+
+
+def pair(rig, size, order=shape_map.HARMONICS):
+    """Two banks of the same filters about the same object, that in C and its twin, and palms that have been told of."""
+    both = [ShapeFilters(rig, size, order=order, compiled=compiled) for compiled in (True, False)]
+    random = np.random.default_rng(5)
+    off = 1e-4 * random.standard_normal(RIG_CONSTANTS)
+    n = shape_map.size(order)
+    means = np.zeros((both[0].bank.size, n))
+    means[:, : Z.SHAPE] = 0.1 * random.standard_normal((len(means), Z.SHAPE))
+    means[:, Z.LN_RHO], means[:, Z.LN_DITHER] = math.log(0.012), math.log(0.02)
+    means[:, Z.MU], means[:, Z.DAMPING] = 0.1, 0.0
+    means[:, Z.SHAPE :] = 3e-4 * random.standard_normal((len(means), n - Z.SHAPE))
+    means[:, Z.SHAPE] = 0.02
+    root = 1e-3 * random.standard_normal((len(means), n, n))
+    for filters in both:
+        filters.rig_error = RigError(tuple(pad.length for pad in rig.pads), rig.curvatures, off.copy())
+        filters.bank.refill()
+        filters.bank.x[:], filters.bank.P[:] = means, root @ root.transpose(0, 2, 1)
+    palms = [filters.tracker(2e-4) for filters in both]
+    assert isinstance(palms[0], CompiledPalms)
+    assert isinstance(palms[1], PalmTracker)
+    for sample in (PalmSample(t, (0.8 + 0.3 * t, 1.6 - t * t), (0.3, -2 * t), (0.0, -2.0)) for t in (0.0, 0.016, 0.03)):
+        for each in palms:
+            each.feed(sample)
+    return both, palms
+
+
+def same(filters, tolerance=ROUNDING):
+    """That both banks hold the same."""
+    one, other = (each.bank for each in filters)
+    assert one.size == other.size
+    for name in ("x", "P", "score", "nis"):
+        a, b = getattr(one, name), getattr(other, name)
+        scale = np.abs(b[np.isfinite(b)]).max(initial=1e-300)
+        np.testing.assert_allclose(a, b, rtol=tolerance, atol=tolerance * scale, err_msg=name)
+
+
+def reports(seed, told):
+    """Reports of palms, some late, twice, or after they had been forgotten; only some of them with the plan."""
+    random = np.random.default_rng(seed)
+    t = 0.0
+    for _ in range(60):
+        t += random.choice([0.016, 0.016, 0.016, 0.0, -0.01, 0.1, 1.2 * FORGOTTEN_S])
+        plan = tuple(map(tuple, random.standard_normal((2, 2))))
+        known = random.random() < {"always": 1.0, "often": 0.8, "never": 0.0}[told]
+        angles = (0.8 + 0.2 * math.sin(t), 1.6 + 0.1 * math.cos(2 * t))
+        yield PalmSample(t, angles, *(plan if known else (None, None)))
+
+
+@pytest.mark.parametrize("told", ["always", "often", "never"])
+def test_the_palms_motion_is_the_twins(told):
+    compiled, twin = CompiledPalms(Routines(shape_map.library()), 2e-4), PalmTracker(2e-4)
+    assert (compiled.known, compiled.t, compiled.repeated) == (twin.known, twin.t, twin.repeated)
+    for sample in reports(1, told):
+        compiled.feed(sample)
+        twin.feed(sample)
+        assert compiled.t == twin.t
+        assert compiled.repeated == pytest.approx(twin.repeated, rel=ROUNDING)
+        np.testing.assert_allclose(compiled.jerk, twin.jerk, rtol=ROUNDING)
+        for t in (twin.t - 0.02, twin.t, twin.t + 0.03):
+            np.testing.assert_allclose(compiled.at(t), twin.at(t), rtol=1e-10, atol=1e-11)
+            for a, b in zip(compiled.sd(t), twin.sd(t), strict=True):
+                np.testing.assert_allclose(a, b, rtol=1e-9)
+
+
+@pytest.mark.parametrize("kind", RIGS)
+@pytest.mark.parametrize(("size", "order"), [(16, shape_map.HARMONICS), (1, ORDER)])
+def test_filters_are_carried_and_told_readings_as_the_twins_are(kind, size, order):
+    filters, palms = pair(RIGS[kind], size, order)
+    for pad, until in ((1, 0.034), (2, 0.0345), (2, 0.051), (1, 0.051)):
+        for each, tracked in zip(filters, palms, strict=True):
+            each.carry(0.03, until, tracked, 1.7)
+            each.fuse_pad(PadSample(until, pad, 0.021, 1.3), 1e-6, tracked, 1.7)
+        same(filters, 1e-10)
+
+
+@pytest.mark.parametrize("kind", RIGS)
+@pytest.mark.parametrize("spread", [False, True])
+def test_named_values_and_their_variances_are_the_twins(kind, spread):
+    filters, palms = pair(RIGS[kind], 1, ORDER)
+    steps = 1e-3 * np.random.default_rng(2).standard_normal((filters[0].bank.n + RIG_CONSTANTS, RIG_CONSTANTS))
+    told = []
+    for each, tracked in zip(filters, palms, strict=True):
+        each.spread = steps if spread else None
+        told.append(each.named(0, 0.03, 0.009, tracked))
+    for got, wanted in zip(*told, strict=True):
+        np.testing.assert_allclose(got, wanted, rtol=1e-10, atol=1e-12 * np.abs(wanted).max())
+
+
+def test_filters_forget_bit_for_bit_as_the_twins_do():
+    filters, _ = pair(RIGS["flat"], 16)
+    random = np.random.default_rng(3)
+    shape = filters[0].bank.x.shape
+    for sd in (random.uniform(0.1, 1.0, shape[1]), random.uniform(0.1, 1.0, shape)):
+        belief = Belief(slice(Z.LN_RHO, shape[1]), random.standard_normal(shape), sd)
+        for each in filters:
+            each.bank.fade(1, 0.3, belief)
+    for name in ("x", "P"):
+        np.testing.assert_array_equal(getattr(filters[0].bank, name), getattr(filters[1].bank, name))
+
+
+def test_hollow_outlines_are_bent_as_the_twins_are():
+    filters, _ = pair(RIGS["flat"], 16)
+    for each in filters:
+        each.bank.x[3:9, Z.SHAPE + 6] = 0.02  # waves of which v is negative somewhere
+        each.bank.x[10, Z.SHAPE + 6] = 40.0  # by more than erfc can tell
+        each.bank.P[4] = 0.0  # one that can be told nothing
+    found = [[each.bank.lift(block, each.curvature) for block in range(2)] for each in filters]
+    assert found[0] == found[1] == [False, False]
+    same(filters, 1e-9)
+    for each in filters:
+        each.bank.x[:, Z.SHAPE + 1 :] = 0.0  # circles
+        assert each.bank.lift(0, each.curvature)
+
+
+@pytest.mark.parametrize("lost", [[2, 9], list(range(16))])
+def test_filters_that_are_no_numbers_are_parked_as_the_twins_are(lost):
+    filters, palms = pair(RIGS["flat"], 16)
+    for each, tracked in zip(filters, palms, strict=True):
+        each.bank.x[lost, Z.PSI] = np.nan
+        each.bank.score[:] = np.arange(16.0)
+        each.fuse_pad(PadSample(0.03, 1, 0.021, 1.3), 1e-6, tracked, 1.0)
+        assert np.all(each.bank.score[lost] == LOST_SCORE)
+        assert np.isfinite(each.bank.x).all()
+    same(filters)
+
+
+def test_what_a_bank_is_told_wrongly_is_refused():
+    filters, _ = pair(RIGS["flat"], 16)
+    bank = filters[0].bank
+    with pytest.raises(ValueError, match="beliefs are of 16 filters"):
+        bank.fade(0, 0.1, Belief(slice(2, 5), np.zeros((8, bank.n)), np.ones(bank.n)))
+    with pytest.raises(ValueError, match="rows are of 21 states"):
+        bank.lift(0, np.ones((3, 4)))
+
+
+# ---- whole records
+
+
+def shuffled(events, seed=4):
+    """As they would come over wires that hold some of them up: late, too late, twice; wild readings between them."""
+    random = np.random.default_rng(seed)
+    arrivals = []
+    for event in events:
+        late = random.choice([0.0, 0.0, 0.0, 0.012, 0.03, 0.3])
+        arrivals.append((event.t_sample + late, event))
+        if random.random() < 0.02:
+            arrivals.append((event.t_sample + 0.05, event))
+        if isinstance(event, PadSample) and random.random() < 0.02:
+            arrivals.append((event.t_sample + 0.001, replace(event, s=event.s + random.choice([0.004, 0.5, math.nan]))))
+    return [event for _, event in sorted(arrivals, key=lambda each: each[0])]
+
+
+def watched(filters, rig, events):
+    """What the observer says every 10 ms, and how many events it has dropped."""
+    watcher, told, tick = BankObserver(filters, rig), [], 0.0
+    for event in events:
+        while tick + 0.05 < event.t_sample:
+            tick += 0.01
+            told.append(watcher.estimate(tick))
+        watcher.feed(event)
+    return watcher, told
+
+
+@pytest.mark.parametrize("seed", [101, 102])
+def test_of_a_whole_record_the_observer_says_the_same(seed):
+    run = simulated("rig", seed, 4.0)
+    events = shuffled(run.events)
+    results = [watched(ShapeFilters(run.rig, 32, compiled=compiled), run.rig, events) for compiled in (True, False)]
+    (one, told), (other, wanted) = results
+    assert isinstance(one._fusion.history, CompiledHistory)
+    assert isinstance(other._fusion.history, History)
+    assert one.late_dropped == other.late_dropped > 10
+    assert one.object_count == other.object_count
+    for a, b in zip(told, wanted, strict=True):
+        assert (a.valid, a.object_count) == (b.valid, b.object_count)
+        for name in ("r1", "r2", "omega0", "rho", "mu", "nis", "mass"):
+            x, y = getattr(a, name), getattr(b, name)
+            assert x == pytest.approx(y, rel=1e-6, abs=1e-9, nan_ok=True), (a.t, name)
+        assert a.sd["r1"] == pytest.approx(b.sd["r1"], rel=1e-6, nan_ok=True)
+
+
+def test_late_events_leave_what_they_would_have_left_on_time():
+    run = simulated("rig", 103, 1.0)
+    last = max(i for i, event in enumerate(run.events) if isinstance(event, PalmSample) and event.t_sample < 0.9)
+    after = [event for event in run.events[last:] if isinstance(event, PadSample)][:12]
+    states = []
+    for order in (after, after[::-1], [*after[6:], *after[:6]]):
+        filters = ShapeFilters(run.rig, 8)
+        watcher = BankObserver(filters, run.rig)
+        for event in (*run.events[: last + 1], *order):
+            watcher.feed(event)
+        assert watcher.late_dropped == 0
+        states.append(
+            (filters.bank.x.copy(), filters.bank.P.copy(), filters.bank.score.copy(), filters.bank.nis.copy())
+        )
+    for state in states[1:]:
+        for got, wanted in zip(state, states[0], strict=True):
+            np.testing.assert_array_equal(got, wanted)
+
+
+def test_only_so_many_events_can_be_undone():
+    run = simulated("rig", 103, 1.0)
+    pads = [event for event in run.events if isinstance(event, PadSample)]
+    for back, dropped in ((EVENTS, 0), (EVENTS + 1, 1)):
+        watcher = BankObserver(ShapeFilters(run.rig, 8), run.rig)
+        for event in run.events:
+            if event is not pads[-1 - back]:
+                watcher.feed(event)
+        watcher.feed(pads[-1 - back])
+        assert watcher.late_dropped == dropped
+
+
+def test_a_wild_reading_counts_as_one_at_the_gate():
+    filters, palms = pair(RIGS["flat"], 8)
+    for each, tracked in zip(filters, palms, strict=True):
+        each.fuse_pad(PadSample(0.03, 1, 0.5, 1.0), 1e-12, tracked, 1.0)
+        assert each.bank.nis.max() == 1.0 + (GATE - 1.0) / 50.0, pad_update(1)
