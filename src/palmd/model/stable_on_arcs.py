@@ -76,12 +76,12 @@ def stable_poses_on_arcs(
         return np.asarray(at.d1 * np.sin(beta1 + opening) + at.d2 * np.sin(beta1)), np.asarray(held)
 
     width = 2 * np.pi / SCAN
-    low = np.arange(SCAN) * width
+    low: FloatArray = np.arange(SCAN, dtype=np.float64) * width
     uphill = balance(low)[0] >= 0
     low = low[~uphill & np.roll(uphill, -1)]
     high = low + width
     for _ in range(_HALVINGS):
-        middle = (low + high) / 2
+        middle: FloatArray = (low + high) / 2
         above = balance(middle)[0] >= 0
         low, high = np.where(above, low, middle), np.where(above, middle, high)
     return np.sort(np.mod(low, 2 * np.pi)[balance(low)[1]])
