@@ -81,6 +81,9 @@ COMMANDS = (
         "lab.observability",
         "what the paper's systems can observe: rank and conditioning, maps over the rates",
     ),
+    Command(
+        "outlook", "lab.outlook", "the paper's last questions: what curved palms cover, what a pivoting grasp can tell"
+    ),
     Command("compare", "lab.compare", "a reconstruction with a camera's track of the same run"),
     Command("report", "cli.report", "a recorded run as a page or PDF to print; paper: the runs of CMU-CS-01-107 again"),
     Command("report paper", "lab.paper", "the runs behind the figures of CMU-CS-01-107 again: its method and palmd's"),
@@ -101,7 +104,7 @@ COMMANDS = (
     Command(
         "bench recognise", "lab.bench_recognise", "which of twenty similar objects lies on the palms, or none of them"
     ),
-    Command("bench curved", "lab.bench_curved", "curved palms: reconstructed blind, and how much more they touch"),
+    Command("bench curved", "lab.bench_curved", "curved palms: reconstructed blind, explored, and how much they touch"),
     Command(
         "bench pivot",
         "lab.bench_pivot",
