@@ -71,6 +71,7 @@ COMMANDS = (
     Command(
         "calibrate force", "calibration.force", "both touchpads: newtons per count, by the weight of that cylinder"
     ),
+    Command("calibrate curvature", "calibration.curvature", "palms that are arcs: their curvature, with that cylinder"),
     Command(
         "calibrate self",
         "calibration.self_calibration",
