@@ -12,7 +12,7 @@ _shtab_palmd_commands() {
   local _commands=(
     bench:'studies of many runs: montecarlo, sbc, explore, recognise, curved, pivot, space, parts, speed, peers, field, faults, simulate, soak'
     build:'compile the observers now; the first run does it otherwise'
-    calibrate:'measure what the configuration must know: pad, arm, gravity, pads, force, self'
+    calibrate:'measure what the configuration must know: pad, arm, gravity, pads, force, curvature, self'
     check:'find what is wrong with configurations and motion plans'
     compare:'a reconstruction with a camera'"'"'s track of the same run'
     completion:'what has a shell complete palmd'"'"'s commands, options and files'
@@ -28,6 +28,7 @@ _shtab_palmd_commands() {
     keys:'who may listen to a daemon and command it: new, allow, revoke, list'
     latency:'how late the control loop is on this machine, idle and busy, beside a bare timer'
     observability:'what the paper'"'"'s systems can observe: rank and conditioning, maps over the rates'
+    outlook:'the paper'"'"'s last questions: what curved palms cover, what a pivoting grasp can tell'
     recognise:'which of the stored outlines lies on the palms, from an event log or recorded run'
     reconstruct:'outline and motion from a whole event log or recorded run at once, offline'
     record:'keep what a daemon publishes: one file a run'
@@ -46,7 +47,7 @@ _shtab_palmd_commands() {
 
 _shtab_palmd_bench_commands() {
   local _commands=(
-    curved:'curved palms: reconstructed blind, and how much more they touch'
+    curved:'curved palms: reconstructed blind, explored, and how much they touch'
     explore:'unknown objects explored in the emulated rig, beside open-loop plans'
     faults:'every fault provoked on the emulated rig: what comes of it, how soon the arm stands'
     field:'the field'"'"'s benchmark: 200 runs with their truth, baselines, a scorer for anybody'"'"'s results'
@@ -67,6 +68,7 @@ _shtab_palmd_bench_commands() {
 _shtab_palmd_calibrate_commands() {
   local _commands=(
     arm:'the arm'"'"'s base and the palms'"'"' lengths, while you swing the palms by hand'
+    curvature:'palms that are arcs: their curvature, with that cylinder'
     force:'both touchpads: newtons per count, by the weight of that cylinder'
     gravity:'gravity and the arm'"'"'s yaw, with a ball or cylinder that rolls down the palms'
     pad:'one touchpad: noise, resolution, timing, dead band, with a marble rolled over it'
@@ -128,11 +130,13 @@ _shtab_palmd_bench_defaults_added=0
 _shtab_palmd_bench_curved_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--runs[logs of each kind (default\: 34)]:N:"
-  "--shapes[objects on each curvature (default\: 24)]:N:"
+  "--shapes[objects on each curvature (default\: 60)]:N:"
+  "--objects[objects to explore (default\: 12)]:N:"
   "--seed[the first run\'s (default\: 0)]:FIRST:"
-  "--seconds[how long each lasts (default\: 10.0)]:S:"
-  "--only[one half of it\; default\: both]:only:(logs coverage)"
+  "--seconds[how long a log is (default\: 10.0)]:S:"
+  "--only[one part of it\; default\: all]:only:(logs coverage exploring)"
   "--figure[draw the touched share against curvature\; needs matplotlib]:OUT.svg:_files"
+  {-o,--output}"[a file of JSON lines for the explorations, overwritten]:ROWS:_files"
   "--jobs[processes on this machine (default\: one a processor)]:J:"
 )
 
@@ -310,6 +314,7 @@ _shtab_palmd_bench_speed_defaults_added=0
 _shtab_palmd_build_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--all[what other systems need too\: curved palms, flat sides, three palms in space\; a minute more]"
+  ":what a run with this configuration needs, and no more (default\: what any rig with flat palms needs):_files"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -331,6 +336,17 @@ _shtab_palmd_calibrate_arm_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_calibrate_arm_defaults_added=0
+
+_shtab_palmd_calibrate_curvature_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--radius-mm[of the cylinder]:R:"
+  {-o,--output}"[for curvature.yaml, which is overwritten (default\: calibration\/ beside CONFIG)]:FOLDER:_files"
+  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  ":the running daemon\'s configuration, palmd.yaml:_files"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_palmd_calibrate_curvature_defaults_added=0
 
 _shtab_palmd_calibrate_force_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -695,6 +711,17 @@ _shtab_palmd_observability_options=(
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_observability_defaults_added=0
 
+_shtab_palmd_outlook_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--objects[on each curvature (default\: 24)]:N:"
+  "--bodies[in the gripper (default\: 8)]:N:"
+  "--seed[the first one\'s (default\: 0)]:FIRST:"
+  {-o,--output}"[also draw outlook_coverage.svg and outlook_pivot.svg]:FOLDER:_files"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_palmd_outlook_defaults_added=0
+
 _shtab_palmd_recognise_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   {-o,--output}"[as JSON\; - for standard output alone]:OUT.json:_files"
@@ -868,6 +895,7 @@ _shtab_palmd() {
         keys) _shtab_palmd_keys ;;
         latency) _arguments -C -s $_shtab_palmd_latency_options ;;
         observability) _arguments -C -s $_shtab_palmd_observability_options ;;
+        outlook) _arguments -C -s $_shtab_palmd_outlook_options ;;
         recognise) _arguments -C -s $_shtab_palmd_recognise_options ;;
         reconstruct) _arguments -C -s $_shtab_palmd_reconstruct_options ;;
         record) _arguments -C -s $_shtab_palmd_record_options ;;
@@ -939,6 +967,7 @@ _shtab_palmd_calibrate() {
       curcontext="${curcontext%:*:*}:_shtab_palmd_calibrate-$line[1]:"
       case $line[1] in
         arm) _arguments -C -s $_shtab_palmd_calibrate_arm_options ;;
+        curvature) _arguments -C -s $_shtab_palmd_calibrate_curvature_options ;;
         force) _arguments -C -s $_shtab_palmd_calibrate_force_options ;;
         gravity) _arguments -C -s $_shtab_palmd_calibrate_gravity_options ;;
         pad) _arguments -C -s $_shtab_palmd_calibrate_pad_options ;;

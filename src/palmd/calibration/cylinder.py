@@ -22,8 +22,10 @@ import numpy as np
 
 from palmd.config import PadConfig
 from palmd.events import Event, FloatArray, PadSample, PalmSample
+from palmd.model.arcs import contacts_on_arcs
 from palmd.motion.limits import PHI12_MAX, MotionLimits
 from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE, Angles
+from palmd.system.arcs import FLAT, opening_at
 from palmd.system.mechanism import JOINTS, OPENING, PALMS
 
 PAD_MARGIN_M = 5e-3  # so much of a pad's end is left alone: its zero may be that far off
@@ -68,6 +70,14 @@ def contact_m(radius_m: float, opening: FloatArray) -> FloatArray:
     return np.asarray(radius_m / np.tan(opening / 2.0))
 
 
+def contacts_m(radius_m: float, opening: FloatArray, curvatures: Sequence[float] = FLAT) -> FloatArray:
+    """Where a disc touches palm 1 and palm 2 (2, n) (m from the hinge); on arcs of these curvatures (1/m) as well."""
+    if not any(curvatures):
+        return np.stack([contact_m(radius_m, opening)] * len(PALMS))
+    still = np.zeros(len(opening))
+    return contacts_on_arcs(np.array([radius_m]), still, opening, still, curvatures)
+
+
 def normal_forces(weight_n: float, first: FloatArray, opening: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The forces on palm 1 and palm 2 (N) at rest without friction; angles in rad."""
     share = weight_n / np.sin(opening)
@@ -100,10 +110,11 @@ def turning_plan(radius_m: float, limits: MotionLimits) -> dict[str, Any]:
     The way of the contacts is as long as pads and limits allow; CylinderError when that is not enough.
     """
     low, high = opening_range(radius_m, limits)
-    travel = float(contact_m(radius_m, np.asarray(low)) - contact_m(radius_m, np.asarray(high))) if low < high else 0.0
+    ends = contacts_m(radius_m, np.array([low, high]), limits.curvatures)
+    travel = float((ends[:, 0] - ends[:, 1]).min()) if low < high else 0.0
     if travel < LEAST_TRAVEL_M:
         raise CylinderError(_too_little(radius_m, limits, travel))
-    middle = 2.0 * math.atan(2.0 * radius_m / sum(radius_m / math.tan(opening / 2.0) for opening in (low, high)))
+    middle = opening_at(radius_m, float(ends.mean()), limits.curvatures)
     poses = [_upright(opening, limits) for opening in (middle, high, low, middle)]
     first, opening = poses[-1]
     poses += [(_within(first + tip, opening, limits), opening) for tip in (_TIP, -_TIP, 0.0)]
@@ -141,8 +152,7 @@ def tipping_plan(radius_m: float, limits: MotionLimits, rounds: int) -> tuple[di
 
 def opening_range(radius_m: float, limits: MotionLimits) -> tuple[float, float]:
     """The least and greatest opening (rad) with both contacts well on the pads; the first is larger if none."""
-    least = 2.0 * math.atan(radius_m / (limits.pad_length - PAD_MARGIN_M))
-    most = 2.0 * math.atan(radius_m / PAD_MARGIN_M)
+    least, most = (opening_at(radius_m, s, limits.curvatures) for s in (limits.pad_length - PAD_MARGIN_M, PAD_MARGIN_M))
     steepest = PHI12_MAX - limits.angles[0][0] - 3.0 * _ROOM
     return max(least, limits.angles[1][0] + _ROOM), min(most, limits.angles[1][1] - _ROOM, steepest)
 
@@ -172,7 +182,10 @@ def _too_little(radius_m: float, limits: MotionLimits, travel_m: float) -> str:
         f"a cylinder of {radius_m * 1e3:g} mm radius can be moved by {travel_m * 1e3:.1f} mm along the pads;"
         f" {LEAST_TRAVEL_M * 1e3:g} mm is the least"
     )
-    if float(contact_m(radius_m, np.asarray(limits.angles[1][1]))) > limits.pad_length - PAD_MARGIN_M - LEAST_TRAVEL_M:
+    if (
+        float(contacts_m(radius_m, np.array([limits.angles[1][1]]), limits.curvatures).min())
+        > limits.pad_length - PAD_MARGIN_M - LEAST_TRAVEL_M
+    ):
         return f"{told}: the radius is too large for these pads and limits.{JOINTS[OPENING]}_deg"
     return f"{told}: take a larger cylinder, or widen limits.{JOINTS[0]}_deg and limits.{JOINTS[OPENING]}_deg"
 

@@ -1,21 +1,22 @@
 """Both pads' zero, scale and sign from a turned cylinder between the palms. Pure.
 
-The cylinder touches each pad at s = R/tan(φ2/2) (`palmd.calibration.cylinder`), and a pad says
-counts = sign · counts_per_mm · (s − zero_mm): a straight line through counts over s, fitted by least squares. Opening
-and closing weigh the same, so that a pad that speaks later than the arm shifts nothing.
+The cylinder touches each pad at s = R/tan(φ2/2), or where it does on arcs of known curvature (`calibration.cylinder`),
+and a pad says counts = sign · counts_per_mm · (s − zero_mm): a straight line through counts over s, fitted by least
+squares. Opening and closing weigh the same, so that a pad that speaks later than the arm shifts nothing.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from palmd.calibration.cylinder import LEAST_TRAVEL_M, SLOW_RAD_S, CylinderError, CylinderReadings, contact_m, readings
+from palmd.calibration.cylinder import LEAST_TRAVEL_M, SLOW_RAD_S, CylinderError, CylinderReadings, contacts_m, readings
 from palmd.config import PadConfig
 from palmd.events import Event, FloatArray
+from palmd.system.arcs import FLAT
 
 LEAST_READINGS = 500
 LEAST_FOLLOWED = 0.9
@@ -49,20 +50,32 @@ class PadScale:
     spoilt: int
 
 
-def pad_scales(events: Iterable[Event], configs: tuple[PadConfig, ...], radius_m: float) -> tuple[PadScale, PadScale]:
-    """Both pads; `configs` are those the daemon ran with. Raises CylinderError for readings that do not suffice."""
+def pad_scales(
+    events: Iterable[Event], configs: tuple[PadConfig, ...], radius_m: float, curvatures: Sequence[float] = FLAT
+) -> tuple[PadScale, PadScale]:
+    """Both pads; `configs` are those the daemon ran with, `curvatures` the palms' (1/m).
+
+    Raises CylinderError for readings that do not suffice.
+    """
     first, second = readings(events, configs)
-    return _scale(1, first, radius_m), _scale(2, second, radius_m)
+    return _scale(1, first, radius_m, curvatures), _scale(2, second, radius_m, curvatures)
 
 
-def _scale(number: int, found: CylinderReadings, radius_m: float) -> PadScale:
+def slow_readings(number: int, found: CylinderReadings) -> tuple[FloatArray, FloatArray]:
+    """Opening (rad) and counts of a pad's readings while the palms moved slowly; CylinderError for too few."""
     slow = found.rate <= _SLOW_ENOUGH
-    s, counts = contact_m(radius_m, found.opening[slow]) * 1e3, found.counts[slow]
-    if len(s) < LEAST_READINGS:
+    counts = found.counts[slow]
+    if len(counts) < LEAST_READINGS:
         raise CylinderError(
-            f"pad {number}: {len(s)} readings while both pads were touched, of at least {LEAST_READINGS}:"
+            f"pad {number}: {len(counts)} readings while both pads were touched, of at least {LEAST_READINGS}:"
             " does the cylinder lie on both palms all the time?"
         )
+    return found.opening[slow], counts
+
+
+def _scale(number: int, found: CylinderReadings, radius_m: float, curvatures: Sequence[float]) -> PadScale:
+    opening, counts = slow_readings(number, found)
+    s = contacts_m(radius_m, opening, curvatures)[number - 1] * 1e3
     if np.ptp(s) < 0.8 * LEAST_TRAVEL_M * 1e3:
         raise CylinderError(f"the palms moved the cylinder by {np.ptp(s):.1f} mm only: was the plan stopped?")
     left = counts - _line(s, counts)

@@ -16,7 +16,7 @@ from palmd.calibration.cylinder import turning_plan
 from palmd.calibration.files import writable
 from palmd.calibration.pad_scale import PadScale, pad_scales
 from palmd.config import Config, PadConfig
-from palmd.console.configured import with_flat_palms
+from palmd.console.configured import configured
 from palmd.console.errors import BAD_INPUT, RIG_FAILED
 from palmd.motion.check import motion_limits
 
@@ -36,14 +36,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Writes nothing before both pads are known; CliError when the input is wrong or the rig fails."""
-    config = with_flat_palms(arguments.config, "the turned cylinder")
+    config = configured(arguments.config)
     radius_m = arguments.radius_mm * 1e-3
     with cylinder_session.ending(BAD_INPUT):
         plan = turning_plan(radius_m, motion_limits(config))
     folder = writable(arguments.output or arguments.config.parent / "calibration")
     events = cylinder_session.heard(arguments, config, plan)
     with cylinder_session.ending(RIG_FAILED):
-        found = pad_scales(events, cylinder_session.pads(config), radius_m)
+        found = pad_scales(events, cylinder_session.pads(config), radius_m, config.rig.curvatures_per_m)
     print(table(found))
     for remark in remarks(found, config):
         print(remark, file=sys.stderr)

@@ -3,16 +3,33 @@
 from __future__ import annotations
 
 import argparse
+import threading
 import time
 from collections.abc import Callable
-from functools import partial
-from typing import Any, get_args
+from pathlib import Path
+from typing import get_args
+
+from palmd.config import Config
+from palmd.console.configured import configured
+from palmd.events import ObserverName
+
+_PATIENCE_S = 2.0
+
+Part = tuple[str, Callable[[], str]]
+"""What it is, and what makes it or finds it made, and says how it runs."""
 
 _BACKENDS = {"c": "compiled C", "vm": "CasADi's virtual machine, no compiled C", "numpy": "NumPy, nothing to compile"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
+    parser.add_argument(
+        "config",
+        type=Path,
+        nargs="?",
+        metavar="CONFIG",
+        help="what a run with this configuration needs, and no more (default: what any rig with flat palms needs)",
+    )
     parser.add_argument(
         "--all",
         action="store_true",
@@ -21,43 +38,87 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Makes each observer once; takes seconds for what is not in the cache yet."""
-    from palmd import observer
-    from palmd.model import pivot, rollout, shape_map, smoothing
-    from palmd.system.description import RigDescription
-
-    def backend_of(name: observer.ObserverName) -> str:
-        return observer.make(name, RigDescription()).backend
-
-    for name in get_args(observer.ObserverName):
-        _told(f"{name} observer", partial(backend_of, name))
-    _told("shape observer, with a smoother's harmonics", lambda: shape_map.library(smoothing.ORDER).backend)
-    _told("smoother", lambda: smoothing.library().backend)
-    _told("pivoting grasp", lambda: pivot.library().backend)
-    _told("explorer", lambda: rollout.library().backend)
+    """Makes each set of kernels once; takes seconds for what is not in the cache yet."""
+    if arguments.config is not None and not arguments.all:
+        for each in needed_by(configured(arguments.config)):
+            _told(*each)
+        return 0
+    for each in [*_observers(), *_of_palms(curved=False), *_beside()]:
+        _told(*each)
     if arguments.all:
-        _build_other_systems()
+        for each in [*_of_palms(curved=True), *_other_systems()]:
+            _told(*each)
     return 0
 
 
-def _build_other_systems() -> None:
-    from palmd.model import rollout, sensitivity, shape_map, sharp, smoothing, three_palms
+def needed_by(config: Config) -> list[Part]:
+    """What the processes of a run with this configuration load."""
+    curved = any(config.rig.curvatures_per_m)
+    if config.observer.primary == "shape":
+        return _of_palms(curved)
+    return [_observer(config.observer.primary)]
+
+
+def made_ready(config: Config, tell: Callable[[str], None]) -> None:
+    """Make what a run needs before its processes start, each of which would else compile; tell if it lasts."""
+    patience = threading.Timer(_PATIENCE_S, tell, ["compiling what these palms need, once; it takes a minute or two"])
+    patience.daemon = True
+    patience.start()
+    try:
+        for _, make in needed_by(config):
+            make()
+    finally:
+        patience.cancel()
+
+
+def _observers() -> list[Part]:
+    return [_observer(name) for name in get_args(ObserverName) if name != "shape"]
+
+
+def _observer(name: ObserverName) -> Part:
+    from palmd import observer
+    from palmd.system.description import RigDescription
+
+    return f"{name} observer", lambda: observer.make(name, RigDescription()).backend
+
+
+def _of_palms(curved: bool) -> list[Part]:
+    """What observing, smoothing and exploring on two palms take."""
+    from palmd.model import rollout, sensitivity, shape_map, smoothing
+
+    which = "curved palms, " if curved else ""
+    parts: list[Part] = [
+        (f"{which}shape observer", lambda: shape_map.library(curved=curved).backend),
+        (
+            f"{which}shape observer with a smoother's harmonics",
+            lambda: shape_map.library(smoothing.ORDER, curved).backend,
+        ),
+        (f"{which}observability", lambda: sensitivity.library(curved).backend),
+        (f"{which}smoother", lambda: smoothing.library(curved).backend),
+        (f"{which}explorer", lambda: rollout.library(curved).backend),
+    ]
+    # a smoother of any palms reduces its equations by the C that comes with flat ones
+    return [*parts, ("smoother's equations", lambda: smoothing.library().backend)] if curved else parts
+
+
+def _beside() -> list[Part]:
+    from palmd.model import pivot
+
+    return [("pivoting grasp", lambda: pivot.library().backend)]
+
+
+def _other_systems() -> list[Part]:
+    from palmd.model import sharp, three_palms
     from palmd.observer.three_palms.search import ORDER, START_ORDER
 
-    def backend_of(library: Callable[..., Any], *which: int) -> str:
-        return str(library(*which).backend)
+    def space(order: int) -> Part:
+        return f"three palms in space, degree {order}", lambda: three_palms.library(order).backend
 
-    for what, curved in (
-        ("observer", partial(shape_map.library, curved=True)),
-        ("smoother", partial(smoothing.library, curved=True)),
-        ("explorer", partial(rollout.library, curved=True)),
-        ("observability", partial(sensitivity.library, curved=True)),
-    ):
-        _told(f"curved palms, {what}", partial(backend_of, curved))
-    _told("flat sides", partial(backend_of, sharp.library))
-    _told("three palms in space, the beginning", partial(backend_of, three_palms.driven_library))
-    for order in (START_ORDER, ORDER):
-        _told(f"three palms in space, degree {order}", partial(backend_of, three_palms.library, order))
+    return [
+        ("flat sides", lambda: sharp.library().backend),
+        ("three palms in space, the beginning", lambda: three_palms.driven_library().backend),
+        *map(space, (START_ORDER, ORDER)),
+    ]
 
 
 def _told(what: str, backend_of: Callable[[], str]) -> None:

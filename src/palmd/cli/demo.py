@@ -18,6 +18,7 @@ from pathlib import Path
 from palmd.bus.command_client import CommandClient
 from palmd.bus.link import COMMAND, PUBLISH
 from palmd.cli.browser import open_page
+from palmd.cli.build import made_ready
 from palmd.config import BusConfig
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.console.shipped import shipped
@@ -64,6 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise CliError(BAD_INPUT, str(error)) from None
     if arguments.perfect:
         config = perfect(config)
+    made_ready(config, _tell)
     seed = [] if arguments.seed is None else ["--seed", str(arguments.seed)]
     with StopRequest() as stop, tempfile.TemporaryDirectory(prefix="palmd-demo-") as name, ExitStack() as leaving:
         stack = leaving.enter_context(Stack(Path(name), config, RUNS.absolute(), give_up=lambda: stop.made, tell=_tell))

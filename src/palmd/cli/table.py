@@ -71,6 +71,7 @@ COMMANDS = (
     Command(
         "calibrate force", "calibration.force", "both touchpads: newtons per count, by the weight of that cylinder"
     ),
+    Command("calibrate curvature", "calibration.curvature", "palms that are arcs: their curvature, with that cylinder"),
     Command(
         "calibrate self",
         "calibration.self_calibration",
@@ -80,6 +81,9 @@ COMMANDS = (
         "observability",
         "lab.observability",
         "what the paper's systems can observe: rank and conditioning, maps over the rates",
+    ),
+    Command(
+        "outlook", "lab.outlook", "the paper's last questions: what curved palms cover, what a pivoting grasp can tell"
     ),
     Command("compare", "lab.compare", "a reconstruction with a camera's track of the same run"),
     Command("report", "cli.report", "a recorded run as a page or PDF to print; paper: the runs of CMU-CS-01-107 again"),
@@ -101,7 +105,7 @@ COMMANDS = (
     Command(
         "bench recognise", "lab.bench_recognise", "which of twenty similar objects lies on the palms, or none of them"
     ),
-    Command("bench curved", "lab.bench_curved", "curved palms: reconstructed blind, and how much more they touch"),
+    Command("bench curved", "lab.bench_curved", "curved palms: reconstructed blind, explored, and how much they touch"),
     Command(
         "bench pivot",
         "lab.bench_pivot",

@@ -27,7 +27,7 @@ from palmd.motion.plan import compile_plan
 from palmd.observer import Observer, ObserverName, Smoothing
 from palmd.rig.pads import GOOD_PADS, PadOptions
 from palmd.rig.plant import AS_ASSUMED, PlantOptions
-from palmd.rig.shapes import Kind
+from palmd.rig.shapes import Body, Kind
 from palmd.rig.world import STEP_S, World
 
 ANSWER_S = 2.0
@@ -69,11 +69,13 @@ class Wireless:
         smoothing: Smoothing | None = None,
         explorer: Source | None = None,
         estimator: Observer | None = None,
+        body: Body | None = None,
     ) -> None:
-        """`seed` draws object, noise and the observer's samples of the prior; `explorer` decides explorations.
+        """`seed` draws the object, unless it is this `body`, noise, and the observer's samples of the prior.
 
-        Without one, a shape observer has the daemon's own, whose answers come some time after the questions. Without
-        `smoothing` the observer has no smoother at its side. An `estimator` takes the place of the one that is named.
+        `explorer` decides explorations. Without one, a shape observer has the daemon's own, whose answers come some
+        time after the questions. Without `smoothing` the observer has no smoother at its side. An `estimator` takes the
+        place of the one that is named.
 
         Raises PlanError for a plan that cannot be run.
         """
@@ -83,7 +85,7 @@ class Wireless:
         estimator = estimator or observer.make(observer_name, rig, seed, smoothing)
         if explorer is None and observer_name == "shape":
             explorer = InlineExplorer(Decider(rig, seed))
-        self.world = World(config, seed, kind=kind, options=options, pad_options=pad_options)
+        self.world = World(config, seed, kind=kind, options=options, pad_options=pad_options, body=body)
         self.core = Core(config, estimator, _AtOnce(), plan, explorer=explorer)
         self._steps = 0
         self._steps_per_tick = round(1.0 / (config.loop.rate_hz * STEP_S))

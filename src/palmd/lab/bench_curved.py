@@ -1,61 +1,81 @@
-"""Curved palms: cradles and domes reconstructed blind, and how much more of an outline the same motion touches."""
+"""Curved palms: cradles and domes reconstructed blind, explored, and how much more of an outline they touch."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from palmd.console.arguments import count, seconds, seed
-from palmd.lab import curved
-from palmd.lab.rows import collected, on_this_machine
+from palmd.console.extras import drawing
+from palmd.lab import curved, curved_coverage, curved_exploring
+from palmd.lab.rows import Sink, collected, on_this_machine
 from palmd.rig.simulate_curved import CURVED_KINDS
-
-RADII_MM = (50.0, 60.0, 75.0, 90.0, 120.0)
-AMPLITUDES = (0.25, 0.45)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The bench's arguments."""
     add = parser.add_argument
     add("--runs", type=count, default=34, metavar="N", help="logs of each kind (default: %(default)s)")
-    add("--shapes", type=count, default=24, metavar="N", help="objects on each curvature (default: %(default)s)")
+    add("--shapes", type=count, default=60, metavar="N", help="objects on each curvature (default: %(default)s)")
+    add("--objects", type=count, default=12, metavar="N", help="objects to explore (default: %(default)s)")
     add("--seed", type=seed, default=0, metavar="FIRST", help="the first run's (default: %(default)s)")
-    add("--seconds", type=seconds, default=10.0, metavar="S", help="how long each lasts (default: %(default)s)")
-    add("--only", choices=("logs", "coverage"), help="one half of it; default: both")
+    add("--seconds", type=seconds, default=10.0, metavar="S", help="how long a log is (default: %(default)s)")
+    add("--only", choices=tuple(_PARTS), help="one part of it; default: all")
     add("--figure", type=Path, metavar="OUT.svg", help="draw the touched share against curvature; needs matplotlib")
+    add("-o", "--output", type=Path, metavar="ROWS", help="a file of JSON lines for the explorations, overwritten")
     add("--jobs", type=count, metavar="J", help="processes on this machine (default: one a processor)")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Interrupted, it tells of what is finished until then."""
-    status = 0
-    seeds = range(arguments.seed, arguments.seed + max(arguments.runs, arguments.shapes))
-    if arguments.only != "coverage":
-        tasks = [
-            curved.LogTask(kind, each, arguments.seconds) for each in seeds[: arguments.runs] for kind in CURVED_KINDS
-        ]
-        rows, status = collected(
-            "curved", tasks, curved.reconstructed, curved.log_failed, on_this_machine(arguments.jobs)
-        )
-        order = sorted(rows, key=lambda row: (CURVED_KINDS.index(row.kind), row.seed))
-        print(f"reconstructed, seeds {seeds[0]}–{seeds[arguments.runs - 1]} of each kind")
-        print(curved.log_table(order))
-        for row in order:
-            if row.error or not row.converged:
-                print(f"{row.kind} {row.seed}: {row.error or row.reason}")
-    if status == 0 and arguments.only != "logs":
-        curvatures = [0.0, *(sign * 1e3 / radius for radius in RADII_MM for sign in (1.0, -1.0))]
-        rocks = [
-            curved.CoverageTask(kappa, amplitude, each, arguments.seconds)
-            for each in seeds[: arguments.shapes]
-            for kappa in curvatures
-            for amplitude in AMPLITUDES
-        ]
-        covered, status = collected(
-            "coverage", rocks, curved.rocked, curved.coverage_failed, on_this_machine(arguments.jobs)
-        )
-        print(f"touched share by the same motion, seeds {seeds[0]}–{seeds[arguments.shapes - 1]}")
-        print(curved.coverage_table(covered))
-        if arguments.figure is not None:
-            curved.figure(covered, arguments.figure)
+    for part in [arguments.only] if arguments.only else _PARTS:
+        status = _PARTS[part](arguments)
+        if status:
+            return status
+    return 0
+
+
+def _logs(arguments: argparse.Namespace) -> int:
+    seeds = range(arguments.seed, arguments.seed + arguments.runs)
+    tasks = [curved.LogTask(kind, each, arguments.seconds) for each in seeds for kind in CURVED_KINDS]
+    workers = on_this_machine(arguments.jobs)
+    rows, status = collected("curved", tasks, curved.reconstructed, curved.log_failed, workers)
+    order = sorted(rows, key=lambda row: (CURVED_KINDS.index(row.kind), row.seed))
+    print(f"reconstructed, seeds {seeds[0]}–{seeds[-1]} of each kind")
+    print(curved.log_table(order))
+    for row in order:
+        if row.error or not row.converged:
+            print(f"{row.kind} {row.seed}: {row.error or row.reason}")
     return status
+
+
+def _coverage(arguments: argparse.Namespace) -> int:
+    objects = curved_coverage.objects(arguments.shapes, arguments.seed)
+    print(f"share of the normals touched, {arguments.shapes} objects, seeds from {arguments.seed}")
+    rows = [curved_coverage.covered(kappa, objects) for kappa in curved_coverage.curvatures()]
+    print(curved_coverage.table(rows))
+    if arguments.figure is not None and (figures := drawing("palmd.lab.outlook_figures")):
+        figures.save_coverage(rows, arguments.figure)
+    return 0
+
+
+def _exploring(arguments: argparse.Namespace) -> int:
+    tasks = curved_exploring.tasks_of(arguments.seed, arguments.objects, curved_exploring.MOST_S)
+    sink = None if arguments.output is None else Sink(arguments.output, curved_exploring.as_line)
+    rows, status = collected(
+        "exploring", tasks, curved_exploring.run, curved_exploring.failed, on_this_machine(arguments.jobs), sink
+    )
+    if rows:
+        print(f"explored, seeds from {arguments.seed}")
+        print(curved_exploring.table(rows))
+        for remark in curved_exploring.remarks(rows):
+            print(remark)
+    return status
+
+
+_PARTS: Mapping[str, Callable[[argparse.Namespace], int]] = {
+    "logs": _logs,
+    "coverage": _coverage,
+    "exploring": _exploring,
+}

@@ -26,7 +26,7 @@ from palmd.motion.reach import surface_limits
 from palmd.motion.rig_information import rig_cost
 from palmd.motion.rollout_predictor import BINS, Bools
 from palmd.observer import Simulated
-from palmd.rig.shapes import KINDS, Kind
+from palmd.rig.shapes import KINDS, Body, Kind
 from palmd.rig.world import default_config
 from palmd.yamlfile import load_config
 
@@ -160,8 +160,12 @@ class _Timed(Decider):
 
 
 def _run(task: ExploringTask) -> ExploringRow:
+    return explored(task, load_config(task.config) if task.config else default_config(task.imperfections))
+
+
+def explored(task: ExploringTask, config: Config, body: Body | None = None) -> ExploringRow:
+    """One run on the rig of that configuration, with `body` on its palms or one drawn by the task's kind and seed."""
     begin = time.process_time()
-    config = load_config(task.config) if task.config else default_config(task.imperfections)
     rig = rig_description(config)
     explores = task.strategy == "explore"
     goal = ExploreGoal(coverage=GOAL, band_mm=task.band_mm, time_limit_s=task.seconds)
@@ -174,12 +178,13 @@ def _run(task: ExploringTask) -> ExploringRow:
         kind=task.kind,
         smoothing=Simulated(rig) if explores else None,
         explorer=InlineExplorer(decider),
+        body=body,
     )
     true_h = np.array(wireless.world.object_truth()["h_m"])
     reachable = _reachable(config, true_h)
     wireless.start()
     before = wireless.world.status()["contact_losses"]
-    watch = ExplorationWatch(reachable, tuple(pad.length for pad in rig.pads), wireless.t)
+    watch = ExplorationWatch(reachable, tuple(pad.length for pad in rig.pads), wireless.t, rig.curvatures)
     ended_s = _watched(wireless, watch, task.seconds)
     status = wireless.world.status()
     told = wireless.core.exploring.told() if explores else None
@@ -231,12 +236,7 @@ def _watched(wireless: Wireless, watch: ExplorationWatch, seconds: float) -> flo
 
 
 def _reachable(config: Config, true_h: FloatArray) -> Bools:
-    """The bins of normals that palms touch in any stable pose of the true outline, short of the pads' ends.
-
-    On curved palms, whose stable poses have not been mapped, all.
-    """
-    if any(config.rig.curvatures_per_m):
-        return np.ones(BINS, dtype=np.bool_)
+    """The bins of normals that palms touch in any stable pose of the true outline, short of the pads' ends."""
     limits = motion_limits(config)
     where = replace(surface_limits(limits), margin=EDGE_M)
     surface = stable_surface(shape.coefficients_of(true_h, HARMONICS), where, bins=BINS)

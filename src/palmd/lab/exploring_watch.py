@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,6 +15,7 @@ from palmd.messages import Fields
 from palmd.motion.rollout_predictor import BINS, Bools
 from palmd.quantities import ESTIMATE, SHAPE
 from palmd.score import OutlineScore, score_shape
+from palmd.system.arcs import FLAT, tangents
 from palmd.system.mechanism import JOINTS, PALMS, normal_directions
 
 EDGE_M = 5e-4
@@ -26,6 +28,7 @@ _BIN_RAD = math.tau / BINS
 @dataclass(slots=True)
 class ExplorationWatch:
     """Takes the ticks one by one; `reachable` and `touched` are marks on the truth's bins of outward normals.
+    `curvatures` of the palms (1/m): normals are those of the tangents at the contacts.
 
     curve: the share touched of the reachable normals at each full second since `t_start` (s). t_enough: when that
     was `ENOUGH`; t_valid: the first valid tick (s since the start), both NaN when it never came.
@@ -34,6 +37,7 @@ class ExplorationWatch:
     reachable: Bools
     pad_lengths_m: tuple[float, ...]
     t_start: float
+    curvatures: Sequence[float] = FLAT
     touched: Bools = field(default_factory=lambda: np.zeros(BINS, dtype=np.bool_))
     curve: list[float] = field(default_factory=list)
     t_enough: float = math.nan
@@ -76,7 +80,9 @@ class ExplorationWatch:
     def _touch(self, truth: dict[str, Any]) -> None:
         self.on_both = all(truth[f"contact{palm}"] for palm in PALMS)
         self.parted += not self.on_both
-        normals = normal_directions([truth[f"{joint}_rad"] for joint in JOINTS], truth["psi_rad"])
+        places = [truth[f"s{number}_m"] for number in PALMS]
+        joints = tangents([truth[f"{joint}_rad"] for joint in JOINTS], places, self.curvatures)
+        normals = normal_directions(joints, truth["psi_rad"])
         for number, theta, length_m in zip(PALMS, normals, self.pad_lengths_m, strict=True):
             if truth[f"contact{number}"]:
                 self.touched[math.floor(theta / _BIN_RAD) % BINS] = True

@@ -11,6 +11,7 @@ from palmd.cli.logs import read
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.extras import missing, only_without
 from palmd.console.progress import Progress
+from palmd.lab import outlook
 from palmd.lab.paper_report import as_text, rows
 from palmd.lab.paper_runs import SideBySide, paper_simulation, side_by_side
 from palmd.lab.simulated import simulated
@@ -27,7 +28,7 @@ Told = dict[str, Any]
 def run(logs: Sequence[Path], output: Path) -> int:
     """Prints the table, saves the figures; CliError when a log or its truth cannot be used."""
     try:
-        from palmd.lab import paper_figures, stable_pose_figures
+        from palmd.lab import outlook_figures, paper_figures, stable_pose_figures
     except ModuleNotFoundError as error:
         only_without("matplotlib", error)
         raise missing("the figures", "matplotlib", "lab") from None
@@ -37,9 +38,12 @@ def run(logs: Sequence[Path], output: Path) -> int:
     sides = _compared(runs)
     simulation = paper_simulation()
     print(as_text(rows(simulation, sides)), end="")
+    questions = outlook.studied()
+    print(f"\n{outlook.as_text(questions)}", end="")
     try:
         output.mkdir(parents=True, exist_ok=True)
         saved = paper_figures.save(simulation, sides, output) + stable_pose_figures.save(output)
+        saved += outlook_figures.save(questions, output)
     except OSError as error:
         raise CliError(BAD_INPUT, f"{output}: cannot be written: {error.strerror or error}") from None
     print("figures: " + ", ".join(map(str, saved)))

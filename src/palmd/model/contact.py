@@ -18,6 +18,7 @@ from palmd.model.symbolic import SX, ca
 class Contact:
     """What one palm feels: r = h, d = −h′, v = h + h″ at the contact's normal (m); how the palm lies there.
 
+    v_rate: h′ + h‴, by which v changes with the normal (m/rad); None where nobody has worked it out.
     curvature: of the palm (1/m, > 0 concave). turn: of its tangent at the contact against its direction at the hinge
     (rad). above: how far over the hinge that tangent passes (m), on the object's side. A flat palm's are no symbols but
     zeros, which CasADi leaves out of every expression.
@@ -26,6 +27,7 @@ class Contact:
     r: SX
     d: SX
     v: SX
+    v_rate: SX | None = None
     curvature: SX = field(default_factory=lambda: SX(0))
     turn: SX = field(default_factory=lambda: SX(0))
     above: SX = field(default_factory=lambda: SX(0))

@@ -111,14 +111,15 @@ def harmonics(theta: SX, order: int = HARMONICS) -> Iterator[tuple[int, SX, SX]]
 
 def contact_at(theta: SX, coefficients: SX) -> Contact:
     """r, d, v of the outline where its outward normal is `theta`; any odd number of coefficients."""
-    r, d, v = coefficients[0], SX(0), coefficients[0]
+    r, d, v, v_rate = coefficients[0], SX(0), coefficients[0], SX(0)
     for k, cos, sin in harmonics(theta, (coefficients.shape[0] - 1) // 2):
         a, b = coefficients[2 * k - 1], coefficients[2 * k]
         even, odd = a * cos + b * sin, a * sin - b * cos
         r = r + even
         d = d + k * odd
         v = v + (1 - k**2) * even
-    return Contact(r, d, v)
+        v_rate = v_rate - (1 - k**2) * k * odd
+    return Contact(r, d, v, v_rate)
 
 
 def turned(turn: float, order: int = HARMONICS) -> FloatArray:

@@ -131,11 +131,9 @@ def _felt_on_arcs(phi1: SX, phi2: SX, psi: SX, p: SX, lying: _Lying) -> tuple[SX
     bends = [-8 * rig[R.SAGITTA + i] / lengths[i] ** 2 for i in range(2)]
     phi1, phi2 = phi1 + slope1, phi2 - slope1 - slope2
 
-    def outline(theta: SX, palm: int) -> Contact:
-        contact = lying.outline(theta, h)
-        return replace(contact, r=contact.r + rig[R.STANDOFF + palm - 1])
-
-    return phi1, phi2, *lying.touch.contacts(phi1, phi2, psi, outline, bends)
+    standoffs = [rig[R.STANDOFF + i] for i in range(2)]
+    one, two = lying.touch.contacts(phi1, phi2, psi, lambda theta, _: lying.outline(theta, h), bends, standoffs)
+    return phi1, phi2, one, two
 
 
 def _motion(psi: SX, omega0: SX, p: SX, palms: Palms, rig: SX, lying: _Lying) -> Motion:

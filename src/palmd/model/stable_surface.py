@@ -6,6 +6,9 @@ one to the other *and back*; a fall into another pose does not come back. The st
 link in a thousand, next to a boundary, is wrong: `follow` tells before a route is driven. The surface ends inside the
 limits where a minimum vanishes, (3.23) and (3.24) both zero: the inside boundary. It ends at the limits of the palm
 angles and where a contact leaves its pad: the outside boundary.
+
+On palms that are arcs the grid is one of their tangents, between which an object balances as between flat palms
+(`model.stable_on_arcs`): its poses are mapped to the palms', and those that are not stable there are left out.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palmd.events import FloatArray
+from palmd.model.stable_on_arcs import on_arcs
 from palmd.model.stable_poses import (
     Basins,
     BoolArray,
@@ -25,6 +29,7 @@ from palmd.model.stable_poses import (
     outline_at,
     touch,
 )
+from palmd.system.arcs import FLAT
 from palmd.system.mechanism import normal_directions
 
 PHI1_COUNT = 60
@@ -32,13 +37,14 @@ PHI2_COUNT = 50
 NORMAL_BINS = 72
 _WOUND = 3.0  # rad: going round a loop turns the object by a multiple of 2π; this tells one from none
 _FOLD_SCAN = 720
+_LEVEL = 0.02  # rad: tangents that lie flatter hold nothing
 
 
 @dataclass(frozen=True, slots=True)
 class SurfaceLimits:
     """Which poses count: palm angles from low to high (rad), φ12 below its limit (rad), contacts on the pads (m).
 
-    A contact is on its pad from `margin` to `pad_length` − `margin` from the hinge.
+    A contact is on its pad from `margin` to `pad_length` − `margin` from the hinge. curvatures: of the palms (1/m).
     """
 
     phi1: tuple[float, float] = (0.1, 2.6)
@@ -46,11 +52,29 @@ class SurfaceLimits:
     phi12_max: float = math.radians(172.0)
     pad_length: float = 0.0555
     margin: float = 0.002
+    curvatures: tuple[float, ...] = FLAT
 
     def on_pads(self, s1: FloatArray, s2: FloatArray) -> BoolArray:
         """Whether both contacts, s1 and s2 from the hinge (m), are on their pads."""
         low, high = self.margin, self.pad_length - self.margin
         return (s1 >= low) & (s1 <= high) & (s2 >= low) & (s2 <= high)
+
+    def hold(self, phi1: FloatArray, phi2: FloatArray) -> BoolArray:
+        """Whether the palms may stand at these angles (rad)."""
+        (low1, high1), (low2, high2) = self.phi1, self.phi2
+        inside = (phi1 >= low1) & (phi1 <= high1) & (phi2 >= low2) & (phi2 <= high2)
+        return inside & (phi1 + phi2 < self.phi12_max)
+
+    def of_tangents(self) -> tuple[tuple[float, float], tuple[float, float], float]:
+        """What β1 and the opening of the tangents can be within them, and what β2 stays below (rad); flat, the same."""
+        if not any(self.curvatures):
+            return self.phi1, self.phi2, self.phi12_max
+        turns = [kappa * self.pad_length for kappa in self.curvatures]  # at the pads' ends; at the hinge, none
+        backward, forward = ([each(turn, 0.0) for turn in turns] for each in (min, max))
+        low, high = self.phi1[0] + backward[0], self.phi1[1] + forward[0]
+        least, most = self.phi2[0] - sum(forward), self.phi2[1] - sum(backward)
+        top = min(self.phi12_max - backward[1], math.pi - _LEVEL)
+        return (max(low, _LEVEL), min(high, top)), (max(least, _LEVEL), min(most, top)), top
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,11 +82,12 @@ class Surface:
     """All P allowed stable poses on a grid of palm angles, and the C connected parts that they form.
 
     Points: phi1, phi2, psi (rad, ψ in [0, 2π)), s1, s2 (m), the number of their component, and whether they lie on
-    the outside boundary; all (P,). links: (L, 2), neighbouring points that lead to each other. Components come by the
-    part of the outline that they reach, largest first. reach: (C, bins), which of the evenly spaced bins of outward
-    normals, bin 0 beginning at θ = 0, a palm touches (3.1). winds: (C,), whether a closed motion of the palms can
-    bring the object once around. grid1, grid2: the grid's palm angles. point_of: (len(grid1), len(grid2), K), the
-    point of each minimum, −1 where there is none or it is not allowed.
+    the outside boundary; all (P,). On arcs φ1 and φ2 are those of the palms, the grid is one of the tangents.
+    links: (L, 2), neighbouring points that lead to each other. Components come by the part of the outline that they
+    reach, largest first. reach: (C, bins), which of the evenly spaced bins of outward normals, bin 0 beginning at
+    θ = 0, a palm touches (3.1). winds: (C,), whether a closed motion of the palms can bring the object once around.
+    grid1, grid2: the grid's palm angles. point_of: (len(grid1), len(grid2), K), the point of each minimum, −1 where
+    there is none or it is not allowed.
     """
 
     phi1: FloatArray
@@ -100,8 +125,9 @@ def stable_surface(
     loop. Raises ValueError when the limits leave no palm pose.
     """
     limits = limits or SurfaceLimits()
-    grid1, grid2 = np.linspace(*limits.phi1, phi1_count), np.linspace(*limits.phi2, phi2_count)
-    open_ = np.add.outer(grid1, grid2) < limits.phi12_max
+    first, second, top = limits.of_tangents()
+    grid1, grid2 = np.linspace(*first, phi1_count), np.linspace(*second, phi2_count)
+    open_ = np.add.outer(grid1, grid2) < top
     if not open_.any():
         raise ValueError("the limits leave no palm pose: phi1 + phi2 is too large everywhere")
     row, column = np.nonzero(open_)
@@ -109,9 +135,14 @@ def stable_surface(
 
     # every stable pose gets a number; only those with both contacts on the pads stay in the surface
     i, j, k = np.nonzero(np.isfinite(extrema.minima))
-    phi1, phi2, psi = grid1[i], grid2[j], extrema.minima[i, j, k]
-    contacts = touch(coefficients, phi1, phi2, psi)
-    allowed = limits.on_pads(contacts.s1, contacts.s2)
+    beta1, opening, psi = grid1[i], grid2[j], extrema.minima[i, j, k]
+    contacts = touch(coefficients, beta1, opening, psi)
+    phi1, phi2, s1, s2 = beta1, opening, contacts.s1, contacts.s2
+    allowed = limits.on_pads(s1, s2)
+    if any(limits.curvatures):
+        laid = on_arcs(contacts, beta1, opening, limits.curvatures)
+        phi1, phi2, s1, s2 = laid.phi1, laid.phi2, laid.s1, laid.s2
+        allowed = limits.on_pads(s1, s2) & limits.hold(phi1, phi2) & laid.stable
     number = np.full(extrema.minima.shape, -1, dtype=np.intp)
     number[i, j, k] = np.arange(len(psi))
     all_links = _links(extrema, number)
@@ -122,16 +153,16 @@ def stable_surface(
     outside = _at_the_edge(open_)[i, j]
     outside[all_links[~both].ravel()] = True
     point_of = np.where(number >= 0, point[number], -1)
-    phi1, phi2, psi = phi1[allowed], phi2[allowed], psi[allowed]
-    component, reach, winds = _components(phi1, phi2, psi, links, bins)
+    psi = psi[allowed]
+    component, reach, winds = _components(beta1[allowed], opening[allowed], psi, links, bins)
     return Surface(
-        phi1, phi2, psi, contacts.s1[allowed], contacts.s2[allowed], component, outside[allowed],
+        phi1[allowed], phi2[allowed], psi, s1[allowed], s2[allowed], component, outside[allowed],
         links, reach, winds, grid1, grid2, point_of, extrema,
     )  # fmt: skip
 
 
 def point_at(surface: Surface, coefficients: FloatArray, phi1: float, phi2: float, psi: float) -> int:
-    """The surface's point next to where the object rests at these palm angles (rad) when let go at ψ (rad).
+    """The surface's point next to where the object rests at these angles of flat palms (rad) when let go at ψ (rad).
 
     Tried are the corners of the grid's cell around, nearest first, joined as neighbours are; −1 where none is:
     outside the limits, or next to a boundary. `surface.component` tells the part of the surface. Raises ValueError

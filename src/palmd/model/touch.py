@@ -13,7 +13,7 @@ which for flat palms is (3.13), (3.14) after one step.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from palmd.model.contact import Contact, alongs, sinc
 from palmd.model.symbolic import SX, ca
@@ -22,17 +22,45 @@ from palmd.system.mechanism import PALMS, SIDES, normal_directions
 Outline = Callable[[SX, int], Contact]
 """What a palm of that number feels where the outward normal is that angle (rad)."""
 
-BLIND_STEPS, WARM_STEPS = 6, 2
-"""Of Newton's method from s = 0, and from where the contacts were a few milliseconds ago."""
+BLIND, WARM = (2, 1, 1), (1,)
+"""Steps of the search after each look at the outline: from s = 0, and from where the contacts were milliseconds ago."""
+SAME_DEPTH = 3  # to which expressions are compared
 FARTHEST_M = 1.0  # from the hinge, where the search may lead: no palm is longer
+MOST_HALF = 1.5  # rad: half a turn beyond which the search takes it for that much
 LEAST_SLACK = 0.05  # of 1 − κv: below it the object lies in the palm rather than on it
+
+
+@dataclass(frozen=True, slots=True)
+class _Read:
+    """What a palm feels at the normal `theta` (rad), and how that changes with the normal."""
+
+    theta: SX
+    felt: Contact
+    rates: tuple[SX, SX, SX]  # of r, d, v (m/rad)
+
+    @classmethod
+    def of(cls, outline: Outline, theta: SX, palm: int) -> _Read:
+        felt = outline(theta, palm)
+        v_rate = ca.jacobian(felt.v, theta) if felt.v_rate is None else felt.v_rate
+        return cls(theta, felt, (-felt.d, felt.r - felt.v, v_rate))
+
+    def past(self, angle: SX, standoff: SX) -> Contact:
+        """What it feels that far on from `theta` (rad), through so much of standoff (m)."""
+        r, d, v = (each * angle for each in self.rates)
+        return replace(self.felt, r=self.felt.r + standoff + r, d=self.felt.d + d, v=self.felt.v + v)
+
+
+def _slack(curvature: SX, v: SX) -> SX:
+    return ca.fmax(1 - curvature * v, LEAST_SLACK)
 
 
 class Touch:
     """Finds the contacts of one kernel's expressions, each from where the last ones were.
 
-    The steps of the search are left out of derivatives, but for one more from where they lead to, which has those of
-    the implicit function exactly. So `thawed` has to put the search in once all derivatives have been taken.
+    The outline is costly to read, and more so its derivatives. So it is read at few normals, which no derivative looks
+    into, and is linear about each of them; the steps of the search are left out of derivatives too, but for one more
+    from where they lead to, which has those of the implicit function exactly. So `thawed` has to put both in once all
+    derivatives have been taken, of first order only.
     """
 
     def __init__(self, curvatures: Sequence[SX] = ()) -> None:
@@ -41,38 +69,84 @@ class Touch:
         self.flat = all(each.is_zero() for each in self._curvatures)
         self._frozen: list[tuple[SX, SX]] = []
         self._last: list[SX] = []  # s1, s2 found last
+        self._found: list[tuple[SX, tuple[Contact, Contact]]] = []  # for which angles
 
     def contacts(
-        self, phi1: SX, phi2: SX, psi: SX, outline: Outline, bends: Sequence[SX] = ()
+        self, phi1: SX, phi2: SX, psi: SX, outline: Outline, bends: Sequence[SX] = (), standoffs: Sequence[SX] = ()
     ) -> tuple[Contact, Contact]:
-        """Both contacts of an object turned by `psi`, its `outline` at any normal; `bends` add to the curvatures."""
+        """Both contacts of an object turned by `psi`, its `outline` at any normal.
+
+        `bends` add to the curvatures (1/m), `standoffs` to what each palm feels as r (m).
+        """
         if self.flat:
             one, two = map(outline, normal_directions((phi1, phi2), psi), PALMS)
             return one, two
+        pose = ca.vertcat(phi1, phi2, psi)
+        for known_pose, contacts in self._found:
+            if ca.is_equal(known_pose, pose, SAME_DEPTH):
+                return contacts
         curvatures = [kappa + more for kappa, more in zip(self._curvatures, bends or (SX(0), SX(0)), strict=True)]
+        offs = standoffs or (SX(0), SX(0))
 
-        def at(s: Sequence[SX]) -> tuple[Contact, Contact]:
-            turns = [side * kappa * each for side, kappa, each in zip(SIDES, curvatures, s, strict=True)]
-            normals = normal_directions((phi1 + turns[0], phi2 + turns[1] - turns[0]), psi)
+        def turns(s: Sequence[SX]) -> list[SX]:
+            return [side * kappa * each for side, kappa, each in zip(SIDES, curvatures, s, strict=True)]
+
+        def normals(s: Sequence[SX]) -> tuple[SX, ...]:
+            one, two = turns(s)
+            return normal_directions((phi1 + one, phi2 + two - one), psi)
+
+        def read(s: Sequence[SX]) -> list[_Read]:
+            return [_Read.of(outline, self._freeze(theta), palm) for theta, palm in zip(normals(s), PALMS, strict=True)]
+
+        def at(s: Sequence[SX], known: Sequence[_Read]) -> tuple[Contact, Contact]:
             one, two = (
-                replace(felt, curvature=kappa, turn=turn, above=-kappa / 2 * (each * sinc(turn / 2)) ** 2)
-                for felt, kappa, turn, each in zip(map(outline, normals, PALMS), curvatures, turns, s, strict=True)
+                replace(
+                    each.past(theta - each.theta, off),
+                    curvature=kappa,
+                    turn=turn,
+                    above=-kappa / 2 * (place * sinc(turn / 2)) ** 2,
+                )
+                for each, theta, off, kappa, turn, place in zip(
+                    known, normals(s), offs, curvatures, turns(s), s, strict=True
+                )
             )
             return one, two
 
-        def step(s: Sequence[SX], hold: Callable[[SX], SX] = lambda x: x) -> list[SX]:
-            touching = at(s)
+        def step(s: Sequence[SX], known: Sequence[_Read]) -> list[SX]:
+            touching = at(s, known)
             return [
                 each
-                + (along - each * sinc(contact.turn)) / hold(ca.fmax(1 - contact.curvature * contact.v, LEAST_SLACK))
+                + (along - each * sinc(contact.turn / 2) * ca.cos(contact.turn / 2))
+                / self._freeze(_slack(contact.curvature, contact.v))
                 for each, along, contact in zip(s, alongs(phi2, *touching), touching, strict=True)
             ]
 
+        def search(s: Sequence[SX], known: Sequence[_Read], begun: Sequence[SX]) -> list[SX]:
+            """As `step`, cheaply: sine and cosine of half the turns by their series, good enough to go on from."""
+            ways, above, felt = [], [], []
+            for each, off, kappa, side, place, start in zip(known, offs, curvatures, SIDES, s, begun, strict=True):
+                half = ca.fmin((kappa * place / 2) ** 2, MOST_HALF**2)
+                chord = place * (1 - half / 6 * (1 - half / 20 * (1 - half / 42)))
+                felt.append(each.past(side * kappa * (place - start), off))
+                ways.append(chord * (1 - half / 2 * (1 - half / 12 * (1 - half / 30))))
+                above.append(felt[-1].r - kappa / 2 * chord**2)
+            one, two = turns(s)
+            cos, sin = ca.cos(phi2 + two - one), ca.sin(phi2 + two - one)
+            along = (above[0] * cos + above[1]) / sin - felt[0].d, (above[1] * cos + above[0]) / sin + felt[1].d
+            return [
+                ca.fmin(ca.fmax(place + (to - way) / _slack(kappa, contact.v), -FARTHEST_M), FARTHEST_M)
+                for place, to, way, kappa, contact in zip(s, along, ways, curvatures, felt, strict=True)
+            ]
+
         s = self._last or [SX(0), SX(0)]
-        for _ in range(WARM_STEPS if self._last else BLIND_STEPS):
-            s = [ca.fmin(ca.fmax(each, -FARTHEST_M), FARTHEST_M) for each in step(s)]
+        for steps in WARM if self._last else BLIND:
+            known, begun = read(s), s
+            for _ in range(steps):
+                s = search(s, known, begun)
         self._last = [self._freeze(each) for each in s]
-        return at(step(self._last, self._freeze))
+        known = read(self._last)
+        self._found.append((pose, at(step(self._last, known), known)))
+        return self._found[-1][1]
 
     def _freeze(self, value: SX) -> SX:
         symbol = SX.sym("frozen")

@@ -71,7 +71,7 @@ class Explorer:
         """Deterministic for given `seed` and calls; takes seconds when its C has to be compiled first."""
         self._limits = limits
         self._goal = goal
-        self._curvatures, self._curved = rig.curvatures, rig.curved
+        self._curvatures = rig.curvatures
         gentle = _careful_angles(rig.curvatures)
         self._careful = replace(
             limits,
@@ -149,8 +149,6 @@ class Explorer:
         if outlook.t - self._t_seen < REACH_EVERY_S:
             return
         self._t_seen = outlook.t
-        if self._curved:
-            return  # where an object can lie on arcs is not known: anywhere, until nothing new is found
         self._reach = reach(outlook.states[0, shape_map.Z.SHAPE :], self._surface_limits) | outlook.touched
 
     def _coverage(self, touched: Bools) -> float:
@@ -192,8 +190,7 @@ class Explorer:
         """Which arcs of the outward normal were not touched, and which cannot be, and why."""
         left = self._reach & ~outlook.touched
         parts = [f"not touched: {arcs(left)}"] if left.any() else []
-        if not self._curved:
-            parts += why_not(~self._reach, outlook.states[0, shape_map.Z.SHAPE :], self._surface_limits)
+        parts += why_not(~self._reach, outlook.states[0, shape_map.Z.SHAPE :], self._surface_limits)
         return "".join(f"; {part}" for part in parts)
 
     # ---- what will be

@@ -17,7 +17,7 @@ ANYWHERE, ANY_LENGTH_M = ((0.02, 2.9), (0.1, 2.95)), 0.5  # as if there were no 
 def surface_limits(limits: MotionLimits) -> SurfaceLimits:
     """What the palms may do, as far as it matters for where an object can lie."""
     first, opening = ((bound.low, bound.high) for bound in limits.joint_bounds)
-    return SurfaceLimits(first, opening, limits.top, limits.pad_length, MARGIN_M)
+    return SurfaceLimits(first, opening, limits.top, limits.pad_length, MARGIN_M, limits.curvatures)
 
 
 def reach(outline: FloatArray, limits: SurfaceLimits) -> Bools:
@@ -28,10 +28,12 @@ def reach(outline: FloatArray, limits: SurfaceLimits) -> Bools:
 def why_not(out: Bools, outline: FloatArray, limits: SurfaceLimits) -> list[str]:
     """In words, why the bins `out` of the outline are out of reach: what would have to be wider to reach them."""
     told = []
+    first, opening = ANYWHERE
+    free = replace(limits, phi1=first, phi2=opening, phi12_max=PHI12_MAX)
     for wider, why in (
-        (SurfaceLimits(*ANYWHERE, PHI12_MAX, limits.pad_length, limits.margin), "the limits of the palm angles"),
+        (free, "the limits of the palm angles"),
         (replace(limits, pad_length=ANY_LENGTH_M), "the pads' length"),
-        (SurfaceLimits(*ANYWHERE, PHI12_MAX, ANY_LENGTH_M, 0.0), "these limits and the pads' length together"),
+        (replace(free, pad_length=ANY_LENGTH_M, margin=0.0), "these limits and the pads' length together"),
     ):
         opened = out & reach(outline, wider) if out.any() else out
         if opened.any():

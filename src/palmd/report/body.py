@@ -5,13 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from palmd.events import FloatArray
 from palmd.polygon import normals
 from palmd.report.series import OutlineAt, Series
+from palmd.system.arcs import palm_points, tangents
 from palmd.system.mechanism import CONTACTS, JOINTS, RADII, SIDES, directions
+
+_ARC_POINTS = 25
 
 
 def points(theta: FloatArray, h: FloatArray) -> FloatArray:
@@ -34,27 +38,40 @@ def closed(curve: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class DrawnPose:
-    """One estimate as it stands on the palms, seen from the hinge: angles (rad), points (2,) in m."""
+    """One estimate as it stands on the palms, seen from the hinge: angles (rad), points (2,) in m.
+
+    directions: of the palms at the hinge. curvatures: of the palms (1/m).
+    """
 
     t: float
-    directions: tuple[float, ...]  # of the palms
+    directions: tuple[float, ...]
     psi: float
     centre: FloatArray
     contacts: tuple[FloatArray, ...]
+    curvatures: tuple[float, ...]
+
+    def palms(self, length: float) -> list[FloatArray]:
+        """The palms from the hinge on, as lines (2, n) of that length (m); arcs no longer than a quarter turn."""
+        joints = [angle - before for before, angle in pairwise((0.0, *self.directions))]
+        lengths = [min(length, 0.5 * math.pi / abs(kappa)) if kappa else length for kappa in self.curvatures]
+        along = [np.linspace(0.0, each, _ARC_POINTS if any(self.curvatures) else 2) for each in lengths]
+        return [points.T for points in palm_points(joints, along, self.curvatures)]
 
 
 def pose_at(series: Series, number: int) -> DrawnPose:
-    """The estimate of that number: n_i·c = r_i; contacts s_i along each palm (section 3.1)."""
-    t, estimate = series.estimate.t, series.estimate
+    """The estimate of that number: n_i·(c − p_i) = r_i with p_i the contacts, s_i along each palm (section 3.1)."""
+    t, estimate, curvatures = series.estimate.t, series.estimate, series.run.rig.curvatures
     angles, radii, places = (
         [float(estimate[f"{name}_{unit}"][number]) for name in names]
         for names, unit in ((JOINTS, "rad"), (RADII, "m"), (CONTACTS, "m"))
     )
-    psi, palms = float(estimate["psi_rad"][number]), directions(angles)
-    along = [np.array([math.cos(angle), math.sin(angle)]) for angle in palms]
-    inward = np.array([side * np.array([-way[1], way[0]]) for side, way in zip(SIDES, along, strict=True)])
-    centre = np.linalg.solve(inward, np.array(radii)) if math.sin(angles[-1]) else np.full(2, math.nan)
-    return DrawnPose(float(t[number]), palms, psi, centre, tuple(s * way for s, way in zip(places, along, strict=True)))
+    contacts = palm_points(angles, places, curvatures)
+    ways = [np.array([math.cos(angle), math.sin(angle)]) for angle in directions(tangents(angles, places, curvatures))]
+    inward = np.array([side * np.array([-way[1], way[0]]) for side, way in zip(SIDES, ways, strict=True)])
+    off = [r + normal @ contact for r, normal, contact in zip(radii, inward, contacts, strict=True)]
+    centre = np.linalg.solve(inward, np.array(off)) if np.linalg.det(inward) else np.full(2, math.nan)
+    psi = float(estimate["psi_rad"][number])
+    return DrawnPose(float(t[number]), directions(angles), psi, centre, tuple(contacts), curvatures)
 
 
 def felt_points(series: Series, numbers: Iterable[int]) -> FloatArray:

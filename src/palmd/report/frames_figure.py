@@ -15,7 +15,7 @@ from palmd.system.mechanism import RADII
 
 MOST, COLUMNS = 12, 4
 ROW_IN = 1.2
-_PALM_MM = 60.0
+_PALM_M = 0.06
 _MOST_FELT = 150
 
 
@@ -41,9 +41,8 @@ def draw_frames(figure: FigureBase, series: Series) -> None:
 
 def _frame(axes: Axes, series: Series, number: int) -> None:
     pose = pose_at(series, number)
-    for angle, contact in zip(pose.directions, pose.contacts, strict=True):
-        axes.plot([0, _PALM_MM * math.cos(angle)], [0, _PALM_MM * math.sin(angle)], color=GREY, linewidth=1.6,
-                  solid_capstyle="round")  # fmt: skip
+    for palm, contact in zip(pose.palms(_PALM_M), pose.contacts, strict=True):
+        axes.plot(*palm * 1e3, color=GREY, linewidth=1.6, solid_capstyle="round")
         axes.plot(*contact * 1e3, "o", color=ORANGE, markersize=3.0, zorder=4)
     object_number = int(series.estimate["object"][number])
     known = outline_known(series, pose.t, object_number)
@@ -63,7 +62,7 @@ def _reach(series: Series, numbers: tuple[int, ...]) -> tuple[tuple[float, float
     ends = [(0.0, 0.0)]
     for number in numbers:
         pose = pose_at(series, number)
-        ends += [(_PALM_MM * math.cos(angle), _PALM_MM * math.sin(angle)) for angle in pose.directions]
+        ends += [tuple(palm[:, -1] * 1e3) for palm in pose.palms(_PALM_M)]
         radius = 1.1e3 * max(float(series.estimate[name][number]) for name in map("{}_m".format, RADII))
         ends += [tuple(pose.centre * 1e3 + side * radius) for side in (-1.0, 1.0)]
     low, high = np.min(ends, axis=0) - 3.0, np.max(ends, axis=0) + 3.0

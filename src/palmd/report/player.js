@@ -8,6 +8,17 @@
   const slider = root.querySelector("input"), button = root.querySelector("button"), words = root.querySelector("dl");
   const column = Object.fromEntries(data.columns.map((name, i) => [name, i]));
   const frames = data.frames, PALM = 60e3; // µm drawn of each palm
+  // a place on a palm, s from the hinge: arcs bend towards the object, palm 1 to its left and palm 2 to its right
+  const SIDES = [1, -1];
+  const onPalm = (row, i, s) => {
+    const half = SIDES[i] * data.curvatures[i] * s / 2, way = at(row, "way" + (i + 1)) / 1e3 + half;
+    const chord = half ? s * Math.sin(half) / half : s;
+    return [chord * Math.cos(way), chord * Math.sin(way)];
+  };
+  const palm = (row, i) => {
+    const bent = data.curvatures[i], length = bent ? Math.min(PALM, Math.PI / 2 / Math.abs(bent)) : PALM, pieces = bent ? 24 : 1;
+    return Array.from({ length: pieces + 1 }, (_, n) => onPalm(row, i, length * n / pieces));
+  };
   const SHADES = [[20, "#08519c"], [50, "#4292c6"], [200, "#fd8d3c"], [Infinity, "#a63603"]]; // up to so many µm
   const STATE = { tracking: "#9ecae1", hold: "#fdd0a2", fault: "#e6550d" };
 
@@ -21,8 +32,9 @@
   const reach = frames.reduce((box, row) => {
     const outline = data.outlines[at(row, "outline")];
     const radius = outline ? Math.max(...outline.h) : 10e3;
-    const xs = [0, PALM * Math.cos(at(row, "way1") / 1e3), PALM * Math.cos(at(row, "way2") / 1e3), at(row, "x") - radius, at(row, "x") + radius];
-    const ys = [0, PALM * Math.sin(at(row, "way1") / 1e3), PALM * Math.sin(at(row, "way2") / 1e3), at(row, "y") - radius, at(row, "y") + radius];
+    const ends = [0, 1].map((i) => palm(row, i).at(-1));
+    const xs = [0, ...ends.map(([x]) => x), at(row, "x") - radius, at(row, "x") + radius];
+    const ys = [0, ...ends.map(([, y]) => y), at(row, "y") - radius, at(row, "y") + radius];
     return [Math.min(box[0], ...xs), Math.max(box[1], ...xs), Math.min(box[2], ...ys), Math.max(box[3], ...ys)];
   }, [Infinity, -Infinity, Infinity, -Infinity]);
 
@@ -46,10 +58,9 @@
       pen.strokeStyle = colour; pen.lineWidth = thickness; pen.setLineDash(dashes); pen.stroke(); pen.setLineDash([]);
     };
     pen.lineCap = pen.lineJoin = "round";
-    for (const [way, s] of [["way1", "s1"], ["way2", "s2"]]) {
-      const c = Math.cos(at(row, way) / 1e3), d = Math.sin(at(row, way) / 1e3);
-      line([[0, 0], [PALM * c, PALM * d]], "#777", 4);
-      pen.beginPath(); pen.arc(...px(at(row, s) * c, at(row, s) * d), 5, 0, 7); pen.fillStyle = "#d55e00"; pen.fill();
+    for (const i of [0, 1]) {
+      line(palm(row, i), "#777", 4);
+      pen.beginPath(); pen.arc(...px(...onPalm(row, i, at(row, "s" + (i + 1)))), 5, 0, 7); pen.fillStyle = "#d55e00"; pen.fill();
     }
     const outline = data.outlines[at(row, "outline")], psi = at(row, "psi") / 1e3;
     const placed = (points) => points.map(([x, y]) => [at(row, "x") + x * Math.cos(psi) - y * Math.sin(psi), at(row, "y") + x * Math.sin(psi) + y * Math.cos(psi)]);

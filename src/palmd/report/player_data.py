@@ -23,8 +23,8 @@ def player_data(series: Series) -> dict[str, Any] | None:
     """What `player.js` draws, as JSON takes it; None for a run in which there is never a pose to draw.
 
     Lengths in µm, angles in mrad, times in ms, as whole numbers: a minute takes half a megabyte. frames: rows as in
-    `columns`, seen from the hinge; `outline` the number of the one known then, -1 for none. truth: h of what really
-    lay there, by object, on the normals of its last outline and turned to fit it.
+    `columns`, seen from the hinge; `outline` the number of the one known then, -1 for none. curvatures: of the palms
+    (1/µm). truth: h of what really lay there, by object, on the normals of its last outline and turned to fit it.
     """
     shown = _shown(series)
     if not len(shown):
@@ -34,6 +34,7 @@ def player_data(series: Series) -> dict[str, Any] | None:
     frames = [_frame(series, int(number), outlines) for number in shown]
     return {
         "columns": ["t", "way1", "way2", "psi", "x", "y", *CONTACTS, "valid", "outline", "touched", "mass", "mass_sd"],
+        "curvatures": [kappa * 1e-6 for kappa in series.run.rig.curvatures],
         "frames": frames,
         "outlines": [_outline(outline) for outline in outlines],
         "truth": {str(outline.number): told for outline, told in _truths(series)},

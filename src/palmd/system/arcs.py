@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from palmd.events import FloatArray
 from palmd.system.mechanism import OPENING, SIDES, directions
 
 Value = TypeVar("Value")
@@ -20,7 +21,7 @@ Value = TypeVar("Value")
 FLAT = (0.0,) * len(SIDES)
 """The curvatures of flat palms."""
 
-_ITERATIONS = 60
+_ITERATIONS, _FOUND_M = 12, 1e-12
 
 MOST_LYING = 0.95
 """κv from which on an object lies in a cradle rather than on it: the contact runs away, and nothing is claimed."""
@@ -64,17 +65,42 @@ def _seen_at(radius: float, s: float, kappa: float) -> float:
 
 
 def joints_of(radius: float, touching: Sequence[float], curvatures: Sequence[float] = FLAT) -> tuple[float, float]:
-    """φ1, φ2 at which a circle of that radius (m) is touched by tangents at β1 and β2 = β1 + an opening (rad).
-
-    Its contacts' arc lengths by fixed-point iteration on (3.13), (3.14) with each tangent's height over the hinge.
-    """
+    """φ1, φ2 at which a circle of that radius (m) is touched by tangents at β1 and β2 = β1 + an opening (rad)."""
     beta1, opening = touching
-    s, kappa = np.zeros(2), np.array(curvatures)
-    for _ in range(_ITERATIONS if kappa.any() else 1):
-        above = radius - kappa / 2 * (s * np.sinc(kappa * s / math.tau)) ** 2
-        s = (above * math.cos(opening) + above[::-1]) / math.sin(opening) / np.sinc(kappa * s / np.pi)
-    turn1, turn2 = (kappa * s).tolist()
+    s = arc_lengths(np.full(2, radius), np.zeros(2), np.asarray(opening), curvatures)
+    turn1, turn2 = (np.array(curvatures) * s).tolist()
     return beta1 - turn1, opening + turn1 + turn2
+
+
+def arc_lengths(
+    radii: FloatArray, offsets: FloatArray, opening: FloatArray, curvatures: Sequence[float] = FLAT
+) -> FloatArray:
+    """s1, s2 (2, …) (m) of contacts with r and d (2, …) (m) whose tangents are an `opening` (…) (rad) apart.
+
+    (3.13), (3.14) with each tangent's height over the hinge, by Newton's method in both from the flat palms' values;
+    its determinant is sin φ2 over that of the opening. NaN where the palms would have to be closed or open by 180°.
+    """
+    kappa = np.array(curvatures).reshape(-1, *[1] * np.ndim(opening))
+    sin, cos = np.sin(opening), np.cos(opening)
+
+    def along(above: FloatArray) -> FloatArray:
+        return np.asarray((above * cos + above[::-1]) / sin - np.stack([offsets[0], -offsets[1]]))
+
+    s = along(radii)
+    if not kappa.any():
+        return s
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        for _ in range(_ITERATIONS):
+            turn = kappa * s
+            missed = s * np.sinc(turn / np.pi) - along(radii - kappa / 2 * (s * np.sinc(turn / math.tau)) ** 2)
+            step = missed * np.sin(opening + turn[::-1]) - missed[::-1] * np.sin(turn[::-1])
+            step = step / np.sin(opening + turn.sum(axis=0))
+            s = s - step
+            if not (np.abs(step) >= _FOUND_M).any():
+                break
+        opened = opening + (kappa * s).sum(axis=0)
+        found = np.asarray((np.abs(step) < _FOUND_M) & (opened > 0.0) & (opened < np.pi))
+    return np.where(found, s, np.nan)
 
 
 def circle_radius(joints: Sequence[float], contacts: Sequence[float], curvatures: Sequence[float] = FLAT) -> float:

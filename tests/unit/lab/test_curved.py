@@ -1,10 +1,8 @@
-"""The study of curved palms: its tables, one short run of each half, and what is refused."""
-
-import math
+"""The study of logs of curved palms: its table; and what is refused."""
 
 from palmd.cli import main
 from palmd.console.shipped import shipped
-from palmd.lab.curved import CoverageRow, CoverageTask, LogRow, coverage_table, log_table, rocked
+from palmd.lab.curved import LogRow, log_table
 
 
 def test_the_table_tells_right_refused_and_wrong_apart():
@@ -21,23 +19,6 @@ def test_the_table_tells_right_refused_and_wrong_apart():
     assert [cell.strip() for cell in everything if cell.strip()][:5] == ["all", "4", "1", "2", "1"]
 
 
-def test_what_lost_a_contact_has_no_say_in_what_is_touched():
-    rows = [CoverageRow(10.0, 0.25, 0, "", 0.4, 0.3), CoverageRow(10.0, 0.25, 1, lost=True)]
-    told = coverage_table(rows)
-    assert "cradle R 100 mm" in told
-    assert "0.40" in told
-    assert "1 of 2" in told
-
-
-def test_a_cradle_touches_more_than_flat_palms_by_the_same_motion():
-    cradle, flat = (rocked(CoverageTask(kappa, 0.25, 3, 2.0)) for kappa in (11.0, 0.0))
-    assert not cradle.error
-    assert not flat.error
-    assert cradle.swing > flat.swing
-    assert rocked(CoverageTask(60.0, 0.25, 3, 1.0)).lost, "it would lie in the palm"
-    assert math.isnan(rocked(CoverageTask(60.0, 0.25, 3, 1.0)).touched)
-
-
-def test_a_cylinder_is_not_evaluated_on_curved_palms(capsys):
-    assert main(["calibrate", "pads", str(shipped("cradle.yaml")), "--radius-mm", "20"]) == 1
+def test_a_cylinder_is_not_weighed_on_curved_palms(capsys):
+    assert main(["calibrate", "force", str(shipped("cradle.yaml")), "--radius-mm", "20", "--mass-g", "100"]) == 1
     assert "is evaluated on flat palms only, and these are curved" in capsys.readouterr().err
