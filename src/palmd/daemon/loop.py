@@ -196,10 +196,15 @@ class Loop:
                 self._lost(end, t)
 
     def _write(self) -> None:
+        """What falls due to the arm, by all that has come until now."""
         t = self._clock()
         if t < self._core.due():
             return
+        self._read(-math.inf)
+        self._see_to()
         try:
+            self._core.look(t)  # not later than the reading: what has come since may lie unread
+            t = self._clock()
             data = self._core.transmit(t)
         except Exception as error:
             self._fail(t, error)

@@ -22,12 +22,20 @@ from palmd.events import PadLift, PadSample
 
 PACKET_BYTES = 6
 HEADER_MASK, HEADER = 0xC3, 0xC0
+TOP_BIT = 0x80
 LEFT, RIGHT, TAP, IN_USE = 0x20, 0x10, 0x08, 0x04
 BYTE_LIMITS = (0x100, 0x40, 0x40, 0x40, 0x40, 0x80)
 """Each byte of a packet is below its limit; the first must be a header as well."""
 
 COUNT_MIN, COUNT_MAX = -2048, 2047
 PRESSURE_MAX = 127
+
+STRANGE_MOST = 6
+NO_START_MOST = 18
+"""Another device speaks: so many bytes since the last packet that no pad ever sends, for their top bit is set and they
+begin nothing, or so many in a row of which none begins a packet. Noise is told by some three packets' worth of it; of a
+pad with a fifth of its bytes damaged that comes up half as often as the silence of five intervals.
+"""
 
 STALE_S = 0.032
 """A packet still incomplete this long (and four byte times) after its last byte is taken for truncated.
@@ -132,6 +140,12 @@ class VersaPadDecoder:
         self._clock = FirstByteClock(baud)
         self._partial = bytearray()
         self._t_last = 0.0
+        self._strange = self._no_start = 0
+
+    @property
+    def foreign(self) -> bool:
+        """Whether what has come since the last packet is none of a pad's, not even a damaged one's."""
+        return self._strange >= STRANGE_MOST or self._no_start >= NO_START_MOST
 
     @property
     def pending(self) -> int:
@@ -157,17 +171,22 @@ class VersaPadDecoder:
             if is_header(byte):
                 self._truncate()
                 partial.append(byte)
+                self._no_start = 0
                 self._clock.begin(t_recv, size - 1 - position)
             elif not partial:
                 counters.bad_header += 1
+                self._no_start += 1
+                self._strange += byte >= TOP_BIT
             elif byte >= BYTE_LIMITS[len(partial)]:
                 counters.bad_data += len(partial) + 1
+                self._strange += byte >= TOP_BIT
                 partial.clear()
             else:
                 partial.append(byte)
                 if len(partial) == PACKET_BYTES:
                     found.append((self._clock.end(), bytes(partial)))
                     partial.clear()
+                    self._strange = 0
 
         batched = len(found) > 1
         counters.packets += len(found)
@@ -177,6 +196,7 @@ class VersaPadDecoder:
     def reset(self) -> None:
         """Discard the packet in hand, for the line has been interrupted."""
         self._truncate()
+        self._strange = self._no_start = 0
 
     def _truncate(self) -> None:
         self.counters.truncated += len(self._partial)
@@ -287,8 +307,8 @@ class PadReceiver:
         return events
 
     def poll(self, t: float) -> PadLift | None:
-        """Return the lift-off that silence tells of at time `t` (s), if any."""
-        return self.touch.poll(t)
+        """Return the lift-off that silence, or another device's voice, tells of at time `t` (s), if any."""
+        return self.touch.poll(t, gone=self.decoder.foreign)
 
     def _sample(self, packet: PadPacket) -> PadSample | None:
         if not packet.in_use:

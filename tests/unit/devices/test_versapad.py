@@ -301,7 +301,7 @@ def alive(intervals: list[float], lots: int = 900) -> tuple[TouchTracker, float]
 
 def test_a_dead_line_is_told_sooner_from_a_pad_that_never_pauses_so_long() -> None:
     touch, t = alive([0.00625, 0.00625, 0.00625, 0.0125, 0.01875])
-    assert touch.patience_s == pytest.approx(max(3.0 * touch.mean_interval_s, 1.3 * 0.01875 + 0.003))
+    assert touch.patience_s == pytest.approx(max(2.5 * touch.mean_interval_s, 1.2 * 0.01875 + 0.002))
     assert touch.poll(t + touch.patience_s - 1e-4) is None
     assert touch.poll(t + touch.patience_s + 1e-4) is not None
 
@@ -320,3 +320,47 @@ def test_a_pad_that_has_paused_before_is_waited_for() -> None:
     assert pauses.patience_s == pytest.approx(5.0 * pauses.mean_interval_s)
     few, _ = alive([0.01], lots=50)
     assert few.patience_s == pytest.approx(5.0 * few.mean_interval_s)
+
+
+def touched() -> PadReceiver:
+    pad = PadReceiver(calibration(), BAUD)
+    for number in range(20):
+        pad.feed(encode_packet(number, 0, 10), 1.0 + number * 0.01)
+    assert pad.touch.touching
+    return pad
+
+
+@pytest.mark.parametrize(
+    ("said", "packets"),
+    [
+        pytest.param(bytes((0x91, 0x83, 0x05, 0xF2, 0x11, 0xA0)), 2, id="noise"),
+        pytest.param(b"$GPGGA", 3, id="text"),
+    ],
+)
+def test_another_device_is_told_before_five_intervals_have_gone(said: bytes, packets: int) -> None:
+    pad, t = touched(), 1.2
+    for number in range(1, packets + 1):
+        assert pad.poll(t) is None
+        pad.feed(said, t := t + 0.009)
+        assert pad.decoder.foreign == (number == packets)
+    assert pad.poll(t) == PadLift(t, 1)
+    assert pad.poll(t) is None
+    pad.feed(encode_packet(0, 0, 10), t + 0.01)
+    assert not pad.decoder.foreign
+    assert pad.touch.touching
+
+
+def test_a_pad_that_is_damaged_is_not_taken_for_another_device() -> None:
+    """Five strange bytes, or seventeen that begin nothing, between two packets."""
+    pad, whole = touched(), encode_packet(0, 0, 10)
+    pad.feed(bytes((0x81,)) * 5 + whole, 1.2)
+    pad.feed(bytes((0x81,)) * 5, 1.21)
+    assert not pad.decoder.foreign
+    pad.feed(whole + bytes(17), 1.22)
+    assert not pad.decoder.foreign
+    pad.feed(whole[:3] + bytes((0x40,)) + bytes(17), 1.23)
+    assert pad.poll(1.23) is None
+    pad.feed(bytes(1), 1.24)
+    assert pad.decoder.foreign
+    pad.decoder.reset()
+    assert not pad.decoder.foreign
