@@ -22,7 +22,6 @@ from palmd.events import PadLift, PadSample
 
 PACKET_BYTES = 6
 HEADER_MASK, HEADER = 0xC3, 0xC0
-TOP_BIT = 0x80
 LEFT, RIGHT, TAP, IN_USE = 0x20, 0x10, 0x08, 0x04
 BYTE_LIMITS = (0x100, 0x40, 0x40, 0x40, 0x40, 0x80)
 """Each byte of a packet is below its limit; the first must be a header as well."""
@@ -30,11 +29,10 @@ BYTE_LIMITS = (0x100, 0x40, 0x40, 0x40, 0x40, 0x80)
 COUNT_MIN, COUNT_MAX = -2048, 2047
 PRESSURE_MAX = 127
 
-STRANGE_MOST = 6
-NO_START_MOST = 18
-"""Another device speaks: so many bytes since the last packet that no pad ever sends, for their top bit is set and they
-begin nothing, or so many in a row of which none begins a packet. Noise is told by some three packets' worth of it; of a
-pad with a fifth of its bytes damaged that comes up half as often as the silence of five intervals.
+FOREIGN = 7
+"""Where the running sum of how strange each byte is, never below zero and zero with every packet, tells that another
+device speaks (Page's CUSUM test). Of noise that takes two packets' worth, seldom more than three; a pad with a fifth of
+its bytes damaged comes to it once in minutes.
 """
 
 STALE_S = 0.032
@@ -128,6 +126,10 @@ def is_header(byte: int) -> bool:
     return byte & HEADER_MASK == HEADER
 
 
+_STRANGE = tuple(-1 if is_header(byte) or byte < 0x40 else 1 if byte < 0x80 else 2 for byte in range(0x100))
+"""How little a byte belongs to a pad: most are below 0x40 or headers, one in a packet may be up to 0x7F, none above."""
+
+
 class VersaPadDecoder:
     """Turns a pad's bytes into packets; garbage is counted and nothing else."""
 
@@ -140,12 +142,12 @@ class VersaPadDecoder:
         self._clock = FirstByteClock(baud)
         self._partial = bytearray()
         self._t_last = 0.0
-        self._strange = self._no_start = 0
+        self._strange = 0
 
     @property
     def foreign(self) -> bool:
         """Whether what has come since the last packet is none of a pad's, not even a damaged one's."""
-        return self._strange >= STRANGE_MOST or self._no_start >= NO_START_MOST
+        return self._strange >= FOREIGN
 
     @property
     def pending(self) -> int:
@@ -167,27 +169,26 @@ class VersaPadDecoder:
         self._t_last = t_recv
 
         found: list[tuple[float, bytes]] = []
+        strange = self._strange
         for position, byte in enumerate(data):
+            strange = max(0, strange + _STRANGE[byte])
             if is_header(byte):
                 self._truncate()
                 partial.append(byte)
-                self._no_start = 0
                 self._clock.begin(t_recv, size - 1 - position)
             elif not partial:
                 counters.bad_header += 1
-                self._no_start += 1
-                self._strange += byte >= TOP_BIT
             elif byte >= BYTE_LIMITS[len(partial)]:
                 counters.bad_data += len(partial) + 1
-                self._strange += byte >= TOP_BIT
                 partial.clear()
             else:
                 partial.append(byte)
                 if len(partial) == PACKET_BYTES:
                     found.append((self._clock.end(), bytes(partial)))
                     partial.clear()
-                    self._strange = 0
+                    strange = 0
 
+        self._strange = strange
         batched = len(found) > 1
         counters.packets += len(found)
         counters.batches += batched
@@ -196,7 +197,7 @@ class VersaPadDecoder:
     def reset(self) -> None:
         """Discard the packet in hand, for the line has been interrupted."""
         self._truncate()
-        self._strange = self._no_start = 0
+        self._strange = 0
 
     def _truncate(self) -> None:
         self.counters.truncated += len(self._partial)

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import random
+import statistics
+
+import numpy as np
 import pytest
 
 from palmd.devices.pad import TouchTracker
@@ -15,6 +19,7 @@ from palmd.devices.versapad import (
     encode_packet,
 )
 from palmd.events import PadLift, PadSample
+from palmd.rig.fault_injection import Switchboard, order
 
 BAUD = 9600
 PACKET_S = 0.00625
@@ -330,37 +335,48 @@ def touched() -> PadReceiver:
     return pad
 
 
-@pytest.mark.parametrize(
-    ("said", "packets"),
-    [
-        pytest.param(bytes((0x91, 0x83, 0x05, 0xF2, 0x11, 0xA0)), 2, id="noise"),
-        pytest.param(b"$GPGGA", 3, id="text"),
-    ],
-)
-def test_another_device_is_told_before_five_intervals_have_gone(said: bytes, packets: int) -> None:
-    pad, t = touched(), 1.2
-    for number in range(1, packets + 1):
-        assert pad.poll(t) is None
-        pad.feed(said, t := t + 0.009)
-        assert pad.decoder.foreign == (number == packets)
-    assert pad.poll(t) == PadLift(t, 1)
-    assert pad.poll(t) is None
-    pad.feed(encode_packet(0, 0, 10), t + 0.01)
+def test_another_device_is_told_before_five_intervals_have_gone() -> None:
+    rng, packets = random.Random(3), []
+    for _ in range(200):
+        pad, t, heard = touched(), 1.2, 0
+        while not pad.decoder.foreign:
+            assert pad.poll(t) is None or heard > 4
+            pad.feed(rng.randbytes(6), t := t + 0.009)
+            heard += 1
+        packets.append(heard)
+        assert heard > 4 or pad.poll(t) == PadLift(t, 1)
+    assert statistics.mean(packets) < 2.2
+    assert sum(each > 3 for each in packets) < 0.1 * len(packets)
+
+
+def test_what_another_device_says_ends_the_touch_once_and_a_packet_begins_it_again() -> None:
+    pad = touched()
+    pad.feed(bytes((0x91, 0x83, 0xF2, 0xA0)), 1.2)
+    assert pad.poll(1.2) == PadLift(1.2, 1)
+    assert pad.poll(1.3) is None
+    pad.feed(encode_packet(0, 0, 10), 1.31)
     assert not pad.decoder.foreign
     assert pad.touch.touching
 
 
-def test_a_pad_that_is_damaged_is_not_taken_for_another_device() -> None:
-    """Five strange bytes, or seventeen that begin nothing, between two packets."""
-    pad, whole = touched(), encode_packet(0, 0, 10)
-    pad.feed(bytes((0x81,)) * 5 + whole, 1.2)
-    pad.feed(bytes((0x81,)) * 5, 1.21)
+def test_a_pad_that_is_damaged_is_seldom_taken_for_another_device() -> None:
+    """A fifth of its bytes flipped, doubled or made up, and heavy pressure, which looks strangest."""
+    line, rng, pad = Switchboard(), np.random.default_rng(5), touched()
+    line.add(order("garble", 0.0, "pad1", 0.2))
+    line.update(0.0)
+    alarms = 0
+    for number in range(6000):
+        pad.feed(line.spoil("pad1", encode_packet(number % 200, -number % 200, 70 + number % 50), rng), number * 0.01)
+        alarms += pad.decoder.foreign
+    assert alarms <= 2  # in a minute
+
+
+def test_a_new_beginning_forgets_what_was_strange() -> None:
+    pad = touched()
+    pad.feed(bytes((0x91, 0x83, 0xF2)), 1.2)
     assert not pad.decoder.foreign
-    pad.feed(whole + bytes(17), 1.22)
-    assert not pad.decoder.foreign
-    pad.feed(whole[:3] + bytes((0x40,)) + bytes(17), 1.23)
-    assert pad.poll(1.23) is None
-    pad.feed(bytes(1), 1.24)
-    assert pad.decoder.foreign
     pad.decoder.reset()
+    pad.feed(bytes((0x91, 0x83, 0xF2)), 1.21)
     assert not pad.decoder.foreign
+    pad.feed(bytes((0x91,)), 1.22)
+    assert pad.decoder.foreign
