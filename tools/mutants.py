@@ -104,6 +104,7 @@ def main() -> int:
     parser.add_argument("--sample", type=int, metavar="N", help="only so many of each module's, drawn")
     parser.add_argument("--seed", type=int, help="of the sample; default: a random one, printed")
     parser.add_argument("--only", nargs="+", choices=MODULES, default=list(MODULES), metavar="MODULE")
+    parser.add_argument("--lines", nargs="+", type=int, metavar="N", help="of those only the ones in these lines")
     parser.add_argument("--list", action="store_true", help="tell the mutants and try none")
     arguments = parser.parse_args()
     seed = secrets.randbelow(1 << 31) if arguments.seed is None else arguments.seed
@@ -120,6 +121,8 @@ def main() -> int:
         sound = (ROOT / "src/palmd" / module).read_text("utf-8")
         places = _places(sound)
         chosen = _drawn(sound, places, arguments.sample, random.Random(f"{seed} {module}"))
+        if arguments.lines is not None:
+            chosen = [mutant for mutant in chosen if mutant.lines[0] in arguments.lines]
         if arguments.list:
             print(f"{module}: {len(places)} places", *(mutant.told(sound) for mutant in chosen), sep="\n")
             continue

@@ -112,7 +112,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _tell_life(life: Life) -> int:
-    print(f"held in the end: {life.held_kb:.0f} kB since the beginning, {life.kb_h:+.1f} kB/h")
+    print(life.held)
     for leak in life.leaks:
         print(f"  more and more: {leak}")
     if life.breach is not None:

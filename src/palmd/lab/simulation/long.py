@@ -18,14 +18,12 @@ _TINY_S = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Life:
-    """How long it was (h), how often the motion was held, what was broken, what is held in the end (kB) and an hour
-    later by as much more (kB/h), and by whom."""
+    """How long it was (h), how often the motion was held, what was broken, what the daemon holds, and who leaks."""
 
     hours: float
     holds: int
     breach: Breach | None
-    held_kb: float
-    kb_h: float
+    held: Leak
     leaks: tuple[Leak, ...]
 
 
@@ -55,15 +53,10 @@ def live(scenario: Scenario, every_s: float = EVERY_S) -> Life:
         simulation = Simulation(scenario)
         clock, watch = simulation.machine.clock, simulation.watch
         holdings, t_look = Holdings(), every_s
-        try:
-            while clock.now < scenario.trouble_s and watch.breach is None:
-                simulation.step()
-                if clock.now >= t_look - _TINY_S:
-                    t_look += every_s
-                    holdings.sample(clock.now)
-            held_kb, kb_h = holdings.together()
-            leaks = tuple(holdings.leaks())
-        finally:
-            holdings.close()
+        while clock.now < scenario.trouble_s and watch.breach is None:
+            simulation.step()
+            if clock.now >= t_look - _TINY_S:
+                t_look += every_s
+                holdings.sample(simulation.loop, clock.now)
     holds = watch.sometimes["tracking -> hold"] + watch.sometimes["tracking -> fault"]
-    return Life(clock.now / 3600.0, holds, watch.breach, held_kb, kb_h, leaks)
+    return Life(clock.now / 3600.0, holds, watch.breach, holdings.together(), tuple(holdings.leaks()))
