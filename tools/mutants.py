@@ -1,42 +1,102 @@
-"""How many small faults, put into the modules that must not fail, the tests notice: cosmic-ray on a copy, sampled.
+"""How many small faults, put into the modules that must not fail, the tests notice: cosmic-ray's mutants, sampled.
 
-    python tools/mutants.py                     all of them: hours
-    python tools/mutants.py --sample 60 --seed 1
+    python tools/mutants.py                            all of them: an hour and more
+    python tools/mutants.py --sample 60 --seed 1       60 of each module
+    python tools/mutants.py --only keys.py --list      which there are
 
-Prints the score of each module and every survivor as a diff; the sample's seed repeats it. Nothing in the checkout is
-touched. Exit status 1 when fewer than 90 % were killed.
+Prints the score of each module with its 95 % interval, and every survivor; the sample's seed repeats it. Exit status 1
+when fewer than 90 % were killed.
+
+A mutant lives in memory alone: a process that has loaded all that does not depend on the module is forked for each, and
+runs the tests that come by the changed line, the quickest first, until one fails. What changes nothing that is run
+(annotations, the options of a dataclass) is left out.
 """
 
 from __future__ import annotations
 
 import argparse
+import ast
+import difflib
+import importlib
+import importlib.abc
+import importlib.machinery
+import importlib.util
+import json
+import math
+import os
 import random
+import resource
 import secrets
-import shutil
-import subprocess
+import signal
 import sys
-from collections import Counter
+import tempfile
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from types import CodeType, FrameType, ModuleType
+from typing import Any
 
-from cosmic_ray.work_db import WorkDB, use_db
-from cosmic_ray.work_item import TestOutcome
+import grimp
+import hypothesis
+import pytest
+from cosmic_ray.ast import ast_nodes, get_ast
+from cosmic_ray.mutating import mutate_code
+from cosmic_ray.plugins import get_operator, operator_names
 
 ROOT = Path(__file__).parent.parent
-COPY = ROOT / "build" / "mutants"
 GOAL = 0.90
-TIMEOUT_S = 300
+CPU_S, WALL_S = 60, 180.0
+"""What a mutant may take before it counts as killed: it hangs."""
+
+SURVIVED, KILLED = 0, 1
+_OTHERS = ("numpy", "msgpack", "zmq", "yaml", "pydantic", "serial")
 
 MODULES: dict[str, tuple[str, ...]] = {
     "daemon/lifecycle.py": ("unit/daemon/test_lifecycle.py", "unit/daemon/test_core.py"),
-    "motion/limits.py": ("unit/motion", "property/test_setpoints_property.py"),
+    "motion/limits.py": ("unit/motion", "unit/daemon/test_setpoints.py", "property/test_setpoints_property.py"),
     "daemon/setpoints.py": ("unit/daemon/test_setpoints.py", "property/test_setpoints_property.py"),
-    "devices/armlink.py": ("unit/devices/test_armlink.py",),
-    "devices/armhost.py": ("unit/devices/test_armhost.py",),
+    "devices/armlink.py": ("unit/devices/test_armlink.py", "property/test_devices_property.py"),
+    "devices/armhost.py": ("unit/devices/test_armhost.py", "property/test_devices_property.py"),
     "faults.py": ("unit/test_faults.py",),
     "daemon/supervisor.py": ("unit/daemon/test_core.py", "unit/daemon/test_exploring.py"),
     "keys.py": ("unit/test_keys.py",),
 }
-"""The modules, and the tests that must notice what is wrong with them, the quickest first."""
+"""The modules, and the tests that must notice what is wrong with them: without the exhaustive and the simulated ones."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mutant:
+    """A module's `text` with one small fault in its `lines`, put there by an operator of cosmic-ray."""
+
+    operator: str
+    text: str
+    lines: tuple[int, ...]
+
+    def told(self, sound: str) -> str:
+        """The change, as the lines before and after."""
+        before, after = sound.splitlines(), self.text.splitlines()
+        changed = [line for line in difflib.unified_diff(before, after, n=0, lineterm="") if line[:3] not in _HEADS]
+        return f"  line {self.lines[0]}, {self.operator.removeprefix('core/')}\n    " + "\n    ".join(changed[1:])
+
+
+_HEADS = ("---", "+++")
+
+
+@dataclass(frozen=True, slots=True)
+class Lived:
+    """What a module's tests do without a fault: how long each takes (s), by which of its lines it comes."""
+
+    durations_s: dict[str, float]
+    lines: dict[int, list[str]]
+    loaded: list[str]
+
+    def noticing(self, lines: Sequence[int], sound: ast.Module) -> list[str]:
+        """The tests that may notice a change of these lines, the quickest first; all where it is not known."""
+        found = {test for line in (*lines, *_used(sound, lines)) for test in self.lines.get(line, ())}
+        return sorted(found or self.durations_s, key=lambda test: self.durations_s[test])
 
 
 def main() -> int:
@@ -44,54 +104,290 @@ def main() -> int:
     parser.add_argument("--sample", type=int, metavar="N", help="only so many of each module's, drawn")
     parser.add_argument("--seed", type=int, help="of the sample; default: a random one, printed")
     parser.add_argument("--only", nargs="+", choices=MODULES, default=list(MODULES), metavar="MODULE")
+    parser.add_argument("--lines", nargs="+", type=int, metavar="N", help="of those only the ones in these lines")
+    parser.add_argument("--list", action="store_true", help="tell the mutants and try none")
     arguments = parser.parse_args()
     seed = secrets.randbelow(1 << 31) if arguments.seed is None else arguments.seed
     print(f"seed {seed}", flush=True)
-    killed, all_of = Counter[str](), Counter[str]()
+    os.chdir(ROOT)
+    for name in _OTHERS:
+        importlib.import_module(name)
+    hypothesis.settings.register_profile(
+        "mutants", database=None, phases=[hypothesis.Phase.explicit, hypothesis.Phase.generate], deadline=None
+    )
+    hypothesis.settings.load_profile("mutants")
+    killed, tried, weighed, whole = 0, 0, 0.0, 0
     for module in arguments.only:
-        survivors, all_of[module] = _tried(module, arguments.sample, seed)
-        killed[module] = all_of[module] - len(survivors)
-        print(f"{module}: {killed[module]} of {all_of[module]} killed", flush=True)
-        for text in survivors:
-            print(text, flush=True)
-    score = killed.total() / max(all_of.total(), 1)
-    print(f"together: {killed.total()} of {all_of.total()} killed, {score:.0%}")
-    return 0 if score >= GOAL else 1
+        sound = (ROOT / "src/palmd" / module).read_text("utf-8")
+        places = _places(sound)
+        chosen = _drawn(sound, places, arguments.sample, random.Random(f"{seed} {module}"))
+        if arguments.lines is not None:
+            chosen = [mutant for mutant in chosen if mutant.lines[0] in arguments.lines]
+        if arguments.list:
+            print(f"{module}: {len(places)} places", *(mutant.told(sound) for mutant in chosen), sep="\n")
+            continue
+        before = time.monotonic()
+        died = len(chosen) - _survivors(module, chosen)
+        took_s = time.monotonic() - before
+        print(f"{module}: {_scored(died, len(chosen))}; {len(places)} places, {took_s:.0f} s", flush=True)
+        killed, tried, whole = killed + died, tried + len(chosen), whole + len(places)
+        weighed += len(places) * died / max(len(chosen), 1)
+    if arguments.list:
+        return 0
+    print(f"together: {_scored(killed, tried)}; weighed by the modules' places {weighed / max(whole, 1):.1%}")
+    return 0 if weighed >= GOAL * whole else 1
 
 
-def _tried(module: str, sample: int | None, seed: int) -> tuple[list[str], int]:
-    """The survivors among a module's mutants, as diffs, and how many were tried."""
-    shutil.rmtree(COPY, ignore_errors=True)
-    for folder in ("src", "tests", "config", "tools", "docs"):
-        shutil.copytree(ROOT / folder, COPY / folder, ignore=shutil.ignore_patterns("__pycache__"))
-    for file in ("pyproject.toml", "README.md"):
-        shutil.copy(ROOT / file, COPY / file)
-    tests = " ".join(f"tests/{each}" for each in MODULES[module])
-    command = f"{sys.executable} -m pytest -x -q -p no:cacheprovider -p no:randomly {tests}"
-    (COPY / "mutants.toml").write_text(
-        f'[cosmic-ray]\nmodule-path = "src/palmd/{module}"\ntimeout = {TIMEOUT_S}\nexcluded-modules = []\n'
-        f'test-command = "{command}"\n[cosmic-ray.distributor]\nname = "local"\n',
-        encoding="utf-8",
-    )
-    _run("init", "mutants.toml", "mutants.sqlite")
-    path = str(COPY / "mutants.sqlite")
-    with use_db(path, WorkDB.Mode.open) as database:
-        items = sorted(database.work_items, key=lambda item: item.job_id)
-        items.sort(key=lambda item: [(m.operator_name, m.occurrence) for m in item.mutations])
-        chosen = items if sample is None else random.Random(f"{seed} {module}").sample(items, min(sample, len(items)))
-        database.clear()
-        database.add_work_items(chosen)
-    _run("exec", "mutants.toml", "mutants.sqlite")
-    with use_db(path, WorkDB.Mode.open) as database:
-        survivors = [result.diff or "" for _, result in database.results if result.test_outcome is TestOutcome.SURVIVED]
-    return survivors, len(chosen)
+def _scored(killed: int, tried: int) -> str:
+    """The share with Wilson's 95 % interval."""
+    if not tried:
+        return "none tried"
+    z, p = 1.96, killed / tried
+    middle, width = p + z * z / (2 * tried), z * math.sqrt(p * (1 - p) / tried + z * z / (4 * tried * tried))
+    low, high = ((middle + way * width) / (1 + z * z / tried) for way in (-1, 1))
+    return f"{killed} of {tried} killed, {p:.0%} ({low:.0%} to {high:.0%})"
 
 
-def _run(*arguments: str) -> None:
-    environment = {"PYTHONPATH": str(COPY / "src"), "PATH": str(Path(sys.executable).parent), "HOME": str(Path.home())}
-    subprocess.run(
-        [sys.executable, "-m", "cosmic_ray.cli", *arguments], cwd=COPY, env=environment, check=True, timeout=None
-    )
+# ------------------------------------------------------------------------------------------------------ the mutants
+
+
+_ALIKE = (
+    {"Add", "Sub", "Mul", "Div"},
+    {"FloorDiv", "Mod", "Mul"},
+    {"LShift", "RShift"},
+    {"BitAnd", "BitOr", "BitXor"},
+    {"Eq", "NotEq", "Lt", "LtE", "Gt", "GtE"},
+    {"Is", "IsNot"},
+    {"In", "NotIn"},
+)
+"""What is put in each other's place: anything else, such as a shift of floats, is noticed by whatever test comes by."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where an operator of cosmic-ray can put a fault."""
+
+    operator: str
+    occurrence: int
+    lines: tuple[int, ...]
+
+
+def _places(sound: str) -> list[Place]:
+    """Every place for a fault, outside of a dataclass's options."""
+    tree = get_ast(sound)
+    nodes = list(ast_nodes(tree))
+    options = {
+        line
+        for node in ast.walk(ast.parse(sound))
+        if isinstance(node, ast.ClassDef)
+        for decorator in node.decorator_list
+        if isinstance(decorator, ast.Call)
+        for line in range(decorator.lineno, (decorator.end_lineno or decorator.lineno) + 1)
+    }
+    found = []
+    for name in sorted(operator_names()):
+        kind, names = get_operator(name), set(name.rpartition("Operator_")[2].split("_"))
+        if kind.arguments() or ("Replace" in name and len(names) == 2 and not any(names <= each for each in _ALIKE)):
+            continue
+        spans = (span for node in nodes for span in kind().mutation_positions(node))
+        for occurrence, (begin, end) in enumerate(spans):
+            if begin[0] not in options:
+                found.append(Place(name, occurrence, tuple(range(begin[0], end[0] + 1))))
+    return found
+
+
+def _drawn(sound: str, places: Sequence[Place], most: int | None, draw: random.Random) -> list[Mutant]:
+    """So many different mutants that change something that is run, all by default."""
+    runs, found = _what_runs(sound), dict[str, Mutant]()
+    for place in draw.sample(places, len(places)):
+        if most is not None and len(found) == most:
+            break
+        text = mutate_code(sound, get_operator(place.operator)(), place.occurrence)
+        try:
+            if text is not None and _what_runs(text) != runs:
+                found.setdefault(text, Mutant(place.operator, text, place.lines))
+        except SyntaxError:
+            continue
+    return sorted(found.values(), key=lambda mutant: (mutant.lines, mutant.operator))
+
+
+def _what_runs(text: str) -> str:
+    return ast.dump(_Unannotated().visit(ast.parse(text)))
+
+
+class _Unannotated(ast.NodeTransformer):
+    """Leaves out the annotations, which are never evaluated."""
+
+    def visit_arg(self, node: ast.arg) -> ast.arg:
+        node.annotation = None
+        return node
+
+    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:  # noqa: N802
+        node.returns = None
+        return self.generic_visit(node)
+
+    def visit_AnnAssign(self, node: ast.AnnAssign) -> ast.AST:  # noqa: N802
+        node.annotation = ast.Constant(None)
+        return self.generic_visit(node)
+
+
+def _used(sound: ast.Module, lines: Sequence[int]) -> Iterator[int]:
+    """Where that is used what is set at these lines while the module is loaded."""
+    names: set[str] = set()
+    for body in (sound.body, *(node.body for node in ast.walk(sound) if isinstance(node, ast.ClassDef))):
+        for each in body:
+            if each.lineno <= lines[0] <= (each.end_lineno or 0):
+                targets = each.targets if isinstance(each, ast.Assign) else [getattr(each, "target", None)]
+                names |= {target.id for target in targets if isinstance(target, ast.Name)}
+    for node in ast.walk(sound):
+        if getattr(node, "id", getattr(node, "attr", None)) in names and isinstance(node, ast.expr):
+            yield node.lineno
+
+
+# ------------------------------------------------------------------------------------------------------ trying them
+
+
+def _survivors(module: str, mutants: Sequence[Mutant]) -> int:
+    """How many survive; each is printed."""
+    with tempfile.TemporaryDirectory() as folder:
+        count = Path(folder) / "survivors"
+        if _apart(lambda: count.write_text(str(_tried(module, mutants))) * 0) or not count.exists():
+            raise SystemExit(f"{module} could not be tried")
+        return int(count.read_text())
+
+
+def _tried(module: str, mutants: Sequence[Mutant]) -> int:
+    """How many survive; to be called in a process of its own, which loads much."""
+    path = ROOT / "src/palmd" / module
+    name = "palmd." + module.removesuffix(".py").replace("/", ".")
+    sound = path.read_text("utf-8")
+    files = [str(ROOT / "tests" / each) for each in MODULES[module]]
+    with tempfile.NamedTemporaryFile("r", suffix=".json") as told:
+        status = _apart(lambda: _lived(path, files, Path(told.name)))
+        if status:
+            raise SystemExit(f"{module}: its tests fail without any fault: {' '.join(files)}")
+        noted = json.load(told)
+    lived = Lived(noted["durations_s"], {int(line): tests for line, tests in noted["lines"].items()}, noted["loaded"])
+    dependent = {name, *grimp.build_graph("palmd").find_downstream_modules(name)}
+    for each in lived.loaded:
+        if each not in dependent:
+            importlib.import_module(each)
+    tree, survivors = ast.parse(sound), 0
+    for mutant in mutants:
+        tests = lived.noticing(mutant.lines, tree)
+        if _apart(lambda mutant=mutant, tests=tests: _noticed(mutant, name, path, files, tests)) == SURVIVED:
+            survivors += 1
+            print(mutant.told(sound), flush=True)
+    return survivors
+
+
+def _apart(work: Callable[[], int]) -> int:
+    """What `work` gives, done in a process forked for it; `KILLED` when that dies or hangs."""
+    pid = os.fork()
+    if pid == 0:
+        code = KILLED
+        try:
+            code = work()
+        except SystemExit as error:
+            print(error, file=sys.stderr)
+        except Exception:
+            traceback.print_exc()
+        finally:
+            sys.stdout.flush()
+            os._exit(code)
+    _, status = os.waitpid(pid, 0)
+    return os.waitstatus_to_exitcode(status) if os.WIFEXITED(status) else KILLED
+
+
+def _lived(path: Path, files: Sequence[str], told: Path) -> int:
+    """Run the tests without a fault, and write down what they did."""
+    watch = _Watch(str(path))
+    status = _run_tests(files, watch)
+    loaded = [name for name in sys.modules if name.split(".")[0] == "palmd"]
+    lines = {line: sorted(tests) for line, tests in watch.lines.items()}
+    told.write_text(json.dumps({"durations_s": watch.durations_s, "lines": lines, "loaded": loaded}), encoding="utf-8")
+    return status
+
+
+def _noticed(mutant: Mutant, name: str, path: Path, files: Sequence[str], tests: Sequence[str]) -> int:
+    """`KILLED` when a test fails."""
+    resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S))
+    threading.Thread(target=_end_in, args=(WALL_S,), daemon=True).start()
+    sys.meta_path.insert(0, _Finder(name, path, mutant.text))
+    wanted = {test.partition("::")[0] for test in tests}
+    some = [file for file in _spread(files) if str(Path(file).relative_to(ROOT)) in wanted]
+    return SURVIVED if _run_tests(some, _Only(tests)) == 0 else KILLED
+
+
+def _spread(files: Sequence[str]) -> Iterator[str]:
+    for each in files:
+        yield from sorted(map(str, Path(each).glob("test_*.py"))) if Path(each).is_dir() else [each]
+
+
+def _end_in(seconds: float) -> None:
+    time.sleep(seconds)
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def _run_tests(files: Sequence[str], plugin: object) -> int:
+    null = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, 1)
+    os.dup2(null, 2)
+    how = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:timeout", "-p", "no:xdist", "-o", "timeout=0", "-W", "ignore"]
+    return int(pytest.main([*how, "--tb=no", "-o", "addopts=", "-m", "not bench", *files], plugins=[plugin]))
+
+
+class _Finder(importlib.abc.MetaPathFinder, importlib.machinery.SourceFileLoader):
+    """Has the module loaded with its fault."""
+
+    def __init__(self, name: str, path: Path, text: str) -> None:
+        importlib.machinery.SourceFileLoader.__init__(self, name, str(path))
+        self._text = text
+
+    def find_spec(self, name: str, path: Any, target: ModuleType | None = None) -> Any:  # noqa: ARG002
+        return importlib.util.spec_from_file_location(name, self.path, loader=self) if name == self.name else None
+
+    def get_code(self, _name: str) -> CodeType:
+        code: CodeType = compile(self._text, self.path, "exec")
+        return code
+
+
+class _Only:
+    """Of what is collected these tests, in this order."""
+
+    def __init__(self, tests: Sequence[str]) -> None:
+        self._order = {test: number for number, test in enumerate(tests)}
+
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        items[:] = sorted((item for item in items if item.nodeid in self._order), key=lambda i: self._order[i.nodeid])
+
+
+class _Watch:
+    """By which lines of a file each test comes, and how long it takes."""
+
+    def __init__(self, path: str) -> None:
+        self.lines: dict[int, set[str]] = {}
+        self.durations_s: dict[str, float] = {}
+        self._path, self._test = path, ""
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
+        self._test, begun = item.nodeid, time.process_time()
+        sys.settrace(self._trace)
+        threading.settrace(self._trace)
+        try:
+            return (yield)
+        finally:
+            sys.settrace(None)
+            threading.settrace(None)  # type: ignore[arg-type]
+            self.durations_s[item.nodeid] = time.process_time() - begun
+
+    def _trace(self, frame: FrameType, event: str, _: Any) -> Any:
+        if frame.f_code.co_filename != self._path:
+            return None
+        if event in ("call", "line"):
+            self.lines.setdefault(frame.f_lineno, set()).add(self._test)
+        return self._trace
 
 
 if __name__ == "__main__":

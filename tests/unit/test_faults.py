@@ -1,6 +1,7 @@
 """The fault table and its monitor."""
 
 import re
+from pathlib import Path
 
 import pytest
 
@@ -28,6 +29,17 @@ def test_what_stays_is_not_said_to_clear_itself_and_the_other_way_round():
 
 def test_every_stop_fault_stays_once_it_has_stopped_the_arm():
     assert all(fault.latch != "no" for fault in FAULTS if fault.severity is Severity.STOP)
+
+
+def test_the_table_says_what_the_manual_has_said_of_it():
+    """Severity, how long it must hold, latch and clearing: an accidental change has to be made twice."""
+    said = {}
+    page = Path(__file__).parents[2] / "docs/reference/faults.md"
+    for line in page.read_text("utf-8").splitlines():
+        if line.startswith("| `"):
+            code, severity, *_, after, latch, clears = (cell.strip(" `") for cell in line.strip("|").split("|"))
+            said[code] = (severity, float(after.removesuffix(" s")), latch, clears)
+    assert said == {f.code: (str(f.severity), f.debounce_s, f.latch, f.clears) for f in FAULTS}
 
 
 def test_both_pads_have_the_same_faults():

@@ -53,6 +53,7 @@ def test_secrets_are_for_their_owner_alone_whatever_the_umask(tmp_path, umask):
     assert mode(secret) == 0o600
     assert mode(public) & 0o133 == 0
     assert [member.name for member in keys.members(tmp_path / "keys")] == ["desk"]
+    assert mode(tmp_path / "keys" / keys.CLIENTS / "desk.key") & 0o133 == 0
 
 
 def test_a_client_on_the_list_has_its_role_and_the_daemon_itself_may_operate(folders):
@@ -135,7 +136,7 @@ def test_nothing_is_overwritten(folders, capsys):
         (lambda text: text.replace("secret-key", "other-key"), "no secret key is in it"),
         (lambda text: text.replace("public-key", "other-key"), "no public key is in it"),
         (lambda text: text[:-10] + '"\n', "damaged"),
-        (lambda text: text + '    secret-key = "x"\n', "stands in it twice"),
+        (lambda text: text + '    secret-key = "x"\n', "secret-key stands in it twice"),
         (lambda _: "", "no public key is in it"),
         (lambda _: "\0\xff" * 5000, "no public key is in it"),
     ],

@@ -133,6 +133,8 @@ class Core:
         self._fault_notes, self._object_notes = FaultNotes(self.journal), ObjectNotes(self.journal)
         self._rig_notes, self._motion_notes = RigNotes(self.journal), MotionNotes(self.journal)
         self._t_look = self._t_state = self._t_shape = self._t_rig = self._t_log = -math.inf
+        self._t_decided = -math.inf
+        self._felt = self._touching()
         self._logged = 0
         self._told: tuple[object, ...] = ()
 
@@ -174,6 +176,18 @@ class Core:
             self._events += self.pads[end].feed(data, t)
             return
         self._events += self.arm.feed(data, t)
+
+    def look(self, t: float) -> None:
+        """Whether a pad has been let go by `t` (s), between ticks, so that the next set-point brakes already.
+
+        All that had come by then must have been received.
+        """
+        if self.state is not State.TRACKING:
+            return
+        for pad in self.pads.values():
+            self._events += pad.poll(t)
+        if self._touching() != self._felt:
+            self.decide(t)
 
     def due(self) -> float:
         """When (s) `transmit` wants to be called next."""
@@ -219,7 +233,7 @@ class Core:
                 if isinstance(event, PadSample):
                     self._swap.feed(event)
                 if not between():
-                    self._events = events[number:]
+                    self._events = events[number:] + self._events
                     break
             self._answered = self._observer.improve(t)
             self._estimate = self._observer.estimate(t)
@@ -249,7 +263,9 @@ class Core:
         self.supervisor.handle(request, t)
 
     def decide(self, t: float) -> None:
-        """Faults, state and motion at `t` (s)."""
+        """Faults, state and motion at `t` (s), or when they were judged last if that is later."""
+        t = self._t_decided = max(t, self._t_decided)
+        self._felt = self._touching()
         under_way = self.setpoints.moving or self.setpoints.held
         self.journal.t = t
         present = self._conditions(t, under_way)
@@ -379,6 +395,9 @@ class Core:
         counts["late_dropped"] = self._observer.late_dropped
         counts["explorer_dropped"] = self.exploring.dropped
         return counts
+
+    def _touching(self) -> tuple[bool, ...]:
+        return tuple(pad.touching for pad in self.pads.values())
 
     def _senses(self, t: float) -> Senses:
         return Senses(

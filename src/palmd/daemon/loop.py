@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import math
+import sys
 import time
 from collections.abc import Callable, Mapping
 from typing import Protocol
@@ -196,10 +197,15 @@ class Loop:
                 self._lost(end, t)
 
     def _write(self) -> None:
+        """What falls due to the arm, by all that has come until now."""
         t = self._clock()
         if t < self._core.due():
             return
+        self._read(-math.inf)
+        self._see_to()
         try:
+            self._core.look(t)  # not later than the reading: what has come since may lie unread
+            t = self._clock()
             data = self._core.transmit(t)
         except Exception as error:
             self._fail(t, error)
@@ -285,7 +291,7 @@ class Loop:
         fields: Fields = self.statistics.fields() | self._core.counters() | self._bus.fields() | self._counters()
         for end, port in self._ports.items():
             fields |= {f"{end}_port_{what}": count for what, count in port.counters.as_dict().items()}
-        return fields | {"rss_mb": rss_mb(), "backend": self._backend}
+        return fields | {"rss_mb": rss_mb(), "blocks": sys.getallocatedblocks(), "backend": self._backend}
 
     def _tell(self, _t: float) -> None:
         """Log what has changed, and tell the service manager."""

@@ -25,9 +25,9 @@ MARGIN_MM = 1.0
 SILENT_INTERVALS = 5
 """A pad that says nothing for so many mean intervals between reports has been let go."""
 
-DEAD_INTERVALS = 3
-PAUSE_REPORTS, PAUSE_FACTOR, PAUSE_SLACK_S = 400, 1.3, 0.003
-"""Sooner, but never before three mean intervals, where nothing at all comes for longer than so many times the longest
+DEAD_INTERVALS = 2.5
+PAUSE_REPORTS, PAUSE_FACTOR, PAUSE_SLACK_S = 400, 1.2, 0.002
+"""Sooner, but never before two and a half mean intervals, where nothing at all comes for longer than so many times the longest
 pause, and a little more for the adapter, that the pad has made within that many reports."""
 
 
@@ -118,7 +118,7 @@ class TouchTracker:
 
     Silence of five mean intervals between reports; or a line that is dead for clearly longer than the pad ever paused
     within its last reports, once there are enough of them: damaged reports still bring bytes, and get the patience of
-    five. The mean is a running one, held between one report time (the line
+    five, unless they can be no pad's at all. The mean is a running one, held between one report time (the line
     cannot do better) and 2.5, so that a mute pad is noticed within 100 ms at 9600 baud whatever came before.
     """
 
@@ -166,8 +166,10 @@ class TouchTracker:
         self._t_first, self._t_recv = report.t_first, report.t_recv
         return None
 
-    def poll(self, t: float) -> PadLift | None:
-        """Return the lift-off if the pad has been silent for too long at time `t` (s), else None."""
+    def poll(self, t: float, *, gone: bool = False) -> PadLift | None:
+        """Return the lift-off if the pad has been silent for too long at time `t` (s), or is known to be gone."""
+        if gone:
+            return self._lift(t)
         t_silent = self._t_recv + SILENT_INTERVALS * self._mean_s
         t_dead = math.inf if math.isinf(self._t_byte) else self._t_byte + self.patience_s
         first = min(t_silent, t_dead)

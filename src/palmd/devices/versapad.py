@@ -29,6 +29,12 @@ BYTE_LIMITS = (0x100, 0x40, 0x40, 0x40, 0x40, 0x80)
 COUNT_MIN, COUNT_MAX = -2048, 2047
 PRESSURE_MAX = 127
 
+FOREIGN = 7
+"""Where the running sum of how strange each byte is, never below zero and zero with every packet, tells that another
+device speaks (Page's CUSUM test). Of noise that takes two packets' worth, seldom more than three; a pad with a fifth of
+its bytes damaged comes to it once in minutes.
+"""
+
 STALE_S = 0.032
 """A packet still incomplete this long (and four byte times) after its last byte is taken for truncated.
 
@@ -120,6 +126,10 @@ def is_header(byte: int) -> bool:
     return byte & HEADER_MASK == HEADER
 
 
+_STRANGE = tuple(-1 if is_header(byte) or byte < 0x40 else 1 if byte < 0x80 else 2 for byte in range(0x100))
+"""How little a byte belongs to a pad: most are below 0x40 or headers, one in a packet may be up to 0x7F, none above."""
+
+
 class VersaPadDecoder:
     """Turns a pad's bytes into packets; garbage is counted and nothing else."""
 
@@ -132,6 +142,12 @@ class VersaPadDecoder:
         self._clock = FirstByteClock(baud)
         self._partial = bytearray()
         self._t_last = 0.0
+        self._strange = 0
+
+    @property
+    def foreign(self) -> bool:
+        """Whether what has come since the last packet is none of a pad's, not even a damaged one's."""
+        return self._strange >= FOREIGN
 
     @property
     def pending(self) -> int:
@@ -153,7 +169,9 @@ class VersaPadDecoder:
         self._t_last = t_recv
 
         found: list[tuple[float, bytes]] = []
+        strange = self._strange
         for position, byte in enumerate(data):
+            strange = max(0, strange + _STRANGE[byte])
             if is_header(byte):
                 self._truncate()
                 partial.append(byte)
@@ -168,7 +186,9 @@ class VersaPadDecoder:
                 if len(partial) == PACKET_BYTES:
                     found.append((self._clock.end(), bytes(partial)))
                     partial.clear()
+                    strange = 0
 
+        self._strange = strange
         batched = len(found) > 1
         counters.packets += len(found)
         counters.batches += batched
@@ -177,6 +197,7 @@ class VersaPadDecoder:
     def reset(self) -> None:
         """Discard the packet in hand, for the line has been interrupted."""
         self._truncate()
+        self._strange = 0
 
     def _truncate(self) -> None:
         self.counters.truncated += len(self._partial)
@@ -287,8 +308,8 @@ class PadReceiver:
         return events
 
     def poll(self, t: float) -> PadLift | None:
-        """Return the lift-off that silence tells of at time `t` (s), if any."""
-        return self.touch.poll(t)
+        """Return the lift-off that silence, or another device's voice, tells of at time `t` (s), if any."""
+        return self.touch.poll(t, gone=self.decoder.foreign)
 
     def _sample(self, packet: PadPacket) -> PadSample | None:
         if not packet.in_use:

@@ -24,7 +24,8 @@ from palmd.lab.simulation.happenings import Scenario, drawn
 from palmd.lab.simulation.reached import Triple, never_reached
 from palmd.lab.simulation.run import Outcome, simulate
 from palmd.lab.simulation.shrink import shrunk
-from palmd.lab.simulation.standstill import clean_holds, standstills
+from palmd.lab.simulation.long import BLOCK_S, Life, calm, live, troubled
+from palmd.lab.simulation.standstill import standstills
 from palmd.lab.table import aligned
 
 SEEDS_MOST = 1 << 63
@@ -48,8 +49,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="instead: N times each cause that stops the arm, and how soon it stands",
     )
     which.add_argument(
-        "--clean", type=float, metavar="H", help="instead: H hours in which nothing happens, and every hold"
+        "--clean", type=float, metavar="H", help="instead: H hours in which nothing happens: every hold, and who leaks"
     )
+    which.add_argument(
+        "--long", type=float, metavar="H", help="instead: H hours of trouble for one daemon: what breaks, and who leaks"
+    )
+    add("--seed", type=int, default=STANDSTILL_SEED, metavar="N", help="of --standstill, --clean, --long")
     add("--keep", type=_numbers, metavar="N,N…", help="of one seed's happenings only these")
     add("--list", action="store_true", help="tell a single seed's happenings")
     add("--unreached", action="store_true", help="tell every (state, fault, command) that was not seen")
@@ -58,11 +63,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Status 1 when an invariant was broken; usage error for happenings of more than one seed."""
     if arguments.standstill is not None:
-        return _standstill(arguments.standstill)
+        return _standstill(arguments.standstill, arguments.seed)
     if arguments.clean is not None:
-        holds, hours = clean_holds(arguments.clean, STANDSTILL_SEED)
-        print(f"{holds} holds in {hours:.2f} simulated hours in which nothing happened")
-        return BAD_INPUT if holds else 0
+        life = live(calm(arguments.clean, arguments.seed))
+        print(f"{life.holds} holds in {life.hours:.2f} simulated hours in which nothing happened")
+        return _tell_life(life) or (BAD_INPUT if life.holds else 0)
+    if arguments.long is not None:
+        life = live(troubled(arguments.long, arguments.seed), BLOCK_S)
+        print(f"{life.hours:.2f} simulated hours of one daemon, {life.holds} holds and stops")
+        return _tell_life(life)
     seeds: Iterable[int] = arguments.seeds if arguments.seeds is not None else _fresh(arguments.fresh or 60.0)
     single = arguments.seeds is not None and len(arguments.seeds) == 1
     if (arguments.keep is not None or arguments.list) and not single:
@@ -102,10 +111,19 @@ def run(arguments: argparse.Namespace) -> int:
     return BAD_INPUT if failed else 0
 
 
-def _standstill(times: int) -> int:
+def _tell_life(life: Life) -> int:
+    print(life.held)
+    for leak in life.leaks:
+        print(f"  more and more: {leak}")
+    if life.breach is not None:
+        print(f"broken: {life.breach}")
+    return BAD_INPUT if life.breach or life.leaks else 0
+
+
+def _standstill(times: int, seed: int) -> int:
     """How soon the arm stands; the goals are told beside, and no reason for another status."""
     found: dict[str, list[float]] = {}
-    for one in standstills(times, STANDSTILL_SEED):
+    for one in standstills(times, seed):
         found.setdefault(one.name, []).append(one.still_s * 1e3)
     rows = [(name, (f"{median(some):.0f}", f"{max(some):.0f}")) for name, some in found.items()]
     print(aligned([("cause to standstill, ms", ("median", "worst")), *rows]))

@@ -21,6 +21,7 @@ class PageClient:
         """`operator`: whether it may give commands."""
         self.operator = operator
         self.lost = 0
+        self.waiting: list[str] = []  # its orders that have no answer yet
         self._connection = connection
         self._answers: deque[str] = deque(maxlen=ANSWERS_MOST)
         self._batch: bytes | None = None

@@ -8,6 +8,8 @@ import os
 import socket
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
@@ -30,6 +32,18 @@ CLOSING_S = 1.0
 MESSAGE_BYTES_MAX = 4096
 SEND_BUFFER_BYTES = 1 << 16  # what the kernel may hold back for a slow page: about half a second
 CLIENTS_MOST = 32
+STRANGERS_MOST = 64
+"""Connections that have not yet become a page; for one more the oldest has to go, so that a flood keeps nobody out."""
+
+ACCEPTED_AT_ONCE, KNOCKING_MOST = 8, 128
+"""Of those who knock so many are let in at once, for between them the pages get their frames; and so many may wait."""
+
+ORDERS_MOST = 8
+"""Of a page that wait for their answers: all pages' orders go to the daemon in one queue, and nobody's `stop` shall
+wait in it behind a flood."""
+
+ENDING = ("stop", "hold")
+"""Orders that are let through all the same, unless the page already waits for one."""
 _REFUSED, _TOO_MANY = 1008, 1013  # WebSocket's close codes for a breach of policy, and for "try again later"
 
 
@@ -70,25 +84,30 @@ class _Server:
         self._frame = 0
         self._clients: set[PageClient] = set()
         self._orders: dict[int, tuple[PageClient, wire.Order]] = {}
+        self._strangers: dict[ServerConnection, None] = {}
 
     async def run(self, ready: Callable[[str], None], stop: asyncio.Event) -> None:
         strangers = logging.getLogger("palmd.view.connections")
         strangers.setLevel(logging.CRITICAL)  # what others do to an open port is no news
         try:
+            listener = socket.create_server((HOST, self._settings.port))
             server = await serve(
                 self._welcome,
-                HOST,
-                self._settings.port,
+                sock=listener,
                 process_request=self._answer,
                 compression=None,
                 max_size=MESSAGE_BYTES_MAX,
+                open_timeout=HELLO_S,
                 close_timeout=CLOSING_S,
+                backlog=ACCEPTED_AT_ONCE,
+                create_connection=partial(_Connection, self._strangers),
                 server_header=None,
                 logger=strangers,
             )
         except OSError as error:
             where, why = f"{HOST}:{self._settings.port}", os.strerror(error.errno or 0)
             raise CliError(BAD_INPUT, f"{where}: cannot be had ({why}); try another --port") from None
+        listener.listen(KNOCKING_MOST)  # asyncio lets no more wait than it accepts at once
         async with server:
             port = next(iter(server.sockets)).getsockname()[1]
             ready(f"http://{HOST}:{port}/#token={self._settings.token}")
@@ -129,6 +148,7 @@ class _Server:
     def _pass_answers(self, t: float) -> None:
         for answer in self._commands.answers(t):
             client, order = self._orders.pop(answer.number)
+            client.waiting.remove(order.command)
             client.tell(wire.answer(order, answer.error))
 
     # -- from the pages -----------------------------------------------------------------------------------
@@ -147,6 +167,7 @@ class _Server:
             return
         settings = self._settings
         connection.transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+        self._strangers.pop(connection, None)
         client = PageClient(connection, http_guard.may_operate(token, settings.token))
         client.tell(wire.hello(__version__, client.operator, settings.publish, settings.command, settings.allowed))
         self._offer([client], [])
@@ -171,9 +192,34 @@ class _Server:
             client.tell(wire.answer(order, "this page only watches: it was opened without the token"))
         elif order.command not in self._settings.allowed:
             client.tell(wire.answer(order, "the page has no such command"))
+        elif len(client.waiting) >= ORDERS_MOST and (order.command not in ENDING or order.command in client.waiting):
+            client.tell(wire.answer(order, f"too many at once: {len(client.waiting)} wait for their answers"))
         else:
             number = self._commands.send(order.command, order.args, asyncio.get_running_loop().time())
             if number is None:
                 client.tell(wire.answer(order, f"nobody takes commands at {self._settings.command}"))
             else:
                 self._orders[number] = (client, order)
+                client.waiting.append(order.command)
+
+
+class _Connection(ServerConnection):
+    """One of the `strangers` until it is a page, or over."""
+
+    def __init__(self, strangers: dict[ServerConnection, None], *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._strangers = strangers
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """For one too many the oldest has to go."""
+        super().connection_made(transport)
+        self._strangers[self] = None
+        if len(self._strangers) > STRANGERS_MOST:
+            oldest = next(iter(self._strangers))
+            del self._strangers[oldest]
+            oldest.transport.abort()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """It is over."""
+        self._strangers.pop(self, None)
+        super().connection_lost(exc)

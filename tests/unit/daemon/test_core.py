@@ -954,3 +954,44 @@ def test_a_failed_tick_is_told_with_its_error(running):
     (entry,) = logged(running, "fault")
     assert "ZeroDivisionError('a defect')" in entry.text
     assert logged(running, "state")[-1].text.startswith("tracking -> fault: an unexpected error in the control loop")
+
+
+def test_a_pad_that_goes_between_two_ticks_brakes_the_next_set_point(running):
+    running.unplug("pad1")
+    assert running.state == "tracking"
+    running.core.look(running.t)
+    assert (running.state, running.core.setpoints.held) == ("hold", True)
+    assert "pad1-port" in running.faults
+    running.core.decide(running.t - 1e-3)  # the tick had begun before
+    assert "pad1-port" in running.faults
+
+
+def test_a_pad_that_falls_silent_between_two_ticks_brakes_the_next_set_point(running):
+    late = running.t + 0.08
+    running.core.look(late)
+    assert (running.state, running.core.setpoints.held) == ("hold", True)
+    running.core.observe(late)
+    assert {type(event) for event in running.observer.events[-2:]} == {PadLift}
+
+
+def test_looking_between_two_ticks_judges_nothing_else(running, monkeypatch):
+    decided = []
+    monkeypatch.setattr(running.core, "decide", decided.append)
+    running.core.look(running.t)
+    running.do("stop")
+    running.unplug("pad1")
+    running.core.look(running.t)
+    assert not decided
+
+
+def test_what_comes_while_the_observer_works_is_kept_for_the_next_tick(running):
+    core, begun = running.core, len(running.observer.events)
+    core._events = [PadSample(running.t - 0.004 + n * 1e-3, 1, 0.02, 0.5) for n in range(3)]
+
+    def between():
+        core._events.append(PadSample(running.t, 2, 0.02, 0.5))
+        return False
+
+    core.observe(running.t, between)
+    core.observe(running.t + 0.01)
+    assert len(running.observer.events) == begun + 4

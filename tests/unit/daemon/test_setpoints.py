@@ -26,10 +26,10 @@ LIMITS = motion_limits(CONFIG)
 HERE = PalmMotion.at_rest((math.radians(45.0), math.radians(90.0)))
 
 
-def trajectory(phi1_deg=60.0, then_phi1_deg=None):
+def trajectory(phi1_deg=60.0, then_phi1_deg=None, then_phi2_deg=90.0):
     segments = [{"move": {"phi1_deg": phi1_deg, "phi2_deg": 90}, "duration_s": 1.0}, {"hold_s": 1.0}]
     if then_phi1_deg is not None:
-        segments.append({"move": {"phi1_deg": then_phi1_deg}, "duration_s": 1.0})
+        segments.append({"move": {"phi1_deg": then_phi1_deg, "phi2_deg": then_phi2_deg}, "duration_s": 1.0})
     return compile_plan(PlanSpec.model_validate({"name": "there", "segments": segments}), LIMITS)
 
 
@@ -177,6 +177,31 @@ def test_outside_the_arms_workspace_nothing_goes():
     xs = [GEOMETRY.arm_pose(motion.angles)[0] for motion in motions]
     assert max(abs(each - x) for each in xs) <= 0.005
     assert drive.setpoints.violated
+
+
+@pytest.mark.parametrize(("axis", "way"), [(0, -1), (0, 1), (1, -1), (1, 1)])
+def test_beyond_any_one_edge_of_the_workspace_nothing_goes(axis, way):
+    """The other three edges are far: inside along one axis is not inside."""
+    box = [-9.0, 9.0, -9.0, 9.0]
+    here = GEOMETRY.arm_pose(HERE.angles)[axis]
+    box[2 * axis + (way > 0)] = here + way * 0.002
+    phi1_deg, phi2_deg = next(
+        (phi1, phi2)
+        for phi1, phi2 in ((30, 90), (60, 90), (45, 60), (45, 120))
+        if way * (GEOMETRY.arm_pose((math.radians(phi1), math.radians(phi2)))[axis] - here) > 0.01
+    )
+    drive = Drive(workspace=Workspace(GEOMETRY, *box, 2.0, 50.0))
+    drive.setpoints.start(trajectory(45.0, phi1_deg, phi2_deg))
+    reached = [way * (GEOMETRY.arm_pose(motion.angles)[axis] - here) for motion in drive.go(4.0)]
+    assert max(reached) <= 0.002
+    assert drive.setpoints.violated
+
+
+def test_whether_a_plan_is_under_way_is_yes_or_no():
+    drive = Drive()
+    assert (drive.setpoints.moving, drive.setpoints.running, drive.setpoints.held) == (False, False, False)
+    drive.setpoints.start(trajectory())
+    assert (drive.setpoints.moving, drive.setpoints.running, drive.setpoints.over) == (True, True, False)
 
 
 def test_after_leaving_there_is_no_target():

@@ -321,7 +321,16 @@ def test_line_too_slow_for_the_cycle_is_refused() -> None:
     host.feed(encode_reply(HELLO), 0.05)
     host.want_tracking()
     assert host.refusal is not None
-    assert "29.2 ms at 9600 baud" in host.refusal
+    assert "29.2 ms at 9600 baud, longer than the controller's cycle of 16 ms" in host.refusal
+
+
+def test_a_host_begins_with_nothing_counted_known_or_asked() -> None:
+    host = ArmHost(BAUD)
+    assert set(host.counters.as_dict().values()) == {0}
+    assert (host.tracking, host.busy, host.unanswering) == (False, False, (0, 0))
+    assert (host.state, host.pose, host.commanded, host.last_error, host.refusal) == (None,) * 5
+    assert host.age(5.0) == math.inf
+    assert host.lost(5.0)
 
 
 @pytest.mark.parametrize("direction", ["to_host", "to_controller"])

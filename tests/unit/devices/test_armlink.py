@@ -169,8 +169,9 @@ def test_poses_that_do_not_fit_are_refused(pose: Pose) -> None:
 
 
 def test_sequence_and_code_that_do_not_fit_are_refused() -> None:
-    with pytest.raises(LinkError):
-        encode_command(StartTracking(256))
+    for ss in (-1, 256):
+        with pytest.raises(LinkError, match=f"sequence number {ss} is not 0 to 255"):
+            encode_command(StartTracking(ss))
     with pytest.raises(LinkError):
         encode_reply(Refusal(0, -10_000))
 

@@ -147,6 +147,8 @@ class VersaPad:
             case "silent":
                 touch, since = self._receiver.touch, self._bytes_since()
                 limit_s = SILENT_INTERVALS * touch.mean_interval_s if self._bytes_come else touch.patience_s
+                if self._receiver.decoder.foreign:
+                    return f"{self._last_packet(t)}; {since}, and no pad's, not even a damaged one's"
                 return f"{self._last_packet(t)}, the limit is {limit_s * 1e3:.0f} ms; {since}"
             case "lifted":
                 return f"{self._last_packet(t)} and says so: bit {IN_USE:#04x} (in use) of its first byte is 0"

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from palmd.lab.simulation.happenings import Broken, Happening, Scenario, Trick
-from palmd.lab.simulation.run import Simulation, quiet, simulate
+from palmd.lab.simulation.run import Simulation, quiet
 from palmd.rig.fault_injection import PADS
 
 STANDS_RAD_S = math.radians(0.5)
@@ -61,10 +61,6 @@ def standstills(times: int, seed: int) -> Iterator[Standstill]:
             yield _one(name, _moved(cause, t), seed + number)
 
 
-def clean_holds(hours: float, seed: int) -> tuple[int, float]:
-    """How often the motion was held in a run in which nothing happens, and how long it was (h)."""
-    outcome = simulate(Scenario(seed, LIVELY, False, 0.2, (0.001,) * 3, (), (), trouble_s=hours * 3600.0))
-    return outcome.sometimes["tracking -> hold"] + outcome.sometimes["tracking -> fault"], outcome.simulated_s / 3600.0
 
 
 def _moved(cause: Happening, t: float) -> Happening:

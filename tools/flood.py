@@ -1,0 +1,163 @@
+"""What a flood costs a running daemon: its ticks and set-points, calm and flooded, by what it says itself.
+
+    palmd demo --seconds 60 --no-browser &
+    python tools/flood.py commands                        20,000 a second to the command socket
+    python tools/flood.py connections --clients 3         as many connections, from three processes at once
+    python tools/flood.py page-connections --page 8765    the same to the page's server
+    python tools/flood.py page-orders --page 8765 --token TOKEN
+
+Prints a line for each half: ticks missed, how long a tick took, set-points left out, and how many of what was tried the
+other side took. Exit status 1 when the flood cost a tick or a set-point that calm did not.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import socket
+import struct
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing.sharedctypes import Synchronized
+from statistics import median
+from urllib.parse import urlsplit
+
+import msgpack
+import zmq
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import connect
+
+from palmd.bus.link import COMMAND, PUBLISH
+from palmd.bus.subscriber import Subscriber
+
+RATE_HZ = 20_000.0
+SLICE_S = 1e-3
+_RESET = struct.pack("ii", 1, 0)  # linger 0: a closed connection leaves nothing behind
+
+Once = Callable[[], bool]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("kind", choices=KINDS)
+    parser.add_argument("--clients", type=int, default=1, metavar="N")
+    parser.add_argument("--rate", type=float, default=RATE_HZ, metavar="HZ", help="of all clients together")
+    parser.add_argument("--seconds", type=float, default=5.0, metavar="S", help="calm, and flooded again as long")
+    parser.add_argument("--command", default=COMMAND)
+    parser.add_argument("--publish", default=PUBLISH)
+    parser.add_argument("--page", type=int, default=8765, metavar="PORT")
+    parser.add_argument("--token", default="")
+    arguments = parser.parse_args()
+    tried, taken = multiprocessing.Value("q", 0), multiprocessing.Value("q", 0)
+    with Subscriber(arguments.publish, topics=("palm/loop",)) as subscriber:
+        calm = _watched(subscriber, arguments.seconds)
+        clients = [
+            multiprocessing.Process(target=_flood, args=(arguments, tried, taken), daemon=True)
+            for _ in range(arguments.clients)
+        ]
+        for each in clients:
+            each.start()
+        flooded = _watched(subscriber, arguments.seconds)
+        for each in clients:
+            each.terminate()
+    _tell("calm", calm)
+    _tell("flooded", flooded)
+    print(f"  {tried.value / arguments.seconds:.0f} a second tried, {taken.value / arguments.seconds:.0f} taken")
+    costs = any(flooded[name] > calm[name] for name in ("ticks missed", "set-points left out"))
+    return 1 if costs else 0
+
+
+def _watched(subscriber: Subscriber, seconds: float) -> dict[str, float]:
+    """What the daemon says of its ticks within so many seconds."""
+    told = [message.fields for message in subscriber.until(time.monotonic() + seconds)]
+    if len(told) < 2:
+        raise SystemExit("nothing from the daemon: is it running?")
+    first, last = told[0], told[-1]
+    return {
+        "ticks missed": last["overruns"] - first["overruns"],
+        "set-points left out": last["arm_skipped_periods"] - first["arm_skipped_periods"],
+        "median work, ms": median(each["work_p50_ms"] for each in told[1:]),
+        "work p99, ms": median(each["work_p99_ms"] for each in told[1:]),
+        "lateness p99, ms": median(each["lateness_p99_ms"] for each in told[1:]),
+        "commands": last["bus_commands"] - first["bus_commands"],
+        "MB": last["rss_mb"],
+    }
+
+
+def _tell(name: str, told: dict[str, float]) -> None:
+    print(f"{name}: " + ", ".join(f"{what} {number:.3g}" for what, number in told.items()), flush=True)
+
+
+def _flood(arguments: argparse.Namespace, tried: Synchronized[int], taken: Synchronized[int]) -> None:
+    once, share = KINDS[arguments.kind](arguments), arguments.rate / arguments.clients
+    begun, done = time.monotonic(), 0
+    while True:
+        due, before, took = round((time.monotonic() - begun) * share), done, 0
+        while done < due and done < before + 1000:
+            took += once()
+            done += 1
+        with tried.get_lock(), taken.get_lock():
+            tried.value += done - before
+            taken.value += took
+        time.sleep(SLICE_S)
+
+
+def _commands(arguments: argparse.Namespace) -> Once:
+    client = zmq.Context().socket(zmq.DEALER)
+    client.connect(arguments.command)
+    payload = msgpack.packb({"id": 1, "cmd": "status", "args": {}})
+
+    def once() -> bool:
+        with suppress(zmq.Again):
+            while True:
+                client.recv_multipart(zmq.NOBLOCK)
+        with suppress(zmq.Again):
+            client.send(payload, zmq.NOBLOCK)
+            return True
+        return False
+
+    return once
+
+
+def _connections(where: tuple[str, int]) -> Once:
+    def once() -> bool:
+        with socket.socket() as each:
+            each.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
+            each.settimeout(0.05)
+            return each.connect_ex(where) == 0
+
+    return once
+
+
+def _bus(arguments: argparse.Namespace) -> tuple[str, int]:
+    parts = urlsplit(arguments.command)
+    return parts.hostname or "127.0.0.1", parts.port or 0
+
+
+def _orders(arguments: argparse.Namespace) -> Once:
+    host = f"127.0.0.1:{arguments.page}"
+    page = connect(f"ws://{host}/socket", origin=f"http://{host}", max_size=None)  # type: ignore[arg-type]
+    page.send(json.dumps({"token": arguments.token}))
+    order = json.dumps({"id": 1, "cmd": "hold"})
+
+    def once() -> bool:
+        with suppress(WebSocketException, OSError):
+            page.send(order)
+            return True
+        return False
+
+    return once
+
+
+KINDS: dict[str, Callable[[argparse.Namespace], Once]] = {
+    "commands": _commands,
+    "connections": lambda arguments: _connections(_bus(arguments)),
+    "page-connections": lambda arguments: _connections(("127.0.0.1", arguments.page)),
+    "page-orders": _orders,
+}
+
+if __name__ == "__main__":
+    sys.exit(main())
