@@ -1,0 +1,56 @@
+"""One image, one rig, one installation; most tests share one machine, which is on until the last of them is over.
+
+PALMD_VM_KEEP=1 begins with the disk that the last run has installed, for those who work on these tests.
+"""
+
+import os
+from pathlib import Path
+
+import pytest
+import rigpc
+from image import ImageError, build, folder
+
+
+def pytest_collection_modifyitems(items):
+    here = Path(__file__).parent
+    for item in items:
+        if here in item.path.parents:
+            item.add_marker(pytest.mark.vm)
+
+
+@pytest.fixture(scope="session")
+def image():
+    try:
+        return build()
+    except ImageError as why_not:
+        pytest.skip(f"no rig PC can be built: {why_not}")
+
+
+@pytest.fixture(scope="session")
+def rig(tmp_path_factory):
+    rig = rigpc.Rig(tmp_path_factory.mktemp("rig"))
+    yield rig
+    rig.close()
+
+
+@pytest.fixture(scope="session")
+def installed(image, rig, tmp_path_factory):
+    """A disk with palmd on it, shut down, and what was said while it was put there."""
+    disk, told = folder() / "installed.qcow2", folder() / "installed.log"
+    if not (os.environ.get("PALMD_VM_KEEP") and disk.exists()):
+        rigpc.overlay(image.base, disk, "raw")
+        with rigpc.powered(image, disk, rig, tmp_path_factory.mktemp("installing")) as pc:
+            told.write_text(pc.install(image.version))
+            pc.configure()
+            pc.ask("systemctl enable palmd palmd-record")
+            pc.close()
+    return disk, told.read_text()
+
+
+@pytest.fixture(scope="module")
+def pc(image, rig, installed, tmp_path_factory):
+    """The machine, booted with everything plugged in."""
+    folder = tmp_path_factory.mktemp("pc")
+    disk, _ = installed
+    with rigpc.powered(image, rigpc.overlay(disk, folder / "disk.qcow2"), rig, folder) as pc:
+        yield pc
