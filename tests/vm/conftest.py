@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import rigpc
-from image import ImageError, build, folder
+from image import ImageError, build, folder, with_palmd
 
 
 def pytest_collection_modifyitems(items):
@@ -34,23 +34,16 @@ def rig(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def installed(image, rig, tmp_path_factory):
-    """A disk with palmd on it, shut down, and what was said while it was put there."""
-    disk, told = folder() / "installed.qcow2", folder() / "installed.log"
-    if not (os.environ.get("PALMD_VM_KEEP") and disk.exists()):
-        rigpc.overlay(image.base, disk, "raw")
-        with rigpc.powered(image, disk, rig, tmp_path_factory.mktemp("installing")) as pc:
-            told.write_text(pc.install(image.version))
-            pc.configure()
-            pc.ask("systemctl enable palmd palmd-record")
-            pc.close()
-    return disk, told.read_text()
+def installed(image):
+    """A disk with palmd on it, configured for this rig."""
+    if os.environ.get("PALMD_VM_KEEP") and (folder() / "installed.ext4").exists():
+        return folder() / "installed.ext4"
+    return with_palmd(image, rigpc.configure)
 
 
 @pytest.fixture(scope="module")
 def pc(image, rig, installed, tmp_path_factory):
     """The machine, booted with everything plugged in."""
     folder = tmp_path_factory.mktemp("pc")
-    disk, _ = installed
-    with rigpc.powered(image, rigpc.overlay(disk, folder / "disk.qcow2"), rig, folder) as pc:
+    with rigpc.powered(image, rigpc.overlay(installed, folder / "disk.qcow2"), rig, folder) as pc:
         yield pc

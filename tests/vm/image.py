@@ -11,10 +11,12 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 CHECKOUT = Path(__file__).parents[2]
+CLOCK = Path(__file__).with_name("clock.c")
 SUITE = "bookworm"
 INSTALLED_BY_DOCS = ("python3-venv", "gcc", "libc6-dev", "rt-tests")  # what docs/operate/operations.md asks for
 PACKAGES = (
@@ -41,12 +43,22 @@ echo MODULES=list >"$1/etc/initramfs-tools/conf.d/palmd-vm"
 printf '%s\\n' {" ".join(BOOT_MODULES)} >"$1/usr/share/initramfs-tools/modules.d/palmd-vm"
 """
 AFTER = """
+cc -O2 -static -o "$1/usr/local/bin/guest-clock" "$clock"
+cat >"$1/etc/systemd/system/guest-clock.service" <<UNIT
+[Unit]
+DefaultDependencies=no
+[Service]
+ExecStart=/usr/local/bin/guest-clock
+[Install]
+WantedBy=sysinit.target
+UNIT
+chroot "$1" systemctl enable guest-clock
+chroot "$1" systemctl mask serial-getty@ttyS0.service apt-daily.timer apt-daily-upgrade.timer fstrim.timer
 cp -n "$1"/var/cache/apt/archives/*.deb "$debs"/
 cp "$1"/boot/vmlinuz-* "$made/vmlinuz" && cp "$1"/boot/initrd.img-* "$made/initrd"
 echo rig-pc >"$1/etc/hostname"
 echo '/dev/vda / ext4 defaults 0 1' >"$1/etc/fstab"
 mkdir -p "$1/var/log/journal"
-for timer in apt-daily apt-daily-upgrade; do ln -sf /dev/null "$1/etc/systemd/system/$timer.timer"; done
 """
 
 
@@ -64,6 +76,11 @@ class Image:
     medium: Path
     version: str
     next_version: str
+
+    @property
+    def tree(self) -> Path:
+        """What `base` was made from."""
+        return self.base.with_name("tree")
 
 
 def folder() -> Path:
@@ -97,6 +114,30 @@ def build() -> Image:
     )
 
 
+def with_palmd(image: Image, change: Callable[[Path], None]) -> Path:
+    """A disk on which palmd was installed, and changed, at this machine's speed; its observers are not compiled.
+
+    An emulated processor takes an hour for that. It is another one, too, so what is compiled here does not run there.
+    """
+    target = folder() / "installed.ext4"
+    with tempfile.TemporaryDirectory(dir=folder()) as temporary:
+        tree = Path(temporary) / "tree"
+        _run("cp", "-a", "--reflink=auto", image.tree, tree)
+        install = " && ".join((
+            f"mount -o loop,ro {image.medium} {tree}/mnt",
+            f"mount -t proc proc {tree}/proc",
+            f"""exec env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root CC=/nonexistent chroot {tree} bash -ec '
+                python3 -m venv /opt/palmd
+                /opt/palmd/bin/pip install -q --no-index --find-links /mnt palmd=={image.version}
+                /opt/palmd/bin/palmd install
+                systemctl enable palmd palmd-record'""",
+        ))  # fmt: skip
+        _run("unshare", "--mount", "bash", "-ec", install)
+        change(tree)
+        ext4(tree, target, DISK_BYTES, "rigpc")
+    return target
+
+
 def ext4(tree: Path, target: Path, size_bytes: int, label: str) -> None:
     """A file system that holds a tree, made without mounting anything."""
     part = target.with_suffix(".part")
@@ -107,23 +148,23 @@ def ext4(tree: Path, target: Path, size_bytes: int, label: str) -> None:
 
 def _system() -> Path:
     """The folder of kernel, initrd and disk of a machine that has never seen palmd."""
-    made = folder() / f"{SUITE}-{_digest(repr((PACKAGES, BETWEEN, AFTER, DISK_BYTES)))}"
+    made = folder() / f"{SUITE}-{_digest(repr((PACKAGES, BETWEEN, AFTER, DISK_BYTES, CLOCK.read_text())))}"
     if (made / "base.ext4").exists():
         return made
     debs = folder() / "debs"
     for each in (made, debs):
         each.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder()) as temporary:
-        tree = Path(temporary) / "tree"
-        hooks = [f"--{when}-hook={text}" for when, text in
-                 (("setup", BEFORE), ("essential", BETWEEN), ("customize", AFTER))]  # fmt: skip
-        _run(
-            *("mmdebstrap", "--quiet", "--variant=minbase", f"--include={','.join(PACKAGES)}", "--skip=download/empty"),
-            *("--skip=essential/unlink", "--skip=cleanup/apt/cache", *hooks, SUITE, tree),
-            environment={"debs": str(debs), "made": str(made)},
-        )
-        shutil.rmtree(tree / "var/cache/apt/archives")
-        ext4(tree, made / "base.ext4", DISK_BYTES, "rigpc")
+    tree = made / "tree"
+    shutil.rmtree(tree, ignore_errors=True)
+    hooks = [f"--{when}-hook={text}" for when, text in
+             (("setup", BEFORE), ("essential", BETWEEN), ("customize", AFTER))]  # fmt: skip
+    _run(
+        *("mmdebstrap", "--quiet", "--variant=minbase", f"--include={','.join(PACKAGES)}", "--skip=download/empty"),
+        *("--skip=essential/unlink", "--skip=cleanup/apt/cache", *hooks, SUITE, tree),
+        environment={"debs": str(debs), "made": str(made), "clock": str(CLOCK)},
+    )
+    shutil.rmtree(tree / "var/cache/apt/archives")
+    ext4(tree, made / "base.ext4", DISK_BYTES, "rigpc")
     return made
 
 

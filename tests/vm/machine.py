@@ -2,6 +2,7 @@
 
 Pads are USB serial adapters (an FTDI chip, which the guest's own ftdi_sio drives), the arm is the 8250 UART ttyS1. QEMU
 opens the emulated rig's pseudo-terminals as if they were this machine's serial ports, so that baud rates are passed on.
+Time inside is counted in instructions, a thousand million a second: the guest has a fast processor in its own eyes.
 """
 
 from __future__ import annotations
@@ -90,6 +91,7 @@ class Machine:
             path.unlink(missing_ok=True)
         words: list[object] = [
             *("qemu-system-x86_64", "-accel", "tcg,tb-size=1024", "-machine", "pc", "-cpu", "Nehalem", "-m", "2048"),
+            *("-icount", "shift=0,sleep=on"),  # a nanosecond an instruction
             *("-nodefaults", "-no-user-config", "-display", "none", "-rtc", "base=utc"),
             *("-kernel", kernel, "-initrd", initrd),
             *("-append", "root=/dev/vda rw quiet console=ttyS0 mitigations=off"),
@@ -101,7 +103,7 @@ class Machine:
             *("-device", "virtio-serial-pci"),
             *("-chardev", f"socket,id=agent,path={self._agent_at},server=on,wait=off"),
             *("-device", "virtserialport,chardev=agent,name=org.qemu.guest_agent.0"),
-            *("-chardev", f"file,id=clock,path={folder / 'clock'}"),
+            *("-chardev", f"socket,id=clock,path={ports / 'clock'}"),
             *("-device", "virtserialport,chardev=clock,name=clock"),
             *("-device", "qemu-xhci,id=usb"),
             *("-chardev", f"socket,id=chip,path={self.chip_at},server=on,wait=off"),

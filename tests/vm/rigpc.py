@@ -3,7 +3,6 @@
 import contextlib
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -13,14 +12,16 @@ from pathlib import Path
 from image import CHECKOUT, Image
 from machine import ADAPTERS, Machine
 
+from palmd.bus.command_client import CommandClient
+
 PALMD = "/opt/palmd/bin/palmd"
 PYTHON = "/opt/palmd/bin/python"
 CONFIG, NAMES = "/etc/palmd/palmd.yaml", "/etc/udev/rules.d/71-palmd-names.rules"
 RUNS, HEARD = "/var/lib/palmd", "/root/hear.py"
 CALIBRATED_ZERO_MM = 28.4
-# An emulated processor is some twenty times slower than this machine's: the observer that costs least, at a fifth of
-# the usual rate. Everything else is as `palmd install` leaves it.
-SLOWER = (("observer: {primary: shape}", "observer: {primary: quasistatic}"), ("rate_hz: 100", "rate_hz: 20"))
+# The guest's processor does a thousand million instructions a second, a tenth of a rig PC's core: the observer that
+# costs least, at half the usual rate. Everything else is as `palmd install` leaves it.
+SLOWER = (("observer: {primary: shape}", "observer: {primary: quasistatic}"), ("rate_hz: 100", "rate_hz: 50"))
 BY_SERIAL = "".join(
     f'SUBSYSTEM=="tty", ENV{{ID_SERIAL_SHORT}}=="{number}", SYMLINK+="palmd-{pad}", GROUP="palmd", MODE="0660"\n'
     for pad, number in ADAPTERS.items()
@@ -41,31 +42,41 @@ with Subscriber(PUBLISH, topics=("palm/",)) as subscriber:
         heard["count"][message.topic] += 1
 print(json.dumps(heard))
 """
-# Inside: tells the monotonic clock (ns) to the outside fifty times a second.
-CLOCK = """
-import os, time
-port = os.open("/dev/virtio-ports/clock", os.O_WRONLY)
-while True:
-    os.write(port, b"%d\\n" % time.monotonic_ns())
-    time.sleep(0.02)
-"""
+
+
+def configure(root: Path) -> None:
+    """What a person writes down on the first day: the ports' names, a calibration, and here a slower loop."""
+    with (root / NAMES.lstrip("/")).open("a") as names:
+        names.write("\n" + BY_SERIAL + ARM_NAME)
+    path = root / CONFIG.lstrip("/")
+    config = path.read_text()
+    for shipped, ours in (*SLOWER, ("zero_mm: 28.0", f"zero_mm: {CALIBRATED_ZERO_MM}")):
+        assert shipped in config, f"{path} has no {shipped}"
+        config = config.replace(shipped, ours)
+    path.write_text(config)
+    (root / HEARD.lstrip("/")).write_text(HEAR)
 
 
 class Rig:
-    """`palmd rig` as a process of this machine."""
+    """The emulated rig, on the time of whichever machine runs; see `farside.py`."""
 
     def __init__(self, folder: Path) -> None:
-        self.ports = folder / "ports"
+        self.ports = folder
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "palmd", "rig", "--seed", "3", "--ports", str(self.ports)],
+            [sys.executable, str(Path(__file__).with_name("farside.py")), str(folder)],
             stdout=subprocess.PIPE,
             text=True,
             env=os.environ | {"PYTHONPATH": str(CHECKOUT / "src")},
         )
         assert self._process.stdout is not None
-        self.addresses = json.loads(self._process.stdout.readline())
+        self._control = CommandClient(json.loads(self._process.stdout.readline())["control"], 10.0)
+
+    def status(self) -> dict:
+        """What the rig counts, and `guest_ns`, the guest's monotonic clock."""
+        return self._control.ask("status")["result"]
 
     def close(self) -> None:
+        self._control.close()
         self._process.send_signal(signal.SIGTERM)
         self._process.wait(timeout=10.0)
 
@@ -95,18 +106,6 @@ class RigPC:
             f"/opt/palmd/bin/pip install -q --no-index --find-links /media/wheels palmd=={version}", seconds=INSTALL_S
         )
         return self.ask(f"{PALMD} install", seconds=INSTALL_S)
-
-    def configure(self) -> None:
-        """What a person writes down on the first day: the ports' names, a calibration, and here a slower loop."""
-        rules = "\n" + BY_SERIAL + ARM_NAME
-        self.run(f"cat >>{NAMES}", text=rules)
-        config = self.ask(f"cat {CONFIG}")
-        for shipped, ours in (*SLOWER, ("zero_mm: 28.0", f"zero_mm: {CALIBRATED_ZERO_MM}")):
-            assert shipped in config, f"{CONFIG} has no {shipped}"
-            config = config.replace(shipped, ours)
-        self.put(CONFIG, config + "\n")
-        self.put(HEARD, HEAR)
-        self.ask("udevadm control --reload && udevadm trigger --action=add && udevadm settle")
 
     def hear(self, seconds: float = 2.0) -> dict:
         """The last message of each topic that the daemon said within so many seconds."""
@@ -138,10 +137,10 @@ class RigPC:
         self.machine.shut_down()
 
 
-def overlay(base: Path, target: Path, base_format: str = "qcow2") -> Path:
+def overlay(base: Path, target: Path) -> Path:
     """A disk that begins as `base`, which it does not change."""
     target.unlink(missing_ok=True)
-    words = ["qemu-img", "create", "-q", "-f", "qcow2", "-F", base_format, "-b", str(base), str(target)]
+    words = ["qemu-img", "create", "-q", "-f", "qcow2", "-F", "raw", "-b", str(base), str(target)]
     subprocess.run(words, check=True)
     return target
 
@@ -155,10 +154,3 @@ def powered(image: Image, disk: Path, rig: Rig, folder: Path):
     finally:
         if pc.machine.on:
             pc.machine.cut_power()
-
-
-def kept(disk: Path, name: str, folder: Path) -> Path:
-    """Move a disk to where it is found again."""
-    target = folder / name
-    shutil.move(disk, target)
-    return target
