@@ -41,7 +41,7 @@ def installed(image):
     return with_palmd(image, rigpc.configure)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def pc(image, rig, installed, tmp_path_factory):
     """The machine, booted with everything plugged in."""
     folder = tmp_path_factory.mktemp("pc")

@@ -16,7 +16,7 @@ import signal
 import socket
 import subprocess
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -85,7 +85,7 @@ class Machine:
     def __init__(self, disk: Path, kernel: Path, initrd: Path, medium: Path, ports: Path, folder: Path) -> None:
         """`ports` holds the far ends `pad1`, `pad2` and `arm`; sockets and the console's log go to `folder`."""
         self.folder = folder
-        self._ports = ports
+        self.disk, self._ports = disk, ports
         self._monitor_at, self._agent_at, self.chip_at = folder / "monitor", folder / "agent", folder / "chip"
         for path in (self._monitor_at, self._agent_at, self.chip_at):
             path.unlink(missing_ok=True)
@@ -132,6 +132,15 @@ class Machine:
         for link in (self._monitor, self._agent):
             if link is not None:
                 link.close()
+
+    @contextlib.contextmanager
+    def standing_still(self) -> Iterator[None]:
+        """Its time stops, and what it has given to its disk is there: as if the power were about to go."""
+        self.monitor("stop")
+        try:
+            yield
+        finally:
+            self.monitor("cont")
 
     def shut_down(self) -> None:
         """As a person would who has time."""
