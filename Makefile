@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test system lint audit mutants bench build docs site setup dev lock wheelhouse clean
+.PHONY: help demo test system vm lint audit mutants bench build docs site setup dev lock wheelhouse clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z]*\):.*##/make \1\t/p' $(MAKEFILE_LIST) | expand -t 18
@@ -19,6 +19,9 @@ test: dev lint  ## all tests, linters, types and import contracts
 
 system: dev  ## only the services, under a systemd of their own (skipped unless root may boot one)
 	$(BIN)/python -m pytest -q -m system
+
+vm: dev  ## a rig PC in QEMU, with a real-time kernel, ports, plugs and power that fails: an hour, as root
+	$(BIN)/python -m pytest -q -s -m vm tests/vm
 
 lint: dev
 	$(BIN)/ruff check .

@@ -13,7 +13,7 @@ import tempfile
 NICE = 10
 PYTEST = (sys.executable, "-m", "pytest", "-q")
 RIG = ("tests/rig", "tests/system")
-OTHERS = ("-n", "2", "--dist", "worksteal", *(f"--ignore={folder}" for folder in (*RIG, "tests/bench")))
+OTHERS = ("-n", "2", "--dist", "worksteal", *(f"--ignore={folder}" for folder in (*RIG, "tests/bench", "tests/vm")))
 
 
 def main(arguments: list[str]) -> int:

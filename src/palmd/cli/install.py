@@ -40,6 +40,14 @@ class Item:
     own: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A command that follows the files; what is not `vital` the next boot does as well."""
+
+    words: list[str]
+    vital: bool = True
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     parser.add_argument("--root", type=Path, default=Path("/"), help="the tree to install into (default: this machine)")
@@ -56,8 +64,8 @@ def run(arguments: argparse.Namespace) -> int:
     follow = _following(command) if root == Path("/") else ()
     for item in items:
         _put(item, root, arguments.dry_run)
-    for words in follow:
-        _follow(words, arguments.dry_run)
+    for step in follow:
+        _follow(step, arguments.dry_run)
     for part in passing_parts(_parts()):
         print(f"note     {part} may be gone after the next boot, and the services with it: /opt/palmd would last")
     print(f"next: put the rig into {root / SETTINGS / 'palmd.yaml'} and the ports' names into", end=" ")
@@ -109,14 +117,16 @@ def _settings() -> Iterator[Item]:
         yield Item(SETTINGS / "plans" / plan.name, _read(plan), own=True)
 
 
-def _following(command: Path) -> Iterator[list[str]]:
+def _following(command: Path) -> Iterator[Step]:
     """What makes the account, has those who run take notice, and compiles the observers for the services."""
-    yield ["systemd-sysusers", f"/{LOCAL}/sysusers.d/palmd.conf"]
+    yield Step(["systemd-sysusers", f"/{LOCAL}/sysusers.d/palmd.conf"])
     if Path("/run/systemd/system").exists():
-        yield ["systemctl", "daemon-reload"]
+        yield Step(["systemctl", "daemon-reload"])
+        # a service that is started before its ports' drivers are known may not open them when they are plugged in
+        yield Step(["systemctl", "restart", "systemd-modules-load"], vital=False)
     if Path("/run/udev/control").exists():
-        yield ["udevadm", "control", "--reload"]
-    yield ["env", f"CACHE_DIRECTORY={CACHE}", str(command), "build"]
+        yield Step(["udevadm", "control", "--reload"])
+    yield Step(["env", f"CACHE_DIRECTORY={CACHE}", str(command), "build"])
 
 
 def _put(item: Item, root: Path, dry_run: bool) -> None:
@@ -138,7 +148,8 @@ def _put(item: Item, root: Path, dry_run: bool) -> None:
     print(f"written  {path}")
 
 
-def _follow(words: list[str], dry_run: bool) -> None:
+def _follow(step: Step, dry_run: bool) -> None:
+    words = step.words
     print(f"{'to run' if dry_run else 'running':8} {' '.join(words)}", flush=True)
     if dry_run:
         return
@@ -146,8 +157,11 @@ def _follow(words: list[str], dry_run: bool) -> None:
         status = subprocess.run(words, check=False).returncode
     except FileNotFoundError:
         raise CliError(RIG_FAILED, f"there is no {words[0]}: palmd's services need systemd and udev") from None
-    if status != 0:
+    if status == 0:
+        return
+    if step.vital:
         raise CliError(RIG_FAILED, f"{' '.join(words)} failed with status {status}; the files are in place")
+    print(f"note     that failed with status {status}; the next boot does it")
 
 
 def _read(path: Path) -> str:

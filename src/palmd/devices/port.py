@@ -8,6 +8,7 @@ import fcntl
 import math
 import os
 import select
+import struct
 import termios
 import time
 from collections.abc import Callable, Sequence
@@ -22,18 +23,28 @@ READ_BYTES = 4096
 PTY_MAJORS = range(136, 144)
 
 _IFLAG, _CC = 0, 6
+_TIOCGICOUNT = 0x545D
+_ICOUNTER = struct.Struct("11i36x")  # struct serial_icounter_struct: four of the modem's lines, rx, tx, then errors
 _FAILURES = (OSError, ValueError, termios.error)  # termios.error is no OSError; pyserial lets it through
 
 
 @dataclass(slots=True)
 class PortCounters:
-    """What has passed through a port: bytes read, written, dropped for a full buffer; openings and losses."""
+    """What has passed through a port: bytes read, written, dropped for a full buffer; openings and losses.
+
+    The last four are the kernel's own account of the line since it was opened first: a framing error is mostly a wrong
+    baud, an overrun a machine too slow for its line. A pseudo-terminal keeps none.
+    """
 
     bytes_read: int = 0
     bytes_written: int = 0
     bytes_dropped: int = 0
     opens: int = 0
     losses: int = 0
+    breaks: int = 0
+    framing_errors: int = 0
+    parity_errors: int = 0
+    overruns: int = 0
 
     def as_dict(self) -> dict[str, int]:
         """Return every count by name."""
@@ -66,6 +77,9 @@ class DevicePort(Protocol):
     def write(self, data: bytes) -> None:
         """Send `data`, or drop and count it."""
 
+    def look(self) -> None:
+        """Bring the counters up to date with what the kernel counts, where it does."""
+
     def close(self) -> None:
         """Shut it."""
 
@@ -90,6 +104,7 @@ class Port:
         self._retry_s = retry_s
         self._t_retry = -math.inf
         self._serial: serial.Serial | None = None
+        self._line = (0, 0, 0, 0)
         self._unsent = b""
 
     @property
@@ -114,7 +129,20 @@ class Port:
             else:
                 self.error = None
                 self.counters.opens += 1
+                self._line = _line_errors(self.fileno())
         return self.is_open
+
+    def look(self) -> None:
+        """Add to the counters what the kernel has counted since the last look: an ioctl, for once a second or so."""
+        if self._serial is None:
+            return
+        before, self._line = self._line, _line_errors(self.fileno())
+        breaks, framing, parity, overruns = (now - then for now, then in zip(self._line, before, strict=True))
+        counters = self.counters
+        counters.breaks += breaks
+        counters.framing_errors += framing
+        counters.parity_errors += parity
+        counters.overruns += overruns
 
     def read(self) -> bytes:
         """Return what has arrived, empty if nothing has. A port that has hung up is shut at once.
@@ -205,6 +233,17 @@ def _open(path: str, baud: int) -> serial.Serial:
         port.close()
         raise
     return port
+
+
+def _line_errors(fd: int) -> tuple[int, int, int, int]:
+    """The kernel's counts of breaks, framing errors, parity errors and overruns; zeros where it keeps none."""
+    told = bytearray(_ICOUNTER.size)
+    try:
+        fcntl.ioctl(fd, _TIOCGICOUNT, told)
+    except OSError:
+        return (0, 0, 0, 0)
+    *_, framing, overruns, parity, breaks, at_terminal = _ICOUNTER.unpack(told)
+    return breaks, framing, parity, overruns + at_terminal
 
 
 def explain(path: str, failure: Exception) -> str:

@@ -1,7 +1,7 @@
 """The recorder's process: listens to the daemon and to the emulated rig's truth, and tells the daemon how it fares.
 
 One thread receives and hands over to the operating system, tick by tick, so that the process may be killed at any time;
-another one brings that to the disk each second, however long it takes.
+another one brings that to the disk twenty times a second, or as often as the disk lets it, so that the power may go.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from palmd.record.recording import Ended, Recording
 
 LOOK_S = 0.05  # between looks at the clock when nothing comes
 BATCH = 1000  # messages that are taken before they are handed over
-TELL_S = 1.0  # and between times that it is brought to the disk
+SYNC_S = 0.05  # and between times that this is brought to the disk
+TELL_S = 1.0
 LAST_WORDS_S = 0.15  # that a daemon's last messages may take
 
 
@@ -44,7 +45,7 @@ def record(
         subscriber = stack.enter_context(Subscriber(publish, topics=("",), key=key, keyless=truth, high_water=0))
         daemon = stack.enter_context(CommandClient(command, key=key, now_or_never=True))
         syncer = stack.enter_context(_Syncer())
-        due = 0.0
+        sync_due = tell_due = 0.0
         ready()
         while not stopped():
             _drain(subscriber, recording, LOOK_S)
@@ -52,10 +53,11 @@ def record(
             error = syncer.failed()
             if error is not None:
                 recording.fail(error, time.time())
-            if time.monotonic() >= due:
-                syncer.sync(recording.fd)
-                if _told(daemon, recording):
-                    due = time.monotonic() + TELL_S
+            now = time.monotonic()
+            if now >= sync_due and syncer.sync(recording.fd):
+                sync_due = now + SYNC_S
+            if now >= tell_due and _told(daemon, recording):
+                tell_due = now + TELL_S
         t_end = time.monotonic() + LAST_WORDS_S
         while _drain(subscriber, recording, LAST_WORDS_S) and time.monotonic() < t_end:
             pass
@@ -102,11 +104,13 @@ class _Syncer:
         self._wanted.release()
         self._thread.join()
 
-    def sync(self, fd: int | None) -> None:
-        """Begin, unless there is nothing to bring or it is still being brought."""
-        if fd is not None and self._fd is None:
-            self._fd = os.dup(fd)  # the file may be closed meanwhile
-            self._wanted.release()
+    def sync(self, fd: int | None) -> bool:
+        """Begin, unless there is nothing to bring or it is still being brought; whether it has begun."""
+        if fd is None or self._fd is not None:
+            return False
+        self._fd = os.dup(fd)  # the file may be closed meanwhile
+        self._wanted.release()
+        return True
 
     def failed(self) -> OSError | None:
         """What has gone wrong since it was asked last."""

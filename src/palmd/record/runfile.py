@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import stat
 from collections.abc import Callable
 from datetime import UTC, datetime
 from io import BytesIO
@@ -103,7 +104,8 @@ def _created(directory: Path, begin: datetime) -> tuple[Path, int]:
 def pack(source: Path, target: Path, at: Callable[[int], None] = lambda _: None) -> tuple[int, int]:
     """Write what `source` holds to `target` as a finished file of compressed chunks, and rename it into place.
 
-    Both may be the same path. `at` is told the number of messages that are done. Returns how many there are, and how
+    Both may be the same path. It belongs to whom `source` belongs to, as far as we may give it away. `at` is told the
+    number of messages that are done. Returns how many there are, and how
     many bytes of a torn end were left out. Raises OSError, RunError, and leaves no part of a file then.
     """
     part = target.with_name(f".{target.name}.part")
@@ -111,6 +113,7 @@ def pack(source: Path, target: Path, at: Callable[[int], None] = lambda _: None)
     count = 0
     try:
         with part.open("wb") as stream:
+            _give(stream.fileno(), source)
             preface = read_preface(source)
             writer: RunWriter | None = None
             for message in read_messages(source, tail):
@@ -127,3 +130,11 @@ def pack(source: Path, target: Path, at: Callable[[int], None] = lambda _: None)
         part.unlink(missing_ok=True)
         raise
     return count, tail.torn_bytes
+
+
+def _give(fd: int, like: Path) -> None:
+    """The rights of another file: root, who recovers a service's recording, must not take it away from the service."""
+    other = like.stat()
+    with contextlib.suppress(PermissionError):
+        os.fchown(fd, other.st_uid, other.st_gid)
+        os.fchmod(fd, stat.S_IMODE(other.st_mode))

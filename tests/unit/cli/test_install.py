@@ -12,6 +12,7 @@ from shut import shut
 from palmd import cli
 from palmd.cli import install
 from palmd.cli.install import UNITS, adapted, hidden_parts, passing_parts
+from palmd.console.errors import CliError
 from palmd.console.shipped import shipped_service
 from palmd.daemon.realtime import PRIORITY
 from palmd.yamlfile import load_config
@@ -84,6 +85,13 @@ def test_what_may_not_be_written_is_not_said_to_be(tmp_path, capsys):
     out, err = capsys.readouterr()
     assert out == ""
     assert err.startswith(f"{tmp_path / 'tree' / SYSTEM / UNITS[0]} may not be written: sudo ")
+
+
+def test_what_the_next_boot_does_as_well_may_fail(capsys):
+    install._follow(install.Step(["false"], vital=False), False)
+    assert "next boot" in capsys.readouterr().out
+    with pytest.raises(CliError, match="false failed with status 1"):
+        install._follow(install.Step(["false"]), False)
 
 
 def test_a_palmd_in_a_home_is_shown_and_nothing_else_of_it():

@@ -5,10 +5,12 @@ from __future__ import annotations
 import errno
 import fcntl
 import os
+import struct
 import termios
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import serial
@@ -77,7 +79,41 @@ def test_bytes_pass_both_ways_unchanged(far: FarEnd, port: Port) -> None:
         "bytes_dropped": 0,
         "opens": 1,
         "losses": 0,
+        "breaks": 0,
+        "framing_errors": 0,
+        "parity_errors": 0,
+        "overruns": 0,
     }
+
+
+def test_the_kernels_counts_of_the_line_add_up_over_openings(port: Port, monkeypatch: pytest.MonkeyPatch) -> None:
+    kernels = [7, 5, 3, 2, 1]  # framing errors, overruns, parity errors, breaks, overruns of the terminal
+    real = fcntl.ioctl
+
+    def ioctl(fd: int, request: int, *rest: Any) -> Any:
+        if request != 0x545D:  # TIOCGICOUNT
+            return real(fd, request, *rest)
+        struct.pack_into("11i", rest[0], 0, *range(100, 106), *kernels)
+        return 0
+
+    def counted() -> list[int]:
+        port.look()
+        counters = port.counters
+        return [counters.breaks, counters.framing_errors, counters.parity_errors, counters.overruns]
+
+    assert counted() == [0, 0, 0, 0]  # a pseudo-terminal has none
+    monkeypatch.setattr("palmd.devices.port.fcntl.ioctl", ioctl)
+    port.close()
+    assert port.poll_open(1.0)
+    assert counted() == [0, 0, 0, 0]  # before it was opened
+    kernels[:] = [17, 6, 6, 4, 4]
+    assert counted() == counted() == [2, 10, 3, 4]
+    port.close()
+    assert counted() == [2, 10, 3, 4]
+    kernels[:] = [0, 0, 0, 0, 0]  # another adapter is plugged in
+    assert port.poll_open(2.0)
+    kernels[:] = [1, 0, 0, 0, 0]
+    assert counted() == [2, 11, 3, 4]
 
 
 def test_reading_nothing_is_empty_and_no_loss(port: Port) -> None:

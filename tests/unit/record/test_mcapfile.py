@@ -1,6 +1,7 @@
 """Recordings as MCAP files: what the mcap library makes of ours, and what we make of torn ones."""
 
 import json
+import os
 from io import BytesIO
 
 import pytest
@@ -144,6 +145,18 @@ def test_a_packed_file_cut_anywhere_is_read_as_far_as_it_goes(tmp_path):
         found.add(len(read))
         assert not is_finished(cut)
     assert found == {0, 3}
+
+
+def test_packing_changes_nobodys_rights(tmp_path):
+    file, _ = recorded.begun(tmp_path)
+    file.finish()
+    file.path.chmod(0o640)
+    if os.geteuid() == 0:
+        os.chown(file.path, 1234, 1234)
+    before = file.path.stat()
+    pack(file.path, file.path)
+    after = file.path.stat()
+    assert (after.st_mode, after.st_uid, after.st_gid) == (before.st_mode, before.st_uid, before.st_gid)
 
 
 def test_a_damaged_chunk_ends_the_reading(tmp_path):

@@ -172,6 +172,9 @@ class VirtualPort(DevicePort):
         self._wrote(data, self._machine.clock.now)
         self._machine.rig.receive(self.path, data)
 
+    def look(self) -> None:
+        """No kernel counts here."""
+
     def close(self) -> None:
         """Shut it."""
         self._open = False

@@ -1,0 +1,254 @@
+"""A rig PC in QEMU: its power, its plugs and its monitor from outside, and commands run inside by Debian's guest agent.
+
+Pads are USB serial adapters (an FTDI chip, which the guest's own ftdi_sio drives), the arm is the 8250 UART ttyS1. QEMU
+opens the emulated rig's pseudo-terminals as if they were this machine's serial ports, so that baud rates are passed on.
+Time inside is counted in instructions, a thousand million a second: the guest has a fast processor in its own eyes.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import json
+import os
+import shlex
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ftdi import Adapter
+
+BOOT_S = 400.0  # emulated processors take their time
+ADAPTERS = {"pad1": "PALM0001", "pad2": "PALM0002"}  # serial numbers
+_CHUNK = 1 << 16
+
+
+class GuestError(Exception):
+    """What a command inside said when it failed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """A command that was run inside."""
+
+    status: int
+    said: str
+    """On both outputs."""
+
+
+class _JsonLines:
+    """JSON requests and answers on a socket, one a line: QEMU's monitor and the guest's agent speak so."""
+
+    def __init__(self, path: Path) -> None:
+        self._socket = socket.socket(socket.AF_UNIX)
+        self._socket.connect(str(path))
+        self._rest = b""
+
+    def close(self) -> None:
+        self._socket.close()
+
+    def send(self, request: Mapping[str, Any]) -> None:
+        self._socket.sendall(json.dumps(request).encode() + b"\n")
+
+    def receive(self, t_end: float) -> dict[str, Any]:
+        """The next line; raises TimeoutError."""
+        while b"\n" not in self._rest:
+            self._socket.settimeout(max(1e-3, t_end - time.monotonic()))
+            data = self._socket.recv(_CHUNK)
+            if not data:
+                raise ConnectionError("the far end has hung up")
+            self._rest += data
+        line, _, self._rest = self._rest.partition(b"\n")
+        answer: dict[str, Any] = json.loads(line.lstrip(b"\xff"))
+        return answer
+
+    def ask(self, command: str, seconds: float, **arguments: Any) -> Any:
+        """What is returned; raises GuestError for a refusal, TimeoutError."""
+        self.send({"execute": command} | ({"arguments": arguments} if arguments else {}))
+        t_end = time.monotonic() + seconds
+        while True:
+            answer = self.receive(t_end)
+            if "error" in answer:
+                raise GuestError(f"{command}: {answer['error']['desc']}")
+            if "return" in answer:
+                return answer["return"]
+
+
+class Machine:
+    """One power-on of the rig PC, from `disk` (qcow2, written to) with the installation medium in its drive."""
+
+    def __init__(self, disk: Path, kernel: Path, initrd: Path, medium: Path, ports: Path, folder: Path) -> None:
+        """`ports` holds the far ends `pad1`, `pad2` and `arm`; sockets and the console's log go to `folder`."""
+        self.folder = folder
+        self.disk, self._ports = disk, ports
+        self._monitor_at, self._agent_at, self.chip_at = folder / "monitor", folder / "agent", folder / "chip"
+        for path in (self._monitor_at, self._agent_at, self.chip_at):
+            path.unlink(missing_ok=True)
+        words: list[object] = [
+            *("qemu-system-x86_64", "-accel", "tcg,tb-size=1024", "-machine", "pc", "-cpu", "Nehalem", "-m", "2048"),
+            *("-icount", "shift=0,sleep=on"),  # a nanosecond an instruction
+            *("-nodefaults", "-no-user-config", "-display", "none", "-rtc", "base=utc"),
+            *("-kernel", kernel, "-initrd", initrd),
+            *("-append", "root=/dev/vda rw quiet console=ttyS0 mitigations=off"),
+            *("-drive", f"file={disk},if=virtio,format=qcow2,cache=writeback"),
+            *("-drive", f"file={medium},if=virtio,format=raw,readonly=on"),
+            *("-chardev", f"file,id=console,path={folder / 'console.log'},append=on", "-serial", "chardev:console"),
+            *("-chardev", f"serial,id=arm,path={ports / 'arm'}", "-serial", "chardev:arm"),
+            *("-qmp", f"unix:{self._monitor_at},server=on,wait=off"),
+            *("-device", "virtio-serial-pci"),
+            *("-chardev", f"socket,id=agent,path={self._agent_at},server=on,wait=off"),
+            *("-device", "virtserialport,chardev=agent,name=org.qemu.guest_agent.0"),
+            *("-chardev", f"socket,id=clock,path={ports / 'clock'}"),
+            *("-device", "virtserialport,chardev=clock,name=clock"),
+            *("-device", "qemu-xhci,id=usb"),
+            *("-chardev", f"socket,id=chip,path={self.chip_at},server=on,wait=off"),
+        ]
+        for pad in ADAPTERS:
+            words += ["-chardev", f"serial,id={pad},path={ports / pad}"]
+            words += ["-device", json.dumps(_adapter(pad))]
+        self._process = subprocess.Popen(
+            ["nice", "-n", "15", *map(str, words)], stdin=subprocess.DEVNULL, stderr=(folder / "qemu.log").open("ab")
+        )
+        self._monitor: _JsonLines | None = None
+        self._agent: _JsonLines | None = None
+        self._asked = 0
+
+    # power
+
+    @property
+    def on(self) -> bool:
+        """Whether it has power."""
+        return self._process.poll() is None
+
+    def cut_power(self) -> None:
+        """At once: what the guest had not brought to its disk is gone."""
+        self._process.send_signal(signal.SIGKILL)
+        self._process.wait()
+        for link in (self._monitor, self._agent):
+            if link is not None:
+                link.close()
+
+    @contextlib.contextmanager
+    def standing_still(self) -> Iterator[None]:
+        """Its time stops, and what it has given to its disk is there: as if the power were about to go."""
+        self.monitor("stop")
+        try:
+            yield
+        finally:
+            self.monitor("cont")
+
+    def shut_down(self) -> None:
+        """As a person would who has time."""
+        with contextlib.suppress(GuestError, TimeoutError, ConnectionError, OSError):
+            self.run("sync; systemctl poweroff --no-block", seconds=60.0, check=False)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(timeout=180.0)
+        self.cut_power()
+
+    def monitor(self, command: str, **arguments: Any) -> Any:
+        """Have QEMU do something; what it answers. Raises GuestError."""
+        if self._monitor is None:
+            self._monitor = _JsonLines(self._monitor_at)
+            self._monitor.receive(time.monotonic() + 30.0)  # its greeting
+            self._monitor.ask("qmp_capabilities", 30.0)
+        return self._monitor.ask(command, 30.0, **arguments)
+
+    def console(self) -> str:
+        """What the kernel and its first process said."""
+        return (self.folder / "console.log").read_text(errors="replace")
+
+    # plugs
+
+    def unplug(self, pad: str) -> None:
+        """Pull an adapter; what it says meanwhile is lost."""
+        self.monitor("device_del", id=pad)
+
+    def plug_chip(self, pad: str) -> Adapter:
+        """Put another adapter of the same serial number in its place: one whose bytes can be marked as damaged."""
+        self.monitor("device_add", driver="usb-redir", id="chip", chardev="chip", bus="usb.0", port="3")
+        return Adapter(self.chip_at, self._ports / pad, ADAPTERS[pad])
+
+    def plug(self, pad: str) -> None:
+        """Put it back into its socket."""
+        far_end = os.open(self._ports / pad, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        with contextlib.suppress(BlockingIOError):  # what it said while it was out
+            while os.read(far_end, _CHUNK):
+                pass
+        os.close(far_end)
+        self.monitor("device_add", **_adapter(pad))
+
+    # inside
+
+    def until_up(self) -> None:
+        """Wait for the agent; raises TimeoutError with the console's last words."""
+        t_end = time.monotonic() + BOOT_S
+        while time.monotonic() < t_end:
+            if not self.on:
+                raise GuestError(f"QEMU has ended: {(self.folder / 'qemu.log').read_text()[-2000:]}")
+            try:
+                self._synchronised()
+            except (TimeoutError, OSError):
+                continue
+            return
+        raise TimeoutError(f"no agent within {BOOT_S:g} s: {self.console()[-3000:]}")
+
+    def _synchronised(self) -> None:
+        """Have the agent's next answer be one to us."""
+        if self._agent is not None:
+            self._agent.close()
+        self._agent = _JsonLines(self._agent_at)
+        self._asked += 1
+        self._agent.send({"execute": "guest-sync", "arguments": {"id": self._asked}})
+        t_end = time.monotonic() + 5.0
+        while self._agent.receive(t_end).get("return") != self._asked:
+            pass
+
+    def run(self, command: str, *, seconds: float = 120.0, check: bool = True, text: str = "") -> Done:
+        """Run a line of shell inside as root, `text` on its standard input; raises GuestError, TimeoutError."""
+        assert self._agent is not None, "until_up() first"
+        begun = self._agent.ask(
+            "guest-exec",
+            60.0,
+            path="/bin/bash",
+            arg=["-c", f"exec 2>&1\n{command}"],
+            env=["PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin", "LANG=C.UTF-8", "HOME=/root"],
+            **{"capture-output": True, "input-data": base64.b64encode(text.encode()).decode()},
+        )
+        t_end, pause_s = time.monotonic() + seconds, 0.05
+        while not (now := self._agent.ask("guest-exec-status", 60.0, pid=begun["pid"]))["exited"]:
+            if time.monotonic() > t_end:
+                raise TimeoutError(f"not within {seconds:g} s: {command}")
+            time.sleep(pause_s)
+            pause_s = min(1.0, 1.5 * pause_s)
+        done = Done(now.get("exitcode", -now.get("signal", 0)), _decoded(now))
+        if check and done.status != 0:
+            raise GuestError(f"{command}\nended with status {done.status}: {done.said[-4000:]}")
+        return done
+
+    def ask(self, command: str, *, seconds: float = 120.0) -> str:
+        """What a command that must succeed says, without the last line end."""
+        return self.run(command, seconds=seconds).said.rstrip("\n")
+
+    def put(self, path: str, text: str) -> None:
+        """Write a file inside."""
+        self.run(f"mkdir -p $(dirname {shlex.quote(path)}) && cat >{shlex.quote(path)}", text=text)
+
+
+def _adapter(pad: str) -> dict[str, str]:
+    return {
+        "driver": "usb-serial",
+        "id": pad,
+        "chardev": pad,
+        "serial": ADAPTERS[pad],
+        "bus": "usb.0",
+        "port": pad.removeprefix("pad"),
+    }
+
+
+def _decoded(status: Mapping[str, Any]) -> str:
+    return base64.b64decode(status.get("out-data", "")).decode(errors="replace")

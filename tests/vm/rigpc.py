@@ -1,0 +1,156 @@
+"""A rig PC with palmd on it, and the emulated rig at the far ends of its wires."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from image import CHECKOUT, Image
+from machine import ADAPTERS, Machine
+
+from palmd.bus.command_client import CommandClient
+
+PALMD = "/opt/palmd/bin/palmd"
+PYTHON = "/opt/palmd/bin/python"
+CONFIG, NAMES = "/etc/palmd/palmd.yaml", "/etc/udev/rules.d/71-palmd-names.rules"
+RUNS, HEARD = "/var/lib/palmd", "/root/hear.py"
+CALIBRATED_ZERO_MM = 28.4
+# The guest's processor does a thousand million instructions a second, a tenth of a rig PC's core: the observer that
+# costs least, at half the usual rate. Everything else is as `palmd install` leaves it.
+SLOWER = (("observer: {primary: shape}", "observer: {primary: quasistatic}"), ("rate_hz: 100", "rate_hz: 50"))
+BY_SERIAL = "".join(
+    f'SUBSYSTEM=="tty", ENV{{ID_SERIAL_SHORT}}=="{number}", SYMLINK+="palmd-{pad}", GROUP="palmd", MODE="0660"\n'
+    for pad, number in ADAPTERS.items()
+)
+ARM_NAME = 'KERNEL=="ttyS1", SUBSYSTEM=="tty", SYMLINK+="palmd-arm", GROUP="palmd", MODE="0660"\n'
+INSTALL_S, START_S = 3000.0, 300.0
+
+# Inside: prints the last message of each topic that came within so many seconds, as a line of JSON.
+HEAR = """
+import json, sys, time
+from palmd.bus.link import PUBLISH
+from palmd.bus.subscriber import Subscriber
+heard = {}
+with Subscriber(PUBLISH, topics=("palm/",)) as subscriber:
+    for message in subscriber.until(time.monotonic() + float(sys.argv[1])):
+        heard[message.topic] = message.fields
+        heard.setdefault("count", {}).setdefault(message.topic, 0)
+        heard["count"][message.topic] += 1
+print(json.dumps(heard))
+"""
+
+
+def configure(root: Path) -> None:
+    """What a person writes down on the first day: the ports' names, a calibration, and here a slower loop."""
+    with (root / NAMES.lstrip("/")).open("a") as names:
+        names.write("\n" + BY_SERIAL + ARM_NAME)
+    path = root / CONFIG.lstrip("/")
+    config = path.read_text()
+    for shipped, ours in (*SLOWER, ("zero_mm: 28.0", f"zero_mm: {CALIBRATED_ZERO_MM}")):
+        assert shipped in config, f"{path} has no {shipped}"
+        config = config.replace(shipped, ours)
+    path.write_text(config)
+    (root / HEARD.lstrip("/")).write_text(HEAR)
+
+
+class Rig:
+    """The emulated rig, on the time of whichever machine runs; see `farside.py`."""
+
+    def __init__(self, folder: Path) -> None:
+        self.ports = folder
+        self._process = subprocess.Popen(
+            [sys.executable, str(Path(__file__).with_name("farside.py")), str(folder)],
+            stdout=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"PYTHONPATH": str(CHECKOUT / "src")},
+        )
+        assert self._process.stdout is not None
+        self._control = CommandClient(json.loads(self._process.stdout.readline())["control"], 10.0)
+
+    def status(self) -> dict:
+        """What the rig counts, and `guest_ns`, the guest's monotonic clock."""
+        return self._control.ask("status")["result"]
+
+    def close(self) -> None:
+        self._control.close()
+        self._process.send_signal(signal.SIGTERM)
+        self._process.wait(timeout=10.0)
+
+
+class RigPC:
+    """The machine, and what an operator of palmd does at it."""
+
+    def __init__(self, image: Image, disk: Path, rig: Rig, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self.begun = time.monotonic()
+        self.machine = Machine(disk, image.kernel, image.initrd, image.medium, rig.ports, folder)
+        try:
+            self.machine.until_up()
+        except BaseException:
+            self.machine.cut_power()
+            raise
+        self.boot_s = time.monotonic() - self.begun
+        self.ask, self.run, self.put = self.machine.ask, self.machine.run, self.machine.put
+
+    # palmd on it
+
+    def install(self, version: str) -> str:
+        """From the medium, without a network; what `palmd install` said."""
+        self.ask("mkdir -p /media/wheels; mountpoint -q /media/wheels || mount -o ro /dev/vdb /media/wheels")
+        self.ask("test -x /opt/palmd/bin/pip || python3 -m venv /opt/palmd", seconds=INSTALL_S)
+        self.ask(
+            f"/opt/palmd/bin/pip install -q --no-index --find-links /media/wheels palmd=={version}", seconds=INSTALL_S
+        )
+        return self.ask(f"{PALMD} install", seconds=INSTALL_S)
+
+    def hear(self, seconds: float = 2.0) -> dict:
+        """The last message of each topic that the daemon said within so many seconds."""
+        return json.loads(self.ask(f"{PYTHON} {HEARD} {seconds:g}", seconds=START_S))
+
+    def until(self, condition, what: str, seconds: float = START_S, pause_s: float = 1.0):
+        """The first true value of `condition`."""
+        t_end = time.monotonic() + seconds
+        while not (value := condition()):
+            assert time.monotonic() < t_end, f"not within {seconds:g} s: {what}\n{self.journal()}"
+            time.sleep(pause_s)
+        return value
+
+    def journal(self, unit: str = "palmd", lines: int = 40) -> str:
+        return self.run(f"journalctl -b -u {unit} -n {lines} --no-pager -o cat", check=False).said
+
+    def show(self, unit: str, name: str) -> str:
+        return self.ask(f"systemctl show --value -p {name} {unit}")
+
+    def ready(self) -> None:
+        """The daemon has said READY, and nothing is missing."""
+        self.until(lambda: self.show("palmd", "ActiveState") == "active", "active")
+        self.until(lambda: self.show("palmd", "StatusText").startswith("ready"), "ready")
+
+    def status(self) -> str:
+        return self.show("palmd", "StatusText")
+
+    def close(self) -> None:
+        self.machine.shut_down()
+
+
+def overlay(base: Path, target: Path) -> Path:
+    """A disk that begins as `base`, which it does not change."""
+    target.unlink(missing_ok=True)
+    words = ["qemu-img", "create", "-q", "-f", "qcow2", "-F", "raw", "-b", str(base), str(target)]
+    subprocess.run(words, check=True)
+    return target
+
+
+@contextlib.contextmanager
+def powered(image: Image, disk: Path, rig: Rig, folder: Path):
+    """A machine that is on, and off in the end however that comes about."""
+    pc = RigPC(image, disk, rig, folder)
+    try:
+        yield pc
+    finally:
+        if pc.machine.on:
+            pc.machine.cut_power()
