@@ -22,7 +22,7 @@ from palmd.faults import FAULTS
 from palmd.lab.equations import errata
 from palmd.model.notation import SYMBOLS
 from palmd.quantities import STAMP, TOPICS
-from palmd.rig.fault_injection import INJECTABLE_FAULTS, SERVO_FAULTS
+from palmd.rig.fault_injection import ALL_FAULTS
 
 ROOT = Path(__file__).parent.parent
 SEGMENTS = (MoveSpec, RateSpec, HoldSpec, SineSpec, ExploreSpec)
@@ -129,7 +129,7 @@ def states() -> str:
 
 
 def mischief() -> str:
-    rows = [(f"`{name}`", trick.description) for name, trick in (INJECTABLE_FAULTS | SERVO_FAULTS).items()]
+    rows = [(f"`{name}`", trick.description) for name, trick in ALL_FAULTS.items()]
     return "# Mischief of the emulated rig\n\n" + table(("trick", "what it does"), rows)
 
 

@@ -160,7 +160,8 @@ _shtab_palmd_bench_explore_defaults_added=0
 
 _shtab_palmd_bench_faults_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--only[these rows alone\; there are pad1-dead, pad1-garbled, pad1-late, pad1-mute, pad1-replaced, pad1-foreign, pad2-dead, pad2-garbled, pad2-late, pad2-mute, pad2-replaced, pad2-foreign, object-lifted, arm-dead, arm-garbled, arm-late, arm-mute, arm-replaced, arm-foreign, controller-break, controller-estop, controller-power-off, controller-manual, controller-watchdog, daemon-paused-50, daemon-paused-300, daemon-killed, observer-raises, observer-nan, disk-full, recorder-killed, recorder-stuck, page-killed, page-stuck, address-taken, clock-step]:NAME:(pad1-dead pad1-garbled pad1-late pad1-mute pad1-replaced pad1-foreign pad2-dead pad2-garbled pad2-late pad2-mute pad2-replaced pad2-foreign object-lifted arm-dead arm-garbled arm-late arm-mute arm-replaced arm-foreign controller-break controller-estop controller-power-off controller-manual controller-watchdog daemon-paused-50 daemon-paused-300 daemon-killed observer-raises observer-nan disk-full recorder-killed recorder-stuck page-killed page-stuck address-taken clock-step)"
+  "--rig[an arm and VersaPads, or servos with strips or input devices (default\: adept)]:rig:(adept tabletop input)"
+  "--only[these rows alone\; with an arm there are pad1-dead, pad1-garbled, pad1-late, pad1-mute, pad1-replaced, pad1-foreign, pad2-dead, pad2-garbled, pad2-late, pad2-mute, pad2-replaced, pad2-foreign, object-lifted, arm-dead, arm-garbled, arm-late, arm-mute, arm-replaced, arm-foreign, controller-break, controller-estop, controller-power-off, controller-manual, controller-watchdog, daemon-paused-50, daemon-paused-300, daemon-killed, observer-raises, observer-nan, disk-full, recorder-killed, recorder-stuck, page-killed, page-stuck, address-taken, clock-step]:NAME:"
   "--times[how often each is provoked (default\: 1)]:N:"
   "--seed[which object and noise (default\: 3)]:seed:"
   {-o,--output}"[for runs.jsonl, which is overwritten, and the recordings (default\: faults)]:FOLDER:_files"
@@ -270,7 +271,9 @@ _shtab_palmd_bench_simulate_options=(
   "--seeds[from A up to B, both included]:A..B:"
   "--fresh[seeds nobody has tried, for so many processor seconds\; default\: 60]:S:"
   "--standstill[instead\: N times each cause that stops the arm, and how soon it stands]:N:"
-  "--clean[instead\: H hours in which nothing happens, and every hold]:H:"
+  "--clean[instead\: H hours in which nothing happens\: every hold, and who leaks]:H:"
+  "--long[instead\: H hours of trouble for one daemon\: what breaks, and who leaks]:H:"
+  "--seed[of --standstill, --clean, --long]:N:"
   "--keep[of one seed\'s happenings only these]:N,N…:"
   "--list[tell a single seed\'s happenings]"
   "--unreached[tell every (state, fault, command) that was not seen]"
@@ -793,7 +796,7 @@ _shtab_palmd_rig_options=(
   "--cylinder[a turned cylinder is the object]:RADIUS_MM,MASS_G:"
   "--roller[it rolls down the gentler palm\; then there is no object]:roller:(ball cylinder)"
   "--by-hand[manual mode\: a hand swings the empty palms]"
-  "*--mischief[what goes wrong\; may be given again\; names\: drop, garble, mute, unplug, late, burst, misbaud, touch, break, estop, power_off, manual, lift, swap, overload, overheat, undervoltage, brownout]:NAME[@PORT][,strength=X][,after=S][,for=S]:"
+  "*--mischief[what goes wrong\; may be given again\; names\: drop, garble, mute, unplug, late, burst, misbaud, touch, break, estop, power_off, manual, lift, swap, overload, overheat, undervoltage, brownout, overflow]:NAME[@PORT][,strength=X][,after=S][,for=S]:"
   "--ports[where its ports are, made if need be\; default\: one of its own]:FOLDER:_files"
   ":palmd.yaml\; default\: as shipped:_files"
 )

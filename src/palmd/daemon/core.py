@@ -222,8 +222,9 @@ class Core:
         self.journal.t = t
         if not self.journal.count:
             self.journal.add("palmd", "begun", f"palmd {__version__} begins, state {self.state}")
+        turning = max(map(abs, self.arm.actual.rates)) if self.arm.actual else 0.0
         for pad in self.pads.values():
-            self._events += pad.poll(t)
+            self._events += pad.poll(t, turning)
         events, self._events = sorted(self._events, key=_sample_time), []
         self._fed, self._answered = [], None
         try:

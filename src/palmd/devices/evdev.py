@@ -74,6 +74,9 @@ class _Contact:
     since: int = 0
 
 
+_OF_TOUCH = {(EV_KEY, BTN_TOUCH), (EV_ABS, 0x39)}  # the key, and the identity of a slot's contact
+
+
 class EvdevReader:
     """Turns a device's records into reports; `wants_state` says that the state must be asked for anew."""
 
@@ -88,6 +91,7 @@ class EvdevReader:
         self._slot = 0
         self._contacts = 0
         self._told = False
+        self._touch_known = False  # whether it has said since it was last forgotten if there is a contact
 
     @property
     def pending(self) -> int:
@@ -104,7 +108,7 @@ class EvdevReader:
         """What was known of the contacts no longer holds."""
         self._single, self._touch_key = _Contact(), False
         self._slots, self._slot = {}, 0
-        self._skipping = False
+        self._skipping = self._touch_known = False
         self.wants_state = True
 
     def feed(self, data: bytes, t_recv: float) -> list[PadReport]:
@@ -138,6 +142,7 @@ class EvdevReader:
         return reports
 
     def _take(self, kind: int, code: int, value: int) -> None:
+        self._touch_known |= (kind, code) in _OF_TOUCH
         if kind == EV_KEY and code == BTN_TOUCH:
             if value and not self._touch_key:
                 self._contacts += 1
@@ -175,6 +180,8 @@ class EvdevReader:
         if not 0.0 <= t_recv - t_stamp < FOREIGN_S:
             self.counters.foreign_clock += 1
             t_stamp = t_recv
+        if contact is None and not self._touch_known:
+            return None
         told, self._told = self._told, contact is not None
         if contact is None:
             return PadReport(t_stamp, t_recv, 0, 0, 0, in_use=False, batched=False) if told else None

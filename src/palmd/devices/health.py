@@ -31,3 +31,8 @@ def ago(seconds: float) -> str:
 def last_report(t_last: float | None, t: float) -> str:
     """How old the last report, of `t_last` (s), is at `t` (s)."""
     return "no packet has come yet" if t_last is None else f"its last packet is {ago(t - t_last)} old"
+
+
+def bytes_since(count: int) -> str:
+    """How many bytes have come since the last report, in words."""
+    return f"{count} bytes have come since, which are no packet" if count else "not a byte has come since"

@@ -84,8 +84,11 @@ class PadDriver(Protocol):
     def feed(self, data: bytes, t: float) -> list[PadSample | PadLift]:
         """The events in the bytes read at `t` (s)."""
 
-    def poll(self, t: float) -> Sequence[PadSample | PadLift]:
-        """What silence tells of at `t` (s): a lift-off, or that the contact stays where it is; once a tick."""
+    def poll(self, t: float, turning_rad_s: float = 0.0) -> Sequence[PadSample | PadLift]:
+        """What silence tells of at `t` (s): a lift-off, or that the contact stays where it is; once a tick.
+
+        turning_rad_s: how fast the faster palm turns: no contact stays where it is for long on a palm that turns.
+        """
 
     def reports(self, data: bytes, t: float) -> Sequence[PadReport]:
         """The reports in the bytes read at `t` (s), uncalibrated: instead of `feed`, for bring-up and calibration."""

@@ -13,19 +13,24 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 
+from palmd.config import Config, EvdevConfig, PadsConfig
 from palmd.console.arguments import count, seed
-from palmd.console.errors import BAD_INPUT
+from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import Progress
 from palmd.console.shipped import shipped
 from palmd.lab.fault_reaction import Reaction, all_as_promised, as_line, differences, summary, table
 from palmd.lab.fault_rows import NAMES, ROWS, BrokenObserver, FaultRow
+from palmd.lab.fault_rows_tabletop import INPUT_ROWS, SERVO_ROWS, STRIP_ROWS
 from palmd.lab.fault_stand import Stand
 from palmd.lab.fault_wireless import provoke
 from palmd.lab.rows import ROWS as FILE
 from palmd.lab.rows import terminable, writable, write
+from palmd.rig.fault_injection import PADS
 from palmd.rig.imperfections import perfect
+from palmd.system.mechanism import PALMS
 from palmd.yamlfile import load_config, load_plan
 
 PLAN = "plans/lively.yaml"
@@ -36,7 +41,9 @@ STARVED_TRIES = 3  # for a row that differs while the machine kept the rig from 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The bench's arguments."""
     add = parser.add_argument
-    add("--only", nargs="+", choices=NAMES, metavar="NAME", help=f"these rows alone; there are {', '.join(NAMES)}")
+    add("--rig", choices=RIGS, default="adept",
+        help="an arm and VersaPads, or servos with strips or input devices (default: %(default)s)")  # fmt: skip
+    add("--only", nargs="+", metavar="NAME", help=f"these rows alone; with an arm there are {', '.join(NAMES)}")
     add("--times", type=count, default=1, metavar="N", help="how often each is provoked (default: %(default)s)")
     add("--seed", type=seed, default=3, help="which object and noise (default: %(default)s)")
     add("-o", "--output", type=Path, default=Path("faults"), metavar="FOLDER",
@@ -45,11 +52,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Raises CliError when rig or daemon do not start or the palms cannot be brought to move."""
-    rows = [row for row in ROWS if arguments.only is None or row.name in arguments.only]
+    kind = RIGS[arguments.rig]
+    rows = [row for row in kind.rows if arguments.only is None or row.name in arguments.only]
+    if unknown := set(arguments.only or ()) - {row.name for row in rows}:
+        names = ", ".join(row.name for row in kind.rows)
+        raise CliError(BAD_INPUT, f"no row {', '.join(sorted(unknown))}; with --rig {arguments.rig} there are {names}")
     results: list[tuple[FaultRow, Sequence[Reaction]]] = []
     with terminable(), ExitStack() as stack:
         stream = writable(stack, arguments.output / FILE)
-        campaign = stack.enter_context(_Campaign(arguments.seed, (arguments.output / RECORDINGS).absolute()))
+        campaign = stack.enter_context(_Campaign(kind, arguments.seed, (arguments.output / RECORDINGS).absolute()))
         progress = stack.enter_context(Progress("faults", len(rows) * arguments.times, "provocations"))
         for row in rows:
             reactions: list[Reaction] = []
@@ -64,12 +75,39 @@ def run(arguments: argparse.Namespace) -> int:
     return 0 if all_as_promised(results) else BAD_INPUT
 
 
+@dataclass(frozen=True, slots=True)
+class RigKind:
+    """What the campaign can be done to: its configuration, by name, what its pads are instead, and its rows."""
+
+    shipped: str
+    rows: tuple[FaultRow, ...]
+    pads: PadsConfig | None = None
+
+    def config(self) -> Config:
+        """As shipped, but for the pads."""
+        config = load_config(shipped(self.shipped))
+        return config if self.pads is None else config.model_copy(update={"pads": self.pads})
+
+
+def _input_devices() -> PadsConfig:
+    pads = {f"palm{palm}": EvdevConfig(kind="evdev", port=pad, zero_mm=0.0, counts_per_mm=20.0)
+            for palm, pad in zip(PALMS, PADS, strict=True)}  # fmt: skip
+    return PadsConfig(**pads)
+
+
+RIGS = {
+    "adept": RigKind("demo.yaml", ROWS),
+    "tabletop": RigKind("tabletop.yaml", (*STRIP_ROWS, *SERVO_ROWS)),
+    "input": RigKind("tabletop.yaml", INPUT_ROWS, _input_devices()),
+}
+
+
 class _Campaign(ExitStack):
     """Has a stand as soon as a row needs one, and another one when that has become useless."""
 
-    def __init__(self, seed: int, runs: Path) -> None:
+    def __init__(self, kind: RigKind, seed: int, runs: Path) -> None:
         super().__init__()
-        self._seed, self._runs = seed, runs
+        self._kind, self._seed, self._runs = kind, seed, runs
         self._stand: Stand | None = None
 
     def provoke(self, row: FaultRow) -> Reaction:
@@ -91,7 +129,7 @@ class _Campaign(ExitStack):
     def _on_stand(self, row: FaultRow) -> Reaction:
         if self._stand is None:
             folder = Path(self.enter_context(tempfile.TemporaryDirectory(prefix="palmd-faults-")))
-            config = perfect(load_config(shipped("demo.yaml"))).model_copy(update={"plan": shipped(PLAN)})
+            config = perfect(self._kind.config()).model_copy(update={"plan": shipped(PLAN)})
             self._stand = self.enter_context(Stand(folder, config, self._seed, self._runs))
         reaction = self._stand.provoke(row)
         if not self._stand.usable:

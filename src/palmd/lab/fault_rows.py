@@ -95,15 +95,16 @@ class FaultRow:
         return frozenset(code for code, _ in self.faults)
 
 
-def _pad(pad: PortName) -> tuple[FaultRow, ...]:
+def pad_rows(pad: PortName, damaged: tuple[str, float]) -> tuple[FaultRow, ...]:
+    """Of a pad on a serial line; `damaged`: the share of its bytes that it can just do without, in words and number."""
     silent, garbled, port = f"{pad}-silent", f"{pad}-garbled", f"{pad}-port"
     late = (silent, f"{pad}-lifted")
     return (
         FaultRow(f"{pad}-dead", "its port disappears", RowFault("unplug", pad), "hold", (port,), ((port, "hold"),)),
         FaultRow(
             f"{pad}-garbled",
-            "a fifth of its bytes are damaged",
-            RowFault("garble", pad, 0.2),
+            f"{damaged[0]} of its bytes are damaged",
+            RowFault("garble", pad, damaged[1]),
             "tracking",
             ("nothing", f"{pad}-damaged"),
             ((garbled, "degrade"),),
@@ -143,7 +144,7 @@ def _pad(pad: PortName) -> tuple[FaultRow, ...]:
 _LOST = ("arm-link-lost", "stop")
 
 ROWS: tuple[FaultRow, ...] = (
-    *(row for pad in PADS for row in _pad(pad)),
+    *(row for pad in PADS for row in pad_rows(pad, ("a fifth", 0.2))),
     FaultRow(
         "object-lifted",
         "the object is lifted off",

@@ -243,9 +243,10 @@ class Stand:
         wrong = []
         if now["setpoints_outside_limits"] > before["setpoints_outside_limits"]:
             wrong.append("set-points outside the limits")
+        taken = "accepted" if "accepted" in now else "setpoints"  # servos take what is on the bus
         if reaction.state in ("ready", "fault"):
             time.sleep(AFTERWARDS_S)
-            if self._stack.rig_status()["accepted"] > now["accepted"]:
+            if self._stack.rig_status()[taken] > now[taken]:
                 wrong.append("set-points to an arm that must stand")
         return wrong
 

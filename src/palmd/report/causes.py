@@ -44,6 +44,7 @@ ARM_QUIET_S = 0.1  # without an answer: six of its cycles
 LINE_BYTES = 30  # of an answer of the arm, its line end included
 ALIEN_LINES = 3.0  # of what is none of ours, a line end is so much rarer
 _LINE = ("arm_port_bytes_read", "arm_lines", "arm_crc_errors", "arm_unframed")
+_PAD_COUNTS = {"versapad": ("bytes", "packets", "bytes_discarded"), "strip": ("bytes", "packets", "discarded")}
 _BUS = ("arm_bytes", "arm_packets", "arm_crc_errors", "arm_discarded")
 DAMAGED_SHARE, FOREIGN_SHARE = 0.05, 0.5  # of a bus's bytes that are in no packet
 SPOKE_BYTES, SPOKE_LINE_BYTES = 8, 31  # fewer may be the rest of a packet, or of a line
@@ -363,9 +364,10 @@ def _silent(case: RunCase, code: str, t: float) -> StopCause:
     end = code.removesuffix("-silent")
     evidence = [*_ages(case, int(end[-1]), t)]
     said = _said(case, code, t)
-    names = (f"{end}_bytes", f"{end}_packets", f"{end}_bytes_discarded")
+    kind = getattr(case.config.pads, f"palm{end[-1]}").kind
+    names = tuple(f"{end}_{name}" for name in _PAD_COUNTS.get(kind, ()))
     lost = 0.0
-    for at in (t, t + 1.0):
+    for at in (t, t + 1.0) if names else ():
         gained = case.course.gained(at, *names)
         if gained is None:
             continue

@@ -37,10 +37,9 @@ import zmq
 from palmd.messages import stamp
 from palmd.quantities import BODY, RIG_TOPICS, STALL, TRUTH, Topic
 from palmd.rig.fault_injection import (
-    INJECTABLE_FAULTS,
+    ALL_FAULTS,
     PADS,
     PORTS,
-    SERVO_FAULTS,
     InjectionError,
     PortName,
     order,
@@ -74,7 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME[@PORT][,strength=X][,after=S][,for=S]",
-        help=f"what goes wrong; may be given again; names: {', '.join([*INJECTABLE_FAULTS, *SERVO_FAULTS])}",
+        help=f"what goes wrong; may be given again; names: {', '.join(ALL_FAULTS)}",
     )
     parser.add_argument(
         "--ports", type=Path, metavar="FOLDER", help="where its ports are, made if need be; default: one of its own"
@@ -285,7 +284,7 @@ class RigProcess:
             case "status":
                 return self._status()
             case "tricks":
-                return {name: trick.description for name, trick in (INJECTABLE_FAULTS | SERVO_FAULTS).items()}
+                return {name: trick.description for name, trick in ALL_FAULTS.items()}
             case "mischief":
                 orders = order(t=t, **args)
                 world.mischief.add(orders)

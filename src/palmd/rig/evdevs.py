@@ -45,6 +45,11 @@ class EvdevEmulator(PadEmulator):
         self._told.clear()
         return []
 
+    def overflow(self, t: float) -> bytes:
+        """SYN_DROPPED; as when it is opened, all is told anew after it."""
+        self._told.clear()
+        return self._frame([(evdev.EV_SYN, evdev.SYN_DROPPED, 0)], t)
+
     def _interval(self) -> float:
         return REPORT_S + float(self._rng.normal(0.0, JITTER_S))
 

@@ -59,7 +59,12 @@ SERVO_FAULTS: dict[str, InjectableFault] = {
 }
 """Of a rig that servos turn; on another they do nothing."""
 
-_ALL = INJECTABLE_FAULTS | SERVO_FAULTS
+INPUT_FAULTS: dict[str, InjectableFault] = {
+    "overflow": InjectableFault("overflow", "the kernel drops what an input device said, and says so", PADS)
+}
+"""Of a rig whose pads are input devices; to others they do nothing."""
+
+ALL_FAULTS = INJECTABLE_FAULTS | SERVO_FAULTS | INPUT_FAULTS
 
 
 class InjectionError(ValueError):
@@ -89,9 +94,9 @@ def order(
 
     Without a port it is done to every port it can be done to. Raises InjectionError for what cannot be.
     """
-    trick = _ALL.get(name)
+    trick = ALL_FAULTS.get(name)
     if trick is None:
-        raise InjectionError(f"no mischief {name!r}; there are {', '.join(_ALL)}")
+        raise InjectionError(f"no mischief {name!r}; there are {', '.join(ALL_FAULTS)}")
     if port is not None and port not in trick.ports:
         raise InjectionError(f"{name} is for {' or '.join(trick.ports) or 'no port in particular'}, not {port!r}")
     force = trick.strength if strength is None else strength
@@ -130,8 +135,8 @@ class Switchboard:
 
     def cancel(self, name: str, port: str | None) -> None:
         """Forgets what is still to come of a trick, and ends what is on at the next `update`."""
-        if name not in _ALL:
-            raise InjectionError(f"no mischief {name!r}; there are {', '.join(_ALL)}")
+        if name not in ALL_FAULTS:
+            raise InjectionError(f"no mischief {name!r}; there are {', '.join(ALL_FAULTS)}")
         self._waiting = [o for o in self._waiting if o.name != name or port not in (None, o.port)]
         for key, active in self._active.items():
             if active.name == name and port in (None, active.port):

@@ -114,6 +114,10 @@ class PadEmulator(ABC):
         """What it says when its port is opened, and how many seconds after that."""
         return []
 
+    def overflow(self, t: float) -> bytes:  # noqa: ARG002
+        """What comes instead when the kernel has dropped reports by t (s); a serial line's are dropped unsaid."""
+        return b""
+
     @abstractmethod
     def listener(self) -> Decoder:
         """A new decoder of what it says."""

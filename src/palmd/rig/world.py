@@ -342,6 +342,9 @@ class World:
                 self._put_on_palms()
             case "swap", True:
                 self.new_object()
+            case "overflow", True:
+                assert order.port is not None, "it is for pads"
+                self._say(order.port, self._pads[order.port].overflow(self.t), self.t)
 
 
 def _home(config: Config) -> Joints:

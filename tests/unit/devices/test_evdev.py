@@ -71,6 +71,25 @@ def test_silence_is_not_lift_off_and_a_still_contact_is_said_again():
     assert list(driver.poll(7.0)) == []
 
 
+def test_on_palms_that_turn_silence_is_a_device_that_has_gone():
+    driver = pad()
+    driver.feed(encode([DOWN, x(200), y(7), SYN], 1.0), 1.001)
+    said = [event for i in range(100) for event in driver.poll(1.0 + 0.01 * i, math.radians(30.0))]
+    (lift,) = (event for event in said if isinstance(event, PadLift))
+    assert 0.2 < lift.t_sample - 1.0 < 0.23, "six degrees"
+    assert said[-1] is lift
+    assert (driver.touching, driver.parted) == (False, "silent")
+    assert "the palms have turned by" in driver.evidence("silent", 2.0)
+
+
+def test_on_palms_that_turn_whoever_speaks_has_not_gone():
+    driver = pad()
+    for i in range(100):
+        driver.feed(encode([DOWN, x(200), y(i % 2), SYN], 1.0 + 0.01 * i), 1.001 + 0.01 * i)
+        assert not driver.poll(1.005 + 0.01 * i, math.radians(60.0))
+    assert driver.touching
+
+
 def test_without_pressure_no_force_is_claimed():
     (sample,) = pad(pressure=False).feed(encode([DOWN, x(200), y(7), SYN], 1.0), 1.0)
     assert sample.force is None
@@ -79,12 +98,22 @@ def test_without_pressure_no_force_is_claimed():
 def test_a_lift_off_lost_in_an_overflow_is_not_missed():
     driver = pad()
     driver.feed(encode([DOWN, x(200), y(7), SYN], 1.0), 1.0)
-    events = driver.feed(encode([x(210), DROPPED, x(220), SYN], 1.1), 1.1)
-    assert [type(event) for event in events] == [PadLift]
-    assert driver.parted == "silent"
+    assert driver.feed(encode([x(210), DROPPED, x(220), SYN], 1.1), 1.1) == []
     assert driver.feed(encode([y(8), SYN], 1.11), 1.11) == [], "the place along the palm is not known"
+    assert list(driver.poll(1.12)) == [], "and is not said again meanwhile"
+    assert [type(event) for event in driver.poll(1.14)] == [PadLift]
+    assert driver.parted == "silent"
+    (again,) = driver.feed(encode([DOWN, x(230), y(8), SYN], 1.15), 1.15)
+    assert again.s == pytest.approx(0.023)
+
+
+def test_an_overflow_that_lost_no_lift_off_ends_no_contact():
+    driver = pad()
+    driver.feed(encode([DOWN, x(200), y(7), SYN], 1.0), 1.0)
+    driver.feed(encode([DROPPED, SYN], 1.1), 1.1)
     (again,) = driver.feed(encode([DOWN, x(230), y(8), SYN], 1.12), 1.12)
     assert again.s == pytest.approx(0.023)
+    assert not [event for i in range(20) for event in driver.poll(1.12 + 0.01 * i) if isinstance(event, PadLift)]
 
 
 class Device(EvdevPort):

@@ -83,6 +83,8 @@ CAMPAIGN = [
     ("strip", "lift", None, None, {"pad1-lifted", "pad2-lifted"}, State.HOLD),
     ("strip", "misbaud", "pad2", None, {"pad2-silent"}, State.HOLD),
     ("evdev", "lift", None, None, {"pad1-lifted", "pad2-lifted"}, State.HOLD),
+    ("evdev", "mute", "pad1", None, {"pad1-silent"}, State.HOLD),
+    ("evdev", "overflow", "pad2", None, set(), State.TRACKING),
     ("strip", "mute", "arm", None, {"arm-link-lost"}, State.FAULT),
     ("strip", "misbaud", "arm", None, {"arm-link-lost"}, State.FAULT),
     ("strip", "garble", "arm", 0.002, {"arm-garbled"}, None),
@@ -114,6 +116,7 @@ def test_campaign(pads, name, port, strength, codes, state):
         assert run.core.state in (State.TRACKING, State.HOLD)
     else:
         assert run.core.state is state
+    if state in (State.HOLD, State.FAULT):
         assert t_stood is not None
         assert t_stood < 0.5
 

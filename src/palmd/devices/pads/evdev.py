@@ -18,6 +18,12 @@ from palmd.messages import PadView
 STILL_S = 0.030
 """A contact that has said nothing for so long is where it was: it is said again, as often as this."""
 
+DOUBTED_S = 0.030
+"""A device that does not tell its state within so long, after the kernel has dropped what it said, has gone."""
+
+STUCK_RAD, STUCK_S = math.radians(6.0), 0.15
+"""A device that has said nothing for so long, while the palms turned by so much, has fallen silent."""
+
 ASTRAY_SHARE, ASTRAY_LEAST = 0.2, 10  # frames
 FOREIGN_SHARE, FOREIGN_LEAST = 0.2, 10
 
@@ -36,6 +42,8 @@ class Evdev:
         self._reader = EvdevReader()
         self._latest: PadReport | None = None
         self._sample: PadSample | None = None
+        self._t_polled = self._t_doubted = math.inf
+        self._turned = 0.0  # by how much the palms have since the device last spoke (rad)
         self._state = b""  # the device's own account of itself, when it was asked
         self._astray = Share(ASTRAY_SHARE, ASTRAY_LEAST)
         self._foreign = Share(FOREIGN_SHARE, FOREIGN_LEAST)
@@ -76,9 +84,11 @@ class Evdev:
         reports = self._reader.feed(data, t)
         events: list[PadSample | PadLift] = []
         if self._reader.counters.dropped > dropped and not reports:
-            events += self._part(t, "silent")  # until the device has told its state: a lift-off may be lost
+            self._t_doubted, self._sample = t, None  # a lift-off may be lost: the device is asked for its state
+        if data:
+            self._turned = 0.0
         for report in reports:
-            self._latest = report
+            self._latest, self._t_doubted = report, math.inf
             if not report.in_use:
                 events += self._part(report.t_first, "lifted")
             elif (sample := self._calibrated(report)) is not None:
@@ -86,14 +96,21 @@ class Evdev:
                 events.append(sample)
         return events
 
-    def poll(self, t: float) -> list[PadSample | PadLift]:
+    def poll(self, t: float, turning_rad_s: float = 0.0) -> list[PadSample | PadLift]:
         """What the device said of its state, or that the contact is where it was at `t` (s). Once a tick."""
+        self._turned += turning_rad_s * max(t - self._t_polled, 0.0)
+        self._t_polled = t
         if self._state:
             state, self._state = self._state, b""
             return self.feed(state, t)
+        if t - self._t_doubted > DOUBTED_S:
+            self._t_doubted = math.inf
+            return [*self._part(t, "silent")]
         last = self._sample
         if not self.touching or last is None or t - last.t_sample < STILL_S:
             return []
+        if self._latest is not None and self._turned > STUCK_RAD and t - self._latest.t_first > STUCK_S:
+            return [*self._part(t, "silent")]
         self._sample = PadSample(t, last.pad, last.s, last.force)
         return [self._sample]
 
@@ -120,6 +137,8 @@ class Evdev:
         last = last_report(None if self._latest is None else self._latest.t_first, t)
         match condition:
             case "silent":
+                if self._turned > STUCK_RAD:
+                    return f"{last}, and the palms have turned by {math.degrees(self._turned):.0f}° since"
                 return f"{last}; then the device went, or the kernel dropped what it had said"
             case "lifted":
                 return f"{last} and says so"

@@ -7,19 +7,16 @@ from collections.abc import Iterator
 from typing import Literal
 
 from palmd.config import StripConfig
-from palmd.devices.health import Share, last_report
+from palmd.devices.health import Share, bytes_since, last_report
 from palmd.devices.pad import MARGIN_MM, SILENT_INTERVALS, PadFactory, TouchTracker
 from palmd.devices.port import DevicePort, Port
-from palmd.devices.strip import FORCE_MAX, StripDecoder, StripPacket
+from palmd.devices.strip import FORCE_MAX, TOUCHED_S, StripDecoder, StripPacket
 from palmd.events import PadLift, PadSample
 from palmd.messages import PadView
 
 GARBLED_SHARE, GARBLED_LEAST = 0.2, 24  # bytes
 ASTRAY_SHARE, ASTRAY_LEAST = 0.2, 10  # packets
 BATCHED_SHARE, BATCHED_LEAST = 0.5, 10
-
-SILENT_S = 0.080
-"""A strip that was touched and says nothing for so long has gone: it talks even when it is not touched."""
 
 
 class Strip:
@@ -33,9 +30,10 @@ class Strip:
         self.parted: Literal["lifted", "silent"] | None = None
         self._number, self._config = number, config
         self._decoder = StripDecoder(config.baud)
-        self._touch = TouchTracker(number, SILENT_S / SILENT_INTERVALS)
+        self._touch = TouchTracker(number, TOUCHED_S)
         self._latest: StripPacket | None = None
         self._s = math.nan
+        self._bytes_at_packet = 0
         self._garbled = Share(GARBLED_SHARE, GARBLED_LEAST)
         self._astray = Share(ASTRAY_SHARE, ASTRAY_LEAST)
         self._batched = Share(BATCHED_SHARE, BATCHED_LEAST)
@@ -77,8 +75,10 @@ class Strip:
     def feed(self, data: bytes, t: float) -> list[PadSample | PadLift]:
         """Take bytes read at `t` (s)."""
         events: list[PadSample | PadLift] = []
+        self._touch.heard(t)
         for packet in self._decoder.feed(data, t):
             self._latest = packet
+            self._bytes_at_packet = self._decoder.counters.bytes
             lift = self._touch.report(packet)
             if lift is not None:
                 events.append(self._part(lift, "lifted"))
@@ -87,7 +87,7 @@ class Strip:
                 events.append(sample)
         return events
 
-    def poll(self, t: float) -> list[PadSample | PadLift]:
+    def poll(self, t: float, turning_rad_s: float = 0.0) -> list[PadSample | PadLift]:  # noqa: ARG002
         """The loss of touch that silence tells of at `t` (s). Once a tick."""
         lift = self._touch.poll(t)
         return [] if lift is None else [self._part(lift, "silent")]
@@ -114,7 +114,9 @@ class Strip:
         last = last_report(None if self._latest is None else self._latest.t_first, t)
         match condition:
             case "silent":
-                return f"{last}, the limit is {SILENT_S * 1e3:.0f} ms"
+                come = self._decoder.counters.bytes - self._bytes_at_packet
+                limit_s = SILENT_INTERVALS * self._touch.mean_interval_s if come else self._touch.patience_s
+                return f"{last}, the limit is {limit_s * 1e3:.0f} ms; {bytes_since(come)}"
             case "lifted":
                 return f"{last} and says so"
             case "untouched":

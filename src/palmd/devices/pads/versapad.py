@@ -9,7 +9,7 @@ from typing import Literal, cast
 
 from palmd.config import VersaPadConfig
 from palmd.devices.handshake import Handshake
-from palmd.devices.health import Share, last_report
+from palmd.devices.health import Share, bytes_since, last_report
 from palmd.devices.pad import SILENT_INTERVALS, PadFactory
 from palmd.devices.port import DevicePort, Port
 from palmd.devices.versapad import IN_USE, PadCalibration, PadPacket, PadReceiver, PressureFormat
@@ -115,7 +115,7 @@ class VersaPad:
                 self._s, self.parted = event.s, None
         return events
 
-    def poll(self, t: float) -> list[PadLift]:
+    def poll(self, t: float, turning_rad_s: float = 0.0) -> list[PadLift]:  # noqa: ARG002
         """The lift-off that silence tells of at `t` (s). Once a tick."""
         self._shake(b"", t)
         lift = self._receiver.poll(t)
@@ -145,7 +145,7 @@ class VersaPad:
         """What speaks for a condition at `t` (s)."""
         match condition:
             case "silent":
-                touch, since = self._receiver.touch, self._bytes_since()
+                touch, since = self._receiver.touch, bytes_since(self._bytes_come)
                 limit_s = SILENT_INTERVALS * touch.mean_interval_s if self._bytes_come else touch.patience_s
                 if self._receiver.decoder.foreign:
                     return f"{self._last_packet(t)}; {since}, and no pad's, not even a damaged one's"
@@ -153,7 +153,7 @@ class VersaPad:
             case "lifted":
                 return f"{self._last_packet(t)} and says so: bit {IN_USE:#04x} (in use) of its first byte is 0"
             case "untouched":
-                return f"{self._last_packet(t)}; {self._bytes_since()}"
+                return f"{self._last_packet(t)}; {bytes_since(self._bytes_come)}"
             case "garbled":
                 return self._garbled.told("bytes")
             case "out-of-range":
@@ -175,10 +175,6 @@ class VersaPad:
     @property
     def _bytes_come(self) -> int:
         return self._receiver.counters.bytes - self._bytes_at_packet
-
-    def _bytes_since(self) -> str:
-        count = self._bytes_come
-        return f"{count} bytes have come since, which are no packet" if count else "not a byte has come since"
 
     def _judged(self) -> Iterator[str]:
         counters = self._receiver.counters

@@ -1,0 +1,142 @@
+"""The fault campaign's rows for rigs of servos, strips and input devices; see `fault_rows`. Pure."""
+
+from __future__ import annotations
+
+from palmd.lab.fault_rows import FaultRow, Kill, Pause, RowFault, pad_rows
+from palmd.rig.fault_injection import PADS, PortName
+
+SERVOS_DEAD_S = 0.150
+"""From the host's death to the palms standing still: the servos' own watchdogs."""
+
+_LOST = ("arm-link-lost", "stop")
+_OWN = ("arm-fault", "arm-servo-watchdog", "arm-servo-restarted", "arm-servo-refused")
+"""What a servo may say of itself once it is heard again."""
+
+
+def _servo(name: str, cause: str, trick: str, code: str) -> FaultRow:
+    return FaultRow(name, cause, RowFault(trick, "arm"), "fault", ("arm-servo",), ((code, "stop"),), ("arm-fault",))
+
+
+SERVO_ROWS: tuple[FaultRow, ...] = (
+    FaultRow(
+        "arm-dead",
+        "the adapter's port disappears",
+        RowFault("unplug", "arm"),
+        "fault",
+        ("arm-port",),
+        (("arm-port", "stop"),),
+        ("arm-link-lost", *_OWN),
+        SERVOS_DEAD_S,
+    ),
+    FaultRow(
+        "arm-mute",
+        "both servos fall silent, and hear nothing",
+        RowFault("mute", "arm"),
+        "fault",
+        ("arm-mute",),
+        (("arm-late", "degrade"), _LOST),
+        _OWN,
+        SERVOS_DEAD_S,
+    ),
+    FaultRow(
+        "arm-foreign",
+        "the bus runs at another speed",
+        RowFault("misbaud", "arm"),
+        "fault",
+        ("arm-mute",),  # for the servos hear nothing that is an instruction
+        (_LOST,),
+        _OWN,
+        SERVOS_DEAD_S,
+    ),
+    FaultRow(
+        "arm-replaced",
+        "the adapter's port comes back under another number",
+        RowFault("unplug", "arm", for_s=0.5),
+        "fault",
+        ("arm-port",),
+        (("arm-port", "stop"),),
+        ("arm-link-lost", *_OWN),
+        SERVOS_DEAD_S,
+    ),
+    _servo("servo-overload", "palm 1's servo is overloaded", "overload", "arm-servo-overload"),
+    _servo("servo-hot", "palm 1's servo gets too hot", "overheat", "arm-servo-hot"),
+    _servo("servo-voltage", "palm 1's servo says that its supply is out of range", "undervoltage", "arm-servo-voltage"),
+    FaultRow(
+        "servo-brownout",
+        "palm 1's servo starts anew, which takes it 0.4 s",
+        RowFault("brownout", "arm"),
+        "fault",
+        ("arm-mute",),
+        (_LOST,),
+        _OWN,
+    ),
+    FaultRow(
+        "supply-cut",
+        "the supply's switch is opened",
+        RowFault("estop", "arm"),
+        "fault",
+        ("arm-mute",),
+        (_LOST,),
+        _OWN,
+    ),
+    FaultRow(
+        "servo-watchdog",
+        "200 ms without an instruction",
+        RowFault("mute", "arm", for_s=0.2),
+        "fault",
+        ("arm-servo-watchdog", "arm-mute"),
+        (("arm-servo-watchdog", "stop"),),
+        ("arm-fault", "arm-link-lost"),
+        SERVOS_DEAD_S,
+    ),
+    FaultRow(
+        "daemon-paused-300",
+        "the daemon is stopped for 300 ms",
+        Pause("daemon", 0.3),
+        "fault",
+        ("stalled",),
+        (_LOST, ("loop-overrun", "note")),
+        (*_OWN, "pad1-silent", "pad2-silent"),
+        SERVOS_DEAD_S,
+    ),
+    FaultRow(
+        "daemon-killed",
+        "the daemon is killed, and another one started",
+        Kill("daemon"),
+        "ready",
+        ("died",),
+        goal_s=SERVOS_DEAD_S,
+    ),
+)
+
+STRIP_ROWS: tuple[FaultRow, ...] = tuple(row for pad in PADS for row in pad_rows(pad, ("a twentieth", 0.05)))
+
+
+def _input(pad: PortName) -> tuple[FaultRow, ...]:
+    port = f"{pad}-port"
+    return (
+        FaultRow(f"{pad}-dead", "it is unplugged", RowFault("unplug", pad), "hold", (port,), ((port, "hold"),)),
+        FaultRow(
+            f"{pad}-replaced",
+            "it comes back under another number",
+            RowFault("unplug", pad, for_s=0.5),
+            "hold",
+            (port,),
+            ((port, "hold"),),
+            (f"{pad}-silent",),
+        ),
+        FaultRow(
+            f"{pad}-overflow", "the kernel drops what it said", RowFault("overflow", pad), "tracking", ("nothing",)
+        ),
+        FaultRow(
+            f"{pad}-mute",
+            "it says nothing any more, and the palms turn",
+            RowFault("mute", pad),
+            "hold",
+            (f"{pad}-mute",),
+            ((f"{pad}-silent", "hold"),),
+        ),
+    )
+
+
+INPUT_ROWS: tuple[FaultRow, ...] = tuple(row for pad in PADS for row in _input(pad))
