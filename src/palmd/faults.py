@@ -271,6 +271,12 @@ FAULTS: tuple[Fault, ...] = (
     *_pad(1),
     *_pad(2),
     Fault(
+        "force-limit",
+        Severity.HOLD,
+        "a body in a pivoting gripper presses harder on the pad than limits.force_n",
+        "raise the gripper by jogging z, or lift the body off; then start goes on",
+    ),
+    Fault(
         "plan-refused",
         Severity.NOTE,
         "the plan cannot be run; the answer to start or plan says why",

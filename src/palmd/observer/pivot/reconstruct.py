@@ -50,7 +50,8 @@ class PivotReconstruction:
     theta, h, h_sd, touched: 360 normals, support function about the pivot and its one-sigma, whether it was touched
     there. com: the centre of mass from the pivot, in the body's frame at ψ = 0, and inertia about the pivot per mass;
     both only where the mass is told. moment, inertia_kg: the same times the mass, which force tells without it.
-    t, psi, omega0: the trajectory, while touched. reason: why not, when not `converged`.
+    t, psi, omega0: the trajectory, while touched. reason: why not, when not `converged`. p, covariance: the constants
+    of `model.pivot`, None where there was no fit.
     """
 
     converged: bool
@@ -76,6 +77,8 @@ class PivotReconstruction:
     omega0: FloatArray
     reason: str
     seconds: float
+    p: FloatArray | None = None
+    covariance: FloatArray | None = None
 
 
 @one_thread()
@@ -192,6 +195,7 @@ def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:
         mass=p[P.MASS] if weighed else math.nan, mass_sd=sd[P.MASS] if weighed else math.nan,
         moment=p[moment], moment_sd=sd[moment], inertia_kg=p[P.INERTIA], inertia_kg_sd=sd[P.INERTIA],
         t=rows.t, psi=motion[:, 0], omega0=motion[:, 1], reason=reason, seconds=0.0,
+        p=p, covariance=covariance,
     )  # fmt: skip
 
 

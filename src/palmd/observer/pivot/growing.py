@@ -1,0 +1,64 @@
+"""The smoother of a live pivoting grasp: all that was felt lately, reconstructed anew as it grows. Not for the loop."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from palmd.events import Event, PadSample, PalmSample
+from palmd.observer.pivot.reconstruct import PivotReconstruction, reconstruct
+from palmd.system.pivot import GripperSample, PivotAnswer, PivotEvent, PivotRig
+
+WINDOW_S = 90.0  # of readings, what is older is forgotten
+LEAST_S = 3.0  # of touching, before anything is tried
+PERIOD_S = 1.0
+
+
+class GrowingSmoother:
+    """Gathers events; `answer` reconstructs what there is, from the first reading of the window on."""
+
+    def __init__(self, rig: PivotRig) -> None:
+        self._rig = rig
+        self._events: list[PivotEvent] = []
+        self._pads = 0
+
+    def add(self, events: Sequence[Event]) -> None:
+        """Events of some ticks."""
+        self._events += [converted for event in events if (converted := as_logged(event)) is not None]
+        if self._events:
+            begin = self._events[-1].t_sample - WINDOW_S
+            if self._events[0].t_sample < begin - PERIOD_S:
+                self._events = [event for event in self._events if event.t_sample >= begin]
+
+    def answer(self) -> PivotAnswer | None:
+        """What the readings tell, or why they do not; None before there is anything to say or after nothing new."""
+        readings = [event.t_sample for event in self._events if isinstance(event, PadSample)]
+        if not readings or readings[-1] - readings[0] < LEAST_S or len(readings) == self._pads:
+            return None
+        self._pads = len(readings)
+        found = reconstruct(self._events, self._rig)
+        return answer_of(found, readings[-1])
+
+
+def as_logged(event: Event) -> PivotEvent | None:
+    """An event of the daemon as logs of the pivoting grasp have it; None for the end of a contact."""
+    if isinstance(event, PadSample):
+        return event
+    if isinstance(event, PalmSample):
+        (x, z), (vx, vz), (ax, az) = event.angles, event.rates or (None, None), event.accelerations or (None, None)
+        return GripperSample(event.t_sample, x, z, vx, ax, vz, az)
+    return None
+
+
+def answer_of(found: PivotReconstruction, t: float) -> PivotAnswer:
+    """A reconstruction of readings until `t` (s), for the loop."""
+    none = np.zeros(0)
+    claims = found.converged and found.h_sd is not None and found.touched is not None
+    if not claims or found.p is None or found.covariance is None or found.h_sd is None or found.touched is None:
+        return PivotAnswer(t, False, found.reason, math.nan, none, np.zeros((0, 0)), none, none)
+    at = float(found.t[-1])
+    return PivotAnswer(
+        at, True, "", float(found.psi[-1]), found.p, found.covariance, found.h_sd, found.touched.astype(np.float64)
+    )
