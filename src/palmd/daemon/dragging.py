@@ -54,8 +54,7 @@ class Dragging:
         """How far it is, or came, and why it stands; None before the first."""
         if self._drags is None:
             return None
-        told = {"coverage": self._drags.coverage, "reachable": None, "reason": self._reason}
-        return told | {"lifted_by_itself": self._drags.lifted, "turned_back": sum(self._drags.turned_back.values())}
+        return {"coverage": self._drags.coverage, "reachable": None, "reason": self._reason}
 
     @property
     def explored(self) -> Explored:

@@ -21,19 +21,21 @@ from palmd.system.pivot import Touching
 
 Phase = Literal["lift", "turn", "seek", "settle", "down", "up"]
 
-APPROACH_M_S, SEEK_M_S, CREEP_M_S = 0.012, 0.003, 0.0015  # lowered: in the air, towards the pad, where it must be near
-LIFT_M_S = 0.008
-NEAR_M = 3e-3  # above where the body touched before, from where on the gripper creeps
+APPROACH_M_S = 0.015  # in the air
+STROKE_M, STROKE_RATIO = 0.012, 10.0  # towards the pad: dragged inwards, and lowered by so much less
+LIFT_M_S, AWAY_M_S = 0.004, 0.02  # while it touches, and then
+NEAR_M = 5e-3  # above where the body touched before, from where on strokes seek it
 CLEAR_M = 6e-3  # by which a body is lifted off for somebody to turn it
-TURN_S = 3.0  # which they have
+TURN_S = 2.0  # which they have
 TRAIL = 1.35  # times the drag at which the body just rolls
 BACK = 0.6  # share of that which the arm goes back while the body is raised
 STEP_M, STEP_SHARE = 8e-4, 0.09  # of height at a time, and as a share of e
-DOWN_M_S = 0.0025
-LEAST_LEVER_M = 2.5e-3  # of e, where it turns back
-TAMED_SHARE, LEAST_FORCE_N = 0.5, 0.09  # of the force's limit, and the force, where it turns back
+DOWN_M_S = 0.004
+LEAST_LEVER_M, LEVER_SHARE = 2e-3, 0.4  # of e, where it turns back: that, or a share of the largest on this side
+TAMED_SHARE, LEAST_FORCE_N = 0.65, 0.09  # of the force's limit, and the force, where it turns back
 PAD_END_M = 5e-3
 RETREAT_M = 8e-4
+LEAST_STEP_M = 1e-4
 PASSES = 1  # down and up, of a side at a time
 ROUNDS = 3  # of both sides, before it is given up that anything more is told
 _LEAST_S = 0.12
@@ -65,8 +67,9 @@ class Drags:
         self._z_touch = -math.inf
         self._t_turned = -math.inf
         self._passes = self._rounds = 0
-        self._before: tuple[float, float] | None = None  # z and e at the last step
-        self._slope = 0.0  # de/dz along the branch
+        self._before: tuple[float, float] | None = None  # z and e² at the last step
+        self._slope = 0.0  # of e² over z, which is even where e itself ends like a root
+        self._most = 0.0  # largest |e| of this touch
         self._retreat = False
 
     @property
@@ -84,7 +87,7 @@ class Drags:
         if self.phase == "seek" and felt.touching:
             self.phase = "settle"
             self._z_touch = felt.z
-            self._before = None
+            self._before, self._slope, self._most = None, 0.0, 0.0
             return Step("halt", reason="the body touches")
         if self.phase in ("down", "up", "settle") and not felt.touching:
             self.lifted += 1
@@ -118,15 +121,12 @@ class Drags:
 
     def _lift(self, felt: Touching, here: Angles) -> Step:
         _, (_, top) = self._limits.angles
-        if felt.touching or not math.isfinite(self._z_touch):
-            end = min(here[1] + CLEAR_M, top)
-        else:
-            end = min(max(here[1], self._z_touch) + CLEAR_M, top)
-            self.phase = "turn"
-            self._t_turned = felt.t + TURN_S
-        if end <= here[1]:
+        if here[1] >= top:
             return Step("done", reason="there is no room to lift the body off: raise limits.z_mm")
-        return self._moved(here, (here[0], end), LIFT_M_S)
+        if felt.touching:
+            return self._moved(here, (here[0], here[1] + CLEAR_M / 4), LIFT_M_S)
+        self.phase, self._t_turned = "turn", felt.t + TURN_S
+        return self._moved(here, (here[0], here[1] + CLEAR_M), AWAY_M_S)
 
     def _turn(self, felt: Touching, here: Angles) -> Step:
         start = self._start_of(self._wanted)
@@ -150,7 +150,7 @@ class Drags:
             return self._moved(here, (start, near), APPROACH_M_S)
         if here[1] <= bottom:
             return Step("done", reason="nothing touches the pad, though the gripper is as low as it may be")
-        return self._moved(here, (start, bottom), CREEP_M_S if math.isfinite(near) else SEEK_M_S)
+        return self._moved(here, (start - self._wanted * STROKE_M, here[1] - STROKE_M / STROKE_RATIO), APPROACH_M_S)
 
     def _start_of(self, side: float) -> float:
         (low, high), _ = self._limits.angles
@@ -212,23 +212,29 @@ class Drags:
         return None
 
     def _stride(self, felt: Touching, sense: float) -> float:
-        """Of height: small against e, and against how fast e falls."""
-        lever = abs(felt.e)
-        falling = -self._slope * sense * self._side  # of |e| per height
-        stride = min(STEP_M, STEP_SHARE * lever)
-        return min(stride, 0.3 * lever / falling) if falling > 0.0 else stride
+        """Of height: small against e, and against how fast e² falls."""
+        falling = -self._slope * sense  # of e² per height
+        stride = min(STEP_M, STEP_SHARE * abs(felt.e))
+        room = felt.e**2 - self._least**2
+        return min(stride, max(0.5 * room / falling, LEAST_STEP_M)) if falling > 0.0 else stride
+
+    @property
+    def _least(self) -> float:
+        return max(LEAST_LEVER_M, LEVER_SHARE * self._most)
 
     def _learn(self, felt: Touching) -> None:
+        square = felt.e**2
+        self._most = max(self._most, abs(felt.e))
         if self._before is not None and abs(felt.z - self._before[0]) > 1e-4:
-            slope = (felt.e - self._before[1]) / (felt.z - self._before[0])
-            self._slope += 0.5 * (slope - self._slope)
-        self._before = felt.z, felt.e
+            slope = (square - self._before[1]) / (felt.z - self._before[0])
+            self._slope += (0.6 if self._slope else 1.0) * (slope - self._slope)
+        self._before = felt.z, square
 
     def _warning(self, felt: Touching) -> str:
         """Why the body must not be lowered farther; empty when it may."""
         if not math.isfinite(felt.e):
             return ""
-        if felt.e * self._side < LEAST_LEVER_M:
+        if felt.e * self._side < self._least:
             return _LEVER
         if felt.force > TAMED_SHARE * self._limits.force:
             return "the force comes near its limit"

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from palmd.events import Event, PadSample, PalmSample
-from palmd.observer.pivot.reconstruct import PivotReconstruction, reconstruct
+from palmd.observer.pivot.record import LEAST_READINGS
+from palmd.observer.pivot.reconstruct import ONE_SIDE, PivotReconstruction, reconstruct, refused
 from palmd.system.pivot import GripperSample, PivotAnswer, PivotEvent, PivotRig
 
 WINDOW_S = 90.0  # of readings, what is older is forgotten
@@ -38,8 +39,21 @@ class GrowingSmoother:
         if not readings or readings[-1] - readings[0] < LEAST_S or len(readings) == self._pads:
             return None
         self._pads = len(readings)
+        if why := self._one_sided():
+            return answer_of(refused(why), readings[-1])
         found = reconstruct(self._events, self._rig)
         return answer_of(found, readings[-1])
+
+    def _one_sided(self) -> str:
+        """Why no fit is worth its time: all readings are of one side of the dead centre; empty where they are not."""
+        x, ahead = math.nan, []
+        for event in self._events:
+            if isinstance(event, GripperSample):
+                x = event.x
+            elif math.isfinite(event.s - x):
+                ahead.append(event.s - x > 0.0)
+        share = min(sum(ahead), len(ahead) - sum(ahead))
+        return ONE_SIDE if share < LEAST_READINGS else ""
 
 
 def as_logged(event: Event) -> PivotEvent | None:

@@ -41,6 +41,7 @@ HEIGHT_CHI2 = {"rigid": 9.0, "float": 1.3}
 TORQUE_CHI2 = 4.0
 HOLLOW_M = 1e-3
 FAR_OFF_PIVOT = 3.0  # sigmas
+ONE_SIDE = "only one side of the dead centre was touched: touch it on both, and the force tells how they belong"
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,7 +251,7 @@ def _doubt(
         if abs(np.sign([np.median(e[_of(record, i)]) for i in range(len(record.touches))]).sum()) == len(
             record.touches
         ):
-            return "only one side of the dead centre was touched: touch it on both, and the force tells how they belong"
+            return ONE_SIDE
         if not forces:
             return "the pad gives no force: nothing tells how the sides of the dead centre belong together"
     curvature = shape.basis(theta, ORDER) @ (best.p[P.SHAPE :] * (1 - shape.harmonic_of_coefficient(ORDER) ** 2))
@@ -285,6 +286,11 @@ def _ratio_of(
     steps = np.diag(1e-5 * np.abs(q) + 1e-12)
     gradient = np.array([(ratio(q + d) - ratio(q - d)) / (2 * d[i]) for i, d in enumerate(steps)])
     return value, math.sqrt(max(float(gradient @ covariance[np.ix_(at, at)] @ gradient), 0.0))
+
+
+def refused(reason: str) -> PivotReconstruction:
+    """Nothing is claimed, for a reason that was seen without a fit."""
+    return _nothing(reason, time.perf_counter())
 
 
 def _nothing(reason: str, begun: float) -> PivotReconstruction:
