@@ -25,6 +25,7 @@ FELT_S, LEAST_FELT = 0.06, 3  # of readings that what is felt is the mean of
 STEADY = 0.15  # share of a reported position that corrects the planned way
 NIS_S, NIS_MOST, NIS_BEGIN = 0.5, 3.0, 1.0
 GATE = 16.0
+LAG_SD_S, RATE_SD_M_S = 4e-3, 1e-4  # of how late the arm does what is planned, and of how even it runs
 KNOWN_M = 1e-4  # one-sigma of the outline at the contact, above which the orientation is not claimed
 LEAST_LEVER_M = 1e-3  # nearer to the dead centre the height tells nothing of the orientation
 STEPS, CLOSE_M = 6, 1e-9
@@ -105,7 +106,8 @@ class PivotObserver:
             self._lift()
         if self._gripper is not None:
             (x, vx, _), (z, vz, az) = self._gripper.at(t)
-            sd = dict.fromkeys(("x", "z"), self._gripper.sd(self._rig.arm_noise))
+            noise = self._gripper.sd(self._rig.arm_noise)
+            sd = {"x": math.hypot(noise, LAG_SD_S * vx), "z": math.hypot(noise, LAG_SD_S * vz)}
             if self._touching and self._felt:
                 e = self._felt[-1].s - x
                 side = int(math.copysign(1.0, e))
@@ -128,12 +130,13 @@ class PivotObserver:
         alpha0 = (at.h2 * omega0**2 - az) / at.e
         force = body.force(at, psi, omega0, alpha0, (x, vx, self._gripper.ax if self._gripper else 0.0), az)
         h_sd = math.hypot(at.h_sd, sd["z"])
+        e_sd = math.hypot(at.e_sd, at.h2 / at.e * h_sd)  # de = h″ dθ, and dθ = dz/e
         sd |= {
-            "e": at.e_sd,
-            "s": math.hypot(at.e_sd, sd["x"]),
+            "e": e_sd,
+            "s": math.hypot(e_sd, sd["x"]),
             "psi": h_sd / abs(at.e),
-            "omega0": math.hypot(omega0 * at.e_sd, self._rig.arm_noise / NIS_S) / abs(at.e),
-            "f": body.force_share * abs(force),
+            "omega0": math.hypot(omega0 * e_sd, LAG_SD_S * az, RATE_SD_M_S) / abs(at.e),
+            "f": math.hypot(body.force_share, e_sd / abs(at.e)) * abs(force),
         }
         values = measured | unknown | {"e": at.e, "s": x + at.e, "psi": psi, "omega0": omega0, "f": force}
         why = "" if at.h_sd < KNOWN_M else "the outline has not been felt here yet"
