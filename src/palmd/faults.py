@@ -274,7 +274,7 @@ FAULTS: tuple[Fault, ...] = (
         "force-limit",
         Severity.HOLD,
         "a body in a pivoting gripper presses harder on the pad than limits.force_n",
-        "raise the gripper by jogging z, or lift the body off; then start goes on",
+        "stop, raise the gripper with the pendant, see what it is set down on; then arm and start",
     ),
     Fault(
         "plan-refused",

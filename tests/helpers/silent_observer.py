@@ -1,6 +1,6 @@
 """An observer that knows nothing, for tests that need none, or as a beginning for ones that know a little."""
 
-from palmd.daemon.core import unknown_estimate
+from palmd.daemon.systems import unknown_estimate
 
 
 class SilentObserver:

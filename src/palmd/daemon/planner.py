@@ -12,7 +12,7 @@ from palmd.motion.check import AnyPlanSpec, compile_any, compiled, plan_spec
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import Trajectory
 from palmd.motion.segments import Angles
-from palmd.pivot_config import AnyConfig, PivotExploreSpec, PivotMoveSpec
+from palmd.pivot_config import AnyConfig, PivotExploreSpec
 from palmd.yamlfile import ConfigError, Document, is_plan, read_document
 
 
@@ -135,6 +135,4 @@ def _plan(document: Document, limits: MotionLimits, start: Angles | None) -> Pla
 def _begins_anywhere(spec: AnyPlanSpec) -> bool:
     """Whether the plan begins by moving both palms, so that it does not matter where they stand."""
     first = spec.segments[0]
-    if isinstance(first, PivotMoveSpec):
-        return None not in (first.move.x_mm, first.move.z_mm)
     return isinstance(first, MoveSpec) and None not in (first.move.phi1_deg, first.move.phi2_deg)

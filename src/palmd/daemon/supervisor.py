@@ -297,6 +297,8 @@ class Supervisor:
 
     def _jog(self, request: Request, t: float) -> dict[str, Any]:
         self._refuse_unless_commanded()
+        if not self._system.jogs:
+            raise RefusedError("jogging turns palms, and there are none: load a plan with a move")
         told = any(name.startswith("whole_") for name in request.args)
         self._setpoints.jog(_turn(request, ""), t, _turn(request, "whole_") if told else None)
         return self._told()

@@ -102,6 +102,8 @@ class System(Protocol):
     """How the status names them, unit included."""
     outside: float
     """How far outside the limits the joints may be found while commanded (their unit)."""
+    jogs: bool
+    """Whether the `jog` command, which turns palms, is for it."""
     rig_priors: FloatArray
     """One-sigma of each of the rig's constants that are estimated and told; none: no such message."""
 
@@ -150,6 +152,7 @@ class TwoPalms:
         self.limits: MotionLimits = motion_limits(config)
         self.joints = tuple(f"{joint}_rad" for joint in JOINTS)
         self.outside = math.radians(1.0)
+        self.jogs = True
         self.rig_priors = prior_sds(rig_description(config))
         self._pads = config.pads
         self._swap = SwapWatch()

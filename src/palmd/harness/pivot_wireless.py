@@ -2,51 +2,21 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-
 from palmd.daemon.commands import Request
 from palmd.daemon.core import Core
 from palmd.daemon.lifecycle import State
 from palmd.daemon.pivot_system import PivotGrasp
 from palmd.daemon.planner import Plan
-from palmd.events import Event
 from palmd.harness.wireless import AtOnce, Instant, WirelessError
 from palmd.motion.pivot import PivotLimits, compile_pivot_plan
-from palmd.observer.pivot.growing import PERIOD_S, GrowingSmoother
+from palmd.observer.pivot.growing import PERIOD_S, SimulatedSmoothing
 from palmd.observer.pivot.live import PivotObserver
 from palmd.pivot_config import PivotConfig, PivotPlanSpec, pivot_rig
 from palmd.rig.pivot_world import PivotWorld
 from palmd.rig.shapes import Kind
 from palmd.rig.world import STEP_S
-from palmd.system.pivot import PivotAnswer, PivotRig
 
-LATENCY_S = 0.5
 ANSWER_S = 3.0
-
-
-class SimulatedSmoothing:
-    """The smoother as it would run beside the loop: its answer comes a fixed time after it was begun."""
-
-    def __init__(self, rig: PivotRig, period_s: float = PERIOD_S) -> None:
-        """Begun every `period_s`; an infinite one has none."""
-        self._smoother, self._period = GrowingSmoother(rig), period_s
-        self._next = -math.inf if math.isfinite(period_s) else math.inf
-        self._ready: tuple[float, PivotAnswer | None] | None = None
-
-    def submit(self, t: float, events: Sequence[Event]) -> None:
-        """Take the tick's events, and begin when it is time."""
-        self._smoother.add(events)
-        if t >= self._next and self._ready is None:
-            self._next = t + self._period
-            self._ready = (t + LATENCY_S, self._smoother.answer())
-
-    def collect(self, t: float) -> PivotAnswer | None:
-        """What was begun at least the latency ago."""
-        if self._ready is None or t < self._ready[0]:
-            return None
-        answer, self._ready = self._ready[1], None
-        return answer
 
 
 class PivotWireless:

@@ -84,14 +84,17 @@ def pivot_home(limits: MotionLimits) -> Angles:
 
 
 def compile_pivot_plan(spec: PivotPlanSpec, limits: PivotLimits, start: Angles | None = None) -> Trajectory:
-    """The plan as a trajectory within the limits; raises PlanError with everything that stands against it."""
-    origin = start if start is not None else pivot_home(limits)
+    """The plan as a trajectory within the limits; raises PlanError with everything that stands against it.
+
+    It begins where the gripper stands. A move rises before it goes along, and goes along before it sinks: a body that
+    is raised straight trails its friction, and what is dragged sideways might wedge.
+    """
+    begin = pose = start if start is not None else pivot_home(limits)
     found: list[tuple[Loc, str]] = []
-    first = spec.segments[0]
-    lead_in = first.duration_s if isinstance(first, PivotMoveSpec) else 0.0
-    begin = pose = _target(first.move, origin) if isinstance(first, PivotMoveSpec) else origin
     segments: list[MotionSegment] = []
+    labels: list[str] = []
     for index, each in enumerate(spec.segments):
+        count = len(segments)
         if isinstance(each, PivotExploreSpec):
             if index != len(spec.segments) - 1:
                 text = "where an exploration ends is not known beforehand: it must be the last segment"
@@ -101,15 +104,26 @@ def compile_pivot_plan(spec: PivotPlanSpec, limits: PivotLimits, start: Angles |
             segments.append(Hold(pose, each.hold_s))
         else:
             end = _target(each.move, pose)
-            segments.append(Hold(pose, 0.0) if index == 0 else Move(pose, end, each.duration_s))
+            segments += _legs(pose, end, each.duration_s)
             pose = end
-        segment = segments[-1]
-        extremes = ranges(limits.values(segment.at(t)) for t in segment.sample_times())
-        found += [(("segments", index), text) for _, text in problems(limits.bounds, extremes)]
+        labels += [_label(each)] * (len(segments) - count)
+        for segment in segments[count:]:
+            extremes = ranges(limits.values(segment.at(t)) for t in segment.sample_times())
+            found += [(("segments", index), text) for _, text in problems(limits.bounds, extremes)]
     if found:
-        raise PlanError(found)
+        raise PlanError(list(dict.fromkeys(found)))
     whole = Round.of(segments)
-    return Trajectory(spec.name, begin, lead_in, whole.duration, tuple(map(_label, spec.segments)), (whole,), None)
+    return Trajectory(spec.name, begin, 0.0, whole.duration, tuple(labels), (whole,), None)
+
+
+def _legs(start: Angles, end: Angles, duration: float) -> list[Move]:
+    """Up, along, or along, down, in so much time together, shared by their lengths; no leg that leads nowhere."""
+    corner = (start[0], end[1]) if end[1] > start[1] else (end[0], start[1])
+    ways = [max(abs(a - b) for a, b in zip(*leg, strict=True)) for leg in ((start, corner), (corner, end))]
+    if not sum(ways):
+        return [Move(start, end, duration)]
+    each = zip(((start, corner), (corner, end)), ways, strict=True)
+    return [Move(a, b, duration * way / sum(ways)) for (a, b), way in each if way]
 
 
 def _target(place: PivotPlace, pose: Angles) -> Angles:

@@ -8,13 +8,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from palmd.events import Event, PadSample, PalmSample
-from palmd.observer.pivot.record import LEAST_READINGS
 from palmd.observer.pivot.reconstruct import ONE_SIDE, PivotReconstruction, reconstruct, refused
+from palmd.observer.pivot.record import LEAST_READINGS
 from palmd.system.pivot import GripperSample, PivotAnswer, PivotEvent, PivotRig
 
 WINDOW_S = 90.0  # of readings, what is older is forgotten
 LEAST_S = 3.0  # of touching, before anything is tried
 PERIOD_S = 1.0
+LATENCY_S = 0.5  # that a simulated one takes
 
 
 class GrowingSmoother:
@@ -76,3 +77,37 @@ def answer_of(found: PivotReconstruction, t: float) -> PivotAnswer:
     return PivotAnswer(
         at, True, "", float(found.psi[-1]), found.p, found.covariance, found.h_sd, found.touched.astype(np.float64)
     )
+
+
+def as_fed(event: PivotEvent) -> Event:
+    """An event of a log as a daemon has it: the gripper's as that of two joints, x and z (m)."""
+    if isinstance(event, PadSample):
+        return event
+    planned = None if event.vx is None or event.vz is None else (event.vx, event.vz)
+    second = None if event.ax is None or event.az is None else (event.ax, event.az)
+    height = math.nan if event.z is None else event.z
+    return PalmSample(event.t_sample, (event.x, height), planned, second)
+
+
+class SimulatedSmoothing:
+    """The smoother as it would run beside the loop: its answer comes a fixed time after it was begun."""
+
+    def __init__(self, rig: PivotRig, period_s: float = PERIOD_S) -> None:
+        """Begun every `period_s`; an infinite one has none."""
+        self._smoother, self._period = GrowingSmoother(rig), period_s
+        self._next = -math.inf if math.isfinite(period_s) else math.inf
+        self._ready: tuple[float, PivotAnswer | None] | None = None
+
+    def submit(self, t: float, events: Sequence[Event]) -> None:
+        """Take the tick's events, and begin when it is time."""
+        self._smoother.add(events)
+        if t >= self._next and self._ready is None:
+            self._next = t + self._period
+            self._ready = (t + LATENCY_S, self._smoother.answer())
+
+    def collect(self, t: float) -> PivotAnswer | None:
+        """What was begun at least the latency ago."""
+        if self._ready is None or t < self._ready[0]:
+            return None
+        answer, self._ready = self._ready[1], None
+        return answer

@@ -17,7 +17,7 @@ from palmd.model import shape
 from palmd.model.pivot import ORDER, P, U, library
 from palmd.observer.noise import LEAST_READINGS, scattered
 from palmd.observer.outline import directions, gauge_free_sd, touched_by
-from palmd.observer.pivot.fit import MAX_ITERATIONS, SHARP, PivotFit, Problem, Softening, with_forces_of
+from palmd.observer.pivot.fit import MAX_ITERATIONS, SHARP, PivotFit, Problem, Softening, moved_by_gain, with_forces_of
 from palmd.observer.pivot.record import Record, TooLittleError, arm_motion, lay_out
 from palmd.observer.pivot.starts import believed, float_starts, rigid_starts, side_of
 from palmd.system.pivot import PivotEvent, PivotRig, normal_of
@@ -168,11 +168,14 @@ def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:
     h = shape.basis(theta, ORDER) @ coefficients
     try:
         covariance = problem.covariance(best)
+        gains = moved_by_gain(problem, library(), best)
     except np.linalg.LinAlgError:
         raise TooLittleError("the fit is not a minimum") from None
-    own = covariance[P.SHAPE :, P.SHAPE :]
+    own = covariance[P.SHAPE :, P.SHAPE :] + gains[P.SHAPE :] @ gains[P.SHAPE :].T
     h_sd = gauge_free_sd(theta, theta[touched], coefficients, own)
-    told = gauge_free_sd(theta, theta[touched], coefficients, _given_the_rig(covariance))
+    given = _given_the_rig(covariance) + gains[P.SHAPE :] @ gains[P.SHAPE :].T
+    told = gauge_free_sd(theta, theta[touched], coefficients, given)
+    covariance = covariance + gains @ gains.T
     reason = _doubt(record, best, fits[1:], theta, h, h_sd, touched)
     if not reason and float(np.sqrt(np.mean(told[touched] ** 2))) > SHARP_M:
         reason = "the readings tell too little of the outline"
