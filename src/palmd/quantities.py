@@ -454,7 +454,7 @@ PIVOT = Topic(
     100.0,
     "every tick, of a pivoting grasp",
     (
-        Quantity("valid", "bool", "", "whether to trust it: the outline is claimed, felt here, and explains the readings",
+        Quantity("valid", "bool", "", "whether to trust it: the outline is claimed, felt here, and explains readings",
                  source="valid"),
         Quantity("observer", "text", "", "which observer it comes from", source="observer"),
         Quantity("object", "number", "", "counts up when a new object is begun", source="object_count"),

@@ -138,7 +138,8 @@ def told(command: str, result: dict[str, Any]) -> str:
 
 def _pivoting(result: dict[str, Any]) -> list[str]:
     """Where a pivoting gripper is, and what is known of the body in it."""
-    lines = [f"pivot   {', '.join(f'{axis} {result[f'{axis}_m'] * 1e3:.1f} mm' for axis in AXES)}"]
+    places = [f"{axis} {result[axis + '_m'] * 1e3:.1f} mm" for axis in AXES]
+    lines = [f"pivot   {', '.join(places)}"]
     told = result.get("estimate")
     if told is None:
         return lines

@@ -68,6 +68,7 @@ class Dragging:
 
     def step(self, t: float, senses: Senses) -> None:
         """One tick at `t` (s)."""
+        del t
         found, limits = self._setpoints.exploration, self._setpoints.limits
         if found is None or not isinstance(limits, PivotLimits):
             self._exploration = None

@@ -74,7 +74,7 @@ class Loop:
         wall: Callable[[], float] = time.time,
         waiter: Waiter | None = None,
     ) -> None:
-        """`info` is what `palm/info` says, or another `info_topic`, `counters` gives what `palm/loop` says beyond the loop's own.
+        """`info` is what `info_topic` says, `counters` gives what `palm/loop` says beyond the loop's own.
 
         `clock` gives the time (s) of all that is done, `wall` that of the calendar; `waiter` waits on the ports.
         """

@@ -1,11 +1,11 @@
-"""How a gripper explores a body that turns freely in it: which drag comes next, by what is measured alone. Pure.
+"""How a gripper explores a body that turns freely in it: which drag comes next, by what is measured. Pure.
 
 The body is set down tilted, towards the nearer end of the pad, so that there is room to drag it inwards. Lowered by
 dz < 0 it turns by dz/e and slips by u = Ẋ + z ω0; friction trails (u e < 0), and cannot hold it, while the arm drags
 against e by more than z |ż/e|. So each drag goes down while it drags inwards, by steps that are small against e, which
-the pad tells. Raised, friction trails anyway while the arm goes back by less than z ż/|e|. It turns back before the dead
-centre (e small), before the end of the pad, and where the force comes near its limit or to nothing. A side is done when
-it was followed down and up; then the body is lifted off for somebody to tilt it to the other side.
+the pad tells. Raised, friction trails anyway while the arm goes back by less than z ż/|e|. It turns back before the
+dead centre (e small), before the end of the pad, and where the force comes near its limit or to nothing. A side is done
+when it was followed down and up; then the body is lifted off for somebody to tilt it to the other side.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _LEAST_S = 0.12
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """What to do now: move on, stand still at once, wait, or end; `reason` is for people, empty while nothing is new."""
+    """What to do now: move on, stand still at once, wait, or end; `reason` is for people, empty for nothing new."""
 
     kind: Literal["move", "halt", "wait", "done"]
     move: Move | None = None

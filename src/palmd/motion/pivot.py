@@ -89,7 +89,8 @@ def compile_pivot_plan(spec: PivotPlanSpec, limits: PivotLimits, start: Angles |
     It begins where the gripper stands. A move rises before it goes along, and goes along before it sinks: a body that
     is raised straight trails its friction, and what is dragged sideways might wedge.
     """
-    begin = pose = start if start is not None else pivot_home(limits)
+    stands = start if start is not None else pivot_home(limits)
+    begin = pose = limits.clamp_step(PalmMotion.at_rest(stands), PalmMotion.at_rest(stands), math.inf).angles
     found: list[tuple[Loc, str]] = []
     segments: list[MotionSegment] = []
     labels: list[str] = []

@@ -40,6 +40,7 @@ TURNED_S, CLEAR_M = 1.0, 2e-3  # what a hand takes to tilt it, and how high it m
 TILTED = (0.2, 0.4)  # where the hand holds it: so much of the way from the highest to the lowest pivot
 _ENCODER_NOISE_M = 1.5e-5
 _MARGIN_M, _ROOM = 5e-3, 2.0
+_BELOW_M = 1e-3  # its highest place, where the arm stands before anybody has commanded it
 _FINGER_M = 0.045
 _STEPS_A_TURN = 1440
 
@@ -294,7 +295,7 @@ class PivotArm:
         self._base = (arm.base_x_mm * 1e-3, arm.base_y_mm * 1e-3)
         self._turn = complex(math.cos(math.radians(arm.base_yaw_deg)), math.sin(math.radians(arm.base_yaw_deg)))
         (x0, x1), (z0, z1) = ((low * 1e-3, high * 1e-3) for low, high in config.limits.ranges_mm)
-        start = self._pose(0.5 * (x0 + x1), z1)
+        start = self._pose(0.5 * (x0 + x1), z1 - _BELOW_M)
         corners = [self._pose(x, z) for x in (x0, x1) for z in (z0, z1)]
         xs, ys = [each.x_m for each in corners], [each.y_m for each in corners]
         limits = ArmLimits(

@@ -245,7 +245,7 @@ class Problem:
 
 
 def moved_by_gain(problem: Problem, library: Library, fit: PivotFit) -> FloatArray:
-    """(CONSTANTS, modes): how a fit moves where the pad's gain is off by one sigma, or drifts by so much, in each touch.
+    """(CONSTANTS, modes): how a fit moves where the pad's gain is off by one sigma, or drifts by it, in each touch.
 
     Readings of one touch share their gain, so that no number of them averages it out.
     """
