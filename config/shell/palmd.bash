@@ -200,7 +200,7 @@ _shtab_palmd_build_pos_0_COMPGEN=_shtab_compgen_files
 _shtab_palmd_install___root_COMPGEN=_shtab_compgen_files
 
 _shtab_palmd_demo___kind_choices=(nominal friction rig odd)
-_shtab_palmd_demo___system_choices=(cradle)
+_shtab_palmd_demo___system_choices=(cradle pivot)
 _shtab_palmd_demo___rig_choices=(adept tabletop)
 _shtab_palmd_rig___kind_choices=(nominal friction rig odd)
 _shtab_palmd_rig___marble_choices=(1 2 both)

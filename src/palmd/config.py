@@ -684,12 +684,13 @@ def rig_description(config: Config) -> RigDescription:
         gravity_sd=math.radians(config.rig.gravity_sd_deg),
         friction_sd=config.rig.friction_asymmetry_sd,
         pads=tuple(
-            _sensor(pad, kappa) for pad, kappa in zip(config.pads.each(), config.rig.curvatures_per_m, strict=True)
+            pad_sensor(pad, kappa) for pad, kappa in zip(config.pads.each(), config.rig.curvatures_per_m, strict=True)
         ),
     )
 
 
-def _sensor(pad: PadConfig, curvature: float) -> PadSensor:
+def pad_sensor(pad: PadConfig, curvature: float) -> PadSensor:
+    """What an observer must know of a configured pad (SI), on a palm of this curvature (1/m)."""
     return PadSensor(
         curvature=curvature,
         length=pad.length_mm * 1e-3,

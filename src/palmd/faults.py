@@ -271,6 +271,12 @@ FAULTS: tuple[Fault, ...] = (
     *_pad(1),
     *_pad(2),
     Fault(
+        "force-limit",
+        Severity.HOLD,
+        "a body in a pivoting gripper presses harder on the pad than limits.force_n",
+        "stop, raise the gripper with the pendant, see what it is set down on; then arm and start",
+    ),
+    Fault(
         "plan-refused",
         Severity.NOTE,
         "the plan cannot be run; the answer to start or plan says why",

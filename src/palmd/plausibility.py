@@ -10,6 +10,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from palmd.config import AdeptConfig, Config, Plausible, RigConfig, size, unit_of
+from palmd.pivot_config import AnyConfig
 from palmd.system.mechanism import PALMS
 from palmd.yamlfile import Document, Loc
 
@@ -55,10 +56,11 @@ SLIPS: Mapping[str, tuple[Slip, ...]] = {
 """By the unit of the key."""
 
 
-def implausible(document: Document, config: Config) -> list[str]:
+def implausible(document: Document, config: AnyConfig) -> list[str]:
     """What should be looked at again, each with its place: `file:line:col: what`; a default is always plausible."""
     told = {loc: text for loc, text in _odd_values(config) if loc in document.values}
-    told |= {loc: text for loc, text in _odd_rig(config) if loc in document.values and loc not in told}
+    odd = _odd_rig(config) if isinstance(config, Config) else ()
+    told |= {loc: text for loc, text in odd if loc in document.values and loc not in told}
     placed = sorted((document.place(loc), f"{'.'.join(map(str, loc))}: {text}") for loc, text in told.items())
     return [document.line(place, text) for place, text in placed]
 

@@ -18,6 +18,8 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from palmd.config import Config, PlanSpec
+from palmd.pivot_config import AnyConfig, PivotConfig
+from palmd.system.pivot import SYSTEM
 
 MAX_BYTES = 256_000  # a real one has a few; parsing a megabyte takes seconds
 MAX_DEPTH = 20
@@ -114,13 +116,28 @@ def parse(document: Document, model: type[Model]) -> Model:
     return spec
 
 
+def names_pivot(document: Document) -> bool:
+    """Whether it means to be the configuration of a pivoting grasp."""
+    rig = document.data.get("rig") if isinstance(document.data, dict) else None
+    return isinstance(rig, dict) and rig.get("system") == SYSTEM
+
+
 def load_config(path: Path) -> Config:
-    """The configuration in a file; raises ConfigError."""
+    """The configuration of two palms in a file; raises ConfigError, also for that of another system."""
+    config = load_any_config(path)
+    if isinstance(config, PivotConfig):
+        text = f"{path}: is of a pivoting grasp, and this is for two palms on a hinge only (docs/start/pivot.md)"
+        raise ConfigError([text])
+    return config
+
+
+def load_any_config(path: Path) -> AnyConfig:
+    """The configuration in a file, of whichever system; raises ConfigError."""
     document = read_document(path)
     if is_plan(document):
         text = "this is a motion plan; wanted is a configuration, which may name it (plan: FILE)"
         raise document.error([(Place(), text)])
-    return parse(document, Config)
+    return parse(document, PivotConfig) if names_pivot(document) else parse(document, Config)
 
 
 def load_plan(path: Path) -> PlanSpec:

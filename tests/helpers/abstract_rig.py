@@ -7,6 +7,7 @@ every patience to end. Everything else is the daemon's own code.
 
 import copy
 import math
+from types import SimpleNamespace
 
 from palmd.daemon.commands import Request
 from palmd.daemon.diagnostics import ArmDiagnostics
@@ -27,6 +28,8 @@ COMMANDS = {
     "plan": {"path": "p", "text": "t"},
 }  # fmt: skip
 """Those that change something: the others are tried in `test_refused_moves_nothing`."""
+
+SYSTEM = SimpleNamespace(jogs=True, joints=("phi1_rad", "phi2_rad"), glance=lambda _estimate: {})
 
 TICK_S, LONG_S = 0.01, 2.0
 
@@ -225,7 +228,7 @@ class Rig:
         self.rules = Rules(State.IDLE)
         self.supervisor = Supervisor(
             self.arm, self.motion, Exploring(), self.faults, self.journal, self.aside, Plan(fits), None,
-            autostart=autostart,
+            autostart=autostart, system=SYSTEM,
         )  # fmt: skip
 
     @property

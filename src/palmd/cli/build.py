@@ -9,9 +9,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import get_args
 
-from palmd.config import Config
-from palmd.console.configured import configured
+from palmd.console.configured import any_configured
 from palmd.events import ObserverName
+from palmd.pivot_config import AnyConfig, PivotConfig
 
 _PATIENCE_S = 2.0
 
@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Makes each set of kernels once; takes seconds for what is not in the cache yet."""
     if arguments.config is not None and not arguments.all:
-        for each in needed_by(configured(arguments.config)):
+        for each in needed_by(any_configured(arguments.config)):
             _told(*each)
         return 0
     for each in [*_observers(), *_of_palms(curved=False), *_beside()]:
@@ -51,15 +51,17 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def needed_by(config: Config) -> list[Part]:
+def needed_by(config: AnyConfig) -> list[Part]:
     """What the processes of a run with this configuration load."""
+    if isinstance(config, PivotConfig):
+        return _beside()
     curved = any(config.rig.curvatures_per_m)
     if config.observer.primary == "shape":
         return _of_palms(curved)
     return [_observer(config.observer.primary)]
 
 
-def made_ready(config: Config, tell: Callable[[str], None]) -> None:
+def made_ready(config: AnyConfig, tell: Callable[[str], None]) -> None:
     """Make what a run needs before its processes start, each of which would else compile; tell if it lasts."""
     patience = threading.Timer(_PATIENCE_S, tell, ["compiling what these palms need, once; it takes a minute or two"])
     patience.daemon = True

@@ -16,6 +16,7 @@ from palmd.bus.link import COMMAND, add_key, credentials
 from palmd.console.errors import BAD_INPUT, USAGE, CliError
 from palmd.daemon.commands import COMMANDS, REQUEST_BYTES_MAX
 from palmd.system.mechanism import JOINTS
+from palmd.system.pivot import AXES
 
 PLAN_BYTES_MAX = REQUEST_BYTES_MAX // 2
 
@@ -116,7 +117,9 @@ def told(command: str, result: dict[str, Any]) -> str:
     angles = [f"{joint} {math.degrees(result[f'{joint}_rad']):.1f}°" for joint in JOINTS if f"{joint}_rad" in result]
     if angles:
         lines.append(f"angles  {', '.join(angles)}")
-    if "estimate" in result:
+    if all(f"{axis}_m" in result for axis in AXES):
+        lines += _pivoting(result)
+    elif "estimate" in result:
         lines += [
             f"{'' if number else 'object':8}{row.text}" for number, row in enumerate(estimate(result["estimate"]))
         ]
@@ -131,6 +134,26 @@ def told(command: str, result: dict[str, Any]) -> str:
     lines += [f"fault   {code} ({severity}): {hint}" for code, severity, hint in faults]
     lines += [f"{'' if number else 'log':8}{line}" for number, line in enumerate(_logged(result))]
     return "\n".join(lines)
+
+
+def _pivoting(result: dict[str, Any]) -> list[str]:
+    """Where a pivoting gripper is, and what is known of the body in it."""
+    places = [f"{axis} {result[axis + '_m'] * 1e3:.1f} mm" for axis in AXES]
+    lines = [f"pivot   {', '.join(places)}"]
+    told = result.get("estimate")
+    if told is None:
+        return lines
+    from palmd.quantities import PIVOT
+
+    known = []
+    for each in PIVOT.quantities:
+        if each.glance and told[each.name] is not None:
+            factor, digits, unit = each.shown.factor, each.shown.digits, each.shown.unit
+            sd = told["sd"].get(each.name)
+            band = "" if sd is None else f" ± {sd * factor:.{digits}f}"
+            known.append(f"{each.symbol} {told[each.name] * factor:.{digits}f}{band} {unit}".rstrip())
+    word = "valid" if told["valid"] else f"not valid: {told['reason']}"
+    return [*lines, f"object  {word}; {told['touched']:.0%} of the normals felt", f"        {', '.join(known)}"]
 
 
 def _logged(result: dict[str, Any]) -> list[str]:

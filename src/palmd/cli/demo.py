@@ -19,16 +19,18 @@ from palmd.bus.command_client import CommandClient
 from palmd.bus.link import COMMAND, PUBLISH
 from palmd.cli.browser import open_page
 from palmd.cli.build import made_ready
-from palmd.config import BusConfig
+from palmd.config import BusConfig, Config
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.console.shipped import shipped
 from palmd.harness.comparison import Comparison
 from palmd.harness.operator import Operator
+from palmd.harness.pivot_comparison import PivotComparison
 from palmd.harness.processes import StopRequest
 from palmd.harness.stack import Stack
+from palmd.pivot_config import AnyConfig, PivotConfig
 from palmd.rig.imperfections import perfect
 from palmd.rig.shapes import KINDS
-from palmd.yamlfile import ConfigError, load_config
+from palmd.yamlfile import ConfigError, load_any_config
 
 MOTION_START_S = 30.0
 LOOK_S = 0.1
@@ -36,7 +38,7 @@ PROGRESS_S = 1.0
 RECORDED_S = 300.0  # to pack the recording of many hours
 RUNS = Path("runs")
 RIGS = {"adept": "demo.yaml", "tabletop": "tabletop.yaml"}
-SYSTEMS = {"cradle": "cradle.yaml"}
+SYSTEMS = {"cradle": "cradle.yaml", "pivot": "pivot.yaml"}
 _WORLDS = {"none": "perfect", "calibrated": "off as calibration leaves one"}
 
 
@@ -49,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-record", action="store_true", help=f"keep no recording; else it goes to {RUNS}/ here")
     parser.add_argument("--perfect", action="store_true", help="a rig that is exactly as configured, which is known")
     which = parser.add_mutually_exclusive_group()
-    which.add_argument("--system", choices=SYSTEMS, help="another kind of palms: cradle, two that are concave")
+    which.add_argument("--system", choices=SYSTEMS, help="cradle: two concave palms; pivot: a pivoting gripper")
     which.add_argument("--rig", choices=RIGS, default="adept", help="an arm and VersaPads, or strips and servos")
     which.add_argument("--config", type=Path, help="rig and plan; default: as shipped")
 
@@ -60,10 +62,10 @@ def run(arguments: argparse.Namespace) -> int:
     Raises CliError when the rig or the daemon fail.
     """
     try:
-        config = load_config(arguments.config or shipped(SYSTEMS.get(arguments.system, RIGS[arguments.rig])))
+        config = load_any_config(arguments.config or shipped(SYSTEMS.get(arguments.system, RIGS[arguments.rig])))
     except ConfigError as error:
         raise CliError(BAD_INPUT, str(error)) from None
-    if arguments.perfect:
+    if arguments.perfect and isinstance(config, Config):
         config = perfect(config)
     made_ready(config, _tell)
     seed = [] if arguments.seed is None else ["--seed", str(arguments.seed)]
@@ -72,7 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
         begun = stack.start_rig("--kind", arguments.kind, *seed)
         if not (begun and stack.start(record=not arguments.no_record)):
             return 0  # the end was asked for before anything began
-        comparison = Comparison(stack.told["seed"], _WORLDS.get(str(config.rig.imperfections), "off as configured"))
+        comparison = _comparison(config, stack.told["seed"])
         page = stack.page if stack.start_page() else None
         if page is None and not stop.made:
             _tell(f"no live page: {stack.children.pop('page').said() or 'it did not start'}")
@@ -87,6 +89,12 @@ def run(arguments: argparse.Namespace) -> int:
     return 0 if comparison.settled else RIG_FAILED
 
 
+def _comparison(config: AnyConfig, seed: int) -> Comparison | PivotComparison:
+    if isinstance(config, PivotConfig):
+        return PivotComparison(seed)
+    return Comparison(seed, _WORLDS.get(str(config.rig.imperfections), "off as configured"))
+
+
 def _introduce(seed: int, bus: BusConfig, page: str | None) -> None:
     at = "" if bus.publish == PUBLISH else f" --address {bus.publish}"
     to = "" if bus.command == COMMAND else f" --address {bus.command}"
@@ -98,7 +106,7 @@ def _introduce(seed: int, bus: BusConfig, page: str | None) -> None:
     _tell(f"  palmd ctl status{to}")
 
 
-def _operate(stack: Stack, comparison: Comparison, stop: StopRequest, seconds: float) -> None:
+def _operate(stack: Stack, comparison: Comparison | PivotComparison, stop: StopRequest, seconds: float) -> None:
     """Does what an operator does, for so many seconds of motion or until the end is asked for."""
     operator = Operator()
     t_begin = time.monotonic()

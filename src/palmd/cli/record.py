@@ -27,7 +27,7 @@ from palmd.record.mcapfile import RunError, is_packed
 from palmd.record.recorder import record
 from palmd.record.recording import Ended
 from palmd.record.runfile import pack
-from palmd.yamlfile import ConfigError, load_config
+from palmd.yamlfile import ConfigError, load_any_config
 
 log = logging.getLogger(__name__)
 
@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Raises CliError for a configuration that cannot be read, and for what is no address."""
     try:
-        config = load_config(arguments.config)
+        config = load_any_config(arguments.config)
     except ConfigError as error:
         raise CliError(BAD_INPUT, str(error)) from None
     key = _credentials(config.bus, arguments.key)

@@ -8,7 +8,7 @@ from pathlib import Path
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import Progress
 from palmd.record.mcapfile import is_packed
-from palmd.record.run import Run, RunError, read_run
+from palmd.record.run import AnyRun, RunError, read_any_run
 from palmd.record.runfile import pack
 
 
@@ -23,7 +23,7 @@ def run(arguments: argparse.Namespace) -> int:
     source: Path = arguments.run
     target: Path = arguments.output or source
     try:
-        recording = read_run(source)
+        recording = read_any_run(source)
         if target == source and is_packed(source):
             print(f"{source}: is whole already")
             return 0
@@ -35,7 +35,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _packed(recording: Run, target: Path) -> str:
+def _packed(recording: AnyRun, target: Path) -> str:
     """Pack it; what was saved, in words."""
     surveys = recording.survey().values()
     total = sum(survey.count for survey in surveys)

@@ -20,12 +20,12 @@ from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import Progress
 from palmd.harness.processes import StopRequest
 from palmd.harness.rules import Kept, kept_by
-from palmd.quantities import EVENTS
+from palmd.quantities import EVENTS, PIVOT_EVENTS
 from palmd.record.length import message_count
 from palmd.record.mcapfile import RawMessage
 from palmd.record.player import SETTLE_S, RecordedPublisher, RepublishError, pause, play
 from palmd.record.recheck import Difference, Recheck
-from palmd.record.run import Run, RunError, read_run
+from palmd.record.run import PivotRun, Run, RunError, read_any_run
 
 TOLD_BROKEN = 10
 
@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Ends with the run or when asked to; status 1 when a check finds a difference. CliError for an unusable run."""
     try:
-        recording = read_run(arguments.run)
+        recording = read_any_run(arguments.run)
         if not recording.complete:
             print(f"{recording.path}: the recording was not finished; what there is of it is used", file=sys.stderr)
         if arguments.check:
@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _publish(recording: Run, address: str, speed: float, *, loop: bool) -> None:
+def _publish(recording: Run | PivotRun, address: str, speed: float, *, loop: bool) -> None:
     total = message_count(recording)
     publisher = RecordedPublisher(address)
 
@@ -77,9 +77,10 @@ def _publish(recording: Run, address: str, speed: float, *, loop: bool) -> None:
         publisher.close()
 
 
-def _check(recording: Run) -> int:
+def _check(recording: Run | PivotRun) -> int:
     recheck = Recheck(recording)
-    total = recording.survey()[EVENTS.name].count
+    events = PIVOT_EVENTS if isinstance(recording, PivotRun) else EVENTS
+    total = recording.survey()[events.name].count
     elsewhere = recheck.elsewhere()
     for line in elsewhere:
         print(f"{recording.path}: recorded with {line}: the last bits may differ", file=sys.stderr)

@@ -7,7 +7,8 @@ from pathlib import Path
 from palmd.config import Config
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.shipped import shipped
-from palmd.yamlfile import ConfigError, load_config
+from palmd.pivot_config import AnyConfig
+from palmd.yamlfile import ConfigError, load_any_config, load_config
 
 INSTALLED = Path("/etc/palmd/palmd.yaml")
 
@@ -29,6 +30,14 @@ def configured(path: Path) -> Config:
     """The configuration in a file; CliError with every error in it."""
     try:
         return load_config(path)
+    except ConfigError as error:
+        raise CliError(BAD_INPUT, str(error)) from None
+
+
+def any_configured(path: Path) -> AnyConfig:
+    """The configuration in a file, of whatever system; CliError with every error in it."""
+    try:
+        return load_any_config(path)
     except ConfigError as error:
         raise CliError(BAD_INPUT, str(error)) from None
 

@@ -20,14 +20,21 @@ from palmd.daemon.bus import Bus, BusError
 from palmd.daemon.core import Core
 from palmd.daemon.explorer_process import ExplorerProcess
 from palmd.daemon.loop import Loop
+from palmd.daemon.pivot_smoothing import PivotSmootherProcess
+from palmd.daemon.pivot_system import PivotGrasp
 from palmd.daemon.planner import Plan, PlanFolder, read_plan
 from palmd.daemon.smoothing import SmootherProcess
 from palmd.daemon.systemd import Notifier
+from palmd.daemon.systems import System, TwoPalms
 from palmd.keys import KeysError, server_keys
 from palmd.messages import Fields, info_fields
-from palmd.motion.check import motion_limits
+from palmd.observer.observer import LiveObserver
+from palmd.observer.pivot.live import PivotObserver
 from palmd.outlinefile import Outline, OutlineError, read_library
-from palmd.yamlfile import ConfigError, load_config
+from palmd.pivot_config import AnyConfig, PivotConfig, pivot_rig
+from palmd.pivot_messages import info_fields as pivot_info_fields
+from palmd.quantities import INFO, PIVOT_INFO
+from palmd.yamlfile import ConfigError, load_any_config
 
 log = logging.getLogger(__name__)
 
@@ -51,9 +58,11 @@ def run(config_path: Path, recorder: Callable[[], None] | None = None) -> int:
 
 def _start(config_path: Path, signals: _Signals, recorder: Callable[[], None] | None) -> int:
     try:
-        config = load_config(config_path)
-        plan = None if config.plan is None else read_plan(config.plan, motion_limits(config), None)
-        outlines = () if config.observer.shape is None else read_library(config.observer.shape)
+        config = load_any_config(config_path)
+        system: System = PivotGrasp(config) if isinstance(config, PivotConfig) else TwoPalms(config)
+        plan = None if config.plan is None else read_plan(config.plan, system.limits, None)
+        stored = None if isinstance(config, PivotConfig) else config.observer.shape
+        outlines = () if stored is None else read_library(stored)
         keys = None if config.bus.keys is None else server_keys(config.bus.keys)
     except ConfigError as error:
         print(error, file=sys.stderr)
@@ -70,11 +79,12 @@ def _start(config_path: Path, signals: _Signals, recorder: Callable[[], None] | 
         stack.callback(bus.close)
         stack.callback(start_async_log().close)
         recorded = recorder is not None and _is_started(recorder)
-        return _run(config, config_path.absolute().parent, plan, outlines, bus, recorded, signals, stack)
+        return _run(config, system, config_path.absolute().parent, plan, outlines, bus, recorded, signals, stack)
 
 
 def _run(
-    config: Config,
+    config: AnyConfig,
+    system: System,
     folder: Path,
     plan: Plan | None,
     outlines: tuple[Outline, ...],
@@ -86,10 +96,8 @@ def _run(
     notifier = Notifier()
     stack.callback(notifier.close)
     notifier.status("building the observer")
-    name: observer.ObserverName = config.observer.primary
     notes: list[str] = []
-    smoother = _smoother(config, name, stack)
-    estimator = observer.make(name, rig_description(config), smoothing=smoother, outlines=outlines)
+    estimator, smoother = _estimator(config, outlines, stack)
     if estimator.backend == "vm":
         notes.append("vm-backend")
     estimator.warm_up()
@@ -101,7 +109,7 @@ def _run(
     aside = ThreadPoolExecutor(1, "aside", realtime.accompany)
     stack.callback(aside.shutdown, wait=False, cancel_futures=True)
     explorer = _explorer(config, stack)
-    core = Core(config, estimator, aside, plan, notes, folder, explorer)
+    core = Core(config, estimator, aside, plan, notes, folder, explorer, system)
     ports = core.ports()
     for port in ports.values():
         stack.callback(port.close)
@@ -112,7 +120,8 @@ def _run(
         notifier,
         rate_hz=config.loop.rate_hz,
         backend=estimator.backend,
-        info=info_fields(__version__, estimator.name, config, PlanFolder.of(config, folder).names()),
+        info=_info(config, estimator.name, PlanFolder.of(config, folder).names()),
+        info_topic=PIVOT_INFO if isinstance(config, PivotConfig) else INFO,
         counters=lambda: _counters(smoother, estimator, explorer),
     )
     if recorded:
@@ -131,6 +140,25 @@ def _is_started(recorder: Callable[[], None]) -> bool:
     return True
 
 
+def _estimator(
+    config: AnyConfig, outlines: tuple[Outline, ...], stack: ExitStack
+) -> tuple[LiveObserver, SmootherProcess | PivotSmootherProcess | None]:
+    """The observer, and what is in a process beside it."""
+    if isinstance(config, PivotConfig):
+        beside = PivotSmootherProcess(pivot_rig(config))
+        stack.callback(beside.close)
+        return PivotObserver(pivot_rig(config), beside), beside
+    name = config.observer.primary
+    smoother = _smoother(config, name, stack)
+    return observer.make(name, rig_description(config), smoothing=smoother, outlines=outlines), smoother
+
+
+def _info(config: AnyConfig, name: str, plans: list[str]) -> Fields:
+    if isinstance(config, PivotConfig):
+        return pivot_info_fields(__version__, name, config, plans)
+    return info_fields(__version__, name, config, plans)
+
+
 def _smoother(config: Config, name: observer.ObserverName, stack: ExitStack) -> SmootherProcess | None:
     if name != "shape" or not config.observer.smoother or config.observer.shape is not None:
         return None
@@ -143,8 +171,8 @@ def _smoother(config: Config, name: observer.ObserverName, stack: ExitStack) -> 
     return smoother
 
 
-def _explorer(config: Config, stack: ExitStack) -> ExplorerProcess | None:
-    if config.observer.primary != "shape":
+def _explorer(config: AnyConfig, stack: ExitStack) -> ExplorerProcess | None:
+    if isinstance(config, PivotConfig) or config.observer.primary != "shape":
         return None
     explorer = ExplorerProcess(rig_description(config))
     stack.callback(explorer.close)
@@ -152,7 +180,7 @@ def _explorer(config: Config, stack: ExitStack) -> ExplorerProcess | None:
 
 
 def _counters(
-    smoother: SmootherProcess | None, estimator: observer.Observer, explorer: ExplorerProcess | None
+    smoother: SmootherProcess | PivotSmootherProcess | None, estimator: LiveObserver, explorer: ExplorerProcess | None
 ) -> Fields:
     return {
         "smoother_improvements": estimator.improvements,

@@ -18,52 +18,38 @@ from pathlib import Path
 import numpy as np
 
 from palmd import __version__
-from palmd.config import Config, rig_description
 from palmd.daemon.commands import Reply, Request
 from palmd.daemon.diagnostics import LOOK_S, ArmDiagnostics, LoopDiagnostics, NisDiagnostics, PadDiagnostics
 from palmd.daemon.drivers import ArmDriver, EndName
 from palmd.daemon.exploration_requests import Source
-from palmd.daemon.exploring import Exploring, Senses
+from palmd.daemon.exploring import Senses
 from palmd.daemon.journal import FaultNotes, Journal, MotionNotes, ObjectNotes, RigNotes
 from palmd.daemon.lifecycle import COMMANDED, State
 from palmd.daemon.planner import Plan, PlanFolder
-from palmd.daemon.poses import make_poses
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.supervisor import Supervisor
-from palmd.daemon.swap import SwapWatch
+from palmd.daemon.systems import System, Tick, TwoPalms
 from palmd.devices.actuator import ArmState
-from palmd.devices.pad import PadDriver, make_pad
 from palmd.devices.port import DevicePort
-from palmd.events import Estimate, Event, Improvement, ObjectEstimate, PadSample, ShapeEstimate
+from palmd.events import Event, Improvement, ObjectEstimate, PadSample, ShapeEstimate
 from palmd.faults import FaultMonitor, Severity
 from palmd.messages import (
     Fields,
-    contact_fields,
-    estimate_fields,
-    events_fields,
-    improvement_fields,
     log_fields,
-    motion_fields,
     note_fields,
     object_fields,
     rig_fields,
-    shape_fields,
-    sound,
     state_fields,
 )
-from palmd.motion.check import motion_limits
-from palmd.observer.observer import Observer
-from palmd.quantities import CONTACT, ESTIMATE, EVENTS, IMPROVEMENT, LOG, MOTION, NOTE, OBJECT, RIG, SHAPE, STATE, Topic
-from palmd.system.mechanism import JOINTS, PALMS
-from palmd.system.rig_constants import prior_sds, said_off
+from palmd.observer.observer import LiveAnswer, LiveEstimate, LiveObserver
+from palmd.pivot_config import AnyConfig, PivotConfig
+from palmd.quantities import LOG, NOTE, OBJECT, RIG, STATE, Topic
+from palmd.system.rig_constants import said_off
 
 log = logging.getLogger(__name__)
 
 SLOW_TOPIC_S = 1.0 / STATE.rate_hz
 _EARLY_S = 1e-3  # ticks jitter; what is due within so much is due now
-
-OUTSIDE = math.radians(1.0)
-"""How far outside the limits the palms may be found while commanded."""
 
 
 def _always() -> bool:
@@ -75,28 +61,30 @@ class Core:
 
     def __init__(
         self,
-        config: Config,
-        observer: Observer,
+        config: AnyConfig,
+        observer: LiveObserver,
         aside: Executor,
         plan: Plan | None = None,
         notes: Iterable[str] = (),
         folder: Path = Path(),
         explorer: Source | None = None,
+        system: System | None = None,
     ) -> None:
         """`aside` compiles plans beside the loop, `notes` are codes of faults that stand throughout.
 
         `folder` is the configuration's. `explorer` decides where explorations go; without one, plans that explore are
-        refused.
+        refused. `system` is what the rig is: two palms if nothing else is said.
         """
-        poses = make_poses(config)
-        self.pads: dict[EndName, PadDriver] = {
-            f"pad{palm}": make_pad(palm, pad) for palm, pad in zip(PALMS, config.pads.each(), strict=True)
-        }
-        self.arm = ArmDriver(config, poses)
-        self.setpoints = SetPoints(poses, motion_limits(config))
+        if system is None:
+            assert not isinstance(config, PivotConfig), "a rig that is not two palms is told as its system"
+            system = TwoPalms(config)
+        self._system = system
+        self.pads = system.pads()
+        self.arm = ArmDriver(config.arm, system.poses)
+        self.setpoints = SetPoints(system.poses, system.limits)
         self.faults = FaultMonitor()
         self.journal = Journal()
-        self.exploring = Exploring(self.setpoints, explorer)
+        self.exploring = system.exploring(self.setpoints, explorer)
         plans = PlanFolder.of(config, folder)
         self.supervisor = Supervisor(
             self.arm,
@@ -108,17 +96,18 @@ class Core:
             plan,
             plans,
             autostart=config.autostart,
+            system=system,
         )
         self._in_state: tuple[State, float, str] = (self.state, math.nan, "")  # since when (s), and why
         self._observer = observer
-        self._estimate = unknown_estimate(-math.inf, observer)
+        self._estimate = system.unknown(-math.inf, observer)
         self._shape: ShapeEstimate | None = None
         self._object: ObjectEstimate | None = None
         self._observer_failed = False
         self._events: list[Event] = []
         self._fed: list[Event] = []
-        self._answered: Improvement | None = None
-        self._rig_priors = prior_sds(rig_description(config))
+        self._answered: LiveAnswer | None = None
+        self._rig_priors = system.rig_priors
         self._rig, self._rig_sds = np.zeros_like(self._rig_priors), self._rig_priors
         self._contradicted = np.zeros_like(self._rig_priors)
         self._notes = frozenset(notes)
@@ -127,7 +116,7 @@ class Core:
         self._arm_watch = ArmDiagnostics()
         self._loop_watch = LoopDiagnostics()
         self._nis_watch = NisDiagnostics()
-        self._swap = SwapWatch()
+        self._of_system: frozenset[str] = frozenset()  # conditions that only it knows
         self._ports: dict[EndName, DevicePort] = {}
         self._failure = ""
         self._fault_notes, self._object_notes = FaultNotes(self.journal), ObjectNotes(self.journal)
@@ -144,7 +133,7 @@ class Core:
         return self.supervisor.state
 
     @property
-    def estimate(self) -> Estimate:
+    def estimate(self) -> LiveEstimate:
         """The last tick's."""
         return self._estimate
 
@@ -232,7 +221,7 @@ class Core:
                 self._fed.append(event)
                 self._observer.feed(event)
                 if isinstance(event, PadSample):
-                    self._swap.feed(event)
+                    self._system.felt(event)
                 if not between():
                     self._events = events[number:] + self._events
                     break
@@ -249,11 +238,11 @@ class Core:
             self._observer_failed = True
             self._failure = repr(error)
             self._passing.add("tick-error")
-            self._estimate = unknown_estimate(t, self._observer)
-        self._swap.look(t, self.arm.actual)
-        if self._estimate.valid and self._swap.swapped:
+            self._estimate = self._system.unknown(t, self._observer)
+        self._of_system = frozenset(self._system.conditions(t, self.arm.actual))
+        if self._estimate.valid and "pads-swapped" in self._of_system:
             self._estimate = dataclasses.replace(self._estimate, valid=False)
-        if self._estimate.valid and not sound(self._estimate):
+        if self._estimate.valid and not self._system.sound(self._estimate):
             self._passing.add("estimate-not-finite")
             self._estimate = dataclasses.replace(self._estimate, valid=False)
 
@@ -283,38 +272,36 @@ class Core:
         self._motion_notes.look(
             self.exploring.under_way, self.exploring.reason, self.supervisor.plan_name, self.setpoints.over, t
         )
-        untouched = [palm for palm, pad in zip(PALMS, self.pads.values(), strict=True) if not pad.touching]
+        untouched = [number for number, pad in enumerate(self.pads.values(), 1) if not pad.touching]
         self._object_notes.look(self._estimate.object_count, self._estimate.valid, untouched, self._estimate.nis, t)
 
     def report(self, t: float) -> list[tuple[Topic, Fields]]:
         """What to publish at `t` (s)."""
         arm, place = self.arm.host, self.setpoints.place
         age = arm.age(t)
-        messages = [
-            (ESTIMATE, estimate_fields(self._estimate)),
-            (
-                CONTACT,
-                contact_fields([pad.view(t) for pad in self.pads.values()], age if math.isfinite(age) else math.nan),
-            ),
-            (
-                MOTION,
-                motion_fields(
-                    self.setpoints.commanded,
-                    self.arm.actual,
-                    self.supervisor.plan_name,
-                    -1 if place is None else place.segment,
-                    0.0 if place is None else place.progress,
-                    str(arm.state or ""),
-                ),
-            ),
-            (EVENTS, events_fields(t, self._fed)),
-        ]
+        messages = self._system.tick(
+            Tick(
+                t,
+                self._estimate,
+                [pad.view(t) for pad in self.pads.values()],
+                age if math.isfinite(age) else math.nan,
+                self.setpoints.commanded,
+                self.arm.actual,
+                self.supervisor.plan_name,
+                -1 if place is None else place.segment,
+                0.0 if place is None else place.progress,
+                str(arm.state or ""),
+                self._fed,
+            )
+        )
         if self._answered is not None:
-            messages.append((IMPROVEMENT, improvement_fields(t, self._answered)))
+            messages.append(self._system.answered(t, self._answered))
+        if isinstance(self._answered, Improvement):
             self._rig, self._rig_sds = self._answered.rig, self._answered.rig_sd
             self._contradicted = self._answered.contradicted
             self._rig_notes.look(self._contradicted, self._said_off)
-        if self._answered is not None or t - self._t_rig >= 1.0 / RIG.rate_hz - _EARLY_S:
+        due = self._answered is not None or t - self._t_rig >= 1.0 / RIG.rate_hz - _EARLY_S
+        if len(self._rig_priors) and due:
             self._t_rig = t
             messages.append((RIG, rig_fields(self._rig, self._rig_sds, self._rig_priors, self._contradicted)))
         told = (self.state, self.faults.active, self.setpoints.running)
@@ -323,7 +310,7 @@ class Core:
             messages.append((STATE, self._state_fields(t)))
         messages += [(NOTE, note_fields(said_at, text)) for said_at, text in self.supervisor.taken_notes()]
         if self._shape is not None:
-            messages.append((SHAPE, shape_fields(self._shape)))
+            messages.append(self._system.shaped(self._shape))
             self._shape = None
         if self._object is not None:
             messages.append((OBJECT, object_fields(self._object)))
@@ -424,8 +411,7 @@ class Core:
         present.update(self._nis_watch.conditions(self._estimate.nis, self.setpoints.moving, t))
         if commanded and (self.setpoints.violated or self._outside()):
             present.add("limits-violated")
-        if self._swap.swapped:
-            present.add("pads-swapped")
+        present |= self._of_system
         if self._contradicted.any():
             present.add("rig-contradicted")
         if self.supervisor.plan_refused:
@@ -435,7 +421,7 @@ class Core:
         touching = all(pad.touching for pad in self.pads.values())
         if self.setpoints.moving and touching and not self._estimate.valid:
             present.add("estimate-lost")
-        return present
+        return present.difference(self._system.excused(self.exploring))
 
     def _evidence(self, code: str, t: float) -> str:
         """What speaks for a fault that has come up at `t` (s), in words; empty where there is no more to say."""
@@ -472,19 +458,15 @@ class Core:
         actual = self.arm.actual
         if actual is None:
             return ""
-        each = zip(JOINTS, actual.angles, self.setpoints.limits.angles, strict=True)
-        deg = math.degrees
-        return ", ".join(
-            f"{joint} is {deg(angle):.1f}°, its limits are {deg(low):g}° and {deg(high):g}°"
-            for joint, angle, (low, high) in each
-        )
+        return self._system.place(actual.angles, self.setpoints.limits.angles)
 
     def _outside(self) -> bool:
         actual = self.arm.actual
         if actual is None:
             return False
         each = zip(actual.angles, self.setpoints.limits.angles, strict=True)
-        return not all(low - OUTSIDE <= angle <= high + OUTSIDE for angle, (low, high) in each)
+        off = self._system.outside
+        return not all(low - off <= angle <= high + off for angle, (low, high) in each)
 
     def _rig_up(self, t: float) -> bool:
         return (
@@ -497,13 +479,3 @@ class Core:
 
 def _sample_time(event: Event) -> float:
     return event.t_sample
-
-
-def unknown_estimate(t: float, observer: Observer) -> Estimate:
-    """An estimate that says nothing."""
-    values = {
-        field.name: math.nan
-        for field in dataclasses.fields(Estimate)
-        if field.name not in ("t", "valid", "observer", "object_count", "sd")
-    }
-    return Estimate(t=t, valid=False, observer=observer.name, object_count=observer.object_count, sd={}, **values)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from palmd.config import Config
+from palmd.config import ArmConfig
 from palmd.daemon.latency_estimator import LatencyEstimator
 from palmd.daemon.poses import Poses
 from palmd.devices.actuator import ArmReport, ArmState, make_actuator
@@ -25,8 +25,8 @@ COMING_TO_REST_S = 0.3
 class ArmDriver:
     """The arm's line. `actual` are the palm angles of the last report, None before; rates are the plan's."""
 
-    def __init__(self, config: Config, poses: Poses) -> None:
-        self.host = make_actuator(config.arm)
+    def __init__(self, config: ArmConfig, poses: Poses) -> None:
+        self.host = make_actuator(config)
         self.lag = LatencyEstimator()
         self.is_open = False
         self.linked_since_open = False

@@ -20,6 +20,7 @@ from palmd.messages import Explored
 from palmd.motion.decisions import UnderWay
 from palmd.motion.exploration import Exploration
 from palmd.motion.segments import Move
+from palmd.system.pivot import Touching
 
 log = logging.getLogger(__name__)
 
@@ -43,7 +44,7 @@ class Senses:
     touching: bool
     known: bool
     object_count: int
-    look: Callable[[], Outlook | None]
+    look: Callable[[], Outlook | Touching | None]
 
 
 class Exploring:
@@ -203,6 +204,7 @@ class Exploring:
         to_go = exploration.end - tau - AHEAD_S
         self._t_ask = t + max(ASK_S, min(CHECK_S, to_go))
         outlook = senses.look() if senses.known else None
+        assert outlook is None or isinstance(outlook, Outlook), "it is of two palms"
         may_rock = senses.touching and (self._rocking or t - self._t_moved > BLIND_S)
         if outlook is None and (senses.known or not may_rock):
             return

@@ -24,7 +24,7 @@ from palmd.daemon.systemd import Notifier
 from palmd.devices.port import DevicePort, PortWaiter
 from palmd.faults import Fault
 from palmd.messages import Fields
-from palmd.quantities import INFO, LOOP
+from palmd.quantities import INFO, LOOP, Topic
 
 log = logging.getLogger(__name__)
 
@@ -69,12 +69,13 @@ class Loop:
         rate_hz: float,
         backend: str,
         info: Fields,
+        info_topic: Topic = INFO,
         counters: Callable[[], Fields] = dict,
         clock: Callable[[], float] = time.monotonic,
         wall: Callable[[], float] = time.time,
         waiter: Waiter | None = None,
     ) -> None:
-        """`info` is what `palm/info` says, `counters` gives what `palm/loop` says beyond the loop's own.
+        """`info` is what `info_topic` says, `counters` gives what `palm/loop` says beyond the loop's own.
 
         `clock` gives the time (s) of all that is done, `wall` that of the calendar; `waiter` waits on the ports.
         """
@@ -87,7 +88,7 @@ class Loop:
         self._notifier = notifier
         self._period = 1.0 / rate_hz
         self._backend = backend
-        self._info = info
+        self._info, self._info_topic = info, info_topic
         self._counters = counters
         self._clock, self._wall = clock, wall
         self._waiter: Waiter = waiter or PortWaiter(list(self._ports.values()), clock)
@@ -263,7 +264,7 @@ class Loop:
             self._t_slow = t
             timestamp = self._wall()
             self._bus.publish(LOOP, self._loop_fields(), t, timestamp)
-            self._bus.publish(INFO, dict(self._info), t, timestamp)
+            self._bus.publish(self._info_topic, dict(self._info), t, timestamp)
 
     def _fail(self, t: float, error: Exception) -> None:
         if not self._failed:

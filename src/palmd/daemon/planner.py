@@ -7,19 +7,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
-from palmd.config import Config, ExploreSpec, MoveSpec, PlanSpec
-from palmd.motion.check import compiled
+from palmd.config import ExploreSpec, MoveSpec
+from palmd.motion.check import AnyPlanSpec, compile_any, compiled, plan_spec
 from palmd.motion.limits import MotionLimits
-from palmd.motion.plan import Trajectory, compile_plan
+from palmd.motion.plan import Trajectory
 from palmd.motion.segments import Angles
-from palmd.yamlfile import ConfigError, Document, is_plan, parse, read_document
+from palmd.pivot_config import AnyConfig, PivotExploreSpec
+from palmd.yamlfile import ConfigError, Document, is_plan, read_document
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
     """A plan and its trajectory within `limits`, for palms that stand at `start` (rad)."""
 
-    spec: PlanSpec
+    spec: AnyPlanSpec
     trajectory: Trajectory
     limits: MotionLimits
     start: Angles | None
@@ -32,7 +33,7 @@ class Plan:
     @property
     def explores(self) -> bool:
         """Whether it ends with an exploration."""
-        return isinstance(self.spec.segments[-1], ExploreSpec)
+        return isinstance(self.spec.segments[-1], ExploreSpec | PivotExploreSpec)
 
     def serves(self, limits: MotionLimits, start: Angles) -> bool:
         """Whether the trajectory is right for these limits and this start; that of an exploration serves but once."""
@@ -42,7 +43,7 @@ class Plan:
 
     def compiled(self, limits: MotionLimits, start: Angles) -> Plan:
         """The same plan for other limits or another start; raises PlanError. Takes tens of milliseconds."""
-        return Plan(self.spec, compile_plan(self.spec, limits, start), limits, start)
+        return Plan(self.spec, compile_any(self.spec, limits, start), limits, start)
 
 
 def read_plan(path: Path, limits: MotionLimits, start: Angles | None) -> Plan:
@@ -72,7 +73,7 @@ class PlanFolder:
     base: Path
 
     @classmethod
-    def of(cls, config: Config, base: Path) -> Self:
+    def of(cls, config: AnyConfig, base: Path) -> Self:
         """That of a configuration in the folder `base`."""
         return cls(None if config.plan is None else config.plan.parent, base)
 
@@ -127,11 +128,11 @@ def _no_plan(name: str) -> ConfigError:
 
 
 def _plan(document: Document, limits: MotionLimits, start: Angles | None) -> Plan:
-    spec = parse(document, PlanSpec)
+    spec = plan_spec(document, limits)
     return Plan(spec, compiled(document, spec, limits, start), limits, start)
 
 
-def _begins_anywhere(spec: PlanSpec) -> bool:
+def _begins_anywhere(spec: AnyPlanSpec) -> bool:
     """Whether the plan begins by moving both palms, so that it does not matter where they stand."""
     first = spec.segments[0]
     return isinstance(first, MoveSpec) and None not in first.move.each()

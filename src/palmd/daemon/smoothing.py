@@ -46,7 +46,7 @@ class SmootherProcess:
 
     def submit(self, t: float, session: Session, events: Sequence[Event]) -> None:
         """Hand the tick's events over, a few ticks' together."""
-        self._waiting += [_packed(event) for event in events]
+        self._waiting += [packed(event) for event in events]
         if t - self._t_sent < BATCH_S:
             return
         self._t_sent = t
@@ -76,12 +76,14 @@ class SmootherProcess:
         self._process.close()
 
 
-def _packed(event: Event) -> list[Any]:
+def packed(event: Event) -> list[Any]:
+    """An event for a message to a process."""
     kind = next(i for i, each in enumerate(_KINDS) if isinstance(event, each))
     return [kind, *(getattr(event, name) for name in event.__slots__)]
 
 
-def _unpacked(fields: list[Any]) -> Event:
+def unpacked(fields: list[Any]) -> Event:
+    """The event that was packed."""
     event: Event = _KINDS[fields[0]](*fields[1:])
     return event
 
@@ -101,7 +103,7 @@ def serve(address: str, rig: str) -> None:
         while True:
             object_count, begun, hint, events = msgpack.unpackb(socket.recv())
             smoother.add(
-                Session(object_count, begun, hint and np.frombuffer(hint)), [_unpacked(event) for event in events]
+                Session(object_count, begun, hint and np.frombuffer(hint)), [unpacked(event) for event in events]
             )
             if socket.poll(0) or time.monotonic() < next_one:
                 continue

@@ -14,18 +14,18 @@ from typing import Any
 
 from palmd.daemon.commands import COMMANDS, Reply, Request
 from palmd.daemon.drivers import RESTING, ArmDriver
-from palmd.daemon.exploring import Exploring
 from palmd.daemon.journal import Journal
 from palmd.daemon.lifecycle import COMMANDED, State, Trigger, next_state
 from palmd.daemon.planner import Plan, PlanFolder, plan_in
 from palmd.daemon.recorder_watch import RecorderWatch
 from palmd.daemon.setpoints import SetPoints
+from palmd.daemon.systems import Explores, System
 from palmd.devices.actuator import ArmState, Reach
-from palmd.events import Estimate
 from palmd.faults import Fault, FaultMonitor, Severity
-from palmd.messages import estimate_at_a_glance, log_fields
+from palmd.messages import log_fields
 from palmd.motion.segments import Angles
 from palmd.motion.trajectory_executor import MotionError
+from palmd.observer.observer import LiveEstimate
 from palmd.system.mechanism import JOINTS
 
 log = logging.getLogger(__name__)
@@ -75,7 +75,7 @@ class Supervisor:
         self,
         arm: ArmDriver,
         setpoints: SetPoints,
-        exploring: Exploring,
+        exploring: Explores,
         faults: FaultMonitor,
         journal: Journal,
         aside: Executor,
@@ -83,6 +83,7 @@ class Supervisor:
         plans: PlanFolder,
         *,
         autostart: bool,
+        system: System,
     ) -> None:
         """`aside` does slow work beside the loop; plans without their text come from the `plans`."""
         self.state = State.IDLE
@@ -92,7 +93,7 @@ class Supervisor:
         self.cause = ""
         self.at_rest = True
         self.replies: list[Reply] = []
-        self.estimate: Estimate | None = None
+        self.estimate: LiveEstimate | None = None
         self.recorder = RecorderWatch()
         self._arm = arm
         self._setpoints = setpoints
@@ -101,6 +102,7 @@ class Supervisor:
         self._journal = journal
         self._aside = aside
         self._plans = plans
+        self._system = system
         self._autostart = ["arm", "start"] if autostart else []
         self._closing = False
         self._reach: Reach | None = None
@@ -197,9 +199,9 @@ class Supervisor:
             "log": log_fields(self._journal.entries[-LOG_TOLD:]),
         }
         if self.estimate is not None:
-            status["estimate"] = estimate_at_a_glance(self.estimate)
+            status["estimate"] = self._system.glance(self.estimate)
         if self._arm.actual is not None:
-            status |= {f"{joint}_rad": angle for joint, angle in zip(JOINTS, self._arm.actual.angles, strict=True)}
+            status |= dict(zip(self._system.joints, self._arm.actual.angles, strict=True))
         told = {"explored": explored, "recorder": recorder}
         return status | {name: what for name, what in told.items() if what is not None}
 
@@ -295,6 +297,8 @@ class Supervisor:
 
     def _jog(self, request: Request, t: float) -> dict[str, Any]:
         self._refuse_unless_commanded()
+        if not self._system.jogs:
+            raise RefusedError("jogging turns palms, and there are none: load a plan with a move")
         told = any(name.startswith("whole_") for name in request.args)
         self._setpoints.jog(_turn(request, ""), t, _turn(request, "whole_") if told else None)
         return self._told()

@@ -44,7 +44,7 @@ class Operator:
 
     def take(self, topic: str, fields: Status) -> None:
         """Every palm/state and palm/motion: a hold or a stop without a fault is somebody's wish."""
-        if topic == "palm/motion":
+        if topic in ("palm/motion", "palm/pivot_motion"):
             self.motion = fields
         elif topic == "palm/state":
             before, now = self.state.get("state"), fields.get("state")

@@ -15,7 +15,7 @@ from palmd.daemon.lifecycle import COMMANDED, TRANSITIONS, State
 from palmd.faults import Severity
 from palmd.messages import LogEntry, entries_of
 from palmd.quantities import LOG, STATE
-from palmd.record.run import Run, RunError
+from palmd.record.run import AnyRun, RunError
 
 PAIRS = frozenset((before, after) for (before, _), after in TRANSITIONS.items() if before is not after)
 """From which state to which one a single change may lead."""
@@ -78,7 +78,7 @@ class Kept:
     broken: tuple[str, ...]
 
 
-def kept_by(run: Run) -> Kept:
+def kept_by(run: AnyRun) -> Kept:
     """The rules applied to a recorded run; raises RunError for messages that are none."""
     entries: dict[int, LogEntry] = {}
     t_logged = -math.inf  # of what came later the log has not told yet

@@ -19,7 +19,8 @@ from palmd.bus.subscriber import Message, Subscriber
 from palmd.config import BusConfig, Config
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.harness.processes import Child
-from palmd.system.mechanism import ENDS, PALMS
+from palmd.pivot_config import AnyConfig
+from palmd.system.mechanism import ENDS
 
 START_S = 240.0  # compiling the observers on a slow machine
 BUILDING_AFTER_S = 3.0
@@ -52,7 +53,7 @@ class Stack:
     def __init__(
         self,
         folder: Path,
-        config: Config,
+        config: AnyConfig,
         runs: Path | None = None,
         *,
         give_up: Callable[[], bool] = lambda: False,
@@ -128,7 +129,7 @@ class Stack:
                 break
         raise not_started(self.children["daemon"])
 
-    def configure(self, config: Config, ports: Mapping[str, str] | None = None) -> None:
+    def configure(self, config: AnyConfig, ports: Mapping[str, str] | None = None) -> None:
         """What `begin_daemon` goes by: at addresses that are free, on other `ports` (by pad1, pad2, arm) if need be."""
         self.bus = free_addresses(config.bus)
         self.path = self._folder / "palmd.yaml"
@@ -212,7 +213,7 @@ _NO_PORTS = {name: name for name in ENDS}
 
 
 def as_yaml(
-    config: Config,
+    config: AnyConfig,
     bus: BusConfig,
     ports: Mapping[str, str] | None = None,
     runs: Path | None = None,
@@ -224,13 +225,13 @@ def as_yaml(
     What the emulated rig is off by only stands in its own (`emulated`): a daemon is not told.
     """
     values = config.model_dump(mode="json") | {"bus": bus.model_dump(mode="json")}
-    if emulated:
+    if emulated and isinstance(config, Config):
         asked = config.rig.imperfections
         values["rig"]["imperfections"] = asked if isinstance(asked, str) else asked.model_dump()
     if runs is not None:
         values["record"]["directory"] = str(runs)
     if ports is not None:
-        for palm in PALMS:
+        for palm in range(1, 1 + len(config.pads.each())):
             values["pads"][f"palm{palm}"]["port"] = ports[f"pad{palm}"]
         values["arm"]["port"] = ports["arm"]
     if values["plan"] is None:

@@ -86,7 +86,7 @@ class Wireless:
         if explorer is None and observer_name == "shape":
             explorer = InlineExplorer(Decider(rig, seed))
         self.world = World(config, seed, kind=kind, options=options, pad_options=pad_options, body=body)
-        self.core = Core(config, estimator, _AtOnce(), plan, explorer=explorer)
+        self.core = Core(config, estimator, AtOnce(), plan, explorer=explorer)
         self._steps = 0
         self._steps_per_tick = round(1.0 / (config.loop.rate_hz * STEP_S))
         for end in self.core.ports():
@@ -156,7 +156,7 @@ class Wireless:
         return ", ".join(fault.code for fault in self.core.faults.active) or "no faults"
 
 
-class _AtOnce(Executor):
+class AtOnce(Executor):
     """Does the work when it is asked for, so that nothing depends on how long it takes."""
 
     def submit(self, work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:

@@ -12,11 +12,13 @@ from palmd.config import Config, LimitsConfig, PadBase, PlanSpec
 from palmd.console.folders import nearest
 from palmd.keys import KeysClosedError, KeysError, server_keys
 from palmd.motion.limits import MotionLimits
+from palmd.motion.pivot import PivotLimits, compile_pivot_plan
 from palmd.motion.plan import PlanError, Trajectory, compile_plan
 from palmd.motion.segments import Angles
 from palmd.outlinefile import OutlineError, read_library
+from palmd.pivot_config import AnyConfig, PivotConfig, PivotPlanSpec
 from palmd.plausibility import implausible
-from palmd.yamlfile import ConfigError, Document, is_plan, parse, read_document
+from palmd.yamlfile import ConfigError, Document, is_plan, names_pivot, parse, read_document
 
 DEFAULT_PAD_LENGTH_MM: float = PadBase.model_fields["length_mm"].default
 
@@ -35,13 +37,29 @@ def load_trajectory(path: Path, limits: MotionLimits, start: Angles | None = Non
     start: where the palms stand (rad), as for `compile_plan`.
     """
     document = read_document(path)
-    return compiled(document, parse(document, PlanSpec), limits, start)
+    return compiled(document, plan_spec(document, limits), limits, start)
 
 
-def compiled(document: Document, spec: PlanSpec, limits: MotionLimits, start: Angles | None) -> Trajectory:
+AnyPlanSpec = PlanSpec | PivotPlanSpec
+
+
+def plan_spec(document: Document, limits: MotionLimits) -> AnyPlanSpec:
+    """The plan in a document, in the form that the limits' system has; raises ConfigError."""
+    return parse(document, PivotPlanSpec) if isinstance(limits, PivotLimits) else parse(document, PlanSpec)
+
+
+def compile_any(spec: AnyPlanSpec, limits: MotionLimits, start: Angles | None) -> Trajectory:
+    """The plan as a trajectory; raises PlanError."""
+    if isinstance(spec, PlanSpec):
+        return compile_plan(spec, limits, start)
+    assert isinstance(limits, PivotLimits), "a plan is read in the form of its limits"
+    return compile_pivot_plan(spec, limits, start)
+
+
+def compiled(document: Document, spec: AnyPlanSpec, limits: MotionLimits, start: Angles | None) -> Trajectory:
     """The compiled plan; raises ConfigError with file:line:col for what is wrong with it."""
     try:
-        return compile_plan(spec, limits, start)
+        return compile_any(spec, limits, start)
     except PlanError as error:
         raise document.error(
             [(document.place(loc), f"{'.'.join(map(str, loc))}: {text}") for loc, text in error.problems]
@@ -62,6 +80,9 @@ def check_files(paths: Sequence[Path]) -> list[str]:
     limits = [] if configs else [_default_limits()]
     blind: list[Document] = []  # configurations whose observers know no outline to explore by
     for document in configs:
+        if names_pivot(document):
+            errors += _pivot_errors(document, paths, limits, plans)
+            continue
         try:
             config = parse(document, Config)
         except ConfigError as error:
@@ -78,6 +99,23 @@ def check_files(paths: Sequence[Path]) -> list[str]:
     for document in plans:
         errors += _plan_errors(document, limits)
         errors += _blind_errors(document, blind)
+    return errors
+
+
+def _pivot_errors(
+    document: Document, paths: Sequence[Path], limits: list[MotionLimits], plans: list[Document]
+) -> list[str]:
+    """What is wrong with the configuration of a pivoting grasp; its limits and its plan are for the plans' check."""
+    errors: list[str] = []
+    try:
+        config = parse(document, PivotConfig)
+    except ConfigError as error:
+        return error.errors
+    limits.append(PivotLimits.of(config))
+    errors += implausible(document, config)
+    errors += _keys_errors(document, config)
+    errors += _folder_errors(document, config)
+    plans += _documents(_plan_named(document, config, errors, given=paths), errors)
     return errors
 
 
@@ -110,7 +148,7 @@ def _blind_errors(plan: Document, blind: Iterable[Document]) -> list[str]:
     return [config.line(config.place(("observer", "primary")), text) for config in blind]
 
 
-def _keys_errors(document: Document, config: Config) -> list[str]:
+def _keys_errors(document: Document, config: AnyConfig) -> list[str]:
     """What is wrong with the folder of keys that a configuration names, unless it is closed to this user."""
     if config.bus.keys is None:
         return []
@@ -123,7 +161,7 @@ def _keys_errors(document: Document, config: Config) -> list[str]:
     return []
 
 
-def _folder_errors(document: Document, config: Config) -> list[str]:
+def _folder_errors(document: Document, config: AnyConfig) -> list[str]:
     """Whether runs can be put where a configuration says; its folder is made when it is needed."""
     place = document.place(("record", "directory"))
     try:
@@ -137,7 +175,7 @@ def _folder_errors(document: Document, config: Config) -> list[str]:
     return []
 
 
-def _plan_named(document: Document, config: Config, errors: list[str], *, given: Sequence[Path]) -> list[Path]:
+def _plan_named(document: Document, config: AnyConfig, errors: list[str], *, given: Sequence[Path]) -> list[Path]:
     """The plan that a configuration names, unless it is one of those given; one that is not there is an error."""
     if config.plan is None:
         return []
@@ -177,14 +215,10 @@ def _limits_of_faulty(document: Document) -> list[MotionLimits]:
 
 
 def _plan_errors(document: Document, limits: Sequence[MotionLimits]) -> list[str]:
-    try:
-        spec = parse(document, PlanSpec)
-    except ConfigError as error:
-        return error.errors
     errors: dict[str, None] = {}
     for each in limits:
         try:
-            compiled(document, spec, each, None)
+            compiled(document, plan_spec(document, each), each, None)
         except ConfigError as error:
             errors |= dict.fromkeys(error.errors)
     return list(errors)

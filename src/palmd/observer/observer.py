@@ -5,10 +5,16 @@ from __future__ import annotations
 from typing import Protocol
 
 from palmd.events import Estimate, Event, Improvement, ObjectEstimate, Outlook, ShapeEstimate
+from palmd.system.pivot import PivotAnswer, PivotEstimate, Touching
+
+LiveEstimate = Estimate | PivotEstimate
+LiveAnswer = Improvement | PivotAnswer
+"""What the observers of all systems say, and their smoothers."""
 
 
-class Observer(Protocol):
-    """Events in, estimates out. All calls but `warm_up` take bounded time and are safe inside the loop.
+class LiveObserver(Protocol):
+    """Events in, estimates out, of whichever system. All calls but `warm_up` take bounded time and are
+    safe inside the loop.
 
     Per tick: `feed` what has come, `improve`, `estimate`; the rest as often as it is wanted, for that tick's time.
     Times are seconds on the events' clock and never run backwards.
@@ -40,10 +46,10 @@ class Observer(Protocol):
     def feed(self, event: Event) -> None:
         """Take one event, at its own time; one too late for that is counted and dropped."""
 
-    def improve(self, t: float) -> Improvement | None:
+    def improve(self, t: float) -> LiveAnswer | None:
         """Exchange with the smoother beside the loop; what it has answered, each answer once. None without one."""
 
-    def estimate(self, t: float) -> Estimate:
+    def estimate(self, t: float) -> LiveEstimate:
         """The answer for time `t`; never raises, NaN where nothing is known."""
 
     def shape(self, t: float) -> ShapeEstimate | None:
@@ -53,8 +59,21 @@ class Observer(Protocol):
     def foresees(self) -> bool:
         """Whether there is an outlook, of an estimate that need not be valid yet."""
 
-    def outlook(self, t: float) -> Outlook | None:
+    def outlook(self, t: float) -> Outlook | Touching | None:
         """What is known for choosing motions, None unless it `foresees`."""
 
     def identify(self, t: float) -> ObjectEstimate | None:
         """Which stored object it is, None before anything is felt and where none are stored."""
+
+
+class Observer(LiveObserver, Protocol):
+    """An observer of two palms on a hinge."""
+
+    def improve(self, t: float) -> Improvement | None:
+        """As above."""
+
+    def estimate(self, t: float) -> Estimate:
+        """As above."""
+
+    def outlook(self, t: float) -> Outlook | None:
+        """As above."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from mcap.reader import make_reader
 
-from palmd.record.run import Run
+from palmd.record.run import AnyRun
 
 
-def message_count(run: Run) -> int:
+def message_count(run: AnyRun) -> int:
     """How many messages it holds: what a finished file says of itself, else counted. Raises RunError, OSError."""
     if run.complete:
         with run.path.open("rb") as stream:

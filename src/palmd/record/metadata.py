@@ -11,8 +11,9 @@ from pathlib import Path
 import yaml
 
 from palmd import __version__
-from palmd.config import Config, config_hash, rig_description
+from palmd.config import config_hash, rig_description
 from palmd.outlinefile import SUFFIXES
+from palmd.pivot_config import AnyConfig, PivotConfig, pivot_rig
 from palmd.quantities import SCHEMA
 from palmd.record.mcapfile import Preface
 
@@ -20,7 +21,7 @@ METADATA = "palmd"
 CONFIG, RIG, OUTLINES = "config.yaml", "rig.json", "outlines/"
 
 
-def preface(config: Config, started: str, continues: str = "") -> Preface:
+def preface(config: AnyConfig, started: str, continues: str = "") -> Preface:
     """For a run that began at `started` (ISO 8601) and goes on from the one named `continues`, empty for none.
 
     Stored outlines are read from where the configuration says; raises OSError.
@@ -36,11 +37,13 @@ def preface(config: Config, started: str, continues: str = "") -> Preface:
         "started": started,
         "continues": continues,
     }
+    rig = pivot_rig(config) if isinstance(config, PivotConfig) else rig_description(config)
+    stored = None if isinstance(config, PivotConfig) else config.observer.shape
     attachments = {
         CONFIG: yaml.safe_dump(config.model_dump(mode="json"), allow_unicode=True).encode(),
-        RIG: json.dumps(asdict(rig_description(config))).encode(),
+        RIG: json.dumps(asdict(rig)).encode(),
     }
-    return Preface({METADATA: metadata}, attachments | _outlines(config.observer.shape))
+    return Preface({METADATA: metadata}, attachments | _outlines(stored))
 
 
 def _outlines(path: Path | None) -> dict[str, bytes]:

@@ -14,14 +14,17 @@ from importlib.metadata import version
 
 import msgpack
 
-from palmd import __version__, observer
+from palmd import __version__, observer, pivot_messages
 from palmd.blas import one_thread
-from palmd.events import Event, Improvement
+from palmd.events import Estimate, Event, Improvement
 from palmd.messages import Fields, estimate_fields
+from palmd.observer.observer import LiveObserver
+from palmd.observer.pivot.live import PivotObserver
 from palmd.observer.smoothing import Session
-from palmd.quantities import ESTIMATE, EVENTS, LOOP
-from palmd.record.run import Run, RunError
+from palmd.quantities import ESTIMATE, EVENTS, LOOP, PIVOT, PIVOT_EVENTS
+from palmd.record.run import PivotRun, Run, RunError
 from palmd.record.tables import flat
+from palmd.system.pivot import PivotAnswer
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,20 +59,38 @@ class _RecordedAnswers:
         return self._answers.get(t)
 
 
+class _PivotRecorded:
+    """The answers of a pivoting grasp's smoother likewise."""
+
+    def __init__(self, answers: dict[float, PivotAnswer]) -> None:
+        self._answers = answers
+
+    def submit(self, t: float, events: Sequence[Event]) -> None:
+        pass
+
+    def collect(self, t: float) -> PivotAnswer | None:
+        return self._answers.get(t)
+
+
 class Recheck:
     """The observer that a run was made with, given the same again."""
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: Run | PivotRun) -> None:
         """Raises RunError for a run without events or estimates; takes seconds when C has to be compiled."""
-        run.require(EVENTS, ESTIMATE)
         self._run = run
+        self._told = PIVOT if isinstance(run, PivotRun) else ESTIMATE
+        run.require(PIVOT_EVENTS if isinstance(run, PivotRun) else EVENTS, self._told)
+        self._observer: LiveObserver
+        if isinstance(run, PivotRun):
+            self._observer = PivotObserver(run.rig, _PivotRecorded(dict(run.answers())))
+            return
         settings = run.config.observer
         smoothing = _RecordedAnswers(dict(run.improvements())) if settings.smoother else None
         self._observer = observer.make(settings.primary, run.rig, smoothing=smoothing, outlines=run.outlines())
 
     def ticks(self) -> Iterator[Checked]:
         """Every recorded tick from the first up to a missing one; raises RunError when the first is not there."""
-        estimates = (message.fields for message in self._run.messages(ESTIMATE.name))
+        estimates = (message.fields for message in self._run.messages(self._told.name))
         recorded = next(estimates, None)
         for number, tick in enumerate(self._run.ticks()):
             if tick.number != number:
@@ -82,7 +103,8 @@ class Recheck:
                 for event in tick.events:
                     self._observer.feed(event)
                 self._observer.improve(tick.t)
-                now = estimate_fields(self._observer.estimate(tick.t))
+                said = self._observer.estimate(tick.t)
+            now = estimate_fields(said) if isinstance(said, Estimate) else pivot_messages.estimate_fields(said)
             t_ns = round(tick.t * 1e9)
             while recorded is not None and recorded["mono_ns"] < t_ns:
                 recorded = next(estimates, None)

@@ -15,8 +15,9 @@ from typing import Any
 
 from palmd.bus.command_client import CommandClient
 from palmd.bus.subscriber import Subscriber
-from palmd.config import Config, from_here
+from palmd.config import from_here
 from palmd.keys import Credentials
+from palmd.pivot_config import AnyConfig
 from palmd.record.recording import Ended, Recording
 
 LOOK_S = 0.05  # between looks at the clock when nothing comes
@@ -27,7 +28,7 @@ LAST_WORDS_S = 0.15  # that a daemon's last messages may take
 
 
 def record(
-    config: Config,
+    config: AnyConfig,
     truth: Sequence[str],
     ready: Callable[[], None],
     stopped: Callable[[], bool],

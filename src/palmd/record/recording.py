@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from palmd.config import Config
 from palmd.messages import unpacked
+from palmd.pivot_config import AnyConfig
 from palmd.record.mcapfile import RawMessage
 from palmd.record.metadata import preface
 from palmd.record.runfile import RunFile
@@ -41,7 +41,7 @@ class Ended:
 class Recording:
     """Keeps one file at a time. No method raises OSError: what is wrong is told by `problem`."""
 
-    def __init__(self, config: Config, ended: Callable[[Ended], None]) -> None:
+    def __init__(self, config: AnyConfig, ended: Callable[[Ended], None]) -> None:
         """`ended` is told of each file that is closed."""
         self.problem = ""
         self.lost = 0

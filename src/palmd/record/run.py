@@ -7,23 +7,27 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
 from pydantic import TypeAdapter
 
+from palmd import pivot_messages
 from palmd.config import Config
 from palmd.events import Event, Improvement
 from palmd.messages import events_of
 from palmd.outlinefile import Outline, OutlineError, read_library
-from palmd.quantities import EVENTS, IMPROVEMENT, SCHEMA, Topic
+from palmd.pivot_config import PivotConfig
+from palmd.quantities import EVENTS, IMPROVEMENT, PIVOT_ANSWER, PIVOT_EVENTS, SCHEMA, Topic
 from palmd.record import SUFFIX
 from palmd.record.eventlog import EventLog
 from palmd.record.mcapfile import MAGIC, Preface, RawMessage, RunError, Tail, is_finished, read_messages, read_preface
 from palmd.record.metadata import CONFIG, METADATA, OUTLINES, RIG
 from palmd.system.description import RigDescription
+from palmd.system.pivot import SYSTEM, PivotAnswer, PivotRig
 
-__all__ = ["FedTick", "Run", "RunError", "Survey", "is_recording", "read_run"]
+__all__ = ["AnyRun", "FedTick", "PivotRun", "Run", "RunError", "Survey", "is_recording", "read_any_run", "read_run"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,18 +51,16 @@ class Survey:
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
-    """A recording. `complete` says whether it was finished; what is read lazily may raise RunError or OSError.
+class AnyRun:
+    """A recording of whichever system. `complete` says whether it was finished.
 
-    `metadata` holds versions, the configuration's hash, and which run it continues. `rig` is what the observer was
-    told. The configuration's `observer.shape` is left out: `outlines` has what was in it.
+    What is read lazily may raise RunError or OSError. `metadata` holds versions, the configuration's hash, and which
+    run it continues.
     """
 
     path: Path
     complete: bool
     metadata: Mapping[str, str]
-    config: Config
-    rig: RigDescription
     preface: Preface
 
     def messages(self, *topics: str, tail: Tail | None = None) -> Iterator[RawMessage]:
@@ -90,6 +92,43 @@ class Run:
             if not wanted:
                 return
         raise RunError(f"{self.path}: holds no {' and no '.join(sorted(wanted))}")
+
+
+@dataclass(frozen=True, slots=True)
+class PivotRun(AnyRun):
+    """A recording of a pivoting grasp; `rig` is what the observer was told."""
+
+    config: PivotConfig
+    rig: PivotRig
+
+    def ticks(self) -> Iterator[FedTick]:
+        """Every recorded tick with its events, bit for bit."""
+        for message in self.messages(PIVOT_EVENTS.name):
+            fields = message.fields
+            try:
+                yield FedTick(fields["t_tick_s"], pivot_messages.events_of(fields), fields["seq"])
+            except (KeyError, ValueError, TypeError) as error:
+                raise RunError(f"{self.path}: {PIVOT_EVENTS.name}, message {message.sequence}: {error!r}") from None
+
+    def answers(self) -> Iterator[tuple[float, PivotAnswer]]:
+        """What the smoother beside the loop had to say, with the time (s) of the tick in which it was heard."""
+        for message in self.messages(PIVOT_ANSWER.name):
+            fields = message.fields
+            try:
+                yield fields["t_tick_s"], pivot_messages.answer_of(fields)
+            except (KeyError, ValueError, TypeError) as error:
+                raise RunError(f"{self.path}: {PIVOT_ANSWER.name}, message {message.sequence}: {error!r}") from None
+
+
+@dataclass(frozen=True, slots=True)
+class Run(AnyRun):
+    """A recording of two palms. `rig` is what the observer was told.
+
+    The configuration's `observer.shape` is left out: `outlines` has what was in it.
+    """
+
+    config: Config
+    rig: RigDescription
 
     def ticks(self) -> Iterator[FedTick]:
         """Every recorded tick with its events, bit for bit; an observer is in the same state only from number 0 on."""
@@ -164,6 +203,17 @@ def is_recording(path: Path) -> bool:
 
 
 def read_run(path: Path) -> Run:
+    """The recording of two palms in a file, finished or not; raises RunError as `read_any_run`, and for others."""
+    run = read_any_run(path)
+    if isinstance(run, PivotRun):
+        raise RunError(
+            f"{path}: is of a pivoting grasp, and this is for two palms on a hinge only; palmd replay shows it,"
+            " with --check again through its observer"
+        )
+    return run
+
+
+def read_any_run(path: Path) -> Run | PivotRun:
     """The recording in a file, finished or not; raises RunError when it cannot be used.
 
     That is a file that cannot be read, is no MCAP file, none of palmd's, of another schema version, or holds no
@@ -185,15 +235,32 @@ def read_run(path: Path) -> Run:
     if empty:
         why = "the recording was finished before any came" if complete else "it is cut off before the first"
         raise RunError(f"{path}: holds no messages: {why}")
-    return Run(path, complete, metadata, _config(path, preface), _rig(path, preface), preface)
+    values = _config_values(path, preface)
+    pivots = isinstance(values.get("rig"), dict) and values["rig"].get("system") == SYSTEM
+    try:
+        if pivots:
+            told = TypeAdapter(PivotRig).validate_python(json.loads(preface.attachments[RIG]))
+            return PivotRun(path, complete, metadata, preface, PivotConfig.model_validate(values), told)
+        return Run(path, complete, metadata, preface, _config(path, values), _rig(path, preface))
+    except ValueError as error:
+        raise RunError(f"{path}: its configuration cannot be read: {str(error).splitlines()[0]}") from None
 
 
-def _config(path: Path, preface: Preface) -> Config:
+def _config_values(path: Path, preface: Preface) -> dict[str, Any]:
     try:
         values = yaml.safe_load(preface.attachments[CONFIG])
+        if not isinstance(values, dict):
+            raise TypeError("it is no map")
+        return values
+    except (KeyError, TypeError, ValueError, RecursionError, yaml.YAMLError) as error:
+        raise RunError(f"{path}: its configuration cannot be read: {str(error).splitlines()[0]}") from None
+
+
+def _config(path: Path, values: dict[str, Any]) -> Config:
+    try:
         values["observer"]["shape"] = None  # a path on the machine that recorded it
         return Config.model_validate(values)
-    except (KeyError, TypeError, ValueError, RecursionError, yaml.YAMLError) as error:
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
         raise RunError(f"{path}: its configuration cannot be read: {str(error).splitlines()[0]}") from None
 
 

@@ -35,22 +35,23 @@ import numpy as np
 import zmq
 
 from palmd.messages import stamp
+from palmd.pivot_config import PivotConfig
 from palmd.quantities import BODY, RIG_TOPICS, STALL, TRUTH, Topic
 from palmd.rig.fault_injection import (
     ALL_FAULTS,
     PADS,
-    PORTS,
     InjectionError,
     PortName,
     order,
     parse,
 )
 from palmd.rig.line import PtyLine
+from palmd.rig.pivot_world import PivotWorld
 from palmd.rig.roller import KINDS as ROLLERS
 from palmd.rig.shapes import KINDS, Body, cylinder
 from palmd.rig.tally import Listener
 from palmd.rig.world import World, default_config
-from palmd.yamlfile import ConfigError, load_config
+from palmd.yamlfile import ConfigError, load_any_config
 
 PERIOD_S = 1e-3
 TRUTH_S, OBJECT_S, PARENT_S = 1.0 / TRUTH.rate_hz, 1.0 / BODY.rate_hz, 0.5
@@ -89,11 +90,17 @@ def run_rig(arguments: argparse.Namespace) -> int:
     if seed < 0:
         return _refuse(f"--seed must not be negative, got {seed}")
     try:
-        config = load_config(arguments.config) if arguments.config else default_config()
+        config = load_any_config(arguments.config) if arguments.config else default_config()
         t = time.monotonic()
         marbles, cylinder = MARBLES.get(arguments.marble, ()), arguments.cylinder
         empty = {"roller": arguments.roller, "by_hand": arguments.by_hand}
-        world = World(config, seed, kind=arguments.kind, marbles=marbles, body=cylinder, t=t, **empty)
+        world: World | PivotWorld
+        if isinstance(config, PivotConfig):
+            if marbles or cylinder or any(empty.values()):
+                raise ValueError("marble, cylinder, roller and by-hand are for two palms; this is a pivoting grasp")
+            world = PivotWorld(config, seed, kind=arguments.kind, t=t)
+        else:
+            world = World(config, seed, kind=arguments.kind, marbles=marbles, body=cylinder, t=t, **empty)
         for text in arguments.mischief:
             world.mischief.add(parse(text, t))
     except (ConfigError, ValueError) as error:
@@ -153,7 +160,7 @@ class StopSignal:
 class RigProcess:
     """The world behind its ports and sockets. Ports are links in `folder`, as udev would name them."""
 
-    def __init__(self, world: World, folder: Path, stop: StopSignal) -> None:
+    def __init__(self, world: World | PivotWorld, folder: Path, stop: StopSignal) -> None:
         self.world = world
         self.ticks = self.late_ticks = self.stalls = 0
         self.latest_s = 0.0
@@ -162,9 +169,9 @@ class RigProcess:
         self._seq = {topic.name: 0 for topic in RIG_TOPICS}
         noise = np.random.default_rng(world.seed)
         self._lines: dict[PortName, PtyLine] = {
-            port: PtyLine(folder / port, world.bauds[port], noise) for port in PORTS
+            port: PtyLine(folder / port, world.bauds[port], noise) for port in world.ports
         }
-        self._listeners: dict[PortName, Listener] = {port: Listener(world.listener(port)) for port in PORTS}
+        self._listeners: dict[PortName, Listener] = {port: Listener(world.listener(port)) for port in world.ports}
         self._poll = select.poll()
         for line in self._lines.values():
             self._move_plug(line)
@@ -195,11 +202,11 @@ class RigProcess:
                 self._tick(t)
                 if t >= truth_due:
                     truth_due += TRUTH_S * (1 + int((t - truth_due) / TRUTH_S))
-                    self._publish(TRUTH, self.world.truth())
+                    self._publish(self.world.topics[0], self.world.truth())
                     self._serve()
                 if t >= object_due:
                     object_due = t + OBJECT_S
-                    self._publish(BODY, self.world.object_truth())
+                    self._publish(self.world.topics[1], self.world.object_truth())
                 if t >= parent_due:
                     parent_due = t + PARENT_S
                     self._stop.made |= os.getppid() != self._parent

@@ -92,7 +92,8 @@ class Grasp:
         """From below the pivot to the contact along the pad (m)."""
         return self.body.support.at(-0.5 * math.pi - psi)[1] - self.arm(psi)[0]
 
-    def _friction(self, slip: float) -> float:
+    def friction(self, slip: float) -> float:
+        """As a share of the normal force, at a slip (m/s)."""
         if self.coulomb:
             return self.mu * math.tanh(slip / self.dither)
         return self.mu * slip / math.hypot(slip, self.dither)
@@ -116,7 +117,7 @@ class Grasp:
             py = -self.carriage * (z2 + GRAVITY) - self.carriage_damping * z1
             normal = m * (ay + GRAVITY) - py
         vx = x[1] + omega * ry
-        grip = self._friction(vx + omega * h)
+        grip = self.friction(vx + omega * h)
         if vertical is not None:
             ay = vertical[2] - alpha * rx + omega * omega * ry
             # torque: N (h' − grip·h) + rx py − ry px − C ω = I α, with px, py from Newton's law, linear in N

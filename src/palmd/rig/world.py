@@ -26,6 +26,7 @@ from palmd.config import (
     VersaPadConfig,
 )
 from palmd.events import Joints, PalmMotion
+from palmd.quantities import BODY, TRUTH
 from palmd.rig.actuators import EmulatedActuator
 from palmd.rig.adept_arm import AdeptArm
 from palmd.rig.curved_plant import MOST_LYING, CurvedPlant, stable_on_arcs, widest
@@ -52,7 +53,7 @@ _AWAY_S = 1.0  # how long a hand takes to put another object on the palms
 _PAD_END_M = 3e-3
 _FINGER_M = 0.045
 _NO_LINE_BAUD = 10_000_000  # of what is no serial line and takes no time
-_EMULATORS: dict[type, Callable[..., PadEmulator]] = {
+EMULATORS: dict[type, Callable[..., PadEmulator]] = {
     VersaPadConfig: VersaPadEmulator,
     StripConfig: StripEmulator,
     EvdevConfig: EvdevEmulator,
@@ -68,6 +69,9 @@ def default_config(imperfections: Drawn = "none") -> Config:
 
 class World:
     """See the module. Times are seconds on one clock of the caller's choice, never running backwards."""
+
+    ports = PORTS
+    topics = (TRUTH, BODY)
 
     def __init__(
         self,
@@ -105,7 +109,7 @@ class World:
         self._palms = self._arm.palms_at(t)
         self._pad_configs: dict[PortName, PadConfig] = dict(zip(PADS, config.pads.each(), strict=True))
         self._pads: dict[PortName, PadEmulator] = {
-            name: _EMULATORS[type(pad)](pad, pad_options, off.reading_error_m, self._rng, t)
+            name: EMULATORS[type(pad)](pad, pad_options, off.reading_error_m, self._rng, t)
             for (name, pad), off in zip(self._pad_configs.items(), self.imperfections.pads, strict=True)
         }
         self._marbles = {

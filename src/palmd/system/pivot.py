@@ -65,3 +65,76 @@ def normal_of(psi: FloatArray) -> FloatArray:
     """θ: the outward normal, in the body's frame, of the point that touches the pad at orientation ψ (rad)."""
     normal: FloatArray = -0.5 * math.pi - psi
     return normal
+
+
+SYSTEM = "pivot"
+AXES = ("x", "z")
+"""What the gripper's joints are called: along the pad and over it, both measured in metres."""
+PAD = 1
+"""The number of the one pad."""
+
+
+@dataclass(frozen=True, slots=True)
+class PivotEstimate:
+    """What is known of a pivoting grasp at one instant `t`; SI units, NaN for no value.
+
+    x, z: of the pivot. s: where the pad is touched; e = s − x. psi, omega0: the body's orientation, 0 at the first
+    reading that was used, and its rate. f: the pad's force. moment: mass times distance of the centre of mass from the
+    pivot (kg m). side: the sign of e, 0 while nothing is touched. touched: share of all normals that were felt.
+    reason: why it is not valid, in words. sd: one-sigma of each field it names.
+    """
+
+    t: float
+    valid: bool
+    observer: str
+    object_count: int
+    x: float
+    z: float
+    s: float
+    e: float
+    psi: float
+    omega0: float
+    f: float
+    mu: float
+    moment: float
+    side: int
+    nis: float
+    touched: float
+    reason: str
+    sd: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class PivotAnswer:
+    """A smoother's belief about all that was felt until `t` (s), or in `reason` why it claims nothing.
+
+    p: (CONSTANTS,) of `model.pivot`, covariance of the same. psi: the orientation at `t` (rad). h_sd: (360,) one-sigma
+    of the outline, its gauge left out, and `touched` (360,) where it was felt. Empty arrays where nothing is claimed.
+    """
+
+    t: float
+    claimed: bool
+    reason: str
+    psi: float
+    p: FloatArray
+    covariance: FloatArray
+    h_sd: FloatArray
+    touched: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Touching:
+    """What a gripper that drags must go by at `t` (s), measured and without any model.
+
+    x, z: where the pivot is (m). e: how far ahead of it the pad is touched (m) and force (N), means over some tens of
+    milliseconds; NaN while untouched. band: RMS one-sigma of the outline where felt (m), NaN while nothing is claimed.
+    """
+
+    t: float
+    x: float
+    z: float
+    e: float
+    force: float
+    touching: bool
+    touched: float
+    band: float

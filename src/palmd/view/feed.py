@@ -4,14 +4,32 @@ from __future__ import annotations
 
 from palmd.bus.subscriber import Subscriber
 from palmd.keys import Credentials
-from palmd.quantities import CONTACT, ESTIMATE, INFO, LOG, LOOP, MOTION, OBJECT, REPLAY, RIG, RIG_TOPICS, SHAPE, STATE
+from palmd.quantities import (
+    CONTACT,
+    ESTIMATE,
+    INFO,
+    LOG,
+    LOOP,
+    MOTION,
+    OBJECT,
+    PIVOT,
+    PIVOT_CONTACT,
+    PIVOT_INFO,
+    PIVOT_MOTION,
+    PIVOT_SHAPE,
+    REPLAY,
+    RIG,
+    RIG_TOPICS,
+    SHAPE,
+    STATE,
+)
 
 Payload = tuple[str, bytes]
 """A topic and its payload, a msgpack map as it came."""
 
-TOPICS = tuple(
-    topic.name for topic in (ESTIMATE, SHAPE, OBJECT, CONTACT, MOTION, STATE, LOOP, INFO, RIG, LOG, REPLAY, *RIG_TOPICS)
-)
+_SHOWN = (ESTIMATE, SHAPE, OBJECT, CONTACT, MOTION, STATE, LOOP, INFO, RIG, LOG, REPLAY, *RIG_TOPICS)
+_PIVOTS = (PIVOT, PIVOT_SHAPE, PIVOT_CONTACT, PIVOT_MOTION, PIVOT_INFO)
+TOPICS = tuple(topic.name for topic in (*_SHOWN, *_PIVOTS))
 """What the page shows; the other topics are not even sent to us."""
 
 QUEUED_MESSAGES = 1000  # two seconds' worth, should we be held up

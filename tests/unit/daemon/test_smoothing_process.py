@@ -71,7 +71,7 @@ def test_the_process_answers_what_the_smoother_would(process: SmootherProcess, r
 
 def test_every_kind_of_event_crosses_unchanged(run: Run) -> None:
     for event in (run.events[0], run.events[5], PadLift(1.5, 2)):
-        assert smoothing._unpacked(smoothing._packed(event)) == event
+        assert smoothing.unpacked(smoothing.packed(event)) == event
 
 
 def test_it_never_waits_for_a_process_that_stands_still(process: SmootherProcess, run: Run) -> None:

@@ -222,6 +222,11 @@ class Problem:
             return None
         return solved[:, -1] - solved[:, :-1] @ step, step
 
+    def solved(self, normal: _Normal) -> FloatArray | None:
+        """By how much the constants would move, None where that is open."""
+        step = self._step(normal, 0.0)
+        return None if step is None else step[1]
+
     def covariance(self, fit: PivotFit) -> FloatArray:
         """Of the constants; raises LinAlgError where the fit is no minimum."""
         self._open_gates(fit.c, fit.p, SHARP)
@@ -237,6 +242,32 @@ class Problem:
         if not (np.diagonal(covariance) >= 0).all():
             raise np.linalg.LinAlgError("the fit is no minimum")
         return covariance
+
+
+def moved_by_gain(problem: Problem, library: Library, fit: PivotFit) -> FloatArray:
+    """(CONSTANTS, modes): how a fit moves where the pad's gain is off by one sigma, or drifts by it, in each touch.
+
+    Readings of one touch share their gain, so that no number of them averages it out.
+    """
+    record, share = problem.record, problem.record.rig.pad.force_gain_std
+    rows = record.forces
+    none: FloatArray = np.zeros((CONSTANTS, 0))
+    if not share or not len(rows.t):
+        return none
+    before = problem.linearised(fit.c, fit.p)
+    moves = []
+    for touch in record.touches:
+        mine = (rows.t >= touch.begin) & (rows.t <= touch.end)
+        along = 2.0 * (rows.t - touch.begin) / (touch.end - touch.begin) - 1.0
+        for mode in (1.0, along):
+            forces = replace(rows, value=rows.value * (1.0 + share * mode * mine))
+            after = Problem(library, replace(record, forces=forces), problem.known).linearised(fit.c, fit.p)
+            step = problem.solved(
+                replace(before, c_side=after.c_side - before.c_side, p_side=after.p_side - before.p_side)
+            )
+            if step is not None:
+                moves.append(step)
+    return np.array(moves).T if moves else none
 
 
 class _Kernel:

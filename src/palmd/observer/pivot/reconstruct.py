@@ -17,7 +17,7 @@ from palmd.model import shape
 from palmd.model.pivot import ORDER, P, U, library
 from palmd.observer.noise import LEAST_READINGS, scattered
 from palmd.observer.outline import directions, gauge_free_sd, touched_by
-from palmd.observer.pivot.fit import MAX_ITERATIONS, SHARP, PivotFit, Problem, Softening, with_forces_of
+from palmd.observer.pivot.fit import MAX_ITERATIONS, SHARP, PivotFit, Problem, Softening, moved_by_gain, with_forces_of
 from palmd.observer.pivot.record import Record, TooLittleError, arm_motion, lay_out
 from palmd.observer.pivot.starts import believed, float_starts, rigid_starts, side_of
 from palmd.system.pivot import PivotEvent, PivotRig, normal_of
@@ -41,6 +41,7 @@ HEIGHT_CHI2 = {"rigid": 9.0, "float": 1.3}
 TORQUE_CHI2 = 4.0
 HOLLOW_M = 1e-3
 FAR_OFF_PIVOT = 3.0  # sigmas
+ONE_SIDE = "only one side of the dead centre was touched: touch it on both, and the force tells how they belong"
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +51,8 @@ class PivotReconstruction:
     theta, h, h_sd, touched: 360 normals, support function about the pivot and its one-sigma, whether it was touched
     there. com: the centre of mass from the pivot, in the body's frame at ψ = 0, and inertia about the pivot per mass;
     both only where the mass is told. moment, inertia_kg: the same times the mass, which force tells without it.
-    t, psi, omega0: the trajectory, while touched. reason: why not, when not `converged`.
+    t, psi, omega0: the trajectory, while touched. reason: why not, when not `converged`. p, covariance: the constants
+    of `model.pivot`, None where there was no fit.
     """
 
     converged: bool
@@ -76,6 +78,8 @@ class PivotReconstruction:
     omega0: FloatArray
     reason: str
     seconds: float
+    p: FloatArray | None = None
+    covariance: FloatArray | None = None
 
 
 @one_thread()
@@ -164,11 +168,14 @@ def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:
     h = shape.basis(theta, ORDER) @ coefficients
     try:
         covariance = problem.covariance(best)
+        gains = moved_by_gain(problem, library(), best)
     except np.linalg.LinAlgError:
         raise TooLittleError("the fit is not a minimum") from None
-    own = covariance[P.SHAPE :, P.SHAPE :]
+    own = covariance[P.SHAPE :, P.SHAPE :] + gains[P.SHAPE :] @ gains[P.SHAPE :].T
     h_sd = gauge_free_sd(theta, theta[touched], coefficients, own)
-    told = gauge_free_sd(theta, theta[touched], coefficients, _given_the_rig(covariance))
+    given = _given_the_rig(covariance) + gains[P.SHAPE :] @ gains[P.SHAPE :].T
+    told = gauge_free_sd(theta, theta[touched], coefficients, given)
+    covariance = covariance + gains @ gains.T
     reason = _doubt(record, best, fits[1:], theta, h, h_sd, touched)
     if not reason and float(np.sqrt(np.mean(told[touched] ** 2))) > SHARP_M:
         reason = "the readings tell too little of the outline"
@@ -192,6 +199,7 @@ def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:
         mass=p[P.MASS] if weighed else math.nan, mass_sd=sd[P.MASS] if weighed else math.nan,
         moment=p[moment], moment_sd=sd[moment], inertia_kg=p[P.INERTIA], inertia_kg_sd=sd[P.INERTIA],
         t=rows.t, psi=motion[:, 0], omega0=motion[:, 1], reason=reason, seconds=0.0,
+        p=p, covariance=covariance,
     )  # fmt: skip
 
 
@@ -246,7 +254,7 @@ def _doubt(
         if abs(np.sign([np.median(e[_of(record, i)]) for i in range(len(record.touches))]).sum()) == len(
             record.touches
         ):
-            return "only one side of the dead centre was touched: touch it on both, and the force tells how they belong"
+            return ONE_SIDE
         if not forces:
             return "the pad gives no force: nothing tells how the sides of the dead centre belong together"
     curvature = shape.basis(theta, ORDER) @ (best.p[P.SHAPE :] * (1 - shape.harmonic_of_coefficient(ORDER) ** 2))
@@ -281,6 +289,11 @@ def _ratio_of(
     steps = np.diag(1e-5 * np.abs(q) + 1e-12)
     gradient = np.array([(ratio(q + d) - ratio(q - d)) / (2 * d[i]) for i, d in enumerate(steps)])
     return value, math.sqrt(max(float(gradient @ covariance[np.ix_(at, at)] @ gradient), 0.0))
+
+
+def refused(reason: str) -> PivotReconstruction:
+    """Nothing is claimed, for a reason that was seen without a fit."""
+    return _nothing(reason, time.perf_counter())
 
 
 def _nothing(reason: str, begun: float) -> PivotReconstruction:

@@ -11,11 +11,14 @@ import numpy as np
 
 from palmd.devices.pad import MARGIN_MM
 from palmd.events import FloatArray, ObserverName, PadSample
+from palmd.observer.pivot.growing import SimulatedSmoothing, as_fed
+from palmd.observer.pivot.live import PivotObserver
 from palmd.observer.pivot.reconstruct import PivotReconstruction, reconstruct
 from palmd.outlinefile import Outline
+from palmd.pivot_messages import estimate_fields, shape_fields
 from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
 from palmd.record.outline_curves import OutlineCurves, curves_of
-from palmd.record.replay import Said
+from palmd.record.replay import PERIOD_S, TICKS_PER_SHAPE, Said
 from palmd.record.systems import NotYetError, Reconstructed
 from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, PadSensor
 from palmd.system.pivot import GripperSample, PivotEvent, PivotRig
@@ -106,14 +109,34 @@ class Pivot(PivotForm):
         return Reconstructed(as_line(answer, log.rig), told, _drawn(answer), answer.reason)
 
     def tick_count(self, log: PivotLog) -> int:
-        """None: see `estimate`."""
-        del log
-        return 0
+        """As `estimate` gives them."""
+        return max(1, math.ceil((log.events[-1].t_sample - log.events[0].t_sample) / PERIOD_S))
 
     def estimate(self, log: PivotLog, observer: ObserverName, outlines: Sequence[Outline]) -> Iterator[Said]:
-        """Raises NotYetError."""
-        del log, observer, outlines
-        raise NotYetError("a pivoting grasp has no live observer yet; palmd reconstruct takes its logs")
+        """What the live observer says, tick by tick; NotYetError for a slide, and where two palms' outlines are given.
+
+        There is one observer, whatever `observer` says.
+        """
+        del observer
+        if outlines:
+            raise NotYetError("no stored outlines are recognised in a pivoting grasp")
+        if log.rig.vertical != "rigid":
+            raise NotYetError("a gripper on a slide has no live observer yet; palmd reconstruct takes its logs")
+        live = PivotObserver(log.rig, SimulatedSmoothing(log.rig))
+        events = iter(sorted(log.events, key=_time_of))
+        event, t0 = next(events, None), log.events[0].t_sample
+        for tick in range(1, self.tick_count(log) + 1):
+            t = t0 + tick * PERIOD_S
+            while event is not None and event.t_sample <= t + 1e-9:
+                live.feed(as_fed(event))
+                event = next(events, None)
+            live.improve(t)
+            said, shape = live.estimate(t), live.shape(t) if tick % TICKS_PER_SHAPE == 0 else None
+            yield Said(tick, t, estimate_fields(said), None if shape is None else shape_fields(shape))
+
+
+def _time_of(event: PivotEvent) -> float:
+    return event.t_sample
 
 
 SYSTEM = Pivot()

@@ -4,6 +4,7 @@ import { centreFromRadii, onPalm, outline, posture } from "./geometry.js";
 import { CLASSES_M, classOf } from "./knowledge.js";
 import { Lens } from "./lens.js";
 import { dash, line, place, ring } from "./paths.js";
+import { pivots } from "./pivot.js";
 import { palmsOf } from "./quantities.js";
 import { colours, ofPalm } from "./theme.js";
 import { offTruth, truthAt } from "./truth.js";
@@ -62,6 +63,10 @@ export class Scene {
   /** Draws what `store` knows at `now` (ms). */
   draw(store, now) {
     const estimate = store.get("palm/estimate");
+    if (pivots(estimate)) {
+      this.#drawPivoting(store, estimate, now);
+      return;
+    }
     const palms = palmsOf(store.get("palm/info"));
     const joints = jointsOf(palms, estimate, store.get("palm/motion"));
     this.outdated = false;
@@ -90,6 +95,51 @@ export class Scene {
       const off = truth && offTruth(this.#points, store.get("rig/object"), truth, estimate);
       this.#drawLens(estimate, centre, off, contacts.find(Boolean));
     }
+  }
+
+  // -- a pivoting grasp -----------------------------------------------------------------------------------------
+
+  /** The pad on the ground, the gripper over it, and the body that turns about the pivot. */
+  #drawPivoting(store, estimate, now) {
+    const padMm = (store.get("palm/info").pad1_length_m ?? SOME_PAD_MM / MM) * MM;
+    this.outdated = false;
+    this.#lens.factor = 0;
+    this.#begin(padMm);
+    const context = this.#context;
+    const pad = { along: [1, 0], normal: [0, 1] };
+    context.save();
+    context.translate(-padMm / 2, 0);
+    const pivot = estimate.gripper.map((place) => place * MM);
+    const turned = Number.isFinite(estimate.psi_rad);
+    this.#learnShape(store.get("palm/shape"));
+    const seen = pivot.every(Number.isFinite);
+    if (seen && turned && this.#paths) this.#drawObject(estimate, estimate.gripper);
+    const truth = store.truthful(now) ? store.get("rig/truth") : null;
+    if (truth) this.#drawTruth(store.get("rig/object"), { ...truth, com_x_m: truth.x_m, com_y_m: truth.z_m }, [0, 0]);
+    context.fillStyle = colours.line;
+    context.fillRect(-padMm * 0.2, -THICK_MM, padMm * 1.4, THICK_MM);
+    context.fillStyle = ofPalm(1);
+    context.fillRect(0, -THICK_MM * 0.42, padMm, THICK_MM * 0.42);
+    this.#label("pad", padMm, { ...pad, curvature: 0 }, ofPalm(1));
+    if (seen) this.#drawGripper(pivot);
+    this.#drawContact({ number: 1 }, { ...pad, curvature: 0 }, estimate, store.get("palm/contact"));
+    context.restore();
+    this.#drawScale();
+  }
+
+  /** A fork from above that holds the body at the pivot (mm). */
+  #drawGripper([x, y]) {
+    const context = this.#context;
+    context.strokeStyle = colours.ink;
+    context.lineWidth = this.#thin(5);
+    line(context, [x, y + 3], [x, y + 60]);
+    context.lineWidth = this.#thin(2.5);
+    context.beginPath();
+    context.arc(x, y, 3, 0, 2 * Math.PI);
+    context.fillStyle = colours.panel;
+    context.fill();
+    context.stroke();
+    this.#write("gripper", x + this.#thin(40), y + 12, colours.ink, 600);
   }
 
   // -- outlines ---------------------------------------------------------------------------------------------------

@@ -1,6 +1,7 @@
 // What has come: the last message of each topic, when it came, and the histories that strips are drawn from.
 
 import { History } from "./history.js";
+import { named } from "./pivot.js";
 import { ESTIMATE, staleMs, STRIPS } from "./quantities.js";
 
 export const WINDOW_S = 10;
@@ -24,7 +25,8 @@ export class Store {
   }
 
   /** One message, at `now` (ms). */
-  take(topic, fields, now) {
+  take(said, as, now) {
+    const [topic, fields] = named(said, as);
     this.#latest.set(topic, fields);
     this.#cameAt.set(topic, now);
     if (topic.startsWith("palm/")) this.palmAt = now;

@@ -1,0 +1,159 @@
+"""What of the daemon is a pivoting grasp's: see `daemon.systems`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Sequence
+
+import numpy as np
+
+from palmd import pivot_messages as says
+from palmd.daemon.dragging import Dragging
+from palmd.daemon.drivers import EndName
+from palmd.daemon.exploration_requests import Source
+from palmd.daemon.poses import Poses
+from palmd.daemon.setpoints import SetPoints
+from palmd.daemon.systems import Explores, Messages, Tick
+from palmd.devices.actuator import Place, Pose, Reach
+from palmd.devices.pad import PadDriver, make_pad
+from palmd.events import FloatArray, Joints, PadSample, PalmMotion, ShapeEstimate
+from palmd.messages import Fields
+from palmd.motion.kinematics import PoseError
+from palmd.motion.limits import MotionLimits
+from palmd.motion.pivot import PivotLimits
+from palmd.observer.observer import LiveAnswer, LiveEstimate, LiveObserver
+from palmd.pivot_config import PivotConfig
+from palmd.quantities import PIVOT, PIVOT_ANSWER, PIVOT_CONTACT, PIVOT_EVENTS, PIVOT_MOTION, PIVOT_SHAPE, Topic
+from palmd.system.pivot import AXES, PAD, PivotAnswer, PivotEstimate
+
+OUTSIDE_M = 2e-3
+FORCE_MEAN = 0.2  # share of a new reading in the mean of the force
+
+
+class PivotPoses:
+    """Of an arm whose tool is the pivot; its base stands at (x, y) and is turned by `yaw` seen from the pad's zero."""
+
+    def __init__(self, x: float, y: float, yaw: float) -> None:
+        self._base, self._yaw = (x, y), yaw
+
+    @classmethod
+    def of(cls, config: PivotConfig) -> PivotPoses:
+        """The configured arm's."""
+        arm = config.arm
+        return cls(arm.base_x_mm * 1e-3, arm.base_y_mm * 1e-3, math.radians(arm.base_yaw_deg))
+
+    def pose(self, angles: Joints, twist: float = 0.0) -> Pose:
+        """The tool's, in arm coordinates."""
+        dx, dy = angles[0] - self._base[0], angles[1] - self._base[1]
+        cos, sin = math.cos(self._yaw), math.sin(self._yaw)
+        return Pose(cos * dx + sin * dy, cos * dy - sin * dx, twist)
+
+    def angles(self, pose: Place) -> Joints:
+        """The pivot's place that belongs to a pose of the tool."""
+        if not isinstance(pose, Pose):
+            raise PoseError("the arm reports no place of its tool")
+        cos, sin = math.cos(self._yaw), math.sin(self._yaw)
+        return (
+            self._base[0] + cos * pose.x_m - sin * pose.y_m,
+            self._base[1] + sin * pose.x_m + cos * pose.y_m,
+        )
+
+    def twist(self, pose: Place, angles: Joints) -> float:
+        """The tool turns freely about the pivot, and stays as it was found."""
+        del angles
+        return pose.t_rad if isinstance(pose, Pose) else 0.0
+
+    def workspace(self, reach: Reach) -> None:
+        """No more than the limits of the joints: a set-point outside is refused by the controller itself."""
+        del reach
+
+
+class PivotGrasp:
+    """A body that turns freely in a gripper over one pad; see `System`."""
+
+    def __init__(self, config: PivotConfig) -> None:
+        self.poses: Poses = PivotPoses.of(config)
+        self.limits: MotionLimits = PivotLimits.of(config)
+        self._most_n = config.limits.force_n
+        self.joints = tuple(f"{axis}_m" for axis in AXES)
+        self.outside = OUTSIDE_M
+        self.jogs = False
+        self.rig_priors: FloatArray = np.zeros(0)
+        self._pad = config.pads.palm1
+        self._force = 0.0
+
+    def pads(self) -> dict[EndName, PadDriver]:
+        """The one."""
+        return {f"pad{PAD}": make_pad(PAD, self._pad)}
+
+    def exploring(self, setpoints: SetPoints, source: Source | None) -> Dragging:
+        """Decided in the loop."""
+        del source
+        return Dragging(setpoints)
+
+    def unknown(self, t: float, observer: LiveObserver) -> PivotEstimate:
+        """Without a number."""
+        nan = math.nan
+        return PivotEstimate(
+            t, False, observer.name, observer.object_count, nan, nan, nan, nan, nan, nan, nan, nan, nan,
+            side=0, nis=nan, touched=0.0, reason="the observer has failed",
+        )  # fmt: skip
+
+    def sound(self, estimate: LiveEstimate) -> bool:
+        """By the named state."""
+        return isinstance(estimate, PivotEstimate) and says.sound(estimate)
+
+    def felt(self, sample: PadSample) -> None:
+        """How hard does it press?"""
+        if sample.force is not None:
+            self._force += FORCE_MEAN * (sample.force - self._force)
+
+    def conditions(self, t: float, actual: PalmMotion | None) -> Iterator[str]:
+        """A force over its limit."""
+        del t, actual
+        if self._force > self._most_n:
+            yield "force-limit"
+
+    def excused(self, exploring: Explores) -> Collection[str]:
+        """A gripper lifts the body off as it must; an exploration tells what leaves the pad by itself."""
+        del exploring
+        return _AWAY
+
+    def tick(self, tick: Tick) -> Messages:
+        """Estimate, contact, motion, events."""
+        assert isinstance(tick.estimate, PivotEstimate)
+        place: Fields = {
+            "plan": tick.plan,
+            "segment": tick.segment,
+            "progress": tick.progress,
+            "arm_state": tick.arm_state,
+        }
+        return [
+            (PIVOT, says.estimate_fields(tick.estimate)),
+            (PIVOT_CONTACT, says.contact_fields(tick.pads[0], tick.arm_age)),
+            (PIVOT_MOTION, says.motion_fields(tick.commanded, tick.actual, place)),
+            (PIVOT_EVENTS, says.events_fields(tick.t, tick.fed)),
+        ]
+
+    def answered(self, t: float, answer: LiveAnswer) -> tuple[Topic, Fields]:
+        """`palm/pivot_answer`."""
+        assert isinstance(answer, PivotAnswer)
+        return PIVOT_ANSWER, says.answer_fields(t, answer)
+
+    def shaped(self, shape: ShapeEstimate) -> tuple[Topic, Fields]:
+        """`palm/pivot_shape`."""
+        return PIVOT_SHAPE, says.shape_fields(shape)
+
+    def glance(self, estimate: LiveEstimate) -> Fields:
+        """A few of its quantities."""
+        return says.at_a_glance(estimate) if isinstance(estimate, PivotEstimate) else {}
+
+    def place(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:
+        """In millimetres."""
+        return ", ".join(
+            f"{axis} is {at * 1e3:.1f} mm, its limits are {low * 1e3:g} and {high * 1e3:g} mm"
+            for axis, at, (low, high) in zip(AXES, angles, limits, strict=True)
+        )
+
+
+_AWAY = frozenset({f"pad{PAD}-lifted", f"pad{PAD}-silent"})

@@ -1,0 +1,273 @@
+"""How a gripper explores a body that turns freely in it: which drag comes next, by what is measured. Pure.
+
+The body is set down tilted, towards the nearer end of the pad, so that there is room to drag it inwards. Lowered by
+dz < 0 it turns by dz/e and slips by u = Ẋ + z ω0; friction trails (u e < 0), and cannot hold it, while the arm drags
+against e by more than z |ż/e|. So each drag goes down while it drags inwards, by steps that are small against e, which
+the pad tells. Raised, friction trails anyway while the arm goes back by less than z ż/|e|. It turns back before the
+dead centre (e small), before the end of the pad, and where the force comes near its limit or to nothing. A side is done
+when it was followed down and up; then the body is lifted off for somebody to tilt it to the other side.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from palmd.config import ExploreGoal
+from palmd.motion.pivot import PivotLimits
+from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE, Angles, Move
+from palmd.system.pivot import Touching
+
+Phase = Literal["lift", "turn", "seek", "settle", "down", "up"]
+
+APPROACH_M_S = 0.015  # in the air
+STROKE_M, STROKE_RATIO = 0.012, 10.0  # towards the pad: dragged inwards, and lowered by so much less
+LIFT_M_S, AWAY_M_S = 0.004, 0.02  # while it touches, and then
+NEAR_M = 5e-3  # above where the body touched before, from where on strokes seek it
+CLEAR_M = 6e-3  # by which a body is lifted off for somebody to turn it
+TURN_S = 2.0  # which they have
+TRAIL = 1.35  # times the drag at which the body just rolls
+BACK = 0.6  # share of that which the arm goes back while the body is raised
+STEP_M, STEP_SHARE = 8e-4, 0.09  # of height at a time, and as a share of e
+DOWN_M_S = 0.004
+LEAST_LEVER_M, LEVER_SHARE = 2e-3, 0.4  # of e, where it turns back: that, or a share of the largest on this side
+TAMED_SHARE, LEAST_FORCE_N = 0.65, 0.09  # of the force's limit, and the force, where it turns back
+PAD_END_M = 5e-3
+RETREAT_M = 8e-4
+LEAST_STEP_M = 1e-4
+PASSES = 1  # down and up, of a side at a time
+ROUNDS = 3  # of both sides, before it is given up that anything more is told
+_LEAST_S = 0.12
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What to do now: move on, stand still at once, wait, or end; `reason` is for people, empty for nothing new."""
+
+    kind: Literal["move", "halt", "wait", "done"]
+    move: Move | None = None
+    reason: str = ""
+
+
+WAIT = Step("wait")
+
+
+class Drags:
+    """See the module. Asked at every tick; safe in the loop. `ends` counts the ends of branches that were reached."""
+
+    def __init__(self, limits: PivotLimits, goal: ExploreGoal) -> None:
+        self._limits, self._goal = limits, goal
+        self.phase: Phase = "seek"
+        self.turned_back: dict[str, int] = {}  # how often, by why
+        self.lifted = 0  # times that the body left the pad by itself
+        self._side = 0.0  # of the dead centre that is touched
+        self._ends: set[tuple[float, str]] = set()
+        self._wanted = 1.0  # side that comes next
+        self._z_touch = -math.inf
+        self._t_turned = -math.inf
+        self._passes = self._rounds = 0
+        self._before: tuple[float, float] | None = None  # z and e² at the last step
+        self._slope = 0.0  # of e² over z, which is even where e itself ends like a root
+        self._most = 0.0  # largest |e| of this touch
+        self._retreat = False
+
+    @property
+    def coverage(self) -> float:
+        """Share of the four ends of both branches that were reached."""
+        return min(len(self._ends) / 4.0, 1.0)
+
+    @property
+    def lifting(self) -> bool:
+        """Whether the body leaves the pad, or is off it, because it shall."""
+        return self.phase in ("lift", "turn", "seek")
+
+    def look(self, felt: Touching, here: Angles, resting: bool) -> Step:
+        """The next step: what is felt, where the last move ends (m), and whether it has ended."""
+        if self.phase == "seek" and felt.touching:
+            self.phase = "settle"
+            self._z_touch = felt.z
+            self._before, self._slope, self._most = None, 0.0, 0.0
+            return Step("halt", reason="the body touches")
+        if self.phase in ("down", "up", "settle") and not felt.touching:
+            self.lifted += 1
+            return self._go("lift", "the body left the pad: lifted off to be tilted anew")
+        if self.phase == "down" and not resting and (why := self._warning(felt)):
+            self._note(why)
+            self._retreat = True
+            self.phase = "up"
+            self._ends.add((self._side, "low"))
+            return Step("halt", reason=f"turns back: {why}")
+        if not resting:
+            return WAIT
+        return self._next(felt, here)
+
+    def _next(self, felt: Touching, here: Angles) -> Step:
+        match self.phase:
+            case "lift":
+                return self._lift(felt, here)
+            case "turn":
+                return self._turn(felt, here)
+            case "seek":
+                return self._seek(here)
+            case "settle":
+                return self._settle(felt)
+            case "down":
+                return self._down(felt, here)
+            case "up":
+                return self._up(felt, here)
+
+    # ---- off the pad -------------------------------------------------------------------------------------
+
+    def _lift(self, felt: Touching, here: Angles) -> Step:
+        _, (_, top) = self._limits.angles
+        if here[1] >= top:
+            return Step("done", reason="there is no room to lift the body off: raise limits.z_mm")
+        if felt.touching:
+            return self._moved(here, (here[0], here[1] + CLEAR_M / 4), LIFT_M_S)
+        self.phase, self._t_turned = "turn", felt.t + TURN_S
+        return self._moved(here, (here[0], here[1] + CLEAR_M), AWAY_M_S)
+
+    def _turn(self, felt: Touching, here: Angles) -> Step:
+        start = self._start_of(self._wanted)
+        if here[0] != start:
+            where = "far end" if self._wanted > 0 else "beginning"
+            return self._moved(
+                here, (start, here[1]), self._limits.rate, f"lifted off: tilt the body towards the pad's {where}"
+            )
+        if felt.t < self._t_turned:
+            return WAIT
+        self.phase = "seek"
+        return WAIT
+
+    def _seek(self, here: Angles) -> Step:
+        (_, _), (bottom, _) = self._limits.angles
+        start = self._start_of(self._wanted)
+        if here[0] != start:
+            return self._moved(here, (start, here[1]), self._limits.rate)
+        near = self._z_touch + NEAR_M
+        if math.isfinite(near) and here[1] > near:
+            return self._moved(here, (start, near), APPROACH_M_S)
+        if here[1] <= bottom:
+            return Step("done", reason="nothing touches the pad, though the gripper is as low as it may be")
+        return self._moved(here, (start - self._wanted * STROKE_M, here[1] - STROKE_M / STROKE_RATIO), APPROACH_M_S)
+
+    def _start_of(self, side: float) -> float:
+        (low, high), _ = self._limits.angles
+        end = 0.22 * self._limits.pad_length
+        return min(max(self._limits.pad_length - end if side > 0 else end, low), high)
+
+    # ---- on the pad --------------------------------------------------------------------------------------
+
+    def _settle(self, felt: Touching) -> Step:
+        if not (math.isfinite(felt.e) and math.isfinite(felt.force)):
+            return WAIT
+        self._side = math.copysign(1.0, felt.e)
+        self._passes = 0
+        self.phase = "down"
+        return WAIT
+
+    def _down(self, felt: Touching, here: Angles) -> Step:
+        if why := self._warning(felt):
+            self._note(why)
+            self._ends.add((self._side, "low"))
+            self.phase, self._retreat = "up", True
+            return Step("wait", reason=f"turns back: {why}")
+        self._learn(felt)
+        lower = self._stride(felt, -1.0)
+        end = (here[0] - self._side * TRAIL * felt.z * lower / abs(felt.e), here[1] - lower)
+        if why := self._off(end, felt.e):
+            self._note(why)
+            self._ends.add((self._side, "low"))
+            self.phase = "up"
+            return Step("wait", reason=f"turns back: {why}")
+        return self._moved(here, end, DOWN_M_S)
+
+    def _up(self, felt: Touching, here: Angles) -> Step:
+        if not math.isfinite(felt.e):
+            return WAIT
+        self._learn(felt)
+        higher = RETREAT_M if self._retreat else self._stride(felt, 1.0)
+        back = 0.0 if self._retreat else BACK * felt.z * higher / abs(felt.e)
+        end = (here[0] + self._side * back, here[1] + higher)
+        falling = not self._retreat and self._warning(felt) in (_LEVER, _LIGHT)
+        self._retreat = False
+        if self._off(end, felt.e) and not falling:
+            end = (here[0], end[1])
+        if falling or end[1] > self._limits.angles[1][1]:
+            self._ends.add((self._side, "high"))
+            self._passes += 1
+            return self._over(felt) or self._go("lift", "this side is done: lifted off")
+        return self._moved(here, end, DOWN_M_S)
+
+    def _over(self, felt: Touching) -> Step | None:
+        """Ends it where all has been seen; else the other side is next."""
+        self._wanted = -self._side
+        self._rounds += self.coverage >= 1.0
+        wanted = math.inf if self._goal.band_mm is None else self._goal.band_mm * 1e-3
+        if self.coverage >= self._goal.coverage and math.isfinite(felt.band) and felt.band <= wanted:
+            return Step("done", reason="both sides were followed from one end to the other, and the outline is known")
+        if self._rounds > ROUNDS:
+            return Step("done", reason="both sides were followed again and again, and the outline is not told")
+        return None
+
+    def _stride(self, felt: Touching, sense: float) -> float:
+        """Of height: small against e, and against how fast e² falls."""
+        falling = -self._slope * sense  # of e² per height
+        stride = min(STEP_M, STEP_SHARE * abs(felt.e))
+        room = felt.e**2 - self._least**2
+        return min(stride, max(0.5 * room / falling, LEAST_STEP_M)) if falling > 0.0 else stride
+
+    @property
+    def _least(self) -> float:
+        return max(LEAST_LEVER_M, LEVER_SHARE * self._most)
+
+    def _learn(self, felt: Touching) -> None:
+        square = felt.e**2
+        self._most = max(self._most, abs(felt.e))
+        if self._before is not None and abs(felt.z - self._before[0]) > 1e-4:
+            slope = (square - self._before[1]) / (felt.z - self._before[0])
+            self._slope += (0.6 if self._slope else 1.0) * (slope - self._slope)
+        self._before = felt.z, square
+
+    def _warning(self, felt: Touching) -> str:
+        """Why the body must not be lowered farther; empty when it may."""
+        if not math.isfinite(felt.e):
+            return ""
+        if felt.e * self._side < self._least:
+            return _LEVER
+        if felt.force > TAMED_SHARE * self._limits.force:
+            return "the force comes near its limit"
+        if felt.force < LEAST_FORCE_N:
+            return _LIGHT
+        return ""
+
+    def _off(self, end: Angles, e: float) -> str:
+        """Why a step may not lead there; empty when it may."""
+        (x0, x1), (z0, _) = self._limits.angles
+        if end[1] < z0:
+            return "the gripper is as low as it may be"
+        inside = PAD_END_M < end[0] + e < self._limits.pad_length - PAD_END_M
+        return "" if x0 <= end[0] <= x1 and inside else "the pad ends here"
+
+    def _note(self, why: str) -> None:
+        self.turned_back[why] = self.turned_back.get(why, 0) + 1
+
+    def _go(self, phase: Phase, reason: str) -> Step:
+        self.phase = phase
+        return Step("halt", reason=reason)
+
+    def _moved(self, here: Angles, end: Angles, speed: float, reason: str = "") -> Step:
+        (x0, x1), (z0, z1) = self._limits.angles
+        end = (min(max(end[0], x0), x1), min(max(end[1], z0), z1))
+        dx, dz = abs(end[0] - here[0]), abs(end[1] - here[1])
+        most = 0.9 * self._limits.rate
+        lasts = max(
+            _LEAST_S,
+            PEAK_RATE * max(dz / min(speed, most), dx / most),
+            math.sqrt(PEAK_ACCELERATION * max(dx, dz) / (0.5 * self._limits.acceleration)),
+        )
+        return Step("move", Move(here, end, lasts), reason)
+
+
+_LEVER, _LIGHT = "the pivot comes near over the contact", "the body hardly presses any more"

@@ -1,0 +1,136 @@
+"""What a pivoting gripper may do, and its plans: the pivot's place x along the pad and z over it are the joints (m)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from palmd.events import PalmMotion
+from palmd.motion.exploration import Exploration
+from palmd.motion.limits import MotionLimits, QuantityLimit, problems, ranges
+from palmd.motion.plan import Loc, PlanError, Round, Trajectory
+from palmd.motion.segments import Angles, Hold, MotionSegment, Move
+from palmd.pivot_config import (
+    PivotConfig,
+    PivotExploreSpec,
+    PivotHoldSpec,
+    PivotMoveSpec,
+    PivotPlace,
+    PivotPlanSpec,
+)
+from palmd.system.pivot import AXES
+
+_MM = 1e3
+
+
+@dataclass(frozen=True, slots=True)
+class PivotLimits(MotionLimits):
+    """As `MotionLimits`, of the pivot's place: `angles` are the ranges of x and z (m), rate and acceleration in m/s.
+
+    force: what the body may press on the pad (N).
+    """
+
+    force: float = math.inf
+
+    def __post_init__(self) -> None:
+        """Bounds of each axis, of its speed and of its acceleration."""
+        bounds = [
+            QuantityLimit(axis, " mm", _MM, low, high) for axis, (low, high) in zip(AXES, self.angles, strict=True)
+        ]
+        for order, kind, unit, most in (
+            (1, "speed", " mm/s", self.rate),
+            (2, "acceleration", " mm/s²", self.acceleration),
+        ):
+            bounds += [QuantityLimit(f"the {kind} along {axis}", unit, _MM, -most, most, order) for axis in AXES]
+        object.__setattr__(self, "bounds", tuple(bounds))
+
+    @classmethod
+    def of(cls, config: PivotConfig) -> PivotLimits:
+        """The configured limits in SI."""
+        limits = config.limits
+        stop = limits.stop_deceleration_mm_s2
+        return cls(
+            angles=tuple((low * 1e-3, high * 1e-3) for low, high in limits.ranges_mm),
+            rate=limits.speed_mm_s * 1e-3,
+            acceleration=limits.acceleration_mm_s2 * 1e-3,
+            pad_length=config.pads.palm1.length_mm * 1e-3,
+            stop_deceleration=None if stop is None else stop * 1e-3,
+            force=limits.force_n,
+        )
+
+    def values(self, motion: PalmMotion) -> tuple[float, ...]:
+        """The quantities bounded by `bounds`, in that order."""
+        return (*motion.angles, *motion.rates, *motion.accelerations)
+
+    def clamp_step(self, previous: PalmMotion, wanted: PalmMotion, dt: float) -> PalmMotion:
+        """As `MotionLimits.clamp_step`: `wanted`, inside the ranges and one step of rate·dt. Safe in the loop."""
+        if not all(map(math.isfinite, wanted.angles)):
+            return PalmMotion.at_rest(previous.angles)
+        inside = tuple(min(max(each, low), high) for each, (low, high) in zip(wanted.angles, self.angles, strict=True))
+        steps = [each - before for each, before in zip(inside, previous.angles, strict=True)]
+        longest, room = max(map(abs, steps)), self.rate * dt
+        if inside == wanted.angles and longest <= room:
+            return wanted
+        share = 1.0 if longest <= room else room / longest
+        place = tuple(before + share * step for before, step in zip(previous.angles, steps, strict=True))
+        rates = tuple(share * step / dt for step in steps) if dt > 0.0 else (0.0,) * len(steps)
+        return PalmMotion(place, rates, (0.0,) * len(steps))
+
+
+def pivot_home(limits: MotionLimits) -> Angles:
+    """Where a plan is taken to begin while nobody knows: in the middle over the pad, as high as may be."""
+    (x0, x1), (_, z1) = limits.angles
+    return (0.5 * (x0 + x1), z1)
+
+
+def compile_pivot_plan(spec: PivotPlanSpec, limits: PivotLimits, start: Angles | None = None) -> Trajectory:
+    """The plan as a trajectory within the limits; raises PlanError with everything that stands against it.
+
+    It begins where the gripper stands. A move rises before it goes along, and goes along before it sinks: a body that
+    is raised straight trails its friction, and what is dragged sideways might wedge.
+    """
+    stands = start if start is not None else pivot_home(limits)
+    begin = pose = limits.clamp_step(PalmMotion.at_rest(stands), PalmMotion.at_rest(stands), math.inf).angles
+    found: list[tuple[Loc, str]] = []
+    segments: list[MotionSegment] = []
+    labels: list[str] = []
+    for index, each in enumerate(spec.segments):
+        count = len(segments)
+        if isinstance(each, PivotExploreSpec):
+            if index != len(spec.segments) - 1:
+                text = "where an exploration ends is not known beforehand: it must be the last segment"
+                found.append((("segments", index), text))
+            segments.append(Exploration(pose, each.explore))
+        elif isinstance(each, PivotHoldSpec):
+            segments.append(Hold(pose, each.hold_s))
+        else:
+            end = _target(each.move, pose)
+            segments += _legs(pose, end, each.duration_s)
+            pose = end
+        labels += [_label(each)] * (len(segments) - count)
+        for segment in segments[count:]:
+            extremes = ranges(limits.values(segment.at(t)) for t in segment.sample_times())
+            found += [(("segments", index), text) for _, text in problems(limits.bounds, extremes)]
+    if found:
+        raise PlanError(list(dict.fromkeys(found)))
+    whole = Round.of(segments)
+    return Trajectory(spec.name, begin, 0.0, whole.duration, tuple(labels), (whole,), None)
+
+
+def _legs(start: Angles, end: Angles, duration: float) -> list[Move]:
+    """Up, along, or along, down, in so much time together, shared by their lengths; no leg that leads nowhere."""
+    corner = (start[0], end[1]) if end[1] > start[1] else (end[0], start[1])
+    ways = [max(abs(a - b) for a, b in zip(*leg, strict=True)) for leg in ((start, corner), (corner, end))]
+    if not sum(ways):
+        return [Move(start, end, duration)]
+    each = zip(((start, corner), (corner, end)), ways, strict=True)
+    return [Move(a, b, duration * way / sum(ways)) for (a, b), way in each if way]
+
+
+def _target(place: PivotPlace, pose: Angles) -> Angles:
+    wanted = (place.x_mm, place.z_mm)
+    return tuple(here if mm is None else mm * 1e-3 for mm, here in zip(wanted, pose, strict=True))
+
+
+def _label(spec: PivotMoveSpec | PivotHoldSpec | PivotExploreSpec) -> str:
+    return next(iter(type(spec).model_fields))

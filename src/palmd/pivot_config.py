@@ -1,0 +1,190 @@
+"""The configuration of a rig with a pivoting gripper: one pad, an arm that moves the pivot along and over it."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field, FiniteFloat, ValidationInfo, field_validator
+
+from palmd.config import (
+    AdeptConfig,
+    BusConfig,
+    Config,
+    ExploreGoal,
+    FilePath,
+    LoopConfig,
+    NotNegative,
+    PadConfig,
+    Pair,
+    Plausible,
+    Positive,
+    RecordConfig,
+    Strict,
+    pad_sensor,
+)
+from palmd.system.pivot import PivotRig
+
+
+def _rising(pair: tuple[float, float]) -> tuple[float, float]:
+    if not pair[0] < pair[1]:
+        raise ValueError(f"must be [low, high] with low < high; got [{pair[0]:g}, {pair[1]:g}]")
+    return pair
+
+
+Range = Annotated[Pair, AfterValidator(_rising)]
+
+
+class PivotRigConfig(Strict):
+    """The gripper and gravity."""
+
+    system: Literal["pivot"]
+    """What kind of rig it is."""
+    gravity_m_s2: Annotated[FiniteFloat, Field(gt=0, le=30), Plausible(0.1, 12)] = 9.81
+    """In the plane of the motion, towards the pad."""
+    vertical: Literal["rigid", "float"] = "rigid"
+    """`rigid`: the arm holds the pivot's height; `float`: a slide of its own weight, which logs may be of only."""
+    arm_noise_mm: Annotated[Positive, Field(le=1), Plausible(0.001, 0.2)] = 0.02
+    """One sigma of the pivot's reported position by itself, along and over the pad."""
+    angle_sd_deg: Annotated[NotNegative, Field(le=10), Plausible(0.001, 3, or_zero=True)] = 0.1
+    """How well the pad's slope along the arm's x is known, one sigma."""
+
+    @field_validator("vertical")
+    @classmethod
+    def _rigid_only(cls, vertical: str) -> str:
+        if vertical == "float":
+            raise ValueError(
+                "a gripper on a slide has no live observer: palmd reconstruct takes its logs; live it must be rigid"
+            )
+        return vertical
+
+
+class PivotPadsConfig(Strict):
+    """The one touchpad."""
+
+    palm1: PadConfig
+    """The pad that the body is dragged over; its zero is where the arm's x is 0."""
+
+    def each(self) -> tuple[PadConfig, ...]:
+        """It alone."""
+        return (self.palm1,)
+
+
+class PivotLimitsConfig(Strict):
+    """What the gripper may do."""
+
+    x_mm: Range = (2.0, 53.0)
+    """The pivot along the pad, from the pad's zero."""
+    z_mm: Range = (8.0, 70.0)
+    """The pivot over the pad's surface."""
+    speed_mm_s: Annotated[FiniteFloat, Field(gt=0, le=1000), Plausible(1, 300)] = 40.0
+    """Along each of them."""
+    acceleration_mm_s2: Annotated[FiniteFloat, Field(gt=0, le=20000), Plausible(10, 5000)] = 400.0
+    """Along each of them."""
+    stop_deceleration_mm_s2: Annotated[FiniteFloat, Field(gt=0, le=20000), Plausible(10, 20000)] | None = 2000.0
+    """Along each of them when the motion is held."""
+    force_n: Annotated[Positive, Field(le=50), Plausible(0.3, 20)] = 2.0
+    """What the body may press on the pad; an exploration turns back well before."""
+
+    @property
+    def ranges_mm(self) -> tuple[tuple[float, float], ...]:
+        """Of each axis."""
+        return (self.x_mm, self.z_mm)
+
+
+class PivotConfig(Strict):
+    """The whole of a `palmd.yaml` with `rig: {system: pivot}`."""
+
+    rig: PivotRigConfig
+    """The gripper."""
+    pads: PivotPadsConfig
+    """The touchpad."""
+    arm: AdeptConfig
+    """The robot arm: its tool is the pivot, its x along the pad and its y over it."""
+    limits: PivotLimitsConfig = PivotLimitsConfig()
+    """What the gripper may do."""
+    loop: LoopConfig = LoopConfig()
+    """The control loop."""
+    bus: BusConfig = BusConfig()
+    """The addresses."""
+    record: RecordConfig = Field(default_factory=dict, validate_default=True)
+    """Recordings."""
+    plan: FilePath | None = None
+    """The motion plan that `start` runs, unless another is chosen."""
+    autostart: bool = False
+    """Whether the gripper moves without having been told to."""
+
+    @field_validator("arm")
+    @classmethod
+    def _own_port(cls, arm: AdeptConfig, info: ValidationInfo) -> AdeptConfig:
+        pads: PivotPadsConfig | None = info.data.get("pads")
+        if pads is not None and arm.port == pads.palm1.port:
+            raise ValueError(f"port {arm.port} is already that of the pad")
+        return arm
+
+    @field_validator("limits")
+    @classmethod
+    def _felt(cls, limits: PivotLimitsConfig, info: ValidationInfo) -> PivotLimitsConfig:
+        pads: PivotPadsConfig | None = info.data.get("pads")
+        most = None if pads is None else 100 * pads.palm1.newtons_per_count  # no pad counts less far
+        if most is not None and limits.force_n > most:
+            raise ValueError(f"force_n is {limits.force_n:g} N, but the pad may tell no more than {most:g} N apart")
+        return limits
+
+
+AnyConfig = Config | PivotConfig
+
+
+def pivot_rig(config: PivotConfig) -> PivotRig:
+    """What an observer must know of the configured rig (SI)."""
+    return PivotRig(
+        gravity=config.rig.gravity_m_s2,
+        vertical=config.rig.vertical,
+        arm_noise=config.rig.arm_noise_mm * 1e-3,
+        angle_sd=math.radians(config.rig.angle_sd_deg),
+        pad=pad_sensor(config.pads.palm1, 0.0),
+    )
+
+
+# ------------------------------------------------------------------------------------------------------ plans
+
+
+class PivotPlace(Strict):
+    """Where the pivot shall go; what is left out stays."""
+
+    x_mm: FiniteFloat | None = None
+    """Along the pad."""
+    z_mm: FiniteFloat | None = None
+    """Over the pad."""
+
+
+class PivotMoveSpec(Strict):
+    """From rest to rest on a minimum-jerk path."""
+
+    move: PivotPlace
+    """Where to."""
+    duration_s: Annotated[FiniteFloat, Field(gt=0, le=3600)]
+    """How long it takes."""
+
+
+class PivotHoldSpec(Strict):
+    """Stand still."""
+
+    hold_s: Annotated[FiniteFloat, Field(gt=0, le=3600)]
+    """For how long."""
+
+
+class PivotExploreSpec(Strict):
+    """Drags that seek the parts of the outline not felt yet, on both sides of the dead centre."""
+
+    explore: ExploreGoal
+    """When it has seen enough; must be the last segment."""
+
+
+class PivotPlanSpec(Strict):
+    """A motion plan of a pivoting grasp as it stands in its file."""
+
+    name: Annotated[str, Field(min_length=1, max_length=60)]
+    """What it is called on the bus."""
+    segments: Annotated[list[PivotMoveSpec | PivotHoldSpec | PivotExploreSpec], Field(min_length=1, max_length=200)]
+    """Motions, one after the other."""

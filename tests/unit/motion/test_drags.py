@@ -1,0 +1,104 @@
+import math
+from dataclasses import replace
+
+import pytest
+
+from palmd.config import ExploreGoal
+from palmd.motion.drags import Drags
+from palmd.motion.pivot import PivotLimits
+from palmd.system.pivot import Touching
+
+LIMITS = PivotLimits(angles=((0.002, 0.053), (0.006, 0.045)), rate=0.04, acceleration=0.4, pad_length=0.0555, force=2.0)
+FELT = Touching(0.0, 0.035, 0.025, 0.006, 0.5, True, math.nan, math.nan)
+IN_AIR = replace(FELT, touching=False, e=math.nan, force=math.nan)
+
+
+@pytest.fixture
+def touched():
+    """Set down, its side found."""
+    drags = Drags(LIMITS, ExploreGoal())
+    drags.look(IN_AIR, (FELT.x, 0.03), True)
+    assert drags.look(FELT, (FELT.x, FELT.z), False).kind == "halt"
+    assert drags.look(FELT, (FELT.x, FELT.z), True).kind == "wait"
+    assert drags.phase == "down"
+    return drags
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_friction_trails_while_the_body_is_lowered(side):
+    drags = Drags(LIMITS, ExploreGoal())
+    felt = replace(FELT, e=side * FELT.e, x=0.02775 + side * 0.008)
+    here = (felt.x, felt.z)
+    drags.look(felt, here, True)
+    drags.look(felt, here, True)
+    move = drags.look(felt, here, True).move
+    dx, dz = (end - start for start, end in zip(move.start, move.end, strict=True))
+    slip = dx - felt.z * dz / felt.e  # of the contact: u dt = dX + z dθ', ω0 = −ż/e
+    assert dz < 0.0
+    assert slip * felt.e < 0.0
+    assert abs(dz) < 0.1 * abs(felt.e)
+
+
+def test_friction_trails_while_the_body_is_raised(touched):
+    touched.look(replace(FELT, force=1.9), (FELT.x, FELT.z), False)
+    assert touched.phase == "up"
+    first = touched.look(FELT, (FELT.x, FELT.z), True).move
+    assert first.end[0] == first.start[0]  # straight up first: the force was near its limit
+    for _ in range(3):
+        move = touched.look(FELT, first.end, True).move
+        dx, dz = (end - start for start, end in zip(move.start, move.end, strict=True))
+        assert dz > 0.0
+        assert (dx - FELT.z * dz / FELT.e) * FELT.e < 0.0
+
+
+@pytest.mark.parametrize(
+    ("changed", "why"),
+    [
+        ({"force": 1.4}, "the force comes near its limit"),
+        ({"force": 0.05}, "the body hardly presses any more"),
+        ({"e": 0.0015}, "the pivot comes near over the contact"),
+    ],
+)
+def test_it_turns_back_at_once(touched, changed, why):
+    step = touched.look(replace(FELT, **changed), (FELT.x, FELT.z), False)
+    assert (step.kind, step.reason) == ("halt", f"turns back: {why}")
+    assert touched.phase == "up"
+
+
+def test_it_turns_back_before_the_pad_ends(touched):
+    step = touched.look(replace(FELT, x=0.0025), (0.0025, FELT.z), True)
+    assert step.reason == "turns back: the pad ends here"
+
+
+def test_what_leaves_the_pad_is_noticed_and_lifted(touched):
+    step = touched.look(IN_AIR, (FELT.x, FELT.z), False)
+    assert step.kind == "halt"
+    assert "left the pad" in step.reason
+    assert touched.lifted == 1
+    move = touched.look(IN_AIR, (FELT.x, FELT.z), True).move
+    assert move.end[1] > move.start[1]
+    assert move.end[0] == move.start[0]
+
+
+def test_it_comes_down_in_strokes_inwards():
+    drags = Drags(LIMITS, ExploreGoal())
+    here, ways = (0.0277, 0.04), []
+    for k in range(6):
+        move = drags.look(replace(IN_AIR, t=float(k)), here, True).move
+        assert move is not None
+        here = move.end
+        ways.append((move.end[0] - move.start[0], move.end[1] - move.start[1]))
+    sinking = [(dx, dz) for dx, dz in ways if dz < 0.0]
+    assert len(sinking) >= 2
+    assert all(
+        dx < 0.0 and abs(dx) > 9.0 * abs(dz) for dx, dz in sinking
+    )  # towards the middle: it began at the far end
+
+
+def test_it_does_not_search_below_its_limits():
+    drags = Drags(LIMITS, ExploreGoal())
+    low = LIMITS.angles[1][0]
+    start = drags.look(IN_AIR, (0.0277, low), True).move
+    step = drags.look(IN_AIR, start.end, True)
+    assert step.kind == "done"
+    assert "nothing touches the pad" in step.reason

@@ -1,0 +1,102 @@
+import math
+from pathlib import Path
+
+import pytest
+
+from palmd.motion.check import check_files
+from palmd.motion.pivot import PivotLimits, compile_pivot_plan
+from palmd.motion.plan import PlanError
+from palmd.pivot_config import PivotConfig, PivotPlanSpec, pivot_rig
+from palmd.yamlfile import ConfigError, load_any_config, load_config
+
+ROOT = Path(__file__).parents[2]
+SHIPPED = ROOT / "config/pivot.yaml"
+PADS = "pads: {palm1: {port: a}}\narm: {port: b}\n"
+
+
+@pytest.fixture
+def limits():
+    return PivotLimits.of(load_any_config(SHIPPED))
+
+
+def refused(tmp_path, text):
+    path = tmp_path / "rig.yaml"
+    path.write_text(text, encoding="utf-8")
+    return "\n".join(check_files([path]))
+
+
+def test_what_is_shipped_is_good():
+    assert check_files([SHIPPED]) == []
+    assert isinstance(load_any_config(SHIPPED), PivotConfig)
+
+
+def test_an_observer_is_told_the_rig_in_si():
+    rig = pivot_rig(load_any_config(SHIPPED))
+    assert (rig.vertical, rig.arm_noise) == ("rigid", pytest.approx(2e-5))
+    assert rig.pad.standoff_sd == pytest.approx(5e-5)
+
+
+def test_who_knows_two_palms_only_says_so():
+    with pytest.raises(ConfigError, match="is of a pivoting grasp, and this is for two palms"):
+        load_config(SHIPPED)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("rig: {system: pivot, vertical: float}\n" + PADS, "3:0 a gripper on a slide has no live observer"),
+        ("rig: {system: pivot}\n" + PADS + "limits: {force_n: 9}\n", "the pad may tell no more than 2 N apart"),
+        ("rig: {system: pivot}\n" + PADS + "limits: {x_mm: [9, 3]}\n", r"must be \[low, high\] with low < high"),
+        ("rig: {system: pivot}\npads: {palm1: {port: a}}\narm: {port: a}\n", "port a is already that of the pad"),
+        ("rig: {system: pivot, hinge: arc}\n" + PADS, "rig.hinge: unknown key"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_words(tmp_path, text, said):
+    import re
+
+    assert re.search(said.removeprefix("3:0 "), refused(tmp_path, text))
+
+
+def plan(*segments):
+    return PivotPlanSpec.model_validate({"name": "p", "segments": list(segments)})
+
+
+def test_a_move_rises_before_it_goes_along_and_sinks_after(limits):
+    spec = plan(
+        {"move": {"x_mm": 40, "z_mm": 35}, "duration_s": 3}, {"move": {"x_mm": 10, "z_mm": 20}, "duration_s": 3}
+    )
+    trajectory = compile_pivot_plan(spec, limits, (0.02, 0.02))
+    places = [trajectory.at(t).angles for t in (0.0, 1.2857, 3.0, 5.0, 6.0)]
+    assert places[0] == (0.02, 0.02)
+    assert places[1] == pytest.approx((0.02, 0.035), abs=1e-5)
+    assert places[2] == pytest.approx((0.04, 0.035))
+    assert places[3] == pytest.approx((0.01, 0.035))
+    assert places[4] == pytest.approx((0.01, 0.02))
+
+
+def test_what_leaves_the_limits_is_refused_with_its_place(limits):
+    with pytest.raises(PlanError) as caught:
+        compile_pivot_plan(plan({"hold_s": 1}, {"move": {"z_mm": 99}, "duration_s": 3}), limits)
+    assert [loc for loc, _ in caught.value.problems] == [("segments", 1)]
+    assert "z reaches 99 mm, the limit is 45 mm" in str(caught.value)
+
+
+def test_too_fast_a_move_is_refused(limits):
+    with pytest.raises(PlanError, match="the speed along x reaches"):
+        compile_pivot_plan(plan({"move": {"x_mm": 3}, "duration_s": 0.2}), limits, (0.05, 0.04))
+
+
+def test_an_exploration_comes_last(limits):
+    with pytest.raises(PlanError, match="must be the last segment"):
+        compile_pivot_plan(plan({"explore": {}}, {"hold_s": 1}), limits)
+
+
+def test_the_last_guard_keeps_to_ranges_and_steps(limits):
+    from palmd.events import PalmMotion
+
+    here = PalmMotion.at_rest((0.02, 0.02))
+    far = PalmMotion.at_rest((0.5, -0.5))
+    step = limits.clamp_step(here, far, 0.016)
+    room = limits.rate * 0.016
+    assert max(abs(a - b) for a, b in zip(step.angles, here.angles, strict=True)) == pytest.approx(room)
+    assert limits.clamp_step(here, PalmMotion.at_rest((math.nan, 0.0)), 0.016) == here

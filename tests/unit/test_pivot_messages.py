@@ -1,0 +1,76 @@
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from palmd import pivot_messages as says
+from palmd.events import PadLift, PadSample, PalmSample
+from palmd.messages import stamp, validate
+from palmd.quantities import PIVOT, PIVOT_ANSWER, PIVOT_EVENTS, PIVOT_INFO
+from palmd.system.pivot import PivotAnswer, PivotEstimate
+from palmd.yamlfile import load_any_config
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def config():
+    return load_any_config(ROOT / "config/pivot.yaml")
+
+
+def stamped(fields):
+    return stamp(fields, 1.0, 2.0, 3)
+
+
+def test_events_come_back_bit_for_bit():
+    events = (
+        PadSample(0.1, 1, 0.0213, 0.4),
+        PadSample(0.2, 1, 0.0214),
+        PadLift(0.3, 1),
+        PalmSample(0.4, (0.02, 0.03)),
+        PalmSample(0.5, (0.02, 0.03), (1e-3, -2e-3), (0.1, math.pi)),
+    )
+    fields = says.events_fields(7.0, events)
+    assert says.events_of(fields) == events
+    assert not validate(PIVOT_EVENTS, stamped(fields))
+
+
+def test_a_second_pad_is_not_read_as_the_first():
+    fields = says.events_fields(7.0, (PadSample(0.1, 1, 0.0213),))
+    with pytest.raises(ValueError, match="source is 2"):
+        says.events_of(fields | {"source": [2]})
+
+
+def test_an_answer_comes_back_bit_for_bit():
+    rng = np.random.default_rng(1)
+    answer = PivotAnswer(1.5, True, "", 0.3, rng.normal(size=5), rng.normal(size=(5, 5)), rng.random(9), np.ones(9))
+    back = says.answer_of(says.answer_fields(2.0, answer))
+    assert (back.t, back.claimed, back.psi) == (1.5, True, 0.3)
+    for name in ("p", "covariance", "h_sd", "touched"):
+        assert np.array_equal(getattr(back, name), getattr(answer, name))
+    assert not validate(PIVOT_ANSWER, stamped(says.answer_fields(2.0, answer)))
+
+
+def estimate(**changed):
+    values = dict.fromkeys(("x", "z", "s", "e", "psi", "omega0", "f", "mu", "moment", "nis", "touched"), 0.01)
+    fields = {"valid": True, "observer": "pivot", "object_count": 1, "side": 1, "reason": "", "sd": {}}
+    return PivotEstimate(t=1.0, **(values | fields | changed))
+
+
+def test_every_field_of_an_estimate_is_in_its_table():
+    fields = says.estimate_fields(estimate(sd={"psi": 0.1, "omega0": 0.2}))
+    assert fields["sd"] == {"psi_rad": 0.1, "omega0_rad_s": 0.2}
+    assert not validate(PIVOT, stamped(fields))
+
+
+def test_valid_wants_orientation_and_rate_with_their_bands():
+    assert says.sound(estimate(sd={"psi": 0.1, "omega0": 0.2}))
+    assert not says.sound(estimate(sd={"psi": 0.1}))
+    assert not says.sound(estimate(psi=math.nan, sd={"psi": 0.1, "omega0": 0.2}))
+
+
+def test_the_rig_is_told_as_configured(config):
+    fields = says.info_fields("1", "pivot", config, ["explore.yaml"])
+    assert not validate(PIVOT_INFO, stamped(fields))
+    assert fields["z_limits_m"] == pytest.approx([0.006, 0.045])
