@@ -208,7 +208,7 @@ class BankObserver:
         if track is None or fusion.bank.lost():
             return None
         coefficients, cov = fusion.filters.outline(fusion.bank.best())
-        radius_sd = 0.0 if fusion.carries else track.radius_sd
+        radius_sd = 0.0 if fusion.allows_for_rig else track.radius_sd
         return outline_answer(t, coefficients, cov, track.coverage.marks, self._inflation(track, t), radius_sd)
 
     @property
@@ -243,7 +243,7 @@ class BankObserver:
         disagreement = self._disagreement(best, fusion.rivals())
         sd = np.sqrt(np.maximum(np.diagonal(cov), 0.0) + disagreement**2)
         sd *= self._inflation(track, t)
-        if not fusion.carries:
+        if not fusion.allows_for_rig:
             sd[_RADII] = np.hypot(sd[_RADII], track.radius_sd)
         return y, sd, disagreement
 

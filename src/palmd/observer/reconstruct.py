@@ -150,7 +150,7 @@ def _part(segment: DataSegment, rig: RigDescription, seed: int) -> _Part | None:
 
 
 def _refined(search: Search, finding: Minima, segment: DataSegment, rig: RigDescription) -> _Part:
-    """The best fit again on finer nodes, each force's noise taken from the model's force instead of its neighbours'.
+    """The best fit again on finer nodes, forces on contacts and forces' noise taken from the model, not from readings.
 
     Constants of the rig that the readings contradict are given free.
     """
@@ -158,7 +158,7 @@ def _refined(search: Search, finding: Minima, segment: DataSegment, rig: RigDesc
     record = lay_out(segment.pads, search.path, rig, segment.start, segment.end, SPACING_S)
     guess = best.guess.on(finding.record.t, record.t)
     level = np.maximum(Smoother(search.library, record, prior).forces(guess), LEAST_FORCE_N)
-    record = replace(record, force_variance=rig.force_variances(level, record.force_pad))
+    record = replace(record.pressed_by(level), force_variance=rig.force_variances(level, record.force_pad))
     finer = minima(search.library, record, prior, [guess], best.noise)
     record, fit = finer.record, finer.fits[0]
     smoother = Smoother(search.library, record, prior)

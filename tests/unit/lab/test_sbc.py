@@ -15,6 +15,8 @@ from palmd.lab import runs, sbc
 from palmd.lab.sbc import MarginalPosterior, SbcRow, SbcTask, as_line, gauge_free_error, row_from, row_of
 from palmd.lab.sbc_summary import TOGETHER, Count, Uniformity, crooked, far, report, seeds, uniformities, wrong
 from palmd.model.shape import basis
+from palmd.observer import prior
+from palmd.observer.first_guess import LN_GYRATION_SD
 from palmd.observer.outline import gauge_free_sd
 from palmd.rig.imperfections import drawn
 from palmd.system.description import AS_CALIBRATED, RigDescription
@@ -128,6 +130,23 @@ def test_imperfections_are_drawn_from_what_reconstruct_believes():
     true = [drawn(rig, 1, seed).constants() for seed in range(3000)]
     z = np.array([[each[name] for name in RIG_NAMES] for each in true]) / prior_sds(rig)
     assert crooked({name: Uniformity.of(column) for name, column in zip(RIG_NAMES, z.T, strict=True)}) == []
+
+
+def test_what_an_object_rubs_with_and_how_it_turns_is_drawn_from_what_reconstruct_believes():
+    drawn = [sbc.believed("friction", seed) for seed in range(400)]
+    z = {
+        "rho": [
+            math.log(body.rho / body.support.sample(THETA).mean() / prior.GYRATION) / LN_GYRATION_SD
+            for body, _ in drawn
+        ],
+        "dither": [math.log(surface.dither / prior.DITHER) / prior.LN_DITHER_SD for _, surface in drawn],
+    }
+    assert crooked({name: Uniformity.of(np.array(each)) for name, each in z.items()}) == []
+    friction = np.array([surface.mu for _, surface in drawn])
+    assert friction.min() > 0.0
+    assert np.median(friction) == pytest.approx(0.12, abs=0.015)  # of a Gaussian about 0.1 without what is negative
+    assert sbc.believed("nominal", 1)[1] is None
+    assert sbc.believed("rig", 1)[0] == sbc.believed("rig", 1)[0]
 
 
 # ------------------------------------------------------------------------------------------------------ runs
