@@ -41,6 +41,7 @@ from palmd.system.description import RigDescription
 from palmd.system.mechanism import FORCES, PALMS, RADII
 
 SETTLED = Thresholds(age_s=0.4, radius_sd_m=3e-4, disagreement_m=3e-4)
+RIG_KNOWN_M = 1e-5  # of a radius: what the rig's constants may leave open that no smoother has told of yet
 _RADII, _FORCES, _BENDS = ([NAMED.index(name) for name in names] for names in (RADII, FORCES, ("v1", "v2")))
 
 
@@ -268,6 +269,7 @@ class BankObserver:
             age_s=track.age(t),
             radius_sd_m=float(sd[_RADII].max()),
             disagreement_m=float(disagreement[_RADII].max()),
+            rig_known=self._link is None or fusion.allows_for_rig or track.radius_sd < RIG_KNOWN_M,
         )
 
     def _lies_on(self, y: FloatArray) -> bool:

@@ -15,6 +15,7 @@ from palmd.observer.fusion import Fusion
 from palmd.observer.returning_object import SAME_POSE_RAD, ReturningObject, SmoothedFilters
 from palmd.observer.rig_error import RigError
 from palmd.observer.track import Track
+from palmd.observer.validity import SHARP_M
 from palmd.system.description import RigDescription
 
 WORSE_NIS = 0.35  # over some 30 readings: two sigmas
@@ -56,7 +57,7 @@ class Handover:
         if bank.lost() or undecided or nis > bank.nis[best] + WORSE_NIS:
             return False
         frame = (object_count, answer.frame)
-        anew = frame != self._frame if fusion.carries else track.valid and not answer.established
+        anew = frame != self._frame if fusion.allows_for_rig else track.valid and not answer.established
         if anew and not _as_sharp(P, answer.spread, fusion, track.coverage.marks):
             return False  # it has been found from the latest readings alone, and more is known
         if frame != self._frame:
@@ -70,7 +71,8 @@ class Handover:
         worst = int(np.argmin(np.where(np.arange(bank.size) == best, np.inf, bank.score)))
         narrow = bank.n < len(x)
         bank.x[worst], bank.P[worst] = smoother_outline(x, P) if narrow else (x, P)
-        fusion.filters.left_open = smoother_spread(P, spread) if narrow else spread
+        told = _uncertainty(answer.P[_SHAPE, _SHAPE], answer.touched) < SHARP_M**2 * answer.touched.sum()
+        fusion.filters.left_open = (smoother_spread(P, spread) if narrow else spread) if told else None
         bank.score[worst], bank.nis[worst] = bank.score[best] + PRIOR_ODDS, nis
         fusion.forgetting.prior_age_s[worst] = 0.0
         fusion.history.clear()

@@ -33,6 +33,7 @@ from palmd.observer.search import AMBIGUOUS, Minima, Search, beyond_question, do
 from palmd.observer.seeker import attempts_for
 from palmd.observer.sharp_reconstruct import sharp_reconstruction
 from palmd.observer.smoother import Fit, Smoother
+from palmd.observer.validity import SHARP_M
 from palmd.observer.visits import visits_of
 from palmd.system.arcs import MOST_LYING
 from palmd.system.description import RigDescription
@@ -41,8 +42,6 @@ SPACING_S = 0.005  # of the nodes in the end
 LEAST_S = 1.0
 SUSPICIOUS_GAP_S = 0.08  # between readings, in which an object may have been changed for another
 MOST_PARTS = 20  # segments of one log that are looked at
-# RMS of the outline's one-sigma where touched, were the rig known, above which there is no outline to speak of.
-SHARP_M = 1.5e-4
 _OUTLINE = slice(C.SHAPE, CONSTANTS)
 NO_ANSWER = "no motion of an object was found that explains the readings"
 

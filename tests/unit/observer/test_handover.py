@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -73,7 +74,7 @@ def test_an_answer_found_anew_tells_more_where_it_leaves_less_open_of_the_rig(le
 def test_a_bank_tells_what_an_answer_leaves_open_of_the_rig_before_it_is_established():
     """With its own harmonics, as if it had no more; until then a circle's radius stands for all of that."""
     now, random = track(valid=False), np.random.default_rng(4)
-    root = 1e-5 * random.standard_normal((SMOOTHED_N, SMOOTHED_N))
+    root = 2e-6 * random.standard_normal((SMOOTHED_N, SMOOTHED_N))
     P, spread = root @ root.T, random.standard_normal((SMOOTHED_N + RIG_CONSTANTS, RIG_CONSTANTS))
     answer = improvement(np.zeros(SMOOTHED_N), P, established=False, touched=TOUCHED, spread=spread)
     assert handover().take_in(now, 1, answer, np.zeros(SMOOTHED_N), P, nis=1.0)
@@ -82,6 +83,9 @@ def test_a_bank_tells_what_an_answer_leaves_open_of_the_rig_before_it_is_establi
     moved = smoother_outline(spread[:SMOOTHED_N, 0], P)[0]
     np.testing.assert_allclose(left_open[: shape_map.N, 0], moved)
     np.testing.assert_array_equal(left_open[shape_map.N :], spread[SMOOTHED_N:])
+    vague = replace(answer, P=900.0 * P)
+    assert handover().take_in(now, 1, vague, np.zeros(SMOOTHED_N), P, nis=1.0)
+    assert now.fusion.filters.left_open is None, "there is no outline to speak of yet"
 
 
 def test_in_another_gauge_the_outline_turns_and_the_rigs_constants_stay():
