@@ -10,7 +10,7 @@
 
 _shtab_palmd_commands() {
   local _commands=(
-    bench:'studies of many runs: montecarlo, sbc, explore, recognise, curved, pivot, space, parts, speed, peers, field, faults, simulate, soak'
+    bench:'studies of many runs: montecarlo, sbc, off, explore, recognise, curved, pivot, space, parts, speed, peers, field, faults, simulate, soak'
     build:'compile the observers now; the first run does it otherwise'
     calibrate:'measure what the configuration must know: pad, arm, gravity, pads, force, curvature, self'
     check:'find what is wrong with configurations and motion plans'
@@ -52,6 +52,7 @@ _shtab_palmd_bench_commands() {
     faults:'every fault provoked on the emulated rig: what comes of it, how soon the arm stands'
     field:'the field'"'"'s benchmark: 200 runs with their truth, baselines, a scorer for anybody'"'"'s results'
     montecarlo:'random objects reconstructed blind, scored against their truth and the Cramér–Rao bound'
+    off:'one thing is not as described: what is claimed, how far off, what is named'
     parts:'what better or worse sensors and servos would do to the outline'
     peers:'palmd'"'"'s estimators beside general-purpose ones'
     pivot:'objects in a pivoting grasp reconstructed blind: outline about the pivot, friction'
@@ -200,6 +201,21 @@ _shtab_palmd_bench_montecarlo_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_bench_montecarlo_defaults_added=0
+
+_shtab_palmd_bench_off_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--runs[how many of each (default\: 4)]:N:"
+  "--taken-for[what the rest of the rig is\: exact, calibrated (default\: both)]:WORLD:(exact calibrated)"
+  "--only[what is off\: nothing\; pad 1\'s zero 0.1 mm\; pad 1\'s zero 0.3 mm\; both zeros 0.3 mm\; pad 2\'s scale 1 \%\; φ1 0.3\°\; gravity 0.5\°\; φ2 0.3\°\; φ2 1\°\; pad 1 0.5 mm high\; pad 1 bowed 0.1 mm\; pad 1 bowed 0.3 mm\; pad 1 0.1 mm\/N\; pad 1 0.3 mm\/N\; μ1 \= 2 μ2\; μ1 \= μ2 \/ 5\; pad 2 15 ms late\; stick-slip\; vibration 0.3 m\/s²\; 16 ms batches\; 5 \% outliers\; 30 \% dropped\; Student\'s noise (default\: each of them)]:WHAT:(nothing pad 1's zero 0.1 mm pad 1's zero 0.3 mm both zeros 0.3 mm pad 2's scale 1 % φ1 0.3° gravity 0.5° φ2 0.3° φ2 1° pad 1 0.5 mm high pad 1 bowed 0.1 mm pad 1 bowed 0.3 mm pad 1 0.1 mm/N pad 1 0.3 mm/N μ1 = 2 μ2 μ1 = μ2 / 5 pad 2 15 ms late stick-slip vibration 0.3 m/s² 16 ms batches 5 % outliers 30 % dropped Student's noise)"
+  "--seed[the first run\'s (default\: 0)]:FIRST:"
+  "--seconds[how long each lasts (default\: 20)]:S:"
+  {-o,--output}"[a JSON line for each run, overwritten (default\: off.jsonl)]:FILE:_files"
+  "--jobs[processes on this machine (default\: one a processor)]:J:"
+  "--scheduler[of a Dask cluster, such as tcp\:\/\/127.0.0.1\:8786]:ADDRESS:"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_palmd_bench_off_defaults_added=0
 
 _shtab_palmd_bench_parts_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -938,6 +954,7 @@ _shtab_palmd_bench() {
         faults) _arguments -C -s $_shtab_palmd_bench_faults_options ;;
         field) _arguments -C -s $_shtab_palmd_bench_field_options ;;
         montecarlo) _arguments -C -s $_shtab_palmd_bench_montecarlo_options ;;
+        off) _arguments -C -s $_shtab_palmd_bench_off_options ;;
         parts) _arguments -C -s $_shtab_palmd_bench_parts_options ;;
         peers) _arguments -C -s $_shtab_palmd_bench_peers_options ;;
         pivot) _arguments -C -s $_shtab_palmd_bench_pivot_options ;;

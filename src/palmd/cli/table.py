@@ -99,6 +99,7 @@ COMMANDS = (
         "lab.bench_sbc",
         "simulation-based calibration: whether blind reconstructions are as sure as they may be",
     ),
+    Command("bench off", "lab.bench_off", "one thing is not as described: what is claimed, how far off, what is named"),
     Command(
         "bench explore", "lab.bench_explore", "unknown objects explored in the emulated rig, beside open-loop plans"
     ),

@@ -1,12 +1,11 @@
 """Simulation-based calibration: what one blind reconstruction believes of each quantity, beside the truth.
 
-A rig's constants are drawn from the very prior that `reconstruct` goes by, an object and its motion as the simulator's
-kinds have them, and a record is simulated and reconstructed. Were both priors the same and the posterior right, the
-truth's rank in the posterior would be uniform over many draws (Talts et al. 2018, arXiv:1804.06788); here the posterior
-is Gaussian and the rank Φ(z), z = (truth − mean)/sd. Whether a run is claimed depends on its readings alone, so ranks
-of claimed runs should be uniform as well. The object's priors are not the same: outline, ρ, friction and mass come from
-narrower or other families than those believed. So a quantity that readings hardly tell has ranks that crowd about the
-middle, or to one side, without its band being wrong.
+A rig's constants, ρ and friction are drawn from the very priors that `reconstruct` goes by, outline, mass and motion as
+the simulator's kinds have them, and a record is simulated and reconstructed. Were all priors the same and the posterior
+right, the truth's rank in the posterior would be uniform over many draws (Talts et al. 2018, arXiv:1804.06788); here
+the posterior is Gaussian and the rank Φ(z), z = (truth − mean)/sd. Whether a run is claimed depends on its readings
+alone, so ranks of claimed runs should be uniform as well. The outlines are narrower than those believed: where readings
+hardly tell them ranks crowd about the middle without the band being wrong.
 """
 
 from __future__ import annotations
@@ -21,15 +20,21 @@ from scipy.interpolate import CubicHermiteSpline
 from palmd.events import FloatArray
 from palmd.lab.scoring import Bools, Line, outline_errors, truth_of
 from palmd.lab.simulated import simulated
+from palmd.observer import prior
 from palmd.observer.bound import Truth
+from palmd.observer.first_guess import LN_GYRATION_SD
 from palmd.observer.reconstruct import reconstruct
 from palmd.observer.reconstruction import Reconstruction
-from palmd.rig.shapes import KINDS, Kind
+from palmd.rig.plant import FrictionSurface, random_surface
+from palmd.rig.shapes import KINDS, Body, Kind, random_body
 from palmd.score import support_at
 from palmd.system.rig_constants import RIG_NAMES
 
 NORMALS = 8  # of the outline that are asked, of those touched and of the others
 _FLAT_M2 = 1e-30  # Σ h′² of a circle, which no rotation changes
+_LEAST_MU = 0.01  # the belief is a Gaussian, friction is not negative
+_STREAM = 31  # of a seed's random numbers: the body's, not the motion's
+_ALL_ROUND: FloatArray = np.arange(360, dtype=np.float64) * (math.tau / 360)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,10 +106,26 @@ def tasks_of(
 def run(task: SbcTask) -> SbcRow:
     """Simulate, reconstruct and compare; what raises becomes a row that says so."""
     try:
-        log, told = simulated(task.kind, task.seed, task.seconds, imperfections="calibrated")
+        body, surface = believed(task.kind, task.seed)
+        log, told = simulated(task.kind, task.seed, task.seconds, body, "calibrated", surface)
         return row_of(task, told, reconstruct(log.events, log.rig))
     except Exception as error:
         return failed(task, error)
+
+
+def believed(kind: Kind, seed: int) -> tuple[Body, FrictionSurface | None]:
+    """A body of the kind, ρ and friction from what `reconstruct` believes of any; None where there is no friction."""
+    rng = np.random.default_rng([KINDS.index(kind), seed, _STREAM])
+    body = random_body(kind, rng)
+    ratio = prior.GYRATION * math.exp(LN_GYRATION_SD * rng.standard_normal())
+    body = replace(body, rho=ratio * float(np.mean(body.support.sample(_ALL_ROUND))))
+    if not random_surface(kind, rng).mu:
+        return body, None
+    dither = prior.DITHER * math.exp(prior.LN_DITHER_SD * rng.standard_normal())
+    mu = 0.0
+    while mu < _LEAST_MU:
+        mu = prior.FRICTION + prior.FRICTION_SD * rng.standard_normal()
+    return body, FrictionSurface(mu=mu, dither=dither)
 
 
 def failed(task: SbcTask, error: BaseException) -> SbcRow:

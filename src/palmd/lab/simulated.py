@@ -9,15 +9,23 @@ from typing import Any
 
 from palmd.config import Drawn
 from palmd.record.eventlog import EventLog, read_log
+from palmd.rig.plant import FrictionSurface
 from palmd.rig.shapes import Body, Kind
 from palmd.rig.simulate import CALIBRATION, simulate_log
 
 
 def simulated(
-    kind: Kind, seed: int, seconds: float, body: Body | None = None, imperfections: Drawn = "none"
+    kind: Kind,
+    seed: int,
+    seconds: float,
+    body: Body | None = None,
+    imperfections: Drawn = "none",
+    surface: FrictionSurface | None = None,
 ) -> tuple[EventLog, dict[str, Any]]:
     """The log, and the truth in the fields of a `*.truth.json`; the same arguments, the same run."""
-    lines, told = simulate_log(kind, seed, seconds, body=body, calibration_sd=CALIBRATION[imperfections])
+    lines, told = simulate_log(
+        kind, seed, seconds, body=body, surface=surface, calibration_sd=CALIBRATION[imperfections]
+    )
     with TemporaryDirectory(prefix="palmd-") as folder:
         path = Path(folder) / "run.jsonl"
         path.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")

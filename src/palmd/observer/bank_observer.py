@@ -43,6 +43,7 @@ from palmd.system.description import RigDescription
 from palmd.system.mechanism import FORCES, PALMS, RADII
 
 SETTLED = Thresholds(age_s=0.4, radius_sd_m=3e-4, disagreement_m=3e-4)
+RIG_KNOWN_M = 1e-5  # of a radius: what the rig's constants may leave open that no smoother has told of yet
 _FORCES, _BENDS = ([NAMED.index(name) for name in names] for names in (FORCES, ("v1", "v2")))
 _RADII = slice(NAMED.index(RADII[0]), NAMED.index(RADII[-1]) + 1)  # one beside the other
 
@@ -211,7 +212,7 @@ class BankObserver:
         if track is None or fusion.bank.lost():
             return None
         coefficients, cov = fusion.filters.outline(fusion.bank.best())
-        radius_sd = 0.0 if fusion.carries else track.radius_sd
+        radius_sd = 0.0 if fusion.allows_for_rig else track.radius_sd
         return outline_answer(t, coefficients, cov, track.coverage.marks, self._inflation(track, t), radius_sd)
 
     @property
@@ -246,7 +247,7 @@ class BankObserver:
         disagreement = self._disagreement(best, fusion.rivals())
         sd = np.sqrt(np.maximum(variance, 0.0) + disagreement**2)
         sd *= self._inflation(track, t)
-        if not fusion.carries:
+        if not fusion.allows_for_rig:
             sd[_RADII] = np.hypot(sd[_RADII], track.radius_sd)
         return y, sd, disagreement
 
@@ -271,6 +272,7 @@ class BankObserver:
             age_s=track.age(t),
             radius_sd_m=float(sd[_RADII].max()),
             disagreement_m=float(disagreement[_RADII].max()),
+            rig_known=self._link is None or fusion.allows_for_rig or track.radius_sd < RIG_KNOWN_M,
         )
 
     def _lies_on(self, y: FloatArray) -> bool:

@@ -23,7 +23,7 @@ from palmd.observer.smoother import Posterior
 from palmd.system.description import AS_CALIBRATED, RigDescription
 from palmd.system.rig_constants import prior_sds
 
-CONTRADICTED = 4.5  # z: 1 of 10,000 clean rigs has one of 15 constants beyond it
+CONTRADICTED = 4.0  # z: 1 of 1,000 clean rigs has one of 15 constants beyond it
 STILL = 3.0  # and what has been contradicted is still
 KNOWN = 1e-7  # one-sigma, in SI units, of what is exactly as described: small, and a number to divide by
 RIVAL_NATS, MOST_TOGETHER = 5.0, 3  # of explanations as likely, and of constants that are off at a time

@@ -106,6 +106,11 @@ class Fusion:
         """Whether one filter carries to the present what a smoother knows; else a bank looks for the object."""
         return self.filters.spread is not None
 
+    @property
+    def allows_for_rig(self) -> bool:
+        """Whether a smoother has told what the rig's constants leave open, and what is read off has it."""
+        return self.carries or self.filters.left_open is not None
+
     def palms_known(self, t: float) -> bool:
         """Whether the palms were reported shortly before `t` (s)."""
         return t - self.palms.t < PALMS_UNKNOWN_S

@@ -10,11 +10,12 @@ from palmd.events import FloatArray, Improvement
 from palmd.model import shape, shape_map
 from palmd.observer.answer import bin_rows
 from palmd.observer.coverage import Marks, turned_marks
-from palmd.observer.filters.shape_map import ShapeFilters, smoother_outline
+from palmd.observer.filters.shape_map import ShapeFilters, smoother_outline, smoother_spread
 from palmd.observer.fusion import Fusion
 from palmd.observer.returning_object import SAME_POSE_RAD, ReturningObject, SmoothedFilters
 from palmd.observer.rig_error import RigError
 from palmd.observer.track import Track
+from palmd.observer.validity import SHARP_M
 from palmd.system.description import RigDescription
 
 WORSE_NIS = 0.35  # over some 30 readings: two sigmas
@@ -56,7 +57,7 @@ class Handover:
         if bank.lost() or undecided or nis > bank.nis[best] + WORSE_NIS:
             return False
         frame = (object_count, answer.frame)
-        anew = frame != self._frame if fusion.carries else track.valid and not answer.established
+        anew = frame != self._frame if fusion.allows_for_rig else track.valid and not answer.established
         if anew and not _as_sharp(P, answer.spread, fusion, track.coverage.marks):
             return False  # it has been found from the latest readings alone, and more is known
         if frame != self._frame:
@@ -68,7 +69,10 @@ class Handover:
             track.lead_with(self._single, x, P, nis, self._touched(track, answer, float(x[shape_map.Z.PSI])), spread)
             return True
         worst = int(np.argmin(np.where(np.arange(bank.size) == best, np.inf, bank.score)))
-        bank.x[worst], bank.P[worst] = smoother_outline(x, P) if bank.n < len(x) else (x, P)
+        narrow = bank.n < len(x)
+        bank.x[worst], bank.P[worst] = smoother_outline(x, P) if narrow else (x, P)
+        told = _uncertainty(answer.P[_SHAPE, _SHAPE], answer.touched) < SHARP_M**2 * answer.touched.sum()
+        fusion.filters.left_open = (smoother_spread(P, spread) if narrow else spread) if told else None
         bank.score[worst], bank.nis[worst] = bank.score[best] + PRIOR_ODDS, nis
         fusion.forgetting.prior_age_s[worst] = 0.0
         fusion.history.clear()
@@ -89,7 +93,7 @@ def _as_sharp(P: FloatArray, spread: FloatArray, fusion: Fusion, touched: Marks)
     What the rig's constants leave open, `spread` of P, counts where the leader allows for it too: reading on, its
     filter becomes surer of the outline given these constants, but no surer of them.
     """
-    left_open = spread[: len(P)] if fusion.carries else np.zeros((len(P), 0))
+    left_open = spread[: len(P)] if fusion.allows_for_rig else np.zeros((len(P), 0))
     answered = (P + left_open @ left_open.T)[_SHAPE, _SHAPE]
     _, led = fusion.filters.outline(fusion.bank.best())
     return _uncertainty(answered, touched) <= _uncertainty(led, touched)

@@ -139,6 +139,7 @@ class QuasistaticObserver:
             age_s=t - self._t_first,
             radius_sd_m=max(sd[0], sd[1]),
             disagreement_m=found.conflict,
+            rig_known=True,
         )
         valid = settled(evidence, SETTLED)
         for pad, f in zip(PALMS, resting_forces(self._rig.gravity, np.array(now.joints)), strict=True):

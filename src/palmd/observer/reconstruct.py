@@ -33,6 +33,7 @@ from palmd.observer.search import AMBIGUOUS, NOTHING_MOVES, Minima, Search, beyo
 from palmd.observer.seeker import attempts_for
 from palmd.observer.sharp_reconstruct import sharp_reconstruction
 from palmd.observer.smoother import Fit, Smoother
+from palmd.observer.validity import SHARP_M
 from palmd.observer.visits import visits_of
 from palmd.system.arcs import MOST_LYING
 from palmd.system.description import RigDescription
@@ -41,8 +42,6 @@ SPACING_S = 0.005  # of the nodes in the end
 LEAST_S = 1.0
 SUSPICIOUS_GAP_S = 0.08  # between readings, in which an object may have been changed for another
 MOST_PARTS = 20  # segments of one log that are looked at
-# RMS of the outline's one-sigma where touched, were the rig known, above which there is no outline to speak of.
-SHARP_M = 1.5e-4
 _OUTLINE = slice(C.SHAPE, CONSTANTS)
 NO_ANSWER = "no motion of an object was found that explains the readings"
 
@@ -152,7 +151,7 @@ def _part(segment: DataSegment, rig: RigDescription, seed: int) -> _Part | None:
 
 
 def _refined(search: Search, finding: Minima, segment: DataSegment, rig: RigDescription) -> _Part:
-    """The best fit again on finer nodes, each force's noise taken from the model's force instead of its neighbours'.
+    """The best fit again on finer nodes, forces on contacts and forces' noise taken from the model, not from readings.
 
     Constants of the rig that the readings contradict are given free.
     """
@@ -160,7 +159,7 @@ def _refined(search: Search, finding: Minima, segment: DataSegment, rig: RigDesc
     record = lay_out(segment.pads, search.path, rig, segment.start, segment.end, SPACING_S)
     guess = best.guess.on(finding.record.t, record.t)
     level = np.maximum(Smoother(search.library, record, prior).forces(guess), LEAST_FORCE_N)
-    record = replace(record, force_variance=rig.force_variances(level, record.force_pad))
+    record = replace(record.pressed_by(level), force_variance=rig.force_variances(level, record.force_pad))
     finer = minima(search.library, record, prior, [guess], best.noise)
     record, fit = finer.record, finer.fits[0]
     smoother = Smoother(search.library, record, prior)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -27,8 +27,8 @@ class Record:
     """Nodes at times `t` (K + 1), the palms there, and each reading with the step it falls into.
 
     `palms` (K + 1, 6): φ1, φ2, ω1, ω2, α1, α2. Readings are in order of time; `*_offset` is the time into the step,
-    `*_weight` what each counts, 1 but at rest. `contact_force` is a running median of the readings,
-    0 where a pad gives none.
+    `*_weight` what each counts, 1 but at rest. `contact_force` is at first a running median of
+    the readings, 0 where a pad gives none.
     """
 
     t: FloatArray
@@ -75,6 +75,16 @@ class Record:
             self.force_step[f] - first, self.force_offset[f], self.force_pad[f], self.force_palms[f],
             self.force_value[f], self.force_variance[f], self.force_weight[f],
         )  # fmt: skip
+
+    def pressed_by(self, level: FloatArray) -> Record:
+        """The same, contacts pressed by the force `level` (N) at each force reading; pads without forces as before."""
+        contact_force, times = self.contact_force.copy(), self.t[self.contact_step] + self.contact_offset
+        force_times = self.t[self.force_step] + self.force_offset
+        for pad in PALMS:
+            touched, told = self.contact_pad == pad, self.force_pad == pad
+            if told.any():
+                contact_force[touched] = np.interp(times[touched], force_times[told], level[told])
+        return replace(self, contact_force=contact_force)
 
     def step_inputs(self, rows: int) -> FloatArray:
         """Last input of the kernel `step` for each step, padded to `rows`."""

@@ -299,6 +299,11 @@ def rivalled(finding: Minima) -> bool:
     return any(rival.cost < finding.fits[0].cost + DOUBT for rival in finding.fits[1:])
 
 
+def agree(one: Minima | None, other: Minima | None) -> bool:
+    """Whether two searches have come to the same outline."""
+    return one is not None and other is not None and _difference(one.fits[0], other.fits[0]) < DIFFERENT_M
+
+
 def still(record: Record) -> bool:
     """Whether the palms stand and every reading of a pad is the same to its noise."""
     if np.ptp(record.palms[:, :2], axis=0).max() > STILL_RAD:

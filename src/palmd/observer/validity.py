@@ -14,6 +14,8 @@ NIS_RANGE = (0.2, 2.0)  # of the running mean, to be called consistent
 RESUMED_FOR_S = 0.05  # of readings after a silence, by which it shows whether they are of the same object
 SURE = 0.99  # the probability from which on an object is identified, until it falls below `DECIDED`
 LOST_NIS = 3.0
+# RMS of the outline's one-sigma where touched, were the rig known, above which there is no outline to speak of.
+SHARP_M = 1.5e-4
 PREDICTABLE_SD_M, PREDICTABLE_AGE_S = 3e-3, 0.6  # of the radii
 
 
@@ -23,7 +25,8 @@ class Evidence:
 
     touching: both pads vouch for a contact, since `resumed_for_s`. palms_known: so do reports of the palms. finite: of
     all values. consistent: the readings are as the model predicts. age_s: since the object was begun. radius_sd_m: the
-    largest of the radii's. disagreement_m: among rival hypotheses, or of the readings about one outline.
+    largest of the radii's. disagreement_m: among rival hypotheses, or of the readings about one outline. rig_known: the
+    one-sigmas have what the rig's constants leave open, or these leave nothing open.
     """
 
     touching: bool
@@ -34,6 +37,7 @@ class Evidence:
     age_s: float
     radius_sd_m: float
     disagreement_m: float
+    rig_known: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,9 +51,10 @@ class Thresholds:
 
 def settled(evidence: Evidence, least: Thresholds) -> bool:
     """Whether the numbers can be taken at their word, whichever object they are of."""
+    believable = evidence.finite and evidence.consistent and evidence.rig_known
     felt = evidence.touching and evidence.palms_known and evidence.resumed_for_s > RESUMED_FOR_S
     sharp = evidence.radius_sd_m < least.radius_sd_m and evidence.disagreement_m < least.disagreement_m
-    return bool(evidence.finite and felt and evidence.consistent and sharp and evidence.age_s > least.age_s)
+    return bool(believable and felt and sharp and evidence.age_s > least.age_s)
 
 
 def consistent(nis: float) -> bool:

@@ -155,6 +155,7 @@ def simulate_log(
     options: PlantOptions = AS_ASSUMED,
     body: Body | None = None,
     *,
+    surface: FrictionSurface | None = None,
     rests: tuple[Span, ...] = (),
     absences: tuple[Span, ...] = (),
     imperfections: Imperfections | None = None,
@@ -166,21 +167,27 @@ def simulate_log(
     (named as in `AS_CALIBRATED`), which the header tells in either case; by default it is perfect.
 
     Scenes in which a contact would be lost, or come near a pad's end, are drawn again. `body` is what lies on the
-    palms, a random one of the kind by default. In each of `rests` the palms stand. In each of `absences` the object is
-    away, and is then put back in a stable pose, turned by at least `_TURNED_RAD` where there is one.
+    palms, `surface` what it rubs against, random ones of the kind by default. In each of `rests` the palms stand. In
+    each of `absences` the object is away, and is then put back in a stable pose, turned by at least `_TURNED_RAD` where
+    there is one.
     """
     rng = np.random.default_rng([KINDS.index(kind), seed])
     known = RigDescription().known_to(calibration_sd)
     off = drawn(known, KINDS.index(kind), seed) if imperfections is None else imperfections
     while True:
-        scene = _draw(kind, rng, body, rests, off)
+        scene = _draw(kind, rng, body, surface, rests, off)
         history = run_of(scene, duration_s, options, absences)
         if history is not None:
             return list(log_lines(scene, history, calibration_sd, rng)), truth_of(scene, history)
 
 
 def _draw(
-    kind: Kind, rng: np.random.Generator, body: Body | None, rests: tuple[Span, ...], imperfections: Imperfections
+    kind: Kind,
+    rng: np.random.Generator,
+    body: Body | None,
+    surface: FrictionSurface | None,
+    rests: tuple[Span, ...],
+    imperfections: Imperfections,
 ) -> SimulatedRun:
     """A scene of the kind, its body turned so that ψ starts at 0."""
     if body is None:
@@ -189,7 +196,7 @@ def _draw(
         rock(rng, (0.68, 0.82), (0.35, 0.70), (0.16, 0.38), rests),
         rock(rng, (1.50, 1.82), (0.10, 0.28), (0.17, 0.42), rests),
     )
-    surface = random_surface(kind, rng)
+    drawn_surface = random_surface(kind, rng)
     release = float(rng.choice((-1.0, 1.0)) * rng.uniform(0.12, 0.5)) if kind == "nominal" else 0.0
     hinge = Hinge("fixed", base=(0.0, 0.0))
     if kind == "rig":
@@ -197,7 +204,7 @@ def _draw(
         hinge = Hinge("arc", length, (length, 0.0))
     poses = stable_poses(body, imperfections.true_palms(rocking.at(0.0)))
     psi = poses[int(rng.integers(len(poses)))] + release
-    return SimulatedRun(kind, body.turned(psi), hinge, surface, rocking, imperfections)
+    return SimulatedRun(kind, body.turned(psi), hinge, surface or drawn_surface, rocking, imperfections)
 
 
 def rock(rng: np.random.Generator, mean: Span, amplitude: Span, frequency: Span, rests: tuple[Span, ...]) -> Rock:

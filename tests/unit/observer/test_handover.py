@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,6 +12,7 @@ from improvements import improvement
 from palmd.model import shape, shape_map
 from palmd.model.smoothing import ORDER, RIG_CONSTANTS
 from palmd.observer.coverage import NORMAL_BINS
+from palmd.observer.filters.shape_map import smoother_outline
 from palmd.observer.handover import Handover, SmoothedFilters, _turned
 from palmd.system.description import RigDescription
 
@@ -32,7 +34,9 @@ def track(valid, left_open_m=None):
     outline = np.zeros(size), (OWN_SD**2 + (left_open_m or 0.0) ** 2) * np.eye(size)
     filters = SimpleNamespace(outline=lambda _: outline)
     carries = left_open_m is not None
-    fusion = SimpleNamespace(bank=bank, filters=filters, carries=carries, forgetting=forgetting, history=history)
+    fusion = SimpleNamespace(
+        bank=bank, filters=filters, carries=carries, allows_for_rig=carries, forgetting=forgetting, history=history
+    )
     return SimpleNamespace(fusion=fusion, valid=valid, coverage=SimpleNamespace(marks=TOUCHED))
 
 
@@ -65,6 +69,23 @@ def test_an_answer_found_anew_tells_more_where_it_leaves_less_open_of_the_rig(le
     np.fill_diagonal(spread[SHAPE, SHAPE], left_open_m)
     answer = improvement(np.zeros(SMOOTHED_N), P, established=False, touched=TOUCHED, spread=spread)
     assert handover().take_in(now, 1, answer, np.zeros(SMOOTHED_N), P, nis=1.0) is taken
+
+
+def test_a_bank_tells_what_an_answer_leaves_open_of_the_rig_before_it_is_established():
+    """With its own harmonics, as if it had no more; until then a circle's radius stands for all of that."""
+    now, random = track(valid=False), np.random.default_rng(4)
+    root = 2e-6 * random.standard_normal((SMOOTHED_N, SMOOTHED_N))
+    P, spread = root @ root.T, random.standard_normal((SMOOTHED_N + RIG_CONSTANTS, RIG_CONSTANTS))
+    answer = improvement(np.zeros(SMOOTHED_N), P, established=False, touched=TOUCHED, spread=spread)
+    assert handover().take_in(now, 1, answer, np.zeros(SMOOTHED_N), P, nis=1.0)
+    left_open = now.fusion.filters.left_open
+    assert left_open.shape == (shape_map.N + RIG_CONSTANTS, RIG_CONSTANTS)
+    moved = smoother_outline(spread[:SMOOTHED_N, 0], P)[0]
+    np.testing.assert_allclose(left_open[: shape_map.N, 0], moved)
+    np.testing.assert_array_equal(left_open[shape_map.N :], spread[SMOOTHED_N:])
+    vague = replace(answer, P=900.0 * P)
+    assert handover().take_in(now, 1, vague, np.zeros(SMOOTHED_N), P, nis=1.0)
+    assert now.fusion.filters.left_open is None, "there is no outline to speak of yet"
 
 
 def test_in_another_gauge_the_outline_turns_and_the_rigs_constants_stay():

@@ -78,3 +78,21 @@ def test_what_the_rig_leaves_open_goes_along_once_a_smoother_vouches_for_it():
     np.testing.assert_array_equal(mine.outlook(t).rig_spread, spread[shape_map.Z.SHAPE :])
     of_outline = spread[shape_map.Z.SHAPE : filters.bank.n]
     np.testing.assert_allclose(filters.outline(0)[1], before + of_outline @ of_outline.T)
+
+
+def test_until_then_it_is_in_the_band_alone_and_the_next_object_begins_without_it():
+    mine, t = fed()
+    filters = mine._fusion.filters
+    _, before = filters.outline(0)
+    filters.left_open = np.zeros((filters.bank.n + RIG_CONSTANTS, RIG_CONSTANTS))
+    filters.left_open[shape_map.Z.SHAPE, 0] = 3e-4  # of the mean radius
+    assert mine.outlook(t).rig_spread is None
+    np.testing.assert_allclose(
+        filters.outline(0)[1] - before, np.diag([3e-4**2, *[0.0] * (len(before) - 1)]), atol=1e-12
+    )
+    assert mine.shape(t).h_sd.min() > 1e-4
+    mine.reset()
+    for event in simulated("nominal", 2, 5.0).events[:20]:
+        mine.feed(event)
+    assert mine.object_count == 1
+    assert filters.left_open is None

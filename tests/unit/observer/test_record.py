@@ -34,6 +34,18 @@ def test_each_reading_falls_into_its_step():
     assert record.palms[:, 0] == pytest.approx(0.7 + 0.2 * record.t, abs=1e-6)
 
 
+def test_contacts_are_pressed_by_what_a_model_says_where_a_pad_tells_forces():
+    samples = pads(*np.arange(0.0, 0.1, 0.005), force=2.0)
+    silent = [PadSample(each.t_sample, each.pad, each.s, None if each.pad == 2 else each.force) for each in samples]
+    record = laid(silent)
+    times = record.t[record.contact_step] + record.contact_offset
+    force_times = record.t[record.force_step] + record.force_offset
+    pressed = record.pressed_by(1.0 + force_times)
+    assert pressed.contact_force[record.contact_pad == 1] == pytest.approx(1.0 + times[record.contact_pad == 1])
+    assert (pressed.contact_force[record.contact_pad == 2] == 0.0).all()
+    assert record.contact_force[0] == pytest.approx(2.0), "the record itself stays as it was"
+
+
 def test_what_lies_outside_the_nodes_is_left_out():
     assert laid(pads(-0.01, 0.05, 0.11)).contact_value == pytest.approx([0.02005])
 

@@ -30,6 +30,7 @@ GOOD = Evidence(
     age_s=1.0,
     radius_sd_m=1e-4,
     disagreement_m=1e-4,
+    rig_known=True,
 )
 
 
@@ -50,6 +51,7 @@ def test_with_all_the_evidence_it_is_settled():
         {"radius_sd_m": math.nan},
         {"disagreement_m": 2e-4},
         {"disagreement_m": math.nan},
+        {"rig_known": False},
     ],
 )
 def test_without_any_one_piece_it_is_not(missing):

@@ -49,6 +49,7 @@ class Filters(Protocol):
     fuses_palms: bool  # whether reports of the palms are readings; else the palms' motion is an input
     rolls_out: bool  # whether its state is the one that `model.rollout` foretells motions with
     spread: FloatArray | None  # what the rig's constants leave open of a state that a smoother vouches for
+    left_open: FloatArray | None  # and of the bank's, by what a smoother has found that is not established yet
     overconfidence: Overconfidence
     curvature: FloatArray  # rows that map the state to v (m) on `CURVATURE_NORMALS` normals
 

@@ -38,6 +38,7 @@ class ExtendedFilters:
     fuses_palms = True
     rolls_out = False
     spread: FloatArray | None = None
+    left_open: FloatArray | None = None
     overconfidence = Overconfidence(1.2, 3.0)
 
     def __init__(self, rig: RigDescription, size: int):

@@ -39,6 +39,13 @@ def smoother_outline(x: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArr
     return x[low] - gain @ x[high], P[low, low] - gain @ P[high, low]
 
 
+def smoother_spread(P: FloatArray, spread: FloatArray) -> FloatArray:
+    """What the rig's constants leave open (n + constants, constants) of that belief, `P` (n, n) being the whole one."""
+    low, high = slice(0, shape_map.N), slice(shape_map.N, len(P))
+    gain = np.linalg.solve(P[high, high], P[high, low]).T
+    return np.vstack([spread[low] - gain @ spread[high], spread[len(P) :]])
+
+
 _JOINTS_AT = [NAMED.index(name) for name in (*JOINTS, *JOINT_RATES)]
 BLIND_OVERCONFIDENCE = Overconfidence(1.0, 0.7)
 
@@ -47,7 +54,7 @@ class ShapeFilters:
     """Filters on the whole outline (`model.shape_map`), of `order` harmonics; the palms' angles are inputs.
 
     Readings and angles are taken as `rig_error` corrects them. Beliefs are those of filters to which that is right;
-    what is told, `named` and `outline`, has the covariance spread·spreadᵀ besides.
+    what is told, `named` and `outline`, has the covariance spread·spreadᵀ besides, or left_open·left_openᵀ.
     """
 
     name = "shape"
@@ -90,6 +97,7 @@ class ShapeFilters:
         self.bank.compiled = self.compiled
         self.rig_error = RigError(tuple(pad.length for pad in rig.pads), rig.curvatures)
         self.spread: FloatArray | None = None
+        self.left_open: FloatArray | None = None
 
     @property
     def rig_error(self) -> RigError:
@@ -105,6 +113,7 @@ class ShapeFilters:
 
     def start(self, start: BlindStart, palms: Palms, t: float) -> None:
         del palms, t  # the palms are not part of the state
+        self.left_open = None
         Z = shape_map.Z
         x, P = self.bank.x, self.bank.P
         x[:] = 0.0
@@ -206,7 +215,8 @@ class ShapeFilters:
 
     def _whole(self, member: int) -> FloatArray:
         P: FloatArray = self.bank.P[member]
-        if self.spread is None:
+        steps = self.left_open if self.spread is None else self.spread
+        if steps is None:
             return P
-        steps = self.spread[: len(P)]
+        steps = steps[: len(P)]
         return P + steps @ steps.T

@@ -1,0 +1,46 @@
+"""One thing is not as described: what is still claimed, how far off it is, and whether the cause is named.
+
+Runs of 20 s (kinds friction and rig in turns) on an emulated rig of which one constant is off, or whose readings are
+spoilt; the rest is exactly as described and declared so (`exact`), or as calibration leaves a rig (`calibrated`).
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from palmd.console.arguments import count, seconds, seed
+from palmd.lab import off, workers
+from palmd.lab.off import OFF, TAKEN_FOR, OffRow, as_line, report
+from palmd.lab.rows import Sink, collected, rewrite
+
+_ORDER = [each.name for each in OFF]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The bench's arguments."""
+    add = parser.add_argument
+    add("--runs", type=count, default=4, metavar="N", help="how many of each (default: %(default)s)")
+    add("--taken-for", choices=TAKEN_FOR, nargs="+", default=TAKEN_FOR, metavar="WORLD",
+        help=f"what the rest of the rig is: {', '.join(TAKEN_FOR)} (default: both)")  # fmt: skip
+    add("--only", choices=_ORDER, nargs="+", default=_ORDER, metavar="WHAT",
+        help=f"what is off: {'; '.join(_ORDER)} (default: each of them)".replace("%", "%%"))  # fmt: skip
+    add("--seed", type=seed, default=0, metavar="FIRST", help="the first run's (default: %(default)s)")
+    add("--seconds", type=seconds, default=20.0, metavar="S", help="how long each lasts (default: %(default)g)")
+    add("-o", "--output", type=Path, default=Path("off.jsonl"), metavar="FILE",
+        help="a JSON line for each run, overwritten (default: %(default)s)")  # fmt: skip
+    workers.add_arguments(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Interrupted, it ends with what is finished until then; CliError when it cannot begin."""
+    tasks = off.tasks_of(arguments.only, arguments.taken_for, arguments.seed, arguments.runs, arguments.seconds)
+    sink = Sink[OffRow](arguments.output, as_line)
+    rows, status = collected("one thing off", tasks, off.run, off.failed, workers.asked_for(arguments), sink)
+    if rows:
+        rows.sort(key=lambda row: (TAKEN_FOR.index(row.taken_for), _ORDER.index(row.off), row.seed))
+        rewrite(arguments.output, map(as_line, rows))
+        print(f"seeds {arguments.seed}–{arguments.seed + arguments.runs - 1}, {arguments.seconds:g} s each")
+        print(report(rows))
+        print(f"written: {arguments.output}")
+    return status

@@ -1,0 +1,37 @@
+"""The search for an unknown object: when what it finds is an answer."""
+
+import pytest
+from simulated import simulated
+
+from palmd.observer import seeker
+from palmd.observer.data_segment import data_segments
+from palmd.observer.seeker import Seeker
+from palmd.system.description import AS_CALIBRATED
+
+RUN = ("friction", 107, 3.0)
+
+
+def sought(rig, times=2):
+    """What is told of the same readings, asked so many times."""
+    (segment,) = data_segments(simulated(*RUN).events)
+    mine = Seeker(rig, 0)
+    return [mine.sought(segment, None) for _ in range(times)]
+
+
+@pytest.fixture
+def rig():
+    return simulated(*RUN).rig
+
+
+def test_on_a_rig_that_is_as_described_the_first_search_is_believed(rig):
+    assert sought(rig, 1)[0] is not None
+
+
+def test_where_constants_are_open_a_second_search_must_come_to_the_same(rig, monkeypatch):
+    """Short records are explained as well by outlines that are a millimetre off."""
+    calibrated = rig.known_to(AS_CALIBRATED)
+    first, second = sought(calibrated)
+    assert first is None
+    assert second is not None
+    monkeypatch.setattr(seeker, "agree", lambda *_: False)
+    assert sought(calibrated, 3) == [None] * 3
