@@ -37,9 +37,10 @@ STEPS = {b"\x1b[C": (1, 0), b"\x1b[D": (-1, 0), b"\x1b[A": (0, 1), b"\x1b[B": (0
 """What terminals send for the arrows, and how they turn the joints."""
 
 ASKS = {b"a": "arm", b"s": "stop"}
+ARROWS = dict(zip(PALMS, ("← →", "↑ ↓"), strict=True))
 HELP = (
-    f"arrows: {', '.join(f'{keys} palm {palm}' for keys, palm in zip(('← →', '↑ ↓'), PALMS, strict=True))},"
-    " only while held    a: arm   s: stop   q: end"
+    f"arrows: {', '.join(f'{keys} palm {palm}' for palm, keys in ARROWS.items())}, only while held"
+    "    a: arm   s: stop   q: end"
 )
 
 

@@ -84,7 +84,7 @@ class QuasistaticObserver:
         self.late_dropped = 0
         self._contacts = Contacts()
         self._palms = RecentReadings(4 * HALF_WIDTH_S)
-        self._pads = {1: RecentReadings(4 * HALF_WIDTH_S), 2: RecentReadings(4 * HALF_WIDTH_S)}
+        self._pads = {pad: RecentReadings(4 * HALF_WIDTH_S) for pad in PALMS}
         self._stop()
 
     def warm_up(self) -> None:
