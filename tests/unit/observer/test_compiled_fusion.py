@@ -209,6 +209,22 @@ def test_of_a_whole_record_the_observer_says_the_same(seed):
         assert a.sd["r1"] == pytest.approx(b.sd["r1"], rel=1e-6, nan_ok=True)
 
 
+def test_readings_of_resting_palms_weigh_less_unless_they_surprise():
+    run = simulated("rig", 101, 2.5, rests=((0.8, 2.5),))
+    both = [BankObserver(ShapeFilters(run.rig, 8, compiled=compiled), run.rig) for compiled in (True, False)]
+    for event in run.events:
+        for watcher in both:
+            watcher.feed(event)
+    compiled, twin = (watcher._fusion for watcher in both)
+    shared = compiled.history.now.repeated
+    assert shared == pytest.approx(twin.palms.repeated, abs=0.02), "but for the last report of the palms"
+    assert shared > 1.5
+    same([compiled.filters, twin.filters], 1e-6)
+    compiled.bank.nis[:] = 2.0
+    compiled.add(PadSample(compiled.t + 0.005, 1, 0.02, 1.0))
+    assert compiled.history.now.repeated == 1.0, "the object has been moved"
+
+
 def test_late_events_leave_what_they_would_have_left_on_time():
     run = simulated("rig", 103, 1.0)
     last = max(i for i, event in enumerate(run.events) if isinstance(event, PalmSample) and event.t_sample < 0.9)
