@@ -159,6 +159,8 @@ def test_what_a_bank_is_told_wrongly_is_refused():
     bank = filters[0].bank
     with pytest.raises(ValueError, match="beliefs are of 16 filters"):
         bank.fade(0, 0.1, Belief(slice(2, 5), np.zeros((8, bank.n)), np.ones(bank.n)))
+    with pytest.raises(ValueError, match="there is no pad 3"):
+        filters[0].fuse_pad(PadSample(0.03, 3, 0.02, 1.0), 1e-8, filters[0].tracker(2e-4), 1.0)
     with pytest.raises(ValueError, match="rows are of 21 states"):
         bank.lift(0, np.ones((3, 4)))
 
