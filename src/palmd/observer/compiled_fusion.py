@@ -178,6 +178,9 @@ class CompiledBank:
     """What a bank of shape maps does with readings; `rig` is what `ShapeFilters.rig_error` says of the rig."""
 
     def __init__(self, routines: Routines, bank: Bank, rig_inputs: FloatArray):
+        """`rig_inputs` as `model.outputs.rig_inputs` gives them; C writes the friction asymmetry there."""
+        if bank.n > MOST_STATES:
+            raise ValueError(f"there is room for {MOST_STATES} states, not {bank.n}")
         self.does = routines
         self.blocks = bank.blocks
         self.bank = bank
@@ -196,7 +199,9 @@ class CompiledBank:
         self._reading_at = ctypes.addressof(self._reading)
 
     def reading(self, sample: PadSample) -> int:
-        """The address of a reading, until the next one."""
+        """The address of a reading, until the next one; ValueError for a pad that there is not."""
+        if sample.pad not in PALMS:
+            raise ValueError(f"there is no pad {sample.pad}")
         reading = self._reading
         reading.t, reading.s, reading.force, reading.pad = sample.t_sample, sample.s, sample.force or 0.0, sample.pad
         return self._reading_at

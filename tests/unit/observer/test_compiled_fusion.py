@@ -159,6 +159,8 @@ def test_what_a_bank_is_told_wrongly_is_refused():
     bank = filters[0].bank
     with pytest.raises(ValueError, match="beliefs are of 16 filters"):
         bank.fade(0, 0.1, Belief(slice(2, 5), np.zeros((8, bank.n)), np.ones(bank.n)))
+    with pytest.raises(ValueError, match="there is no pad 3"):
+        filters[0].fuse_pad(PadSample(0.03, 3, 0.02, 1.0), 1e-8, filters[0].tracker(2e-4), 1.0)
     with pytest.raises(ValueError, match="rows are of 21 states"):
         bank.lift(0, np.ones((3, 4)))
 
@@ -207,6 +209,22 @@ def test_of_a_whole_record_the_observer_says_the_same(seed):
             x, y = getattr(a, name), getattr(b, name)
             assert x == pytest.approx(y, rel=1e-6, abs=1e-9, nan_ok=True), (a.t, name)
         assert a.sd["r1"] == pytest.approx(b.sd["r1"], rel=1e-6, nan_ok=True)
+
+
+def test_readings_of_resting_palms_weigh_less_unless_they_surprise():
+    run = simulated("rig", 101, 2.5, rests=((0.8, 2.5),))
+    both = [BankObserver(ShapeFilters(run.rig, 8, compiled=compiled), run.rig) for compiled in (True, False)]
+    for event in run.events:
+        for watcher in both:
+            watcher.feed(event)
+    compiled, twin = (watcher._fusion for watcher in both)
+    shared = compiled.history.now.repeated
+    assert shared == pytest.approx(twin.palms.repeated, abs=0.02), "but for the last report of the palms"
+    assert shared > 1.5
+    same([compiled.filters, twin.filters], 1e-6)
+    compiled.bank.nis[:] = 2.0
+    compiled.add(PadSample(compiled.t + 0.005, 1, 0.02, 1.0))
+    assert compiled.history.now.repeated == 1.0, "the object has been moved"
 
 
 def test_late_events_leave_what_they_would_have_left_on_time():
