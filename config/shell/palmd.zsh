@@ -732,7 +732,7 @@ _shtab_palmd_observability_defaults_added=0
 
 _shtab_palmd_outlook_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--objects[on each curvature (default\: 24)]:N:"
+  "--objects[on each curvature (default\: 16)]:N:"
   "--bodies[in the gripper (default\: 8)]:N:"
   "--seed[the first one\'s (default\: 0)]:FIRST:"
   {-o,--output}"[also draw outlook_coverage.svg and outlook_pivot.svg]:FOLDER:_files"

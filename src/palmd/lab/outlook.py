@@ -15,7 +15,7 @@ from palmd.lab import curved_coverage, pivot_observability
 from palmd.lab.curved_coverage import Covered
 from palmd.lab.pivot_observability import SWEEPS, Told
 
-OBJECTS, SEED = 24, 0
+OBJECTS, SEED = 16, 0
 _MASS_OF = 2  # of `SWEEPS`, for the null vector
 
 

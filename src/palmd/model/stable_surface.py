@@ -66,9 +66,12 @@ class SurfaceLimits:
         return inside & (phi1 + phi2 < self.phi12_max)
 
     def of_tangents(self) -> tuple[tuple[float, float], tuple[float, float], float]:
-        """What β1 and the opening of the tangents can be within them, and what β2 stays below (rad); flat, the same."""
+        """What β1 and the opening of the tangents can be within them, and what β2 stays below (rad).
+
+        On flat palms the same, but for tangents that lie too flat to hold anything.
+        """
         if not any(self.curvatures):
-            return self.phi1, self.phi2, self.phi12_max
+            return (max(self.phi1[0], _LEVEL), self.phi1[1]), self.phi2, self.phi12_max
         turns = [kappa * self.pad_length for kappa in self.curvatures]  # at the pads' ends; at the hinge, none
         backward, forward = ([each(turn, 0.0) for turn in turns] for each in (min, max))
         low, high = self.phi1[0] + backward[0], self.phi1[1] + forward[0]

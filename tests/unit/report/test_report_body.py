@@ -1,12 +1,19 @@
 """Where things are in the frames: distances and tangents by elementary geometry."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import reported
 
+from palmd.events import PalmMotion
 from palmd.record.run import read_run
 from palmd.report.body import felt_points, frames, outline_known, points, pose_at, turned
 from palmd.report.series import series_of
+from palmd.rig.curved_plant import CurvedPlant
+from palmd.rig.plant import FrictionSurface, Hinge
+from palmd.rig.shapes import random_body
+from palmd.system.arcs import joints_of
 
 
 @pytest.fixture
@@ -61,3 +68,34 @@ def test_an_outline_is_never_shown_before_it_was_known_nor_of_another_object(ser
     assert outline_known(series, 1.05, 1).t == pytest.approx(1.0)
     assert outline_known(series, 2.05, 2).t == pytest.approx(2.0)
     assert outline_known(series, 1.95, 2) is None
+
+
+def test_on_arcs_centre_and_contacts_are_where_the_plant_has_them(series):
+    curvatures = (14.0, -9.0)
+    plant = CurvedPlant(
+        random_body("friction", np.random.default_rng(3)),
+        Hinge("fixed", base=(0.0, 0.0)),
+        FrictionSurface(),
+        curvatures,
+    )
+    palms = PalmMotion.at_rest(joints_of(0.02, (0.75, 1.65), curvatures))
+    plant.place(palms, 0.4)
+    contacts, radii = plant.contacts(), plant.radii()
+    told = {"psi_rad": 0.4}
+    for number in range(2):
+        told |= {f"phi{number + 1}_rad": palms.angles[number], f"s{number + 1}_m": contacts[number].s,
+                 f"r{number + 1}_m": radii[number]}  # fmt: skip
+    bent = tuple(replace(pad, curvature=kappa) for pad, kappa in zip(series.run.rig.pads, curvatures, strict=True))
+    curved = replace(
+        series,
+        run=replace(series.run, rig=replace(series.run.rig, pads=bent)),
+        estimate=replace(
+            series.estimate, columns={name: np.full(len(series.estimate.t), x) for name, x in told.items()}
+        ),
+    )
+    pose = pose_at(curved, 0)
+    assert pose.centre == pytest.approx([plant.state.x, plant.state.y], abs=1e-9)
+    for palm, contact, s in zip(pose.palms(0.06), pose.contacts, (each.s for each in contacts), strict=True):
+        assert np.hypot(*np.diff(palm)).sum() == pytest.approx(0.06, rel=1e-3)
+        assert np.hypot(*(palm - contact[:, None])).min() < 0.0015, "the contact lies on what is drawn"
+        assert np.hypot(*contact) < s, "a chord is shorter than its arc"
