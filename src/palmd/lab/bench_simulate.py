@@ -21,10 +21,10 @@ from palmd.console.arguments import count, seconds
 from palmd.console.errors import BAD_INPUT
 from palmd.console.progress import Progress
 from palmd.lab.simulation.happenings import Scenario, drawn
+from palmd.lab.simulation.long import BLOCK_S, Life, calm, live, troubled
 from palmd.lab.simulation.reached import Triple, never_reached
 from palmd.lab.simulation.run import Outcome, simulate
 from palmd.lab.simulation.shrink import shrunk
-from palmd.lab.simulation.long import BLOCK_S, Life, calm, live, troubled
 from palmd.lab.simulation.standstill import standstills
 from palmd.lab.table import aligned
 

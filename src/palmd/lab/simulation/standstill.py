@@ -61,8 +61,6 @@ def standstills(times: int, seed: int) -> Iterator[Standstill]:
             yield _one(name, _moved(cause, t), seed + number)
 
 
-
-
 def _moved(cause: Happening, t: float) -> Happening:
     match cause:
         case Trick():
