@@ -3,6 +3,7 @@
     palmd demo --seconds 60 --no-browser &
     python tools/flood.py commands                        20,000 a second to the command socket
     python tools/flood.py connections --clients 3         as many connections, from three processes at once
+    python tools/flood.py clients                         connections that shake hands and ask
     python tools/flood.py page-connections --page 8765    the same to the page's server
     python tools/flood.py page-orders --page 8765 --token TOKEN
 
@@ -14,11 +15,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import multiprocessing
 import socket
 import struct
 import sys
 import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.sharedctypes import Synchronized
@@ -35,6 +38,9 @@ from palmd.bus.subscriber import Subscriber
 
 RATE_HZ = 20_000.0
 SLICE_S = 1e-3
+STAY, GREETED = 800, 20
+"""So many connections of a process stay for a moment, for what they have said to be read."""
+
 _RESET = struct.pack("ii", 1, 0)  # linger 0: a closed connection leaves nothing behind
 
 Once = Callable[[], bool]
@@ -50,8 +56,13 @@ def main() -> int:
     parser.add_argument("--publish", default=PUBLISH)
     parser.add_argument("--page", type=int, default=8765, metavar="PORT")
     parser.add_argument("--token", default="")
+    parser.add_argument("--blind", action="store_true", help="flood, and look at nothing")
     arguments = parser.parse_args()
     tried, taken = multiprocessing.Value("q", 0), multiprocessing.Value("q", 0)
+    if arguments.blind:
+        _flood(arguments, tried, taken, time.monotonic() + arguments.seconds)
+        print(taken.value)
+        return 0
     with Subscriber(arguments.publish, topics=("palm/loop",)) as subscriber:
         calm = _watched(subscriber, arguments.seconds)
         clients = [
@@ -91,10 +102,12 @@ def _tell(name: str, told: dict[str, float]) -> None:
     print(f"{name}: " + ", ".join(f"{what} {number:.3g}" for what, number in told.items()), flush=True)
 
 
-def _flood(arguments: argparse.Namespace, tried: Synchronized[int], taken: Synchronized[int]) -> None:
+def _flood(
+    arguments: argparse.Namespace, tried: Synchronized[int], taken: Synchronized[int], t_end: float = math.inf
+) -> None:
     once, share = KINDS[arguments.kind](arguments), arguments.rate / arguments.clients
     begun, done = time.monotonic(), 0
-    while True:
+    while time.monotonic() < t_end:
         due, before, took = round((time.monotonic() - begun) * share), done, 0
         while done < due and done < before + 1000:
             took += once()
@@ -122,14 +135,51 @@ def _commands(arguments: argparse.Namespace) -> Once:
     return once
 
 
-def _connections(where: tuple[str, int]) -> Once:
+def _clients(arguments: argparse.Namespace) -> Once:
+    """Each shakes hands as ZeroMQ's own does (ZMTP 3.0, no keys), asks, and goes."""
+    where = _bus(arguments)
+    greeting = b"\xff" + bytes(8) + b"\x7f\x03\x00" + b"NULL".ljust(20, b"\0") + bytes(32)
+    ready = b"\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER"
+    payload = msgpack.packb({"id": 1, "cmd": "status", "args": {}})
+    said = bytes((4, len(ready))) + ready + bytes((0, len(payload))) + payload
+    leaving: deque[socket.socket] = deque()
+
     def once() -> bool:
-        with socket.socket() as each:
-            each.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
-            each.settimeout(0.05)
-            return each.connect_ex(where) == 0
+        if len(leaving) == STAY:
+            leaving.popleft().close()
+        leaving.append(_knock(where))
+        with suppress(OSError):
+            leaving[-1].sendall(greeting)
+            if len(leaving) > GREETED:
+                leaving[-GREETED].sendall(said)  # libzmq wants the greeting by itself
+            return True
+        return False
 
     return once
+
+
+def _connections(where: tuple[str, int]) -> Once:
+    def once() -> bool:
+        with _knock(where) as each:
+            return _is_in(each)
+
+    return once
+
+
+def _knock(where: tuple[str, int]) -> socket.socket:
+    one = socket.socket()
+    one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
+    one.settimeout(0.05)
+    one.connect_ex(where)
+    return one
+
+
+def _is_in(one: socket.socket) -> bool:
+    try:
+        one.getpeername()
+    except OSError:
+        return False
+    return True
 
 
 def _bus(arguments: argparse.Namespace) -> tuple[str, int]:
@@ -154,6 +204,7 @@ def _orders(arguments: argparse.Namespace) -> Once:
 
 KINDS: dict[str, Callable[[argparse.Namespace], Once]] = {
     "commands": _commands,
+    "clients": _clients,
     "connections": lambda arguments: _connections(_bus(arguments)),
     "page-connections": lambda arguments: _connections(("127.0.0.1", arguments.page)),
     "page-orders": _orders,

@@ -55,8 +55,15 @@ SURVIVED, KILLED = 0, 1
 _OTHERS = ("numpy", "msgpack", "zmq", "yaml", "pydantic", "serial")
 
 MODULES: dict[str, tuple[str, ...]] = {
-    "daemon/lifecycle.py": ("unit/daemon/test_lifecycle.py", "unit/daemon/test_core.py"),
-    "motion/limits.py": ("unit/motion", "unit/daemon/test_setpoints.py", "property/test_setpoints_property.py"),
+    "daemon/lifecycle.py": ("unit/daemon/test_lifecycle.py",),
+    "motion/limits.py": (
+        "unit/motion/test_limits.py",
+        "unit/motion/test_stops.py",
+        "unit/motion/test_plan.py",
+        "unit/motion/test_usage.py",
+        "unit/daemon/test_setpoints.py",
+        "property/test_setpoints_property.py",
+    ),
     "daemon/setpoints.py": ("unit/daemon/test_setpoints.py", "property/test_setpoints_property.py"),
     "devices/armlink.py": ("unit/devices/test_armlink.py", "property/test_devices_property.py"),
     "devices/armhost.py": ("unit/devices/test_armhost.py", "property/test_devices_property.py"),
@@ -64,7 +71,8 @@ MODULES: dict[str, tuple[str, ...]] = {
     "daemon/supervisor.py": ("unit/daemon/test_core.py", "unit/daemon/test_exploring.py"),
     "keys.py": ("unit/test_keys.py",),
 }
-"""The modules, and the tests that must notice what is wrong with them: without the exhaustive and the simulated ones."""
+"""The modules, and the tests that must notice what is wrong with them; the exhaustive and the simulated ones are not
+among them."""
 
 
 @dataclass(frozen=True, slots=True)

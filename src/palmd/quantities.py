@@ -338,7 +338,7 @@ LOOP = Topic(
         Quantity("explorer_*", "number", "",
                  "since the start: starts of its process, decisions that came too late"),
         Quantity("rss_mb", "number", "MB", "resident memory", digits=0),
-        Quantity("blocks", "number", "", "live blocks of the interpreter's memory: what does not leak keeps their number"),
+        Quantity("blocks", "number", "", "live blocks of the interpreter's memory: more and more tell a leak"),
         Quantity("backend", "text", "", "what runs the models: c, vm or numpy"),
     ),
 )  # fmt: skip

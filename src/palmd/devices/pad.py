@@ -27,8 +27,8 @@ SILENT_INTERVALS = 5
 
 DEAD_INTERVALS = 2.5
 PAUSE_REPORTS, PAUSE_FACTOR, PAUSE_SLACK_S = 400, 1.2, 0.002
-"""Sooner, but never before two and a half mean intervals, where nothing at all comes for longer than so many times the longest
-pause, and a little more for the adapter, that the pad has made within that many reports."""
+"""Sooner, but never before two and a half mean intervals, where nothing at all comes for longer than so many times the
+longest pause, and a little more for the adapter, that the pad has made within that many reports."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ import socket
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
@@ -100,7 +100,7 @@ class _Server:
                 open_timeout=HELLO_S,
                 close_timeout=CLOSING_S,
                 backlog=ACCEPTED_AT_ONCE,
-                create_connection=partial(_Connection, self._strangers),
+                create_connection=cast(Any, partial(_Connection, self._strangers)),  # any factory will do
                 server_header=None,
                 logger=strangers,
             )
