@@ -33,7 +33,7 @@ def test_ready_at_boot_after_its_ports(pc):
         initialised = int(_property(pc, f"palmd-{name}", "USEC_INITIALIZED"))
         assert initialised < entered
     assert pc.show("palmd", "NRestarts") == "0"
-    heard = pc.hear(3.0)
+    heard = pc.hear()
     assert heard["palm/state"]["state"] == "ready"
     assert heard["palm/loop"]["pad1_packets"] > 0
     assert heard["palm/loop"]["arm_acks"] > 0
@@ -171,7 +171,7 @@ def test_to_the_next_version_and_back(pc, image):
         assert "kept     /etc/palmd/palmd.yaml" in said
         pc.ask("systemctl restart --no-block palmd")
         pc.ready()
-        assert pc.hear(3.0)["palm/info"]["version"] == version
+        assert pc.hear()["palm/info"]["version"] == version
         assert pc.ask(f"sha256sum {' '.join(kept)}") == before
     assert f"zero_mm: {rigpc.CALIBRATED_ZERO_MM}" in pc.ask(f"cat {CONFIG}")
 
