@@ -13,7 +13,7 @@
 int main(void) {
     if (fork() == 0) {
         sched_setscheduler(0, SCHED_IDLE, &(struct sched_param){0});
-        for (;;) __asm__ volatile("");
+        for (;;) __asm__ volatile(".rept 60\n nop\n .endr"); /* longer blocks are interpreted faster */
     }
     int port;
     while ((port = open("/dev/virtio-ports/clock", O_WRONLY)) < 0) usleep(100000);

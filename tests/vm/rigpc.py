@@ -17,7 +17,7 @@ from palmd.bus.command_client import CommandClient
 PALMD = "/opt/palmd/bin/palmd"
 PYTHON = "/opt/palmd/bin/python"
 CONFIG, NAMES = "/etc/palmd/palmd.yaml", "/etc/udev/rules.d/71-palmd-names.rules"
-RUNS, HEARD = "/var/lib/palmd", "/root/hear.py"
+RUNS, HEARD, HEAR_AT = "/var/lib/palmd", "/run/heard.json", "/root/hear.py"
 CALIBRATED_ZERO_MM = 28.4
 # The guest's processor does a thousand million instructions a second, a tenth of a rig PC's core: the observer that
 # costs least, at half the usual rate. Everything else is as `palmd install` leaves it.
@@ -29,19 +29,20 @@ BY_SERIAL = "".join(
 ARM_NAME = 'KERNEL=="ttyS1", SUBSYSTEM=="tty", SYMLINK+="palmd-arm", GROUP="palmd", MODE="0660"\n'
 INSTALL_S, START_S = 3000.0, 300.0
 
-# Inside: prints the last message of each topic that came within so many seconds, as a line of JSON.
-HEAR = """
-import json, sys, time
+# Inside: keeps the last message of each slow topic in a file of JSON; to start an interpreter takes seconds there.
+HEAR = f"""
+import json, os
 from palmd.bus.link import PUBLISH
 from palmd.bus.subscriber import Subscriber
-heard = {}
-with Subscriber(PUBLISH, topics=("palm/",)) as subscriber:
-    for message in subscriber.until(time.monotonic() + float(sys.argv[1])):
+heard = {{}}
+with Subscriber(PUBLISH, topics=("palm/loop", "palm/state", "palm/info")) as subscriber:
+    for message in subscriber.until(1e9):
         heard[message.topic] = message.fields
-        heard.setdefault("count", {}).setdefault(message.topic, 0)
-        heard["count"][message.topic] += 1
-print(json.dumps(heard))
+        with open("{HEARD}.part", "w") as file:
+            json.dump(heard, file)
+        os.replace("{HEARD}.part", "{HEARD}")
 """
+HEAR_UNIT = f"[Service]\nExecStart={PYTHON} {HEAR_AT}\nRestart=always\n[Install]\nWantedBy=multi-user.target\n"
 
 
 def configure(root: Path) -> None:
@@ -54,7 +55,10 @@ def configure(root: Path) -> None:
         assert shipped in config, f"{path} has no {shipped}"
         config = config.replace(shipped, ours)
     path.write_text(config)
-    (root / HEARD.lstrip("/")).write_text(HEAR)
+    (root / HEAR_AT.lstrip("/")).write_text(HEAR)
+    units = root / "etc/systemd/system"
+    (units / "hear.service").write_text(HEAR_UNIT)
+    (units / "multi-user.target.wants/hear.service").symlink_to("/etc/systemd/system/hear.service")
 
 
 class Rig:
@@ -107,9 +111,17 @@ class RigPC:
         )
         return self.ask(f"{PALMD} install", seconds=INSTALL_S)
 
-    def hear(self, seconds: float = 2.0) -> dict:
-        """The last message of each topic that the daemon said within so many seconds."""
-        return json.loads(self.ask(f"{PYTHON} {HEARD} {seconds:g}", seconds=START_S))
+    def hear(self) -> dict:
+        """The last messages of the slow topics, all of them later than this call."""
+        now_ns = int(float(self.ask("cut -d' ' -f1 /proc/uptime")) * 1e9)
+
+        def later():
+            done = self.run(f"cat {HEARD}", check=False)
+            heard = {} if done.status else json.loads(done.said)
+            topics = ("palm/loop", "palm/state", "palm/info")
+            return all(heard.get(topic, {}).get("mono_ns", 0) > now_ns for topic in topics) and heard
+
+        return self.until(later, "all slow topics")
 
     def until(self, condition, what: str, seconds: float = START_S, pause_s: float = 1.0):
         """The first true value of `condition`."""

@@ -1,6 +1,5 @@
 """palmd on a rig PC of its own: Debian 12 with its real-time kernel, real drivers of real ports, plugs and power."""
 
-import json
 import time
 
 import pytest
@@ -17,13 +16,13 @@ def _property(pc, device, name):
     return pc.ask(f"udevadm info -q property --property={name} --value /dev/{device}")
 
 
-def test_from_nothing(installed, pc, image):
-    _, said = installed
-    assert "written  /usr/local/lib/systemd/system/palmd.service" in said
-    assert pc.ask(f"{PALMD} --version").split()[-1] == image.version
+def test_it_is_what_it_is_meant_to_be(pc, image):
     assert "PREEMPT_RT" in pc.ask("uname -v")
-    assert pc.ask("stat -c %U /var/lib/palmd /var/cache/palmd/*.so | sort -u") == "palmd"
+    assert pc.ask(f"{PALMD} --version").split()[-1] == image.version
     assert pc.ask(f"ls {CONFIG} /etc/palmd/plans/rock.yaml")
+    drivers = pc.ask("cat /proc/devices")
+    assert "ttyUSB" in drivers
+    assert "ttyACM" in drivers
 
 
 def test_ready_at_boot_after_its_ports(pc):
@@ -33,7 +32,7 @@ def test_ready_at_boot_after_its_ports(pc):
         initialised = int(_property(pc, f"palmd-{name}", "USEC_INITIALIZED"))
         assert initialised < entered
     assert pc.show("palmd", "NRestarts") == "0"
-    heard = pc.hear(3.0)
+    heard = pc.hear()
     assert heard["palm/state"]["state"] == "ready"
     assert heard["palm/loop"]["pad1_packets"] > 0
     assert heard["palm/loop"]["arm_acks"] > 0
@@ -171,7 +170,7 @@ def test_to_the_next_version_and_back(pc, image):
         assert "kept     /etc/palmd/palmd.yaml" in said
         pc.ask("systemctl restart --no-block palmd")
         pc.ready()
-        assert pc.hear(3.0)["palm/info"]["version"] == version
+        assert pc.hear()["palm/info"]["version"] == version
         assert pc.ask(f"sha256sum {' '.join(kept)}") == before
     assert f"zero_mm: {rigpc.CALIBRATED_ZERO_MM}" in pc.ask(f"cat {CONFIG}")
 
@@ -184,5 +183,14 @@ def test_suspended_and_woken(pc):
     pc.machine.monitor("system_wakeup")
     pc.machine.until_up()
     pc.ready()
-    assert json.dumps(pc.hear()["palm/state"])
+    assert pc.hear()["palm/state"]["state"] == "ready"
     assert pc.show("palmd-record", "ActiveState") == "active"
+
+
+def test_installed_from_nothing_by_the_machine_itself(image, rig, tmp_path):
+    """Venv, wheels, `palmd install` with its compiler: what `installed` has done outside. Hours."""
+    with rigpc.powered(image, rigpc.overlay(image.base, tmp_path / "disk.qcow2"), rig, tmp_path) as pc:
+        said = pc.install(image.version)
+        assert "written  /usr/local/lib/systemd/system/palmd.service" in said
+        assert "virtual machine" not in said  # every observer was compiled
+        assert "ttyACM" in pc.ask("cat /proc/devices")  # known before a boot, and before one was plugged in
