@@ -62,7 +62,9 @@ def plan(*segments):
 
 
 def test_a_move_rises_before_it_goes_along_and_sinks_after(limits):
-    spec = plan({"move": {"x_mm": 40, "z_mm": 35}, "duration_s": 3}, {"move": {"x_mm": 10, "z_mm": 20}, "duration_s": 3})
+    spec = plan(
+        {"move": {"x_mm": 40, "z_mm": 35}, "duration_s": 3}, {"move": {"x_mm": 10, "z_mm": 20}, "duration_s": 3}
+    )
     trajectory = compile_pivot_plan(spec, limits, (0.02, 0.02))
     places = [trajectory.at(t).angles for t in (0.0, 1.2857, 3.0, 5.0, 6.0)]
     assert places[0] == (0.02, 0.02)

@@ -8,9 +8,7 @@ from palmd.motion.drags import Drags
 from palmd.motion.pivot import PivotLimits
 from palmd.system.pivot import Touching
 
-LIMITS = PivotLimits(
-    angles=((0.002, 0.053), (0.006, 0.045)), rate=0.04, acceleration=0.4, pad_length=0.0555, force=2.0
-)
+LIMITS = PivotLimits(angles=((0.002, 0.053), (0.006, 0.045)), rate=0.04, acceleration=0.4, pad_length=0.0555, force=2.0)
 FELT = Touching(0.0, 0.035, 0.025, 0.006, 0.5, True, math.nan, math.nan)
 IN_AIR = replace(FELT, touching=False, e=math.nan, force=math.nan)
 
@@ -92,7 +90,9 @@ def test_it_comes_down_in_strokes_inwards():
         ways.append((move.end[0] - move.start[0], move.end[1] - move.start[1]))
     sinking = [(dx, dz) for dx, dz in ways if dz < 0.0]
     assert len(sinking) >= 2
-    assert all(dx < 0.0 and abs(dx) > 9.0 * abs(dz) for dx, dz in sinking)  # towards the middle: it began at the far end
+    assert all(
+        dx < 0.0 and abs(dx) > 9.0 * abs(dz) for dx, dz in sinking
+    )  # towards the middle: it began at the far end
 
 
 def test_it_does_not_search_below_its_limits():
