@@ -38,7 +38,7 @@ PAD_END_M = 5e-3
 RETREAT_M = 8e-4
 FARTHEST_M = 0.012  # of the pivot from the body's middle
 LEAST_STEP_M = 1e-4
-PASSES = 1  # down and up, of a side at a time
+SILENT_S = 0.4  # of the pad, after which the body is taken to have left it
 ROUNDS = 3  # of both sides, before it is given up that anything more is told
 _LEAST_S = 0.12
 
@@ -68,7 +68,8 @@ class Drags:
         self._wanted = 1.0  # side that comes next
         self._z_touch = -math.inf
         self._t_turned = -math.inf
-        self._passes = self._rounds = 0
+        self._t_silent = math.inf  # since when the pad says nothing
+        self._rounds = 0
         self._before: tuple[float, float] | None = None  # z and e² at the last step
         self._slope = 0.0  # of e² over z, which is even where e itself ends like a root
         self._most = 0.0  # largest |e| of this touch
@@ -92,8 +93,8 @@ class Drags:
             self._before, self._slope, self._most = None, 0.0, 0.0
             return Step("halt", reason="the body touches")
         if self.phase in ("down", "up", "settle") and not felt.touching:
-            self.lifted += 1
-            return self._go("lift", "the body left the pad: lifted off to be tilted anew")
+            return self._silence(felt.t, resting)
+        self._t_silent = math.inf
         if self.phase == "down" and not resting and (why := self._warning(felt)):
             self._note(why)
             self._retreat = True
@@ -103,6 +104,17 @@ class Drags:
         if not resting:
             return WAIT
         return self._next(felt, here)
+
+    def _silence(self, t: float, resting: bool) -> Step:
+        """Stand still while the pad says nothing; for longer, the body has left it."""
+        if math.isinf(self._t_silent):
+            self._t_silent = t
+            return Step("halt", reason="the pad says nothing: is the body still on it?")
+        if not resting or t < self._t_silent + SILENT_S:
+            return WAIT
+        self._t_silent = math.inf
+        self.lifted += 1
+        return self._go("lift", "the body left the pad: lifted off to be tilted anew")
 
     def _next(self, felt: Touching, here: Angles) -> Step:
         match self.phase:
@@ -169,7 +181,6 @@ class Drags:
         if abs(felt.e) < TILTED_M:
             return self._go("lift", "it touches too near under the pivot: lifted off, tilt it farther")
         self._side = math.copysign(1.0, felt.e)
-        self._passes = 0
         self.phase = "down"
         return WAIT
 
@@ -202,7 +213,6 @@ class Drags:
             end = (here[0], end[1])
         if falling or end[1] > self._limits.angles[1][1]:
             self._ends.add((self._side, "high"))
-            self._passes += 1
             return self._over(felt) or self._go("lift", "this side is done: lifted off")
         return self._moved(here, end, DOWN_M_S)
 
