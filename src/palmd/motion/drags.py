@@ -113,6 +113,10 @@ class Drags:
         if not resting or t < self._t_silent + SILENT_S:
             return WAIT
         self._t_silent = math.inf
+        if self.phase == "up":  # it presses less and less, until the pad feels nothing
+            self._ends.add((self._side, "high"))
+            self._wanted = -self._side
+            return self._go("lift", "this side is done: the body was raised off the pad")
         self.lifted += 1
         return self._go("lift", "the body left the pad: lifted off to be tilted anew")
 
