@@ -693,4 +693,4 @@ def truth_of(quantity: Quantity) -> Topic | None:
     return None
 
 
-UNITS = "SI; each name ends in its unit: _m _rad _rad_s _kg _n _s _ms _ns _hz _mb _m_per_n"
+UNITS = "SI; each name ends in its unit: _m _rad _rad_s _kg _kg_m _n _s _ms _ns _hz _mb _m_per_n"

@@ -103,7 +103,8 @@ def estimate(
         ticks = list(run.system.estimate(run.log, observer, outlines))
     return EstimatedRun(
         table_of({"t_s": tick.t} | tick.estimate for tick in ticks),
-        tuple(outline_of(tick.shape, tick.t) for tick in ticks if tick.shape is not None),
+        # of a pivoting grasp outlines are about the pivot, and no centre of mass is told of them
+        tuple(outline_of(tick.shape, tick.t) for tick in ticks if tick.shape is not None and "h_m" in tick.shape),
         verdict(tick.object for tick in ticks if tick.object is not None),
     )
 

@@ -23,7 +23,7 @@ Phase = Literal["lift", "turn", "seek", "settle", "down", "up"]
 
 APPROACH_M_S = 0.015  # in the air
 STROKE_M, STROKE_RATIO = 0.012, 10.0  # towards the pad: dragged inwards, and lowered by so much less
-LIFT_M_S, AWAY_M_S = 0.004, 0.02  # while it touches, and then
+LIFT_M_S, AWAY_M, AWAY_M_S = 0.003, 0.012, 0.02  # while it touches, dragged by so much; and then
 NEAR_M = 5e-3  # above where the body touched before, from where on strokes seek it
 CLEAR_M = 6e-3  # by which a body is lifted off for somebody to turn it
 TURN_S = 2.0  # which they have
@@ -31,12 +31,14 @@ TRAIL = 1.35  # times the drag at which the body just rolls
 BACK = 0.6  # share of that which the arm goes back while the body is raised
 STEP_M, STEP_SHARE = 8e-4, 0.09  # of height at a time, and as a share of e
 DOWN_M_S = 0.004
+TILTED_M = 2.5e-3  # of e, that the body must be set down with
 LEAST_LEVER_M, LEVER_SHARE = 2e-3, 0.4  # of e, where it turns back: that, or a share of the largest on this side
 TAMED_SHARE, LEAST_FORCE_N = 0.65, 0.09  # of the force's limit, and the force, where it turns back
 PAD_END_M = 5e-3
 RETREAT_M = 8e-4
+FARTHEST_M = 0.012  # of the pivot from the body's middle
 LEAST_STEP_M = 1e-4
-PASSES = 1  # down and up, of a side at a time
+SILENT_S = 0.4  # of the pad, after which the body is taken to have left it
 ROUNDS = 3  # of both sides, before it is given up that anything more is told
 _LEAST_S = 0.12
 
@@ -66,7 +68,8 @@ class Drags:
         self._wanted = 1.0  # side that comes next
         self._z_touch = -math.inf
         self._t_turned = -math.inf
-        self._passes = self._rounds = 0
+        self._t_silent = math.inf  # since when the pad says nothing
+        self._rounds = 0
         self._before: tuple[float, float] | None = None  # z and e² at the last step
         self._slope = 0.0  # of e² over z, which is even where e itself ends like a root
         self._most = 0.0  # largest |e| of this touch
@@ -90,8 +93,8 @@ class Drags:
             self._before, self._slope, self._most = None, 0.0, 0.0
             return Step("halt", reason="the body touches")
         if self.phase in ("down", "up", "settle") and not felt.touching:
-            self.lifted += 1
-            return self._go("lift", "the body left the pad: lifted off to be tilted anew")
+            return self._silence(felt.t, resting)
+        self._t_silent = math.inf
         if self.phase == "down" and not resting and (why := self._warning(felt)):
             self._note(why)
             self._retreat = True
@@ -101,6 +104,21 @@ class Drags:
         if not resting:
             return WAIT
         return self._next(felt, here)
+
+    def _silence(self, t: float, resting: bool) -> Step:
+        """Stand still while the pad says nothing; for longer, the body has left it."""
+        if math.isinf(self._t_silent):
+            self._t_silent = t
+            return Step("halt", reason="the pad says nothing: is the body still on it?")
+        if not resting or t < self._t_silent + SILENT_S:
+            return WAIT
+        self._t_silent = math.inf
+        if self.phase == "up":  # it presses less and less, until the pad feels nothing
+            self._ends.add((self._side, "high"))
+            self._wanted = -self._side
+            return self._go("lift", "this side is done: the body was raised off the pad")
+        self.lifted += 1
+        return self._go("lift", "the body left the pad: lifted off to be tilted anew")
 
     def _next(self, felt: Touching, here: Angles) -> Step:
         match self.phase:
@@ -123,8 +141,10 @@ class Drags:
         _, (_, top) = self._limits.angles
         if here[1] >= top:
             return Step("done", reason="there is no room to lift the body off: raise limits.z_mm")
-        if felt.touching:
-            return self._moved(here, (here[0], here[1] + CLEAR_M / 4), LIFT_M_S)
+        if felt.touching:  # in one go and dragged inwards: at rest near the dead centre it would press hard
+            end = (here[0] - math.copysign(AWAY_M, felt.e), here[1] + CLEAR_M)
+            dragged = math.isfinite(felt.e) and not self._off(end, felt.e)
+            return self._moved(here, end if dragged else (here[0], end[1]), LIFT_M_S)
         self.phase, self._t_turned = "turn", felt.t + TURN_S
         return self._moved(here, (here[0], here[1] + CLEAR_M), AWAY_M_S)
 
@@ -162,8 +182,9 @@ class Drags:
     def _settle(self, felt: Touching) -> Step:
         if not (math.isfinite(felt.e) and math.isfinite(felt.force)):
             return WAIT
+        if abs(felt.e) < TILTED_M:
+            return self._go("lift", "it touches too near under the pivot: lifted off, tilt it farther")
         self._side = math.copysign(1.0, felt.e)
-        self._passes = 0
         self.phase = "down"
         return WAIT
 
@@ -187,16 +208,15 @@ class Drags:
         if not math.isfinite(felt.e):
             return WAIT
         self._learn(felt)
-        higher = RETREAT_M if self._retreat else self._stride(felt, 1.0)
+        higher = min(RETREAT_M if self._retreat else self._stride(felt, 1.0), self._room(felt))
         back = 0.0 if self._retreat else BACK * felt.z * higher / abs(felt.e)
         end = (here[0] + self._side * back, here[1] + higher)
-        falling = not self._retreat and self._warning(felt) in (_LEVER, _LIGHT)
+        falling = higher < LEAST_STEP_M or (not self._retreat and self._warning(felt) in (_LEVER, _LIGHT))
         self._retreat = False
         if self._off(end, felt.e) and not falling:
             end = (here[0], end[1])
         if falling or end[1] > self._limits.angles[1][1]:
             self._ends.add((self._side, "high"))
-            self._passes += 1
             return self._over(felt) or self._go("lift", "this side is done: lifted off")
         return self._moved(here, end, DOWN_M_S)
 
@@ -217,6 +237,10 @@ class Drags:
         stride = min(STEP_M, STEP_SHARE * abs(felt.e))
         room = felt.e**2 - self._least**2
         return min(stride, max(0.5 * room / falling, LEAST_STEP_M)) if falling > 0.0 else stride
+
+    def _room(self, felt: Touching) -> float:
+        """Of height, however the body is made: e² falls by no more than twice the pivot's distance from its middle."""
+        return max(felt.e**2 - self._least**2, 0.0) / (2.0 * FARTHEST_M)
 
     @property
     def _least(self) -> float:

@@ -37,7 +37,7 @@ MASS_KG = (0.04, 0.12)
 JAMMED_N = 20.0  # what the arm presses with at most, and takes for a jam
 LEVER_M = 3e-4  # below which the body is jammed
 TURNED_S, CLEAR_M = 1.0, 2e-3  # what a hand takes to tilt it, and how high it must have been lifted
-TILTED = (0.2, 0.4)  # where the hand holds it: so much of the way from the highest to the lowest pivot
+TILTED = 0.75  # share of the largest lever on a side that the hand tilts it to, or more
 _ENCODER_NOISE_M = 1.5e-5
 _MARGIN_M, _ROOM = 5e-3, 2.0
 _BELOW_M = 1e-3  # its highest place, where the arm stands before anybody has commanded it
@@ -238,13 +238,11 @@ class PivotWorld:
 
     def _tilted(self, side: float) -> float:
         """An orientation on this side of the dead centre, well away from it."""
-        angles = np.linspace(-math.pi, math.pi, _STEPS_A_TURN + 1)
+        angles = np.linspace(-math.pi, math.pi, _STEPS_A_TURN, endpoint=False)
+        levers = np.array([self.grasp.offset(a) for a in angles]) * side
         heights = np.array([self.grasp.height(a) for a in angles])
-        top, bottom = heights.max(), heights.min()
-        wanted = top - float(self._rng.uniform(*TILTED)) * (top - bottom)
-        crossing = np.flatnonzero(np.diff(np.sign(heights - wanted)) != 0)
-        there = [float(angles[i]) for i in crossing if self.grasp.offset(float(angles[i])) * side > 0.0]
-        tilt = there[int(self._rng.integers(len(there)))]
+        there = np.flatnonzero((levers > TILTED * levers.max()) & (heights >= heights[levers.argmax()]))
+        tilt = float(angles[there[int(self._rng.integers(len(there)))]])
         nearest: float = tilt + math.tau * round((self._psi - tilt) / math.tau)
         return nearest
 

@@ -71,13 +71,20 @@ def test_it_turns_back_before_the_pad_ends(touched):
 
 
 def test_what_leaves_the_pad_is_noticed_and_lifted(touched):
-    step = touched.look(IN_AIR, (FELT.x, FELT.z), False)
-    assert step.kind == "halt"
+    assert touched.look(IN_AIR, (FELT.x, FELT.z), False).kind == "halt"
+    assert touched.look(replace(IN_AIR, t=0.3), (FELT.x, FELT.z), True).kind == "wait"
+    step = touched.look(replace(IN_AIR, t=0.5), (FELT.x, FELT.z), True)
     assert "left the pad" in step.reason
     assert touched.lifted == 1
     move = touched.look(IN_AIR, (FELT.x, FELT.z), True).move
     assert move.end[1] > move.start[1]
     assert move.end[0] == move.start[0]
+
+
+def test_a_pad_that_is_silent_for_a_moment_does_not_end_the_touch(touched):
+    assert touched.look(IN_AIR, (FELT.x, FELT.z), False).kind == "halt"
+    assert touched.look(replace(FELT, t=0.2), (FELT.x, FELT.z), True).kind == "move"
+    assert (touched.phase, touched.lifted) == ("down", 0)
 
 
 def test_it_comes_down_in_strokes_inwards():

@@ -70,8 +70,24 @@ def test_the_library_says_the_same(run):
     assert told.trajectory["psi_rad"].tolist() == result["trajectory"]["psi_rad"]
     with pytest.raises(palmd.PalmdError, match="no outline: of the system pivot told has"):
         told.outline_xy()
-    with pytest.raises(palmd.PalmdError, match="a pivoting grasp has no live observer yet"):
-        palmd.estimate(log)
+
+
+def test_estimated_as_a_daemon_would(run, tmp_path, capsys):
+    log, truth, _ = run
+    out = tmp_path / "out.jsonl"
+    status = main(["estimate", str(log), "-o", str(out)])
+    if truth["kind"] == "float":
+        assert status == 1
+        assert "a gripper on a slide has no live observer yet" in capsys.readouterr().err
+        return
+    assert status == 0
+    lines = [json.loads(line) for line in out.read_text().splitlines()]
+    ticks, shapes = ([line for line in lines if name in line] for name in ("z_m", "shape"))
+    assert sum(tick["valid"] for tick in ticks) > 100
+    assert all(tick["valid"] or tick["reason"] for tick in ticks)
+    shape = shapes[-1]["shape"]
+    theta, h, touched = (np.array(shape[name]) for name in ("theta_rad", "hP_m", "touched"))
+    assert score_outline(theta, h, touched == 1, np.array(truth["hP_m"])).e_h < 1e-4
 
 
 def test_an_outline_for_cad(run, tmp_path):

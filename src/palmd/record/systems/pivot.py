@@ -122,6 +122,9 @@ class Pivot(PivotForm):
             raise NotYetError("no stored outlines are recognised in a pivoting grasp")
         if log.rig.vertical != "rigid":
             raise NotYetError("a gripper on a slide has no live observer yet; palmd reconstruct takes its logs")
+        return self._ticks(log)
+
+    def _ticks(self, log: PivotLog) -> Iterator[Said]:
         live = PivotObserver(log.rig, SimulatedSmoothing(log.rig))
         events = iter(sorted(log.events, key=_time_of))
         event, t0 = next(events, None), log.events[0].t_sample

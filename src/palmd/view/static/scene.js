@@ -101,7 +101,8 @@ export class Scene {
 
   /** The pad on the ground, the gripper over it, and the body that turns about the pivot. */
   #drawPivoting(store, estimate, now) {
-    const padMm = (store.get("palm/info").pad1_length_m ?? SOME_PAD_MM / MM) * MM;
+    const [palm] = palmsOf(store.get("palm/info"));
+    const padMm = palm.padM * MM || SOME_PAD_MM;
     this.outdated = false;
     this.#lens.factor = 0;
     this.#begin(padMm);
@@ -118,11 +119,11 @@ export class Scene {
     if (truth) this.#drawTruth(store.get("rig/object"), { ...truth, com_x_m: truth.x_m, com_y_m: truth.z_m }, [0, 0]);
     context.fillStyle = colours.line;
     context.fillRect(-padMm * 0.2, -THICK_MM, padMm * 1.4, THICK_MM);
-    context.fillStyle = ofPalm(1);
+    context.fillStyle = ofPalm(palm.number);
     context.fillRect(0, -THICK_MM * 0.42, padMm, THICK_MM * 0.42);
-    this.#label("pad", padMm, { ...pad, curvature: 0 }, ofPalm(1));
+    this.#label("pad", padMm, { ...pad, curvature: 0 }, ofPalm(palm.number));
     if (seen) this.#drawGripper(pivot);
-    this.#drawContact({ number: 1 }, { ...pad, curvature: 0 }, estimate, store.get("palm/contact"));
+    this.#drawContact(palm, { ...pad, curvature: 0 }, estimate, store.get("palm/contact"));
     context.restore();
     this.#drawScale();
   }
