@@ -23,7 +23,7 @@ from palmd.devices.armlink import (
     Reply,
     Reset,
     SetPoint,
-    StartTracking,
+    Start,
     Stop,
     encode_command,
     encode_reply,
@@ -150,7 +150,7 @@ numbers = st.integers(0, 255)
 commands = st.one_of(
     st.just(Hello()),
     st.builds(SetPoint, numbers, poses),
-    *(st.builds(kind, numbers) for kind in (StartTracking, Query, Stop, Reset)),
+    *(st.builds(kind, numbers) for kind in (Start, Query, Stop, Reset)),
 )
 positive = st.integers(1, 10**9)
 replies = st.one_of(

@@ -26,7 +26,7 @@ from palmd.model.arcs import contacts_on_arcs
 from palmd.motion.limits import PHI12_MAX, MotionLimits
 from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE, Angles
 from palmd.system.arcs import FLAT, opening_at
-from palmd.system.mechanism import JOINTS, OPENING, PALMS
+from palmd.system.mechanism import PALMS
 
 PAD_MARGIN_M = 5e-3  # so much of a pad's end is left alone: its zero may be that far off
 LEAST_TRAVEL_M = 0.010
@@ -65,23 +65,23 @@ class CylinderReadings:
     rate: FloatArray
 
 
-def contact_m(radius_m: float, opening: FloatArray) -> FloatArray:
-    """Where a disc touches either palm (m from the hinge), opening in rad: (3.13) of a circle."""
-    return np.asarray(radius_m / np.tan(opening / 2.0))
+def contact_m(radius_m: float, phi2: FloatArray) -> FloatArray:
+    """Where a disc touches either palm (m from the hinge), phi2 in rad: (3.13) with r1 = r2, d1 = 0."""
+    return np.asarray(radius_m / np.tan(phi2 / 2.0))
 
 
-def contacts_m(radius_m: float, opening: FloatArray, curvatures: Sequence[float] = FLAT) -> FloatArray:
+def contacts_m(radius_m: float, phi2: FloatArray, curvatures: Sequence[float] = FLAT) -> FloatArray:
     """Where a disc touches palm 1 and palm 2 (2, n) (m from the hinge); on arcs of these curvatures (1/m) as well."""
     if not any(curvatures):
-        return np.stack([contact_m(radius_m, opening)] * len(PALMS))
-    still = np.zeros(len(opening))
-    return contacts_on_arcs(np.array([radius_m]), still, opening, still, curvatures)
+        return np.stack([contact_m(radius_m, phi2)] * len(PALMS))
+    still = np.zeros(len(phi2))
+    return contacts_on_arcs(np.array([radius_m]), still, phi2, still, curvatures)
 
 
-def normal_forces(weight_n: float, first: FloatArray, opening: FloatArray) -> tuple[FloatArray, FloatArray]:
+def normal_forces(weight_n: float, phi1: FloatArray, phi2: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The forces on palm 1 and palm 2 (N) at rest without friction; angles in rad."""
-    share = weight_n / np.sin(opening)
-    return np.asarray(share * np.sin(first + opening)), np.asarray(share * np.sin(first))
+    share = weight_n / np.sin(phi2)
+    return np.asarray(share * np.sin(phi1 + phi2)), np.asarray(share * np.sin(phi1))
 
 
 def readings(events: Iterable[Event], configs: Sequence[PadConfig]) -> tuple[CylinderReadings, CylinderReadings]:
@@ -115,9 +115,9 @@ def turning_plan(radius_m: float, limits: MotionLimits) -> dict[str, Any]:
     if travel < LEAST_TRAVEL_M:
         raise CylinderError(_too_little(radius_m, limits, travel))
     middle = opening_at(radius_m, float(ends.mean()), limits.curvatures)
-    poses = [_upright(opening, limits) for opening in (middle, high, low, middle)]
-    first, opening = poses[-1]
-    poses += [(_within(first + tip, opening, limits), opening) for tip in (_TIP, -_TIP, 0.0)]
+    poses = [_upright(phi2, limits) for phi2 in (middle, high, low, middle)]
+    phi1, phi2 = poses[-1]
+    poses += [(_within(phi1 + tip, phi2, limits), phi2) for tip in (_TIP, -_TIP, 0.0)]
     return _plan("calibrate pads", poses, limits, SLOW_RAD_S)
 
 
@@ -130,51 +130,50 @@ def tipping_plan(radius_m: float, limits: MotionLimits, rounds: int) -> tuple[di
     low, high = opening_range(radius_m, limits)
     if low >= high:
         raise CylinderError(_too_little(radius_m, limits, 0.0))
-    narrow, middle, wide = (min(max(opening, low), high) for opening in _OPENINGS)
+    narrow, middle, wide = (min(max(phi2, low), high) for phi2 in _OPENINGS)
     poses: list[Angles] = []
     rests = set[int]()
-    for opening in (narrow, middle, wide, middle):
-        least, most = _tipped(opening, limits)
+    for phi2 in (narrow, middle, wide, middle):
+        least, most = _tipped(phi2, limits)
         room = max(most - least, 0.0)
         if room < _TIP:
             raise CylinderError(
-                f"at {JOINTS[OPENING]} = {math.degrees(opening):.0f}° the limits let {JOINTS[0]} turn by"
-                f" {math.degrees(room):.0f}° only, which moves too little weight; {math.degrees(_TIP):.0f}° is the"
-                f" least: widen limits.{JOINTS[0]}_deg"
+                f"at phi2 = {math.degrees(phi2):.0f}° the limits let phi1 turn by {math.degrees(room):.0f}° only, which"
+                f" moves too little weight; {math.degrees(_TIP):.0f}° is the least: widen limits.phi1_deg"
             )
         end, *tips, other_end = np.linspace(least, most, _TIPS + 2).tolist()
         for turn, between in ((end, tips), (other_end, tips[::-1])):
-            poses.append((turn, opening))
+            poses.append((turn, phi2))
             rests |= set(range(len(poses), len(poses) + len(between)))
-            poses += [(first, opening) for first in between]
+            poses += [(phi1, phi2) for phi1 in between]
     return _plan("calibrate force", poses, limits, BRISK_RAD_S, rests=rests, repeat=rounds), len(rests)
 
 
 def opening_range(radius_m: float, limits: MotionLimits) -> tuple[float, float]:
-    """The least and greatest opening (rad) with both contacts well on the pads; the first is larger if none."""
+    """The least and greatest phi2 (rad) with both contacts well on the pads; the first is larger if there is none."""
     least, most = (opening_at(radius_m, s, limits.curvatures) for s in (limits.pad_length - PAD_MARGIN_M, PAD_MARGIN_M))
     steepest = PHI12_MAX - limits.angles[0][0] - 3.0 * _ROOM
     return max(least, limits.angles[1][0] + _ROOM), min(most, limits.angles[1][1] - _ROOM, steepest)
 
 
-def _upright(opening: float, limits: MotionLimits) -> Angles:
-    return _within((math.pi - opening) / 2.0, opening, limits), opening
+def _upright(phi2: float, limits: MotionLimits) -> Angles:
+    return _within((math.pi - phi2) / 2.0, phi2, limits), phi2
 
 
-def _within(first: float, opening: float, limits: MotionLimits) -> float:
-    """The first palm's angle next to it that the limits allow."""
-    most = min(limits.angles[0][1], PHI12_MAX - opening - _ROOM) - _ROOM
-    return max(min(first, most), limits.angles[0][0] + _ROOM)
+def _within(phi1: float, phi2: float, limits: MotionLimits) -> float:
+    """The phi1 next to it that the limits allow."""
+    most = min(limits.angles[0][1], PHI12_MAX - phi2 - _ROOM) - _ROOM
+    return max(min(phi1, most), limits.angles[0][0] + _ROOM)
 
 
-def _tipped(opening: float, limits: MotionLimits) -> tuple[float, float]:
-    """The range of the first palm's angle in which either palm bears its least share of the weight.
+def _tipped(phi2: float, limits: MotionLimits) -> tuple[float, float]:
+    """The range of phi1 in which either palm bears its least share of the weight.
 
     It ends where a force is largest (φ12 or φ1 upright): beyond, that force would be come to from below both ways.
     """
-    edge = math.asin(_LEAST_SHARE * math.sin(opening))
-    least, most = max(edge, math.pi / 2.0 - opening), min(math.pi - opening - edge, math.pi / 2.0)
-    return _within(least, opening, limits), _within(most, opening, limits)
+    edge = math.asin(_LEAST_SHARE * math.sin(phi2))
+    least, most = max(edge, math.pi / 2.0 - phi2), min(math.pi - phi2 - edge, math.pi / 2.0)
+    return _within(least, phi2, limits), _within(most, phi2, limits)
 
 
 def _too_little(radius_m: float, limits: MotionLimits, travel_m: float) -> str:
@@ -186,8 +185,8 @@ def _too_little(radius_m: float, limits: MotionLimits, travel_m: float) -> str:
         float(contacts_m(radius_m, np.array([limits.angles[1][1]]), limits.curvatures).min())
         > limits.pad_length - PAD_MARGIN_M - LEAST_TRAVEL_M
     ):
-        return f"{told}: the radius is too large for these pads and limits.{JOINTS[OPENING]}_deg"
-    return f"{told}: take a larger cylinder, or widen limits.{JOINTS[0]}_deg and limits.{JOINTS[OPENING]}_deg"
+        return f"{told}: the radius is too large for these pads and limits.phi2_deg"
+    return f"{told}: take a larger cylinder, or widen limits.phi1_deg and limits.phi2_deg"
 
 
 def _plan(
@@ -202,8 +201,8 @@ def _plan(
         seconds = max(
             PEAK_RATE * way / rate, math.sqrt(PEAK_ACCELERATION * way / (_SHARE * limits.acceleration)), _SHORTEST_S
         )
-        move = {f"{joint}_deg": round(math.degrees(angle), 3) for joint, angle in zip(JOINTS, pose, strict=True)}
-        segments.append({"move": move, "duration_s": round(seconds, 2)})
+        phi1_deg, phi2_deg = (round(math.degrees(angle), 3) for angle in pose)
+        segments.append({"move": {"phi1_deg": phi1_deg, "phi2_deg": phi2_deg}, "duration_s": round(seconds, 2)})
         segments += [{"hold_s": _HOLD_S}] if number in rests else []
     return {"name": name, "repeat": repeat, "segments": segments}
 
@@ -230,8 +229,8 @@ def _readings(
         )
     if not len(t):
         return CylinderReadings(t, counts, pressure, t, t, t)
-    first, opening, rate = (np.interp(t, palms[:, 0], palms[:, column]) for column in (1, 2, 3))
-    return CylinderReadings(t, np.rint(counts), np.rint(pressure), first, opening, rate)
+    phi1, phi2, rate = (np.interp(t, palms[:, 0], palms[:, column]) for column in (1, 2, 3))
+    return CylinderReadings(t, np.rint(counts), np.rint(pressure), phi1, phi2, rate)
 
 
 def _off_whole(values: FloatArray) -> float:

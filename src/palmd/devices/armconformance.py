@@ -41,7 +41,7 @@ from palmd.devices.armlink import (
     Refusal,
     Reset,
     SetPoint,
-    StartTracking,
+    Start,
     Stop,
     encode_command,
     frame,
@@ -223,12 +223,12 @@ def _grants_what_is_so(talk: Talk) -> Script[str]:
 
 def _starts(talk: Talk) -> Script[str]:
     ss = talk.next_ss()
-    heard = yield from talk.send(StartTracking(ss), listen_s=0.03)
+    heard = yield from talk.send(Start(ss), listen_s=0.03)
     acknowledged(heard.lines, ss, ArmState.TRACKING)
-    again = yield from talk.send(StartTracking(ss), listen_s=0.03)
+    again = yield from talk.send(Start(ss), listen_s=0.03)
     acknowledged(again.lines, ss, ArmState.TRACKING)
     ss = talk.next_ss()
-    anew = yield from talk.send(StartTracking(ss), listen_s=0.03)
+    anew = yield from talk.send(Start(ss), listen_s=0.03)
     refused(anew.lines, ss, WRONG_STATE)
     return shown([*heard.lines, *again.lines, *anew.lines])
 
@@ -247,7 +247,7 @@ def _stops(talk: Talk) -> Script[str]:
 
 def _gives_up_without_setpoint(talk: Talk) -> Script[str]:
     ss = talk.next_ss()
-    heard = yield from talk.send(StartTracking(ss), listen_s=0.1)
+    heard = yield from talk.send(Start(ss), listen_s=0.1)
     acknowledged(heard.lines, ss, ArmState.TRACKING)
     t_begun = talk.arrived(heard, 7)
     ack = yield from talk.report()
@@ -258,9 +258,9 @@ def _gives_up_without_setpoint(talk: Talk) -> Script[str]:
 
 
 def _latches(talk: Talk) -> Script[str]:
-    yield from talk.send(StartTracking(talk.next_ss()), listen_s=0.35)
+    yield from talk.send(Start(talk.next_ss()), listen_s=0.35)
     seen = []
-    for command in (StartTracking(talk.next_ss()), SetPoint(talk.next_ss(), talk.rest)):
+    for command in (Start(talk.next_ss()), SetPoint(talk.next_ss(), talk.rest)):
         heard = yield from talk.send(command)
         refused(heard.lines, command.ss, WRONG_STATE)
         seen += heard.lines
@@ -358,7 +358,7 @@ def _first_setpoint_is_near(talk: Talk) -> Script[str]:
     for pose in far.values():
         yield from _settled(talk)
         ss = talk.next_ss()
-        heard = yield from talk.send(StartTracking(ss), listen_s=0.03)
+        heard = yield from talk.send(Start(ss), listen_s=0.03)
         acknowledged(heard.lines, ss, ArmState.TRACKING)
         ss = talk.next_ss()
         heard = yield from talk.send(SetPoint(ss, pose), listen_s=0.04)

@@ -19,7 +19,7 @@ from palmd.devices.armlink import (
     Refusal,
     Reply,
     SetPoint,
-    StartTracking,
+    Start,
     encode_command,
     parse_reply,
 )
@@ -140,7 +140,7 @@ class Talk:
     def begin(self) -> Script[Ack]:
         """Start tracking, stand still, and learn the phase of the controller's cycle."""
         ss = self.next_ss()
-        heard = yield from self.send(StartTracking(ss), enough=1)
+        heard = yield from self.send(Start(ss), enough=1)
         acknowledged(heard.lines, ss, ArmState.TRACKING)
         ss = self.next_ss()
         heard = yield from self.send(SetPoint(ss, self.rest), enough=1)

@@ -30,7 +30,7 @@ from palmd.devices.armlink import (
     Refusal,
     Reset,
     SetPoint,
-    StartTracking,
+    Start,
     Stop,
     command_body,
     encode_command,
@@ -67,8 +67,8 @@ PASSING_CODES = (-522, -524, -610, -611)
 
 WRONG_STATE = -620
 
-Request = type[StartTracking] | type[Stop] | type[Reset]
-_VERB: dict[Request, str] = {StartTracking: "start", Stop: "stop", Reset: "reset"}
+Request = type[Start] | type[Stop] | type[Reset]
+_VERB: dict[Request, str] = {Start: "start", Stop: "stop", Reset: "reset"}
 
 
 @dataclass(slots=True)
@@ -105,7 +105,7 @@ class _Pending:
     """A request that is to be sent until it is answered; `command` is None before the first time."""
 
     kind: Request
-    command: StartTracking | Stop | Reset | None = None
+    command: Start | Stop | Reset | None = None
     t_sent: float = -math.inf
 
     def waits_for(self, ss: int) -> bool:
@@ -190,7 +190,7 @@ class ArmHost:
                 f"the controller's cycle of {self.hello.cycle_s * 1e3:.0f} ms; use a faster line"
             )
             return
-        self._request(StartTracking)
+        self._request(Start)
 
     def want_stop(self) -> None:
         """Ask for a planned stop (P); no more set-points are sent."""
@@ -257,11 +257,11 @@ class ArmHost:
         self._pending = None
         self.refusal = None
         self._t_query = t_first + QUERY_S
-        if kind is StartTracking and ack.state not in FOLLOWING:
+        if kind is Start and ack.state not in FOLLOWING:
             self.refusal = f"start refused: the controller answered with state {ack.state} ({ack.state.name})"
         elif kind is not Stop:
             self.last_error = None
-        if kind is StartTracking and ack.state in FOLLOWING:
+        if kind is Start and ack.state in FOLLOWING:
             self._timer = SetPointTimer(self._baud, cycle_s, t_first)
             self._t_query = math.inf
             self.commanded = None
@@ -358,7 +358,7 @@ class ArmHost:
             return self.pose
         return goal
 
-    def _send(self, command: StartTracking | SetPoint | Query | Stop | Reset, t: float) -> bytes:
+    def _send(self, command: Start | SetPoint | Query | Stop | Reset, t: float) -> bytes:
         line = encode_command(command)
         self._waiting[command.ss] = (type(command), t)
         return line

@@ -57,7 +57,7 @@ class Hello:
 
 
 @dataclass(frozen=True, slots=True)
-class StartTracking:
+class Start:
     """Asks the controller to begin tracking."""
 
     ss: int
@@ -92,9 +92,9 @@ class Reset:
     ss: int
 
 
-Command = Hello | StartTracking | SetPoint | Query | Stop | Reset
-_PLAIN: dict[str, type[StartTracking] | type[Query] | type[Stop] | type[Reset]] = {
-    "G": StartTracking,
+Command = Hello | Start | SetPoint | Query | Stop | Reset
+_PLAIN: dict[str, type[Start] | type[Query] | type[Stop] | type[Reset]] = {
+    "G": Start,
     "Q": Query,
     "P": Stop,
     "R": Reset,

@@ -25,7 +25,7 @@ from palmd.devices.armlink import (
     Reply,
     Reset,
     SetPoint,
-    StartTracking,
+    Start,
     Stop,
     encode_reply,
     parse_command,
@@ -129,7 +129,7 @@ class Controller:
                 self.counters.unparsable += 1
                 continue
             self.counters.commands += 1
-            self.counters.starts += isinstance(command, StartTracking)
+            self.counters.starts += isinstance(command, Start)
             self.counters.resets += isinstance(command, Reset)
             out += self._obey(command, t, actual)
         return out
@@ -153,11 +153,11 @@ class Controller:
             return self._reply(key, self._refusal(command.ss, WRONG_STATE))
         return self._reply(key, self._decide(command, t, actual))
 
-    def _decide(self, command: StartTracking | Query | Stop | Reset, t: float, actual: Pose) -> Reply:
+    def _decide(self, command: Start | Query | Stop | Reset, t: float, actual: Pose) -> Reply:
         """The answer to a plain command, after doing it."""
         state = self.state
         match command:
-            case StartTracking() if state is ArmState.READY:
+            case Start() if state is ArmState.READY:
                 self._begin(t, actual)
             case Stop() if state in _FOLLOWS:
                 self._decelerate(None)

@@ -8,17 +8,7 @@ from farend import BAUD, HOME, LIMITS, FarEnd
 from palmd.devices import armlink
 from palmd.devices.armconformance import CHECKS, REACH_M, examine
 from palmd.devices.armconformance_talk import Talk
-from palmd.devices.armlink import (
-    Ack,
-    ArmState,
-    HelloReply,
-    LineReader,
-    Refusal,
-    SetPoint,
-    StartTracking,
-    Stop,
-    encode_reply,
-)
+from palmd.devices.armlink import Ack, ArmState, HelloReply, LineReader, Refusal, SetPoint, Start, Stop, encode_reply
 from palmd.rig import controller
 from palmd.rig.controller import ArmLimits, Controller
 
@@ -196,7 +186,7 @@ class StopsSilently(Controller):
 
 class StartsAgain(Controller):
     def _decide(self, command, t, actual):
-        if isinstance(command, StartTracking) and self.state is ArmState.TRACKING:
+        if isinstance(command, Start) and self.state is ArmState.TRACKING:
             self._begin(t, actual)
             return Ack(command.ss, self.state, actual)
         return super()._decide(command, t, actual)

@@ -26,7 +26,7 @@ from palmd.devices.armlink import (
     Reply,
     Reset,
     SetPoint,
-    StartTracking,
+    Start,
     Stop,
     encode_reply,
     parse_command,
@@ -92,7 +92,7 @@ class Controller:
                     return [Refusal(command.ss, -611)]
                 self._latest = command
                 return []
-            case StartTracking() if not repeated:
+            case Start() if not repeated:
                 if self.state is not ArmState.READY:
                     return [Refusal(command.ss, -620)]
                 self.state = ArmState.TRACKING
@@ -297,7 +297,7 @@ def test_a_late_host_skips_periods_and_never_bursts(bench: Bench) -> None:
 
 def test_start_refused_says_why(bench: Bench) -> None:
     bench.run(0.3)
-    bench.controller.refuse[StartTracking] = -622
+    bench.controller.refuse[Start] = -622
     bench.host.want_tracking()
     bench.run(0.2)
     assert not bench.host.tracking
@@ -305,7 +305,7 @@ def test_start_refused_says_why(bench: Bench) -> None:
     assert bench.host.refusal is not None
     assert "start refused: -0622 arm power is off" in bench.host.refusal
     assert bench.host.last_error == -622
-    assert len(bench.controller.commands(StartTracking)) == 1
+    assert len(bench.controller.commands(Start)) == 1
 
 
 def test_start_without_a_link_is_refused_at_once() -> None:
@@ -390,7 +390,7 @@ def test_reset_clears_a_fault_and_does_not_start(bench: Bench) -> None:
     bench.run(0.2)
     assert bench.host.state is ArmState.READY
     assert bench.host.last_error is None
-    assert not bench.controller.commands(StartTracking)
+    assert not bench.controller.commands(Start)
 
 
 def test_reset_while_tracking_is_refused_here(bench: Bench) -> None:
@@ -423,7 +423,7 @@ def test_frozen_after_80_ms_and_lost_after_250(bench: Bench) -> None:
     bench.to_host = intact
     bench.run(0.5)
     assert bench.host.linked(bench.t)
-    assert len(bench.controller.commands(StartTracking)) == 1, "a lost link must not start again by itself"
+    assert len(bench.controller.commands(Start)) == 1, "a lost link must not start again by itself"
 
 
 def test_link_lost_unasked_is_noticed_and_asked_about(bench: Bench) -> None:
@@ -499,7 +499,7 @@ def test_restarted_controller_is_greeted_again_and_not_started(bench: Bench) -> 
     assert bench.host.linked(bench.t)
     assert not bench.host.tracking
     assert len(bench.controller.commands(Hello)) == 2
-    assert len(bench.controller.commands(StartTracking)) == 1
+    assert len(bench.controller.commands(Start)) == 1
 
 
 def test_controller_found_ready_ends_tracking(bench: Bench) -> None:

@@ -23,7 +23,7 @@ from palmd.devices.armlink import (
     Reply,
     Reset,
     SetPoint,
-    StartTracking,
+    Start,
     Stop,
     crc8,
     encode_command,
@@ -42,7 +42,7 @@ POSE_WIRE = "+123456-000123-090500"
 
 COMMANDS: list[tuple[Command, str]] = [
     (Hello(), "H"),
-    (StartTracking(0), "G00"),
+    (Start(0), "G00"),
     (SetPoint(10, POSE), "S0A" + POSE_WIRE),
     (Query(255), "QFF"),
     (Stop(0x3C), "P3C"),
@@ -149,8 +149,8 @@ def test_bad_replies_are_refused(body: str) -> None:
 
 
 def test_sequence_may_come_in_either_case() -> None:
-    assert parse_command("Gab") == StartTracking(0xAB)
-    assert encode_command(StartTracking(0xAB)).startswith(b"GAB*")
+    assert parse_command("Gab") == Start(0xAB)
+    assert encode_command(Start(0xAB)).startswith(b"GAB*")
 
 
 @pytest.mark.parametrize(
@@ -171,7 +171,7 @@ def test_poses_that_do_not_fit_are_refused(pose: Pose) -> None:
 def test_sequence_and_code_that_do_not_fit_are_refused() -> None:
     for ss in (-1, 256):
         with pytest.raises(LinkError, match=f"sequence number {ss} is not 0 to 255"):
-            encode_command(StartTracking(ss))
+            encode_command(Start(ss))
     with pytest.raises(LinkError):
         encode_reply(Refusal(0, -10_000))
 

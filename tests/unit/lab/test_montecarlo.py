@@ -335,6 +335,9 @@ def test_a_cluster_forgets_what_is_undone():
         with runs.cluster(dask.scheduler_address) as executor:
             results = runs.finished(executor, time.sleep, told_failed, [0.0, *[0.3] * 100])
             assert next(results) is None
+        t_end = time.monotonic() + 10.0  # a third of what all of it would take; the news takes a moment to get there
+        while dask.scheduler.tasks and time.monotonic() < t_end:
+            time.sleep(0.05)
         assert not dask.scheduler.tasks
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from palmd.config import LimitsConfig
-from palmd.devices.armlink import Ack, ArmState, LineReader, Query, Refusal, StartTracking, encode_command, parse_reply
+from palmd.devices.armlink import Ack, ArmState, LineReader, Query, Refusal, Start, encode_command, parse_reply
 from palmd.devices.versapad import VersaPadDecoder
 from palmd.events import PalmMotion
 from palmd.rig.hand import Hand
@@ -37,7 +37,7 @@ def test_by_hand_the_arm_is_in_manual_mode_and_reports_where_it_is_led():
     acks, errors = [], []
     for k in range(1, 4001):
         if k % 50 == 0:
-            world.receive("arm", encode_command(StartTracking(0) if k == 2000 else Query(k // 50 % 256)))
+            world.receive("arm", encode_command(Start(0) if k == 2000 else Query(k // 50 % 256)))
         for line in reader.feed(world.advance(k * 1e-3)["arm"], k * 1e-3):
             reply = parse_reply(line.body)
             acks += [reply] if isinstance(reply, Ack) else []

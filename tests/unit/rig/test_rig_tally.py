@@ -6,7 +6,7 @@ import select
 
 import numpy as np
 
-from palmd.devices.armlink import LineReader, Pose, SetPoint, StartTracking, encode_command
+from palmd.devices.armlink import LineReader, Pose, SetPoint, Start, encode_command
 from palmd.devices.versapad import VersaPadDecoder, encode_packet
 from palmd.rig.fault_injection import PORTS, order
 from palmd.rig.line import PtyLine
@@ -26,7 +26,7 @@ def test_what_was_said_altered_and_withheld_is_told_apart():
 def test_set_points_are_counted_before_mischief_and_the_touched_ones_among_them():
     lines = HostLines(38400)
     one = encode_command(SetPoint(1, Pose(0.1, 0.2, 0.3)))
-    lines.take(encode_command(StartTracking(0)), encode_command(StartTracking(0)), 0.0)
+    lines.take(encode_command(Start(0)), encode_command(Start(0)), 0.0)
     lines.take(one, one, 0.1)
     lines.take(one, b"", 0.2)
     assert (lines.setpoints, lines.setpoints_touched) == (2, 1)
@@ -56,7 +56,7 @@ def test_every_byte_on_a_line_is_sent_or_still_waiting():
         for port, data in world.advance(step * 1e-3).items():
             out[port] += data
         if step % 100 == 0:
-            world.receive("arm", encode_command(StartTracking(step % 256)))
+            world.receive("arm", encode_command(Start(step % 256)))
     told = world.status()
     for port in PORTS:
         assert told[f"{port}_bytes_on_line"] == len(out[port]) + told[f"{port}_bytes_waiting"], port
