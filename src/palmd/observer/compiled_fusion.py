@@ -150,8 +150,10 @@ class CompiledPalms:
     def feed(self, sample: PalmSample) -> None:
         """Fuse one report; reports older than the last one are ignored."""
         report = self._report
-        report.t, report.angles = sample.t_sample, sample.angles
-        report.rates, report.accelerations = sample.rates or _UNTOLD, sample.accelerations or _UNTOLD
+        report.t = sample.t_sample
+        # by slices, which take lists as well: what has crossed to another process is of lists
+        report.angles[:], report.rates[:] = sample.angles, sample.rates or _UNTOLD
+        report.accelerations[:] = sample.accelerations or _UNTOLD
         self._does.palms_feed(self.address, self._report_at)
 
     def at(self, t: float) -> FloatArray:
