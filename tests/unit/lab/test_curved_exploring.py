@@ -93,7 +93,7 @@ def test_the_table_tells_both_and_the_remarks_name_what_went_wrong() -> None:
 
 @pytest.mark.parametrize("curved", [True, False])
 def test_a_run_that_raises_becomes_a_row(curved: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(curved_exploring.exploring, "explored", lambda *_: 1 / 0)
+    monkeypatch.setattr("palmd.lab.exploring.explored", lambda *_: 1 / 0)
     row = curved_exploring.run(CradleTask("rig", 1, curved, 3.0))
     assert row.explored.error == "ZeroDivisionError: division by zero"
     assert any(row.curvatures) == curved

@@ -11,6 +11,7 @@ import pytest
 
 from palmd import lab
 from palmd.cli import main
+from palmd.lab import outlook
 from palmd.lab.paper_published import HARDWARE, SIMULATION
 from palmd.lab.paper_report import HEAD, as_text, rows
 from palmd.lab.paper_runs import ASTRAY, paper_simulation, psi_error, relative_radius_error, side_by_side
@@ -85,17 +86,22 @@ def test_a_method_without_an_answer_says_so():
     assert table[-2][2] == "no answer"
 
 
-def test_the_command_prints_the_table_and_saves_the_figures(tmp_path, capsys):
+def test_the_command_prints_the_table_and_saves_the_figures(tmp_path, capsys, monkeypatch):
+    few = outlook.studied(1, 1)
+    monkeypatch.setattr(outlook, "studied", lambda: few)
     lines, told = simulate_log("friction", 405, 4.0)
     log = tmp_path / "run.jsonl"
     log.write_text("".join(json.dumps(line) + "\n" for line in lines))
     (tmp_path / "run.truth.json").write_text(json.dumps(told))
     folder = tmp_path / "figures"
     assert main(["report", "paper", str(log), "-o", str(folder)]) == 0
-    assert "quasistatic" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "quasistatic" in printed
+    assert "cradle R 75 mm" in printed
+    assert "forces in ln (m, |b|, k², c)" in printed
     assert {path.name for path in folder.iterdir()} == {
         *("paper_frames.svg", "paper_simulation.svg", "paper_experiment.svg"),
-        *("stable_poses.svg", "ambiguous.svg"),
+        *("stable_poses.svg", "ambiguous.svg", "outlook_coverage.svg", "outlook_pivot.svg"),
     }
 
 
@@ -114,7 +120,7 @@ def test_bad_input_is_one_line(tmp_path, capsys, monkeypatch):
         assert error.count("\n") == 1
         assert said in error
     truth.write_text(json.dumps(told))
-    for module in ("paper_figures", "stable_pose_figures"):
+    for module in ("outlook_figures", "paper_figures", "stable_pose_figures"):
         monkeypatch.delitem(sys.modules, f"palmd.lab.{module}", raising=False)
         monkeypatch.delattr(lab, module, raising=False)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
