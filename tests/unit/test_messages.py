@@ -106,6 +106,7 @@ def built():
         "lag_ms": 40.0,
         "late_dropped": 0,
         "rss_mb": 100.0,
+        "blocks": 300_000,
         "backend": "c",
     }
     return {

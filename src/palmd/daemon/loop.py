@@ -198,14 +198,14 @@ class Loop:
                 self._lost(end, t)
 
     def _write(self) -> None:
-        """What falls due to the arm, by all that has come until now."""
+        """What falls due to the arm; a pad that has been let go since the last tick makes it brake."""
         t = self._clock()
         if t < self._core.due():
             return
         self._read(-math.inf)
-        self._see_to()
         try:
-            self._core.look(t)  # not later than the reading: what has come since may lie unread
+            if not self._arrived:  # else the tick will tell: silence is judged where nothing lies unread
+                self._core.look(t)
             t = self._clock()
             data = self._core.transmit(t)
         except Exception as error:
