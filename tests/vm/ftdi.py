@@ -3,7 +3,7 @@
 It holds back bytes for its latency timer as the chip does, and marks bytes as broken, as a break or a parity or framing
 error on the line would. Behind it is one of the emulated rig's pseudo-terminals, which gets the guest's baud.
 
-Sources: usbredir's protocol, version 0.7 (of its capabilities only the two named below); for the chip's requests,
+Sources: usbredir's protocol, version 0.7 (of its capabilities only the three named below); for the chip's requests,
 Linux's drivers/usb/serial/ftdi_sio.h.
 """
 
@@ -25,10 +25,10 @@ HELD_MOST = 256  # what comes while nobody asks for it is lost
 _EMPTY = 0x60  # of the line status: nothing is left to send
 _VENDOR, _PRODUCT, _RELEASE = 0x0403, 0x6001, 0x0600
 _IN, _OUT = 0x81, 0x02
-_HEAD = struct.Struct("<III")  # type, length, id
+_HELLO_HEAD, _HEAD = struct.Struct("<III"), struct.Struct("<IIQ")  # type, length, id
 _CONTROL = struct.Struct("<BBBBHHH")  # endpoint, request, its type, status, value, index, length
 _BULK = struct.Struct("<BBHI")  # endpoint, status, length, stream
-_CAPABILITIES = 1 << 1 | 1 << 4  # connect tells the device's version, ep_info the packets' size
+_CAPABILITIES = 1 << 1 | 1 << 4 | 1 << 5  # the device's version and the packets' size are told, ids are long
 _CANCELLED, _STALL = 1, 4
 _FULL_SPEED, _BULK_KIND = 1, 2
 _EIGHTHS = (0, 3, 2, 4, 1, 5, 6, 7)  # how the chip numbers the eighths of its divisor
@@ -82,6 +82,7 @@ class Adapter:
         self.latency_ms = 16
         self.marked = 0
         self._texts = ("FTDI", "FT232R USB UART", serial)
+        self._head = _HELLO_HEAD
         self._marks: list[int] = []
         self._waiting: list[int] = []  # requests for data that have not been answered
         self._held = bytearray()
@@ -117,7 +118,8 @@ class Adapter:
                 self._pass_on()
 
     def _send(self, kind: int, number: int, body: bytes) -> None:
-        self._socket.sendall(_HEAD.pack(kind, len(body), number) + body)
+        head = _HELLO_HEAD if kind == _Kind.HELLO else _HEAD
+        self._socket.sendall(head.pack(kind, len(body), number) + body)
 
     def _receive(self, size: int) -> bytes:
         data = b""
@@ -129,7 +131,8 @@ class Adapter:
         return data
 
     def _hear(self) -> None:
-        kind, length, number = _HEAD.unpack(self._receive(_HEAD.size))
+        head, self._head = self._head, _HEAD  # only the first, a hello, has a short one
+        kind, length, number = head.unpack(self._receive(head.size))
         body = self._receive(length)
         match kind:
             case _Kind.HELLO:

@@ -106,7 +106,6 @@ class Machine:
             *("-chardev", f"socket,id=clock,path={ports / 'clock'}"),
             *("-device", "virtserialport,chardev=clock,name=clock"),
             *("-device", "qemu-xhci,id=usb"),
-            *("-chardev", f"socket,id=chip,path={self.chip_at},server=on,wait=off"),
         ]
         for pad in ADAPTERS:
             words += ["-chardev", f"serial,id={pad},path={ports / pad}"]
@@ -170,6 +169,9 @@ class Machine:
 
     def plug_chip(self, pad: str) -> Adapter:
         """Put another adapter of the same serial number in its place: one whose bytes can be marked as damaged."""
+        address = {"type": "unix", "data": {"path": str(self.chip_at)}}
+        socket_there = {"addr": address, "server": True, "wait": False}  # QEMU takes it away with the device
+        self.monitor("chardev-add", id="chip", backend={"type": "socket", "data": socket_there})
         self.monitor("device_add", driver="usb-redir", id="chip", chardev="chip", bus="usb.0", port="3")
         return Adapter(self.chip_at, self._ports / pad, ADAPTERS[pad])
 

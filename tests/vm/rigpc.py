@@ -36,7 +36,7 @@ from palmd.bus.link import PUBLISH
 from palmd.bus.subscriber import Subscriber
 heard = {{}}
 with Subscriber(PUBLISH, topics=("palm/loop", "palm/state", "palm/info")) as subscriber:
-    for message in subscriber.until(1e9):
+    for message in subscriber.until(1e6):
         heard[message.topic] = message.fields
         with open("{HEARD}.part", "w") as file:
             json.dump(heard, file)
