@@ -16,7 +16,6 @@ from palmd.bus.link import COMMAND, add_key, credentials
 from palmd.console.errors import BAD_INPUT, USAGE, CliError
 from palmd.daemon.commands import COMMANDS, REQUEST_BYTES_MAX
 from palmd.system.mechanism import JOINTS
-from palmd.system.pivot import AXES
 
 PLAN_BYTES_MAX = REQUEST_BYTES_MAX // 2
 
@@ -117,7 +116,7 @@ def told(command: str, result: dict[str, Any]) -> str:
     angles = [f"{joint} {math.degrees(result[f'{joint}_rad']):.1f}°" for joint in JOINTS if f"{joint}_rad" in result]
     if angles:
         lines.append(f"angles  {', '.join(angles)}")
-    if all(f"{axis}_m" in result for axis in AXES):
+    if "x_m" in result:
         lines += _pivoting(result)
     elif "estimate" in result:
         lines += [
@@ -138,6 +137,8 @@ def told(command: str, result: dict[str, Any]) -> str:
 
 def _pivoting(result: dict[str, Any]) -> list[str]:
     """Where a pivoting gripper is, and what is known of the body in it."""
+    from palmd.system.pivot import AXES
+
     places = [f"{axis} {result[axis + '_m'] * 1e3:.1f} mm" for axis in AXES]
     lines = [f"pivot   {', '.join(places)}"]
     told = result.get("estimate")

@@ -21,8 +21,8 @@ from palmd.yamlfile import parse as parsed
 ROOT = Path(__file__).parents[3]
 CONFIG = load_any_config(ROOT / "config/pivot.yaml")
 PLAN = parsed(read_document(ROOT / "config/plans/pivot/explore.yaml"), PivotPlanSpec)
-SEED, PERIOD_S = 1, 6.0
-LONGEST_S = 60.0
+SEED, PERIOD_S = 1, 8.0
+LONGEST_S = 80.0
 
 
 class Lived:
