@@ -92,7 +92,7 @@ class IncrementalSmoother:
     def _sought(self, segment: DataSegment) -> Answer | None:
         answer = self._found = self._seeker.sought(segment, self._hint)
         self._drop_before(self._seeker.needs_from)
-        if answer is None or not (self._archive or segment.end - segment.start >= FOUND_S):
+        if answer is None or not (self._archive or segment.end - segment.start >= FOUND_S) or not self._seeker.sure:
             return answer
         follower = Follower(answer)
         if self._joined(follower):
@@ -158,6 +158,7 @@ class IncrementalSmoother:
             touched = self._follower.touched
         else:
             touched = marks_of(felt_normals(record, best.guess.x[:, 0], best.guess.p[C.SHAPE :]))
+            touched &= self._seeker.sure  # what is not sure helps the bank, but vouches for nothing
         established = self._follower is not None
         against = answer.search.belief.contradicted
         rig, rig_sd = everything[RIG], np.sqrt(np.diagonal(posterior.covariance)[RIG])

@@ -37,7 +37,7 @@ class Seeker:
     """Deterministic for a given seed and the same calls.
 
     Where constants of the rig are open, short records are often explained as well by an outline a millimetre off: then
-    only what a second blind search comes to as well is an answer.
+    only what a second blind search comes to as well is to be vouched for.
     """
 
     def __init__(self, rig: RigDescription, seed: int):
@@ -99,7 +99,12 @@ class Seeker:
             if seconds > LONGEST_S:
                 self.needs_from = segment.end - KEPT_S
             return None
-        return answer if self._exact or self._confirmed else None
+        return answer
+
+    @property
+    def sure(self) -> bool:
+        """Whether the last answer is one to vouch for."""
+        return self._exact or self._confirmed
 
     def _criticised(self, segment: DataSegment, answer: Answer) -> Answer:
         """What is found once the rig is taken for what the readings tell."""
