@@ -18,7 +18,7 @@ OF_A_PALM = (
 NAMES_A_PALM = re.compile(rf"(?<![A-Za-z0-9-])(?:{'|'.join(OF_A_PALM)})[ _]?[12](?![0-9A-Za-z.])")
 UNIT = re.compile(r"(?:(?:m|rad|deg) s2|(?<=/)s2)\b")
 """m/s² and its like within names."""
-MOST_SHARED_NAMES = 9  # of classes: each is to be parted, none to be added
+MOST_SHARED_NAMES = 0  # of classes
 
 
 def sources() -> Iterator[tuple[Path, str]]:

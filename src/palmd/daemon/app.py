@@ -25,7 +25,7 @@ from palmd.daemon.pivot_system import PivotGrasp
 from palmd.daemon.planner import Plan, PlanFolder, read_plan
 from palmd.daemon.smoothing import SmootherProcess
 from palmd.daemon.systemd import Notifier
-from palmd.daemon.systems import System, TwoPalms
+from palmd.daemon.systems import LiveSystem, LiveTwoPalms
 from palmd.keys import KeysError, server_keys
 from palmd.messages import Fields, info_fields
 from palmd.observer.observer import LiveObserver
@@ -59,7 +59,7 @@ def run(config_path: Path, recorder: Callable[[], None] | None = None) -> int:
 def _start(config_path: Path, signals: _Signals, recorder: Callable[[], None] | None) -> int:
     try:
         config = load_any_config(config_path)
-        system: System = PivotGrasp(config) if isinstance(config, PivotConfig) else TwoPalms(config)
+        system: LiveSystem = PivotGrasp(config) if isinstance(config, PivotConfig) else LiveTwoPalms(config)
         plan = None if config.plan is None else read_plan(config.plan, system.limits, None)
         stored = None if isinstance(config, PivotConfig) else config.observer.shape
         outlines = () if stored is None else read_library(stored)
@@ -84,7 +84,7 @@ def _start(config_path: Path, signals: _Signals, recorder: Callable[[], None] | 
 
 def _run(
     config: AnyConfig,
-    system: System,
+    system: LiveSystem,
     folder: Path,
     plan: Plan | None,
     outlines: tuple[Outline, ...],

@@ -28,7 +28,7 @@ from palmd.daemon.lifecycle import COMMANDED, State
 from palmd.daemon.planner import Plan, PlanFolder
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.supervisor import Supervisor
-from palmd.daemon.systems import System, Tick, TwoPalms
+from palmd.daemon.systems import LiveSystem, LiveTwoPalms, TickReport
 from palmd.devices.actuator import ArmState
 from palmd.devices.port import DevicePort
 from palmd.events import Event, Improvement, ObjectEstimate, PadSample, ShapeEstimate
@@ -68,7 +68,7 @@ class Core:
         notes: Iterable[str] = (),
         folder: Path = Path(),
         explorer: Source | None = None,
-        system: System | None = None,
+        system: LiveSystem | None = None,
     ) -> None:
         """`aside` compiles plans beside the loop, `notes` are codes of faults that stand throughout.
 
@@ -77,7 +77,7 @@ class Core:
         """
         if system is None:
             assert not isinstance(config, PivotConfig), "a rig that is not two palms is told as its system"
-            system = TwoPalms(config)
+            system = LiveTwoPalms(config)
         self._system = system
         self.pads = system.pads()
         self.arm = ArmDriver(config.arm, system.poses)
@@ -280,7 +280,7 @@ class Core:
         arm, place = self.arm.host, self.setpoints.place
         age = arm.age(t)
         messages = self._system.tick(
-            Tick(
+            TickReport(
                 t,
                 self._estimate,
                 [pad.view(t) for pad in self.pads.values()],

@@ -13,7 +13,7 @@ from palmd.daemon.drivers import EndName
 from palmd.daemon.exploration_requests import Source
 from palmd.daemon.poses import Poses
 from palmd.daemon.setpoints import SetPoints
-from palmd.daemon.systems import Explores, Messages, Tick
+from palmd.daemon.systems import Explores, Messages, TickReport
 from palmd.devices.actuator import Place, Pose, Reach
 from palmd.devices.pad import PadDriver, make_pad
 from palmd.events import FloatArray, Joints, PadSample, PalmMotion, ShapeEstimate
@@ -69,7 +69,7 @@ class PivotPoses:
 
 
 class PivotGrasp:
-    """A body that turns freely in a gripper over one pad; see `System`."""
+    """A body that turns freely in a gripper over one pad; see `LiveSystem`."""
 
     def __init__(self, config: PivotConfig) -> None:
         self.poses: Poses = PivotPoses.of(config)
@@ -119,7 +119,7 @@ class PivotGrasp:
         del exploring
         return _AWAY
 
-    def tick(self, tick: Tick) -> Messages:
+    def tick(self, tick: TickReport) -> Messages:
         """Estimate, contact, motion, events."""
         assert isinstance(tick.estimate, PivotEstimate)
         place: Fields = {

@@ -45,7 +45,7 @@ Messages = list[tuple[Topic, Fields]]
 
 
 @dataclass(frozen=True, slots=True)
-class Tick:
+class TickReport:
     """What is told of a tick at `t` (s)."""
 
     t: float
@@ -93,7 +93,7 @@ class Explores(Protocol):
         """One tick at `t` (s)."""
 
 
-class System(Protocol):
+class LiveSystem(Protocol):
     """See the module. Everything is safe in the loop."""
 
     poses: Poses
@@ -128,7 +128,7 @@ class System(Protocol):
     def excused(self, exploring: Explores) -> Collection[str]:
         """Codes that are no faults just now."""
 
-    def tick(self, tick: Tick) -> Messages:
+    def tick(self, tick: TickReport) -> Messages:
         """What is published of every tick."""
 
     def answered(self, t: float, answer: LiveAnswer) -> tuple[Topic, Fields]:
@@ -144,8 +144,8 @@ class System(Protocol):
         """Where the joints are and what their limits are, in words."""
 
 
-class TwoPalms:
-    """Two palms on a hinge; see `System`."""
+class LiveTwoPalms:
+    """Two palms on a hinge; see `LiveSystem`."""
 
     def __init__(self, config: Config) -> None:
         self.poses: Poses = make_poses(config)
@@ -188,7 +188,7 @@ class TwoPalms:
         del exploring
         return ()
 
-    def tick(self, tick: Tick) -> Messages:
+    def tick(self, tick: TickReport) -> Messages:
         """Estimate, contacts, motion, events."""
         assert isinstance(tick.estimate, Estimate)
         return [

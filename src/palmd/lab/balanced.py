@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 
 from palmd.events import FloatArray
 from palmd.model import quasistatic as qs
-from palmd.model.stable_poses import Touch, follow, touch
+from palmd.model.stable_poses import TouchedPoint, follow, touch
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +20,7 @@ class BalancedRun:
     phi1: FloatArray
     phi2: FloatArray
     psi: FloatArray
-    contacts: Touch
+    contacts: TouchedPoint
     felt: tuple[qs.QuasistaticReadings, ...]
     jumps: int
 

@@ -129,7 +129,7 @@ def _widest(outline: FloatArray) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Share:
+class CoveredShare:
     """Mean share of the normals touched, beside what the same poses' objects have on flat palms; how many were kept."""
 
     touched: float
@@ -137,13 +137,13 @@ class Share:
     kept: float
 
 
-def by_motion(of: Covered, flat: Covered, amplitude: float) -> Share:
+def by_motion(of: Covered, flat: Covered, amplitude: float) -> CoveredShare:
     """At equal motion, by the amplitude (rad)."""
     column = int(np.argmin(np.abs(AMPLITUDES - amplitude)))
     return _share(of, flat, lambda each: np.where(each.kept[:, column], each.touched[:, column], np.nan))
 
 
-def by_swing(of: Covered, flat: Covered, swing: float) -> Share:
+def by_swing(of: Covered, flat: Covered, swing: float) -> CoveredShare:
     """At equal swing of the contacts' normals (rad): between the amplitudes that lead to less and to more."""
     return _share(of, flat, lambda each: np.array([_at_swing(each, row, swing) for row in range(len(each.which))]))
 
@@ -156,13 +156,13 @@ def _at_swing(of: Covered, row: int, swing: float) -> float:
     return float(np.interp(swing, of.swing[row, last], of.touched[row, last]))
 
 
-def _share(of: Covered, flat: Covered, told: Callable[[Covered], FloatArray]) -> Share:
+def _share(of: Covered, flat: Covered, told: Callable[[Covered], FloatArray]) -> CoveredShare:
     """Objects count alike, however many poses they have; beside flat palms only those that both kept in some pose."""
     own, beside = (_of_objects(each.which, told(each), len(flat.reach)) for each in (of, flat))
     both = np.isfinite(own[0]) & np.isfinite(beside[0])
     if not both.any():
-        return Share(math.nan, math.nan, float(np.mean(own[1])))
-    return Share(float(own[0][both].mean()), float(beside[0][both].mean()), float(np.mean(own[1])))
+        return CoveredShare(math.nan, math.nan, float(np.mean(own[1])))
+    return CoveredShare(float(own[0][both].mean()), float(beside[0][both].mean()), float(np.mean(own[1])))
 
 
 def _of_objects(which: npt.NDArray[np.intp], touched: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
@@ -188,7 +188,7 @@ def table(rows: Sequence[Covered]) -> str:
     return aligned(lines)
 
 
-def _cells(share: Share) -> tuple[str, str, str]:
+def _cells(share: CoveredShare) -> tuple[str, str, str]:
     if math.isnan(share.touched):
         return "–", "–", f"{share.kept:.0%}"
     return f"{share.touched:.3f}", f"× {share.touched / share.on_flat:.2f}", f"{share.kept:.0%}"

@@ -13,18 +13,18 @@ from palmd.console.extras import drawing
 from palmd.console.progress import Progress
 from palmd.lab import curved_coverage, pivot_observability
 from palmd.lab.curved_coverage import Covered
-from palmd.lab.pivot_observability import SWEEPS, Told
+from palmd.lab.pivot_observability import SWEEPS, ToldByMotion
 
 OBJECTS, SEED = 16, 0
 _MASS_OF = 2  # of `SWEEPS`, for the null vector
 
 
 @dataclass(frozen=True, slots=True)
-class Outlook:
+class OutlookAnswers:
     """Both studies: coverage by curvature, and by sweep what each body's readings tell; the null vector of the mass."""
 
     coverage: Sequence[Covered]
-    pivot: Sequence[Sequence[Told]]
+    pivot: Sequence[Sequence[ToldByMotion]]
     null: tuple[float, Sequence[float]]
 
 
@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def studied(objects: int = OBJECTS, bodies: int = pivot_observability.BODIES, first: int = SEED) -> Outlook:
+def studied(objects: int = OBJECTS, bodies: int = pivot_observability.BODIES, first: int = SEED) -> OutlookAnswers:
     """Both studies, by the seeds from `first` on; the coverage takes some two seconds of processor time an object."""
     curvatures, shapes = curved_coverage.curvatures(), curved_coverage.objects(objects, first)
     covered = []
@@ -64,10 +64,10 @@ def studied(objects: int = OBJECTS, bodies: int = pivot_observability.BODIES, fi
     held = pivot_observability.bodies(bodies, first)
     told = [[pivot_observability.told(body, sweep) for body in held] for sweep in SWEEPS]
     value, direction = pivot_observability.mass_null(held[0], SWEEPS[_MASS_OF])
-    return Outlook(covered, told, (value, direction.tolist()))
+    return OutlookAnswers(covered, told, (value, direction.tolist()))
 
 
-def as_text(outlook: Outlook) -> str:
+def as_text(outlook: OutlookAnswers) -> str:
     """The tables, and what they are of."""
     value, direction = outlook.null
     m, b, k2, c = (f"{each:+.3f}" for each in direction)

@@ -11,16 +11,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from palmd.lab.curved_coverage import SHOWN, SWINGS, Covered, Share, by_motion, by_swing
-from palmd.lab.outlook import Outlook
-from palmd.lab.pivot_observability import RANK_TOLERANCE, SWEEPS, Told
+from palmd.lab.curved_coverage import SHOWN, SWINGS, Covered, CoveredShare, by_motion, by_swing
+from palmd.lab.outlook import OutlookAnswers
+from palmd.lab.pivot_observability import RANK_TOLERANCE, SWEEPS, ToldByMotion
 from palmd.model.pivot import ORDER
 
 COLOURS = ("#0072b2", "#d55e00")
 _GREY = "#808080"
 
 
-def save(outlook: Outlook, folder: Path) -> list[Path]:
+def save(outlook: OutlookAnswers, folder: Path) -> list[Path]:
     """Draws `outlook_coverage.svg` and `outlook_pivot.svg`; the same studies give the same files. Raises OSError."""
     paths = [folder / "outlook_coverage.svg", folder / "outlook_pivot.svg"]
     save_coverage(outlook.coverage, paths[0])
@@ -71,13 +71,13 @@ def coverage_figure(rows: Sequence[Covered]) -> Figure:
     return figure
 
 
-def _line(axes: Axes, kappa: Sequence[float], shares: Sequence[Share], colour: str, label: str) -> None:
+def _line(axes: Axes, kappa: Sequence[float], shares: Sequence[CoveredShare], colour: str, label: str) -> None:
     axes.plot(kappa, [share.touched for share in shares], "o-", color=colour, label=label)
     axes.plot(kappa, [share.on_flat for share in shares], "--", color=colour, linewidth=0.8, alpha=0.7,
               label="flat, same objects" if colour == COLOURS[0] else None)  # fmt: skip
 
 
-def pivot_figure(rows: Sequence[Sequence[Told]]) -> Figure:
+def pivot_figure(rows: Sequence[Sequence[ToldByMotion]]) -> Figure:
     """What readings tell of the outline in each direction, motion by motion; and what is known in the end."""
     figure = Figure(figsize=(10.0, 4.0), layout="constrained")
     spectra, known = figure.subplots(1, 2)

@@ -75,7 +75,7 @@ class Held:
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class ToldByMotion:
     """What one motion tells of one body.
 
     touched: share of the normals. rank, of: of the codistribution of the readings s, and how many directions there are
@@ -125,7 +125,7 @@ def bodies(count: int, seed: int) -> list[Held]:
     return found
 
 
-def told(body: Held, sweep: Sweep) -> Told:
+def told(body: Held, sweep: Sweep) -> ToldByMotion:
     """What the motion tells of the body."""
     p = body.constants
     psi, u = _motion(body, sweep)
@@ -136,7 +136,7 @@ def told(body: Held, sweep: Sweep) -> Told:
     outline, moment = _gauge_free(p, theta[:: max(1, len(theta) // 200)])
     alone, both = (_covariance(each, p) for each in (by_s, np.concatenate([by_s, by_force])))
     sd = np.sqrt(np.diag(both))
-    return Told(
+    return ToldByMotion(
         len(np.unique(np.floor(np.mod(theta, math.tau) / _BIN))) * _BIN / math.tau,
         int((values > RANK_TOLERANCE * values[0]).sum()), 2 * ORDER, values,
         _rms_sd(alone, outline), _rms_sd(both, outline), math.sqrt(2) * _rms_sd(both, moment) / MASS_KG,
@@ -313,22 +313,22 @@ def _eased(u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     )
 
 
-def table(rows: Sequence[Sequence[Told]]) -> str:
+def table(rows: Sequence[Sequence[ToldByMotion]]) -> str:
     """A line a sweep of `SWEEPS`, `rows` in that order: medians over the bodies."""
     head = ("touched", "rank by s", "sigma most", "least", "h by s, µm", "h, µm", "M/m, µm", "I, %", "µ", "e − µz, mm")
     lines = [("", head), *((sweep.name, _cells(some)) for sweep, some in zip(SWEEPS, rows, strict=True))]
     return aligned(lines)
 
 
-_SDS: tuple[Callable[[Told], float], ...] = (
+_SDS: tuple[Callable[[ToldByMotion], float], ...] = (
     lambda each: each.h_by_s,
     lambda each: each.h,
     lambda each: each.moment,
 )
 
 
-def _cells(some: Sequence[Told]) -> tuple[str, ...]:
-    def middle(value: Callable[[Told], float]) -> float:
+def _cells(some: Sequence[ToldByMotion]) -> tuple[str, ...]:
+    def middle(value: Callable[[ToldByMotion], float]) -> float:
         return float(np.median([value(each) for each in some]))
 
     rank = middle(lambda each: each.rank)

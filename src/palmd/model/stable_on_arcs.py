@@ -15,7 +15,7 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model.arcs import contacts_on_arcs
-from palmd.model.stable_poses import BoolArray, Touch, touch
+from palmd.model.stable_poses import BoolArray, TouchedPoint, touch
 from palmd.system.arcs import FLAT, MOST_LYING, arc_lengths, tangents
 
 SCAN = 360  # values of ψ among which changes of sign are looked for
@@ -36,7 +36,7 @@ class OnArcs:
     stable: BoolArray
 
 
-def on_arcs(contacts: Touch, beta1: FloatArray, opening: FloatArray, curvatures: Sequence[float]) -> OnArcs:
+def on_arcs(contacts: TouchedPoint, beta1: FloatArray, opening: FloatArray, curvatures: Sequence[float]) -> OnArcs:
     """The palms that touch an object with tangents at β1 and β2 = β1 + opening (…) (rad), contacts as `touch` has them.
 
     Stable where (d1 sin β2 + d2 sin β1) rises with ψ at standing palms: then β_i′ = κ_i (u_i − v_i)/(1 − κ_i v_i) with

@@ -34,7 +34,7 @@ _FLAT = 1e-12  # of the mean radius: what is less than this of slope is rounding
 
 
 @dataclass(frozen=True, slots=True)
-class Touch:
+class TouchedPoint:
     """Both contacts of a pose: r, d, v (m) as in section 3.1, and the readings s1, s2 (m)."""
 
     r1: FloatArray
@@ -108,16 +108,16 @@ def outline_at(coefficients: FloatArray, theta: FloatArray) -> tuple[FloatArray,
     return r.reshape(shape), d.reshape(shape), v.reshape(shape)
 
 
-def touch(coefficients: FloatArray, phi1: FloatArray, phi2: FloatArray, psi: FloatArray) -> Touch:
+def touch(coefficients: FloatArray, phi1: FloatArray, phi2: FloatArray, psi: FloatArray) -> TouchedPoint:
     """Contacts and readings of poses, stable or not, that broadcast against each other: (3.1), (3.13), (3.14)."""
     theta1, theta2 = normal_directions((phi1, phi2), psi)
     r1, d1, v1 = outline_at(coefficients, theta1)
     r2, d2, v2 = outline_at(coefficients, theta2)
     cos, sin = np.cos(phi2), np.sin(phi2)
-    return Touch(r1, d1, v1, r2, d2, v2, (r1 * cos + r2) / sin - d1, (r2 * cos + r1) / sin + d2)
+    return TouchedPoint(r1, d1, v1, r2, d2, v2, (r1 * cos + r2) / sin - d1, (r2 * cos + r1) / sin + d2)
 
 
-def centre_of_mass(touch: Touch, phi1: FloatArray) -> FloatArray:
+def centre_of_mass(touch: TouchedPoint, phi1: FloatArray) -> FloatArray:
     """c_m = s1 t1 − R x1 from the hinge (m), (…, 2): (3.17), with R x1 = −(r1 n1 + d1 t1)."""
     along, across = touch.s1 + touch.d1, touch.r1
     return np.stack(

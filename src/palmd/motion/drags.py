@@ -44,7 +44,7 @@ _LEAST_S = 0.12
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class DragStep:
     """What to do now: move on, stand still at once, wait, or end; `reason` is for people, empty for nothing new."""
 
     kind: Literal["move", "halt", "wait", "done"]
@@ -52,7 +52,7 @@ class Step:
     reason: str = ""
 
 
-WAIT = Step("wait")
+WAIT = DragStep("wait")
 
 
 class Drags:
@@ -85,13 +85,13 @@ class Drags:
         """Whether the body leaves the pad, or is off it, because it shall."""
         return self.phase in ("lift", "turn", "seek")
 
-    def look(self, felt: Touching, here: Angles, resting: bool) -> Step:
+    def look(self, felt: Touching, here: Angles, resting: bool) -> DragStep:
         """The next step: what is felt, where the last move ends (m), and whether it has ended."""
         if self.phase == "seek" and felt.touching:
             self.phase = "settle"
             self._z_touch = felt.z
             self._before, self._slope, self._most = None, 0.0, 0.0
-            return Step("halt", reason="the body touches")
+            return DragStep("halt", reason="the body touches")
         if self.phase in ("down", "up", "settle") and not felt.touching:
             return self._silence(felt.t, resting)
         self._t_silent = math.inf
@@ -100,16 +100,16 @@ class Drags:
             self._retreat = True
             self.phase = "up"
             self._ends.add((self._side, "low"))
-            return Step("halt", reason=f"turns back: {why}")
+            return DragStep("halt", reason=f"turns back: {why}")
         if not resting:
             return WAIT
         return self._next(felt, here)
 
-    def _silence(self, t: float, resting: bool) -> Step:
+    def _silence(self, t: float, resting: bool) -> DragStep:
         """Stand still while the pad says nothing; for longer, the body has left it."""
         if math.isinf(self._t_silent):
             self._t_silent = t
-            return Step("halt", reason="the pad says nothing: is the body still on it?")
+            return DragStep("halt", reason="the pad says nothing: is the body still on it?")
         if not resting or t < self._t_silent + SILENT_S:
             return WAIT
         self._t_silent = math.inf
@@ -120,7 +120,7 @@ class Drags:
         self.lifted += 1
         return self._go("lift", "the body left the pad: lifted off to be tilted anew")
 
-    def _next(self, felt: Touching, here: Angles) -> Step:
+    def _next(self, felt: Touching, here: Angles) -> DragStep:
         match self.phase:
             case "lift":
                 return self._lift(felt, here)
@@ -137,10 +137,10 @@ class Drags:
 
     # ---- off the pad -------------------------------------------------------------------------------------
 
-    def _lift(self, felt: Touching, here: Angles) -> Step:
+    def _lift(self, felt: Touching, here: Angles) -> DragStep:
         _, (_, top) = self._limits.angles
         if here[1] >= top:
-            return Step("done", reason="there is no room to lift the body off: raise limits.z_mm")
+            return DragStep("done", reason="there is no room to lift the body off: raise limits.z_mm")
         if felt.touching:  # in one go and dragged inwards: at rest near the dead centre it would press hard
             end = (here[0] - math.copysign(AWAY_M, felt.e), here[1] + CLEAR_M)
             dragged = math.isfinite(felt.e) and not self._off(end, felt.e)
@@ -148,7 +148,7 @@ class Drags:
         self.phase, self._t_turned = "turn", felt.t + TURN_S
         return self._moved(here, (here[0], here[1] + CLEAR_M), AWAY_M_S)
 
-    def _turn(self, felt: Touching, here: Angles) -> Step:
+    def _turn(self, felt: Touching, here: Angles) -> DragStep:
         start = self._start_of(self._wanted)
         if here[0] != start:
             where = "far end" if self._wanted > 0 else "beginning"
@@ -160,7 +160,7 @@ class Drags:
         self.phase = "seek"
         return WAIT
 
-    def _seek(self, here: Angles) -> Step:
+    def _seek(self, here: Angles) -> DragStep:
         (_, _), (bottom, _) = self._limits.angles
         start = self._start_of(self._wanted)
         if here[0] != start:
@@ -169,7 +169,7 @@ class Drags:
         if math.isfinite(near) and here[1] > near:
             return self._moved(here, (start, near), APPROACH_M_S)
         if here[1] <= bottom:
-            return Step("done", reason="nothing touches the pad, though the gripper is as low as it may be")
+            return DragStep("done", reason="nothing touches the pad, though the gripper is as low as it may be")
         return self._moved(here, (start - self._wanted * STROKE_M, here[1] - STROKE_M / STROKE_RATIO), APPROACH_M_S)
 
     def _start_of(self, side: float) -> float:
@@ -179,7 +179,7 @@ class Drags:
 
     # ---- on the pad --------------------------------------------------------------------------------------
 
-    def _settle(self, felt: Touching) -> Step:
+    def _settle(self, felt: Touching) -> DragStep:
         if not (math.isfinite(felt.e) and math.isfinite(felt.force)):
             return WAIT
         if abs(felt.e) < TILTED_M:
@@ -188,12 +188,12 @@ class Drags:
         self.phase = "down"
         return WAIT
 
-    def _down(self, felt: Touching, here: Angles) -> Step:
+    def _down(self, felt: Touching, here: Angles) -> DragStep:
         if why := self._warning(felt):
             self._note(why)
             self._ends.add((self._side, "low"))
             self.phase, self._retreat = "up", True
-            return Step("wait", reason=f"turns back: {why}")
+            return DragStep("wait", reason=f"turns back: {why}")
         self._learn(felt)
         lower = self._stride(felt, -1.0)
         end = (here[0] - self._side * TRAIL * felt.z * lower / abs(felt.e), here[1] - lower)
@@ -201,10 +201,10 @@ class Drags:
             self._note(why)
             self._ends.add((self._side, "low"))
             self.phase = "up"
-            return Step("wait", reason=f"turns back: {why}")
+            return DragStep("wait", reason=f"turns back: {why}")
         return self._moved(here, end, DOWN_M_S)
 
-    def _up(self, felt: Touching, here: Angles) -> Step:
+    def _up(self, felt: Touching, here: Angles) -> DragStep:
         if not math.isfinite(felt.e):
             return WAIT
         self._learn(felt)
@@ -220,15 +220,17 @@ class Drags:
             return self._over(felt) or self._go("lift", "this side is done: lifted off")
         return self._moved(here, end, DOWN_M_S)
 
-    def _over(self, felt: Touching) -> Step | None:
+    def _over(self, felt: Touching) -> DragStep | None:
         """Ends it where all has been seen; else the other side is next."""
         self._wanted = -self._side
         self._rounds += self.coverage >= 1.0
         wanted = math.inf if self._goal.band_mm is None else self._goal.band_mm * 1e-3
         if self.coverage >= self._goal.coverage and math.isfinite(felt.band) and felt.band <= wanted:
-            return Step("done", reason="both sides were followed from one end to the other, and the outline is known")
+            return DragStep(
+                "done", reason="both sides were followed from one end to the other, and the outline is known"
+            )
         if self._rounds > ROUNDS:
-            return Step("done", reason="both sides were followed again and again, and the outline is not told")
+            return DragStep("done", reason="both sides were followed again and again, and the outline is not told")
         return None
 
     def _stride(self, felt: Touching, sense: float) -> float:
@@ -277,11 +279,11 @@ class Drags:
     def _note(self, why: str) -> None:
         self.turned_back[why] = self.turned_back.get(why, 0) + 1
 
-    def _go(self, phase: Phase, reason: str) -> Step:
+    def _go(self, phase: Phase, reason: str) -> DragStep:
         self.phase = phase
-        return Step("halt", reason=reason)
+        return DragStep("halt", reason=reason)
 
-    def _moved(self, here: Angles, end: Angles, speed: float, reason: str = "") -> Step:
+    def _moved(self, here: Angles, end: Angles, speed: float, reason: str = "") -> DragStep:
         (x0, x1), (z0, z1) = self._limits.angles
         end = (min(max(end[0], x0), x1), min(max(end[1], z0), z1))
         dx, dz = abs(end[0] - here[0]), abs(end[1] - here[1])
@@ -291,7 +293,7 @@ class Drags:
             PEAK_RATE * max(dz / min(speed, most), dx / most),
             math.sqrt(PEAK_ACCELERATION * max(dx, dz) / (0.5 * self._limits.acceleration)),
         )
-        return Step("move", Move(here, end, lasts), reason)
+        return DragStep("move", Move(here, end, lasts), reason)
 
 
 _LEVER, _LIGHT = "the pivot comes near over the contact", "the body hardly presses any more"

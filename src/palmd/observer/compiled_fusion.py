@@ -57,7 +57,7 @@ class _RigError(ctypes.Structure):
     _fields_ = (*_pointers("values", "lengths", "curvatures", "s"),)
 
 
-class _Reading(ctypes.Structure):
+class _FusedReading(ctypes.Structure):
     _fields_ = (*_doubles("t", "s", "force"), ("pad", ctypes.c_long))
 
 
@@ -70,14 +70,14 @@ class _Bank(ctypes.Structure):
 
 
 class _Fused(ctypes.Structure):
-    _fields_ = (("reading", _Reading), *_doubles("t_before"), *_pointers("faded", "x", "P", "score", "nis"))
+    _fields_ = (("reading", _FusedReading), *_doubles("t_before"), *_pointers("faded", "x", "P", "score", "nis"))
 
 
 class _Fusion(ctypes.Structure):
     _fields_ = (
         *_doubles("t", "t_start", "repeated"), ("variances", _Joints), *_pointers("faded"),
         *((name, ctypes.c_long) for name in ("early", "count", "waiting", "moved")),
-        ("fused", _Fused * EVENTS), ("queue", _Reading * (EVENTS + 1)),
+        ("fused", _Fused * EVENTS), ("queue", _FusedReading * (EVENTS + 1)),
     )  # fmt: skip
 
 
@@ -197,7 +197,7 @@ class CompiledBank:
         self.address = ctypes.addressof(self._now)
         self._y, self._variance = np.zeros(len(NAMED)), np.zeros(len(NAMED))
         self._told = self._y.ctypes.data, self._variance.ctypes.data
-        self._reading = _Reading()
+        self._reading = _FusedReading()
         self._reading_at = ctypes.addressof(self._reading)
 
     def reading(self, sample: PadSample) -> int:

@@ -49,7 +49,7 @@ def repetitions(rested_s: FloatArray | float) -> FloatArray | float:
     return 1.0 + rested_s / SHARED_AFTER_S
 
 
-class Palms(Protocol):
+class TrackedPalms(Protocol):
     """The palms' motion by their reports so far; `jerk` (rad/s³) of each joint is the one the plan showed last."""
 
     jerk: FloatArray

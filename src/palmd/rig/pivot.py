@@ -138,7 +138,7 @@ class Grasp:
 
 
 @dataclass(frozen=True, slots=True)
-class PivotRun:
+class SimulatedPivot:
     """A grasp, the arm's plan along x and z (z: rigid only; None while the arm goes round) and what happened."""
 
     kind: PivotKind
@@ -182,7 +182,9 @@ def _grasp(rng: np.random.Generator, off: PivotImperfections, least: float, most
 # ------------------------------------------------------------------------------------------------------ rigid
 
 
-def _tilt(rng: np.random.Generator, duration: float, off: PivotImperfections, sides: int, odd: bool) -> PivotRun | None:
+def _tilt(
+    rng: np.random.Generator, duration: float, off: PivotImperfections, sides: int, odd: bool
+) -> SimulatedPivot | None:
     grasp = _grasp(rng, off, 5e-3, 9e-3, (0.05, 0.2, 0.0), odd)
     angles = np.linspace(-math.pi, math.pi, 1441)
     heights = np.array([grasp.height(a) for a in angles])
@@ -230,7 +232,7 @@ def _tilt(rng: np.random.Generator, duration: float, off: PivotImperfections, si
 
         return at
 
-    return PivotRun("tilt", turned_grasp, both(drags), both([z] * sides), history)
+    return SimulatedPivot("tilt", turned_grasp, both(drags), both([z] * sides), history)
 
 
 def _touched(
@@ -304,7 +306,7 @@ def _eased(u: float) -> Axis:
 # ------------------------------------------------------------------------------------------------------ sliding
 
 
-def _float(rng: np.random.Generator, duration: float, off: PivotImperfections, odd: bool) -> PivotRun | None:
+def _float(rng: np.random.Generator, duration: float, off: PivotImperfections, odd: bool) -> SimulatedPivot | None:
     grasp = _grasp(rng, off, 0.5e-3, 3e-3, (0.25, 0.4, 0.0), odd)
     carriage = grasp.body.mass * float(rng.uniform(0.8, 2.0))
     grasp = replace(grasp, carriage=carriage, carriage_damping=carriage * float(rng.uniform(1.0, 2.0)))
@@ -350,13 +352,13 @@ def _float(rng: np.random.Generator, duration: float, off: PivotImperfections, o
         omega += h / 6 * (k1o + 2 * k2o + 2 * k3o + k4o)
         if not abs(omega) < 100.0:
             return None
-    return PivotRun("float", grasp, x, None, np.array(rows))
+    return SimulatedPivot("float", grasp, x, None, np.array(rows))
 
 
 # ------------------------------------------------------------------------------------------------------ the log
 
 
-def _log(run: PivotRun, off: PivotImperfections, rng: np.random.Generator) -> list[Line]:
+def _log(run: SimulatedPivot, off: PivotImperfections, rng: np.random.Generator) -> list[Line]:
     grasp, history = run.grasp, run.history
     end = float(history[-1, 0])
     gripper: Line = {"vertical": "rigid" if run.z else "float", "z_measured": True}
@@ -402,7 +404,7 @@ def _time_of(line: Line) -> float:
     return float(line["t"])
 
 
-def _truth(run: PivotRun) -> Line:
+def _truth(run: SimulatedPivot) -> Line:
     grasp, history = run.grasp, run.history
     theta: FloatArray = np.arange(360, dtype=np.float64) * (math.tau / 360)
     h = grasp.body.support.sample(theta)

@@ -10,7 +10,7 @@ from palmd.events import PadSample
 from palmd.model.pivot import P
 from palmd.observer.pivot.arm_path import axis_path
 from palmd.observer.pivot.reconstruct import reconstruct
-from palmd.observer.pivot.record import Touch, arm_motion, lay_out
+from palmd.observer.pivot.record import TouchSpan, arm_motion, lay_out
 from palmd.observer.pivot.starts import believed, outline_through, rigid_starts, side_of, turned
 from palmd.record.systems.pivot import PivotForm
 from palmd.rig.pivot import PivotImperfections, simulate_pivot_log
@@ -153,7 +153,7 @@ def test_a_path_follows_its_plan_and_shifts_where_the_arm_was_silent():
 
 
 def test_a_touchs_spline_gives_a_cubic_and_its_rates():
-    touch = Touch(1.0, 3.0, 5, 13)
+    touch = TouchSpan(1.0, 3.0, 5, 13)
     knots = 1.0 + touch.spacing * (np.arange(13) - 1)
     c = np.zeros(18)
     c[touch.coefficients] = 2.0 + 3.0 * knots  # splines give straight lines exactly

@@ -11,7 +11,7 @@ import numpy as np
 from palmd.events import FloatArray, PadSample, PalmSample
 from palmd.model import shape
 from palmd.observer.bank import Bank, Belief
-from palmd.observer.palms import Palms
+from palmd.observer.palms import TrackedPalms
 from palmd.observer.prior import BlindStart
 
 LONGEST_STEP_S = 0.0061  # of one integration step: readings of one pad come every 10 ms
@@ -53,13 +53,13 @@ class Filters(Protocol):
     overconfidence: Overconfidence
     curvature: FloatArray  # rows that map the state to v (m) on `CURVATURE_NORMALS` normals
 
-    def tracker(self, angle_noise: float) -> Palms:
+    def tracker(self, angle_noise: float) -> TrackedPalms:
         """What follows the palms for them; `angle_noise` is the one-sigma of a measured angle (rad)."""
 
-    def start(self, start: BlindStart, palms: Palms, t: float) -> None:
+    def start(self, start: BlindStart, palms: TrackedPalms, t: float) -> None:
         """Set every filter to its sample of the prior, at time `t`."""
 
-    def start_known(self, x: FloatArray, P: FloatArray, psi: FloatArray, palms: Palms, t: float) -> None:
+    def start_known(self, x: FloatArray, P: FloatArray, psi: FloatArray, palms: TrackedPalms, t: float) -> None:
         """Set the first filters, one for each of `psi` (rad), to a state of `model.shape_map` turned there.
 
         `x` and its covariance `P` are one for all; a bank of shape maps also takes one for each.
@@ -68,10 +68,10 @@ class Filters(Protocol):
     def constants(self, start: BlindStart) -> Belief:
         """What was believed of the object's constants at the start, for `Bank.fade`."""
 
-    def carry(self, t: float, until: float, palms: Palms, repeated: float) -> None:
+    def carry(self, t: float, until: float, palms: TrackedPalms, repeated: float) -> None:
         """Move the bank from `t` to `until` (s); scores lose weight as readings of one place, one of `repeated`, do."""
 
-    def fuse_pad(self, sample: PadSample, variance: float, palms: Palms, repeated: float) -> None:
+    def fuse_pad(self, sample: PadSample, variance: float, palms: TrackedPalms, repeated: float) -> None:
         """Fuse one contact reading, one of `repeated` that share one error."""
 
     def fuse_palms(self, sample: PalmSample, angle_variance: float) -> None:
@@ -80,10 +80,10 @@ class Filters(Protocol):
     def inflate(self, gap: float) -> None:
         """Widen what moves after `gap` seconds through which the palms' motion was not reported but guessed."""
 
-    def named(self, member: int, t: float, dt: float, palms: Palms) -> tuple[FloatArray, FloatArray]:
+    def named(self, member: int, t: float, dt: float, palms: TrackedPalms) -> tuple[FloatArray, FloatArray]:
         """Values of `NAMED` and their variances for one filter, taken from `t` to `t + dt`."""
 
-    def all_named(self, t: float, palms: Palms) -> FloatArray:
+    def all_named(self, t: float, palms: TrackedPalms) -> FloatArray:
         """Values of `NAMED` of every filter at `t`, (size, len(NAMED)); overwritten by the next call."""
 
     def outline(self, member: int) -> tuple[FloatArray, FloatArray]:
@@ -99,11 +99,11 @@ class Filters(Protocol):
 class _Predicts(Protocol):
     bank: Bank
 
-    def predict(self, t: float, dt: float, palms: Palms) -> None:
+    def predict(self, t: float, dt: float, palms: TrackedPalms) -> None:
         """Move the bank from `t` to `t + dt`."""
 
 
-def carry(filters: _Predicts, t: float, until: float, palms: Palms, repeated: float) -> None:
+def carry(filters: _Predicts, t: float, until: float, palms: TrackedPalms, repeated: float) -> None:
     """As `Filters.carry`, in equal steps of at most `LONGEST_STEP_S`; safe inside the loop."""
     gap = until - t
     steps = max(1, math.ceil(gap / LONGEST_STEP_S))

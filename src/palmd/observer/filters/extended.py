@@ -20,7 +20,7 @@ from palmd.observer.filters.base import (
     curvature_rows,
     pad_update,
 )
-from palmd.observer.palms import PLAN_RATE_SD, Palms, PalmTracker
+from palmd.observer.palms import PLAN_RATE_SD, PalmTracker, TrackedPalms
 from palmd.observer.prior import BlindStart
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import JOINT_RATES, JOINTS
@@ -60,10 +60,10 @@ class ExtendedFilters:
         self.curvature[:, extended.X.CURVATURE :] = curvature_rows() @ np.linalg.pinv(shape.curvature_rows())
         self._outline = library.bind("outline", [self._x], [self._h, self._J_h])
 
-    def tracker(self, angle_noise: float) -> Palms:
+    def tracker(self, angle_noise: float) -> TrackedPalms:
         return PalmTracker(angle_noise)
 
-    def start(self, start: BlindStart, palms: Palms, t: float) -> None:
+    def start(self, start: BlindStart, palms: TrackedPalms, t: float) -> None:
         X = extended.X
         phi1, phi2, omega1, omega2 = palms.at(t)[:4]
         # r and s at the contacts and v along the outline all follow from one belief about the coefficients
@@ -83,7 +83,7 @@ class ExtendedFilters:
         sd[X.LN_DITHER], sd[X.DAMPING] = start.own_ln_dither_sd, start.own_damping_sd
         P[:] = (linear * start.own_shape_sd**2) @ linear.T + np.diag(sd**2)
 
-    def start_known(self, x: FloatArray, P: FloatArray, psi: FloatArray, palms: Palms, t: float) -> None:
+    def start_known(self, x: FloatArray, P: FloatArray, psi: FloatArray, palms: TrackedPalms, t: float) -> None:
         X, Z = extended.X, shape_map.Z
         phi1, phi2, omega1, omega2 = palms.at(t)[:4]
         angle_sd, rate_sd = palms.sd(t)
@@ -119,13 +119,13 @@ class ExtendedFilters:
         sd[X.CURVATURE :] = np.abs(curvature) @ start.shape_sd
         return Belief(slice(X.RHO, extended.N), mean, sd)
 
-    def carry(self, t: float, until: float, palms: Palms, repeated: float) -> None:
+    def carry(self, t: float, until: float, palms: TrackedPalms, repeated: float) -> None:
         carry(self, t, until, palms, repeated)
 
-    def predict(self, t: float, dt: float, palms: Palms) -> None:
+    def predict(self, t: float, dt: float, palms: TrackedPalms) -> None:
         self.bank.predict(dt, palms.at(t)[4:], palms.jerk, self._rig)
 
-    def fuse_pad(self, sample: PadSample, variance: float, palms: Palms, repeated: float) -> None:
+    def fuse_pad(self, sample: PadSample, variance: float, palms: TrackedPalms, repeated: float) -> None:
         del palms  # the palms' angles are part of the state
         self.bank.update(pad_update(sample.pad), sample.s, variance, repeated=repeated)
 
@@ -146,7 +146,7 @@ class ExtendedFilters:
         )
         self.bank.P[:] += np.diag(variance)
 
-    def named(self, member: int, t: float, dt: float, palms: Palms) -> tuple[FloatArray, FloatArray]:
+    def named(self, member: int, t: float, dt: float, palms: TrackedPalms) -> tuple[FloatArray, FloatArray]:
         self._x[:], self._P[:] = self.bank.x[member], self.bank.P[member]
         self._u[0], self._u[1:3], self._u[3:5] = dt, palms.at(t)[4:], palms.jerk
         self._predict()
@@ -154,7 +154,7 @@ class ExtendedFilters:
         self._named()
         return self._y.copy(), ((self._P_next @ self._J) * self._J).sum(axis=0)
 
-    def all_named(self, t: float, palms: Palms) -> FloatArray:
+    def all_named(self, t: float, palms: TrackedPalms) -> FloatArray:
         return self.bank.values(palms.at(t)[4:], self._rig)
 
     def outline(self, member: int) -> tuple[FloatArray, FloatArray]:

@@ -22,7 +22,7 @@ from palmd.observer.filters.base import (
     curvature_rows,
     pad_update,
 )
-from palmd.observer.palms import Palms, PalmTracker
+from palmd.observer.palms import PalmTracker, TrackedPalms
 from palmd.observer.prior import BlindStart
 from palmd.observer.rig_error import RigError
 from palmd.system.description import RigDescription
@@ -108,10 +108,10 @@ class ShapeFilters:
     def rig_error(self, error: RigError) -> None:
         self._rig_error, self.compiled_rig = error, CompiledRig(error)
 
-    def tracker(self, angle_noise: float) -> Palms:
+    def tracker(self, angle_noise: float) -> TrackedPalms:
         return PalmTracker(angle_noise) if self._routines is None else CompiledPalms(self._routines, angle_noise)
 
-    def start(self, start: BlindStart, palms: Palms, t: float) -> None:
+    def start(self, start: BlindStart, palms: TrackedPalms, t: float) -> None:
         del palms, t  # the palms are not part of the state
         self.left_open = None
         Z = shape_map.Z
@@ -130,7 +130,7 @@ class ShapeFilters:
         sd[Z.SHAPE :] = start.own_shape_sd
         P[:] = np.diag(sd**2)
 
-    def start_known(self, x: FloatArray, P: FloatArray, psi: FloatArray, palms: Palms, t: float) -> None:
+    def start_known(self, x: FloatArray, P: FloatArray, psi: FloatArray, palms: TrackedPalms, t: float) -> None:
         del palms, t  # the palms are not part of the state
         Z = shape_map.Z
         self.bank.x[: len(psi)], self.bank.P[: len(psi)] = x, P
@@ -148,17 +148,17 @@ class ShapeFilters:
         sd[Z.SHAPE :] = start.shape_sd
         return Belief(slice(Z.LN_RHO, self.bank.n), mean, sd)
 
-    def carry(self, t: float, until: float, palms: Palms, repeated: float) -> None:
+    def carry(self, t: float, until: float, palms: TrackedPalms, repeated: float) -> None:
         if self.compiled is not None and isinstance(palms, CompiledPalms):
             self.compiled.carry(self.compiled_rig, palms, t, until, repeated)
         else:
             carry(self, t, until, palms, repeated)
 
-    def predict(self, t: float, dt: float, palms: Palms) -> None:
+    def predict(self, t: float, dt: float, palms: TrackedPalms) -> None:
         """Move the bank from `t` to `t + dt`."""
         self.bank.predict(dt, self._palms_at(t, palms), palms.jerk, self._rig_now())
 
-    def fuse_pad(self, sample: PadSample, variance: float, palms: Palms, repeated: float) -> None:
+    def fuse_pad(self, sample: PadSample, variance: float, palms: TrackedPalms, repeated: float) -> None:
         if self.compiled is not None and isinstance(palms, CompiledPalms):
             self.compiled.read(self.compiled_rig, palms, sample, variance, repeated)
             return
@@ -176,7 +176,7 @@ class ShapeFilters:
         variance[Z.PSI] = (GUESSED_ACCELERATION_SD * gap**2 / 2) ** 2
         self.bank.P[:] += np.diag(variance)
 
-    def named(self, member: int, t: float, dt: float, palms: Palms) -> tuple[FloatArray, FloatArray]:
+    def named(self, member: int, t: float, dt: float, palms: TrackedPalms) -> tuple[FloatArray, FloatArray]:
         if self.compiled is not None and isinstance(palms, CompiledPalms):
             spread = None if self.spread is None else self.spread[: self.bank.n]
             return self.compiled.named(self.compiled_rig, palms, member, t, dt, spread)
@@ -190,7 +190,7 @@ class ShapeFilters:
         variance[_JOINTS_AT] += np.ravel(palms.sd(t + dt)) ** 2
         return self._y.copy(), variance
 
-    def all_named(self, t: float, palms: Palms) -> FloatArray:
+    def all_named(self, t: float, palms: TrackedPalms) -> FloatArray:
         return self.bank.values(self._palms_at(t, palms), self._rig_now())
 
     def outline(self, member: int) -> tuple[FloatArray, FloatArray]:
@@ -208,7 +208,7 @@ class ShapeFilters:
         self._rig[FRICTION_INPUT] = self.rig_error.values[R.FRICTION]
         return self._rig
 
-    def _palms_at(self, t: float, palms: Palms) -> FloatArray:
+    def _palms_at(self, t: float, palms: TrackedPalms) -> FloatArray:
         motion = palms.at(t)
         motion[:2] += self.rig_error.angles()
         return motion

@@ -15,7 +15,7 @@ from scipy.sparse import csr_matrix
 from palmd.events import FloatArray
 from palmd.model.compiled import Library
 from palmd.model.pivot import BATCH, CONSTANTS, MOTION, P
-from palmd.observer.pivot.record import TAPS, Record, Rows
+from palmd.observer.pivot.record import TAPS, PivotRecord, Rows
 
 MAX_ITERATIONS = 60
 NEGLIGIBLE = 0.02
@@ -88,7 +88,7 @@ class _Normal:
 class Problem:
     """The least-squares problem of one record; `fit` may be called with many starts."""
 
-    def __init__(self, library: Library, record: Record, known: Known):
+    def __init__(self, library: Library, record: PivotRecord, known: Known):
         self.record = record
         self.known = known
         force = "rigid_force" if record.rig.vertical == "rigid" else "slide_force"

@@ -18,7 +18,7 @@ from palmd.model.pivot import ORDER, P, U, library
 from palmd.observer.noise import LEAST_READINGS, scattered
 from palmd.observer.outline import directions, gauge_free_sd, touched_by
 from palmd.observer.pivot.fit import MAX_ITERATIONS, SHARP, PivotFit, Problem, Softening, moved_by_gain, with_forces_of
-from palmd.observer.pivot.record import Record, TooLittleError, arm_motion, lay_out
+from palmd.observer.pivot.record import PivotRecord, TooLittleError, arm_motion, lay_out
 from palmd.observer.pivot.starts import believed, float_starts, rigid_starts, side_of
 from palmd.system.pivot import PivotEvent, PivotRig, normal_of
 
@@ -106,7 +106,7 @@ def _with_scatter(rig: PivotRig, events: Sequence[PivotEvent]) -> PivotRig:
     return replace(rig, pad=scattered(rig.pad, samples)) if len(samples) >= LEAST_READINGS else rig
 
 
-def _worth_a_fit(record: Record) -> None:
+def _worth_a_fit(record: PivotRecord) -> None:
     """Raises TooLittleError for runs of which no fit is needed to see that they tell no outline."""
     z = record.heights.value
     if z.min() <= 0.0:
@@ -120,7 +120,7 @@ def _worth_a_fit(record: Record) -> None:
         )
 
 
-def _fitted(record: Record) -> tuple[list[PivotFit], Problem]:
+def _fitted(record: PivotRecord) -> tuple[list[PivotFit], Problem]:
     """Minima from all starts, the best first, and the problem that they solve."""
     kernels, known = library(), believed(record)
     problem = Problem(kernels, record, known)
@@ -213,7 +213,7 @@ def _given_the_rig(covariance: FloatArray) -> FloatArray:
     return own
 
 
-def _unwound(c: FloatArray, record: Record) -> FloatArray:
+def _unwound(c: FloatArray, record: PivotRecord) -> FloatArray:
     """The splines, each by whole turns as near as can be to the end of the one before."""
     c = c.copy()
     for before, touch in itertools.pairwise(record.touches):
@@ -223,7 +223,7 @@ def _unwound(c: FloatArray, record: Record) -> FloatArray:
 
 
 def _doubt(
-    record: Record,
+    record: PivotRecord,
     best: PivotFit,
     rivals: Sequence[PivotFit],
     theta: FloatArray,
@@ -266,7 +266,7 @@ def _doubt(
     return ""
 
 
-def _of(record: Record, number: int) -> npt.NDArray[np.bool_]:
+def _of(record: PivotRecord, number: int) -> npt.NDArray[np.bool_]:
     touch = record.touches[number]
     return (record.readings.t >= touch.begin) & (record.readings.t <= touch.end)
 

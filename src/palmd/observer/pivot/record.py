@@ -40,7 +40,7 @@ class Rows:
 
 
 @dataclass(frozen=True, slots=True)
-class Touch:
+class TouchSpan:
     """One uninterrupted touch (s) and its uniform cubic spline of `count` coefficients, the first of them `first`."""
 
     begin: float
@@ -71,11 +71,11 @@ class Touch:
 
 
 @dataclass(frozen=True, slots=True)
-class Record:
+class PivotRecord:
     """All rows of a run. torques: where the slide's equation of motion must hold; none of a rigid gripper."""
 
     rig: PivotRig
-    touches: tuple[Touch, ...]
+    touches: tuple[TouchSpan, ...]
     readings: Rows
     heights: Rows
     forces: Rows
@@ -133,18 +133,18 @@ def arm_motion(events: Sequence[PivotEvent], rig: PivotRig) -> ArmMotion:
     return ArmMotion(along_x, along_z, t, z, rig)
 
 
-def lay_out(events: Sequence[PivotEvent], arm: ArmMotion, rig: PivotRig) -> Record:
+def lay_out(events: Sequence[PivotEvent], arm: ArmMotion, rig: PivotRig) -> PivotRecord:
     """The record of a run; raises TooLittleError when there is no touch worth a fit."""
     found = _touches(events, arm, rig)
     if not found:
         raise TooLittleError("the pad is nowhere touched for long enough")
     spacing = SPACING_S[rig.vertical]
-    touches: list[Touch] = []
+    touches: list[TouchSpan] = []
     first = 0
     for samples in found:
         begin, end = samples[0].t_sample, samples[-1].t_sample
         count = max(math.ceil((end - begin) / spacing), TAPS) + TAPS - 1
-        touches.append(Touch(begin, end, first, count))
+        touches.append(TouchSpan(begin, end, first, count))
         first += count
     pads = [sample for samples in found for sample in samples]
     t, s = np.array([(each.t_sample, each.s) for each in pads]).T
@@ -154,7 +154,7 @@ def lay_out(events: Sequence[PivotEvent], arm: ArmMotion, rig: PivotRig) -> Reco
     t = np.array([each.t_sample for each in pressed])
     level = np.maximum(_running_median(force), LEAST_FORCE_N)
     forces = _rows(touches, arm, t, force, np.asarray(rig.pad.force_variance(level)))
-    return Record(
+    return PivotRecord(
         rig, tuple(touches), readings, _heights(touches, arm, rig), forces, _torques(touches, arm, rig, force)
     )
 
@@ -174,7 +174,7 @@ def _touches(events: Sequence[PivotEvent], arm: ArmMotion, rig: PivotRig) -> lis
     ]
 
 
-def _heights(touches: Sequence[Touch], arm: ArmMotion, rig: PivotRig) -> Rows:
+def _heights(touches: Sequence[TouchSpan], arm: ArmMotion, rig: PivotRig) -> Rows:
     if rig.vertical == "float":
         inside = np.logical_or.reduce([(arm.t >= touch.begin) & (arm.t <= touch.end) for touch in touches])
         t, z = arm.t[inside], arm.height[inside]
@@ -191,7 +191,7 @@ TORQUE_SD_M = 2e-5  # of the lever that the slide's equation of motion leaves op
 COLLOCATIONS = 2  # instants in each cell of the spline
 
 
-def _torques(touches: Sequence[Touch], arm: ArmMotion, rig: PivotRig, force: FloatArray) -> Rows:
+def _torques(touches: Sequence[TouchSpan], arm: ArmMotion, rig: PivotRig, force: FloatArray) -> Rows:
     none: FloatArray = np.zeros(0)
     if rig.vertical == "rigid":
         return _rows(touches, arm, none, none, none)
@@ -204,7 +204,7 @@ def _torques(touches: Sequence[Touch], arm: ArmMotion, rig: PivotRig, force: Flo
     return _rows(touches, arm, t, np.zeros(len(t)), np.full(len(t), (TORQUE_SD_M * weight) ** 2))
 
 
-def _rows(touches: Sequence[Touch], arm: ArmMotion, t: FloatArray, value: FloatArray, variance: FloatArray) -> Rows:
+def _rows(touches: Sequence[TouchSpan], arm: ArmMotion, t: FloatArray, value: FloatArray, variance: FloatArray) -> Rows:
     first, weights = np.zeros(len(t), dtype=np.intp), np.zeros((len(t), 3, TAPS))
     for touch in touches:
         mine = (t >= touch.begin) & (t <= touch.end)

@@ -22,7 +22,7 @@ from palmd.events import FloatArray
 from palmd.model import shape
 from palmd.model.pivot import CONSTANTS, ORDER, P, U
 from palmd.observer.pivot.fit import CENTRE_SD_M, GYRATION, Known
-from palmd.observer.pivot.record import Record, Touch
+from palmd.observer.pivot.record import PivotRecord, TouchSpan
 from palmd.system.pivot import PivotRig
 
 ROLLS = 4  # rounds of roll and outline
@@ -42,7 +42,7 @@ _HEIGHT_SD, _LEVER_SD = 3e-5, 6e-5
 
 
 @dataclass(frozen=True, slots=True)
-class Start:
+class StartingPoint:
     """A point to begin at: coefficients of the splines, constants, and how bad it looks."""
 
     c: FloatArray
@@ -50,7 +50,7 @@ class Start:
     cost: float
 
 
-def believed(record: Record) -> Known:
+def believed(record: PivotRecord) -> Known:
     """What is believed of any body, on this rig."""
     rig = record.rig
     rigid = rig.vertical == "rigid"
@@ -88,7 +88,7 @@ class Side:
     side: the sign of e. scatter: standard deviation of the readings about the locus, in sigmas of their noise.
     """
 
-    touch: Touch
+    touch: TouchSpan
     t: FloatArray
     theta: FloatArray
     h: FloatArray
@@ -102,7 +102,7 @@ class Side:
     scatter: float
 
 
-def side_of(record: Record, touch: Touch) -> Side:
+def side_of(record: PivotRecord, touch: TouchSpan) -> Side:
     """The touch's locus, smoothed, and the outline that dθ = dz/e makes of it."""
     rows = record.readings
     mine = (rows.t >= touch.begin) & (rows.t <= touch.end)
@@ -160,7 +160,7 @@ def _eased(values: FloatArray, reach: int = 3) -> FloatArray:
     return np.asarray(windows.mean(axis=1))
 
 
-def rigid_starts(record: Record, known: Known, sides: Sequence[Side]) -> list[Start]:
+def rigid_starts(record: PivotRecord, known: Known, sides: Sequence[Side]) -> list[StartingPoint]:
     """The likeliest ways in which the sides may be turned against each other, the best first."""
     ordered = sorted(sides, key=lambda each: each.touch.begin - each.touch.end)
     beams: list[tuple[float, tuple[float, ...]]] = [(0.0, (0.0,))]
@@ -249,22 +249,22 @@ def _weighed(sides: Sequence[Side], theta: FloatArray, known: Known) -> tuple[fl
     return best, constants
 
 
-def _rigid_start(record: Record, sides: Sequence[Side], turns: Sequence[float], known: Known) -> Start:
+def _rigid_start(record: PivotRecord, sides: Sequence[Side], turns: Sequence[float], known: Known) -> StartingPoint:
     cost, p = _judged(sides, turns, known)
     paths = [(side.touch, side.t, side.theta + turn) for side, turn in zip(sides, turns, strict=True)]
     return _from_paths(record, paths, p, cost)
 
 
 def _from_paths(
-    record: Record, paths: Sequence[tuple[Touch, FloatArray, FloatArray]], p: FloatArray, cost: float
-) -> Start:
+    record: PivotRecord, paths: Sequence[tuple[TouchSpan, FloatArray, FloatArray]], p: FloatArray, cost: float
+) -> StartingPoint:
     """Splines through the paths of θ, everything turned so that ψ = 0 at the first reading."""
     c = np.zeros(record.coefficients)
     for touch, t, theta in paths:
         own = _spline_through(touch, t, -0.5 * math.pi - theta)
         c[touch.coefficients] = own
     turn = float(c[:3] @ np.array([1.0, 4.0, 1.0]) / 6)
-    return Start(c - turn, turned(p, turn), cost)
+    return StartingPoint(c - turn, turned(p, turn), cost)
 
 
 def turned(p: FloatArray, turn: float) -> FloatArray:
@@ -277,7 +277,7 @@ def turned(p: FloatArray, turn: float) -> FloatArray:
     return p
 
 
-def _spline_through(touch: Touch, t: FloatArray, psi: FloatArray) -> FloatArray:
+def _spline_through(touch: TouchSpan, t: FloatArray, psi: FloatArray) -> FloatArray:
     """The touch's coefficients through a path: least squares at three instants of each cell."""
     at = np.linspace(touch.begin, touch.end, 3 * touch.count)
     first, weights = touch.taps(at)
@@ -296,7 +296,7 @@ def _spline_through(touch: Touch, t: FloatArray, psi: FloatArray) -> FloatArray:
 # ---------------------------------------------------------------------------------------------------- slide
 
 
-def float_starts(record: Record, known: Known) -> list[Start]:
+def float_starts(record: PivotRecord, known: Known) -> list[StartingPoint]:
     """The likeliest rolls, one for each friction that is tried, the best first."""
     paths = [_felt(record, touch) for touch in record.touches]
     starts = [
@@ -310,7 +310,7 @@ def float_starts(record: Record, known: Known) -> list[Start]:
 class _Felt:
     """A touch on an even grid: time, height and its rate, lever, and speed of the arm."""
 
-    touch: Touch
+    touch: TouchSpan
     t: FloatArray
     z: FloatArray
     vz: FloatArray
@@ -318,7 +318,7 @@ class _Felt:
     vx: FloatArray
 
 
-def _felt(record: Record, touch: Touch) -> _Felt:
+def _felt(record: PivotRecord, touch: TouchSpan) -> _Felt:
     t = np.linspace(touch.begin, touch.end, max(int((touch.end - touch.begin) / 0.01), 10))
     smooth = []
     for rows, own in ((record.heights, 0), (record.readings, 1)):
@@ -342,7 +342,7 @@ def _without_outliers(values: FloatArray, noise: float) -> FloatArray:
     return cleaned
 
 
-def _rolled(record: Record, felt: Sequence[_Felt], known: Known, mu: float, dither: float) -> Start:
+def _rolled(record: PivotRecord, felt: Sequence[_Felt], known: Known, mu: float, dither: float) -> StartingPoint:
     """The roll with this friction; how far the body's weight is off the pivot comes from the outline so far."""
     z, e = np.concatenate([each.z for each in felt]), np.concatenate([each.e for each in felt])
     p = known.mean.copy()
@@ -350,7 +350,7 @@ def _rolled(record: Record, felt: Sequence[_Felt], known: Known, mu: float, dith
     ends = np.cumsum([len(each.t) for each in felt])[:-1]
     weight = p[P.MASS] / (p[P.MASS] + record.rig.carriage_mass)
     off = np.zeros(len(e))  # from the pivot to the centre of mass along the pad
-    best: Start | None = None
+    best: StartingPoint | None = None
     for _ in range(ROLLS):
         paths = []
         for each, own in zip(felt, np.split(off, ends), strict=True):
