@@ -365,6 +365,9 @@ def _silent(case: RunCase, code: str, t: float) -> StopCause:
     said = _said(case, code, t)
     names = (f"{end}_bytes", f"{end}_packets", f"{end}_bytes_discarded")
     lost = 0.0
+    if any("not even a damaged one's" in each.what for each in said):  # the daemon has judged byte by byte
+        sentence = f"what came from pad {end[-1]}'s line was no packet: another device, or another baud rate"
+        return StopCause("foreign", end, sentence, (*evidence, *said))
     for at in (t, t + 1.0):
         gained = case.course.gained(at, *names)
         if gained is None:
