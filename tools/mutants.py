@@ -102,9 +102,13 @@ class Lived:
     loaded: list[str]
 
     def noticing(self, lines: Sequence[int], sound: ast.Module) -> list[str]:
-        """The tests that may notice a change of these lines, the quickest first; all where it is not known."""
+        """The tests that may notice a change of these lines, the quickest first.
+
+        Of what is run while the module is loaded nobody knows who may: those that come by its uses, then all others.
+        """
         found = {test for line in (*lines, *_used(sound, lines)) for test in self.lines.get(line, ())}
-        return sorted(found or self.durations_s, key=lambda test: self.durations_s[test])
+        others = () if any(line in self.lines for line in lines) else set(self.durations_s) - found
+        return [test for some in (found, others) for test in sorted(some, key=lambda each: self.durations_s[each])]
 
 
 def main() -> int:

@@ -12,8 +12,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import msgpack
-
 from palmd.config import Config, config_hash
 from palmd.events import (
     Estimate,
@@ -42,15 +40,6 @@ NAMED_STATE = tuple(q.source for q in ESTIMATE.quantities if q.role == "named")
 _SD_NAMES = {source: name for name, source in _UNCERTAIN}
 _WITH_SD = {quantity.name for topic in TOPICS for quantity in topic.quantities if quantity.uncertain}
 _EVENT_COLUMNS = tuple(quantity.name for quantity in EVENTS.quantities if quantity is not TICK)
-
-
-def unpacked(payload: bytes) -> Fields | None:
-    """The msgpack map in a payload; None for anything else."""
-    try:
-        fields = msgpack.unpackb(payload)
-    except Exception:  # msgpack raises half a dozen kinds for bytes that are not its own
-        return None
-    return fields if isinstance(fields, dict) else None
 
 
 def stamp(fields: Fields, timestamp: float, t: float, seq: int) -> Fields:

@@ -19,7 +19,7 @@ import zmq
 
 from palmd.bus.link import Link, silent, wait_ms
 from palmd.keys import Credentials
-from palmd.messages import unpacked
+from palmd.payload import unpacked
 
 TIMEOUT_S = 2.0
 

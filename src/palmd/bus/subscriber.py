@@ -12,7 +12,7 @@ import zmq
 
 from palmd.bus.link import Link, wait_ms
 from palmd.keys import Credentials
-from palmd.messages import unpacked
+from palmd.payload import unpacked
 
 QUEUED_MESSAGES = 20_000  # a minute's, should we be slow
 RECONNECT_MS = 20  # a publisher that begins anew is heard almost from its first message

@@ -22,7 +22,8 @@ from mcap.records import Attachment, Channel, Chunk, Metadata
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import CompressionType, Writer
 
-from palmd.messages import Fields, unpacked
+from palmd.messages import Fields
+from palmd.payload import unpacked
 from palmd.quantities import SCHEMA, STAMP, TOPICS, Kind, Quantity, Topic
 
 MAGIC = b"\x89MCAP0\r\n"

@@ -367,6 +367,9 @@ def _silent(case: RunCase, code: str, t: float) -> StopCause:
     kind = getattr(case.config.pads, f"palm{end[-1]}").kind
     names = tuple(f"{end}_{name}" for name in _PAD_COUNTS.get(kind, ()))
     lost = 0.0
+    if any("not even a damaged one's" in each.what for each in said):  # the daemon has judged byte by byte
+        sentence = f"what came from pad {end[-1]}'s line was no packet: another device, or another baud rate"
+        return StopCause("foreign", end, sentence, (*evidence, *said))
     for at in (t, t + 1.0) if names else ():
         gained = case.course.gained(at, *names)
         if gained is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 
 import pytest
 
@@ -258,3 +259,7 @@ def test_first_byte_keeps_the_earliest_evidence_over_reads() -> None:
     reader.feed(LINE[:1], 2.0)
     (early,) = reader.feed(LINE[1:], 2.0)
     assert early.t_first == pytest.approx(2.0 - (len(LINE) - 1) * BYTE_S)
+
+
+def test_a_line_begins_with_nothing_counted() -> None:
+    assert set(asdict(LineReader(38400).counters).values()) == {0}

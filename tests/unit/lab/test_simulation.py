@@ -317,7 +317,7 @@ def test_the_command_tells_a_failure_as_one_command(monkeypatch, capsys):
     few = scenario(told(3.0, "status"), told(3.5, "hold"), told(4.0, "stop"), told(4.1, "note", text="here"))
     monkeypatch.setattr(bench_simulate, "drawn", lambda _seed: few)
     arguments = SimpleNamespace(
-        seeds=range(2, 3), fresh=None, keep=None, list=False, unreached=False, standstill=None, clean=None
+        seeds=range(2, 3), fresh=None, keep=None, list=False, unreached=False, standstill=None, clean=None, long=None
     )
     assert bench_simulate.run(arguments) == 1
     assert "--seeds 7..7 --keep 2" in capsys.readouterr().out
