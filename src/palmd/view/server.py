@@ -91,6 +91,10 @@ class _Server:
         strangers.setLevel(logging.CRITICAL)  # what others do to an open port is no news
         try:
             listener = socket.create_server((HOST, self._settings.port))
+        except OSError as error:
+            where, why = f"{HOST}:{self._settings.port}", os.strerror(error.errno or 0)
+            raise CliError(BAD_INPUT, f"{where}: cannot be had ({why}); try another --port") from None
+        with listener:
             server = await serve(
                 self._welcome,
                 sock=listener,
@@ -104,20 +108,17 @@ class _Server:
                 server_header=None,
                 logger=strangers,
             )
-        except OSError as error:
-            where, why = f"{HOST}:{self._settings.port}", os.strerror(error.errno or 0)
-            raise CliError(BAD_INPUT, f"{where}: cannot be had ({why}); try another --port") from None
-        listener.listen(KNOCKING_MOST)  # asyncio lets no more wait than it accepts at once
-        async with server:
-            port = next(iter(server.sockets)).getsockname()[1]
-            ready(f"http://{HOST}:{port}/#token={self._settings.token}")
-            frames = asyncio.create_task(self._frames())
-            stopped = asyncio.create_task(stop.wait())
-            await asyncio.wait((frames, stopped), return_when=asyncio.FIRST_COMPLETED)
-            stopped.cancel()
-            if frames.done():
-                frames.result()
-            frames.cancel()
+            listener.listen(KNOCKING_MOST)  # asyncio lets no more wait than it accepts at once
+            async with server:
+                port = next(iter(server.sockets)).getsockname()[1]
+                ready(f"http://{HOST}:{port}/#token={self._settings.token}")
+                frames = asyncio.create_task(self._frames())
+                stopped = asyncio.create_task(stop.wait())
+                await asyncio.wait((frames, stopped), return_when=asyncio.FIRST_COMPLETED)
+                stopped.cancel()
+                if frames.done():
+                    frames.result()
+                frames.cancel()
 
     def _answer(self, _connection: ServerConnection, request: Request) -> Response | None:
         return http_guard.answer(request, self._files)

@@ -80,8 +80,8 @@ def test_a_pages_flood_of_orders_waits_in_no_queue_and_holds_up_no_stop(daemon, 
             came.append(daemon.asked())
         assert [asked["cmd"] for _, asked in came] == ["start"] * module.ORDERS_MOST + ["stop", "stop"]
         assert daemon.asked(0.3) is None
-        route, asked = came[-1]
-        daemon.reply(route, id=asked["id"], ok=True)
+        for route, asked in came[-2:]:  # whichever page's came first
+            daemon.reply(route, id=asked["id"], ok=True)
         assert told(other) is None
 
 
@@ -106,6 +106,6 @@ def test_no_more_are_let_in_at_once_than_leave_time_for_the_frames(monkeypatch):
     monkeypatch.setattr(module, "serve", serve)
     settings = SimpleNamespace(port=0, publish="", command="")
     monkeypatch.setattr(module, "page_files", dict)
-    with pytest.raises(module.CliError):
+    with pytest.raises(OSError, match="enough"):
         asyncio.run(module._Server(settings, None, None).run(print, asyncio.Event()))
     assert asked["backlog"] == module.ACCEPTED_AT_ONCE
