@@ -110,7 +110,7 @@ def _go_through(stand: SoakStand, doings: list[Doing], t_begin: float, lasts_s: 
         while (t := time.monotonic()) < t_begin + lasts_s:
             if left and t >= t_begin + left[0].t_s:
                 doing = left.pop(0)
-                kind = type(doing.act).__name__.lower()
+                kind = doing.act.what
                 write(
                     stream,
                     [{"row": "doing", "t_s": round(t - t_begin, 3), "what": kind} | dataclasses.asdict(doing.act)],

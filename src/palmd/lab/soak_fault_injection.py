@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -20,6 +21,7 @@ QUIET_S = 3.0  # at the beginning, and as much at the end
 class SoakFault:
     """A mischief of the emulated rig."""
 
+    what: ClassVar = "trick"
     name: str
     port: PortName | None
     strength: float | None
@@ -33,6 +35,7 @@ class Say:
     `plan` stops the palms and loads the other of two plans: one is lively for ever, one explores.
     """
 
+    what: ClassVar = "say"
     command: str
     for_s: float
 
@@ -42,6 +45,7 @@ class Visit:
     """Somebody comes for so long: a `listener`, one who listens and never takes anything (`deaf`), a `page`, or an
     `asker` who asks for the status and sends what is no command."""
 
+    what: ClassVar = "visit"
     who: str
     for_s: float
 
