@@ -197,6 +197,10 @@ class Loop:
             if not port.is_open and end in self._known_open:
                 self._lost(end, t)
 
+    def in_hand(self, end: EndName) -> int:
+        """How many bytes of a port have been read and wait for the tick."""
+        return sum(len(data) for port, data, _ in self._arrived if port is self._ports[end])
+
     def _write(self) -> None:
         """What falls due to the arm; a pad that has been let go since the last tick makes it brake."""
         t = self._clock()

@@ -14,7 +14,9 @@ from palmd.rig.pads import PadEmulator, PadOptions
 REPORT_S, JITTER_S = 0.010, 0.001
 PRESSURE_MAX = 255
 FARTHEST = 1 << 15
-TOLD_ANEW = 100  # reports
+TOLD_ANEW = 50
+"""Every so many reports all is told, changed or not: a pseudo-terminal cannot be asked for its state, as a device can,
+and what it said first may have come before whoever opened it emptied it."""
 
 
 class EvdevEmulator(PadEmulator):
@@ -32,7 +34,6 @@ class EvdevEmulator(PadEmulator):
         self.baud = None
         self._config = config
         self._told: dict[int, int] = {}
-        self._anew = 0  # so many reports tell all, changed or not
         super().__init__(
             config, options, reading_error_m, rng, t, counts=(-FARTHEST, FARTHEST), full_scale=PRESSURE_MAX,
             shortest_s=REPORT_S - 5 * JITTER_S, noise_m=config.noise_mm * 1e-3,
@@ -43,16 +44,13 @@ class EvdevEmulator(PadEmulator):
         return EvdevReader()
 
     def greeting(self) -> list[tuple[bytes, float]]:
-        """Whoever opens it is told all anew for a second: a pseudo-terminal cannot be asked for a state.
-
-        One report would not do: it may come before whoever opens the terminal has emptied it.
-        """
-        self._anew = TOLD_ANEW
+        """Whoever opens it is told all anew with the next report."""
+        self._told.clear()
         return []
 
     def overflow(self, t: float) -> bytes:
         """SYN_DROPPED; as when it is opened, all is told anew after it."""
-        self._anew = TOLD_ANEW
+        self._told.clear()
         return self._frame([(evdev.EV_SYN, evdev.SYN_DROPPED, 0)], t)
 
     def _interval(self) -> float:
@@ -63,8 +61,7 @@ class EvdevEmulator(PadEmulator):
         axes = {evdev.ABS_X: x, evdev.ABS_Y: y}
         if self._config.pressure:
             axes[evdev.ABS_PRESSURE] = pressure
-        if self._anew:
-            self._anew -= 1
+        if self.packets % TOLD_ANEW == 0:
             self._told.clear()
         changed: list[Record] = []
         if not self._told.get(evdev.BTN_TOUCH):

@@ -240,7 +240,7 @@ class Simulation:
         self._operate(clock.now)
         self.loop.period()
         self.machine.catch_up()
-        watch.tick(self.core, self.ports, self.rig.palms(), clock.now)
+        watch.tick(self.core, self.ports, self.loop.in_hand, self.rig.palms(), clock.now)
         if isinstance(self.rig, FullRig):
             watch.compare(self.core, self.rig.truth(), clock.now)
 
@@ -281,7 +281,7 @@ class Simulation:
             self.loop.stop()
             while not self.loop.over():
                 self.loop.period()
-                self.watch.tick(self.core, self.ports, self.rig.palms(), clock.now)
+                self.watch.tick(self.core, self.ports, self.loop.in_hand, self.rig.palms(), clock.now)
         for port in self.ports.values():
             port.close()
         t_ended = clock.now

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections import Counter, defaultdict, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -209,8 +209,10 @@ class Watch:
 
     # ---- every tick --------------------------------------------------------------------------------------
 
-    def tick(self, core: Core, ports: Mapping[str, DevicePort], palms: PalmMotion, t: float) -> None:
-        """A period is over at `t` (s)."""
+    def tick(
+        self, core: Core, ports: Mapping[str, DevicePort], in_hand: Callable[[str], int], palms: PalmMotion, t: float
+    ) -> None:
+        """A period is over at `t` (s); `in_hand` bytes of a port wait to be decoded."""
         self._ticks += 1
         self._look_at_set_points(t)
         self._look_at_state(core, t)
@@ -218,7 +220,7 @@ class Watch:
         if self._ticks % MEMORY_EVERY == 0:
             self._look_at_memory(core, t)
         if self._ticks % COUNTS_EVERY == 0:
-            self._look_at_counts(core, ports, t)
+            self._look_at_counts(core, ports, in_hand, t)
             self._look_at_answers(t)
 
     def _look_at_set_points(self, t: float) -> None:
@@ -275,17 +277,19 @@ class Watch:
                     t, "a stop comes to a standstill", f"{math.degrees(turning):.1f}°/s, {t - self._t_still:.2f} s on"
                 )
 
-    def _look_at_counts(self, core: Core, ports: Mapping[str, DevicePort], t: float) -> None:
+    def _look_at_counts(
+        self, core: Core, ports: Mapping[str, DevicePort], in_hand: Callable[[str], int], t: float
+    ) -> None:
         for end, pad in core.pads.items():
             told: Mapping[str, int] = pad.counts()
             discarded = told["bad_header"] + told["bad_data"] + told["truncated"]
             left = told["bytes"] - 6 * told["packets"] - discarded
             if not 0 <= left < 6:
                 self._break(t, "the counters balance", f"{end}: {left} bytes are neither packet nor discarded")
-            if told["bytes"] != ports[end].counters.bytes_read:
+            if told["bytes"] + in_hand(end) != ports[end].counters.bytes_read:
                 self._break(t, "the counters balance", f"{end}: {told['bytes']} bytes of those read were decoded")
         arm: Mapping[str, Any] = core.arm.host.counts()
-        if arm["bytes"] != ports["arm"].counters.bytes_read:
+        if arm["bytes"] + in_hand("arm") != ports["arm"].counters.bytes_read:
             self._break(t, "the counters balance", f"arm: {arm['bytes']:g} bytes of those read were decoded")
 
     def _look_at_memory(self, core: Core, t: float) -> None:
