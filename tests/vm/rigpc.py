@@ -17,7 +17,7 @@ from palmd.bus.command_client import CommandClient
 PALMD = "/opt/palmd/bin/palmd"
 PYTHON = "/opt/palmd/bin/python"
 CONFIG, NAMES = "/etc/palmd/palmd.yaml", "/etc/udev/rules.d/71-palmd-names.rules"
-RUNS, HEARD, HEAR_AT = "/var/lib/palmd", "/run/heard.json", "/root/hear.py"
+RUNS, HEARD, HEAR_AT = "/var/lib/palmd", "/run/heard.json", "/opt/hear.py"
 CALIBRATED_ZERO_MM = 28.4
 # The guest's processor does a thousand million instructions a second, a tenth of a rig PC's core: the observer that
 # costs least, at half the usual rate. Everything else is as `palmd install` leaves it.

@@ -89,6 +89,6 @@ def test_the_machine_comes_back_after_a_power_cut(image, rig, installed, tmp_pat
         said = pc.ask(f"{PALMD} recover {run}", seconds=rigpc.START_S)
         assert "messages" in said
         assert pc.ask(f"stat -c '%U %a' {run}") == "palmd 640"
-        pc.put("/root/last.py", LAST)
-        last_ns = int(pc.ask(f"{PYTHON} /root/last.py {run}", seconds=rigpc.START_S))
+        pc.put("/run/last.py", LAST)
+        last_ns = int(pc.ask(f"{PYTHON} /run/last.py {run}", seconds=rigpc.START_S))
     assert cut_ns - last_ns <= LOST_MOST_S * 1e9

@@ -157,7 +157,7 @@ def test_the_disk_is_full(pc):
     pc.ask("rm /filler /filler2")
     pc.until(lambda: "recorder-failed" not in pc.status(), "its end")
     newest = pc.until(lambda: (new := pc.ask(f"ls -t {RUNS}/*.mcap | head -1")) != full and new, "another file")
-    assert "messages" in pc.ask(f"{PALMD} recover {full} -o /root/full.mcap")
+    assert "messages" in pc.ask(f"{PALMD} recover {full} -o /var/tmp/full.mcap")
     assert newest
     assert pc.show("palmd-record", "NRestarts") == "0"
 
