@@ -13,13 +13,9 @@ from dataclasses import asdict
 from typing import Any
 
 from palmd.calibration import cylinder_session
-from palmd.calibration.cylinder import turning_plan
-from palmd.calibration.files import plain, provenance, writable, write
+from palmd.calibration.files import plain, provenance, write
 from palmd.calibration.pad_curvature import PadCurvature, pad_curvatures
 from palmd.config import Config
-from palmd.console.configured import configured
-from palmd.console.errors import BAD_INPUT, RIG_FAILED
-from palmd.motion.check import motion_limits
 from palmd.system.mechanism import PALMS
 
 FORMAT = 1
@@ -35,14 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Writes nothing before both palms are known; CliError when the input is wrong or the rig fails."""
-    config = configured(arguments.config)
-    radius_m = arguments.radius_mm * 1e-3
-    with cylinder_session.ending(BAD_INPUT):
-        plan = turning_plan(radius_m, motion_limits(config))
-    folder = writable(arguments.output or arguments.config.parent / "calibration")
-    events = cylinder_session.heard(arguments, config, plan)
-    with cylinder_session.ending(RIG_FAILED):
-        found = pad_curvatures(events, cylinder_session.pads(config), radius_m, config.rig.curvatures_per_m)
+    config, folder, found = cylinder_session.turned(arguments, pad_curvatures)
     print(table(found))
     for remark in remarks(found, config):
         print(remark, file=sys.stderr)

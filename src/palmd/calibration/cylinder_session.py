@@ -6,24 +6,28 @@ import argparse
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from palmd.bus.command_client import CommandClient
 from palmd.bus.link import add_key, credentials
 from palmd.bus.subscriber import Subscriber
-from palmd.calibration.cylinder import CylinderError
-from palmd.calibration.files import plain, provenance, write
+from palmd.calibration.cylinder import CylinderError, turning_plan
+from palmd.calibration.files import plain, provenance, writable, write
 from palmd.config import Config, PadConfig, from_here
-from palmd.console.errors import RIG_FAILED, CliError
+from palmd.console.configured import configured
+from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.events import Event
 from palmd.harness.operator import PlanRun, Status, can_move, why
 from palmd.harness.processes import StopRequest
 from palmd.messages import events_of
+from palmd.motion.check import motion_limits
 from palmd.quantities import CONTACT, EVENTS
 from palmd.system.mechanism import PALMS
+
+Found = TypeVar("Found")
 
 FIRST_TOUCH_S = 30.0
 """How long it may take until the cylinder lies on both palms."""
@@ -108,6 +112,25 @@ def heard(arguments: argparse.Namespace, config: Config, plan: Mapping[str, Any]
                 " again",
             )
         return events
+
+
+def turned(
+    arguments: argparse.Namespace,
+    measure: Callable[[Sequence[Event], tuple[PadConfig, ...], float, Sequence[float]], Found],
+) -> tuple[Config, Path, Found]:
+    """The configuration, the folder for what is found, and what `measure` makes of a cylinder that the palms turn.
+
+    It is given the events, the pads, the radius (m) and the palms' configured curvatures (1/m). CliError when the input
+    is wrong, before anything has moved, or the rig fails.
+    """
+    config = configured(arguments.config)
+    radius_m = arguments.radius_mm * 1e-3
+    with ending(BAD_INPUT):
+        plan = turning_plan(radius_m, motion_limits(config))
+    folder = writable(arguments.output or arguments.config.parent / "calibration")
+    events = heard(arguments, config, plan)
+    with ending(RIG_FAILED):
+        return config, folder, measure(events, pads(config), radius_m, config.rig.curvatures_per_m)
 
 
 def store(
