@@ -104,6 +104,10 @@ def is_plan(document: Document) -> bool:
 def parse(document: Document, model: type[Model]) -> Model:
     """The document as a checked model; raises ConfigError with everything that is wrong with it."""
     problems = list(document.problems)
+    system = named_system(document)
+    if model is Config and system is not None:  # all that follows from it would be wrong as well
+        text = f"rig.system: there is no system {system!r}; there is {SYSTEM}, and without this key two palms"
+        raise document.error([(document.place(("rig", "system")), text)])
     try:
         spec = model.model_validate(document.data, context={"folder": document.path.parent.absolute()})
     except ValidationError as error:
@@ -116,10 +120,15 @@ def parse(document: Document, model: type[Model]) -> Model:
     return spec
 
 
+def named_system(document: Document) -> object:
+    """The system that a configuration names; None, which is two palms, where it names none."""
+    rig = document.data.get("rig") if isinstance(document.data, dict) else None
+    return rig.get("system") if isinstance(rig, dict) else None
+
+
 def names_pivot(document: Document) -> bool:
     """Whether it means to be the configuration of a pivoting grasp."""
-    rig = document.data.get("rig") if isinstance(document.data, dict) else None
-    return isinstance(rig, dict) and rig.get("system") == SYSTEM
+    return named_system(document) == SYSTEM
 
 
 def load_config(path: Path) -> Config:

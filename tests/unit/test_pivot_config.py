@@ -49,6 +49,10 @@ def test_who_knows_two_palms_only_says_so():
         ("rig: {system: pivot}\n" + PADS + "limits: {x_mm: [9, 3]}\n", r"must be \[low, high\] with low < high"),
         ("rig: {system: pivot}\npads: {palm1: {port: a}}\narm: {port: a}\n", "port a is already that of the pad"),
         ("rig: {system: pivot, hinge: arc}\n" + PADS, "rig.hinge: unknown key"),
+        (
+            "rig: {system: pivott}\n" + PADS,
+            r"^\S+:1:15: rig.system: there is no system 'pivott'; there is pivot[^\n]*$",
+        ),
     ],
 )
 def test_what_cannot_be_is_refused_in_words(tmp_path, text, said):
