@@ -319,7 +319,7 @@ def _problem(document: Document, model: type[BaseModel], detail: ErrorDetails) -
         place = document.keys.get(around, document.place(around))
         return place, f"{_dotted(loc)}: is missing"
     if kind == "extra_forbidden":
-        return document.keys.get(loc, document.place(loc)), f"{_dotted(loc)}: {_unknown_key(model, str(loc[-1]))}"
+        return document.keys.get(loc, document.place(loc)), f"{_dotted(loc)}: {_unknown_key(model, loc)}"
     while loc not in document.values:  # a part that only the model knows, as in one number given for two
         loc = loc[:-1]
     place = document.values[loc]
@@ -327,25 +327,35 @@ def _problem(document: Document, model: type[BaseModel], detail: ErrorDetails) -
     return place, f"{_dotted(loc)}: {text}" if loc else text
 
 
-def _unknown_key(model: type[BaseModel], key: str) -> str:
-    near = difflib.get_close_matches(key, _known_keys(model), n=1)
+def _unknown_key(model: type[BaseModel], loc: Loc) -> str:
+    near = difflib.get_close_matches(str(loc[-1]), _known_keys(model, loc[:-1]), n=1)
     return "unknown key" + (f"; is {near[0]} meant?" if near else "")
 
 
+def _known_keys(model: type[BaseModel], section: Loc) -> list[str]:
+    """What may stand in this section of the model, whichever of several forms it has."""
+    schema = _schema(model)
+    forms = list(_forms(schema, schema))
+    for part in section:
+        parts = [form.get("items") if isinstance(part, int) else form.get("properties", {}).get(part) for form in forms]
+        forms = [form for inner in parts if inner is not None for form in _forms(inner, schema)]
+    return sorted({key for form in forms for key in form.get("properties", {})})
+
+
 @functools.cache
-def _known_keys(model: type[BaseModel]) -> list[str]:
-    return sorted(set(_property_names(model.model_json_schema())))
+def _schema(model: type[BaseModel]) -> dict[str, Any]:
+    return model.model_json_schema()
 
 
-def _property_names(schema: Any) -> Iterator[str]:
-    if isinstance(schema, dict):
-        if isinstance(schema.get("properties"), dict):
-            yield from schema["properties"]
-        for part in schema.values():
-            yield from _property_names(part)
-    elif isinstance(schema, list):
-        for part in schema:
-            yield from _property_names(part)
+def _forms(part: dict[str, Any], schema: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """A part of a JSON schema, or all that it may be: references and alternatives resolved."""
+    if "$ref" in part:
+        yield from _forms(schema["$defs"][part["$ref"].removeprefix("#/$defs/")], schema)
+    elif alternatives := part.get("anyOf", part.get("oneOf")):
+        for alternative in alternatives:
+            yield from _forms(alternative, schema)
+    else:
+        yield part
 
 
 _BOUNDS = {"greater_than": "gt", "greater_than_equal": "ge", "less_than": "lt", "less_than_equal": "le"}
