@@ -848,12 +848,16 @@ class ExploreSpec(Strict):
     """When it has seen enough; must be the last segment."""
 
 
-def _segment_kind(value: Any) -> str | None:
-    """The union's tag; in angle brackets so that it never looks like a key of the file."""
-    if isinstance(value, dict):
-        kinds = [kind for kind in SEGMENT_KINDS if kind in value]
-        return f"<{kinds[0]}>" if len(kinds) == 1 else None
-    return None
+def one_key_of(kinds: tuple[str, ...]) -> Discriminator:
+    """Tells which of several segments is meant by the one of these keys that it has."""
+
+    def kind(value: Any) -> str | None:
+        """The union's tag; in angle brackets so that it never looks like a key of the file."""
+        found = [each for each in kinds if each in value] if isinstance(value, dict) else []
+        return f"<{found[0]}>" if len(found) == 1 else None
+
+    text = f"a segment needs exactly one of the keys {', '.join(kinds)}"
+    return Discriminator(kind, custom_error_type="segment_kind", custom_error_message=text)
 
 
 SegmentSpec = Annotated[
@@ -862,11 +866,7 @@ SegmentSpec = Annotated[
     | Annotated[HoldSpec, Tag("<hold_s>")]
     | Annotated[SineSpec, Tag("<sine>")]
     | Annotated[ExploreSpec, Tag("<explore>")],
-    Discriminator(
-        _segment_kind,
-        custom_error_type="segment_kind",
-        custom_error_message=f"a segment needs exactly one of the keys {', '.join(SEGMENT_KINDS)}",
-    ),
+    one_key_of(SEGMENT_KINDS),
 ]
 
 

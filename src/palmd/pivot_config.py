@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, FiniteFloat, ValidationInfo, field_validator
+from pydantic import AfterValidator, Field, FiniteFloat, Tag, ValidationInfo, field_validator
 
 from palmd.config import (
     AdeptConfig,
@@ -21,6 +21,7 @@ from palmd.config import (
     Positive,
     RecordConfig,
     Strict,
+    one_key_of,
     pad_sensor,
 )
 from palmd.system.pivot import PivotRig
@@ -181,10 +182,18 @@ class PivotExploreSpec(Strict):
     """When it has seen enough; must be the last segment."""
 
 
+PivotSegmentSpec = Annotated[
+    Annotated[PivotMoveSpec, Tag("<move>")]
+    | Annotated[PivotHoldSpec, Tag("<hold_s>")]
+    | Annotated[PivotExploreSpec, Tag("<explore>")],
+    one_key_of(("move", "hold_s", "explore")),
+]
+
+
 class PivotPlanSpec(Strict):
     """A motion plan of a pivoting grasp as it stands in its file."""
 
     name: Annotated[str, Field(min_length=1, max_length=60)]
     """What it is called on the bus."""
-    segments: Annotated[list[PivotMoveSpec | PivotHoldSpec | PivotExploreSpec], Field(min_length=1, max_length=200)]
+    segments: Annotated[list[PivotSegmentSpec], Field(min_length=1, max_length=200)]
     """Motions, one after the other."""

@@ -104,3 +104,20 @@ def test_the_last_guard_keeps_to_ranges_and_steps(limits):
     room = limits.rate * 0.016
     assert max(abs(a - b) for a, b in zip(step.angles, here.angles, strict=True)) == pytest.approx(room)
     assert limits.clamp_step(here, PalmMotion.at_rest((math.nan, 0.0)), 0.016) == here
+
+
+def test_a_plan_is_held_against_the_rigs_of_its_own_system(tmp_path):
+    two_palms, plans = ROOT / "config/palmd.yaml", ROOT / "config/plans"
+    assert check_files([plans / "pivot/explore.yaml"]) == []
+    assert check_files([SHIPPED, two_palms, plans / "pivot/explore.yaml", plans / "rock.yaml"]) == []
+    nowhere = tmp_path / "plan.yaml"
+    nowhere.write_text("name: a\nsegments:\n  - {move: {x_mm: 900, z_mm: 20}, duration_s: 2}\n", encoding="utf-8")
+    assert check_files([SHIPPED, two_palms, nowhere]) == check_files([SHIPPED, nowhere]) != []
+
+
+def test_a_segment_is_told_what_it_needs_once(tmp_path):
+    path = tmp_path / "plan.yaml"
+    path.write_text("name: a\nsegments:\n  - {hold_s: 1, x: 3}\n  - {hold: 3}\n", encoding="utf-8")
+    first, second = check_files([SHIPPED, path])
+    assert ":3:17: segments.0.x: unknown key" in first
+    assert ":4:5: segments.1: a segment needs exactly one of the keys move, hold_s, explore" in second

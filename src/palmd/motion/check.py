@@ -16,7 +16,7 @@ from palmd.motion.pivot import PivotLimits, compile_pivot_plan
 from palmd.motion.plan import PlanError, Trajectory, compile_plan
 from palmd.motion.segments import Angles
 from palmd.outlinefile import OutlineError, read_library
-from palmd.pivot_config import AnyConfig, PivotConfig, PivotPlanSpec
+from palmd.pivot_config import AnyConfig, PivotConfig, PivotLimitsConfig, PivotPlanSpec
 from palmd.plausibility import implausible
 from palmd.yamlfile import ConfigError, Document, is_plan, names_pivot, parse, read_document
 
@@ -69,15 +69,15 @@ def compiled(document: Document, spec: AnyPlanSpec, limits: MotionLimits, start:
 def check_files(paths: Sequence[Path]) -> list[str]:
     """Everything wrong with these configurations and plans, as `file:line:col: what`; empty when all is well.
 
-    A file with `segments` is a plan, checked within the limits of every configuration given beside it, else
-    the defaults. What a configuration names (plan, stored outlines, keys, the folder of the runs) is checked too. A
-    plan that does not begin with a move is taken to begin at HOME: only the rig knows better.
+    A file with `segments` is a plan, checked within the limits of every configuration of its system given beside it,
+    else the defaults. What a configuration names (plan, stored outlines, keys, the folder of the runs) is checked
+    too. A plan that does not begin with a move is taken to begin at HOME: only the rig knows better.
     """
     errors: list[str] = []
     documents = _documents(paths, errors)
     plans = [document for document in documents if is_plan(document)]
     configs = [document for document in documents if not is_plan(document)]
-    limits = [] if configs else [_default_limits()]
+    limits = [] if configs else _default_limits()
     blind: list[Document] = []  # configurations whose observers know no outline to explore by
     for document in configs:
         if names_pivot(document):
@@ -97,8 +97,10 @@ def check_files(paths: Sequence[Path]) -> list[str]:
             errors += _folder_errors(document, config)
             plans += _documents(_plan_named(document, config, errors, given=paths), errors)
     for document in plans:
-        errors += _plan_errors(document, limits)
-        errors += _blind_errors(document, blind)
+        meant = [each for each in limits if _of_its_system(document, each)] or limits[:1]
+        errors += _plan_errors(document, meant)
+        if not any(isinstance(each, PivotLimits) for each in meant):
+            errors += _blind_errors(document, blind)
     return errors
 
 
@@ -200,8 +202,10 @@ def _plans_beside(plan: Path) -> list[Path]:
         return []
 
 
-def _default_limits() -> MotionLimits:
-    return MotionLimits.from_config(LimitsConfig(), pad_length=DEFAULT_PAD_LENGTH_MM * 1e-3)
+def _default_limits() -> list[MotionLimits]:
+    """Of each system."""
+    two_palms = MotionLimits.from_config(LimitsConfig(), pad_length=DEFAULT_PAD_LENGTH_MM * 1e-3)
+    return [two_palms, PivotLimits.over(PivotLimitsConfig(), DEFAULT_PAD_LENGTH_MM)]
 
 
 def _limits_of_faulty(document: Document) -> list[MotionLimits]:
@@ -212,6 +216,15 @@ def _limits_of_faulty(document: Document) -> list[MotionLimits]:
     except ValidationError:
         return []
     return [MotionLimits.from_config(limits, pad_length=DEFAULT_PAD_LENGTH_MM * 1e-3)]
+
+
+def _of_its_system(plan: Document, limits: MotionLimits) -> bool:
+    """Whether a plan has the form that these limits' system gives plans."""
+    try:
+        plan_spec(plan, limits)
+    except ConfigError:
+        return False
+    return True
 
 
 def _plan_errors(document: Document, limits: Sequence[MotionLimits]) -> list[str]:

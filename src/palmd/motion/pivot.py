@@ -14,6 +14,7 @@ from palmd.pivot_config import (
     PivotConfig,
     PivotExploreSpec,
     PivotHoldSpec,
+    PivotLimitsConfig,
     PivotMoveSpec,
     PivotPlace,
     PivotPlanSpec,
@@ -47,13 +48,17 @@ class PivotLimits(MotionLimits):
     @classmethod
     def of(cls, config: PivotConfig) -> PivotLimits:
         """The configured limits in SI."""
-        limits = config.limits
+        return cls.over(config.limits, config.pads.palm1.length_mm)
+
+    @classmethod
+    def over(cls, limits: PivotLimitsConfig, pad_length_mm: float) -> PivotLimits:
+        """The limits in SI over a pad of this length."""
         stop = limits.stop_deceleration_mm_s2
         return cls(
             angles=tuple((low * 1e-3, high * 1e-3) for low, high in limits.ranges_mm),
             rate=limits.speed_mm_s * 1e-3,
             acceleration=limits.acceleration_mm_s2 * 1e-3,
-            pad_length=config.pads.palm1.length_mm * 1e-3,
+            pad_length=pad_length_mm * 1e-3,
             stop_deceleration=None if stop is None else stop * 1e-3,
             force=limits.force_n,
         )
