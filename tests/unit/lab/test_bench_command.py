@@ -160,22 +160,21 @@ def test_a_signal_ends_real_processes(number, send, tmp_path):
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with subprocess.Popen(command, **pipes, text=True, process_group=0) as process:
         rows = tmp_path / "runs.jsonl"
-        t_end = time.monotonic() + 60.0
+        t_end = time.monotonic() + 180.0
         while time.monotonic() < t_end and not (rows.exists() and rows.read_text().count("\n") > 1):
             time.sleep(0.05)
         children = subprocess.run(
             ["ps", "-o", "pid=", "--ppid", str(process.pid)], capture_output=True, text=True, check=True
         ).stdout.split()
-        begun = time.monotonic()
+        before = rows.read_text().count("\n")
         send(process.pid, number)
-        out, err = process.communicate(timeout=30.0)
+        out, err = process.communicate(timeout=120.0)
     assert process.returncode == 130
-    assert time.monotonic() - begun < 15.0
     assert "Traceback" not in err
-    assert 2 <= len(written(tmp_path)) < 500
+    assert 2 <= before <= len(written(tmp_path)) <= before + 20  # as soon as can be, however slow the machine
     assert [row["error"] for row in written(tmp_path)] == [""] * len(written(tmp_path))
     assert f"runs {len(written(tmp_path))}" in " ".join(out.split())
-    t_end = time.monotonic() + 10.0
+    t_end = time.monotonic() + 60.0
     while any(Path(f"/proc/{child}").exists() for child in children):
         assert time.monotonic() < t_end
         time.sleep(0.05)
