@@ -9,25 +9,20 @@ body towards the nearer end of the pad and lets go when it touches again.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from palmd.devices.actuator import ArmState, Pose
-from palmd.devices.armlink import CONTROLLER_NEWLINE, LineReader
 from palmd.pivot_config import PivotConfig
 from palmd.quantities import PIVOT_BODY, PIVOT_TRUTH
-from palmd.rig.actuators import Utterance
-from palmd.rig.arm import Servo
-from palmd.rig.controller import BREAK_RECEIVED, CYCLE_S, ArmLimits, Controller
 from palmd.rig.fault_injection import FaultOrder, PortName, Switchboard
 from palmd.rig.line import Wire
 from palmd.rig.pads import GOOD_PADS, PadEmulator, PadOptions, Press
 from palmd.rig.pivot import Axis, Grasp
+from palmd.rig.pivot_arm import PivotArm
 from palmd.rig.shapes import Kind, random_body
-from palmd.rig.tally import Decoder, DeviceTally, HostLines
+from palmd.rig.tally import Decoder, DeviceTally
 from palmd.rig.world import EMULATORS, STEP_S
 
 PAD, ARM = "pad1", "arm"
@@ -38,9 +33,6 @@ JAMMED_N = 20.0  # what the arm presses with at most, and takes for a jam
 LEVER_M = 3e-4  # below which the body is jammed
 TURNED_S, CLEAR_M = 1.0, 2e-3  # what a hand takes to tilt it, and how high it must have been lifted
 TILTED = 0.75  # share of the largest lever on a side that the hand tilts it to, or more
-_ENCODER_NOISE_M = 1.5e-5
-_MARGIN_M, _ROOM = 5e-3, 2.0
-_BELOW_M = 1e-3  # its highest place, where the arm stands before anybody has commanded it
 _FINGER_M = 0.045
 _STEPS_A_TURN = 1440
 
@@ -61,7 +53,7 @@ class PivotWorld:
         self.most_force = 0.0
         self._rng = np.random.default_rng(seed)
         self._t_start, self._steps = t, 0
-        self._arm = PivotArm(config, self._rng)
+        self._arm = PivotArm(config, self._rng, step_s=STEP_S)
         pad = config.pads.palm1
         self._pad: PadEmulator = EMULATORS[type(pad)](pad, pad_options, _exact, self._rng, t)
         self.bauds: dict[PortName, int | None] = {PAD: self._pad.baud, ARM: self._arm.baud}
@@ -282,109 +274,6 @@ class PivotWorld:
             self.new_object()
         elif order.name == "lift" and begins and self._touching:
             self._leave()
-
-
-class PivotArm:
-    """The Adept arm and its controller's program, its tool the pivot. Pure."""
-
-    def __init__(self, config: PivotConfig, rng: np.random.Generator) -> None:
-        self.baud = config.arm.baud
-        self._rng, arm = rng, config.arm
-        self._base = (arm.base_x_mm * 1e-3, arm.base_y_mm * 1e-3)
-        self._turn = complex(math.cos(math.radians(arm.base_yaw_deg)), math.sin(math.radians(arm.base_yaw_deg)))
-        (x0, x1), (z0, z1) = ((low * 1e-3, high * 1e-3) for low, high in config.limits.ranges_mm)
-        start = self._pose(0.5 * (x0 + x1), z1 - _BELOW_M)
-        corners = [self._pose(x, z) for x in (x0, x1) for z in (z0, z1)]
-        xs, ys = [each.x_m for each in corners], [each.y_m for each in corners]
-        limits = ArmLimits(
-            min(xs) - _MARGIN_M,
-            max(xs) + _MARGIN_M,
-            min(ys) - _MARGIN_M,
-            max(ys) + _MARGIN_M,
-            v_max=_ROOM * config.limits.speed_mm_s * 1e-3,
-            a_max=2.0 * _ROOM * max(config.limits.acceleration_mm_s2, 1000.0) * 1e-3,
-        )
-        self._controller = Controller(limits, start, self.baud, _nobody)
-        self._servos = [Servo(r, 0.016) for r in (start.x_m, start.y_m, start.t_rad)]
-        self._steps_per_cycle = round(CYCLE_S / STEP_S)
-        self._steps, self._next_cycle = 0, int(rng.integers(self._steps_per_cycle))
-        self._in, self._host_lines = Wire(self.baud), HostLines(self.baud)
-
-    @property
-    def state(self) -> ArmState:
-        """The controller's."""
-        return self._controller.state
-
-    def place(self, t: float) -> tuple[Axis, Axis]:
-        """Position, velocity, acceleration of the pivot along x and z."""
-        along_x, along_y = (servo.at(t) for servo in self._servos[:2])
-        x, vx, ax = (complex(a, b) * self._turn for a, b in zip(along_x, along_y, strict=True))
-        bx, by = self._base
-        return (bx + x.real, vx.real, ax.real), (by + x.imag, vx.imag, ax.imag)
-
-    def _pose(self, x: float, z: float) -> Pose:
-        """Where the tool is, in arm coordinates, when the pivot is at x along and z over the pad (m)."""
-        there = complex(x - self._base[0], z - self._base[1]) / self._turn
-        return Pose(there.real, there.imag, 0.0)
-
-    def receive(self, heard: bytes, spoilt: bytes, t: float) -> None:
-        """What the host has written, as the line leaves it."""
-        self._host_lines.take(heard, spoilt, t)
-        self._in.send(spoilt, t)
-
-    def step(self, t: float) -> Sequence[Utterance]:
-        """The controller hears what has arrived and runs its cycles; the servos follow the path of each for 16 ms."""
-        self._steps += 1
-        said = []
-        if arrived := self._in.take(t):
-            said.append(_said(self._controller.feed(arrived, t, self._actual_pose(t)), t))
-        if self._steps >= self._next_cycle:
-            self._next_cycle += self._steps_per_cycle
-            said.append(_said(self._controller.cycle(t, self._actual_pose(t)), t))
-            path = self._controller.path
-            for servo, goal in zip(self._servos, (path.x_m, path.y_m, path.t_rad), strict=True):
-                servo.follow(t, (goal - servo.goal(t)) / CYCLE_S)
-        return said
-
-    def play(self, order: FaultOrder, begins: bool) -> None:
-        """What is done to the controller."""
-        controller = self._controller
-        match order.name, begins:
-            case "estop", True:
-                controller.press_emergency_stop()
-            case "power_off", True:
-                controller.switch_power_off()
-            case "manual", True:
-                controller.switch_to_manual(controller.path)
-            case (("estop" | "power_off" | "manual"), False):
-                controller.make_ready()
-            case "break", True:
-                controller.line_fault(BREAK_RECEIVED)
-
-    def status(self) -> dict[str, Any]:
-        """The controller's counts and those of what it heard."""
-        return {
-            "crc_errors": self._controller.reader.counters.crc_errors,
-            **{f"host_{what}": n for what, n in self._host_lines.as_dict().items()},
-            **self._controller.counters.as_dict(),
-        }
-
-    def listener(self) -> LineReader:
-        """Of its lines."""
-        return LineReader(self.baud)
-
-    def _actual_pose(self, t: float) -> Pose:
-        x, y, angle = (servo.at(t)[0] for servo in self._servos)
-        noise = self._rng.normal(0.0, _ENCODER_NOISE_M, 2)
-        return Pose(x + float(noise[0]), y + float(noise[1]), angle)
-
-
-def _said(data: bytes, t: float) -> Utterance:
-    return Utterance(data, t, data.count(CONTROLLER_NEWLINE))
-
-
-def _nobody(pose: Pose, t: float) -> None:
-    del pose, t
 
 
 def _exact(s: float, force: float) -> float:
