@@ -12,9 +12,9 @@ from palmd.motion.pivot import PivotLimits, compile_pivot_plan
 from palmd.observer.pivot.growing import PERIOD_S, SimulatedSmoothing
 from palmd.observer.pivot.live import PivotObserver
 from palmd.pivot_config import PivotConfig, PivotPlanSpec, pivot_rig
+from palmd.rig.emulated import STEP_S
 from palmd.rig.pivot_world import PivotWorld
 from palmd.rig.shapes import Kind
-from palmd.rig.world import STEP_S
 
 ANSWER_S = 3.0
 

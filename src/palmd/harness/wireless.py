@@ -25,10 +25,11 @@ from palmd.messages import Fields
 from palmd.motion.check import motion_limits
 from palmd.motion.plan import compile_plan
 from palmd.observer import Observer, ObserverName, Smoothing
+from palmd.rig.emulated import STEP_S
 from palmd.rig.pads import GOOD_PADS, PadOptions
 from palmd.rig.plant import AS_ASSUMED, PlantOptions
 from palmd.rig.shapes import Body, Kind
-from palmd.rig.world import STEP_S, World
+from palmd.rig.world import World
 
 ANSWER_S = 2.0
 READY_S = 5.0
