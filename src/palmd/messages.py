@@ -28,6 +28,7 @@ from palmd.events import (
     ShapeEstimate,
 )
 from palmd.faults import Fault
+from palmd.jsonvalues import or_none
 from palmd.quantities import ESTIMATE, EVENTS, LOG, SCHEMA, STAMP, TICK, TOPICS, UNITS, Kind, Topic
 from palmd.system.mechanism import JOINTS, NAMING, PALMS, SIDES
 from palmd.system.naming import Naming
@@ -80,12 +81,8 @@ def estimate_at_a_glance(estimate: Estimate) -> Fields:
 def at_a_glance(topic: Topic, fields: Fields, *names: str) -> Fields:
     """Of an estimate's `fields` those that its `topic` has for the first look, and `names` before them."""
     shown = ("valid", "observer", "object", *names, *(each.name for each in topic.quantities if each.glance))
-    told = {name: _or_none(fields[name]) for name in shown}
+    told = {name: or_none(fields[name]) for name in shown}
     return told | {"sd": {name: sd for name, sd in fields["sd"].items() if name in told and math.isfinite(sd)}}
-
-
-def _or_none(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def shape_fields(shape: ShapeEstimate, h: str = "h") -> Fields:

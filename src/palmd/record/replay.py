@@ -9,10 +9,10 @@ from typing import Any
 
 from palmd.blas import one_thread
 from palmd.events import Estimate, ObjectEstimate, ShapeEstimate
+from palmd.jsonvalues import or_none
 from palmd.messages import Fields, estimate_fields, object_fields, shape_fields, stamp
 from palmd.observer.observer import Observer
 from palmd.record.eventlog import EventLog
-from palmd.record.jsonvalues import or_none
 
 PERIOD_S = 0.01
 TICKS_PER_SHAPE = 100
