@@ -19,7 +19,7 @@ from palmd.outlinefile import Outline
 from palmd.pivot_messages import estimate_fields, shape_fields
 from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
 from palmd.record.outline_curves import OutlineCurves, curves_of
-from palmd.record.replay import PERIOD_S, TICKS_PER_SHAPE, Said
+from palmd.record.replay import TICKS_PER_SHAPE, Said, fed, tick_count
 from palmd.record.systems import NotYetError, Reconstructed
 from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, PadSensor
 from palmd.system.pivot import GripperSample, PivotEvent, PivotRig
@@ -111,7 +111,7 @@ class Pivot(PivotForm):
 
     def tick_count(self, log: PivotLog) -> int:
         """As `estimate` gives them."""
-        return max(1, math.ceil((log.events[-1].t_sample - log.events[0].t_sample) / PERIOD_S))
+        return tick_count(log)
 
     def estimate(self, log: PivotLog, observer: ObserverName, outlines: Sequence[Outline]) -> Iterator[Said]:
         """What the live observer says, tick by tick; NotYetError for a slide, and where two palms' outlines are given.
@@ -127,20 +127,10 @@ class Pivot(PivotForm):
 
     def _ticks(self, log: PivotLog) -> Iterator[Said]:
         live = PivotObserver(log.rig, SimulatedSmoothing(log.rig))
-        events = iter(sorted(log.events, key=_time_of))
-        event, t0 = next(events, None), log.events[0].t_sample
-        for tick in range(1, self.tick_count(log) + 1):
-            t = t0 + tick * PERIOD_S
-            while event is not None and event.t_sample <= t + 1e-9:
-                live.feed(as_fed(event))
-                event = next(events, None)
-            live.improve(t)
+        events = map(as_fed, sorted(log.events, key=lambda event: event.t_sample))
+        for tick, t in fed(log, events, live):
             said, shape = live.estimate(t), live.shape(t) if tick % TICKS_PER_SHAPE == 0 else None
             yield Said(tick, t, estimate_fields(said), None if shape is None else shape_fields(shape))
-
-
-def _time_of(event: PivotEvent) -> float:
-    return event.t_sample
 
 
 SYSTEM = Pivot()
