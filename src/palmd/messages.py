@@ -12,6 +12,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import numpy as np
+
 from palmd.config import Config, config_hash
 from palmd.events import (
     Estimate,
@@ -26,8 +28,11 @@ from palmd.events import (
     ShapeEstimate,
 )
 from palmd.faults import Fault
+from palmd.jsonvalues import or_none
 from palmd.quantities import ESTIMATE, EVENTS, LOG, SCHEMA, STAMP, TICK, TOPICS, UNITS, Kind, Topic
-from palmd.system.mechanism import JOINTS, PALMS, SIDES
+from palmd.system.mechanism import JOINTS, NAMING, PALMS, SIDES
+from palmd.system.naming import Naming
+from palmd.system.pivot import PivotEstimate
 from palmd.system.rig_constants import RIG_NAMES, said_off
 
 Fields = dict[str, Any]
@@ -39,7 +44,6 @@ NAMED_STATE = tuple(q.source for q in ESTIMATE.quantities if q.role == "named")
 
 _SD_NAMES = {source: name for name, source in _UNCERTAIN}
 _WITH_SD = {quantity.name for topic in TOPICS for quantity in topic.quantities if quantity.uncertain}
-_EVENT_COLUMNS = tuple(quantity.name for quantity in EVENTS.quantities if quantity is not TICK)
 
 
 def stamp(fields: Fields, timestamp: float, t: float, seq: int) -> Fields:
@@ -51,11 +55,11 @@ def stamp(fields: Fields, timestamp: float, t: float, seq: int) -> Fields:
     return fields
 
 
-def sound(estimate: Estimate) -> bool:
-    """Whether everything is finite that must be when an estimate says `valid`."""
+def sound(estimate: Estimate | PivotEstimate, named: Iterable[str] = NAMED_STATE) -> bool:
+    """Whether everything `named` is finite, as it must be when an estimate says `valid`."""
     return all(
         math.isfinite(getattr(estimate, source)) and math.isfinite(estimate.sd.get(source, math.nan))
-        for source in NAMED_STATE
+        for source in named
     )
 
 
@@ -71,23 +75,22 @@ def estimate_fields(estimate: Estimate) -> Fields:
 
 def estimate_at_a_glance(estimate: Estimate) -> Fields:
     """Of `palm/estimate` what people look at first, as the status tells it; None for what has no value."""
-    fields = estimate_fields(estimate)
-    names = ["valid", "observer", "object", "touched", "nis", "observability"]
-    names += [each.name for each in ESTIMATE.quantities if each.glance]
-    told = {name: _or_none(fields[name]) for name in names}
+    return at_a_glance(ESTIMATE, estimate_fields(estimate), "touched", "nis", "observability")
+
+
+def at_a_glance(topic: Topic, fields: Fields, *names: str) -> Fields:
+    """Of an estimate's `fields` those that its `topic` has for the first look, and `names` before them."""
+    shown = ("valid", "observer", "object", *names, *(each.name for each in topic.quantities if each.glance))
+    told = {name: or_none(fields[name]) for name in shown}
     return told | {"sd": {name: sd for name, sd in fields["sd"].items() if name in told and math.isfinite(sd)}}
 
 
-def _or_none(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def shape_fields(shape: ShapeEstimate) -> Fields:
-    """`palm/shape`."""
+def shape_fields(shape: ShapeEstimate, h: str = "h") -> Fields:
+    """`palm/shape`, or that of another system, whose support function is called `h`."""
     return {
         "theta_rad": shape.theta.tolist(),
-        "h_m": shape.h.tolist(),
-        "h_sd_m": shape.h_sd.tolist(),
+        f"{h}_m": shape.h.tolist(),
+        f"{h}_sd_m": shape.h_sd.tolist(),
         "touched": [int(touched) for touched in shape.touched],
     }
 
@@ -103,40 +106,48 @@ def object_fields(estimate: ObjectEstimate) -> Fields:
     }
 
 
-_NONE = (math.nan,) * len(JOINTS)
-_NO_PALMS = _NONE * 3  # angles, rates, accelerations
+class EventsForm:
+    """A system's topic of what the observer was fed in a tick, there and back."""
+
+    def __init__(self, topic: Topic, naming: Naming) -> None:
+        self._columns = tuple(quantity.name for quantity in topic.quantities if quantity is not TICK)
+        self._joints, self._pads = len(naming.joints), naming.pads
+        self._none = (math.nan,) * self._joints
+
+    def fields_of(self, t: float, events: Iterable[Event]) -> Fields:
+        """What the observer was fed in the tick at `t` (s), in this order; None becomes NaN."""
+        rows = [self._row(event) for event in events]
+        columns = zip(*rows, strict=True) if rows else ((),) * len(self._columns)
+        return {"t_tick_s": t} | dict(zip(self._columns, map(list, columns), strict=True))
+
+    def events_of(self, fields: Mapping[str, Any]) -> tuple[Event, ...]:
+        """The events that `fields_of` was given, bit for bit; raises KeyError, ValueError for other fields."""
+        return tuple(self._event(*row) for row in zip(*(fields[name] for name in self._columns), strict=True))
+
+    def _row(self, event: Event) -> tuple[float, ...]:
+        none = self._none
+        if isinstance(event, PadSample):
+            force = math.nan if event.force is None else event.force
+            return (event.pad, event.t_sample, event.s, force, *none * 3)
+        if isinstance(event, PadLift):
+            return (-event.pad, event.t_sample, math.nan, math.nan, *none * 3)
+        planned = (*(event.rates or none), *(event.accelerations or none))
+        return (0, event.t_sample, math.nan, math.nan, *event.angles, *planned)
+
+    def _event(self, source: int, t: float, s: float, force: float, *palms: float) -> Event:
+        if source == 0:
+            angles, *planned = (palms[i : i + self._joints] for i in range(0, len(palms), self._joints))
+            return PalmSample(t, angles, *(None if any(map(math.isnan, each)) else each for each in planned))
+        pad = abs(source)
+        if pad not in self._pads:
+            raise ValueError(
+                f"source is {source}; it is 0, or the number of a palm, negative where its contact has ended"
+            )
+        return PadLift(t, pad) if source < 0 else PadSample(t, pad, s, None if math.isnan(force) else force)
 
 
-def events_fields(t: float, events: Iterable[Event]) -> Fields:
-    """`palm/events`: what the observer was fed in the tick at `t` (s), in this order; None becomes NaN."""
-    rows = [_event_row(event) for event in events]
-    columns = zip(*rows, strict=True) if rows else ((),) * len(_EVENT_COLUMNS)
-    return {"t_tick_s": t} | dict(zip(_EVENT_COLUMNS, map(list, columns), strict=True))
-
-
-def events_of(fields: Mapping[str, Any]) -> tuple[Event, ...]:
-    """The events that `events_fields` was given, bit for bit; raises KeyError, ValueError for other fields."""
-    return tuple(_event(*row) for row in zip(*(fields[name] for name in _EVENT_COLUMNS), strict=True))
-
-
-def _event_row(event: Event) -> tuple[float, ...]:
-    if isinstance(event, PadSample):
-        force = math.nan if event.force is None else event.force
-        return (event.pad, event.t_sample, event.s, force, *_NO_PALMS)
-    if isinstance(event, PadLift):
-        return (-event.pad, event.t_sample, math.nan, math.nan, *_NO_PALMS)
-    planned = (*(event.rates or _NONE), *(event.accelerations or _NONE))
-    return (0, event.t_sample, math.nan, math.nan, *event.angles, *planned)
-
-
-def _event(source: int, t: float, s: float, force: float, *palms: float) -> Event:
-    if source == 0:
-        angles, *planned = (palms[i : i + len(JOINTS)] for i in range(0, len(palms), len(JOINTS)))
-        return PalmSample(t, angles, *(None if any(map(math.isnan, each)) else each for each in planned))
-    if abs(source) not in PALMS:
-        raise ValueError(f"source is {source}; it is 0, or the number of a palm, negative where its contact has ended")
-    pad = abs(source)
-    return PadLift(t, pad) if source < 0 else PadSample(t, pad, s, None if math.isnan(force) else force)
+_EVENTS = EventsForm(EVENTS, NAMING)
+events_fields, events_of = _EVENTS.fields_of, _EVENTS.events_of
 
 
 def improvement_fields(t_tick: float, answer: Improvement) -> Fields:
@@ -154,6 +165,27 @@ def improvement_fields(t_tick: float, answer: Improvement) -> Fields:
         "spread": answer.spread.ravel().tolist(),
         "contradicted": answer.contradicted.tolist(),
     }
+
+
+def improvement_of(fields: Mapping[str, Any]) -> Improvement:
+    """The answer that `improvement_fields` was given, bit for bit; raises KeyError, ValueError for other fields."""
+    x, covariance, rig, spread = (_array(fields[name]) for name in ("x", "covariance", "rig", "spread"))
+    return Improvement(
+        fields["t_s"],
+        x,
+        covariance.reshape(len(x), -1),
+        fields["frame"],
+        fields["established"],
+        np.array(fields["touched"], dtype=np.bool_),
+        rig,
+        _array(fields.get("rig_sd", ())),
+        spread.reshape(-1, len(rig)),
+        _array(fields.get("contradicted", ())),
+    )
+
+
+def _array(values: Sequence[float]) -> FloatArray:
+    return np.array(values, dtype=np.float64)
 
 
 def rig_fields(values: FloatArray, sds: FloatArray, priors: FloatArray, contradicted: FloatArray) -> Fields:
@@ -180,20 +212,17 @@ class PadView:
     batch: bool = False
 
 
-def contact_fields(pads: Sequence[PadView], arm_age: float) -> Fields:
-    """`palm/contact` of the palms' pads; `arm_age` in s, NaN for none."""
-    numbered = tuple(zip(PALMS, pads, strict=True))
+def contact_fields(pads: Sequence[PadView], arm_age: float, naming: Naming = NAMING) -> Fields:
+    """`palm/contact` of a system's pads; `arm_age` in s, NaN for none."""
+    numbered = tuple(zip(naming.pads, pads, strict=True))
     return {
-        **{f"s{palm}_m": pad.s for palm, pad in numbered},
-        **{f"pressure{palm}": pad.pressure for palm, pad in numbered},
-        **{f"age{palm}_ms": pad.age * 1e3 for palm, pad in numbered},
+        **{f"s{pad}_m": view.s for pad, view in numbered},
+        **{f"pressure{pad}": view.pressure for pad, view in numbered},
+        **{f"age{pad}_ms": view.age * 1e3 for pad, view in numbered},
         "arm_age_ms": arm_age * 1e3,
-        **{f"touch{palm}": pad.touch for palm, pad in numbered},
-        **{f"batch{palm}": pad.batch for palm, pad in numbered},
+        **{f"touch{pad}": view.touch for pad, view in numbered},
+        **{f"batch{pad}": view.batch for pad, view in numbered},
     }
-
-
-_COMMANDED, _ACTUAL = ([f"{joint}{end}" for joint in JOINTS] for end in ("_cmd_rad", "_rad"))
 
 
 def motion_fields(
@@ -203,11 +232,13 @@ def motion_fields(
     segment: int,
     progress: float,
     arm_state: str,
+    naming: Naming = NAMING,
 ) -> Fields:
-    """`palm/motion`."""
+    """`palm/motion` of a system's joints."""
+    none = (math.nan,) * len(naming.joints)
     return {
-        **dict(zip(_COMMANDED, _NONE if commanded is None else commanded.angles, strict=True)),
-        **dict(zip(_ACTUAL, _NONE if actual is None else actual.angles, strict=True)),
+        **dict(zip(naming.commanded, none if commanded is None else commanded.angles, strict=True)),
+        **dict(zip(naming.measured, none if actual is None else actual.angles, strict=True)),
         "plan": plan,
         "segment": segment,
         "progress": progress,

@@ -8,8 +8,9 @@ from palmd.daemon.bus import Bus
 from palmd.daemon.core import Core
 from palmd.daemon.lifecycle import State
 from palmd.lab.silent_observer import SilentObserver
+from palmd.rig.emulated import STEP_S
 from palmd.rig.pads import GOOD_PADS
-from palmd.rig.world import STEP_S, World
+from palmd.rig.world import World
 
 TICK_STEPS = 20
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from palmd.console.errors import BAD_INPUT, CliError
-from palmd.record.jsonvalues import or_none
+from palmd.jsonvalues import or_none
 from palmd.record.run import RunError, read_run
 from palmd.report.why import Explanation, explain, lines
 

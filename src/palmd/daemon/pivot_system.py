@@ -17,14 +17,14 @@ from palmd.daemon.systems import Explores, Messages, TickReport
 from palmd.devices.actuator import Place, Pose, Reach
 from palmd.devices.pad import PadDriver, make_pad
 from palmd.events import FloatArray, Joints, PadSample, PalmMotion, ShapeEstimate
-from palmd.messages import Fields
+from palmd.messages import Fields, contact_fields, motion_fields
 from palmd.motion.kinematics import PoseError
 from palmd.motion.limits import MotionLimits
 from palmd.motion.pivot import PivotLimits
 from palmd.observer.observer import LiveAnswer, LiveEstimate, LiveObserver
 from palmd.pivot_config import PivotConfig
 from palmd.quantities import PIVOT, PIVOT_ANSWER, PIVOT_CONTACT, PIVOT_EVENTS, PIVOT_MOTION, PIVOT_SHAPE, Topic
-from palmd.system.pivot import AXES, PAD, PivotAnswer, PivotEstimate
+from palmd.system.pivot import AXES, NAMING, PAD, PivotAnswer, PivotEstimate
 
 OUTSIDE_M = 2e-3
 FORCE_MEAN = 0.2  # share of a new reading in the mean of the force
@@ -75,7 +75,7 @@ class PivotGrasp:
         self.poses: Poses = PivotPoses.of(config)
         self.limits: MotionLimits = PivotLimits.of(config)
         self._most_n = config.limits.force_n
-        self.joints = tuple(f"{axis}_m" for axis in AXES)
+        self.joints = NAMING.measured
         self.outside = OUTSIDE_M
         self.jogs = False
         self.rig_priors: FloatArray = np.zeros(0)
@@ -122,16 +122,13 @@ class PivotGrasp:
     def tick(self, tick: TickReport) -> Messages:
         """Estimate, contact, motion, events."""
         assert isinstance(tick.estimate, PivotEstimate)
-        place: Fields = {
-            "plan": tick.plan,
-            "segment": tick.segment,
-            "progress": tick.progress,
-            "arm_state": tick.arm_state,
-        }
+        motion = motion_fields(
+            tick.commanded, tick.actual, tick.plan, tick.segment, tick.progress, tick.arm_state, NAMING
+        )
         return [
             (PIVOT, says.estimate_fields(tick.estimate)),
-            (PIVOT_CONTACT, says.contact_fields(tick.pads[0], tick.arm_age)),
-            (PIVOT_MOTION, says.motion_fields(tick.commanded, tick.actual, place)),
+            (PIVOT_CONTACT, contact_fields(tick.pads, tick.arm_age, NAMING)),
+            (PIVOT_MOTION, motion),
             (PIVOT_EVENTS, says.events_fields(tick.t, tick.fed)),
         ]
 

@@ -7,10 +7,11 @@ with two cores keeps one for itself.
 from __future__ import annotations
 
 import json
+import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import msgpack
 import numpy as np
@@ -19,6 +20,7 @@ from palmd.daemon.worker import WorkerProcess, give_back_memory, meet
 from palmd.events import Event, Improvement, PadLift, PadSample, PalmSample
 from palmd.observer.smoothing import Session, period
 from palmd.system.description import PadSensor, RigDescription
+from palmd.system.pivot import PivotRig
 
 BATCH_S = 0.05  # of events that go out in one message
 HIGH_WATER = 100  # messages on their way: five seconds
@@ -26,17 +28,22 @@ KEPT_EVENTS = 1000  # for a process that does not take them: some four seconds; 
 SHARE = 0.5  # of one core that the process takes at most, and that only before it has found anything
 NICENESS = 3  # after the loop, but not so far behind others that its answers come too late
 
+Answer = TypeVar("Answer")
 _KINDS: tuple[type[PadSample] | type[PadLift] | type[PalmSample], ...] = (PadSample, PadLift, PalmSample)
 
 
-class SmootherProcess:
-    """The loop's end; `submit` and `collect` are safe inside the loop, starting the process again takes it 1 ms."""
+class BatchingProcess(Generic[Answer]):
+    """The loop's end of a smoother; `collect` is safe inside the loop, starting the process again takes it 1 ms."""
 
-    def __init__(self, rig: RigDescription) -> None:
-        """Start the process; raises OSError when it cannot be."""
-        self._process = WorkerProcess("smoother", __name__, json.dumps(asdict(rig)), high_water=HIGH_WATER)
+    def __init__(self, module: str, rig: RigDescription | PivotRig, answer_of: Callable[..., Answer]) -> None:
+        """Start a process with `module`, whose `serve` gets the rig's fields as JSON; raises OSError when it cannot be.
+
+        `answer_of` makes an answer of what `work` sends.
+        """
+        self._process = WorkerProcess("smoother", module, json.dumps(asdict(rig)), high_water=HIGH_WATER)
+        self._answer_of = answer_of
         self._waiting: list[list[Any]] = []
-        self._t_sent = -np.inf
+        self._t_sent = -math.inf
         self.dropped = 0
 
     @property
@@ -44,14 +51,13 @@ class SmootherProcess:
         """How often the process has been started."""
         return self._process.starts
 
-    def submit(self, t: float, session: Session, events: Sequence[Event]) -> None:
-        """Hand the tick's events over, a few ticks' together."""
+    def _hand_over(self, t: float, events: Sequence[Event], *head: Any) -> None:
+        """Of the tick at `t` (s): the events of a few ticks go together, behind the newest `head`."""
         self._waiting += [packed(event) for event in events]
         if t - self._t_sent < BATCH_S:
             return
         self._t_sent = t
-        hint = None if session.hint is None else session.hint.tobytes()
-        if self._process.send(msgpack.packb([session.object_count, session.begun, hint, self._waiting])):
+        if self._process.send(msgpack.packb([*head, self._waiting])):
             self._waiting = []
             return
         lost = len(self._waiting) - KEPT_EVENTS
@@ -59,21 +65,30 @@ class SmootherProcess:
             del self._waiting[:lost]
             self.dropped += lost
 
-    def collect(self, t: float) -> Improvement | None:
-        """The newest improvement that has come."""
+    def collect(self, t: float) -> Answer | None:
+        """The newest answer that has come."""
         del t  # it is ready when it is here
-        newest: Improvement | None = None
+        newest: Answer | None = None
         for message in self._process.received():
-            when, frame, established, touched, *arrays = msgpack.unpackb(message)
-            x, covariance, rig, rig_sd, spread, against = map(np.frombuffer, arrays)
-            square, beyond = covariance.reshape(len(x), -1), spread.reshape(-1, len(rig))
-            marks = np.frombuffer(touched, dtype=np.bool_)
-            newest = Improvement(when, x, square, frame, established, marks, rig, rig_sd, beyond, against)
+            newest = self._answer_of(*msgpack.unpackb(message))
         return newest
 
     def close(self) -> None:
         """End the process."""
         self._process.close()
+
+
+class SmootherProcess(BatchingProcess[Improvement]):
+    """Of two palms; safe inside the loop."""
+
+    def __init__(self, rig: RigDescription) -> None:
+        """Start the process; raises OSError when it cannot be."""
+        super().__init__(__name__, rig, _improvement_of)
+
+    def submit(self, t: float, session: Session, events: Sequence[Event]) -> None:
+        """Hand the tick's events over."""
+        hint = None if session.hint is None else session.hint.tobytes()
+        self._hand_over(t, events, session.object_count, session.begun, hint)
 
 
 def packed(event: Event) -> list[Any]:
@@ -88,34 +103,58 @@ def unpacked(fields: list[Any]) -> Event:
     return event
 
 
+def work(
+    address: str,
+    add: Callable[..., None],
+    answer: Callable[[], list[Any] | None],
+    period_s: Callable[[], float],
+) -> None:
+    """A process's work, for ever: `add` what was handed over, `answer` every `period_s` at most."""
+    next_one = 0.0
+    with meet(address, NICENESS) as socket:
+        while True:
+            *head, events = msgpack.unpackb(socket.recv())
+            add(*head, [unpacked(event) for event in events])
+            if socket.poll(0) or time.monotonic() < next_one:
+                continue
+            started = time.monotonic()
+            said = answer()
+            ended = time.monotonic()
+            next_one = max(started + period_s(), ended + (ended - started) * (1.0 / SHARE - 1.0))
+            if said is not None:
+                socket.send(msgpack.packb(said))
+            give_back_memory()
+
+
 def serve(address: str, rig: str) -> None:
-    """The process's work, for ever: gather readings, smooth, answer; `rig` is the description's fields as JSON."""
+    """The process's work, for ever; `rig` is the description's fields as JSON."""
     # in this process alone: the loop's has no use for them
     from palmd.model import shape_map, smoothing
     from palmd.observer.incremental import IncrementalSmoother
 
     described = _rig_of(json.loads(rig))
     smoother = IncrementalSmoother(described)
-    next_one = 0.0
     smoothing.library(described.curved)
     shape_map.library(curved=described.curved)
-    with meet(address, NICENESS) as socket:
-        while True:
-            object_count, begun, hint, events = msgpack.unpackb(socket.recv())
-            smoother.add(
-                Session(object_count, begun, hint and np.frombuffer(hint)), [unpacked(event) for event in events]
-            )
-            if socket.poll(0) or time.monotonic() < next_one:
-                continue
-            started = time.monotonic()
-            improvement = smoother.answer()
-            ended = time.monotonic()
-            next_one = max(started + period(smoother.elapsed_s), ended + (ended - started) * (1.0 / SHARE - 1.0))
-            if improvement is not None:
-                a = improvement
-                arrays = (each.tobytes() for each in (a.touched, a.x, a.P, a.rig, a.rig_sd, a.spread, a.contradicted))
-                socket.send(msgpack.packb([a.t, a.frame, a.established, *arrays]))
-            give_back_memory()
+
+    def add(object_count: int, begun: float, hint: bytes | None, events: list[Event]) -> None:
+        smoother.add(Session(object_count, begun, None if hint is None else np.frombuffer(hint)), events)
+
+    def answer() -> list[Any] | None:
+        a = smoother.answer()
+        if a is None:
+            return None
+        arrays = (each.tobytes() for each in (a.touched, a.x, a.P, a.rig, a.rig_sd, a.spread, a.contradicted))
+        return [a.t, a.frame, a.established, *arrays]
+
+    work(address, add, answer, lambda: period(smoother.elapsed_s))
+
+
+def _improvement_of(t: float, frame: int, established: bool, touched: bytes, *arrays: bytes) -> Improvement:
+    x, covariance, rig, rig_sd, spread, against = map(np.frombuffer, arrays)
+    square, beyond = covariance.reshape(len(x), -1), spread.reshape(-1, len(rig))
+    marks = np.frombuffer(touched, dtype=np.bool_)
+    return Improvement(t, x, square, frame, established, marks, rig, rig_sd, beyond, against)
 
 
 def _rig_of(fields: dict[str, Any]) -> RigDescription:

@@ -38,7 +38,7 @@ from palmd.motion.exploration import Exploration
 from palmd.motion.limits import MotionLimits
 from palmd.observer.observer import LiveAnswer, LiveEstimate, LiveObserver
 from palmd.quantities import CONTACT, ESTIMATE, EVENTS, IMPROVEMENT, MOTION, SHAPE, Topic
-from palmd.system.mechanism import JOINTS, PALMS
+from palmd.system.mechanism import JOINTS, NAMING, PALMS
 from palmd.system.rig_constants import prior_sds
 
 Messages = list[tuple[Topic, Fields]]
@@ -150,7 +150,7 @@ class LiveTwoPalms:
     def __init__(self, config: Config) -> None:
         self.poses: Poses = make_poses(config)
         self.limits: MotionLimits = motion_limits(config)
-        self.joints = tuple(f"{joint}_rad" for joint in JOINTS)
+        self.joints = NAMING.measured
         self.outside = math.radians(1.0)
         self.jogs = True
         self.rig_priors = prior_sds(rig_description(config))

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, Generic, ParamSpec, TypeVar
 
 import msgpack
 
@@ -25,16 +25,19 @@ from palmd.messages import Fields
 from palmd.motion.check import motion_limits
 from palmd.motion.plan import compile_plan
 from palmd.observer import Observer, ObserverName, Smoothing
+from palmd.rig.emulated import STEP_S
 from palmd.rig.pads import GOOD_PADS, PadOptions
+from palmd.rig.pivot_world import PivotWorld
 from palmd.rig.plant import AS_ASSUMED, PlantOptions
 from palmd.rig.shapes import Body, Kind
-from palmd.rig.world import STEP_S, World
+from palmd.rig.world import World
 
 ANSWER_S = 2.0
 READY_S = 5.0
 
 P = ParamSpec("P")
 T = TypeVar("T")
+Rig = TypeVar("Rig", bound=World | PivotWorld)
 
 
 class WirelessError(Exception):
@@ -50,47 +53,18 @@ class Instant:
     truth: dict[str, Any]
 
 
-class Wireless:
+class ClosedLoop(Generic[Rig]):
     """One rig with one object, and one daemon; see the module. Times are seconds from 0.
 
     `world` and `core` may be looked at between ticks, and mischief played on the world.
     """
 
-    def __init__(
-        self,
-        config: Config,
-        spec: PlanSpec,
-        seed: int,
-        *,
-        kind: Kind = "rig",
-        observer_name: ObserverName = "shape",
-        options: PlantOptions = AS_ASSUMED,
-        pad_options: PadOptions = GOOD_PADS,
-        smoothing: Smoothing | None = None,
-        explorer: Source | None = None,
-        estimator: Observer | None = None,
-        body: Body | None = None,
-    ) -> None:
-        """`seed` draws the object, unless it is this `body`, noise, and the observer's samples of the prior.
-
-        `explorer` decides explorations. Without one, a shape observer has the daemon's own, whose answers come some
-        time after the questions. Without `smoothing` the observer has no smoother at its side. An `estimator` takes the
-        place of the one that is named.
-
-        Raises PlanError for a plan that cannot be run.
-        """
-        limits = motion_limits(config)
-        plan = Plan(spec, compile_plan(spec, limits), limits, None)
-        rig = rig_description(config)
-        estimator = estimator or observer.make(observer_name, rig, seed, smoothing)
-        if explorer is None and observer_name == "shape":
-            explorer = InlineExplorer(Decider(rig, seed))
-        self.world = World(config, seed, kind=kind, options=options, pad_options=pad_options, body=body)
-        self.core = Core(config, estimator, AtOnce(), plan, explorer=explorer)
-        self._steps = 0
-        self._steps_per_tick = round(1.0 / (config.loop.rate_hz * STEP_S))
-        for end in self.core.ports():
-            self.core.opened(end, self.t)
+    def __init__(self, world: Rig, core: Core, rate_hz: float) -> None:
+        """The daemon's `core` has just found its ports; it ticks at `rate_hz`."""
+        self.world, self.core = world, core
+        self._steps, self._steps_per_tick = 0, round(1.0 / (rate_hz * STEP_S))
+        for end in core.ports():
+            core.opened(end, self.t)
 
     @property
     def t(self) -> float:
@@ -154,6 +128,42 @@ class Wireless:
 
     def _faults(self) -> str:
         return ", ".join(fault.code for fault in self.core.faults.active) or "no faults"
+
+
+class Wireless(ClosedLoop[World]):
+    """Of two palms."""
+
+    def __init__(
+        self,
+        config: Config,
+        spec: PlanSpec,
+        seed: int,
+        *,
+        kind: Kind = "rig",
+        observer_name: ObserverName = "shape",
+        options: PlantOptions = AS_ASSUMED,
+        pad_options: PadOptions = GOOD_PADS,
+        smoothing: Smoothing | None = None,
+        explorer: Source | None = None,
+        estimator: Observer | None = None,
+        body: Body | None = None,
+    ) -> None:
+        """`seed` draws the object, unless it is this `body`, noise, and the observer's samples of the prior.
+
+        `explorer` decides explorations. Without one, a shape observer has the daemon's own, whose answers come some
+        time after the questions. Without `smoothing` the observer has no smoother at its side. An `estimator` takes the
+        place of the one that is named.
+
+        Raises PlanError for a plan that cannot be run.
+        """
+        limits = motion_limits(config)
+        plan = Plan(spec, compile_plan(spec, limits), limits, None)
+        rig = rig_description(config)
+        estimator = estimator or observer.make(observer_name, rig, seed, smoothing)
+        if explorer is None and observer_name == "shape":
+            explorer = InlineExplorer(Decider(rig, seed))
+        world = World(config, seed, kind=kind, options=options, pad_options=pad_options, body=body)
+        super().__init__(world, Core(config, estimator, AtOnce(), plan, explorer=explorer), config.loop.rate_hz)
 
 
 class AtOnce(Executor):

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
@@ -22,6 +21,7 @@ from typing import Any
 from palmd.console.arguments import count, seconds_within, seed
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.console.extras import missing, only_without
+from palmd.jsonvalues import or_none
 from palmd.lab import workers
 from palmd.lab.field_runs import name_of, written
 from palmd.lab.field_score import HEAD, FieldScore, ResultLineError, scored, table
@@ -166,7 +166,7 @@ def _conclude(folder: Path, files: Sequence[Path]) -> None:
     scores = sorted((score for path in files for score in _scores(folder, path)), key=lambda score: score.run)
     for line in _columns([HEAD, *table(scores)]):
         print(line)
-    plain = [{name: _plain(value) for name, value in asdict(score).items()} for score in scores]
+    plain = [or_none(asdict(score)) for score in scores]
     (folder / SCORES).write_text(json.dumps(plain, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     print(f"written: {folder / SCORES}")
 
@@ -224,7 +224,3 @@ def _columns(rows: Sequence[Sequence[str]]) -> list[str]:
         )
         for row in rows
     ]
-
-
-def _plain(value: float | str) -> float | str | None:
-    return None if isinstance(value, float) and not math.isfinite(value) else value

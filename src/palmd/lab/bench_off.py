@@ -11,8 +11,9 @@ from pathlib import Path
 
 from palmd.console.arguments import count, seconds, seed
 from palmd.lab import off, workers
-from palmd.lab.off import OFF, TAKEN_FOR, OffRow, as_line, report
+from palmd.lab.off import OFF, TAKEN_FOR, OffRow, report
 from palmd.lab.rows import Sink, collected, rewrite
+from palmd.lab.scoring import as_line
 
 _ORDER = [each.name for each in OFF]
 

@@ -18,6 +18,7 @@ from palmd.console.arguments import seconds_within, seed
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.extras import missing, only_without
 from palmd.console.progress import Progress
+from palmd.jsonvalues import or_none
 from palmd.lab.peers.task import PeerStart, PeerTask, PeerTruth, task_from
 from palmd.lab.simulated import simulated
 from palmd.record.eventlog import EventLog
@@ -118,16 +119,12 @@ def _plain(value: float, form: str) -> str:
 
 
 def _write(path: Path, what: str, seconds: float, rows: list[PeerRow], tick: BankTick) -> None:
-    fields = [{name: _or_none(value) for name, value in dataclasses.asdict(row).items()} for row in rows]
+    fields = [or_none(dataclasses.asdict(row)) for row in rows]
     result = {"run": what, "seconds": seconds, "rows": fields, "bank": dataclasses.asdict(tick)}
     try:
         path.write_text(json.dumps(result, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     except OSError as error:
         raise CliError(BAD_INPUT, f"{path}: cannot be written: {error.strerror or error}") from None
-
-
-def _or_none(value: float | str) -> float | str | None:
-    return None if isinstance(value, float) and math.isnan(value) else value
 
 
 def _make_folder(folder: Path) -> None:

@@ -24,6 +24,7 @@ from palmd.console.arguments import seconds, seed
 from palmd.console.errors import BAD_INPUT
 from palmd.console.progress import Progress
 from palmd.console.shipped import shipped
+from palmd.jsonvalues import or_none
 from palmd.lab.rows import terminable, writable, write
 from palmd.lab.soak import SoakFinding, all_met, as_line, between, table, told
 from palmd.lab.soak_behaviour import behaviour
@@ -85,7 +86,7 @@ def _soak(
     late = punctuality(watch.seconds, goal=real_time and arguments.seconds >= JUDGED_FROM_S)
     slopes = leaks(watch.processes, t_begin, arguments.seconds)
     end, rig, daemon = stand.come_to_rest()
-    write(stream, [{"row": "counts", "rig": rig, "daemon": {name: _plain(value) for name, value in daemon.items()}}])
+    write(stream, [{"row": "counts", "rig": rig, "daemon": or_none(daemon)}])
     baud1, baud2 = (pad.baud for pad in config.pads.each() if isinstance(pad, VersaPadConfig))
     return [
         *slopes,
@@ -144,8 +145,3 @@ def _recording(stand: SoakStand, published: int) -> list[SoakFinding]:
         return findings + replayed(islice(Recheck(found[0]).ticks(), ticks))
     except RunError as error:
         return [between("recording", "readable", 0, 1, 1, why=str(error))]
-
-
-def _plain(value: Any) -> Any:
-    """For JSON, which knows no NaN."""
-    return value if not isinstance(value, float) or np.isfinite(value) else None

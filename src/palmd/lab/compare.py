@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
 from pathlib import Path
-from typing import Any
 
 from palmd.cli.logs import opened, read
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.extras import missing, only_without
 from palmd.events import PalmSample
+from palmd.jsonvalues import or_none
 from palmd.lab.camera_clock import GroundTruthError
 from palmd.lab.camera_signals import motion_of
 from palmd.lab.ground_truth import CameraComparison, compared
@@ -63,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
         _draw(result, found, outline, arguments.figure)
     if arguments.output is not None:
         with opened(arguments.output, arguments.result) as stream:
-            stream.write(json.dumps(_plain(as_line(found)), allow_nan=False) + "\n")
+            stream.write(json.dumps(or_none(as_line(found)), allow_nan=False) + "\n")
     print("\n".join(told(found)), file=sys.stderr if arguments.output == Path("-") else sys.stdout)
     return 0
 
@@ -78,10 +77,3 @@ def _draw(result: Result, found: CameraComparison, outline: Outline | None, path
         ground_truth_figure.save(result, found, outline, path)
     except OSError as error:
         raise CliError(BAD_INPUT, f"{path}: cannot be written: {error.strerror or error}") from None
-
-
-def _plain(value: Any) -> Any:
-    """With None for a number that is none."""
-    if isinstance(value, dict):
-        return {key: _plain(each) for key, each in value.items()}
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -43,7 +43,6 @@ _BATCH_S, _PACKET_S = 0.016, 0.00625
 
 Random = np.random.Generator
 Spoil = Callable[[list[Event], Random], list[Event]]
-Line = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,14 +249,6 @@ def _names(contradicted: Iterable[float]) -> tuple[str, ...]:
 
 
 # ------------------------------------------------------------------------------------------------------ told
-
-
-def as_line(row: OffRow) -> Line:
-    """The row as a JSON object; a number that is none becomes None."""
-    plain = {name: getattr(row, name) for name in OffRow.__slots__}
-    return {
-        name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in plain.items()
-    }
 
 
 HEAD = (

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from palmd.events import FloatArray
+from palmd.jsonvalues import or_none
 from palmd.lab.scoring import Bools, Line, outline_errors, truth_of
 from palmd.lab.simulated import simulated
 from palmd.observer import prior
@@ -217,8 +218,8 @@ def _rms(values: FloatArray) -> float:
 
 def as_line(row: SbcRow) -> Line:
     """The row as a JSON object; a number that is none becomes None."""
-    line = {name: _plain(getattr(row, name)) for name in SbcRow.__slots__}
-    line["beliefs"] = {name: [_plain(x) for x in (b.true, b.mean, b.sd)] for name, b in row.beliefs.items()}
+    line = {name: or_none(getattr(row, name)) for name in SbcRow.__slots__}
+    line["beliefs"] = {name: [or_none(x) for x in (b.true, b.mean, b.sd)] for name, b in row.beliefs.items()}
     return line | {"contradicted": dict(row.contradicted)}
 
 
@@ -230,7 +231,3 @@ def row_from(line: Line) -> SbcRow:
         for name, each in line["beliefs"].items()
     }
     return SbcRow(**plain | {"beliefs": beliefs})
-
-
-def _plain(value: object) -> object:
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy.typing as npt
 from scipy.interpolate import CubicHermiteSpline
 
 from palmd.events import FloatArray
+from palmd.jsonvalues import or_none
 from palmd.observer.bound import Bound, Truth
 from palmd.observer.reconstruction import Reconstruction
 from palmd.rig.shapes import Kind
@@ -101,13 +102,8 @@ class MonteCarloRow:
 
 def as_line(row: DataclassInstance) -> Line:
     """The row as a JSON object; a number that is none becomes None."""
-    return {field.name: _plain(getattr(row, field.name)) for field in fields(row)}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Scalar | Causal):
-        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    line: Line = or_none(asdict(row))
+    return line
 
 
 def truth_of(told: Line) -> Truth:

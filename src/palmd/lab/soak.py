@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from palmd.jsonvalues import or_none
 from palmd.lab.table import aligned
 
 JUDGED_FROM_S = 1800.0
@@ -57,7 +57,7 @@ def as_line(finding: SoakFinding) -> dict[str, Any]:
     return {
         "group": finding.group,
         "name": finding.name,
-        "value": finding.value if math.isfinite(finding.value) else None,
+        "value": or_none(finding.value),
         "unit": finding.unit,
         "goal": finding.goal,
         "met": finding.met,

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from palmd.events import FloatArray
+from palmd.jsonvalues import or_none
 from palmd.model.spherical import evaluator
 from palmd.observer.three_palms import rotation
 from palmd.observer.three_palms.reconstruct import BodyReconstruction, reconstruct
@@ -47,8 +48,8 @@ class SpaceRow:
 
     def line(self) -> dict[str, Any]:
         """As JSON, None for what is not a number."""
-        fields = asdict(self)
-        return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in fields.items()}
+        line: dict[str, Any] = or_none(asdict(self))
+        return line
 
 
 def reconstructed(run: SimulatedBody) -> SpaceRow:

@@ -13,7 +13,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from palmd.record.jsonvalues import or_none
+from palmd.jsonvalues import or_none
 from palmd.record.run import Run
 from palmd.record.tables import examples, flat
 

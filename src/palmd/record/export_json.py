@@ -9,8 +9,8 @@ from typing import Any
 
 from mcap.writer import CompressionType, Writer
 
+from palmd.jsonvalues import or_none
 from palmd.messages import Fields
-from palmd.record.jsonvalues import or_none
 from palmd.record.mcapfile import SCHEMA_ENCODING, json_schema
 from palmd.record.run import Run
 from palmd.record.scene import Scene, SceneWatch

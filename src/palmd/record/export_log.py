@@ -7,10 +7,10 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from palmd.jsonvalues import or_none
 from palmd.messages import events_of
 from palmd.quantities import EVENTS, STAMP, TRUTH
 from palmd.record.eventlog import event_line, header_line
-from palmd.record.jsonvalues import or_none
 from palmd.record.logline import Line
 from palmd.record.run import Run
 

@@ -8,23 +8,24 @@ from __future__ import annotations
 
 import math
 import platform
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
+from typing import Generic, TypeVar
 
 import msgpack
 
 from palmd import __version__, observer, pivot_messages
 from palmd.blas import one_thread
-from palmd.events import Estimate, Event, Improvement
+from palmd.events import Estimate
 from palmd.messages import Fields, estimate_fields
 from palmd.observer.observer import LiveObserver
 from palmd.observer.pivot.live import PivotObserver
-from palmd.observer.smoothing import Session
 from palmd.quantities import ESTIMATE, EVENTS, LOOP, PIVOT, PIVOT_EVENTS
 from palmd.record.run import PivotRun, Run, RunError
 from palmd.record.tables import flat
-from palmd.system.pivot import PivotAnswer
+
+Answer = TypeVar("Answer")
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,29 +47,16 @@ class Checked:
     differences: tuple[Difference, ...]
 
 
-class _RecordedAnswers:
+class _RecordedAnswers(Generic[Answer]):
     """The smoother's answers in the ticks in which they came."""
 
-    def __init__(self, answers: dict[float, Improvement]) -> None:
-        self._answers = answers
+    def __init__(self, answers: Iterable[tuple[float, Answer]]) -> None:
+        self._answers = dict(answers)
 
-    def submit(self, t: float, session: Session, events: Sequence[Event]) -> None:
+    def submit(self, t: float, *_: object) -> None:
         pass
 
-    def collect(self, t: float) -> Improvement | None:
-        return self._answers.get(t)
-
-
-class _PivotRecorded:
-    """The answers of a pivoting grasp's smoother likewise."""
-
-    def __init__(self, answers: dict[float, PivotAnswer]) -> None:
-        self._answers = answers
-
-    def submit(self, t: float, events: Sequence[Event]) -> None:
-        pass
-
-    def collect(self, t: float) -> PivotAnswer | None:
+    def collect(self, t: float) -> Answer | None:
         return self._answers.get(t)
 
 
@@ -82,10 +70,10 @@ class Recheck:
         run.require(PIVOT_EVENTS if isinstance(run, PivotRun) else EVENTS, self._told)
         self._observer: LiveObserver
         if isinstance(run, PivotRun):
-            self._observer = PivotObserver(run.rig, _PivotRecorded(dict(run.answers())))
+            self._observer = PivotObserver(run.rig, _RecordedAnswers(run.answers()))
             return
         settings = run.config.observer
-        smoothing = _RecordedAnswers(dict(run.improvements())) if settings.smoother else None
+        smoothing = _RecordedAnswers(run.improvements()) if settings.smoother else None
         self._observer = observer.make(settings.primary, run.rig, smoothing=smoothing, outlines=run.outlines())
 
     def ticks(self) -> Iterator[Checked]:

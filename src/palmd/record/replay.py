@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from palmd.blas import one_thread
-from palmd.events import Estimate, ObjectEstimate, ShapeEstimate
+from palmd.events import Estimate, Event, ObjectEstimate, ShapeEstimate
+from palmd.jsonvalues import or_none
 from palmd.messages import Fields, estimate_fields, object_fields, shape_fields, stamp
-from palmd.observer.observer import Observer
+from palmd.observer.observer import LiveObserver, Observer
 from palmd.record.eventlog import EventLog
-from palmd.record.jsonvalues import or_none
 
 PERIOD_S = 0.01
 TICKS_PER_SHAPE = 100
@@ -30,29 +30,52 @@ class Tick:
     object: ObjectEstimate | None
 
 
-def tick_count(log: EventLog) -> int:
-    """How many ticks `replay` gives: from the first event's time to the first tick that has seen them all."""
+class Dated(Protocol):
+    """An event of any system's log."""
+
+    @property
+    def t_sample(self) -> float:
+        """When it was true (s)."""
+
+
+class Log(Protocol):
+    """Of any system."""
+
+    @property
+    def events(self) -> Sequence[Dated]:
+        """In the order of the file, at least one."""
+
+
+def tick_count(log: Log) -> int:
+    """How many ticks there are: from the first event's time to the first tick that has seen them all."""
     span = max(event.t_sample for event in log.events) - log.events[0].t_sample
     return max(1, math.ceil((span - _SAME_TIME_S) / PERIOD_S))
 
 
 def replay(log: EventLog, observer: Observer) -> Iterator[Tick]:
     """The observer's answers at t0 + k·10 ms, each from events up to that time only, in the file's order."""
+    for number, t in fed(log, log.events, observer):
+        shape, identified = None, None
+        with one_thread():
+            estimate = observer.estimate(t)
+            if number % TICKS_PER_SHAPE == 0:
+                shape, identified = observer.shape(t), observer.identify(t)
+        yield Tick(number, t, estimate, shape, identified)
+
+
+def fed(log: Log, events: Iterable[Event], observer: LiveObserver) -> Iterator[tuple[int, float]]:
+    """The number and time of each of a log's ticks, once `observer` has been fed all its `events` up to then."""
     t0 = log.events[0].t_sample
-    waiting = iter(log.events)
+    waiting = iter(events)
     event = next(waiting, None)
     for number in range(1, tick_count(log) + 1):
         t = t0 + number * PERIOD_S
-        shape, identified = None, None
         with one_thread():
             while event is not None and event.t_sample <= t + _SAME_TIME_S:
                 observer.feed(event)
                 event = next(waiting, None)
             observer.improve(t)
-            estimate = observer.estimate(t)
-            if number % TICKS_PER_SHAPE == 0:
-                shape, identified = observer.shape(t), observer.identify(t)
-        yield Tick(number, t, estimate, shape, identified)
+        yield number, t
 
 
 @dataclass(frozen=True, slots=True)

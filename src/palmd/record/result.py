@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
-from palmd.events import FloatArray
+from palmd.jsonvalues import column, or_none
 from palmd.observer.mass import MassEstimator
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.visits import Marks, kept_by_band, kept_by_visits
@@ -21,33 +20,33 @@ def as_line(answer: Reconstruction, at_rest: MassEstimator) -> dict[str, Any]:
     return {
         "converged": bool(answer.converged),
         "reason": answer.reason or None,
-        "chi2": _number(answer.chi2),
-        "theta_rad": _numbers(answer.theta),
-        "h_m": _column(answer.h),
-        "h_sd_m": _column(answer.h_sd),
+        "chi2": or_none(answer.chi2),
+        "theta_rad": column(answer.theta),
+        "h_m": column(answer.h),
+        "h_sd_m": column(answer.h_sd),
         "touched": _marks(answer.touched),
         "visits": None if answer.visits is None else answer.visits.tolist(),
         "kept_paper": _marks(None if answer.visits is None else kept_by_visits(answer.visits)),
         "kept_band": _marks(_kept_by_band(answer)),
-        "rho_m": _number(answer.rho),
-        "rho_sd_m": _number(answer.rho_sd),
-        "mu": _number(answer.mu),
-        "mu_sd": _number(answer.mu_sd),
-        "mass_kg": _number(answer.mass),
-        "mass_sd_kg": _number(answer.mass_sd),
-        "mass_rest_kg": _number(at_rest.value),
-        "mass_rest_sd_kg": _number(at_rest.sd),
+        "rho_m": or_none(answer.rho),
+        "rho_sd_m": or_none(answer.rho_sd),
+        "mu": or_none(answer.mu),
+        "mu_sd": or_none(answer.mu_sd),
+        "mass_kg": or_none(answer.mass),
+        "mass_sd_kg": or_none(answer.mass_sd),
+        "mass_rest_kg": or_none(at_rest.value),
+        "mass_rest_sd_kg": or_none(at_rest.sd),
         "rig": _rig(answer) or None,
         "contradicted": _contradicted(answer) if len(answer.rig) else None,
         "sides": None if answer.h is None else _sides(answer),
         "trajectory": _trajectory(answer),
-        "seconds": _number(answer.seconds),
+        "seconds": or_none(answer.seconds),
     }
 
 
 def _rig(answer: Reconstruction) -> dict[str, dict[str, float | None]]:
     told = zip(RIG_NAMES, answer.rig.tolist(), answer.rig_sd.tolist(), strict=False)
-    return {name: {"value": _number(value), "sd": _number(sd)} for name, value, sd in told}
+    return {name: {"value": or_none(value), "sd": or_none(sd)} for name, value, sd in told}
 
 
 def _contradicted(answer: Reconstruction) -> dict[str, float]:
@@ -59,10 +58,10 @@ def _trajectory(answer: Reconstruction) -> dict[str, list[float | None]] | None:
     if not len(answer.t):
         return None
     return {
-        "t": _numbers(answer.t),
-        "psi_rad": _numbers(answer.psi),
-        "omega0_rad_s": _numbers(answer.omega0),
-        **{f"{name}_m": _numbers(values) for name, values in zip(RADII, answer.radii, strict=False)},
+        "t": column(answer.t),
+        "psi_rad": column(answer.psi),
+        "omega0_rad_s": column(answer.omega0),
+        **{f"{name}_m": column(values) for name, values in zip(RADII, answer.radii, strict=False)},
     }
 
 
@@ -76,19 +75,7 @@ def _marks(marks: Marks | None) -> list[int] | None:
     return None if marks is None else marks.astype(int).tolist()
 
 
-def _column(values: FloatArray | None) -> list[float | None] | None:
-    return None if values is None else _numbers(values)
-
-
-def _numbers(values: FloatArray) -> list[float | None]:
-    return [_number(value) for value in values.tolist()]
-
-
 def _sides(answer: Reconstruction) -> list[dict[str, float]]:
     return [
         {"normal_rad": normal, "length_m": length, "length_sd_m": sd} for normal, length, sd in answer.sides.tolist()
     ]
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-import numpy as np
 import yaml
 from pydantic import TypeAdapter
 
 from palmd import pivot_messages
 from palmd.config import Config
 from palmd.events import Event, Improvement
-from palmd.messages import events_of
+from palmd.messages import Fields, events_of, improvement_of
 from palmd.outlinefile import Outline, OutlineError, read_library
 from palmd.pivot_config import PivotConfig
 from palmd.quantities import EVENTS, IMPROVEMENT, PIVOT_ANSWER, PIVOT_EVENTS, SCHEMA, Topic
@@ -28,6 +27,8 @@ from palmd.system.description import RigDescription
 from palmd.system.pivot import SYSTEM, PivotAnswer, PivotRig
 
 __all__ = ["AnyRun", "FedTick", "PivotRun", "Run", "RunError", "Survey", "is_recording", "read_any_run", "read_run"]
+
+Read = TypeVar("Read")
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +94,16 @@ class AnyRun:
                 return
         raise RunError(f"{self.path}: holds no {' and no '.join(sorted(wanted))}")
 
+    def _read(self, topic: Topic, read: Callable[[Fields], Read]) -> Iterator[Read]:
+        for message in self.messages(topic.name):
+            try:
+                yield read(message.fields)
+            except (KeyError, ValueError, TypeError) as error:
+                raise RunError(f"{self.path}: {topic.name}, message {message.sequence}: {error!r}") from None
+
+    def _fed(self, topic: Topic, told: Callable[[Fields], tuple[Event, ...]]) -> Iterator[FedTick]:
+        return self._read(topic, lambda fields: FedTick(fields["t_tick_s"], told(fields), fields["seq"]))
+
 
 @dataclass(frozen=True, slots=True)
 class PivotRun(AnyRun):
@@ -103,21 +114,11 @@ class PivotRun(AnyRun):
 
     def ticks(self) -> Iterator[FedTick]:
         """Every recorded tick with its events, bit for bit."""
-        for message in self.messages(PIVOT_EVENTS.name):
-            fields = message.fields
-            try:
-                yield FedTick(fields["t_tick_s"], pivot_messages.events_of(fields), fields["seq"])
-            except (KeyError, ValueError, TypeError) as error:
-                raise RunError(f"{self.path}: {PIVOT_EVENTS.name}, message {message.sequence}: {error!r}") from None
+        return self._fed(PIVOT_EVENTS, pivot_messages.events_of)
 
     def answers(self) -> Iterator[tuple[float, PivotAnswer]]:
         """What the smoother beside the loop had to say, with the time (s) of the tick in which it was heard."""
-        for message in self.messages(PIVOT_ANSWER.name):
-            fields = message.fields
-            try:
-                yield fields["t_tick_s"], pivot_messages.answer_of(fields)
-            except (KeyError, ValueError, TypeError) as error:
-                raise RunError(f"{self.path}: {PIVOT_ANSWER.name}, message {message.sequence}: {error!r}") from None
+        return self._read(PIVOT_ANSWER, lambda fields: (fields["t_tick_s"], pivot_messages.answer_of(fields)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,12 +133,7 @@ class Run(AnyRun):
 
     def ticks(self) -> Iterator[FedTick]:
         """Every recorded tick with its events, bit for bit; an observer is in the same state only from number 0 on."""
-        for message in self.messages(EVENTS.name):
-            fields = message.fields
-            try:
-                yield FedTick(fields["t_tick_s"], events_of(fields), fields["seq"])
-            except (KeyError, ValueError, TypeError) as error:
-                raise RunError(f"{self.path}: {EVENTS.name}, message {message.sequence}: {error!r}") from None
+        return self._fed(EVENTS, events_of)
 
     def events(self) -> Iterator[tuple[float, Event]]:
         """Every event with the time (s) of the tick in which the observer was fed it."""
@@ -147,26 +143,16 @@ class Run(AnyRun):
 
     def improvements(self) -> Iterator[tuple[float, Improvement]]:
         """What the smoother beside the loop had to say, with the time (s) of the tick in which it was heard."""
-        for message in self.messages(IMPROVEMENT.name):
-            fields = message.fields
+
+        def read(fields: Fields) -> tuple[float, Improvement]:
             if "spread" not in fields:
                 raise RunError(
                     f"{self.path}: its smoother's answers tell less than those of this palmd, which cannot check them;"
                     f" `palmd estimate {self.path}` runs the smoother anew"
                 )
-            try:
-                x = np.array(fields["x"], dtype=np.float64)
-                covariance = np.array(fields["covariance"], dtype=np.float64).reshape(len(x), -1)
-                touched = np.array(fields["touched"], dtype=np.bool_)
-                rig = np.array(fields["rig"], dtype=np.float64)
-                rig_sd = np.array(fields.get("rig_sd", ()), dtype=np.float64)
-                spread = np.array(fields["spread"], dtype=np.float64).reshape(-1, len(rig))
-                against = np.array(fields.get("contradicted", ()), dtype=np.float64)
-                t, frame, established = fields["t_s"], fields["frame"], fields["established"]
-                told = Improvement(t, x, covariance, frame, established, touched, rig, rig_sd, spread, against)
-                yield fields["t_tick_s"], told
-            except (KeyError, ValueError, TypeError) as error:
-                raise RunError(f"{self.path}: {IMPROVEMENT.name}, message {message.sequence}: {error!r}") from None
+            return fields["t_tick_s"], improvement_of(fields)
+
+        return self._read(IMPROVEMENT, read)
 
     def event_log(self) -> EventLog:
         """The run in the neutral form of event logs; raises RunError when there are no events in it."""

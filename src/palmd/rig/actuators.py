@@ -20,25 +20,36 @@ class Utterance(NamedTuple):
     messages: int = 1
 
 
-class EmulatedActuator(Protocol):
-    """The far side of the actuator's line, and the palms that it turns. Times are seconds of the world's clock."""
+class LineDevice(Protocol):
+    """The far side of the actuator's line. Times are seconds of the rig's clock."""
 
     baud: int
-    hinge: Hinge
-    jams: int
 
     @property
     def state(self) -> ArmState:
         """As a host would be told."""
-
-    def palms_at(self, t: float) -> PalmMotion:
-        """Where the palms are and how they move, as the actuator has them; t (s) no earlier than the last step."""
 
     def receive(self, heard: bytes, spoilt: bytes, t: float) -> None:
         """The host has written `heard` at t (s), of which `spoilt` is left on the line."""
 
     def step(self, t: float) -> Sequence[Utterance]:
         """Lives on to t (s) and says what there is to say."""
+
+    def status(self) -> dict[str, Any]:
+        """Counts for end-to-end checks."""
+
+    def listener(self) -> Decoder:
+        """A new decoder of what it says."""
+
+
+class EmulatedActuator(LineDevice, Protocol):
+    """An actuator, and the palms that it turns."""
+
+    hinge: Hinge
+    jams: int
+
+    def palms_at(self, t: float) -> PalmMotion:
+        """Where the palms are and how they move, as the actuator has them; t (s) no earlier than the last step."""
 
     def feel(self, palms: PalmMotion, contacts: Sequence[PlantContact], t: float) -> None:
         """What presses on the palms at t (s)."""
@@ -48,9 +59,3 @@ class EmulatedActuator(Protocol):
 
     def hold_by_hand(self, palms: Joints) -> None:
         """A hand turns the palms, which the actuator allows; ValueError where it does not."""
-
-    def status(self) -> dict[str, Any]:
-        """Counts for end-to-end checks."""
-
-    def listener(self) -> Decoder:
-        """A new decoder of what it says."""

@@ -8,56 +8,35 @@ process with the daemon's pure step. The same seed and the same bytes in give th
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from palmd.config import (
-    AdeptConfig,
-    Config,
-    Drawn,
-    EvdevConfig,
-    PadConfig,
-    PadsConfig,
-    RigConfig,
-    StripConfig,
-    VersaPadConfig,
-)
+from palmd.config import AdeptConfig, Config, Drawn, PadConfig, PadsConfig, RigConfig, VersaPadConfig
 from palmd.events import Joints, PalmMotion
 from palmd.quantities import BODY, TRUTH
 from palmd.rig.actuators import EmulatedActuator
 from palmd.rig.adept_arm import AdeptArm
 from palmd.rig.curved_plant import MOST_LYING, CurvedPlant, stable_on_arcs, widest
-from palmd.rig.evdevs import EvdevEmulator
-from palmd.rig.fault_injection import PADS, PORTS, FaultOrder, PortName, Switchboard
+from palmd.rig.emulated import EMULATORS, STEP_S, EmulatedRig
+from palmd.rig.fault_injection import PADS, FaultOrder, PortName
 from palmd.rig.hand import Hand
 from palmd.rig.imperfections import configured, perfect
-from palmd.rig.line import Wire
 from palmd.rig.marble import Marble
-from palmd.rig.pads import GOOD_PADS, PadEmulator, PadOptions, Press, VersaPadEmulator
+from palmd.rig.pads import GOOD_PADS, PadOptions, Press
 from palmd.rig.plant import AS_ASSUMED, Plant, PlantOptions, random_surface, stable_poses
 from palmd.rig.roller import Roller, RollerKind
 from palmd.rig.servos import ServoArm
 from palmd.rig.shapes import Body, Kind, random_body
-from palmd.rig.strips import StripEmulator
-from palmd.rig.tally import Decoder, DeviceTally
 from palmd.system.arcs import joints_of
 from palmd.system.mechanism import JOINT_RATES, JOINTS, PALMS
 
-STEP_S = 5e-4
 _HOME_DEG = (45.0, 90.0)  # of flat palms, and of the tangents where a body of the radius touches curved ones
 _HOME_RADIUS_M = 0.02
 _AWAY_S = 1.0  # how long a hand takes to put another object on the palms
 _PAD_END_M = 3e-3
-_FINGER_M = 0.045
-_NO_LINE_BAUD = 10_000_000  # of what is no serial line and takes no time
-EMULATORS: dict[type, Callable[..., PadEmulator]] = {
-    VersaPadConfig: VersaPadEmulator,
-    StripConfig: StripEmulator,
-    EvdevConfig: EvdevEmulator,
-}
 
 
 def default_config(imperfections: Drawn = "none") -> Config:
@@ -67,10 +46,9 @@ def default_config(imperfections: Drawn = "none") -> Config:
     return perfect(config) if imperfections == "none" else config
 
 
-class World:
-    """See the module. Times are seconds on one clock of the caller's choice, never running backwards."""
+class World(EmulatedRig[EmulatedActuator]):
+    """See the module."""
 
-    ports = PORTS
     topics = (TRUTH, BODY)
 
     def __init__(
@@ -94,24 +72,23 @@ class World:
         gently sloping palm; with `by_hand` the arm is in manual mode and a hand swings the empty palms.
         """
         self.config, self.seed, self.kind = config, seed, kind
-        self.mischief = Switchboard()
-        self.contact_losses = self.falls = self.objects = 0
+        self.contact_losses = self.falls = 0
         self._options, self._body = options, body
         self.imperfections = configured(config, seed)
-        self._rng = np.random.default_rng(seed)
-        self._t_start, self._steps = t, 0
+        rng = np.random.default_rng(seed)
         self._home = _home(config)
-        self._arm: EmulatedActuator = (
-            AdeptArm(config, config.arm, self._home, self._rng, step_s=STEP_S, lag_s=options.lag_s)
+        arm: EmulatedActuator = (
+            AdeptArm(config, config.arm, self._home, rng, step_s=STEP_S, lag_s=options.lag_s)
             if isinstance(config.arm, AdeptConfig)
-            else ServoArm(config, config.arm, self._home, self._rng, t)
+            else ServoArm(config, config.arm, self._home, rng, t)
         )
-        self._palms = self._arm.palms_at(t)
+        self._palms = arm.palms_at(t)
         self._pad_configs: dict[PortName, PadConfig] = dict(zip(PADS, config.pads.each(), strict=True))
-        self._pads: dict[PortName, PadEmulator] = {
-            name: EMULATORS[type(pad)](pad, pad_options, off.reading_error_m, self._rng, t)
+        pads = {
+            name: EMULATORS[type(pad)](pad, pad_options, off.reading_error_m, rng, t)
             for (name, pad), off in zip(self._pad_configs.items(), self.imperfections.pads, strict=True)
         }
+        super().__init__(pads, arm, rng, t)
         self._marbles = {
             name: Marble(pad.length_mm * 1e-3, np.random.default_rng((seed, number)))
             for number, (name, pad) in enumerate(self._pad_configs.items(), 1)
@@ -119,52 +96,12 @@ class World:
         }
         self._roller = roller and Roller(roller, config.rig.gravity_m_s2, self._reach(), np.random.default_rng(seed))
         self._hand = Hand(config.limits, self._home) if by_hand else None
-        self.bauds: dict[PortName, int | None] = {name: pad.baud for name, pad in self._pads.items()}
-        self.bauds["arm"] = self._arm.baud
-        self._out: dict[PortName, Wire] = {port: Wire(baud or _NO_LINE_BAUD) for port, baud in self.bauds.items()}
-        self._said: dict[PortName, DeviceTally] = {port: DeviceTally() for port in PORTS}
         self._t_place: float | None = None
         self._touching = (False, False)
         self._draw_body()
         self._put_on_palms()
 
     # -- the outside --------------------------------------------------------------------------------------
-
-    @property
-    def t(self) -> float:
-        """The time the world stands at (s)."""
-        return self._t_start + self._steps * STEP_S
-
-    def advance(self, t: float) -> dict[PortName, bytes]:
-        """Lives on to t (s) and returns what has come out of each port on the way."""
-        for _ in range(int((t - self.t) / STEP_S + 1e-6)):
-            self._step()
-        return {port: self._delivered(port, t) for port in PORTS}
-
-    def receive(self, port: PortName, data: bytes) -> None:
-        """Takes what the host has just written to a port; a pad listens to nothing."""
-        if port == "arm":
-            spoilt = self.mischief.spoil("arm", data, self._rng)
-            self._arm.receive(data, spoilt, self.t)
-
-    def opened(self, port: PortName) -> None:
-        """The host has opened a port. For a pad that starts with a handshake this stands for its breaks.
-
-        A pseudo-terminal cannot carry a break, so the identity is sent as long after the opening as it would
-        be after the break, once for each.
-        """
-        if port in self._pads:
-            for identity, after_s in self._pads[port].greeting():
-                self._said[port].take(identity, identity, messages=0)
-                self._out[port].send(identity, self.t + after_s)
-
-    def listener(self, port: PortName) -> Decoder:
-        """A new decoder of what comes out of a port."""
-        return self._arm.listener() if port == "arm" else self._pads[port].listener()
-
-    def unplugged(self, port: PortName) -> bool:
-        """Whether mischief has pulled the plug of the port."""
-        return self.mischief.strength("unplug", port) > 0.0
 
     def new_object(self) -> None:
         """A hand takes the object away and, a second later, puts another one on the palms."""
@@ -208,24 +145,12 @@ class World:
             "damping_m2_s": surface.damping,
         }
 
-    def status(self) -> dict[str, Any]:
-        """Counts for end-to-end checks."""
+    def _counts(self) -> dict[str, Any]:
         return {
-            "t_s": self.t - self._t_start,
-            "clock_s": self.t,
-            "seed": self.seed,
-            "kind": self.kind,
-            "arm_state": str(self._arm.state),
-            "object": self.objects,
             "on_palms": not self.plant.fallen,
             "contact_losses": self.contact_losses,
             "falls": self.falls,
             "jams": self._arm.jams,
-            "mischief": self.mischief.names(),
-            **{f"{name}_packets": pad.packets for name, pad in self._pads.items()},
-            **{f"{port}_{what}": n for port, said in self._said.items() for what, n in said.as_dict().items()},
-            **{f"{port}_bytes_waiting": wire.waiting for port, wire in self._out.items()},
-            **self._arm.status(),
         }
 
     # -- one step -----------------------------------------------------------------------------------------
@@ -241,8 +166,7 @@ class World:
         self._steps += 1
         t = self.t
         self._note_contacts(was_on)
-        for begun in self.mischief.update(t):
-            self._play(*begun)
+        self._play_all(t)
         if self._t_place is not None and t >= self._t_place:
             self._put_on_palms()
         if self._roller:
@@ -250,24 +174,7 @@ class World:
         self._arm.feel(end, self.plant.contacts(), t)
         if self._hand:
             self._arm.hold_by_hand(self._hand.at(t - self._t_start))
-        for said in self._arm.step(t):
-            self._say("arm", said.data, said.t, said.messages)
-        for name, pad in self._pads.items():
-            if t >= pad.due:
-                late = max(self.imperfections.pads[PADS.index(name)].lag, 0.0)
-                self._say(name, pad.report(t, self._presses(name)), t + late)
-
-    def _say(self, port: PortName, data: bytes, t: float, messages: int = 1) -> None:
-        """Sends what was measured at t (s); the first byte, which only says what follows, arrives then."""
-        if data:
-            wire = self._out[port]
-            late = self.mischief.strength("late", port) - wire.byte_s
-            spoilt = self.mischief.spoil(port, data, self._rng)
-            self._said[port].take(data, spoilt, messages)
-            wire.send(spoilt, t + late)
-
-    def _delivered(self, port: PortName, t: float) -> bytes:
-        return self._out[port].take(t, self.mischief.strength("burst", port))
+        self._speak(t)
 
     @property
     def _true_palms(self) -> PalmMotion:
@@ -322,21 +229,20 @@ class World:
         self._touching = touching
         self.falls += was_on and self.plant.fallen
 
-    def _presses(self, name: PortName) -> list[Press]:
-        if name in self._marbles:
-            presses = self._marbles[name].presses(self.t - self._t_start)
-        elif self._roller:
-            presses = self._roller.presses(PADS.index(name))
-        else:
-            i = PADS.index(name)
-            contact, early = self.plant.contacts()[i], max(-self.imperfections.pads[i].lag, 0.0)
-            s = contact.s + early * self.plant.contact_rates()[i] if early else contact.s
-            presses = [Press(s, contact.force)] if contact.touching else []
-        finger = self.mischief.strength("touch", name)
-        return [*presses, Press(_FINGER_M, finger)] if finger > 0.0 else presses
+    def _late(self, pad: PortName) -> float:
+        return max(self.imperfections.pads[PADS.index(pad)].lag, 0.0)
+
+    def _felt(self, pad: PortName) -> list[Press]:
+        i = PADS.index(pad)
+        if pad in self._marbles:
+            return self._marbles[pad].presses(self.t - self._t_start)
+        if self._roller:
+            return self._roller.presses(i)
+        contact, early = self.plant.contacts()[i], max(-self.imperfections.pads[i].lag, 0.0)
+        s = contact.s + early * self.plant.contact_rates()[i] if early else contact.s
+        return [Press(s, contact.force)] if contact.touching else []
 
     def _play(self, order: FaultOrder, begins: bool) -> None:
-        """Mischief that is an act rather than a state of the lines."""
         self._arm.play(order, begins, self._palms.angles)
         match order.name, begins:
             case "lift", True:

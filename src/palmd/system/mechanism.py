@@ -11,6 +11,8 @@ from collections.abc import Iterable
 from itertools import accumulate, pairwise
 from typing import Any, TypeVar
 
+from palmd.system.naming import Naming
+
 Value = TypeVar("Value")  # what can be added: floats, arrays, symbols
 
 PALMS = (1, 2)
@@ -18,6 +20,8 @@ PALMS = (1, 2)
 
 JOINTS = tuple(f"phi{palm}" for palm in PALMS)
 """What the joint angles are called, in the order of every joint vector."""
+
+NAMING = Naming(JOINTS, "rad", PALMS)
 
 SIDES = (1.0, -1.0)
 """On which side of each palm's direction the object is: 1 to its left, -1 to its right."""

@@ -14,6 +14,7 @@ from typing import Literal
 
 from palmd.events import FloatArray, PadSample
 from palmd.system.description import PadSensor
+from palmd.system.naming import Naming
 
 Vertical = Literal["rigid", "float"]
 
@@ -72,6 +73,7 @@ AXES = ("x", "z")
 """What the gripper's joints are called: along the pad and over it, both measured in metres."""
 PAD = 1
 """The number of the one pad."""
+NAMING = Naming(AXES, "m", (PAD,))
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,8 +22,9 @@ from palmd.messages import NAMED_STATE, entries_of, events_of, stamp, validate
 from palmd.motion.check import motion_limits
 from palmd.motion.plan import compile_plan
 from palmd.quantities import EVENTS, IMPROVEMENT, RIG, STATE
+from palmd.rig.emulated import STEP_S
 from palmd.rig.fault_injection import INJECTABLE_FAULTS, order
-from palmd.rig.world import STEP_S, World, default_config
+from palmd.rig.world import World, default_config
 
 ENDS = ("pad1", "pad2", "arm")
 TICK_STEPS = 20

@@ -9,7 +9,8 @@ import pytest
 
 from palmd.events import PadSample, PalmSample
 from palmd.lab import off
-from palmd.lab.off import OFF, Off, OffRow, OffTask, as_line, report, tasks_of, verdict, with_constants
+from palmd.lab.off import OFF, Off, OffRow, OffTask, report, tasks_of, verdict, with_constants
+from palmd.lab.scoring import as_line
 from palmd.rig.imperfections import PERFECT, drawn
 from palmd.system.description import AS_CALIBRATED, RigDescription
 from palmd.system.rig_constants import RIG_NAMES

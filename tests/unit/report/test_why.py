@@ -17,8 +17,9 @@ from palmd.lab.silent_observer import SilentObserver
 from palmd.record.run import RunError, read_run
 from palmd.report.course import course_of
 from palmd.report.why import answer, explain, lines
+from palmd.rig.emulated import STEP_S
 from palmd.rig.fault_injection import order
-from palmd.rig.world import STEP_S, default_config
+from palmd.rig.world import default_config
 from palmd.yamlfile import load_config
 
 TABLETOP = Path(__file__).parents[3] / "config/tabletop.yaml"

@@ -13,7 +13,8 @@ import zmq
 
 from palmd.daemon.exploration_requests import ExplorationAnswer, Question
 from palmd.devices.port import DevicePort, PortCounters
-from palmd.rig.fault_injection import PORTS, PortName, Switchboard
+from palmd.rig.emulated import EmulatedRig
+from palmd.rig.fault_injection import PORTS, PortName
 
 READING_S = 4e-6
 """What it costs to look at the clock: so that whoever waits by looking comes to an end."""
@@ -22,28 +23,6 @@ RETRY_S = 0.5
 
 P = ParamSpec("P")
 T = TypeVar("T")
-
-
-class FarSide(Protocol):
-    """The emulated rig: `World`, or `LightRig`."""
-
-    mischief: Switchboard
-
-    @property
-    def t(self) -> float:
-        """The time it stands at (s)."""
-
-    def advance(self, t: float) -> dict[PortName, bytes]:
-        """Lives on to t (s); what has come out of the ports."""
-
-    def receive(self, port: PortName, data: bytes) -> None:
-        """What the host has written."""
-
-    def opened(self, port: PortName) -> None:
-        """The host has opened a port."""
-
-    def unplugged(self, port: PortName) -> bool:
-        """Whether its plug has been pulled."""
 
 
 class Clock:
@@ -78,12 +57,12 @@ class Cable:
 class Machine:
     """Clock, cables and rig: whoever waits lets the rig live on."""
 
-    def __init__(self, rig: FarSide, step_s: float, latency_s: Sequence[float]) -> None:
-        """The rig lives in steps of `step_s`; `latency_s` is that of each port's adapter."""
+    def __init__(self, rig: EmulatedRig[Any], latency_s: Sequence[float]) -> None:
+        """`latency_s` is that of each port's adapter."""
         self.rig = rig
         self.clock = Clock()
         self.cables = {port: Cable(each) for port, each in zip(PORTS, latency_s, strict=True)}
-        self._step_s = step_s
+        self._step_s = rig.step_s
 
     def catch_up(self) -> None:
         """The rig lives on to the present."""

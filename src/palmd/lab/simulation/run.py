@@ -49,7 +49,7 @@ from palmd.lab.simulation.happenings import (
     Trick,
 )
 from palmd.lab.simulation.light_observer import LightObserver
-from palmd.lab.simulation.light_rig import STEP_S, LightRig
+from palmd.lab.simulation.light_rig import LightRig
 from palmd.lab.simulation.machine import (
     Aside,
     CommandSocket,
@@ -69,7 +69,6 @@ from palmd.record.recording import Ended, Recording
 from palmd.record.run import read_run
 from palmd.rig.adept_arm import AdeptArm
 from palmd.rig.fault_injection import PORTS, FaultOrder
-from palmd.rig.world import STEP_S as WORLD_STEP_S
 from palmd.rig.world import World, default_config
 
 OPERATOR = 99
@@ -129,10 +128,9 @@ class Simulation:
         self.rig: LightRig | FullRig
         if scenario.thorough:
             self.rig = FullRig(self.config, scenario.seed)
-            self.machine = Machine(self.rig, WORLD_STEP_S, scenario.latency_s)
         else:
             self.rig = LightRig(self.config, scenario.seed)
-            self.machine = Machine(self.rig, STEP_S, scenario.latency_s)
+        self.machine = Machine(self.rig, scenario.latency_s)
         self._causes = tuple(causes(scenario.happenings))
         self.watch = Watch(self.config, self._causes, self.rig.arm, autostart=scenario.autostart)
         self._waiting = list(reversed(scenario.happenings))

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from palmd.devices.pad import MARGIN_MM
-from palmd.events import FloatArray, ObserverName, PadSample
+from palmd.events import ObserverName, PadSample
+from palmd.jsonvalues import column, or_none
 from palmd.observer.pivot.growing import SimulatedSmoothing, as_fed
 from palmd.observer.pivot.live import PivotObserver
 from palmd.observer.pivot.reconstruct import PivotReconstruction, reconstruct
@@ -18,7 +19,7 @@ from palmd.outlinefile import Outline
 from palmd.pivot_messages import estimate_fields, shape_fields
 from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
 from palmd.record.outline_curves import OutlineCurves, curves_of
-from palmd.record.replay import PERIOD_S, TICKS_PER_SHAPE, Said
+from palmd.record.replay import TICKS_PER_SHAPE, Said, fed, tick_count
 from palmd.record.systems import NotYetError, Reconstructed
 from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, PadSensor
 from palmd.system.pivot import GripperSample, PivotEvent, PivotRig
@@ -110,7 +111,7 @@ class Pivot(PivotForm):
 
     def tick_count(self, log: PivotLog) -> int:
         """As `estimate` gives them."""
-        return max(1, math.ceil((log.events[-1].t_sample - log.events[0].t_sample) / PERIOD_S))
+        return tick_count(log)
 
     def estimate(self, log: PivotLog, observer: ObserverName, outlines: Sequence[Outline]) -> Iterator[Said]:
         """What the live observer says, tick by tick; NotYetError for a slide, and where two palms' outlines are given.
@@ -126,20 +127,10 @@ class Pivot(PivotForm):
 
     def _ticks(self, log: PivotLog) -> Iterator[Said]:
         live = PivotObserver(log.rig, SimulatedSmoothing(log.rig))
-        events = iter(sorted(log.events, key=_time_of))
-        event, t0 = next(events, None), log.events[0].t_sample
-        for tick in range(1, self.tick_count(log) + 1):
-            t = t0 + tick * PERIOD_S
-            while event is not None and event.t_sample <= t + 1e-9:
-                live.feed(as_fed(event))
-                event = next(events, None)
-            live.improve(t)
+        events = map(as_fed, sorted(log.events, key=lambda event: event.t_sample))
+        for tick, t in fed(log, events, live):
             said, shape = live.estimate(t), live.shape(t) if tick % TICKS_PER_SHAPE == 0 else None
             yield Said(tick, t, estimate_fields(said), None if shape is None else shape_fields(shape))
-
-
-def _time_of(event: PivotEvent) -> float:
-    return event.t_sample
 
 
 SYSTEM = Pivot()
@@ -155,26 +146,26 @@ def as_line(answer: PivotReconstruction, rig: PivotRig) -> Line:
         "system": SYSTEM.name,
         "converged": bool(answer.converged),
         "reason": answer.reason or None,
-        "chi2": _number(answer.chi2),
+        "chi2": or_none(answer.chi2),
         "theta_rad": answer.theta.tolist(),
-        "hP_m": _column(answer.h),
-        "hP_sd_m": _column(answer.h_sd),
+        "hP_m": column(answer.h),
+        "hP_sd_m": column(answer.h_sd),
         "touched": None if answer.touched is None else answer.touched.astype(int).tolist(),
-        "mu": _number(answer.mu),
-        "mu_sd": _number(answer.mu_sd),
-        "com_from_pivot_m": _column(answer.com),
-        "com_from_pivot_sd_m": _column(answer.com_sd),
-        "inertia_pivot_m2": _number(answer.inertia),
-        "inertia_pivot_sd_m2": _number(answer.inertia_sd),
-        "mass_kg": _number(answer.mass),
-        "mass_sd_kg": _number(answer.mass_sd),
-        "moment_kg_m": _column(answer.moment),
-        "moment_sd_kg_m": _column(answer.moment_sd),
-        "inertia_pivot_kg_m2": _number(answer.inertia_kg),
-        "inertia_pivot_sd_kg_m2": _number(answer.inertia_kg_sd),
+        "mu": or_none(answer.mu),
+        "mu_sd": or_none(answer.mu_sd),
+        "com_from_pivot_m": column(answer.com),
+        "com_from_pivot_sd_m": column(answer.com_sd),
+        "inertia_pivot_m2": or_none(answer.inertia),
+        "inertia_pivot_sd_m2": or_none(answer.inertia_sd),
+        "mass_kg": or_none(answer.mass),
+        "mass_sd_kg": or_none(answer.mass_sd),
+        "moment_kg_m": column(answer.moment),
+        "moment_sd_kg_m": column(answer.moment_sd),
+        "inertia_pivot_kg_m2": or_none(answer.inertia_kg),
+        "inertia_pivot_sd_kg_m2": or_none(answer.inertia_kg_sd),
         "not_told": list(_not_told(rig)),
-        "trajectory": {name: _column(column) for name, column in trajectory.items()} if len(answer.t) else None,
-        "seconds": _number(answer.seconds),
+        "trajectory": {name: column(values) for name, values in trajectory.items()} if len(answer.t) else None,
+        "seconds": or_none(answer.seconds),
     }
 
 
@@ -209,14 +200,6 @@ def _drawn(answer: PivotReconstruction) -> Callable[[str], OutlineCurves] | None
     if h is None or h_sd is None or touched is None:
         return None
     return lambda name: curves_of(name, answer.theta, h, h_sd, touched, mass_kg=answer.mass)
-
-
-def _column(values: FloatArray | None) -> list[float | None] | None:
-    return None if values is None else [_number(value) for value in values.tolist()]
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def _gripper_sample(t: float, arm: Line) -> GripperSample:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from palmd.events import FloatArray, ObserverName
+from palmd.jsonvalues import column, or_none
 from palmd.observer.three_palms.path import JointPath, joint_path
 from palmd.observer.three_palms.reconstruct import BodyReconstruction, reconstruct
 from palmd.observer.three_palms.record import PadReadings
@@ -161,19 +162,19 @@ def as_line(answer: BodyReconstruction) -> Line:
     return {
         "converged": answer.converged,
         "reason": answer.reason or None,
-        "chi2": _number(answer.chi2),
+        "chi2": or_none(answer.chi2),
         "directions": answer.directions.round(9).tolist(),
         "triangles": answer.triangles.tolist(),
-        "h_m": _list(answer.h),
-        "h_sd_m": _list(answer.h_sd),
+        "h_m": column(answer.h),
+        "h_sd_m": column(answer.h_sd),
         "touched": None if answer.touched is None else answer.touched.astype(int).tolist(),
-        "points_m": _list(answer.points),
-        "inertia_m2": _list(answer.inertia),
-        "inertia_sd_m2": _list(answer.inertia_sd),
-        "mu": _number(answer.mu),
-        "mu_sd": _number(answer.mu_sd),
-        "mass_kg": _number(answer.mass),
-        "mass_sd_kg": _number(answer.mass_sd),
+        "points_m": column(answer.points),
+        "inertia_m2": column(answer.inertia),
+        "inertia_sd_m2": column(answer.inertia_sd),
+        "mu": or_none(answer.mu),
+        "mu_sd": or_none(answer.mu_sd),
+        "mass_kg": or_none(answer.mass),
+        "mass_sd_kg": or_none(answer.mass_sd),
         "trajectory": {
             "t": answer.t.tolist(),
             "quat_xyzw": quaternions(answer.R).tolist(),
@@ -196,11 +197,3 @@ def summary(answer: BodyReconstruction) -> str:
         f"{answer.seconds:.1f} s",
     ]
     return ", ".join(parts)
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
-
-
-def _list(values: FloatArray | None) -> list[Any] | None:
-    return None if values is None else values.tolist()

@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 
 def or_none(value: Any) -> Any:
     """The same value with None for every number that is not finite, in lists and maps too."""
@@ -17,3 +20,8 @@ def or_none(value: Any) -> Any:
     if isinstance(value, list):
         return [each if type(each) is float and math.isfinite(each) else or_none(each) for each in value]
     return value
+
+
+def column(values: npt.NDArray[np.float64] | None) -> Any:
+    """An array as lists, with None for every number that is not finite; None for no array."""
+    return None if values is None else or_none(values.tolist())

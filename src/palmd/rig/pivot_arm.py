@@ -1,0 +1,44 @@
+"""The emulated Adept arm of a pivoting grasp: its tool is the pivot. Pure."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from palmd.devices.actuator import Pose
+from palmd.pivot_config import PivotConfig
+from palmd.rig.pivot import Axis
+from palmd.rig.tool import DrivenTool, limits_round
+
+_ROOM = 2.0  # what the controller allows beyond what the gripper's limits need
+_BELOW_M = 1e-3  # its highest place, where the arm stands before anybody has commanded it
+
+
+class PivotArm(DrivenTool):
+    """Its tool moves the pivot along and over the pad."""
+
+    def __init__(self, config: PivotConfig, rng: np.random.Generator, *, step_s: float) -> None:
+        """At rest in the middle over the pad, as high as it may be; stepped every `step_s`."""
+        arm, limits = config.arm, config.limits
+        self._base = (arm.base_x_mm * 1e-3, arm.base_y_mm * 1e-3)
+        self._turn = complex(math.cos(math.radians(arm.base_yaw_deg)), math.sin(math.radians(arm.base_yaw_deg)))
+        (x0, x1), (z0, z1) = ((low * 1e-3, high * 1e-3) for low, high in limits.ranges_mm)
+        allowed = limits_round(
+            [self._pose(x, z) for x in (x0, x1) for z in (z0, z1)],
+            v_max=_ROOM * limits.speed_mm_s * 1e-3,
+            a_max=2.0 * _ROOM * max(limits.acceleration_mm_s2, 1000.0) * 1e-3,
+        )
+        super().__init__(arm.baud, allowed, self._pose(0.5 * (x0 + x1), z1 - _BELOW_M), rng, step_s=step_s)
+
+    def place(self, t: float) -> tuple[Axis, Axis]:
+        """Position, velocity, acceleration of the pivot along x and z."""
+        along_x, along_y = (servo.at(t) for servo in self._servos[:2])
+        x, vx, ax = (complex(a, b) * self._turn for a, b in zip(along_x, along_y, strict=True))
+        bx, by = self._base
+        return (bx + x.real, vx.real, ax.real), (by + x.imag, vx.imag, ax.imag)
+
+    def _pose(self, x: float, z: float) -> Pose:
+        """Where the tool is, in arm coordinates, when the pivot is at x along and z over the pad (m)."""
+        there = complex(x - self._base[0], z - self._base[1]) / self._turn
+        return Pose(there.real, there.imag, 0.0)

@@ -1,0 +1,24 @@
+"""What a system's joints and pads are called, wherever something is published of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Naming:
+    """The joints' names in the order of every joint vector, their unit's, and the pads' numbers."""
+
+    joints: tuple[str, ...]
+    unit: str
+    pads: tuple[int, ...]
+
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """The fields of the joints as they are."""
+        return tuple(f"{joint}_{self.unit}" for joint in self.joints)
+
+    @property
+    def commanded(self) -> tuple[str, ...]:
+        """The fields of the joints as they are told to be."""
+        return tuple(f"{joint}_cmd_{self.unit}" for joint in self.joints)
