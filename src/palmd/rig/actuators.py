@@ -29,8 +29,8 @@ class LineDevice(Protocol):
     def state(self) -> ArmState:
         """As a host would be told."""
 
-    def receive(self, heard: bytes, spoilt: bytes, t: float) -> None:
-        """The host has written `heard` at t (s), of which `spoilt` is left on the line."""
+    def receive(self, heard: bytes, spoilt: bytes, t: float, late_s: float = 0.0) -> None:
+        """The host has written `heard` at t (s) or up to late_s (s) later, of which `spoilt` is left on the line."""
 
     def step(self, t: float) -> Sequence[Utterance]:
         """Lives on to t (s) and says what there is to say."""

@@ -55,6 +55,11 @@ class AdeptArm(DrivenTool):
         self._angles = palms.angles
         return palms
 
+    def receive(self, heard: bytes, spoilt: bytes, t: float, late_s: float = 0.0) -> None:
+        """See `DrivenTool`; what is heard late is judged with that in mind."""
+        self.judge.listened_late(t, late_s)
+        super().receive(heard, spoilt, t)
+
     def feel(self, palms: PalmMotion, contacts: Sequence[PlantContact], t: float) -> None:
         """It is too strong to feel anything."""
 

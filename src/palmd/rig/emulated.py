@@ -61,10 +61,10 @@ class EmulatedRig(ABC, Generic[Arm]):
             self._step()
         return {port: wire.take(t, self.mischief.strength("burst", port)) for port, wire in self._out.items()}
 
-    def receive(self, port: PortName, data: bytes) -> None:
-        """Takes what the host has just written to a port; a pad listens to nothing."""
+    def receive(self, port: PortName, data: bytes, late_s: float = 0.0) -> None:
+        """Takes what the host has just written to a port, or up to late_s (s) later; a pad listens to nothing."""
         if port == ARM:
-            self._arm.receive(data, self.mischief.spoil(ARM, data, self._rng), self.t)
+            self._arm.receive(data, self.mischief.spoil(ARM, data, self._rng), self.t, late_s)
 
     def opened(self, port: PortName) -> None:
         """The host has opened a port. For a pad that starts with a handshake this stands for its breaks.

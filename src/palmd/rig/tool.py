@@ -44,8 +44,8 @@ class DrivenTool:
         """The controller's."""
         return self._controller.state
 
-    def receive(self, heard: bytes, spoilt: bytes, t: float) -> None:
-        """What the host has written, as the line leaves it."""
+    def receive(self, heard: bytes, spoilt: bytes, t: float, late_s: float = 0.0) -> None:  # noqa: ARG002
+        """What the host has written, as the line leaves it; see `LineDevice`."""
         self._host_lines.take(heard, spoilt, t)
         self._in.send(spoilt, t)
 
