@@ -123,6 +123,19 @@ def test_it_is_done_when_enough_is_touched_and_reports_the_reach():
     assert explorer(coverage=1.0).decide(outlook(touched=enough), STANDING).kind != "done"
 
 
+def test_it_is_not_done_before_a_smoother_vouches_for_what_is_touched():
+    """A bank that has strayed says so as well: then what was touched is gone once the smoother has found the object."""
+    everything = np.ones(BINS, dtype=np.bool_)
+    strayed = replace(outlook(touched=everything), rig=np.zeros(RIG_CONSTANTS))
+    mine = explorer()
+    decision = mine.decide(strayed, STANDING)
+    assert decision.kind == "move"
+    assert decision.move.end != decision.move.start
+    found = replace(strayed, rig_spread=np.zeros((2 * ORDER + 1 + RIG_CONSTANTS, RIG_CONSTANTS)))
+    assert mine.decide(found, STANDING).kind == "done"
+    assert "nothing new" in mine.decide(replace(strayed, t=STUCK_S + 1.0), STANDING).reason
+
+
 def test_a_band_that_was_asked_for_must_be_reached_too():
     everything = np.ones(BINS, dtype=np.bool_)
     blunt = SHARP.copy()
