@@ -23,6 +23,7 @@ from palmd.rig.actuators import Utterance
 from palmd.rig.arm import Servo
 from palmd.rig.controller import BREAK_RECEIVED, CYCLE_S, ArmLimits, Controller
 from palmd.rig.fault_injection import FaultOrder, PortName, Switchboard
+from palmd.rig.imperfections import configured_pivot
 from palmd.rig.line import Wire
 from palmd.rig.pads import GOOD_PADS, PadEmulator, PadOptions, Press
 from palmd.rig.pivot import Axis, Grasp
@@ -54,16 +55,21 @@ class PivotWorld:
     def __init__(
         self, config: PivotConfig, seed: int, *, kind: Kind = "rig", pad_options: PadOptions = GOOD_PADS, t: float = 0.0
     ) -> None:
-        """The gripper at rest in the middle over the pad, as high as it may be; a random body hangs from it."""
+        """The gripper at rest in the middle over the pad, as high as it may be; a random body hangs from it.
+
+        The configuration's `rig.imperfections` say how far the rig is off from the rest of it.
+        """
         self.config, self.seed, self.kind = config, seed, kind
         self.mischief = Switchboard()
         self.objects = self.contact_losses = self.jams = 0
         self.most_force = 0.0
+        self.imperfections = configured_pivot(config, seed)
+        self._off = self.imperfections.pads[0]
         self._rng = np.random.default_rng(seed)
         self._t_start, self._steps = t, 0
         self._arm = PivotArm(config, self._rng)
         pad = config.pads.palm1
-        self._pad: PadEmulator = EMULATORS[type(pad)](pad, pad_options, _exact, self._rng, t)
+        self._pad: PadEmulator = EMULATORS[type(pad)](pad, pad_options, self._off.reading_error_m, self._rng, t)
         self.bauds: dict[PortName, int | None] = {PAD: self._pad.baud, ARM: self._arm.baud}
         self._out = {port: Wire(baud or 10_000_000) for port, baud in self.bauds.items()}
         self._said = {port: DeviceTally() for port in PORTS}
@@ -113,7 +119,7 @@ class PivotWorld:
 
     def truth(self) -> dict[str, Any]:
         """What is really there at `t`, as `rig/pivot` tells it."""
-        x, z = self._arm.place(self.t)
+        x, z = self._pivot(self.t)
         e = self.grasp.offset(self._psi) if self._touching else math.nan
         return {
             "x_m": x[0],
@@ -169,7 +175,7 @@ class PivotWorld:
         """Half a millisecond of everything."""
         self._steps += 1
         t = self.t
-        x, z = self._arm.place(t)
+        x, z = self._pivot(t)
         if self._touching:
             self._go_on(x, z)
         else:
@@ -179,7 +185,15 @@ class PivotWorld:
         for said in self._arm.step(t):
             self._say(ARM, said.data, said.t, said.messages)
         if t >= self._pad.due:
-            self._say(PAD, self._pad.report(t, self._presses(x)), t)
+            self._say(PAD, self._pad.report(t, self._presses(x, z)), t + max(self._off.lag, 0.0))
+
+    def _pivot(self, t: float) -> tuple[Axis, Axis]:
+        """Along the pad, and over the tangent of its surface there where the body touches it."""
+        x, z = self._arm.place(t)
+        psi = self._psi if self._tilt is None or self._touching else self._tilt
+        slope, height = self._off.tangent_plane(x[0] + self.grasp.offset(psi), self._pad_length)
+        slope += self.imperfections.angles[0]
+        return x, (z[0] - height - slope * x[0], z[1] - slope * x[1], z[2] - slope * x[2])
 
     def _go_on(self, x: Axis, z: Axis) -> None:
         """The body follows the pivot's height along its side of the dead centre, and its force follows from that."""
@@ -197,7 +211,7 @@ class PivotWorld:
                 self._jam()
             return
         omega = -z[1] / e
-        h2 = grasp.body.support.at(-0.5 * math.pi - psi)[2] - grasp.arm(psi)[1]
+        h2 = grasp.bend(psi)
         alpha = (h2 * omega * omega - z[2]) / e
         force = grasp.torque_left(psi, omega, alpha, x, z)[1]
         lever = (e - grasp.friction(x[1] + omega * z[0]) * z[0]) * self._side
@@ -225,7 +239,7 @@ class PivotWorld:
     def _leave(self) -> None:
         self.contact_losses += 1
         self._touching, self._force, self._tilt = False, 0.0, None
-        self._left_at = self._arm.place(self.t)[1][0]
+        self._left_at = self._pivot(self.t)[1][0]
 
     def _wait(self, t: float, x: Axis, z: Axis) -> None:
         """The hand tilts the body once the gripper is high enough, and lets go when it touches."""
@@ -246,8 +260,13 @@ class PivotWorld:
         nearest: float = tilt + math.tau * round((self._psi - tilt) / math.tau)
         return nearest
 
-    def _presses(self, x: Axis) -> list[Press]:
-        presses = [Press(x[0] + self.grasp.offset(self._psi), self._force)] if self._touching else []
+    def _presses(self, x: Axis, z: Axis) -> list[Press]:
+        presses = []
+        if self._touching:
+            e = self.grasp.offset(self._psi)
+            early = max(-self._off.lag, 0.0)
+            rate = x[1] + self.grasp.bend(self._psi) * z[1] / e  # de = h″ dθ, dθ = dz/e
+            presses = [Press(x[0] + e + early * rate, self._force)]
         finger = self.mischief.strength("touch", PAD)
         return [*presses, Press(_FINGER_M, finger)] if finger > 0.0 else presses
 
@@ -385,8 +404,3 @@ def _said(data: bytes, t: float) -> Utterance:
 
 def _nobody(pose: Pose, t: float) -> None:
     del pose, t
-
-
-def _exact(s: float, force: float) -> float:
-    del s, force
-    return 0.0
