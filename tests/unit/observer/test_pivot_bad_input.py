@@ -41,11 +41,11 @@ def one_branch(events):
 
 
 def constant_height(events):
-    return arms(events, z=lambda arm: 0.02, vz=lambda arm: 0.0, az=lambda arm: 0.0)
+    return arms(events, z=lambda _: 0.02, vz=lambda _: 0.0, az=lambda _: 0.0)
 
 
 def mirrored_height(events):
-    return arms(events, z=lambda arm: 0.045 - arm.z, vz=lambda arm: -arm.vz, az=lambda arm: -arm.az)
+    return arms(events, z=lambda _: 0.045 - arm.z, vz=lambda arm: -arm.vz, az=lambda arm: -arm.az)
 
 
 def below_the_pad(events):
