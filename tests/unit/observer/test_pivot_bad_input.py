@@ -45,7 +45,7 @@ def constant_height(events):
 
 
 def mirrored_height(events):
-    return arms(events, z=lambda _: 0.045 - arm.z, vz=lambda arm: -arm.vz, az=lambda arm: -arm.az)
+    return arms(events, z=lambda arm: 0.045 - arm.z, vz=lambda arm: -arm.vz, az=lambda arm: -arm.az)
 
 
 def below_the_pad(events):
