@@ -19,6 +19,7 @@ from palmd.lab.pivot import RIGHT_M
 from palmd.lab.table import aligned
 from palmd.model import shape
 from palmd.model.pivot import ORDER, P
+from palmd.observer.outline import directions
 from palmd.pivot_config import PivotConfig, PivotPlanSpec
 from palmd.quantities import PIVOT, PIVOT_ANSWER
 from palmd.rig.imperfections import perfect
@@ -123,10 +124,11 @@ def shipped_rig(rig: Drawn) -> tuple[PivotConfig, PivotPlanSpec]:
     """The shipped configuration of a rig that is so far off, and the plan that explores."""
     path = shipped("pivot.yaml")
     config = load_any_config(path)
-    if not isinstance(config, PivotConfig) or config.plan is None:
+    plan = config.plan
+    if not isinstance(config, PivotConfig) or plan is None:
         raise TypeError(f"{path} is no pivoting grasp with a plan")
     config = perfect(config) if rig == "none" else config
-    return config, parse(read_document(path.parent / config.plan), PivotPlanSpec)
+    return config, parse(read_document(path.parent / plan), PivotPlanSpec)
 
 
 @dataclass
@@ -159,7 +161,7 @@ class Scored:
         if not answer.claimed:
             self._outline_is_wrong = False
             return
-        theta, felt = np.arange(360) * (math.tau / 360), answer.touched > 0
+        theta, felt = directions(), answer.touched > 0
         score = score_outline(theta, shape.basis(theta, ORDER) @ answer.p[P.SHAPE :], felt, np.array(truth["hP_m"]))
         sd = float(np.sqrt(np.mean(answer.h_sd[felt] ** 2)))
         told.setdefault("t_claim", t - self.t_start)
@@ -193,7 +195,7 @@ def as_line(row: LiveRow) -> dict[str, Any]:
 def row_from(line: Mapping[str, Any]) -> LiveRow:
     """The row of a line; raises KeyError or TypeError for another one."""
     names = {each.name for each in fields(LiveRow)}
-    told = {name: math.nan if value is None else value for name, value in line.items()}
+    told: dict[str, Any] = {name: math.nan if value is None else value for name, value in line.items()}
     if set(told) != names:
         raise KeyError(*(names ^ set(told)))
     return LiveRow(**told | {"task": LiveTask(**line["task"])})
