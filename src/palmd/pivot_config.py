@@ -11,6 +11,7 @@ from palmd.config import (
     AdeptConfig,
     BusConfig,
     Config,
+    Drawn,
     ExploreGoal,
     FilePath,
     LoopConfig,
@@ -49,6 +50,8 @@ class PivotRigConfig(Strict):
     """One sigma of the pivot's reported position by itself, along and over the pad."""
     angle_sd_deg: Annotated[NotNegative, Field(le=10), Plausible(0.001, 3, or_zero=True)] = 0.1
     """How well the pad's slope along the arm's x is known, one sigma."""
+    imperfections: Annotated[Drawn, Field(exclude=True)] = "none"
+    """Of the emulated rig alone: `none`, or drawn from all the `_sd` (`calibrated`)."""
 
     @field_validator("vertical")
     @classmethod

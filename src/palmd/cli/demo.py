@@ -19,7 +19,7 @@ from palmd.bus.command_client import CommandClient
 from palmd.bus.link import COMMAND, PUBLISH
 from palmd.cli.browser import open_page
 from palmd.cli.build import made_ready
-from palmd.config import BusConfig, Config
+from palmd.config import BusConfig
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.console.shipped import shipped
 from palmd.harness.comparison import Comparison
@@ -65,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
         config = load_any_config(arguments.config or shipped(SYSTEMS.get(arguments.system, RIGS[arguments.rig])))
     except ConfigError as error:
         raise CliError(BAD_INPUT, str(error)) from None
-    if arguments.perfect and isinstance(config, Config):
+    if arguments.perfect:
         config = perfect(config)
     made_ready(config, _tell)
     seed = [] if arguments.seed is None else ["--seed", str(arguments.seed)]
@@ -90,9 +90,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _comparison(config: AnyConfig, seed: int) -> Comparison | PivotComparison:
-    if isinstance(config, PivotConfig):
-        return PivotComparison(seed)
-    return Comparison(seed, _WORLDS.get(str(config.rig.imperfections), "off as configured"))
+    world = _WORLDS.get(str(config.rig.imperfections), "off as configured")
+    return PivotComparison(seed, world) if isinstance(config, PivotConfig) else Comparison(seed, world)
 
 
 def _introduce(seed: int, bus: BusConfig, page: str | None) -> None:

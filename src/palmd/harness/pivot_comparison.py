@@ -20,10 +20,10 @@ NEAR_S = 6e-3
 class PivotComparison:
     """As `harness.comparison.Comparison`: takes the messages of both, and says in words what has come of it."""
 
-    def __init__(self, seed: int) -> None:
-        """The rig's `seed`, to be named in the summary."""
+    def __init__(self, seed: int, rig: str) -> None:
+        """The rig's `seed`, and how far off it is, in words: to be named in the summary."""
         self.t_started: float | None = None
-        self._seed = seed
+        self._seed, self._rig = seed, rig
         self._t_settled: float | None = None
         self._estimate: Mapping[str, Any] = {}
         self._state: Mapping[str, Any] = {}
@@ -91,7 +91,7 @@ class PivotComparison:
             settled = f"never settled: {self._estimate.get('reason', 'nothing is heard')}"
         else:
             settled = f"settled after {self._t_settled - self.t_started:.1f} s"
-        parts = [f"seed {self._seed}", settled, *self._outline()]
+        parts = [f"seed {self._seed}", f"rig {self._rig}", settled, *self._outline()]
         if self._rates:
             parts.append(f"omega0 {float(np.sqrt(np.mean(np.square(self._rates)))):.3f} rad/s")
         if self._body is not None and math.isfinite(self._mu[0]):

@@ -1,19 +1,25 @@
 """The pivoting grasp reconstructed blind from simulated runs: outline about the pivot, friction, and their bands.
 
 Right is an outline within 0.1 mm (RMS) of the truth where it was touched, after the best rotation. Runs of the rigid
-gripper (tilt) and of the slide (float) are drawn by their seeds; `--trouble` spoils the readings.
+gripper (tilt) and of the slide (float) are drawn by their seeds; `--trouble` spoils the readings. With `--live` the
+daemon's core explores emulated rigs in closed loop without wires, and what it claims on the way is scored. A file that
+has live runs already is gone on with: the same command with more runs does those that are not there yet, and tells of
+all.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 from pathlib import Path
 
 from palmd.console.arguments import count, seconds, seed
-from palmd.lab import pivot, workers
+from palmd.console.errors import BAD_INPUT, CliError
+from palmd.lab import pivot, pivot_live, workers
 from palmd.lab.bench_montecarlo import ALL
 from palmd.lab.pivot import TROUBLES, PivotRow, PivotTask, as_line, report
-from palmd.lab.rows import Sink, collected
+from palmd.lab.pivot_live import LiveRow, LiveTask
+from palmd.lab.rows import Sink, collected, rewrite
 from palmd.rig.pivot import PIVOT_KINDS
 
 
@@ -25,20 +31,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--trouble", choices=tuple(TROUBLES), default="none", help="with the readings (default: %(default)s)")
     add("--seed", type=seed, default=0, metavar="FIRST", help="the first run's (default: %(default)s)")
     add("--seconds", type=seconds, default=12.0, metavar="S", help="how long each lasts (default: %(default)s)")
-    add("-o", "--output", type=Path, default=Path("pivot.jsonl"), metavar="FILE",
-        help="a JSON line for each run (default: %(default)s)")  # fmt: skip
+    add("--live", action="store_true", help="explore in closed loop and score what is claimed live")
+    add("--perfect", action="store_true", help="live: on rigs exactly as configured, which is known")
+    add("--period", type=seconds, default=5.0, metavar="S",
+        help="live: how often the smoother is begun (default: %(default)s)")  # fmt: skip
+    add("-o", "--output", type=Path, metavar="FILE",
+        help="a JSON line for each run (default: pivot.jsonl, live pivot-live.jsonl)")  # fmt: skip
     workers.add_arguments(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Interrupted, it ends with what is finished until then; CliError when it cannot begin."""
+    if arguments.live:
+        return _live(arguments)
     kinds = PIVOT_KINDS if arguments.kind == ALL else (arguments.kind,)
     tasks = [
         PivotTask(kind, number, arguments.seconds, arguments.trouble)
         for kind in kinds
         for number in range(arguments.seed, arguments.seed + arguments.runs)
     ]
-    path: Path = arguments.output
+    path: Path = arguments.output or Path("pivot.jsonl")
     workers_asked = workers.asked_for(arguments)
     rows, status = collected(
         "pivoting grasp", tasks, pivot.run, pivot.failed, workers_asked, Sink[PivotRow](path, as_line)
@@ -51,3 +63,39 @@ def run(arguments: argparse.Namespace) -> int:
                 print(f"{row.kind} {row.seed}: {row.reason}")
         print(f"written: {path}")
     return status
+
+
+def _live(arguments: argparse.Namespace) -> int:
+    path: Path = arguments.output or Path("pivot-live.jsonl")
+    rows = _done(path)
+    seeds = range(arguments.seed, arguments.seed + arguments.runs)
+    tasks = pivot_live.tasks_of("none" if arguments.perfect else "calibrated", arguments.period, seeds, rows)
+    finished, status = collected(
+        "pivoting grasp, live", tasks, pivot_live.run, pivot_live.failed, workers.asked_for(arguments),
+        Sink[LiveRow](path, pivot_live.as_line, append=True),
+    )  # fmt: skip
+    rows |= {row.task: row for row in finished}
+    if rows:
+        ordered = sorted(rows.values(), key=lambda row: (row.task.rig, row.task.seed))
+        rewrite(path, map(pivot_live.as_line, ordered))
+        print(f"seeds {', '.join(sorted({str(row.task.seed) for row in ordered}, key=int))}")
+        print(pivot_live.report(ordered))
+        for row in ordered:
+            if not row.right or row.wrong_claim:
+                print(pivot_live.remark(row))
+        print(f"written: {path}")
+    return status
+
+
+def _done(path: Path) -> dict[LiveTask, LiveRow]:
+    """The runs that a file has, none where there is no file; CliError for others."""
+    if not path.exists():
+        return {}
+    rows = []
+    for number, line in enumerate(path.read_bytes().splitlines(), 1):
+        try:
+            rows.append(pivot_live.row_from(json.loads(line)))
+        except (AttributeError, KeyError, TypeError, ValueError):
+            mend = f"line {number} is no live run; remove it, or take another file"
+            raise CliError(BAD_INPUT, f"{path}: is no file of this study: {mend}") from None
+    return {row.task: row for row in rows}

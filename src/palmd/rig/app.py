@@ -18,6 +18,7 @@ import contextlib
 import errno
 import gc
 import json
+import math
 import os
 import secrets
 import select

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from palmd.config import Config, PadImperfectionsConfig, Strict, rig_description
 from palmd.events import Joints, PalmMotion
+from palmd.pivot_config import PivotConfig, pivot_rig
 from palmd.system.description import CALIBRATION_KEYS, RigDescription
 from palmd.system.mechanism import JOINTS, PALMS
 
 Section = TypeVar("Section", bound=Strict)
+Described = TypeVar("Described", bound=Config | PivotConfig)
 
 _MOST_SIGMAS = 3.0  # what calibration leaves is never further off than this
 _MOST_ASYMMETRY = 0.9  # of a drawn friction: both palms rub
@@ -123,16 +126,29 @@ def configured(config: Config, seed: int) -> Imperfections:
     )
 
 
-def perfect(config: Config) -> Config:
+def configured_pivot(config: PivotConfig, seed: int) -> Imperfections:
+    """As `configured`, of a pivoting grasp: its one pad, and in `angles` how its surface rises along the arm's x."""
+    if config.rig.imperfections == "none":
+        return Imperfections((PadImperfection(),), (0.0,))
+    rig = pivot_rig(config)
+    off = drawn(RigDescription(angle_sd=rig.angle_sd, pads=(rig.pad,)), seed)
+    return replace(off, angles=off.angles[:1])
+
+
+def perfect(config: Described) -> Described:
     """The configuration of a rig that is exactly as described, which is known."""
-    pads = {f"palm{palm}": _known(pad) for palm, pad in zip(PALMS, config.pads.each(), strict=True)}
+    pads = {f"palm{palm}": _known(pad) for palm, pad in enumerate(config.pads.each(), 1)}
     rig = _known(config.rig).model_copy(update={"imperfections": "none"})
-    return config.model_copy(update={"rig": rig, "pads": config.pads.model_copy(update=pads)})
+    return _with(config, {"rig": rig, "pads": config.pads.model_copy(update=pads)})
 
 
 def _known(section: Section) -> Section:
     """With every `_sd` at zero."""
-    return section.model_copy(update={name: 0.0 for name in type(section).model_fields if "_sd" in name})
+    return _with(section, {name: 0.0 for name in type(section).model_fields if "_sd" in name})
+
+
+def _with(section: Section, update: Mapping[str, Any]) -> Section:
+    return section.model_copy(update=update)
 
 
 def _pad(asked: PadImperfectionsConfig) -> PadImperfection:

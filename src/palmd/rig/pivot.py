@@ -92,6 +92,10 @@ class Grasp:
         """From below the pivot to the contact along the pad (m)."""
         return self.body.support.at(-0.5 * math.pi - psi)[1] - self.arm(psi)[0]
 
+    def bend(self, psi: float) -> float:
+        """h_P″ at the contact (m)."""
+        return self.body.support.at(-0.5 * math.pi - psi)[2] - self.arm(psi)[1]
+
     def friction(self, slip: float) -> float:
         """As a share of the normal force, at a slip (m/s)."""
         if self.coulomb:

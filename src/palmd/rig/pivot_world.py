@@ -18,6 +18,7 @@ from palmd.pivot_config import PivotConfig
 from palmd.quantities import PIVOT_BODY, PIVOT_TRUTH
 from palmd.rig.emulated import EMULATORS, STEP_S, EmulatedRig
 from palmd.rig.fault_injection import FaultOrder, PortName
+from palmd.rig.imperfections import configured_pivot
 from palmd.rig.pads import GOOD_PADS, PadOptions, Press
 from palmd.rig.pivot import Axis, Grasp
 from palmd.rig.pivot_arm import PivotArm
@@ -41,13 +42,18 @@ class PivotWorld(EmulatedRig[PivotArm]):
     def __init__(
         self, config: PivotConfig, seed: int, *, kind: Kind = "rig", pad_options: PadOptions = GOOD_PADS, t: float = 0.0
     ) -> None:
-        """The gripper at rest in the middle over the pad, as high as it may be; a random body hangs from it."""
+        """The gripper at rest in the middle over the pad, as high as it may be; a random body hangs from it.
+
+        The configuration's `rig.imperfections` say how far the rig is off from the rest of it.
+        """
         self.config, self.seed, self.kind = config, seed, kind
         self.contact_losses = self.jams = 0
         self.most_force = 0.0
+        self.imperfections = configured_pivot(config, seed)
+        self._off = self.imperfections.pads[0]
         rng, pad = np.random.default_rng(seed), config.pads.palm1
         arm = PivotArm(config, rng, step_s=STEP_S)
-        super().__init__({PAD: EMULATORS[type(pad)](pad, pad_options, _exact, rng, t)}, arm, rng, t)
+        super().__init__({PAD: EMULATORS[type(pad)](pad, pad_options, self._off.reading_error_m, rng, t)}, arm, rng, t)
         self._pad_length = pad.length_mm * 1e-3
         self._side, self._left_at = 1.0, -math.inf
         self._psi = self._force = 0.0
@@ -63,7 +69,7 @@ class PivotWorld(EmulatedRig[PivotArm]):
 
     def truth(self) -> dict[str, Any]:
         """What is really there at `t`, as `rig/pivot` tells it."""
-        x, z = self._arm.place(self.t)
+        x, z = self._pivot(self.t)
         e = self.grasp.offset(self._psi) if self._touching else math.nan
         return {
             "x_m": x[0],
@@ -107,7 +113,7 @@ class PivotWorld(EmulatedRig[PivotArm]):
         """Half a millisecond of everything."""
         self._steps += 1
         t = self.t
-        x, z = self._arm.place(t)
+        x, z = self._pivot(t)
         if self._touching:
             self._go_on(x, z)
         else:
@@ -115,6 +121,14 @@ class PivotWorld(EmulatedRig[PivotArm]):
         self._play_all(t)
         self._at = x, z
         self._speak(t)
+
+    def _pivot(self, t: float) -> tuple[Axis, Axis]:
+        """Along the pad, and over the tangent of its surface there where the body touches it."""
+        x, z = self._arm.place(t)
+        psi = self._psi if self._tilt is None or self._touching else self._tilt
+        slope, height = self._off.tangent_plane(x[0] + self.grasp.offset(psi), self._pad_length)
+        slope += self.imperfections.angles[0]
+        return x, (z[0] - height - slope * x[0], z[1] - slope * x[1], z[2] - slope * x[2])
 
     def _go_on(self, x: Axis, z: Axis) -> None:
         """The body follows the pivot's height along its side of the dead centre, and its force follows from that."""
@@ -132,7 +146,7 @@ class PivotWorld(EmulatedRig[PivotArm]):
                 self._jam()
             return
         omega = -z[1] / e
-        h2 = grasp.body.support.at(-0.5 * math.pi - psi)[2] - grasp.arm(psi)[1]
+        h2 = grasp.bend(psi)
         alpha = (h2 * omega * omega - z[2]) / e
         force = grasp.torque_left(psi, omega, alpha, x, z)[1]
         lever = (e - grasp.friction(x[1] + omega * z[0]) * z[0]) * self._side
@@ -160,7 +174,7 @@ class PivotWorld(EmulatedRig[PivotArm]):
     def _leave(self) -> None:
         self.contact_losses += 1
         self._touching, self._force, self._tilt = False, 0.0, None
-        self._left_at = self._arm.place(self.t)[1][0]
+        self._left_at = self._pivot(self.t)[1][0]
 
     def _wait(self, t: float, x: Axis, z: Axis) -> None:
         """The hand tilts the body once the gripper is high enough, and lets go when it touches."""
@@ -183,8 +197,17 @@ class PivotWorld(EmulatedRig[PivotArm]):
 
     def _felt(self, pad: PortName) -> list[Press]:
         del pad  # there is one
-        x, _ = self._at
-        return [Press(x[0] + self.grasp.offset(self._psi), self._force)] if self._touching else []
+        if not self._touching:
+            return []
+        x, z = self._at
+        e = self.grasp.offset(self._psi)
+        early = max(-self._off.lag, 0.0)
+        rate = x[1] + self.grasp.bend(self._psi) * z[1] / e  # de = h″ dθ, dθ = dz/e
+        return [Press(x[0] + e + early * rate, self._force)]
+
+    def _late(self, pad: PortName) -> float:
+        del pad
+        return max(self._off.lag, 0.0)
 
     def _draw_body(self) -> None:
         rng = self._rng
@@ -209,8 +232,3 @@ class PivotWorld(EmulatedRig[PivotArm]):
             self.new_object()
         elif order.name == "lift" and begins and self._touching:
             self._leave()
-
-
-def _exact(s: float, force: float) -> float:
-    del s, force
-    return 0.0

@@ -8,11 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline, PPoly, make_smoothing_spline
+from scipy.interpolate import BSpline, CubicHermiteSpline, PPoly, make_lsq_spline, make_smoothing_spline
 
 from palmd.events import FloatArray
 
 WINDOW_S = 0.5  # over which the arm may stray from its plan
+STRAY_S = 1.0  # cells of the spline that it then strays by: finer ones would follow the noise
 STRAYED = 3.0  # of the windows' mean squares, in sigmas of what noise gives
 LEAST_SAMPLES = 8
 OUTLIER = 4.0
@@ -54,11 +55,11 @@ def axis_path(
         middle = float(np.median(off))
         off = np.clip(off, middle - OUTLIER * noise, middle + OUTLIER * noise)
         if _strays(t[piece], off - off.mean(), noise):
-            astray = make_smoothing_spline(t[piece], measured[piece] - planned[piece])
+            astray = _evenly(t[piece], measured[piece] - planned[piece])
             position[piece] = planned[piece] + astray(t[piece])
             v[piece] += astray(t[piece], 1)
             a[piece] += astray(t[piece], 2)
-            sd = noise / 3
+            sd = max(sd, noise / math.sqrt(STRAY_S / float(np.median(dt))))
         else:
             position[piece] = planned[piece] + off.mean()
     velocity = CubicHermiteSpline(t, v, a)
@@ -69,6 +70,13 @@ def _pieces(t: FloatArray) -> list[slice]:
     dt = np.diff(t)
     cuts = [0, *(np.flatnonzero(dt > GAP * np.median(dt)) + 1).tolist(), len(t)]
     return [slice(begin, end) for begin, end in itertools.pairwise(cuts)]
+
+
+def _evenly(t: FloatArray, values: FloatArray) -> BSpline:
+    """The cubic spline of even cells of `STRAY_S` that comes nearest to the values."""
+    cells = max(round((t[-1] - t[0]) / STRAY_S), 1)
+    knots = np.linspace(t[0], t[-1], cells + 1)
+    return make_lsq_spline(t, values, np.concatenate([[t[0]] * 3, knots, [t[-1]] * 3]))
 
 
 def _strays(t: FloatArray, off: FloatArray, noise: float) -> bool:

@@ -13,9 +13,11 @@ from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_bande
 from scipy.sparse import csr_matrix
 
 from palmd.events import FloatArray
+from palmd.model import shape
 from palmd.model.compiled import Library
-from palmd.model.pivot import BATCH, CONSTANTS, MOTION, P
+from palmd.model.pivot import BATCH, CONSTANTS, MOTION, ORDER, P, U
 from palmd.observer.pivot.record import TAPS, PivotRecord, Rows
+from palmd.system.pivot import normal_of
 
 MAX_ITERATIONS = 60
 NEGLIGIBLE = 0.02
@@ -26,6 +28,9 @@ WIDE, NARROWER = 1.5, 0.7  # spread of residuals from which the gate is wider, a
 # What most bodies are like: how far the centre of mass is off the outline's middle, and the radius of gyration in mean
 # radii with its relative one-sigma (a uniform convex body has 0.70 to 0.72, a ring 1).
 CENTRE_SD_M, GYRATION, GYRATION_SD = 1e-3, 0.707, 0.1
+# How soon a pad's gain drifts, what it falls behind a changing force by (one sigma), and how soon that turns round.
+DRIFT_S, BEHIND, BEHIND_S, KNOT_S = 20.0, 0.02, 3.0, 2.0
+_READINGS, _HEIGHTS, _FORCES = range(3)  # kinds of rows, in the order of the kernels
 _PSI_SCALE = 0.05
 _GAUGE_SD = 1e-5  # of ψ at the first reading, which is 0 by definition
 _UNSOLVABLE = (np.linalg.LinAlgError, ValueError)
@@ -56,7 +61,7 @@ SHARP = Softening()
 class PivotFit:
     """A minimum: spline coefficients c, constants p, its cost, robust χ² of each kind, and how the iteration ended.
 
-    outliers: share of the pad's readings beyond the gate.
+    outliers: share of the pad's readings beyond the gate. gain: of the modes of the pad's gain, in one-sigmas.
     """
 
     c: FloatArray
@@ -70,6 +75,7 @@ class PivotFit:
     strain: float
     iterations: int
     settled: bool
+    gain: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,18 +98,24 @@ class Problem:
         self.record = record
         self.known = known
         force = "rigid_force" if record.rig.vertical == "rigid" else "slide_force"
-        self._p = np.zeros(CONSTANTS)
+        gain = gain_modes(record)
+        self._x = np.zeros(CONSTANTS + gain.shape[1])  # constants, and modes of the gain
+        self._mean, self._sd = np.zeros_like(self._x), np.ones_like(self._x)
+        self._mean[:CONSTANTS], self._sd[:CONSTANTS] = known.mean, known.sd
         kinds = (("reading", record.readings), ("height", record.heights), (force, record.forces))
-        self._kernels = [_Kernel(library, name, rows, self._p) for name, rows in kinds]
-        self._kernels.append(_Kernel(library, "slide_torque", record.torques, self._p))
+        self._kernels = [
+            _Kernel(library, name, rows, self._x, gain if name == force else None)
+            for name, rows in (*kinds, ("slide_torque", record.torques))
+        ]
         rows = [kernel.rows for kernel in self._kernels]
         columns = np.concatenate([(each.first[:, None] + np.arange(TAPS)).ravel() for each in rows])
         self._pattern = (columns, np.arange(0, len(columns) + 1, TAPS))
 
     def fit(self, c: FloatArray, p: FloatArray, soft: Softening = SHARP, iterations: int = MAX_ITERATIONS) -> PivotFit:
         """Iterate until nothing moves any more; the result may be a local minimum."""
-        self._open_gates(c, p, soft)
-        now = self.linearised(c, p, soft)
+        x = np.concatenate([p, np.zeros(len(self._x) - CONSTANTS)])
+        self._open_gates(c, x, soft)
+        now = self.linearised(c, x, soft)
         damping, count, settled = FIRST_DAMPING, 0, False
         while count < iterations and damping < MAX_DAMPING and not settled and math.isfinite(now.cost):
             count += 1
@@ -115,7 +127,7 @@ class Problem:
             if damping <= FIRST_DAMPING and promise < NEGLIGIBLE:
                 settled = True
                 break
-            trial = c + step[0], p + step[1]
+            trial = c + step[0], x + step[1]
             then = self.linearised(*trial, soft) if _sane(trial[1]) else None
             for _ in range(CORRECTIONS):  # the splines bend where the constants go straight
                 if then is None or not math.isfinite(then.cost) or then.cost < GOOD_ENOUGH * now.cost:
@@ -128,17 +140,18 @@ class Problem:
                 damping = max(damping, 1e-6) * 8.0
                 continue
             settled = now.cost - then.cost < NEGLIGIBLE and damping <= FIRST_DAMPING
-            (c, p), now = trial, then
+            (c, x), now = trial, then
             if self._narrow_gates():
-                settled, now = False, self.linearised(c, p, soft)
+                settled, now = False, self.linearised(c, x, soft)
             damping = max(damping / 8.0, LEAST_DAMPING)
-        return PivotFit(c, p, now.cost, *now.chi2, now.outliers, now.strain, count, settled)
+        constants, gain = np.split(x, [CONSTANTS])
+        return PivotFit(c, constants, now.cost, *now.chi2, now.outliers, now.strain, count, settled, gain)
 
-    def _open_gates(self, c: FloatArray, p: FloatArray, soft: Softening) -> None:
+    def _open_gates(self, c: FloatArray, x: FloatArray, soft: Softening) -> None:
         """Set the gates by how far all residuals are now."""
         for kernel in self._kernels:
             kernel.gate = math.inf
-        self.linearised(c, p, soft)
+        self.linearised(c, x, soft)
         self._narrow_gates()
 
     def _narrow_gates(self) -> bool:
@@ -159,13 +172,13 @@ class Problem:
         return better, self.linearised(*better, soft)
 
     def predicted(self, c: FloatArray, p: FloatArray) -> list[FloatArray]:
-        """Readings, heights, forces and torques as the model has them."""
-        self._p[:] = p
+        """Readings, heights, forces and torques as the model has them, without the gain."""
+        self._x[:CONSTANTS] = p
         return [kernel.predicted(self.record.motion(c, kernel.rows)) for kernel in self._kernels]
 
-    def linearised(self, c: FloatArray, p: FloatArray, soft: Softening = SHARP) -> _Normal:
-        """The normal equations; the cost is infinite where they are void."""
-        self._p[:] = p
+    def linearised(self, c: FloatArray, x: FloatArray, soft: Softening = SHARP) -> _Normal:
+        """The normal equations; the cost is infinite where they are void. x: constants, and modes of the gain."""
+        self._x[:] = x
         factors = (soft.readings, soft.heights, soft.forces, soft.torques)
         with np.errstate(all="ignore"):
             parts = [
@@ -175,8 +188,8 @@ class Problem:
             in_c = np.concatenate([part[0].ravel() for part in parts])
             in_p = np.concatenate([part[1] for part in parts])
             residual = np.concatenate([part[2] for part in parts])
-            deviation = (p - self.known.mean) / self.known.sd
-            likely, in_likely = likely_body(p)
+            deviation = (x - self._mean) / self._sd
+            likely, in_likely = likely_body(x)
             strain = float(deviation @ deviation + likely @ likely)
             gauge_c, gauge = self._gauge(c)
             cost = sum(part[3] for part in parts) + strain + gauge**2
@@ -201,9 +214,9 @@ class Problem:
             strain,
             banded,
             across @ in_p,
-            in_p.T @ in_p + np.diag(1 / self.known.sd**2) + in_likely.T @ in_likely,
+            in_p.T @ in_p + np.diag(1 / self._sd**2) + in_likely.T @ in_likely,
             c_side,
-            in_p.T @ residual - deviation / self.known.sd - in_likely.T @ likely,
+            in_p.T @ residual - deviation / self._sd - in_likely.T @ likely,
         )
 
     def _gauge(self, c: FloatArray) -> tuple[FloatArray, float]:
@@ -216,65 +229,92 @@ class Problem:
         try:
             factor = cholesky_banded(banded, lower=True, overwrite_ab=True)
             solved = cho_solve_banded((factor, True), np.column_stack([now.border, now.c_side]))
-            schur = now.corner + np.diag(damping / self.known.sd**2) - now.border.T @ solved[:, :-1]
+            schur = now.corner + np.diag(damping / self._sd**2) - now.border.T @ solved[:, :-1]
             step = cho_solve(cho_factor(schur), now.p_side - now.border.T @ solved[:, -1])
         except _UNSOLVABLE:
             return None
         return solved[:, -1] - solved[:, :-1] @ step, step
 
-    def solved(self, normal: _Normal) -> FloatArray | None:
-        """By how much the constants would move, None where that is open."""
-        step = self._step(normal, 0.0)
-        return None if step is None else step[1]
+    def moved(self, fit: PivotFit, kind: int, shift: FloatArray) -> FloatArray | None:
+        """By how much the constants would move if the values of a kind of rows did by so much; None: it is open."""
+        kernel, x = self._kernels[kind], np.concatenate([fit.p, fit.gain])
+        gate, rows = kernel.gate, kernel.rows
+        kernel.gate = math.inf
+        before = self.linearised(fit.c, x)
+        kernel.rows = replace(rows, value=rows.value + shift)
+        after = self.linearised(fit.c, x)
+        kernel.gate, kernel.rows = gate, rows
+        step = self._step(
+            replace(before, c_side=after.c_side - before.c_side, p_side=after.p_side - before.p_side), 0.0
+        )
+        return None if step is None else step[1][:CONSTANTS]
 
     def covariance(self, fit: PivotFit) -> FloatArray:
         """Of the constants; raises LinAlgError where the fit is no minimum."""
-        self._open_gates(fit.c, fit.p, SHARP)
-        now = self.linearised(fit.c, fit.p)
+        x = np.concatenate([fit.p, fit.gain])
+        self._open_gates(fit.c, x, SHARP)
+        now = self.linearised(fit.c, x)
         if not math.isfinite(now.cost):
             raise np.linalg.LinAlgError("the fit is beyond all numbers")
         factor = cholesky_banded(now.banded, lower=True)
         solved = cho_solve_banded((factor, True), now.border)
         schur = now.corner - now.border.T @ solved
-        scale = self.known.sd
+        scale = self._sd
         inverse = np.linalg.inv(schur * np.outer(scale, scale)) * np.outer(scale, scale)
-        covariance: FloatArray = (inverse + inverse.T) / 2
+        covariance: FloatArray = ((inverse + inverse.T) / 2)[:CONSTANTS, :CONSTANTS]
         if not (np.diagonal(covariance) >= 0).all():
             raise np.linalg.LinAlgError("the fit is no minimum")
         return covariance
 
 
-def moved_by_gain(problem: Problem, library: Library, fit: PivotFit) -> FloatArray:
-    """(CONSTANTS, modes): how a fit moves where the pad's gain is off by one sigma, or drifts by it, in each touch.
+def moved_by_rig(problem: Problem, fit: PivotFit) -> FloatArray:
+    """(CONSTANTS, modes): how a fit moves where what it does not estimate of the rig is off by one sigma.
 
-    Readings of one touch share their gain, so that no number of them averages it out.
+    That is the bow of the pad's surface, and what its readings move by with the force.
     """
-    record, share = problem.record, problem.record.rig.pad.force_gain_std
-    rows = record.forces
-    none: FloatArray = np.zeros((CONSTANTS, 0))
-    if not share or not len(rows.t):
-        return none
-    before = problem.linearised(fit.c, fit.p)
-    moves = []
-    for touch in record.touches:
-        mine = (rows.t >= touch.begin) & (rows.t <= touch.end)
-        along = 2.0 * (rows.t - touch.begin) / (touch.end - touch.begin) - 1.0
-        for mode in (1.0, along):
-            forces = replace(rows, value=rows.value * (1.0 + share * mode * mine))
-            after = Problem(library, replace(record, forces=forces), problem.known).linearised(fit.c, fit.p)
-            step = problem.solved(
-                replace(before, c_side=after.c_side - before.c_side, p_side=after.p_side - before.p_side)
-            )
-            if step is not None:
-                moves.append(step)
-    return np.array(moves).T if moves else none
+    record, pad = problem.record, problem.record.rig.pad
+    moves: list[FloatArray | None] = []
+    if pad.sagitta_sd:
+        x = record.heights.inputs[:, U.X]
+        theta = normal_of(record.motion(fit.c, record.heights)[:, 0])
+        u = (x - shape.tangential_basis(theta, ORDER) @ fit.p[P.SHAPE :]) / pad.length
+        slope, height = 4.0 * pad.sagitta_sd / pad.length * (1.0 - 2.0 * u), 4.0 * pad.sagitta_sd * u * u
+        moves.append(problem.moved(fit, _HEIGHTS, height + slope * x))
+    if pad.force_sd and len(record.forces.t):
+        felt = problem.predicted(fit.c, fit.p)[_FORCES]
+        moves.append(problem.moved(fit, _READINGS, pad.force_sd * np.interp(record.readings.t, record.forces.t, felt)))
+    told = [each for each in moves if each is not None]
+    return np.array(told).T if told else np.zeros((CONSTANTS, 0))
+
+
+def gain_modes(record: PivotRecord) -> FloatArray:
+    """(forces, modes): the share by which each mode of the pad's gain moves each force, where it is off by one sigma.
+
+    The gain is off by `force_gain_std`, drifts within `DRIFT_S`, and falls behind a force that changes by `BEHIND`.
+    Readings share it, and no number of them averages it out; visits to one place at several times do.
+    """
+    rows, std = record.forces, record.rig.pad.force_gain_std
+    if not std or not len(rows.t):
+        return np.zeros((len(rows.t), 0))
+    spans = [(touch.begin, touch.end) for touch in record.touches]
+    knots = np.concatenate([np.linspace(a, b, math.ceil((b - a) / KNOT_S) + 1) for a, b in spans])
+    apart = np.abs(knots[:, None] - knots)
+    covariance = std**2 * np.exp(-apart / DRIFT_S) + BEHIND**2 * np.exp(-apart / BEHIND_S)
+    left = np.clip(np.searchsorted(knots, rows.t, side="right") - 1, 0, len(knots) - 2)
+    share = (rows.t - knots[left]) / (knots[left + 1] - knots[left])
+    between: FloatArray = np.zeros((len(rows.t), len(knots)))
+    each = np.arange(len(rows.t))
+    between[each, left], between[each, left + 1] = 1.0 - share, share
+    modes: FloatArray = between @ np.linalg.cholesky(covariance)
+    return modes
 
 
 class _Kernel:
     """Rows of one kind, bound to their kernel."""
 
-    def __init__(self, library: Library, name: str, rows: Rows, p: FloatArray):
+    def __init__(self, library: Library, name: str, rows: Rows, x: FloatArray, gain: FloatArray | None):
         self.rows = rows
+        self._x, self._gain = x, gain
         self.gate = self.wanted = GATE
         n = len(rows.t)
         size = -(-max(n, 1) // BATCH) * BATCH
@@ -284,7 +324,7 @@ class _Kernel:
         self._calls = [
             library.bind(
                 f"{name}_batch",
-                [self._motion[at : at + BATCH], p, inputs[at : at + BATCH]],
+                [self._motion[at : at + BATCH], x[:CONSTANTS], inputs[at : at + BATCH]],
                 [self._value[at : at + BATCH], self._gradient[at : at + BATCH]],
             )
             for at in range(0, size if n else 0, BATCH)
@@ -300,12 +340,19 @@ class _Kernel:
     def evaluate(
         self, motion: FloatArray, soft: float
     ) -> tuple[FloatArray, FloatArray, FloatArray, float, float, float]:
-        """(gradients in the coefficients, in the constants, residuals, all weighed; cost, χ², share of outliers)."""
+        """(gradients in coefficients, in constants and gain, residuals, all weighed; cost, χ², share of outliers)."""
         rows = self.rows
         n = len(rows.t)
         if not n:
-            return np.zeros((0, TAPS)), np.zeros((0, CONSTANTS)), np.zeros(0), 0.0, 0.0, 0.0
-        residual = rows.value - self.predicted(motion)
+            return np.zeros((0, TAPS)), np.zeros((0, len(self._x))), np.zeros(0), 0.0, 0.0, 0.0
+        value, J = self.predicted(motion), self._gradient[:n]
+        in_x = np.zeros((n, len(self._x)))
+        if self._gain is not None and self._gain.shape[1]:
+            in_x[:, CONSTANTS:] = value[:, None] * self._gain
+            factor = 1.0 + self._gain @ self._x[CONSTANTS:]
+            value, J = value * factor, J * factor[:, None]
+        in_x[:, :CONSTANTS] = J[:, MOTION:]
+        residual = rows.value - value
         variance = rows.variance * soft**2
         nis = residual**2 / variance
         # far from the answer all residuals are large: only what stands out from the others is an outlier
@@ -316,13 +363,12 @@ class _Kernel:
         root = np.sqrt(np.where(outlier, gate / np.maximum(nis, gate), 1.0) / variance)
         cost = float(np.where(outlier, gate * (1.0 + np.log(np.maximum(nis, gate) / gate)), nis).sum())
         chi2 = float(nis[~outlier].mean()) if not outlier.all() else math.inf
-        J = self._gradient[:n]
         in_c = np.einsum("nq,nqk->nk", J[:, :MOTION], rows.weights)
-        return in_c * root[:, None], J[:, MOTION:] * root[:, None], residual * root, cost, chi2, float(outlier.mean())
+        return in_c * root[:, None], in_x * root[:, None], residual * root, cost, chi2, float(outlier.mean())
 
 
 def likely_body(p: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """By how many sigmas a body is not as most are, and the gradient of it (3, CONSTANTS).
+    """By how many sigmas a body is not as most are, and the gradient of it (3, len(p)).
 
     Its centre of mass lies near the outline's middle, which the first harmonic about P tells, and its radius of
     gyration is near that of a uniform body: so moment and inertia tell of each other.
@@ -333,7 +379,7 @@ def likely_body(p: FloatArray) -> tuple[FloatArray, FloatArray]:
     gyration = inertia / mass - com @ com  # ρ²
     wanted, sd = (GYRATION * radius) ** 2, 2 * GYRATION_SD * GYRATION**2 * radius**2
     off = np.array([*((com - middle) / CENTRE_SD_M), (gyration - wanted) / sd])
-    J = np.zeros((3, CONSTANTS))
+    J = np.zeros((3, len(p)))
     for i in range(2):
         J[i, P.MOMENT + i] = 1 / mass / CENTRE_SD_M
         J[i, P.MASS] = -com[i] / mass / CENTRE_SD_M

@@ -17,7 +17,7 @@ from palmd.model import shape
 from palmd.model.pivot import ORDER, P, U, library
 from palmd.observer.noise import LEAST_READINGS, scattered
 from palmd.observer.outline import directions, gauge_free_sd, touched_by
-from palmd.observer.pivot.fit import MAX_ITERATIONS, SHARP, PivotFit, Problem, Softening, moved_by_gain, with_forces_of
+from palmd.observer.pivot.fit import MAX_ITERATIONS, SHARP, PivotFit, Problem, Softening, moved_by_rig, with_forces_of
 from palmd.observer.pivot.record import PivotRecord, TooLittleError, arm_motion, lay_out
 from palmd.observer.pivot.starts import believed, float_starts, rigid_starts, side_of
 from palmd.system.pivot import PivotEvent, PivotRig, normal_of
@@ -168,14 +168,12 @@ def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:
     h = shape.basis(theta, ORDER) @ coefficients
     try:
         covariance = problem.covariance(best)
-        gains = moved_by_gain(problem, library(), best)
+        moves = moved_by_rig(problem, best)
     except np.linalg.LinAlgError:
         raise TooLittleError("the fit is not a minimum") from None
-    own = covariance[P.SHAPE :, P.SHAPE :] + gains[P.SHAPE :] @ gains[P.SHAPE :].T
-    h_sd = gauge_free_sd(theta, theta[touched], coefficients, own)
-    given = _given_the_rig(covariance) + gains[P.SHAPE :] @ gains[P.SHAPE :].T
-    told = gauge_free_sd(theta, theta[touched], coefficients, given)
-    covariance = covariance + gains @ gains.T
+    told = gauge_free_sd(theta, theta[touched], coefficients, _given_the_rig(covariance))
+    covariance = covariance + moves @ moves.T
+    h_sd = gauge_free_sd(theta, theta[touched], coefficients, covariance[P.SHAPE :, P.SHAPE :])
     reason = _doubt(record, best, fits[1:], theta, h, h_sd, touched)
     if not reason and float(np.sqrt(np.mean(told[touched] ** 2))) > SHARP_M:
         reason = "the readings tell too little of the outline"
@@ -232,6 +230,8 @@ def _doubt(
     touched: npt.NDArray[np.bool_],
 ) -> str:
     """Why the best fit cannot be taken at its word; empty when it can."""
+    if (h + FAR_OFF_PIVOT * h_sd < 0.0).any():
+        return "the pivot would lie outside the body: z contradicts the readings"
     rig = record.rig
     readings, forces = len(record.readings.t), len(record.forces.t)
     fine = [
@@ -247,8 +247,6 @@ def _doubt(
         return "the iteration has not settled"
     if best.outliers > MOST_OUTLIERS:
         return f"{best.outliers:.0%} of the readings are outliers"
-    if (h + FAR_OFF_PIVOT * h_sd < 0.0).any():
-        return "the pivot would lie outside the body: z contradicts the readings"
     if rig.vertical == "rigid":
         e = record.readings.value - record.readings.inputs[:, 0]
         if abs(np.sign([np.median(e[_of(record, i)]) for i in range(len(record.touches))]).sum()) == len(

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import solveh_banded
+from scipy.sparse import csr_matrix
 
 from palmd.events import FloatArray, PadSample
 from palmd.model.pivot import INPUTS, U
@@ -68,6 +70,20 @@ class TouchSpan:
         rate = np.stack([-((1 - u) ** 2), 3 * u**2 - 4 * u, -3 * u**2 + 2 * u + 1, u**2], axis=1) / (2 * dt)
         second = np.stack([1 - u, 3 * u - 2, 1 - 3 * u, u], axis=1) / dt**2
         return self.first + cell, np.stack([value, rate, second], axis=1)
+
+    def through(self, t: FloatArray, values: FloatArray) -> FloatArray:
+        """The spline's coefficients through values at times t: least squares at three instants of each cell."""
+        at = np.linspace(self.begin, self.end, 3 * self.count)
+        first, weights = self.taps(at)
+        columns = first[:, None] - self.first + np.arange(TAPS)
+        pattern = (columns.ravel(), np.arange(0, columns.size + 1, TAPS))
+        A = csr_matrix((weights[:, 0].ravel(), *pattern), shape=(len(at), self.count))
+        normal = A.T @ A
+        banded = np.zeros((TAPS, self.count))
+        for k in range(TAPS):
+            banded[k, : self.count - k] = normal.diagonal(-k)
+        banded[0] += 1e-9
+        return np.asarray(solveh_banded(banded, A.T @ np.interp(at, t, values), lower=True))
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,12 +195,21 @@ def _heights(touches: Sequence[TouchSpan], arm: ArmMotion, rig: PivotRig) -> Row
         inside = np.logical_or.reduce([(arm.t >= touch.begin) & (arm.t <= touch.end) for touch in touches])
         t, z = arm.t[inside], arm.height[inside]
         return _rows(touches, arm, t, z, np.full(len(t), rig.arm_noise**2))
-    t = np.concatenate([np.linspace(each.begin, each.end, 2 * (each.count - TAPS) + 3) for each in touches])
-    return _rows(touches, arm, t, arm.z.at(t)[0], np.full(len(t), RIGID_SD_M**2))
+    times, heights = [], []
+    for touch in touches:
+        fine = np.linspace(touch.begin, touch.end, 6 * touch.count)
+        coefficients = touch.through(fine, arm.z.at(fine)[0])
+        t = np.linspace(touch.begin, touch.end, 2 * (touch.count - TAPS) + 3)
+        first, weights = touch.taps(t)
+        times.append(t)
+        heights.append((weights[:, 0] * coefficients[first[:, None] - touch.first + np.arange(TAPS)]).sum(axis=1))
+    t = np.concatenate(times)
+    return _rows(touches, arm, t, np.concatenate(heights), np.full(len(t), RIGID_SD_M**2))
 
 
 # A rigid gripper's way is smooth, whatever it is off by. Were the splines free to leave it by micrometres, their
-# acceleration would follow the noise of the forces, and an inertia of ten times the true one would explain it.
+# acceleration would follow the noise of the forces, and an inertia of ten times the true one would explain it. Where
+# it is halted sooner than they can follow, it is as near to it as they come.
 RIGID_SD_M = 2e-8
 
 TORQUE_SD_M = 2e-5  # of the lever that the slide's equation of motion leaves open, at each instant

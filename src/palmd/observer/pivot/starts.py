@@ -15,8 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import BSpline
-from scipy.linalg import solveh_banded
-from scipy.sparse import csr_matrix
 
 from palmd.events import FloatArray
 from palmd.model import shape
@@ -261,7 +259,7 @@ def _from_paths(
     """Splines through the paths of θ, everything turned so that ψ = 0 at the first reading."""
     c = np.zeros(record.coefficients)
     for touch, t, theta in paths:
-        own = _spline_through(touch, t, -0.5 * math.pi - theta)
+        own = touch.through(t, -0.5 * math.pi - theta)
         c[touch.coefficients] = own
     turn = float(c[:3] @ np.array([1.0, 4.0, 1.0]) / 6)
     return StartingPoint(c - turn, turned(p, turn), cost)
@@ -275,22 +273,6 @@ def turned(p: FloatArray, turn: float) -> FloatArray:
     mx, my = p[P.MOMENT : P.MOMENT + 2]
     p[P.MOMENT : P.MOMENT + 2] = cos * mx - sin * my, sin * mx + cos * my
     return p
-
-
-def _spline_through(touch: TouchSpan, t: FloatArray, psi: FloatArray) -> FloatArray:
-    """The touch's coefficients through a path: least squares at three instants of each cell."""
-    at = np.linspace(touch.begin, touch.end, 3 * touch.count)
-    first, weights = touch.taps(at)
-    taps = weights.shape[2]
-    columns = first[:, None] - touch.first + np.arange(taps)
-    pattern = (columns.ravel(), np.arange(0, columns.size + 1, taps))
-    A = csr_matrix((weights[:, 0].ravel(), *pattern), shape=(len(at), touch.count))
-    normal = (A.T @ A).toarray()
-    banded = np.zeros((taps, touch.count))
-    for k in range(taps):
-        banded[k, : touch.count - k] = normal.diagonal(-k)
-    banded[0] += 1e-9
-    return np.asarray(solveh_banded(banded, A.T @ np.interp(at, t, psi), lower=True))
 
 
 # ---------------------------------------------------------------------------------------------------- slide

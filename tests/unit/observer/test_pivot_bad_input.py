@@ -1,0 +1,105 @@
+"""Input that tells no outline of a pivoting body: said in words live, and no shape is claimed.
+
+What whole logs are refused for is in `test_pivot_reconstruct`."""
+
+from dataclasses import replace
+
+import pytest
+
+from palmd.events import PadSample
+from palmd.observer.pivot.growing import SimulatedSmoothing, as_fed
+from palmd.observer.pivot.live import PivotObserver
+from palmd.observer.pivot.reconstruct import reconstruct
+from palmd.record.systems.pivot import PivotForm
+from palmd.rig.pivot import simulate_pivot_log
+from palmd.system.pivot import GripperSample
+
+SEED = 3
+TICK_S, PERIOD_S = 0.05, 4.0
+
+
+@pytest.fixture(scope="module")
+def good():
+    lines, _ = simulate_pivot_log("tilt", SEED)
+    form = PivotForm()
+    rig = form.rig(lines[0]["rig"])
+    return rig, [event for line in lines[1:] for event in form.events(line["t"], line, rig) if event is not None]
+
+
+def arms(events, **changes):
+    """The same readings, the arm's place told otherwise."""
+    return [
+        replace(each, **{name: change(each) for name, change in changes.items()})
+        if isinstance(each, GripperSample)
+        else each
+        for each in events
+    ]
+
+
+def one_branch(events):
+    return [each for each in events if each.t_sample < 5.4]
+
+
+def constant_height(events):
+    return arms(events, z=lambda _: 0.02, vz=lambda _: 0.0, az=lambda _: 0.0)
+
+
+def mirrored_height(events):
+    return arms(events, z=lambda arm: 0.045 - arm.z, vz=lambda arm: -arm.vz, az=lambda arm: -arm.az)
+
+
+def below_the_pad(events):
+    return arms(events, z=lambda arm: arm.z - 0.03)
+
+
+def outside_the_body(events):
+    lowest = min(each.z for each in events if isinstance(each, GripperSample))
+    return arms(events, z=lambda arm: arm.z - lowest + 1e-4)
+
+
+CASES = [
+    (one_branch, "only one side of the dead centre was touched"),
+    (constant_height, "the pivot's height hardly changes (0.00 mm)"),
+    (mirrored_height, "contradict the readings"),
+    (below_the_pad, "below the pad's surface: z contradicts it"),
+    (outside_the_body, "the pivot would lie outside the body: z contradicts the readings"),
+]
+NAMES = [case[0].__name__ for case in CASES]
+
+
+def test_from_a_whole_log_too_no_pivot_lies_outside_its_body(good):
+    rig, events = good
+    answer = reconstruct(outside_the_body(events), rig)
+    assert not answer.converged
+    assert answer.h is answer.h_sd is answer.touched is None
+    assert answer.reason == "the pivot would lie outside the body: z contradicts the readings"
+
+
+@pytest.mark.parametrize(("spoilt", "said"), CASES, ids=NAMES)
+def test_live_it_is_said_and_no_shape_is_claimed(good, spoilt, said):
+    rig, events = good
+    live = PivotObserver(rig, SimulatedSmoothing(rig, PERIOD_S))
+    waiting = sorted(spoilt(events), key=lambda event: event.t_sample)
+    reasons = set()
+    for tick in range(1, round((waiting[-1].t_sample + 1.0) / TICK_S)):
+        t = tick * TICK_S
+        while waiting and waiting[0].t_sample <= t:
+            live.feed(as_fed(waiting.pop(0)))
+        live.improve(t)
+        estimate = live.estimate(t)
+        assert not estimate.valid
+        assert live.shape(t) is None
+        reasons.add(estimate.reason)
+    assert any(said in reason for reason in reasons), reasons
+
+
+def test_what_is_good_is_claimed_live(good):
+    rig, events = good
+    live = PivotObserver(rig, SimulatedSmoothing(rig, PERIOD_S))
+    last = events[-1].t_sample
+    for event in events:
+        live.feed(as_fed(event))
+        if isinstance(event, PadSample) and event.t_sample > last - 0.1:
+            live.improve(event.t_sample)
+    live.improve(last + 1.0)
+    assert live.shape(last) is not None
