@@ -44,7 +44,7 @@ class Size:
 
 @dataclass(frozen=True, slots=True)
 class Likeness:
-    """What an outline looks like. `name` is empty where it is none of the forms, or cannot be told.
+    """What an outline looks like. `name` is empty where it is none of the forms, or cannot be told: `why` says which.
 
     sizes: of the form that is told. turn_rad: the smallest turn after which it looks the same, 0: any turn, so that
     its orientation cannot be told, NaN: none is told. chi2, dof: of the form that explains it best. probabilities: of
@@ -52,6 +52,7 @@ class Likeness:
     """
 
     name: str = ""
+    why: str = ""
     sizes: tuple[Size, ...] = ()
     turn_rad: float = math.nan
     chi2: float = math.nan
@@ -69,6 +70,14 @@ class Likeness:
 
 
 NONE = "none of these"
+UNTOLD = Likeness()
+
+
+def root_of(rows: FloatArray, covariance: FloatArray) -> FloatArray:
+    """A factor (n, k) of the covariance of h = rows·c (n, k), c's being `covariance` (k, k)."""
+    values, vectors = np.linalg.eigh(covariance)
+    root: FloatArray = rows @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+    return root
 
 
 def root_of_band(h_sd: FloatArray, theta: FloatArray) -> FloatArray:
@@ -82,7 +91,7 @@ def likeness(theta: FloatArray, h: FloatArray, root: FloatArray, touched: npt.ND
     Its covariance is root·rootᵀ (n, k).
     """
     if touched.mean() < LEAST_FELT:
-        return Likeness()
+        return Likeness(why=f"{touched.mean():.0%} of the normals were felt, and a name takes {LEAST_FELT:.0%}")
     everywhere, at = theta, np.flatnonzero(touched)[::EVERY]
     theta, h = theta[at], h[at]
     spread = np.hstack([root[at], FORM_SD_M * _smooth(theta)])
@@ -102,9 +111,13 @@ def likeness(theta: FloatArray, h: FloatArray, root: FloatArray, touched: npt.ND
     consistent = best.chi2 < free + CHI2_SIGMAS * math.sqrt(2.0 * max(free, 1.0))
     sharp = all(size.sd_m < MOST_SIZE_SD * best.p[0] for size in best.sizes)
     likeliest = sum(weights[name] for name in alike) > ENOUGH * total
-    if not (consistent and sharp and likeliest):
-        return Likeness(chi2=best.chi2, dof=free, probabilities=ranked)
-    return Likeness(best.form.name, best.sizes, best.form.period_rad, best.chi2, free, ranked)
+    if ranked[0][0] == NONE or not consistent:
+        why = NONE
+    elif not (likeliest and sharp):
+        why = "its size is not known well enough" if likeliest else f"not told apart: {ranked[0][0]}, {ranked[1][0]}"
+    else:
+        return Likeness(best.form.name, "", best.sizes, best.form.period_rad, best.chi2, free, ranked)
+    return Likeness(why=why, chi2=best.chi2, dof=free, probabilities=ranked)
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +152,8 @@ def _fitted(form: Primitive, theta: FloatArray, h: FloatArray, white: FloatArray
     prior = np.array([*form.sd, CENTRE_SD_M, CENTRE_SD_M, form.period_rad / math.sqrt(12.0)])[: len(p)]
     told = np.eye(len(p)) + prior[:, None] * information * prior
     evidence = -0.5 * (chi2 + float(np.linalg.slogdet(told)[1])) + float(np.log(np.diagonal(white)).sum())
-    return _Fit(form, p, np.linalg.inv(information + np.diag(prior**-2.0)), chi2, evidence)
+    covariance = np.asarray(np.linalg.inv(information + np.diag(prior**-2.0)), dtype=np.float64)
+    return _Fit(form, p, covariance, chi2, evidence)
 
 
 def _at_turn(
@@ -213,6 +227,7 @@ def as_json(told: Likeness) -> dict[str, object]:
     return {
         "name": told.name or None,
         "said": told.said or None,
+        "why": told.why or None,
         "sizes": [{"name": s.name, "value_m": s.value_m, "sd_m": s.sd_m} for s in told.sizes],
         "orientation_told": None if not told.name else told.turn_rad > 0.0,
         "chi2": told.chi2 if math.isfinite(told.chi2) else None,

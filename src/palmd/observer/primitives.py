@@ -40,7 +40,8 @@ class Primitive:
         if self.name == ELLIPSE:
             h: FloatArray = np.hypot(lengths[0] * np.cos(theta - turn), lengths[1] * np.sin(theta - turn))
             return h
-        return self.linear(theta, turn) @ np.asarray(lengths)
+        straight: FloatArray = self.linear(theta, turn) @ np.asarray(lengths)
+        return straight
 
     def nearest(self, lengths: Lengths) -> FloatArray:
         """Lengths that make the form, not far from these: longest first, no corner wider than its side."""
