@@ -52,7 +52,8 @@ class SmoothedRun:
     converged: False rather than wrong, then `reason` says why, and outline and trajectory may be missing. chi2: per
     reading. trajectory: `t_s psi_rad omega0_rad_s r1_m r2_m`. rho_m: radius of gyration. mu: friction. mass_rest_kg:
     mass as weighed while the object lay still, which needs no outline. `…_sd…`: one-sigma. rig: what the run tells of
-    the rig's own constants, `{name: {value, sd}}`, empty where it had nothing to find. told: everything, under the
+    the rig's own constants, `{name: {value, sd}}`, empty where it had nothing to find. looks_like: the simple form that
+    the outline is of, with its sizes, empty where it is none or cannot be told. told: everything, under the
     names of `palmd reconstruct`; of another `system` than two palms, what the fields here have no place for.
     """
 
@@ -70,6 +71,7 @@ class SmoothedRun:
     mass_rest_kg: float
     mass_rest_sd_kg: float
     rig: Mapping[str, Mapping[str, float]]
+    looks_like: str
     seconds: float
     system: str
     told: Mapping[str, Any]
@@ -128,6 +130,7 @@ def reconstruct(log: RunData | str | os.PathLike[str], seed: int = 0, *, sides: 
         outline=None if line.get("h_m") is None else outline_of(line, math.nan),
         trajectory=_trajectory(line["trajectory"]),
         rig=line.get("rig") or {},
+        looks_like=(line.get("looks_like") or {}).get("said") or "",
         **{name: math.nan if line.get(name) is None else line[name] for name in _NUMBERS},
     )
 

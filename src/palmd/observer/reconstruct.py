@@ -25,6 +25,7 @@ from palmd.observer.factor import Prior
 from palmd.observer.marginal import Marginal, marginalised
 from palmd.observer.mass import MassEstimator
 from palmd.observer.matching import Felt, matched
+from palmd.observer.naming import UNTOLD, likeness, root_of
 from palmd.observer.noise import with_scatter
 from palmd.observer.outline import directions, felt_normals, made_convex, outline_of
 from palmd.observer.reconstruction import Reconstruction
@@ -232,6 +233,7 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
         reason = f"the palms are too concave for the object: kappa v reaches {lying:.2f} where it touches"
     if not reason and not convex:
         reason = "only a hollow outline explains the readings"
+    root = root_of(shape.basis(outline.theta, ORDER), covariance[_OUTLINE, _OUTLINE])
     sd = np.sqrt(np.diagonal(covariance))
     rho = math.exp(p[C.LN_RHO])
     mass, mass_sd = _weighed(main, rig, answered)
@@ -251,6 +253,7 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
         t=t, psi=psi, omega0=omega0, radii=np.stack(radii),
         reason=reason, seconds=time.perf_counter() - begun,
         turned_sd=math.nan if others else float(sd[CONSTANTS]),  # ψ is 0 at the first node: gauge
+        likeness=UNTOLD if reason else likeness(outline.theta, outline.h, root, outline.touched),
     )  # fmt: skip
 
 

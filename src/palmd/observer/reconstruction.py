@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray
+from palmd.observer.naming import UNTOLD, Likeness
 from palmd.observer.visits import Counts
 
 
@@ -23,6 +24,7 @@ class Reconstruction:
     t, psi, omega0, radii (one row a palm): the trajectory at the nodes. `chi2` is per contact reading. `reason` says
     why not, when not `converged`. turned_sd: one-sigma of psi[-1] − psi[0] (rad), where the record is of one segment.
     sides: flat sides of the outline that were felt, one a row: outward normal (rad), length and its one-sigma (m).
+    likeness: which simple form the outline is of, if any.
     """
 
     converged: bool
@@ -49,6 +51,7 @@ class Reconstruction:
     seconds: float
     turned_sd: float = math.nan
     sides: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    likeness: Likeness = UNTOLD
 
     @property
     def rig_sd(self) -> FloatArray:

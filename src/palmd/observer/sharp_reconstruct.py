@@ -12,6 +12,7 @@ from palmd.model import sharp
 from palmd.model.sharp import LENGTHS, NORMALS, SIDES, WIDTH
 from palmd.model.smoothing import RIG, C
 from palmd.observer.factor import friction_of
+from palmd.observer.naming import likeness, root_of
 from palmd.observer.outline import directions, normal_angles, touched_by
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.search import MOST_STRAIN, Search, still
@@ -74,6 +75,7 @@ def _told(best: Candidate, covariance: FloatArray, search: Search, begun: float)
     if float(np.sqrt(np.mean(h_sd[touched] ** 2))) > SHARP_M:
         return None
     covariance = OVERCONFIDENCE**2 * covariance
+    rows, shape = sharp.outline_rows(theta, p), slice(C.SHAPE, len(p))
     mu, mu_sd = friction_of(p, covariance)
     sd = np.sqrt(np.diagonal(covariance))
     rho = math.exp(p[C.LN_RHO])
@@ -88,7 +90,7 @@ def _told(best: Candidate, covariance: FloatArray, search: Search, begun: float)
         contradicted=search.belief.contradicted,
         t=record.t, psi=x[:, 0], omega0=x[:, 1], radii=np.stack(radii),
         reason="", seconds=time.perf_counter() - begun, turned_sd=float(sd[len(p)]),
-        sides=sides_of(p, covariance),
+        sides=sides_of(p, covariance), likeness=likeness(theta, h, root_of(rows, covariance[shape, shape]), touched),
     )  # fmt: skip
 
 

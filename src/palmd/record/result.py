@@ -6,6 +6,7 @@ from typing import Any
 
 from palmd.jsonvalues import column, or_none
 from palmd.observer.mass import MassEstimator
+from palmd.observer.naming import as_json
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.visits import Marks, kept_by_band, kept_by_visits
 from palmd.system.mechanism import RADII
@@ -39,6 +40,7 @@ def as_line(answer: Reconstruction, at_rest: MassEstimator) -> dict[str, Any]:
         "rig": _rig(answer) or None,
         "contradicted": _contradicted(answer) if len(answer.rig) else None,
         "sides": None if answer.h is None else _sides(answer),
+        "looks_like": as_json(answer.likeness) if answer.converged else None,
         "trajectory": _trajectory(answer),
         "seconds": or_none(answer.seconds),
     }

@@ -9,6 +9,7 @@ from datetime import datetime
 
 import numpy as np
 
+from palmd.observer.naming import likeness, root_of_band
 from palmd.observer.validity import NIS_RANGE
 from palmd.quantities import ESTIMATE, MOTION
 from palmd.record.metadata import CONFIG
@@ -79,6 +80,9 @@ def under_outline(series: Series, outline: OutlineAt) -> str:
     said = f"{name}: mean radius {_mm(float(outline.h.mean()))}, {outline.touched.mean():.0%} of the normals touched"
     if outline.touched.any():
         said += f", median ±{SDS:g} sd there {_um(SDS * float(np.median(outline.h_sd[outline.touched])))}"
+    root = root_of_band(outline.h_sd, outline.theta)
+    if outline.valid and (form := likeness(outline.theta, outline.h, root, outline.touched)).said:
+        said += f"; looks like: {form.said}"
     body = body_at(series, outline.t)
     if body is None:
         return said + "; the truth is not known."

@@ -7,6 +7,7 @@ felt by a flat palm; its hull has a chord there, which is a flat side of an othe
 
 from __future__ import annotations
 
+import cmath
 import math
 from bisect import bisect_right
 from collections.abc import Sequence
@@ -20,6 +21,7 @@ from palmd.rig.shapes import Body, Support
 FLAT_RAD = 2e-3
 _BOUNDARY = 20_000  # points on the outline from which area and moments are taken
 Point = tuple[float, float]
+Disc = tuple[Point, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,17 +103,33 @@ class ChordSupport:
 
 def rounded_polygon(corners: Sequence[Point], radius: float, flat_rad: float = FLAT_RAD) -> ArcSupport:
     """The hull of discs of `radius` (m) about `corners` (m), counter-clockwise and strictly convex."""
+    return hull_of_discs([(corner, radius) for corner in corners], flat_rad)
+
+
+def hull_of_discs(discs: Sequence[Disc], flat_rad: float = FLAT_RAD) -> ArcSupport:
+    """The hull of discs, each (centre, radius) in m, counter-clockwise in the order in which the outline passes them.
+
+    Two that touch from inside have no flat side between them.
+    """
     starts, radii, centres = [], [], []
-    for here, there in zip(corners, [*corners[1:], corners[0]], strict=True):
+    for (here, r1), (there, r2) in zip(discs, [*discs[1:], discs[0]], strict=True):
         edge = complex(*there) - complex(*here)
-        normal = math.atan2(-edge.real, edge.imag)
-        wide = radius + abs(edge) / (2 * math.sin(flat_rad / 2))
-        first = normal - flat_rad / 2
-        starts += [first, normal + flat_rad / 2]
-        radii += [wide, radius]
-        out = (radius - wide) * complex(math.cos(first), math.sin(first))
-        centres += [(here[0] + out.real, here[1] + out.imag), there]
-    return _in_order(starts, tuple(radii), centres)
+        if abs(edge) <= abs(r1 - r2) * (1.0 + 1e-9):
+            starts.append(cmath.phase(edge if r1 > r2 else -edge))
+        else:
+            # an arc of radius `wide` about c = here + (r1 - wide) u(first) = there + (r2 - wide) u(first + flat_rad)
+            turn = cmath.exp(1j * flat_rad)
+            across, apart = turn - 1.0, r1 - r2 * turn
+            half = (across.conjugate() * apart).real / abs(across) ** 2
+            wide = math.sqrt(half**2 + (abs(edge) ** 2 - abs(apart) ** 2) / abs(across) ** 2) - half
+            first = cmath.phase(edge / (wide * across + apart))
+            centre = complex(*here) + (r1 - wide) * cmath.exp(1j * first)
+            starts += [first, first + flat_rad]
+            radii.append(wide)
+            centres.append((centre.real, centre.imag))
+        radii.append(r2)
+        centres.append(there)
+    return _in_order(starts, radii, centres)
 
 
 def uniform_body(name: str, outline: ArcSupport | ChordSupport, mass: float, com: Point = (0.0, 0.0)) -> Body:

@@ -1,0 +1,61 @@
+"""Bodies of things that people have: as large, heavy and convex as they are said to be."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from palmd.events import FloatArray
+from palmd.rig.real_things import THINGS, thing
+from palmd.rig.shapes import Body
+from palmd.rig.sharp_shapes import hull_of_discs
+
+THETA = np.linspace(0.0, math.tau, 7200, endpoint=False)
+
+
+def _points(body: Body) -> FloatArray:
+    h, h1 = body.support.sample(THETA), body.support.sample(THETA, 1)
+    c, s = np.cos(THETA), np.sin(THETA)
+    return np.stack([h * c - h1 * s, h * s + h1 * c])
+
+
+@pytest.mark.parametrize("kind", sorted(THINGS))
+def test_each_is_convex_closed_and_as_wide_as_it_says(kind: str) -> None:
+    true = thing(kind, np.random.default_rng(3))
+    support = true.body.support
+    assert (support.sample(THETA) + support.sample(THETA, 2)).min() > 0.2e-3
+    at = _points(true.body)
+    assert np.linalg.norm(np.diff(at, axis=1, append=at[:, :1]), axis=0).sum() == pytest.approx(
+        support.sample(THETA).mean() * math.tau, rel=1e-3
+    )
+    widths = support.sample(THETA) + support.sample(THETA + math.pi)
+    if kind != "gear" and true.size_m:
+        assert widths.min() == pytest.approx(min(true.size_m), abs=0.06e-3)  # a flat bulges by half a micrometre a mm
+
+
+@pytest.mark.parametrize("kind", ["die", "coin", "L-profile"])
+def test_a_weight_moves_the_centre_of_mass_and_the_inertia_with_it(kind: str) -> None:
+    plain, weighted = (thing(kind, np.random.default_rng(4), off) for off in (0.0, 1e-3))
+    difference = weighted.body.support.sample(THETA) - plain.body.support.sample(THETA)
+    assert difference.max() == pytest.approx(1e-3, rel=1e-4)
+    assert difference.mean() == pytest.approx(0.0, abs=1e-9)
+    assert weighted.body.rho < plain.body.rho
+
+
+def test_the_inertia_of_an_angle_profile_is_its_own_not_its_hulls() -> None:
+    body = thing("L-profile", np.random.default_rng(5)).body
+    leg = max(body.support.sample(THETA) + body.support.sample(THETA + math.pi)) / math.sqrt(2.0)
+    assert body.support.sample(THETA).min() > 0.0  # its centre of mass is in the hull
+    corner = _points(body)[:, int(np.argmin(np.abs(THETA - 1.25 * math.pi)))]
+    assert np.hypot(*corner) > 0.25 * leg  # and nearer to the corner than the hull's centroid
+    assert 0.3 * leg < body.rho < 0.45 * leg
+
+
+def test_a_hull_of_unequal_discs_touches_each_of_them() -> None:
+    discs = [((0.01, 0.0), 2e-3), ((-0.004, 0.012), 5e-3), ((-0.006, -0.01), 1e-3)]
+    outline = hull_of_discs(discs)
+    for theta in THETA[::40]:
+        reach = max(x * math.cos(theta) + y * math.sin(theta) + r for (x, y), r in discs)
+        assert outline.at(theta)[0] == pytest.approx(reach, abs=2e-5)  # a side is passed within 2 mrad
