@@ -39,7 +39,8 @@ from palmd.bus.subscriber import Subscriber
 RATE_HZ = 20_000.0
 SLICE_S = 1e-3
 STAY, GREETED = 800, 20
-"""So many connections of a process stay for a moment, for what they have said to be read."""
+"""So many connections of a process stay for a moment, for what they have said to be read; the daemon has some 35 kB for
+each. They speak when so many more have come."""
 
 _RESET = struct.pack("ii", 1, 0)  # linger 0: a closed connection leaves nothing behind
 
@@ -56,6 +57,7 @@ def main() -> int:
     parser.add_argument("--publish", default=PUBLISH)
     parser.add_argument("--page", type=int, default=8765, metavar="PORT")
     parser.add_argument("--token", default="")
+    parser.add_argument("--stay", type=int, default=STAY, metavar="N", help="of `clients`: so many are there at a time")
     parser.add_argument("--blind", action="store_true", help="flood, and look at nothing")
     arguments = parser.parse_args()
     tried, taken = multiprocessing.Value("q", 0), multiprocessing.Value("q", 0)
@@ -145,7 +147,7 @@ def _clients(arguments: argparse.Namespace) -> Once:
     leaving: deque[socket.socket] = deque()
 
     def once() -> bool:
-        if len(leaving) == STAY:
+        if len(leaving) == arguments.stay:
             leaving.popleft().close()
         leaving.append(_knock(where))
         with suppress(OSError):

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time
+from collections import deque
 from dataclasses import asdict, dataclass, replace
 
 import msgpack
@@ -24,9 +25,15 @@ PUBLISHED_HIGH_WATER = 10_000
 """Messages kept for a subscriber that does not take them: some 20 s of all topics, which is 10 MB."""
 LAST_WORDS_MS = 100
 COMMANDS_PER_TICK = 4
+TAKEN_PER_TICK = 48
+"""Messages taken off the socket: more than clients can connect, ask and go in a tick, for each of those that have gone
+leaves some 30 kB in ZeroMQ until its message is taken."""
+WAITING_MOST = 32
+"""Commands that have been taken and wait for their tick; what comes then is refused, but for the urgent."""
+URGENT = ("stop", "hold")
 FRAMES_MOST = 4
 """Of a message that are looked at: a command has its sender's identity, at most one empty frame, and itself."""
-FRAMES_PER_TICK = FRAMES_MOST * COMMANDS_PER_TICK
+FRAMES_PER_TICK = FRAMES_MOST * TAKEN_PER_TICK
 MESSAGE_BYTES_MAX = 1 << 20  # ZeroMQ itself turns away a client that sends more
 
 
@@ -38,14 +45,15 @@ class BusError(Exception):
 class BusCounters:
     """What has passed on the bus since the start; `replies_lost` found nobody to take them.
 
-    `forbidden` commands came from clients that may only watch, `turned_away` connections with keys that nobody knows,
-    `unproven` ones with no key, or with another server's.
+    `forbidden` commands came from clients that may only watch, `crowded` ones while too many others waited,
+    `turned_away` connections with keys that nobody knows, `unproven` ones with no key, or with another server's.
     """
 
     published: int = 0
     commands: int = 0
     malformed: int = 0
     forbidden: int = 0
+    crowded: int = 0
     turned_away: int = 0
     unproven: int = 0
     replies_lost: int = 0
@@ -68,6 +76,7 @@ class Bus:
         self.counters = BusCounters()
         self._seq: dict[str, int] = {}
         self._early: list[Request] = []  # what came before the loop
+        self._waiting: deque[Request] = deque()
         self._dropping = False  # the rest of a message that is far too long
         self._frames_left = FRAMES_PER_TICK
         self._context = context or zmq.Context()
@@ -92,30 +101,68 @@ class Bus:
             self.counters.published += 1
 
     def receive(self) -> list[Request]:
-        """The valid commands that have come, a few at most; what is malformed is answered here."""
+        """The valid commands whose turn it is, a few at most; what is malformed or may not be is answered here."""
         requests, self._early = self._early, []
+        self._take_in()
+        return requests + [self._waiting.popleft() for _ in range(min(COMMANDS_PER_TICK, len(self._waiting)))]
+
+    def _take_in(self) -> None:
+        """Have what has come wait for its turn.
+
+        ZeroMQ gives each client its turn, so all others have had theirs when somebody comes again who has been heard
+        already: who sends without end has to wait, and nobody else has.
+        """
         self._frames_left = FRAMES_PER_TICK
-        for _ in range(COMMANDS_PER_TICK):
+        heard, before = {request.route for request in self._waiting}, len(self._waiting)
+        for number in range(TAKEN_PER_TICK):
             frames = self._taken()
             if frames is None:
-                break
+                return
             self.counters.commands += 1
             route, payloads = _opened([frame.bytes for frame in frames])
-            try:
-                if len(payloads) != 1:
-                    raise CommandError(f"expected one frame with a map {{id, cmd, args}}, got {len(payloads)}")
-                request = parse(payloads[0], route)
-            except CommandError as error:
-                self.counters.malformed += 1
-                self._send(route, reply_fields(error.id, str(error)))
-                continue
-            member = None if self._door is None else self._door.member(frames[-1])
-            if self._door is None or (member is not None and member.role.covers(COMMANDS[request.name].role)):
-                requests.append(replace(request, who=_who(request, member, frames[-1])))
+            request = self._allowed(route, payloads, frames[-1])
+            if request is not None:
+                self._queue(request)
+            if before + number >= COMMANDS_PER_TICK and route in heard:
+                return
+            heard.add(route)
+
+    def _allowed(self, route: tuple[bytes, ...], payloads: list[bytes], frame: zmq.Frame) -> Request | None:
+        """The command in a message; what is none, or is not for its sender to give, is answered."""
+        try:
+            if len(payloads) != 1:
+                raise CommandError(f"expected one frame with a map {{id, cmd, args}}, got {len(payloads)}")
+            request = parse(payloads[0], route)
+        except CommandError as error:
+            self.counters.malformed += 1
+            self._send(route, reply_fields(error.id, str(error)))
+            return None
+        member = None if self._door is None else self._door.member(frame)
+        if self._door is None or (member is not None and member.role.covers(COMMANDS[request.name].role)):
+            return replace(request, who=_who(request, member, frame))
+        self.counters.forbidden += 1
+        self._send(route, reply_fields(request.id, f"{request.name} refused: your key may only watch"))
+        return None
+
+    def _queue(self, request: Request) -> None:
+        """Have it wait for its turn; when too many do it is refused, or the others are for a stop or a hold."""
+        if len(self._waiting) < WAITING_MOST:
+            self._waiting.append(request)
+            return
+        if request.name not in URGENT or any(each.name == request.name for each in self._waiting):
+            self._crowded(request, f"{len(self._waiting)} commands wait already, try again")
+            return
+        crowd, self._waiting = self._waiting, deque()
+        for each in crowd:  # nothing that was asked for before may follow it
+            if each.name in URGENT and not self._waiting:
+                self._waiting.append(each)
             else:
-                self.counters.forbidden += 1
-                self._send(route, reply_fields(request.id, f"{request.name} refused: your key may only watch"))
-        return requests
+                self._crowded(each, f"a {request.name} has overtaken it")
+        self._waiting.append(request)
+
+    def _crowded(self, request: Request, why: str) -> None:
+        self.counters.crowded += 1
+        self._send(request.route or (), reply_fields(request.id, f"{request.name} refused: {why}"))
 
     def _taken(self) -> list[zmq.Frame] | None:
         """The next message that has come, cut off where it is far too long; None when there is no more for this tick.
@@ -146,7 +193,8 @@ class Bus:
         t_end = time.monotonic() + seconds
         while all(request.name != name for request in self._early):
             left_s = t_end - time.monotonic()
-            if left_s <= 0.0 or not self._commands.poll(math.ceil(left_s * 1e3)):
+            wait_ms = 0 if self._waiting else math.ceil(left_s * 1e3)
+            if left_s <= 0.0 or not (self._commands.poll(wait_ms) or self._waiting):
                 return
             self._early = self.receive()
 

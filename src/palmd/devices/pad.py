@@ -26,9 +26,10 @@ SILENT_INTERVALS = 5
 """A pad that says nothing for so many mean intervals between reports has been let go."""
 
 DEAD_INTERVALS = 2.5
-PAUSE_REPORTS, PAUSE_FACTOR, PAUSE_SLACK_S = 400, 1.2, 0.002
+PAUSE_REPORTS, PAUSE_FACTOR, PAUSE_SLACK_S = 400, 1.2, 0.004
 """Sooner, but never before two and a half mean intervals, where nothing at all comes for longer than so many times the
-longest pause, and a little more for the adapter, that the pad has made within that many reports."""
+longest time, and a little more for the adapter, that the pad has let pass between two of so many reports, without what
+a report itself takes on the line: it is no silence."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,12 +130,13 @@ class TouchTracker:
     START_REPORTS = 1.6
     MAX_REPORTS = 2.5
 
-    def __init__(self, pad: int, report_s: float) -> None:
-        """`report_s` is how long a report takes on the line, at least (s)."""
+    def __init__(self, pad: int, report_s: float, sending_s: float = 0.0) -> None:
+        """`report_s` is the time from one report to the next, at least, of which `sending_s` on the line (s)."""
         self._pad: int = pad
         self._shortest_s = report_s
         self._longest_s = self.MAX_REPORTS * report_s
         self._mean_s = self.START_REPORTS * report_s
+        self._sending_s = sending_s
         self._t_first = 0.0
         self._t_recv = 0.0
         self._t_byte = -math.inf
@@ -150,7 +152,7 @@ class TouchTracker:
     @property
     def patience_s(self) -> float:
         """How long a line may bring nothing at all while the pad is touched."""
-        shown_s = max(DEAD_INTERVALS * self._mean_s, PAUSE_FACTOR * max(self._pauses) + PAUSE_SLACK_S)
+        shown_s = max(DEAD_INTERVALS * self._mean_s, PAUSE_FACTOR * max(self._pauses) + PAUSE_SLACK_S) - self._sending_s
         return min(SILENT_INTERVALS * self._mean_s, shown_s)
 
     def heard(self, t: float) -> None:

@@ -286,7 +286,8 @@ class PadReceiver:
     def __init__(self, calibration: PadCalibration, baud: int, pressure: PressureFormat | None = None) -> None:
         """`baud` in bit/s. Raises ValueError if it is not positive."""
         self.decoder = VersaPadDecoder(baud, pressure)
-        self.touch = TouchTracker(calibration.pad, PACKET_BYTES * byte_time(baud))
+        packet_s = PACKET_BYTES * byte_time(baud)  # the pad sends without a break when it measures fastest
+        self.touch = TouchTracker(calibration.pad, packet_s, packet_s)
         self.latest: PadPacket | None = None
         self._calibration = calibration
 

@@ -15,6 +15,7 @@ from palmd.daemon.bus import (
     FRAMES_MOST,
     FRAMES_PER_TICK,
     PUBLISHED_HIGH_WATER,
+    WAITING_MOST,
     Bus,
     BusError,
 )
@@ -121,6 +122,68 @@ def test_a_flood_is_taken_in_portions(rig):
     portions = [rig.bus.receive() for _ in range(6)]
     assert [len(portion) for portion in portions] == [COMMANDS_PER_TICK] * 5 + [0]
     assert [request.id for portion in portions for request in portion] == list(range(20))
+
+
+def crowded(rig, commands):
+    """Each of these by a client of its own; what is given out in the ticks that follow, by clients' numbers."""
+    clients = [rig.client(zmq.DEALER, rig.command) for _ in commands]
+    for number, (client, command) in enumerate(zip(clients, commands, strict=True)):
+        before = rig.bus.counters.commands
+        client.send(call(id=number, cmd=command))
+        rig.bus._commands.poll(TIMEOUT_MS)
+        rig.bus._take_in()
+        assert rig.bus.counters.commands == before + 1
+    given = []
+    while portion := rig.bus.receive():
+        assert len(portion) <= COMMANDS_PER_TICK
+        given += [(request.id, request.name) for request in portion]
+    return clients, given
+
+
+def refusal(client):
+    fields = msgpack.unpackb(client.recv_multipart()[-1])
+    assert fields["ok"] is False
+    return fields["error"]
+
+
+def test_who_comes_when_too_many_wait_is_refused(rig):
+    clients, given = crowded(rig, ["arm"] * (WAITING_MOST + 2))
+    assert given == [(number, "arm") for number in range(WAITING_MOST)]
+    for client in clients[WAITING_MOST:]:
+        assert refusal(client) == "arm refused: 32 commands wait already, try again"
+    assert rig.bus.counters.crowded == 2
+
+
+def test_a_stop_overtakes_the_crowd_and_nothing_of_it_follows(rig):
+    clients, given = crowded(rig, [*("arm", "start") * (WAITING_MOST // 2), "stop", "start"])
+    assert given == [(WAITING_MOST, "stop"), (WAITING_MOST + 1, "start")]  # only who came after it
+    for client, command in zip(clients[:WAITING_MOST], ("arm", "start") * (WAITING_MOST // 2), strict=True):
+        assert refusal(client) == f"{command} refused: a stop has overtaken it"
+
+
+@pytest.mark.parametrize(("waits", "comes"), [("hold", "stop"), ("stop", "hold")])
+def test_of_stop_and_hold_none_costs_the_other_its_turn(rig, waits, comes):
+    clients, given = crowded(rig, [waits] * WAITING_MOST + [comes, waits])
+    assert given == [(0, waits), (WAITING_MOST, comes), (WAITING_MOST + 1, waits)]
+    assert refusal(clients[1]) == f"{waits} refused: a {comes} has overtaken it"
+
+
+def test_a_stop_does_not_overtake_another(rig):
+    clients, given = crowded(rig, ["arm", "stop", *["arm"] * (WAITING_MOST - 2), "stop"])
+    assert [name for _, name in given] == ["arm", "stop", *["arm"] * (WAITING_MOST - 2)]
+    assert "try again" in refusal(clients[-1])
+
+
+def test_who_sends_without_end_does_not_keep_others_waiting(rig):
+    greedy, modest = rig.client(zmq.DEALER, rig.command), rig.client(zmq.DEALER, rig.command)
+    for number in range(60):
+        greedy.send(call(id=number, cmd="status"))
+    modest.send(call(id="mine", cmd="hold"))
+    time.sleep(0.2)
+    portions = [rig.bus.receive() for _ in range(30)]
+    assert "mine" in [request.id for portion in portions[:3] for request in portion]
+    assert sum(map(len, portions)) == 61
+    assert rig.bus.counters.crowded == 0
 
 
 def test_a_message_of_very_many_frames_is_taken_in_portions_and_answered_once(rig):

@@ -41,9 +41,8 @@ def flooded(bus, kind, clients=3):
     """Floods until the end, by processes of their own; begun when the first of them is felt, where it can be."""
     with ExitStack() as stack:
         for _ in range(clients):
-            one = subprocess.Popen(
-                [sys.executable, FLOOD, kind, "--blind", "--seconds", "600", "--command", address(bus)]
-            )
+            how = ("--blind", "--stay", "100", "--seconds", "600", "--command", address(bus))
+            one = subprocess.Popen([sys.executable, FLOOD, kind, *how])
             stack.callback(one.wait)
             stack.callback(one.kill)
         yield
@@ -91,10 +90,10 @@ def test_a_tick_takes_in_a_few_and_a_stop_among_thousands_gets_its_turn(bus, kin
             asks(operator, "stop")
             waited = until(bus, lambda request: request.name == "stop")
     assert max(len(requests) for requests, _ in ticks) <= COMMANDS_PER_TICK
+    assert sum(len(requests) for requests, _ in ticks) >= len(ticks) // 2  # they do come
     assert median(took for _, took in ticks) < WORK_MOST * TICK_S
-    if kind == "commands":  # three flood, nothing piles up, and each has its turn
-        assert rss_mb() - before < 20.0
-        assert sum(map(len, waited)) <= 50 * COMMANDS_PER_TICK
+    assert rss_mb() - before < 20.0
+    assert len(waited) <= 50  # nothing piles up before it
 
 
 def test_connections_that_say_nothing_reach_no_tick(bus):
