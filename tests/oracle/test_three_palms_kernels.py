@@ -7,10 +7,11 @@ import pytest
 
 from palmd.model.spherical import count, evaluator
 from palmd.observer.three_palms import kernels
+from palmd.observer.three_palms.arrow import STATES, Arrow
+from palmd.observer.three_palms.body import centres_of, inertia
 from palmd.observer.three_palms.kernels import by_columns, palm_inputs, reading_geometry
 from palmd.observer.three_palms.path import joint_path
 from palmd.observer.three_palms.record import PadReadings, lay_out
-from palmd.observer.three_palms.search import centres_of, inertia
 from palmd.observer.three_palms.smoother import BodyMotion, BodyPrior, BodySmoother, Noise
 from palmd.rig.three_palms.bodies import Bodies, spread_directions
 from palmd.rig.three_palms.plant import BodyStates, PalmState, Rubbing, accelerations
@@ -80,7 +81,7 @@ def test_the_smoothers_gradient_is_that_of_its_cost(parameters):
     times = np.sort(random.uniform(0.01, 0.2, 40))
     readings = PadReadings(times, random.integers(0, 3, 40), random.uniform(0.0, 0.02, (40, 2)), np.full(40, np.nan))
     record = lay_out(joint_path(t, angle, plan, 2e-4), readings, 0.0, 10, 0.02)
-    prior = BodyPrior(p, np.eye(len(p)), np.zeros(3), 1.0)
+    prior = BodyPrior.apart(p, np.eye(len(p)), np.zeros(3), 1.0)
     smoother = BodySmoother(record, prior, Noise(1e-4), GRAVITY)
     R = np.tile(np.eye(3), (11, 1, 1))
     motion = BodyMotion(R, np.zeros((11, 3)), p).moved(random.normal(0, 0.02, (11, 6)), 0 * p)
@@ -100,8 +101,6 @@ def test_the_smoothers_gradient_is_that_of_its_cost(parameters):
 
 
 def test_the_arrow_is_solved_as_a_dense_matrix_is():
-    from palmd.observer.three_palms.arrow import STATES, Arrow
-
     random = np.random.default_rng(0)
     K, m, q = 4, 3, 8
     arrow = Arrow.empty(K, m)
@@ -121,3 +120,21 @@ def test_the_arrow_is_solved_as_a_dense_matrix_is():
         np.concatenate([nodes.ravel(), step]), -np.linalg.solve(whole, J.T @ r.ravel()), rtol=1e-9
     )
     np.testing.assert_allclose(np.linalg.inv(arrow.information()), np.linalg.inv(whole)[-m:, -m:], rtol=1e-8)
+
+
+def test_what_is_left_in_the_last_node_is_the_dense_marginal():
+    random = np.random.default_rng(1)
+    K, m, q = 5, 3, 9
+    arrow = Arrow.empty(K, m)
+    left, right = random.normal(size=(2, K - 1, q, STATES))
+    by, r = random.normal(size=(K - 1, q, m)), random.normal(size=(K - 1, q))
+    arrow.couple(r, left, right, by)
+    arrow.diagonal += np.eye(STATES)
+    arrow.believe(2.0 * np.eye(STATES + m), np.ones(STATES + m))
+    nodes, step = arrow.solve(0.0)
+    information, gradient = arrow.onto_last()
+    told = -np.linalg.solve(information, gradient)
+    np.testing.assert_allclose(told, np.concatenate([nodes[-1], step]), rtol=1e-9)
+    np.testing.assert_allclose(
+        np.linalg.inv(information)[STATES:, STATES:], np.linalg.inv(arrow.information()), rtol=1e-8
+    )

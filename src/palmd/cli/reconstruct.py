@@ -1,7 +1,8 @@
 """Reconstructs outline and motion from a whole event log or recorded run at once, offline: one JSON object.
 
 With -o FILE.svg, .dxf or .csv only the outline is written, with its band, in mm; `palmd export` draws it from
-RESULT.json too. Of a body between three palms, -o FILE.stl, .ply or .obj writes the surface, in mm.
+RESULT.json too. Of a body between three palms, -o FILE.stl, .ply or .obj writes the surface, in mm, --mesh FILE beside
+the result; a PLY is coloured by the band.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import working
 from palmd.record.meshfile import MESHES
 from palmd.record.outline_files import SUFFIXES
-from palmd.record.systems import NotYetError
+from palmd.record.systems import NotYetError, Reconstructed
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,6 +34,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="- for standard output; .svg, .dxf, .csv: the outline as a drawing or points, x and y in mm;"
         " .stl, .ply, .obj: the surface of a body in space, in mm",
     )
+    parser.add_argument(
+        "--mesh",
+        type=Path,
+        metavar="FILE",
+        help="write the surface of a body in space too: .stl, .ply (coloured by its band) or .obj, in mm",
+    )
     parser.add_argument("--seed", type=seed, default=0, metavar="N", help="of the blind start (default: %(default)s)")
     parser.add_argument(
         "--sides",
@@ -46,6 +53,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Writes nothing before the answer is there; CliError when the log cannot be used."""
     suffix = arguments.output.suffix.lower()
+    beside: Path | None = arguments.mesh
+    if beside is not None and beside.suffix.lower() not in MESHES:
+        raise CliError(BAD_INPUT, f"{beside}: a surface is {', '.join(MESHES)}; name it so")
     made = drawing(suffix) if suffix in SUFFIXES else None
     system, log = read_any(arguments.log, arguments.calibration_sd)
     try:
@@ -53,11 +63,8 @@ def run(arguments: argparse.Namespace) -> int:
             answer = system.reconstruct(log, arguments.seed, arguments.sides)
     except NotYetError as error:
         raise CliError(BAD_INPUT, f"{arguments.log}: --sides: {error}") from None
-    if (as_mesh := MESHES.get(suffix)) is not None:
-        if answer.mesh is None:
-            why = f"not converged: {answer.reason}" if answer.reason else "a body between two palms has an outline only"
-            raise CliError(BAD_INPUT, f"{arguments.log}: {why}: there is no surface to write")
-        write_drawing(answer.mesh, arguments.output, as_mesh, arguments.log)
+    if suffix in MESHES:
+        _write_mesh(answer, arguments.output, arguments.log)
     elif made is not None:
         if answer.curves is None:
             why = f"not converged: {answer.reason}: there is no outline to draw"
@@ -66,5 +73,15 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         with opened(arguments.output, arguments.log) as stream:
             stream.write(json.dumps(answer.line, allow_nan=False) + "\n")
+    if beside is not None:
+        _write_mesh(answer, beside, arguments.log)
     print(f"{arguments.log}: {answer.told}", file=sys.stderr)
     return 0
+
+
+def _write_mesh(answer: Reconstructed, target: Path, log: Path) -> None:
+    """CliError when there is no surface."""
+    if answer.mesh is None:
+        why = f"not converged: {answer.reason}" if answer.reason else "a body between two palms has an outline only"
+        raise CliError(BAD_INPUT, f"{log}: {why}: there is no surface to write")
+    write_drawing(answer.mesh, target, MESHES[target.suffix.lower()], log)

@@ -5,11 +5,16 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from palmd.cli.logs import read_any
 from palmd.cli.table import below, loaded
 from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.progress import working
+from palmd.record.run import is_recording
 from palmd.report import command
 
 PAPER = "paper"
+LOGS = (".jsonl",)
+BODIES = "three_palms"
 _LOGS = "event logs with their truth beside them (LOG without .jsonl, plus .truth.json); default: four simulated runs"
 
 
@@ -18,7 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "subject",
         metavar="RUN",
-        help=f"a recording; or the word {PAPER}: figures 3.6, 3.8 to 3.11 and 3.15 (for a recording of that name: "
+        help="a recording; an event log (.jsonl) of three palms, which is reconstructed for it; or the word "
+        f"{PAPER}: figures 3.6, 3.8 to 3.11 and 3.15 (for a recording of that name: "
         f"./{PAPER})",
     )
     parser.add_argument("logs", nargs="*", type=Path, default=[], metavar="LOG", help=f"for {PAPER}: {_LOGS}")
@@ -38,5 +44,13 @@ def run(arguments: argparse.Namespace) -> int:
         return status
     if arguments.logs:
         raise CliError(BAD_INPUT, f"{arguments.logs[0]}: one report is about one run; make another for this one")
-    recording = Path(arguments.subject)
-    return command.run(recording, arguments.output or Path(f"{recording.stem}.html"))
+    subject = Path(arguments.subject)
+    output: Path = arguments.output or Path(f"{subject.stem}.html")
+    if subject.suffix.lower() not in LOGS or is_recording(subject):
+        return command.run(subject, output)
+    system, log = read_any(subject)
+    if system.name != BODIES:
+        raise CliError(BAD_INPUT, f"{subject}: of an event log there is a report for {BODIES} only; record the run")
+    with working("reconstructing"):
+        answer = system.reconstruct(log, seed=0)
+    return command.run_body(subject, answer.line, answer.told, output)

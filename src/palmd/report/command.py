@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.extras import missing, only_without
@@ -12,30 +14,61 @@ from palmd.record.run import Run, RunError, read_run
 from palmd.report.series import Series, series_of
 from palmd.report.words import outcome
 
+if TYPE_CHECKING:
+    from palmd.report.sections import Report
+
 SUFFIXES = (".html", ".pdf")
 
 
 def run(recording: Path, output: Path) -> int:
     """Writes the report, prints the outcome; CliError when the run, the output or matplotlib is not there."""
-    if output.suffix.lower() not in SUFFIXES:
-        raise CliError(BAD_INPUT, f"{output}: a report is {' or '.join(SUFFIXES)}; name it so")
-    if not output.parent.is_dir():
-        raise CliError(BAD_INPUT, f"{output}: cannot be written: there is no folder {output.parent}")
+    _check(output)
     try:
         series = _read(read_run(recording))
     except RunError as error:
         raise CliError(BAD_INPUT, str(error)) from None
     except OSError as error:
         raise CliError(BAD_INPUT, f"{recording}: {error.strerror or error}") from None
-    if output.exists() and output.samefile(recording):
+
+    def made() -> Report:
+        from palmd.report import sections
+
+        return sections.report_of(series)
+
+    _write(made, recording, output)
+    print(f"{output}: {outcome(series)}")
+    return 0
+
+
+def run_body(source: Path, told: Mapping[str, Any], outcome: str, output: Path) -> int:
+    """The same of a body between three palms, from what `palmd reconstruct` tells of it; `source`: what it is from."""
+    _check(output)
+
+    def made() -> Report:
+        from palmd.report.body_report import body_report
+
+        return body_report(source.stem, told)
+
+    _write(made, source, output)
+    print(f"{output}: {outcome}")
+    return 0
+
+
+def _check(output: Path) -> None:
+    if output.suffix.lower() not in SUFFIXES:
+        raise CliError(BAD_INPUT, f"{output}: a report is {' or '.join(SUFFIXES)}; name it so")
+    if not output.parent.is_dir():
+        raise CliError(BAD_INPUT, f"{output}: cannot be written: there is no folder {output.parent}")
+
+
+def _write(made: Callable[[], Report], source: Path, output: Path) -> None:
+    if output.exists() and output.samefile(source):
         raise CliError(BAD_INPUT, f"{output}: is the run itself; write to another file")
-    report = _drawn(series, as_pdf=output.suffix.lower() == ".pdf")
+    report = _drawn(made, as_pdf=output.suffix.lower() == ".pdf")
     try:
         output.write_bytes(report)
     except OSError as error:
         raise CliError(BAD_INPUT, f"{output}: cannot be written: {error.strerror or error}") from None
-    print(f"{output}: {outcome(series)}")
-    return 0
 
 
 def _read(recorded: Run) -> Series:
@@ -44,13 +77,13 @@ def _read(recorded: Run) -> Series:
         return series_of(recorded, survey, progress.at)
 
 
-def _drawn(series: Series, *, as_pdf: bool) -> bytes:
+def _drawn(made: Callable[[], Report], *, as_pdf: bool) -> bytes:
     try:
-        from palmd.report import html, pdf, sections
+        from palmd.report import html, pdf
     except ModuleNotFoundError as error:
         only_without("matplotlib", error)
         raise missing("the report", "matplotlib", "report") from None
     logging.getLogger("fontTools").setLevel(logging.WARNING)  # tells of every glyph that it embeds
-    report = sections.report_of(series)
+    report = made()
     with Progress("drawing", report.plates, "figures") as progress:
         return pdf.as_pdf(report, progress.at) if as_pdf else html.as_html(report, progress.at).encode()

@@ -12,7 +12,7 @@ from palmd.observer.three_palms.path import joint_path
 from palmd.observer.three_palms.reconstruct import longest_stretch
 from palmd.observer.three_palms.record import PadReadings
 from palmd.record.logreader import LogError
-from palmd.record.meshfile import MESHES
+from palmd.record.meshfile import MESHES, Mesh, band_colours
 from palmd.record.systems import read_log_of_any
 from palmd.record.systems.three_palms import laid_out
 from palmd.rig.three_palms.simulate import header
@@ -109,6 +109,20 @@ def test_a_mesh_is_closed_and_faces_outwards():
     corners = points[triangles]
     volume = np.linalg.det(corners).sum() / 6
     assert 0.9 * 4 * np.pi / 3 < volume < 4 * np.pi / 3
-    sizes = {suffix: len(made((points, triangles))) for suffix, made in MESHES.items()}
+    sizes = {suffix: len(made(Mesh(points, triangles))) for suffix, made in MESHES.items()}
     assert sizes[".stl"] == 84 + 50 * len(triangles)
-    assert MESHES[".obj"]((points, triangles)).decode().count("\nf ") == len(triangles)
+    assert MESHES[".obj"](Mesh(points, triangles)).decode().count("\nf ") == len(triangles)
+
+
+def test_a_ply_is_coloured_by_the_band_where_it_was_touched():
+    points, triangles = icosphere(0)
+    sd, touched = np.full(len(points), 1e-5), np.arange(len(points)) % 2 == 0
+    sd[2] = 1e-3
+    lines = MESHES[".ply"](Mesh(0.02 * points, triangles, sd, touched)).decode().splitlines()
+    first = lines.index("end_header") + 1
+    vertices = [line.split() for line in lines[first : first + len(points)]]
+    assert [int(each) for each in vertices[0][3:6]] == band_colours(sd, touched)[0].tolist() == [68, 1, 84]
+    assert vertices[2][3:6] == ["253", "231", "37"]
+    assert vertices[1][3:6] == ["176"] * 3
+    assert [float(row[6]) for row in vertices[:3]] == [0.01, 0.01, 1.0]
+    np.testing.assert_allclose([[float(each) for each in row[:3]] for row in vertices], 20 * points, atol=1e-6)

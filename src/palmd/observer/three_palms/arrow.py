@@ -54,6 +54,27 @@ class Arrow:
         self.nodes_gradient[1:] += (right_t @ r[..., None])[..., 0]
         self._share(r, by)
 
+    def believe(self, information: FloatArray, gradient: FloatArray) -> None:
+        """Add a quadratic in the first node and the parameters: (6 + m, 6 + m) and its half gradient (6 + m,)."""
+        self.diagonal[0] += information[:STATES, :STATES]
+        self.border[0] += information[:STATES, STATES:]
+        self.corner += information[STATES:, STATES:]
+        self.nodes_gradient[0] += gradient[:STATES]
+        self.gradient += gradient[STATES:]
+
+    def onto_last(self) -> tuple[FloatArray, FloatArray]:
+        """The quadratic in the last node and the parameters alone that is left: (6 + m, 6 + m), half gradient."""
+        K, _, m = self.border.shape
+        border = np.zeros((K - 1, STATES, STATES + m))
+        border[-1, :, :STATES] = self.upper[-1]
+        border[:, :, STATES:] = self.border[:-1]
+        corner = np.empty((STATES + m, STATES + m))
+        corner[:STATES, :STATES], corner[:STATES, STATES:] = self.diagonal[-1], self.border[-1]
+        corner[STATES:, :STATES], corner[STATES:, STATES:] = self.border[-1].T, self.corner
+        gradient = np.concatenate([self.nodes_gradient[-1], self.gradient])
+        before = Arrow(self.diagonal[:-1], self.upper[:-1], border, corner, self.nodes_gradient[:-1], gradient)
+        return before.marginal()
+
     def _share(self, r: FloatArray, by: FloatArray) -> None:
         flat = by.reshape(-1, by.shape[-1])
         self.corner += flat.T @ flat
@@ -73,13 +94,18 @@ class Arrow:
         step = -linalg.cho_solve(linalg.cho_factor(schur, check_finite=False), self.gradient - across.T @ solved[:, m])
         return -(solved[:, m] + solved[:, :m] @ step).reshape(K, STATES), step
 
-    def information(self) -> FloatArray:
-        """Of the parameters, whatever the nodes are (m, m)."""
+    def marginal(self) -> tuple[FloatArray, FloatArray]:
+        """The quadratic in the parameters that is left, whatever the nodes are: (m, m), half gradient (m,)."""
         chain, corner = self._factor(0.0)
         K, _, m = self.border.shape
         across = self.border.reshape(K * STATES, m)
-        told: FloatArray = corner - across.T @ linalg.cho_solve_banded((chain, True), across, check_finite=False)
-        return told
+        solved = linalg.cho_solve_banded((chain, True), across, check_finite=False)
+        left = corner - across.T @ solved
+        return 0.5 * (left + left.T), self.gradient - solved.T @ self.nodes_gradient.reshape(-1)
+
+    def information(self) -> FloatArray:
+        """Of the parameters, whatever the nodes are (m, m)."""
+        return self.marginal()[0]
 
     def _factor(self, damping: float) -> tuple[FloatArray, FloatArray]:
         """(banded Cholesky factor of the chain, corner), both damped."""

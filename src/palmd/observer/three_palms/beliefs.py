@@ -60,13 +60,14 @@ def prior(radius: float, order: int, spin_sd: float) -> BodyPrior:
     mean[-2:] = MU, math.log(DITHER_M_S)
     body_sd = np.array([LAMBDA_SD] * 6 + [DAMPING_SD, MU_SD, LN_DITHER_SD])
     variance = np.concatenate([shape_variance(radius, order), body_sd**2])
-    return BodyPrior(mean, np.diag(1.0 / variance), np.zeros(3), spin_sd)
+    return BodyPrior.apart(mean, np.diag(1.0 / variance), np.zeros(3), spin_sd)
 
 
 def with_inertia(prior: BodyPrior, sd: float) -> BodyPrior:
     """The same belief, the inertia's λ taken to be known to `sd`."""
     information = prior.information.copy()
-    index = np.arange(len(prior.mean) - BODY, len(prior.mean) - BODY + 6)
+    first = len(information) - BODY
+    index = np.arange(first, first + 6)
     information[index, index] = sd**-2
     return replace(prior, information=information)
 
@@ -97,7 +98,7 @@ class Hypothesis:
 
 
 def hypotheses() -> Iterator[Hypothesis]:
-    """Those that are tried, the likelier first."""
-    for larger in (0.0, 0.12, -0.12):
-        for mu in (0.1, FRICTIONLESS):
+    """Those that are tried."""
+    for mu in (0.1, FRICTIONLESS):
+        for larger in (0.0, 0.16, -0.08, 0.24, -0.16, 0.08, -0.24):
             yield Hypothesis(larger, mu)

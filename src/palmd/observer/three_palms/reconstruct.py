@@ -15,11 +15,13 @@ from palmd.events import FloatArray
 from palmd.model.spherical import Y00, count, evaluator
 from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import beliefs
+from palmd.observer.three_palms.body import centres_of, inertia
 from palmd.observer.three_palms.driven import ContactCurves
+from palmd.observer.three_palms.growth import ORDER, Grown, best
 from palmd.observer.three_palms.icosphere import icosphere
 from palmd.observer.three_palms.path import JointPath
 from palmd.observer.three_palms.record import PadReadings
-from palmd.observer.three_palms.search import ORDER, Rival, Task, best, centres_of, inertia
+from palmd.observer.three_palms.search import Task
 from palmd.system.three_palms import PALMS, ThreePalmsRig
 
 LEAST_S = 2.5
@@ -38,8 +40,8 @@ class BodyReconstruction:
 
     directions (D, 3), triangles (F, 3) between them, h, h_sd, touched (D,); points: (D, 3) of the surface with these
     outward normals; coefficients: of h, as in `model.spherical`; inertia (3, 3) per unit mass; the trajectory t (K,),
-    R (K, 3, 3), omega (K, 3), centre (K, 3). The body's frame has its origin at the centre of mass, and R = 1 at the
-    first node. `reason`: why not, when not `converged`.
+    R (K, 3, 3), omega (K, 3), centre (K, 3), contacts (K, 3 palms, 3) on the body, in its own frame. That frame has
+    its origin at the centre of mass, and R = 1 at the first node. `reason`: why not, when not `converged`.
     """
 
     converged: bool
@@ -62,6 +64,7 @@ class BodyReconstruction:
     R: FloatArray
     omega: FloatArray
     centre: FloatArray
+    contacts: FloatArray
     seconds: float
 
 
@@ -96,10 +99,10 @@ def longest_stretch(path: JointPath, readings: PadReadings) -> tuple[float, floa
     return best_start, best_end
 
 
-def answer(task: Task, ended: Sequence[Rival], begun: float) -> BodyReconstruction:
+def answer(task: Task, ended: Sequence[Grown], begun: float) -> BodyReconstruction:
     """What the best of the rivals says, and whether it may be believed."""
     first = ended[0]
-    fit, record, p = first.fit, first.record, first.fit.motion.p
+    fit, record, p = first.whole, first.record, first.motion.p
     n = count(ORDER)
     directions, triangles = icosphere()
     rows, point_rows = evaluator(ORDER)(directions)
@@ -123,20 +126,21 @@ def answer(task: Task, ended: Sequence[Rival], begun: float) -> BodyReconstructi
         h=rows @ p[:n], h_sd=sd, touched=touched, points=point_rows @ p[:n], coefficients=p[:n],
         inertia=own, inertia_sd=own_sd, mu=float(p[-2]), mu_sd=float(np.sqrt(covariance[-2, -2])),
         mass=mass, mass_sd=mass_sd, t=record.t, R=R, omega=fit.motion.omega,
-        centre=centres_of(R, record.node_palms, p), seconds=time.perf_counter() - begun,
+        centre=centres_of(R, record.node_palms, p), contacts=(evaluator(ORDER)(felt)[1] @ p[:n]).reshape(-1, 3, 3),
+        seconds=time.perf_counter() - begun,
     )  # fmt: skip
 
 
-def doubt(task: Task, ended: Sequence[Rival], sd: FloatArray) -> str:
+def doubt(task: Task, ended: Sequence[Grown], sd: FloatArray) -> str:
     """Why the first of the rivals is not to be believed; empty if it is."""
     first = ended[0]
     if first.record.t[-1] < task.end - 0.1:
         return f"what explains the first readings fails after {first.record.t[-1] - task.start:.1f} s"
-    if first.fit.chi2 > MOST_CHI2:
+    if first.whole.chi2 > MOST_CHI2:
         return "the readings are not explained to their noise"
     if first.per_number > MOST_COST:
         return "no motion by the equations explains the readings"
-    if float(np.abs(first.fit.motion.p[-BODY:-3]).max()) > MOST_LAMBDA:
+    if float(np.abs(first.motion.p[-BODY:-3]).max()) > MOST_LAMBDA:
         return "only an inertia that no such body has explains the readings"
     if first.least_radius() <= 0.0:
         return "only a hollow body explains the readings"
@@ -145,14 +149,14 @@ def doubt(task: Task, ended: Sequence[Rival], sd: FloatArray) -> str:
     return ""
 
 
-def _mass(task: Task, rival: Rival) -> tuple[float, float]:
+def _mass(task: Task, rival: Grown) -> tuple[float, float]:
     """Mass and its one-sigma (kg) by the forces read, NaN without them."""
     record, readings = rival.record, rival.record.readings
     told = np.isfinite(readings.force)
     if not told.any():
         return math.nan, math.nan
     k, share, pad = record.interval[told], record.share[told], readings.pad[told]
-    force = rival.fit.force
+    force = rival.whole.force
     per_mass = (1 - share) * force[k, pad] + share * force[k + 1, pad]
     good = per_mass > 0.1
     ratio = readings.force[told][good] / per_mass[good]
@@ -176,5 +180,5 @@ def _nothing(reason: str, begun: float, chi2: float = math.nan) -> BodyReconstru
     none, nan = np.zeros((0, 3)), math.nan
     return BodyReconstruction(
         False, reason, chi2, *icosphere(), None, None, None, None, None, None, None, nan, nan, nan, nan,
-        np.zeros(0), np.zeros((0, 3, 3)), none, none, time.perf_counter() - begun,
+        np.zeros(0), np.zeros((0, 3, 3)), none, none, np.zeros((0, 3, 3)), time.perf_counter() - begun,
     )  # fmt: skip

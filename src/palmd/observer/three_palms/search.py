@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.model.spherical import Y00, count, evaluator
-from palmd.model.three_palms import BODY, MOMENT
+from palmd.model.spherical import Y00, count
 from palmd.observer.three_palms import beliefs, kernels
+from palmd.observer.three_palms.arrow import STATES
 from palmd.observer.three_palms.beliefs import Hypothesis
-from palmd.observer.three_palms.driven import BallBelief, ContactCurves, DrivenCourse, ball_of, course
+from palmd.observer.three_palms.driven import ContactCurves, DrivenCourse, ball_of, course
 from palmd.observer.three_palms.kernels import by_columns
 from palmd.observer.three_palms.path import JointPath
 from palmd.observer.three_palms.record import BodyRecord, PadReadings, lay_out
@@ -20,26 +21,17 @@ from palmd.observer.three_palms.smoother import BodyFit, BodyMotion, BodyPrior, 
 from palmd.system.three_palms import PALMS, ThreePalmsRig
 
 START_ORDER = 6
-ORDER = 8
-STARTS_S = (2.0, 3.0)
 SPACING_S = 0.02
 LOOSE = ((1.0, 0.1, 1e-5), (0.03, 0.03, 1e-6))
 """Strengths of the noise that a start is smoothed with first: of spin, by spin, of turn."""
 STIFF = 0.05  # one-sigma of λ meanwhile, lest the inertia explains what the motion does not yet
 ROUGH_M = 5e-4  # what readings may miss a first outline by
-KEPT = 2  # rivals that are grown
-GROWTH = 0.5
-CURVATURE_EVERY = 5  # contacts
-LONGEST_STEP_S = 4.0
-SHORTEST_STEP_S = 0.2
 STILL_RAD_S, STILL_RAD = 0.04, 1e-3  # of the joints, below which a body that rested still rests
 LEAST_REST_S, LONGEST_REST_S = 0.12, 1.0
-TURN_A_STEP = 1.5  # rad
-SHARES = (1.0, 0.3)  # of the usual growth, which are tried
-FOLLOWED = 1.15  # cost per number read, below which a rival has followed
-LOST = 1.6  # cost per number read, above which a rival is given up
-HOPELESS = 2.5  # above which a start is not followed at all
-SURE = 1.1  # below which no other start is asked for
+HOPELESS = 2.5  # cost per number read above which a start is not followed at all
+EXPLAINED = 1.1  # cost per number read, below which two starts that have met are enough
+SAME_COST = 2.0
+WORTHLESS = 3.0  # times the cheapest, beyond which a start is dropped on the way
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +47,11 @@ class Task:
 
     def record(self, seconds: float) -> BodyRecord:
         """The first `seconds`."""
-        intervals = max(round(min(seconds, self.end - self.start) / SPACING_S - 0.5), 1)
-        return lay_out(self.path, self.readings, self.start, intervals, SPACING_S)
+        return lay_out(self.path, self.readings, self.start, self.intervals(seconds), SPACING_S)
+
+    def intervals(self, seconds: float) -> int:
+        """How many whole ones there are in the first `seconds`."""
+        return max(round(min(seconds, self.end - self.start) / SPACING_S - 0.5), 1)
 
     @property
     def rest(self) -> int:
@@ -90,182 +85,96 @@ class Task:
         """Whether a record goes as far as there is anything."""
         return bool(record.t[-1] > self.end - 2 * SPACING_S)
 
-    def rank(self, rival: Rival) -> tuple[float, float]:
-        """What rivals are sorted by."""
-        return -float(rival.record.t[-1]), rival.fit.cost
+    def fitted(
+        self,
+        record: BodyRecord,
+        prior: BodyPrior,
+        strengths: tuple[float, float, float] | None,
+        motion: BodyMotion,
+        iterations: int,
+    ) -> BodyFit:
+        """The fit from `motion`, the equations held loosely by these strengths, or as they are."""
+        noise = self.noise if strengths is None else _loosened(self.noise, strengths)
+        return BodySmoother(record, prior, noise, self.rig.gravity).fit(motion, iterations)
 
 
 @dataclass(frozen=True, slots=True)
 class Rival:
-    """A hypothesis, what is believed with it, and the fit that it led to in `record`."""
+    """A hypothesis, the radius of a ball through the contacts, and the fit that it led to in `record`.
+
+    met: how many starts led to the same.
+    """
 
     hypothesis: Hypothesis
     radius: float
     record: BodyRecord
     fit: BodyFit
+    met: int = 1
 
     @property
     def per_number(self) -> float:
         """Cost per number read."""
         return self.fit.cost / (2 * len(self.record.readings.t))
 
-    def least_radius(self) -> float:
-        """The smallest radius of curvature where a palm has touched (m); not more than 0 where the body is hollow."""
-        R, p = self.fit.motion.R, self.fit.motion.p
-        normals = self.record.node_palms[:, :9].reshape(-1, 3, 3)
-        u = -np.einsum("tji,tnj->tni", R, normals).reshape(-1, 3)[::CURVATURE_EVERY]
-        return float(curvatures(p[: len(p) - BODY], u).min())
-
 
 def rivals(task: Task, seconds: float) -> list[Rival]:
-    """What each hypothesis leads to in the first `seconds`, the cheapest first."""
+    """What the starts lead to in the first `seconds`, the cheapest first, each but once.
+
+    The likelier of them by what the contacts tell come first, and as soon as two meet in what explains the readings, no
+    other is tried.
+    """
     record = task.record(seconds)
     given = task.contacts.at(task.path, record.t)
     centres, radii = ball_of(given[:, :9].reshape(-1, 3, 3), record.node_palms[:, :9].reshape(-1, 3, 3))
     radius = float(np.median(radii))
-    found = []
+    prior = beliefs.prior(radius, START_ORDER, task.spin_sd)
+    stiff = beliefs.with_inertia(prior, STIFF)
+    courses = []
     for hypothesis in beliefs.hypotheses():
         belief = hypothesis.belief(radius, centres[0], task.spin_sd, task.rest)
         driven = course(task.path, task.contacts, record.start, len(record.t) - 1, SPACING_S, belief, task.rig.gravity)
-        own = radius * (1.0 + hypothesis.larger)
-        prior = beliefs.prior(own, START_ORDER, task.spin_sd)
-        motion = first_motion(record, driven, prior)
-        stiff = beliefs.with_inertia(prior, STIFF)
-        for strengths in LOOSE:
-            noise = _loosened(task.noise, strengths)
-            motion = BodySmoother(record, stiff, noise, task.rig.gravity).fit(motion, 20).motion
-        fit = BodySmoother(record, prior, task.noise, task.rig.gravity).fit(motion, 25)
-        found.append(Rival(hypothesis, own, record, fit))
-    return sorted(found, key=lambda each: each.fit.cost)
+        courses.append((driven, hypothesis))
+    courses.sort(key=lambda each: each[0].cost)
+    found: list[Rival] = []
+    for driven, hypothesis in courses:
+        motion = first_motion(record, driven, prior, radius * (1.0 + hypothesis.larger))
+        fit = task.fitted(record, stiff, LOOSE[0], motion, 20)
+        found = met([*found, Rival(hypothesis, radius, record, fit)])
+        if found[0].met > 1 and found[0].per_number < EXPLAINED:
+            break
+    found = [each for each in found if each.per_number < max(WORTHLESS * found[0].per_number, HOPELESS)]
+    for believed, strengths in ((stiff, LOOSE[1]), (prior, None)):
+        found = [replace(each, fit=task.fitted(record, believed, strengths, each.fit.motion, 25)) for each in found]
+    return met(found)
 
 
-def first_motion(record: BodyRecord, driven: DrivenCourse, prior: BodyPrior) -> BodyMotion:
-    """The course with the outline that fits it best, by linear least squares."""
+def met(found: Sequence[Rival]) -> list[Rival]:
+    """The rivals, the cheapest first, those that have met in the same cost as one."""
+    kept: list[Rival] = []
+    for each in sorted(found, key=lambda each: each.fit.cost):
+        if kept and each.fit.cost - kept[-1].fit.cost < SAME_COST:
+            kept[-1] = replace(kept[-1], met=kept[-1].met + each.met)
+        else:
+            kept.append(each)
+    return kept
+
+
+def first_motion(record: BodyRecord, driven: DrivenCourse, prior: BodyPrior, radius: float) -> BodyMotion:
+    """The course with the outline that fits it best, by linear least squares, begun with a ball of this radius (m)."""
     R, omega = driven.rotations(), driven.omega
     p = prior.mean.copy()
+    p[0] = radius / Y00
     order = int(math.sqrt(len(p) - 9)) - 1
     n = count(order)
     p[-3], p[-2], p[-1] = driven.constants[1], math.exp(driven.constants[2]), driven.constants[3]
     turned = at_readings(record, R, omega)
     rows = kernels.reading(order)((by_columns(turned), record.geometry), (np.zeros(n),))[2].reshape(-1, n) / ROUGH_M
-    believed = prior.information[:n, :n]
-    sides = rows.T @ (record.readings.value.reshape(-1) / ROUGH_M) + believed @ prior.mean[:n]
+    believed = prior.information[STATES : STATES + n, STATES : STATES + n]
+    sides = rows.T @ (record.readings.value.reshape(-1) / ROUGH_M) + believed @ p[:n]
     p[:n] = np.linalg.solve(rows.T @ rows + believed, sides)
     return BodyMotion(R, omega, p)
-
-
-def grown(task: Task, rival: Rival) -> Rival:
-    """The rival followed to the end of the record, or to where it is lost."""
-    prior = beliefs.prior(rival.radius, ORDER, task.spin_sd)
-    motion = replace(rival.fit.motion, p=beliefs.raised(rival.fit.motion.p, ORDER))
-    record = rival.record
-    fit = BodySmoother(record, prior, task.noise, task.rig.gravity).fit(motion, 15)
-    now = Rival(rival.hypothesis, rival.radius, record, fit)
-    total = len(task.record(task.end - task.start).t)
-    while len(now.record.t) < total and now.per_number < LOST:
-        now = _followed(task, now, prior, total)
-    return now
-
-
-def _followed(task: Task, now: Rival, prior: BodyPrior, total: int) -> Rival:
-    """The rival on a longer record: by as much as it can follow, or by the least, lost."""
-    longer = now
-    for share in SHARES:
-        record, motion = _further(task, now, total, share)
-        for noise, iterations in ((_loosened(task.noise, LOOSE[-1]), 6), (task.noise, 20)):
-            fit = BodySmoother(record, prior, noise, task.rig.gravity).fit(motion, iterations)
-            motion = fit.motion
-        longer = Rival(now.hypothesis, now.radius, record, fit)
-        if longer.per_number < max(FOLLOWED, 1.1 * now.per_number):
-            break
-    return longer
 
 
 def _loosened(noise: Noise, strengths: tuple[float, float, float]) -> Noise:
     spin, by_spin, turn = strengths
     return replace(noise, spin=spin, by_spin=by_spin, turn=turn)
-
-
-def _further(task: Task, now: Rival, total: int, share: float) -> tuple[BodyRecord, BodyMotion]:
-    """A longer record, and the motion carried on in it as the contacts tell."""
-    motion, record = now.fit.motion, now.record
-    have = len(record.t) - 1
-    wanted = share * min(GROWTH * have * SPACING_S, LONGEST_STEP_S)
-    more = min(max(round(wanted / SPACING_S), 1), total - 1 - have)
-    p = motion.p
-    radius = Y00 * p[0]
-    centre = _centre(motion, record)
-    belief = BallBelief(
-        np.array([math.log(_gyration(p)), p[-3], math.log(max(p[-2], beliefs.FRICTIONLESS)), p[-1], radius]),
-        np.array([0.02, 1e-6, 0.02, 0.02, 0.02 * radius]),
-        np.concatenate([centre, motion.omega[-1]]),
-        np.array([1e-4] * 3 + [0.05] * 3),
-    )
-    driven = course(task.path, task.contacts, float(record.t[-1]), more, SPACING_S, belief, task.rig.gravity)
-    turned = np.cumsum(np.linalg.norm(driven.omega, axis=1)) * SPACING_S
-    within = int(np.searchsorted(turned, share * TURN_A_STEP))
-    more = min(more, max(within, round(share * SHORTEST_STEP_S / SPACING_S)))
-    R = driven.rotations(motion.R[-1])[1 : more + 1]
-    longer = lay_out(task.path, task.readings, task.start, have + more, SPACING_S)
-    return longer, BodyMotion(
-        np.concatenate([motion.R, R]), np.concatenate([motion.omega, driven.omega[1 : more + 1]]), p
-    )
-
-
-def _gyration(p: FloatArray) -> float:
-    """Radius of gyration about a mean axis (m)."""
-    return float(np.sqrt(np.trace(inertia(p)) / 3))
-
-
-def inertia(p: FloatArray) -> FloatArray:
-    """(3, 3) in the body's frame, per unit mass (m²)."""
-    L = np.zeros((3, 3))
-    L[np.tril_indices(3)] = p[-9:-3]
-    L[np.diag_indices(3)] = np.exp(np.diagonal(L))
-    root = MOMENT * Y00 * p[0] * L
-    moment = root @ root.T
-    about: FloatArray = np.asarray(np.trace(moment) * np.eye(3) - moment, np.float64)
-    return about
-
-
-def _centre(motion: BodyMotion, record: BodyRecord) -> FloatArray:
-    """Of mass at the last node (m, world)."""
-    centre: FloatArray = centres_of(motion.R[-1:], record.node_palms[-1:], motion.p)[0]
-    return centre
-
-
-def centres_of(R: FloatArray, palms: FloatArray, p: FloatArray) -> FloatArray:
-    """(T, 3) centres of mass (m, world) for rotations (T, 3, 3) between palms (T, 36)."""
-    normals = palms[:, :9].reshape(-1, 3, 3)
-    u = -np.einsum("tji,tnj->tni", R, normals)
-    n = len(p) - 9
-    h = (evaluator(math.isqrt(n) - 1)(u.reshape(-1, 3))[0] @ p[:n]).reshape(-1, 3)
-    return np.asarray(np.linalg.solve(normals, h[..., None])[..., 0])
-
-
-def curvatures(c: FloatArray, u: FloatArray) -> FloatArray:
-    """(T, 2) radii of curvature (m), the smaller first, at outward unit normals (T, 3)."""
-    order = math.isqrt(len(c)) - 1
-    one = np.cross(u, np.eye(3)[np.abs(u).argmin(axis=1)])
-    one /= np.linalg.norm(one, axis=1)[:, None]
-    axes = np.stack([one, np.cross(u, one)], axis=1)
-    step = 1e-4
-    bend = np.empty((len(u), 2, 2))
-    for k in range(2):
-        ahead, behind = (u + sign * step * axes[:, k] for sign in (1.0, -1.0))
-        ahead, behind = (each / np.linalg.norm(each, axis=1)[:, None] for each in (ahead, behind))
-        slope = (evaluator(order)(ahead)[1] @ c - evaluator(order)(behind)[1] @ c) / (2 * step)
-        bend[:, k] = np.einsum("tki,ti->tk", axes, slope)
-    return np.asarray(np.linalg.eigvalsh(0.5 * (bend + bend.transpose(0, 2, 1))))
-
-
-def best(task: Task) -> list[Rival]:
-    """Rivals followed to the end or to where they are lost: who got furthest first, then the cheapest."""
-    ended: list[Rival] = []
-    for seconds in STARTS_S:
-        found = [each for each in rivals(task, seconds)[:KEPT] if each.per_number < HOPELESS]
-        for each in found:
-            ended.append(grown(task, each))
-            if ended[-1].per_number < SURE and task.reaches_end(ended[-1].record):
-                return sorted(ended, key=task.rank)
-    return sorted(ended, key=task.rank)

@@ -15,26 +15,36 @@ from palmd.events import FloatArray
 from palmd.model.spherical import count
 from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import kernels, rotation
-from palmd.observer.three_palms.arrow import Arrow
+from palmd.observer.three_palms.arrow import STATES, Arrow
 from palmd.observer.three_palms.kernels import by_columns
 from palmd.observer.three_palms.record import BodyRecord
 
 LARGEST_TURN = 0.5  # of a node in one step (rad)
 SETTLED = 3e-4  # decrease of the cost, as a share of it, below which an iteration is taken to be the last
 GIVE_UP = 1e6  # damping beyond which no step helps
+GAUGE = 1e12  # information that holds a rotation (1/rad²)
 
 
 @dataclass(frozen=True, slots=True)
 class BodyPrior:
-    """What is believed beforehand: of the parameters, mean (m,) and information (m, m); of the first node's spin.
+    """What is believed beforehand of the first node's rotation R and spin (rad/s) and of the parameters, all at once.
 
-    spin, spin_sd: rad/s. The first node's rotation is the gauge and stays what it is.
+    mean: (m,) of the parameters. information: (6 + m, 6 + m), of the turn from R, the spin and the parameters.
     """
 
+    R: FloatArray
+    spin: FloatArray
     mean: FloatArray
     information: FloatArray
-    spin: FloatArray
-    spin_sd: float
+
+    @classmethod
+    def apart(cls, mean: FloatArray, information: FloatArray, spin: FloatArray, spin_sd: float) -> BodyPrior:
+        """Parameters and spin apart from each other; the first node's rotation is the gauge, 1, and stays so."""
+        whole = np.zeros((STATES + len(mean),) * 2)
+        whole[:3, :3] = GAUGE * np.eye(3)
+        whole[3:6, 3:6] = np.eye(3) / spin_sd**2
+        whole[STATES:, STATES:] = information
+        return cls(np.eye(3), spin, mean, whole)
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,15 +172,9 @@ class BodySmoother:
         residual = self._read(motion, phi, ending, r, left, right, by)
         arrow = Arrow.empty(K + 1, m)
         arrow.couple(r, left, right, by)
-        off = p - prior.mean
-        arrow.corner += prior.information
-        arrow.gradient += prior.information @ off
-        arrow.diagonal[0, :3, :3] += 1e12 * np.eye(3)
-        arrow.diagonal[0, 3:, 3:] += np.eye(3) / prior.spin_sd**2
-        arrow.nodes_gradient[0, 3:] += (omega[0] - prior.spin) / prior.spin_sd**2
-        cost = float(
-            (r**2).sum() + off @ prior.information @ off + ((omega[0] - prior.spin) ** 2).sum() / prior.spin_sd**2
-        )
+        off = np.concatenate([rotation.log(R[0] @ prior.R.T), omega[0] - prior.spin, p - prior.mean])
+        arrow.believe(prior.information, prior.information @ off)
+        cost = float((r**2).sum() + off @ prior.information @ off)
         chi2 = float((residual**2).mean()) / noise.reading**2
         return BodyFit(motion, cost, chi2, force, arrow, residual, 0)
 
@@ -220,3 +224,12 @@ class BodySmoother:
                 if damping > GIVE_UP:
                     break
         return best
+
+    def ahead(self, fit: BodyFit) -> BodyPrior:
+        """What `fit` says of the last node and the parameters: the belief that a record from there on begins with."""
+        information, gradient = fit.arrow.onto_last()
+        off: FloatArray = np.asarray(-np.linalg.solve(information, gradient), np.float64)
+        motion = fit.motion
+        return BodyPrior(
+            rotation.exp(off[:3]) @ motion.R[-1], motion.omega[-1] + off[3:STATES], motion.p + off[STATES:], information
+        )

@@ -17,6 +17,7 @@ from palmd.observer.three_palms.record import PadReadings
 from palmd.observer.three_palms.rotation import quaternions
 from palmd.outlinefile import Outline
 from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
+from palmd.record.meshfile import Mesh
 from palmd.record.replay import Said
 from palmd.record.systems import NotYetError, Reconstructed
 from palmd.system.three_palms import JOINTS, MECHANISM, PALMS, PadPlane, ThreePalmsRig
@@ -111,7 +112,11 @@ class ThreePalms:
             return Reconstructed({"converged": False, "reason": reason}, f"not converged: {reason}", None, reason)
         answer = reconstruct(joints, readings, log.rig)
         told = summary(answer) if answer.converged else f"not converged: {answer.reason}"
-        mesh = (answer.points, answer.triangles) if answer.converged and answer.points is not None else None
+        mesh = (
+            Mesh(answer.points, answer.triangles, answer.h_sd, answer.touched)
+            if answer.converged and answer.points is not None
+            else None
+        )
         return Reconstructed(as_line(answer), told, None, answer.reason, mesh)
 
     def tick_count(self, log: ThreePalmsLog) -> int:
@@ -180,6 +185,7 @@ def as_line(answer: BodyReconstruction) -> Line:
             "quat_xyzw": quaternions(answer.R).tolist(),
             "omega_rad_s": answer.omega.tolist(),
             "com_m": answer.centre.tolist(),
+            "contacts_body_m": answer.contacts.tolist(),
         } if shape else None,
         "seconds": answer.seconds,
     }  # fmt: skip

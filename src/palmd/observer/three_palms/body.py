@@ -1,0 +1,47 @@
+"""What follows from a body's parameters: its inertia, where its centre of mass is between the palms, its curvature."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.model.spherical import Y00, evaluator
+from palmd.model.three_palms import MOMENT
+
+
+def inertia(p: FloatArray) -> FloatArray:
+    """(3, 3) in the body's frame, per unit mass (m²)."""
+    L = np.zeros((3, 3))
+    L[np.tril_indices(3)] = p[-9:-3]
+    L[np.diag_indices(3)] = np.exp(np.diagonal(L))
+    root = MOMENT * Y00 * p[0] * L
+    moment = root @ root.T
+    about: FloatArray = np.asarray(np.trace(moment) * np.eye(3) - moment, np.float64)
+    return about
+
+
+def centres_of(R: FloatArray, palms: FloatArray, p: FloatArray) -> FloatArray:
+    """(T, 3) centres of mass (m, world) for rotations (T, 3, 3) between palms (T, 36)."""
+    normals = palms[:, :9].reshape(-1, 3, 3)
+    u = -np.einsum("tji,tnj->tni", R, normals)
+    n = len(p) - 9
+    h = (evaluator(math.isqrt(n) - 1)(u.reshape(-1, 3))[0] @ p[:n]).reshape(-1, 3)
+    return np.asarray(np.linalg.solve(normals, h[..., None])[..., 0])
+
+
+def curvatures(c: FloatArray, u: FloatArray) -> FloatArray:
+    """(T, 2) radii of curvature (m), the smaller first, at outward unit normals (T, 3)."""
+    order = math.isqrt(len(c)) - 1
+    one = np.cross(u, np.eye(3)[np.abs(u).argmin(axis=1)])
+    one /= np.linalg.norm(one, axis=1)[:, None]
+    axes = np.stack([one, np.cross(u, one)], axis=1)
+    step = 1e-4
+    bend = np.empty((len(u), 2, 2))
+    for k in range(2):
+        ahead, behind = (u + sign * step * axes[:, k] for sign in (1.0, -1.0))
+        ahead, behind = (each / np.linalg.norm(each, axis=1)[:, None] for each in (ahead, behind))
+        slope = (evaluator(order)(ahead)[1] @ c - evaluator(order)(behind)[1] @ c) / (2 * step)
+        bend[:, k] = np.einsum("tki,ti->tk", axes, slope)
+    return np.asarray(np.linalg.eigvalsh(0.5 * (bend + bend.transpose(0, 2, 1))))

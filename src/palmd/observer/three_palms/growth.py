@@ -1,0 +1,218 @@
+"""A rival carried on along a record, window by window: what is behind is a belief about its last node and the body.
+
+A window is fitted under that belief alone, so that going on costs by the window and not by the record. What it costs
+per number read is how badly the body foretold it, what was never touched allowed for by the belief itself. Now and then
+all of it is smoothed as a whole, and the belief is made anew.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.model.spherical import Y00
+from palmd.model.three_palms import BODY
+from palmd.observer.three_palms import beliefs
+from palmd.observer.three_palms.body import centres_of, curvatures, inertia
+from palmd.observer.three_palms.driven import BallBelief, course
+from palmd.observer.three_palms.record import BodyRecord, lay_out
+from palmd.observer.three_palms.search import HOPELESS, SPACING_S, Rival, Task, rivals
+from palmd.observer.three_palms.smoother import BodyFit, BodyMotion, BodyPrior, BodySmoother
+
+ORDER = 8
+STARTS_S = (2.0, 3.0)
+LAP_S = 1.5
+"""After how long a time rivals are compared."""
+BEHIND = 40.0  # in cost, of the cheapest, where a rival is given up
+SAME_COST, SAME_RAD_S = 3.0, 0.02
+SURE = 1.12  # cost per number read, below which no other start is asked for
+CURVATURE_EVERY = 5  # contacts
+WINDOWS_S = (0.5, 0.2, 0.1)
+"""How far it goes on at once; shorter where it is foretold badly."""
+TURN_A_WINDOW = 1.0  # rad
+FORETOLD = 1.35
+"""Cost per number read of a window, above which it is tried again, shorter and from all of it smoothed."""
+LATELY_S, LOST = 1.0, 2.5
+"""A rival is lost where so long a time cost that much per number read."""
+AGAIN, AGAIN_WHEN_SURPRISED = 1.6, 1.15
+"""By which factor a record has grown when all of it is smoothed again."""
+
+
+@dataclass(frozen=True, slots=True)
+class Grown:
+    """A rival as far as it has come: its motion at all nodes of `record`, what is believed of the last, what it cost.
+
+    whole: the last fit of all until then. windows: of each since the start, its intervals and its cost per number read.
+    met: how many starts led to it.
+    """
+
+    rival: Rival
+    prior: BodyPrior
+    record: BodyRecord
+    motion: BodyMotion
+    ahead: BodyPrior
+    cost: float
+    whole: BodyFit
+    windows: tuple[tuple[int, float], ...] = ()
+    met: int = 1
+
+    @property
+    def intervals(self) -> int:
+        """How far it has come."""
+        return len(self.record.middle_palms)
+
+    @property
+    def per_number(self) -> float:
+        """Cost per number read."""
+        return self.cost / (2 * len(self.record.readings.t))
+
+    @property
+    def since_whole(self) -> float:
+        """By which factor the record has grown since all of it was fitted."""
+        return self.intervals / (len(self.whole.motion.R) - 1)
+
+    @property
+    def surprise(self) -> float:
+        """What the last window cost per number read."""
+        return self.windows[-1][1] if self.windows else 0.0
+
+    @property
+    def lost(self) -> bool:
+        """Whether what it foretells has nothing to do with what is read any more."""
+        length, cost = 0, 0.0
+        for intervals, surprise in reversed(self.windows):
+            length, cost = length + intervals, cost + intervals * surprise
+            if length >= LATELY_S / SPACING_S:
+                return cost > LOST * length
+        return False
+
+    def least_radius(self) -> float:
+        """The smallest radius of curvature where a palm has touched (m); not more than 0 where the body is hollow."""
+        R, p = self.motion.R, self.motion.p
+        normals = self.record.node_palms[:, :9].reshape(-1, 3, 3)
+        u = -np.einsum("tji,tnj->tni", R, normals).reshape(-1, 3)[::CURVATURE_EVERY]
+        return float(curvatures(p[: len(p) - BODY], u).min())
+
+    def same_as(self, other: Grown) -> bool:
+        """Whether both have come to the same motion of the same body."""
+        off = np.abs(self.motion.omega[-1] - other.motion.omega[-1]).max()
+        return bool(off < SAME_RAD_S and abs(self.cost - other.cost) < SAME_COST)
+
+
+def best(task: Task) -> list[Grown]:
+    """Rivals followed to the end or to where they are lost: who got furthest first, then the cheapest."""
+    ended: list[Grown] = []
+    for seconds in STARTS_S:
+        found = [each for each in rivals(task, seconds) if each.per_number < HOPELESS]
+        ended += raced(task, [begun(task, each) for each in found])
+        ended.sort(key=lambda each: (-each.intervals, each.cost))
+        if ended and ended[0].per_number < SURE and ended[0].intervals == task.intervals(task.end - task.start):
+            break
+    if ended and ended[0].lost:
+        ended[0] = smoothed(task, ended[0])
+    return ended
+
+
+def raced(task: Task, running: list[Grown]) -> list[Grown]:
+    """All of them followed side by side: who falls behind in cost is given up, who meets another goes on as one."""
+    end = task.intervals(task.end - task.start)
+    ended: list[Grown] = []
+    while running:
+        reached = max(each.intervals for each in running)
+        if reached == end:
+            break
+        until = min(reached + round(LAP_S / SPACING_S), end) if len(running) > 1 else end
+        running = [advanced(task, each, until) for each in running]
+        ended += [each for each in running if each.lost]
+        running = _apart(sorted((each for each in running if not each.lost), key=lambda each: each.cost))
+        ended += [each for each in running if each.cost > running[0].cost + BEHIND]
+        running = [each for each in running if each.cost <= running[0].cost + BEHIND]
+    return ended + _apart([smoothed(task, each, 15) for each in running])
+
+
+def _apart(rivals: list[Grown]) -> list[Grown]:
+    """Those that have met as one, in their order."""
+    kept: list[Grown] = []
+    for each in rivals:
+        twin = next((i for i, other in enumerate(kept) if each.same_as(other)), None)
+        if twin is None:
+            kept.append(each)
+        else:
+            kept[twin] = replace(kept[twin], met=kept[twin].met + each.met)
+    return kept
+
+
+def begun(task: Task, rival: Rival) -> Grown:
+    """The rival with an outline up to degree `ORDER`."""
+    prior = beliefs.prior(rival.radius, ORDER, task.spin_sd)
+    motion = replace(rival.fit.motion, p=beliefs.raised(rival.fit.motion.p, ORDER))
+    return smoothed(
+        task, Grown(rival, prior, rival.record, motion, prior, rival.fit.cost, rival.fit, met=rival.met), 15
+    )
+
+
+def smoothed(task: Task, now: Grown, iterations: int = 8) -> Grown:
+    """All of it fitted as a whole."""
+    smoother = BodySmoother(now.record, now.prior, task.noise, task.rig.gravity)
+    fit = smoother.fit(now.motion, iterations)
+    return replace(now, motion=fit.motion, ahead=smoother.ahead(fit), cost=fit.cost, whole=fit)
+
+
+def advanced(task: Task, now: Grown, until: int) -> Grown:
+    """The rival followed to so many intervals, or to where it is lost."""
+    while now.intervals < until and not now.lost:
+        if now.since_whole > AGAIN:
+            now = smoothed(task, now)
+        further = _window(task, now, WINDOWS_S[0], until)
+        if further.surprise > FORETOLD:
+            if now.since_whole > AGAIN_WHEN_SURPRISED:
+                now = smoothed(task, now)
+            for seconds in WINDOWS_S[1:]:
+                further = _window(task, now, seconds, until)
+                if further.surprise < FORETOLD:
+                    break
+        now = further
+    return now
+
+
+def _window(task: Task, now: Grown, seconds: float, until: int) -> Grown:
+    """One window further."""
+    have = now.intervals
+    more = min(max(round(seconds / SPACING_S), 1), until - have)
+    start = task.start + have * SPACING_S
+    motion = _guess(task, now, start, more)
+    more = len(motion.R) - 1
+    record = lay_out(task.path, task.readings, start, more, SPACING_S)
+    smoother = BodySmoother(record, now.ahead, task.noise, task.rig.gravity)
+    fit = smoother.fit(motion, 15)
+    whole = lay_out(task.path, task.readings, task.start, have + more, SPACING_S)
+    joined = BodyMotion(
+        np.concatenate([now.motion.R[:-1], fit.motion.R]),
+        np.concatenate([now.motion.omega[:-1], fit.motion.omega]),
+        fit.motion.p,
+    )
+    numbers = max(2 * len(record.readings.t), 1)
+    return replace(
+        now, record=whole, motion=joined, ahead=smoother.ahead(fit), cost=now.cost + fit.cost,
+        windows=(*now.windows, (more, fit.cost / numbers)),
+    )  # fmt: skip
+
+
+def _guess(task: Task, now: Grown, start: float, more: int) -> BodyMotion:
+    """The motion carried on as the contacts tell, over `more` intervals or until it has turned enough."""
+    R, omega, p = now.ahead.R, now.ahead.spin, now.ahead.mean
+    radius, gyration = Y00 * p[0], float(np.sqrt(np.trace(inertia(p)) / 3))
+    belief = BallBelief(
+        np.array([math.log(gyration), p[-3], math.log(max(p[-2], beliefs.FRICTIONLESS)), p[-1], radius]),
+        np.array([0.02, 1e-6, 0.02, 0.02, 0.02 * radius]),
+        np.concatenate([centres_of(R[None], now.record.node_palms[-1:], p)[0], omega]),
+        np.array([1e-4] * 3 + [0.05] * 3),
+    )
+    driven = course(task.path, task.contacts, start, more, SPACING_S, belief, task.rig.gravity)
+    turned: FloatArray = np.cumsum(np.linalg.norm(driven.omega, axis=1)) * SPACING_S
+    within = max(int(np.searchsorted(turned, TURN_A_WINDOW)), round(WINDOWS_S[-1] / SPACING_S))
+    more = min(more, within)
+    return BodyMotion(driven.rotations(R)[: more + 1], driven.omega[: more + 1], p)
