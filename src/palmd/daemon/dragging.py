@@ -38,11 +38,6 @@ class Dragging:
         return self._exploration
 
     @property
-    def lifting(self) -> bool:
-        """Whether the body is off the pad because it shall be, or an exploration sees to it that it comes back."""
-        return self._exploration is not None
-
-    @property
     def reason(self) -> str:
         """Why the present exploration, or the last one, is where it is."""
         return self._reason

@@ -4,7 +4,7 @@
 
 Numbers are little-endian. `length` counts what follows it. Where FF FF FD would stand between the length and the CRC,
 an FD is put behind it (stuffing), so that a header is nowhere but at the start of a packet. A servo's answer has the
-instruction 55 and its first parameter is an error; that of a fast sync read is one packet of all servos, unstuffed.
+instruction 55 and its first parameter is an error.
 Everything here is pure and safe inside the 100 Hz loop. Source: ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0 and X series.
 """
 
@@ -38,7 +38,6 @@ class Instruction(IntEnum):
     STATUS = 0x55
     SYNC_READ = 0x82
     SYNC_WRITE = 0x83
-    FAST_SYNC_READ = 0x8A
 
 
 class Register(NamedTuple):
@@ -185,10 +184,9 @@ def sync_write(register: Register, values: Mapping[int, int]) -> bytes:
     return encode(BROADCAST, Instruction.SYNC_WRITE, struct.pack("<HH", register.address, register.size) + data)
 
 
-def sync_read(address: int, size: int, servos: Iterable[int], *, fast: bool = False) -> bytes:
-    """Asks several servos for `size` bytes of their tables; they answer in this order, all in one packet if `fast`."""
-    instruction = Instruction.FAST_SYNC_READ if fast else Instruction.SYNC_READ
-    return encode(BROADCAST, instruction, struct.pack("<HH", address, size) + bytes(servos))
+def sync_read(address: int, size: int, servos: Iterable[int]) -> bytes:
+    """Asks several servos for `size` bytes of their tables; they answer in this order."""
+    return encode(BROADCAST, Instruction.SYNC_READ, struct.pack("<HH", address, size) + bytes(servos))
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,32 +208,6 @@ class Packet:
 def encode_status(servo: int, error: int, parameters: bytes = b"") -> bytes:
     """A servo's answer."""
     return encode(servo, Instruction.STATUS, bytes((error,)) + parameters)
-
-
-def encode_fast_status(answers: Iterable[tuple[int, int, bytes]]) -> bytes:
-    """The answer of all servos to a fast sync read, from (id, error, data) of each.
-
-    Each servo adds the CRC of all that stands before it in the packet, the last one's is the packet's own.
-    """
-    each = [bytes((error, servo)) + data for servo, error, data in answers]
-    length = 1 + sum(len(part) + 2 for part in each)
-    packet = HEADER + struct.pack("<BHB", BROADCAST, length, Instruction.STATUS)
-    for part in each:
-        packet += part
-        packet += struct.pack("<H", crc16(packet))
-    return packet
-
-
-def fast_answers(packet: Packet, servos: Iterable[int], size: int) -> dict[int, Packet]:
-    """The single answers in that to a fast sync read of `size` bytes, by id; empty where it is not of these servos."""
-    whole = bytes((packet.error,)) + packet.parameters
-    found: dict[int, Packet] = {}
-    for number, servo in enumerate(servos):
-        part = whole[number * (size + 4) : (number + 1) * (size + 4)]
-        if len(part) < size + 2 or part[1] != servo:
-            return {}
-        found[servo] = Packet(packet.t_first, servo, packet.instruction, part[0], part[2 : 2 + size])
-    return found
 
 
 @dataclass(slots=True)
@@ -326,9 +298,7 @@ class PacketReader:
             return size if len(self._bytes) >= size else None
 
     def _packet(self, raw: bytes) -> Packet:
-        servo, instruction, body = raw[4], raw[7], raw[7:-2]
-        if not (servo == BROADCAST and instruction == Instruction.STATUS):  # not that of a fast sync read
-            body = unstuffed(body)
+        servo, instruction, body = raw[4], raw[7], unstuffed(raw[7:-2])
         answers = instruction == Instruction.STATUS and len(body) > 1
         return Packet(self._t_first(), servo, instruction, body[1] if answers else 0, body[2:] if answers else body[1:])
 

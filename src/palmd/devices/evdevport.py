@@ -8,14 +8,13 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
-import math
 import os
 import struct
 import time
 
 from palmd.devices import evdev
 from palmd.devices.evdev import RECORD, Record
-from palmd.devices.port import PortCounters
+from palmd.devices.port import ReopenedPort
 
 READ_RECORDS = 64
 CLOCK, GRAB = 0x400445A0, 0x40044590
@@ -26,57 +25,22 @@ _AXES = (evdev.ABS_X, evdev.ABS_Y, evdev.ABS_PRESSURE)
 _SLOT_AXES = (evdev.MT_TRACKING_ID, evdev.MT_X, evdev.MT_Y, evdev.MT_PRESSURE)
 
 
-class EvdevPort:
-    """See `DevicePort`. Every call returns at once."""
+class EvdevPort(ReopenedPort):
+    """See `DevicePort`: whole records are read where it is a device. Every call returns at once."""
+
+    read_bytes = READ_RECORDS * RECORD.size
 
     def __init__(self, name: str, path: str, retry_s: float = 0.5) -> None:
-        """`name` is for messages, `path` the device; links are followed. Nothing is opened yet."""
-        self.name, self.path = name, path
-        self.error: str | None = f"{name}: {path} has not been opened yet"
-        self.counters = PortCounters()
-        self._retry_s, self._t_retry = retry_s, -math.inf
-        self._fd: int | None = None
+        """As any `ReopenedPort`."""
+        super().__init__(name, path, retry_s)
         self._is_device = False
 
-    @property
-    def is_open(self) -> bool:
-        """Whether it can be read."""
-        return self._fd is not None
+    def _open(self) -> int:
+        fd, self._is_device = _open(self.path)
+        return fd
 
-    def fileno(self) -> int:
-        """The file descriptor. Raises ValueError if it is not open."""
-        if self._fd is None:
-            raise ValueError(f"{self.name}: it is not open")
-        return self._fd
-
-    def poll_open(self, t: float) -> bool:
-        """Open it if it is shut and a try is due at `t` (s, monotonic); return whether it is open."""
-        if self._fd is None and t >= self._t_retry:
-            self._t_retry = t + self._retry_s
-            try:
-                self._fd, self._is_device = _open(self.path)
-            except OSError as failure:
-                self.error = f"{self.name}: {_explain(self.path, failure)}"
-            else:
-                self.error = None
-                self.counters.opens += 1
-        return self.is_open
-
-    def read(self) -> bytes:
-        """What has come, whole records where it is a device; a device that has gone is shut."""
-        if self._fd is None:
-            return b""
-        try:
-            data = os.read(self._fd, READ_RECORDS * RECORD.size)
-        except BlockingIOError:
-            return b""
-        except OSError as failure:
-            self._lose(failure)
-            return b""
-        if not data:
-            self._lose(None)
-        self.counters.bytes_read += len(data)
-        return data
+    def _explain(self, failure: Exception) -> str:
+        return _explain(self.path, failure)
 
     def write(self, data: bytes) -> None:
         """A pad is told nothing."""
@@ -84,14 +48,6 @@ class EvdevPort:
 
     def look(self) -> None:
         """The kernel counts nothing here."""
-
-    def close(self) -> None:
-        """Shut it."""
-        if self._fd is not None:
-            with contextlib.suppress(OSError):
-                os.close(self._fd)
-            self._fd = None
-            self.error = f"{self.name}: {self.path} has been closed"
 
     def snapshot(self) -> bytes:
         """The device's present state as records of one frame; empty where it cannot be asked."""
@@ -109,12 +65,6 @@ class EvdevPort:
             return None
         info = _abs_info(self._fd, axis)
         return None if info is None else (info[1], info[2], info[5])
-
-    def _lose(self, failure: OSError | None) -> None:
-        self.close()
-        self.counters.losses += 1
-        cause = f" ({failure.strerror})" if failure is not None else ""
-        self.error = f"{self.name}: {self.path} was lost{cause}: check the plug; it is tried again by itself"
 
 
 def _open(path: str) -> tuple[int, bool]:
@@ -175,8 +125,8 @@ def _abs_info(fd: int, axis: int) -> tuple[int, ...] | None:
     return _ABS_INFO.unpack(buffer)
 
 
-def _explain(path: str, failure: OSError) -> str:
-    match failure.errno:
+def _explain(path: str, failure: Exception) -> str:
+    match getattr(failure, "errno", None):
         case errno.ENOENT:
             return f"no such device {path}: check the plug and the configured name (ls /dev/input/by-path)"
         case errno.EACCES | errno.EPERM:
@@ -186,4 +136,4 @@ def _explain(path: str, failure: OSError) -> str:
         case errno.ENODEV | errno.ENXIO | errno.EIO:
             return f"nothing is connected behind {path}: check the plug"
         case _:
-            return f"{path} cannot be read as an input device: {failure.strerror}"
+            return f"{path} cannot be read as an input device: {getattr(failure, 'strerror', None) or failure}"

@@ -11,6 +11,7 @@ import select
 import struct
 import termios
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Protocol
@@ -25,7 +26,7 @@ PTY_MAJORS = range(136, 144)
 _IFLAG, _CC = 0, 6
 _TIOCGICOUNT = 0x545D
 _ICOUNTER = struct.Struct("11i36x")  # struct serial_icounter_struct: four of the modem's lines, rx, tx, then errors
-_FAILURES = (OSError, ValueError, termios.error)  # termios.error is no OSError; pyserial lets it through
+FAILURES = (OSError, ValueError, termios.error)  # termios.error is no OSError; pyserial lets it through
 
 
 @dataclass(slots=True)
@@ -84,7 +85,97 @@ class DevicePort(Protocol):
         """Shut it."""
 
 
-class Port:
+class ReopenedPort(ABC):
+    """What is the same of every `DevicePort`: when it is opened, how it is read, what is said when it has gone."""
+
+    read_bytes = READ_BYTES
+    """At most at a time."""
+
+    def __init__(self, name: str, path: str, retry_s: float) -> None:
+        """`name` is for messages, `path` the device (links are followed).
+
+        While it is shut, `poll_open` tries again every `retry_s` seconds. Nothing is opened yet.
+        """
+        self.name = name
+        self.path = path
+        self.error: str | None = f"{name}: {path} has not been opened yet"
+        self.counters = PortCounters()
+        self._retry_s = retry_s
+        self._t_retry = -math.inf
+        self._fd: int | None = None
+
+    @abstractmethod
+    def _open(self) -> int:
+        """Open it and return its descriptor; raises one of `FAILURES`."""
+
+    @abstractmethod
+    def _explain(self, failure: Exception) -> str:
+        """One line on why it could not be opened and what to do about it."""
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it can be read and written."""
+        return self._fd is not None
+
+    def fileno(self) -> int:
+        """Return the file descriptor, for waiting on. Raises ValueError if it is not open."""
+        if self._fd is None:
+            raise ValueError(f"{self.name}: port is not open")
+        return self._fd
+
+    def poll_open(self, t: float) -> bool:
+        """Open it if it is shut and a try is due at `t` (s, monotonic); return whether it is open."""
+        if self._fd is None and t >= self._t_retry:
+            self._t_retry = t + self._retry_s
+            try:
+                self._fd = self._open()
+            except FAILURES as failure:
+                self.error = f"{self.name}: {self._explain(failure)}"
+            else:
+                self.error = None
+                self.counters.opens += 1
+        return self.is_open
+
+    def read(self) -> bytes:
+        """Return what has arrived, empty if nothing has. What has hung up is shut at once.
+
+        One portion, so that a flood on one port cannot hold up the others. It is no more than the kernel has ready:
+        reading on until there is nothing would wait for a thread of the kernel, see `PortWaiter`.
+        """
+        if self._fd is None:
+            return b""
+        try:
+            data = os.read(self._fd, self.read_bytes)
+        except BlockingIOError:
+            return b""
+        except OSError as failure:
+            self._lose(failure)
+            return b""
+        if not data:  # the end of the file and not of the data
+            self._lose(None)
+        self.counters.bytes_read += len(data)
+        return data
+
+    def close(self) -> None:
+        """Shut it; the next `poll_open` opens it again."""
+        if self._fd is not None:
+            with contextlib.suppress(OSError):
+                self._shut(self._fd)
+            self._fd = None
+            self.error = f"{self.name}: {self.path} has been closed"
+
+    def _shut(self, fd: int) -> None:
+        """May raise OSError."""
+        os.close(fd)
+
+    def _lose(self, failure: OSError | None) -> None:
+        self.close()
+        self.counters.losses += 1
+        cause = f" ({failure.strerror})" if failure is not None else ""
+        self.error = f"{self.name}: {self.path} was lost{cause}: check the plug; it is tried again by itself"
+
+
+class Port(ReopenedPort):
     """One serial port, 8N1, opened exclusively and again whenever it has gone.
 
     `error` says in one line why the port is not open and what to do, None while it is. Every call returns at
@@ -92,77 +183,39 @@ class Port:
     """
 
     def __init__(self, name: str, path: str, baud: int, retry_s: float = 0.5) -> None:
-        """`name` is for messages, `path` the device (links are followed), `baud` in bit/s.
-
-        While the port is shut, `poll_open` tries again every `retry_s` seconds. Nothing is opened yet.
-        """
-        self.name = name
-        self.path = path
-        self.error: str | None = f"{name}: {path} has not been opened yet"
-        self.counters = PortCounters()
+        """As any `ReopenedPort`, `baud` in bit/s."""
+        super().__init__(name, path, retry_s)
         self._baud = baud
-        self._retry_s = retry_s
-        self._t_retry = -math.inf
         self._serial: serial.Serial | None = None
         self._line = (0, 0, 0, 0)
         self._unsent = b""
 
-    @property
-    def is_open(self) -> bool:
-        """Whether the port can be read and written."""
-        return self._serial is not None
+    def _open(self) -> int:
+        self._serial = _open(self.path, self._baud)
+        fd = int(self._serial.fileno())
+        self._line = _line_errors(fd)
+        return fd
 
-    def fileno(self) -> int:
-        """Return the file descriptor, for waiting on. Raises ValueError if the port is not open."""
-        if self._serial is None:
-            raise ValueError(f"{self.name}: port is not open")
-        return int(self._serial.fileno())
+    def _shut(self, fd: int) -> None:
+        del fd
+        self._unsent = b""
+        if self._serial is not None:
+            self._serial.close()
 
-    def poll_open(self, t: float) -> bool:
-        """Open the port if it is shut and a try is due at `t` (s, monotonic); return whether it is open."""
-        if self._serial is None and t >= self._t_retry:
-            self._t_retry = t + self._retry_s
-            try:
-                self._serial = _open(self.path, self._baud)
-            except _FAILURES as failure:
-                self.error = f"{self.name}: {explain(self.path, failure)}"
-            else:
-                self.error = None
-                self.counters.opens += 1
-                self._line = _line_errors(self.fileno())
-        return self.is_open
+    def _explain(self, failure: Exception) -> str:
+        return explain(self.path, failure)
 
     def look(self) -> None:
         """Add to the counters what the kernel has counted since the last look: an ioctl, for once a second or so."""
-        if self._serial is None:
+        if self._fd is None:
             return
-        before, self._line = self._line, _line_errors(self.fileno())
+        before, self._line = self._line, _line_errors(self._fd)
         breaks, framing, parity, overruns = (now - then for now, then in zip(self._line, before, strict=True))
         counters = self.counters
         counters.breaks += breaks
         counters.framing_errors += framing
         counters.parity_errors += parity
         counters.overruns += overruns
-
-    def read(self) -> bytes:
-        """Return what has arrived, empty if nothing has. A port that has hung up is shut at once.
-
-        One portion, so that a flood on one port cannot hold up the others. It is no more than the kernel has ready:
-        reading on until there is nothing would wait for a thread of the kernel, see `PortWaiter`.
-        """
-        if self._serial is None:
-            return b""
-        try:
-            data = os.read(self.fileno(), READ_BYTES)
-        except BlockingIOError:
-            return b""
-        except OSError as failure:
-            self._lose(failure)
-            return b""
-        if not data:  # VMIN is 1, so this is the end of file and not the end of the data
-            self._lose(None)
-        self.counters.bytes_read += len(data)
-        return data
 
     def write(self, data: bytes) -> None:
         """Send `data` (whole lines), or drop and count it where the kernel's buffer is full.
@@ -179,24 +232,15 @@ class Port:
 
     def set_break(self, active: bool) -> None:
         """Hold the line in break, or end it; without effect where the port cannot."""
-        if self._serial is not None:
-            with contextlib.suppress(*_FAILURES):
+        if self._fd is not None and self._serial is not None:
+            with contextlib.suppress(*FAILURES):
                 self._serial.break_condition = active
 
-    def close(self) -> None:
-        """Shut the port; the next `poll_open` opens it again."""
-        if self._serial is not None:
-            with contextlib.suppress(OSError):
-                self._serial.close()
-            self._serial = None
-            self._unsent = b""
-            self.error = f"{self.name}: {self.path} has been closed"
-
     def _put(self, data: bytes) -> int:
-        if self._serial is None or not data:
+        if self._fd is None or not data:
             return 0
         try:
-            written = os.write(self.fileno(), data)
+            written = os.write(self._fd, data)
         except BlockingIOError:
             return 0
         except OSError as failure:
@@ -206,12 +250,9 @@ class Port:
         return written
 
     def _lose(self, failure: OSError | None) -> None:
-        with contextlib.suppress(*_FAILURES):
+        with contextlib.suppress(*FAILURES):
             termios.tcflush(self.fileno(), termios.TCOFLUSH)  # else closing may wait for it to drain
-        self.close()
-        self.counters.losses += 1
-        cause = f" ({failure.strerror})" if failure is not None else ""
-        self.error = f"{self.name}: {self.path} was lost{cause}: check the plug; it is tried again by itself"
+        super()._lose(failure)
 
 
 def _open(path: str, baud: int) -> serial.Serial:
@@ -227,7 +268,7 @@ def _open(path: str, baud: int) -> serial.Serial:
             # The lock is advisory, this is not. A pseudo-terminal would keep it beyond our death, for as long
             # as its other side is open.
             fcntl.ioctl(fd, termios.TIOCEXCL)
-        with contextlib.suppress(*_FAILURES, NotImplementedError):
+        with contextlib.suppress(*FAILURES, NotImplementedError):
             port.set_low_latency_mode(True)
     except BaseException:
         port.close()

@@ -141,7 +141,34 @@ def pad_rows(pad: PortName, damaged: tuple[str, float]) -> tuple[FaultRow, ...]:
     )
 
 
-_LOST = ("arm-link-lost", "stop")
+ARM_LOST = ("arm-link-lost", "stop")
+
+
+def arm_port_rows(
+    port: str, mute: str, foreign: tuple[str, str], own: tuple[str, ...], goal_s: float = HOST_ALIVE_S
+) -> tuple[FaultRow, FaultRow, FaultRow, FaultRow]:
+    """Of the arm's line: dead, mute, replaced, foreign.
+
+    port, mute: what disappears and what falls silent, in words. foreign: what speaks otherwise, in words, and what
+    `palmd why` makes of it. own: what the arm may say of itself once it is heard again.
+    """
+    gone, lost = ("arm-port",), ("arm-link-lost", *own)
+    stop = (("arm-port", "stop"),)
+    back = RowFault("unplug", "arm", for_s=0.5)
+    late = (("arm-late", "degrade"), ARM_LOST)
+    return (
+        FaultRow("arm-dead", f"{port} disappears", RowFault("unplug", "arm"), "fault", gone, stop, lost, goal_s),
+        FaultRow("arm-mute", mute, RowFault("mute", "arm"), "fault", ("arm-mute",), late, own, goal_s),
+        FaultRow("arm-replaced", f"{port} comes back under another number", back, "fault", gone, stop, lost, goal_s),
+        FaultRow(
+            "arm-foreign", foreign[0], RowFault("misbaud", "arm"), "fault", (foreign[1],), (ARM_LOST,), own, goal_s
+        ),
+    )
+
+
+_ARM_DEAD, _ARM_MUTE, _ARM_REPLACED, _ARM_FOREIGN = arm_port_rows(
+    "its port", "it falls silent", ("another device speaks at its port", "arm-foreign"), ("arm-fault",)
+)
 
 ROWS: tuple[FaultRow, ...] = (
     *(row for pad in PADS for row in pad_rows(pad, ("a fifth", 0.2))),
@@ -153,22 +180,14 @@ ROWS: tuple[FaultRow, ...] = (
         ("lifted",),
         (("pad1-lifted", "hold"), ("pad2-lifted", "hold")),
     ),
-    FaultRow(
-        "arm-dead",
-        "its port disappears",
-        RowFault("unplug", "arm"),
-        "fault",
-        ("arm-port",),
-        (("arm-port", "stop"),),
-        ("arm-link-lost", "arm-fault"),
-    ),
+    _ARM_DEAD,
     FaultRow(
         "arm-garbled",
         "a fifth of its line's bytes are damaged",
         RowFault("garble", "arm", 0.2),
         "fault",
         ("arm-damaged",),
-        (_LOST,),
+        (ARM_LOST,),
         ("arm-fault", "arm-left-tracking"),
     ),
     FaultRow(
@@ -179,33 +198,9 @@ ROWS: tuple[FaultRow, ...] = (
         ("arm-late",),
         (("arm-late", "degrade"),),
     ),
-    FaultRow(
-        "arm-mute",
-        "it falls silent",
-        RowFault("mute", "arm"),
-        "fault",
-        ("arm-mute",),
-        (("arm-late", "degrade"), _LOST),
-        ("arm-fault",),
-    ),
-    FaultRow(
-        "arm-replaced",
-        "its port comes back under another number",
-        RowFault("unplug", "arm", for_s=0.5),
-        "fault",
-        ("arm-port",),
-        (("arm-port", "stop"),),
-        ("arm-link-lost", "arm-fault"),
-    ),
-    FaultRow(
-        "arm-foreign",
-        "another device speaks at its port",
-        RowFault("misbaud", "arm"),
-        "fault",
-        ("arm-foreign",),
-        (_LOST,),
-        ("arm-fault",),
-    ),
+    _ARM_MUTE,
+    _ARM_REPLACED,
+    _ARM_FOREIGN,
     FaultRow(
         "controller-break",
         "a break on the arm's line",

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from palmd.lab.fault_rows import FaultRow, Kill, Pause, RowFault, pad_rows
+from palmd.lab.fault_rows import ARM_LOST, FaultRow, Kill, Pause, RowFault, arm_port_rows, pad_rows
 from palmd.rig.fault_injection import PADS, PortName
 
 SERVOS_DEAD_S = 0.150
 """From the host's death to the palms standing still: the servos' own watchdogs."""
 
-_LOST = ("arm-link-lost", "stop")
 _OWN = ("arm-fault", "arm-servo-watchdog", "arm-servo-restarted", "arm-servo-refused")
 """What a servo may say of itself once it is heard again."""
 
@@ -17,47 +16,19 @@ def _servo(name: str, cause: str, trick: str, code: str) -> FaultRow:
     return FaultRow(name, cause, RowFault(trick, "arm"), "fault", ("arm-servo",), ((code, "stop"),), ("arm-fault",))
 
 
+_ARM_DEAD, _ARM_MUTE, _ARM_REPLACED, _ARM_FOREIGN = arm_port_rows(
+    "the adapter's port",
+    "both servos fall silent, and hear nothing",
+    ("the bus runs at another speed", "arm-mute"),  # for the servos hear nothing that is an instruction
+    _OWN,
+    SERVOS_DEAD_S,
+)
+
 SERVO_ROWS: tuple[FaultRow, ...] = (
-    FaultRow(
-        "arm-dead",
-        "the adapter's port disappears",
-        RowFault("unplug", "arm"),
-        "fault",
-        ("arm-port",),
-        (("arm-port", "stop"),),
-        ("arm-link-lost", *_OWN),
-        SERVOS_DEAD_S,
-    ),
-    FaultRow(
-        "arm-mute",
-        "both servos fall silent, and hear nothing",
-        RowFault("mute", "arm"),
-        "fault",
-        ("arm-mute",),
-        (("arm-late", "degrade"), _LOST),
-        _OWN,
-        SERVOS_DEAD_S,
-    ),
-    FaultRow(
-        "arm-foreign",
-        "the bus runs at another speed",
-        RowFault("misbaud", "arm"),
-        "fault",
-        ("arm-mute",),  # for the servos hear nothing that is an instruction
-        (_LOST,),
-        _OWN,
-        SERVOS_DEAD_S,
-    ),
-    FaultRow(
-        "arm-replaced",
-        "the adapter's port comes back under another number",
-        RowFault("unplug", "arm", for_s=0.5),
-        "fault",
-        ("arm-port",),
-        (("arm-port", "stop"),),
-        ("arm-link-lost", *_OWN),
-        SERVOS_DEAD_S,
-    ),
+    _ARM_DEAD,
+    _ARM_MUTE,
+    _ARM_FOREIGN,
+    _ARM_REPLACED,
     _servo("servo-overload", "palm 1's servo is overloaded", "overload", "arm-servo-overload"),
     _servo("servo-hot", "palm 1's servo gets too hot", "overheat", "arm-servo-hot"),
     _servo("servo-voltage", "palm 1's servo says that its supply is out of range", "undervoltage", "arm-servo-voltage"),
@@ -67,7 +38,7 @@ SERVO_ROWS: tuple[FaultRow, ...] = (
         RowFault("brownout", "arm"),
         "fault",
         ("arm-mute",),
-        (_LOST,),
+        (ARM_LOST,),
         _OWN,
     ),
     FaultRow(
@@ -76,7 +47,7 @@ SERVO_ROWS: tuple[FaultRow, ...] = (
         RowFault("estop", "arm"),
         "fault",
         ("arm-mute",),
-        (_LOST,),
+        (ARM_LOST,),
         _OWN,
     ),
     FaultRow(
@@ -95,7 +66,7 @@ SERVO_ROWS: tuple[FaultRow, ...] = (
         Pause("daemon", 0.3),
         "fault",
         ("stalled",),
-        (_LOST, ("loop-overrun", "note")),
+        (ARM_LOST, ("loop-overrun", "note")),
         (*_OWN, "pad1-silent", "pad2-silent"),
         SERVOS_DEAD_S,
     ),

@@ -80,11 +80,6 @@ class Drags:
         """Share of the four ends of both branches that were reached."""
         return min(len(self._ends) / 4.0, 1.0)
 
-    @property
-    def lifting(self) -> bool:
-        """Whether the body leaves the pad, or is off it, because it shall."""
-        return self.phase in ("lift", "turn", "seek")
-
     def look(self, felt: Touching, here: Angles, resting: bool) -> DragStep:
         """The next step: what is felt, where the last move ends (m), and whether it has ended."""
         if self.phase == "seek" and felt.touching:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,6 +61,15 @@ class OutlineCurves:
             f"band: {SDS:g} one-sigmas to either side, along the normal",
             f"touched: {np.mean(self.touched):.1%} of the normals; the rest is what the body's smoothness lets expect",
         )
+
+
+def drawing_of(
+    theta: FloatArray, h: FloatArray | None, h_sd: FloatArray | None, touched: Bools | None, **body: float
+) -> Callable[[str], OutlineCurves] | None:
+    """`curves_of` but for the name; None where there is no outline."""
+    if h is None or h_sd is None or touched is None:
+        return None
+    return lambda name: curves_of(name, theta, h, h_sd, touched, **body)
 
 
 def curves_of(

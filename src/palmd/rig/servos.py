@@ -336,8 +336,8 @@ class ServoArm:
             case Instruction.SYNC_WRITE if len(data) >= 4:
                 self._sync_write(asked, data, t)
                 return []
-            case Instruction.SYNC_READ | Instruction.FAST_SYNC_READ if len(data) >= 4:
-                return self._sync_read(asked, data, t, fast=packet.instruction == Instruction.FAST_SYNC_READ)
+            case Instruction.SYNC_READ if len(data) >= 4:
+                return self._sync_read(asked, data, t)
         said = []
         t_free = t
         for servo in asked:
@@ -383,15 +383,10 @@ class ServoArm:
                 servo.write(address, values[servo.id], t)
                 self._outside += address == dxl.GOAL.address and servo.refusals > before and not servo.tripped
 
-    def _sync_read(self, asked: Sequence[EmulatedServo], data: bytes, t: float, *, fast: bool) -> list[Utterance]:
+    def _sync_read(self, asked: Sequence[EmulatedServo], data: bytes, t: float) -> list[Utterance]:
         address, size = int.from_bytes(data[:2], "little"), int.from_bytes(data[2:4], "little")
-        in_turn = [servo for each in data[4:] for servo in asked if servo.id == each]
         t_free, said = t, []
-        answers = [(servo.id, servo.error, servo.read(address, size, t)) for servo in in_turn]
-        for servo, (_, error, out) in zip(in_turn, answers, strict=True):
+        for servo in (servo for each in data[4:] for servo in asked if servo.id == each):
             t_free += servo.delay_s
-            if not fast:
-                said.append(Utterance(dxl.encode_status(servo.id, error, out), t_free))
-        if fast and answers:
-            said.append(Utterance(dxl.encode_fast_status(answers), t_free))
+            said.append(Utterance(dxl.encode_status(servo.id, servo.error, servo.read(address, size, t)), t_free))
         return said

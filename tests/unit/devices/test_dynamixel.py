@@ -19,9 +19,7 @@ from palmd.devices.dynamixel import (
     Registers,
     crc16,
     encode,
-    encode_fast_status,
     encode_status,
-    fast_answers,
     ping,
     read,
     reboot,
@@ -58,7 +56,6 @@ PACKETS = st.one_of(
          "FF FF FD 00 FE 11 00 83 74 00 04 00 01 64 08 00 00 02 9C 07 00 00 1B 31"),
         (sync_read(132, 4, (1, 2)), "FF FF FD 00 FE 09 00 82 84 00 04 00 01 02 CE FA"),
         (sync_read(120, 16, (1, 2)), "FF FF FD 00 FE 09 00 82 78 00 10 00 01 02 3B CA"),
-        (sync_read(120, 16, (1, 2), fast=True), "FF FF FD 00 FE 09 00 8A 78 00 10 00 01 02 B8 42"),
     ],
 )  # fmt: skip
 def test_packets_are_those_of_the_manual(packet, manual):
@@ -161,16 +158,6 @@ def test_one_flipped_bit_loses_one_packet():
     bad[12] ^= 4
     assert [p.servo for p in reader.feed(bytes(bad) + good, 0.0)] == [1]
     assert reader.counters.crc_errors == 1
-
-
-def test_a_fast_answer_is_told_apart_by_servo():
-    data = {1: b"\xff\xff\xfd\x00" * 4, 2: bytes(range(16))}
-    raw = encode_fast_status([(1, 0, data[1]), (2, 0x80, data[2])])
-    (packet,) = PacketReader(BAUD).feed(raw, 0.0)
-    answers = fast_answers(packet, (1, 2), 16)
-    assert {servo: answer.parameters for servo, answer in answers.items()} == data
-    assert answers[2].error == 0x80
-    assert fast_answers(packet, (1, 3), 16) == {}
 
 
 def test_the_first_byte_is_dated_by_the_line():

@@ -74,7 +74,7 @@ from palmd.rig.world import World, default_config
 OPERATOR = 99
 """The client who wants the palms to move, and does what the hints say."""
 
-QUICK_S, PLANNED_S, DECIDED_S = 0.0, 0.03, 0.3
+PLANNED_S, DECIDED_S = 0.03, 0.3
 _EXPLORES = (
     "name: explore\nsegments:\n- move: {phi1_deg: 45, phi2_deg: 90}\n  duration_s: 1.0\n"
     "- explore: {coverage: 0.95, time_limit_s: 90}\n"

@@ -90,7 +90,6 @@ class Watch:
         self._open: dict[tuple[int, str], list[tuple[float, str, bool]]] = defaultdict(list)
         self._state, self._faults = State.IDLE, frozenset[str]()
         self._t_not_following = -math.inf
-        self._t_over: dict[str, float] = {}
         self._t_begun = t
 
     def restarted(self, t: float) -> None:

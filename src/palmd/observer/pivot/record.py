@@ -213,7 +213,6 @@ def _heights(touches: Sequence[TouchSpan], arm: ArmMotion, rig: PivotRig) -> Row
 RIGID_SD_M = 2e-8
 
 TORQUE_SD_M = 2e-5  # of the lever that the slide's equation of motion leaves open, at each instant
-COLLOCATIONS = 2  # instants in each cell of the spline
 
 
 def _torques(touches: Sequence[TouchSpan], arm: ArmMotion, rig: PivotRig, force: FloatArray) -> Rows:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,7 +18,7 @@ from palmd.observer.pivot.reconstruct import PivotReconstruction, reconstruct
 from palmd.outlinefile import Outline
 from palmd.pivot_messages import estimate_fields, shape_fields
 from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
-from palmd.record.outline_curves import OutlineCurves, curves_of
+from palmd.record.outline_curves import drawing_of
 from palmd.record.replay import TICKS_PER_SHAPE, Said, fed, tick_count
 from palmd.record.systems import NotYetError, Reconstructed
 from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, PadSensor
@@ -107,7 +107,8 @@ class Pivot(PivotForm):
         del seed
         answer = reconstruct(log.events, log.rig)
         told = summary(answer) if answer.converged else f"not converged: {answer.reason}"
-        return Reconstructed(as_line(answer, log.rig), told, _drawn(answer), answer.reason)
+        drawing = drawing_of(answer.theta, answer.h, answer.h_sd, answer.touched, mass_kg=answer.mass)
+        return Reconstructed(as_line(answer, log.rig), told, drawing, answer.reason)
 
     def tick_count(self, log: PivotLog) -> int:
         """As `estimate` gives them."""
@@ -193,13 +194,6 @@ def summary(answer: PivotReconstruction) -> str:
         f"outline about the pivot ± {band * 1e6:.1f} µm on {np.mean(answer.touched):.0%} of the normals,"
         f" mu {answer.mu:.4f} ± {answer.mu_sd:.4f}, {weighed}, {answer.seconds:.1f} s"
     )
-
-
-def _drawn(answer: PivotReconstruction) -> Callable[[str], OutlineCurves] | None:
-    h, h_sd, touched = answer.h, answer.h_sd, answer.touched
-    if h is None or h_sd is None or touched is None:
-        return None
-    return lambda name: curves_of(name, answer.theta, h, h_sd, touched, mass_kg=answer.mass)
 
 
 def _gripper_sample(t: float, arm: Line) -> GripperSample:

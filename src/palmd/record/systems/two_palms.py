@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.static_mass import mass_at_rest
 from palmd.outlinefile import Outline
 from palmd.record.eventlog import EventLog, TwoPalmsForm
-from palmd.record.outline_curves import OutlineCurves, curves_of
+from palmd.record.outline_curves import drawing_of
 from palmd.record.replay import Said, as_said, replay, tick_count
 from palmd.record.result import as_line
 from palmd.record.systems import TWO_PALMS, NotYetError, Reconstructed
@@ -37,7 +37,8 @@ class TwoPalms(TwoPalmsForm):
         told = summary(answer) if answer.converged else f"not converged: {answer.reason}"
         if math.isfinite(at_rest.value):
             told += f"; at rest {at_rest.value * 1e3:.1f} ± {at_rest.sd * 1e3:.1f} g"
-        return Reconstructed(as_line(answer, at_rest), told, _drawn(answer), answer.reason)
+        drawing = drawing_of(answer.theta, answer.h, answer.h_sd, answer.touched, rho_m=answer.rho, mass_kg=answer.mass)
+        return Reconstructed(as_line(answer, at_rest), told, drawing, answer.reason)
 
     def tick_count(self, log: EventLog) -> int:
         return tick_count(log)
@@ -51,13 +52,6 @@ class TwoPalms(TwoPalmsForm):
 
 
 SYSTEM = TwoPalms()
-
-
-def _drawn(answer: Reconstruction) -> Callable[[str], OutlineCurves] | None:
-    h, h_sd, touched = answer.h, answer.h_sd, answer.touched
-    if h is None or h_sd is None or touched is None:
-        return None
-    return lambda name: curves_of(name, answer.theta, h, h_sd, touched, rho_m=answer.rho, mass_kg=answer.mass)
 
 
 def summary(answer: Reconstruction) -> str:
