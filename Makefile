@@ -13,7 +13,7 @@ help:  ## this list
 demo: build  ## an emulated rig, the daemon, an unknown object: live estimates until Ctrl-C
 	@$(BIN)/palmd demo $(DEMO_ARGS)
 
-test: dev lint  ## all tests, linters, types and import contracts
+test: dev  ## all tests, linters, types and import contracts
 	@$(BIN)/palmd build --all
 	@$(BIN)/python tools/run_tests.py
 

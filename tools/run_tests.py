@@ -1,6 +1,8 @@
-"""All tests: those on the emulated rig one by one in real time, and in what they leave of the machine all others.
+"""All tests and linters, side by side: those on the emulated rig one by one in real time, in two lots that each leave
+most of a processor alone, and in what they leave of the machine all others.
 
-A rig's test sleeps most of the time, but what it starts must be awake when it is due; so the others stand back.
+A rig's test sleeps most of the time, but what it starts must be awake when it is due; so the others stand back. One
+that fails all the same is tried again when everything else is over and the machine is quiet: that is what counts.
 """
 
 from __future__ import annotations
@@ -9,28 +11,87 @@ import os
 import subprocess
 import sys
 import tempfile
+import time
+from pathlib import Path
+from typing import IO, NamedTuple
 
 NICE = 10
-PYTEST = (sys.executable, "-m", "pytest", "-q")
+TESTS_FAILED = 1  # pytest's status, when it ran to the end
+PYTEST = (sys.executable, "-m", "pytest", "-q", "--durations=15")
 RIG = ("tests/rig", "tests/system")
-OTHERS = ("-n", "2", "--dist", "worksteal", *(f"--ignore={folder}" for folder in (*RIG, "tests/bench", "tests/vm")))
+GENTLE = tuple(sorted(map(str, Path("tests/rig").glob("test_calibrate*.py"))))
+"""Rig tests of minutes in which little is computed: they go beside the other ones."""
+WORKERS = (os.cpu_count() or 1) + 1  # one more than there are processors, for tests that wait
+OTHERS = (*RIG, "tests/bench", "tests/vm")
+
+
+class Part(NamedTuple):
+    """What runs beside the others. The tests of a `rig` go before them, and are tried again; one `talks` as it runs."""
+
+    name: str
+    command: tuple[str, ...]
+    rig: bool = False
+    talks: bool = False
+
+
+def parts() -> list[Part]:
+    """In the order in which they are told of."""
+    ignored = {"others": OTHERS, "rig": GENTLE}
+    without = {name: tuple(f"--ignore={path}" for path in paths) for name, paths in ignored.items()}
+    return [
+        Part("linters", ("make", "--no-print-directory", "lint")),
+        Part("rig", (*PYTEST, *cached("rig"), *RIG, *without["rig"]), rig=True, talks=True),
+        Part("rig, calibrations", (*PYTEST, *cached("calibrations"), *GENTLE), rig=True),
+        Part("all others", (*PYTEST, "-n", str(WORKERS), "--dist", "worksteal", *without["others"])),
+    ]
+
+
+def cached(name: str) -> tuple[str, str]:
+    """Each part remembers by itself what has failed."""
+    return "-o", f"cache_dir=.pytest_cache/{name}"
+
+
+def begin(part: Part, told: IO[str], arguments: list[str]) -> subprocess.Popen[str]:
+    """The part as a process; `arguments` go to tests only."""
+    extra = arguments if part.command[0] == sys.executable else []
+    return subprocess.Popen(
+        [*part.command, *extra],
+        stdout=None if part.talks else told, stderr=None if part.talks else subprocess.STDOUT, text=True,
+        env=os.environ | ({"PALMD_TESTS_BESIDE": "1"} if part.rig else {}),
+        preexec_fn=None if part.rig else lambda: os.nice(NICE),
+    )  # fmt: skip
+
+
+def tried_again(part: Part, arguments: list[str]) -> int:
+    """The status of those that have failed, now that nothing else runs."""
+    print(f"\n{part.name}: what has failed is tried again, by itself", flush=True)
+    return subprocess.run([*part.command, "--last-failed", *arguments], check=False).returncode
 
 
 def main(arguments: list[str]) -> int:
-    """0 when all have passed; `arguments` go to both halves."""
+    """0 when all have passed; `arguments` go to all tests."""
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # some hundred processes import the same
-    with tempfile.TemporaryFile("w+") as told:
-        others = subprocess.Popen(
-            [*PYTEST, *OTHERS, *arguments], stdout=told, stderr=told, preexec_fn=lambda: os.nice(NICE)
-        )
-        try:
-            rig = subprocess.run([*PYTEST, *RIG, *arguments], check=False).returncode
-            status = others.wait()
-        finally:
-            others.terminate()
-        told.seek(0)
-        print(told.read(), end="")
-    return int(bool(rig or status))
+    begun = time.monotonic()
+    running: list[tuple[Part, subprocess.Popen[str], IO[str]]] = []
+    statuses: dict[Part, int] = {}
+    try:
+        for part in parts():
+            told = tempfile.TemporaryFile("w+")  # noqa: SIM115
+            running.append((part, begin(part, told, arguments), told))
+        for part, process, told in running:
+            statuses[part] = process.wait()
+            told.seek(0)
+            print(f"\n---- {part.name}, over by {time.monotonic() - begun:.0f} s\n{told.read()}", end="", flush=True)
+    finally:
+        for _, process, told in running:
+            process.terminate()
+            told.close()
+    for part, status in statuses.items():
+        if part.rig and status == TESTS_FAILED:
+            statuses[part] = tried_again(part, arguments)
+    failed = [part.name for part, status in statuses.items() if status]
+    print(f"\n{time.monotonic() - begun:.0f} s, failed: {', '.join(failed) or 'nothing'}")
+    return int(bool(failed))
 
 
 if __name__ == "__main__":

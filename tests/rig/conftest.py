@@ -2,7 +2,8 @@
 
 The rig is emulated in real time, so these tests need the machine. They go before other work where this user may ask for
 that. One that fails while others kept the processors waits for a quieter moment and is tried again; one that fails on a
-machine that had time for it has failed.
+machine that had time for it has failed. Beside all other tests there is no quieter moment to wait for, and
+`tools/run_tests.py` tries again in the end.
 """
 
 import contextlib
@@ -14,7 +15,7 @@ import pytest
 from _pytest.runner import runtestprotocol
 from harness import LEAST_WORK, Bench
 
-TRIES = 4
+TRIES = 1 if os.environ.get("PALMD_TESTS_BESIDE") else 4
 TRY_S, WAIT_S = 120.0, 60.0
 _NICE = -10
 _MISTAKES = ("AttributeError", "ImportError", "ModuleNotFoundError", "NameError", "SyntaxError", "TypeError")

@@ -6,20 +6,20 @@ how long a slow machine may take until it holds.
 
 import signal
 import socket
-import time
 from collections import Counter
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 
 import msgpack
 import zmq
+from waiting import PATIENCE_S as GENEROUS_S
+from waiting import wait
 
 from palmd.bus.command_client import CommandClient
 from palmd.config import Config
 from palmd.harness.processes import Child
 from palmd.harness.stack import Stack
 
-GENEROUS_S = 20.0
 _LOOK_S = 0.02
 EVERYTHING = 1_000_000  # more messages than are ever waiting
 
@@ -307,8 +307,8 @@ class Bench(Stack):
     def judge(self):
         """What must hold whatever happens: the arm was only sent what is allowed, and nothing came unforeseen."""
         status = self.rig_status()
-        assert status["setpoints_outside_limits"] == 0
-        assert status["largest_rate_deg_s"] <= RATE_DEG_S * 1.02
+        assert status["setpoints_outside_limits"] == 0, status
+        assert status["largest_rate_deg_s"] <= RATE_DEG_S * 1.02, status
         assert status.get("refused_610", 0) == 0
         assert "Traceback" not in self.daemon.all_said
         assert not {"tick-error", "estimate-not-finite", "limits-violated"} & self.heard.faults.keys()
@@ -321,16 +321,6 @@ def merged(settings, changes):
         key: merged(settings[key], value) if isinstance(value, dict) and key in settings else value
         for key, value in changes.items()
     }
-
-
-def wait(look, what, pause_s=_LOOK_S, patience_s=GENEROUS_S):
-    """What `look` returns, once it is true."""
-    deadline = time.monotonic() + patience_s
-    while not (found := look()):
-        if time.monotonic() > deadline:
-            raise AssertionError(f"waited in vain for {what() if callable(what) else what}")
-        time.sleep(pause_s)
-    return found
 
 
 def free_ports(count):

@@ -111,8 +111,9 @@ def test_ports_speak_the_protocols_and_truth_is_published():
             assert host.state == "R"
             assert host.hello is not None
             assert host.hello.cycle_s == 0.016
-        seen = {}
+        seen, deadline = {}, time.monotonic() + 20.0
         while set(seen) != {b"rig/truth", b"rig/object"}:
+            assert time.monotonic() < deadline, f"only {set(seen)} came"
             topic, payload, stamp = truth.recv_multipart()
             seen[topic] = msgpack.unpackb(payload)
             assert float(stamp) == pytest.approx(seen[topic]["timestamp"], abs=1e-5)
@@ -131,8 +132,9 @@ def test_a_rig_that_was_stopped_says_for_how_long():
         process.send_signal(signal.SIGSTOP)
         time.sleep(0.15)
         process.send_signal(signal.SIGCONT)
-        told = []
+        told, deadline = [], time.monotonic() + 20.0
         while not told or told[-1]["lasted_s"] < 0.1:  # a busy machine may have had it wait besides
+            assert time.monotonic() < deadline, f"no word of the pause; stalls: {told}"
             topic, payload, _ = truth.recv_multipart()
             told += [msgpack.unpackb(payload)] if topic == b"rig/stall" else []
         assert told[-1]["count"] == len(told)

@@ -34,8 +34,8 @@ class EmulatedActuator(Protocol):
     def palms_at(self, t: float) -> PalmMotion:
         """Where the palms are and how they move, as the actuator has them; t (s) no earlier than the last step."""
 
-    def receive(self, heard: bytes, spoilt: bytes, t: float) -> None:
-        """The host has written `heard` at t (s), of which `spoilt` is left on the line."""
+    def receive(self, heard: bytes, spoilt: bytes, t: float, late_s: float = 0.0) -> None:
+        """The host has written `heard` at t (s) or up to late_s (s) later, of which `spoilt` is left on the line."""
 
     def step(self, t: float) -> Sequence[Utterance]:
         """Lives on to t (s) and says what there is to say."""

@@ -75,8 +75,9 @@ class AdeptArm:
         self._angles = palms.angles
         return palms
 
-    def receive(self, heard: bytes, spoilt: bytes, t: float) -> None:
+    def receive(self, heard: bytes, spoilt: bytes, t: float, late_s: float = 0.0) -> None:
         """What the host has written, as the line leaves it."""
+        self.judge.listened_late(t, late_s)
         self._host_lines.take(heard, spoilt, t)
         self._in.send(spoilt, t)
 

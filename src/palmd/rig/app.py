@@ -18,6 +18,7 @@ import contextlib
 import errno
 import gc
 import json
+import math
 import os
 import secrets
 import select
@@ -164,6 +165,7 @@ class RigProcess:
         self.world = world
         self.ticks = self.late_ticks = self.stalls = 0
         self.latest_s = 0.0
+        self._t_heard = math.inf  # the last tick's time
         self._stop = stop
         self._parent = os.getppid()
         self._seq = {topic.name: 0 for topic in RIG_TOPICS}
@@ -218,8 +220,13 @@ class RigProcess:
             self._context.destroy(linger=0)
 
     def _tick(self, t: float) -> None:
-        """Hears the host, lives on to t (s), speaks."""
+        """Hears the host, lives on to t (s), speaks.
+
+        What is heard has been written since the last tick, and is taken for written then: where that tick is long ago,
+        the world is told by how much it may be wrong.
+        """
         world = self.world
+        late_s, self._t_heard = max(t - self._t_heard - PERIOD_S, 0.0), t
         events = self._ready()
         for port, line in self._lines.items():
             if world.unplugged(port) == line.plugged:
@@ -230,7 +237,7 @@ class RigProcess:
             if flushed:
                 world.opened(port)
             if heard:
-                world.receive(port, heard)
+                world.receive(port, heard, late_s)
         for port, said in world.advance(t).items():
             self._listeners[port].take(self._lines[port].write(said), t)
 

@@ -87,7 +87,7 @@ class PivotWorld:
             self._step()
         return {port: self._out[port].take(t, self.mischief.strength("burst", port)) for port in PORTS}
 
-    def receive(self, port: PortName, data: bytes) -> None:
+    def receive(self, port: PortName, data: bytes, late_s: float = 0.0) -> None:  # noqa: ARG002
         """Takes what the host has just written to a port; a pad listens to nothing."""
         if port == ARM:
             self._arm.receive(data, self.mischief.spoil(ARM, data, self._rng), self.t)

@@ -261,7 +261,7 @@ class ServoArm:
         )
         return PalmMotion(*map(joints_between, zip(*each, strict=True)))
 
-    def receive(self, heard: bytes, spoilt: bytes, t: float) -> None:  # noqa: ARG002
+    def receive(self, heard: bytes, spoilt: bytes, t: float, late_s: float = 0.0) -> None:  # noqa: ARG002
         """What the host has written, as the line leaves it."""
         self._in.send(spoilt, t)
 

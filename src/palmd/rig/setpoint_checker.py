@@ -20,7 +20,9 @@ class SetPointChecker:
     """Every set-point heard, valid or not, as palm angles: outside limits or not, and how fast they moved.
 
     The rate is that between two set-points in a row, over the time between them but one cycle at least. Where the
-    arm holds, a set-point may as well begin from where it stands: whichever step is the smaller counts.
+    arm holds, a set-point may as well begin from where it stands: whichever step is the smaller counts. A rig that was
+    kept from listening finds set-points lying in a heap, and dates them all to when it listened last: then the time
+    between may have been longer by as much, and nothing faster is known than the rate over that.
     """
 
     linkage: Linkage
@@ -30,6 +32,13 @@ class SetPointChecker:
     largest_rate_rad_s: float = 0.0
     largest_tool_error_rad: float = 0.0
     _last: tuple[float, Pose] | None = None
+    _late_s: float = 0.0
+    _t_late: float = -math.inf  # when late_s was told
+
+    def listened_late(self, t: float, late_s: float) -> None:
+        """What comes at t (s) may have been sent up to late_s (s) later; told for whatever comes, 0 included."""
+        if late_s >= self._late_s or t - self._t_late >= _SEPARATE_S:
+            self._late_s, self._t_late = late_s, t
 
     def hear(self, pose: Pose, t: float, standing: Pose | None = None) -> None:
         """Takes a set-point heard at t (s); `standing` is where an arm stands that holds, else None."""
@@ -44,7 +53,8 @@ class SetPointChecker:
         self.largest_tool_error_rad = max(self.largest_tool_error_rad, tool_error)
         if self._last is not None and t - self._last[0] < _SEPARATE_S:
             t_last, before = self._last
-            rate, step = self._step(before, pose, max(CYCLE_S, t - t_last))
+            late_s = self._late_s if t - self._t_late < _SEPARATE_S else 0.0
+            rate, step = self._step(before, pose, max(CYCLE_S, t - t_last + late_s))
             if standing is not None:
                 rate, step = min((rate, step), self._step(standing, pose, CYCLE_S))
             self.largest_rate_rad_s = max(self.largest_rate_rad_s, rate)

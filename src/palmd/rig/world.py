@@ -141,11 +141,11 @@ class World:
             self._step()
         return {port: self._delivered(port, t) for port in PORTS}
 
-    def receive(self, port: PortName, data: bytes) -> None:
-        """Takes what the host has just written to a port; a pad listens to nothing."""
+    def receive(self, port: PortName, data: bytes, late_s: float = 0.0) -> None:
+        """Takes what the host has just written to a port, or up to late_s (s) later; a pad listens to nothing."""
         if port == "arm":
             spoilt = self.mischief.spoil("arm", data, self._rng)
-            self._arm.receive(data, spoilt, self.t)
+            self._arm.receive(data, spoilt, self.t, late_s)
 
     def opened(self, port: PortName) -> None:
         """The host has opened a port. For a pad that starts with a handshake this stands for its breaks.

@@ -11,6 +11,7 @@ import numpy as np
 import plotjuggler
 import pytest
 import zmq
+from waiting import wait
 
 from palmd.daemon.bus import Bus
 from palmd.events import ObjectEstimate
@@ -43,8 +44,7 @@ def wire(tmp_path_factory):
         socket.linger, socket.rcvhwm = 0, 0
         socket.connect(publish)
         socket.subscribe(b"")
-        while not socket.poll(20):  # until the subscription has arrived
-            bus.publish(*messages[0], 0.0, time.time())
+        wait(lambda: bus.publish(*messages[0], 0.0, time.time()) or socket.poll(20), "the subscription to arrive", 0.0)
         while socket.poll(100):
             socket.recv_multipart()
         for topic, fields in messages:

@@ -3,11 +3,11 @@
 import os
 import signal
 import threading
-import time
 from contextlib import contextmanager
 
 import pytest
 import yaml
+from waiting import wait
 
 from palmd.cli import main
 from palmd.cli.explore import concluded, progress
@@ -155,8 +155,7 @@ def test_ctrl_c_holds_and_then_stops(tmp_path, capsys):
     daemon = Daemon(looks=10**6, armed=True)
 
     def interrupt():
-        while "start" not in daemon.asked:
-            time.sleep(0.01)
+        wait(lambda: "start" in daemon.asked, "the order to start")
         os.kill(os.getpid(), signal.SIGINT)
 
     thread = threading.Thread(target=interrupt)

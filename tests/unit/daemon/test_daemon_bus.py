@@ -6,6 +6,7 @@ import time
 import msgpack
 import pytest
 import zmq
+from waiting import wait
 
 from palmd.bus.command_client import CommandClient, own_name
 from palmd.daemon import bus as daemon_bus
@@ -157,15 +158,16 @@ def test_reply_to_nobody_is_lost_and_nothing_else(rig):
     rig.bus.reply(Reply(request, None, {}))
 
 
+def until_subscribed(client, publish):
+    """A subscription takes a moment to arrive; what came by then waits in the client."""
+    wait(lambda: publish() or client.poll(20), "the subscription to arrive", pause_s=0.0)
+
+
 def test_three_frames_as_plotjuggler_reads_them(rig):
     client = rig.client(zmq.SUB, rig.publish)
     client.subscribe(b"palm/")
-    frames = None
-    while frames is None:
-        rig.bus.publish(STATE, state_fields("idle", []), 12.5, 1.7e9)
-        if client.poll(20):
-            frames = client.recv_multipart()
-    topic, payload, stamp = frames
+    until_subscribed(client, lambda: rig.bus.publish(STATE, state_fields("idle", []), 12.5, 1.7e9))
+    topic, payload, stamp = client.recv_multipart()
     assert topic == b"palm/state"
     assert float(stamp.decode("ascii")) == 1.7e9
     fields = msgpack.unpackb(payload)
@@ -175,12 +177,11 @@ def test_three_frames_as_plotjuggler_reads_them(rig):
 def test_each_topic_counts_for_itself(rig):
     client = rig.client(zmq.SUB, rig.publish)
     client.subscribe(b"")
-    while not client.poll(20):
-        rig.bus.publish(INFO, info_fields("0", "shape", default_config()), 0.0, 0.0)
+    until_subscribed(client, lambda: rig.bus.publish(INFO, info_fields("0", "shape", default_config()), 0.0, 0.0))
     for _ in range(3):
         rig.bus.publish(STATE, state_fields("idle", []), 0.0, 0.0)
     seen = []
-    while len(seen) < 3:
+    while len(seen) < 3 and client.poll(TIMEOUT_MS):
         topic, payload, _ = client.recv_multipart()
         if topic == b"palm/state":
             seen.append(msgpack.unpackb(payload)["seq"])
@@ -203,8 +204,7 @@ def test_the_last_messages_leave_before_the_sockets_close(tmp_path, monkeypatch)
     client = rig.client(zmq.SUB, rig.publish)
     client.setsockopt(zmq.RCVHWM, 0)
     client.subscribe(b"")
-    while not client.poll(20):
-        rig.bus.publish(INFO, info_fields("0", "shape", default_config()), 0.0, 0.0)
+    until_subscribed(client, lambda: rig.bus.publish(INFO, info_fields("0", "shape", default_config()), 0.0, 0.0))
     count = PUBLISHED_HIGH_WATER // 10
     for _ in range(count):
         rig.bus.publish(STATE, {"state": "x" * 20_000}, 0.0, 0.0)

@@ -36,6 +36,31 @@ def test_an_arm_that_holds_may_be_gone_on_with_from_where_it_stands():
         assert found.as_dict()["largest_rate_deg_s"] == pytest.approx(step_deg / 0.016)
 
 
+def test_a_rig_that_listened_late_knows_nothing_faster_than_over_the_time_there_may_have_been():
+    """Two set-points lay in a heap: sent 0.03 s apart, dated 7 ms apart; what comes in time is judged as ever."""
+    found = SetPointChecker(LINKAGE, CONFIG.limits)
+    for t, late_s, phi1 in ((0.0, 0.0, 45), (0.016, 0.04, 46), (0.023, 0.04, 48), (0.078, 0.0, 48)):
+        found.listened_late(t, late_s)
+        found.hear(LINKAGE.pose(math.radians(phi1), 1.5), t)
+    assert found.as_dict()["largest_rate_deg_s"] == pytest.approx(2 / 0.047)
+    for k, phi1 in enumerate((48, 50)):
+        found.listened_late(0.2 + k * 0.016, 0.0)
+        found.hear(LINKAGE.pose(math.radians(phi1), 1.5), 0.2 + k * 0.016)
+    assert found.as_dict()["largest_rate_deg_s"] == pytest.approx(2 / 0.016)
+
+
+def test_a_really_fast_set_point_is_found_however_late_a_rig_listens():
+    """Ten degrees in a cycle, at 100°/s at most: over the longest that there may have been between, too."""
+    for late_s in (0.0, 0.005, 0.05, 0.08):
+        found = SetPointChecker(LINKAGE, CONFIG.limits)
+        for t, phi1 in ((0.0, 45), (0.016, 55)):
+            found.listened_late(t, late_s)
+            found.hear(LINKAGE.pose(math.radians(phi1), 1.5), t)
+        rate_deg_s = found.as_dict()["largest_rate_deg_s"]
+        assert rate_deg_s > 100.0
+        assert rate_deg_s == pytest.approx(10 / (0.016 + late_s))
+
+
 @pytest.mark.parametrize("angles", [(5, 90), (45, 34), (10, 156), (80, 93)])
 def test_outside_limits(angles):
     assert judge((45, 90), angles)["setpoints_outside_limits"] == 1

@@ -9,6 +9,7 @@ import math
 import re
 import socket
 import threading
+import time
 
 import msgpack
 import pytest
@@ -125,13 +126,27 @@ def served(daemon):
     one.close()
 
 
+def said(page, kind, what):
+    """The messages to a page of one kind, text or bytes, for as long as patience lasts."""
+    t_end = time.monotonic() + PATIENCE_S
+    while time.monotonic() < t_end:
+        message = page.recv(PATIENCE_S)
+        if isinstance(message, kind):
+            yield message
+    raise AssertionError(f"waited in vain for {what}")
+
+
 def batches(page):
     """What comes in batches: (lost, commandable, {topic: payload})."""
-    while True:
-        message = page.recv(PATIENCE_S)
-        if isinstance(message, bytes):
-            _, lost, commandable, messages = msgpack.unpackb(message)
-            yield lost, commandable, messages
+    for message in said(page, bytes, "what should be in a batch"):
+        _, lost, commandable, messages = msgpack.unpackb(message)
+        yield lost, commandable, messages
+
+
+def answers(page):
+    """What a page is told of its orders."""
+    for message in said(page, str, "the answer to an order"):
+        yield json.loads(message)["answer"]
 
 
 def heard(page, *topics):
@@ -140,19 +155,16 @@ def heard(page, *topics):
     for _, _, messages in batches(page):
         found += messages
         if {topic for topic, _ in found} >= set(topics):
-            return found
-    return None
+            break
+    return found
 
 
 def answer(page, command):
     """What the page is told of a command."""
     page.send(json.dumps({"id": 7, "cmd": command}))
-    while True:
-        message = page.recv(PATIENCE_S)
-        if isinstance(message, str):
-            told = json.loads(message)["answer"]
-            assert (told["id"], told["cmd"]) == (7, command)
-            return told["error"]
+    told = next(answers(page))
+    assert (told["id"], told["cmd"]) == (7, command)
+    return told["error"]
 
 
 def until_commandable(page):
@@ -263,7 +275,7 @@ def test_a_command_reaches_the_daemon_and_its_answer_the_page(daemon, served):
             assert (asked["cmd"], asked["args"]) == ("jog", {"phi1_deg": 0.4})
             daemon.reply(route, id=asked["id"] + 1000, ok=True)  # of something else
             daemon.reply(route, id=asked["id"], **reply)
-            told = next(m for m in iter(lambda: page.recv(PATIENCE_S), None) if isinstance(m, str))
+            told = next(said(page, str, "an answer"))
             assert json.loads(told) == {"answer": {"id": 1, "cmd": "jog", "error": error}}
 
 
@@ -294,7 +306,7 @@ def test_silence_is_told_after_a_while(daemon, served, monkeypatch):
         route, asked = daemon.asked()
         daemon.reply(route, id=asked["id"], ok=True)  # too late: says nothing any more
         page.send(json.dumps({"id": 8, "cmd": "none"}))
-        told = next(m for m in iter(lambda: page.recv(PATIENCE_S), None) if isinstance(m, str))
+        told = next(said(page, str, "an answer"))
         assert json.loads(told)["answer"]["id"] == 8
 
 

@@ -7,7 +7,7 @@ import socket
 from types import SimpleNamespace
 
 import pytest
-from test_view import PATIENCE_S, Daemon, Served, answer, until_commandable
+from test_view import PATIENCE_S, Daemon, Served, answer, answers, until_commandable
 
 from palmd.view import command_client
 from palmd.view import server as module
@@ -35,9 +35,7 @@ def knock(port):
 
 def told(page):
     """What is wrong with the next order that is answered."""
-    while not isinstance(message := page.recv(PATIENCE_S), str):
-        pass
-    return json.loads(message)["answer"]["error"]
+    return next(answers(page))["error"]
 
 
 def is_shut(one):
