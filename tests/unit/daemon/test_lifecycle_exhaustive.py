@@ -43,8 +43,9 @@ def explored(rig, *commands):
     number(rig)
     while waiting:
         rig, node = waiting.popleft()
+        copy = rig.copies()
         for name, do in happenings(rig, *([commands] if commands else [])):
-            after = rig.copy()
+            after = copy()
             do(after)
             node.ways[name] = number(after)
             node.granted[name] = name in after.granted
