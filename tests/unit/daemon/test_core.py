@@ -2,7 +2,9 @@
 
 import dataclasses
 import math
+import pickle
 import re
+from functools import cache
 from random import Random
 
 import numpy as np
@@ -187,16 +189,31 @@ class Bench:
         assert status.get("refused_610", 0) == status.get("refused_611", 0) == 0
 
 
-@pytest.fixture
-def ready():
+@cache
+def kept(begun):
+    """A bench as it is when it has begun, for every test to begin with one of its own."""
+    return pickle.dumps(begun())
+
+
+def begun_ready():
     return Bench().go(1.0)
 
 
+def begun_running():
+    bench = begun_ready()
+    bench.do("arm")
+    bench.do("start")
+    return bench.go(1.0)
+
+
 @pytest.fixture
-def running(ready):
-    ready.do("arm")
-    ready.do("start")
-    return ready.go(1.0)
+def ready():
+    return pickle.loads(kept(begun_ready))
+
+
+@pytest.fixture
+def running():
+    return pickle.loads(kept(begun_running))
 
 
 def logged(bench, kind=""):
