@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from palmd.config import Config
+from palmd.devices import dynamixel as dxl
 from palmd.devices.actuator import ArmReport, JointPose, make_actuator
 from palmd.rig.fault_injection import FaultOrder
 from palmd.rig.line import Wire
@@ -74,3 +75,29 @@ class ServoBench:
     def speed(self) -> float:
         """Of the faster palm (rad/s)."""
         return max(map(abs, self.rig.palms_at(self.t).rates))
+
+
+class BenchTalk:
+    """A `Talk` with the emulated servos, in their own time."""
+
+    def __init__(self, bench, late_s=0.0):
+        self.bench, self.late_s = bench, late_s
+        self.baud = 1_000_000
+        self.axes = bench.host.axes
+        self._out = Wire(self.baud)
+
+    def ask(self, packet, patience_s=0.04, answers=1):
+        bench, reader, found = self.bench, dxl.PacketReader(self.baud), []
+        t_sent = bench.t
+        bench.rig.receive(packet, packet, bench.t)
+        while len(found) < answers and bench.t < t_sent + patience_s:
+            bench.t += 5e-4
+            for said in bench.rig.step(bench.t):
+                self._out.send(said.data, said.t + self.late_s)
+            found += [(each, bench.t - t_sent) for each in reader.feed(self._out.take(bench.t), bench.t)]
+        return found
+
+    def wait(self, seconds):
+        for _ in range(round(seconds / 5e-4)):
+            self.bench.t += 5e-4
+            self.bench.rig.step(self.bench.t)

@@ -1,5 +1,7 @@
 """A leak of 100 kB an hour is found, and whose it is; what only comes and goes is none."""
 
+import gc
+
 import pytest
 
 from palmd.daemon.supervisor import Supervisor
@@ -8,6 +10,15 @@ from palmd.lab.simulation.long import calm, live, troubled
 
 SECONDS, EVERY_S = 60.0, 2.0
 LEAK_BYTES, LEAK_TICKS = 111, 400  # with its place in a list 119 bytes every 4 s: 107 kB/h
+
+
+@pytest.fixture(autouse=True)
+def nothing_else_to_look_through():
+    """Each sample collects garbage: what other tests have left in this process would be looked through every time."""
+    gc.collect()
+    gc.freeze()
+    yield
+    gc.unfreeze()
 
 
 def lived(seconds=SECONDS):

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -24,6 +25,8 @@ from palmd.observer.palms import PalmTracker
 from palmd.observer.smoother_link import MEMORY_S
 from palmd.observer.smoothing import Session, period
 from palmd.system.description import RigDescription
+
+Answers = Callable[[float], Improvement | None]
 
 KIND, SEED = "rig", 4
 TICK_S = 0.01
@@ -50,6 +53,12 @@ class Scripted:
             return None
         improvement, self.improvement = self.improvement, None
         return improvement
+
+
+@pytest.fixture(scope="module")
+def answers(run: Run) -> Answers:
+    """What a smoother says of the readings up to a time (s), found once for all tests."""
+    return cache(partial(answer, run))
 
 
 def answer(run: Run, end: float, rig: RigDescription | None = None) -> Improvement | None:
@@ -118,9 +127,9 @@ def test_the_same_log_gives_the_same_estimates(run: Run) -> None:
     assert repr(first) == repr(second)  # NaN equals itself there
 
 
-def test_psi_goes_on_without_a_jump_when_an_improvement_takes_the_lead(run: Run) -> None:
+def test_psi_goes_on_without_a_jump_when_an_improvement_takes_the_lead(run: Run, answers: Answers) -> None:
     end = 3.0
-    improvement = answer(run, end)
+    improvement = answers(end)
     assert improvement is not None
     smoothing = Scripted(end + 0.05, improvement)
     watcher = observer.make("shape", run.rig, smoothing=smoothing)
@@ -141,9 +150,9 @@ def test_an_improvement_from_before_the_present_object_is_not_taken(run: Run) ->
     assert watcher.improvements == 0
 
 
-def test_an_improvement_that_its_own_readings_contradict_is_turned_away(run: Run) -> None:
+def test_an_improvement_that_its_own_readings_contradict_is_turned_away(run: Run, answers: Answers) -> None:
     end = 3.0
-    right = answer(run, end)
+    right = answers(end)
     assert right is not None
     wrong = right.x.copy()
     wrong[6] += 3e-3  # 3 mm larger
@@ -153,9 +162,9 @@ def test_an_improvement_that_its_own_readings_contradict_is_turned_away(run: Run
     assert np.abs(errors).max() < 0.5e-3
 
 
-def test_a_newcomer_arrives_where_a_filter_that_had_always_been_there_stands(run: Run) -> None:
+def test_a_newcomer_arrives_where_a_filter_that_had_always_been_there_stands(run: Run, answers: Answers) -> None:
     since, until = 2.0, 2.8
-    improvement = answer(run, since)
+    improvement = answers(since)
     assert improvement is not None
     recent = [event for event in run.events if event.t_sample <= until]
     newcomer = FilterCatchUp(run.rig)
@@ -185,11 +194,11 @@ def test_a_newcomer_arrives_where_a_filter_that_had_always_been_there_stands(run
     assert 0.5 < nis < 1.5
 
 
-def test_improvements_are_sharper_the_more_was_read(run: Run) -> None:
+def test_improvements_are_sharper_the_more_was_read(answers: Answers) -> None:
     theta = np.linspace(0.0, 2 * np.pi, 90)
     spreads = []
     for end in (2.0, 4.0, 6.0):
-        improvement = answer(run, end)
+        improvement = answers(end)
         assert improvement is not None
         assert improvement.t == pytest.approx(end, abs=0.05)
         rows = shape.basis(theta, ORDER)

@@ -1,0 +1,26 @@
+"""When a line's errors are too many: by the share of what has come since the last look."""
+
+from palmd.devices.health import Share, bytes_since, last_report
+
+
+def test_too_many_is_more_than_the_share_among_enough():
+    assert not Share(0.1, 20).exceeded(19, 19)  # too few to tell
+    assert not Share(0.1, 20).exceeded(20, 2)  # the share itself is not too many
+    assert Share(0.1, 20).exceeded(20, 3)
+
+
+def test_only_what_has_come_since_the_last_look_counts():
+    share = Share(0.1, 20)
+    assert share.exceeded(100, 50)
+    assert not share.exceeded(200, 52)  # 2 of 100: what was bad before is over
+    assert share.told("packets") == "2 of 100 packets since the last look"
+    assert not share.exceeded(200, 52)  # nothing has come
+    assert share.exceeded(220, 72)
+
+
+def test_ages_and_bytes_in_words():
+    assert last_report(None, 1.0) == "no packet has come yet"
+    assert last_report(1.0, 1.25) == "its last packet is 250 ms old"
+    assert last_report(1.0, 2.0) == "its last packet is 1.0 s old"
+    assert bytes_since(0) == "not a byte has come since"
+    assert bytes_since(3) == "3 bytes have come since, which are no packet"

@@ -1,0 +1,69 @@
+"""`palmd doctor` with servos: what moves is asked for first, and the exit status says what came of it."""
+
+from contextlib import nullcontext
+
+import pytest
+from servo_bench import BenchTalk, ServoBench, tabletop
+
+from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
+from palmd.devices import dynamixel as dxl
+from palmd.devices.servoconformance import CHECKS
+from palmd.doctor import servos
+
+
+@pytest.fixture
+def bench(monkeypatch):
+    """Servos as palmd sets them up, behind the port; nobody is there to be asked."""
+    bench = ServoBench().go(1.0)
+    monkeypatch.setattr(servos, "_talk", lambda _arm: nullcontext(BenchTalk(bench)))
+    monkeypatch.setattr(servos, "confirmed", lambda _question: False)
+    return bench
+
+
+ARM = tabletop().arm
+
+
+def test_with_leave_every_check_is_made_and_passed(bench, capsys):
+    assert servos.examine_servos(ARM, sure=True) == 0
+    count = 2 * (len(CHECKS) - 1) + 1
+    assert f"c: {count} of {count} checks passed, 0 failed\n" in capsys.readouterr().out
+
+
+def test_without_leave_no_torque_and_no_success(bench, capsys):
+    torque = []
+    step = bench.rig.step
+    bench.rig.step = lambda t: torque.extend(servo.torque for servo in bench.rig._servos) or step(t)
+    assert servos.examine_servos(ARM, sure=False) == BAD_INPUT
+    assert torque
+    assert not any(torque)
+    out, err = capsys.readouterr()
+    assert "FAIL" not in out
+    assert "what turns the torque on was left out: give --yes, or answer yes" in err
+
+
+def test_servos_that_fail_at_rest_are_not_asked_to_move(bench, monkeypatch, capsys):
+    asked = []
+    monkeypatch.setattr(servos, "confirmed", asked.append)
+    bench.rig._servos[0]._set(dxl.TEMPERATURE, 68)
+    assert servos.examine_servos(ARM, sure=True) == RIG_FAILED
+    out = capsys.readouterr().out
+    assert "FAIL  servo 1: " in out
+    assert "68 °C" in out
+    assert not asked
+    assert not any(check.clause in out for check in CHECKS if check.moves)
+
+
+def test_doctors_list_names_what_is_wrong_and_how_to_mend_it(bench):
+    bench.rig._servos[1]._set(dxl.TEMPERATURE, 68)
+    found = list(servos.findings(ARM))
+    missing = [finding for finding in found if finding.verdict != "ok"]
+    assert len(found) > len(missing) == 1
+    assert missing[0].what == "servo 2"
+    assert "68 °C" in missing[0].says
+
+
+def test_a_port_that_cannot_be_had_is_told(monkeypatch, capsys):
+    assert [(found.what, found.verdict) for found in servos.findings(ARM)] == [("servos", "missing")]
+    with pytest.raises(CliError) as caught:
+        servos.examine_servos(ARM, sure=True)
+    assert caught.value.status == RIG_FAILED

@@ -1,0 +1,86 @@
+"""How all tests are run: side by side, nothing left out, and a rig's that was kept waiting tried again by itself."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+SCRIPT = """\
+import os, pathlib, sys
+log = pathlib.Path("log")
+again = "--last-failed" in sys.argv
+with log.open("a") as stream:
+    stream.write(f"{sys.argv[1]} {'again' if again else 'first'} {os.environ.get('PALMD_TESTS_BESIDE')}\\n")
+print(f"{sys.argv[1]} talks")
+sys.exit(int(sys.argv[3 if again else 2]))
+"""
+
+
+@pytest.fixture
+def tool(monkeypatch):
+    monkeypatch.chdir(ROOT)
+    spec = importlib.util.spec_from_file_location("run_tests", ROOT / "tools/run_tests.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def ran(tool, monkeypatch, tmp_path):
+    """Exit status, and who ran how, for parts of (name, status, status when tried again, whether of a rig)."""
+    (tmp_path / "part.py").write_text(SCRIPT)
+    monkeypatch.chdir(tmp_path)
+
+    def run(*parts):
+        made = [
+            tool.Part(name, (sys.executable, "part.py", name, str(first), str(again)), rig=rig)
+            for name, first, again, rig in parts
+        ]
+        monkeypatch.setattr(tool, "parts", lambda: made)
+        status = tool.main([])
+        return status, sorted(tuple(line.split()) for line in (tmp_path / "log").read_text().splitlines())
+
+    return run
+
+
+def test_a_rig_that_fails_beside_others_is_tried_again_by_itself(ran, capfd):
+    assert ran(("rig", 1, 0, True), ("other", 0, 9, False)) == (
+        0,
+        [("other", "first", "None"), ("rig", "again", "None"), ("rig", "first", "1")],
+    )
+    told = capfd.readouterr().out
+    assert (
+        told.index("rig, over by") < told.index("rig: what has failed is tried again") < told.index("failed: nothing")
+    )
+    assert "other talks" in told
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        [("rig", 1, 1, True)],  # fails on the quiet machine too
+        [("rig", 2, 0, True)],  # was not run to its end
+        [("rig", 0, 0, True), ("other", 1, 0, False)],
+    ],
+)
+def test_what_fails_has_failed(ran, parts, capfd):
+    status, log = ran(*parts)
+    assert status == 1
+    assert len(log) == len(parts) + (parts[0][1] == 1)
+    assert f"failed: {parts[-1][0]}" in capfd.readouterr().out
+
+
+def test_no_test_is_left_out_and_none_is_run_twice(tool):
+    parts = {part.name: part for part in tool.parts()}
+    rig, gentle, others = (parts[name].command for name in ("rig", "rig, calibrations", "all others"))
+    assert {each for each in others if each.startswith("--ignore=")} == {
+        *("--ignore=tests/rig", "--ignore=tests/system", "--ignore=tests/bench", "--ignore=tests/vm")
+    }
+    assert {"tests/rig", "tests/system"} <= {*rig}
+    files = {each for each in gentle if each.startswith("tests/")}
+    assert len(files) > 2
+    assert all((ROOT / each).is_file() for each in files)
+    assert {f"--ignore={each}" for each in files} == {each for each in rig if each.startswith("--ignore=")}
+    assert [part.name for part in tool.parts() if part.rig] == ["rig", "rig, calibrations"]
