@@ -443,6 +443,11 @@ class AdeptConfig(Strict):
         return 2e-4
 
     @property
+    def goal_rounding_rad(self) -> float:
+        """To what steps of a palm's angle set-points are rounded: the link's are too fine to matter."""
+        return 0.0
+
+    @property
     def play_sd_deg(self) -> float:
         """One sigma of what play adds to a palm's angle, all along."""
         return 0.0
@@ -491,6 +496,11 @@ class DynamixelConfig(Strict):
     def angle_noise_rad(self) -> float:
         """One sigma of a palm's reported angle by itself."""
         return math.radians(self.angle_noise_deg)
+
+    @property
+    def goal_rounding_rad(self) -> float:
+        """To what steps of a palm's angle set-points are rounded: the servo's counts, 4096 a turn."""
+        return math.tau / 4096
 
     @property
     def servos(self) -> tuple[ServoConfig, ...]:
@@ -680,6 +690,7 @@ def rig_description(config: Config) -> RigDescription:
         palm1_length=config.rig.palm1_length_mm * 1e-3,
         base=(config.rig.base_mm[0] * 1e-3, config.rig.base_mm[1] * 1e-3),
         palm_angle_noise=config.arm.angle_noise_rad,
+        goal_rounding=config.arm.goal_rounding_rad,
         angle_sd=math.radians(math.hypot(config.rig.angle_sd_deg, config.arm.play_sd_deg)),
         gravity_sd=math.radians(config.rig.gravity_sd_deg),
         friction_sd=config.rig.friction_asymmetry_sd,

@@ -10,6 +10,7 @@ import pytest
 from pydantic import ValidationError
 
 from palmd.config import Config, PlanSpec, config_hash, from_here, rig_description
+from palmd.devices.servoaxis import RADIANS_PER_COUNT
 from palmd.yamlfile import load_config
 
 ROOT = Path(__file__).parents[2]
@@ -183,6 +184,7 @@ def test_play_makes_an_angle_less_sure() -> None:
     rig = rig_description(made)
     assert math.degrees(rig.angle_sd) == pytest.approx(math.hypot(0.1, 0.125))
     assert math.degrees(rig.palm_angle_noise) == pytest.approx(0.04)
+    assert rig.goal_rounding == RADIANS_PER_COUNT
     assert rig_description(config()).palm_angle_noise == 2e-4
 
 

@@ -22,7 +22,7 @@ from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import directions, felt_normals, gauge_free_sd, touched_by
 from palmd.observer.reconstruct import SPACING_S
 from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
-from palmd.observer.search import NOISE, Search
+from palmd.observer.search import Search
 from palmd.observer.smoother import Smoother
 from palmd.system.description import RigDescription
 
@@ -71,7 +71,7 @@ def cramer_rao(events: Sequence[Event], rig: RigDescription, truth: Truth, theta
     guess = _true_guess(truth, search.prior, record.t)
     expected = _expected(record, Smoother(search.library, record, search.prior), rig, guess)
     smoother = Smoother(search.library, expected, search.prior)
-    covariance = smoother.posterior(smoother.fit(guess, NOISE, iterations=0)).covariance
+    covariance = smoother.posterior(smoother.fit(guess, search.noise, iterations=0)).covariance
 
     coefficients = guess.p[C.SHAPE :]
     touched = directions()[touched_by(felt_normals(record, guess.x[:, 0], coefficients))]

@@ -20,7 +20,7 @@ from palmd.observer.data_segment import DataSegment
 from palmd.observer.matching import Felt, matched
 from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import felt_normals
-from palmd.observer.search import NOISE, Minima, Search, explained
+from palmd.observer.search import Minima, Search, explained
 from palmd.observer.smoother import Posterior, Smoother
 
 PATIENCE = 2  # windows that may fail: an answer that hard to find comes too late
@@ -65,7 +65,7 @@ class Follower:
     def __init__(self, found: Answer):
         """`found` has the readings so far."""
         self._rig = found.search.rig
-        self._chain = Chain(found.search.library, NOISE, found.search.known)
+        self._chain = Chain(found.search.library, found.search.noise, found.search.known)
         self._belief = found.search.belief
         self._closed = self.touched = marks_of(np.zeros((0, 2)))
         self.lost = False

@@ -113,6 +113,7 @@ class Search:
         self._known = known
         self._resting_since = resting_since
         self.belief = belief or RigBelief.of(rig)
+        self.noise = noise_on(rig)
 
     @property
     def known(self) -> Knowledge:
@@ -206,7 +207,7 @@ class Search:
         return self.record.until(max(longer.t[step], now + LEAST_GROWTH_S))
 
     def _minima(self, record: Record, guesses: Sequence[Guess]) -> Minima:
-        return minima(self.library, record, self.known, guesses, NOISE)
+        return minima(self.library, record, self.known, guesses, self.noise)
 
     def merged(self, one: Minima | None, other: Minima | None) -> Minima | None:
         """What two searches of the whole segment have found between them."""
@@ -229,6 +230,11 @@ def minima(library: Library, record: Record, known: Knowledge, guesses: Sequence
         smoother = Smoother(library, noisier, known)
         fits = _distinct([smoother.fit(fit.guess, noise) for fit in fits])
     return Minima(noisier, fits)
+
+
+def noise_on(rig: RigDescription) -> ProcessNoise:
+    """What the model leaves out, how unevenly the palms of this rig turn included."""
+    return replace(NOISE, omega0=NOISE.omega0 + rig.uneven_spin)
 
 
 def _astray(residuals: FloatArray) -> npt.NDArray[np.bool_]:

@@ -18,7 +18,8 @@ from palmd.system.rig_constants import prior_sds
 LEAST_S = 1.0  # of readings, before which the bank is as good
 STILL_KEPT_S = 2.0  # of readings at rest, when those and what came before tell nothing
 _ATTEMPTS = (Attempt(2.0, 3), Attempt(3.5, 4), Attempt(1.2, 8), Attempt(5.0, 4))
-_UNEQUAL = tuple(Attempt(seconds, 4, a) for seconds in (2.0, 3.5) for a in (0.5, -0.5))
+_BEGUN = (0.5, -0.5)  # with palms that rub so unequally
+_UNEQUAL = tuple(Attempt(seconds, 4, a) for seconds in (2.0, 3.5) for a in _BEGUN)
 _FREE = (Attempt(2.0, 4, free=True), Attempt(3.5, 4, free=True))
 HINT_SD = 1e-4  # m, of the outline's coefficients
 CHALLENGE = 2.0  # by how much the record grows from one blind search to the next
@@ -37,7 +38,8 @@ class Seeker:
     """Deterministic for a given seed and the same calls.
 
     Where constants of the rig are open, short records are often explained as well by an outline a millimetre off: then
-    only what a second blind search comes to as well is to be vouched for.
+    only what a second blind search comes to as well is to be vouched for. On a fixed hinge it takes two that begin with
+    palms that rub unequally, one way and the other, and no rival that explains the readings nearly as well.
     """
 
     def __init__(self, rig: RigDescription, seed: int):
@@ -50,7 +52,9 @@ class Seeker:
         self._challenge_s = 0.0
         # how alike the palms rub is no matter of calibration
         self._exact = not prior_sds(rig)[: R.FRICTION].any()
-        self._confirmed = False
+        # a fixed hinge turns unequal friction into motion, which equal friction and a wrong outline explain for seconds
+        self._lopsided = bool(rig.friction_sd) and rig.hinge == "fixed"
+        self._survived = self._challenges = 0
         self._failed = 0
         self._doubtful = True
         self.needs_from = -float("inf")
@@ -72,21 +76,20 @@ class Seeker:
         if self._guesses and segment.start == self._start:
             finding = search.resumed(self._guesses)
         else:
-            self._challenge_s, self._confirmed = 0.0, False
+            self._challenge_s, self._survived = 0.0, 0
         if finding is None and hint is not None:
             finding = search.placed(hint, HINT_SD**2 * np.eye(2 * ORDER + 1))
-        challenged = seconds >= self._challenge_s or not (self._exact or self._confirmed)
+        challenged = seconds >= self._challenge_s or not self.sure
         if finding is None or challenged or unfit(finding.fits[0], finding.record):
             # a window that has grown may have been led into a valley next to the right one
-            attempts = attempts_for(self._rig)
-            attempt = attempts[self._failed % len(attempts)]
+            attempt = self._attempt(finding is not None)
             self._seed += 1
             attempt = attempt._replace(seconds=min(attempt.seconds, seconds))
             if finding is None and attempt.free:
                 search = Search(segment, rig, PATIENCE, belief=self._belief.suspended())
             blind = search.blind(attempt, self._seed)
             merged = search.merged(finding, blind)
-            self._confirmed = agree(finding, blind) or (self._confirmed and agree(finding, merged))
+            self._survived = self._challenges_survived(finding, blind, merged)
             finding = merged
             self._challenge_s = CHALLENGE * seconds
         answer = None if finding is None else self._criticised(segment, Answer(search, finding))
@@ -101,10 +104,26 @@ class Seeker:
             return None
         return answer
 
+    def _attempt(self, found: bool) -> Attempt:
+        """The next blind search; what has been `found` is set against those that begin with unequal palms."""
+        if found and self._lopsided:
+            self._challenges += 1
+            return _UNEQUAL[self._challenges % len(_UNEQUAL)]
+        attempts = attempts_for(self._rig)
+        return attempts[self._failed % len(attempts)]
+
+    def _challenges_survived(self, finding: Minima | None, blind: Minima | None, merged: Minima | None) -> int:
+        """In how many searches since what has been found it has been found again, or been better than what was."""
+        if not self._lopsided:
+            return int(agree(finding, blind) or (self._survived > 0 and agree(finding, merged)))
+        if merged is None or not agree(finding, merged):
+            return 0
+        return self._survived + (blind is not None and len(merged.fits) == 1)
+
     @property
     def sure(self) -> bool:
         """Whether the last answer is one to vouch for."""
-        return self._exact or self._confirmed
+        return self._exact or self._survived >= (len(_BEGUN) if self._lopsided else 1)
 
     def _criticised(self, segment: DataSegment, answer: Answer) -> Answer:
         """What is found once the rig is taken for what the readings tell."""

@@ -120,6 +120,7 @@ def _rig(rig: Line) -> RigDescription:
         palm1_length=length,
         base=(length, 0.0),
         palm_angle_noise=positive(rig, "palm_angle_noise_rad", default.palm_angle_noise),
+        goal_rounding=not_negative(rig, "goal_rounding_rad", 0.0),
         pads=tuple(replace(common, curvature=kappa) for kappa in curvatures),
     ).known_to(sds)
     own = rig.get("pads")
@@ -208,6 +209,7 @@ def header_line(rig: RigDescription) -> Line:
         "force_scale_std": worst.pop("force_scale_std"),
         "force_gain_std": worst.pop("force_gain_std"),
         "palm_angle_noise_rad": rig.palm_angle_noise,
+        **({"goal_rounding_rad": rig.goal_rounding} if rig.goal_rounding else {}),
         **worst,
         "calibration_sd": sds,
         **{_CURVATURE.format(palm): kappa for palm, kappa in zip(PALMS, rig.curvatures, strict=True) if kappa},

@@ -10,8 +10,11 @@ from typing import Any, Literal
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.system.mechanism import PALMS
+from palmd.system.mechanism import JOINTS, PALMS
 
+# An actuator that lags by some 20 ms makes of goals rounded by e, one each 10 ms, rates of e over so long.
+ROUNDING_LASTS_S = 0.03
+UNEVEN_SPIN_HZ = 12.0
 HingeMode = Literal["arc", "fixed"]
 
 
@@ -54,7 +57,8 @@ class PadSensor:
 class RigDescription:
     """What an observer must know of the rig; by default it is exactly as described.
 
-    pads: one for each palm. base: of palm 1's far end, where an arc hinge is fixed to the world. angle_sd, gravity_sd:
+    pads: one for each palm. base: of palm 1's far end, where an arc hinge is fixed to the world. palm_angle_noise: of a
+    reported angle by itself. goal_rounding: to what steps set-points are rounded, which the palms follow. angle_sd, gravity_sd:
     one-sigma of what each palm's angle and gravity's direction are off by, all along; friction_sd: of the asymmetry
     (μ1 − μ2)/(μ1 + μ2) of the palms' friction.
     """
@@ -64,6 +68,7 @@ class RigDescription:
     palm1_length: float = 0.12
     base: tuple[float, float] = (0.12, 0.0)
     palm_angle_noise: float = 2e-4
+    goal_rounding: float = 0.0
     angle_sd: float = 0.0
     gravity_sd: float = 0.0
     friction_sd: float = 0.0
@@ -96,6 +101,20 @@ class RigDescription:
             mine = pad == number
             variance[mine] = sensor.force_variance(force[mine])
         return variance
+
+    @property
+    def uneven(self) -> FloatArray:
+        """One-sigma of what rounded goals make of the joints' angles (rad) and rates (rad/s) beside what is told.
+
+        (2, joints): φ1 is of the first palm alone, each further joint from palm to palm.
+        """
+        of_palm = np.array([1.0, 1.0 / ROUNDING_LASTS_S]) * self.goal_rounding / math.sqrt(12.0)
+        return np.outer(of_palm, np.where(np.arange(len(JOINTS)) > 0, math.sqrt(2.0), 1.0))
+
+    @property
+    def uneven_spin(self) -> float:
+        """What that makes of an object's spin, which follows the palms at once: its noise density ((rad/s)²/s)."""
+        return float(UNEVEN_SPIN_HZ * self.uneven[1, 0] ** 2)
 
     def with_pads(self, **values: float) -> RigDescription:
         """The same rig with these fields of every pad."""

@@ -9,6 +9,7 @@ from simulated import simulated
 
 from palmd.events import PadSample, PalmSample
 from palmd.model import shape_map
+from palmd.model.outputs import NAMED
 from palmd.model.shape_map import Z
 from palmd.model.smoothing import ORDER, RIG_CONSTANTS
 from palmd.observer.bank import GATE, LOST_SCORE, Belief
@@ -19,7 +20,7 @@ from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.history import EVENTS, History
 from palmd.observer.palms import FORGOTTEN_S, PalmTracker
 from palmd.observer.rig_error import RigError
-from palmd.system.description import PadSensor, RigDescription
+from palmd.system.description import ROUNDING_LASTS_S, PadSensor, RigDescription
 
 RIGS = {
     "flat": RigDescription(),
@@ -104,16 +105,35 @@ def test_filters_are_carried_and_told_readings_as_the_twins_are(kind, size, orde
 
 
 @pytest.mark.parametrize("kind", RIGS)
-@pytest.mark.parametrize("spread", [False, True])
-def test_named_values_and_their_variances_are_the_twins(kind, spread):
+@pytest.mark.parametrize("left_by", ["nobody", "spread", "left_open"])
+def test_named_values_and_their_variances_are_the_twins(kind, left_by):
     filters, palms = pair(RIGS[kind], 1, ORDER)
     steps = 1e-3 * np.random.default_rng(2).standard_normal((filters[0].bank.n + RIG_CONSTANTS, RIG_CONSTANTS))
     told = []
     for each, tracked in zip(filters, palms, strict=True):
-        each.spread = steps if spread else None
+        if left_by != "nobody":
+            setattr(each, left_by, steps)
         told.append(each.named(0, 0.03, 0.009, tracked))
     for got, wanted in zip(*told, strict=True):
         np.testing.assert_allclose(got, wanted, rtol=1e-10, atol=1e-12 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_what_rounded_goals_do_to_the_palms_is_told_of_them(compiled):
+    rounding = 1.5e-3
+    told = []
+    for rig in (RIGS["flat"], replace(RIGS["flat"], goal_rounding=rounding)):
+        filters = ShapeFilters(rig, 1, compiled=compiled)
+        filters.bank.x[:, Z.SHAPE] = 0.02
+        palms = filters.tracker(2e-4)
+        palms.feed(PalmSample(0.0, (0.8, 1.6), (0.0, 0.0), (0.0, 0.0)))
+        told.append(filters.named(0, 0.0, 0.001, palms)[1])
+    more = dict(zip(NAMED, told[1] - told[0], strict=True))
+    angle = rounding**2 / 12
+    assert more["phi1"] == pytest.approx(angle)
+    assert more["phi2"] == pytest.approx(2 * angle)  # from palm to palm
+    assert more["omega2"] == pytest.approx(2 * angle / ROUNDING_LASTS_S**2)
+    assert more["r1"] == 0.0
 
 
 def test_filters_forget_bit_for_bit_as_the_twins_do():

@@ -8,6 +8,7 @@ import pytest
 from palmd.events import PalmSample
 from palmd.motion.segments import Move
 from palmd.observer.palms import PalmTracker
+from palmd.system.description import RigDescription
 
 NOISE = 2e-4
 REPORT_S, ROUNDED_S = 0.016, 0.024
@@ -65,6 +66,37 @@ def test_standing_palms_are_as_sharp_as_their_reports():
     assert angle_sd == pytest.approx([7e-5, 7e-5], abs=5e-5)
     assert (rate_sd < 5e-3).all()
     assert math.isfinite(tracker.at(tracker.t + 0.01)[0])
+
+
+def test_what_rounded_goals_do_to_the_palms_is_as_much_as_is_told():
+    """Servos follow goals of whole counts, each 10 ms, and lag: rates that no report tells come of it."""
+    count, lag_s, step_s = math.tau / 4096, 0.010, 1e-3
+    rig = RigDescription(goal_rounding=count)
+    tracker, squares, random = PalmTracker(7e-4), [], np.random.default_rng(4)
+    really = np.zeros((2, 3))  # each palm's own direction after none, one and two lags
+    for k in range(4000):
+        t = k * step_s
+        meant = 0.8 + 0.3 * np.sin([1.1 * t, 1.7 * t])
+        if k % 10 == 0:
+            really[:, 0] = np.round(meant / count) * count
+        if k == 0:
+            really[:] = really[:, :1]
+        rates = (really[:, :-1] - really[:, 1:]) / lag_s
+        really[:, 1:] += rates * step_s
+        joints, turning = really[:, 2] - [0.0, really[0, 2]], rates[:, 1] - [0.0, rates[0, 1]]
+        if k > 500 and k % 10 == 3:
+            angle_sd, rate_sd = np.hypot(tracker.sd(t), rig.uneven)
+            now = tracker.at(t)
+            squares.append([((now[:2] - joints) / angle_sd) ** 2, ((now[2:4] - turning) / rate_sd) ** 2])
+        if k % 10 == 0:
+            behind = t - 2 * lag_s - 5 * step_s  # the plan as it is carried out
+            rate = np.array([0.33 * np.cos(1.1 * behind), 0.51 * np.cos(1.7 * behind)])
+            bend = np.array([-0.363 * np.sin(1.1 * behind), -0.867 * np.sin(1.7 * behind)])
+            seen = joints + 7e-4 * random.standard_normal(2)
+            tracker.feed(PalmSample(t, tuple(seen), *(tuple(each - [0.0, each[0]]) for each in (rate, bend))))
+    angle, rate = np.mean(squares, axis=(0, 2))
+    assert 0.3 < angle < 2.0
+    assert 0.3 < rate < 2.0
 
 
 def test_readings_repeat_one_another_while_the_palms_rest():

@@ -5,6 +5,7 @@ from simulated import simulated
 
 from palmd.observer import seeker
 from palmd.observer.data_segment import data_segments
+from palmd.observer.search import Search
 from palmd.observer.seeker import Seeker
 from palmd.system.description import AS_CALIBRATED
 
@@ -29,7 +30,22 @@ def test_on_a_rig_that_is_as_described_the_first_search_is_believed(rig):
 
 def test_where_constants_are_open_a_second_search_must_come_to_the_same(rig, monkeypatch):
     """Short records are explained as well by outlines that are a millimetre off."""
-    calibrated = rig.known_to(AS_CALIBRATED)
+    calibrated = rig.known_to({**AS_CALIBRATED, "friction_sd": 0.0})
     assert sought(calibrated) == [False, True]
     monkeypatch.setattr(seeker, "agree", lambda *_: False)
     assert sought(calibrated, 3) == [False] * 3
+
+
+def test_on_a_fixed_hinge_it_is_set_against_palms_that_rub_unequally_either_way(rig, monkeypatch):
+    """They turn what they rub unequally, which equal palms and a wrong outline explain as well for seconds."""
+    begun, blind = [], Search.blind
+
+    def noted(self, attempt, seed):
+        begun.append(attempt.asymmetry)
+        return blind(self, attempt._replace(asymmetry=0.0), seed)
+
+    monkeypatch.setattr(Search, "blind", noted)
+    assert rig.hinge == "fixed"
+    assert sought(rig.known_to(AS_CALIBRATED), 3) == [False, False, True]
+    assert begun[0] == 0.0
+    assert {*begun[1:]} == {0.5, -0.5}

@@ -258,6 +258,7 @@ rigs = st.builds(
     gravity=st.floats(0.1, 20),
     hinge=st.sampled_from(["arc", "fixed"]),
     palm_angle_noise=st.floats(1e-6, 1),
+    goal_rounding=st.floats(0, 1),
     pads=st.tuples(sensors, sensors),
 )
 

@@ -79,6 +79,7 @@ class ShapeFilters:
         library = shape_map.library(order, rig.curved)
         inputs = (shape_map.PREDICTION_INPUTS, shape_map.PALM_INPUTS + RIG_INPUTS, len(NAMED))
         n = shape_map.size(order)
+        self._uneven = np.ravel(rig.uneven) ** 2
         self._rig, self._curvatures = rig_inputs(rig), rig.curvatures if rig.curved else ()
         update_inputs = shape_map.UPDATE_INPUTS + len(self._curvatures)
         self.bank = Bank(library, size, n, dict.fromkeys(shape_map.UPDATES, update_inputs), inputs, memory_s)
@@ -178,8 +179,9 @@ class ShapeFilters:
 
     def named(self, member: int, t: float, dt: float, palms: TrackedPalms) -> tuple[FloatArray, FloatArray]:
         if self.compiled is not None and isinstance(palms, CompiledPalms):
-            spread = None if self.spread is None else self.spread[: self.bank.n]
-            return self.compiled.named(self.compiled_rig, palms, member, t, dt, spread)
+            y, variance = self.compiled.named(self.compiled_rig, palms, member, t, dt, self._open())
+            variance[_JOINTS_AT] += self._uneven
+            return y, variance
         self._x[:], self._P[:] = self.bank.x[member], self._whole(member)
         self._u[0], self._u[1:7], self._u[7:9] = dt, self._palms_at(t, palms), palms.jerk
         self._u[9:] = self._v[shape_map.PALM_INPUTS :] = self._rig_now()
@@ -187,7 +189,7 @@ class ShapeFilters:
         self._v[: shape_map.PALM_INPUTS] = self._palms_at(t + dt, palms)
         self._named()
         variance = ((self._P_next @ self._J) * self._J).sum(axis=0)
-        variance[_JOINTS_AT] += np.ravel(palms.sd(t + dt)) ** 2
+        variance[_JOINTS_AT] += np.ravel(palms.sd(t + dt)) ** 2 + self._uneven
         return self._y.copy(), variance
 
     def all_named(self, t: float, palms: TrackedPalms) -> FloatArray:
@@ -215,8 +217,10 @@ class ShapeFilters:
 
     def _whole(self, member: int) -> FloatArray:
         P: FloatArray = self.bank.P[member]
+        steps = self._open()
+        return P if steps is None else P + steps @ steps.T
+
+    def _open(self) -> FloatArray | None:
+        """What the rig's constants leave open of the state, in one-sigma steps (n, steps)."""
         steps = self.left_open if self.spread is None else self.spread
-        if steps is None:
-            return P
-        steps = steps[: len(P)]
-        return P + steps @ steps.T
+        return None if steps is None else steps[: self.bank.n]
