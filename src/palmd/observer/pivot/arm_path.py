@@ -16,6 +16,7 @@ WINDOW_S = 0.5  # over which the arm may stray from its plan
 STRAY_S = 1.0  # cells of the spline that it then strays by: finer ones would follow the noise
 STRAYED = 3.0  # of the windows' mean squares, in sigmas of what noise gives
 LEAST_SAMPLES = 8
+TOLD = 25.0  # squared sigmas, from which measurements tell how the arm follows its plan
 OUTLIER = 4.0
 GAP = 4.0  # of the usual time between samples
 
@@ -62,8 +63,30 @@ def axis_path(
             sd = max(sd, noise / math.sqrt(STRAY_S / float(np.median(dt))))
         else:
             position[piece] = planned[piece] + off.mean()
+    _follow(t, measured, position, v, a, noise)
     velocity = CubicHermiteSpline(t, v, a)
     return AxisPath(CubicHermiteSpline(t, position, v), velocity, velocity.derivative(), sd)
+
+
+def _follow(
+    t: FloatArray, measured: FloatArray, position: FloatArray, v: FloatArray, a: FloatArray, noise: float
+) -> None:
+    """Let the plan (in place) be followed as servos do: later, and its corners rounded, by how much measurements tell.
+
+    To first order what a servo makes of x(t) is x − τ v + β a.
+    """
+    off = np.clip(measured - position, -OUTLIER * noise, OUTLIER * noise)
+    plan = np.stack([v, a], axis=1)
+    share = np.linalg.lstsq(plan, off, rcond=None)[0]
+    moved = plan @ share
+    if float(moved @ moved) < TOLD * noise**2:
+        return
+    position += moved
+    for piece in _pieces(t):
+        if piece.stop - piece.start < LEAST_SAMPLES:
+            continue
+        v[piece] += share[0] * a[piece] + share[1] * np.gradient(a[piece], t[piece])
+        a[piece] = np.gradient(v[piece], t[piece])
 
 
 def _pieces(t: FloatArray) -> list[slice]:

@@ -94,11 +94,12 @@ class _Normal:
 class Problem:
     """The least-squares problem of one record; `fit` may be called with many starts."""
 
-    def __init__(self, library: Library, record: PivotRecord, known: Known):
+    def __init__(self, library: Library, record: PivotRecord, known: Known, felt: FloatArray | None = None):
+        """`felt`: the forces as a fit had them, from which it follows how far the pad falls behind them."""
         self.record = record
         self.known = known
         force = "rigid_force" if record.rig.vertical == "rigid" else "slide_force"
-        gain = gain_modes(record)
+        gain = gain_modes(record, felt)
         self._x = np.zeros(CONSTANTS + gain.shape[1])  # constants, and modes of the gain
         self._mean, self._sd = np.zeros_like(self._x), np.ones_like(self._x)
         self._mean[:CONSTANTS], self._sd[:CONSTANTS] = known.mean, known.sd
@@ -270,7 +271,8 @@ class Problem:
 def moved_by_rig(problem: Problem, fit: PivotFit) -> FloatArray:
     """(CONSTANTS, modes): how a fit moves where what it does not estimate of the rig is off by one sigma.
 
-    That is the bow of the pad's surface, and what its readings move by with the force.
+    That is the bow of the pad's surface, what its readings move by with the force, and under a rigid gripper the
+    surface's height: a body is larger by as much all round.
     """
     record, pad = problem.record, problem.record.rig.pad
     moves: list[FloatArray | None] = []
@@ -283,15 +285,20 @@ def moved_by_rig(problem: Problem, fit: PivotFit) -> FloatArray:
     if pad.force_sd and len(record.forces.t):
         felt = problem.predicted(fit.c, fit.p)[_FORCES]
         moves.append(problem.moved(fit, _READINGS, pad.force_sd * np.interp(record.readings.t, record.forces.t, felt)))
+    if pad.standoff_sd and record.rig.vertical == "rigid":
+        larger = np.zeros(CONSTANTS)
+        larger[P.STANDOFF], larger[P.SHAPE] = pad.standoff_sd, -pad.standoff_sd
+        moves.append(larger)
     told = [each for each in moves if each is not None]
     return np.array(told).T if told else np.zeros((CONSTANTS, 0))
 
 
-def gain_modes(record: PivotRecord) -> FloatArray:
+def gain_modes(record: PivotRecord, felt: FloatArray | None = None) -> FloatArray:
     """(forces, modes): the share by which each mode of the pad's gain moves each force, where it is off by one sigma.
 
-    The gain is off by `force_gain_std`, drifts within `DRIFT_S`, and falls behind a force that changes by `BEHIND`.
-    Readings share it, and no number of them averages it out; visits to one place at several times do.
+    The gain is off by `force_gain_std`, drifts within `DRIFT_S`, and falls behind a force that changes by `BEHIND`: as
+    a play does behind the forces `felt`, where these are known. Readings share it, and no number of them averages it
+    out; visits to one place at several times do.
     """
     rows, std = record.forces, record.rig.pad.force_gain_std
     if not std or not len(rows.t):
@@ -306,7 +313,18 @@ def gain_modes(record: PivotRecord) -> FloatArray:
     each = np.arange(len(rows.t))
     between[each, left], between[each, left + 1] = 1.0 - share, share
     modes: FloatArray = between @ np.linalg.cholesky(covariance)
-    return modes
+    return modes if felt is None else np.column_stack([modes, BEHIND * _behind(record, felt)])
+
+
+def _behind(record: PivotRecord, felt: FloatArray) -> FloatArray:
+    """Where in a play of `BEHIND` the pad is at each force: −1 while it rises, 1 while it falls."""
+    place: FloatArray = np.zeros(len(felt))
+    for touch in record.touches:
+        told = 0.0
+        for i in np.flatnonzero((record.forces.t >= touch.begin) & (record.forces.t <= touch.end)).tolist():
+            told = min(max(told, felt[i] * (1.0 - BEHIND)), felt[i] * (1.0 + BEHIND))
+            place[i] = (told / felt[i] - 1.0) / BEHIND
+    return place
 
 
 class _Kernel:
@@ -404,6 +422,6 @@ def _sane(p: FloatArray) -> bool:
 def with_forces_of(problem: Problem, library: Library, fit: PivotFit) -> Problem:
     """The same problem, each force's noise taken from the model's force instead of its neighbours'."""
     record = problem.record
-    level = np.maximum(problem.predicted(fit.c, fit.p)[2], 0.05)
+    level = np.maximum(problem.predicted(fit.c, fit.p)[_FORCES], 0.05)
     forces = replace(record.forces, variance=np.asarray(record.rig.pad.force_variance(level)))
-    return Problem(library, replace(record, forces=forces), problem.known)
+    return Problem(library, replace(record, forces=forces), problem.known, level)

@@ -27,6 +27,7 @@ STAGES = {
     "float": (Softening(2.0, 8.0, 2.0, 20.0), Softening(1.0, 2.0, 1.0, 3.0), SHARP),
 }
 EARLY_ITERATIONS = 25
+HOPELESS_START, HOPELESS = 10.0, 1.5  # times the best one's cost, from which a start, and an early fit, is left
 # Of a rigid gripper's height, and of a slide's way over the pad, below which nothing is told of the outline.
 LEAST_LIFT_M, LEAST_WAY_M = 5e-4, 3e-3
 DOUBT = 9.0  # of cost, up to which a rival makes the answer ambiguous
@@ -130,7 +131,9 @@ def _fitted(record: PivotRecord) -> tuple[list[PivotFit], Problem]:
         starts = rigid_starts(record, known, sides)
     else:
         starts = float_starts(record, known)
+    starts = [start for start in starts if start.cost < HOPELESS_START * starts[0].cost]
     fits = _distinct([_refined(problem, start.c, start.p, STAGES[record.rig.vertical][:-1]) for start in starts])
+    fits = [fit for fit in fits if fit.cost < HOPELESS * fits[0].cost]
     fits = _distinct([_refined(problem, fit.c, fit.p, (SHARP,)) for fit in fits])
     if not fits:
         raise TooLittleError("no motion of a body was found that explains the readings")

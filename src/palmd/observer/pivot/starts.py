@@ -65,6 +65,8 @@ def believed(record: PivotRecord) -> Known:
     mean[P.DRAG], sd[P.DRAG] = (8.0, 12.0) if rigid else (25.0, 20.0)
     mean[P.SATURATION], sd[P.SATURATION] = 7e3, 6e3
     sd[P.ZERO : P.SHAPE] = np.maximum(_constants_sd(rig), LEAST_SD)
+    if rigid:
+        sd[P.STANDOFF] = LEAST_SD  # nothing tells it: `moved_by_rig` widens the band
     mean[P.SHAPE] = radius
     sd[P.SHAPE :] = shape.prior_sd(radius, ORDER)
     sd[P.SHAPE], sd[P.SHAPE + 1 : P.SHAPE + 3] = 0.4 * radius, 0.4 * radius  # the pivot may be anywhere in the body
