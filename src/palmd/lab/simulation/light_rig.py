@@ -7,6 +7,7 @@ it; they lift, come back and are exchanged as a body would be. Whether an estima
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -43,6 +44,7 @@ class LightRig:
         if not isinstance(config.arm, AdeptConfig):
             raise ValueError("the light rig has an arm")
         self.mischief = Switchboard()
+        self.lived: Callable[[float], None] | None = None  # told of every step's time (s)
         self._rng = np.random.default_rng(seed)
         self._steps = 0
         off: Imperfections = configured(config, seed)
@@ -95,6 +97,8 @@ class LightRig:
         for name, pad in self._pads.items():
             if t >= pad.due:
                 self._say(name, pad.report(t, self._presses(name, t)), t)
+        if self.lived is not None:
+            self.lived(t)
 
     def _handle_body(self, order: FaultOrder, begins: bool, t: float) -> None:
         if order.name == "lift":
