@@ -149,7 +149,7 @@ def ext4(tree: Path, target: Path, size_bytes: int, label: str) -> None:
 def _system() -> Path:
     """The folder of kernel, initrd and disk of a machine that has never seen palmd."""
     made = folder() / f"{SUITE}-{_digest(repr((PACKAGES, BETWEEN, AFTER, DISK_BYTES, CLOCK.read_text())))}"
-    if (made / "base.ext4").exists():
+    if (made / "base.ext4").exists() and (made / "tree").exists():
         return made
     debs = folder() / "debs"
     for each in (made, debs):

@@ -89,3 +89,30 @@ def test_the_hardest_slowing_is_the_hardest(angles, rates, accelerations, speed)
 
     assert tip(slowing) == pytest.approx(0.9 * ARM.a_max, rel=1e-4)
     assert tip(1.01 * slowing) > tip(slowing) * (1.0 - 1e-9)
+
+
+@pytest.mark.parametrize("omega", [-1.0, 1.0])
+@pytest.mark.parametrize("alpha", [-8.0, -0.5, 0.5, 8.0])
+@pytest.mark.parametrize("speed", [0.5, 1.0])
+def test_what_is_left_of_the_plans_acceleration_counts_by_its_sign(omega, alpha, speed):
+    """Whether the plan speeds up or slows down, either way round: the palm slows by just what it may."""
+    most = math.radians(900.0)
+    limits = replace(LIMITS, workspace=None, stop_deceleration=most)
+    planned = PalmMotion((0.8, 1.6), (omega, 0.0), (alpha, 0.0))
+    slowing = limits.hardest_slowing(planned, speed)
+    assert abs(alpha * speed**2 - omega * slowing) == pytest.approx(most)
+    assert (alpha * speed**2 - omega * slowing) * omega < 0.0
+
+
+def test_palms_that_stand_bring_the_arms_tip_no_limit():
+    assert WORKSPACE.hardest_slowing(PalmMotion.at_rest((0.8, 1.6)), 1.0) == math.inf
+
+
+@given(angle)
+def test_the_arms_tip_follows_both_angles_by_its_gain_and_no_more(angles):
+    """Where the palms are all but stretched out it does follow by as much: the gain is no guess."""
+    (gain,) = {bound.gain for bound in WORKSPACE.bounds()}
+    both = PalmMotion(angles, (1.0, 1.0), (0.0, 0.0))
+    assert WORKSPACE.geometry.tip_speed_acceleration(both)[0] <= gain
+    nearly_shut = PalmMotion((0.8, math.pi - 1e-6), (1.0, 1.0), (0.0, 0.0))
+    assert WORKSPACE.geometry.tip_speed_acceleration(nearly_shut)[0] == pytest.approx(gain)

@@ -7,6 +7,7 @@ it; they lift, come back and are exchanged as a body would be. Whether an estima
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -45,6 +46,7 @@ class LightRig(EmulatedRig[AdeptArm]):
             raise ValueError("the light rig has an arm")
         self.seed, self.kind = seed, "rig"
         rng, off = np.random.default_rng(seed), configured(config, seed)
+        self.lived: Callable[[float], None] | None = None  # told of every step's time (s)
         home = (math.radians(45.0), math.radians(90.0))
         self.arm = AdeptArm(config, config.arm, home, rng, step_s=STEP_S, lag_s=0.0)
         pads: dict[PortName, PadEmulator] = {}
@@ -64,6 +66,8 @@ class LightRig(EmulatedRig[AdeptArm]):
         t = self.t
         self._play_all(t)
         self._speak(t)
+        if self.lived is not None:
+            self.lived(t)
 
     def _play(self, order: FaultOrder, begins: bool) -> None:
         self.arm.play(order, begins, self.palms().angles)

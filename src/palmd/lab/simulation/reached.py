@@ -14,7 +14,7 @@ Triple = tuple[str, str, str]
 
 _NO_LINK = ("arm-mute", "arm-link-lost", "arm-port")
 _NO_PORT = ("pad1-port", "pad2-port")
-_NEEDS_MOTION = ("pad1-silent", "pad2-silent", "pad1-lifted", "pad2-lifted")
+_NEEDS_MOTION = ("pad1-silent", "pad2-silent", "pad1-lifted", "pad2-lifted", "arm-left-tracking")
 _NEEDS_TRACKING = ("arm-late", "arm-held")
 
 
@@ -35,13 +35,8 @@ def unreachable(state: State, fault: Fault | None) -> str | None:
         return "it is judged only while set-points are sent"
     if code == "arm-mute" and state in COMMANDED:
         return "the link, once found, is not mute but lost"
-    if (
-        code in ("pad1-silent", "pad2-silent", "pad1-lifted", "pad2-lifted", "arm-left-tracking")
-        and state not in COMMANDED
-    ):
-        return "it needs a motion that is under way"
-    if fault.severity is Severity.STOP and fault.latch == "always" and state in (State.IDLE, State.READY):
-        return None
+    if code in _NEEDS_MOTION and state in (State.IDLE, State.READY):
+        return "it needs a motion that is under way, and leads from there to hold or fault"
     return None
 
 

@@ -7,7 +7,9 @@ import random
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from palmd.events import Joints
 from palmd.lab.simulation.happenings import Broken, Happening, Scenario, Trick
+from palmd.lab.simulation.light_rig import LightRig
 from palmd.lab.simulation.run import Simulation, quiet
 from palmd.rig.fault_injection import PADS
 
@@ -70,21 +72,34 @@ def _moved(cause: Happening, t: float) -> Happening:
     raise ValueError(cause)
 
 
+class _Look:
+    """At the palms' true rates, at every step of the rig."""
+
+    def __init__(self, rig: LightRig, t_cause: float) -> None:
+        self.still_s = self.turned_rad = math.nan
+        self.for_good = False
+        self._rig, self._t_cause = rig, t_cause
+        self._start: Joints = ()
+        rig.lived = self._at
+
+    def _at(self, t: float) -> None:
+        palms, after_s = self._rig.palms(), t - self._t_cause
+        if after_s < 0.0:
+            self._start = palms.angles
+        elif max(map(abs, palms.rates)) > STANDS_RAD_S:
+            self.still_s = math.nan
+        elif math.isnan(self.still_s):
+            self.still_s = after_s
+            self.turned_rad = max(abs(a - b) for a, b in zip(palms.angles, self._start, strict=True))
+        else:
+            self.for_good |= after_s > self.still_s + FOR_GOOD_S
+
+
 def _one(name: str, cause: Happening, seed: int) -> Standstill:
-    start: tuple[float, ...] = ()
-    still = turned = math.nan
     with quiet():
         simulation = Simulation(Scenario(seed, LIVELY, False, 0.2, (0.001,) * 3, (cause,), (0,)))
-        while simulation.machine.clock.now < cause.t + WATCHED_S:
+        assert isinstance(simulation.rig, LightRig)
+        look = _Look(simulation.rig, cause.t)
+        while simulation.machine.clock.now < cause.t + WATCHED_S and not look.for_good:
             simulation.step()
-            now, palms = simulation.machine.clock.now, simulation.rig.palms()
-            if now < cause.t:
-                start = palms.angles
-            elif max(map(abs, palms.rates)) > STANDS_RAD_S:
-                still = math.nan
-            elif math.isnan(still):
-                still = now - cause.t
-                turned = max(abs(a - b) for a, b in zip(palms.angles, start, strict=True))
-            elif now - cause.t > still + FOR_GOOD_S:
-                break
-    return Standstill(name, seed, still, turned)
+    return Standstill(name, seed, look.still_s, look.turned_rad)
