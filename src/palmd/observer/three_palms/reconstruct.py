@@ -110,13 +110,14 @@ def answer(task: Task, ended: Sequence[Grown], begun: float) -> BodyReconstructi
         covariance: FloatArray = np.asarray(np.linalg.inv(fit.arrow.information()), np.float64)
     except np.linalg.LinAlgError:
         return _nothing("the fit is not a minimum", begun, fit.chi2)
-    sd = np.sqrt(np.maximum(np.einsum("di,ij,dj->d", rows, covariance[:n, :n], rows), 0.0))
     R = fit.motion.R
     normals = record.node_palms[:, :9].reshape(-1, 3, 3)
     felt = -np.einsum("tji,tnj->tni", R, normals).reshape(-1, 3)
     touched = np.zeros(len(directions), dtype=bool)
     for chunk in np.array_split(felt, max(len(felt) // 1000, 1)):
         touched |= (directions @ chunk.T).max(axis=1) >= NEAR
+    form = without_turns(rows, np.cross(directions, point_rows @ p[:n]), touched)
+    sd = np.sqrt(np.maximum(np.einsum("di,ij,dj->d", form, covariance[:n, :n], form), 0.0))
     sd = np.sqrt(max(fit.chi2, 1.0) * sd**2 + beliefs.beyond_sd(Y00 * p[0], ORDER, touched) ** 2)
     mass, mass_sd = _mass(task, first)
     own, own_sd = inertia(p), _inertia_sd(p, covariance)
@@ -129,6 +130,15 @@ def answer(task: Task, ended: Sequence[Grown], begun: float) -> BodyReconstructi
         centre=centres_of(R, record.node_palms, p), contacts=(evaluator(ORDER)(felt)[1] @ p[:n]).reshape(-1, 3, 3),
         seconds=time.perf_counter() - begun,
     )  # fmt: skip
+
+
+def without_turns(rows: FloatArray, turns: FloatArray, touched: npt.NDArray[np.bool_]) -> FloatArray:
+    """Rows (D, n) of h after the turn of the body's frame, (D, 3) by its vector, that changes it least where touched.
+
+    The frame is gauge: by how much the body as a whole is turned in it is no error of its form.
+    """
+    undone = np.linalg.lstsq(turns[touched], rows[touched], rcond=None)[0]
+    return np.asarray(rows - turns @ undone, np.float64)
 
 
 def doubt(task: Task, ended: Sequence[Grown], sd: FloatArray) -> str:
