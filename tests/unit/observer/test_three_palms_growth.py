@@ -10,7 +10,7 @@ from palmd.model.spherical import evaluator
 from palmd.observer.three_palms import growth
 from palmd.observer.three_palms.driven import ContactCurves
 from palmd.observer.three_palms.icosphere import icosphere
-from palmd.observer.three_palms.reconstruct import answer, reconstruct, without_turns
+from palmd.observer.three_palms.reconstruct import answer, reconstruct, within, without_turns
 from palmd.observer.three_palms.search import Task, rivals
 from palmd.record.systems.three_palms import SYSTEM, laid_out
 from palmd.rig.three_palms.simulate import simulate
@@ -80,3 +80,12 @@ def test_a_rival_that_ends_early_is_refused(task):
     told = answer(task, [now], 0.0)
     assert not told.converged
     assert "fails after 1.3 s" in told.reason
+
+
+def test_what_folds_over_is_drawn_in_and_what_is_convex_stays():
+    directions = icosphere(2)[0]
+    h = np.full(len(directions), 0.02)
+    points = 0.02 * directions
+    points[0] *= 1.5
+    drawn = within(points, directions, h)
+    np.testing.assert_allclose(drawn, 0.02 * directions, atol=1e-12)

@@ -39,6 +39,7 @@ FORETOLD = 1.35
 FORKED, FORKS_S = 1.15, 3.0
 """The same of a window in the first seconds, where what is behind allows of more than one way on."""
 FORK_S = 0.4
+FORKED_STARTS = 2
 FORKS = (0.0, -1.5, 1.5, -3.0, 3.0)
 """Ways that are tried, in standard deviations of the spin along its least known axis."""
 LATELY_S, LOST = 1.0, 2.5
@@ -113,13 +114,23 @@ def best(task: Task) -> list[Grown]:
     ended: list[Grown] = []
     for seconds in STARTS_S:
         found = [each for each in rivals(task, seconds) if each.per_number < HOPELESS]
-        ended += raced(task, [begun(task, each) for each in found])
+        ended += raced(task, _started(task, found)) if found else []
         ended.sort(key=lambda each: (-each.intervals, each.cost))
         if ended and ended[0].per_number < SURE and ended[0].intervals == task.intervals(task.end - task.start):
             break
     if ended and ended[0].lost:
         ended[0] = smoothed(task, ended[0])
     return ended
+
+
+def _started(task: Task, found: list[Rival]) -> list[Grown]:
+    """What the starts go on as, a little further: the likeliest in several ways, as each may have minima beside it."""
+    started = sorted((begun(task, each) for each in found), key=lambda each: each.cost)
+    near = [each for each in started if each.cost < started[0].cost + BEHIND]
+    until = near[0].intervals + round(FORK_S / SPACING_S)
+    ways = [way for each in near[:FORKED_STARTS] for way in _ways(task, each, until)]
+    further = [advanced(task, each, until) for each in (*ways, *near[FORKED_STARTS:])]
+    return _apart(sorted(further, key=lambda each: each.cost))
 
 
 def raced(task: Task, running: list[Grown]) -> list[Grown]:
@@ -192,8 +203,11 @@ def advanced(task: Task, now: Grown, until: int, most: float = math.inf) -> Grow
 
 def _forked(task: Task, now: Grown, until: int) -> Grown:
     """One window further by the cheapest of several ways, each fitted as a whole from another spin at its beginning."""
-    ways = [smoothed(task, _window(task, now, FORK_S, until, share), 20) for share in FORKS]
-    return min(ways, key=lambda each: (-each.intervals, each.cost))
+    return min(_ways(task, now, until), key=lambda each: (-each.intervals, each.cost))
+
+
+def _ways(task: Task, now: Grown, until: int) -> list[Grown]:
+    return [smoothed(task, _window(task, now, FORK_S, until, share), 20) for share in FORKS]
 
 
 def _shifted(belief: BodyPrior, share: float) -> BodyPrior:
