@@ -14,7 +14,7 @@ Triangles = npt.NDArray[np.int64]
 Colours = npt.NDArray[np.uint8]
 _HEADER = b"palmd".ljust(80, b"\0")
 
-BAND_M = (1e-5, 1e-3)
+BAND_M = (3e-6, 3e-4)
 """One-sigma at both ends of the scale of colours, which is logarithmic."""
 BAND_COLOURS = np.array([[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]])
 UNTOUCHED = np.array([176, 176, 176])

@@ -56,10 +56,10 @@ def _facts(told: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
         ("duration", f"{t[-1] - t[0]:.1f} s"),
         ("touched", f"{np.mean(told['touched']):.0%} of the directions"),
         ("friction", f"{told['mu']:z.4f} ± {told['mu_sd']:.4f}"),
-        ("inertia / mass", _inertia(told)),
+        ("inertia", _inertia(told)),
     ]
     if told["mass_kg"] is not None:
-        facts.append(("mass", f"{1e3 * told['mass_kg']:.1f} ± {1e3 * told['mass_sd_kg']:.1f} g"))
+        facts.append(("mass", f"{1e3 * told['mass_kg']:.2f} ± {1e3 * told['mass_sd_kg']:.2f} g"))
     facts.append(("readings", f"explained to {math.sqrt(told['chi2']):.3f} of their noise"))
     return tuple(facts)
 
@@ -69,7 +69,7 @@ def _inertia(told: Mapping[str, Any]) -> str:
     inertia, sd = np.array(told["inertia_m2"]), np.array(told["inertia_sd_m2"])
     radii = 1e3 * np.sqrt(np.linalg.eigvalsh(inertia))
     share = float(np.mean(np.diagonal(sd)) / np.mean(np.diagonal(inertia)))
-    return f"radii of gyration {', '.join(f'{each:.2f}' for each in radii)} mm (inertia ± {share:.0%})"
+    return f"radii of gyration {', '.join(f'{each:.2f}' for each in radii)} mm; inertia ± {share:.0%}"
 
 
 def _draw_motion(figure: FigureBase, track: Mapping[str, FloatArray]) -> None:

@@ -116,13 +116,13 @@ def test_a_mesh_is_closed_and_faces_outwards():
 
 def test_a_ply_is_coloured_by_the_band_where_it_was_touched():
     points, triangles = icosphere(0)
-    sd, touched = np.full(len(points), 1e-5), np.arange(len(points)) % 2 == 0
-    sd[2] = 1e-3
+    sd, touched = np.full(len(points), 3e-6), np.arange(len(points)) % 2 == 0
+    sd[2] = 3e-4
     lines = MESHES[".ply"](Mesh(0.02 * points, triangles, sd, touched)).decode().splitlines()
     first = lines.index("end_header") + 1
     vertices = [line.split() for line in lines[first : first + len(points)]]
     assert [int(each) for each in vertices[0][3:6]] == band_colours(sd, touched)[0].tolist() == [68, 1, 84]
     assert vertices[2][3:6] == ["253", "231", "37"]
     assert vertices[1][3:6] == ["176"] * 3
-    assert [float(row[6]) for row in vertices[:3]] == [0.01, 0.01, 1.0]
+    assert [float(row[6]) for row in vertices[:3]] == [0.003, 0.003, 0.3]
     np.testing.assert_allclose([[float(each) for each in row[:3]] for row in vertices], 20 * points, atol=1e-6)

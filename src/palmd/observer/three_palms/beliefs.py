@@ -22,7 +22,7 @@ CENTRE_SD = 0.07  # of the centre of mass from the middle, in radii
 ELLIPSE_SD = 0.08  # RMS over the sphere of all harmonics of degree 2, in radii
 FALL = 2.2  # with which power of the degree it falls from there
 BEYOND_8 = 2.5e-3  # RMS of all degrees above 8, in radii; a smooth body has less
-LEFT_WHERE_TOUCHED = 0.4
+LEFT_WHERE_TOUCHED = 0.2
 LAMBDA_SD = 0.12
 DAMPING_SD = 3e-4  # m²/s
 MU, MU_SD = 0.1, 0.1
@@ -80,10 +80,14 @@ def raised(p: FloatArray, order: int) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """What a start takes for granted: how much larger than a ball through its contacts it is, and its friction."""
+    """What a start begins with: how much larger than a ball through its contacts the body is, and its friction.
+
+    drift: how little smoothed contacts are trusted to tell ω̇, a spectral density ((rad/s)²/s).
+    """
 
     larger: float
     mu: float
+    drift: float
 
     def belief(self, radius: float, centre: FloatArray, spin_sd: float, still: int) -> BallBelief:
         """For a ball of this radius (m) through its contacts, about this centre (m); at rest for `still` nodes."""
@@ -94,11 +98,13 @@ class Hypothesis:
             np.concatenate([centre, np.zeros(3)]),
             np.array([5e-3] * 3 + [spin_sd] * 3),
             max(still, 1),
+            self.drift,
         )
 
 
 def hypotheses() -> Iterator[Hypothesis]:
     """Those that are tried."""
-    for mu in (0.1, FRICTIONLESS):
-        for larger in (0.0, 0.16, -0.08, 0.24, -0.16, 0.08, -0.24):
-            yield Hypothesis(larger, mu)
+    for larger, drift in ((0.0, 1.0), (0.16, 10.0), (0.0, 10.0), (0.16, 1.0), (0.0, 100.0), (-0.12, 1.0), (0.3, 10.0)):
+        yield Hypothesis(larger, 0.1, drift)
+    for larger, drift in ((0.0, 1.0), (0.16, 10.0), (0.0, 100.0), (-0.12, 1.0)):
+        yield Hypothesis(larger, FRICTIONLESS, drift)

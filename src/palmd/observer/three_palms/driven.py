@@ -20,12 +20,12 @@ from palmd.observer.three_palms.path import JointPath
 from palmd.observer.three_palms.record import PadReadings
 from palmd.system.three_palms import PALMS, contact_points
 
-ROUNDNESS = 3e-3
+ROUNDNESS = 8e-3
 """One-sigma of how far a contact is from where a ball's would be (m)."""
 TOGETHER_S = 1.0
 """For about so long that stays what it is."""
-DRIFT = np.array([1e-8, 1.0])
-"""Spectral density of what smoothed contacts make the equations fail by: of ṗ (m²/s), of ω̇ ((rad/s)²/s)."""
+DRIFT = 1e-8
+"""Spectral density of what smoothed contacts make ṗ fail by (m²/s); of ω̇ it is a belief's own."""
 PENALTIES = 10.0 ** np.arange(-8.0, -2.0)
 """Of ∫f″² in a smoothed contact, of which the one is taken that foretells best (s³)."""
 TRIED = 600  # readings
@@ -82,6 +82,7 @@ class BallBelief:
 
     The constants are ln ρ (ρ the radius of gyration, m), damping (m²/s), ln μ, ln u_d (ln m/s) and the radius (m); the
     state is centre of mass (m) and spin (rad/s). still: at so many of the first nodes its spin is that of the first.
+    drift: spectral density of what smoothed contacts make ω̇ fail by ((rad/s)²/s).
     """
 
     mean: FloatArray
@@ -89,6 +90,7 @@ class BallBelief:
     state: FloatArray
     state_sd: FloatArray
     still: int = 1
+    drift: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,7 +180,7 @@ class _Problem:
         f, f_state, f_const = kernel((state, self.inputs, self.given), shared)
         mid_state = 0.5 * (state[:-1] + state[1:]) + h / 8 * (f[:-1] - f[1:])
         fm, fm_state, fm_const = kernel((mid_state, self.inputs_mid, self.given_mid), shared)
-        weight = np.repeat((DRIFT * h) ** -0.5, 3)
+        weight = np.repeat((np.array([DRIFT, self.belief.drift]) * h) ** -0.5, 3)
         identity = np.eye(6)
         r = weight * (state[1:] - state[:-1] - h / 6 * (f[:-1] + 4 * fm + f[1:]))
         left = -identity - h / 6 * (f_state[:-1] + 4 * fm_state @ (0.5 * identity + h / 8 * f_state[:-1]))

@@ -15,7 +15,8 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.model.spherical import Y00
 from palmd.model.three_palms import BODY
-from palmd.observer.three_palms import beliefs
+from palmd.observer.three_palms import beliefs, rotation
+from palmd.observer.three_palms.arrow import STATES
 from palmd.observer.three_palms.body import centres_of, curvatures, inertia
 from palmd.observer.three_palms.driven import BallBelief, course
 from palmd.observer.three_palms.record import BodyRecord, lay_out
@@ -23,7 +24,7 @@ from palmd.observer.three_palms.search import HOPELESS, SPACING_S, Rival, Task, 
 from palmd.observer.three_palms.smoother import BodyFit, BodyMotion, BodyPrior, BodySmoother
 
 ORDER = 8
-STARTS_S = (2.0, 3.0)
+STARTS_S = (1.3, 0.8, 2.0)
 LAP_S = 1.5
 """After how long a time rivals are compared."""
 BEHIND = 40.0  # in cost, of the cheapest, where a rival is given up
@@ -35,6 +36,12 @@ WINDOWS_S = (0.5, 0.2, 0.1)
 TURN_A_WINDOW = 1.0  # rad
 FORETOLD = 1.35
 """Cost per number read of a window, above which it is tried again, shorter and from all of it smoothed."""
+FORKED, FORKS_S = 1.15, 3.0
+"""The same of a window in the first seconds, where what is behind allows of more than one way on."""
+FORK_S = 0.4
+FORKED_STARTS = 2
+FORKS = (0.0, -1.5, 1.5, -3.0, 3.0)
+"""Ways that are tried, in standard deviations of the spin along its least known axis."""
 LATELY_S, LOST = 1.0, 2.5
 """A rival is lost where so long a time cost that much per number read."""
 AGAIN, AGAIN_WHEN_SURPRISED = 1.6, 1.15
@@ -107,13 +114,23 @@ def best(task: Task) -> list[Grown]:
     ended: list[Grown] = []
     for seconds in STARTS_S:
         found = [each for each in rivals(task, seconds) if each.per_number < HOPELESS]
-        ended += raced(task, [begun(task, each) for each in found])
+        ended += raced(task, _started(task, found)) if found else []
         ended.sort(key=lambda each: (-each.intervals, each.cost))
         if ended and ended[0].per_number < SURE and ended[0].intervals == task.intervals(task.end - task.start):
             break
     if ended and ended[0].lost:
         ended[0] = smoothed(task, ended[0])
     return ended
+
+
+def _started(task: Task, found: list[Rival]) -> list[Grown]:
+    """What the starts go on as, a little further: the likeliest in several ways, as each may have minima beside it."""
+    started = sorted((begun(task, each) for each in found), key=lambda each: each.cost)
+    near = [each for each in started if each.cost < started[0].cost + BEHIND]
+    until = near[0].intervals + round(FORK_S / SPACING_S)
+    ways = [way for each in near[:FORKED_STARTS] for way in _ways(task, each, until)]
+    further = [advanced(task, each, until) for each in (*ways, *near[FORKED_STARTS:])]
+    return _apart(sorted(further, key=lambda each: each.cost))
 
 
 def raced(task: Task, running: list[Grown]) -> list[Grown]:
@@ -125,11 +142,15 @@ def raced(task: Task, running: list[Grown]) -> list[Grown]:
         if reached == end:
             break
         until = min(reached + round(LAP_S / SPACING_S), end) if len(running) > 1 else end
-        running = [advanced(task, each, until) for each in running]
+        first, *others = running
+        first = advanced(task, first, until)
+        most = math.inf if first.lost else first.cost + BEHIND
+        running = [first, *(advanced(task, each, until, most) for each in others)]
         ended += [each for each in running if each.lost]
-        running = _apart(sorted((each for each in running if not each.lost), key=lambda each: each.cost))
-        ended += [each for each in running if each.cost > running[0].cost + BEHIND]
-        running = [each for each in running if each.cost <= running[0].cost + BEHIND]
+        running = [each for each in running if not each.lost]
+        most = min((each.cost for each in running if each.intervals == until), default=0.0) + BEHIND
+        ended += [each for each in running if each.cost > most]
+        running = _apart(sorted((each for each in running if each.cost <= most), key=lambda each: each.cost))
     return ended + _apart([smoothed(task, each, 15) for each in running])
 
 
@@ -161,13 +182,15 @@ def smoothed(task: Task, now: Grown, iterations: int = 8) -> Grown:
     return replace(now, motion=fit.motion, ahead=smoother.ahead(fit), cost=fit.cost, whole=fit)
 
 
-def advanced(task: Task, now: Grown, until: int) -> Grown:
-    """The rival followed to so many intervals, or to where it is lost."""
-    while now.intervals < until and not now.lost:
+def advanced(task: Task, now: Grown, until: int, most: float = math.inf) -> Grown:
+    """The rival followed to so many intervals, or to where it is lost or costs more than `most`."""
+    while now.intervals < until and not now.lost and now.cost <= most:
         if now.since_whole > AGAIN:
             now = smoothed(task, now)
         further = _window(task, now, WINDOWS_S[0], until)
-        if further.surprise > FORETOLD:
+        if further.surprise > FORKED and now.intervals * SPACING_S < FORKS_S:
+            further = _forked(task, now, until)
+        elif further.surprise > FORETOLD:
             if now.since_whole > AGAIN_WHEN_SURPRISED:
                 now = smoothed(task, now)
             for seconds in WINDOWS_S[1:]:
@@ -178,12 +201,32 @@ def advanced(task: Task, now: Grown, until: int) -> Grown:
     return now
 
 
-def _window(task: Task, now: Grown, seconds: float, until: int) -> Grown:
-    """One window further."""
+def _forked(task: Task, now: Grown, until: int) -> Grown:
+    """One window further by the cheapest of several ways, each fitted as a whole from another spin at its beginning."""
+    return min(_ways(task, now, until), key=lambda each: (-each.intervals, each.cost))
+
+
+def _ways(task: Task, now: Grown, until: int) -> list[Grown]:
+    return [smoothed(task, _window(task, now, FORK_S, until, share), 20) for share in FORKS]
+
+
+def _shifted(belief: BodyPrior, share: float) -> BodyPrior:
+    """The belief's mean moved so many standard deviations along the axis about which its spin is known least."""
+    if share == 0.0:
+        return belief
+    covariance = np.linalg.inv(belief.information)
+    variance, axes = np.linalg.eigh(covariance[3:STATES, 3:STATES])
+    step = covariance[:, 3:STATES] @ axes[:, -1] * (share / math.sqrt(variance[-1]))
+    R = rotation.exp(np.asarray(step[:3], np.float64)) @ belief.R
+    return BodyPrior(R, belief.spin + step[3:STATES], belief.mean + step[STATES:], belief.information)
+
+
+def _window(task: Task, now: Grown, seconds: float, until: int, share: float = 0.0) -> Grown:
+    """One window further; its fit begins from the belief `_shifted` by `share`."""
     have = now.intervals
     more = min(max(round(seconds / SPACING_S), 1), until - have)
     start = task.start + have * SPACING_S
-    motion = _guess(task, now, start, more)
+    motion = _guess(task, _shifted(now.ahead, share), now.record.node_palms[-1:], start, more)
     more = len(motion.R) - 1
     record = lay_out(task.path, task.readings, start, more, SPACING_S)
     smoother = BodySmoother(record, now.ahead, task.noise, task.rig.gravity)
@@ -201,14 +244,14 @@ def _window(task: Task, now: Grown, seconds: float, until: int) -> Grown:
     )  # fmt: skip
 
 
-def _guess(task: Task, now: Grown, start: float, more: int) -> BodyMotion:
+def _guess(task: Task, ahead: BodyPrior, palms: FloatArray, start: float, more: int) -> BodyMotion:
     """The motion carried on as the contacts tell, over `more` intervals or until it has turned enough."""
-    R, omega, p = now.ahead.R, now.ahead.spin, now.ahead.mean
+    R, omega, p = ahead.R, ahead.spin, ahead.mean
     radius, gyration = Y00 * p[0], float(np.sqrt(np.trace(inertia(p)) / 3))
     belief = BallBelief(
         np.array([math.log(gyration), p[-3], math.log(max(p[-2], beliefs.FRICTIONLESS)), p[-1], radius]),
         np.array([0.02, 1e-6, 0.02, 0.02, 0.02 * radius]),
-        np.concatenate([centres_of(R[None], now.record.node_palms[-1:], p)[0], omega]),
+        np.concatenate([centres_of(R[None], palms, p)[0], omega]),
         np.array([1e-4] * 3 + [0.05] * 3),
     )
     driven = course(task.path, task.contacts, start, more, SPACING_S, belief, task.rig.gravity)

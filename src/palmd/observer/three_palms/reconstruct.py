@@ -39,9 +39,10 @@ class BodyReconstruction:
     """What a record tells; SI units, NaN or None where there is no value. See `docs/theory/three-palms.md`.
 
     directions (D, 3), triangles (F, 3) between them, h, h_sd, touched (D,); points: (D, 3) of the surface with these
-    outward normals; coefficients: of h, as in `model.spherical`; inertia (3, 3) per unit mass; the trajectory t (K,),
-    R (K, 3, 3), omega (K, 3), centre (K, 3), contacts (K, 3 palms, 3) on the body, in its own frame. That frame has
-    its origin at the centre of mass, and R = 1 at the first node. `reason`: why not, when not `converged`.
+    outward normals, made convex where it was not felt; coefficients: of h, as in `model.spherical`; inertia (3, 3) per
+    unit mass; the trajectory t (K,), R (K, 3, 3), omega (K, 3), centre (K, 3), contacts (K, 3 palms, 3) on the body, in
+    its own frame. That frame has its origin at the centre of mass, and R = 1 at the first node. `reason`: why not, when
+    not `converged`.
     """
 
     converged: bool
@@ -110,25 +111,48 @@ def answer(task: Task, ended: Sequence[Grown], begun: float) -> BodyReconstructi
         covariance: FloatArray = np.asarray(np.linalg.inv(fit.arrow.information()), np.float64)
     except np.linalg.LinAlgError:
         return _nothing("the fit is not a minimum", begun, fit.chi2)
-    sd = np.sqrt(np.maximum(np.einsum("di,ij,dj->d", rows, covariance[:n, :n], rows), 0.0))
     R = fit.motion.R
     normals = record.node_palms[:, :9].reshape(-1, 3, 3)
     felt = -np.einsum("tji,tnj->tni", R, normals).reshape(-1, 3)
     touched = np.zeros(len(directions), dtype=bool)
     for chunk in np.array_split(felt, max(len(felt) // 1000, 1)):
         touched |= (directions @ chunk.T).max(axis=1) >= NEAR
+    form = without_turns(rows, np.cross(directions, point_rows @ p[:n]), touched)
+    sd = np.sqrt(np.maximum(np.einsum("di,ij,dj->d", form, covariance[:n, :n], form), 0.0))
     sd = np.sqrt(max(fit.chi2, 1.0) * sd**2 + beliefs.beyond_sd(Y00 * p[0], ORDER, touched) ** 2)
     mass, mass_sd = _mass(task, first)
     own, own_sd = inertia(p), _inertia_sd(p, covariance)
     return BodyReconstruction(
         converged=not (reason := doubt(task, ended, sd[touched])),
         reason=reason, chi2=fit.chi2, directions=directions, triangles=triangles,
-        h=rows @ p[:n], h_sd=sd, touched=touched, points=point_rows @ p[:n], coefficients=p[:n],
+        h=rows @ p[:n], h_sd=sd, touched=touched, coefficients=p[:n],
+        points=within(point_rows @ p[:n], directions, rows @ p[:n]),
         inertia=own, inertia_sd=own_sd, mu=float(p[-2]), mu_sd=float(np.sqrt(covariance[-2, -2])),
         mass=mass, mass_sd=mass_sd, t=record.t, R=R, omega=fit.motion.omega,
         centre=centres_of(R, record.node_palms, p), contacts=(evaluator(ORDER)(felt)[1] @ p[:n]).reshape(-1, 3, 3),
         seconds=time.perf_counter() - begun,
     )  # fmt: skip
+
+
+def within(points: FloatArray, directions: FloatArray, h: FloatArray) -> FloatArray:
+    """Points (D, 3) drawn in towards the centre of mass as far as the planes n·x ≤ h of all `directions` ask.
+
+    Nothing is drawn in where the body is convex; where nothing was felt, ∇H of a support function that is a mere belief
+    may fold over.
+    """
+    out = np.ones(len(points))
+    for part in np.array_split(np.arange(len(points)), 8):
+        out[part] = np.maximum((points[part] @ directions.T / h).max(axis=1), 1.0)
+    return np.asarray(points / out[:, None], np.float64)
+
+
+def without_turns(rows: FloatArray, turns: FloatArray, touched: npt.NDArray[np.bool_]) -> FloatArray:
+    """Rows (D, n) of h after the turn of the body's frame, (D, 3) by its vector, that changes it least where touched.
+
+    The frame is gauge: by how much the body as a whole is turned in it is no error of its form.
+    """
+    undone = np.linalg.lstsq(turns[touched], rows[touched], rcond=None)[0]
+    return np.asarray(rows - turns @ undone, np.float64)
 
 
 def doubt(task: Task, ended: Sequence[Grown], sd: FloatArray) -> str:

@@ -12,7 +12,6 @@ from palmd.events import FloatArray
 from palmd.model.spherical import Y00, count
 from palmd.observer.three_palms import beliefs, kernels
 from palmd.observer.three_palms.arrow import STATES
-from palmd.observer.three_palms.beliefs import Hypothesis
 from palmd.observer.three_palms.driven import ContactCurves, DrivenCourse, ball_of, course
 from palmd.observer.three_palms.kernels import by_columns
 from palmd.observer.three_palms.path import JointPath
@@ -29,9 +28,10 @@ ROUGH_M = 5e-4  # what readings may miss a first outline by
 STILL_RAD_S, STILL_RAD = 0.04, 1e-3  # of the joints, below which a body that rested still rests
 LEAST_REST_S, LONGEST_REST_S = 0.12, 1.0
 HOPELESS = 2.5  # cost per number read above which a start is not followed at all
-EXPLAINED = 1.1  # cost per number read, below which two starts that have met are enough
+STEPS = 12
 SAME_COST = 2.0
-WORTHLESS = 3.0  # times the cheapest, beyond which a start is dropped on the way
+TOO_FAR = 100.0  # in cost, of the cheapest, where a start is dropped
+KEPT = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,12 +100,11 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Rival:
-    """A hypothesis, the radius of a ball through the contacts, and the fit that it led to in `record`.
+    """The radius of a ball through the contacts, and the fit that a start led to in `record`.
 
     met: how many starts led to the same.
     """
 
-    hypothesis: Hypothesis
     radius: float
     record: BodyRecord
     fit: BodyFit
@@ -118,34 +117,25 @@ class Rival:
 
 
 def rivals(task: Task, seconds: float) -> list[Rival]:
-    """What the starts lead to in the first `seconds`, the cheapest first, each but once.
-
-    The likelier of them by what the contacts tell come first, and as soon as two meet in what explains the readings, no
-    other is tried.
-    """
+    """What the starts lead to in the first `seconds`, the cheapest first, each but once."""
     record = task.record(seconds)
     given = task.contacts.at(task.path, record.t)
     centres, radii = ball_of(given[:, :9].reshape(-1, 3, 3), record.node_palms[:, :9].reshape(-1, 3, 3))
     radius = float(np.median(radii))
     prior = beliefs.prior(radius, START_ORDER, task.spin_sd)
     stiff = beliefs.with_inertia(prior, STIFF)
-    courses = []
+    found: list[Rival] = []
     for hypothesis in beliefs.hypotheses():
         belief = hypothesis.belief(radius, centres[0], task.spin_sd, task.rest)
         driven = course(task.path, task.contacts, record.start, len(record.t) - 1, SPACING_S, belief, task.rig.gravity)
-        courses.append((driven, hypothesis))
-    courses.sort(key=lambda each: each[0].cost)
-    found: list[Rival] = []
-    for driven, hypothesis in courses:
         motion = first_motion(record, driven, prior, radius * (1.0 + hypothesis.larger))
-        fit = task.fitted(record, stiff, LOOSE[0], motion, 20)
-        found = met([*found, Rival(hypothesis, radius, record, fit)])
-        if found[0].met > 1 and found[0].per_number < EXPLAINED:
-            break
-    found = [each for each in found if each.per_number < max(WORTHLESS * found[0].per_number, HOPELESS)]
-    for believed, strengths in ((stiff, LOOSE[1]), (prior, None)):
-        found = [replace(each, fit=task.fitted(record, believed, strengths, each.fit.motion, 25)) for each in found]
-    return met(found)
+        for strengths in LOOSE:
+            fit = task.fitted(record, stiff, strengths, motion, STEPS)
+            motion = fit.motion
+        found.append(Rival(radius, record, fit))
+    kept = [each for each in met(found) if each.per_number < HOPELESS]
+    kept = [each for each in kept if each.fit.cost < kept[0].fit.cost + TOO_FAR][:KEPT]
+    return met([replace(each, fit=task.fitted(record, prior, None, each.fit.motion, 25)) for each in kept])
 
 
 def met(found: Sequence[Rival]) -> list[Rival]:

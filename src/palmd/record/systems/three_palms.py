@@ -199,7 +199,7 @@ def summary(answer: BodyReconstruction) -> str:
     parts = [
         f"surface ± {band * 1e6:.0f} µm on {np.mean(answer.touched):.0%} of the directions",
         f"mu {answer.mu:z.4f} ± {answer.mu_sd:.4f}",
-        f"mass {answer.mass * 1e3:.1f} ± {answer.mass_sd * 1e3:.1f} g" if math.isfinite(answer.mass) else "no mass",
+        f"mass {answer.mass * 1e3:.2f} ± {answer.mass_sd * 1e3:.2f} g" if math.isfinite(answer.mass) else "no mass",
         f"{answer.seconds:.1f} s",
     ]
     return ", ".join(parts)

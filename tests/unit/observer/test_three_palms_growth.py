@@ -1,0 +1,91 @@
+"""A body between three palms followed along a record: blind to the right form, window by window as well as at once."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from palmd.lab.space import errors
+from palmd.model.spherical import evaluator
+from palmd.observer.three_palms import growth
+from palmd.observer.three_palms.driven import ContactCurves
+from palmd.observer.three_palms.icosphere import icosphere
+from palmd.observer.three_palms.reconstruct import answer, reconstruct, within, without_turns
+from palmd.observer.three_palms.search import Task, rivals
+from palmd.record.systems.three_palms import SYSTEM, laid_out
+from palmd.rig.three_palms.simulate import simulate
+
+SECONDS = 3.0
+
+
+@pytest.fixture(scope="module")
+def run():
+    """One body's log, laid out, and its truth."""
+    (body,) = simulate("friction", 1, SECONDS, seed=2)
+    head, *lines = body.lines
+    rig = SYSTEM.rig(head["rig"])
+    events = tuple(event for line in lines for event in SYSTEM.events(line["t"], line, rig))
+    path, readings = laid_out(SYSTEM.log(rig, events, ()))
+    return path, readings, rig, body.truth
+
+
+@pytest.fixture(scope="module")
+def task(run):
+    path, readings, rig, _ = run
+    return Task(path, readings, ContactCurves.smoothed(readings), rig, 0.0, SECONDS - 0.02)
+
+
+def test_a_body_is_found_blind_from_starts_that_meet(run):
+    path, readings, rig, truth = run
+    found = reconstruct(path, readings, rig)
+    error, ratio = errors(found, truth)
+    assert error < 1.5e-4
+    assert ratio < 9.0
+    assert found.contacts.shape == (len(found.t), 3, 3)
+
+
+def test_windows_lead_to_what_all_at_once_leads_to(task):
+    start = rivals(task, 1.3)[0]
+    ahead = growth.advanced(task, growth.begun(task, start), task.intervals(SECONDS))
+    whole = growth.smoothed(task, ahead, 20)
+    assert ahead.since_whole > 1.0
+    assert ahead.cost == pytest.approx(whole.cost, rel=0.02)
+    spins = np.array([ahead.motion.omega[-1], whole.motion.omega[-1]])
+    assert np.ptp(spins, axis=0).max() < 0.03  # rad/s
+    assert ahead.per_number < 1.15
+
+
+def test_a_rival_that_foretells_nothing_is_lost(task):
+    now = growth.begun(task, rivals(task, 1.3)[0])
+    assert not now.lost
+    assert replace(now, windows=((25, 1.0), (25, 9.0), (25, 9.0))).lost
+    assert not replace(now, windows=((25, 9.0), (25, 1.0), (25, 1.0))).lost
+
+
+def test_a_turn_of_the_whole_body_is_no_error_of_its_form():
+    directions = icosphere(2)[0]
+    rows, points = evaluator(4)(directions)
+    random = np.random.default_rng(3)
+    c = np.concatenate([[0.07], random.normal(0, 1e-3, 24)])
+    small = 1e-5 * random.normal(size=3)
+    turned = np.linalg.lstsq(rows, rows @ c - np.cross(directions, points @ c) @ small, rcond=None)[0]
+    touched = directions[:, 2] > 0.3
+    form = without_turns(rows, np.cross(directions, points @ c), touched)
+    assert np.abs(rows @ (turned - c)).max() > 1e-9
+    assert np.abs(form @ (turned - c)).max() < 1e-3 * np.abs(rows @ (turned - c)).max()
+
+
+def test_a_rival_that_ends_early_is_refused(task):
+    now = growth.begun(task, rivals(task, 1.3)[0])
+    told = answer(task, [now], 0.0)
+    assert not told.converged
+    assert "fails after 1.3 s" in told.reason
+
+
+def test_what_folds_over_is_drawn_in_and_what_is_convex_stays():
+    directions = icosphere(2)[0]
+    h = np.full(len(directions), 0.02)
+    points = 0.02 * directions
+    points[0] *= 1.5
+    drawn = within(points, directions, h)
+    np.testing.assert_allclose(drawn, 0.02 * directions, atol=1e-12)
