@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from palmd.record.jsonvalues import or_none
+from palmd.jsonvalues import or_none
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, np.float64("nan")])
