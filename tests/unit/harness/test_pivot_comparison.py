@@ -29,7 +29,7 @@ def truth(compared, t, touch=1, omega0=0.4, force=1.0):
 
 @pytest.fixture
 def compared():
-    made = PivotComparison(7)
+    made = PivotComparison(7, "imperfect")
     told(made, PIVOT_BODY.name, hP_m=TRUE_H.tolist(), mu=0.21)
     return made
 
@@ -44,7 +44,7 @@ def test_it_settles_with_the_first_valid_estimate_after_it_has_begun_to_move(com
     compared.started(9.0)  # again: it counts from the first time
     estimate(compared, 10.0)
     assert compared.settled
-    assert compared.summary().startswith("palmd demo: seed 7, settled after 1.5 s, ")
+    assert compared.summary().startswith("palmd demo: seed 7, rig imperfect, settled after 1.5 s, ")
     assert "ticks 4, valid 2, " in compared.summary()
 
 
