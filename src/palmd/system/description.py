@@ -14,8 +14,7 @@ from palmd.system.mechanism import JOINTS, PALMS
 
 # An actuator that lags by some 20 ms makes of goals rounded by e, one each 10 ms, rates of e over so long.
 ROUNDING_LASTS_S = 0.03
-# By friction an object's spin follows the palms' rates within a node of a smoother: what they make of it there, squared,
-# is so much a second of their square.
+# By friction an object's spin follows the palms' rates within 10 ms: a density of so much a second of their square.
 UNEVEN_SPIN_HZ = 12.0
 HingeMode = Literal["arc", "fixed"]
 
