@@ -14,6 +14,7 @@ from palmd.system.mechanism import JOINTS, PALMS
 
 # An actuator that lags by some 20 ms makes of goals rounded by e, one each 10 ms, rates of e over so long.
 ROUNDING_LASTS_S = 0.03
+# By friction an object's spin follows the palms' rates within 10 ms: a density of so much a second of their square.
 UNEVEN_SPIN_HZ = 12.0
 HingeMode = Literal["arc", "fixed"]
 
@@ -58,9 +59,9 @@ class RigDescription:
     """What an observer must know of the rig; by default it is exactly as described.
 
     pads: one for each palm. base: of palm 1's far end, where an arc hinge is fixed to the world. palm_angle_noise: of a
-    reported angle by itself. goal_rounding: to what steps set-points are rounded, which the palms follow. angle_sd, gravity_sd:
-    one-sigma of what each palm's angle and gravity's direction are off by, all along; friction_sd: of the asymmetry
-    (μ1 − μ2)/(μ1 + μ2) of the palms' friction.
+    reported angle by itself. goal_rounding: to what steps set-points are rounded, which the palms follow (rad).
+    angle_sd, gravity_sd: one-sigma of what each palm's angle and gravity's direction are off by, all along.
+    friction_sd: of the asymmetry (μ1 − μ2)/(μ1 + μ2) of the palms' friction.
     """
 
     gravity: float = 9.81
