@@ -7,6 +7,7 @@ from palmd.motion.check import check_files
 from palmd.motion.pivot import PivotLimits, compile_pivot_plan
 from palmd.motion.plan import PlanError
 from palmd.pivot_config import PivotConfig, PivotPlanSpec, pivot_rig
+from palmd.rig.imperfections import Imperfections, PadImperfection, configured_pivot, perfect
 from palmd.yamlfile import ConfigError, load_any_config, load_config
 
 ROOT = Path(__file__).parents[2]
@@ -100,3 +101,13 @@ def test_the_last_guard_keeps_to_ranges_and_steps(limits):
     room = limits.rate * 0.016
     assert max(abs(a - b) for a, b in zip(step.angles, here.angles, strict=True)) == pytest.approx(room)
     assert limits.clamp_step(here, PalmMotion.at_rest((math.nan, 0.0)), 0.016) == here
+
+
+def test_the_emulated_rig_is_off_as_far_as_it_is_known():
+    config = load_any_config(SHIPPED)
+    off = configured_pivot(config, 5)
+    assert 0.0 < abs(off.pads[0].standoff) <= 3 * 5e-5
+    assert 0.0 < abs(off.angles[0]) <= 3 * math.radians(0.1)
+    known = perfect(config)
+    assert configured_pivot(known, 5) == Imperfections((PadImperfection(),), (0.0,))
+    assert pivot_rig(known).pad.standoff_sd == pivot_rig(known).angle_sd == 0.0
