@@ -248,7 +248,10 @@ _shtab_palmd_bench_pivot_options=(
   "--trouble[with the readings (default\: none)]:trouble:(none outliers gaps noise coulomb)"
   "--seed[the first run\'s (default\: 0)]:FIRST:"
   "--seconds[how long each lasts (default\: 12.0)]:S:"
-  {-o,--output}"[a JSON line for each run (default\: pivot.jsonl)]:FILE:_files"
+  "--live[explore in closed loop and score what is claimed live]"
+  "--perfect[live\: on rigs exactly as configured, which is known]"
+  "--period[live\: how often the smoother is begun (default\: 5.0)]:S:"
+  {-o,--output}"[a JSON line for each run (default\: pivot.jsonl, live pivot-live.jsonl)]:FILE:_files"
   "--jobs[processes on this machine (default\: one a processor)]:J:"
   "--scheduler[of a Dask cluster, such as tcp\:\/\/127.0.0.1\:8786]:ADDRESS:"
 )

@@ -7,6 +7,7 @@ from palmd.motion.check import check_files
 from palmd.motion.pivot import PivotLimits, compile_pivot_plan
 from palmd.motion.plan import PlanError
 from palmd.pivot_config import PivotConfig, PivotPlanSpec, pivot_rig
+from palmd.rig.imperfections import Imperfections, PadImperfection, configured_pivot, perfect
 from palmd.yamlfile import ConfigError, load_any_config, load_config
 
 ROOT = Path(__file__).parents[2]
@@ -121,3 +122,13 @@ def test_a_segment_is_told_what_it_needs_once(tmp_path):
     first, second = check_files([SHIPPED, path])
     assert ":3:17: segments.0.x: unknown key" in first
     assert ":4:5: segments.1: a segment needs exactly one of the keys move, hold_s, explore" in second
+
+
+def test_the_emulated_rig_is_off_as_far_as_it_is_known():
+    config = load_any_config(SHIPPED)
+    off = configured_pivot(config, 5)
+    assert 0.0 < abs(off.pads[0].standoff) <= 3 * 5e-5
+    assert 0.0 < abs(off.angles[0]) <= 3 * math.radians(0.1)
+    known = perfect(config)
+    assert configured_pivot(known, 5) == Imperfections((PadImperfection(),), (0.0,))
+    assert pivot_rig(known).pad.standoff_sd == pivot_rig(known).angle_sd == 0.0

@@ -30,6 +30,7 @@ WIDE, NARROWER = 1.5, 0.7  # spread of residuals from which the gate is wider, a
 CENTRE_SD_M, GYRATION, GYRATION_SD = 1e-3, 0.707, 0.1
 # How soon a pad's gain drifts, what it falls behind a changing force by (one sigma), and how soon that turns round.
 DRIFT_S, BEHIND, BEHIND_S, KNOT_S = 20.0, 0.02, 3.0, 2.0
+STRAY_M, STRAY_READINGS, LEAST_SQUARE_M2 = 2.5e-6, 60, 1e-8
 _READINGS, _HEIGHTS, _FORCES = range(3)  # kinds of rows, in the order of the kernels
 _PSI_SCALE = 0.05
 _GAUGE_SD = 1e-5  # of ψ at the first reading, which is 0 by definition
@@ -423,5 +424,21 @@ def with_forces_of(problem: Problem, library: Library, fit: PivotFit) -> Problem
     """The same problem, each force's noise taken from the model's force instead of its neighbours'."""
     record = problem.record
     level = np.maximum(problem.predicted(fit.c, fit.p)[_FORCES], 0.05)
-    forces = replace(record.forces, variance=np.asarray(record.rig.pad.force_variance(level)))
+    variance = np.asarray(record.rig.pad.force_variance(level)) + (level * _strayed(record, fit)) ** 2
+    forces = replace(record.forces, variance=variance)
     return Problem(library, replace(record, forces=forces), problem.known, level)
+
+
+def _strayed(record: PivotRecord, fit: PivotFit) -> FloatArray:
+    """The share by which each force is off where a rigid gripper is not quite where the fit takes it to be.
+
+    Off by δz, the lever e is by h_P″ δz/e, and the force by as large a share of itself as the lever. It strays by
+    `STRAY_M` and for as long as so many readings take, which therefore tell no more than one.
+    """
+    if record.rig.vertical != "rigid":
+        return np.zeros(len(record.forces.t))
+    theta, a = normal_of(record.motion(fit.c, record.forces)[:, 0]), fit.p[P.SHAPE :]
+    e = -shape.tangential_basis(theta, ORDER) @ a
+    bend = shape.basis(theta, ORDER) @ (-(shape.harmonic_of_coefficient(ORDER) ** 2) * a)
+    share: FloatArray = STRAY_M * math.sqrt(STRAY_READINGS) * np.abs(bend) / np.maximum(e**2, LEAST_SQUARE_M2)
+    return share

@@ -15,6 +15,7 @@ from palmd.system.pivot import GripperSample, PivotAnswer, PivotEvent, PivotRig
 WINDOW_S = 90.0  # of readings, what is older is forgotten
 LEAST_S = 3.0  # of touching, before anything is tried
 PERIOD_S = 1.0
+CLAIMED_M = 5e-5  # one-sigma of the outline, were the rig known, that readings must tell it to: more are to come
 LATENCY_S = 0.5  # that a simulated one takes
 
 
@@ -70,6 +71,9 @@ def as_logged(event: Event) -> PivotEvent | None:
 def answer_of(found: PivotReconstruction, t: float) -> PivotAnswer:
     """A reconstruction of readings until `t` (s), for the loop."""
     none = np.zeros(0)
+    if found.converged and found.told_m > CLAIMED_M:
+        why = f"the outline is told to {found.told_m * 1e3:.2f} mm so far: it is claimed from {CLAIMED_M * 1e3:g} mm on"
+        return PivotAnswer(t, False, why, math.nan, none, np.zeros((0, 0)), none, none)
     claims = found.converged and found.h_sd is not None and found.touched is not None
     if not claims or found.p is None or found.covariance is None or found.h_sd is None or found.touched is None:
         return PivotAnswer(t, False, found.reason, math.nan, none, np.zeros((0, 0)), none, none)

@@ -53,7 +53,8 @@ class PivotReconstruction:
     there. com: the centre of mass from the pivot, in the body's frame at ψ = 0, and inertia about the pivot per mass;
     both only where the mass is told. moment, inertia_kg: the same times the mass, which force tells without it.
     t, psi, omega0: the trajectory, while touched. reason: why not, when not `converged`. p, covariance: the constants
-    of `model.pivot`, None where there was no fit.
+    of `model.pivot`, None where there was no fit. told_m: RMS of the outline's one-sigma where touched, were the rig
+    known (m).
     """
 
     converged: bool
@@ -81,6 +82,7 @@ class PivotReconstruction:
     seconds: float
     p: FloatArray | None = None
     covariance: FloatArray | None = None
+    told_m: float = math.nan
 
 
 @one_thread()
@@ -178,7 +180,8 @@ def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:
     covariance = covariance + moves @ moves.T
     h_sd = gauge_free_sd(theta, theta[touched], coefficients, covariance[P.SHAPE :, P.SHAPE :])
     reason = _doubt(record, best, fits[1:], theta, h, h_sd, touched)
-    if not reason and float(np.sqrt(np.mean(told[touched] ** 2))) > SHARP_M:
+    told_m = float(np.sqrt(np.mean(told[touched] ** 2)))
+    if not reason and told_m > SHARP_M:
         reason = "the readings tell too little of the outline"
     p = best.p
     sd = np.sqrt(np.diagonal(covariance))
@@ -200,7 +203,7 @@ def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:
         mass=p[P.MASS] if weighed else math.nan, mass_sd=sd[P.MASS] if weighed else math.nan,
         moment=p[moment], moment_sd=sd[moment], inertia_kg=p[P.INERTIA], inertia_kg_sd=sd[P.INERTIA],
         t=rows.t, psi=motion[:, 0], omega0=motion[:, 1], reason=reason, seconds=0.0,
-        p=p, covariance=covariance,
+        p=p, covariance=covariance, told_m=told_m,
     )  # fmt: skip
 
 

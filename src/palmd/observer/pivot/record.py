@@ -24,6 +24,7 @@ GAP_S = {"rigid": 0.15, "float": 0.5}  # without a reading, after which orientat
 LEAST_TOUCH_S = 0.4
 LEAST_READINGS = 25
 LEAST_FORCE_N = 0.05
+LANDING_S, HALTED_M_S2 = 0.35, 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,9 +186,18 @@ def _touches(events: Sequence[PivotEvent], arm: ArmMotion, rig: PivotRig) -> lis
             parts.append([])
         if not parts[-1] or sample.t_sample > parts[-1][-1].t_sample:
             parts[-1].append(sample)
+    parts = [landed for part in parts if (landed := _landed(part, arm))]
     return [
         part for part in parts if part[-1].t_sample - part[0].t_sample >= LEAST_TOUCH_S and len(part) >= LEAST_READINGS
     ]
+
+
+def _landed(part: list[PadSample], arm: ArmMotion) -> list[PadSample]:
+    """A touch without its beginning where the gripper was halted then: sooner than the splines can follow."""
+    begin = part[0].t_sample
+    t = np.linspace(begin, begin + LANDING_S, 100)
+    halted = max(float(np.abs(axis.at(t)[2]).max()) for axis in (arm.x, arm.z)) > HALTED_M_S2
+    return [each for each in part if each.t_sample > begin + LANDING_S] if halted else part
 
 
 def _heights(touches: Sequence[TouchSpan], arm: ArmMotion, rig: PivotRig) -> Rows:

@@ -1,0 +1,66 @@
+"""What a pad's forces are off by all together, and how an arm follows its plan."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from palmd.observer.pivot.arm_path import axis_path
+from palmd.observer.pivot.fit import BEHIND, DRIFT_S, gain_modes
+from palmd.observer.pivot.growing import CLAIMED_M, answer_of
+from palmd.observer.pivot.reconstruct import reconstruct, refused
+from palmd.observer.pivot.record import PivotRecord, Rows, TouchSpan
+from palmd.system.description import PadSensor
+from palmd.system.pivot import PivotRig
+
+STD = 0.03
+
+
+def record_of(t, force, std=STD):
+    none = np.zeros(0)
+    rows = Rows(t, force, np.ones(len(t)), np.zeros((len(t), 9)), np.zeros(len(t), dtype=np.intp), none)
+    rig = PivotRig(pad=PadSensor(force_gain_std=std))
+    return PivotRecord(rig, (TouchSpan(t[0], t[-1], 0, 10),), rows, rows, rows, rows)
+
+
+def test_forces_that_share_no_gain_have_no_modes():
+    t = np.linspace(0.0, 10.0, 100)
+    assert gain_modes(record_of(t, np.ones(100), std=0.0)).shape == (100, 0)
+
+
+def test_forces_near_in_time_are_off_by_the_same_share():
+    t = np.linspace(0.0, 60.0, 61)
+    modes = gain_modes(record_of(t, np.ones(61)))
+    covariance = modes @ modes.T
+    assert covariance[0, 0] == pytest.approx(STD**2 + BEHIND**2)
+    assert covariance[0, 20] == pytest.approx(STD**2 * np.exp(-20.0 / DRIFT_S), rel=0.05)
+
+
+def test_the_pad_falls_behind_a_force_that_rises_and_one_that_falls():
+    t = np.linspace(0.0, 10.0, 101)
+    force = 1.0 - 0.1 * np.abs(t - 5.0)
+    behind = gain_modes(record_of(t, force), force)[:, -1]
+    assert behind[:50] == pytest.approx(-BEHIND)
+    assert behind[-40:] == pytest.approx(BEHIND)
+
+
+def test_an_arm_that_lags_and_rounds_its_corners_is_told_so():
+    t = np.arange(0.0, 20.0, 0.016)
+    x, v, a = 0.02 + 1e-3 * np.sin(12 * t), 1.2e-2 * np.cos(12 * t), -0.144 * np.sin(12 * t)
+    lag, rounding = 2e-3, 1e-4
+    true = x - lag * v + rounding * a
+    noise = 1.5e-5
+    measured = true + np.random.default_rng(0).normal(0.0, noise, len(t))
+    path = axis_path(t, measured, list(v), list(a), noise)
+    middle = t[100:-100]
+    assert np.abs(path.at(middle)[0] - true[100:-100]).max() < 6e-6
+    true_v = v - lag * a + rounding * -1.728 * np.cos(12 * t)
+    assert np.abs(path.at(middle)[1] - true_v[100:-100]).max() < 3e-5
+
+
+def test_what_is_told_too_badly_is_not_claimed_live():
+    found = replace(reconstruct((), PivotRig()), converged=True, told_m=2.0 * CLAIMED_M)
+    answer = answer_of(found, 1.0)
+    assert not answer.claimed
+    assert answer.reason == "the outline is told to 0.10 mm so far: it is claimed from 0.05 mm on"
+    assert not answer_of(refused("why"), 1.0).claimed
