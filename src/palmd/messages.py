@@ -24,6 +24,7 @@ from palmd.events import (
     PalmMotion,
     PalmSample,
     ShapeEstimate,
+    Unexplained,
 )
 from palmd.faults import Fault
 from palmd.quantities import ESTIMATE, EVENTS, LOG, SCHEMA, STAMP, TICK, TOPICS, UNITS, Kind, Topic
@@ -154,6 +155,11 @@ def improvement_fields(t_tick: float, answer: Improvement) -> Fields:
         "spread": answer.spread.ravel().tolist(),
         "contradicted": answer.contradicted.tolist(),
     }
+
+
+def unexplained_fields(t_tick: float, answer: Unexplained) -> Fields:
+    """`palm/unexplained`, heard in the tick at `t_tick` (s)."""
+    return {"t_tick_s": t_tick, "t_s": answer.t}
 
 
 def rig_fields(values: FloatArray, sds: FloatArray, priors: FloatArray, contradicted: FloatArray) -> Fields:

@@ -16,7 +16,7 @@ import msgpack
 import numpy as np
 
 from palmd.daemon.worker import WorkerProcess, give_back_memory, meet
-from palmd.events import Event, Improvement, PadLift, PadSample, PalmSample
+from palmd.events import Event, Improvement, PadLift, PadSample, PalmSample, Unexplained
 from palmd.observer.smoothing import Session, period
 from palmd.system.description import PadSensor, RigDescription
 
@@ -59,12 +59,16 @@ class SmootherProcess:
             del self._waiting[:lost]
             self.dropped += lost
 
-    def collect(self, t: float) -> Improvement | None:
-        """The newest improvement that has come."""
+    def collect(self, t: float) -> Improvement | Unexplained | None:
+        """The newest improvement or refusal that has come."""
         del t  # it is ready when it is here
-        newest: Improvement | None = None
+        newest: Improvement | Unexplained | None = None
         for message in self._process.received():
-            when, frame, established, touched, *arrays = msgpack.unpackb(message)
+            told = msgpack.unpackb(message)
+            if isinstance(told, float):
+                newest = Unexplained(told)
+                continue
+            when, frame, established, touched, *arrays = told
             x, covariance, rig, rig_sd, spread, against = map(np.frombuffer, arrays)
             square, beyond = covariance.reshape(len(x), -1), spread.reshape(-1, len(rig))
             marks = np.frombuffer(touched, dtype=np.bool_)
@@ -108,11 +112,13 @@ def serve(address: str, rig: str) -> None:
             if socket.poll(0) or time.monotonic() < next_one:
                 continue
             started = time.monotonic()
-            improvement = smoother.answer()
+            said = smoother.said()
             ended = time.monotonic()
             next_one = max(started + period(smoother.elapsed_s), ended + (ended - started) * (1.0 / SHARE - 1.0))
-            if improvement is not None:
-                a = improvement
+            if isinstance(said, Unexplained):
+                socket.send(msgpack.packb(said.t))
+            elif said is not None:
+                a = said
                 arrays = (each.tobytes() for each in (a.touched, a.x, a.P, a.rig, a.rig_sd, a.spread, a.contradicted))
                 socket.send(msgpack.packb([a.t, a.frame, a.established, *arrays]))
             give_back_memory()

@@ -16,7 +16,7 @@ import msgpack
 
 from palmd import __version__, observer, pivot_messages
 from palmd.blas import one_thread
-from palmd.events import Estimate, Event, Improvement
+from palmd.events import Estimate, Event, Improvement, Unexplained
 from palmd.messages import Fields, estimate_fields
 from palmd.observer.observer import LiveObserver
 from palmd.observer.pivot.live import PivotObserver
@@ -49,13 +49,13 @@ class Checked:
 class _RecordedAnswers:
     """The smoother's answers in the ticks in which they came."""
 
-    def __init__(self, answers: dict[float, Improvement]) -> None:
+    def __init__(self, answers: dict[float, Improvement | Unexplained]) -> None:
         self._answers = answers
 
     def submit(self, t: float, session: Session, events: Sequence[Event]) -> None:
         pass
 
-    def collect(self, t: float) -> Improvement | None:
+    def collect(self, t: float) -> Improvement | Unexplained | None:
         return self._answers.get(t)
 
 
@@ -85,7 +85,8 @@ class Recheck:
             self._observer = PivotObserver(run.rig, _PivotRecorded(dict(run.answers())))
             return
         settings = run.config.observer
-        smoothing = _RecordedAnswers(dict(run.improvements())) if settings.smoother else None
+        answers = dict[float, Improvement | Unexplained]([*run.improvements(), *run.unexplained()])
+        smoothing = _RecordedAnswers(answers) if settings.smoother else None
         self._observer = observer.make(settings.primary, run.rig, smoothing=smoothing, outlines=run.outlines())
 
     def ticks(self) -> Iterator[Checked]:

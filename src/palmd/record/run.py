@@ -15,11 +15,11 @@ from pydantic import TypeAdapter
 
 from palmd import pivot_messages
 from palmd.config import Config
-from palmd.events import Event, Improvement
+from palmd.events import Event, Improvement, Unexplained
 from palmd.messages import events_of
 from palmd.outlinefile import Outline, OutlineError, read_library
 from palmd.pivot_config import PivotConfig
-from palmd.quantities import EVENTS, IMPROVEMENT, PIVOT_ANSWER, PIVOT_EVENTS, SCHEMA, Topic
+from palmd.quantities import EVENTS, IMPROVEMENT, PIVOT_ANSWER, PIVOT_EVENTS, SCHEMA, UNEXPLAINED, Topic
 from palmd.record import SUFFIX
 from palmd.record.eventlog import EventLog
 from palmd.record.mcapfile import MAGIC, Preface, RawMessage, RunError, Tail, is_finished, read_messages, read_preface
@@ -167,6 +167,14 @@ class Run(AnyRun):
                 yield fields["t_tick_s"], told
             except (KeyError, ValueError, TypeError) as error:
                 raise RunError(f"{self.path}: {IMPROVEMENT.name}, message {message.sequence}: {error!r}") from None
+
+    def unexplained(self) -> Iterator[tuple[float, Unexplained]]:
+        """When it had to say that nothing explains the readings, likewise."""
+        for message in self.messages(UNEXPLAINED.name):
+            try:
+                yield message.fields["t_tick_s"], Unexplained(message.fields["t_s"])
+            except KeyError as error:
+                raise RunError(f"{self.path}: {UNEXPLAINED.name}, message {message.sequence}: {error!r}") from None
 
     def event_log(self) -> EventLog:
         """The run in the neutral form of event logs; raises RunError when there are no events in it."""
