@@ -139,7 +139,7 @@ def test_what_no_outline_explains_is_not_valid_until_one_does(run: Run) -> None:
 
 
 def test_what_was_lost_where_it_lay_has_to_be_explained_for_a_while_before_it_is_valid_again() -> None:
-    _, second, events = swapped("rig", 3, 4.0, 0.2, 10.0)
+    _, second, events = swapped("rig", 3, 4.0, 0.2, 12.0)
     watcher = observer.make("shape", replace(second, events=events).rig)
     told = list(ticks(replace(second, events=events), watcher))
     begun = next(t for t, estimate in told if estimate.object_count == 2)
