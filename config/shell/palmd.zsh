@@ -10,7 +10,7 @@
 
 _shtab_palmd_commands() {
   local _commands=(
-    bench:'studies of many runs: montecarlo, sbc, off, explore, recognise, curved, pivot, space, parts, speed, peers, field, faults, simulate, soak'
+    bench:'studies of many runs: montecarlo, sbc, off, explore, recognise, curved, pivot, space, things, parts, speed, peers, field, faults, simulate, soak'
     build:'compile the observers now; the first run does it otherwise'
     calibrate:'measure what the configuration must know: pad, arm, gravity, pads, force, curvature, self'
     check:'find what is wrong with configurations and motion plans'
@@ -62,6 +62,7 @@ _shtab_palmd_bench_commands() {
     soak:'the demo for an hour with random mischief: leaks, lateness, lost packets'
     space:'bodies between three palms in space reconstructed blind, with seeds'
     speed:'how fast palmd is on this machine, as ratios to references beside it'
+    things:'dice, nuts, coins, blocks: how often a live estimate is wrong'
   )
   _describe 'palmd bench commands' _commands
 }
@@ -332,6 +333,19 @@ _shtab_palmd_bench_speed_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_bench_speed_defaults_added=0
+
+_shtab_palmd_bench_things_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--runs[how many of each kind (default\: 10)]:N:"
+  "--kind[what lies on the palms (default\: all)]:kind:(die nut coin ellipse triangle block D-profile L-profile gear smooth lump all)"
+  "--seed[the first run\'s (default\: 0)]:FIRST:"
+  "--seconds[how long each lasts (default\: 15.0)]:S:"
+  "--imperfections[what the rig is off by, drawn by the seed (default\: none)]:imperfections:(none calibrated)"
+  "--jobs[processes on this machine (default\: one a processor)]:J:"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_palmd_bench_things_defaults_added=0
 
 _shtab_palmd_build_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -967,6 +981,7 @@ _shtab_palmd_bench() {
         soak) _arguments -C -s $_shtab_palmd_bench_soak_options ;;
         space) _arguments -C -s $_shtab_palmd_bench_space_options ;;
         speed) _arguments -C -s $_shtab_palmd_bench_speed_options ;;
+        things) _arguments -C -s $_shtab_palmd_bench_things_options ;;
       esac
   esac
 }

@@ -157,6 +157,13 @@ class Improvement:
     contradicted: FloatArray
 
 
+@dataclass(frozen=True, slots=True)
+class Unexplained:
+    """A smoother's word that no smooth outline explains the readings of an object up to time `t` (s)."""
+
+    t: float
+
+
 DECIDED = 0.95
 """The probability from which on it is said which object it is."""
 

@@ -26,6 +26,7 @@ from palmd.events import (
     PalmMotion,
     PalmSample,
     ShapeEstimate,
+    Unexplained,
 )
 from palmd.faults import Fault
 from palmd.jsonvalues import or_none
@@ -186,6 +187,11 @@ def improvement_of(fields: Mapping[str, Any]) -> Improvement:
 
 def _array(values: Sequence[float]) -> FloatArray:
     return np.array(values, dtype=np.float64)
+
+
+def unexplained_fields(t_tick: float, answer: Unexplained) -> Fields:
+    """`palm/unexplained`, heard in the tick at `t_tick` (s)."""
+    return {"t_tick_s": t_tick, "t_s": answer.t}
 
 
 def rig_fields(values: FloatArray, sds: FloatArray, priors: FloatArray, contradicted: FloatArray) -> Fields:

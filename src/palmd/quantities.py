@@ -414,6 +414,12 @@ IMPROVEMENT = Topic(
         Quantity("contradicted", "numbers", "", "by how many sigmas each of `rig` is not what it was taken for, or 0"),
     ),
 )
+UNEXPLAINED = Topic(
+    "palm/unexplained",
+    0.0,
+    "when the smoother beside the loop finds nothing that explains the readings",
+    (TICK, Quantity("t_s", "number", "s", "of the last of those readings, CLOCK_MONOTONIC")),
+)
 RIG = Topic(
     "palm/rig",
     1.0,
@@ -586,6 +592,7 @@ TOPICS: tuple[Topic, ...] = (
     INFO,
     EVENTS,
     IMPROVEMENT,
+    UNEXPLAINED,
     RIG,
     NOTE,
     LOG,

@@ -10,7 +10,7 @@ import pytest
 from harness import Bench
 
 from palmd.messages import validate
-from palmd.quantities import IMPROVEMENT, NOTE, OBJECT, PIVOT_TOPICS, TOPICS
+from palmd.quantities import IMPROVEMENT, NOTE, OBJECT, PIVOT_TOPICS, TOPICS, UNEXPLAINED
 from palmd.rig.simulate import simulate_log
 
 pytestmark = pytest.mark.rig
@@ -33,7 +33,7 @@ PLOTTED_TEXT = 100  # PlotJuggler leaves out longer strings
 
 
 # without the one that comes with stored outlines only, and the one that comes when the smoother has found something
-ALWAYS = [topic for topic in TOPICS if topic not in (OBJECT, IMPROVEMENT, NOTE, *PIVOT_TOPICS)]
+ALWAYS = [topic for topic in TOPICS if topic not in (OBJECT, IMPROVEMENT, UNEXPLAINED, NOTE, *PIVOT_TOPICS)]
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def plain(value):
 
 
 def test_every_topic_comes_at_its_rate(wire):
-    assert wire.keys() - {IMPROVEMENT.name} == {topic.name for topic in ALWAYS} == RATES_HZ.keys()
+    assert wire.keys() - {IMPROVEMENT.name, UNEXPLAINED.name} == {topic.name for topic in ALWAYS} == RATES_HZ.keys()
     for topic, (low, high) in RATES_HZ.items():
         times = [fields["mono_ns"] * 1e-9 for _, fields in wire[topic]]
         assert low * SECONDS - 1.0 <= len(times) <= high * SECONDS + 2.0, topic

@@ -18,6 +18,7 @@ from palmd.events import (
     PalmMotion,
     PalmSample,
     ShapeEstimate,
+    Unexplained,
 )
 from palmd.faults import TABLE
 from palmd.messages import (
@@ -40,6 +41,7 @@ from palmd.messages import (
     sound,
     stamp,
     state_fields,
+    unexplained_fields,
     validate,
 )
 from palmd.quantities import (
@@ -58,6 +60,7 @@ from palmd.quantities import (
     SHAPE,
     STATE,
     TOPICS,
+    UNEXPLAINED,
 )
 from palmd.rig.world import default_config
 
@@ -120,6 +123,7 @@ def built():
         INFO: info_fields("0.1.0", "shape", default_config()),
         EVENTS: events_fields(1.0, [PadSample(0.99, 1, 0.02), PadLift(0.995, 2), PalmSample(0.98, (0.5, 1.5))]),
         IMPROVEMENT: improvement_fields(1.0, improvement(np.arange(3.0), np.eye(3), t=0.8)),
+        UNEXPLAINED: unexplained_fields(1.0, Unexplained(0.8)),
         NOTE: note_fields(1.0, "put back"),
         RIG: rig_fields(np.full(15, 1e-3), np.full(15, 1e-4), np.full(15, 1e-3), ZEROS),
         LOG: log_fields(ENTRIES),

@@ -113,6 +113,11 @@ COMMANDS = (
         "objects in a pivoting grasp reconstructed blind: outline about the pivot, friction",
     ),
     Command("bench space", "lab.bench_space", "bodies between three palms in space reconstructed blind, with seeds"),
+    Command(
+        "bench things",
+        "lab.bench_things",
+        "dice, nuts, coins, blocks: how often a live estimate is wrong",
+    ),
     Command("bench parts", "lab.bench_parts", "what better or worse sensors and servos would do to the outline"),
     Command("bench speed", "lab.bench_speed", "how fast palmd is on this machine, as ratios to references beside it"),
     Command("bench peers", "lab.bench_peers", "palmd's estimators beside general-purpose ones"),

@@ -300,7 +300,7 @@ class Core:
             self._rig, self._rig_sds = self._answered.rig, self._answered.rig_sd
             self._contradicted = self._answered.contradicted
             self._rig_notes.look(self._contradicted, self._said_off)
-        due = self._answered is not None or t - self._t_rig >= 1.0 / RIG.rate_hz - _EARLY_S
+        due = isinstance(self._answered, Improvement) or t - self._t_rig >= 1.0 / RIG.rate_hz - _EARLY_S
         if len(self._rig_priors) and due:
             self._t_rig = t
             messages.append((RIG, rig_fields(self._rig, self._rig_sds, self._rig_priors, self._contradicted)))

@@ -17,7 +17,7 @@ import msgpack
 import numpy as np
 
 from palmd.daemon.worker import WorkerProcess, give_back_memory, meet
-from palmd.events import Event, Improvement, PadLift, PadSample, PalmSample
+from palmd.events import Event, Improvement, PadLift, PadSample, PalmSample, Unexplained
 from palmd.observer.smoothing import Session, period
 from palmd.system.description import PadSensor, RigDescription
 from palmd.system.pivot import PivotRig
@@ -78,12 +78,12 @@ class BatchingProcess(Generic[Answer]):
         self._process.close()
 
 
-class SmootherProcess(BatchingProcess[Improvement]):
+class SmootherProcess(BatchingProcess[Improvement | Unexplained]):
     """Of two palms; safe inside the loop."""
 
     def __init__(self, rig: RigDescription) -> None:
         """Start the process; raises OSError when it cannot be."""
-        super().__init__(__name__, rig, _improvement_of)
+        super().__init__(__name__, rig, _told)
 
     def submit(self, t: float, session: Session, events: Sequence[Event]) -> None:
         """Hand the tick's events over."""
@@ -141,16 +141,21 @@ def serve(address: str, rig: str) -> None:
         smoother.add(Session(object_count, begun, None if hint is None else np.frombuffer(hint)), events)
 
     def answer() -> list[Any] | None:
-        a = smoother.answer()
+        a = smoother.said()
         if a is None:
             return None
+        if isinstance(a, Unexplained):
+            return [a.t]
         arrays = (each.tobytes() for each in (a.touched, a.x, a.P, a.rig, a.rig_sd, a.spread, a.contradicted))
         return [a.t, a.frame, a.established, *arrays]
 
     work(address, add, answer, lambda: period(smoother.elapsed_s))
 
 
-def _improvement_of(t: float, frame: int, established: bool, touched: bytes, *arrays: bytes) -> Improvement:
+def _told(t: float, *fields: Any) -> Improvement | Unexplained:
+    if not fields:
+        return Unexplained(t)
+    frame, established, touched, *arrays = fields
     x, covariance, rig, rig_sd, spread, against = map(np.frombuffer, arrays)
     square, beyond = covariance.reshape(len(x), -1), spread.reshape(-1, len(rig))
     marks = np.frombuffer(touched, dtype=np.bool_)

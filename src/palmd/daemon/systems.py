@@ -19,7 +19,7 @@ from palmd.daemon.poses import Poses, make_poses
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.swap import SwapWatch
 from palmd.devices.pad import PadDriver, make_pad
-from palmd.events import Estimate, Event, FloatArray, Improvement, PadSample, PalmMotion, ShapeEstimate
+from palmd.events import Estimate, Event, FloatArray, Improvement, PadSample, PalmMotion, ShapeEstimate, Unexplained
 from palmd.messages import (
     Explored,
     Fields,
@@ -32,12 +32,13 @@ from palmd.messages import (
     motion_fields,
     shape_fields,
     sound,
+    unexplained_fields,
 )
 from palmd.motion.check import motion_limits
 from palmd.motion.exploration import Exploration
 from palmd.motion.limits import MotionLimits
 from palmd.observer.observer import LiveAnswer, LiveEstimate, LiveObserver
-from palmd.quantities import CONTACT, ESTIMATE, EVENTS, IMPROVEMENT, MOTION, SHAPE, Topic
+from palmd.quantities import CONTACT, ESTIMATE, EVENTS, IMPROVEMENT, MOTION, SHAPE, UNEXPLAINED, Topic
 from palmd.system.mechanism import JOINTS, NAMING, PALMS
 from palmd.system.rig_constants import prior_sds
 
@@ -202,7 +203,9 @@ class LiveTwoPalms:
         ]
 
     def answered(self, t: float, answer: LiveAnswer) -> tuple[Topic, Fields]:
-        """`palm/improvement`."""
+        """`palm/improvement`, or `palm/unexplained`."""
+        if isinstance(answer, Unexplained):
+            return UNEXPLAINED, unexplained_fields(t, answer)
         assert isinstance(answer, Improvement)
         return IMPROVEMENT, improvement_fields(t, answer)
 

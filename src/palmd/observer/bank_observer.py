@@ -23,6 +23,7 @@ from palmd.events import (
     PadSample,
     PalmSample,
     ShapeEstimate,
+    Unexplained,
 )
 from palmd.model.outputs import NAMED, rig_inputs
 from palmd.observer.answer import answer, no_answer, outline_answer, outlook
@@ -43,6 +44,7 @@ from palmd.system.description import RigDescription
 from palmd.system.mechanism import FORCES, PALMS, RADII
 
 SETTLED = Thresholds(age_s=0.4, radius_sd_m=3e-4, disagreement_m=3e-4)
+DISTRUSTED_S = 3.5  # after an object was lost where it lay: what the model does not explain is lost again before long
 RIG_KNOWN_M = 1e-5  # of a radius: what the rig's constants may leave open that no smoother has told of yet
 _FORCES, _BENDS = ([NAMED.index(name) for name in names] for names in (FORCES, ("v1", "v2")))
 _RADII = slice(NAMED.index(RADII[0]), NAMED.index(RADII[-1]) + 1)  # one beside the other
@@ -162,7 +164,7 @@ class BankObserver:
         if session.track is None:
             session.try_to_begin(t)
 
-    def improve(self, t: float) -> Improvement | None:
+    def improve(self, t: float) -> Improvement | Unexplained | None:
         """Exchange with the smoother at `t` (s), once a tick before `estimate`; what it answers, each answer once."""
         if self._link is None:
             return None
@@ -272,8 +274,15 @@ class BankObserver:
             age_s=track.age(t),
             radius_sd_m=float(sd[_RADII].max()),
             disagreement_m=float(disagreement[_RADII].max()),
+            explained=self._explained(track, t),
             rig_known=self._link is None or fusion.allows_for_rig or track.radius_sd < RIG_KNOWN_M,
         )
+
+    def _explained(self, track: Track, t: float) -> bool:
+        """Whether nothing speaks against the model itself: a corner, a flat side, two objects."""
+        if self._link is not None and self._link.refuses(self._session.begun):
+            return False
+        return self._fusion.carries or not self._session.distrusted or track.age(t) > DISTRUSTED_S
 
     def _lies_on(self, y: FloatArray) -> bool:
         """Whether the object lies on its palms rather than in one that is as concave as it is round there."""

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from palmd.events import Event, FloatArray, Improvement, PalmSample
+from palmd.events import Event, FloatArray, Improvement, PalmSample, Unexplained
 from palmd.model import shape_map
 from palmd.model.smoothing import CONSTANTS, ORDER, RIG, C
 from palmd.observer.coverage import marks_of
@@ -58,6 +58,7 @@ class IncrementalSmoother:
         self._events: list[Event] = []
         self._archive: list[Felt] = []  # of objects that were taken away, the latest first
         self._frame = 1
+        self._unexplained = False  # by the last answer
         self._seeker = Seeker(rig, seed)
         self._found: Answer | None = None
         self._follower: Follower | None = None
@@ -78,8 +79,16 @@ class IncrementalSmoother:
             self._drop_before(self._events[-1].t_sample)
         self._session = session
 
+    def said(self) -> Improvement | Unexplained | None:
+        """As `answer`; where nothing explains the readings, which is more than doubt, that."""
+        answer = self.answer()
+        if answer is None and self._unexplained and self._events:
+            return Unexplained(self._events[-1].t_sample)
+        return answer
+
     def answer(self) -> Improvement | None:
         """What everything so far tells about the state at the last reading; None while that is in doubt."""
+        self._unexplained = False
         found = data_segments(self._events)
         if not found or math.isinf(self._session.begun):
             return None
@@ -91,6 +100,7 @@ class IncrementalSmoother:
 
     def _sought(self, segment: DataSegment) -> Answer | None:
         answer = self._found = self._seeker.sought(segment, self._hint)
+        self._unexplained = self._seeker.unexplained
         self._drop_before(self._seeker.needs_from)
         if answer is None or not (self._archive or segment.end - segment.start >= FOUND_S) or not self._seeker.sure:
             return answer
@@ -105,6 +115,7 @@ class IncrementalSmoother:
 
     def _followed(self, segment: DataSegment, follower: Follower) -> Answer | None:
         answer = follower.smoothed(segment)
+        self._unexplained = answer is None
         if follower.lost:
             self._end([])
             self._drop_before(segment.end - LEAD_S)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from palmd.events import Estimate, Event, Improvement, ObjectEstimate, Outlook, ShapeEstimate
+from palmd.events import Estimate, Event, Improvement, ObjectEstimate, Outlook, ShapeEstimate, Unexplained
 from palmd.system.pivot import PivotAnswer, PivotEstimate, Touching
 
 LiveEstimate = Estimate | PivotEstimate
-LiveAnswer = Improvement | PivotAnswer
+LiveAnswer = Improvement | Unexplained | PivotAnswer
 """What the observers of all systems say, and their smoothers."""
 
 
@@ -69,7 +69,7 @@ class LiveObserver(Protocol):
 class Observer(LiveObserver, Protocol):
     """An observer of two palms on a hinge."""
 
-    def improve(self, t: float) -> Improvement | None:
+    def improve(self, t: float) -> Improvement | Unexplained | None:
         """As above."""
 
     def estimate(self, t: float) -> Estimate:

@@ -140,6 +140,7 @@ class QuasistaticObserver:
             radius_sd_m=max(sd[0], sd[1]),
             disagreement_m=found.conflict,
             rig_known=True,
+            explained=True,
         )
         valid = settled(evidence, SETTLED)
         for pad, f in zip(PALMS, resting_forces(self._rig.gravity, np.array(now.joints)), strict=True):

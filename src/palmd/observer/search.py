@@ -49,6 +49,7 @@ SECOND_OPINION_SIGMAS = 0.5
 MOST_FORCE_CHI2 = 4.0  # of forces that are noisier than described: by twice, and something else is wrong
 MOST_OUTLIERS = 0.2
 MOST_SLACK = 0.25  # of the cost, for each contact reading: more, and the motion is not one of the model's
+TREMBLING, UNLIKELY = 0.004, 30.0  # of the same two, where there is more of both than smooth outlines have
 MOST_STRAIN = 60.0  # of the cost, from some thirty constants and their prior
 AMBIGUOUS = "another outline explains the readings as well"
 NOTHING_MOVES = "nothing moves: readings at rest tell nothing of the outline"
@@ -273,6 +274,16 @@ def explained(fit: Fit, record: Record) -> bool:
     if slack or strain or fit.astray > ASTRAY_READINGS:
         return False
     return _consistent(fit.chi2, len(record.contact_value)) and (not forces or _consistent(fit.force_chi2, forces))
+
+
+def far_fetched(fit: Fit, record: Record) -> bool:
+    """Whether the readings are not explained, or only by an unlikely object that trembles besides.
+
+    So a smooth outline explains what lies on a flat side: with a radius of curvature so large that ψ need tremble by
+    tens of microradians only to be wherever the contact was read.
+    """
+    trembles = fit.slack > TREMBLING * len(record.contact_value)
+    return (fit.settled and not explained(fit, record)) or (trembles and fit.strain > UNLIKELY)
 
 
 def beyond_question(fit: Fit, record: Record) -> bool:

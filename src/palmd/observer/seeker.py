@@ -11,7 +11,7 @@ from palmd.observer.data_segment import DataSegment
 from palmd.observer.follower import PATIENCE, Answer
 from palmd.observer.noise import with_scatter
 from palmd.observer.normal_equations import Guess
-from palmd.observer.search import Attempt, Minima, Search, agree, doubt, still, unfit
+from palmd.observer.search import Attempt, Minima, Search, agree, doubt, far_fetched, still, unfit
 from palmd.system.description import RigDescription
 from palmd.system.rig_constants import prior_sds
 
@@ -57,6 +57,7 @@ class Seeker:
         self._survived = self._challenges = 0
         self._failed = 0
         self._doubtful = True
+        self.unexplained = False  # the last readings, by any smooth outline
         self.needs_from = -float("inf")
 
     def sought(self, segment: DataSegment, hint: FloatArray | None) -> Answer | None:
@@ -65,6 +66,7 @@ class Seeker:
         `hint`: constants that a live filter has settled on, in whatever gauge.
         """
         seconds = segment.end - segment.start
+        self.unexplained = False
         if seconds < LEAST_S:
             return None
         rig = with_scatter(self._rig, segment.pads)
@@ -97,6 +99,8 @@ class Seeker:
         if answer is not None:
             self._guesses = tuple(fit.guess for fit in answer.finding.fits)
         self._doubtful = answer is None or bool(doubt(answer.finding.fits[0], answer.finding))
+        self.unexplained = answer is None or far_fetched(answer.finding.fits[0], answer.finding.record)
+        self._doubtful = self._doubtful or self.unexplained
         if self._doubtful:
             self._failed += seconds > _ATTEMPTS[0].seconds
             if seconds > LONGEST_S:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.observer.bank import Belief
-from palmd.observer.contacts import Contacts
+from palmd.observer.contacts import GONE_S, Contacts
 from palmd.observer.coverage import Coverage
 from palmd.observer.fusion import Fusion, Pruning
 from palmd.observer.hypotheses import Hypotheses, Verdict
@@ -48,6 +48,8 @@ class ObjectSession:
         self._hypotheses = hypotheses
         self._observability = observability
         self.track: Track | None = None
+        self.distrusted = False  # it was begun where the one before had just been lost: it may be the same
+        self._t_lost = -math.inf
         self.object_count = 0
         self._starts = 0
         self._t_begun = math.inf
@@ -61,6 +63,7 @@ class ObjectSession:
         """Begin at `t` (s) if both pads and the palms are told of then."""
         if self._contacts.read_about(t) and self._fusion.palms_known(t):
             self._t_begun = t
+            self.distrusted = t - self._t_lost < GONE_S
             self._begin(t)
 
     def _begin(self, t: float) -> None:
@@ -106,6 +109,7 @@ class ObjectSession:
             track.t_unlikely = t
         elif t - track.t_unlikely > LOST_FOR_S:
             self._hypotheses.lost(track)
+            self._t_lost = t
             self.stop()
         return self.track is None
 

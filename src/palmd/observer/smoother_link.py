@@ -6,9 +6,10 @@ and is then handed over.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
-from palmd.events import Event, FloatArray, Improvement, PadSample
+from palmd.events import Event, FloatArray, Improvement, PadSample, Unexplained
 from palmd.observer.filter_catchup import FilterCatchUp
 from palmd.observer.handover import Handover
 from palmd.observer.smoothing import Session, Smoothing
@@ -30,6 +31,7 @@ class SmootherLink:
         self._recent: deque[Event] = deque()
         self._batch: list[Event] = []
         self._awaited: Improvement | None = None
+        self._refused_at = -math.inf
         self.improvements = 0
 
     def reset(self) -> None:
@@ -38,6 +40,11 @@ class SmootherLink:
         self._recent.clear()
         self._batch.clear()
         self._awaited = None
+        self._refused_at = -math.inf
+
+    def refuses(self, begun: float) -> bool:
+        """Whether the last word on the object that lies there since `begun` (s) is that nothing explains it."""
+        return self._refused_at > begun
 
     def on_time(self, sample: PadSample) -> PadSample:
         """The reading at the time of what it tells, as far as the smoother knows its lag."""
@@ -57,11 +64,16 @@ class SmootherLink:
         if self._catch_up.active:
             self._catch_up.hear(event)
 
-    def exchange(self, t: float, session: Session) -> Improvement | None:
-        """Hand over the events since the last call; what the smoother answers at `t` (s), each answer once."""
+    def exchange(self, t: float, session: Session) -> Improvement | Unexplained | None:
+        """Hand over the events since the last call; what the smoother says at `t` (s), each answer once."""
         self._smoothing.submit(t, session, self._batch)
         self._batch.clear()
         improvement = self._smoothing.collect(t)
+        if isinstance(improvement, Unexplained):
+            self._refused_at = improvement.t
+            return improvement
+        if improvement is not None:
+            self._refused_at = -math.inf
         if improvement is not None and max(session.begun, t - MEMORY_S) < improvement.t <= t:
             self._catch_up.begin(improvement, self._recent)
             self._awaited = improvement

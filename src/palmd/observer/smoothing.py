@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from palmd.events import Event, FloatArray, Improvement
+from palmd.events import Event, FloatArray, Improvement, Unexplained
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,8 +27,8 @@ class Smoothing(Protocol):
     def submit(self, t: float, session: Session, events: Sequence[Event]) -> None:
         """The tick's time, which object is on the palms since when, and the tick's events."""
 
-    def collect(self, t: float) -> Improvement | None:
-        """An improvement that is ready at `t`, each once."""
+    def collect(self, t: float) -> Improvement | Unexplained | None:
+        """An improvement, or the word that there is none, that is ready at `t`, each once."""
 
 
 def period(elapsed_s: float) -> float:

@@ -26,7 +26,8 @@ class Evidence:
     touching: both pads vouch for a contact, since `resumed_for_s`. palms_known: so do reports of the palms. finite: of
     all values. consistent: the readings are as the model predicts. age_s: since the object was begun. radius_sd_m: the
     largest of the radii's. disagreement_m: among rival hypotheses, or of the readings about one outline. rig_known: the
-    one-sigmas have what the rig's constants leave open, or these leave nothing open.
+    one-sigmas have what the rig's constants leave open, or these leave nothing open. explained: no smoother has said
+    last that nothing explains the readings, and they are not of what the model has lost where it lay, a while ago.
     """
 
     touching: bool
@@ -38,6 +39,7 @@ class Evidence:
     radius_sd_m: float
     disagreement_m: float
     rig_known: bool
+    explained: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +53,7 @@ class Thresholds:
 
 def settled(evidence: Evidence, least: Thresholds) -> bool:
     """Whether the numbers can be taken at their word, whichever object they are of."""
-    believable = evidence.finite and evidence.consistent and evidence.rig_known
+    believable = evidence.finite and evidence.consistent and evidence.rig_known and evidence.explained
     felt = evidence.touching and evidence.palms_known and evidence.resumed_for_s > RESUMED_FOR_S
     sharp = evidence.radius_sd_m < least.radius_sd_m and evidence.disagreement_m < least.disagreement_m
     return bool(believable and felt and sharp and evidence.age_s > least.age_s)

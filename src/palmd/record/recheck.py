@@ -17,7 +17,7 @@ import msgpack
 
 from palmd import __version__, observer, pivot_messages
 from palmd.blas import one_thread
-from palmd.events import Estimate
+from palmd.events import Estimate, Improvement, Unexplained
 from palmd.messages import Fields, estimate_fields
 from palmd.observer.observer import LiveObserver
 from palmd.observer.pivot.live import PivotObserver
@@ -73,7 +73,8 @@ class Recheck:
             self._observer = PivotObserver(run.rig, _RecordedAnswers(run.answers()))
             return
         settings = run.config.observer
-        smoothing = _RecordedAnswers(run.improvements()) if settings.smoother else None
+        answers: list[tuple[float, Improvement | Unexplained]] = [*run.improvements(), *run.unexplained()]
+        smoothing = _RecordedAnswers(answers) if settings.smoother else None
         self._observer = observer.make(settings.primary, run.rig, smoothing=smoothing, outlines=run.outlines())
 
     def ticks(self) -> Iterator[Checked]:

@@ -14,11 +14,11 @@ from pydantic import TypeAdapter
 
 from palmd import pivot_messages
 from palmd.config import Config
-from palmd.events import Event, Improvement
+from palmd.events import Event, Improvement, Unexplained
 from palmd.messages import Fields, events_of, improvement_of
 from palmd.outlinefile import Outline, OutlineError, read_library
 from palmd.pivot_config import PivotConfig
-from palmd.quantities import EVENTS, IMPROVEMENT, PIVOT_ANSWER, PIVOT_EVENTS, SCHEMA, Topic
+from palmd.quantities import EVENTS, IMPROVEMENT, PIVOT_ANSWER, PIVOT_EVENTS, SCHEMA, UNEXPLAINED, Topic
 from palmd.record import SUFFIX
 from palmd.record.eventlog import EventLog
 from palmd.record.mcapfile import MAGIC, Preface, RawMessage, RunError, Tail, is_finished, read_messages, read_preface
@@ -153,6 +153,10 @@ class Run(AnyRun):
             return fields["t_tick_s"], improvement_of(fields)
 
         return self._read(IMPROVEMENT, read)
+
+    def unexplained(self) -> Iterator[tuple[float, Unexplained]]:
+        """When it had to say that nothing explains the readings, likewise."""
+        return self._read(UNEXPLAINED, lambda fields: (fields["t_tick_s"], Unexplained(fields["t_s"])))
 
     def event_log(self) -> EventLog:
         """The run in the neutral form of event logs; raises RunError when there are no events in it."""

@@ -14,9 +14,10 @@ from improvements import improvement
 from simulated import Run, simulated, swapped
 
 from palmd import observer
-from palmd.events import Estimate, Event, FloatArray, Improvement, PadSample, PalmSample
+from palmd.events import Estimate, Event, FloatArray, Improvement, PadSample, PalmSample, Unexplained
 from palmd.model import shape, shape_map
 from palmd.model.smoothing import ORDER
+from palmd.observer.bank_observer import DISTRUSTED_S
 from palmd.observer.filter_catchup import LEAD_S, FilterCatchUp
 from palmd.observer.filters.base import LONGEST_STEP_S
 from palmd.observer.filters.shape_map import ShapeFilters
@@ -35,6 +36,22 @@ TICK_S = 0.01
 @pytest.fixture(scope="module")
 def run() -> Run:
     return simulated(KIND, SEED, 6.0)
+
+
+class Refusing:
+    """A smoother that says at one time that nothing explains what it has read, and later gives an improvement."""
+
+    def __init__(self, refuses: float, ready: float, improvement: Improvement | None):
+        self.script: list[tuple[float, Improvement | Unexplained | None]] = [
+            (refuses, Unexplained(refuses)),
+            (ready, improvement),
+        ]
+
+    def submit(self, t: float, session: Session, events: Sequence[Event]) -> None:
+        pass
+
+    def collect(self, t: float) -> Improvement | Unexplained | None:
+        return self.script.pop(0)[1] if self.script and t >= self.script[0][0] else None
 
 
 class Scripted:
@@ -117,6 +134,27 @@ def test_an_object_that_another_takes_the_place_of_within_a_moment_is_told_from_
             assert np.abs([estimate.r1, estimate.r2] - radii(run, t)).max() < 0.3e-3
     assert estimate.valid
     assert estimate.object_count == 2
+
+
+def test_what_no_outline_explains_is_not_valid_until_one_does(run: Run) -> None:
+    found = answer(run, 4.0)
+    alone = {t: estimate.valid for t, estimate in ticks(run, observer.make("shape", run.rig))}
+    watcher = observer.make("shape", run.rig, smoothing=Refusing(3.0, 4.5, found))
+    valid = {t: estimate.valid for t, estimate in ticks(run, watcher)}
+    assert all(alone[t] for t in alone if 2.9 < t < 6.0)
+    assert all(valid[t] for t in valid if 2.9 < t < 2.99)
+    assert not any(valid[t] for t in valid if 3.01 < t < 4.49)
+    assert all(valid[t] for t in valid if t > 5.0)
+
+
+def test_what_was_lost_where_it_lay_has_to_be_explained_for_a_while_before_it_is_valid_again() -> None:
+    _, second, events = swapped("rig", 3, 4.0, 0.2, 12.0)
+    watcher = observer.make("shape", replace(second, events=events).rig)
+    told = list(ticks(replace(second, events=events), watcher))
+    begun = next(t for t, estimate in told if estimate.object_count == 2)
+    assert any(estimate.valid for t, estimate in told if t < 4.0)
+    assert not any(estimate.valid for t, estimate in told if begun < t < begun + DISTRUSTED_S)
+    assert any(estimate.valid for t, estimate in told if t > begun + DISTRUSTED_S)
 
 
 def test_the_same_log_gives_the_same_estimates(run: Run) -> None:

@@ -31,6 +31,7 @@ GOOD = Evidence(
     radius_sd_m=1e-4,
     disagreement_m=1e-4,
     rig_known=True,
+    explained=True,
 )
 
 
@@ -52,6 +53,7 @@ def test_with_all_the_evidence_it_is_settled():
         {"disagreement_m": 2e-4},
         {"disagreement_m": math.nan},
         {"rig_known": False},
+        {"explained": False},
     ],
 )
 def test_without_any_one_piece_it_is_not(missing):
