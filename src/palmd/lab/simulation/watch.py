@@ -54,7 +54,7 @@ _TOPIC = {topic.name: topic for topic in TOPICS}
 class _Asked:
     """A message to which no answer has come yet: when it was taken (s), the command in it, empty where there is none.
 
-    `t_turn` is when its turn came (s), infinite before; `might_move` says that somebody had told the palms to move by then.
+    `t_turn` is when its turn came (s), infinite before; `might_move`: somebody had told the palms to move by then.
     """
 
     t: float
