@@ -126,6 +126,9 @@ def test_nothing_is_overwritten(folders, capsys):
     before = (folders / "keys/server.key_secret").read_bytes()
     assert "exists already" in fails(capsys, "keys", "new", "server")
     assert "exists already" in fails(capsys, "keys", "new", "client", "desk", "-d", "mine")
+    (folders / "mine/desk.key_secret").unlink()
+    assert "desk.key exists already" in fails(capsys, "keys", "new", "client", "desk", "-d", "mine")
+    assert not (folders / "mine/desk.key_secret").exists()
     assert "cannot be called server" in fails(capsys, "keys", "new", "client", "server", "-d", "other")
     assert (folders / "keys/server.key_secret").read_bytes() == before
 

@@ -37,7 +37,7 @@ _VIRTUALISED = ("-accel", "kvm", "-cpu", "host", "-append", _ON_THE_COMMAND_LINE
 
 
 def virtualised() -> bool:
-    """Whether this machine's processor can run the guest itself; a paravirtual /dev/kvm (kvm_pvm) runs no such kernel."""
+    """Whether this processor can run the guest itself; a paravirtual /dev/kvm (kvm_pvm) runs no such kernel."""
     by_hardware = any(Path("/sys/module", name).exists() for name in ("kvm_intel", "kvm_amd"))
     return by_hardware and os.access("/dev/kvm", os.R_OK | os.W_OK)
 

@@ -366,6 +366,12 @@ def test_status_tells_where_things_stand(running):
 # ---- what is kept of a run
 
 
+def test_status_tells_where_the_palms_are_as_soon_as_that_is_known(ready):
+    told, actual = ready.do("status"), ready.core.arm.actual
+    assert [told[name] for name in ("phi1_rad", "phi2_rad")] == pytest.approx(actual.angles)
+    assert "phi1_rad" not in Bench().do("status")
+
+
 def test_every_tick_publishes_just_what_the_observer_was_fed(running):
     published = [fields for topic, fields in running.messages if topic.name == "palm/events"]
     assert [event for fields in published for event in events_of(fields)] == running.observer.events
@@ -747,6 +753,17 @@ def test_an_observer_that_raises_stops_the_arm_in_good_order(running, caplog):
     running.observer.failing = False
     running.do("reset")
     assert running.state == "ready"
+
+
+def test_a_stop_fault_that_latches_before_anybody_has_armed_is_a_fault_until_reset(ready):
+    ready.observer.failing = True
+    ready.go(0.05)
+    ready.observer.failing = False
+    ready.go(0.2)
+    assert (ready.state, ready.faults) == ("fault", ["tick-error"])
+    assert "must be ready" in ready.ask("arm").error
+    ready.do("reset")
+    assert (ready.state, ready.faults) == ("ready", [])
 
 
 def test_a_valid_estimate_that_is_not_finite_is_not_published_as_valid(running):

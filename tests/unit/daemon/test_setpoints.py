@@ -71,6 +71,17 @@ def test_runs_a_plan_to_its_end():
     assert drive.setpoints.interventions == 0
 
 
+def test_only_a_wish_outside_the_limits_violates_them(monkeypatch):
+    drive = Drive()
+    drive.setpoints.start(trajectory())
+    drive.go(1.5)
+    assert not drive.setpoints.violated
+    outside = PalmMotion.at_rest((math.radians(151.0), math.radians(10.0)))
+    monkeypatch.setattr(drive.setpoints._executor, "advance", lambda _t: outside)
+    drive.go(CYCLE)
+    assert drive.setpoints.violated
+
+
 def test_hold_waits_and_resume_goes_on():
     drive = Drive()
     drive.setpoints.start(trajectory())
@@ -222,6 +233,18 @@ def jogged(drive, steps, every=0.048, phi1_deg=0.5):
         drive.setpoints.jog((math.radians(phi1_deg), 0.0), drive.t)
         motions += drive.go(every)
     return motions
+
+
+@pytest.mark.parametrize("why", ["frozen", "displaced"])
+def test_a_jog_waits_for_an_arm_that_follows(why):
+    drive = Drive()
+    if why == "frozen":
+        drive.setpoints.freeze(True)
+    else:
+        away = PalmMotion.at_rest((HERE.angles[0] + 0.1, HERE.angles[1]))
+        drive.setpoints.displaced(away, POSES.pose(away.angles))
+    with pytest.raises(MotionError, match="does not follow"):
+        drive.setpoints.jog((math.radians(0.5), 0.0), drive.t)
 
 
 def test_jog_moves_while_the_steps_come_and_stops_soon_after():

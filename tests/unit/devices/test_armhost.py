@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import pytest
 
-from palmd.devices.armhost import FAULT_S, FREEZE_S, QUERY_S, ArmHost, ArmReport
+from palmd.devices.armhost import QUERY_S, ArmHost, ArmReport
 from palmd.devices.armlink import (
     Ack,
     ArmState,
@@ -401,6 +401,14 @@ def test_reset_while_tracking_is_refused_here(bench: Bench) -> None:
     assert bench.host.tracking
 
 
+def test_a_stop_that_was_answered_is_followed_by_a_query_100_ms_later_and_none_sooner(bench: Bench) -> None:
+    bench.track()
+    bench.host.want_stop()
+    bench.run(0.3)
+    ((t_stop, _),) = bench.controller.commands(Stop)
+    assert 0.100 < min(t for t, _ in bench.controller.commands(Query) if t > t_stop) - t_stop < 0.130
+
+
 # Things that go wrong
 
 
@@ -408,12 +416,12 @@ def test_frozen_after_80_ms_and_lost_after_250(bench: Bench) -> None:
     bench.track()
     bench.controller.watchdog = False
     bench.to_host = mute
-    bench.run(FREEZE_S - 0.032)
+    bench.run(0.080 - 0.032)
     assert not bench.host.frozen(bench.t)
     bench.run(0.033)
     assert bench.host.frozen(bench.t)
     assert bench.host.linked(bench.t)
-    bench.run(FAULT_S - FREEZE_S)
+    bench.run(0.250 - 0.080)
     assert bench.host.lost(bench.t)
     assert not bench.host.tracking
     assert bench.host.counters.losses == 1

@@ -111,3 +111,16 @@ def test_clamp_comes_back_from_outside_no_faster_than_the_rate() -> None:
     outside = motion_of(rad(170, 90))
     sent = LIMITS.clamp_step(outside, motion_of(rad(45, 90)), 0.016)
     assert math.degrees(outside.angles[0] - sent.angles[0]) == pytest.approx(1.92)
+
+
+def test_the_second_palms_direction_follows_both_angles_together() -> None:
+    """What a dither of both angles takes of its bound: twice what it takes of each."""
+    (both,) = (bound for bound in LIMITS.bounds if bound.what == "phi1 + phi2")
+    before, after = (LIMITS.values(PalmMotion.at_rest(rad(*angles)))[2] for angles in ((45, 90), (46, 91)))
+    assert both.gain == pytest.approx((after - before) / math.radians(1.0))
+
+
+def test_a_dome_that_would_point_downwards_is_told_by_its_palm() -> None:
+    dome = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555, curvatures=(-4.0, 0.0))
+    (said,) = dome.violations(rad(8, 90))
+    assert said.startswith("phi1 falls to 8°, palm 1 is a dome")

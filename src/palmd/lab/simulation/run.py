@@ -105,7 +105,7 @@ class WatchedCore(Core):
 
     def handle(self, request: Request, t: float) -> None:
         """As the core."""
-        self.simulation.watch.handled(self, request.name)
+        self.simulation.watch.handled(self, request, self.simulation.machine.clock.now)
         super().handle(request, t)
 
     def decide(self, t: float) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import msgpack
 
 from palmd.config import Config
-from palmd.daemon.commands import CommandError, parse
+from palmd.daemon.commands import CommandError, Request, parse
 from palmd.daemon.core import Core
 from palmd.daemon.lifecycle import COMMANDED, State
 from palmd.devices.actuator import ArmState, Pose
@@ -48,6 +48,23 @@ WRONG_LEAST = {"r1": 1e-4, "r2": 1e-4, "omega0": 0.5}
 _COMPARED = {"r1": "r1_m", "r2": "r2_m", "omega0": "omega0_rad_s"}
 
 _TOPIC = {topic.name: topic for topic in TOPICS}
+
+
+@dataclass(slots=True)
+class _Asked:
+    """A message to which no answer has come yet: when it was taken (s), the command in it, empty where there is none.
+
+    `t_turn` is when its turn came (s), infinite before; `might_move`: somebody had told the palms to move by then.
+    """
+
+    t: float
+    name: str
+    t_turn: float = math.inf
+    might_move: bool = False
+
+    @property
+    def had_its_turn(self) -> bool:
+        return math.isfinite(self.t_turn)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +104,7 @@ class Watch:
         self._t_still = t  # since when the palms are to come to a stand
         self._t_stopped = self._t_granted = -math.inf
         self._last: Pose | None = None
-        self._open: dict[tuple[int, str], list[tuple[float, str, bool]]] = defaultdict(list)
+        self._open: dict[tuple[int, str], list[_Asked]] = defaultdict(list)
         self._state, self._faults = State.IDLE, frozenset[str]()
         self._t_not_following = -math.inf
         self._t_begun = t
@@ -119,9 +136,20 @@ class Watch:
             request = parse(payload)
         except CommandError as error:
             self.sometimes["malformed command"] += 1
-            self._open[client, repr(error.id)].append((t, "", self._may_move))
+            self._open[client, repr(error.id)].append(_Asked(t, ""))
             return
-        self._open[client, repr(request.id)].append((t, request.name, self._may_move))
+        self._open[client, repr(request.id)].append(_Asked(t, request.name))
+
+    def handled(self, core: Core, request: Request, t: float) -> None:
+        """A command's turn has come at `t` (s)."""
+        state = str(core.state)
+        codes = [fault.code for fault in core.faults.active] or ["none"]
+        self.seen.update((state, code, request.name) for code in codes)
+        client = int(request.route[0]) if request.route else -1
+        for asked in self._open.get((client, repr(request.id)), ()):
+            if asked.name == request.name and not asked.had_its_turn:
+                asked.t_turn, asked.might_move = t, self._may_move
+                break
         match request.name:
             case "arm":
                 self._asked_to_arm = True
@@ -134,12 +162,6 @@ class Watch:
                 self._asked_to_arm = self._autostart = False
                 self._t_stopped = t
 
-    def handled(self, core: Core, command: str) -> None:
-        """A command is being done, in this state with these faults."""
-        state = str(core.state)
-        codes = [fault.code for fault in core.faults.active] or ["none"]
-        self.seen.update((state, code, command) for code in codes)
-
     def answered(self, client: int, payload: bytes, t: float) -> None:
         """A client has been answered."""
         self.digest.update(payload)
@@ -148,18 +170,25 @@ class Watch:
         if not waiting:
             self._break(t, "one answer to one command", f"client {client} was answered {reply} and had not asked")
             return
-        t_heard, name, might_move = waiting.pop(0)
+        asked = waiting.pop(0)
+        name = asked.name
         if reply["ok"]:
             self.sometimes[f"{name} granted"] += 1
             if name in ("start", "jog"):
                 self._t_granted = t
         elif name:
-            self.sometimes[f"{name} refused"] += 1
-            if name in ("start", "jog") and not might_move and t_heard > self._t_granted:
-                self._may_move = any(each[1] in ("start", "jog") for some in self._open.values() for each in some)
+            self.sometimes[f"{name} refused" if asked.had_its_turn else "refused in a crowd"] += 1
+            if not asked.had_its_turn:
+                return
+            if name in ("start", "jog") and not asked.might_move and asked.t_turn > self._t_granted:
+                self._may_move = self._under_way("start", "jog")
                 self._t_still = min(self._t_still, t)
-            if name == "arm" and not any(each[1] == "arm" for some in self._open.values() for each in some):
+            if name == "arm" and not self._under_way("arm"):
                 self._asked_to_arm = self._autostart or (self._asked_to_arm and self._state in COMMANDED)
+
+    def _under_way(self, *names: str) -> bool:
+        """Whether one of these commands has had its turn and no answer yet."""
+        return any(each.had_its_turn and each.name in names for some in self._open.values() for each in some)
 
     def _must_stand(self, t: float) -> None:
         if self._may_move or math.isinf(self._t_still):
@@ -240,7 +269,7 @@ class Watch:
             if state is State.TRACKING and self._autostart:
                 self._may_move, self._t_still = True, math.inf
             if state is State.FAULT:
-                self._asked_to_arm = any(each[1] == "arm" for some in self._open.values() for each in some)
+                self._asked_to_arm = self._under_way("arm")
         if state in COMMANDED and core.faults.standing(Severity.STOP):
             self._break(t, "a stop fault ends tracking", f"{state} with {sorted(codes)}")
         if state is State.TRACKING and core.faults.standing(Severity.HOLD):
@@ -314,8 +343,8 @@ class Watch:
 
     def _look_at_answers(self, t: float) -> None:
         for (client, id), waiting in self._open.items():
-            if waiting and t - waiting[0][0] > ANSWER_S:
-                self._break(t, "every command is answered", f"{waiting[0][1]} {id} of client {client} is not")
+            if waiting and t - waiting[0].t > ANSWER_S:
+                self._break(t, "every command is answered", f"{waiting[0].name} {id} of client {client} is not")
 
 
 _AT_BEGINNING = frozenset(
