@@ -111,7 +111,8 @@ def _beside() -> list[Part]:
 
 def _other_systems() -> list[Part]:
     from palmd.model import sharp, three_palms
-    from palmd.observer.three_palms.search import ORDER, START_ORDER
+    from palmd.observer.three_palms.growth import ORDER
+    from palmd.observer.three_palms.search import START_ORDER
 
     def space(order: int) -> Part:
         return f"three palms in space, degree {order}", lambda: three_palms.library(order).backend
