@@ -31,7 +31,7 @@ BEHIND = 40.0  # in cost, of the cheapest, where a rival is given up
 SAME_COST, SAME_RAD_S = 3.0, 0.02
 DECISIVE, OTHER_RAD_S = 12.0, 0.05
 """By how much less an explanation must cost than another motion's to be believed: odds of 400 to 1."""
-SURE = 1.12  # cost per number read, below which no other start is asked for
+SURE = 1.35  # cost per number read at the end, below which no other start is asked for: truncation costs so much
 CURVATURE_EVERY = 5  # contacts
 WINDOWS_S = (0.5, 0.2, 0.1)
 """How far it goes on at once; shorter where it is foretold badly."""
