@@ -771,6 +771,7 @@ _shtab_palmd_recognise_defaults_added=0
 _shtab_palmd_reconstruct_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   {-o,--output}"[- for standard output\; .svg, .dxf, .csv\: the outline as a drawing or points, x and y in mm\; .stl, .ply, .obj\: the surface of a body in space, in mm]:RESULT.json:_files"
+  "--mesh[write the surface of a body in space too\: .stl, .ply (coloured by its band) or .obj, in mm]:FILE:_files"
   "--seed[of the blind start (default\: 0)]:N:"
   "--sides[where no smooth outline explains the readings, look for one with flat sides and corners\: some ten to sixty seconds more]"
   "--calibration-sd[one-sigma of the rig\'s constants, instead of the log\'s\: zero_m, scale, angle_rad, standoff_m, lag_s, gravity_rad, sagitta_m, friction, force_m_per_n]:KEY=VALUE:"
@@ -814,7 +815,7 @@ _shtab_palmd_replay_defaults_added=0
 _shtab_palmd_report_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   {-o,--output}"[FILE.html or FILE.pdf (default\: RUN\'s name with .html, here)\; for paper a folder (default\: here)]:FILE:_files"
-  ":a recording\; or the word paper\: figures 3.6, 3.8 to 3.11 and 3.15 (for a recording of that name\: .\/paper):"
+  ":a recording\; an event log (.jsonl) of three palms, which is reconstructed for it\; or the word paper\: figures 3.6, 3.8 to 3.11 and 3.15 (for a recording of that name\: .\/paper):"
   "(*)::for paper\: event logs with their truth beside them (LOG without .jsonl, plus .truth.json)\; default\: four simulated runs:_files"
 )
 

@@ -44,7 +44,6 @@ def draw_surface(figure: FigureBase, body: FeltBody) -> None:
     pads = [grid[0].plot([], [], color=colour, label=f"pad {i}")[0] for i, colour in enumerate(PAD_COLOURS, 1)]
     grid[0].legend(handles=pads, loc="upper left")
     scale = LinearSegmentedColormap.from_list("band", BAND_COLOURS / 255)
-    scale.set_over("w")
     bar = figure.colorbar(
         ScalarMappable(LogNorm(1e6 * BAND_M[0], 1e6 * BAND_M[1]), scale), ax=grid, shrink=0.6, label="one-sigma (µm)"
     )

@@ -10,7 +10,7 @@ from palmd.model.spherical import evaluator
 from palmd.observer.three_palms import growth
 from palmd.observer.three_palms.driven import ContactCurves
 from palmd.observer.three_palms.icosphere import icosphere
-from palmd.observer.three_palms.reconstruct import answer, reconstruct, within, without_turns
+from palmd.observer.three_palms.reconstruct import answer, doubt, reconstruct, within, without_turns
 from palmd.observer.three_palms.search import Task, rivals
 from palmd.record.systems.three_palms import SYSTEM, laid_out
 from palmd.rig.three_palms.simulate import simulate
@@ -89,3 +89,12 @@ def test_what_folds_over_is_drawn_in_and_what_is_convex_stays():
     points[0] *= 1.5
     drawn = within(points, directions, h)
     np.testing.assert_allclose(drawn, 0.02 * directions, atol=1e-12)
+
+
+def test_an_answer_is_refused_beside_another_that_costs_as_little(task):
+    now = growth.begun(task, rivals(task, 1.3)[0])
+    spun = replace(now, motion=replace(now.motion, omega=now.motion.omega + 0.2))
+    short = replace(task, end=float(now.record.t[-1]))
+    assert "another motion" in doubt(short, [now, spun], np.full(3, 1e-5))
+    assert not doubt(short, [now, replace(spun, cost=now.cost + 30.0)], np.full(3, 1e-5))
+    assert not doubt(short, [now, replace(now, cost=now.cost + 1.0)], np.full(3, 1e-5))

@@ -29,7 +29,9 @@ LAP_S = 1.5
 """After how long a time rivals are compared."""
 BEHIND = 40.0  # in cost, of the cheapest, where a rival is given up
 SAME_COST, SAME_RAD_S = 3.0, 0.02
-SURE = 1.12  # cost per number read, below which no other start is asked for
+DECISIVE, OTHER_RAD_S = 12.0, 0.05
+"""By how much less an explanation must cost than another motion's to be believed: odds of 400 to 1."""
+SURE = 1.35  # cost per number read at the end, below which no other start is asked for: truncation costs so much
 CURVATURE_EVERY = 5  # contacts
 WINDOWS_S = (0.5, 0.2, 0.1)
 """How far it goes on at once; shorter where it is foretold badly."""
@@ -107,6 +109,13 @@ class Grown:
         """Whether both have come to the same motion of the same body."""
         off = np.abs(self.motion.omega[-1] - other.motion.omega[-1]).max()
         return bool(off < SAME_RAD_S and abs(self.cost - other.cost) < SAME_COST)
+
+    def contradicts(self, other: Grown) -> bool:
+        """Whether it explains as much about as well by another motion."""
+        if self.intervals < other.intervals or self.cost > other.cost + DECISIVE:
+            return False
+        off = self.motion.omega - other.motion.omega
+        return bool(np.sqrt(np.mean(off**2)) > OTHER_RAD_S)
 
 
 def best(task: Task) -> list[Grown]:

@@ -164,6 +164,8 @@ def doubt(task: Task, ended: Sequence[Grown], sd: FloatArray) -> str:
         return "the readings are not explained to their noise"
     if first.per_number > MOST_COST:
         return "no motion by the equations explains the readings"
+    if any(each.contradicts(first) for each in ended[1:]):
+        return "another motion explains the readings as well"
     if float(np.abs(first.motion.p[-BODY:-3]).max()) > MOST_LAMBDA:
         return "only an inertia that no such body has explains the readings"
     if first.least_radius() <= 0.0:
