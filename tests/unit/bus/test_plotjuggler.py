@@ -14,9 +14,9 @@ import zmq
 from waiting import wait
 
 from palmd.daemon.bus import Bus
-from palmd.events import ObjectEstimate
-from palmd.messages import note_fields, object_fields
-from palmd.quantities import NOTE, OBJECT, PIVOT_TOPICS, TOPICS
+from palmd.events import ObjectEstimate, Unexplained
+from palmd.messages import note_fields, object_fields, unexplained_fields
+from palmd.quantities import NOTE, OBJECT, PIVOT_TOPICS, TOPICS, UNEXPLAINED
 
 LAYOUT = Path(__file__).parents[3] / "config/plotjuggler.xml"
 STAMP = ("v", "timestamp", "mono_ns", "seq")
@@ -31,6 +31,7 @@ def sent():
             yield topics[name], {key: value for key, value in fields.items() if key not in STAMP}
     yield OBJECT, object_fields(recognised)
     yield NOTE, note_fields(1.0, "put back")
+    yield UNEXPLAINED, unexplained_fields(1.02, Unexplained(1.0))
 
 
 @pytest.fixture(scope="module")
