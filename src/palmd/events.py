@@ -207,3 +207,8 @@ class Outlook:
     object_count: int
     rig: FloatArray | None = None
     rig_spread: FloatArray | None = None
+
+    @property
+    def vouched_for(self) -> bool:
+        """Whether what is said to be touched stays so: not before a smoother beside the observer has found it too."""
+        return self.rig is None or self.rig_spread is not None

@@ -8,7 +8,7 @@ from typing import Protocol
 from palmd.config import ExploreGoal
 from palmd.events import Outlook
 from palmd.motion.decisions import Decision, UnderWay
-from palmd.motion.excitation import rock
+from palmd.motion.excitation import homewards, rock
 from palmd.motion.limits import MotionLimits
 from palmd.motion.segments import Angles, Move
 from palmd.system.description import RigDescription
@@ -84,16 +84,21 @@ class Decider:
             self._centre = None
             decision = self._explorer.decide(outlook, question.under_way, choose=question.choose)
         else:
-            self._centre = self._centre or move.end
-            to_and_fro = rock(move.end, self._centre, task.limits)
-            decision = (
-                Decision("wait", reason="there is no room to rock the object")
-                if to_and_fro is None
-                else Decision("move", to_and_fro, "rocks the object until it is known where it is")
-            )
+            decision = self._until_known(move.end, task.limits)
         return ExplorationAnswer(
             question.t, task.run, move, None if outlook is None else outlook.object_count, decision
         )
+
+    def _until_known(self, here: Angles, limits: MotionLimits) -> Decision:
+        """The next move of the palms, which stand at `here` (rad), when it is not known where the object is."""
+        if (back := homewards(here, limits)) is not None:
+            self._centre = None
+            return Decision("move", back, "goes back to where an object lies well, until it is known where it is")
+        self._centre = self._centre or here
+        to_and_fro = rock(here, self._centre, limits)
+        if to_and_fro is None:
+            return Decision("wait", reason="there is no room to rock the object")
+        return Decision("move", to_and_fro, "rocks the object until it is known where it is")
 
 
 class InlineExplorer:

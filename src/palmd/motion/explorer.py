@@ -100,7 +100,7 @@ class Explorer:
             self._predictor.correct(outlook.rig)
         self._see(outlook)
         coverage, reachable = self._coverage(outlook.touched), float(self._reach.mean())
-        seen = coverage >= self._goal.coverage and self._sharp(outlook) and _vouched_for(outlook)
+        seen = coverage >= self._goal.coverage and self._sharp(outlook) and outlook.vouched_for
         open_rig = self._open_rig(outlook) if seen else None
         ended = self._ended(outlook, coverage, seen and open_rig is None)
         if ended:
@@ -157,7 +157,7 @@ class Explorer:
     def _wanted(self, outlook: Outlook, touched: Bools) -> FloatArray:
         """What touching each bin is worth: 1 where nobody has been, less where the outline is not known well enough."""
         worth = np.where(touched, 0.0, 1.0)
-        if not _vouched_for(outlook) and not (worth * self._reach).any():
+        if not outlook.vouched_for and not (worth * self._reach).any():
             worth[:] = 1.0  # what a smoother is to vouch for, it must be shown again
         if self._goal.band_mm is not None:
             over = outlook.h_sd / (self._goal.band_mm * 1e-3) - 1.0
@@ -307,11 +307,6 @@ class Explorer:
     def _within_limits(self, move: Move) -> bool:
         motion = [self._limits.values(move.at(t)) for t in np.linspace(0.0, move.duration, 12)]
         return not problems(self._limits.bounds, ranges(motion))
-
-
-def _vouched_for(outlook: Outlook) -> bool:
-    """Whether what is said to be touched will stay so: not before a smoother beside the observer has found it too."""
-    return outlook.rig is None or outlook.rig_spread is not None
 
 
 def _first_move(tried: Moves, number: int) -> Move:

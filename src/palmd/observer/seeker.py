@@ -52,8 +52,8 @@ class Seeker:
         self._challenge_s = 0.0
         # how alike the palms rub is no matter of calibration
         self._exact = not prior_sds(rig)[: R.FRICTION].any()
-        # a fixed hinge turns unequal friction into motion, which equal friction and a wrong outline explain for seconds
-        self._lopsided = bool(rig.friction_sd) and rig.hinge == "fixed"
+        # motion by unequal friction is explained for seconds by equal friction and a wrong outline as well
+        self._lopsided = rig.lopsided
         self._survived = self._challenges = 0
         self._failed = 0
         self._doubtful = True

@@ -113,6 +113,11 @@ class RigDescription:
         return np.outer(of_palm, np.where(np.arange(len(JOINTS)) > 0, math.sqrt(2.0), 1.0))
 
     @property
+    def lopsided(self) -> bool:
+        """Whether palms that may rub unequally turn that into motion, as a fixed hinge does."""
+        return self.hinge == "fixed" and self.friction_sd > 0.0
+
+    @property
     def uneven_spin(self) -> float:
         """What that makes of an object's spin, which follows the palms at once: its noise density ((rad/s)²/s)."""
         return float(UNEVEN_SPIN_HZ * self.uneven[1, 0] ** 2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import pickle
 import signal
@@ -60,6 +61,18 @@ def test_it_answers_what_would_be_decided_without_it(process: ExplorerProcess) -
     assert (got.decision.kind, got.decision.move) == (wanted.decision.kind, wanted.decision.move)
     assert got.decision.move is not None
     assert got.decision.move.start == HERE
+
+
+def test_it_rocks_an_unknown_object_only_where_that_lies_well() -> None:
+    decider, far = Decider(RIG), (math.radians(125.0), math.radians(45.0))
+    moves = [Move(far, far, 0.0)]
+    while len(moves) < 10:
+        move = decider.answer(Question(0.0, TASK, None, UnderWay(moves[-1], 1.0))).decision.move
+        assert move is not None
+        moves.append(move)
+    back, rocked = moves[1:7], moves[7:]
+    assert all(move.end[0] < move.start[0] for move in back)  # palm 1 comes up again, step by step
+    assert max(abs(move.end[0] - back[-1].end[0]) for move in rocked) == pytest.approx(math.radians(6.0))
 
 
 def test_it_is_not_started_before_it_is_needed_and_then_once() -> None:

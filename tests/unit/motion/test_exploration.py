@@ -8,9 +8,10 @@ import math
 import pytest
 
 from palmd.config import ExploreGoal, LimitsConfig
-from palmd.motion.excitation import CORNERS_DEG, rock
+from palmd.motion.excitation import CORNERS_DEG, STEP_RAD, homewards, rock
 from palmd.motion.exploration import Exploration
 from palmd.motion.limits import MotionLimits
+from palmd.motion.plan import home
 from palmd.motion.segments import Angles, Move
 
 LIMITS = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555)
@@ -121,3 +122,15 @@ def test_rocking_leaves_out_corners_beyond_the_limits_and_gives_up_without_any()
     low = math.radians(45.0)
     narrow = MotionLimits(((low, low + 0.05), (1.5, 1.55)), LIMITS.rate, LIMITS.acceleration, LIMITS.pad_length)
     assert rock((low + 0.02, 1.52), (low + 0.02, 1.52), narrow) is None
+
+
+def test_who_knows_nothing_goes_gently_back_to_where_objects_lie_well() -> None:
+    here, ways = (math.radians(125.0), math.radians(45.0)), 0
+    while (move := homewards(here, LIMITS)) is not None:
+        assert move.start == here
+        assert max(abs(b - a) for a, b in zip(here, move.end, strict=True)) == pytest.approx(STEP_RAD)
+        fastest = max(max(map(abs, m.rates)) for m in map(move.at, move.sample_times()))
+        assert 0.0 < fastest <= 0.25 * LIMITS.rate * 1.001
+        here, ways = move.end, ways + 1
+    assert ways == 6
+    assert max(abs(b - a) for a, b in zip(here, home(LIMITS), strict=True)) <= STEP_RAD

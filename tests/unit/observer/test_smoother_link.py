@@ -25,7 +25,7 @@ from palmd.observer.incremental import IncrementalSmoother
 from palmd.observer.palms import PalmTracker
 from palmd.observer.smoother_link import MEMORY_S
 from palmd.observer.smoothing import Session, period
-from palmd.system.description import RigDescription
+from palmd.system.description import HingeMode, RigDescription
 
 Answers = Callable[[float], Improvement | None]
 
@@ -52,6 +52,20 @@ class Refusing:
 
     def collect(self, t: float) -> Improvement | Unexplained | None:
         return self.script.pop(0)[1] if self.script and t >= self.script[0][0] else None
+
+
+class Silent:
+    """A smoother that has nothing to say; since when it was told that which object has been there."""
+
+    def __init__(self) -> None:
+        self.sessions: set[tuple[int, float]] = set()
+
+    def submit(self, t: float, session: Session, events: Sequence[Event]) -> None:
+        del t, events
+        self.sessions.add((session.object_count, session.begun))
+
+    def collect(self, t: float) -> None:
+        del t
 
 
 class Scripted:
@@ -155,6 +169,17 @@ def test_what_was_lost_where_it_lay_has_to_be_explained_for_a_while_before_it_is
     assert any(estimate.valid for t, estimate in told if t < 4.0)
     assert not any(estimate.valid for t, estimate in told if begun < t < begun + DISTRUSTED_S)
     assert any(estimate.valid for t, estimate in told if t > begun + DISTRUSTED_S)
+
+
+@pytest.mark.parametrize(("hinge", "kept"), [("fixed", True), ("arc", False)])
+def test_what_a_bank_led_astray_by_unequal_palms_loses_is_a_smoothers_still(hinge: HingeMode, kept: bool) -> None:
+    _, second, events = swapped("rig", 3, 4.0, 0.2, 9.0)
+    rig, silent = replace(second.rig, hinge=hinge, friction_sd=0.3), Silent()
+    watcher = observer.make("shape", rig, smoothing=silent)
+    list(ticks(replace(second, events=events), watcher))
+    there = [(count, begun) for count, begun in silent.sessions if count and not math.isinf(begun)]
+    assert len({count for count, _ in there}) > 1  # it has been lost
+    assert (len({begun for _, begun in there}) == 1) == kept
 
 
 def test_the_same_log_gives_the_same_estimates(run: Run) -> None:
