@@ -1,8 +1,9 @@
-"""All tests and linters, side by side: those on the emulated rig one by one in real time, in two lots that each leave
-most of a processor alone, and in what they leave of the machine all others.
+"""All tests and linters, side by side: those on the emulated rig one by one in real time, and in what they leave of the
+machine all others.
 
-A rig's test sleeps most of the time, but what it starts must be awake when it is due; so the others stand back. One
-that fails all the same is tried again when everything else is over and the machine is quiet: that is what counts.
+A rig's test sleeps most of the time, but what it starts must be awake when it is due; so the others stand back, and no
+two rigs run at once. One that fails all the same is tried again when everything else is over and the machine is quiet:
+that is what counts.
 """
 
 from __future__ import annotations
@@ -12,15 +13,12 @@ import subprocess
 import sys
 import tempfile
 import time
-from pathlib import Path
 from typing import IO, NamedTuple
 
 NICE = 10
 TESTS_FAILED = 1  # pytest's status, when it ran to the end
 PYTEST = (sys.executable, "-m", "pytest", "-q", "--durations=15")
 RIG = ("tests/rig", "tests/system")
-GENTLE = tuple(sorted(map(str, Path("tests/rig").glob("test_calibrate*.py"))))
-"""Rig tests of minutes in which little is computed: they go beside the other ones."""
 WORKERS = (os.cpu_count() or 1) + 1  # one more than there are processors, for tests that wait
 OTHERS = (*RIG, "tests/bench", "tests/vm")
 
@@ -36,13 +34,11 @@ class Part(NamedTuple):
 
 def parts() -> list[Part]:
     """In the order in which they are told of."""
-    ignored = {"others": OTHERS, "rig": GENTLE}
-    without = {name: tuple(f"--ignore={path}" for path in paths) for name, paths in ignored.items()}
+    ignored = tuple(f"--ignore={path}" for path in OTHERS)
     return [
         Part("linters", ("make", "--no-print-directory", "lint")),
-        Part("rig", (*PYTEST, *cached("rig"), *RIG, *without["rig"]), rig=True, talks=True),
-        Part("rig, calibrations", (*PYTEST, *cached("calibrations"), *GENTLE), rig=True),
-        Part("all others", (*PYTEST, "-n", str(WORKERS), "--dist", "worksteal", *without["others"])),
+        Part("rig", (*PYTEST, *cached("rig"), *RIG), rig=True, talks=True),
+        Part("all others", (*PYTEST, "-n", str(WORKERS), "--dist", "worksteal", *ignored)),
     ]
 
 
