@@ -117,6 +117,16 @@ def opened(page, bus, messages):
     return page
 
 
+def test_what_cannot_be_jogged_has_no_jog_pad(still, bus):
+    messages = rig_of(2)
+    opened(still, bus, messages)
+    still.until(lambda: still.shows("jog") and still.shows("jog-line"), "the jog pad")
+    messages["palm/info"]["system"] = "pivot"
+    opened(still, bus, messages)
+    still.until(lambda: not still.shows("jog") and not still.shows("jog-line"), "the jog pad to go")
+    assert still.shows("plans")
+
+
 @pytest.mark.parametrize("palms", [1, 2, 3])
 def test_a_system_of_any_number_of_palms_is_shown_by_its_description(still, bus, palms):
     opened(still, bus, rig_of(palms))

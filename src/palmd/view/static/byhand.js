@@ -36,6 +36,8 @@ export class ByHand {
     const { state } = store.get("palm/state");
     this.#section.hidden = !this.#commands.operator;
     this.#layOut(info);
+    // only two palms are jogged, and they are the system that has no name
+    document.getElementById("jog-line").hidden = this.#pads.hidden = Boolean(info.system);
     const moving = underWay(store);
     const jogs = this.#commands.applies("jog", state, stale) && !moving;
     for (const button of this.#pads.querySelectorAll("button")) button.disabled = !jogs;
