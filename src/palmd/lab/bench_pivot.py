@@ -10,16 +10,15 @@ all.
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
 from palmd.console.arguments import count, seconds, seed
-from palmd.console.errors import BAD_INPUT, CliError
 from palmd.lab import pivot, pivot_live, workers
 from palmd.lab.bench_montecarlo import ALL
-from palmd.lab.pivot import TROUBLES, PivotRow, PivotTask, as_line, report
-from palmd.lab.pivot_live import LiveRow, LiveTask
-from palmd.lab.rows import Sink, collected, rewrite
+from palmd.lab.pivot import TROUBLES, PivotRow, PivotTask, report
+from palmd.lab.pivot_live import LiveRow
+from palmd.lab.rows import Sink, already_in, collected, rewrite
+from palmd.lab.scoring import as_line
 from palmd.rig.pivot import PIVOT_KINDS
 
 
@@ -67,17 +66,17 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _live(arguments: argparse.Namespace) -> int:
     path: Path = arguments.output or Path("pivot-live.jsonl")
-    rows = _done(path)
+    rows = {row.task: row for row in already_in(path, pivot_live.row_from)}
     seeds = range(arguments.seed, arguments.seed + arguments.runs)
     tasks = pivot_live.tasks_of("none" if arguments.perfect else "calibrated", arguments.period, seeds, rows)
     finished, status = collected(
         "pivoting grasp, live", tasks, pivot_live.run, pivot_live.failed, workers.asked_for(arguments),
-        Sink[LiveRow](path, pivot_live.as_line, append=True),
+        Sink[LiveRow](path, as_line, append=True),
     )  # fmt: skip
     rows |= {row.task: row for row in finished}
     if rows:
         ordered = sorted(rows.values(), key=lambda row: (row.task.rig, row.task.seed))
-        rewrite(path, map(pivot_live.as_line, ordered))
+        rewrite(path, map(as_line, ordered))
         print(f"seeds {', '.join(sorted({str(row.task.seed) for row in ordered}, key=int))}")
         print(pivot_live.report(ordered))
         for row in ordered:
@@ -85,17 +84,3 @@ def _live(arguments: argparse.Namespace) -> int:
                 print(pivot_live.remark(row))
         print(f"written: {path}")
     return status
-
-
-def _done(path: Path) -> dict[LiveTask, LiveRow]:
-    """The runs that a file has, none where there is no file; CliError for others."""
-    if not path.exists():
-        return {}
-    rows = []
-    for number, line in enumerate(path.read_bytes().splitlines(), 1):
-        try:
-            rows.append(pivot_live.row_from(json.loads(line)))
-        except (AttributeError, KeyError, TypeError, ValueError):
-            mend = f"line {number} is no live run; remove it, or take another file"
-            raise CliError(BAD_INPUT, f"{path}: is no file of this study: {mend}") from None
-    return {row.task: row for row in rows}

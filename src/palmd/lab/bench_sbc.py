@@ -13,7 +13,6 @@ tells of all. Files of several machines are put together with `cat`.
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -21,7 +20,7 @@ from palmd.console.arguments import count, seconds, seed
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.lab import sbc, workers
 from palmd.lab.bench_montecarlo import ALL
-from palmd.lab.rows import Sink, collected, rewrite
+from palmd.lab.rows import Sink, already_in, collected, rewrite
 from palmd.lab.sbc import SbcRow, SbcTask, as_line, row_from
 from palmd.lab.sbc_summary import report
 from palmd.rig.shapes import KINDS
@@ -65,23 +64,9 @@ def _conclude(rows: Sequence[SbcRow], path: Path) -> None:
 
 
 def _done(path: Path, seconds: float) -> dict[SbcTask, SbcRow]:
-    """The runs that a file has, none where there is no file; CliError for others, or runs that last otherwise."""
-    if not path.exists():
-        return {}
-    try:
-        lines = path.read_bytes().splitlines()
-    except OSError as error:
-        raise CliError(BAD_INPUT, f"{path}: cannot be read: {error.strerror or error}") from None
-    rows = [_row(line, path, number) for number, line in enumerate(lines, 1)]
+    """The runs that a file has; CliError for others, or runs that last otherwise."""
+    rows = already_in(path, row_from)
     other = next((row for row in rows if row.seconds != seconds), None)
     if other is not None:
         raise CliError(BAD_INPUT, f"{path}: has runs of {other.seconds:g} s, not {seconds:g} s")
     return {row.task: row for row in rows}
-
-
-def _row(line: bytes, path: Path, number: int) -> SbcRow:
-    try:
-        return row_from(json.loads(line))
-    except (AttributeError, KeyError, TypeError, ValueError):
-        mend = f"line {number} is no run; remove it, or take another file"
-        raise CliError(BAD_INPUT, f"{path}: is no file of this study: {mend}") from None

@@ -6,9 +6,8 @@ import json
 import math
 import tempfile
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -89,12 +88,6 @@ def failed(task: PivotTask, error: BaseException) -> PivotRow:
     why, nan = f"{type(error).__name__}: {error}", math.nan
     values = (nan,) * 7
     return PivotRow(task.kind, task.seed, task.seconds, task.trouble, False, why, *values)
-
-
-def as_line(row: PivotRow) -> dict[str, Any]:
-    """The row for a file of JSON lines; None for numbers that are none."""
-    values = asdict(row)
-    return {name: None if isinstance(value, float) and math.isnan(value) else value for name, value in values.items()}
 
 
 def report(rows: Sequence[PivotRow]) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from palmd.lab.table import aligned
 from palmd.model import shape
 from palmd.model.pivot import ORDER, P
 from palmd.observer.outline import directions
+from palmd.observer.pivot.live import friction_of
 from palmd.pivot_config import PivotConfig, PivotPlanSpec
 from palmd.quantities import PIVOT, PIVOT_ANSWER
 from palmd.rig.imperfections import perfect
@@ -170,11 +171,9 @@ class Scored:
         told["worst_e"] = max(told["worst_e"], score.e_h)
         told["worst_z"] = max(told["worst_z"], score.e_h / sd)
         self._outline_is_wrong = score.e_h > WRONG_M or score.e_h > BEYOND * sd
-        drag, bend = answer.p[P.DRAG], answer.p[P.SATURATION]
-        slope = np.array([1 / math.sqrt(bend), -0.5 * drag / bend**1.5])
-        at = [P.DRAG, P.SATURATION]
-        told["mu_error"] = float(drag / math.sqrt(bend) - truth["mu"])
-        told["mu_z"] = told["mu_error"] / math.sqrt(float(slope @ answer.covariance[np.ix_(at, at)] @ slope))
+        mu, mu_sd = friction_of(answer.p, answer.covariance)
+        told["mu_error"] = mu - truth["mu"]
+        told["mu_z"] = told["mu_error"] / mu_sd
 
     def told(self) -> dict[str, Any]:
         """For the row."""
@@ -184,12 +183,6 @@ class Scored:
 def failed(task: LiveTask, error: BaseException) -> LiveRow:
     """The row of a run that ended in an error: a fault of ours."""
     return LiveRow(task, error=f"{type(error).__name__}: {error}")
-
-
-def as_line(row: LiveRow) -> dict[str, Any]:
-    """The row for a file of JSON lines; None for numbers that are none."""
-    values = asdict(row)
-    return {name: None if isinstance(value, float) and math.isnan(value) else value for name, value in values.items()}
 
 
 def row_from(line: Mapping[str, Any]) -> LiveRow:

@@ -64,6 +64,28 @@ def collected(
     return finished, 0
 
 
+def already_in(path: Path, row_from: Callable[[dict[str, Any]], Row]) -> list[Row]:
+    """The rows that a file to go on with has, none where there is no file.
+
+    `row_from` raises AttributeError, KeyError, TypeError or ValueError for a line of another study; CliError then, and
+    for a file that cannot be read.
+    """
+    if not path.exists():
+        return []
+    try:
+        lines = path.read_bytes().splitlines()
+    except OSError as error:
+        raise CliError(BAD_INPUT, f"{path}: cannot be read: {error.strerror or error}") from None
+    rows = []
+    for number, line in enumerate(lines, 1):
+        try:
+            rows.append(row_from(json.loads(line)))
+        except (AttributeError, KeyError, TypeError, ValueError):
+            mend = f"line {number} is no run; remove it, or take another file"
+            raise CliError(BAD_INPUT, f"{path}: is no file of this study: {mend}") from None
+    return rows
+
+
 def on_this_machine(jobs: int | None) -> Callable[[ExitStack], Executor]:
     """Workers for `collected`: so many processes, by default one a processor."""
     return lambda stack: stack.enter_context(runs.local(jobs or os.cpu_count() or 1))

@@ -6,8 +6,11 @@ from dataclasses import replace
 
 import pytest
 
+from palmd.cli import main
+from palmd.console.errors import BAD_INPUT
 from palmd.lab import pivot_live
 from palmd.lab.pivot_live import LiveRow, LiveTask
+from palmd.lab.scoring import as_line
 
 TASK = LiveTask(7, "calibrated", 5.0)
 GOOD = LiveRow(
@@ -18,7 +21,7 @@ GOOD = LiveRow(
 
 @pytest.mark.parametrize("row", [GOOD, LiveRow(TASK, error="ValueError: no")])
 def test_a_row_comes_back_from_its_file(row):
-    again = pivot_live.row_from(json.loads(json.dumps(pivot_live.as_line(row), allow_nan=False)))
+    again = pivot_live.row_from(json.loads(json.dumps(as_line(row), allow_nan=False)))
     assert repr(again) == repr(row)
 
 
@@ -50,3 +53,20 @@ def test_what_is_done_is_not_done_again():
     tasks = pivot_live.tasks_of("calibrated", 5.0, range(6, 9), {TASK: GOOD})
     assert [task.seed for task in tasks] == [6, 8]
     assert math.isnan(LiveRow(TASK).e)
+
+
+@pytest.mark.parametrize(
+    ("made", "said"),
+    [
+        (lambda path: path.mkdir(), "cannot be read: Is a directory"),
+        (lambda path: path.write_text('{"seed": 3}\n'), "is no file of this study: line 1 is no run"),
+        (lambda path: path.write_bytes(b"\xff\xfe\x00"), "is no file of this study: line 1 is no run"),
+    ],
+)
+def test_what_cannot_be_gone_on_with_is_refused_and_left_alone(tmp_path, capsys, made, said):
+    path = tmp_path / "runs.jsonl"
+    made(path)
+    before = path.is_dir() or path.read_bytes()
+    assert main(["bench", "pivot", "--live", "--runs", "1", "-o", str(path)]) == BAD_INPUT
+    assert said in capsys.readouterr().err
+    assert (path.is_dir() or path.read_bytes()) == before

@@ -6,6 +6,7 @@ import math
 
 from palmd.lab import pivot
 from palmd.lab.pivot import PivotRow, PivotTask
+from palmd.lab.scoring import as_line
 
 ROW = PivotRow("tilt", 1, 12.0, "none", True, "", 2e-5, 1e-5, 0.004, 2.0, 0.4, 1.0, 0.5)
 
@@ -28,7 +29,7 @@ def test_a_run_too_short_claims_nothing_and_says_why():
     assert not told.converged
     assert told.reason
     assert math.isnan(told.e_m)
-    assert json.loads(json.dumps(pivot.as_line(told), allow_nan=False))["e_m"] is None
+    assert json.loads(json.dumps(as_line(told), allow_nan=False))["e_m"] is None
 
 
 def test_an_error_of_ours_is_a_row():

@@ -303,6 +303,14 @@ def _rows(theta: float) -> FloatArray:
     return rows
 
 
+def friction_of(p: FloatArray, covariance: FloatArray) -> tuple[float, float]:
+    """μ and its one-sigma, from an answer's constants and their covariance."""
+    drag, bend = float(p[P.DRAG]), float(p[P.SATURATION])
+    wanted = np.array([1 / math.sqrt(bend), -0.5 * drag / bend**1.5])
+    at = [P.DRAG, P.SATURATION]
+    return drag / math.sqrt(bend), math.sqrt(max(float(wanted @ covariance[np.ix_(at, at)] @ wanted), 0.0))
+
+
 class _Outline:
     """An answer, ready to be asked."""
 
@@ -315,10 +323,7 @@ class _Outline:
         self.h: FloatArray = shape.basis(self.theta, ORDER) @ self.a
         self._slope: FloatArray = -shape.tangential_basis(self.theta, ORDER) @ self.a
         self._p = p
-        drag, bend = float(p[P.DRAG]), float(p[P.SATURATION])
-        wanted = np.array([1 / math.sqrt(bend), -0.5 * drag / bend**1.5])
-        at = [P.DRAG, P.SATURATION]
-        self.mu = drag / math.sqrt(bend), math.sqrt(max(float(wanted @ covariance[np.ix_(at, at)] @ wanted), 0.0))
+        self.mu = friction_of(p, covariance)
         moment = p[P.MOMENT : P.MOMENT + 2]
         size = float(np.hypot(*moment))
         part = covariance[P.MOMENT : P.MOMENT + 2, P.MOMENT : P.MOMENT + 2]
