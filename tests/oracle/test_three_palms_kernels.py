@@ -100,14 +100,20 @@ def test_the_smoothers_gradient_is_that_of_its_cost(parameters):
     assert (ahead - behind) / (2 * small) == pytest.approx(told, rel=2e-2)
 
 
-def test_the_arrow_is_solved_as_a_dense_matrix_is():
-    random = np.random.default_rng(0)
-    K, m, q = 4, 3, 8
+def random_arrow(seed, K, m, q):
+    """K nodes in a row, each pair bound by q residuals r with Jacobians left, right and, in m parameters, by."""
+    random = np.random.default_rng(seed)
     arrow = Arrow.empty(K, m)
     left, right = random.normal(size=(2, K - 1, q, STATES))
     by, r = random.normal(size=(K - 1, q, m)), random.normal(size=(K - 1, q))
     arrow.couple(r, left, right, by)
     arrow.diagonal += np.eye(STATES)
+    return arrow, left, right, by, r
+
+
+def test_the_arrow_is_solved_as_a_dense_matrix_is():
+    K, m, q = 4, 3, 8
+    arrow, left, right, by, r = random_arrow(0, K, m, q)
     arrow.corner += np.eye(m)
     J = np.zeros((K - 1, q, K * STATES + m))
     for k in range(K - 1):
@@ -123,13 +129,8 @@ def test_the_arrow_is_solved_as_a_dense_matrix_is():
 
 
 def test_what_is_left_in_the_last_node_is_the_dense_marginal():
-    random = np.random.default_rng(1)
-    K, m, q = 5, 3, 9
-    arrow = Arrow.empty(K, m)
-    left, right = random.normal(size=(2, K - 1, q, STATES))
-    by, r = random.normal(size=(K - 1, q, m)), random.normal(size=(K - 1, q))
-    arrow.couple(r, left, right, by)
-    arrow.diagonal += np.eye(STATES)
+    m = 3
+    arrow, *_ = random_arrow(1, 5, m, 9)
     arrow.believe(2.0 * np.eye(STATES + m), np.ones(STATES + m))
     nodes, step = arrow.solve(0.0)
     information, gradient = arrow.onto_last()

@@ -52,8 +52,6 @@ class Seeker:
         self._challenge_s = 0.0
         # how alike the palms rub is no matter of calibration
         self._exact = not prior_sds(rig)[: R.FRICTION].any()
-        # motion by unequal friction is explained for seconds by equal friction and a wrong outline as well
-        self._lopsided = rig.lopsided
         self._survived = self._challenges = 0
         self._failed = 0
         self._doubtful = True
@@ -110,7 +108,7 @@ class Seeker:
 
     def _attempt(self, found: bool) -> Attempt:
         """The next blind search; what has been `found` is set against those that begin with unequal palms."""
-        if found and self._lopsided:
+        if found and self._rig.lopsided:
             self._challenges += 1
             return _UNEQUAL[self._challenges % len(_UNEQUAL)]
         attempts = attempts_for(self._rig)
@@ -118,7 +116,7 @@ class Seeker:
 
     def _challenges_survived(self, finding: Minima | None, blind: Minima | None, merged: Minima | None) -> int:
         """In how many searches since what has been found it has been found again, or been better than what was."""
-        if not self._lopsided:
+        if not self._rig.lopsided:
             return int(agree(finding, blind) or (self._survived > 0 and agree(finding, merged)))
         if merged is None or not agree(finding, merged):
             return 0
@@ -127,7 +125,7 @@ class Seeker:
     @property
     def sure(self) -> bool:
         """Whether the last answer is one to vouch for."""
-        return self._exact or self._survived >= (len(_BEGUN) if self._lopsided else 1)
+        return self._exact or self._survived >= (len(_BEGUN) if self._rig.lopsided else 1)
 
     def _criticised(self, segment: DataSegment, answer: Answer) -> Answer:
         """What is found once the rig is taken for what the readings tell."""

@@ -49,7 +49,6 @@ class ObjectSession:
         self._observability = observability
         self.track: Track | None = None
         self.distrusted = False  # it was begun where the one before had just been lost: it may be the same
-        self._kept = False  # what has been felt of the one that was lost is a smoother's still
         self._t_lost = -math.inf
         self.object_count = 0
         self._starts = 0
@@ -61,14 +60,13 @@ class ObjectSession:
 
         Where a bank is often led astray, what it loses where it lay is the same object.
         """
-        return math.inf if self.track is None and not self._kept else self._t_begun
+        return self._t_begun
 
     def try_to_begin(self, t: float) -> None:
         """Begin at `t` (s) if both pads and the palms are told of then."""
         if self._contacts.read_about(t) and self._fusion.palms_known(t):
             self.distrusted = t - self._t_lost < GONE_S
-            if not (self.distrusted and self._kept):
-                self._t_begun = t
+            self._t_begun = min(self._t_begun, t) if self.distrusted else t
             self._begin(t)
 
     def _begin(self, t: float) -> None:
@@ -93,7 +91,7 @@ class ObjectSession:
 
     def stop(self) -> None:
         """The object has left the palms, or what is on them must be sought again."""
-        self.track, self._kept = None, False
+        self.track, self._t_begun = None, math.inf
         self._contacts.clear()
 
     def judge(self, t: float, settled: bool) -> bool:
@@ -114,9 +112,9 @@ class ObjectSession:
             track.t_unlikely = t
         elif t - track.t_unlikely > LOST_FOR_S:
             self._hypotheses.lost(track)
-            self._t_lost = t
+            begun = self._t_begun if self._rig.lopsided and not self._fusion.carries else math.inf
             self.stop()
-            self._kept = self._rig.lopsided and not self._fusion.carries
+            self._t_lost, self._t_begun = t, begun
         return self.track is None
 
     # ---- what fusion asks

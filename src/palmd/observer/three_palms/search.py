@@ -81,10 +81,6 @@ class Task:
         """Of the readings and of what the equations leave out."""
         return Noise(math.sqrt(self.rig.pad.reading_variance))
 
-    def reaches_end(self, record: BodyRecord) -> bool:
-        """Whether a record goes as far as there is anything."""
-        return bool(record.t[-1] > self.end - 2 * SPACING_S)
-
     def fitted(
         self,
         record: BodyRecord,
