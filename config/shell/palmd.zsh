@@ -337,7 +337,7 @@ _shtab_palmd_bench_speed_defaults_added=0
 _shtab_palmd_bench_things_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--runs[how many of each kind (default\: 10)]:N:"
-  "--kind[what lies on the palms (default\: all)]:kind:(die nut coin ellipse triangle block D-profile L-profile gear smooth lump all)"
+  "--kind[what lies on the palms (default\: all)]:kind:(die nut coin ellipse triangle block D-profile L-profile gear lump all)"
   "--seed[the first run\'s (default\: 0)]:FIRST:"
   "--seconds[how long each lasts (default\: 15.0)]:S:"
   "--imperfections[what the rig is off by, drawn by the seed (default\: none)]:imperfections:(none calibrated)"

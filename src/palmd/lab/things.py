@@ -25,7 +25,7 @@ from palmd.rig.world import default_config
 from palmd.score import WRONG_M
 from palmd.system.mechanism import RADII
 
-LUMP = "smooth lump"
+LUMP = "lump"  # a smooth one, as other studies have
 KINDS: tuple[str, ...] = (*THINGS, LUMP)
 OFF_CENTRE_EVERY, OFF_CENTRE_M = 3, 1e-3
 MUCH = 0.01  # of the ticks

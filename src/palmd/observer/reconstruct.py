@@ -22,10 +22,10 @@ from palmd.observer.coverage import marks_of
 from palmd.observer.criticism import MOST_REVISIONS, RigBelief
 from palmd.observer.data_segment import DataSegment, data_segments
 from palmd.observer.factor import Prior
+from palmd.observer.likeness import UNTOLD, likeness, root_of
 from palmd.observer.marginal import Marginal, marginalised
 from palmd.observer.mass import MassEstimator
 from palmd.observer.matching import Felt, matched
-from palmd.observer.naming import UNTOLD, likeness, root_of
 from palmd.observer.noise import with_scatter
 from palmd.observer.outline import directions, felt_normals, made_convex, outline_of
 from palmd.observer.reconstruction import Reconstruction

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray
-from palmd.observer.naming import UNTOLD, Likeness
+from palmd.observer.likeness import UNTOLD, Likeness
 from palmd.observer.visits import Counts
 
 

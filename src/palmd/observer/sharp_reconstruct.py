@@ -12,7 +12,7 @@ from palmd.model import sharp
 from palmd.model.sharp import LENGTHS, NORMALS, SIDES, WIDTH
 from palmd.model.smoothing import RIG, C
 from palmd.observer.factor import friction_of
-from palmd.observer.naming import likeness, root_of
+from palmd.observer.likeness import likeness, root_of
 from palmd.observer.outline import directions, normal_angles, touched_by
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.search import MOST_STRAIN, Search, still

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from palmd.jsonvalues import column, or_none
+from palmd.observer.likeness import as_json
 from palmd.observer.mass import MassEstimator
-from palmd.observer.naming import as_json
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.visits import Marks, kept_by_band, kept_by_visits
 from palmd.system.mechanism import RADII

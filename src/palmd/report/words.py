@@ -9,7 +9,7 @@ from datetime import datetime
 
 import numpy as np
 
-from palmd.observer.naming import likeness, root_of_band
+from palmd.observer.likeness import likeness, root_of_band
 from palmd.observer.validity import NIS_RANGE
 from palmd.quantities import ESTIMATE, MOTION
 from palmd.record.metadata import CONFIG

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from palmd.events import FloatArray
-from palmd.observer.naming import NONE, Likeness, as_json, likeness, root_of_band
+from palmd.observer.likeness import NONE, Likeness, as_json, likeness, root_of_band
 from palmd.observer.outline import directions
 from palmd.rig.real_things import THINGS, thing
 from palmd.rig.shapes import Body, random_body
