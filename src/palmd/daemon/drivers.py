@@ -8,8 +8,8 @@ from dataclasses import replace
 from palmd.config import ArmConfig
 from palmd.daemon.latency_estimator import LatencyEstimator
 from palmd.daemon.poses import Poses
-from palmd.devices.actuator import ArmReport, ArmState, make_actuator
-from palmd.events import PalmMotion, PalmSample
+from palmd.devices.actuator import FOLLOWING, ArmReport, ArmState, make_actuator
+from palmd.events import Joints, PalmMotion, PalmSample
 from palmd.motion.kinematics import PoseError
 from palmd.system.mechanism import JOINTS
 
@@ -20,6 +20,8 @@ RESTING = frozenset({ArmState.READY, ArmState.POWER_OFF, ArmState.UNCALIBRATED, 
 """States in which the controller lets the arm stand, once it has come to rest."""
 
 COMING_TO_REST_S = 0.3
+STANDS_S, STANDS_RAD = 0.05, 1e-3
+"""Sooner, where two reports at least so far apart tell the same angles within so much."""
 
 
 class ArmDriver:
@@ -34,6 +36,7 @@ class ArmDriver:
         self.bad_poses = 0
         self._poses = poses
         self._t_moving = -math.inf
+        self._rested: tuple[float, Joints] | None = None
 
     def opened(self) -> None:
         """The port has been opened."""
@@ -43,6 +46,7 @@ class ArmDriver:
         """The port has gone."""
         self.is_open = False
         self.linked_since_open = False
+        self.lag.forget()
         self.host.disconnected()
 
     def feed(self, data: bytes, t: float) -> list[PalmSample]:
@@ -53,8 +57,6 @@ class ArmDriver:
             sample = self._sample(report)
             if sample is not None:
                 samples.append(sample)
-        if not self.host.tracking:
-            self.lag.forget()
         return samples
 
     def _sample(self, report: ArmReport) -> PalmSample | None:
@@ -66,19 +68,28 @@ class ArmDriver:
             return None
         t = report.t_sample
         self.lag.observe(t, angles)
-        meant = self._meant(t, report.state)
+        meant = self._meant(t, angles, report.state)
         if meant is None:
             self.actual = PalmMotion.at_rest(angles)
             return PalmSample(t, angles)
         self.actual = replace(meant, angles=angles)
         return PalmSample(t, angles, meant.rates, meant.accelerations)
 
-    def _meant(self, t: float, state: ArmState) -> PalmMotion | None:
-        """What the arm is meant to do at `t` (s); only its rates count."""
+    def _meant(self, t: float, angles: Joints, state: ArmState) -> PalmMotion | None:
+        """What the arm is meant to do at `t` (s), with these angles; only its rates count."""
+        if state not in FOLLOWING:
+            self.lag.forget()
         still = PalmMotion.at_rest((0.0,) * len(JOINTS))
         if state in RESTING:
-            return still if t - self._t_moving > COMING_TO_REST_S else None
-        self._t_moving = t
+            return still if t - self._t_moving > COMING_TO_REST_S or self._stands(t, angles) else None
+        self._t_moving, self._rested = t, None
         if state is ArmState.TRACKING:
-            return self.lag.motion(t) or still
+            return self.lag.motion(t) or (still if self.host.tracking else None)
         return None
+
+    def _stands(self, t: float, angles: Joints) -> bool:
+        """Whether an arm that comes to rest has told these angles before, and not just now."""
+        before, self._rested = self._rested, (t, angles)
+        if before is None or t - before[0] < STANDS_S:
+            return False
+        return max(abs(one - other) for one, other in zip(angles, before[1], strict=True)) < STANDS_RAD

@@ -33,6 +33,10 @@ class ArmState(StrEnum):
     ESTOP = "X"
 
 
+FOLLOWING = (ArmState.TRACKING, ArmState.HOLD)
+"""The states in which a controller takes set-points."""
+
+
 @dataclass(frozen=True, slots=True)
 class Pose:
     """The tool in arm coordinates: position (m) and angle t = phi12 - yaw (rad)."""

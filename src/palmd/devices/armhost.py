@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass, field
 
-from palmd.devices.actuator import ArmReport, ArmState, Pose, Sent
+from palmd.devices.actuator import FOLLOWING, ArmReport, ArmState, Pose, Sent
 from palmd.devices.armlink import (
     SEQUENCE_MODULUS,
     SETPOINT_BYTES,
@@ -58,9 +58,6 @@ REQUEST_RETRY_S = 0.064
 NEAR_M = 0.005
 NEAR_RAD = math.radians(3.0)
 """How near to the arm's actual pose the first set-point after a hold must be."""
-
-FOLLOWING = (ArmState.TRACKING, ArmState.HOLD)
-"""The states in which the controller takes set-points."""
 
 PASSING_CODES = (-522, -524, -610, -611)
 """Refusals of one line or one set-point. After any other code the controller may have left tracking."""

@@ -29,7 +29,7 @@ from palmd.model.outputs import NAMED, rig_inputs
 from palmd.observer.answer import answer, no_answer, outline_answer, outlook
 from palmd.observer.contacts import GONE_S, Contacts, finite
 from palmd.observer.filters.base import LONGEST_STEP_S, Filters
-from palmd.observer.fusion import PALMS_UNKNOWN_S, Fusion
+from palmd.observer.fusion import Fusion
 from palmd.observer.history import EVENTS
 from palmd.observer.hypotheses import Hypotheses
 from palmd.observer.observability import Observability
@@ -145,13 +145,13 @@ class BankObserver:
 
     def _feed_palms(self, event: PalmSample) -> None:
         t, fusion = event.t_sample, self._fusion
-        gap = t - fusion.palms.t
-        fusion.palms.feed(event)
-        if self._session.track is not None and gap > PALMS_UNKNOWN_S:
+        gap, foreseen = t - fusion.palms.t, fusion.palms_known(t)
+        fusion.hear_palms(event)
+        if self._session.track is not None:
             if gap > GONE_S:
                 self._session.stop()
-            else:
-                fusion.bridge(t, gap)
+            elif not foreseen and fusion.palms_known(t):
+                fusion.bridge(t, t - fusion.t)
         self._fuse(event)
 
     def _fuse(self, event: PadSample | PalmSample) -> None:

@@ -23,6 +23,7 @@ from palmd.system.description import RigDescription
 
 # Palms not reported for longer are not known: a controller that does not track is asked each 0.1 s only.
 PALMS_UNKNOWN_S = 0.15
+UNTOLD_S = 0.025  # of a cycle of 16 ms: where no plan is told, a stop turns palms by degrees in a tenth of a second
 # The first readings are fused about a blind guess: they weigh little at first.
 EARLY_NOISE, EARLY_S = 20.0, 0.3
 PLAUSIBLE = 12.0  # nats below the best
@@ -74,6 +75,7 @@ class Fusion:
     def reset(self) -> None:
         """As if nothing had been fed."""
         self.palms = self._first.tracker(self._rig.palm_angle_noise)
+        self._foreseen_s = 0.0
         self.late_dropped = 0
         self.t, self.t_start = -math.inf, math.inf
         self._use(self._first)
@@ -112,8 +114,16 @@ class Fusion:
         return self.carries or self.filters.left_open is not None
 
     def palms_known(self, t: float) -> bool:
-        """Whether the palms were reported shortly before `t` (s)."""
-        return t - self.palms.t < PALMS_UNKNOWN_S
+        """Whether the palms were reported so shortly before `t` (s) that their motion is foreseen."""
+        return t - self.palms.t < self._foreseen_s
+
+    def hear_palms(self, report: PalmSample) -> None:
+        """A report of the palms: foreseen is what their plan tells, or what one report soon after another does."""
+        follows = 0.0 <= report.t_sample - self.palms.t < UNTOLD_S
+        if report.t_sample >= self.palms.t:
+            told = report.accelerations is not None
+            self._foreseen_s = PALMS_UNKNOWN_S if told else UNTOLD_S if follows else 0.0
+        self.palms.feed(report)
 
     # ---- what the filters begin with
 

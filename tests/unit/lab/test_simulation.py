@@ -7,6 +7,7 @@ import time
 from types import SimpleNamespace
 
 import msgpack
+import numpy as np
 import pytest
 
 from palmd.daemon import supervisor
@@ -17,11 +18,13 @@ from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.supervisor import Supervisor
 from palmd.devices.armhost import ArmHost
 from palmd.devices.versapad import VersaPadDecoder
+from palmd.events import PalmSample
 from palmd.faults import FaultMonitor
 from palmd.lab import bench_simulate
 from palmd.lab.simulation import watch
 from palmd.lab.simulation.causes import CAUSES, causes
 from palmd.lab.simulation.happenings import Broken, Scenario, Told, Trick, drawn
+from palmd.lab.simulation.light_observer import LightObserver
 from palmd.lab.simulation.reached import never_reached, rows, unreachable
 from palmd.lab.simulation.run import Simulation, configured, quiet, simulate
 from palmd.lab.simulation.shrink import shrunk
@@ -34,7 +37,8 @@ FOUND = {
 }
 """Seeds that broke an invariant once, and what they found."""
 
-
+STOPPED = 255
+"""A seed whose object was lost by a stop: the palms were told to stand while they still turned."""
 FRESH_S = 25.0
 
 
@@ -65,6 +69,50 @@ def test_a_run_without_trouble_has_no_fault_but_that_of_its_beginning():
 @pytest.mark.parametrize("seed", FOUND)
 def test_what_was_found_once_stays_mended(seed):
     assert simulate(drawn(seed)).breach is None
+
+
+def test_a_stop_in_mid_motion_tells_no_rate_that_is_not_so(monkeypatch):
+    simulation = Simulation(scenario(*(told(t, "stop") for t in np.arange(3.0, 8.0, 0.71))))
+    reports = []
+    monkeypatch.setattr(LightObserver, "feed", lambda _, event: reports.append(event))
+    fastest, off = 0.0, []
+    with quiet():
+        while simulation.machine.clock.now < 8.5:
+            before = simulation.rig.palms().rates
+            simulation.step()
+            for report in reports:
+                if isinstance(report, PalmSample) and report.rates is not None:
+                    between = zip(report.rates, before, simulation.rig.palms().rates, strict=True)
+                    off.append(max(min(abs(rate - one), abs(rate - other)) for rate, one, other in between))
+            fastest = max(fastest, *map(abs, before))
+            reports.clear()
+    assert fastest > math.radians(30.0)
+    assert max(off) < math.radians(8.0)
+
+
+def test_palms_that_have_stopped_are_told_to_stand_as_soon_as_two_reports_agree(monkeypatch):
+    simulation = Simulation(scenario(told(7.0, "stop"), eager_s=2.0))
+    reports = []
+    monkeypatch.setattr(LightObserver, "feed", lambda _, event: reports.append(event))
+    with quiet():
+        while simulation.machine.clock.now < 8.0:
+            simulation.step()
+    known = [each for each in reports if isinstance(each, PalmSample) and each.rates is not None]
+    before = next(each for each in reversed(known) if each.t_sample < 7.0)
+    after = next(each for each in known if not any(each.rates) and each.t_sample > 7.0)
+    assert max(map(abs, before.rates)) > math.radians(10.0)
+    assert after.t_sample < 7.3
+    assert not any(after.accelerations)
+
+
+def test_a_stop_in_mid_motion_leaves_the_estimate_right():
+    simulation = Simulation(scenario(told(4.0, "stop"), seed=STOPPED, thorough=True))
+    with quiet():
+        while simulation.machine.clock.now < 6.0 and simulation.watch.breach is None:
+            simulation.step()
+    assert simulation.watch.breach is None
+    assert simulation.core.estimate.valid
+    assert simulation.core.estimate.object_count == 1
 
 
 def test_seeds_that_nobody_has_tried_hold():
