@@ -13,7 +13,8 @@ are answered. Nothing that comes down the line raises. All of it is safe inside 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, field
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
 
 from palmd.devices.actuator import FOLLOWING, ArmReport, ArmState, Pose, Sent
 from palmd.devices.armlink import (
@@ -211,7 +212,8 @@ class ArmHost:
     def feed(self, data: bytes, t_recv: float) -> list[ArmReport]:
         """Take the bytes read at `t_recv` (s, monotonic) and return the reports they complete."""
         reports: list[ArmReport] = []
-        for line in self._reader.feed(data, t_recv):
+        lines = list(self._reader.feed(data, t_recv))
+        for line in lines:
             try:
                 reply = parse_reply(line.body)
             except LinkError:
@@ -219,15 +221,15 @@ class ArmHost:
                 continue
             match reply:
                 case Ack():
-                    if self._acknowledged(reply, line.t_first):
+                    if self._acknowledged(reply, line.t_first, alone=len(lines) == 1):
                         reports.append(ArmReport(line.t_first, reply.state, reply.pose))
                 case Refusal():
                     self._refused(reply)
                 case HelloReply():
                     self._greeted(reply, line.t_first)
-        return reports
+        return self._told_apart(reports) if len(reports) > 1 else reports
 
-    def _acknowledged(self, ack: Ack, t_first: float) -> bool:
+    def _acknowledged(self, ack: Ack, t_first: float, *, alone: bool) -> bool:
         kind, t_sent = self._waiting.pop(ack.ss, (None, 0.0))
         if kind is None or self.hello is None:
             self.counters.unmatched += 1
@@ -239,7 +241,7 @@ class ArmHost:
         self._t_ack = self._t_alive = t_first
         self._bytes_at_ack, self._lines_at_ack = self.counters.line.bytes, self.counters.line.lines
         if self._timer is not None:
-            if kind is SetPoint:
+            if kind is SetPoint and alone:
                 self._timer.answered(t_first)
             if self._doubt:
                 self._t_query = math.inf
@@ -262,6 +264,17 @@ class ArmHost:
             self._timer = SetPointTimer(self._baud, cycle_s, t_first)
             self._t_query = math.inf
             self.commanded = None
+
+    def _told_apart(self, reports: Sequence[ArmReport]) -> list[ArmReport]:
+        """Reports that came at once: set-points are answered a cycle apart, so something has held them up."""
+        if self._timer is None or any(each.state is not ArmState.TRACKING for each in reports):
+            return list(reports)
+        last = self._timer.cycle_before(reports[-1].t_sample)
+        ago = range(len(reports) - 1, -1, -1)
+        return [
+            replace(each, t_sample=min(each.t_sample, last - cycles * self._timer.period_s))
+            for each, cycles in zip(reports, ago, strict=True)
+        ]
 
     def _refused(self, refusal: Refusal) -> None:
         self._waiting.pop(refusal.ss, None)

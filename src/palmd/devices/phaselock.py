@@ -11,6 +11,9 @@ GAIN = 1 / 8
 STEP_MAX_S = 0.25e-3
 """The most that one answer may move the estimate, or one period differ from the nominal: outliers lose."""
 
+EARLY = 1 / 32
+"""Of a period: how much sooner than its cycle an answer may seem to have left, by jitter."""
+
 
 def wrap_phase(t: float, period: float) -> float:
     """Return `t` (s) less whole periods, in [-period/2, period/2]."""
@@ -46,6 +49,11 @@ class SetPointTimer:
         """A set-point's answer began to arrive at `t_first` (s)."""
         error = wrap_phase(t_first - self._t_cycle, self.period_s)
         self._t_cycle = t_first - error + _clip(GAIN * error, STEP_MAX_S)
+
+    def cycle_before(self, t: float) -> float:
+        """When (s) the last cycle began in which an answer can have left that has come by `t` (s)."""
+        early = EARLY * self.period_s
+        return t + early - (t + early - self._t_cycle) % self.period_s
 
     def skip(self, t: float) -> int:
         """Move to the slot nearest to `t` (s) if the present one has gone by; return how many were missed."""

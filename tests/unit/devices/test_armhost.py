@@ -283,6 +283,27 @@ def test_reports_carry_the_first_bytes_time(bench: Bench) -> None:
     assert [wrap_phase(t, CYCLE_S) for t in ticks] == pytest.approx([0.0] * 10, abs=1e-5)
 
 
+def test_reports_that_come_at_once_left_a_cycle_apart(bench: Bench) -> None:
+    bench.track()
+    bench.run(1.0)
+    held: list[bytes] = []
+
+    def by_threes(_t: float, line: bytes) -> bytes:
+        held.append(line)
+        together = b"".join(held) if len(held) == 3 else b""
+        if together:
+            held.clear()
+        return together
+
+    bench.to_host = by_threes
+    bench.reports.clear()
+    bench.run(0.3)
+    times = [report.t_sample - BYTE_S for report in bench.reports]
+    assert len(times) > 12
+    assert [wrap_phase(t, CYCLE_S) for t in times] == pytest.approx([0.0] * len(times), abs=1e-4)
+    assert [b - a for a, b in itertools.pairwise(times)] == pytest.approx([CYCLE_S] * (len(times) - 1), abs=1e-4)
+
+
 def test_a_late_host_skips_periods_and_never_bursts(bench: Bench) -> None:
     bench.track()
     bench.run(0.5)
