@@ -12,7 +12,8 @@ LINGERS_S = 3.0
 """So long after its end a cause may still bring a fault up: ports are tried again, counters judged, links found."""
 
 _LINE = frozenset({"drop", "garble", "mute", "unplug", "late", "burst", "misbaud", "bytes"})
-_BODY = frozenset({"lift", "swap"})
+_BODY = frozenset({"lift", "swap", "left"})
+"""`left`: by itself, as where a motion takes it to a pad's end."""
 _HOST = frozenset({"stall", "restart", "broken"})
 _DAMAGED = frozenset({"drop", "garble", "misbaud", "bytes", "unplug", "mute"})
 

@@ -139,6 +139,7 @@ class Simulation:
         self._broken: tuple[Any, float] | None = None
         self._numbers = itertools.count()
         self._t_look = 0.0
+        self._losses = 0
         self._breakable = Breakable(LightObserver())
         self._recorder: Recorder | None = None
         for each in scenario.happenings:
@@ -238,6 +239,9 @@ class Simulation:
         self._operate(clock.now)
         self.loop.period()
         self.machine.catch_up()
+        if isinstance(self.rig, FullRig) and self.rig.contact_losses > self._losses:
+            self._losses = self.rig.contact_losses
+            watch.happened("left", clock.now, clock.now)
         watch.tick(self.core, self.ports, self.loop.in_hand, self.rig.palms(), clock.now)
         if isinstance(self.rig, FullRig):
             watch.compare(self.core, self.rig.truth(), clock.now)
