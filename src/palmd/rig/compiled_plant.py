@@ -1,4 +1,4 @@
-"""What `plant.c` computes, a smooth body's step on flat palms: to the bit what its twin `plant.Plant` does in Python."""
+"""What `plant.c` computes, a step of a smooth body on flat palms, to the bit as its twin in Python, `plant.Plant`."""
 
 from __future__ import annotations
 
