@@ -35,7 +35,7 @@ FOUND = {
 """Seeds that broke an invariant once, and what they found."""
 
 
-FRESH_S = 25.0
+FRESH_S = 10.0
 
 
 def told(t, command, client=0, **args):
