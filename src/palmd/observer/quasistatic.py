@@ -27,7 +27,7 @@ from palmd.observer.contacts import GONE_S, Contacts, finite
 from palmd.observer.coverage import Coverage
 from palmd.observer.local_fit import HALF_WIDTH_S, RecentReadings
 from palmd.observer.mass import MassEstimator, resting_forces
-from palmd.observer.multi_start import BLOCKS, MultiStart, Spread
+from palmd.observer.multi_start import BLOCKS, MOST_RADIUS_M, MultiStart, Spread
 from palmd.observer.palms import STILL
 from palmd.observer.prior import RADIUS_SD
 from palmd.observer.quasistatic_answer import Leading, named, read_off
@@ -243,10 +243,11 @@ class QuasistaticObserver:
         if first is None:
             return
         felt, astray = first
-        if astray > JUMP_M:
+        circle = float(sum(felt.contacts) / 2 * np.tan(felt.joints[OPENING] / 2))
+        if astray > JUMP_M or not circle < MOST_RADIUS_M:  # beyond all measure where the palms are parallel
             self._t_first = t
             return
-        self._circle = float(sum(felt.contacts) / 2 * np.tan(felt.joints[OPENING] / 2))
+        self._circle = circle
         spread = Spread(self._circle, FIRST_WIDTH * self._circle, 0.0, FIRST_BALANCE_M)
         self._leader = MultiStart(spread, felt, 0.0, self._circle, STEP_S)
         self.object_count += 1
