@@ -2,8 +2,8 @@
 machine all others.
 
 A rig's test sleeps most of the time, but what it starts must be awake when it is due; so the others stand back, and no
-two rigs run at once. One that fails all the same is tried again when everything else is over and the machine is quiet:
-that is what counts.
+two rigs run at once. Services that boot do little but wait, and go beside. One that fails all the same is tried again
+when everything else is over and the machine is quiet: that is what counts.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from typing import IO, NamedTuple
 NICE = 10
 TESTS_FAILED = 1  # pytest's status, when it ran to the end
 PYTEST = (sys.executable, "-m", "pytest", "-q", "--durations=15")
-RIG = ("tests/rig", "tests/system")
+WAITING = ("tests/rig", "tests/system")
 WORKERS = (os.cpu_count() or 1) + 1  # one more than there are processors, for tests that wait
-OTHERS = (*RIG, "tests/bench", "tests/vm")
+OTHERS = (*WAITING, "tests/bench", "tests/vm")
 
 
 class Part(NamedTuple):
@@ -37,7 +37,8 @@ def parts() -> list[Part]:
     ignored = tuple(f"--ignore={path}" for path in OTHERS)
     return [
         Part("linters", ("make", "--no-print-directory", "lint")),
-        Part("rig", (*PYTEST, *cached("rig"), *RIG), rig=True, talks=True),
+        Part("rig", (*PYTEST, *cached("rig"), "tests/rig"), rig=True, talks=True),
+        Part("system", (*PYTEST, *cached("system"), "tests/system"), rig=True),
         Part("all others", (*PYTEST, "-n", str(WORKERS), "--dist", "worksteal", *ignored)),
     ]
 

@@ -105,7 +105,7 @@ def test_gravity_and_yaw_are_found_with_a_ball(stack, tmp_path, palm_base):
     stack.begin_daemon()
     with Client(stack.bus.command) as client:
         ready(client)
-        arguments = ("gravity", stack.path, "--rolls", 8, "--clear", 0.4)
+        arguments = ("gravity", stack.path, "--rolls", 4, "--clear", 0.4)
         calibrate(stack, *arguments, mend=lambda: ready(client))
         assert client.do("status")["state"] == "ready"
     assert "Traceback" not in stack.children["daemon"].all_said

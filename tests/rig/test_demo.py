@@ -122,20 +122,15 @@ def test_it_runs_beside_busy_ports_and_ends_by_itself_with_a_summary(demo):
     assert check.returncode == 0, check.stdout + check.stderr  # what was live is said again, bit for bit
 
 
-def test_nothing_is_recorded_when_that_is_not_wanted(demo):
-    running = demo("--seconds", "1", "--seed", "3", "--no-record")
-    running.end()
-    assert list(running.here.iterdir()) == []
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_it_ends_when_it_is_asked_to(demo, number):
-    running = demo("--seed", "3")
+@pytest.mark.parametrize(("number", "record"), [(signal.SIGINT, ()), (signal.SIGTERM, ("--no-record",))])
+def test_it_ends_when_it_is_asked_to_and_records_unless_that_is_not_wanted(demo, number, record):
+    running = demo("--seed", "3", *record)
     running.wait_for("0 s  tracking")
     running.process.send_signal(number)
     status, out, _ = running.end()
     assert status == 3
     assert "shape observer never settled" in out
+    assert bool(list(running.here.iterdir())) == (not record)
 
 
 @pytest.mark.parametrize("child", ["run", "rig"])

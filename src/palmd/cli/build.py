@@ -18,7 +18,12 @@ _PATIENCE_S = 2.0
 Part = tuple[str, Callable[[], str]]
 """What it is, and what makes it or finds it made, and says how it runs."""
 
-_BACKENDS = {"c": "compiled C", "vm": "CasADi's virtual machine, no compiled C", "numpy": "NumPy, nothing to compile"}
+_BACKENDS = {
+    "c": "compiled C",
+    "vm": "CasADi's virtual machine, no compiled C",
+    "numpy": "NumPy, nothing to compile",
+    "python": "Python, no compiled C",
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,7 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
         for each in needed_by(any_configured(arguments.config)):
             _told(*each)
         return 0
-    for each in [*_observers(), *_of_palms(curved=False), *_beside()]:
+    for each in [*_observers(), *_of_palms(curved=False), *_beside(), *_emulated()]:
         _told(*each)
     if arguments.all:
         for each in [*_of_palms(curved=True), *_other_systems()]:
@@ -107,6 +112,12 @@ def _beside() -> list[Part]:
     from palmd.model import pivot
 
     return [("pivoting grasp", lambda: pivot.library().backend)]
+
+
+def _emulated() -> list[Part]:
+    from palmd.rig import compiled_plant
+
+    return [("emulated rig", compiled_plant.backend)]
 
 
 def _other_systems() -> list[Part]:

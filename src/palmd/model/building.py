@@ -45,17 +45,17 @@ def build(name: str, kernels: Sequence[Kernel], written: Sequence[Path], note: P
                 files[-1].write_text(text, encoding="utf-8")
         library = note.with_name(f"{name}-{key_of(b''.join(each.read_bytes() for each in files))}.so")
         if not (library.exists() and _sound(library, kernels)):
-            _compile(compiler, files, kernels, library)
+            _compile(compiler, files, kernels, library, Path(folder))
         told = Path(folder) / "note.json"
         told.write_text(note_of(_signatures(kernels), library), encoding="utf-8")
         told.replace(note)
     return True
 
 
-def _compile(compiler: str, files: Sequence[Path], kernels: Sequence[Kernel], library: Path) -> None:
-    built = files[-1].with_name("built.so")
+def _compile(compiler: str, files: Sequence[Path], kernels: Sequence[Kernel], library: Path, folder: Path) -> None:
+    built = folder / "built.so"
     command = [compiler, *FLAGS, "-I", str(Path(__file__).parent)]
-    objects = [str(built.with_name(f"{each.stem}.o")) for each in files]
+    objects = [str(folder / f"{each.stem}.o") for each in files]
 
     def run(*arguments: str) -> None:
         subprocess.run([*command, *arguments], check=True, capture_output=True, text=True)

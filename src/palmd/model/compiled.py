@@ -121,11 +121,13 @@ def load(
 ) -> Library:
     """The library called `name` from the cache (or `folder`); what is not there yet is built, from `kernels()`.
 
-    `written`: files of C in this package that are compiled with it. Takes seconds the
+    `written`: files of C that are compiled with it, in this package or by their absolute paths. Takes seconds the
     first time and a millisecond afterwards; not for use inside the loop. Never raises for want of a compiler or of a
     writable cache: it falls back to the virtual machine with a warning.
     """
-    note = (folder or cache_directory()) / f"{name}-{key_of(_sources())}.json"
+    files = [_PACKAGE / each for each in written]
+    key = key_of(_sources() + b"".join(each.read_bytes() for each in files))
+    note = (folder or cache_directory()) / f"{name}-{key}.json"
     found = _opened(note)
     if found is not None:
         return found
@@ -133,7 +135,7 @@ def load(
 
     made = list(kernels())
     try:
-        if building.build(name, made, [_PACKAGE / each for each in written], note):
+        if building.build(name, made, files, note):
             found = _opened(note)
         else:
             log.warning("no C compiler: observers run on CasADi's virtual machine (install gcc for speed)")

@@ -243,10 +243,11 @@ class QuasistaticObserver:
         if first is None:
             return
         felt, astray = first
-        self._circle = float(sum(felt.contacts) / 2 * np.tan(felt.joints[OPENING] / 2))
-        if astray > JUMP_M or self._circle > MOST_RADIUS_M:  # which all would run away from: palms almost in one line
+        circle = float(sum(felt.contacts) / 2 * np.tan(felt.joints[OPENING] / 2))
+        if astray > JUMP_M or not circle < MOST_RADIUS_M:  # beyond all measure where the palms are parallel
             self._t_first = t
             return
+        self._circle = circle
         spread = Spread(self._circle, FIRST_WIDTH * self._circle, 0.0, FIRST_BALANCE_M)
         self._leader = MultiStart(spread, felt, 0.0, self._circle, STEP_S)
         self.object_count += 1

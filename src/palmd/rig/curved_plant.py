@@ -113,6 +113,9 @@ class CurvedPlant(Plant):
         )
         self._theta = [0.0, 0.0]  # the nearest points' normals in the body's frame, where they were last
 
+    def _compiled_step(self) -> None:
+        """None is written for arcs."""
+
     # -- placing and looking ------------------------------------------------------------------------------
 
     def place(self, palms: PalmMotion, psi: float, omega0: float = 0.0) -> None:

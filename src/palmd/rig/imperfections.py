@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from operator import add
 from typing import Any, TypeVar
 
 import numpy as np
@@ -66,9 +67,10 @@ class Imperfections:
 
     def true_palms(self, told: PalmMotion) -> PalmMotion:
         """Where the palms really are, from what is told of them."""
-        if not any(self._off):
+        off = self._off
+        if not any(off):
             return told
-        return replace(told, angles=tuple(angle + off for angle, off in zip(told.angles, self._off, strict=True)))
+        return PalmMotion(tuple(map(add, told.angles, off)), told.rates, told.accelerations)
 
     @property
     def _off(self) -> Joints:

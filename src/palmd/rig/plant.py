@@ -23,6 +23,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from palmd.events import PalmMotion
+from palmd.rig.compiled_plant import Step, step_of
 from palmd.rig.imperfections import PERFECT, Imperfections
 from palmd.rig.shapes import Body, Kind
 from palmd.system.description import HingeMode
@@ -34,6 +35,7 @@ PAD_LENGTH = 0.0555  # m, from the hinge outwards
 _COULOMB_SLIP = 1e-3  # m/s: the hard law's linear part, as steep as a 0.5 ms step allows
 _DRIFT_RATE = 80.0  # 1/s: numerical drift of a closed gap is pulled back at this rate, critically damped
 _SOFT_BLOW = 0.02  # m/s: below it a blow closes both contacts, or they would chatter for ever
+_PARTING = 1e-9  # m/s: what goes apart faster after a blow has let go
 _SEATINGS = 4  # until planes and contacts of bowed palms agree, each a hundred times better than the last
 _LEVEL = 1e-9  # m: a COM that turning lifts by no more rests at any angle
 _LOST_DISTANCE = 0.25  # m from the hinge: an object this far is on the floor
@@ -202,6 +204,20 @@ class Plant:
         self._on1 = self._on2 = False
         self._frame = palm_frame(self.hinge, PalmMotion.at_rest((0.8, 1.6)))
         self._rates: _Rates = (0.0, 0.0, 0.0, 0.0, 0.0)
+        self._compiled = self._compiled_step()
+
+    def _compiled_step(self) -> Step | None:
+        """`advance` and all that it calls as one call, for bodies and palms that it serves."""
+        hinge, surface, pads = self.hinge, self.surface, zip(self._pads, self.reach, strict=True)
+        return step_of(
+            self.body.support,
+            [(pad.sagitta, pad.standoff, length) for pad, length in pads],
+            rho2=self.body.rho**2, mu=surface.mu, dither=surface.dither, damping=surface.damping,
+            friction1=self._friction1, friction2=self._friction2, gravity=self.gravity, shake=self._shake,
+            shaking_hz=_SHAKING_HZ, travel=hinge.palm1_length, base=hinge.base, drift_rate=_DRIFT_RATE,
+            coulomb_slip=_COULOMB_SLIP, soft_blow=_SOFT_BLOW, parting=_PARTING, lost_distance=_LOST_DISTANCE,
+            coulomb=self.law == "coulomb", arc=hinge.mode == "arc", bowed=self._bowed,
+        )  # fmt: skip
 
     # -- placing and looking ------------------------------------------------------------------------------
 
@@ -265,8 +281,11 @@ class Plant:
         if self.fallen:
             self._frame = palm_frame(self.hinge, end, self._planes)
             return
-        self._follow_the_surfaces()
         self._t += dt
+        if self._compiled is not None:
+            self._advance_compiled(self._compiled, middle, end, dt)
+            return
+        self._follow_the_surfaces()
         q = self.state
         x, y, psi, vx, vy, w = q.x, q.y, q.psi, q.vx, q.vy, q.omega0
         half, sixth = 0.5 * dt, dt / 6.0
@@ -286,6 +305,19 @@ class Plant:
         q.omega0 = w + sixth * (al1 + 2.0 * (al2 + al3) + al4)
         self._frame = last
         self._settle_contacts()
+
+    def _advance_compiled(self, step: Step, middle: PalmMotion, end: PalmMotion, dt: float) -> None:
+        q, (plane1, plane2) = self.state, self._planes
+        after = step(
+            q.x, q.y, q.psi, q.vx, q.vy, q.omega0, *self._rates, *self._frame, *plane1, *plane2,
+            self._on1, self._on2, self.fallen, self._t, *middle.angles, *middle.rates, *middle.accelerations,
+            *end.angles, *end.rates, *end.accelerations, dt,
+        )  # fmt: skip
+        q.x, q.y, q.psi, q.vx, q.vy, q.omega0, ax, ay, al, f1, f2 = after[:11]
+        slope1, above1, slope2, above2, on1, on2, fallen = after[29:]
+        self._rates, self._frame = (ax, ay, al, f1, f2), PalmFrame._make(after[11:29])
+        self._planes = (slope1, above1), (slope2, above2)
+        self._on1, self._on2, self.fallen = on1 != 0.0, on2 != 0.0, fallen != 0.0
 
     def _follow_the_surfaces(self) -> None:
         """Where they are bowed, takes the planes that touch them where the body is nearest."""
@@ -351,7 +383,7 @@ class Plant:
         q.vy += p1 * n1y + p2 * n2y
         q.omega0 += (p1 * d1 + p2 * d2) * j
         rate1, rate2 = self._gap_rates(frame, q)
-        self._on1, self._on2 = self._on1 and rate1 <= 1e-9, self._on2 and rate2 <= 1e-9
+        self._on1, self._on2 = self._on1 and rate1 <= _PARTING, self._on2 and rate2 <= _PARTING
 
     def _distances(self) -> tuple[float, float]:
         return _contact_distances(self.body, self._frame, self.state)
@@ -451,7 +483,10 @@ class Plant:
     def _gravity_now(self) -> float:
         if not self._shake:
             return self.gravity
-        return self.gravity + self._shake * sum(math.sin(math.tau * f * self._t) for f in _SHAKING_HZ)  # on the table
+        swings = 0.0
+        for f in _SHAKING_HZ:
+            swings += math.sin(math.tau * f * self._t)
+        return self.gravity + self._shake * swings  # on the table
 
     def _friction(self, slip: float) -> float:
         """Tangential over normal force at a slip speed (m/s): µ·u/√(u²+u_d²), or hard Coulomb's µ·sign u."""
