@@ -25,7 +25,7 @@ from palmd.observer.smoother import Posterior
 from palmd.system.description import AS_CALIBRATED, RigDescription
 from palmd.system.rig_constants import prior_sds
 
-CONTRADICTED = 1.5  # nats, of all explanations together against what is believed: of clean rigs 1 in 100 comes there
+CONTRADICTED = 0.5  # nats, of all explanations together against what is believed: of clean rigs 1 in 100 comes there
 STILL = -1.0  # and what has been contradicted is still
 DOUBTED = -1.4  # nats, from which on they are in the bands: 1 to 4
 NAMED = 0.25  # share of the explanations that a constant must be in
@@ -114,11 +114,10 @@ def criticised(
     opened = np.sqrt(believed**2 + wrong * (share @ square))
     if odds < (STILL if before.any() else CONTRADICTED):
         return Criticism(NOTHING, opened, odds)
-    doubtful = believed < FREE_SD
     best = among[int(np.argmax(log_weight))]
     left = _sigmas(*_score(values, covariance, sd, np.where(best, FREE_SD, believed)))
-    if np.abs(left[doubtful]).max() > BEYOND_ALL:
-        return Criticism(np.where(doubtful, _sigmas(K, q), 0.0), np.maximum(believed, FREE_SD), odds)
+    if np.abs(left[believed < FREE_SD]).max() > BEYOND_ALL:
+        opened = np.maximum(believed, FREE_SD)
     found = np.zeros(RIG_CONSTANTS)
     for k in np.flatnonzero(share @ among >= NAMED):
         together = np.flatnonzero(among[int(np.argmax(np.where(among[:, k], log_weight, -math.inf)))])
