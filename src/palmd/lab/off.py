@@ -246,7 +246,7 @@ def with_constants(rest: Imperfections, values: Mapping[str, float]) -> Imperfec
 
 
 def _names(contradicted: Iterable[float]) -> tuple[str, ...]:
-    return tuple(name for name, z in zip(RIG_NAMES, contradicted, strict=True) if z != 0.0)
+    return tuple(name for name, z in zip(RIG_NAMES, contradicted, strict=False) if z != 0.0)
 
 
 # ------------------------------------------------------------------------------------------------------ told

@@ -34,7 +34,8 @@ TIMES = (1.0, 3.0, 10.0)  # what calibration leaves
 MOST_TOGETHER = 3  # constants that are off at a time
 BEYOND_ALL = 5.0  # sigmas that the best explanation may leave of any constant, before nothing is taken at its word
 KNOWN = 1e-7  # one-sigma, in SI units, of what is exactly as described: small, and a number to divide by
-SAME = 1.5  # one-sigmas that differ by less are no reason to fit anew
+SAME = 1.5  # one-sigmas that differ by less are no reason to fit anew,
+LITTLE = 0.1  # nor those that are less of what calibration leaves
 MOST_REVISIONS = 4  # of what is believed of the rig, in one answer
 NOTHING: FloatArray = np.zeros(RIG_CONSTANTS)
 LEFT: FloatArray = prior_sds(RigDescription().known_to(AS_CALIBRATED))
@@ -65,8 +66,8 @@ class RigBelief:
         """For the moment nothing is taken at its word."""
         return replace(self, sd=np.maximum(self.told, FREE_SD))
 
-    def after(self, p: FloatArray, posterior: Posterior | None) -> RigBelief:
-        """What constants `p` found under this belief leave of it; the same where they are no minimum.
+    def after(self, posterior: Posterior | None) -> RigBelief:
+        """What is left of it by a `posterior` under this belief; the same where there is none.
 
         What they contradict is open, what they no longer contradict is as told. `sd` is the same object where that
         hardly changes it.
@@ -74,10 +75,12 @@ class RigBelief:
         if posterior is None:
             return self
         try:
-            found = criticised(p[RIG], posterior.covariance[RIG, RIG], self.sd, self.told, self.contradicted)
+            of_rig = posterior.constants[RIG], posterior.covariance[RIG, RIG]
+            found = criticised(*of_rig, self.sd, self.told, self.contradicted)
         except np.linalg.LinAlgError:
             return self
-        hardly = bool((np.abs(np.log(found.sd / self.sd)) < math.log(SAME)).all())
+        one, other = (np.maximum(sd, LITTLE * LEFT) for sd in (found.sd, self.sd))
+        hardly = bool((np.abs(np.log(one / other)) < math.log(SAME)).all())
         return replace(self, contradicted=found.contradicted, sd=self.sd if hardly else found.sd)
 
     def within(self, guess: Guess) -> Guess:

@@ -165,7 +165,7 @@ def _refined(search: Search, finding: Minima, segment: DataSegment, rig: RigDesc
     record, fit = finer.record, finer.fits[0]
     smoother = Smoother(search.library, record, prior)
     for _ in range(MOST_REVISIONS):
-        then = belief.after(fit.guess.p, smoother.posterior_if_any(fit))
+        then = belief.after(smoother.posterior_if_any(fit))
         if np.array_equal(then.sd, belief.sd):
             break
         belief = then

@@ -9,10 +9,13 @@ from scipy.stats import kstest, multivariate_normal
 from simulated import Run, palms_changed, simulated
 
 from palmd.events import PadSample, PalmSample
-from palmd.model.smoothing import RIG_CONSTANTS, R
-from palmd.observer.criticism import FREE_SD, LEFT, SELDOM, TIMES, criticised
+from palmd.model.smoothing import RIG, RIG_CONSTANTS, C, R
+from palmd.observer.criticism import FREE_SD, KNOWN, LEFT, SELDOM, TIMES, RigBelief, criticised
+from palmd.observer.data_segment import data_segments
 from palmd.observer.incremental import IncrementalSmoother
 from palmd.observer.reconstruct import reconstruct
+from palmd.observer.search import Attempt, Search
+from palmd.observer.smoother import Smoother
 from palmd.observer.smoothing import Session
 from palmd.score import score_outline
 from palmd.system.description import AS_CALIBRATED, RigDescription
@@ -156,3 +159,20 @@ def test_a_smoother_beside_the_loop_names_it_too_and_mends_what_it_knew():
     assert [RIG_NAMES[i] for i in np.flatnonzero(told[-1].contradicted)] == ["pad1_zero_m"]
     assert told[-1].established
     assert abs(told[-1].rig[R.ZERO] - 3e-4) < 3 * told[-1].rig_sd[R.ZERO] < 2e-4
+
+
+def test_what_is_all_but_certain_is_not_judged_by_where_the_iteration_ended():
+    """A tenth of a micrometre is worth no iteration, and yet 10 sigmas of what readings say of such a constant."""
+    run = simulated("friction", 42, 4.0)
+    (segment,) = data_segments(run.events)
+    search = Search(segment, run.rig)
+    found = search.blind(Attempt(2.0, 3), 0)
+    assert found is not None
+    fit, smoother = found.fits[0], Smoother(search.library, found.record, search.prior)
+    p = fit.guess.p.copy()
+    p[C.RIG + R.SAGITTA] -= KNOWN
+    here, there = (smoother.posterior(replace(fit, guess=replace(fit.guess, p=each))) for each in (fit.guess.p, p))
+    belief = RigBelief.of(run.rig)
+    assert there.constants[RIG] == pytest.approx(here.constants[RIG], abs=0.1 * KNOWN)
+    assert not belief.after(here).contradicted.any()
+    assert not belief.after(there).contradicted.any()
