@@ -24,7 +24,7 @@ from palmd.console.arguments import seed
 from palmd.console.configured import configured
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.model.smoothing import R
-from palmd.observer.criticism import RigBelief, contradicted, freed
+from palmd.observer.criticism import RigBelief, criticised
 from palmd.observer.reconstruct import reconstruct
 from palmd.observer.reconstruction import Reconstruction
 from palmd.record.eventlog import EventLog, LogError, read_log
@@ -81,11 +81,11 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def fitted(answers: Sequence[Reconstruction], rig: RigDescription) -> RigFit:
-    """What all runs tell of the rig; as in each run, nothing is taken for known of a constant that they contradict."""
+    """What all runs tell of the rig; constants are open, as in each run, by how much speaks against their priors."""
     known = RigBelief.of(rig).told
-    runs = [(each.rig, each.rig_covariance, freed(known, each.contradicted)) for each in answers]
+    runs = [(each.rig, each.rig_covariance, each.rig_prior_sd) for each in answers]
     together = combined(runs, known)
-    return combined(runs, freed(known, contradicted(together.values, together.covariance, known, known)))
+    return combined(runs, criticised(together.values, together.covariance, known, known).sd)
 
 
 def table(fit: RigFit, runs: int) -> str:

@@ -49,7 +49,8 @@ Spoil = Callable[[list[Event], Random], list[Event]]
 class Off:
     """What is off: constants of the rig by their published names (SI), other laws of the plant, or the readings.
 
-    Where no constant is, none may be named. told: touch can tell it at all.
+    Where no constant is, none may be named but `as_well`: those whose name is as right, because touch cannot tell them
+    from what is off, or because that is what it comes to.
     """
 
     name: str
@@ -57,7 +58,7 @@ class Off:
     vibration: float = 0.0
     options: PlantOptions = field(default_factory=PlantOptions)
     spoil: Spoil | None = None
-    told: bool = True
+    as_well: tuple[str, ...] = ()
 
 
 def _batched(events: list[Event], _random: Random) -> list[Event]:
@@ -100,12 +101,12 @@ OFF: tuple[Off, ...] = (
     Off("pad 1's zero 0.1 mm", {"pad1_zero_m": 1e-4}),
     Off("pad 1's zero 0.3 mm", {"pad1_zero_m": 3e-4}),
     Off("both zeros 0.3 mm", {"pad1_zero_m": 3e-4, "pad2_zero_m": 3e-4}),
-    Off("pad 2's scale 1 %", {"pad2_scale": 0.01}),
+    Off("pad 2's scale 1 %", {"pad2_scale": 0.01}, as_well=("pad1_scale",)),  # of their mean nothing is told
     Off("φ1 0.3°", {"phi1_rad": math.radians(0.3)}),
     Off("gravity 0.5°", {"phi1_rad": math.radians(0.5)}),
     Off("φ2 0.3°", {"phi2_rad": math.radians(0.3)}),
     Off("φ2 1°", {"phi2_rad": math.radians(1.0)}),
-    Off("pad 1 0.5 mm high", {"pad1_standoff_m": 5e-4}, told=False),
+    Off("pad 1 0.5 mm high", {"pad1_standoff_m": 5e-4}),
     Off("pad 1 bowed 0.1 mm", {"pad1_sagitta_m": 1e-4}),
     Off("pad 1 bowed 0.3 mm", {"pad1_sagitta_m": 3e-4}),
     Off("pad 1 0.1 mm/N", {"pad1_force_m_per_n": 1e-4}),
@@ -115,7 +116,7 @@ OFF: tuple[Off, ...] = (
     Off("pad 2 15 ms late", {"pad2_lag_s": 0.015}),
     Off("stick-slip", options=PlantOptions(friction_law="coulomb")),
     Off("vibration 0.3 m/s²", vibration=0.3),
-    Off("16 ms batches", spoil=_batched),
+    Off("16 ms batches", spoil=_batched, as_well=("pad1_lag_s", "pad2_lag_s")),
     Off("5 % outliers", spoil=_each_reading(_outlier)),
     Off("30 % dropped", spoil=_each_reading(_dropped)),
     Off("Student's noise", spoil=_each_reading(_student)),
@@ -245,7 +246,7 @@ def with_constants(rest: Imperfections, values: Mapping[str, float]) -> Imperfec
 
 
 def _names(contradicted: Iterable[float]) -> tuple[str, ...]:
-    return tuple(name for name, z in zip(RIG_NAMES, contradicted, strict=True) if z != 0.0)
+    return tuple(name for name, z in zip(RIG_NAMES, contradicted, strict=False) if z != 0.0)
 
 
 # ------------------------------------------------------------------------------------------------------ told
@@ -303,9 +304,10 @@ def verdict(off: Off, named: Sequence[str]) -> str:
     """What is off is named alone (`right`) or `with others`; something else is (`wrong`), or nothing (`none`)."""
     if not named:
         return "none"
-    if not set(off.constants) & set(named):
+    right = {*off.constants, *off.as_well}
+    if not right & set(named):
         return "wrong"
-    return "right" if set(named) <= set(off.constants) else "with others"
+    return "right" if set(named) <= right else "with others"
 
 
 def _remarks(rows: Iterable[OffRow]) -> Iterable[str]:

@@ -1,20 +1,22 @@
 """Model criticism: which of the rig's constants are not what the rig is taken for, and what is believed instead. Pure.
 
-A constant with prior N(0, σ²) that readings tell as v with variance P pulls at its prior by v/σ². Were the prior true
-that would have variance (σ² − P)/σ⁴, so z = v/√(σ² − P) is standard normal: of all tests the sharpest against a shift
-of this constant alone (the score test; Rao 1948). The one with the largest z is given free, then the next, as long as
-one is contradicted: a shift shows in the z of all constants that are told together with it. Where as many others, given
-free together, explain the readings nearly as well by their marginal likelihood, it may be these, and they are free too.
+Readings tell the rig's constants as a Gaussian. Beside what is believed beforehand stand explanations: of one, two or
+three constants each is off by N(0, D²), D a few times what calibration leaves, the rest as believed. With q the score
+of the readings under what is believed and K its covariance, an explanation of the constants S is likelier by
+½ qᵀ(D⁻² + K)⁻¹ q − ½ ln|1 + D K D| (restricted to S; Rao 1948 for the score, Kass and Raftery 1995 for the factor). So
+one that needs more constants, or that readings would tell worse, pays for it, and explanations that readings cannot
+tell apart share what is believed. A constant is open to the root of its expected square over all of them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from itertools import combinations
+from functools import cache
+from itertools import combinations, product
 
 import numpy as np
+import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.model.smoothing import RIG, RIG_CONSTANTS
@@ -23,15 +25,23 @@ from palmd.observer.smoother import Posterior
 from palmd.system.description import AS_CALIBRATED, RigDescription
 from palmd.system.rig_constants import prior_sds
 
-CONTRADICTED = 4.0  # z: 1 of 1,000 clean rigs has one of 15 constants beyond it
-STILL = 3.0  # and what has been contradicted is still
+CONTRADICTED = 0.5  # nats, of all explanations together against what is believed: of clean rigs 1 in 100 comes there
+STILL = -1.0  # and what has been contradicted is still
+DOUBTED = -1.4  # nats, from which on they are in the bands: 1 to 4
+NAMED = 0.25  # share of the explanations that a constant must be in
+SELDOM = math.log(0.01)  # that one constant is off, beforehand
+TIMES = (1.0, 3.0, 10.0)  # what calibration leaves
+MOST_TOGETHER = 3  # constants that are off at a time
+BEYOND_ALL = 5.0  # sigmas that the best explanation may leave of any constant, before nothing is taken at its word
 KNOWN = 1e-7  # one-sigma, in SI units, of what is exactly as described: small, and a number to divide by
-RIVAL_NATS, MOST_TOGETHER = 5.0, 3  # of explanations as likely, and of constants that are off at a time
+SAME = 1.5  # one-sigmas that differ by less are no reason to fit anew,
+LITTLE = 0.1  # nor those that are less of what calibration leaves
 MOST_REVISIONS = 4  # of what is believed of the rig, in one answer
-NOISE = 1e-14  # of a precision against the prior's: what is left when one is taken from the other
 NOTHING: FloatArray = np.zeros(RIG_CONSTANTS)
-FREE_SD: FloatArray = 10.0 * prior_sds(RigDescription().known_to(AS_CALIBRATED))
-"""One-sigma of constants that are not what they were taken for."""
+LEFT: FloatArray = prior_sds(RigDescription().known_to(AS_CALIBRATED))
+"""One-sigma of the constants of a calibrated rig."""
+FREE_SD: FloatArray = TIMES[-1] * LEFT
+"""One-sigma of constants that are not what they were taken for, nobody knows by how much."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,18 +66,22 @@ class RigBelief:
         """For the moment nothing is taken at its word."""
         return replace(self, sd=np.maximum(self.told, FREE_SD))
 
-    def after(self, p: FloatArray, posterior: Posterior | None) -> RigBelief:
-        """What constants `p` found under this belief leave of it; the same where they are no minimum.
+    def after(self, posterior: Posterior | None) -> RigBelief:
+        """What is left of it by a `posterior` under this belief; the same where there is none.
 
-        What they contradict is free, what they no longer contradict is as told.
+        What they contradict is open, what they no longer contradict is as told. `sd` is the same object where that
+        hardly changes it.
         """
         if posterior is None:
             return self
         try:
-            found = contradicted(p[RIG], posterior.covariance[RIG, RIG], self.sd, self.told, self.contradicted)
+            of_rig = posterior.constants[RIG], posterior.covariance[RIG, RIG]
+            found = criticised(*of_rig, self.sd, self.told, self.contradicted)
         except np.linalg.LinAlgError:
             return self
-        return replace(self, contradicted=found, sd=freed(self.told, found))
+        one, other = (np.maximum(sd, LITTLE * LEFT) for sd in (found.sd, self.sd))
+        hardly = bool((np.abs(np.log(one / other)) < math.log(SAME)).all())
+        return replace(self, contradicted=found.contradicted, sd=self.sd if hardly else found.sd)
 
     def within(self, guess: Guess) -> Guess:
         """A guess with no constant of the rig beyond its one-sigma, to go on from under this belief."""
@@ -76,75 +90,98 @@ class RigBelief:
         return replace(guess, p=p)
 
 
-def contradicted(
-    values: FloatArray, covariance: FloatArray, sd: FloatArray, believed: FloatArray, before: FloatArray = NOTHING
-) -> FloatArray:
-    """The z of each constant of the rig that contradicts what is `believed` of it, 0 of the others.
+@dataclass(frozen=True, slots=True)
+class Criticism:
+    """What readings leave of a belief: as in `RigBelief`; odds: of its being wrong in something, natural logarithm."""
 
-    `values` and `covariance` are the posterior of the rig's constants under a prior of mean 0 and one-sigma `sd`;
-    `believed`, from `FREE_SD` on, cannot be contradicted. What did so `before` does down to `STILL`. Raises LinAlgError
-    for a covariance that is none.
+    contradicted: FloatArray
+    sd: FloatArray
+    odds: float
+
+
+def criticised(
+    values: FloatArray, covariance: FloatArray, sd: FloatArray, believed: FloatArray, before: FloatArray = NOTHING
+) -> Criticism:
+    """What is left of one-sigmas `believed` of the rig's constants.
+
+    `values` and `covariance` are the posterior of the rig's constants under a prior of mean 0 and one-sigma `sd`. What
+    was contradicted `before` is down to `STILL`. Raises LinAlgError for a covariance that is none.
     """
+    K, q = _score(values, covariance, sd, believed)
+    among, log_weight, square = _explanations(K, q, believed)
+    odds = float(np.logaddexp.reduce(log_weight, initial=-math.inf))
+    if odds < DOUBTED:
+        return Criticism(NOTHING, believed, odds)
+    share = np.exp(log_weight - odds)
+    wrong = 1.0 / (1.0 + math.exp(-odds))
+    opened = np.sqrt(believed**2 + wrong * (share @ square))
+    if odds < (STILL if before.any() else CONTRADICTED):
+        return Criticism(NOTHING, opened, odds)
+    best = among[int(np.argmax(log_weight))]
+    left = _sigmas(*_score(values, covariance, sd, np.where(best, FREE_SD, believed)))
+    if np.abs(left[believed < FREE_SD]).max() > BEYOND_ALL:
+        opened = np.maximum(believed, FREE_SD)
+    found = np.zeros(RIG_CONSTANTS)
+    for k in np.flatnonzero(share @ among >= NAMED):
+        together = np.flatnonzero(among[int(np.argmax(np.where(among[:, k], log_weight, -math.inf)))])
+        found[k] = _sigmas_together(K, q, together)[together == k][0]
+    return Criticism(found, opened, odds)
+
+
+@cache
+def _sets(size: int) -> npt.NDArray[np.intp]:
+    return np.array(list(combinations(range(RIG_CONSTANTS), size)), np.intp)
+
+
+def _explanations(
+    K: FloatArray, q: FloatArray, believed: FloatArray
+) -> tuple[npt.NDArray[np.bool_], FloatArray, FloatArray]:
+    """Which constants are in each explanation (n, 15), its log odds (n,), by how much they are off, squared (n, 15).
+
+    None that readings would rather have with one constant less, by the ratio of densities at 0 (Dickey 1971).
+    """
+    found = []
+    for times, size in product(TIMES, range(1, MOST_TOGETHER + 1)):
+        sets = _sets(size)[(times * LEFT > believed)[_sets(size)].all(axis=1)]
+        D = times * LEFT[sets]
+        A = np.eye(size) + D[:, :, None] * K[sets[:, :, None], sets[:, None, :]] * D[:, None, :]
+        left = np.linalg.inv(A)  # of N(0, 1), by the readings
+        variance = np.diagonal(left, axis1=1, axis2=2)
+        mean = np.einsum("nij,nj->ni", left, D * q[sets])
+        gain = 0.5 * (D * q[sets] * mean).sum(axis=1) - 0.5 * np.linalg.slogdet(A)[1]
+        needed = (np.log(variance) + mean**2 / variance > 0.0).all(axis=1)
+        among, square = np.zeros((len(sets), RIG_CONSTANTS), dtype=np.bool_), np.zeros((len(sets), RIG_CONSTANTS))
+        np.put_along_axis(among, sets, True, axis=1)
+        np.put_along_axis(square, sets, D**2 * (mean**2 + variance), axis=1)
+        found.append((among[needed], gain[needed] + size * SELDOM - math.log(len(TIMES)), square[needed]))
+    among, log_weight, square = (np.concatenate(each) for each in zip(*found, strict=True))
+    return among, log_weight, square
+
+
+def _score(
+    values: FloatArray, covariance: FloatArray, sd: FloatArray, believed: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(K, q): the score of the readings where all constants are 0 ± `believed`, and its covariance K."""
     scale = 1.0 / np.sqrt(np.diagonal(covariance))
     precision = np.linalg.inv(covariance * np.outer(scale, scale)) * np.outer(scale, scale)
-    told, pull = precision - np.diag(sd**-2.0), precision @ values
-    limit, found = np.where(before != 0.0, STILL, CONTRADICTED), np.zeros(RIG_CONSTANTS)
-    while (fixed := freed(believed, found) < FREE_SD).any():
-        z = np.where(fixed, _scores(told, pull, freed(believed, found) ** -2.0), 0.0)
-        worst = int(np.argmax(np.abs(z) / limit))
-        if abs(z[worst]) < limit[worst]:
-            break
-        found[worst] = z[worst]
-    if found.any():
-        return _with_rivals(found, _scores(told, pull, believed**-2.0), told, pull, believed)
-    return found
+    told = (precision - np.diag(sd**-2.0)) * np.outer(believed, believed)
+    # by its principal axes, so that nothing cancels where what is believed is all but certain, or hardly anything
+    size, axes = np.linalg.eigh((told + told.T) / 2)
+    size = np.maximum(size, 0.0)
+    K = (axes * (size / (1.0 + size))) @ axes.T
+    q = axes @ ((axes.T @ (believed * (precision @ values))) / (1.0 + size))
+    return K / np.outer(believed, believed), q / believed
 
 
-def _with_rivals(
-    found: FloatArray, z: FloatArray, told: FloatArray, pull: FloatArray, believed: FloatArray
-) -> FloatArray:
-    """`found` with those constants that may be off in the place of some of these; their `z` as `believed`."""
-    open_to_doubt = np.flatnonzero(believed < FREE_SD)
-    size = np.count_nonzero(found)
-    if size > MOST_TOGETHER:
-        return np.where(believed < FREE_SD, np.where(found != 0.0, found, z), 0.0)
-    sets: list[tuple[int, ...]] = list(combinations(open_to_doubt.tolist(), int(size)))
-    likely = [_log_likelihood(told, pull, freed(believed, _marked(each)) ** -2.0) for each in sets]
-    together, likeliest = found.copy(), max(likely)
-    for each, value in zip(sets, likely, strict=True):
-        if value > likeliest - RIVAL_NATS:
-            for k in each:
-                together[k] = found[k] or z[k]
-    return together
+def _sigmas(K: FloatArray, q: FloatArray) -> FloatArray:
+    """Of each constant by itself, were all others as believed: standard normal where they are."""
+    variance = np.diagonal(K)
+    sigmas: FloatArray = np.divide(q, np.sqrt(variance), out=np.zeros_like(q), where=variance > 0.0)
+    return sigmas
 
 
-def _marked(chosen: Iterable[int]) -> FloatArray:
-    marks = np.zeros(RIG_CONSTANTS)
-    marks[list(chosen)] = 1.0
-    return marks
-
-
-def _log_likelihood(told: FloatArray, pull: FloatArray, prior: FloatArray) -> float:
-    """Marginal likelihood of the readings under a prior of these precisions, up to a constant of the readings."""
-    scale = 1.0 / np.sqrt(np.diagonal(told) + prior)
-    root = np.linalg.cholesky((told + np.diag(prior)) * np.outer(scale, scale))
-    solved = np.linalg.solve(root, scale * pull)
-    log_determinant = 2.0 * float(np.log(np.diagonal(root)).sum() - np.log(scale).sum())
-    return 0.5 * (float(solved @ solved) + float(np.log(prior).sum()) - log_determinant)
-
-
-def freed(sd: FloatArray, found: FloatArray) -> FloatArray:
-    """One-sigmas `sd` of the rig's constants, where those free that were `found` to contradict theirs."""
-    return np.where(found != 0.0, np.maximum(sd, FREE_SD), sd)
-
-
-def _scores(told: FloatArray, pull: FloatArray, prior: FloatArray) -> FloatArray:
-    """z of each constant: the readings' information matrix is `told`, their information vector `pull`."""
-    scale = 1.0 / np.sqrt(np.diagonal(told) + prior)
-    both = (told + np.diag(prior)) * np.outer(scale, scale)
-    score = prior * scale * np.linalg.solve(both, scale * pull)
-    # prior − prior P prior, written so that nothing cancels where the prior is all but certain
-    own = told * scale
-    variance = np.diagonal(told) - (own * np.linalg.solve(both, own.T).T).sum(axis=1)
-    z: FloatArray = score / np.sqrt(np.where(variance > NOISE * prior, variance, math.inf))
-    return z
+def _sigmas_together(K: FloatArray, q: FloatArray, which: npt.NDArray[np.intp]) -> FloatArray:
+    """Of each of `which`, the others of these being open."""
+    inverse = np.linalg.pinv(K[np.ix_(which, which)], hermitian=True)
+    sigmas: FloatArray = inverse @ q[which] / np.sqrt(np.diagonal(inverse))
+    return sigmas

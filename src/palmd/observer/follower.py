@@ -119,7 +119,7 @@ class Follower:
         """From where to go on when the readings tell that the rig is not what it is taken for; None when they don't."""
         fit = answer.finding.fits[0]
         before = self._belief
-        self._belief = before.after(fit.guess.p, answer.posterior)
+        self._belief = before.after(answer.posterior)
         if np.array_equal(self._belief.sd, before.sd):
             return None
         self._chain.revise(self._belief.sd**-2.0 - before.sd**-2.0)

@@ -165,13 +165,16 @@ class IncrementalSmoother:
         everything = np.concatenate([best.guess.p, best.guess.x[-1]])
         x, P, spread = given_the_rig(everything, posterior.covariance)
         made_convex(x, P, _OUTLINE)
+        established = self._follower is not None
+        against = answer.search.belief.contradicted
         if self._follower is not None:
             touched = self._follower.touched
         else:
             touched = marks_of(felt_normals(record, best.guess.x[:, 0], best.guess.p[C.SHAPE :]))
-            touched &= self._seeker.sure  # what is not sure helps the bank, but vouches for nothing
-        established = self._follower is not None
-        against = answer.search.belief.contradicted
+            # what is not sure helps the bank, but vouches for nothing: on short records a rig that is off
+            # is more often an object that is not this one
+            touched &= self._seeker.sure and not against.any()
+            against = np.zeros_like(against)
         rig, rig_sd = everything[RIG], np.sqrt(np.diagonal(posterior.covariance)[RIG])
         t = float(record.t[-1])
         return Improvement(t, x, P, self._frame, established, touched, rig, rig_sd, spread, against)

@@ -133,8 +133,11 @@ class NormalEquations:
         """The Newton step of the nodes (K + 1, 2) alone; raises LinAlgError where there is none."""
         return _nodes_solved(self.banded, self.node_side)
 
-    def posterior(self) -> tuple[FloatArray, float]:
-        """Covariance of (constants, last node), and the matrix's log-determinant; LinAlgError at no minimum."""
+    def posterior(self) -> tuple[FloatArray, float, FloatArray]:
+        """Covariance of (constants, last node), the matrix's log-determinant, and the Newton step of the constants.
+
+        Raises LinAlgError at no minimum.
+        """
         reduced = arithmetic().reduced(self.banded, NOTHING, self.rows, self.whole_corner)
         side = self.constants
         schur = reduced.left[:side, :side]
@@ -144,7 +147,7 @@ class NormalEquations:
         tail, own = root.T @ reduced.rows[-NODE:, :side], root.T @ root  # x_last = its own − tail · p
         covariance = np.block([[constants, -constants @ tail.T], [-tail @ constants, own + tail @ constants @ tail.T]])
         log_det = 2 * float(np.log(reduced.factor[0]).sum()) + float(np.linalg.slogdet(schur)[1])
-        return (covariance + covariance.T) / 2, log_det
+        return (covariance + covariance.T) / 2, log_det, cholesky_solved(schur, reduced.left[side, :side])
 
     def summary(self, guess: Guess, scale: FloatArray) -> Factor:
         """The cost as one of (p, first node, last node): the nodes in between are marginalised.

@@ -165,7 +165,7 @@ def _refined(search: Search, finding: Minima, segment: DataSegment, rig: RigDesc
     record, fit = finer.record, finer.fits[0]
     smoother = Smoother(search.library, record, prior)
     for _ in range(MOST_REVISIONS):
-        then = belief.after(fit.guess.p, smoother.posterior_if_any(fit))
+        then = belief.after(smoother.posterior_if_any(fit))
         if np.array_equal(then.sd, belief.sd):
             break
         belief = then
@@ -249,7 +249,7 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
         visits=np.sum([visits_of(each) for each in normals], axis=0),
         rho=rho, rho_sd=rho * float(sd[C.LN_RHO]), mu=answered.mu, mu_sd=answered.mu_sd,
         mass=mass, mass_sd=mass_sd, rig=p[RIG], rig_covariance=covariance[RIG, RIG],
-        contradicted=main.belief.contradicted,
+        contradicted=main.belief.contradicted, rig_prior_sd=main.belief.sd,
         t=t, psi=psi, omega0=omega0, radii=np.stack(radii),
         reason=reason, seconds=time.perf_counter() - begun,
         turned_sd=math.nan if others else float(sd[CONSTANTS]),  # ψ is 0 at the first node: gauge
@@ -296,5 +296,5 @@ def _nothing(reason: str, begun: float, chi2: float = math.nan) -> Reconstructio
     nan = math.nan
     return Reconstruction(
         False, chi2, directions(), None, None, None, None, nan, nan, nan, nan, nan, nan,
-        none, np.zeros((0, 0)), none, none, none, none, none, reason, time.perf_counter() - begun,
+        none, np.zeros((0, 0)), none, none, none, none, none, none, reason, time.perf_counter() - begun,
     )  # fmt: skip

@@ -21,6 +21,7 @@ class Reconstruction:
     there, and how many separate times.
     rig, rig_covariance: the rig's constants, as in `model.smoothing.R`, and their covariance; none where empty.
     contradicted: by how many sigmas each of them is not what it was taken for, 0 where nothing speaks against that.
+    rig_prior_sd: the one-sigmas that they are taken for beforehand, opened where that is contradicted.
     t, psi, omega0, radii (one row a palm): the trajectory at the nodes. `chi2` is per contact reading. `reason` says
     why not, when not `converged`. turned_sd: one-sigma of psi[-1] − psi[0] (rad), where the record is of one segment.
     sides: flat sides of the outline that were felt, one a row: outward normal (rad), length and its one-sigma (m).
@@ -43,6 +44,7 @@ class Reconstruction:
     rig: FloatArray
     rig_covariance: FloatArray
     contradicted: FloatArray
+    rig_prior_sd: FloatArray
     t: FloatArray
     psi: FloatArray
     omega0: FloatArray

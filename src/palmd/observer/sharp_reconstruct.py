@@ -87,7 +87,7 @@ def _told(best: Candidate, covariance: FloatArray, search: Search, begun: float)
         theta=theta, h=h, h_sd=h_sd, touched=touched, visits=visits_of(normals),
         rho=rho, rho_sd=rho * float(sd[C.LN_RHO]), mu=mu, mu_sd=mu_sd,
         mass=mass, mass_sd=mass * float(sd[C.LN_MASS]), rig=p[RIG], rig_covariance=covariance[RIG, RIG],
-        contradicted=search.belief.contradicted,
+        contradicted=search.belief.contradicted, rig_prior_sd=search.belief.sd,
         t=record.t, psi=x[:, 0], omega0=x[:, 1], radii=np.stack(radii),
         reason="", seconds=time.perf_counter() - begun, turned_sd=float(sd[len(p)]),
         sides=sides_of(p, covariance), likeness=likeness(theta, h, root_of(rows, covariance[shape, shape]), touched),

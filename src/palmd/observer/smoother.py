@@ -46,10 +46,13 @@ class Posterior:
     """Covariance of (constants, last node), and the record's log marginal likelihood.
 
     The latter is Laplace's approximation up to a constant of the record: it compares process noises and rivals.
+    constants: one Newton step beyond those of the fit, which ends where that is not worth it. To a constant that is
+    all but certain beforehand a step is worth nothing, and yet is all that readings say of it.
     """
 
     covariance: FloatArray
     evidence: float
+    constants: FloatArray
 
 
 class Smoother:
@@ -145,10 +148,10 @@ class Smoother:
         now = self.linearised(fit.guess, noise)
         if not math.isfinite(now.cost):
             raise np.linalg.LinAlgError("the fit is beyond all numbers")
-        covariance, log_det = now.posterior()
+        covariance, log_det, step = now.posterior()
         steps = len(fit.guess.x) - 1
         normaliser = steps * (math.log(noise.psi) + math.log(noise.omega0))
-        return Posterior(covariance, -0.5 * (now.cost + log_det + normaliser))
+        return Posterior(covariance, -0.5 * (now.cost + log_det + normaliser), fit.guess.p + step)
 
     def posterior_if_any(self, fit: Fit) -> Posterior | None:
         """As `posterior`; None where the fit is no minimum."""

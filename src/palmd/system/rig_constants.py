@@ -18,6 +18,7 @@ from palmd.system.mechanism import PALMS
 
 TOLD = 0.6
 """Readings have told a constant when they leave less than this share of its one-sigma beforehand."""
+OTHERS = 2.5  # one-sigmas from zero, up to which it may be another constant that is off in its place
 SURE = 4.0  # one-sigmas from zero, beyond which one is called off; it is asked of many, again and again
 
 
@@ -84,11 +85,16 @@ def said_off(values: FloatArray, sds: FloatArray, priors: FloatArray, contradict
     """What is off beyond doubt, in plain words with what to do: only of constants that readings have told.
 
     values, sds, priors: of each constant, what it is off by, its one-sigma now and beforehand; SI, as `RIG_TABLE`.
-    contradicted: not 0 where the readings speak against what is believed beforehand.
+    contradicted: not 0 where the readings speak against what is believed beforehand, be it that it is this constant or
+    another of those.
     """
-    sure = told(sds, priors) & (np.abs(values) > SURE * sds) | (contradicted != 0.0)
-    said = [(RIG_TABLE[i], shown(RIG_TABLE[i], float(values[i]), float(sds[i]))) for i in np.flatnonzero(sure)]
-    return [f"{constant.what} seems {found} {constant.off}: {constant.mend}" for constant, found in said]
+    sure = told(sds, priors) & (np.abs(values) > SURE * sds)
+    said = []
+    for i in np.flatnonzero(sure | (contradicted != 0.0)):
+        constant, found = RIG_TABLE[i], shown(RIG_TABLE[i], float(values[i]), float(sds[i]))
+        seems = "seems" if abs(values[i]) > OTHERS * sds[i] else "may be what is off, and seems"
+        said.append(f"{constant.what} {seems} {found} {constant.off}: {constant.mend}")
+    return said
 
 
 def shown(constant: RigConstant, value: float, sd: float) -> str:

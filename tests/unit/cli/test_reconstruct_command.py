@@ -41,6 +41,7 @@ def answer(**changes):
         "seconds": 1.5,
     }
     values |= {"rig": np.arange(15.0), "rig_covariance": np.eye(15) / 4, "contradicted": 6.0 * (np.arange(15) == 1)}
+    values |= {"rig_prior_sd": np.ones(15)}
     return Reconstruction(**values | changes)
 
 

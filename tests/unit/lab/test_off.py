@@ -40,6 +40,7 @@ def test_verdicts():
     }
     assert {each: verdict(both, each) for each in named} == named
     assert verdict(Off("nothing"), ("phi2_rad",)) == "wrong"
+    assert verdict(Off("batches", as_well=("pad1_lag_s",)), ("pad1_lag_s",)) == "right"
 
 
 def test_batches_seem_to_end_when_they_are_handed_over_and_lose_nothing():
