@@ -337,9 +337,10 @@ _shtab_palmd_bench_speed_defaults_added=0
 _shtab_palmd_bench_things_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--runs[how many of each kind (default\: 10)]:N:"
-  "--kind[what lies on the palms (default\: all)]:kind:(die nut coin ellipse triangle block D-profile L-profile gear lump all)"
+  "--kind[what lies on the palms (default\: all)]:kind:(die nut coin ellipse triangle block D-profile L-profile gear lump corners of 3 mm corners of 1 mm dent of 4 mm dent of 10 mm dry lump all)"
+  "--offline[reconstruct logs of the kinds that are told by their corners or dents]"
   "--seed[the first run\'s (default\: 0)]:FIRST:"
-  "--seconds[how long each lasts (default\: 15.0)]:S:"
+  "--seconds[how long each lasts (default\: 15, of a log 20)]:S:"
   "--imperfections[what the rig is off by, drawn by the seed (default\: none)]:imperfections:(none calibrated)"
   "--jobs[processes on this machine (default\: one a processor)]:J:"
 )
@@ -773,7 +774,6 @@ _shtab_palmd_reconstruct_options=(
   {-o,--output}"[- for standard output\; .svg, .dxf, .csv\: the outline as a drawing or points, x and y in mm\; .stl, .ply, .obj\: the surface of a body in space, in mm]:RESULT.json:_files"
   "--mesh[write the surface of a body in space too\: .stl, .ply (coloured by its band) or .obj, in mm]:FILE:_files"
   "--seed[of the blind start (default\: 0)]:N:"
-  "--sides[where no smooth outline explains the readings, look for one with flat sides and corners\: some ten to sixty seconds more]"
   "--calibration-sd[one-sigma of the rig\'s constants, instead of the log\'s\: zero_m, scale, angle_rad, standoff_m, lag_s, gravity_rad, sagitta_m, friction, force_m_per_n]:KEY=VALUE:"
   ":an event log (JSON lines) or a recorded run (.mcap):_files"
 )

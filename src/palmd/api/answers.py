@@ -112,16 +112,16 @@ def estimate(
 
 
 @one_thread()
-def reconstruct(log: RunData | str | os.PathLike[str], seed: int = 0, *, sides: bool = False) -> SmoothedRun:
+def reconstruct(log: RunData | str | os.PathLike[str], seed: int = 0) -> SmoothedRun:
     """Outline and motion from a whole run at once; takes about a second for ten seconds of readings.
 
-    Deterministic for a given `seed` (of the blind start). `sides`: where no smooth outline explains the readings, one
-    with flat sides and corners is looked for, which may take a minute more. Raises PalmdError for a log that cannot be
-    used, never for what its readings say.
+    Deterministic for a given `seed` (of the blind start). Where no smooth outline explains the readings, one with flat
+    sides and corners is looked for, which takes some ten to forty seconds more. Raises PalmdError for a log that cannot
+    be used, never for what its readings say.
     """
     run = _opened(log)
     with as_palmd_error():
-        line = run.system.reconstruct(run.log, seed, sides).line
+        line = run.system.reconstruct(run.log, seed).line
     return SmoothedRun(
         system=run.system.name,
         told=line,

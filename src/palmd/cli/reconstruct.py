@@ -19,7 +19,7 @@ from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import working
 from palmd.record.meshfile import MESHES
 from palmd.record.outline_files import SUFFIXES
-from palmd.record.systems import NotYetError, Reconstructed
+from palmd.record.systems import Reconstructed
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,12 +41,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="write the surface of a body in space too: .stl, .ply (coloured by its band) or .obj, in mm",
     )
     parser.add_argument("--seed", type=seed, default=0, metavar="N", help="of the blind start (default: %(default)s)")
-    parser.add_argument(
-        "--sides",
-        action="store_true",
-        help="where no smooth outline explains the readings, look for one with flat sides and corners: some ten to"
-        " sixty seconds more",
-    )
     add_calibration_argument(parser)
 
 
@@ -58,11 +52,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise CliError(BAD_INPUT, f"{beside}: a surface is {', '.join(MESHES)}; name it so")
     made = drawing(suffix) if suffix in SUFFIXES else None
     system, log = read_any(arguments.log, arguments.calibration_sd)
-    try:
-        with working("reconstructing"):
-            answer = system.reconstruct(log, arguments.seed, arguments.sides)
-    except NotYetError as error:
-        raise CliError(BAD_INPUT, f"{arguments.log}: --sides: {error}") from None
+    with working("reconstructing") as say:
+        answer = system.reconstruct(log, arguments.seed, say)
     if suffix in MESHES:
         _write_mesh(answer, arguments.output, arguments.log)
     elif made is not None:

@@ -51,6 +51,6 @@ def run(arguments: argparse.Namespace) -> int:
     system, log = read_any(subject)
     if system.name != BODIES:
         raise CliError(BAD_INPUT, f"{subject}: of an event log there is a report for {BODIES} only; record the run")
-    with working("reconstructing"):
-        answer = system.reconstruct(log, seed=0)
+    with working("reconstructing") as say:
+        answer = system.reconstruct(log, 0, say)
     return command.run_body(subject, answer.line, answer.told, output)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import TracebackType
 from typing import TextIO
@@ -51,19 +51,28 @@ class Progress:
 
 
 @contextmanager
-def working(what: str, stream: TextIO | None = None) -> Iterator[None]:
-    """Says what is being done while it is, for work that cannot tell how far it has come."""
+def working(what: str, stream: TextIO | None = None) -> Iterator[Callable[[str], None]]:
+    """Says what is being done while it is, and then what it is told to say, for work that no bar is known of."""
     stream = stream or sys.stderr
     if not stream.isatty():
-        yield
+        yield _silent
         return
+
+    def say(doing: str) -> None:
+        stream.write(f"{_ERASED}{doing} ...")
+        stream.flush()
+
     stream.write(f"\r{what} ...")
     stream.flush()
     try:
-        yield
+        yield say
     finally:
         stream.write(_ERASED)
         stream.flush()
+
+
+def _silent(_: str) -> None:
+    pass
 
 
 def _cells(stream: TextIO) -> str:

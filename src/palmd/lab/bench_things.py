@@ -1,23 +1,32 @@
-"""Dice, nuts, coins and blocks on the emulated rig: how often a live estimate is valid and wrong; prints the seeds."""
+"""Dice, nuts, coins and blocks on the emulated rig: how often a live estimate is valid and wrong; prints the seeds.
+
+With --offline: logs of polygons, of dented and of dry lumps, reconstructed blind: how many are right, wrong, refused.
+"""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 
 from palmd.console.arguments import count, seconds, seed
-from palmd.lab import things
+from palmd.console.errors import BAD_INPUT, CliError
+from palmd.lab import thing_logs, things
 from palmd.lab.bench_montecarlo import ALL
 from palmd.lab.rows import collected, on_this_machine
 from palmd.rig.simulate import CALIBRATION
+
+LIVE_S, LOG_S = 15.0, 20.0  # how long each lasts
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The bench's arguments."""
     add = parser.add_argument
     add("--runs", type=count, default=10, metavar="N", help="how many of each kind (default: %(default)s)")
-    add("--kind", choices=(*things.KINDS, ALL), default=ALL, help="what lies on the palms (default: %(default)s)")
+    kinds = (*things.KINDS, *thing_logs.KINDS, ALL)
+    add("--kind", choices=kinds, default=ALL, help="what lies on the palms (default: %(default)s)")
+    add("--offline", action="store_true", help="reconstruct logs of the kinds that are told by their corners or dents")
     add("--seed", type=seed, default=0, metavar="FIRST", help="the first run's (default: %(default)s)")
-    add("--seconds", type=seconds, default=15.0, metavar="S", help="how long each lasts (default: %(default)s)")
+    add("--seconds", type=seconds, metavar="S", help="how long each lasts (default: 15, of a log 20)")
     add(
         "--imperfections",
         choices=tuple(CALIBRATION),
@@ -28,14 +37,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Interrupted, it tells of what is finished until then."""
-    kinds = things.KINDS if arguments.kind == ALL else (arguments.kind,)
-    tasks = things.tasks_of(kinds, arguments.seed, arguments.runs, arguments.seconds, arguments.imperfections)
+    """Interrupted, it tells of what is finished until then. CliError for a kind that there are no such runs of."""
+    offline = bool(arguments.offline)
+    known = thing_logs.KINDS if offline else things.KINDS
+    if arguments.kind not in (*known, ALL):
+        wanted = "without" if offline else "with"
+        raise CliError(BAD_INPUT, f"--kind {arguments.kind} is {wanted} --offline; here there are: {', '.join(known)}")
+    kinds = known if arguments.kind == ALL else (arguments.kind,)
+    print(f"seeds {arguments.seed} to {arguments.seed + arguments.runs - 1}")
+    return _reconstructed(arguments, kinds) if offline else _live(arguments, kinds)
+
+
+def _live(arguments: argparse.Namespace, kinds: Sequence[str]) -> int:
+    length = arguments.seconds or LIVE_S
+    tasks = things.tasks_of(kinds, arguments.seed, arguments.runs, length, arguments.imperfections)
     finished, status = collected("things", tasks, things.run, things.failed, on_this_machine(arguments.jobs))
     rows = sorted(finished, key=lambda row: (things.KINDS.index(row.kind), row.seed))
-    print(f"seeds {arguments.seed} to {arguments.seed + arguments.runs - 1}")
     if rows:
         print(things.table(rows))
     for remark in things.remarks(rows):
+        print(remark)
+    return status
+
+
+def _reconstructed(arguments: argparse.Namespace, kinds: Sequence[str]) -> int:
+    length = arguments.seconds or LOG_S
+    tasks = thing_logs.tasks_of(kinds, arguments.seed, arguments.runs, length, arguments.imperfections)
+    finished, status = collected("logs", tasks, thing_logs.run, thing_logs.failed, on_this_machine(arguments.jobs))
+    rows = sorted(finished, key=lambda row: (thing_logs.KINDS.index(row.kind), row.seed))
+    if rows:
+        print(thing_logs.table(rows))
+    for remark in thing_logs.remarks(rows):
         print(remark)
     return status

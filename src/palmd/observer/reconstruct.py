@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,13 +48,15 @@ NO_ANSWER = "no motion of an object was found that explains the readings"
 
 
 @one_thread()
-def reconstruct(events: Sequence[Event], rig: RigDescription, seed: int = 0, *, sides: bool = False) -> Reconstruction:
+def reconstruct(
+    events: Sequence[Event], rig: RigDescription, seed: int = 0, say: Callable[[str], None] | None = None
+) -> Reconstruction:
     """Smooth the longest segment of `events` in which both palms feel the object, and others if they are of the same.
 
-    Deterministic for a given seed. Takes about a second for ten seconds of readings. Never raises for what the readings
-    say: a record that tells too little, or contradicts the model, comes back with `converged` False and the reason.
-    `sides`: where no smooth outline explains the readings, one with flat sides and corners is looked for, which may
-    take a minute more.
+    Deterministic for a given seed. Takes about a second for ten seconds of readings; where no smooth outline explains
+    them one with flat sides and corners is looked for, which takes some ten to forty seconds more. Never raises for
+    what the readings say: a record that tells too little, or contradicts the model, comes back with `converged` False
+    and the reason. `say` is told how far a long search has come.
     """
     begun = time.perf_counter()
     found = _by_length(data_segments(events))
@@ -68,8 +70,8 @@ def reconstruct(events: Sequence[Event], rig: RigDescription, seed: int = 0, *, 
         )
         if apart is not None and not apart.reason:
             main, found = apart, shorter
-    if sides and (main is None or main.reason not in ("", AMBIGUOUS)) and not rig.curved:
-        with_sides = sharp_reconstruction(Search(found[0], with_scatter(rig, found[0].pads)), seed, begun)
+    if (main is None or main.reason not in ("", AMBIGUOUS)) and not rig.curved:
+        with_sides = sharp_reconstruction(Search(found[0], with_scatter(rig, found[0].pads)), seed, begun, say)
         if with_sides is not None:
             return with_sides
     if main is None:

@@ -56,6 +56,11 @@ class Record:
         """Length of each step (s)."""
         return np.diff(self.t)
 
+    @property
+    def readings(self) -> int:
+        """How many there are, of contacts and of forces."""
+        return len(self.contact_value) + len(self.force_value)
+
     def until(self, t: float) -> Record:
         """The part of the record up to `t`, at least one step."""
         return self.steps(max(int(np.searchsorted(self.t, t, side="right")) - 1, 1))

@@ -153,7 +153,7 @@ class Search:
         """Go on at once to the end of the record where the model foretells it; else as `resumed`."""
         smoother = Smoother(self.library, self.record, self.known)
         start = smoother.completed(guess)
-        if not _astray(smoother.residuals(start)).any():
+        if not astray(smoother.residuals(start)).any():
             found = self._minima(self.record, [start])
             if explained(found.fits[0], found.record):
                 return found
@@ -201,7 +201,7 @@ class Search:
         begin, now = record.t[0], record.t[-1]
         longer = self.record.until(begin + GROWTH * (now - begin))
         smoother = Smoother(self.library, longer, self.known)
-        gone = _astray(smoother.residuals(smoother.completed(fit.guess)))
+        gone = astray(smoother.residuals(smoother.completed(fit.guess)))
         if not gone.any():
             return longer
         step = longer.contact_step[int(np.argmax(gone))]
@@ -238,7 +238,7 @@ def noise_on(rig: RigDescription) -> ProcessNoise:
     return replace(NOISE, omega0=NOISE.omega0 + rig.uneven_spin)
 
 
-def _astray(residuals: FloatArray) -> npt.NDArray[np.bool_]:
+def astray(residuals: FloatArray) -> npt.NDArray[np.bool_]:
     """Where `ASTRAY_READINGS` readings in a row are missed by `ASTRAY_SIGMAS`; residuals in sigmas."""
     miss = np.abs(residuals) > ASTRAY_SIGMAS
     gone: npt.NDArray[np.bool_] = np.convolve(miss, np.ones(ASTRAY_READINGS), "valid") == ASTRAY_READINGS

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 
 import numpy as np
 
@@ -15,41 +16,54 @@ from palmd.observer.factor import friction_of
 from palmd.observer.likeness import likeness, root_of
 from palmd.observer.outline import directions, normal_angles, touched_by
 from palmd.observer.reconstruction import Reconstruction
-from palmd.observer.search import MOST_STRAIN, Search, still
-from palmd.observer.sided import Candidate, SidedSearch
+from palmd.observer.search import Search, still
+from palmd.observer.sided import LEAST_S, Candidate, SidedSearch
 from palmd.observer.visits import visits_of
 
 LEAST_SIDE_M = 1e-3  # a shorter side is none
 SHARP_M = 1.5e-4  # RMS of the outline's one-sigma where touched, above which there is no outline to speak of
 MOST_CHI2, MOST_OUTLIERS = 1.15, 0.05  # of the readings, while contacts jump
+MOST_STRAIN_TOLD = 40.0  # of the cost, by the prior: outlines that are right have 5 to 30
 DIFFERENT_M, DOUBT = 1e-4, 25.0
 MOST_SLACK = 0.02  # of the cost, for each contact reading: more, and blows explain what the outline does not
-LEAST_S = 3.0  # of readings
+MOST_STRETCHES = 2  # of a segment that are looked at, longest first
 # What simulated outlines are off by besides: neither contacts that jump nor the width of a side is noise.
 MODEL_SD_M, OVERCONFIDENCE = 6e-6, 1.5
 
 
-def sharp_reconstruction(search: Search, seed: int, begun: float) -> Reconstruction | None:
-    """The outline with flat sides that explains the segment of `search`, None where none does beyond doubt."""
+def sharp_reconstruction(
+    search: Search, seed: int, begun: float, say: Callable[[str], None] | None = None
+) -> Reconstruction | None:
+    """The outline with flat sides that explains the longest part of the segment of `search` that one explains.
+
+    None where none does beyond doubt. `say` is told how far the search has come.
+    """
     if still(search.record) or search.segment.end - search.segment.start < LEAST_S:
         return None
     sided = SidedSearch(search, seed)
-    found = sided.found()
-    if not found:
-        return None
-    best = sided.refined(found[0])
-    if _doubtful(best, found):
-        return None
-    try:
-        covariance = sided.posterior(best).covariance
-    except np.linalg.LinAlgError:
-        return None
-    return _told(best, covariance, search, begun)
+    segment = search.segment
+
+    def explained(so_far: Candidate) -> None:
+        until = so_far.record.t[-1] - segment.start
+        if say is not None:
+            say(f"looking for flat sides: {until:.1f} of {segment.end - segment.start:.1f} s")
+
+    for found in sided.stretches(explained)[:MOST_STRETCHES]:
+        for best in sided.refined(found[0]):
+            if _doubtful(best, found):
+                continue
+            try:
+                told = _told(best, sided.posterior(best).covariance, search, begun)
+            except np.linalg.LinAlgError:
+                continue
+            if told is not None:
+                return told
+    return None
 
 
 def _doubtful(best: Candidate, found: tuple[Candidate, ...]) -> bool:
     fit = best.fit
-    likely = fit.strain < MOST_STRAIN and fit.outliers < MOST_OUTLIERS
+    likely = fit.strain < MOST_STRAIN_TOLD and fit.outliers < MOST_OUTLIERS
     explained = fit.chi2 < MOST_CHI2 and fit.force_chi2 < MOST_CHI2
     if not (best.explains and fit.settled and likely and explained):
         return True

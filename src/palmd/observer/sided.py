@@ -23,7 +23,7 @@ from palmd.observer.first_guess import blind_starts
 from palmd.observer.normal_equations import Guess, ProcessNoise
 from palmd.observer.outline import normal_angles
 from palmd.observer.record import Record, lay_out
-from palmd.observer.search import Search
+from palmd.observer.search import MOST_STRAIN, UNLIKELY, Search, astray
 from palmd.observer.smoother import Fit, Posterior, Smoother
 from palmd.system.mechanism import JOINTS, OPENING, normal_directions
 
@@ -40,15 +40,21 @@ FIXED = 1e-3
 CALM: tuple[Stage, ...] = ((0.012, FIXED, math.inf), (0.004, FIXED, math.inf), (0.0015, FIXED, math.inf))
 COARSE: tuple[Stage, ...] = ((0.012, FIXED, math.inf), (0.004, FIXED, math.inf), (0.0015, FIXED, NOISE.gate))
 FINE: tuple[Stage, ...] = ((0.0015, 0.4, NOISE.gate),)
-LAST_S, LAST = 0.0025, ((0.0006, FIXED, NOISE.gate), (0.0006, 0.7, NOISE.gate))  # spacing of the nodes (s)
+LAST_S, LAST = 0.0025, ((0.001, 0.5, NOISE.gate),)  # spacing of the nodes (s)
 SHAPE_SD = 2.0  # times that of a smooth lump
 LN_GYRATION, LN_GYRATION_SD = math.log(0.67), 0.12  # of a triangle 0.61, of a square 0.64, of a disc 0.71
 PRICE = 12.0  # of a side more: twice the log-likelihood that it must gain
 ITERATIONS, LAST_ITERATIONS = 25, 30
 MOST_SCATTER, MOST_OUTLIERS = 1.25, 0.10  # of the readings, while looking
+MOST_ASTRAY = 20  # readings in a row that are missed: more is no rocking after a jump
+MOST_PER_READING, SURPRISE = 1.25, 60.0  # that the deviance may rise by while the window grows
 SCATTER = 0.455  # median of x², x standard normal
 RIVALS = 3
-MOST_FAILURES = 2  # windows in a row that nothing explains
+OTHER_KIND = 150.0  # of twice the log-likelihood, that an outline with another number of sides may lack
+LEAST_S = 5.0  # of readings that are explained, before anything is told; until then the object may have ridden
+BIRTHS_S = 2.0  # from its beginning, within which a search looks for more sides
+PAUSE_S = 0.6  # from where nothing explains the readings to the next search's beginning
+WORK = 2e6  # of a segment: iterations times nodes, as bounds the time taken; some 15 µs each
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +80,11 @@ class Candidate:
         return self.fit.cost + PRICE * len(self.sides)
 
     @property
+    def lasts(self) -> float:
+        """How long its record is (s)."""
+        return float(self.record.t[-1] - self.record.t[0])
+
+    @property
     def explains(self) -> bool:
         """Whether the readings are explained to their noise but for some while a contact jumps."""
         fit = self.fit
@@ -83,7 +94,20 @@ class Candidate:
             and self.scatter < MOST_SCATTER + 4.0 / math.sqrt(n)
             and fit.outliers < MOST_OUTLIERS
             and fit.slack < 0.5 * n
+            and fit.strain < MOST_STRAIN
+            and fit.astray < MOST_ASTRAY
         )
+
+    def goes_on(self, before: Candidate) -> bool:
+        """Whether it explains what has come since `before`, the best on a shorter window, and all the rest as well."""
+        more = self.record.readings - before.record.readings
+        return self.explains and self.deviance < before.deviance + MOST_PER_READING * more + SURPRISE
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether it may be a lesser minimum: the readings are explained less well than by most that are right."""
+        few = math.sqrt(2.0 / len(self.record.contact_value))
+        return not self.explains or self.fit.chi2 > 1.0 + few or self.fit.strain > UNLIKELY
 
 
 class SidedSmoother(Smoother):
@@ -106,55 +130,80 @@ class SidedSearch:
         segment = search.segment
         self.record = lay_out(segment.pads, search.path, search.rig, segment.start, segment.end, SPACING_S)
         self._library = sharp.library()
+        self._work = 0
 
-    def found(self, log: Callable[[Candidate], None] | None = None) -> tuple[Candidate, ...]:
-        """The outlines and motions that explain the whole segment best, best first; none if that leads nowhere."""
-        whole = self.record
+    def stretches(self, log: Callable[[Candidate], None] | None = None) -> list[tuple[Candidate, ...]]:
+        """The parts of the segment that are explained, longest first: outlines and motions of each, best first.
+
+        Where nothing follows the object from one side to another, a new search begins, as long as `WORK` lasts and what
+        is left may be longer than what was found.
+        """
+        whole, found = self.record, list[tuple[Candidate, ...]]()
+        begin, longest = 0, LEAST_S
+        while begin < len(whole.dt) and whole.t[-1] - whole.t[begin] > longest and self._work < WORK:
+            explained = self._explained(whole.between(begin, len(whole.dt)), log)
+            lasted = explained[0].lasts if explained else FIRST_S
+            if lasted > longest:
+                found.insert(0, explained)
+                longest = lasted
+            begin += round((lasted + PAUSE_S) / SPACING_S)
+        return found
+
+    def _explained(self, whole: Record, log: Callable[[Candidate], None] | None) -> tuple[Candidate, ...]:
+        """What explains the readings from the beginning as far as anything does, best first; none if nothing does."""
         first = whole.until(whole.t[0] + FIRST_S)
         candidates = [self._fitted(first, sides, guess, CALM) for sides, guess in self._starts(first)]
         best = self._kept(candidates)
         if not best[0].explains:
             best = self._kept([*candidates, *self._with_births(candidates, first.t[0])])
-        failures = 0
+        explained: list[Candidate] = []
         while True:
             if log:
                 for c in best:
                     log(c)
-            if best[0].record.t[-1] >= whole.t[-1] - 1e-9:
-                return tuple(best)
-            best = self._kept(self._grown(best, whole))
-            failures = 0 if best[0].explains else failures + 1
-            if failures > MOST_FAILURES:
-                return ()
+            if not best[0].explains:
+                return tuple(explained)
+            explained = [each for each in best if each.explains]
+            if best[0].record.t[-1] >= whole.t[-1] - 1e-9 or self._work > WORK:
+                return tuple(explained)
+            grown = self._grown(best, whole)
+            if not grown:
+                return tuple(explained)
+            best = self._kept(grown)
 
     def _kept(self, candidates: Sequence[Candidate], margin: float = 40.0) -> list[Candidate]:
+        """The likeliest, and the likeliest of each number of sides as long as it explains the readings itself."""
         ordered = sorted(candidates, key=lambda each: each.deviance)
         kept: list[Candidate] = []
         for each in ordered:
+            near = not kept or each.deviance < kept[0].deviance + margin
+            other_kind = each.explains and all(len(each.sides) != len(other.sides) for other in kept)
             if (
-                len(kept) < RIVALS
-                and (not kept or each.deviance < kept[0].deviance + margin)
-                and not any(_same(each, other) for other in kept)
-            ):
+                (len(kept) < RIVALS and near) or (other_kind and each.deviance < kept[0].deviance + OTHER_KIND)
+            ) and not any(_same(each, other) for other in kept):
                 kept.append(each)
         return kept
 
     def _starts(self, record: Record) -> Iterator[tuple[tuple[FlatSide, ...], Guess]]:
-        phi = record.palms[:, :2]
-        rate = record.palms[:, 2:4]
+        yield from self._rides(record)
+        still = self._start(())
+        yield (), Guess(np.zeros((len(record.t), NODE)), still)
+        search, begin = self._search, float(record.t[0])
+        events = [event for event in search.segment.events() if event.t_sample >= begin]
+        for start in blind_starts(events, search.rig, begin, BANK_S, self._seed)[:BANK_STARTS]:
+            guess = start.guess(record.t)
+            p = still.copy()
+            p[:NORMALS] = guess.p
+            yield (), Guess(guess.x, p)
+
+    def _rides(self, record: Record) -> Iterator[tuple[tuple[FlatSide, ...], Guess]]:
+        """The object lies on one side on a palm, and turns with it."""
+        phi, rate = record.palms[:, :2], record.palms[:, 2:4]
         first = normal_directions(tuple(phi[0]), 0.0)
         for palm in (0, 1):
             angle, spin = phi[:, : palm + 1].sum(axis=1), rate[:, : palm + 1].sum(axis=1)
             sides = (FlatSide(float(first[palm])),)
             yield sides, Guess(np.stack([angle - angle[0], spin], axis=1), self._start(sides))
-        still = self._start(())
-        yield (), Guess(np.zeros((len(record.t), NODE)), still)
-        search = self._search
-        for start in blind_starts(search.segment.events(), search.rig, record.t[0], BANK_S, self._seed)[:BANK_STARTS]:
-            guess = start.guess(record.t)
-            p = still.copy()
-            p[:NORMALS] = guess.p
-            yield (), Guess(guess.x, p)
 
     def _start(self, sides: tuple[FlatSide, ...]) -> FloatArray:
         """The constants most likely before anything is felt."""
@@ -165,20 +214,34 @@ class SidedSearch:
         return p
 
     def _grown(self, rivals: Sequence[Candidate], whole: Record) -> list[Candidate]:
+        """The rivals on a longer window, as far as one of them goes on explaining it; none where none does."""
         begin, now = whole.t[0], rivals[0].record.t[-1]
-        until = begin + max(GROWTH * (now - begin), now - begin + LEAST_GROWTH_S)
-        while True:
+        for until in (begin + max(GROWTH * (now - begin), now - begin + LEAST_GROWTH_S), self._foretold(rivals, whole)):
             longer = whole.until(until)
             grown = [self._fitted(longer, each.sides, each.fit.guess) for each in rivals]
-            if not _best(grown).explains:
+            if not _best(grown).goes_on(rivals[0]):
                 led = [self._by_readings(longer, each.fit.guess) for each in rivals]
                 grown += [self._fitted(longer, each.sides, guess) for each, guess in zip(rivals, led, strict=True)]
-            if _best(grown).explains:
+            if _best(grown).doubtful and until - begin < LEAST_S:
+                grown += [self._fitted(longer, sides, guess, CALM) for sides, guess in self._rides(longer)]
+            if _best(grown).goes_on(rivals[0]):
                 return grown
-            if until - now <= 1.01 * LEAST_GROWTH_S or longer.t[-1] - now < LEAST_GROWTH_S * 1.01:
-                break
-            until = now + max((until - now) / 2, LEAST_GROWTH_S)
-        return [*grown, *self._with_births(self._kept(grown, 4000.0), now)]
+        if now - begin < BIRTHS_S:
+            grown += self._with_births(self._kept(grown, 4000.0), now)
+        return grown if _best(grown).goes_on(rivals[0]) else []
+
+    def _foretold(self, rivals: Sequence[Candidate], whole: Record) -> float:
+        """Until when (s) the window may grow: what no rival foretells any more leads astray."""
+        begin, now = float(whole.t[0]), float(rivals[0].record.t[-1])
+        longer = whole.until(begin + max(GROWTH * (now - begin), now - begin + LEAST_GROWTH_S))
+        furthest = now + LEAST_GROWTH_S
+        for each in rivals:
+            smoother = SidedSmoother(self._library, longer, each.prior)
+            gone = astray(smoother.residuals(smoother.completed(each.fit.guess)))
+            furthest = max(
+                furthest, longer.t[longer.contact_step[int(np.argmax(gone))]] if gone.any() else longer.t[-1]
+            )
+        return max(float(furthest), now + LEAST_GROWTH_S)
 
     def _with_births(self, candidates: Sequence[Candidate], now: float) -> Iterator[Candidate]:
         for each in candidates:
@@ -206,13 +269,13 @@ class SidedSearch:
                 p[NORMALS + len(candidate.sides)], p[LENGTHS + len(candidate.sides)] = normal, SIDE_M
                 yield sides, Guess(guess.x, p)
 
-    def refined(self, candidate: Candidate) -> Candidate:
-        """The same on finer nodes with sharper sides, iterated to the end."""
-        search = self._search
-        segment = search.segment
-        record = lay_out(segment.pads, search.path, search.rig, segment.start, segment.end, LAST_S)
-        guess = candidate.fit.guess.on(candidate.record.t, record.t)
-        return self._fitted(record, candidate.sides, guess, LAST, LAST_ITERATIONS)
+    def refined(self, candidate: Candidate) -> Iterator[Candidate]:
+        """The same iterated to the end: on finer nodes, and as it is where they lead astray."""
+        search, start, end = self._search, candidate.record.t[0], candidate.record.t[-1]
+        record = lay_out(search.segment.pads, search.path, search.rig, start, end, LAST_S)
+        guess = candidate.fit.guess
+        yield self._fitted(record, candidate.sides, guess.on(candidate.record.t, record.t), LAST, LAST_ITERATIONS)
+        yield self._fitted(candidate.record, candidate.sides, guess, FINE, LAST_ITERATIONS)
 
     def posterior(self, candidate: Candidate) -> Posterior:
         """How sure it is of itself; raises LinAlgError where it is no minimum."""
@@ -250,6 +313,7 @@ class SidedSearch:
             smoother = SidedSmoother(self._library, record, prior)
             fit = smoother.fit(Guess(guess.x, p), replace(NOISE, gate=gate), iterations)
             guess = fit.guess
+            self._work += fit.iterations * len(record.t)
         residual = smoother.residuals(guess)
         return Candidate(sides, prior, record, fit, float(np.median(residual**2)) / SCATTER)
 

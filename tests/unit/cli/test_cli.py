@@ -292,11 +292,13 @@ def test_the_bar_on_a_terminal_of_another_encoding(monkeypatch, encoding, cells)
 
 def test_what_has_no_measure_is_named_while_it_lasts():
     terminal = Terminal()
-    with working("reading run.mcap", terminal):
+    with working("reading run.mcap", terminal) as say:
         assert terminal.getvalue() == "\rreading run.mcap ..."
+        say("3 of 20 s")
+        assert terminal.getvalue() == "\rreading run.mcap ...\r\x1b[K3 of 20 s ..."
     assert terminal.getvalue().endswith("\r\x1b[K")
-    with working("reading run.mcap", pipe := io.StringIO()):
-        pass
+    with working("reading run.mcap", pipe := io.StringIO()) as say:
+        say("3 of 20 s")
     assert pipe.getvalue() == ""
 
 

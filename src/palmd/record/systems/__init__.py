@@ -57,10 +57,10 @@ class System(LogForm, Protocol):
         """
         ...
 
-    def reconstruct(self, log: Any, seed: int, sides: bool = False) -> Reconstructed:
+    def reconstruct(self, log: Any, seed: int, say: Callable[[str], None] | None = None) -> Reconstructed:
         """What the whole log tells; never raises for what its readings say.
 
-        `sides`: flat sides and corners are looked for where no smooth outline explains them; raises `NotYetError`.
+        `say` is told how far a long search has come.
         """
         ...
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -100,11 +100,9 @@ class Pivot(PivotForm):
         """The same log of a rig that is known so well."""
         return replace(log, rig=log.rig.known_to(sds))
 
-    def reconstruct(self, log: PivotLog, seed: int, sides: bool = False) -> Reconstructed:
+    def reconstruct(self, log: PivotLog, seed: int, say: Callable[[str], None] | None = None) -> Reconstructed:
         """Outline about the pivot, motion and friction; `seed` is of no use: all starts are tried."""
-        if sides:
-            raise NotYetError("flat sides are looked for between two palms only")
-        del seed
+        del seed, say
         answer = reconstruct(log.events, log.rig)
         told = summary(answer) if answer.converged else f"not converged: {answer.reason}"
         drawing = drawing_of(answer.theta, answer.h, answer.h_sd, answer.touched, mass_kg=answer.mass)

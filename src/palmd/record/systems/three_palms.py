@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -102,10 +102,8 @@ class ThreePalms:
             raise NotYetError("three palms in space are taken to be exactly as described: leave --calibration-sd out")
         return log
 
-    def reconstruct(self, log: ThreePalmsLog, seed: int, sides: bool = False) -> Reconstructed:
-        if sides:
-            raise NotYetError("flat sides are looked for between two palms only")
-        del seed  # nothing is drawn at random
+    def reconstruct(self, log: ThreePalmsLog, seed: int, say: Callable[[str], None] | None = None) -> Reconstructed:
+        del seed, say  # nothing is drawn at random, and it does not take long
         joints, readings = laid_out(log)
         if joints is None:
             reason = "the joints never report"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -29,10 +29,8 @@ class TwoPalms(TwoPalmsForm):
     def known_to(self, log: EventLog, sds: Mapping[str, float]) -> EventLog:
         return replace(log, rig=log.rig.known_to(sds))
 
-    def reconstruct(self, log: EventLog, seed: int, sides: bool = False) -> Reconstructed:
-        if sides and log.rig.curved:
-            raise NotYetError("flat sides are looked for on flat palms only, and these palms are curved")
-        answer = reconstruct(log.events, log.rig, seed, sides=sides)
+    def reconstruct(self, log: EventLog, seed: int, say: Callable[[str], None] | None = None) -> Reconstructed:
+        answer = reconstruct(log.events, log.rig, seed, say)
         at_rest = mass_at_rest(log.events, log.rig)
         told = summary(answer) if answer.converged else f"not converged: {answer.reason}"
         if math.isfinite(at_rest.value):

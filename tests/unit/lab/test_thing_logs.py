@@ -1,0 +1,53 @@
+"""The study of logs of polygons and dented lumps: what it simulates, and how it counts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from palmd.cli import main
+from palmd.lab import thing_logs
+from palmd.lab.thing_logs import KINDS, LogRow, LogTask, simulated, tasks_of
+
+
+def test_a_task_is_one_log_and_its_truth_is_of_the_hull() -> None:
+    (log, truth), (again, _), (other, _) = (simulated(LogTask("dent of 10 mm", seed, 0.5)) for seed in (0, 0, 1))
+    assert log.events == again.events
+    assert log.events != other.events
+    slopes = np.diff(np.array(truth["h_m"])) / np.diff(truth["theta_rad"])
+    assert 9e-3 < np.abs(slopes[2:] - slopes[:-2]).max() < 14e-3  # h′ jumps by the chord's length
+
+
+def test_all_kinds_have_the_same_seeds() -> None:
+    assert {(task.kind, task.seed) for task in tasks_of(KINDS, 5, 2, 3.0, "none")} == {
+        (kind, seed) for kind in KINDS for seed in (5, 6)
+    }
+
+
+def test_what_raises_becomes_a_row_that_says_so() -> None:
+    row = thing_logs.run(LogTask("teapot", 0))
+    assert row.error.startswith("KeyError")
+    assert thing_logs.remarks([row]) == [f"teapot 0: {row.error}"]
+
+
+def test_right_wrong_and_refused_are_counted_apart() -> None:
+    kind = KINDS[0]
+    rows = [
+        LogRow(kind, 0, claimed=True, e_h_m=9e-5, most_m=2e-4, sd_m=3e-5, touched=0.1, explained_s=9.0, seconds=4.0),
+        LogRow(kind, 1, claimed=True, e_h_m=2e-4, most_m=6e-4, sd_m=2e-5, touched=0.2, explained_s=7.0, seconds=6.0),
+        LogRow(kind, 2, reason="why", seconds=30.0),
+    ]
+    told = thing_logs.table(rows).splitlines()[-1]
+    assert told.split("  ")[0] == kind
+    assert told.count("1 of 3") == 3
+    assert "3.0" not in told.split("1 of 3")[0]
+    assert "most 10.0" in told
+    said = thing_logs.remarks(rows)
+    assert ": right, 90 µm" in said[0]
+    assert ": WRONG, 200 µm" in said[1]
+    assert said[2] == f"{kind} 2: refused: why"
+
+
+def test_a_live_kind_is_none_of_logs(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "things", "--offline", "--kind", "coin"]) == 1
+    assert "--kind coin is without --offline" in capsys.readouterr().err
