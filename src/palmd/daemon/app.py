@@ -41,6 +41,8 @@ log = logging.getLogger(__name__)
 OK, BAD_INPUT, RIG_FAILED = 0, 1, 3
 RECORDER_START_S = 2.0
 """How long the first tick waits for a recorder to speak: an observer can be replayed from its first event only."""
+NEIGHBOUR_S = 0.5
+"""Likewise, for one that somebody else may have started: it listens already, and finds the bus within 0.1 s."""
 
 
 def run(config_path: Path, recorder: Callable[[], None] | None = None) -> int:
@@ -124,8 +126,7 @@ def _run(
         info_topic=PIVOT_INFO if isinstance(config, PivotConfig) else INFO,
         counters=lambda: _counters(smoother, estimator, explorer),
     )
-    if recorded:
-        bus.await_command("recorder", RECORDER_START_S)
+    bus.await_command("recorder", RECORDER_START_S if recorded else NEIGHBOUR_S)
     realtime.freeze_collector()
     signals.hand_over(loop.stop)
     return OK if loop.run() else RIG_FAILED

@@ -12,14 +12,14 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from palmd.console.arguments import count, seconds, seed
+from palmd.console.arguments import count, seconds, seconds_within, seed
 from palmd.lab import pivot, pivot_live, workers
 from palmd.lab.bench_montecarlo import ALL
 from palmd.lab.pivot import TROUBLES, PivotRow, PivotTask, report
 from palmd.lab.pivot_live import LiveRow
 from palmd.lab.rows import Sink, already_in, collected, rewrite
 from palmd.lab.scoring import as_line
-from palmd.rig.pivot import PIVOT_KINDS
+from palmd.rig.pivot import LEAST_S, PIVOT_KINDS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,7 +29,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--kind", choices=(*PIVOT_KINDS, ALL), default=ALL, help="what sort of run (default: %(default)s)")
     add("--trouble", choices=tuple(TROUBLES), default="none", help="with the readings (default: %(default)s)")
     add("--seed", type=seed, default=0, metavar="FIRST", help="the first run's (default: %(default)s)")
-    add("--seconds", type=seconds, default=12.0, metavar="S", help="how long each lasts (default: %(default)s)")
+    add("--seconds", type=seconds_within(LEAST_S, 120.0), default=12.0, metavar="S",
+        help="how long each lasts (default: %(default)s)")  # fmt: skip
     add("--live", action="store_true", help="explore in closed loop and score what is claimed live")
     add("--perfect", action="store_true", help="live: on rigs exactly as configured, which is known")
     add("--period", type=seconds, default=5.0, metavar="S",

@@ -37,6 +37,7 @@ _MARGIN_M = 3.5e-3
 _BANDS_S, _WEIGHTS = (0.00625, 0.0125, 0.01875), (0.55, 0.30, 0.15)
 _LEAST_N, _MOST_N = 0.05, 2.5
 _ROUND_S = 1.0  # that the arm takes from one touch to the next
+LEAST_S = 2.0  # of a run: in less no drag can be followed
 _COLUMNS = ("t", "psi_rad", "omega0_rad_s", "s1_m", "z_m", "e_m", "f1_n", "touch")
 
 Axis = tuple[float, float, float]
@@ -164,8 +165,10 @@ def simulate_pivot_log(
     """A run as event-log lines (header first), and its truth; the same seed, the same run.
 
     sides: of the dead centre that a rigid gripper touches. Runs that wedge, lift off, press harder than `_MOST_N` or
-    leave the pad are drawn again.
+    leave the pad are drawn again. Raises ValueError for less than `LEAST_S`.
     """
+    if not LEAST_S <= duration_s < math.inf:
+        raise ValueError(f"a run lasts {LEAST_S:g} s at least, got {duration_s:g} s")
     rng = np.random.default_rng([7, PIVOT_KINDS.index(kind), seed])
     while True:
         run = _tilt(rng, duration_s, off, sides, odd) if kind == "tilt" else _float(rng, duration_s, off, odd)
@@ -437,7 +440,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seconds", type=float, default=12.0)
     parser.add_argument("-o", "--output", type=Path, required=True, help="the log, *.jsonl")
     options = parser.parse_args(arguments)
-    lines, truth = simulate_pivot_log(options.kind, options.seed, options.seconds)
+    try:
+        lines, truth = simulate_pivot_log(options.kind, options.seed, options.seconds)
+    except ValueError as error:
+        parser.error(str(error))
     options.output.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
     options.output.with_suffix(".truth.json").write_text(json.dumps(truth), encoding="utf-8")
     return 0

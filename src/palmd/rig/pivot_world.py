@@ -76,7 +76,7 @@ class PivotWorld(EmulatedRig[PivotArm]):
             "z_m": z[0],
             "s1_m": x[0] + e,
             "e_m": e,
-            "psi_rad": self._psi,
+            "psi_rad": self._stands,
             "omega0_rad_s": -z[1] / e if self._touching else 0.0,
             "f1_n": self._force if self._touching else 0.0,
             "touch1": self._touching,
@@ -125,10 +125,14 @@ class PivotWorld(EmulatedRig[PivotArm]):
     def _pivot(self, t: float) -> tuple[Axis, Axis]:
         """Along the pad, and over the tangent of its surface there where the body touches it."""
         x, z = self._arm.place(t)
-        psi = self._psi if self._tilt is None or self._touching else self._tilt
-        slope, height = self._off.tangent_plane(x[0] + self.grasp.offset(psi), self._pad_length)
+        slope, height = self._off.tangent_plane(x[0] + self.grasp.offset(self._stands), self._pad_length)
         slope += self.imperfections.angles[0]
         return x, (z[0] - height - slope * x[0], z[1] - slope * x[1], z[2] - slope * x[2])
+
+    @property
+    def _stands(self) -> float:
+        """The body's orientation on the pad, or in the hand (rad)."""
+        return self._psi if self._tilt is None or self._touching else self._tilt
 
     def _go_on(self, x: Axis, z: Axis) -> None:
         """The body follows the pivot's height along its side of the dead centre, and its force follows from that."""

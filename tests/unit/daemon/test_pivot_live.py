@@ -1,6 +1,7 @@
 """A pivoting grasp, closed loop without wires: explored, estimated, and told the same again."""
 
 import math
+from itertools import pairwise
 from pathlib import Path
 
 import msgpack
@@ -88,6 +89,13 @@ def test_the_outline_is_right_within_its_band(lived):
     assert score.e_h < 3.0 * math.sqrt(np.mean(np.array(shape["hP_sd_m"])[touched] ** 2))
     assert score.e_h < 2e-4
     assert score.touched > 0.4
+
+
+def test_the_truth_of_a_lifted_body_is_how_the_hand_holds_it(lived):
+    ticks = [tick.truth for tick in lived.ticks]
+    landed = [(a, b) for a, b in pairwise(ticks) if b["touch1"] and not a["touch1"]]
+    assert len(landed) >= 2
+    assert all(abs(a["psi_rad"] - b["psi_rad"]) < 0.05 for a, b in landed)
 
 
 def test_every_message_is_as_its_table_says(lived):

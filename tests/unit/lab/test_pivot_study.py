@@ -4,9 +4,12 @@ import dataclasses
 import json
 import math
 
+import pytest
+
 from palmd.lab import pivot
 from palmd.lab.pivot import PivotRow, PivotTask
 from palmd.lab.scoring import as_line
+from palmd.rig.pivot import simulate_pivot_log
 
 ROW = PivotRow("tilt", 1, 12.0, "none", True, "", 2e-5, 1e-5, 0.004, 2.0, 0.4, 1.0, 0.5)
 
@@ -46,3 +49,9 @@ def test_what_is_claimed_and_wrong_is_counted_apart_and_refused_runs_are_in_no_f
     # 3 runs, 1 right, 1 wrong; medians of 20 and 300 µm; √((2² + 3²)/2); of 0.004 and 0.02; √((2² + 4²)/2)
     assert tilt.split() == ["tilt", "3", "1", "1", "160.0", "272.0", "2.55", "0.0120", "50%", "3.16"]
     assert spoilt.split() == ["tilt,", "gaps", "1", "0", "0"]
+
+
+@pytest.mark.parametrize("kind", ["tilt", "float"])
+def test_a_run_too_short_for_a_drag_is_refused_in_words(kind):
+    with pytest.raises(ValueError, match="a run lasts 2 s at least"):
+        simulate_pivot_log(kind, 3, 0.5)

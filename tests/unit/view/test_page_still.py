@@ -287,6 +287,22 @@ def test_what_has_happened_is_told_the_newest_first(still, bus):
     assert [row["ago"] for row in rows] == ["0 s ago", "100 s ago"]
 
 
+def test_a_body_in_the_hand_is_not_drawn_through_the_pad(still, bus):
+    """A disc of 20 mm held 12 mm beside its middle: the pivot stands 32 mm over its lowest point, or 8 mm."""
+    opened(still, bus, rig_of(2))
+    theta = np.arange(360) * (2 * np.pi / 360)
+    disc = {"theta_rad": theta.tolist(), "h_m": (0.02 + 0.012 * np.cos(theta)).tolist()}
+    off, high = {"z_m": 0.02, "touch1": False}, {"z_m": 0.033, "touch1": False}
+    down = {"psi_rad": -np.pi / 2}, {"psi_rad": np.pi / 2 + 6 * np.pi}
+    told = [off | down[0], off | down[1], high | down[0], off | down[0] | {"touch1": True}]
+    clear = still.script(
+        "const [disc, told] = arguments;"
+        "return import('/pivot.js').then(({ clear }) => told.map((truth) => clear(disc, truth)))",
+        disc, told,
+    )  # fmt: skip
+    assert clear == [False, True, True, True]
+
+
 def test_its_outline_is_the_supports_envelope(driver, tmp_path):
     """x = h n + h′ n′ of an ellipse whose first harmonic is not zero, against the ellipse itself."""
     a, b, x0, y0 = 0.024, 0.017, 0.002, -0.001

@@ -21,3 +21,10 @@ export function named(topic, fields) {
 export function pivots(estimate) {
   return Array.isArray(estimate.gripper);
 }
+
+/** Whether a body is clear of the pad: it touches, or the hand that holds it has it above. */
+export function clear(object, { z_m, psi_rad, touch1 }) {
+  const [first, second] = object.theta_rad, count = object.theta_rad.length;
+  const below = Math.round((-Math.PI / 2 - psi_rad - first) / (second - first));
+  return touch1 || object.h_m[((below % count) + count) % count] <= z_m;
+}

@@ -4,7 +4,7 @@ import { centreFromRadii, onPalm, outline, posture } from "./geometry.js";
 import { CLASSES_M, classOf } from "./knowledge.js";
 import { Lens } from "./lens.js";
 import { dash, line, place, ring } from "./paths.js";
-import { pivots } from "./pivot.js";
+import { clear, pivots } from "./pivot.js";
 import { palmsOf } from "./quantities.js";
 import { colours, ofPalm } from "./theme.js";
 import { offTruth, truthAt } from "./truth.js";
@@ -116,7 +116,10 @@ export class Scene {
     const seen = pivot.every(Number.isFinite);
     if (seen && turned && this.#paths) this.#drawObject(estimate, estimate.gripper);
     const truth = store.truthful(now) ? store.get("rig/truth") : null;
-    if (truth) this.#drawTruth(store.get("rig/object"), { ...truth, com_x_m: truth.x_m, com_y_m: truth.z_m }, [0, 0]);
+    const object = store.get("rig/object");
+    if (truth && clear(object, truth)) {
+      this.#drawTruth(object, { ...truth, com_x_m: truth.x_m, com_y_m: truth.z_m }, [0, 0]);
+    }
     context.fillStyle = colours.line;
     context.fillRect(-padMm * 0.2, -THICK_MM, padMm * 1.4, THICK_MM);
     context.fillStyle = ofPalm(palm.number);
