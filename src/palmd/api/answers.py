@@ -19,6 +19,7 @@ from palmd.api.table import DataTable, table_of
 from palmd.blas import one_thread
 from palmd.events import FloatArray
 from palmd.outlinefile import read_library
+from palmd.record.meshfile import Mesh
 from palmd.record.recognition import Recognition, verdict
 from palmd.system.mechanism import RADII
 
@@ -53,8 +54,9 @@ class SmoothedRun:
     reading. trajectory: `t_s psi_rad omega0_rad_s r1_m r2_m`. rho_m: radius of gyration. mu: friction. mass_rest_kg:
     mass as weighed while the object lay still, which needs no outline. `…_sd…`: one-sigma. rig: what the run tells of
     the rig's own constants, `{name: {value, sd}}`, empty where it had nothing to find. looks_like: the simple form that
-    the outline is of, with its sizes, empty where it is none or cannot be told. told: everything, under the
-    names of `palmd reconstruct`; of another `system` than two palms, what the fields here have no place for.
+    the outline is of, with its sizes, empty where it is none or cannot be told. surface: of a body between three palms,
+    instead of an outline. told: everything, under the names of `palmd reconstruct`; of another `system` than two palms,
+    what the fields here have no place for.
     """
 
     converged: bool
@@ -72,6 +74,7 @@ class SmoothedRun:
     mass_rest_sd_kg: float
     rig: Mapping[str, Mapping[str, float]]
     looks_like: str
+    surface: Mesh | None
     seconds: float
     system: str
     told: Mapping[str, Any]
@@ -121,16 +124,18 @@ def reconstruct(log: RunData | str | os.PathLike[str], seed: int = 0) -> Smoothe
     """
     run = _opened(log)
     with as_palmd_error():
-        line = run.system.reconstruct(run.log, seed).line
+        answer = run.system.reconstruct(run.log, seed)
+    line = answer.line
     return SmoothedRun(
         system=run.system.name,
         told=line,
         converged=line["converged"],
         reason=line["reason"] or "",
-        outline=None if line.get("h_m") is None else outline_of(line, math.nan),
+        outline=None if answer.mesh is not None or line.get("h_m") is None else outline_of(line, math.nan),
         trajectory=_trajectory(line["trajectory"]),
         rig=line.get("rig") or {},
         looks_like=(line.get("looks_like") or {}).get("said") or "",
+        surface=answer.mesh,
         **{name: math.nan if line.get(name) is None else line[name] for name in _NUMBERS},
     )
 

@@ -16,9 +16,14 @@ from palmd.cli import main
 from palmd.daemon.bus import Bus
 from palmd.daemon.commands import Reply
 from palmd.messages import PadView, contact_fields
+from palmd.observer.three_palms.icosphere import icosphere
+from palmd.observer.three_palms.reconstruct import BodyReconstruction
 from palmd.polygon import boundary
 from palmd.quantities import CONTACT, ESTIMATE, SHAPE
+from palmd.record.systems import three_palms
 from palmd.rig.simulate import simulate_log
+from palmd.rig.three_palms.simulate import header
+from palmd.system.three_palms import ThreePalmsRig
 
 SECONDS = 4.0
 
@@ -122,6 +127,28 @@ def test_reconstruct_finds_the_outline_and_the_motion(simulated):
     apart = np.linalg.norm(told.outline.xy(-turn)[:, None] - there[None], axis=2).min(axis=1)
     assert np.median(apart[:360][told.outline.touched]) < 5e-4
     assert abs(told.rho_m - truth["rho_m"]) < 4 * told.rho_sd_m
+
+
+def test_a_body_in_space_has_a_surface_and_no_outline(tmp_path, monkeypatch):
+    directions, triangles = icosphere(1)
+    n = len(directions)
+    one, none = np.eye(3)[None], np.zeros((1, 3))
+    ball = BodyReconstruction(
+        True, "", 1.0, directions, triangles, np.full(n, 0.02), np.full(n, 1e-5), directions[:, 2] > 0.0,
+        0.02 * directions, np.zeros(4), np.eye(3), np.eye(3), 0.1, 1e-3, 0.05, 1e-4,
+        np.zeros(1), one, none, none, np.zeros((1, 3, 3)), 0.1,
+    )  # fmt: skip
+    monkeypatch.setattr(three_palms, "reconstruct", lambda *_: ball)
+    lines = [header(ThreePalmsRig())]
+    lines += [{"t": 0.01 * k, "joints": {"angle_rad": [0.9, 0.8, 0.8]}} for k in range(10)]
+    (tmp_path / "ball.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    told = palmd.reconstruct(tmp_path / "ball.jsonl")
+    assert told.converged
+    assert told.outline is None
+    np.testing.assert_array_equal(told.surface.points, 0.02 * directions)
+    assert told.trajectory["quat_xyzw"].shape == (1, 4)
+    with pytest.raises(palmd.PalmdError, match="no outline: of the system three_palms"):
+        told.outline_xy()
 
 
 def test_a_reconstruction_that_finds_nothing_says_so(tmp_path, simulated):
