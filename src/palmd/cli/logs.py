@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import errno
 import io
 import math
+import os
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -74,6 +76,13 @@ def read_any(path: Path, calibration_sd: Sequence[tuple[str, float]] = ()) -> tu
         return system, system.known_to(log, dict(calibration_sd))
     except NotYetError as error:
         raise CliError(BAD_INPUT, f"{path}: {error}") from None
+
+
+def has_a_place(path: Path) -> None:
+    """Whether `opened` will find the folder for `path`: told before long work by CliError, not after it."""
+    code = errno.EISDIR if path.is_dir() else 0 if path.parent.is_dir() else errno.ENOENT
+    if path != STDOUT and code:
+        raise CliError(BAD_INPUT, f"{path}: cannot be written: {os.strerror(code)}")
 
 
 @contextlib.contextmanager

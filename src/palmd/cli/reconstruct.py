@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 from palmd.cli.drawings import drawing, write_drawing
-from palmd.cli.logs import add_calibration_argument, opened, read_any
+from palmd.cli.logs import add_calibration_argument, has_a_place, opened, read_any
 from palmd.console.arguments import seed
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import working
@@ -52,6 +52,9 @@ def run(arguments: argparse.Namespace) -> int:
         raise CliError(BAD_INPUT, f"{beside}: a surface is {', '.join(MESHES)}; name it so")
     made = drawing(suffix) if suffix in SUFFIXES else None
     system, log = read_any(arguments.log, arguments.calibration_sd)
+    for target in (arguments.output, beside):
+        if target is not None:
+            has_a_place(target)
     with working("reconstructing") as say:
         answer = system.reconstruct(log, arguments.seed, say)
     if suffix in MESHES:

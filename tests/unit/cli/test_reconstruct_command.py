@@ -15,6 +15,7 @@ from palmd.observer.mass import MassEstimator
 from palmd.observer.outline import directions
 from palmd.observer.reconstruction import Reconstruction
 from palmd.record.result import as_line
+from palmd.record.systems import two_palms
 from palmd.rig.simulate import simulate_log
 from palmd.system.description import PadSensor
 
@@ -206,6 +207,16 @@ def test_bad_input_is_one_clear_line(log, tmp_path, capsys):
         assert err.count("\n") == 1
     assert not out.exists()
     assert short.read_bytes() == before
+
+
+@pytest.mark.parametrize("option", ["-o", "--mesh"])
+def test_where_nothing_can_be_written_nothing_is_computed(log, tmp_path, monkeypatch, capsys, option):
+    monkeypatch.setattr(two_palms, "reconstruct", lambda *_, **__: pytest.fail("it was computed"))
+    (tmp_path / "folder.ply").mkdir()
+    for target, why in ((tmp_path / "nowhere" / "x.ply", "No such file"), (tmp_path / "folder.ply", "Is a directory")):
+        first = [] if option == "-o" else ["-o", str(tmp_path / "x.json")]
+        assert main(["reconstruct", str(log), *first, option, str(target)]) == 1
+        assert why in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("seed", ["-1", "x"])
