@@ -24,7 +24,7 @@ Phase = Literal["lift", "turn", "seek", "settle", "down", "up"]
 APPROACH_M_S = 0.015  # in the air
 STROKE_M, STROKE_RATIO = 0.012, 10.0  # towards the pad: dragged inwards, and lowered by so much less
 LIFT_M_S, AWAY_M, AWAY_M_S = 0.003, 0.012, 0.02  # while it touches, dragged by so much; and then
-NEAR_M = 5e-3  # above where the body touched before, from where on strokes seek it
+NEAR_M = 5e-3  # above the highest place that the body touched at, from where on strokes seek it
 CLEAR_M = 6e-3  # by which a body is lifted off for somebody to turn it
 TURN_S = 2.0  # which they have
 TRAIL = 1.35  # times the drag at which the body just rolls
@@ -66,7 +66,7 @@ class Drags:
         self._side = 0.0  # of the dead centre that is touched
         self._ends: set[tuple[float, str]] = set()
         self._wanted = 1.0  # side that comes next
-        self._z_touch = -math.inf
+        self._z_touch = -math.inf  # the highest that the body has touched at
         self._t_turned = -math.inf
         self._t_silent = math.inf  # since when the pad says nothing
         self._rounds = 0
@@ -84,7 +84,7 @@ class Drags:
         """The next step: what is felt, where the last move ends (m), and whether it has ended."""
         if self.phase == "seek" and felt.touching:
             self.phase = "settle"
-            self._z_touch = felt.z
+            self._z_touch = max(self._z_touch, felt.z)  # the other side, and another tilt, touch elsewhere
             self._before, self._slope, self._most = None, 0.0, 0.0
             return DragStep("halt", reason="the body touches")
         if self.phase in ("down", "up", "settle") and not felt.touching:
@@ -141,7 +141,8 @@ class Drags:
             dragged = math.isfinite(felt.e) and not self._off(end, felt.e)
             return self._moved(here, end if dragged else (here[0], end[1]), LIFT_M_S)
         self.phase, self._t_turned = "turn", felt.t + TURN_S
-        return self._moved(here, (here[0], here[1] + CLEAR_M), AWAY_M_S)
+        clear = max(here[1] + CLEAR_M, self._z_touch + NEAR_M)  # tilted anew, it may reach as far down as it ever did
+        return self._moved(here, (here[0], clear), AWAY_M_S)
 
     def _turn(self, felt: Touching, here: Angles) -> DragStep:
         start = self._start_of(self._wanted)
@@ -206,7 +207,9 @@ class Drags:
         higher = min(RETREAT_M if self._retreat else self._stride(felt, 1.0), self._room(felt))
         back = 0.0 if self._retreat else BACK * felt.z * higher / abs(felt.e)
         end = (here[0] + self._side * back, here[1] + higher)
-        falling = higher < LEAST_STEP_M or (not self._retreat and self._warning(felt) in (_LEVER, _LIGHT))
+        warned = "" if self._retreat else self._warning(felt)
+        presses = warned == _HARD and self._slope < 0.0  # the higher, the shorter the lever: it leans on the top
+        falling = higher < LEAST_STEP_M or warned in (_LEVER, _LIGHT) or presses
         self._retreat = False
         if self._off(end, felt.e) and not falling:
             end = (here[0], end[1])
@@ -258,7 +261,7 @@ class Drags:
         if felt.e * self._side < self._least:
             return _LEVER
         if felt.force > TAMED_SHARE * self._limits.force:
-            return "the force comes near its limit"
+            return _HARD
         if felt.force < LEAST_FORCE_N:
             return _LIGHT
         return ""
@@ -292,3 +295,4 @@ class Drags:
 
 
 _LEVER, _LIGHT = "the pivot comes near over the contact", "the body hardly presses any more"
+_HARD = "the force comes near its limit"

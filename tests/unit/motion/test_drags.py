@@ -81,6 +81,33 @@ def test_what_leaves_the_pad_is_noticed_and_lifted(touched):
     assert move.end[0] == move.start[0]
 
 
+def test_a_body_is_sought_from_above_the_highest_place_that_it_touched_at(touched):
+    touched.look(IN_AIR, (FELT.x, FELT.z), False)
+    touched.look(replace(IN_AIR, t=0.5), (FELT.x, FELT.z), True)
+    lifted = touched.look(IN_AIR, (FELT.x, FELT.z), True).move.end
+    assert lifted[1] > FELT.z + 4e-3
+    touched.phase = "seek"
+    touched.look(replace(FELT, z=0.015), (FELT.x, 0.015), False)  # on the other side, much lower
+    touched.phase = "turn"
+    aside = touched.look(IN_AIR, (0.02, 0.04), True).move.end
+    touched.look(replace(IN_AIR, t=9.0), aside, True)
+    assert touched.phase == "seek"
+    sunk = touched.look(replace(IN_AIR, t=9.0), aside, True).move
+    assert sunk.end[0] == sunk.start[0]
+    assert sunk.end[1] > FELT.z + 4e-3
+
+
+def test_a_body_that_leans_on_its_top_is_raised_no_farther(touched):
+    touched.look(replace(FELT, e=0.0015), (FELT.x, FELT.z), False)
+    assert touched.phase == "up"
+    here, e = (FELT.x, FELT.z), 0.008
+    for k in range(4):  # the lever shortens as it is raised, and the force is far from its limit
+        felt = replace(FELT, z=FELT.z + 5e-4 * k, e=e - 6e-4 * k, force=1.0)
+        here = touched.look(felt, here, True).move.end
+    step = touched.look(replace(felt, z=felt.z + 5e-4, e=felt.e - 6e-4, force=1.35), here, True)
+    assert step.reason == "this side is done: lifted off"
+
+
 def test_a_pad_that_is_silent_for_a_moment_does_not_end_the_touch(touched):
     assert touched.look(IN_AIR, (FELT.x, FELT.z), False).kind == "halt"
     assert touched.look(replace(FELT, t=0.2), (FELT.x, FELT.z), True).kind == "move"
