@@ -43,7 +43,7 @@ def backend() -> str:
     return "python" if _advance() is None else "c"
 
 
-class Step:
+class CompiledStep:
     """One step of a body on its pads, in memory of its own; what is pickled or copied gets another."""
 
     def __init__(self, advance: Callable[[int, int], None], support: Support, pads: Pads, scene: Scene) -> None:
@@ -60,17 +60,17 @@ class Step:
         self._advance(self._scene_at, self._memory_at)
         return _BODY.unpack_from(self._memory)
 
-    def __reduce__(self) -> tuple[Callable[..., Step | None], tuple[Support, Pads, Scene]]:
+    def __reduce__(self) -> tuple[Callable[..., CompiledStep | None], tuple[Support, Pads, Scene]]:
         return step_of, self._made_of
 
 
-def step_of(support: SupportFunction, pads: Pads, scene: Scene) -> Step | None:
+def step_of(support: SupportFunction, pads: Pads, scene: Scene) -> CompiledStep | None:
     """Of a body on `pads`, each (sagitta, standoff, reach) in m; None where the twin has to do.
 
     `scene`: by the names of `plant.c`'s Scene.
     """
     advance = _advance()
-    return None if advance is None or not isinstance(support, Support) else Step(advance, support, pads, scene)
+    return None if advance is None or not isinstance(support, Support) else CompiledStep(advance, support, pads, scene)
 
 
 @cache
