@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import struct
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -17,8 +17,8 @@ _STEP = struct.Struct("=50d")
 _SHAKING = 3
 _BODY = struct.Struct("=36d")  # a step's beginning
 
-Step = Callable[..., tuple[float, ...]]
-"""Takes the numbers of `plant.c`'s Step, and returns those of its Body after it."""
+Pads = Sequence[tuple[float, float, float]]
+Scene = Mapping[str, float | tuple[float, ...]]
 
 
 def _doubles(*names: str) -> list[tuple[str, type]]:
@@ -43,27 +43,34 @@ def backend() -> str:
     return "python" if _advance() is None else "c"
 
 
-def step_of(
-    support: SupportFunction, pads: Iterable[tuple[float, float, float]], **scene: float | tuple[float, ...]
-) -> Step | None:
+class CompiledStep:
+    """One step of a body on its pads, in memory of its own; what is pickled or copied gets another."""
+
+    def __init__(self, advance: Callable[[int, int], None], support: Support, pads: Pads, scene: Scene) -> None:
+        self._made_of = support, pads, scene
+        self._advance, self._table = advance, np.array(support.table)
+        numbers = (ctypes.c_double * 6)(*(number for pad in pads for number in pad))
+        self._scene = _Scene(table=self._table.ctypes.data, pads=numbers, **scene)
+        self._memory = ctypes.create_string_buffer(_STEP.size)
+        self._scene_at, self._memory_at = ctypes.addressof(self._scene), ctypes.addressof(self._memory)
+
+    def __call__(self, *numbers: float) -> tuple[float, ...]:
+        """Takes the numbers of `plant.c`'s Step, and returns those of its Body after it."""
+        _STEP.pack_into(self._memory, 0, *numbers)
+        self._advance(self._scene_at, self._memory_at)
+        return _BODY.unpack_from(self._memory)
+
+    def __reduce__(self) -> tuple[Callable[..., CompiledStep | None], tuple[Support, Pads, Scene]]:
+        return step_of, self._made_of
+
+
+def step_of(support: SupportFunction, pads: Pads, scene: Scene) -> CompiledStep | None:
     """Of a body on `pads`, each (sagitta, standoff, reach) in m; None where the twin has to do.
 
     `scene`: by the names of `plant.c`'s Scene.
     """
     advance = _advance()
-    if advance is None or not isinstance(support, Support):
-        return None
-    table = np.array(support.table)
-    numbers = (ctypes.c_double * 6)(*(number for pad in pads for number in pad))
-    held, memory = _Scene(table=table.ctypes.data, pads=numbers, **scene), ctypes.create_string_buffer(_STEP.size)
-    scene_at, memory_at = ctypes.addressof(held), ctypes.addressof(memory)
-
-    def step(*numbers: float, _held: object = (table, held)) -> tuple[float, ...]:
-        _STEP.pack_into(memory, 0, *numbers)
-        advance(scene_at, memory_at)
-        return _BODY.unpack_from(memory)
-
-    return step
+    return None if advance is None or not isinstance(support, Support) else CompiledStep(advance, support, pads, scene)
 
 
 @cache

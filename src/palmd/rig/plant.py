@@ -23,7 +23,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from palmd.events import PalmMotion
-from palmd.rig.compiled_plant import Step, step_of
+from palmd.rig.compiled_plant import CompiledStep, Scene, step_of
 from palmd.rig.imperfections import PERFECT, Imperfections
 from palmd.rig.shapes import Body, Kind
 from palmd.system.description import HingeMode
@@ -206,18 +206,18 @@ class Plant:
         self._rates: _Rates = (0.0, 0.0, 0.0, 0.0, 0.0)
         self._compiled = self._compiled_step()
 
-    def _compiled_step(self) -> Step | None:
+    def _compiled_step(self) -> CompiledStep | None:
         """`advance` and all that it calls as one call, for bodies and palms that it serves."""
         hinge, surface, pads = self.hinge, self.surface, zip(self._pads, self.reach, strict=True)
-        return step_of(
-            self.body.support,
-            [(pad.sagitta, pad.standoff, length) for pad, length in pads],
-            rho2=self.body.rho**2, mu=surface.mu, dither=surface.dither, damping=surface.damping,
-            friction1=self._friction1, friction2=self._friction2, gravity=self.gravity, shake=self._shake,
-            shaking_hz=_SHAKING_HZ, travel=hinge.palm1_length, base=hinge.base, drift_rate=_DRIFT_RATE,
-            coulomb_slip=_COULOMB_SLIP, soft_blow=_SOFT_BLOW, parting=_PARTING, lost_distance=_LOST_DISTANCE,
-            coulomb=self.law == "coulomb", arc=hinge.mode == "arc", bowed=self._bowed,
-        )  # fmt: skip
+        scene: Scene = {
+            "rho2": self.body.rho**2, "mu": surface.mu, "dither": surface.dither, "damping": surface.damping,
+            "friction1": self._friction1, "friction2": self._friction2, "gravity": self.gravity, "shake": self._shake,
+            "shaking_hz": _SHAKING_HZ, "travel": hinge.palm1_length, "base": hinge.base, "drift_rate": _DRIFT_RATE,
+            "coulomb_slip": _COULOMB_SLIP, "soft_blow": _SOFT_BLOW, "parting": _PARTING,
+            "lost_distance": _LOST_DISTANCE,
+            "coulomb": self.law == "coulomb", "arc": hinge.mode == "arc", "bowed": self._bowed,
+        }  # fmt: skip
+        return step_of(self.body.support, [(pad.sagitta, pad.standoff, length) for pad, length in pads], scene)
 
     # -- placing and looking ------------------------------------------------------------------------------
 
@@ -306,7 +306,7 @@ class Plant:
         self._frame = last
         self._settle_contacts()
 
-    def _advance_compiled(self, step: Step, middle: PalmMotion, end: PalmMotion, dt: float) -> None:
+    def _advance_compiled(self, step: CompiledStep, middle: PalmMotion, end: PalmMotion, dt: float) -> None:
         q, (plane1, plane2) = self.state, self._planes
         after = step(
             q.x, q.y, q.psi, q.vx, q.vy, q.omega0, *self._rates, *self._frame, *plane1, *plane2,

@@ -1,5 +1,6 @@
 """The plant's compiled step against its twin in Python: the same bits, whatever happens to the body."""
 
+import pickle
 from dataclasses import dataclass
 
 import numpy as np
@@ -103,6 +104,15 @@ def test_a_step_goes_on_from_what_was_done_to_the_plant_in_between():
         for plant in plants:
             plant.take_away()
         assert alike(plants, standing, 5).fallen == 5
+
+
+def test_a_copy_goes_on_alike_and_by_itself():
+    plant = twins(9, Hinge("arc"), PlantOptions(), BOWED)[0]
+    plant.place(AT_REST, 0.5)
+    copy, other = (pickle.loads(pickle.dumps(plant)) for _ in range(2))
+    alike((plant, copy), standing, 20)
+    assert copy._compiled is not None
+    assert told(other) != told(copy)
 
 
 def test_without_a_compiler_python_steps_it(monkeypatch):
