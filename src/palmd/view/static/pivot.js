@@ -23,8 +23,9 @@ export function pivots(estimate) {
 }
 
 /** Whether a body is clear of the pad: it touches, or the hand that holds it has it above. */
-export function clear(object, { z_m, psi_rad, touch1 }) {
+export function clear(object, truth) {
+  const { z_m, psi_rad } = truth, touches = Object.keys(truth).some((name) => name.startsWith("touch") && truth[name]);
   const [first, second] = object.theta_rad, count = object.theta_rad.length;
   const below = Math.round((-Math.PI / 2 - psi_rad - first) / (second - first));
-  return touch1 || object.h_m[((below % count) + count) % count] <= z_m;
+  return touches || object.h_m[((below % count) + count) % count] <= z_m;
 }
