@@ -38,14 +38,13 @@ from palmd.observer.session import ObjectSession
 from palmd.observer.smoother_link import SmootherLink
 from palmd.observer.smoothing import Session
 from palmd.observer.track import Track
-from palmd.observer.validity import Evidence, Thresholds, consistent, predictable, settled, surprised
+from palmd.observer.validity import Evidence, Thresholds, consistent, predictable, settled
 from palmd.system.arcs import MOST_LYING
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import FORCES, PALMS, RADII
 
 SETTLED = Thresholds(age_s=0.4, radius_sd_m=3e-4, disagreement_m=3e-4)
 DISTRUSTED_S = 3.5  # after an object was lost where it lay: what the model does not explain is lost again before long
-SURPRISED_S = 1.0  # after readings that no filter foresaw: the covariances do not know of that
 RIG_KNOWN_M = 1e-5  # of a radius: what the rig's constants may leave open that no smoother has told of yet
 _FORCES, _BENDS = ([NAMED.index(name) for name in names] for names in (FORCES, ("v1", "v2")))
 _RADII = slice(NAMED.index(RADII[0]), NAMED.index(RADII[-1]) + 1)  # one beside the other
@@ -271,20 +270,13 @@ class BankObserver:
             palms_known=fusion.palms_known(t),
             resumed_for_s=t - contacts.resumed,
             finite=math.isfinite(float(y.sum() + sd.sum())),  # as are all its terms
-            consistent=self._consistent(track, t) and self._lies_on(y),
+            consistent=consistent(float(fusion.bank.nis[fusion.bank.best()])) and self._lies_on(y),
             age_s=track.age(t),
             radius_sd_m=float(sd[_RADII].max()),
             disagreement_m=float(disagreement[_RADII].max()),
             explained=self._explained(track, t),
             rig_known=self._link is None or fusion.allows_for_rig or track.radius_sd < RIG_KNOWN_M,
         )
-
-    def _consistent(self, track: Track, t: float) -> bool:
-        """Whether the readings are as foreseen, and have been for a while since they surprised a filter of the bank."""
-        nis = float(self._fusion.bank.nis[self._fusion.bank.best()])
-        if surprised(nis) and not self._fusion.carries:
-            track.t_surprised = t
-        return consistent(nis) and t - track.t_surprised > SURPRISED_S
 
     def _explained(self, track: Track, t: float) -> bool:
         """Whether nothing speaks against the model itself: a corner, a flat side, two objects."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -21,7 +20,6 @@ class Track:
 
     radius_sd: what the rig's constants leave of its radius (m) until a smoother has told more. valid, predictable: of
     the last estimate. t_unlikely: since when (s) all filters have been surprised, None while they are not.
-    t_surprised: when (s) readings surprised the best of several filters last.
     """
 
     fusion: Fusion
@@ -35,7 +33,6 @@ class Track:
     valid: bool = False
     predictable: bool = False
     t_unlikely: float | None = None
-    t_surprised: float = -math.inf
 
     def age(self, t: float) -> float:
         """How long ago its filters began, at `t` (s)."""
@@ -46,6 +43,5 @@ class Track:
     ) -> None:
         """One filter, which a smoother vouches for, takes the place of all others; it has the leader's gauge."""
         filters.spread = spread
-        self.t_surprised = -math.inf
         self.coverage = Coverage(touched, 0, self.fusion.curvatures)
         self.fusion.lead_with(filters, x, P, nis)

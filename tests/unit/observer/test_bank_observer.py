@@ -14,7 +14,7 @@ from palmd import observer
 from palmd.events import Estimate, Event, PadLift, PadSample, PalmSample
 from palmd.model import building, compiled, shape_map
 from palmd.model import shape as modelled
-from palmd.observer.bank_observer import SURPRISED_S, BankObserver
+from palmd.observer.bank_observer import BankObserver
 from palmd.observer.filters.extended import ExtendedFilters
 from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.palms import PalmTracker
@@ -378,19 +378,6 @@ def test_no_valid_outline_is_hollow() -> None:
             tick += 0.01
         watcher.feed(event)
     assert valid > 100
-
-
-def test_what_surprised_it_is_not_claimed_as_soon_as_it_surprises_less(nominal: tuple) -> None:
-    rig, events, _ = nominal
-    watcher = observer.make("shape", rig)
-    _replay(watcher, [event for event in events if event.t_sample < 4.0])
-    assert watcher.estimate(4.0).valid
-    watcher._fusion.bank.nis[:] = 2.5
-    assert not watcher.estimate(4.005).valid
-    watcher._fusion.bank.nis[:] = 1.0
-    later = _replay(watcher, [event for event in events if 4.0 <= event.t_sample < 5.2], 4.0)
-    since = [estimate.t for estimate in later if estimate.valid]
-    assert 4.0 + SURPRISED_S < since[0] < 4.1 + SURPRISED_S
 
 
 def test_a_map_that_leads_astray_is_forgotten(nominal: tuple) -> None:
