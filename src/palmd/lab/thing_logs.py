@@ -66,7 +66,7 @@ _DRY = "dry"
 
 
 @dataclass(frozen=True, slots=True)
-class LogTask:
+class SharpTask:
     """One log to make and to reconstruct: what lies on the palms, the seed, how long (s)."""
 
     kind: str
@@ -76,7 +76,7 @@ class LogTask:
 
 
 @dataclass(frozen=True, slots=True)
-class LogRow:
+class SharpRow:
     """What came of it; NaN for what there is not.
 
     e_h, most, sd: RMS and largest error, and RMS of the one-sigma, over the touched normals (m). touched: their share.
@@ -108,12 +108,12 @@ class LogRow:
         return self.claimed and not self.right
 
 
-def tasks_of(kinds: Iterable[str], first: int, count: int, seconds: float, imperfections: Drawn) -> list[LogTask]:
+def tasks_of(kinds: Iterable[str], first: int, count: int, seconds: float, imperfections: Drawn) -> list[SharpTask]:
     """So many of each kind, all with the same seeds."""
-    return [LogTask(kind, first + i, seconds, imperfections) for i in range(count) for kind in kinds]
+    return [SharpTask(kind, first + i, seconds, imperfections) for i in range(count) for kind in kinds]
 
 
-def run(task: LogTask) -> LogRow:
+def run(task: SharpTask) -> SharpRow:
     """Simulate, reconstruct, compare; what raises becomes a row that says so."""
     try:
         return _run(task)
@@ -121,16 +121,16 @@ def run(task: LogTask) -> LogRow:
         return failed(task, error)
 
 
-def failed(task: LogTask, error: BaseException) -> LogRow:
+def failed(task: SharpTask, error: BaseException) -> SharpRow:
     """The row of a run that came to nothing."""
-    return LogRow(task.kind, task.seed, error=f"{type(error).__name__}: {error}")
+    return SharpRow(task.kind, task.seed, error=f"{type(error).__name__}: {error}")
 
 
-def _run(task: LogTask) -> LogRow:
+def _run(task: SharpTask) -> SharpRow:
     log, truth = simulated(task)
     begun = time.process_time()
     answer = reconstruct(log.events, log.rig)
-    row = LogRow(task.kind, task.seed, reason=answer.reason, seconds=time.process_time() - begun)
+    row = SharpRow(task.kind, task.seed, reason=answer.reason, seconds=time.process_time() - begun)
     if not answer.converged or answer.h is None or answer.h_sd is None or answer.touched is None:
         return row
     score = score_outline(answer.theta, answer.h, answer.touched, np.array(truth["h_m"]))
@@ -147,7 +147,7 @@ def _run(task: LogTask) -> LogRow:
     )
 
 
-def simulated(task: LogTask) -> tuple[EventLog, Line]:
+def simulated(task: SharpTask) -> tuple[EventLog, Line]:
     """The task's log, as it is read from a file, and its truth."""
     body = BODIES[task.kind](np.random.default_rng([_STREAM, KINDS.index(task.kind), task.seed]))
     options = PlantOptions(friction_law="coulomb" if task.kind.startswith(_DRY) else "dither")
@@ -162,14 +162,14 @@ def simulated(task: LogTask) -> tuple[EventLog, Line]:
 HEAD = ("right", "wrong", "refused", "µm", "largest", "error / sd", "touched", "explained (s)", "processor (s)")
 
 
-def table(rows: Sequence[LogRow]) -> str:
+def table(rows: Sequence[SharpRow]) -> str:
     """A line for each kind: errors and shares are medians of what is claimed, the largest error is of all that is."""
     lines: list[tuple[str, Sequence[str]]] = [("", HEAD)]
     groups = [(kind, [row for row in rows if row.kind == kind and not row.error]) for kind in KINDS]
     return aligned([*lines, *((name, _cells(mine)) for name, mine in groups if mine)])
 
 
-def _cells(rows: Sequence[LogRow]) -> Sequence[str]:
+def _cells(rows: Sequence[SharpRow]) -> Sequence[str]:
     claimed = [row for row in rows if row.claimed]
     counts = [sum(row.right for row in rows), sum(row.wrong for row in rows), len(rows) - len(claimed)]
     spent = f"{np.median([row.seconds for row in rows]):.0f}, most {max(row.seconds for row in rows):.0f}"
@@ -187,7 +187,7 @@ def _cells(rows: Sequence[LogRow]) -> Sequence[str]:
     )
 
 
-def remarks(rows: Sequence[LogRow]) -> list[str]:
+def remarks(rows: Sequence[SharpRow]) -> list[str]:
     """A line for each log: what came of it, and what it looks like."""
     said = []
     for row in rows:

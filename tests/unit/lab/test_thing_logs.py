@@ -7,11 +7,11 @@ import pytest
 
 from palmd.cli import main
 from palmd.lab import thing_logs
-from palmd.lab.thing_logs import KINDS, LogRow, LogTask, simulated, tasks_of
+from palmd.lab.thing_logs import KINDS, SharpRow, SharpTask, simulated, tasks_of
 
 
 def test_a_task_is_one_log_and_its_truth_is_of_the_hull() -> None:
-    (log, truth), (again, _), (other, _) = (simulated(LogTask("dent of 10 mm", seed, 0.5)) for seed in (0, 0, 1))
+    (log, truth), (again, _), (other, _) = (simulated(SharpTask("dent of 10 mm", seed, 0.5)) for seed in (0, 0, 1))
     assert log.events == again.events
     assert log.events != other.events
     slopes = np.diff(np.array(truth["h_m"])) / np.diff(truth["theta_rad"])
@@ -25,7 +25,7 @@ def test_all_kinds_have_the_same_seeds() -> None:
 
 
 def test_what_raises_becomes_a_row_that_says_so() -> None:
-    row = thing_logs.run(LogTask("teapot", 0))
+    row = thing_logs.run(SharpTask("teapot", 0))
     assert row.error.startswith("KeyError")
     assert thing_logs.remarks([row]) == [f"teapot 0: {row.error}"]
 
@@ -33,9 +33,9 @@ def test_what_raises_becomes_a_row_that_says_so() -> None:
 def test_right_wrong_and_refused_are_counted_apart() -> None:
     kind = KINDS[0]
     rows = [
-        LogRow(kind, 0, claimed=True, e_h_m=9e-5, most_m=2e-4, sd_m=3e-5, touched=0.1, explained_s=9.0, seconds=4.0),
-        LogRow(kind, 1, claimed=True, e_h_m=2e-4, most_m=6e-4, sd_m=2e-5, touched=0.2, explained_s=7.0, seconds=6.0),
-        LogRow(kind, 2, reason="why", seconds=30.0),
+        SharpRow(kind, 0, claimed=True, e_h_m=9e-5, most_m=2e-4, sd_m=3e-5, touched=0.1, explained_s=9.0, seconds=4.0),
+        SharpRow(kind, 1, claimed=True, e_h_m=2e-4, most_m=6e-4, sd_m=2e-5, touched=0.2, explained_s=7.0, seconds=6.0),
+        SharpRow(kind, 2, reason="why", seconds=30.0),
     ]
     told = thing_logs.table(rows).splitlines()[-1]
     assert told.split("  ")[0] == kind
