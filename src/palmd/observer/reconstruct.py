@@ -30,7 +30,18 @@ from palmd.observer.noise import with_scatter
 from palmd.observer.outline import directions, felt_normals, made_convex, outline_of
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
-from palmd.observer.search import AMBIGUOUS, NOTHING_MOVES, Minima, Search, beyond_question, doubt, minima, still
+from palmd.observer.search import (
+    AMBIGUOUS,
+    NOTHING_MOVES,
+    OVERFITTED,
+    Minima,
+    Search,
+    beyond_question,
+    doubt,
+    minima,
+    overfits,
+    still,
+)
 from palmd.observer.seeker import attempts_for
 from palmd.observer.sharp_reconstruct import sharp_reconstruction
 from palmd.observer.smoother import Fit, Smoother
@@ -174,7 +185,8 @@ def _refined(search: Search, finding: Minima, segment: DataSegment, rig: RigDesc
         prior = replace(prior, sd=np.concatenate([prior.sd[: C.RIG], belief.sd, prior.sd[C.SHAPE :]]))
         smoother = Smoother(search.library, record, prior)
         fit = smoother.fit(belief.within(fit.guess), fit.noise)
-    return _Part(segment, search, prior, fit, record, belief, doubt(fit, finding))
+    reason = OVERFITTED if overfits(fit) else doubt(fit, finding)
+    return _Part(segment, search, prior, fit, record, belief, reason)
 
 
 def _longest_together(parts: Sequence[_Part]) -> tuple[_Part, list[_Joined]]:

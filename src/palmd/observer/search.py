@@ -50,8 +50,10 @@ MOST_FORCE_CHI2 = 4.0  # of forces that are noisier than described: by twice, an
 MOST_OUTLIERS = 0.2
 MOST_SLACK = 0.25  # of the cost, for each contact reading: more, and the motion is not one of the model's
 TREMBLING, UNLIKELY = 0.004, 30.0  # of the same two, where there is more of both than smooth outlines have
+LEAST_CHI2 = 0.75  # where noise is less than described, a likely object has it too; smooth bodies have 0.9 and more
 MOST_STRAIN = 60.0  # of the cost, from some thirty constants and their prior
 AMBIGUOUS = "another outline explains the readings as well"
+OVERFITTED = "only an unlikely object explains the readings, and better than their noise allows"
 NOTHING_MOVES = "nothing moves: readings at rest tell nothing of the outline"
 STILL_RAD = 5e-3  # palms that move by less tell nothing of what turns with them
 
@@ -284,6 +286,14 @@ def far_fetched(fit: Fit, record: Record) -> bool:
     """
     trembles = fit.slack > TREMBLING * len(record.contact_value)
     return (fit.settled and not explained(fit, record)) or (trembles and fit.strain > UNLIKELY)
+
+
+def overfits(fit: Fit) -> bool:
+    """Whether the readings are explained far better than their noise allows, and by an unlikely object at that.
+
+    As in `far_fetched` it is a side that is passed: ψ goes wherever each reading wants it to.
+    """
+    return fit.chi2 < LEAST_CHI2 and fit.strain > UNLIKELY
 
 
 def beyond_question(fit: Fit, record: Record) -> bool:

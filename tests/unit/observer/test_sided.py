@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,10 +14,12 @@ from palmd.model import sharp
 from palmd.model.shape import coefficients_of
 from palmd.model.smoothing import NODE, ORDER, C
 from palmd.observer.data_segment import longest_segment
-from palmd.observer.normal_equations import BLOW_SD, ProcessNoise, _quiet_or_blow
-from palmd.observer.search import Search
+from palmd.observer.factor import Prior
+from palmd.observer.normal_equations import BLOW_SD, Guess, ProcessNoise, _quiet_or_blow
+from palmd.observer.search import Search, overfits
 from palmd.observer.sharp_reconstruct import sharp_reconstruction
-from palmd.observer.sided import followed
+from palmd.observer.sided import Candidate, SidedSearch, followed
+from palmd.observer.smoother import Fit
 from palmd.rig.sharp_shapes import rounded_polygon, uniform_body
 from palmd.score import score_outline
 
@@ -57,6 +60,38 @@ def test_without_a_gate_every_defect_is_noise():
     weighed, beyond = _quiet_or_blow(np.full((3, NODE), 1e3), root, ProcessNoise(1.0, 1.0))
     assert np.array_equal(weighed, root)
     assert beyond == 0.0
+
+
+def a_fit(**but: float) -> Fit:
+    fit = Fit(Guess(np.zeros((2, NODE)), np.zeros(sharp.CONSTANTS)), ProcessNoise(1.0, 1.0), 100.0, 1.0, 1.0,
+              0.1, 10.0, 0.0, 0, 5, True)  # fmt: skip
+    return replace(fit, **but)
+
+
+@pytest.mark.parametrize(("chi2", "strain", "too_well"), [(0.51, 40.0, True), (0.51, 10.0, False), (0.95, 40.0, False)])
+def test_quiet_readings_of_a_likely_object_are_not_explained_too_well(chi2, strain, too_well):
+    assert overfits(a_fit(chi2=chi2, strain=strain)) is too_well
+
+
+def test_a_window_that_grows_by_a_tumble_is_not_gone_on_with():
+    run = simulated("friction", 3, 3.0)
+    record = Search(longest_segment(run.events), run.rig).record
+    prior = Prior(np.zeros(sharp.CONSTANTS), np.ones(sharp.CONSTANTS), 1.0)
+    first, longer = record.until(2.0), record.until(2.2)
+    before = Candidate((), prior, first, a_fit(cost=float(first.readings)), 1.0)
+    after = Candidate((), prior, longer, a_fit(cost=float(longer.readings)), 1.0)
+    assert after.goes_on(before)
+    jumped = replace(after, fit=a_fit(cost=longer.readings + 200.0))
+    assert jumped.explains  # as far as the whole record's numbers tell
+    assert not jumped.goes_on(before)
+
+
+def test_the_search_ends_when_its_work_is_done(monkeypatch):
+    monkeypatch.setattr("palmd.observer.sided.WORK", 1.0)
+    run = simulated("friction", 3, 6.0)
+    seen: list[Candidate] = []
+    SidedSearch(Search(longest_segment(run.events), run.rig)).stretches(seen.append)
+    assert max(float(each.record.t[-1]) for each in seen) < 1.0
 
 
 def test_a_polygon_that_rides_on_a_palm_is_told_by_its_side_and_its_corner():
