@@ -13,7 +13,6 @@ are answered. Nothing that comes down the line raises. All of it is safe inside 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 
 from palmd.devices.actuator import FOLLOWING, ArmReport, ArmState, Pose, Sent
@@ -227,7 +226,7 @@ class ArmHost:
                     self._refused(reply)
                 case HelloReply():
                     self._greeted(reply, line.t_first)
-        return self._told_apart(reports) if len(reports) > 1 else reports
+        return self._told_apart(reports)
 
     def _acknowledged(self, ack: Ack, t_first: float, *, alone: bool) -> bool:
         kind, t_sent = self._waiting.pop(ack.ss, (None, 0.0))
@@ -265,10 +264,10 @@ class ArmHost:
             self._t_query = math.inf
             self.commanded = None
 
-    def _told_apart(self, reports: Sequence[ArmReport]) -> list[ArmReport]:
-        """Reports that came at once: set-points are answered a cycle apart, so something has held them up."""
-        if self._timer is None or any(each.state is not ArmState.TRACKING for each in reports):
-            return list(reports)
+    def _told_apart(self, reports: list[ArmReport]) -> list[ArmReport]:
+        """Where several came at once: set-points are answered a cycle apart, so something has held them up."""
+        if len(reports) < 2 or self._timer is None or any(each.state is not ArmState.TRACKING for each in reports):
+            return reports
         last = self._timer.cycle_before(reports[-1].t_sample)
         ago = range(len(reports) - 1, -1, -1)
         return [

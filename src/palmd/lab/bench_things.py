@@ -6,7 +6,7 @@ With --offline: logs of polygons, of dented and of dry lumps, reconstructed blin
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from typing import Any
 
 from palmd.console.arguments import count, seconds, seed
 from palmd.console.errors import BAD_INPUT, CliError
@@ -39,34 +39,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Interrupted, it tells of what is finished until then. CliError for a kind that there are no such runs of."""
     offline = bool(arguments.offline)
-    known = thing_logs.KINDS if offline else things.KINDS
+    study: Any = thing_logs if offline else things  # two modules with the same functions, each of its own rows
+    known: tuple[str, ...] = study.KINDS
     if arguments.kind not in (*known, ALL):
         wanted = "without" if offline else "with"
         raise CliError(BAD_INPUT, f"--kind {arguments.kind} is {wanted} --offline; here there are: {', '.join(known)}")
     kinds = known if arguments.kind == ALL else (arguments.kind,)
     print(f"seeds {arguments.seed} to {arguments.seed + arguments.runs - 1}")
-    return _reconstructed(arguments, kinds) if offline else _live(arguments, kinds)
-
-
-def _live(arguments: argparse.Namespace, kinds: Sequence[str]) -> int:
-    length = arguments.seconds or LIVE_S
-    tasks = things.tasks_of(kinds, arguments.seed, arguments.runs, length, arguments.imperfections)
-    finished, status = collected("things", tasks, things.run, things.failed, on_this_machine(arguments.jobs))
-    rows = sorted(finished, key=lambda row: (things.KINDS.index(row.kind), row.seed))
+    length = arguments.seconds or (LOG_S if offline else LIVE_S)
+    tasks = study.tasks_of(kinds, arguments.seed, arguments.runs, length, arguments.imperfections)
+    what, workers = "logs" if offline else "things", on_this_machine(arguments.jobs)
+    finished, status = collected(what, tasks, study.run, study.failed, workers)
+    rows = sorted(finished, key=lambda row: (known.index(row.kind), row.seed))
     if rows:
-        print(things.table(rows))
-    for remark in things.remarks(rows):
-        print(remark)
-    return status
-
-
-def _reconstructed(arguments: argparse.Namespace, kinds: Sequence[str]) -> int:
-    length = arguments.seconds or LOG_S
-    tasks = thing_logs.tasks_of(kinds, arguments.seed, arguments.runs, length, arguments.imperfections)
-    finished, status = collected("logs", tasks, thing_logs.run, thing_logs.failed, on_this_machine(arguments.jobs))
-    rows = sorted(finished, key=lambda row: (thing_logs.KINDS.index(row.kind), row.seed))
-    if rows:
-        print(thing_logs.table(rows))
-    for remark in thing_logs.remarks(rows):
+        print(study.table(rows))
+    for remark in study.remarks(rows):
         print(remark)
     return status

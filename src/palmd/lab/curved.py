@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import math
-import tempfile
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from palmd.lab.montecarlo_summary import quantile
+from palmd.lab.runs import with_failures
 from palmd.lab.scoring import RIGHT_M
+from palmd.lab.simulated import written
 from palmd.lab.table import aligned
 from palmd.observer.reconstruct import reconstruct
 from palmd.record.eventlog import read_log
@@ -46,24 +45,16 @@ class LogRow:
     seconds: float = math.nan
 
 
-def reconstructed(task: LogTask) -> LogRow:
-    """Simulate, reconstruct and judge one log; what raises becomes a row that says so."""
-    try:
-        return _reconstructed(task)
-    except Exception as error:
-        return log_failed(task, error)
-
-
 def log_failed(task: LogTask, error: BaseException) -> LogRow:
     """The row of a run that came to nothing."""
     return LogRow(task.kind, task.seed, f"{type(error).__name__}: {error}")
 
 
-def _reconstructed(task: LogTask) -> LogRow:
+@with_failures(log_failed)
+def reconstructed(task: LogTask) -> LogRow:
+    """Simulate, reconstruct and judge one log; what raises becomes a row that says so."""
     lines, truth = simulate_curved_log(task.kind, task.seed, task.seconds)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "log.jsonl"
-        path.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
+    with written(lines) as path:
         log = read_log(path)
     begun = time.process_time()
     answer = reconstruct(log.events, log.rig)

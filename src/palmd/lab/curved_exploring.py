@@ -13,6 +13,7 @@ from palmd.config import Config, LimitsConfig
 from palmd.lab import exploring
 from palmd.lab.exploring import ExploringRow, ExploringTask
 from palmd.lab.montecarlo_summary import number, percent, quantile
+from palmd.lab.runs import with_failures
 from palmd.lab.scoring import as_line as scored_line
 from palmd.lab.table import aligned
 from palmd.rig.curved_plant import MOST_LYING, widest
@@ -55,21 +56,19 @@ def tasks_of(first_seed: int, count: int, seconds: float) -> list[CradleTask]:
     ]
 
 
-def run(task: CradleTask) -> CradleRow:
-    """Explore and judge; what raises becomes a row that says so."""
-    try:
-        curvatures, body = _drawn(task)
-        config = _config(curvatures if task.curved else None)
-        told = exploring.explored(ExploringTask(task.kind, task.seed, "explore", task.seconds), config, body)
-        return CradleRow(config.rig.curvatures_per_m, told)
-    except Exception as error:
-        return failed(task, error)
-
-
 def failed(task: CradleTask, error: BaseException) -> CradleRow:
     """The row of a run that came to nothing."""
     told = exploring.failed(ExploringTask(task.kind, task.seed, "explore", task.seconds), error)
     return CradleRow((math.nan,) if task.curved else (0.0,), told)
+
+
+@with_failures(failed)
+def run(task: CradleTask) -> CradleRow:
+    """Explore and judge; what raises becomes a row that says so."""
+    curvatures, body = _drawn(task)
+    config = _config(curvatures if task.curved else None)
+    told = exploring.explored(ExploringTask(task.kind, task.seed, "explore", task.seconds), config, body)
+    return CradleRow(config.rig.curvatures_per_m, told)
 
 
 def _drawn(task: CradleTask) -> tuple[tuple[float, float], Body]:

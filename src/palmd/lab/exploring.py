@@ -19,6 +19,7 @@ from palmd.events import FloatArray
 from palmd.harness.wireless import Wireless
 from palmd.lab.exploring_plans import STRATEGIES, Strategy, plan
 from palmd.lab.exploring_watch import EDGE_M, ExplorationWatch
+from palmd.lab.runs import with_failures
 from palmd.model import shape
 from palmd.model.stable_surface import stable_surface
 from palmd.motion.check import motion_limits
@@ -130,17 +131,15 @@ def in_order(rows: Iterable[ExploringRow]) -> list[ExploringRow]:
     return sorted(rows, key=lambda row: (KINDS.index(row.kind), row.seed, STRATEGIES.index(row.strategy)))
 
 
-def run(task: ExploringTask) -> ExploringRow:
-    """Explore and judge; what raises becomes a row that says so."""
-    try:
-        return _run(task)
-    except Exception as error:
-        return failed(task, error)
-
-
 def failed(task: ExploringTask, error: BaseException) -> ExploringRow:
     """The row of a run that came to nothing."""
     return ExploringRow(task.kind, task.seed, task.strategy, error=f"{type(error).__name__}: {error}")
+
+
+@with_failures(failed)
+def run(task: ExploringTask) -> ExploringRow:
+    """Explore and judge; what raises becomes a row that says so."""
+    return explored(task, load_config(task.config) if task.config else default_config(task.imperfections))
 
 
 class _Timed(Decider):
@@ -157,10 +156,6 @@ class _Timed(Decider):
             cost = rig_cost(question.outlook, question.outlook.touched)
             self.open_rig_m = math.nan if cost is None else cost.sd
         return answer
-
-
-def _run(task: ExploringTask) -> ExploringRow:
-    return explored(task, load_config(task.config) if task.config else default_config(task.imperfections))
 
 
 def explored(task: ExploringTask, config: Config, body: Body | None = None) -> ExploringRow:

@@ -15,6 +15,7 @@ import numpy as np
 from palmd import observer
 from palmd.config import Drawn
 from palmd.events import FloatArray, ShapeEstimate
+from palmd.lab.runs import with_failures
 from palmd.lab.scoring import (
     Line,
     MonteCarloRow,
@@ -53,25 +54,14 @@ def tasks_of(
     return [MonteCarloTask(kind, first_seed + i, seconds, causal, imperfections) for i in range(runs) for kind in kinds]
 
 
-def run(task: MonteCarloTask) -> MonteCarloRow:
-    """Simulate, reconstruct, replay and score; what raises becomes a row that says so."""
-    try:
-        return _run(task)
-    except Exception as error:
-        return failed(task, error)
-
-
 def failed(task: MonteCarloTask, error: BaseException) -> MonteCarloRow:
     """The row of a run that came to nothing."""
     return MonteCarloRow(task.kind, task.seed, error=f"{type(error).__name__}: {error}")
 
 
-def in_order(rows: Iterable[MonteCarloRow]) -> list[MonteCarloRow]:
-    """By kind and seed, whichever was finished first."""
-    return sorted(rows, key=lambda row: (KINDS.index(row.kind), row.seed))
-
-
-def _run(task: MonteCarloTask) -> MonteCarloRow:
+@with_failures(failed)
+def run(task: MonteCarloTask) -> MonteCarloRow:
+    """Simulate, reconstruct, replay and score; what raises becomes a row that says so."""
     log, told = simulated(task.kind, task.seed, task.seconds, imperfections=task.imperfections)
     truth = truth_of(told)
     # The estimators' own seeds stay at their defaults, so that the commands give the same answers on the same log.
@@ -81,6 +71,11 @@ def _run(task: MonteCarloTask) -> MonteCarloRow:
     watcher = observer.make("shape", log.rig, smoothing=observer.Simulated(log.rig))
     causal = causal_of(answers(log, told, watcher)) if task.causal else None
     return row_of(task.kind, task.seed, truth, answer, outline, bound, causal)
+
+
+def in_order(rows: Iterable[MonteCarloRow]) -> list[MonteCarloRow]:
+    """By kind and seed, whichever was finished first."""
+    return sorted(rows, key=lambda row: (KINDS.index(row.kind), row.seed))
 
 
 def answers(log: EventLog, told: Line, watcher: observer.Observer) -> ObserverAnswers:

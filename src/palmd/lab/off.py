@@ -7,18 +7,17 @@ then what is off should have a name.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Literal, get_args
 
 import numpy as np
 
 from palmd.events import Event, PadSample
+from palmd.lab.runs import with_failures
 from palmd.lab.scoring import outline_errors, truth_of
+from palmd.lab.simulated import written
 from palmd.lab.table import aligned
 from palmd.observer.reconstruct import reconstruct
 from palmd.record.eventlog import read_log
@@ -176,20 +175,14 @@ def tasks_of(
     ]
 
 
-def run(task: OffTask) -> OffRow:
-    """Simulate, spoil, reconstruct, compare; what raises becomes a row that says so."""
-    try:
-        return _run(task)
-    except Exception as error:
-        return failed(task, error)
-
-
 def failed(task: OffTask, error: BaseException) -> OffRow:
     """The row of a run that came to nothing."""
     return OffRow(task.off, task.taken_for, task.kind, task.seed, error=f"{type(error).__name__}: {error}")
 
 
-def _run(task: OffTask) -> OffRow:
+@with_failures(failed)
+def run(task: OffTask) -> OffRow:
+    """Simulate, spoil, reconstruct, compare; what raises becomes a row that says so."""
     off = next(each for each in OFF if each.name == task.off)
     known = RigDescription().known_to(_KNOWN[task.taken_for])
     stream = KINDS.index(task.kind), task.seed
@@ -199,9 +192,7 @@ def _run(task: OffTask) -> OffRow:
         imperfections=replace(with_constants(rest, off.constants), vibration=off.vibration),
         calibration_sd=_KNOWN[task.taken_for],
     )  # fmt: skip
-    with TemporaryDirectory(prefix="palmd-") as folder:
-        path = Path(folder) / "run.jsonl"
-        path.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
+    with written(lines) as path:
         log = read_log(path)
     events: list[Event] = list(log.events)
     if off.spoil is not None:

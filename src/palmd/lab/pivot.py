@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
+from palmd.lab.simulated import written
 from palmd.lab.table import aligned
 from palmd.record.systems import read_log_of_any
 from palmd.rig.pivot import AS_TOLD, PivotImperfections, PivotKind, simulate_pivot_log
@@ -63,9 +61,7 @@ TROUBLES: dict[str, PivotImperfections] = {
 def run(task: PivotTask) -> PivotRow:
     """Simulates, reconstructs and scores one run."""
     lines, truth = simulate_pivot_log(task.kind, task.seed, task.seconds, TROUBLES[task.trouble])
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "log.jsonl"
-        path.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
+    with written(lines) as path:
         system, log = read_log_of_any(path)
     told = system.reconstruct(log, 0).line
     nan = math.nan

@@ -15,6 +15,7 @@ import numpy as np
 from palmd import observer
 from palmd.events import Estimate, FloatArray, ObjectEstimate
 from palmd.lab.montecarlo_summary import quantile
+from palmd.lab.runs import with_failures
 from palmd.lab.siblings import as_stored, siblings
 from palmd.lab.simulated import simulated
 from palmd.lab.table import aligned
@@ -63,20 +64,14 @@ def tasks_of(kinds: Iterable[Kind], first_seed: int, count: int, seconds: float)
     return [RecognitionTask(kind, first_seed + i, seconds) for i in range(count) for kind in kinds]
 
 
-def run(task: RecognitionTask) -> RecognitionRow:
-    """Simulate, recognise and score; what raises becomes a row that says so."""
-    try:
-        return _run(task)
-    except Exception as error:
-        return failed(task, error)
-
-
 def failed(task: RecognitionTask, error: BaseException) -> RecognitionRow:
     """The row of a run that came to nothing."""
     return RecognitionRow(task.kind, task.seed, error=f"{type(error).__name__}: {error}")
 
 
-def _run(task: RecognitionTask) -> RecognitionRow:
+@with_failures(failed)
+def run(task: RecognitionTask) -> RecognitionRow:
+    """Simulate, recognise and score; what raises becomes a row that says so."""
     random = np.random.default_rng([_STREAM, KINDS.index(task.kind), task.seed])
     bodies = siblings(task.kind, COUNT + 1, random)
     outlines = [as_stored(body, f"sibling {i + 1}", random) for i, body in enumerate(bodies[:COUNT])]

@@ -6,6 +6,7 @@ worker must be told how many threads to use before it loads one.
 
 from __future__ import annotations
 
+import functools
 import multiprocessing
 import os
 import signal
@@ -49,6 +50,24 @@ def cluster(address: str) -> Iterator[Executor]:
 
     with Client(address, timeout=CONNECT_S, set_as_default=False) as client:
         yield client.get_executor(pure=False)
+
+
+def with_failures(
+    failed: Callable[[Task, BaseException], Result],
+) -> Callable[[Callable[[Task], Result]], Callable[[Task], Result]]:
+    """For what does a task: where it raises, `failed` speaks for it, in whichever process that is."""
+
+    def around(work: Callable[[Task], Result]) -> Callable[[Task], Result]:
+        @functools.wraps(work)
+        def done(task: Task) -> Result:
+            try:
+                return work(task)
+            except Exception as error:
+                return failed(task, error)
+
+        return done
+
+    return around
 
 
 def finished(

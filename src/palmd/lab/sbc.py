@@ -19,6 +19,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from palmd.events import FloatArray
 from palmd.jsonvalues import or_none
+from palmd.lab.runs import with_failures
 from palmd.lab.scoring import Bools, Line, outline_errors, truth_of
 from palmd.lab.simulated import simulated
 from palmd.observer import prior
@@ -104,14 +105,17 @@ def tasks_of(
     return [task for task in tasks if task not in done]
 
 
+def failed(task: SbcTask, error: BaseException) -> SbcRow:
+    """The row of a run that came to nothing."""
+    return SbcRow(task.kind, task.seed, task.seconds, error=f"{type(error).__name__}: {error}")
+
+
+@with_failures(failed)
 def run(task: SbcTask) -> SbcRow:
     """Simulate, reconstruct and compare; what raises becomes a row that says so."""
-    try:
-        body, surface = believed(task.kind, task.seed)
-        log, told = simulated(task.kind, task.seed, task.seconds, body, "calibrated", surface)
-        return row_of(task, told, reconstruct(log.events, log.rig))
-    except Exception as error:
-        return failed(task, error)
+    body, surface = believed(task.kind, task.seed)
+    log, told = simulated(task.kind, task.seed, task.seconds, body, "calibrated", surface)
+    return row_of(task, told, reconstruct(log.events, log.rig))
 
 
 def believed(kind: Kind, seed: int) -> tuple[Body, FrictionSurface | None]:
@@ -127,11 +131,6 @@ def believed(kind: Kind, seed: int) -> tuple[Body, FrictionSurface | None]:
     while mu < _LEAST_MU:
         mu = prior.FRICTION + prior.FRICTION_SD * rng.standard_normal()
     return body, FrictionSurface(mu=mu, dither=dither)
-
-
-def failed(task: SbcTask, error: BaseException) -> SbcRow:
-    """The row of a run that came to nothing."""
-    return SbcRow(task.kind, task.seed, task.seconds, error=f"{type(error).__name__}: {error}")
 
 
 def in_order(rows: Iterable[SbcRow]) -> list[SbcRow]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -26,7 +28,14 @@ def simulated(
     lines, told = simulate_log(
         kind, seed, seconds, body=body, surface=surface, calibration_sd=CALIBRATION[imperfections]
     )
+    with written(lines) as path:
+        return read_log(path), told
+
+
+@contextmanager
+def written(lines: Iterable[Mapping[str, Any]]) -> Iterator[Path]:
+    """These lines as a log in a file, as every estimator gets them, for as long as it is read."""
     with TemporaryDirectory(prefix="palmd-") as folder:
         path = Path(folder) / "run.jsonl"
         path.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
-        return read_log(path), told
+        yield path

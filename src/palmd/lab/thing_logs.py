@@ -6,18 +6,17 @@ palm feels: the truth of a dented body is its hull. `run` gives the same row in 
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from palmd.config import Drawn
+from palmd.lab.runs import with_failures
 from palmd.lab.scoring import RIGHT_M
+from palmd.lab.simulated import written
 from palmd.lab.table import aligned
 from palmd.observer.reconstruct import reconstruct
 from palmd.record.eventlog import EventLog, read_log
@@ -113,20 +112,14 @@ def tasks_of(kinds: Iterable[str], first: int, count: int, seconds: float, imper
     return [SharpTask(kind, first + i, seconds, imperfections) for i in range(count) for kind in kinds]
 
 
-def run(task: SharpTask) -> SharpRow:
-    """Simulate, reconstruct, compare; what raises becomes a row that says so."""
-    try:
-        return _run(task)
-    except Exception as error:
-        return failed(task, error)
-
-
 def failed(task: SharpTask, error: BaseException) -> SharpRow:
     """The row of a run that came to nothing."""
     return SharpRow(task.kind, task.seed, error=f"{type(error).__name__}: {error}")
 
 
-def _run(task: SharpTask) -> SharpRow:
+@with_failures(failed)
+def run(task: SharpTask) -> SharpRow:
+    """Simulate, reconstruct, compare; what raises becomes a row that says so."""
     log, truth = simulated(task)
     begun = time.process_time()
     answer = reconstruct(log.events, log.rig)
@@ -153,9 +146,7 @@ def simulated(task: SharpTask) -> tuple[EventLog, Line]:
     options = PlantOptions(friction_law="coulomb" if task.kind.startswith(_DRY) else "dither")
     sds = CALIBRATION[task.imperfections]
     lines, truth = simulate_log("friction", task.seed, task.seconds, options, body, calibration_sd=sds)
-    with TemporaryDirectory(prefix="palmd-") as folder:
-        path = Path(folder) / "run.jsonl"
-        path.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
+    with written(lines) as path:
         return read_log(path), truth
 
 

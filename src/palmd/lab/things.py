@@ -16,6 +16,7 @@ from palmd.config import Drawn, ExploreGoal, rig_description
 from palmd.harness.scorer import Scorer
 from palmd.harness.wireless import Wireless
 from palmd.lab.exploring_plans import plan
+from palmd.lab.runs import with_failures
 from palmd.lab.table import aligned
 from palmd.observer import Simulated
 from palmd.quantities import ESTIMATE, SHAPE, UNEXPLAINED
@@ -79,20 +80,14 @@ def tasks_of(kinds: Iterable[str], first: int, count: int, seconds: float, imper
     return [ThingTask(kind, first + i, seconds, imperfections) for i in range(count) for kind in kinds]
 
 
-def run(task: ThingTask) -> ThingRow:
-    """Move, estimate and compare; what raises becomes a row that says so."""
-    try:
-        return _run(task)
-    except Exception as error:
-        return failed(task, error)
-
-
 def failed(task: ThingTask, error: BaseException) -> ThingRow:
     """The row of a run that came to nothing."""
     return ThingRow(task.kind, task.seed, error=f"{type(error).__name__}: {error}")
 
 
-def _run(task: ThingTask) -> ThingRow:
+@with_failures(failed)
+def run(task: ThingTask) -> ThingRow:
+    """Move, estimate and compare; what raises becomes a row that says so."""
     config = default_config(task.imperfections)
     moves = plan("random", config, ExploreGoal(time_limit_s=task.seconds + _MARGIN_S), task.seed)
     smoothing = Simulated(rig_description(config))
