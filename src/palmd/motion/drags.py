@@ -24,7 +24,8 @@ Phase = Literal["lift", "turn", "seek", "settle", "down", "up"]
 APPROACH_M_S = 0.015  # in the air
 STROKE_M, STROKE_RATIO = 0.012, 10.0  # towards the pad: dragged inwards, and lowered by so much less
 LIFT_M_S, AWAY_M, AWAY_M_S = 0.003, 0.012, 0.02  # while it touches, dragged by so much; and then
-NEAR_M = 5e-3  # above the highest place that the body touched at, from where on strokes seek it
+RAISED_M = 2e-4  # on the way back to the next stroke: more than a tilted or bowed pad rises over one
+NEAR_M = 9e-3  # above the highest place that the body touched at, from where on strokes seek it: its other side differs
 CLEAR_M = 6e-3  # by which a body is lifted off for somebody to turn it
 TURN_S = 2.0  # which they have
 TRAIL = 1.35  # times the drag at which the body just rolls
@@ -33,7 +34,7 @@ STEP_M, STEP_SHARE = 8e-4, 0.09  # of height at a time, and as a share of e
 DOWN_M_S = 0.004
 TILTED_M = 2.5e-3  # of e, that the body must be set down with
 LEAST_LEVER_M, LEVER_SHARE = 2e-3, 0.4  # of e, where it turns back: that, or a share of the largest on this side
-TAMED_SHARE, LEAST_FORCE_N = 0.65, 0.09  # of the force's limit, and the force, where it turns back
+TAMED_SHARE, LEAST_FORCE_N = 0.55, 0.09  # of the limit (lifted off, it rises), and the force, where it turns back
 PAD_END_M = 5e-3
 RETREAT_M = 8e-4
 FARTHEST_M = 0.012  # of the pivot from the body's middle
@@ -159,8 +160,9 @@ class Drags:
     def _seek(self, here: Angles) -> DragStep:
         (_, _), (bottom, _) = self._limits.angles
         start = self._start_of(self._wanted)
-        if here[0] != start:
-            return self._moved(here, (start, here[1]), self._limits.rate)
+        if here[0] != start:  # dragged outwards: friction would press a body down that touched now
+            raised = RAISED_M if here[1] > bottom else 0.0
+            return self._moved(here, (start, here[1] + raised), self._limits.rate)
         near = self._z_touch + NEAR_M
         if math.isfinite(near) and here[1] > near:
             return self._moved(here, (start, near), APPROACH_M_S)

@@ -60,6 +60,16 @@ def test_nothing_jams_and_the_force_stays_below_its_limit(lived):
     assert lived.rig.core.exploring.told()["coverage"] == 1.0
 
 
+@pytest.mark.parametrize("seed", [728, 816])  # 3.3 and 2.8 N: set down on the way back, lifted off after the force
+def test_bodies_that_pressed_too_hard_do_not(seed):
+    rig = PivotWireless(CONFIG, PLAN, seed, period_s=math.inf)
+    rig.start()
+    while rig.t < 55.0:
+        rig.tick()
+    assert rig.world.jams == 0
+    assert 0.5 < rig.world.most_force < CONFIG.limits.force_n
+
+
 def test_both_sides_are_asked_for_in_words(lived):
     assert any("towards the pad's beginning" in reason for reason in lived.reasons)
     reasons = {fields["reason"] for fields in lived.told("palm/pivot")}
