@@ -296,7 +296,7 @@ class Explorer:
         return bool(goodness[0] > 1.0 and goodness.min() > DOUBTFUL)
 
     def _goodness(self, foreseen: Prediction) -> FloatArray:
-        return goodness(foreseen, self._limits.pad_length)
+        return goodness(foreseen, self._limits)
 
     def _goodness_of(self, states: FloatArray, move: Move) -> FloatArray:
         """How safe the move is for each of the states (N,), and standing still after it."""

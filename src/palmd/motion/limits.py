@@ -19,6 +19,9 @@ from palmd.system.mechanism import JOINTS, OPENING, PALMS, directions
 PHI12_MAX = math.radians(172.0)  # two contacts need φ12 < 180°; here it must stay below this
 SMALL_RADIUS = 0.010  # an object no smaller than this shall find pad under it
 PAD_MARGIN = 0.002
+HELD_SHARE = (
+    0.3  # of a cradle's pad, from the hinge: what it is made for touches it farther out, unless it is open wide
+)
 _DEGREES = math.degrees(1.0)
 _ROUNDING = 1e-9
 _STOP_SHARE = 0.9  # of the arm's acceleration that a stop uses: set-points come in steps
@@ -165,8 +168,13 @@ class MotionLimits:
 
     @property
     def top(self) -> float:
-        """φ12 stays below it (rad): 172°, and on a dome as much less as its tangent may be steeper on the pad."""
-        return PHI12_MAX + min(0.0, self.curvatures[1]) * self.pad_length
+        """φ12 stays below it (rad): 172° where palm 2 may be touched, by its tangent.
+
+        On a dome that is as much less as its tangent turns down to the pad's end; on a cradle as much more as it turns
+        up to `HELD_SHARE` of the pad. Who knows where the object touches must keep to its tangent there.
+        """
+        kappa = self.curvatures[1]
+        return PHI12_MAX + kappa * self.pad_length * (HELD_SHARE if kappa > 0.0 else 1.0)
 
     @property
     def joint_bounds(self) -> tuple[QuantityLimit, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model.stable_surface import SurfaceLimits, stable_surface
-from palmd.motion.limits import PHI12_MAX, MotionLimits
+from palmd.motion.limits import MotionLimits
 from palmd.motion.rollout_predictor import BINS, MARGIN_M, Bools
 
 ANYWHERE, ANY_LENGTH_M = ((0.02, 2.9), (0.1, 2.95)), 0.5  # as if there were no limits
@@ -29,7 +29,7 @@ def why_not(out: Bools, outline: FloatArray, limits: SurfaceLimits) -> list[str]
     """In words, why the bins `out` of the outline are out of reach: what would have to be wider to reach them."""
     told = []
     first, opening = ANYWHERE
-    free = replace(limits, phi1=first, phi2=opening, phi12_max=PHI12_MAX)
+    free = replace(limits, phi1=first, phi2=opening)
     for wider, why in (
         (free, "the limits of the palm angles"),
         (replace(limits, pad_length=ANY_LENGTH_M), "the pads' length"),

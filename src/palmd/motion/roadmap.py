@@ -93,7 +93,7 @@ class Roadmap:
         rates = np.full((n, 1), RATE_SHARE * self._limits.rate)
         tried = timed(self.poses[pose], ends, rates, self._limits)
         foreseen = self._predictor.of(states, tried)
-        safe = (goodness(foreseen, self._limits.pad_length) > 1.0) & np.isfinite(foreseen.psi)
+        safe = (goodness(foreseen, self._limits) > 1.0) & np.isfinite(foreseen.psi)
         self._seconds[moves] = np.where(safe, tried.durations, np.inf).reshape(-1, ORIENTATIONS)
         self._psi[moves] = np.where(safe, foreseen.psi, 0.0).reshape(-1, ORIENTATIONS)
         self._touched[moves] = foreseen.touched[:, 0].reshape(-1, ORIENTATIONS, BINS)

@@ -19,6 +19,7 @@ from palmd.model.compiled import LANES
 from palmd.model.outputs import CURVATURE_INPUTS, FRICTION_INPUT
 from palmd.model.rollout import MOVE_INPUTS, STEP_S, SUBSTEPS, TOLD
 from palmd.model.smoothing import R
+from palmd.motion.limits import PHI12_MAX, MotionLimits
 
 CALL_S = SUBSTEPS * STEP_S
 """Moves last whole multiples of this."""
@@ -30,6 +31,7 @@ COLUMNS = 4 * LANES  # sequences that the twin rolls side by side
 MOST_MOVES = 16  # of one sequence
 LEAST_FORCE = 0.8  # m/s², of a contact: one that rests has several
 MARGIN_M = 3e-3  # of the contacts from a pad's ends
+TANGENT_ROOM = math.radians(1.0)  # of a curved palm's tangent at its contact, from where it must not be
 
 Bools = npt.NDArray[np.bool_]
 
@@ -65,11 +67,24 @@ class Prediction:
     path: FloatArray
 
 
-def goodness(foreseen: Prediction, pad_length: float) -> FloatArray:
-    """How safe it is up to the end of each move (N, k): 1 as near to danger as allowed, 0 a contact lost or off."""
-    margins = np.minimum(foreseen.nearest, pad_length - foreseen.farthest) / MARGIN_M
+def goodness(foreseen: Prediction, limits: MotionLimits) -> FloatArray:
+    """How safe it is up to the end of each move (N, k): 1 as near to danger as allowed, 0 a contact lost or off.
+
+    On arcs it is no safer than the whole sequence where palm 2's tangent is steepest, which is limited as φ12 of flat
+    palms is.
+    """
+    margins = np.minimum(foreseen.nearest, limits.pad_length - foreseen.farthest) / MARGIN_M
     how_safe: FloatArray = np.minimum(margins, foreseen.least_force / LEAST_FORCE)
+    if any(limits.curvatures):
+        room = PHI12_MAX - np.fmax.reduce(tangent_of_palm2(foreseen.path), axis=1, keepdims=True)
+        how_safe = np.minimum(how_safe, room / TANGENT_ROOM)
     return how_safe
+
+
+def tangent_of_palm2(path: FloatArray) -> FloatArray:
+    """β2 = θ2 + ψ + 3π/2 (rad, from −π/2 on) along a `Prediction.path` (N, T, TOLD), NaN where that is."""
+    beta2: FloatArray = np.remainder(path[..., 7] + path[..., 0] + 2 * np.pi, 2 * np.pi) - np.pi / 2
+    return beta2
 
 
 class _Task(ctypes.Structure):

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from palmd.config import Config
 from palmd.events import FloatArray
 from palmd.motion.kinematics import RigGeometry
-from palmd.motion.limits import PHI12_MAX, MotionLimits
+from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import Trajectory
 from palmd.motion.usage import LimitUsage, Sampled, sampled, usage
 from palmd.report.axes import BLACK, BLUE, GREEN, GREY, ORANGE, WIDTH_IN, line, styled
@@ -125,8 +125,8 @@ def _held(angles: FloatArray, geometry: RigGeometry) -> FloatArray:
 def _corners(limits: MotionLimits) -> FloatArray:
     """Once around all angles (rad) that the configured limits allow."""
     (low1, high1), (low2, high2) = limits.angles
-    up, across = np.linspace(0.0, 1.0, _EDGE), np.linspace(low1, min(high1, PHI12_MAX - low2), _EDGE)
-    top = np.minimum(high2, PHI12_MAX - across)
+    up, across = np.linspace(0.0, 1.0, _EDGE), np.linspace(low1, min(high1, limits.top - low2), _EDGE)
+    top = np.minimum(high2, limits.top - across)
     first = np.column_stack((np.full(_EDGE, across[0]), low2 + up * (top[0] - low2)))
     last = np.column_stack((np.full(_EDGE, across[-1]), top[-1] + up * (low2 - top[-1])))
     back = np.column_stack((across[::-1], np.full(_EDGE, low2)))

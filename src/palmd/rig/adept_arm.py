@@ -15,11 +15,10 @@ from palmd.events import Joints, PalmMotion
 from palmd.rig.arm import Linkage
 from palmd.rig.controller import ArmLimits
 from palmd.rig.plant import Hinge, PlantContact
-from palmd.rig.setpoint_checker import SetPointChecker
+from palmd.rig.setpoint_checker import SetPointChecker, most_phi12
 from palmd.rig.tool import DrivenTool, limits_round
 
 _ROOM = 1.2  # what the controller allows beyond what the palms' limits need
-_MOST_PHI12_DEG = 172.0
 _JOG_DEG = 4.0
 
 
@@ -41,7 +40,7 @@ class AdeptArm(DrivenTool):
         self.jams = 0
         self._home = self._angles = home
         self._linkage = Linkage.from_config(config)
-        self.judge = SetPointChecker(self._linkage, config.limits)
+        self.judge = SetPointChecker(self._linkage, config.limits, most_phi12(config))
         start = self._linkage.pose(*home)
         super().__init__(arm.baud, arm_limits(config), start, rng, step_s=step_s, lag_s=lag_s)
 
@@ -84,10 +83,11 @@ def arm_limits(config: Config) -> ArmLimits:
     E's speed is at most L1·ω1 + L2·(ω1 + ω2), its acceleration L1·(α + ω²) + L2·(2α + 4ω²).
     """
     linkage, limits = Linkage.from_config(config), config.limits
+    most_deg = math.degrees(most_phi12(config))
     poses = [
         linkage.pose(*map(math.radians, angles))
         for angles in itertools.product(*(np.linspace(low, high, 40).tolist() for low, high in limits.angles_deg))
-        if sum(angles) < _MOST_PHI12_DEG
+        if sum(angles) < most_deg
     ]
     omega, alpha = math.radians(limits.rate_deg_s), math.radians(limits.acceleration_deg_s2)
     inner, outer = linkage.lengths

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from palmd.config import LimitsConfig
+from palmd.config import Config, LimitsConfig
 from palmd.devices.actuator import Pose
 from palmd.rig.arm import Linkage, turn
 from palmd.rig.controller import CYCLE_S
 
 _TOLERANCE = math.radians(0.05)  # micrometres on the wire are worth a thousandth of a degree or so
 _MOST_PHI12 = math.radians(172.0)
+_CRADLE_SHARE = 0.3  # of palm 2's pad: by as much as a cradle turns up to there, φ12 may be more
 _SEPARATE_S = 0.1  # set-points further apart belong to different motions
 
 
@@ -27,6 +28,7 @@ class SetPointChecker:
 
     linkage: Linkage
     limits: LimitsConfig
+    most_phi12: float = _MOST_PHI12
     outside_limits: int = 0
     largest_step_m: float = 0.0
     largest_rate_rad_s: float = 0.0
@@ -48,7 +50,7 @@ class SetPointChecker:
             self._last = None
             return
         inside = all(map(_within, angles, self.limits.angles_deg))
-        self.outside_limits += not (inside and sum(angles) < _MOST_PHI12 + _TOLERANCE)
+        self.outside_limits += not (inside and sum(angles) < self.most_phi12 + _TOLERANCE)
         tool_error = abs(turn(pose.t_rad - (sum(angles) - self.linkage.yaw)))
         self.largest_tool_error_rad = max(self.largest_tool_error_rad, tool_error)
         if self._last is not None and t - self._last[0] < _SEPARATE_S:
@@ -76,6 +78,12 @@ class SetPointChecker:
             "largest_rate_deg_s": math.degrees(self.largest_rate_rad_s),
             "largest_tool_error_deg": math.degrees(self.largest_tool_error_rad),
         }
+
+
+def most_phi12(config: Config) -> float:
+    """What φ12 (rad) must stay below."""
+    length = min(pad.length_mm for pad in config.pads.each()) * 1e-3
+    return _MOST_PHI12 + _CRADLE_SHARE * length * max(config.rig.curvatures_per_m[-1], 0.0)
 
 
 def _within(angle: float, range_deg: tuple[float, float]) -> bool:

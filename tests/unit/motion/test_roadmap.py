@@ -103,7 +103,7 @@ def test_no_move_is_quicker_than_it_says():
         apart = np.abs(to_go.poses - here).max(axis=1)
         ends = to_go.poses[(apart > 0) & (apart < math.radians(45.0))]
         foreseen, seconds = rolled(here, place * math.tau / ORIENTATIONS, ends)
-        safe = goodness(foreseen, LIMITS.pad_length)[:, 0] > 1.0
+        safe = goodness(foreseen, LIMITS)[:, 0] > 1.0
         after = np.where((foreseen.touched[:, 0] & wanted).any(axis=1), 0.0, to_go.at(ends, foreseen.psi[:, 0]))
         if safe.any():
             compared += 1
@@ -126,7 +126,7 @@ def test_following_it_leads_to_what_is_wanted():
             foreseen, seconds = rolled(here, psi, ends)
             there = (foreseen.touched[:, 0] & wanted).any(axis=1)
             cost = seconds + np.where(there, 0.0, to_go.at(ends, foreseen.psi[:, 0]))
-            cost[goodness(foreseen, LIMITS.pad_length)[:, 0] <= 1.0] = np.inf
+            cost[goodness(foreseen, LIMITS)[:, 0] <= 1.0] = np.inf
             best = cost.argmin()
             here, psi, t = ends[best], foreseen.psi[best, 0], t + seconds[best]
             if there[best]:
