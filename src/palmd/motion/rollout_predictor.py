@@ -70,21 +70,21 @@ class Prediction:
 def goodness(foreseen: Prediction, limits: MotionLimits) -> FloatArray:
     """How safe it is up to the end of each move (N, k): 1 as near to danger as allowed, 0 a contact lost or off.
 
-    On arcs it is no safer than the whole sequence where palm 2's tangent is steepest, which is limited as φ12 of flat
-    palms is.
+    On arcs it is no safer than the whole sequence where the last palm's tangent is steepest, which is limited as the
+    direction of a flat one is.
     """
     margins = np.minimum(foreseen.nearest, limits.pad_length - foreseen.farthest) / MARGIN_M
     how_safe: FloatArray = np.minimum(margins, foreseen.least_force / LEAST_FORCE)
     if any(limits.curvatures):
-        room = PHI12_MAX - np.fmax.reduce(tangent_of_palm2(foreseen.path), axis=1, keepdims=True)
+        room = PHI12_MAX - np.fmax.reduce(last_tangent(foreseen.path), axis=1, keepdims=True)
         how_safe = np.minimum(how_safe, room / TANGENT_ROOM)
     return how_safe
 
 
-def tangent_of_palm2(path: FloatArray) -> FloatArray:
-    """β2 = θ2 + ψ + 3π/2 (rad, from −π/2 on) along a `Prediction.path` (N, T, TOLD), NaN where that is."""
-    beta2: FloatArray = np.remainder(path[..., 7] + path[..., 0] + 2 * np.pi, 2 * np.pi) - np.pi / 2
-    return beta2
+def last_tangent(path: FloatArray) -> FloatArray:
+    """The last palm's at its contact, θ + ψ + 3π/2 (rad, from −π/2 on), along a `Prediction.path`, NaN after it."""
+    tangent: FloatArray = np.remainder(path[..., -1] + path[..., 0] + 2 * np.pi, 2 * np.pi) - np.pi / 2
+    return tangent
 
 
 class _Task(ctypes.Structure):

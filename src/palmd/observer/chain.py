@@ -9,6 +9,7 @@ memory and time stay bounded. Not for use inside the loop.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,7 +94,8 @@ class Chain:
     def renew(self, p: FloatArray, x: FloatArray) -> int:
         """Linearise anew what is too far from the constants `p` and the last node `x`; how many segments that were.
 
-        The latest first: theirs are the readings about the part of the outline where the motion is.
+        The latest first: theirs are the readings about the part of the outline where the motion is. Where the readings
+        cannot be solved for the nodes over there, what was linearised before stays: its minimum is known.
         """
         ends = self._ends(p, x)
         stale = [i for i, segment in enumerate(self._segments) if not segment.near(ends[i])]
@@ -101,7 +103,8 @@ class Chain:
             segment = self._segments[i]
             moved = segment.x.copy()
             moved[0], moved[-1] = ends[i][CONSTANTS:-NODE], ends[i][-NODE:]
-            self._segments[i] = self._linearised(segment.record, Guess(moved, p), INNER_STEPS)
+            with suppress(np.linalg.LinAlgError):
+                self._segments[i] = self._linearised(segment.record, Guess(moved, p), INNER_STEPS)
         return len(stale)
 
     def settle(self, p: FloatArray) -> FloatArray:

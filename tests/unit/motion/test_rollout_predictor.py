@@ -6,16 +6,26 @@ from functools import cache
 import numpy as np
 import pytest
 
+from palmd.config import LimitsConfig
 from palmd.events import PalmMotion
 from palmd.model import shape, shape_map
 from palmd.model.outputs import rig_inputs
 from palmd.model.smoothing import RIG_CONSTANTS, R
-from palmd.motion.rollout_predictor import BINS, CALL_S, MOST_MOVES, Moves, RolloutPredictor
+from palmd.motion.limits import PHI12_MAX, MotionLimits
+from palmd.motion.rollout_predictor import (
+    BINS,
+    CALL_S,
+    MOST_MOVES,
+    Moves,
+    RolloutPredictor,
+    goodness,
+    last_tangent,
+)
 from palmd.motion.segments import Move
 from palmd.rig.imperfections import PERFECT, Imperfections
 from palmd.rig.plant import Hinge, Plant, random_surface, stable_poses
 from palmd.rig.shapes import random_body
-from palmd.system.description import RigDescription
+from palmd.system.description import PadSensor, RigDescription
 
 START = np.radians((45.0, 90.0))
 ROUTE = np.radians([(52.0, 88.0), (40.0, 97.0), (58.0, 84.0)])
@@ -135,6 +145,24 @@ def test_an_object_thrown_off_is_foreseen_to_lose_a_contact():
     _, _, _, state = thing("friction", 1)
     hasty = Moves(START, np.radians([[[45.0, 150.0]]]), np.array([[0.12]]))
     assert predictor("arc").of(state, hasty).least_force[0, 0] < 0.0
+
+
+def test_on_a_cradle_the_tangent_at_the_contact_is_limited_as_a_flat_palm_is():
+    """θ and ψ tell it; the contact's place and the curvature must tell the same."""
+    kappa = (13.3, 13.3)
+    rig = RigDescription(pads=tuple(PadSensor(curvature=each) for each in kappa))
+    limits = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555, curvatures=kappa)
+    state = thing("nominal", 4)[3]
+    here = np.radians((40.0, 115.0))
+    ends = np.radians([[(first, 110.0)] for first in (60.0, 68.0, 78.0, 84.0)])
+    foreseen = RolloutPredictor(rig_inputs(rig)).of(state, Moves(here, ends, np.full((4, 1), 1.2)))
+    last = foreseen.path[:, -1]
+    told = last_tangent(foreseen.path)[:, -1]
+    assert told == pytest.approx(ends.sum(axis=-1)[:, 0] - kappa[1] * last[:, 5], abs=2e-3)
+    steepest = last_tangent(foreseen.path).max(axis=1)
+    assert (goodness(foreseen, limits)[steepest > PHI12_MAX] < 0.0).all()
+    assert steepest.min() < PHI12_MAX - math.radians(1.0) < PHI12_MAX < steepest.max()
+    assert goodness(foreseen, limits)[0] > 1.0
 
 
 def test_what_is_known_of_the_rig_is_foreseen_with():

@@ -101,6 +101,20 @@ def test_a_chain_linearised_elsewhere_comes_to_the_same_when_it_is_renewed(smoot
     assert covariances[0] == pytest.approx(covariances[1], abs=0.05)
 
 
+def test_a_segment_that_cannot_be_linearised_elsewhere_stays_as_it_is(smoothed, monkeypatch):
+    p = smoothed[1].fits[0].guess.p.copy()
+    p[C.SHAPE] += 3e-4
+    chain = cut(smoothed)
+    before = chain.known(p)
+
+    def unsolvable(*_):
+        raise np.linalg.LinAlgError("not positive definite")
+
+    monkeypatch.setattr(Chain, "_linearised", unsolvable)
+    assert chain.renew(p, before.about[CONSTANTS:])
+    assert chain.known(p).matrix == pytest.approx(before.matrix)
+
+
 def test_an_hour_needs_no_more_memory_than_two_minutes(smoothed):
     search, finding = smoothed
     chain, guess = Chain(search.library, NOISE, search.prior, kept=5), finding.fits[0].guess
