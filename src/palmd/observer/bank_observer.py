@@ -191,6 +191,8 @@ class BankObserver:
         y, sd, disagreement = self._named(track, t)
         evidence = self._evidence(track, t, y, sd, disagreement)
         best = fusion.bank.best()
+        track.surprise.take(float(fusion.bank.nis[best]), t)
+        told_sd = sd * track.surprise.factor  # what is acted on, validity too, goes by `sd`: who holds learns no more
         safe = settled(evidence, SETTLED) and (fusion.is_convex(best) or fusion.make_convex(best // fusion.bank.block))
         valid = session.judge(t, safe)
         best = fusion.bank.best()  # another bank may have taken over
@@ -204,7 +206,7 @@ class BankObserver:
         track.valid = valid
         track.predictable = valid or predictable(evidence.finite, lately, track.age(t), evidence.radius_sd_m)
         return answer(
-            t, valid, self.name, session.object_count, y, sd, track.mass,
+            t, valid, self.name, session.object_count, y, told_sd, track.mass,
             float(fusion.bank.nis[best]), self._observability.value(), track.coverage.fraction,
         )  # fmt: skip
 
@@ -215,7 +217,8 @@ class BankObserver:
             return None
         coefficients, cov = fusion.filters.outline(fusion.bank.best())
         radius_sd = 0.0 if fusion.allows_for_rig else track.radius_sd
-        return outline_answer(t, coefficients, cov, track.coverage.marks, self._inflation(track, t), radius_sd)
+        inflation = self._inflation(track, t) * track.surprise.factor
+        return outline_answer(t, coefficients, cov, track.coverage.marks, inflation, radius_sd)
 
     @property
     def foresees(self) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from palmd.events import FloatArray, PalmMotion
 from palmd.observer.contacts import Contacts
@@ -12,6 +12,7 @@ from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.fusion import Fusion
 from palmd.observer.mass import MassEstimator
 from palmd.observer.prior import BlindStart
+from palmd.observer.surprise import Surprise
 
 
 @dataclass(slots=True)
@@ -20,6 +21,7 @@ class Track:
 
     radius_sd: what the rig's constants leave of its radius (m) until a smoother has told more. valid, predictable: of
     the last estimate. t_unlikely: since when (s) all filters have been surprised, None while they are not.
+    surprise: what its readings have lately said of the published one-sigmas; what is acted on does not ask.
     """
 
     fusion: Fusion
@@ -33,6 +35,7 @@ class Track:
     valid: bool = False
     predictable: bool = False
     t_unlikely: float | None = None
+    surprise: Surprise = field(default_factory=Surprise)
 
     def age(self, t: float) -> float:
         """How long ago its filters began, at `t` (s)."""
@@ -43,5 +46,6 @@ class Track:
     ) -> None:
         """One filter, which a smoother vouches for, takes the place of all others; it has the leader's gauge."""
         filters.spread = spread
+        self.surprise = Surprise()
         self.coverage = Coverage(touched, 0, self.fusion.curvatures)
         self.fusion.lead_with(filters, x, P, nis)
