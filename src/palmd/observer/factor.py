@@ -134,7 +134,8 @@ class Factor:
 
     def log_determinant(self) -> float:
         """Of the matrix; raises LinAlgError as `solved`."""
-        scale = 1.0 / np.sqrt(np.diagonal(self.matrix))
+        with np.errstate(invalid="ignore"):
+            scale = 1.0 / np.sqrt(np.diagonal(self.matrix))
         root = np.linalg.cholesky(self.matrix * np.outer(scale, scale))
         return 2.0 * float(np.log(np.diagonal(root)).sum() - np.log(scale).sum())
 

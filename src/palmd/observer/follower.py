@@ -92,10 +92,16 @@ class Follower:
         return answer
 
     def join(self, archive: Sequence[Felt]) -> Felt | None:
-        """Join the first of what was felt before that is of the same object beyond doubt; which that was."""
+        """Join the first of what was felt before that is of the same object beyond doubt; which that was.
+
+        What was linearised too far away to be weighed is of no object beyond doubt.
+        """
         now = self.felt()
         for known in archive:
-            found = matched(known, now, self._chain.prior(self._open.guess.p))
+            try:
+                found = matched(known, now, self._chain.prior(self._open.guess.p))
+            except np.linalg.LinAlgError:
+                continue
             if found is not None:
                 self._chain.learn(found.felt.told)
                 self._closed = self._closed | found.felt.touched

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -109,6 +110,19 @@ def test_an_object_that_was_away_is_known_again_and_what_was_felt_is_joined() ->
     assert errors[-1] < max(1.2 * errors[0], 2 * sds[-1])
     frames = {answer.frame for answer in beside.answers}
     assert len(frames) == len(starts)  # each time it lies in a gauge of its own
+
+
+def test_what_was_kept_and_cannot_be_weighed_is_passed_over() -> None:
+    run = simulated("rig", 710, 14.0, absences=((7.0, 8.0),))
+    beside = Beside(run)
+    beside.until(7.0, Session(0, 0.0))
+    beside.until(8.02, Session(1, math.inf))
+    (kept,) = beside.smoother._archive
+    spoilt = replace(kept, told=replace(kept.told, matrix=-kept.told.matrix))
+    beside.smoother._archive = [spoilt]
+    answer = beside.until(14.0, Session(1, 8.02))
+    assert answer is not None
+    assert beside.smoother._archive == [spoilt]
 
 
 def test_another_object_begins_with_nothing() -> None:
