@@ -31,7 +31,8 @@ COLUMNS = 4 * LANES  # sequences that the twin rolls side by side
 MOST_MOVES = 16  # of one sequence
 LEAST_FORCE = 0.8  # m/s², of a contact: one that rests has several
 MARGIN_M = 3e-3  # of the contacts from a pad's ends
-TANGENT_ROOM = math.radians(1.0)  # of a curved palm's tangent at its contact, from where it must not be
+WEDGED = math.radians(30.0)  # between the tangents of curved palms at their contacts
+TANGENT_ROOM = math.radians(1.0)  # of these tangents, from where they must not be
 
 Bools = npt.NDArray[np.bool_]
 
@@ -70,21 +71,23 @@ class Prediction:
 def goodness(foreseen: Prediction, limits: MotionLimits) -> FloatArray:
     """How safe it is up to the end of each move (N, k): 1 as near to danger as allowed, 0 a contact lost or off.
 
-    On arcs it is no safer than the whole sequence where the last palm's tangent is steepest, which is limited as the
-    direction of a flat one is.
+    On arcs it is no safer than the whole sequence where the tangents are as they must not be: the last one near the
+    horizontal, or both so near to parallel that the object is wedged between them.
     """
     margins = np.minimum(foreseen.nearest, limits.pad_length - foreseen.farthest) / MARGIN_M
     how_safe: FloatArray = np.minimum(margins, foreseen.least_force / LEAST_FORCE)
     if any(limits.curvatures):
-        room = PHI12_MAX - np.fmax.reduce(last_tangent(foreseen.path), axis=1, keepdims=True)
+        first, last = tangents(foreseen.path)
+        room = np.fmin.reduce(np.minimum(PHI12_MAX - last, last - first - WEDGED), axis=1, keepdims=True)
         how_safe = np.minimum(how_safe, room / TANGENT_ROOM)
     return how_safe
 
 
-def last_tangent(path: FloatArray) -> FloatArray:
-    """The last palm's at its contact, θ + ψ + 3π/2 (rad, from −π/2 on), along a `Prediction.path`, NaN after it."""
-    tangent: FloatArray = np.remainder(path[..., -1] + path[..., 0] + 2 * np.pi, 2 * np.pi) - np.pi / 2
-    return tangent
+def tangents(path: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Both palms' at their contacts, θ + ψ + π/2 and θ + ψ + 3π/2 (rad), along a `Prediction.path`, NaN after it."""
+    turned = path[..., -2:] + path[..., :1] + np.pi * np.array([1.0, 2.0])
+    told = np.remainder(turned, 2 * np.pi) - np.pi / 2  # of none is −90° or 270° anything like right
+    return told[..., 0], told[..., 1]
 
 
 class _Task(ctypes.Structure):

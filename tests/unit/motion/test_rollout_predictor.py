@@ -19,7 +19,7 @@ from palmd.motion.rollout_predictor import (
     Moves,
     RolloutPredictor,
     goodness,
-    last_tangent,
+    tangents,
 )
 from palmd.motion.segments import Move
 from palmd.rig.imperfections import PERFECT, Imperfections
@@ -157,12 +157,17 @@ def test_on_a_cradle_the_tangent_at_the_contact_is_limited_as_a_flat_palm_is():
     ends = np.radians([[(first, 110.0)] for first in (60.0, 68.0, 78.0, 84.0)])
     foreseen = RolloutPredictor(rig_inputs(rig)).of(state, Moves(here, ends, np.full((4, 1), 1.2)))
     last = foreseen.path[:, -1]
-    told = last_tangent(foreseen.path)[:, -1]
+    told = tangents(foreseen.path)[1][:, -1]
     assert told == pytest.approx(ends.sum(axis=-1)[:, 0] - kappa[1] * last[:, 5], abs=2e-3)
-    steepest = last_tangent(foreseen.path).max(axis=1)
+    steepest = tangents(foreseen.path)[1].max(axis=1)
     assert (goodness(foreseen, limits)[steepest > PHI12_MAX] < 0.0).all()
     assert steepest.min() < PHI12_MAX - math.radians(1.0) < PHI12_MAX < steepest.max()
     assert goodness(foreseen, limits)[0] > 1.0
+    closing = Moves(here, np.radians([[(42.5, 85.0)]]), np.full((1, 1), 2.0))
+    closed = RolloutPredictor(rig_inputs(rig)).of(state, closing)
+    first, last = tangents(closed.path)
+    assert 0.0 < (last - first).min() < math.radians(30.0)
+    assert goodness(closed, limits)[0, 0] < 0.0, "it is wedged"
 
 
 def test_what_is_known_of_the_rig_is_foreseen_with():
