@@ -35,7 +35,7 @@ from palmd.system.mechanism import JOINT_RATES, JOINTS, PALMS
 
 _HOME_DEG = (45.0, 90.0)  # of flat palms, and of the tangents where a body of the radius touches curved ones
 _HOME_RADIUS_M = 0.02
-_AWAY_S = 1.0  # how long a hand takes to put another object on the palms
+AWAY_S = 1.0  # how long a hand takes to put another object on the palms
 _PAD_END_M = 3e-3
 
 
@@ -107,7 +107,7 @@ class World(EmulatedRig[EmulatedActuator]):
         """A hand takes the object away and, a second later, puts another one on the palms."""
         self.plant.take_away()
         self._draw_body()
-        self._t_place = self.t + _AWAY_S
+        self._t_place = self.t + AWAY_S
 
     def truth(self) -> dict[str, Any]:
         """What is really there at `t`, as `rig/truth` tells it."""
@@ -221,7 +221,7 @@ class World(EmulatedRig[EmulatedActuator]):
                 self._touching = (True, True)
                 return
         self.plant.take_away()
-        self._t_place = self.t + _AWAY_S
+        self._t_place = self.t + AWAY_S
 
     def _note_contacts(self, was_on: bool) -> None:
         touching = self.plant.touching

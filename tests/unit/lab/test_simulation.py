@@ -32,6 +32,7 @@ from palmd.lab.simulation.watch import Watch
 from palmd.record.recording import Recording
 
 FOUND = {
+    2751: "a fault that told rightly that the object had been thrown off where nothing can be put back",
     36: "autostart armed by itself after somebody had reset a fault",
     253: "a start whose plan was still being compiled began to move after a hold that came later",
 }

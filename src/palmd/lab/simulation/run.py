@@ -69,7 +69,8 @@ from palmd.record.recording import Ended, Recording
 from palmd.record.run import read_run
 from palmd.rig.adept_arm import AdeptArm
 from palmd.rig.fault_injection import PORTS, FaultOrder
-from palmd.rig.world import World, default_config
+from palmd.rig.world import AWAY_S, World, default_config
+from palmd.system.mechanism import PALMS
 
 OPERATOR = 99
 """The client who wants the palms to move, and does what the hints say."""
@@ -139,7 +140,7 @@ class Simulation:
         self._broken: tuple[Any, float] | None = None
         self._numbers = itertools.count()
         self._t_look = 0.0
-        self._losses = 0
+        self._losses = self._falls = 0
         self._breakable = Breakable(LightObserver())
         self._recorder: Recorder | None = None
         for each in scenario.happenings:
@@ -242,12 +243,17 @@ class Simulation:
         if isinstance(self.rig, FullRig) and self.rig.contact_losses > self._losses:
             self._losses = self.rig.contact_losses
             watch.happened("left", clock.now, clock.now)
+        if isinstance(self.rig, FullRig) and self.rig.falls > self._falls:
+            self._falls = self.rig.falls
+            self.rig.new_object()  # whoever sees it lie there puts one on again
+            watch.happened("left", clock.now, clock.now + AWAY_S)
         watch.tick(self.core, self.ports, self.loop.in_hand, self.rig.palms(), clock.now)
         if isinstance(self.rig, FullRig):
             watch.compare(self.core, self.rig.truth(), clock.now)
 
     def _judge_the_end(self, t: float) -> None:
-        self.watch.faults_over(self.core, t)
+        truth = self.rig.truth() if isinstance(self.rig, FullRig) else {}
+        self.watch.faults_over(self.core, t, all(truth.get(f"contact{palm}", True) for palm in PALMS))
         if self.core.state not in (State.TRACKING, State.HOLD):
             self.watch.fail(t, "an operator gets the palms to move again", f"the state is {self.core.state}")
 

@@ -288,9 +288,14 @@ class Watch:
         names = CAUSES.get(code, frozenset())
         return any(cause.name in names and cause.t_on <= t <= cause.t_off + LINGERS_S for cause in self._causes)
 
-    def faults_over(self, core: Core, t: float) -> None:
-        """All causes have been over for a while: no fault stands but those that a client's word keeps up."""
+    def faults_over(self, core: Core, t: float, lies_on_palms: bool) -> None:
+        """All causes have been over for a while: no fault stands but those that a client's word keeps up.
+
+        Nor, where the palms stand so that nothing can lie on them, that pads feel nothing.
+        """
         left = {fault.code for fault in core.faults.active} - FOR_GOOD
+        if not lies_on_palms:
+            left = {code for code in left if "left" not in CAUSES[code]}
         if left:
             self._break(t, "a fault ends with its cause", f"{sorted(left)} in state {core.state}")
 
