@@ -20,13 +20,12 @@ from palmd.lab.exploring_watch import ExplorationWatch
 from palmd.model.shape import coefficients_of
 from palmd.motion.check import motion_limits
 from palmd.motion.reach import reach, surface_limits
-from palmd.motion.rollout_predictor import BINS, MARGIN_M
+from palmd.motion.rollout_predictor import BINS
 from palmd.quantities import ESTIMATE
 from palmd.rig.curved_plant import CurvedPlant
 from palmd.rig.plant import FrictionSurface, Hinge
 from palmd.rig.shapes import cylinder
-from palmd.system.arcs import FLAT, joints_of, opening_at
-from palmd.system.mechanism import OPENING
+from palmd.system.arcs import FLAT, joints_of
 from palmd.yamlfile import load_config
 
 
@@ -66,15 +65,6 @@ def test_both_sorts_of_palms_get_the_same_objects_at_the_same_rates() -> None:
     assert not any(configs[1].rig.curvatures_per_m)
     assert configs[0].limits.rate_deg_s == configs[1].limits.rate_deg_s
     assert all(60.0 < 1e3 / kappa < 90.0 for kappa in cradle[0])
-
-
-@pytest.mark.parametrize("radius_m", curved_exploring.RADII_M)
-def test_a_cradle_closes_until_even_a_small_object_is_at_the_pads_ends(radius_m: float) -> None:
-    """Where it may not, rough objects are caught between some orientations, and half of them is never touched."""
-    kappa = (1.0 / radius_m, 1.0 / radius_m)
-    limits = motion_limits(curved_exploring._config(kappa))
-    small = opening_at(0.016, limits.pad_length - MARGIN_M, kappa)
-    assert limits.joint_bounds[OPENING].low < small
 
 
 def test_the_study_explores_within_the_limits_of_the_example() -> None:
