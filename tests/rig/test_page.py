@@ -88,8 +88,8 @@ def parent(entry):
 
 def test_it_shows_the_object_and_does_what_is_pressed(page):
     page.until(lambda: page.object_drawn() > 3000, "the object", SETTLING_S)
-    assert page.shows("key-truth")
-    assert min(page.drawn("blue"), page.drawn("red")) > 300
+    page.until(lambda: page.shows("key-truth"), "the rig's truth, which comes by a wire of its own")
+    page.until(lambda: min(page.drawn("blue"), page.drawn("red")) > 300, "both palms")
     page.until(lambda: float(page.text("fps").split()[0]) > 10, "a moving picture")
     unless_disturbed(page, hold_and_start)
     unless_disturbed(page, stop_and_arm)
