@@ -14,6 +14,7 @@ from palmd.devices.versapad import PadCalibration, PadReceiver
 from palmd.events import Event, PalmSample
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import compile_plan
+from palmd.rig.imperfections import PERFECT, Imperfections, PadImperfection
 from palmd.rig.pads import GOOD_PADS, PadOptions, Press, VersaPadEmulator
 from palmd.rig.plant import PAD_LENGTH, Hinge, Plant, random_surface
 from palmd.rig.shapes import cylinder
@@ -37,19 +38,20 @@ def turned(
     pad_options: PadOptions = GOOD_PADS,
     late_s: float = 0.0,
     phi2_error_rad: float = 0.0,
+    imperfections: Imperfections = PERFECT,
 ) -> list[Event]:
     """What a daemon that believes the pads are as `configured` gives its observer; the same arguments, the same events.
 
     Each pad reads its middle by `bend_m` more than its ends. The pads' times are `late_s` too late, and the arm tells a
-    phi2 that is too large by `phi2_error_rad`. Raises PlanError for a plan that the limits do not allow.
+    phi2 that is too large by `phi2_error_rad`. The rig has these `imperfections`. Raises PlanError for a plan that the limits do not allow.
     """
     rng = np.random.default_rng(seed)
     trajectory = compile_plan(PlanSpec.model_validate(plan), limits)
-    plant = Plant(cylinder(radius_m, mass_kg), Hinge(), random_surface("rig", rng))
-    plant.place(trajectory.at(0.0), 0.0)
+    plant = Plant(cylinder(radius_m, mass_kg), Hinge(), random_surface("rig", rng), imperfections=imperfections)
+    plant.place(imperfections.true_palms(trajectory.at(0.0)), 0.0)
     pads = [
-        VersaPadEmulator(config, pad_options, partial(_bent, bend), rng, 0.0)
-        for bend, config in zip(bend_m, real, strict=True)
+        VersaPadEmulator(config, pad_options, partial(_bent, bend, off), rng, 0.0)
+        for bend, off, config in zip(bend_m, imperfections.pads, real, strict=True)
     ]
     hosts = [_receiver(number, config) for number, config in zip(PADS, configured, strict=True)]
     events: list[Event] = []
@@ -57,7 +59,9 @@ def turned(
     for k in range(1, int(trajectory.duration / STEP_S)):
         t = k * STEP_S
         palms = trajectory.at(t)
-        plant.advance(trajectory.at(t - 0.5 * STEP_S), palms, STEP_S)
+        plant.advance(
+            imperfections.true_palms(trajectory.at(t - 0.5 * STEP_S)), imperfections.true_palms(palms), STEP_S
+        )
         if t >= t_arm:
             t_arm += ARM_S
             noise1, noise2 = rng.normal(0.0, ANGLE_NOISE_RAD, 2).tolist()
@@ -72,8 +76,8 @@ def turned(
     return events
 
 
-def _bent(bend: float, s: float, _force: float) -> float:
-    return bend * math.sin(math.pi * s / PAD_LENGTH)
+def _bent(bend: float, off: PadImperfection, s: float, force: float) -> float:
+    return bend * math.sin(math.pi * s / PAD_LENGTH) + off.reading_error_m(s, force)
 
 
 def _receiver(number: int, config: VersaPadConfig) -> PadReceiver:

@@ -28,13 +28,13 @@ class AtOnce(Executor):
 
 
 @contextmanager
-def running(real, config, seed, body, crossed=False, pad_options=GOOD_PADS):
-    """A rig as `real` says with `body` on its palms, and a daemon on it as `config` says; the world, for mischief.
+def running(real, config, seed, bodies, crossed=False, pad_options=GOOD_PADS):
+    """A rig as `real` says with the first of `bodies` on its palms, and a daemon on it as `config` says; the world, for mischief.
 
     The pads' plugs may be `crossed`.
     """
     plug = {"pad1": "pad2", "pad2": "pad1"} if crossed else {}
-    world = World(real, seed, body=body, pad_options=pad_options)
+    world = World(real, seed, bodies=bodies, pad_options=pad_options)
     core = Core(config, SilentObserver(), AtOnce())
     bus, over = Bus(config.bus.publish, config.bus.command), threading.Event()
     ready = threading.Event()

@@ -31,6 +31,8 @@ Found = TypeVar("Found")
 
 FIRST_TOUCH_S = 30.0
 """How long it may take until the cylinder lies on both palms."""
+TAKE_OUT_S = 60.0
+"""And until one that is to be exchanged has been taken out."""
 TOUCHED_S = 1.0
 """How long both pads must have been touched without a break before anything moves."""
 
@@ -74,8 +76,10 @@ def ending(status: int) -> Iterator[None]:
         raise CliError(status, str(error)) from None
 
 
-def heard(arguments: argparse.Namespace, config: Config, plan: Mapping[str, Any]) -> list[Event]:
-    """All that the observer was fed while the daemon ran the plan.
+def heard(
+    arguments: argparse.Namespace, config: Config, plan: Mapping[str, Any], *, cylinder: str = "the cylinder"
+) -> list[Event]:
+    """All that the observer was fed while the daemon ran the plan; `cylinder` is what is asked for.
 
     Nothing moves before both pads are touched. CliError when there is no daemon, it refuses, the plan is not run to
     its end, or the daemon finds the pads swapped.
@@ -88,7 +92,7 @@ def heard(arguments: argparse.Namespace, config: Config, plan: Mapping[str, Any]
         Subscriber(publish, topics=(CONTACT.name, EVENTS.name), key=key) as subscriber,
     ):
         can_move(client)
-        _wait_for_touch(subscriber, publish, stop)
+        _wait_for_touch(subscriber, publish, stop, cylinder)
         events: list[Event] = []
 
         def listen(t_end: float) -> None:
@@ -161,9 +165,26 @@ def progress(status: Status, seconds: float) -> str:
     return f"{seconds:5.0f} s  {status['state']:8}  {status['progress']:4.0%}{more}"
 
 
-def _wait_for_touch(subscriber: Subscriber, address: str, stop: StopRequest) -> None:
+def wait_for_none(arguments: argparse.Namespace, config: Config, cylinder: str) -> None:
+    """Until nothing has touched the pads for a while; CliError when it stays."""
+    print(f"take {cylinder} out", file=sys.stderr, flush=True)
+    t_end, t_since = time.monotonic() + TAKE_OUT_S, math.inf
+    with (
+        StopRequest() as stop,
+        Subscriber(from_here(config.bus.publish), topics=(CONTACT.name,), key=credentials(arguments)) as subscriber,
+    ):
+        while time.monotonic() < t_end and not stop.made:
+            for message in subscriber.until(min(time.monotonic() + _LOOK_S, t_end)):
+                touched = message.fields["touch1"] or message.fields["touch2"]
+                t_since = math.inf if touched else min(t_since, message.t_recv)
+                if message.t_recv >= t_since + TOUCHED_S:
+                    return
+    raise CliError(RIG_FAILED, f"{cylinder} was not taken out within {TAKE_OUT_S:.0f} s: nothing is stored")
+
+
+def _wait_for_touch(subscriber: Subscriber, address: str, stop: StopRequest, cylinder: str) -> None:
     """Until both pads have been touched for a while."""
-    print("lay the cylinder between the palms, across both pads", file=sys.stderr, flush=True)
+    print(f"lay {cylinder} between the palms, across both pads", file=sys.stderr, flush=True)
     t_end = time.monotonic() + FIRST_TOUCH_S
     t_since = math.inf
     touched: tuple[bool, bool] | None = None

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from palmd.calibration.cylinder import LEAST_TRAVEL_M, SLOW_RAD_S, CylinderError, CylinderReadings, contacts_m, readings
 from palmd.config import PadConfig
@@ -61,9 +62,14 @@ def pad_scales(
     return _scale(1, first, radius_m, curvatures), _scale(2, second, radius_m, curvatures)
 
 
+def slow_enough(found: CylinderReadings) -> npt.NDArray[np.bool_]:
+    """Which readings are of the plan, and not of the way to its beginning."""
+    return np.asarray(found.rate <= _SLOW_ENOUGH)
+
+
 def slow_readings(number: int, found: CylinderReadings) -> tuple[FloatArray, FloatArray]:
     """Opening (rad) and counts of a pad's readings while the palms moved slowly; CylinderError for too few."""
-    slow = found.rate <= _SLOW_ENOUGH
+    slow = slow_enough(found)
     counts = found.counts[slow]
     if len(counts) < LEAST_READINGS:
         raise CylinderError(

@@ -69,6 +69,11 @@ COMMANDS = (
         "both touchpads: zero, scale, sign, with a turned cylinder between the palms",
     ),
     Command(
+        "calibrate standoff",
+        "calibration.standoff",
+        "both touchpads: height above the hinge line, zero, scale, sign, with two such cylinders",
+    ),
+    Command(
         "calibrate force", "calibration.force", "both touchpads: newtons per count, by the weight of that cylinder"
     ),
     Command("calibrate curvature", "calibration.curvature", "palms that are arcs: their curvature, with that cylinder"),

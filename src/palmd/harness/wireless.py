@@ -162,7 +162,7 @@ class Wireless(ClosedLoop[World]):
         estimator = estimator or observer.make(observer_name, rig, seed, smoothing)
         if explorer is None and observer_name == "shape":
             explorer = InlineExplorer(Decider(rig, seed))
-        world = World(config, seed, kind=kind, options=options, pad_options=pad_options, body=body)
+        world = World(config, seed, kind=kind, options=options, pad_options=pad_options, bodies=(body,) if body else ())
         super().__init__(world, Core(config, estimator, AtOnce(), plan, explorer=explorer), config.loop.rate_hz)
 
 

@@ -67,7 +67,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--kind", choices=KINDS, default="rig", help="what sort of object (default: %(default)s)")
     gauge = parser.add_mutually_exclusive_group()
     gauge.add_argument("--marble", choices=MARBLES, help="a marble rolls over this pad; then there is no object")
-    gauge.add_argument("--cylinder", type=_cylinder, metavar="RADIUS_MM,MASS_G", help="a turned cylinder is the object")
+    gauge.add_argument("--cylinder", type=_cylinder, action="append", default=[], metavar="RADIUS_MM,MASS_G",
+                       help="a turned cylinder is the object; given again: it is exchanged for that one")  # fmt: skip
     gauge.add_argument("--roller", choices=ROLLERS, help="it rolls down the gentler palm; then there is no object")
     gauge.add_argument("--by-hand", action="store_true", help="manual mode: a hand swings the empty palms")
     parser.add_argument(
@@ -93,15 +94,15 @@ def run_rig(arguments: argparse.Namespace) -> int:
     try:
         config = load_any_config(arguments.config) if arguments.config else default_config()
         t = time.monotonic()
-        marbles, cylinder = MARBLES.get(arguments.marble, ()), arguments.cylinder
+        marbles, cylinders = MARBLES.get(arguments.marble, ()), arguments.cylinder
         empty = {"roller": arguments.roller, "by_hand": arguments.by_hand}
         world: World | PivotWorld
         if isinstance(config, PivotConfig):
-            if marbles or cylinder or any(empty.values()):
+            if marbles or cylinders or any(empty.values()):
                 raise ValueError("marble, cylinder, roller and by-hand are for two palms; this is a pivoting grasp")
             world = PivotWorld(config, seed, kind=arguments.kind, t=t)
         else:
-            world = World(config, seed, kind=arguments.kind, marbles=marbles, body=cylinder, t=t, **empty)
+            world = World(config, seed, kind=arguments.kind, marbles=marbles, bodies=cylinders, t=t, **empty)
         for text in arguments.mischief:
             world.mischief.add(parse(text, t))
     except (ConfigError, ValueError) as error:

@@ -8,7 +8,7 @@ process with the daemon's pure step. The same seed and the same bytes in give th
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from functools import partial
 from typing import Any
 
@@ -60,12 +60,14 @@ class World(EmulatedRig[EmulatedActuator]):
         options: PlantOptions = AS_ASSUMED,
         pad_options: PadOptions = GOOD_PADS,
         marbles: Collection[PortName] = (),
-        body: Body | None = None,
+        bodies: Sequence[Body] = (),
         roller: RollerKind | None = None,
         by_hand: bool = False,
         t: float = 0.0,
     ) -> None:
-        """At rest at t (s), a random body of the kind, or `body`, in a stable pose.
+        """At rest at t (s), a random body of the kind, or the first of `bodies`, in a stable pose.
+
+        When it is exchanged it is for another random one, or for the next of them, and after the last for the first.
 
         The configuration's `rig.imperfections` say how far the rig is off from the rest of it. With `marbles` there is
         no body on the palms: a marble rolls over each of these pads instead. With `roller` it is one that rolls down a
@@ -73,7 +75,7 @@ class World(EmulatedRig[EmulatedActuator]):
         """
         self.config, self.seed, self.kind = config, seed, kind
         self.contact_losses = self.falls = 0
-        self._options, self._body = options, body
+        self._options, self._bodies = options, bodies
         self.imperfections = configured(config, seed)
         rng = np.random.default_rng(seed)
         self._home = _home(config)
@@ -185,8 +187,9 @@ class World(EmulatedRig[EmulatedActuator]):
     def _draw_body(self) -> None:
         rig = self.config.rig
         curvatures = rig.curvatures_per_m
-        body = self._body or random_body(self.kind, self._rng)
-        while not self._body and any(curvatures) and max(curvatures) * widest(body) > MOST_LYING:
+        given = self._bodies
+        body = given[self.objects % len(given)] if given else random_body(self.kind, self._rng)
+        while not given and any(curvatures) and max(curvatures) * widest(body) > MOST_LYING:
             body = random_body(self.kind, self._rng)  # nobody puts what would lie in a palm on the palms
         on_arcs = partial(CurvedPlant, curvatures=curvatures)
         self.plant = (on_arcs if any(curvatures) else Plant)(

@@ -11,6 +11,7 @@ import yaml
 from virtual_rig import running
 
 from palmd.calibration import cylinder_session
+from palmd.calibration import standoff as standoff_command
 from palmd.cli import main
 from palmd.config import config_hash
 from palmd.rig.fault_injection import order
@@ -25,7 +26,7 @@ REAL = (
 """1.5 mm, 3 % and 20 % from what the daemon is told, and the second pad is mirrored."""
 
 LIMITS = "{phi1_deg: [20, 70], phi2_deg: [70, 110]}"
-BODY = turned(0.02, 0.1)
+BODIES = turned(0.02, 0.1), turned(0.015, 0.05)
 
 
 def written(folder, name, pads=("{port: pad1}", "{port: pad2}"), limits=LIMITS, more=""):
@@ -48,7 +49,7 @@ def rig(tmp_path, mine):
     """Runs the rig as it really is; the daemon has `mine`."""
 
     def run(**more):
-        return running(load_config(written(tmp_path, "REAL.yaml", REAL)), load_config(mine), 5, BODY, **more)
+        return running(load_config(written(tmp_path, "REAL.yaml", REAL)), load_config(mine), 5, BODIES, **more)
 
     return run
 
@@ -113,6 +114,52 @@ def test_forces_are_found_stored_and_told(rig, mine, tmp_path, capsys):
     out, _ = capsys.readouterr()
     assert out.startswith("64 rests in 2 rounds, friction at rest ")
     assert f"{mine}: write in pads.palm2: newtons_per_count: {found['palm2']['newtons_per_count']}\n" in out
+
+
+def standoff(config, *more):
+    return main(["calibrate", "standoff", str(config), "--radius-mm", "20", "--second-radius-mm", "15", *map(str, more)])
+
+
+def test_standoffs_are_found_with_two_cylinders_one_after_the_other(rig, mine, tmp_path, capsys, monkeypatch):
+    off = "rig: {imperfections: {palm1: {standoff_mm: 0.3}, palm2: {standoff_mm: -0.1}}}"
+
+    def exchanged(*arguments):
+        world.mischief.add(order("swap", world.t))
+        waited(*arguments)
+
+    waited = standoff_command.wait_for_none
+    monkeypatch.setattr(standoff_command, "wait_for_none", exchanged)
+    real = load_config(written(tmp_path, "off.yaml", REAL, more=off))
+    with running(real, load_config(mine), 5, BODIES) as world:
+        assert standoff(mine) == 0
+    result = yaml.safe_load((mine.parent / "calibration/standoff.yaml").read_text())
+    assert (result["radius_mm"], result["second_radius_mm"]) == (20.0, 15.0)
+    for pad, true_mm in zip(result["found"].values(), (0.3, -0.1), strict=True):
+        assert pad["standoff_mm"] == pytest.approx(true_mm, abs=3.0 * pad["standoff_sd_mm"])
+        assert pad["standoff_sd_mm"] < 0.08
+    out, err = capsys.readouterr()
+    assert out.startswith("pad1: ")
+    asked = [line for line in err.splitlines() if "the cylinder of" in line]
+    assert asked == [
+        "lay the cylinder of 20 mm between the palms, across both pads",
+        "take the cylinder of 20 mm out",
+        "lay the cylinder of 15 mm between the palms, across both pads",
+    ]
+    assert "pad 1's surface lies 0.3" in err
+    assert world.status()["setpoints_outside_limits"] == 0
+
+
+def test_the_first_cylinder_is_not_taken_out(rig, mine, capsys, monkeypatch):
+    monkeypatch.setattr(cylinder_session, "TAKE_OUT_S", 0.5)
+    monkeypatch.setattr(standoff_command, "heard", lambda *_, **__: [])
+    with rig():
+        said = refused(mine, 3, capsys, calibrate=standoff)
+    assert said == "the cylinder of 20 mm was not taken out within 0 s: nothing is stored"
+
+
+def test_two_cylinders_that_are_alike_are_refused(mine, capsys):
+    said = refused(mine, 1, capsys, "--second-radius-mm", "19", calibrate=standoff)
+    assert said.startswith("cylinders of 20 and 19 mm radius are too much alike")
 
 
 def test_swapped_pads_are_refused(rig, mine, capsys):

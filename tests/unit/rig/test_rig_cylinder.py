@@ -27,7 +27,7 @@ def test_it_rests_at_any_angle():
 
 
 def test_it_lies_still_on_both_palms_and_comes_back():
-    world = World(default_config(), 1, body=BODY)
+    world = World(default_config(), 1, bodies=[BODY])
     for _ in range(2):
         world.advance(world.t + 1.5)
         truth = world.truth()
