@@ -12,7 +12,7 @@ _shtab_palmd_commands() {
   local _commands=(
     bench:'studies of many runs: montecarlo, sbc, off, explore, recognise, curved, pivot, space, things, parts, speed, peers, field, faults, simulate, soak'
     build:'compile the observers now; the first run does it otherwise'
-    calibrate:'measure what the configuration must know: pad, arm, gravity, pads, force, curvature, self'
+    calibrate:'measure what the configuration must know: pad, arm, gravity, pads, standoff, force, curvature, self'
     check:'find what is wrong with configurations and motion plans'
     compare:'a reconstruction with a camera'"'"'s track of the same run'
     completion:'what has a shell complete palmd'"'"'s commands, options and files'
@@ -76,6 +76,7 @@ _shtab_palmd_calibrate_commands() {
     pad:'one touchpad: noise, resolution, timing, dead band, with a marble rolled over it'
     pads:'both touchpads: zero, scale, sign, with a turned cylinder between the palms'
     self:'the pads'"'"' zeros and the palms'"'"' angles, from recorded runs with any objects'
+    standoff:'both touchpads: height above the hinge line, zero, scale, sign, with two such cylinders'
   )
   _describe 'palmd calibrate commands' _commands
 }
@@ -429,6 +430,7 @@ _shtab_palmd_calibrate_pads_options=(
   "--radius-mm[of the cylinder]:R:"
   {-o,--output}"[for pads.yaml, which is overwritten (default\: calibration\/ beside CONFIG)]:FOLDER:_files"
   "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--curve[the readings are not proportional\: find curve_mm too]"
   ":the running daemon\'s configuration, palmd.yaml:_files"
 )
 
@@ -445,6 +447,18 @@ _shtab_palmd_calibrate_self_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_calibrate_self_defaults_added=0
+
+_shtab_palmd_calibrate_standoff_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--radius-mm[of the cylinder]:R:"
+  {-o,--output}"[for standoff.yaml, which is overwritten (default\: calibration\/ beside CONFIG)]:FOLDER:_files"
+  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--second-radius-mm[of the other one]:R:"
+  ":the running daemon\'s configuration, palmd.yaml:_files"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_palmd_calibrate_standoff_defaults_added=0
 
 _shtab_palmd_check_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -827,7 +841,7 @@ _shtab_palmd_rig_options=(
   "--seed[which object, pads and noise\; default\: a random one, printed]:seed:"
   "--kind[what sort of object (default\: rig)]:kind:(nominal friction rig odd)"
   "--marble[a marble rolls over this pad\; then there is no object]:marble:(1 2 both)"
-  "--cylinder[a turned cylinder is the object]:RADIUS_MM,MASS_G:"
+  "*--cylinder[a turned cylinder is the object\; given again\: it is exchanged for that one]:RADIUS_MM,MASS_G:"
   "--roller[it rolls down the gentler palm\; then there is no object]:roller:(ball cylinder)"
   "--by-hand[manual mode\: a hand swings the empty palms]"
   "*--mischief[what goes wrong\; may be given again\; names\: drop, garble, mute, unplug, late, burst, misbaud, touch, break, estop, power_off, manual, lift, swap, overload, overheat, undervoltage, brownout, overflow]:NAME[@PORT][,strength=X][,after=S][,for=S]:"
@@ -1012,6 +1026,7 @@ _shtab_palmd_calibrate() {
         pad) _arguments -C -s $_shtab_palmd_calibrate_pad_options ;;
         pads) _arguments -C -s $_shtab_palmd_calibrate_pads_options ;;
         self) _arguments -C -s $_shtab_palmd_calibrate_self_options ;;
+        standoff) _arguments -C -s $_shtab_palmd_calibrate_standoff_options ;;
       esac
   esac
 }

@@ -12,6 +12,7 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
 from urllib.parse import urlsplit
@@ -25,9 +26,11 @@ from pydantic import (
     Field,
     FiniteFloat,
     PlainValidator,
+    SerializerFunctionWrapHandler,
     Tag,
     ValidationInfo,
     field_validator,
+    model_serializer,
 )
 
 from palmd.events import ObserverName
@@ -290,8 +293,15 @@ class PressureConfig(Strict):
     """Whether a firm touch gives a small number."""
 
 
+_STEEPEST_CURVE = 0.2
+"""A pad whose readings run backwards has no place for each."""
+
+
 class PadBase(Strict):
-    """What every kind of touchpad has: its port, and how counts become s = zero_mm + sign · counts / counts_per_mm."""
+    """What every kind of touchpad has: its port, and how counts become s = zero_mm + sign · counts / counts_per_mm.
+
+    Where readings are not proportional, what `curve_mm` has for that s is added.
+    """
 
     port: PortPath
     """The serial port; a name that lasts is best (`/dev/serial/by-id/…`)."""
@@ -307,6 +317,8 @@ class PadBase(Strict):
     """What one count of pressure is worth."""
     length_mm: Annotated[FiniteFloat, Field(gt=0, le=1000), Plausible(10, 500)] = 55.5
     """How far from the hinge the pad reaches."""
+    curve_mm: Annotated[tuple[FiniteFloat, ...], Field(strict=False, max_length=64)] = ()
+    """What is added to a reading at so many even places from the hinge to the pad's end, two or more; none: nothing."""
     noise_mm: Annotated[FiniteFloat, Field(gt=0, le=5), Plausible(0.002, 2)] = 0.1
     """One sigma of a position, its rounding not counted."""
     zero_sd_mm: Annotated[NotNegative, Field(le=10), Plausible(0.001, 5, or_zero=True)] = 0.1
@@ -321,6 +333,24 @@ class PadBase(Strict):
     """How well the time of a reading is known, one sigma."""
     force_sd_mm_per_n: Annotated[NotNegative, Field(le=10), Plausible(0.0005, 2, or_zero=True)] = 0.05
     """By how much a reading may move with the contact's force, one sigma."""
+
+    @field_validator("curve_mm")
+    @classmethod
+    def _gentle(cls, curve_mm: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
+        if len(curve_mm) == 1:
+            raise ValueError("must have two places or more, evenly from the hinge to the pad's end, or none")
+        steepest = max((abs(after - before) for before, after in pairwise(curve_mm)), default=0.0)
+        if steepest * (len(curve_mm) - 1) > _STEEPEST_CURVE * info.data.get("length_mm", math.inf):
+            raise ValueError(f"must change by {_STEEPEST_CURVE:.0%} of the way between two places at most")
+        return curve_mm
+
+    @model_serializer(mode="wrap")
+    def _without_no_curve(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """A pad without a curve hashes as it did before there were any."""
+        told: dict[str, Any] = handler(self)
+        if not self.curve_mm:
+            told.pop("curve_mm", None)
+        return told
 
 
 class VersaPadConfig(PadBase):

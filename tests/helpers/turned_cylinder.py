@@ -42,8 +42,9 @@ def turned(
 ) -> list[Event]:
     """What a daemon that believes the pads are as `configured` gives its observer; the same arguments, the same events.
 
-    Each pad reads its middle by `bend_m` more than its ends. The pads' times are `late_s` too late, and the arm tells a
-    phi2 that is too large by `phi2_error_rad`. The rig has these `imperfections`. Raises PlanError for a plan that the limits do not allow.
+    Each pad reads its middle by `bend_m` more than its ends, and the rig has these `imperfections`. The pads' times are
+    `late_s` too late, and the arm tells a phi2 that is too large by `phi2_error_rad`. Raises PlanError for a plan that
+    the limits do not allow.
     """
     rng = np.random.default_rng(seed)
     trajectory = compile_plan(PlanSpec.model_validate(plan), limits)
@@ -88,5 +89,6 @@ def _receiver(number: int, config: VersaPadConfig) -> PadReceiver:
         config.newtons_per_count,
         sign=1 if config.sign > 0 else -1,
         length_mm=config.length_mm,
+        curve_mm=config.curve_mm,
     )
     return PadReceiver(calibration, config.baud)

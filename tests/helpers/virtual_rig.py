@@ -29,9 +29,9 @@ class AtOnce(Executor):
 
 @contextmanager
 def running(real, config, seed, bodies, crossed=False, pad_options=GOOD_PADS):
-    """A rig as `real` says with the first of `bodies` on its palms, and a daemon on it as `config` says; the world, for mischief.
+    """A rig as `real` says, and a daemon on it as `config` says; the world, for mischief.
 
-    The pads' plugs may be `crossed`.
+    The first of `bodies` is on the palms, others are for exchanging it. The pads' plugs may be `crossed`.
     """
     plug = {"pad1": "pad2", "pad2": "pad1"} if crossed else {}
     world = World(real, seed, bodies=bodies, pad_options=pad_options)

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from palmd.config import PadConfig
+from palmd.devices.pad import straight_mm
 from palmd.events import Event, FloatArray, PadSample, PalmSample
 from palmd.model.arcs import contacts_on_arcs
 from palmd.motion.limits import PHI12_MAX, MotionLimits
@@ -54,11 +55,13 @@ class CylinderError(ValueError):
 class CylinderReadings:
     """One pad's readings while both pads were touched: t (s), counts, pressure (counts, NaN at full scale).
 
-    Beside them the palms' angles at these times (rad) and the larger of their planned rates (rad/s).
+    The counts are what a pad that needs no configured curve would have given, `raw` what this one gave. Beside them the
+    palms' angles at these times (rad) and the larger of their planned rates (rad/s).
     """
 
     t: FloatArray
     counts: FloatArray
+    raw: FloatArray
     pressure: FloatArray
     first: FloatArray
     opening: FloatArray
@@ -221,16 +224,18 @@ def _readings(
 ) -> CylinderReadings:
     fresh = (_nearest(own[:, 0], other) <= FRESH_S) & (_nearest(own[:, 0], palms[:, 0]) <= FRESH_S)
     t, s, force = own[fresh].T
-    counts = config.sign * (s * 1e3 - config.zero_mm) * config.counts_per_mm
+    counts, straight = (
+        config.sign * (each - config.zero_mm) * config.counts_per_mm for each in (straight_mm(config, s * 1e3), s * 1e3)
+    )
     pressure = force / config.newtons_per_count
     if len(t) and max(_off_whole(counts), _off_whole(pressure[np.isfinite(pressure)])) > _WHOLE:
         raise CylinderError(
             f"the daemon did not make pad {number}'s readings with this configuration: start it anew with it"
         )
     if not len(t):
-        return CylinderReadings(t, counts, pressure, t, t, t)
+        return CylinderReadings(t, straight, counts, pressure, t, t, t)
     phi1, phi2, rate = (np.interp(t, palms[:, 0], palms[:, column]) for column in (1, 2, 3))
-    return CylinderReadings(t, np.rint(counts), np.rint(pressure), phi1, phi2, rate)
+    return CylinderReadings(t, straight, np.rint(counts), np.rint(pressure), phi1, phi2, rate)
 
 
 def _off_whole(values: FloatArray) -> float:

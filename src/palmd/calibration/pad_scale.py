@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -18,14 +18,18 @@ from palmd.calibration.cylinder import LEAST_TRAVEL_M, SLOW_RAD_S, CylinderError
 from palmd.config import PadConfig
 from palmd.events import Event, FloatArray
 from palmd.system.arcs import FLAT
+from palmd.system.mechanism import PALMS
 
 LEAST_READINGS = 500
 LEAST_FOLLOWED = 0.9
 """Of the counts' scatter that the line must explain, or they do not follow the cylinder."""
+PLACES = 13
+"""Of a curve, from the hinge to the pad's end."""
 
 _SLOW_ENOUGH = 1.05 * SLOW_RAD_S  # faster ones are from the way to the plan's beginning
 _SPOILT = 6.0  # scaled median deviations
 _STRETCHES = 10
+_STIFF = 3.0  # readings' worth, of each place's bend
 _LEAST_IN_STRETCH = 30
 
 
@@ -34,7 +38,8 @@ class PadScale:
     """One pad: s = zero_mm + sign · counts/counts_per_mm, with one sigma of both, the radius taken for exact.
 
     noise_mm: one sigma of a reading about the line, rounding included. bend_mm: the largest mean deviation from the
-    line over a tenth of the way, with its own sd; it is what a straight line cannot explain. low_mm, high_mm: the way.
+    line over a tenth of the way, with its own sd; it is what a straight line, and the curve, cannot explain. low_mm,
+    high_mm: the way. curve_mm: by how much s is more than on the line, at so many even places of the pad, where asked.
     """
 
     sign: int
@@ -49,17 +54,26 @@ class PadScale:
     high_mm: float
     readings: int
     spoilt: int
+    curve_mm: tuple[float, ...] = ()
 
 
 def pad_scales(
-    events: Iterable[Event], configs: tuple[PadConfig, ...], radius_m: float, curvatures: Sequence[float] = FLAT
+    events: Iterable[Event],
+    configs: Sequence[PadConfig],
+    radius_m: float,
+    curvatures: Sequence[float] = FLAT,
+    *,
+    curved: bool = False,
 ) -> tuple[PadScale, PadScale]:
-    """Both pads; `configs` are those the daemon ran with, `curvatures` the palms' (1/m).
+    """Both pads; `configs` are those the daemon ran with, `curvatures` the palms' (1/m); `curved`: their curves too.
 
     Raises CylinderError for readings that do not suffice.
     """
-    first, second = readings(events, configs)
-    return _scale(1, first, radius_m, curvatures), _scale(2, second, radius_m, curvatures)
+    one, two = (
+        _scale(number, found, config.length_mm if curved else None, radius_m, curvatures)
+        for number, config, found in zip(PALMS, configs, readings(events, configs), strict=True)
+    )
+    return one, two
 
 
 def slow_enough(found: CylinderReadings) -> npt.NDArray[np.bool_]:
@@ -79,8 +93,11 @@ def slow_readings(number: int, found: CylinderReadings) -> tuple[FloatArray, Flo
     return found.opening[slow], counts
 
 
-def _scale(number: int, found: CylinderReadings, radius_m: float, curvatures: Sequence[float]) -> PadScale:
-    opening, counts = slow_readings(number, found)
+def _scale(
+    number: int, found: CylinderReadings, length_mm: float | None, radius_m: float, curvatures: Sequence[float]
+) -> PadScale:
+    """With a `length_mm` a curve over it is found anew; without, the configured one has been allowed for."""
+    opening, counts = slow_readings(number, found if length_mm is None else replace(found, counts=found.raw))
     s = contacts_m(radius_m, opening, curvatures)[number - 1] * 1e3
     if np.ptp(s) < 0.8 * LEAST_TRAVEL_M * 1e3:
         raise CylinderError(f"the palms moved the cylinder by {np.ptp(s):.1f} mm only: was the plan stopped?")
@@ -94,18 +111,23 @@ def _scale(number: int, found: CylinderReadings, radius_m: float, curvatures: Se
             f"pad {number}'s counts do not follow the cylinder (from {counts.min():.0f} to {counts.max():.0f} over"
             f" {np.ptp(s):.0f} mm of way): check pads.palm{number}.axis, and that nothing else lies on the pad"
         )
-    return _result(s, counts, left, spoilt)
+    return _result(s, counts, left, spoilt, length_mm)
 
 
 def _line(s: FloatArray, counts: FloatArray) -> FloatArray:
     return np.asarray(np.polynomial.Polynomial.fit(s, counts, 1)(s))
 
 
-def _result(s: FloatArray, counts: FloatArray, left: FloatArray, spoilt: int) -> PadScale:
+def _result(s: FloatArray, counts: FloatArray, left: FloatArray, spoilt: int, length_mm: float | None) -> PadScale:
     """The line counts = mean + slope·(s − mean s), whose two numbers err independently of each other."""
     n = len(s)
     away = s - s.mean()
     slope = float(away @ counts / (away @ away))
+    curve: FloatArray = np.zeros(0)
+    if length_mm is not None:  # beyond the line: s = what is on it + the curve there
+        beyond = left / slope
+        curve, explained = _curve(s + beyond, -beyond, length_mm)
+        left = left + explained * slope
     noise = math.sqrt(float(left @ left) / (n - 2))
     slope_sd, mean_sd = noise / math.sqrt(float(away @ away)), noise / math.sqrt(n)
     zero = float(s.mean() - counts.mean() / slope)
@@ -124,7 +146,23 @@ def _result(s: FloatArray, counts: FloatArray, left: FloatArray, spoilt: int) ->
         high_mm=float(s.max()),
         readings=n,
         spoilt=spoilt,
+        curve_mm=tuple(np.round(curve, 4).tolist()),
     )
+
+
+def _curve(straight: FloatArray, more: FloatArray, length_mm: float) -> tuple[FloatArray, FloatArray]:
+    """The values at `PLACES` even places of the pad that explain `more` at `straight` (mm), and what they explain.
+
+    Where nothing was felt they go on as straight as can be.
+    """
+    at = np.clip(straight / length_mm, 0.0, 1.0) * (PLACES - 1)
+    before = np.minimum(at.astype(np.int64), PLACES - 2)
+    rows = np.zeros((len(at), PLACES))
+    each = np.arange(len(at))
+    rows[each, before], rows[each, before + 1] = 1.0 - (at - before), at - before
+    bends = np.diff(np.eye(PLACES), 2, axis=0)
+    values = np.asarray(np.linalg.solve(rows.T @ rows + _STIFF * bends.T @ bends, rows.T @ more), dtype=np.float64)
+    return values, np.asarray(rows @ values)
 
 
 def _bend(s: FloatArray, left: FloatArray) -> tuple[float, float]:

@@ -126,7 +126,7 @@ def _prior_sd(configs: Sequence[PadConfig], opening_sd_rad: float) -> FloatArray
     sd[_Unknown.FORCE : _Unknown.OPENING] = [pad.force_sd_mm_per_n for pad in configs]
     sd[_Unknown.OPENING] = opening_sd_rad
     sd[_Unknown.RADIUS :] = RADIUS_SD_MM
-    return np.maximum(sd, 1e-9)
+    return np.asarray(np.maximum(sd, 1e-9))
 
 
 def _said(taken: Sequence[_Session]) -> list[FloatArray]:
@@ -156,7 +156,7 @@ def _foot_mm(x: FloatArray, i: int, radius_mm: float, opening: FloatArray, confi
             raised.append(radius_mm + x[_Unknown.STANDOFF + pad] + 4.0 * sagitta * (s / length) ** 2)
         between = opening - turned
         s = (raised[0] * np.cos(between) + raised[1]) / np.sin(between)
-    return s
+    return np.asarray(s)
 
 
 def _left(x: FloatArray, taken: Sequence[_Session], configs: Sequence[PadConfig]) -> list[FloatArray]:
@@ -191,8 +191,8 @@ def _solved(
         step = np.linalg.solve(information, rows.T @ weighed(_left(x, taken, configs)) - x * prior_sd**-2)
         x = x + step
         if np.abs(step).max() < _SETTLED_MM:
-            return x, np.linalg.inv(information)
-    raise CylinderError("no standoff explains the readings: are the radii right, and lay the larger one there first?")
+            return x, np.asarray(np.linalg.inv(information), dtype=np.float64)
+    raise CylinderError("no standoff explains the readings: are the radii right, in the order in which they lay there?")
 
 
 def _told(

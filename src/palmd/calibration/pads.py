@@ -9,6 +9,7 @@ import argparse
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 from palmd.calibration import cylinder_session
@@ -27,11 +28,12 @@ _SPOILT_SHARE = 0.01
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The calibration's arguments."""
     cylinder_session.add_arguments(parser, "pads.yaml")
+    parser.add_argument("--curve", action="store_true", help="the readings are not proportional: find curve_mm too")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Writes nothing before both pads are known; CliError when the input is wrong or the rig fails."""
-    config, folder, found = cylinder_session.turned(arguments, pad_scales)
+    config, folder, found = cylinder_session.turned(arguments, partial(pad_scales, curved=arguments.curve))
     print(table(found))
     for remark in remarks(found, config):
         print(remark, file=sys.stderr)
@@ -48,9 +50,14 @@ def table(found: Scales) -> str:
         f"  zero_mm       {pad.zero_mm:.3f} ± {pad.zero_sd_mm:.3f}\n"
         f"  counts_per_mm {pad.counts_per_mm:.4f} ± {pad.counts_per_mm_sd:.4f}\n"
         f"  sign          {pad.sign}\n"
+        f"{_curve(pad)}"
         f"  left          {pad.noise_mm:.3f} mm of each reading, a bend of {pad.bend_mm:.3f} ± {pad.bend_sd_mm:.3f} mm"
         for number, pad in enumerate(found, 1)
     )
+
+
+def _curve(pad: PadScale) -> str:
+    return f"  curve_mm      from {min(pad.curve_mm):+.3f} to {max(pad.curve_mm):+.3f}\n" if pad.curve_mm else ""
 
 
 def remarks(found: Scales, config: Config) -> Iterator[str]:
@@ -83,6 +90,7 @@ def called_for(found: Scales) -> dict[str, dict[str, Any]]:
             "sign": pad.sign,
             "zero_mm": round(pad.zero_mm, 3),
             "counts_per_mm": round(pad.counts_per_mm, 4),
+            **({"curve_mm": list(pad.curve_mm)} if pad.curve_mm else {}),
         }
         for number, pad in enumerate(found, 1)
     }

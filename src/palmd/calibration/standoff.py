@@ -1,4 +1,4 @@
-"""Finds how high both pads' surfaces lie above the hinge line, by two turned cylinders; a running daemon moves the palms.
+"""Finds how high both pads' surfaces lie above the hinge line, by two turned cylinders that a daemon moves.
 
 With it come both pads' zero, scale and sign, which one cylinder alone cannot tell from a standoff. Arms the arm if that
 has not been done, and then stops it in the end. A hand at the emergency stop.

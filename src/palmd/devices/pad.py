@@ -12,8 +12,10 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
+import numpy as np
+
 from palmd.config import PadConfig
-from palmd.events import PadLift, PadSample
+from palmd.events import FloatArray, PadLift, PadSample
 from palmd.messages import PadView
 
 if TYPE_CHECKING:
@@ -47,6 +49,42 @@ class PadReport:
     pressure: int
     in_use: bool
     batched: bool
+
+
+class Scaled(Protocol):
+    """What makes millimetres of a pad's counts, as the configuration's keys say."""
+
+    @property
+    def zero_mm(self) -> float: ...
+    @property
+    def sign(self) -> int: ...
+    @property
+    def counts_per_mm(self) -> float: ...
+    @property
+    def length_mm(self) -> float: ...
+    @property
+    def curve_mm(self) -> Sequence[float]: ...
+
+
+def place_mm(pad: Scaled, counts: float) -> float:
+    """How far from the hinge a reading lies: on a straight line, and what the curve adds there. Safe in the loop."""
+    straight = pad.zero_mm + pad.sign * counts / pad.counts_per_mm
+    curve = pad.curve_mm
+    if not curve:
+        return straight
+    last = len(curve) - 1
+    at = min(max(straight / pad.length_mm, 0.0), 1.0) * last
+    before = min(int(at), last - 1)
+    return straight + curve[before] + (at - before) * (curve[before + 1] - curve[before])
+
+
+def straight_mm(pad: Scaled, s_mm: FloatArray) -> FloatArray:
+    """What was on the straight line where `place_mm` gave `s_mm` (n,)."""
+    if not pad.curve_mm:
+        return s_mm
+    line = np.linspace(0.0, pad.length_mm, len(pad.curve_mm))
+    curve = np.array(pad.curve_mm)
+    return np.asarray(s_mm - np.interp(s_mm, line + curve, curve))
 
 
 class PadDriver(Protocol):

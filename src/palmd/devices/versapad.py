@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass
 from typing import Literal
 
 from palmd.devices.arrival import FirstByteClock, byte_time
-from palmd.devices.pad import MARGIN_MM, PadReport, TouchTracker
+from palmd.devices.pad import MARGIN_MM, PadReport, TouchTracker, place_mm
 from palmd.events import PadLift, PadSample
 
 PACKET_BYTES = 6
@@ -252,7 +252,7 @@ def encode_packet(
 
 @dataclass(frozen=True, slots=True)
 class PadCalibration:
-    """How a pad's counts become a distance from the hinge: s = zero + sign · counts / counts_per_mm.
+    """How a pad's counts become a distance from the hinge: s = zero + sign · counts / counts_per_mm + the curve there.
 
     `length_mm` is the pad's active length; a reading below zero, or beyond it by more than `MARGIN_MM`,
     cannot be a contact. `pressure_max` is the pressure format's full scale.
@@ -266,6 +266,7 @@ class PadCalibration:
     sign: Literal[1, -1] = 1
     length_mm: float = 55.5
     pressure_max: int = PRESSURE_MAX
+    curve_mm: tuple[float, ...] = ()
 
     def sample(self, packet: PadPacket) -> PadSample | None:
         """Return the contact that `packet` reports (s in m, force in N), or None if it is off the pad.
@@ -273,7 +274,7 @@ class PadCalibration:
         At full scale the pressure is only a lower bound, so the sample carries no force.
         """
         counts = packet.x_counts if self.axis == "x" else packet.y_counts
-        s_mm = self.zero_mm + self.sign * counts / self.counts_per_mm
+        s_mm = place_mm(self, counts)
         if not 0.0 < s_mm <= self.length_mm + MARGIN_MM:
             return None
         force = packet.pressure * self.newtons_per_count if packet.pressure < self.pressure_max else None

@@ -117,7 +117,9 @@ def test_forces_are_found_stored_and_told(rig, mine, tmp_path, capsys):
 
 
 def standoff(config, *more):
-    return main(["calibrate", "standoff", str(config), "--radius-mm", "20", "--second-radius-mm", "15", *map(str, more)])
+    return main(
+        ["calibrate", "standoff", str(config), "--radius-mm", "20", "--second-radius-mm", "15", *map(str, more)]
+    )
 
 
 def test_standoffs_are_found_with_two_cylinders_one_after_the_other(rig, mine, tmp_path, capsys, monkeypatch):

@@ -9,6 +9,8 @@ from turned_cylinder import turned
 
 from palmd.calibration.cylinder import CylinderError, contact_m, turning_plan
 from palmd.calibration.pad_scale import pad_scales
+from palmd.config import VersaPadConfig
+from palmd.devices.pad import place_mm, straight_mm
 from palmd.events import PadSample, PalmSample
 from palmd.rig.pads import PadOptions
 
@@ -120,3 +122,57 @@ def test_too_little_is_refused(events):
 def test_a_quiet_pad_that_repeats_a_count_is_measured_as_well():
     found = pad_scales(heard(pad_options=PadOptions(noise_m=0.0)), CONFIGURED, RADIUS_M)
     assert np.abs(errors(found)).max() < 0.01
+
+
+BENDS_M = (6e-4, -3e-4)
+
+
+@pytest.fixture(scope="module")
+def bent():
+    return heard(bend_m=BENDS_M)
+
+
+def test_a_curve_makes_bent_readings_straight(bent):
+    found = pad_scales(bent, CONFIGURED, RADIUS_M, curved=True)
+    for pad, true, bend_m in zip(found, TRUE, BENDS_M, strict=True):
+        curved = true.model_copy(
+            update={"zero_mm": pad.zero_mm, "counts_per_mm": pad.counts_per_mm, "curve_mm": pad.curve_mm}
+        )
+        for s_mm in np.linspace(6.0, 50.0, 23):
+            said_mm = s_mm + bend_m * 1e3 * math.sin(math.pi * s_mm / true.length_mm)
+            counts = true.sign * (said_mm - true.zero_mm) * true.counts_per_mm
+            assert place_mm(curved, counts) == pytest.approx(s_mm, abs=0.04)
+        assert pad.bend_mm < 0.03
+        assert pad.noise_mm == pytest.approx(0.107, rel=0.05)
+    assert max(pad.bend_mm for pad in pad_scales(bent, CONFIGURED, RADIUS_M)) > 0.15
+
+
+def test_a_configured_curve_is_allowed_for_and_can_be_found_anew(bent):
+    first = pad_scales(bent, CONFIGURED, RADIUS_M, curved=True)
+    configured = tuple(
+        config.model_copy(update={
+            "zero_mm": pad.zero_mm, "counts_per_mm": pad.counts_per_mm, "sign": pad.sign, "curve_mm": pad.curve_mm
+        })
+        for config, pad in zip(CONFIGURED, first, strict=True)
+    )  # fmt: skip
+    again = turned(PLAN, LIMITS, TRUE, configured, RADIUS_M, MASS_KG, 1, bend_m=BENDS_M)
+    straight, anew = (pad_scales(again, configured, RADIUS_M, curved=curved) for curved in (False, True))
+    for was, now, new in zip(first, straight, anew, strict=True):
+        assert now.bend_mm < 0.03
+        assert now.zero_mm == pytest.approx(was.zero_mm, abs=0.01)
+        assert now.counts_per_mm == pytest.approx(was.counts_per_mm, rel=1e-3)
+        assert new.curve_mm == pytest.approx(was.curve_mm, abs=0.02)
+
+
+def test_a_curve_is_undone_where_it_was_added():
+    pad = CONFIGURED[0].model_copy(update={"curve_mm": (0.3, -0.2, 0.5, 0.0)})
+    counts = np.arange(-300, 300, 7)
+    straight = pad.zero_mm + counts / pad.counts_per_mm
+    back = straight_mm(pad, np.array([place_mm(pad, count) for count in counts.tolist()]))
+    assert back == pytest.approx(straight, abs=1e-9)
+
+
+@pytest.mark.parametrize("curve_mm", [[0.1], [0.0, 20.0], [0.0, math.nan]])
+def test_curves_that_no_pad_has(curve_mm):
+    with pytest.raises(ValueError, match="curve_mm"):
+        VersaPadConfig(port="pad1", curve_mm=curve_mm)

@@ -10,7 +10,7 @@ from palmd.config import EvdevConfig
 from palmd.devices.evdev import EvdevReader
 from palmd.devices.evdevport import EvdevPort
 from palmd.devices.health import Share, last_report
-from palmd.devices.pad import MARGIN_MM, PadFactory, PadReport
+from palmd.devices.pad import MARGIN_MM, PadFactory, PadReport, place_mm
 from palmd.devices.port import DevicePort
 from palmd.events import PadLift, PadSample
 from palmd.messages import PadView
@@ -157,7 +157,7 @@ class Evdev:
     def _calibrated(self, report: PadReport) -> PadSample | None:
         config = self._config
         counts = report.x_counts if config.axis == "x" else report.y_counts
-        s_mm = config.zero_mm + config.sign * counts / config.counts_per_mm
+        s_mm = place_mm(config, counts)
         if not 0.0 < s_mm <= config.length_mm + MARGIN_MM:
             self._reader.counters.out_of_range += 1
             return None

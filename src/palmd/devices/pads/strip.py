@@ -8,7 +8,7 @@ from typing import Literal
 
 from palmd.config import StripConfig
 from palmd.devices.health import Share, bytes_since, last_report
-from palmd.devices.pad import MARGIN_MM, SILENT_INTERVALS, PadFactory, TouchTracker
+from palmd.devices.pad import MARGIN_MM, SILENT_INTERVALS, PadFactory, TouchTracker, place_mm
 from palmd.devices.port import DevicePort, Port
 from palmd.devices.strip import FORCE_MAX, TOUCHED_S, StripDecoder, StripPacket
 from palmd.events import PadLift, PadSample
@@ -135,7 +135,7 @@ class Strip:
 
     def _sample(self, packet: StripPacket) -> PadSample | None:
         config = self._config
-        s_mm = config.zero_mm + config.sign * packet.x_counts / config.counts_per_mm
+        s_mm = place_mm(config, packet.x_counts)
         if not 0.0 < s_mm <= config.length_mm + MARGIN_MM:
             self._decoder.counters.out_of_range += 1
             return None

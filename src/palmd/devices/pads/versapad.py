@@ -40,6 +40,7 @@ class VersaPad:
             cast(Literal[1, -1], config.sign),
             config.length_mm,
             pressure.full_scale,
+            config.curve_mm,
         )
         self.is_open = False
         self.in_break = False
