@@ -845,6 +845,7 @@ _shtab_palmd_rig_options=(
   "--roller[it rolls down the gentler palm\; then there is no object]:roller:(ball cylinder)"
   "--by-hand[manual mode\: a hand swings the empty palms]"
   "*--mischief[what goes wrong\; may be given again\; names\: drop, garble, mute, unplug, late, burst, misbaud, touch, break, estop, power_off, manual, lift, swap, overload, overheat, undervoltage, brownout, overflow]:NAME[@PORT][,strength=X][,after=S][,for=S]:"
+  "--uinput[emulated input devices are the kernel\'s own\; a desktop beside it takes them too until palmd does]"
   "--ports[where its ports are, made if need be\; default\: one of its own]:FOLDER:_files"
   ":palmd.yaml\; default\: as shipped:_files"
 )

@@ -38,6 +38,7 @@ import zmq
 from palmd.messages import stamp
 from palmd.pivot_config import PivotConfig
 from palmd.quantities import BODY, RIG_TOPICS, STALL, TRUTH, Topic
+from palmd.rig import uinput
 from palmd.rig.fault_injection import (
     ALL_FAULTS,
     PADS,
@@ -51,6 +52,7 @@ from palmd.rig.pivot_world import PivotWorld
 from palmd.rig.roller import KINDS as ROLLERS
 from palmd.rig.shapes import KINDS, Body, cylinder
 from palmd.rig.tally import Listener
+from palmd.rig.uinput import UinputLine
 from palmd.rig.world import World, default_config
 from palmd.yamlfile import ConfigError, load_any_config
 
@@ -77,6 +79,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="NAME[@PORT][,strength=X][,after=S][,for=S]",
         help=f"what goes wrong; may be given again; names: {', '.join(ALL_FAULTS)}",
+    )
+    parser.add_argument(
+        "--uinput",
+        action="store_true",
+        help="emulated input devices are the kernel's own; a desktop beside it takes them too until palmd does",
     )
     parser.add_argument(
         "--ports", type=Path, metavar="FOLDER", help="where its ports are, made if need be; default: one of its own"
@@ -107,6 +114,10 @@ def run_rig(arguments: argparse.Namespace) -> int:
             world.mischief.add(parse(text, t))
     except (ConfigError, ValueError) as error:
         return _refuse(str(error))
+    if arguments.uinput and not uinput.available():
+        return _refuse(
+            f"--uinput: {uinput.UINPUT} cannot be written to (sudo modprobe uinput; as root, or by a udev rule)"
+        )
     try:
         folder = _folder(arguments.ports)
     except FileExistsError:
@@ -114,7 +125,7 @@ def run_rig(arguments: argparse.Namespace) -> int:
     except OSError as error:
         return _refuse(f"--ports: {arguments.ports}: {error.strerror}")
     try:
-        rig = RigProcess(world, folder, stop)
+        rig = RigProcess(world, folder, stop, uinput=arguments.uinput)
         with contextlib.suppress(BrokenPipeError):
             print(json.dumps(rig.addresses()), flush=True)
         rig.run()
@@ -162,7 +173,8 @@ class StopSignal:
 class RigProcess:
     """The world behind its ports and sockets. Ports are links in `folder`, as udev would name them."""
 
-    def __init__(self, world: World | PivotWorld, folder: Path, stop: StopSignal) -> None:
+    def __init__(self, world: World | PivotWorld, folder: Path, stop: StopSignal, *, uinput: bool = False) -> None:
+        """With `uinput` what is no serial line is an input device of the kernel's."""
         self.world = world
         self.ticks = self.late_ticks = self.stalls = 0
         self.latest_s = 0.0
@@ -171,8 +183,11 @@ class RigProcess:
         self._parent = os.getppid()
         self._seq = {topic.name: 0 for topic in RIG_TOPICS}
         noise = np.random.default_rng(world.seed)
-        self._lines: dict[PortName, PtyLine] = {
-            port: PtyLine(folder / port, world.bauds[port], noise) for port in world.ports
+        self._lines: dict[PortName, PtyLine | UinputLine] = {
+            port: UinputLine(folder / port)
+            if uinput and world.bauds[port] is None
+            else PtyLine(folder / port, world.bauds[port], noise)
+            for port in world.ports
         }
         self._listeners: dict[PortName, Listener] = {port: Listener(world.listener(port)) for port in world.ports}
         self._poll = select.poll()
@@ -246,7 +261,7 @@ class RigProcess:
         """What poll() says of each port that has something to say: one system call for all."""
         return dict(self._poll.poll(0))
 
-    def _move_plug(self, line: PtyLine) -> None:
+    def _move_plug(self, line: PtyLine | UinputLine) -> None:
         if line.plugged:
             self._poll.unregister(line.fileno)
             line.unplug()
