@@ -125,7 +125,7 @@ def run_rig(arguments: argparse.Namespace) -> int:
     except OSError as error:
         return _refuse(f"--ports: {arguments.ports}: {error.strerror}")
     try:
-        rig = RigProcess(world, folder, stop, uinput=arguments.uinput)
+        rig = RigProcess(world, folder, stop, input_devices=arguments.uinput)
         with contextlib.suppress(BrokenPipeError):
             print(json.dumps(rig.addresses()), flush=True)
         rig.run()
@@ -173,8 +173,10 @@ class StopSignal:
 class RigProcess:
     """The world behind its ports and sockets. Ports are links in `folder`, as udev would name them."""
 
-    def __init__(self, world: World | PivotWorld, folder: Path, stop: StopSignal, *, uinput: bool = False) -> None:
-        """With `uinput` what is no serial line is an input device of the kernel's."""
+    def __init__(
+        self, world: World | PivotWorld, folder: Path, stop: StopSignal, *, input_devices: bool = False
+    ) -> None:
+        """With `input_devices` what is no serial line is an input device of the kernel's."""
         self.world = world
         self.ticks = self.late_ticks = self.stalls = 0
         self.latest_s = 0.0
@@ -185,7 +187,7 @@ class RigProcess:
         noise = np.random.default_rng(world.seed)
         self._lines: dict[PortName, PtyLine | UinputLine] = {
             port: UinputLine(folder / port)
-            if uinput and world.bauds[port] is None
+            if input_devices and world.bauds[port] is None
             else PtyLine(folder / port, world.bauds[port], noise)
             for port in world.ports
         }
