@@ -22,6 +22,8 @@ _BEGUN = (0.5, -0.5)  # with palms that rub so unequally
 _UNEQUAL = tuple(Attempt(seconds, 4, a) for seconds in (2.0, 3.5) for a in _BEGUN)
 _FREE = (Attempt(2.0, 4, free=True), Attempt(3.5, 4, free=True))
 HINT_SD = 1e-4  # m, of the outline's coefficients
+TELLING_S = 6.0
+"""Of readings: of longer ones, in simulation, whatever alone explained them was right."""
 CHALLENGE = 2.0  # by how much the record grows from one blind search to the next
 LONGEST_S, KEPT_S = 30.0, 15.0  # of readings in which nothing has been found, and that are kept then
 
@@ -89,7 +91,7 @@ class Seeker:
                 search = Search(segment, rig, PATIENCE, belief=self._belief.suspended())
             blind = search.blind(attempt, self._seed)
             merged = search.merged(finding, blind)
-            self._survived = self._challenges_survived(finding, blind, merged)
+            self._survived = self._challenges_survived(finding, blind, merged, seconds)
             finding = merged
             self._challenge_s = CHALLENGE * seconds
         answer = None if finding is None else self._criticised(segment, Answer(search, finding))
@@ -114,13 +116,18 @@ class Seeker:
         attempts = attempts_for(self._rig)
         return attempts[self._failed % len(attempts)]
 
-    def _challenges_survived(self, finding: Minima | None, blind: Minima | None, merged: Minima | None) -> int:
-        """In how many searches since what has been found it has been found again, or been better than what was."""
+    def _challenges_survived(
+        self, finding: Minima | None, blind: Minima | None, merged: Minima | None, seconds: float
+    ) -> int:
+        """In how many searches since what has been found it has been found again, or been better than what was.
+
+        That one comes to nothing says little of a short record, and of a long one that it has no rival.
+        """
         if not self._rig.lopsided:
             return int(agree(finding, blind) or (self._survived > 0 and agree(finding, merged)))
         if merged is None or not agree(finding, merged):
             return 0
-        return self._survived + (blind is not None and len(merged.fits) == 1)
+        return self._survived + (len(merged.fits) == 1 and (blind is not None or seconds > TELLING_S))
 
     @property
     def sure(self) -> bool:

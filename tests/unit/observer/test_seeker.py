@@ -49,3 +49,14 @@ def test_on_a_fixed_hinge_it_is_set_against_palms_that_rub_unequally_either_way(
     assert sought(rig.known_to(AS_CALIBRATED), 3) == [False, False, True]
     assert begun[0] == 0.0
     assert {*begun[1:]} == {0.5, -0.5}
+
+
+def test_searches_that_come_to_nothing_tell_of_a_long_record_that_it_has_no_rival(rig, monkeypatch):
+    """Of a short one they tell nothing: there a wrong outline may be the only one that was found."""
+    blind = Search.blind
+    monkeypatch.setattr(
+        Search, "blind", lambda self, attempt, seed: None if attempt.asymmetry else blind(self, attempt, seed)
+    )
+    assert sought(rig.known_to(AS_CALIBRATED), 4) == [False] * 4
+    monkeypatch.setattr(seeker, "TELLING_S", 2.0)
+    assert sought(rig.known_to(AS_CALIBRATED), 4) == [False, False, True, True]
