@@ -19,7 +19,7 @@ from palmd.bus.command_client import CommandClient
 from palmd.bus.link import COMMAND, PUBLISH
 from palmd.cli.browser import open_page
 from palmd.cli.build import made_ready
-from palmd.config import BusConfig
+from palmd.config import AnyConfig, BusConfig
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.console.shipped import shipped
 from palmd.harness.comparison import Comparison
@@ -27,7 +27,7 @@ from palmd.harness.operator import Operator
 from palmd.harness.pivot_comparison import PivotComparison
 from palmd.harness.processes import StopRequest
 from palmd.harness.stack import Stack
-from palmd.pivot_config import AnyConfig, PivotConfig
+from palmd.pivot_config import PivotConfig
 from palmd.rig.imperfections import perfect
 from palmd.rig.shapes import KINDS
 from palmd.yamlfile import ConfigError, load_any_config

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from palmd import __version__
+from palmd.config import AnyConfig
 from palmd.daemon.commands import Reply, Request
 from palmd.daemon.diagnostics import LOOK_S, ArmDiagnostics, LoopDiagnostics, NisDiagnostics, PadDiagnostics
 from palmd.daemon.drivers import ArmDriver, EndName
@@ -28,7 +29,7 @@ from palmd.daemon.lifecycle import COMMANDED, State
 from palmd.daemon.planner import Plan, PlanFolder
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.supervisor import Supervisor
-from palmd.daemon.systems import LiveSystem, LiveTwoPalms, TickReport
+from palmd.daemon.systems import LiveSystem, TickReport, live_system
 from palmd.devices.actuator import ArmState
 from palmd.devices.port import DevicePort
 from palmd.events import Event, Improvement, ObjectEstimate, PadSample, ShapeEstimate
@@ -42,7 +43,6 @@ from palmd.messages import (
     state_fields,
 )
 from palmd.observer.observer import LiveAnswer, LiveEstimate, LiveObserver
-from palmd.pivot_config import AnyConfig, PivotConfig
 from palmd.quantities import LOG, NOTE, OBJECT, RIG, STATE, Topic
 from palmd.system.rig_constants import said_off
 
@@ -73,12 +73,9 @@ class Core:
         """`aside` compiles plans beside the loop, `notes` are codes of faults that stand throughout.
 
         `folder` is the configuration's. `explorer` decides where explorations go; without one, plans that explore are
-        refused. `system` is what the rig is: two palms if nothing else is said.
+        refused. `system` is what the rig is, if it has been made already.
         """
-        if system is None:
-            assert not isinstance(config, PivotConfig), "a rig that is not two palms is told as its system"
-            system = LiveTwoPalms(config)
-        self._system = system
+        self._system = system = system or live_system(config)
         self.pads = system.pads()
         self.arm = ArmDriver(config.arm, system.poses)
         self.setpoints = SetPoints(system.poses, system.limits)

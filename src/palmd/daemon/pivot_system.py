@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Sequence
+from contextlib import ExitStack
 
 import numpy as np
 
+from palmd import __version__
 from palmd import pivot_messages as says
 from palmd.daemon.dragging import Dragging
 from palmd.daemon.drivers import EndName
 from palmd.daemon.exploration_requests import Source
+from palmd.daemon.pivot_smoothing import PivotSmootherProcess
 from palmd.daemon.poses import Poses
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.systems import Explores, Messages, TickReport
@@ -22,8 +25,19 @@ from palmd.motion.kinematics import PoseError
 from palmd.motion.limits import MotionLimits
 from palmd.motion.pivot import PivotLimits
 from palmd.observer.observer import LiveAnswer, LiveEstimate, LiveObserver
-from palmd.pivot_config import PivotConfig
-from palmd.quantities import PIVOT, PIVOT_ANSWER, PIVOT_CONTACT, PIVOT_EVENTS, PIVOT_MOTION, PIVOT_SHAPE, Topic
+from palmd.observer.pivot.live import PivotObserver
+from palmd.outlinefile import Outline
+from palmd.pivot_config import PivotConfig, pivot_rig
+from palmd.quantities import (
+    PIVOT,
+    PIVOT_ANSWER,
+    PIVOT_CONTACT,
+    PIVOT_EVENTS,
+    PIVOT_INFO,
+    PIVOT_MOTION,
+    PIVOT_SHAPE,
+    Topic,
+)
 from palmd.system.pivot import AXES, NAMING, PAD, PivotAnswer, PivotEstimate
 
 OUTSIDE_M = 2e-3
@@ -74,17 +88,31 @@ class PivotGrasp:
     def __init__(self, config: PivotConfig) -> None:
         self.poses: Poses = PivotPoses.of(config)
         self.limits: MotionLimits = PivotLimits.of(config)
-        self._most_n = config.limits.force_n
         self.joints = NAMING.measured
         self.outside = OUTSIDE_M
         self.jogs = False
         self.rig_priors: FloatArray = np.zeros(0)
-        self._pad = config.pads.palm1
+        self._config = config
         self._force = 0.0
+
+    def observer(self, outlines: Sequence[Outline], stack: ExitStack) -> tuple[PivotObserver, PivotSmootherProcess]:
+        """With its smoother, without which it knows nothing; there are no stored outlines."""
+        del outlines
+        rig = pivot_rig(self._config)
+        smoother = PivotSmootherProcess(rig)
+        stack.callback(smoother.close)
+        return PivotObserver(rig, smoother), smoother
+
+    def explorer(self, stack: ExitStack) -> None:
+        """Nobody: it is decided in the loop."""
+
+    def info(self, observer: str, plans: Sequence[str]) -> tuple[Topic, Fields]:
+        """`palm/pivot_info`."""
+        return PIVOT_INFO, says.info_fields(__version__, observer, self._config, plans)
 
     def pads(self) -> dict[EndName, PadDriver]:
         """The one."""
-        return {f"pad{PAD}": make_pad(PAD, self._pad)}
+        return {f"pad{PAD}": make_pad(PAD, self._config.pads.palm1)}
 
     def exploring(self, setpoints: SetPoints, source: Source | None) -> Dragging:
         """Decided in the loop."""
@@ -111,7 +139,7 @@ class PivotGrasp:
     def conditions(self, t: float, actual: PalmMotion | None) -> Iterator[str]:
         """A force over its limit."""
         del t, actual
-        if self._force > self._most_n:
+        if self._force > self._config.limits.force_n:
             yield "force-limit"
 
     def excused(self, exploring: Explores) -> Collection[str]:

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
-from palmd.config import ExploreSpec, MoveSpec
+from palmd.config import AnyConfig, ExploreSpec, MoveSpec
 from palmd.motion.check import AnyPlanSpec, compile_any, compiled, plan_spec
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import Trajectory
 from palmd.motion.segments import Angles
-from palmd.pivot_config import AnyConfig, PivotExploreSpec
+from palmd.pivot_config import PivotExploreSpec
 from palmd.yamlfile import ConfigError, Document, is_plan, read_document
 
 

@@ -16,10 +16,9 @@ import zmq
 
 from palmd.bus.command_client import CommandClient
 from palmd.bus.subscriber import Message, Subscriber
-from palmd.config import BusConfig, Config
+from palmd.config import AnyConfig, BusConfig, Config
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.harness.processes import Child
-from palmd.pivot_config import AnyConfig
 from palmd.system.mechanism import ENDS
 
 START_S = 240.0  # compiling the observers on a slow machine

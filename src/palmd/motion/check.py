@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from palmd.config import Config, LimitsConfig, PadBase, PlanSpec
+from palmd.config import AnyConfig, Config, LimitsConfig, PadBase, PlanSpec
 from palmd.console.folders import nearest
 from palmd.keys import KeysClosedError, KeysError, server_keys
 from palmd.motion.limits import MotionLimits
@@ -16,9 +16,9 @@ from palmd.motion.pivot import PivotLimits, compile_pivot_plan
 from palmd.motion.plan import PlanError, Trajectory, compile_plan
 from palmd.motion.segments import Angles
 from palmd.outlinefile import OutlineError, read_library
-from palmd.pivot_config import AnyConfig, PivotConfig, PivotLimitsConfig, PivotPlanSpec
+from palmd.pivot_config import PivotConfig, PivotLimitsConfig, PivotPlanSpec
 from palmd.plausibility import implausible
-from palmd.yamlfile import ConfigError, Document, is_plan, names_pivot, parse, read_document
+from palmd.yamlfile import ConfigError, Document, is_plan, parse, read_document, system_meant
 
 DEFAULT_PAD_LENGTH_MM: float = PadBase.model_fields["length_mm"].default
 
@@ -80,10 +80,10 @@ def check_files(paths: Sequence[Path]) -> list[str]:
     limits = [] if configs else _default_limits()
     blind: list[Document] = []  # configurations whose observers know no outline to explore by
     for document in configs:
-        if names_pivot(document):
-            errors += _pivot_errors(document, paths, limits, plans)
-            continue
         try:
+            if system_meant(document) == "pivot":
+                errors += _pivot_errors(document, paths, limits, plans)
+                continue
             config = parse(document, Config)
         except ConfigError as error:
             errors += error.errors

@@ -10,14 +10,14 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from palmd.config import Config, PadImperfectionsConfig, Strict, rig_description
+from palmd.config import AnyConfig, Config, PadImperfectionsConfig, Strict, rig_description
 from palmd.events import Joints, PalmMotion
 from palmd.pivot_config import PivotConfig, pivot_rig
 from palmd.system.description import CALIBRATION_KEYS, RigDescription
 from palmd.system.mechanism import JOINTS, PALMS
 
 Section = TypeVar("Section", bound=Strict)
-Described = TypeVar("Described", bound=Config | PivotConfig)
+Described = TypeVar("Described", bound=AnyConfig)
 
 _MOST_SIGMAS = 3.0  # what calibration leaves is never further off than this
 _MOST_ASYMMETRY = 0.9  # of a drawn friction: both palms rub
