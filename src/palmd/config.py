@@ -937,11 +937,18 @@ class DitherSpec(Strict):
     """Of both angles."""
 
 
-class PlanSpec(Strict):
-    """A motion plan as it stands in its file; `palmd.motion.plan` makes a trajectory of it."""
+class AnyPlanSpec(Strict):
+    """What the motion plans of all systems have; each is a model of its own."""
 
     name: Annotated[str, Field(min_length=1, max_length=60)]
     """What it is called on the bus."""
+    segments: Annotated[list[Any], Field(min_length=1, max_length=200)]
+    """Motions, one after the other."""
+
+
+class PlanSpec(AnyPlanSpec):
+    """A motion plan as it stands in its file; `palmd.motion.plan` makes a trajectory of it."""
+
     repeat: Repeat = 1
     """How often the segments are run."""
     segments: Annotated[list[SegmentSpec], Field(min_length=1, max_length=200)]

@@ -11,8 +11,9 @@ from palmd.config import (
     AdeptConfig,
     AnyConfig,
     AnyPads,
+    AnyPlanSpec,
     Drawn,
-    ExploreGoal,
+    ExploreSpec,
     NotNegative,
     PadConfig,
     Pair,
@@ -152,11 +153,8 @@ class PivotHoldSpec(Strict):
     """For how long."""
 
 
-class PivotExploreSpec(Strict):
+class PivotExploreSpec(ExploreSpec):
     """Drags that seek the parts of the outline not felt yet, on both sides of the dead centre."""
-
-    explore: ExploreGoal
-    """When it has seen enough; must be the last segment."""
 
 
 PivotSegmentSpec = Annotated[
@@ -167,10 +165,8 @@ PivotSegmentSpec = Annotated[
 ]
 
 
-class PivotPlanSpec(Strict):
+class PivotPlanSpec(AnyPlanSpec):
     """A motion plan of a pivoting grasp as it stands in its file."""
 
-    name: Annotated[str, Field(min_length=1, max_length=60)]
-    """What it is called on the bus."""
     segments: Annotated[list[PivotSegmentSpec], Field(min_length=1, max_length=200)]
     """Motions, one after the other."""

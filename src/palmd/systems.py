@@ -25,6 +25,8 @@ class LiveParts:
     """Model of its configuration: a `palmd.config.AnyConfig`."""
     description: str
     """What its observers are told of a configured rig: a dataclass of numbers."""
+    plans: str
+    """What its plans are, and what limits them: a `palmd.motion.plan.PlanForm`."""
     loop: str
     """What of the daemon is its own: makes a `palmd.daemon.systems.LiveSystem` of the configuration."""
     rig: str
@@ -58,6 +60,7 @@ SYSTEMS: Mapping[str, SystemParts] = {
                 manual="docs/start/bringup.md",
                 config="palmd.config:Config",
                 description="palmd.config:rig_description",
+                plans="palmd.motion.plan:PLANS",
                 loop="palmd.daemon.two_palms:LiveTwoPalms",
                 rig="palmd.rig.world:World",
                 kernels="palmd.observer.kernels:needed",
@@ -72,6 +75,7 @@ SYSTEMS: Mapping[str, SystemParts] = {
                 manual="docs/start/pivot.md",
                 config="palmd.pivot_config:PivotConfig",
                 description="palmd.pivot_config:pivot_rig",
+                plans="palmd.motion.pivot:PLANS",
                 loop="palmd.daemon.pivot_system:PivotGrasp",
                 rig="palmd.rig.pivot_world:PivotWorld",
                 kernels="palmd.observer.pivot.kernels:needed",
