@@ -31,6 +31,8 @@ class LiveParts:
     """What of the daemon is its own: makes a `palmd.daemon.systems.LiveSystem` of the configuration."""
     rig: str
     """Its emulated rig: a `palmd.rig.emulated.EmulatedRig`, made of configuration and seed."""
+    recording: str
+    """How a recording of it is read, and judged by its observer: a `palmd.record.run.AnyRun`."""
     kernels: str
     """What is compiled for a configuration, or for any without one: as `palmd.observer.kernels.needed`."""
     odd: str = ""
@@ -63,6 +65,7 @@ SYSTEMS: Mapping[str, SystemParts] = {
                 plans="palmd.motion.plan:PLANS",
                 loop="palmd.daemon.two_palms:LiveTwoPalms",
                 rig="palmd.rig.world:World",
+                recording="palmd.record.run:Run",
                 kernels="palmd.observer.kernels:needed",
                 odd="palmd.plausibility:odd_rig",
             ),
@@ -78,6 +81,7 @@ SYSTEMS: Mapping[str, SystemParts] = {
                 plans="palmd.motion.pivot:PLANS",
                 loop="palmd.daemon.pivot_system:PivotGrasp",
                 rig="palmd.rig.pivot_world:PivotWorld",
+                recording="palmd.record.pivot_run:PivotRun",
                 kernels="palmd.observer.pivot.kernels:needed",
             ),
         ),
@@ -85,6 +89,11 @@ SYSTEMS: Mapping[str, SystemParts] = {
     )
 }
 LIVE: Mapping[str, LiveParts] = {system.name: system.live for system in SYSTEMS.values() if system.live}
+
+
+def for_two_palms_only(name: str) -> str:
+    """Why what is made for two palms is not for this system."""
+    return f"is of {SYSTEMS[name].words}, and this is for {SYSTEMS[TWO_PALMS].words} only"
 
 
 def load_part(name: str) -> Any:

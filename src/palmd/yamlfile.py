@@ -18,7 +18,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from palmd.config import AnyConfig, Config, PlanSpec
-from palmd.systems import LIVE, SYSTEMS, TWO_PALMS, load_part
+from palmd.systems import LIVE, TWO_PALMS, for_two_palms_only, load_part
 
 MAX_BYTES = 256_000  # a real one has a few; parsing a megabyte takes seconds
 MAX_DEPTH = 20
@@ -136,9 +136,7 @@ def load_config(path: Path) -> Config:
     """The configuration of two palms in a file; raises ConfigError, also for that of another system."""
     config = load_any_config(path)
     if not isinstance(config, Config):
-        system, only = SYSTEMS[config.system], SYSTEMS[TWO_PALMS]
-        manual = LIVE[config.system].manual
-        raise ConfigError([f"{path}: is of {system.words}, and this is for {only.words} only ({manual})"])
+        raise ConfigError([f"{path}: {for_two_palms_only(config.system)} ({LIVE[config.system].manual})"])
     return config
 
 
