@@ -21,6 +21,8 @@ class LiveParts:
 
     manual: str
     """Where a user reads of it."""
+    demo: str
+    """The shipped configuration that `palmd demo` runs."""
     config: str
     """Model of its configuration: a `palmd.config.AnyConfig`."""
     description: str
@@ -33,6 +35,8 @@ class LiveParts:
     """Its emulated rig: a `palmd.rig.emulated.EmulatedRig`, made of configuration and seed."""
     recording: str
     """How a recording of it is read, and judged by its observer: a `palmd.record.run.AnyRun`."""
+    comparison: str
+    """What an estimate is worth, against its emulated rig: a `palmd.harness.comparison.AnyComparison`."""
     kernels: str
     """What is compiled for a configuration, or for any without one: as `palmd.observer.kernels.needed`."""
     odd: str = ""
@@ -60,12 +64,14 @@ SYSTEMS: Mapping[str, SystemParts] = {
             log="palmd.record.systems.two_palms:SYSTEM",
             live=LiveParts(
                 manual="docs/start/bringup.md",
+                demo="demo.yaml",
                 config="palmd.config:Config",
                 description="palmd.config:rig_description",
                 plans="palmd.motion.plan:PLANS",
                 loop="palmd.daemon.two_palms:LiveTwoPalms",
                 rig="palmd.rig.world:World",
                 recording="palmd.record.run:Run",
+                comparison="palmd.harness.comparison:Comparison",
                 kernels="palmd.observer.kernels:needed",
                 odd="palmd.plausibility:odd_rig",
             ),
@@ -76,12 +82,14 @@ SYSTEMS: Mapping[str, SystemParts] = {
             log="palmd.record.systems.pivot:SYSTEM",
             live=LiveParts(
                 manual="docs/start/pivot.md",
+                demo="pivot.yaml",
                 config="palmd.pivot_config:PivotConfig",
                 description="palmd.pivot_config:pivot_rig",
                 plans="palmd.motion.pivot:PLANS",
                 loop="palmd.daemon.pivot_system:PivotGrasp",
                 rig="palmd.rig.pivot_world:PivotWorld",
                 recording="palmd.record.pivot_run:PivotRun",
+                comparison="palmd.harness.pivot_comparison:PivotComparison",
                 kernels="palmd.observer.pivot.kernels:needed",
             ),
         ),
