@@ -32,7 +32,7 @@ from palmd.daemon.supervisor import Supervisor
 from palmd.daemon.systems import LiveSystem, TickReport, live_system
 from palmd.devices.actuator import ArmState
 from palmd.devices.port import DevicePort
-from palmd.events import Event, Improvement, ObjectEstimate, PadSample, ShapeEstimate
+from palmd.events import Event, Improvement, LiveEstimate, ObjectEstimate, PadSample, ShapeEstimate
 from palmd.faults import FaultMonitor, Severity
 from palmd.messages import (
     Fields,
@@ -42,7 +42,7 @@ from palmd.messages import (
     rig_fields,
     state_fields,
 )
-from palmd.observer.observer import LiveAnswer, LiveEstimate, LiveObserver
+from palmd.observer.observer import LiveObserver
 from palmd.quantities import LOG, NOTE, OBJECT, RIG, STATE, Topic
 from palmd.system.rig_constants import said_off
 
@@ -103,7 +103,7 @@ class Core:
         self._observer_failed = False
         self._events: list[Event] = []
         self._fed: list[Event] = []
-        self._answered: LiveAnswer | None = None
+        self._answered: object = None
         self._rig_priors = system.rig_priors
         self._rig, self._rig_sds = np.zeros_like(self._rig_priors), self._rig_priors
         self._contradicted = np.zeros_like(self._rig_priors)

@@ -20,7 +20,6 @@ from palmd.messages import Explored
 from palmd.motion.decisions import UnderWay
 from palmd.motion.exploration import Exploration
 from palmd.motion.segments import Move
-from palmd.system.pivot import Touching
 
 log = logging.getLogger(__name__)
 
@@ -44,7 +43,7 @@ class Senses:
     touching: bool
     known: bool
     object_count: int
-    look: Callable[[], Outlook | Touching | None]
+    look: Callable[[], object]
 
 
 class Exploring:

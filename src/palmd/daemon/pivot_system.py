@@ -19,12 +19,12 @@ from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.systems import Explores, Messages, TickReport
 from palmd.devices.actuator import Place, Pose, Reach
 from palmd.devices.pad import PadDriver, make_pad
-from palmd.events import FloatArray, Joints, PadSample, PalmMotion, ShapeEstimate
+from palmd.events import FloatArray, Joints, LiveEstimate, PadSample, PalmMotion, ShapeEstimate
 from palmd.messages import Fields, contact_fields, motion_fields
 from palmd.motion.kinematics import PoseError
 from palmd.motion.limits import MotionLimits
 from palmd.motion.pivot import PivotLimits
-from palmd.observer.observer import LiveAnswer, LiveEstimate, LiveObserver
+from palmd.observer.observer import LiveObserver
 from palmd.observer.pivot.live import PivotObserver
 from palmd.outlinefile import Outline
 from palmd.pivot_config import PivotConfig, pivot_rig
@@ -123,8 +123,8 @@ class PivotGrasp:
         """Without a number."""
         nan = math.nan
         return PivotEstimate(
-            t, False, observer.name, observer.object_count, nan, nan, nan, nan, nan, nan, nan, nan, nan,
-            side=0, nis=nan, touched=0.0, reason="the observer has failed",
+            t, False, observer.name, observer.object_count, nan, nan, nan, nan, nan, nan, nan, nan, nan, nan,
+            side=0, touched=0.0, reason="the observer has failed",
         )  # fmt: skip
 
     def sound(self, estimate: LiveEstimate) -> bool:
@@ -160,7 +160,7 @@ class PivotGrasp:
             (PIVOT_EVENTS, says.events_fields(tick.t, tick.fed)),
         ]
 
-    def answered(self, t: float, answer: LiveAnswer) -> tuple[Topic, Fields]:
+    def answered(self, t: float, answer: object) -> tuple[Topic, Fields]:
         """`palm/pivot_answer`."""
         assert isinstance(answer, PivotAnswer)
         return PIVOT_ANSWER, says.answer_fields(t, answer)

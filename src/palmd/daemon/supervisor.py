@@ -21,11 +21,11 @@ from palmd.daemon.recorder_watch import RecorderWatch
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.systems import Explores, LiveSystem
 from palmd.devices.actuator import ArmState, Reach
+from palmd.events import LiveEstimate
 from palmd.faults import Fault, FaultMonitor, Severity
 from palmd.messages import log_fields
 from palmd.motion.segments import Angles
 from palmd.motion.trajectory_executor import MotionError
-from palmd.observer.observer import LiveEstimate
 from palmd.system.mechanism import JOINTS
 
 log = logging.getLogger(__name__)

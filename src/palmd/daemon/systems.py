@@ -19,11 +19,11 @@ from palmd.daemon.poses import Poses
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.smoothing import BatchingProcess
 from palmd.devices.pad import PadDriver
-from palmd.events import Event, FloatArray, PadSample, PalmMotion, ShapeEstimate
+from palmd.events import Event, FloatArray, LiveEstimate, PadSample, PalmMotion, ShapeEstimate
 from palmd.messages import Explored, Fields, PadView
 from palmd.motion.exploration import Exploration
 from palmd.motion.limits import MotionLimits
-from palmd.observer.observer import LiveAnswer, LiveEstimate, LiveObserver
+from palmd.observer.observer import LiveObserver
 from palmd.outlinefile import Outline
 from palmd.quantities import Topic
 from palmd.systems import LIVE, load_part
@@ -129,7 +129,7 @@ class LiveSystem(Protocol):
     def tick(self, tick: TickReport) -> Messages:
         """What is published of every tick."""
 
-    def answered(self, t: float, answer: LiveAnswer) -> tuple[Topic, Fields]:
+    def answered(self, t: float, answer: object) -> tuple[Topic, Fields]:
         """What is published of an answer of the smoother."""
 
     def shaped(self, shape: ShapeEstimate) -> tuple[Topic, Fields]:

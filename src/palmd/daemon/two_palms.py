@@ -20,7 +20,7 @@ from palmd.daemon.smoothing import SmootherProcess
 from palmd.daemon.swap import SwapWatch
 from palmd.daemon.systems import Explores, Messages, TickReport
 from palmd.devices.pad import PadDriver, make_pad
-from palmd.events import Estimate, Improvement, PadSample, PalmMotion, ShapeEstimate, Unexplained
+from palmd.events import Estimate, Improvement, LiveEstimate, PadSample, PalmMotion, ShapeEstimate, Unexplained
 from palmd.messages import (
     Fields,
     contact_fields,
@@ -36,7 +36,7 @@ from palmd.messages import (
 )
 from palmd.motion.check import motion_limits
 from palmd.motion.limits import MotionLimits
-from palmd.observer.observer import LiveAnswer, LiveEstimate, LiveObserver, Observer
+from palmd.observer.observer import LiveObserver, Observer
 from palmd.outlinefile import Outline
 from palmd.quantities import CONTACT, ESTIMATE, EVENTS, IMPROVEMENT, INFO, MOTION, SHAPE, UNEXPLAINED, Topic
 from palmd.system.mechanism import JOINTS, NAMING, PALMS
@@ -137,7 +137,7 @@ class LiveTwoPalms:
             (EVENTS, events_fields(tick.t, tick.fed)),
         ]
 
-    def answered(self, t: float, answer: LiveAnswer) -> tuple[Topic, Fields]:
+    def answered(self, t: float, answer: object) -> tuple[Topic, Fields]:
         """`palm/improvement`, or `palm/unexplained`."""
         if isinstance(answer, Unexplained):
             return UNEXPLAINED, unexplained_fields(t, answer)
