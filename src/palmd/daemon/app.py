@@ -22,11 +22,12 @@ from palmd.daemon.loop import Loop
 from palmd.daemon.planner import Plan, PlanFolder, read_plan
 from palmd.daemon.smoothing import BatchingProcess
 from palmd.daemon.systemd import Notifier
-from palmd.daemon.systems import LiveSystem, live_system
+from palmd.daemon.systems import AnySystem, live_system
 from palmd.keys import KeysError, server_keys
 from palmd.messages import Fields
 from palmd.observer.observer import LiveObserver
 from palmd.outlinefile import Outline, OutlineError, read_library
+from palmd.quantities import SYSTEM_TOPICS
 from palmd.yamlfile import ConfigError, load_any_config
 
 log = logging.getLogger(__name__)
@@ -78,7 +79,7 @@ def _start(config_path: Path, signals: _Signals, recorder: Callable[[], None] | 
 
 def _run(
     config: AnyConfig,
-    system: LiveSystem,
+    system: AnySystem,
     folder: Path,
     plan: Plan | None,
     outlines: tuple[Outline, ...],
@@ -107,7 +108,6 @@ def _run(
     ports = core.ports()
     for port in ports.values():
         stack.callback(port.close)
-    topic, info = system.info(estimator.name, PlanFolder.of(config, folder).names())
     loop = Loop(
         core,
         ports,
@@ -115,8 +115,8 @@ def _run(
         notifier,
         rate_hz=config.loop.rate_hz,
         backend=estimator.backend,
-        info=info,
-        info_topic=topic,
+        info=system.info(estimator.name, PlanFolder.of(config, folder).names()),
+        info_topic=SYSTEM_TOPICS[config.system].info,
         counters=lambda: _counters(smoother, estimator, explorer),
     )
     bus.await_command("recorder", RECORDER_START_S if recorded else NEIGHBOUR_S)

@@ -29,7 +29,7 @@ from palmd.daemon.lifecycle import COMMANDED, State
 from palmd.daemon.planner import Plan, PlanFolder
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.supervisor import Supervisor
-from palmd.daemon.systems import LiveSystem, TickReport, live_system
+from palmd.daemon.systems import AnySystem, TickReport, live_system
 from palmd.devices.actuator import ArmState
 from palmd.devices.port import DevicePort
 from palmd.events import Event, Improvement, LiveEstimate, ObjectEstimate, PadSample, ShapeEstimate
@@ -68,7 +68,7 @@ class Core:
         notes: Iterable[str] = (),
         folder: Path = Path(),
         explorer: Source | None = None,
-        system: LiveSystem | None = None,
+        system: AnySystem | None = None,
     ) -> None:
         """`aside` compiles plans beside the loop, `notes` are codes of faults that stand throughout.
 
@@ -97,7 +97,7 @@ class Core:
         )
         self._in_state: tuple[State, float, str] = (self.state, math.nan, "")  # since when (s), and why
         self._observer = observer
-        self._estimate = system.unknown(-math.inf, observer)
+        self._estimate: LiveEstimate = system.unknown(-math.inf, observer)
         self._shape: ShapeEstimate | None = None
         self._object: ObjectEstimate | None = None
         self._observer_failed = False

@@ -19,7 +19,7 @@ from palmd.daemon.lifecycle import COMMANDED, State, Trigger, next_state
 from palmd.daemon.planner import Plan, PlanFolder, plan_in
 from palmd.daemon.recorder_watch import RecorderWatch
 from palmd.daemon.setpoints import SetPoints
-from palmd.daemon.systems import Explores, LiveSystem
+from palmd.daemon.systems import AnySystem, Explores
 from palmd.devices.actuator import ArmState, Reach
 from palmd.events import LiveEstimate
 from palmd.faults import Fault, FaultMonitor, Severity
@@ -83,7 +83,7 @@ class Supervisor:
         plans: PlanFolder,
         *,
         autostart: bool,
-        system: LiveSystem,
+        system: AnySystem,
     ) -> None:
         """`aside` does slow work beside the loop; plans without their text come from the `plans`."""
         self.state = State.IDLE

@@ -5,10 +5,13 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
+
+import numpy as np
 
 from palmd.config import AnyConfig
 from palmd.daemon.drivers import EndName
@@ -18,16 +21,20 @@ from palmd.daemon.exploring import Senses
 from palmd.daemon.poses import Poses
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.smoothing import BatchingProcess
-from palmd.devices.pad import PadDriver
+from palmd.devices.pad import PadDriver, make_pad
 from palmd.events import Event, FloatArray, LiveEstimate, PadSample, PalmMotion, ShapeEstimate
-from palmd.messages import Explored, Fields, PadView
+from palmd.messages import EventsForm, Explored, Fields, PadView, contact_fields, motion_fields, sound
+from palmd.motion.check import motion_limits
 from palmd.motion.exploration import Exploration
 from palmd.motion.limits import MotionLimits
 from palmd.observer.observer import LiveObserver
 from palmd.outlinefile import Outline
-from palmd.quantities import Topic
+from palmd.quantities import SYSTEM_TOPICS, Topic
+from palmd.system.naming import Naming
 from palmd.systems import LIVE, load_part
 
+Configured = TypeVar("Configured", bound=AnyConfig)
+Estimated = TypeVar("Estimated", bound=LiveEstimate)
 Messages = list[tuple[Topic, Fields]]
 
 
@@ -36,7 +43,7 @@ class TickReport:
     """What is told of a tick at `t` (s)."""
 
     t: float
-    estimate: LiveEstimate
+    estimate: Any
     pads: Sequence[PadView]
     arm_age: float
     commanded: PalmMotion | None
@@ -80,69 +87,112 @@ class Explores(Protocol):
         """One tick at `t` (s)."""
 
 
-class LiveSystem(Protocol):
+class LiveSystem(ABC, Generic[Configured, Estimated]):
     """See the module. Everything is safe in the loop, but for what is there to start it."""
 
     poses: Poses
-    limits: MotionLimits
-    joints: tuple[str, ...]
-    """How the status names them, unit included."""
-    outside: float
+    naming: ClassVar[Naming]
+    """What joints and pads are called."""
+    outside: ClassVar[float]
     """How far outside the limits the joints may be found while commanded (their unit)."""
-    jogs: bool
+    jogs: ClassVar[bool] = False
     """Whether the `jog` command, which turns palms, is for it."""
-    rig_priors: FloatArray
-    """One-sigma of each of the rig's constants that are estimated and told; none: no such message."""
 
+    def __init__(self, config: Configured) -> None:
+        self._config, self._topics = config, SYSTEM_TOPICS[config.system]
+        self._named = tuple(each.source for each in self._topics.estimate.quantities if each.role == "named")
+        self._events = EventsForm(self._topics.events, self.naming)
+        self.limits: MotionLimits = motion_limits(config)
+        self.joints = self.naming.measured
+        """How the status names them, unit included."""
+        self.rig_priors: FloatArray = np.zeros(0)
+        """One-sigma of each of the rig's constants that are estimated and told; none: no such message."""
+
+    # ---- before the loop ---------------------------------------------------------------------------------
+
+    @abstractmethod
     def observer(
         self, outlines: Sequence[Outline], stack: ExitStack
     ) -> tuple[LiveObserver, BatchingProcess[Any] | None]:
-        """Before the loop: who estimates, and the smoother's process beside it, if any, which ends with `stack`."""
+        """Who estimates, and the smoother's process beside the loop, if any, which ends with `stack`."""
 
     def explorer(self, stack: ExitStack) -> ExplorerProcess | None:
-        """Before the loop: who decides explorations beside it, if anybody does, which ends with `stack`."""
+        """Who decides explorations beside the loop, if anybody does, which ends with `stack`."""
+        del stack
+        return None
 
-    def info(self, observer: str, plans: Sequence[str]) -> tuple[Topic, Fields]:
-        """Before the loop: what is published of the rig as configured."""
+    @abstractmethod
+    def info(self, observer: str, plans: Sequence[str]) -> Fields:
+        """What is published of the rig as configured."""
 
     def pads(self) -> dict[EndName, PadDriver]:
         """A driver for each pad."""
+        pads = zip(self.naming.pads, self._config.pads.each(), strict=True)
+        return {f"pad{number}": make_pad(number, pad) for number, pad in pads}
 
+    @abstractmethod
     def exploring(self, setpoints: SetPoints, source: Source | None) -> Explores:
         """The loop's side of explorations."""
 
-    def unknown(self, t: float, observer: LiveObserver) -> LiveEstimate:
+    # ---- in the loop -------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def unknown(self, t: float, observer: LiveObserver) -> Estimated:
         """An estimate that says nothing."""
 
-    def sound(self, estimate: LiveEstimate) -> bool:
+    def sound(self, estimate: Estimated) -> bool:
         """Whether everything is finite that must be when an estimate says `valid`."""
+        return sound(estimate, self._named)
 
+    @abstractmethod
     def felt(self, sample: PadSample) -> None:
         """A reading was fed to the observer."""
 
+    @abstractmethod
     def conditions(self, t: float, actual: PalmMotion | None) -> Iterator[str]:
         """Codes of the fault table that hold by what only this system knows."""
 
     def excused(self, exploring: Explores) -> Collection[str]:
         """Codes that are no faults just now."""
+        del exploring
+        return ()
 
     def tick(self, tick: TickReport) -> Messages:
         """What is published of every tick."""
+        own, naming = self._topics, self.naming
+        motion = tick.commanded, tick.actual, tick.plan, tick.segment, tick.progress, tick.arm_state
+        return [
+            (own.estimate, self.said(tick.estimate)),
+            (own.contact, contact_fields(tick.pads, tick.arm_age, naming)),
+            (own.motion, motion_fields(*motion, naming)),
+            (own.events, self._events.fields_of(tick.t, tick.fed)),
+        ]
 
-    def answered(self, t: float, answer: object) -> tuple[Topic, Fields]:
+    @abstractmethod
+    def said(self, estimate: Estimated) -> Fields:
+        """What is published of an estimate."""
+
+    @abstractmethod
+    def answered(self, t: float, answer: Any) -> tuple[Topic, Fields]:
         """What is published of an answer of the smoother."""
 
+    @abstractmethod
     def shaped(self, shape: ShapeEstimate) -> tuple[Topic, Fields]:
         """What is published of an outline."""
 
-    def glance(self, estimate: LiveEstimate) -> Fields:
+    @abstractmethod
+    def glance(self, estimate: Estimated) -> Fields:
         """What the status tells of the estimate."""
 
+    @abstractmethod
     def place(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:
         """Where the joints are and what their limits are, in words."""
 
 
-def live_system(config: AnyConfig) -> LiveSystem:
+AnySystem = LiveSystem[Any, Any]
+
+
+def live_system(config: AnyConfig) -> AnySystem:
     """The one that is configured."""
-    system: LiveSystem = load_part(LIVE[config.system].loop)(config)
+    system: AnySystem = load_part(LIVE[config.system].loop)(config)
     return system

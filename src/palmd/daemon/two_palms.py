@@ -5,56 +5,49 @@ from __future__ import annotations
 import dataclasses
 import logging
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 
 from palmd import __version__, observer
 from palmd.config import Config, rig_description
-from palmd.daemon.drivers import EndName
 from palmd.daemon.exploration_requests import Source
 from palmd.daemon.explorer_process import ExplorerProcess
 from palmd.daemon.exploring import Exploring
-from palmd.daemon.poses import Poses, make_poses
+from palmd.daemon.poses import make_poses
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.smoothing import SmootherProcess
 from palmd.daemon.swap import SwapWatch
-from palmd.daemon.systems import Explores, Messages, TickReport
-from palmd.devices.pad import PadDriver, make_pad
-from palmd.events import Estimate, Improvement, LiveEstimate, PadSample, PalmMotion, ShapeEstimate, Unexplained
+from palmd.daemon.systems import LiveSystem
+from palmd.events import Estimate, Improvement, PadSample, PalmMotion, ShapeEstimate, Unexplained
 from palmd.messages import (
     Fields,
-    contact_fields,
     estimate_at_a_glance,
     estimate_fields,
-    events_fields,
     improvement_fields,
     info_fields,
-    motion_fields,
     shape_fields,
-    sound,
     unexplained_fields,
 )
-from palmd.motion.check import motion_limits
-from palmd.motion.limits import MotionLimits
 from palmd.observer.observer import LiveObserver, Observer
 from palmd.outlinefile import Outline
-from palmd.quantities import CONTACT, ESTIMATE, EVENTS, IMPROVEMENT, INFO, MOTION, SHAPE, UNEXPLAINED, Topic
-from palmd.system.mechanism import JOINTS, NAMING, PALMS
+from palmd.quantities import IMPROVEMENT, SHAPE, UNEXPLAINED, Topic
+from palmd.system.mechanism import JOINTS, NAMING
 from palmd.system.rig_constants import prior_sds
 
 log = logging.getLogger(__name__)
 
 
-class LiveTwoPalms:
+class LiveTwoPalms(LiveSystem[Config, Estimate]):
     """Two palms on a hinge; see `LiveSystem`."""
 
+    naming = NAMING
+    outside = math.radians(1.0)
+    jogs = True
+
     def __init__(self, config: Config) -> None:
-        self.poses: Poses = make_poses(config)
-        self.limits: MotionLimits = motion_limits(config)
-        self.joints = NAMING.measured
-        self.outside = math.radians(1.0)
-        self.jogs = True
-        self._config, self._rig = config, rig_description(config)
+        super().__init__(config)
+        self.poses = make_poses(config)
+        self._rig = rig_description(config)
         self.rig_priors = prior_sds(self._rig)
         self._swap = SwapWatch()
 
@@ -84,13 +77,9 @@ class LiveTwoPalms:
         stack.callback(explorer.close)
         return explorer
 
-    def info(self, observer: str, plans: Sequence[str]) -> tuple[Topic, Fields]:
+    def info(self, observer: str, plans: Sequence[str]) -> Fields:
         """`palm/info`."""
-        return INFO, info_fields(__version__, observer, self._config, plans)
-
-    def pads(self) -> dict[EndName, PadDriver]:
-        """One for each palm."""
-        return {f"pad{palm}": make_pad(palm, pad) for palm, pad in zip(PALMS, self._config.pads.each(), strict=True)}
+        return info_fields(__version__, observer, self._config, plans)
 
     def exploring(self, setpoints: SetPoints, source: Source | None) -> Exploring:
         """Decided beside the loop."""
@@ -105,10 +94,6 @@ class LiveTwoPalms:
         }
         return Estimate(t=t, valid=False, observer=observer.name, object_count=observer.object_count, sd={}, **values)
 
-    def sound(self, estimate: LiveEstimate) -> bool:
-        """By the named state."""
-        return isinstance(estimate, Estimate) and sound(estimate)
-
     def felt(self, sample: PadSample) -> None:
         """Are the pads swapped?"""
         self._swap.feed(sample)
@@ -119,38 +104,23 @@ class LiveTwoPalms:
         if self._swap.swapped:
             yield "pads-swapped"
 
-    def excused(self, exploring: Explores) -> Collection[str]:
-        """None."""
-        del exploring
-        return ()
+    def said(self, estimate: Estimate) -> Fields:
+        """`palm/estimate`."""
+        return estimate_fields(estimate)
 
-    def tick(self, tick: TickReport) -> Messages:
-        """Estimate, contacts, motion, events."""
-        assert isinstance(tick.estimate, Estimate)
-        return [
-            (ESTIMATE, estimate_fields(tick.estimate)),
-            (CONTACT, contact_fields(tick.pads, tick.arm_age)),
-            (
-                MOTION,
-                motion_fields(tick.commanded, tick.actual, tick.plan, tick.segment, tick.progress, tick.arm_state),
-            ),
-            (EVENTS, events_fields(tick.t, tick.fed)),
-        ]
-
-    def answered(self, t: float, answer: object) -> tuple[Topic, Fields]:
+    def answered(self, t: float, answer: Improvement | Unexplained) -> tuple[Topic, Fields]:
         """`palm/improvement`, or `palm/unexplained`."""
         if isinstance(answer, Unexplained):
             return UNEXPLAINED, unexplained_fields(t, answer)
-        assert isinstance(answer, Improvement)
         return IMPROVEMENT, improvement_fields(t, answer)
 
     def shaped(self, shape: ShapeEstimate) -> tuple[Topic, Fields]:
         """`palm/shape`."""
         return SHAPE, shape_fields(shape)
 
-    def glance(self, estimate: LiveEstimate) -> Fields:
+    def glance(self, estimate: Estimate) -> Fields:
         """A few of its quantities."""
-        return estimate_at_a_glance(estimate) if isinstance(estimate, Estimate) else {}
+        return estimate_at_a_glance(estimate)
 
     def place(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:
         """In degrees."""
