@@ -90,7 +90,7 @@ SYSTEMS: Mapping[str, SystemParts] = {
                 rig="palmd.rig.pivot_world:PivotWorld",
                 recording="palmd.record.pivot_run:PivotRun",
                 comparison="palmd.harness.pivot_comparison:PivotComparison",
-                kernels="palmd.observer.pivot.kernels:needed",
+                kernels="palmd.model.pivot:needed",
             ),
         ),
         SystemParts("three_palms", "three palms in space", log="palmd.record.systems.three_palms:SYSTEM"),

@@ -10,9 +10,10 @@ from palmd import __version__
 from palmd import pivot_messages as says
 from palmd.daemon.dragging import Dragging
 from palmd.daemon.exploration_requests import Source
+from palmd.daemon.exploring import Explores
 from palmd.daemon.pivot_smoothing import PivotSmootherProcess
 from palmd.daemon.setpoints import SetPoints
-from palmd.daemon.systems import Explores, LiveSystem
+from palmd.daemon.systems import LiveSystem
 from palmd.devices.actuator import Place, Pose, Reach
 from palmd.events import Joints, PadSample, PalmMotion, ShapeEstimate
 from palmd.messages import Fields

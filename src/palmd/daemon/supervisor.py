@@ -14,12 +14,13 @@ from typing import Any
 
 from palmd.daemon.commands import COMMANDS, Reply, Request
 from palmd.daemon.drivers import RESTING, ArmDriver
+from palmd.daemon.exploring import Explores
 from palmd.daemon.journal import Journal
 from palmd.daemon.lifecycle import COMMANDED, State, Trigger, next_state
 from palmd.daemon.planner import Plan, PlanFolder, plan_in
 from palmd.daemon.recorder_watch import RecorderWatch
 from palmd.daemon.setpoints import SetPoints
-from palmd.daemon.systems import AnySystem, Explores
+from palmd.daemon.systems import AnySystem
 from palmd.devices.actuator import ArmState, Reach
 from palmd.events import LiveEstimate
 from palmd.faults import Fault, FaultMonitor, Severity

@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
@@ -17,15 +17,14 @@ from palmd.config import AnyConfig
 from palmd.daemon.drivers import EndName
 from palmd.daemon.exploration_requests import Source
 from palmd.daemon.explorer_process import ExplorerProcess
-from palmd.daemon.exploring import Senses
+from palmd.daemon.exploring import Explores
 from palmd.daemon.poses import Poses
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.smoothing import BatchingProcess
 from palmd.devices.pad import PadDriver, make_pad
 from palmd.events import Event, FloatArray, LiveEstimate, PadSample, PalmMotion, ShapeEstimate
-from palmd.messages import EventsForm, Explored, Fields, PadView, contact_fields, motion_fields, sound
+from palmd.messages import EventsForm, Fields, PadView, contact_fields, motion_fields, sound
 from palmd.motion.check import motion_limits
-from palmd.motion.exploration import Exploration
 from palmd.motion.limits import MotionLimits
 from palmd.observer.observer import LiveObserver
 from palmd.outlinefile import Outline
@@ -53,38 +52,6 @@ class TickReport:
     progress: float
     arm_state: str
     fed: Sequence[Event]
-
-
-class Explores(Protocol):
-    """The loop's side of an exploration, as `Exploring`."""
-
-    silent: bool
-    dropped: int
-
-    @property
-    def possible(self) -> bool:
-        """Whether there is anybody to decide."""
-
-    @property
-    def under_way(self) -> Exploration | None:
-        """The exploration in hand."""
-
-    @property
-    def reason(self) -> str:
-        """Why the present exploration, or the last one, is where it is."""
-
-    @property
-    def explored(self) -> Explored:
-        """What `palm/state` says of it."""
-
-    def prepare(self) -> None:
-        """A plan that explores is in hand."""
-
-    def told(self) -> dict[str, Any] | None:
-        """How far it is, or came, and why it stands; None before the first."""
-
-    def step(self, t: float, senses: Senses) -> None:
-        """One tick at `t` (s)."""
 
 
 class LiveSystem(ABC, Generic[Configured, Estimated]):
