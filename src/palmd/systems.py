@@ -37,6 +37,8 @@ class LiveParts:
     """How a recording of it is read, and judged by its observer: a `palmd.record.run.AnyRun`."""
     comparison: str
     """What an estimate is worth, against its emulated rig: a `palmd.harness.comparison.AnyComparison`."""
+    status: str
+    """What `palmd ctl status` says of where it stands and of its object: the lines, of a status."""
     kernels: str
     """What is compiled for a configuration, or for any without one: as `palmd.observer.kernels.needed`."""
     odd: str = ""
@@ -72,6 +74,7 @@ SYSTEMS: Mapping[str, SystemParts] = {
                 rig="palmd.rig.world:World",
                 recording="palmd.record.run:Run",
                 comparison="palmd.harness.comparison:Comparison",
+                status="palmd.cli.board:status_lines",
                 kernels="palmd.observer.kernels:needed",
                 odd="palmd.plausibility:odd_rig",
             ),
@@ -90,6 +93,7 @@ SYSTEMS: Mapping[str, SystemParts] = {
                 rig="palmd.rig.pivot_world:PivotWorld",
                 recording="palmd.record.pivot_run:PivotRun",
                 comparison="palmd.harness.pivot_comparison:PivotComparison",
+                status="palmd.cli.pivot_status:status_lines",
                 kernels="palmd.model.pivot:needed",
             ),
         ),
