@@ -15,7 +15,7 @@ from palmd.daemon.pivot_smoothing import PivotSmootherProcess
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.systems import LiveSystem
 from palmd.devices.actuator import Place, Pose, Reach
-from palmd.events import Joints, PadSample, PalmMotion, ShapeEstimate
+from palmd.events import Event, Joints, PadSample, PalmMotion, ShapeEstimate
 from palmd.messages import Fields
 from palmd.motion.kinematics import PoseError
 from palmd.observer.observer import LiveObserver
@@ -126,6 +126,10 @@ class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
     def said(self, estimate: PivotEstimate) -> Fields:
         """`palm/pivot`."""
         return says.estimate_fields(estimate)
+
+    def fed(self, t: float, events: Sequence[Event]) -> Fields:
+        """`palm/pivot_events`."""
+        return says.events_fields(t, events)
 
     def answered(self, t: float, answer: PivotAnswer) -> tuple[Topic, Fields]:
         """`palm/pivot_answer`."""

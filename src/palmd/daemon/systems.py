@@ -23,7 +23,7 @@ from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.smoothing import BatchingProcess
 from palmd.devices.pad import PadDriver, make_pad
 from palmd.events import Event, FloatArray, LiveEstimate, PadSample, PalmMotion, ShapeEstimate
-from palmd.messages import EventsForm, Fields, PadView, contact_fields, motion_fields, sound
+from palmd.messages import Fields, PadView, contact_fields, motion_fields, sound
 from palmd.motion.check import motion_limits
 from palmd.motion.limits import MotionLimits
 from palmd.observer.observer import LiveObserver
@@ -68,7 +68,6 @@ class LiveSystem(ABC, Generic[Configured, Estimated]):
     def __init__(self, config: Configured) -> None:
         self._config, self._topics = config, SYSTEM_TOPICS[config.system]
         self._named = tuple(each.source for each in self._topics.estimate.quantities if each.role == "named")
-        self._events = EventsForm(self._topics.events, self.naming)
         self.limits: MotionLimits = motion_limits(config)
         self.joints = self.naming.measured
         """How the status names them, unit included."""
@@ -132,12 +131,16 @@ class LiveSystem(ABC, Generic[Configured, Estimated]):
             (own.estimate, self.said(tick.estimate)),
             (own.contact, contact_fields(tick.pads, tick.arm_age, naming)),
             (own.motion, motion_fields(*motion, naming)),
-            (own.events, self._events.fields_of(tick.t, tick.fed)),
+            (own.events, self.fed(tick.t, tick.fed)),
         ]
 
     @abstractmethod
     def said(self, estimate: Estimated) -> Fields:
         """What is published of an estimate."""
+
+    @abstractmethod
+    def fed(self, t: float, events: Sequence[Event]) -> Fields:
+        """What is published of the events that the observer was fed in the tick at `t` (s)."""
 
     @abstractmethod
     def answered(self, t: float, answer: Any) -> tuple[Topic, Fields]:

@@ -18,11 +18,12 @@ from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.smoothing import SmootherProcess
 from palmd.daemon.swap import SwapWatch
 from palmd.daemon.systems import LiveSystem
-from palmd.events import Estimate, Improvement, PadSample, PalmMotion, ShapeEstimate, Unexplained
+from palmd.events import Estimate, Event, Improvement, PadSample, PalmMotion, ShapeEstimate, Unexplained
 from palmd.messages import (
     Fields,
     estimate_at_a_glance,
     estimate_fields,
+    events_fields,
     improvement_fields,
     info_fields,
     shape_fields,
@@ -107,6 +108,10 @@ class LiveTwoPalms(LiveSystem[Config, Estimate]):
     def said(self, estimate: Estimate) -> Fields:
         """`palm/estimate`."""
         return estimate_fields(estimate)
+
+    def fed(self, t: float, events: Sequence[Event]) -> Fields:
+        """`palm/events`."""
+        return events_fields(t, events)
 
     def answered(self, t: float, answer: Improvement | Unexplained) -> tuple[Topic, Fields]:
         """`palm/improvement`, or `palm/unexplained`."""
