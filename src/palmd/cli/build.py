@@ -11,7 +11,7 @@ from pathlib import Path
 from palmd.config import AnyConfig
 from palmd.console.configured import any_configured
 from palmd.observer.kernels import Part, of_palms
-from palmd.systems import LIVE, LiveParts, load_part
+from palmd.systems import LIVE, load_part
 
 _PATIENCE_S = 2.0
 
@@ -45,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
         for each in needed_by(any_configured(arguments.config)):
             _told(*each)
         return 0
-    usual = [each for live in LIVE.values() for each in _needed(live, None)]
+    usual = [each for live in LIVE.values() for each in load_part(live.kernels)(None)]
     for each in [*usual, *_emulated(), *(_other_systems() if arguments.all else ())]:
         _told(*each)
     return 0
@@ -53,11 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def needed_by(config: AnyConfig) -> list[Part]:
     """What the processes of a run with this configuration load."""
-    return _needed(LIVE[config.system], config)
-
-
-def _needed(live: LiveParts, config: AnyConfig | None) -> list[Part]:
-    parts: list[Part] = load_part(live.kernels)(config)
+    parts: list[Part] = load_part(LIVE[config.system].kernels)(config)
     return parts
 
 
