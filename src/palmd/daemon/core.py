@@ -29,14 +29,16 @@ from palmd.daemon.lifecycle import COMMANDED, State
 from palmd.daemon.planner import Plan, PlanFolder
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.supervisor import Supervisor
-from palmd.daemon.systems import AnySystem, TickReport, live_system
+from palmd.daemon.systems import AnySystem, live_system
 from palmd.devices.actuator import ArmState
 from palmd.devices.port import DevicePort
 from palmd.events import Event, Improvement, LiveEstimate, ObjectEstimate, PadSample, ShapeEstimate
 from palmd.faults import FaultMonitor, Severity
 from palmd.messages import (
     Fields,
+    contact_fields,
     log_fields,
+    motion_fields,
     note_fields,
     object_fields,
     rig_fields,
@@ -274,23 +276,24 @@ class Core:
 
     def report(self, t: float) -> list[tuple[Topic, Fields]]:
         """What to publish at `t` (s)."""
-        arm, place = self.arm.host, self.setpoints.place
+        arm, place, system = self.arm.host, self.setpoints.place, self._system
         age = arm.age(t)
-        messages = self._system.tick(
-            TickReport(
-                t,
-                self._estimate,
-                [pad.view(t) for pad in self.pads.values()],
-                age if math.isfinite(age) else math.nan,
-                self.setpoints.commanded,
-                self.arm.actual,
-                self.supervisor.plan_name,
-                -1 if place is None else place.segment,
-                0.0 if place is None else place.progress,
-                str(arm.state or ""),
-                self._fed,
-            )
+        motion = motion_fields(
+            self.setpoints.commanded,
+            self.arm.actual,
+            self.supervisor.plan_name,
+            -1 if place is None else place.segment,
+            0.0 if place is None else place.progress,
+            str(arm.state or ""),
+            system.naming,
         )
+        pads = [pad.view(t) for pad in self.pads.values()]
+        messages = [
+            (system.topics.estimate, system.said(self._estimate)),
+            (system.topics.contact, contact_fields(pads, age if math.isfinite(age) else math.nan, system.naming)),
+            (system.topics.motion, motion),
+            (system.topics.events, system.fed(t, self._fed)),
+        ]
         if self._answered is not None:
             messages.append(self._system.answered(t, self._answered))
         if isinstance(self._answered, Improvement):

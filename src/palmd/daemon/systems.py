@@ -8,7 +8,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
@@ -23,7 +22,7 @@ from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.smoothing import BatchingProcess
 from palmd.devices.pad import PadDriver, make_pad
 from palmd.events import Event, FloatArray, LiveEstimate, PadSample, PalmMotion, ShapeEstimate
-from palmd.messages import Fields, PadView, contact_fields, motion_fields, sound
+from palmd.messages import Fields, sound
 from palmd.motion.check import motion_limits
 from palmd.motion.limits import MotionLimits
 from palmd.observer.observer import LiveObserver
@@ -34,24 +33,6 @@ from palmd.systems import LIVE, load_part
 
 Configured = TypeVar("Configured", bound=AnyConfig)
 Estimated = TypeVar("Estimated", bound=LiveEstimate)
-Messages = list[tuple[Topic, Fields]]
-
-
-@dataclass(frozen=True, slots=True)
-class TickReport:
-    """What is told of a tick at `t` (s)."""
-
-    t: float
-    estimate: Any
-    pads: Sequence[PadView]
-    arm_age: float
-    commanded: PalmMotion | None
-    actual: PalmMotion | None
-    plan: str
-    segment: int
-    progress: float
-    arm_state: str
-    fed: Sequence[Event]
 
 
 class LiveSystem(ABC, Generic[Configured, Estimated]):
@@ -66,8 +47,8 @@ class LiveSystem(ABC, Generic[Configured, Estimated]):
     """Whether the `jog` command, which turns palms, is for it."""
 
     def __init__(self, config: Configured) -> None:
-        self._config, self._topics = config, SYSTEM_TOPICS[config.system]
-        self._named = tuple(each.source for each in self._topics.estimate.quantities if each.role == "named")
+        self._config, self.topics = config, SYSTEM_TOPICS[config.system]
+        self._named = tuple(each.source for each in self.topics.estimate.quantities if each.role == "named")
         self.limits: MotionLimits = motion_limits(config)
         self.joints = self.naming.measured
         """How the status names them, unit included."""
@@ -122,17 +103,6 @@ class LiveSystem(ABC, Generic[Configured, Estimated]):
         """Codes that are no faults just now."""
         del exploring
         return ()
-
-    def tick(self, tick: TickReport) -> Messages:
-        """What is published of every tick."""
-        own, naming = self._topics, self.naming
-        motion = tick.commanded, tick.actual, tick.plan, tick.segment, tick.progress, tick.arm_state
-        return [
-            (own.estimate, self.said(tick.estimate)),
-            (own.contact, contact_fields(tick.pads, tick.arm_age, naming)),
-            (own.motion, motion_fields(*motion, naming)),
-            (own.events, self.fed(tick.t, tick.fed)),
-        ]
 
     @abstractmethod
     def said(self, estimate: Estimated) -> Fields:
