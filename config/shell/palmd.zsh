@@ -600,7 +600,7 @@ _shtab_palmd_demo_options=(
   "--kind[what sort of object (default\: rig)]:kind:(nominal friction rig odd)"
   "--no-record[keep no recording\; else it goes to runs\/ here]"
   "--perfect[a rig that is exactly as configured, which is known]"
-  "--system[cradle\: two concave palms\; pivot\: a pivoting gripper]:system:(cradle pivot)"
+  "--system[cradle\: two concave palms\; pivot\: a pivoting grasp]:system:(cradle pivot)"
   "--rig[an arm and VersaPads, or strips and servos]:rig:(adept tabletop)"
   "--config[rig and plan\; default\: as shipped]:config:_files"
 )

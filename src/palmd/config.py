@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 from urllib.parse import urlsplit
 
 from pydantic import (
@@ -36,6 +36,7 @@ from pydantic import (
 from palmd.events import ObserverName
 from palmd.system.description import HingeMode, PadSensor, RigDescription
 from palmd.system.mechanism import JOINTS, PALMS
+from palmd.systems import TWO_PALMS
 
 BAUDS = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)
 SERVO_BAUDS = (115200, 1000000, 2000000, 3000000, 4000000)
@@ -420,7 +421,15 @@ PadConfig = Annotated[
 """The kinds of touchpads."""
 
 
-class PadsConfig(Strict):
+class AnyPads(Strict):
+    """The touchpads of whichever system, a field each, called `palm1` and so on."""
+
+    def each(self) -> tuple[PadConfig, ...]:
+        """They, in the order of their numbers."""
+        return tuple(getattr(self, name) for name in type(self).model_fields)
+
+
+class PadsConfig(AnyPads):
     """Both touchpads."""
 
     palm1: PadConfig
@@ -435,10 +444,6 @@ class PadsConfig(Strict):
         if palm1 is not None and palm1.port == palm2.port:
             raise ValueError(f"port {palm2.port} is already that of palm1")
         return palm2
-
-    def each(self) -> tuple[PadConfig, ...]:
-        """The pads in the order of their palms."""
-        return tuple(map(self.of, PALMS))
 
     def of(self, palm: int) -> PadConfig:
         """The pad of the palm of that number."""
@@ -635,8 +640,58 @@ class RecordConfig(Strict):
     """Where runs are put."""
 
 
-class Config(Strict):
-    """The whole of `palmd.yaml`; its paths are those of the file, joined to the file's folder."""
+class AnyConfig(Strict):
+    """What the configurations of all systems have; each is a model of its own.
+
+    Paths are those of the file, joined to the file's folder.
+    """
+
+    system: ClassVar[str]
+    """Whose it is, by the table of `palmd.systems`."""
+
+    rig: Any
+    """Geometry and gravity; of the emulated rig alone there are `imperfections` in it."""
+    pads: AnyPads
+    """The touchpads."""
+    arm: ArmConfig
+    """The robot arm."""
+    limits: Any
+    """What may be done with it."""
+    loop: LoopConfig = LoopConfig()
+    """The control loop."""
+    bus: BusConfig = BusConfig()
+    """The addresses."""
+    record: RecordConfig = Field(default_factory=dict, validate_default=True)  # its default needs the folder
+    """Recordings."""
+    plan: FilePath | None = None
+    """The motion plan that `start` runs, unless another is chosen."""
+    autostart: bool = False
+    """Whether the rig moves without having been told to."""
+
+    @field_validator("arm")
+    @classmethod
+    def _own_port(cls, arm: ArmConfig, info: ValidationInfo) -> ArmConfig:
+        pads: AnyPads | None = info.data.get("pads")
+        ports = [] if pads is None else [pad.port for pad in pads.each()]
+        if arm.port in ports:
+            raise ValueError(f"port {arm.port} is already that of {'a' if len(ports) > 1 else 'the'} pad")
+        return arm
+
+    @property
+    def outlines(self) -> Path | None:
+        """Where stored outlines are; None where none are compared with."""
+        return None
+
+    @property
+    def explores(self) -> bool:
+        """Whether its observer knows an outline to explore by."""
+        return True
+
+
+class Config(AnyConfig):
+    """The whole of a `palmd.yaml` of two palms."""
+
+    system: ClassVar[str] = TWO_PALMS
 
     rig: RigConfig = RigConfig()
     """Geometry and gravity."""
@@ -646,26 +701,8 @@ class Config(Strict):
     """The robot arm."""
     limits: LimitsConfig = LimitsConfig()
     """What the palms may do."""
-    loop: LoopConfig = LoopConfig()
-    """The control loop."""
     observer: ObserverConfig = ObserverConfig()
     """Who estimates."""
-    bus: BusConfig = BusConfig()
-    """The addresses."""
-    record: RecordConfig = Field(default_factory=dict, validate_default=True)  # its default needs the folder
-    """Recordings."""
-    plan: FilePath | None = None
-    """The motion plan that `start` runs, unless another is chosen."""
-    autostart: bool = False
-    """Whether the palms move without having been told to."""
-
-    @field_validator("arm")
-    @classmethod
-    def _own_port(cls, arm: ArmConfig, info: ValidationInfo) -> ArmConfig:
-        pads: PadsConfig | None = info.data.get("pads")
-        if pads is not None and arm.port in [pad.port for pad in pads.each()]:
-            raise ValueError(f"port {arm.port} is already that of a pad")
-        return arm
 
     @field_validator("pads")
     @classmethod
@@ -695,6 +732,16 @@ class Config(Strict):
         if rig is not None and rig.hinge != arm.hinge:
             raise ValueError(f"kind {arm.kind} drives hinge: {arm.hinge}, but rig.hinge is {rig.hinge}")
         return arm
+
+    @property
+    def outlines(self) -> Path | None:
+        """As configured."""
+        return self.observer.shape
+
+    @property
+    def explores(self) -> bool:
+        """The `shape` observer does."""
+        return self.observer.primary == "shape"
 
 
 def from_here(address: str) -> str:
@@ -920,11 +967,18 @@ class DitherSpec(Strict):
     """Of both angles."""
 
 
-class PlanSpec(Strict):
-    """A motion plan as it stands in its file; `palmd.motion.plan` makes a trajectory of it."""
+class AnyPlanSpec(Strict):
+    """What the motion plans of all systems have; each is a model of its own."""
 
     name: Annotated[str, Field(min_length=1, max_length=60)]
     """What it is called on the bus."""
+    segments: Annotated[list[Any], Field(min_length=1, max_length=200)]
+    """Motions, one after the other."""
+
+
+class PlanSpec(AnyPlanSpec):
+    """A motion plan as it stands in its file; `palmd.motion.plan` makes a trajectory of it."""
+
     repeat: Repeat = 1
     """How often the segments are run."""
     segments: Annotated[list[SegmentSpec], Field(min_length=1, max_length=200)]

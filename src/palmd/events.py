@@ -79,17 +79,27 @@ class PalmMotion:
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
-    """An observer's answer for one instant `t`: the named state, what follows from it, and how far to trust it.
+class LiveEstimate:
+    """An observer's answer for one instant `t`, of whichever system, and how far to trust it.
 
-    SI units; NaN means "no value". `sd` holds the one-sigma of each field it names, under the same names as
-    here. With `valid` True the named state, psi and their sd are finite.
+    SI units; NaN means "no value". `sd` holds the one-sigma of each field it names, under the same names as here.
     """
 
     t: float
     valid: bool
     observer: str
     object_count: int
+    nis: float
+    sd: dict[str, float] = field(default_factory=dict, kw_only=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate(LiveEstimate):
+    """That of two palms: the named state and what follows from it.
+
+    With `valid` True the named state, psi and their sd are finite.
+    """
+
     r1: float
     r2: float
     omega0: float
@@ -109,12 +119,10 @@ class Estimate:
     f2: float
     com_x: float
     com_y: float
-    nis: float
     observability: float
     touched: float
     e_f: float = math.nan  # of the quasistatic observer: (3.36), m
     e_c: float = math.nan  # and the length of (3.37), m
-    sd: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

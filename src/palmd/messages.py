@@ -20,6 +20,7 @@ from palmd.events import (
     Event,
     FloatArray,
     Improvement,
+    LiveEstimate,
     ObjectEstimate,
     PadLift,
     PadSample,
@@ -33,7 +34,6 @@ from palmd.jsonvalues import or_none
 from palmd.quantities import ESTIMATE, EVENTS, LOG, SCHEMA, STAMP, TICK, TOPICS, UNITS, Kind, Topic
 from palmd.system.mechanism import JOINTS, NAMING, PALMS, SIDES
 from palmd.system.naming import Naming
-from palmd.system.pivot import PivotEstimate
 from palmd.system.rig_constants import RIG_NAMES, said_off
 
 Fields = dict[str, Any]
@@ -56,7 +56,7 @@ def stamp(fields: Fields, timestamp: float, t: float, seq: int) -> Fields:
     return fields
 
 
-def sound(estimate: Estimate | PivotEstimate, named: Iterable[str] = NAMED_STATE) -> bool:
+def sound(estimate: LiveEstimate, named: Iterable[str] = NAMED_STATE) -> bool:
     """Whether everything `named` is finite, as it must be when an estimate says `valid`."""
     return all(
         math.isfinite(getattr(estimate, source)) and math.isfinite(estimate.sd.get(source, math.nan))

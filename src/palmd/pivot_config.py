@@ -3,29 +3,27 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, Field, FiniteFloat, Tag, ValidationInfo, field_validator
 
 from palmd.config import (
     AdeptConfig,
-    BusConfig,
-    Config,
+    AnyConfig,
+    AnyPads,
+    AnyPlanSpec,
     Drawn,
-    ExploreGoal,
-    FilePath,
-    LoopConfig,
+    ExploreSpec,
     NotNegative,
     PadConfig,
     Pair,
     Plausible,
     Positive,
-    RecordConfig,
     Strict,
     one_key_of,
     pad_sensor,
 )
-from palmd.system.pivot import PivotRig
+from palmd.system.pivot import SYSTEM, PivotRig
 
 
 def _rising(pair: tuple[float, float]) -> tuple[float, float]:
@@ -63,15 +61,11 @@ class PivotRigConfig(Strict):
         return vertical
 
 
-class PivotPadsConfig(Strict):
+class PivotPadsConfig(AnyPads):
     """The one touchpad."""
 
     palm1: PadConfig
     """The pad that the body is dragged over; its zero is where the arm's x is 0."""
-
-    def each(self) -> tuple[PadConfig, ...]:
-        """It alone."""
-        return (self.palm1,)
 
 
 class PivotLimitsConfig(Strict):
@@ -96,8 +90,10 @@ class PivotLimitsConfig(Strict):
         return (self.x_mm, self.z_mm)
 
 
-class PivotConfig(Strict):
+class PivotConfig(AnyConfig):
     """The whole of a `palmd.yaml` with `rig: {system: pivot}`."""
+
+    system: ClassVar[str] = SYSTEM
 
     rig: PivotRigConfig
     """The gripper."""
@@ -107,24 +103,6 @@ class PivotConfig(Strict):
     """The robot arm: its tool is the pivot, its x along the pad and its y over it."""
     limits: PivotLimitsConfig = PivotLimitsConfig()
     """What the gripper may do."""
-    loop: LoopConfig = LoopConfig()
-    """The control loop."""
-    bus: BusConfig = BusConfig()
-    """The addresses."""
-    record: RecordConfig = Field(default_factory=dict, validate_default=True)
-    """Recordings."""
-    plan: FilePath | None = None
-    """The motion plan that `start` runs, unless another is chosen."""
-    autostart: bool = False
-    """Whether the gripper moves without having been told to."""
-
-    @field_validator("arm")
-    @classmethod
-    def _own_port(cls, arm: AdeptConfig, info: ValidationInfo) -> AdeptConfig:
-        pads: PivotPadsConfig | None = info.data.get("pads")
-        if pads is not None and arm.port == pads.palm1.port:
-            raise ValueError(f"port {arm.port} is already that of the pad")
-        return arm
 
     @field_validator("limits")
     @classmethod
@@ -134,9 +112,6 @@ class PivotConfig(Strict):
         if most is not None and limits.force_n > most:
             raise ValueError(f"force_n is {limits.force_n:g} N, but the pad may tell no more than {most:g} N apart")
         return limits
-
-
-AnyConfig = Config | PivotConfig
 
 
 def pivot_rig(config: PivotConfig) -> PivotRig:
@@ -178,11 +153,8 @@ class PivotHoldSpec(Strict):
     """For how long."""
 
 
-class PivotExploreSpec(Strict):
+class PivotExploreSpec(ExploreSpec):
     """Drags that seek the parts of the outline not felt yet, on both sides of the dead centre."""
-
-    explore: ExploreGoal
-    """When it has seen enough; must be the last segment."""
 
 
 PivotSegmentSpec = Annotated[
@@ -193,10 +165,8 @@ PivotSegmentSpec = Annotated[
 ]
 
 
-class PivotPlanSpec(Strict):
+class PivotPlanSpec(AnyPlanSpec):
     """A motion plan of a pivoting grasp as it stands in its file."""
 
-    name: Annotated[str, Field(min_length=1, max_length=60)]
-    """What it is called on the bus."""
     segments: Annotated[list[PivotSegmentSpec], Field(min_length=1, max_length=200)]
     """Motions, one after the other."""

@@ -16,13 +16,7 @@ from palmd.quantities import PIVOT, PIVOT_EVENTS, SCHEMA, UNITS
 from palmd.system.pivot import AXES, NAMING, SYSTEM, PivotAnswer, PivotEstimate
 
 _TOLD = tuple((each.name, each.source) for each in PIVOT.quantities if each.source)
-_NAMED = tuple(each.source for each in PIVOT.quantities if each.role == "named")
 _NAMES = {each.source: each.name for each in PIVOT.quantities if each.uncertain}
-
-
-def sound(estimate: PivotEstimate) -> bool:
-    """Whether everything is finite that must be when an estimate says `valid`."""
-    return messages.sound(estimate, _NAMED)
 
 
 def estimate_fields(estimate: PivotEstimate) -> Fields:

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from palmd.config import AdeptConfig, Config, Plausible, RigConfig, size, unit_of
-from palmd.pivot_config import AnyConfig
+from palmd.config import AdeptConfig, AnyConfig, Config, Plausible, RigConfig, size, unit_of
 from palmd.system.mechanism import PALMS
+from palmd.systems import LIVE, load_part
 from palmd.yamlfile import Document, Loc
 
 Value = float | tuple[float, ...]
@@ -59,7 +59,8 @@ SLIPS: Mapping[str, tuple[Slip, ...]] = {
 def implausible(document: Document, config: AnyConfig) -> list[str]:
     """What should be looked at again, each with its place: `file:line:col: what`; a default is always plausible."""
     told = {loc: text for loc, text in _odd_values(config) if loc in document.values}
-    odd = _odd_rig(config) if isinstance(config, Config) else ()
+    together = LIVE[config.system].odd
+    odd = load_part(together)(config) if together else ()
     told |= {loc: text for loc, text in odd if loc in document.values and loc not in told}
     placed = sorted((document.place(loc), f"{'.'.join(map(str, loc))}: {text}") for loc, text in told.items())
     return [document.line(place, text) for place, text in placed]
@@ -92,8 +93,8 @@ def odd(key: str, value: Value, usual: Plausible, default: Value) -> str:
     return f"{text}; is {_written(meant, unit)} meant?"
 
 
-def _odd_rig(config: Config) -> Iterator[tuple[Loc, str]]:
-    """What only several keys together tell."""
+def odd_rig(config: Config) -> Iterator[tuple[Loc, str]]:
+    """What of two palms only several keys together tell, and where."""
     if isinstance(config.arm, AdeptConfig):
         yield from _odd_base(config.arm, config.rig)
     for palm, length_mm in zip(PALMS, config.rig.palm_lengths_mm, strict=True):

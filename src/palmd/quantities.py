@@ -7,14 +7,15 @@ names, units, symbols and rates from here. Adding a quantity is adding a row, an
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
 from palmd.events import DECIDED
 from palmd.system.mechanism import ENDS, JOINT_MEANINGS, PALMS
-from palmd.system.pivot import AXES
+from palmd.system.pivot import AXES, SYSTEM
 from palmd.system.rig_constants import RIG_TABLE
+from palmd.systems import TWO_PALMS
 
 SCHEMA = 1
 
@@ -599,6 +600,25 @@ TOPICS: tuple[Topic, ...] = (
     *PIVOT_TOPICS,
 )
 """What the daemon publishes."""
+
+
+@dataclass(frozen=True, slots=True)
+class SystemTopics:
+    """What every system tells, each in topics of its own."""
+
+    estimate: Topic
+    shape: Topic
+    contact: Topic
+    motion: Topic
+    events: Topic
+    info: Topic
+
+
+SYSTEM_TOPICS: Mapping[str, SystemTopics] = {
+    TWO_PALMS: SystemTopics(ESTIMATE, SHAPE, CONTACT, MOTION, EVENTS, INFO),
+    SYSTEM: SystemTopics(PIVOT, PIVOT_SHAPE, PIVOT_CONTACT, PIVOT_MOTION, PIVOT_EVENTS, PIVOT_INFO),
+}
+"""By the system's name."""
 
 TRUTH = Topic(
     "rig/truth",

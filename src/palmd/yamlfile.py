@@ -17,9 +17,8 @@ import yaml
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from palmd.config import Config, PlanSpec
-from palmd.pivot_config import AnyConfig, PivotConfig
-from palmd.system.pivot import SYSTEM
+from palmd.config import AnyConfig, Config, PlanSpec
+from palmd.systems import LIVE, TWO_PALMS, for_two_palms_only, load_part
 
 MAX_BYTES = 256_000  # a real one has a few; parsing a megabyte takes seconds
 MAX_DEPTH = 20
@@ -104,10 +103,6 @@ def is_plan(document: Document) -> bool:
 def parse(document: Document, model: type[Model]) -> Model:
     """The document as a checked model; raises ConfigError with everything that is wrong with it."""
     problems = list(document.problems)
-    system = named_system(document)
-    if model is Config and system is not None:  # all that follows from it would be wrong as well
-        text = f"rig.system: there is no system {system!r}; there is {SYSTEM}, and without this key two palms"
-        raise document.error([(document.place(("rig", "system")), text)])
     try:
         spec = model.model_validate(document.data, context={"folder": document.path.parent.absolute()})
     except ValidationError as error:
@@ -120,23 +115,28 @@ def parse(document: Document, model: type[Model]) -> Model:
     return spec
 
 
-def named_system(document: Document) -> object:
-    """The system that a configuration names; None, which is two palms, where it names none."""
+def system_meant(document: Document) -> str:
+    """The live system that a configuration names, two palms where it names none; raises ConfigError for any other."""
     rig = document.data.get("rig") if isinstance(document.data, dict) else None
-    return rig.get("system") if isinstance(rig, dict) else None
+    named = rig.get("system") if isinstance(rig, dict) else None
+    known = [name for name in LIVE if name != TWO_PALMS]
+    if named is None or named in known:
+        return named or TWO_PALMS
+    text = f"rig.system: there is no system {named!r}; there is {', '.join(known)}, and without this key two palms"
+    raise document.error([(document.place(("rig", "system")), text)])
 
 
-def names_pivot(document: Document) -> bool:
-    """Whether it means to be the configuration of a pivoting grasp."""
-    return named_system(document) == SYSTEM
+def parse_config(document: Document) -> AnyConfig:
+    """The document as the configuration of the system that it names; raises ConfigError as `parse` does."""
+    config: AnyConfig = parse(document, load_part(LIVE[system_meant(document)].config))
+    return config
 
 
 def load_config(path: Path) -> Config:
     """The configuration of two palms in a file; raises ConfigError, also for that of another system."""
     config = load_any_config(path)
-    if isinstance(config, PivotConfig):
-        text = f"{path}: is of a pivoting grasp, and this is for two palms on a hinge only (docs/start/pivot.md)"
-        raise ConfigError([text])
+    if not isinstance(config, Config):
+        raise ConfigError([f"{path}: {for_two_palms_only(config.system)} ({LIVE[config.system].manual})"])
     return config
 
 
@@ -146,7 +146,7 @@ def load_any_config(path: Path) -> AnyConfig:
     if is_plan(document):
         text = "this is a motion plan; wanted is a configuration, which may name it (plan: FILE)"
         raise document.error([(Place(), text)])
-    return parse(document, PivotConfig) if names_pivot(document) else parse(document, Config)
+    return parse_config(document)
 
 
 def load_plan(path: Path) -> PlanSpec:

@@ -7,7 +7,8 @@ from palmd.motion.check import check_files
 from palmd.motion.pivot import PivotLimits, compile_pivot_plan
 from palmd.motion.plan import PlanError
 from palmd.pivot_config import PivotConfig, PivotPlanSpec, pivot_rig
-from palmd.rig.imperfections import Imperfections, PadImperfection, configured_pivot, perfect
+from palmd.rig.imperfections import Imperfections, PadImperfection, perfect
+from palmd.rig.pivot_world import configured_imperfections
 from palmd.yamlfile import ConfigError, load_any_config, load_config
 
 ROOT = Path(__file__).parents[2]
@@ -126,9 +127,9 @@ def test_a_segment_is_told_what_it_needs_once(tmp_path):
 
 def test_the_emulated_rig_is_off_as_far_as_it_is_known():
     config = load_any_config(SHIPPED)
-    off = configured_pivot(config, 5)
+    off = configured_imperfections(config, 5)
     assert 0.0 < abs(off.pads[0].standoff) <= 3 * 5e-5
     assert 0.0 < abs(off.angles[0]) <= 3 * math.radians(0.1)
     known = perfect(config)
-    assert configured_pivot(known, 5) == Imperfections((PadImperfection(),), (0.0,))
+    assert configured_imperfections(known, 5) == Imperfections((PadImperfection(),), (0.0,))
     assert pivot_rig(known).pad.standoff_sd == pivot_rig(known).angle_sd == 0.0

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from palmd import pivot_messages as says
+from palmd.daemon.pivot_system import PivotGrasp
 from palmd.events import PadLift, PadSample, PalmSample
 from palmd.messages import stamp, validate
 from palmd.quantities import PIVOT, PIVOT_ANSWER, PIVOT_EVENTS, PIVOT_INFO
@@ -64,10 +65,11 @@ def test_every_field_of_an_estimate_is_in_its_table():
     assert not validate(PIVOT, stamped(fields))
 
 
-def test_valid_wants_orientation_and_rate_with_their_bands():
-    assert says.sound(estimate(sd={"psi": 0.1, "omega0": 0.2}))
-    assert not says.sound(estimate(sd={"psi": 0.1}))
-    assert not says.sound(estimate(psi=math.nan, sd={"psi": 0.1, "omega0": 0.2}))
+def test_valid_wants_orientation_and_rate_with_their_bands(config):
+    sound = PivotGrasp(config).sound
+    assert sound(estimate(sd={"psi": 0.1, "omega0": 0.2}))
+    assert not sound(estimate(sd={"psi": 0.1}))
+    assert not sound(estimate(psi=math.nan, sd={"psi": 0.1, "omega0": 0.2}))
 
 
 def test_the_rig_is_told_as_configured(config):

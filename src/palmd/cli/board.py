@@ -159,6 +159,14 @@ def estimate(e: Mapping[str, Any]) -> Iterator[BoardRow]:
         yield BoardRow(row, style)
 
 
+def status_lines(result: Mapping[str, Any]) -> list[str]:
+    """Where two palms stand, and what is known of the object, as a status tells it."""
+    angles = [f"{joint} {math.degrees(result[f'{joint}_rad']):.1f}°" for joint in JOINTS if f"{joint}_rad" in result]
+    lines = [f"angles  {', '.join(angles)}"] if angles else []
+    rows = estimate(result["estimate"]) if "estimate" in result else ()
+    return lines + [f"{'' if number else 'object':8}{row.text}" for number, row in enumerate(rows)]
+
+
 def _values(e: Mapping[str, Any]) -> Iterator[str]:
     """What of an estimate is shown at a glance, with its one-sigma, in rows of equal cells."""
     cells = [

@@ -7,16 +7,13 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import get_args
 
+from palmd.config import AnyConfig
 from palmd.console.configured import any_configured
-from palmd.events import ObserverName
-from palmd.pivot_config import AnyConfig, PivotConfig
+from palmd.observer.kernels import Part, of_palms
+from palmd.systems import LIVE, load_part
 
 _PATIENCE_S = 2.0
-
-Part = tuple[str, Callable[[], str]]
-"""What it is, and what makes it or finds it made, and says how it runs."""
 
 _BACKENDS = {
     "c": "compiled C",
@@ -48,22 +45,16 @@ def run(arguments: argparse.Namespace) -> int:
         for each in needed_by(any_configured(arguments.config)):
             _told(*each)
         return 0
-    for each in [*_observers(), *_of_palms(curved=False), *_beside(), *_emulated()]:
+    usual = [each for live in LIVE.values() for each in load_part(live.kernels)(None)]
+    for each in [*usual, *_emulated(), *(_other_systems() if arguments.all else ())]:
         _told(*each)
-    if arguments.all:
-        for each in [*_of_palms(curved=True), *_other_systems()]:
-            _told(*each)
     return 0
 
 
 def needed_by(config: AnyConfig) -> list[Part]:
     """What the processes of a run with this configuration load."""
-    if isinstance(config, PivotConfig):
-        return _beside()
-    curved = any(config.rig.curvatures_per_m)
-    if config.observer.primary == "shape":
-        return _of_palms(curved)
-    return [_observer(config.observer.primary)]
+    parts: list[Part] = load_part(LIVE[config.system].kernels)(config)
+    return parts
 
 
 def made_ready(config: AnyConfig, tell: Callable[[str], None]) -> None:
@@ -76,42 +67,6 @@ def made_ready(config: AnyConfig, tell: Callable[[str], None]) -> None:
             make()
     finally:
         patience.cancel()
-
-
-def _observers() -> list[Part]:
-    return [_observer(name) for name in get_args(ObserverName) if name != "shape"]
-
-
-def _observer(name: ObserverName) -> Part:
-    from palmd import observer
-    from palmd.system.description import RigDescription
-
-    return f"{name} observer", lambda: observer.make(name, RigDescription()).backend
-
-
-def _of_palms(curved: bool) -> list[Part]:
-    """What observing, smoothing and exploring on two palms take."""
-    from palmd.model import rollout, sensitivity, shape_map, smoothing
-
-    which = "curved palms, " if curved else ""
-    parts: list[Part] = [
-        (f"{which}shape observer", lambda: shape_map.library(curved=curved).backend),
-        (
-            f"{which}shape observer with a smoother's harmonics",
-            lambda: shape_map.library(smoothing.ORDER, curved).backend,
-        ),
-        (f"{which}observability", lambda: sensitivity.library(curved).backend),
-        (f"{which}smoother", lambda: smoothing.library(curved).backend),
-        (f"{which}explorer", lambda: rollout.library(curved).backend),
-    ]
-    # a smoother of any palms reduces its equations by the C that comes with flat ones
-    return [*parts, ("smoother's equations", lambda: smoothing.library().backend)] if curved else parts
-
-
-def _beside() -> list[Part]:
-    from palmd.model import pivot
-
-    return [("pivoting grasp", lambda: pivot.library().backend)]
 
 
 def _emulated() -> list[Part]:
@@ -129,6 +84,7 @@ def _other_systems() -> list[Part]:
         return f"three palms in space, degree {order}", lambda: three_palms.library(order).backend
 
     return [
+        *of_palms(curved=True),
         ("flat sides", lambda: sharp.library().backend),
         ("three palms in space, the beginning", lambda: three_palms.driven_library().backend),
         *map(space, (START_ORDER, ORDER)),

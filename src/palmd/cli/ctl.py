@@ -16,6 +16,7 @@ from palmd.bus.link import COMMAND, add_key, credentials
 from palmd.console.errors import BAD_INPUT, USAGE, CliError
 from palmd.daemon.commands import COMMANDS, REQUEST_BYTES_MAX
 from palmd.system.mechanism import JOINTS
+from palmd.systems import LIVE, load_part
 
 PLAN_BYTES_MAX = REQUEST_BYTES_MAX // 2
 
@@ -104,8 +105,6 @@ def told(command: str, result: dict[str, Any]) -> str:
         return "noted"
     if command != "status":
         return ", ".join(f"{name} {value}" for name, value in result.items())
-    from palmd.cli.board import estimate  # which loads NumPy: `--help` comes without
-
     plan = result["plan"] or "none"
     if result["segment"] >= 0:
         plan += f", segment {result['segment']} ({result['doing']}), {result['progress']:.0%}"
@@ -113,15 +112,7 @@ def told(command: str, result: dict[str, Any]) -> str:
         "" if result["arm_linked"] else ", does not answer"
     )
     lines = [f"state   {result['state']}", f"plan    {plan}"]
-    angles = [f"{joint} {math.degrees(result[f'{joint}_rad']):.1f}°" for joint in JOINTS if f"{joint}_rad" in result]
-    if angles:
-        lines.append(f"angles  {', '.join(angles)}")
-    if "x_m" in result:
-        lines += _pivoting(result)
-    elif "estimate" in result:
-        lines += [
-            f"{'' if number else 'object':8}{row.text}" for number, row in enumerate(estimate(result["estimate"]))
-        ]
+    lines += load_part(LIVE[_system(result.get("estimate", {}))].status)(result)
     if "explored" in result:
         lines.append(f"        explored {_explored(**result['explored'])}")
     if "recorder" in result:
@@ -135,26 +126,14 @@ def told(command: str, result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _pivoting(result: dict[str, Any]) -> list[str]:
-    """Where a pivoting gripper is, and what is known of the body in it."""
-    from palmd.system.pivot import AXES
+def _system(estimate: Mapping[str, Any]) -> str:
+    """Whose estimate it is, by what it tells of; that of two palms, where there is none yet."""
+    from palmd.quantities import SYSTEM_TOPICS
 
-    places = [f"{axis} {result[axis + '_m'] * 1e3:.1f} mm" for axis in AXES]
-    lines = [f"pivot   {', '.join(places)}"]
-    told = result.get("estimate")
-    if told is None:
-        return lines
-    from palmd.quantities import PIVOT
+    def alike(name: str) -> int:
+        return sum(each.name in estimate for each in SYSTEM_TOPICS[name].estimate.quantities)
 
-    known = []
-    for each in PIVOT.quantities:
-        if each.glance and told[each.name] is not None:
-            factor, digits, unit = each.shown.factor, each.shown.digits, each.shown.unit
-            sd = told["sd"].get(each.name)
-            band = "" if sd is None else f" ± {sd * factor:.{digits}f}"
-            known.append(f"{each.symbol} {told[each.name] * factor:.{digits}f}{band} {unit}".rstrip())
-    word = "valid" if told["valid"] else f"not valid: {told['reason']}"
-    return [*lines, f"object  {word}; {told['touched']:.0%} of the normals felt", f"        {', '.join(known)}"]
+    return max(SYSTEM_TOPICS, key=alike)
 
 
 def _logged(result: dict[str, Any]) -> list[str]:

@@ -19,17 +19,16 @@ from palmd.bus.command_client import CommandClient
 from palmd.bus.link import COMMAND, PUBLISH
 from palmd.cli.browser import open_page
 from palmd.cli.build import made_ready
-from palmd.config import BusConfig
+from palmd.config import AnyConfig, BusConfig
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.console.shipped import shipped
-from palmd.harness.comparison import Comparison
+from palmd.harness.comparison import AnyComparison
 from palmd.harness.operator import Operator
-from palmd.harness.pivot_comparison import PivotComparison
 from palmd.harness.processes import StopRequest
 from palmd.harness.stack import Stack
-from palmd.pivot_config import AnyConfig, PivotConfig
 from palmd.rig.imperfections import perfect
 from palmd.rig.shapes import KINDS
+from palmd.systems import LIVE, SYSTEMS, TWO_PALMS, load_part
 from palmd.yamlfile import ConfigError, load_any_config
 
 MOTION_START_S = 30.0
@@ -38,7 +37,7 @@ PROGRESS_S = 1.0
 RECORDED_S = 300.0  # to pack the recording of many hours
 RUNS = Path("runs")
 RIGS = {"adept": "demo.yaml", "tabletop": "tabletop.yaml"}
-SYSTEMS = {"cradle": "cradle.yaml", "pivot": "pivot.yaml"}
+DEMOS = {"cradle": "cradle.yaml"} | {name: live.demo for name, live in LIVE.items() if name != TWO_PALMS}
 _WORLDS = {"none": "perfect", "calibrated": "off as calibration leaves one"}
 
 
@@ -51,7 +50,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-record", action="store_true", help=f"keep no recording; else it goes to {RUNS}/ here")
     parser.add_argument("--perfect", action="store_true", help="a rig that is exactly as configured, which is known")
     which = parser.add_mutually_exclusive_group()
-    which.add_argument("--system", choices=SYSTEMS, help="cradle: two concave palms; pivot: a pivoting gripper")
+    others = "; ".join(f"{name}: {SYSTEMS[name].words}" for name in LIVE if name != TWO_PALMS)
+    which.add_argument("--system", choices=DEMOS, help="cradle: two concave palms; " + others)
     which.add_argument("--rig", choices=RIGS, default="adept", help="an arm and VersaPads, or strips and servos")
     which.add_argument("--config", type=Path, help="rig and plan; default: as shipped")
 
@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
     Raises CliError when the rig or the daemon fail.
     """
     try:
-        config = load_any_config(arguments.config or shipped(SYSTEMS.get(arguments.system, RIGS[arguments.rig])))
+        config = load_any_config(arguments.config or shipped(DEMOS.get(arguments.system, RIGS[arguments.rig])))
     except ConfigError as error:
         raise CliError(BAD_INPUT, str(error)) from None
     if arguments.perfect:
@@ -89,9 +89,10 @@ def run(arguments: argparse.Namespace) -> int:
     return 0 if comparison.settled else RIG_FAILED
 
 
-def _comparison(config: AnyConfig, seed: int) -> Comparison | PivotComparison:
+def _comparison(config: AnyConfig, seed: int) -> AnyComparison:
     world = _WORLDS.get(str(config.rig.imperfections), "off as configured")
-    return PivotComparison(seed, world) if isinstance(config, PivotConfig) else Comparison(seed, world)
+    comparison: AnyComparison = load_part(LIVE[config.system].comparison)(seed, world)
+    return comparison
 
 
 def _introduce(seed: int, bus: BusConfig, page: str | None) -> None:
@@ -105,7 +106,7 @@ def _introduce(seed: int, bus: BusConfig, page: str | None) -> None:
     _tell(f"  palmd ctl status{to}")
 
 
-def _operate(stack: Stack, comparison: Comparison | PivotComparison, stop: StopRequest, seconds: float) -> None:
+def _operate(stack: Stack, comparison: AnyComparison, stop: StopRequest, seconds: float) -> None:
     """Does what an operator does, for so many seconds of motion or until the end is asked for."""
     operator = Operator()
     t_begin = time.monotonic()

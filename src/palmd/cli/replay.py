@@ -20,12 +20,11 @@ from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import Progress
 from palmd.harness.processes import StopRequest
 from palmd.harness.rules import Kept, kept_by
-from palmd.quantities import EVENTS, PIVOT_EVENTS
 from palmd.record.length import message_count
 from palmd.record.mcapfile import RawMessage
 from palmd.record.player import SETTLE_S, RecordedPublisher, RepublishError, pause, play
 from palmd.record.recheck import Difference, Recheck
-from palmd.record.run import PivotRun, Run, RunError, read_any_run
+from palmd.record.run import AnyRun, RunError, read_any_run
 
 TOLD_BROKEN = 10
 
@@ -57,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _publish(recording: Run | PivotRun, address: str, speed: float, *, loop: bool) -> None:
+def _publish(recording: AnyRun, address: str, speed: float, *, loop: bool) -> None:
     total = message_count(recording)
     publisher = RecordedPublisher(address)
 
@@ -77,10 +76,9 @@ def _publish(recording: Run | PivotRun, address: str, speed: float, *, loop: boo
         publisher.close()
 
 
-def _check(recording: Run | PivotRun) -> int:
+def _check(recording: AnyRun) -> int:
     recheck = Recheck(recording)
-    events = PIVOT_EVENTS if isinstance(recording, PivotRun) else EVENTS
-    total = recording.survey()[events.name].count
+    total = recording.survey()[recording.topics.events.name].count
     elsewhere = recheck.elsewhere()
     for line in elsewhere:
         print(f"{recording.path}: recorded with {line}: the last bits may differ", file=sys.stderr)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from palmd.config import Config
+from palmd.config import AnyConfig, Config
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.shipped import shipped
-from palmd.pivot_config import AnyConfig
 from palmd.yamlfile import ConfigError, load_any_config, load_config
 
 INSTALLED = Path("/etc/palmd/palmd.yaml")

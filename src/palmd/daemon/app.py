@@ -12,28 +12,22 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from palmd import __version__, observer
-from palmd.config import Config, rig_description
+from palmd.config import AnyConfig
 from palmd.daemon import realtime
 from palmd.daemon.async_log import start_async_log
 from palmd.daemon.bus import Bus, BusError
 from palmd.daemon.core import Core
 from palmd.daemon.explorer_process import ExplorerProcess
 from palmd.daemon.loop import Loop
-from palmd.daemon.pivot_smoothing import PivotSmootherProcess
-from palmd.daemon.pivot_system import PivotGrasp
 from palmd.daemon.planner import Plan, PlanFolder, read_plan
-from palmd.daemon.smoothing import SmootherProcess
+from palmd.daemon.smoothing import BatchingProcess
 from palmd.daemon.systemd import Notifier
-from palmd.daemon.systems import LiveSystem, LiveTwoPalms
+from palmd.daemon.systems import AnySystem, live_system
 from palmd.keys import KeysError, server_keys
-from palmd.messages import Fields, info_fields
+from palmd.messages import Fields
 from palmd.observer.observer import LiveObserver
-from palmd.observer.pivot.live import PivotObserver
 from palmd.outlinefile import Outline, OutlineError, read_library
-from palmd.pivot_config import AnyConfig, PivotConfig, pivot_rig
-from palmd.pivot_messages import info_fields as pivot_info_fields
-from palmd.quantities import INFO, PIVOT_INFO
+from palmd.quantities import SYSTEM_TOPICS
 from palmd.yamlfile import ConfigError, load_any_config
 
 log = logging.getLogger(__name__)
@@ -61,10 +55,9 @@ def run(config_path: Path, recorder: Callable[[], None] | None = None) -> int:
 def _start(config_path: Path, signals: _Signals, recorder: Callable[[], None] | None) -> int:
     try:
         config = load_any_config(config_path)
-        system: LiveSystem = PivotGrasp(config) if isinstance(config, PivotConfig) else LiveTwoPalms(config)
+        system = live_system(config)
         plan = None if config.plan is None else read_plan(config.plan, system.limits, None)
-        stored = None if isinstance(config, PivotConfig) else config.observer.shape
-        outlines = () if stored is None else read_library(stored)
+        outlines = () if config.outlines is None else read_library(config.outlines)
         keys = None if config.bus.keys is None else server_keys(config.bus.keys)
     except ConfigError as error:
         print(error, file=sys.stderr)
@@ -86,7 +79,7 @@ def _start(config_path: Path, signals: _Signals, recorder: Callable[[], None] | 
 
 def _run(
     config: AnyConfig,
-    system: LiveSystem,
+    system: AnySystem,
     folder: Path,
     plan: Plan | None,
     outlines: tuple[Outline, ...],
@@ -99,7 +92,7 @@ def _run(
     stack.callback(notifier.close)
     notifier.status("building the observer")
     notes: list[str] = []
-    estimator, smoother = _estimator(config, outlines, stack)
+    estimator, smoother = system.observer(outlines, stack)
     if estimator.backend == "vm":
         notes.append("vm-backend")
     estimator.warm_up()
@@ -110,7 +103,7 @@ def _run(
         notes.append("no-realtime")
     aside = ThreadPoolExecutor(1, "aside", realtime.accompany)
     stack.callback(aside.shutdown, wait=False, cancel_futures=True)
-    explorer = _explorer(config, stack)
+    explorer = system.explorer(stack)
     core = Core(config, estimator, aside, plan, notes, folder, explorer, system)
     ports = core.ports()
     for port in ports.values():
@@ -122,8 +115,8 @@ def _run(
         notifier,
         rate_hz=config.loop.rate_hz,
         backend=estimator.backend,
-        info=_info(config, estimator.name, PlanFolder.of(config, folder).names()),
-        info_topic=PIVOT_INFO if isinstance(config, PivotConfig) else INFO,
+        info=system.info(estimator.name, PlanFolder.of(config, folder).names()),
+        info_topic=SYSTEM_TOPICS[config.system].info,
         counters=lambda: _counters(smoother, estimator, explorer),
     )
     bus.await_command("recorder", RECORDER_START_S if recorded else NEIGHBOUR_S)
@@ -141,47 +134,8 @@ def _is_started(recorder: Callable[[], None]) -> bool:
     return True
 
 
-def _estimator(
-    config: AnyConfig, outlines: tuple[Outline, ...], stack: ExitStack
-) -> tuple[LiveObserver, SmootherProcess | PivotSmootherProcess | None]:
-    """The observer, and what is in a process beside it."""
-    if isinstance(config, PivotConfig):
-        beside = PivotSmootherProcess(pivot_rig(config))
-        stack.callback(beside.close)
-        return PivotObserver(pivot_rig(config), beside), beside
-    name = config.observer.primary
-    smoother = _smoother(config, name, stack)
-    return observer.make(name, rig_description(config), smoothing=smoother, outlines=outlines), smoother
-
-
-def _info(config: AnyConfig, name: str, plans: list[str]) -> Fields:
-    if isinstance(config, PivotConfig):
-        return pivot_info_fields(__version__, name, config, plans)
-    return info_fields(__version__, name, config, plans)
-
-
-def _smoother(config: Config, name: observer.ObserverName, stack: ExitStack) -> SmootherProcess | None:
-    if name != "shape" or not config.observer.smoother or config.observer.shape is not None:
-        return None
-    try:
-        smoother = SmootherProcess(rig_description(config))
-    except OSError as error:
-        log.warning("no smoother beside the loop: %s", error)
-        return None
-    stack.callback(smoother.close)
-    return smoother
-
-
-def _explorer(config: AnyConfig, stack: ExitStack) -> ExplorerProcess | None:
-    if isinstance(config, PivotConfig) or config.observer.primary != "shape":
-        return None
-    explorer = ExplorerProcess(rig_description(config))
-    stack.callback(explorer.close)
-    return explorer
-
-
 def _counters(
-    smoother: SmootherProcess | PivotSmootherProcess | None, estimator: LiveObserver, explorer: ExplorerProcess | None
+    smoother: BatchingProcess[Any] | None, estimator: LiveObserver, explorer: ExplorerProcess | None
 ) -> Fields:
     return {
         "smoother_improvements": estimator.improvements,

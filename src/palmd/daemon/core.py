@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from palmd import __version__
+from palmd.config import AnyConfig
 from palmd.daemon.commands import Reply, Request
 from palmd.daemon.diagnostics import LOOK_S, ArmDiagnostics, LoopDiagnostics, NisDiagnostics, PadDiagnostics
 from palmd.daemon.drivers import ArmDriver, EndName
@@ -28,21 +29,22 @@ from palmd.daemon.lifecycle import COMMANDED, State
 from palmd.daemon.planner import Plan, PlanFolder
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.supervisor import Supervisor
-from palmd.daemon.systems import LiveSystem, LiveTwoPalms, TickReport
+from palmd.daemon.systems import AnySystem, live_system
 from palmd.devices.actuator import ArmState
 from palmd.devices.port import DevicePort
-from palmd.events import Event, Improvement, ObjectEstimate, PadSample, ShapeEstimate
+from palmd.events import Event, Improvement, LiveEstimate, ObjectEstimate, PadSample, ShapeEstimate
 from palmd.faults import FaultMonitor, Severity
 from palmd.messages import (
     Fields,
+    contact_fields,
     log_fields,
+    motion_fields,
     note_fields,
     object_fields,
     rig_fields,
     state_fields,
 )
-from palmd.observer.observer import LiveAnswer, LiveEstimate, LiveObserver
-from palmd.pivot_config import AnyConfig, PivotConfig
+from palmd.observer.observer import LiveObserver
 from palmd.quantities import LOG, NOTE, OBJECT, RIG, STATE, Topic
 from palmd.system.rig_constants import said_off
 
@@ -68,17 +70,14 @@ class Core:
         notes: Iterable[str] = (),
         folder: Path = Path(),
         explorer: Source | None = None,
-        system: LiveSystem | None = None,
+        system: AnySystem | None = None,
     ) -> None:
         """`aside` compiles plans beside the loop, `notes` are codes of faults that stand throughout.
 
         `folder` is the configuration's. `explorer` decides where explorations go; without one, plans that explore are
-        refused. `system` is what the rig is: two palms if nothing else is said.
+        refused. `system` is what the rig is, if it has been made already.
         """
-        if system is None:
-            assert not isinstance(config, PivotConfig), "a rig that is not two palms is told as its system"
-            system = LiveTwoPalms(config)
-        self._system = system
+        self._system = system = system or live_system(config)
         self.pads = system.pads()
         self.arm = ArmDriver(config.arm, system.poses)
         self.setpoints = SetPoints(system.poses, system.limits)
@@ -100,13 +99,13 @@ class Core:
         )
         self._in_state: tuple[State, float, str] = (self.state, math.nan, "")  # since when (s), and why
         self._observer = observer
-        self._estimate = system.unknown(-math.inf, observer)
+        self._estimate: LiveEstimate = system.unknown(-math.inf, observer)
         self._shape: ShapeEstimate | None = None
         self._object: ObjectEstimate | None = None
         self._observer_failed = False
         self._events: list[Event] = []
         self._fed: list[Event] = []
-        self._answered: LiveAnswer | None = None
+        self._answered: object = None
         self._rig_priors = system.rig_priors
         self._rig, self._rig_sds = np.zeros_like(self._rig_priors), self._rig_priors
         self._contradicted = np.zeros_like(self._rig_priors)
@@ -277,23 +276,24 @@ class Core:
 
     def report(self, t: float) -> list[tuple[Topic, Fields]]:
         """What to publish at `t` (s)."""
-        arm, place = self.arm.host, self.setpoints.place
+        arm, place, system = self.arm.host, self.setpoints.place, self._system
         age = arm.age(t)
-        messages = self._system.tick(
-            TickReport(
-                t,
-                self._estimate,
-                [pad.view(t) for pad in self.pads.values()],
-                age if math.isfinite(age) else math.nan,
-                self.setpoints.commanded,
-                self.arm.actual,
-                self.supervisor.plan_name,
-                -1 if place is None else place.segment,
-                0.0 if place is None else place.progress,
-                str(arm.state or ""),
-                self._fed,
-            )
+        motion = motion_fields(
+            self.setpoints.commanded,
+            self.arm.actual,
+            self.supervisor.plan_name,
+            -1 if place is None else place.segment,
+            0.0 if place is None else place.progress,
+            str(arm.state or ""),
+            system.naming,
         )
+        pads = [pad.view(t) for pad in self.pads.values()]
+        messages = [
+            (system.topics.estimate, system.said(self._estimate)),
+            (system.topics.contact, contact_fields(pads, age if math.isfinite(age) else math.nan, system.naming)),
+            (system.topics.motion, motion),
+            (system.topics.events, system.fed(t, self._fed)),
+        ]
         if self._answered is not None:
             messages.append(self._system.answered(t, self._answered))
         if isinstance(self._answered, Improvement):

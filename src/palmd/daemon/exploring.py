@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -16,11 +17,11 @@ from typing import Any
 from palmd.daemon.exploration_requests import ExplorationAnswer, ExplorationTask, Question, Source
 from palmd.daemon.setpoints import SetPoints
 from palmd.events import Outlook
+from palmd.jsonvalues import or_none
 from palmd.messages import Explored
 from palmd.motion.decisions import UnderWay
 from palmd.motion.exploration import Exploration
 from palmd.motion.segments import Move
-from palmd.system.pivot import Touching
 
 log = logging.getLogger(__name__)
 
@@ -44,41 +45,38 @@ class Senses:
     touching: bool
     known: bool
     object_count: int
-    look: Callable[[], Outlook | Touching | None]
+    look: Callable[[], object]
 
 
-class Exploring:
-    """See the module. `silent` says that decisions fail to come. Safe in the loop."""
+class Explores(ABC):
+    """The loop's side of explorations, of any system: what is under way, how far it is, and why. Safe in the loop.
 
-    def __init__(self, setpoints: SetPoints, source: Source | None) -> None:
-        """Without a `source` there is no exploring: the observer knows no outline."""
-        self.silent = False
-        self.dropped = 0
+    `silent` says that decisions fail to come, `dropped` counts those that came too late.
+    """
+
+    silent = False
+    dropped = 0
+
+    def __init__(self, setpoints: SetPoints) -> None:
         self._setpoints = setpoints
-        self._source = source
         self._exploration: Exploration | None = None
-        self._run = 0
-        self._coverage = self._reachable = math.nan
-        self._seconds = math.nan
+        self._begun = False
+        self._coverage = self._reachable = self._goal = self._seconds = math.nan
         self._reason = ""
-        self._next: tuple[Move, bool] | None = None  # and whether it rocks
-        self._rocking = self._halting = self._ending = False
-        self._t_known = self._t_moved = self._t_heard = self._t_ask = -math.inf
 
     @property
     def possible(self) -> bool:
         """Whether there is anybody to decide."""
-        return self._source is not None
+        return True
+
+    def prepare(self) -> None:
+        """A plan that explores is in hand: have everything ready before it moves."""
+        return
 
     @property
     def under_way(self) -> Exploration | None:
         """The exploration in hand."""
         return self._exploration
-
-    def prepare(self) -> None:
-        """A plan that explores is in hand: have everything ready before it moves."""
-        if self._source is not None:
-            self._source.prepare()
 
     @property
     def reason(self) -> str:
@@ -87,19 +85,44 @@ class Exploring:
 
     def told(self) -> dict[str, Any] | None:
         """How far the present exploration is, or the last one came, and why it stands; None before the first."""
-        if self._run == 0:
+        if not self._begun:
             return None
         return {
-            "coverage": None if math.isnan(self._coverage) else self._coverage,
-            "reachable": None if math.isnan(self._reachable) else self._reachable,
-            "reason": self._reason,
-        }
+            "coverage": or_none(self._coverage), "reachable": or_none(self._reachable), "reason": self._reason,
+        }  # fmt: skip
 
     @property
     def explored(self) -> Explored:
         """What `palm/state` says of it."""
-        running, goal = self._exploration is not None, math.nan if self._run == 0 else self._task.goal.coverage
-        return Explored(running, self._seconds, self._coverage, goal, self._reachable, self._reason)
+        running = self._exploration is not None
+        return Explored(running, self._seconds, self._coverage, self._goal, self._reachable, self._reason)
+
+    @abstractmethod
+    def step(self, t: float, senses: Senses) -> None:
+        """One tick at `t` (s)."""
+
+
+class Exploring(Explores):
+    """Of two palms; see the module."""
+
+    def __init__(self, setpoints: SetPoints, source: Source | None) -> None:
+        """Without a `source` there is no exploring: the observer knows no outline."""
+        super().__init__(setpoints)
+        self._source = source
+        self._run = 0
+        self._next: tuple[Move, bool] | None = None  # and whether it rocks
+        self._rocking = self._halting = self._ending = False
+        self._t_known = self._t_moved = self._t_heard = self._t_ask = -math.inf
+
+    @property
+    def possible(self) -> bool:
+        """With a source."""
+        return self._source is not None
+
+    def prepare(self) -> None:
+        """Whoever decides is started."""
+        if self._source is not None:
+            self._source.prepare()
 
     def step(self, t: float, senses: Senses) -> None:
         """One tick at `t` (s)."""
@@ -140,9 +163,10 @@ class Exploring:
         self.silent = t - self._t_heard > SILENT_S
 
     def _begin(self, exploration: Exploration, t: float) -> None:
-        self._exploration = exploration
+        self._exploration, self._begun = exploration, True
         self._run += 1
         self._coverage = self._reachable = math.nan
+        self._goal = exploration.goal.coverage
         self._reason = "it has just begun"
         self._task = ExplorationTask(self._run, exploration.goal, self._setpoints.limits)
         self._forget(t)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ class PivotSmootherProcess(BatchingProcess[PivotAnswer]):
 
     def __init__(self, rig: PivotRig) -> None:
         """Start the process; raises OSError when it cannot be."""
-        super().__init__(__name__, rig, _answer_of)
+        super().__init__(__name__, asdict(rig), _answer_of)
 
     def submit(self, t: float, events: Sequence[Event]) -> None:
         """Hand the tick's events over."""

@@ -4,26 +4,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Sequence
+from contextlib import ExitStack
 
-import numpy as np
-
+from palmd import __version__
 from palmd import pivot_messages as says
 from palmd.daemon.dragging import Dragging
-from palmd.daemon.drivers import EndName
 from palmd.daemon.exploration_requests import Source
-from palmd.daemon.poses import Poses
+from palmd.daemon.exploring import Explores
+from palmd.daemon.pivot_smoothing import PivotSmootherProcess
 from palmd.daemon.setpoints import SetPoints
-from palmd.daemon.systems import Explores, Messages, TickReport
+from palmd.daemon.systems import LiveSystem
 from palmd.devices.actuator import Place, Pose, Reach
-from palmd.devices.pad import PadDriver, make_pad
-from palmd.events import FloatArray, Joints, PadSample, PalmMotion, ShapeEstimate
-from palmd.messages import Fields, contact_fields, motion_fields
+from palmd.events import Event, Joints, PadSample, PalmMotion, ShapeEstimate
+from palmd.messages import Fields
 from palmd.motion.kinematics import PoseError
-from palmd.motion.limits import MotionLimits
-from palmd.motion.pivot import PivotLimits
-from palmd.observer.observer import LiveAnswer, LiveEstimate, LiveObserver
-from palmd.pivot_config import PivotConfig
-from palmd.quantities import PIVOT, PIVOT_ANSWER, PIVOT_CONTACT, PIVOT_EVENTS, PIVOT_MOTION, PIVOT_SHAPE, Topic
+from palmd.observer.observer import LiveObserver
+from palmd.observer.pivot.live import PivotObserver
+from palmd.outlinefile import Outline
+from palmd.pivot_config import PivotConfig, pivot_rig
+from palmd.quantities import (
+    PIVOT_ANSWER,
+    PIVOT_SHAPE,
+    Topic,
+)
 from palmd.system.pivot import AXES, NAMING, PAD, PivotAnswer, PivotEstimate
 
 OUTSIDE_M = 2e-3
@@ -68,23 +71,28 @@ class PivotPoses:
         del reach
 
 
-class PivotGrasp:
+class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
     """A body that turns freely in a gripper over one pad; see `LiveSystem`."""
 
+    naming = NAMING
+    outside = OUTSIDE_M
+
     def __init__(self, config: PivotConfig) -> None:
-        self.poses: Poses = PivotPoses.of(config)
-        self.limits: MotionLimits = PivotLimits.of(config)
-        self._most_n = config.limits.force_n
-        self.joints = NAMING.measured
-        self.outside = OUTSIDE_M
-        self.jogs = False
-        self.rig_priors: FloatArray = np.zeros(0)
-        self._pad = config.pads.palm1
+        super().__init__(config)
+        self.poses = PivotPoses.of(config)
         self._force = 0.0
 
-    def pads(self) -> dict[EndName, PadDriver]:
-        """The one."""
-        return {f"pad{PAD}": make_pad(PAD, self._pad)}
+    def observer(self, outlines: Sequence[Outline], stack: ExitStack) -> tuple[PivotObserver, PivotSmootherProcess]:
+        """With its smoother, without which it knows nothing; there are no stored outlines."""
+        del outlines
+        rig = pivot_rig(self._config)
+        smoother = PivotSmootherProcess(rig)
+        stack.callback(smoother.close)
+        return PivotObserver(rig, smoother), smoother
+
+    def info(self, observer: str, plans: Sequence[str]) -> Fields:
+        """`palm/pivot_info`."""
+        return says.info_fields(__version__, observer, self._config, plans)
 
     def exploring(self, setpoints: SetPoints, source: Source | None) -> Dragging:
         """Decided in the loop."""
@@ -95,13 +103,9 @@ class PivotGrasp:
         """Without a number."""
         nan = math.nan
         return PivotEstimate(
-            t, False, observer.name, observer.object_count, nan, nan, nan, nan, nan, nan, nan, nan, nan,
-            side=0, nis=nan, touched=0.0, reason="the observer has failed",
+            t, False, observer.name, observer.object_count, nan, nan, nan, nan, nan, nan, nan, nan, nan, nan,
+            side=0, touched=0.0, reason="the observer has failed",
         )  # fmt: skip
-
-    def sound(self, estimate: LiveEstimate) -> bool:
-        """By the named state."""
-        return isinstance(estimate, PivotEstimate) and says.sound(estimate)
 
     def felt(self, sample: PadSample) -> None:
         """How hard does it press?"""
@@ -111,7 +115,7 @@ class PivotGrasp:
     def conditions(self, t: float, actual: PalmMotion | None) -> Iterator[str]:
         """A force over its limit."""
         del t, actual
-        if self._force > self._most_n:
+        if self._force > self._config.limits.force_n:
             yield "force-limit"
 
     def excused(self, exploring: Explores) -> Collection[str]:
@@ -119,31 +123,25 @@ class PivotGrasp:
         del exploring
         return _AWAY
 
-    def tick(self, tick: TickReport) -> Messages:
-        """Estimate, contact, motion, events."""
-        assert isinstance(tick.estimate, PivotEstimate)
-        motion = motion_fields(
-            tick.commanded, tick.actual, tick.plan, tick.segment, tick.progress, tick.arm_state, NAMING
-        )
-        return [
-            (PIVOT, says.estimate_fields(tick.estimate)),
-            (PIVOT_CONTACT, contact_fields(tick.pads, tick.arm_age, NAMING)),
-            (PIVOT_MOTION, motion),
-            (PIVOT_EVENTS, says.events_fields(tick.t, tick.fed)),
-        ]
+    def said(self, estimate: PivotEstimate) -> Fields:
+        """`palm/pivot`."""
+        return says.estimate_fields(estimate)
 
-    def answered(self, t: float, answer: LiveAnswer) -> tuple[Topic, Fields]:
+    def fed(self, t: float, events: Sequence[Event]) -> Fields:
+        """`palm/pivot_events`."""
+        return says.events_fields(t, events)
+
+    def answered(self, t: float, answer: PivotAnswer) -> tuple[Topic, Fields]:
         """`palm/pivot_answer`."""
-        assert isinstance(answer, PivotAnswer)
         return PIVOT_ANSWER, says.answer_fields(t, answer)
 
     def shaped(self, shape: ShapeEstimate) -> tuple[Topic, Fields]:
         """`palm/pivot_shape`."""
         return PIVOT_SHAPE, says.shape_fields(shape)
 
-    def glance(self, estimate: LiveEstimate) -> Fields:
+    def glance(self, estimate: PivotEstimate) -> Fields:
         """A few of its quantities."""
-        return says.at_a_glance(estimate) if isinstance(estimate, PivotEstimate) else {}
+        return says.at_a_glance(estimate)
 
     def place(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:
         """In millimetres."""

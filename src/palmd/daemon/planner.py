@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
-from palmd.config import ExploreSpec, MoveSpec
-from palmd.motion.check import AnyPlanSpec, compile_any, compiled, plan_spec
+from palmd.config import AnyConfig, AnyPlanSpec, ExploreSpec, MoveSpec
+from palmd.motion.check import compile_any, compiled, plan_spec
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import Trajectory
 from palmd.motion.segments import Angles
-from palmd.pivot_config import AnyConfig, PivotExploreSpec
 from palmd.yamlfile import ConfigError, Document, is_plan, read_document
 
 
@@ -33,7 +32,7 @@ class Plan:
     @property
     def explores(self) -> bool:
         """Whether it ends with an exploration."""
-        return isinstance(self.spec.segments[-1], ExploreSpec | PivotExploreSpec)
+        return isinstance(self.spec.segments[-1], ExploreSpec)
 
     def serves(self, limits: MotionLimits, start: Angles) -> bool:
         """Whether the trajectory is right for these limits and this start; that of an exploration serves but once."""

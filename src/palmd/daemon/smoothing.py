@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, Generic, TypeVar
 
@@ -20,7 +20,6 @@ from palmd.daemon.worker import WorkerProcess, give_back_memory, meet
 from palmd.events import Event, Improvement, PadLift, PadSample, PalmSample, Unexplained
 from palmd.observer.smoothing import Session, period
 from palmd.system.description import PadSensor, RigDescription
-from palmd.system.pivot import PivotRig
 
 BATCH_S = 0.05  # of events that go out in one message
 HIGH_WATER = 100  # messages on their way: five seconds
@@ -35,12 +34,12 @@ _KINDS: tuple[type[PadSample] | type[PadLift] | type[PalmSample], ...] = (PadSam
 class BatchingProcess(Generic[Answer]):
     """The loop's end of a smoother; `collect` is safe inside the loop, starting the process again takes it 1 ms."""
 
-    def __init__(self, module: str, rig: RigDescription | PivotRig, answer_of: Callable[..., Answer]) -> None:
+    def __init__(self, module: str, rig: Mapping[str, Any], answer_of: Callable[..., Answer]) -> None:
         """Start a process with `module`, whose `serve` gets the rig's fields as JSON; raises OSError when it cannot be.
 
         `answer_of` makes an answer of what `work` sends.
         """
-        self._process = WorkerProcess("smoother", module, json.dumps(asdict(rig)), high_water=HIGH_WATER)
+        self._process = WorkerProcess("smoother", module, json.dumps(rig), high_water=HIGH_WATER)
         self._answer_of = answer_of
         self._waiting: list[list[Any]] = []
         self._t_sent = -math.inf
@@ -83,7 +82,7 @@ class SmootherProcess(BatchingProcess[Improvement | Unexplained]):
 
     def __init__(self, rig: RigDescription) -> None:
         """Start the process; raises OSError when it cannot be."""
-        super().__init__(__name__, rig, _told)
+        super().__init__(__name__, asdict(rig), _told)
 
     def submit(self, t: float, session: Session, events: Sequence[Event]) -> None:
         """Hand the tick's events over."""

@@ -14,18 +14,19 @@ from typing import Any
 
 from palmd.daemon.commands import COMMANDS, Reply, Request
 from palmd.daemon.drivers import RESTING, ArmDriver
+from palmd.daemon.exploring import Explores
 from palmd.daemon.journal import Journal
 from palmd.daemon.lifecycle import COMMANDED, State, Trigger, next_state
 from palmd.daemon.planner import Plan, PlanFolder, plan_in
 from palmd.daemon.recorder_watch import RecorderWatch
 from palmd.daemon.setpoints import SetPoints
-from palmd.daemon.systems import Explores, LiveSystem
+from palmd.daemon.systems import AnySystem
 from palmd.devices.actuator import ArmState, Reach
+from palmd.events import LiveEstimate
 from palmd.faults import Fault, FaultMonitor, Severity
 from palmd.messages import log_fields
 from palmd.motion.segments import Angles
 from palmd.motion.trajectory_executor import MotionError
-from palmd.observer.observer import LiveEstimate
 from palmd.system.mechanism import JOINTS
 
 log = logging.getLogger(__name__)
@@ -83,7 +84,7 @@ class Supervisor:
         plans: PlanFolder,
         *,
         autostart: bool,
-        system: LiveSystem,
+        system: AnySystem,
     ) -> None:
         """`aside` does slow work beside the loop; plans without their text come from the `plans`."""
         self.state = State.IDLE

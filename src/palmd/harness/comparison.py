@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Mapping
 from typing import Any
@@ -22,14 +23,58 @@ PERIOD_S = 0.01
 _RADII = tuple(f"{name}_m" for name in RADII)
 
 
-class Comparison:
-    """Takes the messages of both as they come; needs the same memory however long it runs."""
+class AnyComparison(ABC):
+    """Takes the messages of both as they come, of whichever system; needs the same memory however long it runs."""
 
     def __init__(self, seed: int, rig: str) -> None:
         """The rig's `seed`, and how far off it is, in words: to be named in the summary."""
         self._seed, self._rig = seed, rig
-        self._scorer = Scorer()
+        self.t_started: float | None = None
         self._state: Mapping[str, Any] = {}
+        self._work_p99_ms: deque[float] = deque(maxlen=LOOPS)
+
+    @property
+    @abstractmethod
+    def settled(self) -> bool:
+        """Whether an estimate has been called valid since the rig began to move."""
+
+    def started(self, t: float) -> None:
+        """The rig begins to move at t (s, monotonic clock), for the first time or again."""
+        if self.t_started is None:
+            self.t_started = t
+
+    def take(self, message: Message) -> None:
+        """One message of the daemon or of the rig."""
+        match message.topic:
+            case "palm/state":
+                self._state = message.fields
+            case "palm/loop":
+                self._work_p99_ms.append(message.fields["work_p99_ms"])
+            case topic:
+                self._take(topic, message.fields)
+
+    @abstractmethod
+    def _take(self, topic: str, fields: Mapping[str, Any]) -> None:
+        """One of the system's own."""
+
+    @abstractmethod
+    def progress(self, t: float) -> str:
+        """One line on how it stands at t (s, monotonic clock)."""
+
+    @abstractmethod
+    def summary(self) -> str:
+        """The closing line."""
+
+    def _work(self) -> str:
+        return f"work p99 {float(np.median(self._work_p99_ms or [math.nan])):.1f} ms"
+
+
+class Comparison(AnyComparison):
+    """Of two palms."""
+
+    def __init__(self, seed: int, rig: str) -> None:
+        super().__init__(seed, rig)
+        self._scorer = Scorer()
         self._object: Mapping[str, Any] | None = None
         self._truths: deque[tuple[float, ...]] = deque(maxlen=TRUTHS)
         self._waiting: deque[tuple[float, ...]] = deque(maxlen=TRUTHS)  # valid ticks whose truth is to come
@@ -37,35 +82,23 @@ class Comparison:
         self._stalled: list[float] = []  # how long each standstill of the emulated rig lasted (s), since the last word
         self._stalls, self._stalled_s = 0, 0.0
         self._ticks = 0
-        self._work_p99_ms: deque[float] = deque(maxlen=LOOPS)
 
     @property
     def settled(self) -> bool:
-        """Whether an estimate has been called valid since the palms began to move."""
+        """By the scorer."""
         return self._scorer.t_settled is not None
 
-    @property
-    def t_started(self) -> float | None:
-        """When the palms began to move (s, monotonic clock)."""
-        return self._scorer.t_started
-
     def started(self, t: float) -> None:
-        """The palms begin to move at t (s, monotonic clock), for the first time or again."""
-        if self._scorer.t_started is None:
-            self._scorer.t_started = t
+        """The scorer's time begins."""
+        super().started(t)
+        self._scorer.t_started = self.t_started
 
-    def take(self, message: Message) -> None:
-        """One message of the daemon or of the rig."""
-        fields = message.fields
-        match message.topic:
+    def _take(self, topic: str, fields: Mapping[str, Any]) -> None:
+        match topic:
             case "palm/estimate":
                 self._take_estimate(fields)
             case "palm/shape":
                 self._scorer.take_shape(fields)
-            case "palm/state":
-                self._state = fields
-            case "palm/loop":
-                self._work_p99_ms.append(fields["work_p99_ms"])
             case "rig/truth":
                 self._truths.append((_seconds(fields), *(fields[name] for name in COMPARED)))
                 self._compare()
@@ -133,7 +166,7 @@ class Comparison:
         parts += [
             f"ticks {self._ticks}",
             f"late > {LATE_S * 1e3:g} ms {self._punctuality.late_share(self._ticks):.2%}",
-            f"work p99 {float(np.median(self._work_p99_ms or [math.nan])):.1f} ms",
+            self._work(),
             f"rig {self._rig}",
         ]
         if self._stalls:

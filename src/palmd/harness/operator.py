@@ -12,9 +12,11 @@ import yaml
 from palmd.bus.command_client import CommandClient
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.harness.processes import StopRequest
+from palmd.quantities import SYSTEM_TOPICS
 
 Status = Mapping[str, Any]
 
+MOTIONS = frozenset(own.motion.name for own in SYSTEM_TOPICS.values())
 AGAIN_S = 1.0
 CALM_S = 0.5
 LOOK_S = 0.25
@@ -44,7 +46,7 @@ class Operator:
 
     def take(self, topic: str, fields: Status) -> None:
         """Every palm/state and palm/motion: a hold or a stop without a fault is somebody's wish."""
-        if topic in ("palm/motion", "palm/pivot_motion"):
+        if topic in MOTIONS:
             self.motion = fields
         elif topic == "palm/state":
             before, now = self.state.get("state"), fields.get("state")

@@ -9,24 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from palmd.bus.subscriber import Message
+from palmd.harness.comparison import AnyComparison
 from palmd.quantities import PIVOT, PIVOT_BODY, PIVOT_SHAPE, PIVOT_TRUTH
 from palmd.score import score_shape
 
-LOOPS = 300
 NEAR_S = 6e-3
 
 
-class PivotComparison:
-    """As `harness.comparison.Comparison`: takes the messages of both, and says in words what has come of it."""
+class PivotComparison(AnyComparison):
+    """Of a pivoting grasp."""
 
     def __init__(self, seed: int, rig: str) -> None:
-        """The rig's `seed`, and how far off it is, in words: to be named in the summary."""
-        self.t_started: float | None = None
-        self._seed, self._rig = seed, rig
+        super().__init__(seed, rig)
         self._t_settled: float | None = None
         self._estimate: Mapping[str, Any] = {}
-        self._state: Mapping[str, Any] = {}
         self._truth: Mapping[str, Any] | None = None
         self._body: Mapping[str, Any] | None = None
         self._shape: Mapping[str, Any] | None = None
@@ -34,34 +30,22 @@ class PivotComparison:
         self._rates: deque[float] = deque(maxlen=6000)
         self._ticks = self._valid = 0
         self._most_n = 0.0
-        self._work_ms: deque[float] = deque(maxlen=LOOPS)
 
     @property
     def settled(self) -> bool:
-        """Whether an estimate has been called valid since the gripper began to move."""
+        """By what is published."""
         return self._t_settled is not None
 
-    def started(self, t: float) -> None:
-        """The gripper begins to move at t (s, monotonic clock), for the first time or again."""
-        if self.t_started is None:
-            self.t_started = t
-
-    def take(self, message: Message) -> None:
-        """One message of the daemon or of the rig."""
-        fields = message.fields
-        if message.topic == PIVOT.name:
+    def _take(self, topic: str, fields: Mapping[str, Any]) -> None:
+        if topic == PIVOT.name:
             self._take_estimate(fields)
-        elif message.topic == PIVOT_SHAPE.name:
+        elif topic == PIVOT_SHAPE.name:
             self._shape = fields
-        elif message.topic == PIVOT_TRUTH.name:
+        elif topic == PIVOT_TRUTH.name:
             self._truth = fields
             self._most_n = max(self._most_n, fields["f1_n"])
-        elif message.topic == PIVOT_BODY.name:
+        elif topic == PIVOT_BODY.name:
             self._body = fields
-        elif message.topic == "palm/state":
-            self._state = fields
-        elif message.topic == "palm/loop":
-            self._work_ms.append(fields["work_p99_ms"])
 
     def _take_estimate(self, fields: Mapping[str, Any]) -> None:
         self._ticks += 1
@@ -78,7 +62,7 @@ class PivotComparison:
             self._rates.append(fields["omega0_rad_s"] - truth["omega0_rad_s"])
 
     def progress(self, t: float) -> str:
-        """How it stands at t (s), in one line."""
+        """One line, with why it is where it is."""
         since = 0.0 if self.t_started is None else t - self.t_started
         estimate, state = self._estimate, self._state
         known = "valid" if estimate.get("valid") else f"not valid: {estimate.get('reason', 'nothing is heard')}"
@@ -86,7 +70,7 @@ class PivotComparison:
         return ", ".join([*parts, str(state.get("reason", ""))])
 
     def summary(self) -> str:
-        """The one line at the end."""
+        """The closing line."""
         if self._t_settled is None or self.t_started is None:
             settled = f"never settled: {self._estimate.get('reason', 'nothing is heard')}"
         else:
@@ -99,7 +83,7 @@ class PivotComparison:
         parts += [
             f"largest force {self._most_n:.2f} N",
             f"ticks {self._ticks}, valid {self._valid}",
-            f"work p99 {float(np.median(self._work_ms or [math.nan])):.1f} ms",
+            self._work(),
         ]
         return "palmd demo: " + ", ".join(parts)
 

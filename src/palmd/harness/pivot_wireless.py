@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from palmd.daemon.core import Core
-from palmd.daemon.pivot_system import PivotGrasp
 from palmd.daemon.planner import Plan
 from palmd.harness.wireless import AtOnce, ClosedLoop
 from palmd.motion.pivot import PivotLimits, compile_pivot_plan
@@ -24,5 +23,5 @@ class PivotWireless(ClosedLoop[PivotWorld]):
         limits, rig = PivotLimits.of(config), pivot_rig(config)
         plan = Plan(spec, compile_pivot_plan(spec, limits), limits, None)
         observer = PivotObserver(rig, SimulatedSmoothing(rig, period_s))
-        core = Core(config, observer, AtOnce(), plan, system=PivotGrasp(config))
+        core = Core(config, observer, AtOnce(), plan)
         super().__init__(PivotWorld(config, seed, kind=kind), core, config.loop.rate_hz)

@@ -16,10 +16,9 @@ import zmq
 
 from palmd.bus.command_client import CommandClient
 from palmd.bus.subscriber import Message, Subscriber
-from palmd.config import BusConfig, Config
+from palmd.config import AnyConfig, BusConfig
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.harness.processes import Child
-from palmd.pivot_config import AnyConfig
 from palmd.system.mechanism import ENDS
 
 START_S = 240.0  # compiling the observers on a slow machine
@@ -225,7 +224,7 @@ def as_yaml(
     What the emulated rig is off by only stands in its own (`emulated`): a daemon is not told.
     """
     values = config.model_dump(mode="json") | {"bus": bus.model_dump(mode="json")}
-    if emulated and isinstance(config, Config):
+    if emulated:
         asked = config.rig.imperfections
         values["rig"]["imperfections"] = asked if isinstance(asked, str) else asked.model_dump()
     if runs is not None:

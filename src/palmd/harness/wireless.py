@@ -25,9 +25,8 @@ from palmd.messages import Fields
 from palmd.motion.check import motion_limits
 from palmd.motion.plan import compile_plan
 from palmd.observer import Observer, ObserverName, Smoothing
-from palmd.rig.emulated import STEP_S
+from palmd.rig.emulated import STEP_S, EmulatedRig
 from palmd.rig.pads import GOOD_PADS, PadOptions
-from palmd.rig.pivot_world import PivotWorld
 from palmd.rig.plant import AS_ASSUMED, PlantOptions
 from palmd.rig.shapes import Body, Kind
 from palmd.rig.world import World
@@ -37,7 +36,7 @@ READY_S = 5.0
 
 P = ParamSpec("P")
 T = TypeVar("T")
-Rig = TypeVar("Rig", bound=World | PivotWorld)
+Rig = TypeVar("Rig", bound=EmulatedRig[Any])
 
 
 class WirelessError(Exception):

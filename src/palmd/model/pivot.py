@@ -8,6 +8,7 @@ frame; ξ is M turned into the world. Friction is B u/√(1 + w u²) of slip u, 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from enum import IntEnum
 from functools import cache
 
@@ -110,6 +111,11 @@ def _sliding(motion: SX, p: SX, u: SX) -> tuple[SX, SX]:
 def library() -> Library:
     """reading, height, rigid_force, slide_force, slide_torque, as `NAME_batch`; made once in a process."""
     return load("pivot", _kernels)
+
+
+def needed(_config: object) -> list[tuple[str, Callable[[], str]]]:
+    """What a pivoting grasp takes, whatever its configuration says: as `palmd.observer.kernels.needed`."""
+    return [("pivoting grasp", lambda: library().backend)]
 
 
 def _kernels() -> list[Kernel]:

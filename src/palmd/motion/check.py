@@ -5,30 +5,32 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 from pydantic import ValidationError
 
-from palmd.config import Config, LimitsConfig, PadBase, PlanSpec
+from palmd.config import AnyConfig, AnyPlanSpec, PadBase
 from palmd.console.folders import nearest
 from palmd.keys import KeysClosedError, KeysError, server_keys
 from palmd.motion.limits import MotionLimits
-from palmd.motion.pivot import PivotLimits, compile_pivot_plan
-from palmd.motion.plan import PlanError, Trajectory, compile_plan
+from palmd.motion.plan import PlanError, PlanForm, Trajectory
 from palmd.motion.segments import Angles
 from palmd.outlinefile import OutlineError, read_library
-from palmd.pivot_config import AnyConfig, PivotConfig, PivotLimitsConfig, PivotPlanSpec
 from palmd.plausibility import implausible
-from palmd.yamlfile import ConfigError, Document, is_plan, names_pivot, parse, read_document
+from palmd.systems import LIVE, load_part
+from palmd.yamlfile import ConfigError, Document, is_plan, parse, parse_config, read_document, system_meant
 
 DEFAULT_PAD_LENGTH_MM: float = PadBase.model_fields["length_mm"].default
 
 
-def motion_limits(config: Config) -> MotionLimits:
+def _form(system: str) -> PlanForm:
+    form: PlanForm = load_part(LIVE[system].plans)
+    return form
+
+
+def motion_limits(config: AnyConfig) -> MotionLimits:
     """The limits that a configuration sets; the arm's workspace is known only when it has said hello."""
-    shortest_mm = min(pad.length_mm for pad in config.pads.each())
-    return MotionLimits.from_config(
-        config.limits, pad_length=shortest_mm * 1e-3, curvatures=config.rig.curvatures_per_m
-    )
+    return _form(config.system).configured(config)
 
 
 def load_trajectory(path: Path, limits: MotionLimits, start: Angles | None = None) -> Trajectory:
@@ -40,20 +42,14 @@ def load_trajectory(path: Path, limits: MotionLimits, start: Angles | None = Non
     return compiled(document, plan_spec(document, limits), limits, start)
 
 
-AnyPlanSpec = PlanSpec | PivotPlanSpec
-
-
 def plan_spec(document: Document, limits: MotionLimits) -> AnyPlanSpec:
     """The plan in a document, in the form that the limits' system has; raises ConfigError."""
-    return parse(document, PivotPlanSpec) if isinstance(limits, PivotLimits) else parse(document, PlanSpec)
+    return parse(document, _form(limits.system).spec)
 
 
 def compile_any(spec: AnyPlanSpec, limits: MotionLimits, start: Angles | None) -> Trajectory:
     """The plan as a trajectory; raises PlanError."""
-    if isinstance(spec, PlanSpec):
-        return compile_plan(spec, limits, start)
-    assert isinstance(limits, PivotLimits), "a plan is read in the form of its limits"
-    return compile_pivot_plan(spec, limits, start)
+    return _form(limits.system).compiled(spec, limits, start)
 
 
 def compiled(document: Document, spec: AnyPlanSpec, limits: MotionLimits, start: Angles | None) -> Trajectory:
@@ -77,47 +73,27 @@ def check_files(paths: Sequence[Path]) -> list[str]:
     documents = _documents(paths, errors)
     plans = [document for document in documents if is_plan(document)]
     configs = [document for document in documents if not is_plan(document)]
-    limits = [] if configs else _default_limits()
-    blind: list[Document] = []  # configurations whose observers know no outline to explore by
+    limits = [] if configs else [_limits(name, {}) for name in LIVE]
+    blind: list[tuple[str, Document]] = []  # configurations, and their systems, whose observers explore by no outline
     for document in configs:
-        if names_pivot(document):
-            errors += _pivot_errors(document, paths, limits, plans)
-            continue
         try:
-            config = parse(document, Config)
+            config = parse_config(document)
         except ConfigError as error:
             errors += error.errors
             limits += _limits_of_faulty(document)
-        else:
-            limits.append(motion_limits(config))
-            blind += [document] if config.observer.primary != "shape" else []
-            errors += implausible(document, config)
-            errors += _outline_errors(document, config)
-            errors += _keys_errors(document, config)
-            errors += _folder_errors(document, config)
-            plans += _documents(_plan_named(document, config, errors, given=paths), errors)
+            continue
+        limits.append(motion_limits(config))
+        blind += [] if config.explores else [(config.system, document)]
+        errors += implausible(document, config)
+        errors += _outline_errors(document, config)
+        errors += _keys_errors(document, config)
+        errors += _folder_errors(document, config)
+        plans += _documents(_plan_named(document, config, errors, given=paths), errors)
     for document in plans:
         meant = [each for each in limits if _of_its_system(document, each)] or limits[:1]
         errors += _plan_errors(document, meant)
-        if not any(isinstance(each, PivotLimits) for each in meant):
-            errors += _blind_errors(document, blind)
-    return errors
-
-
-def _pivot_errors(
-    document: Document, paths: Sequence[Path], limits: list[MotionLimits], plans: list[Document]
-) -> list[str]:
-    """What is wrong with the configuration of a pivoting grasp; its limits and its plan are for the plans' check."""
-    errors: list[str] = []
-    try:
-        config = parse(document, PivotConfig)
-    except ConfigError as error:
-        return error.errors
-    limits.append(PivotLimits.of(config))
-    errors += implausible(document, config)
-    errors += _keys_errors(document, config)
-    errors += _folder_errors(document, config)
-    plans += _documents(_plan_named(document, config, errors, given=paths), errors)
+        systems = {each.system for each in meant}
+        errors += _blind_errors(document, [each for name, each in blind if systems == {name}])
     return errors
 
 
@@ -131,11 +107,11 @@ def _documents(paths: Iterable[Path], errors: list[str]) -> list[Document]:
     return documents
 
 
-def _outline_errors(document: Document, config: Config) -> list[str]:
+def _outline_errors(document: Document, config: AnyConfig) -> list[str]:
     """What is wrong with the stored outlines that a configuration names."""
     try:
-        if config.observer.shape is not None:
-            read_library(config.observer.shape)
+        if config.outlines is not None:
+            read_library(config.outlines)
     except OutlineError as error:
         return [document.line(document.place(("observer", "shape")), f"observer.shape: {error}")]
     return []
@@ -202,20 +178,19 @@ def _plans_beside(plan: Path) -> list[Path]:
         return []
 
 
-def _default_limits() -> list[MotionLimits]:
-    """Of each system."""
-    two_palms = MotionLimits.from_config(LimitsConfig(), pad_length=DEFAULT_PAD_LENGTH_MM * 1e-3)
-    return [two_palms, PivotLimits.over(PivotLimitsConfig(), DEFAULT_PAD_LENGTH_MM)]
+def _limits(system: str, section: Any) -> MotionLimits:
+    """What a section of limits sets over usual pads; raises ValidationError."""
+    form = _form(system)
+    return form.over(form.section.model_validate(section), DEFAULT_PAD_LENGTH_MM)
 
 
 def _limits_of_faulty(document: Document) -> list[MotionLimits]:
     """The limits of a configuration that is wrong elsewhere, so that its plans are checked all the same."""
     section = document.data.get("limits", {}) if isinstance(document.data, dict) else None
     try:
-        limits = LimitsConfig.model_validate(section)
-    except ValidationError:
+        return [_limits(system_meant(document), section)]
+    except (ConfigError, ValidationError):
         return []
-    return [MotionLimits.from_config(limits, pad_length=DEFAULT_PAD_LENGTH_MM * 1e-3)]
 
 
 def _of_its_system(plan: Document, limits: MotionLimits) -> bool:

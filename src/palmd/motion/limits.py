@@ -9,12 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 from palmd.config import LimitsConfig
 from palmd.events import Joints, PalmMotion
 from palmd.motion.kinematics import RigGeometry
 from palmd.system.arcs import FLAT, opening_at
 from palmd.system.mechanism import JOINTS, OPENING, PALMS, directions
+from palmd.systems import TWO_PALMS
 
 PHI12_MAX = math.radians(172.0)  # two contacts need φ12 < 180°; here it must stay below this
 SMALL_RADIUS = 0.010  # an object no smaller than this shall find pad under it
@@ -117,6 +119,9 @@ class MotionLimits:
     pad_length: how far along a palm, from the hinge, a contact is felt. workspace: None while no arm has said
     what it can do. stop_deceleration: of each angle when the motion is held; None: as much as the arm allows.
     """
+
+    system: ClassVar[str] = TWO_PALMS
+    """Whose they are, by the table of `palmd.systems`."""
 
     angles: tuple[tuple[float, float], ...]
     rate: float

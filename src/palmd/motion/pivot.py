@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 from palmd.events import PalmMotion
 from palmd.motion.exploration import Exploration
 from palmd.motion.limits import MotionLimits, QuantityLimit, problems, ranges
-from palmd.motion.plan import Loc, PlanError, Round, Trajectory
+from palmd.motion.plan import Loc, PlanError, PlanForm, Round, Trajectory
 from palmd.motion.segments import Angles, Hold, MotionSegment, Move
 from palmd.pivot_config import (
     PivotConfig,
@@ -19,7 +20,7 @@ from palmd.pivot_config import (
     PivotPlace,
     PivotPlanSpec,
 )
-from palmd.system.pivot import AXES
+from palmd.system.pivot import AXES, SYSTEM
 
 _MM = 1e3
 
@@ -30,6 +31,8 @@ class PivotLimits(MotionLimits):
 
     force: what the body may press on the pad (N).
     """
+
+    system: ClassVar[str] = SYSTEM
 
     force: float = math.inf
 
@@ -139,3 +142,7 @@ def _target(place: PivotPlace, pose: Angles) -> Angles:
 
 def _label(spec: PivotMoveSpec | PivotHoldSpec | PivotExploreSpec) -> str:
     return next(iter(type(spec).model_fields))
+
+
+PLANS = PlanForm(PivotPlanSpec, PivotLimitsConfig, PivotLimits.of, PivotLimits.over, compile_pivot_plan)
+"""Of a pivoting grasp."""

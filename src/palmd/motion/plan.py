@@ -10,23 +10,28 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
+from typing import Any
 
 from palmd.config import (
     MAX_DURATION_S,
     SEGMENT_KINDS,
+    AnyPlanSpec,
+    Config,
     DitherSpec,
     ExploreSpec,
     HoldSpec,
     JointValues,
+    LimitsConfig,
     MoveSpec,
     PalmAngles,
     PlanSpec,
     RateSpec,
     SegmentSpec,
     SineSpec,
+    Strict,
 )
 from palmd.events import PalmMotion
 from palmd.motion.exploration import Exploration
@@ -170,6 +175,21 @@ class Trajectory:
         if not math.isinf(self.duration):  # at the very end: the end of the last pass, not the start of another
             passes = min(passes, round((self.duration - before) / last.duration) - 1)
         return last, tau - before - passes * last.duration
+
+
+@dataclass(frozen=True, slots=True)
+class PlanForm:
+    """What a system's plans are: how they are written, what limits them, and what becomes of them."""
+
+    spec: type[AnyPlanSpec]
+    section: type[Strict]
+    """The configuration's `limits`."""
+    configured: Callable[[Any], MotionLimits]
+    """The limits of a configuration."""
+    over: Callable[[Any, float], MotionLimits]
+    """The limits of such a section, over pads of a length (mm)."""
+    compiled: Callable[[Any, Any, Angles | None], Trajectory]
+    """The trajectory of a plan within limits, for a rig that stands there (None: unknown); raises PlanError."""
 
 
 def compile_plan(spec: PlanSpec, limits: MotionLimits, start: Angles | None = None) -> Trajectory:
@@ -451,3 +471,20 @@ def _slowing(
         if bound.order > 0:
             factor = max(factor, (max(-low, high) / max(most, _SMALL)) ** (1.0 / bound.order))
     return factor
+
+
+def _configured(config: Config) -> MotionLimits:
+    shortest_mm = min(pad.length_mm for pad in config.pads.each())
+    return MotionLimits.from_config(
+        config.limits, pad_length=shortest_mm * 1e-3, curvatures=config.rig.curvatures_per_m
+    )
+
+
+PLANS = PlanForm(
+    PlanSpec,
+    LimitsConfig,
+    _configured,
+    lambda section, length_mm: MotionLimits.from_config(section, pad_length=length_mm * 1e-3),
+    compile_plan,
+)
+"""Of two palms."""

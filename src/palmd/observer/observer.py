@@ -4,12 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from palmd.events import Estimate, Event, Improvement, ObjectEstimate, Outlook, ShapeEstimate, Unexplained
-from palmd.system.pivot import PivotAnswer, PivotEstimate, Touching
-
-LiveEstimate = Estimate | PivotEstimate
-LiveAnswer = Improvement | Unexplained | PivotAnswer
-"""What the observers of all systems say, and their smoothers."""
+from palmd.events import Estimate, Event, Improvement, LiveEstimate, ObjectEstimate, Outlook, ShapeEstimate, Unexplained
 
 
 class LiveObserver(Protocol):
@@ -46,7 +41,7 @@ class LiveObserver(Protocol):
     def feed(self, event: Event) -> None:
         """Take one event, at its own time; one too late for that is counted and dropped."""
 
-    def improve(self, t: float) -> LiveAnswer | None:
+    def improve(self, t: float) -> object:
         """Exchange with the smoother beside the loop; what it has answered, each answer once. None without one."""
 
     def estimate(self, t: float) -> LiveEstimate:
@@ -59,7 +54,7 @@ class LiveObserver(Protocol):
     def foresees(self) -> bool:
         """Whether there is an outlook, of an estimate that need not be valid yet."""
 
-    def outlook(self, t: float) -> Outlook | Touching | None:
+    def outlook(self, t: float) -> object:
         """What is known for choosing motions, None unless it `foresees`."""
 
     def identify(self, t: float) -> ObjectEstimate | None:

@@ -11,11 +11,11 @@ from pathlib import Path
 import yaml
 
 from palmd import __version__
-from palmd.config import config_hash, rig_description
+from palmd.config import AnyConfig, config_hash
 from palmd.outlinefile import SUFFIXES
-from palmd.pivot_config import AnyConfig, PivotConfig, pivot_rig
 from palmd.quantities import SCHEMA
 from palmd.record.mcapfile import Preface
+from palmd.systems import LIVE, load_part
 
 METADATA = "palmd"
 CONFIG, RIG, OUTLINES = "config.yaml", "rig.json", "outlines/"
@@ -37,13 +37,12 @@ def preface(config: AnyConfig, started: str, continues: str = "") -> Preface:
         "started": started,
         "continues": continues,
     }
-    rig = pivot_rig(config) if isinstance(config, PivotConfig) else rig_description(config)
-    stored = None if isinstance(config, PivotConfig) else config.observer.shape
+    rig = load_part(LIVE[config.system].description)(config)
     attachments = {
         CONFIG: yaml.safe_dump(config.model_dump(mode="json"), allow_unicode=True).encode(),
         RIG: json.dumps(asdict(rig)).encode(),
     }
-    return Preface({METADATA: metadata}, attachments | _outlines(stored))
+    return Preface({METADATA: metadata}, attachments | _outlines(config.outlines))
 
 
 def _outlines(path: Path | None) -> dict[str, bytes]:

@@ -8,24 +8,18 @@ from __future__ import annotations
 
 import math
 import platform
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
-from typing import Generic, TypeVar
 
 import msgpack
 
-from palmd import __version__, observer, pivot_messages
+from palmd import __version__
 from palmd.blas import one_thread
-from palmd.events import Estimate, Improvement, Unexplained
-from palmd.messages import Fields, estimate_fields
-from palmd.observer.observer import LiveObserver
-from palmd.observer.pivot.live import PivotObserver
-from palmd.quantities import ESTIMATE, EVENTS, LOOP, PIVOT, PIVOT_EVENTS
-from palmd.record.run import PivotRun, Run, RunError
+from palmd.messages import Fields
+from palmd.quantities import LOOP
+from palmd.record.run import AnyRun, RunError
 from palmd.record.tables import flat
-
-Answer = TypeVar("Answer")
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,39 +41,17 @@ class Checked:
     differences: tuple[Difference, ...]
 
 
-class _RecordedAnswers(Generic[Answer]):
-    """The smoother's answers in the ticks in which they came."""
-
-    def __init__(self, answers: Iterable[tuple[float, Answer]]) -> None:
-        self._answers = dict(answers)
-
-    def submit(self, t: float, *_: object) -> None:
-        pass
-
-    def collect(self, t: float) -> Answer | None:
-        return self._answers.get(t)
-
-
 class Recheck:
     """The observer that a run was made with, given the same again."""
 
-    def __init__(self, run: Run | PivotRun) -> None:
+    def __init__(self, run: AnyRun) -> None:
         """Raises RunError for a run without events or estimates; takes seconds when C has to be compiled."""
-        self._run = run
-        self._told = PIVOT if isinstance(run, PivotRun) else ESTIMATE
-        run.require(PIVOT_EVENTS if isinstance(run, PivotRun) else EVENTS, self._told)
-        self._observer: LiveObserver
-        if isinstance(run, PivotRun):
-            self._observer = PivotObserver(run.rig, _RecordedAnswers(run.answers()))
-            return
-        settings = run.config.observer
-        answers: list[tuple[float, Improvement | Unexplained]] = [*run.improvements(), *run.unexplained()]
-        smoothing = _RecordedAnswers(answers) if settings.smoother else None
-        self._observer = observer.make(settings.primary, run.rig, smoothing=smoothing, outlines=run.outlines())
+        run.require(run.topics.events, run.topics.estimate)
+        self._run, self._observer = run, run.observer()
 
     def ticks(self) -> Iterator[Checked]:
         """Every recorded tick from the first up to a missing one; raises RunError when the first is not there."""
-        estimates = (message.fields for message in self._run.messages(self._told.name))
+        estimates = (message.fields for message in self._run.messages(self._run.topics.estimate.name))
         recorded = next(estimates, None)
         for number, tick in enumerate(self._run.ticks()):
             if tick.number != number:
@@ -93,7 +65,7 @@ class Recheck:
                     self._observer.feed(event)
                 self._observer.improve(tick.t)
                 said = self._observer.estimate(tick.t)
-            now = estimate_fields(said) if isinstance(said, Estimate) else pivot_messages.estimate_fields(said)
+            now = self._run.said(said)
             t_ns = round(tick.t * 1e9)
             while recorded is not None and recorded["mono_ns"] < t_ns:
                 recorded = next(estimates, None)

@@ -15,9 +15,8 @@ from typing import Any
 
 from palmd.bus.command_client import CommandClient
 from palmd.bus.subscriber import Subscriber
-from palmd.config import from_here
+from palmd.config import AnyConfig, from_here
 from palmd.keys import Credentials
-from palmd.pivot_config import AnyConfig
 from palmd.record.recording import Ended, Recording
 
 LOOK_S = 0.05  # between looks at the clock when nothing comes

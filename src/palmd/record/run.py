@@ -4,29 +4,39 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import yaml
 from pydantic import TypeAdapter
 
-from palmd import pivot_messages
-from palmd.config import Config
-from palmd.events import Event, Improvement, Unexplained
-from palmd.messages import Fields, events_of, improvement_of
+from palmd.config import AnyConfig, Config
+from palmd.events import Estimate, Event, Improvement, Unexplained
+from palmd.messages import Fields, estimate_fields, events_of, improvement_of
+from palmd.observer.observer import LiveObserver, Observer
 from palmd.outlinefile import Outline, OutlineError, read_library
-from palmd.pivot_config import PivotConfig
-from palmd.quantities import EVENTS, IMPROVEMENT, PIVOT_ANSWER, PIVOT_EVENTS, SCHEMA, UNEXPLAINED, Topic
+from palmd.quantities import EVENTS, IMPROVEMENT, SCHEMA, SYSTEM_TOPICS, UNEXPLAINED, SystemTopics, Topic
 from palmd.record import SUFFIX
 from palmd.record.eventlog import EventLog
 from palmd.record.mcapfile import MAGIC, Preface, RawMessage, RunError, Tail, is_finished, read_messages, read_preface
 from palmd.record.metadata import CONFIG, METADATA, OUTLINES, RIG
 from palmd.system.description import RigDescription
-from palmd.system.pivot import SYSTEM, PivotAnswer, PivotRig
+from palmd.systems import LIVE, TWO_PALMS, for_two_palms_only, load_part
 
-__all__ = ["AnyRun", "FedTick", "PivotRun", "Run", "RunError", "Survey", "is_recording", "read_any_run", "read_run"]
+__all__ = [
+    "AnyRun",
+    "FedTick",
+    "RecordedAnswers",
+    "Run",
+    "RunError",
+    "Survey",
+    "is_recording",
+    "read_any_run",
+    "read_run",
+]
 
 Read = TypeVar("Read")
 
@@ -52,17 +62,40 @@ class Survey:
 
 
 @dataclass(frozen=True, slots=True)
-class AnyRun:
+class AnyRun(ABC):
     """A recording of whichever system. `complete` says whether it was finished.
 
     What is read lazily may raise RunError or OSError. `metadata` holds versions, the configuration's hash, and which
-    run it continues.
+    run it continues. `rig` is what the observer was told.
     """
+
+    system: ClassVar[str]
+    described: ClassVar[type]
+    """What `rig` is."""
 
     path: Path
     complete: bool
     metadata: Mapping[str, str]
     preface: Preface
+    config: Any
+    rig: Any
+
+    @property
+    def topics(self) -> SystemTopics:
+        """Those of its system."""
+        return SYSTEM_TOPICS[self.system]
+
+    @abstractmethod
+    def ticks(self) -> Iterator[FedTick]:
+        """Every recorded tick with its events, bit for bit; an observer is in the same state only from number 0 on."""
+
+    @abstractmethod
+    def observer(self) -> LiveObserver:
+        """The one that it was made with, as it began, hearing the smoother's recorded answers."""
+
+    @abstractmethod
+    def said(self, estimate: Any) -> Fields:
+        """Its estimate as it is published."""
 
     def messages(self, *topics: str, tail: Tail | None = None) -> Iterator[RawMessage]:
         """All messages, or those of these topics, as they were received; `tail` learns of a torn end."""
@@ -105,35 +138,49 @@ class AnyRun:
         return self._read(topic, lambda fields: FedTick(fields["t_tick_s"], told(fields), fields["seq"]))
 
 
-@dataclass(frozen=True, slots=True)
-class PivotRun(AnyRun):
-    """A recording of a pivoting grasp; `rig` is what the observer was told."""
+class RecordedAnswers(Generic[Read]):
+    """The smoother's answers in the ticks in which they came, for an observer that hears them again."""
 
-    config: PivotConfig
-    rig: PivotRig
+    def __init__(self, answers: Iterable[tuple[float, Read]]) -> None:
+        self._answers = dict(answers)
 
-    def ticks(self) -> Iterator[FedTick]:
-        """Every recorded tick with its events, bit for bit."""
-        return self._fed(PIVOT_EVENTS, pivot_messages.events_of)
+    def submit(self, t: float, *_: object) -> None:
+        """They are what they were."""
 
-    def answers(self) -> Iterator[tuple[float, PivotAnswer]]:
-        """What the smoother beside the loop had to say, with the time (s) of the tick in which it was heard."""
-        return self._read(PIVOT_ANSWER, lambda fields: (fields["t_tick_s"], pivot_messages.answer_of(fields)))
+    def collect(self, t: float) -> Read | None:
+        """That of the tick at t (s)."""
+        return self._answers.get(t)
 
 
 @dataclass(frozen=True, slots=True)
 class Run(AnyRun):
-    """A recording of two palms. `rig` is what the observer was told.
+    """A recording of two palms.
 
     The configuration's `observer.shape` is left out: `outlines` has what was in it.
     """
+
+    system: ClassVar[str] = TWO_PALMS
+    described: ClassVar[type] = RigDescription
 
     config: Config
     rig: RigDescription
 
     def ticks(self) -> Iterator[FedTick]:
-        """Every recorded tick with its events, bit for bit; an observer is in the same state only from number 0 on."""
+        """By `palm/events`."""
         return self._fed(EVENTS, events_of)
+
+    def observer(self) -> Observer:
+        """As configured."""
+        from palmd import observer
+
+        settings = self.config.observer
+        answers: list[tuple[float, Improvement | Unexplained]] = [*self.improvements(), *self.unexplained()]
+        smoothing = RecordedAnswers(answers) if settings.smoother else None
+        return observer.make(settings.primary, self.rig, smoothing=smoothing, outlines=self.outlines())
+
+    def said(self, estimate: Estimate) -> Fields:
+        """`palm/estimate`."""
+        return estimate_fields(estimate)
 
     def events(self) -> Iterator[tuple[float, Event]]:
         """Every event with the time (s) of the tick in which the observer was fed it."""
@@ -195,15 +242,13 @@ def is_recording(path: Path) -> bool:
 def read_run(path: Path) -> Run:
     """The recording of two palms in a file, finished or not; raises RunError as `read_any_run`, and for others."""
     run = read_any_run(path)
-    if isinstance(run, PivotRun):
-        raise RunError(
-            f"{path}: is of a pivoting grasp, and this is for two palms on a hinge only; palmd replay shows it,"
-            " with --check again through its observer"
-        )
+    if not isinstance(run, Run):
+        why = for_two_palms_only(run.system)
+        raise RunError(f"{path}: {why}; palmd replay shows it, with --check again through its observer")
     return run
 
 
-def read_any_run(path: Path) -> Run | PivotRun:
+def read_any_run(path: Path) -> AnyRun:
     """The recording in a file, finished or not; raises RunError when it cannot be used.
 
     That is a file that cannot be read, is no MCAP file, none of palmd's, of another schema version, or holds no
@@ -226,14 +271,13 @@ def read_any_run(path: Path) -> Run | PivotRun:
         why = "the recording was finished before any came" if complete else "it is cut off before the first"
         raise RunError(f"{path}: holds no messages: {why}")
     values = _config_values(path, preface)
-    pivots = isinstance(values.get("rig"), dict) and values["rig"].get("system") == SYSTEM
-    try:
-        if pivots:
-            told = TypeAdapter(PivotRig).validate_python(json.loads(preface.attachments[RIG]))
-            return PivotRun(path, complete, metadata, preface, PivotConfig.model_validate(values), told)
-        return Run(path, complete, metadata, preface, _config(path, values), _rig(path, preface))
-    except ValueError as error:
-        raise RunError(f"{path}: its configuration cannot be read: {str(error).splitlines()[0]}") from None
+    rig = values.get("rig")
+    named = str(rig.get("system", TWO_PALMS)) if isinstance(rig, dict) else TWO_PALMS
+    if named not in LIVE:
+        raise RunError(f"{path}: is of a system that this palmd does not know: {named}")
+    kind: type[AnyRun] = load_part(LIVE[named].recording)
+    config = _config(path, load_part(LIVE[named].config), values)
+    return kind(path, complete, metadata, preface, config, _rig(path, preface, kind.described))
 
 
 def _config_values(path: Path, preface: Preface) -> dict[str, Any]:
@@ -246,16 +290,17 @@ def _config_values(path: Path, preface: Preface) -> dict[str, Any]:
         raise RunError(f"{path}: its configuration cannot be read: {str(error).splitlines()[0]}") from None
 
 
-def _config(path: Path, values: dict[str, Any]) -> Config:
+def _config(path: Path, model: type[AnyConfig], values: dict[str, Any]) -> AnyConfig:
     try:
-        values["observer"]["shape"] = None  # a path on the machine that recorded it
-        return Config.model_validate(values)
-    except (KeyError, TypeError, ValueError, RecursionError) as error:
+        if "observer" in values:
+            values["observer"]["shape"] = None  # a path on the machine that recorded it
+        return model.model_validate(values)
+    except (TypeError, ValueError, RecursionError) as error:
         raise RunError(f"{path}: its configuration cannot be read: {str(error).splitlines()[0]}") from None
 
 
-def _rig(path: Path, preface: Preface) -> RigDescription:
+def _rig(path: Path, preface: Preface, described: type) -> Any:
     try:
-        return TypeAdapter(RigDescription).validate_python(json.loads(preface.attachments[RIG]))
+        return TypeAdapter(described).validate_python(json.loads(preface.attachments[RIG]))
     except (KeyError, ValueError) as error:
         raise RunError(f"{path}: its description of the rig cannot be read: {str(error).splitlines()[0]}") from None

@@ -35,10 +35,11 @@ import msgpack
 import numpy as np
 import zmq
 
+from palmd.config import AnyConfig
 from palmd.messages import stamp
-from palmd.pivot_config import PivotConfig
 from palmd.quantities import BODY, RIG_TOPICS, STALL, TRUTH, Topic
 from palmd.rig import uinput
+from palmd.rig.emulated import EmulatedRig
 from palmd.rig.fault_injection import (
     ALL_FAULTS,
     PADS,
@@ -48,12 +49,12 @@ from palmd.rig.fault_injection import (
     parse,
 )
 from palmd.rig.line import PtyLine
-from palmd.rig.pivot_world import PivotWorld
 from palmd.rig.roller import KINDS as ROLLERS
 from palmd.rig.shapes import KINDS, Body, cylinder
 from palmd.rig.tally import Listener
 from palmd.rig.uinput import UinputLine
-from palmd.rig.world import World, default_config
+from palmd.rig.world import default_config
+from palmd.systems import LIVE, SYSTEMS, load_part
 from palmd.yamlfile import ConfigError, load_any_config
 
 PERIOD_S = 1e-3
@@ -101,15 +102,7 @@ def run_rig(arguments: argparse.Namespace) -> int:
     try:
         config = load_any_config(arguments.config) if arguments.config else default_config()
         t = time.monotonic()
-        marbles, cylinders = MARBLES.get(arguments.marble, ()), arguments.cylinder
-        empty = {"roller": arguments.roller, "by_hand": arguments.by_hand}
-        world: World | PivotWorld
-        if isinstance(config, PivotConfig):
-            if marbles or cylinders or any(empty.values()):
-                raise ValueError("marble, cylinder, roller and by-hand are for two palms; this is a pivoting grasp")
-            world = PivotWorld(config, seed, kind=arguments.kind, t=t)
-        else:
-            world = World(config, seed, kind=arguments.kind, marbles=marbles, bodies=cylinders, t=t, **empty)
+        world = _world(config, seed, arguments, t)
         for text in arguments.mischief:
             world.mischief.add(parse(text, t))
     except (ConfigError, ValueError) as error:
@@ -133,6 +126,22 @@ def run_rig(arguments: argparse.Namespace) -> int:
         if arguments.ports is None:
             shutil.rmtree(folder, ignore_errors=True)
     return 0
+
+
+def _world(config: AnyConfig, seed: int, arguments: argparse.Namespace, t: float) -> EmulatedRig[Any]:
+    made = load_part(LIVE[config.system].rig)
+    gauges = {
+        "marbles": MARBLES.get(arguments.marble),
+        "bodies": arguments.cylinder,
+        "roller": arguments.roller,
+        "by_hand": arguments.by_hand,
+    }
+    asked = {name: gauge for name, gauge in gauges.items() if gauge}
+    if not asked.keys() <= made.gauges:
+        words = SYSTEMS[config.system].words
+        raise ValueError(f"marble, cylinder, roller and by-hand are for two palms; this is {words}")
+    world: EmulatedRig[Any] = made(config, seed, kind=arguments.kind, t=t, **asked)
+    return world
 
 
 def _folder(given: Path | None) -> Path:
@@ -173,9 +182,7 @@ class StopSignal:
 class RigProcess:
     """The world behind its ports and sockets. Ports are links in `folder`, as udev would name them."""
 
-    def __init__(
-        self, world: World | PivotWorld, folder: Path, stop: StopSignal, *, input_devices: bool = False
-    ) -> None:
+    def __init__(self, world: EmulatedRig[Any], folder: Path, stop: StopSignal, *, input_devices: bool = False) -> None:
         """With `input_devices` what is no serial line is an input device of the kernel's."""
         self.world = world
         self.ticks = self.late_ticks = self.stalls = 0

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
 from palmd.config import EvdevConfig, StripConfig, VersaPadConfig
+from palmd.quantities import Topic
 from palmd.rig.actuators import LineDevice
 from palmd.rig.evdevs import EvdevEmulator
 from palmd.rig.fault_injection import FaultOrder, PortName, Switchboard
@@ -35,6 +36,10 @@ class EmulatedRig(ABC, Generic[Arm]):
     """Pads and an arm, each on a port. Times are seconds on one clock of the caller's choice, never running back."""
 
     step_s = STEP_S
+    topics: ClassVar[tuple[Topic, Topic]]
+    """What `truth` and `object_truth` are published as."""
+    gauges: ClassVar[frozenset[str]] = frozenset()
+    """By which arguments of its own it is made with something for calibration instead of a random body."""
     seed: int
     kind: Kind
     objects = 0
@@ -101,6 +106,18 @@ class EmulatedRig(ABC, Generic[Arm]):
             **{f"{port}_bytes_waiting": wire.waiting for port, wire in self._out.items()},
             **self._arm.status(),
         }
+
+    def truth(self) -> dict[str, Any]:
+        """What is really there at `t`."""
+        return {}
+
+    def object_truth(self) -> dict[str, Any]:
+        """The body itself."""
+        return {}
+
+    def new_object(self) -> None:
+        """A hand exchanges the body, where there is one."""
+        return
 
     @abstractmethod
     def _step(self) -> None:

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from operator import add
 from typing import Any, TypeVar
 
 import numpy as np
 
-from palmd.config import Config, PadImperfectionsConfig, Strict, rig_description
+from palmd.config import AnyConfig, Config, PadImperfectionsConfig, Strict, rig_description
 from palmd.events import Joints, PalmMotion
-from palmd.pivot_config import PivotConfig, pivot_rig
 from palmd.system.description import CALIBRATION_KEYS, RigDescription
 from palmd.system.mechanism import JOINTS, PALMS
 
 Section = TypeVar("Section", bound=Strict)
-Described = TypeVar("Described", bound=Config | PivotConfig)
+Described = TypeVar("Described", bound=AnyConfig)
 
 _MOST_SIGMAS = 3.0  # what calibration leaves is never further off than this
 _MOST_ASYMMETRY = 0.9  # of a drawn friction: both palms rub
@@ -126,15 +125,6 @@ def configured(config: Config, seed: int) -> Imperfections:
         asked.friction_asymmetry,
         asked.vibration_m_s2,
     )
-
-
-def configured_pivot(config: PivotConfig, seed: int) -> Imperfections:
-    """As `configured`, of a pivoting grasp: its one pad, and in `angles` how its surface rises along the arm's x."""
-    if config.rig.imperfections == "none":
-        return Imperfections((PadImperfection(),), (0.0,))
-    rig = pivot_rig(config)
-    off = drawn(RigDescription(angle_sd=rig.angle_sd, pads=(rig.pad,)), seed)
-    return replace(off, angles=off.angles[:1])
 
 
 def perfect(config: Described) -> Described:

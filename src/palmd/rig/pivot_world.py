@@ -14,15 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from palmd.pivot_config import PivotConfig
+from palmd.pivot_config import PivotConfig, pivot_rig
 from palmd.quantities import PIVOT_BODY, PIVOT_TRUTH
 from palmd.rig.emulated import EMULATORS, STEP_S, EmulatedRig
 from palmd.rig.fault_injection import FaultOrder, PortName
-from palmd.rig.imperfections import configured_pivot
+from palmd.rig.imperfections import Imperfections, PadImperfection, drawn
 from palmd.rig.pads import GOOD_PADS, PadOptions, Press
 from palmd.rig.pivot import Axis, Grasp
 from palmd.rig.pivot_arm import PivotArm
 from palmd.rig.shapes import Kind, random_body
+from palmd.system.description import RigDescription
 
 PAD = "pad1"
 FARTHEST_M, NEAREST_M = 9e-3, 5e-3  # of the pivot from the centre of mass
@@ -32,6 +33,15 @@ LEVER_M = 3e-4  # below which the body is jammed
 TURNED_S, CLEAR_M = 1.0, 2e-3  # what a hand takes to tilt it, and how high it must have been lifted
 TILTED = 0.75  # share of the largest lever on a side that the hand tilts it to, or more
 _STEPS_A_TURN = 1440
+
+
+def configured_imperfections(config: PivotConfig, seed: int) -> Imperfections:
+    """Of the one pad, and in `angles` how its surface rises along the arm's x; `calibrated` is drawn by `seed`."""
+    if config.rig.imperfections == "none":
+        return Imperfections((PadImperfection(),), (0.0,))
+    rig = pivot_rig(config)
+    off = drawn(RigDescription(angle_sd=rig.angle_sd, pads=(rig.pad,)), seed)
+    return replace(off, angles=off.angles[:1])
 
 
 class PivotWorld(EmulatedRig[PivotArm]):
@@ -49,7 +59,7 @@ class PivotWorld(EmulatedRig[PivotArm]):
         self.config, self.seed, self.kind = config, seed, kind
         self.contact_losses = self.jams = 0
         self.most_force = 0.0
-        self.imperfections = configured_pivot(config, seed)
+        self.imperfections = configured_imperfections(config, seed)
         self._off = self.imperfections.pads[0]
         rng, pad = np.random.default_rng(seed), config.pads.palm1
         arm = PivotArm(config, rng, step_s=STEP_S)

@@ -50,6 +50,7 @@ class World(EmulatedRig[EmulatedActuator]):
     """See the module."""
 
     topics = (TRUTH, BODY)
+    gauges = frozenset({"marbles", "bodies", "roller", "by_hand"})
 
     def __init__(
         self,

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from palmd.events import FloatArray, PadSample
+from palmd.events import FloatArray, LiveEstimate, PadSample
 from palmd.system.description import PadSensor
 from palmd.system.naming import Naming
 
@@ -77,7 +77,7 @@ NAMING = Naming(AXES, "m", (PAD,))
 
 
 @dataclass(frozen=True, slots=True)
-class PivotEstimate:
+class PivotEstimate(LiveEstimate):
     """What is known of a pivoting grasp at one instant `t`; SI units, NaN for no value.
 
     x, z: of the pivot. s: where the pad is touched; e = s − x. psi, omega0: the body's orientation, 0 at the first
@@ -86,10 +86,6 @@ class PivotEstimate:
     reason: why it is not valid, in words. sd: one-sigma of each field it names.
     """
 
-    t: float
-    valid: bool
-    observer: str
-    object_count: int
     x: float
     z: float
     s: float
@@ -100,10 +96,8 @@ class PivotEstimate:
     mu: float
     moment: float
     side: int
-    nis: float
     touched: float
     reason: str
-    sd: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,31 +5,22 @@ from __future__ import annotations
 from palmd.bus.subscriber import Subscriber
 from palmd.keys import Credentials
 from palmd.quantities import (
-    CONTACT,
-    ESTIMATE,
-    INFO,
     LOG,
     LOOP,
-    MOTION,
     OBJECT,
-    PIVOT,
-    PIVOT_CONTACT,
-    PIVOT_INFO,
-    PIVOT_MOTION,
-    PIVOT_SHAPE,
     REPLAY,
     RIG,
     RIG_TOPICS,
-    SHAPE,
     STATE,
+    SYSTEM_TOPICS,
 )
 
 Payload = tuple[str, bytes]
 """A topic and its payload, a msgpack map as it came."""
 
-_SHOWN = (ESTIMATE, SHAPE, OBJECT, CONTACT, MOTION, STATE, LOOP, INFO, RIG, LOG, REPLAY, *RIG_TOPICS)
-_PIVOTS = (PIVOT, PIVOT_SHAPE, PIVOT_CONTACT, PIVOT_MOTION, PIVOT_INFO)
-TOPICS = tuple(topic.name for topic in (*_SHOWN, *_PIVOTS))
+_OF_ALL = (OBJECT, STATE, LOOP, RIG, LOG, REPLAY, *RIG_TOPICS)
+_OF_EACH = [(own.estimate, own.shape, own.contact, own.motion, own.info) for own in SYSTEM_TOPICS.values()]
+TOPICS = tuple(topic.name for topics in (_OF_ALL, *_OF_EACH) for topic in topics)
 """What the page shows; the other topics are not even sent to us."""
 
 QUEUED_MESSAGES = 1000  # two seconds' worth, should we be held up

@@ -104,6 +104,18 @@ def test_status_of_a_rig_that_is_not_there():
     ]
 
 
+def test_status_of_a_pivoting_gripper_is_told_with_and_without_its_arm():
+    known = {"valid": False, "observer": "pivot", "object": 1, "touched": 0.25, "nis": 1.0, "reason": "why not",
+             "z_m": 0.018, "s1_m": None, "e_m": None, "psi_rad": None, "omega0_rad_s": None, "f1_n": None, "mu": None,
+             "sd": {"z_m": 2e-5}}  # fmt: skip
+    silent = told("status", STATUS | {"estimate": known})
+    assert "\nobject  not valid: why not; 25% of the normals felt\n        z 18.00 ± 0.02 mm\n" in silent
+    assert "pivot   " not in silent
+    assert "\npivot   x 20.0 mm, z 18.0 mm\nobject" in told(
+        "status", STATUS | {"estimate": known, "x_m": 0.02, "z_m": 0.018}
+    )
+
+
 def test_a_plan_goes_along_and_what_is_no_file_here_is_a_name_over_there(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with daemon(tmp_path, granted) as (address, requests):

@@ -13,7 +13,7 @@ from palmd.harness.comparison import Comparison, Punctuality
 from palmd.harness.operator import AGAIN_S, CALM_S, Operator
 from palmd.harness.stack import as_yaml, free_addresses
 from palmd.motion.check import check_files
-from palmd.yamlfile import load_config
+from palmd.yamlfile import load_any_config, load_config
 
 # -------------------------------------------------------------------------------------------------- the operator
 
@@ -223,6 +223,13 @@ def test_the_daemons_configuration_is_the_rigs_with_its_ports(tmp_path):
     assert mine.rig == config.rig.model_copy(update={"imperfections": "none"})  # a daemon is not told
     path.write_text(as_yaml(config, bus, {"pad1": "/dev/a", "pad2": "/dev/b", "arm": "/dev/c"}, emulated=True))
     assert load_config(path).rig == config.rig
+    assert config.rig.imperfections == "calibrated"
+
+
+def test_the_emulated_pivoting_gripper_is_as_far_off_as_its_configuration_asks(tmp_path):
+    config, path = load_any_config(shipped("pivot.yaml")), tmp_path / "rig.yaml"
+    path.write_text(as_yaml(config, config.bus, emulated=True))
+    assert load_any_config(path).rig == config.rig
     assert config.rig.imperfections == "calibrated"
 
 

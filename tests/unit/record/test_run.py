@@ -221,6 +221,9 @@ def test_a_run_without_messages_is_refused(tmp_path):
     [
         ("config.yaml", b"pads: 3", "its configuration cannot be read"),
         ("config.yaml", b"{", "its configuration cannot be read"),
+        ("config.yaml", b"observer: 3", "its configuration cannot be read"),
+        ("config.yaml", b"rig: {system: sledge}", "is of a system that this palmd does not know: sledge"),
+        ("config.yaml", b"rig: {system: [1]}", "is of a system that this palmd does not know: [1]"),
         ("rig.json", b"{", "its description of the rig cannot be read"),
         ("rig.json", b'{"gravity": "much"}', "its description of the rig cannot be read"),
     ],

@@ -8,8 +8,9 @@ import palmd
 from palmd.cli import main
 from palmd.record.eventlog import LogError, read_log
 from palmd.record.logline import BadLineError
-from palmd.record.systems import SYSTEMS, TWO_PALMS, System, read_log_of_any, system_of
+from palmd.record.systems import System, read_log_of_any, system_of
 from palmd.rig.simulate import simulate_log
+from palmd.systems import SYSTEMS, TWO_PALMS
 
 
 @pytest.fixture

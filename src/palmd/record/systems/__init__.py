@@ -1,12 +1,11 @@
 """The systems whose event logs palmd understands: how each is read, estimated and reconstructed.
 
-A system is a file here with a `SYSTEM`, and a row of `SYSTEMS` by the name that line 1 of a log gives as `rig.system`.
-Each is loaded when a log of it is read.
+A system is a file here with a `SYSTEM`, and a row of `palmd.systems` by the name that line 1 of a log gives as
+`rig.system`. Each is loaded when a log of it is read.
 """
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,14 +18,7 @@ from palmd.record.logreader import LogForm, read_log_as
 from palmd.record.meshfile import Mesh
 from palmd.record.outline_curves import OutlineCurves
 from palmd.record.replay import Said
-
-TWO_PALMS = "two_palms"
-SYSTEMS: Mapping[str, str] = {
-    TWO_PALMS: "palmd.record.systems.two_palms",
-    "pivot": "palmd.record.systems.pivot",
-    "three_palms": "palmd.record.systems.three_palms",
-}
-"""Each system's name and the module that has its `SYSTEM`; a log that names none is of two palms on a hinge."""
+from palmd.systems import SYSTEMS, TWO_PALMS, load_part
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +77,7 @@ def system_of(name: str | None) -> System:
             f"rig.system is {shown(name)}, which this palmd does not know; it knows {known or 'no other'}, and two"
             " palms on a hinge where none is named"
         )
-    system: System = importlib.import_module(SYSTEMS[name or TWO_PALMS]).SYSTEM
+    system: System = load_part(SYSTEMS[name or TWO_PALMS].log)
     return system
 
 

@@ -18,7 +18,8 @@ from palmd.record.eventlog import EventLog, TwoPalmsForm
 from palmd.record.outline_curves import drawing_of
 from palmd.record.replay import Said, as_said, replay, tick_count
 from palmd.record.result import as_line
-from palmd.record.systems import TWO_PALMS, NotYetError, Reconstructed
+from palmd.record.systems import NotYetError, Reconstructed
+from palmd.systems import TWO_PALMS
 
 
 class TwoPalms(TwoPalmsForm):

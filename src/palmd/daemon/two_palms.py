@@ -1,0 +1,136 @@
+"""What of the daemon is that of two palms on a hinge: see `daemon.systems`."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+
+from palmd import __version__, observer
+from palmd.config import Config, rig_description
+from palmd.daemon.exploration_requests import Source
+from palmd.daemon.explorer_process import ExplorerProcess
+from palmd.daemon.exploring import Exploring
+from palmd.daemon.poses import make_poses
+from palmd.daemon.setpoints import SetPoints
+from palmd.daemon.smoothing import SmootherProcess
+from palmd.daemon.swap import SwapWatch
+from palmd.daemon.systems import LiveSystem
+from palmd.events import Estimate, Event, Improvement, PadSample, PalmMotion, ShapeEstimate, Unexplained
+from palmd.messages import (
+    Fields,
+    estimate_at_a_glance,
+    estimate_fields,
+    events_fields,
+    improvement_fields,
+    info_fields,
+    shape_fields,
+    unexplained_fields,
+)
+from palmd.observer.observer import LiveObserver, Observer
+from palmd.outlinefile import Outline
+from palmd.quantities import IMPROVEMENT, SHAPE, UNEXPLAINED, Topic
+from palmd.system.mechanism import JOINTS, NAMING
+from palmd.system.rig_constants import prior_sds
+
+log = logging.getLogger(__name__)
+
+
+class LiveTwoPalms(LiveSystem[Config, Estimate]):
+    """Two palms on a hinge; see `LiveSystem`."""
+
+    naming = NAMING
+    outside = math.radians(1.0)
+    jogs = True
+
+    def __init__(self, config: Config) -> None:
+        super().__init__(config)
+        self.poses = make_poses(config)
+        self._rig = rig_description(config)
+        self.rig_priors = prior_sds(self._rig)
+        self._swap = SwapWatch()
+
+    def observer(self, outlines: Sequence[Outline], stack: ExitStack) -> tuple[Observer, SmootherProcess | None]:
+        """As configured."""
+        smoother = self._smoother(stack)
+        name = self._config.observer.primary
+        return observer.make(name, self._rig, smoothing=smoother, outlines=outlines), smoother
+
+    def _smoother(self, stack: ExitStack) -> SmootherProcess | None:
+        settings = self._config.observer
+        if settings.primary != "shape" or not settings.smoother or settings.shape is not None:
+            return None
+        try:
+            smoother = SmootherProcess(self._rig)
+        except OSError as error:
+            log.warning("no smoother beside the loop: %s", error)
+            return None
+        stack.callback(smoother.close)
+        return smoother
+
+    def explorer(self, stack: ExitStack) -> ExplorerProcess | None:
+        """Who foresees motions of an outline."""
+        if not self._config.explores:
+            return None
+        explorer = ExplorerProcess(self._rig)
+        stack.callback(explorer.close)
+        return explorer
+
+    def info(self, observer: str, plans: Sequence[str]) -> Fields:
+        """`palm/info`."""
+        return info_fields(__version__, observer, self._config, plans)
+
+    def exploring(self, setpoints: SetPoints, source: Source | None) -> Exploring:
+        """Decided beside the loop."""
+        return Exploring(setpoints, source)
+
+    def unknown(self, t: float, observer: LiveObserver) -> Estimate:
+        """Without a number."""
+        values = {
+            field.name: math.nan
+            for field in dataclasses.fields(Estimate)
+            if field.name not in ("t", "valid", "observer", "object_count", "sd")
+        }
+        return Estimate(t=t, valid=False, observer=observer.name, object_count=observer.object_count, sd={}, **values)
+
+    def felt(self, sample: PadSample) -> None:
+        """Are the pads swapped?"""
+        self._swap.feed(sample)
+
+    def conditions(self, t: float, actual: PalmMotion | None) -> Iterator[str]:
+        """Pads that are swapped."""
+        self._swap.look(t, actual)
+        if self._swap.swapped:
+            yield "pads-swapped"
+
+    def said(self, estimate: Estimate) -> Fields:
+        """`palm/estimate`."""
+        return estimate_fields(estimate)
+
+    def fed(self, t: float, events: Sequence[Event]) -> Fields:
+        """`palm/events`."""
+        return events_fields(t, events)
+
+    def answered(self, t: float, answer: Improvement | Unexplained) -> tuple[Topic, Fields]:
+        """`palm/improvement`, or `palm/unexplained`."""
+        if isinstance(answer, Unexplained):
+            return UNEXPLAINED, unexplained_fields(t, answer)
+        return IMPROVEMENT, improvement_fields(t, answer)
+
+    def shaped(self, shape: ShapeEstimate) -> tuple[Topic, Fields]:
+        """`palm/shape`."""
+        return SHAPE, shape_fields(shape)
+
+    def glance(self, estimate: Estimate) -> Fields:
+        """A few of its quantities."""
+        return estimate_at_a_glance(estimate)
+
+    def place(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:
+        """In degrees."""
+        deg = math.degrees
+        return ", ".join(
+            f"{joint} is {deg(angle):.1f}°, its limits are {deg(low):g}° and {deg(high):g}°"
+            for joint, angle, (low, high) in zip(JOINTS, angles, limits, strict=True)
+        )

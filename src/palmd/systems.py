@@ -1,0 +1,113 @@
+"""The table of systems: every rig that palmd knows is a row here and has files of its own. Pure names.
+
+A part is told as `module:object` and loaded by `load_part` when somebody asks for it, so that a rig loads nothing of
+another system's. A configuration, the limits of its motion and a recording say by their `system` which row is theirs.
+"""
+
+from __future__ import annotations
+
+import pkgutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+TWO_PALMS = "two_palms"
+"""The system that is meant where none is named."""
+
+
+@dataclass(frozen=True, slots=True)
+class LiveParts:
+    """What of a system makes it run live."""
+
+    manual: str
+    """Where a user reads of it."""
+    demo: str
+    """The shipped configuration that `palmd demo` runs."""
+    config: str
+    """Model of its configuration: a `palmd.config.AnyConfig`."""
+    description: str
+    """What its observers are told of a configured rig: a dataclass of numbers."""
+    plans: str
+    """What its plans are, and what limits them: a `palmd.motion.plan.PlanForm`."""
+    loop: str
+    """What of the daemon is its own: makes a `palmd.daemon.systems.LiveSystem` of the configuration."""
+    rig: str
+    """Its emulated rig: a `palmd.rig.emulated.EmulatedRig`, made of configuration and seed."""
+    recording: str
+    """How a recording of it is read, and judged by its observer: a `palmd.record.run.AnyRun`."""
+    comparison: str
+    """What an estimate is worth, against its emulated rig: a `palmd.harness.comparison.AnyComparison`."""
+    status: str
+    """What `palmd ctl status` says of where it stands and of its object: the lines, of a status."""
+    kernels: str
+    """What is compiled for a configuration, or for any without one: as `palmd.observer.kernels.needed`."""
+    odd: str = ""
+    """What in a configuration several keys together make hardly right: see `palmd.plausibility`; empty for nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class SystemParts:
+    """A system: its name as `rig.system` in files, what it is in words, and where its parts are."""
+
+    name: str
+    words: str
+    log: str
+    """How its event logs are read, estimated and reconstructed: a `palmd.record.systems.System`."""
+    live: LiveParts | None = None
+    """None where there are logs only."""
+
+
+SYSTEMS: Mapping[str, SystemParts] = {
+    system.name: system
+    for system in (
+        SystemParts(
+            TWO_PALMS,
+            "two palms on a hinge",
+            log="palmd.record.systems.two_palms:SYSTEM",
+            live=LiveParts(
+                manual="docs/start/bringup.md",
+                demo="demo.yaml",
+                config="palmd.config:Config",
+                description="palmd.config:rig_description",
+                plans="palmd.motion.plan:PLANS",
+                loop="palmd.daemon.two_palms:LiveTwoPalms",
+                rig="palmd.rig.world:World",
+                recording="palmd.record.run:Run",
+                comparison="palmd.harness.comparison:Comparison",
+                status="palmd.cli.board:status_lines",
+                kernels="palmd.observer.kernels:needed",
+                odd="palmd.plausibility:odd_rig",
+            ),
+        ),
+        SystemParts(
+            "pivot",
+            "a pivoting grasp",
+            log="palmd.record.systems.pivot:SYSTEM",
+            live=LiveParts(
+                manual="docs/start/pivot.md",
+                demo="pivot.yaml",
+                config="palmd.pivot_config:PivotConfig",
+                description="palmd.pivot_config:pivot_rig",
+                plans="palmd.motion.pivot:PLANS",
+                loop="palmd.daemon.pivot_system:PivotGrasp",
+                rig="palmd.rig.pivot_world:PivotWorld",
+                recording="palmd.record.pivot_run:PivotRun",
+                comparison="palmd.harness.pivot_comparison:PivotComparison",
+                status="palmd.cli.pivot_status:status_lines",
+                kernels="palmd.model.pivot:needed",
+            ),
+        ),
+        SystemParts("three_palms", "three palms in space", log="palmd.record.systems.three_palms:SYSTEM"),
+    )
+}
+LIVE: Mapping[str, LiveParts] = {system.name: system.live for system in SYSTEMS.values() if system.live}
+
+
+def for_two_palms_only(name: str) -> str:
+    """Why what is made for two palms is not for this system."""
+    return f"is of {SYSTEMS[name].words}, and this is for {SYSTEMS[TWO_PALMS].words} only"
+
+
+def load_part(name: str) -> Any:
+    """The object of that name; loads its module."""
+    return pkgutil.resolve_name(name)
