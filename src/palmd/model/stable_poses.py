@@ -30,6 +30,7 @@ _SCAN_PER_HARMONIC = 16
 _SETTLED = 1e-13  # rad: the last Newton step of a root that is found
 _MAX_ITERATIONS = 60  # bisection alone gets there in 45
 _STEP = 0.02  # rad: palms are followed in steps no longer than this
+_ROWS = 512  # palm poses at a time: what their scan needs fits into the processor's cache
 _FLAT = 1e-12  # of the mean radius: what is less than this of slope is rounding
 
 
@@ -166,16 +167,15 @@ def basins(coefficients: FloatArray, phi1: FloatArray, phi2: FloatArray) -> Basi
 
     Changes of the slope's sign are looked for on a fine circle of ψ, and between its points wherever the slope might
     touch zero twice; Newton's method refines within each bracket. A circle about its centre of mass has no extrema:
-    it balances everywhere. A thousand palm poses take some 15 ms: for a thread beside the loop. Raises ValueError as
+    it balances everywhere. A thousand palm poses take some 6 ms: for a thread beside the loop. Raises ValueError as
     `height_series` does.
     """
     series = height_series(coefficients, phi1, phi2)
     shape = series.shape[:-1]
     flat = series.reshape(-1, series.shape[-1])
-    _, slope, curvature = _derivatives(flat, 2)
-    found = _brackets(slope, curvature, coefficients[0])
-    roots = np.mod(_refine(slope[found.row], curvature[found.row], found), 2 * np.pi)
-    minima, maxima = (_table(found.row[kind], roots[kind], len(flat)) for kind in (found.rising, ~found.rising))
+    parts = [_extrema(flat, first, coefficients[0]) for first in range(0, max(len(flat), 1), _ROWS)]
+    row, roots, lowest = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    minima, maxima = (_table(row[kind], roots[kind], len(flat)) for kind in (lowest, ~lowest))
     return Basins(minima.reshape(*shape, -1), maxima.reshape(*shape, -1))
 
 
@@ -252,6 +252,14 @@ def _on_circle(series: ComplexArray, psi: FloatArray) -> FloatArray:
     k = np.arange(series.shape[-1])
     angles = np.multiply.outer(k, psi)
     return series.real @ np.cos(angles) + series.imag @ np.sin(angles)
+
+
+def _extrema(series: ComplexArray, first: int, mean_radius: float) -> tuple[IntArray, FloatArray, BoolArray]:
+    """Of `_ROWS` heights from the first on: the row, ψ in [0, 2π), and whether it is a minimum."""
+    _, slope, curvature = _derivatives(series[first : first + _ROWS], 2)
+    found = _brackets(slope, curvature, mean_radius)
+    psi = _refine(slope[found.row], curvature[found.row], found)
+    return first + found.row, np.mod(psi, 2 * np.pi), found.rising
 
 
 def _brackets(slope: ComplexArray, curvature: ComplexArray, mean_radius: float) -> _Brackets:

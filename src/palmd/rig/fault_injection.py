@@ -157,6 +157,8 @@ class Switchboard:
 
     def strength(self, name: str, port: PortName | None) -> float:
         """How strongly the trick is on for the port; 0 if it is off."""
+        if not self._active:
+            return 0.0
         found = self._active.get((name, port))
         return found.strength if found else 0.0
 

@@ -66,10 +66,9 @@ class Imperfections:
 
     def true_palms(self, told: PalmMotion) -> PalmMotion:
         """Where the palms really are, from what is told of them."""
-        off = self._off
-        if not any(off):
+        if not (self.gravity or any(self.angles)):
             return told
-        return PalmMotion(tuple(map(add, told.angles, off)), told.rates, told.accelerations)
+        return PalmMotion(tuple(map(add, told.angles, self._off)), told.rates, told.accelerations)
 
     @property
     def _off(self) -> Joints:

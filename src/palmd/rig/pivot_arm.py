@@ -33,10 +33,10 @@ class PivotArm(DrivenTool):
 
     def place(self, t: float) -> tuple[Axis, Axis]:
         """Position, velocity, acceleration of the pivot along x and z."""
-        along_x, along_y = (servo.at(t) for servo in self._servos[:2])
-        x, vx, ax = (complex(a, b) * self._turn for a, b in zip(along_x, along_y, strict=True))
-        bx, by = self._base
-        return (bx + x.real, vx.real, ax.real), (by + x.imag, vx.imag, ax.imag)
+        (x, vx, ax), (y, vy, ay) = self._servos[0].at(t), self._servos[1].at(t)
+        turn, (bx, by) = self._turn, self._base
+        place, rate, acceleration = complex(x, y) * turn, complex(vx, vy) * turn, complex(ax, ay) * turn
+        return (bx + place.real, rate.real, acceleration.real), (by + place.imag, rate.imag, acceleration.imag)
 
     def _pose(self, x: float, z: float) -> Pose:
         """Where the tool is, in arm coordinates, when the pivot is at x along and z over the pad (m)."""

@@ -108,7 +108,7 @@ class EmulatedServo:
 
     def get(self, register: Register) -> int:
         """A register's value."""
-        return dxl.Registers(0, bytes(self._table))[register]
+        return int.from_bytes(self._table[register.address : register.end], "little", signed=register.signed)
 
     def _set(self, register: Register, value: int) -> None:
         self._table[register.address : register.end] = register.encode(value)

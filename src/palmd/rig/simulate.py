@@ -105,7 +105,9 @@ class Rock:
 
 def _eased(t: float) -> tuple[float, float, float]:
     """The smooth step from 0 at t = 0 to 1 at t = 1 s, its rate and its acceleration."""
-    u = min(max(t, 0.0), 1.0)
+    if t >= 1.0:
+        return 1.0, 0.0, 0.0
+    u = max(t, 0.0)
     return u**3 * (10.0 - 15.0 * u + 6.0 * u * u), 30.0 * u * u * (1.0 - u) ** 2, 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u)
 
 

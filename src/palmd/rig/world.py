@@ -229,8 +229,9 @@ class World(EmulatedRig[EmulatedActuator]):
 
     def _note_contacts(self, was_on: bool) -> None:
         touching = self.plant.touching
-        self.contact_losses += sum(was and not now for was, now in zip(self._touching, touching, strict=True))
-        self._touching = touching
+        if touching != self._touching:
+            self.contact_losses += sum(was and not now for was, now in zip(self._touching, touching, strict=True))
+            self._touching = touching
         self.falls += was_on and self.plant.fallen
 
     def _late(self, pad: PortName) -> float:

@@ -11,7 +11,7 @@ import pytest
 
 from palmd import lab
 from palmd.cli import main
-from palmd.lab import outlook
+from palmd.lab import outlook, stable_pose_figures
 from palmd.lab.paper_published import HARDWARE, SIMULATION
 from palmd.lab.paper_report import HEAD, as_text, rows
 from palmd.lab.paper_runs import ASTRAY, paper_simulation, psi_error, relative_radius_error, side_by_side
@@ -103,6 +103,11 @@ def test_the_command_prints_the_table_and_saves_the_figures(tmp_path, capsys, mo
         *("paper_frames.svg", "paper_simulation.svg", "paper_experiment.svg"),
         *("stable_poses.svg", "ambiguous.svg", "outlook_coverage.svg", "outlook_pivot.svg"),
     }
+    (again := tmp_path / "again").mkdir()
+    for path in stable_pose_figures.save(again):  # drawn alike each time, and small enough to be kept
+        drawn = path.read_bytes()
+        assert drawn == (folder / path.name).read_bytes()
+        assert 1e4 < len(drawn) < 4e5
 
 
 def test_bad_input_is_one_line(tmp_path, capsys, monkeypatch):
