@@ -52,6 +52,7 @@ class Chain:
         self._library = library
         self._noise = noise
         self._prior = prior
+        self._scale = prior.scale
         self._base: Factor | None = None  # of the segments that have been folded, and the prior
         self._learnt: Factor | None = None
         self._revised: Factor | None = None  # by how much the prior of the rig's constants has changed, all along
@@ -68,11 +69,16 @@ class Chain:
         """Take what other readings tell of the constants."""
         self._learnt = told if self._learnt is None else self._learnt.plus(told)
 
-    def revise(self, by: FloatArray) -> None:
-        """Believe something else of the rig's constants than the prior did: their precision changes `by` so much."""
+    def revise(self, before: FloatArray, sd: FloatArray) -> None:
+        """Believe the rig's constants to be known to `sd`, no longer to `before`; one-sigmas.
+
+        The damping measures their steps by it too: by what was all but certain it would hold what is open now.
+        """
         nowhere, matrix = np.zeros(CONSTANTS), np.zeros((CONSTANTS, CONSTANTS))
-        matrix[RIG, RIG] = np.diag(by)
-        change = Factor(nowhere, 0.0, matrix, nowhere, self._prior.scale)
+        matrix[RIG, RIG] = np.diag(sd**-2.0 - before**-2.0)
+        self._scale = self._scale.copy()
+        self._scale[RIG] = sd
+        change = Factor(nowhere, 0.0, matrix, nowhere, self._scale)
         self.learn(change)
         self._revised = change if self._revised is None else self._revised.plus(change)
 
@@ -88,7 +94,7 @@ class Chain:
         """What was believed of the constants beforehand, expanded at `p`."""
         first = np.zeros(NODE)
         at = self._prior.terms(p, first)
-        prior = Factor(np.concatenate([p, first]), at.cost, at.matrix, at.side, self._prior.scale).without(_NODE)
+        prior = Factor(np.concatenate([p, first]), at.cost, at.matrix, at.side, self._scale).without(_NODE)
         return prior if self._revised is None else prior.plus(self._revised)
 
     def renew(self, p: FloatArray, x: FloatArray) -> int:
@@ -123,7 +129,7 @@ class Chain:
         for _ in range(steps):
             guess = Guess(guess.x + now.inner_step(), guess.p)
             now = residuals.linearised(guess, self._noise)
-        return Segment(record, guess.x, now.summary(guess, self._prior.scale))
+        return Segment(record, guess.x, now.summary(guess, self._scale))
 
     def _forward(self, p: FloatArray) -> list[Factor]:
         """What is known of (p, first node) of each segment before it, and of (p, last node) after all."""
@@ -136,7 +142,7 @@ class Chain:
         first = self._segments[0].x[0] if self._segments else np.zeros(NODE)
         about = np.concatenate([p, first])
         at = (self._base or self._prior).terms(p, first)
-        known = Factor(about, at.cost, at.matrix, at.side, self._prior.scale)
+        known = Factor(about, at.cost, at.matrix, at.side, self._scale)
         if self._learnt is None:
             return known
         learnt, matrix, side = self._learnt.moved(p), known.matrix.copy(), known.side.copy()

@@ -128,7 +128,7 @@ class Follower:
         self._belief = before.after(answer.posterior)
         if np.array_equal(self._belief.sd, before.sd):
             return None
-        self._chain.revise(self._belief.sd**-2.0 - before.sd**-2.0)
+        self._chain.revise(before.sd, self._belief.sd)
         return replace(fit.guess, p=self._chain.settle(self._belief.within(fit.guess).p))
 
     def _smoothed(self, segment: DataSegment, guess: Guess) -> Answer | None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from simulated import simulated
 
-from palmd.model.smoothing import CONSTANTS, C
+from palmd.model.smoothing import CONSTANTS, C, R
 from palmd.observer import chain as chain_module
 from palmd.observer.chain import Chain
 from palmd.observer.data_segment import longest_segment
@@ -132,12 +132,32 @@ def test_another_belief_in_the_rig_is_as_if_it_had_been_held_from_the_beginning(
         longest_segment(simulated("friction", 7, 6.0).events), RigDescription(), belief=search.belief.suspended()
     )
     late, early = cut(smoothed, kept), cut((doubting, finding), kept)
-    late.revise(doubting.belief.sd**-2.0 - search.belief.sd**-2.0)
+    late.revise(search.belief.sd, doubting.belief.sd)
     scale = np.sqrt(np.diagonal(early.known(p).matrix))
     for of in (Chain.known, Chain.told, Chain.prior):
         one, other = of(late, p).matrix, of(early, p).matrix
         of_these = np.outer(scale, scale)[: len(one), : len(one)]
         assert one / of_these == pytest.approx(other / of_these, abs=1e-5)
+
+
+def test_a_constant_that_is_opened_goes_where_the_readings_are(smoothed):
+    """Damped by the one-sigma of before, when it was all but certain, it would stay where it is."""
+    search, finding = smoothed
+    record, best = finding.record, finding.fits[0].guess
+    chain = Chain(search.library, NOISE, search.prior)
+    chain.append(record.between(0, 500), Guess(best.x[:501], best.p))
+    opened = search.belief.sd.copy()
+    opened[R.TURN] = np.radians(1.0)
+    chain.revise(search.belief.sd, opened)
+    later = Smoother(search.library, record.between(500, len(record.dt)), chain.known(best.p))
+    p, turn = best.p.copy(), C.RIG + R.TURN
+    p[turn] += np.radians(1.0)
+    fit = later.fit(Guess(best.x[500:], p), NOISE)
+    posterior = later.posterior(fit)
+    assert fit.settled
+    sd = np.sqrt(posterior.covariance[turn, turn])
+    assert sd < np.radians(0.4), "the readings tell it"
+    assert fit.guess.p[turn] == pytest.approx(posterior.constants[turn], abs=0.2 * sd)
 
 
 def test_a_chain_settles_where_its_readings_are_when_another_belief_is_held(smoothed):

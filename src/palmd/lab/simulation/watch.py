@@ -274,7 +274,7 @@ class Watch:
             self._break(t, "a stop fault ends tracking", f"{state} with {sorted(codes)}")
         if state is State.TRACKING and core.faults.standing(Severity.HOLD):
             self._break(t, "a hold fault holds", f"tracking with {sorted(codes)}")
-        for code in codes - self._faults:
+        for code in sorted(codes - self._faults):
             self.sometimes[code] += 1
             if not self._has_cause(code, t):
                 self._break(t, "every fault has a cause", f"{code} came up, and nothing that could cause it was on")
