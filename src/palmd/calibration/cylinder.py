@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from palmd.config import PadConfig
 from palmd.devices.pad import straight_mm
@@ -44,6 +45,7 @@ _LEAST_SHARE = 0.15  # of the weight that either palm must bear
 _OPENINGS = (math.radians(70.0), math.radians(90.0), math.radians(110.0))
 _HOLD_S = 1.0
 _SHORTEST_S = 0.6
+_SPOILT = 6.0  # scaled median deviations
 _WHOLE = 0.02  # what undoing the configuration may leave beyond whole counts
 
 
@@ -105,6 +107,12 @@ def readings(events: Iterable[Event], configs: Sequence[PadConfig]) -> tuple[Cyl
         _readings(1, first, second[:, 0], palms, configs[0]),
         _readings(2, second, first[:, 0], palms, configs[1]),
     )
+
+
+def not_spoilt(left: FloatArray, least: float) -> npt.NDArray[np.bool_]:
+    """Which of the residuals lie within six scaled median deviations, `least` at least, of their median."""
+    away = np.abs(left - float(np.median(left)))
+    return np.asarray(away <= _SPOILT * max(1.4826 * float(np.median(away)), least))
 
 
 def turning_plan(radius_m: float, limits: MotionLimits) -> dict[str, Any]:

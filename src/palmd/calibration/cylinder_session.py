@@ -166,43 +166,55 @@ def progress(status: Status, seconds: float) -> str:
 
 
 def wait_for_none(arguments: argparse.Namespace, config: Config, cylinder: str) -> None:
-    """Until nothing has touched the pads for a while; CliError when it stays."""
+    """Until nothing has touched the pads for a while; CliError when it stays, or nobody tells."""
     print(f"take {cylinder} out", file=sys.stderr, flush=True)
-    t_end, t_since = time.monotonic() + TAKE_OUT_S, math.inf
-    with (
-        StopRequest() as stop,
-        Subscriber(from_here(config.bus.publish), topics=(CONTACT.name,), key=credentials(arguments)) as subscriber,
-    ):
-        while time.monotonic() < t_end and not stop.made:
-            for message in subscriber.until(min(time.monotonic() + _LOOK_S, t_end)):
-                touched = message.fields["touch1"] or message.fields["touch2"]
-                t_since = math.inf if touched else min(t_since, message.t_recv)
-                if message.t_recv >= t_since + TOUCHED_S:
-                    return
+    publish = from_here(config.bus.publish)
+    with StopRequest() as stop, Subscriber(publish, topics=(CONTACT.name,), key=credentials(arguments)) as subscriber:
+        left = _touched_otherwise(subscriber, stop, (False, False), TAKE_OUT_S)
+    if left is None:
+        return
+    if stop.made:
+        raise CliError(RIG_FAILED, "stopped between the cylinders: nothing is stored")
+    if not left:
+        raise CliError(RIG_FAILED, _unheard(publish))
     raise CliError(RIG_FAILED, f"{cylinder} was not taken out within {TAKE_OUT_S:.0f} s: nothing is stored")
 
 
 def _wait_for_touch(subscriber: Subscriber, address: str, stop: StopRequest, cylinder: str) -> None:
     """Until both pads have been touched for a while."""
     print(f"lay {cylinder} between the palms, across both pads", file=sys.stderr, flush=True)
-    t_end = time.monotonic() + FIRST_TOUCH_S
-    t_since = math.inf
-    touched: tuple[bool, bool] | None = None
+    left = _touched_otherwise(subscriber, stop, (True, True), FIRST_TOUCH_S)
+    if left is None:
+        return
+    if stop.made:
+        raise CliError(RIG_FAILED, "stopped before anything moved")
+    if not left:
+        raise CliError(RIG_FAILED, _unheard(address))
+    raise CliError(RIG_FAILED, f"{_untouched(left)} within {FIRST_TOUCH_S:.0f} s: nothing has been moved")
+
+
+def _touched_otherwise(
+    subscriber: Subscriber, stop: StopRequest, wanted: tuple[bool, bool], seconds: float
+) -> tuple[bool, ...] | None:
+    """None once the pads have been touched as `wanted` for `TOUCHED_S`; else, when the time is over or a stop is asked
+    for, how they were touched last, empty where nothing was heard."""
+    t_end, t_since = time.monotonic() + seconds, math.inf
+    touched: tuple[bool, ...] = ()
     while time.monotonic() < t_end and not stop.made:
         for message in subscriber.until(min(time.monotonic() + _LOOK_S, t_end)):
             if message.topic == CONTACT.name:
                 touched = (bool(message.fields["touch1"]), bool(message.fields["touch2"]))
-                t_since = min(t_since, message.t_recv) if all(touched) else math.inf
+                t_since = min(t_since, message.t_recv) if touched == wanted else math.inf
                 if message.t_recv >= t_since + TOUCHED_S:
-                    return
-    if stop.made:
-        raise CliError(RIG_FAILED, "stopped before anything moved")
-    if touched is None:
-        raise CliError(RIG_FAILED, f"nothing is heard from {address}: is a palmd running there?")
-    raise CliError(RIG_FAILED, f"{_untouched(touched)} within {FIRST_TOUCH_S:.0f} s: nothing has been moved")
+                    return None
+    return touched
 
 
-def _untouched(touched: tuple[bool, bool]) -> str:
+def _unheard(address: str) -> str:
+    return f"nothing is heard from {address}: is a palmd running there?"
+
+
+def _untouched(touched: tuple[bool, ...]) -> str:
     if any(touched):
         feels, lacks = PALMS if touched[0] else PALMS[::-1]
         return f"the cylinder is felt on palm {feels} and not on palm {lacks}"

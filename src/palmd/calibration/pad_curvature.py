@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from palmd.calibration.cylinder import LEAST_TRAVEL_M, CylinderError, contacts_m, readings
+from palmd.calibration.cylinder import LEAST_TRAVEL_M, CylinderError, contacts_m, not_spoilt, readings
 from palmd.calibration.pad_scale import slow_readings
 from palmd.config import PadConfig
 from palmd.events import Event, FloatArray
@@ -32,7 +32,6 @@ _ROUNDS, _SETTLED = 30, 1e-6  # 1/m
 _LONGEST_STEP = 3.0  # 1/m
 _NOT_FLAT = 1e-3  # 1/m: at exactly none there is no difference to go by
 _STEPS = (1e-2, 1e-2, 1e-6, 1e-6)  # of the differences: 1/m, m
-_SPOILT = 6.0  # scaled median deviations
 _LEFT_M = 5e-4  # of each reading, beyond which the counts do not follow any arc
 
 
@@ -69,7 +68,7 @@ def pad_curvatures(
     for _ in range(2):
         x = _solved(x, opening, s, kept, radius_m)
         left = _left(x, opening, s, radius_m)
-        kept = [_near(each) for each in left]
+        kept = [not_spoilt(each, least=1e-5) for each in left]
     for number, each, some, angles in zip(PALMS, left, kept, opening, strict=True):
         way = np.ptp(contacts_m(radius_m, angles[some], x[:2].tolist())[number - 1])
         if way < 0.8 * LEAST_TRAVEL_M:
@@ -89,11 +88,6 @@ def _model(x: FloatArray, opening: Sequence[FloatArray], radius_m: float) -> lis
 
 def _left(x: FloatArray, opening: Sequence[FloatArray], s: Sequence[FloatArray], radius_m: float) -> list[FloatArray]:
     return [said - of for said, of in zip(s, _model(x, opening, radius_m), strict=True)]
-
-
-def _near(left: FloatArray) -> Bools:
-    away = np.abs(left - np.median(left))
-    return np.asarray(away <= _SPOILT * max(1.4826 * float(np.median(away)), 1e-5))
 
 
 def _gradient(x: FloatArray, opening: Sequence[FloatArray], radius_m: float) -> list[FloatArray]:

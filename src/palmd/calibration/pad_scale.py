@@ -14,7 +14,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from palmd.calibration.cylinder import LEAST_TRAVEL_M, SLOW_RAD_S, CylinderError, CylinderReadings, contacts_m, readings
+from palmd.calibration.cylinder import (
+    LEAST_TRAVEL_M,
+    SLOW_RAD_S,
+    CylinderError,
+    CylinderReadings,
+    contacts_m,
+    not_spoilt,
+    readings,
+)
 from palmd.config import PadConfig
 from palmd.events import Event, FloatArray
 from palmd.system.arcs import FLAT
@@ -27,7 +35,6 @@ PLACES = 13
 """Of a curve, from the hinge to the pad's end."""
 
 _SLOW_ENOUGH = 1.05 * SLOW_RAD_S  # faster ones are from the way to the plan's beginning
-_SPOILT = 6.0  # scaled median deviations
 _STRETCHES = 10
 _STIFF = 3.0  # readings' worth, of each place's bend
 _LEAST_IN_STRETCH = 30
@@ -102,8 +109,7 @@ def _scale(
     if np.ptp(s) < 0.8 * LEAST_TRAVEL_M * 1e3:
         raise CylinderError(f"the palms moved the cylinder by {np.ptp(s):.1f} mm only: was the plan stopped?")
     left = counts - _line(s, counts)
-    middle = float(np.median(left))
-    kept = np.abs(left - middle) <= _SPOILT * max(1.4826 * float(np.median(np.abs(left - middle))), 1.0)
+    kept = not_spoilt(left, least=1.0)
     spoilt, s, counts = int(np.sum(~kept)), s[kept], counts[kept]
     left = counts - _line(s, counts)
     if not left.var() < (1.0 - LEAST_FOLLOWED) * counts.var():

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from palmd.calibration.cylinder import CylinderError, CylinderReadings, readings
+from palmd.calibration.cylinder import CylinderError, CylinderReadings, not_spoilt, readings
 from palmd.calibration.pad_scale import PadScale, pad_scales, slow_enough
 from palmd.config import PadConfig
 from palmd.events import Event, FloatArray
@@ -32,7 +32,6 @@ RADIUS_SD_MM = 0.01
 
 _ROUNDS, _SETTLED_MM = 20, 1e-7
 _STEP = 1e-4  # of the differences, in mm, shares, rad
-_SPOILT = 6.0  # scaled median deviations
 _BOWS = 3  # rounds until the place on a bowed pad and its slope there agree
 
 Bools = npt.NDArray[np.bool_]
@@ -100,7 +99,7 @@ def pad_standoffs(
     for _ in range(2):
         x, covariance = _solved(x, taken, configs, kept, noise_mm, prior_sd)
         left = _left(x, taken, configs)
-        kept = [_near(each) for each in left]
+        kept = [not_spoilt(each, least=1e-2) for each in left]
         noise_mm = [max(float(np.std(each[some])), 1e-3) for each, some in zip(left, kept, strict=True)]
     return tuple(_told(i, x, np.sqrt(np.diag(covariance)), first[i], left, kept) for i in range(len(PALMS)))
 
@@ -161,11 +160,6 @@ def _foot_mm(x: FloatArray, i: int, radius_mm: float, opening: FloatArray, confi
 
 def _left(x: FloatArray, taken: Sequence[_Session], configs: Sequence[PadConfig]) -> list[FloatArray]:
     return [said - of for said, of in zip(_said(taken), _model(x, taken, configs), strict=True)]
-
-
-def _near(left: FloatArray) -> Bools:
-    away = np.abs(left - np.median(left))
-    return np.asarray(away <= _SPOILT * max(1.4826 * float(np.median(away)), 1e-2))
 
 
 def _solved(

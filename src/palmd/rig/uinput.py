@@ -9,11 +9,16 @@ import struct
 from pathlib import Path
 
 from palmd.devices import evdev
+from palmd.rig.evdevs import FARTHEST, PRESSURE_MAX
 
 UINPUT = Path("/dev/uinput")
 SYSFS, DEVICES = Path("/sys/devices/virtual/input"), Path("/dev/input")
 NAME = "palmd emulated pad"
-RANGES = {evdev.ABS_X: (-(1 << 15), 1 << 15), evdev.ABS_Y: (-(1 << 15), 1 << 15), evdev.ABS_PRESSURE: (0, 255)}
+RANGES = {
+    evdev.ABS_X: (-FARTHEST, FARTHEST),
+    evdev.ABS_Y: (-FARTHEST, FARTHEST),
+    evdev.ABS_PRESSURE: (0, PRESSURE_MAX),
+}
 
 _CREATE, _DESTROY = 0x5501, 0x5502
 _SETUP, _ABS_SETUP = 0x405C5503, 0x401C5504

@@ -159,6 +159,12 @@ def test_the_first_cylinder_is_not_taken_out(rig, mine, capsys, monkeypatch):
     assert said == "the cylinder of 20 mm was not taken out within 0 s: nothing is stored"
 
 
+def test_a_daemon_that_is_gone_between_the_cylinders_is_told_as_such(mine, capsys, monkeypatch):
+    monkeypatch.setattr(cylinder_session, "TAKE_OUT_S", 0.5)
+    monkeypatch.setattr(standoff_command, "heard", lambda *_, **__: [])
+    assert "is a palmd running there" in refused(mine, 3, capsys, calibrate=standoff)
+
+
 def test_two_cylinders_that_are_alike_are_refused(mine, capsys):
     said = refused(mine, 1, capsys, "--second-radius-mm", "19", calibrate=standoff)
     assert said.startswith("cylinders of 20 and 19 mm radius are too much alike")
