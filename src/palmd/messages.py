@@ -273,11 +273,12 @@ def state_fields(
     state: str,
     faults: Iterable[Fault],
     cause: str = "",
+    wish: str = "",
     since_s: float = 0.0,
     running: bool = False,
     explored: Explored = Explored(),
 ) -> Fields:
-    """`palm/state`; what `cause` brought the state about `since_s` seconds ago."""
+    """`palm/state`; what `cause` brought the state about `since_s` seconds ago, and what somebody wishes."""
     faults = tuple(faults)
     return {
         "state": state,
@@ -286,6 +287,7 @@ def state_fields(
         "hints": [fault.hint for fault in faults],
         "texts": [fault.text for fault in faults],
         "cause": cause,
+        "wish": wish,
         "since_s": since_s,
         "running": running,
         "exploring": explored.running,

@@ -300,6 +300,9 @@ STATE = Topic(
         Quantity(
             "cause", "text", "", "what has brought the state about, in words; empty when nothing has since the start"
         ),
+        Quantity(
+            "wish", "text", "", "hold or stop, from when somebody asks for it until arm, start or reset; else empty"
+        ),
         Quantity("since_s", "number", "s", "for how long it has been in that state"),
         Quantity("running", "bool", "", "whether a plan is under way: one that is held or over is not"),
         Quantity(

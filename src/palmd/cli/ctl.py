@@ -111,7 +111,8 @@ def told(command: str, result: dict[str, Any]) -> str:
     arm = (f"state {result['arm_state']}" if result["arm_state"] else "state unknown") + (
         "" if result["arm_linked"] else ", does not answer"
     )
-    lines = [f"state   {result['state']}", f"plan    {plan}"]
+    since = f": {result['cause']}" if result["cause"] else ""
+    lines = [f"state   {result['state']}{since}", f"plan    {plan}"]
     lines += load_part(LIVE[_system(result.get("estimate", {}))].status)(result)
     if "explored" in result:
         lines.append(f"        explored {_explored(**result['explored'])}")

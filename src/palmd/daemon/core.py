@@ -264,6 +264,7 @@ class Core:
         self._fault_notes.look(self.faults.active, t, self._evidence)
         self._passing.clear()
         self.supervisor.settle(t, up=self._rig_up(t))
+        self._enter(t)
         plan = self.supervisor.plan
         if plan is not None and plan.explores:
             self.exploring.prepare()
@@ -304,7 +305,7 @@ class Core:
         if len(self._rig_priors) and due:
             self._t_rig = t
             messages.append((RIG, rig_fields(self._rig, self._rig_sds, self._rig_priors, self._contradicted)))
-        told = (self.state, self.faults.active, self.setpoints.running)
+        told = (self.state, self.faults.active, self.setpoints.running, self.supervisor.wish)
         if told != self._told or t - self._t_state >= SLOW_TOPIC_S - _EARLY_S:
             self._told, self._t_state = told, t
             messages.append((STATE, self._state_fields(t)))
@@ -322,13 +323,17 @@ class Core:
         return messages
 
     def _state_fields(self, t: float) -> Fields:
+        self._enter(t)
         state, since, cause = self._in_state
-        if state is not self.state or math.isnan(since):
-            state, since = self.state, t
-            cause = self.supervisor.cause + (self._grounds(t) if state in (State.HOLD, State.FAULT) else "")
-            self._in_state = (state, since, cause)
         running, explored = self.setpoints.running, self.exploring.explored
-        return state_fields(str(state), self.faults.active, cause, t - since, running, explored)
+        return state_fields(str(state), self.faults.active, cause, self.supervisor.wish, t - since, running, explored)
+
+    def _enter(self, t: float) -> None:
+        """Keep what has brought the state about, and what speaks for it, while it still does."""
+        state, since, _ = self._in_state
+        if state is not self.state or math.isnan(since):
+            cause = self.supervisor.cause + (self._grounds(t) if self.state in (State.HOLD, State.FAULT) else "")
+            self._in_state = (self.state, t, cause)
 
     def _grounds(self, t: float) -> str:
         """What speaks at `t` (s) for the faults that hold or stop the palms."""

@@ -45,6 +45,7 @@ JOG_PAUSE_S = 1.0
 _AUTOSTART_ID = "autostart"
 
 _ENDING_MOTION = frozenset({Trigger.HOLD, Trigger.STOP, Trigger.STOP_FAULT})
+_WISHES = frozenset({Trigger.HOLD, Trigger.STOP})
 
 
 class RefusedError(Exception):
@@ -92,6 +93,7 @@ class Supervisor:
         self.plan_refused = False
         self.refusal = ""
         self.cause = ""
+        self.wish = ""  # hold or stop, from when somebody asks for it until arm, start or reset is granted
         self.at_rest = True
         self.replies: list[Reply] = []
         self.estimate: LiveEstimate | None = None
@@ -184,6 +186,7 @@ class Supervisor:
         explored, recorder = self._exploring.told(), self.recorder.last(t)
         status = {
             "state": str(self.state),
+            "cause": self.cause,
             "faults": [fault.code for fault in faults],
             "severities": [str(fault.severity) for fault in faults],
             "hints": [fault.hint for fault in faults],
@@ -435,6 +438,8 @@ class Supervisor:
     def _change(self, trigger: Trigger, why: str, request: Request | None = None) -> None:
         if trigger in _ENDING_MOTION:
             self._forget_start(trigger)
+        if request is not None:
+            self.wish = request.name if trigger in _WISHES else ""
         before, self.state = self.state, next_state(self.state, trigger) or self.state
         if self.state is not before:
             who = "" if request is None else request.who or "somebody"

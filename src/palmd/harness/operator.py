@@ -45,16 +45,12 @@ class Operator:
         return self.state.get("state") == "tracking" and self.motion.get("segment", -1) >= 0
 
     def take(self, topic: str, fields: Status) -> None:
-        """Every palm/state and palm/motion: a hold or a stop without a fault is somebody's wish."""
+        """Every palm/state and palm/motion."""
         if topic in MOTIONS:
             self.motion = fields
         elif topic == "palm/state":
-            before, now = self.state.get("state"), fields.get("state")
             self.state = fields
-            if now == "hold" != before:
-                self._hands_off |= {"hold", "stop"}.isdisjoint(fields.get("severities", ()))
-            elif now == "ready":
-                self._hands_off |= before in ("tracking", "hold")
+            self._hands_off |= fields["wish"] != ""
 
     def decide(self, t: float) -> str | None:
         """The command to give at t (s), None for none.
@@ -189,4 +185,4 @@ def why(status: Status) -> str:
         for code, severity, hint in zip(status["faults"], status["severities"], status["hints"], strict=True)
         if severity in ("hold", "stop")
     ]
-    return "; ".join(grave) or f"the state is {status['state']}: somebody else has stopped it, or a fault that is over"
+    return "; ".join(grave) or f"the state is {status['state']}: {status['cause']}"

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from palmd.faults import TABLE
+from palmd.messages import LogEntry
 from palmd.record import SUFFIX
 from palmd.record.run import Run, RunError, read_run
 from palmd.report.causes import RunCase, StopCause, of_break, of_end, of_fault, of_no_fault, of_tracking
@@ -115,8 +116,16 @@ def stops(course: Course) -> Iterator[Interruption]:
                 for told in course.told[number:]
                 if told.t - now.t < TOGETHER_S
                 for code in told.grave(*acting)
-            }
+            } or {entry.name: TABLE[entry.name].hint for entry in _passed(course, acting, before.t, now.t)}
             yield Interruption(before, now, next(after, math.inf), hints)
+
+
+def _passed(course: Course, acting: tuple[str, ...], begin: float, end: float) -> Iterator[LogEntry]:
+    """The faults that act and have come and gone between two looks at what stands: the log alone tells of them."""
+    for entry in course.log:
+        near = max(begin, end - TOGETHER_S) < entry.t_s <= end
+        if near and entry.kind == "fault" and entry.severity in acting and entry.name in TABLE:
+            yield entry
 
 
 def lines(answer: Explanation) -> Iterator[str]:

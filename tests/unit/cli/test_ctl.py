@@ -21,7 +21,8 @@ from palmd.daemon.jog import DEAD_MAN_S, RATE
 from palmd.messages import LogEntry, log_fields
 
 STATUS = {
-    "state": "hold", "faults": ["pad1-lifted"], "severities": ["hold"], "hints": ["put the object back"],
+    "state": "hold", "cause": "pad 1 was let go",
+    "faults": ["pad1-lifted"], "severities": ["hold"], "hints": ["put the object back"],
     "plan": "rock", "segment": 2, "doing": "sine", "progress": 0.25, "moving": False,
     "arm_state": "T", "arm_error": "", "arm_linked": True,
 }  # fmt: skip
@@ -76,7 +77,7 @@ def test_status_reads_well(tmp_path, capsys):
     with daemon(tmp_path, granted) as (address, _):
         assert main(["ctl", "status", "--address", address]) == 0
     assert capsys.readouterr().out.splitlines() == [
-        "state   hold",
+        "state   hold: pad 1 was let go",
         "plan    rock, segment 2 (sine), 25%",
         "arm     state T",
         "fault   pad1-lifted (hold): put the object back",
@@ -96,7 +97,7 @@ def test_status_tells_angles_and_estimate():
 
 def test_status_of_a_rig_that_is_not_there():
     nothing = {"plan": "", "segment": -1, "arm_state": "", "arm_error": "−600 link lost", "arm_linked": False}
-    assert told("status", STATUS | nothing | {"state": "idle"}).splitlines()[:4] == [
+    assert told("status", STATUS | nothing | {"state": "idle", "cause": ""}).splitlines()[:4] == [
         "state   idle",
         "plan    none",
         "arm     state unknown, does not answer",

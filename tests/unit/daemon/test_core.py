@@ -19,6 +19,7 @@ from palmd.daemon.core import Core
 from palmd.daemon.exploring import OVERTIME_S
 from palmd.daemon.planner import Plan
 from palmd.events import Estimate, PadLift, PadSample, PalmSample
+from palmd.harness.operator import Operator
 from palmd.lab.silent_observer import SilentObserver
 from palmd.messages import NAMED_STATE, entries_of, events_of, stamp, validate
 from palmd.motion.check import motion_limits
@@ -1007,6 +1008,42 @@ def test_a_pad_that_falls_silent_between_two_ticks_brakes_the_next_set_point(run
     assert (running.state, running.core.setpoints.held) == ("hold", True)
     running.core.observe(late)
     assert {type(event) for event in running.observer.events[-2:]} == {PadLift}
+
+
+def test_a_silence_of_a_moment_between_two_ticks_holds_and_tells_why_though_its_faults_never_show(running):
+    held = interrupted(running)
+    assert (held["state"], held["faults"], held["wish"]) == ("hold", [], "")
+    assert re.search(r"pad 1.* \(its last packet is .* old.*\)", held["cause"])
+    operator = Operator()
+    operator.take("palm/state", held)
+    while (command := operator.decide(running.t)) is None:
+        operator.take("palm/state", running.go(0.1).last("palm/state"))
+    running.do(command)
+    assert running.state == "tracking"
+
+
+def interrupted(bench):
+    """What is told of the tick after a host that got no bytes for a moment looked just before they came."""
+    bench.steps += 8 * TICK_STEPS - 2
+    bench.core.look(bench.t)
+    return bench.go(2 * STEP_S).last("palm/state")
+
+
+def test_whoever_asks_for_a_hold_or_a_stop_is_told_until_somebody_goes_on(running):
+    def wish():
+        return running.go(0.02).last("palm/state")["wish"]
+
+    running.unplug("pad1")
+    assert (running.go(0.02).state, wish()) == ("hold", "")
+    running.do("hold")  # it is held already
+    assert wish() == "hold"
+    running.plug("pad1")
+    running.go(0.3).do("start")
+    assert wish() == ""
+    running.do("stop")
+    assert wish() == "stop"
+    running.go(0.5).do("arm")
+    assert wish() == ""
 
 
 def test_looking_between_two_ticks_judges_nothing_else(running, monkeypatch):

@@ -18,12 +18,12 @@ from palmd.yamlfile import load_any_config, load_config
 # -------------------------------------------------------------------------------------------------- the operator
 
 
-def looks(operator, state, severities=(), segment=-1, since=0.0, until=3.0):
+def looks(operator, state, severities=(), segment=-1, since=0.0, until=3.0, wish=""):
     """The commands that it gives in this situation, with their times."""
     given = []
     for i in range(round((until - since) / 0.1)):
         t = since + 0.1 * i
-        operator.take("palm/state", {"state": state, "severities": list(severities)})
+        operator.take("palm/state", {"state": state, "severities": list(severities), "wish": wish})
         operator.take("palm/motion", {"segment": segment})
         command = operator.decide(t)
         if command:
@@ -55,16 +55,16 @@ def test_it_resets_a_fault_and_leaves_a_broken_rig_alone():
     assert Operator().decide(0.0) is None
 
 
-def seen(operator, *states):
+def seen(operator, *states, wish=""):
     for state, *severities in states:
-        operator.take("palm/state", {"state": state, "severities": severities})
+        operator.take("palm/state", {"state": state, "severities": severities, "wish": wish})
 
 
-@pytest.mark.parametrize("wish", ["hold", "ready"])
-def test_it_leaves_alone_what_somebody_has_held_or_stopped_until_it_moves_again(wish):
+@pytest.mark.parametrize(("wish", "state"), [("hold", "hold"), ("stop", "ready")])
+def test_it_leaves_alone_what_somebody_has_held_or_stopped_until_it_moves_again(wish, state):
     operator = Operator()
-    seen(operator, ("ready",), ("tracking",), (wish,))
-    assert looks(operator, wish, segment=-1 if wish == "ready" else 0) == []
+    seen(operator, ("ready",), ("tracking",))
+    assert looks(operator, state, segment=-1 if state == "ready" else 0, wish=wish) == []
     seen(operator, ("tracking",))
     assert looks(operator, "tracking", segment=-1) == []  # armed by somebody, who has not started yet
     assert looks(operator, "tracking", segment=0, until=0.2) == []
@@ -79,6 +79,20 @@ def test_what_a_fault_has_held_or_stopped_is_nobodys_wish(severity):
     operator = Operator()
     seen(operator, ("tracking",), ("fault", "stop"), ("ready",))
     assert looks(operator, "ready", until=0.5) == [(0.0, "arm")]
+
+
+@pytest.mark.parametrize("wish", ["hold", "stop"])
+@pytest.mark.parametrize("state", ["hold", "fault", "ready"])
+def test_a_wish_counts_also_when_a_fault_has_come_first(state, wish):
+    operator = Operator()
+    seen(operator, ("tracking",), (state, "hold"))
+    assert looks(operator, state, segment=0, wish=wish) == []
+
+
+def test_a_hold_whose_fault_nobody_has_seen_is_nobodys_wish():
+    operator = Operator()
+    seen(operator, ("tracking",), ("hold",))
+    assert looks(operator, "hold", segment=0, until=1.0) == [(CALM_S, "start")]
 
 
 # --------------------------------------------------------------------------------------------- the comparison

@@ -183,6 +183,20 @@ def test_a_fault_of_a_moment_is_told_although_it_is_over(tmp_path):
     assert seconds < 0.1
 
 
+def test_a_fault_that_came_and_went_between_two_messages_is_told_by_the_log(tmp_path):
+    def wink(rig):
+        rig._steps += 8 * rig._steps_per_tick - 2
+        rig.core.look(rig.t)
+        rig._step()
+
+    run, _ = run_of(tmp_path, wink)
+    assert not any(told.grave("hold", "stop") for told in course_of(run).told)
+    told = explain(run)
+    assert (told.state, [code for code, _ in told.standing]) == ("hold", ["pad1-silent", "pad2-silent"])
+    assert told.cause.kind not in ("command", "ended")
+    assert "cable" in told.hint
+
+
 def test_when_it_has_gone_on_the_question_is_about_what_was_then(tmp_path):
     def hold_and_go_on(rig):
         rig.give("hold", "ann")
