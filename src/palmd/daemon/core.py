@@ -409,7 +409,7 @@ class Core:
         commanded = self.state in COMMANDED
         present = self._passing | self._notes
         for name, watch in self._pad_watches.items():
-            present.update(watch.conditions(self.pads[name], under_way, look))
+            present.update(watch.conditions(self.pads[name], under_way, self.state is State.HOLD, look))
         present.update(self._arm_watch.conditions(self.arm, t, commanded, look))
         present.update(self._loop_watch.conditions(t, self._observer.late_dropped, look))
         present.update(self.supervisor.recorder.conditions(t))

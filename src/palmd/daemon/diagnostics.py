@@ -36,12 +36,13 @@ class PadDiagnostics:
         self._name = name
         self._needed = False
 
-    def conditions(self, pad: PadDriver, under_way: bool, look: bool) -> Iterator[str]:
+    def conditions(self, pad: PadDriver, under_way: bool, held: bool, look: bool) -> Iterator[str]:
         """The codes that hold; with `look`, the counters are judged anew.
 
-        A touch can only be missed once it has been felt in the motion that is `under_way`.
+        A touch can only be missed once it has been felt in the motion that is `under_way`; and it is missed for as long
+        as the state is `held`, though another plan be in hand by then.
         """
-        self._needed &= under_way
+        self._needed &= under_way or held
         for condition in pad.health(look):
             yield f"{self._name}-{condition}"
         if not pad.is_open:

@@ -29,6 +29,7 @@ from palmd.rig.emulated import STEP_S
 from palmd.rig.fault_injection import INJECTABLE_FAULTS, order
 from palmd.rig.world import World, default_config
 
+LIFTED = "name: sent\nsegments:\n- move: {phi1_deg: 50, phi2_deg: 85}\n  duration_s: 1.0\n"
 ENDS = ("pad1", "pad2", "arm")
 TICK_STEPS = 20
 
@@ -606,6 +607,19 @@ def test_a_lost_pad_holds_the_motion_within_100_ms(running, trick, how, fault):
     running.check_the_arm()
     running.do("stop")
     assert fault not in running.go(0.05).faults  # what is not moved cannot be missed
+
+
+def test_an_object_that_is_missed_is_missed_until_it_is_back_or_the_palms_are_stopped_whatever_plan_is_in_hand(running):
+    running.play("lift")
+    running.go(0.3, lambda: running.state == "hold")
+    running.go(0.5).do("plan", path="sent.yaml", text=LIFTED)
+    assert "put the object back" in running.go(0.2).ask("start").error
+    running.do("jog", phi1_deg=0.1)
+    assert "put the object back" in running.go(1.0).ask("start").error
+    running.do("stop")
+    running.go(0.5).do("arm")
+    running.do("start")
+    assert running.state == "tracking"
 
 
 def test_a_pad_unplugged_holds_at_once_and_goes_on_only_when_asked(running):

@@ -10,7 +10,7 @@ import functools
 import itertools
 import logging
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -247,13 +247,16 @@ class Simulation:
             self._falls = self.rig.falls
             self.rig.new_object()  # whoever sees it lie there puts one on again
             watch.happened("left", clock.now, clock.now + AWAY_S)
+        truth = self.rig.truth() if isinstance(self.rig, FullRig) else {}
+        if not _lies_on_palms(truth):
+            watch.left(clock.now)
         watch.tick(self.core, self.ports, self.loop.in_hand, self.rig.palms(), clock.now)
-        if isinstance(self.rig, FullRig):
-            watch.compare(self.core, self.rig.truth(), clock.now)
+        if truth:
+            watch.compare(self.core, truth, clock.now)
 
     def _judge_the_end(self, t: float) -> None:
         truth = self.rig.truth() if isinstance(self.rig, FullRig) else {}
-        self.watch.faults_over(self.core, t, all(truth.get(f"contact{palm}", True) for palm in PALMS))
+        self.watch.faults_over(self.core, t, _lies_on_palms(truth))
         if self.core.state not in (State.TRACKING, State.HOLD):
             self.watch.fail(t, "an operator gets the palms to move again", f"the state is {self.core.state}")
 
@@ -363,6 +366,10 @@ def simulate(scenario: Scenario) -> Outcome:
     """What comes of a scenario."""
     with quiet():
         return Simulation(scenario).run()
+
+
+def _lies_on_palms(truth: Mapping[str, Any]) -> bool:
+    return all(truth.get(f"contact{palm}", True) for palm in PALMS)
 
 
 def _spoilt(how: Bytes, data: bytes) -> bytes:

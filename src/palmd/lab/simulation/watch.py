@@ -93,6 +93,7 @@ class Watch:
         self._rate_most = math.radians(config.limits.rate_deg_s) * 1.01
         self._ticks = 0
         self._wrong: Counter[str] = Counter()
+        self._t_left = -math.inf
         self._reader = LineReader(arm.baud)
         self.t_trouble = max([0.0, *(each.t_off for each in causes if math.isfinite(each.t_off))])
         self._begin(0.0)
@@ -118,6 +119,10 @@ class Watch:
         """A cause took effect from t_on to t_off (s), which need not be when it was to."""
         self._causes.append(Cause(name, t_on, t_off))
         self.t_trouble = max(self.t_trouble, t_off)
+
+    def left(self, t: float) -> None:
+        """The body does not lie on the palms at `t` (s), whatever took it off: for so long it has left them."""
+        self._t_left = t
 
     def fail(self, t: float, name: str, what: str) -> None:
         """An invariant is broken at `t` (s)."""
@@ -286,7 +291,7 @@ class Watch:
         if t - self._t_begun < LINGERS_S and code in _AT_BEGINNING:
             return True
         names = CAUSES.get(code, frozenset())
-        return any(cause.name in names and cause.t_on <= t <= cause.t_off + LINGERS_S for cause in self._causes)
+        return ("left" in names and t <= self._t_left + LINGERS_S) or any(cause.name in names and cause.t_on <= t <= cause.t_off + LINGERS_S for cause in self._causes)
 
     def faults_over(self, core: Core, t: float, lies_on_palms: bool) -> None:
         """All causes have been over for a while: no fault stands but those that a client's word keeps up.
