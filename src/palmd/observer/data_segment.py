@@ -6,6 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from palmd.events import Event, PadLift, PadSample, PalmSample
 from palmd.system.mechanism import PALMS
 
@@ -13,6 +15,7 @@ PAD_GAP_S = 0.4  # a pad silent for longer: the object may have left the palm
 ARM_GAP_S = 0.3  # the palms' motion is not guessed across more
 ARM = 0  # among the numbers of the pads
 LEAD_S = 0.5  # of the arm's reports before both pads feel the object
+STARVED_S, STARVED = 0.06, 3.0  # without a report of the arm, and that in usual intervals: it had to stand, and stepped
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +30,14 @@ class DataSegment:
     def events(self) -> list[Event]:
         """All of them in order of time, the arm's report first where times are equal."""
         return sorted((*self.palms, *self.pads), key=lambda event: event.t_sample)
+
+    @property
+    def steady_since(self) -> float:
+        """When the arm's reports last went on after so long a gap that it must have stood (s); else `start`."""
+        t = np.array([sample.t_sample for sample in self.palms])
+        apart = np.diff(t)
+        gaps = np.flatnonzero(apart > max(STARVED_S, STARVED * np.median(apart))) if apart.size else apart
+        return max(float(t[int(gaps[-1]) + 1]), self.start) if gaps.size else self.start
 
     def until(self, t: float) -> DataSegment:
         """What was before `t` (s)."""

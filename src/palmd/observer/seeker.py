@@ -25,6 +25,7 @@ HINT_SD = 1e-4  # m, of the outline's coefficients
 TELLING_S = 6.0
 """Of readings: of longer ones, in simulation, whatever alone explained them was right."""
 CHALLENGE = 2.0  # by how much the record grows from one blind search to the next
+STEADY_S = 3.0  # of readings since the machine was last starved, by which an object may be sought without those before
 LONGEST_S, KEPT_S = 30.0, 15.0  # of readings in which nothing has been found, and that are kept then
 
 
@@ -103,8 +104,10 @@ class Seeker:
         self._doubtful = self._doubtful or self.unexplained
         if self._doubtful:
             self._failed += seconds > _ATTEMPTS[0].seconds
+            if self.unexplained and segment.start < segment.steady_since < segment.end - STEADY_S:
+                self.needs_from = segment.steady_since
             if seconds > LONGEST_S:
-                self.needs_from = segment.end - KEPT_S
+                self.needs_from = max(segment.end - KEPT_S, self.needs_from)
             return None
         return answer
 

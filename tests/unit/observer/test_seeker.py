@@ -1,15 +1,23 @@
 """The search for an unknown object: when what it finds is an answer."""
 
+import math
+from dataclasses import replace
+
 import pytest
 from simulated import simulated
 
+from palmd.events import PadSample, PalmSample
+from palmd.model.shape_map import Z
 from palmd.observer import seeker
 from palmd.observer.data_segment import data_segments
+from palmd.observer.incremental import IncrementalSmoother
 from palmd.observer.search import Search
 from palmd.observer.seeker import Seeker
+from palmd.observer.smoothing import Session
 from palmd.system.description import AS_CALIBRATED
 
 RUN = ("friction", 107, 3.0)
+STARVED_S = 0.8
 
 
 def sought(rig, times=2):
@@ -60,3 +68,23 @@ def test_searches_that_come_to_nothing_tell_of_a_long_record_that_it_has_no_riva
     assert sought(rig.known_to(AS_CALIBRATED), 4) == [False] * 4
     monkeypatch.setattr(seeker, "TELLING_S", 2.0)
     assert sought(rig.known_to(AS_CALIBRATED), 4) == [False, False, True, True]
+
+
+def test_what_a_starved_machine_has_spoilt_is_left_out_once_nothing_explains_it():
+    """Else nothing would be found until the whole record is too long to be kept."""
+    run = simulated("friction", 107, 4.5)
+    events = []
+    for event in run.events:
+        t = event.t_sample
+        if isinstance(event, PalmSample) and STARVED_S - 0.09 < t < STARVED_S:
+            continue
+        if isinstance(event, PadSample) and t < STARVED_S:
+            event = replace(event, s=event.s + 2e-3 * math.sin(40.0 * t))
+        events.append(event)
+    smoother = IncrementalSmoother(run.rig)
+    smoother.add(Session(1, events[0].t_sample), events)
+    assert smoother.answer() is None
+    found = smoother.answer()
+    assert found is not None
+    assert math.exp(found.x[Z.LN_RHO]) == pytest.approx(run.truth.rho, rel=0.1)
+    assert found.x[Z.SHAPE] == pytest.approx(run.truth.h.mean(), abs=1e-4)
