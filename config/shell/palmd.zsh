@@ -295,6 +295,7 @@ _shtab_palmd_bench_simulate_options=(
   "--clean[instead\: H hours in which nothing happens\: every hold, and who leaks]:H:"
   "--long[instead\: H hours of trouble for one daemon\: what breaks, and who leaks]:H:"
   "--seed[of --standstill, --clean, --long]:N:"
+  "--aimed[seeds aim, one after the other, at a state with a fault in it]"
   "--keep[of one seed\'s happenings only these]:N,N…:"
   "--list[tell a single seed\'s happenings]"
   "--unreached[tell every (state, fault, command) that was not seen]"

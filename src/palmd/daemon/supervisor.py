@@ -154,14 +154,16 @@ class Supervisor:
         self._finish_job()
         self._finish_arming(t)
         self._finish_reset(t)
+        if up:  # before the faults: with one that is latched no command finds it ready
+            self._change(Trigger.RIG_UP, str(Trigger.RIG_UP))
         if self._faults.standing(Severity.STOP):
             if self.state in COMMANDED or self._faults.latched(Severity.STOP):
                 self.fall()
         elif self.state is State.TRACKING and self._faults.standing(Severity.HOLD):
             self._change(Trigger.HOLD, self._standing(Severity.HOLD))
             self._setpoints.hold()
-        trigger = Trigger.RIG_UP if up else Trigger.RIG_DOWN
-        self._change(trigger, str(trigger))
+        if not up:
+            self._change(Trigger.RIG_DOWN, str(Trigger.RIG_DOWN))
         self._t_up = min(self._t_up, t) if up else math.inf
         self._enforce(t)
         self._start_by_itself(t)

@@ -20,6 +20,7 @@ from statistics import median
 from palmd.console.arguments import count, seconds
 from palmd.console.errors import BAD_INPUT
 from palmd.console.progress import Progress
+from palmd.lab.simulation.aimed import aimed
 from palmd.lab.simulation.happenings import Scenario, drawn
 from palmd.lab.simulation.long import BLOCK_S, Life, calm, live, troubled
 from palmd.lab.simulation.reached import Triple, never_reached
@@ -55,6 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--long", type=float, metavar="H", help="instead: H hours of trouble for one daemon: what breaks, and who leaks"
     )
     add("--seed", type=int, default=STANDSTILL_SEED, metavar="N", help="of --standstill, --clean, --long")
+    add("--aimed", action="store_true", help="seeds aim, one after the other, at a state with a fault in it")
     add("--keep", type=_numbers, metavar="N,N…", help="of one seed's happenings only these")
     add("--list", action="store_true", help="tell a single seed's happenings")
     add("--unreached", action="store_true", help="tell every (state, fault, command) that was not seen")
@@ -84,7 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
     total = len(arguments.seeds) if arguments.seeds is not None else 0
     with Progress("simulate", total, "runs") as progress:
         for seed in seeds:
-            scenario = drawn(seed)
+            scenario = aimed(seed) if arguments.aimed else drawn(seed)
             if arguments.keep is not None:
                 scenario = scenario.keeping(arguments.keep)
             outcome = simulate(scenario)
@@ -96,7 +98,7 @@ def run(arguments: argparse.Namespace) -> int:
                 _list(scenario)
             if outcome.breach is not None:
                 failed += 1
-                _tell(outcome, shrink=arguments.keep is None)
+                _tell(outcome, "--aimed --seeds" if arguments.aimed else "--seeds", shrink=arguments.keep is None)
             elif single:
                 print(f"seed {seed}: every invariant held; digest {outcome.digest}")
             if total:
@@ -133,7 +135,7 @@ def _standstill(times: int, seed: int) -> int:
     return 0 if not any(map(math.isnan, every)) else BAD_INPUT
 
 
-def _tell(outcome: Outcome, *, shrink: bool) -> None:
+def _tell(outcome: Outcome, seeds: str, *, shrink: bool) -> None:
     scenario, breach = outcome.scenario, outcome.breach
     assert breach is not None
     print(f"seed {scenario.seed}: {breach}")
@@ -149,7 +151,7 @@ def _tell(outcome: Outcome, *, shrink: bool) -> None:
     print(f"  {len(least.kept)} of {len(scenario.kept)} happenings are enough:")
     _list(least)
     kept = ",".join(map(str, least.kept)) or "none"
-    print(f"  palmd bench simulate --seeds {scenario.seed}..{scenario.seed} --keep {kept}", flush=True)
+    print(f"  palmd bench simulate {seeds} {scenario.seed}..{scenario.seed} --keep {kept}", flush=True)
 
 
 def _list(scenario: Scenario) -> None:

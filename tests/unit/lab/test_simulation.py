@@ -12,16 +12,19 @@ import pytest
 
 from palmd.daemon import supervisor
 from palmd.daemon.bus import Bus
+from palmd.daemon.commands import COMMANDS
 from palmd.daemon.core import Core
 from palmd.daemon.diagnostics import ArmDiagnostics
+from palmd.daemon.lifecycle import State
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.supervisor import Supervisor
 from palmd.devices.armhost import ArmHost
 from palmd.devices.versapad import VersaPadDecoder
 from palmd.events import PalmSample
-from palmd.faults import FaultMonitor
+from palmd.faults import TABLE, FaultMonitor
 from palmd.lab import bench_simulate
 from palmd.lab.simulation import watch
+from palmd.lab.simulation.aimed import PAIRS, aimed
 from palmd.lab.simulation.causes import CAUSES, causes
 from palmd.lab.simulation.happenings import Broken, Scenario, Told, Trick, drawn
 from palmd.lab.simulation.light_observer import LightObserver
@@ -353,6 +356,19 @@ def test_every_cause_is_one_that_may_happen():
     assert {name for names in CAUSES.values() for name in names} <= may | {"left"}  # the body, by itself
 
 
+def test_a_run_that_aims_is_the_same_whoever_draws_it_and_every_pair_is_aimed_at():
+    assert aimed(300) == aimed(300) != aimed(300 + len(PAIRS))
+    assert {(state, fault) for state, fault, _ in rows() if unreachable(state, fault) is None} == {*PAIRS}
+
+
+def test_every_command_finds_what_was_aimed_at():
+    number = PAIRS.index((State.HOLD, TABLE["recorder-failed"]))
+    outcome = simulate(aimed(number))
+    assert outcome.breach is None
+    found = {command for state, code, command in outcome.seen if (state, code) == ("hold", "recorder-failed")}
+    assert {*COMMANDS} - found <= {"recorder", "stop", "reset"}  # the first says that all is well
+
+
 def test_what_was_not_seen_is_told():
     reachable = [row for row in rows() if unreachable(row[0], row[1]) is None]
     missing, reasons, found = never_reached({("idle", "none", "status"): 1})
@@ -366,7 +382,15 @@ def test_the_command_tells_a_failure_as_one_command(monkeypatch, capsys):
     few = scenario(told(3.0, "status"), told(3.5, "hold"), told(4.0, "stop"), told(4.1, "note", text="here"))
     monkeypatch.setattr(bench_simulate, "drawn", lambda _seed: few)
     arguments = SimpleNamespace(
-        seeds=range(2, 3), fresh=None, keep=None, list=False, unreached=False, standstill=None, clean=None, long=None
+        seeds=range(2, 3),
+        fresh=None,
+        aimed=False,
+        keep=None,
+        list=False,
+        unreached=False,
+        standstill=None,
+        clean=None,
+        long=None,
     )
     assert bench_simulate.run(arguments) == 1
     assert "--seeds 7..7 --keep 2" in capsys.readouterr().out

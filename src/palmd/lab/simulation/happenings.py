@@ -112,7 +112,7 @@ class Scenario:
 
     `eager_s` is how long the operator who wants the palms to move takes between looks, `latency_s` how often each
     port's adapter delivers. `thorough`: with the real observer on the real plant; `recorded`: as the recorder does.
-    `trouble_s` is how long things may happen.
+    `trouble_s` is how long things may happen, and until `alone_s` nobody but the clients that are drawn gives commands.
     """
 
     seed: int
@@ -125,6 +125,7 @@ class Scenario:
     thorough: bool = False
     recorded: bool = False
     trouble_s: float = TROUBLE_S
+    alone_s: float = 0.0
 
     def keeping(self, kept: Iterable[int]) -> Scenario:
         """The same with these happenings only, by their numbers among those drawn."""
@@ -158,7 +159,8 @@ def drawn(seed: int) -> Scenario:
     happenings = tuple(found)
     numbers = tuple(range(len(happenings)))
     thorough, recorded = seed % THOROUGH_EVERY == THOROUGH_EVERY - 1, seed % RECORDED_EVERY == RECORDED_EVERY - 1
-    return Scenario(seed, plan, autostart, eager_s, latency_s, happenings, numbers, thorough, recorded)
+    alone_s = TROUBLE_S if autostart else 0.0
+    return Scenario(seed, plan, autostart, eager_s, latency_s, happenings, numbers, thorough, recorded, alone_s=alone_s)
 
 
 def _one(t: float, rng: random.Random) -> Happening:

@@ -1,4 +1,8 @@
-"""Which (state, fault, command) have been seen, and which of them can never be: with the reason. Pure."""
+"""Which (state, fault, command) have been seen, and which of them can never be: with the reason. Pure.
+
+What is said of the arm's faults is compared with all that the lifecycle's exhaustive check comes to
+(`tests/unit/daemon/test_lifecycle_exhaustive.py`).
+"""
 
 from __future__ import annotations
 
@@ -29,6 +33,8 @@ def unreachable(state: State, fault: Fault | None) -> str | None:
         return "a stop fault ends tracking in the tick that it comes up in, before the next command is heard"
     if fault.severity is Severity.HOLD and state is State.TRACKING:
         return "a hold fault leads to hold in the tick that it comes up in"
+    if fault.severity is Severity.STOP and fault.latch == "always" and state is State.READY:
+        return "a stop fault that latches leads from ready to fault in the tick that it comes up in"
     if code in (*_NO_LINK, *_NO_PORT) and state is State.READY:
         return "ready is left in the tick in which a port or the link is gone"
     if code in _NEEDS_TRACKING and state not in COMMANDED:

@@ -303,7 +303,7 @@ class Simulation:
 
     def _operate(self, t: float) -> None:
         """Somebody who wants the palms to move, and reads the state as often as they can."""
-        if t < self._t_look or (self.scenario.autostart and t < self.scenario.trouble_s):
+        if t < max(self._t_look, self.scenario.alone_s):
             return
         self._t_look = t + self.scenario.eager_s
         core = self.core

@@ -291,7 +291,9 @@ class Watch:
         if t - self._t_begun < LINGERS_S and code in _AT_BEGINNING:
             return True
         names = CAUSES.get(code, frozenset())
-        return ("left" in names and t <= self._t_left + LINGERS_S) or any(cause.name in names and cause.t_on <= t <= cause.t_off + LINGERS_S for cause in self._causes)
+        if "left" in names and t <= self._t_left + LINGERS_S:
+            return True
+        return any(cause.name in names and cause.t_on <= t <= cause.t_off + LINGERS_S for cause in self._causes)
 
     def faults_over(self, core: Core, t: float, lies_on_palms: bool) -> None:
         """All causes have been over for a while: no fault stands but those that a client's word keeps up.
