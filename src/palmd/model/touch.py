@@ -76,7 +76,7 @@ class Touch:
     ) -> tuple[Contact, Contact]:
         """Both contacts of an object turned by `psi`, its `outline` at any normal.
 
-        `bends` add to the curvatures (1/m); the surfaces lie `standoffs` (m) above the hinge line, on the object's side.
+        `bends` add to the curvatures (1/m); the palms lie `standoffs` (m) above the hinge line, on the object's side.
         """
         if self.flat:
             one, two = map(outline, normal_directions((phi1, phi2), psi), PALMS)

@@ -40,7 +40,7 @@ class RigError:
         return PadSample(sample.t_sample - lag, sample.pad, sample.s, sample.force) if lag else sample
 
     def pressing(self, sample: PadSample) -> float:
-        """The force (N) that it was read under: a pad that is pressed beyond its scale tells none, but did just before."""
+        """The force (N) that it was read under: pressed beyond its scale a pad tells none, but did just before."""
         if sample.force is not None:
             self._pressed[sample.pad - 1] = sample.force
         return float(self._pressed[sample.pad - 1])
