@@ -100,7 +100,7 @@ class _Lying:
 
 
 @dataclass(frozen=True, slots=True)
-class _Felt:
+class _Touching:
     """Where an object touches: joint angles of the palms that bear it (rad), both contacts on them, s1 and s2 (m)."""
 
     joints: tuple[SX, ...]
@@ -108,7 +108,7 @@ class _Felt:
     s: tuple[SX, SX]
 
 
-def _felt(phi1: SX, phi2: SX, psi: SX, p: SX, lying: _Lying) -> _Felt:
+def _felt(phi1: SX, phi2: SX, psi: SX, p: SX, lying: _Lying) -> _Touching:
     """Of an object that is turned by ψ on palms that are said to be at φ1, φ2.
 
     Where a bowed surface touches it is a plane, turned by its slope there and set off from the hinge.
@@ -136,10 +136,10 @@ def _felt(phi1: SX, phi2: SX, psi: SX, p: SX, lying: _Lying) -> _Felt:
         strict=True,
     )  # height less s·slope
     one, two = planes(slopes, heights)
-    return _Felt(joints, (one, two), alongs(joints[1], one, two))
+    return _Touching(joints, (one, two), alongs(joints[1], one, two))
 
 
-def _felt_on_arcs(joints: tuple[SX, ...], psi: SX, p: SX, lying: _Lying) -> _Felt:
+def _felt_on_arcs(joints: tuple[SX, ...], psi: SX, p: SX, lying: _Lying) -> _Touching:
     """As `_felt`: a bow is one more curvature and a slope at the hinge."""
     rig, h, lengths = p[RIG], p[C.SHAPE :], lying.lengths
     slopes = 4 * rig[R.SAGITTA] / lengths[0], -4 * rig[R.SAGITTA + 1] / lengths[1]
@@ -149,7 +149,7 @@ def _felt_on_arcs(joints: tuple[SX, ...], psi: SX, p: SX, lying: _Lying) -> _Fel
     standoffs = [rig[R.STANDOFF + i] for i in range(2)]
     one, two = lying.touch.contacts(phi1, phi2, psi, lambda theta, _: lying.outline(theta, h), bends, standoffs)
     turned = replace(one, turn=one.turn + slopes[0]), replace(two, turn=two.turn + slopes[1])
-    return _Felt(joints, turned, readings(phi2, one, two))
+    return _Touching(joints, turned, readings(phi2, one, two))
 
 
 def _motion(psi: SX, omega0: SX, p: SX, palms: Palms, rig: SX, lying: _Lying) -> Motion:
