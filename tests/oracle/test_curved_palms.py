@@ -15,10 +15,12 @@ from palmd.model.shape_map import Z
 from palmd.model.symbolic import SX
 from palmd.observer.object_memory import DIRECTIONS, readings_on_arcs
 from palmd.rig.curved_plant import CurvedPlant, widest
-from palmd.rig.plant import FrictionSurface, Hinge
+from palmd.rig.imperfections import Imperfections, PadImperfection
+from palmd.rig.plant import FrictionSurface, Hinge, PadPair, Plant
 from palmd.rig.shapes import Body, random_body
 from palmd.system.arcs import circle_radius, joints_of, palm_points
 from palmd.system.description import PadSensor, RigDescription
+from palmd.system.rig_constants import RIG_NAMES
 
 CURVATURES = [(14.0, 11.5), (-9.0, -14.0), (15.0, 0.0), (-8.0, 12.0), (0.0, -10.0)]
 LENGTH = 0.0555
@@ -176,35 +178,55 @@ def test_rows_of_orientations_are_gradients_of_readings() -> None:
         assert after[palm] - s[palm] == pytest.approx(rows[palm] @ change, abs=1e-13)
 
 
-@pytest.mark.parametrize("pad", [1, 2])
-def test_a_bowed_pad_off_its_line_reads_as_the_plant_has_it(pad: int) -> None:
-    """The smoother's constants of the rig on arcs, against a plant whose palms are as far off."""
-    from dataclasses import replace
-
-    from palmd.rig.imperfections import Imperfections, PadImperfection
-
-    curvatures, sagitta, standoff = (14.0, -9.0), (8e-5, -5e-5), (2e-4, -3e-4)
+@pytest.mark.parametrize(
+    ("curvatures", "sagittas", "standoffs"),
+    [
+        ((0.0, 0.0), (3e-4, -2e-4), (0.0, 0.0)),
+        ((0.0, 0.0), (0.0, 0.0), (5e-4, -3e-4)),
+        ((14.0, -9.0), (3e-4, -2e-4), (5e-4, -3e-4)),
+    ],
+    ids=["bows", "standoffs", "arcs"],
+)
+def test_motion_on_pads_that_are_bowed_and_off_their_lines(
+    curvatures: PadPair, sagittas: PadPair, standoffs: PadPair
+) -> None:
+    """The smoother's steps, readings and forces, against a plant whose palms are as far off."""
+    pads = [PadImperfection(sagitta=a, standoff=b) for a, b in zip(sagittas, standoffs, strict=True)]
     body, surface = _body(4, curvatures), FrictionSurface(0.15, 0.012, 2e-4)
-    off = Imperfections(tuple(PadImperfection(sagitta=a, standoff=b) for a, b in zip(sagitta, standoff, strict=True)))
-    phi = joints_of(body.support.at(0.0)[0], (0.75, 1.65), curvatures)
-    plant = CurvedPlant(body, Hinge("arc"), surface, curvatures, imperfections=off)
-    motion = replace(PalmMotion.at_rest(phi), rates=(0.4, -0.3), accelerations=(0.5, 0.2))
-    plant.place(motion, 0.3, 0.8)
+    imperfections = Imperfections(tuple(pads), (2e-3, 1e-3), friction=0.2)
+    told = joints_of(body.support.at(0.0)[0], (0.75, 1.65), curvatures)
+    phi = imperfections.true_palms(PalmMotion.at_rest(told)).angles
+    plant = (
+        CurvedPlant(body, Hinge("arc"), surface, curvatures, imperfections=imperfections)
+        if any(curvatures)
+        else Plant(body, Hinge("arc"), surface, imperfections=imperfections)
+    )
+    plant.place(_plan(0.0, *phi), 0.3, 0.3)
     p = np.zeros(smoothing.CONSTANTS)
-    C, R = smoothing.C, smoothing.R
+    C, form, lengths = smoothing.C, smoothing.Form(curved=any(curvatures)), [LENGTH, LENGTH]
     p[C.LN_RHO], p[C.DRAG], p[C.SATURATION] = math.log(body.rho), surface.mu / surface.dither, surface.dither**-2.0
     p[C.DAMPING], p[C.LN_MASS] = surface.damping, math.log(body.mass)
+    p[smoothing.RIG] = [imperfections.constants()[name] for name in RIG_NAMES]
     p[C.SHAPE :] = _coefficients(body, smoothing.ORDER)
-    for i in range(2):
-        p[C.RIG + R.SAGITTA + i], p[C.RIG + R.STANDOFF + i] = sagitta[i], standoff[i]
-    nodes = [[0.3, 0.8], [0.3 + 0.005 * 0.8, 0.8]]
-    lengths = [LENGTH, LENGTH]
-    z = [0.005, 0.0, pad, *motion.angles, *motion.rates, 0.0, *curvatures, *lengths]
-    s = float(smoothing.contact_function(smoothing.Form(curved=True))(*nodes, p, z)[0])
-    assert s == pytest.approx(plant.contacts()[pad - 1].s, abs=1e-6)
-    z = [0.005, 0.0, pad, *motion.angles, *motion.rates, *motion.accelerations, *rig_inputs(_rig(curvatures)), *lengths]
-    force = float(smoothing.force_function(smoothing.Form(curved=True))(*nodes, p, z)[0])
-    assert force == pytest.approx(plant.contacts()[pad - 1].force, rel=5e-3)
+    rig, step = rig_inputs(_rig(curvatures)), smoothing.step_function(form)
+    x, dt, steps = np.array([0.3, 0.3]), 5e-4, 1000
+    for k in range(steps):
+        middle, end = (_plan(t, *phi) for t in ((k + 0.5) * dt, (k + 1) * dt))
+        plant.advance(middle, end, dt)
+        if k % 4 == 3:  # longer steps
+            start = _plan((k - 3) * dt, *told)
+            jerk = (np.array(end.accelerations) - np.array(start.accelerations)) / (4 * dt)
+            u = [4 * dt, *start.angles, *start.rates, *start.accelerations, *jerk, *rig, *lengths]
+            x = np.asarray(step(x, p, u)[0]).ravel()
+    assert all(plant.touching)
+    assert x == pytest.approx([plant.state.psi, plant.state.omega0], abs=1e-5)
+    nodes = [[plant.state.psi, plant.state.omega0], [plant.state.psi + dt * plant.state.omega0, plant.state.omega0]]
+    palms = _plan(steps * dt, *told)
+    for pad, contact in enumerate(plant.contacts(), 1):
+        z = [dt, 0.0, pad, *palms.angles, *palms.rates, 0.0, *curvatures, *lengths]
+        assert float(smoothing.contact_function(form)(*nodes, p, z)[0]) == pytest.approx(contact.s, abs=2e-6)
+        z = [dt, 0.0, pad, *palms.angles, *palms.rates, *palms.accelerations, *rig, *lengths]
+        assert float(smoothing.force_function(form)(*nodes, p, z)[0]) == pytest.approx(contact.force, rel=3e-4)
 
 
 def test_what_is_too_concave_for_the_body_is_refused() -> None:

@@ -8,13 +8,13 @@ with a border.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cache
 
 from palmd.model.compiled import Library, load
-from palmd.model.contact import Contact, readings
+from palmd.model.contact import Contact, alongs, readings, tangent_joints
 from palmd.model.dynamics import BodyConstants, Motion, Palms, newton_euler
 from palmd.model.integrate import exponential_step
 from palmd.model.kernels import Kernel, of_columns, single
@@ -99,49 +99,66 @@ class _Lying:
     lengths: SX
 
 
-def _felt(phi1: SX, phi2: SX, psi: SX, p: SX, lying: _Lying) -> tuple[SX, SX, Contact, Contact]:
-    """(φ1, φ2) of the planes that the palms' surfaces are where they touch, and the contacts as seen from their hinge.
+@dataclass(frozen=True, slots=True)
+class _Touching:
+    """Where an object touches: joint angles of the palms that bear it (rad), both contacts on them, s1 and s2 (m)."""
+
+    joints: tuple[SX, ...]
+    contacts: tuple[Contact, Contact]
+    s: tuple[SX, SX]
+
+
+def _felt(phi1: SX, phi2: SX, psi: SX, p: SX, lying: _Lying) -> _Touching:
+    """Of an object that is turned by ψ on palms that are said to be at φ1, φ2.
 
     Where a bowed surface touches it is a plane, turned by its slope there and set off from the hinge.
     """
     rig, h = p[RIG], p[C.SHAPE :]
-    phi1, phi2 = phi1 + rig[R.TILT], phi2 + rig[R.TURN]
+    joints = phi1 + rig[R.TILT], phi2 + rig[R.TURN]
     if not lying.touch.flat:
-        return _felt_on_arcs(phi1, phi2, psi, p, lying)
-    lengths = lying.lengths
+        return _felt_on_arcs(joints, psi, p, lying)
+    standoffs = rig[R.STANDOFF], rig[R.STANDOFF + 1]
 
-    def contacts(phi1: SX, phi2: SX, above1: SX, above2: SX) -> tuple[Contact, Contact]:
-        theta1, theta2 = normal_directions((phi1, phi2), psi)
-        one, two = lying.outline(theta1, h), lying.outline(theta2, h)
-        return replace(one, r=one.r + rig[R.STANDOFF] + above1), replace(two, r=two.r + rig[R.STANDOFF + 1] + above2)
+    def planes(slopes: Sequence[SX], heights: Sequence[SX]) -> tuple[Contact, Contact]:
+        turns = slopes[0], -slopes[1]
+        normals = normal_directions(tangent_joints(joints, turns), psi)
+        one, two = (
+            replace(lying.outline(theta, h), turn=turn, above=standoff + height)
+            for theta, turn, standoff, height in zip(normals, turns, standoffs, heights, strict=True)
+        )
+        return one, two
 
-    s1, s2 = readings(phi2, *contacts(phi1, phi2, SX(0), SX(0)))
-    slope1, slope2 = (4 * rig[R.SAGITTA + i] / lengths[i] * (1 - 2 * s / lengths[i]) for i, s in enumerate((s1, s2)))
-    above1, above2 = (
-        4 * rig[R.SAGITTA + i] * (s / lengths[i]) ** 2 for i, s in enumerate((s1, s2))
+    nothing = SX(0), SX(0)
+    bows = [(rig[R.SAGITTA + i], lying.lengths[i]) for i in range(2)]
+    at = zip(bows, alongs(joints[1], *planes(nothing, nothing)), strict=True)
+    slopes, heights = zip(
+        *((4 * bow / length * (1 - 2 * s / length), 4 * bow * (s / length) ** 2) for (bow, length), s in at),
+        strict=True,
     )  # height less s·slope
-    phi1, phi2 = phi1 + slope1, phi2 - slope1 - slope2
-    return phi1, phi2, *contacts(phi1, phi2, above1, above2)
+    one, two = planes(slopes, heights)
+    return _Touching(joints, (one, two), alongs(joints[1], one, two))
 
 
-def _felt_on_arcs(phi1: SX, phi2: SX, psi: SX, p: SX, lying: _Lying) -> tuple[SX, SX, Contact, Contact]:
-    """As `_felt`: a bow is one more curvature and a slope at the hinge, a standoff the outline's own."""
+def _felt_on_arcs(joints: tuple[SX, ...], psi: SX, p: SX, lying: _Lying) -> _Touching:
+    """As `_felt`: a bow is one more curvature and a slope at the hinge."""
     rig, h, lengths = p[RIG], p[C.SHAPE :], lying.lengths
-    slope1, slope2 = (4 * rig[R.SAGITTA + i] / lengths[i] for i in range(2))
+    slopes = 4 * rig[R.SAGITTA] / lengths[0], -4 * rig[R.SAGITTA + 1] / lengths[1]
     bends = [-8 * rig[R.SAGITTA + i] / lengths[i] ** 2 for i in range(2)]
-    phi1, phi2 = phi1 + slope1, phi2 - slope1 - slope2
+    phi1, phi2 = tangent_joints(joints, slopes)
 
     standoffs = [rig[R.STANDOFF + i] for i in range(2)]
     one, two = lying.touch.contacts(phi1, phi2, psi, lambda theta, _: lying.outline(theta, h), bends, standoffs)
-    return phi1, phi2, one, two
+    turned = replace(one, turn=one.turn + slopes[0]), replace(two, turn=two.turn + slopes[1])
+    return _Touching(joints, turned, readings(phi2, one, two))
 
 
 def _motion(psi: SX, omega0: SX, p: SX, palms: Palms, rig: SX, lying: _Lying) -> Motion:
-    phi1, phi2, one, two = _felt(palms.phi1, palms.phi2, psi, p, lying)
+    felt = _felt(palms.phi1, palms.phi2, psi, p, lying)
     dither = 1.0 / ca.sqrt(p[C.SATURATION])
     body = BodyConstants(ca.exp(p[C.LN_RHO]), p[C.DRAG] * dither, dither, p[C.DAMPING])
     rig = ca.vertcat(rig[:FRICTION_INPUT], p[RIG][R.FRICTION], rig[CURVATURE_INPUTS])
-    return newton_euler(replace(palms, phi1=phi1, phi2=phi2), omega0, one, two, body, rig)
+    phi1, phi2 = felt.joints
+    return newton_euler(replace(palms, phi1=phi1, phi2=phi2), omega0, *felt.contacts, body, rig)
 
 
 def step_function(form: Form = SMOOTH) -> ca.Function:
@@ -179,8 +196,7 @@ def contact_function(form: Form = SMOOTH) -> ca.Function:
 
     lag, touch = own(R.LAG), Touch(ca.vertsplit(z[8:10])) if form.curved else Touch()
     psi, _ = _between(a, b, z[0], z[1] - lag)
-    _, phi2, one, two = _felt(z[3] - lag * z[5], z[4] - lag * z[6], psi, p, _Lying(form.outline, touch, z[10:]))
-    s1, s2 = readings(phi2, one, two)
+    s1, s2 = _felt(z[3] - lag * z[5], z[4] - lag * z[6], psi, p, _Lying(form.outline, touch, z[10:])).s
     reading = own(R.ZERO) + own(R.FORCE) * z[7] + (1 + own(R.SCALE)) * ca.if_else(first, s1, s2)
     reading, J = touch.thawed(reading, ca.jacobian(reading, ca.vertcat(a, b, p)))
     return ca.Function("contact", [a, b, p, z], [reading, J], ["a", "b", "p", "z"], ["s", "J"])

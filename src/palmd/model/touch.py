@@ -44,10 +44,10 @@ class _Read:
         v_rate = ca.jacobian(felt.v, theta) if felt.v_rate is None else felt.v_rate
         return cls(theta, felt, (-felt.d, felt.r - felt.v, v_rate))
 
-    def past(self, angle: SX, standoff: SX) -> Contact:
-        """What it feels that far on from `theta` (rad), through so much of standoff (m)."""
+    def past(self, angle: SX) -> Contact:
+        """What it feels that far on from `theta` (rad)."""
         r, d, v = (each * angle for each in self.rates)
-        return replace(self.felt, r=self.felt.r + standoff + r, d=self.felt.d + d, v=self.felt.v + v)
+        return replace(self.felt, r=self.felt.r + r, d=self.felt.d + d, v=self.felt.v + v)
 
 
 def _slack(curvature: SX, v: SX) -> SX:
@@ -76,7 +76,7 @@ class Touch:
     ) -> tuple[Contact, Contact]:
         """Both contacts of an object turned by `psi`, its `outline` at any normal.
 
-        `bends` add to the curvatures (1/m), `standoffs` to what each palm feels as r (m).
+        `bends` add to the curvatures (1/m); the palms lie `standoffs` (m) above the hinge line, on the object's side.
         """
         if self.flat:
             one, two = map(outline, normal_directions((phi1, phi2), psi), PALMS)
@@ -101,10 +101,10 @@ class Touch:
         def at(s: Sequence[SX], known: Sequence[_Read]) -> tuple[Contact, Contact]:
             one, two = (
                 replace(
-                    each.past(theta - each.theta, off),
+                    each.past(theta - each.theta),
                     curvature=kappa,
                     turn=turn,
-                    above=-kappa / 2 * (place * sinc(turn / 2)) ** 2,
+                    above=off - kappa / 2 * (place * sinc(turn / 2)) ** 2,
                 )
                 for each, theta, off, kappa, turn, place in zip(
                     known, normals(s), offs, curvatures, turns(s), s, strict=True
@@ -127,9 +127,9 @@ class Touch:
             for each, off, kappa, side, place, start in zip(known, offs, curvatures, SIDES, s, begun, strict=True):
                 half = ca.fmin((kappa * place / 2) ** 2, MOST_HALF**2)
                 chord = place * (1 - half / 6 * (1 - half / 20 * (1 - half / 42)))
-                felt.append(each.past(side * kappa * (place - start), off))
+                felt.append(each.past(side * kappa * (place - start)))
                 ways.append(chord * (1 - half / 2 * (1 - half / 12 * (1 - half / 30))))
-                above.append(felt[-1].r - kappa / 2 * chord**2)
+                above.append(felt[-1].r + off - kappa / 2 * chord**2)
             one, two = turns(s)
             cos, sin = ca.cos(phi2 + two - one), ca.sin(phi2 + two - one)
             along = (above[0] * cos + above[1]) / sin - felt[0].d, (above[1] * cos + above[0]) / sin + felt[1].d

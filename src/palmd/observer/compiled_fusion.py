@@ -171,6 +171,7 @@ class CompiledRig:
     """A `RigError` as C sees it."""
 
     def __init__(self, error: RigError):
+        self.pressing = error.pressing
         self._held = error.values, np.array(error.pad_lengths), np.array(error.curvatures), error.s
         self._now = _RigError(*(each.ctypes.data for each in self._held))
         self.address = ctypes.addressof(self._now)
@@ -200,12 +201,12 @@ class CompiledBank:
         self._reading = _FusedReading()
         self._reading_at = ctypes.addressof(self._reading)
 
-    def reading(self, sample: PadSample) -> int:
+    def reading(self, sample: PadSample, rig: CompiledRig) -> int:
         """The address of a reading, until the next one; ValueError for a pad that there is not."""
         if sample.pad not in PALMS:
             raise ValueError(f"there is no pad {sample.pad}")
         reading = self._reading
-        reading.t, reading.s, reading.force, reading.pad = sample.t_sample, sample.s, sample.force or 0.0, sample.pad
+        reading.t, reading.s, reading.force, reading.pad = sample.t_sample, sample.s, rig.pressing(sample), sample.pad
         return self._reading_at
 
     def carry(self, rig: CompiledRig, palms: CompiledPalms, t: float, until: float, repeated: float) -> None:
@@ -214,7 +215,7 @@ class CompiledBank:
 
     def read(self, rig: CompiledRig, palms: CompiledPalms, sample: PadSample, variance: float, repeated: float) -> None:
         """Fuse one contact reading, one of `repeated` that share one error."""
-        self.does.read_pad(self.address, palms.address, rig.address, self.reading(sample), variance, repeated)
+        self.does.read_pad(self.address, palms.address, rig.address, self.reading(sample, rig), variance, repeated)
 
     def fade(self, block: int, fraction: float, prior: Belief) -> None:
         """As `Bank.fade`."""
@@ -275,7 +276,7 @@ class CompiledHistory:
         """
         bank = self._bank
         does, at = bank.does, (bank.address, palms.address, rig.address)
-        block = does.add(self._address, *at, bank.reading(sample))
+        block = does.add(self._address, *at, bank.reading(sample, rig))
         while block >= 0:
             forget(block, self.now.repeated)
             block = does.fuse(self._address, *at)

@@ -27,7 +27,7 @@ from palmd.system.rig_constants import prior_sds
 
 CONTRADICTED = 0.5  # nats, of all explanations together against what is believed: of clean rigs 1 in 100 comes there
 STILL = -1.0  # and what has been contradicted is still
-DOUBTED = -1.4  # nats, from which on they are in the bands: 1 to 4
+DOUBTED = -4.0  # nats, from which on they are in the bands: 1 to 55
 NAMED = 0.25  # share of the explanations that a constant must be in
 SELDOM = math.log(0.01)  # that one constant is off, beforehand
 TIMES = (1.0, 3.0, 10.0)  # what calibration leaves

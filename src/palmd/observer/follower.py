@@ -67,6 +67,9 @@ class Follower:
         self._rig = found.search.rig
         self._chain = Chain(found.search.library, found.search.noise, found.search.known)
         self._belief = found.search.belief
+        finding = found.finding
+        record = Smoother(found.search.library, finding.record, found.search.known).pressed(finding.fits[0].guess)
+        found = replace(found, finding=replace(finding, record=record))
         self._closed = self.touched = marks_of(np.zeros((0, 2)))
         self.lost = False
         self._go_on(found)

@@ -202,6 +202,7 @@ class Residuals:
         self._contacts = _Readings(library, "contact_batch", record.contact_step, contacts, self._p)
         forces = record.force_inputs(_padded(len(record.force_step)))
         self._forces = _Readings(library, "force_batch", record.force_step, forces, self._p)
+        self._library = library
 
     def completed(self, guess: Guess) -> Guess:
         """The guess as it is, or carried on by the model where it has fewer nodes than the record."""
@@ -221,6 +222,13 @@ class Residuals:
         """Predicted force (N) of each force reading."""
         self._p[:] = guess.p
         return self._forces.predicted(guess.x)
+
+    def pressing(self, guess: Guess) -> FloatArray:
+        """Predicted force (N) on each contact that is read, whether its pad tells forces or not."""
+        record = self.record
+        inputs = record.pressing_inputs(_padded(len(record.contact_step)))
+        self._p[:] = guess.p
+        return _Readings(self._library, "force_batch", record.contact_step, inputs, self._p).predicted(guess.x)
 
     def contacts(self, guess: Guess) -> FloatArray:
         """Each contact reading less its prediction, in sigmas of its noise."""

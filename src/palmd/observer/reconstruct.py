@@ -172,8 +172,9 @@ def _refined(search: Search, finding: Minima, segment: DataSegment, rig: RigDesc
     best, prior, belief = finding.fits[0], search.prior, search.belief
     record = lay_out(segment.pads, search.path, rig, segment.start, segment.end, SPACING_S)
     guess = best.guess.on(finding.record.t, record.t)
-    level = np.maximum(Smoother(search.library, record, prior).forces(guess), LEAST_FORCE_N)
-    record = replace(record.pressed_by(level), force_variance=rig.force_variances(level, record.force_pad))
+    smoother = Smoother(search.library, record, prior)
+    level = np.maximum(smoother.forces(guess), LEAST_FORCE_N)
+    record = replace(smoother.pressed(guess), force_variance=rig.force_variances(level, record.force_pad))
     finer = minima(search.library, record, prior, [guess], best.noise)
     record, fit = finer.record, finer.fits[0]
     smoother = Smoother(search.library, record, prior)

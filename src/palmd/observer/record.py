@@ -27,8 +27,8 @@ class Record:
     """Nodes at times `t` (K + 1), the palms there, and each reading with the step it falls into.
 
     `palms` (K + 1, 6): φ1, φ2, ω1, ω2, α1, α2. Readings are in order of time; `*_offset` is the time into the step,
-    `*_weight` what each counts, 1 but at rest. `contact_force` is at first a running median of
-    the readings, 0 where a pad gives none.
+    `*_weight` what each counts, 1 but at rest. `contact_force` is at first what the readings tell (`_pressing`), 0 on
+    pads that tell no force.
     """
 
     t: FloatArray
@@ -81,15 +81,17 @@ class Record:
             self.force_value[f], self.force_variance[f], self.force_weight[f],
         )  # fmt: skip
 
-    def pressed_by(self, level: FloatArray) -> Record:
-        """The same, contacts pressed by the force `level` (N) at each force reading; pads without forces as before."""
-        contact_force, times = self.contact_force.copy(), self.t[self.contact_step] + self.contact_offset
-        force_times = self.t[self.force_step] + self.force_offset
-        for pad in PALMS:
-            touched, told = self.contact_pad == pad, self.force_pad == pad
-            if told.any():
-                contact_force[touched] = np.interp(times[touched], force_times[told], level[told])
-        return replace(self, contact_force=contact_force)
+    def pressed_by(self, force: FloatArray) -> Record:
+        """The same, contacts pressed by `force` (N, of each); scaled as the pads tell that, and not where none does."""
+        scales = [
+            np.median(self.contact_force[mine] / force[mine])
+            for pad in PALMS
+            if (mine := (self.contact_pad == pad) & (self.contact_force > 0.0) & (force > LEAST_FORCE_N)).any()
+        ]
+        if not scales:
+            return self
+        pressed = np.mean(scales) * np.maximum(force, 0.0)
+        return replace(self, contact_force=np.where(self.contact_force > 0.0, pressed, 0.0))
 
     def step_inputs(self, rows: int) -> FloatArray:
         """Last input of the kernel `step` for each step, padded to `rows`."""
@@ -115,10 +117,19 @@ class Record:
 
     def force_inputs(self, rows: int) -> FloatArray:
         """Last input of the kernel `force` for each force reading, padded to `rows`."""
+        return self._force_inputs(rows, self.force_step, self.force_offset, self.force_pad, self.force_palms)
+
+    def pressing_inputs(self, rows: int) -> FloatArray:
+        """As `force_inputs`, for the force on each contact that is read."""
+        return self._force_inputs(rows, self.contact_step, self.contact_offset, self.contact_pad, self.contact_palms)
+
+    def _force_inputs(
+        self, rows: int, step: IntArray, offset: FloatArray, pad: FloatArray, palms: FloatArray
+    ) -> FloatArray:
         inputs = np.ones((rows, FORCE_INPUTS))
-        n = len(self.force_step)
-        inputs[:n, 0], inputs[:n, 1], inputs[:n, 2] = self.dt[self.force_step], self.force_offset, self.force_pad
-        inputs[:n, 3:9], inputs[:n, 9:-2], inputs[:n, -2:] = self.force_palms, self.rig, self.pad_lengths
+        n = len(step)
+        inputs[:n, 0], inputs[:n, 1], inputs[:n, 2] = self.dt[step], offset, pad
+        inputs[:n, 3:9], inputs[:n, 9:-2], inputs[:n, -2:] = palms, self.rig, self.pad_lengths
         return inputs
 
 
@@ -156,16 +167,27 @@ def lay_out(
         & (force > LEAST_FORCE_N)
         & (np.array([sensor.force_gain_std for sensor in rig.pads])[which] == 0.0)
     )
-    # neighbours in time tell the true force better than the reading itself, whose noise would pull to 0 what is told
-    # of a contact's dependence on it
     level = _running_median(force, pad)
     force_variance = rig.force_variances(level, pad)
     return Record(
         t, path.at(t), rig_inputs(rig), np.array([sensor.length for sensor in rig.pads]),
-        step, offset, pad, palms, np.nan_to_num(level), value, variance, weight,
+        step, offset, pad, palms, _pressing(level, pad), value, variance, weight,
         step[pressed], offset[pressed], pad[pressed], palms[pressed], force[pressed], force_variance[pressed],
         weight[pressed],
     )  # fmt: skip
+
+
+def _pressing(level: FloatArray, pad: FloatArray) -> FloatArray:
+    """What presses each contact (N): neighbours in time tell it better than the reading itself.
+
+    That one's noise would pull to 0 what is told of a contact's dependence on it. So would a force of 0 where a pad
+    tells none because it is pressed beyond its scale: that is at least the most that it tells.
+    """
+    pressing = np.nan_to_num(level)
+    for number in PALMS:
+        untold = (pad == number) & ~np.isfinite(level)
+        pressing[untold] = pressing[pad == number].max(initial=0.0)
+    return pressing
 
 
 def _running_median(force: FloatArray, pad: FloatArray, width: int = 15) -> FloatArray:

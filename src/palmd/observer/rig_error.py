@@ -24,6 +24,7 @@ class RigError:
     curvatures: tuple[float, ...] = FLAT
     values: FloatArray = field(default_factory=lambda: np.zeros(RIG_CONSTANTS))
     s: FloatArray = field(default_factory=lambda: np.zeros(len(PALMS)))  # of each pad's last contact, corrected (m)
+    _pressed: FloatArray = field(default_factory=lambda: np.zeros(len(PALMS)))  # by the force it told last (N)
 
     def angles(self) -> tuple[float, float]:
         """By how much φ1 and φ2 of the surfaces that are touched exceed those that are reported (rad)."""
@@ -38,13 +39,19 @@ class RigError:
         lag = float(self.values[R.LAG + sample.pad - 1])
         return PadSample(sample.t_sample - lag, sample.pad, sample.s, sample.force) if lag else sample
 
+    def pressing(self, sample: PadSample) -> float:
+        """The force (N) that it was read under: pressed beyond its scale a pad tells none, but did just before."""
+        if sample.force is not None:
+            self._pressed[sample.pad - 1] = sample.force
+        return float(self._pressed[sample.pad - 1])
+
     def corrected(self, sample: PadSample, opening: float, radius: float) -> float:
         """The distance (m) that the pad would tell, had it no error and lay on the hinge line; φ2 as in `angles`.
 
         `radius` (m) of the object, about: a curved palm's contact goes by 1/(1 − κ·radius) farther than a flat one's.
         """
         i, v = sample.pad - 1, self.values
-        pushed = v[R.FORCE + i] * (sample.force or 0.0)
+        pushed = v[R.FORCE + i] * self.pressing(sample)
         s = (sample.s - v[R.ZERO + i] - pushed) / (1.0 + v[R.SCALE + i])
         self.s[i] = float(s)
         own, other = (v[R.STANDOFF + k] + 4.0 * v[R.SAGITTA + k] * self._u(k) ** 2 for k in (i, 1 - i))

@@ -156,6 +156,7 @@ class Search:
         smoother = Smoother(self.library, self.record, self.known)
         start = smoother.completed(guess)
         if not astray(smoother.residuals(start)).any():
+            self.record = smoother.pressed(start)
             found = self._minima(self.record, [start])
             if explained(found.fits[0], found.record):
                 return found

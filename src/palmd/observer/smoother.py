@@ -101,6 +101,10 @@ class Smoother:
         """Predicted force (N) of each force reading."""
         return self._residuals.forces(guess)
 
+    def pressed(self, guess: Guess) -> Record:
+        """The record, its contacts pressed as the model has it at `guess` rather than as the pads tell it."""
+        return self._residuals.record.pressed_by(self._residuals.pressing(guess))
+
     def residuals(self, guess: Guess) -> FloatArray:
         """Each contact reading less its prediction, in sigmas of its noise."""
         return self._residuals.contacts(guess)

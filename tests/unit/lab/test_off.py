@@ -68,7 +68,9 @@ def test_what_is_claimed_too_sharply_is_told_with_its_seed():
                   named_early=("phi2_rad",))  # fmt: skip
     rows = [good, replace(good, seed=4, e_h_m=3.1e-5), replace(good, seed=5, claimed=False, reason="too little")]
     text = report(rows)
-    assert "1 of 2 claims are more than 3 sd off" in text
+    assert "1 of 2 claims are more than 3 sd off, 1 of 2 where touch can tell" in text
+    high = replace(rows[1], off="pad 1 0.5 mm high")
+    assert "2 of 3 claims are more than 3 sd off, 1 of 2 where touch can tell" in report([*rows, high])
     assert "φ2 1°, rig 4: 31 µm off, sd 10 µm" in text
     assert "φ2 1°, rig 5: too little" in text
     assert "rig 3" not in text

@@ -97,11 +97,20 @@ def test_the_palms_motion_is_the_twins(told):
 @pytest.mark.parametrize(("size", "order"), [(16, shape_map.HARMONICS), (1, ORDER)])
 def test_filters_are_carried_and_told_readings_as_the_twins_are(kind, size, order):
     filters, palms = pair(RIGS[kind], size, order)
-    for pad, until in ((1, 0.034), (2, 0.0345), (2, 0.051), (1, 0.051)):
+    for pad, until, force in ((1, 0.034, 1.3), (2, 0.0345, 0.8), (2, 0.051, None), (1, 0.051, 1.2)):
         for each, tracked in zip(filters, palms, strict=True):
             each.carry(0.03, until, tracked, 1.7)
-            each.fuse_pad(PadSample(until, pad, 0.021, 1.3), 1e-6, tracked, 1.7)
+            each.fuse_pad(PadSample(until, pad, 0.021, force), 1e-6, tracked, 1.7)
         same(filters, 1e-10)
+
+
+def test_a_reading_beyond_the_pads_scale_is_taken_under_the_force_told_before():
+    (_, twin), (_, palms) = pair(RIGS["flat"], 1, ORDER)
+    error = twin.rig_error
+    opening = float(palms.at(0.03)[1])
+    told, beyond = (error.corrected(PadSample(0.03, 1, 0.02, force), opening, 0.02) for force in (2.5, None))
+    assert beyond == told
+    assert error.corrected(PadSample(0.03, 1, 0.02, 0.0), opening, 0.02) != told
 
 
 @pytest.mark.parametrize("kind", RIGS)

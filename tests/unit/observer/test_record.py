@@ -34,16 +34,27 @@ def test_each_reading_falls_into_its_step():
     assert record.palms[:, 0] == pytest.approx(0.7 + 0.2 * record.t, abs=1e-6)
 
 
-def test_contacts_are_pressed_by_what_a_model_says_where_a_pad_tells_forces():
+def test_contacts_are_pressed_by_what_a_model_says_as_much_as_pads_tell():
     samples = pads(*np.arange(0.0, 0.1, 0.005), force=2.0)
     silent = [PadSample(each.t_sample, each.pad, each.s, None if each.pad == 2 else each.force) for each in samples]
     record = laid(silent)
-    times = record.t[record.contact_step] + record.contact_offset
-    force_times = record.t[record.force_step] + record.force_offset
-    pressed = record.pressed_by(1.0 + force_times)
-    assert pressed.contact_force[record.contact_pad == 1] == pytest.approx(1.0 + times[record.contact_pad == 1])
-    assert (pressed.contact_force[record.contact_pad == 2] == 0.0).all()
-    assert record.contact_force[0] == pytest.approx(2.0), "the record itself stays as it was"
+    first = record.contact_pad == 1
+    model = 1.0 + record.t[record.contact_step] + record.contact_offset  # of an object of some other mass
+    pressed = record.pressed_by(model)
+    ratio = pressed.contact_force[first] / model[first]
+    assert ratio == pytest.approx(np.median(2.0 / model[first]))
+    assert (pressed.contact_force[~first] == 0.0).all()
+    assert record.contact_force[first] == pytest.approx(2.0), "the record itself stays as it was"
+    assert laid(pads(0.01, 0.02, force=None)).pressed_by(np.ones(2)).contact_force.tolist() == [0.0, 0.0]
+
+
+def test_a_pad_that_is_pressed_beyond_its_scale_is_pressed_as_much_as_it_tells_at_most():
+    """It tells no force then, which is not none."""
+    told = [1.0, 2.0, 2.5, None, None, 2.4, 1.5]
+    record = laid([PadSample(0.01 * k, 1, 0.02, force) for k, force in enumerate(told)])
+    assert record.contact_force.min() == pytest.approx(1.0)
+    assert record.contact_force[3:5] == pytest.approx(record.contact_force.max())
+    assert record.force_step.tolist() == [0, 1, 2, 5, 6]
 
 
 def test_what_lies_outside_the_nodes_is_left_out():
