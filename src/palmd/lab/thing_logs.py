@@ -157,7 +157,8 @@ def simulated(task: SharpTask) -> tuple[EventLog, Line]:
         return read_log(path), truth
 
 
-HEAD = ("right", "in its band", "wrong", "refused", "µm", "largest", "error / sd", "touched", "explained (s)", "processor (s)")
+_VERDICTS = ("right", "in its band", "wrong", "refused")
+HEAD = (*_VERDICTS, "µm", "largest", "error / sd", "touched", "explained (s)", "processor (s)")
 
 
 def table(rows: Sequence[SharpRow]) -> str:

@@ -177,7 +177,9 @@ def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:
         moves = moved_by_rig(problem, best)
     except np.linalg.LinAlgError:
         raise TooLittleError("the fit is not a minimum") from None
-    told = gauge_free_sd(theta, theta[touched], coefficients, given(covariance, slice(P.ZERO, P.SHAPE), slice(P.SHAPE, None)))
+    told = gauge_free_sd(
+        theta, theta[touched], coefficients, given(covariance, slice(P.ZERO, P.SHAPE), slice(P.SHAPE, None))
+    )
     covariance = covariance + moves @ moves.T
     h_sd = gauge_free_sd(theta, theta[touched], coefficients, covariance[P.SHAPE :, P.SHAPE :])
     reason = _doubt(record, best, fits[1:], theta, h, h_sd, touched)
