@@ -33,7 +33,7 @@ class SupportFunction(Protocol):
         """h, h′, h″ (m) at the normal theta (rad, any branch)."""
 
     def room(self, theta: float) -> float:
-        """How far (rad) the normal theta may turn before h″ leaps, but for a share of a side; inf where it never does."""
+        """How far (rad) the normal theta may turn before h″ leaps, a share of a side at least; inf if it never does."""
 
     def sample(self, theta: FloatArray, order: int = 0) -> FloatArray:
         """The derivative of the given order, up to the second, at many normals at once (m per rad^order)."""
