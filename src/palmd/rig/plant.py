@@ -283,7 +283,8 @@ class Plant:
     def advance(self, middle: PalmMotion, end: PalmMotion, dt: float) -> None:
         """Goes on by dt seconds; `middle` and `end` are the palms half-way and at the end."""
         left = dt
-        while not self.fallen and (part := self._longest_step()) < left:
+        smooth = self._compiled is not None  # what is compiled serves no other body
+        while not (smooth or self.fallen) and (part := self._longest_step()) < left:
             left -= part
             self._step(_before(end, left + 0.5 * part), _before(end, left), part)
         self._step(middle if left == dt else _before(end, 0.5 * left), end, left)
