@@ -16,7 +16,7 @@ import numpy as np
 
 from palmd.events import Event, PadSample
 from palmd.lab.runs import with_failures
-from palmd.lab.scoring import outline_errors, truth_of
+from palmd.lab.scoring import FAR, outline_errors, truth_of
 from palmd.lab.simulated import written
 from palmd.lab.table import aligned
 from palmd.observer.reconstruct import reconstruct
@@ -36,7 +36,6 @@ _KNOWN: Mapping[TakenFor, Mapping[str, float]] = {
     "calibrated": AS_CALIBRATED,
 }
 NAMED_WITHIN_S = 10.0
-FAR = 3.0  # one-sigmas, by RMS over the touched normals
 _STREAM = 29  # of a seed's random numbers: what is done to the readings
 _BATCH_S, _PACKET_S = 0.016, 0.00625
 

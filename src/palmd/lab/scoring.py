@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 RIGHT_M = 1e-4
+FAR = 3.0  # one-sigmas, by RMS over the touched normals: more, and what is claimed is wrong on any rig
 CAUSAL_OUTLINE_M, CAUSAL_R_M = 2e-4, 3e-4
 
 Line = dict[str, Any]

@@ -155,6 +155,15 @@ class Factor:
         )
 
 
+def given(covariance: FloatArray, known: slice, asked: slice) -> FloatArray:
+    """The part `asked` of a covariance, were the part `known` known: its Schur complement."""
+    across = covariance[known, asked]
+    scale = np.sqrt(np.diagonal(covariance)[known])[:, None]
+    solved = np.linalg.solve(covariance[known, known] / (scale * scale.T), across / scale)
+    own: FloatArray = covariance[asked, asked]
+    return own - (across / scale).T @ solved
+
+
 def friction_of(p: FloatArray, covariance: FloatArray) -> tuple[float, float]:
     """μ and its one-sigma, from constants and their covariance (which may go on beyond them)."""
     dither = p[C.SATURATION] ** -0.5

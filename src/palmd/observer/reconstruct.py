@@ -21,7 +21,7 @@ from palmd.observer.chain import Chain
 from palmd.observer.coverage import marks_of
 from palmd.observer.criticism import MOST_REVISIONS, RigBelief
 from palmd.observer.data_segment import DataSegment, data_segments
-from palmd.observer.factor import Prior
+from palmd.observer.factor import Prior, given
 from palmd.observer.likeness import UNTOLD, likeness, root_of
 from palmd.observer.marginal import Marginal, marginalised
 from palmd.observer.mass import MassEstimator
@@ -241,7 +241,7 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
     normals = [felt_normals(part.record, part.psi, p[C.SHAPE :]) for part in parts]
     outline = outline_of(p[C.SHAPE :], covariance[_OUTLINE, _OUTLINE], normals)
     reason = main.reason
-    told = outline_of(p[C.SHAPE :], given_the_rig(covariance), normals)
+    told = outline_of(p[C.SHAPE :], given(covariance, RIG, _OUTLINE), normals)
     if not reason and float(np.sqrt(np.mean(told.h_sd[told.touched] ** 2))) > SHARP_M:
         reason = "the readings tell too little of the outline"
     if not reason and (lying := most_lying(p[C.SHAPE :], normals, rig.curvatures)) >= MOST_LYING:
@@ -270,15 +270,6 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
         turned_sd=math.nan if others else float(sd[CONSTANTS]),  # ψ is 0 at the first node: gauge
         likeness=UNTOLD if reason else likeness(outline.theta, outline.h, root, outline.touched),
     )  # fmt: skip
-
-
-def given_the_rig(covariance: FloatArray) -> FloatArray:
-    """Of the outline's coefficients, were the rig's constants known: what its readings have told of them."""
-    across = covariance[RIG, _OUTLINE]
-    own: FloatArray = covariance[_OUTLINE, _OUTLINE]
-    scale = np.sqrt(np.diagonal(covariance)[RIG])
-    solved = np.linalg.solve(covariance[RIG, RIG] / np.outer(scale, scale), across / scale[:, None])
-    return own - (across / scale[:, None]).T @ solved
 
 
 def most_lying(coefficients: FloatArray, normals: Sequence[FloatArray], curvatures: Sequence[float]) -> float:

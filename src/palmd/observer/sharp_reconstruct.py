@@ -12,16 +12,16 @@ from palmd.events import FloatArray
 from palmd.model import sharp
 from palmd.model.sharp import LENGTHS, NORMALS, SIDES, WIDTH
 from palmd.model.smoothing import RIG, C
-from palmd.observer.factor import friction_of
+from palmd.observer.factor import friction_of, given
 from palmd.observer.likeness import likeness, root_of
 from palmd.observer.outline import directions, normal_angles, touched_by
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.search import Search, still
 from palmd.observer.sided import LEAST_S, Candidate, SidedSearch
+from palmd.observer.validity import SHARP_M
 from palmd.observer.visits import visits_of
 
 LEAST_SIDE_M = 1e-3  # a shorter side is none
-SHARP_M = 1.5e-4  # RMS of the outline's one-sigma where touched, above which there is no outline to speak of
 MOST_CHI2, MOST_OUTLIERS = 1.15, 0.05  # of the readings, while contacts jump
 MOST_STRAIN_TOLD = 40.0  # of the cost, by the prior: outlines that are right have 5 to 30
 DIFFERENT_M, DOUBT = 1e-4, 25.0
@@ -85,11 +85,14 @@ def _told(best: Candidate, covariance: FloatArray, search: Search, begun: float)
     normals = normal_angles(record.palms, x[:, 0])
     theta, touched = directions(), touched_by(normals)
     h = sharp.support(theta, p)
-    h_sd = np.hypot(OVERCONFIDENCE * _band(theta, theta[touched], p, covariance), MODEL_SD_M)
-    if float(np.sqrt(np.mean(h_sd[touched] ** 2))) > SHARP_M:
-        return None
     covariance = OVERCONFIDENCE**2 * covariance
     rows, shape = sharp.outline_rows(theta, p), slice(C.SHAPE, len(p))
+    h_sd, told_sd = (
+        np.hypot(_band(theta, theta[touched], p, each), MODEL_SD_M)
+        for each in (covariance[shape, shape], given(covariance, RIG, shape))
+    )
+    if float(np.sqrt(np.mean(told_sd[touched] ** 2))) > SHARP_M:
+        return None
     mu, mu_sd = friction_of(p, covariance)
     sd = np.sqrt(np.diagonal(covariance))
     rho = math.exp(p[C.LN_RHO])
@@ -109,10 +112,11 @@ def _told(best: Candidate, covariance: FloatArray, search: Search, begun: float)
 
 
 def _band(theta: FloatArray, touched: FloatArray, p: FloatArray, covariance: FloatArray) -> FloatArray:
-    """One-sigma of h (m) on `theta` after the rotation that fits the `touched` normals best."""
+    """One-sigma of h (m) on `theta` after the rotation that fits the `touched` normals best.
+
+    `covariance` is of the constants from `C.SHAPE` on.
+    """
     step = 1e-4
-    shape = slice(C.SHAPE, len(p))
-    known = covariance[shape, shape]
 
     def slope(at: FloatArray) -> FloatArray:
         return (sharp.support(at + step, p) - sharp.support(at - step, p)) / (2 * step)
@@ -121,7 +125,7 @@ def _band(theta: FloatArray, touched: FloatArray, p: FloatArray, covariance: Flo
     there = slope(touched)
     turn = there @ sharp.outline_rows(touched, p) / max(float(there @ there), 1e-30)
     free = free - np.outer(slope(theta), turn)
-    variance: FloatArray = ((free @ known) * free).sum(axis=1)
+    variance: FloatArray = ((free @ covariance) * free).sum(axis=1)
     return np.sqrt(np.maximum(variance, 0.0))
 
 

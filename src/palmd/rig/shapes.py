@@ -32,6 +32,9 @@ class SupportFunction(Protocol):
     def at(self, theta: float) -> tuple[float, float, float]:
         """h, h′, h″ (m) at the normal theta (rad, any branch)."""
 
+    def room(self, theta: float) -> float:
+        """How far (rad) the normal theta may turn before h″ leaps, a share of a side at least; inf if it never does."""
+
     def sample(self, theta: FloatArray, order: int = 0) -> FloatArray:
         """The derivative of the given order, up to the second, at many normals at once (m per rad^order)."""
 
@@ -67,6 +70,11 @@ class Support:
             h1 + e * (2.0 * half_h2 + e * 3.0 * sixth_h3),
             2.0 * half_h2 + e * 6.0 * sixth_h3,
         )
+
+    def room(self, theta: float) -> float:
+        """See `SupportFunction`: h″ never leaps."""
+        del theta
+        return math.inf
 
     def sample(self, theta: FloatArray, order: int = 0) -> FloatArray:
         """The derivative of the given order at many normals at once (m per rad^order)."""

@@ -19,6 +19,7 @@ from palmd.events import FloatArray
 from palmd.rig.shapes import Body, Support
 
 FLAT_RAD = 2e-3
+SHARE = 0.1  # of a flat side, at most, that a step of a simulation should pass
 _BOUNDARY = 20_000  # points on the outline from which area and moments are taken
 Point = tuple[float, float]
 Disc = tuple[Point, float]
@@ -39,6 +40,14 @@ class ArcSupport:
         c, s = math.cos(theta), math.sin(theta)
         along = x * c + y * s
         return along + v, y * c - x * s, -along
+
+    def room(self, theta: float) -> float:
+        """To the nearer end of its arc, or a share of the narrowest arc."""
+        theta %= math.tau
+        j = bisect_right(self.starts, theta) - 1
+        start = self.starts[j] if j else self.starts[-1] - math.tau
+        end = self.starts[j + 1] if j + 1 < len(self.starts) else self.starts[1] + math.tau
+        return max(min(0.5 * (theta - start), 0.5 * (end - theta), SHARE * (end - start)), SHARE * FLAT_RAD)
 
     def sample(self, theta: FloatArray, order: int = 0) -> FloatArray:
         """The derivative of the given order, up to the second, at many normals at once (m per rad^order)."""
@@ -72,6 +81,11 @@ class ChordSupport:
         h, h1, h2 = self.smooth.at(theta)
         g, g1, v = self._chord(math.remainder(theta - self.normal, math.tau))
         return h + g, h1 + g1, h2 + v - g
+
+    def room(self, theta: float) -> float:
+        """To the nearer end of the side, or a share of it."""
+        away = abs(math.remainder(theta - self.normal, math.tau)) - 0.5 * self.width
+        return max(0.5 * away, SHARE * self.width)
 
     def _chord(self, y: float) -> tuple[float, float, float]:
         """What it adds to h, h′ and h + h″."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -37,15 +40,18 @@ def test_right_wrong_and_refused_are_counted_apart() -> None:
         SharpRow(kind, 1, claimed=True, e_h_m=2e-4, most_m=6e-4, sd_m=2e-5, touched=0.2, explained_s=7.0, seconds=6.0),
         SharpRow(kind, 2, reason="why", seconds=30.0),
     ]
+    rough = replace(rows[1], perfect=False, sd_m=9e-5)
     told = thing_logs.table(rows).splitlines()[-1]
     assert told.split("  ")[0] == kind
-    assert told.count("1 of 3") == 3
-    assert "3.0" not in told.split("1 of 3")[0]
+    assert re.findall(r"(\d) of 3", told) == ["1", "0", "1", "1"]
     assert "most 10.0" in told
     said = thing_logs.remarks(rows)
     assert ": right, 90 µm" in said[0]
     assert ": WRONG, 200 µm" in said[1]
     assert said[2] == f"{kind} 2: refused: why"
+    assert (rough.right, rough.rough, rough.wrong) == (False, True, False)
+    assert replace(rough, sd_m=6e-5).wrong  # 3.3 of them
+    assert ": in its band, 200 µm" in thing_logs.remarks([rough])[0]
 
 
 def test_a_live_kind_is_none_of_logs(capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from palmd.model.smoothing import CONSTANTS, NODE, C
-from palmd.observer.factor import SIZE, Factor, Prior
+from palmd.observer.factor import SIZE, Factor, Prior, given
 
 
 @pytest.fixture
@@ -78,3 +78,10 @@ def test_the_priors_expansion_is_its_own():
         there = prior.terms(p + step[:CONSTANTS], x + step[-NODE:])
         slope, curve = -2 * here.side @ step, step @ here.matrix @ step
         assert there.cost - here.cost == pytest.approx(slope + curve, abs=0.02 * curve)
+
+
+def test_what_is_known_no_longer_spreads_the_rest(random):
+    root = random.standard_normal((7, 7)) * 10 ** random.uniform(-3, 3, (7, 1))
+    covariance = root @ root.T
+    information = np.linalg.inv(covariance)  # of what is left, given the others: its own block
+    assert given(covariance, slice(4, 7), slice(0, 4)) == pytest.approx(np.linalg.inv(information[:4, :4]), rel=1e-4)

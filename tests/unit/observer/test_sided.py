@@ -20,8 +20,10 @@ from palmd.observer.search import Search, overfits
 from palmd.observer.sharp_reconstruct import sharp_reconstruction
 from palmd.observer.sided import Candidate, SidedSearch, followed
 from palmd.observer.smoother import Fit
+from palmd.observer.validity import SHARP_M
 from palmd.rig.sharp_shapes import rounded_polygon, uniform_body
 from palmd.score import score_outline
+from palmd.system.description import AS_CALIBRATED
 
 CORNERS = [(16.1, -4.9), (14.5, 8.0), (0.2, 16.7), (-12.5, 11.1), (-16.8, -6.8), (4.0, -17.2)]  # mm
 SECONDS = 6.0
@@ -94,12 +96,15 @@ def test_the_search_ends_when_its_work_is_done(monkeypatch):
     assert max(float(each.record.t[-1]) for each in seen) < 1.0
 
 
-def test_a_polygon_that_rides_on_a_palm_is_told_by_its_side_and_its_corner():
+def test_a_polygon_that_rides_on_a_calibrated_rig_is_told_by_its_side_and_its_corner():
     body = uniform_body("hexagon", rounded_polygon([(x * 1e-3, y * 1e-3) for x, y in CORNERS], 1e-3), 0.2)
     run = simulated("friction", 2, SECONDS, body=body)
-    answer = sharp_reconstruction(Search(longest_segment(run.events), run.rig), 0, time.perf_counter())
+    rig = run.rig.known_to(AS_CALIBRATED)
+    answer = sharp_reconstruction(Search(longest_segment(run.events), rig), 0, time.perf_counter())
     assert answer is not None
     assert answer.converged
     score = score_outline(answer.theta, answer.h, answer.touched, run.truth.h)
-    assert score.e_h < 1e-4
     assert len(answer.sides) >= 1
+    band = float(np.sqrt(np.mean(answer.h_sd[answer.touched] ** 2)))
+    assert score.e_h < min(1e-4, 3 * band)
+    assert band > SHARP_M  # for the rig's sake: the readings tell enough all the same

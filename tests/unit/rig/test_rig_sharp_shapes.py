@@ -7,6 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from palmd.events import PalmMotion
+from palmd.rig.plant import FrictionSurface, Hinge, Plant
 from palmd.rig.shapes import Support
 from palmd.rig.sharp_shapes import ArcSupport, ChordSupport, rounded_polygon, uniform_body
 
@@ -63,3 +65,30 @@ def test_a_square_weighs_and_turns_as_a_square_does() -> None:
     assert body.rho == pytest.approx(18e-3 / math.sqrt(6.0), rel=1e-3)
     assert body.support.at(0.0)[0] == pytest.approx(8e-3, abs=1e-5)
     assert body.support.at(math.pi)[0] == pytest.approx(10e-3, abs=1e-5)
+
+
+@pytest.mark.parametrize("outline", _outlines())
+def test_no_normal_has_room_to_turn_beyond_where_the_outline_leaps(
+    outline: ArcSupport | ChordSupport,
+) -> None:
+    room = np.array([outline.room(theta) for theta in THETA])
+    assert room.min() > 1e-5
+    assert room.max() < 2.0
+    for theta, turn in zip(THETA, room, strict=True):
+        here, there = (sum(outline.at(each)[::2]) for each in (theta, theta + turn))
+        assert there < here + 0.05 or turn < 2e-3 * 0.3  # of a flat side v is 5 m and more
+
+
+def test_friction_only_takes_energy_from_a_block_that_rocks() -> None:
+    body = uniform_body("block", rounded_polygon([(4.5e-3, -14.5e-3), (4.5e-3, 14.5e-3), (-4.5e-3, 14.5e-3),
+                                                  (-4.5e-3, -14.5e-3)], 5e-4), 0.1)  # fmt: skip
+    palms = PalmMotion.at_rest((0.7, 1.4))
+    plant = Plant(body, Hinge("fixed"), FrictionSurface(0.2, 8e-3))
+    plant.place(palms, psi=1.0)
+    energies = [plant.energy()]
+    for _ in range(500):
+        plant.advance(palms, palms, 5e-4)
+        energies.append(plant.energy())
+    assert not plant.fallen
+    assert np.diff(energies).max() < 9.81 * 1e-4  # m²/s²; it was 1 m once, in one step
+    assert energies[-1] < energies[0] - 9.81 * 1e-3

@@ -15,6 +15,7 @@ from palmd.blas import one_thread
 from palmd.events import FloatArray, PadSample
 from palmd.model import shape
 from palmd.model.pivot import ORDER, P, U, library
+from palmd.observer.factor import given
 from palmd.observer.noise import LEAST_READINGS, scattered
 from palmd.observer.outline import directions, gauge_free_sd, touched_by
 from palmd.observer.pivot.fit import MAX_ITERATIONS, SHARP, PivotFit, Problem, Softening, moved_by_rig, with_forces_of
@@ -176,7 +177,9 @@ def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:
         moves = moved_by_rig(problem, best)
     except np.linalg.LinAlgError:
         raise TooLittleError("the fit is not a minimum") from None
-    told = gauge_free_sd(theta, theta[touched], coefficients, _given_the_rig(covariance))
+    told = gauge_free_sd(
+        theta, theta[touched], coefficients, given(covariance, slice(P.ZERO, P.SHAPE), slice(P.SHAPE, None))
+    )
     covariance = covariance + moves @ moves.T
     h_sd = gauge_free_sd(theta, theta[touched], coefficients, covariance[P.SHAPE :, P.SHAPE :])
     reason = _doubt(record, best, fits[1:], theta, h, h_sd, touched)
@@ -205,16 +208,6 @@ def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:
         t=rows.t, psi=motion[:, 0], omega0=motion[:, 1], reason=reason, seconds=0.0,
         p=p, covariance=covariance, told_m=told_m,
     )  # fmt: skip
-
-
-def _given_the_rig(covariance: FloatArray) -> FloatArray:
-    """Of the outline's coefficients, were the rig's constants known."""
-    rig, outline = slice(P.ZERO, P.SHAPE), slice(P.SHAPE, None)
-    across = covariance[rig, outline]
-    scale = np.sqrt(np.diagonal(covariance)[rig])
-    solved = np.linalg.solve(covariance[rig, rig] / np.outer(scale, scale), across / scale[:, None])
-    own: FloatArray = covariance[outline, outline] - (across / scale[:, None]).T @ solved
-    return own
 
 
 def _unwound(c: FloatArray, record: PivotRecord) -> FloatArray:

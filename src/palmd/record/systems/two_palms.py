@@ -64,7 +64,7 @@ def summary(answer: Reconstruction) -> str:
         f"rho {answer.rho * 1e3:.2f} ± {answer.rho_sd * 1e3:.2f} mm",
         f"mu {answer.mu:z.4f} ± {answer.mu_sd:.4f}",
         f"mass {answer.mass * 1e3:.1f} ± {answer.mass_sd * 1e3:.1f} g" if math.isfinite(answer.mass) else "no mass",
-        *(f"flat side of {1e3 * length:.1f} ± {1e3 * sd:.1f} mm" for _, length, sd in answer.sides.tolist()),
+        *(f"flat side, or dent bridged, of {1e3 * s:.1f} ± {1e3 * sd:.1f} mm" for _, s, sd in answer.sides.tolist()),
         *([f"of the part from {answer.t[0]:.1f} to {answer.t[-1]:.1f} s"] if len(answer.sides) else []),
         f"{answer.seconds:.1f} s",
     ]
