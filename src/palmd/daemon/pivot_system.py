@@ -80,6 +80,8 @@ class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
     def __init__(self, config: PivotConfig) -> None:
         super().__init__(config)
         self.poses = PivotPoses.of(config)
+        if config.rig.vertical == "float":
+            self.free = (AXES.index("z"),)  # commanded is the slide's stop
         self._force = 0.0
 
     def observer(self, outlines: Sequence[Outline], stack: ExitStack) -> tuple[PivotObserver, PivotSmootherProcess]:

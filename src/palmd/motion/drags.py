@@ -19,7 +19,7 @@ from palmd.motion.pivot import PivotLimits
 from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE, Angles, Move
 from palmd.system.pivot import Touching
 
-Phase = Literal["lift", "turn", "seek", "settle", "down", "up"]
+Phase = Literal["lift", "turn", "seek", "settle", "down", "up", "roll"]
 
 APPROACH_M_S = 0.015  # in the air
 STROKE_M, STROKE_RATIO = 0.012, 10.0  # towards the pad: dragged inwards, and lowered by so much less
@@ -88,7 +88,7 @@ class Drags:
             self._z_touch = max(self._z_touch, felt.z)  # the other side, and another tilt, touch elsewhere
             self._before, self._slope, self._most = None, 0.0, 0.0
             return DragStep("halt", reason="the body touches")
-        if self.phase in ("down", "up", "settle") and not felt.touching:
+        if self.phase in ("down", "up", "settle", "roll") and not felt.touching:
             return self._silence(felt.t, resting)
         self._t_silent = math.inf
         if self.phase == "down" and not resting and (why := self._warning(felt)):
@@ -125,11 +125,13 @@ class Drags:
             case "seek":
                 return self._seek(here)
             case "settle":
-                return self._settle(felt)
+                return self._settle(felt, here)
             case "down":
                 return self._down(felt, here)
             case "up":
                 return self._up(felt, here)
+            case "roll":
+                return self._roll(felt, here)
 
     # ---- off the pad -------------------------------------------------------------------------------------
 
@@ -148,14 +150,15 @@ class Drags:
     def _turn(self, felt: Touching, here: Angles) -> DragStep:
         start = self._start_of(self._wanted)
         if here[0] != start:
-            where = "far end" if self._wanted > 0 else "beginning"
-            return self._moved(
-                here, (start, here[1]), self._limits.rate, f"lifted off: tilt the body towards the pad's {where}"
-            )
+            return self._moved(here, (start, here[1]), self._limits.rate, self._request())
         if felt.t < self._t_turned:
             return WAIT
         self.phase = "seek"
         return WAIT
+
+    def _request(self) -> str:
+        where = "far end" if self._wanted > 0 else "beginning"
+        return f"lifted off: tilt the body towards the pad's {where}"
 
     def _seek(self, here: Angles) -> DragStep:
         (_, _), (bottom, _) = self._limits.angles
@@ -177,7 +180,8 @@ class Drags:
 
     # ---- on the pad --------------------------------------------------------------------------------------
 
-    def _settle(self, felt: Touching) -> DragStep:
+    def _settle(self, felt: Touching, here: Angles) -> DragStep:
+        del here
         if not (math.isfinite(felt.e) and math.isfinite(felt.force)):
             return WAIT
         if abs(felt.e) < TILTED_M:
@@ -224,14 +228,22 @@ class Drags:
         """Ends it where all has been seen; else the other side is next."""
         self._wanted = -self._side
         self._rounds += self.coverage >= 1.0
-        wanted = math.inf if self._goal.band_mm is None else self._goal.band_mm * 1e-3
-        if self.coverage >= self._goal.coverage and math.isfinite(felt.band) and felt.band <= wanted:
+        if self._known(felt):
             return DragStep(
                 "done", reason="both sides were followed from one end to the other, and the outline is known"
             )
         if self._rounds > ROUNDS:
             return DragStep("done", reason="both sides were followed again and again, and the outline is not told")
         return None
+
+    def _known(self, felt: Touching) -> bool:
+        """Whether all has been seen, and the outline's band is as wanted."""
+        wanted = math.inf if self._goal.band_mm is None else self._goal.band_mm * 1e-3
+        return self.coverage >= self._goal.coverage and math.isfinite(felt.band) and felt.band <= wanted
+
+    def _roll(self, felt: Touching, here: Angles) -> DragStep:  # noqa: ARG002
+        """Under a rigid gripper nothing rolls."""
+        return WAIT
 
     def _stride(self, felt: Touching, sense: float) -> float:
         """Of height: small against e, and against how fast e² falls."""

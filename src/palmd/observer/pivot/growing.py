@@ -9,10 +9,10 @@ import numpy as np
 
 from palmd.events import Event, PadSample, PalmSample
 from palmd.observer.pivot.reconstruct import ONE_SIDE, PivotReconstruction, reconstruct, refused
-from palmd.observer.pivot.record import LEAST_READINGS
+from palmd.observer.pivot.record import GAP_S, LEAST_READINGS
 from palmd.system.pivot import GripperSample, PivotAnswer, PivotEvent, PivotRig
 
-WINDOW_S = 90.0  # of readings, what is older is forgotten
+WINDOW_S = {"rigid": 90.0, "float": 20.0}  # of readings, what is older is forgotten
 LEAST_S = 3.0  # of touching, before anything is tried
 PERIOD_S = 1.0
 CLAIMED_M = 5e-5  # one-sigma of the outline, were the rig known, that readings must tell it to: more are to come
@@ -23,28 +23,39 @@ class GrowingSmoother:
     """Gathers events; `answer` reconstructs what there is, from the first reading of the window on."""
 
     def __init__(self, rig: PivotRig) -> None:
-        self._rig = rig
+        self._rig, self._slides = rig, rig.vertical == "float"
         self._events: list[PivotEvent] = []
         self._pads = 0
 
     def add(self, events: Sequence[Event]) -> None:
         """Events of some ticks."""
-        self._events += [converted for event in events if (converted := as_logged(event)) is not None]
+        self._events += [each for event in events if (each := as_logged(event, slides=self._slides)) is not None]
         if self._events:
-            begin = self._events[-1].t_sample - WINDOW_S
+            begin = self._events[-1].t_sample - WINDOW_S[self._rig.vertical]
             if self._events[0].t_sample < begin - PERIOD_S:
                 self._events = [event for event in self._events if event.t_sample >= begin]
 
     def answer(self) -> PivotAnswer | None:
         """What the readings tell, or why they do not; None before there is anything to say or after nothing new."""
+        if self._slides:
+            self._set_down_last()
         readings = [event.t_sample for event in self._events if isinstance(event, PadSample)]
         if not readings or readings[-1] - readings[0] < LEAST_S or len(readings) == self._pads:
             return None
         self._pads = len(readings)
-        if why := self._one_sided():
+        if not self._slides and (why := self._one_sided()):
             return answer_of(refused(why), readings[-1])
         found = reconstruct(self._events, self._rig)
         return answer_of(found, readings[-1])
+
+    def _set_down_last(self) -> None:
+        """Forget what was felt before a slide's body was set down: how it was turned meanwhile nothing tells."""
+        began = before = -math.inf
+        for event in self._events:
+            if isinstance(event, PadSample):
+                began = began if event.t_sample - before < GAP_S["float"] else event.t_sample
+                before = event.t_sample
+        self._events = [event for event in self._events if not isinstance(event, PadSample) or event.t_sample >= began]
 
     def _one_sided(self) -> str:
         """Why no fit is worth its time: all readings are of one side of the dead centre; empty where they are not."""
@@ -58,13 +69,16 @@ class GrowingSmoother:
         return ONE_SIDE if share < LEAST_READINGS else ""
 
 
-def as_logged(event: Event) -> PivotEvent | None:
-    """An event of the daemon as logs of the pivoting grasp have it; None for the end of a contact."""
+def as_logged(event: Event, *, slides: bool) -> PivotEvent | None:
+    """An event of the daemon as logs of the pivoting grasp have it; None for the end of a contact.
+
+    slides: what is planned along z is the slide's stop, and not the pivot.
+    """
     if isinstance(event, PadSample):
         return event
     if isinstance(event, PalmSample):
         (x, z), (vx, vz), (ax, az) = event.angles, event.rates or (None, None), event.accelerations or (None, None)
-        return GripperSample(event.t_sample, x, z, vx, ax, vz, az)
+        return GripperSample(event.t_sample, x, z, vx, ax, *((None, None) if slides else (vz, az)))
     return None
 
 
