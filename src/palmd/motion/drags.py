@@ -35,6 +35,8 @@ DOWN_M_S = 0.004
 TILTED_M = 2.5e-3  # of e, that the body must be set down with
 LEAST_LEVER_M, LEVER_SHARE = 2e-3, 0.4  # of e, where it turns back: that, or a share of the largest on this side
 TAMED_SHARE, LEAST_FORCE_N = 0.55, 0.09  # of the limit (lifted off, it rises), and the force, where it turns back
+# Of the limit, what the force may be foreseen to come to; it is seen late, and lowering goes on as long.
+FORESEEN_SHARE, SEEN_LATE_S, FADING = 0.75, 0.08, 0.9
 PAD_END_M = 5e-3
 RETREAT_M = 8e-4
 FARTHEST_M = 0.012  # of the pivot from the body's middle
@@ -73,6 +75,7 @@ class Drags:
         self._rounds = 0
         self._before: tuple[float, float] | None = None  # z and e² at the last step
         self._slope = 0.0  # of e² over z, which is even where e itself ends like a root
+        self._torque = 0.0  # about the pivot, that the pad gave at the last steps (N m)
         self._most = 0.0  # largest |e| of this touch
         self._retreat = False
 
@@ -87,6 +90,7 @@ class Drags:
             self.phase = "settle"
             self._z_touch = max(self._z_touch, felt.z)  # the other side, and another tilt, touch elsewhere
             self._before, self._slope, self._most = None, 0.0, 0.0
+            self._torque = 0.0
             return DragStep("halt", reason="the body touches")
         if self.phase in ("down", "up", "settle", "roll") and not felt.touching:
             return self._silence(felt.t, resting)
@@ -198,6 +202,11 @@ class Drags:
             return DragStep("wait", reason=f"turns back: {why}")
         self._learn(felt)
         lower = self._stride(felt, -1.0)
+        if self._foreseen(felt, -lower) > FORESEEN_SHARE * self._limits.force:
+            self._note(_HARD)
+            self._ends.add((self._side, "low"))
+            self.phase, self._retreat = "up", True
+            return DragStep("wait", reason=f"turns back: {_HARD}")
         end = (here[0] - self._side * TRAIL * felt.z * lower / abs(felt.e), here[1] - lower)
         if why := self._off(end, felt.e):
             self._note(why)
@@ -214,7 +223,9 @@ class Drags:
         back = 0.0 if self._retreat else BACK * felt.z * higher / abs(felt.e)
         end = (here[0] + self._side * back, here[1] + higher)
         warned = "" if self._retreat else self._warning(felt)
-        presses = warned == _HARD and self._slope < 0.0  # the higher, the shorter the lever: it leans on the top
+        # the higher, the shorter the lever: it leans on the top
+        hard = warned == _HARD or self._foreseen(felt, higher) > FORESEEN_SHARE * self._limits.force
+        presses = hard and self._slope < 0.0
         falling = higher < LEAST_STEP_M or warned in (_LEVER, _LIGHT) or presses
         self._retreat = False
         if self._off(end, felt.e) and not falling:
@@ -267,6 +278,16 @@ class Drags:
             slope = (square - self._before[1]) / (felt.z - self._before[0])
             self._slope += (0.6 if self._slope else 1.0) * (slope - self._slope)
         self._before = felt.z, square
+        self._torque = max(felt.force * abs(felt.e), FADING * self._torque)
+
+    def _foreseen(self, felt: Touching, dz: float) -> float:
+        """The force (N) that the body will press with when it stands, raised by dz (m).
+
+        At rest no friction helps any more, and the pad gives by F e a torque that hardly changes. What is felt on the
+        way is less by what friction gives: so the largest of the last steps counts.
+        """
+        square = max(felt.e**2 + self._slope * dz, (0.5 * LEAST_LEVER_M) ** 2)
+        return max(self._torque, felt.force * abs(felt.e)) / math.sqrt(square)
 
     def _warning(self, felt: Touching) -> str:
         """Why the body must not be lowered farther; empty when it may."""
@@ -274,7 +295,8 @@ class Drags:
             return ""
         if felt.e * self._side < self._least:
             return _LEVER
-        if felt.force > TAMED_SHARE * self._limits.force:
+        late = self._foreseen(felt, -SEEN_LATE_S * DOWN_M_S)
+        if felt.force > TAMED_SHARE * self._limits.force or late > FORESEEN_SHARE * self._limits.force:
             return _HARD
         if felt.force < LEAST_FORCE_N:
             return _LIGHT

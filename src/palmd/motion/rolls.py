@@ -20,7 +20,7 @@ FREE_M = 8e-3  # that the stop is lowered by below where the body was set down
 ROLL_M, ROLL_M_S = 0.010, 0.030  # at a time
 AHEAD = 1.3  # how far the contact may go for what the arm does
 HEAVY = 0.8  # share of the force's limit that weight alone may come to
-PASSES = 10  # from end to end, before the body is lifted off to be set down elsewhere
+ENOUGH, PASSES = 4, 10  # from end to end: after so many it may be known; or it is lifted off, to be set down elsewhere
 SETTINGS = 3  # before it is given up that its outline is told
 _FREE_M_S = 0.015
 
@@ -73,8 +73,8 @@ class Rolls(Drags):
     def _roll(self, felt: Touching, here: Angles) -> DragStep:
         if not math.isfinite(felt.e):
             return WAIT
-        if self._known(felt):
-            return DragStep("done", reason="it was rolled from one end of the pad to the other, and the outline is known")
+        if self._passes >= ENOUGH and self._known(felt):
+            return DragStep("done", reason="it was rolled to and fro, and the outline is known")
         (x0, x1), _ = self._limits.angles
         for _ in range(2):
             end = here[0] + self._towards * ROLL_M

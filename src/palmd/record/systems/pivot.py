@@ -13,7 +13,7 @@ from palmd.devices.pad import MARGIN_MM
 from palmd.events import ObserverName, PadSample
 from palmd.jsonvalues import column, or_none
 from palmd.observer.pivot.growing import SimulatedSmoothing, as_fed
-from palmd.observer.pivot.live import PivotObserver
+from palmd.observer.pivot.observer import pivot_observer
 from palmd.observer.pivot.reconstruct import PivotReconstruction, reconstruct
 from palmd.outlinefile import Outline
 from palmd.pivot_messages import estimate_fields, shape_fields
@@ -125,7 +125,7 @@ class Pivot(PivotForm):
         return self._ticks(log)
 
     def _ticks(self, log: PivotLog) -> Iterator[Said]:
-        live = PivotObserver(log.rig, SimulatedSmoothing(log.rig))
+        live = pivot_observer(log.rig, SimulatedSmoothing(log.rig))
         events = map(as_fed, sorted(log.events, key=lambda event: event.t_sample))
         for tick, t in fed(log, events, live):
             said, shape = live.estimate(t), live.shape(t) if tick % TICKS_PER_SHAPE == 0 else None
