@@ -43,7 +43,7 @@ class PivotRigConfig(Strict):
     gravity_m_s2: Annotated[FiniteFloat, Field(gt=0, le=30), Plausible(0.1, 12)] = 9.81
     """In the plane of the motion, towards the pad."""
     vertical: Literal["rigid", "float"] = "rigid"
-    """`rigid`: the arm holds the pivot's height; `float`: a carriage slides up and down on the arm by its own weight."""
+    """`rigid`: the arm holds the pivot's height; `float`: a carriage slides on the arm by its own weight."""
     carriage_mass_kg: Annotated[
         Annotated[Positive, Field(le=5), Plausible(0.005, 0.5)] | None, Field(validate_default=True)
     ] = None

@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from palmd.config import Drawn
 from palmd.console.arguments import count, seconds, seconds_within, seed
 from palmd.lab import pivot, pivot_live, workers
 from palmd.lab.bench_montecarlo import ALL
@@ -70,8 +71,8 @@ def _live(arguments: argparse.Namespace) -> int:
     path: Path = arguments.output or Path("pivot-live.jsonl")
     rows = {row.task: row for row in already_in(path, pivot_live.row_from)}
     seeds = range(arguments.seed, arguments.seed + arguments.runs)
-    off, vertical = "none" if arguments.perfect else "calibrated", "float" if arguments.slide else "rigid"
-    tasks = pivot_live.tasks_of(off, arguments.period, vertical, seeds, rows)
+    off: Drawn = "none" if arguments.perfect else "calibrated"
+    tasks = pivot_live.tasks_of(off, arguments.period, "float" if arguments.slide else "rigid", seeds, rows)
     finished, status = collected(
         "pivoting grasp, live", tasks, pivot_live.run, pivot_live.failed, workers.asked_for(arguments),
         Sink[LiveRow](path, as_line, append=True),

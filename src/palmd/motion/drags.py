@@ -219,7 +219,7 @@ class Drags:
         if not math.isfinite(felt.e):
             return WAIT
         self._learn(felt)
-        higher = min(RETREAT_M if self._retreat else self._stride(felt, 1.0), self._room(felt))
+        higher = min(RETREAT_M if self._retreat else self._stride(felt, 1.0), self._height_left(felt))
         back = 0.0 if self._retreat else BACK * felt.z * higher / abs(felt.e)
         end = (here[0] + self._side * back, here[1] + higher)
         warned = "" if self._retreat else self._warning(felt)
@@ -263,7 +263,7 @@ class Drags:
         room = felt.e**2 - self._least**2
         return min(stride, max(0.5 * room / falling, LEAST_STEP_M)) if falling > 0.0 else stride
 
-    def _room(self, felt: Touching) -> float:
+    def _height_left(self, felt: Touching) -> float:
         """Of height, however the body is made: e² falls by no more than twice the pivot's distance from its middle."""
         return max(felt.e**2 - self._least**2, 0.0) / (2.0 * FARTHEST_M)
 

@@ -17,7 +17,7 @@ from palmd.system.pivot import Touching
 
 SINK_M_S = 0.006
 FREE_M = 8e-3  # that the stop is lowered by below where the body was set down
-ROLL_M, ROLL_M_S = 0.010, 0.030  # at a time
+ROLL_M, LEAST_ROLL_M, ROLL_M_S = 0.010, 0.002, 0.030  # at a time
 AHEAD = 1.3  # how far the contact may go for what the arm does
 HEAVY = 0.8  # share of the force's limit that weight alone may come to
 ENOUGH, PASSES = 4, 10  # from end to end: after so many it may be known; or it is lifted off, to be set down elsewhere
@@ -75,17 +75,21 @@ class Rolls(Drags):
             return WAIT
         if self._passes >= ENOUGH and self._known(felt):
             return DragStep("done", reason="it was rolled to and fro, and the outline is known")
-        (x0, x1), _ = self._limits.angles
-        for _ in range(2):
-            end = here[0] + self._towards * ROLL_M
-            contact = here[0] + felt.e + self._towards * AHEAD * ROLL_M
-            if x0 <= end <= x1 and PAD_END_M < contact < self._limits.pad_length - PAD_END_M:
-                return self._moved(here, (end, here[1]), ROLL_M_S)
+        if self._passes > PASSES:
+            if self._settings >= SETTINGS:
+                return DragStep("done", reason="it was rolled to and fro again and again, and the outline is not told")
+            return self._go("lift", "the outline is not told: lifted off to be set down elsewhere")
+        way = self._room(felt, here)
+        if way < LEAST_ROLL_M:
             self._ends.add((self._towards, ""))
             self._towards = -self._towards
             self._passes += 1
-        if self._passes <= PASSES:
-            return WAIT
-        if self._settings >= SETTINGS:
-            return DragStep("done", reason="it was rolled to and fro again and again, and the outline is not told")
-        return self._go("lift", "the outline is not told: lifted off to be set down elsewhere")
+            way = self._room(felt, here)
+        return self._moved(here, (here[0] + self._towards * max(way, 0.0), here[1]), ROLL_M_S)
+
+    def _room(self, felt: Touching, here: Angles) -> float:
+        """How far the arm may go on (m): within its limits, and the contact on the pad."""
+        (x0, x1), _ = self._limits.angles
+        length, contact = self._limits.pad_length, here[0] + felt.e
+        ahead, on_pad = (x1 - here[0], length - contact) if self._towards > 0.0 else (here[0] - x0, contact)
+        return min(ROLL_M, ahead, (on_pad - PAD_END_M) / AHEAD)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -97,10 +98,15 @@ def answer_of(found: PivotReconstruction, t: float) -> PivotAnswer:
     )
 
 
-def as_fed(event: PivotEvent) -> Event:
-    """An event of a log as a daemon has it: the gripper's as that of two joints, x and z (m)."""
+def as_fed(event: PivotEvent, *, slides: bool = False) -> Event:
+    """An event of a log as a daemon has it: the gripper's as that of two joints, x and z (m).
+
+    slides: no plan tells the height's rate, and a daemon's that of the stop is not gone by.
+    """
     if isinstance(event, PadSample):
         return event
+    if slides:
+        event = replace(event, vz=0.0, az=0.0)
     planned = None if event.vx is None or event.vz is None else (event.vx, event.vz)
     second = None if event.ax is None or event.az is None else (event.ax, event.az)
     height = math.nan if event.z is None else event.z

@@ -33,6 +33,7 @@ NIS_S, NIS_MOST, NIS_BEGIN = 0.5, 3.0, 1.0
 LAG_SD_S, RATE_SD_M_S = 4e-3, 1e-4  # of how late the arm does what is planned, and of how even it runs
 KNOWN_M = 1e-4  # one-sigma of the outline at the contact, above which the orientation is not claimed
 
+
 class PivotSmoothing(Protocol):
     """Where the smoother runs; nothing here keeps the loop waiting."""
 
@@ -118,7 +119,7 @@ class PivotObserver:
     def estimate(self, t: float) -> PivotEstimate:
         """The answer for time `t`; never raises, NaN where nothing is known."""
         nan = math.nan
-        x, z, sd, e, force, side = nan, nan, {}, nan, nan, 0
+        x, z, sd, e, side = nan, nan, {}, nan, 0
         touched = 0.0 if self._answer is None else float(self._answer.touched.mean()) if self._answer.claimed else 0.0
         if self._felt and t - self._felt[-1].t_sample > GAP_S:
             self._lift()
