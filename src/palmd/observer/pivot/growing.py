@@ -11,6 +11,7 @@ import numpy as np
 from palmd.events import Event, PadSample, PalmSample
 from palmd.observer.pivot.reconstruct import ONE_SIDE, PivotReconstruction, reconstruct, refused
 from palmd.observer.pivot.record import GAP_S, LEAST_READINGS
+from palmd.score import score_outline
 from palmd.system.pivot import GripperSample, PivotAnswer, PivotEvent, PivotRig
 
 WINDOW_S = {"rigid": 90.0, "float": 20.0}  # of readings, what is older is forgotten
@@ -18,6 +19,7 @@ LEAST_S = 3.0  # of touching, before anything is tried
 PERIOD_S = 1.0
 CLAIMED_M = 5e-5  # one-sigma of the outline, were the rig known, that readings must tell it to: more are to come
 LATENCY_S = 0.5  # that a simulated one takes
+AGREE_S, AGREE_M = 4.0, 1e-4  # of more readings on a slide, from which the same outline must come again
 
 
 class GrowingSmoother:
@@ -27,6 +29,7 @@ class GrowingSmoother:
         self._rig, self._slides = rig, rig.vertical == "float"
         self._events: list[PivotEvent] = []
         self._pads = 0
+        self._before: tuple[float, PivotReconstruction] | None = None  # the first that all since then agree with
 
     def add(self, events: Sequence[Event]) -> None:
         """Events of some ticks."""
@@ -47,7 +50,20 @@ class GrowingSmoother:
         if not self._slides and (why := self._one_sided()):
             return answer_of(refused(why), readings[-1])
         found = reconstruct(self._events, self._rig)
+        if self._slides and found.converged and not self._comes_again(found, readings[-1]):
+            found = refused("an outline was found, and is claimed when more readings tell the same")
         return answer_of(found, readings[-1])
+
+    def _comes_again(self, found: PivotReconstruction, t: float) -> bool:
+        """Whether all that was found for some seconds agrees: how far a body rolled is told by its friction alone.
+
+        From little of a roll another outline may come that explains it as well, and does not last.
+        """
+        before = self._before
+        if before is None or not _agree(before[1], found):
+            self._before = t, found
+            return False
+        return t - before[0] >= AGREE_S
 
     def _set_down_last(self) -> None:
         """Forget what was felt before a slide's body was set down: how it was turned meanwhile nothing tells."""
@@ -68,6 +84,13 @@ class GrowingSmoother:
                 ahead.append(event.s - x > 0.0)
         share = min(sum(ahead), len(ahead) - sum(ahead))
         return ONE_SIDE if share < LEAST_READINGS else ""
+
+
+def _agree(before: PivotReconstruction, found: PivotReconstruction) -> bool:
+    """Whether an outline is found again where it was felt before, turned as it may be."""
+    if before.h is None or found.h is None:
+        return False
+    return score_outline(found.theta, before.h, before.touched, found.h).e_h < AGREE_M
 
 
 def as_logged(event: Event, *, slides: bool) -> PivotEvent | None:
