@@ -251,6 +251,7 @@ _shtab_palmd_bench_pivot_options=(
   "--seed[the first run\'s (default\: 0)]:FIRST:"
   "--seconds[how long each lasts (default\: 12.0)]:S:"
   "--live[explore in closed loop and score what is claimed live]"
+  "--slide[live\: with a gripper on a slide]"
   "--perfect[live\: on rigs exactly as configured, which is known]"
   "--period[live\: how often the smoother is begun (default\: 5.0)]:S:"
   {-o,--output}"[a JSON line for each run (default\: pivot.jsonl, live pivot-live.jsonl)]:FILE:_files"

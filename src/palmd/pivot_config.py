@@ -43,7 +43,15 @@ class PivotRigConfig(Strict):
     gravity_m_s2: Annotated[FiniteFloat, Field(gt=0, le=30), Plausible(0.1, 12)] = 9.81
     """In the plane of the motion, towards the pad."""
     vertical: Literal["rigid", "float"] = "rigid"
-    """`rigid`: the arm holds the pivot's height; `float`: a slide of its own weight, which logs may be of only."""
+    """`rigid`: the arm holds the pivot's height; `float`: a carriage slides on the arm by its own weight."""
+    carriage_mass_kg: Annotated[
+        Annotated[Positive, Field(le=5), Plausible(0.005, 0.5)] | None, Field(validate_default=True)
+    ] = None
+    """Of what slides, without the body; of a slide only."""
+    damping_n_s_m: Annotated[NotNegative, Field(le=100), Plausible(0.001, 5, or_zero=True)] = 0.0
+    """Of the slide: force by speed."""
+    z_measured: bool = True
+    """Whether the arm's reports have the pivot's own height, a slide's travel included: live they must."""
     arm_noise_mm: Annotated[Positive, Field(le=1), Plausible(0.001, 0.2)] = 0.02
     """One sigma of the pivot's reported position by itself, along and over the pad."""
     angle_sd_deg: Annotated[NotNegative, Field(le=10), Plausible(0.001, 3, or_zero=True)] = 0.1
@@ -51,14 +59,22 @@ class PivotRigConfig(Strict):
     imperfections: Annotated[Drawn, Field(exclude=True)] = "none"
     """Of the emulated rig alone: `none`, or drawn from all the `_sd` (`calibrated`)."""
 
-    @field_validator("vertical")
+    @field_validator("carriage_mass_kg")
     @classmethod
-    def _rigid_only(cls, vertical: str) -> str:
-        if vertical == "float":
-            raise ValueError(
-                "a gripper on a slide has no live observer: palmd reconstruct takes its logs; live it must be rigid"
-            )
-        return vertical
+    def _slides(cls, mass: float | None, info: ValidationInfo) -> float | None:
+        slides = info.data.get("vertical") == "float"
+        if slides and mass is None:
+            raise ValueError("a slide must be weighed, without the body: carriage_mass_kg is missing")
+        if mass is not None and not slides:
+            raise ValueError("only vertical: float has a carriage")
+        return mass
+
+    @field_validator("z_measured")
+    @classmethod
+    def _tells_its_height(cls, measured: bool) -> bool:
+        if not measured:
+            raise ValueError("without the pivot's height the body's mean radius stays open, and no outline can be told")
+        return measured
 
 
 class PivotPadsConfig(AnyPads):
@@ -82,7 +98,7 @@ class PivotLimitsConfig(Strict):
     stop_deceleration_mm_s2: Annotated[FiniteFloat, Field(gt=0, le=20000), Plausible(10, 20000)] | None = 2000.0
     """Along each of them when the motion is held."""
     force_n: Annotated[Positive, Field(le=50), Plausible(0.3, 20)] = 2.0
-    """What the body may press on the pad; an exploration turns back well before."""
+    """What the body may press on the pad, a slide's carriage included; an exploration turns back well before."""
 
     @property
     def ranges_mm(self) -> tuple[tuple[float, float], ...]:
@@ -101,7 +117,7 @@ class PivotConfig(AnyConfig):
     """The touchpad."""
     arm: AdeptConfig
     """The robot arm: its tool is the pivot, its x along the pad and its y over it."""
-    limits: PivotLimitsConfig = PivotLimitsConfig()
+    limits: Annotated[PivotLimitsConfig, Field(validate_default=True)] = PivotLimitsConfig()
     """What the gripper may do."""
 
     @field_validator("limits")
@@ -111,6 +127,10 @@ class PivotConfig(AnyConfig):
         most = None if pads is None else 100 * pads.palm1.newtons_per_count  # no pad counts less far
         if most is not None and limits.force_n > most:
             raise ValueError(f"force_n is {limits.force_n:g} N, but the pad may tell no more than {most:g} N apart")
+        rig: PivotRigConfig | None = info.data.get("rig")
+        weight = (rig.carriage_mass_kg or 0.0) * rig.gravity_m_s2 if rig is not None else 0.0
+        if limits.force_n <= weight:
+            raise ValueError(f"force_n is {limits.force_n:g} N, but the carriage alone weighs {weight:.2g} N")
         return limits
 
 
@@ -119,6 +139,8 @@ def pivot_rig(config: PivotConfig) -> PivotRig:
     return PivotRig(
         gravity=config.rig.gravity_m_s2,
         vertical=config.rig.vertical,
+        carriage_mass=config.rig.carriage_mass_kg or 0.0,
+        carriage_damping=config.rig.damping_n_s_m,
         arm_noise=config.rig.arm_noise_mm * 1e-3,
         angle_sd=math.radians(config.rig.angle_sd_deg),
         pad=pad_sensor(config.pads.palm1, 0.0),

@@ -79,7 +79,7 @@ class Core:
         """
         self._system = system = system or live_system(config)
         self.pads = system.pads()
-        self.arm = ArmDriver(config.arm, system.poses)
+        self.arm = ArmDriver(config.arm, system.poses, system.free)
         self.setpoints = SetPoints(system.poses, system.limits)
         self.faults = FaultMonitor()
         self.journal = Journal()

@@ -9,6 +9,7 @@ from palmd.daemon.exploring import Explores, Senses
 from palmd.daemon.setpoints import SetPoints
 from palmd.motion.drags import Drags
 from palmd.motion.pivot import PivotLimits
+from palmd.motion.rolls import Rolls
 from palmd.system.pivot import Touching
 
 log = logging.getLogger(__name__)
@@ -32,7 +33,7 @@ class Dragging(Explores):
         exploration, tau = found
         if exploration is not self._exploration or self._drags is None:
             self._exploration, self._begun, self._halting = exploration, True, False
-            self._drags = Drags(limits, exploration.goal)
+            self._drags = (Rolls if limits.slides else Drags)(limits, exploration.goal)
             self._coverage, self._goal = self._drags.coverage, exploration.goal.coverage
             self._reason = "it has just begun"
         drags, self._seconds = self._drags, tau

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import replace
 
 from palmd.config import ArmConfig
@@ -25,16 +26,19 @@ STANDS_S, STANDS_RAD = 0.05, 1e-3
 
 
 class ArmDriver:
-    """The arm's line. `actual` are the palm angles of the last report, None before; rates are the plan's."""
+    """The arm's line. `actual` are the palm angles of the last report, None before; rates are the plan's.
 
-    def __init__(self, config: ArmConfig, poses: Poses) -> None:
+    free: joints that need not go where they are commanded.
+    """
+
+    def __init__(self, config: ArmConfig, poses: Poses, free: Collection[int] = ()) -> None:
         self.host = make_actuator(config)
         self.lag = LatencyEstimator()
         self.is_open = False
         self.linked_since_open = False
         self.actual: PalmMotion | None = None
         self.bad_poses = 0
-        self._poses = poses
+        self._poses, self._free = poses, free
         self._t_moving = -math.inf
         self._rested: tuple[float, Joints] | None = None
 
@@ -67,7 +71,7 @@ class ArmDriver:
             self.bad_poses += 1
             return None
         t = report.t_sample
-        self.lag.observe(t, angles)
+        self.lag.observe(t, angles, self._free)
         meant = self._meant(t, angles, report.state)
         if meant is None:
             self.actual = PalmMotion.at_rest(angles)

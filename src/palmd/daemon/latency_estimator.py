@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Collection
 
 from palmd.events import Joints, PalmMotion
 
@@ -36,13 +37,14 @@ class LatencyEstimator:
         """What the arm was meant to do at `t_sample` (s), the lag allowed for; None where not commanded."""
         return self._commanded(t_sample - self.lag_s)
 
-    def observe(self, t_sample: float, angles: Joints) -> None:
-        """Learn from the actual joint angles (rad) at `t_sample` (s)."""
+    def observe(self, t_sample: float, angles: Joints, free: Collection[int] = ()) -> None:
+        """Learn from the actual joint angles (rad) at `t_sample` (s), but of those that are `free` to go elsewhere."""
         meant = self.motion(t_sample)
         if meant is None:
             return
-        speed = sum(omega**2 for omega in meant.rates)
-        each = zip(meant.rates, angles, meant.angles, strict=True)
+        rates = [0.0 if joint in free else omega for joint, omega in enumerate(meant.rates)]
+        speed = sum(omega**2 for omega in rates)
+        each = zip(rates, angles, meant.angles, strict=True)
         misfit = sum(omega * (actual - wanted) for omega, actual, wanted in each)
         self._information = max(FORGETTING * self._information, PRIOR_INFORMATION) + speed
         self.lag_s = min(max(self.lag_s - misfit / self._information, 0.0), LONGEST_S)

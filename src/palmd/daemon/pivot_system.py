@@ -20,6 +20,7 @@ from palmd.messages import Fields
 from palmd.motion.kinematics import PoseError
 from palmd.observer.observer import LiveObserver
 from palmd.observer.pivot.live import PivotObserver
+from palmd.observer.pivot.observer import pivot_observer
 from palmd.outlinefile import Outline
 from palmd.pivot_config import PivotConfig, pivot_rig
 from palmd.quantities import (
@@ -80,6 +81,8 @@ class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
     def __init__(self, config: PivotConfig) -> None:
         super().__init__(config)
         self.poses = PivotPoses.of(config)
+        if config.rig.vertical == "float":
+            self.free = (AXES.index("z"),)  # commanded is the slide's stop
         self._force = 0.0
 
     def observer(self, outlines: Sequence[Outline], stack: ExitStack) -> tuple[PivotObserver, PivotSmootherProcess]:
@@ -88,7 +91,7 @@ class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
         rig = pivot_rig(self._config)
         smoother = PivotSmootherProcess(rig)
         stack.callback(smoother.close)
-        return PivotObserver(rig, smoother), smoother
+        return pivot_observer(rig, smoother), smoother
 
     def info(self, observer: str, plans: Sequence[str]) -> Fields:
         """`palm/pivot_info`."""

@@ -52,6 +52,8 @@ class LiveSystem(ABC, Generic[Configured, Estimated]):
         self.limits: MotionLimits = motion_limits(config)
         self.joints = self.naming.measured
         """How the status names them, unit included."""
+        self.free: Collection[int] = ()
+        """Joints that need not go where they are commanded, and tell nothing of how late the arm follows."""
         self.rig_priors: FloatArray = np.zeros(0)
         """One-sigma of each of the rig's constants that are estimated and told; none: no such message."""
 

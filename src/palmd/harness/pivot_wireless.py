@@ -7,7 +7,7 @@ from palmd.daemon.planner import Plan
 from palmd.harness.wireless import AtOnce, ClosedLoop
 from palmd.motion.pivot import PivotLimits, compile_pivot_plan
 from palmd.observer.pivot.growing import PERIOD_S, SimulatedSmoothing
-from palmd.observer.pivot.live import PivotObserver
+from palmd.observer.pivot.observer import pivot_observer
 from palmd.pivot_config import PivotConfig, PivotPlanSpec, pivot_rig
 from palmd.rig.pivot_world import PivotWorld
 from palmd.rig.shapes import Kind
@@ -22,6 +22,6 @@ class PivotWireless(ClosedLoop[PivotWorld]):
         """`seed` draws body and noise; `period_s` is how often the smoother is begun."""
         limits, rig = PivotLimits.of(config), pivot_rig(config)
         plan = Plan(spec, compile_pivot_plan(spec, limits), limits, None)
-        observer = PivotObserver(rig, SimulatedSmoothing(rig, period_s))
+        observer = pivot_observer(rig, SimulatedSmoothing(rig, period_s))
         core = Core(config, observer, AtOnce(), plan)
         super().__init__(PivotWorld(config, seed, kind=kind), core, config.loop.rate_hz)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from palmd.config import Drawn
 from palmd.console.arguments import count, seconds, seconds_within, seed
 from palmd.lab import pivot, pivot_live, workers
 from palmd.lab.bench_montecarlo import ALL
@@ -32,6 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--seconds", type=seconds_within(LEAST_S, 120.0), default=12.0, metavar="S",
         help="how long each lasts (default: %(default)s)")  # fmt: skip
     add("--live", action="store_true", help="explore in closed loop and score what is claimed live")
+    add("--slide", action="store_true", help="live: with a gripper on a slide")
     add("--perfect", action="store_true", help="live: on rigs exactly as configured, which is known")
     add("--period", type=seconds, default=5.0, metavar="S",
         help="live: how often the smoother is begun (default: %(default)s)")  # fmt: skip
@@ -69,14 +71,15 @@ def _live(arguments: argparse.Namespace) -> int:
     path: Path = arguments.output or Path("pivot-live.jsonl")
     rows = {row.task: row for row in already_in(path, pivot_live.row_from)}
     seeds = range(arguments.seed, arguments.seed + arguments.runs)
-    tasks = pivot_live.tasks_of("none" if arguments.perfect else "calibrated", arguments.period, seeds, rows)
+    off: Drawn = "none" if arguments.perfect else "calibrated"
+    tasks = pivot_live.tasks_of(off, arguments.period, "float" if arguments.slide else "rigid", seeds, rows)
     finished, status = collected(
         "pivoting grasp, live", tasks, pivot_live.run, pivot_live.failed, workers.asked_for(arguments),
         Sink[LiveRow](path, as_line, append=True),
     )  # fmt: skip
     rows |= {row.task: row for row in finished}
     if rows:
-        ordered = sorted(rows.values(), key=lambda row: (row.task.rig, row.task.seed))
+        ordered = sorted(rows.values(), key=lambda row: (row.task.name, row.task.seed))
         rewrite(path, map(as_line, ordered))
         print(f"seeds {', '.join(sorted({str(row.task.seed) for row in ordered}, key=int))}")
         print(pivot_live.report(ordered))

@@ -20,12 +20,12 @@ from palmd.lab.table import aligned
 from palmd.model import shape
 from palmd.model.pivot import ORDER, P
 from palmd.observer.outline import directions
-from palmd.observer.pivot.live import friction_of
+from palmd.observer.pivot.claimed import friction_of
 from palmd.pivot_config import PivotConfig, PivotPlanSpec
 from palmd.quantities import PIVOT, PIVOT_ANSWER
 from palmd.rig.imperfections import perfect
 from palmd.score import WRONG_M, score_outline
-from palmd.system.pivot import PivotAnswer
+from palmd.system.pivot import PivotAnswer, Vertical
 from palmd.yamlfile import load_any_config, parse, read_document
 
 LONGEST_S = 240.0  # of a run, whose exploration ends by itself before
@@ -35,11 +35,20 @@ BEYOND = 3.0  # one-sigmas, from which a claim is wrong
 
 @dataclass(frozen=True, slots=True)
 class LiveTask:
-    """One exploration: the seed of body, noise and rig, how far off the rig is, and the smoother's period (s)."""
+    """One exploration: the seed of body, noise and rig, how far off the rig is, and the smoother's period (s).
+
+    vertical: whether the gripper is rigid in height or on a slide.
+    """
 
     seed: int
     rig: Drawn
     period_s: float
+    vertical: Vertical = "rigid"
+
+    @property
+    def name(self) -> str:
+        """The kind of rig, in words."""
+        return self.rig if self.vertical == "rigid" else f"{self.rig}, slide"
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,15 +99,17 @@ class LiveRow:
         return self.claims > 0 and (self.worst_e > WRONG_M or self.worst_z > BEYOND)
 
 
-def tasks_of(rig: Drawn, period_s: float, seeds: Sequence[int], done: Mapping[LiveTask, LiveRow]) -> list[LiveTask]:
+def tasks_of(
+    rig: Drawn, period_s: float, vertical: Vertical, seeds: Sequence[int], done: Mapping[LiveTask, LiveRow]
+) -> list[LiveTask]:
     """Those of these seeds that are not done."""
-    return [task for task in (LiveTask(seed, rig, period_s) for seed in seeds) if task not in done]
+    return [task for task in (LiveTask(seed, rig, period_s, vertical) for seed in seeds) if task not in done]
 
 
 def run(task: LiveTask) -> LiveRow:
     """Explore one body from start to end, and score all that is claimed on the way."""
     begun = time.process_time()
-    config, spec = shipped_rig(task.rig)
+    config, spec = shipped_rig(task.rig, task.vertical)
     live = PivotWireless(config, spec, task.seed, period_s=task.period_s)
     scored = Scored(live)
     live.start()
@@ -121,9 +132,9 @@ def run(task: LiveTask) -> LiveRow:
     )
 
 
-def shipped_rig(rig: Drawn) -> tuple[PivotConfig, PivotPlanSpec]:
+def shipped_rig(rig: Drawn, vertical: Vertical) -> tuple[PivotConfig, PivotPlanSpec]:
     """The shipped configuration of a rig that is so far off, and the plan that explores."""
-    path = shipped("pivot.yaml")
+    path = shipped("pivot.yaml" if vertical == "rigid" else "slide.yaml")
     config = load_any_config(path)
     plan = config.plan
     if not isinstance(config, PivotConfig) or plan is None:
@@ -200,8 +211,8 @@ def report(rows: Sequence[LiveRow]) -> str:
         "runs", "right", "not claimed", "wrong claims", "h_P, µm", "90 %", "error/sd", "claimed at, s", "90 %",
         "mu off", "within 0.01", "off/sd", "jams", "most force, N", "valid", "of those wrong",
     ]  # fmt: skip
-    rigs = sorted({row.task.rig for row in rows})
-    return aligned([("", titles), *((rig, _line([row for row in rows if row.task.rig == rig])) for rig in rigs)])
+    rigs = sorted({row.task.name for row in rows})
+    return aligned([("", titles), *((rig, _line([row for row in rows if row.task.name == rig])) for rig in rigs)])
 
 
 def _line(rows: Sequence[LiveRow]) -> list[str]:
@@ -230,7 +241,7 @@ def _line(rows: Sequence[LiveRow]) -> list[str]:
 
 def remark(row: LiveRow) -> str:
     """What is to be said of a run that did not go as it should."""
-    name = f"{row.task.rig} {row.task.seed}"
+    name = f"{row.task.name} {row.task.seed}"
     if row.error or not row.claims:
         return f"{name}: {row.error or row.reason or 'nothing was claimed'}"
     off, band = row.e * 1e6, row.sd * 1e6

@@ -19,7 +19,7 @@ from palmd.motion.pivot import PivotLimits
 from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE, Angles, Move
 from palmd.system.pivot import Touching
 
-Phase = Literal["lift", "turn", "seek", "settle", "down", "up"]
+Phase = Literal["lift", "turn", "seek", "settle", "down", "up", "roll"]
 
 APPROACH_M_S = 0.015  # in the air
 STROKE_M, STROKE_RATIO = 0.012, 10.0  # towards the pad: dragged inwards, and lowered by so much less
@@ -35,6 +35,8 @@ DOWN_M_S = 0.004
 TILTED_M = 2.5e-3  # of e, that the body must be set down with
 LEAST_LEVER_M, LEVER_SHARE = 2e-3, 0.4  # of e, where it turns back: that, or a share of the largest on this side
 TAMED_SHARE, LEAST_FORCE_N = 0.55, 0.09  # of the limit (lifted off, it rises), and the force, where it turns back
+# Of the limit, what the force may be foreseen to come to; it is seen late, and lowering goes on as long.
+FORESEEN_SHARE, SEEN_LATE_S, FADING = 0.75, 0.08, 0.9
 PAD_END_M = 5e-3
 RETREAT_M = 8e-4
 FARTHEST_M = 0.012  # of the pivot from the body's middle
@@ -73,6 +75,7 @@ class Drags:
         self._rounds = 0
         self._before: tuple[float, float] | None = None  # z and e² at the last step
         self._slope = 0.0  # of e² over z, which is even where e itself ends like a root
+        self._torque = 0.0  # about the pivot, that the pad gave at the last steps (N m)
         self._most = 0.0  # largest |e| of this touch
         self._retreat = False
 
@@ -87,8 +90,9 @@ class Drags:
             self.phase = "settle"
             self._z_touch = max(self._z_touch, felt.z)  # the other side, and another tilt, touch elsewhere
             self._before, self._slope, self._most = None, 0.0, 0.0
+            self._torque = 0.0
             return DragStep("halt", reason="the body touches")
-        if self.phase in ("down", "up", "settle") and not felt.touching:
+        if self.phase in ("down", "up", "settle", "roll") and not felt.touching:
             return self._silence(felt.t, resting)
         self._t_silent = math.inf
         if self.phase == "down" and not resting and (why := self._warning(felt)):
@@ -125,11 +129,13 @@ class Drags:
             case "seek":
                 return self._seek(here)
             case "settle":
-                return self._settle(felt)
+                return self._settle(felt, here)
             case "down":
                 return self._down(felt, here)
             case "up":
                 return self._up(felt, here)
+            case "roll":
+                return self._roll(felt, here)
 
     # ---- off the pad -------------------------------------------------------------------------------------
 
@@ -148,14 +154,15 @@ class Drags:
     def _turn(self, felt: Touching, here: Angles) -> DragStep:
         start = self._start_of(self._wanted)
         if here[0] != start:
-            where = "far end" if self._wanted > 0 else "beginning"
-            return self._moved(
-                here, (start, here[1]), self._limits.rate, f"lifted off: tilt the body towards the pad's {where}"
-            )
+            return self._moved(here, (start, here[1]), self._limits.rate, self._request())
         if felt.t < self._t_turned:
             return WAIT
         self.phase = "seek"
         return WAIT
+
+    def _request(self) -> str:
+        where = "far end" if self._wanted > 0 else "beginning"
+        return f"lifted off: tilt the body towards the pad's {where}"
 
     def _seek(self, here: Angles) -> DragStep:
         (_, _), (bottom, _) = self._limits.angles
@@ -177,7 +184,8 @@ class Drags:
 
     # ---- on the pad --------------------------------------------------------------------------------------
 
-    def _settle(self, felt: Touching) -> DragStep:
+    def _settle(self, felt: Touching, here: Angles) -> DragStep:
+        del here
         if not (math.isfinite(felt.e) and math.isfinite(felt.force)):
             return WAIT
         if abs(felt.e) < TILTED_M:
@@ -194,6 +202,11 @@ class Drags:
             return DragStep("wait", reason=f"turns back: {why}")
         self._learn(felt)
         lower = self._stride(felt, -1.0)
+        if self._foreseen(felt, -lower) > FORESEEN_SHARE * self._limits.force:
+            self._note(_HARD)
+            self._ends.add((self._side, "low"))
+            self.phase, self._retreat = "up", True
+            return DragStep("wait", reason=f"turns back: {_HARD}")
         end = (here[0] - self._side * TRAIL * felt.z * lower / abs(felt.e), here[1] - lower)
         if why := self._off(end, felt.e):
             self._note(why)
@@ -206,11 +219,13 @@ class Drags:
         if not math.isfinite(felt.e):
             return WAIT
         self._learn(felt)
-        higher = min(RETREAT_M if self._retreat else self._stride(felt, 1.0), self._room(felt))
+        higher = min(RETREAT_M if self._retreat else self._stride(felt, 1.0), self._height_left(felt))
         back = 0.0 if self._retreat else BACK * felt.z * higher / abs(felt.e)
         end = (here[0] + self._side * back, here[1] + higher)
         warned = "" if self._retreat else self._warning(felt)
-        presses = warned == _HARD and self._slope < 0.0  # the higher, the shorter the lever: it leans on the top
+        # the higher, the shorter the lever: it leans on the top
+        hard = warned == _HARD or self._foreseen(felt, higher) > FORESEEN_SHARE * self._limits.force
+        presses = hard and self._slope < 0.0
         falling = higher < LEAST_STEP_M or warned in (_LEVER, _LIGHT) or presses
         self._retreat = False
         if self._off(end, felt.e) and not falling:
@@ -224,14 +239,22 @@ class Drags:
         """Ends it where all has been seen; else the other side is next."""
         self._wanted = -self._side
         self._rounds += self.coverage >= 1.0
-        wanted = math.inf if self._goal.band_mm is None else self._goal.band_mm * 1e-3
-        if self.coverage >= self._goal.coverage and math.isfinite(felt.band) and felt.band <= wanted:
+        if self._known(felt):
             return DragStep(
                 "done", reason="both sides were followed from one end to the other, and the outline is known"
             )
         if self._rounds > ROUNDS:
             return DragStep("done", reason="both sides were followed again and again, and the outline is not told")
         return None
+
+    def _known(self, felt: Touching) -> bool:
+        """Whether all has been seen, and the outline's band is as wanted."""
+        wanted = math.inf if self._goal.band_mm is None else self._goal.band_mm * 1e-3
+        return self.coverage >= self._goal.coverage and math.isfinite(felt.band) and felt.band <= wanted
+
+    def _roll(self, felt: Touching, here: Angles) -> DragStep:  # noqa: ARG002
+        """Under a rigid gripper nothing rolls."""
+        return WAIT
 
     def _stride(self, felt: Touching, sense: float) -> float:
         """Of height: small against e, and against how fast e² falls."""
@@ -240,7 +263,7 @@ class Drags:
         room = felt.e**2 - self._least**2
         return min(stride, max(0.5 * room / falling, LEAST_STEP_M)) if falling > 0.0 else stride
 
-    def _room(self, felt: Touching) -> float:
+    def _height_left(self, felt: Touching) -> float:
         """Of height, however the body is made: e² falls by no more than twice the pivot's distance from its middle."""
         return max(felt.e**2 - self._least**2, 0.0) / (2.0 * FARTHEST_M)
 
@@ -255,6 +278,16 @@ class Drags:
             slope = (square - self._before[1]) / (felt.z - self._before[0])
             self._slope += (0.6 if self._slope else 1.0) * (slope - self._slope)
         self._before = felt.z, square
+        self._torque = max(felt.force * abs(felt.e), FADING * self._torque)
+
+    def _foreseen(self, felt: Touching, dz: float) -> float:
+        """The force (N) that the body will press with when it stands, raised by dz (m).
+
+        At rest no friction helps any more, and the pad gives by F e a torque that hardly changes. What is felt on the
+        way is less by what friction gives: so the largest of the last steps counts.
+        """
+        square = max(felt.e**2 + self._slope * dz, (0.5 * LEAST_LEVER_M) ** 2)
+        return max(self._torque, felt.force * abs(felt.e)) / math.sqrt(square)
 
     def _warning(self, felt: Touching) -> str:
         """Why the body must not be lowered farther; empty when it may."""
@@ -262,7 +295,8 @@ class Drags:
             return ""
         if felt.e * self._side < self._least:
             return _LEVER
-        if felt.force > TAMED_SHARE * self._limits.force:
+        late = self._foreseen(felt, -SEEN_LATE_S * DOWN_M_S)
+        if felt.force > TAMED_SHARE * self._limits.force or late > FORESEEN_SHARE * self._limits.force:
             return _HARD
         if felt.force < LEAST_FORCE_N:
             return _LIGHT

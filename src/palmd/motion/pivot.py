@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from palmd.events import PalmMotion
@@ -29,12 +29,14 @@ _MM = 1e3
 class PivotLimits(MotionLimits):
     """As `MotionLimits`, of the pivot's place: `angles` are the ranges of x and z (m), rate and acceleration in m/s.
 
-    force: what the body may press on the pad (N).
+    force: what the body may press on the pad (N). slides: the arm has but the lower stop of a slide, over which the
+    pivot is carried by what it stands on.
     """
 
     system: ClassVar[str] = SYSTEM
 
     force: float = math.inf
+    slides: bool = False
 
     def __post_init__(self) -> None:
         """Bounds of each axis, of its speed and of its acceleration."""
@@ -51,7 +53,8 @@ class PivotLimits(MotionLimits):
     @classmethod
     def of(cls, config: PivotConfig) -> PivotLimits:
         """The configured limits in SI."""
-        return cls.over(config.limits, config.pads.palm1.length_mm)
+        over_pad = cls.over(config.limits, config.pads.palm1.length_mm)
+        return replace(over_pad, slides=config.rig.vertical == "float")
 
     @classmethod
     def over(cls, limits: PivotLimitsConfig, pad_length_mm: float) -> PivotLimits:

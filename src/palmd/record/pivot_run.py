@@ -9,6 +9,7 @@ from typing import ClassVar
 from palmd import pivot_messages
 from palmd.messages import Fields
 from palmd.observer.pivot.live import PivotObserver
+from palmd.observer.pivot.observer import pivot_observer
 from palmd.pivot_config import PivotConfig
 from palmd.quantities import PIVOT_ANSWER, PIVOT_EVENTS
 from palmd.record.run import AnyRun, FedTick, RecordedAnswers
@@ -35,7 +36,7 @@ class PivotRun(AnyRun):
 
     def observer(self) -> PivotObserver:
         """There is one."""
-        return PivotObserver(self.rig, RecordedAnswers(self.answers()))
+        return pivot_observer(self.rig, RecordedAnswers(self.answers()))
 
     def said(self, estimate: PivotEstimate) -> Fields:
         """`palm/pivot`."""

@@ -16,13 +16,17 @@ _BELOW_M = 1e-3  # its highest place, where the arm stands before anybody has co
 
 
 class PivotArm(DrivenTool):
-    """Its tool moves the pivot along and over the pad."""
+    """Its tool moves the pivot along and over the pad, or the lower stop of a slide that the pivot rises from.
+
+    travel: of the slide (m), which the controller's program adds to what it reports; a rigid gripper has none.
+    """
 
     def __init__(self, config: PivotConfig, rng: np.random.Generator, *, step_s: float) -> None:
         """At rest in the middle over the pad, as high as it may be; stepped every `step_s`."""
         arm, limits = config.arm, config.limits
         self._base = (arm.base_x_mm * 1e-3, arm.base_y_mm * 1e-3)
         self._turn = complex(math.cos(math.radians(arm.base_yaw_deg)), math.sin(math.radians(arm.base_yaw_deg)))
+        self.travel = 0.0
         (x0, x1), (z0, z1) = ((low * 1e-3, high * 1e-3) for low, high in limits.ranges_mm)
         allowed = limits_round(
             [self._pose(x, z) for x in (x0, x1) for z in (z0, z1)],
@@ -32,11 +36,15 @@ class PivotArm(DrivenTool):
         super().__init__(arm.baud, allowed, self._pose(0.5 * (x0 + x1), z1 - _BELOW_M), rng, step_s=step_s)
 
     def place(self, t: float) -> tuple[Axis, Axis]:
-        """Position, velocity, acceleration of the pivot along x and z."""
+        """Position, velocity, acceleration along x and z of the pivot, or of the slide's stop."""
         (x, vx, ax), (y, vy, ay) = self._servos[0].at(t), self._servos[1].at(t)
         turn, (bx, by) = self._turn, self._base
         place, rate, acceleration = complex(x, y) * turn, complex(vx, vy) * turn, complex(ax, ay) * turn
         return (bx + place.real, rate.real, acceleration.real), (by + place.imag, rate.imag, acceleration.imag)
+
+    def _true_pose(self, t: float) -> Pose:
+        tool, up = super()._true_pose(t), complex(0.0, self.travel) / self._turn
+        return Pose(tool.x_m + up.real, tool.y_m + up.imag, tool.t_rad)
 
     def _pose(self, x: float, z: float) -> Pose:
         """Where the tool is, in arm coordinates, when the pivot is at x along and z over the pad (m)."""

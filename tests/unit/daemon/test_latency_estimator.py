@@ -21,14 +21,14 @@ def swing(t: float, rate_hz: float = 0.4) -> PalmMotion:
     )
 
 
-def run(lag: float, seconds: float, noise: float = 2e-4, motion=swing) -> LatencyEstimator:
+def run(lag: float, seconds: float, noise: float = 2e-4, motion=swing, free=(), astray=0.0) -> LatencyEstimator:
     tracker, random = LatencyEstimator(), np.random.default_rng(1)
     for i in range(round(seconds / CYCLE)):
         t = i * CYCLE
         tracker.sent(t, motion(t))
         now = motion(t - lag)
         phi1, phi2 = now.angles + random.normal(0.0, noise, 2)
-        tracker.observe(t + 0.001, (phi1, phi2))
+        tracker.observe(t + 0.001, (phi1, phi2 + astray * t), free)
     return tracker
 
 
@@ -36,6 +36,11 @@ def run(lag: float, seconds: float, noise: float = 2e-4, motion=swing) -> Latenc
 def test_finds_the_lag_while_moving(lag):
     # observed 1 ms after the set-point, which does not count as lag
     assert run(lag, 6.0).lag_s == pytest.approx(lag + 0.001, abs=1.5e-3)
+
+
+def test_a_joint_that_is_free_to_go_elsewhere_tells_nothing():
+    assert run(0.03, 6.0, free=(1,), astray=0.05).lag_s == pytest.approx(0.031, abs=1.5e-3)
+    assert run(0.03, 6.0, astray=0.05).lag_s != pytest.approx(0.031, abs=5e-3)
 
 
 def test_standing_teaches_nothing():

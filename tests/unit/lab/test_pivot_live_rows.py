@@ -36,8 +36,10 @@ def test_what_is_right_and_what_is_wrong():
 
 def test_the_table_counts_them():
     wrong = replace(GOOD, task=LiveTask(8, "calibrated", 5.0), e=4e-4, worst_e=4e-4)
-    table = pivot_live.report([GOOD, wrong, LiveRow(LiveTask(9, "none", 5.0), error="no")])
-    titles, calibrated, perfect = (line.split() for line in table.splitlines()[:3])
+    slide = replace(GOOD, task=LiveTask(7, "calibrated", 5.0, "float"))
+    table = pivot_live.report([GOOD, wrong, slide, LiveRow(LiveTask(9, "none", 5.0), error="no")])
+    titles, calibrated, sliding, perfect = (line.split() for line in table.splitlines()[:4])
+    assert sliding[:5] == ["calibrated,", "slide", "1", "1", "0"]
     assert "right" in titles
     assert calibrated[:5] == ["calibrated", "2", "1", "0", "1"]
     assert perfect[:5] == ["none", "1", "0", "1", "0"]
@@ -50,8 +52,9 @@ def test_another_line_is_no_row():
 
 
 def test_what_is_done_is_not_done_again():
-    tasks = pivot_live.tasks_of("calibrated", 5.0, range(6, 9), {TASK: GOOD})
+    tasks = pivot_live.tasks_of("calibrated", 5.0, "rigid", range(6, 9), {TASK: GOOD})
     assert [task.seed for task in tasks] == [6, 8]
+    assert len(pivot_live.tasks_of("calibrated", 5.0, "float", range(6, 9), {TASK: GOOD})) == 3
     assert math.isnan(LiveRow(TASK).e)
 
 

@@ -70,6 +70,36 @@ def test_it_turns_back_before_the_pad_ends(touched):
     assert step.reason == "turns back: the pad ends here"
 
 
+def pressed(touched, *, raised):
+    """A body whose lever shortens while it is lowered, or raised: at rest it presses by 1/e, on the way with less."""
+    torque, square, here = 5.4e-3, 5e-5, (FELT.x, FELT.z)
+    if raised:
+        touched.phase = "up"
+    for k in range(60):
+        z, e = FELT.z + (here[1] - FELT.z), math.sqrt(max(square - 2.2e-2 * abs(here[1] - FELT.z), 1e-8))
+        yield torque / e
+        on_the_way = replace(FELT, t=float(k), z=z, e=e, force=0.8 * torque / e)
+        step = touched.look(on_the_way, here, True)
+        if step.move is None:
+            return
+        here = here[0], step.move.end[1]
+
+
+@pytest.mark.parametrize("raised", [False, True])
+def test_the_force_at_rest_is_foreseen(touched, raised):
+    """Friction that trails takes from the force: what is felt on the way is less than where the body stands."""
+    felt = list(pressed(touched, raised=raised))
+    assert len(felt) > 2
+    assert max(felt) < LIMITS.force
+
+
+def test_it_turns_back_for_a_force_that_will_have_grown_by_when_it_is_seen(touched):
+    for z, e in ((0.025, 5e-3), (0.0246, 4e-3)):
+        touched.look(replace(FELT, z=z, e=e, force=1.0), (FELT.x, z), True)
+    step = touched.look(replace(FELT, z=0.0244, e=3.4e-3, force=1.05), (FELT.x, 0.0244), False)
+    assert (step.kind, step.reason) == ("halt", "turns back: the force comes near its limit")
+
+
 def test_what_leaves_the_pad_is_noticed_and_lifted(touched):
     assert touched.look(IN_AIR, (FELT.x, FELT.z), False).kind == "halt"
     assert touched.look(replace(IN_AIR, t=0.3), (FELT.x, FELT.z), True).kind == "wait"

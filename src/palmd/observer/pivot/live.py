@@ -10,28 +10,28 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
-from palmd.events import Event, FloatArray, PadLift, PadSample, PalmSample, ShapeEstimate
-from palmd.model import shape
-from palmd.model.pivot import ORDER, P
-from palmd.system.pivot import PivotAnswer, PivotEstimate, PivotRig, Touching, normal_of
+from palmd.events import Event, PadLift, PadSample, PalmSample, ShapeEstimate
+from palmd.observer.pivot.claimed import (
+    GAP_S,
+    GATE,
+    LEAST_FELT,
+    LEAST_LEVER_M,
+    ClaimedOutline,
+    Gripper,
+    OutlinePoint,
+)
+from palmd.system.pivot import PivotAnswer, PivotEstimate, PivotRig, Touching
 
 NAME = "pivot"
-GAP_S = 0.15  # without a reading, after which the body may have been turned
-FELT_S, LEAST_FELT = 0.06, 3  # of readings that what is felt is the mean of
-STEADY = 0.15  # share of a reported position that corrects the planned way
+FELT_S = 0.06  # of readings that what is felt is the mean of
 NIS_S, NIS_MOST, NIS_BEGIN = 0.5, 3.0, 1.0
-GATE = 16.0
 LAG_SD_S, RATE_SD_M_S = 4e-3, 1e-4  # of how late the arm does what is planned, and of how even it runs
 KNOWN_M = 1e-4  # one-sigma of the outline at the contact, above which the orientation is not claimed
-LEAST_LEVER_M = 1e-3  # nearer to the dead centre the height tells nothing of the orientation
-STEPS, CLOSE_M = 6, 1e-9
-APART = 9.0  # by how much (squared sigmas) the best place on the outline must beat the others
-MANY = 360
-WALK_M = 2e-4
 
 
 class PivotSmoothing(Protocol):
@@ -42,6 +42,23 @@ class PivotSmoothing(Protocol):
 
     def collect(self, t: float) -> PivotAnswer | None:
         """The newest answer that has come by `t` (s), each once."""
+
+
+@dataclass(frozen=True, slots=True)
+class Present:
+    """How the body is at an instant: orientation and rate, where on its outline it touches, and the pad's force.
+
+    z_sd: of h_P, where that tells the pivot's height over the pad better than the arm does; else NaN.
+    """
+
+    at: OutlinePoint
+    psi: float
+    psi_sd: float
+    omega0: float
+    omega0_sd: float
+    e_sd: float
+    force: float
+    z_sd: float = math.nan
 
 
 class PivotObserver:
@@ -56,8 +73,8 @@ class PivotObserver:
         self._t_newest = -math.inf
         self._answer: PivotAnswer | None = None
         self._reason = "nothing is known of the outline yet"
-        self._body: _Outline | None = None
-        self._gripper: _Gripper | None = None
+        self._body: ClaimedOutline | None = None
+        self._gripper: Gripper | None = None
         self._felt: deque[PadSample] = deque()
         self._touching = False
         self._psi: float | None = None
@@ -77,7 +94,7 @@ class PivotObserver:
         self._waiting.append(event)
         if isinstance(event, PalmSample):
             if self._gripper is None:
-                self._gripper = _Gripper(event)
+                self._gripper = Gripper(event, slides=self._rig.vertical == "float")
             else:
                 self._gripper.take(event)
         elif isinstance(event, PadLift):
@@ -85,7 +102,9 @@ class PivotObserver:
         else:
             if self._felt and t - self._felt[-1].t_sample > GAP_S:
                 self._lift()
+            step = event.t_sample - self._felt[-1].t_sample if self._felt else 0.0
             self._feel(event)
+            self._follow(event, step)
 
     def improve(self, t: float) -> PivotAnswer | None:
         """Exchange with the smoother beside the loop; what it has answered, each answer once."""
@@ -100,12 +119,12 @@ class PivotObserver:
     def estimate(self, t: float) -> PivotEstimate:
         """The answer for time `t`; never raises, NaN where nothing is known."""
         nan = math.nan
-        x, z, sd, e, force, side = nan, nan, {}, nan, nan, 0
+        x, z, sd, e, side = nan, nan, {}, nan, 0
         touched = 0.0 if self._answer is None else float(self._answer.touched.mean()) if self._answer.claimed else 0.0
         if self._felt and t - self._felt[-1].t_sample > GAP_S:
             self._lift()
         if self._gripper is not None:
-            (x, vx, _), (z, vz, az) = self._gripper.at(t)
+            (x, vx, _), (z, vz, _) = self._gripper.at(t)
             noise = self._gripper.sd(self._rig.arm_noise)
             sd = {"x": math.hypot(noise, LAG_SD_S * vx), "z": math.hypot(noise, LAG_SD_S * vz)}
             if self._touching and self._felt:
@@ -119,26 +138,20 @@ class PivotObserver:
             unknown["moment"], sd["moment"] = body.moment
         if body is None or self._psi is None or reason:
             return self._said(t, measured | unknown, sd, reason or "nothing touches the pad", valid=False)
-        psi = body.orientation(self._psi, x, z)
-        if psi is None:
+        now = self._present(t, body, self._psi, sd["z"])
+        if now is None:
             return self._said(t, measured | unknown, sd, _DEAD, valid=False)
-        self._psi = psi
-        at = body.at(psi)
-        if abs(at.e) < LEAST_LEVER_M:
-            return self._said(t, measured | unknown, sd, _DEAD, valid=False)
-        omega0 = -vz / at.e
-        alpha0 = (at.h2 * omega0**2 - az) / at.e
-        force = body.force(at, psi, omega0, alpha0, (x, vx, self._gripper.ax if self._gripper else 0.0), az)
-        h_sd = math.hypot(at.h_sd, sd["z"])
-        e_sd = math.hypot(at.e_sd, at.h2 / at.e * h_sd)  # de = h″ dθ, and dθ = dz/e
+        at = now.at
         sd |= {
-            "e": e_sd,
-            "s": math.hypot(e_sd, sd["x"]),
-            "psi": h_sd / abs(at.e),
-            "omega0": math.hypot(omega0 * e_sd, LAG_SD_S * az, RATE_SD_M_S) / abs(at.e),
-            "f": math.hypot(body.force_share, e_sd / abs(at.e)) * abs(force),
+            "e": now.e_sd,
+            "s": math.hypot(now.e_sd, sd["x"]),
+            "psi": now.psi_sd,
+            "omega0": now.omega0_sd,
+            "f": math.hypot(body.force_share, self._lever_share(now)) * abs(now.force),
         }
-        values = measured | unknown | {"e": at.e, "s": x + at.e, "psi": psi, "omega0": omega0, "f": force}
+        values = measured | unknown | {"e": at.e, "s": x + at.e, "psi": now.psi, "omega0": now.omega0, "f": now.force}
+        if math.isfinite(now.z_sd):
+            values["z"], sd["z"] = at.h, now.z_sd
         why = "" if at.h_sd < KNOWN_M else "the outline has not been felt here yet"
         return self._said(t, values, sd, why, valid=not why)
 
@@ -177,6 +190,30 @@ class PivotObserver:
 
     # ---- its parts ---------------------------------------------------------------------------------------
 
+    def _present(self, t: float, body: ClaimedOutline, psi: float, z_sd: float) -> Present | None:
+        """At `t` (s), from where it was; None near a dead centre, or where the height contradicts the outline."""
+        if self._gripper is None:
+            return None
+        (x, vx, ax), (z, vz, az) = self._gripper.at(t)
+        found = body.orientation(psi, x, z)
+        if found is None:
+            return None
+        self._psi = found
+        at = body.at(found)
+        if abs(at.e) < LEAST_LEVER_M:
+            return None
+        omega0 = -vz / at.e
+        alpha0 = (at.h2 * omega0**2 - az) / at.e
+        force = body.force(at, found, omega0, alpha0, (x, vx, ax), az)
+        h_sd = math.hypot(at.h_sd, z_sd)
+        e_sd = math.hypot(at.e_sd, at.h2 / at.e * h_sd)  # de = h″ dθ, and dθ = dz/e
+        omega0_sd = math.hypot(omega0 * e_sd, LAG_SD_S * az, RATE_SD_M_S) / abs(at.e)
+        return Present(at, found, h_sd / abs(at.e), omega0, omega0_sd, e_sd, force)
+
+    def _lever_share(self, now: Present) -> float:
+        """By how much of itself the force is off where the lever is by its one-sigma."""
+        return now.e_sd / abs(now.at.e)
+
     def _said(
         self, t: float, values: Mapping[str, Any], sd: dict[str, float], reason: str, *, valid: bool
     ) -> PivotEstimate:
@@ -200,17 +237,20 @@ class PivotObserver:
         self._nis = NIS_BEGIN
 
     def _feel(self, sample: PadSample) -> None:
-        t, gripper, body = sample.t_sample, self._gripper, self._body
-        step = t - self._felt[-1].t_sample if self._felt else 0.0
+        t = sample.t_sample
         if not self._felt:
             self._t_touched = t
         self._felt.append(sample)
         while self._felt[0].t_sample < t - FELT_S:
             self._felt.popleft()
         self._touching = True
+
+    def _follow(self, sample: PadSample, step: float) -> None:
+        """Where the body is by a reading, and whether it is explained; `step` is the time since the one before."""
+        gripper, body = self._gripper, self._body
         if gripper is None or body is None:
             return
-        (x, vx, _), (z, vz, _) = gripper.at(t)
+        (x, vx, _), (z, vz, _) = gripper.at(sample.t_sample)
         if self._psi is None:
             self._psi = body.found(x, z, [each.s for each in self._felt])
             return
@@ -222,15 +262,21 @@ class PivotObserver:
         omega0 = -vz / at.e if abs(at.e) > LEAST_LEVER_M else 0.0
         miss = sample.s - body.reading(x, vx, at.e, at.h2, omega0)
         variance = self._rig.pad.reading_variance + at.e_sd**2 + (at.h2 / at.e * self._rig.arm_noise) ** 2
-        nis = min(miss**2 / variance, GATE)
-        self._nis += (nis - self._nis) * -math.expm1(-step / NIS_S)
+        self._judge(miss**2 / variance, step)
+
+    def _judge(self, nis: float, step: float) -> None:
+        self._nis += (min(nis, GATE) - self._nis) * -math.expm1(-step / NIS_S)
 
     def _take(self, answer: PivotAnswer) -> None:
         self._answer = answer
         if not answer.claimed:
             self._reason, self._body, self._psi = answer.reason, None, None
-            return
-        self._body, self._nis, self._psi = _Outline(answer, self._rig), NIS_BEGIN, None
+        else:
+            self._begin(answer)
+
+    def _begin(self, answer: PivotAnswer) -> None:
+        """Go by an outline that is claimed."""
+        self._body, self._nis, self._psi = ClaimedOutline(answer, self._rig), NIS_BEGIN, None
         if self._gripper is None or not self._felt:
             return
         (x, _, _), (z, _, _) = self._gripper.at(self._felt[-1].t_sample)
@@ -241,164 +287,3 @@ class PivotObserver:
 
 
 _DEAD = "the pivot is over the contact, or the height contradicts the outline"
-
-
-class _Gripper:
-    """Where the pivot is: reported positions along the planned way."""
-
-    def __init__(self, sample: PalmSample) -> None:
-        self._t, self._place = sample.t_sample, sample.angles
-        self._rates = sample.rates or (0.0, 0.0)
-        self._accelerations = sample.accelerations or (0.0, 0.0)
-
-    @property
-    def ax(self) -> float:
-        """Acceleration along the pad (m/s²), planned."""
-        return self._accelerations[0]
-
-    def take(self, sample: PalmSample) -> None:
-        """A report."""
-        ahead = self.at(sample.t_sample)
-        gain = 1.0 if sample.rates is None else STEADY
-        self._place = tuple(p + gain * (m - p) for (p, _, _), m in zip(ahead, sample.angles, strict=True))
-        self._t = sample.t_sample
-        self._rates = sample.rates or (0.0, 0.0)
-        self._accelerations = sample.accelerations or (0.0, 0.0)
-
-    def at(self, t: float) -> tuple[tuple[float, float, float], ...]:
-        """(place, velocity, acceleration) along x and z."""
-        dt = min(max(t - self._t, -GAP_S), GAP_S)
-        each = zip(self._place, self._rates, self._accelerations, strict=True)
-        return tuple((p + v * dt + 0.5 * a * dt * dt, v + a * dt, a) for p, v, a in each)
-
-    def sd(self, noise: float) -> float:
-        """One-sigma of the place (m)."""
-        return noise * math.sqrt(STEADY / (2.0 - STEADY))
-
-
-class _At:
-    """The outline at one orientation: lever e, second derivative of h_P, one-sigmas of h_P and e."""
-
-    __slots__ = ("e", "e_sd", "h", "h2", "h_sd")
-
-    def __init__(self, body: _Outline, psi: float) -> None:
-        rows = _rows(float(normal_of(np.array(psi))))
-        self.h, self.e, self.h2 = (float(row @ body.a) for row in rows)
-        self.e_sd = math.sqrt(max(float(rows[1] @ body.a_covariance @ rows[1]), 0.0))
-        place = float(normal_of(np.array(psi))) / math.tau * MANY % MANY
-        self.h_sd = float(body.answer.h_sd[int(place) % MANY])
-
-
-_K = np.arange(1, ORDER + 1)
-
-
-def _rows(theta: float) -> FloatArray:
-    """(3, 2·ORDER + 1): what maps coefficients to h, h′, h″ at one normal."""
-    rows = np.zeros((3, 2 * ORDER + 1))
-    cos, sin = np.cos(_K * theta), np.sin(_K * theta)
-    rows[0, 0] = 1.0
-    rows[0, 1::2], rows[0, 2::2] = cos, sin
-    rows[1, 1::2], rows[1, 2::2] = -_K * sin, _K * cos
-    rows[2, 1::2], rows[2, 2::2] = -(_K**2) * cos, -(_K**2) * sin
-    return rows
-
-
-def friction_of(p: FloatArray, covariance: FloatArray) -> tuple[float, float]:
-    """μ and its one-sigma, from an answer's constants and their covariance."""
-    drag, bend = float(p[P.DRAG]), float(p[P.SATURATION])
-    wanted = np.array([1 / math.sqrt(bend), -0.5 * drag / bend**1.5])
-    at = [P.DRAG, P.SATURATION]
-    return drag / math.sqrt(bend), math.sqrt(max(float(wanted @ covariance[np.ix_(at, at)] @ wanted), 0.0))
-
-
-class _Outline:
-    """An answer, ready to be asked."""
-
-    def __init__(self, answer: PivotAnswer, rig: PivotRig) -> None:
-        self._rig = rig
-        p, covariance = answer.p, answer.covariance
-        self.answer = answer
-        self.a, self.a_covariance = p[P.SHAPE :], covariance[P.SHAPE :, P.SHAPE :]
-        self.theta: FloatArray = np.arange(MANY, dtype=np.float64) * (math.tau / MANY)
-        self.h: FloatArray = shape.basis(self.theta, ORDER) @ self.a
-        self._slope: FloatArray = -shape.tangential_basis(self.theta, ORDER) @ self.a
-        self._p = p
-        self.mu = friction_of(p, covariance)
-        moment = p[P.MOMENT : P.MOMENT + 2]
-        size = float(np.hypot(*moment))
-        part = covariance[P.MOMENT : P.MOMENT + 2, P.MOMENT : P.MOMENT + 2]
-        self.moment = size, math.sqrt(max(float(moment @ part @ moment), 0.0)) / max(size, 1e-30)
-        self.force_share = math.hypot(self.moment[1] / max(size, 1e-30), 0.02)
-
-    def at(self, psi: float) -> _At:
-        """At an orientation (rad)."""
-        return _At(self, psi)
-
-    def height(self, x: float, z: float) -> float:
-        """h_P when the pivot is believed at x and z (m)."""
-        return z - float(self._p[P.STANDOFF] + self._p[P.SLOPE] * x)
-
-    def reading(self, x: float, vx: float, e: float, h2: float, omega0: float) -> float:
-        """What the pad reads then (m)."""
-        zero, scale, lag = (float(self._p[i]) for i in (P.ZERO, P.SCALE, P.LAG))
-        return zero + (1 + scale) * (x + e - lag * (vx - h2 * omega0))
-
-    def orientation(self, psi: float, x: float, z: float) -> float | None:
-        """The orientation near `psi` at which the body touches with the pivot at x, z; None beyond a dead centre."""
-        wanted, began = self.height(x, z), psi
-        side = 0.0
-        for _ in range(STEPS):
-            h, e, _ = (float(row @ self.a) for row in _rows(float(normal_of(np.array(psi)))))
-            side = side or math.copysign(1.0, e)
-            if abs(e) < 0.2 * LEAST_LEVER_M or e * side < 0.0:
-                return None
-            step = (h - wanted) / e  # dh/dψ = −e
-            psi += step
-            if abs(h - wanted) < CLOSE_M:
-                break
-        return psi if abs(psi - began) < 0.5 else None
-
-    def walked(self, psi: float, x: float, z: float) -> float | None:
-        """As `orientation`, from farther away: along the outline, in small steps of the height."""
-        wanted, begin = self.height(x, z), float(_rows(float(normal_of(np.array(psi))))[0] @ self.a)
-        here: float | None = psi
-        count = math.ceil(abs(wanted - begin) / WALK_M)
-        for k in range(1, count + 1):
-            here = None if here is None else self.orientation(here, x, z - (wanted - begin) * (1.0 - k / count))
-        return here
-
-    def found(self, x: float, z: float, s: Sequence[float], near: float = 0.0) -> float | None:
-        """The orientation at which z and the pad's readings are explained, where that is beyond doubt; else None."""
-        if len(s) < LEAST_FELT:
-            return None
-        wanted, e = self.height(x, z), float(np.mean(s)) - x - float(self._p[P.ZERO])
-        off = self.h - wanted
-        cross = np.flatnonzero(np.sign(off) != np.sign(np.roll(off, -1)))
-        variance = self._rig.pad.reading_variance / len(s) + (3e-4) ** 2  # the body moves while it is found
-        places = []
-        for i in cross.tolist():
-            share = off[i] / (off[i] - off[(i + 1) % MANY])
-            slope = self._slope[i] + share * (self._slope[(i + 1) % MANY] - self._slope[i])
-            spread = variance + self.answer.h_sd[i] ** 2 * 4
-            places.append(((slope - e) ** 2 / spread, self.theta[i] + share * math.tau / MANY))
-        places.sort()
-        if not places or places[0][0] > GATE or (len(places) > 1 and places[1][0] < places[0][0] + APART):
-            return None
-        psi = -0.5 * math.pi - places[0][1]
-        return near + math.remainder(psi - near, math.tau)
-
-    def force(
-        self, at: _At, psi: float, omega0: float, alpha0: float, along: tuple[float, float, float], az: float
-    ) -> float:
-        """What the pad must give (N), as `model.pivot` has it of a rigid gripper."""
-        p, (_, vx, ax) = self._p, along
-        mx, my = float(p[P.MOMENT]), float(p[P.MOMENT + 1])
-        cos, sin = math.cos(psi), math.sin(psi)
-        xi_x, xi_y = cos * mx - sin * my, sin * mx + cos * my
-        slip = vx + at.h * omega0
-        grip = float(p[P.DRAG]) * slip / math.sqrt(1.0 + float(p[P.SATURATION]) * slip * slip)
-        torque = (
-            float(p[P.INERTIA]) * alpha0 + float(p[P.DAMPING]) * omega0 + xi_x * (self._rig.gravity + az) - xi_y * ax
-        )
-        lever = at.e - grip * at.h
-        return torque / lever if abs(lever) > 1e-6 else math.nan

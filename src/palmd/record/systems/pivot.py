@@ -13,7 +13,7 @@ from palmd.devices.pad import MARGIN_MM
 from palmd.events import ObserverName, PadSample
 from palmd.jsonvalues import column, or_none
 from palmd.observer.pivot.growing import SimulatedSmoothing, as_fed
-from palmd.observer.pivot.live import PivotObserver
+from palmd.observer.pivot.observer import pivot_observer
 from palmd.observer.pivot.reconstruct import PivotReconstruction, reconstruct
 from palmd.outlinefile import Outline
 from palmd.pivot_messages import estimate_fields, shape_fields
@@ -113,20 +113,19 @@ class Pivot(PivotForm):
         return tick_count(log)
 
     def estimate(self, log: PivotLog, observer: ObserverName, outlines: Sequence[Outline]) -> Iterator[Said]:
-        """What the live observer says, tick by tick; NotYetError for a slide, and where two palms' outlines are given.
+        """What the live observer says, tick by tick; NotYetError where two palms' outlines are given.
 
         There is one observer, whatever `observer` says.
         """
         del observer
         if outlines:
             raise NotYetError("no stored outlines are recognised in a pivoting grasp")
-        if log.rig.vertical != "rigid":
-            raise NotYetError("a gripper on a slide has no live observer yet; palmd reconstruct takes its logs")
         return self._ticks(log)
 
     def _ticks(self, log: PivotLog) -> Iterator[Said]:
-        live = PivotObserver(log.rig, SimulatedSmoothing(log.rig))
-        events = map(as_fed, sorted(log.events, key=lambda event: event.t_sample))
+        live = pivot_observer(log.rig, SimulatedSmoothing(log.rig))
+        slides = log.rig.vertical == "float"
+        events = (as_fed(event, slides=slides) for event in sorted(log.events, key=lambda event: event.t_sample))
         for tick, t in fed(log, events, live):
             said, shape = live.estimate(t), live.shape(t) if tick % TICKS_PER_SHAPE == 0 else None
             yield Said(tick, t, estimate_fields(said), None if shape is None else shape_fields(shape))
