@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from palmd.events import DECIDED
-from palmd.system.mechanism import ENDS, JOINT_MEANINGS, PALMS
 from palmd.system import three_palms
+from palmd.system.mechanism import ENDS, JOINT_MEANINGS, PALMS
 from palmd.system.pivot import AXES, SYSTEM
 from palmd.system.rig_constants import RIG_TABLE
 from palmd.systems import TWO_PALMS
@@ -601,7 +601,7 @@ PALM3 = Topic(
         Quantity("observer", "text", "", "which observer it comes from"),
         Quantity("object", "number", "", "counts up when a new object is begun"),
         Quantity("quat_xyzw", "numbers", "",
-                 "turn of the body's frame to the world's, x, y, z, w; 1 at the beginning of the record it is known by"),
+                 "turn of the body's frame to the world's, x, y, z, w; 1 where the record begins that it is known by"),
         Quantity("attitude_sd_rad", "numbers", "rad", "its one-sigma about the world's x, y and z"),
         *(Quantity(f"omega_{axis}_rad_s", "number", "rad/s", f"angular velocity about the world's {axis}",
                    f"ω{axis}", role="named", glance=True) for axis in WORLD_AXES),
@@ -678,8 +678,8 @@ PALM3_EVENTS = Topic(
     (
         TICK,
         Quantity("source", "numbers", "",
-                 "of each event that the observer was fed: a pad's number for a reading, less than 0 for the end of its "
-                 "contact, 0 the joints"),
+                 "of each event that the observer was fed: a pad's number for a reading, less than 0 for the end of "
+                 "its contact, 0 the joints"),
         Quantity("t_sample_s", "numbers", "s", "when it was true, CLOCK_MONOTONIC"),
         Quantity("b_m", "numbers", "m", "of a reading: contact along the pad's second axis, from the apex"),
         Quantity("a_m", "numbers", "m", "of a reading: contact along its first axis"),
@@ -729,8 +729,8 @@ PALM3_INFO = Topic(
         Quantity("units", "text", "", "where the units are"),
         Quantity("mechanism", "text", "",
                  "edge-axis: with b = (0, cos beta, sin beta), palm normals n1 = (0, −sin beta, cos beta), "
-                 "n2 = cos gamma2 X + sin gamma2 b, n3 = −cos gamma3 X + sin gamma3 b, all palms through the apex 0; pad "
-                 "axes (a, b): (X, b), (∂n2/∂gamma2, n1), (∂n3/∂gamma3, n1)"),
+                 "n2 = cos gamma2 X + sin gamma2 b, n3 = −cos gamma3 X + sin gamma3 b, all palms through the apex 0; "
+                 "pad axes (a, b): (X, b), (∂n2/∂gamma2, n1), (∂n3/∂gamma3, n1)"),
         Quantity("joints", "texts", "", "the joints, as in <joint>_rad"),
         Quantity("palms", "numbers", "", "the palms' numbers, which stand in the names of their quantities"),
         Quantity("gravity_m_s2", "number", "m/s²", "along the world's −z"),

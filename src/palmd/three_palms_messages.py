@@ -16,7 +16,7 @@ from palmd.quantities import PALM3, PALM3_EVENTS, SCHEMA, UNITS
 from palmd.system.three_palms import HALVINGS, JOINTS, MECHANISM, NAMING, PALMS, SYSTEM, BodyAnswer, BodyEstimate
 from palmd.three_palms_config import ThreePalmsConfig
 
-VALUES = tuple(each.name for each in PALM3.quantities if each.kind == "number" and each.unit) + ("mu",)
+VALUES = (*(each.name for each in PALM3.quantities if each.kind == "number" and each.unit), "mu")
 """The fields of `palm3/estimate` that are in an estimate's `values`."""
 _UNKNOWN = dict.fromkeys(VALUES, math.nan)
 
@@ -98,10 +98,11 @@ def answer_of(fields: Mapping[str, Any]) -> BodyAnswer:
     return shaped(**{attribute: fields[name] for name, attribute in _PLAIN.items()}, **arrays)
 
 
-def shaped(R: FloatArray, covariance: FloatArray, **others: Any) -> BodyAnswer:
+def shaped(**told: Any) -> BodyAnswer:
     """An answer whose matrices have been laid flat."""
-    width = math.isqrt(covariance.size)
-    return BodyAnswer(R=R.reshape(-1, 3), covariance=covariance.reshape(width, width), **others)
+    width = math.isqrt(told["covariance"].size)
+    square = {"R": told["R"].reshape(-1, 3), "covariance": told["covariance"].reshape(width, width)}
+    return BodyAnswer(**told | square)
 
 
 def info_fields(version: str, observer: str, config: ThreePalmsConfig, plans: Iterable[str]) -> Fields:

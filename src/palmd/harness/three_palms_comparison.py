@@ -117,11 +117,11 @@ def surface_error(shape: Mapping[str, Any], true: FloatArray, turn: FloatArray) 
     directions, _ = icosphere()
     touched = np.array(shape["touched"]) > 0
     h, sd = np.array(shape["h_m"])[touched], np.array(shape["h_sd_m"])[touched]
-    u = directions[touched] @ turn.T
+    u: FloatArray = np.asarray(directions[touched] @ turn.T, np.float64)
     for _ in range(TURNS):
         near, slope = between(true, u)
-        step = np.linalg.lstsq(np.cross(u, slope), h - near, rcond=None)[0]
-        u = u @ exp(step).T
+        step: FloatArray = np.asarray(np.linalg.lstsq(np.cross(u, slope), h - near, rcond=None)[0], np.float64)
+        u = np.asarray(u @ exp(step).T, np.float64)
     off = h - between(true, u)[0]
     return float(np.sqrt(np.mean(off**2))), float(np.sqrt(np.mean(sd**2))), float(touched.mean())
 

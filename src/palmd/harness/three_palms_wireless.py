@@ -1,4 +1,4 @@
-"""The daemon's core and the emulated rig of three palms in space in one process: closed loop, no wires, no clock read."""
+"""The daemon's core and the emulated rig of three palms in space in one process: closed loop without wires."""
 
 from __future__ import annotations
 

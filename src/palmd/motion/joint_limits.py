@@ -35,9 +35,7 @@ class JointLimits(MotionLimits):
             (1, self.speeds, "/s", self.rate),
             (2, self.accelerations, "/s²", self.acceleration),
         ):
-            bounds += [
-                QuantityLimit(what.format(joint), unit + per, scale, -most, most, order) for joint in self.names
-            ]
+            bounds += [QuantityLimit(what.format(joint), unit + per, scale, -most, most, order) for joint in self.names]
         object.__setattr__(self, "bounds", tuple(bounds))
 
     def values(self, motion: PalmMotion) -> tuple[float, ...]:

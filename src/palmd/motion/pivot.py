@@ -23,6 +23,7 @@ from palmd.pivot_config import (
 )
 from palmd.system.pivot import AXES, SYSTEM
 
+
 @dataclass(frozen=True, slots=True)
 class PivotLimits(JointLimits):
     """Of the pivot's place: `angles` are the ranges of x and z (m), rate and acceleration in m/s.

@@ -1,8 +1,8 @@
 """The motion of a body between three palms carried from a smoother's belief to the present, reading by reading.
 
-An extended Kalman filter on the rotation, the spin and all parameters of the body. A step solves the equations of motion
-linearised about its beginning (the linearly implicit midpoint rule: second order, stable however stiff friction is).
-Safe in the loop.
+An extended Kalman filter on rotation, spin and all parameters of the body. A step solves the equations as they are
+about its beginning (the linearly implicit midpoint rule: second order, stable however stiff friction is). Safe in
+the loop.
 """
 
 from __future__ import annotations
@@ -69,9 +69,7 @@ class BodyFilter:
         other.__dict__.update(self.__dict__)
         return other
 
-    def times(
-        self, readings: Sequence[PlaneReading], until: float, longest_s: float = LONGEST_STEP_S
-    ) -> list[float]:
+    def times(self, readings: Sequence[PlaneReading], until: float, longest_s: float = LONGEST_STEP_S) -> list[float]:
         """The instants at which `carry` must be told the palms: middles of its steps, and each reading's own."""
         found, t = [], self.t
         for end in (*(each.t for each in readings), until):
@@ -90,7 +88,8 @@ class BodyFilter:
         inputs = palm_inputs(palms)
         steps, taken = len(inputs) - len(readings), 0
         own = PalmPlanes(*(getattr(palms, name)[steps:] for name in PalmPlanes.__dataclass_fields__))
-        geometry = reading_geometry(own, np.array([each.pad for each in readings], dtype=np.int64)) if readings else None
+        pads = np.array([each.pad for each in readings], dtype=np.int64)
+        geometry = reading_geometry(own, pads) if readings else None
         for number, end in enumerate((*(each.t for each in readings), until)):
             for _, h in _steps(self.t, end, longest_s):
                 self._step(h, inputs[taken : taken + 1])
@@ -107,7 +106,8 @@ class BodyFilter:
         centre[:, 9:18] /= SHORT
         centre[:, 18:] = SHORT * np.array([[1, 0, 0, 0, 1, 0], [0, 0, 1, 0, 0, 0]])
         turned = np.repeat(by_columns(self.R[None]), 5, axis=0)
-        y, by_turn, by_c = self._reading((turned, np.concatenate([geometry, centre])), (self.p[: self._shape.stop - 6],))
+        told = np.concatenate([geometry, centre])
+        y, by_turn, by_c = self._reading((turned, told), (self.p[: self._shape.stop - STATES],))
         H = np.zeros((10, len(self.P)))
         H[:, :3], H[:, self._shape] = by_turn.reshape(10, 3), by_c.reshape(10, -1)
         covariance = H @ self.P @ H.T
@@ -137,7 +137,7 @@ class BodyFilter:
         self.P = P
 
     def _correct(self, reading: PlaneReading, geometry: FloatArray) -> None:
-        y, by_turn, by_c = self._reading((by_columns(self.R[None]), geometry), (self.p[: self._shape.stop - 6],))
+        y, by_turn, by_c = self._reading((by_columns(self.R[None]), geometry), (self.p[: self._shape.stop - STATES],))
         H = np.zeros((2, len(self.P)))
         H[:, :3], H[:, self._shape] = by_turn[0], by_c[0]
         PH = self.P @ H.T

@@ -143,9 +143,7 @@ class GrowingBody:
         if end - self._start < LEAST_S or end - self._reached < NEWS_S:
             return None
         plan = joints[:, 4:].reshape(-1, 2, 3)
-        path = joint_path(
-            joints[:, 0], joints[:, 1:4], None if np.isnan(plan).any() else plan, self._rig.angle_noise
-        )
+        path = joint_path(joints[:, 0], joints[:, 1:4], None if np.isnan(plan).any() else plan, self._rig.angle_noise)
         readings = PadReadings(told[:, 0], told[:, 1].astype(np.int64), told[:, 2:4], told[:, 4])
         since = self._reached - CONTACTS_S if self._running else -math.inf
         contacts = ContactCurves.smoothed(readings.within(since, math.inf))

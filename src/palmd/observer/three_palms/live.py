@@ -15,7 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
-from palmd.events import Event, FloatArray, PadLift, PadSample, PalmSample, ShapeEstimate
+from palmd.events import Event, FloatArray, PadLift, PalmSample, ShapeEstimate
 from palmd.observer.three_palms import kernels
 from palmd.observer.three_palms.body import inertia
 from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
@@ -28,6 +28,7 @@ NAME = "space"
 ORDER = 8  # of the smoother's outlines
 HELD_S = 0.02  # how late readings are fused
 KEPT_S = 10.0  # of readings, for an answer that is as old
+REPORTS = 2048  # of the joints, for the same: some 16 s at least
 A_TICK = 8  # readings that a filter which catches up takes beyond the new ones
 NIS_MOST = 1.6
 KNOWN_M = 3e-4  # one-sigma of a contact, above which it is not known where the body is
@@ -112,7 +113,8 @@ class BodyObserver:
         values, sd = self._of_joints(t)
         answer, filtered = self._answer, self._filter
         told = answer if answer is not None and answer.hypotheses else None
-        quaternion_, attitude = (math.nan,) * 4, (math.nan,) * 3
+        turn: tuple[float, ...] = (math.nan,) * 4
+        attitude: tuple[float, ...] = (math.nan,) * 3
         reason = self._doubt(t)
         if filtered is not None and told is not None and self._joints is not None and t - filtered.t < GAP_S:
             now = self._ahead(filtered, t)
@@ -120,7 +122,7 @@ class BodyObserver:
             values |= of_body
             sd |= bands
             spread = np.sqrt(np.maximum(np.diagonal(now.P)[:3], 0.0))
-            quaternion_, attitude = quaternion(now.R), tuple(spread.tolist())
+            turn, attitude = quaternion(now.R), tuple(spread.tolist())
             worst = max(bands[f"{side}{palm}_m"] for palm in PALMS for side in "ab")
             if not reason and not worst < KNOWN_M:
                 reason = "the body rolls onto what has not been felt yet"
@@ -128,7 +130,7 @@ class BodyObserver:
                 reason, self._filter = "the filter has lost it", None
         return BodyEstimate(
             t=t, valid=not reason, observer=NAME, object_count=self.object_count,
-            nis=1.0 if filtered is None else filtered.nis, sd=sd, values=values, quaternion=quaternion_,
+            nis=1.0 if filtered is None else filtered.nis, sd=sd, values=values, quaternion=turn,
             attitude_sd=attitude, touched=0.0 if told is None else float(told.touched.mean()),
             hypotheses=0 if answer is None else answer.hypotheses, reason=reason,
         )  # fmt: skip
@@ -182,11 +184,7 @@ class BodyObserver:
         if not answer.hypotheses:
             self._filter = self._next = None
             return
-        if self._next is None or not self._next.t < answer.t:
-            self._next = BodyFilter(answer, self._rig)
-        elif self._filter is None:
-            return  # let the first one arrive
-        else:
+        if self._next is None or self._filter is not None or self._next.t < answer.t:
             self._next = BodyFilter(answer, self._rig)
 
     def _fuse(self, until: float) -> None:
@@ -249,9 +247,7 @@ class BodyObserver:
         noise = self._rig.angle_noise * math.sqrt(STEADY / (2.0 - STEADY))
         return values, {f"{joint}_rad": noise for joint in JOINTS}
 
-    def _of_body(
-        self, now: BodyFilter, answer: BodyAnswer, t: float
-    ) -> tuple[dict[str, float], dict[str, float]]:
+    def _of_body(self, now: BodyFilter, answer: BodyAnswer, t: float) -> tuple[dict[str, float], dict[str, float]]:
         assert self._joints is not None
         seen = now.seen(self._joints.palms(np.array([t])))
         diagonal = np.sqrt(np.maximum(np.diagonal(now.P), 0.0))
@@ -282,17 +278,18 @@ class BodyObserver:
 
 
 class _JointTrack:
-    """Where the joints are: reported angles along the planned way."""
+    """Where the joints are and have been: reported angles along the planned way."""
 
     def __init__(self, sample: PalmSample) -> None:
-        self._set(sample, np.array(sample.angles))
+        self._t: FloatArray = np.empty(REPORTS)
+        self._told: FloatArray = np.empty((REPORTS, 3, len(JOINTS)))  # angles, rates, accelerations
+        self._count = 0
+        self._add(sample, np.array(sample.angles))
 
-    def _set(self, sample: PalmSample, angle: FloatArray) -> None:
-        still = (0.0,) * len(JOINTS)
-        self.t = sample.t_sample
-        self._angle: FloatArray = angle
-        self._rate: FloatArray = np.array(sample.rates or still)
-        self._acceleration: FloatArray = np.array(sample.accelerations or still)
+    @property
+    def t(self) -> float:
+        """Of the last report (s)."""
+        return float(self._t[self._count - 1])
 
     def take(self, sample: PalmSample) -> None:
         """A report; one that comes after a later one says nothing."""
@@ -300,14 +297,27 @@ class _JointTrack:
             return
         ahead = self.at(np.array([sample.t_sample]))[0][0]
         gain = 1.0 if sample.rates is None else STEADY
-        self._set(sample, ahead + gain * (np.array(sample.angles) - ahead))
+        self._add(sample, ahead + gain * (np.array(sample.angles) - ahead))
 
     def at(self, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(T, 3) angles, rates and accelerations at times t (T,), not far from the last report."""
-        dt = np.clip(t - self.t, -GAP_S, GAP_S)[:, None]
-        rate, acceleration = self._rate + dt * self._acceleration, self._acceleration + 0.0 * dt
-        return self._angle + dt * self._rate + 0.5 * dt**2 * self._acceleration, rate, acceleration
+        """(T, 3) angles, rates and accelerations at times t (T,), each from the report that is nearest."""
+        later = np.searchsorted(self._t[: self._count], t)
+        before, after = np.maximum(later - 1, 0), np.minimum(later, self._count - 1)
+        which = np.where(t - self._t[before] < self._t[after] - t, before, after)
+        dt = np.clip(t - self._t[which], -GAP_S, GAP_S)[:, None]
+        angle, rate, acceleration = (self._told[which, k] for k in range(3))
+        return angle + dt * rate + 0.5 * dt**2 * acceleration, rate + dt * acceleration, acceleration
 
     def palms(self, t: FloatArray) -> PalmPlanes:
         """The palms at these times."""
         return palms_at(*self.at(t))
+
+    def _add(self, sample: PalmSample, angle: FloatArray) -> None:
+        if self._count == REPORTS:
+            self._count = REPORTS // 2
+            for kept in (self._t, self._told):
+                kept[: self._count] = kept[-self._count :].copy()
+        still = (0.0,) * len(JOINTS)
+        self._t[self._count] = sample.t_sample
+        self._told[self._count] = angle, sample.rates or still, sample.accelerations or still
+        self._count += 1

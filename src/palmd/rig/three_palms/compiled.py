@@ -83,4 +83,4 @@ def _step() -> Stepper | None:
     function = ctypes.CDLL(str(path)).three_palms_step
     pointer = ctypes.c_void_p
     function.argtypes, function.restype = (pointer, pointer, ctypes.c_double, pointer, pointer), None
-    return function  # type: ignore[no-any-return]
+    return function
