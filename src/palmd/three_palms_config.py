@@ -130,7 +130,9 @@ class ThreePalmsConfig(AnyConfig):
     @field_validator("arm")
     @classmethod
     def _without_base(cls, arm: AdeptConfig) -> AdeptConfig:
-        if based := sorted(name for name in arm.model_fields_set if name.startswith("base_")):
+        plain = AdeptConfig(port=arm.port)
+        names = sorted(name for name in AdeptConfig.model_fields if name.startswith("base_"))
+        if based := [name for name in names if getattr(arm, name) != getattr(plain, name)]:
             raise ValueError(f"{', '.join(based)}: an arm whose axes are the joints stands nowhere; leave it out")
         return arm
 

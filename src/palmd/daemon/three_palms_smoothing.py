@@ -15,7 +15,7 @@ from palmd.events import Event
 from palmd.system.three_palms import BodyAnswer, PadPlane, ThreePalmsRig
 from palmd.three_palms_messages import shaped
 
-PERIOD_S = 0.1
+PERIOD_S = 0.4  # of looking whether it has thought
 _NAMES = tuple(each.name for each in fields(BodyAnswer))
 
 
