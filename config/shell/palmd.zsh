@@ -321,6 +321,7 @@ _shtab_palmd_bench_space_options=(
   "--kind[what sort of run (default\: all)]:kind:(friction large drag free released all)"
   "--seed[of bodies and motions (default\: 0)]:N:"
   "--seconds[how long each lasts (default\: 20.0)]:S:"
+  "--live[in the emulated rig, by the shipped plan, judged tick by tick]"
   {-o,--output}"[a JSON line for each run (default\: space.jsonl)]:FILE:_files"
 )
 
@@ -602,7 +603,7 @@ _shtab_palmd_demo_options=(
   "--kind[what sort of object (default\: rig)]:kind:(nominal friction rig odd)"
   "--no-record[keep no recording\; else it goes to runs\/ here]"
   "--perfect[a rig that is exactly as configured, which is known]"
-  "--system[cradle\: two concave palms\; pivot\: a pivoting grasp]:system:(cradle pivot)"
+  "--system[cradle\: two concave palms\; pivot\: a pivoting grasp\; three_palms\: three palms in space]:system:(cradle pivot three_palms)"
   "--rig[an arm and VersaPads, or strips and servos]:rig:(adept tabletop)"
   "--config[rig and plan\; default\: as shipped]:config:_files"
 )

@@ -29,7 +29,7 @@ export class Store {
     const [topic, fields] = named(said, as);
     this.#latest.set(topic, fields);
     this.#cameAt.set(topic, now);
-    if (topic.startsWith("palm/")) this.palmAt = now;
+    if (topic.startsWith("palm")) this.palmAt = now;
     if (topic === "palm/estimate") this.#takeEstimate(fields);
     if (topic === "rig/truth") this.truths.add(seconds(fields), TRUTH.map((name) => fields[name]));
   }

@@ -1,0 +1,367 @@
+"""The live observer of a body between three palms, against the plant, which has other equations."""
+
+import math
+
+import msgpack
+import numpy as np
+import pytest
+
+from palmd import three_palms_messages as says
+from palmd.events import PadLift, PadSample, PalmSample
+from palmd.harness.three_palms_comparison import between, matrix, surface_error
+from palmd.model.spherical import Y00, count, evaluator
+from palmd.model.three_palms import MOMENT
+from palmd.observer.three_palms import beliefs, growing, live
+from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
+from palmd.observer.three_palms.growing import GrowingBody
+from palmd.observer.three_palms.growth import begun
+from palmd.observer.three_palms.icosphere import icosphere
+from palmd.observer.three_palms.live import BodyObserver
+from palmd.observer.three_palms.rotation import exp, quaternion
+from palmd.observer.three_palms.search import Rival
+from palmd.observer.three_palms.smoother import BodyMotion
+from palmd.rig.three_palms.bodies import Bodies, random_bodies
+from palmd.rig.three_palms.compiled import BodyOnPalms
+from palmd.rig.three_palms.plant import BodyStates, Rubbing
+from palmd.rig.three_palms.simulate import random_rotation
+from palmd.system.three_palms import BodyAnswer, ThreePalmsRig, palms_at, readings_of
+
+RIG = ThreePalmsRig()
+SEED = 7
+PHASE = np.array([0.3, 1.5, -0.8])
+
+
+def joints(t):
+    """(angle, rate, acceleration) of all joints, each (T, 3)."""
+    t, w = np.atleast_1d(t)[:, None], np.array([3.0, 2.0, 2.5])
+    return (
+        np.array([0.9, 0.8, 0.8]) + 0.15 * np.sin(w * t), 0.15 * w * np.cos(w * t), -0.15 * w**2 * np.sin(w * t)
+    )  # fmt: skip
+
+
+def planes(t):
+    return palms_at(*joints(t))
+
+
+def inputs_of(each):
+    return np.concatenate(
+        [kind.reshape(-1, 9) for kind in (each.normal, each.normal_rate, each.normal_acceleration, each.spin)], axis=1
+    )
+
+
+def inputs(t):
+    return inputs_of(planes(t))
+
+
+class Rolled:
+    """A smooth body on moving palms for 0.4 s, and its parameters as the observer has them: none of its own."""
+
+    def __init__(self):
+        rng = np.random.default_rng(2)
+        turns = np.linalg.qr(rng.normal(size=(2, 3, 3)))[0]
+        axes = np.exp(rng.normal(0.0, 0.1, (2, 3)))
+        forms = np.einsum("eij,ej,ekj->eik", turns, axes**2, turns) * 0.005**2
+        points = rng.normal(size=(12, 3))
+        self.inertia = np.diag([1.5e-4, 1.7e-4, 1.6e-4])
+        body = Bodies(
+            np.array([0.01]), forms[None], 1e-7 * points[None], np.array([4.0]), np.array([[4e-4, -3e-4, 5e-4]]),
+            self.inertia[None],
+        )  # fmt: skip
+        self.p = parameters(lambda u: body.support(u[None])[0][0], self.inertia, 8)
+        self.p[-3] = 1e-4
+        plant = BodyOnPalms(body, Rubbing(np.array([0.1]), np.array([0.01]), np.array([1e-4])), 9.81)
+        R, at = random_rotation(rng, 1), planes(0.0)
+        normal, rate = at.normal[0], at.normal_rate[0]
+        h, x, _ = body.support(-np.einsum("bji,nj->bni", R, normal))
+        centre, omega = np.linalg.solve(normal, h[0]), np.array([0.5, -0.3, 0.2])
+        r = np.einsum("ij,nj->ni", R[0], x[0])
+        lift = -rate @ centre + (r * (np.cross(omega, normal) - rate)).sum(-1)
+        plant.begin(BodyStates(centre[None], np.linalg.solve(normal, lift)[None], R, omega[None]))
+        self.t = 2e-3 * np.arange(1, 201)
+        self.states, self.read, self.force = [], [], []
+        self.begun = R[0], omega
+        for t in self.t:
+            plant.advance(np.concatenate([inputs(t - 2e-3), inputs(t - 1e-3), inputs(t)]), 2e-3)
+            self.states.append(plant.state.copy())
+            self.read.append(readings_of(planes(t), plant.point[None])[0])
+            self.force.append(plant.force.copy())
+
+    def belief(self, spin_off=0.0):
+        R, omega = self.begun
+        width = 6 + len(self.p)
+        sd = np.array([1e-3] * 3 + [0.3] * 3 + [1e-6] * (width - 6))
+        none = np.zeros(0)
+        return BodyAnswer(
+            0.0, 0.0, True, "", 1, R, omega + spin_off, self.p, np.diag(sd**2), none, none, none, none, 0.06, 1e-3
+        )
+
+
+@pytest.fixture(scope="module")
+def rolled():
+    return Rolled()
+
+
+def carried(filtered, readings, until):
+    filtered.carry(readings, until, planes(np.array(filtered.times(readings, until))))
+
+
+def test_a_step_keeps_to_the_motion_of_a_body_in_six_degrees_of_freedom(rolled):
+    filtered = BodyFilter(rolled.belief(), RIG)
+    carried(filtered, [], 0.4)
+    true = rolled.states[-1]
+    assert np.abs(true[15:] - rolled.begun[1]).max() > 0.3  # there is something to foretell
+    assert filtered.omega == pytest.approx(true[15:], abs=3e-3)
+    assert np.abs(filtered.R - true[6:15].reshape(3, 3)).max() < 1e-3
+
+
+def test_readings_tell_the_spin_that_was_not_known(rolled):
+    filtered = BodyFilter(rolled.belief(spin_off=0.2), RIG)
+    rng = np.random.default_rng(1)
+    sd = math.sqrt(RIG.pad.reading_variance)
+    readings = [
+        PlaneReading(t, k % 3, *(rolled.read[k][k % 3] + sd * rng.normal(size=2))) for k, t in enumerate(rolled.t)
+    ]
+    carried(filtered, readings[:-1], rolled.t[-1])
+    off = filtered.omega - rolled.states[-1][15:]
+    band = np.sqrt(np.diagonal(filtered.P)[3:6])
+    assert band.max() < 0.1
+    assert np.abs(off / band).max() < 3.5
+    assert 0.7 < filtered.nis < 1.4
+
+
+def test_contacts_centre_heights_and_forces_are_the_plants(rolled):
+    filtered = BodyFilter(rolled.belief(), RIG)
+    k = 100
+    filtered.t, filtered.R, filtered.omega = rolled.t[k], rolled.states[k][6:15].reshape(3, 3), rolled.states[k][15:]
+    seen = filtered.seen(planes(rolled.t[k]))
+    assert np.abs(seen.contacts[0] - rolled.read[k]).max() < 2e-6
+    assert np.abs(seen.centre[0] - rolled.states[k][:3]).max() < 1e-6
+    assert np.abs(seen.heights[0] - planes(rolled.t[k]).normal[0] @ rolled.states[k][:3]).max() < 1e-6
+    assert seen.force == pytest.approx(rolled.force[k], rel=0.02)
+    assert seen.centre[1].shape == (3,)
+
+
+def test_a_quaternion_is_its_rotation():
+    for R in random_rotation(np.random.default_rng(3), 20):
+        assert np.abs(matrix(quaternion(R)) - R).max() < 1e-12
+
+
+# ---------------------------------------------------------------- from a blind start to an estimate, on a log's events
+
+
+class Stub:
+    """A smoother that answers when it is told to."""
+
+    def __init__(self):
+        self.next = None
+
+    def submit(self, *_):
+        pass
+
+    def collect(self, _):
+        answer, self.next = self.next, None
+        return answer
+
+
+def swung(t):
+    """Joints that stand until 0.5 s, then swing."""
+    t, w = np.maximum(np.atleast_1d(t)[:, None] - 0.5, 0.0), np.array([2.6, 2.1, 3.0])
+    x = np.clip(t / 1.0, 0.0, 1.0)
+    ease = 10 * x**3 - 15 * x**4 + 6 * x**5, 30 * x**2 * (1 - x) ** 2, 60 * x * (1 - x) * (1 - 2 * x)
+    wave = 0.18 * np.sin(w * t + PHASE), 0.18 * w * np.cos(w * t + PHASE), -0.18 * w**2 * np.sin(w * t + PHASE)
+    return (
+        np.array([0.9, 0.8, 0.8]) + ease[0] * wave[0],
+        ease[1] * wave[0] + ease[0] * wave[1],
+        ease[2] * wave[0] + 2 * ease[1] * wave[1] + ease[0] * wave[2],
+    )
+
+
+def parameters(h_of, inertia, order):
+    """Of a body by its support function and inertia; no drag, and friction as believed beforehand."""
+    u, n = icosphere()[0], count(order)
+    c = np.linalg.lstsq(evaluator(order)(u)[0], h_of(u), rcond=None)[0]
+    lam = np.linalg.cholesky(0.5 * np.trace(inertia) * np.eye(3) - inertia) / (MOMENT * Y00 * c[0])
+    lam[np.diag_indices(3)] = np.log(np.diagonal(lam))
+    return np.concatenate([c[:n], lam[np.tril_indices(3)], [0.0, 0.1, math.log(0.01)]])
+
+
+class Lived:
+    """Readings of a body on swinging palms, and a smoother that is led to the right start: a blind one takes long."""
+
+    END, SECONDS, STEP = 4.4, 5.2, 2e-3
+
+    def __init__(self):
+        rng = np.random.default_rng(SEED)
+        self.rig = RIG
+        plant = BodyOnPalms(random_bodies(1, rng), Rubbing(np.array([0.1]), np.array([0.01]), np.zeros(1)), 9.81)
+        self._settle(plant, rng)
+        self.h_of = lambda at: plant.body.support(at[None])[0][0]
+        self.inertia = plant.body.inertia[0]
+        self.t = self.STEP * np.arange(round(self.SECONDS / self.STEP) + 1)
+        states, read, force = [plant.state.copy()], [], []
+        for t in self.t[:-1]:
+            at = swung(np.array([t, t + 0.5 * self.STEP, t + self.STEP]))
+            plant.advance(inputs_of(palms_at(*at)), self.STEP)
+            states.append(plant.state.copy())
+            read.append(readings_of(palms_at(*(each[2:] for each in at)), plant.point[None])[0])
+            force.append(plant.force.copy())
+        self.states = np.stack(states)
+        self.events = self._said(np.stack([read[0], *read]), np.stack([force[0], *force]), rng)
+        with pytest.MonkeyPatch.context() as led:
+            led.setattr(growing, "rivals", self._right)
+            led.setattr(growing, "begun_in_ways", lambda task, found: [begun(task, each) for each in found])
+            smoother = GrowingBody(self.rig)
+            smoother.add([event for event in self.events if event.t_sample < 2.9])
+            self.first = smoother.answer()
+            smoother.add([event for event in self.events if 2.9 <= event.t_sample < self.END])
+            self.answer = smoother.answer()
+
+    def _settle(self, plant, rng):
+        R, at = random_rotation(rng, 1), palms_at(*swung(np.zeros(3)))
+        h = plant.body.support(-np.einsum("bji,nj->bni", R, at.normal[0]))[0][0]
+        still = np.zeros((1, 3))
+        slow = BodyOnPalms(plant.body, Rubbing(np.zeros(1), np.ones(1), np.full(1, 4e-3)), 9.81)
+        slow.begin(BodyStates(np.linalg.solve(at.normal[0], h)[None], still, R, still))
+        for _ in range(1500):
+            slow.advance(inputs_of(at), self.STEP)
+        plant.state[:] = slow.state
+        plant.state[3:6] = plant.state[15:] = 0.0
+
+    def _said(self, read, force, rng):
+        angle, rate, acceleration = swung(self.t[::8])
+        angle = angle + self.rig.angle_noise * rng.normal(size=angle.shape)
+        events = [PalmSample(t, *map(tuple, each)) for t, *each in zip(self.t[::8], angle, rate, acceleration, strict=True)]
+        step = self.rig.pad.resolution
+        for k in range(len(self.t)):
+            if k % 5 < 3:  # each pad every 10 ms
+                a, b = step * np.round((read[k, k % 5] + self.rig.pad.noise * rng.normal(size=2)) / step)
+                events.append(PadSample(self.t[k], k % 5 + 1, b, 0.06 * force[k, k % 5], a))
+        return sorted(events, key=lambda event: event.t_sample)
+
+    def truth(self, t):
+        return np.array([np.interp(t, self.t, column) for column in self.states.T])
+
+    def _right(self, task, seconds):
+        record = task.record(seconds)
+        x = self.states[np.round(record.t / self.STEP).astype(int)]
+        R, omega = x[:, 6:15].reshape(-1, 3, 3), x[:, 15:]
+        self.gauge = R[0].T
+        # R = 1 at the first node: the body's frame is turned
+        p = parameters(lambda u: self.h_of(u @ R[0]), R[0] @ self.inertia @ R[0].T, 6)
+        prior = beliefs.prior(Y00 * p[0], 6, task.spin_sd)
+        fit = task.fitted(record, prior, None, BodyMotion(R @ R[0].T, omega, p), 12)
+        return [Rival(Y00 * p[0], record, fit)]
+
+    def told(self, observer, stub, until, answer_at):
+        said, waiting, t = [], iter(self.events), 0.0
+        event = next(waiting)
+        while t < until:
+            t += 0.01
+            while event.t_sample <= t:
+                observer.feed(event)
+                event = next(waiting)
+            if t >= answer_at and self.answer is not None and not observer.improvements:
+                stub.next = self.answer
+            observer.improve(t)
+            said.append(observer.estimate(t))
+        return said
+
+
+@pytest.fixture(scope="module")
+def lived():
+    return Lived()
+
+
+def test_the_smoother_goes_on_with_what_it_has(lived):
+    assert lived.first is not None
+    assert lived.answer.claimed, lived.answer.reason
+    assert lived.answer.t == pytest.approx(lived.END, abs=0.05)
+    assert lived.answer.t > lived.first.t + 1.0
+
+
+def test_the_filter_comes_to_the_present_and_is_right_within_its_bands(lived):
+    stub = Stub()
+    observer = BodyObserver(lived.rig, stub)
+    said = lived.told(observer, stub, 4.95, lived.END + 0.05)
+    before = [each for each in said if each.t < lived.END]
+    assert not any(each.valid for each in before)
+    assert before[-1].reason == "no motion is known yet that explains the readings"
+    valid = [each for each in said if each.valid]
+    assert valid
+    assert valid[0].t < lived.END + 0.3
+    squares = []
+    for each in valid:
+        names = [f"omega_{axis}_rad_s" for axis in "xyz"], [f"com_{axis}_m" for axis in "xyz"]
+        for group, part in zip(names, (slice(15, 18), slice(0, 3)), strict=True):
+            true = lived.truth(each.t)[part]
+            squares += [((each.values[n] - v) / each.sd[n]) ** 2 for n, v in zip(group, true, strict=True)]
+    assert np.mean(squares) < 3.0
+    shape = observer.shape(4.95)
+    assert observer.shape(4.95) is None  # once
+    fields = says.shape_fields(shape, 1, True)
+    true = lived.h_of(icosphere()[0])
+    error, sd, share = surface_error(fields, true, lived.gauge)
+    assert error < 1e-4
+    assert 0.2 < error / sd < 3.0
+    assert share > 0.01
+
+
+def test_told_the_same_it_says_the_same_to_the_last_bit(lived):
+    first = BodyObserver(lived.rig, stub := Stub())
+    said = [says.estimate_fields(each) for each in lived.told(first, stub, 4.7, lived.END + 0.05)]
+    recorded = says.answer_of(says.answer_fields(0.0, lived.answer))
+    lived.answer, kept = recorded, lived.answer
+    second = BodyObserver(lived.rig, stub := Stub())
+    again = [says.estimate_fields(each) for each in lived.told(second, stub, 4.7, lived.END + 0.05)]
+    lived.answer = kept
+    assert msgpack.packb(said) == msgpack.packb(again)
+
+
+def test_a_palm_that_is_let_go_ends_what_is_known_of_the_motion(lived):
+    observer = BodyObserver(lived.rig, stub := Stub())
+    lived.told(observer, stub, 4.9, lived.END + 0.05)
+    observer.feed(PadLift(4.905, 2))
+    observer.improve(4.91)
+    said = observer.estimate(4.91)
+    assert not said.valid
+    assert math.isnan(said.quaternion[0])
+    stub.next = lived.answer  # about what was there before
+    observer.improve(4.92)
+    assert observer.estimate(4.92).hypotheses == 0
+
+
+def test_what_is_late_is_counted_and_dropped():
+    observer = BodyObserver(RIG, Stub())
+    observer.feed(PalmSample(1.0, (0.9, 0.8, 0.8), (0.0,) * 3, (0.0,) * 3))
+    observer.feed(PadSample(1.0, 1, 0.02, 0.1, 0.0))
+    observer.improve(1.5)
+    observer.feed(PadSample(1.2, 2, 0.02, 0.1, 0.0))
+    observer.feed(PadSample(math.nan, 2, 0.02, 0.1, 0.0))
+    assert observer.late_dropped == 2
+
+
+def test_joints_are_known_in_the_past_too():
+    track = live._JointTrack(PalmSample(0.0, (0.5, 0.5, 0.5), (1.0,) * 3, (0.0,) * 3))
+    for k in range(1, 3000):
+        t = 0.016 * k
+        track.take(PalmSample(t, (0.5 + t,) * 3, (1.0,) * 3, (0.0,) * 3))
+    t = 0.016 * 2999 - np.array([0.0, 0.004, 3.0, 9.0])
+    assert track.at(t)[0][:, 0] == pytest.approx(0.5 + t)
+
+
+def test_a_surface_is_scored_after_the_best_turn_and_no_better():
+    u = icosphere()[0]
+    rng = np.random.default_rng(4)
+    c = np.concatenate([[0.07], rng.normal(size=24) * 3e-4])
+    true = evaluator(4)(u)[0] @ c
+    turn = exp(np.array([0.3, -0.2, 0.5]))
+    touched = (u[:, 2] > 0.8).astype(int)
+    fields = {
+        "h_m": evaluator(4)(u @ turn.T)[0] @ c + 1e-5 * np.where(np.arange(len(u)) % 2, 1, -1),
+        "h_sd_m": np.full(len(u), 2e-5), "touched": touched,
+    }  # fmt: skip
+    error, sd, share = surface_error(fields, true, exp(np.array([0.02, 0.01, -0.02])) @ turn)
+    assert error == pytest.approx(1e-5, rel=0.1)
+    assert sd == pytest.approx(2e-5)
+    assert share == pytest.approx(0.1, abs=0.01)
+    assert np.abs(between(true, u[:50])[0] - true[:50]).max() < 1e-6

@@ -1,0 +1,108 @@
+"""The emulated rig of three palms: its compiled plant, its pads and its arm, byte by byte."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from palmd.daemon.three_palms_system import TiltPoses
+from palmd.devices.actuator import Pose
+from palmd.devices.pad import make_pad
+from palmd.events import PadSample
+from palmd.messages import stamp, validate
+from palmd.quantities import PALM3_BODY, PALM3_TRUTH
+from palmd.rig.three_palms.bodies import random_bodies
+from palmd.rig.three_palms.compiled import BodyOnPalms, backend
+from palmd.rig.three_palms.plant import BodyStates, Rubbing
+from palmd.rig.three_palms.simulate import random_rotation
+from palmd.rig.three_palms.world import ThreePalmsWorld
+from palmd.system.three_palms import PALMS, palms_at
+from palmd.yamlfile import load_any_config
+
+CONFIG = load_any_config(Path(__file__).parents[3] / "config/three_palms.yaml")
+
+
+def palms(t):
+    angle = np.array([[0.9, 0.8, 0.8]]) + 0.1 * np.sin(3 * t)
+    rate, acceleration = (np.full((1, 3), each) for each in (0.3 * math.cos(3 * t), -0.9 * math.sin(3 * t)))
+    each = palms_at(angle, rate, acceleration)
+    kinds = (each.normal, each.normal_rate, each.normal_acceleration, each.spin)
+    return np.concatenate([kind.reshape(1, 9) for kind in kinds], axis=1)
+
+
+@pytest.mark.skipif(backend() != "c", reason="no C compiler")
+def test_the_compiled_plant_does_what_its_twin_does():
+    rng = np.random.default_rng(5)
+    body, rubbing = random_bodies(1, rng), Rubbing(np.array([0.1]), np.array([0.01]), np.array([1e-4]))
+    R, normal = random_rotation(rng, 1), palms(0.0)[0, :9].reshape(3, 3)
+    h = body.support(-np.einsum("bji,nj->bni", R, normal))[0][0]
+    still = np.zeros((1, 3))
+    begun = BodyStates(np.linalg.solve(normal, h)[None], still, R, still + 0.5)
+    pair = [BodyOnPalms(body, rubbing, 9.81, compiled=compiled) for compiled in (True, False)]
+    for each in pair:
+        each.begin(begun)
+        for k in range(20):
+            t = 2e-3 * k
+            each.advance(np.concatenate([palms(t), palms(t + 1e-3), palms(t + 2e-3)]), 2e-3)
+    compiled, twin = pair
+    assert np.abs(compiled.state - twin.state).max() < 1e-13
+    assert np.abs(compiled.force - twin.force).max() < 1e-11
+    assert np.abs(compiled.point - twin.point).max() < 1e-14
+
+
+@pytest.fixture(scope="module")
+def spoken():
+    """A world that has stood for half a second, and what its pads have said, through the daemon's own drivers."""
+    world = ThreePalmsWorld(CONFIG, 3)
+    drivers = {f"pad{n}": make_pad(n, pad) for n, pad in zip(PALMS, CONFIG.pads.each(), strict=True)}
+    for driver in drivers.values():
+        driver.opened(0.0)
+    events = []
+    for k in range(1, 1001):
+        for port, data in world.advance(5e-4 * k).items():
+            if data and port in drivers:
+                events += drivers[port].feed(data, 5e-4 * k)
+    return world, events
+
+
+@pytest.mark.parametrize("palm", PALMS)
+def test_both_coordinates_of_a_contact_come_over_the_wire(spoken, palm):
+    world, events = spoken
+    truth = world.truth()
+    mine = [event for event in events if isinstance(event, PadSample) and event.pad == palm][-20:]
+    assert len(mine) == 20
+    assert np.mean([event.across for event in mine]) == pytest.approx(truth[f"a{palm}_m"], abs=2e-4)
+    assert np.mean([event.s for event in mine]) == pytest.approx(truth[f"b{palm}_m"], abs=2e-4)
+    assert np.mean([event.force for event in mine]) == pytest.approx(truth[f"f{palm}_n"], rel=0.15, abs=0.02)
+
+
+def test_the_body_rests_and_its_weight_is_carried(spoken):
+    world, _ = spoken
+    truth, body = world.truth(), world.object_truth()
+    normals = palms_at(*(np.array([[truth[f"{joint}{what}"] for joint in ("beta", "gamma2", "gamma3")]]) for what in
+                         ("_rad", "_rate_rad_s", "_rate_rad_s"))).normal[0]  # fmt: skip
+    carried = np.array([truth[f"f{palm}_n"] for palm in PALMS]) @ normals
+    assert carried[2] == pytest.approx(9.81 * body["mass_kg"], rel=0.05)
+    assert np.abs([truth[f"omega_{axis}_rad_s"] for axis in "xyz"]).max() < 0.05
+    assert validate(PALM3_TRUTH, stamp(dict(truth), 1.0, 2.0, 3)) == []
+    assert validate(PALM3_BODY, stamp(dict(body), 1.0, 2.0, 3)) == []
+
+
+def test_what_falls_off_is_put_back_by_a_hand():
+    world = ThreePalmsWorld(CONFIG, 4)
+    world.advance(0.1)
+    assert world.truth()["touch1"]
+    world.body.state[3:6] = 0.0, 0.0, 2.0  # thrown upwards
+    world.advance(0.2)
+    assert not world.truth()["touch1"]
+    assert world.contact_losses == 1
+    world.advance(2.5)
+    assert world.truth()["touch1"]
+
+
+def test_the_line_carries_degrees_in_place_of_micrometres():
+    pose = TiltPoses().pose((0.9, 0.8, 0.7))
+    assert round(pose.x_m * 1e6) == round(math.degrees(0.9) * 1e3)
+    assert TiltPoses().angles(pose) == pytest.approx((0.9, 0.8, 0.7))
+    assert TiltPoses().angles(Pose(0.051, 0.046, 0.8)) == pytest.approx((math.radians(51), math.radians(46), 0.8))
