@@ -24,13 +24,15 @@ ObserverName = Literal["shape", "extended", "quasistatic"]
 class PadSample:
     """One contact reading: the object touches palm `pad` at distance `s` (m, > 0) from the hinge.
 
-    `force` is the contact's normal force in N, None when the pad gives none.
+    `force` is the contact's normal force in N, None when the pad gives none. `across` is the contact's other coordinate
+    (m), None from pads of which one is read.
     """
 
     t_sample: float
     pad: int
     s: float
     force: float | None = None
+    across: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +130,8 @@ class Estimate(LiveEstimate):
 @dataclass(frozen=True, slots=True)
 class ShapeEstimate:
     """The outline as a support function about the centre of mass: h and its one-sigma (m) on normals theta (rad).
+
+    Of a body in space theta are unit vectors (n, 3).
 
     theta is the outward normal's direction in the object frame, whose gauge is psi = 0 at the first fused
     measurement, or that of the stored outline it began from; `touched` marks the normals that a palm has been in

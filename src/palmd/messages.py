@@ -113,7 +113,7 @@ class EventsForm:
     def __init__(self, topic: Topic, naming: Naming) -> None:
         self._columns = tuple(quantity.name for quantity in topic.quantities if quantity is not TICK)
         self._joints, self._pads = len(naming.joints), naming.pads
-        self._none = (math.nan,) * self._joints
+        self._none, self._both = (math.nan,) * self._joints, bool(naming.across)
 
     def fields_of(self, t: float, events: Iterable[Event]) -> Fields:
         """What the observer was fed in the tick at `t` (s), in this order; None becomes NaN."""
@@ -127,15 +127,17 @@ class EventsForm:
 
     def _row(self, event: Event) -> tuple[float, ...]:
         none = self._none
+        nowhere = (math.nan,) * (2 + self._both)
         if isinstance(event, PadSample):
-            force = math.nan if event.force is None else event.force
-            return (event.pad, event.t_sample, event.s, force, *none * 3)
+            told = (event.s, *((event.across,) if self._both else ()), event.force)
+            return (event.pad, event.t_sample, *(math.nan if each is None else each for each in told), *none * 3)
         if isinstance(event, PadLift):
-            return (-event.pad, event.t_sample, math.nan, math.nan, *none * 3)
+            return (-event.pad, event.t_sample, *nowhere, *none * 3)
         planned = (*(event.rates or none), *(event.accelerations or none))
-        return (0, event.t_sample, math.nan, math.nan, *event.angles, *planned)
+        return (0, event.t_sample, *nowhere, *event.angles, *planned)
 
-    def _event(self, source: int, t: float, s: float, force: float, *palms: float) -> Event:
+    def _event(self, source: int, t: float, s: float, *told: float) -> Event:
+        (*beside, force), palms = told[: 1 + self._both], told[1 + self._both :]
         if source == 0:
             angles, *planned = (palms[i : i + self._joints] for i in range(0, len(palms), self._joints))
             return PalmSample(t, angles, *(None if any(map(math.isnan, each)) else each for each in planned))
@@ -144,7 +146,9 @@ class EventsForm:
             raise ValueError(
                 f"source is {source}; it is 0, or the number of a palm, negative where its contact has ended"
             )
-        return PadLift(t, pad) if source < 0 else PadSample(t, pad, s, None if math.isnan(force) else force)
+        if source < 0:
+            return PadLift(t, pad)
+        return PadSample(t, pad, s, *(None if math.isnan(each) else each for each in (force, *beside)))
 
 
 _EVENTS = EventsForm(EVENTS, NAMING)
@@ -209,20 +213,22 @@ def rig_fields(values: FloatArray, sds: FloatArray, priors: FloatArray, contradi
 
 @dataclass(frozen=True, slots=True)
 class PadView:
-    """What is to be told of one pad: s (m) and age (s), NaN for none."""
+    """What is to be told of one pad: s, across (m) and age (s), NaN for none."""
 
     s: float = math.nan
     pressure: float = math.nan
     age: float = math.nan
     touch: bool = False
     batch: bool = False
+    across: float = math.nan
 
 
 def contact_fields(pads: Sequence[PadView], arm_age: float, naming: Naming = NAMING) -> Fields:
     """`palm/contact` of a system's pads; `arm_age` in s, NaN for none."""
     numbered = tuple(zip(naming.pads, pads, strict=True))
     return {
-        **{f"s{pad}_m": view.s for pad, view in numbered},
+        **{f"{naming.along}{pad}_m": view.s for pad, view in numbered},
+        **({f"{naming.across}{pad}_m": view.across for pad, view in numbered} if naming.across else {}),
         **{f"pressure{pad}": view.pressure for pad, view in numbered},
         **{f"age{pad}_ms": view.age * 1e3 for pad, view in numbered},
         "arm_age_ms": arm_age * 1e3,

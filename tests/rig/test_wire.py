@@ -10,7 +10,7 @@ import pytest
 from harness import Bench
 
 from palmd.messages import validate
-from palmd.quantities import IMPROVEMENT, NOTE, OBJECT, PIVOT_TOPICS, TOPICS, UNEXPLAINED
+from palmd.quantities import IMPROVEMENT, NOTE, OBJECT, PALM3_TOPICS, PIVOT_TOPICS, TOPICS, UNEXPLAINED
 from palmd.rig.simulate import simulate_log
 
 pytestmark = pytest.mark.rig
@@ -33,7 +33,7 @@ PLOTTED_TEXT = 100  # PlotJuggler leaves out longer strings
 
 
 # without the one that comes with stored outlines only, and the one that comes when the smoother has found something
-ALWAYS = [topic for topic in TOPICS if topic not in (OBJECT, IMPROVEMENT, UNEXPLAINED, NOTE, *PIVOT_TOPICS)]
+ALWAYS = [topic for topic in TOPICS if topic not in (OBJECT, IMPROVEMENT, UNEXPLAINED, NOTE, *PIVOT_TOPICS, *PALM3_TOPICS)]
 
 
 @pytest.fixture(scope="module")

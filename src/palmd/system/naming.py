@@ -7,11 +7,16 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Naming:
-    """The joints' names in the order of every joint vector, their unit's, and the pads' numbers."""
+    """The joints' names in the order of every joint vector, their unit's, and the pads' numbers.
+
+    along, across: what the coordinates of a contact are called; `across` is empty where pads read but one.
+    """
 
     joints: tuple[str, ...]
     unit: str
     pads: tuple[int, ...]
+    along: str = "s"
+    across: str = ""
 
     @property
     def measured(self) -> tuple[str, ...]:

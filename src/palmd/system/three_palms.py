@@ -7,11 +7,13 @@ pass through O, so that a point c on palm i has nᵢ·c = 0. Pure.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from palmd.events import FloatArray
+from palmd.events import FloatArray, LiveEstimate
+from palmd.system.naming import Naming
 
 SYSTEM = "three_palms"
 MECHANISM = "edge-axis"
@@ -19,6 +21,9 @@ PALMS = (1, 2, 3)
 """The palms' numbers; palm i carries pad i."""
 JOINTS = ("beta", "gamma2", "gamma3")
 """What the joint angles are called, in the order of every joint vector."""
+NAMING = Naming(JOINTS, "rad", PALMS, along="b", across="a")
+HALVINGS = 4
+"""How often the icosahedron is halved whose corners are the directions of a published surface: 2,562, 4 degrees apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,3 +106,47 @@ def contact_points(palms: PalmPlanes, a: FloatArray, b: FloatArray) -> FloatArra
 def readings_of(palms: PalmPlanes, points: FloatArray) -> FloatArray:
     """(T, 3 palms, 2) what each pad reads of contacts (T, 3 palms, 3) (m, world)."""
     return np.stack([(points * palms.axis_a).sum(-1), (points * palms.axis_b).sum(-1)], axis=-1)
+
+
+@dataclass(frozen=True, slots=True)
+class BodyEstimate(LiveEstimate):
+    """What is known of a body between three palms at one instant `t`, by the names and units of `palm3/estimate`.
+
+    values: NaN for no value; `sd` has the one-sigma of those that it names. quaternion: x, y, z, w, body to world, or NaN;
+    attitude_sd: of turns about the world's axes (rad). touched: share of all directions that were felt. hypotheses: how
+    many motions explain the readings. reason: why it is not valid, in words.
+    """
+
+    values: Mapping[str, float]
+    quaternion: tuple[float, ...]
+    attitude_sd: tuple[float, ...]
+    touched: float
+    hypotheses: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class BodyAnswer:
+    """A smoother's belief about all that was felt until `t` (s), or in `reason` why it claims nothing.
+
+    begun: of which record, another after all palms have been let go. R: (3, 3) body to world, omega (3,) (rad/s) at `t`,
+    p: (m,) parameters of `model.three_palms`; covariance: (6 + m, 6 + m) of turns in the world, omega and p.
+    h_sd: one-sigma of the surface (m) and `touched`, for each of the directions. inertia_sd: (9,) per unit mass (m²).
+    mass, mass_sd: kg, NaN where no force was read. Empty arrays where no motion is known; where one is but `claimed` is
+    false, the belief is there and is not to be believed.
+    """
+
+    t: float
+    begun: float
+    claimed: bool
+    reason: str
+    hypotheses: int
+    R: FloatArray
+    omega: FloatArray
+    p: FloatArray
+    covariance: FloatArray
+    h_sd: FloatArray
+    touched: FloatArray
+    inertia_sd: FloatArray
+    mass: float
+    mass_sd: float

@@ -8,8 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray
-
-HALVINGS = 4  # 2562 directions, 4 degrees apart
+from palmd.system.three_palms import HALVINGS
 
 
 @cache
