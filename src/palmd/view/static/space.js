@@ -1,23 +1,18 @@
 // Three palms in space and the body between them, seen from a side that the pointer or the arrow keys turn.
 
 import { classOf } from "./knowledge.js";
-import { arrow, dot as mark, line, write } from "./paths.js";
+import { arrow, line, mark, write } from "./paths.js";
 import { cross, dot, icosphere, plus, rotation, scaled, surface, turned, unit } from "./surface.js";
 import { colours, ofPalm } from "./theme.js";
 
 const FROM = { around: -0.9, above: 0.45 }; // where it is seen from at first (rad)
 const STEEPEST = 1.5;
-const SEEN = 2.3; // what is seen, in sides of a pad
-const SHADES = 7;
+const SEEN = 1.8; // what is seen, in sides of a pad
+const SHADES = 12;
 const LIGHT = unit([-0.35, 0.5, 0.8]); // right, up, towards who looks
-const DARKEST = 0.35;
+const DARKEST = 0.55;
 const MM = 1e3;
 const UP = [0, 0, 1];
-
-/** Whether an estimate is of a body in space. */
-export function inSpace(estimate) {
-  return Array.isArray(estimate.quat_xyzw);
-}
 
 /** The palms for joint angles beta, gamma2, gamma3 (rad): each one's normal and its pad's axes a and b. */
 export function palmsInSpace([beta, gamma2, gamma3]) {
@@ -153,7 +148,7 @@ function drawBody({ context, project, eye, ratio }, { shape, sphere, surface: { 
   context.lineWidth = 0.7 * ratio; // no seams
   for (const [key, path] of paths) {
     const bright = DARKEST + (1 - DARKEST) * ((key % (SHADES + 1)) / SHADES);
-    context.fillStyle = context.strokeStyle = `color-mix(in srgb, ${colours[`error${Math.floor(key / (SHADES + 1))}`]} ${bright * 100}%, black)`;
+    context.fillStyle = context.strokeStyle = darkened(colours[`error${Math.floor(key / (SHADES + 1))}`], bright);
     context.fill(path);
     context.stroke(path);
   }
@@ -200,4 +195,9 @@ function ring(corners) {
 
 function apart([x, y], [u, v]) {
   return Math.hypot(x - u, y - v);
+}
+
+/** A colour #rrggbb so many times as bright. */
+function darkened(colour, bright) {
+  return `rgb(${[1, 3, 5].map((i) => Math.round(parseInt(colour.slice(i, i + 2), 16) * bright)).join(" ")})`;
 }

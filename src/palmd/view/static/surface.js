@@ -13,6 +13,11 @@ export const scaled = (v, by) => v.map((each) => each * by);
 export const unit = (v) => scaled(v, 1 / Math.hypot(...v));
 export const plus = (v, w, by = 1) => v.map((each, i) => each + by * w[i]);
 
+/** Whether an estimate is of a body in space. */
+export function inSpace(estimate) {
+  return Array.isArray(estimate.quat_xyzw);
+}
+
 /**
  * Unit directions, triangles between them that go round counterclockwise seen from outside, and `slopes`: what of which
  * neighbour's support function makes each one's gradient. At each halving the middles of all edges come next, in the
