@@ -113,7 +113,7 @@ def rig_of(palms, state="tracking", **more):
 
 def body_in_space(off_m=0.0):
     """What a daemon with three palms says: an ellipsoid turned by half a radian; the rig has one larger by `off_m`."""
-    axes, directions = np.array([0.02, 0.016, 0.024]), icosphere()[0]
+    axes, directions = np.array([0.02, 0.016, 0.024]), icosphere(3)[0]
     h = np.linalg.norm(directions * axes, axis=1)
     quat, numbers = [0.0, 0.0, math.sin(0.25), math.cos(0.25)], (1, 2, 3)
     place = {"com_x_m": 0.0, "com_y_m": 0.024, "com_z_m": 0.034}
@@ -128,13 +128,13 @@ def body_in_space(off_m=0.0):
                        "pad3_centre_m": [0.0375, 0.0375]},
         "palm3/estimate": {"valid": True, "object": 1, "quat_xyzw": quat, "touched": 0.5, "nis": 1.0, "mass_kg": 0.15,
                            "sd": {"mass_kg": 0.002}} | place | joints | contacts | spin | radii,
-        "palm3/shape": {"halvings": 4, "h_m": h.tolist(), "h_sd_m": np.where(directions[:, 2] > 0, 2e-4, 5e-6).tolist(),
+        "palm3/shape": {"halvings": 3, "h_m": h.tolist(), "h_sd_m": np.where(directions[:, 2] > 0, 2e-4, 5e-6).tolist(),
                         "touched": (directions[:, 2] < 0).astype(int).tolist()},
         "palm3/contact": contacts | {f"touch{n}": True for n in numbers} | {f"age{n}_ms": 8.0 for n in numbers},
         "palm3/motion": {"plan": "sway", "segment": -1, "progress": 0.0, "arm_state": "T"} | joints,
         "palm/state": rig_of(2)["palm/state"],
         "rig/palm3": {"quat_xyzw": quat} | place | spin,
-        "rig/palm3_object": {"halvings": 4, "h_m": (h + off_m).tolist(), "mass_kg": 0.15},
+        "rig/palm3_object": {"halvings": 3, "h_m": (h + off_m).tolist(), "mass_kg": 0.15},
     }  # fmt: skip
 
 
