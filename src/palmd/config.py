@@ -367,6 +367,11 @@ class VersaPadConfig(PadBase):
     """Where the pressure is in a packet."""
 
     @property
+    def across(self) -> tuple[float, int] | None:
+        """Of a pad that is read both ways, its other coordinate where it counts 0 (mm) and its sign."""
+        return None
+
+    @property
     def report_s(self) -> float:
         """How long a report of six bytes takes on the line (s)."""
         return 6 * (10.0 / self.baud)

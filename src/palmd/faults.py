@@ -13,6 +13,7 @@ from enum import StrEnum
 from typing import Literal
 
 from palmd.system.mechanism import PALMS
+from palmd.system.three_palms import PALMS as ALL_PADS
 
 
 class Severity(StrEnum):
@@ -268,8 +269,7 @@ FAULTS: tuple[Fault, ...] = (
         "a servo has let go, or has started anew and lost its settings",
         "check its supply and cable, hold the palms, then reset",
     ),
-    *_pad(1),
-    *_pad(2),
+    *(fault for number in ALL_PADS for fault in _pad(number)),
     Fault(
         "force-limit",
         Severity.HOLD,

@@ -97,7 +97,24 @@ SYSTEMS: Mapping[str, SystemParts] = {
                 kernels="palmd.model.pivot:needed",
             ),
         ),
-        SystemParts("three_palms", "three palms in space", log="palmd.record.systems.three_palms:SYSTEM"),
+        SystemParts(
+            "three_palms",
+            "three palms in space",
+            log="palmd.record.systems.three_palms:SYSTEM",
+            live=LiveParts(
+                manual="docs/start/three-palms.md",
+                demo="three_palms.yaml",
+                config="palmd.three_palms_config:ThreePalmsConfig",
+                description="palmd.three_palms_config:three_palms_rig",
+                plans="palmd.motion.three_palms:PLANS",
+                loop="palmd.daemon.three_palms_system:ThreePalmsInSpace",
+                rig="palmd.rig.three_palms.world:ThreePalmsWorld",
+                recording="palmd.record.three_palms_run:ThreePalmsRun",
+                comparison="palmd.harness.three_palms_comparison:ThreePalmsComparison",
+                status="palmd.cli.three_palms_status:status_lines",
+                kernels="palmd.observer.three_palms.needed:needed",
+            ),
+        ),
     )
 }
 LIVE: Mapping[str, LiveParts] = {system.name: system.live for system in SYSTEMS.values() if system.live}

@@ -52,6 +52,11 @@ class PlanePadConfig(VersaPadConfig):
     length_mm: Annotated[FiniteFloat, Field(gt=0, le=1000), Plausible(10, 500)] = 75.0
     """The side of the square that it feels, the place where it counts 0 in its middle across."""
 
+    @property
+    def across(self) -> tuple[float, int]:
+        """As configured."""
+        return self.across_zero_mm, self.across_sign
+
 
 class ThreePadsConfig(AnyPads):
     """The touchpads, one on each palm."""
@@ -62,6 +67,11 @@ class ThreePadsConfig(AnyPads):
     """The pad of palm 2: a away from the axis about which it turns."""
     palm3: PlanePadConfig
     """The pad of palm 3, likewise."""
+
+    @property
+    def planes(self) -> tuple[PlanePadConfig, ...]:
+        """They, in the order of their numbers."""
+        return (self.palm1, self.palm2, self.palm3)
 
     @field_validator("*")
     @classmethod

@@ -65,6 +65,7 @@ _ARRAYS = {
     "omega_rad_s": "omega",
     "p": "p",
     "covariance": "covariance",
+    "h_m": "h",
     "h_sd_m": "h_sd",
     "touched": "touched",
     "inertia_sd_m2": "inertia_sd",
@@ -105,7 +106,7 @@ def shaped(R: FloatArray, covariance: FloatArray, **others: Any) -> BodyAnswer:
 
 def info_fields(version: str, observer: str, config: ThreePalmsConfig, plans: Iterable[str]) -> Fields:
     """`palm3/info`: who runs, and the rig as configured, for whoever draws it."""
-    pads = tuple(zip(PALMS, config.pads.each(), strict=True))
+    pads = tuple(zip(PALMS, config.pads.planes, strict=True))
     return {
         "version": version,
         "schema": SCHEMA,
@@ -119,7 +120,7 @@ def info_fields(version: str, observer: str, config: ThreePalmsConfig, plans: It
         "palms": list(PALMS),
         "gravity_m_s2": config.rig.gravity_m_s2,
         "pad_side_m": config.pads.palm1.length_mm * 1e-3,
-        **{f"pad{n}_centre_m": [getattr(pad, "across_zero_mm", 0.0) * 1e-3, pad.zero_mm * 1e-3] for n, pad in pads},
+        **{f"pad{n}_centre_m": [pad.across_zero_mm * 1e-3, pad.zero_mm * 1e-3] for n, pad in pads},
         **{
             f"{joint}_limits_rad": [math.radians(end) for end in ends]
             for joint, ends in zip(JOINTS, config.limits.ranges_deg, strict=True)

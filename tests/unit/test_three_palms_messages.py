@@ -37,7 +37,7 @@ def test_an_answer_comes_back_bit_for_bit():
     rng = np.random.default_rng(1)
     told = BodyAnswer(
         1.5, 0.2, True, "", 2, rng.normal(size=(3, 3)), rng.normal(size=3), rng.normal(size=90),
-        rng.normal(size=(96, 96)), rng.random(9), np.ones(9), rng.random(9), 0.06, 0.001,
+        rng.normal(size=(96, 96)), rng.random(9), rng.random(9), np.ones(9), rng.random(9), 0.06, 0.001,
     )  # fmt: skip
     fields = says.answer_fields(2.0, told)
     back = says.answer_of(fields)

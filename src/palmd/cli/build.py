@@ -76,19 +76,10 @@ def _emulated() -> list[Part]:
 
 
 def _other_systems() -> list[Part]:
-    from palmd.model import sharp, three_palms
-    from palmd.observer.three_palms.growth import ORDER
-    from palmd.observer.three_palms.search import START_ORDER
+    from palmd.model import sharp
+    from palmd.observer.three_palms.needed import of_three_palms
 
-    def space(order: int) -> Part:
-        return f"three palms in space, degree {order}", lambda: three_palms.library(order).backend
-
-    return [
-        *of_palms(curved=True),
-        ("flat sides", lambda: sharp.library().backend),
-        ("three palms in space, the beginning", lambda: three_palms.driven_library().backend),
-        *map(space, (START_ORDER, ORDER)),
-    ]
+    return [*of_palms(curved=True), ("flat sides", lambda: sharp.library().backend), *of_three_palms()]
 
 
 def _told(what: str, backend_of: Callable[[], str]) -> None:

@@ -11,7 +11,6 @@ from palmd.daemon.poses import Poses
 from palmd.devices.actuator import FOLLOWING, ArmReport, ArmState, make_actuator
 from palmd.events import Joints, PalmMotion, PalmSample
 from palmd.motion.kinematics import PoseError
-from palmd.system.mechanism import JOINTS
 
 EndName = str
 """`arm`, or `pad` and the number of its palm."""
@@ -79,7 +78,7 @@ class ArmDriver:
         """What the arm is meant to do at `t` (s), with these angles; only its rates count."""
         if state not in FOLLOWING:
             self.lag.forget()
-        still = PalmMotion.at_rest((0.0,) * len(JOINTS))
+        still = PalmMotion.at_rest((0.0,) * len(angles))
         if state in RESTING:
             return still if t - self._t_moving > COMING_TO_REST_S or self._stands(t, angles) else None
         self._t_moving, self._rested = t, None

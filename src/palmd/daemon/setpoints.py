@@ -19,7 +19,7 @@ from palmd.motion.kinematics import PoseError
 from palmd.motion.limits import MotionLimits, Workspace
 from palmd.motion.plan import PlanPlace, Trajectory
 from palmd.motion.segments import Angles
-from palmd.motion.trajectory_executor import UNKNOWN, MotionError, TrajectoryExecutor
+from palmd.motion.trajectory_executor import MotionError, TrajectoryExecutor
 
 LONGEST_STEP_S = 0.032
 """Two cycles: what one set-point may make up for when the one before was not sent."""
@@ -43,7 +43,7 @@ class SetPoints:
         self._off_path = False
         self._twist = 0.0  # of the tool against palm 2 (rad), as found; it is taken back gently
         self._t_sent = -math.inf
-        self._next = PalmMotion.at_rest(UNKNOWN)
+        self._next = PalmMotion.at_rest(limits.unknown)
         self._jog: Jog | None = None
         self.limits = limits
         self._executor = TrajectoryExecutor(limits)
@@ -80,7 +80,7 @@ class SetPoints:
     def leave(self) -> None:
         """The arm no longer follows; the plan is put away."""
         if self.commanded is not None:
-            self._executor.stand(UNKNOWN)
+            self._executor.stand(self.limits.unknown)
             self.commanded = None
             self._jog = None
 

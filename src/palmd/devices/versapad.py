@@ -255,7 +255,8 @@ class PadCalibration:
     """How a pad's counts become a distance from the hinge: s = zero + sign · counts / counts_per_mm + the curve there.
 
     `length_mm` is the pad's active length; a reading below zero, or beyond it by more than `MARGIN_MM`,
-    cannot be a contact. `pressure_max` is the pressure format's full scale.
+    cannot be a contact. `pressure_max` is the pressure format's full scale. across: of a square pad that is read both
+    ways, the other coordinate where it counts 0, in its middle (mm), and 1 or -1 as it grows with the counts.
     """
 
     pad: int
@@ -267,18 +268,24 @@ class PadCalibration:
     length_mm: float = 55.5
     pressure_max: int = PRESSURE_MAX
     curve_mm: tuple[float, ...] = ()
+    across: tuple[float, int] | None = None
 
     def sample(self, packet: PadPacket) -> PadSample | None:
         """Return the contact that `packet` reports (s in m, force in N), or None if it is off the pad.
 
         At full scale the pressure is only a lower bound, so the sample carries no force.
         """
-        counts = packet.x_counts if self.axis == "x" else packet.y_counts
+        counts, beside = (packet.x_counts, packet.y_counts)[:: 1 if self.axis == "x" else -1]
         s_mm = place_mm(self, counts)
         if not 0.0 < s_mm <= self.length_mm + MARGIN_MM:
             return None
         force = packet.pressure * self.newtons_per_count if packet.pressure < self.pressure_max else None
-        return PadSample(packet.t_first, self.pad, s_mm * 1e-3, force)
+        if self.across is None:
+            return PadSample(packet.t_first, self.pad, s_mm * 1e-3, force)
+        (middle_mm, sign), off_mm = self.across, beside / self.counts_per_mm
+        if abs(off_mm) > 0.5 * self.length_mm + MARGIN_MM:
+            return None
+        return PadSample(packet.t_first, self.pad, s_mm * 1e-3, force, (middle_mm + sign * off_mm) * 1e-3)
 
 
 class PadReceiver:

@@ -19,7 +19,6 @@ from palmd.bus.subscriber import Message, Subscriber
 from palmd.config import AnyConfig, BusConfig
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.harness.processes import Child
-from palmd.system.mechanism import ENDS
 
 START_S = 240.0  # compiling the observers on a slow machine
 BUILDING_AFTER_S = 3.0
@@ -40,7 +39,7 @@ class Stack:
     """
 
     child: ClassVar[type[Child]] = Child
-    topics: ClassVar[tuple[str, ...]] = ("palm/", "rig/")
+    topics: ClassVar[tuple[str, ...]] = ("palm", "rig/")
 
     told: dict[str, Any]
     bus: BusConfig
@@ -99,7 +98,9 @@ class Stack:
         """
         if config is None:
             config = self._folder / "rig.yaml"
-            config.write_text(as_yaml(self._config, self._config.bus, _NO_PORTS, emulated=True), encoding="utf-8")
+            ends = (*(f"pad{palm}" for palm in range(1, 1 + len(self._config.pads.each()))), "arm")
+            nowhere = dict(zip(ends, ends, strict=True))
+            config.write_text(as_yaml(self._config, self._config.bus, nowhere, emulated=True), encoding="utf-8")
         child = self.children["rig"] = self.begin("rig", "rig", str(config), *arguments)
         line = child.first_line(START_S, self._give_up)
         if self._give_up():
@@ -149,7 +150,7 @@ class Stack:
         while daemon.status is None and not self._give_up() and time.monotonic() < t_begin + START_S:
             for message in self.subscriber.until(time.monotonic() + LOOK_S):
                 hear(message)
-                if message.topic.startswith("palm/"):
+                if message.topic.startswith("palm"):
                     return True
             if not told and time.monotonic() > t_begin + BUILDING_AFTER_S:
                 told = True
@@ -207,8 +208,6 @@ def not_started(child: Child) -> CliError:
 
 
 # ------------------------------------------------------------------------------------- addresses, configuration
-
-_NO_PORTS = {name: name for name in ENDS}
 
 
 def as_yaml(

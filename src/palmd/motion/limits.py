@@ -182,6 +182,11 @@ class MotionLimits:
         return PHI12_MAX + kappa * self.pad_length * (HELD_SHARE if kappa > 0.0 else 1.0)
 
     @property
+    def unknown(self) -> Joints:
+        """No pose."""
+        return (math.nan,) * len(self.angles)
+
+    @property
     def joint_bounds(self) -> tuple[QuantityLimit, ...]:
         """Of `bounds` those of the joints, in their order."""
         return self.bounds[: len(self.angles)]

@@ -8,7 +8,8 @@ from typing import ClassVar
 
 from palmd.events import PalmMotion
 from palmd.motion.exploration import Exploration
-from palmd.motion.limits import MotionLimits, QuantityLimit, problems, ranges
+from palmd.motion.joint_limits import JointLimits
+from palmd.motion.limits import MotionLimits, problems, ranges
 from palmd.motion.plan import Loc, PlanError, PlanForm, Round, Trajectory
 from palmd.motion.segments import Angles, Hold, MotionSegment, Move
 from palmd.pivot_config import (
@@ -22,31 +23,21 @@ from palmd.pivot_config import (
 )
 from palmd.system.pivot import AXES, SYSTEM
 
-_MM = 1e3
-
-
 @dataclass(frozen=True, slots=True)
-class PivotLimits(MotionLimits):
-    """As `MotionLimits`, of the pivot's place: `angles` are the ranges of x and z (m), rate and acceleration in m/s.
+class PivotLimits(JointLimits):
+    """Of the pivot's place: `angles` are the ranges of x and z (m), rate and acceleration in m/s.
 
     force: what the body may press on the pad (N).
     """
 
     system: ClassVar[str] = SYSTEM
+    names: ClassVar[tuple[str, ...]] = AXES
+    speeds: ClassVar[str] = "the speed along {}"
+    accelerations: ClassVar[str] = "the acceleration along {}"
+    unit: ClassVar[str] = " mm"
+    scale: ClassVar[float] = 1e3
 
     force: float = math.inf
-
-    def __post_init__(self) -> None:
-        """Bounds of each axis, of its speed and of its acceleration."""
-        bounds = [
-            QuantityLimit(axis, " mm", _MM, low, high) for axis, (low, high) in zip(AXES, self.angles, strict=True)
-        ]
-        for order, kind, unit, most in (
-            (1, "speed", " mm/s", self.rate),
-            (2, "acceleration", " mm/s²", self.acceleration),
-        ):
-            bounds += [QuantityLimit(f"the {kind} along {axis}", unit, _MM, -most, most, order) for axis in AXES]
-        object.__setattr__(self, "bounds", tuple(bounds))
 
     @classmethod
     def of(cls, config: PivotConfig) -> PivotLimits:
@@ -65,24 +56,6 @@ class PivotLimits(MotionLimits):
             stop_deceleration=None if stop is None else stop * 1e-3,
             force=limits.force_n,
         )
-
-    def values(self, motion: PalmMotion) -> tuple[float, ...]:
-        """The quantities bounded by `bounds`, in that order."""
-        return (*motion.angles, *motion.rates, *motion.accelerations)
-
-    def clamp_step(self, previous: PalmMotion, wanted: PalmMotion, dt: float) -> PalmMotion:
-        """As `MotionLimits.clamp_step`: `wanted`, inside the ranges and one step of rate·dt. Safe in the loop."""
-        if not all(map(math.isfinite, wanted.angles)):
-            return PalmMotion.at_rest(previous.angles)
-        inside = tuple(min(max(each, low), high) for each, (low, high) in zip(wanted.angles, self.angles, strict=True))
-        steps = [each - before for each, before in zip(inside, previous.angles, strict=True)]
-        longest, room = max(map(abs, steps)), self.rate * dt
-        if inside == wanted.angles and longest <= room:
-            return wanted
-        share = 1.0 if longest <= room else room / longest
-        place = tuple(before + share * step for before, step in zip(previous.angles, steps, strict=True))
-        rates = tuple(share * step / dt for step in steps) if dt > 0.0 else (0.0,) * len(steps)
-        return PalmMotion(place, rates, (0.0,) * len(steps))
 
 
 def pivot_home(limits: MotionLimits) -> Angles:

@@ -45,6 +45,7 @@ from palmd.motion.segments import (
     MotionSegment,
     Move,
     Sine,
+    growing_s,
 )
 from palmd.system.arcs import joints_of
 from palmd.system.mechanism import JOINTS
@@ -57,7 +58,6 @@ HOME_RADIUS_M = 0.02
 BLEND_SHARE = 0.5  # of the acceleration limit, for speeding up to a rate and slowing down from it
 APPROACH_SHARE = 0.25  # of the limits, for the way to a plan's beginning: nobody asked for it to be quick
 DITHER_SHARE = 0.8  # of the limits, at most
-SWING_GROW_MAX = 10.0  # s
 DITHER_GROW = 1.0  # s
 MAX_DRIFTING_ROUNDS = 100
 SETTLING_ROUNDS = 3  # a plan whose rounds come to repeat themselves does so within these
@@ -421,12 +421,11 @@ def _label(spec: SegmentSpec) -> str:
 
 
 def _sine(spec: SineSpec, pose: Angles) -> Sine:
-    slowest = min(spec.frequency_hz)
     return Sine(
         centre=pose,
         amplitude=_radians(spec.sine),
         angular_frequency=tuple(math.tau * each for each in spec.frequency_hz),
-        grow=min(1.0 / slowest, 0.5 * spec.duration_s, SWING_GROW_MAX),
+        grow=growing_s(spec.frequency_hz, spec.duration_s),
         duration=spec.duration_s,
     )
 

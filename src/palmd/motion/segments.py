@@ -17,6 +17,7 @@ from palmd.events import Joints, PalmMotion
 
 PEAK_RATE = 15.0 / 8.0  # largest S′
 PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)  # largest |S″|
+SWING_GROW_MAX = 10.0  # s
 _SAMPLES = 64  # of one blend or one period, when a piece is checked
 _SWING_SAMPLES = 6000  # at most, of a long sine; by then it has shown all it does
 
@@ -174,6 +175,11 @@ class Sine:
         swinging = min(math.ceil((self.duration - 2.0 * self.grow) / step), _SWING_SAMPLES)
         yield from (self.grow + i * step for i in range(swinging))
         yield from _spread(self.duration - self.grow, self.duration, growing)
+
+
+def growing_s(frequencies_hz: Sequence[float], duration_s: float) -> float:
+    """In what time (s) a swing grows in, and dies away."""
+    return min(1.0 / min(frequencies_hz), 0.5 * duration_s, SWING_GROW_MAX)
 
 
 def _blend_integral(u: float) -> float:

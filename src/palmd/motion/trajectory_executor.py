@@ -16,9 +16,7 @@ from palmd.motion.kinematics import PoseError
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import PlanPlace, Trajectory, approach
 from palmd.motion.segments import Angles, Move
-from palmd.system.mechanism import JOINTS
 
-UNKNOWN: Angles = (math.nan,) * len(JOINTS)
 LONGEST_STEP = 0.020  # s; after a longer pause between calls the motion is late, it never catches up
 _AT_REST = 1e-9  # rad/s; below this a palm angle does not limit how the path's speed changes
 _SPEED_RATE_MAX = 1000.0  # 1/s; where the path stands, its speed may change within a step
@@ -37,9 +35,9 @@ class TrajectoryExecutor:
     def __init__(self, limits: MotionLimits) -> None:
         self._limits = limits
         self._t = math.nan
-        self._motion = PalmMotion.at_rest(UNKNOWN)
+        self._motion = PalmMotion.at_rest(limits.unknown)
         self._trajectory: Trajectory | None = None
-        self._approach = Move(UNKNOWN, UNKNOWN, 0.0)
+        self._approach = Move(limits.unknown, limits.unknown, 0.0)
         self._tau = 0.0
         self._speed = 0.0
         self._wanted_speed = 0.0

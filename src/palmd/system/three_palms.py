@@ -131,7 +131,7 @@ class BodyAnswer:
 
     begun: of which record, another after all palms have been let go. R: (3, 3) body to world, omega (3,) (rad/s) at `t`,
     p: (m,) parameters of `model.three_palms`; covariance: (6 + m, 6 + m) of turns in the world, omega and p.
-    h_sd: one-sigma of the surface (m) and `touched`, for each of the directions. inertia_sd: (9,) per unit mass (m²).
+    h, h_sd: of the surface (m) and its one-sigma, and `touched`, for each of the directions. inertia_sd: (9,) per unit mass (m²).
     mass, mass_sd: kg, NaN where no force was read. Empty arrays where no motion is known; where one is but `claimed` is
     false, the belief is there and is not to be believed.
     """
@@ -145,6 +145,7 @@ class BodyAnswer:
     omega: FloatArray
     p: FloatArray
     covariance: FloatArray
+    h: FloatArray
     h_sd: FloatArray
     touched: FloatArray
     inertia_sd: FloatArray

@@ -41,6 +41,7 @@ class VersaPad:
             config.length_mm,
             pressure.full_scale,
             config.curve_mm,
+            config.across,
         )
         self.is_open = False
         self.in_break = False
@@ -48,7 +49,7 @@ class VersaPad:
         self._receiver = PadReceiver(calibration, config.baud, pressure)
         self._number: int = number
         self._config = config
-        self._s = math.nan
+        self._place = math.nan, math.nan
         self._bytes_at_packet = 0
         self._handshake: Handshake | None = None
         self._unanswered: str | None = None
@@ -113,7 +114,8 @@ class VersaPad:
             if isinstance(event, PadLift):
                 self._part(event, "lifted")
             else:
-                self._s, self.parted = event.s, None
+                beside = math.nan if event.across is None else event.across
+                self._place, self.parted = (event.s, beside), None
         return events
 
     def poll(self, t: float, turning_rad_s: float = 0.0) -> list[PadLift]:  # noqa: ARG002
@@ -132,7 +134,8 @@ class VersaPad:
         latest = self._receiver.latest
         if latest is None:
             return PadView()
-        return PadView(self._s, latest.pressure, t - latest.t_first, self.touching, latest.batched)
+        s, across = self._place
+        return PadView(s, latest.pressure, t - latest.t_first, self.touching, latest.batched, across)
 
     def health(self, look: bool) -> Iterator[str]:
         """The conditions that hold, without the pad's name."""
@@ -199,7 +202,7 @@ class VersaPad:
                 log.warning("pad%d: %s", self._number, handshake.error)
 
     def _part(self, lift: PadLift, how: Literal["lifted", "silent"]) -> PadLift:
-        self._s, self.parted = math.nan, how
+        self._place, self.parted = (math.nan, math.nan), how
         return lift
 
 

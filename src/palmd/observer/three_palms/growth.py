@@ -123,7 +123,7 @@ def best(task: Task) -> list[Grown]:
     ended: list[Grown] = []
     for seconds in STARTS_S:
         found = [each for each in rivals(task, seconds) if each.per_number < HOPELESS]
-        ended += raced(task, _started(task, found)) if found else []
+        ended += raced(task, begun_in_ways(task, found)) if found else []
         ended.sort(key=lambda each: (-each.intervals, each.cost))
         if ended and ended[0].per_number < SURE and ended[0].intervals == task.intervals(task.end - task.start):
             break
@@ -132,7 +132,7 @@ def best(task: Task) -> list[Grown]:
     return ended
 
 
-def _started(task: Task, found: list[Rival]) -> list[Grown]:
+def begun_in_ways(task: Task, found: list[Rival]) -> list[Grown]:
     """What the starts go on as, a little further: the likeliest in several ways, as each may have minima beside it."""
     started = sorted((begun(task, each) for each in found), key=lambda each: each.cost)
     near = [each for each in started if each.cost < started[0].cost + BEHIND]
@@ -189,6 +189,18 @@ def smoothed(task: Task, now: Grown, iterations: int = 8) -> Grown:
     smoother = BodySmoother(now.record, now.prior, task.noise, task.rig.gravity)
     fit = smoother.fit(now.motion, iterations)
     return replace(now, motion=fit.motion, ahead=smoother.ahead(fit), cost=fit.cost, whole=fit)
+
+
+def folded(task: Task, now: Grown, intervals: int) -> Grown:
+    """The rival without so many of its first intervals, which become the belief that its record begins with."""
+    R, omega, p = now.motion.R, now.motion.omega, now.motion.p
+    head = lay_out(task.path, task.readings, task.start, intervals, SPACING_S)
+    smoother = BodySmoother(head, now.prior, task.noise, task.rig.gravity)
+    prior = smoother.ahead(smoother.evaluate(BodyMotion(R[: intervals + 1], omega[: intervals + 1], p)))
+    start = task.start + intervals * SPACING_S
+    tail = lay_out(task.path, task.readings, start, now.intervals - intervals, SPACING_S)
+    motion = BodyMotion(R[intervals:], omega[intervals:], p)
+    return smoothed(task, replace(now, prior=prior, record=tail, motion=motion))
 
 
 def advanced(task: Task, now: Grown, until: int, most: float = math.inf) -> Grown:

@@ -70,6 +70,11 @@ def reading_geometry(palms: PalmPlanes, pad: npt.NDArray[np.int64]) -> FloatArra
     )
 
 
+def backend(order: int) -> str:
+    """What runs them: "c" or "vm"."""
+    return three_palms.library(order).backend
+
+
 @cache
 def acceleration(order: int) -> BlockKernel:
     """(R, ω, palms; p, g) → (ω̇, f, ∂/∂δ, ∂/∂ω, ∂/∂p)."""

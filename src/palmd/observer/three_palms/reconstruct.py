@@ -106,32 +106,58 @@ def answer(task: Task, ended: Sequence[Grown], begun: float) -> BodyReconstructi
     fit, record, p = first.whole, first.record, first.motion.p
     n = count(ORDER)
     directions, triangles = icosphere()
-    rows, point_rows = evaluator(ORDER)(directions)
+    point_rows = evaluator(ORDER)(directions)[1]
     try:
         covariance: FloatArray = np.asarray(np.linalg.inv(fit.arrow.information()), np.float64)
     except np.linalg.LinAlgError:
         return _nothing("the fit is not a minimum", begun, fit.chi2)
     R = fit.motion.R
-    normals = record.node_palms[:, :9].reshape(-1, 3, 3)
-    felt = -np.einsum("tji,tnj->tni", R, normals).reshape(-1, 3)
-    touched = np.zeros(len(directions), dtype=bool)
-    for chunk in np.array_split(felt, max(len(felt) // 1000, 1)):
-        touched |= (directions @ chunk.T).max(axis=1) >= NEAR
-    form = without_turns(rows, np.cross(directions, point_rows @ p[:n]), touched)
-    sd = np.sqrt(np.maximum(np.einsum("di,ij,dj->d", form, covariance[:n, :n], form), 0.0))
-    sd = np.sqrt(max(fit.chi2, 1.0) * sd**2 + beliefs.beyond_sd(Y00 * p[0], ORDER, touched) ** 2)
-    mass, mass_sd = _mass(task, first)
-    own, own_sd = inertia(p), _inertia_sd(p, covariance)
+    felt = felt_directions(first)
+    touched = near(felt)
+    h, sd = surface(p, covariance, touched, fit.chi2)
+    mass, mass_sd = mass_of(task.rig, first)
+    own, own_sd = inertia(p), inertia_sd(p, covariance)
     return BodyReconstruction(
         converged=not (reason := doubt(task, ended, sd[touched])),
         reason=reason, chi2=fit.chi2, directions=directions, triangles=triangles,
-        h=rows @ p[:n], h_sd=sd, touched=touched, coefficients=p[:n],
-        points=within(point_rows @ p[:n], directions, rows @ p[:n]),
+        h=h, h_sd=sd, touched=touched, coefficients=p[:n],
+        points=within(point_rows @ p[:n], directions, h),
         inertia=own, inertia_sd=own_sd, mu=float(p[-2]), mu_sd=float(np.sqrt(covariance[-2, -2])),
         mass=mass, mass_sd=mass_sd, t=record.t, R=R, omega=fit.motion.omega,
         centre=centres_of(R, record.node_palms, p), contacts=(evaluator(ORDER)(felt)[1] @ p[:n]).reshape(-1, 3, 3),
         seconds=time.perf_counter() - begun,
     )  # fmt: skip
+
+
+def felt_directions(rival: Grown) -> FloatArray:
+    """(3 K + 3, 3) outward normals, in the body's frame, where a palm touched it at a node."""
+    normals = rival.record.node_palms[:, :9].reshape(-1, 3, 3)
+    return np.asarray(-np.einsum("tji,tnj->tni", rival.motion.R, normals).reshape(-1, 3), np.float64)
+
+
+def near(felt: FloatArray) -> npt.NDArray[np.bool_]:
+    """(D,) which of the directions lie within 4 degrees of these."""
+    directions, _ = icosphere()
+    touched = np.zeros(len(directions), dtype=bool)
+    for chunk in np.array_split(felt, max(len(felt) // 1000, 1)):
+        touched |= (directions @ chunk.T).max(axis=1) >= NEAR
+    return touched
+
+
+def surface(
+    p: FloatArray, covariance: FloatArray, touched: npt.NDArray[np.bool_], chi2: float
+) -> tuple[FloatArray, FloatArray]:
+    """(D,) h in all directions and its one-sigma (m), turns of the body's frame left out of it.
+
+    covariance: (m, m) of the parameters p; chi2: per number read, by which it is widened where above 1.
+    """
+    directions, _ = icosphere()
+    rows, point_rows = evaluator(ORDER)(directions)
+    n = count(ORDER)
+    form = without_turns(rows, np.cross(directions, point_rows @ p[:n]), touched)
+    sd = np.sqrt(np.maximum(np.einsum("di,ij,dj->d", form, covariance[:n, :n], form), 0.0))
+    beyond = beliefs.beyond_sd(Y00 * p[0], ORDER, touched)
+    return rows @ p[:n], np.asarray(np.sqrt(max(chi2, 1.0) * sd**2 + beyond**2), np.float64)
 
 
 def within(points: FloatArray, directions: FloatArray, h: FloatArray) -> FloatArray:
@@ -175,7 +201,7 @@ def doubt(task: Task, ended: Sequence[Grown], sd: FloatArray) -> str:
     return ""
 
 
-def _mass(task: Task, rival: Grown) -> tuple[float, float]:
+def mass_of(rig: ThreePalmsRig, rival: Grown) -> tuple[float, float]:
     """Mass and its one-sigma (kg) by the forces read, NaN without them."""
     record, readings = rival.record, rival.record.readings
     told = np.isfinite(readings.force)
@@ -186,11 +212,11 @@ def _mass(task: Task, rival: Grown) -> tuple[float, float]:
     per_mass = (1 - share) * force[k, pad] + share * force[k + 1, pad]
     good = per_mass > 0.1
     ratio = readings.force[told][good] / per_mass[good]
-    mass, scatter = float(np.mean(ratio)), task.rig.pad.force_scale_std
+    mass, scatter = float(np.mean(ratio)), rig.pad.force_scale_std
     return mass, mass * scatter / math.sqrt(len(ratio))
 
 
-def _inertia_sd(p: FloatArray, covariance: FloatArray) -> FloatArray:
+def inertia_sd(p: FloatArray, covariance: FloatArray) -> FloatArray:
     """(3, 3) one-sigma of the inertia's entries (m²)."""
     index = np.array([0, *range(len(p) - BODY, len(p) - BODY + 6)])
     slopes = []

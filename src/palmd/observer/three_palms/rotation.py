@@ -40,6 +40,17 @@ def left_inverse(v: FloatArray) -> FloatArray:
     return matrix
 
 
+def quaternion(R: FloatArray) -> tuple[float, ...]:
+    """x, y, z, w of one rotation (3, 3), w ≥ 0."""
+    # eigenvector of the largest eigenvalue of the symmetric matrix whose entries are linear in R (Bar-Itzhack 2000)
+    K = np.empty((4, 4))
+    K[:3, :3] = R + R.T - np.trace(R) * np.eye(3)
+    K[:3, 3] = K[3, :3] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
+    K[3, 3] = np.trace(R)
+    q = np.linalg.eigh(K)[1][:, -1]
+    return tuple((-q if q[3] < 0.0 else q).tolist())
+
+
 def quaternions(R: FloatArray) -> FloatArray:
     """(K, 4) x, y, z, w of rotations (K, 3, 3), continuous in sign."""
     from scipy.spatial.transform import Rotation

@@ -17,6 +17,7 @@ from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import kernels, rotation
 from palmd.observer.three_palms.arrow import STATES, Arrow
 from palmd.observer.three_palms.kernels import by_columns
+from palmd.observer.three_palms.motion_noise import BY_SPIN, SPIN, TURN
 from palmd.observer.three_palms.record import BodyRecord
 
 LARGEST_TURN = 0.5  # of a node in one step (rad)
@@ -49,15 +50,12 @@ class BodyPrior:
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """One-sigma of a reading (m); spectral densities of what the equations leave out.
-
-    spin: (rad/s)²/s; by_spin: added for each |ω|², 1/s; turn: rad²/s.
-    """
+    """One-sigma of a reading (m); what the equations leave out, as in `motion_noise`."""
 
     reading: float
-    spin: float = 1e-3
-    by_spin: float = 1e-2
-    turn: float = 1e-7
+    spin: float = SPIN
+    by_spin: float = BY_SPIN
+    turn: float = TURN
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from palmd.events import FloatArray, ObserverName
+from palmd.events import Event, FloatArray, ObserverName, PadSample, PalmSample
 from palmd.jsonvalues import column, or_none
+from palmd.observer.three_palms.growing import SimulatedGrowing
+from palmd.observer.three_palms.live import BodyObserver
 from palmd.observer.three_palms.path import JointPath, joint_path
 from palmd.observer.three_palms.reconstruct import BodyReconstruction, reconstruct
 from palmd.observer.three_palms.record import PadReadings
@@ -18,10 +20,11 @@ from palmd.observer.three_palms.rotation import quaternions
 from palmd.outlinefile import Outline
 from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
 from palmd.record.meshfile import Mesh
-from palmd.record.replay import Said
+from palmd.record.replay import TICKS_PER_SHAPE, Said, fed, tick_count
 from palmd.record.systems import NotYetError, Reconstructed
 from palmd.system.three_palms import JOINTS, MECHANISM, PALMS, PadPlane, ThreePalmsRig
 from palmd.system.three_palms import SYSTEM as NAME
+from palmd.three_palms_messages import estimate_fields, shape_fields
 
 EDGE_M = 0.01  # beyond the pad's side that a reading may still lie
 
@@ -118,14 +121,42 @@ class ThreePalms:
         return Reconstructed(as_line(answer), told, None, answer.reason, mesh)
 
     def tick_count(self, log: ThreePalmsLog) -> int:
-        """None: see `estimate`."""
-        del log
-        return 0
+        """As `estimate` gives them."""
+        return tick_count(_Fed(log))
 
     def estimate(self, log: ThreePalmsLog, observer: ObserverName, outlines: Sequence[Outline]) -> Iterator[Said]:
-        """Raises NotYetError."""
-        del log, observer, outlines
-        raise NotYetError("three palms in space have no live observer yet; palmd reconstruct takes their logs")
+        """What the live observer says, tick by tick; NotYetError where two palms' outlines are given.
+
+        There is one observer, whatever `observer` says.
+        """
+        del observer
+        if outlines:
+            raise NotYetError("no stored outlines are recognised between three palms")
+        return self._ticks(_Fed(log))
+
+    def _ticks(self, log: _Fed) -> Iterator[Said]:
+        live = BodyObserver(log.rig, SimulatedGrowing(log.rig))
+        for tick, t in fed(log, log.events, live):
+            said = live.estimate(t)
+            shape = live.shape(t) if tick % TICKS_PER_SHAPE == 0 else None
+            told = None if shape is None else shape_fields(shape, said.object_count, said.valid)
+            yield Said(tick, t, estimate_fields(said), told)
+
+
+class _Fed:
+    """A log as a daemon has it, each event at its own time."""
+
+    def __init__(self, log: ThreePalmsLog) -> None:
+        self.rig = log.rig
+        self.events = tuple(sorted(map(as_fed, log.events), key=lambda event: event.t_sample))
+
+
+def as_fed(event: PadReading | JointReport) -> Event:
+    """An event of a log as a daemon has it."""
+    if isinstance(event, PadReading):
+        return PadSample(event.t, event.pad, event.b, None if math.isnan(event.force) else event.force, event.a)
+    rate, acceleration = (None, None) if event.plan is None else event.plan
+    return PalmSample(event.t, event.angle, rate, acceleration)
 
 
 SYSTEM = ThreePalms()

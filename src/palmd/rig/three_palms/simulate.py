@@ -116,8 +116,7 @@ def simulate(kind: str, count: int, seconds: float, seed: int, rig: ThreePalmsRi
 def _started(bodies: Bodies, rubbing: Rubbing, kind: Kind, random: np.random.Generator, gravity: float) -> BodyStates:
     """At rest in one of its stable poses, or off it with some spin; deep friction and drag make it settle."""
     count = len(bodies.ball)
-    R: FloatArray = np.asarray(np.linalg.qr(random.normal(size=(count, 3, 3)))[0], np.float64)
-    R *= np.linalg.det(R)[:, None, None]
+    R = random_rotation(random, count)
     still = np.zeros((count, 3))
     at = palms_at(np.tile(REST_POSE, (count, 1)), still, still)
     none = np.zeros((count, 3, 3))
@@ -136,6 +135,13 @@ def _started(bodies: Bodies, rubbing: Rubbing, kind: Kind, random: np.random.Gen
     lift = (r * np.cross(spin[:, None], at.normal)).sum(-1)
     velocity: FloatArray = np.asarray(np.linalg.solve(at.normal, lift[..., None])[..., 0], np.float64)
     return BodyStates(state.p, velocity, state.R, spin)
+
+
+def random_rotation(random: np.random.Generator, count: int) -> FloatArray:
+    """(count, 3, 3) rotations."""
+    R: FloatArray = np.asarray(np.linalg.qr(random.normal(size=(count, 3, 3)))[0], np.float64)
+    R *= np.linalg.det(R)[:, None, None]
+    return R
 
 
 def _logs(

@@ -1,0 +1,147 @@
+"""What of the daemon is three palms' in space: see `daemon.systems`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+
+from palmd import __version__
+from palmd import three_palms_messages as says
+from palmd.daemon.exploration_requests import Source
+from palmd.daemon.exploring import Explores, Senses
+from palmd.daemon.setpoints import SetPoints
+from palmd.daemon.systems import LiveSystem
+from palmd.daemon.three_palms_smoothing import BodySmootherProcess
+from palmd.devices.actuator import Place, Pose, Reach
+from palmd.events import Event, Joints, PadSample, PalmMotion, ShapeEstimate
+from palmd.messages import Fields
+from palmd.motion.kinematics import PoseError
+from palmd.observer.observer import LiveObserver
+from palmd.observer.three_palms.live import BodyObserver
+from palmd.outlinefile import Outline
+from palmd.quantities import PALM3_ANSWER, PALM3_SHAPE, Topic
+from palmd.system.three_palms import JOINTS, NAMING, BodyAnswer, BodyEstimate
+from palmd.three_palms_config import ThreePalmsConfig, three_palms_rig
+
+OUTSIDE_RAD = math.radians(1.0)
+_PER_RAD = math.degrees(1e-3)  # the line's µm are 1/1000 degree
+
+
+class TiltPoses:
+    """Of a controller that drives the joints: its x and y are β and γ2 in 1/1000 degree in place of µm, t is γ3."""
+
+    def pose(self, angles: Joints, twist: float = 0.0) -> Pose:  # noqa: ARG002
+        """As the line carries these joint angles."""
+        beta, gamma2, gamma3 = angles
+        return Pose(beta * _PER_RAD, gamma2 * _PER_RAD, gamma3)
+
+    def angles(self, pose: Place) -> Joints:
+        """The joint angles that the line carries."""
+        if not isinstance(pose, Pose):
+            raise PoseError("the controller reports no place")
+        return (pose.x_m / _PER_RAD, pose.y_m / _PER_RAD, pose.t_rad)
+
+    def twist(self, pose: Place, angles: Joints) -> float:  # noqa: ARG002
+        """There is no tool."""
+        return 0.0
+
+    def workspace(self, reach: Reach) -> None:
+        """No more than the limits of the joints: a set-point outside is refused by the controller itself."""
+        del reach
+
+
+class NoExploring(Explores):
+    """Nobody knows yet where to go."""
+
+    @property
+    def possible(self) -> bool:
+        """No."""
+        return False
+
+    def step(self, t: float, senses: Senses) -> None:
+        """There is none."""
+
+
+class ThreePalmsInSpace(LiveSystem[ThreePalmsConfig, BodyEstimate]):
+    """A body between three palms; see `LiveSystem`."""
+
+    naming = NAMING
+    outside = OUTSIDE_RAD
+
+    def __init__(self, config: ThreePalmsConfig) -> None:
+        super().__init__(config)
+        self.poses = TiltPoses()
+        self._latest: BodyEstimate | None = None
+
+    def observer(self, outlines: Sequence[Outline], stack: ExitStack) -> tuple[BodyObserver, BodySmootherProcess]:
+        """With its smoother, without which it knows nothing; there are no stored outlines."""
+        del outlines
+        rig = three_palms_rig(self._config)
+        smoother = BodySmootherProcess(rig)
+        stack.callback(smoother.close)
+        return BodyObserver(rig, smoother), smoother
+
+    def info(self, observer: str, plans: Sequence[str]) -> Fields:
+        """`palm3/info`."""
+        return says.info_fields(__version__, observer, self._config, plans)
+
+    def exploring(self, setpoints: SetPoints, source: Source | None) -> Explores:
+        """There is none yet: no plan of its has a segment that explores."""
+        del source
+        return NoExploring(setpoints)
+
+    def unknown(self, t: float, observer: LiveObserver) -> BodyEstimate:
+        """Without a number."""
+        nan = (math.nan,) * 4
+        return BodyEstimate(
+            t, False, observer.name, observer.object_count, math.nan, values={}, quaternion=nan, attitude_sd=nan[1:],
+            touched=0.0, hypotheses=0, reason="the observer has failed",
+        )  # fmt: skip
+
+    def sound(self, estimate: BodyEstimate) -> bool:
+        """Whether everything named is told, with its band."""
+        named = (each.name for each in self.topics.estimate.quantities if each.role == "named")
+        nan = math.nan
+        return all(
+            math.isfinite(estimate.values.get(name, nan)) and math.isfinite(estimate.sd.get(name, nan))
+            for name in named
+        )
+
+    def felt(self, sample: PadSample) -> None:
+        """No more than the observer is told."""
+
+    def conditions(self, t: float, actual: PalmMotion | None) -> Iterator[str]:
+        """None but what every system has."""
+        del t, actual
+        return iter(())
+
+    def said(self, estimate: BodyEstimate) -> Fields:
+        """`palm3/estimate`."""
+        self._latest = estimate
+        return says.estimate_fields(estimate)
+
+    def fed(self, t: float, events: Sequence[Event]) -> Fields:
+        """`palm3/events`."""
+        return says.events_fields(t, events)
+
+    def answered(self, t: float, answer: BodyAnswer) -> tuple[Topic, Fields]:
+        """`palm3/answer`."""
+        return PALM3_ANSWER, says.answer_fields(t, answer)
+
+    def shaped(self, shape: ShapeEstimate) -> tuple[Topic, Fields]:
+        """`palm3/shape`."""
+        latest = self._latest
+        count, valid = (0, False) if latest is None else (latest.object_count, latest.valid)
+        return PALM3_SHAPE, says.shape_fields(shape, count, valid)
+
+    def glance(self, estimate: BodyEstimate) -> Fields:
+        """A few of its quantities."""
+        return says.at_a_glance(estimate)
+
+    def place(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:
+        """In degrees."""
+        return ", ".join(
+            f"{joint} is {math.degrees(at):.1f}°, its limits are {math.degrees(low):g} and {math.degrees(high):g}°"
+            for joint, at, (low, high) in zip(JOINTS, angles, limits, strict=True)
+        )

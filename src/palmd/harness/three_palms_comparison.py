@@ -1,0 +1,144 @@
+"""What a daemon estimates of a body between three palms against what its emulated rig knows to be true. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.harness.comparison import AnyComparison
+from palmd.observer.three_palms.icosphere import icosphere
+from palmd.observer.three_palms.rotation import exp
+from palmd.quantities import PALM3, PALM3_BODY, PALM3_SHAPE, PALM3_TRUTH, WORLD_AXES
+
+NEAR_S = 6e-3
+SPIN = tuple(f"omega_{axis}_rad_s" for axis in WORLD_AXES)
+CENTRE = tuple(f"com_{axis}_m" for axis in WORLD_AXES)
+TURNS = 6  # steps of Gauss–Newton towards the best turn
+REACH = 60  # directions next to one, for h between them
+
+
+class ThreePalmsComparison(AnyComparison):
+    """Of three palms in space."""
+
+    def __init__(self, seed: int, rig: str) -> None:
+        super().__init__(seed, rig)
+        self._t_settled: float | None = None
+        self._estimate: Mapping[str, Any] = {}
+        self._truth: Mapping[str, Any] = {}
+        self._body: Mapping[str, Any] | None = None
+        self._shape: Mapping[str, Any] | None = None
+        self._turn: FloatArray | None = None  # from the estimate's frame to the truth's, when the shape came
+        self._errors: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=6000)  # in spin and centre, with bands
+        self._ticks = self._valid = 0
+
+    @property
+    def settled(self) -> bool:
+        """By what is published."""
+        return self._t_settled is not None
+
+    def _take(self, topic: str, fields: Mapping[str, Any]) -> None:
+        if topic == PALM3.name:
+            self._take_estimate(fields)
+        elif topic == PALM3_SHAPE.name and fields["valid"]:
+            self._shape = fields
+            if self._truth and math.isfinite(self._estimate["quat_xyzw"][0]):
+                own, true = matrix(self._estimate["quat_xyzw"]), matrix(self._truth["quat_xyzw"])
+                self._turn = true.T @ own
+        elif topic == PALM3_TRUTH.name:
+            self._truth = fields
+        elif topic == PALM3_BODY.name:
+            self._body = fields
+
+    def _take_estimate(self, fields: Mapping[str, Any]) -> None:
+        self._ticks += 1
+        self._estimate = fields
+        if not fields["valid"] or self.t_started is None:
+            return
+        self._valid += 1
+        t, truth = fields["mono_ns"] * 1e-9, self._truth
+        if self._t_settled is None:
+            self._t_settled = t
+        if truth and abs(truth["mono_ns"] * 1e-9 - t) < NEAR_S:
+            names = (*SPIN, *CENTRE)
+            off = np.array([fields[name] - truth[name] for name in names])
+            self._errors.append((off, np.array([fields["sd"][name] for name in names])))
+
+    def progress(self, t: float) -> str:
+        """One line, with why it is where it is."""
+        since = 0.0 if self.t_started is None else t - self.t_started
+        estimate, state = self._estimate, self._state
+        known = "valid" if estimate.get("valid") else f"not valid: {estimate.get('reason', 'nothing is heard')}"
+        return ", ".join([f"{since:5.1f} s", str(state.get("state", "")), known, *self._surface()])
+
+    def summary(self) -> str:
+        """The closing line."""
+        if self._t_settled is None or self.t_started is None:
+            settled = f"never settled: {self._estimate.get('reason', 'nothing is heard')}"
+        else:
+            settled = f"settled after {self._t_settled - self.t_started:.1f} s"
+        parts = [f"seed {self._seed}", f"rig {self._rig}", settled, *self._surface()]
+        if self._errors:
+            off, sd = (np.array(each) for each in zip(*self._errors, strict=True))
+            spin, centre = np.sqrt(np.mean(off[:, :3] ** 2)), np.sqrt(np.mean(off[:, 3:] ** 2))
+            square = np.mean((off / sd) ** 2)
+            parts.append(f"omega {spin:.3f} rad/s, centre {centre * 1e6:.0f} µm RMS, (error/sd)² {square:.2f}")
+        if self._body is not None and math.isfinite(self._estimate.get("mu", math.nan)):
+            mu, sd_mu = self._estimate["mu"], self._estimate["sd"]["mu"]
+            parts.append(f"mu {mu:.3f} ± {sd_mu:.3f} (true {self._body['mu']:.3f})")
+        parts += [f"ticks {self._ticks}, valid {self._valid}", self._work()]
+        return "palmd demo: " + ", ".join(parts)
+
+    def _surface(self) -> list[str]:
+        shape, body = self._shape, self._body
+        if shape is None or body is None or self._turn is None or shape["object"] != self._estimate.get("object"):
+            return []
+        off, sd, share = surface_error(shape, np.array(body["h_m"]), self._turn)
+        return [f"surface {off * 1e6:.0f} µm RMS on {share:.0%} touched directions (sd {sd * 1e6:.0f} µm)"]
+
+
+def matrix(quaternion: tuple[float, ...]) -> FloatArray:
+    """(3, 3) of x, y, z, w."""
+    x, y, z, w = quaternion
+    v = np.array([x, y, z])
+    half = np.linalg.norm(v)
+    return exp(v * (0.0 if half == 0.0 else 2.0 * math.atan2(half, w) / half))
+
+
+def surface_error(shape: Mapping[str, Any], true: FloatArray, turn: FloatArray) -> tuple[float, float, float]:
+    """(RMS error of h where touched (m) after the best turn near `turn`, RMS of its band there, share touched).
+
+    true: h in the directions of the icosphere, in a frame that the estimate's is brought to by `turn`.
+    """
+    directions, _ = icosphere()
+    touched = np.array(shape["touched"]) > 0
+    h, sd = np.array(shape["h_m"])[touched], np.array(shape["h_sd_m"])[touched]
+    u = directions[touched] @ turn.T
+    for _ in range(TURNS):
+        near, slope = between(true, u)
+        step = np.linalg.lstsq(np.cross(u, slope), h - near, rcond=None)[0]
+        u = u @ exp(step).T
+    off = h - between(true, u)[0]
+    return float(np.sqrt(np.mean(off**2))), float(np.sqrt(np.mean(sd**2))), float(touched.mean())
+
+
+def between(h: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(h (T,), its slope (T, 3) along the sphere) at unit vectors u (T, 3), by a cubic through those about."""
+    directions, _ = icosphere()
+    values, slopes = np.empty(len(u)), np.empty((len(u), 3))
+    for i, each in enumerate(u):
+        close = directions @ each
+        some = np.argpartition(-close, REACH)[:REACH]
+        one = np.cross(each, np.eye(3)[np.abs(each).argmin()])
+        one /= np.linalg.norm(one)
+        other = np.cross(each, one)
+        x, y = directions[some] @ one, directions[some] @ other
+        rows = np.stack([x**j * y**k for j in range(5) for k in range(5 - j)], axis=1)
+        weight = np.exp(-0.5 * (np.hypot(x, y) / 0.15) ** 2)
+        found = np.linalg.lstsq(weight[:, None] * rows, weight * h[some], rcond=None)[0]
+        values[i], slopes[i] = found[0], found[5] * one + found[1] * other
+    return values, slopes

@@ -1,0 +1,23 @@
+"""The daemon's core and the emulated rig of three palms in space in one process: closed loop, no wires, no clock read."""
+
+from __future__ import annotations
+
+from palmd.daemon.core import Core
+from palmd.daemon.planner import Plan
+from palmd.harness.wireless import AtOnce, ClosedLoop
+from palmd.motion.three_palms import TiltLimits, compile_tilt_plan
+from palmd.observer.three_palms.growing import SimulatedGrowing
+from palmd.observer.three_palms.live import BodyObserver
+from palmd.rig.three_palms.world import ThreePalmsWorld
+from palmd.three_palms_config import ThreePalmsConfig, TiltPlanSpec, three_palms_rig
+
+
+class ThreePalmsWireless(ClosedLoop[ThreePalmsWorld]):
+    """See the module."""
+
+    def __init__(self, config: ThreePalmsConfig, spec: TiltPlanSpec, seed: int) -> None:
+        """`seed` draws body and noise."""
+        limits, rig = TiltLimits.of(config), three_palms_rig(config)
+        plan = Plan(spec, compile_tilt_plan(spec, limits), limits, None)
+        core = Core(config, BodyObserver(rig, SimulatedGrowing(rig)), AtOnce(), plan)
+        super().__init__(ThreePalmsWorld(config, seed), core, config.loop.rate_hz)

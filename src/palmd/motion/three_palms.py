@@ -1,0 +1,99 @@
+"""What three palms in space may do, and their plans: the joints are β, γ2 and γ3 (rad)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+from palmd.events import PalmMotion
+from palmd.motion.joint_limits import JointLimits
+from palmd.motion.limits import MotionLimits, problems, ranges
+from palmd.motion.plan import Loc, PlanError, PlanForm, Round, Trajectory
+from palmd.motion.segments import Angles, Hold, MotionSegment, Move, Sine, growing_s
+from palmd.system.three_palms import JOINTS, SYSTEM
+from palmd.three_palms_config import (
+    ThreePalmsConfig,
+    ThreePalmsLimitsConfig,
+    TiltAngles,
+    TiltHoldSpec,
+    TiltMoveSpec,
+    TiltPlanSpec,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class TiltLimits(JointLimits):
+    """Of the three joints."""
+
+    system: ClassVar[str] = SYSTEM
+    names: ClassVar[tuple[str, ...]] = JOINTS
+    speeds: ClassVar[str] = "the rate of {}"
+    accelerations: ClassVar[str] = "the acceleration of {}"
+    unit: ClassVar[str] = "°"
+    scale: ClassVar[float] = math.degrees(1.0)
+
+    @classmethod
+    def of(cls, config: ThreePalmsConfig) -> TiltLimits:
+        """The configured limits in SI."""
+        return cls.over(config.limits, config.pads.palm1.length_mm)
+
+    @classmethod
+    def over(cls, limits: ThreePalmsLimitsConfig, pad_length_mm: float) -> TiltLimits:
+        """The limits in SI over pads of this length."""
+        stop = limits.stop_deceleration_deg_s2
+        return cls(
+            angles=tuple((math.radians(low), math.radians(high)) for low, high in limits.ranges_deg),
+            rate=math.radians(limits.rate_deg_s),
+            acceleration=math.radians(limits.acceleration_deg_s2),
+            pad_length=pad_length_mm * 1e-3,
+            stop_deceleration=None if stop is None else math.radians(stop),
+        )
+
+
+def middle_of(limits: MotionLimits) -> Angles:
+    """Where a plan is taken to begin while nobody knows."""
+    return tuple(0.5 * (low + high) for low, high in limits.angles)
+
+
+def compile_tilt_plan(spec: TiltPlanSpec, limits: TiltLimits, start: Angles | None = None) -> Trajectory:
+    """The plan as a trajectory within the limits; raises PlanError with everything that stands against it.
+
+    It begins where the palms stand.
+    """
+    stands = start if start is not None else middle_of(limits)
+    begin = pose = limits.clamp_step(PalmMotion.at_rest(stands), PalmMotion.at_rest(stands), math.inf).angles
+    found: list[tuple[Loc, str]] = []
+    segments: list[MotionSegment] = []
+    for index, each in enumerate(spec.segments):
+        segment: MotionSegment
+        if isinstance(each, TiltMoveSpec):
+            end = _target(each.move, pose)
+            segment, pose = Move(pose, end, each.duration_s), end
+        elif isinstance(each, TiltHoldSpec):
+            segment = Hold(pose, each.hold_s)
+        else:
+            segment = Sine(
+                pose,
+                tuple(math.radians(degrees or 0.0) for degrees in each.sine.each()),
+                tuple(math.tau * hz for hz in each.frequencies_hz),
+                growing_s(each.frequencies_hz, each.duration_s),
+                each.duration_s,
+            )
+        extremes = ranges(limits.values(segment.at(t)) for t in segment.sample_times())
+        found += [(("segments", index), text) for _, text in problems(limits.bounds, extremes)]
+        segments.append(segment)
+    if found:
+        raise PlanError(list(dict.fromkeys(found)))
+    whole = Round.of(segments)
+    labels = tuple(next(iter(type(each).model_fields)) for each in spec.segments)
+    return Trajectory(spec.name, begin, 0.0, whole.duration, labels, (whole,), None)
+
+
+def _target(angles: TiltAngles, pose: Angles) -> Angles:
+    wanted = zip(angles.each(), pose, strict=True)
+    return tuple(here if degrees is None else math.radians(degrees) for degrees, here in wanted)
+
+
+PLANS = PlanForm(TiltPlanSpec, ThreePalmsLimitsConfig, TiltLimits.of, TiltLimits.over, compile_tilt_plan)
+"""Of three palms in space."""

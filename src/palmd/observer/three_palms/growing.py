@@ -1,0 +1,225 @@
+"""The smoother of a live body between three palms: rivals that go on as readings come. Not for the loop.
+
+What `reconstruct` does with a whole record is done here with what there is so far, again and again: rivals from a blind
+start, laps that end where the record ends now, the same doubts. What lies far behind is folded into a belief, so that a
+lap costs no more after an hour than after a quarter of a minute.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from palmd.blas import one_thread
+from palmd.config import PRESSURE_GAIN_STD
+from palmd.events import Event, FloatArray, PadSample, PalmSample
+from palmd.observer.three_palms.driven import ContactCurves
+from palmd.observer.three_palms.growth import BEHIND, FORK_S, STARTS_S, Grown, begun_in_ways, folded, raced
+from palmd.observer.three_palms.icosphere import icosphere
+from palmd.observer.three_palms.path import joint_path
+from palmd.observer.three_palms.reconstruct import GAP_S, doubt, felt_directions, inertia_sd, mass_of, near, surface
+from palmd.observer.three_palms.record import PadReadings
+from palmd.observer.three_palms.search import HOPELESS, SPACING_S, Task, rivals
+from palmd.system.three_palms import PALMS, BodyAnswer, ThreePalmsRig
+
+REST_S = 0.4  # of a body that rests, before the palms move, that a record begins with
+STILL_RAD, MOVED_RAD = 5e-3, 0.1  # of a joint: where it has begun to move, and has moved enough to try
+LEAST_S = REST_S + STARTS_S[0] + FORK_S + 0.1  # of a record, before anything is tried
+NEWS_S = 0.4  # of readings, before another lap
+LONGEST_S, KEPT_S = 14.0, 8.0  # a record so long is folded to that
+WORTH_S = 3.0  # of a record that was explained: another start would hardly go further
+CONTACTS_S = 2.0  # of readings before what is new, that their smoothed courses begin with
+MOST_RIVALS = 3
+LATENCY_S = 0.8  # that a simulated one takes; its first answer takes longer
+FIRST_LATENCY_S = 8.0
+
+
+@dataclass(slots=True)
+class _Heard:
+    """All that has come of one record: rows of readings (t, pad, a, b, force), of joints (t, 3 angles, 6 planned)."""
+
+    readings: list[tuple[float, ...]]
+    joints: list[tuple[float, ...]]
+
+    def forget(self, before: float) -> None:
+        """What is older (s)."""
+        self.readings = [row for row in self.readings if row[0] >= before]
+        self.joints = [row for row in self.joints if row[0] >= before]
+
+
+class GrowingBody:
+    """Gathers events; `answer` goes on with the rivals as far as the events reach."""
+
+    def __init__(self, rig: ThreePalmsRig) -> None:
+        self._rig = rig
+        self._waiting: list[Event] = []
+        self._heard = _Heard([], [])
+        self._begun = self._start = math.nan
+        self._clear()
+
+    def _clear(self) -> None:
+        self._running: list[Grown] = []
+        self._attempt = 0
+        self._reached = -math.inf
+        self._touched = np.zeros(len(icosphere()[0]), dtype=bool)
+
+    def add(self, events: Sequence[Event]) -> None:
+        """Events of some ticks; may be called while another thread answers."""
+        self._waiting += events
+
+    @one_thread()
+    def answer(self) -> BodyAnswer | None:
+        """What the readings tell, or why they do not; None before there is anything new to say."""
+        self._take()
+        task = self._task()
+        if task is None:
+            return None
+        if not self._running and not self._try(task):
+            return _unknown(task, self._begun, "no motion is known yet that explains the readings")
+        self._reached = task.end
+        ended = raced(task, self._running)
+        ended.sort(key=lambda each: (-each.intervals, each.cost))
+        first = ended[0]
+        if first.lost or first.intervals < task.intervals(task.end - task.start):
+            self._give_up(first, task)
+            return _unknown(task, self._begun, "what explained the readings does so no more")
+        near_it = [each for each in ended if not each.lost and each.cost < first.cost + BEHIND]
+        self._running = near_it[:MOST_RIVALS]
+        said = self._answer(task, ended)
+        if first.intervals * SPACING_S > LONGEST_S:
+            more = first.intervals - round(KEPT_S / SPACING_S)
+            self._start, self._running = task.start + more * SPACING_S, [folded(task, first, more)]
+            self._heard.forget(self._start - CONTACTS_S)
+        return said
+
+    # ---- its parts ---------------------------------------------------------------------------------------
+
+    def _take(self) -> None:
+        """Sort in what has come; a record ends where a palm is let go."""
+        events, self._waiting = self._waiting[:], self._waiting[len(self._waiting) :]
+        for event in events:
+            if isinstance(event, PalmSample):
+                planned = (*(event.rates or (math.nan,) * 3), *(event.accelerations or (math.nan,) * 3))
+                self._heard.joints.append((event.t_sample, *event.angles, *planned))
+            elif isinstance(event, PadSample) and event.across is not None:
+                force = math.nan if event.force is None else event.force
+                self._heard.readings.append((event.t_sample, event.pad - 1, event.across, event.s, force))
+            else:
+                self._begin_anew(event.t_sample)
+
+    def _begin_anew(self, t: float) -> None:
+        """Nothing before t (s) is of the body that there is from now on."""
+        self._heard.forget(t)
+        self._begun = self._start = math.nan
+        self._clear()
+
+    def _task(self) -> Task | None:
+        """What there is to explain; None while it is too little, or nothing new."""
+        if len(self._heard.joints) < 10 or len(self._heard.readings) < 100:
+            return None
+        told = np.array(sorted(self._heard.readings))
+        joints = np.array(sorted(self._heard.joints))
+        joints = joints[np.concatenate([[True], np.diff(joints[:, 0]) > 1e-6])]
+        each = [told[told[:, 1] == pad, 0] for pad in range(len(PALMS))]
+        if any(len(t) < 10 for t in each):
+            return None
+        start = max(t[0] for t in (*each, joints[:, 0]))
+        gaps = [t[1:][np.diff(t) > GAP_S] for t in (*each, joints[:, 0])]
+        if any(len(ends) for ends in gaps):
+            start = max(start, *(float(ends[-1]) for ends in gaps if len(ends)))
+        if not self._start >= start:
+            self._begun = self._start = float(start)
+            self._clear()
+        end = float(min(t[-1] for t in (*each, joints[:, 0])))
+        if not self._running:
+            mine = joints[(joints[:, 0] >= start) & (joints[:, 0] <= end)]
+            moved = np.abs(mine[:, 1:4] - mine[:1, 1:4]).max(axis=1)
+            if not (moved > MOVED_RAD).any():
+                return None
+            self._start = max(self._start, float(mine[int(np.argmax(moved > STILL_RAD)), 0]) - REST_S)
+        if end - self._start < LEAST_S or end - self._reached < NEWS_S:
+            return None
+        plan = joints[:, 4:].reshape(-1, 2, 3)
+        path = joint_path(
+            joints[:, 0], joints[:, 1:4], None if np.isnan(plan).any() else plan, self._rig.angle_noise
+        )
+        readings = PadReadings(told[:, 0], told[:, 1].astype(np.int64), told[:, 2:4], told[:, 4])
+        since = self._reached - CONTACTS_S if self._running else -math.inf
+        contacts = ContactCurves.smoothed(readings.within(since, math.inf))
+        return Task(path, readings, contacts, self._rig, self._start, end)
+
+    def _try(self, task: Task) -> bool:
+        """Begin from nothing with one length of start; whether there is a rival."""
+        seconds = STARTS_S[self._attempt]
+        if task.end - task.start < REST_S + seconds + FORK_S + 0.1:
+            return False
+        self._attempt = (self._attempt + 1) % len(STARTS_S)
+        found = [each for each in rivals(task, REST_S + seconds) if each.per_number < HOPELESS]
+        self._running = begun_in_ways(task, found) if found else []
+        if not self._running and self._attempt == 0:
+            self._begin_anew(task.end - LEAST_S)
+        return bool(self._running)
+
+    def _give_up(self, first: Grown, task: Task) -> None:
+        """None of the rivals goes on: others, of the readings from the beginning or of those since it was lost."""
+        lost_at = float(first.record.t[-1])
+        self._running = []
+        if lost_at - task.start > WORTH_S or self._attempt == 0:
+            self._begin_anew(max(lost_at, task.end - LEAST_S))
+
+    def _answer(self, task: Task, ended: Sequence[Grown]) -> BodyAnswer:
+        first, rig = ended[0], self._rig
+        try:
+            covariance: FloatArray = np.asarray(np.linalg.inv(first.ahead.information), np.float64)
+        except np.linalg.LinAlgError:
+            return _unknown(task, self._begun, "the fit is not a minimum")
+        belief = first.ahead
+        self._touched |= near(felt_directions(first))
+        h, h_sd = surface(belief.mean, covariance[6:, 6:], self._touched, first.whole.chi2)
+        reason = doubt(task, ended, h_sd[self._touched])
+        mass, mass_sd = mass_of(rig, first)
+        return BodyAnswer(
+            t=float(first.record.t[-1]), begun=self._begun, claimed=not reason, reason=reason,
+            hypotheses=len(self._running), R=belief.R, omega=belief.spin, p=belief.mean,
+            covariance=0.5 * (covariance + covariance.T), h=h, h_sd=h_sd, touched=self._touched.astype(np.float64),
+            inertia_sd=inertia_sd(belief.mean, covariance[6:, 6:]).ravel(),
+            mass=mass, mass_sd=math.hypot(mass_sd, PRESSURE_GAIN_STD * mass),
+        )  # fmt: skip
+
+
+def _unknown(task: Task, begun: float, reason: str) -> BodyAnswer:
+    none, square = np.zeros(0), np.zeros((0, 0))
+    return BodyAnswer(
+        task.end, begun, False, reason, 0, np.zeros((0, 3)), none, none, square, none, none, none, none, math.nan,
+        math.nan,
+    )  # fmt: skip
+
+
+class SimulatedGrowing:
+    """The smoother as it would run beside the loop: its answer comes a fixed time after it was begun."""
+
+    def __init__(self, rig: ThreePalmsRig) -> None:
+        self._smoother = GrowingBody(rig)
+        self._ready: tuple[float, BodyAnswer | None] | None = None
+        self._known = False
+
+    def submit(self, t: float, events: Sequence[Event]) -> None:
+        """Take the tick's events, and begin when it is free."""
+        self._smoother.add(events)
+        if self._ready is not None:
+            return
+        answer = self._smoother.answer()
+        if answer is not None:
+            known = bool(answer.hypotheses)
+            self._ready = (t + (LATENCY_S if known and self._known else FIRST_LATENCY_S), answer)
+            self._known = known
+
+    def collect(self, t: float) -> BodyAnswer | None:
+        """What was begun at least the latency ago."""
+        if self._ready is None or t < self._ready[0]:
+            return None
+        answer, self._ready = self._ready[1], None
+        return answer

@@ -1,0 +1,313 @@
+"""The live observer of a body between three palms: a filter goes on from where a smoother's answer ends.
+
+The smoother sees the whole record, takes its time and says how the body moved, what it is, and whether to believe it.
+The loop carries the last answer through all readings since then to the present, and claims it as long as they agree.
+Readings are fused some milliseconds late, in the order of their own times: no pad is ever ahead of another.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections import deque
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+
+from palmd.events import Event, FloatArray, PadLift, PadSample, PalmSample, ShapeEstimate
+from palmd.observer.three_palms import kernels
+from palmd.observer.three_palms.body import inertia
+from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
+from palmd.observer.three_palms.icosphere import icosphere
+from palmd.observer.three_palms.rotation import quaternion
+from palmd.quantities import INERTIA_ENTRIES, WORLD_AXES
+from palmd.system.three_palms import JOINTS, PALMS, BodyAnswer, BodyEstimate, PalmPlanes, ThreePalmsRig, palms_at
+
+NAME = "space"
+ORDER = 8  # of the smoother's outlines
+HELD_S = 0.02  # how late readings are fused
+KEPT_S = 10.0  # of readings, for an answer that is as old
+A_TICK = 8  # readings that a filter which catches up takes beyond the new ones
+NIS_MOST = 1.6
+KNOWN_M = 3e-4  # one-sigma of a contact, above which it is not known where the body is
+GAP_S = 0.15  # without a reading of a pad or a report of the joints
+AWAY_S = 0.5  # without any contact, after which it is another object
+STEADY = 0.15  # share of a reported angle that corrects the planned way
+LONGEST_S = 1e-2  # of a step ahead of the last reading
+TRUNCATED_M, TRUNCATED_RAD_S = 3e-5, 0.01  # what harmonics beyond the last leave open of contacts and of the spin
+FORCE_SHARE = 0.03
+
+
+class BodySmoothing(Protocol):
+    """Where the smoother runs; nothing here keeps the loop waiting."""
+
+    def submit(self, t: float, events: Sequence[Event]) -> None:
+        """Hand the events of a tick over."""
+
+    def collect(self, t: float) -> BodyAnswer | None:
+        """The newest answer that has come by `t` (s), each once."""
+
+
+class BodyObserver:
+    """See the module and `observer.observer.LiveObserver`. Safe in the loop."""
+
+    def __init__(self, rig: ThreePalmsRig, smoothing: BodySmoothing) -> None:
+        """`smoothing` tells motion and shape; without its answers nothing is claimed but the joints."""
+        self.name = NAME
+        self.object_count, self.late_dropped, self.improvements = 1, 0, 0
+        self._rig, self._smoothing = rig, smoothing
+        self._waiting: list[Event] = []
+        self._joints: _JointTrack | None = None
+        self._pending: list[PlaneReading] = []  # not fused yet, by their times
+        self._kept: deque[PlaneReading] = deque()
+        self._fused_until = -math.inf
+        self._felt_at = [-math.inf] * len(PALMS)
+        self._begun = -math.inf  # of what is on the palms: answers about what was there before are of no use
+        self._answer: BodyAnswer | None = None
+        self._filter: BodyFilter | None = None
+        self._next: BodyFilter | None = None  # catches up
+        self._shape_of: BodyAnswer | None = None
+
+    @property
+    def backend(self) -> str:
+        """What runs the kernels."""
+        return kernels.backend(ORDER)
+
+    def warm_up(self) -> None:
+        """Load the kernels."""
+        kernels.acceleration(ORDER)
+        kernels.reading(ORDER)
+
+    def feed(self, event: Event) -> None:
+        """Take one event; a reading of a time that has been fused already is counted and dropped."""
+        t = event.t_sample
+        if not math.isfinite(t):
+            self.late_dropped += 1
+            return
+        self._waiting.append(event)
+        if isinstance(event, PalmSample):
+            if self._joints is None:
+                self._joints = _JointTrack(event)
+            else:
+                self._joints.take(event)
+        elif isinstance(event, PadLift):
+            self._part(t)
+        elif event.across is not None:
+            self._take(PlaneReading(t, event.pad - 1, event.across, event.s))
+
+    def improve(self, t: float) -> BodyAnswer | None:
+        """Exchange with the smoother beside the loop; what it has answered, each answer once."""
+        events, self._waiting = self._waiting, []
+        self._smoothing.submit(t, events)
+        answer = self._smoothing.collect(t)
+        if answer is not None:
+            self.improvements += 1
+            self._hear(answer)
+        self._fuse(t - HELD_S)
+        return answer
+
+    def estimate(self, t: float) -> BodyEstimate:
+        """The answer for time `t`; never raises, NaN where nothing is known."""
+        values, sd = self._of_joints(t)
+        answer, filtered = self._answer, self._filter
+        told = answer if answer is not None and answer.hypotheses else None
+        quaternion_, attitude = (math.nan,) * 4, (math.nan,) * 3
+        reason = self._doubt(t)
+        if filtered is not None and told is not None and self._joints is not None and t - filtered.t < GAP_S:
+            now = self._ahead(filtered, t)
+            of_body, bands = self._of_body(now, told, t)
+            values |= of_body
+            sd |= bands
+            spread = np.sqrt(np.maximum(np.diagonal(now.P)[:3], 0.0))
+            quaternion_, attitude = quaternion(now.R), tuple(spread.tolist())
+            worst = max(bands[f"{side}{palm}_m"] for palm in PALMS for side in "ab")
+            if not reason and not worst < KNOWN_M:
+                reason = "the body rolls onto what has not been felt yet"
+            if not np.isfinite(now.P).all():
+                reason, self._filter = "the filter has lost it", None
+        return BodyEstimate(
+            t=t, valid=not reason, observer=NAME, object_count=self.object_count,
+            nis=1.0 if filtered is None else filtered.nis, sd=sd, values=values, quaternion=quaternion_,
+            attitude_sd=attitude, touched=0.0 if told is None else float(told.touched.mean()),
+            hypotheses=0 if answer is None else answer.hypotheses, reason=reason,
+        )  # fmt: skip
+
+    def shape(self, t: float) -> ShapeEstimate | None:
+        """The surface of each answer, once."""
+        answer = self._answer
+        if answer is None or not answer.hypotheses or answer is self._shape_of:
+            return None
+        self._shape_of = answer
+        return ShapeEstimate(t, icosphere()[0], answer.h, answer.h_sd, answer.touched > 0)
+
+    @property
+    def foresees(self) -> bool:
+        """No exploration goes by it yet."""
+        return False
+
+    def outlook(self, t: float) -> None:
+        """None."""
+        del t
+
+    def identify(self, t: float) -> None:
+        """No bodies in space are stored."""
+        del t
+
+    # ---- its parts ---------------------------------------------------------------------------------------
+
+    def _take(self, reading: PlaneReading) -> None:
+        last = max(self._felt_at)
+        if reading.t - last > AWAY_S and math.isfinite(last):
+            self.object_count += 1
+        if reading.t - self._felt_at[reading.pad] > GAP_S:
+            self._part(reading.t)
+        self._felt_at[reading.pad] = max(reading.t, self._felt_at[reading.pad])
+        if reading.t <= self._fused_until:
+            self.late_dropped += 1
+            return
+        bisect.insort(self._pending, reading, key=lambda each: each.t)
+
+    def _part(self, t: float) -> None:
+        """A palm has been let go at t (s): what was known of the motion ends."""
+        self._begun = max(t, self._begun)
+        self._filter = self._next = self._answer = None
+        self._pending.clear()
+        self._kept.clear()
+
+    def _hear(self, answer: BodyAnswer) -> None:
+        if answer.begun < self._begun:
+            return
+        self._answer = answer
+        if not answer.hypotheses:
+            self._filter = self._next = None
+            return
+        if self._next is None or not self._next.t < answer.t:
+            self._next = BodyFilter(answer, self._rig)
+        elif self._filter is None:
+            return  # let the first one arrive
+        else:
+            self._next = BodyFilter(answer, self._rig)
+
+    def _fuse(self, until: float) -> None:
+        """Bring the filters to `until` (s), or nearer to it."""
+        ready = bisect.bisect_right(self._pending, until, key=lambda each: each.t)
+        new, self._pending = self._pending[:ready], self._pending[ready:]
+        self._fused_until = max(until, self._fused_until)
+        self._kept.extend(new)
+        while self._kept and self._kept[0].t < until - KEPT_S:
+            self._kept.popleft()
+        if self._joints is None:
+            return
+        if self._filter is not None:
+            self._carry(self._filter, new, until)
+        if self._next is not None:
+            self._catch_up(self._next, until, A_TICK + len(new))
+
+    def _catch_up(self, behind: BodyFilter, until: float, most: int) -> None:
+        after = [each for each in self._kept if each.t > behind.t]
+        some = after[:most]
+        self._carry(behind, some, until if len(some) == len(after) else some[-1].t)
+        if len(some) == len(after):
+            self._filter, self._next = behind, None
+
+    def _carry(self, filtered: BodyFilter, readings: Sequence[PlaneReading], until: float) -> None:
+        fresh = [each for each in readings if each.t > filtered.t]
+        times = filtered.times(fresh, until)
+        if times and self._joints is not None:
+            filtered.carry(fresh, until, self._joints.palms(np.array(times)))
+
+    def _ahead(self, filtered: BodyFilter, t: float) -> BodyFilter:
+        """The filter's belief about time t."""
+        now = filtered.copy()
+        times = now.times([], t, LONGEST_S)
+        if times and self._joints is not None:
+            now.carry([], t, self._joints.palms(np.array(times)), LONGEST_S)
+        return now
+
+    def _doubt(self, t: float) -> str:
+        """Why what is believed is not to be believed now; empty when it is."""
+        untouched = [palm for palm, at in zip(PALMS, self._felt_at, strict=True) if t - at > GAP_S]
+        if untouched:
+            return f"nothing touches palm {', '.join(map(str, untouched))}"
+        if self._joints is None or t - self._joints.t > GAP_S:
+            return "the joints are not reported"
+        if self._answer is None:
+            return "no motion is known yet that explains the readings"
+        if not self._answer.claimed:
+            return self._answer.reason
+        if self._filter is None:
+            return "the readings since the smoother's answer are being caught up with"
+        return "" if self._filter.nis < NIS_MOST else "the readings contradict the motion that was claimed"
+
+    def _of_joints(self, t: float) -> tuple[dict[str, float], dict[str, float]]:
+        if self._joints is None:
+            return {}, {}
+        angle, rate, _ = (each[0].tolist() for each in self._joints.at(np.array([t])))
+        values = {f"{joint}_rad": value for joint, value in zip(JOINTS, angle, strict=True)}
+        values |= {f"{joint}_rate_rad_s": value for joint, value in zip(JOINTS, rate, strict=True)}
+        noise = self._rig.angle_noise * math.sqrt(STEADY / (2.0 - STEADY))
+        return values, {f"{joint}_rad": noise for joint in JOINTS}
+
+    def _of_body(
+        self, now: BodyFilter, answer: BodyAnswer, t: float
+    ) -> tuple[dict[str, float], dict[str, float]]:
+        assert self._joints is not None
+        seen = now.seen(self._joints.palms(np.array([t])))
+        diagonal = np.sqrt(np.maximum(np.diagonal(now.P), 0.0))
+        of_inertia, inertia_sd = inertia(now.p), answer.inertia_sd.reshape(3, 3)
+        values: dict[str, float] = {}
+        sd: dict[str, float] = {}
+
+        def tell(name: str, value: float, band: float) -> None:
+            values[name], sd[name] = float(value), float(band)
+
+        for k, axis in enumerate(WORLD_AXES):
+            tell(f"omega_{axis}_rad_s", now.omega[k], math.hypot(diagonal[3 + k], TRUNCATED_RAD_S))
+            tell(f"com_{axis}_m", seen.centre[0][k], math.hypot(seen.centre[1][k], TRUNCATED_M))
+        for i, palm in enumerate(PALMS):
+            for k, side in enumerate("ab"):
+                tell(f"{side}{palm}_m", seen.contacts[0][i, k], math.hypot(seen.contacts[1][i, k], TRUNCATED_M))
+            tell(f"h{palm}_m", seen.heights[0][i], math.hypot(seen.heights[1][i], TRUNCATED_M))
+            if math.isfinite(answer.mass):
+                force = answer.mass * float(seen.force[i])
+                tell(f"f{palm}_n", force, abs(force) * math.hypot(answer.mass_sd / answer.mass, FORCE_SHARE))
+        for entry in INERTIA_ENTRIES:
+            at = tuple("xyz".index(axis) for axis in entry)
+            tell(f"inertia_{entry}_m2", of_inertia[at], inertia_sd[at])
+        tell("mu", now.p[-2], diagonal[-2])
+        if math.isfinite(answer.mass):
+            tell("mass_kg", answer.mass, answer.mass_sd)
+        return values, sd
+
+
+class _JointTrack:
+    """Where the joints are: reported angles along the planned way."""
+
+    def __init__(self, sample: PalmSample) -> None:
+        self._set(sample, np.array(sample.angles))
+
+    def _set(self, sample: PalmSample, angle: FloatArray) -> None:
+        still = (0.0,) * len(JOINTS)
+        self.t = sample.t_sample
+        self._angle: FloatArray = angle
+        self._rate: FloatArray = np.array(sample.rates or still)
+        self._acceleration: FloatArray = np.array(sample.accelerations or still)
+
+    def take(self, sample: PalmSample) -> None:
+        """A report; one that comes after a later one says nothing."""
+        if sample.t_sample <= self.t:
+            return
+        ahead = self.at(np.array([sample.t_sample]))[0][0]
+        gain = 1.0 if sample.rates is None else STEADY
+        self._set(sample, ahead + gain * (np.array(sample.angles) - ahead))
+
+    def at(self, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(T, 3) angles, rates and accelerations at times t (T,), not far from the last report."""
+        dt = np.clip(t - self.t, -GAP_S, GAP_S)[:, None]
+        rate, acceleration = self._rate + dt * self._acceleration, self._acceleration + 0.0 * dt
+        return self._angle + dt * self._rate + 0.5 * dt**2 * self._acceleration, rate, acceleration
+
+    def palms(self, t: FloatArray) -> PalmPlanes:
+        """The palms at these times."""
+        return palms_at(*self.at(t))

@@ -1,0 +1,25 @@
+"""What is compiled for observing a body between three palms. Nothing of it is loaded before it is made."""
+
+from __future__ import annotations
+
+from palmd.observer.kernels import Part
+
+
+def needed(config: object) -> list[Part]:
+    """What a rig of its own takes; without a configuration nothing, for most rigs need none of it."""
+    return [] if config is None else of_three_palms()
+
+
+def of_three_palms() -> list[Part]:
+    """Its kernels."""
+    from palmd.model import three_palms
+    from palmd.observer.three_palms.growth import ORDER
+    from palmd.observer.three_palms.search import START_ORDER
+
+    def space(order: int) -> Part:
+        return f"three palms in space, degree {order}", lambda: three_palms.library(order).backend
+
+    return [
+        ("three palms in space, the beginning", lambda: three_palms.driven_library().backend),
+        *map(space, (START_ORDER, ORDER)),
+    ]

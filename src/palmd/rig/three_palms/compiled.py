@@ -1,0 +1,86 @@
+"""One body on three palms, stepped by `plant.c`, or where there is no compiler by its twin `rig.three_palms.plant`."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.model.compiled import load
+from palmd.rig.three_palms.bodies import Bodies
+from palmd.rig.three_palms.plant import BodyStates, PalmState, Rubbing, accelerations, step
+
+Stepper = Callable[[int, int, float, int, int], None]
+
+
+def backend() -> str:
+    """What steps the plant: compiled C, or Python."""
+    return "python" if _step() is None else "c"
+
+
+class BodyOnPalms:
+    """One of `bodies` on the palms; `state` is position, velocity, rotation by rows, spin (18,).
+
+    point (3 palms, 3) and force (3,) per unit mass are those of that state, after a step.
+    """
+
+    def __init__(self, body: Bodies, rubbing: Rubbing, gravity: float, *, compiled: bool = True) -> None:
+        self.body, self.rubbing, self._gravity = body, rubbing, gravity
+        constants = (*(getattr(body, name) for name in body.__dataclass_fields__), rubbing.mu, rubbing.dither)
+        told = [np.ravel(each) for each in (*constants, rubbing.drag)]
+        self._scene: FloatArray = np.concatenate([*told, [gravity]])
+        self._palms: FloatArray = np.zeros((3, 36))
+        self.state: FloatArray = np.zeros(18)
+        self._touch: FloatArray = np.zeros(12)
+        self._step = _step() if compiled else None
+
+    @property
+    def point(self) -> FloatArray:
+        """(3 palms, 3) contacts (m, world)."""
+        return self._touch[:9].reshape(3, 3)
+
+    @property
+    def force(self) -> FloatArray:
+        """(3,) normal forces per unit mass (m/s²)."""
+        return self._touch[9:]
+
+    def begin(self, states: BodyStates) -> None:
+        """Go on from the first of these."""
+        each = (states.p[0], states.v[0], states.R[0].ravel(), states.omega[0])
+        self.state[:] = np.concatenate(each)
+
+    def states(self) -> BodyStates:
+        """As one of one body."""
+        x = self.state.copy()
+        return BodyStates(x[None, :3], x[None, 3:6], x[6:15].reshape(1, 3, 3), x[None, 15:])
+
+    def advance(self, palms: FloatArray, dt: float) -> None:
+        """One step; palms (3, 36) at its beginning, midway and at its end, as `observer` and kernels have them."""
+        self._palms[:] = palms
+        if self._step is not None:
+            arrays = self._scene, self._palms, self.state, self._touch
+            scene, at, state, touch = (each.ctypes.data for each in arrays)
+            self._step(scene, at, dt, state, touch)
+            return
+        each = [PalmState(*(kind.reshape(1, 3, 3) for kind in row.reshape(4, 9))) for row in palms]
+        states, _ = step(
+            self.body, self.rubbing, lambda t: each[round(2 * t / dt)], self.states(), 0.0, dt, self._gravity
+        )
+        self.begin(states)
+        _, _, touched = accelerations(self.body, self.rubbing, each[2], states, self._gravity)
+        self._touch[:] = np.concatenate([touched.point[0].ravel(), touched.force[0]])
+
+
+@cache
+def _step() -> Stepper | None:
+    path = load("three_palms_plant", list, written=[str(Path(__file__).with_name("plant.c"))]).path
+    if path is None:
+        return None
+    function = ctypes.CDLL(str(path)).three_palms_step
+    pointer = ctypes.c_void_p
+    function.argtypes, function.restype = (pointer, pointer, ctypes.c_double, pointer, pointer), None
+    return function  # type: ignore[no-any-return]

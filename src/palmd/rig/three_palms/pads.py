@@ -1,0 +1,27 @@
+"""The emulated pads of three palms: square, read both ways. Pure."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from palmd.rig.pads import PadOptions, Press, VersaPadEmulator
+from palmd.three_palms_config import PlanePadConfig
+
+
+class PlanePadEmulator(VersaPadEmulator):
+    """A VersaPad that is square and read both ways; `Press.across` counts from its middle."""
+
+    def __init__(self, config: PlanePadConfig, options: PadOptions, rng: np.random.Generator, t: float) -> None:
+        """See `PadEmulator`; it is exactly as described."""
+        super().__init__(config, options, lambda _s, _force: 0.0, rng, t)
+        self._plane = config
+
+    def _feels(self, press: Press) -> bool:
+        side = self._plane.length_mm * 1e-3
+        on_pad = 0.0 < press.s < side and abs(press.across) < 0.5 * side
+        return on_pad and press.force > self._options.dead_band_n
+
+    def _counts_across(self, across: float) -> int:
+        plane = self._plane
+        seen_mm = (across + float(self._rng.normal(0.0, self._noise_m))) * 1e3
+        return min(max(round(plane.across_sign * seen_mm * plane.counts_per_mm), self._range[0]), self._range[1])

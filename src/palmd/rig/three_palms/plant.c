@@ -1,0 +1,196 @@
+/* One step of one body on three palms: as `rig.three_palms.plant`, which says what is computed, and why. */
+
+#include <math.h>
+
+#define ELLIPSOIDS 2
+#define VERTICES 12
+#define PULL 100.0 /* 1/s, of what holds the gaps at zero */
+
+typedef struct {
+  double ball, forms[ELLIPSOIDS][3][3], vertices[VERTICES][3], sharpness, offset[3], inertia[3][3];
+  double mu, dither, drag, gravity;
+} Scene;
+
+typedef struct {
+  double normal[3][3], rate[3][3], acceleration[3][3], spin[3][3];
+} Palms;
+
+typedef struct {
+  double p[3], v[3], R[3][3], w[3];
+} State;
+
+typedef struct {
+  double point[3][3], force[3];
+} Touch;
+
+static double dot(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+static void cross(const double *a, const double *b, double *out) {
+  out[0] = a[1] * b[2] - a[2] * b[1];
+  out[1] = a[2] * b[0] - a[0] * b[2];
+  out[2] = a[0] * b[1] - a[1] * b[0];
+}
+
+static void times(const double A[3][3], const double *x, double *out) {
+  for (int i = 0; i < 3; i++) out[i] = dot(A[i], x);
+}
+
+static void turned_back(const double A[3][3], const double *x, double *out) {
+  for (int i = 0; i < 3; i++) out[i] = A[0][i] * x[0] + A[1][i] * x[1] + A[2][i] * x[2];
+}
+
+static void inverse(const double A[3][3], double out[3][3]) {
+  double c[3][3];
+  for (int i = 0; i < 3; i++) cross(A[(i + 1) % 3], A[(i + 2) % 3], c[i]);
+  double det = dot(A[0], c[0]);
+  for (int i = 0; i < 3; i++)
+    for (int j = 0; j < 3; j++) out[i][j] = c[j][i] / det;
+}
+
+/* h, its gradient and second derivative times s, at the unit normal u */
+static double support(const Scene *b, const double *u, const double *s, double *point, double *bent) {
+  double h = b->ball - dot(b->offset, u), along = dot(u, s);
+  for (int i = 0; i < 3; i++) {
+    point[i] = b->ball * u[i] - b->offset[i];
+    bent[i] = b->ball * (s[i] - u[i] * along);
+  }
+  for (int e = 0; e < ELLIPSOIDS; e++) {
+    double pulled[3], pulled_s[3];
+    times(b->forms[e], u, pulled);
+    times(b->forms[e], s, pulled_s);
+    double root = sqrt(dot(pulled, u)), share = dot(pulled, s) / (root * root);
+    h += root;
+    for (int i = 0; i < 3; i++) {
+      point[i] += pulled[i] / root;
+      bent[i] += (pulled_s[i] - pulled[i] * share) / root;
+    }
+  }
+  double reach[VERTICES], top = 0.0, sum = 0.0, q = b->sharpness;
+  for (int v = 0; v < VERTICES; v++) {
+    reach[v] = fmax(0.0, dot(b->vertices[v], u));
+    top = fmax(top, reach[v]);
+  }
+  for (int v = 0; v < VERTICES; v++) sum += pow(reach[v] / top, q);
+  double size = top * pow(sum, 1.0 / q), corner[3] = {0}, spread[3] = {0};
+  for (int v = 0; v < VERTICES; v++) {
+    double share = reach[v] / size;
+    if (share <= 0.0) continue;
+    double first = pow(share, q - 1.0), second = first / share * dot(b->vertices[v], s);
+    for (int i = 0; i < 3; i++) {
+      corner[i] += first * b->vertices[v][i];
+      spread[i] += second * b->vertices[v][i];
+    }
+  }
+  double bend = (q - 1.0) / size, tilt = dot(corner, s);
+  for (int i = 0; i < 3; i++) {
+    point[i] += corner[i];
+    bent[i] += bend * (spread[i] - corner[i] * tilt);
+  }
+  return h + size;
+}
+
+static void rates(const Scene *b, const Palms *palms, const State *x, State *out, Touch *touch) {
+  double J[3][3], J_inverse[3][3], RI[3][3], jacobian[3][6], wrench[3][6], free[6] = {0, 0, -b->gravity}, wanted[3];
+  for (int i = 0; i < 3; i++)
+    for (int j = 0; j < 3; j++) {
+      RI[i][j] = 0.0;
+      for (int k = 0; k < 3; k++) RI[i][j] += x->R[i][k] * b->inertia[k][j];
+    }
+  for (int i = 0; i < 3; i++)
+    for (int j = 0; j < 3; j++) J[i][j] = dot(RI[i], x->R[j]);
+  inverse(J, J_inverse);
+  double Jw[3], gyro[3], torque[3];
+  times(J, x->w, Jw);
+  cross(x->w, Jw, gyro);
+  for (int i = 0; i < 3; i++) torque[i] = -b->drag * x->w[i] - gyro[i];
+  times(J_inverse, torque, free + 3);
+  for (int n = 0; n < 3; n++) {
+    const double *normal = palms->normal[n], *rate = palms->rate[n], *bend = palms->acceleration[n];
+    double u[3], s[3], local[3], bent[3], r[3], slide[3], turning[3], spinning[3];
+    cross(x->w, normal, spinning);
+    for (int i = 0; i < 3; i++) turning[i] = rate[i] - spinning[i]; /* of the normal, as the body sees it */
+    turned_back(x->R, normal, u);
+    turned_back(x->R, turning, s);
+    for (int i = 0; i < 3; i++) u[i] = -u[i], s[i] = -s[i];
+    double h = support(b, u, s, local, bent), back[3];
+    times(x->R, local, r);
+    times(x->R, bent, back);
+    cross(x->w, r, slide);
+    double slip[3], carried[3], w_rate[3];
+    for (int i = 0; i < 3; i++) touch->point[n][i] = x->p[i] + r[i];
+    cross(palms->spin[n], touch->point[n], carried);
+    for (int i = 0; i < 3; i++) slip[i] = x->v[i] + slide[i] - carried[i], slide[i] += back[i];
+    double off = dot(slip, normal);
+    for (int i = 0; i < 3; i++) slip[i] -= off * normal[i];
+    double drive = b->mu / sqrt(dot(slip, slip) + b->dither * b->dither), push[3], moment[3];
+    for (int i = 0; i < 3; i++) push[i] = normal[i] - drive * slip[i];
+    cross(r, push, moment);
+    for (int i = 0; i < 3; i++) jacobian[n][i] = normal[i], wrench[n][i] = push[i];
+    cross(r, normal, jacobian[n] + 3);
+    times(J_inverse, moment, wrench[n] + 3);
+    cross(x->w, rate, w_rate);
+    double gap = dot(normal, x->p) - h;
+    double gap_rate = dot(normal, x->v) + dot(rate, x->p) + dot(r, turning);
+    double bias = 2.0 * dot(rate, x->v) + dot(bend, x->p) + dot(slide, turning) + dot(r, bend) - dot(r, w_rate);
+    wanted[n] = -bias - 2.0 * PULL * gap_rate - PULL * PULL * gap;
+    wanted[n] -= dot(jacobian[n], free) + dot(jacobian[n] + 3, free + 3);
+  }
+  double A[3][3], A_inverse[3][3];
+  for (int n = 0; n < 3; n++)
+    for (int m = 0; m < 3; m++) A[n][m] = dot(jacobian[n], wrench[m]) + dot(jacobian[n] + 3, wrench[m] + 3);
+  inverse(A, A_inverse);
+  times(A_inverse, wanted, touch->force);
+  for (int i = 0; i < 3; i++) {
+    out->p[i] = x->v[i];
+    out->v[i] = free[i];
+    out->w[i] = free[3 + i];
+    for (int n = 0; n < 3; n++) {
+      out->v[i] += touch->force[n] * wrench[n][i];
+      out->w[i] += touch->force[n] * wrench[n][3 + i];
+    }
+  }
+  for (int j = 0; j < 3; j++) {
+    double column[3] = {x->R[0][j], x->R[1][j], x->R[2][j]}, moved[3];
+    cross(x->w, column, moved);
+    for (int i = 0; i < 3; i++) out->R[i][j] = moved[i];
+  }
+}
+
+static State moved(const State *x, const State *by, double dt) {
+  State out = *x;
+  double *to = (double *)&out;
+  const double *rate = (const double *)by;
+  for (unsigned i = 0; i < sizeof(State) / sizeof(double); i++) to[i] += dt * rate[i];
+  return out;
+}
+
+/* palms: at the beginning, midway and at the end. Leaves the state after dt (s), and the touch then. */
+void three_palms_step(const Scene *scene, const Palms *palms, double dt, State *state, Touch *touch) {
+  State k[4], at, mean;
+  Touch later;
+  rates(scene, &palms[0], state, &k[0], &later);
+  at = moved(state, &k[0], 0.5 * dt);
+  rates(scene, &palms[1], &at, &k[1], &later);
+  at = moved(state, &k[1], 0.5 * dt);
+  rates(scene, &palms[1], &at, &k[2], &later);
+  at = moved(state, &k[2], dt);
+  rates(scene, &palms[2], &at, &k[3], &later);
+  double *sum = (double *)&mean;
+  for (unsigned i = 0; i < sizeof(State) / sizeof(double); i++)
+    sum[i] = (((double *)&k[0])[i] + 2.0 * ((double *)&k[1])[i] + 2.0 * ((double *)&k[2])[i] + ((double *)&k[3])[i]) / 6.0;
+  *state = moved(state, &mean, dt);
+  double gram[3][3], R[3][3]; /* one step of Newton's towards the nearest rotation */
+  for (int i = 0; i < 3; i++)
+    for (int j = 0; j < 3; j++) {
+      gram[i][j] = 1.5 * (i == j);
+      for (int m = 0; m < 3; m++) gram[i][j] -= 0.5 * state->R[m][i] * state->R[m][j];
+    }
+  for (int i = 0; i < 3; i++)
+    for (int j = 0; j < 3; j++) {
+      R[i][j] = 0.0;
+      for (int m = 0; m < 3; m++) R[i][j] += state->R[i][m] * gram[m][j];
+    }
+  for (int i = 0; i < 3; i++)
+    for (int j = 0; j < 3; j++) state->R[i][j] = R[i][j];
+  rates(scene, &palms[2], state, &mean, touch);
+}
