@@ -30,7 +30,7 @@ export class Store {
     const [topic, fields] = [keptAs(said), fieldsOf(said, as)];
     this.#latest.set(topic, fields);
     this.#cameAt.set(topic, now);
-    if (!topic.startsWith("rig/")) this.palmAt = now;
+    if (topic.startsWith("palm/")) this.palmAt = now;
     if (topic === "palm/estimate") this.#takeEstimate(fields);
     if (topic === "rig/truth") {
       this.truths.add(seconds(fields), [...TRUTH.map((name) => fields[name]), ...TURN.map((_, i) => fields.quat_xyzw?.[i])]);
