@@ -72,6 +72,7 @@ _ON_IT, _PALMS, _TRUST = "Object", "Palms", "Trust"
 CHARTS = (
     Chart("distance", "state", "Distance of the palms from the centre of mass", 0.5, group=_ON_IT),
     Chart("rate", "state", "Angular rate of the object", 10.0, group=_ON_IT),
+    Chart("place", "state", "Centre of mass from the apex", 2.0, group=_ON_IT),
     Chart("contact", "state", "Contacts, from the hinge", 2.0, group=_ON_IT),
     Chart("gyration", "state", "Radius of gyration", 1.0, group=_ON_IT),
     Chart("angles", "state", "Palm angles", 4.0, group=_PALMS),
@@ -607,11 +608,11 @@ PALM3 = Topic(
                  "turn of the body's frame to the world's, x, y, z, w; 1 where the record begins that it is known by"),
         Quantity("attitude_sd_rad", "numbers", "rad", "its one-sigma about the world's x, y and z"),
         *(Quantity(f"omega_{axis}_rad_s", "number", "rad/s", f"angular velocity about the world's {axis}",
-                   f"ω{axis}", role="named", glance=True) for axis in WORLD_AXES),
+                   f"ω{axis}", "rate", "named", glance=True) for axis in WORLD_AXES),
         *(Quantity(f"com_{axis}_m", "number", "m", f"centre of mass from the palms' apex, world {axis}", axis,
-                   role="named", glance=axis == "z") for axis in WORLD_AXES),
-        *(Quantity(f"{joint}_rad", "number", "rad", f"joint angle {joint}", joint, role="derived")
-          for joint in three_palms.JOINTS),
+                   "place", "named", glance=axis == "z") for axis in WORLD_AXES),
+        *(Quantity(f"{joint}_rad", "number", "rad", f"joint angle {joint}", symbol, "angles", "derived")
+          for joint, symbol in zip(three_palms.JOINTS, ("β", "γ₂", "γ₃"), strict=True)),
         *(Quantity(f"{joint}_rate_rad_s", "number", "rad/s", f"its rate, planned: of {joint}")
           for joint in three_palms.JOINTS),
         *(Quantity(f"{side}{number}_m", "number", "m", f"contact on pad {number}, {words}", f"{side}{number}",
@@ -619,15 +620,15 @@ PALM3 = Topic(
           for number in three_palms.PALMS
           for side, words in (("a", "along its first axis"), ("b", "along its second axis, from the apex"))),
         *(Quantity(f"h{number}_m", "number", "m", f"distance of palm {number} from the centre of mass", f"h{number}",
-                   role="derived") for number in three_palms.PALMS),
-        *(Quantity(f"f{number}_n", "number", "N", f"normal force of contact {number}", f"f{number}", role="derived")
-          for number in three_palms.PALMS),
+                   "distance", "derived", palm=number) for number in three_palms.PALMS),
+        *(Quantity(f"f{number}_n", "number", "N", f"normal force of contact {number}", f"f{number}", role="derived",
+                   glance=True, palm=number) for number in three_palms.PALMS),
         *(Quantity(f"inertia_{entry}_m2", "number", "m²", f"inertia per unit mass, body frame, {entry}",
                    role="derived") for entry in INERTIA_ENTRIES),
         Quantity("mu", "number", "", "friction", "μ", role="derived", glance=True),
         Quantity("mass_kg", "number", "kg", "mass of the object", "m", role="derived", glance=True),
         Quantity("sd", "sds", "", "one-sigma of each field that it names, in that field's unit"),
-        Quantity("nis", "number", "", "normalised innovation squared, running mean", "NIS", digits=2),
+        Quantity("nis", "number", "", "normalised innovation squared, running mean", "NIS", "nis", digits=2),
         Quantity("touched", "number", "", "fraction of directions within 4 degrees of a contact", "touched"),
         Quantity("hypotheses", "number", "", "motions that explain the readings so far; 0 before the first"),
         Quantity("reason", "text", "", "why it is not valid, in words; empty while it is"),
@@ -654,9 +655,10 @@ PALM3_CONTACT = Topic(
           for side in ("b", "a") for number in three_palms.PALMS),
         *(Quantity(f"pressure{number}", "number", "", f"last pressure of pad {number}, counts")
           for number in three_palms.PALMS),
-        *(Quantity(f"age{number}_ms", "number", "ms", f"age of pad {number}'s last packet", digits=0)
+        *(Quantity(f"age{number}_ms", "number", "ms", f"age of pad {number}'s last packet", f"pad {number}", "age",
+                   palm=number, digits=0)
           for number in three_palms.PALMS),
-        Quantity("arm_age_ms", "number", "ms", "age of the arm's last report", "arm", digits=0),
+        Quantity("arm_age_ms", "number", "ms", "age of the arm's last report", "arm", "age", digits=0),
         *(Quantity(f"touch{number}", "bool", "", f"whether pad {number} is touched") for number in three_palms.PALMS),
         *(Quantity(f"batch{number}", "bool", "", f"whether pad {number}'s last packet came with others in one read")
           for number in three_palms.PALMS),
@@ -771,25 +773,6 @@ TOPICS: tuple[Topic, ...] = (
 )
 """What the daemon publishes."""
 
-
-@dataclass(frozen=True, slots=True)
-class SystemTopics:
-    """What every system tells, each in topics of its own."""
-
-    estimate: Topic
-    shape: Topic
-    contact: Topic
-    motion: Topic
-    events: Topic
-    info: Topic
-
-
-SYSTEM_TOPICS: Mapping[str, SystemTopics] = {
-    TWO_PALMS: SystemTopics(ESTIMATE, SHAPE, CONTACT, MOTION, EVENTS, INFO),
-    SYSTEM: SystemTopics(PIVOT, PIVOT_SHAPE, PIVOT_CONTACT, PIVOT_MOTION, PIVOT_EVENTS, PIVOT_INFO),
-    three_palms.SYSTEM: SystemTopics(PALM3, PALM3_SHAPE, PALM3_CONTACT, PALM3_MOTION, PALM3_EVENTS, PALM3_INFO),
-}
-"""By the system's name."""
 
 TRUTH = Topic(
     "rig/truth",
@@ -912,6 +895,33 @@ PALM3_BODY = Topic(
 )
 RIG_TOPICS: tuple[Topic, ...] = (TRUTH, BODY, STALL, PIVOT_TRUTH, PIVOT_BODY, PALM3_TRUTH, PALM3_BODY)
 """What an emulated rig publishes besides: what is really there."""
+
+
+@dataclass(frozen=True, slots=True)
+class SystemTopics:
+    """What every system tells, each in topics of its own."""
+
+    estimate: Topic
+    shape: Topic
+    contact: Topic
+    motion: Topic
+    events: Topic
+    info: Topic
+    truth: Topic
+    """What its emulated rig says of the motion, and in `body` of the object."""
+    body: Topic
+
+
+SYSTEM_TOPICS: Mapping[str, SystemTopics] = {
+    TWO_PALMS: SystemTopics(ESTIMATE, SHAPE, CONTACT, MOTION, EVENTS, INFO, TRUTH, BODY),
+    SYSTEM: SystemTopics(
+        PIVOT, PIVOT_SHAPE, PIVOT_CONTACT, PIVOT_MOTION, PIVOT_EVENTS, PIVOT_INFO, PIVOT_TRUTH, PIVOT_BODY
+    ),
+    three_palms.SYSTEM: SystemTopics(
+        PALM3, PALM3_SHAPE, PALM3_CONTACT, PALM3_MOTION, PALM3_EVENTS, PALM3_INFO, PALM3_TRUTH, PALM3_BODY
+    ),
+}
+"""By the system's name."""
 
 
 def truth_of(quantity: Quantity) -> Topic | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict, fields
 from typing import Any
 
 from palmd.quantities import (
@@ -11,50 +12,72 @@ from palmd.quantities import (
     ESTIMATE,
     LOOP,
     MOTION,
+    PALM3,
+    PALM3_CONTACT,
     REPLAY,
     RIG_TOPICS,
+    SYSTEM_TOPICS,
     TOPICS,
     Chart,
     Quantity,
+    Topic,
     drawn,
     truth_of,
 )
 from palmd.system.mechanism import JOINTS, PALMS, SIDES
+from palmd.systems import TWO_PALMS
+
+ESTIMATES = (ESTIMATE, PALM3)
+"""Those that have quantities of their own; a pivoting grasp's are among two palms'."""
+_AS = {
+    getattr(topics, field.name).name: getattr(SYSTEM_TOPICS[TWO_PALMS], field.name).name
+    for topics in SYSTEM_TOPICS.values()
+    for field in fields(topics)
+}
 
 
 def page_quantities() -> dict[str, Any]:
     """As JSON: how old topics may be, how their quantities are shown, the strips, and what else of an estimate is told.
 
-    `strips` are charts with the names of their quantities; `told` are the quantities to be told as numbers alone;
-    `ages` are those of what has been heard last; `system` is what `palm/info` says of the palms, for runs that are
-    older than it.
+    `as` says under which topic of two palms the page keeps each system's; what is `shown` under it are the quantities
+    of all systems. `strips` are charts with the names of their quantities and a colour for each; `told` are the
+    quantities to be told as numbers alone; `ages` are those of what has been heard last; `usual` is what there is
+    before anything has been heard; `system` is what `palm/info` says of the palms, for runs that are older than it.
     """
-    strips = [chart for chart in CHARTS if chart.span is not None]
-    in_strips = {chart.name for chart in strips}
+    strips = [_strip(topic, chart) for topic in ESTIMATES for chart in CHARTS if chart.span is not None]
+    in_strips = {chart.name for chart in CHARTS if chart.span is not None}
     rated = [topic for topic in (*TOPICS, REPLAY, *RIG_TOPICS) if topic.rate_hz]
     titles = {chart.name: chart.title for chart in CHARTS}
+    told = {quantity.name: quantity for topic in reversed(ESTIMATES) for quantity in topic.quantities}
+    ages = {quantity.name: quantity for topic in (CONTACT, PALM3_CONTACT) for quantity in drawn(topic, chart="age")}
     return {
+        "as": _AS,
         "stale_ms": {topic.name: topic.stale_s * 1e3 for topic in rated},
-        "shown": {topic.name: _shown(topic.quantities) for topic in (ESTIMATE, CONTACT, MOTION, LOOP)},
-        "strips": [_strip(chart) for chart in strips],
+        "shown": {
+            ESTIMATE.name: _shown(PALM3) | _shown(ESTIMATE),
+            CONTACT.name: _shown(PALM3_CONTACT) | _shown(CONTACT),
+            **{topic.name: _shown(topic) for topic in (MOTION, LOOP)},
+        },
+        "strips": [strip for i, strip in enumerate(strips) if strip["names"] and strip not in strips[:i]],
         "told": [
             {
                 "name": quantity.name,
                 "title": titles.get(quantity.chart, quantity.meaning.capitalize()),
                 "compared": truth_of(quantity) is not None and quantity.chart != "turn",  # counted from elsewhere
             }
-            for quantity in ESTIMATE.quantities
-            if quantity.glance and quantity.chart not in in_strips
+            for topic in ESTIMATES
+            for quantity in topic.quantities
+            if quantity.glance and quantity.chart not in in_strips and told[quantity.name] is quantity
         ],
         "ages": [
-            {"name": quantity.name, "title": quantity.symbol, "palm": quantity.palm}
-            for quantity in drawn(CONTACT, chart="age")
+            {"name": quantity.name, "title": quantity.symbol, "palm": quantity.palm} for quantity in ages.values()
         ],
+        "usual": [quantity.name for topic in (ESTIMATE, CONTACT) for quantity in topic.quantities],
         "system": {"palms": list(PALMS), "joints": list(JOINTS), "sides": list(SIDES)},
     }
 
 
-def _shown(quantities: tuple[Quantity, ...]) -> dict[str, Any]:
+def _shown(topic: Topic) -> dict[str, Any]:
     return {
         quantity.name: {
             "symbol": quantity.symbol,
@@ -63,17 +86,23 @@ def _shown(quantities: tuple[Quantity, ...]) -> dict[str, Any]:
             "factor": quantity.shown.factor,
             "digits": quantity.shown.digits,
             "uncertain": quantity.uncertain,
-            "truth": None if (topic := truth_of(quantity)) is None else topic.name,
-            "colour": f"palm{quantity.palm}" if quantity.palm else "single",
+            "truth": None if (truth := truth_of(quantity)) is None else _AS[truth.name],
         }
-        for quantity in quantities
+        for quantity in topic.quantities
         if quantity.kind == "number"
     }
 
 
-def _strip(chart: Chart) -> dict[str, Any]:
-    names = [quantity.name for quantity in drawn(ESTIMATE, chart=chart.name)]
-    shown = ESTIMATE[names[0]].shown
-    told = {"title": chart.title, "group": chart.group, "names": names, "span": chart.span, "low": chart.low}
+def _strip(topic: Topic, chart: Chart) -> dict[str, Any]:
+    quantities = list(drawn(topic, chart=chart.name))
+    told: dict[str, Any] = {"title": chart.title, "group": chart.group, "span": chart.span, "low": chart.low}
+    told |= {"names": [each.name for each in quantities], "colours": _colours(quantities)}
     good: list[float | None] | None = chart.good and [end if math.isfinite(end) else None for end in chart.good]
-    return told | {"good": good, "unit": shown.unit, "factor": shown.factor, "digits": shown.digits}
+    shown = quantities[0].shown if quantities else None
+    return told | {"good": good} | ({} if shown is None else asdict(shown))
+
+
+def _colours(quantities: list[Quantity]) -> list[str]:
+    """That of each one's palm; of several which are of no palm, that of the place."""
+    numbers = [each.palm or (i if len(quantities) > 1 else 0) for i, each in enumerate(quantities, start=1)]
+    return [f"palm{number}" if number else "single" for number in numbers]

@@ -15,6 +15,7 @@ from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 
 from palmd.harness.processes import Child
+from palmd.observer.three_palms.icosphere import icosphere
 
 IN_VIEW = """
     const { left, top, right, bottom } = document.querySelector(arguments[0]).getBoundingClientRect();
@@ -110,6 +111,33 @@ def rig_of(palms, state="tracking", **more):
     }  # fmt: skip
 
 
+def body_in_space(off_m=0.0):
+    """What a daemon with three palms says: an ellipsoid turned by half a radian; the rig has one larger by `off_m`."""
+    axes, directions = np.array([0.02, 0.016, 0.024]), icosphere(3)[0]
+    h = np.linalg.norm(directions * axes, axis=1)
+    quat, numbers = [0.0, 0.0, math.sin(0.25), math.cos(0.25)], (1, 2, 3)
+    place = {"com_x_m": 0.0, "com_y_m": 0.024, "com_z_m": 0.034}
+    joints = {"beta_rad": 0.9, "gamma2_rad": 0.8, "gamma3_rad": 0.8}
+    contacts = {f"{side}{n}_m": 0.024 for n in numbers for side in "ab"}
+    spin = dict.fromkeys(("omega_x_rad_s", "omega_y_rad_s", "omega_z_rad_s"), 0.1)
+    radii = {f"h{n}_m": 0.02 for n in numbers} | {f"f{n}_n": 0.5 for n in numbers}
+    return {
+        "palm3/info": {"version": "0", "system": "three_palms", "observer": "space", "palms": list(numbers),
+                       "joints": ["beta", "gamma2", "gamma3"], "pad_side_m": 0.075, "plans": [],
+                       "pad1_centre_m": [0.0, 0.0375], "pad2_centre_m": [0.0375, 0.0375],
+                       "pad3_centre_m": [0.0375, 0.0375]},
+        "palm3/estimate": {"valid": True, "object": 1, "quat_xyzw": quat, "touched": 0.5, "nis": 1.0, "mass_kg": 0.15,
+                           "sd": {"mass_kg": 0.002}} | place | joints | contacts | spin | radii,
+        "palm3/shape": {"halvings": 3, "h_m": h.tolist(), "h_sd_m": np.where(directions[:, 2] > 0, 2e-4, 5e-6).tolist(),
+                        "touched": (directions[:, 2] < 0).astype(int).tolist()},
+        "palm3/contact": contacts | {f"touch{n}": True for n in numbers} | {f"age{n}_ms": 8.0 for n in numbers},
+        "palm3/motion": {"plan": "sway", "segment": -1, "progress": 0.0, "arm_state": "T"} | joints,
+        "palm/state": rig_of(2)["palm/state"],
+        "rig/palm3": {"quat_xyzw": quat} | place | spin,
+        "rig/palm3_object": {"halvings": 3, "h_m": (h + off_m).tolist(), "mass_kg": 0.15},
+    }  # fmt: skip
+
+
 def opened(page, bus, messages):
     bus.messages = messages
     page.open()
@@ -138,6 +166,28 @@ def test_a_system_of_any_number_of_palms_is_shown_by_its_description(still, bus,
     assert (still.drawn("purple") > 300) == (palms > 2)
     still.script("return new Promise((done) => setTimeout(done, 3200))")  # the picture has been described meanwhile
     assert still.errors() == []
+
+
+def test_a_body_in_space_is_seen_between_its_palms(still, bus):
+    opened(still, bus, body_in_space(off_m=30e-6))
+    for hue in ("blue", "red", "purple", "green"):  # three palms, and what is well known of the body
+        still.until(lambda hue=hue: still.drawn(hue) > 300, hue)
+    still.until(lambda: still.text("off-truth") == "truth: 30\u00a0µm off, worst 30\u00a0µm", "the error")
+    shown = "return [...document.querySelectorAll('.strip:not([hidden]) .name')].map((each) => each.textContent)"
+    assert {"h1", "ωx", "β", "γ₂"} <= set(still.script(shown))
+    assert not {"r₁", "φ₁", "ρ"} & set(still.script(shown))
+    rows = "return [...document.querySelectorAll('#told tr:not([hidden]) .symbol')].map((each) => each.textContent)"
+    assert {"m", "f3"} <= set(still.script(rows))
+    assert "ψ" not in still.script(rows)
+    before = still.script("return document.getElementById('scene').toDataURL()")
+    still.script("document.getElementById('scene').focus()")
+    still.key(Keys.ARROW_LEFT)  # seen from another side
+    still.until(lambda: still.script("return document.getElementById('scene').toDataURL()") != before, "another side")
+    still.script("return new Promise((done) => setTimeout(done, 3200))")  # the picture has been described meanwhile
+    assert "Touched over 50 % of the surface" in still.script("return document.getElementById('scene').ariaLabel")
+    assert still.errors() == []
+    opened(still, bus, rig_of(2))
+    still.until(lambda: {"r₁", "φ₁"} <= set(still.script(shown)), "two palms again")
 
 
 @pytest.mark.parametrize(

@@ -20,13 +20,14 @@ def icosphere(halvings: int = HALVINGS) -> tuple[FloatArray, npt.NDArray[np.int6
     faces = [(0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11), (1, 5, 9), (5, 11, 4), (11, 10, 2), (10, 7, 6)]
     faces += [(7, 1, 8), (3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8), (3, 8, 9), (4, 9, 5), (2, 4, 11), (6, 2, 10)]
     faces += [(8, 6, 7), (9, 8, 1)]
-    points, triangles = np.array(corners, dtype=np.float64), np.array(faces)
+    points, triangles = np.array(corners) / np.hypot(1.0, g), np.array(faces)
     for _ in range(halvings):
         a, b, c = triangles.T
         edges = np.sort(np.concatenate([np.stack(pair, axis=1) for pair in ((a, b), (b, c), (c, a))]), axis=1)
         unique, which = np.unique(edges, axis=0, return_inverse=True)
         ab, bc, ca = len(points) + which.reshape(3, -1)
-        points = np.concatenate([points, points[unique].sum(1)])
+        middles = points[unique].sum(1)
+        points = np.concatenate([points, middles / np.linalg.norm(middles, axis=1)[:, None]])
         parts = ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))
         triangles = np.concatenate([np.stack(part, axis=1) for part in parts])
-    return points / np.linalg.norm(points, axis=1)[:, None], triangles
+    return points, triangles

@@ -1,6 +1,7 @@
 // How well the object is known, and what is going on, in words with the reason. Pure.
 
-import { offTruth, truthAt } from "./truth.js";
+import { inSpace } from "./surface.js";
+import { offTruth, offTruthInSpace, truthAt, turnAt } from "./truth.js";
 
 /** Where the outline's classes of one-sigma end (m); what is beyond the last is hardly known. */
 export const CLASSES_M = [10e-6, 30e-6, 100e-6, 300e-6];
@@ -28,6 +29,10 @@ export function accuracy(store) {
 export function error(store, now) {
   const [estimate, shape] = [store.get("palm/estimate"), store.get("palm/shape")];
   if (!estimate.valid || !shape.h_m || !store.truthful(now)) return { typical: NaN, worst: NaN };
+  if (inSpace(estimate)) {
+    const far = offTruthInSpace(shape, store.get("rig/object"), turnAt(store, estimate), estimate).map(Math.abs);
+    return spread(far, far.map(() => true));
+  }
   const points = { theta: shape.theta_rad, h: shape.h_m };
   const off = offTruth(points, store.get("rig/object"), truthAt(store, estimate), estimate);
   return spread(off.map(Math.abs), shape.touched);

@@ -31,3 +31,43 @@ export function dash(context, path, thin) {
   context.setLineDash([6 * thin, 4 * thin]);
   context.stroke(path);
 }
+
+/** A dot with a rim, a few CSS pixels wide, in a canvas's own pixels; `ratio` are those to a CSS pixel. */
+export function mark(context, [x, y], colour, ratio) {
+  context.beginPath();
+  context.arc(x, y, 5 * ratio, 0, 2 * Math.PI);
+  context.fillStyle = colour;
+  context.fill();
+  context.lineWidth = 1.8 * ratio;
+  context.strokeStyle = colours.panel;
+  context.stroke();
+}
+
+export function arrow(context, from, to, colour, ratio) {
+  const length = Math.hypot(to[0] - from[0], to[1] - from[1]);
+  if (!(length > 0)) return;
+  const [x, y] = [(to[0] - from[0]) / length, (to[1] - from[1]) / length];
+  const head = Math.min(10 * ratio, length * 0.6);
+  const neck = [to[0] - x * head, to[1] - y * head];
+  context.strokeStyle = context.fillStyle = colour;
+  context.lineWidth = 3 * ratio;
+  line(context, from, neck);
+  context.beginPath();
+  context.moveTo(...to);
+  context.lineTo(neck[0] - y * head * 0.42, neck[1] + x * head * 0.42);
+  context.lineTo(neck[0] + y * head * 0.42, neck[1] - x * head * 0.42);
+  context.fill();
+}
+
+/** Words on the picture, about a place, legible on anything. */
+export function write(context, text, [x, y], colour, ratio, weight) {
+  context.font = `${weight} ${12 * ratio}px system-ui, sans-serif`;
+  context.textAlign = "center";
+  context.textBaseline = "middle";
+  context.lineWidth = 3 * ratio;
+  context.lineJoin = "round";
+  context.strokeStyle = colours.panel;
+  context.strokeText(text, x, y);
+  context.fillStyle = colour;
+  context.fillText(text, x, y);
+}

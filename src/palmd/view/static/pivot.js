@@ -1,20 +1,15 @@
-// A pivoting grasp for the rest of the page, which knows palms: its messages by the names that theirs have. Pure.
+// A pivoting grasp for the rest of the page, which knows palms: its fields by the names that theirs have. Pure.
 
 const AS = {
-  "palm/pivot": ["palm/estimate", ({ x_m, z_m, ...rest }) => ({ ...rest, gripper: [x_m, z_m] })],
-  "palm/pivot_shape": ["palm/shape", ({ hP_m, hP_sd_m, ...rest }) => ({ ...rest, h_m: hP_m, h_sd_m: hP_sd_m })],
-  "palm/pivot_contact": ["palm/contact", (fields) => fields],
-  "palm/pivot_motion": ["palm/motion", (fields) => fields],
-  "palm/pivot_info": ["palm/info", (fields) => ({ ...fields, palms: [1], joints: ["x"], sides: [1] })],
-  "rig/pivot": ["rig/truth", (fields) => fields],
-  "rig/pivot_object": ["rig/object", ({ hP_m, ...rest }) => ({ ...rest, h_m: hP_m })],
+  "palm/pivot": ({ x_m, z_m, ...rest }) => ({ ...rest, gripper: [x_m, z_m] }),
+  "palm/pivot_shape": ({ hP_m, hP_sd_m, ...rest }) => ({ ...rest, h_m: hP_m, h_sd_m: hP_sd_m }),
+  "palm/pivot_info": (fields) => ({ ...fields, palms: [1], joints: ["x"], sides: [1] }),
+  "rig/pivot_object": ({ hP_m, ...rest }) => ({ ...rest, h_m: hP_m }),
 };
 
-/** The topic and the fields as they are kept: those of a pivoting grasp by the names of two palms'. */
-export function named(topic, fields) {
-  if (!(topic in AS)) return [topic, fields];
-  const [name, fieldsAs] = AS[topic];
-  return [name, fieldsAs(fields)];
+/** The fields of a message of any system, a pivoting grasp's by two palms' names. */
+export function fieldsOf(topic, fields) {
+  return AS[topic]?.(fields) ?? fields;
 }
 
 /** Whether an estimate is of a pivoting grasp. */

@@ -2,7 +2,7 @@
 
 const table = await (await fetch("quantities.json")).json();
 
-export const STRIPS = table.strips; // charts of the estimate: {title, group, names, unit, factor, digits, span, low, good}
+export const STRIPS = table.strips; // charts of the estimate: {title, group, names, colours, unit, factor, digits, span, low, good}
 export const TOLD = table.told; // what of the estimate is told as a number: {name, title, compared}
 export const AGES = table.ages; // of what was heard last, in palm/contact: {name, title, palm}
 export const ESTIMATE = table.shown["palm/estimate"];
@@ -12,7 +12,17 @@ export function staleMs(topic) {
   return table.stale_ms[topic];
 }
 
-/** How a quantity of a topic is shown: {symbol, meaning, unit, factor, digits, uncertain, truth, colour}. */
+/** Under which topic of two palms one of any system is kept. */
+export function keptAs(topic) {
+  return table.as[topic] ?? topic;
+}
+
+/** Whether what is told of `names` belongs to the system whose message `fields` is; before the first, to two palms. */
+export function told(names, fields) {
+  return names.some((name) => ("mono_ns" in fields ? name in fields : table.usual.includes(name)));
+}
+
+/** How a quantity of a topic is shown: {symbol, meaning, unit, factor, digits, uncertain, truth}. */
 export function shown(topic, name) {
   return table.shown[topic][name];
 }
@@ -25,7 +35,7 @@ export function shownOfPalm(name) {
 
 /** The palms as `palm/info` describes them: [{number, joint, side, lengthM, padM}], from the hinge on. */
 export function palmsOf(info) {
-  const { palms, joints, sides } = info.palms ? info : table.system;
+  const { palms, joints, sides = [] } = info.palms ? info : table.system;
   return palms.map((number, i) => ({
     number, joint: joints[i], side: sides[i], lengthM: info[`palm${number}_length_m`], padM: info[`pad${number}_length_m`],
     curvature: info[`palm${number}_curvature_per_m`] ?? 0,

@@ -1,7 +1,8 @@
 // State, faults, ages and punctuality in words and numbers.
 
 import { underWay } from "./knowledge.js";
-import { AGES, ESTIMATE, palmsOf, shown, shownOfPalm, TOLD } from "./quantities.js";
+import { AGES, ESTIMATE, palmsOf, shown, shownOfPalm, TOLD, told } from "./quantities.js";
+import { inSpace } from "./surface.js";
 import { element, number, row, set } from "./text.js";
 
 const STATES = {
@@ -83,6 +84,7 @@ function showObject(store, now) {
   for (const { name, compared } of TOLD) {
     const { factor, digits, truth } = ESTIMATE[name];
     const value = estimate.valid ? estimate[name] : NaN;
+    document.getElementById(`told-${name}`).parentElement.hidden = !told([name], estimate);
     set(`told-${name}`, number(value * factor, digits));
     set(`sd-${name}`, number(Number.isFinite(value) ? estimate.sd?.[name] * factor : NaN, digits));
     set(`off-${name}`, truthful && compared ? number((value - store.get(truth)[name]) * factor, digits) : "–");
@@ -98,6 +100,7 @@ function showHealth(store, now, fps) {
   set("age-data", number(now - store.palmAt, 0));
   for (const { name, palm } of AGES) {
     const { factor, digits } = shown("palm/contact", name);
+    document.getElementById(`age-${name}`).parentElement.hidden = !told([name], contact);
     set(`age-${name}`, number(contact[name] * factor, digits));
     const touch = contact[`touch${palm}`];
     set(`says-${name}`, palm ? touch === undefined ? "" : touch ? "touched" : "untouched"
@@ -125,7 +128,8 @@ export function describe(store) {
     const { factor, digits, unit } = shownOfPalm(name);
     return number(estimate[name] * factor, digits, unit);
   };
+  const [away, what] = inSpace(estimate) ? ["h", "surface"] : ["r", "outline"];
   const palms = palmsOf(store.get("palm/info")).map(({ number: palm, joint }) => `Palm ${palm} at ${say(`${joint}_rad`)}, `
-    + `${say(`r${palm}_m`)} from the centre of mass, pressed with ${say(`f${palm}_n`)}.`);
-  return `${palms.join(" ")} Touched over ${number(estimate.touched * 100, 0, "%")} of the outline.`;
+    + `${say(`${away}${palm}_m`)} from the centre of mass, pressed with ${say(`f${palm}_n`)}.`);
+  return `${palms.join(" ")} Touched over ${number(estimate.touched * 100, 0, "%")} of the ${what}.`;
 }

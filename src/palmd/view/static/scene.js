@@ -3,9 +3,11 @@
 import { centreFromRadii, onPalm, outline, posture } from "./geometry.js";
 import { CLASSES_M, classOf } from "./knowledge.js";
 import { Lens } from "./lens.js";
-import { dash, line, place, ring } from "./paths.js";
+import { dash, line, place, ring, write } from "./paths.js";
 import { clear, pivots } from "./pivot.js";
 import { palmsOf } from "./quantities.js";
+import { SpaceView } from "./space.js";
+import { inSpace } from "./surface.js";
 import { colours, ofPalm } from "./theme.js";
 import { offTruth, truthAt } from "./truth.js";
 
@@ -18,9 +20,12 @@ const ARC_POINTS = 32; // that a curved palm is drawn by
 const QUARTER_TURN = Math.PI / 2; // by which its arc turns at most in the picture
 const WIDTHS = [3.4, 2.8, 2.2, 1.6, 1]; // of the outline, for each class of its error
 const MM = 1e3;
+const A_PIXEL = 0.01; // by which a picture of space is turned (rad), and by a key:
+const KEYS = { ArrowLeft: [0.1, 0], ArrowRight: [-0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] };
 
 export class Scene {
   outdated = true; // whether to draw again even if nothing new is known
+  #space = new SpaceView();
   #lens = new Lens();
   #lensOn = false;
   #pointer = null; // CSS pixels in the canvas; null while there is none
@@ -34,6 +39,7 @@ export class Scene {
   #paths = null;
   #truthShape = null;
   #truthPath = null;
+  #turns = false;
 
   constructor(canvas) {
     this.#canvas = canvas;
@@ -42,6 +48,19 @@ export class Scene {
     this.#resize();
     canvas.addEventListener("pointermove", ({ offsetX, offsetY }) => this.#point([offsetX, offsetY]));
     canvas.addEventListener("pointerleave", () => this.#point(null));
+    canvas.addEventListener("pointerdown", ({ pointerId }) => canvas.setPointerCapture(pointerId));
+    canvas.addEventListener("pointermove", ({ buttons, movementX, movementY }) => {
+      if (buttons & 1) this.#turn(-movementX * A_PIXEL, movementY * A_PIXEL);
+    });
+    canvas.addEventListener("dblclick", () => {
+      this.#space.reset();
+      this.outdated = true;
+    });
+    canvas.addEventListener("keydown", (event) => {
+      if (!this.#turns || !(event.key in KEYS)) return;
+      event.preventDefault();
+      this.#turn(...KEYS[event.key]);
+    });
   }
 
   /** By how much the lens magnifies at the moment; 0 while it shows nothing. */
@@ -65,6 +84,11 @@ export class Scene {
     const estimate = store.get("palm/estimate");
     if (pivots(estimate)) {
       this.#drawPivoting(store, estimate, now);
+      return;
+    }
+    this.#inSpace(inSpace(estimate));
+    if (inSpace(estimate)) {
+      this.#drawSpace(store, now);
       return;
     }
     const palms = palmsOf(store.get("palm/info"));
@@ -95,6 +119,30 @@ export class Scene {
       const off = truth && offTruth(this.#points, store.get("rig/object"), truth, estimate);
       this.#drawLens(estimate, centre, off, contacts.find(Boolean));
     }
+  }
+
+  // -- three palms in space -----------------------------------------------------------------------------------------
+
+  #drawSpace(store, now) {
+    this.outdated = false;
+    this.#lens.factor = 0;
+    this.#context.setTransform(1, 0, 0, 1, 0, 0);
+    this.#context.clearRect(0, 0, this.#pixels.width, this.#pixels.height);
+    this.#space.draw(this.#context, this.#pixels, store, now);
+  }
+
+  /** A picture of space can be turned, by the pointer or, once it is reached by Tab, by the arrow keys. */
+  #inSpace(turns) {
+    if (turns === this.#turns) return;
+    this.#turns = turns;
+    this.#canvas.tabIndex = turns ? 0 : -1;
+    this.#canvas.classList.toggle("turns", turns);
+  }
+
+  #turn(around, above) {
+    if (!this.#turns) return;
+    this.#space.turn(around, above);
+    this.outdated = true;
   }
 
   // -- a pivoting grasp -----------------------------------------------------------------------------------------
@@ -374,15 +422,7 @@ export class Scene {
     context.save();
     context.translate(x, y);
     context.scale(1 / this.#scale, -1 / this.#scale);
-    context.font = `${weight} ${12 * this.#pixels.ratio}px system-ui, sans-serif`;
-    context.textAlign = "center";
-    context.textBaseline = "middle";
-    context.lineWidth = 3 * this.#pixels.ratio;
-    context.lineJoin = "round";
-    context.strokeStyle = colours.panel;
-    context.strokeText(text, 0, 0);
-    context.fillStyle = colour;
-    context.fillText(text, 0, 0);
+    write(context, text, [0, 0], colour, this.#pixels.ratio, weight);
     context.restore();
   }
 

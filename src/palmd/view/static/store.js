@@ -1,8 +1,8 @@
 // What has come: the last message of each topic, when it came, and the histories that strips are drawn from.
 
 import { History } from "./history.js";
-import { named } from "./pivot.js";
-import { ESTIMATE, staleMs, STRIPS } from "./quantities.js";
+import { fieldsOf } from "./pivot.js";
+import { ESTIMATE, keptAs, staleMs, STRIPS } from "./quantities.js";
 
 export const WINDOW_S = 10;
 const GAP_S = 2;
@@ -11,6 +11,7 @@ const DRAWN = STRIPS.flatMap(({ names }) => names);
 const STATE = DRAWN.filter((name) => ESTIMATE[name].uncertain);
 const HEALTH = DRAWN.filter((name) => !ESTIMATE[name].uncertain);
 const TRUTH = Object.keys(ESTIMATE).filter((name) => ESTIMATE[name].truth === "rig/truth");
+export const TURN = ["x", "y", "z", "w"].map((part) => `quat ${part}`); // of a body in space
 export const SD = "sd ";
 
 export class Store {
@@ -20,18 +21,20 @@ export class Store {
   constructor() {
     const rows = WINDOW_S * 100 + 100;
     this.estimates = new History([...STATE, ...HEALTH, ...STATE.map((name) => SD + name)], rows, GAP_S);
-    this.truths = new History(TRUTH, rows, GAP_S);
+    this.truths = new History([...TRUTH, ...TURN], rows, GAP_S);
     this.palmAt = -Infinity; // when palmd was heard last, performance.now()
   }
 
   /** One message, at `now` (ms). */
   take(said, as, now) {
-    const [topic, fields] = named(said, as);
+    const [topic, fields] = [keptAs(said), fieldsOf(said, as)];
     this.#latest.set(topic, fields);
     this.#cameAt.set(topic, now);
-    if (topic.startsWith("palm")) this.palmAt = now;
+    if (topic.startsWith("palm/")) this.palmAt = now;
     if (topic === "palm/estimate") this.#takeEstimate(fields);
-    if (topic === "rig/truth") this.truths.add(seconds(fields), TRUTH.map((name) => fields[name]));
+    if (topic === "rig/truth") {
+      this.truths.add(seconds(fields), [...TRUTH.map((name) => fields[name]), ...TURN.map((_, i) => fields.quat_xyzw?.[i])]);
+    }
   }
 
   /** The last message of a topic, an empty map before the first. */

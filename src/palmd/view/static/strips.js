@@ -1,6 +1,6 @@
 // Strips: the last seconds of a quantity or two with ± one sigma, and below them by how much they differ from the truth.
 
-import { ESTIMATE, STRIPS } from "./quantities.js";
+import { ESTIMATE, STRIPS, told } from "./quantities.js";
 import { element, number } from "./text.js";
 import { SD, WINDOW_S } from "./store.js";
 import { colours } from "./theme.js";
@@ -10,13 +10,15 @@ const LANE = 0.36; // of a strip's height, for the difference from the truth
 const STEPS = [1, 2, 5, 10];
 
 export class Strips {
+  #groups = [];
   #strips;
   #turn = 0;
 
   constructor(container) {
     this.#strips = [...Map.groupBy(STRIPS, ({ group }) => group)].flatMap(([title, strips]) => {
-      const group = element("section", strips.length > 2 ? "group wide" : "group");
+      const group = element("section", "group");
       group.setAttribute("aria-label", title);
+      this.#groups.push(group);
       group.append(element("h2", "", title));
       container.append(group);
       return strips.map((strip) => new Strip(group, strip));
@@ -26,9 +28,10 @@ export class Strips {
 
   /** Draws the next strip or two of the round: all at once would take a whole frame. */
   draw(store, count) {
-    for (let i = 0; i < count; i++) {
-      this.#strips[this.#turn].draw(store);
-      this.#turn = (this.#turn + 1) % this.#strips.length;
+    const shown = this.#strips.filter((strip) => !strip.hidden);
+    for (let i = 0; i < Math.min(count, shown.length); i++) {
+      this.#turn = (this.#turn + 1) % shown.length;
+      shown[this.#turn].draw(store);
     }
   }
 
@@ -36,8 +39,19 @@ export class Strips {
     return this.#strips.length;
   }
 
+  /** Shows the strips of the system whose estimate is at hand. */
+  #choose(estimate) {
+    for (const strip of this.#strips) strip.choose(estimate);
+    for (const group of this.#groups) {
+      const count = group.querySelectorAll(".strip:not([hidden])").length;
+      group.hidden = count === 0;
+      group.classList.toggle("wide", count > 2);
+    }
+  }
+
   /** The numbers above the strips; whether there is a truth to differ from. */
   tell(store, truthful) {
+    this.#choose(store.get("palm/estimate"));
     for (const strip of this.#strips) strip.tell(store.get("palm/estimate"), truthful);
   }
 
@@ -64,19 +78,31 @@ class Strip {
     this.#figure = element("figure", "strip");
     const caption = element("figcaption", "");
     caption.append(element("span", "title", spec.title));
-    for (const { symbol, meaning, colour } of spec.names.map((name) => ESTIMATE[name])) {
+    spec.names.forEach((name, i) => {
+      const { symbol, meaning } = ESTIMATE[name];
       const value = element("span", "value");
-      const told = element("span", "told");
-      told.append(Object.assign(element("span", `name ${colour}`, symbol), { title: meaning }), value);
-      caption.append(told);
+      const one = element("span", "told");
+      one.append(Object.assign(element("span", `name ${spec.colours[i]}`, symbol), { title: meaning }), value);
+      caption.append(one);
       this.#values.push(value);
-    }
+    });
     if (spec.unit) caption.append(element("span", "unit", spec.unit));
     if (spec.good) caption.append(this.#verdict = element("span", "verdict"));
     this.#frame = element("div", "plot");
     this.#figure.append(caption, this.#frame);
     container.append(this.#figure);
     this.#plot = this.#build();
+  }
+
+  get hidden() {
+    return this.#figure.hidden;
+  }
+
+  choose(estimate) {
+    const hidden = !told(this.#spec.names, estimate);
+    if (hidden === this.hidden) return;
+    this.#figure.hidden = hidden;
+    if (!hidden) this.resize();
   }
 
   /** The last value of each curve with its sigma. */
@@ -151,13 +177,13 @@ class Strip {
   }
 
   #build() {
-    const { names } = this.#spec;
+    const { names, colours: own } = this.#spec;
     const points = { show: false };
     const series = [{}];
     const bands = [];
     const add = (name, scale, dash) => {
-      const { symbol, uncertain, colour } = ESTIMATE[name];
-      const stroke = () => colours[colour] ?? colours.single;
+      const { symbol, uncertain } = ESTIMATE[name];
+      const stroke = () => colours[own[names.indexOf(name)]] ?? colours.single;
       series.push({ label: symbol, scale, stroke, width: 1.5, dash, points });
       if (!uncertain) return;
       bands.push({ series: [series.length, series.length + 1], fill: () => `${stroke()}40` });
