@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import argparse
-import threading
+import multiprocessing
+import os
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
 
 from palmd.config import AnyConfig
 from palmd.console.configured import any_configured
 from palmd.observer.kernels import Part, of_palms
-from palmd.systems import LIVE, load_part
+from palmd.systems import LIVE, TWO_PALMS, load_part
 
 _PATIENCE_S = 2.0
 
@@ -35,19 +38,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--all",
         action="store_true",
-        help="what other systems need too: curved palms, flat sides, three palms in space; a minute more",
+        help="what other systems need too: curved palms, flat sides, a pivoting grasp, three palms in space",
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Makes each set of kernels once; takes seconds for what is not in the cache yet."""
     if arguments.config is not None and not arguments.all:
-        for each in needed_by(any_configured(arguments.config)):
-            _told(*each)
-        return 0
-    usual = [each for live in LIVE.values() for each in load_part(live.kernels)(None)]
-    for each in [*usual, *_emulated(), *(_other_systems() if arguments.all else ())]:
-        _told(*each)
+        parts = needed_by(any_configured(arguments.config))
+    else:
+        systems = LIVE if arguments.all else (TWO_PALMS,)
+        usual = [each for name in systems for each in load_part(LIVE[name].kernels)(None)]
+        parts = [*(_other_forms() if arguments.all else ()), *usual, *_emulated()]  # those that last go first
+    for what, backend, seconds in side_by_side(parts):
+        print(f"{what}: {_BACKENDS[backend]}, {seconds:.1f} s", flush=True)
     return 0
 
 
@@ -59,14 +63,52 @@ def needed_by(config: AnyConfig) -> list[Part]:
 
 def made_ready(config: AnyConfig, tell: Callable[[str], None]) -> None:
     """Make what a run needs before its processes start, each of which would else compile; tell if it lasts."""
-    patience = threading.Timer(_PATIENCE_S, tell, ["compiling what these palms need, once; it takes a minute or two"])
-    patience.daemon = True
-    patience.start()
+    for _ in side_by_side(needed_by(config), lambda: tell("compiling what these palms need, once; it takes a minute")):
+        pass
+
+
+def side_by_side(parts: Iterable[Part], lasts: Callable[[], None] | None = None) -> Iterator[tuple[str, str, float]]:
+    """Make parts, as many at once as there are processors: what each is, how it runs, and seconds, as it is done.
+
+    `lasts` is called, once, when none has been for a while. Each part is made in a forked process, as CasADi is not
+    safe among threads. Raises what making one raised, RuntimeError when its process was killed.
+    """
+    waiting, running = deque(parts), dict[Connection, tuple[str, float]]()
+    while waiting or running:
+        while waiting and len(running) < (os.cpu_count() or 1):
+            what, make = waiting.popleft()
+            running[_begun(make)] = what, time.monotonic()
+        done = wait(running, _PATIENCE_S if lasts else None)
+        if lasts and not done:
+            lasts()
+            lasts = None
+        for connection in [each for each in running if each in done]:
+            what, begun = running.pop(connection)
+            try:
+                made = connection.recv()
+            except EOFError:
+                made = RuntimeError(f"{what}: the process that compiled it was killed; is there enough memory?")
+            if isinstance(made, Exception):
+                raise made
+            yield what, made, time.monotonic() - begun
+
+
+def _begun(make: Callable[[], str]) -> Connection:
+    """A process that makes a part: from there comes how it runs, or what was raised."""
+    forked = multiprocessing.get_context("fork")
+    ours, theirs = forked.Pipe(duplex=False)
+    forked.Process(target=_make, args=(make, theirs), daemon=True).start()
+    theirs.close()
+    return ours
+
+
+def _make(make: Callable[[], str], told: Connection) -> None:
     try:
-        for _, make in needed_by(config):
-            make()
-    finally:
-        patience.cancel()
+        told.send(make())
+    except Exception as error:
+        told.send(error)
+    except KeyboardInterrupt:
+        pass  # the parent has been interrupted too, and says so
 
 
 def _emulated() -> list[Part]:
@@ -75,14 +117,7 @@ def _emulated() -> list[Part]:
     return [("emulated rig", compiled_plant.backend)]
 
 
-def _other_systems() -> list[Part]:
+def _other_forms() -> list[Part]:
     from palmd.model import sharp
-    from palmd.observer.three_palms.needed import of_three_palms
 
-    return [*of_palms(curved=True), ("flat sides", lambda: sharp.library().backend), *of_three_palms()]
-
-
-def _told(what: str, backend_of: Callable[[], str]) -> None:
-    print(f"{what}: ", end="", flush=True)
-    begun = time.monotonic()
-    print(f"{_BACKENDS[backend_of()]}, {time.monotonic() - begun:.1f} s")
+    return [("flat sides", lambda: sharp.library().backend), *of_palms(curved=True)[:-1]]  # but what flat ones have made

@@ -10,6 +10,7 @@ from palmd.lab.fault_reaction import ToldState
 from palmd.lab.soak_behaviour import Counted, GivenCommand, PossibleCause
 from palmd.lab.soak_lateness import Second
 from palmd.lab.soak_slopes import ProcessSeries
+from palmd.system.mechanism import PALMS
 
 FELT_N = 0.1  # a pad needs a closing force
 
@@ -94,7 +95,7 @@ class SoakWatch:
                 self.seconds.append(Second(t, fields["ticks"], fields["overruns"], late))
                 self.sent.append(Counted(t, fields["arm_setpoints"]))
             case "rig/truth":
-                for number in (1, 2):
+                for number in PALMS:
                     self._contact(f"pad{number}", fields, number, t)
 
     def rig(self, status: Mapping[str, Any], t: float) -> None:

@@ -7,14 +7,26 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.model.compiled import EXPORTED, FLAGS, LANES, Library, Run, Signature, cache_directory, key_of, note_of
+from palmd.model.compiled import (
+    EXPORTED,
+    FLAGS,
+    GENERATED,
+    LANES,
+    WRITTEN,
+    Library,
+    Run,
+    Signature,
+    cache_directory,
+    key_of,
+    note_of,
+)
 from palmd.model.kernels import Kernel, source
 from palmd.model.symbolic import ca
 
@@ -37,12 +49,13 @@ def build(name: str, kernels: Sequence[Kernel], written: Sequence[Path], note: P
         return False
     note.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=note.parent) as folder:
-        files = list(written)
+        files: dict[Path, Sequence[str]] = dict.fromkeys(written, WRITTEN)
         for columns in (False, True):
             text = source(kernels, columns=columns)
             if text:
-                files.append(Path(folder) / f"{'columns' if columns else 'single'}.c")
-                files[-1].write_text(text, encoding="utf-8")
+                generated = Path(folder) / f"{'columns' if columns else 'single'}.c"
+                generated.write_text(text, encoding="utf-8")
+                files[generated] = GENERATED
         library = note.with_name(f"{name}-{key_of(b''.join(each.read_bytes() for each in files))}.so")
         if not (library.exists() and _sound(library, kernels)):
             _compile(compiler, files, kernels, library, Path(folder))
@@ -52,7 +65,10 @@ def build(name: str, kernels: Sequence[Kernel], written: Sequence[Path], note: P
     return True
 
 
-def _compile(compiler: str, files: Sequence[Path], kernels: Sequence[Kernel], library: Path, folder: Path) -> None:
+def _compile(
+    compiler: str, files: Mapping[Path, Sequence[str]], kernels: Sequence[Kernel], library: Path, folder: Path
+) -> None:
+    """Each file by flags of its own."""
     built = folder / "built.so"
     command = [compiler, *FLAGS, "-I", str(Path(__file__).parent)]
     objects = [str(folder / f"{each.stem}.o") for each in files]
@@ -62,7 +78,7 @@ def _compile(compiler: str, files: Sequence[Path], kernels: Sequence[Kernel], li
 
     try:
         with ThreadPoolExecutor() as pool:  # most of the time goes into two files of about the same length
-            list(pool.map(lambda each, made: run("-c", str(each), "-o", made), files, objects))
+            list(pool.map(lambda each, made: run(*files[each], "-c", str(each), "-o", made), files, objects))
         run("-o", str(built), *objects, "-lm")
     except FileNotFoundError as error:
         raise OSError(f"{compiler}: {error.strerror}") from error

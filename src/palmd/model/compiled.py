@@ -35,7 +35,9 @@ LANES = 8
 
 EXPORTED = "kernel_"  # before a kernel's name: what a library exports
 # no contraction: the same bits on every processor
-FLAGS = ("-O2", "-march=native", "-fPIC", "-shared", "-fno-math-errno", "-ffp-contract=off", "-Wno-psabi")
+FLAGS = ("-march=native", "-fPIC", "-shared", "-fno-math-errno", "-ffp-contract=off", "-Wno-psabi")
+WRITTEN, GENERATED = ("-O2",), ("-O1", "-ftree-slp-vectorize")
+"""How far C by hand and generated C are optimised: straight lines gain nothing by the slower half of -O2."""
 
 log = logging.getLogger(__name__)
 
@@ -160,7 +162,7 @@ _SOURCES = (_PACKAGE, _PACKAGE.with_name("system"))
 def key_of(source: bytes) -> str:
     """What tells one build of a source from another."""
     told = hashlib.sha256(source)
-    for part in (os.environ.get("CC", ""), " ".join(FLAGS), platform.machine(), _processor()):
+    for part in (os.environ.get("CC", ""), " ".join((*FLAGS, *WRITTEN, *GENERATED)), platform.machine(), _processor()):
         told.update(part.encode() + b"\0")
     return told.hexdigest()[:24]
 

@@ -36,13 +36,14 @@ INLINE void scatter(double *to, long stride, lane a) { (void)stride; *to = a; }
 #define EACH(f, a) f(a)
 #define EACH2(f, a, b) f(a, b)
 #else
-INLINE lane gather(const double *from, long stride) {
-  lane a;
-  for (int l = 0; l < LANES; l++) a[l] = from[l * stride];
-  return a;
+/* written out, as loops are unrolled only by optimisation that takes a compiler twice as long */
+_Static_assert(LANES == 8, "gather and scatter move eight");
+INLINE lane gather(const double *from, long n) {
+  return (lane){from[0], from[n], from[2 * n], from[3 * n], from[4 * n], from[5 * n], from[6 * n], from[7 * n]};
 }
-INLINE void scatter(double *to, long stride, lane a) {
-  for (int l = 0; l < LANES; l++) to[l * stride] = a[l];
+INLINE void scatter(double *to, long n, lane a) {
+  to[0] = a[0], to[n] = a[1], to[2 * n] = a[2], to[3 * n] = a[3];
+  to[4 * n] = a[4], to[5 * n] = a[5], to[6 * n] = a[6], to[7 * n] = a[7];
 }
 #define EACH(f, a) ({ lane from_ = (a), to_; for (int l = 0; l < LANES; l++) to_[l] = f(from_[l]); to_; })
 #define EACH2(f, a, b) \

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import re
+import signal
+import time
 from pathlib import Path
 
 import pytest
@@ -34,7 +38,7 @@ def test_another_observer_needs_neither_smoother_nor_explorer(tmp_path: Path) ->
 def test_it_makes_just_these_and_says_so(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(build, "needed_by", lambda _: [("curved palms, smoother", lambda: "c")])
     assert main(["build", str(shipped("cradle.yaml"))]) == 0
-    assert capsys.readouterr().out == "curved palms, smoother: compiled C, 0.0 s\n"
+    assert re.fullmatch(r"curved palms, smoother: compiled C, \d+\.\d s\n", capsys.readouterr().out)
 
 
 def test_a_configuration_that_is_not_there_is_told(capsys: pytest.CaptureFixture[str]) -> None:
@@ -43,12 +47,50 @@ def test_a_configuration_that_is_not_there_is_told(capsys: pytest.CaptureFixture
 
 
 def test_a_demo_has_everything_made_before_it_starts_and_is_silent_when_that_is_quick(
-    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made: list[str] = []
-    parts = [("one", lambda: made.append("one") or "c"), ("two", lambda: made.append("two") or "c")]  # type: ignore[func-returns-value]
+    def make(name: str) -> str:
+        (tmp_path / name).touch()
+        return "c"
+
+    parts = [("one", lambda: make("one")), ("two", lambda: make("two"))]
     monkeypatch.setattr(build, "needed_by", lambda _: parts)
     told: list[str] = []
     build.made_ready(load_config(shipped("cradle.yaml")), told.append)
-    assert made == ["one", "two"]
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["one", "two"]
     assert not told
+
+
+def test_one_that_lasts_is_told_of_once_and_keeps_no_other_waiting(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def after_all_others() -> str:
+        while {"told", "short", "shorter"} - {each.name for each in tmp_path.iterdir()}:
+            time.sleep(0.01)
+        return "c"
+
+    def short(name: str) -> str:
+        (tmp_path / name).touch()
+        return "c"
+
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(build, "_PATIENCE_S", 0.01)
+    told: list[str] = []
+
+    def lasts() -> None:
+        told.append("patience")
+        (tmp_path / "told").touch()
+
+    parts = [("long", after_all_others), ("short", lambda: short("short")), ("shorter", lambda: short("shorter"))]
+    assert {what for what, *_ in build.side_by_side(parts, lasts)} == {"long", "short", "shorter"}
+    assert told == ["patience"]
+
+
+def test_what_cannot_be_made_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    def differs() -> str:
+        raise RuntimeError("compiled f differs")
+
+    with pytest.raises(RuntimeError, match="compiled f differs"):
+        list(build.side_by_side([("f", differs)]))
+    with pytest.raises(RuntimeError, match="f: the process that compiled it was killed; is there enough memory"):
+        list(build.side_by_side([("f", lambda: str(os.kill(os.getpid(), signal.SIGKILL)))]))

@@ -12,11 +12,12 @@ from palmd.lab.peers.task import PeerReading, PeerStart, radii
 from palmd.model import shape_map
 from palmd.model.compiled import Library, load
 from palmd.model.kernels import single
+from palmd.system.mechanism import PALMS
 
 
 def library() -> Library:
     """`predict`, `update_s1` and `update_s2` of the shape map for one filter; compiles the first time."""
-    updates = [shape_map.update_function(f"update_s{pad}", pad) for pad in (1, 2)]
+    updates = [shape_map.update_function(name, pad) for name, pad in zip(shape_map.UPDATES, PALMS, strict=True)]
     return load("shape_map_single", lambda: map(single, (shape_map.predict_function(), *updates)))
 
 
@@ -33,8 +34,8 @@ class GeneratedFilter:
         sides = [(self._x[a], self._P[a], self._x[1 - a], self._P[1 - a]) for a in range(2)]
         self._predict = [kernels.bind("predict", [x, P, self._u], [x2, P2]) for x, P, x2, P2 in sides]
         self._update = {
-            pad: [kernels.bind(f"update_s{pad}", [x, P, self._z], [x2, P2, outcome]) for x, P, x2, P2 in sides]
-            for pad in (1, 2)
+            pad: [kernels.bind(name, [x, P, self._z], [x2, P2, outcome]) for x, P, x2, P2 in sides]
+            for name, pad in zip(shape_map.UPDATES, PALMS, strict=True)
         }
 
     @property
