@@ -71,8 +71,8 @@ class Prediction:
 def goodness(foreseen: Prediction, moves: Moves, limits: MotionLimits, elapsed: float = 0.0) -> FloatArray:
     """How safe it is up to the end of each move (N, k): 1 as near to danger as allowed, 0 a contact lost or off.
 
-    `foreseen` of these `moves`, `elapsed` seconds into the first. On arcs the last tangent may come near the horizontal,
-    and the object be wedged between both, besides.
+    `foreseen` of these `moves`, `elapsed` seconds into the first. On arcs the last tangent may come near the
+    horizontal, and the object be wedged between both, besides.
     """
     margins = np.minimum(foreseen.nearest, limits.pad_length - foreseen.farthest) / MARGIN_M
     how_safe: FloatArray = np.minimum(margins, foreseen.least_force / LEAST_FORCE)
