@@ -78,7 +78,8 @@ def goodness(foreseen: Prediction, moves: Moves, limits: MotionLimits, elapsed: 
     how_safe: FloatArray = np.minimum(margins, foreseen.least_force / LEAST_FORCE)
     if any(limits.curvatures):
         room = (PHI12_MAX - tangents(foreseen.path)[1]) / TANGENT_ROOM
-        so_far = np.fmin.accumulate(np.minimum(room, MOST_FORCE / foreseen.path[..., 2:4].max(axis=-1)), axis=1)
+        not_wedged = 2.0 - foreseen.path[..., 2:4].max(axis=-1) / MOST_FORCE
+        so_far = np.fmin.accumulate(np.minimum(room, not_wedged), axis=1)
         calls = np.ceil((np.cumsum(moves.durations, axis=1) - elapsed) / CALL_S - 1e-9).astype(np.intp)
         last = np.clip(calls - 1, 0, so_far.shape[1] - 1)
         how_safe = np.minimum(how_safe, np.take_along_axis(so_far, last, axis=1))
