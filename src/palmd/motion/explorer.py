@@ -204,9 +204,11 @@ class Explorer:
         if under_way.elapsed >= move.duration:
             return states, outlook.touched, True
         ends, durations = np.tile(np.array(move.end), (count, 1, 1)), np.full((count, 1), move.duration)
-        foreseen = self._predictor.of(states, Moves(np.array(move.start), ends, durations), under_way.elapsed)
+        moves = Moves(np.array(move.start), ends, durations)
+        foreseen = self._predictor.of(states, moves, under_way.elapsed)
         states[:, shape_map.Z.PSI], states[:, shape_map.Z.OMEGA0] = foreseen.psi[:, 0], foreseen.omega0[:, 0]
-        return states, outlook.touched | foreseen.touched[0, 0], bool((self._goodness(foreseen) > 0.0).all())
+        safe = bool((self._goodness(foreseen, moves, under_way.elapsed) > 0.0).all())
+        return states, outlook.touched | foreseen.touched[0, 0], safe
 
     def _time_to_go(self, state: FloatArray, wanted: FloatArray) -> TimeToGo | None:
         """How far it is to what is wanted, None while the roadmap is being made."""
@@ -236,7 +238,7 @@ class Explorer:
         """The first move that comes nearest to being safe with every sample, if standing still is worse."""
         here = _pose(tried.start)
         best, best_worst = None, self._goodness_of(states, Move(here, here, candidates.SHORTEST_S)).min()
-        for number in np.argsort(-self._goodness(foreseen)[:, 0], kind="stable")[:CHECKED]:
+        for number in np.argsort(-self._goodness(foreseen, tried)[:, 0], kind="stable")[:CHECKED]:
             move = _first_move(tried, int(number))
             worst = self._goodness_of(states, move).min()
             if worst > best_worst and self._within_limits(move):
@@ -271,7 +273,7 @@ class Explorer:
             goes = np.abs(tried.ends[:, :1] - tried.start).max(axis=-1) > AWAY
             on_the_road = np.where(goes, 1.0 / (time_s + to_go.at(tried.ends, foreseen.psi)), 0.0)
             score = np.where(score > 0.0, score, on_the_road)
-        return np.where(self._goodness(foreseen) > 1.0, score, -np.inf)
+        return np.where(self._goodness(foreseen, tried) > 1.0, score, -np.inf)
 
     def _rig_score(self, outlook: Outlook, cost: RigCost, foreseen: Prediction, tried: Moves) -> FloatArray:
         """By which share of its square each beginning lowers `cost` in a second (N, k), −inf where it is not safe."""
@@ -280,7 +282,7 @@ class Explorer:
         time_s = np.cumsum(tried.durations, axis=1) + ANSWER_S
         information = self._information.of(outlook, cost, foreseen.path, tried.durations)
         told = cost.share_told(information, self._expected)
-        return np.where(self._goodness(foreseen) > 1.0, told / time_s, -np.inf)
+        return np.where(self._goodness(foreseen, tried) > 1.0, told / time_s, -np.inf)
 
     def _expect(self, outlook: Outlook, cost: RigCost, state: FloatArray, move: Move) -> None:
         """Count what the move will tell as told, until a smoother says what it has."""
@@ -295,14 +297,15 @@ class Explorer:
         goodness = self._goodness_of(states, move)
         return bool(goodness[0] > 1.0 and goodness.min() > DOUBTFUL)
 
-    def _goodness(self, foreseen: Prediction) -> FloatArray:
-        return goodness(foreseen, self._limits)
+    def _goodness(self, foreseen: Prediction, moves: Moves, elapsed: float = 0.0) -> FloatArray:
+        return goodness(foreseen, moves, self._limits, elapsed)
 
     def _goodness_of(self, states: FloatArray, move: Move) -> FloatArray:
         """How safe the move is for each of the states (N,), and standing still after it."""
         count = len(states)
         ends, durations = np.tile(np.array(move.end), (count, 2, 1)), np.tile([move.duration, STAND_S], (count, 1))
-        return self._goodness(self._predictor.of(states, Moves(np.array(move.start), ends, durations)))[:, -1]
+        moves = Moves(np.array(move.start), ends, durations)
+        return self._goodness(self._predictor.of(states, moves), moves)[:, -1]
 
     def _within_limits(self, move: Move) -> bool:
         motion = [self._limits.values(move.at(t)) for t in np.linspace(0.0, move.duration, 12)]

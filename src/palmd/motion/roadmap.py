@@ -18,10 +18,11 @@ from palmd.model import shape_map
 from palmd.motion.candidates import POSE_MARGIN, RATE_SHARE, range_of, timed
 from palmd.motion.limits import MotionLimits
 from palmd.motion.rollout_predictor import BINS, MARGIN_M, Bools, RolloutPredictor, goodness
-from palmd.system.arcs import opening_at
+from palmd.system.arcs import joints_of, opening_at
 
 GRID = 7  # poses along φ1
 STEP = math.radians(22.0)  # between those along φ2
+WEDGE_ROOM = math.radians(9.4)  # g/MOST_FORCE
 ORIENTATIONS = 36
 AGAIN_S = 0.3  # that it takes longer each time one has been there in vain
 SAME = 1e-9  # rad
@@ -58,7 +59,7 @@ class Roadmap:
 
     def __init__(self, predictor: RolloutPredictor, limits: MotionLimits, state: FloatArray):
         """`state` (21,) tells how large the object is: where its contacts would leave the pads no pose is of use."""
-        self.poses = _poses(limits, float(state[shape_map.Z.SHAPE]))
+        self.poses = _poses(limits, float(state[shape_map.Z.SHAPE]), float(state[shape_map.Z.MU]))
         self._predictor = predictor
         self._limits = limits
         apart = np.abs(self.poses[:, None] - self.poses).max(axis=-1)
@@ -93,7 +94,7 @@ class Roadmap:
         rates = np.full((n, 1), RATE_SHARE * self._limits.rate)
         tried = timed(self.poses[pose], ends, rates, self._limits)
         foreseen = self._predictor.of(states, tried)
-        safe = (goodness(foreseen, self._limits) > 1.0) & np.isfinite(foreseen.psi)
+        safe = (goodness(foreseen, tried, self._limits) > 1.0) & np.isfinite(foreseen.psi)
         self._seconds[moves] = np.where(safe, tried.durations, np.inf).reshape(-1, ORIENTATIONS)
         self._psi[moves] = np.where(safe, foreseen.psi, 0.0).reshape(-1, ORIENTATIONS)
         self._touched[moves] = foreseen.touched[:, 0].reshape(-1, ORIENTATIONS, BINS)
@@ -125,17 +126,40 @@ class Roadmap:
         return TimeToGo(self.poses, seconds)
 
 
-def _poses(limits: MotionLimits, radius: float) -> FloatArray:
-    """Some poses (P, 2) all over where an object of the mean `radius` (m) may be, the rims included."""
+def _poses(limits: MotionLimits, radius: float, mu: float) -> FloatArray:
+    """Some poses (P, 2) all over where an object of the mean `radius` (m) may be, the rims included.
+
+    On arcs they lie as close as its tangents do on flat palms, which turn by less; the rim is also where friction `mu`
+    would wedge it: tangents that press with f as it slides out are 2 atan μ + g/f apart.
+    """
     low, high = range_of(limits)
     top = limits.top - POSE_MARGIN
     closed = max(low[1], opening_at(radius, limits.pad_length - MARGIN_M, limits.curvatures) + POSE_MARGIN)
+    felt = _felt(radius, limits.curvatures) if any(limits.curvatures) else None
+    if felt is not None:
+        closed = max(closed, float(np.interp(2 * math.atan(mu) + WEDGE_ROOM, *felt)))
     poses = []
     for first in np.linspace(low[0], max(min(high[0], top - closed), low[0]), GRID):
         opened = max(min(high[1], top - first), closed)
-        count = 1 + math.ceil((opened - closed) / STEP - 0.5)
-        poses += [(first, opening) for opening in np.linspace(opened, closed, count)]
+        poses += [(first, opening) for opening in _steps(opened, closed, felt)]
     return np.array(poses)
+
+
+def _felt(radius: float, curvatures: tuple[float, ...]) -> tuple[FloatArray, FloatArray]:
+    """Openings of the tangents at a circle, rising, and those of the palms for them (rad)."""
+    tangents = np.linspace(0.1, 3.0, 60)
+    palms = np.array([joints_of(radius, (0.0, each), curvatures)[1] for each in tangents])
+    there = np.isfinite(palms)
+    return tangents[there], palms[there]
+
+
+def _steps(opened: float, closed: float, felt: tuple[FloatArray, FloatArray] | None) -> FloatArray:
+    """Openings from one to the other (rad) that are `STEP` apart or nearly, as they are `felt`."""
+    if felt is None:
+        return np.linspace(opened, closed, 1 + math.ceil((opened - closed) / STEP - 0.5))
+    tangents, palms = felt
+    wide, narrow = np.interp([opened, closed], palms, tangents)
+    return np.interp(_steps(wide, narrow, None), tangents, palms)
 
 
 _ORIENTATION = np.arange(ORIENTATIONS) * (2 * np.pi / ORIENTATIONS)

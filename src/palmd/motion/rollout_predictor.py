@@ -31,8 +31,8 @@ COLUMNS = 4 * LANES  # sequences that the twin rolls side by side
 MOST_MOVES = 16  # of one sequence
 LEAST_FORCE = 0.8  # m/s², of a contact: one that rests has several
 MARGIN_M = 3e-3  # of the contacts from a pad's ends
-WEDGED = math.radians(30.0)  # between the tangents of curved palms at their contacts
-TANGENT_ROOM = math.radians(1.0)  # of these tangents, from where they must not be
+TANGENT_ROOM = math.radians(1.0)  # of a curved palm's tangent, from where it must not be
+MOST_FORCE = 60.0  # m/s², between curved palms: there an object that slides is wedged where tangents are 2 atan μ apart
 
 Bools = npt.NDArray[np.bool_]
 
@@ -68,18 +68,21 @@ class Prediction:
     path: FloatArray
 
 
-def goodness(foreseen: Prediction, limits: MotionLimits) -> FloatArray:
+def goodness(foreseen: Prediction, moves: Moves, limits: MotionLimits, elapsed: float = 0.0) -> FloatArray:
     """How safe it is up to the end of each move (N, k): 1 as near to danger as allowed, 0 a contact lost or off.
 
-    On arcs it is no safer than the whole sequence where the tangents are as they must not be: the last one near the
-    horizontal, or both so near to parallel that the object is wedged between them.
+    `foreseen` of these `moves`, `elapsed` seconds into the first. On arcs the last tangent may come near the
+    horizontal, and the object be wedged between both, besides.
     """
     margins = np.minimum(foreseen.nearest, limits.pad_length - foreseen.farthest) / MARGIN_M
     how_safe: FloatArray = np.minimum(margins, foreseen.least_force / LEAST_FORCE)
     if any(limits.curvatures):
-        first, last = tangents(foreseen.path)
-        room = np.fmin.reduce(np.minimum(PHI12_MAX - last, last - first - WEDGED), axis=1, keepdims=True)
-        how_safe = np.minimum(how_safe, room / TANGENT_ROOM)
+        room = (PHI12_MAX - tangents(foreseen.path)[1]) / TANGENT_ROOM
+        not_wedged = 2.0 - foreseen.path[..., 2:4].max(axis=-1) / MOST_FORCE
+        so_far = np.fmin.accumulate(np.minimum(room, not_wedged), axis=1)
+        calls = np.ceil((np.cumsum(moves.durations, axis=1) - elapsed) / CALL_S - 1e-9).astype(np.intp)
+        last = np.clip(calls - 1, 0, so_far.shape[1] - 1)
+        how_safe = np.minimum(how_safe, np.take_along_axis(so_far, last, axis=1))
     return how_safe
 
 

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from palmd.config import ExploreGoal
+from palmd.config import ExploreGoal, LimitsConfig
 from palmd.events import Outlook
 from palmd.model import shape, shape_map
 from palmd.model.outputs import rig_inputs
@@ -14,8 +14,8 @@ from palmd.motion import candidates
 from palmd.motion.check import motion_limits
 from palmd.motion.decisions import UnderWay
 from palmd.motion.explorer import Explorer
-from palmd.motion.limits import PHI12_MAX, problems, ranges
-from palmd.motion.roadmap import NEVER_S, ORIENTATIONS, Roadmap
+from palmd.motion.limits import PHI12_MAX, MotionLimits, problems, ranges
+from palmd.motion.roadmap import NEVER_S, ORIENTATIONS, STEP, Roadmap
 from palmd.motion.rollout_predictor import BINS, MARGIN_M, Moves, RolloutPredictor, goodness
 from palmd.motion.segments import Move
 from palmd.rig.plant import random_surface
@@ -57,7 +57,7 @@ def rolled(here, psi, ends):
     start[shape_map.Z.PSI] = psi
     rates = np.full((len(ends), 1), candidates.RATE_SHARE * LIMITS.rate)
     moves = candidates.timed(here, ends[:, None], rates, LIMITS)
-    return PREDICTOR.of(start, moves), moves.durations[:, 0]
+    return PREDICTOR.of(start, moves), moves
 
 
 def test_its_poses_keep_the_limits_and_reach_their_rims():
@@ -68,6 +68,23 @@ def test_its_poses_keep_the_limits_and_reach_their_rims():
         assert radius / math.tan(pose[1] / 2) < LIMITS.pad_length - MARGIN_M
     assert poses.sum(axis=1).max() > PHI12_MAX - math.radians(3.0)
     assert poses[:, 0].min() < math.radians(10.0)
+
+
+def test_on_a_cradle_its_poses_are_as_close_for_the_tangents_and_none_is_wedged():
+    """A circle of radius a on equal palms: cos(φ2/2) = (1 − κa) cos(β/2), β between the tangents."""
+    kappa, radius, mu = 13.3, 0.022, 0.12
+    limits = MotionLimits.from_config(
+        LimitsConfig(phi1_deg=(0.0, 110.0), phi2_deg=(60.0, 165.0)), pad_length=0.0555, curvatures=(kappa, kappa)
+    )
+    known = state().copy()
+    known[shape_map.Z.SHAPE], known[shape_map.Z.MU] = radius, mu
+    poses = Roadmap(PREDICTOR, limits, known).poses
+    felt = 2 * np.arccos(np.cos(poses[:, 1] / 2) / (1 - kappa * radius))
+    assert felt.min() > 2 * math.atan(mu) + math.radians(8.0)
+    assert felt.min() < math.radians(30.0), "friction alone bounds it"
+    apart = -np.diff(felt)[np.diff(poses[:, 0]) == 0.0]
+    assert len(apart) > 15
+    assert apart.max() < 1.5 * STEP
 
 
 def test_it_is_complete_once_each_pose_has_been_looked_at():
@@ -102,8 +119,8 @@ def test_no_move_is_quicker_than_it_says():
         here, place = to_go.poses[number], random.integers(0, ORIENTATIONS)
         apart = np.abs(to_go.poses - here).max(axis=1)
         ends = to_go.poses[(apart > 0) & (apart < math.radians(45.0))]
-        foreseen, seconds = rolled(here, place * math.tau / ORIENTATIONS, ends)
-        safe = goodness(foreseen, LIMITS)[:, 0] > 1.0
+        foreseen, moves = rolled(here, place * math.tau / ORIENTATIONS, ends)
+        seconds, safe = moves.durations[:, 0], goodness(foreseen, moves, LIMITS)[:, 0] > 1.0
         after = np.where((foreseen.touched[:, 0] & wanted).any(axis=1), 0.0, to_go.at(ends, foreseen.psi[:, 0]))
         if safe.any():
             compared += 1
@@ -123,10 +140,11 @@ def test_following_it_leads_to_what_is_wanted():
         here, psi, t = to_go.poses[number], place * math.tau / ORIENTATIONS, 0.0
         while t < 3.0 * to_go.seconds[number, place]:
             ends = to_go.poses[np.abs(to_go.poses - here).max(axis=1) > 0.0]
-            foreseen, seconds = rolled(here, psi, ends)
+            foreseen, moves = rolled(here, psi, ends)
+            seconds = moves.durations[:, 0]
             there = (foreseen.touched[:, 0] & wanted).any(axis=1)
             cost = seconds + np.where(there, 0.0, to_go.at(ends, foreseen.psi[:, 0]))
-            cost[goodness(foreseen, LIMITS)[:, 0] <= 1.0] = np.inf
+            cost[goodness(foreseen, moves, LIMITS)[:, 0] <= 1.0] = np.inf
             best = cost.argmin()
             here, psi, t = ends[best], foreseen.psi[best, 0], t + seconds[best]
             if there[best]:

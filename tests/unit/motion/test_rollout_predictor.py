@@ -25,6 +25,7 @@ from palmd.motion.segments import Move
 from palmd.rig.imperfections import PERFECT, Imperfections
 from palmd.rig.plant import Hinge, Plant, random_surface, stable_poses
 from palmd.rig.shapes import random_body
+from palmd.system.arcs import joints_of
 from palmd.system.description import PadSensor, RigDescription
 
 START = np.radians((45.0, 90.0))
@@ -155,19 +156,35 @@ def test_on_a_cradle_the_tangent_at_the_contact_is_limited_as_a_flat_palm_is():
     state = thing("nominal", 4)[3]
     here = np.radians((40.0, 115.0))
     ends = np.radians([[(first, 110.0)] for first in (60.0, 68.0, 78.0, 84.0)])
-    foreseen = RolloutPredictor(rig_inputs(rig)).of(state, Moves(here, ends, np.full((4, 1), 1.2)))
+    moves = Moves(here, ends, np.full((4, 1), 1.2))
+    foreseen = RolloutPredictor(rig_inputs(rig)).of(state, moves)
     last = foreseen.path[:, -1]
     told = tangents(foreseen.path)[1][:, -1]
     assert told == pytest.approx(ends.sum(axis=-1)[:, 0] - kappa[1] * last[:, 5], abs=2e-3)
     steepest = tangents(foreseen.path)[1].max(axis=1)
-    assert (goodness(foreseen, limits)[steepest > PHI12_MAX] < 0.0).all()
+    assert (goodness(foreseen, moves, limits)[steepest > PHI12_MAX] < 0.0).all()
     assert steepest.min() < PHI12_MAX - math.radians(1.0) < PHI12_MAX < steepest.max()
-    assert goodness(foreseen, limits)[0] > 1.0
-    closing = Moves(here, np.radians([[(42.5, 85.0)]]), np.full((1, 1), 2.0))
-    closed = RolloutPredictor(rig_inputs(rig)).of(state, closing)
-    first, last = tangents(closed.path)
-    assert 0.0 < (last - first).min() < math.radians(30.0)
-    assert goodness(closed, limits)[0, 0] < 0.0, "it is wedged"
+    assert goodness(foreseen, moves, limits)[0] > 1.0
+
+
+def test_on_a_cradle_an_object_is_wedged_where_friction_holds_it_and_not_before_it_is():
+    """A circle that slides out between tangents that are 2α apart is pressed by g/(2(sin α − μ cos α))."""
+    kappa = (13.3, 13.3)
+    rig = RigDescription(pads=tuple(PadSensor(curvature=each) for each in kappa))
+    limits = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555, curvatures=kappa)
+    state = thing("nominal", 4)[3].copy()
+    state[shape_map.Z.SHAPE :], state[shape_map.Z.DAMPING] = 0.0, 0.0
+    state[shape_map.Z.SHAPE] = radius = 0.02
+    here, opened = (joints_of(radius, (math.radians(90.0 - half), math.radians(2 * half)), kappa) for half in (30, 35))
+    safe = []
+    for mu in (0.0, 0.3):
+        state[shape_map.Z.MU] = mu
+        closed = joints_of(radius, (math.radians(79.0), math.radians(22.0)), kappa)
+        moves = Moves(np.array(here), np.array([[opened, closed]]), np.full((1, 2), 2.0))
+        safe.append(goodness(RolloutPredictor(rig_inputs(rig)).of(state, moves), moves, limits)[0])
+    assert (safe[0] > 1.0).all(), "without friction nothing wedges it"
+    assert safe[1][0] > 1.0, "what comes later does not count yet"
+    assert safe[1][1] < 0.0, "α of 11° is less than the friction's angle of 17°: nobody goes on with that"
 
 
 def test_what_is_known_of_the_rig_is_foreseen_with():
