@@ -120,4 +120,7 @@ def _emulated() -> list[Part]:
 def _other_forms() -> list[Part]:
     from palmd.model import sharp
 
-    return [("flat sides", lambda: sharp.library().backend), *of_palms(curved=True)[:-1]]  # but what flat ones have made
+    return [
+        ("flat sides", lambda: sharp.library().backend),
+        *of_palms(curved=True)[:-1],
+    ]  # but what flat ones have made

@@ -5,13 +5,8 @@ from __future__ import annotations
 from palmd.observer.kernels import Part
 
 
-def needed(config: object) -> list[Part]:
-    """What a rig of its own takes; without a configuration nothing, for most rigs need none of it."""
-    return [] if config is None else of_three_palms()
-
-
-def of_three_palms() -> list[Part]:
-    """Its kernels."""
+def needed(_config: object) -> list[Part]:
+    """Its kernels, whatever its configuration says: as `palmd.observer.kernels.needed`."""
     from palmd.model import three_palms
     from palmd.observer.three_palms.growth import ORDER
     from palmd.observer.three_palms.search import START_ORDER
