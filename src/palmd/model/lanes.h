@@ -36,8 +36,8 @@ INLINE void scatter(double *to, long stride, lane a) { (void)stride; *to = a; }
 #define EACH(f, a) f(a)
 #define EACH2(f, a, b) f(a, b)
 #else
-/* written out, as loops are unrolled only by optimisation that takes a compiler twice as long */
-_Static_assert(LANES == 8, "gather and scatter move eight");
+/* Written out, as loops are unrolled only by optimisation that takes a compiler twice as long. */
+_Static_assert(LANES == 8, "what is written out is eight");
 INLINE lane gather(const double *from, long n) {
   return (lane){from[0], from[n], from[2 * n], from[3 * n], from[4 * n], from[5 * n], from[6 * n], from[7 * n]};
 }
@@ -45,9 +45,11 @@ INLINE void scatter(double *to, long n, lane a) {
   to[0] = a[0], to[n] = a[1], to[2 * n] = a[2], to[3 * n] = a[3];
   to[4 * n] = a[4], to[5 * n] = a[5], to[6 * n] = a[6], to[7 * n] = a[7];
 }
-#define EACH(f, a) ({ lane from_ = (a), to_; for (int l = 0; l < LANES; l++) to_[l] = f(from_[l]); to_; })
+#define EACH(f, a) \
+  ({ lane a_ = (a); (lane){f(a_[0]), f(a_[1]), f(a_[2]), f(a_[3]), f(a_[4]), f(a_[5]), f(a_[6]), f(a_[7])}; })
 #define EACH2(f, a, b) \
-  ({ lane one_ = (a), two_ = (b), to_; for (int l = 0; l < LANES; l++) to_[l] = f(one_[l], two_[l]); to_; })
+  ({ lane a_ = (a), b_ = (b); (lane){f(a_[0], b_[0]), f(a_[1], b_[1]), f(a_[2], b_[2]), f(a_[3], b_[3]), \
+                                     f(a_[4], b_[4]), f(a_[5], b_[5]), f(a_[6], b_[6]), f(a_[7], b_[7])}; })
 #endif
 
 /* truth is 1.0 or 0.0, as in CasADi */
