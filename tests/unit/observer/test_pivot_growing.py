@@ -1,0 +1,73 @@
+"""The smoother of a slide: what was felt before the body was set down is forgotten, and an outline must come twice."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from palmd.events import PadSample, PalmSample
+from palmd.observer.outline import directions
+from palmd.observer.pivot import growing
+from palmd.observer.pivot.growing import AGREE_S, GrowingSmoother, as_logged
+from palmd.observer.pivot.reconstruct import refused
+from palmd.system.pivot import PivotRig
+
+SLIDE = PivotRig(vertical="float", carriage_mass=0.05)
+THETA = directions()
+ROUND = 0.02 + 1e-3 * np.cos(2 * THETA)
+OTHER = ROUND + 4e-4 * np.cos(3 * THETA)
+FOUND = replace(
+    refused(""), converged=True, h=ROUND, h_sd=np.full(360, 1e-5), touched=np.ones(360, dtype=bool), told_m=1e-5,
+    p=np.zeros(33), covariance=np.eye(33), t=np.array([1.0]), psi=np.array([0.0]),
+)  # fmt: skip
+
+
+def felt(begin, end):
+    return [PadSample(t, 1, 0.02, 1.0) for t in np.arange(begin, end, 0.01)]
+
+
+@pytest.fixture
+def smoother(monkeypatch):
+    """Finds what `smoother.finds` says; it notes what it was given."""
+    smoother = GrowingSmoother(SLIDE)
+    smoother.finds, smoother.given = FOUND, []
+
+    def found(events, rig):
+        assert rig is SLIDE
+        smoother.given = list(events)
+        return smoother.finds
+
+    monkeypatch.setattr(growing, "reconstruct", found)
+    return smoother
+
+
+def test_an_outline_is_claimed_when_it_comes_again_from_more_readings(smoother):
+    smoother.add(felt(0.0, 4.0))
+    assert "when more readings tell the same" in smoother.answer().reason
+    smoother.add(felt(4.0, 4.0 + AGREE_S / 2))
+    assert not smoother.answer().claimed
+    smoother.add(felt(4.0 + AGREE_S / 2, 4.1 + AGREE_S))
+    assert smoother.answer().claimed
+
+
+def test_another_outline_begins_anew(smoother):
+    smoother.add(felt(0.0, 4.0))
+    smoother.answer()
+    smoother.finds = replace(FOUND, h=OTHER)
+    smoother.add(felt(4.0, 9.0))
+    assert not smoother.answer().claimed
+    smoother.finds = replace(FOUND, h=np.roll(OTHER, 30))  # counted from elsewhere, it is the same
+    smoother.add(felt(9.0, 14.0))
+    assert smoother.answer().claimed
+
+
+def test_what_was_felt_before_it_was_set_down_is_forgotten(smoother):
+    smoother.add([*felt(0.0, 5.0), *felt(6.0, 10.0)])
+    smoother.answer()
+    assert smoother.given[0].t_sample == 6.0
+
+
+def test_the_stop_is_not_taken_for_the_pivot():
+    sample = PalmSample(1.0, (0.02, 0.03), (0.01, -0.02), (0.1, 0.2))
+    assert (as_logged(sample, slides=False).vz, as_logged(sample, slides=True).vz) == (-0.02, None)
+    assert as_logged(sample, slides=True).vx == 0.01
