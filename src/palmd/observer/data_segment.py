@@ -33,11 +33,11 @@ class DataSegment:
 
     @property
     def steady_since(self) -> float:
-        """When the arm's reports last went on after so long a gap that it must have stood (s); else `start`."""
+        """From when on no gap, in which the arm must have stood, bears on how the palms move (s); at least `start`."""
         t = np.array([sample.t_sample for sample in self.palms])
         apart = np.diff(t)
         gaps = np.flatnonzero(apart > max(STARVED_S, STARVED * np.median(apart))) if apart.size else apart
-        return max(float(t[int(gaps[-1]) + 1]), self.start) if gaps.size else self.start
+        return max(float(t[int(gaps[-1]) + 1]) + LEAD_S, self.start) if gaps.size else self.start
 
     def until(self, t: float) -> DataSegment:
         """What was before `t` (s)."""

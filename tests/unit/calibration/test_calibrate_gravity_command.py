@@ -90,8 +90,8 @@ class Daemon:
         if self.state == "fault":
             self.fault_told.set()
         grave = ["arm-estop"] if self.state == "fault" else []
-        return {"state": self.state, "over": self._rolling, "moving": False, "faults": grave,
-                "severities": ["stop"] * len(grave), "hints": ["release it"] * len(grave)}  # fmt: skip
+        return {"state": self.state, "cause": "stop was asked for", "over": self._rolling, "moving": False,
+                "faults": grave, "severities": ["stop"] * len(grave), "hints": ["release it"] * len(grave)}  # fmt: skip
 
     def events(self):
         """What has been felt since the last time."""

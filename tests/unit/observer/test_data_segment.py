@@ -45,9 +45,9 @@ def test_a_short_silence_does_not(source, limit):
     assert span(run(without=[(source, 1.0, 1.0 + limit - 0.02)])) == (0.0, 3.0)
 
 
-def test_it_has_been_steady_since_the_arm_was_last_heard_again_after_it_must_have_stood():
+def test_it_is_steady_half_a_second_after_the_arm_was_last_heard_again_when_it_must_have_stood():
     assert longest_segment(run()).steady_since == 0.0
-    assert longest_segment(run(without=[("arm", 0.5, 0.61), ("arm", 1.0, 1.07), (1, 2.0, 2.3)])).steady_since == 1.07
+    assert longest_segment(run(without=[("arm", 0.5, 0.61), ("arm", 1.0, 1.07), (1, 2.0, 2.3)])).steady_since == 1.57
     assert longest_segment(run(without=[("arm", 1.0, 1.05)])).steady_since == 0.0
     # an arm that is asked ten times a second
     polled = [each for k, each in enumerate(run()) if not isinstance(each, PalmSample) or k % 10 == 0]

@@ -72,7 +72,7 @@ def test_searches_that_come_to_nothing_tell_of_a_long_record_that_it_has_no_riva
 
 def test_what_a_starved_machine_has_spoilt_is_left_out_once_nothing_explains_it():
     """Else nothing would be found until the whole record is too long to be kept."""
-    run = simulated("friction", 107, 4.5)
+    run = simulated("friction", 107, 5.0)
     events = []
     for event in run.events:
         t = event.t_sample
