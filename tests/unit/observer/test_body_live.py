@@ -230,7 +230,9 @@ class Lived:
     def _said(self, read, force, rng):
         angle, rate, acceleration = swung(self.t[::8])
         angle = angle + self.rig.angle_noise * rng.normal(size=angle.shape)
-        events = [PalmSample(t, *map(tuple, each)) for t, *each in zip(self.t[::8], angle, rate, acceleration, strict=True)]
+        events = [
+            PalmSample(t, *map(tuple, each)) for t, *each in zip(self.t[::8], angle, rate, acceleration, strict=True)
+        ]
         step = self.rig.pad.resolution
         for k in range(len(self.t)):
             if k % 5 < 3:  # each pad every 10 ms
