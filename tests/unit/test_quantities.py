@@ -23,7 +23,7 @@ from palmd.quantities import (
 from palmd.rig.world import World, default_config
 
 SUFFIXES = {"m": "_m", "rad": "_rad", "rad/s": "_rad_s", "rad/s²": "_rad_s2", "kg": "_kg", "N": "_n", "s": "_s",
-    "ms": "_ms", "ns": "_ns", "Hz": "_hz", "MB": "_mb", "m/s": "_m_s", "m/s²": "_m_s2", "m²/s": "_m2_s",
+    "ms": "_ms", "ns": "_ns", "Hz": "_hz", "MB": "_mb", "m/s": "_m_s", "m/s²": "_m_s2", "m²/s": "_m2_s", "m²": "_m2",
     "m/N": "_m_per_n", "1/m": "_per_m", "kg m": "_kg_m"}  # fmt: skip
 EVERYTHING = [(topic, quantity) for topic in (*TOPICS, *RIG_TOPICS) for quantity in topic.quantities]
 

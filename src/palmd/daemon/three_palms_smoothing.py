@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, fields
@@ -16,6 +17,7 @@ from palmd.system.three_palms import BodyAnswer, PadPlane, ThreePalmsRig
 from palmd.three_palms_messages import shaped
 
 PERIOD_S = 0.4  # of looking whether it has thought
+SWITCH_S = 5e-4  # between its threads: what comes must not wait for what is thought
 _NAMES = tuple(each.name for each in fields(BodyAnswer))
 
 
@@ -35,6 +37,7 @@ def serve(address: str, rig: str) -> None:
     """The process's work, for ever; `rig` is the rig's fields as JSON. A thread thinks while events go on to come."""
     from palmd.observer.three_palms.growing import GrowingBody  # SciPy, in this process alone
 
+    sys.setswitchinterval(SWITCH_S)
     told = json.loads(rig)
     smoother = GrowingBody(ThreePalmsRig(**told | {"pad": PadPlane(**told["pad"])}))
     pool = ThreadPoolExecutor(1)

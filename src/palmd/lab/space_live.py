@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -34,7 +33,7 @@ class SpaceLiveRow:
 
     valid: share of the ticks since then. error: RMS of the last claimed surface where touched (m), NaN without one;
     wrong: how many claimed surfaces were not within `RIGHT_M`. ratio: mean (error/sd)² of spin, centre and contacts in
-    valid ticks. work: 99th percentile of a tick's processor time (ms). losses: how often the body fell off the palms.
+    valid ticks. losses: how often the body fell off the palms.
     """
 
     seed: int
@@ -44,7 +43,6 @@ class SpaceLiveRow:
     error: float
     wrong: int
     ratio: float
-    work: float
     losses: int
     reason: str
 
@@ -63,21 +61,19 @@ def lived(seed: int, seconds: float) -> SpaceLiveRow:
     rig = ThreePalmsWireless(config, parse(read_document(config.plan), TiltPlanSpec), seed)
     rig.start()
     begun, settled = rig.t, math.nan
-    ticks, valid, squares, work = 0, 0, [], []
+    ticks, valid, squares = 0, 0, []
     surfaces: list[tuple[float, float]] = []
     estimate: dict[str, Any] = {}
     while rig.t < begun + seconds:
-        before = time.process_time()
         now = rig.tick()
-        work.append(time.process_time() - before)
         estimate, truth = now.messages[PALM3.name], now.truth
-        ticks += math.isfinite(settled)
         if estimate["valid"]:
             settled = rig.t - begun if math.isnan(settled) else settled
             valid += 1
             if math.isfinite(truth["a1_m"]):
                 off = [(estimate[name] - truth[name]) / estimate["sd"][name] for name in COMPARED]
                 squares.append(float(np.mean(np.square(off))))
+        ticks += math.isfinite(settled)
         shape = now.messages.get(PALM3_SHAPE.name)
         if shape is not None and shape["valid"]:
             turn = matrix(truth["quat_xyzw"]).T @ matrix(estimate["quat_xyzw"])
@@ -88,7 +84,7 @@ def lived(seed: int, seconds: float) -> SpaceLiveRow:
     return SpaceLiveRow(
         seed, settled, right[0] if right else math.nan, valid / ticks if ticks else 0.0,
         surfaces[-1][1] if surfaces else math.nan, len(wrong), float(np.mean(squares)) if squares else math.nan,
-        1e3 * float(np.quantile(work, 0.99)), rig.world.contact_losses, str(estimate["reason"]),
+        rig.world.contact_losses, str(estimate["reason"]),
     )  # fmt: skip
 
 
@@ -98,7 +94,7 @@ def told(rows: list[SpaceLiveRow]) -> Iterator[str]:
         yield (
             f"{row.seed:8}: valid after {row.settled:.1f} s, right for good after {row.for_good:.1f} s, valid"
             f" {row.valid:.0%} of the time since, {row.error * 1e6:.0f} µm, {row.wrong} wrong, (e/sd)² {row.ratio:.2f},"
-            f" work p99 {row.work:.1f} ms, fell off {row.losses} times; {row.reason or 'valid at the end'}"
+            f" fell off {row.losses} times; {row.reason or 'valid at the end'}"
         )
     good = [row.for_good for row in rows if math.isfinite(row.for_good)]
     claimed = [row for row in rows if math.isfinite(row.settled)]

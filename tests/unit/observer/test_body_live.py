@@ -188,7 +188,7 @@ def parameters(h_of, inertia, order):
 class Lived:
     """Readings of a body on swinging palms, and a smoother that is led to the right start: a blind one takes long."""
 
-    END, SECONDS, STEP = 4.4, 5.2, 2e-3
+    END, SECONDS, STEP = 4.2, 4.9, 2e-3
 
     def __init__(self):
         rng = np.random.default_rng(SEED)
@@ -198,15 +198,16 @@ class Lived:
         self.h_of = lambda at: plant.body.support(at[None])[0][0]
         self.inertia = plant.body.inertia[0]
         self.t = self.STEP * np.arange(round(self.SECONDS / self.STEP) + 1)
-        states, read, force = [plant.state.copy()], [], []
-        for t in self.t[:-1]:
-            at = swung(np.array([t, t + 0.5 * self.STEP, t + self.STEP]))
-            plant.advance(inputs_of(palms_at(*at)), self.STEP)
+        halves = palms_at(*swung(0.5 * self.STEP * np.arange(2 * len(self.t) - 1)))
+        inputs, states, points, force = inputs_of(halves), [plant.state.copy()], [], []
+        for k in range(0, len(inputs) - 2, 2):
+            plant.advance(inputs[k : k + 3], self.STEP)
             states.append(plant.state.copy())
-            read.append(readings_of(palms_at(*(each[2:] for each in at)), plant.point[None])[0])
+            points.append(plant.point.copy())
             force.append(plant.force.copy())
         self.states = np.stack(states)
-        self.events = self._said(np.stack([read[0], *read]), np.stack([force[0], *force]), rng)
+        read = readings_of(palms_at(*swung(self.t)), np.stack([points[0], *points]))
+        self.events = self._said(read, np.stack([force[0], *force]), rng)
         with pytest.MonkeyPatch.context() as led:
             led.setattr(growing, "rivals", self._right)
             led.setattr(growing, "begun_in_ways", lambda task, found: [begun(task, each) for each in found])
@@ -230,7 +231,9 @@ class Lived:
     def _said(self, read, force, rng):
         angle, rate, acceleration = swung(self.t[::8])
         angle = angle + self.rig.angle_noise * rng.normal(size=angle.shape)
-        events = [PalmSample(t, *map(tuple, each)) for t, *each in zip(self.t[::8], angle, rate, acceleration, strict=True)]
+        events = [
+            PalmSample(t, *map(tuple, each)) for t, *each in zip(self.t[::8], angle, rate, acceleration, strict=True)
+        ]
         step = self.rig.pad.resolution
         for k in range(len(self.t)):
             if k % 5 < 3:  # each pad every 10 ms
@@ -253,7 +256,7 @@ class Lived:
         return [Rival(Y00 * p[0], record, fit)]
 
     def told(self, observer, stub, until, answer_at):
-        said, waiting, t = [], iter(self.events), 0.0
+        said, waiting, t = [], iter(self.events), self.END - 0.4
         event = next(waiting)
         while t < until:
             t += 0.01
@@ -282,7 +285,7 @@ def test_the_smoother_goes_on_with_what_it_has(lived):
 def test_the_filter_comes_to_the_present_and_is_right_within_its_bands(lived):
     stub = Stub()
     observer = BodyObserver(lived.rig, stub)
-    said = lived.told(observer, stub, 4.95, lived.END + 0.05)
+    said = lived.told(observer, stub, 4.7, lived.END + 0.05)
     before = [each for each in said if each.t < lived.END]
     assert not any(each.valid for each in before)
     assert before[-1].reason == "no motion is known yet that explains the readings"
@@ -296,8 +299,8 @@ def test_the_filter_comes_to_the_present_and_is_right_within_its_bands(lived):
             true = lived.truth(each.t)[part]
             squares += [((each.values[n] - v) / each.sd[n]) ** 2 for n, v in zip(group, true, strict=True)]
     assert np.mean(squares) < 3.0
-    shape = observer.shape(4.95)
-    assert observer.shape(4.95) is None  # once
+    shape = observer.shape(4.7)
+    assert observer.shape(4.7) is None  # once
     fields = says.shape_fields(shape, 1, True)
     true = lived.h_of(icosphere()[0])
     error, sd, share = surface_error(fields, true, lived.gauge)
@@ -308,26 +311,26 @@ def test_the_filter_comes_to_the_present_and_is_right_within_its_bands(lived):
 
 def test_told_the_same_it_says_the_same_to_the_last_bit(lived):
     first = BodyObserver(lived.rig, stub := Stub())
-    said = [says.estimate_fields(each) for each in lived.told(first, stub, 4.7, lived.END + 0.05)]
+    said = [says.estimate_fields(each) for each in lived.told(first, stub, 4.5, lived.END + 0.05)]
     recorded = says.answer_of(says.answer_fields(0.0, lived.answer))
     lived.answer, kept = recorded, lived.answer
     second = BodyObserver(lived.rig, stub := Stub())
-    again = [says.estimate_fields(each) for each in lived.told(second, stub, 4.7, lived.END + 0.05)]
+    again = [says.estimate_fields(each) for each in lived.told(second, stub, 4.5, lived.END + 0.05)]
     lived.answer = kept
     assert msgpack.packb(said) == msgpack.packb(again)
 
 
 def test_a_palm_that_is_let_go_ends_what_is_known_of_the_motion(lived):
     observer = BodyObserver(lived.rig, stub := Stub())
-    lived.told(observer, stub, 4.9, lived.END + 0.05)
-    observer.feed(PadLift(4.905, 2))
-    observer.improve(4.91)
-    said = observer.estimate(4.91)
+    lived.told(observer, stub, 4.6, lived.END + 0.05)
+    observer.feed(PadLift(4.605, 2))
+    observer.improve(4.61)
+    said = observer.estimate(4.61)
     assert not said.valid
     assert math.isnan(said.quaternion[0])
     stub.next = lived.answer  # about what was there before
-    observer.improve(4.92)
-    assert observer.estimate(4.92).hypotheses == 0
+    observer.improve(4.62)
+    assert observer.estimate(4.62).hypotheses == 0
 
 
 def test_what_is_late_is_counted_and_dropped():
@@ -355,7 +358,7 @@ def test_a_surface_is_scored_after_the_best_turn_and_no_better():
     c = np.concatenate([[0.07], rng.normal(size=24) * 3e-4])
     true = evaluator(4)(u)[0] @ c
     turn = exp(np.array([0.3, -0.2, 0.5]))
-    touched = (u[:, 2] > 0.8).astype(int)
+    touched = (u[:, 2] > 0.9).astype(int)
     fields = {
         "h_m": evaluator(4)(u @ turn.T)[0] @ c + 1e-5 * np.where(np.arange(len(u)) % 2, 1, -1),
         "h_sd_m": np.full(len(u), 2e-5), "touched": touched,
@@ -363,5 +366,5 @@ def test_a_surface_is_scored_after_the_best_turn_and_no_better():
     error, sd, share = surface_error(fields, true, exp(np.array([0.02, 0.01, -0.02])) @ turn)
     assert error == pytest.approx(1e-5, rel=0.1)
     assert sd == pytest.approx(2e-5)
-    assert share == pytest.approx(0.1, abs=0.01)
+    assert share == pytest.approx(0.05, abs=0.01)
     assert np.abs(between(true, u[:50])[0] - true[:50]).max() < 1e-6

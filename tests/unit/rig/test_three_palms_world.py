@@ -89,7 +89,8 @@ def test_the_body_rests_and_its_weight_is_carried(spoken):
     assert validate(PALM3_BODY, stamp(dict(body), 1.0, 2.0, 3)) == []
 
 
-def test_what_falls_off_is_put_back_by_a_hand():
+def test_what_falls_off_is_put_back_by_a_hand(monkeypatch):
+    monkeypatch.setattr("palmd.rig.three_palms.world.AWAY_S", 0.2)
     world = ThreePalmsWorld(CONFIG, 4)
     world.advance(0.1)
     assert world.truth()["touch1"]
@@ -97,7 +98,7 @@ def test_what_falls_off_is_put_back_by_a_hand():
     world.advance(0.2)
     assert not world.truth()["touch1"]
     assert world.contact_losses == 1
-    world.advance(2.5)
+    world.advance(0.5)
     assert world.truth()["touch1"]
 
 
