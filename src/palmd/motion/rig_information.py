@@ -1,7 +1,7 @@
 """What motions would tell of the rig's constants, by what these cost the outline; for whoever chooses motions.
 
 Readings are linearised about what is known. ψ is left open at each instant, so that only what the geometry of both
-contacts tells is counted, and not the dynamics. What no such reading tells counts as known: standoffs and magnification.
+contacts tells is counted, and not the dynamics. What that never tells counts as known: standoffs and magnification.
 """
 
 from __future__ import annotations

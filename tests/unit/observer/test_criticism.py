@@ -76,6 +76,21 @@ def test_the_odds_are_the_ratio_of_what_the_readings_are_worth():
     assert found.odds == pytest.approx(np.logaddexp.reduce(terms) - math.log(len(TIMES)), abs=1e-3)
 
 
+def test_doubt_is_in_the_band_before_anything_is_named():
+    """Of readings that tell each constant to a third of what calibration leaves; the first is z of that from 0."""
+    precision = (3.0 / LEFT) ** 2 + EXACT**-2.0
+
+    def found(z):
+        values = np.where(np.arange(RIG_CONSTANTS) == 0, z * (3.0 / LEFT) / precision, 0.0)
+        return criticised(values, np.diag(1.0 / precision), EXACT, EXACT)
+
+    none, some, sure = map(found, (1.0, 2.8, 6.0))
+    assert (none.sd == EXACT).all()
+    assert some.sd[0] > 0.1 * LEFT[0]
+    assert not some.contradicted.any()
+    assert np.flatnonzero(sure.contradicted).tolist() == [0]
+
+
 def test_a_score_is_standard_normal_where_the_prior_is_true():
     linear, z = Linear(2), []
     for _ in range(400):
