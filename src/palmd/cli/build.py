@@ -97,7 +97,7 @@ def _begun(make: Callable[[], str]) -> Connection:
     """A process that makes a part: from there comes how it runs, or what was raised."""
     forked = multiprocessing.get_context("fork")
     ours, theirs = forked.Pipe(duplex=False)
-    forked.Process(target=_make, args=(make, theirs), daemon=True).start()
+    forked.Process(target=_make, args=(make, theirs)).start()  # ends by itself, and tidily, on Ctrl-C
     theirs.close()
     return ours
 
