@@ -10,7 +10,7 @@ palm_thickness = 5;      // behind the strip
 strip_length = 60;       // active part of the strip
 strip_width = 11;        // with its edges
 strip_thickness = 0.5;   // its surface must go through the axis
-strip_start = 1.5;       // from the axis to where it begins to feel
+strip_start = 2.5;       // from the axis to where it begins to feel
 hinge_eye = 6;           // radius of the eye round the pin
 pin = 3;                 // diameter of the pin that both palms turn about
 axis_height = 70;        // of the axis above the base plate
@@ -29,6 +29,8 @@ base_width = 140;
 base_thickness = 6;
 
 $fn = 64;
+
+assert(strip_start >= pin / 2 + 0.8, "no wall is left between the pin's hole and the palm's cut");
 
 // A palm, lying along x from the axis at the origin, its upper face strip_thickness below the hinge line. The arm beside
 // it carries the horn; `side` is 1 or -1, and the eyes of both palms share the pin.
