@@ -354,7 +354,7 @@ _shtab_palmd_bench_things_defaults_added=0
 
 _shtab_palmd_build_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--all[what other systems need too\: curved palms, flat sides, three palms in space\; a minute more]"
+  "--all[what other systems need too\: curved palms, flat sides, a pivoting grasp, three palms in space]"
   ":what a run with this configuration needs, and no more (default\: what any rig with flat palms needs):_files"
 )
 

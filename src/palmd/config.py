@@ -327,7 +327,7 @@ class PadBase(Strict):
     scale_sd: Annotated[NotNegative, Field(le=0.2), Plausible(0.00001, 0.05, or_zero=True)] = 0.003
     """How well the scale is known, one sigma, as a share of it."""
     standoff_sd_mm: Annotated[NotNegative, Field(le=10), Plausible(0.001, 5, or_zero=True)] = 0.2
-    """By how much the pad's surface may lie off the hinge line, one sigma; no motion tells it."""
+    """By how much the pad's surface may lie off the hinge line, one sigma; only what rolls tells it, in part."""
     sagitta_sd_mm: Annotated[NotNegative, Field(le=5), Plausible(0.001, 2, or_zero=True)] = 0.03
     """By how much the pad's middle may be higher than its ends, one sigma."""
     lag_sd_ms: Annotated[NotNegative, Field(le=100), Plausible(0.05, 50, or_zero=True)] = 2.0
@@ -427,7 +427,15 @@ PadConfig = Annotated[
 
 
 class AnyPads(Strict):
-    """The touchpads of whichever system, a field each, called `palm1` and so on."""
+    """The touchpads of whichever system, a field each, called `palm1` and so on; no two on one port."""
+
+    @field_validator("*")
+    @classmethod
+    def _own_port(cls, pad: PadConfig, info: ValidationInfo) -> PadConfig:
+        for palm, other in info.data.items():
+            if other.port == pad.port:
+                raise ValueError(f"port {pad.port} is already that of {palm}")
+        return pad
 
     def each(self) -> tuple[PadConfig, ...]:
         """They, in the order of their numbers."""
@@ -441,14 +449,6 @@ class PadsConfig(AnyPads):
     """The pad of palm 1."""
     palm2: PadConfig
     """The pad of palm 2; not on the same port."""
-
-    @field_validator("palm2")
-    @classmethod
-    def _own_port(cls, palm2: PadConfig, info: ValidationInfo) -> PadConfig:
-        palm1: PadConfig | None = info.data.get("palm1")
-        if palm1 is not None and palm1.port == palm2.port:
-            raise ValueError(f"port {palm2.port} is already that of palm1")
-        return palm2
 
     def of(self, palm: int) -> PadConfig:
         """The pad of the palm of that number."""

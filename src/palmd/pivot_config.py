@@ -66,14 +66,16 @@ class PivotRigConfig(Strict):
         if slides and mass is None:
             raise ValueError("a slide must be weighed, without the body: carriage_mass_kg is missing")
         if mass is not None and not slides:
-            raise ValueError("only vertical: float has a carriage")
+            raise ValueError("only a slide has a carriage: leave carriage_mass_kg out, or set vertical: float")
         return mass
 
     @field_validator("z_measured")
     @classmethod
     def _tells_its_height(cls, measured: bool) -> bool:
         if not measured:
-            raise ValueError("without the pivot's height the body's mean radius stays open, and no outline can be told")
+            raise ValueError(
+                "without the pivot's height the body's mean radius stays open: let the controller report it"
+            )
         return measured
 
 
@@ -130,7 +132,10 @@ class PivotConfig(AnyConfig):
         rig: PivotRigConfig | None = info.data.get("rig")
         weight = (rig.carriage_mass_kg or 0.0) * rig.gravity_m_s2 if rig is not None else 0.0
         if limits.force_n <= weight:
-            raise ValueError(f"force_n is {limits.force_n:g} N, but the carriage alone weighs {weight:.2g} N")
+            raise ValueError(
+                f"force_n is {limits.force_n:g} N, but the carriage alone weighs {weight:.2g} N: raise it above "
+                "that and the body's weight"
+            )
         return limits
 
 

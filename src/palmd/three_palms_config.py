@@ -75,14 +75,6 @@ class ThreePadsConfig(AnyPads):
 
     @field_validator("*")
     @classmethod
-    def _own_port(cls, pad: PlanePadConfig, info: ValidationInfo) -> PlanePadConfig:
-        for palm, other in info.data.items():
-            if other.port == pad.port:
-                raise ValueError(f"port {pad.port} is already that of {palm}")
-        return pad
-
-    @field_validator("*")
-    @classmethod
     def _alike(cls, pad: PlanePadConfig, info: ValidationInfo) -> PlanePadConfig:
         for palm, other in info.data.items():
             for name in ("length_mm", "noise_mm", "counts_per_mm"):

@@ -8,11 +8,13 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 
 from palmd.config import AnyConfig
 from palmd.console.configured import any_configured
+from palmd.console.errors import RIG_FAILED, CliError
 from palmd.observer.kernels import Part, of_palms
 from palmd.systems import LIVE, TWO_PALMS, load_part
 
@@ -71,11 +73,11 @@ def side_by_side(parts: Iterable[Part], lasts: Callable[[], None] | None = None)
     """Make parts, as many at once as there are processors: what each is, how it runs, and seconds, as it is done.
 
     `lasts` is called, once, when none has been for a while. Each part is made in a forked process, as CasADi is not
-    safe among threads. Raises what making one raised, RuntimeError when its process was killed.
+    safe among threads. Raises what making one raised, CliError when its process was killed; the others end first.
     """
     waiting, running = deque(parts), dict[Connection, tuple[str, float]]()
     while waiting or running:
-        while waiting and len(running) < (os.cpu_count() or 1):
+        while waiting and len(running) < len(os.sched_getaffinity(0)):
             what, make = waiting.popleft()
             running[_begun(make)] = what, time.monotonic()
         done = wait(running, _PATIENCE_S if lasts else None)
@@ -87,7 +89,8 @@ def side_by_side(parts: Iterable[Part], lasts: Callable[[], None] | None = None)
             try:
                 made = connection.recv()
             except EOFError:
-                made = RuntimeError(f"{what}: the process that compiled it was killed; is there enough memory?")
+                advice = "for want of memory most often: make fewer at once with `taskset -c 0 palmd build`"
+                made = CliError(RIG_FAILED, f"{what}: what compiled it was killed, {advice}")
             if isinstance(made, Exception):
                 raise made
             yield what, made, time.monotonic() - begun
@@ -104,11 +107,13 @@ def _begun(make: Callable[[], str]) -> Connection:
 
 def _make(make: Callable[[], str], told: Connection) -> None:
     try:
-        told.send(make())
+        made: str | Exception = make()
     except Exception as error:
-        told.send(error)
+        made = error
     except KeyboardInterrupt:
-        pass  # the parent has been interrupted too, and says so
+        return  # the parent has been interrupted too, and says so
+    with suppress(BrokenPipeError):  # whoever asked is gone
+        told.send(made)
 
 
 def _emulated() -> list[Part]:
@@ -122,5 +127,5 @@ def _other_forms() -> list[Part]:
 
     return [
         ("flat sides", lambda: sharp.library().backend),
-        *of_palms(curved=True)[:-1],
-    ]  # but what flat ones have made
+        *(part for part in of_palms(curved=True) if part[0] != "smoother's equations"),  # flat ones have made them
+    ]

@@ -80,7 +80,7 @@ class Core:
         self._system = system = system or live_system(config)
         self.pads = system.pads()
         self.arm = ArmDriver(config.arm, system.poses, system.free)
-        self.setpoints = SetPoints(system.poses, system.limits)
+        self.setpoints = SetPoints(system.poses, system.limits, system.free)
         self.faults = FaultMonitor()
         self.journal = Journal()
         self.exploring = system.exploring(self.setpoints, explorer)

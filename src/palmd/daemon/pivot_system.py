@@ -111,9 +111,10 @@ class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
         )  # fmt: skip
 
     def felt(self, sample: PadSample) -> None:
-        """How hard does it press?"""
-        if sample.force is not None:
-            self._force += FORCE_MEAN * (sample.force - self._force)
+        """How hard does it press? A pad that tells forces tells none beyond its scale, which reaches past the limit."""
+        beyond = 2.0 * self._config.limits.force_n if self._force else 0.0
+        force = beyond if sample.force is None else sample.force
+        self._force += FORCE_MEAN * (force - self._force)
 
     def conditions(self, t: float, actual: PalmMotion | None) -> Iterator[str]:
         """A force over its limit."""

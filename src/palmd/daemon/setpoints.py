@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Collection
 
 from palmd.daemon.jog import Jog
 from palmd.daemon.poses import Poses
@@ -32,8 +33,9 @@ _OUTSIDE = math.radians(0.03)  # how far outside the limits a pose may be for it
 class SetPoints:
     """See the module. `commanded` is the motion of the last set-point, None while the arm is not commanded."""
 
-    def __init__(self, poses: Poses, limits: MotionLimits) -> None:
-        self.poses = poses
+    def __init__(self, poses: Poses, limits: MotionLimits, free: Collection[int] = ()) -> None:
+        """`free` joints need not be where they are commanded: they are displaced by nothing."""
+        self.poses, self._free = poses, free
         self.commanded: PalmMotion | None = None
         self.interventions = 0
         self.violated = False
@@ -144,7 +146,11 @@ class SetPoints:
 
     def displaced(self, actual: PalmMotion, pose: Place) -> None:
         """The arm did not follow: begin again where it is, its tool as in its `pose`."""
-        self._begin_at(actual, pose)
+        stood = actual if self.commanded is None else self.commanded
+        pairs = enumerate(zip(actual.angles, stood.angles, strict=True))
+        self._begin_at(
+            dataclasses.replace(actual, angles=tuple(b if joint in self._free else a for joint, (a, b) in pairs)), pose
+        )
         self._off_path = True
         self._settle()
 

@@ -1,7 +1,7 @@
 """The smoother in a process of its own beside the loop.
 
 What the process cannot take at once is kept for some seconds, then dropped. It sleeps most of the time, so that a rig
-with two cores keeps one for itself.
+with two cores keeps one for itself; that of three palms thinks in a thread beside, and may take a core whole.
 """
 
 from __future__ import annotations

@@ -49,8 +49,12 @@ class Operator:
         if topic in MOTIONS:
             self.motion = fields
         elif topic == "palm/state":
+            self._hands_off |= fields["wish"] not in ("", self.state.get("wish"))
             self.state = fields
-            self._hands_off |= fields["wish"] != ""
+
+    def resume(self) -> None:
+        """Whoever held or stopped the palms wants them to move again."""
+        self._hands_off = False
 
     def decide(self, t: float) -> str | None:
         """The command to give at t (s), None for none.

@@ -1,8 +1,8 @@
 """What better parts would bring: the bound on the outline's error for rigs of other noise, play and rates.
 
 The same simulated runs are looked at as if each rig had read them: the posterior Cramér–Rao bound asks only when there
-were readings and how good they are. What no motion tells, above all how high the pads lie over the hinge line, is in
-it; the flicker of single angles is not, for the palms' path is smooth.
+were readings and how good they are. What motion hardly tells, above all how high the pads lie over the hinge line, is
+in it; the flicker of single angles is not, for the palms' path is smooth.
 """
 
 from __future__ import annotations

@@ -134,6 +134,7 @@ class SoakStand:
     def bring_to_motion(self) -> None:
         """Arm, start, go on or reset as it needs until the plan is being run; raises CliError."""
         self._t_hands_on = 0.0
+        self._operator.resume()
         self._wait(self._moves, PATIENCE_S, "the palms were not brought to move", operate=True)
 
     def _moves(self) -> bool:
@@ -188,6 +189,9 @@ class SoakStand:
         """What a person at the panel does next, unless somebody has just held or stopped the palms."""
         if t < self._t_hands_on:
             return
+        if self._t_hands_on:
+            self._t_hands_on = 0.0
+            self._operator.resume()
         if self.watch.on_palms:
             self._t_fallen = t
         elif t - self._t_fallen > FALLEN_S:

@@ -278,7 +278,7 @@ class Drags:
             slope = (square - self._before[1]) / (felt.z - self._before[0])
             self._slope += (0.6 if self._slope else 1.0) * (slope - self._slope)
         self._before = felt.z, square
-        self._torque = max(felt.force * abs(felt.e), FADING * self._torque)
+        self._torque = max(FADING * self._torque, felt.force * abs(felt.e))  # as before where no force is told
 
     def _foreseen(self, felt: Touching, dz: float) -> float:
         """The force (N) that the body will press with when it stands, raised by dz (m).
@@ -293,6 +293,8 @@ class Drags:
         """Why the body must not be lowered farther; empty when it may."""
         if not math.isfinite(felt.e):
             return ""
+        if not math.isfinite(felt.force):  # beyond the pad's scale
+            return _HARD
         if felt.e * self._side < self._least:
             return _LEVER
         late = self._foreseen(felt, -SEEN_LATE_S * DOWN_M_S)

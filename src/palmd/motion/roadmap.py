@@ -17,12 +17,12 @@ from palmd.events import FloatArray
 from palmd.model import shape_map
 from palmd.motion.candidates import POSE_MARGIN, RATE_SHARE, range_of, timed
 from palmd.motion.limits import MotionLimits
-from palmd.motion.rollout_predictor import BINS, MARGIN_M, Bools, RolloutPredictor, goodness
+from palmd.motion.rollout_predictor import BINS, MARGIN_M, MOST_FORCE, Bools, RolloutPredictor, goodness
 from palmd.system.arcs import joints_of, opening_at
 
 GRID = 7  # poses along φ1
 STEP = math.radians(22.0)  # between those along φ2
-WEDGE_ROOM = math.radians(9.4)  # g/MOST_FORCE
+WEDGE_ROOM = 9.81 / MOST_FORCE  # rad
 ORIENTATIONS = 36
 AGAIN_S = 0.3  # that it takes longer each time one has been there in vain
 SAME = 1e-9  # rad
@@ -136,6 +136,8 @@ def _poses(limits: MotionLimits, radius: float, mu: float) -> FloatArray:
     top = limits.top - POSE_MARGIN
     closed = max(low[1], opening_at(radius, limits.pad_length - MARGIN_M, limits.curvatures) + POSE_MARGIN)
     felt = _felt(radius, limits.curvatures) if any(limits.curvatures) else None
+    if felt is not None and not len(felt[0]):  # first estimates may say that it would lie in its palm
+        felt = None
     if felt is not None:
         closed = max(closed, float(np.interp(2 * math.atan(mu) + WEDGE_ROOM, *felt)))
     poses = []

@@ -57,14 +57,18 @@ class Rolls(Drags):
         if here[0] != start:
             return self._moved(here, (start, here[1]), self._limits.rate)
         if here[1] <= bottom:
-            return DragStep("done", reason="nothing touches the pad, though the slide is as low as it may be")
+            return DragStep(
+                "done", reason="nothing touches the pad, though the slide is as low as it may be: lower limits.z_mm"
+            )
         return self._moved(here, (start, bottom), SINK_M_S)
 
     def _settle(self, felt: Touching, here: Angles) -> DragStep:
         if not (math.isfinite(felt.e) and math.isfinite(felt.force)):
             return WAIT
         if felt.force > HEAVY * self._limits.force:
-            return DragStep("done", reason="body and carriage are too heavy for limits.force_n")
+            return DragStep(
+                "done", reason="body and carriage are too heavy: raise limits.force_n, or make the carriage lighter"
+            )
         self._towards, self._passes = 1.0, 0
         self._settings += 1
         self.phase = "roll"

@@ -34,10 +34,12 @@ class DataSegment:
     @property
     def steady_since(self) -> float:
         """From when on no gap, in which the arm must have stood, bears on how the palms move (s); at least `start`."""
+        if len(self.palms) < 2:
+            return self.start
         t = np.array([sample.t_sample for sample in self.palms])
         apart = np.diff(t)
-        gaps = np.flatnonzero(apart > max(STARVED_S, STARVED * np.median(apart))) if apart.size else apart
-        return max(float(t[int(gaps[-1]) + 1]) + LEAD_S, self.start) if gaps.size else self.start
+        ends = t[1:][apart > max(STARVED_S, STARVED * np.median(apart))]
+        return max(float(ends[-1]) + LEAD_S, self.start) if len(ends) else self.start
 
     def until(self, t: float) -> DataSegment:
         """What was before `t` (s)."""

@@ -19,6 +19,9 @@ from palmd.record.run import Run
 BEFORE_S, AFTER_S = 3.0, 2.0
 """How much of the ticks is looked at, around the instant that is asked about."""
 
+TOGETHER_S = 0.05
+"""Faults that come within so long after the state has changed belong to it."""
+
 STEP_S = 0.5
 """A wall clock that goes so much apart from the monotonic one has been set."""
 
@@ -59,9 +62,9 @@ class Course:
         return next((told for told in reversed(self.told) if told.t <= t), None)
 
     def stood(self, code: str, t: float) -> float:
-        """How long (s) the fault stood that stands at `t` or comes soon after, up to the run's end at most."""
+        """How long (s) the fault stood that stands at `t` or comes soon after, up to the run's end; 0 for none."""
         later = [told for told in self.told if told.t >= t]
-        came = next((told.t for told in later if code in told.faults), self.end)
+        came = next((told.t for told in later if code in told.faults and told.t - t < TOGETHER_S), self.end)
         return next((told.t for told in later if told.t > came and code not in told.faults), self.end) - came
 
     def gained(self, t: float, *names: str) -> tuple[float, float, dict[str, float]] | None:

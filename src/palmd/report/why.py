@@ -13,7 +13,7 @@ from palmd.messages import LogEntry
 from palmd.record import SUFFIX
 from palmd.record.run import Run, RunError, read_run
 from palmd.report.causes import RunCase, StopCause, of_break, of_end, of_fault, of_no_fault, of_tracking
-from palmd.report.course import Course, StateChange, closeup_of, course_of
+from palmd.report.course import TOGETHER_S, Course, StateChange, closeup_of, course_of
 
 _COMMANDED = ("tracking", "hold")
 _ACTS = {"hold": ("hold", "stop"), "fault": ("stop",), "ready": (), "idle": ()}
@@ -21,9 +21,6 @@ _HAPPENED = {"hold": "the motion was held", "fault": "the arm was stopped", "rea
              "idle": "the rig was gone"}  # fmt: skip
 OTHERS = 8
 """So many of the other times are listed."""
-
-TOGETHER_S = 0.05
-"""Faults that come within so long after the state has changed belong to it."""
 
 RECENT_S = 0.25
 """So long after a fault has gone, it is told of motion that goes on."""

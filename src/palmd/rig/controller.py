@@ -203,8 +203,9 @@ class Controller:
         if not self.limits.contain(pose):
             return self._refusal(setpoint.ss, OUTSIDE)
         resumes = self.state is ArmState.HOLD or self._t_setpoint is None
-        far = _distance(pose, actual) > RESUME_WITHIN_M or abs(turn(pose.t_rad - actual.t_rad)) > RESUME_WITHIN_RAD
-        step, reach = _distance(pose, self.path), self.limits.v_max * CYCLE_S
+        path = self.path  # where the arm stands; a slide's travel is added to what is told of it
+        far = _distance(pose, path) > RESUME_WITHIN_M or abs(turn(pose.t_rad - path.t_rad)) > RESUME_WITHIN_RAD
+        step, reach = _distance(pose, path), self.limits.v_max * CYCLE_S
         if (resumes and far) or step > 3.0 * reach:
             return self._refusal(setpoint.ss, STEP_TOO_LARGE)
         self.counters.accepted += 1

@@ -23,6 +23,8 @@ PALMS = (1, 2, 3)
 JOINTS = ("beta", "gamma2", "gamma3")
 """What the joint angles are called, in the order of every joint vector."""
 NAMING = Naming(JOINTS, "rad", PALMS, along="b", across="a")
+GAP_S = 0.15
+"""Without a reading of a pad or a report of the joints, after which nothing is known to go on."""
 HALVINGS = 4
 """How often the icosahedron is halved whose corners are the directions of a published surface: 2,562 of them."""
 

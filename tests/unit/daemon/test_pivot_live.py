@@ -10,6 +10,8 @@ import pytest
 
 from palmd import pivot_messages as says
 from palmd.daemon.commands import parse
+from palmd.daemon.systems import live_system
+from palmd.events import PadSample
 from palmd.harness.pivot_wireless import PivotWireless
 from palmd.messages import stamp, validate
 from palmd.observer.pivot.live import PivotObserver
@@ -153,3 +155,13 @@ def test_the_status_tells_where_the_pivot_is(lived):
     (reply,) = core.replies()
     assert 0.0 < reply.result["x_m"] < 0.0555
     assert {"valid", "reason", "z_m", "sd"} <= set(reply.result["estimate"])
+
+
+def test_what_is_pressed_beyond_the_scale_is_over_the_limit():
+    """A pad tells no force at full scale: that is not silence."""
+    grasp = live_system(CONFIG)
+    grasp.felt(PadSample(0.0, 1, 0.03, 1.5))
+    assert list(grasp.conditions(0.0, None)) == []
+    for i in range(10):
+        grasp.felt(PadSample(0.01 * i, 1, 0.03, None))
+    assert list(grasp.conditions(0.1, None)) == ["force-limit"]

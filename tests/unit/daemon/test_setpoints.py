@@ -140,6 +140,15 @@ def test_a_displaced_arm_walks_back_gently_and_then_goes_on():
     assert math.degrees(drive.go(4.0)[-1].angles[0]) == pytest.approx(60.0)
 
 
+def test_a_joint_that_need_not_follow_is_displaced_by_nothing():
+    """The pivot on a slide stands millimetres above the stop that is commanded."""
+    setpoints = SetPoints(POSES, LIMITS, free=(1,))
+    setpoints.stand(HERE, POSES.pose(HERE.angles), 10.0)
+    off = PalmMotion.at_rest(tuple(angle + math.radians(2.0) for angle in HERE.angles))
+    setpoints.displaced(off, POSES.pose(off.angles))
+    assert setpoints.commanded.angles == (off.angles[0], HERE.angles[1])
+
+
 def test_the_path_waits_for_a_displaced_arm():
     drive = Drive()
     drive.setpoints.start(trajectory(phi1_deg=45.0, then_phi1_deg=60.0))

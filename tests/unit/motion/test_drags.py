@@ -56,6 +56,7 @@ def test_friction_trails_while_the_body_is_raised(touched):
     ("changed", "why"),
     [
         ({"force": 1.4}, "the force comes near its limit"),
+        ({"force": math.nan}, "the force comes near its limit"),  # beyond the pad's scale
         ({"force": 0.05}, "the body hardly presses any more"),
         ({"e": 0.0015}, "the pivot comes near over the contact"),
     ],

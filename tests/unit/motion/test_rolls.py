@@ -83,4 +83,4 @@ def test_a_body_that_is_too_heavy_is_refused():
     rolls.look(FELT, (FELT.x, FELT.z), False)
     step = rolls.look(replace(FELT, force=1.7), (FELT.x, FELT.z), True)
     assert step.kind == "done"
-    assert "too heavy for limits.force_n" in step.reason
+    assert "too heavy: raise limits.force_n" in step.reason

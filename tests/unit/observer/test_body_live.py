@@ -360,7 +360,7 @@ def test_a_surface_is_scored_after_the_best_turn_and_no_better():
     turn = exp(np.array([0.3, -0.2, 0.5]))
     touched = (u[:, 2] > 0.9).astype(int)
     fields = {
-        "h_m": evaluator(4)(u @ turn.T)[0] @ c + 1e-5 * np.where(np.arange(len(u)) % 2, 1, -1),
+        "h_m": evaluator(4)(u @ turn.T)[0] @ c + 1e-5 * rng.choice([-1, 1], len(u)),
         "h_sd_m": np.full(len(u), 2e-5), "touched": touched,
     }  # fmt: skip
     error, sd, share = surface_error(fields, true, exp(np.array([0.02, 0.01, -0.02])) @ turn)

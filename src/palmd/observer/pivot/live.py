@@ -175,8 +175,7 @@ class PivotObserver:
         e = force = math.nan
         if self._touching and len(self._felt) >= LEAST_FELT:
             e = float(np.mean([each.s for each in self._felt])) - x
-            forces = [each.force for each in self._felt if each.force is not None]
-            force = float(np.mean(forces)) if forces else math.nan
+            force = float(np.mean([math.nan if each.force is None else each.force for each in self._felt]))
         band = touched = math.nan
         if self._body is not None:
             felt = self._body.answer.touched > 0

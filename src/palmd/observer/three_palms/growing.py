@@ -15,15 +15,15 @@ import numpy as np
 
 from palmd.blas import one_thread
 from palmd.config import PRESSURE_GAIN_STD
-from palmd.events import Event, FloatArray, PadSample, PalmSample
+from palmd.events import Event, FloatArray, PadLift, PadSample, PalmSample
 from palmd.observer.three_palms.driven import ContactCurves
 from palmd.observer.three_palms.growth import BEHIND, FORK_S, STARTS_S, Grown, begun_in_ways, folded, raced
 from palmd.observer.three_palms.icosphere import icosphere
 from palmd.observer.three_palms.path import joint_path
-from palmd.observer.three_palms.reconstruct import GAP_S, doubt, felt_directions, inertia_sd, mass_of, near, surface
+from palmd.observer.three_palms.reconstruct import doubt, felt_directions, inertia_sd, mass_of, near, surface
 from palmd.observer.three_palms.record import PadReadings
 from palmd.observer.three_palms.search import HOPELESS, SPACING_S, Task, rivals
-from palmd.system.three_palms import PALMS, BodyAnswer, ThreePalmsRig
+from palmd.system.three_palms import GAP_S, PALMS, BodyAnswer, ThreePalmsRig
 
 REST_S = 0.4  # of a body that rests, before the palms move, that a record begins with
 STILL_RAD, MOVED_RAD = 5e-3, 0.1  # of a joint: where it has begun to move, and has moved enough to try
@@ -68,7 +68,7 @@ class GrowingBody:
 
     def add(self, events: Sequence[Event]) -> None:
         """Events of some ticks; may be called while another thread answers."""
-        self._waiting += events
+        self._waiting.extend(events)  # in one step, and never another list
 
     @one_thread()
     def answer(self) -> BodyAnswer | None:
@@ -76,16 +76,20 @@ class GrowingBody:
         self._take()
         task = self._task()
         if task is None:
+            if not self._running:  # at rest, or not on all palms, for as long as that may be
+                newest = max((row[0] for row in (*self._heard.readings[-1:], *self._heard.joints[-1:])), default=0.0)
+                self._heard.forget(newest - LONGEST_S)
             return None
+        begun = self._begun  # giving up forgets it
         if not self._running and not self._try(task):
-            return _unknown(task, self._begun, "no motion is known yet that explains the readings")
+            return _unknown(task, begun, "no motion is known yet that explains the readings")
         self._reached = task.end
         ended = raced(task, self._running)
         ended.sort(key=lambda each: (-each.intervals, each.cost))
         first = ended[0]
         if first.lost or first.intervals < task.intervals(task.end - task.start):
             self._give_up(first, task)
-            return _unknown(task, self._begun, "what explained the readings does so no more")
+            return _unknown(task, begun, "what explained the readings does so no more")
         near_it = [each for each in ended if not each.lost and each.cost < first.cost + BEHIND]
         self._running = near_it[:MOST_RIVALS]
         said = self._answer(task, ended)
@@ -99,7 +103,8 @@ class GrowingBody:
 
     def _take(self) -> None:
         """Sort in what has come; a record ends where a palm is let go."""
-        events, self._waiting = self._waiting[:], self._waiting[len(self._waiting) :]
+        events = self._waiting[:]
+        del self._waiting[: len(events)]
         for event in events:
             if isinstance(event, PalmSample):
                 planned = (*(event.rates or (math.nan,) * 3), *(event.accelerations or (math.nan,) * 3))
@@ -107,7 +112,7 @@ class GrowingBody:
             elif isinstance(event, PadSample) and event.across is not None:
                 force = math.nan if event.force is None else event.force
                 self._heard.readings.append((event.t_sample, event.pad - 1, event.across, event.s, force))
-            else:
+            elif isinstance(event, PadLift):
                 self._begin_anew(event.t_sample)
 
     def _begin_anew(self, t: float) -> None:

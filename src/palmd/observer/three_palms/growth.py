@@ -200,7 +200,8 @@ def folded(task: Task, now: Grown, intervals: int) -> Grown:
     start = task.start + intervals * SPACING_S
     tail = lay_out(task.path, task.readings, start, now.intervals - intervals, SPACING_S)
     motion = BodyMotion(R[intervals:], omega[intervals:], p)
-    return smoothed(task, replace(now, prior=prior, record=tail, motion=motion))
+    lately = now.windows[-round(LATELY_S / SPACING_S) :]  # no window is shorter than an interval
+    return smoothed(task, replace(now, prior=prior, record=tail, motion=motion, windows=lately))
 
 
 def advanced(task: Task, now: Grown, until: int, most: float = math.inf) -> Grown:

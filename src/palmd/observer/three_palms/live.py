@@ -22,17 +22,16 @@ from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
 from palmd.observer.three_palms.icosphere import icosphere
 from palmd.observer.three_palms.rotation import quaternion
 from palmd.quantities import INERTIA_ENTRIES, WORLD_AXES
-from palmd.system.three_palms import JOINTS, PALMS, BodyAnswer, BodyEstimate, PalmPlanes, ThreePalmsRig, palms_at
+from palmd.system.three_palms import GAP_S, JOINTS, PALMS, BodyAnswer, BodyEstimate, PalmPlanes, ThreePalmsRig, palms_at
 
 NAME = "space"
 ORDER = 8  # of the smoother's outlines
 HELD_S = 0.02  # how late readings are fused
-KEPT_S = 10.0  # of readings, for an answer that is as old
-REPORTS = 2048  # of the joints, for the same: some 16 s at least
+KEPT_S = 20.0  # of readings, for an answer that is as old: the first takes up to 14 s
+REPORTS = 4096  # of the joints, for the same: some 32 s at least
 A_TICK = 5  # readings that a filter which catches up takes beyond the new ones
 NIS_MOST = 1.6
 KNOWN_M = 3e-4  # one-sigma of a contact, above which it is not known where the body is
-GAP_S = 0.15  # without a reading of a pad or a report of the joints
 AWAY_S = 0.5  # without any contact, after which it is another object
 STEADY = 0.15  # share of a reported angle that corrects the planned way
 LONGEST_S = 1e-2  # of a step ahead of the last reading
@@ -118,15 +117,16 @@ class BodyObserver:
         reason = self._doubt(t)
         if filtered is not None and told is not None and self._joints is not None and t - filtered.t < GAP_S:
             now = self._ahead(filtered, t)
-            of_body, bands = self._of_body(now, told, t)
-            values |= of_body
-            sd |= bands
-            spread = np.sqrt(np.maximum(np.diagonal(now.P)[:3], 0.0))
-            turn, attitude = quaternion(now.R), tuple(spread.tolist())
-            worst = max(bands[f"{side}{palm}_m"] for palm in PALMS for side in "ab")
-            if not reason and not worst < KNOWN_M:
-                reason = "the body rolls onto what has not been felt yet"
-            if not np.isfinite(now.P).all():
+            if np.isfinite(now.P).all() and np.isfinite(now.R).all():
+                of_body, bands = self._of_body(now, told, t)
+                values |= of_body
+                sd |= bands
+                spread = np.sqrt(np.maximum(np.diagonal(now.P)[:3], 0.0))
+                turn, attitude = quaternion(now.R), tuple(spread.tolist())
+                worst = max(bands[f"{side}{palm}_m"] for palm in PALMS for side in "ab")
+                if not reason and not worst < KNOWN_M:
+                    reason = "the body rolls onto what has not been felt yet"
+            else:
                 reason, self._filter = "the filter has lost it", None
         return BodyEstimate(
             t=t, valid=not reason, observer=NAME, object_count=self.object_count,
@@ -178,7 +178,8 @@ class BodyObserver:
         self._kept.clear()
 
     def _hear(self, answer: BodyAnswer) -> None:
-        if answer.begun < self._begun:
+        forgotten = bool(self._kept) and self._kept[0].t > answer.t
+        if answer.begun < self._begun or (answer.hypotheses and forgotten):
             return
         self._answer = answer
         if not answer.hypotheses:

@@ -22,10 +22,9 @@ from palmd.observer.three_palms.icosphere import icosphere
 from palmd.observer.three_palms.path import JointPath
 from palmd.observer.three_palms.record import PadReadings
 from palmd.observer.three_palms.search import Task
-from palmd.system.three_palms import PALMS, ThreePalmsRig
+from palmd.system.three_palms import GAP_S, PALMS, ThreePalmsRig
 
 LEAST_S = 2.5
-GAP_S = 0.15  # without a reading of a pad or a report of the joints, after which nothing is known to go on
 NEAR = math.cos(math.radians(4.0))
 MOST_CHI2 = 1.15
 MOST_COST = 1.12  # per number read, of readings, equations and beliefs together

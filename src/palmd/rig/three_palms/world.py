@@ -77,8 +77,9 @@ class ThreePalmsWorld(EmulatedRig[TiltArm]):
     # -- the outside --------------------------------------------------------------------------------------
 
     def new_object(self) -> None:
-        """A hand exchanges the body."""
+        """A hand takes the body away and, two seconds later, puts another one on the palms."""
         self._draw_body()
+        self._leave(self.t)
 
     def truth(self) -> dict[str, Any]:
         """What is really there at `t`, as `rig/palm3` tells it."""
