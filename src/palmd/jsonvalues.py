@@ -10,14 +10,14 @@ import numpy.typing as npt
 
 
 def or_none(value: Any) -> Any:
-    """The same value with None for every number that is not finite, in lists and maps too."""
+    """The same value with None for every number that is not finite, in lists, tuples (as lists) and maps too."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):  # a plain number needs no call: most are
         return {
             name: each if type(each) is float and math.isfinite(each) else or_none(each) for name, each in value.items()
         }
-    if isinstance(value, list):
+    if isinstance(value, list | tuple):
         return [each if type(each) is float and math.isfinite(each) else or_none(each) for each in value]
     return value
 

@@ -11,8 +11,8 @@ from palmd.jsonvalues import or_none
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, np.float64("nan")])
 def test_numbers_that_are_none_are_none_at_any_depth(bad):
-    told = or_none({"a": bad, "b": [1.0, bad, {"c": [bad]}], "d": [[bad, 2.0]]})
-    assert told == {"a": None, "b": [1.0, None, {"c": [None]}], "d": [[None, 2.0]]}
+    told = or_none({"a": bad, "b": [1.0, bad, {"c": [bad]}], "d": [[bad, 2.0]], "e": (bad, 1.0)})
+    assert told == {"a": None, "b": [1.0, None, {"c": [None]}], "d": [[None, 2.0]], "e": [None, 1.0]}
     assert or_none(bad) is None
     json.dumps(told, allow_nan=False)
 
