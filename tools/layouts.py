@@ -8,7 +8,7 @@ from itertools import cycle
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
-from palmd.quantities import CHARTS, ESTIMATE, TOPICS, Tab
+from palmd.quantities import CHARTS, ESTIMATE, PALM3_TOPICS, PIVOT_TOPICS, TOPICS, Tab
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c8c8c", "#000000")
 TABS: tuple[Tab, ...] = ("state", "trust", "forces", "loop")
@@ -27,15 +27,18 @@ WITHOUT_FOXGLOVE = (
 Plot = tuple[str, list[tuple[str, str]]]
 """A title, and its curves: topic and field."""
 
+TWO_PALMS_TOPICS = [topic for topic in TOPICS if topic not in (*PIVOT_TOPICS, *PALM3_TOPICS)]
+
 
 def plots(tab: Tab, without: Sequence[str] = ()) -> list[Plot]:
-    """The charts of a tab, each with what of all topics belongs to it, in published units."""
+    """The charts of a tab, each with what of two palms' topics belongs to it, in published units."""
     found: list[Plot] = []
     for chart in CHARTS:
         if chart.tab == tab and chart.name not in without:
-            curves = [(t.name, q.name) for t in TOPICS for q in t.quantities if q.chart == chart.name]
-            units = {q.unit for t in TOPICS for q in t.quantities if q.chart == chart.name}
-            found.append((_titled(chart.title, *units), curves))
+            drawn = [(t.name, q) for t in TWO_PALMS_TOPICS for q in t.quantities if q.chart == chart.name]
+            curves = [(topic, quantity.name) for topic, quantity in drawn]
+            if curves:
+                found.append((_titled(chart.title, *{quantity.unit for _, quantity in drawn}), curves))
     return found
 
 
