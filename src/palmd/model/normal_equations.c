@@ -4,6 +4,8 @@
    LANES: what they are in the constants, then the right-hand side, then zeros. Matrices in the nodes are banded, `band[d * n + i]` being the entry
    (i + d, i). */
 
+#pragma GCC optimize("unroll-loops")
+
 #define LANES 8
 #include "lanes.h"
 
@@ -22,16 +24,25 @@ typedef struct {
   int waiting;
 } Sum;
 
-INLINE lane load(const double *from) { lane a; memcpy(&a, from, sizeof a); return a; }
-INLINE void store(double *to, lane a) { memcpy(to, &a, sizeof a); }
+/* As wide as a register: of wider ones compilers keep a loop's sums in memory, ten times as slow. */
+#ifdef __AVX512F__
+#define WIDE 8
+#else
+#define WIDE 4
+#endif
+_Static_assert(LANES % WIDE == 0, "rows are of whole registers");
+typedef double wide __attribute__((vector_size(8 * WIDE)));
 
-/* corner += pendingᵀ pending, its upper triangle by blocks of lanes */
+INLINE wide load(const double *from) { wide a; memcpy(&a, from, sizeof a); return a; }
+INLINE void store(double *to, wide a) { memcpy(to, &a, sizeof a); }
+
+/* corner += pendingᵀ pending, its upper triangle by blocks */
 static void flush(Sum *sum) {
   for (int r = sum->waiting; r < ROWS; r++) memset(sum->pending[r], 0, sizeof sum->pending[r]);
   for (long i = 0; i < sum->width; i++) {
     double *row = sum->corner + i * sum->width;
-    for (long j = i / LANES * LANES; j < sum->width; j += LANES) {
-      lane a = load(row + j);
+    for (long j = i / WIDE * WIDE; j < sum->width; j += WIDE) {
+      wide a = load(row + j);
       for (int r = 0; r < ROWS; r++) a += sum->pending[r][i] * load(sum->pending[r] + j);
       store(row + j, a);
     }
@@ -44,7 +55,7 @@ static void add(Sum *sum, long first, const double *nodes, int count) {
   const double *row = sum->pending[sum->waiting];
   for (int a = 0; a < count; a++) {
     double *to = sum->rows + (first + a) * sum->width;
-    for (long j = 0; j < sum->width; j += LANES) store(to + j, load(to + j) + nodes[a] * load(row + j));
+    for (long j = 0; j < sum->width; j += WIDE) store(to + j, load(to + j) + nodes[a] * load(row + j));
     for (int b = 0; b <= a; b++) sum->band[(a - b) * sum->n + first + b] += nodes[a] * nodes[b];
   }
   if (++sum->waiting == ROWS) flush(sum);
@@ -120,8 +131,8 @@ int reduce(const double *band, long stride, long n, const double *damping, doubl
       factor[d * n + j] = l[d] = a;
     }
     double *row = rows + i * width;
-    for (long c = 0; c < width; c += LANES) {
-      lane a = load(row + c);
+    for (long c = 0; c < width; c += WIDE) {
+      wide a = load(row + c);
       for (int d = 1; d < BAND && d <= i; d++) a -= l[d] * load(row - d * width + c);
       store(row + c, a / l[0]);
     }
@@ -129,8 +140,8 @@ int reduce(const double *band, long stride, long n, const double *damping, doubl
   for (long first = 0; first < n; first += NEAR) { /* a few rows at a time stay in the fastest memory */
     const long last = first + NEAR < n ? first + NEAR : n;
     for (long i = 0; i < width; i++)
-      for (long c = i / LANES * LANES; c < width; c += LANES) {
-        lane a = EVERY(0.0);
+      for (long c = i / WIDE * WIDE; c < width; c += WIDE) {
+        wide a = {0.0};
         for (long r = first; r < last; r++) a += rows[r * width + i] * load(rows + r * width + c);
         store(left + i * width + c, load(left + i * width + c) - a);
       }

@@ -239,17 +239,19 @@ def test_a_newcomer_arrives_where_a_filter_that_had_always_been_there_stands(run
     filters, palms = ShapeFilters(run.rig, 1, order=ORDER), PalmTracker(run.rig.palm_angle_noise)
     filters.bank.refill()
     filters.bank.x[:], filters.bank.P[:] = improvement.x, improvement.P
+    filters.rig_error.values[:] = improvement.rig
     t = improvement.t
     variance = run.rig.pads[0].noise ** 2 + run.rig.pads[0].resolution ** 2 / 12
     for event in recent:
         if isinstance(event, PalmSample) and event.t_sample > improvement.t - LEAD_S:
             palms.feed(event)
         if isinstance(event, PadSample) and event.t_sample >= improvement.t:
-            steps = math.ceil((event.t_sample - t) / LONGEST_STEP_S)
-            for begin, end in itertools.pairwise(np.linspace(t, event.t_sample, steps + 1)):
+            reading = filters.rig_error.on_time(event)
+            steps = math.ceil((reading.t_sample - t) / LONGEST_STEP_S)
+            for begin, end in itertools.pairwise(np.linspace(t, reading.t_sample, steps + 1)):
                 filters.predict(begin, end - begin, palms)
-            t = event.t_sample
-            filters.fuse_pad(event, variance, palms, palms.repeated)
+            t = reading.t_sample
+            filters.fuse_pad(reading, variance, palms, palms.repeated)
     filters.predict(t, until - t, palms)
     sd = np.sqrt(np.diagonal(P))
     assert np.all(np.abs(filters.bank.x[0] - x) < 1e-3 * sd)
