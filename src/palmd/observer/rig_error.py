@@ -40,7 +40,7 @@ class RigError:
         return PadSample(sample.t_sample - lag, sample.pad, sample.s, sample.force) if lag else sample
 
     def pressing(self, sample: PadSample) -> float:
-        """The force (N) that it was read under; pressed beyond its scale a pad tells none: the most that it has told."""
+        """The force (N) that it was read under; pressed beyond its scale a pad tells none, but did tell the most."""
         if sample.force is not None:
             self._most[sample.pad - 1] = max(self._most[sample.pad - 1], sample.force)
             return sample.force
