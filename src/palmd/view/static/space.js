@@ -2,7 +2,7 @@
 
 import { classOf } from "./knowledge.js";
 import { arrow, line, mark, write } from "./paths.js";
-import { cross, dot, icosphere, plus, rotation, scaled, surface, turned, unit } from "./surface.js";
+import { cross, dot, plus, rotation, scaled, surfaceOf, turned, unit } from "./surface.js";
 import { colours, ofPalm } from "./theme.js";
 
 const FROM = { around: -0.9, above: 0.45 }; // where it is seen from at first (rad)
@@ -45,8 +45,6 @@ function turns([x0, y0], [x1, y1], [x2, y2]) {
 
 export class SpaceView {
   #from = { ...FROM };
-  #known = { shape: null };
-  #true = { shape: null };
 
   /** Turns the side it is seen from (rad). */
   turn(around, above) {
@@ -76,14 +74,13 @@ export class SpaceView {
     const behind = ({ normal }) => dot(normal, eye.towards) > 0; // the palm whose inner side is seen has the body before it
     for (const palm of palms.filter(behind)) drawPad(seen, palm, 0.3);
     const com = [estimate.com_x_m, estimate.com_y_m, estimate.com_z_m];
-    learn(this.#known, store.get("palm/shape"));
-    if (this.#known.shape && com.every(Number.isFinite) && estimate.quat_xyzw.every(Number.isFinite)) {
-      drawBody(seen, this.#known, rotation(estimate.quat_xyzw), com, estimate.valid);
+    const shape = store.get("palm/shape"), object = store.get("rig/object");
+    if (shape.h_m && com.every(Number.isFinite) && estimate.quat_xyzw.every(Number.isFinite)) {
+      drawBody(seen, shape, rotation(estimate.quat_xyzw), com, estimate.valid);
     }
     const truth = store.get("rig/truth");
-    learn(this.#true, store.get("rig/object"));
-    if (store.truthful(now) && this.#true.shape) {
-      drawGhost(seen, this.#true, rotation(truth.quat_xyzw), [truth.com_x_m, truth.com_y_m, truth.com_z_m]);
+    if (store.truthful(now)) {
+      drawGhost(seen, object, rotation(truth.quat_xyzw), [truth.com_x_m, truth.com_y_m, truth.com_z_m]);
     }
     for (const palm of palms.filter((palm) => !behind(palm))) drawPad(seen, palm, 0.12);
     for (const palm of palms) drawContact(seen, palm, estimate, store.get("palm/contact"));
@@ -96,14 +93,6 @@ export class SpaceView {
     const right = unit(cross(UP, towards));
     return { towards, right, up: cross(towards, right) };
   }
-}
-
-/** Computes the surface of a message once. */
-function learn(memory, message) {
-  if (message === memory.shape || !message.h_m) return;
-  memory.shape = message;
-  memory.sphere = icosphere(message.halvings);
-  memory.surface = surface(memory.sphere, message.h_m);
 }
 
 function padOf(palm, info, number) {
@@ -126,7 +115,8 @@ function drawPad({ context, project, ratio }, { number, centre, half, a, b }, fi
 }
 
 /** Every triangle that faces who looks, by the class of its one-sigma and as bright as it faces the light. */
-function drawBody({ context, project, eye, ratio }, { shape, sphere, surface: { points } }, turn, com, valid) {
+function drawBody({ context, project, eye, ratio }, shape, turn, com, valid) {
+  const { sphere, surface: { points } } = surfaceOf(shape);
   const places = points.map((point) => plus(turned(turn, point), com));
   const flat = places.map(project);
   const paths = new Map();
@@ -156,7 +146,8 @@ function drawBody({ context, project, eye, ratio }, { shape, sphere, surface: { 
 }
 
 /** The truth's contour in its own place, dashed. */
-function drawGhost({ context, project, ratio }, { surface: { points } }, turn, com) {
+function drawGhost({ context, project, ratio }, object, turn, com) {
+  const { points } = surfaceOf(object).surface;
   context.save();
   context.strokeStyle = colours.truth;
   context.lineWidth = 1.5 * ratio;

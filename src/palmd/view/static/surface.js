@@ -6,6 +6,7 @@ const CORNERS = [[-1, GOLDEN, 0], [1, GOLDEN, 0], [-1, -GOLDEN, 0], [1, -GOLDEN,
 const FACES = [[0, 11, 5], [0, 5, 1], [0, 1, 7], [0, 7, 10], [0, 10, 11], [1, 5, 9], [5, 11, 4], [11, 10, 2], [10, 7, 6],
   [7, 1, 8], [3, 9, 4], [3, 4, 2], [3, 2, 6], [3, 6, 8], [3, 8, 9], [4, 9, 5], [2, 4, 11], [6, 2, 10], [8, 6, 7], [9, 8, 1]];
 const spheres = new Map();
+const surfaces = new WeakMap(); // by the message
 
 export const dot = ([a, b, c], [x, y, z]) => a * x + b * y + c * z;
 export const cross = ([a, b, c], [x, y, z]) => [b * z - c * y, c * x - a * z, a * y - b * x];
@@ -72,6 +73,15 @@ export function surface({ directions, slopes }, h) {
   const points = directions.map((n, i) => slopes[i].reduce((x, [j, along, rise]) => plus(x, along, h[j] - rise * h[i]), scaled(n, h[i])));
   const bends = points.map((x, i) => slopes[i].reduce((sum, [j, , , bend]) => sum + bend * (h[j] - dot(x, directions[j])), 0) / slopes[i].length);
   return { points, bends };
+}
+
+/** What a message's `halvings` and `h_m` make, computed once for each: {sphere, surface}. */
+export function surfaceOf(message) {
+  if (!surfaces.has(message)) {
+    const sphere = icosphere(message.halvings);
+    surfaces.set(message, { sphere, surface: surface(sphere, message.h_m) });
+  }
+  return surfaces.get(message);
 }
 
 /** The support function at any unit direction, from the point whose normal is nearest to it, to second order. */

@@ -2,7 +2,7 @@
 
 import { at } from "./geometry.js";
 import { seconds, TURN } from "./store.js";
-import { icosphere, rotation, support, surface, turned, turnedBack, unit } from "./surface.js";
+import { icosphere, rotation, support, surfaceOf, turned, turnedBack, unit } from "./surface.js";
 
 const COMPARED = 120; // directions of a body in space, at most
 
@@ -29,9 +29,9 @@ export function turnAt(store, estimate) {
 /** As `offTruth` of a body in space, at some of the directions that were felt. */
 export function offTruthInSpace(shape, object, turn, estimate) {
   const { directions } = icosphere(shape.halvings);
-  const own = surface(icosphere(object.halvings), object.h_m);
+  const { sphere, surface } = surfaceOf(object);
   const felt = directions.map((_, i) => i).filter((i) => shape.touched[i]);
   const some = felt.filter((_, k) => k % Math.ceil(felt.length / COMPARED) === 0);
   const [believed, real] = [rotation(estimate.quat_xyzw), rotation(turn)];
-  return some.map((i) => support(icosphere(object.halvings), own, turnedBack(real, turned(believed, directions[i]))) - shape.h_m[i]);
+  return some.map((i) => support(sphere, surface, turnedBack(real, turned(believed, directions[i]))) - shape.h_m[i]);
 }
