@@ -36,7 +36,8 @@ def parts() -> list[Part]:
     """In the order in which they are told of."""
     ignored = tuple(f"--ignore={path}" for path in OTHERS)
     return [
-        Part("linters", ("make", "--no-print-directory", "lint")),
+        # what is installed stays as it is: an installation that is renewed is none for a moment, for those beside too
+        Part("linters", ("make", "--no-print-directory", "--old-file=dev", "lint")),
         Part("rig", (*PYTEST, *cached("rig"), "tests/rig"), rig=True, talks=True),
         Part("system", (*PYTEST, *cached("system"), "tests/system"), rig=True),
         Part("all others", (*PYTEST, "-n", str(WORKERS), "--dist", "worksteal", *ignored)),

@@ -1,6 +1,8 @@
 """How all tests are run: side by side, nothing left out, and a rig's that was kept waiting tried again by itself."""
 
 import importlib.util
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -25,6 +27,18 @@ def tool(monkeypatch):
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+def test_nothing_is_installed_while_tests_run(tool, tmp_path):
+    """Not even what is older than the list of what is needed: `palmd` would be missing for a moment."""
+    shutil.copy(ROOT / "Makefile", tmp_path)
+    for name in ("requirements.lock", "requirements-dev.lock", "pyproject.toml", ".venv/bin/python"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    (command,) = (part.command for part in tool.parts() if part.name == "linters")
+    told = subprocess.run([*command, "--dry-run"], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+    assert "ruff check" in told
+    assert "install" not in told
 
 
 @pytest.fixture

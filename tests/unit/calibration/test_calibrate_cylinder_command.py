@@ -147,7 +147,8 @@ def test_standoffs_are_found_with_two_cylinders_one_after_the_other(rig, mine, t
         "take the cylinder of 20 mm out",
         "lay the cylinder of 15 mm between the palms, across both pads",
     ]
-    assert "pad 1's surface lies 0.3" in err
+    found_mm = result["found"]["palm1"]["standoff_mm"]
+    assert f"pad 1's surface lies {found_mm:.2f} mm above the hinge line" in err
     assert world.status()["setpoints_outside_limits"] == 0
 
 
