@@ -10,7 +10,7 @@ import pytest
 import yaml
 from virtual_rig import running
 
-from palmd.calibration import cylinder_session
+from palmd.calibration import cylinder, cylinder_session
 from palmd.calibration import standoff as standoff_command
 from palmd.cli import main
 from palmd.config import config_hash
@@ -56,8 +56,17 @@ def rig(tmp_path, mine):
 
 @pytest.fixture(autouse=True)
 def brief(monkeypatch):
+    """Plans like those of a rig, but with fewer and shorter rests: what these are worth is `test_pad_force.py`'s."""
     monkeypatch.setattr(cylinder_session, "FIRST_TOUCH_S", 3.0)
     monkeypatch.setattr(cylinder_session, "TOUCHED_S", 0.1)
+    monkeypatch.setattr(cylinder, "_TIPS", 2)
+    monkeypatch.setattr(cylinder, "_HOLD_S", 0.7)
+
+
+@pytest.fixture
+def brisk(monkeypatch):
+    """Plans that are over soon, for those that are in vain."""
+    monkeypatch.setattr(cylinder, "SLOW_RAD_S", cylinder.BRISK_RAD_S)
 
 
 def pads(config, *more):
@@ -110,9 +119,9 @@ def test_forces_are_found_stored_and_told(rig, mine, tmp_path, capsys):
     found = result["configuration"]
     assert found["palm1"]["newtons_per_count"] == pytest.approx(0.024, rel=0.015)
     assert found["palm2"]["newtons_per_count"] == pytest.approx(0.017, rel=0.015)
-    assert (result["found"]["rests"], result["found"]["rounds"]) == (64, 2)
+    assert (result["found"]["rests"], result["found"]["rounds"]) == (32, 2)
     out, _ = capsys.readouterr()
-    assert out.startswith("64 rests in 2 rounds, friction at rest ")
+    assert out.startswith("32 rests in 2 rounds, friction at rest ")
     assert f"{mine}: write in pads.palm2: newtons_per_count: {found['palm2']['newtons_per_count']}\n" in out
 
 
@@ -171,12 +180,14 @@ def test_two_cylinders_that_are_alike_are_refused(mine, capsys):
     assert said.startswith("cylinders of 20 and 19 mm radius are too much alike")
 
 
+@pytest.mark.usefixtures("brisk")
 def test_swapped_pads_are_refused(rig, mine, capsys):
     with rig(crossed=True):
         said = refused(mine, 3, capsys)
     assert "the pads are swapped; exchange pads.palm1.port and pads.palm2.port" in said
 
 
+@pytest.mark.usefixtures("brisk")
 def test_a_daemon_with_another_configuration_is_noticed(rig, mine, capsys):
     with rig():
         mine.write_text(mine.read_text().replace("palm1: {port: pad1}", "palm1: {port: pad1, zero_mm: 26.5}"))

@@ -8,7 +8,7 @@ from palmd.daemon.supervisor import Supervisor
 from palmd.lab.simulation.held import EVERYTHING, LEAK_KB_H, Holdings
 from palmd.lab.simulation.long import calm, live, troubled
 
-SECONDS, EVERY_S = 60.0, 2.0
+SECONDS, EVERY_S = 36.0, 2.0
 LEAK_BYTES, LEAK_TICKS = 111, 400  # with its place in a list 119 bytes every 4 s: 107 kB/h
 
 
