@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.harness.comparison import AnyComparison
+from palmd.harness.settling import SettlingComparison
 from palmd.observer.three_palms.icosphere import icosphere
 from palmd.observer.three_palms.rotation import exp
 from palmd.quantities import PALM3, PALM3_BODY, PALM3_SHAPE, PALM3_TRUTH, WORLD_AXES
 
-NEAR_S = 6e-3
 SPIN = tuple(f"omega_{axis}_rad_s" for axis in WORLD_AXES)
 CENTRE = tuple(f"com_{axis}_m" for axis in WORLD_AXES)
 TURNS = 6  # steps of Gauss–Newton towards the best turn
@@ -23,24 +22,13 @@ COMPARED = 120  # directions that are looked at, at most
 REACH = 60  # directions next to one, for h between them
 
 
-class ThreePalmsComparison(AnyComparison):
+class ThreePalmsComparison(SettlingComparison):
     """Of three palms in space."""
 
     def __init__(self, seed: int, rig: str) -> None:
         super().__init__(seed, rig)
-        self._t_settled: float | None = None
-        self._estimate: Mapping[str, Any] = {}
-        self._truth: Mapping[str, Any] = {}
-        self._body: Mapping[str, Any] | None = None
-        self._shape: Mapping[str, Any] | None = None
         self._turn: FloatArray | None = None  # from the estimate's frame to the truth's, when the shape came
-        self._errors: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=6000)  # in spin and centre, with bands
-        self._ticks = self._valid = 0
-
-    @property
-    def settled(self) -> bool:
-        """By what is published."""
-        return self._t_settled is not None
+        self._off: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=6000)  # in spin and centre, with bands
 
     def _take(self, topic: str, fields: Mapping[str, Any]) -> None:
         if topic == PALM3.name:
@@ -55,46 +43,20 @@ class ThreePalmsComparison(AnyComparison):
         elif topic == PALM3_BODY.name:
             self._body = fields
 
-    def _take_estimate(self, fields: Mapping[str, Any]) -> None:
-        self._ticks += 1
-        self._estimate = fields
-        if not fields["valid"] or self.t_started is None:
-            return
-        self._valid += 1
-        t, truth = fields["mono_ns"] * 1e-9, self._truth
-        if self._t_settled is None:
-            self._t_settled = t
-        if truth and abs(truth["mono_ns"] * 1e-9 - t) < NEAR_S:
-            names = (*SPIN, *CENTRE)
-            off = np.array([fields[name] - truth[name] for name in names])
-            self._errors.append((off, np.array([fields["sd"][name] for name in names])))
+    def _compare(self, estimate: Mapping[str, Any], truth: Mapping[str, Any]) -> None:
+        names = (*SPIN, *CENTRE)
+        off = np.array([estimate[name] - truth[name] for name in names])
+        self._off.append((off, np.array([estimate["sd"][name] for name in names])))
 
-    def progress(self, t: float) -> str:
-        """One line, with why it is where it is."""
-        since = 0.0 if self.t_started is None else t - self.t_started
-        estimate, state = self._estimate, self._state
-        known = "valid" if estimate.get("valid") else f"not valid: {estimate.get('reason', 'nothing is heard')}"
-        return ", ".join([f"{since:5.1f} s", str(state.get("state", "")), known, *self._surface()])
+    def _errors(self) -> list[str]:
+        if not self._off:
+            return []
+        off, sd = (np.array(each) for each in zip(*self._off, strict=True))
+        spin, centre = np.sqrt(np.mean(off[:, :3] ** 2)), np.sqrt(np.mean(off[:, 3:] ** 2))
+        square = np.mean((off / sd) ** 2)
+        return [f"omega {spin:.3f} rad/s, centre {centre * 1e6:.0f} µm RMS, (error/sd)² {square:.2f}"]
 
-    def summary(self) -> str:
-        """The closing line."""
-        if self._t_settled is None or self.t_started is None:
-            settled = f"never settled: {self._estimate.get('reason', 'nothing is heard')}"
-        else:
-            settled = f"settled after {self._t_settled - self.t_started:.1f} s"
-        parts = [f"seed {self._seed}", f"rig {self._rig}", settled, *self._surface()]
-        if self._errors:
-            off, sd = (np.array(each) for each in zip(*self._errors, strict=True))
-            spin, centre = np.sqrt(np.mean(off[:, :3] ** 2)), np.sqrt(np.mean(off[:, 3:] ** 2))
-            square = np.mean((off / sd) ** 2)
-            parts.append(f"omega {spin:.3f} rad/s, centre {centre * 1e6:.0f} µm RMS, (error/sd)² {square:.2f}")
-        if self._body is not None and math.isfinite(self._estimate.get("mu", math.nan)):
-            mu, sd_mu = self._estimate["mu"], self._estimate["sd"]["mu"]
-            parts.append(f"mu {mu:.3f} ± {sd_mu:.3f} (true {self._body['mu']:.3f})")
-        parts += [f"ticks {self._ticks}, valid {self._valid}", self._work()]
-        return "palmd demo: " + ", ".join(parts)
-
-    def _surface(self) -> list[str]:
+    def _outline(self) -> list[str]:
         shape, body = self._shape, self._body
         if shape is None or body is None or self._turn is None or shape["object"] != self._estimate.get("object"):
             return []

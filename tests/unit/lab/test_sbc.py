@@ -178,7 +178,7 @@ def test_a_small_turn_of_the_whole_is_no_error():
 
 
 def test_the_errors_one_sigma_is_what_reconstruct_says():
-    """Of outlines off by each column of a covariance's root: the band is `observer.outline`'s, the error this study's."""
+    """Of outlines off by a column of a covariance's root: the band is `observer.outline`'s, the error this study's."""
     order, random = 5, np.random.default_rng(2)
     mean = np.array([0.02, 0.0, 0.0, 8e-4, 2e-4, 3e-4, 1e-4, 5e-5, 4e-5, 3e-5, 2e-5])
     root = 1e-6 * random.standard_normal((len(mean), len(mean)))

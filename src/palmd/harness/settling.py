@@ -1,0 +1,79 @@
+"""What comparisons have in common where the daemon itself tells whether its estimate is valid, and why not. Pure."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import Any
+
+from palmd.harness.comparison import AnyComparison
+
+NEAR_S = 6e-3  # between an estimate and the truth that it is held against
+
+
+class SettlingComparison(AnyComparison):
+    """Settled with the first estimate that is called valid; a derived one says what is compared, and of which topics.
+
+    `_shape` and `_body` are the last estimated shape and the true one, for a derived one to keep.
+    """
+
+    def __init__(self, seed: int, rig: str) -> None:
+        super().__init__(seed, rig)
+        self._t_settled: float | None = None
+        self._estimate: Mapping[str, Any] = {}
+        self._truth: Mapping[str, Any] = {}
+        self._body: Mapping[str, Any] | None = None
+        self._shape: Mapping[str, Any] | None = None
+        self._mu = (math.nan, math.nan)  # the last one told, with its band
+        self._ticks = self._valid = 0
+
+    @property
+    def settled(self) -> bool:
+        """By what is published."""
+        return self._t_settled is not None
+
+    def _take_estimate(self, fields: Mapping[str, Any]) -> None:
+        self._ticks += 1
+        self._estimate = fields
+        if math.isfinite(fields["mu"]):
+            self._mu = fields["mu"], fields["sd"]["mu"]
+        if not fields["valid"] or self.t_started is None:
+            return
+        self._valid += 1
+        t = fields["mono_ns"] * 1e-9
+        if self._t_settled is None:
+            self._t_settled = t
+        if self._truth and abs(self._truth["mono_ns"] * 1e-9 - t) < NEAR_S:
+            self._compare(fields, self._truth)
+
+    @abstractmethod
+    def _compare(self, estimate: Mapping[str, Any], truth: Mapping[str, Any]) -> None:
+        """A valid estimate and the truth of the same moment."""
+
+    @abstractmethod
+    def _outline(self) -> list[str]:
+        """How far the shape is off, once there is one."""
+
+    @abstractmethod
+    def _errors(self) -> list[str]:
+        """What came of the moments compared."""
+
+    def progress(self, t: float) -> str:
+        """One line, with why it is where it is."""
+        since = 0.0 if self.t_started is None else t - self.t_started
+        estimate = self._estimate
+        known = "valid" if estimate.get("valid") else f"not valid: {estimate.get('reason', 'nothing is heard')}"
+        return ", ".join([f"{since:5.1f} s", str(self._state.get("state", "")), known, *self._outline()])
+
+    def summary(self) -> str:
+        """The closing line."""
+        if self._t_settled is None or self.t_started is None:
+            settled = f"never settled: {self._estimate.get('reason', 'nothing is heard')}"
+        else:
+            settled = f"settled after {self._t_settled - self.t_started:.1f} s"
+        parts = [f"seed {self._seed}", f"rig {self._rig}", settled, *self._outline(), *self._errors()]
+        if self._body is not None and math.isfinite(self._mu[0]):
+            parts.append(f"mu {self._mu[0]:.3f} ± {self._mu[1]:.3f} (true {self._body['mu']:.3f})")
+        parts += [f"ticks {self._ticks}, valid {self._valid}", self._work()]
+        return "palmd demo: " + ", ".join(parts)
