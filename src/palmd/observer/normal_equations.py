@@ -117,6 +117,11 @@ class NormalEquations:
         self.whole_corner[:side, side] += known.side[:side]
         return replace(self, cost=self.cost + known.cost, strain=known.strain)
 
+    def knowing_instead(self, known: Terms, before: Terms) -> NormalEquations:
+        """With other knowledge than `before`, which is in them; the cost is left as it is."""
+        own = replace(self, banded=self.banded.copy(), rows=self.rows.copy(), whole_corner=self.whole_corner.copy())
+        return own.knowing(Terms(0.0, known.strain, known.matrix - before.matrix, known.side - before.side))
+
     def solved(self, damping: float, scale: FloatArray) -> Guess:
         """The damped Newton step of everything; raises LinAlgError where there is none.
 

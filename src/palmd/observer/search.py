@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -117,6 +118,13 @@ class Search:
         self._resting_since = resting_since
         self.belief = belief or RigBelief.of(rig)
         self.noise = noise_on(rig)
+
+    def believing(self, belief: RigBelief) -> Search:
+        """The same segment, searched anew under another belief in the rig."""
+        other = copy(self)
+        other.__dict__.pop("prior", None)
+        other.belief = belief
+        return other
 
     @property
     def known(self) -> Knowledge:

@@ -7,7 +7,9 @@ iteration costs a few milliseconds for ten seconds of readings. Not for use insi
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
 
@@ -22,11 +24,15 @@ MAX_ITERATIONS = 60
 NEGLIGIBLE = 0.03  # fall of the cost (twice a log-likelihood) that is not worth another iteration
 FIRST_DAMPING, LEAST_DAMPING, MAX_DAMPING = 1e-2, 1e-9, 1e8
 CORRECTIONS, GOOD_ENOUGH = 2, 0.9  # of the nodes alone, unless the cost falls by a tenth at once
+LEAST_FALL = 1e-3  # of the cost, by which a correction must lower it
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """A minimum that was found: its cost, what that is made of (`NormalEquations`), and how the iteration ended."""
+    """A minimum that was found: its cost, what that is made of (`NormalEquations`), and how the iteration ended.
+
+    `linearised` is at the minimum.
+    """
 
     guess: Guess
     noise: ProcessNoise
@@ -39,6 +45,22 @@ class Fit:
     astray: int
     iterations: int
     settled: bool
+    linearised: Linearised | None = field(default=None, repr=False, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Linearised:
+    """Normal equations, and what they are of."""
+
+    record: Record
+    known: Knowledge
+    guess: Guess
+    noise: ProcessNoise
+    equations: NormalEquations
+
+    def is_of(self, record: Record, known: Knowledge, guess: Guess, noise: ProcessNoise) -> bool:
+        """Whether they are of these very objects."""
+        return self.record is record and self.known is known and self.guess is guess and self.noise == noise
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +84,12 @@ class Smoother:
         """Binds the kernels to arrays of the record's size; `known` is about the constants and the first node."""
         self._residuals = Residuals(library, record)
         self._known = known
+
+    def knowing(self, known: Knowledge) -> Self:
+        """The same problem with something else known beforehand; kernels and arrays are shared."""
+        other = copy(self)
+        other._known = known
+        return other
 
     def fit(self, start: Guess, noise: ProcessNoise, iterations: int = MAX_ITERATIONS) -> Fit:
         """Iterate from `start` until nothing moves any more; the result may be a local minimum.
@@ -90,7 +118,7 @@ class Smoother:
             damping = max(damping / 5.0, LEAST_DAMPING)
         return Fit(
             guess, noise, now.cost, now.chi2, now.force_chi2, now.slack, now.strain, now.outliers, now.astray,
-            count, settled,
+            count, settled, Linearised(self._residuals.record, self._known, guess, noise, now),
         )  # fmt: skip
 
     def completed(self, guess: Guess) -> Guess:
@@ -124,11 +152,14 @@ class Smoother:
         for _ in range(CORRECTIONS):
             if then.cost < GOOD_ENOUGH * to_beat:
                 break
-            better = Guess(trial.x + _solved_nodes(then), trial.p)
+            step = _solved_nodes(then)
+            if not then.node_side @ step.ravel() > LEAST_FALL * then.cost:
+                break  # by which it would fall, were it square
+            better = Guess(trial.x + step, trial.p)
             if not self._sane(better):
                 break
             after = self.linearised(better, noise)
-            if not after.cost < 0.999 * then.cost:
+            if not after.cost < (1.0 - LEAST_FALL) * then.cost:
                 break
             trial, then = better, after
         return (trial, then) if then.cost < to_beat else None
@@ -148,8 +179,11 @@ class Smoother:
 
     def posterior(self, fit: Fit) -> Posterior:
         """How sure the fit is of itself; raises LinAlgError where it is no minimum."""
-        noise = fit.noise
-        now = self.linearised(fit.guess, noise)
+        noise, known = fit.noise, fit.linearised
+        if known is not None and known.is_of(self._residuals.record, self._known, fit.guess, noise):
+            now = known.equations
+        else:
+            now = self.linearised(fit.guess, noise)
         if not math.isfinite(now.cost):
             raise np.linalg.LinAlgError("the fit is beyond all numbers")
         covariance, log_det, step = now.posterior()
