@@ -100,14 +100,22 @@ def _step(smoother: Smoother, prior: Prior, start: Fit, value: float, bent: Gues
     """The fit at ln u_d = `value`, from where the linearisation at `start` foretells it, `bent` besides."""
     pinned = smoother.knowing(_pinned(prior, value))
     foreseen = _foreseen(prior, start, value)
-    guess = Guess(foreseen.x + bent.x, foreseen.p + bent.p)
-    guess.p[C.SATURATION] = math.exp(-2.0 * value)
+    guess = _at(Guess(foreseen.x + bent.x, foreseen.p + bent.p), value)
+    if not pinned.sane(guess):
+        foreseen, guess = start.guess, _at(start.guess, value)
     fit = pinned.fit(guess, start.noise)
     posterior = pinned.posterior(fit)
     belief = (value - prior.mean[C.SATURATION]) / prior.sd[C.SATURATION]
     bent = Guess(fit.guess.x - foreseen.x, fit.guess.p - foreseen.p)
     # the evidence is an integral over w = exp(−2 ln u_d), in which the pin is as wide as w
     return _Step(value, fit, posterior, posterior.evidence - belief**2 / 2 + 2.0 * value, bent)
+
+
+def _at(guess: Guess, value: float) -> Guess:
+    """With ln u_d = `value`."""
+    p = guess.p.copy()
+    p[C.SATURATION] = math.exp(-2.0 * value)
+    return Guess(guess.x, p)
 
 
 def _pinned(prior: Prior, value: float) -> Prior:

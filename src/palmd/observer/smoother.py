@@ -155,7 +155,7 @@ class Smoother:
 
     def _corrected(self, trial: Guess, noise: ProcessNoise, to_beat: float) -> tuple[Guess, NormalEquations | None]:
         """The trial with its nodes solved for again while that helps to beat the cost so far; None where it is void."""
-        if not self._sane(trial):
+        if not self.sane(trial):
             return trial, None
         then = self.linearised(trial, noise)
         if not math.isfinite(then.cost):
@@ -167,7 +167,7 @@ class Smoother:
             if not then.node_side @ step.ravel() > LEAST_FALL * then.cost:
                 break  # by which it would fall, were it square
             better = Guess(trial.x + step, trial.p)
-            if not self._sane(better):
+            if not self.sane(better):
                 break
             after = self.linearised(better, noise)
             if not after.cost < (1.0 - LEAST_FALL) * then.cost:
@@ -175,7 +175,7 @@ class Smoother:
             trial, then = better, after
         return trial, then
 
-    def _sane(self, guess: Guess) -> bool:
+    def sane(self, guess: Guess) -> bool:
         """Whether the kernels can be asked there: a lump of 1 to 200 mm that weighs something, no wild spin."""
         p = guess.p
         return bool(
