@@ -9,8 +9,10 @@ from simulated import simulated
 
 from palmd.model.shape import coefficients_of
 from palmd.model.smoothing import CONSTANTS, NODE, ORDER, C
+from palmd.observer import marginal
 from palmd.observer.data_segment import longest_segment
 from palmd.observer.factor import GAUGE_SD
+from palmd.observer.marginal import marginalised
 from palmd.observer.normal_equations import Guess
 from palmd.observer.search import NOISE, Search
 from palmd.observer.smoother import Smoother
@@ -130,6 +132,38 @@ def test_the_posterior_is_the_inverse_of_the_normal_matrix(problem):
     log_det = np.linalg.slogdet(N * np.outer(scale, scale))[1] - 2 * np.log(scale).sum()
     evidence = -0.5 * (fit.cost + log_det + steps * (np.log(NOISE.psi) + np.log(NOISE.omega0)))
     assert posterior.evidence == pytest.approx(evidence, rel=1e-9)
+
+
+def test_a_fit_has_its_own_equations_and_others_have_not(problem):
+    fit = problem.smoother.fit(problem.guess, NOISE)
+    moved = replace(fit, guess=Guess(fit.guess.x, 1.001 * fit.guess.p))
+    doubting = problem.smoother.knowing(replace(problem.prior, sd=2.0 * problem.prior.sd))
+    for smoother, each in ((problem.smoother, fit), (problem.smoother, moved), (doubting, fit)):
+        got, wanted = smoother.posterior(each), smoother.posterior(replace(each, linearised=None))
+        np.testing.assert_array_equal(got.covariance, wanted.covariance)
+        assert got.evidence == wanted.evidence
+    assert problem.smoother.posterior(moved).evidence != problem.smoother.posterior(fit).evidence
+    assert doubting.posterior(fit).evidence != problem.smoother.posterior(fit).evidence
+
+
+def test_steps_over_the_dither_speed_are_foretold(problem, monkeypatch):
+    prior = replace(problem.prior, sd=np.where(np.arange(CONSTANTS) == C.SATURATION, 0.3, problem.prior.sd))
+    fit = Smoother(problem.library, problem.measured, prior).fit(problem.guess, NOISE)
+    told = marginalised(problem.library, problem.measured, prior, fit)
+    ends = []
+
+    def from_the_start(prior, start, value):
+        ends.append(value)
+        return start.guess
+
+    monkeypatch.setattr(marginal, "_foreseen", from_the_start)
+    wanted = marginalised(problem.library, problem.measured, prior, fit)
+    assert len(ends) > 4
+    sd = np.sqrt(np.diagonal(wanted.covariance))
+    off = np.concatenate([told.mean.p - wanted.mean.p, told.mean.x[-1] - wanted.mean.x[-1]])
+    assert (np.abs(off) < 0.1 * sd).all()
+    assert told.mu == pytest.approx(wanted.mu, abs=0.05 * wanted.mu_sd)
+    assert told.mu_sd == pytest.approx(wanted.mu_sd, rel=0.02)
 
 
 def test_a_fit_comes_back_to_the_truth_from_nearby(problem):
