@@ -50,7 +50,7 @@ def test_what_is_compiled_is_used():
 
 
 def readings(count, astray, seed=0):
-    """Values beside predictions, as far off as their noise is; those in the slice `astray` are off by a hundred times."""
+    """Values beside predictions, as far off as their noise is; those in `astray` by a hundred times."""
     random = np.random.default_rng(seed)
     variance, weight = random.uniform(0.5e-8, 2e-8, count), random.uniform(0.1, 1.0, count)
     value = random.standard_normal(count)
