@@ -118,13 +118,15 @@ class Smoother:
                 settled = True
                 break
             trial, then = self._corrected(Guess(guess.x + step.x, guess.p + step.p), noise, now.cost)
-            fall = now.cost - (then.cost if then else math.inf)
-            if then is not None and fall > 0.0:
-                settled = fall < NEGLIGIBLE
-                guess, now, rejected = trial, then, 0
-                damping = max(damping / 5.0, LEAST_DAMPING)
-                continue
-            settled = damping <= FIRST_DAMPING and promise < LITTLE and _most_on_the_way(promise, fall) < NEGLIGIBLE
+            if then is not None:
+                fall = now.cost - then.cost
+                if fall > 0.0:
+                    settled = fall < NEGLIGIBLE
+                    guess, now, rejected = trial, then, 0
+                    damping = max(damping / 5.0, LEAST_DAMPING)
+                    continue
+                near = damping <= FIRST_DAMPING and promise < LITTLE
+                settled = near and _most_on_the_way(promise, fall) < NEGLIGIBLE
             rejected += promise > MUCH
             damping *= 6.0
         return Fit(

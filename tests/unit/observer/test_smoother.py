@@ -15,7 +15,7 @@ from palmd.observer.factor import GAUGE_SD
 from palmd.observer.marginal import marginalised
 from palmd.observer.normal_equations import Guess
 from palmd.observer.search import NOISE, Search
-from palmd.observer.smoother import Smoother
+from palmd.observer.smoother import Smoother, _most_on_the_way
 
 SECONDS = 0.4
 
@@ -175,6 +175,14 @@ def test_a_fit_comes_back_to_the_truth_from_nearby(problem):
     assert fit.cost < 1.0 < 100.0 < start.cost
     sd = np.sqrt(np.diagonal(problem.smoother.posterior(fit).covariance))
     assert np.abs((fit.guess.p - problem.guess.p) / sd[:CONSTANTS]).max() < 1.0
+
+
+@pytest.mark.parametrize(("promise", "fall"), [(0.05, -0.4), (0.3, -0.01), (0.2, 0.0), (0.1, -5.0)])
+def test_a_step_that_is_rejected_tells_what_is_left_on_the_way(promise, fall):
+    t = np.linspace(0.0, 1.0, 100001)
+    cost = -2.0 * promise * t + (2.0 * promise - fall) * t**2  # its slope is twice what the step promises
+    assert cost[-1] == pytest.approx(-fall)
+    assert _most_on_the_way(promise, fall) == pytest.approx(-cost.min(), rel=1e-6)
 
 
 def test_outliers_do_not_bend_the_answer():
