@@ -1,4 +1,4 @@
-/* The smoother's normal equations: assembled from linearised residuals, and reduced to the constants.
+/* The smoother's normal equations: residuals weighed, assembled once linearised, and reduced to the constants.
 
    The twin of `observer.normal_equations`, which says what they are. All rows are `width` wide, a multiple of
    LANES: what they are in the constants, then the right-hand side, then zeros. Matrices in the nodes are banded, `band[d * n + i]` being the entry
@@ -50,6 +50,68 @@ static void add(Sum *sum, long first, const double *nodes, int count) {
     for (int b = 0; b <= a; b++) sum->band[(a - b) * sum->n + first + b] += nodes[a] * nodes[b];
   }
   if (++sum->waiting == ROWS) flush(sum);
+}
+
+/* The entry that would be at place `k` of `a` (n) were it in order; those before it are no larger. */
+static double selected(double *a, long n, long k) {
+  for (long first = 0, last = n - 1; first < last;) {
+    const double pivot = a[(first + last) / 2];
+    long i = first, j = last;
+    while (i <= j) {
+      while (a[i] < pivot) i++;
+      while (a[j] > pivot) j--;
+      if (i <= j) {
+        const double other = a[i];
+        a[i++] = a[j];
+        a[j--] = other;
+      }
+    }
+    if (k <= j) last = j;
+    else if (k >= i) first = i;
+    else break;
+  }
+  return a[k];
+}
+
+static double median(double *a, long n) {
+  const double above = selected(a, n, n / 2);
+  if (n % 2) return above;
+  double below = a[0];
+  for (long k = 1; k < n / 2; k++) below = a[k] > below ? a[k] : below;
+  return (below + above) / 2;
+}
+
+/* What readings are off by, value − prediction, and one over the one-sigma of each, less for outliers: those beyond
+   `gate`, of the square in sigmas, or what stands out as far from the others. `told`: the cost; its mean of what is no
+   outlier; how many are, and how many in a row at most. `room` is for n. */
+void weigh(long n, const double *predicted, const double *value, const double *variance, const double *weight,
+           double gate, double *residual, double *root, double *room, double *told) {
+  for (long k = 0; k < n; k++) {
+    residual[k] = value[k] - predicted[k];
+    root[k] = room[k] = residual[k] * residual[k] / variance[k];
+  }
+  const double usual = n ? median(room, n) / 0.455 : 1.0;
+  if (usual > 1.0) gate *= usual;
+  double cost = 0.0, square = 0.0;
+  long outliers = 0, run = 0, longest = 0;
+  for (long k = 0; k < n; k++) {
+    const double nis = root[k];
+    if (nis > gate) {
+      outliers++;
+      if (++run > longest) longest = run;
+      cost += weight[k] * gate * (1.0 + log(nis / gate));
+      root[k] = sqrt(gate / nis * weight[k] / variance[k]);
+    } else {
+      run = 0;
+      square += nis;
+      cost += weight[k] * nis;
+      root[k] = sqrt(weight[k] / variance[k]);
+    }
+  }
+  told[0] = cost;
+  told[1] = square / (n - outliers);
+  told[2] = outliers;
+  told[3] = longest;
 }
 
 typedef struct {

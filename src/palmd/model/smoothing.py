@@ -232,4 +232,4 @@ def library(curved: bool = False) -> Library:
 
 def kernels(name: str, form: Form) -> Library:
     """The same set for another form, under a name of its own."""
-    return load(name, lambda: _kernels(form), written=["normal_equations.c"])
+    return load(name, lambda: _kernels(form), written=["normal_equations.c", "palm_path.c"])

@@ -253,7 +253,7 @@ class Bank:
 
     def lost(self) -> bool:
         """Whether not one filter is finite any more."""
-        return bool(self.score.max() == LOST_SCORE)
+        return bool((self._score[0] if self.size == 1 else self.score.max()) == LOST_SCORE)
 
     def plausible(self, margin: float) -> npt.NDArray[np.intp]:
         """Indices of the filters whose score is within `margin` (nats) of the best."""

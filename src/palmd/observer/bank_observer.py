@@ -50,6 +50,11 @@ _FORCES, _BENDS = ([NAMED.index(name) for name in names] for names in (FORCES, (
 _RADII = slice(NAMED.index(RADII[0]), NAMED.index(RADII[-1]) + 1)  # one beside the other
 
 
+def _largest(values: list[float]) -> float:
+    """NaN where one is."""
+    return math.nan if any(map(math.isnan, values)) else max(values)
+
+
 class BankObserver:
     """An `Observer`. `feed`, `improve` and `estimate` take bounded time and are safe inside the loop."""
 
@@ -268,15 +273,16 @@ class BankObserver:
 
     def _evidence(self, track: Track, t: float, y: FloatArray, sd: FloatArray, disagreement: FloatArray) -> Evidence:
         fusion, contacts = self._fusion, self._contacts
+        sds = sd.tolist()  # plain numbers: a few of them take less time than an array
         return Evidence(
             touching=contacts.touching(t),
             palms_known=fusion.palms_known(t),
             resumed_for_s=t - contacts.resumed,
-            finite=math.isfinite(float(y.sum() + sd.sum())),  # as are all its terms
+            finite=math.isfinite(sum(y.tolist()) + sum(sds)),  # as are all its terms
             consistent=consistent(float(fusion.bank.nis[fusion.bank.best()])) and self._lies_on(y),
             age_s=track.age(t),
-            radius_sd_m=float(sd[_RADII].max()),
-            disagreement_m=float(disagreement[_RADII].max()),
+            radius_sd_m=_largest(sds[_RADII]),
+            disagreement_m=_largest(disagreement[_RADII].tolist()),
             explained=self._explained(track, t),
             rig_known=self._link is None or fusion.allows_for_rig or track.radius_sd < RIG_KNOWN_M,
         )

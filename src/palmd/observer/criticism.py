@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import combinations, product
+from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
@@ -129,8 +129,10 @@ def criticised(
 
 
 @cache
-def _sets(size: int) -> npt.NDArray[np.intp]:
-    return np.array(list(combinations(range(RIG_CONSTANTS), size)), np.intp)
+def _sets(size: int) -> tuple[npt.NDArray[np.intp], FloatArray]:
+    """So many constants together (n, size), and by how much each may be off, D."""
+    sets = np.array(list(combinations(range(RIG_CONSTANTS), size)), np.intp)
+    return np.tile(sets, (len(TIMES), 1)), np.concatenate([times * LEFT[sets] for times in TIMES])
 
 
 def _explanations(
@@ -141,21 +143,37 @@ def _explanations(
     None that readings would rather have with one constant less, by the ratio of densities at 0 (Dickey 1971).
     """
     found = []
-    for times, size in product(TIMES, range(1, MOST_TOGETHER + 1)):
-        sets = _sets(size)[(times * LEFT > believed)[_sets(size)].all(axis=1)]
-        D = times * LEFT[sets]
+    for size in range(1, MOST_TOGETHER + 1):
+        sets, D = _sets(size)
+        open_ = (believed[sets] < D).all(axis=1)
+        sets, D = sets[open_], D[open_]
         A = np.eye(size) + D[:, :, None] * K[sets[:, :, None], sets[:, None, :]] * D[:, None, :]
-        left = np.linalg.inv(A)  # of N(0, 1), by the readings
+        left, log_determinant = _inverses(A)  # of N(0, 1), by the readings
         variance = np.diagonal(left, axis1=1, axis2=2)
-        mean = np.einsum("nij,nj->ni", left, D * q[sets])
-        gain = 0.5 * (D * q[sets] * mean).sum(axis=1) - 0.5 * np.linalg.slogdet(A)[1]
+        score = D * q[sets]
+        mean = (left @ score[:, :, None])[:, :, 0]
+        gain = 0.5 * (score * mean).sum(axis=1) - 0.5 * log_determinant
         needed = (np.log(variance) + mean**2 / variance > 0.0).all(axis=1)
-        among, square = np.zeros((len(sets), RIG_CONSTANTS), dtype=np.bool_), np.zeros((len(sets), RIG_CONSTANTS))
+        sets, count = sets[needed], np.count_nonzero(needed)
+        among, square = np.zeros((count, RIG_CONSTANTS), dtype=np.bool_), np.zeros((count, RIG_CONSTANTS))
         np.put_along_axis(among, sets, True, axis=1)
-        np.put_along_axis(square, sets, D**2 * (mean**2 + variance), axis=1)
-        found.append((among[needed], gain[needed] + size * SELDOM - math.log(len(TIMES)), square[needed]))
+        np.put_along_axis(square, sets, (D**2 * (mean**2 + variance))[needed], axis=1)
+        found.append((among, gain[needed] + size * SELDOM - math.log(len(TIMES)), square))
     among, log_weight, square = (np.concatenate(each) for each in zip(*found, strict=True))
     return among, log_weight, square
+
+
+def _inverses(A: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Of matrices 1 + K, K positive semidefinite (n, k, k), in their place; and their log-determinants (n,)."""
+    log_determinant = np.zeros(len(A))
+    for i in range(A.shape[1]):  # swept one after the other (Goodnight 1979)
+        pivot, column = A[:, i, i].copy(), A[:, :, i].copy()
+        row = A[:, i, :] / pivot[:, None]
+        A -= column[:, :, None] * row[:, None, :]
+        A[:, i, :], A[:, :, i] = row, -column / pivot[:, None]
+        A[:, i, i] = 1.0 / pivot
+        log_determinant += np.log(pivot)
+    return A, log_determinant
 
 
 def _score(

@@ -39,25 +39,31 @@ class Marginal:
 
 @dataclass(frozen=True, slots=True)
 class _Step:
+    """The fit at one ln u_d. `bent`: by how much that lies off where it was foreseen."""
+
     value: float
     fit: Fit
     posterior: Posterior
     log_weight: float
+    bent: Guess
 
 
 def marginalised(library: Library, record: Record, prior: Prior, fit: Fit) -> Marginal:
     """Average about the minimum `fit` of `record`; raises LinAlgError where it is no minimum."""
     saturation = float(fit.guess.p[C.SATURATION])
     middle = -0.5 * math.log(saturation)
-    covariance = Smoother(library, record, prior).posterior(fit).covariance
+    smoother = Smoother(library, record, prior)
+    covariance = smoother.posterior(fit).covariance
     sd = math.sqrt(covariance[C.SATURATION, C.SATURATION]) / (2.0 * saturation)
     stride = min(max(sd, STEP_RANGE[0]), STEP_RANGE[1])
-    steps = [_step(library, record, prior, fit, middle)]
+    straight = Guess(np.zeros_like(fit.guess.x), np.zeros_like(fit.guess.p))
+    steps = [_step(smoother, prior, fit, middle, straight)]
     for direction in (-1, 1):
-        last = steps[0]
+        last, bent = steps[0], steps[-1].bent  # much the same on both sides, and from one step to the next
         for number in range(1, MOST_STEPS + 1):
-            last = _step(library, record, prior, last.fit, middle + direction * number * stride)
+            last = _step(smoother, prior, last.fit, middle + direction * number * stride, bent)
             steps.append(last)
+            bent = last.bent
             if last.log_weight < max(step.log_weight for step in steps) - NEGLIGIBLE_NATS:
                 break
     weights = np.exp([step.log_weight - max(each.log_weight for each in steps) for step in steps])
@@ -82,14 +88,50 @@ def _friction(steps: Sequence[_Step], weights: FloatArray, stride: float) -> tup
     return mean, math.sqrt(float(weights @ (each[:, 1] ** 2 + (each[:, 0] - mean) ** 2)) + between)
 
 
-def _step(library: Library, record: Record, prior: Prior, start: Fit, value: float) -> _Step:
+def _next(smoother: Smoother, prior: Prior, last: _Step, value: float, bent: Guess) -> _Step:
+    """The step to `value`, begun where the linearisation at the last one foretells it, and as far off as last time.
+
+    The second difference is the same to both sides, and nearly from one step to the next.
+    """
+    raise NotImplementedError
+
+
+def _step(smoother: Smoother, prior: Prior, start: Fit, value: float, bent: Guess) -> _Step:
+    """The fit at ln u_d = `value`, from where the linearisation at `start` foretells it, `bent` besides."""
+    pinned = smoother.knowing(_pinned(prior, value))
+    foreseen = _foreseen(prior, start, value)
+    guess = _at(Guess(foreseen.x + bent.x, foreseen.p + bent.p), value)
+    if not pinned.sane(guess):
+        foreseen, guess = start.guess, _at(start.guess, value)
+    fit = pinned.fit(guess, start.noise)
+    posterior = pinned.posterior(fit)
+    belief = (value - prior.mean[C.SATURATION]) / prior.sd[C.SATURATION]
+    bent = Guess(fit.guess.x - foreseen.x, fit.guess.p - foreseen.p)
+    # the evidence is an integral over w = exp(−2 ln u_d), in which the pin is as wide as w
+    return _Step(value, fit, posterior, posterior.evidence - belief**2 / 2 + 2.0 * value, bent)
+
+
+def _at(guess: Guess, value: float) -> Guess:
+    """With ln u_d = `value`."""
+    p = guess.p.copy()
+    p[C.SATURATION] = math.exp(-2.0 * value)
+    return Guess(guess.x, p)
+
+
+def _pinned(prior: Prior, value: float) -> Prior:
+    """What is believed where ln u_d is `value`."""
     mean, sd = prior.mean.copy(), prior.sd.copy()
     mean[C.SATURATION], sd[C.SATURATION] = value, PINNED_SD
-    p = start.guess.p.copy()
-    p[C.SATURATION] = math.exp(-2.0 * value)
-    smoother = Smoother(library, record, replace(prior, mean=mean, sd=sd))
-    fit = smoother.fit(Guess(start.guess.x, p), start.noise)
-    posterior = smoother.posterior(fit)
-    belief = (value - prior.mean[C.SATURATION]) / prior.sd[C.SATURATION]
-    # the evidence is an integral over w = exp(−2 ln u_d), in which the pin is as wide as w
-    return _Step(value, fit, posterior, posterior.evidence - belief**2 / 2 + 2.0 * value)
+    return replace(prior, mean=mean, sd=sd)
+
+
+def _foreseen(prior: Prior, start: Fit, value: float) -> Guess:
+    """The minimum at ln u_d = `value` as the linearisation at `start` has it, along which w is straight."""
+    known, here = start.linearised, start.guess
+    if known is None:
+        return here
+    now, wanted = float(here.p[C.SATURATION]), math.exp(-2.0 * value)
+    straight = -0.5 * (math.log(now) + wanted / now - 1.0)  # the tangent of ln u_d in w
+    before, then = (each.terms(here.p, here.x[0]) for each in (known.known, _pinned(prior, straight)))
+    step = known.equations.knowing_instead(then, before).solved(0.0, prior.scale)
+    return Guess(here.x + step.x, here.p + step.p)

@@ -12,16 +12,14 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.model.compiled import LANES, Library
 from palmd.model.smoothing import NODE
 from palmd.observer.factor import Factor, Terms, cholesky_solved
 from palmd.observer.record import Record
-from palmd.observer.reduction import IntArray, ReadingRows, StepRows, arithmetic
+from palmd.observer.reduction import IntArray, ReadingRows, StepRows, Weighed, arithmetic
 
-GATE = 16.0  # squared normalised residual beyond which a reading's pull falls off: 4 sigma
 NODE_SCALE = np.array([0.05, 0.5])
 """Lengths in which a step of the nodes is measured by the damping: rad and rad/s."""
 
@@ -116,6 +114,11 @@ class NormalEquations:
         self.whole_corner[side, :side] += known.side[:side]
         self.whole_corner[:side, side] += known.side[:side]
         return replace(self, cost=self.cost + known.cost, strain=known.strain)
+
+    def knowing_instead(self, known: Terms, before: Terms) -> NormalEquations:
+        """With other knowledge than `before`, which is in them; the cost is left as it is."""
+        own = replace(self, banded=self.banded.copy(), rows=self.rows.copy(), whole_corner=self.whole_corner.copy())
+        return own.knowing(Terms(0.0, known.strain, known.matrix - before.matrix, known.side - before.side))
 
     def solved(self, damping: float, scale: FloatArray) -> Guess:
         """The damped Newton step of everything; raises LinAlgError where there is none.
@@ -244,21 +247,20 @@ class Residuals:
         return now if math.isfinite(sums) else replace(now, cost=math.inf)
 
     def _linearised(self, guess: Guess, noise: ProcessNoise) -> NormalEquations:
-        record, x = self.record, guess.x
+        record, x, does = self.record, guess.x, arithmetic()
         steps = len(record.dt)
         self._p[:] = guess.p
         self._a[:steps] = x[:-1]
         self._steps()
-        contacts = self._contacts.evaluate(x, record.contact_value, record.contact_variance, record.contact_weight)
-        forces = self._forces.evaluate(x, record.force_value, record.force_variance, record.force_weight)
+        contacts = does.weighed(
+            self._contacts.predicted(x), record.contact_value, record.contact_variance, record.contact_weight
+        )
+        forces = does.weighed(self._forces.predicted(x), record.force_value, record.force_variance, record.force_weight)
         quiet = 1.0 / np.sqrt(np.outer(record.dt, [noise.psi, noise.omega0]))
         root, blows = _quiet_or_blow(self._end[:steps] - x[1:], quiet, noise)
-        readings = [
-            ReadingRows(each.step, found.gradient, found.residual, found.root)
-            for each, found in ((self._contacts, contacts), (self._forces, forces))
-        ]
+        readings = [self._contacts.rows(contacts), self._forces.rows(forces)]
         steps_rows = StepRows(x, self._end[:steps], self._step_jacobian[:steps], root)
-        made = arithmetic().assembled(steps_rows, readings)
+        made = does.assembled(steps_rows, readings)
         slack = made.slack + blows
         return NormalEquations(
             contacts.cost + forces.cost + slack, contacts.chi2, forces.chi2, slack, 0.0,
@@ -301,17 +303,6 @@ def _below(banded: FloatArray, at: int) -> FloatArray:
     return np.array([[banded[NODE + i - j, at + j] for j in range(NODE)] for i in range(NODE)])
 
 
-@dataclass(frozen=True, slots=True)
-class _Evaluated:
-    residual: FloatArray  # value − prediction
-    root: FloatArray  # of the weight: one over the one-sigma, less for outliers
-    gradient: FloatArray  # (n, 4 + constants)
-    cost: float
-    chi2: float
-    outliers: float
-    astray: int
-
-
 class _Readings:
     """Readings of one kind, bound to their kernel."""
 
@@ -328,22 +319,9 @@ class _Readings:
         self._call()
         return self._value[:n].copy()
 
-    def evaluate(self, x: FloatArray, values: FloatArray, variance: FloatArray, weight: FloatArray) -> _Evaluated:
-        n = len(values)
-        residual = values - self.predicted(x)
-        nis = residual**2 / variance
-        # far from the answer all residuals are large: only what stands out from the others is an outlier
-        gate = GATE * max(1.0, _median(nis) / 0.455) if n else GATE
-        outlier = nis > gate
-        root = np.sqrt(np.where(outlier, gate / np.maximum(nis, gate), 1.0) * weight / variance)
-        cost = weight * np.where(outlier, gate * (1.0 + np.log(np.maximum(nis, gate) / gate)), nis)
-        total = float(cost.sum())
-        # of what is no outlier: those are counted, and have no say in how well the others are explained
-        chi2 = float(nis[~outlier].mean()) if n and not outlier.all() else math.inf
-        outliers = float(outlier.sum()) / max(n, 1)
-        return _Evaluated(
-            residual, root, self._gradient[:n], total, chi2 if n else 0.0, outliers, _longest_run(outlier)
-        )
+    def rows(self, weighed: Weighed) -> ReadingRows:
+        """As last `predicted`, linearised."""
+        return ReadingRows(self.step, self._gradient[: len(self.step)], weighed.residual, weighed.root)
 
 
 def _median(values: FloatArray) -> float:
@@ -353,11 +331,6 @@ def _median(values: FloatArray) -> float:
         return float(np.partition(values, half)[half])
     ordered = np.partition(values, half)
     return float(ordered[:half].max() + ordered[half]) / 2
-
-
-def _longest_run(flags: npt.NDArray[np.bool_]) -> int:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.intp), [0]])))
-    return int((edges[1::2] - edges[::2]).max(initial=0))
 
 
 def _padded(count: int) -> int:

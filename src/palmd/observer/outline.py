@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -100,8 +99,7 @@ def touched_by(normals: FloatArray) -> npt.NDArray[np.bool_]:
     touched = np.zeros(DIRECTIONS, dtype=np.bool_)
     at = np.round(normals * (DIRECTIONS / math.tau)).astype(np.intp)
     for column in at.T:
-        for first, last in itertools.pairwise(column):
-            low, high = sorted((first, last))
+        for low, high in {*zip(*np.sort([column[:-1], column[1:]], axis=0).tolist(), strict=True)}:
             touched[np.arange(low, high + 1) % DIRECTIONS] = True
         touched[column % DIRECTIONS] = True
     return touched

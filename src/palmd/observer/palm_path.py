@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
 from palmd.events import FloatArray, PalmSample
+from palmd.model import smoothing
 from palmd.observer.palms import (
     FIRST_ACCELERATION_SD,
     FIRST_RATE_SD,
@@ -21,6 +24,7 @@ from palmd.system.mechanism import JOINTS
 
 UNTOLD_JERK = 20.0  # rad/s³/√Hz where no plan is told: follows a planned stop; more only lets more noise through
 _DRIFT = np.diag([0.0, 1e-8, 1e-8])
+_FIRST: FloatArray = np.array([1.0, FIRST_RATE_SD**2, FIRST_ACCELERATION_SD**2])
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,46 +73,66 @@ def smoothed_path(samples: Sequence[PalmSample], angle_noise: float) -> PalmPath
     if not samples:
         raise ValueError("no report of the palms")
     t = np.array([sample.t_sample for sample in samples])
-    n = len(t)
-    x, P = np.zeros((n, 3, len(JOINTS))), np.zeros((n, 3, 3))
-    x_pred, P_pred = np.zeros((n, 3, len(JOINTS))), np.zeros((n, 3, 3))
-    jerk = np.array([UNTOLD_JERK if sample.accelerations is None else TOLD_JERK for sample in samples[1:]])
-    transitions, drift = _steps(np.diff(t), jerk)
-    for k, sample in enumerate(samples):
-        if k == 0:
-            x_pred[0, 0] = sample.angles
-            P_pred[0] = np.diag([1.0, FIRST_RATE_SD**2, FIRST_ACCELERATION_SD**2])
-        else:
-            F = transitions[k - 1]
-            x_pred[k] = F @ x[k - 1]
-            P_pred[k] = F @ P[k - 1] @ F.T + drift[k - 1]
-        x[k], P[k] = _fused(x_pred[k], P_pred[k], sample, angle_noise)
-    gains = np.linalg.solve(P_pred[1:], transitions @ P[:-1]).swapaxes(1, 2)
-    for k in range(n - 2, -1, -1):
-        x[k] += gains[k] @ (x[k + 1] - x_pred[k + 1])
-    return PalmPath(t, x)
+    untold = (math.nan,) * len(JOINTS)
+    told = np.array([(each.angles, each.rates or untold, each.accelerations or untold) for each in samples])
+    dt, jerk = np.diff(t), np.where(np.isnan(told[1:, 2, 0]), UNTOLD_JERK, TOLD_JERK)
+    drift = np.moveaxis(white_jerk(dt) * jerk**2, -1, 0) + _DRIFT * dt[:, None, None]
+    sd = np.array([angle_noise, PLAN_RATE_SD, PLAN_ACCELERATION_SD])
+    return PalmPath(t, _smoothing()(dt, np.ascontiguousarray(drift), told, sd))
 
 
-def _steps(dt: FloatArray, jerk: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """What (φ, ω, α) become in each `dt`, and the covariance that white `jerk` adds, each (n, 3, 3)."""
+Smoothing = Callable[[FloatArray, FloatArray, FloatArray, FloatArray], FloatArray]
+"""The states (n, 3, joints) of reports a time apart (n − 1), the covariance that each step adds (n − 1, 3, 3), what is
+told (n, 3, joints), NaN where it is not, and one-sigmas (3)."""
+
+
+@cache
+def _smoothing() -> Smoothing:
+    """What is compiled (`model/palm_path.c`), else its twin."""
+    path = smoothing.library().path
+    return twin if path is None else _compiled(ctypes.CDLL(str(path)))
+
+
+def _compiled(library: ctypes.CDLL) -> Smoothing:
+    """Raises RuntimeError where the library's sizes are not the mechanism's."""
+    if list((ctypes.c_long * 2).in_dll(library, "palm_path_sizes")) != [3, len(JOINTS)]:
+        raise RuntimeError("model/palm_path.c has other sizes than system/mechanism.py")
+    call = library.smooth_path
+    call.argtypes, call.restype = (ctypes.c_long, *(ctypes.c_void_p,) * 8), None
+
+    def smoothed(dt: FloatArray, drift: FloatArray, told: FloatArray, sd: FloatArray) -> FloatArray:
+        x, predicted, gains = np.empty_like(told), np.empty_like(told), np.empty((len(told), 3, 3))
+        call(len(told), *(each.ctypes.data for each in (dt, drift, told, sd, _FIRST, x, predicted, gains)))
+        return x
+
+    return smoothed
+
+
+def twin(dt: FloatArray, drift: FloatArray, told: FloatArray, sd: FloatArray) -> FloatArray:
+    """See `Smoothing`: in NumPy."""
     transitions = np.tile(np.eye(3), (len(dt), 1, 1))
     transitions[:, 0, 1] = transitions[:, 1, 2] = dt
     transitions[:, 0, 2] = dt**2 / 2
-    return transitions, np.moveaxis(white_jerk(dt) * jerk**2, -1, 0) + _DRIFT * dt[:, None, None]
+    x, x_pred = np.zeros_like(told), np.zeros_like(told)
+    P, P_pred = np.zeros((len(told), 3, 3)), np.zeros((len(told), 3, 3))
+    x_pred[0, 0], P_pred[0] = told[0, 0], np.diag(_FIRST)
+    for k in range(len(told)):
+        if k:
+            F = transitions[k - 1]
+            x_pred[k] = F @ x[k - 1]
+            P_pred[k] = F @ P[k - 1] @ F.T + drift[k - 1]
+        x[k], P[k] = _fused(x_pred[k], P_pred[k], told[k], sd)
+    gains = np.linalg.solve(P_pred[1:], transitions @ P[:-1]).swapaxes(1, 2)
+    for k in range(len(told) - 2, -1, -1):
+        x[k] += gains[k] @ (x[k + 1] - x_pred[k + 1])
+    return x
 
 
-def _fused(x: FloatArray, P: FloatArray, sample: PalmSample, angle_noise: float) -> tuple[FloatArray, FloatArray]:
-    readings = (
-        (sample.angles, angle_noise),
-        (sample.rates, PLAN_RATE_SD),
-        (sample.accelerations, PLAN_ACCELERATION_SD),
-    )
-    for row, (values, sd) in enumerate(readings):
-        if values is None:
-            continue
-        spread = P[row, row] + sd**2
+def _fused(x: FloatArray, P: FloatArray, told: FloatArray, sd: FloatArray) -> tuple[FloatArray, FloatArray]:
+    for row in np.flatnonzero(~np.isnan(told[:, 0])):
+        spread = P[row, row] + sd[row] ** 2
         gain = P[:, row] / spread
-        x = x + gain[:, None] * (np.array(values) - x[row])
+        x = x + gain[:, None] * (told[row] - x[row])
         P = P - gain[:, None] * gain * spread
     return x, P
 

@@ -149,7 +149,7 @@ def _part(segment: DataSegment, rig: RigDescription, seed: int) -> _Part | None:
     believing = Search(segment, rig)
     if still(believing.record):
         return None
-    doubting = Search(segment, rig, belief=believing.belief.suspended())
+    doubting = believing.believing(believing.belief.suspended())
     best: _Part | None = None
     for number, attempt in enumerate(attempts_for(rig)):
         search = doubting if attempt.free else believing

@@ -1,4 +1,4 @@
-"""The arithmetic of the smoother's normal equations: assembled, and reduced to the constants.
+"""The arithmetic of the smoother's normal equations: readings weighed, assembled, and reduced to the constants.
 
 Compiled in `model/normal_equations.c`; a twin in NumPy and SciPy serves without a compiler, and to check it
 against. Rows are `wide` enough for what they are in the constants, then the right-hand side, then zeros. A matrix in
@@ -8,6 +8,7 @@ the nodes is banded, (BAND, n) as LAPACK's lower form. Not for use inside the lo
 from __future__ import annotations
 
 import ctypes
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -23,6 +24,7 @@ from palmd.model.smoothing import NODE
 
 IntArray = npt.NDArray[np.intp]
 
+GATE = 16.0  # squared normalised residual beyond which a reading's pull falls off: 4 sigma
 BAND = 2 * NODE  # diagonals, from the main one down
 MOST_WIDE = 128
 
@@ -58,6 +60,22 @@ class ReadingRows:
 
 
 @dataclass(frozen=True, slots=True)
+class Weighed:
+    """Readings of one kind: value − prediction, one over one-sigma (less for outliers), and what the cost is made of.
+
+    chi2: the mean square of what is no outlier, in sigmas; infinite where all are, 0 where there is none. outliers: the
+    share of those. astray: the longest run of them.
+    """
+
+    residual: FloatArray
+    root: FloatArray
+    cost: float
+    chi2: float
+    outliers: float
+    astray: int
+
+
+@dataclass(frozen=True, slots=True)
 class Assembled:
     """banded (BAND, n), rows (n, w), corner (w, w), and the sum of the steps' squares."""
 
@@ -78,6 +96,9 @@ class Reduced:
 
 class Arithmetic(Protocol):
     """What is compiled, and its twin."""
+
+    def weighed(self, predicted: FloatArray, value: FloatArray, variance: FloatArray, weight: FloatArray) -> Weighed:
+        """Readings beside their predictions; `weight` is what each counts."""
 
     def assembled(self, steps: StepRows, readings: Sequence[ReadingRows]) -> Assembled:
         """The normal equations of these residuals."""
@@ -116,10 +137,23 @@ class Compiled:
             raise RuntimeError("model/normal_equations.c has other sizes than model/smoothing.py")
         pointer, number = ctypes.c_void_p, ctypes.c_long
         self._assemble, self._reduce, self._back = library.assemble, library.reduce, library.back
+        self._weigh = library.weigh
+        self._weigh.argtypes = (number, *(pointer,) * 4, ctypes.c_double, *(pointer,) * 4)
+        self._weigh.restype = None
         self._assemble.argtypes = (pointer, pointer, number, pointer, pointer, pointer)
         self._assemble.restype = ctypes.c_double
         self._reduce.argtypes = (pointer, number, number, pointer, pointer, pointer, number, pointer)
         self._back.argtypes, self._back.restype = (pointer, number, pointer, number, pointer, pointer), None
+
+    def weighed(self, predicted: FloatArray, value: FloatArray, variance: FloatArray, weight: FloatArray) -> Weighed:
+        """See `Arithmetic`."""
+        n = len(value)
+        residual, root, room, told = np.empty(n), np.empty(n), np.empty(n), np.empty(4)
+        given = (_at(each, n) for each in (predicted, value, variance, weight))
+        self._weigh(n, *given, GATE, *map(_at, (residual, root, room, told)))
+        cost, chi2, outliers, astray = told.tolist()
+        chi2 = (math.inf if outliers == n else chi2) if n else 0.0
+        return Weighed(residual, root, cost, chi2, outliers / max(n, 1), int(astray))
 
     def assembled(self, steps: StepRows, readings: Sequence[ReadingRows]) -> Assembled:
         """See `Arithmetic`."""
@@ -170,6 +204,21 @@ def _at(array: FloatArray | IntArray, *shape: int) -> int:
 
 class Twin:
     """See `Arithmetic`: the same in NumPy and SciPy, slowly."""
+
+    def weighed(self, predicted: FloatArray, value: FloatArray, variance: FloatArray, weight: FloatArray) -> Weighed:
+        """See `Arithmetic`."""
+        n = len(value)
+        residual = value - predicted
+        nis = residual**2 / variance
+        # far from the answer all residuals are large: only what stands out from the others is an outlier
+        gate = GATE * max(1.0, float(np.median(nis)) / 0.455) if n else GATE
+        outlier = nis > gate
+        root = np.sqrt(np.where(outlier, gate / np.maximum(nis, gate), 1.0) * weight / variance)
+        cost = weight * np.where(outlier, gate * (1.0 + np.log(np.maximum(nis, gate) / gate)), nis)
+        # of what is no outlier: those are counted, and have no say in how well the others are explained
+        chi2 = float(nis[~outlier].mean()) if n and not outlier.all() else math.inf
+        outliers = float(outlier.sum()) / max(n, 1)
+        return Weighed(residual, root, float(cost.sum()), chi2 if n else 0.0, outliers, _longest_run(outlier))
 
     def assembled(self, steps: StepRows, readings: Sequence[ReadingRows]) -> Assembled:
         """See `Arithmetic`."""
@@ -223,6 +272,11 @@ class Twin:
             upper[BAND - 1 - k, k:] = reduced.factor[k, : reduced.factor.shape[1] - k]
         x: FloatArray = solve_banded((0, BAND - 1), upper, reduced.rows @ by)
         return x
+
+
+def _longest_run(flags: npt.NDArray[np.bool_]) -> int:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.intp), [0]])))
+    return int((edges[1::2] - edges[::2]).max(initial=0))
 
 
 def _pattern(steps: int, readings: Sequence[IntArray]) -> tuple[IntArray, IntArray]:

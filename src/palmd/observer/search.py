@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -28,7 +29,7 @@ from palmd.observer.object_memory import likely_orientations
 from palmd.observer.palm_path import smoothed_path
 from palmd.observer.palms import RESTING_RAD_S, motion_of
 from palmd.observer.record import Record, lay_out
-from palmd.observer.smoother import Fit, Smoother
+from palmd.observer.smoother import MAX_ITERATIONS, Fit, Smoother
 from palmd.system.arcs import circle_radius
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import OPENING, PALMS
@@ -38,8 +39,9 @@ FIRST_LOOK_S = 0.3  # readings that tell the object's size
 PLACED_S = 0.4  # readings that orientations are first judged by
 FIRST_READINGS, ORIENTATIONS = 5, 10
 NOISE = ProcessNoise(1e-8, 1e-5)
-GROWTH, LEAST_GROWTH_S = 1.6, 0.1
+GROWTH, LEAST_GROWTH_S, SHORT_GROWTH_S = 1.6, 0.1, 0.15
 PATIENCE = 12
+HASTY = 5  # steps in a row that may be rejected, where a shorter window can be tried instead
 ASTRAY_SIGMAS, ASTRAY_READINGS = 8.0, 5  # a prediction that misses so many readings in a row by so much is lost
 RIVAL = 25.0  # twice the difference in log-likelihood up to which a rival is carried along
 DOUBT = 9.0  # and up to which it makes the answer ambiguous
@@ -118,6 +120,13 @@ class Search:
         self.belief = belief or RigBelief.of(rig)
         self.noise = noise_on(rig)
 
+    def believing(self, belief: RigBelief) -> Search:
+        """The same segment, searched anew under another belief in the rig."""
+        other = copy(self)
+        other.__dict__.pop("prior", None)
+        other.belief = belief
+        return other
+
     @property
     def known(self) -> Knowledge:
         """What the search goes by: what was known beforehand, else the blind prior."""
@@ -148,19 +157,27 @@ class Search:
         return self._grown_from(record, [start.guess(record.t) for start in starts]) if starts else None
 
     def resumed(self, guesses: Sequence[Guess]) -> Minima | None:
-        """Go on from what was found on a shorter part of the same segment; None if that leads nowhere."""
-        return self._grown_from(self.record.steps(len(guesses[0].x) - 1), guesses)
+        """Go on from what was found on a shorter part of the same segment; None if that leads nowhere.
+
+        At once to the end of the record where the model foretells it; else window by window.
+        """
+        return self._at_once(guesses) or self._grown_from(self.record.steps(len(guesses[0].x) - 1), guesses)
 
     def followed(self, guess: Guess) -> Minima | None:
-        """Go on at once to the end of the record where the model foretells it; else as `resumed`."""
+        """As `resumed`, contacts pressed as the model has it where that foretells the readings."""
+        found = self._at_once([guess], pressed=True)
+        return found or self._grown_from(self.record.steps(len(guess.x) - 1), [guess])
+
+    def _at_once(self, guesses: Sequence[Guess], pressed: bool = False) -> Minima | None:
+        """What explains the whole record, from guesses of which the first foretells it; None else."""
         smoother = Smoother(self.library, self.record, self.known)
-        start = smoother.completed(guess)
-        if not astray(smoother.residuals(start)).any():
-            self.record = smoother.pressed(start)
-            found = self._minima(self.record, [start])
-            if explained(found.fits[0], found.record):
-                return found
-        return self.resumed([guess])
+        starts = [smoother.completed(guess) for guess in guesses]
+        if astray(smoother.residuals(starts[0])).any():
+            return None
+        if pressed:
+            self.record = smoother.pressed(starts[0])
+        found = self._minima(self.record, starts, HASTY)
+        return found if explained(found.fits[0], found.record) else None
 
     def placed(self, p: FloatArray, covariance: FloatArray) -> Minima | None:
         """Start from the constants `p`, at rest as the outline is most likely to lie; None if that leads nowhere.
@@ -189,15 +206,20 @@ class Search:
         failures = 0
         while len(found.record.t) < len(self.record.t):
             now, known = float(found.record.t[-1]), [fit.guess for fit in found.fits]
-            longer = self._minima(self._longer(found.record, found.fits[0]), known)
+            longer = self._window(self._longer(found.record, found.fits[0]), now, known)
             # near an unstable equilibrium a long window ends on the wrong side of it
             while not explained(longer.fits[0], longer.record):
                 step, failures = float(longer.record.t[-1]) - now, failures + 1
-                if step < 1.5 * LEAST_GROWTH_S or failures > self._patience:
+                if step < SHORT_GROWTH_S or failures > self._patience:
                     return longer if len(longer.record.t) == len(self.record.t) else None
-                longer = self._minima(self.record.until(now + max(step / 2, LEAST_GROWTH_S)), known)
+                longer = self._window(self.record.until(now + max(step / 2, LEAST_GROWTH_S)), now, known)
             found = longer
         return found
+
+    def _window(self, record: Record, now: float, known: Sequence[Guess]) -> Minima:
+        """The minima of `record`, from what is `known` until `now`; given up soon if a shorter one can be tried."""
+        last = float(record.t[-1]) - now < SHORT_GROWTH_S
+        return self._minima(record, known, MAX_ITERATIONS if last else HASTY)
 
     def _longer(self, record: Record, fit: Fit) -> Record:
         """A longer window, as far as the fit foretells the readings to come: beyond that it would be led astray."""
@@ -210,8 +232,8 @@ class Search:
         step = longer.contact_step[int(np.argmax(gone))]
         return self.record.until(max(longer.t[step], now + LEAST_GROWTH_S))
 
-    def _minima(self, record: Record, guesses: Sequence[Guess]) -> Minima:
-        return minima(self.library, record, self.known, guesses, self.noise)
+    def _minima(self, record: Record, guesses: Sequence[Guess], rejections: int = MAX_ITERATIONS) -> Minima:
+        return minima(self.library, record, self.known, guesses, self.noise, rejections)
 
     def merged(self, one: Minima | None, other: Minima | None) -> Minima | None:
         """What two searches of the whole segment have found between them."""
@@ -222,13 +244,20 @@ class Search:
         return self._minima(self.record, [fit.guess for fit in (*one.fits, *other.fits)])
 
 
-def minima(library: Library, record: Record, known: Knowledge, guesses: Sequence[Guess], noise: ProcessNoise) -> Minima:
+def minima(
+    library: Library,
+    record: Record,
+    known: Knowledge,
+    guesses: Sequence[Guess],
+    noise: ProcessNoise,
+    rejections: int = MAX_ITERATIONS,
+) -> Minima:
     """The distinct minima that the guesses lead to, best first, without those too unlikely to be kept.
 
-    Forces are as noisy as they scatter about the best.
+    Forces are as noisy as they scatter about the best. `rejections` as in `Smoother.fit`.
     """
     smoother = Smoother(library, record, known)
-    fits = _distinct([smoother.fit(guess, noise) for guess in guesses])
+    fits = _distinct([smoother.fit(guess, noise, rejections=rejections) for guess in guesses])
     noisier = _with_scatter_of_forces(record, fits[0])
     if noisier is not record:
         smoother = Smoother(library, noisier, known)

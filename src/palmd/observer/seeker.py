@@ -89,13 +89,13 @@ class Seeker:
             self._seed += 1
             attempt = attempt._replace(seconds=min(attempt.seconds, seconds))
             if finding is None and attempt.free:
-                search = Search(segment, rig, PATIENCE, belief=self._belief.suspended())
+                search = search.believing(self._belief.suspended())
             blind = search.blind(attempt, self._seed)
             merged = search.merged(finding, blind)
             self._survived = self._challenges_survived(finding, blind, merged, seconds)
             finding = merged
             self._challenge_s = CHALLENGE * seconds
-        answer = None if finding is None else self._criticised(segment, Answer(search, finding))
+        answer = None if finding is None else self._criticised(Answer(search, finding))
         self._start, self._guesses = segment.start, ()
         if answer is not None:
             self._guesses = tuple(fit.guess for fit in answer.finding.fits)
@@ -137,7 +137,7 @@ class Seeker:
         """Whether the last answer is one to vouch for."""
         return self._exact or self._survived >= (len(_BEGUN) if self._rig.lopsided else 1)
 
-    def _criticised(self, segment: DataSegment, answer: Answer) -> Answer:
+    def _criticised(self, answer: Answer) -> Answer:
         """What is found once the rig is taken for what the readings tell."""
         for _ in range(MOST_REVISIONS):
             search, finding = answer.search, answer.finding
@@ -146,7 +146,7 @@ class Seeker:
             self._belief = search.belief.after(answer.posterior)
             if np.array_equal(self._belief.sd, search.belief.sd):
                 break
-            anew = Search(segment, search.rig, PATIENCE, belief=self._belief)
+            anew = search.believing(self._belief)
             found = anew.resumed([self._belief.within(fit.guess) for fit in finding.fits])
             if found is None:
                 self._belief = search.belief

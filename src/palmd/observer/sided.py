@@ -113,10 +113,11 @@ class Candidate:
 class SidedSmoother(Smoother):
     """The smoother of an outline with sides."""
 
-    def _sane(self, guess: Guess) -> bool:
+    def sane(self, guess: Guess) -> bool:
+        """As `Smoother.sane`, and no side is longer than 0.1 m."""
         p = guess.p
         return (
-            super()._sane(guess)
+            super().sane(guess)
             and bool(abs(p[C.LN_RHO] - math.log(p[C.SHAPE]) + 0.4) < 1.0)
             and bool((p[LENGTHS:WIDTH] > -1e-3).all() and (p[LENGTHS:WIDTH] < 0.1).all())
         )

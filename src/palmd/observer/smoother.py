@@ -7,7 +7,9 @@ iteration costs a few milliseconds for ten seconds of readings. Not for use insi
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
 
@@ -20,13 +22,18 @@ from palmd.observer.record import Record
 
 MAX_ITERATIONS = 60
 NEGLIGIBLE = 0.03  # fall of the cost (twice a log-likelihood) that is not worth another iteration
+LITTLE, MUCH = 0.3, 9.0  # of the same, that a step may promise and yet be rejected
 FIRST_DAMPING, LEAST_DAMPING, MAX_DAMPING = 1e-2, 1e-9, 1e8
 CORRECTIONS, GOOD_ENOUGH = 2, 0.9  # of the nodes alone, unless the cost falls by a tenth at once
+LEAST_FALL = 1e-3  # of the cost, by which a correction must lower it
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """A minimum that was found: its cost, what that is made of (`NormalEquations`), and how the iteration ended."""
+    """A minimum that was found: its cost, what that is made of (`NormalEquations`), and how the iteration ended.
+
+    `linearised` is at the minimum.
+    """
 
     guess: Guess
     noise: ProcessNoise
@@ -39,6 +46,22 @@ class Fit:
     astray: int
     iterations: int
     settled: bool
+    linearised: Linearised | None = field(default=None, repr=False, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Linearised:
+    """Normal equations, and what they are of."""
+
+    record: Record
+    known: Knowledge
+    guess: Guess
+    noise: ProcessNoise
+    equations: NormalEquations
+
+    def is_of(self, record: Record, known: Knowledge, guess: Guess, noise: ProcessNoise) -> bool:
+        """Whether they are of these very objects."""
+        return self.record is record and self.known is known and self.guess is guess and self.noise == noise
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,34 +86,52 @@ class Smoother:
         self._residuals = Residuals(library, record)
         self._known = known
 
-    def fit(self, start: Guess, noise: ProcessNoise, iterations: int = MAX_ITERATIONS) -> Fit:
+    def knowing(self, known: Knowledge) -> Self:
+        """The same problem with something else known beforehand; kernels and arrays are shared."""
+        other = copy(self)
+        other._known = known
+        return other
+
+    def fit(
+        self, start: Guess, noise: ProcessNoise, iterations: int = MAX_ITERATIONS, rejections: int = MAX_ITERATIONS
+    ) -> Fit:
         """Iterate from `start` until nothing moves any more; the result may be a local minimum.
 
         A step that looks bad is given a second chance: with the constants of the step, the nodes alone are solved
         for again. Friction makes the trajectory a strongly curved function of the constants, and without this the
-        iteration creeps along a narrow bent valley.
+        iteration creeps along a narrow bent valley. After so many `iterations`, or `rejections` in a row of steps that
+        promise much, it comes back without having settled.
         """
         guess = self.completed(start)
         now = self.linearised(guess, noise)
         if not math.isfinite(now.cost):
             return Fit(guess, noise, math.inf, math.inf, math.inf, math.inf, math.inf, 1.0, 0, 0, False)
-        damping, count, settled = FIRST_DAMPING, 0, False
-        while count < iterations and damping < MAX_DAMPING and not settled:
+        damping, count, rejected, settled = FIRST_DAMPING, 0, 0, False
+        while count < iterations and rejected < rejections and damping < MAX_DAMPING and not settled:
             count += 1
             step = _solved(now, damping, self._known.scale)
-            if step is not None and damping <= FIRST_DAMPING and now.promise(step) < NEGLIGIBLE:
-                settled = True
-                break
-            found = self._corrected(Guess(guess.x + step.x, guess.p + step.p), noise, now.cost) if step else None
-            if found is None:
+            if step is None:
                 damping *= 6.0
                 continue
-            settled = now.cost - found[1].cost < NEGLIGIBLE
-            guess, now = found
-            damping = max(damping / 5.0, LEAST_DAMPING)
+            promise = now.promise(step)
+            if damping <= FIRST_DAMPING and promise < NEGLIGIBLE:
+                settled = True
+                break
+            trial, then = self._corrected(Guess(guess.x + step.x, guess.p + step.p), noise, now.cost)
+            if then is not None:
+                fall = now.cost - then.cost
+                if fall > 0.0:
+                    settled = fall < NEGLIGIBLE
+                    guess, now, rejected = trial, then, 0
+                    damping = max(damping / 5.0, LEAST_DAMPING)
+                    continue
+                near = damping <= FIRST_DAMPING and promise < LITTLE
+                settled = near and _most_on_the_way(promise, fall) < NEGLIGIBLE
+            rejected += promise > MUCH
+            damping *= 6.0
         return Fit(
             guess, noise, now.cost, now.chi2, now.force_chi2, now.slack, now.strain, now.outliers, now.astray,
-            count, settled,
+            count, settled, Linearised(self._residuals.record, self._known, guess, noise, now),
         )  # fmt: skip
 
     def completed(self, guess: Guess) -> Guess:
@@ -114,26 +155,29 @@ class Smoother:
         now = self._residuals.linearised(guess, noise)
         return now.knowing(self._known.terms(guess.p, guess.x[0])) if math.isfinite(now.cost) else now
 
-    def _corrected(self, trial: Guess, noise: ProcessNoise, to_beat: float) -> tuple[Guess, NormalEquations] | None:
-        """The trial with its nodes solved for again while that helps; None if it does not beat the cost so far."""
-        if not self._sane(trial):
-            return None
+    def _corrected(self, trial: Guess, noise: ProcessNoise, to_beat: float) -> tuple[Guess, NormalEquations | None]:
+        """The trial with its nodes solved for again while that helps to beat the cost so far; None where it is void."""
+        if not self.sane(trial):
+            return trial, None
         then = self.linearised(trial, noise)
         if not math.isfinite(then.cost):
-            return None
+            return trial, None
         for _ in range(CORRECTIONS):
             if then.cost < GOOD_ENOUGH * to_beat:
                 break
-            better = Guess(trial.x + _solved_nodes(then), trial.p)
-            if not self._sane(better):
+            step = _solved_nodes(then)
+            if not then.node_side @ step.ravel() > LEAST_FALL * then.cost:
+                break  # by which it would fall, were it square
+            better = Guess(trial.x + step, trial.p)
+            if not self.sane(better):
                 break
             after = self.linearised(better, noise)
-            if not after.cost < 0.999 * then.cost:
+            if not after.cost < (1.0 - LEAST_FALL) * then.cost:
                 break
             trial, then = better, after
-        return (trial, then) if then.cost < to_beat else None
+        return trial, then
 
-    def _sane(self, guess: Guess) -> bool:
+    def sane(self, guess: Guess) -> bool:
         """Whether the kernels can be asked there: a lump of 1 to 200 mm that weighs something, no wild spin."""
         p = guess.p
         return bool(
@@ -148,8 +192,11 @@ class Smoother:
 
     def posterior(self, fit: Fit) -> Posterior:
         """How sure the fit is of itself; raises LinAlgError where it is no minimum."""
-        noise = fit.noise
-        now = self.linearised(fit.guess, noise)
+        noise, known = fit.noise, fit.linearised
+        if known is not None and known.is_of(self._residuals.record, self._known, fit.guess, noise):
+            now = known.equations
+        else:
+            now = self.linearised(fit.guess, noise)
         if not math.isfinite(now.cost):
             raise np.linalg.LinAlgError("the fit is beyond all numbers")
         covariance, log_det, step = now.posterior()
@@ -163,6 +210,11 @@ class Smoother:
             return self.posterior(fit)
         except np.linalg.LinAlgError:
             return None
+
+
+def _most_on_the_way(promise: float, fall: float) -> float:
+    """By how much the cost falls at most along a step, by the parabola that begins as it promises and ends as it is."""
+    return promise**2 / (2.0 * promise - fall)
 
 
 def _solved(now: NormalEquations, damping: float, scale: FloatArray) -> Guess | None:

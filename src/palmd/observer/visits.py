@@ -34,8 +34,8 @@ def visits_of(normals: FloatArray, directions: int = DIRECTIONS) -> Counts:
     curve stays within `HYSTERESIS_RAD`, so that jitter, or a turn just past the direction, is one visit. Where the
     count is not 0 the outline was touched.
     """
-    centres = np.arange(directions) * (math.tau / directions)
-    return np.array([sum(_visits(theta - centre, math.pi / directions) for theta in normals.T) for centre in centres])
+    counts: Counts = np.sum([_visits(theta / (math.tau / directions), directions) for theta in normals.T], axis=0)
+    return counts
 
 
 def kept_by_visits(visits: Counts) -> Marks:
@@ -48,12 +48,32 @@ def kept_by_band(h_sd: FloatArray, touched: Marks) -> Marks:
     return np.asarray(touched & (h_sd <= KEPT_SD_M))
 
 
-def _visits(away: FloatArray, half_width: float) -> int:
-    """How often a curve, `away` from a direction (rad, any branch), comes within `half_width` of it."""
-    away = away - math.tau * np.round(away / math.tau)
-    there = np.abs(away) <= half_width
-    across = (away[:-1] * away[1:] < 0.0) & (np.abs(away[:-1] - away[1:]) < math.pi)
-    there[:-1] |= across
-    near = there | (np.abs(away) <= HYSTERESIS_RAD)
-    arrivals = np.cumsum(near & ~np.concatenate([[False], near[:-1]]))
-    return len(np.unique(arrivals[there]))
+def _visits(at: FloatArray, directions: int) -> Counts:
+    """How often a curve, told in directions from direction 0 (any branch), comes within half a one of each."""
+    hysteresis = HYSTERESIS_RAD * directions / math.tau
+    about = np.round(at)[:, None] + np.arange(-math.ceil(hysteresis), math.ceil(hysteresis) + 1)
+    away = np.abs(at[:, None] - about)
+    near = away <= max(hysteresis, 0.5)
+    before, passed = _passed(at, directions)
+    node = np.concatenate([np.nonzero(near)[0], before])
+    direction = np.concatenate([about[near], passed]).astype(np.intp) % directions
+    there = np.concatenate([away[near] <= 0.5, np.ones(len(passed), dtype=np.bool_)])
+    # by direction and then by time: what is one node after the other is one visit
+    place, which = np.unique(direction * (len(at) + 1) + node, return_inverse=True)
+    visit = np.cumsum(np.diff(place, prepend=-2) > 1)
+    of_visit = np.zeros(visit[-1] + 1, dtype=np.intp)
+    of_visit[visit] = place // (len(at) + 1)
+    arrived = np.unique(visit[which[there]])
+    return np.bincount(of_visit[arrived], minlength=directions)
+
+
+def _passed(at: FloatArray, directions: int) -> tuple[Counts, FloatArray]:
+    """The directions strictly between each node and the next, the shorter way round, and the nodes before them."""
+    turn = np.diff(at)
+    turn -= directions * np.round(turn / directions)
+    low, high = np.minimum(at[:-1], at[:-1] + turn), np.maximum(at[:-1], at[:-1] + turn)
+    first = np.floor(low) + 1.0
+    count = np.maximum(np.ceil(high) - first, 0.0).astype(np.intp)
+    node = np.repeat(np.arange(len(count)), count)
+    nth = np.arange(len(node)) - np.repeat(np.cumsum(count) - count, count)
+    return node, first[node] + nth

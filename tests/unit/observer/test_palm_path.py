@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from palmd.events import PalmSample
-from palmd.observer.palm_path import PalmPath, smoothed_path
+from palmd.observer import palm_path
+from palmd.observer.palm_path import PalmPath, smoothed_path, twin
 from palmd.rig.simulate import Rock, Rocking
 
 NOISE = 2e-4
@@ -83,3 +84,18 @@ def test_one_report_is_enough_and_none_is_not():
     assert math.hypot(*at[2:]) == 0.0
     with pytest.raises(ValueError, match="no report"):
         smoothed_path([], NOISE)
+
+
+def now_and_then(samples):
+    """A plan that is told in part, and reports that come irregularly."""
+    forms = (lambda sample: sample, untold, lambda sample: untold(sample, rates=True))
+    kept = [sample for k, sample in enumerate(samples) if k % 7 or k % 3]
+    return [forms[k // 20 % 3](sample) for k, sample in enumerate(kept)]
+
+
+def test_what_is_compiled_is_the_twins(monkeypatch):
+    samples = now_and_then(list(reports()))
+    assert palm_path._smoothing() is not twin
+    got = smoothed_path(samples, NOISE).state
+    monkeypatch.setattr(palm_path, "_smoothing", lambda: twin)
+    np.testing.assert_allclose(got, smoothed_path(samples, NOISE).state, rtol=1e-9, atol=1e-10)

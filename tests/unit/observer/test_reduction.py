@@ -49,6 +49,34 @@ def test_what_is_compiled_is_used():
     assert isinstance(arithmetic(), Compiled)
 
 
+def readings(count, astray, seed=0):
+    """Values beside predictions, as far off as their noise is; those in `astray` by a hundred times."""
+    random = np.random.default_rng(seed)
+    variance, weight = random.uniform(0.5e-8, 2e-8, count), random.uniform(0.1, 1.0, count)
+    value = random.standard_normal(count)
+    off = np.sqrt(variance) * random.standard_normal(count)
+    off[astray] *= 100.0
+    return value - off, value, variance, weight
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 40, 785])
+@pytest.mark.parametrize("astray", [slice(0), slice(3, 9), slice(None, None, 3), slice(None)])
+def test_readings_are_weighed_as_by_the_twin(count, astray):
+    given = readings(count, astray, count)
+    got, wanted = compiled().weighed(*given), Twin().weighed(*given)
+    np.testing.assert_array_equal(got.residual, wanted.residual)
+    np.testing.assert_allclose(got.root, wanted.root, rtol=1e-13)
+    assert got.cost == pytest.approx(wanted.cost, rel=1e-12)
+    assert got.chi2 == pytest.approx(wanted.chi2, rel=1e-12)
+    assert (got.outliers, got.astray) == (wanted.outliers, wanted.astray)
+
+
+def test_numbers_that_are_none_have_an_end():
+    predicted, *given = readings(50, slice(0))
+    predicted[::3] = np.nan
+    assert not np.isfinite(compiled().weighed(predicted, *given).cost)
+
+
 @pytest.mark.parametrize(("counts", "constants"), [((37, 50), 45), ((5,), 45), ((), 45), ((37, 50), 60)])
 def test_the_assembled_equations_are_the_twins(counts, constants):
     steps, kinds = residuals(1, counts, constants)

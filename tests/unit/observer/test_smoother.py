@@ -9,11 +9,13 @@ from simulated import simulated
 
 from palmd.model.shape import coefficients_of
 from palmd.model.smoothing import CONSTANTS, NODE, ORDER, C
+from palmd.observer import marginal
 from palmd.observer.data_segment import longest_segment
 from palmd.observer.factor import GAUGE_SD
+from palmd.observer.marginal import marginalised
 from palmd.observer.normal_equations import Guess
 from palmd.observer.search import NOISE, Search
-from palmd.observer.smoother import Smoother
+from palmd.observer.smoother import Smoother, _most_on_the_way
 
 SECONDS = 0.4
 
@@ -132,6 +134,38 @@ def test_the_posterior_is_the_inverse_of_the_normal_matrix(problem):
     assert posterior.evidence == pytest.approx(evidence, rel=1e-9)
 
 
+def test_a_fit_has_its_own_equations_and_others_have_not(problem):
+    fit = problem.smoother.fit(problem.guess, NOISE)
+    moved = replace(fit, guess=Guess(fit.guess.x, 1.001 * fit.guess.p))
+    doubting = problem.smoother.knowing(replace(problem.prior, sd=2.0 * problem.prior.sd))
+    for smoother, each in ((problem.smoother, fit), (problem.smoother, moved), (doubting, fit)):
+        got, wanted = smoother.posterior(each), smoother.posterior(replace(each, linearised=None))
+        np.testing.assert_array_equal(got.covariance, wanted.covariance)
+        assert got.evidence == wanted.evidence
+    assert problem.smoother.posterior(moved).evidence != problem.smoother.posterior(fit).evidence
+    assert doubting.posterior(fit).evidence != problem.smoother.posterior(fit).evidence
+
+
+def test_steps_over_the_dither_speed_are_foretold(problem, monkeypatch):
+    prior = replace(problem.prior, sd=np.where(np.arange(CONSTANTS) == C.SATURATION, 0.3, problem.prior.sd))
+    fit = Smoother(problem.library, problem.measured, prior).fit(problem.guess, NOISE)
+    told = marginalised(problem.library, problem.measured, prior, fit)
+    ends = []
+
+    def from_the_start(prior, start, value):
+        ends.append(value)
+        return start.guess
+
+    monkeypatch.setattr(marginal, "_foreseen", from_the_start)
+    wanted = marginalised(problem.library, problem.measured, prior, fit)
+    assert len(ends) > 4
+    sd = np.sqrt(np.diagonal(wanted.covariance))
+    off = np.concatenate([told.mean.p - wanted.mean.p, told.mean.x[-1] - wanted.mean.x[-1]])
+    assert (np.abs(off) < 0.1 * sd).all()
+    assert told.mu == pytest.approx(wanted.mu, abs=0.05 * wanted.mu_sd)
+    assert told.mu_sd == pytest.approx(wanted.mu_sd, rel=0.02)
+
+
 def test_a_fit_comes_back_to_the_truth_from_nearby(problem):
     random = np.random.default_rng(2)
     y = packed(problem.guess) + 30 * problem.scale * random.standard_normal(len(problem.scale))
@@ -141,6 +175,14 @@ def test_a_fit_comes_back_to_the_truth_from_nearby(problem):
     assert fit.cost < 1.0 < 100.0 < start.cost
     sd = np.sqrt(np.diagonal(problem.smoother.posterior(fit).covariance))
     assert np.abs((fit.guess.p - problem.guess.p) / sd[:CONSTANTS]).max() < 1.0
+
+
+@pytest.mark.parametrize(("promise", "fall"), [(0.05, -0.4), (0.3, -0.01), (0.2, 0.0), (0.1, -5.0)])
+def test_a_step_that_is_rejected_tells_what_is_left_on_the_way(promise, fall):
+    t = np.linspace(0.0, 1.0, 100001)
+    cost = -2.0 * promise * t + (2.0 * promise - fall) * t**2  # its slope is twice what the step promises
+    assert cost[-1] == pytest.approx(-fall)
+    assert _most_on_the_way(promise, fall) == pytest.approx(-cost.min(), rel=1e-6)
 
 
 def test_outliers_do_not_bend_the_answer():

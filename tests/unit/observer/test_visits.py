@@ -12,7 +12,7 @@ from palmd.lab import pruning_figure
 from palmd.lab.scoring import outline_errors
 from palmd.observer.outline import directions, normal_angles, touched_by
 from palmd.observer.reconstruct import reconstruct
-from palmd.observer.visits import kept_by_band, kept_by_visits, visits_of
+from palmd.observer.visits import HYSTERESIS_RAD, kept_by_band, kept_by_visits, visits_of
 
 
 def path(*degrees, steps=200):
@@ -120,3 +120,25 @@ def test_both_rules_are_drawn_and_the_same_run_gives_the_same_file(tmp_path):
     assert len(drawn) < 400_000
     with pytest.raises(ValueError, match="no outline"):
         pruning_figure.save(replace(answer, h_sd=None), errors, run.truth.h, tmp_path / "none.svg")
+
+
+def one_after_the_other(theta, centre, half_width):
+    """How often a curve comes within `half_width` of a direction: node by node."""
+    away = theta - centre
+    away = away - math.tau * np.round(away / math.tau)
+    there = np.abs(away) <= half_width
+    across = (away[:-1] * away[1:] < 0.0) & (np.abs(away[:-1] - away[1:]) < math.pi)
+    there[:-1] |= across
+    count, arrived = 0, False
+    for is_there, is_near in zip(there, there | (np.abs(away) <= HYSTERESIS_RAD), strict=True):
+        count += is_there and not arrived
+        arrived = is_near and (arrived or is_there)
+    return count
+
+
+@pytest.mark.parametrize(("nodes", "stride", "among"), [(800, 0.01, 36), (300, 0.2, 72), (60, 1.5, 12), (1, 1.0, 12)])
+def test_the_counts_are_those_of_each_direction_by_itself(nodes, stride, among):
+    normals = np.cumsum(stride * np.random.default_rng(nodes).standard_normal((nodes, 2)), axis=0)
+    centres = np.arange(among) * (math.tau / among)
+    wanted = [sum(one_after_the_other(theta, at, math.pi / among) for theta in normals.T) for at in centres]
+    assert visits_of(normals, among).tolist() == wanted

@@ -79,7 +79,8 @@ class ShapeFilters:
         library = shape_map.library(order, rig.curved)
         inputs = (shape_map.PREDICTION_INPUTS, shape_map.PALM_INPUTS + RIG_INPUTS, len(NAMED))
         n = shape_map.size(order)
-        self._uneven = np.ravel(rig.uneven) ** 2
+        self._uneven = np.zeros(len(NAMED))  # variances
+        self._uneven[_JOINTS_AT] = np.ravel(rig.uneven) ** 2
         self._rig, self._curvatures = rig_inputs(rig), rig.curvatures if rig.curved else ()
         update_inputs = shape_map.UPDATE_INPUTS + len(self._curvatures)
         self.bank = Bank(library, size, n, dict.fromkeys(shape_map.UPDATES, update_inputs), inputs, memory_s)
@@ -180,7 +181,7 @@ class ShapeFilters:
     def named(self, member: int, t: float, dt: float, palms: TrackedPalms) -> tuple[FloatArray, FloatArray]:
         if self.compiled is not None and isinstance(palms, CompiledPalms):
             y, variance = self.compiled.named(self.compiled_rig, palms, member, t, dt, self._open())
-            variance[_JOINTS_AT] += self._uneven
+            variance += self._uneven
             return y, variance
         self._x[:], self._P[:] = self.bank.x[member], self._whole(member)
         self._u[0], self._u[1:7], self._u[7:9] = dt, self._palms_at(t, palms), palms.jerk
@@ -189,7 +190,8 @@ class ShapeFilters:
         self._v[: shape_map.PALM_INPUTS] = self._palms_at(t + dt, palms)
         self._named()
         variance = ((self._P_next @ self._J) * self._J).sum(axis=0)
-        variance[_JOINTS_AT] += np.ravel(palms.sd(t + dt)) ** 2 + self._uneven
+        variance[_JOINTS_AT] += np.ravel(palms.sd(t + dt)) ** 2
+        variance += self._uneven
         return self._y.copy(), variance
 
     def all_named(self, t: float, palms: TrackedPalms) -> FloatArray:
