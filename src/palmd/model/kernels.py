@@ -1,6 +1,6 @@
 """CasADi functions as C of palmd's own: straight lines of arithmetic, for one column or for many side by side.
 
-Each instruction of a function becomes one line on a `lane` (`lanes.h`): a double, or eight of them in vector registers.
+Each instruction of a function becomes one line on a `lane` (`lanes.h`): a double, or a register full of them.
 What a kernel gives for a column does not depend on which others stand beside it, nor on the processor. Needs CasADi, so
 it is for building alone; `model.compiled` loads what is built.
 """
@@ -103,7 +103,7 @@ def _functions(kernel: Kernel) -> str:
     return "".join(pieces) + (
         f"void {EXPORTED}{kernel.name}(const double *const *in, double *const *out, long columns) {{\n"
         f"  lane w[{max(f.sz_w(), 1)}];\n"
-        f"  for (long at = 0; at < columns; at += LANES) {{\n    {calls}\n  }}\n}}\n"
+        f"  for (long at = 0; at < columns; at += WIDE) {{\n    {calls}\n  }}\n}}\n"
     )
 
 

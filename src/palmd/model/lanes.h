@@ -1,4 +1,5 @@
-/* Arithmetic of the generated kernels: `lane` is one double (LANES 1) or LANES of them side by side, in GNU C's vectors.
+/* Arithmetic of the kernels: `lane` is one double (LANES 1), or as many of LANES columns as fill a register (WIDE), in GNU
+   C's vectors: of wider ones compilers keep what they compute in memory, many times as slow.
 
    Only additions, multiplications, divisions, roots and bits, none of them contracted: one column gives the same bits
    as eight, on any processor. sin, cos, exp and log are fdlibm's (Sun Microsystems 1993), to an ulp or two of libm's;
@@ -13,13 +14,20 @@
 #define INLINE static inline __attribute__((always_inline, unused))
 
 #if LANES == 1
+#define WIDE 1
 typedef double lane;
 typedef int64_t mask;
 #define EVERY(value) (value)
 #define TEST(comparison) (-(mask)(comparison))
 #else
-typedef double lane __attribute__((vector_size(8 * LANES)));
-typedef int64_t mask __attribute__((vector_size(8 * LANES)));
+#ifdef __AVX512F__
+#define WIDE 8
+#else
+#define WIDE 4
+#endif
+_Static_assert(LANES % WIDE == 0, "columns fill registers");
+typedef double lane __attribute__((vector_size(8 * WIDE)));
+typedef int64_t mask __attribute__((vector_size(8 * WIDE)));
 #define EVERY(value) ((value) - (lane){0})
 #define TEST(comparison) ((mask)(comparison))
 #endif
@@ -37,19 +45,20 @@ INLINE void scatter(double *to, long stride, lane a) { (void)stride; *to = a; }
 #define EACH2(f, a, b) f(a, b)
 #else
 /* Written out, as loops are unrolled only by optimisation that takes a compiler twice as long. */
-_Static_assert(LANES == 8, "what is written out is eight");
-INLINE lane gather(const double *from, long n) {
-  return (lane){from[0], from[n], from[2 * n], from[3 * n], from[4 * n], from[5 * n], from[6 * n], from[7 * n]};
-}
-INLINE void scatter(double *to, long n, lane a) {
-  to[0] = a[0], to[n] = a[1], to[2 * n] = a[2], to[3 * n] = a[3];
-  to[4 * n] = a[4], to[5 * n] = a[5], to[6 * n] = a[6], to[7 * n] = a[7];
-}
-#define EACH(f, a) \
-  ({ lane a_ = (a); (lane){f(a_[0]), f(a_[1]), f(a_[2]), f(a_[3]), f(a_[4]), f(a_[5]), f(a_[6]), f(a_[7])}; })
-#define EACH2(f, a, b) \
-  ({ lane a_ = (a), b_ = (b); (lane){f(a_[0], b_[0]), f(a_[1], b_[1]), f(a_[2], b_[2]), f(a_[3], b_[3]), \
-                                     f(a_[4], b_[4]), f(a_[5], b_[5]), f(a_[6], b_[6]), f(a_[7], b_[7])}; })
+#define FOUR(of, l, ...) of(l, __VA_ARGS__), of(l + 1, __VA_ARGS__), of(l + 2, __VA_ARGS__), of(l + 3, __VA_ARGS__)
+#if WIDE == 8
+#define ALL(of, ...) FOUR(of, 0, __VA_ARGS__), FOUR(of, 4, __VA_ARGS__)
+#else
+#define ALL(of, ...) FOUR(of, 0, __VA_ARGS__)
+#endif
+#define TAKEN(l, from, n) from[(l) * n]
+#define PUT(l, to, n, a) to[(l) * n] = a[l]
+#define OF_ONE(l, f, a) f(a[l])
+#define OF_TWO(l, f, a, b) f(a[l], b[l])
+INLINE lane gather(const double *from, long n) { return (lane){ALL(TAKEN, from, n)}; }
+INLINE void scatter(double *to, long n, lane a) { ALL(PUT, to, n, a); }
+#define EACH(f, a) ({ lane a_ = (a); (lane){ALL(OF_ONE, f, a_)}; })
+#define EACH2(f, a, b) ({ lane a_ = (a), b_ = (b); (lane){ALL(OF_TWO, f, a_, b_)}; })
 #endif
 
 /* truth is 1.0 or 0.0, as in CasADi */

@@ -24,17 +24,8 @@ typedef struct {
   int waiting;
 } Sum;
 
-/* As wide as a register: of wider ones compilers keep a loop's sums in memory, ten times as slow. */
-#ifdef __AVX512F__
-#define WIDE 8
-#else
-#define WIDE 4
-#endif
-_Static_assert(LANES % WIDE == 0, "rows are of whole registers");
-typedef double wide __attribute__((vector_size(8 * WIDE)));
-
-INLINE wide load(const double *from) { wide a; memcpy(&a, from, sizeof a); return a; }
-INLINE void store(double *to, wide a) { memcpy(to, &a, sizeof a); }
+INLINE lane load(const double *from) { lane a; memcpy(&a, from, sizeof a); return a; }
+INLINE void store(double *to, lane a) { memcpy(to, &a, sizeof a); }
 
 /* corner += pendingᵀ pending, its upper triangle by blocks */
 static void flush(Sum *sum) {
@@ -42,7 +33,7 @@ static void flush(Sum *sum) {
   for (long i = 0; i < sum->width; i++) {
     double *row = sum->corner + i * sum->width;
     for (long j = i / WIDE * WIDE; j < sum->width; j += WIDE) {
-      wide a = load(row + j);
+      lane a = load(row + j);
       for (int r = 0; r < ROWS; r++) a += sum->pending[r][i] * load(sum->pending[r] + j);
       store(row + j, a);
     }
@@ -132,7 +123,7 @@ int reduce(const double *band, long stride, long n, const double *damping, doubl
     }
     double *row = rows + i * width;
     for (long c = 0; c < width; c += WIDE) {
-      wide a = load(row + c);
+      lane a = load(row + c);
       for (int d = 1; d < BAND && d <= i; d++) a -= l[d] * load(row - d * width + c);
       store(row + c, a / l[0]);
     }
@@ -141,7 +132,7 @@ int reduce(const double *band, long stride, long n, const double *damping, doubl
     const long last = first + NEAR < n ? first + NEAR : n;
     for (long i = 0; i < width; i++)
       for (long c = i / WIDE * WIDE; c < width; c += WIDE) {
-        wide a = {0.0};
+        lane a = {0.0};
         for (long r = first; r < last; r++) a += rows[r * width + i] * load(rows + r * width + c);
         store(left + i * width + c, load(left + i * width + c) - a);
       }
