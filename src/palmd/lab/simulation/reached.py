@@ -27,6 +27,7 @@ _NEVER_CAUSED = {
     "pad3-": "only three palms in space have such a pad",
     "-handshake": "the simulated pads are configured without a start-up that they would have to answer",
     "-foreign-clock": "only input devices stamp what they say",
+    "rig-contradicted": "only a smoother tells it, and the simulation has none",
     "force-limit": "only a pivoting grasp has it",
     "vm-backend": "it is told by the process round the loop, which the simulation does without",
     "no-realtime": "it is told by the process round the loop, which the simulation does without",
