@@ -505,6 +505,16 @@ def test_after_a_hold_set_points_resume_at_the_actual_pose(bench: Bench) -> None
     assert bench.host.tracking
 
 
+def test_a_first_answer_that_is_a_refusal_is_the_last_error() -> None:
+    """Nothing is in doubt before anything was heard: the wrong state is no echo of a fault that latched."""
+    host = ArmHost(BAUD)
+    host.poll(0.0, None)
+    host.feed(encode_reply(HELLO), 0.05)
+    host.poll(0.06, None)
+    host.feed(encode_reply(Refusal(0, -620)), 0.08)
+    assert host.last_error == -620
+
+
 def test_near_the_actual_pose_is_near_by_place_and_by_turn_either_way_round() -> None:
     half = Pose(0.1, 0.2, math.pi)
     for turn_deg, near in ((0.0, True), (2.9, True), (-2.9, True), (3.1, False), (-3.1, False)):
