@@ -20,6 +20,7 @@ from palmd.daemon import lifecycle
 from palmd.daemon.commands import COMMANDS, CommandSpec
 from palmd.faults import FAULTS
 from palmd.lab.equations import errata
+from palmd.lab.simulation.reached import rows, unreachable
 from palmd.model.notation import SYMBOLS
 from palmd.quantities import STAMP, TOPICS
 from palmd.rig.fault_injection import ALL_FAULTS
@@ -128,6 +129,25 @@ def states() -> str:
     )
 
 
+def reach() -> str:
+    whys = list(dict.fromkeys(why for state, fault, _ in rows() if (why := unreachable(state, fault))))
+    cells = [
+        (f"`{fault.code}`" if fault else "none", *(_cell(whys, unreachable(state, fault)) for state in lifecycle.State))
+        for fault in (None, *FAULTS)
+    ]
+    return (
+        "# What a command can find\n\nEach fault in each state of the lifecycle: *yes* where the simulation must have "
+        "given every command there ([what it has](../results/simulation.md#what-has-been-reached)), else the number of "
+        "the reason why no command can find it so. A reason that a run contradicts is told by `palmd bench simulate`."
+        "\n\n" + table(("fault", *map(str, lifecycle.State)), cells)
+        + "\n" + "".join(f"{number}. {why}\n" for number, why in enumerate(whys, 1))
+    )  # fmt: skip
+
+
+def _cell(whys: Sequence[str], why: str | None) -> str:
+    return "yes" if why is None else str(whys.index(why) + 1)
+
+
 def mischief() -> str:
     rows = [(f"`{name}`", trick.description) for name, trick in ALL_FAULTS.items()]
     return "# Mischief of the emulated rig\n\n" + table(("trick", "what it does"), rows)
@@ -193,6 +213,7 @@ PAGES = {
     "docs/reference/faults.md": faults,
     "docs/reference/messages.md": messages,
     "docs/reference/lifecycle.md": states,
+    "docs/reference/reach.md": reach,
     "docs/reference/mischief.md": mischief,
     "docs/theory/errata.md": paper_errata,
 }

@@ -139,6 +139,7 @@ def test_nothing_is_overwritten(folders, capsys):
         (lambda text: text.replace("secret-key", "other-key"), "no secret key is in it"),
         (lambda text: text.replace("public-key", "other-key"), "no public key is in it"),
         (lambda text: text[:-10] + '"\n', "damaged"),
+        (lambda text: text.rstrip()[:-1] + '00000"\n', "damaged"),  # whole Z85, but of another length
         (lambda text: text + '    secret-key = "x"\n', "secret-key stands in it twice"),
         (lambda _: "", "no public key is in it"),
         (lambda _: "\0\xff" * 5000, "no public key is in it"),

@@ -186,7 +186,7 @@ class BankObserver:
     def estimate(self, t: float) -> Estimate:
         """The most likely filter's answer for time `t` ≥ the last event (s); never raises, NaN where unknown."""
         fusion, session = self._fusion, self._session
-        gone = t - min(fusion.palms.t, self._contacts.quietest) > GONE_S
+        gone = t - fusion.palms.t > GONE_S or self._contacts.gone(t)
         if session.track is not None and (gone or fusion.bank.lost()):
             session.stop()
         track = session.track

@@ -60,6 +60,14 @@ class Contacts:
         """When the pad that has been silent for longer was read last (s), -inf before both were."""
         return min(self.last_seen(pad) for pad in PALMS)
 
+    def gone(self, t: float) -> bool:
+        """Whether the object has left the palms by `t` (s): a pad is silent for too long, or both say so and stay so.
+
+        What has flown for `SILENCE_S` lies there in no pose that a filter could foresee, however soon it is back.
+        """
+        lifted = len(self._lifted) == len(PALMS) and t - max(map(self.last_seen, PALMS)) > SILENCE_S
+        return lifted or t - self.quietest > GONE_S
+
     def read_lately(self, t: float) -> bool:
         """Whether both pads were read shortly before `t` (s)."""
         return all(t - self.last_seen(pad) < SILENCE_S for pad in PALMS)

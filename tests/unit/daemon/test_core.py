@@ -371,7 +371,9 @@ def test_status_tells_where_things_stand(running):
 def test_status_tells_where_the_palms_are_as_soon_as_that_is_known(ready):
     told, actual = ready.do("status"), ready.core.arm.actual
     assert [told[name] for name in ("phi1_rad", "phi2_rad")] == pytest.approx(actual.angles)
-    assert "phi1_rad" not in Bench().do("status")
+    fresh = Bench().do("status")
+    assert "phi1_rad" not in fresh
+    assert (fresh["segment"], fresh["doing"], fresh["progress"]) == (-1, "", 0.0)
 
 
 def test_every_tick_publishes_just_what_the_observer_was_fed(running):
@@ -704,6 +706,14 @@ def test_arm_needs_power(ready):
     ready.go(0.3)
     assert ready.state == "ready"
     assert "enable power" in ready.ask("arm").error
+
+
+def test_a_controller_that_answers_all_but_arm_is_given_up_after_a_second(ready, monkeypatch):
+    ready.go(0.003)  # between two ticks
+    host, begun = type(ready.core.arm.host), ready.t
+    monkeypatch.setattr(host, "want_tracking", lambda _: monkeypatch.setattr(host, "busy", True))
+    assert ready.ask("arm", seconds=1.5).error == "arm refused: the controller does not answer"
+    assert ready.t - begun == pytest.approx(1.0, abs=0.02)
 
 
 def test_a_short_silence_of_the_arm_pauses_the_motion(running):

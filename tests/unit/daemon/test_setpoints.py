@@ -199,6 +199,14 @@ def test_outside_the_arms_workspace_nothing_goes():
     assert drive.setpoints.violated
 
 
+def test_palms_that_stand_outside_the_arms_workspace_stay_where_they_are():
+    """A wish there is no set-point, and to fall silent would lose the link."""
+    x, y, _ = GEOMETRY.arm_pose(HERE.angles)
+    drive = Drive(workspace=Workspace(GEOMETRY, x + 0.01, x + 0.1, y - 0.1, y + 0.1, 2.0, 50.0))
+    assert {motion.angles for motion in drive.go(0.1)} == {HERE.angles}
+    assert drive.setpoints.violated
+
+
 @pytest.mark.parametrize(("axis", "way"), [(0, -1), (0, 1), (1, -1), (1, 1)])
 def test_beyond_any_one_edge_of_the_workspace_nothing_goes(axis, way):
     """The other three edges are far: inside along one axis is not inside."""

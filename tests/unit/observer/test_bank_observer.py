@@ -406,6 +406,21 @@ def test_a_short_lift_is_bridged_without_starting_again(nominal: tuple) -> None:
     assert estimates[-1].valid
 
 
+def test_what_both_pads_say_has_left_is_begun_anew_however_soon_it_is_back(nominal: tuple) -> None:
+    """It lies there turned: filters that are bent until they fit are sure of what is wrong."""
+    rig, events, _ = nominal
+    first, second = ([e for e in events if low < e.t_sample < high] for low, high in ((0.0, 3.0), (4.0, 4.4)))
+    watcher = observer.make("shape", rig)
+    _replay(watcher, first)
+    for pad in (1, 2):
+        watcher.feed(PadLift(3.0, pad))
+    for t in np.arange(3.0, 3.2, 0.01):
+        watcher.estimate(float(t))
+    _replay(watcher, [replace(e, t_sample=e.t_sample - 0.8) for e in second], 3.2)
+    assert watcher._session.track is not None
+    assert watcher._session.track.age(3.6) < 0.5
+
+
 def test_a_gap_in_the_readings_starts_it_again(nominal: tuple) -> None:
     rig, events, _ = nominal
     gap = [e for e in events if not 2.0 < e.t_sample < 3.0]

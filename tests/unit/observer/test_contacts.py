@@ -5,7 +5,7 @@ import math
 import pytest
 
 from palmd.events import PadSample, PalmSample
-from palmd.observer.contacts import SILENCE_S, Contacts, finite
+from palmd.observer.contacts import GONE_S, SILENCE_S, Contacts, finite
 
 
 def read(*samples):
@@ -52,6 +52,20 @@ def test_it_tells_since_when_a_pad_is_read_again():
     assert contacts.resumed == 1.0
     contacts.read(PadSample(1.05 + 1.1 * SILENCE_S, 1, 0.02))
     assert contacts.resumed == pytest.approx(1.05 + 1.1 * SILENCE_S)
+
+
+def test_an_object_is_gone_when_a_pad_is_silent_for_long_or_both_say_so():
+    contacts = read((1.0, 1), (1.02, 2))
+    assert not contacts.gone(1.0 + 0.9 * GONE_S)
+    assert contacts.gone(1.0 + 1.1 * GONE_S)
+    contacts.lift(1)
+    assert not contacts.gone(1.02 + 1.1 * SILENCE_S)  # it may lie on the other
+    contacts.lift(2)
+    assert not contacts.gone(1.02 + 0.9 * SILENCE_S)
+    assert contacts.gone(1.02 + 1.1 * SILENCE_S)
+    contacts.read(PadSample(1.02 + 1.2 * SILENCE_S, 2, 0.02))
+    assert not contacts.gone(1.02 + 1.3 * SILENCE_S)
+    assert Contacts().gone(0.0)
 
 
 def test_a_reading_may_be_of_a_moment_later_than_what_it_is_asked_for():

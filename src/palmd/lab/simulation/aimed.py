@@ -49,6 +49,14 @@ EACH_S, STEP_S = 0.9, 0.22
 LIVELY, EXPLORES = 1, 3
 _BY_ITSELF = frozenset({"left", "restart"})
 _SLOW_FAULTS = {"estimate-lost": 11.0, "recorder-silent": 3.5, "estimate-inconsistent": 3.0, "explorer-silent": 4.0}
+_SUREST = {"lifted": "lift", "silent": "mute", "batched": "burst", "garbled": "garble"}
+_SURELY = 0.8
+"""By what a code ends with: what brings a fault about more surely than its other causes, and how often it is taken."""
+
+_MANY, _FEW = (1.0, 3.0), (0.03, 0.1)
+"""By how much stronger a trick is than usual; a line of thirty bytes is seldom whole where one in twenty is damaged."""
+
+_OF_REAL_OBSERVER = ("estimate-inconsistent", "samples-too-late")
 _WAY: dict[State, tuple[str, ...]] = {
     State.IDLE: (),
     State.READY: ("stop",),
@@ -74,7 +82,7 @@ def aimed(number: int) -> Scenario:
     if fault is None and state is State.IDLE:
         found = [_told(rng.uniform(*GREETING_S), name, rng) for name in COMMANDS]  # later something is missing
     elif fault is not None:
-        found += _cause(rng.choice(sorted(CAUSES[code] - _BY_ITSELF)), code, until - CAUSE_S, rng)
+        found += _cause(_drawn(code, rng), code, until - CAUSE_S, rng)
     for name in probes:
         way = _WAY[state]
         found += [_told(t + STEP_S * k, each, rng) for k, each in enumerate(way)]
@@ -84,7 +92,7 @@ def aimed(number: int) -> Scenario:
     plan = EXPLORES if code == "explorer-silent" else LIVELY
     return Scenario(
         number, plan, False, 0.3, (rng.choice((0.001, 0.004)),) * len(PORTS), tuple(found), tuple(range(len(found))),
-        trouble_s=until, alone_s=until,
+        thorough=code in _OF_REAL_OBSERVER, trouble_s=until, alone_s=until,
     )  # fmt: skip
 
 
@@ -111,6 +119,14 @@ def _fault_of_observer(_until: float) -> Iterator[Happening]:
     yield Broken(STATE_S + 2 * STEP_S, "raises", 0.3)
 
 
+def _drawn(code: str, rng: random.Random) -> str:
+    """One of a fault's causes."""
+    names = sorted(CAUSES[code] - _BY_ITSELF)
+    sure = _SUREST.get(code.partition("-")[2])
+    surest = [name for name in names if name.partition("@")[0] == sure]
+    return rng.choice(surest if surest and rng.random() < _SURELY else names)
+
+
 def _cause(name: str, code: str, for_s: float, rng: random.Random) -> Iterator[Happening]:
     """What brings the fault about, from `CAUSE_S` on."""
     what, _, port = name.partition("@")
@@ -133,7 +149,8 @@ def _cause(name: str, code: str, for_s: float, rng: random.Random) -> Iterator[H
         case _:
             trick = INJECTABLE_FAULTS[what]
             lasts_s = for_s if what != "unplug" or port not in PADS else min(for_s, 2 * LONGEST_S)
-            strength = trick.strength * rng.choice((1.0, 3.0))
+            some = _FEW if code == "arm-garbled" else _MANY
+            strength = trick.strength * rng.choice(some)
             yield Trick(t, what, port or None, min(strength, 1.0) if what in ("drop", "garble") else strength, lasts_s)
 
 

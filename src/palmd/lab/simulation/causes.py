@@ -58,7 +58,6 @@ CAUSES: dict[str, frozenset[str]] = {
     "estimate-lost": frozenset({"broken", "told", *_BODY}) | {f"{what}@{pad}" for what in _LINE for pad in PADS},
     "estimate-inconsistent": frozenset({"broken", *_BODY, "touch@pad1", "touch@pad2"})
     | {f"{what}@{end}" for what in _LINE for end in (*PADS, "arm")},
-    "rig-contradicted": frozenset({f"touch@{pad}" for pad in PADS}),
     "samples-too-late": frozenset({"stall", "restart"}) | {f"{what}@{pad}" for what in _LINE for pad in PADS},
     "recorder-failed": frozenset({"told"}),
     "recorder-silent": frozenset({"told"}),

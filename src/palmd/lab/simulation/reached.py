@@ -20,6 +20,19 @@ _NO_LINK = ("arm-mute", "arm-link-lost", "arm-port")
 _NO_PORT = ("pad1-port", "pad2-port")
 _NEEDS_MOTION = ("pad1-silent", "pad2-silent", "pad1-lifted", "pad2-lifted", "arm-left-tracking")
 _NEEDS_TRACKING = ("arm-late", "arm-held")
+_NEVER_CAUSED = {
+    "limits-violated": "set-points keep to the limits, and who takes the emulated arm by hand jogs it towards home",
+    "arm-uncalibrated": "the emulated controller never loses its calibration",
+    "arm-servo-": "only servos have it",
+    "pad3-": "only three palms in space have such a pad",
+    "-handshake": "the simulated pads are configured without a start-up that they would have to answer",
+    "-foreign-clock": "only input devices stamp what they say",
+    "rig-contradicted": "only a smoother tells it, and the simulation has none",
+    "force-limit": "only a pivoting grasp has it",
+    "vm-backend": "it is told by the process round the loop, which the simulation does without",
+    "no-realtime": "it is told by the process round the loop, which the simulation does without",
+}
+"""By what its code contains: why nothing in the simulation can cause a fault."""
 
 
 def unreachable(state: State, fault: Fault | None) -> str | None:
@@ -28,7 +41,7 @@ def unreachable(state: State, fault: Fault | None) -> str | None:
         return None
     code = fault.code
     if code not in CAUSES:
-        return "nothing in the simulation can cause it: another kind of rig, or the start of the process"
+        return next(why for part, why in _NEVER_CAUSED.items() if part in code)
     if fault.severity is Severity.STOP and state in COMMANDED:
         return "a stop fault ends tracking in the tick that it comes up in, before the next command is heard"
     if fault.severity is Severity.HOLD and state is State.TRACKING:
