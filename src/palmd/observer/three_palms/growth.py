@@ -42,6 +42,8 @@ FORKED, FORKS_S = 1.15, 3.0
 """The same of a window in the first seconds, where what is behind allows of more than one way on."""
 FORK_S = 0.4
 FORKED_STARTS = 2
+TRIES = (4, 12)
+"""Iterations of the whole that a way is tried with, while it is cheap enough."""
 FORKS = (0.0, -1.5, 1.5, -3.0, 3.0)
 """Ways that are tried, in standard deviations of the spin along its least known axis."""
 LATELY_S, LOST = 1.0, 2.5
@@ -229,7 +231,13 @@ def _forked(task: Task, now: Grown, until: int) -> Grown:
 
 
 def _ways(task: Task, now: Grown, until: int) -> list[Grown]:
-    return [smoothed(task, _window(task, now, FORK_S, until, share), 20) for share in FORKS]
+    """Of ways that have met in their window one goes on, and of those that are tried as a whole only the cheap ones."""
+    tried = [_window(task, now, FORK_S, until, share) for share in FORKS]
+    for iterations in TRIES:
+        tried.sort(key=lambda each: (-each.intervals, each.cost))
+        cheapest = min(each.cost for each in tried)
+        tried = [smoothed(task, each, iterations) for each in _apart(tried) if each.cost < cheapest + BEHIND]
+    return tried
 
 
 def _shifted(belief: BodyPrior, share: float) -> BodyPrior:
