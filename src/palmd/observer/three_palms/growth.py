@@ -48,8 +48,8 @@ FORKS = (0.0, -1.5, 1.5, -3.0, 3.0)
 """Ways that are tried, in standard deviations of the spin along its least known axis."""
 LATELY_S, LOST = 1.0, 2.5
 """A rival is lost where so long a time cost that much per number read."""
-AGAIN, AGAIN_WHEN_SURPRISED = 1.6, 1.15
-"""By which factor a record has grown when all of it is smoothed again."""
+AGAIN, AGAIN_EARLY, AGAIN_WHEN_SURPRISED = 1.6, 1.2, 1.15
+"""By which factor a record has grown when all of it is smoothed again: early, what is left open is no straight valley."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,18 +209,22 @@ def folded(task: Task, now: Grown, intervals: int) -> Grown:
 def advanced(task: Task, now: Grown, until: int, most: float = math.inf) -> Grown:
     """The rival followed to so many intervals, or to where it is lost or costs more than `most`."""
     while now.intervals < until and not now.lost and now.cost <= most:
-        if now.since_whole > AGAIN:
+        early = now.intervals * SPACING_S < FORKS_S
+        if now.since_whole > (AGAIN_EARLY if early else AGAIN):
             now = smoothed(task, now)
         further = _window(task, now, WINDOWS_S[0], until)
-        if further.surprise > FORKED and now.intervals * SPACING_S < FORKS_S:
-            further = _forked(task, now, until)
-        elif further.surprise > FORETOLD:
-            if now.since_whole > AGAIN_WHEN_SURPRISED:
-                now = smoothed(task, now)
-            for seconds in WINDOWS_S[1:]:
-                further = _window(task, now, seconds, until)
-                if further.surprise < FORETOLD:
-                    break
+        surprising = FORKED if early else FORETOLD
+        if further.surprise > surprising and now.since_whole > AGAIN_WHEN_SURPRISED:
+            now = smoothed(task, now)
+            further = _window(task, now, WINDOWS_S[0], until)
+        if further.surprise > surprising:
+            if early:
+                further = _forked(task, now, until)
+            else:
+                for seconds in WINDOWS_S[1:]:
+                    further = _window(task, now, seconds, until)
+                    if further.surprise < FORETOLD:
+                        break
         now = further
     return now
 
