@@ -186,10 +186,13 @@ def begun(task: Task, rival: Rival) -> Grown:
     )
 
 
-def smoothed(task: Task, now: Grown, iterations: int = 8) -> Grown:
+def smoothed(task: Task, now: Grown, iterations: int = 20) -> Grown:
     """All of it fitted as a whole."""
     smoother = BodySmoother(now.record, now.prior, task.noise, task.rig.gravity)
-    fit = smoother.fit(now.motion, iterations)
+    # the body as the last window has it, or as all until then had it: what is nearer to a motion of all
+    bodies = [now.motion.p] if now.whole.motion.p is now.motion.p else [now.motion.p, beliefs.raised(now.whole.motion.p, ORDER)]
+    starts = [smoother.settled(replace(now.motion, p=body)) for body in bodies]
+    fit = smoother.fit(min(starts, key=lambda each: each.cost).motion, iterations)
     return replace(now, motion=fit.motion, ahead=smoother.ahead(fit), cost=fit.cost, whole=fit)
 
 

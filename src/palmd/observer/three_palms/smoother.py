@@ -227,6 +227,23 @@ class BodySmoother:
                     break
         return best
 
+    def settled(self, guess: BodyMotion, iterations: int = 5) -> BodyFit:
+        """The guess with its nodes moved to where its parameters want them."""
+        best = self.evaluate(guess)
+        for _ in range(iterations):
+            try:
+                nodes = best.arrow.nodes_step(DAMPING)
+            except np.linalg.LinAlgError:
+                break
+            shrink = min(1.0, LARGEST_TURN / float(np.abs(nodes[:, :3]).max()))
+            trial = self.evaluate(best.motion.moved(shrink * nodes, np.zeros(len(guess.p))))
+            gained = best.cost - trial.cost
+            if gained > 0.0:
+                best = trial
+            if gained < 1.0:
+                break
+        return best
+
     def ahead(self, fit: BodyFit) -> BodyPrior:
         """What `fit` says of the last node and the parameters: the belief that a record from there on begins with."""
         information, gradient = fit.arrow.onto_last()
