@@ -49,7 +49,7 @@ FORKS = (0.0, -1.5, 1.5, -3.0, 3.0)
 LATELY_S, LOST = 1.0, 2.5
 """A rival is lost where so long a time cost that much per number read."""
 AGAIN, AGAIN_EARLY, AGAIN_WHEN_SURPRISED = 1.6, 1.2, 1.15
-"""By which factor a record has grown when all of it is smoothed again: early, what is left open is no straight valley."""
+"""By which factor a record has grown when all of it is smoothed again; early the valley that is left open is bent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +190,8 @@ def smoothed(task: Task, now: Grown, iterations: int = 20) -> Grown:
     """All of it fitted as a whole."""
     smoother = BodySmoother(now.record, now.prior, task.noise, task.rig.gravity)
     # the body as the last window has it, or as all until then had it: what is nearer to a motion of all
-    bodies = [now.motion.p] if now.whole.motion.p is now.motion.p else [now.motion.p, beliefs.raised(now.whole.motion.p, ORDER)]
+    newest, before = now.motion.p, beliefs.raised(now.whole.motion.p, ORDER)
+    bodies = [newest] if np.array_equal(newest, before) else [newest, before]
     starts = [smoother.settled(replace(now.motion, p=body)) for body in bodies]
     fit = smoother.fit(min(starts, key=lambda each: each.cost).motion, iterations)
     return replace(now, motion=fit.motion, ahead=smoother.ahead(fit), cost=fit.cost, whole=fit)

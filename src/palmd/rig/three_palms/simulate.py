@@ -12,7 +12,7 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.rig.three_palms.bodies import Bodies, random_bodies, spread_directions
 from palmd.rig.three_palms.compiled import BodyOnPalms, palm_rows
-from palmd.rig.three_palms.plant import BodyStates, Rubbing
+from palmd.rig.three_palms.plant import Rubbing
 from palmd.system.three_palms import MECHANISM, PALMS, SYSTEM, ThreePalmsRig, palms_at, readings_of
 
 STEP_S = 2e-3
