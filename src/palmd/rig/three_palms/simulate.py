@@ -98,7 +98,8 @@ def simulate(kind: str, count: int, seconds: float, seed: int, rig: ThreePalmsRi
         random.uniform(*what.mu, count), random.uniform(8e-3, 1.2e-2, count), random.uniform(*what.drag, count)
     )
     steps = round(seconds / STEP_S)
-    motion = joints.along(0.5 * STEP_S * np.arange(2 * steps + 1))
+    halves: FloatArray = np.asarray(0.5 * STEP_S * np.arange(2 * steps + 1), np.float64)
+    motion = joints.along(halves)
     points, forces = np.empty((count, steps + 1, 3, 3)), np.empty((count, steps + 1, 3))
     states = np.empty((count, steps + 1, 18))
     for b, start in enumerate(_started(bodies, rubbing, what, random, described.gravity)):

@@ -201,4 +201,5 @@ class ThreePalmsWorld(EmulatedRig[TiltArm]):
 
 def _palms(joints: FloatArray) -> FloatArray:
     """(36,) of joints (3 derivatives, 3), as the plant takes the palms."""
-    return palm_rows(palms_at(*(row[None] for row in joints)))[0]
+    rows: FloatArray = palm_rows(palms_at(*(row[None] for row in joints)))
+    return rows.ravel()
