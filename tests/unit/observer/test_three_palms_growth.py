@@ -8,6 +8,7 @@ import pytest
 from palmd.lab.space import errors
 from palmd.model.spherical import evaluator
 from palmd.observer.three_palms import growth
+from palmd.observer.three_palms.arrow import Arrow
 from palmd.observer.three_palms.driven import ContactCurves
 from palmd.observer.three_palms.icosphere import icosphere
 from palmd.observer.three_palms.reconstruct import answer, doubt, reconstruct, within, without_turns
@@ -53,6 +54,25 @@ def test_windows_lead_to_what_all_at_once_leads_to(task):
     spins = np.array([ahead.motion.omega[-1], whole.motion.omega[-1]])
     assert np.ptp(spins, axis=0).max() < 0.03  # rad/s
     assert ahead.per_number < 1.15
+
+
+def test_a_fit_ends_where_no_step_promises_anything(task):
+    fit = growth.begun(task, rivals(task, 1.3)[0]).whole
+    nodes, step = fit.arrow.solve(1e-9)
+    assert fit.arrow.promise(nodes, step) < 1.0  # in cost, where one number read adds 1
+
+
+def test_an_arrow_promises_what_a_step_gains():
+    random = np.random.default_rng(5)
+    r, left, right, by = (random.normal(size=(4, 8, *each)) for each in ((), (6,), (6,), (3,)))
+    arrow = Arrow.empty(5, 3)
+    arrow.couple(r, left, right, by)
+    nodes, step = random.normal(size=(5, 6)), random.normal(size=3)
+    after = r + np.einsum("kqi,ki->kq", left, nodes[:-1]) + np.einsum("kqi,ki->kq", right, nodes[1:]) + by @ step
+    assert arrow.promise(nodes, step) == pytest.approx((r**2).sum() - (after**2).sum())
+    alone = arrow.nodes_step(0.0)
+    moved = [arrow.promise(alone + 1e-3 * random.normal(size=(5, 6)), np.zeros(3)) for _ in range(5)]
+    assert max(moved) < arrow.promise(alone, np.zeros(3))
 
 
 def test_a_rival_that_foretells_nothing_is_lost(task):

@@ -94,6 +94,19 @@ class Arrow:
         step = -linalg.cho_solve(linalg.cho_factor(schur, check_finite=False), self.gradient - across.T @ solved[:, m])
         return -(solved[:, m] + solved[:, :m] @ step).reshape(K, STATES), step
 
+    def nodes_step(self, damping: float) -> FloatArray:
+        """The step of the nodes (K, 6) alone, the parameters staying as they are; raises as `solve`."""
+        chain, _ = self._factor(damping)
+        step = -linalg.cho_solve_banded((chain, True), self.nodes_gradient.reshape(-1), check_finite=False)
+        return np.asarray(step.reshape(-1, STATES), np.float64)
+
+    def promise(self, nodes: FloatArray, step: FloatArray) -> float:
+        """By how much the quadratic falls by a step (K, 6) of the nodes and (m,) of the parameters."""
+        down = 2.0 * float((self.nodes_gradient * nodes).sum() + self.gradient @ step)
+        ahead = np.einsum("kij,kj->ki", self.diagonal, nodes) + 2.0 * (self.border @ step)
+        ahead[:-1] += 2.0 * np.einsum("kij,kj->ki", self.upper, nodes[1:])
+        return -down - float((nodes * ahead).sum() + step @ self.corner @ step)
+
     def marginal(self) -> tuple[FloatArray, FloatArray]:
         """The quadratic in the parameters that is left, whatever the nodes are: (m, m), half gradient (m,)."""
         chain, corner = self._factor(0.0)

@@ -33,8 +33,8 @@ LONGEST_S, KEPT_S = 14.0, 8.0  # a record so long is folded to that
 WORTH_S = 3.0  # of a record that was explained: another start would hardly go further
 CONTACTS_S = 2.0  # of readings before what is new, that their smoothed courses begin with
 MOST_RIVALS = 3
-LATENCY_S = 0.8  # that a simulated one takes; its first answer takes longer
-FIRST_LATENCY_S = 8.0
+LATENCY_S = 1.1  # that a simulated one takes; its first answer takes longer
+FIRST_LATENCY_S = 3.0
 
 
 @dataclass(slots=True)

@@ -42,12 +42,14 @@ FORKED, FORKS_S = 1.15, 3.0
 """The same of a window in the first seconds, where what is behind allows of more than one way on."""
 FORK_S = 0.4
 FORKED_STARTS = 2
+TRIES = (4, 12)
+"""Iterations of the whole that a way is tried with, while it is cheap enough."""
 FORKS = (0.0, -1.5, 1.5, -3.0, 3.0)
 """Ways that are tried, in standard deviations of the spin along its least known axis."""
 LATELY_S, LOST = 1.0, 2.5
 """A rival is lost where so long a time cost that much per number read."""
-AGAIN, AGAIN_WHEN_SURPRISED = 1.6, 1.15
-"""By which factor a record has grown when all of it is smoothed again."""
+AGAIN, AGAIN_EARLY, AGAIN_WHEN_SURPRISED = 1.6, 1.2, 1.15
+"""By which factor a record has grown when all of it is smoothed again; early the valley that is left open is bent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,10 +186,14 @@ def begun(task: Task, rival: Rival) -> Grown:
     )
 
 
-def smoothed(task: Task, now: Grown, iterations: int = 8) -> Grown:
+def smoothed(task: Task, now: Grown, iterations: int = 20) -> Grown:
     """All of it fitted as a whole."""
     smoother = BodySmoother(now.record, now.prior, task.noise, task.rig.gravity)
-    fit = smoother.fit(now.motion, iterations)
+    # the body as the last window has it, or as all until then had it: what is nearer to a motion of all
+    newest, before = now.motion.p, beliefs.raised(now.whole.motion.p, ORDER)
+    bodies = [newest] if np.array_equal(newest, before) else [newest, before]
+    starts = [smoother.settled(replace(now.motion, p=body)) for body in bodies]
+    fit = smoother.fit(min(starts, key=lambda each: each.cost).motion, iterations)
     return replace(now, motion=fit.motion, ahead=smoother.ahead(fit), cost=fit.cost, whole=fit)
 
 
@@ -207,18 +213,22 @@ def folded(task: Task, now: Grown, intervals: int) -> Grown:
 def advanced(task: Task, now: Grown, until: int, most: float = math.inf) -> Grown:
     """The rival followed to so many intervals, or to where it is lost or costs more than `most`."""
     while now.intervals < until and not now.lost and now.cost <= most:
-        if now.since_whole > AGAIN:
+        early = now.intervals * SPACING_S < FORKS_S
+        if now.since_whole > (AGAIN_EARLY if early else AGAIN):
             now = smoothed(task, now)
         further = _window(task, now, WINDOWS_S[0], until)
-        if further.surprise > FORKED and now.intervals * SPACING_S < FORKS_S:
-            further = _forked(task, now, until)
-        elif further.surprise > FORETOLD:
-            if now.since_whole > AGAIN_WHEN_SURPRISED:
-                now = smoothed(task, now)
-            for seconds in WINDOWS_S[1:]:
-                further = _window(task, now, seconds, until)
-                if further.surprise < FORETOLD:
-                    break
+        surprising = FORKED if early else FORETOLD
+        if further.surprise > surprising and now.since_whole > AGAIN_WHEN_SURPRISED:
+            now = smoothed(task, now)
+            further = _window(task, now, WINDOWS_S[0], until)
+        if further.surprise > surprising:
+            if early:
+                further = _forked(task, now, until)
+            else:
+                for seconds in WINDOWS_S[1:]:
+                    further = _window(task, now, seconds, until)
+                    if further.surprise < FORETOLD:
+                        break
         now = further
     return now
 
@@ -229,7 +239,13 @@ def _forked(task: Task, now: Grown, until: int) -> Grown:
 
 
 def _ways(task: Task, now: Grown, until: int) -> list[Grown]:
-    return [smoothed(task, _window(task, now, FORK_S, until, share), 20) for share in FORKS]
+    """Of ways that have met in their window one goes on, and of those that are tried as a whole only the cheap ones."""
+    tried = [_window(task, now, FORK_S, until, share) for share in FORKS]
+    for iterations in TRIES:
+        tried.sort(key=lambda each: (-each.intervals, each.cost))
+        cheapest = min(each.cost for each in tried)
+        tried = [smoothed(task, each, iterations) for each in _apart(tried) if each.cost < cheapest + BEHIND]
+    return tried
 
 
 def _shifted(belief: BodyPrior, share: float) -> BodyPrior:

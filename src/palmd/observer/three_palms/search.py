@@ -28,6 +28,7 @@ ROUGH_M = 5e-4  # what readings may miss a first outline by
 STILL_RAD_S, STILL_RAD = 0.04, 1e-3  # of the joints, below which a body that rested still rests
 LEAST_REST_S, LONGEST_REST_S = 0.12, 1.0
 HOPELESS = 2.5  # cost per number read above which a start is not followed at all
+EXPLAINED = 1.35  # of the same, below which bodies that rub explain the record, and none that do not are tried
 STEPS = 12
 SAME_COST = 2.0
 TOO_FAR = 100.0  # in cost, of the cheapest, where a start is dropped
@@ -122,6 +123,8 @@ def rivals(task: Task, seconds: float) -> list[Rival]:
     stiff = beliefs.with_inertia(prior, STIFF)
     found: list[Rival] = []
     for hypothesis in beliefs.hypotheses():
+        if hypothesis.mu == beliefs.FRICTIONLESS and found and min(each.per_number for each in found) < EXPLAINED:
+            break
         belief = hypothesis.belief(radius, centres[0], task.spin_sd, task.rest)
         driven = course(task.path, task.contacts, record.start, len(record.t) - 1, SPACING_S, belief, task.rig.gravity)
         motion = first_motion(record, driven, prior, radius * (1.0 + hypothesis.larger))

@@ -21,7 +21,8 @@ from palmd.observer.three_palms.motion_noise import BY_SPIN, SPIN, TURN
 from palmd.observer.three_palms.record import BodyRecord
 
 LARGEST_TURN = 0.5  # of a node in one step (rad)
-SETTLED = 3e-4  # decrease of the cost, as a share of it, below which an iteration is taken to be the last
+SETTLED = 0.1  # decrease of the cost that a step promises, below which it is not taken any more
+DAMPING, LEAST_DAMPING = 1e-6, 1e-9  # as a share of the diagonal: what is hardly known has 1e-6 of it left by all else
 GIVE_UP = 1e6  # damping beyond which no step helps
 GAUGE = 1e12  # information that holds a rotation (1/rad²)
 
@@ -197,9 +198,12 @@ class BodySmoother:
         by[k[:, None], rows, self._shape] = weight * by_c
         return residual
 
-    def fit(self, guess: BodyMotion, iterations: int = 30, damping: float = 1e-3) -> BodyFit:
-        """The minimum that the iteration from `guess` leads to, or where it stands after so many evaluations."""
-        best = self.evaluate(guess)
+    def fit(self, guess: BodyMotion, iterations: int = 30, damping: float = DAMPING) -> BodyFit:
+        """The minimum that the iteration from `guess` leads to, or where it stands after so many evaluations.
+
+        The damping follows how much of what a step promises it keeps (Nielsen 1999).
+        """
+        best, raised = self.evaluate(guess), 2.0
         for number in range(iterations):
             try:
                 nodes, step = best.arrow.solve(damping)
@@ -208,19 +212,36 @@ class BodySmoother:
                 if damping > GIVE_UP:
                     break
                 continue
-            largest = float(np.abs(nodes[:, :3]).max())
-            shrink = min(1.0, LARGEST_TURN / largest)
+            shrink = min(1.0, LARGEST_TURN / float(np.abs(nodes[:, :3]).max()))
+            promised = best.arrow.promise(shrink * nodes, shrink * step)
+            if promised < SETTLED and damping <= DAMPING:
+                break
             trial = self.evaluate(best.motion.moved(shrink * nodes, shrink * step))
-            if trial.cost < best.cost:
-                gained = best.cost - trial.cost
-                best = replace(trial, iterations=number + 1)
-                damping = max(damping / 5, 1e-9)
-                if shrink == 1.0 and gained < SETTLED * max(best.cost, 1.0) and damping < 1e-2:
-                    break
+            kept = (best.cost - trial.cost) / promised
+            if kept > 0.0:
+                best, raised = replace(trial, iterations=number + 1), 2.0
+                damping = max(damping * max(0.1, 1.0 - (2.0 * kept - 1.0) ** 3), LEAST_DAMPING)
             else:
-                damping *= 8
+                damping, raised = damping * raised, 2.0 * raised
                 if damping > GIVE_UP:
                     break
+        return best
+
+    def settled(self, guess: BodyMotion, iterations: int = 5) -> BodyFit:
+        """The guess with its nodes moved to where its parameters want them."""
+        best = self.evaluate(guess)
+        for _ in range(iterations):
+            try:
+                nodes = best.arrow.nodes_step(DAMPING)
+            except np.linalg.LinAlgError:
+                break
+            shrink = min(1.0, LARGEST_TURN / float(np.abs(nodes[:, :3]).max()))
+            trial = self.evaluate(best.motion.moved(shrink * nodes, np.zeros(len(guess.p))))
+            gained = best.cost - trial.cost
+            if gained > 0.0:
+                best = trial
+            if gained < 1.0:
+                break
         return best
 
     def ahead(self, fit: BodyFit) -> BodyPrior:

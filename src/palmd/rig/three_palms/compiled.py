@@ -13,6 +13,7 @@ from palmd.events import FloatArray
 from palmd.model.compiled import load
 from palmd.rig.three_palms.bodies import Bodies
 from palmd.rig.three_palms.plant import BodyStates, PalmState, Rubbing, accelerations, step
+from palmd.system.three_palms import PalmPlanes
 
 Stepper = Callable[[int, int, float, int, int], None]
 
@@ -20,6 +21,12 @@ Stepper = Callable[[int, int, float, int, int], None]
 def backend() -> str:
     """What steps the plant: compiled C, or Python."""
     return "python" if _step() is None else "c"
+
+
+def palm_rows(palms: PalmPlanes) -> FloatArray:
+    """(T, 36) of the palms at T instants, as the plant takes them."""
+    kinds = (palms.normal, palms.normal_rate, palms.normal_acceleration, palms.spin)
+    return np.concatenate([kind.reshape(-1, 9) for kind in kinds], axis=1)
 
 
 class BodyOnPalms:

@@ -11,7 +11,8 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.rig.three_palms.bodies import Bodies, random_bodies, spread_directions
-from palmd.rig.three_palms.plant import BodyStates, PalmState, Rubbing, step
+from palmd.rig.three_palms.compiled import BodyOnPalms, palm_rows
+from palmd.rig.three_palms.plant import Rubbing
 from palmd.system.three_palms import MECHANISM, PALMS, SYSTEM, ThreePalmsRig, palms_at, readings_of
 
 STEP_S = 2e-3
@@ -70,21 +71,21 @@ class _Joints:
         self._speed = 2 * np.pi * random.uniform(0.2 * kind.frequency, kind.frequency, (count, 3, SINES))
         self._phase = random.uniform(0, 2 * np.pi, (count, 3, SINES))
 
-    def at(self, t: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Angles, rates, accelerations (B, 3)."""
-        x = min(max(t / EASE_S, 0.0), 1.0)
+    def along(self, t: FloatArray) -> list[FloatArray]:
+        """Angles, rates, accelerations (T, B, 3) at times t (T,)."""
+        x = np.clip(t / EASE_S, 0.0, 1.0)
         ease = np.array([10 * x**3 - 15 * x**4 + 6 * x**5, 30 * x**2 * (1 - x) ** 2, 60 * x * (1 - x) * (1 - 2 * x)])
-        ease /= EASE_S ** np.arange(3)
-        angle = self._speed * t + self._phase
+        e0, e1, e2 = (each[:, None, None] / EASE_S**k for k, each in enumerate(ease))
+        angle = self._speed * t[:, None, None, None] + self._phase
         waves = [
             (self._amplitude * wave).sum(-1)
             for wave in (np.sin(angle), self._speed * np.cos(angle), -(self._speed**2) * np.sin(angle))
         ]
-        return (
-            REST_POSE + ease[0] * waves[0],
-            ease[1] * waves[0] + ease[0] * waves[1],
-            ease[2] * waves[0] + 2 * ease[1] * waves[1] + ease[0] * waves[2],
-        )
+        return [
+            REST_POSE + e0 * waves[0],
+            e1 * waves[0] + e0 * waves[1],
+            e2 * waves[0] + 2 * e1 * waves[1] + e0 * waves[2],
+        ]
 
 
 def simulate(kind: str, count: int, seconds: float, seed: int, rig: ThreePalmsRig | None = None) -> list[SimulatedBody]:
@@ -96,45 +97,57 @@ def simulate(kind: str, count: int, seconds: float, seed: int, rig: ThreePalmsRi
     rubbing = Rubbing(
         random.uniform(*what.mu, count), random.uniform(8e-3, 1.2e-2, count), random.uniform(*what.drag, count)
     )
-    state = _started(bodies, rubbing, what, random, described.gravity)
-
-    def palms(t: float) -> PalmState:
-        each = palms_at(*joints.at(t))
-        return PalmState(each.normal, each.normal_rate, each.normal_acceleration, each.spin)
-
     steps = round(seconds / STEP_S)
-    points, forces, kept = [], [], []
-    for number in range(steps + 1):
-        if number % TRUTH_EVERY == 0:
-            kept.append(state)
-        state, touch = step(bodies, rubbing, palms, state, number * STEP_S, STEP_S, described.gravity)
-        points.append(touch.point)
-        forces.append(touch.force)
-    return _logs(described, bodies, rubbing, joints, np.stack(points), np.stack(forces), kept, random, (kind, seed))
+    halves: FloatArray = np.asarray(0.5 * STEP_S * np.arange(2 * steps + 1), np.float64)
+    motion = joints.along(halves)
+    points, forces = np.empty((count, steps + 1, 3, 3)), np.empty((count, steps + 1, 3))
+    states = np.empty((count, steps + 1, 18))
+    for b, start in enumerate(_started(bodies, rubbing, what, random, described.gravity)):
+        plant = _alone(bodies, rubbing, b, described.gravity)
+        palms = palm_rows(palms_at(*(each[:, b] for each in motion)))
+        plant.state[:] = start
+        for k in range(steps + 1):
+            plant.advance(palms[2 * k - 2 : 2 * k + 1] if k else palms[[0, 0, 0]], STEP_S if k else 0.0)
+            points[b, k], forces[b, k], states[b, k] = plant.point, plant.force, plant.state
+    whole = [each[::2] for each in motion]
+    return _logs(described, bodies, rubbing, whole, points, forces, states[:, ::TRUTH_EVERY], random, (kind, seed))
 
 
-def _started(bodies: Bodies, rubbing: Rubbing, kind: Kind, random: np.random.Generator, gravity: float) -> BodyStates:
-    """At rest in one of its stable poses, or off it with some spin; deep friction and drag make it settle."""
+def _alone(bodies: Bodies, rubbing: Rubbing, which: int, gravity: float) -> BodyOnPalms:
+    one = np.array([which])
+    rubs = Rubbing(*(getattr(rubbing, name)[one] for name in Rubbing.__dataclass_fields__))
+    return BodyOnPalms(bodies.take(one), rubs, gravity)
+
+
+def _started(
+    bodies: Bodies, rubbing: Rubbing, kind: Kind, random: np.random.Generator, gravity: float
+) -> FloatArray:  # fmt: skip
+    """(B, 18) at rest in one of its stable poses, or off it with some spin; deep friction and drag make it settle."""
     count = len(bodies.ball)
     R = random_rotation(random, count)
-    still = np.zeros((count, 3))
-    at = palms_at(np.tile(REST_POSE, (count, 1)), still, still)
-    none = np.zeros((count, 3, 3))
-    pose = PalmState(at.normal, none, none, none)
-    h, _, _ = bodies.support(-np.einsum("bji,bnj->bni", R, at.normal))
-    centre: FloatArray = np.asarray(np.linalg.solve(at.normal, h[..., None])[..., 0], np.float64)
-    state = BodyStates(centre, still, R, still)
+    still = np.zeros((1, 3))
+    at = palms_at(REST_POSE[None], still, still)
+    normal = at.normal[0]
+    h, x, _ = bodies.support(-np.einsum("bji,nj->bni", R, normal))
+    centre = np.linalg.solve(normal, h[..., None])[..., 0]
+    spin = velocity = np.zeros((count, 3))
+    if kind.spin > 0.0:
+        spin = random.normal(0.0, kind.spin, (count, 3))
+        r = np.einsum("bij,bnj->bni", R, x)
+        lift = (r * np.cross(spin[:, None], normal)).sum(-1)
+        velocity = np.linalg.solve(normal, lift[..., None])[..., 0]
+    states: FloatArray = np.concatenate([centre, velocity, R.reshape(count, 9), spin], axis=1)
     if kind.spin == 0.0:
         slow = Rubbing(0 * rubbing.mu, rubbing.dither, np.full(count, SETTLING_DRAG))
-        for _ in range(round(SETTLING_S / STEP_S)):
-            state, _ = step(bodies, slow, lambda _: pose, state, 0.0, STEP_S, gravity)
-        return BodyStates(state.p, still, state.R, still)
-    spin = random.normal(0.0, kind.spin, (count, 3))
-    _, x, _ = bodies.support(-np.einsum("bji,bnj->bni", state.R, at.normal))
-    r = np.einsum("bij,bnj->bni", state.R, x)
-    lift = (r * np.cross(spin[:, None], at.normal)).sum(-1)
-    velocity: FloatArray = np.asarray(np.linalg.solve(at.normal, lift[..., None])[..., 0], np.float64)
-    return BodyStates(state.p, velocity, state.R, spin)
+        palms = np.tile(palm_rows(at), (3, 1))
+        for b, state in enumerate(states):
+            plant = _alone(bodies, slow, b, gravity)
+            plant.state[:] = state
+            for _ in range(round(SETTLING_S / STEP_S)):
+                plant.advance(palms, STEP_S)
+            state[:] = plant.state
+        states[:, 3:6] = states[:, 15:] = 0.0
+    return states
 
 
 def random_rotation(random: np.random.Generator, count: int) -> FloatArray:
@@ -145,26 +158,26 @@ def random_rotation(random: np.random.Generator, count: int) -> FloatArray:
 
 
 def _logs(
-    rig: ThreePalmsRig, bodies: Bodies, rubbing: Rubbing, joints: _Joints,
-    points: FloatArray, forces: FloatArray, kept: list[BodyStates], random: np.random.Generator, told: tuple[str, int],
+    rig: ThreePalmsRig, bodies: Bodies, rubbing: Rubbing, motion: list[FloatArray],
+    points: FloatArray, forces: FloatArray, kept: FloatArray, random: np.random.Generator, told: tuple[str, int],
 ) -> list[SimulatedBody]:  # fmt: skip
-    """Readings and truth from what all bodies did at every step."""
-    count, steps = len(bodies.ball), len(points) - 1
+    """Readings and truth from what all bodies did at every step; motion: of the joints, each (T, B, 3)."""
+    count, steps = len(bodies.ball), points.shape[1] - 1
     t: FloatArray = np.asarray(STEP_S * np.arange(steps + 1), np.float64)
-    motion = [np.stack(each, axis=1) for each in zip(*(joints.at(each) for each in t), strict=True)]
     truth_t = t[::TRUTH_EVERY]
     runs = []
     for b in range(count):
-        lost = np.flatnonzero((forces[:, b] <= 0.0).any(-1) | ~np.isfinite(forces[:, b]).all(-1))
+        lost = np.flatnonzero((forces[b] <= 0.0).any(-1) | ~np.isfinite(forces[b]).all(-1))
         held = float(t[lost[0]]) if len(lost) else float(t[-1])
         mass = float(random.uniform(0.03, 0.15))
-        palms = palms_at(*(each[b] for each in motion))
-        lines = _joint_lines(rig, t, [each[b] for each in motion], random)
-        read = readings_of(palms, points[:, b])
+        mine = [each[:, b] for each in motion]
+        palms = palms_at(*mine)
+        lines = _joint_lines(rig, t, mine, random)
+        read = readings_of(palms, points[b])
         for pad in range(len(PALMS)):
-            lines += _pad_lines(rig, pad, t, read[:, pad], mass * forces[:, b, pad], random)
+            lines += _pad_lines(rig, pad, t, read[:, pad], mass * forces[b, :, pad], random)
         lines = sorted((line for line in lines if line["t"] < held), key=lambda line: line["t"])
-        R = np.stack([state.R[b] for state in kept])
+        R = kept[b, :, 6:15].reshape(-1, 3, 3)
         normals = palms.normal[::TRUTH_EVERY]
         directions = spread_directions(2000)
         truth = {
@@ -175,8 +188,8 @@ def _logs(
             "mu": float(rubbing.mu[b]), "dither_m_s": float(rubbing.dither[b]), "drag_m2_s": float(rubbing.drag[b]),
             "t": truth_t.tolist(),
             "rotation": R.tolist(),
-            "omega_rad_s": [state.omega[b].tolist() for state in kept],
-            "com_m": [state.p[b].tolist() for state in kept],
+            "omega_rad_s": kept[b, :, 15:].tolist(),
+            "com_m": kept[b, :, :3].tolist(),
             "normals_body": (-np.einsum("tji,tnj->tni", R, normals)).tolist(),
         }  # fmt: skip
         runs.append(SimulatedBody([header(rig), *lines], truth, held))

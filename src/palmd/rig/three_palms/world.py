@@ -21,7 +21,7 @@ from palmd.rig.pads import GOOD_PADS, PadOptions, Press
 from palmd.rig.shapes import Kind
 from palmd.rig.three_palms.arm import TiltArm
 from palmd.rig.three_palms.bodies import random_bodies
-from palmd.rig.three_palms.compiled import BodyOnPalms
+from palmd.rig.three_palms.compiled import BodyOnPalms, palm_rows
 from palmd.rig.three_palms.pads import PlanePadEmulator
 from palmd.rig.three_palms.plant import BodyStates, Rubbing
 from palmd.rig.three_palms.simulate import REST_POSE, SETTLING_DRAG, SETTLING_S, random_rotation
@@ -201,6 +201,5 @@ class ThreePalmsWorld(EmulatedRig[TiltArm]):
 
 def _palms(joints: FloatArray) -> FloatArray:
     """(36,) of joints (3 derivatives, 3), as the plant takes the palms."""
-    each = palms_at(*(row[None] for row in joints))
-    kinds = (each.normal, each.normal_rate, each.normal_acceleration, each.spin)
-    return np.concatenate([kind.ravel() for kind in kinds])
+    rows: FloatArray = palm_rows(palms_at(*(row[None] for row in joints)))
+    return rows.ravel()
