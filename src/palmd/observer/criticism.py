@@ -1,11 +1,13 @@
 """Model criticism: which of the rig's constants are not what the rig is taken for, and what is believed instead. Pure.
 
-Readings tell the rig's constants as a Gaussian. Beside what is believed beforehand stand explanations: of one, two or
-three constants each is off by N(0, D²), D a few times what calibration leaves, the rest as believed. With q the score
-of the readings under what is believed and K its covariance, an explanation of the constants S is likelier by
-½ qᵀ(D⁻² + K)⁻¹ q − ½ ln|1 + D K D| (restricted to S; Rao 1948 for the score, Kass and Raftery 1995 for the factor). So
-one that needs more constants, or that readings would tell worse, pays for it, and explanations that readings cannot
-tell apart share what is believed. A constant is open to the root of its expected square over all of them.
+Readings tell the rig's constants as a Gaussian. Beside what is believed beforehand stand explanations, each of one, two
+or three causes. A cause is that one constant is off by N(0, D²), D a few times what calibration leaves, or that those of
+both pads are which hang on one thing, alike: zeros on where the hinge is, time stamps on one clock. The rest is as
+believed. With q the score of the readings under what is believed, K its covariance and C the causes' directions (as
+long as what calibration leaves), an explanation by causes D times as large is likelier by
+½ D² qᵀC (1 + D² CᵀKC)⁻¹ Cᵀq − ½ ln|1 + D² CᵀKC| (Rao 1948 for the score, Kass and Raftery 1995 for the factor). So one
+that needs more causes, or that readings would tell worse, pays for it, and explanations that readings cannot tell apart
+share what is believed. A constant is open to the root of its expected square over all of them.
 """
 
 from __future__ import annotations
@@ -19,19 +21,20 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray
-from palmd.model.smoothing import RIG, RIG_CONSTANTS
+from palmd.model.smoothing import RIG, RIG_CONSTANTS, R
 from palmd.observer.normal_equations import Guess
 from palmd.observer.smoother import Posterior
 from palmd.system.description import AS_CALIBRATED, RigDescription
+from palmd.system.mechanism import PALMS
 from palmd.system.rig_constants import prior_sds
 
-CONTRADICTED = 0.5  # nats, of all explanations together against what is believed: of clean rigs 1 in 100 comes there
-STILL = -1.0  # and what has been contradicted is still
+CONTRADICTED = -0.5  # nats, of all explanations together against what is believed: of clean rigs 1 in 100 comes there
+STILL = -2.0  # and what has been contradicted is still
 DOUBTED = -4.0  # nats, from which on they are in the bands: 1 to 55
-NAMED = 0.25  # share of the explanations that a constant must be in
-SELDOM = math.log(0.01)  # that one constant is off, beforehand
+NAMED = 0.25  # share of the explanations that a constant must be in, where no one of them has most of it
+SELDOM = math.log(0.01)  # that there is one cause, beforehand
 TIMES = (1.0, 3.0, 10.0)  # what calibration leaves
-MOST_TOGETHER = 3  # constants that are off at a time
+MOST_TOGETHER = 3  # causes at a time
 BEYOND_ALL = 5.0  # sigmas that the best explanation may leave of any constant, before nothing is taken at its word
 KNOWN = 1e-7  # one-sigma, in SI units, of what is exactly as described: small, and a number to divide by
 SAME = 1.5  # one-sigmas that differ by less are no reason to fit anew,
@@ -40,6 +43,9 @@ MOST_REVISIONS = 4  # of what is believed of the rig, in one answer
 NOTHING: FloatArray = np.zeros(RIG_CONSTANTS)
 LEFT: FloatArray = prior_sds(RigDescription().known_to(AS_CALIBRATED))
 """One-sigma of the constants of a calibrated rig."""
+_SHARED = (R.ZERO, R.LAG)
+CAUSES: FloatArray = np.vstack([np.diag(LEFT), *(np.diag(LEFT)[of : of + len(PALMS)].sum(axis=0) for of in _SHARED)])
+"""How far each cause moves each constant (n, 15), about: one by one, then those of both pads that hang on one thing."""
 FREE_SD: FloatArray = TIMES[-1] * LEFT
 """One-sigma of constants that are not what they were taken for, nobody knows by how much."""
 
@@ -121,8 +127,9 @@ def criticised(
     left = _sigmas(*_score(values, covariance, sd, np.where(best, FREE_SD, believed)))
     if np.abs(left[believed < FREE_SD]).max() > BEYOND_ALL:
         opened = np.maximum(believed, FREE_SD)
+    likeliest = share[(among == best).all(axis=1)].sum() > 0.5
     found = np.zeros(RIG_CONSTANTS)
-    for k in np.flatnonzero(share @ among >= NAMED):
+    for k in np.flatnonzero(best if likeliest else share @ among >= NAMED):
         together = np.flatnonzero(among[int(np.argmax(np.where(among[:, k], log_weight, -math.inf)))])
         found[k] = _sigmas_together(K, q, together)[together == k][0]
     return Criticism(found, opened, odds)
@@ -130,7 +137,10 @@ def criticised(
 
 @cache
 def _sets(size: int) -> npt.NDArray[np.intp]:
-    return np.array(list(combinations(range(RIG_CONSTANTS), size)), np.intp)
+    """So many causes at a time, no constant in two of them."""
+    sets = np.array(list(combinations(range(len(CAUSES)), size)), np.intp)
+    once = ((CAUSES[sets] > 0.0).sum(axis=1) <= 1).all(axis=1)
+    return np.asarray(sets[once], np.intp)
 
 
 def _explanations(
@@ -138,22 +148,23 @@ def _explanations(
 ) -> tuple[npt.NDArray[np.bool_], FloatArray, FloatArray]:
     """Which constants are in each explanation (n, 15), its log odds (n,), by how much they are off, squared (n, 15).
 
-    None that readings would rather have with one constant less, by the ratio of densities at 0 (Dickey 1971).
+    None that readings would rather have with one cause less, by the ratio of densities at 0 (Dickey 1971).
     """
     found = []
+    told, pull = CAUSES @ K @ CAUSES.T, CAUSES @ q
     for times, size in product(TIMES, range(1, MOST_TOGETHER + 1)):
-        sets = _sets(size)[(times * LEFT > believed)[_sets(size)].all(axis=1)]
-        D = times * LEFT[sets]
-        A = np.eye(size) + D[:, :, None] * K[sets[:, :, None], sets[:, None, :]] * D[:, None, :]
+        open_by = ((times * CAUSES > believed) | (CAUSES == 0.0)).all(axis=1)
+        sets = _sets(size)[open_by[_sets(size)].all(axis=1)]
+        A = np.eye(size) + times**2 * told[sets[:, :, None], sets[:, None, :]]
         left = np.linalg.inv(A)  # of N(0, 1), by the readings
         variance = np.diagonal(left, axis1=1, axis2=2)
-        mean = np.einsum("nij,nj->ni", left, D * q[sets])
-        gain = 0.5 * (D * q[sets] * mean).sum(axis=1) - 0.5 * np.linalg.slogdet(A)[1]
+        mean = np.einsum("nij,nj->ni", left, times * pull[sets])
         needed = (np.log(variance) + mean**2 / variance > 0.0).all(axis=1)
-        among, square = np.zeros((len(sets), RIG_CONSTANTS), dtype=np.bool_), np.zeros((len(sets), RIG_CONSTANTS))
-        np.put_along_axis(among, sets, True, axis=1)
-        np.put_along_axis(square, sets, D**2 * (mean**2 + variance), axis=1)
-        found.append((among[needed], gain[needed] + size * SELDOM - math.log(len(TIMES)), square[needed]))
+        sets, left, mean = sets[needed], left[needed], mean[needed]
+        gain = 0.5 * (times * pull[sets] * mean).sum(axis=1) + 0.5 * np.linalg.slogdet(left)[1]
+        by = times * CAUSES[sets]
+        square = np.einsum("nik,nij,njk->nk", by, left + mean[:, :, None] * mean[:, None, :], by)
+        found.append(((by > 0.0).any(axis=1), gain + size * SELDOM - math.log(len(TIMES)), square))
     among, log_weight, square = (np.concatenate(each) for each in zip(*found, strict=True))
     return among, log_weight, square
 

@@ -49,26 +49,26 @@ def test_a_rig_drawn_from_its_prior_contradicts_it_hardly_ever(sd):
 
 
 def test_the_odds_are_the_ratio_of_what_the_readings_are_worth():
-    """By the densities of the readings themselves, of all sets of one constant."""
+    """By the densities of the readings themselves, of all sets of causes in which zeros are off."""
     linear = Linear(4, readings=20)
     sd = np.where(np.arange(RIG_CONSTANTS) < 2, EXACT, 30 * LEFT)  # only zeros can be contradicted
     true = np.where(np.arange(RIG_CONSTANTS) == 0, 2.0 * CALIBRATED, 0.0)
     heard = linear.design @ true + linear.random.standard_normal(20)
 
     def density(prior):
-        return multivariate_normal(np.zeros(20), np.eye(20) + linear.design @ np.diag(prior**2) @ linear.design.T)
+        return multivariate_normal(np.zeros(20), np.eye(20) + linear.design @ prior @ linear.design.T).logpdf(heard)
 
-    def opened(*which):
+    def opened(*causes):
+        off = [np.where(np.isin(np.arange(RIG_CONSTANTS), each), LEFT, 0.0) for each in causes]
         return [
-            density(np.where(np.isin(np.arange(RIG_CONSTANTS), which), times * LEFT, sd)).logpdf(heard)
-            - density(sd).logpdf(heard)
+            density(np.diag(sd**2) + times**2 * sum(np.outer(each, each) for each in off)) - density(np.diag(sd**2))
             for times in TIMES
         ]
 
-    one, other, both = (np.array(opened(*which)) for which in ((0,), (1,), (0, 1)))
+    one, other, alike, both = (np.array(opened(*causes)) for causes in ([0], [1], [[0, 1]], [0, 1]))
     terms = np.concatenate(
         [
-            (each + SELDOM)[each > 0.0] for each in (one, other)
+            (each + SELDOM)[each > 0.0] for each in (one, other, alike)
         ] + [(both + 2 * SELDOM)[both > np.maximum(one, other)]]
     )  # fmt: skip
     covariance = np.linalg.inv(linear.design.T @ linear.design + np.diag(sd**-2.0))
@@ -108,6 +108,37 @@ def test_the_one_that_is_off_is_named_alone(sd, wrong):
     found = criticised(*linear.posterior(true, sd), sd, sd).contradicted
     assert np.flatnonzero(found).tolist() == [wrong]
     assert found[wrong] > 0.0
+
+
+def test_both_zeros_that_are_off_alike_are_one_cause():
+    """Readings that tell each to a third of what calibration leaves are enough; of unlike ones they are not."""
+    precision = (3.0 / LEFT) ** 2 + EXACT**-2.0
+
+    def found(one, other):
+        off = np.zeros(RIG_CONSTANTS)
+        off[[R.ZERO, R.ZERO + 1]] = one, other
+        return criticised(off * LEFT * (3.0 / LEFT) ** 2 / precision, np.diag(1.0 / precision), EXACT, EXACT)
+
+    assert np.flatnonzero(found(1.0, 1.0).contradicted).tolist() == [R.ZERO, R.ZERO + 1]
+    assert not found(1.0, -1.0).contradicted.any()
+
+
+def test_the_likeliest_is_named_alone_and_where_there_is_none_all_that_may_be_off():
+    """Two constants of which readings tell hardly more than the sum."""
+
+    def found(z, apart):
+        """By so many of the sum's sigmas it is off, and by so many of the difference's the first alone is."""
+        both = np.array([1.0, 1.0]) / math.sqrt(2), np.array([1.0, -1.0]) / math.sqrt(2)
+        told = sum(np.outer(axis, axis) * of**2 for axis, of in zip(both, (z, apart), strict=True))
+        off, where = np.zeros(RIG_CONSTANTS), [R.STANDOFF, R.TURN]
+        off[where[0]] = LEFT[where[0]]
+        M = np.zeros((RIG_CONSTANTS, RIG_CONSTANTS))
+        M[np.ix_(where, where)] = told / np.outer(LEFT[where], LEFT[where])
+        covariance = np.linalg.inv(M + np.diag(EXACT**-2.0))
+        return np.flatnonzero(criticised(covariance @ M @ off, covariance, EXACT, EXACT).contradicted).tolist()
+
+    assert found(8.0, 0.0) == [R.STANDOFF, R.TURN]
+    assert found(8.0, 3.0) == [R.STANDOFF]
 
 
 def test_what_is_free_already_contradicts_nothing_and_both_ways_of_asking_agree():
