@@ -1,9 +1,9 @@
 """How far what is off leads an outline astray, and how well its readings could tell what it is: the best there is.
 
 By linearisation at the truth. With all constants of the rig open the readings leave a covariance; let M be what they
-tell of these constants alone, B what is believed of them and ∂h/∂κ what of the outline goes with them. An estimate that
-goes by B, where the rig is off by d, is led astray by ∂h/∂κ ((M + B⁻¹)⁻¹ M − 1) d, and no test aimed at d sees more than
-√(dᵀ K d) of its own sigmas, K = (M⁻¹ + B)⁻¹ (Cramér and Rao; Neyman and Pearson).
+tell of these constants alone, B what is believed of them and ∂h/∂κ what of the outline goes with them. An estimate
+that goes by B, where the rig is off by d, is led astray by ∂h/∂κ ((M + B⁻¹)⁻¹ M − 1) d, and no test aimed at d sees
+more than √(dᵀ K d) of its own sigmas, K = (M⁻¹ + B)⁻¹ (Cramér and Rao; Neyman and Pearson).
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Model criticism: which of the rig's constants are not what the rig is taken for, and what is believed instead. Pure.
 
 Readings tell the rig's constants as a Gaussian. Beside what is believed beforehand stand explanations, each of one, two
-or three causes. A cause is that one constant is off by N(0, D²), D a few times what calibration leaves, or that those of
-both pads are which hang on one thing, alike: zeros on where the hinge is, time stamps on one clock. The rest is as
+or three causes. A cause is that one constant is off by N(0, D²), D a few times what calibration leaves, or that both
+pads' are which hang on one thing, alike: zeros on where the hinge is, time stamps on one clock. The rest is as
 believed. With q the score of the readings under what is believed, K its covariance and C the causes' directions (as
 long as what calibration leaves), an explanation by causes D times as large is likelier by
 ½ D² qᵀC (1 + D² CᵀKC)⁻¹ Cᵀq − ½ ln|1 + D² CᵀKC| (Rao 1948 for the score, Kass and Raftery 1995 for the factor). So one

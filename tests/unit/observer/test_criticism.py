@@ -124,21 +124,19 @@ def test_both_zeros_that_are_off_alike_are_one_cause():
 
 
 def test_the_likeliest_is_named_alone_and_where_there_is_none_all_that_may_be_off():
-    """Two constants of which readings tell hardly more than the sum."""
+    """Three constants of which readings tell the sum, and the first of them by itself or not."""
+    where = [R.STANDOFF, R.TILT, R.TURN]
 
-    def found(z, apart):
-        """By so many of the sum's sigmas it is off, and by so many of the difference's the first alone is."""
-        both = np.array([1.0, 1.0]) / math.sqrt(2), np.array([1.0, -1.0]) / math.sqrt(2)
-        told = sum(np.outer(axis, axis) * of**2 for axis, of in zip(both, (z, apart), strict=True))
-        off, where = np.zeros(RIG_CONSTANTS), [R.STANDOFF, R.TURN]
-        off[where[0]] = LEFT[where[0]]
-        M = np.zeros((RIG_CONSTANTS, RIG_CONSTANTS))
+    def found(by_itself):
+        told = 36.0 * np.ones((3, 3)) + np.diag([by_itself**2, 0.0, 0.0])
+        M, off = np.zeros((RIG_CONSTANTS, RIG_CONSTANTS)), np.zeros(RIG_CONSTANTS)
         M[np.ix_(where, where)] = told / np.outer(LEFT[where], LEFT[where])
+        off[where[0]] = LEFT[where[0]]
         covariance = np.linalg.inv(M + np.diag(EXACT**-2.0))
         return np.flatnonzero(criticised(covariance @ M @ off, covariance, EXACT, EXACT).contradicted).tolist()
 
-    assert found(8.0, 0.0) == [R.STANDOFF, R.TURN]
-    assert found(8.0, 3.0) == [R.STANDOFF]
+    assert found(0.0) == where
+    assert found(3.0) == [R.STANDOFF]
 
 
 def test_what_is_free_already_contradicts_nothing_and_both_ways_of_asking_agree():
