@@ -7,7 +7,9 @@ believed. With q the score of the readings under what is believed, K its covaria
 long as what calibration leaves), an explanation by causes D times as large is likelier by
 ½ D² qᵀC (1 + D² CᵀKC)⁻¹ Cᵀq − ½ ln|1 + D² CᵀKC| (Rao 1948 for the score, Kass and Raftery 1995 for the factor). So one
 that needs more causes, or that readings would tell worse, pays for it, and explanations that readings cannot tell apart
-share what is believed. A constant is open to the root of its expected square over all of them.
+share what is believed. Contradicted, a constant is open to the root of its expected square over all of them and
+estimated; until then it is considered (Schmidt 1966): estimates go by what is believed, and mean and covariance of what
+the explanations make of them, by how likely each is, are added to the answer (Hoeting et al. 1999).
 """
 
 from __future__ import annotations
@@ -30,7 +32,6 @@ from palmd.system.rig_constants import prior_sds
 
 CONTRADICTED = -0.5  # nats, of all explanations together against what is believed: of clean rigs 1 in 100 comes there
 STILL = -2.0  # and what has been contradicted is still
-DOUBTED = -4.0  # nats, from which on they are in the bands: 1 to 55
 NAMED = 0.25  # share of the explanations that a constant must be in, where no one of them has most of it
 SELDOM = math.log(0.01)  # that there is one cause, beforehand
 TIMES = (1.0, 3.0, 10.0)  # what calibration leaves
@@ -51,16 +52,28 @@ FREE_SD: FloatArray = TIMES[-1] * LEFT
 
 
 @dataclass(frozen=True, slots=True)
+class Doubt:
+    """By how much the rig's constants may be off beyond what is believed: mean (15,) and covariance (15, 15)."""
+
+    mean: FloatArray
+    covariance: FloatArray
+
+
+NO_DOUBT = Doubt(NOTHING, np.zeros((RIG_CONSTANTS, RIG_CONSTANTS)))
+
+
+@dataclass(frozen=True, slots=True)
 class RigBelief:
     """How well the rig's constants are taken to be known, in the order of `model.smoothing.R`; SI units.
 
     told: their one-sigmas by the rig's description. contradicted: by how many sigmas each is not what it was taken for,
-    0 where nothing speaks against that. sd: their one-sigmas to go by.
+    0 where nothing speaks against that. sd: their one-sigmas to go by. doubt: of those, while nothing is contradicted.
     """
 
     told: FloatArray
     contradicted: FloatArray
     sd: FloatArray
+    doubt: Doubt = NO_DOUBT
 
     @classmethod
     def of(cls, rig: RigDescription) -> RigBelief:
@@ -70,13 +83,13 @@ class RigBelief:
 
     def suspended(self) -> RigBelief:
         """For the moment nothing is taken at its word."""
-        return replace(self, sd=np.maximum(self.told, FREE_SD))
+        return replace(self, sd=np.maximum(self.told, FREE_SD), doubt=NO_DOUBT)
 
     def after(self, posterior: Posterior | None) -> RigBelief:
         """What is left of it by a `posterior` under this belief; the same where there is none.
 
-        What they contradict is open, what they no longer contradict is as told. `sd` is the same object where that
-        hardly changes it.
+        What they contradict is open, what they no longer contradict is as told, but for doubt. `sd` is the same object
+        where that hardly changes it.
         """
         if posterior is None:
             return self
@@ -87,7 +100,15 @@ class RigBelief:
             return self
         one, other = (np.maximum(sd, LITTLE * LEFT) for sd in (found.sd, self.sd))
         hardly = bool((np.abs(np.log(one / other)) < math.log(SAME)).all())
-        return replace(self, contradicted=found.contradicted, sd=self.sd if hardly else found.sd)
+        return replace(self, contradicted=found.contradicted, sd=self.sd if hardly else found.sd, doubt=found.doubt)
+
+    def considering(self, y: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """An estimate y, which begins with the constants, and its covariance, what is in `doubt` allowed for.
+
+        To have its prior's mean elsewhere by m moves an estimate by cov(y, rig) sd⁻² m.
+        """
+        pull = covariance[:, RIG] / self.sd**2
+        return y + pull @ self.doubt.mean, covariance + pull @ self.doubt.covariance @ pull.T
 
     def within(self, guess: Guess) -> Guess:
         """A guess with no constant of the rig beyond its one-sigma, to go on from under this belief."""
@@ -102,6 +123,7 @@ class Criticism:
 
     contradicted: FloatArray
     sd: FloatArray
+    doubt: Doubt
     odds: float
 
 
@@ -114,15 +136,16 @@ def criticised(
     was contradicted `before` is down to `STILL`. Raises LinAlgError for a covariance that is none.
     """
     K, q = _score(values, covariance, sd, believed)
-    among, log_weight, square = _explanations(K, q, believed)
+    among, log_weight, means, squares = _explanations(K, q, believed)
     odds = float(np.logaddexp.reduce(log_weight, initial=-math.inf))
-    if odds < DOUBTED:
-        return Criticism(NOTHING, believed, odds)
+    if not len(among):
+        return Criticism(NOTHING, believed, NO_DOUBT, odds)
     share = np.exp(log_weight - odds)
     wrong = 1.0 / (1.0 + math.exp(-odds))
-    opened = np.sqrt(believed**2 + wrong * (share @ square))
+    mean, square = wrong * (share @ means), wrong * np.tensordot(share, squares, 1)
     if odds < (STILL if before.any() else CONTRADICTED):
-        return Criticism(NOTHING, opened, odds)
+        return Criticism(NOTHING, believed, Doubt(mean, square - np.outer(mean, mean)), odds)
+    opened = np.sqrt(believed**2 + np.diagonal(square))
     best = among[int(np.argmax(log_weight))]
     left = _sigmas(*_score(values, covariance, sd, np.where(best, FREE_SD, believed)))
     if np.abs(left[believed < FREE_SD]).max() > BEYOND_ALL:
@@ -132,7 +155,7 @@ def criticised(
     for k in np.flatnonzero(best if likeliest else share @ among >= NAMED):
         together = np.flatnonzero(among[int(np.argmax(np.where(among[:, k], log_weight, -math.inf)))])
         found[k] = _sigmas_together(K, q, together)[together == k][0]
-    return Criticism(found, opened, odds)
+    return Criticism(found, opened, NO_DOUBT, odds)
 
 
 @cache
@@ -145,8 +168,8 @@ def _sets(size: int) -> npt.NDArray[np.intp]:
 
 def _explanations(
     K: FloatArray, q: FloatArray, believed: FloatArray
-) -> tuple[npt.NDArray[np.bool_], FloatArray, FloatArray]:
-    """Which constants are in each explanation (n, 15), its log odds (n,), by how much they are off, squared (n, 15).
+) -> tuple[npt.NDArray[np.bool_], FloatArray, FloatArray, FloatArray]:
+    """Which constants are in each explanation (n, 15), its log odds (n,), by how much they are off: mean, mean square.
 
     None that readings would rather have with one cause less, by the ratio of densities at 0 (Dickey 1971).
     """
@@ -163,10 +186,11 @@ def _explanations(
         sets, left, mean = sets[needed], left[needed], mean[needed]
         gain = 0.5 * (times * pull[sets] * mean).sum(axis=1) + 0.5 * np.linalg.slogdet(left)[1]
         by = times * CAUSES[sets]
-        square = np.einsum("nik,nij,njk->nk", by, left + mean[:, :, None] * mean[:, None, :], by)
-        found.append(((by > 0.0).any(axis=1), gain + size * SELDOM - math.log(len(TIMES)), square))
-    among, log_weight, square = (np.concatenate(each) for each in zip(*found, strict=True))
-    return among, log_weight, square
+        square = np.swapaxes(by, 1, 2) @ (left + mean[:, :, None] * mean[:, None, :]) @ by
+        log_weight = gain + size * SELDOM - math.log(len(TIMES))
+        found.append(((by > 0.0).any(axis=1), log_weight, np.einsum("ni,nik->nk", mean, by), square))
+    among, log_weights, means, squares = (np.concatenate(each) for each in zip(*found, strict=True))
+    return among, log_weights, means, squares
 
 
 def _score(

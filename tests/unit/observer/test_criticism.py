@@ -76,7 +76,7 @@ def test_the_odds_are_the_ratio_of_what_the_readings_are_worth():
     assert found.odds == pytest.approx(np.logaddexp.reduce(terms) - math.log(len(TIMES)), abs=1e-3)
 
 
-def test_doubt_is_in_the_band_before_anything_is_named():
+def test_doubt_is_in_the_answer_before_anything_is_named():
     """Of readings that tell each constant to a third of what calibration leaves; the first is z of that from 0."""
     precision = (3.0 / LEFT) ** 2 + EXACT**-2.0
 
@@ -85,10 +85,59 @@ def test_doubt_is_in_the_band_before_anything_is_named():
         return criticised(values, np.diag(1.0 / precision), EXACT, EXACT)
 
     none, some, sure = map(found, (1.0, 2.8, 6.0))
-    assert (none.sd == EXACT).all()
-    assert some.sd[0] > 0.1 * LEFT[0]
+    assert not none.doubt.covariance.any()
+    assert (some.sd == EXACT).all()
+    assert 0.1 * LEFT[0] < math.sqrt(some.doubt.covariance[0, 0]) < LEFT[0]
     assert not some.contradicted.any()
     assert np.flatnonzero(sure.contradicted).tolist() == [0]
+    assert not sure.doubt.covariance.any()
+
+
+@pytest.mark.parametrize("off", [1.4, 1.8, 2.2])
+@pytest.mark.parametrize("known", [0.001, 0.5], ids=["all but exactly", "to half of what calibration leaves"])
+def test_an_answer_in_doubt_is_that_of_all_explanations_together(known, off):
+    """Against the mixture's moments: a zero, something else that the readings tell with it, a prior of some widths."""
+    sd = np.where(np.arange(RIG_CONSTANTS) == 0, known * LEFT, 30 * LEFT)  # only the first zero can be contradicted
+    scale = np.concatenate([np.ones(C.RIG), LEFT, [1.0]])  # constants before the rig's, the rig's, something else
+    readings = np.zeros((2, len(scale)))
+    readings[:, [C.RIG, -1]] = [[2.0, 0.6], [1.0, 1.0]]
+    readings /= scale
+    heard = readings[:, C.RIG] * off * LEFT[0] + np.array([0.3, -0.4])
+
+    def posterior(prior):
+        """Mean, covariance and log evidence where the rig's constants are known to `prior`."""
+        before = np.concatenate([np.ones(C.RIG), prior, [3.0]]) ** 2
+        S = np.eye(2) + (readings * before) @ readings.T
+        gain = (readings * before).T @ np.linalg.inv(S)
+        return (
+            gain @ heard,
+            np.diag(before) - gain @ S @ gain.T,
+            multivariate_normal(np.zeros(2), S).logpdf(heard),
+        )
+
+    def opened(times):
+        return np.where(np.arange(RIG_CONSTANTS) == 0, np.hypot(sd, times * LEFT), sd)
+
+    y, covariance, evidence = posterior(sd)
+    each = [other for times in TIMES if (other := posterior(opened(times)))[2] > evidence]
+    log_weights = [SELDOM - math.log(len(TIMES)) + other[2] - evidence for other in each]
+    found = criticised(y[RIG], covariance[RIG, RIG], sd, sd)
+    assert found.odds == pytest.approx(np.logaddexp.reduce(log_weights), abs=1e-6)
+    weights = np.exp([0.0, *log_weights])
+    weights /= weights.sum()
+    means = np.array([y, *(other[0] for other in each)])
+    mixed = weights @ means
+    spread = sum(
+        weight * (P + np.outer(mean - mixed, mean - mixed))
+        for weight, mean, P in zip(weights, means, [covariance, *(other[1] for other in each)], strict=True)
+    )
+    belief = RigBelief(sd, found.contradicted, found.sd, found.doubt)
+    considered, by = belief.considering(y, covariance)
+    asked = [C.RIG, -1]
+    assert considered[asked] / scale[asked] == pytest.approx(mixed[asked] / scale[asked], rel=1e-4)
+    assert (by / np.outer(scale, scale))[np.ix_(asked, asked)] == pytest.approx(
+        (spread / np.outer(scale, scale))[np.ix_(asked, asked)], rel=1e-4
+    )
 
 
 def test_a_score_is_standard_normal_where_the_prior_is_true():
