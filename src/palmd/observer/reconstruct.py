@@ -232,7 +232,7 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
         answered = marginalised(library, record, main.known, fit)
     except np.linalg.LinAlgError:
         return _nothing(main.reason or "the fit is not a minimum", begun, fit.chi2)
-    x = answered.mean.x
+    x, by_prior = answered.mean.x, (answered.mean.p[RIG], answered.covariance[RIG, RIG])
     everything, covariance = main.belief.considering(np.concatenate([answered.mean.p, x[-1]]), answered.covariance)
     convex = made_convex(everything, covariance, _OUTLINE)
     p = everything[:CONSTANTS]
@@ -267,6 +267,7 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
         t=t, psi=psi, omega0=omega0, radii=np.stack(radii),
         reason=reason, seconds=time.perf_counter() - begun,
         turned_sd=math.nan if others else float(sd[CONSTANTS]),  # ψ is 0 at the first node: gauge
+        rig_by_prior=by_prior,
         likeness=UNTOLD if reason else likeness(outline.theta, outline.h, root, outline.touched),
     )  # fmt: skip
 
