@@ -123,7 +123,11 @@ OFF: tuple[Off, ...] = (
     Off("Student's noise", spoil=_each_reading(_student)),
 )
 """Issue by issue what has been seen to lead estimates astray, and what has not."""
-_OF_NAME = {each.name: each for each in OFF}
+
+
+def of_name(name: str) -> Off:
+    """The one of `OFF` that is called so."""
+    return next(each for each in OFF if each.name == name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,7 +204,7 @@ def failed(task: OffTask, error: BaseException) -> OffRow:
 @with_failures(failed)
 def run(task: OffTask) -> OffRow:
     """Simulate, spoil, reconstruct, compare; what raises becomes a row that says so."""
-    off = _OF_NAME[task.off]
+    off = of_name(task.off)
     known = RigDescription().known_to(_KNOWN[task.taken_for])
     stream = KINDS.index(task.kind), task.seed
     rest = PERFECT if task.taken_for == "exact" else drawn(known, *stream)
@@ -219,7 +223,7 @@ def run(task: OffTask) -> OffRow:
     answer = early if len(first) == len(events) else reconstruct(events, log.rig)
     row = OffRow(
         task.off, task.taken_for, task.kind, task.seed, claimed=bool(answer.converged), reason=answer.reason,
-        named=_names(answer.contradicted), named_early=_names(early.contradicted),
+        named=names(answer.contradicted), named_early=names(early.contradicted),
     )  # fmt: skip
     truth, true = truth_of(told), np.array([told["rig"][name] for name in RIG_NAMES])
     if off.constants:
@@ -257,7 +261,8 @@ def with_constants(rest: Imperfections, values: Mapping[str, float]) -> Imperfec
     return replace(off, angles=(angles[0], angles[1]), pads=tuple(pads))
 
 
-def _names(contradicted: Iterable[float]) -> tuple[str, ...]:
+def names(contradicted: Iterable[float]) -> tuple[str, ...]:
+    """Which constants are contradicted."""
     return tuple(name for name, z in zip(RIG_NAMES, contradicted, strict=False) if z != 0.0)
 
 
@@ -328,7 +333,7 @@ def _cells(off: Off, rows: Sequence[OffRow]) -> Sequence[str]:
 
 
 def _counted(rows: Sequence[OffRow]) -> str:
-    verdicts = [verdict(_OF_NAME[row.off], row.named_early) for row in rows]
+    verdicts = [verdict(of_name(row.off), row.named_early) for row in rows]
     named = ", ".join(f"{verdicts.count(each)} {each}" for each in VERDICTS)
     return f"{len(rows)} ({named})"
 
