@@ -20,8 +20,8 @@ from palmd.lab.runs import with_failures
 from palmd.model import shape
 from palmd.model.shape_map import Z
 from palmd.model.smoothing import R
-from palmd.motion.rollout_predictor import BINS
 from palmd.observer import Simulated
+from palmd.observer.coverage import NORMAL_BINS
 from palmd.rig.shapes import Kind
 from palmd.rig.world import default_config
 from palmd.system.description import AS_CALIBRATED, RigDescription
@@ -108,7 +108,7 @@ def led_astray(answer: Improvement, true: FloatArray) -> float:
     """By how many one-sigmas of itself, RMS where touched, an outline would be off that takes constants for 0."""
     n = len(answer.x)
     by_rig = np.linalg.solve(answer.spread[n:].T, answer.spread[:n].T).T[Z.SHAPE :]
-    touched = (np.flatnonzero(answer.touched) + 0.5) * (math.tau / BINS)
+    touched = (np.flatnonzero(answer.touched) + 0.5) * (math.tau / NORMAL_BINS)
     turned = shape.gauge_free_basis(touched, touched, answer.x[Z.SHAPE :])
     variance = ((turned @ answer.P[Z.SHAPE :, Z.SHAPE :]) * turned).sum(axis=1)
     return float(np.sqrt(np.mean((turned @ (by_rig @ true)) ** 2) / np.mean(variance)))
