@@ -216,7 +216,10 @@ def _sigmas(K: FloatArray, q: FloatArray) -> FloatArray:
 
 
 def _sigmas_together(K: FloatArray, q: FloatArray, which: npt.NDArray[np.intp]) -> FloatArray:
-    """Of each of `which`, the others of these being open."""
+    """Of each of `which`, the others of these being open; 0 for what no reading tells."""
     inverse = np.linalg.pinv(K[np.ix_(which, which)], hermitian=True)
-    sigmas: FloatArray = inverse @ q[which] / np.sqrt(np.diagonal(inverse))
+    variance = np.diagonal(inverse)
+    sigmas: FloatArray = np.divide(
+        inverse @ q[which], np.sqrt(variance), out=np.zeros(len(which)), where=variance > 0.0
+    )
     return sigmas

@@ -172,6 +172,14 @@ def test_both_zeros_that_are_off_alike_are_one_cause():
     assert not found(1.0, -1.0).contradicted.any()
 
 
+def test_a_zero_that_no_reading_tells_is_not_named_with_the_other():
+    covariance, values = np.diag(CALIBRATED**2), np.zeros(RIG_CONSTANTS)
+    covariance[R.ZERO, R.ZERO] /= 10.0
+    values[R.ZERO] = 5.0 * CALIBRATED[R.ZERO]
+    found = criticised(values, covariance, CALIBRATED, CALIBRATED).contradicted
+    assert np.flatnonzero(found).tolist() == [R.ZERO]
+
+
 def test_the_likeliest_is_named_alone_and_where_there_is_none_all_that_may_be_off():
     """Three constants of which readings tell the sum, and the first of them by itself or not."""
     where = [R.STANDOFF, R.TILT, R.TURN]
