@@ -15,8 +15,9 @@ from palmd.config import Config, ExploreGoal, ImperfectionsConfig, rig_descripti
 from palmd.events import FloatArray, Improvement, Unexplained
 from palmd.harness.wireless import Wireless
 from palmd.lab.exploring_plans import plan
-from palmd.lab.off import FAR, NAMED_WITHIN_S, OFF, VERDICTS, names, of_name, verdict
+from palmd.lab.off import NAMED_WITHIN_S, OFF, VERDICTS, names, of_name, verdict
 from palmd.lab.runs import with_failures
+from palmd.lab.scoring import FAR
 from palmd.model import shape
 from palmd.model.shape_map import Z
 from palmd.model.smoothing import R
@@ -108,7 +109,8 @@ def led_astray(answer: Improvement, true: FloatArray) -> float:
     """By how many one-sigmas of itself, RMS where touched, an outline would be off that takes constants for 0."""
     n = len(answer.x)
     by_rig = np.linalg.solve(answer.spread[n:].T, answer.spread[:n].T).T[Z.SHAPE :]
-    touched = (np.flatnonzero(answer.touched) + 0.5) * (math.tau / NORMAL_BINS)
+    middles = (np.arange(NORMAL_BINS, dtype=np.float64) + 0.5) * (math.tau / NORMAL_BINS)
+    touched = middles[answer.touched]
     turned = shape.gauge_free_basis(touched, touched, answer.x[Z.SHAPE :])
     variance = ((turned @ answer.P[Z.SHAPE :, Z.SHAPE :]) * turned).sum(axis=1)
     return float(np.sqrt(np.mean((turned @ (by_rig @ true)) ** 2) / np.mean(variance)))
