@@ -181,19 +181,19 @@ def test_a_zero_that_no_reading_tells_is_not_named_with_the_other():
 
 
 def test_the_likeliest_is_named_alone_and_where_there_is_none_all_that_may_be_off():
-    """Three constants of which readings tell the sum, and the first of them by itself or not."""
-    where = [R.STANDOFF, R.TILT, R.TURN]
+    """Constants of which readings tell the sum, and the first of them by itself or not; likelier is then 2 to 1."""
 
-    def found(by_itself):
-        told = 36.0 * np.ones((3, 3)) + np.diag([by_itself**2, 0.0, 0.0])
+    def found(where, by_itself):
+        told = 36.0 * np.ones((len(where), len(where)))
+        told[0, 0] += by_itself**2
         M, off = np.zeros((RIG_CONSTANTS, RIG_CONSTANTS)), np.zeros(RIG_CONSTANTS)
         M[np.ix_(where, where)] = told / np.outer(LEFT[where], LEFT[where])
         off[where[0]] = LEFT[where[0]]
         covariance = np.linalg.inv(M + np.diag(EXACT**-2.0))
         return np.flatnonzero(criticised(covariance @ M @ off, covariance, EXACT, EXACT).contradicted).tolist()
 
-    assert found(0.0) == where
-    assert found(3.0) == [R.STANDOFF]
+    assert found([R.STANDOFF, R.TILT, R.TURN], 0.0) == [R.STANDOFF, R.TILT, R.TURN]
+    assert found([R.STANDOFF, R.TURN], 1.2) == [R.STANDOFF]
 
 
 def test_what_is_free_already_contradicts_nothing_and_both_ways_of_asking_agree():
