@@ -2,7 +2,7 @@
 
 The rest of the rig is either as described, and declared to be (`exact`), or as calibration leaves one, which is what a
 log without a word about it is taken for (`calibrated`). Of each run the first ten seconds are reconstructed too: by
-then what is off should have a name.
+then what leads the outline astray should have a name, where the readings tell it.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from palmd.events import Event, PadSample
+from palmd.lab.off_telling import Telling, telling
 from palmd.lab.runs import with_failures
 from palmd.lab.scoring import FAR, outline_errors, truth_of
 from palmd.lab.simulated import written
@@ -124,6 +125,11 @@ OFF: tuple[Off, ...] = (
 """Issue by issue what has been seen to lead estimates astray, and what has not."""
 
 
+def of_name(name: str) -> Off:
+    """The one of `OFF` that is called so."""
+    return next(each for each in OFF if each.name == name)
+
+
 @dataclass(frozen=True, slots=True)
 class OffTask:
     """One run: which of `OFF`, what the rest of the rig is, kind, seed, and how long (s)."""
@@ -140,7 +146,8 @@ class OffRow:
     """What came of it; NaN for what there is not.
 
     e_h, h_sd: RMS over the touched normals (m). z: of the constants that are off, the largest error in one-sigmas.
-    named, named_early: constants contradicted by all readings, and by those of the first `NAMED_WITHIN_S`.
+    named, named_early: constants contradicted by all readings, and by those of the first `NAMED_WITHIN_S`. bias,
+    sigmas, apart: of the latter, as `Telling` has them.
     """
 
     off: str
@@ -155,6 +162,19 @@ class OffRow:
     z: float = math.nan
     named: tuple[str, ...] = ()
     named_early: tuple[str, ...] = ()
+    bias: float = math.nan
+    sigmas: float = math.nan
+    apart: float = math.nan
+
+    @property
+    def astray(self) -> bool:
+        """Whether what is off leads the outline astray by more than three one-sigmas before it should be named."""
+        return self.bias > FAR
+
+    @property
+    def told(self) -> bool:
+        """Whether the readings tell by then what it is."""
+        return Telling(self.bias, self.sigmas, self.apart).told
 
     @property
     def far(self) -> bool:
@@ -184,7 +204,7 @@ def failed(task: OffTask, error: BaseException) -> OffRow:
 @with_failures(failed)
 def run(task: OffTask) -> OffRow:
     """Simulate, spoil, reconstruct, compare; what raises becomes a row that says so."""
-    off = next(each for each in OFF if each.name == task.off)
+    off = of_name(task.off)
     known = RigDescription().known_to(_KNOWN[task.taken_for])
     stream = KINDS.index(task.kind), task.seed
     rest = PERFECT if task.taken_for == "exact" else drawn(known, *stream)
@@ -198,17 +218,21 @@ def run(task: OffTask) -> OffRow:
     events: list[Event] = list(log.events)
     if off.spoil is not None:
         events = off.spoil(events, np.random.default_rng([*stream, _STREAM]))
-    early = reconstruct([event for event in events if event.t_sample < NAMED_WITHIN_S], log.rig)
-    answer = reconstruct(events, log.rig)
+    first = [event for event in events if event.t_sample < NAMED_WITHIN_S]
+    early = reconstruct(first, log.rig)
+    answer = early if len(first) == len(events) else reconstruct(events, log.rig)
     row = OffRow(
         task.off, task.taken_for, task.kind, task.seed, claimed=bool(answer.converged), reason=answer.reason,
-        named=_names(answer.contradicted), named_early=_names(early.contradicted),
+        named=names(answer.contradicted), named_early=names(early.contradicted),
     )  # fmt: skip
-    scored = outline_errors(answer, truth_of(told))
+    truth, true = truth_of(told), np.array([told["rig"][name] for name in RIG_NAMES])
+    if off.constants:
+        best = telling(first, log.rig, truth, true, [*off.constants, *off.as_well])
+        row = replace(row, bias=best.bias, sigmas=best.sigmas, apart=best.apart)
+    scored = outline_errors(answer, truth)
     if scored is None:
         return row
     at = scored.touched
-    true = np.array([told["rig"][name] for name in RIG_NAMES])
     z = np.abs(true - answer.rig) / answer.rig_sd
     which = [RIG_NAMES.index(name) for name in off.constants]
     return replace(
@@ -237,13 +261,15 @@ def with_constants(rest: Imperfections, values: Mapping[str, float]) -> Imperfec
     return replace(off, angles=(angles[0], angles[1]), pads=tuple(pads))
 
 
-def _names(contradicted: Iterable[float]) -> tuple[str, ...]:
+def names(contradicted: Iterable[float]) -> tuple[str, ...]:
+    """Which constants are contradicted."""
     return tuple(name for name, z in zip(RIG_NAMES, contradicted, strict=False) if z != 0.0)
 
 
 # ------------------------------------------------------------------------------------------------------ told
 
 
+VERDICTS = ("right", "with others", "wrong", "none")
 HEAD = (
     "claimed",
     "µm",
@@ -279,6 +305,11 @@ def report(rows: Sequence[OffRow]) -> str:
             f"{sum(row.far for row in claimed)} of {len(claimed)} claims are more than {FAR:g} sd off, "
             f"{sum(row.far for row in plain)} of {len(plain)} where touch can tell all of what is off"
         )
+        astray = [row for row in of_world if row.astray]
+        parts.append(
+            f"by {NAMED_WITHIN_S:g} s, of {_counted(astray)} led astray by more than {FAR:g} sd of the clean run\n"
+            f"of {_counted([row for row in astray if row.told])} whose readings tell then what it is"
+        )
         parts.append("\n".join(_remarks(of_world)))
     return "\n\n".join(filter(None, parts))
 
@@ -296,9 +327,15 @@ def _cells(off: Off, rows: Sequence[OffRow]) -> Sequence[str]:
         f"{max(ratios):.1f}" if claimed else "–",
         str(sum(row.far for row in claimed)),
         f"{told} of {len(claimed)}" if off.constants else "–",
-        *(str(verdicts.count(each)) for each in ("right", "with others", "wrong", "none")),
-        *(str(in_the_end.count(each)) for each in ("right", "with others")),
+        *(str(verdicts.count(each)) for each in VERDICTS),
+        *(str(in_the_end.count(each)) for each in VERDICTS[:2]),
     )
+
+
+def _counted(rows: Sequence[OffRow]) -> str:
+    verdicts = [verdict(of_name(row.off), row.named_early) for row in rows]
+    named = ", ".join(f"{verdicts.count(each)} {each}" for each in VERDICTS)
+    return f"{len(rows)} ({named})"
 
 
 def verdict(off: Off, named: Sequence[str]) -> str:

@@ -1,11 +1,15 @@
 """Model criticism: which of the rig's constants are not what the rig is taken for, and what is believed instead. Pure.
 
-Readings tell the rig's constants as a Gaussian. Beside what is believed beforehand stand explanations: of one, two or
-three constants each is off by N(0, D²), D a few times what calibration leaves, the rest as believed. With q the score
-of the readings under what is believed and K its covariance, an explanation of the constants S is likelier by
-½ qᵀ(D⁻² + K)⁻¹ q − ½ ln|1 + D K D| (restricted to S; Rao 1948 for the score, Kass and Raftery 1995 for the factor). So
-one that needs more constants, or that readings would tell worse, pays for it, and explanations that readings cannot
-tell apart share what is believed. A constant is open to the root of its expected square over all of them.
+Readings tell the rig's constants as a Gaussian. Beside what is believed beforehand stand explanations, each of one, two
+or three causes. A cause is that one constant is off by N(0, D²), D a few times what calibration leaves, or that both
+pads' are which hang on one thing, alike: zeros on where the hinge is, time stamps on one clock. The rest is as
+believed. With q the score of the readings under what is believed, K its covariance and C the causes' directions (as
+long as what calibration leaves), an explanation by causes D times as large is likelier by
+½ D² qᵀC (1 + D² CᵀKC)⁻¹ Cᵀq − ½ ln|1 + D² CᵀKC| (Rao 1948 for the score, Kass and Raftery 1995 for the factor). So one
+that needs more causes, or that readings would tell worse, pays for it, and explanations that readings cannot tell apart
+share what is believed. Contradicted, a constant is open to the root of its expected square over all of them and
+estimated; until then it is considered (Schmidt 1966): estimates go by what is believed, and mean and covariance of what
+the explanations make of them, by how likely each is, are added to the answer (Hoeting et al. 1999).
 """
 
 from __future__ import annotations
@@ -19,19 +23,19 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray
-from palmd.model.smoothing import RIG, RIG_CONSTANTS
+from palmd.model.smoothing import RIG, RIG_CONSTANTS, R
 from palmd.observer.normal_equations import Guess
 from palmd.observer.smoother import Posterior
 from palmd.system.description import AS_CALIBRATED, RigDescription
+from palmd.system.mechanism import PALMS
 from palmd.system.rig_constants import prior_sds
 
-CONTRADICTED = 0.5  # nats, of all explanations together against what is believed: of clean rigs 1 in 100 comes there
-STILL = -1.0  # and what has been contradicted is still
-DOUBTED = -4.0  # nats, from which on they are in the bands: 1 to 55
-NAMED = 0.25  # share of the explanations that a constant must be in
-SELDOM = math.log(0.01)  # that one constant is off, beforehand
+CONTRADICTED = -0.5  # nats, of all explanations together against what is believed: of clean rigs 1 in 100 comes there
+STILL = -2.0  # and what has been contradicted is still
+NAMED = 0.25  # share of the explanations that a constant must be in, where no one of them has most of it
+SELDOM = math.log(0.01)  # that there is one cause, beforehand
 TIMES = (1.0, 3.0, 10.0)  # what calibration leaves
-MOST_TOGETHER = 3  # constants that are off at a time
+MOST_TOGETHER = 3  # causes at a time
 BEYOND_ALL = 5.0  # sigmas that the best explanation may leave of any constant, before nothing is taken at its word
 KNOWN = 1e-7  # one-sigma, in SI units, of what is exactly as described: small, and a number to divide by
 SAME = 1.5  # one-sigmas that differ by less are no reason to fit anew,
@@ -40,8 +44,22 @@ MOST_REVISIONS = 4  # of what is believed of the rig, in one answer
 NOTHING: FloatArray = np.zeros(RIG_CONSTANTS)
 LEFT: FloatArray = prior_sds(RigDescription().known_to(AS_CALIBRATED))
 """One-sigma of the constants of a calibrated rig."""
+_SHARED = (R.ZERO, R.LAG)
+CAUSES: FloatArray = np.vstack([np.diag(LEFT), *(np.diag(LEFT)[of : of + len(PALMS)].sum(axis=0) for of in _SHARED)])
+"""How far each cause moves each constant (n, 15), about: one by one, then those of both pads that hang on one thing."""
 FREE_SD: FloatArray = TIMES[-1] * LEFT
 """One-sigma of constants that are not what they were taken for, nobody knows by how much."""
+
+
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """By how much the rig's constants may be off beyond what is believed: mean (15,) and covariance (15, 15)."""
+
+    mean: FloatArray
+    covariance: FloatArray
+
+
+NO_DOUBT = Doubt(NOTHING, np.zeros((RIG_CONSTANTS, RIG_CONSTANTS)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,12 +67,13 @@ class RigBelief:
     """How well the rig's constants are taken to be known, in the order of `model.smoothing.R`; SI units.
 
     told: their one-sigmas by the rig's description. contradicted: by how many sigmas each is not what it was taken for,
-    0 where nothing speaks against that. sd: their one-sigmas to go by.
+    0 where nothing speaks against that. sd: their one-sigmas to go by. doubt: of those, while nothing is contradicted.
     """
 
     told: FloatArray
     contradicted: FloatArray
     sd: FloatArray
+    doubt: Doubt = NO_DOUBT
 
     @classmethod
     def of(cls, rig: RigDescription) -> RigBelief:
@@ -64,13 +83,13 @@ class RigBelief:
 
     def suspended(self) -> RigBelief:
         """For the moment nothing is taken at its word."""
-        return replace(self, sd=np.maximum(self.told, FREE_SD))
+        return replace(self, sd=np.maximum(self.told, FREE_SD), doubt=NO_DOUBT)
 
     def after(self, posterior: Posterior | None) -> RigBelief:
         """What is left of it by a `posterior` under this belief; the same where there is none.
 
-        What they contradict is open, what they no longer contradict is as told. `sd` is the same object where that
-        hardly changes it.
+        What they contradict is open, what they no longer contradict is as told, but for doubt. `sd` is the same object
+        where that hardly changes it.
         """
         if posterior is None:
             return self
@@ -81,7 +100,15 @@ class RigBelief:
             return self
         one, other = (np.maximum(sd, LITTLE * LEFT) for sd in (found.sd, self.sd))
         hardly = bool((np.abs(np.log(one / other)) < math.log(SAME)).all())
-        return replace(self, contradicted=found.contradicted, sd=self.sd if hardly else found.sd)
+        return replace(self, contradicted=found.contradicted, sd=self.sd if hardly else found.sd, doubt=found.doubt)
+
+    def considering(self, y: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """An estimate y, which begins with the constants, and its covariance, what is in `doubt` allowed for.
+
+        To have its prior's mean elsewhere by m moves an estimate by cov(y, rig) sd⁻² m.
+        """
+        pull = covariance[:, RIG] / self.sd**2
+        return y + pull @ self.doubt.mean, covariance + pull @ self.doubt.covariance @ pull.T
 
     def within(self, guess: Guess) -> Guess:
         """A guess with no constant of the rig beyond its one-sigma, to go on from under this belief."""
@@ -96,6 +123,7 @@ class Criticism:
 
     contradicted: FloatArray
     sd: FloatArray
+    doubt: Doubt
     odds: float
 
 
@@ -108,59 +136,64 @@ def criticised(
     was contradicted `before` is down to `STILL`. Raises LinAlgError for a covariance that is none.
     """
     K, q = _score(values, covariance, sd, believed)
-    among, log_weight, square = _explanations(K, q, believed)
+    among, log_weight, means, squares = _explanations(K, q, believed)
     odds = float(np.logaddexp.reduce(log_weight, initial=-math.inf))
-    if odds < DOUBTED:
-        return Criticism(NOTHING, believed, odds)
+    if not len(among):
+        return Criticism(NOTHING, believed, NO_DOUBT, odds)
     share = np.exp(log_weight - odds)
     wrong = 1.0 / (1.0 + math.exp(-odds))
-    opened = np.sqrt(believed**2 + wrong * (share @ square))
+    mean, square = wrong * (share @ means), wrong * np.tensordot(share, squares, 1)
     if odds < (STILL if before.any() else CONTRADICTED):
-        return Criticism(NOTHING, opened, odds)
+        return Criticism(NOTHING, believed, Doubt(mean, square - np.outer(mean, mean)), odds)
+    opened = np.sqrt(believed**2 + np.diagonal(square))
     best = among[int(np.argmax(log_weight))]
     left = _sigmas(*_score(values, covariance, sd, np.where(best, FREE_SD, believed)))
     if np.abs(left[believed < FREE_SD]).max() > BEYOND_ALL:
         opened = np.maximum(believed, FREE_SD)
+    likeliest = share[(among == best).all(axis=1)].sum() > 0.5
     found = np.zeros(RIG_CONSTANTS)
-    for k in np.flatnonzero(share @ among >= NAMED):
+    for k in np.flatnonzero(best if likeliest else share @ among >= NAMED):
         together = np.flatnonzero(among[int(np.argmax(np.where(among[:, k], log_weight, -math.inf)))])
         found[k] = _sigmas_together(K, q, together)[together == k][0]
-    return Criticism(found, opened, odds)
+    return Criticism(found, opened, NO_DOUBT, odds)
 
 
 @cache
-def _sets(size: int) -> tuple[npt.NDArray[np.intp], FloatArray]:
-    """So many constants together (n, size), and by how much each may be off, D."""
-    sets = np.array(list(combinations(range(RIG_CONSTANTS), size)), np.intp)
-    return np.tile(sets, (len(TIMES), 1)), np.concatenate([times * LEFT[sets] for times in TIMES])
+def _sets(size: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """So many causes at a time, no constant in two of them (n, size), for each of `TIMES`: which that is (n,)."""
+    sets = np.array(list(combinations(range(len(CAUSES)), size)), np.intp)
+    sets = sets[((CAUSES[sets] > 0.0).sum(axis=1) <= 1).all(axis=1)]
+    return np.tile(sets, (len(TIMES), 1)), np.repeat(np.arange(len(TIMES)), len(sets))
 
 
 def _explanations(
     K: FloatArray, q: FloatArray, believed: FloatArray
-) -> tuple[npt.NDArray[np.bool_], FloatArray, FloatArray]:
-    """Which constants are in each explanation (n, 15), its log odds (n,), by how much they are off, squared (n, 15).
+) -> tuple[npt.NDArray[np.bool_], FloatArray, FloatArray, FloatArray]:
+    """Which constants are in each explanation (n, 15), its log odds (n,), by how much they are off: mean, mean square.
 
-    None that readings would rather have with one constant less, by the ratio of densities at 0 (Dickey 1971).
+    None that readings would rather have with one cause less, by the ratio of densities at 0 (Dickey 1971).
     """
     found = []
+    told, pull, factors = CAUSES @ K @ CAUSES.T, CAUSES @ q, np.array(TIMES)
+    open_by = ((factors[:, None, None] * CAUSES > believed) | (CAUSES == 0.0)).all(axis=2)
     for size in range(1, MOST_TOGETHER + 1):
-        sets, D = _sets(size)
-        open_ = (believed[sets] < D).all(axis=1)
-        sets, D = sets[open_], D[open_]
-        A = np.eye(size) + D[:, :, None] * K[sets[:, :, None], sets[:, None, :]] * D[:, None, :]
+        sets, which = _sets(size)
+        open_ = open_by[which[:, None], sets].all(axis=1)
+        sets, times = sets[open_], factors[which[open_], None]
+        A = np.eye(size) + times[:, :, None] ** 2 * told[sets[:, :, None], sets[:, None, :]]
         left, log_determinant = _inverses(A)  # of N(0, 1), by the readings
         variance = np.diagonal(left, axis1=1, axis2=2)
-        score = D * q[sets]
+        score = times * pull[sets]
         mean = (left @ score[:, :, None])[:, :, 0]
         gain = 0.5 * (score * mean).sum(axis=1) - 0.5 * log_determinant
         needed = (np.log(variance) + mean**2 / variance > 0.0).all(axis=1)
-        sets, count = sets[needed], np.count_nonzero(needed)
-        among, square = np.zeros((count, RIG_CONSTANTS), dtype=np.bool_), np.zeros((count, RIG_CONSTANTS))
-        np.put_along_axis(among, sets, True, axis=1)
-        np.put_along_axis(square, sets, (D**2 * (mean**2 + variance))[needed], axis=1)
-        found.append((among, gain[needed] + size * SELDOM - math.log(len(TIMES)), square))
-    among, log_weight, square = (np.concatenate(each) for each in zip(*found, strict=True))
-    return among, log_weight, square
+        sets, left, mean, gain = sets[needed], left[needed], mean[needed], gain[needed]
+        by = times[needed, :, None] * CAUSES[sets]
+        square = np.swapaxes(by, 1, 2) @ (left + mean[:, :, None] * mean[:, None, :]) @ by
+        log_weight = gain + size * SELDOM - math.log(len(TIMES))
+        found.append(((by > 0.0).any(axis=1), log_weight, np.einsum("ni,nik->nk", mean, by), square))
+    among, log_weights, means, squares = (np.concatenate(each) for each in zip(*found, strict=True))
+    return among, log_weights, means, squares
 
 
 def _inverses(A: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -199,7 +232,10 @@ def _sigmas(K: FloatArray, q: FloatArray) -> FloatArray:
 
 
 def _sigmas_together(K: FloatArray, q: FloatArray, which: npt.NDArray[np.intp]) -> FloatArray:
-    """Of each of `which`, the others of these being open."""
+    """Of each of `which`, the others of these being open; 0 for what no reading tells."""
     inverse = np.linalg.pinv(K[np.ix_(which, which)], hermitian=True)
-    sigmas: FloatArray = inverse @ q[which] / np.sqrt(np.diagonal(inverse))
+    variance = np.diagonal(inverse)
+    sigmas: FloatArray = np.divide(
+        inverse @ q[which], np.sqrt(variance), out=np.zeros(len(which)), where=variance > 0.0
+    )
     return sigmas

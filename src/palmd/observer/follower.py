@@ -16,6 +16,7 @@ import numpy as np
 from palmd.model.smoothing import C
 from palmd.observer.chain import SEGMENT_S, Chain
 from palmd.observer.coverage import marks_of
+from palmd.observer.criticism import RigBelief
 from palmd.observer.data_segment import DataSegment
 from palmd.observer.matching import Felt, matched
 from palmd.observer.normal_equations import Guess
@@ -42,6 +43,11 @@ class Answer:
         """How sure the best fit is of itself, by what the search went by; None where it is no minimum."""
         smoother = Smoother(self.search.library, self.finding.record, self.search.known)
         return smoother.posterior_if_any(self.finding.fits[0])
+
+    @cached_property
+    def belief(self) -> RigBelief:
+        """What is left of the search's belief in the rig."""
+        return self.search.belief.after(self.posterior)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +134,7 @@ class Follower:
         """From where to go on when the readings tell that the rig is not what it is taken for; None when they don't."""
         fit = answer.finding.fits[0]
         before = self._belief
-        self._belief = before.after(answer.posterior)
+        self._belief = answer.belief
         if np.array_equal(self._belief.sd, before.sd):
             return None
         self._chain.revise(before.sd, self._belief.sd)

@@ -162,11 +162,12 @@ class IncrementalSmoother:
         posterior = answer.posterior
         if posterior is None:
             return None
-        everything = np.concatenate([best.guess.p, best.guess.x[-1]])
-        x, P, spread = given_the_rig(everything, posterior.covariance)
+        estimate = np.concatenate([best.guess.p, best.guess.x[-1]])
+        everything, covariance = answer.belief.considering(estimate, posterior.covariance)
+        x, P, spread = given_the_rig(everything, covariance)
         made_convex(x, P, _OUTLINE)
         established = self._follower is not None
-        against = answer.search.belief.contradicted
+        against = answer.belief.contradicted
         if self._follower is not None:
             touched = self._follower.touched
         else:
@@ -175,7 +176,7 @@ class IncrementalSmoother:
             # is more often an object that is not this one
             touched &= self._seeker.sure and not against.any()
             against = np.zeros_like(against)
-        rig, rig_sd = everything[RIG], np.sqrt(np.diagonal(posterior.covariance)[RIG])
+        rig, rig_sd = everything[RIG], np.sqrt(np.diagonal(covariance)[RIG])
         t = float(record.t[-1])
         return Improvement(t, x, P, self._frame, established, touched, rig, rig_sd, spread, against)
 

@@ -179,10 +179,9 @@ def _refined(search: Search, finding: Minima, segment: DataSegment, rig: RigDesc
     record, fit = finer.record, finer.fits[0]
     smoother = Smoother(search.library, record, prior)
     for _ in range(MOST_REVISIONS):
-        then = belief.after(smoother.posterior_if_any(fit))
-        if np.array_equal(then.sd, belief.sd):
+        before, belief = belief, belief.after(smoother.posterior_if_any(fit))
+        if np.array_equal(before.sd, belief.sd):
             break
-        belief = then
         prior = replace(prior, sd=np.concatenate([prior.sd[: C.RIG], belief.sd, prior.sd[C.SHAPE :]]))
         smoother = Smoother(search.library, record, prior)
         fit = smoother.fit(belief.within(fit.guess), fit.noise)
@@ -233,8 +232,8 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
         answered = marginalised(library, record, main.known, fit)
     except np.linalg.LinAlgError:
         return _nothing(main.reason or "the fit is not a minimum", begun, fit.chi2)
-    x, covariance = answered.mean.x, answered.covariance
-    everything = np.concatenate([answered.mean.p, x[-1]])
+    x, by_prior = answered.mean.x, (answered.mean.p[RIG], answered.covariance[RIG, RIG])
+    everything, covariance = main.belief.considering(np.concatenate([answered.mean.p, x[-1]]), answered.covariance)
     convex = made_convex(everything, covariance, _OUTLINE)
     p = everything[:CONSTANTS]
     parts = sorted([_Joined(record, x[:, 0], x[:, 1]), *others], key=lambda part: float(part.record.t[0]))
@@ -268,6 +267,7 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
         t=t, psi=psi, omega0=omega0, radii=np.stack(radii),
         reason=reason, seconds=time.perf_counter() - begun,
         turned_sd=math.nan if others else float(sd[CONSTANTS]),  # ψ is 0 at the first node: gauge
+        rig_by_prior=by_prior,
         likeness=UNTOLD if reason else likeness(outline.theta, outline.h, root, outline.touched),
     )  # fmt: skip
 

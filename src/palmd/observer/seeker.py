@@ -143,7 +143,7 @@ class Seeker:
             search, finding = answer.search, answer.finding
             if doubt(finding.fits[0], finding):
                 break
-            self._belief = search.belief.after(answer.posterior)
+            self._belief = answer.belief
             if np.array_equal(self._belief.sd, search.belief.sd):
                 break
             anew = search.believing(self._belief)

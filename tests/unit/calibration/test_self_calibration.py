@@ -62,7 +62,7 @@ def test_what_only_all_runs_together_contradict_is_taken_for_unknown():
     covariance, rig = np.diag(PRIORS**2), RigDescription().known_to(AS_CALIBRATED)
     covariance[R.ZERO, R.ZERO] /= 1.2
     off = np.where(np.arange(RIG_CONSTANTS) == R.ZERO, 0.9 * PRIORS, 0.0)
-    each = SimpleNamespace(rig=off, rig_covariance=covariance, rig_prior_sd=PRIORS)
+    each = SimpleNamespace(rig_by_prior=(off, covariance), rig_prior_sd=PRIORS)
     alone, together = fitted([each], rig), fitted([each] * 30, rig)
     assert alone.values[R.ZERO] == pytest.approx(0.9 * PRIORS[R.ZERO])
     assert alone.priors == pytest.approx(PRIORS)

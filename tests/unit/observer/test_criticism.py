@@ -49,26 +49,26 @@ def test_a_rig_drawn_from_its_prior_contradicts_it_hardly_ever(sd):
 
 
 def test_the_odds_are_the_ratio_of_what_the_readings_are_worth():
-    """By the densities of the readings themselves, of all sets of one constant."""
+    """By the densities of the readings themselves, of all sets of causes in which zeros are off."""
     linear = Linear(4, readings=20)
     sd = np.where(np.arange(RIG_CONSTANTS) < 2, EXACT, 30 * LEFT)  # only zeros can be contradicted
     true = np.where(np.arange(RIG_CONSTANTS) == 0, 2.0 * CALIBRATED, 0.0)
     heard = linear.design @ true + linear.random.standard_normal(20)
 
     def density(prior):
-        return multivariate_normal(np.zeros(20), np.eye(20) + linear.design @ np.diag(prior**2) @ linear.design.T)
+        return multivariate_normal(np.zeros(20), np.eye(20) + linear.design @ prior @ linear.design.T).logpdf(heard)
 
-    def opened(*which):
+    def opened(*causes):
+        off = [np.where(np.isin(np.arange(RIG_CONSTANTS), each), LEFT, 0.0) for each in causes]
         return [
-            density(np.where(np.isin(np.arange(RIG_CONSTANTS), which), times * LEFT, sd)).logpdf(heard)
-            - density(sd).logpdf(heard)
+            density(np.diag(sd**2) + times**2 * sum(np.outer(each, each) for each in off)) - density(np.diag(sd**2))
             for times in TIMES
         ]
 
-    one, other, both = (np.array(opened(*which)) for which in ((0,), (1,), (0, 1)))
+    one, other, alike, both = (np.array(opened(*causes)) for causes in ([0], [1], [[0, 1]], [0, 1]))
     terms = np.concatenate(
         [
-            (each + SELDOM)[each > 0.0] for each in (one, other)
+            (each + SELDOM)[each > 0.0] for each in (one, other, alike)
         ] + [(both + 2 * SELDOM)[both > np.maximum(one, other)]]
     )  # fmt: skip
     covariance = np.linalg.inv(linear.design.T @ linear.design + np.diag(sd**-2.0))
@@ -76,7 +76,7 @@ def test_the_odds_are_the_ratio_of_what_the_readings_are_worth():
     assert found.odds == pytest.approx(np.logaddexp.reduce(terms) - math.log(len(TIMES)), abs=1e-3)
 
 
-def test_doubt_is_in_the_band_before_anything_is_named():
+def test_doubt_is_in_the_answer_before_anything_is_named():
     """Of readings that tell each constant to a third of what calibration leaves; the first is z of that from 0."""
     precision = (3.0 / LEFT) ** 2 + EXACT**-2.0
 
@@ -85,10 +85,59 @@ def test_doubt_is_in_the_band_before_anything_is_named():
         return criticised(values, np.diag(1.0 / precision), EXACT, EXACT)
 
     none, some, sure = map(found, (1.0, 2.8, 6.0))
-    assert (none.sd == EXACT).all()
-    assert some.sd[0] > 0.1 * LEFT[0]
+    assert not none.doubt.covariance.any()
+    assert (some.sd == EXACT).all()
+    assert 0.1 * LEFT[0] < math.sqrt(some.doubt.covariance[0, 0]) < LEFT[0]
     assert not some.contradicted.any()
     assert np.flatnonzero(sure.contradicted).tolist() == [0]
+    assert not sure.doubt.covariance.any()
+
+
+@pytest.mark.parametrize("off", [1.4, 1.8, 2.2])
+@pytest.mark.parametrize("known", [0.001, 0.5], ids=["all but exactly", "to half of what calibration leaves"])
+def test_an_answer_in_doubt_is_that_of_all_explanations_together(known, off):
+    """Against the mixture's moments: a zero, something else that the readings tell with it, a prior of some widths."""
+    sd = np.where(np.arange(RIG_CONSTANTS) == 0, known * LEFT, 30 * LEFT)  # only the first zero can be contradicted
+    scale = np.concatenate([np.ones(C.RIG), LEFT, [1.0]])  # constants before the rig's, the rig's, something else
+    readings = np.zeros((2, len(scale)))
+    readings[:, [C.RIG, -1]] = [[2.0, 0.6], [1.0, 1.0]]
+    readings /= scale
+    heard = readings[:, C.RIG] * off * LEFT[0] + np.array([0.3, -0.4])
+
+    def posterior(prior):
+        """Mean, covariance and log evidence where the rig's constants are known to `prior`."""
+        before = np.concatenate([np.ones(C.RIG), prior, [3.0]]) ** 2
+        S = np.eye(2) + (readings * before) @ readings.T
+        gain = (readings * before).T @ np.linalg.inv(S)
+        return (
+            gain @ heard,
+            np.diag(before) - gain @ S @ gain.T,
+            multivariate_normal(np.zeros(2), S).logpdf(heard),
+        )
+
+    def opened(times):
+        return np.where(np.arange(RIG_CONSTANTS) == 0, np.hypot(sd, times * LEFT), sd)
+
+    y, covariance, evidence = posterior(sd)
+    each = [other for times in TIMES if (other := posterior(opened(times)))[2] > evidence]
+    log_weights = [SELDOM - math.log(len(TIMES)) + other[2] - evidence for other in each]
+    found = criticised(y[RIG], covariance[RIG, RIG], sd, sd)
+    assert found.odds == pytest.approx(np.logaddexp.reduce(log_weights), abs=1e-6)
+    weights = np.exp([0.0, *log_weights])
+    weights /= weights.sum()
+    means = np.array([y, *(other[0] for other in each)])
+    mixed = weights @ means
+    spread = sum(
+        weight * (P + np.outer(mean - mixed, mean - mixed))
+        for weight, mean, P in zip(weights, means, [covariance, *(other[1] for other in each)], strict=True)
+    )
+    belief = RigBelief(sd, found.contradicted, found.sd, found.doubt)
+    considered, by = belief.considering(y, covariance)
+    asked = [C.RIG, -1]
+    assert considered[asked] / scale[asked] == pytest.approx(mixed[asked] / scale[asked], rel=1e-4)
+    assert (by / np.outer(scale, scale))[np.ix_(asked, asked)] == pytest.approx(
+        (spread / np.outer(scale, scale))[np.ix_(asked, asked)], rel=1e-4
+    )
 
 
 def test_a_score_is_standard_normal_where_the_prior_is_true():
@@ -108,6 +157,43 @@ def test_the_one_that_is_off_is_named_alone(sd, wrong):
     found = criticised(*linear.posterior(true, sd), sd, sd).contradicted
     assert np.flatnonzero(found).tolist() == [wrong]
     assert found[wrong] > 0.0
+
+
+def test_both_zeros_that_are_off_alike_are_one_cause():
+    """Readings that tell each to a third of what calibration leaves are enough; of unlike ones they are not."""
+    precision = (3.0 / LEFT) ** 2 + EXACT**-2.0
+
+    def found(one, other):
+        off = np.zeros(RIG_CONSTANTS)
+        off[[R.ZERO, R.ZERO + 1]] = one, other
+        return criticised(off * LEFT * (3.0 / LEFT) ** 2 / precision, np.diag(1.0 / precision), EXACT, EXACT)
+
+    assert np.flatnonzero(found(1.0, 1.0).contradicted).tolist() == [R.ZERO, R.ZERO + 1]
+    assert not found(1.0, -1.0).contradicted.any()
+
+
+def test_a_zero_that_no_reading_tells_is_not_named_with_the_other():
+    covariance, values = np.diag(CALIBRATED**2), np.zeros(RIG_CONSTANTS)
+    covariance[R.ZERO, R.ZERO] /= 10.0
+    values[R.ZERO] = 5.0 * CALIBRATED[R.ZERO]
+    found = criticised(values, covariance, CALIBRATED, CALIBRATED).contradicted
+    assert np.flatnonzero(found).tolist() == [R.ZERO]
+
+
+def test_the_likeliest_is_named_alone_and_where_there_is_none_all_that_may_be_off():
+    """Constants of which readings tell the sum, and the first of them by itself or not; likelier is then 2 to 1."""
+
+    def found(where, by_itself):
+        told = 36.0 * np.ones((len(where), len(where)))
+        told[0, 0] += by_itself**2
+        M, off = np.zeros((RIG_CONSTANTS, RIG_CONSTANTS)), np.zeros(RIG_CONSTANTS)
+        M[np.ix_(where, where)] = told / np.outer(LEFT[where], LEFT[where])
+        off[where[0]] = LEFT[where[0]]
+        covariance = np.linalg.inv(M + np.diag(EXACT**-2.0))
+        return np.flatnonzero(criticised(covariance @ M @ off, covariance, EXACT, EXACT).contradicted).tolist()
+
+    assert found([R.STANDOFF, R.TILT, R.TURN], 0.0) == [R.STANDOFF, R.TILT, R.TURN]
+    assert found([R.STANDOFF, R.TURN], 1.2) == [R.STANDOFF]
 
 
 def test_what_is_free_already_contradicts_nothing_and_both_ways_of_asking_agree():
