@@ -123,7 +123,7 @@ class Roadmap:
         self._least[:] = 0.0
 
     def time_to(self, wanted: Bools) -> TimeToGo:
-        """The time to go until any of the bins `wanted` (BINS,) is touched; takes some 50 ms."""
+        """The time to go until any of the bins `wanted` (BINS,) is touched; takes some 30 ms."""
         there = _touches(self._lowest, self._highest, wanted).any(axis=0)
         left, begins = np.unique(self._from, return_index=True)
         seconds = np.full(self._least.shape, NEVER_S)

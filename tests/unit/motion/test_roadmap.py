@@ -15,7 +15,7 @@ from palmd.motion.check import motion_limits
 from palmd.motion.decisions import UnderWay
 from palmd.motion.explorer import Explorer
 from palmd.motion.limits import PHI12_MAX, MotionLimits, problems, ranges
-from palmd.motion.roadmap import BETWEEN, NEVER_S, ORIENTATIONS, STEP, Roadmap, _between
+from palmd.motion.roadmap import BETWEEN, NEVER_S, ORIENTATIONS, STEP, Roadmap, _between, _touches
 from palmd.motion.rollout_predictor import BINS, MARGIN_M, Moves, RolloutPredictor, goodness
 from palmd.motion.segments import Move
 from palmd.rig.plant import random_surface
@@ -169,6 +169,23 @@ def test_between_two_orientations_it_is_told_where_a_move_leads():
     assert len(off) > 0.5 * told
     assert np.median(off) < math.radians(0.5)
     assert np.quantile(off, 0.9) < math.radians(2.0)
+
+
+def test_what_lies_between_goes_on_all_around():
+    angles = np.array([[0.3, 1.9, 3.4, 5.0]])
+    rises = np.diff(_between(angles, math.tau, torn=2.0)[0], append=0.3 + math.tau)
+    assert rises.reshape(4, BETWEEN) == pytest.approx(
+        np.repeat([[1.6], [1.5], [1.6], [1.5832]], BETWEEN, 1) / BETWEEN, abs=1e-4
+    )
+
+
+def test_a_palm_touches_the_bins_from_the_lowest_normal_to_the_highest():
+    degrees = np.radians([[-12.0, 3.0], [-2.0, -1.0], [361.0, 364.0], [17.0, 40.0]])
+    lowest, highest = degrees.T
+    assert _touches(lowest, highest, bins(0)).tolist() == [True, False, True, False]
+    assert _touches(lowest, highest, bins(71)).tolist() == [True, True, False, False]
+    assert _touches(lowest, highest, bins(4, 5)).tolist() == [False, False, False, True]
+    assert not _touches(lowest, highest, bins()).any()
 
 
 def test_next_to_a_barrier_nothing_is_promised():
