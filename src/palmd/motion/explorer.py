@@ -76,7 +76,7 @@ def _careful_angles(curvatures: tuple[float, ...]) -> tuple[tuple[float, float],
 
 
 class Explorer:
-    """Decides one move at a time. A decision takes some 0.1 s of a core, 0.4 s on arcs: for a process beside the loop."""
+    """Decides one move at a time. A decision takes 0.1 s of a core, on arcs 0.4 s: for a process beside the loop."""
 
     def __init__(self, rig: RigDescription, limits: MotionLimits, goal: ExploreGoal, seed: int = 0):
         """Deterministic for given `seed` and calls; takes seconds when its C has to be compiled first."""
