@@ -174,6 +174,7 @@ PortPath = Annotated[str, Field(min_length=1)]
 Pair = Annotated[tuple[FiniteFloat, FiniteFloat], Field(strict=False)]  # a YAML list is not a tuple
 OpeningRange = Annotated[Pair, AfterValidator(_rising_within(1.0, 179.0))]
 AngleRange = Annotated[Pair, AfterValidator(_rising_within(0.0, 180.0))]
+TiltRange = Annotated[Pair, AfterValidator(_rising_within(-30.0, 180.0))]
 FilePath = Annotated[Path, PlainValidator(_beside_the_file)]
 LocalAddress = Annotated[str, AfterValidator(_local_address)]
 
@@ -570,8 +571,8 @@ ArmConfig = Annotated[
 class LimitsConfig(Strict):
     """What the palms may do; the same rate and acceleration hold for each palm angle."""
 
-    phi1_deg: Annotated[AngleRange, Plausible(10, 180)] = (6.0, 150.0)
-    """Palm 1 from the world X axis."""
+    phi1_deg: Annotated[TiltRange, Plausible(10, 180)] = (6.0, 150.0)
+    """Palm 1 from the world X axis; below 0 where it is a cradle, whose tangent points up where it is touched."""
     phi2_deg: Annotated[OpeningRange, Plausible(10, 180)] = (35.0, 155.0)
     """Palm 2 from palm 1."""
     rate_deg_s: Annotated[FiniteFloat, Field(gt=0, le=2000), Plausible(3, 720)] = 120.0
@@ -717,6 +718,14 @@ class Config(AnyConfig):
             if abs(kappa) * pad.length_mm * 1e-3 > math.pi / 2:
                 raise ValueError(f"rig.palm{palm}_curvature_per_m bends the pad by more than a quarter turn")
         return pads
+
+    @field_validator("limits")
+    @classmethod
+    def _points_up(cls, limits: LimitsConfig, info: ValidationInfo) -> LimitsConfig:
+        rig: RigConfig | None = info.data.get("rig")
+        if limits.phi1_deg[0] < 0.0 and rig is not None and rig.palm1_curvature_per_m <= 0.0:
+            raise ValueError("phi1_deg must not begin below 0: only a cradle may point downwards at its hinge")
+        return limits
 
     @field_validator("observer")
     @classmethod

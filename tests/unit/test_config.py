@@ -64,6 +64,15 @@ def test_what_cannot_be_had_on_curved_palms_is_refused(tmp_path: Path) -> None:
     assert "rig.palm1_curvature_per_m bends the pad by more than a quarter turn" in text
 
 
+def test_only_a_cradle_may_point_downwards() -> None:
+    below = {"phi1_deg": [-10, 110]}
+    assert config(rig={"palm1_curvature_per_m": 13.3}, limits=below).limits.phi1_deg == (-10, 110)
+    for flat in ({}, {"palm2_curvature_per_m": 13.3}, {"palm1_curvature_per_m": -8.0}):
+        ((name, text),) = faults(rig=flat, limits=below)
+        assert name == "limits"
+        assert "only a cradle may point downwards" in text
+
+
 def test_models_are_frozen() -> None:
     with pytest.raises(ValidationError):
         config().rig.gravity_m_s2 = 1.0  # type: ignore[misc]
@@ -150,7 +159,7 @@ def test_things_that_must_differ() -> None:
         ({"arm": {"port": "/dev/c", "kind": "dynamixel", "servo1": {"id": 253}}}, "arm.servo1.id"),
         ({"limits": {"phi1_deg": [150, 6]}}, "limits.phi1_deg"),
         ({"limits": {"phi1_deg": [6, 6]}}, "limits.phi1_deg"),
-        ({"limits": {"phi1_deg": [-1, 150]}}, "limits.phi1_deg"),
+        ({"limits": {"phi1_deg": [-31, 150]}}, "limits.phi1_deg"),
         ({"limits": {"phi2_deg": [35, 180]}}, "limits.phi2_deg"),
         ({"limits": {"rate_deg_s": float("inf")}}, "limits.rate_deg_s"),
         ({"arm": {"port": "/dev/c", "baud": 38401}}, "arm.baud"),

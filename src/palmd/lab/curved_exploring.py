@@ -21,7 +21,7 @@ from palmd.rig.shapes import KINDS, Body, Kind, random_body
 from palmd.rig.world import default_config
 
 RADII_M = (0.06, 0.09)
-CRADLE = LimitsConfig(phi1_deg=(0.0, 110.0), phi2_deg=(88.0, 165.0), rate_deg_s=90.0, acceleration_deg_s2=600.0)
+CRADLE = LimitsConfig(phi1_deg=(-10.0, 110.0), phi2_deg=(88.0, 165.0), rate_deg_s=90.0, acceleration_deg_s2=600.0)
 """As in config/cradle.yaml."""
 FLAT = LimitsConfig(rate_deg_s=CRADLE.rate_deg_s, acceleration_deg_s2=CRADLE.acceleration_deg_s2)
 MOST_S = 60.0

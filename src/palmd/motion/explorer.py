@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from palmd.motion.decisions import Decision, UnderWay
 from palmd.motion.limits import MotionLimits, problems, ranges
 from palmd.motion.reach import arcs, reach, surface_limits, why_not
 from palmd.motion.rig_information import RigCost, RigInformation, rig_cost
-from palmd.motion.roadmap import Roadmap, TimeToGo
+from palmd.motion.roadmap import NEVER_S, Roadmap, TimeToGo
 from palmd.motion.rollout_predictor import BINS, Bools, Moves, Prediction, RolloutPredictor, goodness
 from palmd.motion.segments import Angles, Move
 from palmd.system.arcs import joints_of
@@ -40,6 +40,8 @@ DOUBTFUL = 0.5  # of these, that samples of the object must keep
 DECISION_S = 0.15  # that a decision costs, so that moves are not made ever shorter
 MADE, RENEWED = 5, 2  # poses of the roadmap that a decision looks at, until it is complete and then
 AWAY = math.radians(10.0)  # a first move that is to be one on the road
+SURELY = 0.9  # of the longest time to go: what takes longer may well never come
+DEEPEST = 8  # bins into what is wanted: the nearest one alone is often had over and over by a long detour each
 REACH_EVERY_S = 4.0
 # As long as the radii at the contacts are not known better, the palms keep to gentle moves far from the pads' ends.
 CAREFUL_M = 2.5e-4
@@ -54,6 +56,15 @@ RIG_SHARE, RIG_RATE, RIG_S = 0.1, 0.03, 15.0
 ANSWER_S = 2.0  # until a smoother has told what a motion was good for
 
 
+@dataclass(frozen=True, slots=True)
+class _Roads:
+    """The time to go to the nearest bin that is wanted, and to one `depth` bins in: to come there is to touch them."""
+
+    near: TimeToGo
+    deep: TimeToGo
+    depth: int
+
+
 def _careful_angles(curvatures: tuple[float, ...]) -> tuple[tuple[float, float], ...]:
     """`CAREFUL_ANGLES`, on curved palms those at which a middling object's contacts are as there."""
     if not any(curvatures):
@@ -65,7 +76,7 @@ def _careful_angles(curvatures: tuple[float, ...]) -> tuple[tuple[float, float],
 
 
 class Explorer:
-    """Decides one move at a time. A decision takes some 40 ms of a core: for a process beside the loop."""
+    """Decides one move at a time. A decision takes 0.1 s of a core, on arcs 0.4 s: for a process beside the loop."""
 
     def __init__(self, rig: RigDescription, limits: MotionLimits, goal: ExploreGoal, seed: int = 0):
         """Deterministic for given `seed` and calls; takes seconds when its C has to be compiled first."""
@@ -113,16 +124,16 @@ class Explorer:
         start = np.array(under_way.move.end)
         careful = _spread(states, start, self._curvatures) > CAREFUL_M
         wanted = self._wanted(outlook, touched)
-        to_go = None if careful else self._time_to_go(states[0], wanted)
-        tried = self._tried(start, self._careful if careful else self._limits, to_go)
+        roads = None if careful else self._roads(states[0], wanted)
+        tried = self._tried(start, self._careful if careful else self._limits, None if roads is None else roads.near)
         foreseen = self._predictor.of(states[0], tried, 0.0, HORIZON_S)
         if open_rig is None:
-            score = self._score(foreseen, tried, wanted, to_go)
+            score = self._score(foreseen, tried, wanted, roads)
         else:
             score = self._rig_score(outlook, open_rig, foreseen, tried)
             if not np.any(self._expected) and 0.0 < score.max() < RIG_RATE:
                 return Decision("done", None, self._enough(outlook, coverage), coverage, reachable)
-        move = self._choose(states, tried, foreseen, score.max(axis=1), to_go if open_rig is None else None)
+        move = self._choose(states, tried, foreseen, score.max(axis=1), roads is not None and open_rig is None)
         if move is None:
             return Decision("wait", None, "no safe motion found yet", coverage, reachable)
         if open_rig is not None:
@@ -210,24 +221,28 @@ class Explorer:
         safe = bool((self._goodness(foreseen, moves, under_way.elapsed) > 0.0).all())
         return states, outlook.touched | foreseen.touched[0, 0], safe
 
-    def _time_to_go(self, state: FloatArray, wanted: FloatArray) -> TimeToGo | None:
+    def _roads(self, state: FloatArray, wanted: FloatArray) -> _Roads | None:
         """How far it is to what is wanted, None while the roadmap is being made."""
         if self._roadmap is None:
             self._roadmap = Roadmap(self._predictor, self._limits, state)
         self._roadmap.renew(state, RENEWED if self._roadmap.complete else MADE)
-        return self._roadmap.time_to(wanted > 0.0) if self._roadmap.complete else None
+        if not self._roadmap.complete:
+            return None
+        inner, depth = _inmost(wanted > 0.0, DEEPEST)
+        near = self._roadmap.time_to(wanted > 0.0)
+        return _Roads(near, near if depth == 1 else self._roadmap.time_to(inner), depth)
 
     def _choose(
-        self, states: FloatArray, tried: Moves, foreseen: Prediction, score: FloatArray, to_go: TimeToGo | None
+        self, states: FloatArray, tried: Moves, foreseen: Prediction, score: FloatArray, learns: bool
     ) -> Move | None:
-        """The first move of the sequence with the best `score` (N,) that is safe."""
+        """The first move of the sequence with the best `score` (N,) that is safe; the roadmap `learns` of it."""
         for number in np.argsort(-score, kind="stable")[:CHECKED]:
             move = _first_move(tried, int(number))
             if np.isfinite(score[number]) and self._safe_for_all(states, move):
                 self._kept = Moves(
                     tried.ends[number, 0], tried.ends[None, number, 1:], tried.durations[None, number, 1:]
                 )
-                if self._roadmap is not None and to_go is not None:
+                if self._roadmap is not None and learns:
                     seconds = 1.0 / score[number] if score[number] > 0.0 else math.inf
                     self._roadmap.learn(tried.start, states[0, shape_map.Z.PSI], seconds)
                 return move
@@ -261,18 +276,20 @@ class Explorer:
         tried = Moves(start, ends, durations)
         return tried if to_go is None else candidates.ending_at(tried, to_go.nearest(ends[:, -2]), limits)
 
-    def _score(self, foreseen: Prediction, tried: Moves, wanted: FloatArray, to_go: TimeToGo | None) -> FloatArray:
+    def _score(self, foreseen: Prediction, tried: Moves, wanted: FloatArray, roads: _Roads | None) -> FloatArray:
         """What each beginning of each sequence brings in a second (N, k), −inf where it is not safe.
 
-        Where it touches nothing itself, it is the one bin at the end of the road; a first move that stays where it is
-        leads nowhere.
+        Where it touches nothing itself, it is the one bin at the end of the road, or all those at the end of the longer
+        one; a first move that stays where it is leads nowhere.
         """
-        time_s = np.cumsum(tried.durations, axis=1) + DECISION_S
-        score = foreseen.touched @ wanted / time_s
-        if to_go is not None:
+        time_s, brings = np.cumsum(tried.durations, axis=1) + DECISION_S, foreseen.touched @ wanted
+        score = brings / time_s
+        if roads is not None:
             goes = np.abs(tried.ends[:, :1] - tried.start).max(axis=-1) > AWAY
-            on_the_road = np.where(goes, 1.0 / (time_s + to_go.at(tried.ends, foreseen.psi)), 0.0)
-            score = np.where(score > 0.0, score, on_the_road)
+            near, deep = (each.at(tried.ends, foreseen.psi) for each in (roads.near, roads.deep))
+            score = np.where(score > 0.0, score, np.where(goes, 1.0 / (time_s + near), 0.0))
+            leads = goes & (deep < SURELY * NEVER_S)
+            score = np.maximum(score, np.where(leads, (brings + roads.depth) / (time_s + deep), 0.0))
         return np.where(self._goodness(foreseen, tried) > 1.0, score, -np.inf)
 
     def _rig_score(self, outlook: Outlook, cost: RigCost, foreseen: Prediction, tried: Moves) -> FloatArray:
@@ -310,6 +327,14 @@ class Explorer:
     def _within_limits(self, move: Move) -> bool:
         motion = [self._limits.values(move.at(t)) for t in np.linspace(0.0, move.duration, 12)]
         return not problems(self._limits.bounds, ranges(motion))
+
+
+def _inmost(wanted: Bools, deepest: int) -> tuple[Bools, int]:
+    """Those of the bins `wanted` that are farthest from the others, and how far: 1 next to them, `deepest` at most."""
+    inner, depth = wanted, 1
+    while depth < deepest and (within := inner & np.roll(inner, 1) & np.roll(inner, -1)).any() and not inner.all():
+        inner, depth = within, depth + 1
+    return inner, depth
 
 
 def _first_move(tried: Moves, number: int) -> Move:

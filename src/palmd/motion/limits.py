@@ -173,13 +173,16 @@ class MotionLimits:
 
     @property
     def top(self) -> float:
-        """φ12 stays below it (rad): 172° where palm 2 may be touched, by its tangent.
+        """φ12 stays below it (rad): 172° where palm 2 may be touched, by its tangent."""
+        return PHI12_MAX + self._turned(self.curvatures[-1])
 
-        On a dome that is as much less as its tangent turns down to the pad's end; on a cradle as much more as it turns
-        up to `HELD_SHARE` of the pad. Who knows where the object touches must keep to its tangent there.
+    def _turned(self, kappa: float) -> float:
+        """By how much (rad) a palm's tangent has turned up where it may be touched, at the least.
+
+        That is at the end of a dome, where it has turned down. On a cradle it is at `HELD_SHARE` of the pad: who knows
+        where the object touches must keep to its tangent there.
         """
-        kappa = self.curvatures[1]
-        return PHI12_MAX + kappa * self.pad_length * (HELD_SHARE if kappa > 0.0 else 1.0)
+        return kappa * self.pad_length * (HELD_SHARE if kappa > 0.0 else 1.0)
 
     @property
     def unknown(self) -> Joints:
@@ -192,12 +195,13 @@ class MotionLimits:
         return self.bounds[: len(self.angles)]
 
     def _first_bound(self) -> QuantityLimit:
-        """φ1's: where palm 1 is a dome, its tangent must not point below the horizontal anywhere on the pad."""
-        level = -min(0.0, self.curvatures[0]) * self.pad_length
+        """φ1's, `top` mirrored: above the horizontal where palm 1 may be touched, by its tangent."""
+        level = -self._turned(self.curvatures[0])
         low, high = self.angles[0]
         if level <= low:
             return QuantityLimit(JOINTS[0], "°", _DEGREES, low, high)
-        words = f"palm {PALMS[0]} is a dome, whose end points downwards below"
+        told = "is a dome, whose end points" if level > 0.0 else "points"
+        words = f"palm {PALMS[0]} {told} downwards below"
         return QuantityLimit(JOINTS[0], "°", _DEGREES, level, high, low_words=words)
 
     def _opening_bound(self) -> QuantityLimit:

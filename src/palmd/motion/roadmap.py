@@ -3,6 +3,9 @@
 A rough and nearly round object rests almost anywhere, and turns on only by detours that no few moves drawn at random
 find. So the dynamic model is rolled forward on the moves between some poses of the palms, from the object at rest in
 each of some orientations; value iteration on what comes of them gives the time to go.
+
+Between two orientations it is interpolated where a move leads, not what that is worth: a time between that of two
+orientations is what a draw between them would take, and at each move a lucky draw carries the object on.
 """
 
 from __future__ import annotations
@@ -19,11 +22,14 @@ from palmd.motion.candidates import POSE_MARGIN, RATE_SHARE, range_of, timed
 from palmd.motion.limits import MotionLimits
 from palmd.motion.rollout_predictor import BINS, MARGIN_M, MOST_FORCE, Bools, RolloutPredictor, goodness
 from palmd.system.arcs import joints_of, opening_at
+from palmd.system.mechanism import PALMS
 
 GRID = 7  # poses along φ1
 STEP = math.radians(22.0)  # between those along φ2
 WEDGE_ROOM = 9.81 / MOST_FORCE  # rad
-ORIENTATIONS = 36
+ORIENTATIONS, BETWEEN = 36, 4  # that are rolled forward, and how many each stands for
+TORN = math.radians(20.0)  # between where neighbours end: with a barrier between them nobody knows
+NEAR = 2  # orientations on either side for which the same is learnt
 AGAIN_S = 0.3  # that it takes longer each time one has been there in vain
 SAME = 1e-9  # rad
 FARTHEST = math.radians(50.0)  # that a move between poses turns an angle
@@ -35,7 +41,7 @@ Indices = npt.NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True)
 class TimeToGo:
-    """From each of the `poses` (P, 2) and `ORIENTATIONS` the `seconds` (P, O), `NEVER_S` at most."""
+    """From each of the `poses` (P, 2) and of evenly spaced orientations the `seconds` (P, O), `NEVER_S` at most."""
 
     poses: FloatArray
     seconds: FloatArray
@@ -64,12 +70,12 @@ class Roadmap:
         self._limits = limits
         apart = np.abs(self.poses[:, None] - self.poses).max(axis=-1)
         self._from, self._to = np.nonzero((apart <= FARTHEST) & (apart > 0.0))
-        shape = (len(self._from), ORIENTATIONS)
-        self._seconds = np.full(shape, NEVER_S)  # what each move takes, if it is safe
+        shape = (len(self._from), ORIENTATIONS * BETWEEN)
+        self._seconds = np.full(shape, np.inf)  # what each move takes, if it is safe
         self._psi = np.zeros(shape)  # where it ends
-        self._touched = np.zeros((*shape, BINS), dtype=np.bool_)
+        self._lowest, self._highest = np.zeros((2, len(PALMS), *shape))  # normals that each palm touches on the way
         self._made = 0
-        self._least = np.zeros((len(self.poses), ORIENTATIONS))  # what has turned out to take longer than foreseen
+        self._least = np.zeros((len(self.poses), shape[1]))  # what has turned out to take longer than foreseen
 
     @property
     def complete(self) -> bool:
@@ -94,30 +100,39 @@ class Roadmap:
         rates = np.full((n, 1), RATE_SHARE * self._limits.rate)
         tried = timed(self.poses[pose], ends, rates, self._limits)
         foreseen = self._predictor.of(states, tried)
-        safe = (goodness(foreseen, tried, self._limits) > 1.0) & np.isfinite(foreseen.psi)
-        self._seconds[moves] = np.where(safe, tried.durations, np.inf).reshape(-1, ORIENTATIONS)
-        self._psi[moves] = np.where(safe, foreseen.psi, 0.0).reshape(-1, ORIENTATIONS)
-        self._touched[moves] = foreseen.touched[:, 0].reshape(-1, ORIENTATIONS, BINS)
+        safe = goodness(foreseen, tried, self._limits)[:, 0] > 1.0
+        psi = _between(np.where(safe, foreseen.psi[:, 0], np.nan).reshape(-1, ORIENTATIONS), math.tau, TORN)
+        takes = np.repeat(tried.durations.reshape(-1, ORIENTATIONS), BETWEEN, axis=1)
+        self._psi[moves] = np.nan_to_num(psi)
+        self._seconds[moves] = np.where(np.isfinite(psi), takes, np.inf)
+        theta = np.where(safe[:, None, None], foreseen.path[..., -len(PALMS) :], 0.0)
+        for table, extreme in ((self._lowest, np.nanmin), (self._highest, np.nanmax)):
+            for palm, normal in enumerate(extreme(theta, axis=1).T):
+                table[palm, moves] = _between(normal.reshape(-1, ORIENTATIONS), -math.tau)
 
     def learn(self, pose: FloatArray, psi: float, seconds: float) -> None:
         """From near here it takes longer than `seconds`, whatever the table says: nobody shall go round for ever."""
         number = np.abs(self.poses - pose).max(axis=-1).argmin()
-        low = int(_place(np.array(psi)))
-        for orientation in (low % ORIENTATIONS, (low + 1) % ORIENTATIONS):
-            self._least[number, orientation] = min(max(self._least[number, orientation], seconds) + AGAIN_S, NEVER_S)
+        low = int(_place(np.array(psi), self._least.shape[1]))
+        for orientation in range(low - NEAR + 1, low + NEAR + 1):
+            here = number, orientation % self._least.shape[1]
+            self._least[here] = min(max(self._least[here], seconds) + AGAIN_S, NEVER_S)
 
     def forget(self) -> None:
         """What has been learnt does not count any more, since something else is wanted."""
         self._least[:] = 0.0
 
     def time_to(self, wanted: Bools) -> TimeToGo:
-        """The time to go until any of the bins `wanted` (BINS,) is touched; takes some 20 ms."""
-        there = (self._touched & wanted).any(axis=-1)
+        """The time to go until any of the bins `wanted` (BINS,) is touched; takes some 30 ms."""
+        there = _touches(self._lowest, self._highest, wanted).any(axis=0)
         left, begins = np.unique(self._from, return_index=True)
-        seconds = np.full((len(self.poses), ORIENTATIONS), NEVER_S)
+        seconds = np.full(self._least.shape, NEVER_S)
+        low, high, share = _neighbours(self._to[:, None], self._psi, seconds.shape[1])
         for _ in range(ITERATIONS if len(left) else 0):
-            after = np.where(there, 0.0, _interpolated(seconds, self._to[:, None], self._psi))
-            newer = seconds.copy()
+            flat, newer = seconds.ravel(), seconds.copy()
+            after = flat[low]
+            after += share * (flat[high] - after)
+            after[there] = 0.0
             newer[left] = np.clip(np.minimum.reduceat(self._seconds + after, begins), self._least[left], NEVER_S)
             settled = np.abs(newer - seconds).max() < SETTLED_S
             seconds = newer
@@ -167,17 +182,45 @@ def _steps(opened: float, closed: float, felt: tuple[FloatArray, FloatArray] | N
 _ORIENTATION = np.arange(ORIENTATIONS) * (2 * np.pi / ORIENTATIONS)
 
 
-def _place(psi: FloatArray) -> FloatArray:
+def _place(psi: FloatArray, orientations: int) -> FloatArray:
     """`psi` (rad) counted in orientations, 0 where it is no number."""
-    turned = np.remainder(np.where(np.isfinite(psi), psi, 0.0), 2 * np.pi)
-    place: FloatArray = turned * (ORIENTATIONS / (2 * np.pi))
+    turned = np.remainder(np.where(np.isfinite(psi), psi, 0.0), math.tau)
+    place: FloatArray = turned * (orientations / math.tau)
     return place
+
+
+def _neighbours(pose: Indices, psi: FloatArray, orientations: int) -> tuple[Indices, Indices, FloatArray]:
+    """The places in a flattened table (P, O) below and above `psi` (rad) at `pose`, and how far between them it is."""
+    place = _place(psi, orientations)
+    low = np.floor(place).astype(np.intp)
+    row = pose * orientations
+    return row + low % orientations, row + (low + 1) % orientations, place - low
 
 
 def _interpolated(table: FloatArray, pose: Indices, psi: FloatArray) -> FloatArray:
     """`table` (P, O) at `pose` and, between orientations, at `psi` (rad)."""
-    place = _place(psi)
-    low = np.floor(place).astype(np.intp)
-    share = place - low
-    values: FloatArray = (1.0 - share) * table[pose, low % ORIENTATIONS] + share * table[pose, (low + 1) % ORIENTATIONS]
+    low, high, share = _neighbours(pose, psi, table.shape[1])
+    flat = table.ravel()
+    values: FloatArray = (1.0 - share) * flat[low] + share * flat[high]
     return values
+
+
+def _between(angles: FloatArray, turn: float, torn: float = math.inf) -> FloatArray:
+    """`angles` (M, O) and those between one and the next, (M, O · BETWEEN): they rise by `turn` once around.
+
+    NaN where next to NaN, or where neighbours are `torn` (rad) apart.
+    """
+    step = np.roll(angles, -1, axis=1) - angles
+    step[:, -1] += turn
+    step[np.abs(step) > torn] = np.nan
+    finer = angles[..., None] + step[..., None] * (np.arange(BETWEEN) / BETWEEN)
+    finer[..., 0] = angles
+    return np.asarray(finer.reshape(len(angles), -1))
+
+
+def _touches(lowest: FloatArray, highest: FloatArray, wanted: Bools) -> Bools:
+    """Whether any bin of `wanted` (BINS,) lies between normals (rad)."""
+    first, last = (np.floor(each * (BINS / math.tau)).astype(np.intp) for each in (lowest, highest))
+    before = np.concatenate([[0], np.cumsum(np.tile(wanted, 2))])
+    begin = first % BINS
+    return np.asarray(before[begin + np.minimum(last - first + 1, BINS)] > before[begin])

@@ -13,7 +13,7 @@ from palmd.model import shape, shape_map
 from palmd.model.smoothing import ORDER, RIG_CONSTANTS, R
 from palmd.motion.check import motion_limits
 from palmd.motion.decisions import UnderWay
-from palmd.motion.explorer import RIG_S, STUCK_S, Explorer
+from palmd.motion.explorer import RIG_S, STUCK_S, Explorer, _inmost
 from palmd.motion.limits import MotionLimits, problems, ranges
 from palmd.motion.rollout_predictor import BINS
 from palmd.motion.segments import Move
@@ -167,6 +167,17 @@ def test_it_gives_up_when_nothing_new_has_come_for_long():
     assert decision.kind == "done"
     assert "nothing new" in decision.reason
     assert "335–20°" in decision.reason
+
+
+def test_the_inmost_of_what_is_wanted_lies_as_deep_as_it_is_far_from_the_rest():
+    wanted = np.zeros(BINS, dtype=np.bool_)
+    wanted[[70, 71, 0, 1, 2, 30]] = True
+    inner, depth = _inmost(wanted, 8)
+    assert (np.flatnonzero(inner).tolist(), depth) == ([0], 3)
+    assert _inmost(wanted, 2)[0].sum() == 3
+    assert _inmost(~wanted, 8)[1] == 8
+    everything = np.ones(BINS, dtype=np.bool_)
+    assert _inmost(everything, 8)[0].all()
 
 
 def test_a_move_that_throws_the_object_off_is_unsafe():

@@ -122,6 +122,19 @@ def test_the_second_palms_direction_follows_both_angles_together() -> None:
     assert both.gain == pytest.approx((after - before) / math.radians(1.0))
 
 
+def test_a_cradle_may_point_downwards_at_its_hinge_as_far_as_its_mirror_image_may() -> None:
+    """φ1 for π − φ12: what palm 1 may do between two cradles, and flat palms may not."""
+    kappa, open_wide = 13.3, LimitsConfig(phi1_deg=(-30.0, 150.0), phi2_deg=(5.0, 175.0))
+    for each in (kappa, 0.0):
+        lowest = MotionLimits.from_config(open_wide, pad_length=0.0555, curvatures=(each, each)).bounds[0].low
+        assert lowest == pytest.approx(-0.3 * 0.0555 * each)
+    cradle = MotionLimits.from_config(open_wide, pad_length=0.0555, curvatures=(kappa, kappa))
+    assert cradle.violations(rad(-12, 120)) == []
+    (said,) = cradle.violations(rad(-14, 120))
+    assert said.startswith("phi1 falls to -14°, palm 1 points downwards below -12.6")
+    assert math.pi - cradle.top == pytest.approx(cradle.bounds[0].low + math.radians(8.0))
+
+
 def test_a_dome_that_would_point_downwards_is_told_by_its_palm() -> None:
     dome = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555, curvatures=(-4.0, 0.0))
     (said,) = dome.violations(rad(8, 90))

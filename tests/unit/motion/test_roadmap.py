@@ -15,7 +15,7 @@ from palmd.motion.check import motion_limits
 from palmd.motion.decisions import UnderWay
 from palmd.motion.explorer import Explorer
 from palmd.motion.limits import PHI12_MAX, MotionLimits, problems, ranges
-from palmd.motion.roadmap import NEVER_S, ORIENTATIONS, STEP, Roadmap
+from palmd.motion.roadmap import BETWEEN, NEVER_S, ORIENTATIONS, STEP, Roadmap, _between, _touches
 from palmd.motion.rollout_predictor import BINS, MARGIN_M, Moves, RolloutPredictor, goodness
 from palmd.motion.segments import Move
 from palmd.rig.plant import random_surface
@@ -25,6 +25,7 @@ from palmd.system.description import RigDescription
 
 LIMITS = motion_limits(default_config())
 PREDICTOR = RolloutPredictor(rig_inputs(RigDescription()))
+TURN = math.tau / (ORIENTATIONS * BETWEEN)  # from one orientation to the next
 
 
 @cache
@@ -116,10 +117,10 @@ def test_no_move_is_quicker_than_it_says():
     random = np.random.default_rng(3)
     compared = 0
     for number in random.integers(0, len(to_go.poses), 12):
-        here, place = to_go.poses[number], random.integers(0, ORIENTATIONS)
+        here, place = to_go.poses[number], BETWEEN * random.integers(0, ORIENTATIONS)
         apart = np.abs(to_go.poses - here).max(axis=1)
         ends = to_go.poses[(apart > 0) & (apart < math.radians(45.0))]
-        foreseen, moves = rolled(here, place * math.tau / ORIENTATIONS, ends)
+        foreseen, moves = rolled(here, place * TURN, ends)
         seconds, safe = moves.durations[:, 0], goodness(foreseen, moves, LIMITS)[:, 0] > 1.0
         after = np.where((foreseen.touched[:, 0] & wanted).any(axis=1), 0.0, to_go.at(ends, foreseen.psi[:, 0]))
         if safe.any():
@@ -134,10 +135,10 @@ def test_following_it_leads_to_what_is_wanted():
     to_go = roadmap().time_to(wanted)
     arrived = tried = 0
     for number, place in zip(*np.nonzero((to_go.seconds > 1.0) & (to_go.seconds < 6.0)), strict=True):
-        if (number * ORIENTATIONS + place) % 17:
+        if (number * ORIENTATIONS * BETWEEN + place) % 71:
             continue
         tried += 1
-        here, psi, t = to_go.poses[number], place * math.tau / ORIENTATIONS, 0.0
+        here, psi, t = to_go.poses[number], place * TURN, 0.0
         while t < 3.0 * to_go.seconds[number, place]:
             ends = to_go.poses[np.abs(to_go.poses - here).max(axis=1) > 0.0]
             foreseen, moves = rolled(here, psi, ends)
@@ -152,6 +153,47 @@ def test_following_it_leads_to_what_is_wanted():
                 break
     assert tried >= 5
     assert arrived >= 0.6 * tried
+
+
+def test_between_two_orientations_it_is_told_where_a_move_leads():
+    """Against the same motion rolled forward from there, 5° from the orientations that were."""
+    made, off, told = roadmap(), [], 0
+    numbers = range(0, len(made.poses), 5)
+    for number in numbers:
+        moves = np.flatnonzero(made._from == number)
+        for place in range(BETWEEN // 2, made._psi.shape[1], 7 * BETWEEN):
+            foreseen, _ = rolled(made.poses[number], place * TURN, made.poses[made._to[moves]])
+            there = np.isfinite(made._seconds[moves, place])
+            off += np.abs(made._psi[moves, place] - foreseen.psi[:, 0])[there].tolist()
+            told += len(there)
+    assert len(off) > 0.5 * told
+    assert np.median(off) < math.radians(0.5)
+    assert np.quantile(off, 0.9) < math.radians(2.0)
+
+
+def test_what_lies_between_goes_on_all_around():
+    angles = np.array([[0.3, 1.9, 3.4, 5.0]])
+    rises = np.diff(_between(angles, math.tau, torn=2.0)[0], append=0.3 + math.tau)
+    assert rises.reshape(4, BETWEEN) == pytest.approx(
+        np.repeat([[1.6], [1.5], [1.6], [1.5832]], BETWEEN, 1) / BETWEEN, abs=1e-4
+    )
+
+
+def test_a_palm_touches_the_bins_from_the_lowest_normal_to_the_highest():
+    degrees = np.radians([[-12.0, 3.0], [-2.0, -1.0], [361.0, 364.0], [17.0, 40.0]])
+    lowest, highest = degrees.T
+    assert _touches(lowest, highest, bins(0)).tolist() == [True, False, True, False]
+    assert _touches(lowest, highest, bins(71)).tolist() == [True, True, False, False]
+    assert _touches(lowest, highest, bins(4, 5)).tolist() == [False, False, False, True]
+    assert not _touches(lowest, highest, bins()).any()
+
+
+def test_next_to_a_barrier_nothing_is_promised():
+    angles = np.array([[0.0, 0.2, 2.0, math.nan]])
+    between = _between(angles, math.tau, torn=1.0).reshape(4, BETWEEN)
+    assert between[:, 0] == pytest.approx(angles[0], nan_ok=True)
+    assert between[0] == pytest.approx(0.2 * np.arange(BETWEEN) / BETWEEN)
+    assert np.isnan(between[1:, 1:]).all()
 
 
 def test_what_was_learnt_holds_until_it_is_forgotten():
