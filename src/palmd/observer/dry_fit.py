@@ -25,7 +25,7 @@ from palmd.observer.stuck_palms import STANDING, Palms, likeliest
 SHAPE = slice(0, 2 * ORDER + 1)
 LN_RHO, LN_MASS, MU, TURNS = range(SHAPE.stop, SHAPE.stop + 4)
 FRICTION, FRICTION_SD = 0.25, 0.15
-TURN_SD = 5e-3  # rad, while both contacts slip
+TURN_SD, MUCH = 5e-3, 2.0  # rad, while both contacts slip; sigmas
 BLIND_S = 0.015  # before and after a change, in which forces tell of blows
 GATE = 16.0  # squared normalised residual beyond which a reading's pull falls off
 NEWTON_STEPS, NEWTON_RAD = 12, 1e-11
@@ -136,6 +136,15 @@ class DryModel:
             np.add.at(costs[palm], record.force_step, np.minimum(nis, GATE) * moving * record.force_weight)
         return phases_of(likeliest(costs, CHANGE_COST), record.t)
 
+    def without_the_strained(self, fit: DryFit) -> list[Phase]:
+        """The phases less the one that asks the object to turn most at its ends, where that is much."""
+        turns = np.square(fit.z[TURNS:])
+        strain = turns[:-1] + turns[1:]
+        if not strain.max(initial=0.0) > (MUCH * TURN_SD) ** 2:
+            return list(self.phases)
+        worst = 1 + int(np.argmax(strain))
+        return [*self.phases[:worst], *self.phases[worst + 2 :]]
+
     def turned_sd(self, fit: DryFit, covariance: FloatArray) -> float:
         """One-sigma of ψ at the last node (rad)."""
         last = self._followed(fit.z)[1][self._nodes[-1]]
@@ -162,10 +171,10 @@ class DryModel:
         palms, ratio = self._palms, z[MU] * self._palms_signs
         pressed = self._normal_forces(z, psi, motion, self._stuck)
         asked = np.abs(friction_asked(self._stuck, ratio, palms, motion[:2], pressed))[self._forces]
-        asked = asked[self._weight > 0.0]
+        asked = np.append(asked[self._weight > 0.0], 0.0)
         return DryFit(
             z, self._normal(terms)[0], psi[self._nodes], terms.cost, terms.chi2, forces.chi2,
-            max(terms.outliers, forces.outliers), strain, settled, float(np.quantile(asked, 0.99)) if len(asked) else 0.0,
+            max(terms.outliers, forces.outliers), strain, settled, float(np.quantile(asked, 0.99, method="nearest")),
         )  # fmt: skip
 
     def _followed(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -21,7 +21,7 @@ from palmd.observer.validity import SHARP_M
 from palmd.observer.visits import visits_of
 
 LEAST_S = 2.0
-ROUNDS, WORTH = 8, 1.0  # of finding the stuck palms anew, and by what the cost must fall for another
+ROUNDS, WORTH = 12, 1.0  # of finding the stuck palms anew, and by what the cost must fall for another
 MOST_OUTLIERS = 0.02
 MOST_STRAIN, MOST_TURN_STRAIN = 60.0, 2.0  # of the cost, by the prior; and for each change of the stuck palm
 MOST_ASKED = 1.0  # friction over normal force: nothing that lies on a pad sticks better
@@ -50,18 +50,20 @@ def _found(search: Search, seed: int) -> tuple[DryModel, DryFit] | None:
     guess = stuck_guess(record)
     if guess is None:
         return None
-    z = np.array([*prior.mean[C.SHAPE :], 0.0, math.log(guess.mass), guess.mu])
-    phases = phases_of(guess.palms, record.t)
-    best: tuple[DryModel, DryFit] | None = None
+    model = DryModel(record, search.path, prior, phases_of(guess.palms, record.t))
+    fit = model.fit(model.begun(prior.mean[C.SHAPE :], guess.mass, guess.mu))
     for _ in range(ROUNDS):
-        model = DryModel(record, search.path, prior, phases)
-        fit = model.fit(model.begun(z[SHAPE], math.exp(z[LN_MASS]), z[MU]))
-        if best is not None and fit.cost > best[1].cost - WORTH:
+        for phases in (model.without_the_strained(fit), model.stuck_anew(fit)):
+            if phases == model.phases:
+                continue
+            other = DryModel(record, search.path, prior, phases)
+            then = other.fit(other.begun(fit.z[SHAPE], math.exp(fit.z[LN_MASS]), fit.z[MU]))
+            if then.cost < fit.cost - WORTH:
+                model, fit = other, then
+                break
+        else:
             break
-        best, z, phases = (model, fit), fit.z, model.stuck_anew(fit)
-    if best is None or _doubtful(*best) or _rivalled(*best, search, seed):
-        return None
-    return best
+    return None if _doubtful(model, fit) or _rivalled(model, fit, search, seed) else (model, fit)
 
 
 def _doubtful(model: DryModel, fit: DryFit) -> bool:

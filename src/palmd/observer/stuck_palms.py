@@ -7,7 +7,7 @@ which has no part in it across the palm that is stuck to:
     f1 + f2 (μ σ sin φ2 − cos φ2) = g cos φ1      where palm 1 is stuck to,
     f2 + f1 (μ σ sin φ2 − cos φ2) = −g cos φ12    where palm 2 is;   σ = sign ω2,
 
-accelerations of a few hundredths of g left out. Which of both holds, with what μ and mass, the readings of a moment tell.
+accelerations of a few hundredths of g left out. Which of both holds, with what μ and mass, the readings tell.
 """
 
 from __future__ import annotations
