@@ -1,6 +1,7 @@
 """The emulated body with flat sides against another engine: where it rests, what the palms carry, when it slips.
 
-MuJoCo's contacts are soft and its friction creeps; the plant's are rigid, and what sticks does not move. So they are compared where both must agree: at rest, and over ways far longer than what is soft.
+MuJoCo's contacts are soft and its friction creeps; the plant's are rigid, and what sticks does not move. So they are
+compared where both must agree: at rest, and over ways far longer than what is soft.
 """
 
 from __future__ import annotations

@@ -20,8 +20,9 @@ from palmd.observer.stuck_palms import stuck_guess
 from palmd.observer.validity import SHARP_M
 from palmd.observer.visits import visits_of
 
-LEAST_S = 2.0
+LEAST_S = 5.0
 ROUNDS, WORTH = 12, 1.0  # of finding the stuck palms anew, and by what the cost must fall for another
+HOPELESS = 4.0  # χ² of the first fit, beyond which no other sequence of stuck palms makes up for it
 MOST_OUTLIERS = 0.02
 MOST_STRAIN, MOST_TURN_STRAIN = 60.0, 2.0  # of the cost, by the prior; and for each change of the stuck palm
 MOST_ASKED = 1.0  # friction over normal force: nothing that lies on a pad sticks better
@@ -52,6 +53,8 @@ def _found(search: Search, seed: int) -> tuple[DryModel, DryFit] | None:
         return None
     model = DryModel(record, search.path, prior, phases_of(guess.palms, record.t))
     fit = model.fit(model.begun(prior.mean[C.SHAPE :], guess.mass, guess.mu))
+    if max(fit.chi2, fit.force_chi2) > HOPELESS:
+        return None
     for _ in range(ROUNDS):
         for phases in (model.without_the_strained(fit), model.stuck_anew(fit)):
             if phases == model.phases:

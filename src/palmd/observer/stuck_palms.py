@@ -43,7 +43,7 @@ class StuckGuess:
 
 
 def stuck_guess(record: Record) -> StuckGuess | None:
-    """The likeliest; None where a pad tells no force."""
+    """The likeliest; None where a pad tells no force, or the forces ask for the least friction: that sticks nowhere."""
     forces = [_averaged(record, palm) for palm in PALMS]
     if any(force is None for force in forces):
         return None
@@ -67,6 +67,8 @@ def stuck_guess(record: Record) -> StuckGuess | None:
         ((about * factor, mu) for factor in MASSES.tolist() for mu in FRICTIONS.tolist()),
         key=lambda tried: float(costs(*tried).min(axis=0).sum()),
     )
+    if mu == float(FRICTIONS[0]):
+        return None
     return StuckGuess(likeliest(costs(mass, mu), CHANGE_COST), mass, mu)
 
 

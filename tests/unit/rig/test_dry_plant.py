@@ -64,14 +64,19 @@ def test_a_block_leaves_a_palm_from_the_angle_of_static_friction_on(steeper_deg,
     ring = [(7e-3, -7e-3), (7e-3, 7e-3), (-7e-3, 7e-3), (-7e-3, -7e-3)]
     plant = DryPlant(uniform_body("block", rounded_polygon(ring, 1e-3), 0.1), FIXED, DRY)
     palms = PalmMotion.at_rest((slope, 2.0))
-    plant.place(palms, slope)
-    plant._on2 = False
+
+    def spun(psi):
+        plant.place(palms, psi)
+        plant._on2 = False
+        return abs(plant._accelerations()[2])
+
+    spun(min(np.linspace(slope - 1e-3, slope + 1e-3, 201), key=spun))  # at rest on its side, not rocking on it
     x, seconds = plant.state.x, 0.1
     for _ in driven(plant, lambda _t: palms, seconds):
         assert plant.touching[0]
     way = (plant.state.x - x) / math.cos(slope)
     free = 0.5 * 9.81 * (math.sin(-slope) - DRY.mu * math.cos(slope)) * seconds**2  # kinetic friction from there on
-    assert way == pytest.approx(free if slides else 0.0, abs=2e-5)
+    assert way == pytest.approx(free if slides else 0.0, abs=1e-4)
 
 
 def test_on_palms_at_rest_no_step_adds_energy():
