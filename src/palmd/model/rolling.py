@@ -22,6 +22,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.model import shape
@@ -84,7 +85,7 @@ class Lying:
 
 
 def normal_forces(
-    stuck: FloatArray, ratio: FloatArray, palms: FloatArray, h: tuple[FloatArray, FloatArray],
+    stuck: npt.NDArray[np.intp], ratio: FloatArray, palms: FloatArray, h: tuple[FloatArray, FloatArray],
     slope: tuple[FloatArray, FloatArray], pull: tuple[FloatArray, FloatArray], spun: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """f1 and f2 (m/s², per unit mass) of what sticks to palm `stuck` (0 or 1) and rubs along the other, each (n).
@@ -111,7 +112,7 @@ def normal_forces(
 
 
 def friction_asked(
-    stuck: FloatArray, ratio: FloatArray, palms: FloatArray, pull: tuple[FloatArray, FloatArray],
+    stuck: npt.NDArray[np.intp], ratio: FloatArray, palms: FloatArray, pull: tuple[FloatArray, FloatArray],
     forces: tuple[FloatArray, FloatArray],
 ) -> FloatArray:  # fmt: skip
     """Friction over normal force of what sticks, against t: t·(Σ f F − pull)/f."""

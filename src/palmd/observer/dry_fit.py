@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -212,16 +213,15 @@ class DryModel:
 
     def _force_terms(self, z: FloatArray, psi: FloatArray, slope: FloatArray) -> _Terms:
         record, at, mass = self.record, self._forces, math.exp(z[LN_MASS])
-        motion = tuple(each[at] for each in self._motion(z, psi))
+        pull_x, pull_y, alpha = (each[at] for each in self._motion(z, psi))
         palms, stuck, first = self._palms[at], self._stuck[at], record.force_pad == 1
         lying = Lying.at(palms, psi[at], ORDER)
-        felt = [*(rows @ z[SHAPE] for rows in lying.h), *(rows @ z[SHAPE] for rows in lying.slope), z[MU], z[LN_RHO]]
+        felt: list[Any] = [*(rows @ z[SHAPE] for rows in (*lying.h, *lying.slope)), z[MU], z[LN_RHO]]
 
-        def told(values: Sequence[FloatArray | float]) -> FloatArray:
+        def told(values: list[Any]) -> FloatArray:
             h1, h2, slope1, slope2, mu, ln_rho = values
-            spun = math.exp(2.0 * float(ln_rho)) * motion[2]
-            ratio = mu * self._palms_signs[at]
-            forces = normal_forces(stuck, ratio, palms, (h1, h2), (slope1, slope2), motion[:2], spun)
+            ratio, spun = mu * self._palms_signs[at], math.exp(2.0 * ln_rho) * alpha
+            forces = normal_forces(stuck, ratio, palms, (h1, h2), (slope1, slope2), (pull_x, pull_y), spun)
             return mass * np.where(first, *forces)
 
         value = told(felt)

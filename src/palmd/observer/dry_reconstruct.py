@@ -7,6 +7,7 @@ import time
 
 import numpy as np
 
+from palmd.events import FloatArray
 from palmd.model import shape
 from palmd.model.rolling import Lying
 from palmd.model.smoothing import ORDER, C
@@ -90,7 +91,7 @@ def _rivalled(model: DryModel, fit: DryFit, search: Search, seed: int) -> bool:
 
 def _told(search: Search, model: DryModel, fit: DryFit, begun: float) -> Reconstruction | None:
     record, z = model.record, fit.z.copy()
-    covariance = np.linalg.inv(fit.matrix)
+    covariance: FloatArray = np.asarray(np.linalg.inv(fit.matrix), dtype=np.float64)
     if not made_convex(z, covariance, SHAPE):
         return None
     sd = np.sqrt(np.diagonal(covariance))

@@ -144,17 +144,18 @@ class DryPlant(Plant):
         frame, kept = self._frame, self._held
         if max(abs(frame.w12 - frame.w1), abs(frame.al12 - frame.al1)) < _STANDING:
             for i in (0, 1):
-                if (rates := self._stuck(contacts, i)) is not None:
-                    return rates
+                if (held := self._stuck(contacts, i)) is not None:
+                    return held
                 self._ratios[i] = math.copysign(self._static(i), self._ratios[i])
         else:
             for i in (0, 1) if kept != 1 else (1, 0):
                 self._held = i
                 rate = self._slip_rates(contacts, self._now(contacts))[1 - i]  # whatever friction there is
                 self._ratios[1 - i] = math.copysign(self._kinetic(1 - i), rate)
-                if (rates := self._stuck(contacts, i)) is not None:
-                    return rates
+                if (held := self._stuck(contacts, i)) is not None:
+                    return held
         self._held = None
+        rates = self._rates
         for signs in _SIGNS:
             self._ratios = [sign * self._kinetic(i) for i, sign in enumerate(signs)]
             rates = self._now(contacts)
