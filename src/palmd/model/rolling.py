@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.model import shape
-from palmd.system.mechanism import normal_directions
+from palmd.system.mechanism import JOINTS, OPENING, directions, normal_directions
 
 SLIPS_SIGN = (-1.0, 1.0)
 """Of the slip along t at palms 1 and 2 where the other palm is stuck to, in signs of ω2."""
@@ -50,7 +50,7 @@ class Lying:
         """At orientations psi (n, rad), for an outline of `order` harmonics."""
         k = shape.harmonic_of_coefficient(order)
         pairs = []
-        for theta in normal_directions((palms[:, 0], palms[:, 1]), psi):
+        for theta in normal_directions(palms[:, : len(JOINTS)].T, psi):
             h, slope = shape.basis(theta, order), -shape.tangential_basis(theta, order)
             integral = -slope / np.maximum(k, 1.0) ** 2
             integral[:, 0] = theta
@@ -79,8 +79,8 @@ class Lying:
         return -(self._lever(self.slope, palm) - sign * self.bend[palm]) @ shape_of
 
     def _lever(self, rows: tuple[FloatArray, FloatArray], palm: int) -> FloatArray:
-        phi2 = self.palms[:, 1, None]
-        lever: FloatArray = (rows[palm] * np.cos(phi2) + rows[1 - palm]) / np.sin(phi2)
+        opening = self.palms[:, OPENING, None]
+        lever: FloatArray = (rows[palm] * np.cos(opening) + rows[1 - palm]) / np.sin(opening)
         return lever
 
 
@@ -94,10 +94,10 @@ def normal_forces(
     the COM less gravity, along X and Y (m/s²). spun: ρ²α0 (m²/s²). Friction of what sticks is eliminated from
     Σ f_i (n_i − k_i t_i) − T t = pull and Σ f_i (h_i′ − k_i h_i) − T h = ρ²α0.
     """
-    phi1, phi12 = palms[:, 0], palms[:, 0] + palms[:, 1]
+    first, second = directions(palms[:, : len(JOINTS)].T)
     sign = np.where(stuck, -1.0, 1.0)  # of sin φ2 seen from the other palm
-    cos, sin = np.cos(palms[:, 1]), sign * np.sin(palms[:, 1])
-    angle = np.where(stuck, phi12 + math.pi, phi1)
+    cos, sin = np.cos(palms[:, OPENING]), sign * np.sin(palms[:, OPENING])
+    angle = np.where(stuck, second + math.pi, first)
     along, across = (
         np.cos(angle) * pull[0] + np.sin(angle) * pull[1],
         np.cos(angle) * pull[1] - np.sin(angle) * pull[0],
@@ -116,10 +116,10 @@ def friction_asked(
     forces: tuple[FloatArray, FloatArray],
 ) -> FloatArray:  # fmt: skip
     """Friction over normal force of what sticks, against t: t·(Σ f F − pull)/f."""
-    phi1, phi12 = palms[:, 0], palms[:, 0] + palms[:, 1]
+    first, second = directions(palms[:, : len(JOINTS)].T)
     sign = np.where(stuck, -1.0, 1.0)
-    angle = np.where(stuck, phi12 + math.pi, phi1)
+    angle = np.where(stuck, second + math.pi, first)
     along = np.cos(angle) * pull[0] + np.sin(angle) * pull[1]
     own, other = np.where(stuck, forces[::-1], forces)
-    asked: FloatArray = (other * (sign * np.sin(palms[:, 1]) + ratio * np.cos(palms[:, 1])) - along) / own
+    asked: FloatArray = (other * (sign * np.sin(palms[:, OPENING]) + ratio * np.cos(palms[:, OPENING])) - along) / own
     return asked

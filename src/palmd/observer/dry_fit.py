@@ -22,6 +22,7 @@ from palmd.observer.factor import Prior
 from palmd.observer.palm_path import PalmPath
 from palmd.observer.record import Record
 from palmd.observer.stuck_palms import STANDING, Palms, likeliest
+from palmd.system.mechanism import JOINTS, OPENING, directions
 
 SHAPE = slice(0, 2 * ORDER + 1)
 LN_RHO, LN_MASS, MU, TURNS = range(SHAPE.stop, SHAPE.stop + 4)
@@ -37,7 +38,7 @@ _STEP = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class Phase:
+class Rolling:
     """From `start` (s) on the object sticks to `palm` (0 or 1)."""
 
     palm: int
@@ -78,7 +79,7 @@ class _Terms:
 class DryModel:
     """The least-squares problem of one record and one sequence of stuck palms."""
 
-    def __init__(self, record: Record, path: PalmPath, prior: Prior, phases: Sequence[Phase]):
+    def __init__(self, record: Record, path: PalmPath, prior: Prior, phases: Sequence[Rolling]):
         self.record, self.prior, self.phases = record, prior, phases
         contact_t = record.t[record.contact_step] + record.contact_offset
         force_t = record.t[record.force_step] + record.force_offset
@@ -123,7 +124,7 @@ class DryModel:
                 break
         return self._found(z, now, settled)
 
-    def stuck_anew(self, fit: DryFit) -> list[Phase]:
+    def stuck_anew(self, fit: DryFit) -> list[Rolling]:
         """The likeliest sequence of stuck palms, the object being that of the fit."""
         record, z = self.record, fit.z
         psi, _ = self._followed(z)
@@ -137,7 +138,7 @@ class DryModel:
             np.add.at(costs[palm], record.force_step, np.minimum(nis, GATE) * moving * record.force_weight)
         return phases_of(likeliest(costs, CHANGE_COST), record.t)
 
-    def without_the_strained(self, fit: DryFit) -> list[Phase]:
+    def without_the_strained(self, fit: DryFit) -> list[Rolling]:
         """The phases less the one that asks the object to turn most at its ends, where that is much."""
         turns = np.square(fit.z[TURNS:])
         strain = turns[:-1] + turns[1:]
@@ -219,9 +220,10 @@ class DryModel:
         felt: list[Any] = [*(rows @ z[SHAPE] for rows in (*lying.h, *lying.slope)), z[MU], z[LN_RHO]]
 
         def told(values: list[Any]) -> FloatArray:
-            h1, h2, slope1, slope2, mu, ln_rho = values
+            *lying_so, mu, ln_rho = values
             ratio, spun = mu * self._palms_signs[at], math.exp(2.0 * ln_rho) * alpha
-            forces = normal_forces(stuck, ratio, palms, (h1, h2), (slope1, slope2), (pull_x, pull_y), spun)
+            h, slopes = (lying_so[0], lying_so[1]), (lying_so[2], lying_so[3])
+            forces = normal_forces(stuck, ratio, palms, h, slopes, (pull_x, pull_y), spun)
             return mass * np.where(first, *forces)
 
         value = told(felt)
@@ -256,32 +258,33 @@ class DryModel:
         """At all times: acceleration of the COM less gravity, along X and Y (m/s²), and α0 (rad/s²)."""
         record, at = self.record, self._nodes
         palms, h = self._palms[at], [rows @ z[SHAPE] for rows in Lying.at(self._palms[at], psi[at], ORDER).h]
-        phi1, phi12 = palms[:, 0], palms[:, 0] + palms[:, 1]
+        one, two = directions(palms[:, : len(JOINTS)].T)
+        opening = np.sin(palms[:, OPENING])
         gravity, arm = record.rig[:2]
-        x = (h[0] * np.cos(phi12) + h[1] * np.cos(phi1)) / np.sin(palms[:, 1]) - arm * np.cos(phi1)
-        y = (h[0] * np.sin(phi12) + h[1] * np.sin(phi1)) / np.sin(palms[:, 1]) - arm * np.sin(phi1)
+        x = (h[0] * np.cos(two) + h[1] * np.cos(one)) / opening - arm * np.cos(one)
+        y = (h[0] * np.sin(two) + h[1] * np.sin(one)) / opening - arm * np.sin(one)
         limits = MOST_PULL, MOST_PULL, MOST_SPIN
-        one, two, three = (
+        pull_x, pull_y, alpha = (
             np.interp(self._t, record.t, np.clip(np.gradient(np.gradient(each, record.t), record.t), -most, most))
             for each, most in zip((x, y, psi[at]), limits, strict=True)
         )
-        return one, two + gravity, three
+        return pull_x, pull_y + gravity, alpha
 
     def _normal_forces(
         self, z: FloatArray, psi: FloatArray, motion: tuple[FloatArray, FloatArray, FloatArray], stuck: Palms
     ) -> tuple[FloatArray, FloatArray]:
         lying = Lying.at(self._palms, psi, ORDER)
-        (h1, h2), (slope1, slope2) = ([rows @ z[SHAPE] for rows in each] for each in (lying.h, lying.slope))
+        h, slope = ((rows[0] @ z[SHAPE], rows[1] @ z[SHAPE]) for rows in (lying.h, lying.slope))
         ratio = z[MU] * np.where(stuck, SLIPS_SIGN[0], SLIPS_SIGN[1]) * np.sign(self._palms[:, 3])
         spun = math.exp(2.0 * z[LN_RHO]) * motion[2]
-        return normal_forces(stuck, ratio, self._palms, (h1, h2), (slope1, slope2), motion[:2], spun)
+        return normal_forces(stuck, ratio, self._palms, h, slope, motion[:2], spun)
 
 
-def phases_of(stuck: Palms, t: FloatArray) -> list[Phase]:
+def phases_of(stuck: Palms, t: FloatArray) -> list[Rolling]:
     """The phases of a palm (0 or 1) at each of the times `t`."""
     changes = np.flatnonzero(np.diff(stuck)) + 1
     starts = [float(t[0]), *(0.5 * (t[changes] + t[changes - 1])).tolist()]
-    return [Phase(int(stuck[at]), start) for at, start in zip([0, *changes.tolist()], starts, strict=True)]
+    return [Rolling(int(stuck[at]), start) for at, start in zip([0, *changes.tolist()], starts, strict=True)]
 
 
 def _kept(palms: FloatArray, psi: float, value: float, palm: int, shape_of: FloatArray) -> tuple[FloatArray, Lying]:

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.observer.record import Record
-from palmd.system.mechanism import PALMS
+from palmd.system.mechanism import JOINTS, OPENING, PALMS, directions
 
 SMOOTHED_S = 0.015  # one-sigma of the window over which forces are averaged
 FORCE_SD = 0.03  # of such an average, relative; accelerations are in it
@@ -48,17 +48,16 @@ def stuck_guess(record: Record) -> StuckGuess | None:
     if any(force is None for force in forces):
         return None
     one, two = np.array(forces)
-    phi1, phi2, _, omega2 = record.palms[:, :4].T
+    joints, rates = np.split(record.palms[:, : 2 * len(JOINTS)].T, 2)
+    (first, second), opening, opens = directions(joints), joints[OPENING], rates[OPENING]
     g = float(record.rig[0])
-    moves = np.abs(omega2) > STANDING
-    frictionless = g * (np.sin(phi1 + phi2) + np.sin(phi1)) / np.sin(phi2)
+    moves = np.abs(opens) > STANDING
+    frictionless = g * (np.sin(second) + np.sin(first)) / np.sin(opening)
     about = float(np.median((one + two) / frictionless))
 
     def costs(mass: float, mu: float) -> FloatArray:
-        across = mu * np.sign(omega2) * np.sin(phi2) - np.cos(phi2)
-        miss = np.stack(
-            [one + two * across - mass * g * np.cos(phi1), two + one * across + mass * g * np.cos(phi1 + phi2)]
-        )
+        across = mu * np.sign(opens) * np.sin(opening) - np.cos(opening)
+        miss = np.stack([one + two * across - mass * g * np.cos(first), two + one * across + mass * g * np.cos(second)])
         spread = FORCE_SD * np.stack([np.hypot(one, two * across), np.hypot(two, one * across)])
         found: FloatArray = np.minimum((miss / spread) ** 2, MOST_COST) * moves
         return found

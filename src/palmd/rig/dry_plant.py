@@ -47,7 +47,7 @@ _STANDING = 1e-9  # rad/s and rad/s²: palms that turn against each other no fas
 _SIGNS: Final = ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0))
 
 
-class _Contact(NamedTuple):
+class _Rubbing(NamedTuple):
     """A palm's tangent t, h and h′ at the contact, and what its gap and its slip do if nothing pushes.
 
     fall: γ̈, drag: the slip's rate (m/s²), both with the pull that keeps them from drifting; slip: of the body's
@@ -71,7 +71,7 @@ class _Push(NamedTuple):
     torque: float
 
 
-_Contacts = tuple[_Contact | None, _Contact | None]
+_BothContacts = tuple[_Rubbing | None, _Rubbing | None]
 
 
 class DryPlant(Plant):
@@ -93,8 +93,8 @@ class DryPlant(Plant):
 
     def sticking(self) -> tuple[bool, bool]:
         """Which contacts stick."""
-        slip1, slip2 = self.slips()
-        return self._on1 and abs(slip1) <= _STOPPED, self._on2 and abs(slip2) <= _STOPPED
+        one, two = (on and abs(slip) <= _STOPPED for on, slip in zip(self.touching, self.slips(), strict=True))
+        return one, two
 
     # -- going on -----------------------------------------------------------------------------------------
 
@@ -140,9 +140,10 @@ class DryPlant(Plant):
             rates = self._now(contacts)
         return rates
 
-    def _both_at_rest(self, contacts: _Contacts) -> _Rates:
+    def _both_at_rest(self, contacts: _BothContacts) -> _Rates:
         frame, kept = self._frame, self._held
-        if max(abs(frame.w12 - frame.w1), abs(frame.al12 - frame.al1)) < _STANDING:
+        (*_, rate, alpha, _), (*_, other_rate, other_alpha, _) = frame.each()
+        if max(abs(other_rate - rate), abs(other_alpha - alpha)) < _STANDING:
             for i in (0, 1):
                 if (held := self._stuck(contacts, i)) is not None:
                     return held
@@ -163,37 +164,35 @@ class DryPlant(Plant):
                 break
         return rates
 
-    def _now(self, contacts: _Contacts) -> _Rates:
+    def _now(self, contacts: _BothContacts) -> _Rates:
         return self._forced(contacts, self.state.omega0)
 
-    def _stuck(self, contacts: _Contacts, i: int) -> _Rates | None:
+    def _stuck(self, contacts: _BothContacts, i: int) -> _Rates | None:
         """The accelerations if contact i sticks; None where that asks for more friction than there is."""
         self._held = i
         rates = self._now(contacts)
         return rates if abs(self._ratios[i]) <= self._static(i) else None
 
     def _kinetic(self, i: int) -> float:
-        return self.surface.mu * (self._friction2 if i else self._friction1)
+        return self.surface.mu * self._frictions[i]
 
     def _static(self, i: int) -> float:
-        return max(self.surface.static, self.surface.mu) * (self._friction2 if i else self._friction1)
+        return max(self.surface.static, self.surface.mu) * self._frictions[i]
 
     # -- equations ----------------------------------------------------------------------------------------
 
     def _solve(self, frame: PalmFrame, x: float, y: float, psi: float, vx: float, vy: float, w: float) -> _Rates:
         return self._forced(self._contacts_at(frame, BodyState(x, y, psi, vx, vy, w)), w)
 
-    def _contacts_at(self, frame: PalmFrame, q: BodyState) -> _Contacts:
-        one = two = None
-        if self._on1:
-            one = self._contact(frame, q, frame.c1, frame.s1, frame.out1, frame.w1, frame.al1, frame.above1)
-        if self._on2:
-            two = self._contact(frame, q, -frame.c12, -frame.s12, frame.out2, frame.w12, frame.al12, frame.above2)
+    def _contacts_at(self, frame: PalmFrame, q: BodyState) -> _BothContacts:
+        one, two = (
+            self._contact(frame, q, *palm) if on else None for on, palm in zip(self.touching, frame.each(), strict=True)
+        )
         return one, two
 
     def _contact(
         self, frame: PalmFrame, q: BodyState, tx: float, ty: float, out: float, turn: float, alpha: float, above: float
-    ) -> _Contact:
+    ) -> _Rubbing:
         rx, ry, ux, uy = q.x - frame.ox, q.y - frame.oy, q.vx - frame.vox, q.vy - frame.voy
         gx, gy, w = -frame.aox, -self._gravity_now() - frame.aoy, q.omega0
         damping = -self.surface.damping * w / self.body.rho**2
@@ -209,9 +208,9 @@ class DryPlant(Plant):
             tx * gx + ty * gy + turn * rising + w * slope * spin + h * damping + alpha * (over - h)
             + turn * rate + _DRIFT_RATE * slip
         )  # fmt: skip
-        return _Contact(tx, ty, h, slope, fall, drag, slip)
+        return _Rubbing(tx, ty, h, slope, fall, drag, slip)
 
-    def _forced(self, contacts: _Contacts, w: float) -> _Rates:
+    def _forced(self, contacts: _BothContacts, w: float) -> _Rates:
         """Accelerations and normal forces by γ̈ = 0 at each contact and, at the one that is held, a slip that stays 0.
 
         Leaves the friction that this asks for in `_ratios`.
@@ -232,12 +231,12 @@ class DryPlant(Plant):
             self._ratios[self._held] = rubbed / force if force > 0.0 else math.copysign(math.inf, rubbed)
         return ax, ay - self._gravity_now(), al - self.surface.damping * w / rho2, f1, f2
 
-    def _push(self, at: _Contact | None, ratio: float) -> _Push:
+    def _push(self, at: _Rubbing | None, ratio: float) -> _Push:
         if at is None:
             return _Push(0.0, 0.0, 0.0)
         return _Push(-at.ty - ratio * at.tx, at.tx - ratio * at.ty, at.slope - ratio * at.h)
 
-    def _row(self, at: _Contact, one: _Push, two: _Push, held: _Contact | None) -> tuple[float, float, float]:
+    def _row(self, at: _Rubbing, one: _Push, two: _Push, held: _Rubbing | None) -> tuple[float, float, float]:
         """What a unit of each normal force does to the contact's gap, with what is held; and what does the rest."""
         rho2 = self.body.rho**2
         a1, a2 = (at.tx * by.fy - at.ty * by.fx + at.slope * by.torque / rho2 for by in (one, two))
@@ -248,7 +247,7 @@ class DryPlant(Plant):
         b1, b2 = (held.tx * by.fx + held.ty * by.fy + held.h * by.torque / rho2 for by in (one, two))
         return a1 - share * b1, a2 - share * b2, at.fall - share * held.drag
 
-    def _slip_rates(self, contacts: _Contacts, rates: _Rates) -> tuple[float, float]:
+    def _slip_rates(self, contacts: _BothContacts, rates: _Rates) -> tuple[float, float]:
         """d(slip)/dt at both contacts (m/s²) under these accelerations."""
         ax, ay, al, _, _ = rates
         ay += self._gravity_now()

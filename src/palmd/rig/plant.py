@@ -135,6 +135,13 @@ class PalmFrame(NamedTuple):
     above1: float
     above2: float
 
+    def each(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Of either palm: its tangent (x, y), the normal's direction, rate, acceleration, and how high its plane is."""
+        return (
+            (self.c1, self.s1, self.out1, self.w1, self.al1, self.above1),
+            (-self.c12, -self.s12, self.out2, self.w12, self.al12, self.above2),
+        )
+
 
 _Rates = tuple[float, float, float, float, float]  # ax, ay, alpha0, f1, f2
 _Planes = tuple[tuple[float, float], tuple[float, float]]  # of each palm: slope (rad), height over the hinge (m)
@@ -198,6 +205,7 @@ class Plant:
         self.hinge = hinge if options.hinge_travels else Hinge("fixed", hinge.palm1_length, hinge.base)
         self.surface = surface
         self._friction1, self._friction2 = 1.0 + imperfections.friction, 1.0 - imperfections.friction
+        self._frictions = self._friction1, self._friction2
         self._pads = imperfections.pads
         self._bowed = any(pad.sagitta for pad in self._pads)
         self._planes = self._planes_at([0.5 * length for length in reach], reach)
