@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from palmd.events import PalmMotion
+from palmd.rig.curved_plant import CurvedPlant
 from palmd.rig.dry_plant import DRY, DryPlant
-from palmd.rig.plant import FrictionSurface, Hinge, stable_poses
+from palmd.rig.plant import FrictionSurface, Hinge, PlantOptions, stable_poses
 from palmd.rig.shapes import cylinder, random_body
 from palmd.rig.sharp_shapes import rounded_polygon, uniform_body
 from palmd.rig.simulate import Rock, Rocking
@@ -77,6 +78,11 @@ def test_a_block_leaves_a_palm_from_the_angle_of_static_friction_on(steeper_deg,
     way = (plant.state.x - x) / math.cos(slope)
     free = 0.5 * 9.81 * (math.sin(-slope) - DRY.mu * math.cos(slope)) * seconds**2  # kinetic friction from there on
     assert way == pytest.approx(free if slides else 0.0, abs=1e-4)
+
+
+def test_curved_palms_say_that_they_have_no_such_friction():
+    with pytest.raises(ValueError, match="flat palms only"):
+        CurvedPlant(lump(1), FIXED, DRY, (1.0, 0.0), options=PlantOptions(friction_law="coulomb"))
 
 
 def test_on_palms_at_rest_no_step_adds_energy():
