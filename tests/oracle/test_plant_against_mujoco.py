@@ -1,7 +1,7 @@
 """The emulated body with flat sides against another engine: where it rests, what the palms carry, when it slips.
 
-MuJoCo's contacts are soft and its friction is a cone; the plant's are rigid, with Coulomb's law as steep as its step
-allows. So they are compared where both must agree: at rest, and over ways far longer than what is soft.
+MuJoCo's contacts are soft and its friction creeps; the plant's are rigid, and what sticks does not move. So they are
+compared where both must agree: at rest, and over ways far longer than what is soft.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from palmd.events import PalmMotion
-from palmd.rig.plant import FrictionSurface, Hinge, Plant, PlantOptions
+from palmd.rig.dry_plant import on_flat_palms
+from palmd.rig.plant import FrictionSurface, Hinge, PlantOptions
 from palmd.rig.sharp_shapes import rounded_polygon, uniform_body
 
 mujoco = pytest.importorskip("mujoco")
@@ -41,7 +42,7 @@ def rectangle(size):
 
 
 def placed(size, palms, psi, surface, law="dither"):
-    plant = Plant(rectangle(size)[1], FIXED, surface, options=PlantOptions(friction_law=law))
+    plant = on_flat_palms(rectangle(size)[1], FIXED, surface, options=PlantOptions(friction_law=law))
     plant.place(PalmMotion.at_rest(palms), psi)
     return plant
 

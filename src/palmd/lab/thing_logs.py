@@ -20,6 +20,7 @@ from palmd.lab.simulated import written
 from palmd.lab.table import aligned
 from palmd.observer.reconstruct import reconstruct
 from palmd.record.eventlog import EventLog, read_log
+from palmd.rig.dry_plant import DRY
 from palmd.rig.plant import PlantOptions
 from palmd.rig.real_things import Random
 from palmd.rig.shapes import Body, Support, random_body
@@ -150,9 +151,10 @@ def run(task: SharpTask) -> SharpRow:
 def simulated(task: SharpTask) -> tuple[EventLog, Line]:
     """The task's log, as it is read from a file, and its truth."""
     body = BODIES[task.kind](np.random.default_rng([_STREAM, KINDS.index(task.kind), task.seed]))
-    options = PlantOptions(friction_law="coulomb" if task.kind.startswith(_DRY) else "dither")
+    dry = task.kind.startswith(_DRY)
+    options, surface = PlantOptions(friction_law="coulomb" if dry else "dither"), DRY if dry else None
     sds = CALIBRATION[task.imperfections]
-    lines, truth = simulate_log("friction", task.seed, task.seconds, options, body, calibration_sd=sds)
+    lines, truth = simulate_log("friction", task.seed, task.seconds, options, body, surface=surface, calibration_sd=sds)
     with written(lines) as path:
         return read_log(path), truth
 

@@ -21,6 +21,7 @@ from palmd.observer.chain import Chain
 from palmd.observer.coverage import marks_of
 from palmd.observer.criticism import MOST_REVISIONS, RigBelief
 from palmd.observer.data_segment import DataSegment, data_segments
+from palmd.observer.dry_reconstruct import dry_reconstruction
 from palmd.observer.factor import Prior, given
 from palmd.observer.likeness import UNTOLD, likeness, root_of
 from palmd.observer.marginal import Marginal, marginalised
@@ -82,6 +83,9 @@ def reconstruct(
         if apart is not None and not apart.reason:
             main, found = apart, shorter
     if (main is None or main.reason not in ("", AMBIGUOUS)) and not rig.curved:
+        dry = dry_reconstruction(Search(found[0], with_scatter(rig, found[0].pads)), seed, begun)
+        if dry is not None:
+            return dry
         with_sides = sharp_reconstruction(Search(found[0], with_scatter(rig, found[0].pads)), seed, begun, say)
         if with_sides is not None:
             return with_sides

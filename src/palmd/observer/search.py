@@ -283,8 +283,8 @@ def _with_scatter_of_forces(record: Record, fit: Fit) -> Record:
     Whatever shakes the table shakes the forces long before it moves a contact.
     """
     forces = len(record.force_value)
-    described = not forces or _consistent(fit.force_chi2, forces)
-    if described or not _consistent(fit.chi2, len(record.contact_value)):
+    described = not forces or consistent(fit.force_chi2, forces)
+    if described or not consistent(fit.chi2, len(record.contact_value)):
         return record
     return replace(record, force_variance=min(fit.force_chi2, MOST_FORCE_CHI2) * record.force_variance)
 
@@ -305,7 +305,7 @@ def explained(fit: Fit, record: Record) -> bool:
     slack, strain = fit.slack > MOST_SLACK * len(record.contact_value), fit.strain > MOST_STRAIN
     if slack or strain or fit.astray > ASTRAY_READINGS:
         return False
-    return _consistent(fit.chi2, len(record.contact_value)) and (not forces or _consistent(fit.force_chi2, forces))
+    return consistent(fit.chi2, len(record.contact_value)) and (not forces or consistent(fit.force_chi2, forces))
 
 
 def far_fetched(fit: Fit, record: Record) -> bool:
@@ -328,7 +328,7 @@ def overfits(fit: Fit) -> bool:
 
 def beyond_question(fit: Fit, record: Record) -> bool:
     """Whether the contacts are explained so well that a second search would be a waste."""
-    return _consistent(fit.chi2, len(record.contact_value), SECOND_OPINION_SIGMAS)
+    return consistent(fit.chi2, len(record.contact_value), SECOND_OPINION_SIGMAS)
 
 
 def doubt(fit: Fit, finding: Minima) -> str:
@@ -368,12 +368,13 @@ def still(record: Record) -> bool:
     for pad in PALMS:
         mine = record.contact_pad == pad
         values, variance = record.contact_value[mine], record.contact_variance[mine]
-        if len(values) and not _consistent(float(np.mean((values - values.mean()) ** 2 / variance)), len(values)):
+        if len(values) and not consistent(float(np.mean((values - values.mean()) ** 2 / variance)), len(values)):
             return False
     return True
 
 
-def _consistent(chi2: float, readings: int, sigmas: float = CHI2_SIGMAS) -> bool:
+def consistent(chi2: float, readings: int, sigmas: float = CHI2_SIGMAS) -> bool:
+    """Whether so many readings are explained to their noise."""
     return chi2 < 1.0 + CHI2_SLACK + sigmas * math.sqrt(2.0 / max(readings, 1))
 
 

@@ -32,9 +32,9 @@ class _Scene(ctypes.Structure):
         ("shaking_hz", ctypes.c_double * _SHAKING),
         *_doubles("travel"),
         ("base", ctypes.c_double * 2),
-        *_doubles("drift_rate", "coulomb_slip", "soft_blow", "parting", "lost_distance"),
+        *_doubles("drift_rate", "soft_blow", "parting", "lost_distance"),
         ("pads", ctypes.c_double * 6),
-        *((name, ctypes.c_long) for name in ("coulomb", "arc", "bowed")),
+        *((name, ctypes.c_long) for name in ("arc", "bowed")),
     )
 
 

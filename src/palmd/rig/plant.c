@@ -21,9 +21,9 @@ typedef struct {
 typedef struct { /* of one body on one rig */
   const double (*table)[4]; /* h, h', h''/2, h'''/6 at each node */
   double rho2, mu, dither, damping, friction1, friction2, gravity, shake, shaking_hz[SHAKING], travel, base[2];
-  double drift_rate, coulomb_slip, soft_blow, parting, lost_distance;
+  double drift_rate, soft_blow, parting, lost_distance;
   Pad pads[2];
-  long coulomb, arc, bowed;
+  long arc, bowed;
 } Scene;
 
 typedef struct {
@@ -116,7 +116,6 @@ static double gravity_at(const Scene *scene, double t) {
 
 static double friction(const Scene *scene, double slip) {
   if (scene->mu == 0.0) return 0.0;
-  if (scene->coulomb) return scene->mu * fmax(-1.0, fmin(1.0, slip / scene->coulomb_slip));
   return scene->mu * slip / sqrt(slip * slip + scene->dither * scene->dither);
 }
 

@@ -32,7 +32,6 @@ PadPair = tuple[float, ...]
 FrictionLaw = Literal["dither", "coulomb"]
 
 PAD_LENGTH = 0.0555  # m, from the hinge outwards
-_COULOMB_SLIP = 1e-3  # m/s: the hard law's linear part, as steep as a 0.5 ms step allows
 _DRIFT_RATE = 80.0  # 1/s: numerical drift of a closed gap is pulled back at this rate, critically damped
 _SOFT_BLOW = 0.02  # m/s: below it a blow closes both contacts, or they would chatter for ever
 _PARTING = 1e-9  # m/s: what goes apart faster after a blow has let go
@@ -60,19 +59,23 @@ class Hinge:
 
 @dataclass(frozen=True, slots=True)
 class FrictionSurface:
-    """What the contact rubs against: mu (–), dither speed u_d (m/s), damping c (m²/s, per unit mass)."""
+    """What the contact rubs against: mu (–), dither speed u_d (m/s), damping c (m²/s, per unit mass).
+
+    static: the coefficient (–) of what sticks where nothing dithers, if larger than mu.
+    """
 
     mu: float = 0.0
     dither: float = 0.01
     damping: float = 0.0
+    static: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class PlantOptions:
     """Where the emulated rig departs from the laws that the observer takes for granted; the defaults depart nowhere.
 
-    friction_law: smoothed by dither, or hard `coulomb`. hinge_travels: false pins the hinge of an arc rig.
-    lag_s: the palms move this much later than the plan says.
+    friction_law: smoothed by dither, or `coulomb`, as `rig.dry_plant` has it. hinge_travels: false pins the hinge of an
+    arc rig. lag_s: the palms move this much later than the plan says.
     """
 
     friction_law: FrictionLaw = "dither"
@@ -131,6 +134,13 @@ class PalmFrame(NamedTuple):
     aoy: float
     above1: float
     above2: float
+
+    def each(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Of either palm: its tangent (x, y), the normal's direction, rate, acceleration, and how high its plane is."""
+        return (
+            (self.c1, self.s1, self.out1, self.w1, self.al1, self.above1),
+            (-self.c12, -self.s12, self.out2, self.w12, self.al12, self.above2),
+        )
 
 
 _Rates = tuple[float, float, float, float, float]  # ax, ay, alpha0, f1, f2
@@ -194,8 +204,8 @@ class Plant:
         self.body = body
         self.hinge = hinge if options.hinge_travels else Hinge("fixed", hinge.palm1_length, hinge.base)
         self.surface = surface
-        self.law = options.friction_law
         self._friction1, self._friction2 = 1.0 + imperfections.friction, 1.0 - imperfections.friction
+        self._frictions = self._friction1, self._friction2
         self._pads = imperfections.pads
         self._bowed = any(pad.sagitta for pad in self._pads)
         self._planes = self._planes_at([0.5 * length for length in reach], reach)
@@ -217,9 +227,8 @@ class Plant:
             "rho2": self.body.rho**2, "mu": surface.mu, "dither": surface.dither, "damping": surface.damping,
             "friction1": self._friction1, "friction2": self._friction2, "gravity": self.gravity, "shake": self._shake,
             "shaking_hz": _SHAKING_HZ, "travel": hinge.palm1_length, "base": hinge.base, "drift_rate": _DRIFT_RATE,
-            "coulomb_slip": _COULOMB_SLIP, "soft_blow": _SOFT_BLOW, "parting": _PARTING,
-            "lost_distance": _LOST_DISTANCE,
-            "coulomb": self.law == "coulomb", "arc": hinge.mode == "arc", "bowed": self._bowed,
+            "soft_blow": _SOFT_BLOW, "parting": _PARTING, "lost_distance": _LOST_DISTANCE,
+            "arc": hinge.mode == "arc", "bowed": self._bowed,
         }  # fmt: skip
         return step_of(self.body.support, [(pad.sagitta, pad.standoff, length) for pad, length in pads], scene)
 
@@ -306,6 +315,11 @@ class Plant:
             self._advance_compiled(self._compiled, middle, end, dt)
             return
         self._follow_the_surfaces()
+        self._integrate(middle, end, dt)
+        self._settle_contacts()
+
+    def _integrate(self, middle: PalmMotion, end: PalmMotion, dt: float) -> None:
+        """The state and the palms dt later, while every contact does what it does now."""
         q = self.state
         x, y, psi, vx, vy, w = q.x, q.y, q.psi, q.vx, q.vy, q.omega0
         half, sixth = 0.5 * dt, dt / 6.0
@@ -324,7 +338,6 @@ class Plant:
         q.vy = vy + sixth * (ay1 + 2.0 * (ay2 + ay3) + ay4)
         q.omega0 = w + sixth * (al1 + 2.0 * (al2 + al3) + al4)
         self._frame = last
-        self._settle_contacts()
 
     def _advance_compiled(self, step: CompiledStep, middle: PalmMotion, end: PalmMotion, dt: float) -> None:
         q, (plane1, plane2) = self.state, self._planes
@@ -509,12 +522,10 @@ class Plant:
         return self.gravity + self._shake * swings  # on the table
 
     def _friction(self, slip: float) -> float:
-        """Tangential over normal force at a slip speed (m/s): µ·u/√(u²+u_d²), or hard Coulomb's µ·sign u."""
+        """Tangential over normal force at a slip speed (m/s): µ·u/√(u²+u_d²)."""
         surface = self.surface
         if surface.mu == 0.0:
             return 0.0
-        if self.law == "coulomb":
-            return surface.mu * max(-1.0, min(1.0, slip / _COULOMB_SLIP))
         return surface.mu * slip / math.sqrt(slip * slip + surface.dither * surface.dither)
 
 

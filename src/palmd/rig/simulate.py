@@ -27,6 +27,7 @@ import numpy as np
 from palmd.config import Drawn
 from palmd.events import FloatArray, PalmMotion
 from palmd.rig.curved_plant import CurvedPlant
+from palmd.rig.dry_plant import on_flat_palms
 from palmd.rig.imperfections import Imperfections, PadImperfection, drawn
 from palmd.rig.plant import (
     AS_ASSUMED,
@@ -140,7 +141,7 @@ class SimulatedRun:
     def plant(self, options: PlantOptions) -> Plant:
         """The emulated body on its palms, not placed yet; raises ValueError for palms too concave for it."""
         if not any(self.curvatures):
-            return Plant(self.body, self.hinge, self.surface, options=options, imperfections=self.imperfections)
+            return on_flat_palms(self.body, self.hinge, self.surface, options=options, imperfections=self.imperfections)
         return CurvedPlant(
             self.body, self.hinge, self.surface, self.curvatures, options=options, imperfections=self.imperfections
         )

@@ -20,13 +20,14 @@ from palmd.quantities import BODY, TRUTH
 from palmd.rig.actuators import EmulatedActuator
 from palmd.rig.adept_arm import AdeptArm
 from palmd.rig.curved_plant import MOST_LYING, CurvedPlant, stable_on_arcs, widest
+from palmd.rig.dry_plant import on_flat_palms
 from palmd.rig.emulated import EMULATORS, STEP_S, EmulatedRig
 from palmd.rig.fault_injection import PADS, FaultOrder, PortName
 from palmd.rig.hand import Hand
 from palmd.rig.imperfections import configured, perfect
 from palmd.rig.marble import Marble
 from palmd.rig.pads import GOOD_PADS, PadOptions, Press
-from palmd.rig.plant import AS_ASSUMED, Plant, PlantOptions, random_surface, stable_poses
+from palmd.rig.plant import AS_ASSUMED, PlantOptions, random_surface, stable_poses
 from palmd.rig.roller import Roller, RollerKind
 from palmd.rig.servos import ServoArm
 from palmd.rig.shapes import Body, Kind, random_body
@@ -193,7 +194,7 @@ class World(EmulatedRig[EmulatedActuator]):
         while not given and any(curvatures) and max(curvatures) * widest(body) > MOST_LYING:
             body = random_body(self.kind, self._rng)  # nobody puts what would lie in a palm on the palms
         on_arcs = partial(CurvedPlant, curvatures=curvatures)
-        self.plant = (on_arcs if any(curvatures) else Plant)(
+        self.plant = (on_arcs if any(curvatures) else on_flat_palms)(
             body,
             self._arm.hinge,
             random_surface(self.kind, self._rng),

@@ -1,0 +1,125 @@
+"""An object that sticks to one palm and slips along the other: where it is, and how hard it presses. Pure.
+
+What sticks rolls: its contact goes as far along the palm as along the outline, ṡ1 = v1 θ̇1 or ṡ2 = −v2 θ̇2. By (3.13)
+and (3.14) both can be integrated, and what stays the same while palm 1 or palm 2 is stuck to is
+
+    Q1 = (r1 cos φ2 + r2)/sin φ2 − ∫h(θ1),        Q2 = (r2 cos φ2 + r1)/sin φ2 + ∫h(θ2).
+
+So ψ follows from the palms' angles alone: no force, no inertia, no process noise. At the other palm the object slips,
+against t by dQ1/dt, along it by −dQ2/dt. About the contact that sticks it turns as the palms make it turn, and by the
+theorem of three centres
+
+    u2 = ω2 s1 s2 sin φ2/(s2 − s1 cos φ2)    where palm 1 is stuck to,
+    u1 = −ω2 s1 s2 sin φ2/(s1 − s2 cos φ2)   where palm 2 is.
+
+So which way it slips is the palms' doing alone. Friction there is μN; three equations (Newton, Euler) then give both
+normal forces and the friction of what sticks.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from palmd.events import FloatArray
+from palmd.model import shape
+from palmd.system.mechanism import JOINTS, OPENING, directions, normal_directions
+
+SLIPS_SIGN = (-1.0, 1.0)
+"""Of the slip along t at palms 1 and 2 where the other palm is stuck to, in signs of ω2."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lying:
+    """An object between two palms at n instants: rows that map coefficients of h to h, h′, h″ and ∫h at the contacts.
+
+    Each is a pair, one of (n, coefficients) for each palm; `palms` (n, 6): φ1, φ2, their rates and accelerations.
+    """
+
+    palms: FloatArray
+    h: tuple[FloatArray, FloatArray]
+    slope: tuple[FloatArray, FloatArray]
+    bend: tuple[FloatArray, FloatArray]
+    integral: tuple[FloatArray, FloatArray]
+
+    @classmethod
+    def at(cls, palms: FloatArray, psi: FloatArray, order: int) -> Lying:
+        """At orientations psi (n, rad), for an outline of `order` harmonics."""
+        k = shape.harmonic_of_coefficient(order)
+        pairs = []
+        for theta in normal_directions(palms[:, : len(JOINTS)].T, psi):
+            h, slope = shape.basis(theta, order), -shape.tangential_basis(theta, order)
+            integral = -slope / np.maximum(k, 1.0) ** 2
+            integral[:, 0] = theta
+            pairs.append((h, slope, -(k**2) * h, integral))
+        one, two = pairs
+        return cls(palms, *zip(one, two, strict=True))
+
+    def kept(self, palm: int) -> FloatArray:
+        """Rows that map the coefficients to Q1 (`palm` 0) or Q2 (1)."""
+        sign = 1.0 if palm else -1.0
+        return self._lever(self.h, palm) + sign * self.integral[palm]
+
+    def kept_slope(self, palm: int, shape_of: FloatArray) -> FloatArray:
+        """dQ/dψ (m/rad) of the outline with these coefficients."""
+        sign = 1.0 if palm else -1.0
+        return -(self._lever(self.slope, palm) + sign * self.h[palm]) @ shape_of
+
+    def contact(self, palm: int) -> FloatArray:
+        """Rows that map the coefficients to s of a palm; (3.13), (3.14)."""
+        sign = 1.0 if palm else -1.0
+        return self._lever(self.h, palm) - sign * self.slope[palm]
+
+    def contact_slope(self, palm: int, shape_of: FloatArray) -> FloatArray:
+        """ds/dψ (m/rad)."""
+        sign = 1.0 if palm else -1.0
+        return -(self._lever(self.slope, palm) - sign * self.bend[palm]) @ shape_of
+
+    def _lever(self, rows: tuple[FloatArray, FloatArray], palm: int) -> FloatArray:
+        opening = self.palms[:, OPENING, None]
+        lever: FloatArray = (rows[palm] * np.cos(opening) + rows[1 - palm]) / np.sin(opening)
+        return lever
+
+
+def normal_forces(
+    stuck: npt.NDArray[np.intp], ratio: FloatArray, palms: FloatArray, h: tuple[FloatArray, FloatArray],
+    slope: tuple[FloatArray, FloatArray], pull: tuple[FloatArray, FloatArray], spun: FloatArray,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """f1 and f2 (m/s², per unit mass) of what sticks to palm `stuck` (0 or 1) and rubs along the other, each (n).
+
+    ratio: of friction to normal force there, against t. h, slope: h and h′ at both contacts (m). pull: acceleration of
+    the COM less gravity, along X and Y (m/s²). spun: ρ²α0 (m²/s²). Friction of what sticks is eliminated from
+    Σ f_i (n_i − k_i t_i) − T t = pull and Σ f_i (h_i′ − k_i h_i) − T h = ρ²α0.
+    """
+    first, second = directions(palms[:, : len(JOINTS)].T)
+    sign = np.where(stuck, -1.0, 1.0)  # of sin φ2 seen from the other palm
+    cos, sin = np.cos(palms[:, OPENING]), sign * np.sin(palms[:, OPENING])
+    angle = np.where(stuck, second + math.pi, first)
+    along, across = (
+        np.cos(angle) * pull[0] + np.sin(angle) * pull[1],
+        np.cos(angle) * pull[1] - np.sin(angle) * pull[0],
+    )
+    h_own, h_other = np.where(stuck, h[::-1], h)
+    slope_own, slope_other = np.where(stuck, slope[::-1], slope)
+    through = ratio * sin - cos
+    lever = slope_other - ratio * h_other - h_own * (sin + ratio * cos)
+    other = (spun - h_own * along - slope_own * across) / (lever - slope_own * through)
+    own = across - through * other
+    return np.where(stuck, other, own), np.where(stuck, own, other)
+
+
+def friction_asked(
+    stuck: npt.NDArray[np.intp], ratio: FloatArray, palms: FloatArray, pull: tuple[FloatArray, FloatArray],
+    forces: tuple[FloatArray, FloatArray],
+) -> FloatArray:  # fmt: skip
+    """Friction over normal force of what sticks, against t: t·(Σ f F − pull)/f."""
+    first, second = directions(palms[:, : len(JOINTS)].T)
+    sign = np.where(stuck, -1.0, 1.0)
+    angle = np.where(stuck, second + math.pi, first)
+    along = np.cos(angle) * pull[0] + np.sin(angle) * pull[1]
+    own, other = np.where(stuck, forces[::-1], forces)
+    asked: FloatArray = (other * (sign * np.sin(palms[:, OPENING]) + ratio * np.cos(palms[:, OPENING])) - along) / own
+    return asked

@@ -1,0 +1,117 @@
+"""What a record tells of an object that sticks and slips: fit, bands and doubts, as `reconstruct` gives them."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.model import shape
+from palmd.model.rolling import Lying
+from palmd.model.smoothing import ORDER, C
+from palmd.observer.criticism import KNOWN
+from palmd.observer.dry_fit import LN_MASS, LN_RHO, MU, SHAPE, DryFit, DryModel, phases_of
+from palmd.observer.likeness import likeness, root_of
+from palmd.observer.outline import felt_normals, made_convex, outline_of
+from palmd.observer.reconstruction import Reconstruction
+from palmd.observer.search import DIFFERENT_M, DOUBT, Search, consistent, still
+from palmd.observer.stuck_palms import stuck_guess
+from palmd.observer.validity import SHARP_M
+from palmd.observer.visits import visits_of
+
+LEAST_S = 5.0
+ROUNDS, WORTH = 12, 1.0  # of finding the stuck palms anew, and by what the cost must fall for another
+HOPELESS = 4.0  # χ² of the first fit, beyond which no other sequence of stuck palms makes up for it
+MOST_OUTLIERS = 0.02
+MOST_STRAIN, MOST_TURN_STRAIN = 60.0, 2.0  # of the cost, by the prior; and for each change of the stuck palm
+MOST_ASKED = 1.0  # friction over normal force: nothing that lies on a pad sticks better
+LEAST_FRICTION = 3.0  # sigmas: what slides freely is another model's
+RIVAL_RADIUS, RIVAL_SHAPE = 1.05, 0.5  # of a second beginning: of the radius, and of what is believed of the outline
+
+
+def dry_reconstruction(search: Search, seed: int, begun: float) -> Reconstruction | None:
+    """The outline of what sticks to one palm and slips along the other, if that explains the segment of `search`.
+
+    None where it does not, beyond doubt; for flat palms that are exactly as described.
+    """
+    record = search.record
+    known = float(search.belief.sd.max()) <= KNOWN and not search.rig.curved
+    if not known or still(record) or search.segment.end - search.segment.start < LEAST_S:
+        return None
+    try:
+        found = _found(search, seed)
+        return None if found is None else _told(search, *found, begun)
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _found(search: Search, seed: int) -> tuple[DryModel, DryFit] | None:
+    record, prior = search.record, search.prior
+    guess = stuck_guess(record)
+    if guess is None:
+        return None
+    model = DryModel(record, search.path, prior, phases_of(guess.palms, record.t))
+    fit = model.fit(model.begun(prior.mean[C.SHAPE :], guess.mass, guess.mu))
+    if max(fit.chi2, fit.force_chi2) > HOPELESS:
+        return None
+    for _ in range(ROUNDS):
+        for phases in (model.without_the_strained(fit), model.stuck_anew(fit)):
+            if phases == model.phases:
+                continue
+            other = DryModel(record, search.path, prior, phases)
+            then = other.fit(other.begun(fit.z[SHAPE], math.exp(fit.z[LN_MASS]), fit.z[MU]))
+            if then.cost < fit.cost - WORTH:
+                model, fit = other, then
+                break
+        else:
+            break
+    return None if _doubtful(model, fit) or _rivalled(model, fit, search, seed) else (model, fit)
+
+
+def _doubtful(model: DryModel, fit: DryFit) -> bool:
+    record = model.record
+    explained = consistent(fit.chi2, len(record.contact_value)) and consistent(fit.force_chi2, len(record.force_value))
+    likely = fit.strain < MOST_STRAIN + MOST_TURN_STRAIN * len(model.phases)
+    return not (fit.settled and explained and likely and fit.outliers < MOST_OUTLIERS and fit.asked < MOST_ASKED)
+
+
+def _rivalled(model: DryModel, fit: DryFit, search: Search, seed: int) -> bool:
+    """Whether the search, begun from quite another outline, ends at one that explains the readings as well."""
+    prior = search.prior
+    drawn = np.random.default_rng(seed).normal(size=SHAPE.stop)
+    begun = prior.mean[C.SHAPE :] + RIVAL_SHAPE * prior.sd[C.SHAPE :] * drawn
+    begun[0] = RIVAL_RADIUS * prior.mean[C.SHAPE]
+    other = model.fit(model.begun(begun, math.exp(fit.z[LN_MASS]), fit.z[MU]))
+    theta = felt_normals(model.record, fit.psi, fit.z[SHAPE]).ravel()
+    miss = shape.basis(theta, ORDER) @ (other.z[SHAPE] - fit.z[SHAPE])
+    return other.cost < fit.cost + DOUBT and float(np.sqrt(np.mean(miss**2))) > DIFFERENT_M
+
+
+def _told(search: Search, model: DryModel, fit: DryFit, begun: float) -> Reconstruction | None:
+    record, z = model.record, fit.z.copy()
+    covariance: FloatArray = np.asarray(np.linalg.inv(fit.matrix), dtype=np.float64)
+    if not made_convex(z, covariance, SHAPE):
+        return None
+    sd = np.sqrt(np.diagonal(covariance))
+    normals = felt_normals(record, fit.psi, z[SHAPE])
+    outline = outline_of(z[SHAPE], covariance[SHAPE, SHAPE], [normals])
+    sharp = float(np.sqrt(np.mean(outline.h_sd[outline.touched] ** 2))) < SHARP_M
+    if not sharp or z[MU] < LEAST_FRICTION * sd[MU]:
+        return None
+    rho, mass = math.exp(z[LN_RHO]), math.exp(z[LN_MASS])
+    root = root_of(shape.basis(outline.theta, ORDER), covariance[SHAPE, SHAPE])
+    lying = Lying.at(record.palms, fit.psi, ORDER)
+    return Reconstruction(
+        converged=True, chi2=fit.chi2,
+        theta=outline.theta, h=outline.h, h_sd=outline.h_sd, touched=outline.touched, visits=visits_of(normals),
+        rho=rho, rho_sd=rho * float(sd[LN_RHO]), mu=float(z[MU]), mu_sd=float(sd[MU]),
+        mass=mass, mass_sd=mass * float(sd[LN_MASS]),
+        rig=np.zeros(C.SHAPE - C.RIG), rig_covariance=np.diag(search.belief.sd**2),
+        contradicted=search.belief.contradicted, rig_prior_sd=search.belief.sd,
+        t=record.t, psi=fit.psi, omega0=np.gradient(fit.psi, record.t),
+        radii=np.stack([rows @ z[SHAPE] for rows in lying.h]),
+        reason="", seconds=time.perf_counter() - begun, turned_sd=model.turned_sd(fit, covariance),
+        likeness=likeness(outline.theta, outline.h, root, outline.touched),
+    )  # fmt: skip

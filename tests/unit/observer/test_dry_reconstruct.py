@@ -1,0 +1,132 @@
+"""What sticks to one palm and slips along the other: the model against the emulated plant, and a blind start."""
+
+import itertools
+import math
+import time
+
+import numpy as np
+import pytest
+
+from palmd.lab.simulated import written
+from palmd.lab.thing_logs import SharpTask, simulated
+from palmd.model import shape
+from palmd.model.rolling import SLIPS_SIGN, Lying, friction_asked, normal_forces
+from palmd.model.smoothing import ORDER
+from palmd.observer.data_segment import longest_segment
+from palmd.observer.dry_reconstruct import dry_reconstruction
+from palmd.observer.noise import with_scatter
+from palmd.observer.search import Search
+from palmd.observer.stuck_palms import likeliest, stuck_guess
+from palmd.record.eventlog import read_log
+from palmd.rig.dry_plant import DRY, DryPlant
+from palmd.rig.plant import Hinge, stable_poses
+from palmd.rig.shapes import random_body
+from palmd.rig.simulate import Rock, Rocking, simulate_log
+from palmd.score import score_outline
+
+STEP = 5e-4
+ROCKING = Rocking(Rock(0.75, 0.5, 0.5, 0.3), Rock(1.65, 0.25, 0.8, 1.0))
+
+
+def searched(log, seconds=math.inf):
+    segment = longest_segment(log.events)
+    return Search(segment.until(min(segment.start + seconds, segment.end)), with_scatter(log.rig, segment.pads))
+
+
+@pytest.fixture(scope="module")
+def dry():
+    return simulated(SharpTask("dry lump", 9000, 8.0))
+
+
+def test_the_model_is_that_of_the_emulated_plant():
+    """What rolling keeps, which way it slips and how fast, both forces, and the friction of what sticks."""
+    body = random_body("friction", np.random.default_rng(3))
+    plant = DryPlant(body, Hinge("fixed", base=(0.0, 0.0)), DRY)
+    plant.place(ROCKING.at(0.0), stable_poses(body, ROCKING.at(0.0))[0])
+    theta = np.linspace(0.0, math.tau, 360, endpoint=False)
+    outline = shape.coefficients_of(body.support.sample(theta), ORDER)
+    kept, met = {0: [], 1: []}, 0
+    for k in range(1600):
+        palms = ROCKING.at((k + 1) * STEP)
+        plant.advance(ROCKING.at((k + 0.5) * STEP), palms, STEP)
+        sticks = plant.sticking()
+        if sticks.count(True) != 1:
+            kept[0].append(np.nan)
+            continue
+        stuck = sticks.index(True)
+        at = np.array([[*palms.angles, *palms.rates, *palms.accelerations]])
+        lying = Lying.at(at, np.array([plant.state.psi]), ORDER)
+        kept[stuck].append(float(lying.kept(stuck)[0] @ outline))
+        kept[1 - stuck].append(np.nan)
+        if k % 100:
+            continue
+        met |= 1 << stuck
+        slip, s = plant.slips()[1 - stuck], [contact.s for contact in plant.contacts()]
+        omega2, phi2, own, other = palms.rates[1], palms.angles[1], s[stuck], s[1 - stuck]
+        centres = own * other * math.sin(phi2) / (other - own * math.cos(phi2))
+        assert slip == pytest.approx(SLIPS_SIGN[1 - stuck] * omega2 * centres, rel=1e-3, abs=1e-6)
+        ax, ay, alpha, *forces = plant._rates
+        h, slope = ([float(rows[0] @ outline) for rows in each] for each in (lying.h, lying.slope))
+        ratio, pull = np.array([math.copysign(DRY.mu, slip)]), (np.array([ax]), np.array([ay + 9.81]))
+        told = normal_forces(
+            np.array([stuck]), ratio, at, tuple(h), tuple(slope), pull, np.array([body.rho**2 * alpha])
+        )
+        assert np.ravel(told) == pytest.approx(forces, rel=1e-3)
+        asked = friction_asked(np.array([stuck]), ratio, at, pull, told)
+        assert asked[0] == pytest.approx(plant._ratios[stuck], abs=1e-3)
+    assert met == 3
+    for each in kept.values():
+        steps = np.diff(each)
+        assert np.nanmax(np.abs(steps)) < 1e-8
+
+
+def test_the_likeliest_sequence_is_the_best_of_all():
+    costs = np.random.default_rng(0).exponential(2.0, (2, 9))
+
+    def cost(states):
+        return sum(costs[s, k] for k, s in enumerate(states)) + 1.5 * sum(a != b for a, b in itertools.pairwise(states))
+
+    best = min(itertools.product((0, 1), repeat=9), key=cost)
+    assert tuple(likeliest(costs, 1.5).tolist()) == best
+
+
+def test_forces_alone_tell_which_palm_it_sticks_to_its_mass_and_its_friction(dry):
+    log, truth = dry
+    search = searched(log)
+    guess = stuck_guess(search.record)
+    assert guess.mass == pytest.approx(truth["mass_kg"], rel=0.02)
+    assert guess.mu == pytest.approx(DRY.mu, abs=0.03)
+    outline = shape.coefficients_of(np.array(truth["h_m"]), ORDER)
+    t = np.array(truth["t"])
+    palms = np.zeros((len(t), 6))
+    palms[:, 0], palms[:, 1] = truth["phi1_rad"], truth["phi2_rad"]
+    lying = Lying.at(palms, np.array(truth["psi_rad"]), ORDER)
+    slips = [np.abs(np.gradient(lying.kept(palm) @ outline, t)) for palm in (0, 1)]
+    truly = np.interp(search.record.t, t, np.argmin(slips, axis=0).astype(float)) > 0.5
+    moving = search.record.t > 1.0  # at first the palms hardly turn, and forces tell nothing
+    assert np.mean((truly != guess.palms.astype(bool))[moving]) < 0.03
+
+
+def test_a_lump_that_sticks_is_reconstructed_blind(dry):
+    log, truth = dry
+    answer = dry_reconstruction(searched(log), 0, time.perf_counter())
+    score = score_outline(answer.theta, answer.h, answer.touched, np.array(truth["h_m"]))
+    sd = float(np.sqrt(np.mean(answer.h_sd[answer.touched] ** 2)))
+    assert score.e_h < min(1e-4, 3.0 * sd)
+    assert sd < 1e-4
+    assert answer.mu == pytest.approx(DRY.mu, abs=4.0 * answer.mu_sd)
+    assert answer.mass == pytest.approx(truth["mass_kg"], abs=4.0 * answer.mass_sd)
+    assert answer.turned_sd > 0.0
+
+
+def test_what_slides_under_dither_is_not_taken_for_sticking():
+    lines, _ = simulate_log("friction", 77, 5.0)
+    with written(lines) as path:
+        assert dry_reconstruction(searched(read_log(path)), 0, time.perf_counter()) is None
+
+
+def test_where_the_rig_is_not_known_exactly_nothing_is_claimed(dry):
+    log, _ = dry
+    search = searched(log, 3.0)
+    search.belief = search.belief.suspended()
+    assert dry_reconstruction(search, 0, time.perf_counter()) is None
