@@ -25,6 +25,9 @@ JOINTS = ("beta", "gamma2", "gamma3")
 NAMING = Naming(JOINTS, "rad", PALMS, along="b", across="a")
 GAP_S = 0.15
 """Without a reading of a pad or a report of the joints, after which nothing is known to go on."""
+_TURNS: FloatArray = np.array([[0.0], [1.0], [-1.0]])
+"""How palms turn about n1 with their joint's angle."""
+_NEXT, _LAST = [1, 2, 0], [2, 0, 1]
 HALVINGS = 4
 """How often the icosahedron is halved whose corners are the directions of a published surface: 2,562 of them."""
 
@@ -74,30 +77,33 @@ class PalmPlanes:
 
 def palms_at(angle: FloatArray, rate: FloatArray, acceleration: FloatArray) -> PalmPlanes:
     """The palms for joint angles (rad), rates (rad/s) and accelerations (rad/s²), each (T, 3) = (β, γ2, γ3)."""
-    beta, gamma2, gamma3 = angle.T
-    zero, one = np.zeros_like(beta), np.ones_like(beta)
-    edge = np.stack([one, zero, zero], axis=-1)
-    up = np.stack([zero, np.cos(beta), np.sin(beta)], axis=-1)
-    n1 = np.stack([zero, -np.sin(beta), np.cos(beta)], axis=-1)
+    (cos_beta, cos2, cos3), (sin_beta, sin2, sin3) = np.cos(angle).T, np.sin(angle).T
+    edge, up, n1 = np.zeros((3, len(angle), 3))
+    edge[:, 0] = 1.0
+    up[:, 1], up[:, 2] = cos_beta, sin_beta
+    n1[:, 1], n1[:, 2] = -sin_beta, cos_beta
 
     def mixed(along_edge: FloatArray, along_up: FloatArray) -> FloatArray:
         mixture: FloatArray = along_edge[:, None] * edge + along_up[:, None] * up
         return mixture
 
-    normal = np.stack([n1, mixed(np.cos(gamma2), np.sin(gamma2)), mixed(-np.cos(gamma3), np.sin(gamma3))], axis=1)
-    axis_a = np.stack([edge, mixed(-np.sin(gamma2), np.cos(gamma2)), mixed(np.sin(gamma3), np.cos(gamma3))], axis=1)
-    axis_b = np.stack([up, n1, n1], axis=1)
+    normal, axis_a, axis_b = np.empty((3, len(angle), 3, 3))
+    normal[:, 0], normal[:, 1], normal[:, 2] = n1, mixed(cos2, sin2), mixed(-cos3, sin3)
+    axis_a[:, 0], axis_a[:, 1], axis_a[:, 2] = edge, mixed(-sin2, cos2), mixed(sin3, cos3)
+    axis_b[:, 0], axis_b[:, 1], axis_b[:, 2] = up, n1, n1
 
     tilt, tilting = rate[:, :1] * edge, acceleration[:, :1] * edge
-    turn = np.stack([zero, rate[:, 1], -rate[:, 2]], axis=1)[..., None]
-    turning = np.stack([zero, acceleration[:, 1], -acceleration[:, 2]], axis=1)[..., None]
+    turn, turning = (each[:, :, None] * _TURNS for each in (rate, acceleration))
     axle = n1[:, None]
     spin = tilt[:, None] + turn * axle
-    spin_rate = tilting[:, None] + turning * axle + turn * np.cross(tilt, n1)[:, None]
-    normal_rate = np.cross(spin, normal)
-    return PalmPlanes(
-        normal, normal_rate, np.cross(spin_rate, normal) + np.cross(spin, normal_rate), spin, axis_a, axis_b
-    )
+    spin_rate = tilting[:, None] + turning * axle + turn * _cross(tilt, n1)[:, None]
+    normal_rate = _cross(spin, normal)
+    return PalmPlanes(normal, normal_rate, _cross(spin_rate, normal) + _cross(spin, normal_rate), spin, axis_a, axis_b)
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """a × b over the last axis: NumPy's, which is general, takes ten times as long for a few."""
+    return np.asarray(a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT], np.float64)
 
 
 def contact_points(palms: PalmPlanes, a: FloatArray, b: FloatArray) -> FloatArray:

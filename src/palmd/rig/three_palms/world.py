@@ -25,7 +25,7 @@ from palmd.rig.three_palms.compiled import BodyOnPalms, palm_rows
 from palmd.rig.three_palms.pads import PlanePadEmulator
 from palmd.rig.three_palms.plant import BodyStates, Rubbing
 from palmd.rig.three_palms.simulate import REST_POSE, SETTLING_DRAG, SETTLING_S, random_rotation
-from palmd.system.three_palms import HALVINGS, JOINTS, PALMS, palms_at, readings_of
+from palmd.system.three_palms import HALVINGS, JOINTS, PALMS, PalmPlanes, palms_at, readings_of
 from palmd.three_palms_config import ThreePalmsConfig
 
 HALF_STEP = 2
@@ -128,19 +128,19 @@ class ThreePalmsWorld(EmulatedRig[TiltArm]):
         if self._steps % HALF_STEP:
             return
         self._joints = self._arm.joints(t)
-        self._palms[:2], self._palms[2] = self._palms[1:], _palms(self._joints)
+        planes = palms_at(*(row[None] for row in self._joints))
+        self._palms[:2], self._palms[2] = self._palms[1:], palm_rows(planes)
         if self._steps % (2 * HALF_STEP) == 0:
-            self._live(t)
+            self._live(t, planes)
 
-    def _live(self, t: float) -> None:
-        """A step of the plant, which ends now."""
+    def _live(self, t: float, planes: PalmPlanes) -> None:
+        """A step of the plant, which ends now, with the palms at `planes`."""
         if not self._touching:
             if not self._lifted and t >= self._back_at:
                 self._settle()
             return
         body = self._body
         body.advance(self._palms, 2 * HALF_STEP * self.step_s)
-        planes = palms_at(*(row[None] for row in self._joints))
         read = readings_of(planes, body.point[None])[0]
         self._moving = (read - self._read) / (2 * HALF_STEP * self.step_s)
         self._read, self._read_at = read, t
