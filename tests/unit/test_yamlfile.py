@@ -62,7 +62,7 @@ bus: {publish: "tcp://0.0.0.0:9872"}
         '6:42: pads.palm1.zero_mm: must be a number; got the text "28"; leave out the quotes',
         "6:63: pads.palm1.counts_per_mm: must be more than 0; got -1",
         "7:20: pads.palm2.port: this key stands already in line 7",
-        "8:20: limits.phi1_deg: must be [low, high] with 0 ≤ low < high ≤ 180; got [150, 6]",
+        "8:20: limits.phi1_deg: must be [low, high] with -30 ≤ low < high ≤ 180; got [150, 6]",
         "8:40: limits.phi2_deg: must have 2 entries; got 1",
         "8:58: limits.rate_deg_s: must be a finite number; got .inf",
         "9:6: loop: has no value: write one or leave the key out",

@@ -36,6 +36,7 @@ NAMED = 0.25  # share of the explanations that a constant must be in, where no o
 SELDOM = math.log(0.01)  # that there is one cause, beforehand
 TIMES = (1.0, 3.0, 10.0)  # what calibration leaves
 MOST_TOGETHER = 3  # causes at a time
+NO_SUCH_RIG = 2.0  # of what is left free, beyond which a constant is no rig's that answers to its description
 BEYOND_ALL = 5.0  # sigmas that the best explanation may leave of any constant, before nothing is taken at its word
 KNOWN = 1e-7  # one-sigma, in SI units, of what is exactly as described: small, and a number to divide by
 SAME = 1.5  # one-sigmas that differ by less are no reason to fit anew,
@@ -109,6 +110,10 @@ class RigBelief:
         """
         pull = covariance[:, RIG] / self.sd**2
         return y + pull @ self.doubt.mean, covariance + pull @ self.doubt.covariance @ pull.T
+
+    def beyond_all(self, guess: Guess) -> bool:
+        """Whether a guess has a constant further off than the widest explanation foresees: something else is wrong."""
+        return bool((np.abs(guess.p[RIG]) > NO_SUCH_RIG * np.maximum(self.told, FREE_SD)).any())
 
     def within(self, guess: Guess) -> Guess:
         """A guess with no constant of the rig beyond its one-sigma, to go on from under this belief."""

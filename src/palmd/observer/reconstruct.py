@@ -56,6 +56,7 @@ LEAST_S = 1.0
 SUSPICIOUS_GAP_S = 0.08  # between readings, in which an object may have been changed for another
 MOST_PARTS = 20  # segments of one log that are looked at
 _OUTLINE = slice(C.SHAPE, CONSTANTS)
+NO_SUCH_RIG = "the readings are explained only by a rig that is nothing like its description: calibrate it first"
 NO_ANSWER = "no motion of an object was found that explains the readings"
 
 
@@ -189,7 +190,7 @@ def _refined(search: Search, finding: Minima, segment: DataSegment, rig: RigDesc
         prior = replace(prior, sd=np.concatenate([prior.sd[: C.RIG], belief.sd, prior.sd[C.SHAPE :]]))
         smoother = Smoother(search.library, record, prior)
         fit = smoother.fit(belief.within(fit.guess), fit.noise)
-    reason = OVERFITTED if overfits(fit) else doubt(fit, finding)
+    reason = OVERFITTED if overfits(fit) else doubt(fit, finding) or NO_SUCH_RIG * belief.beyond_all(fit.guess)
     return _Part(segment, search, prior, fit, record, belief, reason)
 
 

@@ -136,7 +136,7 @@ MISTAKES = {
     "limits the wrong way round": Mistake(
         "check my.yaml",
         1,
-        "my.yaml:3:20: limits.phi1_deg: must be [low, high] with 0 ≤ low < high ≤ 180; got [150, 6]",
+        "my.yaml:3:20: limits.phi1_deg: must be [low, high] with -30 ≤ low < high ≤ 180; got [150, 6]",
         {"my.yaml": PORTS + "limits: {phi1_deg: [150, 6]}\n"},
     ),
     "one port for both pads": Mistake(

@@ -289,7 +289,8 @@ def test_palms_of_unequal_friction_are_told_apart(seed, asymmetry):
     rig = replace(run.rig, friction_sd=0.3)
     answer = reconstruct(run.events, rig)
     assert answer.converged, answer.reason
-    assert e_h(answer, run) < 3 * band(answer) < RIGHT_M
+    doubt = 1.05  # about the rest of the rig, which is in the band
+    assert e_h(answer, run) < 3 * band(answer) < doubt * RIGHT_M
     found, sd = answer.rig[R.FRICTION], answer.rig_sd[R.FRICTION]
     assert abs(found - asymmetry) < 3 * sd < 0.1
 
