@@ -84,12 +84,10 @@ def reconstruct(
         if apart is not None and not apart.reason:
             main, found = apart, shorter
     if (main is None or main.reason not in ("", AMBIGUOUS)) and not rig.curved:
-        dry = dry_reconstruction(Search(found[0], with_scatter(rig, found[0].pads)), seed, begun)
-        if dry is not None:
-            return dry
-        with_sides = sharp_reconstruction(Search(found[0], with_scatter(rig, found[0].pads)), seed, begun, say)
-        if with_sides is not None:
-            return with_sides
+        search = Search(found[0], with_scatter(rig, found[0].pads))
+        dry_or_sharp = dry_reconstruction(search, seed, begun) or sharp_reconstruction(search, seed, begun, say)
+        if dry_or_sharp is not None:
+            return dry_or_sharp
     if main is None:
         return _nothing(NOTHING_MOVES if still(Search(found[0], rig).record) else NO_ANSWER, begun)
     if main.reason:
