@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = """\
@@ -94,6 +95,11 @@ def test_what_fails_has_failed(ran, parts, capfd):
     assert status == 1
     assert len(log) == len(parts) + (parts[0][1] == 1)
     assert f"failed: {parts[-1][0]}" in capfd.readouterr().out
+
+
+def test_an_example_may_take_as_long_as_it_takes():
+    assert settings.default.deadline is None
+    assert HealthCheck.too_slow in settings.default.suppress_health_check
 
 
 def test_no_test_is_left_out_and_none_is_run_twice(tool):
