@@ -15,10 +15,11 @@ from palmd.model.three_palms import MOMENT
 from palmd.observer.three_palms import beliefs, growing
 from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
 from palmd.observer.three_palms.growing import GrowingBody
-from palmd.observer.three_palms.growth import begun
+from palmd.observer.three_palms.growth import begun, raced
 from palmd.observer.three_palms.icosphere import icosphere
 from palmd.observer.three_palms.joint_track import JointTrack
 from palmd.observer.three_palms.live import BodyObserver
+from palmd.observer.three_palms.reconstruct import felt_directions, near
 from palmd.observer.three_palms.rotation import exp, quaternion
 from palmd.observer.three_palms.search import Rival
 from palmd.observer.three_palms.smoother import BodyMotion
@@ -26,7 +27,7 @@ from palmd.rig.three_palms.bodies import Bodies, random_bodies
 from palmd.rig.three_palms.compiled import BodyOnPalms
 from palmd.rig.three_palms.plant import BodyStates, Rubbing
 from palmd.rig.three_palms.simulate import random_rotation
-from palmd.system.three_palms import BodyAnswer, ThreePalmsRig, palms_at, readings_of
+from palmd.system.three_palms import GAP_S, BodyAnswer, ThreePalmsRig, palms_at, readings_of
 
 RIG = ThreePalmsRig()
 SEED = 7
@@ -250,7 +251,8 @@ class Lived:
         with pytest.MonkeyPatch.context() as led:
             led.setattr(growing, "rivals", self._right)
             led.setattr(growing, "begun_in_ways", lambda task, found: [begun(task, each) for each in found])
-            smoother = GrowingBody(self.rig)
+            led.setattr(growing, "raced", self._followed)
+            smoother = self.smoother = GrowingBody(self.rig)
             smoother.add([event for event in self.events if event.t_sample < 2.9])
             self.first = smoother.answer()
             smoother.add([event for event in self.events if 2.9 <= event.t_sample < self.END])
@@ -282,6 +284,10 @@ class Lived:
 
     def truth(self, t):
         return np.array([np.interp(t, self.t, column) for column in self.states.T])
+
+    def _followed(self, task, running):
+        self.raced = task, raced(task, running)
+        return self.raced[1]
 
     def _right(self, task, seconds):
         record = task.record(seconds)
@@ -359,17 +365,47 @@ def test_told_the_same_it_says_the_same_to_the_last_bit(lived):
     assert msgpack.packb(said) == msgpack.packb(again)
 
 
+def go_on(lived, observer, begin, end, without=None):
+    """The log's events between two times, but for those of a pad."""
+    for event in lived.events:
+        if begin < event.t_sample <= end and not (isinstance(event, PadSample) and event.pad == without):
+            observer.feed(event)
+    observer.improve(end)
+    return observer.estimate(end)
+
+
+def test_a_pad_that_is_silent_for_a_moment_interrupts_the_claim_and_nothing_else(lived):
+    observer = BodyObserver(lived.rig, stub := Stub())
+    assert lived.told(observer, stub, 4.6, lived.END + 0.05)[-1].valid
+    observer.feed(PadLift(4.605, 2))  # on a busy machine it says so of packets that come late
+    said = go_on(lived, observer, 4.6, 4.65, without=2)
+    assert not said.valid
+    assert said.reason == "nothing touches palm 2"
+    said = go_on(lived, observer, 4.65, 4.7)
+    assert said.valid, said.reason
+
+
 def test_a_palm_that_is_let_go_ends_what_is_known_of_the_motion(lived):
     observer = BodyObserver(lived.rig, stub := Stub())
     lived.told(observer, stub, 4.6, lived.END + 0.05)
     observer.feed(PadLift(4.605, 2))
-    observer.improve(4.61)
-    said = observer.estimate(4.61)
+    said = go_on(lived, observer, 4.6, 4.6 + GAP_S + 0.02, without=2)
+    assert not said.valid
+    said = go_on(lived, observer, 4.6 + GAP_S + 0.02, 4.8)
     assert not said.valid
     assert math.isnan(said.quaternion[0])
     stub.next = lived.answer  # about what was there before
-    observer.improve(4.62)
-    assert observer.estimate(4.62).hypotheses == 0
+    observer.improve(4.81)
+    assert observer.estimate(4.81).hypotheses == 0
+
+
+def test_what_an_earlier_answer_took_to_be_touched_is_not_unless_it_is(lived):
+    task, ended = lived.raced
+    motion = ended[0].motion
+    erring = replace(ended[0], motion=replace(motion, R=motion.R @ exp(np.array([1.0, 0.5, 0.0]))))
+    lived.smoother._answer(task, [erring])
+    told = lived.smoother._answer(task, ended)
+    assert (told.touched > 0).tolist() == near(felt_directions(ended[0])).tolist()
 
 
 def test_what_is_late_is_counted_and_dropped():

@@ -62,6 +62,7 @@ class BodyObserver:
         self._kept: list[PlaneReading] = []  # fused, by their times
         self._fused_until = -math.inf
         self._felt_at = [-math.inf] * len(PALMS)
+        self._silent: set[int] = set()  # palms whose pads say that nothing touches them
         self._begun = -math.inf  # of what is on the palms: answers about what was there before are of no use
         self._answer: BodyAnswer | None = None
         self._filter: BodyFilter | None = None
@@ -92,7 +93,7 @@ class BodyObserver:
             else:
                 self._joints.take(event)
         elif isinstance(event, PadLift):
-            self._part(t)
+            self._silent.add(event.pad)
         elif event.across is not None:
             self._take(PlaneReading(t, event.pad - 1, event.across, event.s))
 
@@ -165,6 +166,7 @@ class BodyObserver:
         if reading.t - self._felt_at[reading.pad] > GAP_S:
             self._part(reading.t)
         self._felt_at[reading.pad] = max(reading.t, self._felt_at[reading.pad])
+        self._silent.discard(reading.pad + 1)
         if reading.t <= self._fused_until:
             self.late_dropped += 1
             return
@@ -223,7 +225,8 @@ class BodyObserver:
 
     def _doubt(self, t: float) -> str:
         """Why what is believed is not to be believed now; empty when it is."""
-        untouched = [palm for palm, at in zip(PALMS, self._felt_at, strict=True) if t - at > GAP_S]
+        felt = zip(PALMS, self._felt_at, strict=True)
+        untouched = [palm for palm, at in felt if t - at > GAP_S or palm in self._silent]
         if untouched:
             return f"nothing touches palm {', '.join(map(str, untouched))}"
         if self._joints is None or t - self._joints.t > GAP_S:
