@@ -61,6 +61,22 @@ def test_taken_for_flat_it_is_not_claimed(cradle):
     assert not reconstruct(few, flat).converged
 
 
+@pytest.mark.parametrize("as_described", [True, False])
+def test_what_fits_another_rig_only_is_searched_for_once_more(cradle, monkeypatch, as_described):
+    """Dome 2042 of `palmd bench curved`: a worse minimum that a contradicted rig made fit was claimed."""
+    _, log, _ = cradle
+    refined, looks = reconstruct_module._refined, []
+
+    def told(*args):
+        looks.append(refined(*args))
+        return replace(looks[-1], as_described=looks[-1].as_described and as_described)
+
+    monkeypatch.setattr(reconstruct_module, "_refined", told)
+    answer = reconstruct([event for event in log.events if event.t_sample < ENOUGH_S], log.rig)
+    assert answer.converged
+    assert (len(looks) > 1) == (not as_described)
+
+
 def test_told_to_be_far_more_concave_than_they_are_nothing_is_claimed_and_it_says_why(cradle):
     _, log, _ = cradle
     strong = replace(log.rig, pads=tuple(replace(pad, curvature=2 * pad.curvature) for pad in log.rig.pads))

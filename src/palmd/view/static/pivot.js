@@ -72,3 +72,9 @@ function drawGripper(scene, context, [x, y]) {
   context.stroke();
   scene.write("gripper", x + scene.thin(40), y + 12, colours.ink, 600);
 }
+
+/** A summary of the picture; `say` tells a quantity of palms with its unit. */
+export function describe(estimate, say) {
+  return `Pad touched at ${say("s1_m")}, pressed with ${say("f1_n")}; turned by ${say("psi_rad")}. `
+    + `Touched over ${(estimate.touched * 100).toFixed(0)} % of the outline about the pivot.`;
+}

@@ -14,6 +14,7 @@ import { offTruth, truthAt } from "./truth.js";
 const VIEW = { width: 2.7, height: 1.66, below: 0.235 }; // what is seen, in pads, and how much of it lies below the hinge
 const FORCE_MM_PER_N = 12;
 const GRID_MM = 10;
+const LABEL_HALF = 16; // of a palm's name, in CSS pixels
 const ARC_POINTS = 32; // that a curved palm is drawn by
 const QUARTER_TURN = Math.PI / 2; // by which its arc turns at most in the picture
 const WIDTHS = [3.4, 2.8, 2.2, 1.6, 1]; // of the outline, for each class of its error
@@ -297,11 +298,12 @@ export class Scene {
     return point;
   }
 
-  /** Below the surface, `s` mm from the hinge. */
+  /** Below the surface, `s` mm from the hinge; beside it where the surface is steep, as text is wider than high. */
   label(text, s, palm, colour) {
     const out = -THICK_MM - this.thin(11);
     const { point, normal } = onPalm(palm, s / MM);
-    this.write(text, point[0] * MM + normal[0] * out, point[1] * MM + normal[1] * out, colour, 600);
+    const x = point[0] * MM + normal[0] * (out - this.thin(LABEL_HALF));
+    this.write(text, x, point[1] * MM + normal[1] * out, colour, 600);
   }
 
   #drawForce(force, point, normal, colour) {

@@ -1,4 +1,5 @@
-// The systems that the page draws otherwise than two palms: each tells its fields by two palms' names, and draws itself.
+// The systems that the page draws otherwise than two palms: each tells its fields by two palms' names,
+// and draws and describes itself.
 
 import * as pivot from "./pivot.js";
 
