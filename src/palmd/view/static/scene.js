@@ -16,7 +16,7 @@ const FORCE_MM_PER_N = 12;
 const GRID_MM = 10;
 const LABEL_HALF = 16; // of a palm's name, in CSS pixels
 const ARC_POINTS = 32; // that a curved palm is drawn by
-const QUARTER_TURN = Math.PI / 2; // by which its arc turns at most in the picture
+const BEYOND = 1.2; // of its pad's length it has in the picture: longer arcs would meet
 const WIDTHS = [3.4, 2.8, 2.2, 1.6, 1]; // of the outline, for each class of its error
 const A_PIXEL = 0.01; // by which a picture of space is turned (rad), and by a key:
 const KEYS = { ArrowLeft: [0.1, 0], ArrowRight: [-0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] };
@@ -239,7 +239,7 @@ export class Scene {
     const context = this.#context;
     const { along, normal, curvature } = palm;
     if (curvature) {
-      this.#drawArc(palm, 0, Math.min(length, QUARTER_TURN / Math.abs(curvature) * MM), THICK_MM, colours.line);
+      this.#drawArc(palm, 0, Math.min(length, BEYOND * (pad || SOME_PAD_MM)), THICK_MM, colours.line);
       this.#drawArc(palm, 0.5, pad, THICK_MM * 0.42, ofPalm(number));
     } else {
       context.save();
