@@ -74,7 +74,8 @@ function drawGripper(scene, context, [x, y]) {
 }
 
 /** A summary of the picture; `say` tells a quantity of palms with its unit. */
-export function describe(estimate, say) {
-  return `Pad touched at ${say("s1_m")}, pressed with ${say("f1_n")}; turned by ${say("psi_rad")}. `
+export function describe(store, say) {
+  const estimate = store.get("palm/estimate"), [{ number }] = palmsOf(store.get("palm/info"));
+  return `Pad touched at ${say(`s${number}_m`)}, pressed with ${say(`f${number}_n`)}; turned by ${say("psi_rad")}. `
     + `Touched over ${(estimate.touched * 100).toFixed(0)} % of the outline about the pivot.`;
 }

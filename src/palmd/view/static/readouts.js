@@ -130,7 +130,7 @@ export function describe(store) {
     return number(estimate[name] * factor, digits, unit);
   };
   const own = SYSTEMS.find(({ tells }) => tells(estimate));
-  if (own) return own.describe(estimate, say);
+  if (own) return own.describe(store, say);
   const [away, what] = inSpace(estimate) ? ["h", "surface"] : ["r", "outline"];
   const palms = palmsOf(store.get("palm/info")).map(({ number: palm, joint }) => `Palm ${palm} at ${say(`${joint}_rad`)}, `
     + `${say(`${away}${palm}_m`)} from the centre of mass, pressed with ${say(`f${palm}_n`)}.`);
