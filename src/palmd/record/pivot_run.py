@@ -10,7 +10,7 @@ from palmd.messages import Says
 from palmd.observer.pivot.live import PivotObserver
 from palmd.observer.pivot.observer import pivot_observer
 from palmd.pivot_config import PivotConfig
-from palmd.quantities import PIVOT_ANSWER
+from palmd.pivot_quantities import PIVOT_ANSWER
 from palmd.record.run import AnyRun, RecordedAnswers
 from palmd.system.pivot import SYSTEM, PivotRig
 
