@@ -27,7 +27,8 @@ from palmd.quantities import (
     Topic,
     truth_of,
 )
-from palmd.record.mcapfile import RunError, Tail
+from palmd.record import RunError
+from palmd.record.mcapfile import Tail
 from palmd.record.run import Run, Survey
 
 Bools = npt.NDArray[np.bool_]
