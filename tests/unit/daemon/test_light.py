@@ -59,6 +59,7 @@ def built():
     """Whoever builds needs CasADi."""
     for model in (shape_map, smoothing, sensitivity, rollout):
         assert model.library().backend == "c"
+    assert shape_map.library(smoothing.ORDER).backend == "c"
 
 
 def told(code, *folders):
