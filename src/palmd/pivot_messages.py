@@ -10,7 +10,8 @@ import numpy as np
 from palmd import messages
 from palmd.events import ShapeEstimate
 from palmd.messages import EventsForm, Fields
-from palmd.quantities import PIVOT, PIVOT_EVENTS, SCHEMA, UNITS
+from palmd.pivot_quantities import PIVOT, PIVOT_EVENTS
+from palmd.quantities import SCHEMA, UNITS
 from palmd.system.pivot import AXES, NAMING, SYSTEM, PivotAnswer, PivotEstimate
 
 if TYPE_CHECKING:

@@ -24,8 +24,9 @@ from mcap.writer import CompressionType, Writer
 
 from palmd.messages import Fields
 from palmd.payload import unpacked
-from palmd.quantities import SCHEMA, STAMP, TOPICS, Kind, Quantity, Topic
+from palmd.quantities import SCHEMA, STAMP, Kind, Quantity, Topic
 from palmd.record import MAGIC, RunError
+from palmd.topics import TOPICS
 
 PROFILE = "palmd"
 MESSAGE_ENCODING, SCHEMA_ENCODING = "msgpack", "jsonschema"
