@@ -10,11 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 
-from palmd.config import Config, config_hash
 from palmd.events import (
     Estimate,
     Event,
@@ -36,6 +35,9 @@ from palmd.system.mechanism import JOINTS, NAMING, PALMS, SIDES
 from palmd.system.naming import Naming
 from palmd.system.rig_constants import RIG_NAMES, said_off
 from palmd.topics import TOPICS
+
+if TYPE_CHECKING:
+    from palmd.config import Config
 
 Fields = dict[str, Any]
 
@@ -366,6 +368,8 @@ def entries_of(fields: Mapping[str, Any]) -> tuple[LogEntry, ...]:
 
 def info_fields(version: str, observer: str, config: Config, plans: Iterable[str] = ()) -> Fields:
     """`palm/info`: who runs, and the rig as configured, lengths and limits included, for whoever draws it."""
+    from palmd.config import config_hash  # of the pydantic models, which nothing else here needs
+
     rig, limits = config.rig, config.limits
     lengths_mm = {f"palm{palm}": length for palm, length in zip(PALMS, rig.palm_lengths_mm, strict=True)}
     lengths_mm |= {f"pad{palm}": pad.length_mm for palm, pad in zip(PALMS, config.pads.each(), strict=True)}

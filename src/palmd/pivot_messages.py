@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from palmd import messages
-from palmd.config import config_hash
 from palmd.events import ShapeEstimate
 from palmd.messages import EventsForm, Fields
-from palmd.pivot_config import PivotConfig
 from palmd.pivot_quantities import PIVOT, PIVOT_EVENTS
 from palmd.quantities import SCHEMA, UNITS
 from palmd.system.pivot import AXES, NAMING, SYSTEM, PivotAnswer, PivotEstimate
+
+if TYPE_CHECKING:
+    from palmd.pivot_config import PivotConfig
 
 _TOLD = tuple((each.name, each.source) for each in PIVOT.quantities if each.source)
 _NAMES = {each.source: each.name for each in PIVOT.quantities if each.uncertain}
@@ -67,6 +68,8 @@ def answer_of(fields: Mapping[str, Any]) -> PivotAnswer:
 
 def info_fields(version: str, observer: str, config: PivotConfig, plans: Iterable[str]) -> Fields:
     """`palm/pivot_info`: who runs, and the rig as configured, for whoever draws it."""
+    from palmd.config import config_hash  # of the pydantic models, which nothing else here needs
+
     return {
         "version": version,
         "schema": SCHEMA,

@@ -20,9 +20,9 @@ from palmd.messages import Fields, Says, improvement_of
 from palmd.observer.observer import LiveObserver, Observer
 from palmd.outlinefile import Outline, OutlineError, read_library
 from palmd.quantities import EVENTS, IMPROVEMENT, SCHEMA, UNEXPLAINED, SystemTopics, Topic
-from palmd.record import SUFFIX
+from palmd.record import RunError
 from palmd.record.eventlog import EventLog
-from palmd.record.mcapfile import MAGIC, Preface, RawMessage, RunError, Tail, is_finished, read_messages, read_preface
+from palmd.record.mcapfile import Preface, RawMessage, Tail, is_finished, read_messages, read_preface
 from palmd.record.metadata import CONFIG, METADATA, OUTLINES, RIG
 from palmd.system.description import RigDescription
 from palmd.systems import LIVE, TWO_PALMS, for_two_palms_only, load_part
@@ -35,7 +35,6 @@ __all__ = [
     "Run",
     "RunError",
     "Survey",
-    "is_recording",
     "read_any_run",
     "read_run",
 ]
@@ -227,17 +226,6 @@ class Run(AnyRun):
                 return read_library(Path(folder))
             except OutlineError as error:
                 raise RunError(f"{self.path}: its stored outlines: {error}") from None
-
-
-def is_recording(path: Path) -> bool:
-    """Whether a file is a recorded run, by its first bytes or else by its name; also when it cannot be read."""
-    if path.suffix == SUFFIX:
-        return True
-    try:
-        with path.open("rb") as stream:
-            return stream.read(len(MAGIC)) == MAGIC
-    except OSError:
-        return False  # whoever reads it tells why
 
 
 def read_run(path: Path) -> Run:
