@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -46,6 +46,27 @@ NAMED_STATE = tuple(q.source for q in ESTIMATE.quantities if q.role == "named")
 
 _SD_NAMES = {source: name for name, source in _UNCERTAIN}
 _WITH_SD = {quantity.name for topic in TOPICS for quantity in topic.quantities if quantity.uncertain}
+
+
+class Says(Protocol):
+    """A system's module of messages: what every system publishes, as fields, and its events read back."""
+
+    @property
+    def events_fields(self) -> Callable[[float, Sequence[Event]], Fields]:
+        """Of the events that an observer was fed in the tick at a time (s)."""
+
+    @property
+    def events_of(self) -> Callable[[Mapping[str, Any]], tuple[Event, ...]]:
+        """And back."""
+
+    def estimate_fields(self, estimate: Any, /) -> Fields:
+        """Of an estimate."""
+
+    def estimate_at_a_glance(self, estimate: Any, /) -> Fields:
+        """What a status tells of it."""
+
+    def info_fields(self, version: str, observer: str, config: Any, plans: Iterable[str], /) -> Fields:
+        """Of the rig as configured."""
 
 
 def stamp(fields: Fields, timestamp: float, t: float, seq: int) -> Fields:

@@ -26,7 +26,7 @@ def estimate_fields(estimate: PivotEstimate) -> Fields:
     return fields | {"sd": {_NAMES[source]: sd for source, sd in estimate.sd.items()}}
 
 
-def at_a_glance(estimate: PivotEstimate) -> Fields:
+def estimate_at_a_glance(estimate: PivotEstimate) -> Fields:
     """Of `palm/pivot` what people look at first, as the status tells it; None for what has no value."""
     return messages.at_a_glance(PIVOT, estimate_fields(estimate), "side", "touched", "nis", "reason")
 

@@ -39,7 +39,7 @@ def estimate_fields(estimate: BodyEstimate) -> Fields:
     }
 
 
-def at_a_glance(estimate: BodyEstimate) -> Fields:
+def estimate_at_a_glance(estimate: BodyEstimate) -> Fields:
     """Of `palm3/estimate` what people look at first, as the status tells it; None for what has no value."""
     return messages.at_a_glance(PALM3, estimate_fields(estimate), "touched", "nis", "hypotheses", "reason")
 
