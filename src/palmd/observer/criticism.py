@@ -8,14 +8,16 @@ long as what calibration leaves), an explanation by causes D times as large is l
 ½ D² qᵀC (1 + D² CᵀKC)⁻¹ Cᵀq − ½ ln|1 + D² CᵀKC| (Rao 1948 for the score, Kass and Raftery 1995 for the factor). So one
 that needs more causes, or that readings would tell worse, pays for it, and explanations that readings cannot tell apart
 share what is believed. Contradicted, a constant is open to the root of its expected square over all of them and
-estimated; until then it is considered (Schmidt 1966): estimates go by what is believed, and mean and covariance of what
-the explanations make of them, by how likely each is, are added to the answer (Hoeting et al. 1999).
+estimated; until then it is considered (Schmidt 1966): estimates go by what is believed, and the expected square of what
+the explanations would move them by is added to their covariance. To be named a cause has to be likelier than one in a
+hundred. To be in a band not nearly as much, where it is a rig that is declared better than calibration leaves one: half
+of what leads an outline astray is told by two or three sigmas.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import combinations
 
@@ -33,7 +35,8 @@ from palmd.system.rig_constants import prior_sds
 CONTRADICTED = -0.5  # nats, of all explanations together against what is believed: of clean rigs 1 in 100 comes there
 STILL = -2.0  # and what has been contradicted is still
 NAMED = 0.25  # share of the explanations that a constant must be in, where no one of them has most of it
-SELDOM = math.log(0.01)  # that there is one cause, beforehand
+SELDOM = math.log(0.01)  # that there is one cause, beforehand, to be named
+OFTEN = 0.05  # the same, to be doubted, of what is declared better than calibrated; less by as much as it is more off
 TIMES = (1.0, 3.0, 10.0)  # what calibration leaves
 MOST_TOGETHER = 3  # causes at a time
 NO_SUCH_RIG = 2.0  # of what is left free, beyond which a constant is no rig's that answers to its description
@@ -52,15 +55,7 @@ FREE_SD: FloatArray = TIMES[-1] * LEFT
 """One-sigma of constants that are not what they were taken for, nobody knows by how much."""
 
 
-@dataclass(frozen=True, slots=True)
-class Doubt:
-    """By how much the rig's constants may be off beyond what is believed: mean (15,) and covariance (15, 15)."""
-
-    mean: FloatArray
-    covariance: FloatArray
-
-
-NO_DOUBT = Doubt(NOTHING, np.zeros((RIG_CONSTANTS, RIG_CONSTANTS)))
+NO_DOUBT: FloatArray = np.zeros((RIG_CONSTANTS, RIG_CONSTANTS))
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,13 +63,14 @@ class RigBelief:
     """How well the rig's constants are taken to be known, in the order of `model.smoothing.R`; SI units.
 
     told: their one-sigmas by the rig's description. contradicted: by how many sigmas each is not what it was taken for,
-    0 where nothing speaks against that. sd: their one-sigmas to go by. doubt: of those, while nothing is contradicted.
+    0 where nothing speaks against that. sd: their one-sigmas to go by. doubt: mean products (15, 15) of what they may
+    be off by beyond those, while nothing is contradicted.
     """
 
     told: FloatArray
     contradicted: FloatArray
     sd: FloatArray
-    doubt: Doubt = NO_DOUBT
+    doubt: FloatArray = field(default_factory=lambda: NO_DOUBT)
 
     @classmethod
     def of(cls, rig: RigDescription) -> RigBelief:
@@ -103,13 +99,13 @@ class RigBelief:
         hardly = bool((np.abs(np.log(one / other)) < math.log(SAME)).all())
         return replace(self, contradicted=found.contradicted, sd=self.sd if hardly else found.sd, doubt=found.doubt)
 
-    def considering(self, y: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """An estimate y, which begins with the constants, and its covariance, what is in `doubt` allowed for.
+    def considering(self, covariance: FloatArray) -> FloatArray:
+        """The covariance of an estimate y, which begins with the constants, what is in `doubt` allowed for.
 
         To have its prior's mean elsewhere by m moves an estimate by cov(y, rig) sd⁻² m.
         """
         pull = covariance[:, RIG] / self.sd**2
-        return y + pull @ self.doubt.mean, covariance + pull @ self.doubt.covariance @ pull.T
+        return covariance + pull @ self.doubt @ pull.T
 
     def beyond_all(self, guess: Guess) -> bool:
         """Whether a guess has a constant further off than the widest explanation foresees: something else is wrong."""
@@ -128,7 +124,7 @@ class Criticism:
 
     contradicted: FloatArray
     sd: FloatArray
-    doubt: Doubt
+    doubt: FloatArray
     odds: float
 
 
@@ -141,15 +137,13 @@ def criticised(
     was contradicted `before` is down to `STILL`. Raises LinAlgError for a covariance that is none.
     """
     K, q = _score(values, covariance, sd, believed)
-    among, log_weight, means, squares = _explanations(K, q, believed)
+    among, log_weight, log_doubt, squares = _explanations(K, q, believed)
     odds = float(np.logaddexp.reduce(log_weight, initial=-math.inf))
     if not len(among):
         return Criticism(NOTHING, believed, NO_DOUBT, odds)
-    share = np.exp(log_weight - odds)
-    wrong = 1.0 / (1.0 + math.exp(-odds))
-    mean, square = wrong * (share @ means), wrong * np.tensordot(share, squares, 1)
     if odds < (STILL if before.any() else CONTRADICTED):
-        return Criticism(NOTHING, believed, Doubt(mean, square - np.outer(mean, mean)), odds)
+        return Criticism(NOTHING, believed, _expected(log_doubt, squares), odds)
+    share, square = np.exp(log_weight - odds), _expected(log_weight, squares)
     opened = np.sqrt(believed**2 + np.diagonal(square))
     best = among[int(np.argmax(log_weight))]
     left = _sigmas(*_score(values, covariance, sd, np.where(best, FREE_SD, believed)))
@@ -163,6 +157,13 @@ def criticised(
     return Criticism(found, opened, NO_DOUBT, odds)
 
 
+def _expected(log_weights: FloatArray, squares: FloatArray) -> FloatArray:
+    """Mean of `squares` (n, 15, 15), by how likely each is; of no cause, whose weight is 1, it is 0."""
+    odds = float(np.logaddexp.reduce(log_weights))
+    mean: FloatArray = np.tensordot(np.exp(log_weights - np.logaddexp(odds, 0.0)), squares, 1)
+    return mean
+
+
 @cache
 def _sets(size: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     """So many causes at a time, no constant in two of them (n, size), for each of `TIMES`: which that is (n,)."""
@@ -174,7 +175,8 @@ def _sets(size: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
 def _explanations(
     K: FloatArray, q: FloatArray, believed: FloatArray
 ) -> tuple[npt.NDArray[np.bool_], FloatArray, FloatArray, FloatArray]:
-    """Which constants are in each explanation (n, 15), its log odds (n,), by how much they are off: mean, mean square.
+    """Which constants are in each explanation (n, 15), its log odds to be named and doubted (n,), and mean products
+    of what it says they are off by (n, 15, 15).
 
     None that readings would rather have with one cause less, by the ratio of densities at 0 (Dickey 1971).
     """
@@ -192,13 +194,15 @@ def _explanations(
         mean = (left @ score[:, :, None])[:, :, 0]
         gain = 0.5 * (score * mean).sum(axis=1) - 0.5 * log_determinant
         needed = (np.log(variance) + mean**2 / variance > 0.0).all(axis=1)
-        sets, left, mean, gain = sets[needed], left[needed], mean[needed], gain[needed]
-        by = times[needed, :, None] * CAUSES[sets]
+        sets, times, left, mean, gain = sets[needed], times[needed], left[needed], mean[needed], gain[needed]
+        by = times[:, :, None] * CAUSES[sets]
         square = np.swapaxes(by, 1, 2) @ (left + mean[:, :, None] * mean[:, None, :]) @ by
         log_weight = gain + size * SELDOM - math.log(len(TIMES))
-        found.append(((by > 0.0).any(axis=1), log_weight, np.einsum("ni,nik->nk", mean, by), square))
-    among, log_weights, means, squares = (np.concatenate(each) for each in zip(*found, strict=True))
-    return among, log_weights, means, squares
+        beforehand = np.where(open_by[0][sets], np.log(OFTEN / times), SELDOM - math.log(len(TIMES)))
+        log_doubt = gain + beforehand.sum(axis=1)
+        found.append(((by > 0.0).any(axis=1), log_weight, log_doubt, square))
+    among, log_weights, log_doubts, squares = (np.concatenate(each) for each in zip(*found, strict=True))
+    return among, log_weights, log_doubts, squares
 
 
 def _inverses(A: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -162,8 +162,8 @@ class IncrementalSmoother:
         posterior = answer.posterior
         if posterior is None:
             return None
-        estimate = np.concatenate([best.guess.p, best.guess.x[-1]])
-        everything, covariance = answer.belief.considering(estimate, posterior.covariance)
+        everything = np.concatenate([best.guess.p, best.guess.x[-1]])
+        covariance = answer.belief.considering(posterior.covariance)
         x, P, spread = given_the_rig(everything, covariance)
         made_convex(x, P, _OUTLINE)
         established = self._follower is not None

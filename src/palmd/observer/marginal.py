@@ -75,17 +75,21 @@ def marginalised(library: Library, record: Record, prior: Prior, fit: Fit) -> Ma
     for weight, step in zip(weights, steps, strict=True):
         miss = np.concatenate([step.fit.guess.p, step.fit.guess.x[-1]]) - mean
         covariance += weight * (step.posterior.covariance + np.outer(miss, miss))
-    covariance[C.SATURATION, C.SATURATION] += (2.0 * p[C.SATURATION] * stride) ** 2 / 12
-    mu, mu_sd = _friction(steps, weights, stride)
+    between = max(stride**2 - sd**2, 0.0) / 12  # sums over steps no longer than the one-sigma are exact
+    covariance[C.SATURATION, C.SATURATION] += (2.0 * p[C.SATURATION]) ** 2 * between
+    mu, mu_sd = _friction(steps, weights, between)
     return Marginal(Guess(x, p), covariance, mu, mu_sd)
 
 
-def _friction(steps: Sequence[_Step], weights: FloatArray, stride: float) -> tuple[float, float]:
-    """μ and its one-sigma over all steps: as a function of (B, w) it is too curved for their covariance."""
+def _friction(steps: Sequence[_Step], weights: FloatArray, between: float) -> tuple[float, float]:
+    """μ and its one-sigma over all steps: as a function of (B, w) it is too curved for their covariance.
+
+    between: variance of ln u_d that the steps do not resolve.
+    """
     each = np.array([friction_of(step.fit.guess.p, step.posterior.covariance) for step in steps])
     mean = float(weights @ each[:, 0])
-    between = (mean * stride) ** 2 / 12
-    return mean, math.sqrt(float(weights @ (each[:, 1] ** 2 + (each[:, 0] - mean) ** 2)) + between)
+    spread = float(weights @ (each[:, 1] ** 2 + (each[:, 0] - mean) ** 2))
+    return mean, math.sqrt(spread + mean**2 * between)
 
 
 def _step(smoother: Smoother, prior: Prior, start: Fit, value: float, bent: Guess) -> _Step:
@@ -99,8 +103,10 @@ def _step(smoother: Smoother, prior: Prior, start: Fit, value: float, bent: Gues
     posterior = pinned.posterior(fit)
     belief = (value - prior.mean[C.SATURATION]) / prior.sd[C.SATURATION]
     bent = Guess(fit.guess.x - foreseen.x, fit.guess.p - foreseen.p)
-    # the evidence is an integral over w = exp(−2 ln u_d), in which the pin is as wide as w
-    return _Step(value, fit, posterior, posterior.evidence - belief**2 / 2 + 2.0 * value, bent)
+    # the evidence is an integral over B and w: in B = μ/u_d what is believed of μ is as dense as u_d, and in
+    # w = exp(−2 ln u_d) the pin is as wide as w
+    log_weight = posterior.evidence - belief**2 / 2 + (1.0 + 2.0) * value
+    return _Step(value, fit, posterior, log_weight, bent)
 
 
 def _at(guess: Guess, value: float) -> Guess:

@@ -241,7 +241,7 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
     except np.linalg.LinAlgError:
         return _nothing(main.reason or "the fit is not a minimum", begun, fit.chi2)
     x, by_prior = answered.mean.x, (answered.mean.p[RIG], answered.covariance[RIG, RIG])
-    everything, covariance = main.belief.considering(np.concatenate([answered.mean.p, x[-1]]), answered.covariance)
+    everything, covariance = np.concatenate([answered.mean.p, x[-1]]), main.belief.considering(answered.covariance)
     convex = made_convex(everything, covariance, _OUTLINE)
     p = everything[:CONSTANTS]
     parts = sorted([_Joined(record, x[:, 0], x[:, 1]), *others], key=lambda part: float(part.record.t[0]))

@@ -22,7 +22,7 @@ class Reconstruction:
     rig, rig_covariance: the rig's constants, as in `model.smoothing.R`, and their covariance; none where empty.
     contradicted: by how many sigmas each of them is not what it was taken for, 0 where nothing speaks against that.
     rig_prior_sd: the one-sigmas that they are taken for beforehand, opened where that is contradicted. rig_by_prior:
-    values and covariance by these alone, where doubt about them is in `rig` and `rig_covariance` besides.
+    values and covariance by these alone, where doubt about them is in `rig_covariance` besides.
     t, psi, omega0, radii (one row a palm): the trajectory at the nodes. `chi2` is per contact reading. `reason` says
     why not, when not `converged`. turned_sd: one-sigma of psi[-1] − psi[0] (rad), where the record is of one segment.
     sides: flat sides of the outline that were felt, one a row: outward normal (rad), length and its one-sigma (m).

@@ -166,6 +166,20 @@ def test_steps_over_the_dither_speed_are_foretold(problem, monkeypatch):
     assert told.mu_sd == pytest.approx(wanted.mu_sd, rel=0.02)
 
 
+def test_of_what_no_reading_tells_the_average_is_what_was_believed(problem):
+    """Steps over the dither speed are weighed in (μ, ln u_d), though the smoother goes by μ/u_d and 1/u_d²."""
+    spread = 0.3
+    prior = replace(problem.prior, sd=np.where(np.arange(CONSTANTS) == C.SATURATION, spread, problem.prior.sd))
+    of = problem.record
+    vague = replace(of, contact_variance=1e8 * of.contact_variance, force_variance=1e8 * of.force_variance)
+    fit = Smoother(problem.library, vague, prior).fit(problem.guess, NOISE)
+    told = marginalised(problem.library, vague, prior, fit)
+    mu, dither = prior.mean[C.DRAG], np.exp(prior.mean[C.SATURATION])
+    assert told.mean.p[C.DRAG] == pytest.approx(mu / dither * np.exp(spread**2 / 2), rel=0.02)
+    assert told.mean.p[C.SATURATION] == pytest.approx(dither**-2 * np.exp(2 * spread**2), rel=0.02)
+    assert (told.mu, told.mu_sd) == pytest.approx((mu, prior.sd[C.DRAG]), rel=0.02)
+
+
 def test_a_fit_comes_back_to_the_truth_from_nearby(problem):
     random = np.random.default_rng(2)
     y = packed(problem.guess) + 30 * problem.scale * random.standard_normal(len(problem.scale))
