@@ -122,7 +122,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _outcome(seed: int, arguments: argparse.Namespace) -> Outcome:
-    """What comes of a seed; of the happenings to keep only, if told so: a seeker's are known when it has run."""
+    """What comes of a seed; of the happenings to keep only, if told so: a director's are known when it has run."""
     keep: Sequence[int] | None = arguments.keep
     if not arguments.reach:
         scenario = coarsened(drawn(seed)) if arguments.coarse else drawn(seed)

@@ -372,7 +372,7 @@ def test_every_command_finds_what_is_sought(code):
     assert outcome.breach is None
     found = {(state, command) for state, each, command in outcome.seen if each == (code or "none")}
     assert found == {(state, command) for state in SOUGHT[code] for command in COMMANDS}
-    again = simulate(outcome.scenario)  # what the seeker did, as if it had been drawn
+    again = simulate(outcome.scenario)  # what the director did, as if it had been drawn
     assert not again.scenario.sought
     assert again.digest == outcome.digest
 

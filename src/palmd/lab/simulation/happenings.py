@@ -114,7 +114,7 @@ class Scenario:
     port's adapter delivers. `thorough`: with the real observer on the real plant; `recorded`: as the recorder does.
     `trouble_s` is how long things may happen, and until `alone_s` nobody but the clients that are drawn gives commands.
     `calm_s` is how long all must be well again after that. `coarse`: a light rig that lives in longer steps.
-    `sought`: a seeker of this number does what happens, instead of what is drawn.
+    `sought`: a director of this number does what happens, instead of what is drawn.
     """
 
     seed: int

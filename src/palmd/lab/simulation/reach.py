@@ -98,7 +98,7 @@ class _View:
         return self.state is State.TRACKING and self.core.setpoints.moving
 
 
-class Seeker:
+class Director:
     """See the module. `over` once every command has found the fault in every state, and the fault has gone."""
 
     def __init__(self, number: int) -> None:
@@ -232,7 +232,7 @@ class Seeker:
             yield self._message(view.t, name, args.get(name, {}))
 
     def _message(self, t: float, name: str, args: dict[str, object]) -> Told:
-        message = {"id": next(self._ids), "cmd": name, "args": args, "from": "seeker"}
+        message = {"id": next(self._ids), "cmd": name, "args": args, "from": "director"}
         return Told(t, 0, msgpack.packb(message))
 
     # ---- causes: for how long (s) none is needed again, and what happens ------------------------------------
@@ -293,13 +293,13 @@ class Seeker:
         return 3.0, [Trick(view.t, "burst", PADS[0], 0.4, 2.5)]
 
 
-_Cause = Callable[[Seeker, _View], tuple[float, list[Happening]]]
+_Cause = Callable[[Director, _View], tuple[float, list[Happening]]]
 
 _FAR = b"".join(encode_packet(counts, counts, 40) for counts in (COUNT_MAX, COUNT_MIN))
 _NEAR = encode_packet(0, 0, 40) * 2
 
 _CAUSES: dict[str, _Cause] = {
-    "": Seeker.left_behind,
+    "": Director.left_behind,
     "tick-error": lambda by, view: by.broken(view, "raises", 0.03),
     "estimate-not-finite": lambda by, view: by.broken(view, "nan", 0.03),
     "loop-overruns": lambda by, view: by.stalls(view, 10),
@@ -315,23 +315,23 @@ _CAUSES: dict[str, _Cause] = {
     "garbled": lambda by, view: by.stray(view, b"\xff" * 20),
     "out-of-range": lambda by, view: by.stray(view, _FAR),
     "batched": lambda by, view: by.stray(view, _NEAR),
-    "recorder-failed": Seeker.recorder,
-    "recorder-silent": Seeker.recorder,
-    "samples-too-late": Seeker.held_up,
+    "recorder-failed": Director.recorder,
+    "recorder-silent": Director.recorder,
+    "samples-too-late": Director.held_up,
 }
 """What brings a fault about in the state in which it is sought. The arm's and the pads' by what follows the port."""
 
 _CAUSES_IN_MOTION: dict[str, _Cause] = {
-    "arm-fault": Seeker.gone_over,
+    "arm-fault": Director.gone_over,
     "arm-left-tracking": lambda by, view: by.trick(view, "power_off", 0.004),
     "arm-late": lambda by, view: by.trick(view, "mute", 0.14),
     "arm-held": lambda by, view: by.trick(view, "mute", 0.09),
     "silent": lambda by, view: by.trick(view, "mute", 0.5),
     "lifted": lambda by, view: by.trick(view, "lift", 0.5),
-    "pads-swapped": Seeker.pressed,
+    "pads-swapped": Director.pressed,
     "estimate-lost": lambda by, view: by.broken(view, "blind", 12.0),
     "estimate-inconsistent": lambda by, view: by.broken(view, "misses", 7.0),
-    "explorer-silent": Seeker.slow,
+    "explorer-silent": Director.slow,
 }
 """What does so only while the palms move, from where a command or another fault leads to the state."""
 
@@ -341,7 +341,7 @@ def _sought(number: int) -> str:
 
 
 def sought(number: int) -> Scenario:
-    """The run of a number: its happenings are what the seeker does, so there are none before it is run."""
+    """The run of a number: its happenings are what the director does, so there are none before it is run."""
     observer = _sought(number) in _NEEDS_OBSERVER
     plan = EXPLORES if observer else LIVELY
     return Scenario(

@@ -60,7 +60,7 @@ from palmd.lab.simulation.machine import (
     VirtualPort,
     VirtualWaiter,
 )
-from palmd.lab.simulation.reach import Seeker
+from palmd.lab.simulation.reach import Director
 from palmd.lab.simulation.watch import Breach, Watch
 from palmd.messages import Fields, info_fields
 from palmd.motion.check import motion_limits
@@ -144,8 +144,8 @@ class Simulation:
         self._losses = self._falls = 0
         self._breakable = Breakable(LightObserver())
         self._recorder: Recorder | None = None
-        self._seeker = Seeker(scenario.seed) if scenario.sought else None
-        self._done: list[Happening] = []  # by the seeker
+        self._director = Director(scenario.seed) if scenario.sought else None
+        self._done: list[Happening] = []  # by the director
         for each in scenario.happenings:
             self._order(each)
         self._begin()
@@ -231,7 +231,7 @@ class Simulation:
         clock, watch = self.machine.clock, self.watch
         while clock.now < max(watch.t_trouble, self.scenario.trouble_s) + self.scenario.calm_s and watch.breach is None:
             self.step()
-        if self._seeker is not None:
+        if self._director is not None:
             self._end_seeking(clock.now)
         if watch.breach is None:
             self._judge_the_end(clock.now)
@@ -240,8 +240,8 @@ class Simulation:
     def step(self) -> None:
         """One period of the loop."""
         clock, watch = self.machine.clock, self.watch
-        if self._seeker is not None:
-            self._seek(self._seeker, clock.now)
+        if self._director is not None:
+            self._seek(self._director, clock.now)
         self._let_happen(clock.now)
         self._operate(clock.now)
         self.loop.period()
@@ -265,21 +265,21 @@ class Simulation:
         if isinstance(what, Trick):
             self.rig.mischief.add([FaultOrder(what.name, what.port, what.strength, what.t, what.t + what.for_s)])
 
-    def _seek(self, seeker: Seeker, t: float) -> None:
-        """Let the seeker do what leads on."""
-        found = seeker.look(self.core, self.rig.palms(), self.watch.seen, t)
+    def _seek(self, director: Director, t: float) -> None:
+        """Let the director do what leads on."""
+        found = director.look(self.core, self.rig.palms(), self.watch.seen, t)
         for each in found:
             self._order(each)
         for cause in causes(found):
             self.watch.happened(cause.name, cause.t_on, cause.t_off)
         self._waiting = found[::-1]
         self._done += found
-        if seeker.over:
+        if director.over:
             self._end_seeking(t)
 
     def _end_seeking(self, t: float) -> None:
         """From `t` (s) on the run is as one whose happenings were drawn beforehand, and is repeated as that."""
-        self._seeker = None
+        self._director = None
         done, numbers = tuple(self._done), tuple(range(len(self._done)))
         self.scenario = replace(self.scenario, happenings=done, kept=numbers, sought=False, trouble_s=t, alone_s=t)
 
@@ -332,7 +332,7 @@ class Simulation:
 
     def _operate(self, t: float) -> None:
         """Somebody who wants the palms to move, and reads the state as often as they can."""
-        if self._seeker is not None or t < max(self._t_look, self.scenario.alone_s):
+        if self._director is not None or t < max(self._t_look, self.scenario.alone_s):
             return
         self._t_look = t + self.scenario.eager_s
         core = self.core
