@@ -18,9 +18,9 @@ from palmd.cli.table import Command, loaded, parser_of, said
 from palmd.config import Config, ExploreSpec, HoldSpec, MoveSpec, PlanSpec, RateSpec, SineSpec
 from palmd.daemon import lifecycle
 from palmd.daemon.commands import COMMANDS, CommandSpec
-from palmd.faults import FAULTS
+from palmd.faults import FAULTS, Fault
 from palmd.lab.equations import errata
-from palmd.lab.simulation.reached import rows, unreachable
+from palmd.lab.simulation.reached import behind_a_stop, rows, unreachable
 from palmd.model.notation import SYMBOLS
 from palmd.quantities import STAMP
 from palmd.rig.fault_injection import ALL_FAULTS
@@ -133,20 +133,24 @@ def states() -> str:
 def reach() -> str:
     whys = list(dict.fromkeys(why for state, fault, _ in rows() if (why := unreachable(state, fault))))
     cells = [
-        (f"`{fault.code}`" if fault else "none", *(_cell(whys, unreachable(state, fault)) for state in lifecycle.State))
+        (f"`{fault.code}`" if fault else "none", *(_cell(whys, state, fault) for state in lifecycle.State))
         for fault in (None, *FAULTS)
     ]
     return (
         "# What a command can find\n\nEach fault in each state of the lifecycle: *yes* where the simulation must have "
-        "given every command there ([what it has](../results/simulation.md#what-has-been-reached)), else the number of "
+        "given every command there ([what it has](../results/simulation.md#what-has-been-reached)), *stop* where a "
+        "command can only come behind a `stop` in the same tick, before the faults are judged anew, else the number of "
         "the reason why no command can find it so. A reason that a run contradicts is told by `palmd bench simulate`."
         "\n\n" + table(("fault", *map(str, lifecycle.State)), cells)
         + "\n" + "".join(f"{number}. {why}\n" for number, why in enumerate(whys, 1))
     )  # fmt: skip
 
 
-def _cell(whys: Sequence[str], why: str | None) -> str:
-    return "yes" if why is None else str(whys.index(why) + 1)
+def _cell(whys: Sequence[str], state: lifecycle.State, fault: Fault | None) -> str:
+    why = unreachable(state, fault)
+    if why is None:
+        return "stop" if behind_a_stop(state, fault) else "yes"
+    return str(whys.index(why) + 1)
 
 
 def mischief() -> str:

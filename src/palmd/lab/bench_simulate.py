@@ -20,9 +20,9 @@ from statistics import median
 from palmd.console.arguments import count, seconds
 from palmd.console.errors import BAD_INPUT
 from palmd.console.progress import Progress
-from palmd.lab.simulation.aimed import aimed
-from palmd.lab.simulation.happenings import Scenario, drawn
+from palmd.lab.simulation.happenings import Scenario, coarsened, drawn
 from palmd.lab.simulation.long import BLOCK_S, Life, calm, live, troubled
+from palmd.lab.simulation.reach import SOUGHT, sought
 from palmd.lab.simulation.reached import Triple, never_reached
 from palmd.lab.simulation.run import Outcome, simulate
 from palmd.lab.simulation.shrink import shrunk
@@ -56,7 +56,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--long", type=float, metavar="H", help="instead: H hours of trouble for one daemon: what breaks, and who leaks"
     )
     add("--seed", type=int, default=STANDSTILL_SEED, metavar="N", help="of --standstill, --clean, --long")
-    add("--aimed", action="store_true", help="seeds aim, one after the other, at a state with a fault in it")
+    add(
+        "--reach",
+        action="store_true",
+        help="each seed seeks one fault in every state, for every command to find it; default: all of them once",
+    )
+    add(
+        "--coarse", action="store_true", help="for more hours: longer steps of the rig, adapters that deliver each 4 ms"
+    )
     add("--keep", type=_numbers, metavar="N,N…", help="of one seed's happenings only these")
     add("--list", action="store_true", help="tell a single seed's happenings")
     add("--unreached", action="store_true", help="tell every (state, fault, command) that was not seen")
@@ -74,8 +81,11 @@ def run(arguments: argparse.Namespace) -> int:
         life = live(troubled(arguments.long, arguments.seed), BLOCK_S)
         print(f"{life.hours:.2f} simulated hours of one daemon, {life.holds} holds and stops")
         return _tell_life(life)
-    seeds: Iterable[int] = arguments.seeds if arguments.seeds is not None else _fresh(arguments.fresh or 60.0)
-    single = arguments.seeds is not None and len(arguments.seeds) == 1
+    told: range | None = arguments.seeds
+    if told is None and arguments.reach and arguments.fresh is None:
+        told = range(len(SOUGHT))
+    seeds: Iterable[int] = _fresh(arguments.fresh or 60.0) if told is None else told
+    single = told is not None and len(told) == 1
     if (arguments.keep is not None or arguments.list) and not single:
         print("--keep and --list are for one seed: --seeds A..A", file=sys.stderr)
         return BAD_INPUT
@@ -83,22 +93,20 @@ def run(arguments: argparse.Namespace) -> int:
     simulated_s, done, failed = 0.0, 0, 0
     seen: Counter[Triple] = Counter()
     sometimes: Counter[str] = Counter()
-    total = len(arguments.seeds) if arguments.seeds is not None else 0
+    total = 0 if told is None else len(told)
     with Progress("simulate", total, "runs") as progress:
         for seed in seeds:
-            scenario = aimed(seed) if arguments.aimed else drawn(seed)
-            if arguments.keep is not None:
-                scenario = scenario.keeping(arguments.keep)
-            outcome = simulate(scenario)
+            outcome = _outcome(seed, arguments)
             done += 1
             simulated_s += outcome.simulated_s
             seen += outcome.seen
             sometimes += outcome.sometimes
             if arguments.list:
-                _list(scenario)
+                _list(outcome.scenario)
             if outcome.breach is not None:
                 failed += 1
-                _tell(outcome, "--aimed --seeds" if arguments.aimed else "--seeds", shrink=arguments.keep is None)
+                how = "--reach " * arguments.reach + "--coarse " * arguments.coarse
+                _tell(outcome, f"{how}--seeds", shrink=arguments.keep is None)
             elif single:
                 print(f"seed {seed}: every invariant held; digest {outcome.digest}")
             if total:
@@ -111,6 +119,16 @@ def run(arguments: argparse.Namespace) -> int:
     print(f"sometimes: {', '.join(f'{name} {number}' for name, number in sorted(sometimes.items()))}")
     _tell_reached(seen, whole=arguments.unreached)
     return BAD_INPUT if failed else 0
+
+
+def _outcome(seed: int, arguments: argparse.Namespace) -> Outcome:
+    """What comes of a seed; of the happenings to keep only, if told so: a director's are known when it has run."""
+    keep: Sequence[int] | None = arguments.keep
+    if not arguments.reach:
+        scenario = coarsened(drawn(seed)) if arguments.coarse else drawn(seed)
+        return simulate(scenario if keep is None else scenario.keeping(keep))
+    outcome = simulate(sought(seed))
+    return outcome if keep is None else simulate(outcome.scenario.keeping(keep))
 
 
 def _tell_life(life: Life) -> int:

@@ -24,11 +24,11 @@ from palmd.events import PalmSample
 from palmd.faults import TABLE, FaultMonitor
 from palmd.lab import bench_simulate
 from palmd.lab.simulation import watch
-from palmd.lab.simulation.aimed import PAIRS, aimed
 from palmd.lab.simulation.causes import CAUSES, causes
 from palmd.lab.simulation.happenings import Broken, Scenario, Told, Trick, drawn
 from palmd.lab.simulation.light_observer import LightObserver
-from palmd.lab.simulation.reached import never_reached, rows, unreachable
+from palmd.lab.simulation.reach import SOUGHT, sought
+from palmd.lab.simulation.reached import behind_a_stop, never_reached, rows, unreachable
 from palmd.lab.simulation.run import Simulation, configured, quiet, simulate
 from palmd.lab.simulation.shrink import shrunk
 from palmd.lab.simulation.watch import Watch
@@ -360,17 +360,28 @@ def test_every_cause_is_one_that_may_happen():
     assert {name for names in CAUSES.values() for name in names} <= may | {"left"}  # the body, by itself
 
 
-def test_a_run_that_aims_is_the_same_whoever_draws_it_and_every_pair_is_aimed_at():
-    assert aimed(300) == aimed(300) != aimed(300 + len(PAIRS))
-    assert {(state, fault) for state, fault, _ in rows() if unreachable(state, fault) is None} == {*PAIRS}
+def test_all_that_can_be_reached_is_sought():
+    reachable = {(state, fault.code if fault else "") for state, fault, _ in rows() if not unreachable(state, fault)}
+    assert {(state, code) for code, states in SOUGHT.items() for state in states} == reachable
 
 
-def test_every_command_finds_what_was_aimed_at():
-    number = PAIRS.index((State.HOLD, TABLE["recorder-failed"]))
-    outcome = simulate(aimed(number))
+@pytest.mark.parametrize("code", ["", "pad1-silent", "arm-late", "plan-refused"])
+def test_every_command_finds_what_is_sought(code):
+    """In fault for one tick, in ready only behind a stop in the same tick; and what stays once it is there."""
+    outcome = simulate(sought(list(SOUGHT).index(code)))
     assert outcome.breach is None
-    found = {command for state, code, command in outcome.seen if (state, code) == ("hold", "recorder-failed")}
-    assert {*COMMANDS} - found <= {"recorder", "stop", "reset"}  # the first says that all is well
+    found = {(state, command) for state, each, command in outcome.seen if each == (code or "none")}
+    assert found == {(state, command) for state in SOUGHT[code] for command in COMMANDS}
+    again = simulate(outcome.scenario)  # what the director did, as if it had been drawn
+    assert not again.scenario.sought
+    assert again.digest == outcome.digest
+
+
+def test_behind_a_stop_is_found_what_cannot_be_found_so_otherwise():
+    assert behind_a_stop(State.READY, TABLE["pad1-port"])
+    assert not behind_a_stop(State.READY, TABLE["arm-port"])  # it ends tracking itself
+    assert not behind_a_stop(State.READY, TABLE["pad1-untouched"])
+    assert unreachable(State.IDLE, TABLE["pad1-silent"])
 
 
 def test_what_was_not_seen_is_told():
@@ -388,7 +399,8 @@ def test_the_command_tells_a_failure_as_one_command(monkeypatch, capsys):
     arguments = SimpleNamespace(
         seeds=range(2, 3),
         fresh=None,
-        aimed=False,
+        reach=False,
+        coarse=False,
         keep=None,
         list=False,
         unreached=False,

@@ -96,10 +96,10 @@ class Restart:
 
 @dataclass(frozen=True, slots=True)
 class Broken:
-    """The observer raises, calls what is not finite valid, or knows nothing."""
+    """The observer raises, calls what is not finite valid, knows nothing, or misses by far what it foresees."""
 
     t: float
-    how: Literal["raises", "nan", "blind"]
+    how: Literal["raises", "nan", "blind", "misses"]
     for_s: float
 
 
@@ -113,6 +113,8 @@ class Scenario:
     `eager_s` is how long the operator who wants the palms to move takes between looks, `latency_s` how often each
     port's adapter delivers. `thorough`: with the real observer on the real plant; `recorded`: as the recorder does.
     `trouble_s` is how long things may happen, and until `alone_s` nobody but the clients that are drawn gives commands.
+    `calm_s` is how long all must be well again after that. `coarse`: a light rig that lives in longer steps.
+    `sought`: a director of this number does what happens, instead of what is drawn.
     """
 
     seed: int
@@ -126,6 +128,9 @@ class Scenario:
     recorded: bool = False
     trouble_s: float = TROUBLE_S
     alone_s: float = 0.0
+    calm_s: float = CALM_S
+    coarse: bool = False
+    sought: bool = False
 
     def keeping(self, kept: Iterable[int]) -> Scenario:
         """The same with these happenings only, by their numbers among those drawn."""
@@ -137,6 +142,14 @@ class Scenario:
 PLANS = 4
 THOROUGH_EVERY, RECORDED_EVERY = 64, 16
 """Of the seeds: one in so many has the real observer and plant, or is recorded."""
+
+
+COARSE_LATENCY_S = 0.004
+
+
+def coarsened(scenario: Scenario) -> Scenario:
+    """The same for half of the processor time: in longer steps, and with adapters that deliver less often."""
+    return replace(scenario, coarse=True, latency_s=(COARSE_LATENCY_S,) * len(PORTS))
 
 
 def drawn(seed: int) -> Scenario:

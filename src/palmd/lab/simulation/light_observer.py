@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 from palmd.events import Estimate, Event, PadLift, PadSample
 from palmd.lab.silent_observer import SilentObserver
@@ -10,6 +11,8 @@ from palmd.messages import NAMED_STATE
 from palmd.system.mechanism import PALMS
 
 VALID_AFTER_S = 1.0
+LATE_S = 0.1
+"""Behind the newest: readings so late are of no use, as if they could no longer be fused at their own time."""
 
 
 class LightObserver(SilentObserver):
@@ -18,7 +21,8 @@ class LightObserver(SilentObserver):
     name = "shape"
 
     def __init__(self) -> None:
-        self.object_count = 0
+        self.object_count = self.late_dropped = 0
+        self._newest = -math.inf
         self._touched: dict[int, float] = {}
         numbers = {
             field.name: 0.01
@@ -33,6 +37,8 @@ class LightObserver(SilentObserver):
     def feed(self, event: Event) -> None:
         """Take one event."""
         if isinstance(event, PadSample):
+            self.late_dropped += event.t_sample < self._newest - LATE_S
+            self._newest = max(self._newest, event.t_sample)
             if len(self._touched) < len(PALMS) and event.pad not in self._touched:
                 self._touched[event.pad] = event.t_sample
                 self.object_count += len(self._touched) == len(PALMS)

@@ -20,7 +20,8 @@ from palmd.rig.imperfections import configured
 from palmd.rig.pads import BAND_JITTER_S, BAND_WEIGHTS, GOOD_PADS, PadEmulator, Press, VersaPadEmulator
 from palmd.system.mechanism import directions
 
-STEP_S = 1e-3
+STEP_S, COARSE_STEP_S = 1e-3, 4e-3
+"""How finely it lives: a quarter of the controller's cycle is enough where times within one do not matter."""
 _WEIGHT_N = 0.8
 _MIDDLE_M, _SWAY_M = 0.025, 0.008
 _AWAY_S = 1.0
@@ -38,17 +39,15 @@ class _Pad(VersaPadEmulator):
 class LightRig(EmulatedRig[AdeptArm]):
     """See the module. Times are seconds from 0."""
 
-    step_s = STEP_S
-
-    def __init__(self, config: Config, seed: int) -> None:
+    def __init__(self, config: Config, seed: int, step_s: float = STEP_S) -> None:
         """At rest; raises ValueError for a rig of other parts than VersaPads and an arm."""
         if not isinstance(config.arm, AdeptConfig):
             raise ValueError("the light rig has an arm")
-        self.seed, self.kind = seed, "rig"
+        self.seed, self.kind, self.step_s = seed, "rig", step_s
         rng, off = np.random.default_rng(seed), configured(config, seed)
         self.lived: Callable[[float], None] | None = None  # told of every step's time (s)
         home = (math.radians(45.0), math.radians(90.0))
-        self.arm = AdeptArm(config, config.arm, home, rng, step_s=STEP_S, lag_s=0.0)
+        self.arm = AdeptArm(config, config.arm, home, rng, step_s=step_s, lag_s=0.0)
         pads: dict[PortName, PadEmulator] = {}
         for name, pad, error in zip(PADS, config.pads.each(), off.pads, strict=True):
             assert isinstance(pad, VersaPadConfig)

@@ -18,8 +18,10 @@ Triple = tuple[str, str, str]
 
 _NO_LINK = ("arm-mute", "arm-link-lost", "arm-port")
 _NO_PORT = ("pad1-port", "pad2-port")
-_NEEDS_MOTION = ("pad1-silent", "pad2-silent", "pad1-lifted", "pad2-lifted", "arm-left-tracking")
-_NEEDS_TRACKING = ("arm-late", "arm-held")
+_NEEDS_TRACKING = (
+    *("pad1-silent", "pad2-silent", "pad1-lifted", "pad2-lifted"),
+    *("arm-left-tracking", "arm-late", "arm-held", "estimate-lost", "estimate-inconsistent"),
+)
 _NEVER_CAUSED = {
     "limits-violated": "set-points keep to the limits, and who takes the emulated arm by hand jogs it towards home",
     "arm-uncalibrated": "the emulated controller never loses its calibration",
@@ -37,6 +39,18 @@ _NEVER_CAUSED = {
 
 def unreachable(state: State, fault: Fault | None) -> str | None:
     """Why a command can never find this fault in this state, None where it can."""
+    return None if behind_a_stop(state, fault) else _after_no_tick(state, fault)
+
+
+def behind_a_stop(state: State, fault: Fault | None) -> bool:
+    """Whether a command finds it so only behind a `stop` in the same tick, and before the faults are judged anew."""
+    if state is not State.READY or _after_no_tick(state, fault) is None:
+        return False
+    return any(_after_no_tick(commanded, fault) is None for commanded in COMMANDED)
+
+
+def _after_no_tick(state: State, fault: Fault | None) -> str | None:
+    """Why no tick leaves this fault in this state, None where one does."""
     if fault is None:
         return None
     code = fault.code
@@ -50,12 +64,10 @@ def unreachable(state: State, fault: Fault | None) -> str | None:
         return "a stop fault that latches leads from ready to fault in the tick that it comes up in"
     if code in (*_NO_LINK, *_NO_PORT) and state is State.READY:
         return "ready is left in the tick in which a port or the link is gone"
-    if code in _NEEDS_TRACKING and state not in COMMANDED:
-        return "it is judged only while set-points are sent"
     if code == "arm-mute" and state in COMMANDED:
         return "the link, once found, is not mute but lost"
-    if code in _NEEDS_MOTION and state in (State.IDLE, State.READY):
-        return "it needs a motion that is under way, and leads from there to hold or fault"
+    if code in _NEEDS_TRACKING and state in (State.IDLE, State.READY):
+        return "it is judged while the arm is commanded, and from there it takes another tick than the one to get here"
     return None
 
 

@@ -35,11 +35,11 @@ from palmd.faults import Severity
 from palmd.lab.silent_observer import Breakable
 from palmd.lab.simulation.causes import causes
 from palmd.lab.simulation.happenings import (
-    CALM_S,
     PLAN_TEXTS,
     Broken,
     Bytes,
     ClockStep,
+    Happening,
     Part,
     Restart,
     Scenario,
@@ -49,7 +49,7 @@ from palmd.lab.simulation.happenings import (
     Trick,
 )
 from palmd.lab.simulation.light_observer import LightObserver
-from palmd.lab.simulation.light_rig import LightRig
+from palmd.lab.simulation.light_rig import COARSE_STEP_S, STEP_S, LightRig
 from palmd.lab.simulation.machine import (
     Aside,
     CommandSocket,
@@ -60,6 +60,7 @@ from palmd.lab.simulation.machine import (
     VirtualPort,
     VirtualWaiter,
 )
+from palmd.lab.simulation.reach import Director
 from palmd.lab.simulation.watch import Breach, Watch
 from palmd.messages import Fields, info_fields
 from palmd.motion.check import motion_limits
@@ -130,7 +131,7 @@ class Simulation:
         if scenario.thorough:
             self.rig = FullRig(self.config, scenario.seed)
         else:
-            self.rig = LightRig(self.config, scenario.seed)
+            self.rig = LightRig(self.config, scenario.seed, COARSE_STEP_S if scenario.coarse else STEP_S)
         self.machine = Machine(self.rig, scenario.latency_s)
         self._causes = tuple(causes(scenario.happenings))
         self.watch = Watch(self.config, self._causes, self.rig.arm, autostart=scenario.autostart)
@@ -143,9 +144,10 @@ class Simulation:
         self._losses = self._falls = 0
         self._breakable = Breakable(LightObserver())
         self._recorder: Recorder | None = None
+        self._director = Director(scenario.seed) if scenario.sought else None
+        self._done: list[Happening] = []  # by the director
         for each in scenario.happenings:
-            if isinstance(each, Trick):
-                self.rig.mischief.add([FaultOrder(each.name, each.port, each.strength, each.t, each.t + each.for_s)])
+            self._order(each)
         self._begin()
 
     # ---- the daemon --------------------------------------------------------------------------------------
@@ -227,8 +229,10 @@ class Simulation:
 
     def _run(self) -> Outcome:
         clock, watch = self.machine.clock, self.watch
-        while clock.now < max(watch.t_trouble, self.scenario.trouble_s) + CALM_S and watch.breach is None:
+        while clock.now < max(watch.t_trouble, self.scenario.trouble_s) + self.scenario.calm_s and watch.breach is None:
             self.step()
+        if self._director is not None:
+            self._end_seeking(clock.now)
         if watch.breach is None:
             self._judge_the_end(clock.now)
         return Outcome(self.scenario, watch.breach, clock.now, watch.digest.hexdigest(), watch.seen, watch.sometimes)
@@ -236,6 +240,8 @@ class Simulation:
     def step(self) -> None:
         """One period of the loop."""
         clock, watch = self.machine.clock, self.watch
+        if self._director is not None:
+            self._seek(self._director, clock.now)
         self._let_happen(clock.now)
         self._operate(clock.now)
         self.loop.period()
@@ -253,6 +259,29 @@ class Simulation:
         watch.tick(self.core, self.ports, self.loop.in_hand, self.rig.palms(), clock.now)
         if truth:
             watch.compare(self.core, truth, clock.now)
+
+    def _order(self, what: Happening) -> None:
+        """The rig's tricks are ordered beforehand."""
+        if isinstance(what, Trick):
+            self.rig.mischief.add([FaultOrder(what.name, what.port, what.strength, what.t, what.t + what.for_s)])
+
+    def _seek(self, director: Director, t: float) -> None:
+        """Let the director do what leads on."""
+        found = director.look(self.core, self.rig.palms(), self.watch.seen, t)
+        for each in found:
+            self._order(each)
+        for cause in causes(found):
+            self.watch.happened(cause.name, cause.t_on, cause.t_off)
+        self._waiting = found[::-1]
+        self._done += found
+        if director.over:
+            self._end_seeking(t)
+
+    def _end_seeking(self, t: float) -> None:
+        """From `t` (s) on the run is as one whose happenings were drawn beforehand, and is repeated as that."""
+        self._director = None
+        done, numbers = tuple(self._done), tuple(range(len(self._done)))
+        self.scenario = replace(self.scenario, happenings=done, kept=numbers, sought=False, trouble_s=t, alone_s=t)
 
     def _judge_the_end(self, t: float) -> None:
         truth = self.rig.truth() if isinstance(self.rig, FullRig) else {}
@@ -303,7 +332,7 @@ class Simulation:
 
     def _operate(self, t: float) -> None:
         """Somebody who wants the palms to move, and reads the state as often as they can."""
-        if t < max(self._t_look, self.scenario.alone_s):
+        if self._director is not None or t < max(self._t_look, self.scenario.alone_s):
             return
         self._t_look = t + self.scenario.eager_s
         core = self.core

@@ -119,7 +119,8 @@ class Watch:
     def happened(self, name: str, t_on: float, t_off: float) -> None:
         """A cause took effect from t_on to t_off (s), which need not be when it was to."""
         self._causes.append(Cause(name, t_on, t_off))
-        self.t_trouble = max(self.t_trouble, t_off)
+        if math.isfinite(t_off):
+            self.t_trouble = max(self.t_trouble, t_off)
 
     def left(self, t: float) -> None:
         """The body does not lie on the palms at `t` (s), whatever took it off: for so long it has left them."""
