@@ -80,6 +80,9 @@ def _indexed(folder: Path, *, rebuild: bool) -> list[IndexedRun]:
 
     try:
         return indexed(folder, rebuild=rebuild, progress=progress)
+    except FileNotFoundError:
+        text = f"{folder}: no such folder: no run has been recorded into it; `palmd demo` records one into {HERE}/ here"
+        raise CliError(BAD_INPUT, text) from None
     except OSError as error:
         raise CliError(BAD_INPUT, f"{folder}: {error.strerror or error}") from None
     finally:

@@ -67,7 +67,8 @@ def check_files(paths: Sequence[Path]) -> list[str]:
 
     A file with `segments` is a plan, checked within the limits of every configuration of its system given beside it,
     else the defaults. What a configuration names (plan, stored outlines, keys, the folder of the runs) is checked
-    too. A plan that does not begin with a move is taken to begin at HOME: only the rig knows better.
+    too, the plan within that configuration's limits alone. A plan that does not begin with a move is taken to begin
+    at HOME: only the rig knows better.
     """
     errors: list[str] = []
     documents = _documents(paths, errors)
@@ -88,13 +89,15 @@ def check_files(paths: Sequence[Path]) -> list[str]:
         errors += _outline_errors(document, config)
         errors += _keys_errors(document, config)
         errors += _folder_errors(document, config)
-        plans += _documents(_plan_named(document, config, errors, given=paths), errors)
+        for plan in _documents(_plan_named(document, config, errors, given=paths), errors):
+            errors += _plan_errors(plan, limits[-1:])
+            errors += _blind_errors(plan, [] if config.explores else [document])
     for document in plans:
         meant = [each for each in limits if _of_its_system(document, each)] or limits[:1]
         errors += _plan_errors(document, meant)
         systems = {each.system for each in meant}
         errors += _blind_errors(document, [each for name, each in blind if systems == {name}])
-    return errors
+    return list(dict.fromkeys(errors))  # two configurations may name one plan
 
 
 def _documents(paths: Iterable[Path], errors: list[str]) -> list[Document]:

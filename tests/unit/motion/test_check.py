@@ -51,6 +51,18 @@ def test_every_shipped_file_is_fine() -> None:
         own = "curvature" in text or "system:" in text  # whose limits are their own, and so are their plans
         assert check_files([config] if own else [config, *plans]) == []
     assert check_files(plans) == []
+    assert check_files(configs) == []  # as `palmd check config/*.yaml`: each one's plan within its own limits
+
+
+def test_a_plan_that_a_configuration_names_is_checked_within_its_limits_alone(tmp_path: Path) -> None:
+    wide, tight, _ = write(
+        tmp_path,
+        wide=PORTS + "plan: rock.yaml\n",
+        tight=PORTS + "limits: {phi1_deg: [6, 70]}\nplan: other.yaml\n",
+        rock=ROCK,
+    )
+    (tmp_path / "other.yaml").write_text(ROCK.replace("75", "65"))
+    assert check_files([wide, tight]) == check_files([tight, wide]) == []
 
 
 def test_the_limits_are_those_of_the_configuration_beside_else_the_defaults(tmp_path: Path) -> None:

@@ -158,7 +158,9 @@ def test_a_run_that_is_not_one_is_told(folder: Path, argv: list[str], told: str,
     assert main(["runs", str(folder), *argv]) == 1
     assert capsys.readouterr().err.startswith(told)
     assert main(["runs", str(folder / "nowhere")]) == 1
-    assert capsys.readouterr().err == f"{folder / 'nowhere'}: No such file or directory\n"
+    error = capsys.readouterr().err
+    assert error.startswith(f"{folder / 'nowhere'}: no such folder: no run has been recorded into it")
+    assert "`palmd demo`" in error
 
 
 def test_days_and_words() -> None:
