@@ -83,18 +83,15 @@ def reconstruct(
         return _nothing("there is no second in which both pads and the arm report", begun)
     attempts = tuple(enumerate(attempts_for(rig)))
     first = _part(found[0], rig, seed, attempts[:FIRST_ATTEMPTS])
-    asked = first is None and not rig.curved
+    shorter = _by_length(data_segments(events, SUSPICIOUS_GAP_S)) if first is None or first.reason else []
+    swapped = bool(shorter) and _length(shorter[0]) < _length(found[0])  # perhaps, in a gap
+    asked = first is None and not swapped and not rig.curved
     unlike = _unlike(found[0], rig, seed, begun, say) if asked else None
     if unlike is not None and _whole(unlike, found[0]):
         return unlike
     main = _part(found[0], rig, seed, attempts[FIRST_ATTEMPTS:], first)
     if main is None or main.reason:
-        shorter = _by_length(data_segments(events, SUSPICIOUS_GAP_S))
-        apart = (
-            _part(shorter[0], rig, seed, attempts)
-            if shorter and shorter[0].end - shorter[0].start < _length(found[0])
-            else None
-        )
+        apart = _part(shorter[0], rig, seed, attempts) if swapped else None
         if apart is not None and not apart.reason:
             main, found = apart, shorter
     if (main is None or main.reason not in ("", AMBIGUOUS)) and not rig.curved:
