@@ -8,7 +8,9 @@ from itertools import cycle
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
-from palmd.quantities import CHARTS, ESTIMATE, PALM3_TOPICS, PIVOT_TOPICS, TOPICS, Tab
+from palmd.pivot_quantities import PIVOT_TOPICS
+from palmd.quantities import CHARTS, ESTIMATE, PALM3_TOPICS, Tab
+from palmd.topics import TOPICS
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c8c8c", "#000000")
 TABS: tuple[Tab, ...] = ("state", "trust", "forces", "loop")
@@ -27,7 +29,7 @@ WITHOUT_FOXGLOVE = (
 Plot = tuple[str, list[tuple[str, str]]]
 """A title, and its curves: topic and field."""
 
-TWO_PALMS_TOPICS = [topic for topic in TOPICS if topic not in (*PIVOT_TOPICS, *PALM3_TOPICS)]
+TWO_PALMS_TOPICS = [topic for topic in TOPICS if topic not in (*PIVOT_TOPICS.published, *PALM3_TOPICS.published)]
 
 
 def plots(tab: Tab, without: Sequence[str] = ()) -> list[Plot]:

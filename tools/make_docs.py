@@ -22,8 +22,9 @@ from palmd.faults import FAULTS
 from palmd.lab.equations import errata
 from palmd.lab.simulation.reached import rows, unreachable
 from palmd.model.notation import SYMBOLS
-from palmd.quantities import STAMP, TOPICS
+from palmd.quantities import STAMP
 from palmd.rig.fault_injection import ALL_FAULTS
+from palmd.topics import TOPICS
 
 ROOT = Path(__file__).parent.parent
 SEGMENTS = (MoveSpec, RateSpec, HoldSpec, SineSpec, ExploreSpec)

@@ -31,10 +31,11 @@ from palmd.events import (
 )
 from palmd.faults import Fault
 from palmd.jsonvalues import or_none
-from palmd.quantities import ESTIMATE, EVENTS, LOG, SCHEMA, STAMP, TICK, TOPICS, UNITS, Kind, Topic
+from palmd.quantities import ESTIMATE, EVENTS, LOG, SCHEMA, STAMP, TICK, UNITS, Kind, Topic
 from palmd.system.mechanism import JOINTS, NAMING, PALMS, SIDES
 from palmd.system.naming import Naming
 from palmd.system.rig_constants import RIG_NAMES, said_off
+from palmd.topics import TOPICS
 
 Fields = dict[str, Any]
 

@@ -12,7 +12,8 @@ from palmd.config import config_hash
 from palmd.events import ShapeEstimate
 from palmd.messages import EventsForm, Fields
 from palmd.pivot_config import PivotConfig
-from palmd.quantities import PIVOT, PIVOT_EVENTS, SCHEMA, UNITS
+from palmd.pivot_quantities import PIVOT, PIVOT_EVENTS
+from palmd.quantities import SCHEMA, UNITS
 from palmd.system.pivot import AXES, NAMING, SYSTEM, PivotAnswer, PivotEstimate
 
 _TOLD = tuple((each.name, each.source) for each in PIVOT.quantities if each.source)

@@ -1,4 +1,4 @@
-"""One table of what is published: topics, their quantities, and how people are shown them.
+"""What is published: topics, their quantities, and how people are shown them; those of palms, and of every system.
 
 Messages, `palmd top`, the live page, reports, exports, the layouts in `config/` and docs/reference/messages.md take
 names, units, symbols and rates from here. Adding a quantity is adding a row, and filling it in where it is built.
@@ -7,16 +7,14 @@ names, units, symbols and rates from here. Adding a quantity is adding a row, an
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
 
 from palmd.events import DECIDED
 from palmd.system import three_palms
 from palmd.system.mechanism import ENDS, JOINT_MEANINGS, PALMS
-from palmd.system.pivot import AXES, SYSTEM
 from palmd.system.rig_constants import RIG_TABLE
-from palmd.systems import TWO_PALMS
 
 SCHEMA = 1
 
@@ -464,129 +462,6 @@ NOTE = Topic(
         Quantity("text", "text", "", "what somebody has to say about this time of the run"),
     ),
 )
-PIVOT = Topic(
-    "palm/pivot",
-    100.0,
-    "every tick, of a pivoting grasp",
-    (
-        Quantity("valid", "bool", "", "whether to trust it: the outline is claimed, felt here, and explains readings",
-                 source="valid"),
-        Quantity("observer", "text", "", "which observer it comes from", source="observer"),
-        Quantity("object", "number", "", "counts up when a new object is begun", source="object_count"),
-        Quantity("x_m", "number", "m", "the pivot along the pad", "X", role="derived", source="x"),
-        Quantity("z_m", "number", "m", "the pivot over the pad, which is h_P while the body touches", "z",
-                 role="derived", source="z", glance=True),
-        Quantity("s1_m", "number", "m", "contact on the pad", "s₁", role="derived", source="s", glance=True),
-        Quantity("e_m", "number", "m", "contact ahead of the pivot, which is the slope of h_P", "e", role="derived",
-                 source="e", glance=True),
-        Quantity("psi_rad", "number", "rad", "turn of the object since the first reading that was used", "ψ",
-                 role="named", source="psi", glance=True),
-        Quantity("omega0_rad_s", "number", "rad/s", "angular rate of the object", "ω₀", role="named", source="omega0",
-                 glance=True),
-        Quantity("f1_n", "number", "N", "normal force of the contact", "f₁", role="derived", source="f", glance=True),
-        Quantity("mu", "number", "", "friction", "μ", role="derived", source="mu", glance=True),
-        Quantity("moment_kg_m", "number", "kg m", "mass times distance of the centre of mass from the pivot", "mb",
-                 role="derived", source="moment"),
-        Quantity("sd", "sds", "", "one-sigma of each field that it names, in that field's unit"),
-        Quantity("side", "number", "", "of the dead centre: 1 where e > 0, -1 where e < 0, 0 while untouched",
-                 source="side"),
-        Quantity("nis", "number", "", "normalised innovation squared, running mean", "NIS", source="nis", digits=2),
-        Quantity("touched", "number", "", "fraction of normals that have been in contact", "touched",
-                 source="touched"),
-        Quantity("reason", "text", "", "why it is not valid, in words; empty while it is", source="reason"),
-    ),
-)  # fmt: skip
-PIVOT_SHAPE = Topic(
-    "palm/pivot_shape",
-    10.0,
-    "at most, of a pivoting grasp whose outline is claimed",
-    (
-        Quantity("theta_rad", "numbers", "rad", "direction of the outward normal in the object's frame"),
-        Quantity("hP_m", "numbers", "m", "support function about the pivot"),
-        Quantity("hP_sd_m", "numbers", "m", "one-sigma of hP"),
-        Quantity("touched", "numbers", "", "1 where the pad has been in contact, else 0"),
-    ),
-)
-PIVOT_CONTACT = Topic(
-    "palm/pivot_contact",
-    100.0,
-    "every tick, of a pivoting grasp",
-    (
-        Quantity("s1_m", "number", "m", "last reading of the pad; none while untouched"),
-        Quantity("pressure1", "number", "", "its last pressure, counts"),
-        Quantity("age1_ms", "number", "ms", "age of its last packet", digits=0),
-        Quantity("arm_age_ms", "number", "ms", "age of the arm's last report", "arm", digits=0),
-        Quantity("touch1", "bool", "", "whether it is touched"),
-        Quantity("batch1", "bool", "", "whether its last packet came with others in one read"),
-    ),
-)
-PIVOT_MOTION = Topic(
-    "palm/pivot_motion",
-    100.0,
-    "every tick, of a pivoting grasp",
-    (
-        *(Quantity(f"{axis}_cmd_m", "number", "m", "the pivot as commanded; none unless tracking") for axis in AXES),
-        *(Quantity(f"{axis}_m", "number", "m", "the pivot as it is, from the arm's last report") for axis in AXES),
-        *MOTION.quantities[-4:],
-    ),
-)
-PIVOT_EVENTS = Topic(
-    "palm/pivot_events",
-    100.0,
-    "every tick, of a pivoting grasp",
-    (
-        TICK,
-        Quantity("source", "numbers", "",
-                 "of each event that the observer was fed: 1 a reading, -1 the end of the contact, 0 the gripper"),
-        Quantity("t_sample_s", "numbers", "s", "when it was true, CLOCK_MONOTONIC"),
-        Quantity("s_m", "numbers", "m", "of a reading: contact"),
-        Quantity("force_n", "numbers", "N", "of a reading: normal force"),
-        *(Quantity(f"{axis}_m", "numbers", "m", "of the gripper: as measured") for axis in AXES),
-        *(Quantity(f"v{axis}_m_s", "numbers", "m/s", "of the gripper: velocity, planned") for axis in AXES),
-        *(Quantity(f"a{axis}_m_s2", "numbers", "m/s²", "of the gripper: acceleration, planned") for axis in AXES),
-    ),
-)  # fmt: skip
-PIVOT_ANSWER = Topic(
-    "palm/pivot_answer",
-    0.0,
-    "when the smoother beside the loop has answered, of a pivoting grasp",
-    (
-        TICK,
-        Quantity("t_s", "number", "s", "what instant the answer is about, CLOCK_MONOTONIC"),
-        Quantity("claimed", "bool", "", "whether an outline is claimed"),
-        Quantity("reason", "text", "", "why none is, in words"),
-        Quantity("psi_rad", "number", "rad", "turn of the object at that instant"),
-        Quantity(
-            "p", "numbers", "SI", "the constants: of the body about its pivot, of the rig, the outline's harmonics"
-        ),
-        Quantity("covariance", "numbers", "SI", "of them, row after row"),
-        Quantity("hP_sd_m", "numbers", "m", "one-sigma of the outline, each degree of its normals"),
-        Quantity("touched", "numbers", "", "1 where it was felt, else 0, each degree of its normals"),
-    ),
-)
-PIVOT_INFO = Topic(
-    "palm/pivot_info",
-    1.0,
-    "of a pivoting grasp",
-    (
-        Quantity("version", "text", "", "of palmd"),
-        Quantity("schema", "number", "", "of these messages"),
-        Quantity("system", "text", "", "pivot"),
-        Quantity("config_hash", "text", "", "sha256 of the effective configuration"),
-        Quantity("observer", "text", "", "the observer that runs"),
-        Quantity("rate_hz", "number", "Hz", "of the ticks"),
-        Quantity("units", "text", "", "where the units are"),
-        Quantity("gravity_m_s2", "number", "m/s²", "towards the pad"),
-        Quantity("pad1_length_m", "number", "m", "the pad, from its zero on"),
-        *(Quantity(f"{axis}_limits_m", "numbers", "m", f"least and largest {axis} of the pivot") for axis in AXES),
-        Quantity("force_limit_n", "number", "N", "what the body may press on the pad"),
-        Quantity("plans", "texts", "", "the plans that lie beside the configured one, as the plan command takes them"),
-    ),
-)
-PIVOT_TOPICS: tuple[Topic, ...] = (
-    PIVOT, PIVOT_SHAPE, PIVOT_CONTACT, PIVOT_MOTION, PIVOT_EVENTS, PIVOT_ANSWER, PIVOT_INFO,
-)  # fmt: skip
-"""What a pivoting grasp has instead of estimate, shape, contact, motion, events, improvement and info."""
 WORLD_AXES = ("x", "y", "z")
 INERTIA_ENTRIES = ("xx", "xy", "xz", "yy", "yz", "zz")
 """Of the inertia of a body in space, in its own frame."""
@@ -749,31 +624,6 @@ PALM3_INFO = Topic(
         Quantity("plans", "texts", "", "the plans that lie beside the configured one, as the plan command takes them"),
     ),
 )  # fmt: skip
-PALM3_TOPICS: tuple[Topic, ...] = (
-    PALM3, PALM3_SHAPE, PALM3_CONTACT, PALM3_MOTION, PALM3_EVENTS, PALM3_ANSWER, PALM3_INFO,
-)  # fmt: skip
-"""What three palms in space have instead of estimate, shape, contact, motion, events, improvement and info."""
-TOPICS: tuple[Topic, ...] = (
-    ESTIMATE,
-    SHAPE,
-    OBJECT,
-    CONTACT,
-    MOTION,
-    STATE,
-    LOOP,
-    INFO,
-    EVENTS,
-    IMPROVEMENT,
-    UNEXPLAINED,
-    RIG,
-    NOTE,
-    LOG,
-    *PIVOT_TOPICS,
-    *PALM3_TOPICS,
-)
-"""What the daemon publishes."""
-
-
 TRUTH = Topic(
     "rig/truth",
     100.0,
@@ -834,34 +684,6 @@ STALL = Topic(
         Quantity("count", "number", "", "of such standstills since its start"),
     ),
 )
-PIVOT_TRUTH = Topic(
-    "rig/pivot",
-    100.0,
-    "of a pivoting grasp",
-    (
-        *(
-            replace(PIVOT[name], role="plain", source="", glance=False)
-            for name in ("x_m", "z_m", "s1_m", "e_m", "psi_rad", "omega0_rad_s", "f1_n")
-        ),
-        Quantity("touch1", "bool", "", "whether the body touches the pad"),
-        Quantity("object", "number", "", "counts up when another object is held"),
-        Quantity("arm_state", "text", "", "the controller's state letter"),
-    ),
-)
-PIVOT_BODY = Topic(
-    "rig/pivot_object",
-    1.0,
-    "of a pivoting grasp",
-    (
-        Quantity("object", "number", "", "as in rig/pivot"),
-        Quantity("shape", "text", "", "what the outline is made of"),
-        Quantity("theta_rad", "numbers", "rad", "direction of the outward normal in a frame that turns by psi_rad"),
-        Quantity("hP_m", "numbers", "m", "support function about the pivot"),
-        Quantity("com_m", "numbers", "m", "centre of mass from the pivot, in that frame"),
-        Quantity("mass_kg", "number", "kg", "mass of the object"),
-        Quantity("mu", "number", "", "friction"),
-    ),
-)
 PALM3_TRUTH = Topic(
     "rig/palm3",
     100.0,
@@ -893,13 +715,11 @@ PALM3_BODY = Topic(
         Quantity("damping_m2_s", "number", "m²/s", "drag of its spin, per unit mass"),
     ),
 )
-RIG_TOPICS: tuple[Topic, ...] = (TRUTH, BODY, STALL, PIVOT_TRUTH, PIVOT_BODY, PALM3_TRUTH, PALM3_BODY)
-"""What an emulated rig publishes besides: what is really there."""
 
 
 @dataclass(frozen=True, slots=True)
 class SystemTopics:
-    """What every system tells, each in topics of its own."""
+    """What every system tells, each in topics of its own, and in `besides` what others have not."""
 
     estimate: Topic
     shape: Topic
@@ -910,26 +730,19 @@ class SystemTopics:
     truth: Topic
     """What its emulated rig says of the motion, and in `body` of the object."""
     body: Topic
+    besides: tuple[Topic, ...] = ()
+
+    @property
+    def published(self) -> tuple[Topic, ...]:
+        """Those of the daemon."""
+        return self.estimate, self.shape, self.contact, self.motion, self.events, *self.besides, self.info
 
 
-SYSTEM_TOPICS: Mapping[str, SystemTopics] = {
-    TWO_PALMS: SystemTopics(ESTIMATE, SHAPE, CONTACT, MOTION, EVENTS, INFO, TRUTH, BODY),
-    SYSTEM: SystemTopics(
-        PIVOT, PIVOT_SHAPE, PIVOT_CONTACT, PIVOT_MOTION, PIVOT_EVENTS, PIVOT_INFO, PIVOT_TRUTH, PIVOT_BODY
-    ),
-    three_palms.SYSTEM: SystemTopics(
-        PALM3, PALM3_SHAPE, PALM3_CONTACT, PALM3_MOTION, PALM3_EVENTS, PALM3_INFO, PALM3_TRUTH, PALM3_BODY
-    ),
-}
-"""By the system's name."""
-
-
-def truth_of(quantity: Quantity) -> Topic | None:
-    """Which of the emulated rig's topics tells the truth of an estimated quantity, None where neither does."""
-    for topic in RIG_TOPICS:
-        if quantity.uncertain and any(each.name == quantity.name for each in topic.quantities):
-            return topic
-    return None
-
+TWO_PALMS_TOPICS = SystemTopics(
+    ESTIMATE, SHAPE, CONTACT, MOTION, EVENTS, INFO, TRUTH, BODY, (OBJECT, IMPROVEMENT, UNEXPLAINED)
+)
+PALM3_TOPICS = SystemTopics(
+    PALM3, PALM3_SHAPE, PALM3_CONTACT, PALM3_MOTION, PALM3_EVENTS, PALM3_INFO, PALM3_TRUTH, PALM3_BODY, (PALM3_ANSWER,)
+)
 
 UNITS = "SI; each name ends in its unit: _m _m2 _rad _rad_s _kg _kg_m _n _s _ms _ns _hz _mb _m_per_n"

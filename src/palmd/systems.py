@@ -29,6 +29,8 @@ class LiveParts:
     """What its observers are told of a configured rig: a dataclass of numbers."""
     plans: str
     """What its plans are, and what limits them: a `palmd.motion.plan.PlanForm`."""
+    topics: str
+    """What it publishes: a `palmd.quantities.SystemTopics`."""
     loop: str
     """What of the daemon is its own: makes a `palmd.daemon.systems.LiveSystem` of the configuration."""
     rig: str
@@ -70,6 +72,7 @@ SYSTEMS: Mapping[str, SystemParts] = {
                 config="palmd.config:Config",
                 description="palmd.config:rig_description",
                 plans="palmd.motion.plan:PLANS",
+                topics="palmd.quantities:TWO_PALMS_TOPICS",
                 loop="palmd.daemon.two_palms:LiveTwoPalms",
                 rig="palmd.rig.world:World",
                 recording="palmd.record.run:Run",
@@ -89,6 +92,7 @@ SYSTEMS: Mapping[str, SystemParts] = {
                 config="palmd.pivot_config:PivotConfig",
                 description="palmd.pivot_config:pivot_rig",
                 plans="palmd.motion.pivot:PLANS",
+                topics="palmd.pivot_quantities:PIVOT_TOPICS",
                 loop="palmd.daemon.pivot_system:PivotGrasp",
                 rig="palmd.rig.pivot_world:PivotWorld",
                 recording="palmd.record.pivot_run:PivotRun",
@@ -107,6 +111,7 @@ SYSTEMS: Mapping[str, SystemParts] = {
                 config="palmd.three_palms_config:ThreePalmsConfig",
                 description="palmd.three_palms_config:three_palms_rig",
                 plans="palmd.motion.three_palms:PLANS",
+                topics="palmd.quantities:PALM3_TOPICS",
                 loop="palmd.daemon.three_palms_system:ThreePalmsInSpace",
                 rig="palmd.rig.three_palms.world:ThreePalmsWorld",
                 recording="palmd.record.three_palms_run:ThreePalmsRun",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -249,7 +250,8 @@ def test_a_roll_ends_where_steps_of_the_filters_end() -> None:
     phi = joints_of(body.support.at(0.0)[0], (0.75, 1.65), curvatures)
     rig, x = rig_inputs(_rig(curvatures)), _state(body, surface, 0.4, 0.3)
     move = [*phi, phi[0] + 0.2, phi[1] - 0.1, 0.6, 0.1]
-    moved, told = (np.asarray(each) for each in rollout.roll_function(curved=True)(x, move, rig))
+    roll, begin = _rolls()
+    moved, told = (np.asarray(each) for each in roll(x, begin(x, move, rig), move, rig))
     predict, P = shape_map.predict_function(curved=True), np.zeros((shape_map.N,) * 2)
     for k in range(rollout.SUBSTEPS * 4):
         start, end = (rollout.palms_on(ca.DM(move), SX(0.0025 * j)) for j in (k, k + 1))
@@ -261,3 +263,59 @@ def test_a_roll_ends_where_steps_of_the_filters_end() -> None:
     assert moved.ravel() == pytest.approx(x[:2], abs=2e-5), "of steps four times as long"
     assert told.shape == (rollout.TOLD, rollout.SUBSTEPS)
     assert rig.shape == (RIG_INPUTS,)
+
+
+@cache
+def _rolls() -> tuple[ca.Function, ca.Function]:
+    return rollout.roll_function(curved=True), rollout.begin_function(curved=True)
+
+
+def _rolled(x: np.ndarray, move: list[float], rig: np.ndarray, calls: int) -> tuple[np.ndarray, np.ndarray]:
+    """What is told after each step, and where a blind search finds the contacts then: (steps, 8), (steps, 2)."""
+    roll, begin = _rolls()
+    s, told, blind = begin(x, move, rig), [], []
+    for call in range(calls):
+        elapsed = call * rollout.SUBSTEPS * rollout.STEP_S
+        steps = np.asarray(roll(x, s, [*move[:5], elapsed], rig)[1]).T
+        for number, step in enumerate(steps, 1):
+            x = np.concatenate([step[:2], x[2:]])
+            blind.append(np.asarray(begin(x, [*move[:5], elapsed + number * rollout.STEP_S], rig)).ravel())
+        s = steps[-1, rollout.S]
+        told.extend(steps)
+    return np.array(told), np.array(blind)
+
+
+@pytest.mark.parametrize("curvatures", CURVATURES)
+def test_contacts_that_a_roll_follows_are_those_that_a_blind_search_finds(curvatures: tuple[float, float]) -> None:
+    rig, errors, shifts = rig_inputs(_rig(curvatures)), [], []
+    for seed in range(4):
+        random, body = np.random.default_rng(seed), _body(seed, curvatures)
+        phi = np.array(joints_of(body.support.at(0.0)[0], (0.75, 1.65), curvatures))
+        move = [*phi, *(phi + random.uniform(-0.3, 0.3, 2)), 0.6, 0.0]
+        x = _state(body, FrictionSurface(0.1, 0.012, 2e-4), random.uniform(0.0, math.tau), 0.0)
+        told, blind = _rolled(x, move, rig, 12)
+        held = np.logical_and.accumulate(told[:, 2:4].min(axis=1) > 0.0)
+        errors.append(np.abs(told[held][:, rollout.S] - blind[held]).max(axis=1))
+        shifts.append(np.abs(np.diff(told[held][:, rollout.S], axis=0)).max(axis=1))
+    error, shift = np.concatenate(errors), np.concatenate(shifts)
+    assert len(error) > 100
+    assert np.quantile(shift, 0.9) > 1e-4, "they really move, by so much in a step"
+    assert np.quantile(error, 0.9) < 5e-6
+    assert error.max() < 1e-4
+
+
+def test_a_contact_that_jumps_is_one_that_nobody_relies_on() -> None:
+    """A lens whose flat side is flatter than the palm is concave: there it is touched at two places."""
+    curvatures = (14.0, 12.0)
+    rig, phi = rig_inputs(_rig(curvatures)), joints_of(0.022, (math.radians(40.0), math.radians(95.0)), curvatures)
+    least = []
+    for flatness in (0.45, 0.9):
+        x = np.zeros(shape_map.N)
+        x[[Z.PSI, Z.OMEGA0, Z.LN_RHO, Z.LN_DITHER, Z.SHAPE]] = 0.5, 4.0, math.log(0.017), math.log(0.01), 0.022
+        for k, bend in ((2, 1.5), (4, 1.0), (6, 0.5)):  # of v, summing up to a peak at 0 and π
+            x[Z.SHAPE + 2 * k - 1] = flatness * bend * 0.022 / (1 - k**2)
+        told, _ = _rolled(x, [*phi, *phi, 0.6, 0.0], rig, 1)
+        least.append(told[:, 2:4].min(axis=1))
+    assert (least[0] > 0.0).all(), "κv of 0.7 at most"
+    assert least[1][0] > 0.0
+    assert least[1][-1] == -math.inf, "κv of 1.1 at its flattest"

@@ -10,8 +10,10 @@ import pytest
 from harness import Bench
 
 from palmd.messages import validate
-from palmd.quantities import IMPROVEMENT, NOTE, OBJECT, PALM3_TOPICS, PIVOT_TOPICS, TOPICS, UNEXPLAINED
+from palmd.pivot_quantities import PIVOT_TOPICS
+from palmd.quantities import IMPROVEMENT, NOTE, OBJECT, PALM3_TOPICS, UNEXPLAINED
 from palmd.rig.simulate import simulate_log
+from palmd.topics import TOPICS
 
 pytestmark = pytest.mark.rig
 
@@ -34,7 +36,7 @@ PLOTTED_TEXT = 100  # PlotJuggler leaves out longer strings
 
 # without the one that comes with stored outlines only, and the one that comes when the smoother has found something
 SELDOM = (OBJECT, IMPROVEMENT, UNEXPLAINED, NOTE)
-ALWAYS = [topic for topic in TOPICS if topic not in (*SELDOM, *PIVOT_TOPICS, *PALM3_TOPICS)]
+ALWAYS = [topic for topic in TOPICS if topic not in (*SELDOM, *PIVOT_TOPICS.published, *PALM3_TOPICS.published)]
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from palmd import pivot_messages as says
 from palmd.daemon.pivot_system import PivotGrasp
 from palmd.events import PadLift, PadSample, PalmSample
 from palmd.messages import stamp, validate
-from palmd.quantities import PIVOT, PIVOT_ANSWER, PIVOT_EVENTS, PIVOT_INFO
+from palmd.pivot_quantities import PIVOT, PIVOT_ANSWER, PIVOT_EVENTS, PIVOT_INFO
 from palmd.system.pivot import PivotAnswer, PivotEstimate
 from palmd.yamlfile import load_any_config
 

@@ -6,22 +6,9 @@ import math
 import pytest
 
 from palmd.events import Estimate
-from palmd.quantities import (
-    BODY,
-    CHARTS,
-    ESTIMATE,
-    IMPROVEMENT,
-    LOOP,
-    PALM3,
-    RIG_TOPICS,
-    STAMP,
-    STATE,
-    TOPICS,
-    TRUTH,
-    drawn,
-    truth_of,
-)
+from palmd.quantities import BODY, CHARTS, ESTIMATE, IMPROVEMENT, LOOP, PALM3, STAMP, STATE, TRUTH, drawn
 from palmd.rig.world import World, default_config
+from palmd.topics import RIG_TOPICS, TOPICS, truth_of
 
 SUFFIXES = {"m": "_m", "rad": "_rad", "rad/s": "_rad_s", "rad/s²": "_rad_s2", "kg": "_kg", "N": "_n", "s": "_s",
     "ms": "_ms", "ns": "_ns", "Hz": "_hz", "MB": "_mb", "m/s": "_m_s", "m/s²": "_m_s2", "m²/s": "_m2_s", "m²": "_m2",

@@ -21,9 +21,11 @@ from palmd.motion import pivot
 from palmd.motion.check import check_files
 from palmd.motion.pivot import PivotLimits
 from palmd.pivot_config import PivotConfig, PivotRigConfig
-from palmd.quantities import PIVOT, PIVOT_MOTION, STATE, SYSTEM_TOPICS
+from palmd.pivot_quantities import PIVOT, PIVOT_MOTION
+from palmd.quantities import STATE
 from palmd.record.metadata import preface
 from palmd.systems import LIVE, SYSTEMS, load_part
+from palmd.topics import SYSTEM_TOPICS
 from palmd.yamlfile import ConfigError, load_any_config, load_config
 
 PARTS = [
@@ -65,7 +67,11 @@ def test_a_rig_of_two_palms_loads_nothing_of_another_system():
     told = subprocess.run([sys.executable, "-c", LOADED, "demo.yaml"], capture_output=True, text=True, check=True)
     names = "pivot", "three_palms", "dragging", "drags"
     loaded = {name for name in told.stdout.split() if any(each in name for each in names)}
-    assert loaded == {"palmd.system.pivot", "palmd.system.three_palms"}  # what their axes and topics are called
+    assert loaded == {
+        "palmd.system.pivot",
+        "palmd.pivot_quantities",
+        "palmd.system.three_palms",
+    }  # what axes and topics are called
 
 
 class TwinRig(PivotRigConfig):

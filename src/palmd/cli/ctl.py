@@ -129,7 +129,7 @@ def told(command: str, result: dict[str, Any]) -> str:
 
 def _system(estimate: Mapping[str, Any]) -> str:
     """Whose estimate it is, by what it tells of; that of two palms, where there is none yet."""
-    from palmd.quantities import SYSTEM_TOPICS
+    from palmd.topics import SYSTEM_TOPICS
 
     def alike(name: str) -> int:
         return sum(each.name in estimate for each in SYSTEM_TOPICS[name].estimate.quantities)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from palmd.cli.glance import status_of
-from palmd.quantities import PIVOT
+from palmd.pivot_quantities import PIVOT
 from palmd.system.pivot import AXES
 
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.jsonvalues import or_none
-from palmd.record.run import RunError, read_run
+from palmd.record.run import RunError, read_any_run
 from palmd.report.why import Explanation, explain, lines
 
 
@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Prints the answer; CliError for an unusable run, or a time that is not in it."""
     try:
-        recording = read_run(arguments.run)
+        recording = read_any_run(arguments.run)
         answer = explain(recording, arguments.at)
         print(json.dumps(as_json(answer), ensure_ascii=False) if arguments.json else "\n".join(lines(answer)))
     except (RunError, OSError) as error:

@@ -27,7 +27,7 @@ from palmd.keys import KeysError, server_keys
 from palmd.messages import Fields
 from palmd.observer.observer import LiveObserver
 from palmd.outlinefile import Outline, OutlineError, read_library
-from palmd.quantities import SYSTEM_TOPICS
+from palmd.topics import SYSTEM_TOPICS
 from palmd.yamlfile import ConfigError, load_any_config
 
 log = logging.getLogger(__name__)

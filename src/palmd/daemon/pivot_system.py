@@ -23,11 +23,8 @@ from palmd.observer.pivot.live import PivotObserver
 from palmd.observer.pivot.observer import pivot_observer
 from palmd.outlinefile import Outline
 from palmd.pivot_config import PivotConfig, pivot_rig
-from palmd.quantities import (
-    PIVOT_ANSWER,
-    PIVOT_SHAPE,
-    Topic,
-)
+from palmd.pivot_quantities import PIVOT_ANSWER, PIVOT_SHAPE
+from palmd.quantities import Topic
 from palmd.system.pivot import AXES, NAMING, PAD, PivotAnswer, PivotEstimate
 
 OUTSIDE_M = 2e-3

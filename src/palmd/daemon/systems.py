@@ -27,9 +27,10 @@ from palmd.motion.check import motion_limits
 from palmd.motion.limits import MotionLimits
 from palmd.observer.observer import LiveObserver
 from palmd.outlinefile import Outline
-from palmd.quantities import SYSTEM_TOPICS, Topic
+from palmd.quantities import Topic
 from palmd.system.naming import Naming
 from palmd.systems import LIVE, load_part
+from palmd.topics import SYSTEM_TOPICS
 
 Configured = TypeVar("Configured", bound=AnyConfig)
 Estimated = TypeVar("Estimated", bound=LiveEstimate)

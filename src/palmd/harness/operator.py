@@ -12,7 +12,7 @@ import yaml
 from palmd.bus.command_client import CommandClient
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.harness.processes import StopRequest
-from palmd.quantities import SYSTEM_TOPICS
+from palmd.topics import SYSTEM_TOPICS
 
 Status = Mapping[str, Any]
 

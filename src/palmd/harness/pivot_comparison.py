@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from palmd.harness.settling import SettlingComparison
-from palmd.quantities import PIVOT, PIVOT_BODY, PIVOT_SHAPE, PIVOT_TRUTH
+from palmd.pivot_quantities import PIVOT, PIVOT_BODY, PIVOT_SHAPE, PIVOT_TRUTH
 from palmd.score import score_shape
 
 

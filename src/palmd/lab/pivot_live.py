@@ -22,7 +22,7 @@ from palmd.model.pivot import ORDER, P
 from palmd.observer.outline import directions
 from palmd.observer.pivot.claimed import friction_of
 from palmd.pivot_config import PivotConfig, PivotPlanSpec
-from palmd.quantities import PIVOT, PIVOT_ANSWER
+from palmd.pivot_quantities import PIVOT, PIVOT_ANSWER
 from palmd.rig.imperfections import perfect
 from palmd.score import WRONG_M, score_outline
 from palmd.system.pivot import PivotAnswer, Vertical

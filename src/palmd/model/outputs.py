@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import chain
 
 import numpy as np
@@ -34,9 +35,9 @@ def rig_inputs(rig: RigDescription) -> FloatArray:
     return np.array([rig.gravity, arm, *base, 0.0, *rig.curvatures])
 
 
-def touch_on(rig: SX, curved: bool) -> Touch:
-    """How contacts are found on a rig of these inputs: on its arcs where `curved`, else on flat palms."""
-    return Touch(ca.vertsplit(rig[CURVATURE_INPUTS])) if curved else Touch()
+def touch_on(rig: SX, curved: bool, near: Sequence[SX] = ()) -> Touch:
+    """How contacts are found on a rig of these inputs: on its arcs where `curved` (from `near` on), else on flats."""
+    return Touch(ca.vertsplit(rig[CURVATURE_INPUTS]), near) if curved else Touch()
 
 
 def named_outputs(palms: Palms, omega0: SX, psi: SX, one: Contact, two: Contact, body: BodyConstants, rig: SX) -> SX:

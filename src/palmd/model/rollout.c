@@ -1,4 +1,4 @@
-/* Sequences of palm moves rolled forward on the generated kernel `roll_batch`, and what comes of each move.
+/* Sequences of palm moves rolled forward on the generated kernels `begin_batch`, `roll_batch`, and what comes of each move.
 
    The twin of `motion.rollout_predictor`, which says what the numbers mean. Eight sequences stand side by side; when one
    has come to its end the next takes its place, so that no column of the kernel runs idle. */
@@ -8,9 +8,11 @@
 
 #define LANES 8
 #define NODE 2 /* psi, omega0 */
+#define CONTACTS 2 /* s1, s2 */
 #define MOVE 6
 #define SUBSTEPS 4
 #define TOLD 8 /* psi, omega0, f1, f2, s1, s2, theta1, theta2 */
+#define S 4 /* where s1 is in it */
 #define BINS 72
 #define MOST_MOVES 16
 #define STATE 21
@@ -20,6 +22,7 @@
 
 const long rollout_sizes[] = {LANES, STATE, MOVE, SUBSTEPS, TOLD, BINS, MOST_MOVES};
 
+void kernel_begin_batch(const double *const *in, double *const *out, long columns);
 void kernel_roll_batch(const double *const *in, double *const *out, long columns);
 
 typedef struct {
@@ -100,8 +103,9 @@ static void accumulate(const Task *task, const Lane *lane) {
 
 void roll_sequences(const Task *task) {
   double x[LANES][STATE] = {{0}}, move[LANES][MOVE] = {{0}}, moved[LANES][NODE], told[LANES][SUBSTEPS][TOLD];
-  const double *in[] = {&x[0][0], &move[0][0], task->rig};
-  double *out[] = {&moved[0][0], &told[0][0][0]};
+  double s[LANES][CONTACTS] = {{0}}, found[LANES][CONTACTS];
+  const double *where[] = {&x[0][0], &move[0][0], task->rig}, *in[] = {&x[0][0], &s[0][0], &move[0][0], task->rig};
+  double *there[] = {&found[0][0]}, *out[] = {&moved[0][0], &told[0][0][0]};
   Lane lanes[LANES];
   long next = 0, busy = 0;
   for (int l = 0; l < LANES; l++) {
@@ -109,6 +113,7 @@ void roll_sequences(const Task *task) {
     move[l][4] = 1.0;
   }
   do {
+    int fresh[LANES] = {0}, any = 0;
     busy = 0;
     for (int l = 0; l < LANES; l++) {
       Lane *lane = &lanes[l];
@@ -116,6 +121,7 @@ void roll_sequences(const Task *task) {
         *lane = begun(task, next);
         for (int i = 0; i < STATE; i++) x[l][i] = task->states[next * STATE + i];
         next++;
+        fresh[l] = any = 1;
       }
       if (lane->sequence < 0) continue;
       busy++;
@@ -127,12 +133,17 @@ void roll_sequences(const Task *task) {
       move[l][5] = t - (lane->finished[lane->leg] - durations[lane->leg]);
     }
     if (!busy) break;
+    if (any) kernel_begin_batch(where, there, LANES);
+    for (int l = 0; l < LANES; l++)
+      if (fresh[l])
+        for (int i = 0; i < CONTACTS; i++) s[l][i] = found[l][i];
     kernel_roll_batch(in, out, LANES);
     for (int l = 0; l < LANES; l++) {
       Lane *lane = &lanes[l];
       if (lane->sequence < 0) continue;
       judge(task, lane, (const double(*)[TOLD])told[l]);
       for (int i = 0; i < NODE; i++) x[l][i] = moved[l][i];
+      for (int i = 0; i < CONTACTS; i++) s[l][i] = told[l][SUBSTEPS - 1][S + i];
       if (++lane->call < lane->calls) continue;
       accumulate(task, lane);
       lane->sequence = -1;

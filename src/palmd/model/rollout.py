@@ -14,7 +14,7 @@ from palmd.model.contact import readings, tangent_joints
 from palmd.model.dynamics import Palms, newton_euler
 from palmd.model.integrate import exponential_step
 from palmd.model.kernels import of_columns
-from palmd.model.outputs import RIG_INPUTS, touch_on
+from palmd.model.outputs import CURVATURE_INPUTS, RIG_INPUTS, touch_on
 from palmd.model.shape_map import N, Z, body_of, contacts_of, spin_acceleration
 from palmd.model.symbolic import SX, ca
 from palmd.system.mechanism import OPENING, normal_directions
@@ -24,6 +24,8 @@ STEP_S = 0.01
 MOVE_INPUTS = 6  # φ1, φ2 at the start and at the end, duration, time since the start
 BINS = 72  # of outward normals, bin 0 beginning at θ = 0
 TOLD = 8  # ψ, ω0, f1, f2, s1, s2, θ1, θ2
+S = slice(4, 6)  # where in it the contacts are
+MOST_TURN = 0.2  # rad, of a curved palm's tangent at the contact within a step: beyond it the contact has jumped
 
 
 def palms_on(move: SX, t: SX) -> Palms:
@@ -37,9 +39,9 @@ def palms_on(move: SX, t: SX) -> Palms:
 
 
 def _step_function(curved: bool) -> ca.Function:
-    """(x, move, rig) → (x after one step, `TOLD` then)."""
-    x, move, rig = SX.sym("x", N), SX.sym("move", MOVE_INPUTS), SX.sym("rig", RIG_INPUTS)
-    touch = touch_on(rig, curved)
+    """(x, s, move, rig) → (x after one step, `TOLD` then); of a contact that jumps the force is −inf."""
+    x, s, move, rig = SX.sym("x", N), SX.sym("s", 2), SX.sym("move", MOVE_INPUTS), SX.sym("rig", RIG_INPUTS)
+    touch = touch_on(rig, curved, ca.vertsplit(s))
 
     def rates(moving: SX, t: SX) -> SX:
         state = ca.vertcat(moving, x[2:])
@@ -48,26 +50,47 @@ def _step_function(curved: bool) -> ca.Function:
     damping = ca.jacobian(spin_acceleration(x, palms_on(move, SX(0)), rig, touch), x[Z.OMEGA0])
     moving, _ = exponential_step(rates, x, SX(STEP_S), [Z.PSI, Z.OMEGA0], Z.OMEGA0, damping, touch)
     after, palms = ca.vertcat(moving, x[2:]), palms_on(move, SX(STEP_S))
-    touch = touch_on(rig, curved)  # the step's own searches are behind it
+    touch = touch_on(rig, curved, ca.vertsplit(s))  # the step's own searches are behind it
     one, two = contacts_of(after, palms.angles, touch)
     motion = newton_euler(palms, moving[1], one, two, body_of(x), rig)
     normals = normal_directions(tangent_joints(palms.angles, (one.turn, two.turn)), moving[Z.PSI])
-    told = ca.vertcat(moving, motion.f1, motion.f2, *readings(palms.angles[OPENING], one, two), *normals)
-    return ca.Function("step", [x, move, rig], touch.thawed(after, told))
+    found, forces = readings(palms.angles[OPENING], one, two), list(motion.forces)
+    if curved:
+        turns = ca.fabs(rig[CURVATURE_INPUTS] * (ca.vertcat(*found) - s))
+        forces = [ca.if_else(turns[palm] < MOST_TURN, force, -ca.inf) for palm, force in enumerate(forces)]
+    told = ca.vertcat(moving, *forces, *found, *normals)
+    return ca.Function("step", [x, s, move, rig], touch.thawed(after, told))
+
+
+def begin_function(curved: bool = False) -> ca.Function:
+    """(x, move, rig) → (s1, s2) there (m), found blind."""
+    x, move, rig = SX.sym("x", N), SX.sym("move", MOVE_INPUTS), SX.sym("rig", RIG_INPUTS)
+    touch, angles = touch_on(rig, curved), palms_on(move, SX(0)).angles
+    s = ca.vertcat(*readings(angles[OPENING], *contacts_of(x, angles, touch)))
+    return ca.Function("begin", [x, move, rig], touch.thawed(s), ["x", "move", "rig"], ["s"])
 
 
 def roll_function(curved: bool = False) -> ca.Function:
-    """(x, move, rig) → (ψ and ω0 after `SUBSTEPS` steps, `TOLD` at the end of each): forces per unit mass, m/s²."""
-    x, move, rig = SX.sym("x", N), SX.sym("move", MOVE_INPUTS), SX.sym("rig", RIG_INPUTS)
-    step, state, told = _step_function(curved), x, []
+    """(x, s, move, rig) → (ψ and ω0 after `SUBSTEPS` steps, `TOLD` at the end of each): forces per unit mass, m/s².
+
+    s: where both contacts are at the start (m), which curved palms go on from.
+    """
+    x, s, move, rig = SX.sym("x", N), SX.sym("s", 2), SX.sym("move", MOVE_INPUTS), SX.sym("rig", RIG_INPUTS)
+    step, state, last, told = _step_function(curved), x, s, []
     for number in range(SUBSTEPS):
-        state, now = step(state, ca.vertcat(move[:5], move[5] + number * STEP_S), rig)
+        state, now = step(state, last, ca.vertcat(move[:5], move[5] + number * STEP_S), rig)
         told.append(now)
-    return ca.Function("roll", [x, move, rig], [state[:2], ca.horzcat(*told)], ["x", "move", "rig"], ["moved", "told"])
+        last = now[S]
+    moved = [state[:2], ca.horzcat(*told)]
+    return ca.Function("roll", [x, s, move, rig], moved, ["x", "s", "move", "rig"], ["moved", "told"])
 
 
 @cache
 def library(curved: bool = False) -> Library:
-    """`roll_batch`: `roll` on columns, on the same rig; compiled, `roll_sequences` besides."""
-    name = "rollout_curved" if curved else "rollout"
-    return load(name, lambda: [of_columns(roll_function(curved), "roll_batch", ["rig"])], written=["rollout.c"])
+    """`begin_batch` and `roll_batch`: on columns, on the same rig; compiled, `roll_sequences` besides."""
+    functions = {"begin_batch": begin_function, "roll_batch": roll_function}
+    return load(
+        "rollout_curved" if curved else "rollout",
+        lambda: [of_columns(each(curved), name, ["rig"]) for name, each in functions.items()],
+        written=["rollout.c"],
+    )

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import cache
 
 from palmd.model.compiled import Library, load
-from palmd.model.kernels import Kernel, of_columns
+from palmd.model.kernels import Kernel, of_columns, single
 from palmd.model.spherical import Y00, SphericalSurface, count, curvature, point
 from palmd.model.symbolic import SX, ca
 
@@ -250,6 +250,16 @@ def library(order: int) -> Library:
     return load(
         f"three_palms{order}",
         lambda: [_over_block(acceleration_function(order), 2), _over_block(reading_function(order), 1)],
+    )
+
+
+@cache
+def filter_library(order: int, written: str) -> Library:
+    """`acceleration` and `reading` for one instant, and what the file `written` computes with them."""
+    return load(
+        f"three_palms_filter{order}",
+        lambda: [single(acceleration_function(order)), single(reading_function(order))],
+        written=[written],
     )
 
 

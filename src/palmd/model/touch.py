@@ -63,12 +63,17 @@ class Touch:
     derivatives have been taken, of first order only.
     """
 
-    def __init__(self, curvatures: Sequence[SX] = ()) -> None:
-        """`curvatures` of both palms (1/m); none, or zeros that are no symbols, make the palms flat."""
+    def __init__(self, curvatures: Sequence[SX] = (), near: Sequence[SX] = ()) -> None:
+        """`curvatures` of both palms (1/m); none, or zeros that are no symbols, make the palms flat.
+
+        `near`: s1, s2 milliseconds ago (m). From there one look and one step do, to micrometres where the contacts
+        move by less than a millimetre in between; derivatives by the pose are not exact then.
+        """
         self._curvatures = [SX(each) for each in curvatures or (0, 0)]
         self.flat = all(each.is_zero() for each in self._curvatures)
         self._frozen: list[tuple[SX, SX]] = []
-        self._last: list[SX] = []  # s1, s2 found last
+        self._last = list(near)  # s1, s2 found last
+        self._once = bool(near)
         self._found: list[tuple[SX, tuple[Contact, Contact]]] = []  # for which angles
 
     def contacts(
@@ -144,8 +149,12 @@ class Touch:
             for _ in range(steps):
                 s = search(s, known, begun)
         self._last = [self._freeze(each) for each in s]
-        known = read(self._last)
-        self._found.append((pose, at(step(self._last, known), known)))
+        if self._once:
+            contacts = at(self._last, known)
+        else:
+            known = read(self._last)
+            contacts = at(step(self._last, known), known)
+        self._found.append((pose, contacts))
         return self._found[-1][1]
 
     def _freeze(self, value: SX) -> SX:

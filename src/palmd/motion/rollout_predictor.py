@@ -17,7 +17,7 @@ from palmd.events import FloatArray
 from palmd.model import rollout, shape_map
 from palmd.model.compiled import LANES
 from palmd.model.outputs import CURVATURE_INPUTS, FRICTION_INPUT
-from palmd.model.rollout import MOVE_INPUTS, STEP_S, SUBSTEPS, TOLD
+from palmd.model.rollout import MOVE_INPUTS, STEP_S, SUBSTEPS, TOLD, S
 from palmd.model.smoothing import R
 from palmd.motion.limits import PHI12_MAX, MotionLimits
 
@@ -132,7 +132,10 @@ class RolloutPredictor:
         self._move = np.zeros((COLUMNS, MOVE_INPUTS))
         self._moved = np.zeros((COLUMNS, 2))
         self._told = np.zeros((COLUMNS, SUBSTEPS, TOLD))
-        self._roll = rollout.library(curved).bind("roll_batch", [self._x, self._move, rig], [self._moved, self._told])
+        self._s = np.zeros((COLUMNS, 2))
+        bind = rollout.library(curved).bind
+        self._begin = bind("begin_batch", [self._x, self._move, rig], [self._s])
+        self._roll = bind("roll_batch", [self._x, self._s, self._move, rig], [self._moved, self._told])
 
     def correct(self, off: FloatArray) -> None:
         """Foretell from now on for a rig whose constants are `off` by so much, in the order of `model.smoothing.R`."""
@@ -202,9 +205,11 @@ class RolloutPredictor:
             begun = finished[rows, leg] - durations[rows, leg]
             self._move[:, 0:2], self._move[:, 2:4] = points[rows, leg], points[rows, leg + 1]
             self._move[:, 4], self._move[:, 5] = durations[rows, leg], t - begun
+            if call == 0:
+                self._begin()
             self._roll()
             told[:, call * SUBSTEPS : (call + 1) * SUBSTEPS] = self._told
-            self._x[:, :2] = self._moved
+            self._x[:, :2], self._s[:] = self._moved, self._told[:, -1, S]
         return _foreseen(told[:n], np.repeat(leg_of[:n], SUBSTEPS, axis=1), finished[:n], k)
 
 

@@ -110,7 +110,10 @@ def reconstruct(
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """A segment, what is known of the object before it, and the best fit of it; `reason`: why that is in doubt."""
+    """A segment, what is known of the object before it, and the best fit of it; `reason`: why that is in doubt.
+
+    as_described: whether the rig was left as it is believed to be: else a worse minimum may have made it fit.
+    """
 
     segment: DataSegment
     search: Search
@@ -118,6 +121,7 @@ class _Part:
     fit: Fit
     record: Record
     belief: RigBelief
+    as_described: bool
     reason: str
 
     @property
@@ -190,7 +194,7 @@ def _part(
         part = _refined(search, finding, segment, rig)
         if best is None or part.deviance < best.deviance:
             best = part
-        if not best.reason and (number > 0 or beyond_question(best.fit, best.record)):
+        if not best.reason and (number > 0 or (best.as_described and beyond_question(best.fit, best.record))):
             break
     return best
 
@@ -217,7 +221,8 @@ def _refined(search: Search, finding: Minima, segment: DataSegment, rig: RigDesc
         smoother = Smoother(search.library, record, prior)
         fit = smoother.fit(belief.within(fit.guess), fit.noise)
     reason = OVERFITTED if overfits(fit) else doubt(fit, finding) or NO_SUCH_RIG * belief.beyond_all(fit.guess)
-    return _Part(segment, search, prior, fit, record, belief, reason)
+    as_described = np.array_equal(belief.sd, search.belief.sd)
+    return _Part(segment, search, prior, fit, record, belief, as_described, reason)
 
 
 def _longest_together(parts: Sequence[_Part]) -> tuple[_Part, list[_Joined]]:

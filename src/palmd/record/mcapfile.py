@@ -24,7 +24,8 @@ from mcap.writer import CompressionType, Writer
 
 from palmd.messages import Fields
 from palmd.payload import unpacked
-from palmd.quantities import SCHEMA, STAMP, TOPICS, Kind, Quantity, Topic
+from palmd.quantities import SCHEMA, STAMP, Kind, Quantity, Topic
+from palmd.topics import TOPICS
 
 MAGIC = b"\x89MCAP0\r\n"
 PROFILE = "palmd"

@@ -11,7 +11,7 @@ from palmd.messages import Fields
 from palmd.observer.pivot.live import PivotObserver
 from palmd.observer.pivot.observer import pivot_observer
 from palmd.pivot_config import PivotConfig
-from palmd.quantities import PIVOT_ANSWER, PIVOT_EVENTS
+from palmd.pivot_quantities import PIVOT_ANSWER, PIVOT_EVENTS
 from palmd.record.run import AnyRun, FedTick, RecordedAnswers
 from palmd.system.pivot import SYSTEM, PivotAnswer, PivotEstimate, PivotRig
 

@@ -18,13 +18,14 @@ from palmd.events import Estimate, Event, Improvement, Unexplained
 from palmd.messages import Fields, estimate_fields, events_of, improvement_of
 from palmd.observer.observer import LiveObserver, Observer
 from palmd.outlinefile import Outline, OutlineError, read_library
-from palmd.quantities import EVENTS, IMPROVEMENT, SCHEMA, SYSTEM_TOPICS, UNEXPLAINED, SystemTopics, Topic
+from palmd.quantities import EVENTS, IMPROVEMENT, SCHEMA, UNEXPLAINED, SystemTopics, Topic
 from palmd.record import SUFFIX
 from palmd.record.eventlog import EventLog
 from palmd.record.mcapfile import MAGIC, Preface, RawMessage, RunError, Tail, is_finished, read_messages, read_preface
 from palmd.record.metadata import CONFIG, METADATA, OUTLINES, RIG
 from palmd.system.description import RigDescription
 from palmd.systems import LIVE, TWO_PALMS, for_two_palms_only, load_part
+from palmd.topics import SYSTEM_TOPICS
 
 __all__ = [
     "AnyRun",

@@ -11,14 +11,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from statistics import fmean
-from typing import Literal
+from typing import Any, Literal
 
-from palmd.config import Config
 from palmd.devices.pad import SILENT_INTERVALS
 from palmd.faults import TABLE
 from palmd.messages import Fields, LogEntry
+from palmd.quantities import SystemTopics
 from palmd.report.course import Closeup, Course, StateChange
-from palmd.system.mechanism import JOINTS
 
 CauseKind = Literal[
     "port", "mute", "foreign", "damaged", "lifted", "stalled", "watchdog", "break", "estop", "power-off", "manual",
@@ -50,6 +49,7 @@ DAMAGED_SHARE, FOREIGN_SHARE = 0.05, 0.5  # of a bus's bytes that are in no pack
 SPOKE_BYTES, SPOKE_LINE_BYTES = 8, 31  # fewer may be the rest of a packet, or of a line
 DISCARDED_BYTES = 24  # of a second, in which a few may be lost at any time
 BABBLE_S = 0.2  # of bytes without a packet: somebody else speaks
+COMMANDED = "_cmd_"
 TOGETHER_S = 0.15  # both pads left within so long: the object was lifted
 CONTROLLER_WATCHDOG_MS, SETPOINT_MS = 160, 16
 
@@ -93,11 +93,31 @@ class StopCause:
 
 @dataclass(frozen=True, slots=True)
 class RunCase:
-    """All there is to judge by: the run's course, the ticks around, the configuration."""
+    """All there is to judge by: the run's course, the ticks around, the configuration, its system's topics."""
 
     course: Course
     closeup: Closeup
-    config: Config
+    config: Any
+    topics: SystemTopics
+
+    @property
+    def commanded(self) -> tuple[str, ...]:
+        """The fields of the motion that tell what is commanded."""
+        return tuple(each.name for each in self.topics.motion.quantities if COMMANDED in each.name)
+
+    @property
+    def pads(self) -> int:
+        """How many there are."""
+        return sum(each.name.startswith("touch") for each in self.topics.contact.quantities)
+
+    def places(self, motion: Fields) -> str:
+        """Where the joints or axes stand, as people are told it."""
+        names = (each.replace(COMMANDED, "_") for each in self.commanded)
+        return ", ".join(
+            f"{name.removesuffix('_rad')} {math.degrees(motion[name]):.1f}°"
+            if name.endswith("_rad") else f"{name.removesuffix('_m')} {motion[name] * 1e3:.1f} mm"
+            for name in names
+        )  # fmt: skip
 
     def rel(self, t: float) -> str:
         """A time as people are told it."""
@@ -179,7 +199,7 @@ def _stall(case: RunCase, t: float, least_s: float) -> _Stall | None:
                 f"palmd itself stood still for {(t1 - t0) * 1e3:.0f} ms: it got no processor, so no set-point went "
                 "out and nothing was read"
             )
-            evidence = (Clue("palm/motion", said), *_said(case, "loop-overrun", t1))
+            evidence = (Clue(case.topics.motion.name, said), *_said(case, "loop-overrun", t1))
             return _Stall(t0, t1, StopCause("stalled", "", sentence, evidence))
     return None
 
@@ -210,8 +230,7 @@ def _own(case: RunCase, code: str, t: float) -> StopCause:
     evidence = [*_said(case, code, t)]
     motion = case.closeup.last_motion(t)
     if code == "limits-violated" and motion:
-        angles = ", ".join(f"{joint} {math.degrees(motion[f'{joint}_rad']):.1f}°" for joint in JOINTS)
-        evidence.append(Clue("palm/motion", f"the palms stood at {angles}"))
+        evidence.append(Clue(case.topics.motion.name, f"the palms stood at {case.places(motion)}"))
     return StopCause(kind, "", sentence, tuple(evidence or [Clue("palm/state", f"{code} stood from {case.rel(t)}")]))
 
 
@@ -237,7 +256,7 @@ def _letter(case: RunCase, t: float) -> tuple[Clue, ...]:
     for (_, before), (when, now) in reversed([*pairwise(letters)]):
         if before != now:
             said = f"the controller's state letter went from {before or 'unknown'} to {now or 'unknown'}"
-            return (Clue("palm/motion", f"{said} at {case.rel(when)}"),)
+            return (Clue(case.topics.motion.name, f"{said} at {case.rel(when)}"),)
     return ()
 
 
@@ -255,7 +274,7 @@ def _controller(case: RunCase, code: str, t: float) -> StopCause:
         return line
     silent_ms = _oldest(case, "arm_age_ms", t)
     if silent_ms >= ARM_QUIET_S * 1e3 or "-0600" in said:
-        quiet = Clue("palm/contact", f"the arm's last answer was up to {silent_ms:.0f} ms old before that")
+        quiet = Clue(case.topics.contact.name, f"the arm's last answer was up to {silent_ms:.0f} ms old before that")
         sentence = (
             f"the arm's controller had no set-point for {CONTROLLER_WATCHDOG_MS} ms, stopped and latched error -600: "
             f"the line was dead, while palmd sent one every {SETPOINT_MS} ms"
@@ -294,7 +313,8 @@ def _bus(case: RunCase, code: str, t: float) -> StopCause:
     age_ms = _oldest(case, "arm_age_ms", t)
     evidence = [
         Clue(
-            "palm/contact", f"the servos had answered last {age_ms:.0f} ms before; after 250 ms the bus counts as lost"
+            case.topics.contact.name,
+            f"the servos had answered last {age_ms:.0f} ms before; after 250 ms the bus counts as lost",
         )
     ]
     came = spoilt = marked = 0.0
@@ -320,7 +340,10 @@ def _line(case: RunCase, code: str, t: float) -> StopCause:
     """The same of a controller's line."""
     age_ms = _oldest(case, "arm_age_ms", t)
     evidence = [
-        Clue("palm/contact", f"the arm's last answer was {age_ms:.0f} ms old; after 250 ms the link counts as lost")
+        Clue(
+            case.topics.contact.name,
+            f"the arm's last answer was {age_ms:.0f} ms old; after 250 ms the link counts as lost",
+        )
     ]
     windows = {gained[0]: gained for at in (t - 0.25, t, t + 1.0) if (gained := case.course.gained(at, *_LINE))}
     excess = ends = 0.0
@@ -349,12 +372,13 @@ def _lifted(case: RunCase, code: str, t: float) -> StopCause:
     here = min(lifts.get(number, [t]), key=lambda when: abs(when - t))
     others = [pad for pad, times in lifts.items() if pad != number and any(abs(w - here) < TOGETHER_S for w in times)]
     evidence = [
-        Clue("palm/events", f"pad {pad} told the end of its contact at {case.rel(when)}")
+        Clue(case.topics.events.name, f"pad {pad} told the end of its contact at {case.rel(when)}")
         for pad, times in sorted(lifts.items()) for when in times[-1:]
     ]  # fmt: skip
     said = [each for pad in sorted({number, *others}) for each in _said(case, f"pad{pad}-lifted", t)]
     if others:
-        return StopCause("lifted", "", "the object left both pads at once: it was lifted off", (*evidence, *said))
+        which = "both pads" if case.pads == 2 else f"{1 + len(others)} of {case.pads} pads"
+        return StopCause("lifted", "", f"the object left {which} at once: it was lifted off", (*evidence, *said))
     sentence = f"the object left pad {number}: the pad said so itself, by the bit for in use of its first byte"
     return StopCause("lifted", end, sentence, (*evidence, *said))
 
@@ -397,7 +421,7 @@ def _ages(case: RunCase, pad: int, t: float) -> tuple[Clue, ...]:
         f"pad {pad}'s last reading was at {case.rel(before[-1])}, {(t - before[-1]) * 1e3:.0f} ms before; "
         f"they had come every {mean_ms:.0f} ms, and the limit is {SILENT_INTERVALS} intervals"
     )
-    return (Clue("palm/events", told),)
+    return (Clue(case.topics.events.name, told),)
 
 
 def _oldest(case: RunCase, name: str, t: float) -> float:
@@ -449,7 +473,7 @@ def of_end(case: RunCase) -> StopCause:
     course, last = case.course, case.course.end
     motion: Fields = case.closeup.last_motion(math.inf)
     evidence = [
-        Clue("palm/motion", f"its last message, at {case.rel(last)}, is in the middle of "
+        Clue(case.topics.motion.name, f"its last message, at {case.rel(last)}, is in the middle of "
                                 f"{motion.get('plan') or 'no plan'}, the arm in state {motion.get('arm_state')}")
     ]  # fmt: skip
     if any(entry.name == "stopping" for entry in course.log[-3:]):
@@ -486,7 +510,7 @@ def of_break(case: RunCase, later: str, log: Sequence[LogEntry]) -> StopCause:
 def _moves(case: RunCase, t: float) -> bool:
     """Whether the palms were told to be elsewhere within the last quarter of a second."""
     told = [
-        tuple(fields[f"{joint}_cmd_rad"] for joint in JOINTS)
+        tuple(fields[name] for name in case.commanded)
         for when, fields in case.closeup.motion if t - 0.25 < when <= t
     ]  # fmt: skip
     return len(set(told)) > 1
@@ -503,7 +527,9 @@ def of_tracking(case: RunCase, faults: Mapping[str, str], t: float) -> StopCause
     if stall is not None and (late is None or age_ms < (stall.end - stall.begin + 0.06) * 1e3):
         return stall.cause
     if late is not None:
-        age = Clue("palm/contact", f"the arm's last answer was {age_ms:.0f} ms old; after 80 ms the motion pauses")
+        age = Clue(
+            case.topics.contact.name, f"the arm's last answer was {age_ms:.0f} ms old; after 80 ms the motion pauses"
+        )
         sentence = "the motion paused, and went on by itself: the arm's answers came late"
         return StopCause("late", "arm", sentence, (age, *_said(case, late, t)))
     motion = case.closeup.last_motion(t)

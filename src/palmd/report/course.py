@@ -12,9 +12,9 @@ from itertools import pairwise
 from typing import Any
 
 from palmd.messages import Fields, LogEntry, entries_of
-from palmd.quantities import CONTACT, EVENTS, LOG, LOOP, MOTION, STALL, STATE
+from palmd.quantities import LOG, LOOP, STALL, STATE
 from palmd.record.mcapfile import RawMessage, RunError
-from palmd.record.run import Run
+from palmd.record.run import AnyRun
 
 BEFORE_S, AFTER_S = 3.0, 2.0
 """How much of the ticks is looked at, around the instant that is asked about."""
@@ -99,7 +99,7 @@ class Closeup:
         return next((fields for when, fields in reversed(self.motion) if when <= t), {})
 
 
-def course_of(run: Run) -> Course:
+def course_of(run: AnyRun) -> Course:
     """The whole run's; raises RunError where it holds no `palm/state`, OSError."""
     told: list[StateChange] = []
     loops: list[tuple[float, Fields]] = []
@@ -127,16 +127,15 @@ def course_of(run: Run) -> Course:
     return Course(begin, end, run.complete, tuple(told), tuple(loops), tuple(log), tuple(steps))
 
 
-def closeup_of(run: Run, t: float) -> Closeup:
+def closeup_of(run: AnyRun, t: float) -> Closeup:
     """Every tick around `t`; raises RunError, OSError."""
-    found = Closeup()
-    for message, when in _timed(
-        run, CONTACT.name, MOTION.name, EVENTS.name, STALL.name, window=(t - BEFORE_S, t + AFTER_S)
-    ):
+    found, contact, motion = Closeup(), run.topics.contact.name, run.topics.motion.name
+    wanted = contact, motion, run.topics.events.name, STALL.name
+    for message, when in _timed(run, *wanted, window=(t - BEFORE_S, t + AFTER_S)):
         fields = message.fields
-        if message.topic == CONTACT.name:
+        if message.topic == contact:
             found.contact.append((when, fields))
-        elif message.topic == MOTION.name:
+        elif message.topic == motion:
             found.motion.append((when, fields))
             found.numbers.append(message.sequence)
         elif message.topic == STALL.name:
@@ -149,7 +148,7 @@ def closeup_of(run: Run, t: float) -> Closeup:
     return found
 
 
-def _timed(run: Run, *topics: str, window: tuple[float, float] | None = None) -> Iterator[tuple[RawMessage, float]]:
+def _timed(run: AnyRun, *topics: str, window: tuple[float, float] | None = None) -> Iterator[tuple[RawMessage, float]]:
     """The messages of these topics with their ticks' times; outside the window they are not even unpacked."""
     near = window is None
     for message in run.messages(*topics, STATE.name):

@@ -11,10 +11,11 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import minimize_scalar
 
 from palmd.events import FloatArray
-from palmd.quantities import ESTIMATE, TRUTH, truth_of
+from palmd.quantities import ESTIMATE, TRUTH
 from palmd.report.series import CONSTANTS, SD, OutlineAt, Series, TrueBody
 from palmd.score import OutlineScore, score_outline, support_at
 from palmd.system.mechanism import JOINTS, RADII
+from palmd.topics import truth_of
 
 SDS = 2.0
 """How many one-sigmas every band has to both sides."""

@@ -11,7 +11,7 @@ from itertools import pairwise
 from palmd.faults import TABLE
 from palmd.messages import LogEntry
 from palmd.record import SUFFIX
-from palmd.record.run import Run, RunError, read_run
+from palmd.record.run import AnyRun, RunError, read_any_run
 from palmd.report.causes import RunCase, StopCause, of_break, of_end, of_fault, of_no_fault, of_tracking
 from palmd.report.course import TOGETHER_S, Course, StateChange, closeup_of, course_of
 
@@ -69,7 +69,7 @@ class Explanation:
     others: tuple[tuple[float, str], ...]
 
 
-def explain(run: Run, at: float | None = None) -> Explanation:
+def explain(run: AnyRun, at: float | None = None) -> Explanation:
     """Why it was held or stopped at `at` (s since the first message); without a time: the last time by a fault.
 
     Raises RunError for a run that tells no state, or ended before that time; OSError.
@@ -78,14 +78,14 @@ def explain(run: Run, at: float | None = None) -> Explanation:
     return answer(run, course, None if at is None else course.begin + at)
 
 
-def answer(run: Run, course: Course, t: float | None) -> Explanation:
+def answer(run: AnyRun, course: Course, t: float | None) -> Explanation:
     """The same of a run whose course is known; `t` on its clock."""
     found = tuple(stops(course))
     stop = _asked(course, found, t)
     others = tuple((each.now.t - course.begin, _in_short(each)) for each in found if each is not stop)
     if stop is None:
         return _not_stopped(run, course, course.end if t is None else t, others)
-    case = RunCase(course, closeup_of(run, stop.now.t), run.config)
+    case = RunCase(course, closeup_of(run, stop.now.t), run.config, run.topics)
     cause = of_fault(case, stop.codes, stop.now.t) if stop.codes else of_no_fault(case, stop.before, stop.now)
     return Explanation(
         run.path.name,
@@ -163,9 +163,9 @@ def _asked(course: Course, found: tuple[Interruption, ...], t: float | None) -> 
     return lies[-1] if lies and t <= course.end + LATE_S else None
 
 
-def _not_stopped(run: Run, course: Course, t: float, others: tuple[tuple[float, str], ...]) -> Explanation:
+def _not_stopped(run: AnyRun, course: Course, t: float, others: tuple[tuple[float, str], ...]) -> Explanation:
     told = course.at(t) or course.told[0]
-    case = RunCase(course, closeup_of(run, min(t, course.end)), run.config)
+    case = RunCase(course, closeup_of(run, min(t, course.end)), run.config, run.topics)
     rel = t - course.begin
     if t >= course.end - END_S and told.state in _COMMANDED:
         later = _successor(run)
@@ -195,12 +195,12 @@ def _not_stopped(run: Run, course: Course, t: float, others: tuple[tuple[float, 
     )
 
 
-def _successor(run: Run) -> Run | None:
+def _successor(run: AnyRun) -> AnyRun | None:
     """The recording beside it that says it goes on from this one; None without any."""
     for path in sorted(run.path.parent.glob(f"*{SUFFIX}")):
         if path.name > run.path.name:
             with contextlib.suppress(RunError):
-                later = read_run(path)
+                later = read_any_run(path)
                 if later.metadata.get("continues") == run.path.name:
                     return later
     return None

@@ -37,7 +37,7 @@ import zmq
 
 from palmd.config import AnyConfig
 from palmd.messages import stamp
-from palmd.quantities import BODY, RIG_TOPICS, STALL, TRUTH, Topic
+from palmd.quantities import BODY, STALL, TRUTH, Topic
 from palmd.rig import uinput
 from palmd.rig.emulated import EmulatedRig
 from palmd.rig.fault_injection import (
@@ -55,6 +55,7 @@ from palmd.rig.tally import Listener
 from palmd.rig.uinput import UinputLine
 from palmd.rig.world import default_config
 from palmd.systems import LIVE, SYSTEMS, load_part
+from palmd.topics import RIG_TOPICS
 from palmd.yamlfile import ConfigError, load_any_config
 
 PERIOD_S = 1e-3

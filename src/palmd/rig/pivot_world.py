@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from palmd.pivot_config import PivotConfig, pivot_rig
-from palmd.quantities import PIVOT_BODY, PIVOT_TRUTH
+from palmd.pivot_quantities import PIVOT_BODY, PIVOT_TRUTH
 from palmd.rig.emulated import EMULATORS, STEP_S, EmulatedRig
 from palmd.rig.fault_injection import FaultOrder, PortName
 from palmd.rig.imperfections import Imperfections, PadImperfection, drawn

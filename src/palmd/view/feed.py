@@ -4,16 +4,8 @@ from __future__ import annotations
 
 from palmd.bus.subscriber import Subscriber
 from palmd.keys import Credentials
-from palmd.quantities import (
-    LOG,
-    LOOP,
-    OBJECT,
-    REPLAY,
-    RIG,
-    RIG_TOPICS,
-    STATE,
-    SYSTEM_TOPICS,
-)
+from palmd.quantities import LOG, LOOP, OBJECT, REPLAY, RIG, STATE
+from palmd.topics import RIG_TOPICS, SYSTEM_TOPICS
 
 Payload = tuple[str, bytes]
 """A topic and its payload, a msgpack map as it came."""

@@ -15,17 +15,14 @@ from palmd.quantities import (
     PALM3,
     PALM3_CONTACT,
     REPLAY,
-    RIG_TOPICS,
-    SYSTEM_TOPICS,
-    TOPICS,
     Chart,
     Quantity,
     Topic,
     drawn,
-    truth_of,
 )
 from palmd.system.mechanism import JOINTS, PALMS, SIDES
 from palmd.systems import TWO_PALMS
+from palmd.topics import RIG_TOPICS, SYSTEM_TOPICS, TOPICS, truth_of
 
 ESTIMATES = (ESTIMATE, PALM3)
 """Those that have quantities of their own; a pivoting grasp's are among two palms'."""
@@ -33,6 +30,7 @@ _AS = {
     getattr(topics, field.name).name: getattr(SYSTEM_TOPICS[TWO_PALMS], field.name).name
     for topics in SYSTEM_TOPICS.values()
     for field in fields(topics)
+    if field.name != "besides"
 }
 
 

@@ -16,7 +16,9 @@ from waiting import wait
 from palmd.daemon.bus import Bus
 from palmd.events import ObjectEstimate, Unexplained
 from palmd.messages import note_fields, object_fields, unexplained_fields
-from palmd.quantities import NOTE, OBJECT, PALM3_TOPICS, PIVOT_TOPICS, TOPICS, UNEXPLAINED
+from palmd.pivot_quantities import PIVOT_TOPICS
+from palmd.quantities import NOTE, OBJECT, PALM3_TOPICS, UNEXPLAINED
+from palmd.topics import TOPICS
 
 LAYOUT = Path(__file__).parents[3] / "config/plotjuggler.xml"
 STAMP = ("v", "timestamp", "mono_ns", "seq")
@@ -56,7 +58,7 @@ def wire(tmp_path_factory):
 
 
 def test_every_topic_of_two_palms_is_on_the_wire(wire):
-    others = (*PIVOT_TOPICS, *PALM3_TOPICS)
+    others = (*PIVOT_TOPICS.published, *PALM3_TOPICS.published)
     assert {frames[0].decode() for frames in wire} == {topic.name for topic in TOPICS if topic not in others}
 
 

@@ -16,7 +16,7 @@ from palmd.config import LimitsConfig
 from palmd.daemon.bus import Bus
 from palmd.daemon.commands import JOG_STEP_MAX_DEG, Reply
 from palmd.daemon.jog import DEAD_MAN_S, RATE
-from palmd.quantities import TOPICS
+from palmd.topics import TOPICS
 
 RIGHT, LEFT, UP, DOWN = b"\x1b[C", b"\x1b[D", b"\x1b[A", b"\x1b[B"
 

@@ -22,8 +22,8 @@ from palmd.devices.port import Port
 from palmd.devices.versapad import encode_packet
 from palmd.lab.silent_observer import SilentObserver
 from palmd.messages import info_fields, validate
-from palmd.quantities import TOPICS
 from palmd.rig.world import default_config
+from palmd.topics import TOPICS
 
 PERIOD = 0.01
 

@@ -16,8 +16,9 @@ from palmd.harness.pivot_wireless import PivotWireless
 from palmd.messages import stamp, validate
 from palmd.observer.pivot.live import PivotObserver
 from palmd.pivot_config import PivotPlanSpec, pivot_rig
-from palmd.quantities import PIVOT_BODY, PIVOT_TRUTH, TOPICS
+from palmd.pivot_quantities import PIVOT_BODY, PIVOT_TRUTH
 from palmd.score import score_shape
+from palmd.topics import TOPICS
 from palmd.yamlfile import load_any_config, read_document
 from palmd.yamlfile import parse as parsed
 

@@ -7,7 +7,7 @@ import pytest
 
 from palmd.bus.subscriber import Message
 from palmd.harness.pivot_comparison import PivotComparison
-from palmd.quantities import PIVOT, PIVOT_BODY, PIVOT_SHAPE, PIVOT_TRUTH
+from palmd.pivot_quantities import PIVOT, PIVOT_BODY, PIVOT_SHAPE, PIVOT_TRUTH
 
 THETA = np.arange(360) * math.tau / 360
 TRUE_H = 0.02 + 0.003 * np.cos(2 * THETA) + 0.002 * np.cos(3 * THETA)

@@ -1,6 +1,7 @@
 """The live observer of a body between three palms, against the plant, which has other equations."""
 
 import math
+from dataclasses import replace
 
 import msgpack
 import numpy as np
@@ -11,12 +12,14 @@ from palmd.events import PadLift, PadSample, PalmSample
 from palmd.harness.three_palms_comparison import between, matrix, surface_error
 from palmd.model.spherical import Y00, count, evaluator
 from palmd.model.three_palms import MOMENT
-from palmd.observer.three_palms import beliefs, growing, live
+from palmd.observer.three_palms import beliefs, growing
 from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
 from palmd.observer.three_palms.growing import GrowingBody
-from palmd.observer.three_palms.growth import begun
+from palmd.observer.three_palms.growth import begun, raced
 from palmd.observer.three_palms.icosphere import icosphere
+from palmd.observer.three_palms.joint_track import JointTrack
 from palmd.observer.three_palms.live import BodyObserver
+from palmd.observer.three_palms.reconstruct import felt_directions, near
 from palmd.observer.three_palms.rotation import exp, quaternion
 from palmd.observer.three_palms.search import Rival
 from palmd.observer.three_palms.smoother import BodyMotion
@@ -24,7 +27,7 @@ from palmd.rig.three_palms.bodies import Bodies, random_bodies
 from palmd.rig.three_palms.compiled import BodyOnPalms
 from palmd.rig.three_palms.plant import BodyStates, Rubbing
 from palmd.rig.three_palms.simulate import random_rotation
-from palmd.system.three_palms import BodyAnswer, ThreePalmsRig, palms_at, readings_of
+from palmd.system.three_palms import GAP_S, BodyAnswer, ThreePalmsRig, palms_at, readings_of
 
 RIG = ThreePalmsRig()
 SEED = 7
@@ -101,8 +104,18 @@ def rolled():
     return Rolled()
 
 
+def tracked():
+    """The joints as they are reported every 2 ms."""
+    t = 2e-3 * np.arange(-1, 210)
+    first, *others = (PalmSample(at, *map(tuple, each)) for at, *each in zip(t.tolist(), *joints(t), strict=True))
+    track = JointTrack(first)
+    for each in others:
+        track.take(each)
+    return track
+
+
 def carried(filtered, readings, until):
-    filtered.carry(readings, until, planes(np.array(filtered.times(readings, until))))
+    filtered.carry(readings, until, tracked())
 
 
 def test_a_step_keeps_to_the_motion_of_a_body_in_six_degrees_of_freedom(rolled):
@@ -129,11 +142,38 @@ def test_readings_tell_the_spin_that_was_not_known(rolled):
     assert 0.7 < filtered.nis < 1.4
 
 
+def test_what_is_compiled_is_its_twin_in_numpy(rolled):
+    rng = np.random.default_rng(4)
+    width = 6 + len(rolled.p)
+    root = rng.normal(size=(width, width)) * np.array([1e-3] * 3 + [0.1] * 3 + [1e-4] * (width - 6))[:, None]
+    belief = replace(rolled.belief(spin_off=0.1), covariance=root @ root.T / width)
+    readings = [
+        PlaneReading(rolled.t[k], k % 3, *(rolled.read[k][k % 3] + 1e-4 * rng.normal(size=2))) for k in range(3, 60)
+    ]
+    readings[20] = replace(readings[20], a=0.5)  # is not fused
+    compiled, twin = (BodyFilter(belief, RIG, compiled=which) for which in (True, False))
+    assert compiled.copy()._does is not None  # or there is nothing to compare
+    sd = np.sqrt(np.diagonal(belief.covariance))
+    for each in (compiled, twin):
+        carried(each, readings, 0.15)
+    assert pytest.approx(twin.R, abs=1e-9) == compiled.R
+    assert compiled.omega == pytest.approx(twin.omega, abs=1e-8)
+    assert np.abs((compiled.p - twin.p) / sd[6:]).max() < 1e-7
+    assert np.abs((compiled.P - twin.P) / np.outer(sd, sd)).max() < 1e-7
+    assert (compiled.P == compiled.P.T).all()
+    assert compiled.nis == pytest.approx(twin.nis, rel=1e-7)
+    one, other = compiled.seen(tracked(), 0.15), twin.seen(tracked(), 0.15)
+    for name in ("contacts", "centre", "heights"):
+        for mine, its in zip(getattr(one, name), getattr(other, name), strict=True):
+            assert mine == pytest.approx(its, rel=1e-6, abs=1e-9)
+    assert one.force == pytest.approx(other.force, rel=1e-6)
+
+
 def test_contacts_centre_heights_and_forces_are_the_plants(rolled):
-    filtered = BodyFilter(rolled.belief(), RIG)
     k = 100
-    filtered.t, filtered.R, filtered.omega = rolled.t[k], rolled.states[k][6:15].reshape(3, 3), rolled.states[k][15:]
-    seen = filtered.seen(planes(rolled.t[k]))
+    R, omega = rolled.states[k][6:15].reshape(3, 3), rolled.states[k][15:]
+    filtered = BodyFilter(replace(rolled.belief(), t=rolled.t[k], R=R, omega=omega), RIG)
+    seen = filtered.seen(tracked(), rolled.t[k])
     assert np.abs(seen.contacts[0] - rolled.read[k]).max() < 2e-6
     assert np.abs(seen.centre[0] - rolled.states[k][:3]).max() < 1e-6
     assert np.abs(seen.heights[0] - planes(rolled.t[k]).normal[0] @ rolled.states[k][:3]).max() < 1e-6
@@ -211,7 +251,8 @@ class Lived:
         with pytest.MonkeyPatch.context() as led:
             led.setattr(growing, "rivals", self._right)
             led.setattr(growing, "begun_in_ways", lambda task, found: [begun(task, each) for each in found])
-            smoother = GrowingBody(self.rig)
+            led.setattr(growing, "raced", self._followed)
+            smoother = self.smoother = GrowingBody(self.rig)
             smoother.add([event for event in self.events if event.t_sample < 2.9])
             self.first = smoother.answer()
             smoother.add([event for event in self.events if 2.9 <= event.t_sample < self.END])
@@ -243,6 +284,10 @@ class Lived:
 
     def truth(self, t):
         return np.array([np.interp(t, self.t, column) for column in self.states.T])
+
+    def _followed(self, task, running):
+        self.raced = task, raced(task, running)
+        return self.raced[1]
 
     def _right(self, task, seconds):
         record = task.record(seconds)
@@ -320,17 +365,47 @@ def test_told_the_same_it_says_the_same_to_the_last_bit(lived):
     assert msgpack.packb(said) == msgpack.packb(again)
 
 
+def go_on(lived, observer, begin, end, without=None):
+    """The log's events between two times, but for those of a pad."""
+    for event in lived.events:
+        if begin < event.t_sample <= end and not (isinstance(event, PadSample) and event.pad == without):
+            observer.feed(event)
+    observer.improve(end)
+    return observer.estimate(end)
+
+
+def test_a_pad_that_is_silent_for_a_moment_interrupts_the_claim_and_nothing_else(lived):
+    observer = BodyObserver(lived.rig, stub := Stub())
+    assert lived.told(observer, stub, 4.6, lived.END + 0.05)[-1].valid
+    observer.feed(PadLift(4.605, 2))  # on a busy machine it says so of packets that come late
+    said = go_on(lived, observer, 4.6, 4.65, without=2)
+    assert not said.valid
+    assert said.reason == "nothing touches palm 2"
+    said = go_on(lived, observer, 4.65, 4.7)
+    assert said.valid, said.reason
+
+
 def test_a_palm_that_is_let_go_ends_what_is_known_of_the_motion(lived):
     observer = BodyObserver(lived.rig, stub := Stub())
     lived.told(observer, stub, 4.6, lived.END + 0.05)
     observer.feed(PadLift(4.605, 2))
-    observer.improve(4.61)
-    said = observer.estimate(4.61)
+    said = go_on(lived, observer, 4.6, 4.6 + GAP_S + 0.02, without=2)
+    assert not said.valid
+    said = go_on(lived, observer, 4.6 + GAP_S + 0.02, 4.8)
     assert not said.valid
     assert math.isnan(said.quaternion[0])
     stub.next = lived.answer  # about what was there before
-    observer.improve(4.62)
-    assert observer.estimate(4.62).hypotheses == 0
+    observer.improve(4.81)
+    assert observer.estimate(4.81).hypotheses == 0
+
+
+def test_what_an_earlier_answer_took_to_be_touched_is_not_unless_it_is(lived):
+    task, ended = lived.raced
+    motion = ended[0].motion
+    erring = replace(ended[0], motion=replace(motion, R=motion.R @ exp(np.array([1.0, 0.5, 0.0]))))
+    lived.smoother._answer(task, [erring])
+    told = lived.smoother._answer(task, ended)
+    assert (told.touched > 0).tolist() == near(felt_directions(ended[0])).tolist()
 
 
 def test_what_is_late_is_counted_and_dropped():
@@ -344,7 +419,7 @@ def test_what_is_late_is_counted_and_dropped():
 
 
 def test_joints_are_known_in_the_past_too():
-    track = live._JointTrack(PalmSample(0.0, (0.5, 0.5, 0.5), (1.0,) * 3, (0.0,) * 3))
+    track = JointTrack(PalmSample(0.0, (0.5, 0.5, 0.5), (1.0,) * 3, (0.0,) * 3))
     for k in range(1, 3000):
         t = 0.016 * k
         track.take(PalmSample(t, (0.5 + t,) * 3, (1.0,) * 3, (0.0,) * 3))

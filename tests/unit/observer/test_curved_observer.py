@@ -2,6 +2,8 @@
 
 import json
 import math
+import re
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -25,6 +27,7 @@ from palmd.system.arcs import joints_of
 from palmd.system.description import PadSensor, RigDescription
 
 SECONDS = 6.0
+reconstruct_module = sys.modules["palmd.observer.reconstruct"]  # its name is its function's too
 ENOUGH_S = 4.0
 
 
@@ -56,6 +59,39 @@ def test_taken_for_flat_it_is_not_claimed(cradle):
     few = [event for event in log.events if event.t_sample < ENOUGH_S]
     assert reconstruct(few, log.rig).converged
     assert not reconstruct(few, flat).converged
+
+
+@pytest.mark.parametrize("as_described", [True, False])
+def test_what_fits_another_rig_only_is_searched_for_once_more(cradle, monkeypatch, as_described):
+    """Dome 2042 of `palmd bench curved`: a worse minimum that a contradicted rig made fit was claimed."""
+    _, log, _ = cradle
+    refined, looks = reconstruct_module._refined, []
+
+    def told(*args):
+        looks.append(refined(*args))
+        return replace(looks[-1], as_described=looks[-1].as_described and as_described)
+
+    monkeypatch.setattr(reconstruct_module, "_refined", told)
+    answer = reconstruct([event for event in log.events if event.t_sample < ENOUGH_S], log.rig)
+    assert answer.converged
+    assert (len(looks) > 1) == (not as_described)
+
+
+def test_told_to_be_far_more_concave_than_they_are_nothing_is_claimed_and_it_says_why(cradle):
+    _, log, _ = cradle
+    strong = replace(log.rig, pads=tuple(replace(pad, curvature=2 * pad.curvature) for pad in log.rig.pads))
+    answer = reconstruct([event for event in log.events if event.t_sample < 2.5], strong)
+    assert not answer.converged
+    assert answer.reason
+
+
+def test_an_object_that_would_lie_in_its_palm_is_refused_in_words(cradle, monkeypatch):
+    """What one touches at one place at a time is never as flat as the palm: only the judgement is tried."""
+    _, log, _ = cradle
+    monkeypatch.setattr(reconstruct_module, "MOST_LYING", 0.3)
+    answer = reconstruct([event for event in log.events if event.t_sample < ENOUGH_S], log.rig)
+    assert not answer.converged
+    assert re.match(r"the palms are too concave for the object: kappa v reaches 0\.\d\d where", answer.reason)
 
 
 def test_live_it_settles_on_what_is_there(cradle):

@@ -8,7 +8,7 @@ import pytest
 import recorded
 from mcap.reader import NonSeekingReader, make_reader
 
-from palmd.quantities import ESTIMATE, LOOP, TOPICS
+from palmd.quantities import ESTIMATE, LOOP
 from palmd.record.mcapfile import (
     MAGIC,
     Preface,
@@ -22,6 +22,7 @@ from palmd.record.mcapfile import (
     read_preface,
 )
 from palmd.record.runfile import pack
+from palmd.topics import TOPICS
 
 
 def test_every_topic_of_the_table_has_a_schema_of_its_fields():

@@ -10,17 +10,22 @@ from plans import SHORT, SWING
 from recorded import config as recorded_config
 
 from palmd.cli import main
+from palmd.console.shipped import shipped
 from palmd.daemon.commands import Request
+from palmd.harness.pivot_wireless import PivotWireless
+from palmd.harness.three_palms_wireless import ThreePalmsWireless
 from palmd.harness.wireless import Wireless
 from palmd.lab.fault_wireless import WirelessRecorder
 from palmd.lab.silent_observer import SilentObserver
-from palmd.record.run import RunError, read_run
+from palmd.pivot_config import PivotPlanSpec
+from palmd.record.run import RunError, read_any_run, read_run
 from palmd.report.course import course_of
 from palmd.report.why import answer, explain, lines
 from palmd.rig.emulated import STEP_S
 from palmd.rig.fault_injection import order
 from palmd.rig.world import default_config
-from palmd.yamlfile import load_config
+from palmd.three_palms_config import TiltPlanSpec
+from palmd.yamlfile import load_any_config, load_config, parse, read_document
 
 TABLETOP = Path(__file__).parents[3] / "config/tabletop.yaml"
 
@@ -29,13 +34,15 @@ class Silent(SilentObserver):
     name, object_count, late_dropped = "silent", 0, 0
 
 
-class Rig(Wireless):
+def recorded_in(folder, config):
+    return config.model_copy(update={"record": config.record.model_copy(update={"directory": folder})})
+
+
+class Recorded:
     """A rig whose every tick is recorded, with the counters that the loop adds once a second."""
 
-    def __init__(self, folder, spec=SWING, config=None):
-        config = config or default_config()
-        config = config.model_copy(update={"record": config.record.model_copy(update={"directory": folder})})
-        super().__init__(config, spec, 3, estimator=Silent())
+    def __init__(self, config, *rest, **others):
+        super().__init__(config, *rest, **others)
         self.recorder = WirelessRecorder(config)
         self.ticks = 0
 
@@ -81,6 +88,30 @@ class Rig(Wireless):
             self.recorder.publish("rig/stall", {"t_s": self.t, "lasted_s": seconds, "count": 1}, self.t)
 
 
+class Rig(Recorded, Wireless):
+    """Two palms that know nothing of what is on them."""
+
+    def __init__(self, folder, spec=SWING, config=None):
+        super().__init__(recorded_in(folder, config or default_config()), spec, 3, estimator=Silent())
+
+
+class RigInSpace(Recorded, ThreePalmsWireless):
+    """Three palms in space."""
+
+    def __init__(self, folder):
+        config = load_any_config(shipped("three_palms.yaml"))
+        super().__init__(recorded_in(folder, config), parse(read_document(config.plan), TiltPlanSpec), 3)
+
+
+class PivotingRig(Recorded, PivotWireless):
+    """A pivoting grasp, whose smoother is never asked."""
+
+    def __init__(self, folder):
+        config = load_any_config(shipped("pivot.yaml"))
+        spec = parse(read_document(config.plan), PivotPlanSpec)
+        super().__init__(recorded_in(folder, config), spec, 3, period_s=math.inf)
+
+
 def run_of(folder, act, seconds=1.7, spec=SWING, config=None):
     """What a swinging rig records to which something is done after a second, and when (s) that was."""
     rig = Rig(folder, spec, config)
@@ -124,6 +155,28 @@ def test_the_cause_is_told_with_its_evidence_also_without_a_log(name, tmp_path):
         text = "\n".join(lines(told))
         assert "nan" not in text
         assert "inf" not in text
+
+
+OTHERS = {
+    "space-mute": (RigInSpace, lambda rig: rig.play("mute", "pad2"), "pad2-mute", "palm3/events"),
+    "space-lifted": (RigInSpace, lambda rig: rig.play("lift"), "lifted", "palm3/events"),
+    "space-failed": (RigInSpace, lambda rig: rig.core.fail(rig.t, ZeroDivisionError()), "failed", "palm/log"),
+    "pivot-stalled": (PivotingRig, lambda rig: rig.stall(0.3), "stalled", "palm/pivot_motion"),
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_other_systems_are_told_of_as_well(name, tmp_path):
+    make, act, cause, where = OTHERS[name]
+    rig = make(tmp_path)
+    rig.start()
+    rig.go(0.5)
+    t = rig.t
+    act(rig)
+    rig.go(0.7)
+    told = explain(read_any_run(rig.recorder.finish()), t + 0.5)
+    assert told.cause.name == cause, "\n".join(lines(told))
+    assert where in {each.where for each in told.cause.evidence}
 
 
 SERVOS = {

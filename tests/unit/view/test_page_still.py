@@ -138,6 +138,23 @@ def body_in_space(off_m=0.0):
     }  # fmt: skip
 
 
+def pivoting():
+    """What a daemon says of a disc of 20 mm that a gripper holds 8 mm beside its middle, on a pad of 50 mm."""
+    theta = np.arange(360) * (2 * np.pi / 360)
+    h = 0.02 + 0.008 * np.cos(theta)
+    return {
+        "palm/pivot": {"valid": True, "object": 1, "x_m": 0.02, "z_m": 0.02, "s1_m": 0.028, "e_m": 0.008,
+                       "psi_rad": 0.0, "omega0_rad_s": 0.1, "f1_n": 0.5, "mu": 0.2, "touched": 0.6, "nis": 1.0,
+                       "sd": {}},
+        "palm/pivot_shape": {"theta_rad": theta.tolist(), "hP_m": h.tolist(), "hP_sd_m": [5e-6] * 360,
+                             "touched": [1] * 360},
+        "palm/pivot_contact": {"s1_m": 0.028, "touch1": True, "age1_ms": 8.0, "arm_age_ms": 8.0},
+        "palm/pivot_motion": {"plan": "drag", "segment": -1, "progress": 0.0, "arm_state": "T"},
+        "palm/pivot_info": {"system": "pivot", "version": "1", "observer": "pivot", "pad1_length_m": 0.05},
+        "palm/state": rig_of(1)["palm/state"],
+    }  # fmt: skip
+
+
 def opened(page, bus, messages):
     bus.messages = messages
     page.open()
@@ -165,6 +182,16 @@ def test_a_system_of_any_number_of_palms_is_shown_by_its_description(still, bus,
     assert (still.drawn("green") > 100) == (palms > 1)  # one palm does not tell where the object is
     assert (still.drawn("purple") > 300) == (palms > 2)
     still.script("return new Promise((done) => setTimeout(done, 3200))")  # the picture has been described meanwhile
+    assert still.errors() == []
+
+
+def test_a_body_in_a_pivoting_grasp_is_drawn_and_described(still, bus):
+    opened(still, bus, pivoting())
+    for hue in ("blue", "green"):  # pad and contact, and what is well known of the body
+        still.until(lambda hue=hue: still.drawn(hue) > 300, hue)
+    label = "return document.getElementById('scene').ariaLabel ?? ''"
+    still.until(lambda: "Touched over 60 % of the outline about the pivot." in still.script(label), "the description")
+    assert "Pad touched at 28.00 mm, pressed with 0.50 N" in still.script(label)
     assert still.errors() == []
 
 

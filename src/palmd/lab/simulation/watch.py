@@ -22,8 +22,9 @@ from palmd.events import PalmMotion
 from palmd.faults import Severity
 from palmd.lab.simulation.causes import CAUSES, FOR_GOOD, LINGERS_S, Cause
 from palmd.messages import validate
-from palmd.quantities import LOOP, TOPICS
+from palmd.quantities import LOOP
 from palmd.rig.adept_arm import AdeptArm
+from palmd.topics import TOPICS
 
 STANDS_RAD_S = math.radians(1.0)
 STOP_S = 0.5

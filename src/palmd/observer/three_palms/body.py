@@ -13,12 +13,11 @@ from palmd.model.three_palms import MOMENT
 
 def inertia(p: FloatArray) -> FloatArray:
     """(3, 3) in the body's frame, per unit mass (m²)."""
-    L = np.zeros((3, 3))
-    L[np.tril_indices(3)] = p[-9:-3]
-    L[np.diag_indices(3)] = np.exp(np.diagonal(L))
+    first, low, second, lowest, lower, third = p[-9:-3].tolist()
+    L = np.array([[math.exp(first), 0.0, 0.0], [low, math.exp(second), 0.0], [lowest, lower, math.exp(third)]])
     root = MOMENT * Y00 * p[0] * L
     moment = root @ root.T
-    about: FloatArray = np.asarray(np.trace(moment) * np.eye(3) - moment, np.float64)
+    about: FloatArray = (moment[0, 0] + moment[1, 1] + moment[2, 2]) * np.eye(3) - moment
     return about
 
 

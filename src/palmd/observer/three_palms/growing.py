@@ -15,7 +15,7 @@ import numpy as np
 
 from palmd.blas import one_thread
 from palmd.config import PRESSURE_GAIN_STD
-from palmd.events import Event, FloatArray, PadLift, PadSample, PalmSample
+from palmd.events import Event, FloatArray, PadSample, PalmSample
 from palmd.observer.three_palms.driven import ContactCurves
 from palmd.observer.three_palms.growth import BEHIND, FORK_S, STARTS_S, Grown, begun_in_ways, folded, raced
 from palmd.observer.three_palms.icosphere import icosphere
@@ -64,7 +64,7 @@ class GrowingBody:
         self._running: list[Grown] = []
         self._attempt = 0
         self._reached = -math.inf
-        self._touched = np.zeros(len(icosphere()[0]), dtype=bool)
+        self._before = np.zeros(len(icosphere()[0]), dtype=bool)  # touched in what has been folded
 
     def add(self, events: Sequence[Event]) -> None:
         """Events of some ticks; may be called while another thread answers."""
@@ -95,6 +95,7 @@ class GrowingBody:
         said = self._answer(task, ended)
         if first.intervals * SPACING_S > LONGEST_S:
             more = first.intervals - round(KEPT_S / SPACING_S)
+            self._before |= near(felt_directions(first)[: len(PALMS) * more])
             self._start, self._running = task.start + more * SPACING_S, [folded(task, first, more)]
             self._heard.forget(self._start - CONTACTS_S)
         return said
@@ -102,7 +103,7 @@ class GrowingBody:
     # ---- its parts ---------------------------------------------------------------------------------------
 
     def _take(self) -> None:
-        """Sort in what has come; a record ends where a palm is let go."""
+        """Sort in what has come; pads that fall silent say so by their gaps."""
         events = self._waiting[:]
         del self._waiting[: len(events)]
         for event in events:
@@ -112,8 +113,6 @@ class GrowingBody:
             elif isinstance(event, PadSample) and event.across is not None:
                 force = math.nan if event.force is None else event.force
                 self._heard.readings.append((event.t_sample, event.pad - 1, event.across, event.s, force))
-            elif isinstance(event, PadLift):
-                self._begin_anew(event.t_sample)
 
     def _begin_anew(self, t: float) -> None:
         """Nothing before t (s) is of the body that there is from now on."""
@@ -180,14 +179,14 @@ class GrowingBody:
         except np.linalg.LinAlgError:
             return _unknown(task, self._begun, "the fit is not a minimum")
         belief = first.ahead
-        self._touched |= near(felt_directions(first))
-        h, h_sd = surface(belief.mean, covariance[6:, 6:], self._touched, first.whole.chi2)
-        reason = doubt(task, ended, h_sd[self._touched])
+        touched = self._before | near(felt_directions(first))  # as it is known now: earlier answers may have erred
+        h, h_sd = surface(belief.mean, covariance[6:, 6:], touched, first.whole.chi2)
+        reason = doubt(task, ended, h_sd[touched])
         mass, mass_sd = mass_of(rig, first)
         return BodyAnswer(
             t=float(first.record.t[-1]), begun=self._begun, claimed=not reason, reason=reason,
             hypotheses=len(self._running), R=belief.R, omega=belief.spin, p=belief.mean,
-            covariance=0.5 * (covariance + covariance.T), h=h, h_sd=h_sd, touched=self._touched.astype(np.float64),
+            covariance=0.5 * (covariance + covariance.T), h=h, h_sd=h_sd, touched=touched.astype(np.float64),
             inertia_sd=inertia_sd(belief.mean, covariance[6:, 6:]).ravel(),
             mass=mass, mass_sd=math.hypot(mass_sd, PRESSURE_GAIN_STD * mass),
         )  # fmt: skip

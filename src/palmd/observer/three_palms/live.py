@@ -9,31 +9,30 @@ from __future__ import annotations
 
 import bisect
 import math
-from collections import deque
 from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
 
-from palmd.events import Event, FloatArray, PadLift, PalmSample, ShapeEstimate
-from palmd.observer.three_palms import kernels
+from palmd.events import Event, PadLift, PalmSample, ShapeEstimate
+from palmd.observer.three_palms import body_filter, kernels
 from palmd.observer.three_palms.body import inertia
 from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
 from palmd.observer.three_palms.icosphere import icosphere
+from palmd.observer.three_palms.joint_track import STEADY, JointTrack
 from palmd.observer.three_palms.rotation import quaternion
 from palmd.quantities import INERTIA_ENTRIES, WORLD_AXES
-from palmd.system.three_palms import GAP_S, JOINTS, PALMS, BodyAnswer, BodyEstimate, PalmPlanes, ThreePalmsRig, palms_at
+from palmd.system.three_palms import GAP_S, JOINTS, PALMS, BodyAnswer, BodyEstimate, ThreePalmsRig
 
 NAME = "space"
 ORDER = 8  # of the smoother's outlines
 HELD_S = 0.02  # how late readings are fused
 KEPT_S = 20.0  # of readings, for an answer that is as old: the first takes up to 14 s
-REPORTS = 4096  # of the joints, for the same: some 32 s at least
-A_TICK = 5  # readings that a filter which catches up takes beyond the new ones
+MOST_KEPT = 8192  # of readings, before older ones are let go: some 27 s
+A_TICK = 12  # readings that a filter which catches up takes beyond the new ones
 NIS_MOST = 1.6
 KNOWN_M = 3e-4  # one-sigma of a contact, above which it is not known where the body is
 AWAY_S = 0.5  # without any contact, after which it is another object
-STEADY = 0.15  # share of a reported angle that corrects the planned way
 LONGEST_S = 1e-2  # of a step ahead of the last reading
 TRUNCATED_M, TRUNCATED_RAD_S = 3e-5, 0.01  # what harmonics beyond the last leave open of contacts and of the spin
 FORCE_SHARE = 0.03
@@ -58,11 +57,12 @@ class BodyObserver:
         self.object_count, self.late_dropped, self.improvements = 1, 0, 0
         self._rig, self._smoothing = rig, smoothing
         self._waiting: list[Event] = []
-        self._joints: _JointTrack | None = None
+        self._joints: JointTrack | None = None
         self._pending: list[PlaneReading] = []  # not fused yet, by their times
-        self._kept: deque[PlaneReading] = deque()
+        self._kept: list[PlaneReading] = []  # fused, by their times
         self._fused_until = -math.inf
         self._felt_at = [-math.inf] * len(PALMS)
+        self._silent: set[int] = set()  # palms whose pads say that nothing touches them
         self._begun = -math.inf  # of what is on the palms: answers about what was there before are of no use
         self._answer: BodyAnswer | None = None
         self._filter: BodyFilter | None = None
@@ -76,8 +76,9 @@ class BodyObserver:
 
     def warm_up(self) -> None:
         """Load the kernels."""
-        kernels.acceleration(ORDER)
-        kernels.reading(ORDER)
+        if body_filter.steps(ORDER, self._rig) is None:
+            kernels.acceleration(ORDER)
+            kernels.reading(ORDER)
 
     def feed(self, event: Event) -> None:
         """Take one event; a reading of a time that has been fused already is counted and dropped."""
@@ -88,11 +89,11 @@ class BodyObserver:
         self._waiting.append(event)
         if isinstance(event, PalmSample):
             if self._joints is None:
-                self._joints = _JointTrack(event)
+                self._joints = JointTrack(event)
             else:
                 self._joints.take(event)
         elif isinstance(event, PadLift):
-            self._part(t)
+            self._silent.add(event.pad)
         elif event.across is not None:
             self._take(PlaneReading(t, event.pad - 1, event.across, event.s))
 
@@ -165,10 +166,11 @@ class BodyObserver:
         if reading.t - self._felt_at[reading.pad] > GAP_S:
             self._part(reading.t)
         self._felt_at[reading.pad] = max(reading.t, self._felt_at[reading.pad])
+        self._silent.discard(reading.pad + 1)
         if reading.t <= self._fused_until:
             self.late_dropped += 1
             return
-        bisect.insort(self._pending, reading, key=lambda each: each.t)
+        bisect.insort(self._pending, reading, key=_time)
 
     def _part(self, t: float) -> None:
         """A palm has been let go at t (s): what was known of the motion ends."""
@@ -190,12 +192,12 @@ class BodyObserver:
 
     def _fuse(self, until: float) -> None:
         """Bring the filters to `until` (s), or nearer to it."""
-        ready = bisect.bisect_right(self._pending, until, key=lambda each: each.t)
+        ready = bisect.bisect_right(self._pending, until, key=_time)
         new, self._pending = self._pending[:ready], self._pending[ready:]
         self._fused_until = max(until, self._fused_until)
-        self._kept.extend(new)
-        while self._kept and self._kept[0].t < until - KEPT_S:
-            self._kept.popleft()
+        self._kept += new
+        if len(self._kept) > MOST_KEPT:
+            del self._kept[: bisect.bisect_left(self._kept, until - KEPT_S, key=_time)]
         if self._joints is None:
             return
         if self._filter is not None:
@@ -204,29 +206,27 @@ class BodyObserver:
             self._catch_up(self._next, until, A_TICK + len(new))
 
     def _catch_up(self, behind: BodyFilter, until: float, most: int) -> None:
-        after = [each for each in self._kept if each.t > behind.t]
-        some = after[:most]
-        self._carry(behind, some, until if len(some) == len(after) else some[-1].t)
-        if len(some) == len(after):
+        begin = bisect.bisect_right(self._kept, behind.t, key=_time)
+        some, all_of_it = self._kept[begin : begin + most], begin + most >= len(self._kept)
+        self._carry(behind, some, until if all_of_it else some[-1].t)
+        if all_of_it:
             self._filter, self._next = behind, None
 
     def _carry(self, filtered: BodyFilter, readings: Sequence[PlaneReading], until: float) -> None:
-        fresh = [each for each in readings if each.t > filtered.t]
-        times = filtered.times(fresh, until)
-        if times and self._joints is not None:
-            filtered.carry(fresh, until, self._joints.palms(np.array(times)))
+        if self._joints is not None:
+            filtered.carry([each for each in readings if each.t > filtered.t], until, self._joints)
 
     def _ahead(self, filtered: BodyFilter, t: float) -> BodyFilter:
         """The filter's belief about time t."""
         now = filtered.copy()
-        times = now.times([], t, LONGEST_S)
-        if times and self._joints is not None:
-            now.carry([], t, self._joints.palms(np.array(times)), LONGEST_S)
+        if self._joints is not None:
+            now.carry([], t, self._joints, LONGEST_S)
         return now
 
     def _doubt(self, t: float) -> str:
         """Why what is believed is not to be believed now; empty when it is."""
-        untouched = [palm for palm, at in zip(PALMS, self._felt_at, strict=True) if t - at > GAP_S]
+        felt = zip(PALMS, self._felt_at, strict=True)
+        untouched = [palm for palm, at in felt if t - at > GAP_S or palm in self._silent]
         if untouched:
             return f"nothing touches palm {', '.join(map(str, untouched))}"
         if self._joints is None or t - self._joints.t > GAP_S:
@@ -250,7 +250,7 @@ class BodyObserver:
 
     def _of_body(self, now: BodyFilter, answer: BodyAnswer, t: float) -> tuple[dict[str, float], dict[str, float]]:
         assert self._joints is not None
-        seen = now.seen(self._joints.palms(np.array([t])))
+        seen = now.seen(self._joints, t)
         diagonal = np.sqrt(np.maximum(np.diagonal(now.P), 0.0))
         of_inertia, inertia_sd = inertia(now.p), answer.inertia_sd.reshape(3, 3)
         values: dict[str, float] = {}
@@ -278,47 +278,5 @@ class BodyObserver:
         return values, sd
 
 
-class _JointTrack:
-    """Where the joints are and have been: reported angles along the planned way."""
-
-    def __init__(self, sample: PalmSample) -> None:
-        self._t: FloatArray = np.empty(REPORTS)
-        self._told: FloatArray = np.empty((REPORTS, 3, len(JOINTS)))  # angles, rates, accelerations
-        self._count = 0
-        self._add(sample, np.array(sample.angles))
-
-    @property
-    def t(self) -> float:
-        """Of the last report (s)."""
-        return float(self._t[self._count - 1])
-
-    def take(self, sample: PalmSample) -> None:
-        """A report; one that comes after a later one says nothing."""
-        if sample.t_sample <= self.t:
-            return
-        ahead = self.at(np.array([sample.t_sample]))[0][0]
-        gain = 1.0 if sample.rates is None else STEADY
-        self._add(sample, ahead + gain * (np.array(sample.angles) - ahead))
-
-    def at(self, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(T, 3) angles, rates and accelerations at times t (T,), each from the report that is nearest."""
-        later = np.searchsorted(self._t[: self._count], t)
-        before, after = np.maximum(later - 1, 0), np.minimum(later, self._count - 1)
-        which = np.where(t - self._t[before] < self._t[after] - t, before, after)
-        dt = np.clip(t - self._t[which], -GAP_S, GAP_S)[:, None]
-        angle, rate, acceleration = (self._told[which, k] for k in range(3))
-        return angle + dt * rate + 0.5 * dt**2 * acceleration, rate + dt * acceleration, acceleration
-
-    def palms(self, t: FloatArray) -> PalmPlanes:
-        """The palms at these times."""
-        return palms_at(*self.at(t))
-
-    def _add(self, sample: PalmSample, angle: FloatArray) -> None:
-        if self._count == REPORTS:
-            self._count = REPORTS // 2
-            for kept in (self._t, self._told):
-                kept[: self._count] = kept[-self._count :].copy()
-        still = (0.0,) * len(JOINTS)
-        self._t[self._count] = sample.t_sample
-        self._told[self._count] = angle, sample.rates or still, sample.accelerations or still
-        self._count += 1
+def _time(reading: PlaneReading) -> float:
+    return reading.t

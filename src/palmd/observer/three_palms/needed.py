@@ -8,8 +8,10 @@ from palmd.observer.kernels import Part
 def needed(_config: object) -> list[Part]:
     """Its kernels, whatever its configuration says: as `palmd.observer.kernels.needed`."""
     from palmd.model import three_palms
+    from palmd.observer.three_palms.body_filter import steps
     from palmd.observer.three_palms.growth import ORDER
     from palmd.observer.three_palms.search import START_ORDER
+    from palmd.system.three_palms import ThreePalmsRig
 
     def space(order: int) -> Part:
         return f"three palms in space, degree {order}", lambda: three_palms.library(order).backend
@@ -17,4 +19,5 @@ def needed(_config: object) -> list[Part]:
     return [
         ("three palms in space, the beginning", lambda: three_palms.driven_library().backend),
         *map(space, (START_ORDER, ORDER)),
+        ("three palms in space, the filter", lambda: "python" if steps(ORDER, ThreePalmsRig()) is None else "c"),
     ]

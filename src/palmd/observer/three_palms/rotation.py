@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from palmd.events import FloatArray
@@ -42,13 +44,16 @@ def left_inverse(v: FloatArray) -> FloatArray:
 
 def quaternion(R: FloatArray) -> tuple[float, ...]:
     """x, y, z, w of one rotation (3, 3), w ≥ 0."""
-    # eigenvector of the largest eigenvalue of the symmetric matrix whose entries are linear in R (Bar-Itzhack 2000)
-    K = np.empty((4, 4))
-    K[:3, :3] = R + R.T - np.trace(R) * np.eye(3)
-    K[:3, 3] = K[3, :3] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
-    K[3, 3] = np.trace(R)
-    q = np.linalg.eigh(K)[1][:, -1]
-    return tuple((-q if q[3] < 0.0 else q).tolist())
+    # from the largest of its four squares (Shepperd 1978)
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+    squares = 1 + a - e - i, 1 - a + e - i, 1 - a - e + i, 1 + a + e + i
+    rows = (
+        (squares[0], b + d, c + g, h - f), (b + d, squares[1], f + h, c - g),
+        (c + g, f + h, squares[2], d - b), (h - f, c - g, d - b, squares[3]),
+    )  # fmt: skip
+    q = rows[squares.index(max(squares))]
+    length = math.copysign(math.hypot(*q), q[3])
+    return tuple(each / length for each in q)
 
 
 def quaternions(R: FloatArray) -> FloatArray:

@@ -1,5 +1,9 @@
 // Palms, contacts and outlines. Pure. Lengths in m, angles in rad, world axes; equation numbers are CMU-CS-01-107's.
 
+export const MM = 1e3;
+export const SOME_PAD_MM = 55.5; // how long pads are while nobody has told
+export const THICK_MM = 3.2; // of a palm, as drawn
+
 /** Each palm at the hinge: its direction away from there (t1, −t2), its normal towards the object, its curvature (1/m). */
 export function posture(palms, joints) {
   let angle = 0;

@@ -4,6 +4,7 @@ import { chords } from "./geometry.js";
 import { underWay } from "./knowledge.js";
 import { AGES, ESTIMATE, palmsOf, shown, shownOfPalm, TOLD, told } from "./quantities.js";
 import { inSpace } from "./surface.js";
+import { SYSTEMS } from "./systems.js";
 import { element, number, row, set } from "./text.js";
 
 const STATES = {
@@ -139,6 +140,8 @@ export function describe(store) {
     const { factor, digits, unit } = shownOfPalm(name);
     return number(estimate[name] * factor, digits, unit);
   };
+  const own = SYSTEMS.find(({ tells }) => tells(estimate));
+  if (own) return own.describe(store, say);
   const [away, what] = inSpace(estimate) ? ["h", "surface"] : ["r", "outline"];
   const palms = palmsOf(store.get("palm/info")).map(({ number: palm, joint }) => `Palm ${palm} at ${say(`${joint}_rad`)}, `
     + `${say(`${away}${palm}_m`)} from the centre of mass, pressed with ${say(`f${palm}_n`)}.`);

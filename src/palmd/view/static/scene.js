@@ -1,25 +1,23 @@
 // The palms, the object as estimated, and the rig's truth, drawn in mm with the hinge at rest and gravity down.
 
-import { centreFromRadii, chords, onPalm, outline, posture } from "./geometry.js";
+import { centreFromRadii, chords, MM, onPalm, outline, posture, SOME_PAD_MM, THICK_MM } from "./geometry.js";
 import { CLASSES_M, classOf } from "./knowledge.js";
 import { Lens } from "./lens.js";
 import { dash, line, place, ring, write } from "./paths.js";
-import { clear, pivots } from "./pivot.js";
 import { palmsOf } from "./quantities.js";
 import { SpaceView } from "./space.js";
 import { inSpace } from "./surface.js";
+import { SYSTEMS } from "./systems.js";
 import { colours, ofPalm } from "./theme.js";
 import { offTruth, truthAt } from "./truth.js";
 
 const VIEW = { width: 2.7, height: 1.66, below: 0.235 }; // what is seen, in pads, and how much of it lies below the hinge
-const SOME_PAD_MM = 55.5; // what is seen while nobody has told how long the pads are
-const THICK_MM = 3.2;
 const FORCE_MM_PER_N = 12;
 const GRID_MM = 10;
+const LABEL_HALF = 16; // of a palm's name, in CSS pixels
 const ARC_POINTS = 32; // that a curved palm is drawn by
-const QUARTER_TURN = Math.PI / 2; // by which its arc turns at most in the picture
+const BEYOND = 1.2; // of its pad's length it has in the picture: longer arcs would meet
 const WIDTHS = [3.4, 2.8, 2.2, 1.6, 1]; // of the outline, for each class of its error
-const MM = 1e3;
 const A_PIXEL = 0.01; // by which a picture of space is turned (rad), and by a key:
 const KEYS = { ArrowLeft: [0.1, 0], ArrowRight: [-0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] };
 
@@ -63,6 +61,11 @@ export class Scene {
     });
   }
 
+  /** Whether an outline is known. */
+  get shaped() {
+    return this.#paths !== null;
+  }
+
   /** By how much the lens magnifies at the moment; 0 while it shows nothing. */
   get factor() {
     return this.#lensOn ? this.#lens.factor : 0;
@@ -82,8 +85,11 @@ export class Scene {
   /** Draws what `store` knows at `now` (ms). */
   draw(store, now) {
     const estimate = store.get("palm/estimate");
-    if (pivots(estimate)) {
-      this.#drawPivoting(store, estimate, now);
+    const own = SYSTEMS.find(({ tells }) => tells(estimate));
+    if (own) {
+      this.outdated = false;
+      this.#lens.factor = 0;
+      own.draw(this, this.#context, store, now);
       return;
     }
     this.#inSpace(inSpace(estimate));
@@ -95,7 +101,7 @@ export class Scene {
     const joints = jointsOf(palms, estimate, store.get("palm/motion"));
     this.outdated = false;
     this.#lens.factor = 0;
-    this.#begin(Math.max(...palms.map(({ padM }) => padM ?? 0)) * MM || SOME_PAD_MM);
+    this.begin(Math.max(...palms.map(({ padM }) => padM ?? 0)) * MM || SOME_PAD_MM);
     if (!joints) return;
     const stance = posture(palms, joints);
     const radii = palms.map(({ number }) => estimate[`r${number}_m`]);
@@ -106,15 +112,15 @@ export class Scene {
     this.#drawGrid(hinge);
     const truth = hinge && store.truthful(now) ? truthAt(store, estimate) : null;
     const turned = centre && Number.isFinite(estimate.psi_rad);
-    if (turned) this.#learnShape(store.get("palm/shape"));
-    if (turned && this.#paths) this.#drawObject(estimate, centre);
-    if (truth) this.#drawTruth(store.get("rig/object"), truth, hinge);
+    if (turned) this.learnShape(store.get("palm/shape"));
+    if (turned && this.#paths) this.drawObject(estimate, centre);
+    if (truth) this.drawTruth(store.get("rig/object"), truth, hinge);
     const contact = store.get("palm/contact");
     palms.forEach((palm, i) => this.#drawPalm(palm, stance[i]));
     this.#drawHinge();
-    const contacts = palms.map((palm, i) => this.#drawContact(palm, stance[i], estimate, contact));
+    const contacts = palms.map((palm, i) => this.drawContact(palm, stance[i], estimate, contact));
     if (centre) this.#drawCentre(centre, estimate.psi_rad);
-    this.#drawScale();
+    this.drawScale();
     if (this.#lensOn && turned && this.#paths && estimate.valid) {
       const off = truth && offTruth(this.#points, store.get("rig/object"), truth, estimate);
       this.#drawLens(estimate, centre, off, contacts.find(Boolean));
@@ -145,58 +151,9 @@ export class Scene {
     this.outdated = true;
   }
 
-  // -- a pivoting grasp -----------------------------------------------------------------------------------------
-
-  /** The pad on the ground, the gripper over it, and the body that turns about the pivot. */
-  #drawPivoting(store, estimate, now) {
-    const [palm] = palmsOf(store.get("palm/info"));
-    const padMm = palm.padM * MM || SOME_PAD_MM;
-    this.outdated = false;
-    this.#lens.factor = 0;
-    this.#begin(padMm);
-    const context = this.#context;
-    const pad = { along: [1, 0], normal: [0, 1] };
-    context.save();
-    context.translate(-padMm / 2, 0);
-    const pivot = estimate.gripper.map((place) => place * MM);
-    const turned = Number.isFinite(estimate.psi_rad);
-    this.#learnShape(store.get("palm/shape"));
-    const seen = pivot.every(Number.isFinite);
-    if (seen && turned && this.#paths) this.#drawObject(estimate, estimate.gripper);
-    const truth = store.truthful(now) ? store.get("rig/truth") : null;
-    const object = store.get("rig/object");
-    if (truth && clear(object, truth)) {
-      this.#drawTruth(object, { ...truth, com_x_m: truth.x_m, com_y_m: truth.z_m }, [0, 0]);
-    }
-    context.fillStyle = colours.line;
-    context.fillRect(-padMm * 0.2, -THICK_MM, padMm * 1.4, THICK_MM);
-    context.fillStyle = ofPalm(palm.number);
-    context.fillRect(0, -THICK_MM * 0.42, padMm, THICK_MM * 0.42);
-    this.#label("pad", padMm, { ...pad, curvature: 0 }, ofPalm(palm.number));
-    if (seen) this.#drawGripper(pivot);
-    this.#drawContact(palm, { ...pad, curvature: 0 }, estimate, store.get("palm/contact"));
-    context.restore();
-    this.#drawScale();
-  }
-
-  /** A fork from above that holds the body at the pivot (mm). */
-  #drawGripper([x, y]) {
-    const context = this.#context;
-    context.strokeStyle = colours.ink;
-    context.lineWidth = this.#thin(5);
-    line(context, [x, y + 3], [x, y + 60]);
-    context.lineWidth = this.#thin(2.5);
-    context.beginPath();
-    context.arc(x, y, 3, 0, 2 * Math.PI);
-    context.fillStyle = colours.panel;
-    context.fill();
-    context.stroke();
-    this.#write("gripper", x + this.#thin(40), y + 12, colours.ink, 600);
-  }
-
   // -- outlines ---------------------------------------------------------------------------------------------------
 
-  #learnShape(shape) {
+  learnShape(shape) {
     if (shape === this.#shape || !shape.h_m) return;
     this.#shape = shape;
     this.#points = outline(shape.theta_rad, shape.h_m);
@@ -207,7 +164,7 @@ export class Scene {
     }
   }
 
-  #drawObject(estimate, centre) {
+  drawObject(estimate, centre) {
     const context = this.#context;
     context.save();
     context.translate(centre[0] * MM, centre[1] * MM);
@@ -218,15 +175,15 @@ export class Scene {
     context.lineCap = "round";
     this.#paths.arcs.forEach((path, error) => {
       context.strokeStyle = colours[`error${error}`];
-      context.lineWidth = this.#thin(WIDTHS[error]);
+      context.lineWidth = this.thin(WIDTHS[error]);
       context.stroke(path);
     });
-    dash(context, this.#paths.chords, this.#thin(1), colours.panel);
+    dash(context, this.#paths.chords, this.thin(1), colours.panel);
     context.restore();
   }
 
   /** The truth in its own place, dashed. */
-  #drawTruth(object, truth, hinge) {
+  drawTruth(object, truth, hinge) {
     const context = this.#context;
     if (object.h_m !== this.#truthShape) {
       this.#truthShape = object.h_m;
@@ -235,7 +192,7 @@ export class Scene {
     context.save();
     context.translate((truth.com_x_m - hinge[0]) * MM, (truth.com_y_m - hinge[1]) * MM);
     context.rotate(truth.psi_rad);
-    dash(context, this.#truthPath, this.#thin(1));
+    dash(context, this.#truthPath, this.thin(1));
     context.restore();
   }
 
@@ -254,10 +211,10 @@ export class Scene {
 
   #drawCentre([x, y], psi) {
     const context = this.#context;
-    const size = this.#thin(6);
+    const size = this.thin(6);
     context.save();
     context.translate(x * MM, y * MM);
-    context.lineWidth = this.#thin(1.5);
+    context.lineWidth = this.thin(1.5);
     context.strokeStyle = context.fillStyle = colours.ink;
     if (Number.isFinite(psi)) {
       context.rotate(psi);
@@ -287,7 +244,7 @@ export class Scene {
     const context = this.#context;
     const { along, normal, curvature } = palm;
     if (curvature) {
-      this.#drawArc(palm, 0, Math.min(length, QUARTER_TURN / Math.abs(curvature) * MM), THICK_MM, colours.line);
+      this.#drawArc(palm, 0, Math.min(length, BEYOND * (pad || SOME_PAD_MM)), THICK_MM, colours.line);
       this.#drawArc(palm, 0.5, pad, THICK_MM * 0.42, ofPalm(number));
     } else {
       context.save();
@@ -300,7 +257,7 @@ export class Scene {
       context.fillRect(0.5, -THICK_MM * 0.42, pad, THICK_MM * 0.42);
       context.restore();
     }
-    this.#label(`palm ${number}`, pad || SOME_PAD_MM, palm, ofPalm(number));
+    this.label(`palm ${number}`, pad || SOME_PAD_MM, palm, ofPalm(number));
   }
 
   /** A strip below the surface of a curved palm, from one arc length to another (mm). */
@@ -329,7 +286,7 @@ export class Scene {
   }
 
   /** Where the object touches the palm, with its force; the place (mm), null for none. */
-  #drawContact({ number }, palm, estimate, contact) {
+  drawContact({ number }, palm, estimate, contact) {
     const context = this.#context;
     const s = estimate.valid ? estimate[`s${number}_m`] : contact[`s${number}_m`];
     if (!contact[`touch${number}`] || !Number.isFinite(s)) return null;
@@ -337,47 +294,48 @@ export class Scene {
     const point = [place[0] * MM, place[1] * MM];
     this.#drawForce(estimate[`f${number}_n`], point, normal, ofPalm(number));
     context.beginPath();
-    context.arc(...point, this.#thin(5), 0, 2 * Math.PI);
+    context.arc(...point, this.thin(5), 0, 2 * Math.PI);
     context.fillStyle = ofPalm(number);
     context.fill();
-    context.lineWidth = this.#thin(1.8);
+    context.lineWidth = this.thin(1.8);
     context.strokeStyle = colours.panel;
     context.stroke();
     return point;
   }
 
-  /** Below the surface, `s` mm from the hinge. */
-  #label(text, s, palm, colour) {
-    const out = -THICK_MM - this.#thin(11);
+  /** Below the surface, `s` mm from the hinge; beside it where the surface is steep, as text is wider than high. */
+  label(text, s, palm, colour) {
+    const out = -THICK_MM - this.thin(11);
     const { point, normal } = onPalm(palm, s / MM);
-    this.#write(text, point[0] * MM + normal[0] * out, point[1] * MM + normal[1] * out, colour, 600);
+    const x = point[0] * MM + normal[0] * (out - this.thin(LABEL_HALF));
+    this.write(text, x, point[1] * MM + normal[1] * out, colour, 600);
   }
 
   #drawForce(force, point, normal, colour) {
     if (!(force > 0)) return;
     const context = this.#context;
     const length = Math.min(force * FORCE_MM_PER_N, 30);
-    const head = Math.min(this.#thin(10), length * 0.6);
+    const head = Math.min(this.thin(10), length * 0.6);
     const tip = [point[0] + normal[0] * length, point[1] + normal[1] * length];
     const neck = [tip[0] - normal[0] * head, tip[1] - normal[1] * head];
     const wide = [-normal[1] * head * 0.42, normal[0] * head * 0.42];
     context.strokeStyle = context.fillStyle = colour;
-    context.lineWidth = this.#thin(3);
+    context.lineWidth = this.thin(3);
     line(context, point, neck);
     context.beginPath();
     context.moveTo(...tip);
     context.lineTo(neck[0] + wide[0], neck[1] + wide[1]);
     context.lineTo(neck[0] - wide[0], neck[1] - wide[1]);
     context.fill();
-    const below = -THICK_MM - this.#thin(13);
-    const beside = this.#thin(14) * Math.sign(-normal[0]);
-    this.#write(`${force.toFixed(2)} N`, point[0] + normal[0] * below + beside, point[1] + normal[1] * below, colour, 600);
+    const below = -THICK_MM - this.thin(13);
+    const beside = this.thin(14) * Math.sign(-normal[0]);
+    this.write(`${force.toFixed(2)} N`, point[0] + normal[0] * below + beside, point[1] + normal[1] * below, colour, 600);
   }
 
   // -- surroundings -----------------------------------------------------------------------------------------------
 
   /** Clears the picture for pads of this length. */
-  #begin(padMm) {
+  begin(padMm) {
     const { width, height } = this.#pixels;
     const context = this.#context;
     context.setTransform(1, 0, 0, 1, 0, 0);
@@ -398,7 +356,7 @@ export class Scene {
     const half = width / this.#scale / 2;
     const top = height / this.#scale - this.#below;
     context.strokeStyle = colours.faint;
-    context.lineWidth = this.#thin(1);
+    context.lineWidth = this.thin(1);
     context.beginPath();
     const [x0, y0] = hinge.map((place) => place * MM);
     for (let x = Math.ceil((x0 - half) / GRID_MM) * GRID_MM; x < x0 + half; x += GRID_MM) {
@@ -412,17 +370,17 @@ export class Scene {
     context.stroke();
   }
 
-  #drawScale() {
+  drawScale() {
     const context = this.#context;
-    const left = -this.#pixels.width / this.#scale / 2 + this.#thin(18);
+    const left = -this.#pixels.width / this.#scale / 2 + this.thin(18);
     const y = -this.#below + 4;
     context.strokeStyle = colours.ink;
-    context.lineWidth = this.#thin(1.5);
+    context.lineWidth = this.thin(1.5);
     line(context, [left, y], [left + 10, y]);
-    this.#write("10 mm", left + 5, y + this.#thin(10), colours.ink, 400);
+    this.write("10 mm", left + 5, y + this.thin(10), colours.ink, 400);
   }
 
-  #write(text, x, y, colour, weight) {
+  write(text, x, y, colour, weight) {
     const context = this.#context;
     context.save();
     context.translate(x, y);
@@ -432,7 +390,7 @@ export class Scene {
   }
 
   /** So many CSS pixels, in mm. */
-  #thin(pixels) {
+  thin(pixels) {
     return (pixels * this.#pixels.ratio) / this.#scale;
   }
 

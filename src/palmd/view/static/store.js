@@ -1,8 +1,8 @@
 // What has come: the last message of each topic, when it came, and the histories that strips are drawn from.
 
 import { History } from "./history.js";
-import { fieldsOf } from "./pivot.js";
 import { ESTIMATE, keptAs, staleMs, STRIPS } from "./quantities.js";
+import { fieldsOf } from "./systems.js";
 
 export const WINDOW_S = 10;
 const GAP_S = 2;
