@@ -4,10 +4,14 @@ import os
 import signal
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from palmd.blas import one_thread_from_here
 
 one_thread_from_here()  # as in every command: the threads of two workers would spin against each other
+
+settings.register_profile("palmd", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("palmd")  # how long an example takes beside other work is none of a test's business
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # A shell starts what runs in its background deaf to SIGINT, and that is handed on to every process that a test

@@ -24,12 +24,16 @@ OTHERS = (*WAITING, "tests/bench", "tests/vm")
 
 
 class Part(NamedTuple):
-    """What runs beside the others. The tests of a `rig` go before them, and are tried again; one `talks` as it runs."""
+    """What runs beside the others, some by many `workers`.
+
+    The tests of a `rig` go before them, and are tried again; one `talks` as it runs.
+    """
 
     name: str
     command: tuple[str, ...]
     rig: bool = False
     talks: bool = False
+    workers: int = 0
 
 
 def parts() -> list[Part]:
@@ -40,7 +44,7 @@ def parts() -> list[Part]:
         Part("linters", ("make", "--no-print-directory", "--old-file=dev", "lint")),
         Part("rig", (*PYTEST, *cached("rig"), "tests/rig"), rig=True, talks=True),
         Part("system", (*PYTEST, *cached("system"), "tests/system"), rig=True),
-        Part("all others", (*PYTEST, "-n", str(WORKERS), "--dist", "worksteal", *ignored)),
+        Part("all others", (*PYTEST, *ignored), workers=WORKERS),
     ]
 
 
@@ -49,9 +53,18 @@ def cached(name: str) -> tuple[str, str]:
     return "-o", f"cache_dir=.pytest_cache/{name}"
 
 
+def collected(part: Part) -> None:
+    """Have pytest rewrite what the tests assert, and keep it: each worker would rewrite all of it at the same time."""
+    command = [*part.command, "--collect-only"]
+    subprocess.run(command, check=False, stdout=subprocess.DEVNULL, preexec_fn=lambda: os.nice(NICE))
+
+
 def begin(part: Part, told: IO[str], arguments: list[str]) -> subprocess.Popen[str]:
     """The part as a process; `arguments` go to tests only."""
     extra = arguments if part.command[0] == sys.executable else []
+    if part.workers:
+        collected(part)
+        extra = ["-n", str(part.workers), "--dist", "worksteal", *extra]
     return subprocess.Popen(
         [*part.command, *extra],
         stdout=None if part.talks else told, stderr=None if part.talks else subprocess.STDOUT, text=True,

@@ -10,11 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 
-from palmd.config import Config, config_hash
 from palmd.events import (
     Estimate,
     Event,
@@ -37,6 +36,9 @@ from palmd.system.naming import Naming
 from palmd.system.rig_constants import RIG_NAMES, said_off
 from palmd.topics import TOPICS
 
+if TYPE_CHECKING:
+    from palmd.config import Config
+
 Fields = dict[str, Any]
 
 _TOLD = tuple((q.name, q.source) for q in ESTIMATE.quantities if q.source and not q.uncertain)
@@ -46,6 +48,27 @@ NAMED_STATE = tuple(q.source for q in ESTIMATE.quantities if q.role == "named")
 
 _SD_NAMES = {source: name for name, source in _UNCERTAIN}
 _WITH_SD = {quantity.name for topic in TOPICS for quantity in topic.quantities if quantity.uncertain}
+
+
+class Says(Protocol):
+    """A system's module of messages: what every system publishes, as fields, and its events read back."""
+
+    @property
+    def events_fields(self) -> Callable[[float, Sequence[Event]], Fields]:
+        """Of the events that an observer was fed in the tick at a time (s)."""
+
+    @property
+    def events_of(self) -> Callable[[Mapping[str, Any]], tuple[Event, ...]]:
+        """And back."""
+
+    def estimate_fields(self, estimate: Any, /) -> Fields:
+        """Of an estimate."""
+
+    def estimate_at_a_glance(self, estimate: Any, /) -> Fields:
+        """What a status tells of it."""
+
+    def info_fields(self, version: str, observer: str, config: Any, plans: Iterable[str], /) -> Fields:
+        """Of the rig as configured."""
 
 
 def stamp(fields: Fields, timestamp: float, t: float, seq: int) -> Fields:
@@ -345,6 +368,8 @@ def entries_of(fields: Mapping[str, Any]) -> tuple[LogEntry, ...]:
 
 def info_fields(version: str, observer: str, config: Config, plans: Iterable[str] = ()) -> Fields:
     """`palm/info`: who runs, and the rig as configured, lengths and limits included, for whoever draws it."""
+    from palmd.config import config_hash  # of the pydantic models, which nothing else here needs
+
     rig, limits = config.rig, config.limits
     lengths_mm = {f"palm{palm}": length for palm, length in zip(PALMS, rig.palm_lengths_mm, strict=True)}
     lengths_mm |= {f"pad{palm}": pad.length_mm for palm, pad in zip(PALMS, config.pads.each(), strict=True)}

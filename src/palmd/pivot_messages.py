@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from palmd import messages
-from palmd.config import config_hash
 from palmd.events import ShapeEstimate
 from palmd.messages import EventsForm, Fields
-from palmd.pivot_config import PivotConfig
 from palmd.pivot_quantities import PIVOT, PIVOT_EVENTS
 from palmd.quantities import SCHEMA, UNITS
 from palmd.system.pivot import AXES, NAMING, SYSTEM, PivotAnswer, PivotEstimate
+
+if TYPE_CHECKING:
+    from palmd.pivot_config import PivotConfig
 
 _TOLD = tuple((each.name, each.source) for each in PIVOT.quantities if each.source)
 _NAMES = {each.source: each.name for each in PIVOT.quantities if each.uncertain}
@@ -26,7 +27,7 @@ def estimate_fields(estimate: PivotEstimate) -> Fields:
     return fields | {"sd": {_NAMES[source]: sd for source, sd in estimate.sd.items()}}
 
 
-def at_a_glance(estimate: PivotEstimate) -> Fields:
+def estimate_at_a_glance(estimate: PivotEstimate) -> Fields:
     """Of `palm/pivot` what people look at first, as the status tells it; None for what has no value."""
     return messages.at_a_glance(PIVOT, estimate_fields(estimate), "side", "touched", "nis", "reason")
 
@@ -67,6 +68,8 @@ def answer_of(fields: Mapping[str, Any]) -> PivotAnswer:
 
 def info_fields(version: str, observer: str, config: PivotConfig, plans: Iterable[str]) -> Fields:
     """`palm/pivot_info`: who runs, and the rig as configured, for whoever draws it."""
+    from palmd.config import config_hash  # of the pydantic models, which nothing else here needs
+
     return {
         "version": version,
         "schema": SCHEMA,

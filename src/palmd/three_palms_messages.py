@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from palmd import messages
-from palmd.config import config_hash
 from palmd.events import FloatArray, ShapeEstimate
 from palmd.messages import EventsForm, Fields
 from palmd.quantities import PALM3, PALM3_EVENTS, SCHEMA, UNITS
 from palmd.system.three_palms import HALVINGS, JOINTS, MECHANISM, NAMING, PALMS, SYSTEM, BodyAnswer, BodyEstimate
-from palmd.three_palms_config import ThreePalmsConfig
+
+if TYPE_CHECKING:
+    from palmd.three_palms_config import ThreePalmsConfig
 
 VALUES = (*(each.name for each in PALM3.quantities if each.kind == "number" and each.unit), "mu")
 """The fields of `palm3/estimate` that are in an estimate's `values`."""
@@ -39,7 +40,7 @@ def estimate_fields(estimate: BodyEstimate) -> Fields:
     }
 
 
-def at_a_glance(estimate: BodyEstimate) -> Fields:
+def estimate_at_a_glance(estimate: BodyEstimate) -> Fields:
     """Of `palm3/estimate` what people look at first, as the status tells it; None for what has no value."""
     return messages.at_a_glance(PALM3, estimate_fields(estimate), "touched", "nis", "hypotheses", "reason")
 
@@ -107,6 +108,8 @@ def shaped(**told: Any) -> BodyAnswer:
 
 def info_fields(version: str, observer: str, config: ThreePalmsConfig, plans: Iterable[str]) -> Fields:
     """`palm3/info`: who runs, and the rig as configured, for whoever draws it."""
+    from palmd.config import config_hash  # of the pydantic models, which nothing else here needs
+
     pads = tuple(zip(PALMS, config.pads.planes, strict=True))
     return {
         "version": version,

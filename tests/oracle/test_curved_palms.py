@@ -8,6 +8,7 @@ from functools import cache
 import casadi as ca
 import numpy as np
 import pytest
+from derived import derived
 
 from palmd.events import PalmMotion
 from palmd.model import arcs, rollout, sensitivity, shape, shape_map, smoothing
@@ -68,7 +69,7 @@ def test_a_second_of_motion_is_that_of_the_plant_which_knows_no_arc_lengths(curv
     plant = CurvedPlant(body, Hinge("arc"), surface, curvatures)
     plant.place(_plan(0.0, *phi), 0.4, 0.3)
     rig = rig_inputs(_rig(curvatures))
-    named, predict = (f(shape.HARMONICS, curved=True) for f in (shape_map.named_function, shape_map.predict_function))
+    named, predict = (derived(f, curved=True) for f in (shape_map.named_function, shape_map.predict_function))
     x, P, dt = _state(body, surface, 0.4, 0.3), np.zeros((shape_map.N,) * 2), 5e-4
     turned = 0.0
     for k in range(2000):
@@ -102,7 +103,7 @@ def test_gradients_are_those_of_the_implicit_contact(curvatures: tuple[float, fl
     phi = joints_of(body.support.at(0.0)[0], (0.75, 1.65), curvatures)
     palms, rig = [*phi, 0.4, -0.2, 0.5, 0.3], rig_inputs(_rig(curvatures))
     x = _state(body, surface, 0.3, 0.7)
-    named = shape_map.named_function(curved=True)
+    named = derived(shape_map.named_function, curved=True)
 
     def y(at: np.ndarray) -> np.ndarray:
         return np.asarray(named(at, [*palms, *rig])[0]).ravel()
@@ -114,10 +115,10 @@ def test_gradients_are_those_of_the_implicit_contact(curvatures: tuple[float, fl
     )
     scale = np.abs(wanted).max(axis=1, keepdims=True) + 1e-9
     assert (np.abs(J - wanted) / scale).max() < 1e-6
-    aim = np.asarray(sensitivity.aim_function(curved=True)(x, [*phi, *curvatures]))
+    aim = np.asarray(derived(sensitivity.aim_function, curved=True)(x, [*phi, *curvatures]))
     assert aim == pytest.approx(J[[NAMED.index(name) for name in ("r1", "r2", "s1", "s2")]], abs=1e-9)
     dt = 0.004
-    predict, P = shape_map.predict_function(curved=True), np.eye(len(x)) * 1e-6
+    predict, P = derived(shape_map.predict_function, curved=True), np.eye(len(x)) * 1e-6
     u = [dt, *palms, 1.0, -2.0, *rig]
     transition = np.column_stack([
         (np.asarray(predict(x + s * e, P, u)[0]) - np.asarray(predict(x - s * e, P, u)[0])).ravel() / (2 * s)
@@ -134,15 +135,16 @@ def test_nearly_flat_palms_are_flat_ones_to_a_nanometre() -> None:
     x, P = _state(body, surface, 0.2, 0.5), np.eye(shape_map.N) * 1e-6
     palms = [0.7, 1.6, 0.4, -0.2, 0.5, 0.3]
     flat, arc = (rig_inputs(_rig(curvatures)) for curvatures in ((0.0, 0.0), (1e-9, -1e-9)))
-    straight = shape_map.named_function()(x, [*palms, *flat])
-    bent = shape_map.named_function(curved=True)(x, [*palms, *arc])
+    straight = derived(shape_map.named_function)(x, [*palms, *flat])
+    bent = derived(shape_map.named_function, curved=True)(x, [*palms, *arc])
     for one, other in zip(straight, bent, strict=True):
         one, other = np.asarray(one), np.asarray(other)
         assert np.abs(one - other).max() < 1e-6 * np.abs(one).max()
     assert np.asarray(bent[0])[:5].ravel() == pytest.approx(np.asarray(straight[0])[:5].ravel(), abs=1e-9)
     u = [0.004, *palms, 1.0, -2.0]
     moved = [
-        np.asarray(shape_map.predict_function(curved=bool(k))(x, P, [*u, *rig])[0]) for k, rig in enumerate((flat, arc))
+        np.asarray(derived(shape_map.predict_function, curved=bool(k))(x, P, [*u, *rig])[0])
+        for k, rig in enumerate((flat, arc))
     ]
     assert moved[0] == pytest.approx(moved[1], abs=1e-9)
 
@@ -156,7 +158,7 @@ def test_the_arrays_find_the_contacts_that_the_kernels_find(curvatures: tuple[fl
     psi = np.arange(24) * math.tau / 24
     s = arcs.contacts_on_arcs(h, np.full(24, phi1), np.full(24, phi2), psi, curvatures)
     x = _state(body, FrictionSurface(), 0.0, 0.0)
-    named = shape_map.named_function(curved=True)
+    named = derived(shape_map.named_function, curved=True)
     for number, angle in enumerate(psi):
         x[Z.PSI] = angle
         y = np.asarray(named(x, [phi1, phi2, 0, 0, 0, 0, *rig_inputs(_rig(curvatures))])[0]).ravel()
@@ -209,7 +211,7 @@ def test_motion_on_pads_that_are_bowed_and_off_their_lines(
     p[C.DAMPING], p[C.LN_MASS] = surface.damping, math.log(body.mass)
     p[smoothing.RIG] = [imperfections.constants()[name] for name in RIG_NAMES]
     p[C.SHAPE :] = _coefficients(body, smoothing.ORDER)
-    rig, step = rig_inputs(_rig(curvatures)), smoothing.step_function(form)
+    rig, step = rig_inputs(_rig(curvatures)), derived(smoothing.step_function, form)
     x, dt, steps = np.array([0.3, 0.3]), 5e-4, 1000
     for k in range(steps):
         middle, end = (_plan(t, *phi) for t in ((k + 0.5) * dt, (k + 1) * dt))
@@ -225,9 +227,9 @@ def test_motion_on_pads_that_are_bowed_and_off_their_lines(
     palms = _plan(steps * dt, *told)
     for pad, contact in enumerate(plant.contacts(), 1):
         z = [dt, 0.0, pad, *palms.angles, *palms.rates, 0.0, *curvatures, *lengths]
-        assert float(smoothing.contact_function(form)(*nodes, p, z)[0]) == pytest.approx(contact.s, abs=1e-6)
+        assert float(derived(smoothing.contact_function, form)(*nodes, p, z)[0]) == pytest.approx(contact.s, abs=1e-6)
         z = [dt, 0.0, pad, *palms.angles, *palms.rates, *palms.accelerations, *rig, *lengths]
-        assert float(smoothing.force_function(form)(*nodes, p, z)[0]) == pytest.approx(contact.force, rel=3e-4)
+        assert float(derived(smoothing.force_function, form)(*nodes, p, z)[0]) == pytest.approx(contact.force, rel=3e-4)
 
 
 def test_what_is_too_concave_for_the_body_is_refused() -> None:
@@ -252,7 +254,7 @@ def test_a_roll_ends_where_steps_of_the_filters_end() -> None:
     move = [*phi, phi[0] + 0.2, phi[1] - 0.1, 0.6, 0.1]
     roll, begin = _rolls()
     moved, told = (np.asarray(each) for each in roll(x, begin(x, move, rig), move, rig))
-    predict, P = shape_map.predict_function(curved=True), np.zeros((shape_map.N,) * 2)
+    predict, P = derived(shape_map.predict_function, curved=True), np.zeros((shape_map.N,) * 2)
     for k in range(rollout.SUBSTEPS * 4):
         start, end = (rollout.palms_on(ca.DM(move), SX(0.0025 * j)) for j in (k, k + 1))
         begin, after = (
@@ -267,7 +269,7 @@ def test_a_roll_ends_where_steps_of_the_filters_end() -> None:
 
 @cache
 def _rolls() -> tuple[ca.Function, ca.Function]:
-    return rollout.roll_function(curved=True), rollout.begin_function(curved=True)
+    return derived(rollout.roll_function, curved=True), derived(rollout.begin_function, curved=True)
 
 
 def _rolled(x: np.ndarray, move: list[float], rig: np.ndarray, calls: int) -> tuple[np.ndarray, np.ndarray]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from derived import derived
 
 from palmd.model import extended, sensitivity, shape, shape_map, smoothing
 from palmd.model.integrate import exponential_step
@@ -77,8 +78,8 @@ def test_the_two_models_move_alike(seed: int) -> None:
     x = _shape_state(np.random.default_rng(seed))
     y = _extended_state(x)
     P_x, P_y = np.zeros((shape_map.N,) * 2), np.zeros((extended.N,) * 2)
-    x_next = _array(shape_map.predict_function()(x, P_x, SHAPE_U)[0]).ravel()
-    y = _array(extended.predict_function()(y, P_y, EXTENDED_U)[0]).ravel()
+    x_next = _array(derived(shape_map.predict_function)(x, P_x, SHAPE_U)[0]).ravel()
+    y = _array(derived(extended.predict_function)(y, P_y, EXTENDED_U)[0]).ravel()
     Z, X = shape_map.Z, extended.X
     assert y[X.OMEGA0] == pytest.approx(x_next[Z.OMEGA0], abs=2e-6)
     assert y[X.PSI] == pytest.approx(x_next[Z.PSI], abs=1e-9)
@@ -91,15 +92,15 @@ def test_the_two_models_move_alike(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_named_values_agree_between_the_models(seed: int) -> None:
     x = _shape_state(np.random.default_rng(seed))
-    one = _array(shape_map.named_function()(x, [*PALMS, *RIG])[0]).ravel()
-    two = _array(extended.named_function()(_extended_state(x), [*PALMS[4:], *RIG])[0]).ravel()
+    one = _array(derived(shape_map.named_function)(x, [*PALMS, *RIG])[0]).ravel()
+    two = _array(derived(extended.named_function)(_extended_state(x), [*PALMS[4:], *RIG])[0]).ravel()
     assert dict(zip(NAMED, one, strict=True)) == pytest.approx(dict(zip(NAMED, two, strict=True)), rel=1e-9, abs=1e-12)
 
 
 def test_prediction_integrates_the_drift() -> None:
     """Against many small midpoint steps of the same model's own rates."""
     x = _extended_state(_shape_state(np.random.default_rng(1)))
-    moved = _array(extended.predict_function()(x, np.zeros((extended.N,) * 2), EXTENDED_U)[0]).ravel()
+    moved = _array(derived(extended.predict_function)(x, np.zeros((extended.N,) * 2), EXTENDED_U)[0]).ravel()
     n, dt = 400, EXTENDED_U[0]
     s, a1, a2, g = ca.SX.sym("s", extended.N), ca.SX.sym("a"), ca.SX.sym("b"), ca.SX.sym("g", len(RIG))
     function = ca.Function("rates", [s, a1, a2, g], [extended.drift(s, a1, a2, g)])
@@ -124,7 +125,7 @@ def test_prediction_propagates_covariance_with_the_true_jacobian(model) -> None:
         x, u = _extended_state(x), EXTENDED_U
     scale = np.maximum(np.abs(x), 1e-3) * 1e-2
     P = _spd(len(x), random, scale)
-    predict = model.predict_function()
+    predict = derived(model.predict_function)
     F = _differences(lambda at: _array(predict(at, P, u)[0]).ravel(), x)
     got = _array(predict(x, P, u)[1])
     noise = got - F @ P @ F.T
@@ -144,9 +145,9 @@ def test_an_update_is_the_textbooks(model) -> None:
     P = _spd(len(x), random, np.maximum(np.abs(x), 1e-3) * 1e-3)
     R = 1.1e-8
     update = (
-        extended.update_function("update_s1", extended.X.S1)
+        derived(extended.update_function, "update_s1", extended.X.S1)
         if model is extended
-        else shape_map.update_function("update_s1", 1)
+        else derived(shape_map.update_function, "update_s1", 1)
     )
 
     def predicted(at: np.ndarray) -> np.ndarray:
@@ -176,9 +177,9 @@ def test_an_update_is_the_textbooks(model) -> None:
 def test_an_outlier_moves_the_state_no_more_than_a_reading_on_the_gate(model) -> None:
     random = np.random.default_rng(7)
     x, extra = _shape_state(random), PALMS[:2]
-    update = shape_map.update_function("update_s1", 1)
+    update = derived(shape_map.update_function, "update_s1", 1)
     if model is extended:
-        x, extra, update = _extended_state(x), [], extended.update_function("update_s1", extended.X.S1)
+        x, extra, update = _extended_state(x), [], derived(extended.update_function, "update_s1", extended.X.S1)
     P = _spd(len(x), random, np.maximum(np.abs(x), 1e-3) * 1e-3)
     _, readings = shape.contact_rows(PALMS[0] - 0.2, PALMS[1])
     at = readings[0] @ _shape_state(np.random.default_rng(7))[shape_map.Z.SHAPE :]
@@ -192,7 +193,7 @@ def test_an_outlier_moves_the_state_no_more_than_a_reading_on_the_gate(model) ->
 
 def test_the_extended_outline_gives_back_the_coefficients() -> None:
     x = _shape_state(np.random.default_rng(9))
-    h, J = (_array(v) for v in extended.outline_function()(_extended_state(x)))
+    h, J = (_array(v) for v in derived(extended.outline_function)(_extended_state(x)))
     assert h.ravel() == pytest.approx(x[shape_map.Z.SHAPE :], abs=1e-12)
     assert J.shape == (shape.COEFFICIENTS, extended.N)
 
@@ -250,7 +251,7 @@ def test_the_smoothers_step_has_its_own_jacobian_where_friction_is_stiff() -> No
     p[[C.LN_RHO, C.DRAG, C.SATURATION, C.DAMPING]] = np.log(0.013), 20.0, 7500.0, 2e-4
     p[C.SHAPE : C.SHAPE + shape.COEFFICIENTS] = _coefficients(random)
     u = np.array([0.01, *PALMS, *JERK, *RIG, 0.12, 0.12])
-    step = smoothing.step_function()
+    step = derived(smoothing.step_function)
     x = np.array([0.2, 0.5])
     J = _array(step(x, p, u)[1])
     scale = np.concatenate([[1e-5, 1e-4, 1e-5, 1e-3, 1.0, 1e-8], np.full(smoothing.CONSTANTS - 4, 1e-7)])
@@ -268,7 +269,7 @@ def test_the_smoothers_step_has_its_own_jacobian_where_friction_is_stiff() -> No
 def test_the_gathered_information_is_that_of_the_readings_about_the_beginning() -> None:
     """Against differences: predicted readings of the moving shape map as functions of its state at the beginning."""
     x0 = _shape_state(np.random.default_rng(3))
-    gather, predict = sensitivity.gather_function(), shape_map.predict_function()
+    gather, predict = derived(sensitivity.gather_function), derived(shape_map.predict_function)
     dt, steps, w = 0.002, 4, (2.0, 3.0)
     P0 = np.zeros((shape_map.N,) * 2)
 
@@ -306,6 +307,6 @@ def test_the_aim_is_the_gradient_of_radii_and_readings() -> None:
         radii, readings = shape.contact_rows(PALMS[0] - at[shape_map.Z.PSI], PALMS[1])
         return np.concatenate([radii, readings]) @ at[shape_map.Z.SHAPE :]
 
-    J = _array(sensitivity.aim_function()(x, [*PALMS[:2], *FLAT]))
+    J = _array(derived(sensitivity.aim_function)(x, [*PALMS[:2], *FLAT]))
     assert J.shape == (sensitivity.AIMED_AT, shape_map.N)
     assert pytest.approx(_differences(z, x), abs=1e-8) == J

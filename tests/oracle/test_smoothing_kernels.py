@@ -7,6 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from bodies import CONSTANTS, DAMPING, DRAG, LN_MASS, LN_RHO, ORDER, SATURATION, SHAPE, Bodies
+from derived import derived
 from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import root
 
@@ -33,7 +34,7 @@ def _constants(seed: int = 0, mu: float = 0.15, dither: float = 0.012) -> np.nda
 
 
 def _step(x: np.ndarray, p: np.ndarray, dt: float = DT) -> list[np.ndarray]:
-    return [np.asarray(each) for each in smoothing.step_function().call([x, p, [dt, *PALMS, *JERK, *RIG]])]
+    return [np.asarray(each) for each in derived(smoothing.step_function).call([x, p, [dt, *PALMS, *JERK, *RIG]])]
 
 
 def _reading(kernel: ca.Function, nodes: np.ndarray, p: np.ndarray, z: list[float]) -> list[np.ndarray]:
@@ -74,7 +75,7 @@ def test_jacobian_of_the_step(mu: float, relative: float) -> None:
     """With friction the step's own rate changes with the state, which its Jacobian leaves out."""
     scale = np.concatenate([[0.1, 1.0], SCALE])
     y = np.concatenate([[0.2, 0.3], _constants(mu=mu)])
-    function = smoothing.step_function()
+    function = derived(smoothing.step_function)
 
     def moved(v: np.ndarray) -> list[np.ndarray]:
         return [np.asarray(each) for each in function.call([v[:2], v[2:], [DT, *PALMS, *JERK, *RIG]])]
@@ -87,7 +88,7 @@ def test_jacobian_of_the_step(mu: float, relative: float) -> None:
 @pytest.mark.parametrize("pad", [1, 2])
 @pytest.mark.parametrize("name", ["contact", "force"])
 def test_gradient_of_a_reading(name: str, pad: int) -> None:
-    kernel = smoothing.contact_function() if name == "contact" else smoothing.force_function()
+    kernel = derived(smoothing.contact_function) if name == "contact" else derived(smoothing.force_function)
     z = [DT, 0.002, pad, *PALMS[:4], FORCE, *FLAT, *LENGTHS] if name == "contact" else [DT, 0.002, pad, *PALMS, *RIG]
     y = np.concatenate([NODES.ravel(), _constants()])
     scale = np.concatenate([[0.1, 1.0, 0.1, 1.0], SCALE])
@@ -138,9 +139,9 @@ def test_a_reading_is_taken_where_the_cubic_between_the_nodes_is(t: float, pad: 
     cubic = CubicHermiteSpline([0.0, DT], NODES[:, 0], NODES[:, 1])
     psi, omega0 = np.array([cubic(t)]), np.array([cubic(t, 1)])
     twin = Bodies(p[:, None], RIG[0], RIG[1])
-    s, _ = _reading(smoothing.contact_function(), NODES, p, [DT, t, pad, *PALMS[:4], FORCE, *FLAT, *LENGTHS])
+    s, _ = _reading(derived(smoothing.contact_function), NODES, p, [DT, t, pad, *PALMS[:4], FORCE, *FLAT, *LENGTHS])
     assert s.item() == pytest.approx(twin.contacts(PALMS, psi)[pad - 1].item(), abs=1e-12)
-    force, _ = _reading(smoothing.force_function(), NODES, p, [DT, t, pad, *PALMS, *RIG])
+    force, _ = _reading(derived(smoothing.force_function), NODES, p, [DT, t, pad, *PALMS, *RIG])
     assert force.item() == pytest.approx(0.16 * twin.forces_and_spin(PALMS, psi, omega0)[pad - 1].item(), rel=1e-9)
 
 
@@ -184,7 +185,9 @@ def test_a_pads_reading_on_a_rig_that_is_not_as_described(pad: int, seed: int) -
     t = 0.003
     psi = CubicHermiteSpline([0.0, DT], NODES[:, 0], NODES[:, 1])(t - lag)
     then = PALMS[:2] - lag * PALMS[2:4]
-    reading, _ = _reading(smoothing.contact_function(), NODES, p, [DT, t, pad, *PALMS[:4], FORCE, *FLAT, *LENGTHS])
+    reading, _ = _reading(
+        derived(smoothing.contact_function), NODES, p, [DT, t, pad, *PALMS[:4], FORCE, *FLAT, *LENGTHS]
+    )
     assert reading.item() == pytest.approx(
         zero + by_force * FORCE + (1 + scale) * _touch(p, then, psi)[pad - 1], abs=1e-6
     )

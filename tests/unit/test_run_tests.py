@@ -7,14 +7,16 @@ import sys
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = """\
 import os, pathlib, sys
 log = pathlib.Path("log")
 again = "--last-failed" in sys.argv
+how = "collected" if "--collect-only" in sys.argv else "again" if again else "first"
 with log.open("a") as stream:
-    stream.write(f"{sys.argv[1]} {'again' if again else 'first'} {os.environ.get('PALMD_TESTS_BESIDE')}\\n")
+    stream.write(f"{sys.argv[1]} {how} {os.environ.get('PALMD_TESTS_BESIDE')}\\n")
 print(f"{sys.argv[1]} talks")
 sys.exit(int(sys.argv[3 if again else 2]))
 """
@@ -71,6 +73,15 @@ def test_a_rig_that_fails_beside_others_is_tried_again_by_itself(ran, capfd):
     assert "other talks" in told
 
 
+def test_what_many_workers_share_is_made_before_they_begin(tool, tmp_path, monkeypatch):
+    (tmp_path / "part.py").write_text(SCRIPT)
+    monkeypatch.chdir(tmp_path)
+    part = tool.Part("many", (sys.executable, "part.py", "many", "0", "9"), workers=3)
+    with (tmp_path / "told").open("w") as told:
+        assert tool.begin(part, told, []).wait() == 0
+    assert (tmp_path / "log").read_text().split("\n")[:-1] == ["many collected None", "many first None"]
+
+
 @pytest.mark.parametrize(
     "parts",
     [
@@ -84,6 +95,11 @@ def test_what_fails_has_failed(ran, parts, capfd):
     assert status == 1
     assert len(log) == len(parts) + (parts[0][1] == 1)
     assert f"failed: {parts[-1][0]}" in capfd.readouterr().out
+
+
+def test_an_example_may_take_as_long_as_it_takes():
+    assert settings.default.deadline is None
+    assert HealthCheck.too_slow in settings.default.suppress_health_check
 
 
 def test_no_test_is_left_out_and_none_is_run_twice(tool):

@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from palmd.console.errors import CliError
 from palmd.keys import KeysError
 from palmd.outlinefile import OutlineError
+from palmd.record import RunError
 from palmd.record.eventlog import LogError
-from palmd.record.run import RunError
 from palmd.record.systems import NotYetError
 
 

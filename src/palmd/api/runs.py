@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from palmd.api.errors import PalmdError, as_palmd_error
 from palmd.api.outline import OutlineData, last_of, outline_of
@@ -15,9 +15,12 @@ from palmd.api.table import DataTable, table_of
 from palmd.events import Event, FloatArray, PadLift
 from palmd.messages import Fields
 from palmd.quantities import CONTACT, ESTIMATE, SHAPE
-from palmd.record import run as recorded
+from palmd.record import is_recording
 from palmd.record.eventlog import EventLog, event_line
 from palmd.record.systems import System, read_log_of_any, system_of
+
+if TYPE_CHECKING:
+    from palmd.record.run import Run
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +42,7 @@ class RunData:
         """Raises PalmdError for a file that is neither a recorded run nor an event log."""
         self.path = path
         with as_palmd_error():
-            self._recording = recorded.read_run(path) if recorded.is_recording(path) else None
+            self._recording = _read_run(path) if is_recording(path) else None
             self._system: System = system_of(None)
             self._log: Any = None
             if self._recording is None:
@@ -122,7 +125,7 @@ class RunData:
         rows = [_row(event) for event in self.log.events]
         return Events(*(table_of(row for row in rows if ("pad" in row) is of_pads) for of_pads in (True, False)))
 
-    def _recorded(self, topic: str = "") -> recorded.Run:
+    def _recorded(self, topic: str = "") -> Run:
         if self._recording is None:
             raise PalmdError(
                 f"{self.path}: is an event log and holds no {topic}: .events has its readings, palmd.estimate(…) and"
@@ -137,6 +140,12 @@ def open(path: str | os.PathLike[str]) -> RunData:
     Raises PalmdError when it cannot be used. Quick: tables are read when they are asked for.
     """
     return RunData(Path(path))
+
+
+def _read_run(path: Path) -> Run:
+    from palmd.record.run import read_run
+
+    return read_run(path)
 
 
 def _timed(fields: Fields) -> Fields:

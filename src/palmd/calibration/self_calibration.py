@@ -27,8 +27,9 @@ from palmd.model.smoothing import R
 from palmd.observer.criticism import RigBelief, criticised
 from palmd.observer.reconstruct import reconstruct
 from palmd.observer.reconstruction import Reconstruction
+from palmd.record import RunError, is_recording
 from palmd.record.eventlog import EventLog, LogError, read_log
-from palmd.record.run import RunError, is_recording, read_run
+from palmd.record.run import read_run
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import PALMS
 from palmd.system.rig_constants import RIG_NAMES, RIG_TABLE, said_off, shown

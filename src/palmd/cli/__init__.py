@@ -25,6 +25,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Raises SystemExit for usage, help and version, as argparse does.
     """
     blas.one_thread_from_here()
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # it reads the metadata of every package to find them
     _take_any_terminal()
     try:
         module, arguments = _asked_for(argv)

@@ -15,8 +15,8 @@ from typing import Any, TextIO
 
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import working
+from palmd.record import RunError, is_recording
 from palmd.record.eventlog import EventLog, LogError
-from palmd.record.run import RunError, is_recording, read_run
 from palmd.record.systems import NotYetError, System, read_log_of_any, system_of
 from palmd.system.description import CALIBRATION_KEYS
 
@@ -67,7 +67,7 @@ def read_any(path: Path, calibration_sd: Sequence[tuple[str, float]] = ()) -> tu
     """
     try:
         with working(f"reading {path}"):
-            system, log = (system_of(None), read_run(path).event_log()) if is_recording(path) else read_log_of_any(path)
+            system, log = _recorded(path) if is_recording(path) else read_log_of_any(path)
     except (LogError, RunError) as error:
         raise CliError(BAD_INPUT, str(error)) from None
     for note in log.notes:
@@ -76,6 +76,12 @@ def read_any(path: Path, calibration_sd: Sequence[tuple[str, float]] = ()) -> tu
         return system, system.known_to(log, dict(calibration_sd))
     except NotYetError as error:
         raise CliError(BAD_INPUT, f"{path}: {error}") from None
+
+
+def _recorded(path: Path) -> tuple[System, EventLog]:
+    from palmd.record.run import read_run
+
+    return system_of(None), read_run(path).event_log()
 
 
 def has_a_place(path: Path) -> None:

@@ -23,7 +23,8 @@ from palmd.console.progress import Progress
 from palmd.daemon.systemd import Notifier
 from palmd.harness.processes import StopRequest, start_beside
 from palmd.keys import Credentials, KeysError, client_credentials, own_credentials
-from palmd.record.mcapfile import RunError, is_packed
+from palmd.record import RunError
+from palmd.record.mcapfile import is_packed
 from palmd.record.recorder import record
 from palmd.record.recording import Ended
 from palmd.record.runfile import pack

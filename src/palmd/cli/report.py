@@ -9,7 +9,7 @@ from palmd.cli.logs import read_any
 from palmd.cli.table import below, loaded
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import working
-from palmd.record.run import is_recording
+from palmd.record import is_recording
 from palmd.report import command
 
 PAPER = "paper"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import importlib.metadata
 import os
 import re
 import shlex
@@ -36,9 +35,11 @@ def install_line(package: str, extra: str) -> str:
 
 def _requirements(extra: str) -> Sequence[str]:
     """What an extra consists of, as palmd's own metadata say; nothing where it runs without any."""
+    from importlib import metadata  # 30 ms, only for a sentence about what is missing
+
     try:
-        declared = importlib.metadata.requires("palmd") or []
-    except importlib.metadata.PackageNotFoundError:
+        declared = metadata.requires("palmd") or []
+    except metadata.PackageNotFoundError:
         return ()
     wanted = re.compile(rf"extra\s*==\s*['\"]{re.escape(extra)}['\"]")
     return [each.partition(";")[0].strip() for each in declared if wanted.search(each)]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack
+from typing import ClassVar
 
-from palmd import __version__
-from palmd import pivot_messages as says
+from palmd import pivot_messages as messages
 from palmd.daemon.dragging import Dragging
 from palmd.daemon.exploration_requests import Source
 from palmd.daemon.exploring import Explores
@@ -15,8 +15,8 @@ from palmd.daemon.pivot_smoothing import PivotSmootherProcess
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.systems import LiveSystem
 from palmd.devices.actuator import Place, Pose, Reach
-from palmd.events import Event, Joints, PadSample, PalmMotion, ShapeEstimate
-from palmd.messages import Fields
+from palmd.events import Joints, PadSample, PalmMotion, ShapeEstimate
+from palmd.messages import Fields, Says
 from palmd.motion.kinematics import PoseError
 from palmd.observer.observer import LiveObserver
 from palmd.observer.pivot.live import PivotObserver
@@ -72,6 +72,7 @@ class PivotPoses:
 class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
     """A body that turns freely in a gripper over one pad; see `LiveSystem`."""
 
+    says: ClassVar[Says] = messages
     naming = NAMING
     outside = OUTSIDE_M
 
@@ -89,10 +90,6 @@ class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
         smoother = PivotSmootherProcess(rig)
         stack.callback(smoother.close)
         return pivot_observer(rig, smoother), smoother
-
-    def info(self, observer: str, plans: Sequence[str]) -> Fields:
-        """`palm/pivot_info`."""
-        return says.info_fields(__version__, observer, self._config, plans)
 
     def exploring(self, setpoints: SetPoints, source: Source | None) -> Dragging:
         """Decided in the loop."""
@@ -124,25 +121,13 @@ class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
         del exploring
         return _AWAY
 
-    def said(self, estimate: PivotEstimate) -> Fields:
-        """`palm/pivot`."""
-        return says.estimate_fields(estimate)
-
-    def fed(self, t: float, events: Sequence[Event]) -> Fields:
-        """`palm/pivot_events`."""
-        return says.events_fields(t, events)
-
     def answered(self, t: float, answer: PivotAnswer) -> tuple[Topic, Fields]:
         """`palm/pivot_answer`."""
-        return PIVOT_ANSWER, says.answer_fields(t, answer)
+        return PIVOT_ANSWER, messages.answer_fields(t, answer)
 
     def shaped(self, shape: ShapeEstimate) -> tuple[Topic, Fields]:
         """`palm/pivot_shape`."""
-        return PIVOT_SHAPE, says.shape_fields(shape)
-
-    def glance(self, estimate: PivotEstimate) -> Fields:
-        """A few of its quantities."""
-        return says.at_a_glance(estimate)
+        return PIVOT_SHAPE, messages.shape_fields(shape)
 
     def place(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:
         """In millimetres."""

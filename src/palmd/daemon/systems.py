@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
+from palmd import __version__
 from palmd.config import AnyConfig
 from palmd.daemon.drivers import EndName
 from palmd.daemon.exploration_requests import Source
@@ -22,7 +23,7 @@ from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.smoothing import BatchingProcess
 from palmd.devices.pad import PadDriver, make_pad
 from palmd.events import Event, FloatArray, LiveEstimate, PadSample, PalmMotion, ShapeEstimate
-from palmd.messages import Fields, sound
+from palmd.messages import Fields, Says, sound
 from palmd.motion.check import motion_limits
 from palmd.motion.limits import MotionLimits
 from palmd.observer.observer import LiveObserver
@@ -40,6 +41,8 @@ class LiveSystem(ABC, Generic[Configured, Estimated]):
     """See the module. Everything is safe in the loop, but for what is there to start it."""
 
     poses: Poses
+    says: ClassVar[Says]
+    """Its messages."""
     naming: ClassVar[Naming]
     """What joints and pads are called."""
     outside: ClassVar[float]
@@ -71,9 +74,9 @@ class LiveSystem(ABC, Generic[Configured, Estimated]):
         del stack
         return None
 
-    @abstractmethod
     def info(self, observer: str, plans: Sequence[str]) -> Fields:
         """What is published of the rig as configured."""
+        return self.says.info_fields(__version__, observer, self._config, plans)
 
     def pads(self) -> dict[EndName, PadDriver]:
         """A driver for each pad."""
@@ -107,13 +110,13 @@ class LiveSystem(ABC, Generic[Configured, Estimated]):
         del exploring
         return ()
 
-    @abstractmethod
     def said(self, estimate: Estimated) -> Fields:
         """What is published of an estimate."""
+        return self.says.estimate_fields(estimate)
 
-    @abstractmethod
     def fed(self, t: float, events: Sequence[Event]) -> Fields:
         """What is published of the events that the observer was fed in the tick at `t` (s)."""
+        return self.says.events_fields(t, events)
 
     @abstractmethod
     def answered(self, t: float, answer: Any) -> tuple[Topic, Fields]:
@@ -123,9 +126,9 @@ class LiveSystem(ABC, Generic[Configured, Estimated]):
     def shaped(self, shape: ShapeEstimate) -> tuple[Topic, Fields]:
         """What is published of an outline."""
 
-    @abstractmethod
     def glance(self, estimate: Estimated) -> Fields:
         """What the status tells of the estimate."""
+        return self.says.estimate_at_a_glance(estimate)
 
     @abstractmethod
     def place(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:

@@ -5,17 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
+from typing import ClassVar
 
-from palmd import __version__
-from palmd import three_palms_messages as says
+from palmd import three_palms_messages as messages
 from palmd.daemon.exploration_requests import Source
 from palmd.daemon.exploring import Explores, Senses
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.systems import LiveSystem
 from palmd.daemon.three_palms_smoothing import BodySmootherProcess
 from palmd.devices.actuator import Place, Pose, Reach
-from palmd.events import Event, Joints, PadSample, PalmMotion, ShapeEstimate
-from palmd.messages import Fields
+from palmd.events import Joints, PadSample, PalmMotion, ShapeEstimate
+from palmd.messages import Fields, Says
 from palmd.motion.kinematics import PoseError
 from palmd.observer.observer import LiveObserver
 from palmd.observer.three_palms.live import BodyObserver
@@ -66,6 +66,7 @@ class NoExploring(Explores):
 class ThreePalmsInSpace(LiveSystem[ThreePalmsConfig, BodyEstimate]):
     """A body between three palms; see `LiveSystem`."""
 
+    says: ClassVar[Says] = messages
     naming = NAMING
     outside = OUTSIDE_RAD
 
@@ -81,10 +82,6 @@ class ThreePalmsInSpace(LiveSystem[ThreePalmsConfig, BodyEstimate]):
         smoother = BodySmootherProcess(rig)
         stack.callback(smoother.close)
         return BodyObserver(rig, smoother), smoother
-
-    def info(self, observer: str, plans: Sequence[str]) -> Fields:
-        """`palm3/info`."""
-        return says.info_fields(__version__, observer, self._config, plans)
 
     def exploring(self, setpoints: SetPoints, source: Source | None) -> Explores:
         """There is none yet: no plan of its has a segment that explores."""
@@ -119,25 +116,17 @@ class ThreePalmsInSpace(LiveSystem[ThreePalmsConfig, BodyEstimate]):
     def said(self, estimate: BodyEstimate) -> Fields:
         """`palm3/estimate`."""
         self._latest = estimate
-        return says.estimate_fields(estimate)
-
-    def fed(self, t: float, events: Sequence[Event]) -> Fields:
-        """`palm3/events`."""
-        return says.events_fields(t, events)
+        return messages.estimate_fields(estimate)
 
     def answered(self, t: float, answer: BodyAnswer) -> tuple[Topic, Fields]:
         """`palm3/answer`."""
-        return PALM3_ANSWER, says.answer_fields(t, answer)
+        return PALM3_ANSWER, messages.answer_fields(t, answer)
 
     def shaped(self, shape: ShapeEstimate) -> tuple[Topic, Fields]:
         """`palm3/shape`."""
         latest = self._latest
         count, valid = (0, False) if latest is None else (latest.object_count, latest.valid)
-        return PALM3_SHAPE, says.shape_fields(shape, count, valid)
-
-    def glance(self, estimate: BodyEstimate) -> Fields:
-        """A few of its quantities."""
-        return says.at_a_glance(estimate)
+        return PALM3_SHAPE, messages.shape_fields(shape, count, valid)
 
     def place(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:
         """In degrees."""

@@ -7,8 +7,9 @@ import logging
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
+from typing import ClassVar
 
-from palmd import __version__, observer
+from palmd import messages, observer
 from palmd.config import Config, rig_description
 from palmd.daemon.exploration_requests import Source
 from palmd.daemon.explorer_process import ExplorerProcess
@@ -18,17 +19,8 @@ from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.smoothing import SmootherProcess
 from palmd.daemon.swap import SwapWatch
 from palmd.daemon.systems import LiveSystem
-from palmd.events import Estimate, Event, Improvement, PadSample, PalmMotion, ShapeEstimate, Unexplained
-from palmd.messages import (
-    Fields,
-    estimate_at_a_glance,
-    estimate_fields,
-    events_fields,
-    improvement_fields,
-    info_fields,
-    shape_fields,
-    unexplained_fields,
-)
+from palmd.events import Estimate, Improvement, PadSample, PalmMotion, ShapeEstimate, Unexplained
+from palmd.messages import Fields, Says, improvement_fields, shape_fields, unexplained_fields
 from palmd.observer.observer import LiveObserver, Observer
 from palmd.outlinefile import Outline
 from palmd.quantities import IMPROVEMENT, SHAPE, UNEXPLAINED, Topic
@@ -41,6 +33,7 @@ log = logging.getLogger(__name__)
 class LiveTwoPalms(LiveSystem[Config, Estimate]):
     """Two palms on a hinge; see `LiveSystem`."""
 
+    says: ClassVar[Says] = messages
     naming = NAMING
     outside = math.radians(1.0)
     jogs = True
@@ -78,10 +71,6 @@ class LiveTwoPalms(LiveSystem[Config, Estimate]):
         stack.callback(explorer.close)
         return explorer
 
-    def info(self, observer: str, plans: Sequence[str]) -> Fields:
-        """`palm/info`."""
-        return info_fields(__version__, observer, self._config, plans)
-
     def exploring(self, setpoints: SetPoints, source: Source | None) -> Exploring:
         """Decided beside the loop."""
         return Exploring(setpoints, source)
@@ -105,14 +94,6 @@ class LiveTwoPalms(LiveSystem[Config, Estimate]):
         if self._swap.swapped:
             yield "pads-swapped"
 
-    def said(self, estimate: Estimate) -> Fields:
-        """`palm/estimate`."""
-        return estimate_fields(estimate)
-
-    def fed(self, t: float, events: Sequence[Event]) -> Fields:
-        """`palm/events`."""
-        return events_fields(t, events)
-
     def answered(self, t: float, answer: Improvement | Unexplained) -> tuple[Topic, Fields]:
         """`palm/improvement`, or `palm/unexplained`."""
         if isinstance(answer, Unexplained):
@@ -122,10 +103,6 @@ class LiveTwoPalms(LiveSystem[Config, Estimate]):
     def shaped(self, shape: ShapeEstimate) -> tuple[Topic, Fields]:
         """`palm/shape`."""
         return SHAPE, shape_fields(shape)
-
-    def glance(self, estimate: Estimate) -> Fields:
-        """A few of its quantities."""
-        return estimate_at_a_glance(estimate)
 
     def place(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:
         """In degrees."""

@@ -2,6 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+
+Limits = Mapping[str, tuple[float, int, str]]
+"""By condition: the share that is too many when it is exceeded, among how many or more, and what they are."""
+
+SERIAL_PAD: Limits = {
+    "garbled": (0.2, 24, "bytes"),
+    "out-of-range": (0.2, 10, "packets"),
+    "batched": (0.5, 10, "packets"),
+}
+
 
 class Share:
     """The share of bad ones among what two counters have gained since the last look; `spoilt` of `gained` then."""
@@ -21,6 +32,26 @@ class Share:
     def told(self, what: str) -> str:
         """How many were bad, in words; `what` they are."""
         return f"{self.spoilt} of {self.gained} {what} since the last look"
+
+
+class Shares:
+    """The conditions that hold by such limits, as they were at the last look."""
+
+    def __init__(self, limits: Limits) -> None:
+        self._what = {condition: what for condition, (_, _, what) in limits.items()}
+        self._shares = {condition: Share(most, least) for condition, (most, least, _) in limits.items()}
+        self._standing: tuple[str, ...] = ()
+
+    def look(self, counted: Mapping[str, tuple[int, int]]) -> None:
+        """Judge anew, by condition: how many there were since the start, and how many bad ones."""
+        self._standing = tuple(each for each, counts in counted.items() if self._shares[each].exceeded(*counts))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._standing)
+
+    def told(self, condition: str) -> str:
+        """How many were bad, in words; nothing of a condition that is no share."""
+        return self._shares[condition].told(self._what[condition]) if condition in self._shares else ""
 
 
 def ago(seconds: float) -> str:

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 
-from palmd.config import PadConfig
 from palmd.events import FloatArray, PadLift, PadSample
-from palmd.messages import PadView
 
 if TYPE_CHECKING:
+    from palmd.config import PadConfig
     from palmd.devices.port import DevicePort
+    from palmd.messages import PadView
 
 MARGIN_MM = 1.0
 """How far beyond the pad's end a reading may lie, for the zero is never quite right."""

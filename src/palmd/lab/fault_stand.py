@@ -19,7 +19,7 @@ from palmd.harness.stack import START_S, Stack, not_started
 from palmd.lab.fault_reaction import Reaction, ReactionWatch, Turning, complete
 from palmd.lab.fault_rows import Act, FaultRow, FullDisk, Kill, Pause, RowFault, TakenAddress, WallClockStep
 from palmd.lab.fault_why import ask, asked_at
-from palmd.record.mcapfile import RunError
+from palmd.record import RunError
 from palmd.record.run import read_run
 
 PATIENCE_S = 40.0  # until the palms move again

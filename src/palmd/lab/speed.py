@@ -161,6 +161,8 @@ def ticks() -> Iterator[Contest]:
 def starts() -> Iterator[Contest]:
     """Processes, up to where they can begin."""
     yield Contest("the daemon's modules", "NumPy's", _importing("palmd.daemon.app"), _importing("numpy"), once=True)
+    offline = "palmd.cli.reconstruct, palmd.observer.reconstruct, palmd.record.systems.two_palms, palmd.record.result"
+    yield Contest("modules of `palmd reconstruct`", "NumPy's", _importing(offline), _importing("numpy"), once=True)
 
 
 def records(lengths: Sequence[float]) -> Iterator[Contest]:
@@ -279,6 +281,6 @@ def _rolling(compiled: bool) -> Work:
     return lambda: predictor.of(state, moves)
 
 
-def _importing(module: str) -> Work:
-    command = [sys.executable, "-c", f"import {module}"]
+def _importing(modules: str) -> Work:
+    command = [sys.executable, "-c", f"import {modules}"]
     return lambda: subprocess.run(command, check=True, env=os.environ)

@@ -13,7 +13,8 @@
 #define BAND 4
 #define MOST_WIDE 128
 #define NEAR 32
-#define ROWS 4 /* that are added to the corner at a time */
+#define ROWS 16 /* that are added to the corner at a time */
+#define HIGH 4  /* rows of a matrix that are kept in registers together, across two of which every load is shared */
 
 const long normal_equations_sizes[] = {NODE, LANES, MOST_WIDE};
 
@@ -27,17 +28,37 @@ typedef struct {
 INLINE lane load(const double *from) { lane a; memcpy(&a, from, sizeof a); return a; }
 INLINE void store(double *to, lane a) { memcpy(to, &a, sizeof a); }
 
-/* corner += pendingᵀ pending, its upper triangle by blocks */
-static void flush(Sum *sum) {
-  for (int r = sum->waiting; r < ROWS; r++) memset(sum->pending[r], 0, sizeof sum->pending[r]);
-  for (long i = 0; i < sum->width; i++) {
-    double *row = sum->corner + i * sum->width;
-    for (long j = i / WIDE * WIDE; j < sum->width; j += WIDE) {
-      lane a = load(row + j);
-      for (int r = 0; r < ROWS; r++) a += sum->pending[r][i] * load(sum->pending[r] + j);
-      store(row + j, a);
+/* to (HIGH rows `across` apart, `columns` registers wide) += aᵀ b of `count` rows `stride` apart, one after the other;
+   `less`: −= the sum of all */
+INLINE void tile(double *to, long across, const double *a, const double *b, long stride, long count, const int columns,
+                 const int less) {
+  lane sums[HIGH][2];
+  for (int i = 0; i < HIGH; i++)
+    for (int c = 0; c < columns; c++) sums[i][c] = less ? EVERY(0.0) : load(to + i * across + c * WIDE);
+  for (long r = 0; r < count; r++)
+    for (int c = 0; c < columns; c++) {
+      const lane right = load(b + r * stride + c * WIDE);
+      for (int i = 0; i < HIGH; i++) sums[i][c] += a[r * stride + i] * right;
     }
+  for (int i = 0; i < HIGH; i++)
+    for (int c = 0; c < columns; c++) {
+      double *at = to + i * across + c * WIDE;
+      store(at, less ? load(at) - sums[i][c] : sums[i][c]);
+    }
+}
+
+/* to (width, width) += rowsᵀ rows, of its upper triangle by blocks; as in `tile` */
+INLINE void square(double *to, const double *rows, long width, long stride, long count, const int less) {
+  for (long i = 0; i < width; i += HIGH) {
+    long j = i / WIDE * WIDE;
+    for (; j + WIDE < width; j += 2 * WIDE)
+      tile(to + i * width + j, width, rows + i, rows + j, stride, count, 2, less);
+    if (j < width) tile(to + i * width + j, width, rows + i, rows + j, stride, count, 1, less);
   }
+}
+
+static void flush(Sum *sum) {
+  square(sum->corner, sum->pending[0], sum->width, MOST_WIDE, sum->waiting, 0);
   sum->waiting = 0;
 }
 
@@ -190,15 +211,8 @@ int reduce(const double *band, long stride, long n, const double *damping, doubl
       store(row + c, a / l[0]);
     }
   }
-  for (long first = 0; first < n; first += NEAR) { /* a few rows at a time stay in the fastest memory */
-    const long last = first + NEAR < n ? first + NEAR : n;
-    for (long i = 0; i < width; i++)
-      for (long c = i / WIDE * WIDE; c < width; c += WIDE) {
-        lane a = {0.0};
-        for (long r = first; r < last; r++) a += rows[r * width + i] * load(rows + r * width + c);
-        store(left + i * width + c, load(left + i * width + c) - a);
-      }
-  }
+  for (long first = 0; first < n; first += NEAR) /* a few rows at a time stay in the fastest memory */
+    square(left, rows + first * width, width, width, n - first < NEAR ? n - first : NEAR, 1);
   for (long i = 0; i < width; i++)
     for (long j = 0; j < i; j++) left[i * width + j] = left[j * width + i];
   return 0;

@@ -6,14 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, get_args
 
 from palmd.events import ObserverName
-from palmd.model.smoothing import ORDER
-from palmd.observer.bank_observer import BankObserver
-from palmd.observer.filters.base import NOT_OVERCONFIDENT
-from palmd.observer.filters.shape_map import ShapeFilters
-from palmd.observer.handover import Handover
 from palmd.observer.observer import Observer
-from palmd.observer.returning_object import ReturningObject, SmoothedFilters
-from palmd.observer.smoother_link import SmootherLink
 from palmd.observer.smoothing import Smoothing
 from palmd.system.description import RigDescription
 
@@ -65,6 +58,8 @@ def make(
         from palmd.observer.quasistatic import QuasistaticObserver
 
         return QuasistaticObserver(rig)
+    from palmd.observer.bank_observer import BankObserver
+
     if name == "extended":
         from palmd.observer.filters.extended import ExtendedFilters
 
@@ -74,9 +69,17 @@ def make(
 
         recogniser = Recogniser(outlines, rig)
         return BankObserver(recogniser.filters, rig, seed, recogniser)
+    from palmd.observer.filters.shape_map import ShapeFilters
+
     filters = ShapeFilters(rig, SHAPE_BANK)
     if smoothing is None:
         return BankObserver(filters, rig, seed)
+    from palmd.model.smoothing import ORDER
+    from palmd.observer.filters.base import NOT_OVERCONFIDENT
+    from palmd.observer.handover import Handover
+    from palmd.observer.returning_object import ReturningObject, SmoothedFilters
+    from palmd.observer.smoother_link import SmootherLink
+
     known, single = (ShapeFilters(rig, size, order=ORDER, overconfidence=NOT_OVERCONFIDENT) for size in (KNOWN_BANK, 1))
     smoothed = SmoothedFilters(known, single)
     hypotheses = ReturningObject(rig, filters, smoothed)

@@ -47,9 +47,10 @@ def blind_starts(
     begin: float,
     seconds: float,
     seed: int,
+    count: int = BANK,
     asymmetry: float = 0.0,
 ) -> list[FirstGuess]:
-    """Every filter of a bank that has read `events` until `seconds` after `begin` (s), likeliest first; maybe none.
+    """The `count` likeliest of a bank that has read `events` until `seconds` after `begin` (s), in order; maybe none.
 
     `asymmetry` of the palms' friction, (μ1 − μ2)/(μ1 + μ2), is taken for granted.
     """
@@ -69,7 +70,7 @@ def blind_starts(
     if not times or not observer.begun < math.inf:
         return []
     at, score = np.array(times), filters.bank.score
-    order = [int(i) for i in np.argsort(-score, kind="stable")]
+    order = [int(i) for i in np.argsort(-score, kind="stable")[:count]]
     same = [state for state in states if len(state) == len(states[-1])]  # filters keep their places until one goes
     trajectories = np.array([state[:, [Z.PSI, Z.OMEGA0]] for state in same])
     at = at[-len(same) :]

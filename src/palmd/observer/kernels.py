@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import get_args
+from typing import TYPE_CHECKING, get_args
 
-from palmd.config import Config
 from palmd.events import ObserverName
+
+if TYPE_CHECKING:
+    from palmd.config import Config
 
 Part = tuple[str, Callable[[], str]]
 """What it is, and what makes it or finds it made, and says how it runs."""

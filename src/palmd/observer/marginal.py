@@ -88,14 +88,6 @@ def _friction(steps: Sequence[_Step], weights: FloatArray, stride: float) -> tup
     return mean, math.sqrt(float(weights @ (each[:, 1] ** 2 + (each[:, 0] - mean) ** 2)) + between)
 
 
-def _next(smoother: Smoother, prior: Prior, last: _Step, value: float, bent: Guess) -> _Step:
-    """The step to `value`, begun where the linearisation at the last one foretells it, and as far off as last time.
-
-    The second difference is the same to both sides, and nearly from one step to the next.
-    """
-    raise NotImplementedError
-
-
 def _step(smoother: Smoother, prior: Prior, start: Fit, value: float, bent: Guess) -> _Step:
     """The fit at ln u_d = `value`, from where the linearisation at `start` foretells it, `bent` besides."""
     pinned = smoother.knowing(_pinned(prior, value))

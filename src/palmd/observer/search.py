@@ -152,8 +152,9 @@ class Search:
         """Start from the likeliest of a bank that has read the first seconds; None if that leads nowhere."""
         begin = self.record.t[0]
         record = self.record.until(begin + attempt.seconds)
-        found = blind_starts(self.segment.events(), self.rig, begin, attempt.seconds, seed, attempt.asymmetry)
-        starts = found[: attempt.starts]
+        starts = blind_starts(
+            self.segment.events(), self.rig, begin, attempt.seconds, seed, attempt.starts, attempt.asymmetry
+        )
         return self._grown_from(record, [start.guess(record.t) for start in starts]) if starts else None
 
     def resumed(self, guesses: Sequence[Guess]) -> Minima | None:

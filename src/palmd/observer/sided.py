@@ -191,7 +191,7 @@ class SidedSearch:
         yield (), Guess(np.zeros((len(record.t), NODE)), still)
         search, begin = self._search, float(record.t[0])
         events = [event for event in search.segment.events() if event.t_sample >= begin]
-        for start in blind_starts(events, search.rig, begin, BANK_S, self._seed)[:BANK_STARTS]:
+        for start in blind_starts(events, search.rig, begin, BANK_S, self._seed, BANK_STARTS):
             guess = start.guess(record.t)
             p = still.copy()
             p[:NORMALS] = guess.p

@@ -1,4 +1,25 @@
 """Runs on disk: event logs, and their causal replay through the daemon's observer."""
 
+from __future__ import annotations
+
+from pathlib import Path
+
 SUFFIX = ".mcap"
 """Of a recording's file."""
+MAGIC = b"\x89MCAP0\r\n"
+"""What it begins with."""
+
+
+class RunError(Exception):
+    """A recording that cannot be used; its text is one line `file: what`."""
+
+
+def is_recording(path: Path) -> bool:
+    """Whether a file is a recorded run, by its first bytes or else by its name; also when it cannot be read."""
+    if path.suffix == SUFFIX:
+        return True
+    try:
+        with path.open("rb") as stream:
+            return stream.read(len(MAGIC)) == MAGIC
+    except OSError:
+        return False  # whoever reads it tells why

@@ -25,9 +25,9 @@ from mcap.writer import CompressionType, Writer
 from palmd.messages import Fields
 from palmd.payload import unpacked
 from palmd.quantities import SCHEMA, STAMP, Kind, Quantity, Topic
+from palmd.record import MAGIC, RunError
 from palmd.topics import TOPICS
 
-MAGIC = b"\x89MCAP0\r\n"
 PROFILE = "palmd"
 MESSAGE_ENCODING, SCHEMA_ENCODING = "msgpack", "jsonschema"
 RECORD_BYTES_MAX = 1 << 28  # a longer record is no record
@@ -37,10 +37,6 @@ _FOOTER_BYTES = _HEAD.size + 20 + len(MAGIC)
 _SEQUENCE_MODULUS = 1 << 32
 
 Part = TypeVar("Part", Attachment, Channel, Metadata)
-
-
-class RunError(Exception):
-    """A recording that cannot be used; its text is one line `file: what`."""
 
 
 @dataclass(frozen=True, slots=True)

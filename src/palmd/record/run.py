@@ -13,15 +13,16 @@ from typing import Any, ClassVar, Generic, TypeVar
 import yaml
 from pydantic import TypeAdapter
 
+from palmd import messages
 from palmd.config import AnyConfig, Config
-from palmd.events import Estimate, Event, Improvement, Unexplained
-from palmd.messages import Fields, estimate_fields, events_of, improvement_of
+from palmd.events import Event, Improvement, Unexplained
+from palmd.messages import Fields, Says, improvement_of
 from palmd.observer.observer import LiveObserver, Observer
 from palmd.outlinefile import Outline, OutlineError, read_library
 from palmd.quantities import EVENTS, IMPROVEMENT, SCHEMA, UNEXPLAINED, SystemTopics, Topic
-from palmd.record import SUFFIX
+from palmd.record import RunError
 from palmd.record.eventlog import EventLog
-from palmd.record.mcapfile import MAGIC, Preface, RawMessage, RunError, Tail, is_finished, read_messages, read_preface
+from palmd.record.mcapfile import Preface, RawMessage, Tail, is_finished, read_messages, read_preface
 from palmd.record.metadata import CONFIG, METADATA, OUTLINES, RIG
 from palmd.system.description import RigDescription
 from palmd.systems import LIVE, TWO_PALMS, for_two_palms_only, load_part
@@ -34,7 +35,6 @@ __all__ = [
     "Run",
     "RunError",
     "Survey",
-    "is_recording",
     "read_any_run",
     "read_run",
 ]
@@ -73,6 +73,8 @@ class AnyRun(ABC):
     system: ClassVar[str]
     described: ClassVar[type]
     """What `rig` is."""
+    says: ClassVar[Says]
+    """Its messages."""
 
     path: Path
     complete: bool
@@ -86,17 +88,20 @@ class AnyRun(ABC):
         """Those of its system."""
         return SYSTEM_TOPICS[self.system]
 
-    @abstractmethod
     def ticks(self) -> Iterator[FedTick]:
         """Every recorded tick with its events, bit for bit; an observer is in the same state only from number 0 on."""
+        events_of = self.says.events_of
+        return self._read(
+            self.topics.events, lambda fields: FedTick(fields["t_tick_s"], events_of(fields), fields["seq"])
+        )
 
     @abstractmethod
     def observer(self) -> LiveObserver:
         """The one that it was made with, as it began, hearing the smoother's recorded answers."""
 
-    @abstractmethod
     def said(self, estimate: Any) -> Fields:
         """Its estimate as it is published."""
+        return self.says.estimate_fields(estimate)
 
     def messages(self, *topics: str, tail: Tail | None = None) -> Iterator[RawMessage]:
         """All messages, or those of these topics, as they were received; `tail` learns of a torn end."""
@@ -135,8 +140,9 @@ class AnyRun(ABC):
             except (KeyError, ValueError, TypeError) as error:
                 raise RunError(f"{self.path}: {topic.name}, message {message.sequence}: {error!r}") from None
 
-    def _fed(self, topic: Topic, told: Callable[[Fields], tuple[Event, ...]]) -> Iterator[FedTick]:
-        return self._read(topic, lambda fields: FedTick(fields["t_tick_s"], told(fields), fields["seq"]))
+    def _answers(self, topic: Topic, answer_of: Callable[[Fields], Read]) -> Iterator[tuple[float, Read]]:
+        """What the smoother beside the loop had to say there, with the time (s) of the tick in which it was heard."""
+        return self._read(topic, lambda fields: (fields["t_tick_s"], answer_of(fields)))
 
 
 class RecordedAnswers(Generic[Read]):
@@ -162,13 +168,10 @@ class Run(AnyRun):
 
     system: ClassVar[str] = TWO_PALMS
     described: ClassVar[type] = RigDescription
+    says: ClassVar[Says] = messages
 
     config: Config
     rig: RigDescription
-
-    def ticks(self) -> Iterator[FedTick]:
-        """By `palm/events`."""
-        return self._fed(EVENTS, events_of)
 
     def observer(self) -> Observer:
         """As configured."""
@@ -178,10 +181,6 @@ class Run(AnyRun):
         answers: list[tuple[float, Improvement | Unexplained]] = [*self.improvements(), *self.unexplained()]
         smoothing = RecordedAnswers(answers) if settings.smoother else None
         return observer.make(settings.primary, self.rig, smoothing=smoothing, outlines=self.outlines())
-
-    def said(self, estimate: Estimate) -> Fields:
-        """`palm/estimate`."""
-        return estimate_fields(estimate)
 
     def events(self) -> Iterator[tuple[float, Event]]:
         """Every event with the time (s) of the tick in which the observer was fed it."""
@@ -204,7 +203,7 @@ class Run(AnyRun):
 
     def unexplained(self) -> Iterator[tuple[float, Unexplained]]:
         """When it had to say that nothing explains the readings, likewise."""
-        return self._read(UNEXPLAINED, lambda fields: (fields["t_tick_s"], Unexplained(fields["t_s"])))
+        return self._answers(UNEXPLAINED, lambda fields: Unexplained(fields["t_s"]))
 
     def event_log(self) -> EventLog:
         """The run in the neutral form of event logs; raises RunError when there are no events in it."""
@@ -227,17 +226,6 @@ class Run(AnyRun):
                 return read_library(Path(folder))
             except OutlineError as error:
                 raise RunError(f"{self.path}: its stored outlines: {error}") from None
-
-
-def is_recording(path: Path) -> bool:
-    """Whether a file is a recorded run, by its first bytes or else by its name; also when it cannot be read."""
-    if path.suffix == SUFFIX:
-        return True
-    try:
-        with path.open("rb") as stream:
-            return stream.read(len(MAGIC)) == MAGIC
-    except OSError:
-        return False  # whoever reads it tells why
 
 
 def read_run(path: Path) -> Run:

@@ -11,8 +11,8 @@ import numpy as np
 
 from palmd.messages import Fields
 from palmd.quantities import ESTIMATE, MOTION, OBJECT, SHAPE, STATE
+from palmd.record import RunError
 from palmd.record.index import RunSummary
-from palmd.record.mcapfile import RunError
 from palmd.record.recognition import NONE_OF_THESE
 from palmd.record.run import read_run
 

@@ -13,7 +13,8 @@ from typing import Any
 
 from palmd.messages import Fields, LogEntry, entries_of
 from palmd.quantities import LOG, LOOP, STALL, STATE
-from palmd.record.mcapfile import RawMessage, RunError
+from palmd.record import RunError
+from palmd.record.mcapfile import RawMessage
 from palmd.record.run import AnyRun
 
 BEFORE_S, AFTER_S = 3.0, 2.0

@@ -13,7 +13,8 @@ import numpy.typing as npt
 from palmd.events import FloatArray
 from palmd.messages import Fields, LogEntry, entries_of
 from palmd.quantities import BODY, CONTACT, ESTIMATE, IMPROVEMENT, LOG, LOOP, MOTION, RIG, SHAPE, STATE, TRUTH, Topic
-from palmd.record.mcapfile import RunError, Tail
+from palmd.record import RunError
+from palmd.record.mcapfile import Tail
 from palmd.record.run import Run, Survey
 from palmd.topics import truth_of
 

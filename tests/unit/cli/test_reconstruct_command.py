@@ -148,7 +148,7 @@ def test_an_outline_for_cad_is_that_of_the_result(log, tmp_path, capsys):
 
 
 def test_a_reconstruction_without_an_outline_draws_none(log, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("palmd.record.systems.two_palms.reconstruct", lambda *_, **__: nothing())
+    monkeypatch.setattr("palmd.observer.reconstruct.reconstruct", lambda *_, **__: nothing())
     assert main(["reconstruct", str(log), "-o", str(tmp_path / "o.svg")]) == 1
     assert "not converged: too little: there is no outline to draw" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
@@ -214,7 +214,7 @@ def test_bad_input_is_one_clear_line(log, tmp_path, capsys):
 
 @pytest.mark.parametrize("option", ["-o", "--mesh"])
 def test_where_nothing_can_be_written_nothing_is_computed(log, tmp_path, monkeypatch, capsys, option):
-    monkeypatch.setattr(two_palms, "reconstruct", lambda *_, **__: pytest.fail("it was computed"))
+    monkeypatch.setattr("palmd.observer.reconstruct.reconstruct", lambda *_, **__: pytest.fail("it was computed"))
     (tmp_path / "folder.ply").mkdir()
     for target, why in ((tmp_path / "nowhere" / "x.ply", "No such file"), (tmp_path / "folder.ply", "Is a directory")):
         first = [] if option == "-o" else ["-o", str(tmp_path / "x.json")]

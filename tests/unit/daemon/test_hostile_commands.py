@@ -7,7 +7,7 @@ import os
 import msgpack
 import pytest
 import yaml
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_core import Bench
 
@@ -81,7 +81,7 @@ def armed(plan=None):
     return bench.go(0.1)
 
 
-@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=12)
 @given(st.lists(commands, max_size=40), st.sampled_from([(0.5, 0.5), (-0.5, -0.5), (0.5, -0.5)]))
 def test_no_command_changes_the_limits_or_gets_past_them(sent, push):
     bench = armed()

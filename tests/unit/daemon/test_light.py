@@ -34,6 +34,20 @@ from simulated import simulated
 run = simulated("friction", 1, 3.0)
 assert reconstruct(run.events, run.rig).h is not None
 """
+AN_OFFLINE_COMMAND = """
+import json
+from pathlib import Path
+from palmd.cli import main
+log, said = Path({folder!r}, "log.jsonl"), Path({folder!r}, "said")
+palms = [{{"t": 0.02 * k, "palms": {{"phi1_rad": 0.8, "phi2_rad": 1.5}}}} for k in range(5)]
+pad = {{"length_m": 0.06, "noise_m": 1e-4, "resolution_m": 1e-4}}
+rig = {{"gravity_m_s2": 9.8, "hinge": {{"mode": "fixed"}}, "pad": pad, "force_scale_std": 0.05}}
+lines = [{{"palmd_log": 1, "rig": rig}}, *palms]
+log.write_text("".join(json.dumps(each) + "\\n" for each in lines))
+assert main([{name!r}, str(log), "-o", str(said)]) == 0
+of_runs = {{"pydantic", "yaml", "mcap", "zmq"}} & set(sys.modules)
+assert not of_runs, of_runs
+"""
 AN_EXPLORER = """
 from test_explorer import STANDING, explorer, outlook
 assert explorer().decide(outlook(), STANDING).kind == "move"
@@ -45,6 +59,7 @@ def built():
     """Whoever builds needs CasADi."""
     for model in (shape_map, smoothing, sensitivity, rollout):
         assert model.library().backend == "c"
+    assert shape_map.library(smoothing.ORDER).backend == "c"
 
 
 def told(code, *folders):
@@ -65,6 +80,11 @@ def test_no_process_loads_what_only_building_needs(name):
 def test_nor_does_its_work(code, request):
     tests = request.config.rootpath / "tests"
     told(code, tests / "helpers", tests / "unit/motion")
+
+
+@pytest.mark.parametrize("name", ["reconstruct", "estimate"])
+def test_an_event_log_needs_nothing_of_configurations_and_recordings(name, tmp_path):
+    told(AN_OFFLINE_COMMAND.format(name=name, folder=str(tmp_path)))
 
 
 def test_a_daemons_memory_is_bounded():

@@ -1,6 +1,6 @@
 """When a line's errors are too many: by the share of what has come since the last look."""
 
-from palmd.devices.health import Share, bytes_since, last_report
+from palmd.devices.health import Share, Shares, bytes_since, last_report
 
 
 def test_too_many_is_more_than_the_share_among_enough():
@@ -24,3 +24,15 @@ def test_ages_and_bytes_in_words():
     assert last_report(1.0, 2.0) == "its last packet is 1.0 s old"
     assert bytes_since(0) == "not a byte has come since"
     assert bytes_since(3) == "3 bytes have come since, which are no packet"
+
+
+def test_conditions_hold_from_one_look_to_the_next_and_tell_what_they_are_of():
+    shares = Shares({"garbled": (0.2, 24, "bytes"), "batched": (0.5, 10, "packets")})
+    assert list(shares) == []
+    shares.look({"garbled": (100, 21), "batched": (9, 9)})
+    assert list(shares) == ["garbled"] == list(shares)
+    assert shares.told("garbled") == "21 of 100 bytes since the last look"
+    assert shares.told("silent") == ""
+    shares.look({"garbled": (200, 21), "batched": (20, 15)})
+    assert list(shares) == ["batched"]
+    assert shares.told("batched") == "6 of 11 packets since the last look"

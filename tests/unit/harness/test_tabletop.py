@@ -4,7 +4,9 @@ The campaign: what is done, what must come of it, as docs/reference/faults.md ha
 that stops them.
 """
 
+import copy
 import math
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -42,13 +44,28 @@ def config(pads="strip", pressure=True) -> Config:
     return Config.model_validate(values | {"plan": None})
 
 
-def moving(pads="strip", seed=2, **how):
-    run = Wireless(config(pads, **how), ROCK, seed, observer_name="quasistatic")
+@cache
+def begun(pads, **how):
+    run = Wireless(config(pads, **how), ROCK, seed=2, observer_name="quasistatic")
     run.start()
     for _ in run.run(BEGIN_S):
         pass
     assert run.core.state is State.TRACKING
     return run
+
+
+def moving(pads="strip", **how):
+    """A rig of its own that has begun as all others of its kind have."""
+    return copy.deepcopy(begun(pads, **how))
+
+
+def test_a_copy_of_a_rig_goes_on_to_the_last_bit_as_the_rig_does():
+    def bits(run):
+        return repr([(instant.messages, instant.truth) for instant in run.run(0.3)])
+
+    one, other, third = (moving() for _ in range(3))
+    third.world.mischief.add(order("lift", third.t))
+    assert bits(third) != bits(one) == bits(other)
 
 
 @pytest.mark.parametrize("pads", ["strip", "evdev"])

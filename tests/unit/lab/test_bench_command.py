@@ -69,6 +69,12 @@ def quick(task):
 
 
 @pytest.fixture
+def undrawn(monkeypatch):
+    """A figure takes seconds, and is told of by one test."""
+    monkeypatch.setattr(bench_montecarlo, "drawing", lambda _: None)
+
+
+@pytest.fixture
 def quickly(monkeypatch):
     @contextmanager
     def threads(_jobs):
@@ -96,7 +102,7 @@ def test_table_rows_and_figure(quickly, tmp_path, capsys):
     assert err == ""
 
 
-def test_one_kind_and_how(quickly, tmp_path, monkeypatch):
+def test_one_kind_and_how(quickly, undrawn, tmp_path, monkeypatch):
     seen = []
 
     def noted(task):
@@ -125,7 +131,7 @@ def test_without_matplotlib_there_is_no_figure_and_one_line_says_so(quickly, tmp
     assert len(written(tmp_path)) == 2
 
 
-def test_an_interruption_leaves_what_is_finished(quickly, tmp_path, monkeypatch, capsys):
+def test_an_interruption_leaves_what_is_finished(quickly, undrawn, tmp_path, monkeypatch, capsys):
     def interrupted(_executor, work, _failed, tasks):
         for task in reversed(tasks[:3]):
             yield work(task)
@@ -139,7 +145,7 @@ def test_an_interruption_leaves_what_is_finished(quickly, tmp_path, monkeypatch,
     assert "interrupted: 3 of 50 runs are finished\n" in err
 
 
-def test_rows_are_on_disk_as_soon_as_they_are_finished(quickly, tmp_path, monkeypatch):
+def test_rows_are_on_disk_as_soon_as_they_are_finished(quickly, undrawn, tmp_path, monkeypatch):
     counts = []
 
     def watched(_executor, work, _failed, tasks):
@@ -180,7 +186,7 @@ def test_a_signal_ends_real_processes(number, send, tmp_path):
         time.sleep(0.05)
 
 
-def test_a_cluster_is_used_when_its_address_is_given(tmp_path, monkeypatch, capsys):
+def test_a_cluster_is_used_when_its_address_is_given(undrawn, tmp_path, monkeypatch, capsys):
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr(montecarlo, "run", quick)
     with distributed.LocalCluster(1, threads_per_worker=2, processes=False, dashboard_address=":0") as dask:

@@ -6,7 +6,8 @@ import recorded
 
 from palmd.cli import main
 from palmd.quantities import ESTIMATE, IMPROVEMENT
-from palmd.record.mcapfile import Preface, RunError, RunWriter
+from palmd.record import RunError
+from palmd.record.mcapfile import Preface, RunWriter
 from palmd.record.metadata import METADATA
 from palmd.record.run import read_run
 

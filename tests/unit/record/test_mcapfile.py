@@ -9,8 +9,8 @@ import recorded
 from mcap.reader import NonSeekingReader, make_reader
 
 from palmd.quantities import ESTIMATE, LOOP
+from palmd.record import MAGIC
 from palmd.record.mcapfile import (
-    MAGIC,
     Preface,
     RunError,
     RunWriter,

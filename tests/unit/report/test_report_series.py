@@ -7,7 +7,7 @@ import pytest
 import reported
 
 from palmd.quantities import ESTIMATE, MOTION, SHAPE
-from palmd.record.mcapfile import RunError
+from palmd.record import RunError
 from palmd.record.run import read_run
 from palmd.report.series import SD, series_of
 

@@ -8,10 +8,10 @@ from palmd.config import AdeptConfig
 from palmd.devices.actuator import ActuatorFactory, Place, Pose, Reach, Sent
 from palmd.devices.armhost import FAULT_S, FREEZE_S, ArmHost
 from palmd.devices.armlink import error_text
-from palmd.devices.health import Share
+from palmd.devices.health import Limits, Shares
 from palmd.devices.port import Port
 
-DAMAGED_SHARE, DAMAGED_LEAST = 0.05, 10  # lines
+JUDGED: Limits = {"garbled": (0.05, 10, "lines")}
 
 
 class Adept(ArmHost):
@@ -21,8 +21,7 @@ class Adept(ArmHost):
         """Nothing is opened yet."""
         super().__init__(config.baud)
         self._config = config
-        self._damaged = Share(DAMAGED_SHARE, DAMAGED_LEAST)
-        self._verdicts: tuple[str, ...] = ()
+        self._shares = Shares(JUDGED)
 
     @property
     def reach(self) -> Reach | None:
@@ -50,8 +49,8 @@ class Adept(ArmHost):
         if look:
             line = self.counters.line
             spoilt = line.crc_errors + line.unframed + line.overlong
-            self._verdicts = ("garbled",) if self._damaged.exceeded(line.lines + spoilt, spoilt) else ()
-        yield from self._verdicts
+            self._shares.look({"garbled": (line.lines + spoilt, spoilt)})
+        yield from self._shares
 
     def evidence(self, condition: str, t: float) -> str:
         """What speaks for a condition at `t` (s)."""
@@ -63,7 +62,7 @@ class Adept(ArmHost):
             case "mute":
                 return f"{self.counters.line.bytes} bytes have come since the start"
             case "garbled":
-                return self._damaged.told("lines")
+                return self._shares.told(condition)
         if self.state is None:
             return ""
         return f"its line A says state {self.state} ({self.state.name})" + (f", error {self.error}" * bool(self.error))

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 from palmd.config import DynamixelConfig
 from palmd.devices.actuator import ActuatorFactory, Reach
-from palmd.devices.health import Share
+from palmd.devices.health import Limits, Shares
 from palmd.devices.port import Port
 from palmd.devices.servohost import FREEZE_S, LOST_S, ServoHost
 
-DAMAGED_SHARE, DAMAGED_LEAST = 0.05, 10  # packets
+JUDGED: Limits = {"garbled": (0.05, 10, "packets")}
 TABLED = frozenset({"voltage", "hot", "encoder", "shock", "overload", "watchdog", "refused", "restarted", "set-up"})
 
 
@@ -21,8 +21,7 @@ class Dynamixel(ServoHost):
         """Nothing is opened yet."""
         super().__init__(config.baud, config.servos)
         self._config = config
-        self._damaged = Share(DAMAGED_SHARE, DAMAGED_LEAST)
-        self._verdicts: tuple[str, ...] = ()
+        self._shares = Shares(JUDGED)
 
     @property
     def reach(self) -> Reach | None:
@@ -37,10 +36,8 @@ class Dynamixel(ServoHost):
         """What is wrong with servos, and whether too many packets are damaged."""
         if look:
             bus, missed = self.counters.bus, self.counters.missed
-            self._verdicts = (
-                ("garbled",) if self._damaged.exceeded(bus.packets + missed, bus.crc_errors + missed) else ()
-            )
-        yield from self._verdicts
+            self._shares.look({"garbled": (bus.packets + missed, bus.crc_errors + missed)})
+        yield from self._shares
         yield from (f"servo-{code}" for code in self.trouble if code in TABLED)
 
     def evidence(self, condition: str, t: float) -> str:
@@ -52,7 +49,7 @@ class Dynamixel(ServoHost):
             case "mute":
                 return f"{self.counters.bus.bytes} bytes have come since the start"
             case "garbled":
-                return self._damaged.told("packets")
+                return self._shares.told(condition)
         return self.trouble.get(condition.removeprefix("servo-"), "")
 
     def counts(self) -> dict[str, float]:

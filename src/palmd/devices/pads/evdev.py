@@ -9,7 +9,7 @@ from typing import Literal
 from palmd.config import EvdevConfig
 from palmd.devices.evdev import EvdevReader
 from palmd.devices.evdevport import EvdevPort
-from palmd.devices.health import Share, last_report
+from palmd.devices.health import Limits, Shares, last_report
 from palmd.devices.pad import MARGIN_MM, PadFactory, PadReport, place_mm
 from palmd.devices.port import DevicePort
 from palmd.events import PadLift, PadSample
@@ -24,8 +24,7 @@ DOUBTED_S = 0.030
 STUCK_RAD, STUCK_S = math.radians(6.0), 0.15
 """A device that has said nothing for so long, while the palms turned by so much, has fallen silent."""
 
-ASTRAY_SHARE, ASTRAY_LEAST = 0.2, 10  # frames
-FOREIGN_SHARE, FOREIGN_LEAST = 0.2, 10
+JUDGED: Limits = {"out-of-range": (0.2, 10, "frames"), "foreign-clock": (0.2, 10, "frames")}
 
 
 class Evdev:
@@ -45,9 +44,7 @@ class Evdev:
         self._t_polled = self._t_doubted = math.inf
         self._turned = 0.0  # by how much the palms have since the device last spoke (rad)
         self._state = b""  # the device's own account of itself, when it was asked
-        self._astray = Share(ASTRAY_SHARE, ASTRAY_LEAST)
-        self._foreign = Share(FOREIGN_SHARE, FOREIGN_LEAST)
-        self._verdicts: tuple[str, ...] = ()
+        self._shares = Shares(JUDGED)
 
     @property
     def complaint(self) -> str | None:
@@ -129,8 +126,14 @@ class Evdev:
     def health(self, look: bool) -> Iterator[str]:
         """The conditions that hold, without the pad's name."""
         if look:
-            self._verdicts = tuple(self._judged())
-        yield from self._verdicts
+            counters = self._reader.counters
+            self._shares.look(
+                {
+                    "out-of-range": (counters.frames, counters.out_of_range),
+                    "foreign-clock": (counters.frames, counters.foreign_clock),
+                }
+            )
+        yield from self._shares
 
     def evidence(self, condition: str, t: float) -> str:
         """What speaks for a condition at `t` (s)."""
@@ -144,11 +147,7 @@ class Evdev:
                 return f"{last} and says so"
             case "untouched":
                 return last
-            case "out-of-range":
-                return self._astray.told("frames")
-            case "foreign-clock":
-                return self._foreign.told("frames")
-        return ""
+        return self._shares.told(condition)
 
     def counts(self) -> dict[str, int]:
         """What has passed since the start, by cause."""
@@ -163,13 +162,6 @@ class Evdev:
             return None
         force = report.pressure * config.newtons_per_count if config.pressure else None
         return PadSample(report.t_first, self._number, s_mm * 1e-3, force)
-
-    def _judged(self) -> Iterator[str]:
-        counters = self._reader.counters
-        if self._astray.exceeded(counters.frames, counters.out_of_range):
-            yield "out-of-range"
-        if self._foreign.exceeded(counters.frames, counters.foreign_clock):
-            yield "foreign-clock"
 
     def _part(self, t: float, how: Literal["lifted", "silent"]) -> list[PadLift]:
         if not self.touching:

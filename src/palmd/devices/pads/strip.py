@@ -7,16 +7,12 @@ from collections.abc import Iterator
 from typing import Literal
 
 from palmd.config import StripConfig
-from palmd.devices.health import Share, bytes_since, last_report
+from palmd.devices.health import SERIAL_PAD, Shares, bytes_since, last_report
 from palmd.devices.pad import MARGIN_MM, SILENT_INTERVALS, PadFactory, TouchTracker, place_mm
 from palmd.devices.port import DevicePort, Port
 from palmd.devices.strip import FORCE_MAX, TOUCHED_S, StripDecoder, StripPacket
 from palmd.events import PadLift, PadSample
 from palmd.messages import PadView
-
-GARBLED_SHARE, GARBLED_LEAST = 0.2, 24  # bytes
-ASTRAY_SHARE, ASTRAY_LEAST = 0.2, 10  # packets
-BATCHED_SHARE, BATCHED_LEAST = 0.5, 10
 
 
 class Strip:
@@ -34,10 +30,7 @@ class Strip:
         self._latest: StripPacket | None = None
         self._s = math.nan
         self._bytes_at_packet = 0
-        self._garbled = Share(GARBLED_SHARE, GARBLED_LEAST)
-        self._astray = Share(ASTRAY_SHARE, ASTRAY_LEAST)
-        self._batched = Share(BATCHED_SHARE, BATCHED_LEAST)
-        self._verdicts: tuple[str, ...] = ()
+        self._shares = Shares(SERIAL_PAD)
 
     @property
     def touching(self) -> bool:
@@ -106,8 +99,15 @@ class Strip:
     def health(self, look: bool) -> Iterator[str]:
         """The conditions that hold, without the pad's name."""
         if look:
-            self._verdicts = tuple(self._judged())
-        yield from self._verdicts
+            counters = self._decoder.counters
+            self._shares.look(
+                {
+                    "garbled": (counters.bytes, counters.discarded),
+                    "out-of-range": (counters.packets, counters.out_of_range),
+                    "batched": (counters.packets, counters.batched),
+                }
+            )
+        yield from self._shares
 
     def evidence(self, condition: str, t: float) -> str:
         """What speaks for a condition at `t` (s)."""
@@ -121,13 +121,7 @@ class Strip:
                 return f"{last} and says so"
             case "untouched":
                 return last
-            case "garbled":
-                return self._garbled.told("bytes")
-            case "out-of-range":
-                return self._astray.told("packets")
-            case "batched":
-                return self._batched.told("packets")
-        return ""
+        return self._shares.told(condition)
 
     def counts(self) -> dict[str, int]:
         """What has passed since the start, by cause."""
@@ -142,15 +136,6 @@ class Strip:
         bounded = packet.saturated or packet.pressure >= FORCE_MAX  # then it is only a lower bound
         force = None if bounded else packet.pressure * config.newtons_per_count
         return PadSample(packet.t_first, self._number, s_mm * 1e-3, force)
-
-    def _judged(self) -> Iterator[str]:
-        counters = self._decoder.counters
-        if self._garbled.exceeded(counters.bytes, counters.discarded):
-            yield "garbled"
-        if self._astray.exceeded(counters.packets, counters.out_of_range):
-            yield "out-of-range"
-        if self._batched.exceeded(counters.packets, counters.batched):
-            yield "batched"
 
     def _part(self, lift: PadLift, how: Literal["lifted", "silent"]) -> PadLift:
         self._s, self.parted = math.nan, how

@@ -9,7 +9,7 @@ from typing import Literal, cast
 
 from palmd.config import VersaPadConfig
 from palmd.devices.handshake import Handshake
-from palmd.devices.health import Share, bytes_since, last_report
+from palmd.devices.health import SERIAL_PAD, Shares, bytes_since, last_report
 from palmd.devices.pad import SILENT_INTERVALS, PadFactory
 from palmd.devices.port import DevicePort, Port
 from palmd.devices.versapad import IN_USE, PadCalibration, PadPacket, PadReceiver, PressureFormat
@@ -17,10 +17,6 @@ from palmd.events import PadLift, PadSample
 from palmd.messages import PadView
 
 log = logging.getLogger(__name__)
-
-GARBLED_SHARE, GARBLED_LEAST = 0.2, 24  # bytes
-ASTRAY_SHARE, ASTRAY_LEAST = 0.2, 10  # packets
-BATCHED_SHARE, BATCHED_LEAST = 0.5, 10
 
 
 class VersaPad:
@@ -54,10 +50,7 @@ class VersaPad:
         self._handshake: Handshake | None = None
         self._unanswered: str | None = None
         self._held = False  # in break, as the port has been told
-        self._garbled = Share(GARBLED_SHARE, GARBLED_LEAST)
-        self._astray = Share(ASTRAY_SHARE, ASTRAY_LEAST)
-        self._batched = Share(BATCHED_SHARE, BATCHED_LEAST)
-        self._verdicts: tuple[str, ...] = ()
+        self._shares = Shares(SERIAL_PAD)
 
     @property
     def touching(self) -> bool:
@@ -140,8 +133,15 @@ class VersaPad:
     def health(self, look: bool) -> Iterator[str]:
         """The conditions that hold, without the pad's name."""
         if look:
-            self._verdicts = tuple(self._judged())
-        yield from self._verdicts
+            counters = self._receiver.counters
+            self._shares.look(
+                {
+                    "garbled": (counters.bytes, counters.bytes_discarded),
+                    "out-of-range": (counters.packets, counters.out_of_range),
+                    "batched": (counters.packets, 2 * counters.batches),  # two packets or more in each
+                }
+            )
+        yield from self._shares
         if self._unanswered is not None:
             yield "handshake"
 
@@ -158,15 +158,9 @@ class VersaPad:
                 return f"{self._last_packet(t)} and says so: bit {IN_USE:#04x} (in use) of its first byte is 0"
             case "untouched":
                 return f"{self._last_packet(t)}; {bytes_since(self._bytes_come)}"
-            case "garbled":
-                return self._garbled.told("bytes")
-            case "out-of-range":
-                return self._astray.told("packets")
-            case "batched":
-                return self._batched.told("packets")
             case "handshake":
                 return self._unanswered or ""
-        return ""
+        return self._shares.told(condition)
 
     def counts(self) -> dict[str, int]:
         """What has passed since the start, by cause."""
@@ -179,15 +173,6 @@ class VersaPad:
     @property
     def _bytes_come(self) -> int:
         return self._receiver.counters.bytes - self._bytes_at_packet
-
-    def _judged(self) -> Iterator[str]:
-        counters = self._receiver.counters
-        if self._garbled.exceeded(counters.bytes, counters.bytes_discarded):
-            yield "garbled"
-        if self._astray.exceeded(counters.packets, counters.out_of_range):
-            yield "out-of-range"
-        if self._batched.exceeded(counters.packets, 2 * counters.batches):  # two packets or more in each
-            yield "batched"
 
     def _shake(self, data: bytes, t: float) -> None:
         """Let the start-up go on."""

@@ -9,16 +9,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-from palmd.events import ObserverName
-from palmd.outlinefile import Outline
 from palmd.record.logline import BadLineError, Line, shown
 from palmd.record.logreader import LogForm, read_log_as
-from palmd.record.meshfile import Mesh
-from palmd.record.outline_curves import OutlineCurves
-from palmd.record.replay import Said
 from palmd.systems import SYSTEMS, TWO_PALMS, load_part
+
+if TYPE_CHECKING:
+    from palmd.events import ObserverName
+    from palmd.outlinefile import Outline
+    from palmd.record.meshfile import Mesh
+    from palmd.record.outline_curves import OutlineCurves
+    from palmd.record.replay import Said
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,25 +5,24 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from palmd import observer as observers
 from palmd.events import ObserverName
-from palmd.observer.reconstruct import reconstruct
-from palmd.observer.reconstruction import Reconstruction
-from palmd.observer.static_mass import mass_at_rest
 from palmd.outlinefile import Outline
 from palmd.record.eventlog import EventLog, TwoPalmsForm
 from palmd.record.outline_curves import drawing_of
-from palmd.record.replay import Said, as_said, replay, tick_count
-from palmd.record.result import as_line
 from palmd.record.systems import NotYetError, Reconstructed
 from palmd.systems import TWO_PALMS
 
+if TYPE_CHECKING:
+    from palmd.observer.reconstruction import Reconstruction
+    from palmd.record.replay import Said
+
 
 class TwoPalms(TwoPalmsForm):
-    """See `palmd.record.systems.System`."""
+    """See `palmd.record.systems.System`; estimating and reconstructing each load what they need, and no more."""
 
     name = TWO_PALMS
 
@@ -31,6 +30,10 @@ class TwoPalms(TwoPalmsForm):
         return replace(log, rig=log.rig.known_to(sds))
 
     def reconstruct(self, log: EventLog, seed: int, say: Callable[[str], None] | None = None) -> Reconstructed:
+        from palmd.observer.reconstruct import reconstruct
+        from palmd.observer.static_mass import mass_at_rest
+        from palmd.record.result import as_line
+
         answer = reconstruct(log.events, log.rig, seed, say)
         at_rest = mass_at_rest(log.events, log.rig)
         told = summary(answer) if answer.converged else f"not converged: {answer.reason}"
@@ -40,9 +43,14 @@ class TwoPalms(TwoPalmsForm):
         return Reconstructed(as_line(answer, at_rest), told, drawing, answer.reason)
 
     def tick_count(self, log: EventLog) -> int:
+        from palmd.record.replay import tick_count
+
         return tick_count(log)
 
     def estimate(self, log: EventLog, observer: ObserverName, outlines: Sequence[Outline]) -> Iterator[Said]:
+        from palmd import observer as observers
+        from palmd.record.replay import as_said, replay
+
         if log.rig.curved and (reason := observers.flat_only(observer, outlines)):
             raise NotYetError(reason)
         smoothing = observers.Simulated(log.rig)
