@@ -1,6 +1,7 @@
 """Dice, nuts, coins and blocks on the emulated rig: how often a live estimate is valid and wrong; prints the seeds.
 
-With --offline: logs of polygons, of dented and of dry lumps, reconstructed blind: how many are right, wrong, refused.
+With --offline: logs of polygons, of dented and of dry lumps, of dice and profiles, reconstructed blind: how many are
+right, wrong, refused.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The bench's arguments."""
     add = parser.add_argument
     add("--runs", type=count, default=10, metavar="N", help="how many of each kind (default: %(default)s)")
-    kinds = (*things.KINDS, *thing_logs.KINDS, ALL)
+    kinds = tuple(dict.fromkeys((*things.KINDS, *thing_logs.KINDS, ALL)))
     add("--kind", choices=kinds, default=ALL, help="what lies on the palms (default: %(default)s)")
     add("--offline", action="store_true", help="reconstruct logs of the kinds that are told by their corners or dents")
     add("--seed", type=seed, default=0, metavar="FIRST", help="the first run's (default: %(default)s)")

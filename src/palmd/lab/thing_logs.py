@@ -22,7 +22,7 @@ from palmd.observer.reconstruct import reconstruct
 from palmd.record.eventlog import EventLog, read_log
 from palmd.rig.dry_plant import DRY
 from palmd.rig.plant import PlantOptions
-from palmd.rig.real_things import Random
+from palmd.rig.real_things import Random, thing
 from palmd.rig.shapes import Body, Support, random_body
 from palmd.rig.sharp_shapes import FLAT_RAD, ChordSupport, rounded_polygon, uniform_body
 from palmd.rig.simulate import CALIBRATION, Line, simulate_log
@@ -52,12 +52,17 @@ def _lump(random: Random) -> Body:
     return random_body("friction", random)
 
 
+def _thing(name: str) -> Callable[[Random], Body]:
+    return lambda random: thing(name, random).body
+
+
 BODIES: Mapping[str, Callable[[Random], Body]] = {
     "corners of 3 mm": lambda random: _polygon(random, 3e-3),
     "corners of 1 mm": lambda random: _polygon(random, 1e-3),
     "dent of 4 mm": lambda random: _dented(random, 4e-3),
     "dent of 10 mm": lambda random: _dented(random, 10e-3),
     "dry lump": _lump,
+    **{name: _thing(name) for name in ("die", "nut", "triangle", "block", "D-profile", "L-profile")},
 }
 """What is drawn for each kind. A dry one is rubbed by Coulomb's friction, with no dither."""
 

@@ -76,7 +76,7 @@ def _operations() -> dict[int, str]:
         ca.OP_ASSIGN: "{0}", ca.OP_ADD: "{0} + {1}", ca.OP_SUB: "{0} - {1}", ca.OP_MUL: "{0} * {1}",
         ca.OP_DIV: "{0} / {1}", ca.OP_NEG: "-{0}", ca.OP_SQ: "{0} * {0}", ca.OP_TWICE: "2.0 * {0}",
         ca.OP_INV: "1.0 / {0}", ca.OP_SQRT: "root({0})", ca.OP_EXP: "exp_({0})", ca.OP_LOG: "log_({0})",
-        ca.OP_FABS: "abs_({0})", ca.OP_FMIN: "min_({0}, {1})", ca.OP_FMAX: "max_({0}, {1})",
+        ca.OP_FABS: "abs_({0})", ca.OP_FLOOR: "floor_({0})", ca.OP_FMIN: "min_({0}, {1})", ca.OP_FMAX: "max_({0}, {1})",
         ca.OP_LT: "truth(TEST({0} < {1}))", ca.OP_LE: "truth(TEST({0} <= {1}))",
         ca.OP_EQ: "truth(TEST({0} == {1}))", ca.OP_NE: "truth(TEST({0} != {1}))",
         ca.OP_SIGN: "truth(TEST({0} > 0.0)) - truth(TEST({0} < 0.0))",

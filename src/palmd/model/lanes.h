@@ -74,6 +74,11 @@ INLINE lane root(lane a) { return EACH(sqrt, a); }
 
 #define MAGIC 6755399441055744.0 /* 1.5 2^52: what is added to it is rounded to a whole number, in the lowest bits */
 
+INLINE lane floor_(lane a) { /* below 2^51 */
+  lane nearest = (a + MAGIC) - MAGIC;
+  return nearest - truth(TEST(nearest > a));
+}
+
 INLINE void sin_cos(lane x, lane *sine, lane *cosine) {
   lane whole = x * 6.36619772367581382433e-01 + MAGIC, k = whole - MAGIC;
   mask n = bits(whole);

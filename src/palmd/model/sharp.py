@@ -36,11 +36,14 @@ def outline_at(theta: SX, shape: SX) -> Contact:
     width = ca.exp(shape[WIDTH - C.SHAPE])
     for j in range(SIDES):
         normal, length = shape[NORMALS - C.SHAPE + j], shape[LENGTHS - C.SHAPE + j]
-        s, c = ca.sin(theta - normal), ca.cos(theta - normal)
-        y = ca.atan2(s, c)
-        away = ca.fabs(y)
-        soft, slope = away + 2 * width * ca.log1p(ca.exp(-away / width)), ca.tanh(y / (2 * width))
-        rise = 1 - slope**2
+        y = theta - normal
+        y -= 2 * math.pi * ca.floor(y / (2 * math.pi) + 0.5)
+        s, c = ca.sin(y), ca.cos(y)
+        sign = 2 * (y >= 0) - 1  # never 0, where it would lose the derivatives of what follows
+        away = sign * y
+        decay = ca.exp(-away / width)
+        soft, slope = away + 2 * width * ca.log(1 + decay), sign * (1 - decay) / (1 + decay)
+        rise = 4 * decay / (1 + decay) ** 2
         bend = (ca.sin(soft) + ca.cos(soft) / (2 * width)) * rise / 2
         r += length * (ca.sin(soft) / 2 - (2 * y * s + c + 2) / (4 * math.pi))
         d -= length * (ca.cos(soft) * slope / 2 - (2 * y * c + s) / (4 * math.pi))

@@ -35,9 +35,12 @@ from palmd.observer.search import (
     AMBIGUOUS,
     NOTHING_MOVES,
     OVERFITTED,
+    SECOND_OPINION_SIGMAS,
+    Attempt,
     Minima,
     Search,
     beyond_question,
+    consistent,
     doubt,
     minima,
     overfits,
@@ -54,7 +57,10 @@ from palmd.system.description import RigDescription
 SPACING_S = 0.005  # of the nodes in the end
 LEAST_S = 1.0
 SUSPICIOUS_GAP_S = 0.08  # between readings, in which an object may have been changed for another
+FIRST_ATTEMPTS = 2  # of the blind searches, before what else an object may be is asked
+WHOLE = 0.95  # of a segment
 MOST_PARTS = 20  # segments of one log that are looked at
+Numbered = Sequence[tuple[int, Attempt]]
 _OUTLINE = slice(C.SHAPE, CONSTANTS)
 NO_SUCH_RIG = "the readings are explained only by a rig that is nothing like its description: calibrate it first"
 NO_ANSWER = "no motion of an object was found that explains the readings"
@@ -75,24 +81,29 @@ def reconstruct(
     found = _by_length(data_segments(events))
     if not found:
         return _nothing("there is no second in which both pads and the arm report", begun)
-    main = _part(found[0], rig, seed)
+    attempts = tuple(enumerate(attempts_for(rig)))
+    first = _part(found[0], rig, seed, attempts[:FIRST_ATTEMPTS])
+    shorter = _by_length(data_segments(events, SUSPICIOUS_GAP_S)) if first is None or first.reason else []
+    swapped = bool(shorter) and _length(shorter[0]) < _length(found[0])  # perhaps, in a gap
+    asked = first is None and not swapped and not rig.curved
+    unlike = _unlike(found[0], rig, seed, begun, say) if asked else None
+    if unlike is not None and _whole(unlike, found[0]):
+        return unlike
+    main = _part(found[0], rig, seed, attempts[FIRST_ATTEMPTS:], first)
     if main is None or main.reason:
-        shorter = _by_length(data_segments(events, SUSPICIOUS_GAP_S))
-        apart = (
-            _part(shorter[0], rig, seed) if shorter and shorter[0].end - shorter[0].start < _length(found[0]) else None
-        )
+        apart = _part(shorter[0], rig, seed, attempts) if swapped else None
         if apart is not None and not apart.reason:
             main, found = apart, shorter
     if (main is None or main.reason not in ("", AMBIGUOUS)) and not rig.curved:
-        search = Search(found[0], with_scatter(rig, found[0].pads))
-        dry_or_sharp = dry_reconstruction(search, seed, begun) or sharp_reconstruction(search, seed, begun, say)
-        if dry_or_sharp is not None:
-            return dry_or_sharp
+        if not asked:
+            unlike = _unlike(found[0], rig, seed, begun, say)
+        if unlike is not None:
+            return unlike
     if main is None:
         return _nothing(NOTHING_MOVES if still(Search(found[0], rig).record) else NO_ANSWER, begun)
     if main.reason:
         return _result(main, (), rig, begun)
-    parts = [main, *(_part(segment, rig, seed) for segment in found[1:MOST_PARTS])]
+    parts = [main, *(_part(segment, rig, seed, attempts) for segment in found[1:MOST_PARTS])]
     main, others = _longest_together([part for part in parts if part is not None and not part.reason])
     return _result(main, others, rig, begun)
 
@@ -150,15 +161,32 @@ def _by_length(found: Sequence[DataSegment]) -> list[DataSegment]:
     return sorted((segment for segment in found if _length(segment) >= LEAST_S), key=_length, reverse=True)
 
 
-def _part(segment: DataSegment, rig: RigDescription, seed: int) -> _Part | None:
-    """The best that any attempt finds in a segment, None when nothing is, or moves."""
+def _unlike(
+    segment: DataSegment, rig: RigDescription, seed: int, begun: float, say: Callable[[str], None] | None
+) -> Reconstruction | None:
+    """What is no smooth outline on palms that never stick: a dry one, else one with flat sides; None if neither."""
+    search = Search(segment, with_scatter(rig, segment.pads))
+    return dry_reconstruction(search, seed, begun) or sharp_reconstruction(search, seed, begun, say)
+
+
+def _whole(told: Reconstruction, segment: DataSegment) -> bool:
+    """Whether it explains all of a segment so well that to look for anything else would be a waste."""
+    lasts = float(told.t[-1] - told.t[0])
+    return lasts > WHOLE * _length(segment) and consistent(told.chi2, len(segment.pads), SECOND_OPINION_SIGMAS)
+
+
+def _part(
+    segment: DataSegment, rig: RigDescription, seed: int, attempts: Numbered, best: _Part | None = None
+) -> _Part | None:
+    """The best that any attempt, or one before (`best`), finds in a segment; None when nothing is, or moves."""
+    if best is not None and not best.reason:
+        return best
     rig = with_scatter(rig, segment.pads)
     believing = Search(segment, rig)
     if still(believing.record):
         return None
     doubting = believing.believing(believing.belief.suspended())
-    best: _Part | None = None
-    for number, attempt in enumerate(attempts_for(rig)):
+    for number, attempt in attempts:
         search = doubting if attempt.free else believing
         finding = search.blind(attempt, seed)
         if finding is None:

@@ -39,8 +39,8 @@ Stage = tuple[
 FIXED = 1e-3
 CALM: tuple[Stage, ...] = ((0.012, FIXED, math.inf), (0.004, FIXED, math.inf), (0.0015, FIXED, math.inf))
 COARSE: tuple[Stage, ...] = ((0.012, FIXED, math.inf), (0.004, FIXED, math.inf), (0.0015, FIXED, NOISE.gate))
-FINE: tuple[Stage, ...] = ((0.0015, 0.4, NOISE.gate),)
-LAST_S, LAST = 0.0025, ((0.001, 0.5, NOISE.gate),)  # spacing of the nodes (s)
+FINE: tuple[Stage, ...] = ((0.001, 1.0, NOISE.gate),)
+LAST_S, LAST = 0.0025, ((0.001, 1.0, NOISE.gate),)  # spacing of the nodes (s)
 SHAPE_SD = 2.0  # times that of a smooth lump
 LN_GYRATION, LN_GYRATION_SD = math.log(0.67), 0.12  # of a triangle 0.61, of a square 0.64, of a disc 0.71
 PRICE = 12.0  # of a side more: twice the log-likelihood that it must gain
@@ -54,7 +54,7 @@ OTHER_KIND = 150.0  # of twice the log-likelihood, that an outline with another 
 LEAST_S = 5.0  # of readings that are explained, before anything is told; until then the object may have ridden
 BIRTHS_S = 2.0  # from its beginning, within which a search looks for more sides
 PAUSE_S = 0.6  # from where nothing explains the readings to the next search's beginning
-WORK = 2e6  # of a segment: iterations times nodes, as bounds the time taken; some 15 µs each
+WORK = 1e6  # of a segment: iterations times nodes, as bounds the time taken; some 20 µs each
 
 
 @dataclass(frozen=True, slots=True)

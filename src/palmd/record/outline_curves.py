@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from palmd.chords import MEANT, chords_of
 from palmd.events import FloatArray
 from palmd.polygon import boundary, normals, resampled, turned
 
@@ -25,7 +26,8 @@ class OutlineCurves:
 
     They are in the object's own frame: its centre of mass is the origin, its turn about it is arbitrary. outer, inner:
     `SDS` one-sigmas to either side along each point's normal. normal (n,): that normal's direction (rad). sd (n,):
-    one-sigma in mm. touched (n,). rho_mm, mass_kg: NaN where not told.
+    one-sigma in mm. touched (n,). chords: both ends (2, 2) of each straight part, in mm. rho_mm, mass_kg: NaN where not
+    told.
     """
 
     name: str
@@ -37,6 +39,7 @@ class OutlineCurves:
     touched: Bools
     rho_mm: float = math.nan
     mass_kg: float = math.nan
+    chords: tuple[FloatArray, ...] = ()
 
     @property
     def untouched(self) -> tuple[FloatArray, ...]:
@@ -60,6 +63,7 @@ class OutlineCurves:
             "units: mm; origin: the object's centre of mass; its turn about it is arbitrary",
             f"band: {SDS:g} one-sigmas to either side, along the normal",
             f"touched: {np.mean(self.touched):.1%} of the normals; the rest is what the body's smoothness lets expect",
+            *(f"straight over {math.dist(*chord):.2f} mm of the hull: {MEANT}" for chord in self.chords),
         )
 
 
@@ -92,7 +96,8 @@ def curves_of(
     sd = np.interp(fine, coarse, h_sd, period=math.tau) * 1e3
     nearest = np.rint(fine / math.tau * len(h)).astype(int) % len(h)
     normal: FloatArray = (fine + float(theta[0])) % math.tau
+    chords = tuple(np.array([chord.begin, chord.end]) * 1e3 for chord in chords_of(theta, h, touched))
     reach = (SDS * sd)[:, None] * normals(normal)
     return OutlineCurves(
-        name, points, points + reach, points - reach, normal, sd, touched[nearest], rho_m * 1e3, mass_kg
+        name, points, points + reach, points - reach, normal, sd, touched[nearest], rho_m * 1e3, mass_kg, chords
     )

@@ -51,6 +51,7 @@ def as_svg(curves: OutlineCurves) -> bytes:
     low, high = shown.min(axis=0) - _MARGIN_MM, shown.max(axis=0) + _MARGIN_MM
     width, height = (high - low).tolist()
     band = "fill:none;stroke:#7fb2d9;stroke-width:0.05"
+    straight = "fill:none;stroke:#0072b2;stroke-width:0.25;stroke-dasharray:1.2 0.6"
     loose = "fill:none;stroke:#d55e00;stroke-width:0.15;stroke-dasharray:0.8 0.4"
     return (
         '<?xml version="1.0" encoding="UTF-8"?>\n'
@@ -64,6 +65,10 @@ def as_svg(curves: OutlineCurves) -> bytes:
         + "".join(
             f'<path id="untouched_{number}" style="{loose}" d="{_path(arc, close=False)}"/>\n'
             for number, arc in enumerate(curves.untouched, 1)
+        )
+        + "".join(
+            f'<path id="chord_{number}" style="{straight}" d="{_path(chord, close=False)}"/>\n'
+            for number, chord in enumerate(curves.chords, 1)
         )
         + f'<path id="centre_of_mass" style="fill:none;stroke:#000;stroke-width:0.1" '
         f'd="M{-_CROSS_MM} 0H{_CROSS_MM}M0 {-_CROSS_MM}V{_CROSS_MM}"/>\n</g>\n</svg>\n'

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from palmd.chords import chords_of
 from palmd.jsonvalues import column, or_none
 from palmd.observer.likeness import as_json
 from palmd.observer.mass import MassEstimator
@@ -40,6 +41,7 @@ def as_line(answer: Reconstruction, at_rest: MassEstimator) -> dict[str, Any]:
         "rig": _rig(answer) or None,
         "contradicted": _contradicted(answer) if len(answer.rig) else None,
         "sides": None if answer.h is None else _sides(answer),
+        "chords": _chords(answer),
         "looks_like": as_json(answer.likeness) if answer.converged else None,
         "trajectory": _trajectory(answer),
         "seconds": or_none(answer.seconds),
@@ -75,6 +77,16 @@ def _kept_by_band(answer: Reconstruction) -> Marks | None:
 
 def _marks(marks: Marks | None) -> list[int] | None:
     return None if marks is None else marks.astype(int).tolist()
+
+
+def _chords(answer: Reconstruction) -> list[dict[str, object]] | None:
+    """Straight parts of the hull, between two points of the object's frame; None where there is no outline."""
+    if answer.h is None or answer.touched is None:
+        return None
+    return [
+        {"normal_rad": chord.normal, "length_m": chord.length, "begin_m": list(chord.begin), "end_m": list(chord.end)}
+        for chord in chords_of(answer.theta, answer.h, answer.touched)
+    ]
 
 
 def _sides(answer: Reconstruction) -> list[dict[str, float]]:

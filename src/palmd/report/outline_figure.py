@@ -9,9 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 
+from palmd.chords import MEANT, chords_of
 from palmd.events import FloatArray
 from palmd.polygon import normals
-from palmd.report.axes import BLACK, BLUE, GREY
+from palmd.report.axes import BLACK, BLUE, GREY, ORANGE
 from palmd.report.body import closed, felt_points, points
 from palmd.report.errors import SDS, OutlineAgainst
 from palmd.report.series import Bools, OutlineAt, Series
@@ -73,6 +74,9 @@ def _outline(axes: Axes, found: Found) -> None:
     curve = points(outline.theta, outline.h) * 1e3
     axes.plot(*closed(curve), color=BLUE, linewidth=1.4, alpha=0.4, label="not touched")
     axes.plot(*_where(curve, outline.touched), color=BLUE, linewidth=2.0, label="touched")
+    for number, chord in enumerate(chords_of(outline.theta, outline.h, outline.touched)):
+        axes.plot(*np.array([chord.begin, chord.end]).T * 1e3, color=ORANGE, linewidth=1.6, linestyle=_DASHED,
+                  label=MEANT if number == 0 else None)  # fmt: skip
     if found.against is not None:
         axes.plot(*closed(points(outline.theta, found.against.h) * 1e3), color=BLACK, linewidth=0.7,
                   linestyle=_DASHED, label="truth")  # fmt: skip

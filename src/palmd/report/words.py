@@ -9,6 +9,7 @@ from datetime import datetime
 
 import numpy as np
 
+from palmd.chords import MEANT, chords_of
 from palmd.observer.likeness import likeness, root_of_band
 from palmd.observer.validity import NIS_RANGE
 from palmd.quantities import ESTIMATE, MOTION
@@ -83,6 +84,9 @@ def under_outline(series: Series, outline: OutlineAt) -> str:
     root = root_of_band(outline.h_sd, outline.theta)
     if outline.valid and (form := likeness(outline.theta, outline.h, root, outline.touched)).said:
         said += f"; looks like: {form.said}"
+    if chords := chords_of(outline.theta, outline.h, outline.touched):
+        said += f"; of the hull, which is what palms feel, straight ({MEANT}, dashed): "
+        said += ", ".join(_mm(chord.length) for chord in chords)
     body = body_at(series, outline.t)
     if body is None:
         return said + "; the truth is not known."

@@ -18,7 +18,7 @@ from websockets.http11 import Request, Response
 from palmd import __version__
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.keys import Credentials
-from palmd.view import http_guard, wire
+from palmd.view import http_guard, naming, wire
 from palmd.view.client import PageClient
 from palmd.view.command_client import PageCommands
 from palmd.view.feed import Feed, Payload
@@ -113,9 +113,11 @@ class _Server:
                 port = next(iter(server.sockets)).getsockname()[1]
                 ready(f"http://{HOST}:{port}/#token={self._settings.token}")
                 frames = asyncio.create_task(self._frames())
+                names = asyncio.create_task(self._names())
                 stopped = asyncio.create_task(stop.wait())
                 await asyncio.wait((frames, stopped), return_when=asyncio.FIRST_COMPLETED)
                 stopped.cancel()
+                names.cancel()
                 if frames.done():
                     frames.result()
                 frames.cancel()
@@ -140,6 +142,14 @@ class _Server:
             if messages or commandable is not before or self._frame - told >= HEARTBEAT_FRAMES:
                 told = self._frame
                 self._offer(self._clients, messages)
+
+    async def _names(self) -> None:
+        """Every few seconds while somebody looks: what the outline looks like."""
+        while True:
+            await asyncio.sleep(naming.EVERY_S)
+            if self._clients and (told := await asyncio.to_thread(naming.named, dict(self._feed.latest))) is not None:
+                self._feed.latest[naming.TOPIC] = told
+                self._offer(self._clients, [(naming.TOPIC, told)])
 
     def _offer(self, clients: Iterable[PageClient], messages: list[Payload]) -> None:
         commandable = self._commands.open

@@ -23,7 +23,7 @@ SECONDS = 2.5
 FIELDS = {
     *("converged", "reason", "chi2", "theta_rad", "h_m", "h_sd_m", "touched", "rho_m", "rho_sd_m", "mu", "mu_sd"),
     *("visits", "kept_paper", "kept_band", "mass_rest_kg", "mass_rest_sd_kg"),
-    *("mass_kg", "mass_sd_kg", "trajectory", "seconds", "rig", "contradicted", "sides", "looks_like"),
+    *("mass_kg", "mass_sd_kg", "trajectory", "seconds", "rig", "contradicted", "sides", "chords", "looks_like"),
 }
 
 

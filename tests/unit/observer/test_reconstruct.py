@@ -14,6 +14,7 @@ from palmd.observer import criticism
 from palmd.observer.reconstruct import reconstruct
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.search import NOTHING_MOVES
+from palmd.observer.seeker import attempts_for
 from palmd.rig.imperfections import Imperfections, PadImperfection
 from palmd.rig.plant import PlantOptions
 from palmd.score import score_outline
@@ -312,3 +313,18 @@ def test_readings_that_move_with_force_are_told_and_cost_little(believing):
     found, sd = answer.rig[R.FORCE : R.FORCE + 2], answer.rig_sd[R.FORCE : R.FORCE + 2]
     assert (np.abs(found - [shift, 0.0]) < 3 * sd).all()
     assert sd[0] < shift / 5
+
+
+@pytest.mark.parametrize(("share", "chi2", "searches"), [(1.0, 1.0, 2), (0.5, 1.0, None), (1.0, 1.12, None)])
+def test_what_explains_all_as_another_kind_of_object_ends_the_search_for_a_smooth_one(
+    run, answer, monkeypatch, share, chi2, searches
+):
+    tried = []
+    lasts = float(answer.t[-1] - answer.t[0])
+    other = replace(answer, chi2=chi2, t=answer.t[0] + (answer.t - answer.t[0]) * share)
+    monkeypatch.setattr("palmd.observer.reconstruct.Search.blind", lambda _self, attempt, _seed: tried.append(attempt))
+    monkeypatch.setattr("palmd.observer.reconstruct.dry_reconstruction", lambda *_: None)
+    monkeypatch.setattr("palmd.observer.reconstruct.sharp_reconstruction", lambda *_: other)
+    assert reconstruct(run.events, run.rig) is other
+    assert lasts > 2.0
+    assert len(tried) == (searches or len(attempts_for(run.rig)))

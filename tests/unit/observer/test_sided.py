@@ -18,7 +18,7 @@ from palmd.observer.factor import Prior
 from palmd.observer.normal_equations import BLOW_SD, Guess, ProcessNoise, _quiet_or_blow
 from palmd.observer.search import Search, overfits
 from palmd.observer.sharp_reconstruct import sharp_reconstruction
-from palmd.observer.sided import Candidate, SidedSearch, followed
+from palmd.observer.sided import FINE, LAST, Candidate, SidedSearch, followed
 from palmd.observer.smoother import Fit
 from palmd.observer.validity import SHARP_M
 from palmd.rig.sharp_shapes import rounded_polygon, uniform_body
@@ -86,6 +86,13 @@ def test_a_window_that_grows_by_a_tumble_is_not_gone_on_with():
     jumped = replace(after, fit=a_fit(cost=longer.readings + 200.0))
     assert jumped.explains  # as far as the whole record's numbers tell
     assert not jumped.goes_on(before)
+
+
+@pytest.mark.parametrize("stage", [*FINE, *LAST])
+@pytest.mark.parametrize("width_rad", [1.5e-4, 2e-3])
+def test_no_side_is_unlikely_for_how_sharply_it_is_passed(stage, width_rad):
+    width, sd, _ = stage
+    assert (math.log(width_rad / width) / sd) ** 2 < 5.0  # of the 40 that a right outline may cost
 
 
 def test_the_search_ends_when_its_work_is_done(monkeypatch):

@@ -55,6 +55,39 @@ export function outline(theta, h) {
   return points;
 }
 
+const STRAIGHT = 4; // and LEAST: as in palmd.chords
+const LEAST = 1e-3;
+
+/**
+ * The straight parts of an outline, flat sides or dents that the palms bridge, as far as they were touched: [begin, end]
+ * of each (m), the first and last corner of the polygon that neighbouring tangents cut out.
+ */
+export function chords(theta, h, touched) {
+  const count = theta.length;
+  const step = (2 * Math.PI) / count;
+  const [cos, sin] = [Math.cos(step), Math.sin(step)];
+  const limit = STRAIGHT * step * h.reduce((sum, each) => sum + each, 0) / count;
+  const straight = h.map((each, i) => (h[(i + count - 1) % count] + h[(i + 1) % count] - 2 * each * cos) / sin > limit);
+  if (straight.every(Boolean)) return [];
+  const corner = (i) => {
+    const slope = (h[(i + 1) % count] - h[i] * cos) / sin;
+    return [h[i] * Math.cos(theta[i]) - slope * Math.sin(theta[i]), h[i] * Math.sin(theta[i]) + slope * Math.cos(theta[i])];
+  };
+  const found = [];
+  for (let i = 0; i < count; i++) {
+    const before = (i + count - 1) % count;
+    if (!straight[i] || straight[before]) continue;
+    let [j, felt] = [i, touched[i]];
+    while (straight[(j + 1) % count]) {
+      j++;
+      felt ||= touched[j % count];
+    }
+    const [begin, end] = [corner(before), corner(j % count)];
+    if (felt && Math.hypot(end[0] - begin[0], end[1] - begin[1]) > LEAST) found.push([begin, end]);
+  }
+  return found;
+}
+
 /** A function on evenly spaced directions from 0, at any direction. */
 export function at(values, direction) {
   const place = (turn(direction) / (2 * Math.PI)) * values.length;

@@ -24,9 +24,9 @@ export function line(context, from, to) {
   context.stroke();
 }
 
-/** Draws a path as the rig's truth is drawn; `thin` is a CSS pixel in the context's unit. */
-export function dash(context, path, thin) {
-  context.strokeStyle = colours.truth;
+/** Draws a path dashed, as the rig's truth is drawn; `thin` is a CSS pixel in the context's unit. */
+export function dash(context, path, thin, colour = colours.truth) {
+  context.strokeStyle = colour;
   context.lineWidth = 1.5 * thin;
   context.setLineDash([6 * thin, 4 * thin]);
   context.stroke(path);

@@ -1,5 +1,6 @@
 // State, faults, ages and punctuality in words and numbers.
 
+import { chords } from "./geometry.js";
 import { underWay } from "./knowledge.js";
 import { AGES, ESTIMATE, palmsOf, shown, shownOfPalm, TOLD, told } from "./quantities.js";
 import { inSpace } from "./surface.js";
@@ -50,8 +51,18 @@ function showState(store) {
   const object = store.get("palm/object");
   const recognised = object.best ? `: ${object.best}, ${number(Math.max(...object.probability) * 100, 0, "%")}` : "";
   set("object", estimate.object === undefined ? "" : `object ${estimate.object}${recognised}`);
+  const { object: named, said } = store.get("view/looks_like");
+  set("looks-like", said && estimate.valid && named === estimate.object ? `looks like: ${said}` : "");
+  set("straight", estimate.valid ? straight(store.get("palm/shape")) : "");
   set("validity", !("valid" in estimate) ? "" : estimate.valid ? "estimate valid" : "not settled yet");
   document.getElementById("validity").dataset.valid = String(Boolean(estimate.valid));
+}
+
+/** What of the hull, which is what palms feel, is straight. */
+function straight({ theta_rad: theta, h_m: h, touched }) {
+  const found = theta && h ? chords(theta, h, touched) : [];
+  const lengths = found.map(([a, b]) => number(Math.hypot(b[0] - a[0], b[1] - a[1]) * 1e3, 1));
+  return lengths.length ? `straight over ${lengths.join(", ")} mm: flat side, or dent bridged` : "";
 }
 
 function showFaults({ faults = [], severities = [], hints = [] }) {

@@ -1,6 +1,6 @@
 // The palms, the object as estimated, and the rig's truth, drawn in mm with the hinge at rest and gravity down.
 
-import { centreFromRadii, MM, onPalm, outline, posture, SOME_PAD_MM, THICK_MM } from "./geometry.js";
+import { centreFromRadii, chords, MM, onPalm, outline, posture, SOME_PAD_MM, THICK_MM } from "./geometry.js";
 import { CLASSES_M, classOf } from "./knowledge.js";
 import { Lens } from "./lens.js";
 import { dash, line, place, ring, write } from "./paths.js";
@@ -157,7 +157,11 @@ export class Scene {
     if (shape === this.#shape || !shape.h_m) return;
     this.#shape = shape;
     this.#points = outline(shape.theta_rad, shape.h_m);
-    this.#paths = { body: ring(this.#points), arcs: arcs(this.#points, shape.h_sd_m) };
+    this.#paths = { body: ring(this.#points), arcs: arcs(this.#points, shape.h_sd_m), chords: new Path2D() };
+    for (const [begin, end] of chords(shape.theta_rad, shape.h_m, shape.touched)) {
+      this.#paths.chords.moveTo(begin[0] * MM, begin[1] * MM);
+      this.#paths.chords.lineTo(end[0] * MM, end[1] * MM);
+    }
   }
 
   drawObject(estimate, centre) {
@@ -174,6 +178,7 @@ export class Scene {
       context.lineWidth = this.thin(WIDTHS[error]);
       context.stroke(path);
     });
+    dash(context, this.#paths.chords, this.thin(1), colours.panel);
     context.restore();
   }
 
