@@ -83,14 +83,15 @@ def check_files(paths: Sequence[Path]) -> list[str]:
             errors += error.errors
             limits += _limits_of_faulty(document)
             continue
-        limits.append(motion_limits(config))
+        own = motion_limits(config)
+        limits.append(own)
         blind += [] if config.explores else [(config.system, document)]
         errors += implausible(document, config)
         errors += _outline_errors(document, config)
         errors += _keys_errors(document, config)
         errors += _folder_errors(document, config)
         for plan in _documents(_plan_named(document, config, errors, given=paths), errors):
-            errors += _plan_errors(plan, limits[-1:])
+            errors += _plan_errors(plan, [own])
             errors += _blind_errors(plan, [] if config.explores else [document])
     for document in plans:
         meant = [each for each in limits if _of_its_system(document, each)] or limits[:1]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from operator import attrgetter
 
 import numpy as np
 
@@ -14,7 +13,6 @@ from palmd.system.mechanism import PALMS
 
 PAD_GAP_S = 0.4  # a pad silent for longer: the object may have left the palm
 ARM_GAP_S = 0.3  # the palms' motion is not guessed across more
-_ROUNDING_S = 1e-6  # of a time, at most
 ARM = 0  # among the numbers of the pads
 LEAD_S = 0.5  # of the arm's reports before both pads feel the object
 STARVED_S, STARVED = 0.06, 3.0  # without a report of the arm, and that in usual intervals: it had to stand, and stepped
@@ -50,6 +48,7 @@ class DataSegment:
 
 def data_segments(events: Sequence[Event], pad_gap_s: float = PAD_GAP_S) -> list[DataSegment]:
     """All of them, in order of time."""
+    ordered = sorted((event for event in events if _finite(event)), key=_place)
     found: list[DataSegment | None] = []
     pads: list[PadSample] = []
     palms: list[PalmSample] = []
@@ -60,22 +59,21 @@ def data_segments(events: Sequence[Event], pad_gap_s: float = PAD_GAP_S) -> list
         palms.clear()
 
     limits = dict.fromkeys(PALMS, pad_gap_s) | {ARM: ARM_GAP_S}
+    shortest = min(limits.values())
     last = dict.fromkeys(limits, math.inf)  # when each was heard last; infinity before that
-    in_time = math.inf  # until when none has been silent for too long, at least
-    for event in _in_order(events):
+    for event in ordered:
         if isinstance(event, PadLift):
             close()
             continue
-        t, source = event.t_sample, event.pad if isinstance(event, PadSample) else ARM
-        if t == last[source]:
+        source = event.pad if isinstance(event, PadSample) else ARM
+        if event.t_sample == last[source]:
             continue  # the same reading twice, or two that contradict each other: one counts
-        if t > in_time:
-            if any(t - heard > limits[key] for key, heard in last.items()):
-                close()
-                last = dict.fromkeys(last, math.inf)
-            in_time = min(heard + limits[key] for key, heard in last.items()) - _ROUNDING_S
-        last[source] = t
-        in_time = min(in_time, t + limits[source] - _ROUNDING_S)
+        if event.t_sample - min(last.values()) > shortest and any(
+            event.t_sample - t > limits[key] for key, t in last.items()
+        ):
+            close()
+            last = dict.fromkeys(last, math.inf)
+        last[source] = event.t_sample
         if isinstance(event, PadSample):
             pads.append(event)
         else:
@@ -104,14 +102,6 @@ def _trimmed(pads: list[PadSample], palms: list[PalmSample]) -> DataSegment | No
     return DataSegment(start, end, inside, about) if inside and end > start else None
 
 
-def _in_order(events: Sequence[Event]) -> list[Event]:
-    """Those that are finite, by `_place`; where no two times are equal, time alone tells, and sooner."""
-    told = [event for event in events if _finite(event)]
-    if len({event.t_sample for event in told}) == len(told):
-        return sorted(told, key=attrgetter("t_sample"))
-    return sorted(told, key=_place)
-
-
 def _place(event: Event) -> tuple[float, ...]:
     """By time, and where times are equal in an order that does not depend on how the events were given."""
     if isinstance(event, PadSample):
@@ -125,5 +115,5 @@ def _finite(event: Event) -> bool:
     if isinstance(event, PadSample):
         return math.isfinite(event.t_sample) and math.isfinite(event.s)
     if isinstance(event, PalmSample):
-        return math.isfinite(sum(event.told, event.t_sample))  # as are all its terms
+        return all(map(math.isfinite, (event.t_sample, *event.told)))
     return math.isfinite(event.t_sample)

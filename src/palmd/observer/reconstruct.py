@@ -82,28 +82,29 @@ def reconstruct(
     if not found:
         return _nothing("there is no second in which both pads and the arm report", begun)
     attempts = tuple(enumerate(attempts_for(rig)))
-    first = _part(found[0], rig, seed, attempts[:FIRST_ATTEMPTS])
+    search = _search(found[0], rig)
+    first = _part(search, seed, attempts[:FIRST_ATTEMPTS])
     shorter = _by_length(data_segments(events, SUSPICIOUS_GAP_S)) if first is None or first.reason else []
     swapped = bool(shorter) and _length(shorter[0]) < _length(found[0])  # perhaps, in a gap
     asked = first is None and not swapped and not rig.curved
-    unlike = _unlike(found[0], rig, seed, begun, say) if asked else None
+    unlike = _unlike(search, seed, begun, say) if asked else None
     if unlike is not None and _whole(unlike, found[0]):
         return unlike
-    main = _part(found[0], rig, seed, attempts[FIRST_ATTEMPTS:], first)
+    main = _part(search, seed, attempts[FIRST_ATTEMPTS:], first)
     if main is None or main.reason:
-        apart = _part(shorter[0], rig, seed, attempts) if swapped else None
+        apart = _part(_search(shorter[0], rig), seed, attempts) if swapped else None
         if apart is not None and not apart.reason:
             main, found = apart, shorter
     if (main is None or main.reason not in ("", AMBIGUOUS)) and not rig.curved:
         if not asked:
-            unlike = _unlike(found[0], rig, seed, begun, say)
+            unlike = _unlike(search, seed, begun, say)
         if unlike is not None:
             return unlike
     if main is None:
         return _nothing(NOTHING_MOVES if still(Search(found[0], rig).record) else NO_ANSWER, begun)
     if main.reason:
         return _result(main, (), rig, begun)
-    parts = [main, *(_part(segment, rig, seed, attempts) for segment in found[1:MOST_PARTS])]
+    parts = [main, *(_part(_search(segment, rig), seed, attempts) for segment in found[1:MOST_PARTS])]
     main, others = _longest_together([part for part in parts if part is not None and not part.reason])
     return _result(main, others, rig, begun)
 
@@ -115,7 +116,6 @@ class _Part:
     as_described: whether the rig was left as it is believed to be: else a worse minimum may have made it fit.
     """
 
-    segment: DataSegment
     search: Search
     known: Prior
     fit: Fit
@@ -123,6 +123,11 @@ class _Part:
     belief: RigBelief
     as_described: bool
     reason: str
+
+    @property
+    def segment(self) -> DataSegment:
+        """What it is the motion of."""
+        return self.search.segment
 
     @property
     def deviance(self) -> float:
@@ -161,11 +166,12 @@ def _by_length(found: Sequence[DataSegment]) -> list[DataSegment]:
     return sorted((segment for segment in found if _length(segment) >= LEAST_S), key=_length, reverse=True)
 
 
-def _unlike(
-    segment: DataSegment, rig: RigDescription, seed: int, begun: float, say: Callable[[str], None] | None
-) -> Reconstruction | None:
+def _search(segment: DataSegment, rig: RigDescription) -> Search:
+    return Search(segment, with_scatter(rig, segment.pads))
+
+
+def _unlike(search: Search, seed: int, begun: float, say: Callable[[str], None] | None) -> Reconstruction | None:
     """What is no smooth outline on palms that never stick: a dry one, else one with flat sides; None if neither."""
-    search = Search(segment, with_scatter(rig, segment.pads))
     return dry_reconstruction(search, seed, begun) or sharp_reconstruction(search, seed, begun, say)
 
 
@@ -175,23 +181,17 @@ def _whole(told: Reconstruction, segment: DataSegment) -> bool:
     return lasts > WHOLE * _length(segment) and consistent(told.chi2, len(segment.pads), SECOND_OPINION_SIGMAS)
 
 
-def _part(
-    segment: DataSegment, rig: RigDescription, seed: int, attempts: Numbered, best: _Part | None = None
-) -> _Part | None:
+def _part(believing: Search, seed: int, attempts: Numbered, best: _Part | None = None) -> _Part | None:
     """The best that any attempt, or one before (`best`), finds in a segment; None when nothing is, or moves."""
-    if best is not None and not best.reason:
+    if (best is not None and not best.reason) or still(believing.record):
         return best
-    rig = with_scatter(rig, segment.pads)
-    believing = Search(segment, rig)
-    if still(believing.record):
-        return None
     doubting = believing.believing(believing.belief.suspended())
     for number, attempt in attempts:
         search = doubting if attempt.free else believing
         finding = search.blind(attempt, seed)
         if finding is None:
             continue
-        part = _refined(search, finding, segment, rig)
+        part = _refined(search, finding)
         if best is None or part.deviance < best.deviance:
             best = part
         if not best.reason and (number > 0 or (best.as_described and beyond_question(best.fit, best.record))):
@@ -199,12 +199,13 @@ def _part(
     return best
 
 
-def _refined(search: Search, finding: Minima, segment: DataSegment, rig: RigDescription) -> _Part:
+def _refined(search: Search, finding: Minima) -> _Part:
     """The best fit again on finer nodes, forces on contacts and forces' noise taken from the model, not from readings.
 
     Constants of the rig that the readings contradict are given free.
     """
     best, prior, belief = finding.fits[0], search.prior, search.belief
+    segment, rig = search.segment, search.rig
     record = lay_out(segment.pads, search.path, rig, segment.start, segment.end, SPACING_S)
     guess = best.guess.on(finding.record.t, record.t)
     smoother = Smoother(search.library, record, prior)
@@ -222,7 +223,7 @@ def _refined(search: Search, finding: Minima, segment: DataSegment, rig: RigDesc
         fit = smoother.fit(belief.within(fit.guess), fit.noise)
     reason = OVERFITTED if overfits(fit) else doubt(fit, finding) or NO_SUCH_RIG * belief.beyond_all(fit.guess)
     as_described = np.array_equal(belief.sd, search.belief.sd)
-    return _Part(segment, search, prior, fit, record, belief, as_described, reason)
+    return _Part(search, prior, fit, record, belief, as_described, reason)
 
 
 def _longest_together(parts: Sequence[_Part]) -> tuple[_Part, list[_Joined]]:

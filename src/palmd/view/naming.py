@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import msgpack
 import numpy as np
 
 from palmd.blas import one_thread
 from palmd.observer.likeness import likeness, root_of_band
+from palmd.payload import unpacked
 from palmd.quantities import ESTIMATE, SHAPE
 
 TOPIC = "view/looks_like"
@@ -22,14 +22,10 @@ def named(latest: Mapping[str, bytes]) -> bytes | None:
 
     Its covariance is taken for that of a smooth error as large as its band, as in reports.
     """
-    estimate, shape = (_fields(latest.get(topic.name)) for topic in (ESTIMATE, SHAPE))
+    estimate, shape = (unpacked(latest.get(topic.name, b"")) or {} for topic in (ESTIMATE, SHAPE))
     if not estimate.get("valid") or not shape.get("h_m"):
         return None
     theta, h, sd = (np.array(shape[name]) for name in ("theta_rad", "h_m", "h_sd_m"))
     with one_thread():
         told = likeness(theta, h, root_of_band(sd, theta), np.array(shape["touched"], dtype=bool))
     return bytes(msgpack.packb({"object": estimate["object"], "said": told.said}))
-
-
-def _fields(payload: bytes | None) -> dict[str, Any]:
-    return {} if payload is None else msgpack.unpackb(payload)

@@ -11,9 +11,9 @@ from simulated import Run, is_pad, pads_changed, palms_changed, simulated, swapp
 from palmd.events import PadLift, PadSample, PalmSample
 from palmd.model.smoothing import R
 from palmd.observer import criticism
-from palmd.observer.reconstruct import reconstruct
+from palmd.observer.reconstruct import FIRST_ATTEMPTS, reconstruct
 from palmd.observer.reconstruction import Reconstruction
-from palmd.observer.search import NOTHING_MOVES
+from palmd.observer.search import NOTHING_MOVES, Search
 from palmd.observer.seeker import attempts_for
 from palmd.rig.imperfections import Imperfections, PadImperfection
 from palmd.rig.plant import PlantOptions
@@ -283,6 +283,21 @@ def test_a_window_that_ends_on_the_wrong_side_of_an_unstable_pose_is_seen_and_sh
     answer = reconstruct(run.events, run.rig)
     assert answer.converged, answer.reason
     assert e_h(answer, run) < RIGHT_M
+
+
+def test_what_the_first_searches_have_found_beyond_doubt_is_not_searched_for_again(monkeypatch):
+    asked, blind = [], Search.blind
+
+    def counted(search, attempt, seed):
+        asked.append(attempt)
+        return blind(search, attempt, seed)
+
+    monkeypatch.setattr(Search, "blind", counted)
+    run = simulated("nominal", 3, 6.0)
+    answer = reconstruct(run.events, run.rig)
+    assert answer.converged, answer.reason
+    assert len(asked) <= FIRST_ATTEMPTS
+    assert asked == list(attempts_for(run.rig))[: len(asked)]
 
 
 @pytest.fixture
