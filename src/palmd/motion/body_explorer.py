@@ -2,7 +2,8 @@
 
 A body lies in a well of the potential and follows it while the palms move; greedy moves show the same stripe again and
 again. What turns it on are strokes out with one palm's friction and back with another's, and wells that end. So each
-decision grows a tree three moves deep, the best few of a level going on, and takes the first move of the best sequence.
+decision grows a tree three moves deep, deeper where that shows nothing new, the best few of a level going on, and takes
+the first move of the best sequence; the rest of that is tried again next time.
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ from palmd.motion.body_foresight import COLUMNS, Bearings, BodyForesight, Forese
 from palmd.motion.limits import MotionLimits
 from palmd.motion.segments import Move
 
-LEVELS, KEPT = 3, 6
+LEVELS, DEEPEST, KEPT = 3, 8, 6
+LITTLE = 0.004  # of the sphere: who shows no more is looked on for deeper
+APART_RAD = 0.1  # of rotations, that those of a level go on from
 NEAR_RAD = math.radians(10.0)  # of a contact curve, where a direction counts as touched
 LEAST_SHARE = 0.12  # of the weight, that each palm bears where a move ends
 LEAST_FORCE = 0.5  # m/s², of any palm on the way
@@ -38,13 +41,22 @@ Bools = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class _MoveSequence:
-    """A sequence of moves: where it leads, what has been touched then, how long it takes, what it is worth a second."""
+    """Some moves: where they lead, what has been touched then and is new of it (a share), how long they take.
+
+    value: a second, places counted where it has not been.
+    """
 
     bearings: Bearings
     touched: Bools
     seconds: float
-    first: Move | None
+    moves: tuple[Move, ...]
+    gain: float
     value: float
+
+    @property
+    def gained(self) -> float:
+        """What is new, a second."""
+        return self.gain / (self.seconds + DECISION_S)
 
 
 def weight_shares(joints: FloatArray) -> FloatArray:
@@ -62,6 +74,7 @@ class BodyExplorer:
         self._foresight, self._limits, self._directions = foresight, limits, directions
         self._random = np.random.default_rng(seed)
         self._been: list[FloatArray] = []
+        self._plan: tuple[Move, ...] = ()  # what the last decision's sequence goes on with
         self._low, self._high = np.array(limits.angles).T
 
     def covered(self, normals: FloatArray) -> Bools:
@@ -72,17 +85,24 @@ class BodyExplorer:
     def decide(self, now: Bearings, touched: Bools) -> Move | None:
         """The next move from `now` (of one); None where every one that was tried might lose the body."""
         self._been.append(now.R[0])
-        level, found = [_MoveSequence(now, touched, 0.0, None, -math.inf)], []
-        for _ in range(LEVELS):
-            level = self._grown(level, touched)
-            if not level:
-                break
+        root = _MoveSequence(now, touched, 0.0, (), 0.0, -math.inf)
+        planned: _MoveSequence | None = root
+        level, found = [root], list[_MoveSequence]()
+        for depth in range(DEEPEST):
+            level, planned = self._grown(level, touched, planned, self._plan[depth : depth + 1])
             found += level
-        found.sort(key=lambda each: -each.value)
-        best = list(dict.fromkeys(each.first for each in found if each.first))
+            if not level or (depth + 1 >= LEVELS and max(each.gain for each in found) > LITTLE):
+                break
+        if any(each.gain > LITTLE for each in found):
+            found.sort(key=lambda each: -each.gained)
+        else:
+            found.sort(key=lambda each: -each.value)
+        best = list(dict.fromkeys(each.moves[0] for each in found))
         at_once = COLUMNS // SAMPLES
         tried = (self._surely_held(now, best[k : k + at_once]) for k in range(0, len(best), at_once))
-        return next((move for move in tried if move is not None), None)
+        move = next((each for each in tried if each is not None), None)
+        self._plan = next((each.moves[1:] for each in found if each.moves[0] == move), ())
+        return move
 
     def _surely_held(self, now: Bearings, moves: Sequence[Move]) -> Move | None:
         """The first of the moves that keeps the body from all bearings that may be; palms stand for a while after."""
@@ -96,32 +116,39 @@ class BodyExplorer:
         held = ((force > 0.5 * LEAST_FORCE) & (room > 0.5 * LEAST_ROOM_M)).reshape(-1, SAMPLES).all(axis=1)
         return next((move for move, sure in zip(moves, held, strict=True) if sure), None)
 
-    def _grown(self, level: list[_MoveSequence], touched: Bools) -> list[_MoveSequence]:
-        """The best sequences of one move more, the best first."""
+    def _grown(
+        self, level: list[_MoveSequence], touched: Bools, planned: _MoveSequence | None, then: tuple[Move, ...]
+    ) -> tuple[list[_MoveSequence], _MoveSequence | None]:
+        """(the best sequences of one move more, the best first; `planned` and `then`, if that is safe)."""
         parents = [level[k % len(level)] for k in range(COLUMNS)]
+        follows = planned is not None and len(then) > 0
+        if planned is not None and follows:
+            parents[0] = planned
         begin = Bearings(*(np.concatenate([getattr(each.bearings, k) for each in parents]) for k in Bearings.__slots__))
         ends = self._drawn(begin.joints)
+        if follows:
+            ends[0] = then[0].end
         way = np.abs(ends - begin.joints).max(axis=1)
         least = np.maximum(_RATE * way / self._limits.rate, np.sqrt(_ACCELERATION * way / self._limits.acceleration))
         longer = np.where(self._random.random(COLUMNS) < SLOWER, SLOWLY, 1.0)
         durations = np.maximum(least * longer, SHORTEST_S)
+        if follows:
+            durations[0] = then[0].duration
         foreseen = self._foresight.of(begin, ends, durations)
-        found = []
-        for k in np.flatnonzero(_safe(foreseen)):
+        found: dict[int, _MoveSequence] = {}
+        for k in np.flatnonzero(_safe(foreseen)).tolist():
             parent, after = parents[k], foreseen.after.some(np.array([k]))
             seen = parent.touched | self.covered(foreseen.normals[k])
             seconds = parent.seconds + float(durations[k])
             gain = (np.count_nonzero(seen) - np.count_nonzero(touched)) / len(touched)
             value = (gain + NOVELTY * self._novelty(after.R[0])) / (seconds + DECISION_S)
-            pose = tuple(begin.joints[k].tolist()), tuple(ends[k].tolist())
-            first = parent.first or Move(*pose, float(durations[k]))
-            found.append(_MoveSequence(after, seen, seconds, first, value))
-        return sorted(found, key=lambda node: -node.value)[:KEPT]
+            move = Move(tuple(begin.joints[k].tolist()), tuple(ends[k].tolist()), float(durations[k]))
+            found[k] = _MoveSequence(after, seen, seconds, (*parent.moves, move), gain, value)
+        return _apart(sorted(found.values(), key=lambda each: -each.value)), found.get(0) if follows else None
 
     def _novelty(self, rotation: FloatArray) -> float:
         """How far a rotation is from all before (rad), no more than 1."""
-        away = np.sqrt(0.5 * ((np.stack(self._been) - rotation) ** 2).sum(axis=(1, 2)).min())  # the chord of it
-        return min(float(away), 1.0)
+        return min(float(_chords(np.stack(self._been), rotation).min()), 1.0)
 
     def _drawn(self, start: FloatArray) -> FloatArray:
         """Ends of moves from (N, 3): in corners, of one joint, near by, anywhere; where all palms bear the body."""
@@ -137,6 +164,23 @@ class BodyExplorer:
             bad = weight_shares(ends).min(axis=1) < np.minimum(LEAST_SHARE, inside)
             ends[bad] += 0.3 * (0.5 * (self._low + self._high) - ends[bad])
         return ends
+
+
+def _chords(rotations: FloatArray, other: FloatArray) -> FloatArray:
+    """(N,) how far rotations (N, 3, 3) are from another: about the angle between them (rad) where that is small."""
+    return np.asarray(np.sqrt(0.5 * ((rotations - other) ** 2).sum(axis=(1, 2))))
+
+
+def _apart(ranked: list[_MoveSequence]) -> list[_MoveSequence]:
+    """The first few that end in different rotations."""
+    kept: list[_MoveSequence] = []
+    for each in ranked:
+        ends = [other.bearings.R[0] for other in kept]
+        if not ends or _chords(np.stack(ends), each.bearings.R[0]).min() > APART_RAD:
+            kept.append(each)
+        if len(kept) == KEPT:
+            break
+    return kept
 
 
 def _turned(rotations: FloatArray, by: FloatArray) -> FloatArray:
