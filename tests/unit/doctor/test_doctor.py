@@ -18,6 +18,7 @@ from palmd.cli import main
 from palmd.config import VersaPadConfig
 from palmd.console import configured
 from palmd.console.shipped import shipped
+from palmd.daemon import realtime
 from palmd.daemon.bus import Bus
 from palmd.daemon.commands import Reply
 from palmd.devices.armconformance import CheckResult
@@ -184,6 +185,21 @@ def test_rights(monkeypatch, tmp_path, what, limit):
         assert finding.verdict == verdict
         assert asked == [getattr(machine.resource, f"RLIMIT_{limit}")]
     assert "limits.d" not in finding.mend
+
+
+def test_the_daemons_start_tells_the_same_commands(monkeypatch):
+    def forbidden(*_):
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(realtime.os, "sched_setscheduler", forbidden)
+    monkeypatch.setattr(realtime.resource, "getrlimit", lambda _: (0, 0))
+    monkeypatch.setattr(realtime, "_may_lock", lambda: False)
+    monkeypatch.setattr(machine, "_capable", lambda _: False)
+    told = [realtime._prioritise(realtime.PRIORITY), realtime._lock_memory()]
+    for text, finding in zip(told, (machine.real_time(), machine.locked_memory()), strict=True):
+        command = finding.mend.split("; ")[0]
+        assert "sudo tee -a /etc/security/limits.d/" in command
+        assert text.endswith(command)
 
 
 LOCKING = """

@@ -27,7 +27,7 @@ from palmd.lab.simulation import watch
 from palmd.lab.simulation.causes import CAUSES, causes
 from palmd.lab.simulation.happenings import Broken, Scenario, Told, Trick, drawn
 from palmd.lab.simulation.light_observer import LightObserver
-from palmd.lab.simulation.reach import SOUGHT, sought
+from palmd.lab.simulation.reach import SOUGHT, Director, sought
 from palmd.lab.simulation.reached import behind_a_stop, never_reached, rows, unreachable
 from palmd.lab.simulation.run import Simulation, configured, quiet, simulate
 from palmd.lab.simulation.shrink import shrunk
@@ -375,6 +375,13 @@ def test_every_command_finds_what_is_sought(code):
     again = simulate(outcome.scenario)  # what the director did, as if it had been drawn
     assert not again.scenario.sought
     assert again.digest == outcome.digest
+
+
+def test_who_seeks_a_silent_explorer_loads_no_plan_that_asks_nobody():
+    director = Director(list(SOUGHT).index("explorer-silent"))
+    view = SimpleNamespace(t=0.0)
+    (told_plan,) = director._tell(view, "plan")
+    assert "explore" in msgpack.unpackb(told_plan.payload)["args"]["text"]
 
 
 def test_behind_a_stop_is_found_what_cannot_be_found_so_otherwise():

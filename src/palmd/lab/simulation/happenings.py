@@ -231,3 +231,8 @@ PLAN_TEXTS = (
     "name: too fast\nsegments:\n- move: {phi1_deg: 100, phi2_deg: 40}\n  duration_s: 0.01\n",
     "name: [broken\n",
 )
+
+EXPLORE_TEXT = (
+    "name: explore\nsegments:\n- move: {phi1_deg: 45, phi2_deg: 90}\n  duration_s: 1.0\n"
+    "- explore: {coverage: 0.95, time_limit_s: 90}\n"
+)

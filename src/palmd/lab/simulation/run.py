@@ -35,6 +35,7 @@ from palmd.faults import Severity
 from palmd.lab.silent_observer import Breakable
 from palmd.lab.simulation.causes import causes
 from palmd.lab.simulation.happenings import (
+    EXPLORE_TEXT,
     PLAN_TEXTS,
     Broken,
     Bytes,
@@ -77,15 +78,11 @@ OPERATOR = 99
 """The client who wants the palms to move, and does what the hints say."""
 
 PLANNED_S, DECIDED_S = 0.03, 0.3
-_EXPLORES = (
-    "name: explore\nsegments:\n- move: {phi1_deg: 45, phi2_deg: 90}\n  duration_s: 1.0\n"
-    "- explore: {coverage: 0.95, time_limit_s: 90}\n"
-)
 _LIVELY = (
     "name: lively\nrepeat: forever\nsegments:\n- move: {phi1_deg: 42, phi2_deg: 92}\n  duration_s: 0.5\n"
     "- sine: {phi1_deg: 25, phi2_deg: 10}\n  frequency_hz: [0.41, 0.57]\n  duration_s: 20\n"
 )
-PLAN_OF = (PLAN_TEXTS[0], _LIVELY, PLAN_TEXTS[1], _EXPLORES)
+PLAN_OF = (PLAN_TEXTS[0], _LIVELY, PLAN_TEXTS[1], EXPLORE_TEXT)
 
 
 @dataclass(frozen=True, slots=True)
