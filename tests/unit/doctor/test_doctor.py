@@ -137,7 +137,7 @@ def test_observers_where_we_may_not_look(monkeypatch, tmp_path, what):
     monkeypatch.setenv("CACHE_DIRECTORY", str(tmp_path / what))
     (tmp_path / "cache/deeper").mkdir(parents=True)
     with shut(tmp_path / "cache"):
-        finding, user = machine.observers(), machine.user()
+        finding, user = machine.observers(), realtime.user()
     assert (finding.verdict, finding.says) == ("missing", f"{tmp_path / what}: Permission denied")
     assert finding.mend == f"set XDG_CACHE_HOME to a folder of {user}'s own, then palmd build"
 
@@ -320,7 +320,7 @@ def test_a_port_that_may_not_be_opened(tmp_path, monkeypatch):
         monkeypatch.setattr(ports, "_group", lambda _: "dialout")
         finding = ports.port_finding("arm", str(tmp_path / "arm"))
     assert finding.verdict == "missing"
-    assert finding.mend.startswith(f"sudo usermod -aG dialout {machine.user()},")
+    assert finding.mend.startswith(f"sudo usermod -aG dialout {realtime.user()},")
 
 
 @pytest.mark.parametrize(("name", "verdict"), [("stranger", "missing"), ("palmd", "ok")])

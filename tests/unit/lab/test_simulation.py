@@ -24,7 +24,7 @@ from palmd.events import PalmSample
 from palmd.faults import TABLE, FaultMonitor
 from palmd.lab import bench_simulate
 from palmd.lab.simulation import watch
-from palmd.lab.simulation.causes import CAUSES, causes
+from palmd.lab.simulation.causes import CAUSES, Cause, causes
 from palmd.lab.simulation.happenings import Broken, Scenario, Told, Trick, drawn
 from palmd.lab.simulation.light_observer import LightObserver
 from palmd.lab.simulation.reach import SOUGHT, Director, sought
@@ -333,6 +333,14 @@ def test_a_valid_estimate_that_is_wrong_is_found_out():
     assert looker.breach.name == "no valid estimate is wrong"
 
 
+@pytest.mark.parametrize(("code", "since_s"), [("estimate-inconsistent", 5.0), ("arm-late", 3.0)])
+def test_a_cause_lingers_until_what_is_told_begins_not_until_it_has_lasted_long_enough_to_be_told(code, since_s):
+    """Seed 1151: readings that missed for the two seconds that it takes to say so, their cause long over by then."""
+    looker = Watch(configured(False), [Cause("drop@arm", 9.9, 10.0)], SimpleNamespace(baud=38400), autostart=False)
+    assert looker._has_cause(code, 10.0 + since_s - 0.01)
+    assert not looker._has_cause(code, 10.0 + since_s + 0.01)
+
+
 # ---- what goes with it
 
 
@@ -408,6 +416,7 @@ def test_the_command_tells_a_failure_as_one_command(monkeypatch, capsys):
         fresh=None,
         reach=False,
         coarse=False,
+        jobs=1,
         keep=None,
         list=False,
         unreached=False,
