@@ -16,6 +16,7 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import partial
 from statistics import median
 from typing import NoReturn
@@ -25,7 +26,7 @@ from palmd.console.errors import BAD_INPUT
 from palmd.console.progress import Progress
 from palmd.lab import runs
 from palmd.lab.rows import on_this_machine, terminable
-from palmd.lab.simulation.happenings import Scenario, coarsened, drawn
+from palmd.lab.simulation.happenings import RATE_HZ, Scenario, coarsened, drawn
 from palmd.lab.simulation.long import BLOCK_S, Life, calm, live, troubled
 from palmd.lab.simulation.reach import SOUGHT, sought
 from palmd.lab.simulation.reached import Triple, never_reached
@@ -69,6 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--coarse", action="store_true", help="for more hours: longer steps of the rig, adapters that deliver each 4 ms"
     )
+    add("--rate", type=float, default=RATE_HZ, metavar="HZ", help="of the daemon's loop; default: %(default)g")
     add("--jobs", type=count, default=1, metavar="J", help="of --seeds: so many processes; default: %(default)s")
     add("--keep", type=_numbers, metavar="N,N…", help="of one seed's happenings only these")
     add("--list", action="store_true", help="tell a single seed's happenings")
@@ -111,6 +113,7 @@ def run(arguments: argparse.Namespace) -> int:
             if outcome.breach is not None:
                 failed += 1
                 how = "--reach " * arguments.reach + "--coarse " * arguments.coarse
+                how += f"--rate {arguments.rate:g} " * (arguments.rate != RATE_HZ)
                 _tell(outcome, f"{how}--seeds", shrink=arguments.keep is None)
             elif single:
                 print(f"seed {seed}: every invariant held; digest {outcome.digest}")
@@ -127,7 +130,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _outcomes(seeds: Iterable[int], arguments: argparse.Namespace) -> Iterator[tuple[Outcome, float]]:
     """What comes of each seed, and the processor time (s) it took, as they are finished; in this process or others."""
-    run = partial(_outcome, keep=arguments.keep, reach=arguments.reach, coarse=arguments.coarse)
+    run = partial(_outcome, keep=arguments.keep, reach=arguments.reach, coarse=arguments.coarse, rate_hz=arguments.rate)
     if arguments.jobs == 1 or not isinstance(seeds, range):
         yield from map(run, seeds)
         return
@@ -135,15 +138,17 @@ def _outcomes(seeds: Iterable[int], arguments: argparse.Namespace) -> Iterator[t
         yield from runs.finished(on_this_machine(arguments.jobs)(stack), run, _ended, seeds)
 
 
-def _outcome(seed: int, *, keep: Sequence[int] | None, reach: bool, coarse: bool) -> tuple[Outcome, float]:
+def _outcome(
+    seed: int, *, keep: Sequence[int] | None, reach: bool, coarse: bool, rate_hz: float
+) -> tuple[Outcome, float]:
     """Of the happenings to keep only, if told so: a director's are known when it has run."""
     begun = time.process_time()
-    if reach:
-        outcome = simulate(sought(seed))
-        outcome = outcome if keep is None else simulate(outcome.scenario.keeping(keep))
-    else:
-        scenario = coarsened(drawn(seed)) if coarse else drawn(seed)
-        outcome = simulate(scenario if keep is None else scenario.keeping(keep))
+    scenario = replace(sought(seed) if reach else drawn(seed), rate_hz=rate_hz)
+    if coarse and not reach:
+        scenario = coarsened(scenario)
+    if reach and keep is not None:
+        scenario = simulate(scenario).scenario
+    outcome = simulate(scenario if keep is None else scenario.keeping(keep))
     return outcome, time.process_time() - begun
 
 

@@ -25,7 +25,7 @@ from palmd.faults import TABLE, FaultMonitor
 from palmd.lab import bench_simulate
 from palmd.lab.simulation import watch
 from palmd.lab.simulation.causes import CAUSES, Cause, causes
-from palmd.lab.simulation.happenings import Broken, Scenario, Told, Trick, drawn
+from palmd.lab.simulation.happenings import Broken, Scenario, Told, Trick, coarsened, drawn
 from palmd.lab.simulation.light_observer import LightObserver
 from palmd.lab.simulation.reach import SOUGHT, Director, sought
 from palmd.lab.simulation.reached import behind_a_stop, never_reached, rows, unreachable
@@ -77,6 +77,11 @@ def test_a_run_without_trouble_has_no_fault_but_that_of_its_beginning(untroubled
 @pytest.mark.parametrize("seed", FOUND)
 def test_what_was_found_once_stays_mended(seed):
     assert simulate(drawn(seed)).breach is None
+
+
+def test_a_slow_loop_takes_no_packet_for_damage_that_was_cut_when_its_daemon_began():
+    run = dataclasses.replace(coarsened(drawn(903)), rate_hz=25.0, trouble_s=7.0, calm_s=0.0)
+    assert simulate(run.keeping(range(11))).breach is None
 
 
 def test_a_stop_in_mid_motion_tells_no_rate_that_is_not_so(monkeypatch):
@@ -416,6 +421,7 @@ def test_the_command_tells_a_failure_as_one_command(monkeypatch, capsys):
         fresh=None,
         reach=False,
         coarse=False,
+        rate=100.0,
         jobs=1,
         keep=None,
         list=False,

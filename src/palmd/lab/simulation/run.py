@@ -37,6 +37,7 @@ from palmd.lab.simulation.causes import causes
 from palmd.lab.simulation.happenings import (
     EXPLORE_TEXT,
     PLAN_TEXTS,
+    RATE_HZ,
     Broken,
     Bytes,
     ClockStep,
@@ -123,7 +124,7 @@ class Simulation:
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
-        self.config = configured(scenario.autostart)
+        self.config = configured(scenario.autostart, scenario.rate_hz)
         self.rig: LightRig | FullRig
         if scenario.thorough:
             self.rig = FullRig(self.config, scenario.seed)
@@ -408,9 +409,11 @@ def _spoilt(how: Bytes, data: bytes) -> bytes:
 
 
 @functools.cache
-def configured(autostart: bool) -> Config:
-    """The rig as shipped."""
-    return default_config().model_copy(update={"autostart": autostart})
+def configured(autostart: bool, rate_hz: float = RATE_HZ) -> Config:
+    """The rig as shipped, but for how often its loop ticks."""
+    config = default_config()
+    loop = config.loop.model_copy(update={"rate_hz": rate_hz})
+    return config.model_copy(update={"autostart": autostart, "loop": loop})
 
 
 @functools.cache
