@@ -4,6 +4,7 @@ import dataclasses
 import math
 import secrets
 import time
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import msgpack
@@ -410,6 +411,24 @@ def test_what_was_not_seen_is_told():
     assert found == 1
     assert len(missing) == len(reachable) - 1
     assert all(reasons)
+
+
+def test_seeds_may_be_shared_out_among_processes(monkeypatch):
+    monkeypatch.setattr(bench_simulate, "simulate", lambda each: SimpleNamespace(scenario=each))
+    monkeypatch.setattr(
+        bench_simulate, "on_this_machine", lambda jobs: lambda stack: stack.enter_context(ThreadPoolExecutor(jobs))
+    )
+    arguments = SimpleNamespace(jobs=3, keep=None, reach=False, coarse=True, rate=25.0)
+    run = [outcome.scenario for outcome, _ in bench_simulate._outcomes(range(5, 12), arguments)]
+    assert sorted(each.seed for each in run) == list(range(5, 12))
+    assert {(each.coarse, each.rate_hz) for each in run} == {(True, 25.0)}
+
+    def broken(_):
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr(bench_simulate, "simulate", broken)
+    with pytest.raises(RuntimeError, match="seed 7: ZeroDivisionError"):
+        list(bench_simulate._outcomes(range(7, 8), arguments))
 
 
 def test_the_command_tells_a_failure_as_one_command(monkeypatch, capsys):
