@@ -21,6 +21,7 @@ from functools import partial
 from statistics import median
 from typing import NoReturn
 
+from palmd.cli import INTERRUPTED
 from palmd.console.arguments import count, seconds
 from palmd.console.errors import BAD_INPUT
 from palmd.console.progress import Progress
@@ -101,31 +102,36 @@ def run(arguments: argparse.Namespace) -> int:
     seen: Counter[Triple] = Counter()
     sometimes: Counter[str] = Counter()
     total = 0 if told is None else len(told)
+    interrupted = False
     with Progress("simulate", total, "runs") as progress:
-        for outcome, took_s in _outcomes(seeds, arguments):
-            seed = outcome.scenario.seed
-            done += 1
-            simulated_s, spent = simulated_s + outcome.simulated_s, spent + took_s
-            seen += outcome.seen
-            sometimes += outcome.sometimes
-            if arguments.list:
-                _list(outcome.scenario)
-            if outcome.breach is not None:
-                failed += 1
-                how = "--reach " * arguments.reach + "--coarse " * arguments.coarse
-                how += f"--rate {arguments.rate:g} " * (arguments.rate != RATE_HZ)
-                _tell(outcome, f"{how}--seeds", shrink=arguments.keep is None)
-            elif single:
-                print(f"seed {seed}: every invariant held; digest {outcome.digest}")
-            if total:
-                progress.at(done)
+        try:
+            for outcome, took_s in _outcomes(seeds, arguments):
+                seed = outcome.scenario.seed
+                done += 1
+                simulated_s, spent = simulated_s + outcome.simulated_s, spent + took_s
+                seen += outcome.seen
+                sometimes += outcome.sometimes
+                if arguments.list:
+                    _list(outcome.scenario)
+                if outcome.breach is not None:
+                    failed += 1
+                    how = "--reach " * arguments.reach + "--coarse " * arguments.coarse
+                    how += f"--rate {arguments.rate:g} " * (arguments.rate != RATE_HZ)
+                    _tell(outcome, f"{how}--seeds", shrink=arguments.keep is None)
+                elif single:
+                    print(f"seed {seed}: every invariant held; digest {outcome.digest}")
+                if total:
+                    progress.at(done)
+        except KeyboardInterrupt:
+            interrupted = True
+            print("interrupted; until then:")
     print(
         f"{done} runs, {simulated_s / 3600:.2f} simulated hours, {failed} with a broken invariant; "
         f"{simulated_s / max(spent, 1e-9):.1f} simulated hours per processor hour"
     )
     print(f"sometimes: {', '.join(f'{name} {number}' for name, number in sorted(sometimes.items()))}")
     _tell_reached(seen, whole=arguments.unreached)
-    return BAD_INPUT if failed else 0
+    return BAD_INPUT if failed else INTERRUPTED if interrupted else 0
 
 
 def _outcomes(seeds: Iterable[int], arguments: argparse.Namespace) -> Iterator[tuple[Outcome, float]]:

@@ -1,5 +1,6 @@
 """The simulation: the same seed the same bits, found seeds, and every invariant seen broken by breaking the daemon."""
 
+import argparse
 import dataclasses
 import math
 import secrets
@@ -413,6 +414,24 @@ def test_what_was_not_seen_is_told():
     assert all(reasons)
 
 
+def asked(seeds):
+    """The command's arguments, as they are by default."""
+    parser = argparse.ArgumentParser()
+    bench_simulate.add_arguments(parser)
+    return parser.parse_args(["--seeds", f"{seeds[0]}..{seeds[-1]}"])
+
+
+def test_a_study_that_is_interrupted_tells_what_it_has(monkeypatch, capsys, untroubled):
+    def until_ctrl_c(each):
+        if each.seed == 4:
+            raise KeyboardInterrupt
+        return untroubled
+
+    monkeypatch.setattr(bench_simulate, "simulate", until_ctrl_c)
+    assert bench_simulate.run(asked(range(2, 9))) == 130
+    assert "2 runs, 0.01 simulated hours, 0 with a broken invariant" in capsys.readouterr().out
+
+
 def test_seeds_may_be_shared_out_among_processes(monkeypatch):
     monkeypatch.setattr(bench_simulate, "simulate", lambda each: SimpleNamespace(scenario=each))
     monkeypatch.setattr(
@@ -435,20 +454,7 @@ def test_the_command_tells_a_failure_as_one_command(monkeypatch, capsys):
     deaf_to_stop(monkeypatch)
     few = scenario(told(3.0, "status"), told(3.5, "hold"), told(4.0, "stop"), told(4.1, "note", text="here"))
     monkeypatch.setattr(bench_simulate, "drawn", lambda _seed: few)
-    arguments = SimpleNamespace(
-        seeds=range(2, 3),
-        fresh=None,
-        reach=False,
-        coarse=False,
-        rate=100.0,
-        jobs=1,
-        keep=None,
-        list=False,
-        unreached=False,
-        standstill=None,
-        clean=None,
-        long=None,
-    )
+    arguments = asked(range(2, 3))
     assert bench_simulate.run(arguments) == 1
     assert "--seeds 7..7 --keep 2" in capsys.readouterr().out
     arguments.keep = bench_simulate._numbers("2")

@@ -147,6 +147,18 @@ def test_each_palm_is_bounded_by_its_own_curvature(kappa: float, share: float) -
     assert (second.bounds[0].low, second.top) == pytest.approx((0.0, math.radians(172.0) + turned))
 
 
+def test_a_flat_palm_that_would_point_downwards_is_told_so_unless_its_own_limit_says_as_much() -> None:
+    wide, level = (
+        MotionLimits.from_config(LimitsConfig(phi1_deg=(low, 150.0)), pad_length=0.0555, curvatures=(0.0, 0.0))
+        for low in (-30.0, 0.0)
+    )
+    (said,) = wide.violations(rad(-5, 120))
+    assert said.startswith("phi1 falls to -5°, palm 1 points downwards below")
+    (said,) = level.violations(rad(-5, 120))
+    assert said.startswith("phi1 falls to -5°")
+    assert "downwards" not in said
+
+
 def test_a_dome_that_would_point_downwards_is_told_by_its_palm() -> None:
     dome = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555, curvatures=(-4.0, 0.0))
     (said,) = dome.violations(rad(8, 90))
