@@ -326,6 +326,7 @@ _shtab_palmd_bench_space_options=(
   "--seed[of bodies and motions (default\: 0)]:N:"
   "--seconds[how long each lasts (default\: 20.0)]:S:"
   "--live[in the emulated rig, by the shipped plan, judged tick by tick]"
+  "--exploring[how much of each the palms show when the body is known to who plans, within wider limits than shipped]"
   {-o,--output}"[a JSON line for each run (default\: space.jsonl)]:FILE:_files"
 )
 

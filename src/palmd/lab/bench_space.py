@@ -1,6 +1,7 @@
 """Unknown bodies between three palms in space reconstructed blind from simulated runs, scored against their truth.
 
 Right is a surface within 0.15 mm (RMS) of the truth within 4 degrees of where it was touched, after the best rotation.
+With --exploring nothing is reconstructed: it tells which share of all directions comes within 10 degrees of a contact.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from pathlib import Path
 
 from palmd.console.arguments import count, seconds, seed
 from palmd.lab.space import SpaceRow, reconstructed, report
+from palmd.lab.space_exploring import SpaceExploringRow, explored, told_of_exploring
 from palmd.lab.space_live import SpaceLiveRow, lived, told
 from palmd.rig.three_palms.simulate import KINDS, simulate
 
@@ -25,15 +27,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--kind", choices=(*KINDS, ALL), default=ALL, help="what sort of run (default: %(default)s)")
     add("--seed", type=seed, default=0, metavar="N", help="of bodies and motions (default: %(default)s)")
     add("--seconds", type=seconds, default=20.0, metavar="S", help="how long each lasts (default: %(default)s)")
-    add("--live", action="store_true", help="in the emulated rig, by the shipped plan, judged tick by tick")
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument(
+        "--live", action="store_true", help="in the emulated rig, by the shipped plan, judged tick by tick"
+    )
+    how.add_argument(
+        "--exploring",
+        action="store_true",
+        help="how much of each the palms show when the body is known to who plans, within wider limits than shipped",
+    )
     add("-o", "--output", type=Path, default=Path("space.jsonl"), metavar="FILE",
         help="a JSON line for each run (default: %(default)s)")  # fmt: skip
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Interrupted, it ends with what is finished until then."""
-    if arguments.live:
-        return _live(arguments)
+    if arguments.live or arguments.exploring:
+        return _one_by_one(arguments)
     kinds = tuple(KINDS) if arguments.kind == ALL else (arguments.kind,)
     rows: list[SpaceRow] = []
     path: Path = arguments.output
@@ -56,14 +66,22 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _live(arguments: argparse.Namespace) -> int:
-    rows: list[SpaceLiveRow] = []
+def _one_by_one(arguments: argparse.Namespace) -> int:
+    """Runs that have a seed each; interrupted, it ends with what is finished until then."""
+    live: list[SpaceLiveRow] = []
+    exploring: list[SpaceExploringRow] = []
     path: Path = arguments.output
     with path.open("w", encoding="utf-8") as stream, contextlib.suppress(KeyboardInterrupt):
         for seed_ in range(arguments.seed, arguments.seed + arguments.runs):
-            rows.append(lived(seed_, arguments.seconds))
-            stream.write(json.dumps(rows[-1].line()) + "\n")
+            row: SpaceLiveRow | SpaceExploringRow
+            if arguments.live:
+                row = lived(seed_, arguments.seconds)
+                live.append(row)
+            else:
+                row = explored(seed_, arguments.seconds)
+                exploring.append(row)
+            stream.write(json.dumps(row.line()) + "\n")
             stream.flush()
-    print("\n".join(told(rows)))
+    print("\n".join(told(live) if arguments.live else told_of_exploring(exploring)))
     print(f"written: {path}")
     return 0

@@ -127,7 +127,7 @@ def newton_function() -> ca.Function:
     return ca.Function("newton", [R, omega, x, kappa, body, inputs, gravity], ca.cse(outputs))
 
 
-def _local_function(order: int) -> ca.Function:
+def local_function(order: int) -> ca.Function:
     """(u, s, c) → (q = (x, κ), ∂q/∂u, ∂q/∂s, ∂q/∂c)."""
     u, s, c = SX.sym("u", 3), SX.sym("s", 3), SX.sym("c", count(order))
     surface = SphericalSurface(u, c, order)
@@ -158,7 +158,7 @@ def acceleration_function(order: int) -> ca.Function:
     R, omega, inputs = ca.MX.sym("R", 3, 3), ca.MX.sym("omega", 3), ca.MX.sym("palms", PALM_INPUTS)
     parameters, gravity = ca.MX.sym("p", n + BODY), ca.MX.sym("g")
     c, body = parameters[:n], ca.vertcat(Y00 * parameters[0], parameters[n:])
-    local, newton = _local_function(order), newton_function()
+    local, newton = local_function(order), newton_function()
     q, by_turn, by_omega, by_c = [], [], [], []
     for i in range(3):
         normal, rate = inputs[3 * i : 3 * i + 3], inputs[9 + 3 * i : 12 + 3 * i]

@@ -102,7 +102,7 @@ def simulate(kind: str, count: int, seconds: float, seed: int, rig: ThreePalmsRi
     motion = joints.along(halves)
     points, forces = np.empty((count, steps + 1, 3, 3)), np.empty((count, steps + 1, 3))
     states = np.empty((count, steps + 1, 18))
-    for b, start in enumerate(_started(bodies, rubbing, what, random, described.gravity)):
+    for b, start in enumerate(started(bodies, rubbing, what, random, described.gravity)):
         plant = _alone(bodies, rubbing, b, described.gravity)
         palms = palm_rows(palms_at(*(each[:, b] for each in motion)))
         plant.state[:] = start
@@ -119,7 +119,7 @@ def _alone(bodies: Bodies, rubbing: Rubbing, which: int, gravity: float) -> Body
     return BodyOnPalms(bodies.take(one), rubs, gravity)
 
 
-def _started(
+def started(
     bodies: Bodies, rubbing: Rubbing, kind: Kind, random: np.random.Generator, gravity: float
 ) -> FloatArray:  # fmt: skip
     """(B, 18) at rest in one of its stable poses, or off it with some spin; deep friction and drag make it settle."""

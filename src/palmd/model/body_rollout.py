@@ -1,0 +1,99 @@
+"""What a body between three palms will do while they move: many motions at once, as generated C.
+
+The same dynamics as `model.three_palms`, without sensitivities. The palms' minimum-jerk path is evaluated inside, so
+that one call carries columns, each with its own state and its own move, through one step.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+from palmd.model.compiled import Library, load
+from palmd.model.kernels import of_columns
+from palmd.model.spherical import Y00, count
+from palmd.model.symbolic import SX, ca
+from palmd.model.three_palms import BODY, PalmVectors, local_function, newton_function
+
+STEP_S = 5e-3
+MOVE_INPUTS = 8
+"""Joints at the start and at the end, duration, time since the start."""
+TOLD = 18
+"""Forces of the palms (3, m/s²), contacts a, b (6, m), their outward normals in the body (9): in a step's middle."""
+
+
+def joints_on(move: SX, t: SX) -> tuple[SX, SX, SX]:
+    """Angles, rates, accelerations t (s) after the time that `move` tells: 10u³ − 15u⁴ + 6u⁵, at rest after its end."""
+    start, way, duration = move[0:3], move[3:6] - move[0:3], move[6]
+    u = ca.fmin((move[7] + t) / duration, 1.0)
+    return (
+        start + way * u**3 * (10 + u * (6 * u - 15)),
+        way * 30 * u**2 * (1 - u) ** 2 / duration,
+        way * 60 * u * (1 - u) * (1 - 2 * u) / duration**2,
+    )
+
+
+def edge_axis(angle: SX, rate: SX, acceleration: SX) -> tuple[SX, list[SX]]:
+    """(the palms as the kernels take them, axes (3, 2) of each pad): as `system.three_palms.palms_at`."""
+    edge = SX([1, 0, 0])
+    up, n1 = ca.vertcat(0, ca.cos(angle[0]), ca.sin(angle[0])), ca.vertcat(0, -ca.sin(angle[0]), ca.cos(angle[0]))
+    tilt, tilting = rate[0] * edge, acceleration[0] * edge
+    normals, axes = [n1], [ca.horzcat(edge, up)]
+    spins, spin_rates = [tilt], [tilting]
+    for i, side in ((1, 1.0), (2, -1.0)):
+        cosine, sine = ca.cos(angle[i]), ca.sin(angle[i])
+        normals.append(side * cosine * edge + sine * up)
+        axes.append(ca.horzcat(-side * sine * edge + cosine * up, n1))
+        spins.append(tilt + side * rate[i] * n1)
+        spin_rates.append(tilting + side * (acceleration[i] * n1 + rate[i] * ca.cross(tilt, n1)))
+    rates = [ca.cross(spin, n) for spin, n in zip(spins, normals, strict=True)]
+    bends = [
+        ca.cross(turning, n) + ca.cross(spin, moving)
+        for turning, spin, n, moving in zip(spin_rates, spins, normals, rates, strict=True)
+    ]
+    return ca.vertcat(*normals, *rates, *bends, *spins), axes
+
+
+def _turned(R: SX, by: SX) -> SX:
+    """exp[by]R, to the fourth order of a small turn, and then a step of Newton's towards the nearest rotation."""
+    S = ca.skew(by)
+    after = R + S @ (R + S @ (R + S @ (R + S @ R / 4) / 3) / 2)
+    return after @ (1.5 * SX.eye(3) - 0.5 * after.T @ after)
+
+
+def step_function(order: int) -> ca.Function:
+    """(R, ω, move; p, g) → (R and ω after `STEP_S`, `TOLD`).
+
+    Half of the turn, then the spin by the forces midway, then the other half: of second order. The spin that the
+    forces see is implicit to the first order, so that it is stable however stiff friction is.
+    """
+    n, h = count(order), STEP_S
+    R, omega, move = SX.sym("R", 3, 3), SX.sym("omega", 3), SX.sym("move", MOVE_INPUTS)
+    parameters, gravity = SX.sym("p", n + BODY), SX.sym("g")
+    c, body = parameters[:n], ca.vertcat(Y00 * parameters[0], parameters[n:])
+    inputs, axes = edge_axis(*joints_on(move, SX(h / 2)))
+    palms, midway, local = PalmVectors.of(inputs), _turned(R, h / 2 * omega), local_function(order)
+    x, kappa, by_spin, normals = [], [], [], []
+    for normal, rate in zip(palms.normal, palms.rate, strict=True):
+        u, s = -midway.T @ normal, midway.T @ (ca.cross(omega, normal) - rate)
+        q, _, by_s, _ = local(u, s, c)
+        x.append(q[:3])
+        kappa.append(q[3])
+        by_spin.append(-by_s[3, :] @ midway.T @ ca.skew(normal))
+        normals.append(u)
+    alpha, force, by = newton_function()(midway, omega, ca.vertcat(*x), ca.vertcat(*kappa), body, inputs, gravity)
+    damping = by[:, 3:6] + by[:, 15:18] @ ca.vertcat(*by_spin)
+    after = omega + h * ca.solve(SX.eye(3) - h / 2 * damping, alpha)
+    heights = ca.vertcat(*(ca.dot(u, each) for u, each in zip(normals, x, strict=True)))
+    centre = palms.inverse @ heights
+    contacts = [axis.T @ (centre + midway @ each) for axis, each in zip(axes, x, strict=True)]
+    told = ca.vertcat(force, *contacts, *normals)
+    return ca.Function(
+        "step", [R, omega, move, parameters, gravity], [_turned(midway, h / 2 * after), after, told],
+        ["R", "omega", "move", "p", "g"], ["R_after", "omega_after", "told"],
+    )  # fmt: skip
+
+
+@cache
+def library(order: int) -> Library:
+    """`step_columns`, for outlines up to degree `order`."""
+    return load(f"body_rollout{order}", lambda: [of_columns(step_function(order), "step_columns", ["p", "g"])])

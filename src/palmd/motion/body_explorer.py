@@ -1,0 +1,195 @@
+"""Chooses moves of three palms that show the rest of a body, by trying sequences of them on what is known of it. Pure.
+
+A body lies in a well of the potential and follows it while the palms move; greedy moves show the same stripe again and
+again. What turns it on are strokes out with one palm's friction and back with another's, and wells that end. So each
+decision grows a tree three moves deep, deeper where that shows nothing new, the best few of a level going on, and takes
+the first move of the best sequence; the rest of that is tried again next time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from palmd.events import FloatArray
+from palmd.motion.body_foresight import COLUMNS, Bearings, BodyForesight, ForeseenMoves
+from palmd.motion.limits import MotionLimits
+from palmd.motion.segments import Move
+
+LEVELS, DEEPEST, KEPT = 3, 8, 6
+LITTLE = 0.004  # of the sphere: who shows no more is looked on for deeper
+APART_RAD = 0.1  # of rotations, that those of a level go on from
+NEAR_RAD = math.radians(10.0)  # of a contact curve, where a direction counts as touched
+LEAST_SHARE = 0.12  # of the weight, that each palm bears where a move ends
+LEAST_FORCE = 0.5  # m/s², of any palm on the way
+LEAST_ROOM_M = 3e-3  # of a contact, to its pad's edge
+MOST_SPIN = 8.0  # rad/s
+NOVELTY = 0.03  # of the sphere, that a rotation is worth which is 1 rad from all before
+DECISION_S = 0.3  # that a move costs besides, so that they are not made ever shorter
+SLOWER, SLOWLY = 0.2, 1.5  # share of the moves that take longer than they must, and by how much
+SHORTEST_S = 0.15
+# A move is tried again from so many bearings about those known, off by these one-sigmas, and so long of standing after.
+SAMPLES, OFF_RAD, OFF_RAD_S, STAND_S = 8, 0.03, 0.2, 0.3
+_RATE, _ACCELERATION = 1.875, 10.0 / math.sqrt(3.0)  # the most of a minimum-jerk move's, for way and duration of 1
+
+Bools = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class _MoveSequence:
+    """Some moves: where they lead, what has been touched then and is new of it (a share), how long they take.
+
+    value: a second, places counted where it has not been.
+    """
+
+    bearings: Bearings
+    touched: Bools
+    seconds: float
+    moves: tuple[Move, ...]
+    gain: float
+    value: float
+
+    @property
+    def gained(self) -> float:
+        """What is new, a second."""
+        return self.gain / (self.seconds + DECISION_S)
+
+
+def weight_shares(joints: FloatArray) -> FloatArray:
+    """(N, 3) of a resting body's weight, what each palm's normal force is: N⁻ᵀe_z for joints (N, 3)."""
+    beta, two, three = np.asarray(joints).T
+    across = np.sin(beta) / np.sin(two + three)
+    return np.stack([np.cos(beta), across * np.cos(three), across * np.cos(two)], axis=1)
+
+
+class BodyExplorer:
+    """Decides one move at a time; deterministic for given seed and calls. A decision takes some 0.2 s of a core."""
+
+    def __init__(self, foresight: BodyForesight, limits: MotionLimits, directions: FloatArray, seed: int = 0) -> None:
+        """`directions`: (D, 3) evenly spread, of which as many as possible are to be touched."""
+        self._foresight, self._limits, self._directions = foresight, limits, directions
+        self._random = np.random.default_rng(seed)
+        self._been: list[FloatArray] = []
+        self._plan: tuple[Move, ...] = ()  # what the last decision's sequence goes on with
+        self._low, self._high = np.array(limits.angles).T
+
+    def covered(self, normals: FloatArray) -> Bools:
+        """(D,) which directions lie near any of these (…, 3), of which those that are NaN are none."""
+        cosines = self._directions @ normals.reshape(-1, 3).T
+        return np.asarray((cosines > math.cos(NEAR_RAD)).any(axis=1), np.bool_)
+
+    def decide(self, now: Bearings, touched: Bools) -> Move | None:
+        """The next move from `now` (of one); None where every one that was tried might lose the body."""
+        self._been.append(now.R[0])
+        root = _MoveSequence(now, touched, 0.0, (), 0.0, -math.inf)
+        planned: _MoveSequence | None = root
+        level, found = [root], list[_MoveSequence]()
+        for depth in range(DEEPEST):
+            level, planned = self._grown(level, touched, planned, self._plan[depth : depth + 1])
+            found += level
+            if not level or (depth + 1 >= LEVELS and max(each.gain for each in found) > LITTLE):
+                break
+        if any(each.gain > LITTLE for each in found):
+            found.sort(key=lambda each: -each.gained)
+        else:
+            found.sort(key=lambda each: -each.value)
+        best = list(dict.fromkeys(each.moves[0] for each in found))
+        at_once = COLUMNS // SAMPLES
+        tried = (self._surely_held(now, best[k : k + at_once]) for k in range(0, len(best), at_once))
+        move = next((each for each in tried if each is not None), None)
+        self._plan = next((each.moves[1:] for each in found if each.moves[0] == move), ())
+        return move
+
+    def _surely_held(self, now: Bearings, moves: Sequence[Move]) -> Move | None:
+        """The first of the moves that keeps the body from all bearings that may be; palms stand for a while after."""
+        n = SAMPLES * len(moves)
+        off, spun = self._random.normal(0.0, (OFF_RAD, OFF_RAD_S), (n, 3, 2)).transpose(2, 0, 1)
+        begin = Bearings(_turned(now.R, off), now.omega + spun, np.repeat(now.joints, n, axis=0))
+        ends = np.repeat([move.end for move in moves], SAMPLES, axis=0)
+        foreseen = self._foresight.of(begin, ends, np.repeat([move.duration for move in moves], SAMPLES))
+        after = self._foresight.of(foreseen.after, ends, np.full(n, STAND_S))
+        force, room = (np.minimum(getattr(foreseen, name), getattr(after, name)) for name in ("least_force", "room"))
+        held = ((force > 0.5 * LEAST_FORCE) & (room > 0.5 * LEAST_ROOM_M)).reshape(-1, SAMPLES).all(axis=1)
+        return next((move for move, sure in zip(moves, held, strict=True) if sure), None)
+
+    def _grown(
+        self, level: list[_MoveSequence], touched: Bools, planned: _MoveSequence | None, then: tuple[Move, ...]
+    ) -> tuple[list[_MoveSequence], _MoveSequence | None]:
+        """(the best sequences of one move more, the best first; `planned` and `then`, if that is safe)."""
+        parents = [level[k % len(level)] for k in range(COLUMNS)]
+        follows = planned is not None and len(then) > 0
+        if planned is not None and follows:
+            parents[0] = planned
+        begin = Bearings(*(np.concatenate([getattr(each.bearings, k) for each in parents]) for k in Bearings.__slots__))
+        ends = self._drawn(begin.joints)
+        if follows:
+            ends[0] = then[0].end
+        way = np.abs(ends - begin.joints).max(axis=1)
+        least = np.maximum(_RATE * way / self._limits.rate, np.sqrt(_ACCELERATION * way / self._limits.acceleration))
+        longer = np.where(self._random.random(COLUMNS) < SLOWER, SLOWLY, 1.0)
+        durations = np.maximum(least * longer, SHORTEST_S)
+        if follows:
+            durations[0] = then[0].duration
+        foreseen = self._foresight.of(begin, ends, durations)
+        found: dict[int, _MoveSequence] = {}
+        for k in np.flatnonzero(_safe(foreseen)).tolist():
+            parent, after = parents[k], foreseen.after.some(np.array([k]))
+            seen = parent.touched | self.covered(foreseen.normals[k])
+            seconds = parent.seconds + float(durations[k])
+            gain = (np.count_nonzero(seen) - np.count_nonzero(touched)) / len(touched)
+            value = (gain + NOVELTY * self._novelty(after.R[0])) / (seconds + DECISION_S)
+            move = Move(tuple(begin.joints[k].tolist()), tuple(ends[k].tolist()), float(durations[k]))
+            found[k] = _MoveSequence(after, seen, seconds, (*parent.moves, move), gain, value)
+        return _apart(sorted(found.values(), key=lambda each: -each.value)), found.get(0) if follows else None
+
+    def _novelty(self, rotation: FloatArray) -> float:
+        """How far a rotation is from all before (rad), no more than 1."""
+        return min(float(_chords(np.stack(self._been), rotation).min()), 1.0)
+
+    def _drawn(self, start: FloatArray) -> FloatArray:
+        """Ends of moves from (N, 3): in corners, of one joint, near by, anywhere; where all palms bear the body."""
+        n, random = len(start), self._random
+        anywhere = random.uniform(self._low, self._high, (n, 3))
+        corners = np.where(random.random((n, 3)) < 0.5, self._low, self._high)
+        alone = np.where(np.arange(3) == random.integers(3, size=n)[:, None], anywhere, start)
+        near = np.clip(start + random.normal(0.0, 0.15, (n, 3)), self._low, self._high)
+        kinds = np.stack([corners, alone, near, anywhere])
+        ends: FloatArray = kinds[random.choice(4, size=n, p=(0.3, 0.28, 0.13, 0.29)), np.arange(n)]
+        inside = weight_shares(start).min(axis=1)
+        for _ in range(6):  # back towards the middle of what is allowed, until all of them bear
+            bad = weight_shares(ends).min(axis=1) < np.minimum(LEAST_SHARE, inside)
+            ends[bad] += 0.3 * (0.5 * (self._low + self._high) - ends[bad])
+        return ends
+
+
+def _chords(rotations: FloatArray, other: FloatArray) -> FloatArray:
+    """(N,) how far rotations (N, 3, 3) are from another: about the angle between them (rad) where that is small."""
+    return np.asarray(np.sqrt(0.5 * ((rotations - other) ** 2).sum(axis=(1, 2))))
+
+
+def _apart(ranked: list[_MoveSequence]) -> list[_MoveSequence]:
+    """The first few that end in different rotations."""
+    kept: list[_MoveSequence] = []
+    for each in ranked:
+        ends = [other.bearings.R[0] for other in kept]
+        if not ends or _chords(np.stack(ends), each.bearings.R[0]).min() > APART_RAD:
+            kept.append(each)
+        if len(kept) == KEPT:
+            break
+    return kept
+
+
+def _turned(rotations: FloatArray, by: FloatArray) -> FloatArray:
+    """(N, 3, 3) rotations (1, 3, 3) turned by small vectors (N, 3)."""
+    skew = np.cross(by[:, None], np.eye(3)).transpose(0, 2, 1)
+    turned, _ = np.linalg.qr((np.eye(3) + skew) @ rotations)
+    return np.asarray(turned * np.sign(np.einsum("nij,nij->nj", turned, (np.eye(3) + skew) @ rotations))[:, None])
+
+
+def _safe(foreseen: ForeseenMoves) -> Bools:
+    fast = foreseen.spin > MOST_SPIN
+    return (foreseen.least_force > LEAST_FORCE) & (foreseen.room > LEAST_ROOM_M) & ~fast

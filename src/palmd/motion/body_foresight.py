@@ -1,0 +1,96 @@
+"""What a body between three palms will do on many moves at once. Pure; not for the loop."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.model import body_rollout
+from palmd.model.body_rollout import MOVE_INPUTS, STEP_S, TOLD
+from palmd.model.compiled import LANES
+from palmd.model.spherical import count
+from palmd.model.three_palms import BODY
+
+COLUMNS = 48  # moves side by side
+EVERY = 4  # steps, of whose first the normals are told
+_FORCES, _CONTACTS, _NORMALS = slice(0, 3), slice(3, 9), slice(9, 18)
+
+
+@dataclass(frozen=True, slots=True)
+class Bearings:
+    """N rotations to the world (N, 3, 3), spins in it (N, 3) (rad/s), joints of the palms at rest (N, 3) (rad)."""
+
+    R: FloatArray
+    omega: FloatArray
+    joints: FloatArray
+
+    def some(self, which: FloatArray) -> Bearings:
+        """Those of the given numbers."""
+        return Bearings(self.R[which], self.omega[which], self.joints[which])
+
+
+@dataclass(frozen=True, slots=True)
+class ForeseenMoves:
+    """What comes of N moves. after: when they have ended. least_force: (N,) of any palm on the way (m/s²).
+
+    room: (N,) from any contact to its pad's edge, the least on the way (m). spin: (N,) the most (rad/s). normals:
+    (N, T, 3 palms, 3) outward in the body where it was touched, every 20 ms, NaN after a move's end. A body that is no
+    more between the palms has a force of −inf.
+    """
+
+    after: Bearings
+    least_force: FloatArray
+    room: FloatArray
+    spin: FloatArray
+    normals: FloatArray
+
+
+class BodyForesight:
+    """Rolls the model forward, of a body with parameters p of `model.three_palms`; holds the kernel's memory."""
+
+    def __init__(self, p: FloatArray, gravity: float, pad_side: float) -> None:
+        """`gravity` (m/s²), `pad_side` (m); takes a minute when its C has to be compiled first."""
+        order = math.isqrt(len(p) - BODY) - 1
+        assert len(p) == count(order) + BODY, "other parameters than those of the model"
+        self._side = pad_side
+        sizes = (9, 3, MOVE_INPUTS)
+        self._R, self._omega, self._move = (np.zeros((COLUMNS, size)) for size in sizes)
+        self._R_after, self._omega_after, self._told = (np.zeros((COLUMNS, size)) for size in (9, 3, TOLD))
+        inputs = [self._R, self._omega, self._move, np.array(p, np.float64), np.array([gravity])]
+        outputs = [self._R_after, self._omega_after, self._told]
+        self._step = body_rollout.library(order).bind("step_columns", inputs, outputs)
+
+    def of(self, begin: Bearings, ends: FloatArray, durations: FloatArray) -> ForeseenMoves:
+        """Of N moves, `COLUMNS` at most, from rest at `begin.joints` to rest at `ends` (N, 3) (rad); durations in s."""
+        n = len(ends)
+        steps = np.ceil(durations / STEP_S - 1e-9).astype(np.intp)
+        self._R[:n] = np.swapaxes(begin.R, 1, 2).reshape(-1, 9)
+        self._omega[:n] = begin.omega
+        self._move[:n] = np.column_stack([begin.joints, ends, durations, np.zeros(n)])
+        for each in (self._R, self._omega, self._move):
+            each[n:] = each[0]
+        turned, spun = np.empty((n, 9)), np.empty((n, 3))
+        path, spin = np.full((n, int(steps.max()), TOLD), np.nan), np.zeros(n)
+        columns = -(-n // LANES) * LANES
+        for k in range(path.shape[1]):
+            self._step(columns)
+            self._R[:], self._omega[:] = self._R_after, self._omega_after
+            self._move[:, 7] += STEP_S
+            going, ended = k < steps, k == steps - 1
+            path[going, k] = self._told[:n][going]
+            spin[going] = np.maximum(spin[going], np.linalg.norm(self._omega[:n][going], axis=1))
+            turned[ended], spun[ended] = self._R[:n][ended], self._omega[:n][ended]
+        force, contacts = path[..., _FORCES], path[..., _CONTACTS].reshape(n, -1, 3, 2)
+        middle = np.array([[0.0, 0.5], [0.5, 0.5], [0.5, 0.5]]) * self._side
+        room = 0.5 * self._side - np.abs(contacts - middle)
+        finite = np.isfinite(turned).all(axis=1) & np.isfinite(spin)
+        return ForeseenMoves(
+            Bearings(np.swapaxes(turned.reshape(-1, 3, 3), 1, 2), spun, ends),
+            np.where(finite, np.nanmin(force, axis=(1, 2)), -np.inf),
+            np.nanmin(room, axis=(1, 2, 3)),
+            spin,
+            path[:, ::EVERY, _NORMALS].reshape(n, -1, 3, 3),
+        )

@@ -1,0 +1,159 @@
+"""Foreseeing what a body between three palms will do, and choosing moves that show the rest of it."""
+
+import dataclasses
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+
+from palmd.lab import space_exploring
+from palmd.lab.space_exploring import WIDE, known_parameters
+from palmd.motion import body_explorer
+from palmd.motion.body_explorer import DECISION_S, LEAST_SHARE, BodyExplorer, weight_shares
+from palmd.motion.body_foresight import COLUMNS, Bearings, BodyForesight
+from palmd.motion.segments import Move
+from palmd.motion.three_palms import TiltLimits
+from palmd.observer.three_palms import kernels, rotation
+from palmd.observer.three_palms.icosphere import icosphere
+from palmd.observer.three_palms.kernels import by_columns, palm_inputs
+from palmd.rig.three_palms.simulate import REST_POSE
+from palmd.system.three_palms import palms_at
+
+GRAVITY, SIDE, SEED = 9.81, 0.075, 4
+SPIN = (2.0, -1.5, 1.0)
+LIMITS = TiltLimits.over(WIDE, 1e3 * SIDE)
+
+
+@cache
+def stand():
+    """A body at rest, and what is known of it."""
+    there = space_exploring.BodyStand(SEED, GRAVITY)
+    return there, known_parameters(there.plant.body, there.plant.rubbing)
+
+
+def bearings(count, omega=(0.0, 0.0, 0.0)):
+    R = stand()[0].bearings[0]
+    return Bearings(np.repeat(R, count, axis=0), np.tile(omega, (count, 1)), np.tile(REST_POSE, (count, 1)))
+
+
+def integrated(move, R, omega, p, h=5e-4):
+    """Rotation and spin at a move's end by the observer's kernel and Heun's method in small steps; the normals."""
+    acceleration, normals = kernels.acceleration(8), []
+
+    def rates(t, R, omega):
+        at = move.at(t)
+        each = (np.array([getattr(at, name)]) for name in ("angles", "rates", "accelerations"))
+        planes = palms_at(*each)
+        out = acceleration((by_columns(R[None]), omega[None], palm_inputs(planes)), (p, GRAVITY))
+        return out[0][0], -planes.normal[0] @ R
+
+    for k in range(round(move.duration / h)):
+        first, touched = rates(k * h, R, omega)
+        ahead = rotation.exp(h * (omega + 0.5 * h * first)) @ R
+        second, _ = rates((k + 1) * h, ahead, omega + h * first)
+        R = rotation.exp(h * (omega + 0.25 * h * (first + second))) @ R
+        omega = omega + 0.5 * h * (first + second)
+        normals.append(touched)
+    return R, omega, np.array(normals)
+
+
+def test_what_is_foreseen_is_what_the_observers_equations_lead_to():
+    p = stand()[1]
+    ends = np.array([[1.05, 0.7, 0.9], [0.8, 0.9, 0.75], *np.tile(REST_POSE, (COLUMNS - 2, 1))])
+    durations = np.array([0.3, 0.24, *np.full(COLUMNS - 2, 0.2)])
+    foreseen = BodyForesight(p, GRAVITY, SIDE).of(bearings(COLUMNS, SPIN), ends, durations)
+    for k in range(2):
+        move = Move(tuple(REST_POSE.tolist()), tuple(ends[k].tolist()), float(durations[k]))
+        R, omega, normals = integrated(move, stand()[0].bearings[0][0], np.array(SPIN), p)
+        np.testing.assert_allclose(foreseen.after.R[k], R, atol=5e-4)
+        np.testing.assert_allclose(foreseen.after.omega[k], omega, atol=3e-3)
+        told = foreseen.normals[k][np.isfinite(foreseen.normals[k][:, 0, 0])]
+        assert len(told) == math.ceil(durations[k] / 0.02)
+        np.testing.assert_allclose(told, normals[5::40], atol=6e-4)
+        assert np.array_equal(foreseen.after.joints[k], ends[k])
+
+
+def test_a_body_at_rest_stays_and_its_palms_bear_its_weight():
+    foreseen = BodyForesight(stand()[1], GRAVITY, SIDE).of(bearings(3), np.tile(REST_POSE, (3, 1)), np.full(3, 0.4))
+    share = GRAVITY * weight_shares(REST_POSE[None])[0]
+    assert foreseen.least_force == pytest.approx(np.full(3, share.min()), rel=0.05)
+    assert (foreseen.spin < 0.3).all()  # what harmonics do not hold of the body lets it settle a little
+
+
+def test_shares_of_the_weight_are_those_of_statics():
+    still, pose = np.zeros((1, 3)), np.array([[0.7, 0.5, 1.1]])
+    normal = palms_at(pose, still, still).normal[0]
+    np.testing.assert_allclose(weight_shares(pose)[0] @ normal, [0.0, 0.0, 1.0], atol=1e-12)
+
+
+def explorer(limits=LIMITS, seed=0):
+    return BodyExplorer(BodyForesight(stand()[1], GRAVITY, SIDE), limits, icosphere(2)[0], seed)
+
+
+def test_moves_keep_the_limits_and_end_where_all_palms_bear_the_body():
+    who, touched = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_)
+    move = who.decide(bearings(1), touched)
+    assert move is not None
+    assert move.start == tuple(REST_POSE.tolist())
+    for t in np.linspace(0.0, move.duration, 50):
+        values = LIMITS.values(move.at(t))
+        assert all(bound.problem(value, value) is None for bound, value in zip(LIMITS.bounds, values, strict=True))
+    ends = who._drawn(np.tile(REST_POSE, (COLUMNS, 1)))
+    assert weight_shares(ends).min() > 0.8 * LEAST_SHARE
+
+
+def test_what_has_been_touched_is_worth_nothing_more():
+    who, begin = explorer(), bearings(1)
+    none = np.zeros(len(icosphere(2)[0]), np.bool_)
+    who._been.append(begin.R[0])
+    root = body_explorer._MoveSequence(begin, none, 0.0, (), 0.0, 0.0)
+    fresh, _ = who._grown([root], none, None, ())
+    assert [each.value for each in fresh] == sorted((each.value for each in fresh), reverse=True)
+    assert fresh[0].gain == fresh[0].touched.mean() > 2 * body_explorer.NOVELTY
+    again, _ = who._grown([dataclasses.replace(root, touched=~none)], ~none, None, ())
+    assert max(each.gain for each in again) == 0.0
+    assert max(each.value * (each.seconds + DECISION_S) for each in again) <= body_explorer.NOVELTY  # of new places
+
+
+def test_the_rest_of_a_sequence_is_tried_again():
+    who, none = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_)
+    move = who.decide(bearings(1), none)
+    then = who._plan
+    there = who._foresight.of(bearings(1), np.array([move.end]), np.array([move.duration])).after
+    root = body_explorer._MoveSequence(there, none, 0.0, (), 0.0, 0.0)
+    assert then
+    _, planned = who._grown([root], none, root, then[:1])
+    assert planned is not None
+    assert planned.moves == then[:1]
+    assert who._grown([root], none, None, then[:1])[1] is None  # where its beginning was not safe
+
+
+def test_where_every_move_might_lose_the_body_there_is_none(monkeypatch):
+    monkeypatch.setattr(body_explorer, "LEAST_FORCE", 20.0)
+    assert explorer().decide(bearings(1), np.zeros(len(icosphere(2)[0]), np.bool_)) is None
+
+
+def test_a_move_that_would_throw_the_body_gives_way_to_the_next(monkeypatch):
+    rest = tuple(REST_POSE.tolist())
+    thrown, gentle = Move(rest, (1.2, 0.5, 1.0), 0.06), Move(rest, (0.95, 0.78, 0.8), 0.5)
+    who = explorer()
+    assert who._surely_held(bearings(1), [thrown, gentle]) is gentle
+    assert who._surely_held(bearings(1), [thrown]) is None
+    monkeypatch.setattr(body_explorer, "OFF_RAD_S", 60.0)  # it may be spinning wildly
+    assert who._surely_held(bearings(1), [gentle]) is None
+
+
+def test_rotations_are_turned_by_small_vectors():
+    by = np.random.default_rng(1).normal(0.0, 0.03, (5, 3))
+    turned = body_explorer._turned(bearings(1).R, by)
+    np.testing.assert_allclose(turned, rotation.exp(by) @ bearings(1).R, atol=3e-3)
+    np.testing.assert_allclose(turned @ turned.transpose(0, 2, 1), np.tile(np.eye(3), (5, 1, 1)), atol=1e-12)
+
+
+def test_a_few_seconds_of_exploring_show_more_than_where_it_lay():
+    row = space_exploring.explored(SEED, 2.0)
+    assert math.isnan(row.lost)
+    assert row.coverage[-1] > 0.12
+    line = space_exploring.SpaceExploringRow(**{**row.line(), "lost": math.nan})
+    assert next(space_exploring.told_of_exploring([line])).startswith("       4: μ 0.")
