@@ -68,6 +68,7 @@ def explained_smoothly(search: Search, told: Reconstruction) -> bool:
 
     On a rig as it is taken for, or on any.
     """
+    assert told.h is not None  # of what is claimed
     since, until = np.searchsorted(search.record.t, (told.t[0], told.t[-1]))
     record = search.record.between(int(since), min(int(until), len(search.record.dt)))
     psi, omega0 = (np.interp(record.t, told.t, each) for each in (told.psi, told.omega0))
