@@ -36,6 +36,7 @@ class Track:
     coverage: Coverage
     valid: bool = False
     predictable: bool = False
+    vouched_for: bool = False
     t_unlikely: float | None = None
     surprise: Surprise = field(default_factory=Surprise)
     riding: Riding = field(default_factory=Riding)
