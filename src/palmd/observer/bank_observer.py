@@ -166,7 +166,7 @@ class BankObserver:
                 session.stop()
             elif fusion.palms_known(t):
                 fusion.add(event)
-                if isinstance(event, PadSample) and self._rolls_or_rides():
+                if isinstance(event, PadSample) and self._link is not None and not self._rig.curved:
                     opening = float(fusion.palms.at(t)[OPENING])
                     session.track.riding.read(event, opening, float(self._rig.reading_variances[event.pad - 1]))
         if session.track is None:
@@ -303,9 +303,10 @@ class BankObserver:
         """Whether it may only turn with a palm, as what lies on a flat side does, for all that is known.
 
         A bank takes that for a smooth object, however far off, and so may a smoother whose outline is not sharp yet.
+        What has been felt to have a corner no smooth outline is of, whoever tells it.
         """
-        if not self._rolls_or_rides():
-            return False
+        if track.riding.cornered or not self._rolls_or_rides():
+            return track.riding.cornered
         return track.riding.likely if track.smoothed else not track.riding.excluded
 
     def _rolls_or_rides(self) -> bool:

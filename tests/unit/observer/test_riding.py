@@ -44,6 +44,18 @@ def test_a_ride_is_likely_once_the_palms_have_turned_far_and_do_not_contradict_i
     assert not told({1: RIDDEN[:20], 2: ROLLING[:20]}, near).likely
 
 
+def test_a_corner_is_felt_and_not_forgotten():
+    riding = told({1: RIDDEN, 2: ROLLING}, OPENINGS)
+    assert riding.cornered
+    for s in (10e-3, 20e-3) * 100:
+        riding.read(PadSample(3.0, 1, s), 1.6, NOISE_M**2)
+    assert riding.excluded
+    assert riding.cornered
+    round_one = (15e-3 + 10e-3 * np.cos(OPENINGS)) / np.sin(OPENINGS)
+    assert told({1: round_one, 2: ROLLING}, OPENINGS).likely
+    assert not told({1: round_one, 2: ROLLING}, OPENINGS).cornered
+
+
 def test_nothing_that_rests_excludes_a_ride():
     still = np.full(200, 15e-3)
     assert not told({1: still, 2: still}, np.full(200, 1.6)).excluded
@@ -65,9 +77,11 @@ def watched(run, smoother_takes_s: float) -> int:
     return valid
 
 
-@pytest.mark.parametrize(("of_a_ride", "ticks"), [("excluded", 20), ("likely", 0), ("untold", 0)])
+@pytest.mark.parametrize(("of_a_ride", "ticks"), [("excluded", 20), ("likely", 0), ("untold", 0), ("cornered", 0)])
 def test_a_bank_vouches_alone_only_for_what_is_known_to_roll(monkeypatch, of_a_ride, ticks):
-    monkeypatch.setattr(Riding, "excluded", of_a_ride == "excluded")
+    monkeypatch.setattr(Riding, "excluded", of_a_ride in ("excluded", "cornered"))
+    monkeypatch.setattr(Riding, "_sharp", lambda *_: of_a_ride == "cornered")
+    monkeypatch.setattr(Riding, "_told", True)
     monkeypatch.setattr(Riding, "likely", of_a_ride == "likely")
     valid = watched(simulated("nominal", 9500, 1.2), NEVER)
     assert (valid > ticks) if ticks else (valid == 0)
