@@ -299,6 +299,8 @@ _shtab_palmd_bench_simulate_options=(
   "--seed[of --standstill, --clean, --long]:N:"
   "--reach[each seed seeks one fault in every state, for every command to find it\; default\: all of them once]"
   "--coarse[for more hours\: longer steps of the rig, adapters that deliver each 4 ms]"
+  "--rate[of the daemon\'s loop\; default\: 100]:HZ:"
+  "--jobs[of --seeds\: so many processes\; default\: 1]:J:"
   "--keep[of one seed\'s happenings only these]:N,N…:"
   "--list[tell a single seed\'s happenings]"
   "--unreached[tell every (state, fault, command) that was not seen]"

@@ -349,7 +349,7 @@ FAULTS: tuple[Fault, ...] = (
         "no-realtime",
         Severity.NOTE,
         "palmd runs without real-time priority or locked memory; the log says what is missing",
-        "run it as the systemd service, or allow this user rtprio and memlock",
+        "run it as the systemd service, or give this user the rights: the log and palmd doctor tell the command",
     ),
 )
 """Every fault there is; where several stand they are told in this order."""

@@ -23,7 +23,7 @@ from palmd.config import AnyConfig, BusConfig
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.console.shipped import shipped
 from palmd.harness.comparison import AnyComparison
-from palmd.harness.operator import Operator
+from palmd.harness.operator import Operator, do, still_wanted
 from palmd.harness.processes import StopRequest
 from palmd.harness.stack import Stack
 from palmd.rig.imperfections import perfect
@@ -131,6 +131,9 @@ def _operate(stack: Stack, comparison: AnyComparison, stop: StopRequest, seconds
 
 
 def _is_done(client: CommandClient, command: str) -> bool:
+    """Give a command that the bus has called for, if the daemon still does."""
+    if not still_wanted(command, do(client, "status")):
+        return False
     reply = client.ask(command)
     if not reply["ok"]:
         _tell(f"{command}: {reply.get('error')}")

@@ -6,6 +6,7 @@ import contextlib
 import ctypes
 import gc
 import os
+import pwd
 import resource
 import sys
 from pathlib import Path
@@ -45,6 +46,19 @@ def accompany() -> None:
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY - 1))
 
 
+def allowing(right: str) -> str:
+    """The command that gives this user a right for good, from when they log in again."""
+    return f"echo '{user()} - {right}' | sudo tee -a /etc/security/limits.d/palmd.conf, and log in again"
+
+
+def user() -> str:
+    """Whose rights these are."""
+    try:
+        return pwd.getpwuid(os.getuid()).pw_name
+    except KeyError:
+        return str(os.getuid())
+
+
 def freeze_collector() -> None:
     """Take everything made so far out of the collector's sight. Once all is set up."""
     gc.collect()
@@ -65,10 +79,8 @@ def _prioritise(priority: int) -> str | None:
     try:
         os.sched_setscheduler(0, policy, os.sched_param(priority))
     except OSError as error:
-        return (
-            f"no real-time priority ({error.strerror}): run palmd as its systemd service, "
-            f"or allow this user rtprio {priority} in /etc/security/limits.conf"
-        )
+        how = allowing(f"rtprio {priority}")
+        return f"no real-time priority ({error.strerror}): run palmd as its systemd service, or: {how}"
     return None
 
 
@@ -81,7 +93,7 @@ def _lock_memory() -> str | None:
     """
     limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     if limit != resource.RLIM_INFINITY and not _may_lock():
-        return "memory is not locked: run palmd as its systemd service, or allow this user memlock unlimited"
+        return f"memory is not locked: run palmd as its systemd service, or: {allowing('memlock unlimited')}"
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT) != 0:
         return f"memory is not locked ({os.strerror(ctypes.get_errno())})"

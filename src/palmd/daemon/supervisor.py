@@ -189,6 +189,7 @@ class Supervisor:
         status = {
             "state": str(self.state),
             "cause": self.cause,
+            "wish": self.wish,
             "faults": [fault.code for fault in faults],
             "severities": [str(fault.severity) for fault in faults],
             "hints": [fault.hint for fault in faults],

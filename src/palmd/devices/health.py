@@ -7,8 +7,11 @@ from collections.abc import Iterator, Mapping
 Limits = Mapping[str, tuple[float, int, str]]
 """By condition: the share that is too many when it is exceeded, among how many or more, and what they are."""
 
+CUT_BYTES = 11
+"""Of the longest packet, a strip's, when a port is opened in the middle of it: no damage."""
+
 SERIAL_PAD: Limits = {
-    "garbled": (0.2, 24, "bytes"),
+    "garbled": (0.2, 5 * CUT_BYTES, "bytes"),
     "out-of-range": (0.2, 10, "packets"),
     "batched": (0.5, 10, "packets"),
 }

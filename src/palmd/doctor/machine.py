@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.metadata
 import os
-import pwd
 import re
 import resource
 import shutil
@@ -13,6 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from palmd.console.folders import nearest, takes_files
+from palmd.daemon.realtime import PRIORITY, allowing, user
 from palmd.doctor.finding import Finding
 
 PROC = Path("/proc")
@@ -88,12 +88,10 @@ def observers() -> Finding:
 
 def real_time() -> Finding:
     """Whether this user may have the loop's priority; the service has it in any case."""
-    from palmd.daemon.realtime import PRIORITY
-
     allowed, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
     if allowed >= PRIORITY or allowed == resource.RLIM_INFINITY or _capable(_CAP_SYS_NICE):
         return Finding("real time", "ok", f"priority {PRIORITY} is allowed")
-    mend = f"echo '{user()} - rtprio {PRIORITY}' | sudo tee -a /etc/security/limits.d/palmd.conf, or run the service"
+    mend = f"{allowing(f'rtprio {PRIORITY}')}; or run the service"
     return Finding("real time", "missing", f"no right to priority {PRIORITY}", mend)
 
 
@@ -102,7 +100,7 @@ def locked_memory() -> Finding:
     limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     if limit == resource.RLIM_INFINITY or _capable(_CAP_IPC_LOCK):
         return Finding("locked memory", "ok", "no limit")
-    mend = f"echo '{user()} - memlock unlimited' | sudo tee -a /etc/security/limits.d/palmd.conf, or run the service"
+    mend = f"{allowing('memlock unlimited')}; or run the service"
     return Finding("locked memory", "missing", f"limited to {limit / 1e6:.1f} MB", mend)
 
 
@@ -113,14 +111,6 @@ def _capable(capability: int) -> bool:
         return False
     found = re.search(r"^CapEff:\s*([0-9a-f]+)", status, re.MULTILINE)
     return found is not None and bool(int(found[1], 16) >> capability & 1)
-
-
-def user() -> str:
-    """Whose rights these are."""
-    try:
-        return pwd.getpwuid(os.getuid()).pw_name
-    except KeyError:
-        return str(os.getuid())
 
 
 def runs(folder: Path) -> Finding:

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from palmd.config import Config, DynamixelConfig, PadConfig
+from palmd.daemon.realtime import user
 from palmd.doctor.finding import Finding
-from palmd.doctor.machine import user
 
 PROC = Path("/proc")
 USB_SERIAL = Path("/sys/bus/usb-serial/devices")

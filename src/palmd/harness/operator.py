@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import yaml
@@ -73,17 +73,31 @@ class Operator:
         return wanted
 
     def _wish(self) -> str | None:
-        severities = set(self.state.get("severities", ()))
-        match self.state.get("state"):
-            case "ready" if "stop" not in severities:
-                return "arm"
-            case "tracking" if not self.moves:
-                return "start"
-            case "hold" if not severities & {"hold", "stop"}:
-                return "start"
-            case "fault":
-                return "reset"
-        return None
+        return _next(self.state.get("state"), self.state.get("severities", ()), moves=self.moves)
+
+
+def still_wanted(command: str, status: Status) -> bool:
+    """Whether the daemon's own `status` calls for a command that an operator would give by what the bus has brought.
+
+    On a busy machine that may be seconds old, and somebody may have held or stopped the palms since.
+    """
+    moves = status["segment"] >= 0
+    return not status["wish"] and _next(status["state"], status["severities"], moves=moves) == command
+
+
+def _next(state: str | None, severities: Iterable[str], *, moves: bool) -> str | None:
+    """What leads on from a state, if anything does."""
+    standing = set(severities)
+    match state:
+        case "ready" if "stop" not in standing:
+            return "arm"
+        case "tracking" if not moves:
+            return "start"
+        case "hold" if not standing & {"hold", "stop"}:
+            return "start"
+        case "fault":
+            return "reset"
+    return None
 
 
 class PlanRun:

@@ -14,13 +14,20 @@ import secrets
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from functools import partial
 from statistics import median
+from typing import NoReturn
 
+from palmd.cli import INTERRUPTED
 from palmd.console.arguments import count, seconds
 from palmd.console.errors import BAD_INPUT
 from palmd.console.progress import Progress
-from palmd.lab.simulation.happenings import Scenario, coarsened, drawn
+from palmd.lab import runs
+from palmd.lab.rows import on_this_machine, terminable
+from palmd.lab.simulation.happenings import RATE_HZ, Scenario, coarsened, drawn
 from palmd.lab.simulation.long import BLOCK_S, Life, calm, live, troubled
 from palmd.lab.simulation.reach import SOUGHT, sought
 from palmd.lab.simulation.reached import Triple, never_reached
@@ -64,6 +71,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--coarse", action="store_true", help="for more hours: longer steps of the rig, adapters that deliver each 4 ms"
     )
+    add("--rate", type=float, default=RATE_HZ, metavar="HZ", help="of the daemon's loop; default: %(default)g")
+    add("--jobs", type=count, default=1, metavar="J", help="of --seeds: so many processes; default: %(default)s")
     add("--keep", type=_numbers, metavar="N,N…", help="of one seed's happenings only these")
     add("--list", action="store_true", help="tell a single seed's happenings")
     add("--unreached", action="store_true", help="tell every (state, fault, command) that was not seen")
@@ -89,46 +98,69 @@ def run(arguments: argparse.Namespace) -> int:
     if (arguments.keep is not None or arguments.list) and not single:
         print("--keep and --list are for one seed: --seeds A..A", file=sys.stderr)
         return BAD_INPUT
-    begun = time.process_time()
-    simulated_s, done, failed = 0.0, 0, 0
+    simulated_s, spent, done, failed = 0.0, 0.0, 0, 0
     seen: Counter[Triple] = Counter()
     sometimes: Counter[str] = Counter()
     total = 0 if told is None else len(told)
+    interrupted = False
     with Progress("simulate", total, "runs") as progress:
-        for seed in seeds:
-            outcome = _outcome(seed, arguments)
-            done += 1
-            simulated_s += outcome.simulated_s
-            seen += outcome.seen
-            sometimes += outcome.sometimes
-            if arguments.list:
-                _list(outcome.scenario)
-            if outcome.breach is not None:
-                failed += 1
-                how = "--reach " * arguments.reach + "--coarse " * arguments.coarse
-                _tell(outcome, f"{how}--seeds", shrink=arguments.keep is None)
-            elif single:
-                print(f"seed {seed}: every invariant held; digest {outcome.digest}")
-            if total:
-                progress.at(done)
-    spent = time.process_time() - begun
+        try:
+            for outcome, took_s in _outcomes(seeds, arguments):
+                seed = outcome.scenario.seed
+                done += 1
+                simulated_s, spent = simulated_s + outcome.simulated_s, spent + took_s
+                seen += outcome.seen
+                sometimes += outcome.sometimes
+                if arguments.list:
+                    _list(outcome.scenario)
+                if outcome.breach is not None:
+                    failed += 1
+                    how = "--reach " * arguments.reach + "--coarse " * arguments.coarse
+                    how += f"--rate {arguments.rate:g} " * (arguments.rate != RATE_HZ)
+                    _tell(outcome, f"{how}--seeds", shrink=arguments.keep is None)
+                elif single:
+                    print(f"seed {seed}: every invariant held; digest {outcome.digest}")
+                if total:
+                    progress.at(done)
+        except KeyboardInterrupt:
+            interrupted = True
+            print("interrupted; until then:")
     print(
         f"{done} runs, {simulated_s / 3600:.2f} simulated hours, {failed} with a broken invariant; "
         f"{simulated_s / max(spent, 1e-9):.1f} simulated hours per processor hour"
     )
     print(f"sometimes: {', '.join(f'{name} {number}' for name, number in sorted(sometimes.items()))}")
     _tell_reached(seen, whole=arguments.unreached)
-    return BAD_INPUT if failed else 0
+    return BAD_INPUT if failed else INTERRUPTED if interrupted else 0
 
 
-def _outcome(seed: int, arguments: argparse.Namespace) -> Outcome:
-    """What comes of a seed; of the happenings to keep only, if told so: a director's are known when it has run."""
-    keep: Sequence[int] | None = arguments.keep
-    if not arguments.reach:
-        scenario = coarsened(drawn(seed)) if arguments.coarse else drawn(seed)
-        return simulate(scenario if keep is None else scenario.keeping(keep))
-    outcome = simulate(sought(seed))
-    return outcome if keep is None else simulate(outcome.scenario.keeping(keep))
+def _outcomes(seeds: Iterable[int], arguments: argparse.Namespace) -> Iterator[tuple[Outcome, float]]:
+    """What comes of each seed, and the processor time (s) it took, as they are finished; in this process or others."""
+    run = partial(_outcome, keep=arguments.keep, reach=arguments.reach, coarse=arguments.coarse, rate_hz=arguments.rate)
+    if arguments.jobs == 1 or not isinstance(seeds, range):
+        yield from map(run, seeds)
+        return
+    with terminable(), ExitStack() as stack:
+        yield from runs.finished(on_this_machine(arguments.jobs)(stack), run, _ended, seeds)
+
+
+def _outcome(
+    seed: int, *, keep: Sequence[int] | None, reach: bool, coarse: bool, rate_hz: float
+) -> tuple[Outcome, float]:
+    """Of the happenings to keep only, if told so: a director's are known when it has run."""
+    begun = time.process_time()
+    scenario = replace(sought(seed) if reach else drawn(seed), rate_hz=rate_hz)
+    if coarse and not reach:
+        scenario = coarsened(scenario)
+    if reach and keep is not None:
+        scenario = simulate(scenario).scenario
+    outcome = simulate(scenario if keep is None else scenario.keeping(keep))
+    return outcome, time.process_time() - begun
+
+
+def _ended(seed: int, error: BaseException) -> NoReturn:
+    """A run that raised is a bug of the simulation's own."""
+    raise RuntimeError(f"seed {seed}: {error!r}") from error
 
 
 def _tell_life(life: Life) -> int:

@@ -8,6 +8,7 @@ import msgpack
 import numpy as np
 
 from palmd.blas import one_thread
+from palmd.events import FloatArray
 from palmd.observer.likeness import likeness, root_of_band
 from palmd.payload import unpacked
 from palmd.quantities import ESTIMATE, SHAPE
@@ -17,15 +18,40 @@ EVERY_S = 3.0
 """Takes some 0.15 s of a processor each time, on a thread of its own."""
 
 
+_COLUMNS = ("theta_rad", "h_m", "h_sd_m", "touched")
+"""Of an outline, a number for each normal."""
+
+
+class NamingError(Exception):
+    """What is published tells no outline; says why."""
+
+
 def named(latest: Mapping[str, bytes]) -> bytes | None:
     """The page's message about the last outline in `latest` payloads; None while there is none that is vouched for.
 
-    Its covariance is taken for that of a smooth error as large as its band, as in reports.
+    Its covariance is taken for that of a smooth error as large as its band, as in reports. Raises NamingError for an
+    outline of somebody who says it otherwise than palmd does.
     """
     estimate, shape = (unpacked(latest.get(topic.name, b"")) or {} for topic in (ESTIMATE, SHAPE))
-    if not estimate.get("valid") or not shape.get("h_m"):
+    if not estimate.get("valid") or not shape:
         return None
-    theta, h, sd = (np.array(shape[name]) for name in ("theta_rad", "h_m", "h_sd_m"))
+    theta, h, sd, touched = _columns(shape)
+    if not len(h):
+        return None
     with one_thread():
-        told = likeness(theta, h, root_of_band(sd, theta), np.array(shape["touched"], dtype=bool))
-    return bytes(msgpack.packb({"object": estimate["object"], "said": told.said}))
+        told = likeness(theta, h, root_of_band(sd, theta), touched.astype(bool))
+    return bytes(msgpack.packb({"object": estimate.get("object"), "said": told.said}))
+
+
+def _columns(shape: Mapping[str, object]) -> FloatArray:
+    """Normals, support function, its one-sigma and what was touched, (4, n)."""
+    lacking = [name for name in _COLUMNS if not isinstance(shape.get(name), list)]
+    if lacking:
+        raise NamingError(f"{SHAPE.name} has no list {', '.join(lacking)}")
+    try:
+        columns: FloatArray = np.array([shape[name] for name in _COLUMNS], dtype=float)
+    except (TypeError, ValueError):
+        raise NamingError(f"{SHAPE.name}: {', '.join(_COLUMNS)} are not equally many numbers") from None
+    if columns.ndim != 2 or not np.isfinite(columns).all():
+        raise NamingError(f"{SHAPE.name}: {', '.join(_COLUMNS)} are not equally many finite numbers")
+    return columns

@@ -24,6 +24,8 @@ from palmd.view.command_client import PageCommands
 from palmd.view.feed import Feed, Payload
 from palmd.view.files import page_files
 
+log = logging.getLogger(__name__)
+
 HOST = "127.0.0.1"
 FRAME_S = 1 / 60
 HEARTBEAT_FRAMES = 30  # a batch goes out as often even when nothing was published
@@ -144,10 +146,20 @@ class _Server:
                 self._offer(self._clients, messages)
 
     async def _names(self) -> None:
-        """Every few seconds while somebody looks: what the outline looks like."""
+        """Every few seconds while somebody looks: what the outline looks like; why it cannot be said is logged once."""
+        wrong = ""
         while True:
             await asyncio.sleep(naming.EVERY_S)
-            if self._clients and (told := await asyncio.to_thread(naming.named, dict(self._feed.latest))) is not None:
+            if not self._clients:
+                continue
+            before, wrong = wrong, ""
+            try:
+                told = await asyncio.to_thread(naming.named, dict(self._feed.latest))
+            except naming.NamingError as error:
+                wrong, told = str(error), None
+                if wrong != before:
+                    log.warning("the outline has no name: %s", wrong)
+            if told is not None:
                 self._feed.latest[naming.TOPIC] = told
                 self._offer(self._clients, [(naming.TOPIC, told)])
 

@@ -363,6 +363,9 @@ def test_status_tells_where_things_stand(running):
     assert (status["plan"], status["doing"], status["arm_state"]) == ("swing", "sine", "T")
     assert status["moving"] is True
     assert status["faults"] == []
+    assert status["wish"] == ""
+    running.do("hold")
+    assert running.do("status")["wish"] == "hold"
 
 
 # ---- what is kept of a run

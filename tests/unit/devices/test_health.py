@@ -1,6 +1,7 @@
 """When a line's errors are too many: by the share of what has come since the last look."""
 
-from palmd.devices.health import Share, Shares, bytes_since, last_report
+from palmd.devices.health import SERIAL_PAD, Share, Shares, bytes_since, last_report
+from palmd.devices.versapad import PACKET_BYTES, VersaPadDecoder, encode_packet
 
 
 def test_too_many_is_more_than_the_share_among_enough():
@@ -36,3 +37,17 @@ def test_conditions_hold_from_one_look_to_the_next_and_tell_what_they_are_of():
     shares.look({"garbled": (200, 21), "batched": (20, 15)})
     assert list(shares) == ["batched"]
     assert shares.told("batched") == "6 of 11 packets since the last look"
+
+
+def test_a_packet_that_was_cut_when_its_port_was_opened_is_no_damage():
+    """Found by a simulated run: a daemon begun anew whose first look came 25 ms later."""
+    packet = encode_packet(10, 20, 40)
+    for cut in range(1, PACKET_BYTES):
+        for whole in range(40):
+            decoder, shares = VersaPadDecoder(9600), Shares(SERIAL_PAD)
+            decoder.feed(packet[cut:] + whole * packet, 0.0)
+            counters = decoder.counters
+            assert counters.bytes_discarded == PACKET_BYTES - cut
+            counted = dict.fromkeys(SERIAL_PAD, (0, 0)) | {"garbled": (counters.bytes, counters.bytes_discarded)}
+            shares.look(counted)
+            assert list(shares) == []

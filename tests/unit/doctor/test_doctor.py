@@ -18,6 +18,7 @@ from palmd.cli import main
 from palmd.config import VersaPadConfig
 from palmd.console import configured
 from palmd.console.shipped import shipped
+from palmd.daemon import realtime
 from palmd.daemon.bus import Bus
 from palmd.daemon.commands import Reply
 from palmd.devices.armconformance import CheckResult
@@ -136,7 +137,7 @@ def test_observers_where_we_may_not_look(monkeypatch, tmp_path, what):
     monkeypatch.setenv("CACHE_DIRECTORY", str(tmp_path / what))
     (tmp_path / "cache/deeper").mkdir(parents=True)
     with shut(tmp_path / "cache"):
-        finding, user = machine.observers(), machine.user()
+        finding, user = machine.observers(), realtime.user()
     assert (finding.verdict, finding.says) == ("missing", f"{tmp_path / what}: Permission denied")
     assert finding.mend == f"set XDG_CACHE_HOME to a folder of {user}'s own, then palmd build"
 
@@ -184,6 +185,21 @@ def test_rights(monkeypatch, tmp_path, what, limit):
         assert finding.verdict == verdict
         assert asked == [getattr(machine.resource, f"RLIMIT_{limit}")]
     assert "limits.d" not in finding.mend
+
+
+def test_the_daemons_start_tells_the_same_commands(monkeypatch):
+    def forbidden(*_):
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(realtime.os, "sched_setscheduler", forbidden)
+    monkeypatch.setattr(realtime.resource, "getrlimit", lambda _: (0, 0))
+    monkeypatch.setattr(realtime, "_may_lock", lambda: False)
+    monkeypatch.setattr(machine, "_capable", lambda _: False)
+    told = [realtime._prioritise(realtime.PRIORITY), realtime._lock_memory()]
+    for text, finding in zip(told, (machine.real_time(), machine.locked_memory()), strict=True):
+        command = finding.mend.split("; ")[0]
+        assert "sudo tee -a /etc/security/limits.d/" in command
+        assert text.endswith(command)
 
 
 LOCKING = """
@@ -304,7 +320,7 @@ def test_a_port_that_may_not_be_opened(tmp_path, monkeypatch):
         monkeypatch.setattr(ports, "_group", lambda _: "dialout")
         finding = ports.port_finding("arm", str(tmp_path / "arm"))
     assert finding.verdict == "missing"
-    assert finding.mend.startswith(f"sudo usermod -aG dialout {machine.user()},")
+    assert finding.mend.startswith(f"sudo usermod -aG dialout {realtime.user()},")
 
 
 @pytest.mark.parametrize(("name", "verdict"), [("stranger", "missing"), ("palmd", "ok")])

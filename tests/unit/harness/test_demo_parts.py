@@ -1,12 +1,14 @@
 """What `palmd demo` is made of: the operator, the comparison with the truth, punctuality, addresses, configuration."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import zmq
 
 from palmd.bus.subscriber import Message
+from palmd.cli import demo
 from palmd.config import BusConfig
 from palmd.console.shipped import shipped
 from palmd.harness.comparison import Comparison, Punctuality
@@ -93,6 +95,59 @@ def test_a_hold_whose_fault_nobody_has_seen_is_nobodys_wish():
     operator = Operator()
     seen(operator, ("tracking",), ("hold",))
     assert looks(operator, "hold", segment=0, until=1.0) == [(CALM_S, "start")]
+
+
+class LateBus:
+    """A daemon that obeys at once and a bus that brings what it has published `late_s` later; a stack for the demo."""
+
+    def __init__(self, late_s):
+        self.t, self._late_s, self.state, self.segment, self.wish = 100.0, late_s, "ready", -1, ""
+        self.asked, self._published = [], []
+        self.subscriber = self.client = self
+
+    def until(self, t_end):
+        while self.t < t_end:
+            self.t += 0.01
+            self._published.append((self.t, "palm/state", {"state": self.state, "severities": [], "wish": self.wish}))
+            self._published.append((self.t, "palm/motion", {"segment": self.segment}))
+            while self._published and self._published[0][0] <= self.t - self._late_s:
+                _, topic, fields = self._published.pop(0)
+                yield Message(topic, fields, self.t)
+
+    def ask(self, command, _args=None):
+        status = {"state": self.state, "severities": [], "segment": self.segment, "wish": self.wish}
+        if command == "status":
+            return {"ok": True, "result": status}
+        self.asked.append(command)
+        may = {"arm": self.state == "ready", "start": self.state in ("tracking", "hold")}[command]
+        if may:
+            self.state, self.segment, self.wish = "tracking", 0 if command == "start" else -1, ""
+        return {"ok": may, "error": f"the state is {self.state}"}
+
+    def check_alive(self, *_):
+        pass
+
+
+@pytest.mark.parametrize("late_s", [0.0, 3.5])
+def test_a_demo_whose_bus_lags_asks_for_nothing_that_has_been_done(monkeypatch, late_s):
+    bus = LateBus(late_s)
+    monkeypatch.setattr(demo.time, "monotonic", lambda: bus.t)
+    compared = SimpleNamespace(t_started=None, take=lambda _: None, progress=lambda _: "")
+    compared.started = lambda t: setattr(compared, "t_started", t)
+    demo._operate(bus, compared, SimpleNamespace(made=False), 6.0)
+    assert bus.asked == ["arm", "start"]
+
+
+def test_a_demo_whose_bus_lags_leaves_alone_what_somebody_has_held_meanwhile(monkeypatch):
+    bus = LateBus(3.5)
+    monkeypatch.setattr(demo.time, "monotonic", lambda: bus.t)
+    bus.state, bus.segment = "hold", 0  # by a fault that has gone
+    compared = SimpleNamespace(t_started=100.0, take=lambda _: None, progress=lambda _: "")
+    for _ in bus.until(103.0):
+        pass
+    bus.wish = "hold"
+    demo._operate(bus, compared, SimpleNamespace(made=False), 12.0)
+    assert bus.asked == []
 
 
 # --------------------------------------------------------------------------------------------- the comparison

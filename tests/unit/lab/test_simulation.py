@@ -1,9 +1,11 @@
 """The simulation: the same seed the same bits, found seeds, and every invariant seen broken by breaking the daemon."""
 
+import argparse
 import dataclasses
 import math
 import secrets
 import time
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import msgpack
@@ -24,10 +26,10 @@ from palmd.events import PalmSample
 from palmd.faults import TABLE, FaultMonitor
 from palmd.lab import bench_simulate
 from palmd.lab.simulation import watch
-from palmd.lab.simulation.causes import CAUSES, causes
-from palmd.lab.simulation.happenings import Broken, Scenario, Told, Trick, drawn
+from palmd.lab.simulation.causes import CAUSES, Cause, causes
+from palmd.lab.simulation.happenings import Broken, Scenario, Told, Trick, coarsened, drawn
 from palmd.lab.simulation.light_observer import LightObserver
-from palmd.lab.simulation.reach import SOUGHT, sought
+from palmd.lab.simulation.reach import SOUGHT, Director, sought
 from palmd.lab.simulation.reached import behind_a_stop, never_reached, rows, unreachable
 from palmd.lab.simulation.run import Simulation, configured, quiet, simulate
 from palmd.lab.simulation.shrink import shrunk
@@ -77,6 +79,11 @@ def test_a_run_without_trouble_has_no_fault_but_that_of_its_beginning(untroubled
 @pytest.mark.parametrize("seed", FOUND)
 def test_what_was_found_once_stays_mended(seed):
     assert simulate(drawn(seed)).breach is None
+
+
+def test_a_slow_loop_takes_no_packet_for_damage_that_was_cut_when_its_daemon_began():
+    run = dataclasses.replace(coarsened(drawn(903)), rate_hz=25.0, trouble_s=7.0, calm_s=0.0)
+    assert simulate(run.keeping(range(11))).breach is None
 
 
 def test_a_stop_in_mid_motion_tells_no_rate_that_is_not_so(monkeypatch):
@@ -333,6 +340,14 @@ def test_a_valid_estimate_that_is_wrong_is_found_out():
     assert looker.breach.name == "no valid estimate is wrong"
 
 
+@pytest.mark.parametrize(("code", "since_s"), [("estimate-inconsistent", 5.0), ("arm-late", 3.0)])
+def test_a_cause_lingers_until_what_is_told_begins_not_until_it_has_lasted_long_enough_to_be_told(code, since_s):
+    """Seed 1151: readings that missed for the two seconds that it takes to say so, their cause long over by then."""
+    looker = Watch(configured(False), [Cause("drop@arm", 9.9, 10.0)], SimpleNamespace(baud=38400), autostart=False)
+    assert looker._has_cause(code, 10.0 + since_s - 0.01)
+    assert not looker._has_cause(code, 10.0 + since_s + 0.01)
+
+
 # ---- what goes with it
 
 
@@ -377,6 +392,13 @@ def test_every_command_finds_what_is_sought(code):
     assert again.digest == outcome.digest
 
 
+def test_who_seeks_a_silent_explorer_loads_no_plan_that_asks_nobody():
+    director = Director(list(SOUGHT).index("explorer-silent"))
+    view = SimpleNamespace(t=0.0)
+    (told_plan,) = director._tell(view, "plan")
+    assert "explore" in msgpack.unpackb(told_plan.payload)["args"]["text"]
+
+
 def test_behind_a_stop_is_found_what_cannot_be_found_so_otherwise():
     assert behind_a_stop(State.READY, TABLE["pad1-port"])
     assert not behind_a_stop(State.READY, TABLE["arm-port"])  # it ends tracking itself
@@ -392,22 +414,47 @@ def test_what_was_not_seen_is_told():
     assert all(reasons)
 
 
+def asked(seeds):
+    """The command's arguments, as they are by default."""
+    parser = argparse.ArgumentParser()
+    bench_simulate.add_arguments(parser)
+    return parser.parse_args(["--seeds", f"{seeds[0]}..{seeds[-1]}"])
+
+
+def test_a_study_that_is_interrupted_tells_what_it_has(monkeypatch, capsys, untroubled):
+    def until_ctrl_c(each):
+        if each.seed == 4:
+            raise KeyboardInterrupt
+        return untroubled
+
+    monkeypatch.setattr(bench_simulate, "simulate", until_ctrl_c)
+    assert bench_simulate.run(asked(range(2, 9))) == 130
+    assert "2 runs, 0.01 simulated hours, 0 with a broken invariant" in capsys.readouterr().out
+
+
+def test_seeds_may_be_shared_out_among_processes(monkeypatch):
+    monkeypatch.setattr(bench_simulate, "simulate", lambda each: SimpleNamespace(scenario=each))
+    monkeypatch.setattr(
+        bench_simulate, "on_this_machine", lambda jobs: lambda stack: stack.enter_context(ThreadPoolExecutor(jobs))
+    )
+    arguments = SimpleNamespace(jobs=3, keep=None, reach=False, coarse=True, rate=25.0)
+    run = [outcome.scenario for outcome, _ in bench_simulate._outcomes(range(5, 12), arguments)]
+    assert sorted(each.seed for each in run) == list(range(5, 12))
+    assert {(each.coarse, each.rate_hz) for each in run} == {(True, 25.0)}
+
+    def broken(_):
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr(bench_simulate, "simulate", broken)
+    with pytest.raises(RuntimeError, match="seed 7: ZeroDivisionError"):
+        list(bench_simulate._outcomes(range(7, 8), arguments))
+
+
 def test_the_command_tells_a_failure_as_one_command(monkeypatch, capsys):
     deaf_to_stop(monkeypatch)
     few = scenario(told(3.0, "status"), told(3.5, "hold"), told(4.0, "stop"), told(4.1, "note", text="here"))
     monkeypatch.setattr(bench_simulate, "drawn", lambda _seed: few)
-    arguments = SimpleNamespace(
-        seeds=range(2, 3),
-        fresh=None,
-        reach=False,
-        coarse=False,
-        keep=None,
-        list=False,
-        unreached=False,
-        standstill=None,
-        clean=None,
-        long=None,
-    )
+    arguments = asked(range(2, 3))
     assert bench_simulate.run(arguments) == 1
     assert "--seeds 7..7 --keep 2" in capsys.readouterr().out
     arguments.keep = bench_simulate._numbers("2")

@@ -135,6 +135,30 @@ def test_a_cradle_may_point_downwards_at_its_hinge_as_far_as_its_mirror_image_ma
     assert math.pi - cradle.top == pytest.approx(cradle.bounds[0].low + math.radians(8.0))
 
 
+@pytest.mark.parametrize(("kappa", "share"), [(13.3, 0.3), (0.5, 0.3), (-0.5, 1.0), (-4.0, 1.0)])
+def test_each_palm_is_bounded_by_its_own_curvature(kappa: float, share: float) -> None:
+    """φ12 by palm 2's, φ1 by palm 1's: a cradle's, however slight, or a dome's beside a flat palm."""
+    open_wide = LimitsConfig(phi1_deg=(-30.0, 150.0), phi2_deg=(5.0, 175.0))
+    turned = share * 0.0555 * kappa
+    first, second = (
+        MotionLimits.from_config(open_wide, pad_length=0.0555, curvatures=each) for each in ((kappa, 0.0), (0.0, kappa))
+    )
+    assert (first.bounds[0].low, first.top) == pytest.approx((-turned, math.radians(172.0)))
+    assert (second.bounds[0].low, second.top) == pytest.approx((0.0, math.radians(172.0) + turned))
+
+
+def test_a_flat_palm_that_would_point_downwards_is_told_so_unless_its_own_limit_says_as_much() -> None:
+    wide, level = (
+        MotionLimits.from_config(LimitsConfig(phi1_deg=(low, 150.0)), pad_length=0.0555, curvatures=(0.0, 0.0))
+        for low in (-30.0, 0.0)
+    )
+    (said,) = wide.violations(rad(-5, 120))
+    assert said.startswith("phi1 falls to -5°, palm 1 points downwards below")
+    (said,) = level.violations(rad(-5, 120))
+    assert said.startswith("phi1 falls to -5°")
+    assert "downwards" not in said
+
+
 def test_a_dome_that_would_point_downwards_is_told_by_its_palm() -> None:
     dome = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555, curvatures=(-4.0, 0.0))
     (said,) = dome.violations(rad(8, 90))

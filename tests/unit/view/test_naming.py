@@ -10,7 +10,7 @@ import pytest
 
 from palmd.quantities import ESTIMATE, SHAPE
 from palmd.rig.real_things import thing
-from palmd.view.naming import named
+from palmd.view.naming import NamingError, named
 
 THETA = np.arange(360) * (math.tau / 360)
 
@@ -44,3 +44,20 @@ def test_half_a_nut_has_no_name() -> None:
 def test_nothing_is_said_of_what_nobody_vouches_for(without: str) -> None:
     assert named(latest(valid=False)) is None
     assert named({topic: payload for topic, payload in latest().items() if topic != without}) is None
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"theta_rad": None, "touched": None}, "palm/shape has no list theta_rad, touched"),
+        ({"h_sd_m": [3e-5] * 7}, "not equally many"),
+        ({"h_m": ["a"] * 360}, "not equally many"),
+        ({"h_m": [math.nan] * 360}, "not equally many finite"),
+    ],
+)
+def test_an_outline_that_is_said_otherwise_is_told_in_one_line(change: dict[str, object], words: str) -> None:
+    payloads = latest()
+    shape = msgpack.unpackb(payloads[SHAPE.name]) | change
+    payloads[SHAPE.name] = msgpack.packb({name: value for name, value in shape.items() if value is not None})
+    with pytest.raises(NamingError, match=words):
+        named(payloads)

@@ -20,7 +20,7 @@ from websockets.sync.client import connect
 from palmd.cli import main
 from palmd.cli.view import allowed
 from palmd.daemon.commands import COMMANDS
-from palmd.view import command_client, http_guard, wire
+from palmd.view import command_client, http_guard, naming, wire
 from palmd.view.client import PageClient
 from palmd.view.files import STATIC, page_files
 from palmd.view.server import Settings, serve_page
@@ -492,3 +492,22 @@ def test_bad_input_is_told_in_one_line(capsys):
     with pytest.raises(SystemExit) as usage:
         main(["view", "--port", "70000"])
     assert usage.value.code == 2
+
+
+def test_an_outline_of_a_stranger_ends_no_naming(daemon, served, monkeypatch, caplog):
+    monkeypatch.setattr(naming, "EVERY_S", 0.02)
+    with served.page() as (page, _):
+        t_end = time.monotonic() + PATIENCE_S
+        while "has no list h_sd_m" not in caplog.text and time.monotonic() < t_end:
+            daemon.say("palm/estimate", {"valid": True, "object": 2})
+            daemon.say("palm/shape", {"theta_rad": [0.0], "h_m": [0.02], "touched": [1]})
+            time.sleep(0.02)
+        while time.monotonic() < t_end:
+            daemon.say("palm/shape", {"theta_rad": [0.0], "h_m": [0.02], "h_sd_m": [1e-4], "touched": [0]})
+            with contextlib.suppress(TimeoutError):
+                if naming.TOPIC.encode() in msgpack.packb(page.recv(0.1)):
+                    break
+        else:
+            pytest.fail("it named nothing any more")
+    told = [record.message for record in caplog.records if record.name == "palmd.view.server"]
+    assert told == ["the outline has no name: palm/shape has no list h_sd_m"]

@@ -19,6 +19,9 @@ from palmd.rig.fault_injection import INJECTABLE_FAULTS, PORTS, PortName
 TROUBLE_S, CALM_S = 22.0, 8.0
 """How long things happen, and how long everything has to be well again after the last one has ended."""
 
+RATE_HZ = 100.0
+"""How often a daemon ticks as it is shipped."""
+
 FIRST_S = 0.2
 MOST_CLIENTS = 4
 BURST_S = 0.05
@@ -114,7 +117,8 @@ class Scenario:
     port's adapter delivers. `thorough`: with the real observer on the real plant; `recorded`: as the recorder does.
     `trouble_s` is how long things may happen, and until `alone_s` nobody but the clients that are drawn gives commands.
     `calm_s` is how long all must be well again after that. `coarse`: a light rig that lives in longer steps.
-    `sought`: a director of this number does what happens, instead of what is drawn.
+    `rate_hz` is how often the daemon ticks. `sought`: a director of this number does what happens, instead of what is
+    drawn.
     """
 
     seed: int
@@ -130,6 +134,7 @@ class Scenario:
     alone_s: float = 0.0
     calm_s: float = CALM_S
     coarse: bool = False
+    rate_hz: float = RATE_HZ
     sought: bool = False
 
     def keeping(self, kept: Iterable[int]) -> Scenario:
@@ -230,4 +235,9 @@ PLAN_TEXTS = (
     "name: short\nsegments:\n- move: {phi1_deg: 40, phi2_deg: 95}\n  duration_s: 0.5\n",
     "name: too fast\nsegments:\n- move: {phi1_deg: 100, phi2_deg: 40}\n  duration_s: 0.01\n",
     "name: [broken\n",
+)
+
+EXPLORE_TEXT = (
+    "name: explore\nsegments:\n- move: {phi1_deg: 45, phi2_deg: 90}\n  duration_s: 1.0\n"
+    "- explore: {coverage: 0.95, time_limit_s: 90}\n"
 )

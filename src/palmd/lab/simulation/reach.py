@@ -23,6 +23,7 @@ from palmd.events import PalmMotion
 from palmd.faults import FAULTS, TABLE, Severity
 from palmd.lab.simulation.causes import FOR_GOOD
 from palmd.lab.simulation.happenings import (
+    EXPLORE_TEXT,
     LONGEST_S,
     PLAN_TEXTS,
     Broken,
@@ -71,6 +72,8 @@ _CHANGING = {
     State.HOLD: ("start", "stop"),
     State.FAULT: ("reset",),
 }
+_PLANS = {"plan-refused": PLAN_TEXTS[3], "explorer-silent": EXPLORE_TEXT}
+"""What is told to be loaded where any other plan would not do: with one that explores nobody is asked any more."""
 _RECORDED: dict[str, object] = {"bytes": 1.0, "messages": 1.0, "lost": 0.0}
 _FULL = {"problem": "no space left"}
 
@@ -224,7 +227,7 @@ class Director:
     def _tell(self, view: _View, *names: str) -> Iterator[Told]:
         for name in names:
             args: dict[str, dict[str, object]] = {
-                "plan": {"path": "sent.yaml", "text": PLAN_TEXTS[3 if self._code == "plan-refused" else 0]},
+                "plan": {"path": "sent.yaml", "text": _PLANS.get(self._code, PLAN_TEXTS[0])},
                 "jog": {"phi1_deg": 0.1},
                 "note": {"text": "here"},
                 "recorder": _RECORDED | (_FULL if self._code == "recorder-failed" else {}),

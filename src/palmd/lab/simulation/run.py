@@ -35,7 +35,9 @@ from palmd.faults import Severity
 from palmd.lab.silent_observer import Breakable
 from palmd.lab.simulation.causes import causes
 from palmd.lab.simulation.happenings import (
+    EXPLORE_TEXT,
     PLAN_TEXTS,
+    RATE_HZ,
     Broken,
     Bytes,
     ClockStep,
@@ -77,15 +79,11 @@ OPERATOR = 99
 """The client who wants the palms to move, and does what the hints say."""
 
 PLANNED_S, DECIDED_S = 0.03, 0.3
-_EXPLORES = (
-    "name: explore\nsegments:\n- move: {phi1_deg: 45, phi2_deg: 90}\n  duration_s: 1.0\n"
-    "- explore: {coverage: 0.95, time_limit_s: 90}\n"
-)
 _LIVELY = (
     "name: lively\nrepeat: forever\nsegments:\n- move: {phi1_deg: 42, phi2_deg: 92}\n  duration_s: 0.5\n"
     "- sine: {phi1_deg: 25, phi2_deg: 10}\n  frequency_hz: [0.41, 0.57]\n  duration_s: 20\n"
 )
-PLAN_OF = (PLAN_TEXTS[0], _LIVELY, PLAN_TEXTS[1], _EXPLORES)
+PLAN_OF = (PLAN_TEXTS[0], _LIVELY, PLAN_TEXTS[1], EXPLORE_TEXT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +124,7 @@ class Simulation:
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
-        self.config = configured(scenario.autostart)
+        self.config = configured(scenario.autostart, scenario.rate_hz)
         self.rig: LightRig | FullRig
         if scenario.thorough:
             self.rig = FullRig(self.config, scenario.seed)
@@ -411,9 +409,11 @@ def _spoilt(how: Bytes, data: bytes) -> bytes:
 
 
 @functools.cache
-def configured(autostart: bool) -> Config:
-    """The rig as shipped."""
-    return default_config().model_copy(update={"autostart": autostart})
+def configured(autostart: bool, rate_hz: float = RATE_HZ) -> Config:
+    """The rig as shipped, but for how often its loop ticks."""
+    config = default_config()
+    loop = config.loop.model_copy(update={"rate_hz": rate_hz})
+    return config.model_copy(update={"autostart": autostart, "loop": loop})
 
 
 @functools.cache

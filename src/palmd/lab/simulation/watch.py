@@ -19,7 +19,7 @@ from palmd.devices.actuator import ArmState, Pose
 from palmd.devices.armlink import LineReader, LinkError, SetPoint, parse_command
 from palmd.devices.port import DevicePort
 from palmd.events import PalmMotion
-from palmd.faults import Severity
+from palmd.faults import TABLE, Severity
 from palmd.lab.simulation.causes import CAUSES, FOR_GOOD, LINGERS_S, Cause
 from palmd.messages import validate
 from palmd.quantities import LOOP
@@ -290,12 +290,16 @@ class Watch:
             self._t_not_following = t
 
     def _has_cause(self, code: str, t: float) -> bool:
+        """Whether one was on, or had not been over for long, when what the fault tells of at `t` (s) began."""
+        t_began = t - TABLE[code].debounce_s
         if t - self._t_begun < LINGERS_S and code in _AT_BEGINNING:
             return True
         names = CAUSES.get(code, frozenset())
-        if "left" in names and t <= self._t_left + LINGERS_S:
+        if "left" in names and t_began <= self._t_left + LINGERS_S:
             return True
-        return any(cause.name in names and cause.t_on <= t <= cause.t_off + LINGERS_S for cause in self._causes)
+        return any(
+            cause.name in names and cause.t_on <= t and t_began <= cause.t_off + LINGERS_S for cause in self._causes
+        )
 
     def faults_over(self, core: Core, t: float, lies_on_palms: bool) -> None:
         """All causes have been over for a while: no fault stands but those that a client's word keeps up.
