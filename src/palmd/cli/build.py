@@ -127,5 +127,6 @@ def _other_forms() -> list[Part]:
 
     return [
         ("flat sides", lambda: sharp.library().backend),
+        ("a flat side", lambda: sharp.library_for(1).backend),
         *(part for part in of_palms(curved=True) if part[0] != "smoother's equations"),  # flat ones have made them
     ]

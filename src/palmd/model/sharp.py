@@ -10,7 +10,7 @@ e^(−|y|/w) and is nowhere negative. Corners are what lies between sides.
 from __future__ import annotations
 
 import math
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from palmd.model.smoothing import ORDER, C, Form, kernels
 from palmd.model.symbolic import SX, ca
 
 SIDES = 4  # at most that one record tells apart
+COMPILED = (1, SIDES)  # for how many there are kernels: most records tell of one
 FOURIER = 2 * ORDER + 1
 NORMALS = C.SHAPE + FOURIER
 LENGTHS = NORMALS + SIDES
@@ -29,12 +30,15 @@ WIDTH = LENGTHS + SIDES  # ln w
 CONSTANTS = WIDTH + 1
 
 
-def outline_at(theta: SX, shape: SX) -> Contact:
-    """r, d, v where the outward normal is `theta`; `shape` holds all constants from `C.SHAPE` on."""
+def outline_at(theta: SX, shape: SX, sides: int = SIDES) -> Contact:
+    """r, d, v where the outward normal is `theta`; `shape` holds all constants from `C.SHAPE` on.
+
+    Only the first `sides` count.
+    """
     smooth = contact_at(theta, shape[:FOURIER])
     r, d, v = smooth.r, smooth.d, smooth.v
     width = ca.exp(shape[WIDTH - C.SHAPE])
-    for j in range(SIDES):
+    for j in range(sides):
         normal, length = shape[NORMALS - C.SHAPE + j], shape[LENGTHS - C.SHAPE + j]
         y = theta - normal
         y -= 2 * math.pi * ca.floor(y / (2 * math.pi) + 0.5)
@@ -78,6 +82,14 @@ def support(theta: FloatArray, p: FloatArray) -> FloatArray:
 
 
 @cache
-def library() -> Library:
-    """The smoother's kernels for such an outline, made once in a process."""
-    return kernels("sharp", Form(outline_at, CONSTANTS))
+def library(sides: int = SIDES) -> Library:
+    """The smoother's kernels for such an outline, made once in a process; `sides` is one of `COMPILED`.
+
+    A side takes a quarter as long as all harmonics together, whether there is one or not.
+    """
+    return kernels(f"sharp{sides}", Form(partial(outline_at, sides=sides), CONSTANTS))
+
+
+def library_for(sides: int) -> Library:
+    """The `library` that knows so many sides, and as few more as there is one for."""
+    return library(min(each for each in COMPILED if each >= sides))

@@ -47,7 +47,7 @@ from palmd.observer.search import (
     still,
 )
 from palmd.observer.seeker import attempts_for
-from palmd.observer.sharp_reconstruct import sharp_reconstruction
+from palmd.observer.sharp_reconstruct import explained_smoothly, sharp_reconstruction
 from palmd.observer.smoother import Fit, Smoother
 from palmd.observer.validity import SHARP_M
 from palmd.observer.visits import visits_of
@@ -88,7 +88,7 @@ def reconstruct(
     swapped = bool(shorter) and _length(shorter[0]) < _length(found[0])  # perhaps, in a gap
     asked = first is None and not swapped and not rig.curved
     unlike = _unlike(search, seed, begun, say) if asked else None
-    if unlike is not None and _whole(unlike, found[0]):
+    if unlike is not None and (_whole(unlike, found[0]) or _sharp(unlike, search)):
         return unlike
     main = _part(search, seed, attempts[FIRST_ATTEMPTS:], first)
     if main is None or main.reason:
@@ -179,6 +179,11 @@ def _whole(told: Reconstruction, segment: DataSegment) -> bool:
     """Whether it explains all of a segment so well that to look for anything else would be a waste."""
     lasts = float(told.t[-1] - told.t[0])
     return lasts > WHOLE * _length(segment) and consistent(told.chi2, len(segment.pads), SECOND_OPINION_SIGMAS)
+
+
+def _sharp(told: Reconstruction, search: Search) -> bool:
+    """Whether it has flat sides without which its motion is not explained: no smooth outline need be looked for."""
+    return len(told.sides) > 0 and not explained_smoothly(search, told)
 
 
 def _part(believing: Search, seed: int, attempts: Numbered, best: _Part | None = None) -> _Part | None:

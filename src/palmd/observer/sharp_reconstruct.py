@@ -10,13 +10,15 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model import sharp
+from palmd.model.shape import coefficients_of
 from palmd.model.sharp import LENGTHS, NORMALS, SIDES, WIDTH
-from palmd.model.smoothing import RIG, C
+from palmd.model.smoothing import ORDER, RIG, C
 from palmd.observer.factor import friction_of, given
 from palmd.observer.likeness import likeness, root_of
+from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import directions, normal_angles, touched_by
 from palmd.observer.reconstruction import Reconstruction
-from palmd.observer.search import Search, still
+from palmd.observer.search import Search, explained, minima, still
 from palmd.observer.sided import LEAST_S, Candidate, SidedSearch
 from palmd.observer.validity import SHARP_M
 from palmd.observer.visits import visits_of
@@ -43,12 +45,12 @@ def sharp_reconstruction(
     sided = SidedSearch(search, seed)
     segment = search.segment
 
-    def explained(so_far: Candidate) -> None:
+    def followed(so_far: Candidate) -> None:
         until = so_far.record.t[-1] - segment.start
         if say is not None:
             say(f"looking for flat sides: {until:.1f} of {segment.end - segment.start:.1f} s")
 
-    for found in sided.stretches(explained)[:MOST_STRETCHES]:
+    for found in sided.stretches(followed)[:MOST_STRETCHES]:
         for best in sided.refined(found[0]):
             if _doubtful(best, found):
                 continue
@@ -59,6 +61,29 @@ def sharp_reconstruction(
             if told is not None:
                 return told
     return None
+
+
+def explained_smoothly(search: Search, told: Reconstruction) -> bool:
+    """Whether a smooth outline explains the stretch of `told` as well, begun from that motion and outline.
+
+    On a rig as it is taken for, or on any.
+    """
+    assert told.h is not None  # of what is claimed
+    since, until = np.searchsorted(search.record.t, (told.t[0], told.t[-1]))
+    record = search.record.between(int(since), min(int(until), len(search.record.dt)))
+    psi, omega0 = (np.interp(record.t, told.t, each) for each in (told.psi, told.omega0))
+    p = search.prior.mean.copy()
+    dither = math.exp(p[C.SATURATION])
+    p[C.LN_RHO], p[C.DRAG], p[C.SATURATION] = math.log(told.rho), told.mu / dither, dither**-2.0
+    if math.isfinite(told.mass):
+        p[C.LN_MASS] = math.log(told.mass)
+    p[RIG], p[C.SHAPE :] = told.rig, coefficients_of(told.h, ORDER)
+    guess = Guess(np.stack([psi - psi[0], omega0], axis=1), p)
+    for belief in (search.belief, search.belief.suspended()):
+        found = minima(search.library, record, search.believing(belief).known, [guess], search.noise)
+        if explained(found.fits[0], found.record):
+            return True
+    return False
 
 
 def _doubtful(best: Candidate, found: tuple[Candidate, ...]) -> bool:

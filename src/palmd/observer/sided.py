@@ -43,6 +43,7 @@ FINE: tuple[Stage, ...] = ((0.001, 1.0, NOISE.gate),)
 LAST_S, LAST = 0.0025, ((0.001, 1.0, NOISE.gate),)  # spacing of the nodes (s)
 SHAPE_SD = 2.0  # times that of a smooth lump
 LN_GYRATION, LN_GYRATION_SD = math.log(0.67), 0.12  # of a triangle 0.61, of a square 0.64, of a disc 0.71
+HOPELESS = 5.0  # cost for each reading of a ride, on a wide side, that narrower ones will not bring down
 PRICE = 12.0  # of a side more: twice the log-likelihood that it must gain
 ITERATIONS, LAST_ITERATIONS = 25, 30
 MOST_SCATTER, MOST_OUTLIERS = 1.25, 0.10  # of the readings, while looking
@@ -130,7 +131,6 @@ class SidedSearch:
         self._search, self._seed = search, seed
         segment = search.segment
         self.record = lay_out(segment.pads, search.path, search.rig, segment.start, segment.end, SPACING_S)
-        self._library = sharp.library()
         self._work = 0
 
     def stretches(self, log: Callable[[Candidate], None] | None = None) -> list[tuple[Candidate, ...]]:
@@ -217,27 +217,32 @@ class SidedSearch:
     def _grown(self, rivals: Sequence[Candidate], whole: Record) -> list[Candidate]:
         """The rivals on a longer window, as far as one of them goes on explaining it; none where none does."""
         begin, now = whole.t[0], rivals[0].record.t[-1]
-        for until in (begin + max(GROWTH * (now - begin), now - begin + LEAST_GROWTH_S), self._foretold(rivals, whole)):
+        far, near = float(self._longer(rivals, whole).t[-1]), self._foretold(rivals, whole)
+        for until in dict.fromkeys((far, near) if now - begin < BIRTHS_S else (near, far)):
             longer = whole.until(until)
             grown = [self._fitted(longer, each.sides, each.fit.guess) for each in rivals]
             if not _best(grown).goes_on(rivals[0]):
                 led = [self._by_readings(longer, each.fit.guess) for each in rivals]
                 grown += [self._fitted(longer, each.sides, guess) for each, guess in zip(rivals, led, strict=True)]
             if _best(grown).doubtful and until - begin < LEAST_S:
-                grown += [self._fitted(longer, sides, guess, CALM) for sides, guess in self._rides(longer)]
+                grown += [self._ridden(longer, sides, guess) for sides, guess in self._rides(longer)]
             if _best(grown).goes_on(rivals[0]):
                 return grown
         if now - begin < BIRTHS_S:
             grown += self._with_births(self._kept(grown, 4000.0), now)
         return grown if _best(grown).goes_on(rivals[0]) else []
 
+    @staticmethod
+    def _longer(rivals: Sequence[Candidate], whole: Record) -> Record:
+        begin, now = float(whole.t[0]), float(rivals[0].record.t[-1])
+        return whole.until(begin + max(GROWTH * (now - begin), now - begin + LEAST_GROWTH_S))
+
     def _foretold(self, rivals: Sequence[Candidate], whole: Record) -> float:
         """Until when (s) the window may grow: what no rival foretells any more leads astray."""
-        begin, now = float(whole.t[0]), float(rivals[0].record.t[-1])
-        longer = whole.until(begin + max(GROWTH * (now - begin), now - begin + LEAST_GROWTH_S))
+        now, longer = float(rivals[0].record.t[-1]), self._longer(rivals, whole)
         furthest = now + LEAST_GROWTH_S
         for each in rivals:
-            smoother = SidedSmoother(self._library, longer, each.prior)
+            smoother = _smoother(each.sides, longer, each.prior)
             gone = astray(smoother.residuals(smoother.completed(each.fit.guess)))
             furthest = max(
                 furthest, longer.t[longer.contact_step[int(np.argmax(gone))]] if gone.any() else longer.t[-1]
@@ -280,7 +285,7 @@ class SidedSearch:
 
     def posterior(self, candidate: Candidate) -> Posterior:
         """How sure it is of itself; raises LinAlgError where it is no minimum."""
-        return SidedSmoother(self._library, candidate.record, candidate.prior).posterior(candidate.fit)
+        return _smoother(candidate.sides, candidate.record, candidate.prior).posterior(candidate.fit)
 
     def _by_readings(self, record: Record, guess: Guess) -> Guess:
         """The guess carried on to the record's end by the readings alone, the outline taken as it is."""
@@ -311,12 +316,19 @@ class SidedSearch:
             p = guess.p.copy()
             if width_sd == FIXED:
                 p[WIDTH] = math.log(width)
-            smoother = SidedSmoother(self._library, record, prior)
+            smoother = _smoother(sides, record, prior)
             fit = smoother.fit(Guess(guess.x, p), replace(NOISE, gate=gate), iterations)
             guess = fit.guess
             self._work += fit.iterations * len(record.t)
         residual = smoother.residuals(guess)
         return Candidate(sides, prior, record, fit, float(np.median(residual**2)) / SCATTER)
+
+    def _ridden(self, record: Record, sides: tuple[FlatSide, ...], guess: Guess) -> Candidate:
+        """As `_fitted`, on ever narrower sides; given up where on a wide one already nothing is explained."""
+        wide = self._fitted(record, sides, guess, CALM[:1])
+        if wide.fit.cost > HOPELESS * record.readings:
+            return wide
+        return self._fitted(record, sides, wide.fit.guess, CALM[1:])
 
     def _prior(self, sides: tuple[FlatSide, ...], width: float = FINE[0][0], width_sd: float = FIXED) -> Prior:
         base = self._search.prior
@@ -331,6 +343,10 @@ class SidedSearch:
             mean[LENGTHS + j], sd[LENGTHS + j] = SIDE_M, SIDE_SD_M
         mean[WIDTH], sd[WIDTH] = math.log(width), width_sd
         return Prior(mean, sd, base.omega0_sd)
+
+
+def _smoother(sides: Sequence[FlatSide], record: Record, prior: Prior) -> SidedSmoother:
+    return SidedSmoother(sharp.library_for(len(sides)), record, prior)
 
 
 def _best(candidates: Sequence[Candidate]) -> Candidate:

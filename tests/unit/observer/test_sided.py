@@ -15,10 +15,11 @@ from palmd.model.shape import coefficients_of
 from palmd.model.smoothing import NODE, ORDER, C
 from palmd.observer.data_segment import longest_segment
 from palmd.observer.factor import Prior
-from palmd.observer.normal_equations import BLOW_SD, Guess, ProcessNoise, _quiet_or_blow
+from palmd.observer.normal_equations import BLOW_SD, Guess, ProcessNoise, Residuals, _quiet_or_blow
+from palmd.observer.reconstruct import reconstruct
 from palmd.observer.search import Search, overfits
-from palmd.observer.sharp_reconstruct import sharp_reconstruction
-from palmd.observer.sided import FINE, LAST, Candidate, SidedSearch, followed
+from palmd.observer.sharp_reconstruct import explained_smoothly, sharp_reconstruction
+from palmd.observer.sided import CALM, FINE, LAST, Candidate, SidedSearch, Stage, followed
 from palmd.observer.smoother import Fit
 from palmd.observer.validity import SHARP_M
 from palmd.rig.sharp_shapes import rounded_polygon, uniform_body
@@ -103,6 +104,67 @@ def test_the_search_ends_when_its_work_is_done(monkeypatch):
     assert max(float(each.record.t[-1]) for each in seen) < 1.0
 
 
+class Stub(SidedSearch):
+    """Candidates of a given cost per reading in the place of fits."""
+
+    def __init__(self, search: Search, cost: float = 1.0, foretold: float = 0.2):
+        super().__init__(search)
+        self.cost, self.foretold, self.windows, self.stages = cost, foretold, list[float](), list[tuple[Stage, ...]]()
+
+    def _fitted(self, record, sides, guess, stages=FINE, _iterations=0):
+        self.windows.append(float(record.t[-1]))
+        self.stages.append(tuple(stages))
+        fit = a_fit(cost=self.cost * record.readings, guess=Guess(np.zeros((len(record.t), NODE)), guess.p))
+        return Candidate(sides, Prior(guess.p, guess.p + 1.0, 1.0), record, fit, 1.0)
+
+    def _foretold(self, rivals, _whole):
+        return float(rivals[0].record.t[-1]) + self.foretold
+
+
+@pytest.mark.parametrize(("now", "until"), [(1.0, 1.6), (3.0, 3.2)])
+def test_a_short_window_grows_boldly_and_a_long_one_as_far_as_is_foretold(now, until):
+    run = simulated("friction", 3, SECONDS)
+    search = Stub(Search(longest_segment(run.events), run.rig))
+    before = search._fitted(search.record.until(now), (), Guess(np.zeros((1, NODE)), np.zeros(sharp.CONSTANTS)))
+    search.windows.clear()
+    assert search._grown([before], search.record)
+    assert search.windows == [pytest.approx(until, abs=0.02)]
+
+
+@pytest.mark.parametrize(("cost", "stages"), [(1.0, [CALM[:1], CALM[1:]]), (6.0, [CALM[:1]])])
+def test_a_ride_that_explains_nothing_on_a_wide_side_is_given_up(cost, stages):
+    run = simulated("friction", 3, 3.0)
+    search = Stub(Search(longest_segment(run.events), run.rig), cost)
+    search._ridden(search.record, (), Guess(np.zeros((1, NODE)), np.zeros(sharp.CONSTANTS)))
+    assert search.stages == stages
+
+
+def test_sides_that_there_are_not_may_be_left_out_of_the_kernels():
+    p = np.zeros(sharp.CONSTANTS)
+    p[C.SHAPE], p[C.LN_RHO], p[C.DRAG], p[C.SATURATION] = 0.018, math.log(0.012), 10.0, 1e4
+    p[sharp.NORMALS : sharp.LENGTHS] = 0.7, 1.0, 2.0, 3.0
+    p[sharp.LENGTHS], p[sharp.WIDTH] = 0.015, math.log(1e-3)
+    run = simulated("friction", 3, 1.0)
+    record = Search(longest_segment(run.events), run.rig).record
+    guess = Guess(np.zeros((len(record.t), NODE)), p)
+    one, all_of_them = (
+        Residuals(sharp.library_for(sides), record).linearised(guess, ProcessNoise(1e-8, 1e-5)) for sides in (1, 2)
+    )
+    assert sharp.library_for(1) is not sharp.library_for(2)
+    assert one.cost == pytest.approx(all_of_them.cost, rel=1e-12)
+    known = slice(0, sharp.NORMALS + 1)
+    assert one.corner[known, known] == pytest.approx(all_of_them.corner[known, known], rel=1e-9)
+
+
+def test_a_smooth_outline_explains_what_it_moved_as():
+    run = simulated("friction", 3, SECONDS)
+    search = Search(longest_segment(run.events), run.rig)
+    told = reconstruct(run.events, run.rig)
+    assert explained_smoothly(search, told)
+    moved = replace(told, psi=told.psi + 0.1 * np.sin(3.0 * (told.t - told.t[0])))
+    assert explained_smoothly(search, moved)  # the search finds back
+
+
 def test_a_polygon_that_rides_on_a_calibrated_rig_is_told_by_its_side_and_its_corner():
     body = uniform_body("hexagon", rounded_polygon([(x * 1e-3, y * 1e-3) for x, y in CORNERS], 1e-3), 0.2)
     run = simulated("friction", 2, SECONDS, body=body)
@@ -112,6 +174,7 @@ def test_a_polygon_that_rides_on_a_calibrated_rig_is_told_by_its_side_and_its_co
     assert answer.converged
     score = score_outline(answer.theta, answer.h, answer.touched, run.truth.h)
     assert len(answer.sides) >= 1
+    assert not explained_smoothly(Search(longest_segment(run.events), rig), answer)
     band = float(np.sqrt(np.mean(answer.h_sd[answer.touched] ** 2)))
     assert score.e_h < min(1e-4, 3 * band)
     assert band > SHARP_M  # for the rig's sake: the readings tell enough all the same

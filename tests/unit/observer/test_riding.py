@@ -1,0 +1,91 @@
+"""What only turns with a palm is told from what rolls by the other palm's readings alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from simulated import simulated
+
+from palmd import observer
+from palmd.events import PadSample, PalmSample
+from palmd.observer import Simulated
+from palmd.observer.riding import Riding
+from palmd.system.mechanism import PALMS
+
+NOISE_M, NEVER = 1e-4, 100.0
+
+
+def told(readings: dict[int, np.ndarray], openings: np.ndarray) -> Riding:
+    """After these readings (m) of each pad, with noise."""
+    random, riding = np.random.default_rng(1), Riding()
+    for k, opening in enumerate(openings.tolist()):
+        for pad in PALMS:
+            s = float(readings[pad][k] + random.normal(0.0, NOISE_M))
+            riding.read(PadSample(0.01 * k, pad, s), opening, NOISE_M**2)
+    return riding
+
+
+OPENINGS = 1.6 + 0.3 * np.sin(np.linspace(0.0, 4.0, 200))
+RIDDEN = (15e-3 + 1e-3 * np.cos(OPENINGS)) / np.sin(OPENINGS)  # a corner of 1 mm, 15 mm over the other palm
+ROLLING = (18e-3 + 18e-3 * np.cos(OPENINGS)) / np.sin(OPENINGS) + 1e-3 * np.sin(np.linspace(0.0, 9.0, 200))
+
+
+@pytest.mark.parametrize(("one", "two", "excluded"), [
+    (RIDDEN, ROLLING, False), (ROLLING, RIDDEN, False), (ROLLING, ROLLING, True), (RIDDEN, RIDDEN, False),
+])  # fmt: skip
+def test_a_ride_is_excluded_where_both_palms_contradict_it(one, two, excluded):
+    assert told({1: one, 2: two}, OPENINGS).excluded is excluded
+
+
+def test_a_ride_is_likely_once_the_palms_have_turned_far_and_do_not_contradict_it():
+    assert told({1: RIDDEN, 2: ROLLING}, OPENINGS).likely
+    assert not told({1: ROLLING, 2: ROLLING}, OPENINGS).likely
+    near = OPENINGS[:20]
+    assert not told({1: RIDDEN[:20], 2: ROLLING[:20]}, near).likely
+
+
+def test_a_corner_is_felt_and_not_forgotten():
+    riding = told({1: RIDDEN, 2: ROLLING}, OPENINGS)
+    assert riding.cornered
+    for s in (10e-3, 20e-3) * 100:
+        riding.read(PadSample(3.0, 1, s), 1.6, NOISE_M**2)
+    assert riding.excluded
+    assert riding.cornered
+    round_one = (15e-3 + 10e-3 * np.cos(OPENINGS)) / np.sin(OPENINGS)
+    assert told({1: round_one, 2: ROLLING}, OPENINGS).likely
+    assert not told({1: round_one, 2: ROLLING}, OPENINGS).cornered
+
+
+def test_nothing_that_rests_excludes_a_ride():
+    still = np.full(200, 15e-3)
+    assert not told({1: still, 2: still}, np.full(200, 1.6)).excluded
+    assert not Riding().excluded
+
+
+def watched(run, smoother_takes_s: float) -> int:
+    """In how many ticks an observer is valid."""
+    watcher = observer.make("shape", run.rig, 0, Simulated(run.rig, latency_s=smoother_takes_s))
+    tick, valid = 0.01, 0
+    for event in run.events:
+        if not isinstance(event, PadSample | PalmSample):
+            continue
+        while tick < event.t_sample:
+            watcher.improve(tick)
+            valid += watcher.estimate(tick).valid
+            tick += 0.01
+        watcher.feed(event)
+    return valid
+
+
+@pytest.mark.parametrize(("of_a_ride", "ticks"), [("excluded", 20), ("likely", 0), ("untold", 0), ("cornered", 0)])
+def test_a_bank_vouches_alone_only_for_what_is_known_to_roll(monkeypatch, of_a_ride, ticks):
+    monkeypatch.setattr(Riding, "excluded", of_a_ride in ("excluded", "cornered"))
+    monkeypatch.setattr(Riding, "_sharp", lambda *_: of_a_ride == "cornered")
+    monkeypatch.setattr(Riding, "_told", True)
+    monkeypatch.setattr(Riding, "likely", of_a_ride == "likely")
+    valid = watched(simulated("nominal", 9500, 1.2), NEVER)
+    assert (valid > ticks) if ticks else (valid == 0)
+
+
+def test_what_rolls_is_vouched_for_before_the_smoother_has_told_of_it():
+    assert watched(simulated("nominal", 9500, 1.2), NEVER) > 20
