@@ -9,7 +9,8 @@ from typing import Any
 from xml.sax.saxutils import quoteattr
 
 from palmd.pivot_quantities import PIVOT_TOPICS
-from palmd.quantities import CHARTS, ESTIMATE, PALM3_TOPICS, Tab
+from palmd.quantities import CHARTS, ESTIMATE, Tab
+from palmd.three_palms_quantities import PALM3_TOPICS
 from palmd.topics import TOPICS
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c8c8c", "#000000")

@@ -3,7 +3,8 @@ machine all others.
 
 A rig's test sleeps most of the time, but what it starts must be awake when it is due; so the others stand back, and no
 two rigs run at once. Services that boot do little but wait, and go beside. One that fails all the same is tried again
-when everything else is over and the machine is quiet: that is what counts.
+while others still run, which takes nobody's time, and if need be once more when everything else is over and the machine
+is quiet: that is what counts.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import IO, NamedTuple
 
 NICE = 10
 TESTS_FAILED = 1  # pytest's status, when it ran to the end
+BESIDE = {"PALMD_TESTS_BESIDE": "1"}  # tells a rig's tests that no quiet moment is to be waited for
 PYTEST = (sys.executable, "-m", "pytest", "-q", "--durations=15")
 WAITING = ("tests/rig", "tests/system")
 WORKERS = (os.cpu_count() or 1) + 1  # one more than there are processors, for tests that wait
@@ -68,15 +70,16 @@ def begin(part: Part, told: IO[str], arguments: list[str]) -> subprocess.Popen[s
     return subprocess.Popen(
         [*part.command, *extra],
         stdout=None if part.talks else told, stderr=None if part.talks else subprocess.STDOUT, text=True,
-        env=os.environ | ({"PALMD_TESTS_BESIDE": "1"} if part.rig else {}),
+        env=os.environ | (BESIDE if part.rig else {}),
         preexec_fn=None if part.rig else lambda: os.nice(NICE),
     )  # fmt: skip
 
 
-def tried_again(part: Part, arguments: list[str]) -> int:
-    """The status of those that have failed, now that nothing else runs."""
-    print(f"\n{part.name}: what has failed is tried again, by itself", flush=True)
-    return subprocess.run([*part.command, "--last-failed", *arguments], check=False).returncode
+def tried_again(part: Part, arguments: list[str], *, beside: bool) -> int:
+    """The status of those that have failed, beside what still runs or now that nothing does."""
+    print(f"\n{part.name}: what has failed is tried again, {'beside others' if beside else 'by itself'}", flush=True)
+    command = [*part.command, "--last-failed", *arguments]
+    return subprocess.run(command, env=os.environ | (BESIDE if beside else {}), check=False).returncode
 
 
 def main(arguments: list[str]) -> int:
@@ -93,13 +96,16 @@ def main(arguments: list[str]) -> int:
             statuses[part] = process.wait()
             told.seek(0)
             print(f"\n---- {part.name}, over by {time.monotonic() - begun:.0f} s\n{told.read()}", end="", flush=True)
+            others_run = any(each.poll() is None for _, each, _ in running)
+            if part.rig and statuses[part] == TESTS_FAILED and others_run:
+                statuses[part] = tried_again(part, arguments, beside=True)
     finally:
         for _, process, told in running:
             process.terminate()
             told.close()
     for part, status in statuses.items():
         if part.rig and status == TESTS_FAILED:
-            statuses[part] = tried_again(part, arguments)
+            statuses[part] = tried_again(part, arguments, beside=False)
     failed = [part.name for part, status in statuses.items() if status]
     print(f"\n{time.monotonic() - begun:.0f} s, failed: {', '.join(failed) or 'nothing'}")
     return int(bool(failed))

@@ -11,8 +11,9 @@ import numpy as np
 from palmd import messages
 from palmd.events import FloatArray, ShapeEstimate
 from palmd.messages import EventsForm, Fields
-from palmd.quantities import PALM3, PALM3_EVENTS, SCHEMA, UNITS
+from palmd.quantities import SCHEMA, UNITS
 from palmd.system.three_palms import HALVINGS, JOINTS, MECHANISM, NAMING, PALMS, SYSTEM, BodyAnswer, BodyEstimate
+from palmd.three_palms_quantities import PALM3, PALM3_EVENTS
 
 if TYPE_CHECKING:
     from palmd.three_palms_config import ThreePalmsConfig

@@ -11,8 +11,9 @@ from harness import Bench
 
 from palmd.messages import validate
 from palmd.pivot_quantities import PIVOT_TOPICS
-from palmd.quantities import IMPROVEMENT, NOTE, OBJECT, PALM3_TOPICS, UNEXPLAINED
+from palmd.quantities import IMPROVEMENT, NOTE, OBJECT, UNEXPLAINED
 from palmd.rig.simulate import simulate_log
+from palmd.three_palms_quantities import PALM3_TOPICS
 from palmd.topics import TOPICS
 
 pytestmark = pytest.mark.rig

@@ -56,13 +56,13 @@ from palmd.quantities import (
     MOTION,
     NOTE,
     OBJECT,
-    PALM3_TOPICS,
     RIG,
     SHAPE,
     STATE,
     UNEXPLAINED,
 )
 from palmd.rig.world import default_config
+from palmd.three_palms_quantities import PALM3_TOPICS
 from palmd.topics import TOPICS
 
 # As CONTRACTS section 4 has them, written out here a second time.

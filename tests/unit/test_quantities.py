@@ -6,8 +6,9 @@ import math
 import pytest
 
 from palmd.events import Estimate
-from palmd.quantities import BODY, CHARTS, ESTIMATE, IMPROVEMENT, LOOP, PALM3, STAMP, STATE, TRUTH, drawn
+from palmd.quantities import BODY, CHARTS, ESTIMATE, IMPROVEMENT, LOOP, STAMP, STATE, TRUTH, drawn
 from palmd.rig.world import World, default_config
+from palmd.three_palms_quantities import PALM3
 from palmd.topics import RIG_TOPICS, TOPICS, truth_of
 
 SUFFIXES = {"m": "_m", "rad": "_rad", "rad/s": "_rad_s", "rad/s²": "_rad_s2", "kg": "_kg", "N": "_n", "s": "_s",

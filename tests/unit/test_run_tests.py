@@ -11,14 +11,18 @@ from hypothesis import HealthCheck, settings
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = """\
-import os, pathlib, sys
+import os, pathlib, sys, time
 log = pathlib.Path("log")
+name, first, tries = sys.argv[1:4]
 again = "--last-failed" in sys.argv
 how = "collected" if "--collect-only" in sys.argv else "again" if again else "first"
 with log.open("a") as stream:
-    stream.write(f"{sys.argv[1]} {how} {os.environ.get('PALMD_TESTS_BESIDE')}\\n")
-print(f"{sys.argv[1]} talks")
-sys.exit(int(sys.argv[3 if again else 2]))
+    stream.write(f"{name} {how} {os.environ.get('PALMD_TESTS_BESIDE')}\\n")
+print(f"{name} talks")
+t_end = time.monotonic() + 30.0
+while name == "slow" and "rig again" not in log.read_text() and time.monotonic() < t_end:
+    time.sleep(0.02)
+sys.exit(int(tries.split(",")[log.read_text().count(f"{name} again") - 1] if again else first))
 """
 
 
@@ -61,8 +65,8 @@ def ran(tool, monkeypatch, tmp_path):
     return run
 
 
-def test_a_rig_that_fails_beside_others_is_tried_again_by_itself(ran, capfd):
-    assert ran(("rig", 1, 0, True), ("other", 0, 9, False)) == (
+def test_a_rig_that_fails_when_others_are_over_is_tried_again_by_itself(ran, capfd):
+    assert ran(("other", 0, 9, False), ("rig", 1, 0, True)) == (
         0,
         [("other", "first", "None"), ("rig", "again", "None"), ("rig", "first", "1")],
     )
@@ -71,6 +75,17 @@ def test_a_rig_that_fails_beside_others_is_tried_again_by_itself(ran, capfd):
         told.index("rig, over by") < told.index("rig: what has failed is tried again") < told.index("failed: nothing")
     )
     assert "other talks" in told
+
+
+@pytest.mark.parametrize(
+    ("tries", "how", "status"),
+    [("0", ["1"], 0), ("1,0", ["1", "None"], 0), ("1,1", ["1", "None"], 1), ("2", ["1"], 1)],
+)
+def test_while_others_run_it_is_tried_again_at_once(ran, tries, how, status):
+    """And by itself only if it fails then too."""
+    found, log = ran(("rig", 1, tries, True), ("slow", 0, 9, False))
+    assert found == status
+    assert log == [*(("rig", "again", each) for each in how), ("rig", "first", "1"), ("slow", "first", "None")]
 
 
 def test_what_many_workers_share_is_made_before_they_begin(tool, tmp_path, monkeypatch):

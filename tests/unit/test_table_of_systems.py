@@ -71,6 +71,7 @@ def test_a_rig_of_two_palms_loads_nothing_of_another_system():
         "palmd.system.pivot",
         "palmd.pivot_quantities",
         "palmd.system.three_palms",
+        "palmd.three_palms_quantities",
     }  # what axes and topics are called
 
 

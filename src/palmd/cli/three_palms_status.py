@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from palmd.cli.glance import status_of
-from palmd.quantities import PALM3
 from palmd.system.three_palms import JOINTS
+from palmd.three_palms_quantities import PALM3
 
 
 def status_lines(result: Mapping[str, Any]) -> list[str]:

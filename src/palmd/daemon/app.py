@@ -36,7 +36,7 @@ OK, BAD_INPUT, RIG_FAILED = 0, 1, 3
 RECORDER_START_S = 2.0
 """How long the first tick waits for a recorder to speak: an observer can be replayed from its first event only."""
 NEIGHBOUR_S = 0.5
-"""Likewise, for one that somebody else may have started: it listens already, and finds the bus within 0.1 s."""
+"""Likewise, for one that somebody else may have started: it listens already, and finds an open bus within 0.1 s."""
 
 
 def run(config_path: Path, recorder: Callable[[], None] | None = None) -> int:
@@ -119,7 +119,10 @@ def _run(
         info_topic=SYSTEM_TOPICS[config.system].info,
         counters=lambda: _counters(smoother, estimator, explorer),
     )
-    bus.await_command("recorder", RECORDER_START_S if recorded else NEIGHBOUR_S)
+    if recorded:
+        bus.await_command("recorder", RECORDER_START_S)
+    else:
+        bus.await_command("recorder", NEIGHBOUR_S, since_open=True)
     realtime.freeze_collector()
     signals.hand_over(loop.stop)
     return OK if loop.run() else RIG_FAILED

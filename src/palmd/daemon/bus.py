@@ -90,6 +90,7 @@ class Bus:
             raise
         if self._door is not None:
             self._door.begin()
+        self._t_open = time.monotonic()
 
     def publish(self, topic: Topic, fields: Fields, t: float, timestamp: float) -> None:
         """Send one message, or drop it; `t` is the tick's time, `timestamp` Unix time (s)."""
@@ -185,12 +186,13 @@ class Bus:
                 return frames
         return None
 
-    def await_command(self, name: str, seconds: float) -> None:
+    def await_command(self, name: str, seconds: float, *, since_open: bool = False) -> None:
         """Wait until a command of that name has come, at most so long: for before the loop begins.
 
-        What comes meanwhile is kept for `receive`.
+        So long from now on, or `since_open`: from when the addresses could be found. What comes meanwhile is kept for
+        `receive`.
         """
-        t_end = time.monotonic() + seconds
+        t_end = (self._t_open if since_open else time.monotonic()) + seconds
         while all(request.name != name for request in self._early):
             left_s = t_end - time.monotonic()
             wait_ms = 0 if self._waiting else math.ceil(left_s * 1e3)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from dataclasses import replace
 
 from palmd.config import ArmConfig
 from palmd.daemon.latency_estimator import LatencyEstimator
@@ -75,7 +74,7 @@ class ArmDriver:
         if meant is None:
             self.actual = PalmMotion.at_rest(angles)
             return PalmSample(t, angles)
-        self.actual = replace(meant, angles=angles)
+        self.actual = meant._replace(angles=angles)
         return PalmSample(t, angles, meant.rates, meant.accelerations)
 
     def _meant(self, t: float, angles: Joints, state: ArmState) -> PalmMotion | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 from palmd.events import Joints, PalmMotion
 from palmd.motion.limits import MotionLimits
@@ -38,7 +37,7 @@ class Jog:
     @property
     def motion(self) -> PalmMotion:
         """Where the palms are meant to be, and how fast."""
-        return replace(PalmMotion.at_rest(tuple(self._q)), rates=tuple(self._v))
+        return PalmMotion.at_rest(tuple(self._q))._replace(rates=tuple(self._v))
 
     def check(self, whole: Joints) -> None:
         """Raises PoseError if steps that add up to so much (rad) would leave the limits; takes about a millisecond."""

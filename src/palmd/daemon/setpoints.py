@@ -148,9 +148,7 @@ class SetPoints:
         """The arm did not follow: begin again where it is, its tool as in its `pose`."""
         stood = actual if self.commanded is None else self.commanded
         pairs = enumerate(zip(actual.angles, stood.angles, strict=True))
-        self._begin_at(
-            dataclasses.replace(actual, angles=tuple(b if joint in self._free else a for joint, (a, b) in pairs)), pose
-        )
+        self._begin_at(actual._replace(angles=tuple(b if joint in self._free else a for joint, (a, b) in pairs)), pose)
         self._off_path = True
         self._settle()
 

@@ -20,9 +20,10 @@ from palmd.motion.kinematics import PoseError
 from palmd.observer.observer import LiveObserver
 from palmd.observer.three_palms.live import BodyObserver
 from palmd.outlinefile import Outline
-from palmd.quantities import PALM3_ANSWER, PALM3_SHAPE, Topic
+from palmd.quantities import Topic
 from palmd.system.three_palms import JOINTS, NAMING, BodyAnswer, BodyEstimate
 from palmd.three_palms_config import ThreePalmsConfig, three_palms_rig
+from palmd.three_palms_quantities import PALM3_ANSWER, PALM3_SHAPE
 
 OUTSIDE_RAD = math.radians(1.0)
 _PER_RAD = math.degrees(1e-3)  # the line's µm are 1/1000 degree

@@ -13,7 +13,7 @@ from palmd.events import FloatArray
 from palmd.harness.settling import SettlingComparison
 from palmd.observer.three_palms.icosphere import icosphere
 from palmd.observer.three_palms.rotation import exp
-from palmd.quantities import PALM3, PALM3_BODY, PALM3_SHAPE, PALM3_TRUTH, WORLD_AXES
+from palmd.three_palms_quantities import PALM3, PALM3_BODY, PALM3_SHAPE, PALM3_TRUTH, WORLD_AXES
 
 SPIN = tuple(f"omega_{axis}_rad_s" for axis in WORLD_AXES)
 CENTRE = tuple(f"com_{axis}_m" for axis in WORLD_AXES)

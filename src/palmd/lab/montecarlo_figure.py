@@ -24,15 +24,21 @@ def save(rows: Sequence[MonteCarloRow], folder: Path) -> list[Path]:
     """Draws the runs into `montecarlo.svg` and `montecarlo.png`; the same rows give the same files."""
     paths = [folder / "montecarlo.svg", folder / "montecarlo.png"]
     with matplotlib.rc_context({"svg.hashsalt": "palmd", "font.size": 9.0, "axes.grid": True, "grid.alpha": 0.3}):
-        figure = Figure(figsize=(10.0, 7.5), layout="constrained")
-        (outline, efficiency), (consistency, causal) = figure.subplots(2, 2)
-        _outline(outline, rows)
-        _efficiency(efficiency, rows)
-        _consistency(consistency, rows)
-        _causal(causal, rows)
+        figure = drawn(rows)
         figure.savefig(paths[0], metadata={"Date": None})
         figure.savefig(paths[1], dpi=150)
     return paths
+
+
+def drawn(rows: Sequence[MonteCarloRow]) -> Figure:
+    """The figure, not written yet."""
+    figure = Figure(figsize=(10.0, 7.5), layout="constrained")
+    (outline, efficiency), (consistency, causal) = figure.subplots(2, 2)
+    _outline(outline, rows)
+    _efficiency(efficiency, rows)
+    _consistency(consistency, rows)
+    _causal(causal, rows)
+    return figure
 
 
 def _outline(axes: Axes, rows: Sequence[MonteCarloRow]) -> None:

@@ -14,9 +14,9 @@ from palmd.console.shipped import shipped
 from palmd.harness.three_palms_comparison import matrix, surface_error
 from palmd.harness.three_palms_wireless import ThreePalmsWireless
 from palmd.jsonvalues import or_none
-from palmd.quantities import PALM3, PALM3_SHAPE, WORLD_AXES
 from palmd.system.three_palms import PALMS
 from palmd.three_palms_config import ThreePalmsConfig, TiltPlanSpec
+from palmd.three_palms_quantities import PALM3, PALM3_SHAPE, WORLD_AXES
 from palmd.yamlfile import load_any_config, parse, read_document
 
 RIGHT_M = 1.5e-4

@@ -157,7 +157,7 @@ class Explorer:
         self._roadmap: Roadmap | None = None
 
     def _see(self, outlook: Outlook) -> None:
-        if outlook.touched.sum() > self._most or math.isinf(self._t_new):
+        if outlook.touched.sum() > self._most or not self._most:  # who knows nothing yet is not stuck
             self._most, self._t_new = int(outlook.touched.sum()), outlook.t
             if self._roadmap is not None:
                 self._roadmap.forget()

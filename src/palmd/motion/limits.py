@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 from palmd.config import LimitsConfig
@@ -261,7 +261,7 @@ class MotionLimits:
             return wanted
         share = 1.0 if longest <= room else room / longest
         clamped = PalmMotion.at_rest(tuple(b + share * step for b, step in zip(previous.angles, steps, strict=True)))
-        return replace(clamped, rates=tuple(share * step / dt for step in steps)) if dt > 0.0 else clamped
+        return clamped._replace(rates=tuple(share * step / dt for step in steps)) if dt > 0.0 else clamped
 
 
 def ranges(values: Iterable[tuple[float, ...]]) -> list[tuple[float, float]]:

@@ -209,6 +209,7 @@ class BankObserver:
             self._hypotheses.keep(track, t)
         lately = session.track is not None and self._contacts.read_lately(t)
         track.valid = valid
+        track.vouched_for |= valid
         track.predictable = valid or predictable(evidence.finite, lately, track.age(t), evidence.radius_sd_m)
         return answer(
             t, valid, self.name, session.object_count, y, told_sd, track.mass,

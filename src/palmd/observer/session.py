@@ -58,7 +58,7 @@ class ObjectSession:
     def begun(self) -> float:
         """Since when the present object has been on the palms (s), inf while there is none.
 
-        Where a bank is often led astray, what it loses where it lay is the same object.
+        What a bank loses where it lay may be the same object.
         """
         return self._t_begun
 
@@ -112,10 +112,18 @@ class ObjectSession:
             track.t_unlikely = t
         elif t - track.t_unlikely > LOST_FOR_S:
             self._hypotheses.lost(track)
-            begun = self._t_begun if self._rig.lopsided and not self._fusion.carries else math.inf
+            begun = self._t_begun if self._still_the_same(track) else math.inf
             self.stop()
             self._t_lost, self._t_begun = t, begun
         return self.track is None
+
+    def _still_the_same(self, track: Track) -> bool:
+        """Whether what a smoother has of the object that a bank has just lost where it lay is of the next one too.
+
+        A bank that never knew the object cannot tell that there is another now, and on a busy machine it may be lost
+        again and again before the smoother's first answers come.
+        """
+        return not self._fusion.carries and (self._rig.lopsided or not track.vouched_for)
 
     # ---- what fusion asks
 

@@ -34,6 +34,7 @@ class Track:
     coverage: Coverage
     valid: bool = False
     predictable: bool = False
+    vouched_for: bool = False
     t_unlikely: float | None = None
     surprise: Surprise = field(default_factory=Surprise)
 

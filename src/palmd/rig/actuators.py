@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 from palmd.devices.actuator import ArmState
@@ -51,8 +51,8 @@ class EmulatedActuator(LineDevice, Protocol):
     def palms_at(self, t: float) -> PalmMotion:
         """Where the palms are and how they move, as the actuator has them; t (s) no earlier than the last step."""
 
-    def feel(self, palms: PalmMotion, contacts: Sequence[PlantContact], t: float) -> None:
-        """What presses on the palms at t (s)."""
+    def feel(self, palms: PalmMotion, contacts: Callable[[], Sequence[PlantContact]], t: float) -> None:
+        """What presses on the palms at t (s), for one that can tell: `contacts` finds it out."""
 
     def play(self, order: FaultOrder, begins: bool, palms: Joints) -> None:
         """Mischief that is an act rather than a state of the line; `palms` are where they stand (rad)."""

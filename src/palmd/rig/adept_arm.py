@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -59,7 +59,7 @@ class AdeptArm(DrivenTool):
         self.judge.listened_late(t, late_s)
         super().receive(heard, spoilt, t)
 
-    def feel(self, palms: PalmMotion, contacts: Sequence[PlantContact], t: float) -> None:
+    def feel(self, palms: PalmMotion, contacts: Callable[[], Sequence[PlantContact]], t: float) -> None:
         """It is too strong to feel anything."""
 
     def hold_by_hand(self, palms: Joints) -> None:

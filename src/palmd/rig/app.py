@@ -21,7 +21,6 @@ import json
 import math
 import os
 import secrets
-import select
 import shutil
 import signal
 import sys
@@ -48,7 +47,7 @@ from palmd.rig.fault_injection import (
     order,
     parse,
 )
-from palmd.rig.line import PtyLine
+from palmd.rig.line import LineWaiter, PtyLine
 from palmd.rig.roller import KINDS as ROLLERS
 from palmd.rig.shapes import KINDS, Body, cylinder
 from palmd.rig.tally import Listener
@@ -200,7 +199,7 @@ class RigProcess:
             for port in world.ports
         }
         self._listeners: dict[PortName, Listener] = {port: Listener(world.listener(port)) for port in world.ports}
-        self._poll = select.poll()
+        self._waiter = LineWaiter()
         for line in self._lines.values():
             self._move_plug(line)
         self._context = zmq.Context()
@@ -253,7 +252,7 @@ class RigProcess:
         """
         world = self.world
         late_s, self._t_heard = max(t - self._t_heard - PERIOD_S, 0.0), t
-        events = self._ready()
+        events = self._waiter.ready()
         for port, line in self._lines.items():
             if world.unplugged(port) == line.plugged:
                 self._listeners[port].interrupted()
@@ -267,17 +266,13 @@ class RigProcess:
         for port, said in world.advance(t).items():
             self._listeners[port].take(self._lines[port].write(said), t)
 
-    def _ready(self) -> dict[int, int]:
-        """What poll() says of each port that has something to say: one system call for all."""
-        return dict(self._poll.poll(0))
-
     def _move_plug(self, line: PtyLine | UinputLine) -> None:
         if line.plugged:
-            self._poll.unregister(line.fileno)
+            self._waiter.forget(line.fileno)
             line.unplug()
         else:
             line.plug()
-            self._poll.register(line.fileno)
+            self._waiter.watch(line.fileno)
 
     def _note_lateness(self, late_s: float) -> None:
         self.ticks += 1

@@ -8,13 +8,13 @@ t(φ) = (cos φ, sin φ). World frame and SI throughout; poses on the arm's side
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from palmd.config import AdeptConfig, Config
 from palmd.devices.actuator import Pose
 from palmd.events import PalmMotion
 
-_LEAST_OPENING = math.radians(3.0)  # beyond it the linkage hits its stops
+_MOST_COSINE = math.cos(math.radians(3.0))  # of the opening: beyond it the linkage hits its stops
 _SERVO_LAG_S = 0.016  # a bandwidth of some 20 Hz
 
 
@@ -27,6 +27,10 @@ class Linkage:
     palm2_length: float
     arm: tuple[float, float]
     yaw: float
+    _turn: tuple[float, float] = field(init=False, repr=False, compare=False)  # cos, sin of the yaw
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_turn", (math.cos(self.yaw), math.sin(self.yaw)))
 
     @property
     def lengths(self) -> tuple[float, float]:
@@ -52,12 +56,12 @@ class Linkage:
         phi12 = phi1 + phi2
         x = self.base[0] - self.palm1_length * math.cos(phi1) + self.palm2_length * math.cos(phi12) - self.arm[0]
         y = self.base[1] - self.palm1_length * math.sin(phi1) + self.palm2_length * math.sin(phi12) - self.arm[1]
-        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        c, s = self._turn
         return Pose(c * x + s * y, c * y - s * x, turn(phi12 - self.yaw))
 
     def angles(self, x: float, y: float) -> tuple[float, float] | None:
         """Palm angles for an arm position (m, arm coordinates); None where the linkage cannot be."""
-        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        c, s = self._turn
         return self._angles_from_base(
             self.arm[0] + c * x - s * y - self.base[0], self.arm[1] + s * x + c * y - self.base[1]
         )
@@ -68,7 +72,7 @@ class Linkage:
         Arm coordinates. The rates solve Ė = −L1·ω1·n(φ1) + L2·ω12·n(φ12), n(φ) = dt/dφ, the accelerations the
         same with the centripetal terms brought over. None where `angles` has none.
         """
-        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        c, s = self._turn
         found = self._angles_from_base(
             self.arm[0] + c * x[0] - s * y[0] - self.base[0], self.arm[1] + s * x[0] + c * y[0] - self.base[1]
         )
@@ -91,7 +95,7 @@ class Linkage:
     def _angles_from_base(self, dx: float, dy: float) -> tuple[float, float] | None:
         l1, l2 = self.palm1_length, self.palm2_length
         cos_phi2 = (l1 * l1 + l2 * l2 - dx * dx - dy * dy) / (2.0 * l1 * l2)
-        if abs(cos_phi2) > math.cos(_LEAST_OPENING):
+        if abs(cos_phi2) > _MOST_COSINE:
             return None
         phi2 = math.acos(cos_phi2)
         return turn(math.atan2(dy, dx) - math.atan2(l2 * math.sin(phi2), l2 * cos_phi2 - l1)), phi2

@@ -19,6 +19,7 @@ from palmd.config import BAUDS, SERVO_BAUDS
 READ_BYTES = 4096
 _OSPEED = 5
 _BAUD_OF = {getattr(termios, f"B{baud}"): baud for baud in sorted({*BAUDS, *SERVO_BAUDS})}
+_EVENTS = select.POLLIN | select.POLLPRI
 _FLUSHED = 0x01  # TIOCPKT_FLUSHREAD: the host has flushed its input, as it does on opening
 
 
@@ -145,6 +146,44 @@ class PtyLine:
     def _host_baud(self) -> int | None:
         assert self._master is not None
         return _BAUD_OF.get(termios.tcgetattr(self._master)[_OSPEED])
+
+
+class LineWaiter:
+    """What poll() would say of several descriptors; one system call for all that a host has opened.
+
+    poll() itself would wait for a thread of the kernel, see `PortWaiter`; edge-triggered epoll does not. That a host
+    opens a pseudo-terminal is no edge, but of one that none has opened there is nothing to wait for.
+    """
+
+    def __init__(self) -> None:
+        self._edges = select.epoll()
+        self._unopened: set[int] = set()
+
+    def watch(self, fd: int) -> None:
+        """Take a descriptor in."""
+        self._edges.register(fd, _EVENTS | select.EPOLLET)
+        self._unopened.add(fd)
+
+    def forget(self, fd: int) -> None:
+        """Leave one out, before it is closed."""
+        self._edges.unregister(fd)
+        self._unopened.discard(fd)
+
+    def ready(self) -> dict[int, int]:
+        """The events of each that has any; where a host is, each is told once, and what has come must be read."""
+        events = dict(self._edges.poll(0))
+        self._unopened |= {fd for fd, event in events.items() if event & select.POLLHUP}
+        for fd in tuple(self._unopened):
+            events[fd] = _polled(fd)
+            if not events[fd] & select.POLLHUP:
+                self._unopened.discard(fd)
+        return events
+
+
+def _polled(fd: int) -> int:
+    poll = select.poll()
+    poll.register(fd, _EVENTS)
+    return dict(poll.poll(0)).get(fd, 0)
 
 
 def _packet_mode(master: int) -> None:

@@ -8,7 +8,7 @@ answered, answers follow one another after the return delay of each.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -278,13 +278,13 @@ class ServoArm:
                     said += self._obey(packet, t)
         return said
 
-    def feel(self, palms: PalmMotion, contacts: Sequence[PlantContact], t: float) -> None:
+    def feel(self, palms: PalmMotion, contacts: Callable[[], Sequence[PlantContact]], t: float) -> None:
         """Weight and the object push each palm to one end of its play."""
         first, second = palms.angles[0], palms.angles[0] + palms.angles[1]
         weight = PALM_KG * GRAVITY * PALM_CENTRE_M
         signs, share = (-1.0, 1.0), (t - self._t_felt) / GREASE_S
         self._t_felt = t
-        for i, (sign, angle, contact) in enumerate(zip(signs, (first, second), contacts, strict=True)):
+        for i, (sign, angle, contact) in enumerate(zip(signs, (first, second), contacts(), strict=True)):
             moment = -weight * math.cos(angle)
             if contact.touching:
                 moment += sign * contact.s * contact.force

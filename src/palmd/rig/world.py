@@ -175,7 +175,7 @@ class World(EmulatedRig[EmulatedActuator]):
             self._put_on_palms()
         if self._roller:
             self._roller.advance(t, self._true_palms)
-        self._arm.feel(end, self.plant.contacts(), t)
+        self._arm.feel(end, self.plant.contacts, t)
         if self._hand:
             self._arm.hold_by_hand(self._hand.at(t - self._t_start))
         self._speak(t)

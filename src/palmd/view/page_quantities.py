@@ -6,22 +6,10 @@ import math
 from dataclasses import asdict, fields
 from typing import Any
 
-from palmd.quantities import (
-    CHARTS,
-    CONTACT,
-    ESTIMATE,
-    LOOP,
-    MOTION,
-    PALM3,
-    PALM3_CONTACT,
-    REPLAY,
-    Chart,
-    Quantity,
-    Topic,
-    drawn,
-)
+from palmd.quantities import CHARTS, CONTACT, ESTIMATE, LOOP, MOTION, REPLAY, Chart, Quantity, Topic, drawn
 from palmd.system.mechanism import JOINTS, PALMS, SIDES
 from palmd.systems import TWO_PALMS
+from palmd.three_palms_quantities import PALM3, PALM3_CONTACT
 from palmd.topics import RIG_TOPICS, SYSTEM_TOPICS, TOPICS, truth_of
 
 ESTIMATES = (ESTIMATE, PALM3)

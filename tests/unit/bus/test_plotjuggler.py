@@ -17,7 +17,8 @@ from palmd.daemon.bus import Bus
 from palmd.events import ObjectEstimate, Unexplained
 from palmd.messages import note_fields, object_fields, unexplained_fields
 from palmd.pivot_quantities import PIVOT_TOPICS
-from palmd.quantities import NOTE, OBJECT, PALM3_TOPICS, UNEXPLAINED
+from palmd.quantities import NOTE, OBJECT, UNEXPLAINED
+from palmd.three_palms_quantities import PALM3_TOPICS
 from palmd.topics import TOPICS
 
 LAYOUT = Path(__file__).parents[3] / "config/plotjuggler.xml"

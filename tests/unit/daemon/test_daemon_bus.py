@@ -303,3 +303,12 @@ def test_what_comes_before_the_awaited_command_is_kept(rig):
     rig.bus.await_command("recorder", 60.0)  # ends long before: the test's own time is short
     assert [request.name for request in rig.bus.receive()] == ["status", "recorder"]
     assert rig.bus.receive() == []
+
+
+def test_whoever_could_have_found_the_bus_for_long_is_awaited_no_longer(rig):
+    """What the daemon did meanwhile was time enough."""
+    begun, rig.bus._t_open = time.monotonic(), rig.bus._t_open - 61.0
+    rig.bus.await_command("recorder", 60.0, since_open=True)
+    assert time.monotonic() - begun < 30.0
+    rig.client(zmq.DEALER, rig.command).send(call(id=1, cmd="recorder", args={"bytes": 0, "messages": 0, "lost": 0}))
+    assert [request.name for request in rig.received()] == ["recorder"]

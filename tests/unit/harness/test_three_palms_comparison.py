@@ -8,7 +8,7 @@ import pytest
 from palmd.bus.subscriber import Message
 from palmd.harness.three_palms_comparison import CENTRE, SPIN, ThreePalmsComparison
 from palmd.observer.three_palms.icosphere import icosphere
-from palmd.quantities import PALM3, PALM3_BODY, PALM3_SHAPE, PALM3_TRUTH
+from palmd.three_palms_quantities import PALM3, PALM3_BODY, PALM3_SHAPE, PALM3_TRUTH
 
 DIRECTIONS, _ = icosphere()
 TRUE_H = np.linalg.norm(DIRECTIONS * [0.03, 0.025, 0.02], axis=1)  # an ellipsoid's

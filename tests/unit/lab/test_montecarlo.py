@@ -480,5 +480,7 @@ def test_the_figure_is_the_same_for_the_same_rows(tmp_path):
 
 
 @pytest.mark.parametrize("rows", [FEW[4:5], [dataclasses.replace(FEW[0], causal=None)]])
-def test_a_figure_of_one_row_and_of_none_of_the_daemons_is_drawn(rows, tmp_path):
-    assert [path.stat().st_size > 1000 for path in montecarlo_figure.save(rows, tmp_path)] == [True, True]
+def test_a_figure_of_one_row_and_of_none_of_the_daemons_is_drawn(rows):
+    figure = montecarlo_figure.drawn(rows)
+    figure.draw_without_rendering()  # all but the writing, which takes most of the time
+    assert [bool(axes.lines) for axes in figure.axes] == [True] * 4

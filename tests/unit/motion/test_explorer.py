@@ -170,6 +170,17 @@ def test_it_gives_up_when_nothing_new_has_come_for_long():
     assert "335–20°" in decision.reason
 
 
+def test_it_goes_on_while_nothing_is_known_yet():
+    """What it would take to know is motion: palms that stand because nothing was found would never find anything."""
+    mine = explorer(time_limit_s=600.0)
+    for t in (0.0, STUCK_S + 1.0, 3 * STUCK_S):
+        assert mine.decide(outlook(t), STANDING).kind != "done"
+    some = NOTHING.copy()
+    some[3] = True
+    assert mine.decide(outlook(4 * STUCK_S, some), STANDING).kind != "done"
+    assert mine.decide(outlook(5 * STUCK_S + 1.0, some), STANDING).kind == "done"
+
+
 def test_the_inmost_of_what_is_wanted_lies_as_deep_as_it_is_far_from_the_rest():
     wanted = np.zeros(BINS, dtype=np.bool_)
     wanted[[70, 71, 0, 1, 2, 30]] = True

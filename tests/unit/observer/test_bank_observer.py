@@ -395,6 +395,26 @@ def test_a_map_that_leads_astray_is_forgotten(nominal: tuple) -> None:
     assert not estimates[-1].valid
 
 
+@pytest.mark.parametrize("known", [False, True])
+def test_what_a_bank_loses_before_it_knew_it_has_lain_there_all_the_time(nominal: tuple, known: bool) -> None:
+    """So that a smoother that is slow, on a busy machine, may go on with all readings of it."""
+    rig, events, _ = nominal
+    watcher = observer.make("shape", rig)
+    right = events[: 1000 if known else 5]
+    _replay(watcher, right)
+    begun, t = watcher.begun, right[-1].t_sample
+    random = np.random.default_rng(5)
+    for event in events[len(right) :]:
+        spoilt = replace(event, s=0.02 + 0.01 * random.uniform(-1, 1)) if isinstance(event, PadSample) else event
+        watcher.feed(spoilt)
+        valid = watcher.estimate(event.t_sample).valid
+        assert known or not valid
+        if watcher.object_count > 1:
+            break
+    assert watcher.object_count == 2
+    assert watcher.begun == begun if not known else watcher.begun > t
+
+
 def test_a_short_lift_is_bridged_without_starting_again(nominal: tuple) -> None:
     rig, events, _ = nominal
     watcher = observer.make("shape", rig)

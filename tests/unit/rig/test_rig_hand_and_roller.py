@@ -1,7 +1,6 @@
 """The hand that swings the palms, and the roller that is laid on them, on the emulated rig."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -50,7 +49,7 @@ def test_by_hand_the_arm_is_in_manual_mode_and_reports_where_it_is_led():
 
 
 def motion(phi1_deg, phi2_deg, **rates):
-    return replace(PalmMotion.at_rest((math.radians(phi1_deg), math.radians(phi2_deg))), **rates)
+    return PalmMotion.at_rest((math.radians(phi1_deg), math.radians(phi2_deg)))._replace(**rates)
 
 
 def heard(palms, seconds=20.0, kind="ball", pad=0, seed=1):

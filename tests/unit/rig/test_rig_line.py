@@ -3,12 +3,13 @@
 import os
 import select
 import termios
+import time
 import tty
 
 import numpy as np
 import pytest
 
-from palmd.rig.line import PtyLine, Wire
+from palmd.rig.line import LineWaiter, PtyLine, Wire
 
 
 def test_wire_paces_bytes_and_keeps_their_order():
@@ -106,3 +107,31 @@ def test_unplugging_hangs_up_and_replugging_serves_again(line):
     assert os.read(again, 10) == b"back"
     os.close(host)
     os.close(again)
+
+
+def test_waiting_tells_what_comes_once_and_who_is_not_there_all_the_time(line):
+    """Asked about what has come already, the kernel would make the rig wait for a thread that others keep waiting."""
+    waiter = LineWaiter()
+    waiter.watch(line.fileno)
+    for _ in range(2):
+        assert waiter.ready()[line.fileno] & select.POLLHUP
+    for _ in range(2):
+        host = open_host(line)
+        assert not waiter.ready().get(line.fileno, 0) & select.POLLHUP
+        os.write(host, b"move")
+        assert heard_by(waiter, line) == b"move"
+        assert waiter.ready() == {}
+        os.close(host)
+        assert waiter.ready()[line.fileno] & select.POLLHUP
+    waiter.forget(line.fileno)
+    assert waiter.ready() == {}
+
+
+def heard_by(waiter, line, patience_s=10.0):
+    """What the line hears next; the kernel hands it over in its own time."""
+    t_end = time.monotonic() + patience_s
+    while time.monotonic() < t_end:
+        heard, _ = line.read(waiter.ready().get(line.fileno, 0))
+        if heard:
+            return heard
+    return b""

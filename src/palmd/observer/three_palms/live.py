@@ -21,8 +21,8 @@ from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
 from palmd.observer.three_palms.icosphere import icosphere
 from palmd.observer.three_palms.joint_track import STEADY, JointTrack
 from palmd.observer.three_palms.rotation import quaternion
-from palmd.quantities import INERTIA_ENTRIES, WORLD_AXES
 from palmd.system.three_palms import GAP_S, JOINTS, PALMS, BodyAnswer, BodyEstimate, ThreePalmsRig
+from palmd.three_palms_quantities import INERTIA_ENTRIES, WORLD_AXES
 
 NAME = "space"
 ORDER = 8  # of the smoother's outlines

@@ -14,7 +14,6 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.observer.three_palms.icosphere import icosphere
 from palmd.observer.three_palms.rotation import quaternion
-from palmd.quantities import PALM3_BODY, PALM3_TRUTH
 from palmd.rig.emulated import STEP_S, EmulatedRig
 from palmd.rig.fault_injection import FaultOrder, PortName
 from palmd.rig.pads import GOOD_PADS, PadOptions, Press
@@ -27,6 +26,7 @@ from palmd.rig.three_palms.plant import BodyStates, Rubbing
 from palmd.rig.three_palms.simulate import REST_POSE, SETTLING_DRAG, SETTLING_S, random_rotation
 from palmd.system.three_palms import HALVINGS, JOINTS, PALMS, PalmPlanes, palms_at, readings_of
 from palmd.three_palms_config import ThreePalmsConfig
+from palmd.three_palms_quantities import PALM3_BODY, PALM3_TRUTH
 
 HALF_STEP = 2
 """Base steps in half a step of the plant."""

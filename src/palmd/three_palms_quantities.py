@@ -1,0 +1,205 @@
+"""What is published of a body between three palms in space, by the forms of `palmd.quantities`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from palmd.quantities import MOTION, TICK, Quantity, SystemTopics, Topic
+from palmd.system.three_palms import JOINTS, PALMS
+
+WORLD_AXES = ("x", "y", "z")
+INERTIA_ENTRIES = ("xx", "xy", "xz", "yy", "yz", "zz")
+"""Of the inertia of a body in space, in its own frame."""
+BODY_SURFACE = (
+    Quantity("halvings", "number", "",
+             "of the icosahedron whose corners are the directions: its twelve, then at each halving the middles of all "
+             "edges in the order of the numbers of their ends; 4 gives 2562"),
+    Quantity("h_m", "numbers", "m", "support function about the centre of mass, in the body's frame"),
+)  # fmt: skip
+PALM3 = Topic(
+    "palm3/estimate",
+    100.0,
+    "every tick, of three palms in space",
+    (
+        Quantity("valid", "bool", "", "whether to trust it: one motion explains the readings, and goes on to"),
+        Quantity("observer", "text", "", "which observer it comes from"),
+        Quantity("object", "number", "", "counts up when a new object is begun"),
+        Quantity("quat_xyzw", "numbers", "",
+                 "turn of the body's frame to the world's, x, y, z, w; 1 where the record begins that it is known by"),
+        Quantity("attitude_sd_rad", "numbers", "rad", "its one-sigma about the world's x, y and z"),
+        *(Quantity(f"omega_{axis}_rad_s", "number", "rad/s", f"angular velocity about the world's {axis}",
+                   f"ω{axis}", "rate", "named", glance=True) for axis in WORLD_AXES),
+        *(Quantity(f"com_{axis}_m", "number", "m", f"centre of mass from the palms' apex, world {axis}", axis,
+                   "place", "named", glance=axis == "z") for axis in WORLD_AXES),
+        *(Quantity(f"{joint}_rad", "number", "rad", f"joint angle {joint}", symbol, "angles", "derived")
+          for joint, symbol in zip(JOINTS, ("β", "γ₂", "γ₃"), strict=True)),
+        *(Quantity(f"{joint}_rate_rad_s", "number", "rad/s", f"its rate, planned: of {joint}")
+          for joint in JOINTS),
+        *(Quantity(f"{side}{number}_m", "number", "m", f"contact on pad {number}, {words}", f"{side}{number}",
+                   role="named")
+          for number in PALMS
+          for side, words in (("a", "along its first axis"), ("b", "along its second axis, from the apex"))),
+        *(Quantity(f"h{number}_m", "number", "m", f"distance of palm {number} from the centre of mass", f"h{number}",
+                   "distance", "derived", palm=number) for number in PALMS),
+        *(Quantity(f"f{number}_n", "number", "N", f"normal force of contact {number}", f"f{number}", role="derived",
+                   glance=True, palm=number) for number in PALMS),
+        *(Quantity(f"inertia_{entry}_m2", "number", "m²", f"inertia per unit mass, body frame, {entry}",
+                   role="derived") for entry in INERTIA_ENTRIES),
+        Quantity("mu", "number", "", "friction", "μ", role="derived", glance=True),
+        Quantity("mass_kg", "number", "kg", "mass of the object", "m", role="derived", glance=True),
+        Quantity("sd", "sds", "", "one-sigma of each field that it names, in that field's unit"),
+        Quantity("nis", "number", "", "normalised innovation squared, running mean", "NIS", "nis", digits=2),
+        Quantity("touched", "number", "", "fraction of directions within 4 degrees of a contact", "touched"),
+        Quantity("hypotheses", "number", "", "motions that explain the readings so far; 0 before the first"),
+        Quantity("reason", "text", "", "why it is not valid, in words; empty while it is"),
+    ),
+)  # fmt: skip
+PALM3_SHAPE = Topic(
+    "palm3/shape",
+    2.0,
+    "at most, of three palms in space once a motion is known",
+    (
+        *BODY_SURFACE,
+        Quantity("h_sd_m", "numbers", "m", "one-sigma of h"),
+        Quantity("touched", "numbers", "", "1 within 4 degrees of a contact, else 0: there h is a belief only"),
+        Quantity("object", "number", "", "as in palm3/estimate"),
+        Quantity("valid", "bool", "", "whether it is claimed"),
+    ),
+)
+PALM3_CONTACT = Topic(
+    "palm3/contact",
+    100.0,
+    "every tick, of three palms in space",
+    (
+        *(Quantity(f"{side}{number}_m", "number", "m", f"last reading of pad {number}; none while untouched")
+          for side in ("b", "a") for number in PALMS),
+        *(Quantity(f"pressure{number}", "number", "", f"last pressure of pad {number}, counts")
+          for number in PALMS),
+        *(Quantity(f"age{number}_ms", "number", "ms", f"age of pad {number}'s last packet", f"pad {number}", "age",
+                   palm=number, digits=0)
+          for number in PALMS),
+        Quantity("arm_age_ms", "number", "ms", "age of the arm's last report", "arm", "age", digits=0),
+        *(Quantity(f"touch{number}", "bool", "", f"whether pad {number} is touched") for number in PALMS),
+        *(Quantity(f"batch{number}", "bool", "", f"whether pad {number}'s last packet came with others in one read")
+          for number in PALMS),
+    ),
+)  # fmt: skip
+PALM3_MOTION = Topic(
+    "palm3/motion",
+    100.0,
+    "every tick, of three palms in space",
+    (
+        *(Quantity(f"{joint}_cmd_rad", "number", "rad", f"{joint} as commanded; none unless tracking")
+          for joint in JOINTS),
+        *(Quantity(f"{joint}_rad", "number", "rad", f"{joint} as it is, from the arm's last report")
+          for joint in JOINTS),
+        *MOTION.quantities[-4:],
+    ),
+)  # fmt: skip
+PALM3_EVENTS = Topic(
+    "palm3/events",
+    100.0,
+    "every tick, of three palms in space",
+    (
+        TICK,
+        Quantity("source", "numbers", "",
+                 "of each event that the observer was fed: a pad's number for a reading, less than 0 for the end of "
+                 "its contact, 0 the joints"),
+        Quantity("t_sample_s", "numbers", "s", "when it was true, CLOCK_MONOTONIC"),
+        Quantity("b_m", "numbers", "m", "of a reading: contact along the pad's second axis, from the apex"),
+        Quantity("a_m", "numbers", "m", "of a reading: contact along its first axis"),
+        Quantity("force_n", "numbers", "N", "of a reading: normal force"),
+        *(Quantity(f"{joint}_rad", "numbers", "rad", f"of the joints: {joint} as measured")
+          for joint in JOINTS),
+        *(Quantity(f"{joint}_rate_rad_s", "numbers", "rad/s", f"of the joints: rate of {joint}, planned")
+          for joint in JOINTS),
+        *(Quantity(f"{joint}_acc_rad_s2", "numbers", "rad/s²", f"of the joints: acceleration of {joint}, planned")
+          for joint in JOINTS),
+    ),
+)  # fmt: skip
+PALM3_ANSWER = Topic(
+    "palm3/answer",
+    0.0,
+    "when the smoother beside the loop has answered, of three palms in space",
+    (
+        TICK,
+        Quantity("t_s", "number", "s", "what instant the answer is about, CLOCK_MONOTONIC"),
+        Quantity("begun_s", "number", "s", "where the record begins that it is of"),
+        Quantity("claimed", "bool", "", "whether a motion is claimed"),
+        Quantity("reason", "text", "", "why none is, in words"),
+        Quantity("hypotheses", "number", "", "motions that explain the readings so far"),
+        Quantity("R", "numbers", "", "turn of the body at that instant, a matrix row after row"),
+        Quantity("omega_rad_s", "numbers", "rad/s", "its angular velocity, world"),
+        Quantity("p", "numbers", "SI", "the body: harmonics of its surface, inertia, drag, friction"),
+        Quantity("covariance", "numbers", "SI", "of turns in the world, angular velocity and p, row after row"),
+        Quantity("h_m", "numbers", "m", "the surface, in each direction of palm3/shape"),
+        Quantity("h_sd_m", "numbers", "m", "its one-sigma"),
+        Quantity("touched", "numbers", "", "1 where it was felt, else 0, each of these"),
+        Quantity("inertia_sd_m2", "numbers", "m²", "one-sigma of the inertia per unit mass, row after row"),
+        Quantity("mass_kg", "number", "kg", "mass of the object; none where no force was read"),
+        Quantity("mass_sd_kg", "number", "kg", "its one-sigma"),
+    ),
+)
+PALM3_INFO = Topic(
+    "palm3/info",
+    1.0,
+    "of three palms in space",
+    (
+        Quantity("version", "text", "", "of palmd"),
+        Quantity("schema", "number", "", "of these messages"),
+        Quantity("system", "text", "", "three_palms"),
+        Quantity("config_hash", "text", "", "sha256 of the effective configuration"),
+        Quantity("observer", "text", "", "the observer that runs"),
+        Quantity("rate_hz", "number", "Hz", "of the ticks"),
+        Quantity("units", "text", "", "where the units are"),
+        Quantity("mechanism", "text", "",
+                 "edge-axis: with b = (0, cos beta, sin beta), palm normals n1 = (0, −sin beta, cos beta), "
+                 "n2 = cos gamma2 X + sin gamma2 b, n3 = −cos gamma3 X + sin gamma3 b, all palms through the apex 0; "
+                 "pad axes (a, b): (X, b), (∂n2/∂gamma2, n1), (∂n3/∂gamma3, n1)"),
+        Quantity("joints", "texts", "", "the joints, as in <joint>_rad"),
+        Quantity("palms", "numbers", "", "the palms' numbers, which stand in the names of their quantities"),
+        Quantity("gravity_m_s2", "number", "m/s²", "along the world's −z"),
+        Quantity("pad_side_m", "number", "m", "of each square pad"),
+        *(Quantity(f"pad{number}_centre_m", "numbers", "m", f"a and b of the middle of pad {number}")
+          for number in PALMS),
+        *(Quantity(f"{joint}_limits_rad", "numbers", "rad", f"least and largest {joint}")
+          for joint in JOINTS),
+        Quantity("rate_limit_rad_s", "number", "rad/s", "of each joint"),
+        Quantity("acceleration_limit_rad_s2", "number", "rad/s²", "of each joint"),
+        Quantity("plans", "texts", "", "the plans that lie beside the configured one, as the plan command takes them"),
+    ),
+)  # fmt: skip
+PALM3_TRUTH = Topic(
+    "rig/palm3",
+    100.0,
+    "of three palms in space",
+    (
+        Quantity("quat_xyzw", "numbers", "", "turn of the body's own frame to the world's, x, y, z, w"),
+        *(
+            replace(quantity, role="plain", glance=False)
+            for quantity in PALM3.quantities
+            if quantity.name.startswith(("omega_", "com_", "a", "b", "gamma", "f")) and quantity.kind == "number"
+        ),
+        *(Quantity(f"touch{number}", "bool", "", f"whether it touches pad {number}") for number in PALMS),
+        Quantity("object", "number", "", "counts up when another object is put on the palms"),
+        Quantity("arm_state", "text", "", "the controller's state letter"),
+    ),
+)
+PALM3_BODY = Topic(
+    "rig/palm3_object",
+    1.0,
+    "of three palms in space",
+    (
+        Quantity("object", "number", "", "as in rig/palm3"),
+        Quantity("shape", "text", "", "what the body is made of"),
+        *BODY_SURFACE,
+        Quantity("inertia_m2", "numbers", "m²", "per unit mass, in its own frame, row after row"),
+        Quantity("mass_kg", "number", "kg", "mass of the object"),
+        Quantity("mu", "number", "", "friction"),
+        Quantity("dither_m_s", "number", "m/s", "dither speed of the friction law"),
+        Quantity("damping_m2_s", "number", "m²/s", "drag of its spin, per unit mass"),
+    ),
+)
+PALM3_TOPICS = SystemTopics(
+    PALM3, PALM3_SHAPE, PALM3_CONTACT, PALM3_MOTION, PALM3_EVENTS, PALM3_INFO, PALM3_TRUTH, PALM3_BODY, (PALM3_ANSWER,)
+)
