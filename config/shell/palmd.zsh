@@ -12,7 +12,7 @@ _shtab_palmd_commands() {
   local _commands=(
     bench:'studies of many runs: montecarlo, sbc, off, explore, recognise, curved, pivot, space, things, parts, speed, peers, field, faults, simulate, soak'
     build:'compile the observers now; the first run does it otherwise'
-    calibrate:'measure what the configuration must know: pad, arm, gravity, pads, standoff, force, curvature, self'
+    calibrate:'measure what the configuration must know: pad, arm, gravity, pads, standoff, force, curvature, height, self'
     check:'find what is wrong with configurations and motion plans'
     compare:'a reconstruction with a camera'"'"'s track of the same run'
     completion:'what has a shell complete palmd'"'"'s commands, options and files'
@@ -73,6 +73,7 @@ _shtab_palmd_calibrate_commands() {
     curvature:'palms that are arcs: their curvature, with that cylinder'
     force:'both touchpads: newtons per count, by the weight of that cylinder'
     gravity:'gravity and the arm'"'"'s yaw, with a ball or cylinder that rolls down the palms'
+    height:'a pivoting gripper'"'"'s height over the pad, with a dragged cylinder'
     pad:'one touchpad: noise, resolution, timing, dead band, with a marble rolled over it'
     pads:'both touchpads: zero, scale, sign, with a turned cylinder between the palms'
     self:'the pads'"'"' zeros and the palms'"'"' angles, from recorded runs with any objects'
@@ -421,6 +422,17 @@ _shtab_palmd_calibrate_gravity_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_calibrate_gravity_defaults_added=0
+
+_shtab_palmd_calibrate_height_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--radius-mm[of the cylinder]:R:"
+  {-o,--output}"[for height.yaml, which is overwritten (default\: calibration\/ beside CONFIG)]:FOLDER:_files"
+  ":the configuration that the run was recorded with, palmd.yaml:_files"
+  ":a recorded run (.mcap) with the cylinder, or its event log:_files"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_palmd_calibrate_height_defaults_added=0
 
 _shtab_palmd_calibrate_pad_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -1032,6 +1044,7 @@ _shtab_palmd_calibrate() {
         curvature) _arguments -C -s $_shtab_palmd_calibrate_curvature_options ;;
         force) _arguments -C -s $_shtab_palmd_calibrate_force_options ;;
         gravity) _arguments -C -s $_shtab_palmd_calibrate_gravity_options ;;
+        height) _arguments -C -s $_shtab_palmd_calibrate_height_options ;;
         pad) _arguments -C -s $_shtab_palmd_calibrate_pad_options ;;
         pads) _arguments -C -s $_shtab_palmd_calibrate_pads_options ;;
         self) _arguments -C -s $_shtab_palmd_calibrate_self_options ;;

@@ -37,14 +37,14 @@ TOUCHED_S = 1.0
 """How long both pads must have been touched without a break before anything moves."""
 
 _LOOK_S = 0.25
-_LARGEST_RADIUS_MM = 1000.0
+LARGEST_RADIUS_MM = 1000.0
 
 
 def add_arguments(parser: argparse.ArgumentParser, written: str) -> None:
     """The configuration, the cylinder's radius, the folder for the file `written`, and the key."""
     add = parser.add_argument
     add("config", type=Path, metavar="CONFIG", help="the running daemon's configuration, palmd.yaml")
-    add("--radius-mm", type=within(_LARGEST_RADIUS_MM), required=True, metavar="R", help="of the cylinder")
+    add("--radius-mm", type=within(LARGEST_RADIUS_MM), required=True, metavar="R", help="of the cylinder")
     add("-o", "--output", type=Path, metavar="FOLDER",
         help=f"for {written}, which is overwritten (default: calibration/ beside CONFIG)")  # fmt: skip
     add_key(parser)

@@ -78,6 +78,9 @@ COMMANDS = (
     ),
     Command("calibrate curvature", "calibration.curvature", "palms that are arcs: their curvature, with that cylinder"),
     Command(
+        "calibrate height", "calibration.height", "a pivoting gripper's height over the pad, with a dragged cylinder"
+    ),
+    Command(
         "calibrate self",
         "calibration.self_calibration",
         "the pads' zeros and the palms' angles, from recorded runs with any objects",

@@ -209,7 +209,7 @@ def report(rows: Sequence[LiveRow]) -> str:
     """The study's table: a line for each kind of rig."""
     titles = [
         "runs", "right", "not claimed", "wrong claims", "h_P, µm", "90 %", "error/sd", "claimed at, s", "90 %",
-        "mu off", "within 0.01", "off/sd", "jams", "most force, N", "valid", "of those wrong",
+        "mu off", "within 0.01", "off/sd", "jams", "over its limit", "most force, N", "valid", "of those wrong",
     ]  # fmt: skip
     rigs = sorted({row.task.name for row in rows})
     return aligned([("", titles), *((rig, _line([row for row in rows if row.task.name == rig])) for rig in rigs)])
@@ -235,8 +235,8 @@ def _line(rows: Sequence[LiveRow]) -> list[str]:
         cells += [""] * 8
     ticks, valid, wrong = (sum(getattr(row, name) for row in rows) for name in ("ticks", "valid", "wrong"))
     worst = max((row.most_force for row in rows if not row.error), default=math.nan)
-    jams = str(sum(row.jams > 0 for row in rows))
-    return [*cells, jams, f"{worst:.2f}", f"{valid / max(ticks, 1):.0%}", f"{wrong / max(valid, 1):.2%}"]
+    jams, over = str(sum(row.jams > 0 for row in rows)), str(sum(row.most_force > row.force_limit for row in rows))
+    return [*cells, jams, over, f"{worst:.2f}", f"{valid / max(ticks, 1):.0%}", f"{wrong / max(valid, 1):.2%}"]
 
 
 def remark(row: LiveRow) -> str:

@@ -47,6 +47,10 @@ REACH_EVERY_S = 4.0
 CAREFUL_M = 2.5e-4
 CAREFUL_ANGLES = (math.radians(22.0), math.radians(75.0)), (math.radians(66.0), math.radians(118.0))
 CAREFUL_RADIUS_M = 0.02
+# Until a smoother vouches for it, a first estimate of the friction may be off by many of its one-sigmas, and arcs close
+# so fast that they squeeze out what they hold: there it must be safe with this as well, two one-sigmas beyond what is
+# believed beforehand.
+DOUBTED_MU = 0.3
 CAREFUL_RATE = math.radians(100.0)
 STUCK_S = 40.0  # without anything new
 # When all is touched it goes on for the rig's constants: until what touch would tell of them costs less than this share
@@ -122,7 +126,7 @@ class Explorer:
         if not choose:
             return Decision("safe", None, "", coverage, reachable)
         start = np.array(under_way.move.end)
-        careful = _spread(states, start, self._curvatures) > CAREFUL_M
+        careful = _spread(states[: len(outlook.states)], start, self._curvatures) > CAREFUL_M
         wanted = self._wanted(outlook, touched)
         roads = None if careful else self._roads(states[0], wanted)
         tried = self._tried(start, self._careful if careful else self._limits, None if roads is None else roads.near)
@@ -210,7 +214,7 @@ class Explorer:
 
     def _after(self, outlook: Outlook, under_way: UnderWay) -> tuple[FloatArray, Bools, bool]:
         """The states when the move under way has ended, what is touched then, and whether all get there safely."""
-        states = outlook.states.copy()
+        states = self._doubted(outlook)
         move, count = under_way.move, len(states)
         if under_way.elapsed >= move.duration:
             return states, outlook.touched, True
@@ -220,6 +224,14 @@ class Explorer:
         states[:, shape_map.Z.PSI], states[:, shape_map.Z.OMEGA0] = foreseen.psi[:, 0], foreseen.omega0[:, 0]
         safe = bool((self._goodness(foreseen, moves, under_way.elapsed) > 0.0).all())
         return states, outlook.touched | foreseen.touched[0, 0], safe
+
+    def _doubted(self, outlook: Outlook) -> FloatArray:
+        """The states, and on arcs, until a smoother vouches for them, the likeliest with more friction as well."""
+        if outlook.vouched_for or not any(self._curvatures):
+            return outlook.states.copy()
+        rough = outlook.states[0].copy()
+        rough[shape_map.Z.MU] = max(rough[shape_map.Z.MU], DOUBTED_MU)
+        return np.vstack([outlook.states, rough])
 
     def _roads(self, state: FloatArray, wanted: FloatArray) -> _Roads | None:
         """How far it is to what is wanted, None while the roadmap is being made."""

@@ -20,7 +20,8 @@ from palmd.motion.segments import Move
 from palmd.rig.plant import Hinge, Plant, random_surface, stable_poses
 from palmd.rig.shapes import random_body
 from palmd.rig.world import default_config
-from palmd.system.description import RigDescription
+from palmd.system.arcs import joints_of
+from palmd.system.description import PadSensor, RigDescription
 
 LIMITS = motion_limits(default_config())
 POSE = (math.radians(45.0), math.radians(90.0))
@@ -198,6 +199,31 @@ def test_a_move_that_throws_the_object_off_is_unsafe():
     assert "contact" in decision.reason
     gentle = UnderWay(Move(POSE, (POSE[0], math.radians(100.0)), 1.2), 0.02)
     assert explorer().decide(outlook(), gentle).kind == "move"
+
+
+def test_arcs_do_not_close_upon_a_first_estimate_of_the_friction():
+    """Between tangents 20° apart a circle slides with μ = 0.1 and is wedged with 0.3; a smoother knows which it is."""
+    curvatures, radius = (13.3, 13.3), 0.021
+    rig = RigDescription(pads=tuple(PadSensor(curvature=kappa) for kappa in curvatures))
+    limits = replace(LIMITS, curvatures=curvatures)
+    wide, closed = (joints_of(radius, (math.radians(90.0 - half), math.radians(2 * half)), curvatures)
+                    for half in (40.0, 10.0))  # fmt: skip
+    states = np.tile(lying(mu=0.1)[:1], (3, 1))
+    states[:, shape_map.Z.SHAPE] = radius
+    states[:, shape_map.Z.SHAPE + 1 :] = 0.0
+    states[:, shape_map.Z.SHAPE + 3] = 2e-4  # nearly a circle, which would rest anywhere
+    closing = UnderWay(Move(wide, closed, 1.6), 0.02)
+    first = replace(outlook(states=states), rig=np.zeros(RIG_CONSTANTS))
+    vouched = replace(first, rig_spread=np.zeros((2 * ORDER + 1 + RIG_CONSTANTS, RIG_CONSTANTS)))
+
+    def judged(known, on=rig, within=limits):
+        return Explorer(on, within, ExploreGoal(coverage=0.95, time_limit_s=60.0)).decide(known, closing, choose=False)
+
+    assert judged(first).kind == "unsafe"
+    assert judged(vouched).kind == "safe"
+    rough = states.copy()
+    rough[:, shape_map.Z.MU] = 0.3
+    assert judged(replace(vouched, states=rough)).kind == "unsafe", "it would be wedged"
 
 
 def test_what_is_safe_with_the_likeliest_state_only_is_not_done():

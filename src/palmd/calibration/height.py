@@ -1,0 +1,125 @@
+"""Finds the height of a gripper's pivot over the pad, and its place along it, by a cylinder of known radius.
+
+The cylinder is held as a body is, off its axis, where it turns freely, and a plan that explores drags it over the pad.
+That run, recorded, or its event log, is what is read here: nothing moves, and no daemon is needed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from palmd.calibration.cylinder_session import LARGEST_RADIUS_MM, within
+from palmd.calibration.files import plain, provenance, writable, write
+from palmd.calibration.pivot_height import HeightError, PivotHeight, pivot_height
+from palmd.console.configured import any_configured
+from palmd.console.errors import BAD_INPUT, CliError
+from palmd.events import Event
+from palmd.observer.pivot.growing import as_fed
+from palmd.pivot_config import PivotConfig, pivot_rig
+from palmd.record import RunError, is_recording
+from palmd.record.eventlog import LogError
+from palmd.record.run import read_any_run
+from palmd.record.systems import read_log_of_any
+from palmd.system.pivot import PAD, SYSTEM
+
+FORMAT = 1
+FILE = "height.yaml"
+_SURE = 4.0  # standard deviations
+_PALM = f"palm{PAD}"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The calibration's arguments."""
+    add = parser.add_argument
+    add("config", type=Path, metavar="CONFIG", help="the configuration that the run was recorded with, palmd.yaml")
+    add("run", type=Path, metavar="RUN", help="a recorded run (.mcap) with the cylinder, or its event log")
+    add("--radius-mm", type=within(LARGEST_RADIUS_MM), required=True, metavar="R", help="of the cylinder")
+    add("-o", "--output", type=Path, metavar="FOLDER",
+        help=f"for {FILE}, which is overwritten (default: calibration/ beside CONFIG)")  # fmt: skip
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """CliError when the input is wrong, or the run does not tell the height: then nothing is written."""
+    config = any_configured(arguments.config)
+    if not isinstance(config, PivotConfig):
+        raise CliError(BAD_INPUT, f"{arguments.config}: is of no pivoting grasp, and two palms have no pivot")
+    folder = writable(arguments.output or arguments.config.parent / "calibration")
+    events = _events(arguments.run, arguments.config, config)
+    try:
+        found = pivot_height(events, pivot_rig(config), arguments.radius_mm * 1e-3)
+    except HeightError as error:
+        raise CliError(BAD_INPUT, f"{arguments.run}: {error}") from None
+    print(table(found))
+    for remark in remarks(found):
+        print(remark, file=sys.stderr)
+    called = called_for(found, config)
+    origin = provenance(config.arm.model_copy(update=called["arm"]))
+    content = {"palmd_height": FORMAT, "radius_mm": arguments.radius_mm, **origin}
+    write(folder / FILE, {**content, "configuration": called, "found": plain(asdict(found))})
+    print(f"written: {folder / FILE}")
+    print(f"{arguments.config}: write in these sections:")
+    print(f"  arm: base_x_mm: {called['arm']['base_x_mm']}, base_y_mm: {called['arm']['base_y_mm']}")
+    print(f"  pads.{_PALM}: standoff_sd_mm: {called['pads'][_PALM]['standoff_sd_mm']}")
+    return 0
+
+
+def table(found: PivotHeight) -> str:
+    """The result in a few lines for a terminal; one sigma behind each ±, the radius taken for exact."""
+    return (
+        f"pivot: {found.readings} readings, the cylinder held {found.off_axis_mm:.2f} mm off its axis\n"
+        f"  height  {found.height_mm:+.3f} ± {found.height_sd_mm:.3f} mm too high as told\n"
+        f"  along   {found.along_mm:+.3f} ± {found.along_sd_mm:.3f} mm of the contact ahead of the pivot\n"
+        f"  left    {found.left:.2f} of what the readings' noise allows"
+    )
+
+
+def remarks(found: PivotHeight) -> Iterator[str]:
+    """What a person should look into."""
+    if found.slope_sd_deg and abs(found.slope_deg) > _SURE * found.slope_sd_deg:
+        yield (
+            f"the pad rises by {found.slope_deg:+.3f} ± {found.slope_sd_deg:.3f}° along the arm's x: level it, or turn"
+            " arm.base_yaw_deg, and calibrate again"
+        )
+    if found.spoilt > 0.05 * (found.spoilt + found.readings):
+        yield f"{found.spoilt} readings besides were spoilt: does anything else touch the pad?"
+
+
+def called_for(found: PivotHeight, config: PivotConfig) -> dict[str, Any]:
+    """What the configuration should say: the arm's base moved by what the pivot is off, and how well that is known."""
+    arm = {
+        "base_x_mm": round(config.arm.base_x_mm + found.along_mm, 3),
+        "base_y_mm": round(config.arm.base_y_mm - found.height_mm, 3),
+    }
+    return {"arm": arm, "pads": {_PALM: {"standoff_sd_mm": max(math.ceil(found.height_sd_mm * 1e3) / 1e3, 1e-3)}}}
+
+
+def _events(path: Path, config_path: Path, config: PivotConfig) -> list[Event]:
+    """All that a run was fed; CliError when it is of another system, or was recorded with another base of the arm."""
+    try:
+        if not is_recording(path):
+            system, log = read_log_of_any(path)
+            of, events = system.name, [as_fed(event) for event in log.events] if system.name == SYSTEM else []
+        else:
+            recording = read_any_run(path)
+            of = recording.system
+            events = [event for tick in recording.ticks() for event in tick.events] if of == SYSTEM else []
+    except (LogError, RunError) as error:
+        raise CliError(BAD_INPUT, str(error)) from None
+    if of != SYSTEM:
+        raise CliError(BAD_INPUT, f"{path}: is of no pivoting grasp")
+    if is_recording(path):
+        for key in ("base_x_mm", "base_y_mm", "base_yaw_deg"):
+            theirs, ours = (getattr(each.arm, key) for each in (recording.config, config))
+            if theirs != ours:
+                raise CliError(
+                    BAD_INPUT,
+                    f"{path}: was recorded with arm.{key} {theirs:g}, and {config_path} says {ours:g}: give the"
+                    " configuration that it was recorded with",
+                )
+    return events
