@@ -24,6 +24,7 @@ _FREE = (Attempt(2.0, 4, free=True), Attempt(3.5, 4, free=True))
 HINT_SD = 1e-4  # m, of the outline's coefficients
 TELLING_S = 6.0
 """Of readings: of longer ones, in simulation, whatever alone explained them was right."""
+ALONE_S = 12.0  # of readings: what foretold their end, and alone explains them, need not be found again
 CHALLENGE = 2.0  # by how much the record grows from one blind search to the next
 STEADY_S = 3.0  # of readings since the machine was last starved, by which an object may be sought without those before
 LONGEST_S, KEPT_S = 30.0, 15.0  # of readings in which nothing has been found, and that are kept then
@@ -41,8 +42,9 @@ class Seeker:
     """Deterministic for a given seed and the same calls.
 
     Where constants of the rig are open, short records are often explained as well by an outline a millimetre off: then
-    only what a second blind search comes to as well is to be vouched for. On a fixed hinge it takes two that begin with
-    palms that rub unequally, one way and the other, and no rival that explains the readings nearly as well.
+    only what a second blind search comes to as well is to be vouched for, or what none finds a rival of for long. On a
+    fixed hinge it takes two that begin with palms that rub unequally, one way and the other, and no rival that explains
+    the readings nearly as well.
     """
 
     def __init__(self, rig: RigDescription, seed: int):
@@ -127,7 +129,8 @@ class Seeker:
         That one comes to nothing says little of a short record, and of a long one that it has no rival.
         """
         if not self._rig.lopsided:
-            return int(agree(finding, blind) or (self._survived > 0 and agree(finding, merged)))
+            alone = blind is None and merged is not None and len(merged.fits) == 1 and seconds > ALONE_S
+            return int(agree(finding, blind) or ((alone or self._survived > 0) and agree(finding, merged)))
         if merged is None or not agree(finding, merged):
             return 0
         return self._survived + (len(merged.fits) == 1 and (blind is not None or seconds > TELLING_S))

@@ -44,6 +44,20 @@ def test_where_constants_are_open_a_second_search_must_come_to_the_same(rig, mon
     assert sought(calibrated, 3) == [False] * 3
 
 
+@pytest.mark.parametrize(("alone_s", "sure"), [(2.0, True), (4.0, False)])
+def test_what_has_no_rival_for_long_need_not_be_found_again(rig, monkeypatch, alone_s, sure):
+    """Of long records blind searches often make nothing, and what is right could never be vouched for."""
+    calibrated, blind, begun = rig.known_to({**AS_CALIBRATED, "friction_sd": 0.0}), Search.blind, []
+
+    def once(self, attempt, seed):
+        begun.append(attempt)
+        return blind(self, attempt, seed) if len(begun) == 1 else None
+
+    monkeypatch.setattr(Search, "blind", once)
+    monkeypatch.setattr(seeker, "ALONE_S", alone_s)
+    assert sought(calibrated) == [False, sure]
+
+
 def test_on_a_fixed_hinge_it_is_set_against_palms_that_rub_unequally_either_way(rig, monkeypatch):
     """They turn what they rub unequally, which equal palms and a wrong outline explain as well for seconds."""
     begun, blind = [], Search.blind
