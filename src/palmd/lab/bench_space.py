@@ -9,7 +9,9 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TypeVar
 
 from palmd.console.arguments import count, seconds, seed
 from palmd.lab.space import SpaceRow, reconstructed, report
@@ -18,6 +20,7 @@ from palmd.lab.space_live import SpaceLiveRow, lived, told
 from palmd.rig.three_palms.simulate import KINDS, simulate
 
 ALL = "all"
+Row = TypeVar("Row", SpaceLiveRow, SpaceExploringRow)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,8 +45,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Interrupted, it ends with what is finished until then."""
-    if arguments.live or arguments.exploring:
-        return _one_by_one(arguments)
+    if arguments.live:
+        return _one_by_one(arguments, lived, told)
+    if arguments.exploring:
+        return _one_by_one(arguments, explored, told_of_exploring)
     kinds = tuple(KINDS) if arguments.kind == ALL else (arguments.kind,)
     rows: list[SpaceRow] = []
     path: Path = arguments.output
@@ -66,22 +71,17 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _one_by_one(arguments: argparse.Namespace) -> int:
+def _one_by_one(
+    arguments: argparse.Namespace, row_of: Callable[[int, float], Row], lines: Callable[[list[Row]], Iterator[str]]
+) -> int:
     """Runs that have a seed each; interrupted, it ends with what is finished until then."""
-    live: list[SpaceLiveRow] = []
-    exploring: list[SpaceExploringRow] = []
+    rows: list[Row] = []
     path: Path = arguments.output
     with path.open("w", encoding="utf-8") as stream, contextlib.suppress(KeyboardInterrupt):
         for seed_ in range(arguments.seed, arguments.seed + arguments.runs):
-            row: SpaceLiveRow | SpaceExploringRow
-            if arguments.live:
-                row = lived(seed_, arguments.seconds)
-                live.append(row)
-            else:
-                row = explored(seed_, arguments.seconds)
-                exploring.append(row)
-            stream.write(json.dumps(row.line()) + "\n")
+            rows.append(row_of(seed_, arguments.seconds))
+            stream.write(json.dumps(rows[-1].line()) + "\n")
             stream.flush()
-    print("\n".join(told(live) if arguments.live else told_of_exploring(exploring)))
+    print("\n".join(lines(rows)))
     print(f"written: {path}")
     return 0

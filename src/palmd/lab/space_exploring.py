@@ -28,7 +28,7 @@ from palmd.rig.three_palms.bodies import Bodies, random_bodies
 from palmd.rig.three_palms.compiled import BodyOnPalms, palm_rows
 from palmd.rig.three_palms.plant import Rubbing
 from palmd.rig.three_palms.simulate import KINDS, REST_POSE, STEP_S, started
-from palmd.system.three_palms import ThreePalmsRig, palms_at, readings_of
+from palmd.system.three_palms import ThreePalmsRig, palms_at, readings_of, room_on_pads
 from palmd.three_palms_config import ThreePalmsLimitsConfig
 
 ORDER = 8
@@ -103,8 +103,7 @@ class BodyStand:
             if not (self.plant.force > 0.0).all():
                 return normals[:k], False
         read = readings_of(planes, points)[2::2]
-        middle = 0.5 * side * np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 1.0]])
-        return normals, bool((np.abs(read - middle) < 0.5 * side).all())
+        return normals, bool((room_on_pads(read, side) > 0.0).all())
 
 
 @one_thread()

@@ -10,6 +10,7 @@ from functools import cache
 
 from palmd.model.compiled import Library, load
 from palmd.model.kernels import of_columns
+from palmd.model.rollout import minimum_jerk
 from palmd.model.spherical import Y00, count
 from palmd.model.symbolic import SX, ca
 from palmd.model.three_palms import BODY, PalmVectors, local_function, newton_function
@@ -19,17 +20,6 @@ MOVE_INPUTS = 8
 """Joints at the start and at the end, duration, time since the start."""
 TOLD = 18
 """Forces of the palms (3, m/s²), contacts a, b (6, m), their outward normals in the body (9): in a step's middle."""
-
-
-def joints_on(move: SX, t: SX) -> tuple[SX, SX, SX]:
-    """Angles, rates, accelerations t (s) after the time that `move` tells: 10u³ − 15u⁴ + 6u⁵, at rest after its end."""
-    start, way, duration = move[0:3], move[3:6] - move[0:3], move[6]
-    u = ca.fmin((move[7] + t) / duration, 1.0)
-    return (
-        start + way * u**3 * (10 + u * (6 * u - 15)),
-        way * 30 * u**2 * (1 - u) ** 2 / duration,
-        way * 60 * u * (1 - u) * (1 - 2 * u) / duration**2,
-    )
 
 
 def edge_axis(angle: SX, rate: SX, acceleration: SX) -> tuple[SX, list[SX]]:
@@ -70,7 +60,7 @@ def step_function(order: int) -> ca.Function:
     R, omega, move = SX.sym("R", 3, 3), SX.sym("omega", 3), SX.sym("move", MOVE_INPUTS)
     parameters, gravity = SX.sym("p", n + BODY), SX.sym("g")
     c, body = parameters[:n], ca.vertcat(Y00 * parameters[0], parameters[n:])
-    inputs, axes = edge_axis(*joints_on(move, SX(h / 2)))
+    inputs, axes = edge_axis(*minimum_jerk(move[0:3], move[3:6], move[6], move[7] + h / 2))
     palms, midway, local = PalmVectors.of(inputs), _turned(R, h / 2 * omega), local_function(order)
     x, kappa, by_spin, normals = [], [], [], []
     for normal, rate in zip(palms.normal, palms.rate, strict=True):

@@ -28,13 +28,19 @@ S = slice(4, 6)  # where in it the contacts are
 MOST_TURN = 0.2  # rad, of a curved palm's tangent at the contact within a step: beyond it the contact has jumped
 
 
+def minimum_jerk(start: SX, end: SX, duration: SX, t: SX) -> tuple[SX, SX, SX]:
+    """Place, rate and acceleration at `t` of the quintic 10u³ − 15u⁴ + 6u⁵, at rest before its beginning and after."""
+    way, u = end - start, ca.fmin(ca.fmax(t / duration, 0.0), 1.0)
+    return (
+        start + way * u**3 * (10 + u * (6 * u - 15)),
+        way * 30 * u**2 * (1 - u) ** 2 / duration,
+        way * 60 * u * (1 - u) * (1 - 2 * u) / duration**2,
+    )
+
+
 def palms_on(move: SX, t: SX) -> Palms:
-    """The palms `t` seconds after the time that `move` tells: the quintic 10u³ − 15u⁴ + 6u⁵, at rest after its end."""
-    start, way, duration = move[0:2], move[2:4] - move[0:2], move[4]
-    u = ca.fmin(ca.fmax((move[5] + t) / duration, 0.0), 1.0)
-    phi = start + way * u**3 * (10 + u * (6 * u - 15))
-    omega = way * 30 * u**2 * (1 - u) ** 2 / duration
-    alpha = way * 60 * u * (1 - u) * (1 - 2 * u) / duration**2
+    """The palms `t` seconds after the time that `move` tells."""
+    phi, omega, alpha = minimum_jerk(move[0:2], move[2:4], move[4], move[5] + t)
     return Palms(phi[0], phi[1], omega[0], omega[1], alpha[0], alpha[1])
 
 

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from palmd.events import FloatArray
 from palmd.motion.body_foresight import COLUMNS, Bearings, BodyForesight, ForeseenMoves
 from palmd.motion.limits import MotionLimits
-from palmd.motion.segments import Move
+from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE, Move
 
 LEVELS, DEEPEST, KEPT = 3, 8, 6
 LITTLE = 0.004  # of the sphere: who shows no more is looked on for deeper
@@ -34,7 +34,6 @@ SLOWER, SLOWLY = 0.2, 1.5  # share of the moves that take longer than they must,
 SHORTEST_S = 0.15
 # A move is tried again from so many bearings about those known, off by these one-sigmas, and so long of standing after.
 SAMPLES, OFF_RAD, OFF_RAD_S, STAND_S = 8, 0.03, 0.2, 0.3
-_RATE, _ACCELERATION = 1.875, 10.0 / math.sqrt(3.0)  # the most of a minimum-jerk move's, for way and duration of 1
 
 Bools = npt.NDArray[np.bool_]
 
@@ -129,7 +128,9 @@ class BodyExplorer:
         if follows:
             ends[0] = then[0].end
         way = np.abs(ends - begin.joints).max(axis=1)
-        least = np.maximum(_RATE * way / self._limits.rate, np.sqrt(_ACCELERATION * way / self._limits.acceleration))
+        least = np.maximum(
+            PEAK_RATE * way / self._limits.rate, np.sqrt(PEAK_ACCELERATION * way / self._limits.acceleration)
+        )
         longer = np.where(self._random.random(COLUMNS) < SLOWER, SLOWLY, 1.0)
         durations = np.maximum(least * longer, SHORTEST_S)
         if follows:

@@ -13,6 +13,7 @@ from palmd.model.body_rollout import MOVE_INPUTS, STEP_S, TOLD
 from palmd.model.compiled import LANES
 from palmd.model.spherical import count
 from palmd.model.three_palms import BODY
+from palmd.system.three_palms import room_on_pads
 
 COLUMNS = 48  # moves side by side
 EVERY = 4  # steps, of whose first the normals are told
@@ -84,8 +85,7 @@ class BodyForesight:
             spin[going] = np.maximum(spin[going], np.linalg.norm(self._omega[:n][going], axis=1))
             turned[ended], spun[ended] = self._R[:n][ended], self._omega[:n][ended]
         force, contacts = path[..., _FORCES], path[..., _CONTACTS].reshape(n, -1, 3, 2)
-        middle = np.array([[0.0, 0.5], [0.5, 0.5], [0.5, 0.5]]) * self._side
-        room = 0.5 * self._side - np.abs(contacts - middle)
+        room = room_on_pads(contacts, self._side)
         finite = np.isfinite(turned).all(axis=1) & np.isfinite(spin)
         return ForeseenMoves(
             Bearings(np.swapaxes(turned.reshape(-1, 3, 3), 1, 2), spun, ends),

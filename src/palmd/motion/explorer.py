@@ -157,7 +157,7 @@ class Explorer:
         self._roadmap: Roadmap | None = None
 
     def _see(self, outlook: Outlook) -> None:
-        if outlook.touched.sum() > self._most or not self._most:  # who knows nothing yet is not stuck
+        if outlook.touched.sum() > self._most or math.isinf(self._t_new):
             self._most, self._t_new = int(outlook.touched.sum()), outlook.t
             if self._roadmap is not None:
                 self._roadmap.forget()
@@ -196,7 +196,8 @@ class Explorer:
             return self._enough(outlook, coverage)
         if outlook.t - self._t_begin > self._goal.time_limit_s:
             return f"the time limit of {self._goal.time_limit_s:g} s is over{self._told(outlook)}"
-        if outlook.t - self._t_new > STUCK_S and self._sharp(outlook):
+        found = self._most > 0  # who knows nothing yet is not stuck
+        if found and outlook.t - self._t_new > STUCK_S and self._sharp(outlook):
             return f"nothing new for {STUCK_S:g} s{self._told(outlook)}"
         return ""
 

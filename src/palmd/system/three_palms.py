@@ -27,6 +27,8 @@ GAP_S = 0.15
 """Without a reading of a pad or a report of the joints, after which nothing is known to go on."""
 _TURNS: FloatArray = np.array([[0.0], [1.0], [-1.0]])
 """How palms turn about n1 with their joint's angle."""
+_MIDDLES: FloatArray = np.array([[0.0, 0.5], [0.5, 0.5], [0.5, 0.5]])
+"""Of the pads, along both of their axes, in sides."""
 _NEXT, _LAST = [1, 2, 0], [2, 0, 1]
 HALVINGS = 4
 """How often the icosahedron is halved whose corners are the directions of a published surface: 2,562 of them."""
@@ -115,6 +117,16 @@ def contact_points(palms: PalmPlanes, a: FloatArray, b: FloatArray) -> FloatArra
 def readings_of(palms: PalmPlanes, points: FloatArray) -> FloatArray:
     """(T, 3 palms, 2) what each pad reads of contacts (T, 3 palms, 3) (m, world)."""
     return np.stack([(points * palms.axis_a).sum(-1), (points * palms.axis_b).sum(-1)], axis=-1)
+
+
+def room_on_pads(readings: FloatArray, side: float) -> FloatArray:
+    """(…, 3 palms, 2) how far readings lie within the edges of pads with this `side` (m), negative beyond.
+
+    Palm 1's pad is centred on the edge along its first axis and begins there along its second; the others begin there
+    along both.
+    """
+    room: FloatArray = 0.5 * side - np.abs(readings - side * _MIDDLES)
+    return room
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from functools import cache
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -179,6 +180,18 @@ def test_it_goes_on_while_nothing_is_known_yet():
     some[3] = True
     assert mine.decide(outlook(4 * STUCK_S, some), STANDING).kind != "done"
     assert mine.decide(outlook(5 * STUCK_S + 1.0, some), STANDING).kind == "done"
+
+
+def test_what_a_roadmap_has_learnt_counts_while_nothing_is_touched_yet():
+    mine = explorer()
+    mine.decide(outlook(0.0), STANDING)
+    mine._roadmap = Mock(complete=False)
+    mine.decide(outlook(1.0), STANDING)
+    mine._roadmap.forget.assert_not_called()
+    some = NOTHING.copy()
+    some[3] = True
+    mine.decide(outlook(2.0, some), STANDING)
+    mine._roadmap.forget.assert_called_once()
 
 
 def test_the_inmost_of_what_is_wanted_lies_as_deep_as_it_is_far_from_the_rest():
