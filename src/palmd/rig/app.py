@@ -292,13 +292,11 @@ class RigProcess:
 
     def _move_plug(self, line: Line) -> None:
         if line.plugged:
-            if line.fileno >= 0:
-                self._waiter.forget(line.fileno)
+            self._waiter.forget(line.fileno)
             line.unplug()
         else:
             line.plug()
-            if line.fileno >= 0:
-                self._waiter.watch(line.fileno)
+            self._waiter.watch(line.fileno)
 
     def _note_lateness(self, late_s: float) -> None:
         self.ticks += 1

@@ -247,12 +247,16 @@ class LineWaiter:
         self._unopened: set[int] = set()
 
     def watch(self, fd: int) -> None:
-        """Take a descriptor in."""
+        """Take a descriptor in; of −1 there is nothing to wait for."""
+        if fd < 0:
+            return
         self._edges.register(fd, _EVENTS | select.EPOLLET)
         self._unopened.add(fd)
 
     def forget(self, fd: int) -> None:
         """Leave one out, before it is closed."""
+        if fd < 0:
+            return
         self._edges.unregister(fd)
         self._unopened.discard(fd)
 
