@@ -735,8 +735,6 @@ class Config(AnyConfig):
             return observer
         if observer.primary != "shape":
             raise ValueError(f"{observer.primary} knows flat palms only; these are curved: set primary to shape")
-        if observer.shape is not None:
-            raise ValueError("stored outlines are recognised on flat palms only, and these are curved")
         return observer
 
     @field_validator("arm")

@@ -23,6 +23,11 @@ class Dragging(Explores):
         self._drags: Drags | None = None
         self._halting = False
 
+    @property
+    def left_the_pad(self) -> int:
+        """How often the body has done so by itself, as far as was noticed."""
+        return 0 if self._drags is None else self._drags.lifted
+
     def step(self, t: float, senses: Senses) -> None:
         """As the policy says."""
         del t

@@ -1,14 +1,15 @@
-"""Curved palms: cradles and domes reconstructed blind, explored, and how much more of an outline they touch."""
+"""Curved palms: cradles and domes reconstructed blind, moved, explored, and how much more of an outline they touch."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from palmd.console.arguments import count, seconds, seed
 from palmd.console.extras import drawing
 from palmd.lab import curved, curved_coverage, curved_exploring
+from palmd.lab.curved_exploring import CradleRow, CradleTask
 from palmd.lab.rows import Sink, collected, on_this_machine
 from palmd.rig.simulate_curved import CURVED_KINDS
 
@@ -18,7 +19,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--runs", type=count, default=34, metavar="N", help="logs of each kind (default: %(default)s)")
     add("--shapes", type=count, default=60, metavar="N", help="objects on each curvature (default: %(default)s)")
-    add("--objects", type=count, default=12, metavar="N", help="objects to explore (default: %(default)s)")
+    add(
+        "--objects",
+        type=count,
+        default=12,
+        metavar="N",
+        help="objects to explore, or to move at random (default: %(default)s)",
+    )
     add("--seed", type=seed, default=0, metavar="FIRST", help="the first run's (default: %(default)s)")
     add("--seconds", type=seconds, default=10.0, metavar="S", help="how long a log is (default: %(default)s)")
     add("--only", choices=tuple(_PARTS), help="one part of it; default: all")
@@ -60,15 +67,29 @@ def _coverage(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _plans(arguments: argparse.Namespace) -> int:
+    tasks = curved_exploring.plans_of(arguments.seed, arguments.objects, curved_exploring.PLAN_S)
+    return _ran(arguments, tasks, "moved at random", curved_exploring.plan_table)
+
+
 def _exploring(arguments: argparse.Namespace) -> int:
     tasks = curved_exploring.tasks_of(arguments.seed, arguments.objects, curved_exploring.MOST_S)
+    return _ran(arguments, tasks, "explored", curved_exploring.table)
+
+
+def _ran(
+    arguments: argparse.Namespace,
+    tasks: Sequence[CradleTask],
+    what: str,
+    table: Callable[[Sequence[CradleRow]], str],
+) -> int:
     sink = None if arguments.output is None else Sink(arguments.output, curved_exploring.as_line)
     rows, status = collected(
-        "exploring", tasks, curved_exploring.run, curved_exploring.failed, on_this_machine(arguments.jobs), sink
+        what, tasks, curved_exploring.run, curved_exploring.failed, on_this_machine(arguments.jobs), sink
     )
     if rows:
-        print(f"explored, seeds from {arguments.seed}")
-        print(curved_exploring.table(rows))
+        print(f"{what}, seeds from {arguments.seed}")
+        print(table(rows))
         for remark in curved_exploring.remarks(rows):
             print(remark)
     return status
@@ -77,5 +98,6 @@ def _exploring(arguments: argparse.Namespace) -> int:
 _PARTS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "logs": _logs,
     "coverage": _coverage,
+    "plans": _plans,
     "exploring": _exploring,
 }

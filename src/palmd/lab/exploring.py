@@ -19,6 +19,7 @@ from palmd.events import FloatArray
 from palmd.harness.wireless import Wireless
 from palmd.lab.exploring_plans import STRATEGIES, Strategy, plan
 from palmd.lab.exploring_watch import EDGE_M, ExplorationWatch
+from palmd.lab.held import HeldWatch
 from palmd.lab.runs import with_failures
 from palmd.model import shape
 from palmd.model.stable_surface import stable_surface
@@ -62,10 +63,11 @@ class ExploringRow:
     exploration ended by itself, and the reason it gave. hausdorff, e_h: error of the last valid outline over all
     normals, largest and RMS; band: the largest sd that it claimed. open_rig: what touch would still have told of the
     rig's constants when it was last asked for a motion (RMS over the touched normals). losses: of a contact, how often;
-    parted_s, edge_s: how long not both touched, and how long a contact was at a pad's end. recovered: whether at the
-    end both touch and the estimate is valid. outside, refused: set-points outside the limits, and refused by the
-    controller. decision: processor time (ms); seconds: processor time of the whole run (s). None of the estimates'
-    numbers are told of the open-loop plans, which have no smoother.
+    parted_s, edge_s: how long not both touched, and how long a contact was at a pad's end; wedged_s, pressed_s,
+    most_force_m_s2, unnoticed: as `lab.held` tells. recovered: whether at the end both touch and the estimate is valid.
+    outside, refused: set-points outside the limits, and refused by the controller. decision: processor time (ms);
+    seconds: processor time of the whole run (s). None of the estimates' numbers are told of the open-loop plans, which
+    have no smoother.
     """
 
     kind: Kind
@@ -87,6 +89,10 @@ class ExploringRow:
     falls: int = 0
     parted_s: float = 0.0
     edge_s: float = 0.0
+    wedged_s: float = 0.0
+    pressed_s: float = 0.0
+    most_force_m_s2: float = math.nan
+    unnoticed: int = 0
     recovered: bool = True
     outside: int = 0
     refused: int = 0
@@ -180,7 +186,8 @@ def explored(task: ExploringTask, config: Config, body: Body | None = None) -> E
     wireless.start()
     before = wireless.world.status()["contact_losses"]
     watch = ExplorationWatch(reachable, tuple(pad.length for pad in rig.pads), wireless.t, rig.curvatures)
-    ended_s = _watched(wireless, watch, task.seconds)
+    held = HeldWatch.of(wireless.world)
+    ended_s = _watched(wireless, watch, held, task.seconds)
     status = wireless.world.status()
     told = wireless.core.exploring.told() if explores else None
     score = watch.outline_score(true_h) if explores else None
@@ -204,6 +211,10 @@ def explored(task: ExploringTask, config: Config, body: Body | None = None) -> E
         falls=status["falls"],
         parted_s=watch.parted * tick_s,
         edge_s=watch.at_edge * tick_s,
+        wedged_s=held.wedged * tick_s,
+        pressed_s=held.pressed * tick_s,
+        most_force_m_s2=held.most_force,
+        unnoticed=held.unnoticed,
         recovered=watch.on_both and watch.valid,
         outside=status["setpoints_outside_limits"] + status["jams"],
         refused=sum(count for name, count in status.items() if name.startswith("refused_")),
@@ -216,11 +227,12 @@ def explored(task: ExploringTask, config: Config, body: Body | None = None) -> E
     )
 
 
-def _watched(wireless: Wireless, watch: ExplorationWatch, seconds: float) -> float:
+def _watched(wireless: Wireless, watch: ExplorationWatch, held: HeldWatch, seconds: float) -> float:
     """Let it run, no longer than something happens; when the exploration ended (s since the start), else NaN."""
     exploring, ended = False, math.nan
     for instant in wireless.run(seconds):
         watch.take(instant)
+        held.take(instant)
         explores_now = wireless.core.setpoints.exploration is not None
         if exploring and not explores_now and math.isnan(ended):
             ended = instant.t - watch.t_start

@@ -10,7 +10,7 @@ from palmd.config import Config, ExploreGoal, LimitsConfig, PlanSpec
 from palmd.events import FloatArray
 from palmd.motion.candidates import single_moves
 from palmd.motion.check import motion_limits
-from palmd.motion.explorer import MOVES
+from palmd.motion.explorer import MOVES, careful_angles
 from palmd.motion.plan import HOME
 
 Strategy = Literal["explore", "random", "systematic"]
@@ -41,7 +41,7 @@ def plan(strategy: Strategy, config: Config, goal: ExploreGoal, seed: int) -> Pl
 def _random_moves(config: Config, seconds: float, seed: int) -> list[dict[str, object]]:
     """Moves like those that the explorer chooses from, one after the other as they are drawn."""
     random = np.random.default_rng([_STREAM, seed])
-    limits = motion_limits(config.model_copy(update={"limits": OPEN_LOOP}))
+    limits = motion_limits(config.model_copy(update={"limits": _blind_limits(config)}))
     here: FloatArray = np.array(HOME)
     segments: list[dict[str, object]] = []
     while seconds > 0.0:
@@ -51,6 +51,15 @@ def _random_moves(config: Config, seconds: float, seed: int) -> list[dict[str, o
         here = moves.ends[0, -1]
         seconds -= float(moves.durations.sum())
     return segments
+
+
+def _blind_limits(config: Config) -> LimitsConfig:
+    """`OPEN_LOOP`; on arcs, where the explorer keeps to while it knows nothing, at the configuration's rates."""
+    curvatures = config.rig.curvatures_per_m
+    if not any(curvatures):
+        return OPEN_LOOP
+    phi1, phi2 = (tuple(np.degrees(each).tolist()) for each in careful_angles(curvatures))
+    return config.limits.model_copy(update={"phi1_deg": phi1, "phi2_deg": phi2})
 
 
 def _sweep() -> list[dict[str, object]]:

@@ -13,6 +13,7 @@ import numpy as np
 from palmd import pivot_messages as says
 from palmd.config import Drawn
 from palmd.console.shipped import shipped
+from palmd.daemon.dragging import Dragging
 from palmd.harness.pivot_wireless import PivotWireless
 from palmd.harness.wireless import Instant
 from palmd.lab.pivot import RIGHT_M
@@ -59,7 +60,8 @@ class LiveRow:
     felt: RMS and largest error, RMS of its one-sigma. worst_e, worst_z: of all outlines that were claimed, the largest
     RMS error, by itself and over its one-sigma. mu_error, mu_z: of the last, and over its one-sigma. valid: ticks; of
     those wrong: by `WRONG_M` of the contact, or with an outline `BEYOND` its band; beyond: the contact's error is
-    `BEYOND` its one-sigma. error: what was raised, then nothing else is known.
+    `BEYOND` its one-sigma. left: how often the body left the pad unasked, as was noticed; losses: in all, raised off at
+    the end of a side too. error: what was raised, then nothing else is known.
     """
 
     task: LiveTask
@@ -82,6 +84,7 @@ class LiveRow:
     valid: int = 0
     wrong: int = 0
     beyond: int = 0
+    left: int = 0
     jams: int = 0
     losses: int = 0
     most_force: float = math.nan
@@ -123,6 +126,7 @@ def run(task: LiveTask) -> LiveRow:
         task,
         ended=live.core.exploring.reason,
         t_end=live.t - scored.t_start,
+        left=exploring.left_the_pad if isinstance(exploring := live.core.exploring, Dragging) else 0,
         jams=world.jams,
         losses=world.contact_losses,
         most_force=world.most_force,
@@ -209,7 +213,8 @@ def report(rows: Sequence[LiveRow]) -> str:
     """The study's table: a line for each kind of rig."""
     titles = [
         "runs", "right", "not claimed", "wrong claims", "h_P, µm", "90 %", "error/sd", "claimed at, s", "90 %",
-        "mu off", "within 0.01", "off/sd", "jams", "over its limit", "most force, N", "valid", "of those wrong",
+        "mu off", "within 0.01", "off/sd", "left the pad", "jams", "over its limit",
+        "most force, N", "valid", "of those wrong",
     ]  # fmt: skip
     rigs = sorted({row.task.name for row in rows})
     return aligned([("", titles), *((rig, _line([row for row in rows if row.task.name == rig])) for rig in rigs)])
@@ -235,8 +240,9 @@ def _line(rows: Sequence[LiveRow]) -> list[str]:
         cells += [""] * 8
     ticks, valid, wrong = (sum(getattr(row, name) for row in rows) for name in ("ticks", "valid", "wrong"))
     worst = max((row.most_force for row in rows if not row.error), default=math.nan)
-    jams, over = str(sum(row.jams > 0 for row in rows)), str(sum(row.most_force > row.force_limit for row in rows))
-    return [*cells, jams, over, f"{worst:.2f}", f"{valid / max(ticks, 1):.0%}", f"{wrong / max(valid, 1):.2%}"]
+    left, jams = str(sum(row.left > 0 for row in rows)), str(sum(row.jams > 0 for row in rows))
+    over = str(sum(row.most_force > row.force_limit for row in rows))
+    return [*cells, left, jams, over, f"{worst:.2f}", f"{valid / max(ticks, 1):.0%}", f"{wrong / max(valid, 1):.2%}"]
 
 
 def remark(row: LiveRow) -> str:

@@ -50,7 +50,7 @@ Q_PSI = 1e-4**2  # rad²/s
 
 def contacts_of(x: SX, joints: tuple[SX, SX], touch: Touch) -> tuple[Contact, Contact]:
     """Both contacts of a state on palms at these angles."""
-    return touch.contacts(*joints, x[Z.PSI], lambda theta, _: contact_at(theta, x[Z.SHAPE :]))
+    return touch.contacts(*joints, x[Z.PSI], lambda theta, _: contact_at(theta, x[Z.SHAPE :]), x[Z.SHAPE])
 
 
 def body_of(x: SX) -> BodyConstants:

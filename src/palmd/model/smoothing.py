@@ -147,7 +147,7 @@ def _felt_on_arcs(joints: tuple[SX, ...], psi: SX, p: SX, lying: _Lying) -> _Tou
     phi1, phi2 = tangent_joints(joints, slopes)
 
     standoffs = [rig[R.STANDOFF + i] for i in range(2)]
-    one, two = lying.touch.contacts(phi1, phi2, psi, lambda theta, _: lying.outline(theta, h), bends, standoffs)
+    one, two = lying.touch.contacts(phi1, phi2, psi, lambda theta, _: lying.outline(theta, h), h[0], bends, standoffs)
     turned = replace(one, turn=one.turn + slopes[0]), replace(two, turn=two.turn + slopes[1])
     return _Touching(joints, turned, readings(phi2, one, two))
 

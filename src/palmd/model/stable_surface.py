@@ -125,7 +125,8 @@ def stable_surface(
     """The surface of stable poses of the outline with these Fourier coefficients (m) about its centre of mass.
 
     A grid step of 0.05 rad or less follows the surface well. Fast enough for a thread beside the loop, not for the
-    loop. Raises ValueError when the limits leave no palm pose.
+    loop. A circle about its centre of mass balances everywhere and has no such surface: it is empty. Raises ValueError
+    when the limits leave no palm pose.
     """
     limits = limits or SurfaceLimits()
     first, second, top = limits.of_tangents()
@@ -155,7 +156,7 @@ def stable_surface(
     links = point[all_links[both]]
     outside = _at_the_edge(open_)[i, j]
     outside[all_links[~both].ravel()] = True
-    point_of = np.where(number >= 0, point[number], -1)
+    point_of = np.append(point, -1)[number]
     psi = psi[allowed]
     component, reach, winds = _components(beta1[allowed], opening[allowed], psi, links, bins)
     return Surface(

@@ -15,18 +15,21 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from palmd.model.contact import Contact, alongs, sinc
+from palmd.model.contact import Contact, alongs
 from palmd.model.symbolic import SX, ca
 from palmd.system.mechanism import PALMS, SIDES, normal_directions
 
 Outline = Callable[[SX, int], Contact]
 """What a palm of that number feels where the outward normal is that angle (rad)."""
 
-BLIND, WARM = (2, 1, 1), (1,)
-"""Steps of the search after each look at the outline: from s = 0, and from where the contacts were milliseconds ago."""
+BLIND, WARM = 2, 1
+"""Steps of the search after a look at the outline: after the one more that a search from nowhere has, at a circle's
+contacts; after the last, which alone serves where the contacts were milliseconds ago."""
 SAME_DEPTH = 3  # to which expressions are compared
 FARTHEST_M = 1.0  # from the hinge, where the search may lead: no palm is longer
-MOST_HALF = 1.5  # rad: half a turn beyond which the search takes it for that much
+MOST_HALF = 1.5  # rad: half a turn beyond which it is taken for that much
+MOST_SINE = 0.9  # of a turn, beyond which a circle's contact is taken for that far
+MOST_CHANGE = 0.5  # rad: half a change of normal beyond which the second order is worth nothing
 LEAST_SLACK = 0.05  # of 1 − κv: below it the object lies in the palm rather than on it
 
 
@@ -45,9 +48,49 @@ class _Read:
         return cls(theta, felt, (-felt.d, felt.r - felt.v, v_rate))
 
     def past(self, angle: SX) -> Contact:
-        """What it feels that far on from `theta` (rad)."""
-        r, d, v = (each * angle for each in self.rates)
-        return replace(self.felt, r=self.felt.r + r, d=self.felt.d + d, v=self.felt.v + v)
+        """What it feels that far on from `theta` (rad): r and d to second order, as v tells how both bend."""
+        (r, d, v), half = self.rates, ca.fmin(ca.fmax(0.5 * angle, -MOST_CHANGE), MOST_CHANGE)
+        return replace(
+            self.felt,
+            r=self.felt.r + angle * (r + half * -d),
+            d=self.felt.d + angle * (d + half * (r - v)),
+            v=self.felt.v + angle * v,
+        )
+
+
+def _on_circle(phi2: SX, radius: SX, curvatures: Sequence[SX]) -> list[SX]:
+    """s1, s2 of a circle of that radius (m), but for the fourth order of its turns.
+
+    Its centre w is as far from both arcs, n·w − κ|w|²/2 = a − κa²/2: linear in w where q = |w|² is known, and a
+    quadratic equation in q.
+    """
+    sin, cos = ca.sin(phi2), ca.cos(phi2)
+    fixed = [radius - 0.5 * kappa * radius**2 for kappa in curvatures]
+    by_q = [0.5 * kappa for kappa in curvatures]
+
+    def centre(along: Sequence[SX]) -> tuple[SX, SX]:
+        return (along[1] + along[0] * cos) / sin, along[0]
+
+    (x0, y0), (x1, y1) = centre(fixed), centre(by_q)
+    slope = 1 - 2 * (x0 * x1 + y0 * y1)
+    root = ca.sqrt(ca.fmax(slope**2 - 4 * (x0**2 + y0**2) * (x1**2 + y1**2), 0))
+    q = 2 * (x0**2 + y0**2) / ca.fmax(slope + root, LEAST_SLACK)
+    x, y = x0 + q * x1, y0 + q * y1
+    found = []
+    for kappa, way in zip(curvatures, (x, x * cos + y * sin), strict=True):
+        chord = way / _slack(kappa, radius)
+        sine = ca.fmin((kappa * chord) ** 2, MOST_SINE**2)
+        found.append(ca.fmin(ca.fmax(chord * (1 + sine * (1 / 6 + 3 / 40 * sine)), -FARTHEST_M), FARTHEST_M))
+    return found
+
+
+def _sinc_and_cos(half: SX) -> tuple[SX, SX]:
+    """sin x/x and cos x by their series, to 10⁻⁹ up to 0.5 rad and 2·10⁻⁵ up to `MOST_HALF`."""
+    square = ca.fmin(half**2, MOST_HALF**2)
+    sinc, cos = SX(1), SX(1)
+    for k in (8, 6, 4, 2):
+        sinc, cos = 1 - square * sinc * (1 / (k * (k + 1))), 1 - square * cos * (1 / (k * (k - 1)))
+    return sinc, cos
 
 
 def _slack(curvature: SX, v: SX) -> SX:
@@ -58,9 +101,9 @@ class Touch:
     """Finds the contacts of one kernel's expressions, each from where the last ones were.
 
     The outline is costly to read, and more so its derivatives. So it is read at few normals, which no derivative looks
-    into, and is linear about each of them; the steps of the search are left out of derivatives too, but for one more
-    from where they lead to, which has those of the implicit function exactly. So `thawed` has to put both in once all
-    derivatives have been taken, of first order only.
+    into, and goes on from each by its derivatives; the steps of the search are left out of derivatives too, but for one
+    more from where they lead to, which has those of the implicit function exactly. So `thawed` has to put both in once
+    all derivatives have been taken, of first order only.
     """
 
     def __init__(self, curvatures: Sequence[SX] = (), near: Sequence[SX] = ()) -> None:
@@ -77,9 +120,16 @@ class Touch:
         self._found: list[tuple[SX, tuple[Contact, Contact]]] = []  # for which angles
 
     def contacts(
-        self, phi1: SX, phi2: SX, psi: SX, outline: Outline, bends: Sequence[SX] = (), standoffs: Sequence[SX] = ()
+        self,
+        phi1: SX,
+        phi2: SX,
+        psi: SX,
+        outline: Outline,
+        radius: SX,
+        bends: Sequence[SX] = (),
+        standoffs: Sequence[SX] = (),
     ) -> tuple[Contact, Contact]:
-        """Both contacts of an object turned by `psi`, its `outline` at any normal.
+        """Both contacts of an object turned by `psi`, its `outline` at any normal, of that mean `radius` (m).
 
         `bends` add to the curvatures (1/m); the palms lie `standoffs` (m) above the hinge line, on the object's side.
         """
@@ -109,7 +159,7 @@ class Touch:
                     each.past(theta - each.theta),
                     curvature=kappa,
                     turn=turn,
-                    above=off - kappa / 2 * (place * sinc(turn / 2)) ** 2,
+                    above=off - 0.5 * kappa * (place * _sinc_and_cos(0.5 * turn)[0]) ** 2,
                 )
                 for each, theta, off, kappa, turn, place in zip(
                     known, normals(s), offs, curvatures, turns(s), s, strict=True
@@ -118,42 +168,25 @@ class Touch:
             return one, two
 
         def step(s: Sequence[SX], known: Sequence[_Read]) -> list[SX]:
-            touching = at(s, known)
-            return [
-                each
-                + (along - each * sinc(contact.turn / 2) * ca.cos(contact.turn / 2))
-                / self._freeze(_slack(contact.curvature, contact.v))
-                for each, along, contact in zip(s, alongs(phi2, *touching), touching, strict=True)
-            ]
+            touching, found = at(s, known), []
+            for place, along, contact in zip(s, alongs(phi2, *touching), touching, strict=True):
+                sinc, cos = _sinc_and_cos(0.5 * contact.turn)
+                by = (along - place * sinc * cos) / self._freeze(_slack(contact.curvature, contact.v))
+                found.append(ca.fmin(ca.fmax(place + by, -FARTHEST_M), FARTHEST_M))
+            return found
 
-        def search(s: Sequence[SX], known: Sequence[_Read], begun: Sequence[SX]) -> list[SX]:
-            """As `step`, cheaply: sine and cosine of half the turns by their series, good enough to go on from."""
-            ways, above, felt = [], [], []
-            for each, off, kappa, side, place, start in zip(known, offs, curvatures, SIDES, s, begun, strict=True):
-                half = ca.fmin((kappa * place / 2) ** 2, MOST_HALF**2)
-                chord = place * (1 - half / 6 * (1 - half / 20 * (1 - half / 42)))
-                felt.append(each.past(side * kappa * (place - start)))
-                ways.append(chord * (1 - half / 2 * (1 - half / 12 * (1 - half / 30))))
-                above.append(felt[-1].r + off - kappa / 2 * chord**2)
-            one, two = turns(s)
-            cos, sin = ca.cos(phi2 + two - one), ca.sin(phi2 + two - one)
-            along = (above[0] * cos + above[1]) / sin - felt[0].d, (above[1] * cos + above[0]) / sin + felt[1].d
-            return [
-                ca.fmin(ca.fmax(place + (to - way) / _slack(kappa, contact.v), -FARTHEST_M), FARTHEST_M)
-                for place, to, way, kappa, contact in zip(s, along, ways, curvatures, felt, strict=True)
-            ]
-
-        s = self._last or [SX(0), SX(0)]
-        for steps in WARM if self._last else BLIND:
-            known, begun = read(s), s
+        def search(s: list[SX], known: Sequence[_Read], steps: int) -> list[SX]:
             for _ in range(steps):
-                s = search(s, known, begun)
-        self._last = [self._freeze(each) for each in s]
-        if self._once:
-            contacts = at(self._last, known)
-        else:
-            known = read(self._last)
-            contacts = at(step(self._last, known), known)
+                s = step(s, known)
+            return s
+
+        s = self._last
+        if not s:
+            s = _on_circle(phi2, radius, curvatures)
+            s = search(s, read(s), BLIND)
+        known = read(s)
+        self._last = [self._freeze(each) for each in search(s, known, WARM)]
+        contacts = at(self._last if self._once else step(self._last, known), known)
         self._found.append((pose, contacts))
         return self._found[-1][1]
 

@@ -69,7 +69,7 @@ class _Roads:
     depth: int
 
 
-def _careful_angles(curvatures: tuple[float, ...]) -> tuple[tuple[float, float], ...]:
+def careful_angles(curvatures: tuple[float, ...]) -> tuple[tuple[float, float], ...]:
     """`CAREFUL_ANGLES`, on curved palms those at which a middling object's contacts are as there."""
     if not any(curvatures):
         return CAREFUL_ANGLES
@@ -87,7 +87,7 @@ class Explorer:
         self._limits = limits
         self._goal = goal
         self._curvatures = rig.curvatures
-        gentle = _careful_angles(rig.curvatures)
+        gentle = careful_angles(rig.curvatures)
         self._careful = replace(
             limits,
             angles=tuple(_within(wish, limit) for wish, limit in zip(gentle, limits.angles, strict=True)),

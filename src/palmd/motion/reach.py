@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from palmd.events import FloatArray
+from palmd.model.shape import harmonic_of_coefficient
 from palmd.model.stable_surface import SurfaceLimits, stable_surface
 from palmd.motion.limits import MotionLimits
 from palmd.motion.rollout_predictor import BINS, MARGIN_M, Bools
 
+LEAST_OVAL_M = 1e-9
 ANYWHERE, ANY_LENGTH_M = ((0.02, 2.9), (0.1, 2.95)), 0.5  # as if there were no limits
 
 
@@ -21,7 +23,13 @@ def surface_limits(limits: MotionLimits) -> SurfaceLimits:
 
 
 def reach(outline: FloatArray, limits: SurfaceLimits) -> Bools:
-    """The bins of normals that a palm touches in some stable pose of `outline`, coefficients of h (m)."""
+    """The bins of normals that a palm touches in some stable pose of `outline`, coefficients of h (m).
+
+    A circle about its centre of mass, which balances everywhere, is taken for the oval next to it.
+    """
+    if not outline[1:].any():
+        outline = outline.copy()
+        outline[harmonic_of_coefficient((len(outline) - 1) // 2) == 2] = LEAST_OVAL_M
     return np.asarray(stable_surface(outline, limits, bins=BINS).reach.any(axis=0))
 
 

@@ -31,11 +31,9 @@ def __getattr__(name: str) -> Any:
 EXTENDED_BANK, SHAPE_BANK, KNOWN_BANK = 24, 32, 24  # multiples of model.compiled.BLOCK
 
 
-def flat_only(name: ObserverName, outlines: Sequence[Outline] = ()) -> str:
+def flat_only(name: ObserverName) -> str:
     """Why an observer cannot be had for curved palms; empty where it can."""
-    if name != "shape":
-        return f"the observer {name} knows flat palms only; the observer shape knows curved ones"
-    return "stored outlines are recognised on flat palms only, and these palms are curved" if outlines else ""
+    return "" if name == "shape" else f"the observer {name} knows flat palms only; the observer shape knows curved ones"
 
 
 def make(
@@ -51,7 +49,7 @@ def make(
     `outlines`, which are for shape maps only, the object is one of these or none, and needs no smoother. Raises
     ValueError for curved palms where an observer knows flat ones only (`flat_only`).
     """
-    if rig.curved and (reason := flat_only(name, outlines)):
+    if rig.curved and (reason := flat_only(name)):
         raise ValueError(reason)
     # each is loaded where it is wanted
     if name == "quasistatic":

@@ -93,12 +93,7 @@ def likely_orientations(
     count: int,
 ) -> FloatArray:
     """The `count` likeliest ψ (rad) apart from each other of an outline; arguments as of `orientation_likelihood`."""
-    if rig.curved:
-        predicted, rows = readings_on_arcs(palms, coefficients, rig.curvatures)
-        likelihood = _likelihood(list(predicted), P, contacts, rows, rig.reading_variances)
-    else:
-        rows = reading_rows(palms, (len(coefficients) - 1) // 2)
-        likelihood = orientation_likelihood(coefficients, P, contacts, rows, rig.reading_variances)
+    likelihood = orientation_likelihood(coefficients, P, contacts, palms, rig)
     chosen = []
     for _ in range(count):
         best = int(np.argmax(likelihood))
@@ -122,18 +117,17 @@ def _reading_rows(theta: Sequence[FloatArray], cos: Any, sin: Any, order: int) -
 
 
 def orientation_likelihood(
-    coefficients: FloatArray,
-    P: FloatArray,
-    contacts: Sequence[float],
-    rows: tuple[FloatArray, FloatArray],
-    variances: FloatArray,
+    coefficients: FloatArray, P: FloatArray, contacts: Sequence[float], palms: PalmMotion, rig: RigDescription
 ) -> FloatArray:
-    """Log-likelihood (DIRECTIONS) of two readings (m) of one instant, with `rows` of `reading_rows`.
+    """Log-likelihood (DIRECTIONS) of two readings (m) of one instant, the palms of `rig` at rest or moving.
 
-    The outline's coefficients (m) have the covariance `P`, ψ is within `PSI_SD` of each orientation, the
-    readings' `variances` are in m².
+    The outline's coefficients (m) have the covariance `P`, ψ is within `PSI_SD` of each orientation.
     """
-    return _likelihood([each @ coefficients for each in rows], P, contacts, rows, variances)
+    if rig.curved:
+        predicted, rows = readings_on_arcs(palms, coefficients, rig.curvatures)
+        return _likelihood(list(predicted), P, contacts, rows, rig.reading_variances)
+    rows = reading_rows(palms, (len(coefficients) - 1) // 2)
+    return _likelihood([each @ coefficients for each in rows], P, contacts, rows, rig.reading_variances)
 
 
 def readings_on_arcs(

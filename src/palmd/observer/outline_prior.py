@@ -23,9 +23,9 @@ from palmd.observer.object_memory import (
     SAME_CHI2,
     SPIN_SD,
     orientation_likelihood,
-    reading_rows,
 )
 from palmd.outlinefile import Outline
+from palmd.system.description import RigDescription
 
 LEAST_SD = 5e-6  # m, of each coefficient: no file is better than that
 LEAST_RHO_SD = 5e-3  # relative
@@ -65,13 +65,13 @@ class OutlinePrior:
         strayed: npt.NDArray[np.bool_] = distance > SAME_CHI2
         return strayed
 
-    def starts(self, contacts: Sequence[float], palms: PalmMotion, variances: FloatArray, count: int) -> Starts:
+    def starts(self, contacts: Sequence[float], palms: PalmMotion, rig: RigDescription, count: int) -> Starts:
         """The likeliest poses, with either friction, at most `count` filters in all.
 
-        contacts: the first readings (m) and their `variances` (m²). Poses of one object are apart from each other.
+        contacts: the first readings (m) on the palms of `rig`. Poses of one object are apart from each other.
         Takes some milliseconds for twenty objects: once, when one has been put down.
         """
-        which, psi = self._poses(contacts, palms, variances, count // len(FRICTIONS))
+        which, psi = self._poses(contacts, palms, rig, count // len(FRICTIONS))
         mu, mu_sd = np.repeat(FRICTIONS, len(which), axis=0).T
         which, psi = np.tile(which, len(FRICTIONS)), np.tile(psi, len(FRICTIONS))
         x, P, Z = self.x[which], self.P[which], shape_map.Z
@@ -79,12 +79,11 @@ class OutlinePrior:
         return Starts(which, x, P, psi)
 
     def _poses(
-        self, contacts: Sequence[float], palms: PalmMotion, variances: FloatArray, count: int
+        self, contacts: Sequence[float], palms: PalmMotion, rig: RigDescription, count: int
     ) -> tuple[npt.NDArray[np.intp], FloatArray]:
-        rows = reading_rows(palms)
         likelihood = np.stack(
             [
-                orientation_likelihood(x[_OUTLINE], P[_OUTLINE, _OUTLINE], contacts, rows, variances)
+                orientation_likelihood(x[_OUTLINE], P[_OUTLINE, _OUTLINE], contacts, palms, rig)
                 for x, P in zip(self.x, self.P, strict=True)
             ]
         )

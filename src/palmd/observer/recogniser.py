@@ -48,7 +48,7 @@ class Recogniser:
     def __init__(self, outlines: Sequence[Outline], rig: RigDescription):
         """Raises ValueError when there is no outline."""
         self._stored = stored(outlines)
-        self._variances = rig.reading_variances
+        self._rig = rig
         size = min(BANK, math.ceil(MOST_STARTS * len(outlines) / LANES) * LANES)
         self.filters = ShapeFilters(rig, size, memory_s=math.inf)
         self.reset()
@@ -72,7 +72,7 @@ class Recogniser:
         """Let all filters begin with stored outlines; always a new object."""
         self.reset()
         bank = self.filters.bank
-        starts = self._stored.starts(track.first_contacts, track.palms, self._variances, bank.size)
+        starts = self._stored.starts(track.first_contacts, track.palms, self._rig, bank.size)
         self.filters.start_known(starts.x, starts.P, starts.psi, track.fusion.palms, t)
         bank.drop(np.arange(bank.size) >= len(starts.which))
         self._which = np.resize(starts.which, bank.size)

@@ -42,6 +42,7 @@ from palmd.observer.search import (
     beyond_question,
     consistent,
     doubt,
+    explained,
     minima,
     overfits,
     still,
@@ -101,7 +102,7 @@ def reconstruct(
         if unlike is not None:
             return unlike
     if main is None:
-        return _nothing(NOTHING_MOVES if still(Search(found[0], rig).record) else NO_ANSWER, begun)
+        return _nothing(NOTHING_MOVES if still(Search(found[0], rig).record) else NO_ANSWER + _if_concave(rig), begun)
     if main.reason:
         return _result(main, (), rig, begun)
     parts = [main, *(_part(_search(segment, rig), seed, attempts) for segment in found[1:MOST_PARTS])]
@@ -282,6 +283,8 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
     normals = [felt_normals(part.record, part.psi, p[C.SHAPE :]) for part in parts]
     outline = outline_of(p[C.SHAPE :], covariance[_OUTLINE, _OUTLINE], normals)
     reason = main.reason
+    if reason and not explained(fit, record):
+        reason += _if_concave(rig)
     told = outline_of(p[C.SHAPE :], given(covariance, RIG, _OUTLINE), normals)
     if not reason and float(np.sqrt(np.mean(told.h_sd[told.touched] ** 2))) > SHARP_M:
         reason = "the readings tell too little of the outline"
@@ -337,6 +340,12 @@ def _weighed(main: _Part, rig: RigDescription, answered: Marginal) -> tuple[floa
     for pad, force, f in zip(record.force_pad, record.force_value, per_mass, strict=True):
         scales.feed(int(pad), float(force), float(f))
     return scales.value, scales.sd
+
+
+def _if_concave(rig: RigDescription) -> str:
+    """What may be wrong where nothing explains the readings and palms are concave."""
+    told = ", ".join(f"{kappa:.3g} 1/m" for kappa in rig.curvatures)
+    return f"; palms as concave as these ({told}) may be too concave for it" if max(rig.curvatures) > 0.0 else ""
 
 
 def _nothing(reason: str, begun: float, chi2: float = math.nan) -> Reconstruction:

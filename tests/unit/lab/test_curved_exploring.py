@@ -10,15 +10,18 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from palmd.config import ExploreGoal
 from palmd.console.shipped import shipped
 from palmd.events import PalmMotion
 from palmd.harness.wireless import Instant
-from palmd.lab import curved_exploring
+from palmd.lab import curved_exploring, exploring_plans
 from palmd.lab.curved_exploring import CradleRow, CradleTask, remarks, table, tasks_of
 from palmd.lab.exploring import ExploringRow
 from palmd.lab.exploring_watch import ExplorationWatch
 from palmd.model.shape import coefficients_of
 from palmd.motion.check import motion_limits
+from palmd.motion.explorer import careful_angles
+from palmd.motion.plan import compile_plan
 from palmd.motion.reach import reach, surface_limits
 from palmd.motion.rollout_predictor import BINS
 from palmd.quantities import ESTIMATE
@@ -71,6 +74,19 @@ def test_the_study_explores_within_the_limits_of_the_example() -> None:
     assert load_config(shipped("cradle.yaml")).limits == curved_exploring.CRADLE
 
 
+def test_a_plan_that_knows_nothing_keeps_to_gentle_angles_at_the_configured_rates() -> None:
+    kappa, _ = curved_exploring._drawn(CradleTask("rig", 3, True, 5.0))
+    config = curved_exploring._config(kappa)
+    gentle, flat = (careful_angles(each) for each in (kappa, FLAT))
+    for seed in range(3):
+        spec = exploring_plans.plan("random", config, ExploreGoal(time_limit_s=30.0), seed)
+        compiled = compile_plan(spec, motion_limits(config))
+        poses = np.array([compiled.at(t).angles for t in np.linspace(1.0, compiled.duration, 200)])
+        for (low, high), angles in zip(gentle, poses.T, strict=True):
+            assert low - 1e-9 <= angles.min() <= angles.max() <= high + 1e-9
+    assert all(wide[1] < narrow[1] for wide, narrow in zip(flat[1:], gentle[1:], strict=True))
+
+
 def test_what_a_cradle_can_reach_is_read_off_its_own_surface() -> None:
     kappa, body = curved_exploring._drawn(CradleTask("nominal", 3, True, 60.0))
     outline = coefficients_of(body.support.sample(np.arange(360) * math.tau / 360))
@@ -95,6 +111,20 @@ def test_the_table_tells_both_and_the_remarks_name_what_went_wrong() -> None:
     assert said[0].startswith("cradle rig 2: touched 70% (late), contact lost 1 times")
     assert said[1] == "flat rig 2: ValueError: no"
     assert curved_exploring.as_line(rows[0])["curvatures_per_m"] == (14.0, 13.0)
+
+
+def test_of_objects_that_were_not_held_it_is_told_how() -> None:
+    rows = [
+        CradleRow((14.0, 13.0), ExploringRow("rig", 1, "random", wedged_s=0.3, most_force_m_s2=71.0, pressed_s=0.1)),
+        CradleRow((14.0, 13.0), ExploringRow("rig", 2, "random", parted_s=0.2, losses=1, unnoticed=1)),
+    ]
+    told = [line.split() for line in curved_exploring.plan_table(rows).splitlines()[1:]]
+    assert [" ".join(line[-3:]) for line in told[:4]] == ["1 of 2"] * 4
+    assert told[4][-1] == "71"
+    assert remarks(rows) == [
+        "cradle rig 1: wedged 0.30 s, pressed with up to 71 m/s²",
+        "cradle rig 2: contact lost 1 times, at a pad's end 0.00 s",
+    ]
 
 
 @pytest.mark.parametrize("curved", [True, False])

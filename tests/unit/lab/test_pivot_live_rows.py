@@ -36,15 +36,15 @@ def test_what_is_right_and_what_is_wrong():
 
 def test_the_table_counts_them():
     wrong = replace(GOOD, task=LiveTask(8, "calibrated", 5.0), e=4e-4, worst_e=4e-4)
-    slide = replace(GOOD, task=LiveTask(7, "calibrated", 5.0, "float"), jams=2, most_force=2.3)
+    slide = replace(GOOD, task=LiveTask(7, "calibrated", 5.0, "float"), left=3, jams=2, most_force=2.3)
     table = pivot_live.report([GOOD, wrong, slide, LiveRow(LiveTask(9, "none", 5.0), error="no")])
     titles, calibrated, sliding, perfect = (line.split() for line in table.splitlines()[:4])
     assert sliding[:5] == ["calibrated,", "slide", "1", "1", "0"]
     assert "right" in titles
     assert calibrated[:5] == ["calibrated", "2", "1", "0", "1"]
     assert perfect[:5] == ["none", "1", "0", "1", "0"]
-    assert sliding[-5:-2] == ["1", "1", "2.30"], "one that jammed, one over its limit"
-    assert calibrated[-5:-2] == ["0", "0", "1.20"]
+    assert sliding[-6:-2] == ["1", "1", "1", "2.30"], "one left the pad, one jammed, one over its limit"
+    assert calibrated[-6:-2] == ["0", "0", "0", "1.20"]
     assert "400 µm off" in pivot_live.remark(wrong)
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from library import library
 
 from palmd import observer
 from palmd.cli import main
@@ -20,6 +21,7 @@ from palmd.observer.coverage import NORMAL_BINS, Coverage, contact_bins
 from palmd.observer.reconstruct import most_lying, reconstruct
 from palmd.observer.rig_error import RigError
 from palmd.record.eventlog import read_log
+from palmd.record.recognition import NONE_OF_THESE, verdict
 from palmd.record.replay import replay
 from palmd.rig.simulate_curved import simulate_curved_log
 from palmd.score import score_outline, score_shape
@@ -82,7 +84,7 @@ def test_told_to_be_far_more_concave_than_they_are_nothing_is_claimed_and_it_say
     strong = replace(log.rig, pads=tuple(replace(pad, curvature=2 * pad.curvature) for pad in log.rig.pads))
     answer = reconstruct([event for event in log.events if event.t_sample < 2.5], strong)
     assert not answer.converged
-    assert answer.reason
+    assert re.search(r"palms as concave as these \(\d\d.* 1/m\) may be too concave for it", answer.reason)
 
 
 def test_an_object_that_would_lie_in_its_palm_is_refused_in_words(cradle, monkeypatch):
@@ -107,6 +109,26 @@ def test_live_it_settles_on_what_is_there(cradle):
     drawn = next(tick.shape for tick in reversed(ticks) if tick.shape is not None)
     told = {"theta_rad": drawn.theta, "h_m": drawn.h, "touched": drawn.touched}
     assert score_shape(told, truth["h_m"], all_normals=False).e_h < 1e-4
+
+
+@pytest.mark.parametrize("stored", [True, False])
+def test_a_stored_outline_is_recognised_on_a_cradle_and_another_is_none(stored, tmp_path):
+    bodies, outlines = library("friction", 22, 8)
+    lines, truth = simulate_curved_log("cfriction", 22, 4.0, body=bodies[6])
+    path = tmp_path / "run.jsonl"
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    log = read_log(path)
+    known = outlines if stored else [each for each in outlines if each is not outlines[6]]
+    recogniser, told, off = observer.make("shape", log.rig, outlines=known), [], []
+    for tick in replay(log, recogniser):
+        told.append(recogniser.identify(tick.t))
+        if tick.estimate.valid:
+            assert told[-1].best, "nothing is valid while it is undecided"
+            off.append(tick.estimate.r1 - np.interp(tick.t, truth["t"], truth["r1_m"]))
+    found = verdict(each for each in told if each is not None)
+    assert found.said == (outlines[6].name if stored else NONE_OF_THESE)
+    assert bool(off) is stored
+    assert not stored or np.sqrt(np.mean(np.square(off))) < 1e-4
 
 
 @pytest.mark.parametrize("name", ["extended", "quasistatic"])

@@ -18,9 +18,11 @@ from palmd.observer.recogniser import BANK, Recogniser
 from palmd.outlinefile import Outline
 from palmd.record.replay import replay
 from palmd.rig.shapes import KINDS, random_body
+from palmd.system.description import RigDescription
 
 Z = shape_map.Z
 PALMS = PalmMotion.at_rest((0.75, 1.6))
+RIG = RigDescription()
 
 
 def outline_of(body, h_sd=2e-5):
@@ -71,7 +73,7 @@ def test_it_starts_at_the_poses_that_give_the_readings(psi):
     belief = stored(outlines)
     _, rows = shape.contact_rows(PALMS.angles[0] - psi, PALMS.angles[1])
     s1, s2 = rows @ belief.x[4, Z.SHAPE :]
-    starts = belief.starts((s1, s2), PALMS, np.full(2, 1.2e-8), 96)
+    starts = belief.starts((s1, s2), PALMS, RIG, 96)
     assert len(starts.which) == len(starts.psi) == len(starts.x) == 96
     assert abs(angle(starts.psi[starts.which == 4] - psi)).min() < 2 * math.pi / DIRECTIONS
     for which in range(6):
@@ -82,7 +84,7 @@ def test_it_starts_at_the_poses_that_give_the_readings(psi):
             assert starts.P[alike, Z.MU, Z.MU] == pytest.approx(mu_sd**2)
             apart = abs(angle(starts.psi[alike][:, None] - starts.psi[alike][None, :]))
             assert apart[~np.eye(alike.sum(), dtype=bool)].min(initial=9.0) > 2.5 * 2 * math.pi / DIRECTIONS
-    everywhere = stored(outlines[:1]).starts((s1, s2), PALMS, np.full(2, 1.2e-8), 1000)
+    everywhere = stored(outlines[:1]).starts((s1, s2), PALMS, RIG, 1000)
     assert 0.5 * MOST_STARTS < len(everywhere.which) <= MOST_STARTS
 
 

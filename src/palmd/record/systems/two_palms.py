@@ -51,7 +51,7 @@ class TwoPalms(TwoPalmsForm):
         from palmd import observer as observers
         from palmd.record.replay import as_said, replay
 
-        if log.rig.curved and (reason := observers.flat_only(observer, outlines)):
+        if log.rig.curved and (reason := observers.flat_only(observer)):
             raise NotYetError(reason)
         smoothing = observers.Simulated(log.rig)
         watcher = observers.make(observer, log.rig, smoothing=smoothing, outlines=tuple(outlines))

@@ -1,0 +1,27 @@
+"""Which normals of an outline palms can touch: of a circle, which rests anywhere, all of them."""
+
+import numpy as np
+
+from palmd.model.stable_surface import SurfaceLimits, stable_surface
+from palmd.motion.reach import reach
+
+CIRCLE = np.array([0.02] + [0.0] * 14)
+LIMITS = SurfaceLimits()
+
+
+def test_a_circle_has_no_surface_of_stable_poses():
+    surface = stable_surface(CIRCLE, LIMITS, bins=72)
+    assert surface.reach.shape == (0, 72)
+    assert len(surface.psi) == len(surface.links) == 0
+    assert not surface.winds.any()
+
+
+def test_a_circle_shows_all_round_what_it_shows_of_itself():
+    oval = CIRCLE.copy()
+    oval[3] = 1e-6
+    assert reach(CIRCLE, LIMITS).all()
+    assert (reach(CIRCLE, LIMITS) == reach(oval, LIMITS)).all()
+
+
+def test_a_circle_that_leaves_the_pads_shows_nothing():
+    assert not reach(50.0 * CIRCLE, LIMITS).any()
