@@ -41,7 +41,7 @@ from palmd.observer.track import Track
 from palmd.observer.validity import Evidence, Thresholds, consistent, predictable, settled
 from palmd.system.arcs import MOST_LYING
 from palmd.system.description import RigDescription
-from palmd.system.mechanism import FORCES, OPENING, PALMS, RADII
+from palmd.system.mechanism import FORCES, PALMS, RADII
 
 SETTLED = Thresholds(age_s=0.4, radius_sd_m=3e-4, disagreement_m=3e-4)
 DISTRUSTED_S = 3.5  # after an object was lost where it lay: what the model does not explain is lost again before long
@@ -167,8 +167,7 @@ class BankObserver:
             elif fusion.palms_known(t):
                 fusion.add(event)
                 if isinstance(event, PadSample) and self._link is not None and not self._rig.curved:
-                    opening = float(fusion.palms.at(t)[OPENING])
-                    session.track.riding.read(event, opening, float(self._rig.reading_variances[event.pad - 1]))
+                    session.track.riding.read(event, fusion.palms.motion(t))
         if session.track is None:
             session.try_to_begin(t)
 
@@ -300,21 +299,19 @@ class BankObserver:
         return self._fusion.carries or not self._session.distrusted or track.age(t) > DISTRUSTED_S
 
     def _may_ride(self, track: Track) -> bool:
-        """Whether it may only turn with a palm, as what lies on a flat side does, for all that is known.
+        """Whether it may only turn with a palm, as what lies on a flat side does, or be a disc, for all that is known.
 
-        A bank takes that for a smooth object, however far off, and so may a smoother whose outline is not sharp yet.
-        What has been felt to have a corner no smooth outline is of, whoever tells it.
+        A bank takes that for a smooth object, however far off, and so may a smoother. What has been felt to have a
+        corner no smooth outline is of, whoever tells it.
         """
-        if track.riding.cornered or not self._rolls_or_rides():
-            return track.riding.cornered
-        return track.riding.likely if track.smoothed else not track.riding.excluded
-
-    def _rolls_or_rides(self) -> bool:
-        """Whether what leads began blind on flat palms, and the smoother at its side has told no sharp outline yet."""
-        fusion = self._fusion
-        if self._link is None or self._rig.curved or fusion.allows_for_rig:
+        if self._link is None or self._rig.curved:
             return False
-        return bool(fusion.forgetting.prior_age_s[fusion.bank.best()] == 0.0)
+        riding = track.riding
+        if riding.cornered or riding.likely:
+            return True
+        fusion = self._fusion
+        blind = not fusion.allows_for_rig and fusion.forgetting.prior_age_s[fusion.bank.best()] == 0.0
+        return bool(blind and not track.smoothed and not riding.excluded)
 
     def _lies_on(self, y: FloatArray) -> bool:
         """Whether the object lies on its palms rather than in one that is as concave as it is round there."""

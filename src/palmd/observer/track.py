@@ -34,12 +34,12 @@ class Track:
     radius_sd: float
     mass: MassEstimator
     coverage: Coverage
+    riding: Riding
     valid: bool = False
     predictable: bool = False
     vouched_for: bool = False
     t_unlikely: float | None = None
     surprise: Surprise = field(default_factory=Surprise)
-    riding: Riding = field(default_factory=Riding)
     smoothed: bool = False
 
     def age(self, t: float) -> float:
