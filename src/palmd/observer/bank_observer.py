@@ -306,12 +306,7 @@ class BankObserver:
         """
         if self._link is None or self._rig.curved:
             return False
-        riding = track.riding
-        if riding.cornered or riding.likely:
-            return True
-        fusion = self._fusion
-        blind = not fusion.allows_for_rig and fusion.forgetting.prior_age_s[fusion.bank.best()] == 0.0
-        return bool(blind and not track.smoothed and not riding.excluded)
+        return track.riding.cornered or not track.riding.excluded
 
     def _lies_on(self, y: FloatArray) -> bool:
         """Whether the object lies on its palms rather than in one that is as concave as it is round there."""

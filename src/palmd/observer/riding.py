@@ -20,12 +20,13 @@ from typing import NamedTuple
 import numpy as np
 
 from palmd.events import FloatArray, PadSample, PalmMotion
+from palmd.observer.palms import RESTING_RAD_S
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import OPENING, PALMS
 
 SIGMAS, SLACK = 3.0, 0.02  # of χ², from which on readings contradict a ride; a share of it for what is no noise
 FIT_EVERY = 5  # of a pad's readings
-TELLING_RAD = 0.25  # of φ2, over which what rolls contradicts a ride mostly
+TELLING_RAD = 0.25  # of φ2, over which a corner is told
 CORNER_M = 4e-3  # of ρ: smooth objects of the studies have 15 mm and more, corners of 1 and 3 mm are told to 0.1 mm
 ROUND_M = 15e-3  # of ρ, about, where it multiplies a constant of the rig
 
@@ -50,7 +51,9 @@ class Riding:
         self.cornered = False  # it has ridden, and touched the other palm with a corner
 
     def read(self, sample: PadSample, palms: PalmMotion) -> None:
-        """Take a reading, the palms moving like that."""
+        """Take a reading, the palms moving like that; at rest it tells nothing."""
+        if max(map(abs, palms.rates)) < RESTING_RAD_S:
+            return
         opening, rate, i = palms.angles[OPENING], palms.rates[OPENING], sample.pad - 1
         cos, sin, force = math.cos(opening), math.sin(opening), sample.force or 0.0
         moved = sin, -sample.s * cos, -sample.s * rate * sin, force * sin
@@ -61,16 +64,8 @@ class Riding:
         self._least, self._most = min(self._least, opening), max(self._most, opening)
         if self._readings[sample.pad] % FIT_EVERY == 0:
             self._ride[sample.pad] = _fitted(self._sums[sample.pad], self._readings[sample.pad])
-            self.cornered = self.cornered or (self._told and self._sharp(sample.pad))
-
-    @property
-    def likely(self) -> bool:
-        """Whether a ride is not `excluded` by palms that have turned far enough against each other to exclude most."""
-        return self._told and not self.excluded
-
-    @property
-    def _told(self) -> bool:
-        return self._most - self._least > TELLING_RAD
+            told = self._most - self._least > TELLING_RAD
+            self.cornered = self.cornered or (told and self._sharp(sample.pad))
 
     @property
     def excluded(self) -> bool:
