@@ -72,6 +72,11 @@ class Riding:
         """Whether the readings of each palm contradict a ride on the other."""
         return all(self._contradicted(pad) for pad in PALMS)
 
+    @property
+    def disc(self) -> bool:
+        """Whether neither palm's readings contradict a ride on the other, as those of a disc do not."""
+        return not any(self._contradicted(pad) for pad in PALMS)
+
     def _contradicted(self, pad: int) -> bool:
         ride = self._ride[pad]
         return ride is not None and ride.contradicted

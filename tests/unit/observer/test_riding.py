@@ -71,6 +71,8 @@ def test_a_disc_may_be_anything_that_has_an_arc_for_all_that_its_readings_tell()
     riding = told({1: disc, 2: disc}, OPENINGS)
     assert not riding.excluded
     assert not riding.cornered
+    assert riding.disc
+    assert not told({1: RIDDEN, 2: ROLLING}, OPENINGS).disc
 
 
 @pytest.mark.parametrize("off", ["zero", "scale", "turn", "lag", "force", "standoff"])
